@@ -1,0 +1,8 @@
+//! placeholder map
+pub mod record;
+pub mod sim;
+pub mod units;
+pub mod verdict;
+
+/// Version of the program, as documents carry it.
+pub const VERSION: &str = env!("CARGO_PKG_VERSION");

@@ -1,0 +1,223 @@
+//! The data objects: one [`Sample`] as it came, and the [`Record`] that one estimate is made from.
+//!
+//! A [`Record`] keeps output, process variable, sampling and what is known of its quality together; they cannot be
+//! separated on the way. A value that is missing is absent, never 0.0.
+
+use serde::{Deserialize, Serialize};
+
+/// What a value measures in its loop.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Signal {
+    /// Controller output, the signal sent to the valve.
+    Op,
+    /// Set point.
+    Sp,
+    /// Controller mode.
+    Mode,
+    /// Valve position behind the friction.
+    Mv,
+    /// Process variable.
+    Pv,
+}
+
+impl Signal {
+    /// Every signal, in the order in which equal stamps are taken (PV last: it closes a scan).
+    pub const ALL: [Self; 5] = [Self::Op, Self::Sp, Self::Mode, Self::Mv, Self::Pv];
+
+    /// The last chunk of the signal's key and its CSV column.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Op => "op",
+            Self::Sp => "sp",
+            Self::Mode => "mode",
+            Self::Mv => "mv",
+            Self::Pv => "pv",
+        }
+    }
+
+    /// The signal of a key chunk or CSV column.
+    #[must_use]
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|s| s.name() == name)
+    }
+}
+
+/// Controller mode.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Mode {
+    /// The controller moves OP.
+    Auto,
+    /// A person moves OP.
+    Manual,
+    /// The controller moves OP and another one moves its set point.
+    Cascade,
+    /// A mode was sent that nobody mapped.
+    Unknown,
+}
+
+impl Mode {
+    /// The mode's word in payloads and documents.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Auto => "auto",
+            Self::Manual => "manual",
+            Self::Cascade => "cascade",
+            Self::Unknown => "unknown",
+        }
+    }
+
+    /// Reads the words that control systems use; anything else is [`Mode::Unknown`].
+    #[must_use]
+    pub fn from_word(word: &str) -> Self {
+        match word.trim().to_ascii_lowercase().as_str() {
+            "auto" | "aut" | "automatic" | "a" => Self::Auto,
+            "manual" | "man" | "hand" | "m" => Self::Manual,
+            "cascade" | "cas" | "casc" | "rcas" | "remote" | "c" => Self::Cascade,
+            _ => Self::Unknown,
+        }
+    }
+}
+
+/// A value as the plant sent it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Value {
+    /// A finite number.
+    Number(f64),
+    /// A mode sent as a word.
+    Mode(Mode),
+    /// Sent, but empty or not finite.
+    Missing,
+}
+
+impl Value {
+    /// A number, or [`Value::Missing`] where it is not finite.
+    #[must_use]
+    pub fn number(value: f64) -> Self {
+        if value.is_finite() { Self::Number(value) } else { Self::Missing }
+    }
+
+    /// The finite number, if it is one.
+    #[must_use]
+    pub const fn as_number(self) -> Option<f64> {
+        if let Self::Number(v) = self { Some(v) } else { None }
+    }
+}
+
+/// One value of one signal, as recorded and before any check.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Sample {
+    /// What it measures.
+    pub signal: Signal,
+    /// Source time, ns since 1970.
+    pub t_ns: i64,
+    /// The value.
+    pub value: Value,
+    /// Quality code as sent, if one was sent; its convention stands in the config.
+    pub quality: Option<u32>,
+}
+
+/// What is known of a record's quality, as counts of raw samples.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Facts {
+    /// Samples taken while the controller was in manual.
+    pub manual: u32,
+    /// Samples put in for lost ones (OP held, PV interpolated).
+    pub filled: u32,
+    /// Values that were missing or of bad quality.
+    pub bad: u32,
+    /// PV samples equal to the one before.
+    pub pv_repeats: u32,
+    /// OP samples equal to the one before.
+    pub op_repeats: u32,
+}
+
+/// A uniform stretch of one loop without a gap: what one estimate is made from.
+///
+/// `n` points stand `ts_s * box_samples` seconds apart. While the raw samples fit, a point is a sample
+/// (`box_samples` = 1) and `op_path` holds one value a point; else a point is a box of `box_samples` samples, `pv`,
+/// `sp`, `mv` hold its means and `op_path` four values a point (OP's first, its extremes in a plausible order, its
+/// last), because the valve law must run on OP as recorded.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Record {
+    /// Stamp of the first sample, ns.
+    pub start_ns: i64,
+    /// Stamp of the last sample, ns.
+    pub end_ns: i64,
+    /// Mean time between raw samples, s.
+    pub ts_s: f64,
+    /// Raw samples in the record.
+    pub raw_samples: usize,
+    /// Raw samples in a point (a power of two).
+    pub box_samples: usize,
+    /// OP on the way through each point, `n * path_per_point` values.
+    pub op_path: Vec<f64>,
+    /// PV at each point, PV units.
+    pub pv: Vec<f64>,
+    /// Set point at each point, PV units.
+    pub sp: Option<Vec<f64>>,
+    /// Valve position at each point.
+    pub mv: Option<Vec<f64>>,
+    /// Spread of the time between points: robust standard deviation over mean.
+    pub irregularity: f64,
+    /// Counts for the gates.
+    pub facts: Facts,
+}
+
+impl Record {
+    /// A record of raw samples at a constant rate, as simulations and tests make it.
+    #[must_use]
+    pub fn uniform(ts_s: f64, op: Vec<f64>, pv: Vec<f64>) -> Self {
+        let n = op.len().min(pv.len());
+        let repeats = |x: &[f64]| x.windows(2).filter(|w| w[0] == w[1]).count() as u32;
+        Self {
+            start_ns: 0,
+            end_ns: crate::units::ns_from_s(ts_s * n.saturating_sub(1) as f64),
+            ts_s,
+            raw_samples: n,
+            box_samples: 1,
+            facts: Facts { pv_repeats: repeats(&pv), op_repeats: repeats(&op), ..Facts::default() },
+            op_path: op,
+            pv,
+            sp: None,
+            mv: None,
+            irregularity: 0.0,
+        }
+    }
+
+    /// Points in the record.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.pv.len()
+    }
+
+    /// Whether it holds no point at all.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.pv.is_empty()
+    }
+
+    /// OP values a point: 1 for raw samples, 4 for boxes.
+    #[must_use]
+    pub fn path_per_point(&self) -> usize {
+        if self.box_samples == 1 { 1 } else { 4 }
+    }
+
+    /// Seconds between points.
+    #[must_use]
+    pub fn point_s(&self) -> f64 {
+        self.ts_s * self.box_samples as f64
+    }
+
+    /// OP at each point: the sample, or the middle of the box's extremes.
+    #[must_use]
+    pub fn op(&self) -> Vec<f64> {
+        match self.path_per_point() {
+            1 => self.op_path.clone(),
+            m => self.op_path.chunks_exact(m).map(|p| 0.5 * (p[1] + p[2])).collect(),
+        }
+    }
+}

@@ -1,0 +1,4 @@
+//! Physics: valve laws, process models, controller, noise and the closed loop. The only copy of each formula.
+
+pub mod process;
+pub mod valve;

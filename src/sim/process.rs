@@ -1,0 +1,199 @@
+//! Process models: first and second order and integrating, with a continuous dead time, exactly discretised.
+//!
+//! The valve signal is held between samples, so each model is a recursion with two taps: for a lag of `l + f`
+//! samples (whole part `l`, fraction `f`),
+//! `x[k] = a x[k-1] + b0 v[k-l] + b1 v[k-l-1]`, `a = exp(-1/tau)`, `b0 = 1 - exp(-(1-f)/tau)`, `b1 = 1 - a - b0`.
+//! A lag is the dead time plus the one sample that a held signal needs to act, so PV never answers OP of its own scan.
+
+/// Recursion of a pole with unit static gain (or a unit integrator) behind a hold and a fractional delay.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Pole {
+    /// Weight of the last value.
+    pub a: f64,
+    /// Weight of the newer tap.
+    pub b0: f64,
+    /// Weight of the older tap.
+    pub b1: f64,
+}
+
+impl Pole {
+    /// First-order lag of `tau` samples (> 0), input delayed by `fraction` of a sample (0..1).
+    #[must_use]
+    pub fn lag(tau: f64, fraction: f64) -> Self {
+        let a = libm::exp(-1.0 / tau);
+        let b0 = 1.0 - libm::exp(-(1.0 - fraction) / tau);
+        Self { a, b0, b1: 1.0 - a - b0 }
+    }
+
+    /// Integrator that gains its input each sample, input delayed by `fraction` of a sample (0..1).
+    #[must_use]
+    pub fn integrator(fraction: f64) -> Self {
+        Self { a: 1.0, b0: 1.0 - fraction, b1: fraction }
+    }
+
+    /// Runs the recursion over `v` with `lag` whole samples into `out` (same length), from the state `x0` with the
+    /// input before the record held at `v[0]`.
+    pub fn run(&self, lag: usize, v: &[f64], x0: f64, out: &mut Vec<f64>) {
+        out.clear();
+        let Some(first) = v.first().copied() else { return };
+        let mut x = x0;
+        let head = (lag + 1).min(v.len());
+        for k in 0..head {
+            let newer = if k >= lag { v[k - lag] } else { first };
+            x = self.a * x + self.b0 * newer + self.b1 * first;
+            out.push(x);
+        }
+        for pair in v.windows(2).take(v.len() - head) {
+            x = self.a * x + self.b0 * pair[1] + self.b1 * pair[0];
+            out.push(x);
+        }
+    }
+}
+
+/// Weights of two unit lags in parallel that equal the same two in series: `w1 x1 + w2 x2`, `tau1 != tau2`.
+#[must_use]
+pub fn series_weights(tau1: f64, tau2: f64) -> (f64, f64) {
+    (tau1 / (tau1 - tau2), -tau2 / (tau1 - tau2))
+}
+
+/// What a process does, in samples; the stepping twin is [`ProcessState`].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ProcessModel {
+    /// Static gain, or gain a sample when integrating.
+    pub gain: f64,
+    /// First (or only) time constant, samples; ignored when integrating unless a second lag is wanted.
+    pub tau: f64,
+    /// Second time constant, samples; 0 for first order.
+    pub tau2: f64,
+    /// Dead time, samples, fractions allowed.
+    pub dead_time: f64,
+    /// Integrates instead of settling; `tau` is then a lag in front of the integrator (0 for none).
+    pub integrating: bool,
+}
+
+/// A process model with its memory, stepped sample by sample.
+#[derive(Debug, Clone)]
+pub struct ProcessState {
+    model: ProcessModel,
+    poles: Vec<(Pole, f64)>,
+    history: Vec<f64>,
+    newest: usize,
+    lag: usize,
+}
+
+impl ProcessState {
+    /// A process at rest with the valve at `v0` (an integrating one holds its level there).
+    #[must_use]
+    pub fn at_rest(model: ProcessModel, v0: f64) -> Self {
+        let lag_whole = model.dead_time.max(0.0).floor();
+        let fraction = model.dead_time.max(0.0) - lag_whole;
+        let mut poles = Vec::with_capacity(3);
+        if model.integrating {
+            // The level's rest is wherever `v0` stands: the integrator sees the deviation only.
+            poles.push((Pole::integrator(if model.tau > 0.0 { 0.0 } else { fraction }), 0.0));
+            if model.tau > 0.0 {
+                poles.push((Pole::lag(model.tau, fraction), 0.0));
+            }
+        } else {
+            poles.push((Pole::lag(model.tau.max(1e-6), fraction), v0));
+            if model.tau2 > 0.0 {
+                poles.push((Pole::lag(model.tau2, 0.0), v0));
+            }
+        }
+        let lag = lag_whole as usize;
+        Self { model, poles, history: vec![v0; lag + 2], newest: 0, lag }
+    }
+
+    /// PV (without noise) of this sample, given the valve position held since the sample before.
+    pub fn step(&mut self, valve: f64, rest: f64) -> f64 {
+        let n = self.history.len();
+        self.newest = (self.newest + 1) % n;
+        self.history[self.newest] = valve;
+        let tap = |back: usize| self.history[(self.newest + n - back % n) % n];
+        let (newer, older) = (tap(self.lag), tap(self.lag + 1));
+        if self.model.integrating {
+            return self.step_integrating(newer, older, rest);
+        }
+        let (first, x) = &mut self.poles[0];
+        let before = *x;
+        *x = first.a * *x + first.b0 * newer + first.b1 * older;
+        let mut out = *x;
+        if let Some((second, x2)) = self.poles.get_mut(1) {
+            // The middle of the first lag's values stands for its course inside the sample.
+            *x2 = second.a * *x2 + (1.0 - second.a) * 0.5 * (before + out);
+            out = *x2;
+        }
+        self.model.gain * out
+    }
+
+    fn step_integrating(&mut self, newer: f64, older: f64, rest: f64) -> f64 {
+        let (newer, older) = (newer - rest, older - rest);
+        let inflow = if let Some((lag, x)) = self.poles.get_mut(1) {
+            *x = lag.a * *x + lag.b0 * newer + lag.b1 * older;
+            *x
+        } else {
+            let (p, _) = self.poles[0];
+            p.b0 * newer + p.b1 * older
+        };
+        self.poles[0].1 += inflow;
+        self.model.gain * self.poles[0].1
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn step_reaches_63_per_cent_after_dead_time_and_tau() {
+        let model = ProcessModel { gain: 2.0, tau: 20.0, tau2: 0.0, dead_time: 5.0, integrating: false };
+        let mut process = ProcessState::at_rest(model, 0.0);
+        let out: Vec<f64> = (0..60).map(|_| process.step(1.0, 0.0)).collect();
+        assert_eq!(out[4], 0.0);
+        // The first step() already covers one sample: 25 samples after the change, 20 after the dead time.
+        assert!((out[24] - 2.0 * (1.0 - libm::exp(-1.0))).abs() < 1e-12);
+    }
+
+    #[test]
+    fn the_stepper_and_the_filter_are_one_model() {
+        let v: Vec<f64> = (0..80).map(|k| if (k / 13) % 2 == 0 { 1.0 } else { -0.5 }).collect();
+        let model = ProcessModel { gain: 1.0, tau: 7.0, tau2: 0.0, dead_time: 3.4, integrating: false };
+        let mut process = ProcessState::at_rest(model, v[0]);
+        let stepped: Vec<f64> = v.iter().map(|&x| process.step(x, 0.0)).collect();
+        let mut filtered = Vec::new();
+        Pole::lag(7.0, 0.4).run(3, &v, v[0], &mut filtered);
+        for (a, b) in stepped.iter().zip(&filtered) {
+            assert!((a - b).abs() < 1e-12);
+        }
+    }
+
+    #[test]
+    fn a_fractional_delay_lies_between_the_whole_ones() {
+        let v: Vec<f64> = (0..40).map(|k| f64::from(u8::from(k >= 5))).collect();
+        let run = |delay: f64| {
+            let mut out = Vec::new();
+            Pole::lag(4.0, delay.fract()).run(delay as usize, &v, 0.0, &mut out);
+            out[12]
+        };
+        assert!(run(3.0) > run(3.5) && run(3.5) > run(4.0));
+    }
+
+    #[test]
+    fn lags_in_series_settle_at_the_gain() {
+        let (w1, w2) = series_weights(9.0, 4.0);
+        assert!((w1 + w2 - 1.0).abs() < 1e-12);
+        let model = ProcessModel { gain: 3.0, tau: 9.0, tau2: 4.0, dead_time: 0.0, integrating: false };
+        let mut process = ProcessState::at_rest(model, 0.0);
+        let last = (0..300).map(|_| process.step(1.0, 0.0)).last().unwrap();
+        assert!((last - 3.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn an_integrator_holds_its_level_at_rest() {
+        let model = ProcessModel { gain: 0.1, tau: 0.0, tau2: 0.0, dead_time: 2.0, integrating: true };
+        let mut process = ProcessState::at_rest(model, 40.0);
+        assert_eq!((0..50).map(|_| process.step(40.0, 40.0)).last().unwrap(), 0.0);
+        let level: Vec<f64> = (0..10).map(|_| process.step(41.0, 40.0)).collect();
+        assert!((level[9] - 0.1 * 8.0).abs() < 1e-12);
+    }
+}

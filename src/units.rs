@@ -1,0 +1,158 @@
+//! Time and names, the two things every room shares.
+//!
+//! Time is `i64` nanoseconds since 1970 UTC, the plant's own source time. Text times are read without passing
+//! through floating point, so a stamp that is written reads back equal.
+
+use thiserror::Error;
+use time::{OffsetDateTime, format_description::well_known::Rfc3339};
+
+/// Nanoseconds in a second.
+pub const NS_PER_S: i64 = 1_000_000_000;
+
+/// A text that is not a time.
+#[derive(Debug, Error, Clone, PartialEq, Eq)]
+pub enum TimeError {
+    /// Neither decimal seconds nor RFC 3339.
+    #[error("{0:?} is not a time: write seconds since 1970 (12.5) or RFC 3339 (2026-01-31T08:00:00Z)")]
+    Unreadable(String),
+    /// Outside the years that 64-bit nanoseconds hold.
+    #[error("{0:?} is outside the years 1678 to 2261, which is what nanoseconds in 64 bits hold")]
+    OutOfRange(String),
+}
+
+/// Seconds to nanoseconds, rounded; saturates at the ends of the range, NaN gives 0.
+#[must_use]
+pub fn ns_from_s(seconds: f64) -> i64 {
+    (seconds * NS_PER_S as f64).round() as i64
+}
+
+/// Nanoseconds to seconds.
+#[must_use]
+pub fn s_from_ns(ns: i64) -> f64 {
+    ns as f64 / NS_PER_S as f64
+}
+
+/// Reads decimal seconds since 1970 (exactly, to the nanosecond) or an RFC 3339 stamp.
+///
+/// # Errors
+/// [`TimeError`] names the text and what would be accepted.
+pub fn parse_time(text: &str) -> Result<i64, TimeError> {
+    let text = text.trim();
+    if text.len() > 10 && text.as_bytes()[4] == b'-' && text.as_bytes()[7] == b'-' {
+        let normal = text.replacen(' ', "T", 1);
+        let stamp = OffsetDateTime::parse(&normal, &Rfc3339).map_err(|_| TimeError::Unreadable(text.into()))?;
+        return i64::try_from(stamp.unix_timestamp_nanos()).map_err(|_| TimeError::OutOfRange(text.into()));
+    }
+    parse_seconds(text)
+}
+
+/// Decimal seconds to nanoseconds without rounding through `f64`; an exponent falls back to `f64`.
+fn parse_seconds(text: &str) -> Result<i64, TimeError> {
+    let unreadable = || TimeError::Unreadable(text.into());
+    let range = || TimeError::OutOfRange(text.into());
+    if text.contains(['e', 'E']) {
+        let seconds: f64 = text.parse().map_err(|_| unreadable())?;
+        if !seconds.is_finite() || seconds.abs() > 9.2e9 {
+            return Err(range());
+        }
+        return Ok(ns_from_s(seconds));
+    }
+    let (negative, digits) = match text.strip_prefix('-') {
+        Some(rest) => (true, rest),
+        None => (false, text.strip_prefix('+').unwrap_or(text)),
+    };
+    let (whole, fraction) = digits.split_once('.').unwrap_or((digits, ""));
+    let numeric = |s: &str| s.bytes().all(|b| b.is_ascii_digit());
+    if (whole.is_empty() && fraction.is_empty()) || !numeric(whole) || !numeric(fraction) {
+        return Err(unreadable());
+    }
+    let whole: i64 = if whole.is_empty() { 0 } else { whole.parse().map_err(|_| range())? };
+    let mut nanos: i64 = 0;
+    for (place, digit) in fraction.bytes().take(9).enumerate() {
+        nanos += i64::from(digit - b'0') * 10_i64.pow(8 - place as u32);
+    }
+    // Digits past the ninth round half up; a carry is fine because the sum is checked.
+    if fraction.as_bytes().get(9).is_some_and(|d| *d >= b'5') {
+        nanos += 1;
+    }
+    let ns = whole.checked_mul(NS_PER_S).and_then(|w| w.checked_add(nanos)).ok_or_else(range)?;
+    Ok(if negative { -ns } else { ns })
+}
+
+/// Nanoseconds as decimal seconds, with no more digits than needed; [`parse_time`] reads it back equal.
+#[must_use]
+pub fn format_seconds(ns: i64) -> String {
+    let (sign, magnitude) = if ns < 0 { ("-", ns.unsigned_abs()) } else { ("", ns as u64) };
+    let (whole, nanos) = (magnitude / 1_000_000_000, magnitude % 1_000_000_000);
+    if nanos == 0 {
+        return format!("{sign}{whole}");
+    }
+    let fraction = format!("{nanos:09}");
+    format!("{sign}{whole}.{}", fraction.trim_end_matches('0'))
+}
+
+/// RFC 3339 in UTC, for people.
+#[must_use]
+pub fn format_rfc3339(ns: i64) -> String {
+    OffsetDateTime::from_unix_timestamp_nanos(i128::from(ns))
+        .ok()
+        .and_then(|t| t.format(&Rfc3339).ok())
+        .unwrap_or_else(|| format!("{} s", format_seconds(ns)))
+}
+
+/// Whether a loop's name can stand in a key: non-empty chunks, none of `* $ ? #`, no chunk that starts with `@`.
+#[must_use]
+pub fn is_loop_name(name: &str) -> bool {
+    !name.is_empty()
+        && name.len() <= 200
+        && name.split('/').all(|chunk| !chunk.is_empty() && !chunk.starts_with('@'))
+        && !name.contains(['*', '$', '?', '#'])
+        && !name.chars().any(char::is_control)
+}
+
+/// Turns any text into a loop's name: characters that keys forbid become `_`.
+#[must_use]
+pub fn loop_name_from(text: &str) -> String {
+    let cleaned: String =
+        text.trim().chars().map(|c| if c.is_control() || "*$?#@/ ".contains(c) { '_' } else { c }).take(200).collect();
+    if cleaned.is_empty() { "loop".to_owned() } else { cleaned }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn times_are_read_without_rounding() {
+        assert_eq!(parse_time("0.1").unwrap(), 100_000_000);
+        assert_eq!(parse_time("1700000000.123456789").unwrap(), 1_700_000_000_123_456_789);
+        assert_eq!(parse_time("-2.5").unwrap(), -2_500_000_000);
+        assert_eq!(parse_time("1e3").unwrap(), 1_000_000_000_000);
+        assert_eq!(parse_time("2020-01-01T00:00:00Z").unwrap(), 1_577_836_800_000_000_000);
+        assert_eq!(parse_time("2020-01-01 01:00:00+01:00").unwrap(), 1_577_836_800_000_000_000);
+        for bad in ["", "-", "abc", "1.2.3", "nan", "2020-13-01T00:00:00Z", "99999999999999999999"] {
+            assert!(parse_time(bad).is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn loop_names_fit_into_keys() {
+        assert!(is_loop_name("FIC101") && is_loop_name("unit1/FIC101"));
+        assert!(!is_loop_name("") && !is_loop_name("a//b") && !is_loop_name("@x") && !is_loop_name("a*"));
+        assert!(is_loop_name(&loop_name_from("#1 FIC/101")));
+    }
+
+    proptest! {
+        #[test]
+        fn seconds_read_back_equal(ns in any::<i64>().prop_filter("i64::MIN has no mirror", |n| *n != i64::MIN)) {
+            prop_assert_eq!(parse_time(&format_seconds(ns)).unwrap(), ns);
+        }
+
+        #[test]
+        fn any_text_is_answered(text in ".{0,40}") {
+            let _ = parse_time(&text);
+            prop_assert!(is_loop_name(&loop_name_from(&text)));
+        }
+    }
+}

@@ -1,0 +1,79 @@
+//! What an assessment can be told.
+
+/// Order of the process model.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum ModelChoice {
+    /// First order with dead time.
+    Fopdt,
+    /// Second order with dead time.
+    Sopdt,
+    /// Second order only where it earns its parameter.
+    #[default]
+    Auto,
+}
+
+/// Dead time of the process model.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub enum DelayChoice {
+    /// Estimated.
+    #[default]
+    Auto,
+    /// Known, in seconds.
+    Seconds(f64),
+    /// Known, in raw samples.
+    Samples(f64),
+}
+
+/// Valve law.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum ValveChoice {
+    /// He's two-parameter law.
+    #[default]
+    He,
+    /// The tracking (sliding) law.
+    Tracking,
+    /// Both; the better one is reported.
+    Auto,
+}
+
+/// Everything that [`super::assess`] may be told. The defaults are the daemon's.
+#[derive(Debug, Clone, PartialEq)]
+pub struct AssessParams {
+    /// Periods below which `too_few_periods` is said and no fit is started unless `always_fit`.
+    pub min_periods: f64,
+    /// Raw samples a period below which `too_coarse` is said.
+    pub min_samples_per_period: f64,
+    /// OP's range, so that sizes can be given in % of travel.
+    pub op_range: Option<[f64; 2]>,
+    /// Process order.
+    pub model: ModelChoice,
+    /// Dead time.
+    pub delay: DelayChoice,
+    /// Valve law.
+    pub valve: ValveChoice,
+    /// Name of the solver, one of [`crate::optim::ALL`].
+    pub solver: &'static str,
+    /// Step of the contour grid, % of S0.
+    pub fineness_pct: f64,
+    /// Seed of every random choice.
+    pub seed: u64,
+    /// Fit whatever is there, as `analyze` does; the daemon waits for `min_periods` or as many reversals.
+    pub always_fit: bool,
+}
+
+impl Default for AssessParams {
+    fn default() -> Self {
+        Self {
+            min_periods: 5.0,
+            min_samples_per_period: 50.0,
+            op_range: None,
+            model: ModelChoice::Auto,
+            delay: DelayChoice::Auto,
+            valve: ValveChoice::default(),
+            solver: "contour",
+            fineness_pct: 5.0,
+            seed: 1,
+            always_fit: false,
+        }
+    }
+}
