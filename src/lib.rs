@@ -1,5 +1,7 @@
 //! placeholder map
+pub mod config;
 pub mod record;
+pub mod signal;
 pub mod sim;
 pub mod units;
 pub mod verdict;

@@ -1,0 +1,474 @@
+//! The configuration: TOML text in, a [`Config`] or every fault at once out. Knows no file.
+
+mod reader;
+
+use serde::Serialize;
+use sha2::{Digest, Sha256};
+use toml::de::DeTable;
+
+pub use reader::Fault;
+use reader::{TableReader, line_of, subtable, subtables};
+
+use crate::record::{Mode, Signal};
+use crate::units::is_loop_name;
+
+/// Everything the daemon is told. Field names are the keys of the text.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Config {
+    /// Where the plant's keys live.
+    pub site: Site,
+    /// How to reach them.
+    pub zenoh: Zenoh,
+    /// What to take in.
+    pub input: Input,
+    /// Windows, for loops that say nothing else.
+    pub window: WindowParams,
+    /// Alarms, for loops that say nothing else.
+    pub alarm: AlarmParams,
+    /// Where and how to record.
+    pub recording: Recording,
+    /// Metrics and health over HTTP.
+    pub web: Web,
+    /// Loops that are mapped or have settings of their own.
+    #[serde(rename = "loop")]
+    pub loops: Vec<LoopConfig>,
+}
+
+/// `[site]`.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Site {
+    /// First chunks of every key.
+    pub prefix: String,
+}
+
+/// `[zenoh]`.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Zenoh {
+    /// `peer` or `client`.
+    pub mode: String,
+    /// Endpoints to listen on.
+    pub listen: Vec<String>,
+    /// Endpoints to connect to.
+    pub connect: Vec<String>,
+    /// Whether to look for peers by multicast.
+    pub multicast: bool,
+    /// Path of a full Zenoh configuration; the keys above are put on top of it where they say something.
+    pub config_file: String,
+}
+
+/// `[input]`.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Input {
+    /// Monitor every loop that appears under the prefix.
+    pub discover: bool,
+    /// Loops beyond this many are counted and left alone.
+    pub max_loops: usize,
+    /// Messages that may wait for the engine.
+    pub queue: usize,
+    /// Payload codec: `auto` or one codec's name.
+    pub codec: String,
+    /// Convention of quality codes: `ua` or `classic`.
+    pub quality: String,
+    /// Numbers that stand for modes.
+    pub modes: Vec<(i64, Mode)>,
+}
+
+/// `[window]`; times in seconds.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct WindowParams {
+    /// Least periods for a fit.
+    pub min_periods: f64,
+    /// Most periods in a window.
+    pub max_periods: f64,
+    /// Raw samples a period below which an estimate is called coarse.
+    pub min_samples_per_period: f64,
+    /// Windows end at whole multiples of this.
+    pub hop_s: f64,
+    /// Longest window.
+    pub max_window_s: f64,
+    /// Longest hole that is filled; 0 means five sampling times.
+    pub max_gap_s: f64,
+    /// How late a sample may come.
+    pub lateness_s: f64,
+    /// Points of storage per loop before samples are boxed.
+    pub max_points: usize,
+}
+
+/// `[alarm]`.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct AlarmParams {
+    /// Raise when m of the last n windows say stiction.
+    pub raise: [u8; 2],
+    /// Least s, in OP units, that counts.
+    pub s_limit_op: f64,
+}
+
+/// `[recording]`.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Recording {
+    /// Folder of the files.
+    pub dir: String,
+    /// Seconds between flushes to disk.
+    pub flush_s: f64,
+    /// Size at which a file is closed.
+    pub max_bytes: u64,
+    /// Age at which a file is closed, s.
+    pub max_s: f64,
+}
+
+/// `[web]`.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Web {
+    /// Whether to serve at all.
+    pub enabled: bool,
+    /// Address and port; port 0 takes any free one.
+    pub listen: String,
+}
+
+/// `[[loop]]`.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct LoopConfig {
+    /// Name in every topic.
+    pub name: String,
+    /// Foreign keys by signal.
+    pub keys: Vec<(Signal, String)>,
+    /// Range of OP, so that sizes can be given in % of travel.
+    pub op_range: Option<[f64; 2]>,
+    /// How much the loop matters, 1 to 5.
+    pub criticality: u8,
+    /// Its windows.
+    pub window: WindowParams,
+    /// Its alarms.
+    pub alarm: AlarmParams,
+}
+
+impl Default for WindowParams {
+    fn default() -> Self {
+        Self {
+            min_periods: 5.0,
+            max_periods: 20.0,
+            min_samples_per_period: 50.0,
+            hop_s: 600.0,
+            max_window_s: 604_800.0,
+            max_gap_s: 0.0,
+            lateness_s: 5.0,
+            max_points: 2000,
+        }
+    }
+}
+
+impl Default for AlarmParams {
+    fn default() -> Self {
+        Self { raise: [3, 4], s_limit_op: 1.0 }
+    }
+}
+
+impl Config {
+    /// Reads a configuration.
+    ///
+    /// # Errors
+    /// Every fault of syntax, type, range and meaning at once, in the order of the text.
+    pub fn parse(text: &str) -> Result<Self, Vec<Fault>> {
+        let (root, syntax) = DeTable::parse_recoverable(text);
+        let mut faults: Vec<Fault> = syntax.iter().map(|e| syntax_fault(text, e)).collect();
+        let root = root.get_ref();
+        let config = Self::read(text, root, &mut faults);
+        refuse_unknown_tables(text, root, &mut faults);
+        faults.sort_by_key(|f| f.line);
+        faults.dedup();
+        if faults.is_empty() { Ok(config) } else { Err(faults) }
+    }
+
+    fn read(text: &str, root: &DeTable<'_>, faults: &mut Vec<Fault>) -> Self {
+        let mut open = |key: &str| subtable(text, root, key, faults);
+        let tables = ["site", "zenoh", "input", "window", "alarm", "recording", "web"].map(|key| (key, open(key)));
+        let [site, zenoh, input, window, alarm, recording, web] = tables;
+        macro_rules! read {
+            ($entry:expr, $read:expr) => {{
+                let mut reader = TableReader::new(text, $entry.0, $entry.1.1, $entry.1.0, faults);
+                let value = $read(&mut reader);
+                reader.close();
+                value
+            }};
+        }
+        let site = read!(site, read_site);
+        let zenoh = read!(zenoh, read_zenoh);
+        let input = read!(input, read_input);
+        let window = read!(window, |r: &mut TableReader<'_, '_>| read_window(r, WindowParams::default()));
+        let alarm = read!(alarm, |r: &mut TableReader<'_, '_>| read_alarm(r, AlarmParams::default()));
+        let recording = read!(recording, read_recording);
+        let web = read!(web, read_web);
+        let loops = read_loops(text, root, window, alarm, faults);
+        Self { site, zenoh, input, window, alarm, recording, web, loops }
+    }
+
+    /// A configuration with every default, for a prefix that is known to be sound.
+    #[must_use]
+    pub fn with_prefix(prefix: &str) -> Self {
+        let mut faults = Vec::new();
+        let (root, _) = DeTable::parse_recoverable("");
+        let mut config = Self::read("", root.get_ref(), &mut faults);
+        config.site.prefix = prefix.to_owned();
+        config
+    }
+
+    /// SHA-256 over every setting (not over comments or order of the text), 16 hex digits.
+    #[must_use]
+    pub fn hash(&self) -> String {
+        let canonical = serde_json::to_vec(self).unwrap_or_default();
+        Sha256::digest(&canonical).iter().take(8).map(|b| format!("{b:02x}")).collect()
+    }
+
+    /// The settings of one loop by name.
+    #[must_use]
+    pub fn loop_named(&self, name: &str) -> Option<&LoopConfig> {
+        self.loops.iter().find(|l| l.name == name)
+    }
+}
+
+fn syntax_fault(text: &str, error: &toml::de::Error) -> Fault {
+    let line = error.span().map_or(1, |s| line_of(text, s.start));
+    Fault { line, key: String::new(), message: error.message().trim().replace('\n', ", "), remedy: String::new() }
+}
+
+fn refuse_unknown_tables(text: &str, root: &DeTable<'_>, faults: &mut Vec<Fault>) {
+    const KNOWN: [&str; 8] = ["site", "zenoh", "input", "window", "alarm", "recording", "web", "loop"];
+    for (key, _) in root.iter().filter(|(k, _)| !KNOWN.iter().any(|known| known == k.get_ref())) {
+        faults.push(Fault {
+            line: line_of(text, key.span().start),
+            key: key.get_ref().to_string(),
+            message: "unknown table or key".to_owned(),
+            remedy: format!("known here: {}", KNOWN.join(", ")),
+        });
+    }
+}
+
+fn read_site(r: &mut TableReader<'_, '_>) -> Site {
+    let line = r.line().max(1);
+    let prefix = match r.text("prefix") {
+        Some((prefix, line)) => {
+            if !is_loop_name(&prefix) {
+                r.refuse(line, "prefix", format!("{prefix:?} cannot start a key"), "write chunks such as plant1/area1");
+            }
+            prefix
+        }
+        None => {
+            r.refuse(line, "prefix", "is missing", "write prefix = \"plant1/area1\" below [site]");
+            String::new()
+        }
+    };
+    Site { prefix }
+}
+
+fn read_zenoh(r: &mut TableReader<'_, '_>) -> Zenoh {
+    let mode = r.word("mode", "peer", &["peer", "client"]);
+    let (listen, connect) = (r.texts("listen"), r.texts("connect"));
+    for (key, endpoints) in [("listen", &listen), ("connect", &connect)] {
+        for endpoint in endpoints.iter().filter(|e| !e.contains('/')) {
+            let line = r.line();
+            r.refuse(line, key, format!("{endpoint:?} is not an endpoint"), "write tcp/HOST:PORT");
+        }
+    }
+    let multicast = r.boolean("multicast", false);
+    let config_file = r.text("config_file").map(|(t, _)| t).unwrap_or_default();
+    if mode == "client" && connect.is_empty() && config_file.is_empty() {
+        let line = r.line();
+        r.refuse(line, "connect", "a client needs a router", "write connect = [\"tcp/HOST:7447\"], or mode = \"peer\"");
+    }
+    Zenoh { mode, listen, connect, multicast, config_file }
+}
+
+fn read_input(r: &mut TableReader<'_, '_>) -> Input {
+    let mut modes = Vec::new();
+    for (number, word, line) in r.text_map("modes") {
+        match (number.parse::<i64>(), Mode::from_word(&word)) {
+            (Ok(n), mode) if mode != Mode::Unknown || word == "unknown" => modes.push((n, mode)),
+            (Ok(_), _) => {
+                r.refuse(line, "modes", format!("{word:?} is not a mode"), "write auto, manual, cascade or unknown");
+            }
+            (Err(_), _) => {
+                r.refuse(line, "modes", format!("{number:?} is not a whole number"), "write 0 = \"manual\"");
+            }
+        }
+    }
+    Input {
+        discover: r.boolean("discover", true),
+        max_loops: r.integer("max_loops", 100_000, 1, 1_000_000) as usize,
+        queue: r.integer("queue", 65_536, 16, 16_777_216) as usize,
+        codec: r.word("codec", "auto", &["auto", "json", "f64le"]),
+        quality: r.word("quality", "ua", &["ua", "classic"]),
+        modes,
+    }
+}
+
+fn read_window(r: &mut TableReader<'_, '_>, d: WindowParams) -> WindowParams {
+    let year_s = 366.0 * 86_400.0;
+    let w = WindowParams {
+        min_periods: r.number("min_periods", d.min_periods, 2.0, 1000.0),
+        max_periods: r.number("max_periods", d.max_periods, 2.0, 10_000.0),
+        min_samples_per_period: r.number("min_samples_per_period", d.min_samples_per_period, 4.0, 10_000.0),
+        hop_s: r.number("hop_s", d.hop_s, 0.001, year_s),
+        max_window_s: r.number("max_window_s", d.max_window_s, 0.01, year_s),
+        max_gap_s: r.number("max_gap_s", d.max_gap_s, 0.0, year_s),
+        lateness_s: r.number("lateness_s", d.lateness_s, 0.0, 86_400.0),
+        max_points: r.integer("max_points", d.max_points as u64, 128, 1_000_000) as usize,
+    };
+    if w.max_periods < w.min_periods {
+        let line = r.line();
+        r.refuse(line, "max_periods", format!("{} is below min_periods {}", w.max_periods, w.min_periods), "raise it");
+    }
+    if w.max_window_s < w.hop_s {
+        let line = r.line();
+        r.refuse(line, "max_window_s", format!("{} is below hop_s {}", w.max_window_s, w.hop_s), "raise it");
+    }
+    w
+}
+
+fn read_alarm(r: &mut TableReader<'_, '_>, d: AlarmParams) -> AlarmParams {
+    let mut raise = d.raise;
+    if let Some(([m, n], line)) = r.pair("raise", "two whole numbers, such as [3, 4]") {
+        let whole = |x: f64| x.fract() == 0.0 && (1.0..=32.0).contains(&x);
+        if whole(m) && whole(n) && m <= n {
+            raise = [m as u8, n as u8];
+        } else {
+            r.refuse(line, "raise", format!("[{m}, {n}] is not m of n"), "write 1 <= m <= n <= 32, such as [3, 4]");
+        }
+    }
+    AlarmParams { raise, s_limit_op: r.number("s_limit_op", d.s_limit_op, 0.0, 1e12) }
+}
+
+fn read_recording(r: &mut TableReader<'_, '_>) -> Recording {
+    Recording {
+        dir: r.text("dir").map_or_else(|| "recordings".to_owned(), |(t, _)| t),
+        flush_s: r.number("flush_s", 1.0, 0.01, 3600.0),
+        max_bytes: r.integer("max_bytes", 104_857_600, 10_000, 1_000_000_000_000),
+        max_s: r.number("max_s", 3600.0, 0.1, 31_622_400.0),
+    }
+}
+
+fn read_web(r: &mut TableReader<'_, '_>) -> Web {
+    let enabled = r.boolean("enabled", true);
+    let mut listen = "127.0.0.1:8080".to_owned();
+    if let Some((text, line)) = r.text("listen") {
+        if text.parse::<core::net::SocketAddr>().is_err() {
+            r.refuse(
+                line,
+                "listen",
+                format!("{text:?} is not an address"),
+                "write ADDRESS:PORT, such as 127.0.0.1:8080",
+            );
+        }
+        listen = text;
+    }
+    Web { enabled, listen }
+}
+
+fn read_loops(
+    text: &str,
+    root: &DeTable<'_>,
+    window: WindowParams,
+    alarm: AlarmParams,
+    faults: &mut Vec<Fault>,
+) -> Vec<LoopConfig> {
+    let mut loops: Vec<LoopConfig> = Vec::new();
+    for (index, (table, line)) in subtables(text, root, "loop", faults).into_iter().enumerate() {
+        let mut r = TableReader::new(text, &format!("loop[{index}]"), line, Some(table), faults);
+        let entry = read_loop(&mut r, window, alarm);
+        if loops.iter().any(|l| l.name == entry.name) {
+            r.refuse(line, "name", format!("{:?} stands twice", entry.name), "give each loop a name of its own");
+        }
+        for (signal, key) in &entry.keys {
+            if let Some(other) = loops.iter().find(|l| l.keys.iter().any(|(_, k)| k == key)) {
+                let message = format!("{key:?} is already mapped for loop {:?}", other.name);
+                r.refuse(line, signal.name(), message, "map each key once");
+            }
+        }
+        r.close();
+        loops.push(entry);
+    }
+    loops
+}
+
+fn read_loop(r: &mut TableReader<'_, '_>, window: WindowParams, alarm: AlarmParams) -> LoopConfig {
+    let line = r.line();
+    let name = r.text("name");
+    match &name {
+        Some((name, line)) if !is_loop_name(name) => {
+            r.refuse(*line, "name", format!("{name:?} cannot stand in a key"), "leave out * $ ? # @ and empty chunks");
+        }
+        None => r.refuse(line, "name", "is missing", "write name = \"FIC101\""),
+        Some(_) => {}
+    }
+    let keys = Signal::ALL.into_iter().filter_map(|s| r.text(s.name()).map(|(key, _)| (s, key))).collect();
+    let op_range = r.pair("op_range", "two numbers, such as [0.0, 100.0]").and_then(|(range, line)| {
+        if range[1] > range[0] {
+            return Some(range);
+        }
+        r.refuse(line, "op_range", format!("[{}, {}] is empty", range[0], range[1]), "write [LOW, HIGH]");
+        None
+    });
+    LoopConfig {
+        name: name.map(|(n, _)| n).unwrap_or_default(),
+        keys,
+        op_range,
+        criticality: r.integer("criticality", 3, 1, 5) as u8,
+        window: read_window(r, window),
+        alarm: read_alarm(r, alarm),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn the_prefix_alone_is_enough() {
+        let config = Config::parse("[site]\nprefix = \"plant1/area1\"\n").unwrap();
+        assert_eq!(config, Config::with_prefix("plant1/area1"));
+        assert_eq!(config.window, WindowParams::default());
+        assert_eq!(config.hash().len(), 16);
+    }
+
+    #[test]
+    fn every_fault_is_told_at_once_with_line_and_remedy() {
+        let text = "[site]\nprefx = \"a\"\n[window]\nhop_s = \"x\"\nmin_periods = 1\n[alarm]\nraise = [5, 4]\n[nonsense]\n\
+                    [[loop]]\nname = \"A\"\nhop_s = 1\n[[loop]]\nname = \"A\"\nop_range = [5, 5]\n";
+        let faults = Config::parse(text).unwrap_err();
+        let seen: Vec<(usize, &str)> = faults.iter().map(|f| (f.line, f.key.as_str())).collect();
+        for wanted in [
+            (2, "site.prefx"),
+            (4, "window.hop_s"),
+            (5, "window.min_periods"),
+            (7, "alarm.raise"),
+            (8, "nonsense"),
+            (12, "loop[1].name"),
+            (14, "loop[1].op_range"),
+        ] {
+            assert!(seen.contains(&wanted), "{wanted:?} not in {seen:?}");
+        }
+        assert!(seen.iter().any(|(_, key)| *key == "site.prefix"));
+        assert!(faults.iter().filter(|f| !f.key.is_empty()).all(|f| !f.remedy.is_empty()));
+    }
+
+    #[test]
+    fn broken_syntax_is_told_with_its_line() {
+        let faults = Config::parse("[site]\nprefix = \"a\"\nx = = 3\n").unwrap_err();
+        assert!(faults.iter().any(|f| f.line == 3), "{faults:?}");
+    }
+
+    #[test]
+    fn a_loop_overrides_windows_and_alarms() {
+        let text = "[site]\nprefix = \"p\"\n[window]\nhop_s = 60\n[[loop]]\nname = \"A\"\nhop_s = 30\ns_limit_op = 2\n";
+        let config = Config::parse(text).unwrap();
+        let a = config.loop_named("A").unwrap();
+        assert_eq!((a.window.hop_s, a.alarm.s_limit_op, config.window.hop_s), (30.0, 2.0, 60.0));
+    }
+
+    proptest! {
+        #[test]
+        fn any_text_is_answered(text in "[\\[\\]a-z_=\"0-9\\.\\n ,{}#-]{0,200}") {
+            let _ = Config::parse(&text);
+        }
+    }
+}

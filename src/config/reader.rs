@@ -1,0 +1,295 @@
+//! Reads a TOML table key by key, keeping every fault with its line instead of stopping at the first.
+
+use std::fmt;
+
+use toml::Spanned;
+use toml::de::{DeTable, DeValue};
+
+/// One thing wrong with a configuration.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Fault {
+    /// Line in the text, from 1.
+    pub line: usize,
+    /// Dotted key, empty for faults of syntax.
+    pub key: String,
+    /// What is wrong.
+    pub message: String,
+    /// What to write instead.
+    pub remedy: String,
+}
+
+impl fmt::Display for Fault {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "line {}: ", self.line)?;
+        if !self.key.is_empty() {
+            write!(f, "{}: ", self.key)?;
+        }
+        write!(f, "{}", self.message)?;
+        if self.remedy.is_empty() { Ok(()) } else { write!(f, "; {}", self.remedy) }
+    }
+}
+
+/// Line (from 1) of a byte offset.
+pub(super) fn line_of(text: &str, offset: usize) -> usize {
+    text.as_bytes().iter().take(offset).filter(|b| **b == b'\n').count() + 1
+}
+
+/// One table being read: each key asked for is known, every other is a fault when the table is closed.
+pub(super) struct TableReader<'a, 'i> {
+    text: &'a str,
+    section: String,
+    line: usize,
+    table: Option<&'a DeTable<'i>>,
+    known: Vec<&'static str>,
+    faults: &'a mut Vec<Fault>,
+}
+
+impl<'a, 'i> TableReader<'a, 'i> {
+    /// Opens a table; `None` reads every default.
+    pub fn new(
+        text: &'a str,
+        section: &str,
+        line: usize,
+        table: Option<&'a DeTable<'i>>,
+        faults: &'a mut Vec<Fault>,
+    ) -> Self {
+        Self { text, section: section.to_owned(), line, table, known: Vec::new(), faults }
+    }
+
+    fn dotted(&self, key: &str) -> String {
+        if self.section.is_empty() { key.to_owned() } else { format!("{}.{key}", self.section) }
+    }
+
+    fn fault(&mut self, line: usize, key: &str, message: String, remedy: String) {
+        let key = self.dotted(key);
+        self.faults.push(Fault { line, key, message, remedy });
+    }
+
+    fn get(&mut self, key: &'static str) -> Option<(&'a DeValue<'i>, usize)> {
+        self.known.push(key);
+        let table = self.table?;
+        let (_, value) = table.iter().find(|(k, _)| k.get_ref() == key)?;
+        Some((value.get_ref(), line_of(self.text, value.span().start)))
+    }
+
+    fn wrong_type(&mut self, line: usize, key: &str, found: &DeValue<'_>, wanted: &str) {
+        self.fault(
+            line,
+            key,
+            format!("is {} {}", article(found.type_str()), found.type_str()),
+            format!("write {wanted}"),
+        );
+    }
+
+    /// A finite number in `min..=max`.
+    pub fn number(&mut self, key: &'static str, default: f64, min: f64, max: f64) -> f64 {
+        let Some((value, line)) = self.get(key) else { return default };
+        let Some(number) = number_of(value) else {
+            self.wrong_type(line, key, value, "a number");
+            return default;
+        };
+        if !(min..=max).contains(&number) {
+            self.fault(line, key, format!("{number} is out of range"), format!("write a number from {min} to {max}"));
+            return default;
+        }
+        number
+    }
+
+    /// A whole number in `min..=max`.
+    pub fn integer(&mut self, key: &'static str, default: u64, min: u64, max: u64) -> u64 {
+        let Some((value, line)) = self.get(key) else { return default };
+        let parsed = value.as_integer().and_then(|i| i64::from_str_radix(&i.as_str().replace('_', ""), i.radix()).ok());
+        match parsed {
+            Some(n) if u64::try_from(n).is_ok_and(|n| (min..=max).contains(&n)) => n as u64,
+            Some(n) => {
+                self.fault(
+                    line,
+                    key,
+                    format!("{n} is out of range"),
+                    format!("write a whole number from {min} to {max}"),
+                );
+                default
+            }
+            None => {
+                self.wrong_type(line, key, value, "a whole number");
+                default
+            }
+        }
+    }
+
+    /// True or false.
+    pub fn boolean(&mut self, key: &'static str, default: bool) -> bool {
+        let Some((value, line)) = self.get(key) else { return default };
+        value.as_bool().unwrap_or_else(|| {
+            self.wrong_type(line, key, value, "true or false");
+            default
+        })
+    }
+
+    /// Text; `None` where the key is absent.
+    pub fn text(&mut self, key: &'static str) -> Option<(String, usize)> {
+        let (value, line) = self.get(key)?;
+        let Some(text) = value.as_str() else {
+            self.wrong_type(line, key, value, "text in quotes");
+            return None;
+        };
+        Some((text.to_owned(), line))
+    }
+
+    /// One of a few words.
+    pub fn word(&mut self, key: &'static str, default: &str, allowed: &[&str]) -> String {
+        match self.text(key) {
+            None => default.to_owned(),
+            Some((word, _)) if allowed.contains(&word.as_str()) => word,
+            Some((word, line)) => {
+                self.fault(line, key, format!("{word:?} is not known"), format!("write one of {}", allowed.join(", ")));
+                default.to_owned()
+            }
+        }
+    }
+
+    /// A list of texts.
+    pub fn texts(&mut self, key: &'static str) -> Vec<String> {
+        let Some((value, line)) = self.get(key) else { return Vec::new() };
+        let list: Option<Vec<String>> =
+            value.as_array().and_then(|a| a.iter().map(|v| v.get_ref().as_str().map(str::to_owned)).collect());
+        list.unwrap_or_else(|| {
+            self.wrong_type(line, key, value, "a list of texts, such as [\"tcp/127.0.0.1:7447\"]");
+            Vec::new()
+        })
+    }
+
+    /// Two numbers.
+    pub fn pair(&mut self, key: &'static str, wanted: &str) -> Option<([f64; 2], usize)> {
+        let (value, line) = self.get(key)?;
+        let numbers: Option<Vec<f64>> =
+            value.as_array().and_then(|a| a.iter().map(|v| number_of(v.get_ref())).collect());
+        if let Some([a, b]) = numbers.as_deref() {
+            return Some(([*a, *b], line));
+        }
+        self.wrong_type(line, key, value, wanted);
+        None
+    }
+
+    /// A table of texts by text.
+    pub fn text_map(&mut self, key: &'static str) -> Vec<(String, String, usize)> {
+        let Some((value, line)) = self.get(key) else { return Vec::new() };
+        let Some(table) = value.as_table() else {
+            self.wrong_type(line, key, value, "a table");
+            return Vec::new();
+        };
+        let mut pairs = Vec::new();
+        for (name, entry) in table.iter() {
+            let line = line_of(self.text, entry.span().start);
+            if let Some(text) = entry.get_ref().as_str() {
+                pairs.push((name.get_ref().to_string(), text.to_owned(), line));
+            } else {
+                self.wrong_type(line, key, entry.get_ref(), "text in quotes for each entry");
+            }
+        }
+        pairs
+    }
+
+    /// Adds a fault of meaning at the line of a value.
+    pub fn refuse(&mut self, line: usize, key: &str, message: impl Into<String>, remedy: impl Into<String>) {
+        self.fault(line, key, message.into(), remedy.into());
+    }
+
+    /// Line of the table's head.
+    pub fn line(&self) -> usize {
+        self.line
+    }
+
+    /// Closes the table: every key that nobody asked for is a fault.
+    pub fn close(mut self) {
+        let Some(table) = self.table else { return };
+        let unknown: Vec<(String, usize)> = table
+            .iter()
+            .filter(|(k, _)| !self.known.iter().any(|known| known == k.get_ref()))
+            .map(|(k, _)| (k.get_ref().to_string(), line_of(self.text, k.span().start)))
+            .collect();
+        for (key, line) in unknown {
+            let nearest = nearest(&key, &self.known);
+            let remedy = nearest.map_or_else(
+                || format!("known here: {}", self.known.join(", ")),
+                |near| format!("did you mean {near}? known here: {}", self.known.join(", ")),
+            );
+            self.fault(line, &key, "unknown key".into(), remedy);
+        }
+    }
+}
+
+/// The table under a key, with the line of its value; a fault where the key holds something else.
+pub(super) fn subtable<'a, 'i>(
+    text: &str,
+    root: &'a DeTable<'i>,
+    key: &str,
+    faults: &mut Vec<Fault>,
+) -> (Option<&'a DeTable<'i>>, usize) {
+    let Some((_, value)) = root.iter().find(|(k, _)| k.get_ref() == key) else { return (None, 0) };
+    let line = line_of(text, value.span().start);
+    let table = value.get_ref().as_table();
+    if table.is_none() {
+        faults.push(Fault {
+            line,
+            key: key.to_owned(),
+            message: format!("is not a table but {}", value.get_ref().type_str()),
+            remedy: format!("write [{key}] on a line of its own"),
+        });
+    }
+    (table, line)
+}
+
+/// The tables of an array `[[key]]`, with their lines.
+pub(super) fn subtables<'a, 'i>(
+    text: &str,
+    root: &'a DeTable<'i>,
+    key: &str,
+    faults: &mut Vec<Fault>,
+) -> Vec<(&'a DeTable<'i>, usize)> {
+    let Some((_, value)) = root.iter().find(|(k, _)| k.get_ref() == key) else { return Vec::new() };
+    let mut tables = Vec::new();
+    let entries: &[Spanned<DeValue<'i>>] = value.get_ref().as_array().map_or(&[], |a| a.as_ref());
+    for entry in entries {
+        if let Some(table) = entry.get_ref().as_table() {
+            tables.push((table, line_of(text, entry.span().start)));
+        }
+    }
+    if tables.len() != entries.len() || tables.is_empty() {
+        let line = line_of(text, value.span().start);
+        let (message, remedy) = ("is not a list of tables".to_owned(), format!("write [[{key}]] for each"));
+        faults.push(Fault { line, key: key.to_owned(), message, remedy });
+    }
+    tables
+}
+
+fn number_of(value: &DeValue<'_>) -> Option<f64> {
+    if let Some(i) = value.as_integer() {
+        return i64::from_str_radix(&i.as_str().replace('_', ""), i.radix()).ok().map(|n| n as f64);
+    }
+    value.as_float().and_then(|f| f.as_str().replace('_', "").parse().ok()).filter(|f: &f64| f.is_finite())
+}
+
+fn article(noun: &str) -> &'static str {
+    if noun.starts_with(['a', 'i', 'o']) { "an" } else { "a" }
+}
+
+/// The known key that differs least, if it is close enough to be a slip of the hand.
+fn nearest(key: &str, known: &[&'static str]) -> Option<&'static str> {
+    known.iter().map(|k| (edit_distance(key, k), *k)).filter(|(d, _)| *d <= 2).min().map(|(_, k)| k)
+}
+
+fn edit_distance(a: &str, b: &str) -> usize {
+    let b: Vec<char> = b.chars().collect();
+    let mut row: Vec<usize> = (0..=b.len()).collect();
+    for (i, ca) in a.chars().take(64).enumerate() {
+        let mut diagonal = row[0];
+        row[0] = i + 1;
+        for (j, cb) in b.iter().enumerate() {
+            let above = row[j + 1];
+            row[j + 1] = (above + 1).min(row[j] + 1).min(diagonal + usize::from(ca != *cb));
+            diagonal = above;
+        }
+    }
+    row[b.len()]
+}

@@ -1,0 +1,571 @@
+//! Joins the signals of one loop by source time into points at the loop's own sampling times.
+//!
+//! Nothing is resampled: a point stands at each stamp of the *driver* (PV, or OP where OP comes clearly more often),
+//! with the other signals held. Only lost samples are put in, and only in holes of at most `max_gap_s`: OP held, PV on
+//! a straight line. The loop's clock is the greatest stamp seen less the lateness allowed, so late and disordered
+//! samples find their place, and neither another loop nor the wall clock has a say.
+
+use std::collections::VecDeque;
+
+use crate::record::{Mode, Sample, Signal, Value};
+use crate::units::{ns_from_s, s_from_ns};
+
+/// Intervals of the driver from which the sampling time is learnt.
+const LEARN_INTERVALS: usize = 16;
+/// Samples that may wait for their place before the oldest is taken regardless.
+const PENDING_LIMIT: usize = 512;
+/// Late samples in a row after which the plant's clock is taken to have been set back.
+const CLOCK_RESET_AFTER: usize = 16;
+/// Intervals in a row that contradict the sampling time before it is learnt anew.
+const RELEARN_AFTER: u8 = 16;
+/// OP values remembered between two points, for the points put in between.
+const OP_TRAIL_LIMIT: usize = 64;
+/// Sampling times for which one of OP and PV waits for the other: gateways send them in batches, one after the other.
+const PARTNER_PATIENCE: f64 = 128.0;
+
+/// Convention of quality codes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Quality {
+    /// OPC UA status codes: the two upper bits are 0 for good.
+    #[default]
+    Ua,
+    /// Classic OPC: 192 to 255 are good.
+    Classic,
+}
+
+impl Quality {
+    /// Whether a code says that the value is good.
+    #[must_use]
+    pub const fn is_good(self, code: u32) -> bool {
+        match self {
+            Self::Ua => code >> 30 == 0,
+            Self::Classic => code & 0xC0 == 0xC0,
+        }
+    }
+}
+
+/// How to join.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct AlignParams {
+    /// How late a sample may come, ns.
+    pub lateness_ns: i64,
+    /// Longest hole that is filled, s; 0 means five sampling times.
+    pub max_gap_s: f64,
+    /// Convention of quality codes.
+    pub quality: Quality,
+    /// Numbers that stand for modes.
+    pub modes: Vec<(i64, Mode)>,
+}
+
+/// One point of a loop: its signals at one stamp.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Point {
+    /// Source time, ns.
+    pub t_ns: i64,
+    /// Controller output.
+    pub op: f64,
+    /// Process variable.
+    pub pv: f64,
+    /// Set point, if one is known.
+    pub sp: Option<f64>,
+    /// Valve position, if one is known.
+    pub mv: Option<f64>,
+    /// Taken in manual.
+    pub manual: bool,
+    /// Put in for a lost sample.
+    pub filled: bool,
+    /// Bad or missing values since the point before.
+    pub bad: u16,
+}
+
+/// What the aligner gives out.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Aligned {
+    /// The next point of the stretch.
+    Point(Point),
+    /// The stretch ends: a hole too long to fill, another sampling time, or a clock that was set back.
+    Break,
+}
+
+/// What was dropped or put in, since the start.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[allow(missing_docs)] // the names say it
+pub struct AlignCounts {
+    pub taken: u64,
+    pub duplicates: u64,
+    pub late: u64,
+    pub bad: u64,
+    pub gaps: u64,
+    pub filled: u64,
+    pub clock_resets: u64,
+    pub stamp_outliers: u64,
+    pub overflow: u64,
+    /// Quality codes of 1 to 255 under the `ua` convention: probably classic ones.
+    pub suspicious_quality: u64,
+}
+
+/// Joins one loop's samples.
+#[derive(Debug, Clone)]
+pub struct Aligner {
+    /// Sorted by stamp, then by signal.
+    pending: VecDeque<Sample>,
+    /// Samples far ahead of the rest, until another stamp confirms them.
+    suspects: Vec<Sample>,
+    /// Late samples in a row, kept in case the clock was set back.
+    late_run: Vec<Sample>,
+    greatest_ns: Option<i64>,
+    /// Greatest stamps of OP and of PV.
+    partners_ns: [Option<i64>; 2],
+    /// A break that the next sample taken gives out first.
+    broken: bool,
+    processed_ns: Option<i64>,
+    /// Sampling time and driver, once learnt.
+    learnt: Option<(f64, Signal)>,
+    off_beat: u8,
+    op: Option<(i64, f64)>,
+    op_trail: Vec<(i64, f64)>,
+    pv: Option<(i64, f64)>,
+    sp: Option<f64>,
+    mv: Option<f64>,
+    mode: Option<Mode>,
+    last_point: Option<(i64, f64)>,
+    bad_since: u16,
+    counts: AlignCounts,
+}
+
+impl Default for Aligner {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Aligner {
+    /// An aligner that has seen nothing.
+    #[must_use]
+    pub const fn new() -> Self {
+        Self {
+            pending: VecDeque::new(),
+            suspects: Vec::new(),
+            late_run: Vec::new(),
+            greatest_ns: None,
+            partners_ns: [None; 2],
+            broken: false,
+            processed_ns: None,
+            learnt: None,
+            off_beat: 0,
+            op: None,
+            op_trail: Vec::new(),
+            pv: None,
+            sp: None,
+            mv: None,
+            mode: None,
+            last_point: None,
+            bad_since: 0,
+            counts: AlignCounts {
+                taken: 0,
+                duplicates: 0,
+                late: 0,
+                bad: 0,
+                gaps: 0,
+                filled: 0,
+                clock_resets: 0,
+                stamp_outliers: 0,
+                overflow: 0,
+                suspicious_quality: 0,
+            },
+        }
+    }
+
+    /// Counters since the start.
+    #[must_use]
+    pub const fn counts(&self) -> &AlignCounts {
+        &self.counts
+    }
+
+    /// The loop's clock: the greatest stamp less the lateness, ns.
+    #[must_use]
+    pub fn event_time_ns(&self, params: &AlignParams) -> Option<i64> {
+        self.greatest_ns.map(|t| t.saturating_sub(params.lateness_ns))
+    }
+
+    /// The sampling time learnt, s.
+    #[must_use]
+    pub fn sampling_time_s(&self) -> Option<f64> {
+        self.learnt.map(|(ts_s, _)| ts_s)
+    }
+
+    /// Values that were bad since the last point.
+    #[must_use]
+    pub const fn bad_since_last_point(&self) -> u16 {
+        self.bad_since
+    }
+
+    fn max_gap_s(&self, params: &AlignParams) -> f64 {
+        if params.max_gap_s > 0.0 { params.max_gap_s } else { 5.0 * self.learnt.map_or(60.0, |(ts_s, _)| ts_s) }
+    }
+
+    /// A step forward beyond this must be confirmed by a second stamp.
+    fn jump_limit_ns(&self, params: &AlignParams) -> i64 {
+        ns_from_s((10.0 * self.max_gap_s(params)).max(3600.0)).saturating_add(params.lateness_ns)
+    }
+
+    /// Takes one sample in.
+    pub fn push(&mut self, sample: Sample, params: &AlignParams) {
+        if self.processed_ns.is_some_and(|p| sample.t_ns <= p) {
+            self.take_late(sample, params);
+            return;
+        }
+        self.late_run.clear();
+        let ahead = self.greatest_ns.is_some_and(|g| sample.t_ns.saturating_sub(g) > self.jump_limit_ns(params));
+        if ahead {
+            self.suspect(sample, params);
+        } else {
+            self.counts.stamp_outliers += self.suspects.len() as u64;
+            self.suspects.clear();
+            self.insert(sample);
+        }
+    }
+
+    fn suspect(&mut self, sample: Sample, params: &AlignParams) {
+        let Some(first) = self.suspects.first().map(|s| s.t_ns) else {
+            self.suspects.push(sample);
+            return;
+        };
+        let near = sample.t_ns.abs_diff(first) <= self.jump_limit_ns(params).unsigned_abs();
+        if near && sample.t_ns != first {
+            for suspect in std::mem::take(&mut self.suspects) {
+                self.insert(suspect);
+            }
+            self.insert(sample);
+        } else if near && self.suspects.len() < Signal::ALL.len() {
+            self.suspects.push(sample);
+        } else {
+            self.counts.stamp_outliers += self.suspects.len() as u64;
+            self.suspects.clear();
+            self.suspects.push(sample);
+        }
+    }
+
+    fn take_late(&mut self, sample: Sample, params: &AlignParams) {
+        let duplicate = self.processed_ns == Some(sample.t_ns);
+        if duplicate {
+            self.counts.duplicates += 1;
+            return;
+        }
+        self.counts.late += 1;
+        self.late_run.push(sample);
+        if self.late_run.len() < CLOCK_RESET_AFTER {
+            return;
+        }
+        // A gateway that sends its backlog looks the same; then the newer stretch is lost, not the daemon.
+        let run = std::mem::take(&mut self.late_run);
+        let counts = AlignCounts { clock_resets: self.counts.clock_resets + 1, ..self.counts };
+        *self = Self { counts, broken: true, ..Self::new() };
+        for sample in run {
+            self.push(sample, params);
+        }
+    }
+
+    fn insert(&mut self, sample: Sample) {
+        self.greatest_ns = Some(self.greatest_ns.map_or(sample.t_ns, |g| g.max(sample.t_ns)));
+        if let Some(partner) = [Signal::Op, Signal::Pv].iter().position(|s| *s == sample.signal) {
+            let greatest = &mut self.partners_ns[partner];
+            *greatest = Some(greatest.map_or(sample.t_ns, |g| g.max(sample.t_ns)));
+        }
+        let key = (sample.t_ns, sample.signal);
+        let place = self.pending.partition_point(|s| (s.t_ns, s.signal) < key);
+        if self.pending.get(place).is_some_and(|s| (s.t_ns, s.signal) == key) {
+            self.counts.duplicates += 1;
+            return;
+        }
+        self.pending.insert(place, sample);
+    }
+
+    /// Ends the input: whatever waits may be taken.
+    pub fn finish(&mut self) {
+        for suspect in std::mem::take(&mut self.suspects) {
+            self.insert(suspect);
+        }
+        self.greatest_ns = Some(i64::MAX);
+        self.learn();
+    }
+
+    /// Stamp of the next sample that is due to be taken, if one is.
+    pub fn next_ready_ns(&mut self, params: &AlignParams) -> Option<i64> {
+        let overflow = self.pending.len() >= PENDING_LIMIT;
+        if self.learnt.is_none() {
+            let of = |signal| self.pending.iter().filter(|s| s.signal == signal).count();
+            if !overflow && of(Signal::Pv).max(of(Signal::Op)) <= LEARN_INTERVALS {
+                return None;
+            }
+            self.learn();
+        }
+        let t_ns = self.pending.front()?.t_ns;
+        let event_time = self.event_time_ns(params)?;
+        let partner = self.partners_ns[0].min(self.partners_ns[1]);
+        let patience_ns = ns_from_s(PARTNER_PATIENCE * self.learnt.map_or(0.0, |(ts_s, _)| ts_s));
+        let joined = partner.is_some_and(|p| t_ns <= p) || t_ns <= event_time.saturating_sub(patience_ns);
+        if t_ns <= event_time && joined {
+            return Some(t_ns);
+        }
+        if overflow {
+            self.counts.overflow += 1;
+        }
+        overflow.then_some(t_ns)
+    }
+
+    /// Learns sampling time and driver from what waits: PV drives unless OP comes clearly more often.
+    fn learn(&mut self) {
+        let interval = |signal| {
+            let stamps: Vec<i64> = self.pending.iter().filter(|s| s.signal == signal).map(|s| s.t_ns).collect();
+            let mut steps: Vec<i64> = stamps.windows(2).map(|w| w[1] - w[0]).collect();
+            steps.sort_unstable();
+            steps.get(steps.len() / 2).copied()
+        };
+        let choice = match (interval(Signal::Pv), interval(Signal::Op)) {
+            (Some(pv), Some(op)) if pv as f64 > 1.5 * op as f64 => Some((op, Signal::Op)),
+            (Some(pv), _) => Some((pv, Signal::Pv)),
+            (None, Some(op)) => Some((op, Signal::Pv)),
+            (None, None) => None,
+        };
+        if let Some((step_ns, driver)) = choice {
+            self.learnt = Some((s_from_ns(step_ns.max(1)), driver));
+        } else if !self.pending.is_empty() {
+            self.learnt = Some((1.0, Signal::Pv));
+        }
+    }
+
+    /// Takes the next sample, if [`Self::next_ready_ns`] offered one, and gives out what it completes.
+    pub fn take_next(&mut self, params: &AlignParams, out: &mut impl FnMut(Aligned)) {
+        let Some(sample) = self.pending.pop_front() else { return };
+        if std::mem::take(&mut self.broken) {
+            out(Aligned::Break);
+        }
+        self.counts.taken += 1;
+        let closes_stamp = self.pending.front().is_none_or(|next| next.t_ns > sample.t_ns);
+        self.hold(&sample, params);
+        if closes_stamp {
+            self.processed_ns = Some(sample.t_ns);
+            self.point_at(sample.t_ns, params, out);
+        }
+    }
+
+    /// Holds one sample's value.
+    fn hold(&mut self, sample: &Sample, params: &AlignParams) {
+        if let Some(code) = sample.quality {
+            if params.quality == Quality::Ua && (1..=255).contains(&code) {
+                self.counts.suspicious_quality += 1;
+            }
+            if !params.quality.is_good(code) {
+                return self.count_bad(sample.signal);
+            }
+        }
+        match (sample.signal, sample.value) {
+            (Signal::Mode, Value::Mode(mode)) => self.mode = Some(mode),
+            (Signal::Mode, Value::Number(n)) => {
+                let mapped = params.modes.iter().find(|(number, _)| *number as f64 == n);
+                self.mode = Some(mapped.map_or(Mode::Unknown, |(_, mode)| *mode));
+            }
+            (Signal::Op, Value::Number(v)) => {
+                self.op = Some((sample.t_ns, v));
+                if self.op_trail.len() < OP_TRAIL_LIMIT {
+                    self.op_trail.push((sample.t_ns, v));
+                }
+            }
+            (Signal::Pv, Value::Number(v)) => self.pv = Some((sample.t_ns, v)),
+            (Signal::Sp, Value::Number(v)) => self.sp = Some(v),
+            (Signal::Mv, Value::Number(v)) => self.mv = Some(v),
+            _ => self.count_bad(sample.signal),
+        }
+    }
+
+    fn count_bad(&mut self, signal: Signal) {
+        self.counts.bad += 1;
+        if matches!(signal, Signal::Op | Signal::Pv) {
+            self.bad_since = self.bad_since.saturating_add(1);
+        }
+    }
+
+    /// Gives out the point at a stamp if the driver has a value there and the other one is fresh enough.
+    fn point_at(&mut self, t_ns: i64, params: &AlignParams, out: &mut impl FnMut(Aligned)) {
+        let (Some((ts_s, driver)), Some((t_op, op)), Some((t_pv, pv))) = (self.learnt, self.op, self.pv) else {
+            return;
+        };
+        let (driver_ns, other_ns) = if driver == Signal::Pv { (t_pv, t_op) } else { (t_op, t_pv) };
+        if driver_ns != t_ns || s_from_ns(t_ns - other_ns) > self.max_gap_s(params) {
+            return;
+        }
+        if let Some((last_ns, last_pv)) = self.last_point {
+            let step_s = s_from_ns(t_ns - last_ns);
+            let on_beat = (0.6..1.6).contains(&(step_s / ts_s));
+            self.off_beat = if on_beat { 0 } else { self.off_beat + 1 };
+            if self.off_beat >= RELEARN_AFTER {
+                self.relearn(t_ns, step_s, out);
+            } else if step_s > self.max_gap_s(params) {
+                self.counts.gaps += 1;
+                out(Aligned::Break);
+            } else {
+                self.fill(last_ns, last_pv, t_ns, pv, ts_s, out);
+            }
+        }
+        let bad = std::mem::take(&mut self.bad_since);
+        out(Aligned::Point(self.point(t_ns, op, pv, false, bad)));
+        self.last_point = Some((t_ns, pv));
+        self.op_trail.clear();
+        self.op_trail.push((t_op, op));
+    }
+
+    /// The sampling time has changed: the stretch ends and the new beat is taken from the last interval.
+    fn relearn(&mut self, _t_ns: i64, step_s: f64, out: &mut impl FnMut(Aligned)) {
+        if let Some((ts_s, _)) = &mut self.learnt {
+            *ts_s = step_s.max(1e-9);
+        }
+        self.off_beat = 0;
+        self.counts.gaps += 1;
+        out(Aligned::Break);
+    }
+
+    /// Puts in the samples that were lost between two points.
+    fn fill(&mut self, t0: i64, pv0: f64, t1: i64, pv1: f64, ts_s: f64, out: &mut impl FnMut(Aligned)) {
+        let steps = (s_from_ns(t1 - t0) / ts_s).round();
+        // A hole holds a few hundred lost samples at most: longer ones are gaps unless max_gap_s is extreme.
+        let lost = (steps.max(1.0) as usize - 1).min(10_000);
+        for k in 1..=lost {
+            let share = k as f64 / (lost + 1) as f64;
+            let t_ns = t0 + ((t1 - t0) as f64 * share) as i64;
+            let op = self.op_trail.iter().rev().find(|(t, _)| *t <= t_ns).or(self.op_trail.first());
+            let Some((_, op)) = op.copied() else { return };
+            self.counts.filled += 1;
+            out(Aligned::Point(self.point(t_ns, op, pv0 + share * (pv1 - pv0), true, 0)));
+        }
+    }
+
+    fn point(&self, t_ns: i64, op: f64, pv: f64, filled: bool, bad: u16) -> Point {
+        let manual = self.mode == Some(Mode::Manual);
+        Point { t_ns, op, pv, sp: self.sp, mv: self.mv, manual, filled, bad }
+    }
+}
+
+/// Joins a whole recording of one loop into its stretches of points, oldest first.
+#[must_use]
+pub fn align_all(samples: &[Sample], params: &AlignParams) -> (Vec<Vec<Point>>, AlignCounts) {
+    let mut aligner = Aligner::new();
+    let mut stretches = vec![Vec::new()];
+    let mut take = |aligner: &mut Aligner| {
+        while aligner.next_ready_ns(params).is_some() {
+            aligner.take_next(params, &mut |aligned| match aligned {
+                Aligned::Point(point) => {
+                    if let Some(stretch) = stretches.last_mut() {
+                        stretch.push(point);
+                    }
+                }
+                Aligned::Break => stretches.push(Vec::new()),
+            });
+        }
+    };
+    for sample in samples {
+        aligner.push(*sample, params);
+        take(&mut aligner);
+    }
+    aligner.finish();
+    take(&mut aligner);
+    stretches.retain(|s: &Vec<Point>| !s.is_empty());
+    (stretches, *aligner.counts())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::units::NS_PER_S;
+
+    fn sample(signal: Signal, t_s: f64, v: f64) -> Sample {
+        Sample { signal, t_ns: ns_from_s(t_s), value: Value::number(v), quality: None }
+    }
+
+    fn params() -> AlignParams {
+        AlignParams { lateness_ns: 5 * NS_PER_S, ..AlignParams::default() }
+    }
+
+    fn scan(n: usize) -> Vec<Sample> {
+        (0..n)
+            .flat_map(|k| [sample(Signal::Op, k as f64, k as f64), sample(Signal::Pv, k as f64, -(k as f64))])
+            .collect()
+    }
+
+    #[test]
+    fn a_scan_gives_a_point() {
+        let (stretches, counts) = align_all(&scan(40), &params());
+        assert_eq!(stretches.len(), 1);
+        assert_eq!(stretches[0].len(), 40);
+        assert!(stretches[0].iter().all(|p| p.op == -p.pv && !p.filled));
+        assert_eq!(counts.taken, 80);
+    }
+
+    #[test]
+    fn disorder_within_the_lateness_changes_nothing() {
+        let ordered = scan(60);
+        let mut mixed = ordered.clone();
+        for chunk in mixed.chunks_mut(7) {
+            chunk.reverse();
+        }
+        mixed.extend_from_slice(&ordered[100..110]);
+        let (a, _) = align_all(&ordered, &params());
+        let (b, counts) = align_all(&mixed, &params());
+        assert_eq!(a, b);
+        assert_eq!(counts.duplicates + counts.late, 10);
+    }
+
+    #[test]
+    fn op_and_pv_in_batches_are_joined() {
+        let ordered = scan(300);
+        let mut batched = Vec::new();
+        for chunk in ordered.chunks(120) {
+            batched.extend(chunk.iter().filter(|s| s.signal == Signal::Op));
+            batched.extend(chunk.iter().filter(|s| s.signal == Signal::Pv));
+        }
+        assert_eq!(align_all(&ordered, &params()).0, align_all(&batched, &params()).0);
+    }
+
+    #[test]
+    fn short_holes_are_filled_and_long_ones_end_the_stretch() {
+        let mut samples = scan(100);
+        samples.retain(|s| !(20..22).contains(&(s.t_ns / NS_PER_S)) && !(50..70).contains(&(s.t_ns / NS_PER_S)));
+        let (stretches, counts) = align_all(&samples, &params());
+        assert_eq!(stretches.iter().map(Vec::len).collect::<Vec<_>>(), [50, 30]);
+        assert_eq!((counts.filled, counts.gaps), (2, 1));
+        assert!(stretches[0][20].filled && stretches[0][20].pv == -20.0 && stretches[0][20].op == 19.0);
+    }
+
+    #[test]
+    fn one_stamp_from_the_future_is_dropped_and_a_new_clock_is_believed() {
+        let mut samples = scan(100);
+        samples.insert(80, sample(Signal::Pv, 3e8, 1.0));
+        let (stretches, counts) = align_all(&samples, &params());
+        assert_eq!((stretches.len(), counts.stamp_outliers), (1, 1));
+
+        let mut ahead = scan(100);
+        ahead.extend(scan(100).into_iter().map(|s| Sample { t_ns: s.t_ns + 1_000_000 * NS_PER_S, ..s }));
+        assert_eq!(align_all(&ahead, &params()).0.len(), 2);
+    }
+
+    #[test]
+    fn a_clock_that_was_set_back_starts_a_new_stretch() {
+        let mut samples: Vec<Sample> =
+            scan(100).into_iter().map(|s| Sample { t_ns: s.t_ns + 1_000_000 * NS_PER_S, ..s }).collect();
+        samples.extend(scan(100));
+        let (stretches, counts) = align_all(&samples, &params());
+        assert_eq!((stretches.len(), counts.clock_resets), (2, 1));
+        assert_eq!(stretches[1].len(), 100);
+    }
+
+    #[test]
+    fn bad_quality_is_missing() {
+        let mut samples = scan(60);
+        for s in &mut samples[60..64] {
+            s.quality = Some(0x8000_0000);
+        }
+        let (stretches, counts) = align_all(&samples, &params());
+        assert_eq!((counts.bad, counts.filled), (4, 2));
+        assert_eq!(stretches[0].iter().map(|p| u32::from(p.bad)).sum::<u32>(), 4);
+    }
+}

@@ -1,0 +1,4 @@
+//! Tools on sampled signals: joining, memory, statistics, spectra.
+
+pub mod align;
+pub mod history;
