@@ -1,4 +1,5 @@
 //! placeholder map
+pub mod alarm;
 pub mod config;
 pub mod record;
 pub mod signal;

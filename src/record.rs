@@ -83,7 +83,7 @@ impl Mode {
 }
 
 /// A value as the plant sent it.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub enum Value {
     /// A finite number.
     Number(f64),
@@ -108,7 +108,7 @@ impl Value {
 }
 
 /// One value of one signal, as recorded and before any check.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Sample {
     /// What it measures.
     pub signal: Signal,

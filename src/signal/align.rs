@@ -7,6 +7,8 @@
 
 use std::collections::VecDeque;
 
+use serde::{Deserialize, Serialize};
+
 use crate::record::{Mode, Sample, Signal, Value};
 use crate::units::{ns_from_s, s_from_ns};
 
@@ -88,7 +90,7 @@ pub enum Aligned {
 }
 
 /// What was dropped or put in, since the start.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[allow(missing_docs)] // the names say it
 pub struct AlignCounts {
     pub taken: u64,
@@ -105,7 +107,7 @@ pub struct AlignCounts {
 }
 
 /// Joins one loop's samples.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Aligner {
     /// Sorted by stamp, then by signal.
     pending: VecDeque<Sample>,
@@ -174,6 +176,18 @@ impl Aligner {
                 suspicious_quality: 0,
             },
         }
+    }
+
+    /// Stamp of the oldest sample that waits for its place.
+    #[must_use]
+    pub fn waiting_ns(&self) -> Option<i64> {
+        self.pending.front().map(|s| s.t_ns)
+    }
+
+    /// The greatest stamp believed so far.
+    #[must_use]
+    pub const fn greatest_ns(&self) -> Option<i64> {
+        self.greatest_ns
     }
 
     /// Counters since the start.

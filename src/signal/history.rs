@@ -92,6 +92,12 @@ impl History {
         Self { max_points: max_points.max(16) & !1, raw: VecDeque::new(), bins: Vec::new(), total: 0 }
     }
 
+    /// A memory that goes on after `total` points, none of which it holds.
+    #[must_use]
+    pub fn resumed(max_points: usize, total: u64) -> Self {
+        Self { total, ..Self::new(max_points) }
+    }
+
     /// Forgets everything: the stretch has ended.
     pub fn clear(&mut self) {
         self.raw.clear();
@@ -134,10 +140,14 @@ impl History {
         };
         self.raw.push_back(point);
         self.total += 1;
-        if self.raw.len() > self.max_points + 2
-            && let (Some(a), Some(b)) = (self.raw.pop_front(), self.raw.pop_front())
-        {
-            self.sink(0, Bin::join(&Bin::of(&a), &Bin::of(&b)));
+        if self.raw.len() > self.max_points + 2 {
+            // After a resumption the first point may be half of a box whose other half is not held: it goes.
+            let odd = self.first_at(0) % 2 == 1;
+            if let (Some(a), false) = (self.raw.pop_front(), odd)
+                && let Some(b) = self.raw.pop_front()
+            {
+                self.sink(0, Bin::join(&Bin::of(&a), &Bin::of(&b)));
+            }
         }
         if let Some(coarsest) = self.bins.last_mut()
             && coarsest.get(1).is_some_and(|second| second.t_ns < keep_from_ns)
@@ -154,10 +164,14 @@ impl History {
             self.bins.push(VecDeque::new());
         }
         let limit = self.max_points / 2 + 2;
+        self.bins[level].push_back(bin);
+        if self.bins[level].len() <= limit {
+            return;
+        }
+        let odd = self.first_at(level + 1) % 2 == 1;
         let bins = &mut self.bins[level];
-        bins.push_back(bin);
-        if bins.len() > limit
-            && let (Some(a), Some(b)) = (bins.pop_front(), bins.pop_front())
+        if let (Some(a), false) = (bins.pop_front(), odd)
+            && let Some(b) = bins.pop_front()
         {
             self.sink(level + 1, Bin::join(&a, &b));
         }
@@ -350,6 +364,23 @@ mod tests {
                 // Repeats look one point back, which a cut recording does not have.
                 again.facts = live.facts;
                 prop_assert_eq!(live, again);
+            }
+        }
+
+        #[test]
+        fn a_resumed_memory_gives_the_same_windows(start in 0_usize..2000, tail in 2000_usize..3000) {
+            let (mut whole, mut resumed) = (History::new(64), History::resumed(64, start as u64));
+            let n = start + tail;
+            for k in 0..n {
+                let keep = (k as i64 - 900) * NS_PER_S;
+                whole.push(&point(k), keep);
+                if k >= start {
+                    resumed.push(&point(k), keep);
+                }
+            }
+            for back in [10, 63, 64, 65, 130, 500, 899] {
+                let from = point(n - 1 - back).t_ns;
+                prop_assert_eq!(whole.record(from, 0), resumed.record(from, 0));
             }
         }
 

@@ -250,6 +250,46 @@ pub struct Assessment {
     pub elapsed_ms: Option<f64>,
 }
 
+impl Assessment {
+    /// An assessment that says nothing yet: `inconclusive`, every number absent.
+    #[must_use]
+    pub const fn empty(window: Window, oscillation: Oscillation) -> Self {
+        Self {
+            window,
+            oscillation,
+            verdict: Verdict::Inconclusive,
+            contributing: Vec::new(),
+            stiction: None,
+            p_stiction: None,
+            confidence: None,
+            gates: Vec::new(),
+            grade: Some('D'),
+            fs: None,
+            fd: None,
+            s: None,
+            j: None,
+            fs_interval: None,
+            fd_interval: None,
+            s_interval: None,
+            j_interval: None,
+            interval_level: None,
+            j_identifiable: None,
+            s_detectable: None,
+            stiction_index: None,
+            s_over_span: None,
+            region: None,
+            strength: None,
+            severity: None,
+            valve_model: None,
+            process: None,
+            controller: None,
+            witnesses: Vec::new(),
+            search: None,
+            elapsed_ms: None,
+        }
+    }
+}
+
 /// How the search for the best model went.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Search {

@@ -1,0 +1,376 @@
+//! The stiction alarm of one loop, after ISA-18.2: raised by m of n windows, held where a window says nothing, cleared
+//! with a dead band, acknowledged by a person, raised again when it gets worse.
+//!
+//! It is a maintenance alert. Everything here depends on the order of the windows and on event time, never on a clock.
+
+use serde::{Deserialize, Serialize};
+
+use crate::config::AlarmParams;
+use crate::units::format_rfc3339;
+use crate::verdict::{Assessment, Gate};
+
+/// Schema name of an alarm.
+pub const ALARM_SCHEMA: &str = "stictiond.alarm.v1";
+/// Share of the limit below which s counts for clearing.
+const CLEAR_SHARE: f64 = 0.8;
+/// Windows in a row with a worse class before the alarm is raised again.
+const WORSE_WINDOWS: u8 = 2;
+
+/// Alarm states of ISA-18.2.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, Default)]
+#[serde(rename_all = "snake_case")]
+pub enum State {
+    /// Not active, nothing to acknowledge.
+    #[default]
+    Normal,
+    /// Active, not acknowledged.
+    Unack,
+    /// Active, acknowledged.
+    Acked,
+    /// No longer active, not acknowledged.
+    RtnUnack,
+    /// Put aside by a person for a time.
+    Shelved,
+    /// Put aside by design.
+    Suppressed,
+    /// Taken out of service.
+    OutOfService,
+}
+
+impl State {
+    /// The state's word in documents.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Normal => "normal",
+            Self::Unack => "unack",
+            Self::Acked => "acked",
+            Self::RtnUnack => "rtn_unack",
+            Self::Shelved => "shelved",
+            Self::Suppressed => "suppressed",
+            Self::OutOfService => "out_of_service",
+        }
+    }
+}
+
+/// What one window says to the alarm.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Evidence {
+    /// Stiction of at least the limit.
+    For,
+    /// No stiction, or clearly below the limit.
+    Against,
+    /// Stiction a little below the limit: neither raises nor clears.
+    Between,
+    /// No information: the alarm stays as it is.
+    None,
+}
+
+impl Evidence {
+    /// Reads an assessment.
+    #[must_use]
+    pub fn of(assessment: &Assessment, params: &AlarmParams) -> Self {
+        match (assessment.stiction, assessment.s) {
+            (None, _) => Self::None,
+            (Some(true), _) if assessment.gates.contains(&Gate::TooCoarse) => Self::None,
+            (Some(true), Some(s)) if s >= params.s_limit_op => Self::For,
+            (Some(true), Some(s)) if s >= CLEAR_SHARE * params.s_limit_op => Self::Between,
+            _ => Self::Against,
+        }
+    }
+}
+
+/// A change that is published, recorded and logged.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct AlarmDocument {
+    /// [`ALARM_SCHEMA`].
+    pub schema: &'static str,
+    /// The loop's name.
+    #[serde(rename = "loop")]
+    pub loop_name: String,
+    /// Which alarm: `stiction`.
+    pub alarm: &'static str,
+    /// State after the change.
+    pub state: State,
+    /// Whether the condition holds.
+    pub active: bool,
+    /// Class of the stiction while active.
+    pub severity: Option<String>,
+    /// NE 107 signal: `M` (maintenance required) while active, else `ok`.
+    pub ne107: &'static str,
+    /// When the condition was raised, event time, ns.
+    pub raised_ns: Option<i64>,
+    /// When the state changed, event time, ns.
+    pub changed_ns: i64,
+    /// Who changed it; null for the daemon itself.
+    pub by: Option<String>,
+    /// Why.
+    pub why: String,
+    /// End of the window that changed it, or of the last one.
+    pub window_end_ns: Option<i64>,
+}
+
+impl AlarmDocument {
+    /// One line that an operator understands.
+    #[must_use]
+    pub fn line(&self) -> String {
+        let by = self.by.as_ref().map(|b| format!(" by {b}")).unwrap_or_default();
+        let when = format_rfc3339(self.changed_ns);
+        format!("{}: stiction alarm {}{by} at {when}: {}", self.loop_name, self.state.name(), self.why)
+    }
+}
+
+/// Why a command was refused.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum CommandError {
+    /// Nothing waits for acknowledgement.
+    #[error("nothing to acknowledge: the alarm of {loop_name} is {state}")]
+    NothingToAcknowledge {
+        /// The loop.
+        loop_name: String,
+        /// Its alarm's state.
+        state: &'static str,
+    },
+    /// Not a command.
+    #[error("unknown command {0:?}: use cmd=ack;by=NAME;why=TEXT")]
+    Unknown(String),
+    /// Not a loop.
+    #[error("no loop {0:?} is monitored")]
+    UnknownLoop(String),
+}
+
+/// What people may ask of an alarm.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Command {
+    /// `ack`.
+    pub cmd: String,
+    /// Who asks.
+    pub by: Option<String>,
+    /// Why.
+    pub why: Option<String>,
+}
+
+/// One loop's alarm, with the memory that m of n needs. Written into every recording, so that a restart keeps it.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct Alarm {
+    /// Its state.
+    pub state: State,
+    /// Whether the condition holds.
+    pub active: bool,
+    /// The last informative windows, newest in bit 0: evidence for.
+    history_for: u32,
+    /// The same: evidence against.
+    history_against: u32,
+    /// Worst class since the alarm was raised.
+    class: Option<String>,
+    worse_windows: u8,
+    raised_ns: Option<i64>,
+    window_end_ns: Option<i64>,
+}
+
+/// Rank of a class, 0 for none.
+fn rank(class: Option<&str>) -> u8 {
+    match class {
+        Some("weak") => 1,
+        Some("moderate") => 2,
+        Some("strong") => 3,
+        _ => 0,
+    }
+}
+
+impl Alarm {
+    /// Takes the next window of the loop; gives out a document if the state changes.
+    pub fn window(&mut self, loop_name: &str, a: &Assessment, params: &AlarmParams) -> Option<AlarmDocument> {
+        let end_ns = a.window.end_ns;
+        self.window_end_ns = Some(end_ns);
+        let evidence = Evidence::of(a, params);
+        if evidence == Evidence::None {
+            return None;
+        }
+        let [m, n] = params.raise.map(u32::from);
+        let mask = u32::MAX >> (32 - n.clamp(1, 32));
+        self.history_for = (self.history_for << 1 | u32::from(evidence == Evidence::For)) & mask;
+        self.history_against = (self.history_against << 1 | u32::from(evidence == Evidence::Against)) & mask;
+        let class = a.severity.or(a.strength);
+        if !self.active && self.history_for.count_ones() >= m {
+            self.active = true;
+            self.state = State::Unack;
+            self.class = class.map(str::to_owned);
+            self.raised_ns = Some(end_ns);
+            self.worse_windows = 0;
+            let why = format!("{} of the last {n} windows show stiction; {}", self.history_for.count_ones(), size(a));
+            return Some(self.document(loop_name, end_ns, None, why));
+        }
+        if self.active && self.history_against.count_ones() >= m {
+            self.active = false;
+            self.state = if self.state == State::Unack { State::RtnUnack } else { State::Normal };
+            let why = format!("{} of the last {n} windows show no stiction", self.history_against.count_ones());
+            let document = self.document(loop_name, end_ns, None, why);
+            self.class = None;
+            self.raised_ns = None;
+            return Some(document);
+        }
+        self.worsened(loop_name, a, class, evidence)
+    }
+
+    /// Raises an active alarm again when its class gets worse and stays so.
+    fn worsened(
+        &mut self,
+        loop_name: &str,
+        a: &Assessment,
+        class: Option<&'static str>,
+        evidence: Evidence,
+    ) -> Option<AlarmDocument> {
+        let worse = self.active && evidence == Evidence::For && rank(class) > rank(self.class.as_deref());
+        self.worse_windows = if worse { self.worse_windows + 1 } else { 0 };
+        if self.worse_windows < WORSE_WINDOWS {
+            return None;
+        }
+        self.worse_windows = 0;
+        let before = self.class.replace(class.unwrap_or_default().to_owned()).unwrap_or_else(|| "none".to_owned());
+        self.state = State::Unack;
+        let why = format!("worse than before: {before} has become {}; {}", class.unwrap_or("none"), size(a));
+        Some(self.document(loop_name, a.window.end_ns, None, why))
+    }
+
+    /// Carries out a person's command at the loop's event time.
+    ///
+    /// # Errors
+    /// [`CommandError`] where the command is unknown or does not fit the state; nothing changes then.
+    pub fn command(&mut self, loop_name: &str, c: &Command, at_ns: i64) -> Result<AlarmDocument, CommandError> {
+        if c.cmd != "ack" {
+            return Err(CommandError::Unknown(c.cmd.clone()));
+        }
+        self.state = match self.state {
+            State::Unack => State::Acked,
+            State::RtnUnack => State::Normal,
+            other => {
+                let loop_name = loop_name.to_owned();
+                return Err(CommandError::NothingToAcknowledge { loop_name, state: other.name() });
+            }
+        };
+        let why = c.why.clone().unwrap_or_else(|| "acknowledged".to_owned());
+        Ok(self.document(loop_name, at_ns, c.by.clone(), why))
+    }
+
+    /// The alarm as it stands, after a restart.
+    #[must_use]
+    pub fn restored(&self, loop_name: &str) -> AlarmDocument {
+        let at_ns = self.window_end_ns.unwrap_or(0);
+        self.document(loop_name, at_ns, None, "carried over from the run before".to_owned())
+    }
+
+    fn document(&self, loop_name: &str, changed_ns: i64, by: Option<String>, why: String) -> AlarmDocument {
+        AlarmDocument {
+            schema: ALARM_SCHEMA,
+            loop_name: loop_name.to_owned(),
+            alarm: "stiction",
+            state: self.state,
+            active: self.active,
+            severity: self.class.clone(),
+            ne107: if self.active { "M" } else { "ok" },
+            raised_ns: self.raised_ns,
+            changed_ns,
+            by,
+            why,
+            window_end_ns: self.window_end_ns,
+        }
+    }
+}
+
+/// The size of the stiction in words.
+fn size(a: &Assessment) -> String {
+    let number = |x: Option<f64>| x.map_or_else(|| "?".to_owned(), |v| format!("{v:.2}"));
+    let class = a.severity.or(a.strength).unwrap_or("unclassed");
+    format!("s = {} in OP units ({class}), stiction index {}", number(a.s), number(a.stiction_index))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::verdict::{Oscillation, Verdict, Window};
+    use proptest::prelude::*;
+
+    fn assessment(k: i64, verdict: Verdict, s: f64, strength: &'static str) -> Assessment {
+        let window = Window { start_ns: k * 10, end_ns: (k + 1) * 10, samples: 100, ts_s: 1.0, box_samples: 1 };
+        let oscillation = Oscillation {
+            oscillating: true,
+            period_s: None,
+            periods: None,
+            samples_per_period: None,
+            regularity: None,
+        };
+        let mut a = Assessment::empty(window, oscillation);
+        a.verdict = verdict;
+        a.stiction = verdict.stiction();
+        a.s = Some(s);
+        a.strength = Some(strength);
+        a
+    }
+
+    fn run(alarm: &mut Alarm, verdicts: &[(Verdict, f64)]) -> Vec<State> {
+        let params = AlarmParams { raise: [3, 4], s_limit_op: 1.0 };
+        let each = verdicts.iter().enumerate();
+        each.filter_map(|(k, (v, s))| alarm.window("L", &assessment(k as i64, *v, *s, "weak"), &params))
+            .map(|d| d.state)
+            .collect()
+    }
+
+    const YES: (Verdict, f64) = (Verdict::Stiction, 2.0);
+    const NO: (Verdict, f64) = (Verdict::Disturbance, 0.0);
+    const SILENT: (Verdict, f64) = (Verdict::Inconclusive, 0.0);
+
+    #[test]
+    fn it_takes_m_of_n_windows_and_silence_holds() {
+        let mut alarm = Alarm::default();
+        assert!(run(&mut alarm, &[YES, YES, SILENT, NO]).is_empty());
+        assert_eq!(run(&mut alarm, &[SILENT, SILENT, YES]), [State::Unack]);
+        assert!(run(&mut alarm, &[SILENT; 50]).is_empty());
+        assert!(alarm.active);
+        assert_eq!(run(&mut alarm, &[NO, NO, NO]), [State::RtnUnack]);
+    }
+
+    #[test]
+    fn it_is_acknowledged_once_and_clears_with_a_dead_band() {
+        let mut alarm = Alarm::default();
+        run(&mut alarm, &[YES; 3]);
+        let ack = Command { cmd: "ack".into(), by: Some("ann".into()), why: None };
+        assert_eq!(alarm.command("L", &ack, 5).unwrap().state, State::Acked);
+        assert!(matches!(alarm.command("L", &ack, 5), Err(CommandError::NothingToAcknowledge { .. })));
+        let unknown = Command { cmd: "explode".into(), by: None, why: None };
+        assert!(matches!(alarm.command("L", &unknown, 5), Err(CommandError::Unknown(_))));
+        assert!(run(&mut alarm, &[(Verdict::Stiction, 0.9); 10]).is_empty());
+        assert_eq!(run(&mut alarm, &[(Verdict::Stiction, 0.7); 4]), [State::Normal]);
+    }
+
+    #[test]
+    fn it_is_raised_again_when_it_gets_worse() {
+        let params = AlarmParams { raise: [1, 1], s_limit_op: 1.0 };
+        let mut alarm = Alarm::default();
+        alarm.window("L", &assessment(0, Verdict::Stiction, 2.0, "weak"), &params).unwrap();
+        let ack = Command { cmd: "ack".into(), by: None, why: None };
+        alarm.command("L", &ack, 5).unwrap();
+        assert!(alarm.window("L", &assessment(1, Verdict::Stiction, 9.0, "strong"), &params).is_none());
+        let again = alarm.window("L", &assessment(2, Verdict::Stiction, 9.0, "strong"), &params).unwrap();
+        assert_eq!((again.state, again.severity.as_deref()), (State::Unack, Some("strong")));
+    }
+
+    proptest! {
+        #[test]
+        fn states_and_activity_agree_in_any_order(steps in proptest::collection::vec(0_u8..6, 0..64)) {
+            let params = AlarmParams { raise: [2, 3], s_limit_op: 1.0 };
+            let mut alarm = Alarm::default();
+            for (k, step) in steps.into_iter().enumerate() {
+                let verdict = [Verdict::Stiction, Verdict::Disturbance, Verdict::Inconclusive][usize::from(step % 3)];
+                if step == 5 {
+                    let _ = alarm.command("L", &Command { cmd: "ack".into(), by: None, why: None }, k as i64);
+                } else {
+                    alarm.window("L", &assessment(k as i64, verdict, f64::from(step), "weak"), &params);
+                }
+                prop_assert_eq!(alarm.active, matches!(alarm.state, State::Unack | State::Acked));
+                let text = serde_json::to_string(&alarm).unwrap();
+                prop_assert_eq!(serde_json::from_str::<Alarm>(&text).unwrap(), alarm.clone());
+            }
+        }
+    }
+}
