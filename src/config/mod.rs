@@ -216,7 +216,7 @@ impl Config {
     #[must_use]
     pub fn hash(&self) -> String {
         let canonical = serde_json::to_vec(self).unwrap_or_default();
-        Sha256::digest(&canonical).iter().take(8).map(|b| format!("{b:02x}")).collect()
+        short_hash(&canonical)
     }
 
     /// The settings of one loop by name.
@@ -224,6 +224,12 @@ impl Config {
     pub fn loop_named(&self, name: &str) -> Option<&LoopConfig> {
         self.loops.iter().find(|l| l.name == name)
     }
+}
+
+/// The first 8 bytes of a SHA-256, as 16 hex digits.
+#[must_use]
+pub fn short_hash(bytes: &[u8]) -> String {
+    Sha256::digest(bytes).iter().take(8).map(|b| format!("{b:02x}")).collect()
 }
 
 fn syntax_fault(text: &str, error: &toml::de::Error) -> Fault {

@@ -102,8 +102,21 @@ pub struct AlignCounts {
     pub clock_resets: u64,
     pub stamp_outliers: u64,
     pub overflow: u64,
-    /// Quality codes of 1 to 255 under the `ua` convention: probably classic ones.
-    pub suspicious_quality: u64,
+}
+
+impl AlignCounts {
+    /// Adds another loop's counts.
+    pub const fn add(&mut self, other: &Self) {
+        self.taken += other.taken;
+        self.duplicates += other.duplicates;
+        self.late += other.late;
+        self.bad += other.bad;
+        self.gaps += other.gaps;
+        self.filled += other.filled;
+        self.clock_resets += other.clock_resets;
+        self.stamp_outliers += other.stamp_outliers;
+        self.overflow += other.overflow;
+    }
 }
 
 /// Joins one loop's samples.
@@ -173,7 +186,6 @@ impl Aligner {
                 clock_resets: 0,
                 stamp_outliers: 0,
                 overflow: 0,
-                suspicious_quality: 0,
             },
         }
     }
@@ -367,9 +379,6 @@ impl Aligner {
     /// Holds one sample's value.
     fn hold(&mut self, sample: &Sample, params: &AlignParams) {
         if let Some(code) = sample.quality {
-            if params.quality == Quality::Ua && (1..=255).contains(&code) {
-                self.counts.suspicious_quality += 1;
-            }
             if !params.quality.is_good(code) {
                 return self.count_bad(sample.signal);
             }

@@ -1,0 +1,377 @@
+//! The engine's thread: takes what arrives in order, and is the only one that touches the engine.
+//!
+//! What it takes it records first; what the engine puts out goes to workers, recorder and publisher. It never waits
+//! for a fit and never for the bus; for the recorder it waits a little (see [`crate::sink::recorder`]).
+
+use std::collections::BTreeMap;
+use std::sync::{Arc, RwLock};
+use std::time::{Duration, Instant};
+
+use crossbeam_channel::{Receiver, never, select, tick};
+
+use super::clock::now_ns;
+use super::health::{DaemonHealth, LoopHealth, QueueHealth};
+use super::metrics::{Label, Metrics};
+use super::routes::{Route, Routes};
+use super::worker::{self, Answered, Workers};
+use crate::alarm::{Alarm, AlarmDocument, Command, CommandError};
+use crate::codec;
+use crate::codec::topic::{self, Kind};
+use crate::engine::{Checkpoint, Engine, Event, LoopId, RecordedInput, Request, SkipReason, StateDocument};
+use crate::record::Sample;
+use crate::signal::align::AlignCounts;
+use crate::sink::recorder::{self, Item, LOOPS_PER_FILE, Recorder, shard_of};
+use crate::sink::zenoh::{self as bus, Publication, Publisher};
+use crate::source::{Incoming, Message};
+
+/// Messages taken before the other channels are looked at again.
+const BATCH: usize = 256;
+/// How often the daemon's health is published.
+const HEALTH_EVERY: Duration = Duration::from_secs(5);
+/// How often every loop's health is published.
+const LOOP_HEALTH_EVERY: Duration = Duration::from_secs(60);
+/// How long a stopping daemon still takes what had already arrived.
+const DRAIN: Duration = Duration::from_secs(1);
+
+/// What the web server reads: replaced as a whole, never locked for longer than a copy of the pointer.
+pub type HealthSnapshot = Arc<RwLock<Arc<DaemonHealth>>>;
+
+/// Everything the engine's thread owns.
+pub struct Core {
+    engine: Engine,
+    routes: Routes,
+    workers: Workers,
+    recorder: Option<Recorder>,
+    publisher: Publisher,
+    metrics: Arc<Metrics>,
+    snapshot: HealthSnapshot,
+    daemon_id: String,
+    started: Instant,
+    loop_health_due: Instant,
+    opened_shards: usize,
+    codec: String,
+    input_limit: usize,
+    warned_quality: bool,
+    events: Vec<Event>,
+    samples: Vec<Sample>,
+}
+
+/// What a core is made of.
+pub struct Parts {
+    /// The engine, with restored alarms.
+    pub engine: Engine,
+    /// The workers.
+    pub workers: Workers,
+    /// The recorder.
+    pub recorder: Option<Recorder>,
+    /// The publisher.
+    pub publisher: Publisher,
+    /// The counters.
+    pub metrics: Arc<Metrics>,
+    /// Where the health goes.
+    pub snapshot: HealthSnapshot,
+    /// The daemon's id.
+    pub daemon_id: String,
+}
+
+impl Core {
+    /// Puts the parts together.
+    #[must_use]
+    pub fn new(parts: Parts) -> Self {
+        let config = parts.engine.config();
+        Self {
+            routes: Routes::new(config),
+            codec: config.input.codec.clone(),
+            input_limit: config.input.queue,
+            engine: parts.engine,
+            workers: parts.workers,
+            recorder: parts.recorder,
+            publisher: parts.publisher,
+            metrics: parts.metrics,
+            snapshot: parts.snapshot,
+            daemon_id: parts.daemon_id,
+            started: Instant::now(),
+            loop_health_due: Instant::now(),
+            opened_shards: 0,
+            warned_quality: false,
+            events: Vec::new(),
+            samples: Vec::new(),
+        }
+    }
+
+    /// Takes the alarms of the run before over, and publishes those that are not at rest.
+    pub fn restore(&mut self, alarms: BTreeMap<String, Alarm>) {
+        for (name, alarm) in alarms {
+            let Some(id) = self.engine.appear(&name) else { continue };
+            if let Some(document) = self.engine.restore(id, Checkpoint { alarm, stream: None }) {
+                self.publish(id, Kind::Alarm, to_json(&document));
+            }
+        }
+    }
+
+    /// Works until `stop` is closed, then ends in order: what has arrived is taken, fits that are not done are skipped
+    /// and recorded as such, files are finished when the core is dropped.
+    pub fn run(mut self, incoming: &Receiver<Incoming>, stop: &Receiver<()>) {
+        let ticker = tick(HEALTH_EVERY);
+        let answers = self.workers.answers.clone();
+        let rotations = self.recorder.as_ref().map_or_else(never, |r| r.rotations.clone());
+        self.open_shards();
+        loop {
+            select! {
+                recv(incoming) -> message => match message {
+                    Ok(message) => self.take_batch(message, incoming),
+                    Err(_) => break,
+                },
+                recv(answers) -> answered => if let Ok(answered) = answered { self.answered(answered) },
+                recv(rotations) -> shard => if let Ok(shard) = shard { self.open_shard(shard) },
+                recv(ticker) -> _ => self.report(incoming.len()),
+                recv(stop) -> _ => break,
+            }
+        }
+        self.finish(incoming, &answers);
+    }
+
+    fn finish(&mut self, incoming: &Receiver<Incoming>, answers: &Receiver<Answered>) {
+        let until = Instant::now() + DRAIN;
+        while Instant::now() < until {
+            let Ok(message) = incoming.try_recv() else { break };
+            self.take(message);
+        }
+        while let Ok(answered) = answers.try_recv() {
+            self.answered(answered);
+        }
+        for id in self.engine.ids() {
+            let unfinished: Vec<(u64, i64)> = self.engine.waiting(id).collect();
+            for (seq, end_ns) in unfinished {
+                self.skip(id, seq, end_ns, SkipReason::Shutdown);
+                self.handle_events();
+            }
+        }
+        self.report(incoming.len());
+    }
+
+    fn take_batch(&mut self, first: Incoming, incoming: &Receiver<Incoming>) {
+        self.take(first);
+        for _ in 1..BATCH {
+            let Ok(next) = incoming.try_recv() else { return };
+            self.take(next);
+        }
+    }
+
+    fn take(&mut self, incoming: Incoming) {
+        match incoming {
+            Incoming::Message(message) => self.take_message(&message),
+            Incoming::Command { loop_name, command, answer } => {
+                let result = self.command(&loop_name, &command);
+                match &result {
+                    Ok(_) => self.metrics.commands.inc(),
+                    Err(_) => self.metrics.commands_refused.inc(),
+                };
+                answer(result.map(|document| to_json(&document)).map_err(|e| e.to_string()));
+            }
+        }
+    }
+
+    fn take_message(&mut self, m: &Message) {
+        let (id, signal) = match self.routes.of(&m.key, &mut self.engine) {
+            Route::To(id, signal) => (id, signal),
+            Route::Foreign => {
+                self.metrics.foreign_keys.inc();
+                return;
+            }
+            Route::Refused => {
+                self.metrics.refused_loops.inc();
+                return;
+            }
+        };
+        self.open_shards();
+        let mut samples = std::mem::take(&mut self.samples);
+        samples.clear();
+        let fallback_ns = m.bus_ns.unwrap_or(m.arrival_ns);
+        match codec::decode(signal, &m.payload, m.encoding.as_deref(), Some(&self.codec), fallback_ns, &mut samples) {
+            Ok(name) => {
+                self.metrics.codecs.get_or_create(&Label { name: name.into() }).inc();
+            }
+            Err(error) => {
+                if self.metrics.undecodable.inc() == 0 {
+                    tracing::warn!(key = %m.key, %error, "a payload could not be read; further ones are only counted");
+                }
+            }
+        }
+        for sample in &samples {
+            self.take_sample(id, *sample, m.arrival_ns);
+        }
+        self.samples = samples;
+    }
+
+    fn take_sample(&mut self, id: LoopId, sample: Sample, arrival_ns: i64) {
+        self.metrics.samples.inc();
+        if sample.quality.is_some_and(|q| (1..=255).contains(&q)) && self.engine.config().input.quality == "ua" {
+            self.metrics.suspicious_quality.inc();
+            if !std::mem::replace(&mut self.warned_quality, true) {
+                let name = self.engine.name(id);
+                tracing::warn!(%name, quality = ?sample.quality, "this looks like a classic OPC quality: set [input] quality = \"classic\"");
+            }
+        }
+        if let Some(recorder) = &mut self.recorder {
+            let name = self.engine.name(id).clone();
+            recorder.record(Item::Raw { id, name, sample, arrival_ns });
+        }
+        self.engine.push(id, sample, &mut self.events);
+        self.handle_events();
+    }
+
+    fn command(&mut self, loop_name: &str, command: &Command) -> Result<AlarmDocument, CommandError> {
+        let id = self.engine.find(loop_name).ok_or_else(|| CommandError::UnknownLoop(loop_name.to_owned()))?;
+        let document = self.engine.command(id, command)?;
+        self.record(id, Kind::Input, &RecordedInput::Command(command.clone()), document.changed_ns);
+        self.alarm_changed(id, &document);
+        Ok(document)
+    }
+
+    fn answered(&mut self, answered: Answered) {
+        self.engine.complete(answered.id, answered.seq, answered.assessment, &mut self.events);
+        self.handle_events();
+    }
+
+    fn handle_events(&mut self) {
+        while !self.events.is_empty() {
+            for event in std::mem::take(&mut self.events) {
+                match event {
+                    Event::Request(request) => self.request(*request),
+                    Event::Estimate(id, document) => {
+                        self.metrics.estimates.inc();
+                        let a = &document.assessment;
+                        self.metrics.verdicts.get_or_create(&Label { name: a.verdict.name().into() }).inc();
+                        for gate in &a.gates {
+                            self.metrics.gates.get_or_create(&Label { name: gate.name().into() }).inc();
+                        }
+                        self.record(id, Kind::Estimate, &document, a.window.end_ns);
+                        self.publish(id, Kind::Estimate, to_json(&document));
+                    }
+                    Event::Alarm(id, document) => self.alarm_changed(id, &document),
+                    Event::State(id, document) => {
+                        let at_ns = document.window_end_ns.unwrap_or(0);
+                        self.record(id, Kind::State, &document, at_ns);
+                    }
+                }
+            }
+        }
+    }
+
+    fn request(&mut self, request: Request) {
+        self.metrics.windows.inc();
+        let (id, seq, end_ns) = (request.id, request.seq, request.end_ns);
+        if self.workers.requests.try_send(request).is_err() {
+            self.skip(id, seq, end_ns, SkipReason::QueueFull);
+        }
+    }
+
+    fn skip(&mut self, id: LoopId, seq: u64, window_end_ns: i64, reason: SkipReason) {
+        self.metrics.fits_skipped.inc();
+        self.record(id, Kind::Input, &RecordedInput::Skip { window_end_ns, seq, reason }, window_end_ns);
+        self.engine.skip(id, seq, &mut self.events);
+    }
+
+    fn alarm_changed(&mut self, id: LoopId, document: &AlarmDocument) {
+        self.metrics.alarms.inc();
+        if document.active {
+            tracing::warn!(target: "stictiond::alarm", "{}", document.line());
+        } else {
+            tracing::info!(target: "stictiond::alarm", "{}", document.line());
+        }
+        self.record(id, Kind::Alarm, document, document.changed_ns);
+        self.publish(id, Kind::Alarm, to_json(document));
+    }
+
+    fn record(&mut self, id: LoopId, kind: Kind, document: &impl serde::Serialize, event_ns: i64) {
+        let Some(recorder) = &mut self.recorder else { return };
+        let name = self.engine.name(id).clone();
+        recorder.record(Item::Document { id, name, kind, json: to_json(document), event_ns });
+    }
+
+    fn publish(&self, id: LoopId, kind: Kind, document: Vec<u8>) {
+        let key = topic::result(&self.engine.config().site.prefix, self.engine.name(id), kind);
+        self.publisher.publish(Publication { key, kind, document });
+    }
+
+    /// Opens the files of shards that loops have reached since the last look.
+    fn open_shards(&mut self) {
+        let needed = self.engine.ids().len().div_ceil(LOOPS_PER_FILE).max(1);
+        while self.opened_shards < needed {
+            self.open_shard(self.opened_shards);
+            self.opened_shards += 1;
+        }
+    }
+
+    fn open_shard(&mut self, shard: usize) {
+        let Some(recorder) = &mut self.recorder else { return };
+        let states = self.engine.ids().filter(|id| shard_of(*id) == shard).map(|id| {
+            let name = self.engine.name(id);
+            (name.clone(), to_json(&StateDocument::new(name, None, self.engine.checkpoint(id))))
+        });
+        let states = states.collect();
+        recorder.record(Item::Open { shard, states });
+    }
+
+    /// Publishes the health of the daemon, and from time to time of every loop.
+    fn report(&mut self, input_waiting: usize) {
+        let loops = self.engine.ids().len();
+        self.metrics.loops.set(loops as i64);
+        let now = now_ns();
+        let loop_health = Instant::now() >= self.loop_health_due;
+        let mut sum = AlignCounts::default();
+        for id in self.engine.ids() {
+            let figures = self.engine.figures(id);
+            sum.add(&figures.counts);
+            if loop_health {
+                self.publish(id, Kind::Health, to_json(&LoopHealth::new(self.engine.name(id), &figures, now)));
+            }
+        }
+        if loop_health {
+            self.loop_health_due = Instant::now() + LOOP_HEALTH_EVERY;
+        }
+        self.metrics.show_aligned(&sum);
+        let health = self.health(loops, input_waiting);
+        for queue in &health.queues {
+            self.metrics.queues.get_or_create(&Label { name: queue.name.into() }).set(queue.length as i64);
+        }
+        let key = topic::plane(&self.engine.config().site.prefix, &format!("@daemon/{}/health", self.daemon_id));
+        self.publisher.publish(Publication { key, kind: Kind::Health, document: to_json(&health) });
+        if let Ok(mut snapshot) = self.snapshot.write() {
+            *snapshot = Arc::new(health);
+        }
+    }
+
+    fn health(&self, loops: usize, input_waiting: usize) -> DaemonHealth {
+        let m = &self.metrics;
+        let recorder_waiting = self.recorder.as_ref().map_or(0, Recorder::waiting);
+        let queue = |name, length, limit, dropped| QueueHealth { name, length, limit, dropped };
+        let faults = [
+            (m.recording_lost.get(), "messages could not be recorded: see the recording disk"),
+            (m.dropped_input.get(), "messages were dropped because they came faster than they can be taken"),
+            (m.fits_skipped.get(), "windows got no fit because the machine was too busy"),
+        ];
+        DaemonHealth {
+            schema: Kind::Health.schema(),
+            daemon: self.daemon_id.clone(),
+            version: crate::VERSION,
+            config_hash: self.engine.config_hash().to_owned(),
+            uptime_s: self.started.elapsed().as_secs_f64(),
+            loops,
+            counters: m.counters(),
+            queues: vec![
+                queue("input", input_waiting, self.input_limit, m.dropped_input.get()),
+                queue("fits", self.workers.requests.len(), worker::QUEUE, m.fits_skipped.get()),
+                queue("recorder", recorder_waiting, recorder::QUEUE, m.recording_lost.get()),
+                queue("publisher", self.publisher.waiting(), bus::QUEUE, m.dropped_output.get()),
+            ],
+            faults: faults.into_iter().filter(|(n, _)| *n > 0).map(|(n, what)| format!("{n} {what}")).collect(),
+        }
+    }
+}
+
+/// A document's JSON. Our documents hold no map with keys that are not text, so this cannot fail.
+pub(crate) fn to_json(document: &impl serde::Serialize) -> Vec<u8> {
+    serde_json::to_vec(document).unwrap_or_default()
+}

@@ -1,0 +1,111 @@
+//! Counters of everything that comes in, goes out or is lost. Plain atomics: whoever counts never waits.
+
+use std::collections::BTreeMap;
+use std::sync::atomic::AtomicU64;
+
+use prometheus_client::encoding::EncodeLabelSet;
+use prometheus_client::metrics::counter::Counter;
+use prometheus_client::metrics::family::Family;
+use prometheus_client::metrics::gauge::Gauge;
+use prometheus_client::registry::Registry;
+
+use crate::signal::align::AlignCounts;
+
+/// One label.
+#[derive(Debug, Clone, PartialEq, Eq, Hash, EncodeLabelSet)]
+pub struct Label {
+    /// Its value.
+    pub name: String,
+}
+
+macro_rules! counters {
+    ($($field:ident: $help:literal),+ $(,)?) => {
+        /// All counters and gauges of a daemon.
+        #[derive(Debug, Default)]
+        pub struct Metrics {
+            $(#[doc = $help] pub $field: Counter,)+
+            /// Estimates by verdict.
+            pub verdicts: Family<Label, Counter>,
+            /// Gates by name.
+            pub gates: Family<Label, Counter>,
+            /// Payloads by codec.
+            pub codecs: Family<Label, Counter>,
+            /// Loops that have appeared.
+            pub loops: Gauge,
+            /// Queue lengths by name.
+            pub queues: Family<Label, Gauge>,
+            /// What the aligners dropped or put in, all loops together.
+            pub aligned: Family<Label, Gauge<u64, AtomicU64>>,
+        }
+
+        impl Metrics {
+            /// The plain counters by name, for health documents.
+            #[must_use]
+            pub fn counters(&self) -> BTreeMap<&'static str, u64> {
+                BTreeMap::from([$((stringify!($field), self.$field.get()),)+])
+            }
+
+            fn register_counters(&self, registry: &mut Registry) {
+                $(registry.register(stringify!($field), $help, self.$field.clone());)+
+            }
+        }
+    };
+}
+
+counters! {
+    messages: "Messages received from the bus",
+    samples: "Samples decoded",
+    deletes: "Deletions received and ignored",
+    dropped_input: "Messages dropped because the engine's queue was full",
+    undecodable: "Messages whose payload could not be read",
+    foreign_keys: "Messages under the prefix whose key names no signal",
+    refused_loops: "Messages of loops beyond max_loops or not configured",
+    suspicious_quality: "Quality codes of 1 to 255 under the ua convention",
+    windows: "Windows that came due",
+    fits_skipped: "Windows whose fit was skipped",
+    estimates: "Estimates made",
+    alarms: "Alarm changes",
+    commands: "Commands carried out",
+    commands_refused: "Commands refused",
+    queries: "Queries received",
+    published: "Documents published",
+    dropped_output: "Documents that could not be published",
+    recorded: "Messages recorded",
+    recording_lost: "Messages that could not be recorded",
+    recording_files: "Recording files opened",
+    recording_errors: "Errors of the recording disk",
+}
+
+impl Metrics {
+    /// A registry that shows these metrics, names starting with `stictiond_`.
+    #[must_use]
+    pub fn registry(&self) -> Registry {
+        let mut registry = Registry::with_prefix("stictiond");
+        self.register_counters(&mut registry);
+        registry.register("verdict", "Estimates by verdict", self.verdicts.clone());
+        registry.register("gate", "Gates by name", self.gates.clone());
+        registry.register("codec", "Payloads by codec", self.codecs.clone());
+        registry.register("loops", "Loops that have appeared", self.loops.clone());
+        registry.register("queue_length", "Messages waiting", self.queues.clone());
+        registry.register("aligner", "Samples dropped or put in by the aligners", self.aligned.clone());
+        registry
+    }
+
+    /// Shows the sum of all loops' aligner counts.
+    pub fn show_aligned(&self, sum: &AlignCounts) {
+        let rows = [
+            ("taken", sum.taken),
+            ("duplicates", sum.duplicates),
+            ("late", sum.late),
+            ("bad", sum.bad),
+            ("gaps", sum.gaps),
+            ("filled", sum.filled),
+            ("clock_resets", sum.clock_resets),
+            ("stamp_outliers", sum.stamp_outliers),
+            ("overflow", sum.overflow),
+        ];
+        for (name, value) in rows {
+            self.aligned.get_or_create(&Label { name: name.into() }).set(value);
+        }
+    }
+}

@@ -1,0 +1,152 @@
+//! The whole daemon in one readable function: what runs where, and which queue lies between.
+//!
+//! ```text
+//! Zenoh callbacks --(input, drops + counts)--> engine thread --(fits, skips + records)--> workers
+//!                                                |    ^-------------(answers)----------------'
+//!                                                |--(recorder, waits 2 s)--> recorder thread --> *.mcap
+//!                                                '--(publisher, alarms wait)--> publisher thread --> Zenoh, last values
+//! ```
+
+pub mod clock;
+mod core;
+mod health;
+pub mod metrics;
+pub mod replay;
+pub mod restore;
+mod routes;
+mod worker;
+
+use std::future::Future;
+use std::path::Path;
+use std::sync::{Arc, RwLock};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, anyhow};
+
+pub use self::core::HealthSnapshot;
+pub(crate) use self::core::to_json;
+pub use self::health::DaemonHealth;
+use self::core::{Core, Parts};
+use self::metrics::Metrics;
+use crate::codec::topic;
+use crate::config::Config;
+use crate::engine::Engine;
+use crate::sink::recorder::{Recorder, RunInfo};
+use crate::sink::zenoh::Publisher;
+use crate::source;
+
+/// How long the threads may take to end.
+const STOP_WITHIN: Duration = Duration::from_millis(3500);
+
+/// What a run is given besides its configuration.
+#[derive(Debug, Clone)]
+pub struct RunOptions {
+    /// What makes the recordings: `run` or `demo`.
+    pub origin: &'static str,
+    /// Workers for fits; all cores but one if absent.
+    pub workers: Option<usize>,
+}
+
+/// Runs the daemon until `stop` is ready, then ends in order.
+///
+/// # Errors
+/// Zenoh cannot start (a port is taken, a setting is refused), or the system refuses a thread or a port.
+pub async fn run(
+    config: Config,
+    config_text: String,
+    options: RunOptions,
+    stop: impl Future<Output = ()>,
+) -> anyhow::Result<()> {
+    let metrics = Arc::new(Metrics::default());
+    let recordings = Path::new(&config.recording.dir).to_owned();
+    let alarms = restore::alarms_of_last_run(&recordings, &config.site.prefix);
+    let session = source::zenoh::open(&config).await?;
+    let daemon_id = session.zid().to_string();
+    let snapshot = HealthSnapshot::new(RwLock::new(Arc::new(DaemonHealth::starting(&daemon_id, &config.hash()))));
+    let web = crate::web::serve(&config.web, metrics.clone(), snapshot.clone()).await?;
+
+    let last = source::zenoh::LastValues::default();
+    let (queue, incoming) = crossbeam_channel::bounded(config.input.queue);
+    let (publisher, publishing) = Publisher::start(session.clone(), last.clone(), metrics.clone())?;
+    let run = run_info(&config, config_text, &options, &daemon_id);
+    let (recorder, recording) = Recorder::start(run, config.recording.clone(), metrics.clone())?;
+    let workers = worker::start(options.workers)?;
+
+    let prefix = config.site.prefix.clone();
+    let queryable =
+        source::zenoh::answer_queries(&session, &prefix, queue.clone(), last, metrics.clone()).await?;
+    let engine = Engine::new(config.clone());
+    let parts = Parts {
+        engine,
+        workers,
+        recorder: Some(recorder),
+        publisher,
+        metrics: metrics.clone(),
+        snapshot,
+        daemon_id: daemon_id.clone(),
+    };
+    let (stop_core, stopping) = crossbeam_channel::bounded::<()>(0);
+    let core = std::thread::Builder::new().name("engine".into()).spawn(move || {
+        let mut core = Core::new(parts);
+        core.restore(alarms);
+        core.run(&incoming, &stopping);
+    })?;
+    let subscribers = source::zenoh::subscribe(&session, &config, queue, metrics.clone()).await?;
+    let token_key = topic::plane(&prefix, &format!("@daemon/{daemon_id}"));
+    let token = session.liveliness().declare_token(&token_key).await.map_err(|e| anyhow!("{token_key}: {e}"))?;
+    tracing::info!(
+        prefix,
+        daemon = daemon_id,
+        listen = ?config.zenoh.listen,
+        connect = ?config.zenoh.connect,
+        web = web.address.map(|a| a.to_string()),
+        recordings = %recordings.display(),
+        "watching"
+    );
+
+    stop.await;
+    tracing::info!("stopping");
+    for subscriber in subscribers {
+        let _ = subscriber.undeclare().await;
+    }
+    let _ = token.undeclare().await;
+    drop(stop_core);
+    let ended = join_within(vec![("engine", core), ("recorder", recording), ("publisher", publishing)], STOP_WITHIN).await;
+    let _ = queryable.undeclare().await;
+    web.stop();
+    // Closing may hang when the network loses packets.
+    let _ = tokio::time::timeout(Duration::from_secs(1), session.close()).await;
+    ended
+}
+
+fn run_info(config: &Config, config_text: String, options: &RunOptions, daemon_id: &str) -> RunInfo {
+    let started_ns = clock::now_ns();
+    let seed = format!("{daemon_id} {started_ns}");
+    let run_id = crate::config::short_hash(seed.as_bytes())[..8].to_owned();
+    RunInfo {
+        prefix: config.site.prefix.clone(),
+        run_id,
+        started_ns,
+        origin: options.origin,
+        config_text,
+        config_hash: config.hash(),
+        loop_map: serde_json::to_string(&config.loops).unwrap_or_default(),
+    }
+}
+
+/// Waits for threads to end, but not for ever.
+async fn join_within(threads: Vec<(&'static str, JoinHandle<()>)>, limit: Duration) -> anyhow::Result<()> {
+    let until = Instant::now() + limit;
+    for (name, thread) in threads {
+        while !thread.is_finished() {
+            if Instant::now() >= until {
+                tracing::error!(thread = name, "did not end in time; its last file stays as .mcap.part, readable up to its last flush");
+                return Ok(());
+            }
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        }
+        thread.join().map_err(|_| anyhow!("the {name} thread panicked")).context("the daemon ended in disorder")?;
+    }
+    Ok(())
+}

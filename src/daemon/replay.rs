@@ -1,0 +1,328 @@
+//! Re-runs the engine on recordings. The same code path as live: only the order of what is taken comes from the file.
+//!
+//! A recorded estimate marks the place where the live engine consumed that window's answer; replay computes the answer
+//! there. Skips and commands are obeyed where they stand. So whatever the workers' speed was, the engine sees the same
+//! inputs in the same order, and must say the same.
+
+use std::collections::{BTreeMap, HashMap, VecDeque};
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, anyhow, bail};
+use serde::Deserialize;
+
+use super::restore::{RunFile, is_recording};
+use super::to_json;
+use crate::codec::decode_recorded;
+use crate::codec::topic::{Kind, Leaf, Topic};
+use crate::config::Config;
+use crate::engine::{Engine, Event, LoopId, RecordedInput, Request, StateDocument};
+use crate::files::mcap_read::{End, RecordingReader};
+
+/// A document that replay made.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Output {
+    /// The loop's name.
+    pub loop_name: String,
+    /// What it is: estimate or alarm.
+    pub kind: Kind,
+    /// Its JSON, to the byte.
+    pub json: Vec<u8>,
+}
+
+/// An engine that is driven by recorded messages.
+pub struct Replay {
+    engine: Engine,
+    /// Requests that wait for their place, per loop.
+    waiting: HashMap<LoopId, VecDeque<Request>>,
+    /// Compute each request at once: for recordings that hold no results of their own.
+    at_once: bool,
+    events: Vec<Event>,
+}
+
+/// The window of a recorded estimate, all that replay needs of it.
+#[derive(Deserialize)]
+struct Marker {
+    window: MarkerWindow,
+}
+
+#[derive(Deserialize)]
+struct MarkerWindow {
+    end_ns: i64,
+}
+
+impl Replay {
+    /// A replay under a configuration. `at_once` is for recordings without results.
+    #[must_use]
+    pub fn new(config: Config, at_once: bool) -> Self {
+        Self { engine: Engine::new(config), waiting: HashMap::new(), at_once, events: Vec::new() }
+    }
+
+    /// Takes one message of the file.
+    ///
+    /// # Errors
+    /// A payload that is not what its topic says.
+    pub fn take(&mut self, topic: &Topic<'_>, data: &[u8], out: &mut Vec<Output>) -> anyhow::Result<()> {
+        let Some(id) = self.engine.appear(topic.loop_name) else { return Ok(()) };
+        match topic.leaf {
+            Leaf::Raw(signal) => {
+                let sample = decode_recorded(signal, data)?;
+                self.engine.push(id, sample, &mut self.events);
+            }
+            Leaf::Document(Kind::Estimate) if !self.at_once => {
+                let marker: Marker = serde_json::from_slice(data).context("a recorded estimate names no window")?;
+                self.answer(id, marker.window.end_ns);
+            }
+            Leaf::Document(Kind::Input) => match serde_json::from_slice(data).context("a recorded input")? {
+                RecordedInput::Skip { seq, .. } => {
+                    self.waiting.entry(id).or_default().retain(|r| r.seq != seq);
+                    self.engine.skip(id, seq, &mut self.events);
+                }
+                RecordedInput::Command(command) => {
+                    if let Ok(document) = self.engine.command(id, &command) {
+                        out.push(self.output(id, Kind::Alarm, to_json(&document)));
+                    }
+                }
+            },
+            Leaf::Document(_) => {}
+        }
+        self.sort_events(out);
+        Ok(())
+    }
+
+    /// Takes over the states that a file starts with: everything at the start of the replay, alarms alone later.
+    ///
+    /// # Errors
+    /// A payload that is no state.
+    pub fn take_head(&mut self, data: &[u8], everything: bool) -> anyhow::Result<()> {
+        let state: StateDocument = serde_json::from_slice(data).context("a recorded state cannot be read")?;
+        let Some(id) = self.engine.appear(&state.loop_name) else { return Ok(()) };
+        if everything {
+            self.engine.restore(id, state.checkpoint);
+        } else {
+            self.engine.restore_alarm(id, state.checkpoint.alarm);
+        }
+        Ok(())
+    }
+
+    /// Computes the answer to the window that a recorded estimate names.
+    fn answer(&mut self, id: LoopId, end_ns: i64) {
+        let Some(waiting) = self.waiting.get_mut(&id) else { return };
+        let Some(place) = waiting.iter().position(|r| r.end_ns == end_ns) else { return };
+        if let Some(request) = waiting.remove(place) {
+            self.engine.complete(id, request.seq, request.compute(), &mut self.events);
+        }
+    }
+
+    fn sort_events(&mut self, out: &mut Vec<Output>) {
+        while !self.events.is_empty() {
+            for event in std::mem::take(&mut self.events) {
+                match event {
+                    Event::Request(request) if self.at_once => {
+                        self.engine.complete(request.id, request.seq, request.compute(), &mut self.events);
+                    }
+                    Event::Request(request) => self.waiting.entry(request.id).or_default().push_back(*request),
+                    Event::Estimate(id, document) => out.push(self.output(id, Kind::Estimate, to_json(&document))),
+                    Event::Alarm(id, document) => out.push(self.output(id, Kind::Alarm, to_json(&document))),
+                    Event::State(..) => {}
+                }
+            }
+        }
+    }
+
+    fn output(&self, id: LoopId, kind: Kind, json: Vec<u8>) -> Output {
+        Output { loop_name: self.engine.name(id).to_string(), kind, json }
+    }
+}
+
+/// What a recording says of how it was made.
+#[derive(Debug, Clone)]
+pub struct RunMetadata {
+    /// First chunks of its topics.
+    pub prefix: String,
+    /// Version of the program.
+    pub version: String,
+    /// The configuration.
+    pub config: Config,
+    /// Hash of the configuration, as recorded.
+    pub config_hash: String,
+    /// The shard's file before, empty for the first.
+    pub previous: String,
+    /// Messages that the recorder had lost by then.
+    pub lost_before: u64,
+    /// Whether the file is a daemon's own, with results.
+    pub has_results: bool,
+}
+
+impl RunMetadata {
+    /// Reads it from a file's metadata record.
+    ///
+    /// # Errors
+    /// The file is not ours, or its configuration cannot be read.
+    pub fn of(path: &Path, metadata: &BTreeMap<String, String>) -> anyhow::Result<Self> {
+        let get = |key: &str| metadata.get(key).cloned().unwrap_or_default();
+        let Some(prefix) = metadata.get("prefix").cloned() else {
+            bail!("{}: holds no metadata of ours, so nothing tells how to re-run it; use analyze", path.display());
+        };
+        let text = get("config");
+        let config = if text.is_empty() {
+            Config::with_prefix(&prefix)
+        } else {
+            Config::parse(&text)
+                .map_err(|faults| anyhow!("{}: its configuration: {}", path.display(), crate::cli::list(&faults)))?
+        };
+        Ok(Self {
+            prefix,
+            version: get("version"),
+            config_hash: get("config_hash"),
+            config,
+            previous: get("previous"),
+            lost_before: get("lost_before").parse().unwrap_or(0),
+            has_results: matches!(get("origin").as_str(), "run" | "demo" | "simulate"),
+        })
+    }
+}
+
+/// The files of a folder or the one file given, as chains: each inner list is one shard of one run, oldest first.
+///
+/// # Errors
+/// Nothing there is a recording.
+pub fn chains_of(input: &Path) -> anyhow::Result<Vec<Vec<PathBuf>>> {
+    if !input.is_dir() {
+        return Ok(vec![vec![input.to_owned()]]);
+    }
+    let mut files = Vec::new();
+    let entries = std::fs::read_dir(input).with_context(|| input.display().to_string())?;
+    for path in entries.flatten().map(|e| e.path()).filter(|p| p.is_file() && is_recording(p)) {
+        let reader = RecordingReader::open(&path)?;
+        if let Some(file) = RunFile::of(&path, reader.metadata()) {
+            files.push(file);
+        } else {
+            tracing::warn!(file = %path.display(), "no recording of ours: left out");
+        }
+    }
+    if files.is_empty() {
+        bail!("{}: holds no recordings", input.display());
+    }
+    files.sort_by(|a, b| (a.started_ns, &a.run_id, a.shard, a.index).cmp(&(b.started_ns, &b.run_id, b.shard, b.index)));
+    let chains = files.chunk_by(|a, b| (&a.run_id, a.shard) == (&b.run_id, b.shard));
+    Ok(chains.map(|chain| chain.iter().map(|f| f.path.clone()).collect()).collect())
+}
+
+/// The states at the head of a file: loop and greatest source time.
+fn heads(path: &Path, prefix: &str) -> anyhow::Result<BTreeMap<String, Option<i64>>> {
+    let mut reader = RecordingReader::open(path)?;
+    let mut heads = BTreeMap::new();
+    while let Some(message) = reader.next_message()? {
+        let Some(topic) = Topic::parse(Some(prefix), message.topic()) else { continue };
+        if topic.leaf != Leaf::Document(Kind::State) {
+            break;
+        }
+        let state: StateDocument = serde_json::from_slice(message.data).context("a recorded state cannot be read")?;
+        heads.insert(state.loop_name, state.checkpoint.stream.and_then(|s| s.greatest_ns()));
+    }
+    Ok(heads)
+}
+
+/// The files that must be read before `path` so that its windows are complete, oldest first, `path` last.
+///
+/// # Errors
+/// Names the file that is gone.
+pub fn files_needed(path: &Path, metadata: &RunMetadata) -> anyhow::Result<Vec<PathBuf>> {
+    let own = heads(path, &metadata.prefix)?;
+    let windows = metadata.config.loops.iter().map(|l| l.window).chain([metadata.config.window]);
+    let reach_s = windows.map(|w| 1.05 * w.max_window_s + 2.0 * w.hop_s + w.lateness_s).fold(0.0, f64::max);
+    let reach_ns = crate::units::ns_from_s(reach_s);
+    let mut files = vec![path.to_owned()];
+    let mut previous = metadata.previous.clone();
+    while !previous.is_empty() {
+        let folder = path.parent().unwrap_or(Path::new("."));
+        let whole = folder.join(&previous);
+        let part = folder.join(format!("{previous}.part"));
+        let Some(file) = [whole.clone(), part].into_iter().find(|p| p.exists()) else {
+            bail!("{}: missing; the windows of {} reach back into it", whole.display(), path.display());
+        };
+        let earlier = heads(&file, &metadata.prefix)?;
+        let far_enough = own.iter().filter_map(|(name, greatest)| greatest.map(|g| (name, g))).all(|(name, greatest)| {
+            earlier.get(name).copied().flatten().is_some_and(|g| greatest.saturating_sub(g) >= reach_ns)
+        });
+        previous = RecordingReader::open(&file)?.metadata().get("previous").cloned().unwrap_or_default();
+        files.push(file);
+        if far_enough {
+            break;
+        }
+    }
+    files.reverse();
+    Ok(files)
+}
+
+/// How one file's replay went.
+#[derive(Debug, Default)]
+pub struct FileReport {
+    /// Documents made while its messages were taken.
+    pub outputs: Vec<Output>,
+    /// Documents compared with recorded ones.
+    pub compared: usize,
+    /// The first difference.
+    pub difference: Option<String>,
+    /// Why the file is not whole, if it is not.
+    pub cut: Option<String>,
+}
+
+/// Takes a whole file. With `verify` every estimate and alarm is compared with the recorded one.
+///
+/// # Errors
+/// The file cannot be read, or a message is not what its topic says.
+pub fn replay_file(
+    replay: &mut Replay,
+    path: &Path,
+    prefix: &str,
+    first: bool,
+    verify: bool,
+) -> anyhow::Result<FileReport> {
+    let mut reader = RecordingReader::open(path)?;
+    let mut report = FileReport::default();
+    let mut made: HashMap<(String, Kind), VecDeque<Vec<u8>>> = HashMap::new();
+    let mut fresh = Vec::new();
+    while let Some(message) = reader.next_message()? {
+        let Some(topic) = Topic::parse(Some(prefix), message.topic()) else { continue };
+        if topic.leaf == Leaf::Document(Kind::State) {
+            let head = serde_json::from_slice::<StateDocument>(message.data).is_ok_and(|s| s.window_end_ns.is_none());
+            if head {
+                replay.take_head(message.data, first)?;
+            }
+            continue;
+        }
+        replay.take(&topic, message.data, &mut fresh).with_context(|| format!("{}: {topic}", path.display()))?;
+        for output in fresh.drain(..) {
+            if verify {
+                made.entry((output.loop_name.clone(), output.kind)).or_default().push_back(output.json.clone());
+            }
+            report.outputs.push(output);
+        }
+        if let (true, Leaf::Document(kind @ (Kind::Estimate | Kind::Alarm)), None) =
+            (verify, topic.leaf, &report.difference)
+        {
+            let again = made.get_mut(&(topic.loop_name.to_owned(), kind)).and_then(VecDeque::pop_front);
+            report.compared += 1;
+            report.difference = difference(&topic, message.data, again.as_deref());
+        }
+    }
+    if let Some(End::Cut { reason } | End::Damaged { reason }) = reader.end() {
+        report.cut = Some(reason.clone());
+    }
+    let left = made.iter().find(|(_, documents)| !documents.is_empty());
+    if let (Some(((name, kind), documents)), None, None) = (left, &report.difference, &report.cut) {
+        let text = String::from_utf8_lossy(&documents[0]).into_owned();
+        report.difference = Some(format!("{name} {}: replay makes one that was not recorded: {text}", kind.name()));
+    }
+    Ok(report)
+}
+
+fn difference(topic: &Topic<'_>, recorded: &[u8], again: Option<&[u8]>) -> Option<String> {
+    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+    match again {
+        Some(again) if again == recorded => None,
+        Some(again) => Some(format!("{topic}: recorded\n  {}\nreplayed\n  {}", text(recorded), text(again))),
+        None => Some(format!("{topic}: recorded but not made by replay:\n  {}", text(recorded))),
+    }
+}

@@ -1,0 +1,90 @@
+//! Which loop and signal a key means: mapped keys first, then everything below the prefix.
+
+use std::collections::HashMap;
+
+use crate::config::Config;
+use crate::codec::topic;
+use crate::engine::{Engine, LoopId};
+use crate::record::Signal;
+
+/// Keys that are remembered as meaning nothing; beyond that they are looked at anew each time.
+const IGNORED_LIMIT: usize = 100_000;
+
+/// What a key means.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Route {
+    /// A signal of a loop.
+    To(LoopId, Signal),
+    /// No signal.
+    Foreign,
+    /// A loop that is not configured, or one too many.
+    Refused,
+}
+
+/// The table of keys, learnt as they appear.
+#[derive(Debug)]
+pub struct Routes {
+    prefix: String,
+    discover: bool,
+    mapped: HashMap<String, (String, Signal)>,
+    known: HashMap<Box<str>, Route>,
+}
+
+impl Routes {
+    /// The routes that a configuration fixes.
+    #[must_use]
+    pub fn new(config: &Config) -> Self {
+        let mapped = config
+            .loops
+            .iter()
+            .flat_map(|l| l.keys.iter().map(|(signal, key)| (key.clone(), (l.name.clone(), *signal))))
+            .collect();
+        Self { prefix: config.site.prefix.clone(), discover: config.input.discover, mapped, known: HashMap::new() }
+    }
+
+    /// The route of a key; a loop that is new appears.
+    pub fn of(&mut self, key: &str, engine: &mut Engine) -> Route {
+        if let Some(route) = self.known.get(key) {
+            return *route;
+        }
+        let meant = self.mapped.get(key).map(|(name, signal)| (name.as_str(), *signal));
+        let route = match meant.or_else(|| topic::parse_raw(&self.prefix, key)) {
+            None => Route::Foreign,
+            Some((name, _)) if !self.discover && engine.config().loop_named(name).is_none() => Route::Refused,
+            Some((name, signal)) => engine.appear(name).map_or(Route::Refused, |id| Route::To(id, signal)),
+        };
+        if matches!(route, Route::To(..)) || self.known.len() < IGNORED_LIMIT {
+            self.known.insert(key.into(), route);
+        }
+        route
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn setup(text: &str) -> (Engine, Routes) {
+        let config = Config::parse(text).unwrap();
+        let routes = Routes::new(&config);
+        (Engine::new(config), routes)
+    }
+
+    #[test]
+    fn loops_are_discovered_below_the_prefix() {
+        let (mut engine, mut routes) = setup("[site]\nprefix = \"p\"\n[input]\nmax_loops = 1\n");
+        let Route::To(id, Signal::Op) = routes.of("p/A/op", &mut engine) else { panic!() };
+        assert_eq!(routes.of("p/A/pv", &mut engine), Route::To(id, Signal::Pv));
+        assert_eq!(routes.of("p/A/temperature", &mut engine), Route::Foreign);
+        assert_eq!(routes.of("p/B/op", &mut engine), Route::Refused);
+    }
+
+    #[test]
+    fn foreign_keys_are_mapped_and_nothing_else_is_taken_without_discovery() {
+        let text = "[site]\nprefix = \"p\"\n[input]\ndiscover = false\n[[loop]]\nname = \"A\"\nop = \"gw/A.MV\"\n";
+        let (mut engine, mut routes) = setup(text);
+        assert!(matches!(routes.of("gw/A.MV", &mut engine), Route::To(_, Signal::Op)));
+        assert!(matches!(routes.of("p/A/pv", &mut engine), Route::To(_, Signal::Pv)));
+        assert_eq!(routes.of("p/B/pv", &mut engine), Route::Refused);
+    }
+}

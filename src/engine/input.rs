@@ -1,0 +1,51 @@
+//! What else stands in a recording: inputs that came from outside the samples, and the states that a file starts with.
+
+use serde::{Deserialize, Serialize};
+
+use super::{Checkpoint, SkipReason};
+use crate::alarm::Command;
+
+/// Schema name of a recorded input.
+pub const INPUT_SCHEMA: &str = "stictiond.input.v1";
+/// Schema name of a recorded state.
+pub const STATE_SCHEMA: &str = "stictiond.state.v1";
+
+/// What outside time or people brought into a run; replay obeys it.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+pub enum RecordedInput {
+    /// A due window that got no fit.
+    Skip {
+        /// The window's name.
+        window_end_ns: i64,
+        /// Its place among the loop's windows.
+        seq: u64,
+        /// Why.
+        reason: SkipReason,
+    },
+    /// A person's command, taken here.
+    Command(Command),
+}
+
+/// A loop's state at a place in a recording.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct StateDocument {
+    /// [`STATE_SCHEMA`].
+    pub schema: String,
+    /// The loop's name.
+    #[serde(rename = "loop")]
+    pub loop_name: String,
+    /// The window after which it holds; null at the start of a file.
+    pub window_end_ns: Option<i64>,
+    /// The state.
+    #[serde(flatten)]
+    pub checkpoint: Checkpoint,
+}
+
+impl StateDocument {
+    /// A state, named.
+    #[must_use]
+    pub fn new(loop_name: &str, window_end_ns: Option<i64>, checkpoint: Checkpoint) -> Self {
+        Self { schema: STATE_SCHEMA.to_owned(), loop_name: loop_name.to_owned(), window_end_ns, checkpoint }
+    }
+}

@@ -1,0 +1,172 @@
+//! One loop: aligner, history, due windows, answers in order, alarm.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+use super::windowing::choose_record;
+use super::{Checkpoint, Event, LoopFigures, LoopId, LoopSettings, Request, StateDocument, StreamState};
+use crate::alarm::{Alarm, AlarmDocument, Command, CommandError, State};
+use crate::record::{Record, Sample};
+use crate::signal::align::{Aligned, Aligner};
+use crate::signal::history::History;
+use crate::units::ns_from_s;
+use crate::verdict::{Assessment, EstimateDocument, Gate, Oscillation, Window};
+
+/// A window on its way: what its document needs even without an answer, and the answer once it came.
+#[derive(Debug)]
+struct Waiting {
+    seq: u64,
+    window: Window,
+    answer: Option<Assessment>,
+}
+
+#[derive(Debug)]
+pub(super) struct Loop {
+    pub name: Arc<str>,
+    pub settings: Arc<LoopSettings>,
+    pub alarm: Alarm,
+    aligner: Aligner,
+    history: History,
+    /// End of the window under way: the first multiple of the hop at or after the last sample taken.
+    next_end_ns: Option<i64>,
+    windows: u64,
+    waiting: VecDeque<Waiting>,
+}
+
+impl Loop {
+    pub fn new(name: Arc<str>, settings: Arc<LoopSettings>) -> Self {
+        Self {
+            name,
+            alarm: Alarm::default(),
+            aligner: Aligner::new(),
+            history: History::new(settings.window.max_points),
+            next_end_ns: None,
+            windows: 0,
+            waiting: VecDeque::new(),
+            settings,
+        }
+    }
+
+    pub fn push(&mut self, id: LoopId, sample: Sample, out: &mut Vec<Event>) {
+        let settings = self.settings.clone();
+        self.aligner.push(sample, &settings.align);
+        let keep_ns = ns_from_s(settings.window.max_window_s);
+        while let Some(t_ns) = self.aligner.next_ready_ns(&settings.align) {
+            self.enter_hop(id, t_ns, out);
+            let history = &mut self.history;
+            self.aligner.take_next(&settings.align, &mut |aligned| match aligned {
+                Aligned::Point(point) => history.push(&point, point.t_ns.saturating_sub(keep_ns)),
+                Aligned::Break => history.clear(),
+            });
+        }
+        // The window is over once the loop's clock has passed its end and nothing of it waits for its place.
+        if let (Some(end_ns), Some(now_ns)) = (self.next_end_ns, self.aligner.event_time_ns(&settings.align))
+            && now_ns >= end_ns
+            && self.aligner.waiting_ns().is_none_or(|t| t > end_ns)
+        {
+            self.due(id, end_ns, out);
+            self.next_end_ns = None;
+        }
+    }
+
+    /// Closes the window that a sample leaves behind and opens the one it falls into. Hops without a sample have no
+    /// window: an outage of years would otherwise make thousands of empty documents.
+    fn enter_hop(&mut self, id: LoopId, t_ns: i64, out: &mut Vec<Event>) {
+        let hop_ns = ns_from_s(self.settings.window.hop_s).max(1);
+        if let Some(end_ns) = self.next_end_ns {
+            if t_ns > end_ns {
+                self.due(id, end_ns, out);
+                self.next_end_ns = None;
+            } else if t_ns <= end_ns.saturating_sub(hop_ns) {
+                // The clock was set back.
+                self.next_end_ns = None;
+            }
+        }
+        if self.next_end_ns.is_none() {
+            let end = t_ns.div_euclid(hop_ns).saturating_mul(hop_ns);
+            self.next_end_ns = Some(if end == t_ns { end } else { end.saturating_add(hop_ns) });
+        }
+    }
+
+    /// A window is due: its record leaves as a request.
+    fn due(&mut self, id: LoopId, end_ns: i64, out: &mut Vec<Event>) {
+        let mut record = choose_record(&self.history, &self.settings.window, end_ns).unwrap_or_else(|| Record {
+            start_ns: end_ns,
+            end_ns,
+            ..Record::uniform(self.aligner.sampling_time_s().unwrap_or(0.0), Vec::new(), Vec::new())
+        });
+        record.facts.bad += u32::from(self.aligner.bad_since_last_point());
+        let (seq, window) = (self.windows, Window::of(&record));
+        self.windows += 1;
+        self.waiting.push_back(Waiting { seq, window, answer: None });
+        out.push(Event::Request(Box::new(Request { id, seq, end_ns, record, settings: self.settings.clone() })));
+    }
+
+    /// Takes an answer (or none) and consumes all that are next in order.
+    pub fn resolve(&mut self, id: LoopId, seq: u64, answer: Option<Assessment>, hash: &str, out: &mut Vec<Event>) {
+        let Some(waiting) = self.waiting.iter_mut().find(|w| w.seq == seq) else { return };
+        waiting.answer = Some(answer.unwrap_or_else(|| skipped(waiting.window)));
+        while self.waiting.front().is_some_and(|w| w.answer.is_some()) {
+            if let Some(assessment) = self.waiting.pop_front().and_then(|w| w.answer) {
+                self.consume(id, assessment, hash, out);
+            }
+        }
+    }
+
+    fn consume(&mut self, id: LoopId, assessment: Assessment, hash: &str, out: &mut Vec<Event>) {
+        let change = self.alarm.window(&self.name, &assessment, &self.settings.alarm);
+        let end_ns = assessment.window.end_ns;
+        out.push(Event::Estimate(id, Box::new(EstimateDocument::new(&self.name, hash, assessment))));
+        if let Some(document) = change {
+            out.push(Event::Alarm(id, document));
+        }
+        let checkpoint = Checkpoint { alarm: self.alarm.clone(), stream: None };
+        out.push(Event::State(id, Box::new(StateDocument::new(&self.name, Some(end_ns), checkpoint))));
+    }
+
+    pub fn waiting(&self) -> impl Iterator<Item = (u64, i64)> + '_ {
+        self.waiting.iter().filter(|w| w.answer.is_none()).map(|w| (w.seq, w.window.end_ns))
+    }
+
+    pub fn command(&mut self, command: &Command) -> Result<AlarmDocument, CommandError> {
+        let at_ns = self.aligner.event_time_ns(&self.settings.align).unwrap_or(0);
+        self.alarm.command(&self.name, command, at_ns)
+    }
+
+    pub fn checkpoint(&self) -> Checkpoint {
+        let stream = StreamState {
+            aligner: self.aligner.clone(),
+            points: self.history.total(),
+            next_end_ns: self.next_end_ns,
+            windows: self.windows,
+        };
+        Checkpoint { alarm: self.alarm.clone(), stream: Some(stream) }
+    }
+
+    pub fn restore(&mut self, checkpoint: Checkpoint) -> Option<AlarmDocument> {
+        self.alarm = checkpoint.alarm;
+        if let Some(stream) = checkpoint.stream {
+            self.history = History::resumed(self.settings.window.max_points, stream.points);
+            self.aligner = stream.aligner;
+            self.next_end_ns = stream.next_end_ns;
+            self.windows = stream.windows;
+        }
+        (self.alarm.state != State::Normal).then(|| self.alarm.restored(&self.name))
+    }
+
+    pub fn figures(&self) -> LoopFigures {
+        LoopFigures {
+            counts: *self.aligner.counts(),
+            greatest_ns: self.aligner.greatest_ns(),
+            windows: self.windows,
+            waiting: self.waiting.len(),
+        }
+    }
+}
+
+/// The answer to a window whose fit was not done.
+fn skipped(window: Window) -> Assessment {
+    let oscillation =
+        Oscillation { oscillating: false, period_s: None, periods: None, samples_per_period: None, regularity: None };
+    Assessment { gates: vec![Gate::Skipped], ..Assessment::empty(window, oscillation) }
+}

@@ -1,0 +1,283 @@
+//! The core of the daemon: one state machine per loop, told the time and handed the data.
+//!
+//! [`Engine::push`] takes a sample, [`Engine::complete`] the answer to a request, [`Engine::command`] a person's wish;
+//! each puts [`Event`]s out. There is no clock, thread or file below here, and no fit is run inline: a due window
+//! leaves as a [`Request`] that holds its record, and whoever drives the engine computes it. Answers are consumed per
+//! loop in the order of the windows, so everything after them depends on that order and on event time alone.
+
+mod input;
+mod looper;
+mod windowing;
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
+
+use crate::alarm::{Alarm, AlarmDocument, Command, CommandError};
+use crate::config::{AlarmParams, Config, LoopConfig, WindowParams};
+use crate::record::{Record, Sample};
+use crate::signal::align::{AlignCounts, AlignParams, Aligner, Quality};
+use crate::units::ns_from_s;
+use crate::verdict::{AssessParams, Assessment, EstimateDocument, assess};
+use looper::Loop;
+
+pub use input::{INPUT_SCHEMA, RecordedInput, STATE_SCHEMA, StateDocument};
+pub use windowing::section;
+
+/// Handle of a loop in one engine.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct LoopId(u32);
+
+impl LoopId {
+    /// Position in the order in which loops appeared.
+    #[must_use]
+    pub const fn index(self) -> usize {
+        self.0 as usize
+    }
+}
+
+/// Settings of a loop, shared by all loops that say nothing of their own.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LoopSettings {
+    /// How its signals are joined.
+    pub align: AlignParams,
+    /// Its windows.
+    pub window: WindowParams,
+    /// Its alarm.
+    pub alarm: AlarmParams,
+    /// Its estimates.
+    pub assess: AssessParams,
+}
+
+impl LoopSettings {
+    /// The settings that a configuration gives to a loop.
+    #[must_use]
+    pub fn of(config: &Config, own: Option<&LoopConfig>) -> Self {
+        let (window, alarm) = own.map_or((config.window, config.alarm), |l| (l.window, l.alarm));
+        Self {
+            align: AlignParams {
+                lateness_ns: ns_from_s(window.lateness_s),
+                max_gap_s: window.max_gap_s,
+                quality: if config.input.quality == "classic" { Quality::Classic } else { Quality::Ua },
+                modes: config.input.modes.clone(),
+            },
+            assess: AssessParams {
+                min_periods: window.min_periods,
+                min_samples_per_period: window.min_samples_per_period,
+                op_range: own.and_then(|l| l.op_range),
+                ..AssessParams::default()
+            },
+            window,
+            alarm,
+        }
+    }
+}
+
+/// A due window that waits for its estimate.
+#[derive(Debug, Clone)]
+pub struct Request {
+    /// Its loop.
+    pub id: LoopId,
+    /// Its place among the loop's windows; the key to hand the answer back with.
+    pub seq: u64,
+    /// The window's name: its end, ns.
+    pub end_ns: i64,
+    /// What the estimate is made from.
+    pub record: Record,
+    /// How.
+    pub settings: Arc<LoopSettings>,
+}
+
+impl Request {
+    /// Computes the answer. Depends on the request alone.
+    #[must_use]
+    pub fn compute(&self) -> Assessment {
+        assess(&self.record, &self.settings.assess)
+    }
+}
+
+/// What the engine puts out, in order.
+#[derive(Debug, Clone)]
+pub enum Event {
+    /// Compute this and hand the answer back.
+    Request(Box<Request>),
+    /// An estimate to publish and record.
+    Estimate(LoopId, Box<EstimateDocument>),
+    /// A change of an alarm to publish, record and log.
+    Alarm(LoopId, AlarmDocument),
+    /// The alarm's memory after a window, to record.
+    State(LoopId, Box<StateDocument>),
+}
+
+/// Why a due window got no fit.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SkipReason {
+    /// The machine was too busy.
+    QueueFull,
+    /// The daemon stopped before the fit was done.
+    Shutdown,
+}
+
+/// Figures of a loop for health documents.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LoopFigures {
+    /// What was dropped or put in.
+    pub counts: AlignCounts,
+    /// Greatest source time, ns.
+    pub greatest_ns: Option<i64>,
+    /// Windows that came due.
+    pub windows: u64,
+    /// Windows that wait for their answer.
+    pub waiting: usize,
+}
+
+/// Everything a loop needs to go on in another file, but for its history: see [`Engine::checkpoint`].
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Checkpoint {
+    /// The alarm and its memory.
+    pub alarm: Alarm,
+    /// Samples on their way into the history, and what is held. Absent at the start of a run.
+    pub stream: Option<StreamState>,
+}
+
+/// Where a loop's stream of points stands.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct StreamState {
+    aligner: Aligner,
+    points: u64,
+    next_end_ns: Option<i64>,
+    windows: u64,
+}
+
+impl StreamState {
+    /// The loop's greatest source time when the checkpoint was made, ns.
+    #[must_use]
+    pub const fn greatest_ns(&self) -> Option<i64> {
+        self.aligner.greatest_ns()
+    }
+}
+
+/// All loops of a daemon.
+#[derive(Debug)]
+pub struct Engine {
+    config: Arc<Config>,
+    config_hash: String,
+    common: Arc<LoopSettings>,
+    loops: Vec<Loop>,
+    by_name: HashMap<Arc<str>, LoopId>,
+}
+
+impl Engine {
+    /// An engine without loops; the configured ones appear with their first sample, as discovered ones do.
+    #[must_use]
+    pub fn new(config: Config) -> Self {
+        let common = Arc::new(LoopSettings::of(&config, None));
+        let config_hash = config.hash();
+        Self { config: Arc::new(config), config_hash, common, loops: Vec::new(), by_name: HashMap::new() }
+    }
+
+    /// The configuration that it runs under.
+    #[must_use]
+    pub fn config(&self) -> &Config {
+        &self.config
+    }
+
+    /// The configuration's hash, as documents carry it.
+    #[must_use]
+    pub fn config_hash(&self) -> &str {
+        &self.config_hash
+    }
+
+    /// Every loop's handle, in order of appearance.
+    pub fn ids(&self) -> impl ExactSizeIterator<Item = LoopId> + use<> {
+        (0..self.loops.len()).map(|index| LoopId(index as u32))
+    }
+
+    /// A loop's name.
+    #[must_use]
+    pub fn name(&self, id: LoopId) -> &Arc<str> {
+        &self.loops[id.index()].name
+    }
+
+    /// The handle of a loop that has appeared.
+    #[must_use]
+    pub fn find(&self, name: &str) -> Option<LoopId> {
+        self.by_name.get(name).copied()
+    }
+
+    /// The handle of a loop, which appears now if it is new; `None` beyond `max_loops`.
+    pub fn appear(&mut self, name: &str) -> Option<LoopId> {
+        if let Some(id) = self.find(name) {
+            return Some(id);
+        }
+        if self.loops.len() >= self.config.input.max_loops {
+            return None;
+        }
+        let own = self.config.loop_named(name);
+        let settings = own.map_or_else(|| self.common.clone(), |l| Arc::new(LoopSettings::of(&self.config, Some(l))));
+        let id = LoopId(self.loops.len() as u32);
+        let name: Arc<str> = name.into();
+        self.loops.push(Loop::new(name.clone(), settings));
+        self.by_name.insert(name, id);
+        Some(id)
+    }
+
+    /// Takes one sample of a loop.
+    pub fn push(&mut self, id: LoopId, sample: Sample, out: &mut Vec<Event>) {
+        self.loops[id.index()].push(id, sample, out);
+    }
+
+    /// Takes the answer to a request.
+    pub fn complete(&mut self, id: LoopId, seq: u64, assessment: Assessment, out: &mut Vec<Event>) {
+        self.loops[id.index()].resolve(id, seq, Some(assessment), &self.config_hash, out);
+    }
+
+    /// Gives a due window up. Its document says so; the recording must hold the skip as an input.
+    pub fn skip(&mut self, id: LoopId, seq: u64, out: &mut Vec<Event>) {
+        self.loops[id.index()].resolve(id, seq, None, &self.config_hash, out);
+    }
+
+    /// Windows of a loop that wait for their answers, oldest first: place and name.
+    pub fn waiting(&self, id: LoopId) -> impl Iterator<Item = (u64, i64)> + '_ {
+        self.loops[id.index()].waiting()
+    }
+
+    /// Carries out a person's command.
+    ///
+    /// # Errors
+    /// [`CommandError`] where the command is unknown or does not fit the alarm's state.
+    pub fn command(&mut self, id: LoopId, command: &Command) -> Result<AlarmDocument, CommandError> {
+        self.loops[id.index()].command(command)
+    }
+
+    /// The state to write at the start of a file.
+    #[must_use]
+    pub fn checkpoint(&self, id: LoopId) -> Checkpoint {
+        self.loops[id.index()].checkpoint()
+    }
+
+    /// Takes a state over: the alarm always, the stream where the checkpoint holds one.
+    /// Gives back the alarm's document where it is not at rest.
+    pub fn restore(&mut self, id: LoopId, checkpoint: Checkpoint) -> Option<AlarmDocument> {
+        self.loops[id.index()].restore(checkpoint)
+    }
+
+    /// Takes over the alarm alone, as at the start of the file that is verified.
+    pub fn restore_alarm(&mut self, id: LoopId, alarm: Alarm) {
+        self.loops[id.index()].alarm = alarm;
+    }
+
+    /// A loop's settings.
+    #[must_use]
+    pub fn settings(&self, id: LoopId) -> &Arc<LoopSettings> {
+        &self.loops[id.index()].settings
+    }
+
+    /// A loop's figures.
+    #[must_use]
+    pub fn figures(&self, id: LoopId) -> LoopFigures {
+        self.loops[id.index()].figures()
+    }
+}

@@ -1,0 +1,360 @@
+//! The recorder: raw samples and results into MCAP files, in the order in which the engine took them.
+//!
+//! A thread of its own behind a bounded queue. The engine waits a little for a place, because a recording that misses
+//! something cannot be replayed; a disk that hangs longer costs recordings, counted, never alarms. Loops are spread
+//! over files side by side, [`LOOPS_PER_FILE`] to a file; each such *shard* is a recording of its own.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
+
+use crate::codec::encode_recorded;
+use crate::codec::topic::{self, Kind};
+use crate::config::Recording;
+use crate::daemon::clock::now_ns;
+use crate::daemon::metrics::Metrics;
+use crate::engine::LoopId;
+use crate::files::mcap_write::RecordingFile;
+use crate::record::{Sample, Signal};
+
+/// Messages that may wait for the disk.
+pub const QUEUE: usize = 65_536;
+/// Loops in one file: with at most ten channels a loop this stays within what a file may hold.
+pub const LOOPS_PER_FILE: usize = 1000;
+/// How long the engine waits for a place in the queue before it goes on without.
+const PATIENCE: Duration = Duration::from_secs(2);
+/// Pause after an error of the disk before the next file is tried.
+const RETRY: Duration = Duration::from_secs(5);
+
+/// What the engine hands to the recorder.
+#[derive(Debug)]
+pub enum Item {
+    /// Close the shard's file, if one is open, and open the next, which starts with these states.
+    Open {
+        /// Which shard.
+        shard: usize,
+        /// Loop names and state documents.
+        states: Vec<(Arc<str>, Vec<u8>)>,
+    },
+    /// A sample as it was taken.
+    Raw {
+        /// Its loop.
+        id: LoopId,
+        /// The loop's name.
+        name: Arc<str>,
+        /// The sample.
+        sample: Sample,
+        /// When it arrived, ns.
+        arrival_ns: i64,
+    },
+    /// A document.
+    Document {
+        /// Its loop.
+        id: LoopId,
+        /// The loop's name.
+        name: Arc<str>,
+        /// What it is.
+        kind: Kind,
+        /// Its JSON.
+        json: Vec<u8>,
+        /// Event time, ns.
+        event_ns: i64,
+    },
+}
+
+/// Which file a loop is recorded in.
+#[must_use]
+pub const fn shard_of(id: LoopId) -> usize {
+    id.index() / LOOPS_PER_FILE
+}
+
+/// What all files of a run say of themselves.
+#[derive(Debug, Clone)]
+pub struct RunInfo {
+    /// First chunks of every topic.
+    pub prefix: String,
+    /// Names the run.
+    pub run_id: String,
+    /// When it started, ns.
+    pub started_ns: i64,
+    /// What made it: `run`, `demo`, `simulate`.
+    pub origin: &'static str,
+    /// The configuration's text.
+    pub config_text: String,
+    /// Its hash.
+    pub config_hash: String,
+    /// Its mapped loops, as JSON.
+    pub loop_map: String,
+}
+
+impl RunInfo {
+    /// The metadata of one file.
+    #[must_use]
+    pub fn metadata(&self, shard: usize, file_index: u32, previous: &str, lost: u64) -> BTreeMap<String, String> {
+        BTreeMap::from(
+            [
+                ("prefix", self.prefix.clone()),
+                ("version", crate::VERSION.to_owned()),
+                ("config", self.config_text.clone()),
+                ("config_hash", self.config_hash.clone()),
+                ("loop_map", self.loop_map.clone()),
+                ("run_id", self.run_id.clone()),
+                ("started_ns", self.started_ns.to_string()),
+                ("origin", self.origin.to_owned()),
+                ("shard", shard.to_string()),
+                ("file_index", file_index.to_string()),
+                ("previous", previous.to_owned()),
+                ("lost_before", lost.to_string()),
+            ]
+            .map(|(k, v)| (k.to_owned(), v)),
+        )
+    }
+
+    /// The name of one file, without its ending.
+    #[must_use]
+    pub fn stem(&self, shard: usize, file_index: u32) -> String {
+        let stamp: String = crate::units::format_rfc3339(self.started_ns).chars().filter(char::is_ascii_digit).collect();
+        let stamp = &stamp[..stamp.len().min(14)];
+        format!("{}-{stamp}-{}-s{shard}-{file_index:05}", self.prefix.replace('/', "_"), self.run_id)
+    }
+}
+
+/// The engine's end of the recorder.
+pub struct Recorder {
+    queue: Sender<Item>,
+    /// Shards that want a new file.
+    pub rotations: Receiver<usize>,
+    metrics: Arc<Metrics>,
+    /// The queue was full for long: nothing waits until it has drained.
+    overrun: bool,
+}
+
+impl Recorder {
+    /// Starts the thread. It finishes its files when the `Recorder` is dropped.
+    ///
+    /// # Errors
+    /// The system refuses a thread.
+    pub fn start(run: RunInfo, settings: Recording, metrics: Arc<Metrics>) -> std::io::Result<(Self, JoinHandle<()>)> {
+        let (queue, items) = crossbeam_channel::bounded(QUEUE);
+        let (wanted, rotations) = crossbeam_channel::unbounded();
+        let mut writer = Writer {
+            run,
+            dir: PathBuf::from(&settings.dir),
+            max_bytes: settings.max_bytes,
+            max_age: Duration::from_secs_f64(settings.max_s),
+            shards: Vec::new(),
+            wanted,
+            metrics: metrics.clone(),
+            lost: 0,
+            json: Vec::new(),
+            last_arrival_ns: 0,
+        };
+        let flush = Duration::from_secs_f64(settings.flush_s);
+        let thread = std::thread::Builder::new().name("record".into()).spawn(move || writer.run_until_closed(&items, flush))?;
+        Ok((Self { queue, rotations, metrics, overrun: false }, thread))
+    }
+
+    /// Hands one item over, waiting a little for a place.
+    pub fn record(&mut self, item: Item) {
+        let lost = if self.overrun {
+            self.queue.try_send(item).is_err()
+        } else {
+            self.queue.send_timeout(item, PATIENCE).is_err()
+        };
+        if lost {
+            if !self.overrun {
+                tracing::error!("the recorder cannot keep up: recordings miss data until the disk answers again");
+            }
+            self.overrun = true;
+            self.metrics.recording_lost.inc();
+        } else if self.overrun && self.queue.len() < QUEUE / 2 {
+            self.overrun = false;
+        }
+    }
+
+    /// Items that wait.
+    #[must_use]
+    pub fn waiting(&self) -> usize {
+        self.queue.len()
+    }
+}
+
+/// One shard's open file.
+struct Shard {
+    file: Option<RecordingFile>,
+    index: u32,
+    previous: String,
+    opened: Instant,
+    asked: bool,
+    retry_at: Option<Instant>,
+    topics: BTreeMap<(u32, Kind, Option<Signal>), String>,
+}
+
+struct Writer {
+    run: RunInfo,
+    dir: PathBuf,
+    max_bytes: u64,
+    max_age: Duration,
+    shards: Vec<Shard>,
+    wanted: Sender<usize>,
+    metrics: Arc<Metrics>,
+    lost: u64,
+    json: Vec<u8>,
+    last_arrival_ns: i64,
+}
+
+impl Writer {
+    fn run_until_closed(&mut self, items: &Receiver<Item>, flush: Duration) {
+        let mut flushed = Instant::now();
+        loop {
+            let wait = flush.saturating_sub(flushed.elapsed());
+            match items.recv_timeout(wait) {
+                Ok(item) => self.take(item),
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => break,
+            }
+            if flushed.elapsed() >= flush {
+                self.tend();
+                flushed = Instant::now();
+            }
+        }
+        for shard in 0..self.shards.len() {
+            self.close(shard);
+        }
+    }
+
+    fn take(&mut self, item: Item) {
+        match item {
+            Item::Open { shard, states } => self.open(shard, &states),
+            Item::Raw { id, name, sample, arrival_ns } => {
+                let mut json = std::mem::take(&mut self.json);
+                json.clear();
+                encode_recorded(&sample, &mut json);
+                self.last_arrival_ns = arrival_ns;
+                let kind = Kind::of_signal(sample.signal);
+                self.write(id, &name, (kind, Some(sample.signal)), arrival_ns, sample.t_ns, &json);
+                self.json = json;
+            }
+            Item::Document { id, name, kind, json, event_ns } => {
+                // Documents follow from samples: they carry the arrival of the newest, so stamps stay in order.
+                let arrival = self.last_arrival_ns;
+                self.write(id, &name, (kind, None), arrival, event_ns, &json);
+            }
+        }
+    }
+
+    fn write(
+        &mut self,
+        id: LoopId,
+        name: &str,
+        what: (Kind, Option<Signal>),
+        arrival_ns: i64,
+        event_ns: i64,
+        json: &[u8],
+    ) {
+        let index = shard_of(id);
+        let prefix = &self.run.prefix;
+        let Some(shard) = self.shards.get_mut(index) else { return self.lose(1) };
+        let Some(file) = &mut shard.file else { return self.lose(1) };
+        let topic = shard.topics.entry((id.index() as u32, what.0, what.1)).or_insert_with(|| match what.1 {
+            Some(signal) => topic::raw(prefix, name, signal),
+            None => topic::result(prefix, name, what.0),
+        });
+        match file.write(topic, what.0, arrival_ns, event_ns, json) {
+            Ok(()) => {
+                self.metrics.recorded.inc();
+            }
+            Err(error) => {
+                self.lose(1);
+                self.fail(index, &error.to_string());
+            }
+        }
+    }
+
+    fn lose(&mut self, n: u64) {
+        self.lost += n;
+        self.metrics.recording_lost.inc_by(n);
+    }
+
+    fn fail(&mut self, index: usize, why: &str) {
+        self.metrics.recording_errors.inc();
+        tracing::error!(shard = index, why, "recording stopped; a new file is tried in {} s", RETRY.as_secs());
+        if let Some(shard) = self.shards.get_mut(index) {
+            shard.file = None;
+            shard.retry_at = Some(Instant::now() + RETRY);
+        }
+    }
+
+    fn open(&mut self, index: usize, states: &[(Arc<str>, Vec<u8>)]) {
+        while self.shards.len() <= index {
+            self.shards.push(Shard {
+                file: None,
+                index: 0,
+                previous: String::new(),
+                opened: Instant::now(),
+                asked: false,
+                retry_at: None,
+                topics: BTreeMap::new(),
+            });
+        }
+        self.close(index);
+        let lost = self.metrics.recording_lost.get();
+        let shard = &mut self.shards[index];
+        let metadata = self.run.metadata(index, shard.index, &shard.previous, lost);
+        let stem = self.run.stem(index, shard.index);
+        match RecordingFile::create(&self.dir, &stem, &metadata) {
+            Ok(file) => {
+                shard.file = Some(file);
+                shard.previous = format!("{stem}.mcap");
+                shard.index += 1;
+                shard.opened = Instant::now();
+                shard.asked = false;
+                shard.retry_at = None;
+                self.metrics.recording_files.inc();
+            }
+            Err(error) => return self.fail(index, &error.to_string()),
+        }
+        let at_ns = if self.last_arrival_ns == 0 { now_ns() } else { self.last_arrival_ns };
+        for (name, json) in states {
+            let topic = topic::result(&self.run.prefix, name, Kind::State);
+            let Some(file) = &mut self.shards[index].file else { return };
+            if let Err(error) = file.write(&topic, Kind::State, at_ns, at_ns, json) {
+                return self.fail(index, &error.to_string());
+            }
+        }
+    }
+
+    fn close(&mut self, index: usize) {
+        let Some(file) = self.shards.get_mut(index).and_then(|s| s.file.take()) else { return };
+        if let Err(error) = file.finish() {
+            self.fail(index, &error.to_string());
+        }
+    }
+
+    /// Flushes, and asks for new files where one is full, old, or was lost.
+    fn tend(&mut self) {
+        for index in 0..self.shards.len() {
+            let shard = &mut self.shards[index];
+            let retry = shard.retry_at.is_some_and(|at| Instant::now() >= at);
+            let mut failure = None;
+            if let Some(file) = &mut shard.file {
+                failure = file.flush().err();
+                let full = file.bytes_written() >= self.max_bytes || shard.opened.elapsed() >= self.max_age;
+                if full && !shard.asked {
+                    shard.asked = true;
+                    let _ = self.wanted.send(index);
+                }
+            } else if retry {
+                shard.retry_at = Some(Instant::now() + RETRY);
+                let _ = self.wanted.send(index);
+            }
+            if let Some(error) = failure {
+                self.fail(index, &error.to_string());
+            }
+        }
+    }
+}

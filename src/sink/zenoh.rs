@@ -1,0 +1,100 @@
+//! Puts documents onto the bus and keeps the last one of each key for queries.
+//!
+//! A thread of its own: a slow bus holds up nobody but itself. The queue drops estimates and health when it is full
+//! (the queryable still has the newest that went through); alarms wait for a place.
+
+use std::sync::{Arc, PoisonError};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use crossbeam_channel::{Receiver, Sender};
+use zenoh::Wait;
+use zenoh::qos::{CongestionControl, Priority};
+
+use crate::daemon::metrics::Metrics;
+use crate::codec::topic::Kind;
+use crate::source::zenoh::{LastValues, encoding_of};
+
+/// Documents that may wait for the bus.
+pub const QUEUE: usize = 16_384;
+/// How long an alarm waits for a place in the queue.
+const ALARM_PATIENCE: Duration = Duration::from_secs(2);
+
+/// One document on its way out.
+#[derive(Debug)]
+pub struct Publication {
+    /// Its key.
+    pub key: String,
+    /// What it is.
+    pub kind: Kind,
+    /// Its JSON.
+    pub document: Vec<u8>,
+}
+
+/// The way to the publisher's thread.
+#[derive(Clone)]
+pub struct Publisher {
+    queue: Sender<Publication>,
+    metrics: Arc<Metrics>,
+}
+
+impl Publisher {
+    /// Starts the thread. It ends when every `Publisher` is gone and the queue is empty.
+    ///
+    /// # Errors
+    /// The system refuses a thread.
+    pub fn start(
+        session: zenoh::Session,
+        last: LastValues,
+        metrics: Arc<Metrics>,
+    ) -> std::io::Result<(Self, JoinHandle<()>)> {
+        let (queue, waiting) = crossbeam_channel::bounded(QUEUE);
+        let thread = std::thread::Builder::new().name("publish".into());
+        let handle = thread.spawn({
+            let metrics = metrics.clone();
+            move || publish_all(&session, &waiting, &last, &metrics)
+        })?;
+        Ok((Self { queue, metrics }, handle))
+    }
+
+    /// Hands a document over.
+    pub fn publish(&self, publication: Publication) {
+        let lost = if publication.kind == Kind::Alarm {
+            self.queue.send_timeout(publication, ALARM_PATIENCE).is_err()
+        } else {
+            self.queue.try_send(publication).is_err()
+        };
+        if lost {
+            self.metrics.dropped_output.inc();
+        }
+    }
+
+    /// Documents that wait.
+    #[must_use]
+    pub fn waiting(&self) -> usize {
+        self.queue.len()
+    }
+}
+
+fn publish_all(session: &zenoh::Session, waiting: &Receiver<Publication>, last: &LastValues, metrics: &Metrics) {
+    for publication in waiting {
+        let Publication { key, kind, document } = publication;
+        let shared: Arc<[u8]> = document.as_slice().into();
+        last.write().unwrap_or_else(PoisonError::into_inner).insert(key.clone(), shared);
+        let (priority, congestion) = match kind {
+            Kind::Alarm => (Priority::InteractiveHigh, CongestionControl::Block),
+            Kind::Health => (Priority::Background, CongestionControl::Drop),
+            _ => (Priority::Data, CongestionControl::Block),
+        };
+        let put = session.put(&key, document).encoding(encoding_of(kind.name()));
+        match put.priority(priority).congestion_control(congestion).wait() {
+            Ok(()) => {
+                metrics.published.inc();
+            }
+            Err(error) => {
+                metrics.dropped_output.inc();
+                tracing::warn!(%key, %error, "a document could not be published; queries still answer it");
+            }
+        }
+    }
+}

@@ -1,0 +1,205 @@
+//! The Zenoh session: one wildcard subscription per prefix, one queryable for everything that is published.
+//!
+//! The subscriber's callback runs on the bus's own threads, so it only puts the message into the engine's queue; a full
+//! queue drops the message and counts it.
+
+use std::collections::BTreeMap;
+use std::sync::{Arc, PoisonError, RwLock};
+
+use anyhow::{Context, anyhow};
+use crossbeam_channel::{Sender, TrySendError};
+use zenoh::Wait;
+use zenoh::bytes::Encoding;
+use zenoh::key_expr::KeyExpr;
+use zenoh::query::Query;
+use zenoh::sample::{Sample as BusSample, SampleKind};
+
+use super::{Incoming, Message};
+use crate::alarm::Command;
+use crate::config::Config;
+use crate::daemon::clock::now_ns;
+use crate::daemon::metrics::Metrics;
+use crate::codec::topic::{self, Kind};
+
+/// Last document by key. Written by the publisher alone; never touched by the engine.
+pub type LastValues = Arc<RwLock<BTreeMap<String, Arc<[u8]>>>>;
+
+/// Makes the session's configuration from ours.
+///
+/// # Errors
+/// A configuration file that cannot be read, or settings that Zenoh refuses.
+pub fn session_config(config: &Config) -> anyhow::Result<zenoh::Config> {
+    let z = &config.zenoh;
+    let mut session = if z.config_file.is_empty() {
+        zenoh::Config::default()
+    } else {
+        zenoh::Config::from_file(&z.config_file)
+            .map_err(|e| anyhow!("[zenoh] config_file {:?} cannot be used: {e}", z.config_file))?
+    };
+    let mut set = |key: &str, value: String| {
+        session.insert_json5(key, &value).map_err(|e| anyhow!("Zenoh refuses {key} = {value}: {e}"))
+    };
+    if z.config_file.is_empty() {
+        set("mode", format!("{:?}", z.mode))?;
+        set("scouting/multicast/enabled", z.multicast.to_string())?;
+        set("listen/endpoints", serde_json::to_string(&z.listen)?)?;
+        // Keep trying for ever: the router may come up after us, and go and come again.
+        set("connect/timeout_ms", "-1".into())?;
+        set("connect/exit_on_failure", "false".into())?;
+    } else if !z.listen.is_empty() {
+        set("listen/endpoints", serde_json::to_string(&z.listen)?)?;
+    }
+    if !z.connect.is_empty() {
+        set("connect/endpoints", serde_json::to_string(&z.connect)?)?;
+    }
+    Ok(session)
+}
+
+/// Opens the session. A listening port that is taken is an error; a router that is not there yet is not.
+///
+/// # Errors
+/// With the endpoints in the message.
+pub async fn open(config: &Config) -> anyhow::Result<zenoh::Session> {
+    let session = session_config(config)?;
+    zenoh::open(session).await.map_err(|e| anyhow!("{e}")).with_context(|| {
+        format!("Zenoh cannot start (listen {:?}, connect {:?})", config.zenoh.listen, config.zenoh.connect)
+    })
+}
+
+/// The keys that a daemon subscribes to: everything under its prefix, and each foreign key that is mapped.
+fn subscriptions(config: &Config) -> Vec<String> {
+    let prefix = &config.site.prefix;
+    let mut keys = vec![format!("{prefix}/**")];
+    let foreign = config.loops.iter().flat_map(|l| l.keys.iter().map(|(_, key)| key.clone()));
+    keys.extend(foreign.filter(|key| !key.starts_with(&format!("{prefix}/"))));
+    keys
+}
+
+/// Subscribes. The subscriptions live as long as the session.
+///
+/// # Errors
+/// A key that Zenoh refuses.
+pub async fn subscribe(
+    session: &zenoh::Session,
+    config: &Config,
+    queue: Sender<Incoming>,
+    metrics: Arc<Metrics>,
+) -> anyhow::Result<Vec<zenoh::pubsub::Subscriber<()>>> {
+    let mut subscribers = Vec::new();
+    for key in subscriptions(config) {
+        let (queue, metrics) = (queue.clone(), metrics.clone());
+        let subscriber = session
+            .declare_subscriber(key.clone())
+            .callback(move |sample| enqueue(&sample, &queue, &metrics))
+            .await
+            .map_err(|e| anyhow!("cannot subscribe to {key:?}: {e}"))?;
+        subscribers.push(subscriber);
+    }
+    Ok(subscribers)
+}
+
+fn enqueue(sample: &BusSample, queue: &Sender<Incoming>, metrics: &Metrics) {
+    if sample.kind() == SampleKind::Delete {
+        metrics.deletes.inc();
+        return;
+    }
+    metrics.messages.inc();
+    let encoding = (*sample.encoding() != Encoding::default()).then(|| sample.encoding().to_string().into());
+    let message = Message {
+        key: sample.key_expr().as_str().into(),
+        payload: sample.payload().to_bytes().into_owned(),
+        encoding,
+        bus_ns: sample.timestamp().map(|t| t.get_time().to_duration().as_nanos() as i64),
+        arrival_ns: now_ns(),
+    };
+    match queue.try_send(Incoming::Message(message)) {
+        Ok(()) => {}
+        Err(TrySendError::Full(_) | TrySendError::Disconnected(_)) => {
+            metrics.dropped_input.inc();
+        }
+    }
+}
+
+/// Answers queries: last documents from memory, commands by way of the engine.
+///
+/// # Errors
+/// A key that Zenoh refuses.
+pub async fn answer_queries(
+    session: &zenoh::Session,
+    prefix: &str,
+    queue: Sender<Incoming>,
+    last: LastValues,
+    metrics: Arc<Metrics>,
+) -> anyhow::Result<zenoh::query::Queryable<()>> {
+    let key = topic::plane(prefix, "**");
+    let prefix = prefix.to_owned();
+    session
+        .declare_queryable(key.clone())
+        .complete(true)
+        .callback(move |query| {
+            metrics.queries.inc();
+            match query.parameters().get("cmd") {
+                Some(cmd) => forward_command(&prefix, cmd.to_owned(), query, &queue),
+                None => answer_last(&query, &last),
+            }
+        })
+        .await
+        .map_err(|e| anyhow!("cannot answer queries on {key:?}: {e}"))
+}
+
+fn answer_last(query: &Query, last: &LastValues) {
+    let asked = query.key_expr();
+    let found: Vec<(String, Arc<[u8]>)> = {
+        let map = last.read().unwrap_or_else(PoisonError::into_inner);
+        match map.get(asked.as_str()) {
+            Some(value) => vec![(asked.as_str().to_owned(), value.clone())],
+            None => map
+                .iter()
+                .filter(|(key, _)| KeyExpr::new(key.as_str()).is_ok_and(|k| asked.intersects(&k)))
+                .map(|(k, v)| (k.clone(), v.clone()))
+                .collect(),
+        }
+    };
+    for (key, value) in found {
+        let encoding = encoding_of(topic::leaf(&key));
+        if let Err(error) = query.reply(key.as_str(), value.to_vec()).encoding(encoding).wait() {
+            tracing::debug!(%key, %error, "a reply could not be sent");
+        }
+    }
+}
+
+/// The encoding of a document, with its schema's name.
+#[must_use]
+pub fn encoding_of(leaf: &str) -> Encoding {
+    match Kind::of_document(leaf) {
+        Some(kind) => Encoding::APPLICATION_JSON.with_schema(kind.schema()),
+        None => Encoding::APPLICATION_JSON,
+    }
+}
+
+fn forward_command(prefix: &str, cmd: String, query: Query, queue: &Sender<Incoming>) {
+    let refuse = |query: &Query, why: String| {
+        let _ = query.reply_err(why).encoding(Encoding::TEXT_PLAIN).wait();
+    };
+    let key = query.key_expr().as_str().to_owned();
+    let Some((loop_name, Kind::Alarm)) = topic::parse_result(prefix, &key) else {
+        refuse(&query, format!("commands go to one loop's alarm key, such as {}", topic::plane(prefix, "LOOP/alarm")));
+        return;
+    };
+    let parameter = |name: &str| query.parameters().get(name).map(str::to_owned);
+    let command = Command { cmd, by: parameter("by"), why: parameter("why") };
+    let loop_name = loop_name.to_owned();
+    let busy = query.clone();
+    let answer = Box::new(move |result: Result<Vec<u8>, String>| {
+        let sent = match result {
+            Ok(document) => query.reply(key.as_str(), document).encoding(encoding_of("alarm")).wait(),
+            Err(why) => query.reply_err(why).encoding(Encoding::TEXT_PLAIN).wait(),
+        };
+        if let Err(error) = sent {
+            tracing::debug!(%key, %error, "a command's answer could not be sent");
+        }
+    });
+    if queue.try_send(Incoming::Command { loop_name, command, answer }).is_err() {
+        refuse(&busy, "the daemon is too busy for commands: try again".to_owned());
+    }
+}
