@@ -480,3 +480,72 @@ impl LoopSpec {
         text
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const EXAMPLE: &str = r#"
+[site]
+prefix = "demo"
+[run]
+start = "2026-01-05T08:00:00Z"
+duration_s = 1800.0
+ts_s = 0.5
+seed = 1
+[[loop]]
+name = "FIC101"
+label = "stiction"
+note = "Only an example."
+operating_point = { op = 50.0, pv = 60.0 }
+setpoint = [{ at_s = 10.0, value = 60.0 }, { at_s = 100.0, value = 62.0 }]
+process = { gain = -2.0, time_constants_s = [20.0, 4.0], dead_time_s = 5.0 }
+controller = { kc = 0.4, ti_s = 20.0, td_s = 1.0 }
+valve = { law = "tracking", fs = 3.0, fd = 1.0 }
+noise = { pv_sd = 0.05 }
+disturbance = { load = [{ sine = { amplitude = 1.0, period_s = 80.0 } }], pv = [{ random_walk = { sd_per_root_s = 0.1 } }] }
+recording = { op_quantum = 0.01, pv_quantum = 0.01 }
+[[loop]]
+name = "LIC102"
+operating_point = { op = 50.0, pv = 60.0 }
+setpoint = 60.0
+process = { gain = 0.02, integrating = true }
+controller = { kc = 0.4 }
+"#;
+
+    #[test]
+    fn physical_units_become_samples() {
+        let scenario = Scenario::parse(EXAMPLE).unwrap();
+        assert_eq!((scenario.scans(), scenario.start_ns()), (3_600, 1_767_600_000_000_000_000));
+        let model = scenario.loops[0].model(0.5);
+        assert_eq!((model.process.tau, model.process.tau2, model.process.dead_time), (40.0, 8.0, 10.0));
+        assert_eq!((model.process.gain, model.controller.action), (-2.0, Action::Direct));
+        assert_eq!((model.valve.law, model.valve.fs, model.valve.travel_max), (ValveLaw::Tracking, 3.0, 100.0));
+        let level = scenario.loops[1].model(0.5);
+        assert_eq!((level.process.gain, level.process.tau, level.controller.ti_s), (0.01, 0.0, f64::INFINITY));
+        assert_eq!((level.valve, level.controller.action), (ValveModel::HEALTHY, Action::Reverse));
+    }
+
+    #[test]
+    fn set_points_hold_until_they_move() {
+        let sp = &Scenario::parse(EXAMPLE).unwrap().loops[0].setpoint;
+        assert_eq!([-50.0, 10.0, 99.9, 100.0, 1e9].map(|t| sp.at(t)), [60.0, 60.0, 60.0, 62.0, 62.0]);
+    }
+
+    #[test]
+    fn the_truth_names_what_is_wrong_with_each_loop() {
+        let truth = Scenario::parse(EXAMPLE).unwrap().truth();
+        for words in [
+            "FIC101 (stiction): valve law tracking: fs 3 fd 1 (s 4 j 2)",
+            "time constants [20, 4] s, dead time 5 s",
+            "load: sine of amplitude 1, period 80 s",
+            "PV disturbance: random walk",
+            "Only an example.",
+            "LIC102: valve without friction; integrating process, gain 0.02 a second",
+            "Ti none",
+            "3600 scans, one every 0.5 s",
+        ] {
+            assert!(truth.contains(words), "{words:?} is not in:\n{truth}");
+        }
+    }
+}
