@@ -1,4 +1,11 @@
 //! Physics: valve laws, process models, controller, noise and the closed loop. The only copy of each formula.
 
+pub mod closed_loop;
+pub mod controller;
+pub mod disturbance;
+pub mod noise;
+pub mod plant;
 pub mod process;
+pub mod scenario;
+mod scenario_check;
 pub mod valve;

@@ -1,0 +1,551 @@
+//! Scenarios: a simulated plant, written down in TOML.
+//!
+//! ```toml
+//! [site]
+//! prefix = "demo"                        # first chunk of every key
+//! [run]
+//! start = "2026-01-05T08:00:00Z"         # stamp of the first scan
+//! duration_s = 1800.0
+//! ts_s = 1.0                             # time between scans
+//! seed = 1
+//! warmup_s = 600.0                       # simulated before the first scan, not recorded (default 0)
+//! [[loop]]
+//! name = "FIC101"
+//! label = "stiction"                     # the truth in one word, optional
+//! operating_point = { op = 50.0, pv = 60.0 }      # where the process rests
+//! setpoint = 60.0                        # or [{ at_s = 0.0, value = 60.0 }, ...]
+//! process = { gain = 2.0, time_constants_s = [20.0], dead_time_s = 5.0 }
+//! controller = { kc = 0.4, ti_s = 20.0 }
+//! valve = { law = "he", fs = 3.0, fd = 1.0 }
+//! noise = { pv_sd = 0.05 }
+//! disturbance = { load = [{ sine = { amplitude = 1.0, period_s = 80.0 } }], pv = [] }
+//! recording = { op_quantum = 0.01, pv_quantum = 0.01 }
+//! ```
+
+use serde::Deserialize;
+use thiserror::Error;
+
+use super::closed_loop::{LoopModel, ValveLaw, ValveModel};
+use super::controller::{Action, PidSettings};
+use super::disturbance::Disturbance;
+use super::process::ProcessModel;
+use super::scenario_check;
+use crate::record::Signal;
+use crate::units::{parse_time, s_from_ns};
+
+/// Why a text is no scenario.
+#[derive(Debug, Error, Clone, PartialEq, Eq)]
+pub enum ScenarioError {
+    /// Not TOML, an unknown key, a missing key or a value of the wrong kind; line and column stand in the message.
+    #[error("{0}")]
+    Toml(String),
+    /// Values that make no plant, all of them, each with its line.
+    #[error("{} in the scenario:\n  {}", faults(.0.len()), .0.join("\n  "))]
+    Invalid(Vec<String>),
+}
+
+fn faults(n: usize) -> String {
+    if n == 1 { "1 fault".to_owned() } else { format!("{n} faults") }
+}
+
+/// A simulated plant.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Scenario {
+    /// Where its keys live.
+    pub site: SiteSpec,
+    /// When and how long.
+    pub run: RunSpec,
+    /// Its loops.
+    #[serde(rename = "loop")]
+    pub loops: Vec<LoopSpec>,
+}
+
+/// Where a plant's keys live.
+#[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SiteSpec {
+    /// First chunks of every key.
+    pub prefix: String,
+}
+
+/// When a run begins and how long it takes.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RunSpec {
+    /// Stamp of the first recorded scan: seconds since 1970 as text, or RFC 3339.
+    pub start: String,
+    /// Length of the recording, s.
+    pub duration_s: f64,
+    /// Time between scans, s.
+    pub ts_s: f64,
+    /// Seed of every random choice.
+    pub seed: u64,
+    /// Time simulated before the first recorded scan, s.
+    #[serde(default)]
+    pub warmup_s: f64,
+}
+
+/// One loop.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LoopSpec {
+    /// Name, unique in the scenario.
+    pub name: String,
+    /// The truth in one word.
+    pub label: Option<Label>,
+    /// The truth in a sentence, for people.
+    pub note: Option<String>,
+    /// Where the process rests.
+    pub operating_point: OperatingPoint,
+    /// Set point.
+    pub setpoint: Setpoint,
+    /// Process.
+    pub process: ProcessSpec,
+    /// Controller.
+    pub controller: ControllerSpec,
+    /// Valve; healthy where absent.
+    #[serde(default)]
+    pub valve: ValveSpec,
+    /// Measurement noise; none where absent.
+    #[serde(default)]
+    pub noise: NoiseSpec,
+    /// What comes from outside.
+    #[serde(default)]
+    pub disturbance: DisturbanceSpec,
+    /// Times in manual.
+    #[serde(default)]
+    pub manual: Vec<ManualSpec>,
+    /// What recording does to the values.
+    #[serde(default)]
+    pub recording: RecordingSpec,
+}
+
+/// The truth about a loop in one word.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Label {
+    /// The valve sticks and slips.
+    Stiction,
+    /// The valve has a dead band.
+    Deadband,
+    /// The valve is healthy and the loop quiet.
+    NoStiction,
+    /// Healthy valve, controller too tight.
+    Tuning,
+    /// Healthy valve, oscillation from outside.
+    Disturbance,
+}
+
+impl Label {
+    /// The label's word in labelled sets.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Stiction => "stiction",
+            Self::Deadband => "deadband",
+            Self::NoStiction => "no_stiction",
+            Self::Tuning => "tuning",
+            Self::Disturbance => "disturbance",
+        }
+    }
+}
+
+/// Rest of the process, and where the loop starts.
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct OperatingPoint {
+    /// Valve position, OP units.
+    pub op: f64,
+    /// PV, PV units.
+    pub pv: f64,
+}
+
+/// A set point over time.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(untagged, expecting = "a number or a list of { at_s, value }")]
+pub enum Setpoint {
+    /// Constant, PV units.
+    Constant(f64),
+    /// Moves in order of time; the first value holds before its time too.
+    Moves(Vec<SetpointMove>),
+}
+
+/// One move of the set point.
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SetpointMove {
+    /// Time from the start of the recording, s.
+    pub at_s: f64,
+    /// Set point from then on, PV units.
+    pub value: f64,
+}
+
+impl Setpoint {
+    /// The set point at `t_s` seconds from the start, PV units.
+    #[must_use]
+    pub fn at(&self, t_s: f64) -> f64 {
+        match self {
+            Self::Constant(value) => *value,
+            Self::Moves(moves) => {
+                let last = moves.iter().rev().find(|m| m.at_s <= t_s).or(moves.first());
+                last.map_or(0.0, |m| m.value)
+            }
+        }
+    }
+}
+
+/// A process in physical units.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ProcessSpec {
+    /// PV units per OP unit, a second more of them when integrating (PV units per OP unit and second).
+    pub gain: f64,
+    /// None, one or two time constants, s; when integrating at most one, a lag in front of the integrator.
+    #[serde(default)]
+    pub time_constants_s: Vec<f64>,
+    /// Dead time, s.
+    #[serde(default)]
+    pub dead_time_s: f64,
+    /// Whether it integrates.
+    #[serde(default)]
+    pub integrating: bool,
+}
+
+/// A controller in physical units.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ControllerSpec {
+    /// Gain, OP units per PV unit, > 0; the action follows the sign of the process gain.
+    pub kc: f64,
+    /// Integral time, s; absent for none.
+    pub ti_s: Option<f64>,
+    /// Derivative time, s.
+    #[serde(default)]
+    pub td_s: f64,
+    /// Least and greatest OP.
+    #[serde(default = "percent")]
+    pub op_range: [f64; 2],
+}
+
+const fn percent() -> [f64; 2] {
+    [0.0, 100.0]
+}
+
+/// A valve; its travel is the range 0..100 or the controller's range, whichever is wider.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ValveSpec {
+    /// Law.
+    pub law: ValveLaw,
+    /// Static band, OP units.
+    #[serde(default)]
+    pub fs: f64,
+    /// Kinetic band, OP units.
+    #[serde(default)]
+    pub fd: f64,
+}
+
+impl Default for ValveSpec {
+    fn default() -> Self {
+        Self { law: ValveLaw::None, fs: 0.0, fd: 0.0 }
+    }
+}
+
+/// Measurement noise.
+#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct NoiseSpec {
+    /// Standard deviation of white noise on PV, PV units; the controller sees it.
+    pub pv_sd: f64,
+}
+
+/// What comes from outside.
+#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct DisturbanceSpec {
+    /// At the process input, OP units.
+    pub load: Vec<Disturbance>,
+    /// At PV, PV units.
+    pub pv: Vec<Disturbance>,
+}
+
+/// A time in manual.
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ManualSpec {
+    /// Start, s from the start of the recording.
+    pub from_s: f64,
+    /// Duration, s.
+    pub for_s: f64,
+    /// OP meanwhile; where it stood if absent.
+    pub op: Option<f64>,
+}
+
+/// What recording and transport do to the values. Probabilities are per value.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct RecordingSpec {
+    /// Signals that are sent.
+    pub signals: Vec<Signal>,
+    /// OP (and valve position) is recorded in multiples of this, OP units; 0 for all digits.
+    pub op_quantum: f64,
+    /// PV is recorded in multiples of this, PV units; 0 for all digits.
+    pub pv_quantum: f64,
+    /// Probability that a value is sent a second time, with the next scan.
+    pub duplicate_p: f64,
+    /// Probability that a value arrives up to `out_of_order_s` late, behind newer ones.
+    pub out_of_order_p: f64,
+    /// Greatest such delay, s.
+    pub out_of_order_s: f64,
+    /// Probability that a value arrives `late_s` late.
+    pub late_p: f64,
+    /// That delay, s.
+    pub late_s: f64,
+    /// Probability that a value is lost.
+    pub lost_p: f64,
+    /// Probability that a value is sent without a number.
+    pub missing_p: f64,
+    /// Times without any value.
+    pub gaps: Vec<GapSpec>,
+    /// Jumps of the clock that makes the stamps.
+    pub clock_jumps: Vec<ClockJumpSpec>,
+}
+
+impl Default for RecordingSpec {
+    fn default() -> Self {
+        Self {
+            signals: vec![Signal::Op, Signal::Sp, Signal::Mode, Signal::Pv],
+            op_quantum: 0.0,
+            pv_quantum: 0.0,
+            duplicate_p: 0.0,
+            out_of_order_p: 0.0,
+            out_of_order_s: 2.0,
+            late_p: 0.0,
+            late_s: 60.0,
+            lost_p: 0.0,
+            missing_p: 0.0,
+            gaps: Vec::new(),
+            clock_jumps: Vec::new(),
+        }
+    }
+}
+
+/// A time without any value.
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct GapSpec {
+    /// Start, s from the start of the recording.
+    pub from_s: f64,
+    /// Duration, s.
+    pub for_s: f64,
+}
+
+/// A jump of the clock that makes the stamps.
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ClockJumpSpec {
+    /// True time of the jump, s from the start of the recording.
+    pub at_s: f64,
+    /// What is added to every later stamp, s; negative for a jump back.
+    pub by_s: f64,
+}
+
+impl Scenario {
+    /// Reads and checks a scenario.
+    ///
+    /// # Errors
+    /// [`ScenarioError::Toml`] for the first key that cannot be read, [`ScenarioError::Invalid`] for all values that
+    /// make no plant; both with lines.
+    pub fn parse(text: &str) -> Result<Self, ScenarioError> {
+        let scenario: Self =
+            toml::from_str(text).map_err(|e| ScenarioError::Toml(e.to_string().trim_end().to_owned()))?;
+        let found = scenario_check::faults(&scenario, text);
+        if found.is_empty() { Ok(scenario) } else { Err(ScenarioError::Invalid(found)) }
+    }
+
+    /// Stamp of the first recorded scan, ns since 1970.
+    #[must_use]
+    pub fn start_ns(&self) -> i64 {
+        // A parsed scenario has a readable start.
+        parse_time(&self.run.start).unwrap_or(0)
+    }
+
+    /// Scans in the recording.
+    #[must_use]
+    pub fn scans(&self) -> u64 {
+        // A part of a scan at the end counts as none, rounding errors aside.
+        (self.run.duration_s / self.run.ts_s + 1e-9).floor() as u64
+    }
+
+    /// Names of the loops, in the order of the loop indices.
+    pub fn loop_names(&self) -> impl Iterator<Item = &str> {
+        self.loops.iter().map(|l| l.name.as_str())
+    }
+
+    /// What is true of this plant, for people: one paragraph a loop.
+    #[must_use]
+    pub fn truth(&self) -> String {
+        let end = s_from_ns(self.start_ns()) + self.run.duration_s;
+        let mut text = format!(
+            "Simulated plant {:?}: {} scans, one every {} s, from {} until {:.0} s since 1970, seed {}.\n",
+            self.site.prefix,
+            self.scans(),
+            self.run.ts_s,
+            self.run.start,
+            end,
+            self.run.seed
+        );
+        for spec in &self.loops {
+            text.push_str(&spec.truth());
+        }
+        text
+    }
+}
+
+impl LoopSpec {
+    /// The loop as the simulation takes it, sampled every `ts_s` seconds.
+    #[must_use]
+    pub fn model(&self, ts_s: f64) -> LoopModel {
+        let mut taus = self.process.time_constants_s.iter().map(|tau| tau / ts_s);
+        let [op_min, op_max] = self.controller.op_range;
+        LoopModel {
+            ts_s,
+            process: ProcessModel {
+                gain: if self.process.integrating { self.process.gain * ts_s } else { self.process.gain },
+                tau: taus.next().unwrap_or(0.0),
+                tau2: taus.next().unwrap_or(0.0),
+                dead_time: self.process.dead_time_s / ts_s,
+                integrating: self.process.integrating,
+            },
+            rest_op: self.operating_point.op,
+            rest_pv: self.operating_point.pv,
+            controller: PidSettings {
+                kc: self.controller.kc,
+                ti_s: self.controller.ti_s.unwrap_or(f64::INFINITY),
+                td_s: self.controller.td_s,
+                action: if self.process.gain > 0.0 { Action::Reverse } else { Action::Direct },
+                op_min,
+                op_max,
+            },
+            valve: ValveModel {
+                law: self.valve.law,
+                fs: self.valve.fs,
+                fd: self.valve.fd,
+                travel_min: op_min.min(0.0),
+                travel_max: op_max.max(100.0),
+            },
+            pv_noise_sd: self.noise.pv_sd,
+            load: self.disturbance.load.clone(),
+            pv_disturbance: self.disturbance.pv.clone(),
+        }
+    }
+
+    /// What is true of this loop, for people.
+    #[must_use]
+    pub fn truth(&self) -> String {
+        let Self { name, valve, process, controller, .. } = self;
+        let label = self.label.map_or(String::new(), |l| format!(" ({})", l.name()));
+        let friction = match valve.law {
+            ValveLaw::None => "valve without friction".to_owned(),
+            law => format!(
+                "valve law {}: fs {} fd {} (s {} j {}), OP units",
+                if law == ValveLaw::He { "he" } else { "tracking" },
+                valve.fs,
+                valve.fd,
+                valve.fs + valve.fd,
+                valve.fs - valve.fd
+            ),
+        };
+        let taus: Vec<String> = process.time_constants_s.iter().map(ToString::to_string).collect();
+        let integral = controller.ti_s.map_or("none".to_owned(), |ti| format!("{ti} s"));
+        let mut text = format!(
+            "{name}{label}: {friction}; {}process, gain {}{}, time constants [{}] s, dead time {} s; controller Kc {}, \
+             Ti {integral}, Td {} s; PV noise sd {}",
+            if process.integrating { "integrating " } else { "" },
+            process.gain,
+            if process.integrating { " a second" } else { "" },
+            taus.join(", "),
+            process.dead_time_s,
+            controller.kc,
+            controller.td_s,
+            self.noise.pv_sd
+        );
+        for (what, place) in [(&self.disturbance.load, "load"), (&self.disturbance.pv, "PV disturbance")] {
+            for disturbance in what {
+                text.push_str(&format!("; {place}: {disturbance}"));
+            }
+        }
+        text.push_str(&self.note.as_ref().map_or(".\n".to_owned(), |note| format!(". {note}\n")));
+        text
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const EXAMPLE: &str = r#"
+[site]
+prefix = "demo"
+[run]
+start = "2026-01-05T08:00:00Z"
+duration_s = 1800.0
+ts_s = 0.5
+seed = 1
+[[loop]]
+name = "FIC101"
+label = "stiction"
+note = "Only an example."
+operating_point = { op = 50.0, pv = 60.0 }
+setpoint = [{ at_s = 10.0, value = 60.0 }, { at_s = 100.0, value = 62.0 }]
+process = { gain = -2.0, time_constants_s = [20.0, 4.0], dead_time_s = 5.0 }
+controller = { kc = 0.4, ti_s = 20.0, td_s = 1.0 }
+valve = { law = "tracking", fs = 3.0, fd = 1.0 }
+noise = { pv_sd = 0.05 }
+disturbance = { load = [{ sine = { amplitude = 1.0, period_s = 80.0 } }], pv = [{ random_walk = { sd_per_root_s = 0.1 } }] }
+recording = { op_quantum = 0.01, pv_quantum = 0.01 }
+[[loop]]
+name = "LIC102"
+operating_point = { op = 50.0, pv = 60.0 }
+setpoint = 60.0
+process = { gain = 0.02, integrating = true }
+controller = { kc = 0.4 }
+"#;
+
+    #[test]
+    fn physical_units_become_samples() {
+        let scenario = Scenario::parse(EXAMPLE).unwrap();
+        assert_eq!((scenario.scans(), scenario.start_ns()), (3_600, 1_767_600_000_000_000_000));
+        let model = scenario.loops[0].model(0.5);
+        assert_eq!((model.process.tau, model.process.tau2, model.process.dead_time), (40.0, 8.0, 10.0));
+        assert_eq!((model.process.gain, model.controller.action), (-2.0, Action::Direct));
+        assert_eq!((model.valve.law, model.valve.fs, model.valve.travel_max), (ValveLaw::Tracking, 3.0, 100.0));
+        let level = scenario.loops[1].model(0.5);
+        assert_eq!((level.process.gain, level.process.tau, level.controller.ti_s), (0.01, 0.0, f64::INFINITY));
+        assert_eq!((level.valve, level.controller.action), (ValveModel::HEALTHY, Action::Reverse));
+    }
+
+    #[test]
+    fn set_points_hold_until_they_move() {
+        let sp = &Scenario::parse(EXAMPLE).unwrap().loops[0].setpoint;
+        assert_eq!([-50.0, 10.0, 99.9, 100.0, 1e9].map(|t| sp.at(t)), [60.0, 60.0, 60.0, 62.0, 62.0]);
+    }
+
+    #[test]
+    fn the_truth_names_what_is_wrong_with_each_loop() {
+        let truth = Scenario::parse(EXAMPLE).unwrap().truth();
+        for words in [
+            "FIC101 (stiction): valve law tracking: fs 3 fd 1 (s 4 j 2)",
+            "time constants [20, 4] s, dead time 5 s",
+            "load: sine of amplitude 1, period 80 s",
+            "PV disturbance: random walk",
+            "Only an example.",
+            "LIC102: valve without friction; integrating process, gain 0.02 a second",
+            "Ti none",
+            "3600 scans, one every 0.5 s",
+        ] {
+            assert!(truth.contains(words), "{words:?} is not in:\n{truth}");
+        }
+    }
+}
