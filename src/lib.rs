@@ -1,5 +1,9 @@
 //! placeholder map
+pub mod detect;
+pub mod ident;
+pub mod optim;
 pub mod record;
+pub mod signal;
 pub mod sim;
 pub mod units;
 pub mod verdict;
