@@ -1,4 +1,7 @@
 //! Tools on sampled signals: joining, memory, statistics, spectra.
 
 pub mod align;
+pub mod detrend;
 pub mod history;
+pub mod spectrum;
+pub mod stats;

@@ -8,4 +8,5 @@ pub mod plant;
 pub mod process;
 pub mod scenario;
 mod scenario_check;
+pub mod slips;
 pub mod valve;

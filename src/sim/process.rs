@@ -50,6 +50,40 @@ impl Pole {
     }
 }
 
+/// Two recursions at once, each with its own lag, input and start as in [`Pole::run`]: one waits less than two.
+///
+/// All slices have the length of `v[0]`.
+pub fn run_pair(poles: [Pole; 2], lags: [usize; 2], v: [&[f64]; 2], x0: [f64; 2], out: [&mut Vec<f64>; 2]) {
+    let n = v[0].len().min(v[1].len());
+    let [out0, out1] = out;
+    out0.clear();
+    out1.clear();
+    if n == 0 {
+        return;
+    }
+    let [mut x, mut z] = x0;
+    let [p, q] = poles;
+    let head = (lags[0].max(lags[1]) + 1).min(n);
+    let tap = |v: &[f64], k: usize, lag: usize| if k >= lag { v[k - lag] } else { v[0] };
+    for k in 0..head {
+        x = p.a * x + p.b0 * tap(v[0], k, lags[0]) + p.b1 * tap(v[0], k, lags[0] + 1);
+        z = q.a * z + q.b0 * tap(v[1], k, lags[1]) + q.b1 * tap(v[1], k, lags[1] + 1);
+        out0.push(x);
+        out1.push(z);
+    }
+    if head == n {
+        return;
+    }
+    let first = v[0][head - lags[0] - 1..n - lags[0]].windows(2);
+    let second = v[1][head - lags[1] - 1..n - lags[1]].windows(2);
+    for (f, s) in first.zip(second) {
+        x = p.a * x + (p.b0 * f[1] + p.b1 * f[0]);
+        z = q.a * z + (q.b0 * s[1] + q.b1 * s[0]);
+        out0.push(x);
+        out1.push(z);
+    }
+}
+
 /// Weights of two unit lags in parallel that equal the same two in series: `w1 x1 + w2 x2`, `tau1 != tau2`.
 #[must_use]
 pub fn series_weights(tau1: f64, tau2: f64) -> (f64, f64) {
@@ -183,6 +217,21 @@ mod tests {
             out[12]
         };
         assert!(run(3.0) > run(3.5) && run(3.5) > run(4.0));
+    }
+
+    #[test]
+    fn a_pair_is_two_runs() {
+        let v: Vec<f64> = (0..60).map(|k| libm::sin(f64::from(k) * 0.7)).collect();
+        let w: Vec<f64> = v.iter().map(|x| x * x).collect();
+        let poles = [Pole::lag(7.0, 0.4), Pole::integrator(0.2)];
+        for lags in [[3, 0], [0, 5], [80, 2]] {
+            let (mut a, mut b, mut alone) = (Vec::new(), Vec::new(), Vec::new());
+            run_pair(poles, lags, [&v, &w], [0.5, -1.0], [&mut a, &mut b]);
+            poles[0].run(lags[0], &v, 0.5, &mut alone);
+            assert!(a.len() == 60 && a.iter().zip(&alone).all(|(p, q)| (p - q).abs() < 1e-12));
+            poles[1].run(lags[1], &w, -1.0, &mut alone);
+            assert!(b.len() == 60 && b.iter().zip(&alone).all(|(p, q)| (p - q).abs() < 1e-12));
+        }
     }
 
     #[test]

@@ -1,0 +1,147 @@
+//! Is it oscillating, how long is a period, how regular is it?
+//!
+//! Regularity of the zero crossings of the autocorrelation (Thornhill, Huang and Zhang 2003): a third of mean over
+//! standard deviation of the intervals between them; above 1 the loop oscillates. The autocorrelation spreads the
+//! noise over all lags, so the crossings stand where the oscillation puts them.
+
+use crate::signal::{detrend, spectrum, stats};
+
+/// What oscillates.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Oscillates {
+    /// Length of a period, points.
+    pub period_points: f64,
+    /// Periods in the record.
+    pub periods: f64,
+    /// Thornhill's regularity; above 1 is regular. Capped at 100.
+    pub regularity: f64,
+    /// Autocorrelation one period later, -1..1: the share of variance that repeats.
+    pub persistence: f64,
+    /// Regular, persistent and at least two periods long.
+    pub oscillating: bool,
+}
+
+/// Longest signal that is correlated as it is; longer ones are averaged in boxes first.
+const MAX_POINTS: usize = 2048;
+/// Intervals between crossings that are judged.
+const INTERVALS: usize = 10;
+/// Persistence below which crossings are chance.
+const MIN_PERSISTENCE: f64 = 0.2;
+
+/// Looks for an oscillation in the controller output and the process variable, each `n` points long.
+///
+/// OP is asked first (the controller's integral action smooths it); PV decides where OP shows no regular oscillation
+/// and PV does. `None` when neither crosses zero often enough to speak of a period (four half periods).
+#[must_use]
+pub fn detect(op: &[f64], pv: &[f64]) -> Option<Oscillates> {
+    let (of_op, of_pv) = (detect_one(op), detect_one(pv));
+    match (of_op, of_pv) {
+        (Some(a), Some(b)) => Some(if b.oscillating && !a.oscillating { b } else { a }),
+        (a, b) => a.or(b),
+    }
+}
+
+/// Looks for an oscillation in one signal: once as it stands, once without what is slower than a third of it.
+#[must_use]
+pub fn detect_one(x: &[f64]) -> Option<Oscillates> {
+    if x.len() < 16 || x.iter().any(|v| !v.is_finite()) {
+        return None;
+    }
+    let factor = x.len().div_ceil(MAX_POINTS);
+    let x = detrend::remove_line(&detrend::box_means(x, factor));
+    let whole = judge(&x, factor);
+    if whole.is_some_and(|o| o.oscillating) {
+        return whole;
+    }
+    let faster = judge(&detrend::remove_mean(&detrend::high_pass(&x, x.len() / 3)), factor);
+    match (whole, faster) {
+        (Some(a), Some(b)) => Some(if b.oscillating || b.regularity > a.regularity { b } else { a }),
+        (a, b) => a.or(b),
+    }
+}
+
+/// The oscillation of a detrended signal whose points are `factor` points of the record.
+fn judge(x: &[f64], factor: usize) -> Option<Oscillates> {
+    let n = x.len();
+    let acf = spectrum::autocorrelation(x, 3 * n / 5);
+    if acf.is_empty() {
+        return None;
+    }
+    let places = spectrum::zero_crossings(&acf, (1.5 / (n as f64).sqrt()).max(0.02));
+    let gaps: Vec<f64> = places.windows(2).take(INTERVALS).map(|w| w[1] - w[0]).collect();
+    if gaps.len() < 3 {
+        return None;
+    }
+    let period = 2.0 * stats::mean(&gaps);
+    // Spread of the intervals as a sample's, not a population's: few of them must not look regular by chance.
+    let spread = (stats::variance(&gaps) * gaps.len() as f64 / (gaps.len() - 1) as f64).sqrt();
+    let regularity = if spread > 0.0 { (period / 2.0 / (3.0 * spread)).min(100.0) } else { 100.0 };
+    let from = (0.8 * period) as usize;
+    let to = ((1.2 * period).ceil() as usize).min(acf.len() - 1);
+    let persistence = acf.get(from..=to)?.iter().copied().fold(-1.0, f64::max);
+    let periods = n as f64 / period;
+    Some(Oscillates {
+        period_points: period * factor as f64,
+        periods,
+        regularity,
+        persistence,
+        oscillating: regularity > 1.0 && persistence > MIN_PERSISTENCE && periods >= 2.0 && period >= 3.0,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn noise(n: usize, seed: u64) -> Vec<f64> {
+        let mut state = seed;
+        (0..n)
+            .map(|_| {
+                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+                (state >> 11) as f64 / (1_u64 << 53) as f64 - 0.5
+            })
+            .collect()
+    }
+
+    fn sine(n: usize, period: f64) -> Vec<f64> {
+        (0..n).map(|k| libm::sin(2.0 * core::f64::consts::PI * k as f64 / period)).collect()
+    }
+
+    #[test]
+    fn a_noisy_drifting_sine_is_found() {
+        for period in [12.0, 50.0, 233.0] {
+            let x: Vec<f64> = sine(2000, period)
+                .iter()
+                .zip(noise(2000, 3))
+                .enumerate()
+                .map(|(k, (s, e))| s + 2.0 * e + 0.002 * k as f64)
+                .collect();
+            let found = detect_one(&x).unwrap();
+            assert!(found.oscillating, "{period}: {found:?}");
+            assert!((found.period_points / period - 1.0).abs() < 0.05, "{period}: {found:?}");
+        }
+    }
+
+    #[test]
+    fn noise_a_step_and_a_walk_do_not_oscillate() {
+        let mut false_alarms = 0;
+        for seed in 1..20 {
+            let white = noise(1500, seed);
+            let mut level = 0.0;
+            let walk: Vec<f64> = white.iter().map(|e| { level += e; level }).collect();
+            false_alarms += usize::from(detect_one(&white).is_some_and(|o| o.oscillating));
+            false_alarms += usize::from(detect_one(&walk).is_some_and(|o| o.oscillating));
+        }
+        assert!(false_alarms <= 2, "{false_alarms} of 38");
+        let step: Vec<f64> = (0..1000).map(|k| f64::from(u8::from(k > 400))).collect();
+        assert!(!detect_one(&step).is_some_and(|o| o.oscillating));
+        assert!(detect_one(&[1.0; 500]).is_none());
+        assert!(detect_one(&[]).is_none());
+    }
+
+    #[test]
+    fn long_signals_are_averaged_first() {
+        let found = detect_one(&sine(20_000, 900.0)).unwrap();
+        assert!(found.oscillating && (found.period_points / 900.0 - 1.0).abs() < 0.05);
+    }
+}

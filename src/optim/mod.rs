@@ -1,0 +1,150 @@
+//! Search over the two friction bands, in normalised form: s and j as fractions of OP's span on the triangle
+//! `0 <= j <= s <= 1`, where `s = fs + fd` is dead band plus stick band and `j = fs - fd` the slip jump.
+//!
+//! A solver sees a cost of two numbers, a budget and a seed; it knows nothing of valves. One file per solver, one
+//! line in [`ALL`].
+
+mod contour;
+pub mod local;
+
+pub use contour::Contour;
+
+/// What is searched.
+pub trait Objective {
+    /// Cost of the point `[s, j]`; lower is better, infinite where no model exists. Points outside the triangle are
+    /// never asked for.
+    fn cost(&mut self, point: [f64; 2]) -> f64;
+}
+
+/// What a solver may spend, and how it draws.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Settings {
+    /// Calls of [`Objective::cost`] allowed.
+    pub budget: u64,
+    /// Step of the contour grid, % of the span.
+    pub fineness_pct: f64,
+    /// Seed of every random choice.
+    pub seed: u64,
+}
+
+/// Why a search stopped.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Termination {
+    /// Everything that the method wanted to look at was looked at.
+    Complete,
+    /// The budget was spent first.
+    Budget,
+    /// Steps became too small to matter.
+    Converged,
+}
+
+impl Termination {
+    /// Its word in documents.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Complete => "complete",
+            Self::Budget => "budget",
+            Self::Converged => "converged",
+        }
+    }
+}
+
+/// What a search found.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Outcome {
+    /// Best point `[s, j]`.
+    pub best: [f64; 2],
+    /// Its cost.
+    pub cost: f64,
+    /// Calls made.
+    pub evaluations: u64,
+    /// Why it stopped.
+    pub stopped: Termination,
+}
+
+/// A global search. The same settings and cost give the same outcome on every machine.
+pub trait Solver: Sync {
+    /// Its name on the command line and in documents.
+    fn name(&self) -> &'static str;
+    /// Searches the triangle within the budget.
+    fn search(&self, objective: &mut dyn Objective, settings: &Settings) -> Outcome;
+}
+
+/// Every solver.
+pub const ALL: [&dyn Solver; 1] = [&Contour];
+
+/// The solver of that name.
+#[must_use]
+pub fn by_name(name: &str) -> Option<&'static dyn Solver> {
+    ALL.into_iter().find(|s| s.name() == name)
+}
+
+/// Counts calls and keeps the best, so that every solver does it alike.
+struct Meter<'a> {
+    objective: &'a mut dyn Objective,
+    left: u64,
+    outcome: Outcome,
+}
+
+impl<'a> Meter<'a> {
+    fn new(objective: &'a mut dyn Objective, budget: u64) -> Self {
+        let outcome =
+            Outcome { best: [0.0, 0.0], cost: f64::INFINITY, evaluations: 0, stopped: Termination::Complete };
+        Self { objective, left: budget, outcome }
+    }
+
+    /// Cost of a point, or `None` when the budget is spent.
+    fn ask(&mut self, point: [f64; 2]) -> Option<f64> {
+        if self.left == 0 {
+            self.outcome.stopped = Termination::Budget;
+            return None;
+        }
+        self.left -= 1;
+        self.outcome.evaluations += 1;
+        let cost = self.objective.cost(point);
+        if cost < self.outcome.cost {
+            self.outcome.cost = cost;
+            self.outcome.best = point;
+        }
+        Some(cost)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    struct Bowl([f64; 2]);
+
+    impl Objective for Bowl {
+        fn cost(&mut self, p: [f64; 2]) -> f64 {
+            assert!(0.0 <= p[1] && p[1] <= p[0] && p[0] <= 1.0, "{p:?}");
+            (p[0] - self.0[0]) * (p[0] - self.0[0]) + (p[1] - self.0[1]) * (p[1] - self.0[1])
+        }
+    }
+
+    #[test]
+    fn every_solver_finds_a_bowl_anywhere_on_the_triangle() {
+        let settings = Settings { budget: 5000, fineness_pct: 5.0, seed: 1 };
+        for solver in ALL {
+            assert!(by_name(solver.name()).is_some());
+            for target in [[0.42, 0.11], [1.0, 1.0], [0.03, 0.0], [0.77, 0.76]] {
+                let found = solver.search(&mut Bowl(target), &settings);
+                assert!(found.cost < 1e-4, "{} {target:?}: {found:?}", solver.name());
+                assert_eq!(found, solver.search(&mut Bowl(target), &settings));
+            }
+        }
+    }
+
+    #[test]
+    fn every_solver_keeps_its_budget() {
+        for solver in ALL {
+            for budget in [0, 1, 7, 100] {
+                let settings = Settings { budget, fineness_pct: 1.0, seed: 3 };
+                let found = solver.search(&mut Bowl([0.5, 0.2]), &settings);
+                assert!(found.evaluations <= budget && found.stopped == Termination::Budget);
+            }
+        }
+    }
+}

@@ -1,0 +1,152 @@
+//! Location, spread and noise of a signal, plain and robust.
+
+/// Arithmetic mean; 0 for an empty slice.
+#[must_use]
+pub fn mean(x: &[f64]) -> f64 {
+    if x.is_empty() { 0.0 } else { x.iter().sum::<f64>() / x.len() as f64 }
+}
+
+/// Population variance (divided by n), in squared units of `x`; 0 for an empty slice.
+#[must_use]
+pub fn variance(x: &[f64]) -> f64 {
+    if x.is_empty() {
+        return 0.0;
+    }
+    let m = mean(x);
+    x.iter().map(|v| (v - m) * (v - m)).sum::<f64>() / x.len() as f64
+}
+
+/// Population standard deviation, units of `x`.
+#[must_use]
+pub fn std_dev(x: &[f64]) -> f64 {
+    variance(x).sqrt()
+}
+
+/// Inner product in eight running sums, an order of summation that vector units can keep.
+///
+/// Stops at the shorter slice.
+#[must_use]
+pub fn dot(a: &[f64], b: &[f64]) -> f64 {
+    let n = a.len().min(b.len());
+    let (a, b) = (&a[..n], &b[..n]);
+    let mut sums = [0.0; 8];
+    let (blocks_a, rest_a) = a.as_chunks::<8>();
+    let (blocks_b, rest_b) = b.as_chunks::<8>();
+    for (p, q) in blocks_a.iter().zip(blocks_b) {
+        for lane in 0..8 {
+            sums[lane] += p[lane] * q[lane];
+        }
+    }
+    let tail: f64 = rest_a.iter().zip(rest_b).map(|(p, q)| p * q).sum();
+    ((sums[0] + sums[4]) + (sums[1] + sums[5])) + ((sums[2] + sums[6]) + (sums[3] + sums[7])) + tail
+}
+
+/// Quantile `q` (0..1) of sorted values, linear between neighbours (Hyndman and Fan's type 7); 0 for none.
+#[must_use]
+pub fn quantile_sorted(sorted: &[f64], q: f64) -> f64 {
+    let Some(last) = sorted.len().checked_sub(1) else { return 0.0 };
+    let place = q.clamp(0.0, 1.0) * last as f64;
+    let below = place.floor() as usize;
+    let above = (below + 1).min(last);
+    sorted[below] + (place - below as f64) * (sorted[above] - sorted[below])
+}
+
+/// The values in rising order.
+#[must_use]
+pub fn sorted(x: &[f64]) -> Vec<f64> {
+    let mut copy = x.to_vec();
+    copy.sort_by(f64::total_cmp);
+    copy
+}
+
+/// Quantile `q` (0..1) of values in any order.
+#[must_use]
+pub fn quantile(x: &[f64], q: f64) -> f64 {
+    quantile_sorted(&sorted(x), q)
+}
+
+/// Median; 0 for an empty slice.
+#[must_use]
+pub fn median(x: &[f64]) -> f64 {
+    quantile(x, 0.5)
+}
+
+/// Median absolute deviation from the median, units of `x` (times 1.4826 it estimates a normal's deviation).
+#[must_use]
+pub fn mad(x: &[f64]) -> f64 {
+    let m = median(x);
+    median(&x.iter().map(|v| (v - m).abs()).collect::<Vec<_>>())
+}
+
+/// Robust span: from the 0.5 to the 99.5 percentile, units of `x`.
+#[must_use]
+pub fn span(x: &[f64]) -> f64 {
+    let s = sorted(x);
+    quantile_sorted(&s, 0.995) - quantile_sorted(&s, 0.005)
+}
+
+/// Standard deviation of the white part of a signal: 1.4826 MAD of its second differences over sqrt(6), which smooth
+/// courses and rare jumps leave alone. 0 for under 3 values, and on held or coarsely rounded signals.
+#[must_use]
+pub fn noise_sd(x: &[f64]) -> f64 {
+    let second: Vec<f64> = x.windows(3).map(|w| w[2] - 2.0 * w[1] + w[0]).collect();
+    1.4826 * mad(&second) / 6.0_f64.sqrt()
+}
+
+/// Share of values that equal the one before, 0..1.
+#[must_use]
+pub fn repeat_share(x: &[f64]) -> f64 {
+    let pairs = x.len().saturating_sub(1).max(1);
+    x.windows(2).filter(|w| w[0] == w[1]).count() as f64 / pairs as f64
+}
+
+/// Number of different values, up to `limit`.
+#[must_use]
+pub fn levels(x: &[f64], limit: usize) -> usize {
+    let s = sorted(x);
+    let mut count = usize::from(!s.is_empty());
+    for w in s.windows(2) {
+        count += usize::from(w[0] != w[1]);
+        if count >= limit {
+            break;
+        }
+    }
+    count
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quantiles_lie_between_neighbours() {
+        let x = [4.0, 1.0, 3.0, 2.0];
+        assert_eq!(median(&x), 2.5);
+        assert_eq!(quantile(&x, 0.0), 1.0);
+        assert_eq!(quantile(&x, 1.0), 4.0);
+        assert_eq!(median(&[]), 0.0);
+        assert_eq!(mad(&[1.0, 2.0, 3.0, 4.0, 100.0]), 1.0);
+    }
+
+    #[test]
+    fn one_spike_leaves_the_span() {
+        let mut x: Vec<f64> = (0..1000).map(|k| f64::from(k % 100)).collect();
+        x[500] = 1e6;
+        assert!((span(&x) - 99.0).abs() < 1.0);
+    }
+
+    #[test]
+    fn noise_is_seen_through_a_ramp() {
+        // A fixed +-1 pattern without structure: the low bit of squares modulo a prime.
+        let x: Vec<f64> = (0_u64..4000).map(|k| k as f64 * 0.3 + (((k * k * k) % 8191) as f64 / 8191.0 - 0.5)).collect();
+        assert!((noise_sd(&x) - (1.0_f64 / 12.0).sqrt()).abs() < 0.06, "{}", noise_sd(&x));
+    }
+
+    #[test]
+    fn dot_agrees_with_the_plain_sum() {
+        let a: Vec<f64> = (0..37).map(f64::from).collect();
+        assert_eq!(dot(&a, &a), a.iter().map(|v| v * v).sum::<f64>());
+        assert_eq!(levels(&[1.0, 2.0, 1.0, 2.0], 10), 2);
+        assert_eq!(repeat_share(&[1.0, 1.0, 2.0]), 0.5);
+    }
+}

@@ -1,0 +1,197 @@
+//! The valve laws in slip coordinates, where identification works.
+//!
+//! After a slip in direction `d` at OP value `at`, the stem stands at `at - d fd`. It slips on when
+//! `d (op - at) > j` and back when `-d (op - at) > s`, with `s = fs + fd`, `j = fs - fd`. So the sequence of slips
+//! depends on (s, j) alone, `fd` enters the stem position linearly, and every (s, j) of one rectangle gives the same
+//! sequence. Sample for sample the same as [`super::valve::he_step`] and [`super::valve::tracking_step`].
+
+/// Which law moves the stem.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Law {
+    /// He's staircase.
+    He,
+    /// Sliding after the first slip, until OP turns.
+    Tracking,
+}
+
+/// The first slip of a record, which stands for the unknown stem position before it: towards `direction`, as soon as
+/// `direction * (op - threshold) > 0`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FirstSlip {
+    /// +1 up, -1 down.
+    pub direction: f64,
+    /// OP value that has to be passed.
+    pub threshold: f64,
+}
+
+/// The slips that (s, j) make of one OP path, `n` points long.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Sequence {
+    /// OP value at the last slip, averaged over each point.
+    pub at: Vec<f64>,
+    /// Direction of the last slip, averaged over each point, -1..1.
+    pub direction: Vec<f64>,
+    /// All s from the first to below the second give this sequence.
+    pub s_cell: [f64; 2],
+    /// All j from the first to below the second give this sequence.
+    pub j_cell: [f64; 2],
+    /// Moves of the stem.
+    pub slips: usize,
+    /// Moves against the move before.
+    pub reversals: usize,
+}
+
+/// The stem's memory between OP values, and what is learned of the cell on the way.
+struct Stem {
+    at: f64,
+    direction: f64,
+    slipped: bool,
+    moving: bool,
+    s_cell: [f64; 2],
+    j_cell: [f64; 2],
+    slips: usize,
+    reversals: usize,
+}
+
+impl Stem {
+    /// Before the first slip: as if the last one had gone the other way, s away.
+    fn new(first: FirstSlip, s: f64) -> Self {
+        Self {
+            at: first.threshold - first.direction * s,
+            direction: -first.direction,
+            slipped: false,
+            moving: false,
+            s_cell: [0.0, f64::INFINITY],
+            j_cell: [0.0, f64::INFINITY],
+            slips: 0,
+            reversals: 0,
+        }
+    }
+
+    /// Takes the next OP value.
+    #[inline]
+    fn take(&mut self, law: Law, op: f64, s: f64, j: f64) {
+        let ahead = self.direction * (op - self.at);
+        if ahead >= 0.0 {
+            if self.moving {
+                self.at = op;
+            } else if ahead > j {
+                self.slip(law, op, self.direction);
+                self.j_cell[1] = self.j_cell[1].min(ahead);
+            } else if self.slipped {
+                self.j_cell[0] = self.j_cell[0].max(ahead);
+            }
+            return;
+        }
+        self.moving = false;
+        if -ahead > s {
+            if self.slipped {
+                self.s_cell[1] = self.s_cell[1].min(-ahead);
+                self.reversals += 1;
+            }
+            self.slip(law, op, -self.direction);
+        } else if self.slipped {
+            self.s_cell[0] = self.s_cell[0].max(-ahead);
+        }
+    }
+
+    #[inline]
+    fn slip(&mut self, law: Law, op: f64, direction: f64) {
+        self.at = op;
+        self.direction = direction;
+        self.slipped = true;
+        self.moving = law == Law::Tracking;
+        self.slips += 1;
+    }
+}
+
+impl Sequence {
+    /// Runs a law over `path` (`n * per_point` OP values) and keeps the slips.
+    pub fn run(&mut self, law: Law, path: &[f64], per_point: usize, s: f64, j: f64, first: FirstSlip) {
+        let mut stem = Stem::new(first, s);
+        self.at.clear();
+        self.direction.clear();
+        if per_point <= 1 {
+            for &op in path {
+                stem.take(law, op, s, j);
+                self.at.push(stem.at);
+                self.direction.push(stem.direction);
+            }
+        } else {
+            let share = 1.0 / per_point as f64;
+            for point in path.chunks_exact(per_point) {
+                let (mut at, mut direction) = (0.0, 0.0);
+                for &op in point {
+                    stem.take(law, op, s, j);
+                    at += stem.at;
+                    direction += stem.direction;
+                }
+                self.at.push(at * share);
+                self.direction.push(direction * share);
+            }
+        }
+        (self.s_cell, self.j_cell) = (stem.s_cell, stem.j_cell);
+        (self.slips, self.reversals) = (stem.slips, stem.reversals);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sim::valve::{Tracking, he_step, tracking_step};
+
+    fn path(seed: u64) -> Vec<f64> {
+        let mut state = seed;
+        let mut slow = 0.0;
+        (0..3000)
+            .map(|k| {
+                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+                slow += ((state >> 40) as f64 / f64::from(1 << 24) - 0.5) * 0.5;
+                slow + 6.0 * libm::sin(f64::from(k) * 0.05)
+            })
+            .collect()
+    }
+
+    #[test]
+    fn slip_coordinates_give_the_laws_themselves() {
+        for seed in 1..6 {
+            let op = path(seed);
+            for (fs, fd) in [(3.0, 1.0), (2.0, 2.0), (4.0, 0.0), (0.5, 0.25)] {
+                let (s, j) = (fs + fd, fs - fd);
+                // The stem starts so that an upward slip needs OP above `threshold`.
+                let threshold = op[0] + 0.4 * fs;
+                let first = FirstSlip { direction: 1.0, threshold };
+                let mut sequence = Sequence::default();
+                sequence.run(Law::He, &op, 1, s, j, first);
+                let mut position = threshold - fs;
+                let mut state = Tracking { position, direction: 0 };
+                for (k, &u) in op.iter().enumerate() {
+                    position = he_step(position, u, fs, fd);
+                    assert!((sequence.at[k] - sequence.direction[k] * fd - position).abs() < 1e-9, "he at {k}");
+                }
+                sequence.run(Law::Tracking, &op, 1, s, j, first);
+                for (k, &u) in op.iter().enumerate() {
+                    state = tracking_step(state, u, fs, fd);
+                    let stem = sequence.at[k] - sequence.direction[k] * fd;
+                    assert!((stem - state.position).abs() < 1e-9, "tracking at {k} of {seed}, {fs} {fd}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_cell_is_one_sequence_and_ends_where_it_says() {
+        let op = path(9);
+        let first = FirstSlip { direction: 1.0, threshold: op[0] + 1.0 };
+        let (mut here, mut there) = (Sequence::default(), Sequence::default());
+        here.run(Law::He, &op, 1, 4.0, 2.0, first);
+        let [s_low, s_high] = here.s_cell;
+        let [j_low, j_high] = here.j_cell;
+        assert!(s_low <= 4.0 && 4.0 < s_high && j_low <= 2.0 && 2.0 < j_high);
+        let tail = |x: &Sequence| x.at[600..].to_vec();
+        there.run(Law::He, &op, 1, s_low, j_low, first);
+        assert_eq!(tail(&here), tail(&there));
+        there.run(Law::He, &op, 1, s_high, j_low, first);
+        assert_ne!(tail(&here), tail(&there));
+    }
+}
