@@ -1,0 +1,212 @@
+//! `stictiond replay`: re-runs the engine on recordings, and proves that it says the same again.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+use serde_json::json;
+
+use super::{Format, Outcome, block_on, say};
+use crate::codec::topic::{self, Kind};
+use crate::daemon::replay::{FileReport, Output, Replay, RunMetadata, chains_of, files_needed, replay_file};
+use crate::files::mcap_read::RecordingReader;
+use crate::source::zenoh as bus;
+
+/// Re-run the engine on a recording or a folder of them.
+///
+/// With --verify every estimate and alarm is compared, byte for byte, with the recorded one: exit 1 on the first
+/// difference, exit 2 if the file comes from another version or its configuration has another hash.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:
+  stictiond replay recordings/demo --verify
+  stictiond replay recordings/sticking.mcap --format json")]
+pub struct Args {
+    /// A recording, or a folder of recordings.
+    pub input: PathBuf,
+    /// Compare with what was recorded.
+    #[arg(long)]
+    pub verify: bool,
+    /// Verify recordings of another version too.
+    #[arg(long, requires = "verify")]
+    pub allow_version: bool,
+    /// Publish the results again, on the recording's topics.
+    #[arg(long, requires = "connect")]
+    pub publish: bool,
+    /// Where to publish, such as tcp/127.0.0.1:7447.
+    #[arg(long, requires = "publish")]
+    pub connect: Option<String>,
+}
+
+/// What all files together came to.
+#[derive(Default)]
+struct Totals {
+    files: usize,
+    compared: usize,
+    cut: bool,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// Nothing there is a recording of ours, a file it needs is gone, or it cannot be read.
+pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
+    let mut totals = Totals::default();
+    let mut publisher = Publisher::open(args)?;
+    for chain in chains_of(&args.input)? {
+        if let Some(stopped) = replay_chain(args, format, &chain, &mut totals, &mut publisher)? {
+            return Ok(stopped);
+        }
+    }
+    publisher.close()?;
+    let (files, compared) = (totals.files, totals.compared);
+    if args.verify {
+        if compared == 0 {
+            tracing::warn!("nothing was compared: the recordings hold no estimate and no alarm");
+        }
+        match format {
+            Format::Json => say(json!({"schema": "stictiond.replay.v1", "files": files, "compared": compared, "equal": true}))?,
+            Format::Text => say(format!("{files} files, {compared} estimates and alarms: all equal to the byte"))?,
+        }
+    }
+    Ok(if totals.cut { Outcome::DataLoss } else { Outcome::Done })
+}
+
+/// Replays one run's files. A single file takes the files before it along, as far as its windows reach.
+fn replay_chain(
+    args: &Args,
+    format: Format,
+    chain: &[PathBuf],
+    totals: &mut Totals,
+    publisher: &mut Publisher,
+) -> anyhow::Result<Option<Outcome>> {
+    let Some(first) = chain.first() else { return Ok(None) };
+    let own = metadata_of(first)?;
+    let before: Vec<PathBuf> = files_needed(first, &own)?.into_iter().filter(|f| f != first).collect();
+    let mut replay = Replay::new(own.config.clone(), !own.has_results);
+    let mut fresh = true;
+    for path in before.iter().chain(chain) {
+        let metadata = metadata_of(path)?;
+        let shown = chain.contains(path);
+        let verify = args.verify && shown;
+        if verify && let Some(outcome) = refuse_foreign(args, path, &metadata)? {
+            return Ok(Some(outcome));
+        }
+        let report = replay_file(&mut replay, path, &metadata.prefix, fresh, verify)
+            .with_context(|| path.display().to_string())?;
+        fresh = false;
+        if !shown {
+            continue;
+        }
+        totals.files += 1;
+        totals.compared += report.compared;
+        if let Some(difference) = &report.difference {
+            return report_difference(format, path, difference, metadata.lost_before).map(Some);
+        }
+        show(args, format, path, &metadata, report, totals, publisher)?;
+    }
+    Ok(None)
+}
+
+fn metadata_of(path: &Path) -> anyhow::Result<RunMetadata> {
+    let reader = RecordingReader::open(path)?;
+    RunMetadata::of(path, reader.metadata())
+}
+
+fn show(
+    args: &Args,
+    format: Format,
+    path: &Path,
+    metadata: &RunMetadata,
+    report: FileReport,
+    totals: &mut Totals,
+    publisher: &mut Publisher,
+) -> anyhow::Result<()> {
+    if let Some(reason) = &report.cut {
+        totals.cut = true;
+        tracing::warn!(file = %path.display(), reason, "the file is not whole; replayed up to there");
+    }
+    for output in report.outputs {
+        if !args.verify {
+            print(format, &output)?;
+        }
+        publisher.publish(&metadata.prefix, output)?;
+    }
+    Ok(())
+}
+
+fn print(format: Format, output: &Output) -> anyhow::Result<()> {
+    let text = String::from_utf8_lossy(&output.json);
+    if format == Format::Json {
+        say(text)?;
+        return Ok(());
+    }
+    let d: serde_json::Value = serde_json::from_slice(&output.json)?;
+    let time = |v: &serde_json::Value| crate::units::format_rfc3339(v.as_i64().unwrap_or(0));
+    let number = |v: &serde_json::Value| v.as_f64().map_or("-".to_owned(), |x| format!("{x:.3}"));
+    let line = if output.kind == Kind::Alarm {
+        format!("{}  {:<12} alarm {}: {}", time(&d["changed_ns"]), output.loop_name, d["state"].as_str().unwrap_or("?"),
+            d["why"].as_str().unwrap_or(""))
+    } else {
+        format!("{}  {:<12} {:<15} index {:>6}  s {:>7}", time(&d["window"]["end_ns"]), output.loop_name,
+            d["verdict"].as_str().unwrap_or("?"), number(&d["stiction_index"]), number(&d["s"]))
+    };
+    say(line)?;
+    Ok(())
+}
+
+/// A file of another version, or whose configuration reads differently now, cannot be expected to agree.
+fn refuse_foreign(args: &Args, path: &Path, metadata: &RunMetadata) -> anyhow::Result<Option<Outcome>> {
+    if metadata.config.hash() != metadata.config_hash {
+        let (was, is) = (&metadata.config_hash, metadata.config.hash());
+        tracing::error!(file = %path.display(), "recorded under config_hash {was}, its configuration now reads as {is}");
+        return Ok(Some(Outcome::Usage));
+    }
+    if metadata.version != crate::VERSION && !args.allow_version {
+        let was = &metadata.version;
+        tracing::error!(file = %path.display(), "recorded by version {was}, this is {}: --allow-version compares all the same", crate::VERSION);
+        return Ok(Some(Outcome::Usage));
+    }
+    Ok(None)
+}
+
+fn report_difference(format: Format, path: &Path, difference: &str, lost: u64) -> anyhow::Result<Outcome> {
+    let note = if lost > 0 {
+        format!("; the recorder had lost {lost} messages of this run by then, so a difference is to be expected")
+    } else {
+        String::new()
+    };
+    match format {
+        Format::Json => say(json!({"schema": "stictiond.replay.v1", "file": path, "equal": false, "lost_before": lost,
+            "difference": difference}))?,
+        Format::Text => say(format!("{}: DIFFERS{note}\n{difference}", path.display()))?,
+    }
+    Ok(Outcome::Failed)
+}
+
+/// Publishes results again, if asked to.
+struct Publisher(Option<zenoh::Session>);
+
+impl Publisher {
+    fn open(args: &Args) -> anyhow::Result<Self> {
+        let Some(endpoint) = args.connect.as_deref().filter(|_| args.publish) else { return Ok(Self(None)) };
+        Ok(Self(Some(block_on(super::play::connect(endpoint))?)))
+    }
+
+    fn publish(&mut self, prefix: &str, output: Output) -> anyhow::Result<()> {
+        use zenoh::Wait;
+        let Some(session) = &self.0 else { return Ok(()) };
+        let key = topic::result(prefix, &output.loop_name, output.kind);
+        let encoding = bus::encoding_of(output.kind.name());
+        match session.put(&key, output.json).encoding(encoding).wait() {
+            Ok(()) => Ok(()),
+            Err(error) => bail!("{key}: cannot be published: {error}"),
+        }
+    }
+
+    fn close(self) -> anyhow::Result<()> {
+        use zenoh::Wait;
+        if let Some(session) = self.0 {
+            session.close().wait().map_err(|e| anyhow::anyhow!("{e}"))?;
+        }
+        Ok(())
+    }
+}

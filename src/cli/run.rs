@@ -1,0 +1,43 @@
+//! `stictiond run`: the daemon.
+
+use std::path::PathBuf;
+
+use anyhow::{Context, bail};
+
+use super::{Outcome, asked_to_stop, block_on, list};
+use crate::config::Config;
+use crate::daemon::{self, RunOptions};
+
+/// Run the daemon: subscribe, estimate, publish, record, until SIGTERM or Ctrl-C.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example: stictiond run --config config/monitor.toml")]
+pub struct Args {
+    /// The configuration (TOML); `stictiond check FILE` lists every fault in it.
+    #[arg(long)]
+    pub config: PathBuf,
+    /// Workers for fits; all cores but one if not given.
+    #[arg(long)]
+    pub workers: Option<usize>,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// A configuration with faults, a port that is taken, a folder that cannot be written.
+pub fn run(args: &Args) -> anyhow::Result<Outcome> {
+    let text = std::fs::read_to_string(&args.config).with_context(|| args.config.display().to_string())?;
+    let config = match Config::parse(&text) {
+        Ok(config) => config,
+        Err(faults) => bail!("{} has faults:\n  {}", args.config.display(), list(&faults)),
+    };
+    block_on(async {
+        let options = RunOptions { origin: "run", workers: args.workers };
+        let stop = async {
+            if let Err(error) = asked_to_stop().await {
+                tracing::error!(%error, "signals cannot be watched");
+            }
+        };
+        daemon::run(config, text, options, stop).await
+    })?;
+    Ok(Outcome::Done)
+}

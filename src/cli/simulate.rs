@@ -1,0 +1,129 @@
+//! `stictiond simulate`: a recording of a simulated plant, as the daemon would have made it.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use anyhow::{Context, anyhow, bail};
+use serde_json::json;
+
+use super::{Format, Outcome, list, say};
+use crate::codec::encode_recorded;
+use crate::codec::topic::{self, Kind};
+use crate::config::{Config, short_hash};
+use crate::daemon::to_json;
+use crate::engine::{Engine, Event};
+use crate::files::mcap_write::RecordingFile;
+use crate::sim::scenario::Scenario;
+use crate::sink::recorder::RunInfo;
+
+/// Simulate a plant and write what a daemon beside it would have recorded: samples, estimates, alarms.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example: stictiond simulate recordings/scenarios/sticking.toml --out sticking.mcap")]
+pub struct Args {
+    /// The plant (TOML), such as those in recordings/scenarios.
+    pub scenario: PathBuf,
+    /// The recording to write (.mcap).
+    #[arg(long)]
+    pub out: PathBuf,
+    /// Configuration of the daemon beside it; its prefix must be the scenario's. Default: windows every 300 s.
+    #[arg(long)]
+    pub config: Option<PathBuf>,
+    /// Samples only, no results.
+    #[arg(long)]
+    pub raw: bool,
+    /// Replace an existing file.
+    #[arg(long)]
+    pub force: bool,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// A scenario or configuration with faults, an output that exists or cannot be written.
+pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
+    let text = std::fs::read_to_string(&args.scenario).with_context(|| args.scenario.display().to_string())?;
+    let scenario = Scenario::parse(&text).map_err(|e| anyhow!("{}: {e}", args.scenario.display()))?;
+    let config_text = match &args.config {
+        Some(path) => std::fs::read_to_string(path).with_context(|| path.display().to_string())?,
+        None => format!("[site]\nprefix = \"{}\"\n\n[window]\nhop_s = 300.0\n", scenario.site.prefix),
+    };
+    let config = Config::parse(&config_text).map_err(|faults| anyhow!("the configuration:\n  {}", list(&faults)))?;
+    if config.site.prefix != scenario.site.prefix {
+        bail!("the configuration's prefix {:?} is not the scenario's {:?}", config.site.prefix, scenario.site.prefix);
+    }
+    if args.out.extension().is_none_or(|e| e != "mcap") {
+        bail!("{}: a simulation is written as .mcap; convert it for other forms", args.out.display());
+    }
+    if args.out.exists() && !args.force {
+        bail!("{}: exists already; --force replaces it", args.out.display());
+    }
+    let run = RunInfo {
+        prefix: config.site.prefix.clone(),
+        // The same scenario gives the same file, to the byte.
+        run_id: short_hash(format!("{text}\n{config_text}").as_bytes())[..8].to_owned(),
+        started_ns: scenario.start_ns(),
+        origin: if args.raw { "simulate_raw" } else { "simulate" },
+        config_hash: config.hash(),
+        loop_map: serde_json::to_string(&config.loops).unwrap_or_default(),
+        config_text,
+    };
+    let made = write(args, &scenario, config, &run)?;
+    let counts: BTreeMap<&str, u64> = made.into_iter().map(|(kind, n)| (kind.name(), n)).collect();
+    match format {
+        Format::Json => say(json!({"schema": "stictiond.simulate.v1", "file": args.out, "messages": counts,
+            "truth": scenario.truth()}))?,
+        Format::Text => {
+            let counts: Vec<String> = counts.iter().map(|(kind, n)| format!("{n} {kind}")).collect();
+            say(format!("{}: {}", args.out.display(), counts.join(", ")))?;
+            say(scenario.truth().trim_end())?;
+        }
+    }
+    Ok(Outcome::Done)
+}
+
+/// Writes into a file of another name first: an output is whole or not there.
+fn write(args: &Args, scenario: &Scenario, config: Config, run: &RunInfo) -> anyhow::Result<BTreeMap<Kind, u64>> {
+    let mut part = args.out.clone().into_os_string();
+    part.push(".part");
+    let part = PathBuf::from(part);
+    if part.exists() {
+        std::fs::remove_file(&part).with_context(|| part.display().to_string())?;
+    }
+    let mut file = RecordingFile::create_at(part, args.out.clone(), &run.metadata(0, 0, "", 0))?;
+    let mut counts: BTreeMap<Kind, u64> = BTreeMap::new();
+    let mut engine = Engine::new(config);
+    let names: Vec<String> = scenario.loop_names().map(str::to_owned).collect();
+    let mut events = Vec::new();
+    let mut json = Vec::new();
+    for simulated in scenario.stream() {
+        let name = &names[simulated.loop_index];
+        let Some(id) = engine.appear(name) else { bail!("more loops than max_loops") };
+        let (sample, arrival_ns) = (simulated.sample, simulated.arrival_ns);
+        json.clear();
+        encode_recorded(&sample, &mut json);
+        let kind = Kind::of_signal(sample.signal);
+        file.write(&topic::raw(&run.prefix, name, sample.signal), kind, arrival_ns, sample.t_ns, &json)?;
+        *counts.entry(kind).or_default() += 1;
+        if args.raw {
+            continue;
+        }
+        engine.push(id, sample, &mut events);
+        while !events.is_empty() {
+            for event in std::mem::take(&mut events) {
+                let (id, kind, at_ns, json) = match event {
+                    Event::Request(request) => {
+                        engine.complete(request.id, request.seq, request.compute(), &mut events);
+                        continue;
+                    }
+                    Event::Estimate(id, d) => (id, Kind::Estimate, d.assessment.window.end_ns, to_json(&d)),
+                    Event::Alarm(id, d) => (id, Kind::Alarm, d.changed_ns, to_json(&d)),
+                    Event::State(id, d) => (id, Kind::State, d.window_end_ns.unwrap_or(0), to_json(&d)),
+                };
+                file.write(&topic::result(&run.prefix, engine.name(id), kind), kind, arrival_ns, at_ns, &json)?;
+                *counts.entry(kind).or_default() += 1;
+            }
+        }
+    }
+    file.finish()?;
+    Ok(counts)
+}

@@ -1,0 +1,82 @@
+//! Documents in words.
+
+use crate::units::format_rfc3339;
+use crate::verdict::{Assessment, EstimateDocument, Verdict};
+
+/// A number with a sensible count of digits, or a dash.
+fn number(value: Option<f64>) -> String {
+    match value {
+        None => "-".to_owned(),
+        Some(v) if v == 0.0 || (0.01..1e5).contains(&v.abs()) => format!("{v:.3}"),
+        Some(v) => format!("{v:.3e}"),
+    }
+}
+
+/// The verdict in a sentence.
+fn sentence(a: &Assessment) -> &'static str {
+    match a.verdict {
+        Verdict::Stiction => "the valve sticks and slips",
+        Verdict::Deadband => "the valve has a dead band",
+        Verdict::Disturbance => "the loop oscillates, most likely from outside; the valve follows its signal",
+        Verdict::Tuning => "the loop oscillates, most likely by its own tuning; the valve follows its signal",
+        Verdict::NoOscillation => "no oscillation, and no stiction seen",
+        Verdict::NoStiction => "no stiction seen",
+        Verdict::Inconclusive => "this window cannot answer",
+    }
+}
+
+/// One line for lists: when, which loop, what.
+pub(super) fn line(document: &EstimateDocument) -> String {
+    let a = &document.assessment;
+    let mut line = format!("{}  {:<12} {:<15}", format_rfc3339(a.window.end_ns), document.loop_name, a.verdict.name());
+    if a.stiction.is_some() {
+        line += &format!(" index {:>5}  s {:>7}", number(a.stiction_index), number(a.s));
+    }
+    if let Some(period) = a.oscillation.period_s.filter(|_| a.oscillation.oscillating) {
+        line += &format!("  period {period:.0} s");
+    }
+    if !a.gates.is_empty() {
+        line += &format!("  [{}]", gates(a));
+    }
+    line
+}
+
+fn gates(a: &Assessment) -> String {
+    a.gates.iter().map(|g| g.name()).collect::<Vec<_>>().join(", ")
+}
+
+/// Everything an estimate says.
+pub(super) fn estimate(document: &EstimateDocument) -> String {
+    let a = &document.assessment;
+    let w = &a.window;
+    let mut lines = vec![format!("{}: {} ({})", document.loop_name, a.verdict.name(), sentence(a))];
+    let mut row = |name: &str, value: String| lines.push(format!("  {name:<12} {value}"));
+    let boxes = if w.box_samples > 1 { format!(", in boxes of {}", w.box_samples) } else { String::new() };
+    let (start, end) = (format_rfc3339(w.start_ns), format_rfc3339(w.end_ns));
+    row("window", format!("{start} to {end}, {} samples of {} s{boxes}", w.samples, number(Some(w.ts_s))));
+    let o = &a.oscillation;
+    if let (Some(period), Some(periods), Some(density)) = (o.period_s, o.periods, o.samples_per_period) {
+        let kind = if o.oscillating { "regular" } else { "not regular" };
+        row("oscillation", format!("{kind}: period {} s, {periods:.1} periods, {density:.0} samples each", number(Some(period))));
+    }
+    if a.stiction_index.is_some() {
+        row("stiction", format!("fs {}  fd {}  (OP units)", number(a.fs), number(a.fd)));
+        row("", format!("s {}  j {}  s/span {}", number(a.s), number(a.j), number(a.s_over_span)));
+        row("index", number(a.stiction_index));
+        let words: Vec<&str> = [a.strength, a.region, a.severity].into_iter().flatten().collect();
+        row("class", words.join(", "));
+    }
+    if let Some(p) = &a.process {
+        let taus: Vec<String> = p.time_constants_s.iter().map(|t| number(Some(*t))).collect();
+        let kind = if p.integrating { "integrating" } else { "self-regulating" };
+        row("process", format!("order {} {kind}: gain {}, time constants [{}] s, dead time {} s, fit {:.1} %", p.order,
+            number(Some(p.gain)), taus.join(", "), number(Some(p.dead_time_s)), p.fit_pct));
+    }
+    if !a.gates.is_empty() {
+        row("gates", gates(a));
+    }
+    if let Some(grade) = a.grade {
+        row("grade", grade.to_string());
+    }
+    lines.join("\n")
+}
