@@ -199,6 +199,7 @@ mod tests {
                 action: Action::Reverse,
                 op_min: 0.0,
                 op_max: 100.0,
+                op_resolution: 0.0,
             },
             valve: ValveModel::HEALTHY,
             pv_noise_sd: 0.0,

@@ -3,6 +3,8 @@
 //! `OP = +-Kc (e + 1/Ti * integral of e dt) -+ Kc Td dPV/dt` (Åström & Hägglund 1995, ch. 3): derivative on PV only
 //! and filtered, integral not taken beyond what brings OP to its limit (conditional integration).
 
+use super::noise::quantise;
+
 /// Which way OP goes when PV rises.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Action {
@@ -27,6 +29,8 @@ pub struct PidSettings {
     pub op_min: f64,
     /// Greatest OP.
     pub op_max: f64,
+    /// OP is sent in multiples of this (a 4..20 mA output of 13 bits has about 0.01 %); 0 for all digits.
+    pub op_resolution: f64,
 }
 
 /// The derivative's filter has the time constant `td_s / DERIVATIVE_LIMIT`.
@@ -93,7 +97,7 @@ impl Pid {
 
     /// OP of this scan, `dt_s` seconds after the last.
     pub fn step(&mut self, sp: f64, pv: f64, dt_s: f64) -> f64 {
-        let PidSettings { ti_s, td_s, op_min, op_max, .. } = self.settings;
+        let PidSettings { ti_s, td_s, op_min, op_max, op_resolution, .. } = self.settings;
         let gain = self.signed_gain();
         let filter_s = td_s / DERIVATIVE_LIMIT;
         self.derivative = if td_s > 0.0 {
@@ -111,7 +115,7 @@ impl Pid {
         // What is left up to the limit may still be integrated: OP comes to rest at the limit, not short of it.
         let (room_down, room_up) = (op_min - fast - self.integral, op_max - fast - self.integral);
         self.integral += more.clamp(room_down.min(0.0), room_up.max(0.0));
-        self.op = (fast + self.integral).clamp(op_min, op_max);
+        self.op = quantise(fast + self.integral, op_resolution).clamp(op_min, op_max);
         self.op
     }
 }
@@ -120,8 +124,15 @@ impl Pid {
 mod tests {
     use super::*;
 
-    const PI: PidSettings =
-        PidSettings { kc: 2.0, ti_s: 10.0, td_s: 0.0, action: Action::Reverse, op_min: 0.0, op_max: 100.0 };
+    const PI: PidSettings = PidSettings {
+        kc: 2.0,
+        ti_s: 10.0,
+        td_s: 0.0,
+        action: Action::Reverse,
+        op_min: 0.0,
+        op_max: 100.0,
+        op_resolution: 0.0,
+    };
 
     #[test]
     fn a_constant_error_gives_the_textbook_ramp() {
@@ -131,6 +142,14 @@ mod tests {
             let op = pid.step(51.0, 50.0, 1.0);
             assert!((op - (40.0 + 2.0 + 0.2 * f64::from(k))).abs() < 1e-12);
         }
+    }
+
+    #[test]
+    fn op_is_sent_in_steps_but_integrates_finely() {
+        let mut pid = Pid::bumpless(PidSettings { op_resolution: 0.5, ..PI }, 40.0, 50.0, 50.0);
+        let ops: Vec<f64> = (0..5).map(|_| pid.step(50.5, 50.0, 1.0)).collect();
+        // 41.1, 41.2, 41.3, 41.4, 41.5 before rounding.
+        assert_eq!(ops, [41.0, 41.0, 41.5, 41.5, 41.5]);
     }
 
     #[test]

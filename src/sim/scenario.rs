@@ -15,11 +15,11 @@
 //! operating_point = { op = 50.0, pv = 60.0 }      # where the process rests
 //! setpoint = 60.0                        # or [{ at_s = 0.0, value = 60.0 }, ...]
 //! process = { gain = 2.0, time_constants_s = [20.0], dead_time_s = 5.0 }
-//! controller = { kc = 0.4, ti_s = 20.0 }
+//! controller = { kc = 0.4, ti_s = 20.0, op_resolution = 0.01 }
 //! valve = { law = "he", fs = 3.0, fd = 1.0 }
 //! noise = { pv_sd = 0.05 }
 //! disturbance = { load = [{ sine = { amplitude = 1.0, period_s = 80.0 } }], pv = [] }
-//! recording = { op_quantum = 0.01, pv_quantum = 0.01 }
+//! recording = { pv_quantum = 0.01 }
 //! ```
 
 use serde::Deserialize;
@@ -226,6 +226,9 @@ pub struct ControllerSpec {
     /// Least and greatest OP.
     #[serde(default = "percent")]
     pub op_range: [f64; 2],
+    /// OP reaches the valve in multiples of this, OP units; 0 for all digits.
+    #[serde(default)]
+    pub op_resolution: f64,
 }
 
 const fn percent() -> [f64; 2] {
@@ -288,7 +291,8 @@ pub struct ManualSpec {
 pub struct RecordingSpec {
     /// Signals that are sent.
     pub signals: Vec<Signal>,
-    /// OP (and valve position) is recorded in multiples of this, OP units; 0 for all digits.
+    /// OP (and valve position) is recorded in multiples of this, OP units; 0 for all digits. The valve sees OP as
+    /// the controller sent it.
     pub op_quantum: f64,
     /// PV is recorded in multiples of this, PV units; 0 for all digits.
     pub pv_quantum: f64,
@@ -427,6 +431,7 @@ impl LoopSpec {
                 action: if self.process.gain > 0.0 { Action::Reverse } else { Action::Direct },
                 op_min,
                 op_max,
+                op_resolution: self.controller.op_resolution,
             },
             valve: ValveModel {
                 law: self.valve.law,

@@ -142,6 +142,7 @@ fn check_loop(spec: &LoopSpec, ts_s: f64, report: &mut Report<'_>) {
     report.need(lo.is_finite() && hi.is_finite() && lo < hi, "controller.op_range", || {
         format!("is [{lo}, {hi}], but the first must be less than the second")
     });
+    report.not_negative("controller.op_resolution", controller.op_resolution);
     let op = spec.operating_point.op;
     report.need((lo..=hi).contains(&op) || lo >= hi, "operating_point.op", || {
         format!("is {op}, outside the controller's range {lo} to {hi}")
