@@ -2,8 +2,20 @@
 
 pub mod oscillation;
 
+use serde::Serialize;
+
 use crate::record::Record;
-use crate::verdict::Witness;
+
+/// One witness's say.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Witness {
+    /// Its name in the catalogue.
+    pub name: &'static str,
+    /// Its figure, defined where the witness is.
+    pub score: Option<f64>,
+    /// For stiction, against, or silent.
+    pub vote: Option<bool>,
+}
 
 /// A test that says something about the valve from one record.
 pub trait Detector: Sync {

@@ -128,7 +128,13 @@ mod tests {
         for seed in 1..20 {
             let white = noise(1500, seed);
             let mut level = 0.0;
-            let walk: Vec<f64> = white.iter().map(|e| { level += e; level }).collect();
+            let walk: Vec<f64> = white
+                .iter()
+                .map(|e| {
+                    level += e;
+                    level
+                })
+                .collect();
             false_alarms += usize::from(detect_one(&white).is_some_and(|o| o.oscillating));
             false_alarms += usize::from(detect_one(&walk).is_some_and(|o| o.oscillating));
         }

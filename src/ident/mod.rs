@@ -1,1 +1,18 @@
-//! Identification.
+//! Identification: how much the valve sticks, and what process it moves.
+//!
+//! [`quantify`] fits a valve law and a process model to one record in free run: the law runs on OP as recorded, the
+//! process answers with a continuous dead time, and everything linear (gain, kinetic band, bias, initial state) is
+//! solved exactly. Everything is seeded, bounded in work and scale-free.
+
+mod candidate;
+mod choice;
+pub mod class;
+mod fit;
+mod least_squares;
+mod quantify;
+pub mod region;
+mod search;
+pub mod sign;
+
+pub use choice::{DelayChoice, ModelChoice, ValveChoice};
+pub use quantify::{Estimate, Options, quantify};

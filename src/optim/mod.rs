@@ -89,8 +89,7 @@ struct Meter<'a> {
 
 impl<'a> Meter<'a> {
     fn new(objective: &'a mut dyn Objective, budget: u64) -> Self {
-        let outcome =
-            Outcome { best: [0.0, 0.0], cost: f64::INFINITY, evaluations: 0, stopped: Termination::Complete };
+        let outcome = Outcome { best: [0.0, 0.0], cost: f64::INFINITY, evaluations: 0, stopped: Termination::Complete };
         Self { objective, left: budget, outcome }
     }
 

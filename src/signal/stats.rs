@@ -138,7 +138,8 @@ mod tests {
     #[test]
     fn noise_is_seen_through_a_ramp() {
         // A fixed +-1 pattern without structure: the low bit of squares modulo a prime.
-        let x: Vec<f64> = (0_u64..4000).map(|k| k as f64 * 0.3 + (((k * k * k) % 8191) as f64 / 8191.0 - 0.5)).collect();
+        let x: Vec<f64> =
+            (0_u64..4000).map(|k| k as f64 * 0.3 + (((k * k * k) % 8191) as f64 / 8191.0 - 0.5)).collect();
         assert!((noise_sd(&x) - (1.0_f64 / 12.0).sqrt()).abs() < 0.06, "{}", noise_sd(&x));
     }
 

@@ -2,6 +2,8 @@
 
 use serde::Serialize;
 
+use crate::detect::Witness;
+
 /// Schema name of an estimate.
 pub const ESTIMATE_SCHEMA: &str = "stictiond.estimate.v1";
 
@@ -184,17 +186,6 @@ pub struct Process {
     pub mse: f64,
     /// 100 (1 - rms error / std PV): 100 is perfect, 0 no better than the mean.
     pub fit_pct: f64,
-}
-
-/// One witness's say.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Witness {
-    /// Its name in the catalogue.
-    pub name: &'static str,
-    /// Its figure, defined where the witness is.
-    pub score: Option<f64>,
-    /// For stiction, against, or silent.
-    pub vote: Option<bool>,
 }
 
 /// The controller as read from the record.

@@ -1,10 +1,15 @@
 //! Judgement on one window: gates, fit, verdict, grade.
 
+mod assess;
 mod document;
+mod gates;
+mod judge;
 mod params;
 
+pub use crate::detect::Witness;
+pub use crate::ident::{DelayChoice, ModelChoice, ValveChoice};
+pub use assess::assess;
 pub use document::{
     Assessment, Controller, ESTIMATE_SCHEMA, EstimateDocument, Gate, Oscillation, Process, Search, Verdict, Window,
-    Witness,
 };
-pub use params::{AssessParams, DelayChoice, ModelChoice, ValveChoice};
+pub use params::AssessParams;

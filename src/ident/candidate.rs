@@ -1,0 +1,231 @@
+//! One candidate: a pair (s, j) and a first slip, the slips they make of OP, and the process model that fits best.
+
+use super::class::{Class, Limits, Shape};
+use super::fit::{Fitted, Fitter, Freedom, Target};
+use crate::sim::slips::{FirstSlip, Law, Sequence};
+
+/// A record in normalised form: OP in spans, PV in standard deviations.
+#[derive(Debug, Clone)]
+pub struct Question {
+    /// OP on its way, `n * per_point` values, centred, in units of its robust span.
+    pub path: Vec<f64>,
+    /// OP values a point.
+    pub per_point: usize,
+    /// OP averaged over each point.
+    pub mean: Vec<f64>,
+    /// As long as `mean`, all zero: the second half of a signal without friction.
+    pub still: Vec<f64>,
+    /// PV less its mean, over its standard deviation.
+    pub pv: Vec<f64>,
+    /// Limits of the process' shape, points.
+    pub limits: Limits,
+    /// First point that counts.
+    pub from: usize,
+    /// A typical time, points: a period, or a fifth of the record where nothing oscillates.
+    pub period: f64,
+    /// OP's running maxima, then minima: the places where a first slip can happen.
+    pub records: [Vec<f64>; 2],
+}
+
+impl Question {
+    /// The signal without friction.
+    #[must_use]
+    pub fn frictionless(&self) -> [&[f64]; 2] {
+        [&self.mean, &self.still]
+    }
+
+    /// Running maxima (or minima) of OP from its first value on.
+    pub fn records_of(path: &[f64]) -> [Vec<f64>; 2] {
+        let first = path.first().copied().unwrap_or(0.0);
+        let mut out = [vec![first], vec![first]];
+        for &op in path {
+            for (list, sign) in out.iter_mut().zip([1.0, -1.0]) {
+                if list.last().is_some_and(|r| sign * (op - r) > 0.0) {
+                    list.push(op);
+                }
+            }
+        }
+        out
+    }
+
+    /// The first slip that `start` stands for.
+    fn first_slip(&self, start: Start) -> FirstSlip {
+        let list = &self.records[usize::from(!start.up)];
+        let direction = if start.up { 1.0 } else { -1.0 };
+        let threshold = match start.record.min(list.len() - 1) {
+            0 => list[0] - direction * 1e-9,
+            r => list[r - 1] + start.place * (list[r] - list[r - 1]),
+        };
+        FirstSlip { direction, threshold }
+    }
+
+    /// The start that a stem at `position` makes with the band `fs`, if OP ever moves it.
+    fn start_from(&self, position: f64, fs: f64) -> Option<Start> {
+        let moved = self.path.iter().find(|op| (*op - position).abs() > fs)?;
+        let up = *moved > position;
+        let list = &self.records[usize::from(!up)];
+        let record = list.iter().position(|r| r == moved)?;
+        Some(Start { up, record, place: 0.5 })
+    }
+
+    /// Starts worth trying with the band `fs`: the stem below, on and above OP's first value.
+    pub fn starts(&self, fs: f64, wanted: usize) -> Vec<Start> {
+        let mut out: Vec<Start> = Vec::with_capacity(wanted);
+        for k in 0..wanted {
+            let offset = if wanted > 1 { 1.8 * k as f64 / (wanted - 1) as f64 - 0.9 } else { 0.0 };
+            let Some(first) = self.path.first() else { break };
+            if let Some(start) = self.start_from(first + offset * fs, fs) {
+                if !out.contains(&start) {
+                    out.push(start);
+                }
+            }
+        }
+        out
+    }
+}
+
+/// Which of OP's records brings the first slip, and where between the record before and it the threshold lies (0..1).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Start {
+    /// Upwards, at a running maximum.
+    pub up: bool,
+    /// Which record; 0 slips at the first value.
+    pub record: usize,
+    /// Place of the threshold.
+    pub place: f64,
+}
+
+/// A fitted candidate. Sizes in spans of OP.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Candidate {
+    /// Dead band plus stick band.
+    pub s: f64,
+    /// Slip jump.
+    pub j: f64,
+    /// First slip.
+    pub start: Start,
+    /// Values of s that give the same slips.
+    pub s_cell: [f64; 2],
+    /// Values of j that give the same slips.
+    pub j_cell: [f64; 2],
+    /// Moves of the stem.
+    pub slips: usize,
+    /// Changes of its direction.
+    pub reversals: usize,
+    /// The process model.
+    pub fit: Fitted,
+}
+
+impl Candidate {
+    /// Whether (s, j) with the same start makes the same slips.
+    #[must_use]
+    pub fn covers(&self, s: f64, j: f64, start: Start) -> bool {
+        self.start == start && self.s_cell[0] <= s && s < self.s_cell[1] && self.j_cell[0] <= j && j < self.j_cell[1]
+    }
+
+    /// (s, j) in the middle of what the slips and the fitted fd leave open.
+    #[must_use]
+    pub fn centred(&self) -> [f64; 2] {
+        let fd = self.fit.fd;
+        let high_s = if self.s_cell[1].is_finite() { self.s_cell[1] } else { self.s };
+        let low = self.s_cell[0].max(self.j_cell[0] + 2.0 * fd);
+        let high = high_s.min(self.j_cell[1] + 2.0 * fd);
+        let s = if low <= high { 0.5 * (low + high) } else { self.s };
+        [s, (s - 2.0 * fd).clamp(0.0, s)]
+    }
+}
+
+/// How hard one candidate is fitted.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Effort {
+    /// Gauss-Newton steps.
+    pub steps: usize,
+    /// Cost beyond which the steps are not worth it.
+    pub hopeless: f64,
+}
+
+/// Fewest moves of the stem from which a model is fitted.
+pub const MIN_SLIPS: usize = 3;
+
+/// Turns (s, j, start) into fitted candidates.
+#[derive(Debug)]
+pub struct Bench<'a> {
+    /// The record.
+    pub question: &'a Question,
+    /// The valve law.
+    pub law: Law,
+    /// The class of process.
+    pub class: Class,
+    /// The signal to be met.
+    pub target: &'a Target,
+    /// Sign of the gain.
+    pub sign: f64,
+    /// The fits' buffers and count.
+    pub fitter: Fitter,
+    sequence: Sequence,
+}
+
+impl<'a> Bench<'a> {
+    /// A bench for one record, law, class, target and sign.
+    #[must_use]
+    pub fn new(question: &'a Question, law: Law, class: Class, target: &'a Target, sign: f64) -> Self {
+        Self { question, law, class, target, sign, fitter: Fitter::default(), sequence: Sequence::default() }
+    }
+
+    /// Fits the process from the best of the `shapes`; `None` where the stem hardly moves.
+    pub fn fit(&mut self, s: f64, j: f64, start: Start, shapes: &[Shape], effort: Effort) -> Option<Candidate> {
+        let freedom = self.slip(s, j, start)?;
+        let signal = [&self.sequence.at[..], &self.sequence.direction[..]];
+        let mut best: Option<Fitted> = None;
+        for shape in shapes {
+            let fit = self.fitter.linear(self.class, shape, signal, self.target, &freedom);
+            if best.is_none_or(|b| fit.sse < b.sse) {
+                best = Some(fit);
+            }
+        }
+        let mut fit = best?;
+        if effort.steps > 0 && fit.sse < effort.hopeless {
+            if shapes.last() != Some(&fit.shape) {
+                fit = self.fitter.linear(self.class, &fit.shape, signal, self.target, &freedom);
+            }
+            fit = self.fitter.improve(self.class, fit, signal, self.target, &freedom, effort.steps, 1e-4);
+        }
+        Some(self.candidate(s, j, start, fit))
+    }
+
+    /// Fits the process of a candidate until nothing helps any more.
+    pub fn settle(&mut self, from: &Candidate) -> Option<Candidate> {
+        let freedom = self.slip(from.s, from.j, from.start)?;
+        let signal = [&self.sequence.at[..], &self.sequence.direction[..]];
+        let fit = self.fitter.settle(self.class, from.fit, signal, self.target, &freedom);
+        Some(self.candidate(from.s, from.j, from.start, fit))
+    }
+
+    /// Standard error of the fitted fd in spans of OP, were the residual white; infinite where fd is not seen.
+    pub fn band_error(&mut self, of: &Candidate) -> f64 {
+        let Some(freedom) = self.slip(of.s, of.j, of.start) else { return f64::INFINITY };
+        let signal = [&self.sequence.at[..], &self.sequence.direction[..]];
+        self.fitter.band_error(self.class, &of.fit, signal, self.target, &freedom)
+    }
+
+    fn candidate(&self, s: f64, j: f64, start: Start, fit: Fitted) -> Candidate {
+        let q = &self.sequence;
+        Candidate { s, j, start, s_cell: q.s_cell, j_cell: q.j_cell, slips: q.slips, reversals: q.reversals, fit }
+    }
+
+    /// Runs the valve and tells which fd its slips allow.
+    fn slip(&mut self, s: f64, j: f64, start: Start) -> Option<Freedom> {
+        let question = self.question;
+        self.sequence.run(self.law, &question.path, question.per_point, s, j, question.first_slip(start));
+        if self.sequence.slips < MIN_SLIPS {
+            return None;
+        }
+        let [s_low, s_high] = self.sequence.s_cell;
+        let [j_low, j_high] = self.sequence.j_cell;
+        let s_high = if s_high.is_finite() { s_high } else { s.max(1.0) };
+        let low = (0.5 * (s_low - j_high.min(s_high))).max(0.0);
+        let high = (0.5 * (s_high - j_low)).max(low);
+        let fd_default = (0.5 * (s - j)).clamp(low, high);
+        Some(Freedom { fd: [low, high], fd_default, sign: self.sign, limits: question.limits })
+    }
+}

@@ -1,0 +1,233 @@
+//! The classes of process model, each as a response to the valve signal plus the course its own memory runs down in.
+//!
+//! Lags, times and gains are in points here.
+
+use crate::sim::process::{Pole, run_pair, series_weights};
+
+/// A class of process model.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Class {
+    /// First order with dead time.
+    First,
+    /// Two different lags in series with dead time.
+    Second,
+    /// Integrator with dead time, its input's bias free.
+    Integrating,
+    /// Lag before an integrator, with dead time.
+    LagIntegrating,
+}
+
+/// What is searched besides the linear coefficients: logarithms of the time constants (points), then the lag
+/// (points). Unused places are 0.
+pub type Shape = [f64; 3];
+
+/// Limits of [`Shape`].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Limits {
+    /// Time constants, points.
+    pub tau: [f64; 2],
+    /// Lag, points.
+    pub lag: [f64; 2],
+}
+
+/// Points by which an integrator's gain is scaled, so that its course is of the size of its input.
+const INTEGRATOR_SCALE: f64 = 50.0;
+
+/// Buffers for one response.
+#[derive(Debug, Clone, Default)]
+pub struct Scratch {
+    a: Vec<f64>,
+    b: Vec<f64>,
+    c: Vec<f64>,
+    d: Vec<f64>,
+}
+
+impl Class {
+    /// Entries of [`Shape`] in use; the last one is the lag.
+    #[must_use]
+    pub const fn shape_len(self) -> usize {
+        match self {
+            Self::Integrating => 1,
+            Self::First | Self::LagIntegrating => 2,
+            Self::Second => 3,
+        }
+    }
+
+    /// Columns of the process' own memory, the constant included.
+    #[must_use]
+    pub const fn memory_len(self) -> usize {
+        match self {
+            Self::First | Self::Integrating => 2,
+            Self::Second | Self::LagIntegrating => 3,
+        }
+    }
+
+    /// Lags in the model: its order as reported.
+    #[must_use]
+    pub const fn order(self) -> u8 {
+        match self {
+            Self::First | Self::Integrating => 1,
+            Self::Second | Self::LagIntegrating => 2,
+        }
+    }
+
+    /// Whether it integrates.
+    #[must_use]
+    pub const fn integrates(self) -> bool {
+        matches!(self, Self::Integrating | Self::LagIntegrating)
+    }
+
+    /// The shape of a single lag `tau` and a `lag`, in points, as this class starts from it.
+    #[must_use]
+    pub fn start(self, tau: f64, lag: f64) -> Shape {
+        let t = libm::log(tau);
+        match self {
+            Self::First => [t, lag, 0.0],
+            Self::Second => [t, libm::log(0.25 * tau), (lag - 0.2 * tau).max(0.5 * lag)],
+            Self::Integrating => [lag, 0.0, 0.0],
+            Self::LagIntegrating => [libm::log(0.1 * tau), lag, 0.0],
+        }
+    }
+
+    /// The same shape inside the limits; the two lags of [`Class::Second`] are kept in falling order and apart.
+    #[must_use]
+    pub fn clamp(self, mut shape: Shape, limits: &Limits) -> Shape {
+        let last = self.shape_len() - 1;
+        let low = libm::log(limits.tau[0]);
+        let high = libm::log(limits.tau[1]);
+        for value in &mut shape[..last] {
+            *value = value.clamp(low, high);
+        }
+        shape[last] = shape[last].clamp(limits.lag[0], limits.lag[1]);
+        if self == Self::Second {
+            if shape[1] > shape[0] {
+                shape.swap(0, 1);
+            }
+            if shape[0] - shape[1] < 1e-3 {
+                shape[1] = shape[0] - 1e-3;
+            }
+        }
+        shape
+    }
+
+    /// Lag of a shape, points.
+    #[must_use]
+    pub const fn lag(self, shape: &Shape) -> f64 {
+        shape[self.shape_len() - 1]
+    }
+
+    /// Responses of unit gain to two signals at once, each from rest at its first value.
+    pub fn respond_pair(self, shape: &Shape, v: [&[f64]; 2], work: &mut Scratch, out: [&mut Vec<f64>; 2]) {
+        self.respond_shapes([shape, shape], v, work, out);
+    }
+
+    /// Responses of unit gain, each of its own shape to its own signal, from rest at the signal's first value.
+    pub fn respond_shapes(self, shapes: [&Shape; 2], v: [&[f64]; 2], work: &mut Scratch, out: [&mut Vec<f64>; 2]) {
+        let lag: [usize; 2] = core::array::from_fn(|i| self.lag(shapes[i]).max(0.0).floor() as usize);
+        let fraction: [f64; 2] = core::array::from_fn(|i| self.lag(shapes[i]).max(0.0) - lag[i] as f64);
+        let rest: [f64; 2] = core::array::from_fn(|i| v[i].first().copied().unwrap_or(0.0));
+        let pole =
+            |slot: usize| -> [Pole; 2] { core::array::from_fn(|i| Pole::lag(libm::exp(shapes[i][slot]), fraction[i])) };
+        let integrator: [Pole; 2] = core::array::from_fn(|i| {
+            let p = Pole::integrator(fraction[i]);
+            Pole { a: p.a, b0: p.b0 / INTEGRATOR_SCALE, b1: p.b1 / INTEGRATOR_SCALE }
+        });
+        let [out0, out1] = out;
+        match self {
+            Self::First => run_pair(pole(0), lag, v, rest, [out0, out1]),
+            Self::Integrating => run_pair(integrator, lag, v, [0.0; 2], [out0, out1]),
+            Self::Second => {
+                run_pair(pole(0), lag, v, rest, [out0, out1]);
+                run_pair(pole(1), lag, v, rest, [&mut work.a, &mut work.b]);
+                let weights = |s: &Shape| series_weights(libm::exp(s[0]), libm::exp(s[1]));
+                mix(out0, &work.a, weights(shapes[0]));
+                mix(out1, &work.b, weights(shapes[1]));
+            }
+            Self::LagIntegrating => {
+                run_pair(integrator, lag, v, [0.0; 2], [out0, out1]);
+                run_pair(pole(0), lag, v, rest, [&mut work.c, &mut work.d]);
+                // 1/(s (tau s + 1)) = 1/s - tau/(tau s + 1)
+                mix(out0, &work.c, (1.0, -libm::exp(shapes[0][0]) / INTEGRATOR_SCALE));
+                mix(out1, &work.d, (1.0, -libm::exp(shapes[1][0]) / INTEGRATOR_SCALE));
+            }
+        }
+    }
+
+    /// Column `index` of the process' own memory at points `from..from + n`, filtered by `1 - rho q^-1`.
+    pub fn memory(self, shape: &Shape, index: usize, from: usize, n: usize, rho: f64, out: &mut Vec<f64>) {
+        out.clear();
+        let slot = match (self, index) {
+            (_, 0) => {
+                out.resize(n, 1.0 - rho);
+                return;
+            }
+            (Self::Integrating | Self::LagIntegrating, 1) => {
+                let scale = 1.0 / n.max(1) as f64;
+                out.extend((0..n).map(|k| ((from + k) as f64 - rho * ((from + k) as f64 - 1.0)) * scale));
+                return;
+            }
+            (Self::LagIntegrating, _) | (_, 1) => 0,
+            _ => 1,
+        };
+        let a = libm::exp(-libm::exp(-shape[slot]));
+        let mut value = 1.0;
+        for _ in 0..n {
+            out.push(value);
+            value *= a;
+            if value < 1e-30 {
+                break;
+            }
+        }
+        out.resize(n, 0.0);
+    }
+
+    /// Gain in valve units to signal units (a point, when integrating) of the coefficient of the unit response.
+    #[must_use]
+    pub fn gain(self, coefficient: f64) -> f64 {
+        if self.integrates() { coefficient / INTEGRATOR_SCALE } else { coefficient }
+    }
+
+    /// Time constants of a shape, points, largest first.
+    #[must_use]
+    pub fn time_constants(self, shape: &Shape) -> Vec<f64> {
+        shape[..self.shape_len() - 1].iter().map(|t| libm::exp(*t)).collect()
+    }
+}
+
+/// `x <- w.0 x + w.1 z`.
+fn mix(x: &mut [f64], z: &[f64], w: (f64, f64)) {
+    for (a, b) in x.iter_mut().zip(z) {
+        *a = w.0 * *a + w.1 * b;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_class_settles_or_integrates_as_its_step_response_says() {
+        let v: Vec<f64> = (0..400).map(|k| f64::from(u8::from(k >= 10))).collect();
+        let mut work = Scratch::default();
+        let (mut x, mut z) = (Vec::new(), Vec::new());
+        for class in [Class::First, Class::Second, Class::Integrating, Class::LagIntegrating] {
+            let shape = class.start(8.0, 3.5);
+            class.respond_pair(&shape, [&v, &v], &mut work, [&mut x, &mut z]);
+            assert_eq!(x, z);
+            assert!(x[10].abs() < 1e-12, "{class:?}");
+            let slope = (x[399] - x[398]) * class.gain(1.0).recip();
+            if class.integrates() {
+                assert!((slope - 1.0).abs() < 1e-9, "{class:?} {slope}");
+            } else {
+                assert!((x[399] - 1.0).abs() < 1e-9, "{class:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn shapes_are_kept_inside_their_limits() {
+        let limits = Limits { tau: [0.3, 500.0], lag: [1.0, 25.0] };
+        let shape = Class::Second.clamp([0.0, 9.0, 99.0], &limits);
+        assert!(shape[0] > shape[1] && shape[2] == 25.0 && shape[0] <= libm::log(500.0));
+    }
+}

@@ -1,0 +1,315 @@
+//! From a record to the bands: normalise, search, refine, compare with no stiction at all.
+
+use super::candidate::{Bench, Candidate, Question};
+use super::choice::{DelayChoice, ModelChoice, ValveChoice};
+use super::class::{Class, Limits};
+use super::fit::{Fitted, Fitter, Freedom, Target};
+use super::search::{Look, beam, climb, generator};
+use super::sign;
+use crate::optim::{self, Objective, Outcome, Settings, Termination};
+use crate::record::Record;
+use crate::signal::stats;
+use crate::sim::slips::Law;
+
+/// What a fit is told.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Options {
+    /// Process order.
+    pub model: ModelChoice,
+    /// Dead time.
+    pub delay: DelayChoice,
+    /// Valve law.
+    pub valve: ValveChoice,
+    /// Name of the global solver; an unknown one falls back to the contour grid.
+    pub solver: &'static str,
+    /// Step of the contour grid, % of the span.
+    pub fineness_pct: f64,
+    /// Seed of every random choice.
+    pub seed: u64,
+    /// Period of the oscillation, points, where one is known.
+    pub period_points: Option<f64>,
+}
+
+/// What a fit found. Bands in OP units, gain in PV units per OP unit (per second too when integrating).
+#[derive(Debug, Clone, PartialEq)]
+pub struct Estimate {
+    /// Dead band plus stick band.
+    pub s: f64,
+    /// Slip jump.
+    pub j: f64,
+    /// Robust span of OP.
+    pub span: f64,
+    /// 1 - error with stiction / error without, same class of process, 0..1.
+    pub index: f64,
+    /// The law that fits better.
+    pub law: Law,
+    /// Class of the process.
+    pub class: Class,
+    /// Process gain.
+    pub gain: f64,
+    /// Time constants, s, largest first.
+    pub time_constants_s: Vec<f64>,
+    /// Dead time, s.
+    pub dead_time_s: f64,
+    /// Mean squared free-run error, PV units squared.
+    pub mse: f64,
+    /// The same without stiction.
+    pub mse_without: f64,
+    /// Moves of the stem.
+    pub slips: usize,
+    /// Changes of the stem's direction.
+    pub reversals: usize,
+    /// Standard error of j from the fit of fd, OP units; infinite where fd is not seen apart from the gain.
+    pub j_error: f64,
+    /// All s in this range give the same slips, OP units.
+    pub s_cell: [f64; 2],
+    /// Model responses computed.
+    pub evaluations: u64,
+    /// The global solver's name.
+    pub solver: &'static str,
+    /// Why it stopped.
+    pub stopped: Termination,
+}
+
+/// Filter of the search: differences of free-run errors, less drift-prone and with fewer false optima.
+const SEARCH_RHO: f64 = 0.9;
+/// Share of the error that a second lag must remove.
+const SECOND_ORDER_GAIN: f64 = 0.10;
+
+/// The best valve law and process model of a record, or `None` where a signal does not move or nothing moves the stem.
+#[must_use]
+pub fn quantify(record: &Record, options: &Options) -> Option<Estimate> {
+    let span = stats::span(&record.op_path);
+    let deviation = stats::std_dev(&record.pv);
+    if record.len() < 30 || !span.is_normal() || !deviation.is_normal() {
+        return None;
+    }
+    let question = pose(record, options, span, deviation);
+    let plain = Target::new(&question.pv, 0.0, question.from);
+    let mut evaluations = 0;
+    let mut best: Option<Found> = None;
+    let signs = match sign::of_gain(&question.mean, &question.pv) {
+        Some(sign) => vec![sign],
+        None => vec![1.0, -1.0],
+    };
+    let laws: &[Law] = match options.valve {
+        ValveChoice::He => &[Law::He],
+        ValveChoice::Tracking => &[Law::Tracking],
+        ValveChoice::Auto => &[Law::He, Law::Tracking],
+    };
+    for &law in laws {
+        for &sign in &signs {
+            let found = search(&question, &plain, law, sign, options);
+            evaluations += found.evaluations;
+            if found.candidate.is_some_and(|c| best.as_ref().is_none_or(|b| c.fit.sse < b.sse())) {
+                best = Some(found);
+            }
+        }
+    }
+    let best = best?;
+    report(record, options, &question, &plain, &best, evaluations, span, deviation)
+}
+
+/// The outcome of one search for one law and sign.
+struct Found {
+    candidate: Option<Candidate>,
+    class: Class,
+    law: Law,
+    sign: f64,
+    without: f64,
+    evaluations: u64,
+    outcome: Outcome,
+    solver: &'static str,
+}
+
+impl Found {
+    fn sse(&self) -> f64 {
+        self.candidate.map_or(f64::INFINITY, |c| c.fit.sse)
+    }
+}
+
+/// The record in normalised form.
+fn pose(record: &Record, options: &Options, span: f64, deviation: f64) -> Question {
+    let (n, m) = (record.len(), record.path_per_point());
+    let middle = stats::mean(&record.op_path);
+    let path: Vec<f64> = record.op_path.iter().map(|u| (u - middle) / span).collect();
+    let mean: Vec<f64> = path.chunks_exact(m).map(stats::mean).collect();
+    let level = stats::mean(&record.pv);
+    let pv = record.pv.iter().map(|p| (p - level) / deviation).collect();
+    let period = options.period_points.unwrap_or(n as f64 / 5.0).clamp(6.0, n as f64);
+    let raw = 1.0 / record.box_samples as f64;
+    let most = (0.4 * period).clamp(6.0, 60.0).min(n as f64 / 6.0);
+    let lag = match options.delay {
+        DelayChoice::Auto => [raw, most],
+        DelayChoice::Samples(d) => [raw * (d.max(0.0) + 1.0); 2],
+        DelayChoice::Seconds(d) => [raw * (d.max(0.0) / record.ts_s + 1.0); 2],
+    };
+    let lag = lag.map(|l| l.min(0.5 * n as f64));
+    let from = (lag[1].ceil() as usize + 1).min(n / 2);
+    let limits = Limits { tau: [0.3, (3.0 * n as f64).max(500.0)], lag };
+    let records = Question::records_of(&path);
+    let still = vec![0.0; n];
+    Question { path, per_point: m, mean, still, pv, limits, from, period, records }
+}
+
+/// The best candidate for one law and one sign of the gain, in the class that it deserves.
+fn search(question: &Question, plain: &Target, law: Law, sign: f64, options: &Options) -> Found {
+    let solver = optim::by_name(options.solver).unwrap_or(optim::ALL[0]);
+    let settings = Settings { budget: 20_000, fineness_pct: options.fineness_pct, seed: options.seed };
+    let filtered = Target::new(&question.pv, SEARCH_RHO, question.from);
+    let mut rng = generator(options.seed, 1);
+    let mut bench = Bench::new(question, law, Class::First, &filtered, sign);
+    let mut look = Look::new(&mut bench, 3, 2);
+    let outcome = solver.search(&mut look, &settings);
+    sweep(&mut look);
+    let mut held = beam(&look.pool, 16, 5);
+    for (keep, steps, fine) in [(usize::MAX, 40, false), (5, 150, false), (2, 200, false)] {
+        held.sort_by(|a, b| a.fit.sse.total_cmp(&b.fit.sse));
+        held.truncate(keep);
+        held = held.into_iter().map(|c| climb(&mut bench, c, steps, fine, &mut rng)).collect();
+        let top = held.len().min(6);
+        held = beam(&held, top.max(4), 2);
+    }
+    let mut evaluations = bench.fitter.evaluations;
+    let mut bench = Bench::new(question, law, Class::First, plain, sign);
+    let mut settled: Vec<Candidate> = held.iter().filter_map(|c| bench.settle(c)).collect();
+    settled.sort_by(|a, b| a.fit.sse.total_cmp(&b.fit.sse));
+    settled.truncate(3);
+    let mut finalists: Vec<Candidate> =
+        settled.into_iter().map(|c| climb(&mut bench, c, 100, false, &mut rng)).collect();
+    finalists.sort_by(|a, b| a.fit.sse.total_cmp(&b.fit.sse));
+    evaluations += bench.fitter.evaluations;
+    let (candidate, class) = promote(question, plain, law, sign, options.model, &finalists, &mut evaluations, &mut rng);
+    let without = frictionless(question, plain, class, sign);
+    Found { candidate, class, law, sign, without, evaluations, outcome, solver: solver.name() }
+}
+
+/// An even look on a logarithmic scale of s, which no linear grid gives to small bands.
+fn sweep(look: &mut Look<'_, '_>) {
+    const STEPS: i32 = 40;
+    for k in 0..STEPS {
+        let s = libm::pow(0.04, f64::from(k) / f64::from(STEPS - 1));
+        for share in [0.06, 0.25, 0.5, 0.75, 0.94] {
+            look.cost([s, share * s]);
+        }
+    }
+}
+
+/// Tries the other classes on the finalists and keeps the one that earns its place.
+#[allow(clippy::too_many_arguments)]
+fn promote(
+    question: &Question,
+    plain: &Target,
+    law: Law,
+    sign: f64,
+    model: ModelChoice,
+    finalists: &[Candidate],
+    evaluations: &mut u64,
+    rng: &mut rand_chacha::ChaCha8Rng,
+) -> (Option<Candidate>, Class) {
+    let mut of_class = |class: Class, steps: usize| -> Option<Candidate> {
+        let mut bench = Bench::new(question, law, class, plain, sign);
+        let mut best: Option<Candidate> = None;
+        for c in finalists {
+            let tau = libm::exp(c.fit.shape[0]);
+            let mut start = *c;
+            if class != Class::First {
+                start.fit.shape = class.clamp(class.start(tau, c.fit.shape[1]), &question.limits);
+            }
+            let found = bench.settle(&start)?;
+            if found.fit.gain != 0.0 && best.is_none_or(|b| found.fit.sse < b.fit.sse) {
+                best = Some(found);
+            }
+        }
+        let best = best.map(|c| climb(&mut bench, c, steps, false, rng)).and_then(|c| bench.settle(&c));
+        *evaluations += bench.fitter.evaluations;
+        best
+    };
+    let sse = |c: &Option<Candidate>| c.map_or(f64::INFINITY, |c| c.fit.sse);
+    let (mut best, mut class) = (None, Class::First);
+    if model != ModelChoice::Sopdt {
+        best = of_class(Class::First, 200);
+        let integrating = of_class(Class::Integrating, 60);
+        if sse(&integrating) <= 1.005 * sse(&best) {
+            (best, class) = (integrating, Class::Integrating);
+        }
+    }
+    if model != ModelChoice::Fopdt {
+        let bar = if model == ModelChoice::Sopdt { f64::INFINITY } else { (1.0 - SECOND_ORDER_GAIN) * sse(&best) };
+        let second = of_class(Class::Second, 100);
+        let lagged = of_class(Class::LagIntegrating, 60);
+        let (better, its_class) = if sse(&lagged) <= 1.005 * sse(&second) {
+            (lagged, Class::LagIntegrating)
+        } else {
+            (second, Class::Second)
+        };
+        if sse(&better) < bar {
+            (best, class) = (better, its_class);
+        }
+    }
+    (best, class)
+}
+
+/// Squared error of the best process without friction, of the same class and sign; at most that of no process at all.
+fn frictionless(question: &Question, target: &Target, class: Class, sign: f64) -> f64 {
+    let freedom = Freedom { fd: [0.0, 0.0], fd_default: 0.0, sign, limits: question.limits };
+    let mut fitter = Fitter::default();
+    let mut fits: Vec<Fitted> = Vec::new();
+    for tau in [0.01, 0.05, 0.2, 1.0] {
+        for lag in [0.01, 0.05, 0.12, 0.25] {
+            let at = question.limits.lag[0] + lag * question.period;
+            let shape = class.clamp(class.start(tau * question.period, at), &question.limits);
+            fits.push(fitter.linear(class, &shape, question.frictionless(), target, &freedom));
+        }
+    }
+    fits.sort_by(|a, b| a.sse.total_cmp(&b.sse));
+    let mut best = fits.first().map_or(f64::INFINITY, |f| f.sse);
+    for start in fits.into_iter().take(4) {
+        best = best.min(fitter.settle(class, start, question.frictionless(), target, &freedom).sse);
+    }
+    best
+}
+
+/// The estimate in recorded units.
+#[allow(clippy::too_many_arguments)]
+fn report(
+    record: &Record,
+    _options: &Options,
+    question: &Question,
+    plain: &Target,
+    found: &Found,
+    evaluations: u64,
+    span: f64,
+    deviation: f64,
+) -> Option<Estimate> {
+    let c = found.candidate?;
+    let count = plain.y.len() as f64;
+    let scale = deviation * deviation / count;
+    let [s, j] = c.centred();
+    let mut bench = Bench::new(question, found.law, found.class, plain, found.sign);
+    let band_error = bench.band_error(&c);
+    let point_s = record.point_s();
+    let gain = found.class.gain(c.fit.gain) * deviation / span;
+    let raw_lag = found.class.lag(&c.fit.shape) * record.box_samples as f64;
+    let index = if found.without > 0.0 { (1.0 - c.fit.sse / found.without).clamp(0.0, 1.0) } else { 0.0 };
+    Some(Estimate {
+        s: s * span,
+        j: j * span,
+        span,
+        index,
+        law: found.law,
+        class: found.class,
+        gain: if found.class.integrates() { gain / point_s } else { gain },
+        time_constants_s: found.class.time_constants(&c.fit.shape).iter().map(|t| t * point_s).collect(),
+        dead_time_s: (raw_lag - 1.0).max(0.0) * record.ts_s,
+        mse: c.fit.sse * scale,
+        mse_without: found.without * scale,
+        slips: c.slips,
+        reversals: c.reversals,
+        j_error: 2.0 * band_error * span,
+        s_cell: c.s_cell.map(|v| v * span),
+        evaluations,
+        solver: found.solver,
+        stopped: found.outcome.stopped,
+    })
+}

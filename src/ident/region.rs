@@ -1,0 +1,66 @@
+//! Words for where a pair of bands lies on the fs-fd plane.
+//!
+//! The plane's triangle has pure dead band on the ray `fs = fd` (j = 0), pure stick-slip on the axis `fd = 0`
+//! (j = s), both in between, and strong cases towards its far side `s = S0` (after Lee, Ren and Huang 2008).
+
+/// What kind of sticking: by j/s, once s is large enough to be seen at all.
+///
+/// `none` below a tenth of OP's span; `deadband` below j/s = 0.15; `stick_slip` above 0.85.
+#[must_use]
+pub fn region(s: f64, j: f64, span: f64) -> &'static str {
+    if s < 0.1 * span || s <= 0.0 {
+        "none"
+    } else if j / s < 0.15 {
+        "deadband"
+    } else if j / s > 0.85 {
+        "stick_slip"
+    } else {
+        "deadband_stick_slip"
+    }
+}
+
+/// How strong against the loop's own movement: by s over OP's span, 0.2 and 0.6.
+#[must_use]
+pub fn strength(s: f64, span: f64) -> &'static str {
+    if s > 0.6 * span {
+        "strong"
+    } else if s >= 0.2 * span {
+        "moderate"
+    } else {
+        "weak"
+    }
+}
+
+/// How severe against the valve's travel, % of OP's range: 0.5, 1 and 2 %; `None` for a range without width.
+#[must_use]
+pub fn severity(s: f64, range: [f64; 2]) -> Option<&'static str> {
+    let width = (range[1] - range[0]).abs();
+    if width.is_nan() || width <= 0.0 {
+        return None;
+    }
+    let percent = 100.0 * s / width;
+    Some(match percent {
+        p if p < 0.5 => "none",
+        p if p < 1.0 => "weak",
+        p if p < 2.0 => "moderate",
+        _ => "strong",
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn corners_of_the_triangle_have_their_names() {
+        assert_eq!(region(0.05, 0.0, 1.0), "none");
+        assert_eq!(region(0.5, 0.0, 1.0), "deadband");
+        assert_eq!(region(0.5, 0.5, 1.0), "stick_slip");
+        assert_eq!(region(0.5, 0.25, 1.0), "deadband_stick_slip");
+        assert_eq!(strength(0.7, 1.0), "strong");
+        assert_eq!(strength(0.2, 1.0), "moderate");
+        assert_eq!(strength(0.1, 1.0), "weak");
+        assert_eq!(severity(1.5, [0.0, 100.0]), Some("moderate"));
+        assert_eq!(severity(1.5, [1.0, 1.0]), None);
+    }
+}

@@ -1,0 +1,166 @@
+//! One record in, one assessment out.
+
+use super::document::{Assessment, Gate, Oscillation, Process, Search, Verdict, Window};
+use super::gates::gates;
+use super::judge::judge;
+use super::params::AssessParams;
+use crate::detect::oscillation::{self, Oscillates};
+use crate::ident::region::{region, severity, strength};
+use crate::ident::{Estimate, Options, quantify};
+use crate::record::Record;
+use crate::signal::stats;
+use crate::sim::slips::Law;
+
+/// Level of the intervals in every document.
+const INTERVAL_LEVEL: f64 = 0.9;
+
+/// Judges one record: gates, oscillation, fit, verdict, grade.
+///
+/// Pure and deterministic: the same record and parameters give the same assessment to the last bit. A blocking gate
+/// leaves every number out; values that are not finite are answered by the gates of frozen signals.
+#[must_use]
+pub fn assess(record: &Record, params: &AssessParams) -> Assessment {
+    let op = record.op();
+    let found = oscillation::detect(&op, &record.pv);
+    let oscillation = describe(found.as_ref(), record);
+    let gates = gates(record, &oscillation, params);
+    let mut out = empty(record, oscillation, gates);
+    if out.gates.iter().any(|g| g.blocks()) {
+        return out;
+    }
+    let worth_it = params.always_fit
+        || found.is_some_and(|o| o.oscillating && o.periods >= params.min_periods)
+        || reversals(&op) as f64 >= params.min_periods;
+    let estimate = if worth_it { quantify(record, &options(params, found.as_ref())) } else { None };
+    if let Some(e) = &estimate {
+        fill(&mut out, e, record, params);
+    }
+    out.verdict = judge(estimate.as_ref(), found.as_ref());
+    out.stiction = out.verdict.stiction();
+    // Without a confidence no better grade can be claimed.
+    out.grade = Some(if out.stiction.is_none() { 'D' } else { 'C' });
+    out
+}
+
+fn options(params: &AssessParams, found: Option<&Oscillates>) -> Options {
+    Options {
+        model: params.model,
+        delay: params.delay,
+        valve: params.valve,
+        solver: params.solver,
+        fineness_pct: params.fineness_pct,
+        seed: params.seed,
+        period_points: found.map(|o| o.period_points),
+    }
+}
+
+fn describe(found: Option<&Oscillates>, record: &Record) -> Oscillation {
+    Oscillation {
+        oscillating: found.is_some_and(|o| o.oscillating),
+        period_s: found.map(|o| o.period_points * record.point_s()),
+        periods: found.map(|o| o.periods),
+        samples_per_period: found.map(|o| o.period_points * record.box_samples as f64),
+        regularity: found.map(|o| o.regularity),
+    }
+}
+
+/// Turns of OP that are larger than its noise and a twentieth of its span.
+fn reversals(op: &[f64]) -> usize {
+    let band = (6.0 * stats::noise_sd(op)).max(0.05 * stats::span(op));
+    let (mut high, mut low, mut rising, mut count) = (f64::NEG_INFINITY, f64::INFINITY, None, 0);
+    for &u in op {
+        high = high.max(u);
+        low = low.min(u);
+        if rising != Some(false) && u < high - band {
+            count += usize::from(rising.is_some());
+            (rising, low) = (Some(false), u);
+        } else if rising != Some(true) && u > low + band {
+            count += usize::from(rising.is_some());
+            (rising, high) = (Some(true), u);
+        }
+    }
+    count
+}
+
+/// The assessment of a window that says nothing yet.
+fn empty(record: &Record, oscillation: Oscillation, gates: Vec<Gate>) -> Assessment {
+    Assessment {
+        window: Window {
+            start_ns: record.start_ns,
+            end_ns: record.end_ns,
+            samples: record.raw_samples,
+            ts_s: record.ts_s,
+            box_samples: record.box_samples,
+        },
+        oscillation,
+        verdict: Verdict::Inconclusive,
+        contributing: Vec::new(),
+        stiction: None,
+        p_stiction: None,
+        confidence: None,
+        gates,
+        grade: Some('D'),
+        fs: None,
+        fd: None,
+        s: None,
+        j: None,
+        fs_interval: None,
+        fd_interval: None,
+        s_interval: None,
+        j_interval: None,
+        interval_level: Some(INTERVAL_LEVEL),
+        j_identifiable: None,
+        s_detectable: None,
+        stiction_index: None,
+        s_over_span: None,
+        region: None,
+        strength: None,
+        severity: None,
+        valve_model: None,
+        process: None,
+        controller: None,
+        witnesses: Vec::new(),
+        search: None,
+        elapsed_ms: None,
+    }
+}
+
+fn fill(out: &mut Assessment, e: &Estimate, record: &Record, params: &AssessParams) {
+    let (fs, fd) = (0.5 * (e.s + e.j), 0.5 * (e.s - e.j));
+    (out.fs, out.fd, out.s, out.j) = (Some(fs), Some(fd), Some(e.s), Some(e.j));
+    out.stiction_index = Some(e.index);
+    out.s_over_span = Some(e.s / e.span);
+    out.region = Some(region(e.s, e.j, e.span));
+    out.strength = Some(strength(e.s, e.span));
+    out.severity = params.op_range.and_then(|range| severity(e.s, range));
+    // Seen apart from the gain: five standard errors are less than a third of s.
+    out.j_identifiable = Some(5.0 * e.j_error < 0.33 * e.s);
+    out.valve_model = Some(match e.law {
+        Law::He => "he",
+        Law::Tracking => "tracking",
+    });
+    let spread = stats::std_dev(&record.pv);
+    out.process = Some(Process {
+        order: e.class.order(),
+        gain: e.gain,
+        time_constants_s: e.time_constants_s.clone(),
+        dead_time_s: e.dead_time_s,
+        integrating: e.class.integrates(),
+        mse: e.mse,
+        fit_pct: 100.0 * (1.0 - e.mse.sqrt() / spread),
+    });
+    out.search = Some(Search { solver: e.solver, evaluations: e.evaluations, stopped: e.stopped.name() });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn turns_are_counted_above_the_noise() {
+        let op: Vec<f64> = (0..600).map(|k| libm::sin(k as f64 * 0.0628) + 0.001 * f64::from(k % 2)).collect();
+        assert_eq!(reversals(&op), 12);
+        assert_eq!(reversals(&[]), 0);
+        assert_eq!(reversals(&[1.0; 50]), 0);
+    }
+}

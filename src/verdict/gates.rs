@@ -1,0 +1,170 @@
+//! Gates: what a record cannot say, and why.
+
+use super::document::{Gate, Oscillation};
+use super::params::AssessParams;
+use crate::record::Record;
+use crate::signal::stats;
+
+/// Fewest points that are worth a look.
+const MIN_SAMPLES: usize = 30;
+/// Share of samples in manual, or bad and filled, that a window may hold.
+const MANUAL_SHARE: f64 = 0.05;
+const BAD_SHARE: f64 = 0.2;
+/// Share of samples equal to the one before from which a signal counts as frozen.
+const FROZEN_SHARE: f64 = 0.995;
+/// Share of OP values at one of its ends from which it counts as saturated, and the end's width in spans.
+const SATURATED_SHARE: f64 = 0.2;
+const END_WIDTH: f64 = 1e-3;
+/// Share of held or straight-line PV samples from which a history counts as compressed (a third, as public tools do).
+const COMPRESSED_SHARE: f64 = 0.3;
+/// Levels of a signal up to which it counts as quantised, and the quantum in standard deviations.
+const FEW_LEVELS: usize = 24;
+const COARSE_QUANTUM: f64 = 0.25;
+/// Spread of the sampling time over its mean from which sampling counts as irregular.
+const IRREGULAR: f64 = 0.1;
+
+/// Every gate that the record meets, in the order of [`Gate::ALL`].
+#[must_use]
+pub fn gates(record: &Record, oscillation: &Oscillation, params: &AssessParams) -> Vec<Gate> {
+    let op = record.op();
+    let raw = record.raw_samples.max(1) as f64;
+    let facts = &record.facts;
+    let periods = oscillation.periods;
+    let quantised = is_coarse(&record.op_path) || is_coarse(&record.pv);
+    let met = |gate: Gate| match gate {
+        Gate::Manual => f64::from(facts.manual) > MANUAL_SHARE * raw,
+        Gate::BadQuality => f64::from(facts.bad) + f64::from(facts.filled) > BAD_SHARE * raw,
+        Gate::FrozenPv => is_frozen(&record.pv, f64::from(facts.pv_repeats) / raw),
+        Gate::FrozenOp => is_frozen(&record.op_path, f64::from(facts.op_repeats) / raw),
+        Gate::Saturated => is_saturated(&op, params.op_range),
+        Gate::TooFewSamples => record.len() < MIN_SAMPLES || periods.is_some_and(|p| p < 2.0),
+        Gate::Skipped => false,
+        Gate::TooFewPeriods => periods.is_some_and(|p| p < params.min_periods),
+        Gate::TooCoarse => oscillation.samples_per_period.is_some_and(|n| n < params.min_samples_per_period),
+        Gate::SetpointSteps => record.sp.as_deref().is_some_and(|sp| has_steps(sp, &record.pv)),
+        Gate::Quantised => quantised,
+        Gate::Compressed => is_compressed(record, quantised),
+        Gate::Irregular => record.irregularity > IRREGULAR,
+    };
+    Gate::ALL.into_iter().filter(|g| met(*g)).collect()
+}
+
+/// Never moves, or hardly ever; a value that is not finite counts as not moving.
+fn is_frozen(x: &[f64], repeats: f64) -> bool {
+    let low = x.iter().copied().fold(f64::INFINITY, f64::min);
+    let high = x.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let width = high - low;
+    !width.is_finite() || width <= 1e-9 * high.abs().max(low.abs()) || repeats >= FROZEN_SHARE
+}
+
+/// OP stands for a fifth of the time at a limit of its range, or, where that is unknown, exactly at an extreme that it
+/// otherwise leaves for many other values.
+fn is_saturated(op: &[f64], range: Option<[f64; 2]>) -> bool {
+    let n = op.len() as f64;
+    let share = |test: &dyn Fn(f64) -> bool| op.iter().filter(|u| test(**u)).count() as f64 / n > SATURATED_SHARE;
+    if let Some([a, b]) = range {
+        let (low, high) = (a.min(b), a.max(b));
+        let margin = 0.002 * (high - low);
+        if share(&|u| u >= high - margin) || share(&|u| u <= low + margin) {
+            return true;
+        }
+    }
+    let low = op.iter().copied().fold(f64::INFINITY, f64::min);
+    let high = op.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let width = END_WIDTH * (high - low);
+    stats::levels(op, FEW_LEVELS + 1) > FEW_LEVELS && (share(&|u| u >= high - width) || share(&|u| u <= low + width))
+}
+
+/// Set point that moves now and then by more than a little of PV's own movement, rather than at every sample.
+fn has_steps(sp: &[f64], pv: &[f64]) -> bool {
+    let moves: Vec<f64> = sp.windows(2).map(|w| (w[1] - w[0]).abs()).filter(|m| *m > 0.0).collect();
+    let largest = moves.iter().copied().fold(0.0, f64::max);
+    !moves.is_empty() && moves.len() * 5 < sp.len() && largest > 0.2 * stats::std_dev(pv)
+}
+
+/// Stands on few levels, or on a grid that is coarse against its own movement.
+fn is_coarse(x: &[f64]) -> bool {
+    if stats::levels(x, FEW_LEVELS + 1) <= FEW_LEVELS {
+        return true;
+    }
+    let sorted = stats::sorted(x);
+    let gaps: Vec<f64> = sorted.windows(2).map(|w| w[1] - w[0]).filter(|g| *g > 0.0).collect();
+    // The tenth percentile of the gaps between values in use: on a grid it is the quantum, else far below it.
+    gaps.len() * 4 < x.len() && stats::quantile(&gaps, 0.1) > COARSE_QUANTUM * stats::std_dev(x)
+}
+
+/// PV repeats itself, or lies on straight lines between stored values.
+fn is_compressed(record: &Record, quantised: bool) -> bool {
+    let raw = record.raw_samples.max(1) as f64;
+    if quantised {
+        return false;
+    }
+    if f64::from(record.facts.pv_repeats) / raw > COMPRESSED_SHARE {
+        return true;
+    }
+    let scale = 1e-6 * stats::std_dev(&record.pv);
+    let straight =
+        record.pv.windows(3).filter(|w| (w[2] - 2.0 * w[1] + w[0]).abs() < scale && (w[1] - w[0]).abs() > 0.0).count();
+    straight as f64 > COMPRESSED_SHARE * record.len() as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const STILL: Oscillation =
+        Oscillation { oscillating: false, period_s: None, periods: None, samples_per_period: None, regularity: None };
+
+    fn wave(n: usize, period: f64) -> Vec<f64> {
+        (0..n).map(|k| 50.0 + 3.0 * libm::sin(2.0 * core::f64::consts::PI * k as f64 / period)).collect()
+    }
+
+    fn of(op: Vec<f64>, pv: Vec<f64>) -> Vec<Gate> {
+        gates(&Record::uniform(1.0, op, pv), &STILL, &AssessParams::default())
+    }
+
+    #[test]
+    fn a_plain_record_meets_no_gate() {
+        assert!(of(wave(500, 61.3), wave(500, 61.3)).is_empty());
+    }
+
+    #[test]
+    fn each_fault_meets_its_gate() {
+        let good = || wave(500, 61.3);
+        assert_eq!(of(good(), vec![1.0; 500])[0], Gate::FrozenPv);
+        assert_eq!(of(vec![1.0; 500], good())[0], Gate::FrozenOp);
+        let clipped: Vec<f64> = good().iter().map(|u| u.min(51.0)).collect();
+        assert_eq!(of(clipped, good()), vec![Gate::Saturated]);
+        assert_eq!(of(wave(20, 7.3), wave(20, 7.3))[0], Gate::TooFewSamples);
+        let rounded: Vec<f64> = good().iter().map(|u| u.round()).collect();
+        assert_eq!(of(good(), rounded), vec![Gate::Quantised]);
+        let held: Vec<f64> = good().iter().enumerate().map(|(k, _)| wave(500, 61.3)[k - k % 3]).collect();
+        assert_eq!(of(good(), held), vec![Gate::Compressed]);
+        let lines: Vec<f64> = (0..500)
+            .map(|k| {
+                let (w, m) = (wave(520, 61.3), k - k % 10);
+                w[m] + (w[m + 10] - w[m]) * (k - m) as f64 / 10.0
+            })
+            .collect();
+        assert_eq!(of(good(), lines), vec![Gate::Compressed]);
+    }
+
+    #[test]
+    fn facts_and_set_point_meet_their_gates() {
+        let mut record = Record::uniform(1.0, wave(500, 61.3), wave(500, 61.3));
+        record.irregularity = 0.3;
+        record.sp = Some((0..500).map(|k| if k < 250 { 50.0 } else { 53.0 }).collect());
+        record.facts.manual = 100;
+        record.facts.bad = 200;
+        let found = gates(&record, &STILL, &AssessParams::default());
+        assert_eq!(found, vec![Gate::Manual, Gate::BadQuality, Gate::SetpointSteps, Gate::Irregular]);
+    }
+
+    #[test]
+    fn a_range_tells_saturation_of_few_levels() {
+        let op: Vec<f64> = (0..300).map(|k| if k % 3 == 0 { 100.0 } else { 60.0 + f64::from(k % 7) }).collect();
+        let record = Record::uniform(1.0, op, wave(300, 61.3));
+        let params = AssessParams { op_range: Some([0.0, 100.0]), ..AssessParams::default() };
+        assert!(gates(&record, &STILL, &params).contains(&Gate::Saturated));
+    }
+}
