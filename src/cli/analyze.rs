@@ -11,7 +11,7 @@ use super::{Format, Outcome, say, text};
 use crate::config::Config;
 use crate::daemon::replay::RunMetadata;
 use crate::engine::{LoopSettings, section};
-use crate::files::mcap_read::RecordingReader;
+use crate::files::RecordingReader;
 use crate::files::{InputKind, LoadedLoop, load_samples};
 use crate::optim;
 use crate::record::{Record, Signal, Value};
@@ -152,7 +152,11 @@ fn config_of(path: &Path) -> anyhow::Result<Option<RunMetadata>> {
         return Ok(None);
     }
     let reader = RecordingReader::open(path)?;
-    if reader.metadata().contains_key("config") { Ok(Some(RunMetadata::of(path, reader.metadata())?)) } else { Ok(None) }
+    if reader.metadata().contains_key("config") {
+        Ok(Some(RunMetadata::of(path, reader.metadata())?))
+    } else {
+        Ok(None)
+    }
 }
 
 /// Samples of a loop at which both OP and PV have a value, an upper bound that is quick to count.
@@ -187,7 +191,12 @@ impl Points {
     }
 
     /// The record of everything, or of a time, or of a range of samples.
-    pub fn record(&self, name: &str, window: Option<(i64, i64)>, samples: Option<(usize, usize)>) -> anyhow::Result<Record> {
+    pub fn record(
+        &self,
+        name: &str,
+        window: Option<(i64, i64)>,
+        samples: Option<(usize, usize)>,
+    ) -> anyhow::Result<Record> {
         let (from_ns, to_ns, end_ns) = match (window, samples) {
             (Some((from, to)), _) => (from, to, Some(to)),
             (None, Some((start, end))) => {

@@ -15,9 +15,11 @@ use crate::verdict::{Assessment, assess};
 
 /// Judge a labelled set of recordings and print how often the verdict is right, wrong cases included.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "INDEX.csv has the columns file,label with paths relative to itself. Labels stiction and deadband
+#[command(
+    after_help = "INDEX.csv has the columns file,label with paths relative to itself. Labels stiction and deadband
 are positive; no_stiction, tuning and disturbance negative; others are shown but not scored.
-Example: stictiond evaluate labelled/INDEX.csv")]
+Example: stictiond evaluate labelled/INDEX.csv"
+)]
 pub struct Args {
     /// The index.
     pub index: PathBuf,
@@ -205,20 +207,27 @@ fn print_json(judged: &[Judged], sources: &[(String, Counts)], all: Counts, brie
 }
 
 fn print_text(judged: &[Judged], sources: &[(String, Counts)], all: Counts, brier: Option<f64>) -> anyhow::Result<()> {
-    say(format!("{:<10} {:>9} {:>6} {:>7} {:>6} {:>8} {:>11} {:>7}", "source", "right", "found", "missed", "false",
-        "cleared", "unanswered", "errors"))?;
+    say(format!(
+        "{:<10} {:>9} {:>6} {:>7} {:>6} {:>8} {:>11} {:>7}",
+        "source", "right", "found", "missed", "false", "cleared", "unanswered", "errors"
+    ))?;
     let named = sources.iter().map(|(name, c)| (name.as_str(), c)).chain([("all", &all)]);
     for (name, c) in named {
         let right = format!("{}/{}", c.right(), c.total());
-        say(format!("{name:<10} {right:>9} {:>6} {:>7} {:>6} {:>8} {:>11} {:>7}", c.found, c.missed, c.false_alarms,
-            c.cleared, c.unanswered, c.errors))?;
+        say(format!(
+            "{name:<10} {right:>9} {:>6} {:>7} {:>6} {:>8} {:>11} {:>7}",
+            c.found, c.missed, c.false_alarms, c.cleared, c.unanswered, c.errors
+        ))?;
     }
-    say(brier.map_or("Brier score: none, no probabilities are given yet".to_owned(), |b| format!("Brier score: {b:.3}")))?;
+    say(brier
+        .map_or("Brier score: none, no probabilities are given yet".to_owned(), |b| format!("Brier score: {b:.3}")))?;
     say("\nwrong, unanswered or unreadable:")?;
     for one in judged {
         let Some(truth) = truth_of(&one.case.label) else { continue };
         match &one.result {
-            Ok(a) if a.stiction != Some(truth) => say(format!("  {:<50} {:<12} {}", one.case.file, one.case.label, brief(a)))?,
+            Ok(a) if a.stiction != Some(truth) => {
+                say(format!("  {:<50} {:<12} {}", one.case.file, one.case.label, brief(a)))?
+            }
             Ok(_) => {}
             Err(error) => say(format!("  {:<50} {:<12} error: {error:#}", one.case.file, one.case.label))?,
         }

@@ -25,7 +25,9 @@ const SETTLE: Duration = Duration::from_millis(500);
 
 /// Publish the samples of a recording or CSV file onto Zenoh.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Example: stictiond play recordings/sticking.mcap --connect tcp/127.0.0.1:7447 --prefix plant1/area1 --speed 60")]
+#[command(
+    after_help = "Example: stictiond play recordings/sticking.mcap --connect tcp/127.0.0.1:7447 --prefix plant1/area1 --speed 60"
+)]
 pub struct Args {
     /// A .csv file or a recording.
     pub input: PathBuf,
@@ -82,7 +84,10 @@ pub(super) async fn connect(endpoint: &str) -> anyhow::Result<zenoh::Session> {
         config.insert_json5(key, value).map_err(|e| anyhow!("Zenoh refuses {key} = {value}: {e}"))?;
     }
     let session = zenoh::open(config).await.map_err(|e| {
-        anyhow!("nobody answers at {endpoint} within {} s: is the daemon or router running there? ({e})", CONNECT_WITHIN.as_secs())
+        anyhow!(
+            "nobody answers at {endpoint} within {} s: is the daemon or router running there? ({e})",
+            CONNECT_WITHIN.as_secs()
+        )
     })?;
     tokio::time::sleep(SETTLE).await;
     Ok(session)
@@ -144,7 +149,12 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     Ok(if loaded.data_loss { Outcome::DataLoss } else { Outcome::Done })
 }
 
-async fn publish(session: &zenoh::Session, args: &Args, loops: &[LoadedLoop], bar: &ProgressBar) -> anyhow::Result<u64> {
+async fn publish(
+    session: &zenoh::Session,
+    args: &Args,
+    loops: &[LoadedLoop],
+    bar: &ProgressBar,
+) -> anyhow::Result<u64> {
     let started = Instant::now();
     let mut first_ns = None;
     let mut json = Vec::new();

@@ -8,7 +8,7 @@ use serde_json::json;
 use super::{Format, Outcome, block_on, say};
 use crate::codec::topic::{self, Kind};
 use crate::daemon::replay::{FileReport, Output, Replay, RunMetadata, chains_of, files_needed, replay_file};
-use crate::files::mcap_read::RecordingReader;
+use crate::files::RecordingReader;
 use crate::source::zenoh as bus;
 
 /// Re-run the engine on a recording or a folder of them.
@@ -63,7 +63,9 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
             tracing::warn!("nothing was compared: the recordings hold no estimate and no alarm");
         }
         match format {
-            Format::Json => say(json!({"schema": "stictiond.replay.v1", "files": files, "compared": compared, "equal": true}))?,
+            Format::Json => {
+                say(json!({"schema": "stictiond.replay.v1", "files": files, "compared": compared, "equal": true}))?
+            }
             Format::Text => say(format!("{files} files, {compared} estimates and alarms: all equal to the byte"))?,
         }
     }
@@ -143,11 +145,22 @@ fn print(format: Format, output: &Output) -> anyhow::Result<()> {
     let time = |v: &serde_json::Value| crate::units::format_rfc3339(v.as_i64().unwrap_or(0));
     let number = |v: &serde_json::Value| v.as_f64().map_or("-".to_owned(), |x| format!("{x:.3}"));
     let line = if output.kind == Kind::Alarm {
-        format!("{}  {:<12} alarm {}: {}", time(&d["changed_ns"]), output.loop_name, d["state"].as_str().unwrap_or("?"),
-            d["why"].as_str().unwrap_or(""))
+        format!(
+            "{}  {:<12} alarm {}: {}",
+            time(&d["changed_ns"]),
+            output.loop_name,
+            d["state"].as_str().unwrap_or("?"),
+            d["why"].as_str().unwrap_or("")
+        )
     } else {
-        format!("{}  {:<12} {:<15} index {:>6}  s {:>7}", time(&d["window"]["end_ns"]), output.loop_name,
-            d["verdict"].as_str().unwrap_or("?"), number(&d["stiction_index"]), number(&d["s"]))
+        format!(
+            "{}  {:<12} {:<15} index {:>6}  s {:>7}",
+            time(&d["window"]["end_ns"]),
+            output.loop_name,
+            d["verdict"].as_str().unwrap_or("?"),
+            number(&d["stiction_index"]),
+            number(&d["s"])
+        )
     };
     say(line)?;
     Ok(())
@@ -175,8 +188,10 @@ fn report_difference(format: Format, path: &Path, difference: &str, lost: u64) -
         String::new()
     };
     match format {
-        Format::Json => say(json!({"schema": "stictiond.replay.v1", "file": path, "equal": false, "lost_before": lost,
-            "difference": difference}))?,
+        Format::Json => {
+            say(json!({"schema": "stictiond.replay.v1", "file": path, "equal": false, "lost_before": lost,
+            "difference": difference}))?
+        }
         Format::Text => say(format!("{}: DIFFERS{note}\n{difference}", path.display()))?,
     }
     Ok(Outcome::Failed)

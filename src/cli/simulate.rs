@@ -12,7 +12,7 @@ use crate::codec::topic::{self, Kind};
 use crate::config::{Config, short_hash};
 use crate::daemon::to_json;
 use crate::engine::{Engine, Event};
-use crate::files::mcap_write::RecordingFile;
+use crate::files::RecordingFile;
 use crate::sim::scenario::Scenario;
 use crate::sink::recorder::RunInfo;
 

@@ -57,7 +57,10 @@ pub(super) fn estimate(document: &EstimateDocument) -> String {
     let o = &a.oscillation;
     if let (Some(period), Some(periods), Some(density)) = (o.period_s, o.periods, o.samples_per_period) {
         let kind = if o.oscillating { "regular" } else { "not regular" };
-        row("oscillation", format!("{kind}: period {} s, {periods:.1} periods, {density:.0} samples each", number(Some(period))));
+        row(
+            "oscillation",
+            format!("{kind}: period {} s, {periods:.1} periods, {density:.0} samples each", number(Some(period))),
+        );
     }
     if a.stiction_index.is_some() {
         row("stiction", format!("fs {}  fd {}  (OP units)", number(a.fs), number(a.fd)));
@@ -69,8 +72,17 @@ pub(super) fn estimate(document: &EstimateDocument) -> String {
     if let Some(p) = &a.process {
         let taus: Vec<String> = p.time_constants_s.iter().map(|t| number(Some(*t))).collect();
         let kind = if p.integrating { "integrating" } else { "self-regulating" };
-        row("process", format!("order {} {kind}: gain {}, time constants [{}] s, dead time {} s, fit {:.1} %", p.order,
-            number(Some(p.gain)), taus.join(", "), number(Some(p.dead_time_s)), p.fit_pct));
+        row(
+            "process",
+            format!(
+                "order {} {kind}: gain {}, time constants [{}] s, dead time {} s, fit {:.1} %",
+                p.order,
+                number(Some(p.gain)),
+                taus.join(", "),
+                number(Some(p.dead_time_s)),
+                p.fit_pct
+            ),
+        );
     }
     if !a.gates.is_empty() {
         row("gates", gates(a));

@@ -33,8 +33,9 @@ const LOOP_HEALTH_EVERY: Duration = Duration::from_secs(60);
 /// How long a stopping daemon still takes what had already arrived.
 const DRAIN: Duration = Duration::from_secs(1);
 
-/// What the web server reads: replaced as a whole, never locked for longer than a copy of the pointer.
-pub type HealthSnapshot = Arc<RwLock<Arc<DaemonHealth>>>;
+/// What the web server reads, and when it was made: replaced as a whole, never locked for longer than a copy of the
+/// pointer.
+pub type HealthSnapshot = Arc<RwLock<(Instant, Arc<DaemonHealth>)>>;
 
 /// Everything the engine's thread owns.
 pub struct Core {
@@ -339,7 +340,7 @@ impl Core {
         let key = topic::plane(&self.engine.config().site.prefix, &format!("@daemon/{}/health", self.daemon_id));
         self.publisher.publish(Publication { key, kind: Kind::Health, document: to_json(&health) });
         if let Ok(mut snapshot) = self.snapshot.write() {
-            *snapshot = Arc::new(health);
+            *snapshot = (Instant::now(), Arc::new(health));
         }
     }
 

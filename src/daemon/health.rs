@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 
 use serde::Serialize;
 
-use crate::engine::LoopFigures;
 use crate::codec::topic::Kind;
+use crate::engine::LoopFigures;
 use crate::units::s_from_ns;
 
 /// One queue's state.

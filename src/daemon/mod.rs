@@ -26,8 +26,8 @@ use anyhow::{Context, anyhow};
 
 pub use self::core::HealthSnapshot;
 pub(crate) use self::core::to_json;
-pub use self::health::DaemonHealth;
 use self::core::{Core, Parts};
+pub use self::health::DaemonHealth;
 use self::metrics::Metrics;
 use crate::codec::topic;
 use crate::config::Config;
@@ -63,7 +63,10 @@ pub async fn run(
     let alarms = restore::alarms_of_last_run(&recordings, &config.site.prefix);
     let session = source::zenoh::open(&config).await?;
     let daemon_id = session.zid().to_string();
-    let snapshot = HealthSnapshot::new(RwLock::new(Arc::new(DaemonHealth::starting(&daemon_id, &config.hash()))));
+    let snapshot = HealthSnapshot::new(RwLock::new((
+        Instant::now(),
+        Arc::new(DaemonHealth::starting(&daemon_id, &config.hash())),
+    )));
     let web = crate::web::serve(&config.web, metrics.clone(), snapshot.clone()).await?;
 
     let last = source::zenoh::LastValues::default();
@@ -74,8 +77,7 @@ pub async fn run(
     let workers = worker::start(options.workers)?;
 
     let prefix = config.site.prefix.clone();
-    let queryable =
-        source::zenoh::answer_queries(&session, &prefix, queue.clone(), last, metrics.clone()).await?;
+    let queryable = source::zenoh::answer_queries(&session, &prefix, queue.clone(), last, metrics.clone()).await?;
     let engine = Engine::new(config.clone());
     let parts = Parts {
         engine,
@@ -112,7 +114,8 @@ pub async fn run(
     }
     let _ = token.undeclare().await;
     drop(stop_core);
-    let ended = join_within(vec![("engine", core), ("recorder", recording), ("publisher", publishing)], STOP_WITHIN).await;
+    let ended =
+        join_within(vec![("engine", core), ("recorder", recording), ("publisher", publishing)], STOP_WITHIN).await;
     let _ = queryable.undeclare().await;
     web.stop();
     // Closing may hang when the network loses packets.
@@ -141,7 +144,10 @@ async fn join_within(threads: Vec<(&'static str, JoinHandle<()>)>, limit: Durati
     for (name, thread) in threads {
         while !thread.is_finished() {
             if Instant::now() >= until {
-                tracing::error!(thread = name, "did not end in time; its last file stays as .mcap.part, readable up to its last flush");
+                tracing::error!(
+                    thread = name,
+                    "did not end in time; its last file stays as .mcap.part, readable up to its last flush"
+                );
                 return Ok(());
             }
             tokio::time::sleep(Duration::from_millis(5)).await;

@@ -16,7 +16,7 @@ use crate::codec::decode_recorded;
 use crate::codec::topic::{Kind, Leaf, Topic};
 use crate::config::Config;
 use crate::engine::{Engine, Event, LoopId, RecordedInput, Request, StateDocument};
-use crate::files::mcap_read::{End, RecordingReader};
+use crate::files::{End, RecordingReader};
 
 /// A document that replay made.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -242,9 +242,10 @@ pub fn files_needed(path: &Path, metadata: &RunMetadata) -> anyhow::Result<Vec<P
             bail!("{}: missing; the windows of {} reach back into it", whole.display(), path.display());
         };
         let earlier = heads(&file, &metadata.prefix)?;
-        let far_enough = own.iter().filter_map(|(name, greatest)| greatest.map(|g| (name, g))).all(|(name, greatest)| {
-            earlier.get(name).copied().flatten().is_some_and(|g| greatest.saturating_sub(g) >= reach_ns)
-        });
+        let far_enough =
+            own.iter().filter_map(|(name, greatest)| greatest.map(|g| (name, g))).all(|(name, greatest)| {
+                earlier.get(name).copied().flatten().is_some_and(|g| greatest.saturating_sub(g) >= reach_ns)
+            });
         previous = RecordingReader::open(&file)?.metadata().get("previous").cloned().unwrap_or_default();
         files.push(file);
         if far_enough {

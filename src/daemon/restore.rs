@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use crate::alarm::Alarm;
 use crate::codec::topic::{Kind, Leaf, Topic};
 use crate::engine::StateDocument;
-use crate::files::mcap_read::{ReadError, RecordingReader};
+use crate::files::{ReadError, RecordingReader};
 
 /// Files of the last run that are read per shard: the last one may have been cut before its first flush.
 const FILES_PER_SHARD: usize = 2;

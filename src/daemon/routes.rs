@@ -2,8 +2,8 @@
 
 use std::collections::HashMap;
 
+use crate::codec::topic::{Leaf, Topic};
 use crate::config::Config;
-use crate::codec::topic;
 use crate::engine::{Engine, LoopId};
 use crate::record::Signal;
 
@@ -48,7 +48,11 @@ impl Routes {
             return *route;
         }
         let meant = self.mapped.get(key).map(|(name, signal)| (name.as_str(), *signal));
-        let route = match meant.or_else(|| topic::parse_raw(&self.prefix, key)) {
+        let raw = || match Topic::parse(Some(&self.prefix), key)? {
+            Topic { loop_name, leaf: Leaf::Raw(signal), .. } => Some((loop_name, signal)),
+            Topic { .. } => None,
+        };
+        let route = match meant.or_else(raw) {
             None => Route::Foreign,
             Some((name, _)) if !self.discover && engine.config().loop_named(name).is_none() => Route::Refused,
             Some((name, signal)) => engine.appear(name).map_or(Route::Refused, |id| Route::To(id, signal)),

@@ -18,7 +18,7 @@ use crate::config::Recording;
 use crate::daemon::clock::now_ns;
 use crate::daemon::metrics::Metrics;
 use crate::engine::LoopId;
-use crate::files::mcap_write::RecordingFile;
+use crate::files::RecordingFile;
 use crate::record::{Sample, Signal};
 
 /// Messages that may wait for the disk.
@@ -117,7 +117,8 @@ impl RunInfo {
     /// The name of one file, without its ending.
     #[must_use]
     pub fn stem(&self, shard: usize, file_index: u32) -> String {
-        let stamp: String = crate::units::format_rfc3339(self.started_ns).chars().filter(char::is_ascii_digit).collect();
+        let stamp: String =
+            crate::units::format_rfc3339(self.started_ns).chars().filter(char::is_ascii_digit).collect();
         let stamp = &stamp[..stamp.len().min(14)];
         format!("{}-{stamp}-{}-s{shard}-{file_index:05}", self.prefix.replace('/', "_"), self.run_id)
     }
@@ -154,7 +155,8 @@ impl Recorder {
             last_arrival_ns: 0,
         };
         let flush = Duration::from_secs_f64(settings.flush_s);
-        let thread = std::thread::Builder::new().name("record".into()).spawn(move || writer.run_until_closed(&items, flush))?;
+        let thread =
+            std::thread::Builder::new().name("record".into()).spawn(move || writer.run_until_closed(&items, flush))?;
         Ok((Self { queue, rotations, metrics, overrun: false }, thread))
     }
 

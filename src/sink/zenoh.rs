@@ -11,8 +11,8 @@ use crossbeam_channel::{Receiver, Sender};
 use zenoh::Wait;
 use zenoh::qos::{CongestionControl, Priority};
 
-use crate::daemon::metrics::Metrics;
 use crate::codec::topic::Kind;
+use crate::daemon::metrics::Metrics;
 use crate::source::zenoh::{LastValues, encoding_of};
 
 /// Documents that may wait for the bus.

@@ -16,10 +16,10 @@ use zenoh::sample::{Sample as BusSample, SampleKind};
 
 use super::{Incoming, Message};
 use crate::alarm::Command;
+use crate::codec::topic::{self, Kind, Leaf, Topic};
 use crate::config::Config;
 use crate::daemon::clock::now_ns;
 use crate::daemon::metrics::Metrics;
-use crate::codec::topic::{self, Kind};
 
 /// Last document by key. Written by the publisher alone; never touched by the engine.
 pub type LastValues = Arc<RwLock<BTreeMap<String, Arc<[u8]>>>>;
@@ -182,13 +182,13 @@ fn forward_command(prefix: &str, cmd: String, query: Query, queue: &Sender<Incom
         let _ = query.reply_err(why).encoding(Encoding::TEXT_PLAIN).wait();
     };
     let key = query.key_expr().as_str().to_owned();
-    let Some((loop_name, Kind::Alarm)) = topic::parse_result(prefix, &key) else {
+    let parsed = Topic::parse(Some(prefix), &key).filter(|t| t.leaf == Leaf::Document(Kind::Alarm));
+    let Some(loop_name) = parsed.map(|t| t.loop_name.to_owned()).filter(|name| !name.contains('*')) else {
         refuse(&query, format!("commands go to one loop's alarm key, such as {}", topic::plane(prefix, "LOOP/alarm")));
         return;
     };
     let parameter = |name: &str| query.parameters().get(name).map(str::to_owned);
     let command = Command { cmd, by: parameter("by"), why: parameter("why") };
-    let loop_name = loop_name.to_owned();
     let busy = query.clone();
     let answer = Box::new(move |result: Result<Vec<u8>, String>| {
         let sent = match result {

@@ -2,6 +2,8 @@
 
 use serde::Serialize;
 
+use crate::record::Record;
+
 use crate::detect::Witness;
 
 /// Schema name of an estimate.
@@ -152,6 +154,20 @@ pub struct Window {
     pub ts_s: f64,
     /// Raw samples in a point of the fit (1: raw).
     pub box_samples: usize,
+}
+
+impl Window {
+    /// The window that a record is made from.
+    #[must_use]
+    pub const fn of(record: &Record) -> Self {
+        Self {
+            start_ns: record.start_ns,
+            end_ns: record.end_ns,
+            samples: record.raw_samples,
+            ts_s: record.ts_s,
+            box_samples: record.box_samples,
+        }
+    }
 }
 
 /// What oscillates, and how regularly.

@@ -2,6 +2,7 @@
 
 use std::net::SocketAddr;
 use std::sync::{Arc, PoisonError};
+use std::time::Duration;
 
 use anyhow::Context;
 use axum::Router;
@@ -15,6 +16,9 @@ use tokio::task::JoinHandle;
 use crate::config::Web;
 use crate::daemon::HealthSnapshot;
 use crate::daemon::metrics::Metrics;
+
+/// Silence of the engine after which the daemon is called unhealthy.
+const STALLED_AFTER: Duration = Duration::from_secs(30);
 
 /// A running server.
 pub struct Served {
@@ -46,9 +50,9 @@ pub async fn serve(settings: &Web, metrics: Arc<Metrics>, snapshot: HealthSnapsh
     if !settings.enabled {
         return Ok(Served { address: None, task: None });
     }
-    let listener = tokio::net::TcpListener::bind(&settings.listen).await.with_context(|| {
-        format!("[web] listen = {:?} cannot be used; port 0 takes any free one", settings.listen)
-    })?;
+    let listener = tokio::net::TcpListener::bind(&settings.listen)
+        .await
+        .with_context(|| format!("[web] listen = {:?} cannot be used; port 0 takes any free one", settings.listen))?;
     let address = listener.local_addr()?;
     let shared = Shared { registry: Arc::new(metrics.registry()), snapshot };
     let router = Router::new().route("/metrics", get(metrics_text)).route("/healthz", get(healthz)).with_state(shared);
@@ -68,10 +72,10 @@ async fn metrics_text(State(shared): State<Shared>) -> Response {
     ([(header::CONTENT_TYPE, "application/openmetrics-text; version=1.0.0; charset=utf-8")], text).into_response()
 }
 
-/// 200 with the daemon's health document; 503 where recordings are being lost.
+/// 200 with the daemon's health document; 503 where the engine has not reported for [`STALLED_AFTER`].
 async fn healthz(State(shared): State<Shared>) -> Response {
-    let health = shared.snapshot.read().unwrap_or_else(PoisonError::into_inner).clone();
-    let status = if health.faults.is_empty() { StatusCode::OK } else { StatusCode::SERVICE_UNAVAILABLE };
+    let (made, health) = shared.snapshot.read().unwrap_or_else(PoisonError::into_inner).clone();
+    let status = if made.elapsed() < STALLED_AFTER { StatusCode::OK } else { StatusCode::SERVICE_UNAVAILABLE };
     let body = serde_json::to_vec(&*health).unwrap_or_default();
     (status, [(header::CONTENT_TYPE, "application/json")], body).into_response()
 }

@@ -1,0 +1,194 @@
+//! `stictiond demo`: a simulated plant on the bus and the daemon beside it, in one command.
+
+use std::collections::BTreeMap;
+use std::net::TcpListener;
+use std::time::{Duration, Instant};
+
+use anyhow::{anyhow, bail};
+use serde_json::Value as Json;
+use zenoh::bytes::Encoding;
+use zenoh::qos::CongestionControl;
+
+use super::{Format, Outcome, asked_to_stop, block_on, list, play, say};
+use crate::codec::encode_recorded;
+use crate::codec::topic::{self, Kind};
+use crate::config::Config;
+use crate::daemon::{self, RunOptions};
+use crate::sim::plant::SimulatedPlant;
+use crate::sim::scenario::Scenario;
+use crate::units::{NS_PER_S, format_rfc3339};
+
+/// The plant that is simulated.
+const SCENARIO: &str = include_str!("../../recordings/scenarios/demo.toml");
+/// The daemon's configuration.
+const CONFIG: &str = include_str!("../../config/demo.toml");
+/// How much faster than real the plant runs.
+const SPEED: f64 = 100.0;
+
+/// See it work: a simulated plant with a sticking, a healthy, a badly tuned and a disturbed loop, watched live.
+///
+/// Needs no set-up. Records below recordings/demo; prints what it finds; runs until Ctrl-C.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// End after so many seconds.
+    #[arg(long = "for", value_name = "SECONDS", value_parser = seconds)]
+    pub for_s: Option<f64>,
+}
+
+fn seconds(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(s) if s > 0.0 && s < 1e9 => Ok(s),
+        _ => Err(format!("{text:?} is no number of seconds")),
+    }
+}
+
+/// The port if it is free, else any that is.
+fn free_port(wanted: u16) -> anyhow::Result<u16> {
+    let listener = TcpListener::bind(("127.0.0.1", wanted)).or_else(|_| TcpListener::bind(("127.0.0.1", 0)))?;
+    Ok(listener.local_addr()?.port())
+}
+
+/// The demo's configuration with ports that are free, as text, since recordings carry it.
+fn config_text() -> anyhow::Result<(String, u16)> {
+    let (bus, web) = (free_port(7447)?, free_port(8080)?);
+    for (wanted, got, what) in [(7447, bus, "Zenoh"), (8080, web, "metrics and health")] {
+        if wanted != got {
+            tracing::info!("port {wanted} is taken: {what} on {got}");
+        }
+    }
+    let text = CONFIG.replace("127.0.0.1:7447", &format!("127.0.0.1:{bus}"));
+    Ok((text.replace("127.0.0.1:8080", &format!("127.0.0.1:{web}")), bus))
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// Nothing can be listened on, or recordings/demo cannot be written.
+pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
+    let scenario = Scenario::parse(SCENARIO).map_err(|e| anyhow!("the built-in scenario: {e}"))?;
+    let (text, port) = config_text()?;
+    let config = match Config::parse(&text) {
+        Ok(config) => config,
+        Err(faults) => bail!("the built-in configuration:\n  {}", list(&faults)),
+    };
+    let last = block_on(async {
+        let (stop, stopped) = tokio::sync::oneshot::channel::<()>();
+        let daemon =
+            tokio::spawn(daemon::run(config.clone(), text, RunOptions { origin: "demo", workers: None }, async {
+                drop(stopped.await)
+            }));
+        let watched = watch(&scenario, &config, port, args.for_s, format).await;
+        drop(stop);
+        daemon.await??;
+        watched
+    })?;
+    if format == Format::Text {
+        summary(&scenario, &last)?;
+        say(format!("recorded below {}; check it with: stictiond replay {0} --verify", config.recording.dir))?;
+    }
+    Ok(Outcome::Done)
+}
+
+/// Publishes the plant and prints the daemon's findings until time is up or somebody stops it.
+async fn watch(
+    scenario: &Scenario,
+    config: &Config,
+    port: u16,
+    for_s: Option<f64>,
+    format: Format,
+) -> anyhow::Result<BTreeMap<String, Json>> {
+    // The daemon listens before anything else; the session keeps trying until it does.
+    let session = play::connect(&format!("tcp/127.0.0.1:{port}")).await?;
+    let (found, mut findings) = tokio::sync::mpsc::unbounded_channel();
+    let results = topic::plane(&config.site.prefix, "*/*");
+    let _subscriber = session
+        .declare_subscriber(results)
+        .callback(move |sample| {
+            let leaf = topic::leaf(sample.key_expr().as_str()).to_owned();
+            let _ = found.send((leaf, sample.payload().to_bytes().into_owned()));
+        })
+        .await
+        .map_err(|e| anyhow!("{e}"))?;
+    let plant = publish(&session, scenario, &config.site.prefix);
+    let limit = async {
+        match for_s {
+            Some(s) => tokio::time::sleep(Duration::from_secs_f64(s)).await,
+            None => std::future::pending().await,
+        }
+    };
+    tokio::pin!(plant, limit);
+    let stopping = asked_to_stop();
+    tokio::pin!(stopping);
+    let mut last = BTreeMap::new();
+    loop {
+        tokio::select! {
+            ended = &mut plant => { ended?; }
+            () = &mut limit => break,
+            asked = &mut stopping => { asked?; break; }
+            finding = findings.recv() => {
+                let Some((leaf, json)) = finding else { break };
+                print(&leaf, &json, format, &mut last)?;
+            }
+        }
+    }
+    let _ = tokio::time::timeout(Duration::from_secs(1), session.close()).await;
+    Ok(last)
+}
+
+/// Lets the plant live, faster than real, its time starting now.
+async fn publish(session: &zenoh::Session, scenario: &Scenario, prefix: &str) -> anyhow::Result<()> {
+    let names: Vec<String> = scenario.loop_names().map(str::to_owned).collect();
+    let start_ns = crate::daemon::clock::now_ns() / NS_PER_S * NS_PER_S;
+    let mut plant = SimulatedPlant::starting_at(scenario, start_ns);
+    let started = Instant::now();
+    let mut json = Vec::new();
+    let mut scans = 0.0;
+    loop {
+        for simulated in plant.step() {
+            json.clear();
+            encode_recorded(&simulated.sample, &mut json);
+            let key = topic::raw(prefix, &names[simulated.loop_index], simulated.sample.signal);
+            let put = session.put(&key, json.clone()).encoding(Encoding::APPLICATION_JSON);
+            put.congestion_control(CongestionControl::Block).await.map_err(|e| anyhow!("{key}: {e}"))?;
+        }
+        scans += 1.0;
+        let due = Duration::from_secs_f64(scans * scenario.run.ts_s / SPEED);
+        tokio::time::sleep(due.saturating_sub(started.elapsed())).await;
+    }
+}
+
+fn print(leaf: &str, json: &[u8], format: Format, last: &mut BTreeMap<String, Json>) -> anyhow::Result<()> {
+    let kind = Kind::of_document(leaf);
+    if !matches!(kind, Some(Kind::Estimate | Kind::Alarm)) {
+        return Ok(());
+    }
+    if format == Format::Json {
+        say(String::from_utf8_lossy(json))?;
+        return Ok(());
+    }
+    let d: Json = serde_json::from_slice(json)?;
+    let name = d["loop"].as_str().unwrap_or("?").to_owned();
+    let number = |v: &Json| v.as_f64().map_or("    -".to_owned(), |x| format!("{x:5.2}"));
+    if kind == Some(Kind::Alarm) {
+        say(format!("ALARM {name}: {} - {}", d["state"].as_str().unwrap_or("?"), d["why"].as_str().unwrap_or("")))?;
+        return Ok(());
+    }
+    let when = format_rfc3339(d["window"]["end_ns"].as_i64().unwrap_or(0));
+    let verdict = d["verdict"].as_str().unwrap_or("?");
+    let sizes = format!("fs {} fd {} index {}", number(&d["fs"]), number(&d["fd"]), number(&d["stiction_index"]));
+    let gates: Vec<&str> = d["gates"].as_array().into_iter().flatten().filter_map(Json::as_str).collect();
+    say(format!("{when}  {name:<8} {verdict:<15} {sizes}  {}", gates.join(",")))?;
+    last.insert(name, d);
+    Ok(())
+}
+
+/// Truth beside findings.
+fn summary(scenario: &Scenario, last: &BTreeMap<String, Json>) -> anyhow::Result<()> {
+    say("\nloop      truth           found")?;
+    for spec in &scenario.loops {
+        let truth = spec.label.map_or("", |l| l.name());
+        let found = last.get(&spec.name).map_or("no window yet", |d| d["verdict"].as_str().unwrap_or("?"));
+        say(format!("{:<9} {truth:<15} {found}", spec.name))?;
+    }
+    Ok(())
+}
