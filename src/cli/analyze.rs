@@ -16,7 +16,7 @@ use crate::files::{InputKind, LoadedLoop, load_samples};
 use crate::optim;
 use crate::record::{Record, Signal, Value};
 use crate::signal::align::{Point, align_all};
-use crate::units::{ns_from_s, parse_time};
+use crate::units::parse_time;
 use crate::verdict::{Assessment, DelayChoice, EstimateDocument, ModelChoice, ValveChoice, assess};
 
 /// Usable samples that a loop must have at least.
@@ -317,6 +317,7 @@ pub(super) fn whole_record(loaded: &LoadedLoop, config: &Config) -> anyhow::Resu
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::units::ns_from_s;
 
     #[test]
     fn arguments_are_read_or_refused_with_a_reason() {

@@ -14,7 +14,7 @@ mod text;
 
 use std::fmt::Display;
 use std::future::Future;
-use std::io::Write;
+use std::io::{IsTerminal, Write};
 use std::process::ExitCode;
 
 use anyhow::Context;
@@ -130,7 +130,8 @@ fn dispatch(cli: Cli) -> anyhow::Result<Outcome> {
 
 fn start_log(form: Format) {
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info,zenoh=warn"));
-    let builder = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
+    let colours = std::io::stderr().is_terminal();
+    let builder = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).with_ansi(colours);
     let started = match form {
         Format::Text => builder.with_target(false).try_init(),
         Format::Json => builder.json().try_init(),

@@ -25,22 +25,6 @@ fn sentence(a: &Assessment) -> &'static str {
     }
 }
 
-/// One line for lists: when, which loop, what.
-pub(super) fn line(document: &EstimateDocument) -> String {
-    let a = &document.assessment;
-    let mut line = format!("{}  {:<12} {:<15}", format_rfc3339(a.window.end_ns), document.loop_name, a.verdict.name());
-    if a.stiction.is_some() {
-        line += &format!(" index {:>5}  s {:>7}", number(a.stiction_index), number(a.s));
-    }
-    if let Some(period) = a.oscillation.period_s.filter(|_| a.oscillation.oscillating) {
-        line += &format!("  period {period:.0} s");
-    }
-    if !a.gates.is_empty() {
-        line += &format!("  [{}]", gates(a));
-    }
-    line
-}
-
 fn gates(a: &Assessment) -> String {
     a.gates.iter().map(|g| g.name()).collect::<Vec<_>>().join(", ")
 }

@@ -1,7 +1,5 @@
 //! Fits off the engine's thread: a few workers, a bounded queue, answers by channel.
 
-use std::thread::JoinHandle;
-
 use crossbeam_channel::{Receiver, Sender};
 
 use crate::engine::{LoopId, Request};
@@ -21,14 +19,12 @@ pub struct Answered {
     pub assessment: Assessment,
 }
 
-/// The workers' two ends.
+/// The workers' two ends. The threads end when `requests` is gone.
 pub struct Workers {
     /// Requests go in here.
     pub requests: Sender<Request>,
     /// Answers come out here, in any order.
     pub answers: Receiver<Answered>,
-    /// The threads; they end when `requests` is gone.
-    pub threads: Vec<JoinHandle<()>>,
 }
 
 /// Starts workers on all cores but one, at least one.
@@ -39,18 +35,17 @@ pub fn start(count: Option<usize>) -> std::io::Result<Workers> {
     let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
     let (requests, jobs) = crossbeam_channel::bounded::<Request>(QUEUE);
     let (finished, answers) = crossbeam_channel::unbounded();
-    let mut threads = Vec::new();
     for index in 0..count.unwrap_or(cores.saturating_sub(1)).max(1) {
         let (jobs, finished) = (jobs.clone(), finished.clone());
         let thread = std::thread::Builder::new().name(format!("fit-{index}"));
-        threads.push(thread.spawn(move || {
+        thread.spawn(move || {
             for request in jobs {
                 let answer = Answered { id: request.id, seq: request.seq, assessment: request.compute() };
                 if finished.send(answer).is_err() {
                     return;
                 }
             }
-        })?);
+        })?;
     }
-    Ok(Workers { requests, answers, threads })
+    Ok(Workers { requests, answers })
 }

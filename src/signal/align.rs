@@ -313,7 +313,9 @@ impl Aligner {
             self.insert(suspect);
         }
         self.greatest_ns = Some(i64::MAX);
-        self.learn();
+        if self.learnt.is_none() {
+            self.learn();
+        }
     }
 
     /// Stamp of the next sample that is due to be taken, if one is.
@@ -579,6 +581,15 @@ mod tests {
         let (stretches, counts) = align_all(&samples, &params());
         assert_eq!((stretches.len(), counts.clock_resets), (2, 1));
         assert_eq!(stretches[1].len(), 100);
+    }
+
+    #[test]
+    fn the_last_sample_belongs_to_the_stretch() {
+        for n in [18, 40, 41] {
+            let slow: Vec<Sample> = scan(n).into_iter().map(|s| Sample { t_ns: s.t_ns * 10, ..s }).collect();
+            let (stretches, _) = align_all(&slow, &params());
+            assert_eq!(stretches.iter().map(Vec::len).collect::<Vec<_>>(), [n]);
+        }
     }
 
     #[test]
