@@ -1,4 +1,7 @@
 //! placeholder map
+pub mod codec;
+#[cfg(feature = "daemon")]
+pub mod files;
 pub mod record;
 pub mod sim;
 pub mod units;

@@ -1,1 +1,3 @@
+//! The program `stictiond`.
+
 fn main() {}

@@ -1,0 +1,399 @@
+//! Tables `t,op,pv[,sp][,mv][,mode]`: columns in any order, `t` in seconds since 1970 or RFC 3339.
+//!
+//! An empty or non-finite cell of OP or PV is a missing sample. In the other columns an empty cell is no sample (set
+//! points and modes are often written when they change), and so it is in a table where OP and PV stand in rows of their
+//! own, as when both carry their own stamps. Writing joins samples of equal stamps into rows and changes nothing else,
+//! so a table that was read is written back with equal values.
+
+use super::FileError;
+use crate::record::{Mode, Sample, Signal, Value};
+use crate::units::{TimeError, format_seconds, parse_time};
+use std::collections::HashMap;
+use std::fs::File;
+use std::io::{self, BufReader, Read, Write};
+use std::path::Path;
+use thiserror::Error;
+
+/// Columns after `t`, in the order in which they are written.
+pub const COLUMNS: [Signal; 5] = [Signal::Op, Signal::Pv, Signal::Sp, Signal::Mv, Signal::Mode];
+
+/// A table that cannot be read.
+#[derive(Debug, Error)]
+pub enum CsvError {
+    /// A needed column is absent.
+    #[error("the header {header:?} has no column {column:?}; write t,op,pv[,sp][,mv][,mode]{hint}")]
+    NoColumn {
+        /// The header line.
+        header: String,
+        /// The column.
+        column: &'static str,
+        /// Further remedy.
+        hint: &'static str,
+    },
+    /// A column stands twice.
+    #[error("the header {header:?} names column {column:?} twice; rename or remove one")]
+    TwiceColumn {
+        /// The header line.
+        header: String,
+        /// The column.
+        column: String,
+    },
+    /// A row whose time cannot be read.
+    #[error("line {line}: {source}")]
+    Time {
+        /// Line in the file, from 1.
+        line: u64,
+        /// What is wrong and what would be right.
+        source: TimeError,
+    },
+    /// A row with more cells than the header.
+    #[error("line {line} has {cells} cells, the header has {columns}; separate by commas, write decimals with a point")]
+    Cells {
+        /// Line in the file, from 1.
+        line: u64,
+        /// Its cells.
+        cells: usize,
+        /// The header's.
+        columns: usize,
+    },
+    /// The system or the quoting fails.
+    #[error("{0}")]
+    Read(#[from] ::csv::Error),
+}
+
+/// The samples of a table.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Table {
+    /// Samples in the order of the rows; within a row in the order of [`Signal::ALL`].
+    pub samples: Vec<Sample>,
+    /// Data rows.
+    pub rows: u64,
+    /// Cells that are empty or not finite.
+    pub missing: u64,
+    /// What a person should know, one line each.
+    pub warnings: Vec<String>,
+}
+
+/// Reads a table.
+///
+/// # Errors
+/// [`FileError::Csv`] names the line and the remedy, [`FileError::Io`] what the system said.
+pub fn read(path: &Path) -> Result<Table, FileError> {
+    let file = File::open(path).map_err(|source| FileError::Io { path: path.to_owned(), source })?;
+    read_from(BufReader::with_capacity(1 << 16, file))
+        .map_err(|source| FileError::Csv { path: path.to_owned(), source })
+}
+
+/// Reads a table from anywhere.
+///
+/// # Errors
+/// [`CsvError`] names the line and the remedy.
+pub fn read_from(source: impl Read) -> Result<Table, CsvError> {
+    let mut reader =
+        ::csv::ReaderBuilder::new().has_headers(false).flexible(true).trim(::csv::Trim::All).from_reader(source);
+    let mut row = ::csv::ByteRecord::new();
+    reader.read_byte_record(&mut row)?;
+    let layout = Layout::of_header(&row)?;
+    let mut rows = Rows::new(layout);
+    while reader.read_byte_record(&mut row)? {
+        rows.take(&row)?;
+    }
+    Ok(rows.finish())
+}
+
+/// Where the columns stand.
+struct Layout {
+    time: usize,
+    signals: Vec<(Signal, usize)>,
+    ignored: Vec<String>,
+    columns: usize,
+}
+
+impl Layout {
+    fn of_header(row: &::csv::ByteRecord) -> Result<Self, CsvError> {
+        let names: Vec<String> = row
+            .iter()
+            .map(|cell| String::from_utf8_lossy(cell).trim_start_matches('\u{feff}').trim().to_lowercase())
+            .collect();
+        let header: String = names.join(",").chars().take(120).collect();
+        for (at, name) in names.iter().enumerate() {
+            if !name.is_empty() && names[..at].contains(name) {
+                return Err(CsvError::TwiceColumn { header, column: name.clone() });
+            }
+        }
+        let hint = if names.len() == 1 && header.contains([';', '\t']) {
+            "; separate by commas (not semicolons or tabs), write decimals with a point"
+        } else {
+            ""
+        };
+        let find = |wanted: &str| names.iter().position(|name| name == wanted);
+        let need =
+            |column: &'static str| find(column).ok_or(CsvError::NoColumn { header: header.clone(), column, hint });
+        let time = need("t")?;
+        need("op")?;
+        need("pv")?;
+        let signals = Signal::ALL.into_iter().filter_map(|s| find(s.name()).map(|at| (s, at))).collect();
+        let known = |name: &String| name == "t" || name.is_empty() || Signal::from_name(name).is_some();
+        let ignored = names.iter().filter(|name| !known(name)).cloned().collect();
+        Ok(Self { time, signals, ignored, columns: names.len() })
+    }
+}
+
+/// Rows as they come.
+struct Rows {
+    layout: Layout,
+    table: Table,
+    /// Indices of samples that stand for empty cells.
+    empty: Vec<usize>,
+    /// Rows with OP and PV, with OP alone, with PV alone.
+    both: u64,
+    op_only: u64,
+    pv_only: u64,
+    texts: u64,
+    first_text: Option<(u64, String)>,
+}
+
+impl Rows {
+    fn new(layout: Layout) -> Self {
+        Self {
+            layout,
+            table: Table::default(),
+            empty: Vec::new(),
+            both: 0,
+            op_only: 0,
+            pv_only: 0,
+            texts: 0,
+            first_text: None,
+        }
+    }
+
+    fn take(&mut self, row: &::csv::ByteRecord) -> Result<(), CsvError> {
+        let line = row.position().map_or(0, ::csv::Position::line);
+        if row.iter().all(<[u8]>::is_empty) {
+            return Ok(());
+        }
+        if row.len() > self.layout.columns && row.iter().skip(self.layout.columns).any(|cell| !cell.is_empty()) {
+            return Err(CsvError::Cells { line, cells: row.len(), columns: self.layout.columns });
+        }
+        let time = String::from_utf8_lossy(row.get(self.layout.time).unwrap_or_default());
+        let t_ns = parse_time(&time).map_err(|source| CsvError::Time { line, source })?;
+        self.table.rows += 1;
+        let (mut has_op, mut has_pv) = (false, false);
+        for at in 0..self.layout.signals.len() {
+            let (signal, column) = self.layout.signals[at];
+            let cell = row.get(column).unwrap_or_default();
+            has_op |= signal == Signal::Op && !cell.is_empty();
+            has_pv |= signal == Signal::Pv && !cell.is_empty();
+            self.take_cell(signal, t_ns, cell, line);
+        }
+        self.both += u64::from(has_op && has_pv);
+        self.op_only += u64::from(has_op && !has_pv);
+        self.pv_only += u64::from(has_pv && !has_op);
+        Ok(())
+    }
+
+    fn take_cell(&mut self, signal: Signal, t_ns: i64, cell: &[u8], line: u64) {
+        let value = if cell.is_empty() {
+            if !matches!(signal, Signal::Op | Signal::Pv) {
+                return;
+            }
+            self.empty.push(self.table.samples.len());
+            Value::Missing
+        } else {
+            let text = String::from_utf8_lossy(cell);
+            match (text.parse::<f64>(), signal) {
+                (Ok(number), _) => Value::number(number),
+                (Err(_), Signal::Mode) => Value::Mode(Mode::from_word(&text)),
+                (Err(_), _) => {
+                    self.texts += 1;
+                    self.first_text.get_or_insert_with(|| (line, text.chars().take(40).collect()));
+                    Value::Missing
+                }
+            }
+        };
+        self.table.missing += u64::from(value == Value::Missing);
+        self.table.samples.push(Sample { signal, t_ns, value, quality: None });
+    }
+
+    fn finish(mut self) -> Table {
+        let warnings = &mut self.table.warnings;
+        if !self.layout.ignored.is_empty() {
+            warnings.push(format!("columns ignored: {}", self.layout.ignored.join(", ")));
+        }
+        if let Some((line, text)) = &self.first_text {
+            let count = self.texts;
+            warnings
+                .push(format!("{count} cells are no numbers and count as missing, the first {text:?} in line {line}"));
+        }
+        // A dead sensor leaves rows of one kind only.
+        if self.op_only.min(self.pv_only) > self.both {
+            warnings.push(format!(
+                "op and pv stand in rows of their own ({} and {} of {} rows): empty cells are no samples there",
+                self.op_only, self.pv_only, self.table.rows
+            ));
+            self.drop_empty();
+        }
+        self.table
+    }
+
+    fn drop_empty(&mut self) {
+        let mut empty = self.empty.iter().copied().peekable();
+        let mut at = 0;
+        self.table.samples.retain(|_| {
+            let drop = empty.next_if_eq(&at).is_some();
+            at += 1;
+            !drop
+        });
+        self.table.missing -= self.empty.len() as u64;
+    }
+}
+
+/// One row: a stamp and its cells in the order of [`COLUMNS`].
+#[derive(Clone, Copy)]
+struct Row {
+    t_ns: i64,
+    cells: [Option<Value>; COLUMNS.len()],
+}
+
+/// Samples of one loop as rows: a sample joins the latest row of its stamp unless its cell is taken there.
+fn rows_of(samples: &[Sample]) -> Vec<Row> {
+    let mut rows: Vec<Row> = Vec::with_capacity(samples.len() / 2 + 1);
+    let mut latest: HashMap<i64, usize> = HashMap::with_capacity(samples.len() / 2 + 1);
+    for sample in samples {
+        let Some(column) = COLUMNS.iter().position(|signal| *signal == sample.signal) else { continue };
+        let at = match latest.get(&sample.t_ns) {
+            Some(at) if rows[*at].cells[column].is_none() => *at,
+            _ => {
+                rows.push(Row { t_ns: sample.t_ns, cells: [None; COLUMNS.len()] });
+                latest.insert(sample.t_ns, rows.len() - 1);
+                rows.len() - 1
+            }
+        };
+        rows[at].cells[column] = Some(sample.value);
+    }
+    rows
+}
+
+/// Writes one loop's samples as rows in recorded order and returns how many. `t`, `op` and `pv` always stand, the other
+/// columns where the loop has such samples; a cell is empty where there is no sample or its value is missing.
+///
+/// # Errors
+/// What the writer says.
+pub fn write(samples: &[Sample], out: &mut impl Write) -> io::Result<usize> {
+    let has = |signal: Signal| samples.iter().any(|s| s.signal == signal);
+    let shown: Vec<usize> = (0..COLUMNS.len()).filter(|c| *c < 2 || has(COLUMNS[*c])).collect();
+    write!(out, "t")?;
+    for column in &shown {
+        write!(out, ",{}", COLUMNS[*column].name())?;
+    }
+    writeln!(out)?;
+    let rows = rows_of(samples);
+    for row in &rows {
+        write!(out, "{}", format_seconds(row.t_ns))?;
+        for column in &shown {
+            match row.cells[*column] {
+                Some(Value::Number(number)) if number.is_finite() => write!(out, ",{number}")?,
+                Some(Value::Mode(mode)) => write!(out, ",{}", mode.name())?,
+                _ => write!(out, ",")?,
+            }
+        }
+        writeln!(out)?;
+    }
+    Ok(rows.len())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn table(text: &str) -> Table {
+        read_from(text.as_bytes()).unwrap()
+    }
+
+    fn written(samples: &[Sample]) -> String {
+        let mut out = Vec::new();
+        write(samples, &mut out).unwrap();
+        String::from_utf8(out).unwrap()
+    }
+
+    #[test]
+    fn columns_stand_in_any_order() {
+        let text = "\u{feff}PV , T,Mode,op,note\r\n1.5,0,AUTO,2,x\r\n,2020-01-01T00:00:00Z,3,nan,\r\n\r\n";
+        let table = table(text);
+        assert_eq!((table.rows, table.missing), (2, 2));
+        assert_eq!(table.warnings, ["columns ignored: note"]);
+        assert_eq!(written(&table.samples), "t,op,pv,mode\n0,2,1.5,auto\n1577836800,,,3\n");
+    }
+
+    #[test]
+    fn faults_name_line_and_remedy() {
+        for (text, part) in [
+            ("t,op,pv\n0,1,2\nabc,1,2\n", "line 3"),
+            ("t,op,pv\n,1,2\n", "line 2"),
+            ("t;op;pv\n0;1;2\n", "commas"),
+            ("time,op,pv\n0,1,2\n", "no column \"t\""),
+            ("t,op\n0,1\n", "no column \"pv\""),
+            ("t,op,pv,OP\n", "twice"),
+            ("t,op,pv\n0,1,5,2,5\n", "line 2 has 5 cells"),
+            ("", "no column"),
+        ] {
+            let error = read_from(text.as_bytes()).unwrap_err().to_string();
+            assert!(error.contains(part), "{text:?}: {error}");
+        }
+    }
+
+    #[test]
+    fn words_in_number_columns_are_missing_and_told() {
+        let table = table("t,op,pv\n0,Bad,1\n1,2,\n2,3");
+        assert_eq!((table.rows, table.missing), (3, 3));
+        assert!(table.warnings[0].contains("line 2"), "{:?}", table.warnings);
+    }
+
+    #[test]
+    fn rows_of_their_own_are_not_holes() {
+        let table = table("t,op,pv\n0,1,\n0.1,,5\n1,2,\n1.1,,6\n");
+        assert_eq!((table.samples.len(), table.missing), (4, 0));
+        assert_eq!(written(&table.samples), "t,op,pv\n0,1,\n0.1,,5\n1,2,\n1.1,,6\n");
+    }
+
+    #[test]
+    fn repeated_stamps_and_late_samples_keep_their_rows() {
+        let text = "t,op,pv,sp\n5,1,2,\n5,3,4,7\n4,,9,8\n4,,9,8\n";
+        assert_eq!(written(&table(text).samples), text);
+        let sample = |signal, t_ns, v| Sample { signal, t_ns, value: Value::Number(v), quality: None };
+        let late = [sample(Signal::Op, 1, 1.0), sample(Signal::Op, 2, 2.0), sample(Signal::Pv, 1, 3.0)];
+        assert_eq!(written(&late), "t,op,pv\n0.000000001,1,3\n0.000000002,2,\n");
+    }
+
+    proptest! {
+        #[test]
+        fn what_is_written_reads_back_equal(
+            rows in proptest::collection::vec((-1_000_000_000_000_000_000..4_000_000_000_000_000_000_i64, any::<u64>(), any::<u64>(), any::<Option<u64>>()), 1..40)
+        ) {
+            let mut samples = Vec::new();
+            for (t_ns, op, pv, sp) in rows {
+                let mut push = |signal, bits| {
+                    samples.push(Sample { signal, t_ns, value: Value::number(f64::from_bits(bits)), quality: None });
+                };
+                push(Signal::Op, op);
+                if let Some(bits) = sp.filter(|b| f64::from_bits(*b).is_finite()) {
+                    push(Signal::Sp, bits);
+                }
+                push(Signal::Pv, pv);
+            }
+            let text = written(&samples);
+            let back = table(&text);
+            prop_assert_eq!(written(&back.samples), text);
+            if back.warnings.is_empty() {
+                prop_assert_eq!(back.samples, samples);
+            }
+        }
+
+        #[test]
+        fn no_text_panics(text in "[tpov,;0-9.\\-\"\n\r eE]{0,80}") {
+            let _ = read_from(text.as_bytes());
+            let _ = read_from(format!("t,op,pv\n{text}").as_bytes());
+        }
+    }
+}

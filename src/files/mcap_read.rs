@@ -1,0 +1,518 @@
+//! Reading a recording of any size from start to end, whole or not.
+//!
+//! Messages come in file order. A file that was cut off (or is still open) gives every message up to the cut; a damaged
+//! chunk is left out and the chunks after it are still read. Only after the last message is it known how the file ended:
+//! ask [`RecordingReader::end`]. Memory holds one chunk, at most [`MAX_RECORD`] bytes, whatever a file claims.
+
+use super::mcap_index::Index;
+use super::schemas;
+use super::topic::Kind;
+use mcap::records::{Record, op};
+use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
+use mcap::{McapError, parse_record};
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{self, Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use thiserror::Error;
+
+/// Largest record and largest uncompressed chunk that is read, bytes.
+pub const MAX_RECORD: usize = 256 << 20;
+
+/// Bytes asked of the file at a time, at most.
+const READ_BYTES: usize = 1 << 20;
+
+/// What stops reading before a single message.
+#[derive(Debug, Error)]
+pub enum ReadError {
+    /// The file cannot be opened or read.
+    #[error("{}: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// The file does not begin as MCAP files do.
+    #[error("{}: not an MCAP file (its first bytes are not the MCAP mark)", path.display())]
+    NotMcap {
+        /// The file.
+        path: PathBuf,
+    },
+}
+
+/// How a file ended.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum End {
+    /// Whole, every checksum right.
+    Clean,
+    /// It stops before its end mark; everything before was read.
+    Cut {
+        /// Where and how.
+        reason: String,
+    },
+    /// It is complete in length, but parts of it are wrong and were left out.
+    Damaged {
+        /// Where and how.
+        reason: String,
+    },
+}
+
+impl End {
+    /// Whether nothing is missing.
+    #[must_use]
+    pub fn is_clean(&self) -> bool {
+        matches!(self, Self::Clean)
+    }
+
+    /// `clean`, `cut` or `damaged`.
+    #[must_use]
+    pub fn word(&self) -> &'static str {
+        match self {
+            Self::Clean => "clean",
+            Self::Cut { .. } => "cut",
+            Self::Damaged { .. } => "damaged",
+        }
+    }
+
+    /// What is wrong, if anything is.
+    #[must_use]
+    pub fn reason(&self) -> Option<&str> {
+        match self {
+            Self::Clean => None,
+            Self::Cut { reason } | Self::Damaged { reason } => Some(reason),
+        }
+    }
+}
+
+/// What a channel says of its messages.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Channel {
+    /// The topic.
+    pub topic: String,
+    /// What its messages hold, if their schema is one of ours.
+    pub kind: Option<Kind>,
+    /// How its messages are encoded, `json` in our own files.
+    pub encoding: String,
+}
+
+/// One message.
+#[derive(Debug, Clone, Copy)]
+pub struct Message<'a> {
+    /// The channel's number in this file; stable, so callers may index by it.
+    pub channel_id: u16,
+    /// What the channel says.
+    pub channel: &'a Channel,
+    /// Its number in its channel.
+    pub sequence: u32,
+    /// Arrival, ns since 1970.
+    pub log_time_ns: i64,
+    /// Source time, ns since 1970 (0 for anything earlier).
+    pub publish_time_ns: i64,
+    /// The payload.
+    pub data: &'a [u8],
+}
+
+impl<'a> Message<'a> {
+    /// The topic.
+    #[must_use]
+    pub fn topic(&self) -> &'a str {
+        &self.channel.topic
+    }
+}
+
+/// A message of the chunk in hand, its payload in the common buffer.
+struct Entry {
+    /// `None` where the channel's own record has not been seen.
+    channel: Option<Arc<Channel>>,
+    channel_id: u16,
+    sequence: u32,
+    log_time: u64,
+    publish_time: u64,
+    start: usize,
+    end: usize,
+}
+
+/// Everything that records of a file add up to.
+#[derive(Default)]
+struct Contents {
+    schemas: BTreeMap<u16, String>,
+    channels: BTreeMap<u16, Arc<Channel>>,
+    metadata: BTreeMap<String, String>,
+    library: String,
+    entries: Vec<Entry>,
+    buffer: Vec<u8>,
+    unresolved: u64,
+    orphans: u64,
+    messages: u64,
+    stated: Option<u64>,
+}
+
+/// Reads one recording.
+pub struct RecordingReader {
+    path: PathBuf,
+    file: File,
+    linear: LinearReader,
+    offset: u64,
+    last_chunk: u64,
+    file_bytes: u64,
+    contents: Contents,
+    next: usize,
+    saw_data_end: bool,
+    damage: Vec<String>,
+    damaged_chunks: u64,
+    index: Option<Index>,
+    end: Option<End>,
+}
+
+fn outer_options() -> LinearReaderOptions {
+    LinearReaderOptions::default()
+        .with_emit_chunks(true)
+        .with_check_finishes_after_end_magic(true)
+        .with_validate_summary_section_crc(true)
+        .with_record_length_limit(MAX_RECORD)
+}
+
+impl RecordingReader {
+    /// Opens a file and reads up to its first message, so that [`RecordingReader::metadata`] is known.
+    ///
+    /// # Errors
+    /// [`ReadError`] if it cannot be read or is not MCAP at all.
+    pub fn open(path: &Path) -> Result<Self, ReadError> {
+        let failed = |source| ReadError::Io { path: path.to_owned(), source };
+        let mut file = File::open(path).map_err(failed)?;
+        let file_bytes = file.metadata().map_err(failed)?.len();
+        let mut magic = [0_u8; 8];
+        let begins = file.read_exact(&mut magic).is_ok() && magic == *mcap::MAGIC;
+        if !begins {
+            return Err(ReadError::NotMcap { path: path.to_owned() });
+        }
+        file.rewind().map_err(failed)?;
+        let mut reader = Self {
+            path: path.to_owned(),
+            file,
+            linear: LinearReader::new_with_options(outer_options().with_validate_data_section_crc(true)),
+            offset: 8,
+            last_chunk: 0,
+            file_bytes,
+            contents: Contents::default(),
+            next: 0,
+            saw_data_end: false,
+            damage: Vec::new(),
+            damaged_chunks: 0,
+            index: None,
+            end: None,
+        };
+        reader.fill()?;
+        Ok(reader)
+    }
+
+    /// The next message in file order, `None` after the last.
+    ///
+    /// # Errors
+    /// [`ReadError::Io`] if the file cannot be read; damage is no error, see [`RecordingReader::end`].
+    pub fn next_message(&mut self) -> Result<Option<Message<'_>>, ReadError> {
+        if self.next >= self.contents.entries.len() {
+            self.fill()?;
+        }
+        // An entry without a channel has been taken out by `fill`.
+        let found = self.contents.entries.get(self.next).and_then(|e| e.channel.as_deref().map(|channel| (e, channel)));
+        let Some((entry, channel)) = found else { return Ok(None) };
+        self.next += 1;
+        Ok(Some(Message {
+            channel_id: entry.channel_id,
+            channel,
+            sequence: entry.sequence,
+            log_time_ns: signed(entry.log_time),
+            publish_time_ns: signed(entry.publish_time),
+            data: &self.contents.buffer[entry.start..entry.end],
+        }))
+    }
+
+    /// The metadata record named [`super::METADATA_NAME`], as far as it has been read; ours stands first in the file.
+    #[must_use]
+    pub fn metadata(&self) -> &BTreeMap<String, String> {
+        &self.contents.metadata
+    }
+
+    /// The program that wrote the file, by its own account.
+    #[must_use]
+    pub fn library(&self) -> &str {
+        &self.contents.library
+    }
+
+    /// Size of the file when it was opened, bytes.
+    #[must_use]
+    pub fn file_bytes(&self) -> u64 {
+        self.file_bytes
+    }
+
+    /// The file.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// How the file ended; `None` while messages are left.
+    #[must_use]
+    pub fn end(&self) -> Option<&End> {
+        self.end.as_ref()
+    }
+
+    /// Reads records until a message is in hand or the file has ended.
+    fn fill(&mut self) -> Result<(), ReadError> {
+        self.contents.entries.clear();
+        self.contents.buffer.clear();
+        self.next = 0;
+        while self.contents.entries.is_empty() && self.end.is_none() {
+            self.step()?;
+            if self.contents.unresolved > 0 {
+                self.resolve();
+            }
+        }
+        Ok(())
+    }
+
+    /// Finds the channels of messages whose channel record was lost; messages without one are left out.
+    fn resolve(&mut self) {
+        self.use_index();
+        let Contents { entries, channels, orphans, unresolved, .. } = &mut self.contents;
+        entries.retain_mut(|entry| {
+            if entry.channel.is_none() {
+                entry.channel = channels.get(&entry.channel_id).cloned();
+            }
+            *orphans += u64::from(entry.channel.is_none());
+            entry.channel.is_some()
+        });
+        *unresolved = 0;
+    }
+
+    /// One record, or one piece of the file.
+    fn step(&mut self) -> Result<(), ReadError> {
+        let wanted = match self.linear.next_event() {
+            None => {
+                self.finish(None);
+                return Ok(());
+            }
+            Some(Err(error)) => return self.resume_after(&error),
+            Some(Ok(LinearReadEvent::ReadRequest(wanted))) => wanted,
+            Some(Ok(LinearReadEvent::Record { opcode, data })) => {
+                let start = self.offset;
+                self.offset += 9 + data.len() as u64;
+                self.saw_data_end |= opcode == op::DATA_END;
+                if opcode == op::CHUNK {
+                    self.last_chunk = start;
+                }
+                let outcome = match opcode {
+                    op::CHUNK => self.contents.take_chunk(data),
+                    // After the data come copies and indexes; only the count of messages is of use.
+                    _ if self.saw_data_end && opcode != op::STATISTICS => Ok(()),
+                    _ => self.contents.take_record(opcode, data),
+                };
+                if let Err(error) = outcome {
+                    self.damaged_chunks += u64::from(opcode == op::CHUNK);
+                    let what = if opcode == op::CHUNK { "chunk" } else { "record" };
+                    self.note(format!("{what} at byte {start}: {}", describe(&error)));
+                    return self.reread_swallowed();
+                }
+                return Ok(());
+            }
+        };
+        let room = self.linear.insert(wanted.min(READ_BYTES));
+        let read = loop {
+            match self.file.read(room) {
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                other => break other.map_err(|source| ReadError::Io { path: self.path.clone(), source })?,
+            }
+        };
+        self.linear.notify_read(read);
+        Ok(())
+    }
+
+    /// Goes on at the next chunk that the index knows, or ends. What stands between two chunks is of no use, and a
+    /// wrong length there may have hidden whole chunks, so the place is counted from the last chunk read.
+    fn resume_after(&mut self, error: &McapError) -> Result<(), ReadError> {
+        use McapError::{BadDataCrc, BadMagic, BadSummaryCrc, BytesAfterEndMagic};
+        let last = self.last_chunk;
+        let next = match error {
+            BadDataCrc { .. } | BadSummaryCrc { .. } | BadMagic | BytesAfterEndMagic => None,
+            _ => self.use_index().chunk_after(last),
+        };
+        let Some(next) = next else {
+            self.finish(Some(error));
+            return Ok(());
+        };
+        self.note(format!("before byte {next}: {}", describe(error)));
+        self.go_to(next)
+    }
+
+    /// After a damaged record: a wrong length may have taken the next chunks for its own.
+    fn reread_swallowed(&mut self) -> Result<(), ReadError> {
+        let (last, offset) = (self.last_chunk, self.offset);
+        match self.use_index().chunk_after(last) {
+            Some(next) if next < offset => self.go_to(next),
+            _ => Ok(()),
+        }
+    }
+
+    fn go_to(&mut self, offset: u64) -> Result<(), ReadError> {
+        let sought = self.file.seek(SeekFrom::Start(offset));
+        sought.map_err(|source| ReadError::Io { path: self.path.clone(), source })?;
+        self.linear = LinearReader::new_with_options(outer_options().with_skip_start_magic(true));
+        self.offset = offset;
+        // Whatever stands there, the next attempt is a later one.
+        self.last_chunk = offset;
+        Ok(())
+    }
+
+    /// Reads the index once; the channels it repeats replace those that stood in a damaged chunk.
+    fn use_index(&mut self) -> &Index {
+        let (path, contents) = (&self.path, &mut self.contents);
+        self.index.get_or_insert_with(|| {
+            let index = Index::read(path);
+            for (opcode, data) in &index.records {
+                // A copy that cannot be read helps nobody and harms nothing.
+                let _ = contents.take_record(*opcode, data);
+            }
+            index
+        })
+    }
+
+    fn note(&mut self, damage: String) {
+        if self.damage.len() < 3 {
+            self.damage.push(damage);
+        }
+    }
+
+    /// Judges how the file ended.
+    fn finish(&mut self, error: Option<&McapError>) {
+        let (offset, size) = (self.offset, self.file_bytes);
+        let lost = self.contents.stated.map_or(0, |stated| stated.saturating_sub(self.contents.messages));
+        let mut reasons = std::mem::take(&mut self.damage);
+        if self.damaged_chunks > 0 {
+            reasons.insert(0, format!("{} damaged chunks left out", self.damaged_chunks));
+        }
+        if self.contents.orphans > 0 {
+            reasons.push(format!("{} messages of unknown channels left out", self.contents.orphans));
+        }
+        self.end = Some(match error {
+            Some(McapError::UnexpectedEof) => {
+                let place = if self.saw_data_end { "in the index after the last message" } else { "in the data" };
+                reasons.insert(0, format!("it stops without an end mark, {place}, after byte {offset} of {size}"));
+                End::Cut { reason: reasons.join("; ") }
+            }
+            Some(error) => {
+                let text = format!("after byte {offset} of {size}: {}", describe(error));
+                reasons.push(text);
+                let reason = reasons.join("; ");
+                let whole = self.saw_data_end || matches!(error, McapError::BadDataCrc { .. });
+                if whole { End::Damaged { reason } } else { End::Cut { reason } }
+            }
+            None if lost > 0 || !reasons.is_empty() => {
+                if lost > 0 {
+                    reasons.push(format!("{lost} messages fewer than the file states"));
+                }
+                End::Damaged { reason: reasons.join("; ") }
+            }
+            None => End::Clean,
+        });
+    }
+}
+
+impl Contents {
+    /// Takes a chunk's records; none if its checksum is wrong, which is known before the first.
+    fn take_chunk(&mut self, chunk: &[u8]) -> Result<(), McapError> {
+        let options = LinearReaderOptions::default()
+            .with_skip_start_magic(true)
+            .with_skip_end_magic(true)
+            .with_prevalidate_chunk_crcs(true)
+            .with_record_length_limit(MAX_RECORD);
+        let mut linear = LinearReader::new_with_options(options);
+        let mut head = [op::CHUNK; 9];
+        head[1..].copy_from_slice(&(chunk.len() as u64).to_le_bytes());
+        let mut source = head.as_slice().chain(chunk);
+        let mut first_error = None;
+        loop {
+            let outcome = match linear.next_event() {
+                None => break,
+                Some(Err(error)) => {
+                    first_error.get_or_insert(error);
+                    break;
+                }
+                Some(Ok(LinearReadEvent::ReadRequest(wanted))) => {
+                    let read = source.read(linear.insert(wanted.min(READ_BYTES)))?;
+                    linear.notify_read(read);
+                    continue;
+                }
+                Some(Ok(LinearReadEvent::Record { opcode, data })) => self.take_record(opcode, data),
+            };
+            if let Err(error) = outcome {
+                first_error.get_or_insert(error);
+            }
+        }
+        first_error.map_or(Ok(()), Err)
+    }
+
+    fn take_record(&mut self, opcode: u8, data: &[u8]) -> Result<(), McapError> {
+        // Indexes and records that others invented are none of ours; parsing them would only cost.
+        let ours = [op::HEADER, op::SCHEMA, op::CHANNEL, op::MESSAGE, op::METADATA, op::STATISTICS];
+        if !ours.contains(&opcode) {
+            return Ok(());
+        }
+        match parse_record(opcode, data)? {
+            Record::Header(header) => self.library = header.library,
+            Record::Schema { header, .. } => {
+                self.schemas.insert(header.id, header.name);
+            }
+            Record::Channel(channel) => {
+                let kind = self.schemas.get(&channel.schema_id).and_then(|name| schemas::kind_of(name));
+                let known = Channel { topic: channel.topic, kind, encoding: channel.message_encoding };
+                match self.channels.get(&channel.id) {
+                    Some(old) if **old != known => return Err(McapError::ConflictingChannels(known.topic)),
+                    Some(_) => {}
+                    None => {
+                        self.channels.insert(channel.id, Arc::new(known));
+                    }
+                }
+            }
+            Record::Message { header, data } => {
+                self.messages += 1;
+                let channel = self.channels.get(&header.channel_id).cloned();
+                self.unresolved += u64::from(channel.is_none());
+                let start = self.buffer.len();
+                self.buffer.extend_from_slice(&data);
+                self.entries.push(Entry {
+                    channel,
+                    channel_id: header.channel_id,
+                    sequence: header.sequence,
+                    log_time: header.log_time,
+                    publish_time: header.publish_time,
+                    start,
+                    end: self.buffer.len(),
+                });
+            }
+            Record::Metadata(metadata) if metadata.name == super::METADATA_NAME => {
+                self.metadata.extend(metadata.metadata);
+            }
+            Record::Statistics(statistics) => self.stated = Some(statistics.message_count),
+            _ => {}
+        }
+        Ok(())
+    }
+}
+
+fn signed(time: u64) -> i64 {
+    i64::try_from(time).unwrap_or(i64::MAX)
+}
+
+/// An error with its cause, in one line.
+fn describe(error: &McapError) -> String {
+    use std::error::Error as _;
+    let text = match error.source() {
+        Some(cause) => format!("{error}: {cause}"),
+        None => error.to_string(),
+    };
+    let line: String = text.split_whitespace().collect::<Vec<_>>().join(" ").chars().take(200).collect();
+    line
+}

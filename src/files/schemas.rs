@@ -1,0 +1,119 @@
+//! JSON schemas of what a recording holds, one per [`Kind`].
+//!
+//! Viewers draw named scalar fields and accept one plain type a field; a field whose number does not exist is null in
+//! the data. Extra fields are allowed everywhere.
+
+use super::topic::Kind;
+use serde_json::{Map, Value, json};
+
+const TIME: &[&str] = &["t"];
+
+/// Fields of one kind, by type.
+#[derive(Default)]
+struct Fields {
+    integers: &'static [&'static str],
+    numbers: &'static [&'static str],
+    texts: &'static [&'static str],
+    flags: &'static [&'static str],
+    objects: &'static [(&'static str, &'static [&'static str])],
+}
+
+fn fields(kind: Kind) -> Fields {
+    match kind {
+        Kind::Sample => Fields { integers: &["t", "q"], numbers: &["v"], ..Fields::default() },
+        Kind::Mode => Fields { integers: &["t", "q"], texts: &["v"], ..Fields::default() },
+        Kind::Estimate => Fields {
+            numbers: &[
+                "p_stiction",
+                "confidence",
+                "fs",
+                "fd",
+                "s",
+                "j",
+                "s_detectable",
+                "stiction_index",
+                "s_over_span",
+            ],
+            texts: &["schema", "loop", "verdict", "grade", "region", "strength", "severity", "version", "config_hash"],
+            flags: &["stiction", "j_identifiable"],
+            objects: &[
+                ("window", &["start_ns", "end_ns", "samples", "ts_s"]),
+                ("oscillation", &["period_s", "periods", "samples_per_period", "regularity"]),
+                ("process", &["order", "gain", "dead_time_s", "mse", "fit_pct"]),
+                ("controller", &["kc", "ti_s", "td_s", "lag_samples", "r2"]),
+            ],
+            ..Fields::default()
+        },
+        Kind::Alarm => Fields {
+            integers: &["raised_ns", "changed_ns", "window_end_ns"],
+            texts: &["schema", "loop", "alarm", "state", "severity", "ne107", "by", "why"],
+            flags: &["active"],
+            ..Fields::default()
+        },
+        Kind::Gap => Fields {
+            integers: &["evaluations"],
+            texts: &["schema", "loop", "version"],
+            objects: &[
+                ("gap", &["rmse", "noise_floor", "relative"]),
+                ("cause", &["probability"]),
+                ("forward", &["gap_before", "gap_after"]),
+            ],
+            ..Fields::default()
+        },
+        Kind::Health => Fields {
+            numbers: &["uptime_s", "loops", "data_age_s", "gaps", "dropped"],
+            texts: &["schema", "daemon", "loop", "version", "config_hash"],
+            ..Fields::default()
+        },
+        Kind::State | Kind::Input => Fields { integers: TIME, texts: &["schema", "loop", "kind"], ..Fields::default() },
+    }
+}
+
+/// The name of a kind's schema, such as `stictiond.estimate.v1`.
+#[must_use]
+pub fn name(kind: Kind) -> String {
+    format!("stictiond.{}.v1", kind.name())
+}
+
+/// The kind whose schema has this name.
+#[must_use]
+pub fn kind_of(schema_name: &str) -> Option<Kind> {
+    let word = schema_name.strip_prefix("stictiond.")?.strip_suffix(".v1")?;
+    Kind::ALL.into_iter().find(|kind| kind.name() == word)
+}
+
+/// A kind's JSON schema.
+#[must_use]
+pub fn json_schema(kind: Kind) -> Value {
+    let Fields { integers, numbers, texts, flags, objects } = fields(kind);
+    let mut properties = Map::new();
+    for (names, word) in [(integers, "integer"), (numbers, "number"), (texts, "string"), (flags, "boolean")] {
+        properties.extend(names.iter().map(|name| ((*name).to_owned(), json!({ "type": word }))));
+    }
+    for (name, members) in objects {
+        let members: Map<String, Value> =
+            members.iter().map(|member| ((*member).to_owned(), json!({ "type": "number" }))).collect();
+        properties.insert((*name).to_owned(), json!({ "type": "object", "properties": members }));
+    }
+    json!({ "title": name(kind), "type": "object", "properties": properties, "additionalProperties": true })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Viewers refuse a whole topic over one field without a plain type.
+    #[test]
+    fn every_field_has_one_plain_type() {
+        for kind in Kind::ALL {
+            assert_eq!(kind_of(&name(kind)), Some(kind));
+            let schema = json_schema(kind);
+            assert_eq!(schema["type"], "object");
+            for (field, shape) in schema["properties"].as_object().unwrap() {
+                let word = shape["type"].as_str().unwrap();
+                assert!(["integer", "number", "string", "boolean", "object"].contains(&word), "{kind:?} {field}");
+            }
+        }
+        assert_eq!(kind_of("foxglove.Grid"), None);
+    }
+}
