@@ -1,4 +1,6 @@
 //! placeholder map
+#[cfg(feature = "daemon")]
+pub mod cli;
 pub mod codec;
 #[cfg(feature = "daemon")]
 pub mod files;
