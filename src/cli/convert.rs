@@ -1,9 +1,274 @@
-//! wip
-use super::{Format, Outcome};
-/// wip
+//! `convert IN OUT`: between tables and recordings, by OUT's extension.
+
+use super::{Format, Outcome, UsageError};
+use crate::codec::encode_recorded;
+use crate::codec::topic::Kind;
+use crate::files::{self, Loaded, LoadedLoop, METADATA_PREFIX, RecordingFile, csv};
+use crate::units::{is_loop_name, loop_name_from};
+use anyhow::{Context, bail};
+use serde_json::json;
+use std::collections::{BTreeMap, HashSet};
+use std::fs::{self, File};
+use std::io::BufWriter;
+use std::path::{Path, PathBuf};
+
+/// Prefix of topics made from tables, which carry none.
+const PREFIX: &str = "plant";
+
+/// Names listed in a message, at most.
+const NAMES_SHOWN: usize = 20;
+
+/// Converts between .csv and .mcap, by OUT's extension
 #[derive(Debug, clap::Args)]
-pub struct Args {}
-/// wip
-pub fn run(_: &Args, _: Format) -> anyhow::Result<Outcome> {
-    Ok(Outcome::Done)
+pub struct ConvertArgs {
+    /// File to read, .csv or .mcap; cut-off and .part recordings are read up to the cut
+    #[arg(value_name = "IN")]
+    pub input: PathBuf,
+    /// File to write, .csv or .mcap, or a folder for one .csv a loop
+    #[arg(value_name = "OUT")]
+    pub output: PathBuf,
+    /// Take this loop only
+    #[arg(long = "loop", value_name = "NAME")]
+    pub loop_name: Option<String>,
+    /// Replace what exists
+    #[arg(long)]
+    pub force: bool,
+}
+
+/// What OUT asks for.
+enum Target {
+    Csv(PathBuf),
+    Mcap(PathBuf),
+    Folder(PathBuf),
+}
+
+/// What was written.
+struct Written {
+    path: PathBuf,
+    loops: Vec<String>,
+    samples: usize,
+    rows: Option<usize>,
+}
+
+/// Converts.
+///
+/// # Errors
+/// What cannot be read or written, with its place; [`UsageError`] where the request must change.
+pub fn run(args: &ConvertArgs, format: Format) -> anyhow::Result<Outcome> {
+    let target = target_of(&args.output)?;
+    if let Target::Csv(path) | Target::Mcap(path) = &target {
+        refuse_existing(path, args.force)?;
+        if same_file(&args.input, path) {
+            return Err(UsageError(format!("{}: IN and OUT are the same file", path.display())).into());
+        }
+    }
+    let mut loaded = files::load_samples(&args.input)?;
+    for warning in &loaded.warnings {
+        eprintln!("warning: {}: {warning}", args.input.display());
+    }
+    select(&mut loaded, args.loop_name.as_deref(), &args.input)?;
+    let written = match target {
+        Target::Csv(path) => vec![to_csv(&loaded, &path)?],
+        Target::Mcap(path) => vec![to_mcap(&loaded, &args.input, &path)?],
+        Target::Folder(folder) => to_folder(&loaded, &folder, args.force)?,
+    };
+    report(args, &loaded, &written, format)?;
+    Ok(if loaded.data_loss { Outcome::DataLoss } else { Outcome::Done })
+}
+
+fn target_of(output: &Path) -> anyhow::Result<Target> {
+    if output.is_dir() || output.as_os_str().to_string_lossy().ends_with('/') {
+        return Ok(Target::Folder(output.to_owned()));
+    }
+    let extension = output.extension().map(|e| e.to_string_lossy().to_lowercase());
+    match extension.as_deref() {
+        Some("csv") => Ok(Target::Csv(output.to_owned())),
+        Some("mcap") => Ok(Target::Mcap(output.to_owned())),
+        Some("mat") => bail!("{}: .mat is not supported yet; write .csv or .mcap", output.display()),
+        None => Ok(Target::Folder(output.to_owned())),
+        Some(other) => {
+            let place = output.display();
+            Err(UsageError(format!("{place}: OUT ends in .{other}; write .csv, .mcap or a folder")).into())
+        }
+    }
+}
+
+fn refuse_existing(path: &Path, force: bool) -> anyhow::Result<()> {
+    if path.exists() && !force {
+        bail!("{}: exists already; --force replaces it", path.display());
+    }
+    Ok(())
+}
+
+fn same_file(a: &Path, b: &Path) -> bool {
+    matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
+}
+
+/// Keeps the loop asked for.
+fn select(loaded: &mut Loaded, name: Option<&str>, input: &Path) -> anyhow::Result<()> {
+    let place = input.display();
+    if loaded.loops.is_empty() {
+        bail!("{place}: holds no sample that can be read");
+    }
+    let Some(name) = name else { return Ok(()) };
+    let names = listed(&loaded.loops);
+    loaded.loops.retain(|one| one.name == name);
+    if loaded.loops.is_empty() {
+        return Err(UsageError(format!("{place}: no loop {name:?}; it holds {names}")).into());
+    }
+    Ok(())
+}
+
+fn listed(loops: &[LoadedLoop]) -> String {
+    let shown: Vec<&str> = loops.iter().take(NAMES_SHOWN).map(|one| one.name.as_str()).collect();
+    let more = loops.len().saturating_sub(NAMES_SHOWN);
+    if more == 0 { shown.join(", ") } else { format!("{} and {more} more", shown.join(", ")) }
+}
+
+fn to_csv(loaded: &Loaded, path: &Path) -> anyhow::Result<Written> {
+    let [one] = &loaded.loops[..] else {
+        let count = loaded.loops.len();
+        let names = listed(&loaded.loops);
+        let text = format!("IN holds {count} loops ({names}); choose one by --loop, or give a folder as OUT");
+        return Err(UsageError(text).into());
+    };
+    let temporary = Temporary::beside(path);
+    let rows = write_table(one, &temporary.path)?;
+    temporary.become_file(path)?;
+    Ok(written_table(one, path.to_owned(), rows))
+}
+
+fn written_table(one: &LoadedLoop, path: PathBuf, rows: usize) -> Written {
+    Written { path, loops: vec![one.name.clone()], samples: one.samples.len(), rows: Some(rows) }
+}
+
+fn write_table(one: &LoadedLoop, path: &Path) -> anyhow::Result<usize> {
+    let context = || format!("{}: cannot be written", path.display());
+    let file = File::create(path).with_context(context)?;
+    let mut out = BufWriter::with_capacity(1 << 16, file);
+    let rows = csv::write(&one.samples, &mut out).with_context(context)?;
+    let file = out.into_inner().map_err(std::io::IntoInnerError::into_error).with_context(context)?;
+    file.sync_all().with_context(context)?;
+    Ok(rows)
+}
+
+/// One table a loop; all of them or, on an error, none.
+fn to_folder(loaded: &Loaded, folder: &Path, force: bool) -> anyhow::Result<Vec<Written>> {
+    let mut taken = HashSet::new();
+    let paths: Vec<PathBuf> =
+        loaded.loops.iter().map(|one| folder.join(format!("{}.csv", file_stem(&one.name, &mut taken)))).collect();
+    for path in &paths {
+        refuse_existing(path, force)?;
+    }
+    fs::create_dir_all(folder).with_context(|| format!("{}: cannot be made", folder.display()))?;
+    let mut written = Vec::with_capacity(paths.len());
+    let mut temporaries = Vec::with_capacity(paths.len());
+    for (one, path) in loaded.loops.iter().zip(paths) {
+        let temporary = Temporary::beside(&path);
+        let rows = write_table(one, &temporary.path)?;
+        temporaries.push(temporary);
+        written.push(written_table(one, path, rows));
+    }
+    for (temporary, done) in temporaries.into_iter().zip(&written) {
+        temporary.become_file(&done.path)?;
+    }
+    Ok(written)
+}
+
+/// A file's stem from a loop's name, unique in its folder (also where letter case does not tell files apart).
+fn file_stem(name: &str, taken: &mut HashSet<String>) -> String {
+    let stem = loop_name_from(name).replace(['\\', ':'], "_");
+    let stem = if stem.starts_with('.') { format!("_{stem}") } else { stem };
+    let mut unique = stem.clone();
+    let mut count = 1;
+    while !taken.insert(unique.to_lowercase()) {
+        count += 1;
+        unique = format!("{stem}_{count}");
+    }
+    unique
+}
+
+fn to_mcap(loaded: &Loaded, input: &Path, path: &Path) -> anyhow::Result<Written> {
+    let prefix = loaded.metadata.get(METADATA_PREFIX).map_or(PREFIX, String::as_str);
+    let source = input.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
+    let metadata = BTreeMap::from(
+        [("origin", "convert"), (METADATA_PREFIX, prefix), ("source", &source), ("version", crate::VERSION)]
+            .map(|(key, value)| (key.to_owned(), value.to_owned())),
+    );
+    let temporary = Temporary::beside(path);
+    let mut file = RecordingFile::create_at(temporary.path.clone(), path.to_owned(), &metadata)?;
+    let mut samples = 0;
+    let mut payload = Vec::with_capacity(64);
+    for one in &loaded.loops {
+        let name = if is_loop_name(&one.name) { one.name.clone() } else { loop_name_from(&one.name) };
+        for sample in &one.samples {
+            payload.clear();
+            encode_recorded(sample, &mut payload);
+            let topic = format!("{prefix}/{name}/{}", sample.signal.name());
+            file.write(&topic, Kind::of_signal(sample.signal), sample.t_ns, sample.t_ns, &payload)?;
+        }
+        samples += one.samples.len();
+    }
+    file.finish()?;
+    let loops = loaded.loops.iter().map(|one| one.name.clone()).collect();
+    Ok(Written { path: path.to_owned(), loops, samples, rows: None })
+}
+
+/// A file under a passing name; removed unless it becomes the real one.
+struct Temporary {
+    path: PathBuf,
+}
+
+impl Temporary {
+    fn beside(target: &Path) -> Self {
+        let mut name = target.file_name().unwrap_or_default().to_owned();
+        name.push(format!(".tmp{}", std::process::id()));
+        Self { path: target.with_file_name(name) }
+    }
+
+    fn become_file(self, target: &Path) -> anyhow::Result<()> {
+        fs::rename(&self.path, target).with_context(|| format!("{}: cannot be written", target.display()))?;
+        Ok(files::sync_folder(target)?)
+    }
+}
+
+impl Drop for Temporary {
+    fn drop(&mut self) {
+        // Gone already where it has become the real file.
+        let _ = fs::remove_file(&self.path);
+    }
+}
+
+fn report(args: &ConvertArgs, loaded: &Loaded, written: &[Written], format: Format) -> anyhow::Result<()> {
+    let mut text = String::new();
+    for done in written {
+        let place = done.path.display().to_string();
+        if format == Format::Json {
+            let document = json!({
+                "schema": "stictiond.convert.v1", "input": args.input.display().to_string(), "output": place,
+                "loops": done.loops, "samples": done.samples, "rows": done.rows, "data_loss": loaded.data_loss,
+            });
+            text.push_str(&document.to_string());
+        } else {
+            let what =
+                if done.loops.len() == 1 { done.loops[0].clone() } else { format!("{} loops", done.loops.len()) };
+            let rows = done.rows.map_or(String::new(), |rows| format!(" in {rows} rows"));
+            text.push_str(&format!("{place}: {what}, {} samples{rows}", done.samples));
+        }
+        text.push('\n');
+    }
+    Ok(super::print(&text)?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn file_stems_are_unique_and_stay_in_their_folder() {
+        let mut taken = HashSet::new();
+        for (name, stem) in [("u1/FIC", "u1_FIC"), ("u1_fic", "u1_fic_2"), ("..", "_.."), ("a:b", "a_b")] {
+            assert_eq!(file_stem(name, &mut taken), stem);
+        }
+    }
 }

@@ -83,9 +83,9 @@ enum CommandArgs {
     Analyze(analyze::Args),
     Evaluate(evaluate::Args),
     Simulate(simulate::Args),
-    Convert(convert::Args),
+    Convert(convert::ConvertArgs),
     Check(check::Args),
-    Info(info::Args),
+    Info(info::InfoArgs),
 }
 
 /// Reads the command line and runs one command.
@@ -107,7 +107,7 @@ pub fn main() -> ExitCode {
             return Outcome::Done;
         }
         let _ = writeln!(std::io::stderr(), "stictiond: {error:#}");
-        Outcome::Failed
+        if error.is::<UsageError>() { Outcome::Usage } else { Outcome::Failed }
     });
     ExitCode::from(outcome.code())
 }
@@ -138,6 +138,17 @@ fn start_log(form: Format) {
     };
     // A second start, in tests, keeps the first log.
     drop(started);
+}
+
+/// An error of the request, not of the work: exit 2.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+pub struct UsageError(pub String);
+
+/// Prints results as they are.
+pub(crate) fn print(text: &str) -> std::io::Result<()> {
+    let mut out = std::io::stdout().lock();
+    out.write_all(text.as_bytes()).and_then(|()| out.flush())
 }
 
 /// Prints one line of results.

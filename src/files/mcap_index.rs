@@ -52,7 +52,9 @@ impl Index {
             return Ok(());
         }
         file.seek(SeekFrom::Start(start))?;
-        self.take_records(&mut file.take(size - start))
+        let outcome = self.take_records(&mut file.take(size - start));
+        self.chunk_starts.retain(|chunk| *chunk < start);
+        outcome
     }
 
     fn take_records(&mut self, source: &mut impl Read) -> io::Result<()> {

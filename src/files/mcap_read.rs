@@ -124,7 +124,8 @@ impl<'a> Message<'a> {
 
 /// A message of the chunk in hand, its payload in the common buffer.
 struct Entry {
-    channel: Arc<Channel>,
+    /// `None` where the channel's own record has not been seen.
+    channel: Option<Arc<Channel>>,
     channel_id: u16,
     sequence: u32,
     log_time: u64,
@@ -142,6 +143,7 @@ struct Contents {
     library: String,
     entries: Vec<Entry>,
     buffer: Vec<u8>,
+    unresolved: u64,
     orphans: u64,
     messages: u64,
     stated: Option<u64>,
@@ -214,11 +216,13 @@ impl RecordingReader {
         if self.next >= self.contents.entries.len() {
             self.fill()?;
         }
-        let Some(entry) = self.contents.entries.get(self.next) else { return Ok(None) };
+        // An entry without a channel has been taken out by `fill`.
+        let found = self.contents.entries.get(self.next).and_then(|e| e.channel.as_deref().map(|channel| (e, channel)));
+        let Some((entry, channel)) = found else { return Ok(None) };
         self.next += 1;
         Ok(Some(Message {
             channel_id: entry.channel_id,
-            channel: &entry.channel,
+            channel,
             sequence: entry.sequence,
             log_time_ns: signed(entry.log_time),
             publish_time_ns: signed(entry.publish_time),
@@ -263,8 +267,25 @@ impl RecordingReader {
         self.next = 0;
         while self.contents.entries.is_empty() && self.end.is_none() {
             self.step()?;
+            if self.contents.unresolved > 0 {
+                self.resolve();
+            }
         }
         Ok(())
+    }
+
+    /// Finds the channels of messages whose channel record was lost; messages without one are left out.
+    fn resolve(&mut self) {
+        self.use_index();
+        let Contents { entries, channels, orphans, unresolved, .. } = &mut self.contents;
+        entries.retain_mut(|entry| {
+            if entry.channel.is_none() {
+                entry.channel = channels.get(&entry.channel_id).cloned();
+            }
+            *orphans += u64::from(entry.channel.is_none());
+            entry.channel.is_some()
+        });
+        *unresolved = 0;
     }
 
     /// One record, or one piece of the file.
@@ -312,8 +333,13 @@ impl RecordingReader {
     /// Goes on at the next chunk that the index knows, or ends. What stands between two chunks is of no use, and a
     /// wrong length there may have hidden whole chunks, so the place is counted from the last chunk read.
     fn resume_after(&mut self, error: &McapError) -> Result<(), ReadError> {
+        use McapError::{BadDataCrc, BadMagic, BadSummaryCrc, BytesAfterEndMagic};
         let last = self.last_chunk;
-        let Some(next) = self.use_index().chunk_after(last) else {
+        let next = match error {
+            BadDataCrc { .. } | BadSummaryCrc { .. } | BadMagic | BytesAfterEndMagic => None,
+            _ => self.use_index().chunk_after(last),
+        };
+        let Some(next) = next else {
             self.finish(Some(error));
             return Ok(());
         };
@@ -335,7 +361,8 @@ impl RecordingReader {
         sought.map_err(|source| ReadError::Io { path: self.path.clone(), source })?;
         self.linear = LinearReader::new_with_options(outer_options().with_skip_start_magic(true));
         self.offset = offset;
-        self.saw_data_end = false;
+        // Whatever stands there, the next attempt is a later one.
+        self.last_chunk = offset;
         Ok(())
     }
 
@@ -451,14 +478,12 @@ impl Contents {
             }
             Record::Message { header, data } => {
                 self.messages += 1;
-                let Some(channel) = self.channels.get(&header.channel_id) else {
-                    self.orphans += 1;
-                    return Ok(());
-                };
+                let channel = self.channels.get(&header.channel_id).cloned();
+                self.unresolved += u64::from(channel.is_none());
                 let start = self.buffer.len();
                 self.buffer.extend_from_slice(&data);
                 self.entries.push(Entry {
-                    channel: Arc::clone(channel),
+                    channel,
                     channel_id: header.channel_id,
                     sequence: header.sequence,
                     log_time: header.log_time,

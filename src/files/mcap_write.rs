@@ -333,6 +333,13 @@ mod tests {
     }
 
     #[test]
+    fn recordings_move_between_threads() {
+        fn movable<T: Send>() {}
+        movable::<RecordingFile>();
+        movable::<super::super::RecordingReader>();
+    }
+
+    #[test]
     fn a_file_gets_its_name_when_it_is_whole() {
         let dir = tempfile::tempdir().unwrap();
         let mut file = RecordingFile::create(&dir.path().join("new"), "a", &metadata()).unwrap();
