@@ -241,7 +241,7 @@ fn alarms_survive_kill_9_and_broken_files_do_not_stop_the_start() {
     second.wait_for_estimates(12);
     let recordings = second.stop();
     assert!(recordings.join("broken.mcap.broken").exists() && !recordings.join("empty.mcap.part").exists());
-    let new = files(&recordings).into_iter().filter(|f| f.extension().unwrap() == "mcap").next_back().unwrap();
+    let new = files(&recordings).into_iter().rfind(|f| f.extension().unwrap() == "mcap").unwrap();
     let states = documents(&new, Kind::State);
     assert_eq!(states[0].1["alarm"]["state"], "unack", "the first state of the new run is the old alarm");
     // Carried over: the same alarm is not raised a second time.
