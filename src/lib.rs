@@ -1,4 +1,5 @@
 //! placeholder map
+#[cfg(test)] extern crate self as stictiond;
 pub mod detect;
 pub mod ident;
 pub mod optim;

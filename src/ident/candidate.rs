@@ -23,6 +23,8 @@ pub struct Question {
     pub from: usize,
     /// A typical time, points: a period, or a fifth of the record where nothing oscillates.
     pub period: f64,
+    /// How fast OP usually moves, spans a point.
+    pub rate: f64,
     /// OP's running maxima, then minima: the places where a first slip can happen.
     pub records: [Vec<f64>; 2],
 }

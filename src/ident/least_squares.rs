@@ -1,6 +1,6 @@
 //! Least squares on a handful of columns: Gram matrices and their elimination, without allocation.
 
-use crate::signal::stats::dot;
+use crate::signal::stats::{dot, dot3};
 
 /// Most columns that a system here has, right-hand side included.
 pub const MAX: usize = 9;
@@ -21,7 +21,13 @@ impl Gram {
         let n = columns.len().min(MAX);
         let mut m = [[0.0; MAX]; MAX];
         for i in 0..n {
-            for k in i..n {
+            let mut k = i;
+            while k + 3 <= n {
+                let three = dot3(columns[i], [columns[k], columns[k + 1], columns[k + 2]]);
+                m[i][k..k + 3].copy_from_slice(&three);
+                k += 3;
+            }
+            for k in k..n {
                 m[i][k] = dot(columns[i], columns[k]);
             }
         }

@@ -149,7 +149,10 @@ fn pose(record: &Record, options: &Options, span: f64, deviation: f64) -> Questi
     let limits = Limits { tau: [0.3, (3.0 * n as f64).max(500.0)], lag };
     let records = Question::records_of(&path);
     let still = vec![0.0; n];
-    Question { path, per_point: m, mean, still, pv, limits, from, period, records }
+    let width = ((period / 32.0) as usize).max(1);
+    let travel: Vec<f64> = mean.windows(width + 1).map(|w| (w[width] - w[0]).abs() / width as f64).collect();
+    let rate = stats::median(&travel);
+    Question { path, per_point: m, mean, still, pv, limits, from, period, rate, records }
 }
 
 /// The best candidate for one law and one sign of the gain, in the class that it deserves.
@@ -159,11 +162,11 @@ fn search(question: &Question, plain: &Target, law: Law, sign: f64, options: &Op
     let filtered = Target::new(&question.pv, SEARCH_RHO, question.from);
     let mut rng = generator(options.seed, 1);
     let mut bench = Bench::new(question, law, Class::First, &filtered, sign);
-    let mut look = Look::new(&mut bench, 3, 2);
+    let mut look = Look::new(&mut bench, 1, 2);
     let outcome = solver.search(&mut look, &settings);
     sweep(&mut look);
     let mut held = beam(&look.pool, 16, 5);
-    for (keep, steps, fine) in [(usize::MAX, 40, false), (5, 150, false), (2, 200, false)] {
+    for (keep, steps, fine) in [(usize::MAX, 60, false), (6, 150, false), (3, 200, false)] {
         held.sort_by(|a, b| a.fit.sse.total_cmp(&b.fit.sse));
         held.truncate(keep);
         held = held.into_iter().map(|c| climb(&mut bench, c, steps, fine, &mut rng)).collect();
@@ -186,10 +189,10 @@ fn search(question: &Question, plain: &Target, law: Law, sign: f64, options: &Op
 
 /// An even look on a logarithmic scale of s, which no linear grid gives to small bands.
 fn sweep(look: &mut Look<'_, '_>) {
-    const STEPS: i32 = 40;
+    const STEPS: i32 = 80;
     for k in 0..STEPS {
         let s = libm::pow(0.04, f64::from(k) / f64::from(STEPS - 1));
-        for share in [0.06, 0.25, 0.5, 0.75, 0.94] {
+        for share in [0.04, 0.12, 0.27, 0.5, 0.75, 0.94] {
             look.cost([s, share * s]);
         }
     }
@@ -312,4 +315,41 @@ fn report(
         solver: found.solver,
         stopped: found.outcome.stopped,
     })
+}
+
+#[cfg(test)]
+mod scratch {
+    #[path = "/work/wt-num/tests/common/mod.rs"]
+    mod common;
+    use super::*;
+    use crate::ident::candidate::*;
+    #[test]
+    fn truth() {
+        for seed in 0..40 {
+            let l = common::Loop::random(0, seed);
+            let sim = l.run();
+            let record = sim.record.clone();
+            let span = stats::span(&record.op_path);
+            let dev = stats::std_dev(&record.pv);
+            let found = crate::detect::oscillation::detect(&record.op(), &record.pv);
+            let options = Options { model: ModelChoice::Auto, delay: DelayChoice::Auto, valve: ValveChoice::He, solver: "contour", fineness_pct: 5.0, seed: 1, period_points: found.map(|o| o.period_points) };
+            let q = pose(&record, &options, span, dev);
+            let plain = Target::new(&q.pv, 0.0, q.from);
+            let (s, j) = ((l.fs + l.fd) / span, (l.fs - l.fd) / span);
+            let Some(sg) = sign::of_gain(&q.mean, &q.pv) else { println!("{seed} no sign"); continue };
+            let mut bench = Bench::new(&q, Law::He, Class::First, &plain, sg);
+            let mut best: Option<Candidate> = None;
+            for up in [true, false] { for r in 0..q.records[usize::from(!up)].len() {
+                let st = Start { up, record: r, place: 0.5 };
+                let sh = Class::First.start(l.taus[0], l.dead_time + 1.0);
+                if let Some(c) = bench.fit(s, j, st, &[sh], Effort { steps: 0, hopeless: 1e300 }) { if best.is_none_or(|b| c.fit.sse < b.fit.sse) { best = Some(c); } }
+            } }
+            let t = best.map(|b| bench.settle(&b).unwrap()).unwrap();
+            let f = search(&q, &plain, Law::He, sg, &options);
+            let c = f.candidate.unwrap();
+            let m = plain.y.len() as f64;
+            let r = |sse: f64| (sse / m).sqrt() * dev / sim.noise_sd;
+            println!("{seed} {} sign {sg} {} truth rms {:.3} cell s {:.4?} j {:.4?} slips {} start {:?}/{} per {:.0} lim {:?} tau {:.1} lag {:.1} | found {:.3} s {:.4} j {:.4} slips {} {:?} tau {:.1} lag {:.1} class {:?}", if r(c.fit.sse) > 1.05 { "BAD" } else { "" }, l.gain.signum(), r(t.fit.sse), t.s_cell, t.j_cell, t.slips, t.start, q.records[usize::from(!t.start.up)].len(), q.period, q.limits.lag, libm::exp(t.fit.shape[0]), t.fit.shape[1], r(c.fit.sse), c.s, c.j, c.slips, c.start, libm::exp(c.fit.shape[0]), c.fit.shape[1], f.class);
+        }
+    }
 }
