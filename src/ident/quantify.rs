@@ -165,24 +165,24 @@ fn search(question: &Question, plain: &Target, law: Law, sign: f64, options: &Op
     let mut look = Look::new(&mut bench, 1, 2);
     let outcome = solver.search(&mut look, &settings);
     sweep(&mut look);
-    let mut held = beam(&look.pool, 16, 5);
-    for (keep, steps, fine) in [(usize::MAX, 60, false), (6, 150, false), (3, 200, false)] {
-        held.sort_by(|a, b| a.fit.sse.total_cmp(&b.fit.sse));
+    let held = beam(&look.pool, 24, 8);
+    let held = round(&mut bench, held, 70, &mut rng);
+    let class = deserved(&mut bench, &held, options.model);
+    bench.class = class;
+    let mut held: Vec<Candidate> = held.into_iter().take(8).filter_map(|c| in_class(&mut bench, &c)).collect();
+    for (keep, steps) in [(8, 150), (4, 300)] {
         held.truncate(keep);
-        held = held.into_iter().map(|c| climb(&mut bench, c, steps, fine, &mut rng)).collect();
-        let top = held.len().min(6);
-        held = beam(&held, top.max(4), 2);
+        held = round(&mut bench, held, steps, &mut rng);
     }
     let mut evaluations = bench.fitter.evaluations;
-    let mut bench = Bench::new(question, law, Class::First, plain, sign);
-    let mut settled: Vec<Candidate> = held.iter().filter_map(|c| bench.settle(c)).collect();
-    settled.sort_by(|a, b| a.fit.sse.total_cmp(&b.fit.sse));
-    settled.truncate(3);
-    let mut finalists: Vec<Candidate> =
-        settled.into_iter().map(|c| climb(&mut bench, c, 100, false, &mut rng)).collect();
-    finalists.sort_by(|a, b| a.fit.sse.total_cmp(&b.fit.sse));
+    let mut bench = Bench::new(question, law, class, plain, sign);
+    held.truncate(3);
+    let held: Vec<Candidate> = held.iter().filter_map(|c| bench.settle(c)).collect();
+    let held = round(&mut bench, held, 100, &mut rng);
+    let mut candidate = held.first().copied().map(|c| climb(&mut bench, c, 150, false, &mut rng));
+    candidate = candidate.and_then(|c| bench.settle(&c));
+    let (candidate, class) = demote(&mut bench, candidate, options.model);
     evaluations += bench.fitter.evaluations;
-    let (candidate, class) = promote(question, plain, law, sign, options.model, &finalists, &mut evaluations, &mut rng);
     let without = frictionless(question, plain, class, sign);
     Found { candidate, class, law, sign, without, evaluations, outcome, solver: solver.name() }
 }
@@ -198,59 +198,74 @@ fn sweep(look: &mut Look<'_, '_>) {
     }
 }
 
-/// Tries the other classes on the finalists and keeps the one that earns its place.
-#[allow(clippy::too_many_arguments)]
-fn promote(
-    question: &Question,
-    plain: &Target,
-    law: Law,
-    sign: f64,
-    model: ModelChoice,
-    finalists: &[Candidate],
-    evaluations: &mut u64,
+/// Random steps for each of the candidates, best first afterwards.
+fn round(
+    bench: &mut Bench<'_>,
+    held: Vec<Candidate>,
+    steps: usize,
     rng: &mut rand_chacha::ChaCha8Rng,
-) -> (Option<Candidate>, Class) {
-    let mut of_class = |class: Class, steps: usize| -> Option<Candidate> {
-        let mut bench = Bench::new(question, law, class, plain, sign);
-        let mut best: Option<Candidate> = None;
-        for c in finalists {
-            let tau = libm::exp(c.fit.shape[0]);
-            let mut start = *c;
-            if class != Class::First {
-                start.fit.shape = class.clamp(class.start(tau, c.fit.shape[1]), &question.limits);
-            }
-            let found = bench.settle(&start)?;
-            if found.fit.gain != 0.0 && best.is_none_or(|b| found.fit.sse < b.fit.sse) {
-                best = Some(found);
-            }
-        }
-        let best = best.map(|c| climb(&mut bench, c, steps, false, rng)).and_then(|c| bench.settle(&c));
-        *evaluations += bench.fitter.evaluations;
-        best
+) -> Vec<Candidate> {
+    let climbed: Vec<Candidate> = held.into_iter().map(|c| climb(bench, c, steps, false, rng)).collect();
+    beam(&climbed, usize::MAX, 0)
+}
+
+/// A candidate of first order refitted in the bench's class.
+fn in_class(bench: &mut Bench<'_>, from: &Candidate) -> Option<Candidate> {
+    let mut start = *from;
+    if bench.class == Class::First {
+        return Some(start);
+    }
+    let tau = libm::exp(from.fit.shape[0]);
+    start.fit.shape = bench.class.clamp(bench.class.start(tau, from.fit.shape[1]), &bench.question.limits);
+    bench.settle(&start).filter(|c| c.fit.gain != 0.0)
+}
+
+/// The class that the best candidates of first order ask for.
+fn deserved(bench: &mut Bench<'_>, held: &[Candidate], model: ModelChoice) -> Class {
+    let mut best_of = |class: Class| {
+        bench.class = class;
+        let refitted = held.iter().take(3).filter_map(|c| match class {
+            Class::First => bench.settle(c),
+            _ => in_class(bench, c),
+        });
+        refitted.map(|c| c.fit.sse).fold(f64::INFINITY, f64::min)
     };
-    let sse = |c: &Option<Candidate>| c.map_or(f64::INFINITY, |c| c.fit.sse);
-    let (mut best, mut class) = (None, Class::First);
-    if model != ModelChoice::Sopdt {
-        best = of_class(Class::First, 200);
-        let integrating = of_class(Class::Integrating, 60);
-        if sse(&integrating) <= 1.005 * sse(&best) {
-            (best, class) = (integrating, Class::Integrating);
+    let simple = |first: f64, integrating: f64| {
+        if integrating <= 1.005 * first { (integrating, Class::Integrating) } else { (first, Class::First) }
+    };
+    let double = |second: f64, lagged: f64| {
+        if lagged <= 1.005 * second { (lagged, Class::LagIntegrating) } else { (second, Class::Second) }
+    };
+    match model {
+        ModelChoice::Fopdt => simple(best_of(Class::First), best_of(Class::Integrating)).1,
+        ModelChoice::Sopdt => double(best_of(Class::Second), best_of(Class::LagIntegrating)).1,
+        ModelChoice::Auto => {
+            let one = simple(best_of(Class::First), best_of(Class::Integrating));
+            let two = double(best_of(Class::Second), best_of(Class::LagIntegrating));
+            // Filtered errors are mostly noise, so a small gain here can be a large one there.
+            if two.0 < 0.98 * one.0 { two.1 } else { one.1 }
         }
     }
-    if model != ModelChoice::Fopdt {
-        let bar = if model == ModelChoice::Sopdt { f64::INFINITY } else { (1.0 - SECOND_ORDER_GAIN) * sse(&best) };
-        let second = of_class(Class::Second, 100);
-        let lagged = of_class(Class::LagIntegrating, 60);
-        let (better, its_class) = if sse(&lagged) <= 1.005 * sse(&second) {
-            (lagged, Class::LagIntegrating)
-        } else {
-            (second, Class::Second)
-        };
-        if sse(&better) < bar {
-            (best, class) = (better, its_class);
-        }
+}
+
+/// Goes back to the simpler class where the second lag does not earn its place.
+fn demote(bench: &mut Bench<'_>, candidate: Option<Candidate>, model: ModelChoice) -> (Option<Candidate>, Class) {
+    let class = bench.class;
+    let Some(rich) = candidate else { return (None, class) };
+    let simpler = match (model, class) {
+        (ModelChoice::Auto, Class::Second) => Class::First,
+        (ModelChoice::Auto, Class::LagIntegrating) => Class::Integrating,
+        _ => return (candidate, class),
+    };
+    bench.class = simpler;
+    let mut start = rich;
+    let lost = libm::exp(rich.fit.shape[if class == Class::Second { 1 } else { 0 }]);
+    let lag = class.lag(&rich.fit.shape) + lost;
+    start.fit.shape = simpler.clamp(simpler.start(libm::exp(rich.fit.shape[0]), lag), &bench.question.limits);
+    match bench.settle(&start) {
+        Some(plain) if plain.fit.sse * (1.0 - SECOND_ORDER_GAIN) <= rich.fit.sse => (Some(plain), simpler),
+        _ => (Some(rich), class),
     }
-    (best, class)
 }
 
 /// Squared error of the best process without friction, of the same class and sign; at most that of no process at all.

@@ -47,6 +47,7 @@ impl<'b, 'a> Look<'b, 'a> {
             shape(0.03 * period, near + 0.015 * period),
             shape(0.1 * period, near + 0.03 * period),
             shape(0.1 * period, near + 0.1 * period),
+            shape(2.0 * period, near + 0.03 * period),
         ];
         Self { bench, pool: Vec::new(), cold, warm: None, starts, steps }
     }
@@ -117,7 +118,7 @@ pub fn climb(bench: &mut Bench<'_>, start: Candidate, steps: usize, fine: bool, 
         if s < 1e-4 || best.covers(s, j, first) {
             continue;
         }
-        let effort = Effort { steps: 1, hopeless: 2.5 * best.fit.sse };
+        let effort = Effort { steps: 1, hopeless: 2.0 * best.fit.sse };
         let mut shape = best.fit.shape;
         shape[bench.class.shape_len() - 1] += lag;
         let shape = bench.class.clamp(shape, &bench.question.limits);
@@ -166,8 +167,11 @@ fn step(bench: &Bench<'_>, from: &Candidate, fine: bool, rng: &mut ChaCha8Rng) -
         let by = 1 + (3.0 * uniform(rng) * uniform(rng)) as usize;
         start.record =
             if uniform(rng) < 0.5 { (start.record + by).min(list - 1) } else { start.record.saturating_sub(by) };
-        if start.record == from.start.record {
-            start = Start { up: !start.up, record: 0, place: 0.5 };
+        if uniform(rng) < 0.25 || start.record == from.start.record {
+            // Anywhere, on either side.
+            let up = uniform(rng) < 0.5;
+            let list = bench.question.records[usize::from(!up)].len();
+            start = Start { up, record: (uniform(rng) * list as f64) as usize, place: 0.5 };
         }
         if uniform(rng) < 0.5 {
             s = moved(s, from.s_cell, 0.01 * s, rng);
