@@ -71,8 +71,10 @@ pub struct Estimate {
     pub stopped: Termination,
 }
 
-/// Filter of the search: differences of free-run errors, less drift-prone and with fewer false optima.
-const SEARCH_RHO: f64 = 0.9;
+/// Filter of the search, first and later: differences of free-run errors forget a wrong slip, so the right one is
+/// found from farther away; the plain error, which is minimised last, is sharper.
+const SEARCH_RHO: f64 = 0.98;
+const FINER_RHO: f64 = 0.8;
 /// Share of the error that a second lag must remove.
 const SECOND_ORDER_GAIN: f64 = 0.10;
 
@@ -170,11 +172,14 @@ fn search(question: &Question, plain: &Target, law: Law, sign: f64, options: &Op
     let class = deserved(&mut bench, &held, options.model);
     bench.class = class;
     let mut held: Vec<Candidate> = held.into_iter().take(8).filter_map(|c| in_class(&mut bench, &c)).collect();
-    for (keep, steps) in [(8, 150), (4, 300)] {
-        held.truncate(keep);
-        held = round(&mut bench, held, steps, &mut rng);
-    }
+    held = round(&mut bench, held, 150, &mut rng);
+    held.truncate(4);
     let mut evaluations = bench.fitter.evaluations;
+    let finer = Target::new(&question.pv, if class.integrates() { SEARCH_RHO } else { FINER_RHO }, question.from);
+    let mut bench = Bench::new(question, law, class, &finer, sign);
+    let held: Vec<Candidate> = held.iter().filter_map(|c| bench.settle(c)).collect();
+    let mut held = round(&mut bench, held, 300, &mut rng);
+    evaluations += bench.fitter.evaluations;
     let mut bench = Bench::new(question, law, class, plain, sign);
     held.truncate(3);
     let held: Vec<Candidate> = held.iter().filter_map(|c| bench.settle(c)).collect();
