@@ -75,6 +75,8 @@ pub struct Estimate {
 /// found from farther away; the plain error, which is minimised last, is sharper.
 const SEARCH_RHO: f64 = 0.98;
 const FINER_RHO: f64 = 0.8;
+/// Stiction index below which the exact size of the bands is not worth the work.
+const WORTH_REFINING: f64 = 0.1;
 /// Share of the error that a second lag must remove.
 const SECOND_ORDER_GAIN: f64 = 0.10;
 
@@ -161,35 +163,82 @@ fn pose(record: &Record, options: &Options, span: f64, deviation: f64) -> Questi
 fn search(question: &Question, plain: &Target, law: Law, sign: f64, options: &Options) -> Found {
     let solver = optim::by_name(options.solver).unwrap_or(optim::ALL[0]);
     let settings = Settings { budget: 20_000, fineness_pct: options.fineness_pct, seed: options.seed };
-    let filtered = Target::new(&question.pv, SEARCH_RHO, question.from);
     let mut rng = generator(options.seed, 1);
+    // By level: the solver's own look at the free-run error.
+    let mut bench = Bench::new(question, law, Class::First, plain, sign);
+    let mut look = Look::new(&mut bench, 3, 2);
+    let outcome = solver.search(&mut look, &settings);
+    let held = beam(&look.pool, 10, 2);
+    let mut by_level = round(&mut bench, held, 40, &mut rng);
+    by_level.truncate(3);
+    let by_level = round(&mut bench, by_level, 100, &mut rng);
+    let mut evaluations = bench.fitter.evaluations;
+    // By moves: the same of PV's differences, which finds the exact slips from farther away.
+    let shows = by_level.first().is_some_and(|c| {
+        improvement(c.fit.sse, frictionless(question, plain, Class::First, sign)) > WORTH_REFINING
+    });
+    let (by_moves, class) = search_moves(question, law, sign, options, shows, &mut rng, &mut evaluations);
+    let mut bench = Bench::new(question, law, class, plain, sign);
+    let mut held: Vec<Candidate> = by_moves.iter().filter_map(|c| bench.settle(c)).collect();
+    held.extend(by_level.iter().take(2).filter_map(|c| in_class(&mut bench, c)));
+    let held = round(&mut bench, held, if shows { 100 } else { 20 }, &mut rng);
+    let mut candidate = held.first().copied();
+    if shows {
+        candidate = candidate.map(|c| climb(&mut bench, c, 150, false, &mut rng));
+    }
+    candidate = candidate.and_then(|c| bench.settle(&c));
+    let (mut candidate, mut class) = demote(&mut bench, candidate, options.model);
+    evaluations += bench.fitter.evaluations;
+    if options.model != ModelChoice::Sopdt && class != Class::First {
+        let first = by_level.first().filter(|f| candidate.is_none_or(|c| f.fit.sse < c.fit.sse));
+        if let Some(first) = first {
+            (candidate, class) = (Some(*first), Class::First);
+        }
+    }
+    let without = frictionless(question, plain, class, sign);
+    Found { candidate, class, law, sign, without, evaluations, outcome, solver: solver.name() }
+}
+
+/// Candidates found by differences of the free-run error, and the class of process that they ask for.
+fn search_moves(
+    question: &Question,
+    law: Law,
+    sign: f64,
+    options: &Options,
+    shows: bool,
+    rng: &mut rand_chacha::ChaCha8Rng,
+    evaluations: &mut u64,
+) -> (Vec<Candidate>, Class) {
+    let filtered = Target::new(&question.pv, SEARCH_RHO, question.from);
     let mut bench = Bench::new(question, law, Class::First, &filtered, sign);
     let mut look = Look::new(&mut bench, 1, 2);
-    let outcome = solver.search(&mut look, &settings);
     sweep(&mut look);
-    let held = beam(&look.pool, 24, 8);
-    let held = round(&mut bench, held, 70, &mut rng);
+    let held = beam(&look.pool, 20, 6);
+    let shows = shows
+        || held.first().is_some_and(|c| {
+            improvement(c.fit.sse, frictionless(question, &filtered, Class::First, sign)) > WORTH_REFINING
+        });
+    if !shows {
+        let class = deserved(&mut bench, &held, options.model);
+        bench.class = class;
+        let held = held.into_iter().take(2).filter_map(|c| in_class(&mut bench, &c)).collect();
+        *evaluations += bench.fitter.evaluations;
+        return (held, class);
+    }
+    let held = round(&mut bench, held, 70, rng);
     let class = deserved(&mut bench, &held, options.model);
     bench.class = class;
-    let mut held: Vec<Candidate> = held.into_iter().take(8).filter_map(|c| in_class(&mut bench, &c)).collect();
-    held = round(&mut bench, held, 150, &mut rng);
+    let held: Vec<Candidate> = held.into_iter().take(8).filter_map(|c| in_class(&mut bench, &c)).collect();
+    let mut held = round(&mut bench, held, 120, rng);
     held.truncate(4);
-    let mut evaluations = bench.fitter.evaluations;
+    *evaluations += bench.fitter.evaluations;
     let finer = Target::new(&question.pv, if class.integrates() { SEARCH_RHO } else { FINER_RHO }, question.from);
     let mut bench = Bench::new(question, law, class, &finer, sign);
     let held: Vec<Candidate> = held.iter().filter_map(|c| bench.settle(c)).collect();
-    let mut held = round(&mut bench, held, 300, &mut rng);
-    evaluations += bench.fitter.evaluations;
-    let mut bench = Bench::new(question, law, class, plain, sign);
+    let mut held = round(&mut bench, held, 250, rng);
     held.truncate(3);
-    let held: Vec<Candidate> = held.iter().filter_map(|c| bench.settle(c)).collect();
-    let held = round(&mut bench, held, 100, &mut rng);
-    let mut candidate = held.first().copied().map(|c| climb(&mut bench, c, 150, false, &mut rng));
-    candidate = candidate.and_then(|c| bench.settle(&c));
-    let (candidate, class) = demote(&mut bench, candidate, options.model);
-    evaluations += bench.fitter.evaluations;
-    let without = frictionless(question, plain, class, sign);
-    Found { candidate, class, law, sign, without, evaluations, outcome, solver: solver.name() }
+    *evaluations += bench.fitter.evaluations;
+    (held, class)
 }
 
 /// An even look on a logarithmic scale of s, which no linear grid gives to small bands.
@@ -248,7 +297,7 @@ fn deserved(bench: &mut Bench<'_>, held: &[Candidate], model: ModelChoice) -> Cl
             let one = simple(best_of(Class::First), best_of(Class::Integrating));
             let two = double(best_of(Class::Second), best_of(Class::LagIntegrating));
             // Filtered errors are mostly noise, so a small gain here can be a large one there.
-            if two.0 < 0.98 * one.0 { two.1 } else { one.1 }
+            if two.0 < 0.99 * one.0 { two.1 } else { one.1 }
         }
     }
 }
@@ -293,6 +342,11 @@ fn frictionless(question: &Question, target: &Target, class: Class, sign: f64) -
     best
 }
 
+/// Share of an error that goes with the friction, 0..1.
+fn improvement(with: f64, without: f64) -> f64 {
+    if without > 0.0 { (1.0 - with / without).clamp(0.0, 1.0) } else { 0.0 }
+}
+
 /// The estimate in recorded units.
 #[allow(clippy::too_many_arguments)]
 fn report(
@@ -314,12 +368,11 @@ fn report(
     let point_s = record.point_s();
     let gain = found.class.gain(c.fit.gain) * deviation / span;
     let raw_lag = found.class.lag(&c.fit.shape) * record.box_samples as f64;
-    let index = if found.without > 0.0 { (1.0 - c.fit.sse / found.without).clamp(0.0, 1.0) } else { 0.0 };
     Some(Estimate {
         s: s * span,
         j: j * span,
         span,
-        index,
+        index: improvement(c.fit.sse, found.without),
         law: found.law,
         class: found.class,
         gain: if found.class.integrates() { gain / point_s } else { gain },
