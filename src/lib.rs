@@ -1,5 +1,4 @@
 //! placeholder map
-#[cfg(test)] extern crate self as stictiond;
 pub mod detect;
 pub mod ident;
 pub mod optim;

@@ -129,7 +129,7 @@ impl Candidate {
     #[must_use]
     pub fn centred(&self) -> [f64; 2] {
         let fd = self.fit.fd;
-        let high_s = if self.s_cell[1].is_finite() { self.s_cell[1] } else { self.s };
+        let high_s = self.s_cell[1].min(self.s.max(1.0));
         let low = self.s_cell[0].max(self.j_cell[0] + 2.0 * fd);
         let high = high_s.min(self.j_cell[1] + 2.0 * fd);
         let s = if low <= high { 0.5 * (low + high) } else { self.s };

@@ -174,9 +174,9 @@ fn search(question: &Question, plain: &Target, law: Law, sign: f64, options: &Op
     let by_level = round(&mut bench, by_level, 100, &mut rng);
     let mut evaluations = bench.fitter.evaluations;
     // By moves: the same of PV's differences, which finds the exact slips from farther away.
-    let shows = by_level.first().is_some_and(|c| {
-        improvement(c.fit.sse, frictionless(question, plain, Class::First, sign)) > WORTH_REFINING
-    });
+    let shows = by_level
+        .first()
+        .is_some_and(|c| improvement(c.fit.sse, frictionless(question, plain, Class::First, sign)) > WORTH_REFINING);
     let (by_moves, class) = search_moves(question, law, sign, options, shows, &mut rng, &mut evaluations);
     let mut bench = Bench::new(question, law, class, plain, sign);
     let mut held: Vec<Candidate> = by_moves.iter().filter_map(|c| bench.settle(c)).collect();
@@ -388,41 +388,4 @@ fn report(
         solver: found.solver,
         stopped: found.outcome.stopped,
     })
-}
-
-#[cfg(test)]
-mod scratch {
-    #[path = "/work/wt-num/tests/common/mod.rs"]
-    mod common;
-    use super::*;
-    use crate::ident::candidate::*;
-    #[test]
-    fn truth() {
-        for seed in 0..40 {
-            let l = common::Loop::random(0, seed);
-            let sim = l.run();
-            let record = sim.record.clone();
-            let span = stats::span(&record.op_path);
-            let dev = stats::std_dev(&record.pv);
-            let found = crate::detect::oscillation::detect(&record.op(), &record.pv);
-            let options = Options { model: ModelChoice::Auto, delay: DelayChoice::Auto, valve: ValveChoice::He, solver: "contour", fineness_pct: 5.0, seed: 1, period_points: found.map(|o| o.period_points) };
-            let q = pose(&record, &options, span, dev);
-            let plain = Target::new(&q.pv, 0.0, q.from);
-            let (s, j) = ((l.fs + l.fd) / span, (l.fs - l.fd) / span);
-            let Some(sg) = sign::of_gain(&q.mean, &q.pv) else { println!("{seed} no sign"); continue };
-            let mut bench = Bench::new(&q, Law::He, Class::First, &plain, sg);
-            let mut best: Option<Candidate> = None;
-            for up in [true, false] { for r in 0..q.records[usize::from(!up)].len() {
-                let st = Start { up, record: r, place: 0.5 };
-                let sh = Class::First.start(l.taus[0], l.dead_time + 1.0);
-                if let Some(c) = bench.fit(s, j, st, &[sh], Effort { steps: 0, hopeless: 1e300 }) { if best.is_none_or(|b| c.fit.sse < b.fit.sse) { best = Some(c); } }
-            } }
-            let t = best.map(|b| bench.settle(&b).unwrap()).unwrap();
-            let f = search(&q, &plain, Law::He, sg, &options);
-            let c = f.candidate.unwrap();
-            let m = plain.y.len() as f64;
-            let r = |sse: f64| (sse / m).sqrt() * dev / sim.noise_sd;
-            println!("{seed} {} sign {sg} {} truth rms {:.3} cell s {:.4?} j {:.4?} slips {} start {:?}/{} per {:.0} lim {:?} tau {:.1} lag {:.1} | found {:.3} s {:.4} j {:.4} slips {} {:?} tau {:.1} lag {:.1} class {:?}", if r(c.fit.sse) > 1.05 { "BAD" } else { "" }, l.gain.signum(), r(t.fit.sse), t.s_cell, t.j_cell, t.slips, t.start, q.records[usize::from(!t.start.up)].len(), q.period, q.limits.lag, libm::exp(t.fit.shape[0]), t.fit.shape[1], r(c.fit.sse), c.s, c.j, c.slips, c.start, libm::exp(c.fit.shape[0]), c.fit.shape[1], f.class);
-        }
-    }
 }
