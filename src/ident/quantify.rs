@@ -132,15 +132,23 @@ impl Found {
     }
 }
 
+/// The value on a grid of 2^-24, far finer than any recording: shifting or scaling a record changes its normalised
+/// values in the last bits only, and the grid takes those away, so that every search takes the same way.
+fn on_grid(x: f64) -> f64 {
+    const GRID: f64 = 16_777_216.0;
+    (x * GRID).round() / GRID
+}
+
 /// The record in normalised form.
 fn pose(record: &Record, options: &Options, span: f64, deviation: f64) -> Question {
     let (n, m) = (record.len(), record.path_per_point());
     let middle = stats::mean(&record.op_path);
-    let path: Vec<f64> = record.op_path.iter().map(|u| (u - middle) / span).collect();
+    let path: Vec<f64> = record.op_path.iter().map(|u| on_grid((u - middle) / span)).collect();
     let mean: Vec<f64> = path.chunks_exact(m).map(stats::mean).collect();
     let level = stats::mean(&record.pv);
-    let pv = record.pv.iter().map(|p| (p - level) / deviation).collect();
+    let pv = record.pv.iter().map(|p| on_grid((p - level) / deviation)).collect();
     let period = options.period_points.unwrap_or(n as f64 / 5.0).clamp(6.0, n as f64);
+    let period = (16.0 * period).round() / 16.0;
     let raw = 1.0 / record.box_samples as f64;
     let most = (0.4 * period).clamp(6.0, 60.0).min(n as f64 / 6.0);
     let lag = match options.delay {
