@@ -1,6 +1,6 @@
 //! From a record to the bands: normalise, search, refine, compare with no stiction at all.
 
-use super::candidate::{Bench, Candidate, Question};
+use super::candidate::{Bench, Candidate, Effort, Question};
 use super::choice::{DelayChoice, ModelChoice, ValveChoice};
 use super::class::{Class, Limits};
 use super::fit::{Fitted, Fitter, Freedom, Target};
@@ -236,7 +236,11 @@ fn search_moves(
     let held = round(&mut bench, held, 70, rng);
     let class = deserved(&mut bench, &held, options.model);
     bench.class = class;
-    let held: Vec<Candidate> = held.into_iter().take(8).filter_map(|c| in_class(&mut bench, &c)).collect();
+    let mut held: Vec<Candidate> = held.into_iter().take(8).filter_map(|c| in_class(&mut bench, &c)).collect();
+    for centre in beam(&held, 2, 0) {
+        held.extend(zoom(&mut bench, &centre));
+    }
+    let held = beam(&held, 10, 0);
     let mut held = round(&mut bench, held, 120, rng);
     held.truncate(4);
     *evaluations += bench.fitter.evaluations;
@@ -258,6 +262,24 @@ fn sweep(look: &mut Look<'_, '_>) {
             look.cost([s, share * s]);
         }
     }
+}
+
+/// An even look around a candidate, its best places: 12 % of s to either side, 30 % of j.
+fn zoom(bench: &mut Bench<'_>, around: &Candidate) -> Vec<Candidate> {
+    let mut pool = Vec::new();
+    for k in -12..=12 {
+        for m in -3..=3 {
+            let s = (around.s * (1.0 + 0.01 * f64::from(k))).min(1.0);
+            let j = (around.j * (1.0 + 0.1 * f64::from(m))).min(s);
+            let mut shape = around.fit.shape;
+            // A later slip goes with a shorter lag.
+            shape[bench.class.shape_len() - 1] -= (s - around.s) / bench.question.rate.max(1e-6);
+            let shapes = [bench.class.clamp(shape, &bench.question.limits)];
+            let effort = Effort { steps: 2, hopeless: 4.0 * around.fit.sse };
+            pool.extend(bench.fit(s, j, around.start, &shapes, effort));
+        }
+    }
+    beam(&pool, 4, 0)
 }
 
 /// Random steps for each of the candidates, best first afterwards.
