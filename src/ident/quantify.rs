@@ -75,6 +75,8 @@ pub struct Estimate {
 /// found from farther away; the plain error, which is minimised last, is sharper.
 const SEARCH_RHO: f64 = 0.98;
 const FINER_RHO: f64 = 0.8;
+/// Share of PV's variance left unexplained from which the sign that was read is doubted.
+const DOUBTFUL: f64 = 0.3;
 /// Stiction index below which the exact size of the bands is not worth the work.
 const WORTH_REFINING: f64 = 0.1;
 /// Share of the error that a second lag must remove.
@@ -92,22 +94,26 @@ pub fn quantify(record: &Record, options: &Options) -> Option<Estimate> {
     let plain = Target::new(&question.pv, 0.0, question.from);
     let mut evaluations = 0;
     let mut best: Option<Found> = None;
-    let signs = match sign::of_gain(&question.mean, &question.pv) {
-        Some(sign) => vec![sign],
-        None => vec![1.0, -1.0],
-    };
+    let read = sign::of_gain(&question.mean, &question.pv);
     let laws: &[Law] = match options.valve {
         ValveChoice::He => &[Law::He],
         ValveChoice::Tracking => &[Law::Tracking],
         ValveChoice::Auto => &[Law::He, Law::Tracking],
     };
     for &law in laws {
-        for &sign in &signs {
-            let found = search(&question, &plain, law, sign, options);
-            evaluations += found.evaluations;
-            if found.candidate.is_some_and(|c| best.as_ref().is_none_or(|b| c.fit.sse < b.sse())) {
-                best = Some(found);
+        let mut found = search(&question, &plain, law, read.unwrap_or(1.0), options);
+        evaluations += found.evaluations;
+        if read.is_none() || found.sse() > DOUBTFUL * found.nothing {
+            let other = search(&question, &plain, law, -found.sign, options);
+            evaluations += other.evaluations;
+            // Against the sign read only a valve speaks: a model of the controller backwards needs no friction.
+            let speaks = read.is_none() || (other.index() > 0.5 && other.sse() < 0.5 * found.sse());
+            if speaks && other.sse() < found.sse() {
+                found = other;
             }
+        }
+        if best.as_ref().is_none_or(|b| found.sse() < b.sse()) {
+            best = Some(found);
         }
     }
     let best = best?;
@@ -121,6 +127,8 @@ struct Found {
     law: Law,
     sign: f64,
     without: f64,
+    /// Squared error of no process at all.
+    nothing: f64,
     evaluations: u64,
     outcome: Outcome,
     solver: &'static str,
@@ -129,6 +137,10 @@ struct Found {
 impl Found {
     fn sse(&self) -> f64 {
         self.candidate.map_or(f64::INFINITY, |c| c.fit.sse)
+    }
+
+    fn index(&self) -> f64 {
+        improvement(self.sse(), self.without)
     }
 }
 
@@ -204,7 +216,8 @@ fn search(question: &Question, plain: &Target, law: Law, sign: f64, options: &Op
         }
     }
     let without = frictionless(question, plain, class, sign);
-    Found { candidate, class, law, sign, without, evaluations, outcome, solver: solver.name() }
+    let nothing = plain.y.len() as f64 * stats::variance(&plain.y);
+    Found { candidate, class, law, sign, without, nothing, evaluations, outcome, solver: solver.name() }
 }
 
 /// Candidates found by differences of the free-run error, and the class of process that they ask for.
