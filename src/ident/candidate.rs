@@ -76,11 +76,8 @@ impl Question {
         for k in 0..wanted {
             let offset = if wanted > 1 { 1.8 * k as f64 / (wanted - 1) as f64 - 0.9 } else { 0.0 };
             let Some(first) = self.path.first() else { break };
-            if let Some(start) = self.start_from(first + offset * fs, fs) {
-                if !out.contains(&start) {
-                    out.push(start);
-                }
-            }
+            let start = self.start_from(first + offset * fs, fs).filter(|s| !out.contains(s));
+            out.extend(start);
         }
         out
     }

@@ -43,6 +43,7 @@ impl Gram {
     /// Eliminates the first `count` columns; one that depends on those before it is left out.
     pub fn eliminate(&mut self, count: usize) {
         let scale: [f64; MAX] = core::array::from_fn(|i| self.m[i][i]);
+        #[allow(clippy::needless_range_loop)] // rows and columns of one array
         for p in 0..count {
             let pivot = self.m[p][p];
             self.live[p] = pivot > 1e-11 * scale[p] && pivot > 0.0;
@@ -52,8 +53,8 @@ impl Gram {
             let row = self.m[p];
             for i in p + 1..self.n {
                 let factor = row[i] / pivot;
-                for k in i..self.n {
-                    self.m[i][k] -= factor * row[k];
+                for (target, value) in self.m[i][i..self.n].iter_mut().zip(&row[i..self.n]) {
+                    *target -= factor * value;
                 }
             }
         }
@@ -70,8 +71,8 @@ impl Gram {
         for p in (0..count).rev() {
             if self.live[p] {
                 let mut sum = self.m[p][self.n - 1];
-                for k in p + 1..self.n - 1 {
-                    sum -= self.m[p][k] * x[k];
+                for (coefficient, value) in self.m[p][p + 1..self.n - 1].iter().zip(&x[p + 1..self.n - 1]) {
+                    sum -= coefficient * value;
                 }
                 x[p] = sum / self.m[p][p];
             }

@@ -340,7 +340,7 @@ fn deserved(bench: &mut Bench<'_>, held: &[Candidate], model: ModelChoice) -> Cl
             let one = simple(best_of(Class::First), best_of(Class::Integrating));
             let two = double(best_of(Class::Second), best_of(Class::LagIntegrating));
             // Filtered errors are mostly noise, so a small gain here can be a large one there.
-            if two.0 < 0.99 * one.0 { two.1 } else { one.1 }
+            if two.0 < 0.998 * one.0 { two.1 } else { one.1 }
         }
     }
 }

@@ -122,10 +122,9 @@ pub fn climb(bench: &mut Bench<'_>, start: Candidate, steps: usize, fine: bool, 
         let mut shape = best.fit.shape;
         shape[bench.class.shape_len() - 1] += lag;
         let shape = bench.class.clamp(shape, &bench.question.limits);
-        if let Some(found) = bench.fit(s, j, first, &[shape], effort) {
-            if found.fit.sse <= best.fit.sse && found.fit.gain != 0.0 {
-                best = found;
-            }
+        let found = bench.fit(s, j, first, &[shape], effort);
+        if let Some(found) = found.filter(|f| f.fit.sse <= best.fit.sse && f.fit.gain != 0.0) {
+            best = found;
         }
     }
     best

@@ -36,13 +36,11 @@ pub fn evidence(estimate: Option<&Estimate>, witnesses: &[Witness]) -> f64 {
 /// sticking valve unproven).
 #[must_use]
 pub fn judge(estimate: Option<&Estimate>, witnesses: &[Witness], oscillation: Option<&Oscillates>) -> Verdict {
-    if let Some(e) = estimate {
-        if evidence(estimate, witnesses) >= CUT {
-            return match region::region(e.s, e.j, e.span) {
-                "deadband" => Verdict::Deadband,
-                _ => Verdict::Stiction,
-            };
-        }
+    if let Some(e) = estimate.filter(|_| evidence(estimate, witnesses) >= CUT) {
+        return match region::region(e.s, e.j, e.span) {
+            "deadband" => Verdict::Deadband,
+            _ => Verdict::Stiction,
+        };
     }
     match oscillation {
         Some(o) if o.oscillating && o.persistence > DRIVEN => Verdict::Disturbance,
