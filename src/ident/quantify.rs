@@ -117,7 +117,7 @@ pub fn quantify(record: &Record, options: &Options) -> Option<Estimate> {
         }
     }
     let best = best?;
-    report(record, options, &question, &plain, &best, evaluations, span, deviation)
+    report(record, &question, &plain, &best, evaluations, span, deviation)
 }
 
 /// The outcome of one search for one law and sign.
@@ -394,7 +394,6 @@ fn improvement(with: f64, without: f64) -> f64 {
 #[allow(clippy::too_many_arguments)]
 fn report(
     record: &Record,
-    _options: &Options,
     question: &Question,
     plain: &Target,
     found: &Found,
