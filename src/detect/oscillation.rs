@@ -60,6 +60,22 @@ pub fn detect_one(x: &[f64]) -> Option<Oscillates> {
     }
 }
 
+/// A typical period of a signal, points, whether or not it oscillates: twice the mean of the first eight intervals
+/// between zero crossings of the autocorrelation, after removing a line and what is slower than a third of the record.
+/// Between 2 and half the record; `None` for a constant.
+#[must_use]
+pub fn typical_period(x: &[f64]) -> Option<f64> {
+    let factor = x.len().div_ceil(MAX_POINTS).max(1);
+    let x = detrend::remove_line(&detrend::box_means(x, factor));
+    let n = x.len();
+    let x = detrend::remove_mean(&detrend::high_pass(&x, n / 3));
+    let acf = spectrum::autocorrelation(&x, 3 * n / 5);
+    let places = spectrum::zero_crossings(&acf, 0.0);
+    let gaps: Vec<f64> = places.windows(2).take(8).map(|w| w[1] - w[0]).collect();
+    let period = if gaps.is_empty() { return None } else { 2.0 * stats::mean(&gaps) };
+    Some((period * factor as f64).clamp(2.0, 0.5 * (n * factor) as f64))
+}
+
 /// The oscillation of a detrended signal whose points are `factor` points of the record.
 fn judge(x: &[f64], factor: usize) -> Option<Oscillates> {
     let n = x.len();
