@@ -17,6 +17,9 @@ pub struct Oscillates {
     pub regularity: f64,
     /// Autocorrelation one period later, -1..1: the share of variance that repeats.
     pub persistence: f64,
+    /// How much of that is left two periods further on, corrected for the shorter overlap: 1 for what is driven from
+    /// outside, `exp(-4 pi zeta)` for a loop of damping `zeta` that rings under random load. `None` below five periods.
+    pub endurance: Option<f64>,
     /// Regular, persistent and at least two periods long.
     pub oscillating: bool,
 }
@@ -92,15 +95,21 @@ fn judge(x: &[f64], factor: usize) -> Option<Oscillates> {
     // Spread of the intervals as a sample's, not a population's: few of them must not look regular by chance.
     let spread = (stats::variance(&gaps) * gaps.len() as f64 / (gaps.len() - 1) as f64).sqrt();
     let regularity = if spread > 0.0 { (period / 2.0 / (3.0 * spread)).min(100.0) } else { 100.0 };
-    let from = (0.8 * period) as usize;
-    let to = ((1.2 * period).ceil() as usize).min(acf.len() - 1);
-    let persistence = acf.get(from..=to)?.iter().copied().fold(-1.0, f64::max);
+    // The peak near a whole number of periods, as if every lag overlapped fully.
+    let peak = |count: f64| {
+        let (from, to) = ((count - 0.2) * period, (count + 0.2) * period);
+        let around = acf.iter().enumerate().skip(from as usize).take_while(|(lag, _)| *lag as f64 <= to + 1.0);
+        around.map(|(lag, r)| r * n as f64 / (n - lag) as f64).reduce(f64::max)
+    };
+    let persistence = peak(1.0)?;
     let periods = n as f64 / period;
+    let endurance = peak(3.0).filter(|_| periods >= 5.0 && persistence > 0.0).map(|later| later / persistence);
     Some(Oscillates {
         period_points: period * factor as f64,
         periods,
         regularity,
         persistence,
+        endurance,
         oscillating: regularity > 1.0 && persistence > MIN_PERSISTENCE && periods >= 2.0 && period >= 3.0,
     })
 }

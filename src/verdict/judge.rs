@@ -18,11 +18,11 @@ const SIGNS: [(&str, f64); 4] = [("horch", 1.173), ("jumps", 5.389), ("curve_fit
 const CUT: f64 = 0.847;
 /// s over OP's span below which the index counts less: smaller bands are within what noise and rounding imitate.
 const FULL_WEIGHT: f64 = 0.2;
-/// Autocorrelation a period later above which an oscillation is driven from outside: a loop that rings by itself
-/// under random load loses its phase.
-const DRIVEN: f64 = 0.7;
-/// The same below which it rings by itself.
-const RINGING: f64 = 0.4;
+/// Endurance (see [`Oscillates::endurance`]) above which an oscillation is driven from outside: what comes from there
+/// keeps its phase, while a loop that rings by itself under random load loses it.
+const DRIVEN: f64 = 0.8;
+/// The same below which the loop rings by itself: a damping of 0.03 or more.
+const RINGING: f64 = 0.65;
 
 /// Logit of the rule; signs that the record does not show count 0.
 #[must_use]
@@ -43,8 +43,8 @@ pub fn judge(estimate: Option<&Estimate>, witnesses: &[Witness], oscillation: Op
         };
     }
     match oscillation {
-        Some(o) if o.oscillating && o.persistence > DRIVEN => Verdict::Disturbance,
-        Some(o) if o.oscillating && o.persistence < RINGING => Verdict::Tuning,
+        Some(o) if o.oscillating && o.endurance.is_some_and(|e| e > DRIVEN) => Verdict::Disturbance,
+        Some(o) if o.oscillating && o.endurance.is_some_and(|e| e < RINGING) => Verdict::Tuning,
         Some(o) if o.oscillating => Verdict::NoStiction,
         _ => Verdict::NoOscillation,
     }
@@ -60,17 +60,18 @@ mod tests {
 
     #[test]
     fn without_a_fit_nothing_sticks_and_the_course_decides() {
-        let wave = |persistence| Oscillates {
+        let wave = |endurance| Oscillates {
             period_points: 50.0,
             periods: 10.0,
             regularity: 5.0,
-            persistence,
+            persistence: 0.9,
+            endurance,
             oscillating: true,
         };
         let all = witnesses(1.0);
-        assert_eq!(judge(None, &all, Some(&wave(0.9))), Verdict::Disturbance);
-        assert_eq!(judge(None, &all, Some(&wave(0.5))), Verdict::NoStiction);
-        assert_eq!(judge(None, &all, Some(&wave(0.3))), Verdict::Tuning);
+        assert_eq!(judge(None, &all, Some(&wave(Some(0.9)))), Verdict::Disturbance);
+        assert_eq!(judge(None, &all, Some(&wave(None))), Verdict::NoStiction);
+        assert_eq!(judge(None, &all, Some(&wave(Some(0.3)))), Verdict::Tuning);
         assert_eq!(judge(None, &all, None), Verdict::NoOscillation);
     }
 
