@@ -43,7 +43,7 @@ fn seconds(text: &str) -> Result<f64, String> {
 }
 
 /// The port if it is free, else any that is.
-fn free_port(wanted: u16) -> anyhow::Result<u16> {
+pub(super) fn free_port(wanted: u16) -> anyhow::Result<u16> {
     let listener = TcpListener::bind(("127.0.0.1", wanted)).or_else(|_| TcpListener::bind(("127.0.0.1", 0)))?;
     Ok(listener.local_addr()?.port())
 }

@@ -1,6 +1,7 @@
 //! The command line: one file a command, results on stdout, everything else on stderr.
 
 pub mod analyze;
+pub mod bench;
 pub mod check;
 pub mod convert;
 pub mod demo;
@@ -86,6 +87,7 @@ enum CommandArgs {
     Convert(convert::ConvertArgs),
     Check(check::Args),
     Info(info::InfoArgs),
+    Bench(bench::Args),
 }
 
 /// Reads the command line and runs one command.
@@ -125,6 +127,7 @@ fn dispatch(cli: Cli) -> anyhow::Result<Outcome> {
         CommandArgs::Convert(args) => convert::run(&args, format),
         CommandArgs::Check(args) => check::run(&args, format),
         CommandArgs::Info(args) => info::run(&args, format),
+        CommandArgs::Bench(args) => bench::run(&args, format),
     }
 }
 

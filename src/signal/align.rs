@@ -380,10 +380,8 @@ impl Aligner {
 
     /// Holds one sample's value.
     fn hold(&mut self, sample: &Sample, params: &AlignParams) {
-        if let Some(code) = sample.quality {
-            if !params.quality.is_good(code) {
-                return self.count_bad(sample.signal);
-            }
+        if sample.quality.is_some_and(|code| !params.quality.is_good(code)) {
+            return self.count_bad(sample.signal);
         }
         match (sample.signal, sample.value) {
             (Signal::Mode, Value::Mode(mode)) => self.mode = Some(mode),

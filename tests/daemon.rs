@@ -1,0 +1,328 @@
+//! The daemon at its process boundary: played data in, recordings out, restarts, and ends in order.
+#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+#![cfg(feature = "daemon")]
+
+use std::fs;
+use std::io::{BufRead, BufReader, Read};
+use std::net::TcpListener;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+use serde_json::Value;
+use stictiond::codec::topic::{Kind, Leaf, Topic};
+use stictiond::files::RecordingReader;
+
+const PREFIX: &str = "plant1/area1";
+
+fn stictiond(args: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_stictiond")).args(args).output().unwrap()
+}
+
+fn ok(args: &[&str]) -> String {
+    let out = stictiond(args);
+    assert!(out.status.success(), "{args:?}: {}\n{}", out.status, String::from_utf8_lossy(&out.stderr));
+    String::from_utf8(out.stdout).unwrap()
+}
+
+fn free_port() -> u16 {
+    TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
+}
+
+/// A daemon under test; killed when dropped.
+struct Daemon {
+    child: Child,
+    endpoint: String,
+    recordings: PathBuf,
+}
+
+impl Drop for Daemon {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+impl Daemon {
+    fn start(dir: &Path, extra: &str) -> Self {
+        let endpoint = format!("tcp/127.0.0.1:{}", free_port());
+        let recordings = dir.join("rec");
+        let config = format!(
+            "[site]\nprefix = \"{PREFIX}\"\n[zenoh]\nlisten = [\"{endpoint}\"]\n[web]\nlisten = \"127.0.0.1:0\"\n{extra}"
+        );
+        let config = if extra.contains("[recording]") {
+            config.replace("[recording]", &format!("[recording]\ndir = {:?}", recordings.to_str().unwrap()))
+        } else {
+            format!("{config}\n[recording]\ndir = {:?}\n", recordings.to_str().unwrap())
+        };
+        let path = dir.join("config.toml");
+        fs::write(&path, config).unwrap();
+        let mut child = Command::new(env!("CARGO_BIN_EXE_stictiond"))
+            .args(["run", "--config", path.to_str().unwrap()])
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut log = BufReader::new(child.stderr.take().unwrap());
+        let mut line = String::new();
+        while !line.contains("watching") {
+            line.clear();
+            assert!(log.read_line(&mut line).unwrap() > 0, "the daemon ended before it watched");
+        }
+        std::thread::spawn(move || std::io::copy(&mut log, &mut std::io::sink()));
+        Self { child, endpoint, recordings }
+    }
+
+    fn play(&self, input: &str) {
+        ok(&["play", input, "--connect", &self.endpoint, "--prefix", PREFIX, "--speed", "max"]);
+    }
+
+    /// Waits until the recording holds so many estimates; it is flushed every tenth of a second.
+    fn wait_for_estimates(&self, count: usize) {
+        let until = Instant::now() + Duration::from_secs(120);
+        loop {
+            let seen: usize = files(&self.recordings).iter().map(|f| documents(f, Kind::Estimate).len()).sum();
+            if seen >= count {
+                return;
+            }
+            assert!(Instant::now() < until, "{seen} of {count} estimates");
+            std::thread::sleep(Duration::from_millis(200));
+        }
+    }
+
+    /// Ends it in order: exit 0 within 5 s.
+    fn stop(mut self) -> PathBuf {
+        let started = Instant::now();
+        let pid = self.child.id().to_string();
+        assert!(Command::new("kill").args(["-TERM", &pid]).status().unwrap().success());
+        let status = self.child.wait().unwrap();
+        assert!(status.success(), "{status}");
+        assert!(started.elapsed() < Duration::from_secs(5), "{:?}", started.elapsed());
+        self.recordings.clone()
+    }
+
+    fn kill(mut self) -> PathBuf {
+        self.child.kill().unwrap();
+        self.child.wait().unwrap();
+        self.recordings.clone()
+    }
+}
+
+fn files(dir: &Path) -> Vec<PathBuf> {
+    let mut files: Vec<PathBuf> = fs::read_dir(dir).into_iter().flatten().flatten().map(|e| e.path()).collect();
+    files.retain(|f| f.to_str().is_some_and(|n| n.ends_with(".mcap") || n.ends_with(".mcap.part")));
+    files.sort();
+    files
+}
+
+/// Loop and JSON of every document of a kind in a file.
+fn documents(file: &Path, kind: Kind) -> Vec<(String, Value)> {
+    let Ok(mut reader) = RecordingReader::open(file) else { return Vec::new() };
+    let mut found = Vec::new();
+    while let Some(message) = reader.next_message().unwrap() {
+        let topic = Topic::parse(Some(PREFIX), message.topic()).expect("a topic below the prefix");
+        if topic.leaf == Leaf::Document(kind) {
+            found.push((topic.loop_name.to_owned(), serde_json::from_slice(message.data).unwrap()));
+        }
+    }
+    found
+}
+
+/// A sticking loop's samples: 2000 scans, seven windows of 300 s.
+fn sticking(dir: &Path) -> String {
+    let out = dir.join("sticking.mcap");
+    ok(&["simulate", "recordings/scenarios/sticking.toml", "--raw", "--out", out.to_str().unwrap()]);
+    out.to_str().unwrap().to_owned()
+}
+
+const FAST: &str = "[window]\nhop_s = 300.0\n[alarm]\nraise = [2, 3]\n[recording]\nflush_s = 0.1\n";
+
+#[test]
+fn real_recordings_played_live_give_the_numbers_of_analyze_and_replay() {
+    let data = Path::new("../shared/data");
+    if !data.exists() {
+        eprintln!("SKIPPED: {} is not there, so nothing real was played", data.display());
+        return;
+    }
+    let dir = tempfile::tempdir().unwrap();
+    let daemon = Daemon::start(dir.path(), "[recording]\nflush_s = 0.1\n");
+    let mut inputs: Vec<PathBuf> = ["isdb/BAS7", "isdb/CHEM25", "isdb/CHEM28", "isdb/PAP6", "isdb/MET1"]
+        .iter()
+        .map(|f| data.join(format!("{f}.csv")))
+        .collect();
+    let sticky = fs::read_dir(data.join("plant")).unwrap().flatten().map(|e| e.path());
+    let mut sticky: Vec<PathBuf> = sticky.filter(|p| p.to_str().unwrap().contains("FIC20102")).collect();
+    sticky.sort();
+    inputs.extend(sticky.into_iter().take(4));
+    // Two days of a week-long recording.
+    let stretch = fs::read_to_string(data.join("longrun/LIC-106.csv")).unwrap();
+    let lines: Vec<&str> = stretch.lines().take(2881).collect();
+    let long = dir.path().join("LIC-106.csv");
+    fs::write(&long, lines.join("\n")).unwrap();
+    inputs.push(long);
+    for input in &inputs {
+        daemon.play(input.to_str().unwrap());
+    }
+    daemon.wait_for_estimates(300);
+    let recordings = daemon.stop();
+    let file = files(&recordings).pop().unwrap();
+    let mut compared = 0;
+    for (name, live) in documents(&file, Kind::Estimate) {
+        // Every fitted window of the plant loops would take minutes: each loop's every seventh will do.
+        let end_ns = live["window"]["end_ns"].as_i64().unwrap();
+        if live["s"].is_null() || (end_ns / 600_000_000_000) % 7 != 0 {
+            continue;
+        }
+        let window = format!("{}ns,{end_ns}ns", live["window"]["start_ns"]);
+        let text = ok(&["analyze", file.to_str().unwrap(), "--loop", &name, "--window", &window, "--format", "json"]);
+        let again: Value = serde_json::from_str(&text).unwrap();
+        for key in
+            ["window", "oscillation", "verdict", "fs", "fd", "s", "j", "stiction_index", "process", "config_hash"]
+        {
+            assert_eq!(live[key], again[key], "{name} {window} {key}");
+        }
+        compared += 1;
+    }
+    assert!(compared >= 10, "{compared}");
+    ok(&["replay", recordings.to_str().unwrap(), "--verify"]);
+}
+
+#[test]
+fn every_rotated_file_is_verified_by_itself_and_a_missing_one_is_named() {
+    let dir = tempfile::tempdir().unwrap();
+    let daemon = Daemon::start(dir.path(), &FAST.replace("[recording]\n", "[recording]\nmax_bytes = 20000\n"));
+    let input = sticking(dir.path());
+    // In pieces, so that files fill and rotate between them.
+    let csv = dir.path().join("FIC101.csv");
+    ok(&["convert", &input, csv.to_str().unwrap()]);
+    let text = fs::read_to_string(&csv).unwrap();
+    let (header, rows) = text.split_once('\n').unwrap();
+    let rows: Vec<&str> = rows.lines().collect();
+    for piece in rows.chunks(400) {
+        fs::write(&csv, format!("{header}\n{}\n", piece.join("\n"))).unwrap();
+        daemon.play(csv.to_str().unwrap());
+        std::thread::sleep(Duration::from_millis(400));
+    }
+    daemon.wait_for_estimates(6);
+    let recordings = daemon.stop();
+    let files = files(&recordings);
+    assert!(files.len() >= 3, "{files:?}");
+    assert!(files.iter().all(|f| f.extension().unwrap() == "mcap"), "{files:?}");
+    for file in &files {
+        ok(&["replay", file.to_str().unwrap(), "--verify"]);
+        ok(&["info", file.to_str().unwrap(), "--verify"]);
+    }
+    fs::remove_file(&files[1]).unwrap();
+    let out = stictiond(&["replay", files[2].to_str().unwrap(), "--verify"]);
+    assert_eq!(out.status.code(), Some(1));
+    let missing = files[1].file_name().unwrap().to_str().unwrap();
+    assert!(String::from_utf8_lossy(&out.stderr).contains(missing));
+}
+
+#[test]
+fn alarms_survive_kill_9_and_broken_files_do_not_stop_the_start() {
+    let dir = tempfile::tempdir().unwrap();
+    let input = sticking(dir.path());
+    let first = Daemon::start(dir.path(), FAST);
+    first.play(&input);
+    first.wait_for_estimates(6);
+    std::thread::sleep(Duration::from_millis(500));
+    let recordings = first.kill();
+    let part = files(&recordings).pop().unwrap();
+    assert!(part.to_str().unwrap().ends_with(".mcap.part"));
+    assert!(!documents(&part, Kind::Alarm).is_empty());
+    // What was flushed is verified as far as it goes, and said to be cut.
+    let out = stictiond(&["replay", part.to_str().unwrap(), "--verify"]);
+    assert_eq!(out.status.code(), Some(3), "{}", String::from_utf8_lossy(&out.stderr));
+
+    fs::write(recordings.join("broken.mcap"), b"this is no recording").unwrap();
+    fs::write(recordings.join("empty.mcap.part"), b"").unwrap();
+    let second = Daemon::start(dir.path(), FAST);
+    second.play(&input);
+    second.wait_for_estimates(12);
+    let recordings = second.stop();
+    assert!(recordings.join("broken.mcap.broken").exists() && !recordings.join("empty.mcap.part").exists());
+    let new = files(&recordings).into_iter().rfind(|f| f.extension().unwrap() == "mcap").unwrap();
+    let states = documents(&new, Kind::State);
+    assert_eq!(states[0].1["alarm"]["state"], "unack", "the first state of the new run is the old alarm");
+    // Carried over: the same alarm is not raised a second time.
+    assert!(documents(&new, Kind::Alarm).iter().all(|(_, d)| d["state"] != "unack"));
+    ok(&["replay", new.to_str().unwrap(), "--verify"]);
+}
+
+#[test]
+fn a_changed_recording_fails_verification_and_another_version_is_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let recording = dir.path().join("s.mcap");
+    let path = recording.to_str().unwrap();
+    ok(&["simulate", "recordings/scenarios/sticking.toml", "--out", path]);
+    ok(&["replay", path, "--verify"]);
+    // The same messages with one digit of one estimate changed, and with another version.
+    let rewrite = |change: &dyn Fn(&str, &mut Vec<u8>), version: &str| {
+        let mut reader = RecordingReader::open(&recording).unwrap();
+        let mut metadata = reader.metadata().clone();
+        metadata.insert("version".into(), version.into());
+        let stem = format!("changed-{version}");
+        let mut out = stictiond::files::RecordingFile::create(dir.path(), &stem, &metadata).unwrap();
+        while let Some(m) = reader.next_message().unwrap() {
+            let mut data = m.data.to_vec();
+            change(m.topic(), &mut data);
+            out.write(m.topic(), m.channel.kind.unwrap(), m.log_time_ns, m.publish_time_ns, &data).unwrap();
+        }
+        out.finish().unwrap()
+    };
+    let touched = rewrite(
+        &|topic, data| {
+            if topic.ends_with("estimate") {
+                let text = String::from_utf8(data.clone()).unwrap().replace("\"stiction\":true", "\"stiction\":false");
+                *data = text.into_bytes();
+            }
+        },
+        stictiond::VERSION,
+    );
+    let out = stictiond(&["replay", touched.to_str().unwrap(), "--verify"]);
+    assert_eq!(out.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&out.stdout).contains("DIFFERS"));
+    let foreign = rewrite(&|_, _| {}, "0.0.1");
+    assert_eq!(stictiond(&["replay", foreign.to_str().unwrap(), "--verify"]).status.code(), Some(2));
+    ok(&["replay", foreign.to_str().unwrap(), "--verify", "--allow-version"]);
+}
+
+#[test]
+fn a_taken_port_and_a_faulty_configuration_end_with_exit_1_and_a_remedy() {
+    let dir = tempfile::tempdir().unwrap();
+    let taken = TcpListener::bind("127.0.0.1:0").unwrap();
+    let port = taken.local_addr().unwrap().port();
+    let config = dir.path().join("c.toml");
+    fs::write(&config, format!("[site]\nprefix = \"p\"\n[web]\nlisten = \"127.0.0.1:{port}\"\n")).unwrap();
+    let out = stictiond(&["run", "--config", config.to_str().unwrap()]);
+    assert_eq!(out.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&out.stderr).contains("port 0"));
+    fs::write(&config, "[site]\nprefx = 1\n").unwrap();
+    let out = stictiond(&["run", "--config", config.to_str().unwrap()]);
+    assert_eq!(out.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&out.stderr).contains("did you mean prefix?"));
+    assert_eq!(stictiond(&["run"]).status.code(), Some(2));
+}
+
+#[test]
+fn the_demo_finds_the_sticking_valve_and_leaves_a_recording_that_verifies() {
+    let dir = tempfile::tempdir().unwrap();
+    let binary = env!("CARGO_BIN_EXE_stictiond");
+    let mut child = Command::new(binary)
+        .args(["demo", "--for", "20", "--format", "json"])
+        .current_dir(dir.path())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let mut text = String::new();
+    child.stdout.take().unwrap().read_to_string(&mut text).unwrap();
+    assert!(child.wait().unwrap().success());
+    let documents: Vec<Value> = text.lines().map(|l| serde_json::from_str(l).unwrap()).collect();
+    let sticking: Vec<&Value> = documents.iter().filter(|d| d["stiction"] == true).collect();
+    assert!(!sticking.is_empty() && sticking.iter().all(|d| d["loop"] == "FIC101"), "{text}");
+    assert!(documents.iter().any(|d| d["schema"] == "stictiond.alarm.v1" && d["state"] == "unack"));
+    let recordings = dir.path().join("recordings/demo");
+    assert!(files(&recordings).iter().all(|f| f.extension().unwrap() == "mcap"));
+    ok(&["replay", recordings.to_str().unwrap(), "--verify"]);
+}
