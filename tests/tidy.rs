@@ -149,7 +149,8 @@ fn without_comments_and_texts(text: &str) -> String {
                 at += 1;
             }
             at += 2;
-        } else if chars[at] == 'r' && (starts(at, "r\"") || starts(at, "r#")) && !is_word(chars.get(at.wrapping_sub(1))) {
+        } else if chars[at] == 'r' && (starts(at, "r\"") || starts(at, "r#")) && !is_word(chars.get(at.wrapping_sub(1)))
+        {
             let hashes = chars[at + 1..].iter().take_while(|c| **c == '#').count();
             if chars.get(at + 1 + hashes) != Some(&'"') {
                 out.push('r');
