@@ -270,9 +270,8 @@ fn read_zenoh(r: &mut TableReader<'_, '_>) -> Zenoh {
     let mode = r.word("mode", "peer", &["peer", "client"]);
     let (listen, connect) = (r.texts("listen"), r.texts("connect"));
     for (key, endpoints) in [("listen", &listen), ("connect", &connect)] {
-        for endpoint in endpoints.iter().filter(|e| !e.contains('/')) {
-            let line = r.line();
-            r.refuse(line, key, format!("{endpoint:?} is not an endpoint"), "write tcp/HOST:PORT");
+        for (endpoint, line) in endpoints.iter().filter(|(e, _)| !e.contains('/')) {
+            r.refuse(*line, key, format!("{endpoint:?} is not an endpoint"), "write tcp/HOST:PORT");
         }
     }
     let multicast = r.boolean("multicast", false);
@@ -281,6 +280,7 @@ fn read_zenoh(r: &mut TableReader<'_, '_>) -> Zenoh {
         let line = r.line();
         r.refuse(line, "connect", "a client needs a router", "write connect = [\"tcp/HOST:7447\"], or mode = \"peer\"");
     }
+    let [listen, connect] = [listen, connect].map(|l| l.into_iter().map(|(endpoint, _)| endpoint).collect());
     Zenoh { mode, listen, connect, multicast, config_file }
 }
 
@@ -319,11 +319,12 @@ fn read_window(r: &mut TableReader<'_, '_>, d: WindowParams) -> WindowParams {
         lateness_s: r.number("lateness_s", d.lateness_s, 0.0, 86_400.0),
         max_points: r.integer("max_points", d.max_points as u64, 128, 1_000_000) as usize,
     };
-    if w.max_periods < w.min_periods {
+    // What a loop only inherits was refused where it stands.
+    if w.max_periods < w.min_periods && (w.max_periods, w.min_periods) != (d.max_periods, d.min_periods) {
         let line = r.line();
         r.refuse(line, "max_periods", format!("{} is below min_periods {}", w.max_periods, w.min_periods), "raise it");
     }
-    if w.max_window_s < w.hop_s {
+    if w.max_window_s < w.hop_s && (w.max_window_s, w.hop_s) != (d.max_window_s, d.hop_s) {
         let line = r.line();
         r.refuse(line, "max_window_s", format!("{} is below hop_s {}", w.max_window_s, w.hop_s), "raise it");
     }

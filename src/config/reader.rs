@@ -148,11 +148,12 @@ impl<'a, 'i> TableReader<'a, 'i> {
         }
     }
 
-    /// A list of texts.
-    pub fn texts(&mut self, key: &'static str) -> Vec<String> {
+    /// A list of texts, each with its line.
+    pub fn texts(&mut self, key: &'static str) -> Vec<(String, usize)> {
         let Some((value, line)) = self.get(key) else { return Vec::new() };
-        let list: Option<Vec<String>> =
-            value.as_array().and_then(|a| a.iter().map(|v| v.get_ref().as_str().map(str::to_owned)).collect());
+        let text = self.text;
+        let entry = |v: &Spanned<DeValue<'i>>| Some((v.get_ref().as_str()?.to_owned(), line_of(text, v.span().start)));
+        let list: Option<Vec<(String, usize)>> = value.as_array().and_then(|a| a.iter().map(entry).collect());
         list.unwrap_or_else(|| {
             self.wrong_type(line, key, value, "a list of texts, such as [\"tcp/127.0.0.1:7447\"]");
             Vec::new()

@@ -167,8 +167,10 @@ impl RunMetadata {
         let config = if text.is_empty() {
             Config::with_prefix(&prefix)
         } else {
-            Config::parse(&text)
-                .map_err(|faults| anyhow!("{}: its configuration: {}", path.display(), crate::cli::list(&faults)))?
+            Config::parse(&text).map_err(|faults| {
+                let list: Vec<String> = faults.iter().map(ToString::to_string).collect();
+                anyhow!("{}: its configuration: {}", path.display(), list.join("; "))
+            })?
         };
         Ok(Self {
             prefix,

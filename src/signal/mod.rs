@@ -1,6 +1,8 @@
 //! Tools on sampled signals: joining, memory, statistics, spectra.
 
 pub mod align;
+#[cfg(test)]
+mod align_check;
 pub mod detrend;
 pub mod history;
 pub mod spectrum;

@@ -1,0 +1,103 @@
+//! Checks of the aligner: disorder, holes, clocks that jump, values that are missing.
+
+use super::align::{AlignParams, align_all};
+use crate::record::{Sample, Signal, Value};
+use crate::units::{NS_PER_S, ns_from_s};
+
+fn sample(signal: Signal, t_s: f64, v: f64) -> Sample {
+    Sample { signal, t_ns: ns_from_s(t_s), value: Value::number(v), quality: None }
+}
+
+fn params() -> AlignParams {
+    AlignParams { lateness_ns: 5 * NS_PER_S, ..AlignParams::default() }
+}
+
+fn scan(n: usize) -> Vec<Sample> {
+    (0..n).flat_map(|k| [sample(Signal::Op, k as f64, k as f64), sample(Signal::Pv, k as f64, -(k as f64))]).collect()
+}
+
+#[test]
+fn a_scan_gives_a_point() {
+    let (stretches, counts) = align_all(&scan(40), &params());
+    assert_eq!(stretches.len(), 1);
+    assert_eq!(stretches[0].len(), 40);
+    assert!(stretches[0].iter().all(|p| p.op == -p.pv && !p.filled));
+    assert_eq!(counts.taken, 80);
+}
+
+#[test]
+fn disorder_within_the_lateness_changes_nothing() {
+    let ordered = scan(60);
+    let mut mixed = ordered.clone();
+    for chunk in mixed.chunks_mut(7) {
+        chunk.reverse();
+    }
+    mixed.extend_from_slice(&ordered[100..110]);
+    let (a, _) = align_all(&ordered, &params());
+    let (b, counts) = align_all(&mixed, &params());
+    assert_eq!(a, b);
+    assert_eq!(counts.duplicates + counts.late, 10);
+}
+
+#[test]
+fn op_and_pv_in_batches_are_joined() {
+    let ordered = scan(300);
+    let mut batched = Vec::new();
+    for chunk in ordered.chunks(120) {
+        batched.extend(chunk.iter().filter(|s| s.signal == Signal::Op));
+        batched.extend(chunk.iter().filter(|s| s.signal == Signal::Pv));
+    }
+    assert_eq!(align_all(&ordered, &params()).0, align_all(&batched, &params()).0);
+}
+
+#[test]
+fn short_holes_are_filled_and_long_ones_end_the_stretch() {
+    let mut samples = scan(100);
+    samples.retain(|s| !(20..22).contains(&(s.t_ns / NS_PER_S)) && !(50..70).contains(&(s.t_ns / NS_PER_S)));
+    let (stretches, counts) = align_all(&samples, &params());
+    assert_eq!(stretches.iter().map(Vec::len).collect::<Vec<_>>(), [50, 30]);
+    assert_eq!((counts.filled, counts.gaps), (2, 1));
+    assert!(stretches[0][20].filled && stretches[0][20].pv == -20.0 && stretches[0][20].op == 19.0);
+}
+
+#[test]
+fn one_stamp_from_the_future_is_dropped_and_a_new_clock_is_believed() {
+    let mut samples = scan(100);
+    samples.insert(80, sample(Signal::Pv, 3e8, 1.0));
+    let (stretches, counts) = align_all(&samples, &params());
+    assert_eq!((stretches.len(), counts.stamp_outliers), (1, 1));
+
+    let mut ahead = scan(100);
+    ahead.extend(scan(100).into_iter().map(|s| Sample { t_ns: s.t_ns + 1_000_000 * NS_PER_S, ..s }));
+    assert_eq!(align_all(&ahead, &params()).0.len(), 2);
+}
+
+#[test]
+fn a_clock_that_was_set_back_starts_a_new_stretch() {
+    let mut samples: Vec<Sample> =
+        scan(100).into_iter().map(|s| Sample { t_ns: s.t_ns + 1_000_000 * NS_PER_S, ..s }).collect();
+    samples.extend(scan(100));
+    let (stretches, counts) = align_all(&samples, &params());
+    assert_eq!((stretches.len(), counts.clock_resets), (2, 1));
+    assert_eq!(stretches[1].len(), 100);
+}
+
+#[test]
+fn the_last_sample_belongs_to_the_stretch() {
+    for n in [18, 40, 41] {
+        let slow: Vec<Sample> = scan(n).into_iter().map(|s| Sample { t_ns: s.t_ns * 10, ..s }).collect();
+        let (stretches, _) = align_all(&slow, &params());
+        assert_eq!(stretches.iter().map(Vec::len).collect::<Vec<_>>(), [n]);
+    }
+}
+
+#[test]
+fn bad_quality_is_missing() {
+    let mut samples = scan(60);
+    for s in &mut samples[60..64] {
+        s.quality = Some(0x8000_0000);
+    }
+    let (stretches, counts) = align_all(&samples, &params());
+    assert_eq!((counts.bad, counts.filled), (4, 2));
+    assert_eq!(stretches[0].iter().map(|p| u32::from(p.bad)).sum::<u32>(), 4);
+}

@@ -1,0 +1,36 @@
+#!/usr/bin/env bash
+# The program seen from outside: Python's Zenoh and MCAP libraries against target/debug/stictiond.
+# Usage: tests/interop/run.sh [NAME OF A TEST]. Python packages go into a folder below target/, once.
+set -euo pipefail
+cd "$(dirname "$0")/../.."
+[ -x target/debug/stictiond ] || cargo build --locked --quiet
+python=""
+for candidate in "${PYTHON:-}" python3.11 python3; do
+    if [ -n "$candidate" ] && command -v "$candidate" >/dev/null \
+        && "$candidate" -c 'import sys; sys.exit(sys.version_info < (3, 11))'; then
+        python=$candidate
+        break
+    fi
+done
+[ -n "$python" ] || { echo "Python 3.11 or newer is needed" >&2; exit 1; }
+venv=target/interop/venv
+stamp=$venv/$(sha256sum tests/interop/requirements.txt | cut -c 1-16)
+if [ ! -e "$stamp" ]; then
+    rm -rf "$venv"
+    if ! "$python" -m venv "$venv" 2>/dev/null; then
+        # Debian splits venv off; pip can do with a folder of its own.
+        rm -rf "$venv"
+        mkdir -p "$venv"
+        "$python" -m pip install --quiet --disable-pip-version-check --target "$venv/packages" \
+            -r tests/interop/requirements.txt
+    else
+        "$venv/bin/python" -m pip install --quiet --disable-pip-version-check -r tests/interop/requirements.txt
+    fi
+    touch "$stamp"
+fi
+if [ -x "$venv/bin/python" ]; then
+    python=$venv/bin/python
+else
+    export PYTHONPATH=$venv/packages
+fi
+exec "$python" tests/interop/test_interop.py "$@"
