@@ -31,7 +31,7 @@ const RANDOM: &str = "{ ar1 = { sd = 0.6, time_constant_s = 30.0 } }";
 
 #[test]
 fn a_loop_near_its_limit_is_tuning() {
-    for kc in [2.2, 2.35] {
+    for kc in [2.0, 2.2] {
         let counts = verdicts(&plant(kc, RANDOM, ""), 8);
         println!("kc {kc}: {counts:?}");
         assert!(counts.get("tuning").copied().unwrap_or(0) >= 5, "kc {kc}: {counts:?}");
@@ -53,7 +53,12 @@ fn a_load_that_oscillates_is_a_disturbance() {
 
 #[test]
 fn a_sticking_valve_is_stiction() {
-    let counts = verdicts(&plant(0.9, RANDOM, "valve = { law = \"he\", fs = 5.0, fd = 2.0 }"), 6);
+    let text = "[site]\nprefix = \"p\"\n[run]\nstart = \"2026-01-05T08:00:00Z\"\nduration_s = 1600.0\nts_s = 1.0\nseed = SEED\n\
+                warmup_s = 1800.0\n[[loop]]\nname = \"L\"\noperating_point = { op = 50.0, pv = 60.0 }\nsetpoint = 61.0\n\
+                process = { gain = 2.0, time_constants_s = [20.0], dead_time_s = 6.0 }\n\
+                controller = { kc = 1.2, ti_s = 10.0 }\nvalve = { law = \"he\", fs = 5.0, fd = 2.0 }\n\
+                noise = { pv_sd = 0.05 }\ndisturbance = { load = [{ ar1 = { sd = 0.1, time_constant_s = 60.0 } }] }\n";
+    let counts = verdicts(text, 6);
     println!("{counts:?}");
     assert!(counts.get("stiction").copied().unwrap_or(0) >= 5, "{counts:?}");
 }
