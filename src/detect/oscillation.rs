@@ -17,7 +17,7 @@ pub struct Oscillates {
     pub regularity: f64,
     /// Autocorrelation one period later, -1..1: the share of variance that repeats.
     pub persistence: f64,
-    /// How much of that is left two periods further on, corrected for the shorter overlap: 1 for what is driven from
+    /// How much of it is left two periods further on, corrected for the shorter overlap: 1 for what is driven from
     /// outside, `exp(-4 pi zeta)` for a loop of damping `zeta` that rings under random load. `None` below five periods.
     pub endurance: Option<f64>,
     /// Regular, persistent and at least two periods long.
@@ -101,9 +101,13 @@ fn judge(x: &[f64], factor: usize) -> Option<Oscillates> {
         let around = acf.iter().enumerate().skip(from as usize).take_while(|(lag, _)| *lag as f64 <= to + 1.0);
         around.map(|(lag, r)| r * n as f64 / (n - lag) as f64).reduce(f64::max)
     };
-    let persistence = peak(1.0)?;
+    let (from, to) = ((0.8 * period) as usize, ((1.2 * period).ceil() as usize).min(acf.len() - 1));
+    let persistence = acf.get(from..=to)?.iter().copied().fold(-1.0, f64::max);
     let periods = n as f64 / period;
-    let endurance = peak(3.0).filter(|_| periods >= 5.0 && persistence > 0.0).map(|later| later / persistence);
+    let endurance = match (peak(1.0), peak(3.0)) {
+        (Some(sooner), Some(later)) if periods >= 5.0 && sooner > 0.0 => Some(later / sooner),
+        _ => None,
+    };
     Some(Oscillates {
         period_points: period * factor as f64,
         periods,

@@ -18,6 +18,11 @@ const SIGNS: [(&str, f64); 4] = [("horch", 1.173), ("jumps", 5.389), ("curve_fit
 const CUT: f64 = 0.847;
 /// s over OP's span below which the index counts less: smaller bands are within what noise and rounding imitate.
 const FULL_WEIGHT: f64 = 0.2;
+/// Share of the free-run error that the valve law must remove to be believed without any other sign: loops that obey
+/// the law reach it, healthy ones stay far below (a dead band in front of an integrator shows no jump in PV).
+const PLAIN_INDEX: f64 = 0.75;
+/// Turns of the stem that this takes: fewer can be an accident.
+const PLAIN_REVERSALS: usize = 6;
 /// Endurance (see [`Oscillates::endurance`]) above which an oscillation is driven from outside: what comes from there
 /// keeps its phase, while a loop that rings by itself under random load loses it.
 const DRIVEN: f64 = 0.8;
@@ -36,7 +41,8 @@ pub fn evidence(estimate: Option<&Estimate>, witnesses: &[Witness]) -> f64 {
 /// sticking valve unproven).
 #[must_use]
 pub fn judge(estimate: Option<&Estimate>, witnesses: &[Witness], oscillation: Option<&Oscillates>) -> Verdict {
-    if let Some(e) = estimate.filter(|_| evidence(estimate, witnesses) >= CUT) {
+    let plain = |e: &Estimate| e.index >= PLAIN_INDEX && e.s > FULL_WEIGHT * e.span && e.reversals >= PLAIN_REVERSALS;
+    if let Some(e) = estimate.filter(|e| plain(e) || evidence(estimate, witnesses) >= CUT) {
         return match region::region(e.s, e.j, e.span) {
             "deadband" => Verdict::Deadband,
             _ => Verdict::Stiction,
