@@ -135,21 +135,23 @@ pub async fn answer_queries(
     queue: Sender<Incoming>,
     last: LastValues,
     metrics: Arc<Metrics>,
-) -> anyhow::Result<zenoh::query::Queryable<()>> {
-    let key = topic::plane(prefix, "**");
-    let prefix = prefix.to_owned();
-    session
-        .declare_queryable(key.clone())
-        .complete(true)
-        .callback(move |query| {
+) -> anyhow::Result<Vec<zenoh::query::Queryable<()>>> {
+    let mut queryables = Vec::new();
+    // No wildcard matches the verbatim chunk of the daemon's own health.
+    for key in [topic::plane(prefix, "**"), topic::plane(prefix, "@daemon/**")] {
+        let (prefix, queue) = (prefix.to_owned(), queue.clone());
+        let (last, metrics) = (last.clone(), metrics.clone());
+        let answer = move |query: Query| {
             metrics.queries.inc();
             match query.parameters().get("cmd") {
                 Some(cmd) => forward_command(&prefix, cmd.to_owned(), query, &queue),
                 None => answer_last(&query, &last),
             }
-        })
-        .await
-        .map_err(|e| anyhow!("cannot answer queries on {key:?}: {e}"))
+        };
+        let queryable = session.declare_queryable(key.clone()).complete(true).callback(answer).await;
+        queryables.push(queryable.map_err(|e| anyhow!("cannot answer queries on {key:?}: {e}"))?);
+    }
+    Ok(queryables)
 }
 
 fn answer_last(query: &Query, last: &LastValues) {
