@@ -346,7 +346,7 @@ mod tests {
     #[test]
     fn tight_tuning_and_disturbances_oscillate_with_a_healthy_valve() {
         for (name, index, period) in
-            [("demo", 2, 85.0), ("demo", 3, 90.0), ("four-loops", 2, 77.0), ("four-loops", 3, 100.0)]
+            [("demo", 2, 82.0), ("demo", 3, 90.0), ("four-loops", 2, 75.0), ("four-loops", 3, 100.0)]
         {
             let scenario = scenario(name);
             let record = scenario.record(index).unwrap();
