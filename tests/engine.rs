@@ -3,11 +3,12 @@
 
 use std::collections::BTreeMap;
 
+use proptest::prelude::*;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use stictiond::config::Config;
 use stictiond::engine::{Engine, Event, LoopSettings, Request, section};
-use stictiond::record::Sample;
+use stictiond::record::{Mode, Sample, Signal, Value};
 use stictiond::signal::align::align_all;
 use stictiond::sim::scenario::Scenario;
 use stictiond::verdict::{Verdict, assess};
@@ -179,4 +180,49 @@ fn a_skipped_window_says_so_and_holds_the_alarm() {
         }
     }
     assert!(gates.len() >= 5 && gates.iter().all(|g| *g == "skipped"));
+}
+
+fn any_value() -> impl Strategy<Value = Value> {
+    prop_oneof![
+        4 => (-100.0..100.0_f64).prop_map(Value::number),
+        1 => prop_oneof![Just(0.0), Just(1e308), Just(-1e308), Just(5e-324), Just(f64::NAN)].prop_map(Value::number),
+        1 => Just(Value::Missing),
+        1 => Just(Value::Mode(Mode::Manual)),
+    ]
+}
+
+/// Mostly a beat of one second, with everything that clocks and gateways do.
+fn any_stamp() -> impl Strategy<Value = i64> {
+    prop_oneof![
+        20 => (0_i64..400).prop_map(|k| k * 1_000_000_000),
+        2 => any::<i64>(),
+        1 => prop_oneof![Just(i64::MIN), Just(i64::MAX), Just(0)],
+    ]
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 60, ..ProptestConfig::default() })]
+
+    #[test]
+    fn no_stream_of_samples_makes_the_engine_panic(
+        stream in proptest::collection::vec((any_stamp(), 0_usize..5, any_value(), proptest::option::of(any::<u32>())), 0..1500)
+    ) {
+        let mut config = config(50.0);
+        config.window.max_points = 128;
+        let samples: Vec<(String, Sample)> = stream
+            .into_iter()
+            .enumerate()
+            .map(|(k, (stamp, signal, value, quality))| {
+                // Half of it in order, so that windows come about.
+                let t_ns = if k % 2 == 0 { (k as i64 / 4) * 1_000_000_000 } else { stamp };
+                let quality = quality.filter(|q| q % 3 == 0);
+                ("L".to_owned(), Sample { signal: Signal::ALL[signal], t_ns, value, quality })
+            })
+            .collect();
+        let first = run(&samples, config.clone(), Answers::AtOnce);
+        for document in first.values().flatten() {
+            prop_assert!(!document.contains("NaN") && !document.contains("inf"));
+        }
+        prop_assert_eq!(first, run(&samples, config, Answers::Scattered(7)));
+    }
 }

@@ -1,10 +1,15 @@
-//! Detection: does the loop oscillate, and which tests speak for the valve.
+//! Detection: does the loop oscillate, and which signs in the record speak for the valve.
 
+mod jumps;
+mod oddness;
 pub mod oscillation;
+mod sine;
+mod travel;
 
 use serde::Serialize;
 
 use crate::record::Record;
+use crate::signal::{detrend, stats};
 
 /// One witness's say.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -17,13 +22,98 @@ pub struct Witness {
     pub vote: Option<bool>,
 }
 
-/// A test that says something about the valve from one record.
+/// A sign of sticking that is read from a record without a valve model.
 pub trait Detector: Sync {
     /// Its name in documents.
     fn name(&self) -> &'static str;
-    /// What it says of this record.
-    fn say(&self, record: &Record) -> Witness;
+    /// Its figure; `None` where the record does not show it either way.
+    fn score(&self, view: &View) -> Option<f64>;
 }
 
 /// Every detector.
-pub const ALL: [&dyn Detector; 0] = [];
+pub const ALL: [&dyn Detector; 4] = [&oddness::Oddness, &jumps::Jumps, &sine::Sine, &travel::Travel];
+
+/// A record as the detectors look at it: at most about 80 points a period.
+#[derive(Debug, Clone)]
+pub struct View {
+    /// OP, boxed and smoothed over a sixteenth of a period.
+    pub op: Vec<f64>,
+    /// PV, likewise.
+    pub pv: Vec<f64>,
+    /// OP less its moving average over a period.
+    pub op_fast: Vec<f64>,
+    /// PV, likewise.
+    pub pv_fast: Vec<f64>,
+    /// Deviation of PV's white noise before smoothing.
+    pub pv_noise: f64,
+    /// Period, points of this view.
+    pub period: f64,
+}
+
+/// Points a period that a view keeps, and points that it looks at.
+const POINTS_PER_PERIOD: f64 = 80.0;
+const MAX_POINTS: usize = 1400;
+
+impl View {
+    /// Prepares a record; its period is OP's typical one.
+    #[must_use]
+    pub fn new(record: &Record) -> Self {
+        let n = record.len() as f64;
+        let period = oscillation::typical_period(&record.op()).unwrap_or(0.25 * n).max(2.0);
+        let k = ((period / POINTS_PER_PERIOD) as usize).max(1);
+        let take = |x: &[f64]| {
+            let mut boxed = detrend::box_means(x, k);
+            boxed.truncate(MAX_POINTS);
+            boxed
+        };
+        let (op, pv) = (take(&record.op()), take(&record.pv));
+        let period = period / k as f64;
+        let pv_noise = stats::noise_sd(&pv);
+        let width = (period / 16.0) as usize;
+        let (op, pv) = (detrend::hann_smooth(&op, width), detrend::hann_smooth(&pv, width));
+        let slow = (period as usize).max(2);
+        let (op_fast, pv_fast) = (detrend::high_pass(&op, slow), detrend::high_pass(&pv, slow));
+        Self { op, pv, op_fast, pv_fast, pv_noise, period }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn scores(op: Vec<f64>, pv: Vec<f64>) -> Vec<Option<f64>> {
+        let view = View::new(&Record::uniform(1.0, op, pv));
+        ALL.iter().map(|d| d.score(&view)).collect()
+    }
+
+    fn of(n: usize, shape: impl Fn(f64) -> f64) -> Vec<f64> {
+        (0..n).map(|k| shape((k as f64 / 60.0).fract())).collect()
+    }
+
+    #[test]
+    fn a_triangle_against_a_square_speaks_for_the_valve() {
+        let triangle = of(900, |t| if t < 0.5 { 4.0 * t - 1.0 } else { 3.0 - 4.0 * t });
+        let square = of(900, |t| if (0.25..0.75).contains(&t) { -1.0 } else { 1.0 });
+        // The square leads or lags by a quarter: shift it so that it changes where the triangle turns.
+        let square: Vec<f64> = square.iter().cycle().skip(45).take(900).copied().collect();
+        let found = scores(triangle, square);
+        assert!(found[0].is_some_and(|s| s > 0.9), "horch {found:?}");
+        assert!(found[1].is_some_and(|s| s > 0.2), "jumps {found:?}");
+        assert!(found[3].is_some_and(|s| s > 0.5), "travel {found:?}");
+    }
+
+    #[test]
+    fn clean_sinusoids_in_phase_speak_against_it() {
+        let wave = of(900, |t| libm::sin(2.0 * core::f64::consts::PI * t));
+        let found = scores(wave.clone(), wave);
+        assert!(found[0].is_some_and(|s| s < 0.05), "horch {found:?}");
+        assert!(found[1].is_some_and(|s| s.abs() < 1e-9), "jumps {found:?}");
+        assert!(found[2].is_some_and(|s| s < 0.35), "curve fit {found:?}");
+    }
+
+    #[test]
+    fn nothing_is_said_of_nothing() {
+        assert!(scores(vec![1.0; 100], vec![1.0; 100])[..2].iter().all(Option::is_none));
+        assert_eq!(scores(vec![], vec![]).len(), ALL.len());
+    }
+}

@@ -17,6 +17,9 @@ pub struct Oscillates {
     pub regularity: f64,
     /// Autocorrelation one period later, -1..1: the share of variance that repeats.
     pub persistence: f64,
+    /// How much of it is left two periods further on, corrected for the shorter overlap: 1 for what is driven from
+    /// outside, `exp(-4 pi zeta)` for a loop of damping `zeta` that rings under random load. `None` below five periods.
+    pub endurance: Option<f64>,
     /// Regular, persistent and at least two periods long.
     pub oscillating: bool,
 }
@@ -60,6 +63,22 @@ pub fn detect_one(x: &[f64]) -> Option<Oscillates> {
     }
 }
 
+/// A typical period of a signal, points, whether or not it oscillates: twice the mean of the first eight intervals
+/// between zero crossings of the autocorrelation, after removing a line and what is slower than a third of the record.
+/// Between 2 and half the record; `None` for a constant.
+#[must_use]
+pub fn typical_period(x: &[f64]) -> Option<f64> {
+    let factor = x.len().div_ceil(MAX_POINTS).max(1);
+    let x = detrend::remove_line(&detrend::box_means(x, factor));
+    let n = x.len();
+    let x = detrend::remove_mean(&detrend::high_pass(&x, n / 3));
+    let acf = spectrum::autocorrelation(&x, 3 * n / 5);
+    let places = spectrum::zero_crossings(&acf, 0.0);
+    let gaps: Vec<f64> = places.windows(2).take(8).map(|w| w[1] - w[0]).collect();
+    let period = if gaps.is_empty() { return None } else { 2.0 * stats::mean(&gaps) };
+    Some((period * factor as f64).clamp(2.0, 0.5 * (n * factor) as f64))
+}
+
 /// The oscillation of a detrended signal whose points are `factor` points of the record.
 fn judge(x: &[f64], factor: usize) -> Option<Oscillates> {
     let n = x.len();
@@ -76,15 +95,25 @@ fn judge(x: &[f64], factor: usize) -> Option<Oscillates> {
     // Spread of the intervals as a sample's, not a population's: few of them must not look regular by chance.
     let spread = (stats::variance(&gaps) * gaps.len() as f64 / (gaps.len() - 1) as f64).sqrt();
     let regularity = if spread > 0.0 { (period / 2.0 / (3.0 * spread)).min(100.0) } else { 100.0 };
-    let from = (0.8 * period) as usize;
-    let to = ((1.2 * period).ceil() as usize).min(acf.len() - 1);
+    // The peak near a whole number of periods, as if every lag overlapped fully.
+    let peak = |count: f64| {
+        let (from, to) = ((count - 0.2) * period, (count + 0.2) * period);
+        let around = acf.iter().enumerate().skip(from as usize).take_while(|(lag, _)| *lag as f64 <= to + 1.0);
+        around.map(|(lag, r)| r * n as f64 / (n - lag) as f64).reduce(f64::max)
+    };
+    let (from, to) = ((0.8 * period) as usize, ((1.2 * period).ceil() as usize).min(acf.len() - 1));
     let persistence = acf.get(from..=to)?.iter().copied().fold(-1.0, f64::max);
     let periods = n as f64 / period;
+    let endurance = match (peak(1.0), peak(3.0)) {
+        (Some(sooner), Some(later)) if periods >= 5.0 && sooner > 0.0 => Some(later / sooner),
+        _ => None,
+    };
     Some(Oscillates {
         period_points: period * factor as f64,
         periods,
         regularity,
         persistence,
+        endurance,
         oscillating: regularity > 1.0 && persistence > MIN_PERSISTENCE && periods >= 2.0 && period >= 3.0,
     })
 }

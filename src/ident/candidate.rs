@@ -23,6 +23,8 @@ pub struct Question {
     pub from: usize,
     /// A typical time, points: a period, or a fifth of the record where nothing oscillates.
     pub period: f64,
+    /// How fast OP usually moves, spans a point.
+    pub rate: f64,
     /// OP's running maxima, then minima: the places where a first slip can happen.
     pub records: [Vec<f64>; 2],
 }
@@ -74,11 +76,8 @@ impl Question {
         for k in 0..wanted {
             let offset = if wanted > 1 { 1.8 * k as f64 / (wanted - 1) as f64 - 0.9 } else { 0.0 };
             let Some(first) = self.path.first() else { break };
-            if let Some(start) = self.start_from(first + offset * fs, fs) {
-                if !out.contains(&start) {
-                    out.push(start);
-                }
-            }
+            let start = self.start_from(first + offset * fs, fs).filter(|s| !out.contains(s));
+            out.extend(start);
         }
         out
     }
@@ -127,7 +126,7 @@ impl Candidate {
     #[must_use]
     pub fn centred(&self) -> [f64; 2] {
         let fd = self.fit.fd;
-        let high_s = if self.s_cell[1].is_finite() { self.s_cell[1] } else { self.s };
+        let high_s = self.s_cell[1].min(self.s.max(1.0));
         let low = self.s_cell[0].max(self.j_cell[0] + 2.0 * fd);
         let high = high_s.min(self.j_cell[1] + 2.0 * fd);
         let s = if low <= high { 0.5 * (low + high) } else { self.s };

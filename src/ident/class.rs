@@ -170,15 +170,15 @@ impl Class {
             _ => 1,
         };
         let a = libm::exp(-libm::exp(-shape[slot]));
+        out.resize(n, 0.0);
         let mut value = 1.0;
-        for _ in 0..n {
-            out.push(value);
+        for slot in out.iter_mut() {
+            *slot = value;
             value *= a;
-            if value < 1e-30 {
+            if value < 1e-14 {
                 break;
             }
         }
-        out.resize(n, 0.0);
     }
 
     /// Gain in valve units to signal units (a point, when integrating) of the coefficient of the unit response.

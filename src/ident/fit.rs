@@ -130,6 +130,7 @@ impl Fitter {
 
     /// Up to `steps` Gauss-Newton steps from `start` (as [`Fitter::linear`] just gave it for the same signal); stops
     /// at a relative gain below `enough`.
+    #[allow(clippy::too_many_arguments)] // the signal, the target and the freedom are three things
     pub fn improve(
         &mut self,
         class: Class,

@@ -1,6 +1,6 @@
 //! Least squares on a handful of columns: Gram matrices and their elimination, without allocation.
 
-use crate::signal::stats::dot;
+use crate::signal::stats::{dot, dot3};
 
 /// Most columns that a system here has, right-hand side included.
 pub const MAX: usize = 9;
@@ -21,7 +21,13 @@ impl Gram {
         let n = columns.len().min(MAX);
         let mut m = [[0.0; MAX]; MAX];
         for i in 0..n {
-            for k in i..n {
+            let mut k = i;
+            while k + 3 <= n {
+                let three = dot3(columns[i], [columns[k], columns[k + 1], columns[k + 2]]);
+                m[i][k..k + 3].copy_from_slice(&three);
+                k += 3;
+            }
+            for k in k..n {
                 m[i][k] = dot(columns[i], columns[k]);
             }
         }
@@ -37,6 +43,7 @@ impl Gram {
     /// Eliminates the first `count` columns; one that depends on those before it is left out.
     pub fn eliminate(&mut self, count: usize) {
         let scale: [f64; MAX] = core::array::from_fn(|i| self.m[i][i]);
+        #[allow(clippy::needless_range_loop)] // rows and columns of one array
         for p in 0..count {
             let pivot = self.m[p][p];
             self.live[p] = pivot > 1e-11 * scale[p] && pivot > 0.0;
@@ -46,8 +53,8 @@ impl Gram {
             let row = self.m[p];
             for i in p + 1..self.n {
                 let factor = row[i] / pivot;
-                for k in i..self.n {
-                    self.m[i][k] -= factor * row[k];
+                for (target, value) in self.m[i][i..self.n].iter_mut().zip(&row[i..self.n]) {
+                    *target -= factor * value;
                 }
             }
         }
@@ -64,8 +71,8 @@ impl Gram {
         for p in (0..count).rev() {
             if self.live[p] {
                 let mut sum = self.m[p][self.n - 1];
-                for k in p + 1..self.n - 1 {
-                    sum -= self.m[p][k] * x[k];
+                for (coefficient, value) in self.m[p][p + 1..self.n - 1].iter().zip(&x[p + 1..self.n - 1]) {
+                    sum -= coefficient * value;
                 }
                 x[p] = sum / self.m[p][p];
             }

@@ -43,7 +43,12 @@ impl<'b, 'a> Look<'b, 'a> {
         let class = bench.class;
         let shape = |tau: f64, lag: f64| class.clamp(class.start(tau, lag), &limits);
         let near = limits.lag[0];
-        let cold = vec![shape(0.1 * period, near + 0.02 * period), shape(0.1 * period, near + 0.07 * period)];
+        let cold = vec![
+            shape(0.03 * period, near + 0.015 * period),
+            shape(0.1 * period, near + 0.03 * period),
+            shape(0.1 * period, near + 0.1 * period),
+            shape(2.0 * period, near + 0.03 * period),
+        ];
         Self { bench, pool: Vec::new(), cold, warm: None, starts, steps }
     }
 
@@ -109,46 +114,63 @@ pub fn beam(pool: &[Candidate], overall: usize, each: usize) -> Vec<Candidate> {
 pub fn climb(bench: &mut Bench<'_>, start: Candidate, steps: usize, fine: bool, rng: &mut ChaCha8Rng) -> Candidate {
     let mut best = start;
     for _ in 0..steps {
-        let (s, j, first) = step(bench, &best, fine, rng);
+        let Step { s, j, start: first, lag } = step(bench, &best, fine, rng);
         if s < 1e-4 || best.covers(s, j, first) {
             continue;
         }
-        let effort = Effort { steps: 1, hopeless: 2.5 * best.fit.sse };
+        let effort = Effort { steps: 1, hopeless: 2.0 * best.fit.sse };
         let mut shape = best.fit.shape;
-        if uniform(rng) < 0.15 {
-            // A hop of the lag, because the cost has kinks at whole lags.
-            let slot = bench.class.shape_len() - 1;
-            shape[slot] += normal(rng);
-            shape = bench.class.clamp(shape, &bench.question.limits);
-        }
-        if let Some(found) = bench.fit(s, j, first, &[shape], effort) {
-            if found.fit.sse <= best.fit.sse && found.fit.gain != 0.0 {
-                best = found;
-            }
+        shape[bench.class.shape_len() - 1] += lag;
+        let shape = bench.class.clamp(shape, &bench.question.limits);
+        let found = bench.fit(s, j, first, &[shape], effort);
+        if let Some(found) = found.filter(|f| f.fit.sse <= best.fit.sse && f.fit.gain != 0.0) {
+            best = found;
         }
     }
     best
 }
 
 /// Where the next random step goes.
-fn step(bench: &Bench<'_>, from: &Candidate, fine: bool, rng: &mut ChaCha8Rng) -> (f64, f64, Start) {
+struct Step {
+    s: f64,
+    j: f64,
+    start: Start,
+    /// Change of the lag that goes with it, points.
+    lag: f64,
+}
+
+fn step(bench: &Bench<'_>, from: &Candidate, fine: bool, rng: &mut ChaCha8Rng) -> Step {
     let kind = uniform(rng);
-    let (mut s, mut j, mut start) = (from.s, from.j, from.start);
-    if kind < 0.75 {
+    let (mut s, mut j, mut start, mut lag) = (from.s, from.j, from.start, 0.0);
+    if kind < 0.65 {
         let sigma = if fine { 0.05 } else { 0.1 * libm::pow(10.0, -2.2 * uniform(rng)) };
-        if !(0.30..0.50).contains(&kind) {
+        if !(0.25..0.43).contains(&kind) {
             s = moved(s, from.s_cell, sigma * s, rng);
         }
-        if kind >= 0.30 {
+        if kind >= 0.25 {
             j = moved(j, from.j_cell, 4.0 * sigma * s, rng);
         }
-    } else if kind < 0.90 {
+        if uniform(rng) < 0.15 {
+            // The cost has kinks at whole lags.
+            lag = normal(rng);
+        }
+    } else if kind < 0.78 {
+        // Along the ridge: an earlier slip and a longer lag look alike.
+        lag = 3.0 * uniform(rng) * normal(rng);
+        s -= lag * bench.question.rate;
+        if uniform(rng) < 0.5 {
+            j = j / from.s * s;
+        }
+    } else if kind < 0.92 {
         let list = bench.question.records[usize::from(!start.up)].len();
         let by = 1 + (3.0 * uniform(rng) * uniform(rng)) as usize;
         start.record =
             if uniform(rng) < 0.5 { (start.record + by).min(list - 1) } else { start.record.saturating_sub(by) };
-        if start.record == from.start.record {
-            start = Start { up: !start.up, record: 0, place: 0.5 };
+        if uniform(rng) < 0.25 || start.record == from.start.record {
+            // Anywhere, on either side.
+            let up = uniform(rng) < 0.5;
+            let list = bench.question.records[usize::from(!up)].len();
+            start = Start { up, record: (uniform(rng) * list as f64) as usize, place: 0.5 };
         }
         if uniform(rng) < 0.5 {
             s = moved(s, from.s_cell, 0.01 * s, rng);
@@ -157,7 +179,7 @@ fn step(bench: &Bench<'_>, from: &Candidate, fine: bool, rng: &mut ChaCha8Rng) -
         start.place = uniform(rng);
     }
     let [s, j] = on_triangle([s, j]);
-    (s, j, start)
+    Step { s, j, start, lag }
 }
 
 /// A value just across an edge of its cell (30 %), else a normal step.

@@ -17,7 +17,8 @@ pub fn of_gain(op: &[f64], pv: &[f64]) -> Option<f64> {
     for width in [1, 3, 7] {
         let (u, e) = (moving_average(op, width), moving_average(pv, width));
         for lag in [0, 1] {
-            if let Some(found) = regress(&u, &e, lag) {
+            // Once more on first differences, in which a set point that steps leaves single outliers only.
+            for found in [regress(&u, &e, lag), regress(&moves(&u), &moves(&e), lag)].into_iter().flatten() {
                 if best.as_ref().is_none_or(|b| found.r2 > b.r2 + 0.02) {
                     best = Some(found);
                 }
@@ -34,6 +35,11 @@ pub fn of_gain(op: &[f64], pv: &[f64]) -> Option<f64> {
         }
     }
     None
+}
+
+/// First differences.
+fn moves(x: &[f64]) -> Vec<f64> {
+    x.windows(2).map(|w| w[1] - w[0]).collect()
 }
 
 /// Shares of the controller's answer in standard deviations of its move.

@@ -237,6 +237,11 @@ impl Aligner {
 
     /// Takes one sample in.
     pub fn push(&mut self, sample: Sample, params: &AlignParams) {
+        // Half the range of the clock, 1824 to 2116: differences of any two stamps then fit.
+        if sample.t_ns.unsigned_abs() > i64::MAX.unsigned_abs() / 2 {
+            self.counts.stamp_outliers += 1;
+            return;
+        }
         if self.processed_ns.is_some_and(|p| sample.t_ns <= p) {
             self.take_late(sample, params);
             return;

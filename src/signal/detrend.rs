@@ -50,6 +50,25 @@ pub fn high_pass(x: &[f64], width: usize) -> Vec<f64> {
     moving_average(x, width).iter().zip(x).map(|(slow, v)| v - slow).collect()
 }
 
+/// Smoothed by a Hann window about `width` points wide, the ends repeated; same length as `x`.
+#[must_use]
+pub fn hann_smooth(x: &[f64], width: usize) -> Vec<f64> {
+    if width < 2 || x.is_empty() {
+        return x.to_vec();
+    }
+    let half = width as isize / 2;
+    let weight = |k: isize| 0.5 + 0.5 * libm::cos(core::f64::consts::PI * k as f64 / (half + 1) as f64);
+    let weights: Vec<f64> = (-half..=half).map(weight).collect();
+    let total: f64 = weights.iter().sum();
+    let last = x.len() as isize - 1;
+    (0..=last)
+        .map(|at| {
+            let around = (-half..=half).zip(&weights);
+            around.map(|(k, w)| w * x[(at + k).clamp(0, last) as usize]).sum::<f64>() / total
+        })
+        .collect()
+}
+
 /// Means of boxes of `k` values; a remainder shorter than a box is left out.
 #[must_use]
 pub fn box_means(x: &[f64], k: usize) -> Vec<f64> {

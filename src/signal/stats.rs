@@ -41,6 +41,25 @@ pub fn dot(a: &[f64], b: &[f64]) -> f64 {
     ((sums[0] + sums[4]) + (sums[1] + sums[5])) + ((sums[2] + sums[6]) + (sums[3] + sums[7])) + tail
 }
 
+/// Inner products of `a` with three others at once, in four running sums each; all of the length of `a` or longer.
+#[must_use]
+pub fn dot3(a: &[f64], b: [&[f64]; 3]) -> [f64; 3] {
+    let n = b.iter().fold(a.len(), |n, x| n.min(x.len()));
+    let (blocks_a, rest_a) = a[..n].as_chunks::<4>();
+    let [(b0, r0), (b1, r1), (b2, r2)] = b.map(|x| x[..n].as_chunks::<4>());
+    let (mut s0, mut s1, mut s2) = ([0.0; 4], [0.0; 4], [0.0; 4]);
+    for (((p, x), y), z) in blocks_a.iter().zip(b0).zip(b1).zip(b2) {
+        for lane in 0..4 {
+            s0[lane] += p[lane] * x[lane];
+            s1[lane] += p[lane] * y[lane];
+            s2[lane] += p[lane] * z[lane];
+        }
+    }
+    let tail = |r: &[f64]| rest_a.iter().zip(r).map(|(p, q)| p * q).sum::<f64>();
+    let sum = |s: [f64; 4]| (s[0] + s[2]) + (s[1] + s[3]);
+    [sum(s0) + tail(r0), sum(s1) + tail(r1), sum(s2) + tail(r2)]
+}
+
 /// Quantile `q` (0..1) of sorted values, linear between neighbours (Hyndman and Fan's type 7); 0 for none.
 #[must_use]
 pub fn quantile_sorted(sorted: &[f64], q: f64) -> f64 {
@@ -147,6 +166,7 @@ mod tests {
     fn dot_agrees_with_the_plain_sum() {
         let a: Vec<f64> = (0..37).map(f64::from).collect();
         assert_eq!(dot(&a, &a), a.iter().map(|v| v * v).sum::<f64>());
+        assert_eq!(dot3(&a, [&a, &a[..36], &a])[0], a[..36].iter().map(|v| v * v).sum::<f64>());
         assert_eq!(levels(&[1.0, 2.0, 1.0, 2.0], 10), 2);
         assert_eq!(repeat_share(&[1.0, 1.0, 2.0]), 0.5);
     }

@@ -109,25 +109,25 @@ impl Sequence {
     /// Runs a law over `path` (`n * per_point` OP values) and keeps the slips.
     pub fn run(&mut self, law: Law, path: &[f64], per_point: usize, s: f64, j: f64, first: FirstSlip) {
         let mut stem = Stem::new(first, s);
-        self.at.clear();
-        self.direction.clear();
+        let n = path.len() / per_point.max(1);
+        self.at.resize(n, 0.0);
+        self.direction.resize(n, 0.0);
+        let points = self.at.iter_mut().zip(&mut self.direction);
         if per_point <= 1 {
-            for &op in path {
+            for ((at, direction), &op) in points.zip(path) {
                 stem.take(law, op, s, j);
-                self.at.push(stem.at);
-                self.direction.push(stem.direction);
+                (*at, *direction) = (stem.at, stem.direction);
             }
         } else {
             let share = 1.0 / per_point as f64;
-            for point in path.chunks_exact(per_point) {
-                let (mut at, mut direction) = (0.0, 0.0);
+            for ((at, direction), point) in points.zip(path.chunks_exact(per_point)) {
+                let (mut sum_at, mut sum_direction) = (0.0, 0.0);
                 for &op in point {
                     stem.take(law, op, s, j);
-                    at += stem.at;
-                    direction += stem.direction;
+                    sum_at += stem.at;
+                    sum_direction += stem.direction;
                 }
-                self.at.push(at * share);
-                self.direction.push(direction * share);
+                (*at, *direction) = (sum_at * share, sum_direction * share);
             }
         }
         (self.s_cell, self.j_cell) = (stem.s_cell, stem.j_cell);

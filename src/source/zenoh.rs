@@ -16,6 +16,7 @@ use zenoh::sample::{Sample as BusSample, SampleKind};
 
 use super::{Incoming, Message};
 use crate::alarm::Command;
+use crate::codec::MAX_PAYLOAD;
 use crate::codec::topic::{self, Kind, Leaf, Topic};
 use crate::config::Config;
 use crate::daemon::clock::now_ns;
@@ -104,6 +105,10 @@ fn enqueue(sample: &BusSample, queue: &Sender<Incoming>, metrics: &Metrics) {
         return;
     }
     metrics.messages.inc();
+    if sample.payload().len() > MAX_PAYLOAD {
+        metrics.undecodable.inc();
+        return;
+    }
     let encoding = (*sample.encoding() != Encoding::default()).then(|| sample.encoding().to_string().into());
     let message = Message {
         key: sample.key_expr().as_str().into(),

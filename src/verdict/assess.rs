@@ -5,6 +5,7 @@ use super::gates::gates;
 use super::judge::judge;
 use super::params::AssessParams;
 use crate::detect::oscillation::{self, Oscillates};
+use crate::detect::{self, View, Witness};
 use crate::ident::region::{region, severity, strength};
 use crate::ident::{Estimate, Options, quantify};
 use crate::record::Record;
@@ -35,7 +36,9 @@ pub fn assess(record: &Record, params: &AssessParams) -> Assessment {
     if let Some(e) = &estimate {
         fill(&mut out, e, record, params);
     }
-    out.verdict = judge(estimate.as_ref(), found.as_ref());
+    let view = View::new(record);
+    out.witnesses = detect::ALL.iter().map(|d| Witness { name: d.name(), score: d.score(&view), vote: None }).collect();
+    out.verdict = judge(estimate.as_ref(), &out.witnesses, found.as_ref());
     out.stiction = out.verdict.stiction();
     // Without a confidence no better grade can be claimed.
     out.grade = Some(if out.stiction.is_none() { 'D' } else { 'C' });

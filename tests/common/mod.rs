@@ -125,9 +125,8 @@ impl Loop {
         };
         let gain = if kind >= 2 { gain / 20.0 } else { gain };
         let sp: fn(usize) -> f64 = if d.uniform() < 0.3 { |_| 2.0 } else { |k| [0.0, 5.0, -3.0, 4.0][k / 300 % 4] };
-        let mut out = Self {
-            fs, fd, tracking: false, gain, taus, dead_time, kc, ti, noise: 0.0, sp, n: 1200, warm_up: 0, seed,
-        };
+        let mut out =
+            Self { fs, fd, tracking: false, gain, taus, dead_time, kc, ti, noise: 0.0, sp, n: 1200, warm_up: 0, seed };
         // Noise of 0.5 to 10 % of PV's spread.
         let spread = stictiond::signal::stats::std_dev(&out.run().record.pv);
         out.noise = spread * libm::exp(d.between(libm::log(0.005), libm::log(0.1)));
@@ -146,9 +145,7 @@ pub fn boxed(ts_s: f64, op: &[f64], pv: &[f64], k: usize) -> Record {
     record.op_path = op
         .chunks_exact(k)
         .flat_map(|c| {
-            let at = |better: fn(f64, f64) -> bool| {
-                (0..c.len()).fold(0, |b, i| if better(c[i], c[b]) { i } else { b })
-            };
+            let at = |better: fn(f64, f64) -> bool| (0..c.len()).fold(0, |b, i| if better(c[i], c[b]) { i } else { b });
             let (low, high) = (at(|a, b| a < b), at(|a, b| a > b));
             let (one, two) = if low < high { (c[low], c[high]) } else { (c[high], c[low]) };
             [c[0], one, two, c[k - 1]]
