@@ -77,7 +77,7 @@ pub async fn run(
     let workers = worker::start(options.workers)?;
 
     let prefix = config.site.prefix.clone();
-    let queryable = source::zenoh::answer_queries(&session, &prefix, queue.clone(), last, metrics.clone()).await?;
+    let queryables = source::zenoh::answer_queries(&session, &prefix, queue.clone(), last, metrics.clone()).await?;
     let engine = Engine::new(config.clone());
     let parts = Parts {
         engine,
@@ -116,7 +116,9 @@ pub async fn run(
     drop(stop_core);
     let ended =
         join_within(vec![("engine", core), ("recorder", recording), ("publisher", publishing)], STOP_WITHIN).await;
-    let _ = queryable.undeclare().await;
+    for queryable in queryables {
+        let _ = queryable.undeclare().await;
+    }
     web.stop();
     // Closing may hang when the network loses packets.
     let _ = tokio::time::timeout(Duration::from_secs(1), session.close()).await;

@@ -135,21 +135,27 @@ pub async fn answer_queries(
     queue: Sender<Incoming>,
     last: LastValues,
     metrics: Arc<Metrics>,
-) -> anyhow::Result<zenoh::query::Queryable<()>> {
-    let key = topic::plane(prefix, "**");
-    let prefix = prefix.to_owned();
-    session
-        .declare_queryable(key.clone())
-        .complete(true)
-        .callback(move |query| {
-            metrics.queries.inc();
-            match query.parameters().get("cmd") {
-                Some(cmd) => forward_command(&prefix, cmd.to_owned(), query, &queue),
-                None => answer_last(&query, &last),
-            }
-        })
-        .await
-        .map_err(|e| anyhow!("cannot answer queries on {key:?}: {e}"))
+) -> anyhow::Result<Vec<zenoh::query::Queryable<()>>> {
+    let mut queryables = Vec::new();
+    // A wildcard does not match a chunk that starts with @, so the daemon's own health needs a key of its own.
+    for below in ["**".to_owned(), format!("@daemon/{}/**", session.zid())] {
+        let key = topic::plane(prefix, &below);
+        let (prefix, queue, last, metrics) = (prefix.to_owned(), queue.clone(), last.clone(), metrics.clone());
+        let queryable = session
+            .declare_queryable(key.clone())
+            .complete(true)
+            .callback(move |query| {
+                metrics.queries.inc();
+                match query.parameters().get("cmd") {
+                    Some(cmd) => forward_command(&prefix, cmd.to_owned(), query, &queue),
+                    None => answer_last(&query, &last),
+                }
+            })
+            .await
+            .map_err(|e| anyhow!("cannot answer queries on {key:?}: {e}"))?;
+        queryables.push(queryable);
+    }
+    Ok(queryables)
 }
 
 fn answer_last(query: &Query, last: &LastValues) {
