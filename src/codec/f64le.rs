@@ -16,9 +16,13 @@ impl Codec for F64Le {
         matches!(media_type, "application/x-f64le" | "application/vnd.stictiond.f64le")
     }
 
-    /// Eight bytes of plain text are text: read as f64 they would be a value no plant sends.
+    /// Eight bytes that are not text. One value in three hundred looks like text by chance: it is taken for a value where
+    /// it is one that a plant may send, and no JSON.
     fn sniff(&self, payload: &[u8]) -> bool {
-        payload.len() == 8 && !payload.iter().all(|b| b.is_ascii_graphic() || b.is_ascii_whitespace())
+        let Ok(bytes) = <[u8; 8]>::try_from(payload) else { return false };
+        let text = payload.iter().all(|b| b.is_ascii_graphic() || b.is_ascii_whitespace());
+        let sent = (1e-6..1e12).contains(&f64::from_le_bytes(bytes).abs());
+        !text || sent && serde_json::from_slice::<serde::de::IgnoredAny>(payload).is_err()
     }
 
     fn decode(

@@ -175,6 +175,9 @@ mod tests {
         let ascii = *b"12.50000";
         assert_eq!(one(&ascii, None, Some("f64le")).0, "f64le");
         assert_eq!(one(&f64::NAN.to_le_bytes(), None, None), ("f64le", Value::Missing));
+        // 50.something whose bytes all happen to be printable.
+        let printable = *b"#)9k3.I@";
+        assert_eq!(one(&printable, None, None).0, "f64le");
     }
 
     #[test]

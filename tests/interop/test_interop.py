@@ -1,0 +1,398 @@
+"""stictiond seen from outside, by Zenoh and MCAP libraries that it shares no code with.
+
+Run by tests/interop/run.sh; the name of a test as an argument runs that one alone.
+"""
+
+import csv
+import json
+import math
+import struct
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter, defaultdict
+from datetime import datetime, timezone
+from pathlib import Path
+
+import zenoh
+from mcap.reader import make_reader
+
+from daemon import ROOT, Daemon, close_sessions, eventually, free_port, session, stictiond
+from plant import Loop
+
+PREFIX = "plant1/area1"
+PLANE = f"{PREFIX}/@stiction/v1"
+START_NS = 1_546_300_800 * 10**9  # 2019-01-01T00:00:00Z, a whole hop
+SCANS = 1900
+HOP_S = 300
+
+BUSY = f"""
+[window]
+hop_s = {HOP_S}
+lateness_s = 3
+[alarm]
+raise = [2, 3]
+[input.modes]
+1 = "auto"
+2 = "manual"
+[[loop]]
+name = "FIC101"
+op_range = [0, 100]
+[[loop]]
+name = "PIC103"
+op = "gateway/opc/PIC103.MV"
+pv = "gateway/opc/PIC103.PV"
+mode = "gateway/opc/PIC103.MODE"
+"""
+
+ESTIMATE = {
+    "schema": str, "loop": str, "window": dict, "oscillation": dict, "verdict": str, "contributing": list,
+    "stiction": (bool, None), "p_stiction": (float, None), "confidence": (float, None), "gates": list,
+    "grade": (str, None), "fs": (float, None), "fd": (float, None), "s": (float, None), "j": (float, None),
+    "fs_interval": (list, None), "fd_interval": (list, None), "s_interval": (list, None), "j_interval": (list, None),
+    "interval_level": (float, None), "j_identifiable": (bool, None), "s_detectable": (float, None),
+    "stiction_index": (float, None), "s_over_span": (float, None), "region": (str, None), "strength": (str, None),
+    "severity": (str, None), "valve_model": (str, None), "process": (dict, None), "controller": (dict, None),
+    "witnesses": list, "elapsed_ms": (None,), "version": str, "config_hash": str,
+}
+WINDOW = {"start_ns": int, "end_ns": int, "samples": int, "ts_s": float}
+OSCILLATION = {
+    "oscillating": bool, "period_s": (float, None), "periods": (float, None), "samples_per_period": (float, None),
+    "regularity": (float, None),
+}
+PROCESS = {
+    "order": int, "gain": float, "time_constants_s": list, "dead_time_s": float, "integrating": bool, "mse": float,
+    "fit_pct": float,
+}
+ALARM = {
+    "schema": str, "loop": str, "alarm": str, "state": str, "active": bool, "severity": (str, None), "ne107": str,
+    "raised_ns": (int, None), "changed_ns": int, "by": (str, None), "why": str, "window_end_ns": (int, None),
+}
+VERDICTS = {"stiction", "deadband", "disturbance", "tuning", "no_oscillation", "no_stiction", "inconclusive"}
+
+
+def check_fields(document, fields, where):
+    for name, kinds in fields.items():
+        assert name in document, f"{where}: no field {name}"
+        value = document[name]
+        kinds = kinds if isinstance(kinds, tuple) else (kinds,)
+        fits = any(
+            value is None if kind is None
+            else isinstance(value, (int, float)) and not isinstance(value, bool) if kind is float
+            else isinstance(value, kind) and (kind is bool or not isinstance(value, bool))
+            for kind in kinds
+        )
+        assert fits, f"{where}: {name} is {value!r}"
+
+
+def check_estimate(document):
+    where = f"estimate of {document.get('loop')}"
+    check_fields(document, ESTIMATE, where)
+    check_fields(document["window"], WINDOW, where)
+    check_fields(document["oscillation"], OSCILLATION, where)
+    if document["process"] is not None:
+        check_fields(document["process"], PROCESS, where)
+    assert document["schema"] == "stictiond.estimate.v1"
+    assert document["verdict"] in VERDICTS
+    truth = {"stiction": True, "deadband": True, "inconclusive": None}
+    assert document["stiction"] is truth.get(document["verdict"], False)
+    assert document["window"]["end_ns"] % (HOP_S * 10**9) == 0
+
+
+def objects(values, quality=0):
+    return [(json.dumps({"t": START_NS + k * 10**9, "v": v, "q": quality}), None) for k, v in enumerate(values)]
+
+
+def interleaved(bus, keys, columns, encoding=zenoh.Encoding.APPLICATION_JSON):
+    """Several signals scan by scan (or batch by batch), as a gateway sends them."""
+    publishers = [
+        bus.declare_publisher(key, encoding=encoding, congestion_control=zenoh.CongestionControl.BLOCK) for key in keys
+    ]
+    for publisher in publishers:
+        eventually("a subscriber", lambda p=publisher: p.matching_status.matching, 20)
+    for rows in zip(*columns):
+        for publisher, (payload, timestamp) in zip(publishers, rows):
+            publisher.put(payload, timestamp=timestamp)
+
+
+def batches(values, size, rfc3339=False):
+    def stamp(k):
+        t = START_NS + k * 10**9
+        return datetime.fromtimestamp(t // 10**9, timezone.utc).strftime("%Y-%m-%dT%H:%M:%SZ") if rfc3339 else t
+
+    each = [{"t": stamp(k), "v": v} for k, v in enumerate(values)]
+    return [(json.dumps(each[k : k + size]), None) for k in range(0, len(each), size)]
+
+
+def raw(values):
+    """Little-endian f64; the time travels as the Zenoh timestamp."""
+    zid = bytes(16 - 1) + b"\x07"
+    start = START_NS // 10**9
+    return [
+        (struct.pack("<d", v), zenoh.Timestamp(datetime.fromtimestamp(start + k, timezone.utc), zid[::-1]))
+        for k, v in enumerate(values)
+    ]
+
+
+class Heard:
+    """Everything that the daemon publishes."""
+
+    def __init__(self, bus):
+        self.by_key = defaultdict(list)
+        self.encodings = Counter()
+        # A wildcard never matches a chunk that starts with @.
+        self.subscribers = [bus.declare_subscriber(f"{PLANE}/{k}", self.take) for k in ("**", "@daemon/*/health")]
+
+    def take(self, sample):
+        self.by_key[str(sample.key_expr)].append(json.loads(sample.payload.to_string()))
+        self.encodings[str(sample.encoding)] += 1
+
+    def estimates(self, loop):
+        return self.by_key[f"{PLANE}/{loop}/estimate"]
+
+
+def ask(bus, selector):
+    """Answers to a query: documents by key, and errors."""
+    good, bad = {}, []
+    for reply in bus.get(selector, timeout=5):
+        if reply.ok is not None:
+            good[str(reply.ok.key_expr)] = json.loads(reply.ok.payload.to_string())
+        else:
+            bad.append(reply.err.payload.to_string())
+    return good, bad
+
+
+def test_live_recorded_replayed(folder):
+    port = free_port()
+    sticking = Loop(fs=5.0, fd=2.0, seed=1).run(SCANS)
+    healthy = Loop(kc=0.3, ti_s=25.0, seed=2).run(SCANS)
+    disturbed = Loop(gain=1.5, tau_s=12.0, dead_time_s=4, ti_s=14.0, sine=3.0, seed=3).run(SCANS)
+    nested = Loop(fs=4.0, fd=1.5, seed=4).run(SCANS)
+    raw_loop = Loop(fs=4.5, fd=1.0, seed=5).run(SCANS)
+    shaky = Loop(fs=5.0, fd=2.0, seed=6).run(SCANS)
+    loops = ["FIC101", "TIC102", "PIC103", "unit2/FIC201", "FIC105", "FIC106"]
+    with Daemon(folder, PREFIX, f'[zenoh]\nlisten = ["tcp/127.0.0.1:{port}"]', BUSY) as daemon:
+        bus = session("peer", connect=[f"tcp/127.0.0.1:{port}"])
+        heard = Heard(bus)
+        time.sleep(0.5)
+
+        # One loop after the other, all from the same instant years ago, in every form there is.
+        fic101 = [f"{PREFIX}/FIC101/{s}" for s in ("op", "sp", "mode", "pv")]
+        interleaved(bus, fic101, [
+            objects(sticking.op), objects([61.0] * SCANS), objects(["AUTO"] * SCANS), objects(sticking.pv),
+        ])
+        interleaved(bus, [f"{PREFIX}/TIC102/{s}" for s in ("op", "pv")],
+                    [batches(healthy.op, 100), batches(healthy.pv, 100, rfc3339=True)])
+        pic103 = [f"gateway/opc/PIC103.{s}" for s in ("MV", "MODE", "PV")]
+        interleaved(bus, pic103, [objects(disturbed.op), objects([1] * SCANS), objects(disturbed.pv)])
+        interleaved(bus, [f"{PREFIX}/unit2/FIC201/{s}" for s in ("op", "pv")],
+                    [batches(nested.op, 1), batches(nested.pv, 1)])
+        interleaved(bus, [f"{PREFIX}/FIC105/{s}" for s in ("op", "pv")], [raw(raw_loop.op), raw(raw_loop.pv)], None)
+        # Every third value of PV is bad, and NaN besides: too many to judge.
+        bad = [
+            (json.dumps({"t": START_NS + k * 10**9, "v": v if k % 3 else math.nan, "q": 0 if k % 3 else 0x80000000}), None)
+            for k, v in enumerate(shaky.pv)
+        ]
+        interleaved(bus, [f"{PREFIX}/FIC106/{s}" for s in ("op", "pv")], [objects(shaky.op), bad])
+        interleaved(bus, [f"{PREFIX}/FIC107/op", f"{PREFIX}/FIC101/flow"], [[("not a number", None)], [("1.0", None)]])
+
+        wanted = SCANS // HOP_S
+        for loop in loops:
+            # The very first scan stands on a whole hop and makes a window of one sample.
+            eventually(f"{wanted} estimates of {loop}", lambda l=loop: len(heard.estimates(l)) >= wanted, 120)
+        for loop in loops:
+            for document in heard.estimates(loop):
+                check_estimate(document)
+                assert document["loop"] == loop
+            ends = [d["window"]["end_ns"] for d in heard.estimates(loop)]
+            assert ends == sorted(ends) and ends[-1] == START_NS + wanted * HOP_S * 10**9, (loop, ends)
+        verdicts = {loop: heard.estimates(loop)[-1]["verdict"] for loop in loops}
+        for loop in loops:
+            d = heard.estimates(loop)[-1]
+            print(f"    {loop}: {d['verdict']}, s {d['s']}, j {d['j']}, index {d['stiction_index']}, {d['gates']}")
+        for loop, truth in (("FIC101", 7.0), ("unit2/FIC201", 5.5), ("FIC105", 5.5)):
+            last = heard.estimates(loop)[-1]
+            assert last["verdict"] == "stiction" and last["stiction"] is True, (loop, last)
+            assert abs(last["s"] - truth) < 0.35 * truth, (loop, last["s"], truth)
+            assert 0 <= last["fd"] <= last["fs"] and last["stiction_index"] > 0.5
+        assert abs(heard.estimates("FIC101")[-1]["oscillation"]["period_s"] - 77) < 8
+        assert heard.estimates("FIC101")[-1]["severity"] == "strong"
+        assert heard.estimates("FIC105")[-1]["severity"] is None
+        for loop in ("TIC102", "PIC103"):
+            assert heard.estimates(loop)[-1]["stiction"] is False, heard.estimates(loop)[-1]
+        assert verdicts["FIC106"] == "inconclusive" and "bad_quality" in heard.estimates("FIC106")[-1]["gates"]
+        assert set(heard.encodings) == {
+            f"application/json;stictiond.{kind}.v1" for kind in ("estimate", "alarm", "health")
+        }, heard.encodings
+
+        # The alarm, its acknowledgement, and commands that are refused.
+        key = f"{PLANE}/FIC101/alarm"
+        raised = eventually("an alarm", lambda: heard.by_key[key])[0]
+        check_fields(raised, ALARM, key)
+        assert (raised["schema"], raised["state"], raised["active"]) == ("stictiond.alarm.v1", "unack", True), raised
+        assert raised["ne107"] == "M" and raised["by"] is None and raised["raised_ns"] % (HOP_S * 10**9) == 0
+        good, bad = ask(bus, f"{key}?cmd=ack;by=ann;why=seen")
+        assert not bad and good[key]["state"] == "acked" and good[key]["active"] is True, (good, bad)
+        assert (good[key]["by"], good[key]["why"]) == ("ann", "seen")
+        eventually("the acknowledgement on the bus", lambda: heard.by_key[key][-1]["state"] == "acked")
+        for selector in (
+            f"{key}?cmd=ack;by=ann", f"{key}?cmd=explode", f"{PLANE}/FIC999/alarm?cmd=ack",
+            f"{PLANE}/*/alarm?cmd=ack", f"{PLANE}/FIC101/estimate?cmd=ack",
+        ):
+            good, bad = ask(bus, selector)
+            assert not good and len(bad) == 1 and bad[0], (selector, good, bad)
+
+        # Last values.
+        good, bad = ask(bus, f"{PLANE}/*/estimate")
+        assert not bad and set(good) == {f"{PLANE}/{l}/estimate" for l in loops if "/" not in l}, (set(good), bad)
+        assert good[f"{PLANE}/FIC101/estimate"] == heard.estimates("FIC101")[-1]
+        good, _ = ask(bus, f"{PLANE}/unit2/FIC201/estimate")
+        assert len(good) == 1
+        assert ask(bus, f"{PLANE}/FIC999/estimate") == ({}, [])
+        assert ask(bus, f"{PREFIX}/**") == ({}, [])  # plant wildcards never meet the daemon's plane
+
+        # Health and liveliness.
+        tokens = [str(r.ok.key_expr) for r in bus.liveliness().get(f"{PLANE}/@daemon/*", timeout=5)]
+        assert len(tokens) == 1, tokens
+        health_key = f"{tokens[0]}/health"
+        eventually("health with everything counted", lambda: heard.by_key[health_key]
+                   and heard.by_key[health_key][-1]["counters"]["undecodable"] == 1, 20)
+        health = heard.by_key[health_key][-1]
+        assert health["schema"] == "stictiond.health.v1" and health["loops"] == len(loops) + 1, health
+        assert health["counters"]["foreign_keys"] == 1 and health["counters"]["dropped_input"] == 0, health
+        assert health["faults"] == [] and {q["name"] for q in health["queues"]} >= {"input", "recorder"}, health
+        good, _ = ask(bus, health_key)
+        assert good[health_key]["daemon"] == health["daemon"] and tokens[0].endswith(health["daemon"])
+        assert daemon.healthz()["config_hash"] == health["config_hash"]
+        eventually("health of a loop", lambda: heard.by_key[f"{PLANE}/FIC106/health"], 70)
+        of_loop = heard.by_key[f"{PLANE}/FIC106/health"][-1]
+        check_fields(of_loop, {"schema": str, "loop": str, "data_age_s": float, "gaps": int, "dropped": int}, "health")
+        text = daemon.get("/metrics")
+        assert "stictiond_estimates_total" in text and text.rstrip().endswith("# EOF")
+        samples = int(next(l for l in text.splitlines() if l.startswith("stictiond_samples_total")).split()[1])
+        assert samples == SCANS * (4 + 2 + 3 + 2 + 2 + 2), samples
+
+        alarms_heard = len(heard.by_key[key])
+        took = daemon.stop()
+        assert took < 5, f"{took:.1f} s to stop"
+        bus.close()
+    check_recording(daemon, sticking, heard, alarms_heard)
+
+
+def check_recording(daemon, sticking, heard, alarms_heard):
+    files = sorted(daemon.recordings.iterdir())
+    assert files and all(f.suffix == ".mcap" and f.is_file() for f in files), files
+    counts, op, estimates, alarms = Counter(), [], [], []
+    for index, path in enumerate(files):
+        with path.open("rb") as file:
+            reader = make_reader(file)
+            records = {m.name: m.metadata for m in reader.iter_metadata()}
+            (metadata,) = [m for m in records.values() if "run_id" in m]
+            for name in ("config", "version", "config_hash", "run_id", "file_index", "previous"):
+                assert name in metadata, (name, sorted(metadata))
+            assert metadata["config"] == daemon.config.read_text() and metadata["file_index"] == str(index)
+            assert bool(metadata["previous"]) == (index > 0)
+            summary = reader.get_summary()
+            assert summary is not None and all(c.compression == "zstd" for c in summary.chunk_indexes)
+            for schema, channel, message in reader.iter_messages(log_time_order=False):
+                assert channel.message_encoding == "json" and schema.encoding == "jsonschema", channel
+                assert json.loads(schema.data)["type"] == "object"
+                counts[channel.topic] += 1
+                document = json.loads(message.data)
+                if channel.topic == f"{PREFIX}/FIC101/op":
+                    op.append((message.publish_time, document["v"]))
+                    assert message.log_time > START_NS + 10**17 and document["t"] == message.publish_time
+                if channel.topic == f"{PLANE}/FIC101/estimate":
+                    estimates.append(document)
+                if channel.topic == f"{PLANE}/FIC101/alarm":
+                    alarms.append(document)
+    raw = {f"{PREFIX}/FIC101/{s}" for s in ("op", "sp", "mode", "pv")}
+    raw |= {f"{PREFIX}/PIC103/{s}" for s in ("op", "mode", "pv")}
+    raw |= {f"{PREFIX}/{l}/{s}" for l in ("TIC102", "unit2/FIC201", "FIC105", "FIC106") for s in ("op", "pv")}
+    for topic in raw:
+        assert counts[topic] == SCANS, (topic, counts[topic])
+    for topic in set(counts) - raw:
+        assert topic.startswith(f"{PLANE}/"), topic
+    assert op == [(START_NS + k * 10**9, v) for k, v in enumerate(sticking.op)], "values as sent"
+    assert estimates == heard.estimates("FIC101")
+    assert alarms == heard.by_key[f"{PLANE}/FIC101/alarm"] and len(alarms) == alarms_heard
+    code, out, err = stictiond("replay", daemon.recordings, "--verify")
+    assert code == 0, (code, out, err)
+    print("   ", out.strip())
+
+
+def test_waits_for_a_router_and_comes_back_to_it(folder):
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    config = f'[zenoh]\nmode = "client"\nconnect = ["{endpoint}"]'
+    with Daemon(folder, PREFIX, config, "[window]\nhop_s = 60\n") as daemon:
+        time.sleep(3)
+        sent = 0
+        for life in range(2):
+            router = session("router", listen=[endpoint])
+            values = [50.0 + math.sin(k / 7) for k in range(100)]
+            began = time.monotonic()
+            shift = [
+                (json.dumps({"t": START_NS + (life * 1000 + k) * 10**9, "v": v}), None) for k, v in enumerate(values)
+            ]
+            interleaved(router, [f"{PREFIX}/FIC101/op"], [shift])
+            print(f"    life {life + 1} of the router: data taken after {time.monotonic() - began:.1f} s")
+            sent += len(values)
+            eventually(
+                "every sample",
+                lambda: (daemon.healthz()["counters"].get("samples", 0)) == sent, 20,
+            )
+            eventually("an answer by way of the router", lambda: list(ask(router, f"{PLANE}/@daemon/*/health")[0]), 20)
+            router.close()
+            time.sleep(1)
+        assert daemon.stop() < 5
+
+
+def test_stops_without_its_router(folder):
+    config = f'[zenoh]\nmode = "client"\nconnect = ["tcp/127.0.0.1:{free_port()}"]'
+    with Daemon(folder, PREFIX, config) as daemon:
+        time.sleep(1)
+        assert daemon.stop() < 5
+    assert all(f.suffix == ".mcap" for f in daemon.recordings.iterdir())
+
+
+def test_the_example_gateway(folder):
+    port = free_port()
+    loop = Loop(fs=5.0, fd=2.0, seed=9).run(700)
+    table = Path(folder) / "fic101.csv"
+    with table.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(["t", "op", "pv", "mode"])
+        rows = zip(loop.op, loop.pv)
+        writer.writerows([f"{START_NS // 10**9 + k}.5", op, pv, "auto" if k == 0 else ""] for k, (op, pv) in enumerate(rows))
+    config = f'[zenoh]\nlisten = ["tcp/127.0.0.1:{port}"]'
+    with Daemon(folder, PREFIX, config, "[window]\nhop_s = 300\n") as daemon:
+        done = subprocess.run(
+            [sys.executable, ROOT / "examples" / "gateway.py", f"tcp/127.0.0.1:{port}", PREFIX, f"FIC101={table}"],
+            capture_output=True, text=True, timeout=60,
+        )
+        assert done.returncode == 0, done.stderr
+        eventually("every sample", lambda: daemon.healthz()["counters"].get("samples") == 1401, 20)
+        eventually("two windows", lambda: daemon.healthz()["counters"]["estimates"] == 2, 60)
+        assert daemon.stop() < 5
+
+
+def main():
+    wanted = sys.argv[1:]
+    tests = {name: test for name, test in globals().items() if name.startswith("test_")}
+    assert not set(wanted) - set(tests), f"tests: {', '.join(tests)}"
+    for name, test in tests.items():
+        if wanted and name not in wanted:
+            continue
+        started = time.monotonic()
+        print(f"{name} ...", flush=True)
+        with tempfile.TemporaryDirectory(prefix="stictiond-interop-") as folder:
+            try:
+                test(folder)
+            finally:
+                close_sessions()
+        print(f"{name} ok ({time.monotonic() - started:.1f} s)", flush=True)
+
+
+if __name__ == "__main__":
+    main()
