@@ -61,13 +61,22 @@ pub async fn run(
     let metrics = Arc::new(Metrics::default());
     let recordings = Path::new(&config.recording.dir).to_owned();
     let alarms = restore::alarms_of_last_run(&recordings, &config.site.prefix);
-    let session = source::zenoh::open(&config).await?;
-    let daemon_id = session.zid().to_string();
-    let snapshot = HealthSnapshot::new(RwLock::new((
-        Instant::now(),
-        Arc::new(DaemonHealth::starting(&daemon_id, &config.hash())),
-    )));
+    let starting = |id: &str| (Instant::now(), Arc::new(DaemonHealth::starting(id, &config.hash())));
+    let snapshot = HealthSnapshot::new(RwLock::new(starting("")));
     let web = crate::web::serve(&config.web, metrics.clone(), snapshot.clone()).await?;
+    tokio::pin!(stop);
+    // A client's session opens once its router is there, which may be never.
+    let session = tokio::select! {
+        opened = source::zenoh::open(&config) => opened?,
+        () = &mut stop => {
+            web.stop();
+            return Ok(());
+        }
+    };
+    let daemon_id = session.zid().to_string();
+    if let Ok(mut snapshot) = snapshot.write() {
+        *snapshot = starting(&daemon_id);
+    }
 
     let last = source::zenoh::LastValues::default();
     let (queue, incoming) = crossbeam_channel::bounded(config.input.queue);

@@ -62,7 +62,9 @@ pub fn session_config(config: &Config) -> anyhow::Result<zenoh::Config> {
 /// With the endpoints in the message.
 pub async fn open(config: &Config) -> anyhow::Result<zenoh::Session> {
     let session = session_config(config)?;
-    zenoh::open(session).await.map_err(|e| anyhow!("{e}")).with_context(|| {
+    // Opening blocks until a client's router is there: on a thread of its own it can be given up.
+    let opened = tokio::task::spawn_blocking(|| zenoh::open(session).wait()).await?;
+    opened.map_err(|e| anyhow!("{e}")).with_context(|| {
         format!("Zenoh cannot start (listen {:?}, connect {:?})", config.zenoh.listen, config.zenoh.connect)
     })
 }
@@ -137,8 +139,9 @@ pub async fn answer_queries(
     metrics: Arc<Metrics>,
 ) -> anyhow::Result<Vec<zenoh::query::Queryable<()>>> {
     let mut queryables = Vec::new();
-    // No wildcard matches the verbatim chunk of the daemon's own health.
-    for key in [topic::plane(prefix, "**"), topic::plane(prefix, "@daemon/**")] {
+    // No wildcard matches the verbatim chunk of the daemon's own health; another daemon's is not ours to answer.
+    let own = format!("@daemon/{}/**", session.zid());
+    for key in [topic::plane(prefix, "**"), topic::plane(prefix, &own)] {
         let (prefix, queue) = (prefix.to_owned(), queue.clone());
         let (last, metrics) = (last.clone(), metrics.clone());
         let answer = move |query: Query| {
