@@ -70,11 +70,16 @@ class Daemon:
 
     def __enter__(self):
         self.process = subprocess.Popen(
-            [PROGRAM, "run", "--config", self.config], stderr=subprocess.PIPE, text=True, cwd=ROOT,
+            [PROGRAM, "run", "--config", self.config], stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, cwd=ROOT,
             env={**os.environ, "RUST_LOG": os.environ.get("RUST_LOG", "info,zenoh=error")},
         )
         threading.Thread(target=lambda: self.log.extend(self.process.stderr), daemon=True).start()
-        eventually("the web server", self.healthz)
+        try:
+            eventually("the web server", self.healthz)
+        except AssertionError as error:
+            self.__exit__(type(error))
+            raise
         return self
 
     def __exit__(self, kind, *_):

@@ -353,7 +353,7 @@ def test_stops_without_its_router(folder):
     with Daemon(folder, PREFIX, config) as daemon:
         time.sleep(1)
         assert daemon.stop() < 5
-    assert all(f.suffix == ".mcap" for f in daemon.recordings.iterdir())
+    assert all(f.suffix == ".mcap" for f in daemon.recordings.glob("*"))
 
 
 def test_the_example_gateway(folder):
