@@ -25,7 +25,8 @@ pub fn assess(record: &Record, params: &AssessParams) -> Assessment {
     let found = oscillation::detect(&op, &record.pv);
     let oscillation = describe(found.as_ref(), record);
     let gates = gates(record, &oscillation, params);
-    let mut out = empty(record, oscillation, gates);
+    let window = Window::of(record);
+    let mut out = Assessment { gates, interval_level: Some(INTERVAL_LEVEL), ..Assessment::empty(window, oscillation) };
     if out.gates.iter().any(|g| g.blocks()) {
         return out;
     }
@@ -83,49 +84,6 @@ fn reversals(op: &[f64]) -> usize {
         }
     }
     count
-}
-
-/// The assessment of a window that says nothing yet.
-fn empty(record: &Record, oscillation: Oscillation, gates: Vec<Gate>) -> Assessment {
-    Assessment {
-        window: Window {
-            start_ns: record.start_ns,
-            end_ns: record.end_ns,
-            samples: record.raw_samples,
-            ts_s: record.ts_s,
-            box_samples: record.box_samples,
-        },
-        oscillation,
-        verdict: Verdict::Inconclusive,
-        contributing: Vec::new(),
-        stiction: None,
-        p_stiction: None,
-        confidence: None,
-        gates,
-        grade: Some('D'),
-        fs: None,
-        fd: None,
-        s: None,
-        j: None,
-        fs_interval: None,
-        fd_interval: None,
-        s_interval: None,
-        j_interval: None,
-        interval_level: Some(INTERVAL_LEVEL),
-        j_identifiable: None,
-        s_detectable: None,
-        stiction_index: None,
-        s_over_span: None,
-        region: None,
-        strength: None,
-        severity: None,
-        valve_model: None,
-        process: None,
-        controller: None,
-        witnesses: Vec::new(),
-        search: None,
-        elapsed_ms: None,
-    }
 }
 
 fn fill(out: &mut Assessment, e: &Estimate, record: &Record, params: &AssessParams) {
