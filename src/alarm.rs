@@ -192,8 +192,9 @@ impl Alarm {
         self.history_for = (self.history_for << 1 | u32::from(evidence == Evidence::For)) & mask;
         self.history_against = (self.history_against << 1 | u32::from(evidence == Evidence::Against)) & mask;
         let class = a.severity.or(a.strength);
-        if !self.active && self.history_for.count_ones() >= m {
+        if !self.active && evidence == Evidence::For && self.history_for.count_ones() >= m {
             self.active = true;
+            self.history_against = 0;
             self.state = State::Unack;
             self.class = class.map(str::to_owned);
             self.raised_ns = Some(end_ns);
@@ -203,6 +204,7 @@ impl Alarm {
         }
         if self.active && self.history_against.count_ones() >= m {
             self.active = false;
+            self.history_for = 0;
             self.state = if self.state == State::Unack { State::RtnUnack } else { State::Normal };
             let why = format!("{} of the last {n} windows show no stiction", self.history_against.count_ones());
             let document = self.document(loop_name, end_ns, None, why);
@@ -251,6 +253,12 @@ impl Alarm {
         };
         let why = c.why.clone().unwrap_or_else(|| "acknowledged".to_owned());
         Ok(self.document(loop_name, at_ns, c.by.clone(), why))
+    }
+
+    /// End of the last window that was taken.
+    #[must_use]
+    pub const fn window_end_ns(&self) -> Option<i64> {
+        self.window_end_ns
     }
 
     /// The alarm as it stands, after a restart.
@@ -341,6 +349,19 @@ mod tests {
         assert!(matches!(alarm.command("L", &unknown, 5), Err(CommandError::Unknown(_))));
         assert!(run(&mut alarm, &[(Verdict::Stiction, 0.9); 10]).is_empty());
         assert_eq!(run(&mut alarm, &[(Verdict::Stiction, 0.7); 4]), [State::Normal]);
+    }
+
+    #[test]
+    fn one_of_three_does_not_flap() {
+        let params = AlarmParams { raise: [1, 3], s_limit_op: 1.0 };
+        let mut alarm = Alarm::default();
+        let mut changes = Vec::new();
+        for (k, verdict) in
+            [Verdict::Stiction, Verdict::Tuning, Verdict::Tuning, Verdict::Tuning].into_iter().enumerate()
+        {
+            changes.extend(alarm.window("L", &assessment(k as i64, verdict, 2.0, "weak"), &params).map(|d| d.state));
+        }
+        assert_eq!(changes, [State::Unack, State::RtnUnack]);
     }
 
     #[test]

@@ -236,23 +236,23 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
         );
     }
     let hash = config.hash();
-    let mut failed = 0;
+    let mut done = 0;
     for one in &chosen {
         let points = Points::of(one, &config);
         let ranges: Vec<Option<(usize, usize)>> =
             if args.samples.is_empty() { vec![None] } else { args.samples.iter().copied().map(Some).collect() };
         for range in ranges {
             match estimate(args, one, &points, range) {
-                Ok(assessment) => print(&EstimateDocument::new(&one.name, &hash, assessment), format)?,
-                Err(error) if chosen.len() > 1 => {
-                    failed += 1;
-                    tracing::warn!("{error:#}");
+                Ok(assessment) => {
+                    done += 1;
+                    print(&EstimateDocument::new(&one.name, &hash, assessment), format)?;
                 }
+                Err(error) if chosen.len() > 1 => tracing::warn!("{error:#}"),
                 Err(error) => return Err(error),
             }
         }
     }
-    if failed == chosen.len() {
+    if done == 0 {
         bail!("{}: no loop could be analysed", args.input.display());
     }
     Ok(if loaded.data_loss { Outcome::DataLoss } else { Outcome::Done })

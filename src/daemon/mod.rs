@@ -16,6 +16,7 @@ pub mod restore;
 mod routes;
 mod worker;
 
+use std::collections::BTreeMap;
 use std::future::Future;
 use std::path::Path;
 use std::sync::{Arc, RwLock};
@@ -60,7 +61,12 @@ pub async fn run(
 ) -> anyhow::Result<()> {
     let metrics = Arc::new(Metrics::default());
     let recordings = Path::new(&config.recording.dir).to_owned();
-    let alarms = restore::alarms_of_last_run(&recordings, &config.site.prefix);
+    // A demonstration starts afresh.
+    let mut alarms = match options.origin {
+        "run" => restore::alarms_of_last_run(&recordings, &config.site.prefix),
+        _ => BTreeMap::new(),
+    };
+    alarms.retain(|name, _| config.input.discover || config.loop_named(name).is_some());
     let starting = |id: &str| (Instant::now(), Arc::new(DaemonHealth::starting(id, &config.hash())));
     let snapshot = HealthSnapshot::new(RwLock::new(starting("")));
     let web = crate::web::serve(&config.web, metrics.clone(), snapshot.clone()).await?;

@@ -4,7 +4,7 @@
 //! there. Skips and commands are obeyed where they stand. So whatever the workers' speed was, the engine sees the same
 //! inputs in the same order, and must say the same.
 
-use std::collections::{BTreeMap, HashMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow, bail};
@@ -225,12 +225,28 @@ fn heads(path: &Path, prefix: &str) -> anyhow::Result<BTreeMap<String, Option<i6
     Ok(heads)
 }
 
+/// The loops that a file holds samples of; the others have no window in it.
+fn loops_with_samples(path: &Path, prefix: &str) -> anyhow::Result<BTreeSet<String>> {
+    let mut reader = RecordingReader::open(path)?;
+    let mut loops = BTreeSet::new();
+    while let Some(message) = reader.next_message()? {
+        if let Some(Topic { loop_name, leaf: Leaf::Raw(_), .. }) = Topic::parse(Some(prefix), message.topic())
+            && !loops.contains(loop_name)
+        {
+            loops.insert(loop_name.to_owned());
+        }
+    }
+    Ok(loops)
+}
+
 /// The files that must be read before `path` so that its windows are complete, oldest first, `path` last.
 ///
 /// # Errors
 /// Names the file that is gone.
 pub fn files_needed(path: &Path, metadata: &RunMetadata) -> anyhow::Result<Vec<PathBuf>> {
-    let own = heads(path, &metadata.prefix)?;
+    let mut own = heads(path, &metadata.prefix)?;
+    let sampled = loops_with_samples(path, &metadata.prefix)?;
+    own.retain(|name, _| sampled.contains(name));
     let windows = metadata.config.loops.iter().map(|l| l.window).chain([metadata.config.window]);
     let reach_s = windows.map(|w| 1.05 * w.max_window_s + 2.0 * w.hop_s + w.lateness_s).fold(0.0, f64::max);
     let reach_ns = crate::units::ns_from_s(reach_s);
@@ -246,7 +262,8 @@ pub fn files_needed(path: &Path, metadata: &RunMetadata) -> anyhow::Result<Vec<P
         let earlier = heads(&file, &metadata.prefix)?;
         let far_enough =
             own.iter().filter_map(|(name, greatest)| greatest.map(|g| (name, g))).all(|(name, greatest)| {
-                earlier.get(name).copied().flatten().is_some_and(|g| greatest.saturating_sub(g) >= reach_ns)
+                // A loop that had not come yet needs nothing from before.
+                earlier.get(name).copied().flatten().is_none_or(|g| greatest.saturating_sub(g) >= reach_ns)
             });
         previous = RecordingReader::open(&file)?.metadata().get("previous").cloned().unwrap_or_default();
         files.push(file);

@@ -129,7 +129,8 @@ impl Loop {
     }
 
     pub fn command(&mut self, command: &Command) -> Result<AlarmDocument, CommandError> {
-        let at_ns = self.aligner.event_time_ns(&self.settings.align).unwrap_or(0);
+        let clock = self.aligner.event_time_ns(&self.settings.align);
+        let at_ns = clock.or(self.alarm.window_end_ns()).unwrap_or(0);
         self.alarm.command(&self.name, command, at_ns)
     }
 

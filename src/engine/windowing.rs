@@ -7,6 +7,8 @@ use crate::signal::align::Point;
 use crate::signal::history::{History, record_of};
 use crate::units::ns_from_s;
 
+/// Doublings between two looks: what oscillates too slowly for one is well within the next.
+const LEVEL_STEP: usize = 2;
 /// Most doublings of the box size that are tried when looking for slow oscillations.
 const MAX_LEVELS: usize = 24;
 
@@ -15,7 +17,7 @@ const MAX_LEVELS: usize = 24;
 pub(super) fn choose_record(history: &History, params: &WindowParams, end_ns: i64) -> Option<Record> {
     let oldest_ns = end_ns.saturating_sub(ns_from_s(params.max_window_s));
     let mut finest = None;
-    for level in 0..MAX_LEVELS {
+    for level in (0..MAX_LEVELS).step_by(LEVEL_STEP) {
         let record = history.latest(level, oldest_ns, end_ns)?;
         let whole = record.raw_samples as u64 >= history.total() || record.start_ns <= oldest_ns;
         let exhausted = whole || record.len() < params.max_points / 2;

@@ -15,15 +15,21 @@ use crate::units::{ns_from_s, s_from_ns};
 /// Intervals of the driver from which the sampling time is learnt.
 const LEARN_INTERVALS: usize = 16;
 /// Samples that may wait for their place before the oldest is taken regardless.
-const PENDING_LIMIT: usize = 512;
+const PENDING_LIMIT: usize = 4096;
+/// Samples that may wait while the sampling time is learnt from one of OP and PV alone.
+const LEARN_LIMIT: usize = 2048;
 /// Late samples in a row after which the plant's clock is taken to have been set back.
-const CLOCK_RESET_AFTER: usize = 16;
+const CLOCK_RESET_AFTER: usize = 256;
 /// Intervals in a row that contradict the sampling time before it is learnt anew.
 const RELEARN_AFTER: u8 = 16;
 /// OP values remembered between two points, for the points put in between.
 const OP_TRAIL_LIMIT: usize = 64;
-/// Sampling times for which one of OP and PV waits for the other: gateways send them in batches, one after the other.
-const PARTNER_PATIENCE: f64 = 128.0;
+/// Sampling times for which one of OP and PV waits for the other at least: gateways send them in batches, one after
+/// the other. Twice the longest lead seen counts if that is more, up to [`MAX_PATIENCE`], which also holds while one of
+/// them has never come.
+const MIN_PATIENCE: f64 = 128.0;
+/// The same at most.
+const MAX_PATIENCE: f64 = 2000.0;
 
 /// Convention of quality codes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -131,6 +137,8 @@ pub struct Aligner {
     greatest_ns: Option<i64>,
     /// Greatest stamps of OP and of PV.
     partners_ns: [Option<i64>; 2],
+    /// Longest lead of one of them over the other, ns.
+    lead_ns: i64,
     /// A break that the next sample taken gives out first.
     broken: bool,
     processed_ns: Option<i64>,
@@ -164,6 +172,7 @@ impl Aligner {
             late_run: Vec::new(),
             greatest_ns: None,
             partners_ns: [None; 2],
+            lead_ns: 0,
             broken: false,
             processed_ns: None,
             learnt: None,
@@ -284,14 +293,20 @@ impl Aligner {
             return;
         }
         self.counts.late += 1;
+        self.note_lead(&sample);
+        // A signal that only comes behind the others has not gone back itself.
+        if self.own_greatest(sample.signal).is_none_or(|own| sample.t_ns >= own) {
+            return;
+        }
         self.late_run.push(sample);
         if self.late_run.len() < CLOCK_RESET_AFTER {
             return;
         }
-        // A gateway that sends its backlog looks the same; then the newer stretch is lost, not the daemon.
+        // A gateway that sends a long backlog again looks the same; then the newer stretch is lost, not the daemon.
         let run = std::mem::take(&mut self.late_run);
         let counts = AlignCounts { clock_resets: self.counts.clock_resets + 1, ..self.counts };
-        *self = Self { counts, broken: true, ..Self::new() };
+        let (sp, mv, mode, lead_ns) = (self.sp, self.mv, self.mode, self.lead_ns);
+        *self = Self { counts, broken: true, sp, mv, mode, lead_ns, ..Self::new() };
         for sample in run {
             self.push(sample, params);
         }
@@ -299,10 +314,7 @@ impl Aligner {
 
     fn insert(&mut self, sample: Sample) {
         self.greatest_ns = Some(self.greatest_ns.map_or(sample.t_ns, |g| g.max(sample.t_ns)));
-        if let Some(partner) = [Signal::Op, Signal::Pv].iter().position(|s| *s == sample.signal) {
-            let greatest = &mut self.partners_ns[partner];
-            *greatest = Some(greatest.map_or(sample.t_ns, |g| g.max(sample.t_ns)));
-        }
+        self.note_lead(&sample);
         let key = (sample.t_ns, sample.signal);
         let place = self.pending.partition_point(|s| (s.t_ns, s.signal) < key);
         if self.pending.get(place).is_some_and(|s| (s.t_ns, s.signal) == key) {
@@ -310,6 +322,35 @@ impl Aligner {
             return;
         }
         self.pending.insert(place, sample);
+    }
+
+    /// The greatest stamp of OP or PV; for other signals that of all.
+    fn own_greatest(&self, signal: Signal) -> Option<i64> {
+        match signal {
+            Signal::Op => self.partners_ns[0],
+            Signal::Pv => self.partners_ns[1],
+            _ => self.greatest_ns,
+        }
+    }
+
+    /// Keeps how far OP and PV have come, and how far one ran ahead before the other moved on.
+    fn note_lead(&mut self, sample: &Sample) {
+        let Some(own) = [Signal::Op, Signal::Pv].iter().position(|s| *s == sample.signal) else { return };
+        if self.partners_ns[own].is_none_or(|own| sample.t_ns > own) {
+            if let Some(other) = self.partners_ns[1 - own] {
+                self.lead_ns = self.lead_ns.max(other.saturating_sub(sample.t_ns));
+            }
+            self.partners_ns[own] = Some(sample.t_ns);
+        }
+    }
+
+    /// How long one of OP and PV waits for the other.
+    fn patience_ns(&self) -> i64 {
+        let beats = |n: f64| ns_from_s(n * self.learnt.map_or(0.0, |(ts_s, _)| ts_s));
+        if self.partners_ns.contains(&None) {
+            return beats(MAX_PATIENCE);
+        }
+        self.lead_ns.saturating_mul(2).clamp(beats(MIN_PATIENCE), beats(MAX_PATIENCE))
     }
 
     /// Ends the input: whatever waits may be taken.
@@ -328,7 +369,8 @@ impl Aligner {
         let overflow = self.pending.len() >= PENDING_LIMIT;
         if self.learnt.is_none() {
             let of = |signal| self.pending.iter().filter(|s| s.signal == signal).count();
-            if !overflow && of(Signal::Pv).max(of(Signal::Op)) <= LEARN_INTERVALS {
+            let (pv, op) = (of(Signal::Pv), of(Signal::Op));
+            if pv.min(op) <= LEARN_INTERVALS && (pv.max(op) <= LEARN_INTERVALS || self.pending.len() < LEARN_LIMIT) {
                 return None;
             }
             self.learn();
@@ -336,8 +378,7 @@ impl Aligner {
         let t_ns = self.pending.front()?.t_ns;
         let event_time = self.event_time_ns(params)?;
         let partner = self.partners_ns[0].min(self.partners_ns[1]);
-        let patience_ns = ns_from_s(PARTNER_PATIENCE * self.learnt.map_or(0.0, |(ts_s, _)| ts_s));
-        let joined = partner.is_some_and(|p| t_ns <= p) || t_ns <= event_time.saturating_sub(patience_ns);
+        let joined = partner.is_some_and(|p| t_ns <= p) || t_ns <= event_time.saturating_sub(self.patience_ns());
         if t_ns <= event_time && joined {
             return Some(t_ns);
         }
@@ -371,6 +412,9 @@ impl Aligner {
     /// Takes the next sample, if [`Self::next_ready_ns`] offered one, and gives out what it completes.
     pub fn take_next(&mut self, params: &AlignParams, out: &mut impl FnMut(Aligned)) {
         let Some(sample) = self.pending.pop_front() else { return };
+        if self.pending.len() < 32 && self.pending.capacity() > 512 {
+            self.pending.shrink_to(64);
+        }
         if std::mem::take(&mut self.broken) {
             out(Aligned::Break);
         }

@@ -41,13 +41,27 @@ fn disorder_within_the_lateness_changes_nothing() {
 
 #[test]
 fn op_and_pv_in_batches_are_joined() {
-    let ordered = scan(300);
-    let mut batched = Vec::new();
-    for chunk in ordered.chunks(120) {
-        batched.extend(chunk.iter().filter(|s| s.signal == Signal::Op));
-        batched.extend(chunk.iter().filter(|s| s.signal == Signal::Pv));
+    let ordered = scan(3000);
+    for samples_in_batch in [60, 300, 900] {
+        let mut batched = Vec::new();
+        for chunk in ordered.chunks(2 * samples_in_batch) {
+            batched.extend(chunk.iter().filter(|s| s.signal == Signal::Op));
+            batched.extend(chunk.iter().filter(|s| s.signal == Signal::Pv));
+        }
+        let (stretches, counts) = align_all(&batched, &params());
+        assert_eq!((counts.late, counts.clock_resets), (0, 0), "{samples_in_batch}");
+        assert_eq!(align_all(&ordered, &params()).0, stretches);
     }
-    assert_eq!(align_all(&ordered, &params()).0, align_all(&batched, &params()).0);
+}
+
+#[test]
+fn a_batch_that_is_sent_again_changes_nothing() {
+    let ordered = scan(400);
+    let mut again = ordered.clone();
+    again.splice(600..600, ordered[400..500].iter().copied());
+    let (stretches, counts) = align_all(&again, &params());
+    assert_eq!((counts.clock_resets, counts.late + counts.duplicates), (0, 100));
+    assert_eq!(stretches, align_all(&ordered, &params()).0);
 }
 
 #[test]
@@ -76,10 +90,10 @@ fn one_stamp_from_the_future_is_dropped_and_a_new_clock_is_believed() {
 fn a_clock_that_was_set_back_starts_a_new_stretch() {
     let mut samples: Vec<Sample> =
         scan(100).into_iter().map(|s| Sample { t_ns: s.t_ns + 1_000_000 * NS_PER_S, ..s }).collect();
-    samples.extend(scan(100));
+    samples.extend(scan(300));
     let (stretches, counts) = align_all(&samples, &params());
     assert_eq!((stretches.len(), counts.clock_resets), (2, 1));
-    assert_eq!(stretches[1].len(), 100);
+    assert_eq!(stretches[1].len(), 300);
 }
 
 #[test]

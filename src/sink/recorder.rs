@@ -191,7 +191,8 @@ struct Shard {
     index: u32,
     previous: String,
     opened: Instant,
-    asked: bool,
+    /// When a new file was last asked for.
+    asked: Option<Instant>,
     retry_at: Option<Instant>,
     topics: BTreeMap<(u32, Kind, Option<Signal>), String>,
 }
@@ -298,7 +299,7 @@ impl Writer {
                 index: 0,
                 previous: String::new(),
                 opened: Instant::now(),
-                asked: false,
+                asked: None,
                 retry_at: None,
                 topics: BTreeMap::new(),
             });
@@ -314,7 +315,7 @@ impl Writer {
                 shard.previous = format!("{stem}.mcap");
                 shard.index += 1;
                 shard.opened = Instant::now();
-                shard.asked = false;
+                shard.asked = None;
                 shard.retry_at = None;
                 self.metrics.recording_files.inc();
             }
@@ -327,6 +328,11 @@ impl Writer {
             if let Err(error) = file.write(&topic, Kind::State, at_ns, at_ns, json) {
                 return self.fail(index, &error.to_string());
             }
+        }
+        // The states must outlive a crash in the first second, or the next start would find none.
+        let flushed = self.shards[index].file.as_mut().map_or(Ok(()), RecordingFile::flush);
+        if let Err(error) = flushed {
+            self.fail(index, &error.to_string());
         }
     }
 
@@ -346,8 +352,9 @@ impl Writer {
             if let Some(file) = &mut shard.file {
                 failure = file.flush().err();
                 let full = file.bytes_written() >= self.max_bytes || shard.opened.elapsed() >= self.max_age;
-                if full && !shard.asked {
-                    shard.asked = true;
+                // Asked again after a while: the answer may have found no place in the queue.
+                if full && shard.asked.is_none_or(|at| at.elapsed() > RETRY) {
+                    shard.asked = Some(Instant::now());
                     let _ = self.wanted.send(index);
                 }
             } else if retry {

@@ -151,7 +151,7 @@ pub async fn answer_queries(
                 None => answer_last(&query, &last),
             }
         };
-        let queryable = session.declare_queryable(key.clone()).complete(true).callback(answer).await;
+        let queryable = session.declare_queryable(key.clone()).callback(answer).await;
         queryables.push(queryable.map_err(|e| anyhow!("cannot answer queries on {key:?}: {e}"))?);
     }
     Ok(queryables)

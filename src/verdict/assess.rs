@@ -1,6 +1,6 @@
 //! One record in, one assessment out.
 
-use super::document::{Assessment, Gate, Oscillation, Process, Search, Verdict, Window};
+use super::document::{Assessment, Oscillation, Process, Search, Window};
 use super::gates::gates;
 use super::judge::judge;
 use super::params::AssessParams;
