@@ -384,7 +384,15 @@ fn read_loops(
         if loops.iter().any(|l| l.name == entry.name) {
             r.refuse(line, "name", format!("{:?} stands twice", entry.name), "give each loop a name of its own");
         }
-        for (signal, key) in &entry.keys {
+        for (index, (signal, key)) in entry.keys.iter().enumerate() {
+            let chunks = key.split('/').all(|chunk| !chunk.is_empty());
+            if !chunks || key.contains(['*', '$', '?', '#']) {
+                let remedy = "write one whole key, such as gateway/opc/FIC101.PV";
+                r.refuse(line, signal.name(), format!("{key:?} is no key: empty chunk or wildcard"), remedy);
+            }
+            if entry.keys[..index].iter().any(|(_, other)| other == key) {
+                r.refuse(line, signal.name(), format!("{key:?} stands twice in this loop"), "map each key once");
+            }
             if let Some(other) = loops.iter().find(|l| l.keys.iter().any(|(_, k)| k == key)) {
                 let message = format!("{key:?} is already mapped for loop {:?}", other.name);
                 r.refuse(line, signal.name(), message, "map each key once");

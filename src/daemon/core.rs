@@ -28,8 +28,8 @@ use crate::source::{Incoming, Message};
 const BATCH: usize = 256;
 /// How often the daemon's health is published.
 const HEALTH_EVERY: Duration = Duration::from_secs(5);
-/// How often every loop's health is published.
-const LOOP_HEALTH_EVERY: Duration = Duration::from_secs(60);
+/// Reports over which the loops' own health is spread: each loop's comes once a minute.
+const LOOP_HEALTH_SLICES: usize = 12;
 /// How long a stopping daemon still takes what had already arrived.
 const DRAIN: Duration = Duration::from_secs(1);
 
@@ -48,7 +48,8 @@ pub struct Core {
     snapshot: HealthSnapshot,
     daemon_id: String,
     started: Instant,
-    loop_health_due: Instant,
+    next_loop_health: usize,
+    losses: [u64; 4],
     opened_shards: usize,
     codec: String,
     input_limit: usize,
@@ -92,7 +93,8 @@ impl Core {
             snapshot: parts.snapshot,
             daemon_id: parts.daemon_id,
             started: Instant::now(),
-            loop_health_due: Instant::now(),
+            next_loop_health: 0,
+            losses: [0; 4],
             opened_shards: 0,
             warned_quality: false,
             events: Vec::new(),
@@ -138,6 +140,7 @@ impl Core {
             let Ok(message) = incoming.try_recv() else { break };
             self.take(message);
         }
+        self.metrics.dropped_input.inc_by(incoming.len() as u64);
         while let Ok(answered) = answers.try_recv() {
             self.answered(answered);
         }
@@ -231,7 +234,10 @@ impl Core {
     }
 
     fn answered(&mut self, answered: Answered) {
-        self.engine.complete(answered.id, answered.seq, answered.assessment, &mut self.events);
+        match answered.assessment {
+            Some(assessment) => self.engine.complete(answered.id, answered.seq, assessment, &mut self.events),
+            None => self.skip(answered.id, answered.seq, answered.end_ns, SkipReason::Failed),
+        }
         self.handle_events();
     }
 
@@ -319,18 +325,19 @@ impl Core {
     fn report(&mut self, input_waiting: usize) {
         let loops = self.engine.ids().len();
         self.metrics.loops.set(loops as i64);
+        self.report_losses();
         let now = now_ns();
-        let loop_health = Instant::now() >= self.loop_health_due;
+        // A slice of the loops at each call, so that thousands of documents never stand before an estimate.
+        let slice = loops.div_ceil(LOOP_HEALTH_SLICES).max(1);
+        let from = self.next_loop_health;
+        self.next_loop_health = if from + slice >= loops { 0 } else { from + slice };
         let mut sum = AlignCounts::default();
         for id in self.engine.ids() {
             let figures = self.engine.figures(id);
             sum.add(&figures.counts);
-            if loop_health {
+            if (from..from + slice).contains(&id.index()) {
                 self.publish(id, Kind::Health, to_json(&LoopHealth::new(self.engine.name(id), &figures, now)));
             }
-        }
-        if loop_health {
-            self.loop_health_due = Instant::now() + LOOP_HEALTH_EVERY;
         }
         self.metrics.show_aligned(&sum);
         let health = self.health(loops, input_waiting);
@@ -341,6 +348,23 @@ impl Core {
         self.publisher.publish(Publication { key, kind: Kind::Health, document: to_json(&health) });
         if let Ok(mut snapshot) = self.snapshot.write() {
             *snapshot = (Instant::now(), Arc::new(health));
+        }
+    }
+
+    /// One line for what was lost since the last report: ERROR where data are gone, WARN where only a fit is.
+    fn report_losses(&mut self) {
+        let m = &self.metrics;
+        let now = [m.dropped_input.get(), m.dropped_output.get(), m.recording_lost.get(), m.fits_skipped.get()];
+        let [input, output, recording, fits] = std::array::from_fn(|i| now[i] - self.losses[i]);
+        self.losses = now;
+        if input + output + recording > 0 {
+            tracing::error!(input, output, recording, "messages were lost since the last report");
+        }
+        if fits > 0 {
+            tracing::warn!(
+                fits,
+                "windows got no fit since the last report: the machine was too busy or a fit broke off"
+            );
         }
     }
 

@@ -1,5 +1,7 @@
 //! Fits off the engine's thread: a few workers, a bounded queue, answers by channel.
 
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
 use crossbeam_channel::{Receiver, Sender};
 
 use crate::engine::{LoopId, Request};
@@ -15,8 +17,10 @@ pub struct Answered {
     pub id: LoopId,
     /// Its window's place.
     pub seq: u64,
-    /// What the window says.
-    pub assessment: Assessment,
+    /// The window's name, ns.
+    pub end_ns: i64,
+    /// What the window says; `None` where the fit broke off.
+    pub assessment: Option<Assessment>,
 }
 
 /// The workers' two ends. The threads end when `requests` is gone.
@@ -40,7 +44,9 @@ pub fn start(count: Option<usize>) -> std::io::Result<Workers> {
         let thread = std::thread::Builder::new().name(format!("fit-{index}"));
         thread.spawn(move || {
             for request in jobs {
-                let answer = Answered { id: request.id, seq: request.seq, assessment: request.compute() };
+                // A fit that breaks off must cost its window, not the worker and every later window of the loop.
+                let assessment = catch_unwind(AssertUnwindSafe(|| request.compute())).ok();
+                let answer = Answered { id: request.id, seq: request.seq, end_ns: request.end_ns, assessment };
                 if finished.send(answer).is_err() {
                     return;
                 }

@@ -118,6 +118,8 @@ pub enum SkipReason {
     QueueFull,
     /// The daemon stopped before the fit was done.
     Shutdown,
+    /// The fit broke off; its message is in the log.
+    Failed,
 }
 
 /// Figures of a loop for health documents.

@@ -47,8 +47,21 @@ pub fn session_config(config: &Config) -> anyhow::Result<zenoh::Config> {
         // Keep trying for ever: the router may come up after us, and go and come again.
         set("connect/timeout_ms", "-1".into())?;
         set("connect/exit_on_failure", "false".into())?;
-    } else if !z.listen.is_empty() {
-        set("listen/endpoints", serde_json::to_string(&z.listen)?)?;
+    } else {
+        if !z.listen.is_empty() {
+            set("listen/endpoints", serde_json::to_string(&z.listen)?)?;
+        }
+        // What the file does not state is set as without one: Zenoh's own defaults scout and give up.
+        let stated = std::fs::read_to_string(&z.config_file).unwrap_or_default();
+        if !stated.contains("scouting") {
+            set("scouting/multicast/enabled", z.multicast.to_string())?;
+        }
+        if !stated.contains("timeout_ms") {
+            set("connect/timeout_ms", "-1".into())?;
+        }
+        if !stated.contains("exit_on_failure") {
+            set("connect/exit_on_failure", "false".into())?;
+        }
     }
     if !z.connect.is_empty() {
         set("connect/endpoints", serde_json::to_string(&z.connect)?)?;
