@@ -13,7 +13,7 @@ from pathlib import Path
 import zenoh
 
 ROOT = Path(__file__).resolve().parents[2]
-PROGRAM = ROOT / "target" / "debug" / "stictiond"
+PROGRAM = Path(ROOT, os.environ.get("CARGO_TARGET_DIR", "target"), "debug", "stictiond")
 SESSIONS = []
 
 

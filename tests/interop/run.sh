@@ -1,9 +1,10 @@
 #!/usr/bin/env bash
 # The program seen from outside: Python's Zenoh and MCAP libraries against target/debug/stictiond.
-# Usage: tests/interop/run.sh [NAME OF A TEST]. Python packages go into a folder below target/, once.
+# Usage: tests/interop/run.sh [NAME OF A TEST]. Python packages go into a folder below the target folder, once.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
-[ -x target/debug/stictiond ] || cargo build --locked --quiet
+target=${CARGO_TARGET_DIR:-target}
+[ -x "$target/debug/stictiond" ] || cargo build --locked --quiet
 python=""
 for candidate in "${PYTHON:-}" python3.11 python3; do
     if [ -n "$candidate" ] && command -v "$candidate" >/dev/null \
@@ -13,12 +14,16 @@ for candidate in "${PYTHON:-}" python3.11 python3; do
     fi
 done
 [ -n "$python" ] || { echo "Python 3.11 or newer is needed" >&2; exit 1; }
-venv=target/interop/venv
+venv=$target/interop/venv
 stamp=$venv/$(sha256sum tests/interop/requirements.txt | cut -c 1-16)
 if [ ! -e "$stamp" ]; then
     rm -rf "$venv"
+    # Debian keeps venv in a package of its own.
+    if ! "$python" -c 'import ensurepip' 2>/dev/null && [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null; then
+        { apt-get update && apt-get install -y --no-install-recommends python3-venv; } >/dev/null || true
+    fi
     if ! "$python" -m venv "$venv" 2>/dev/null; then
-        # Debian splits venv off; pip can do with a folder of its own.
+        # Without venv, pip can do with a folder of its own.
         rm -rf "$venv"
         mkdir -p "$venv"
         "$python" -m pip install --quiet --disable-pip-version-check --target "$venv/packages" \
