@@ -266,12 +266,16 @@ fn read_site(r: &mut TableReader<'_, '_>) -> Site {
     Site { prefix }
 }
 
+/// Starts of the endpoints that this build can open.
+const PROTOCOLS: [&str; 3] = ["tcp/", "tls/", "unixsock-stream/"];
+
 fn read_zenoh(r: &mut TableReader<'_, '_>) -> Zenoh {
     let mode = r.word("mode", "peer", &["peer", "client"]);
     let (listen, connect) = (r.texts("listen"), r.texts("connect"));
     for (key, endpoints) in [("listen", &listen), ("connect", &connect)] {
-        for (endpoint, line) in endpoints.iter().filter(|(e, _)| !e.contains('/')) {
-            r.refuse(*line, key, format!("{endpoint:?} is not an endpoint"), "write tcp/HOST:PORT");
+        for (endpoint, line) in endpoints.iter().filter(|(e, _)| !PROTOCOLS.iter().any(|p| e.starts_with(p))) {
+            let remedy = "write tcp/HOST:PORT, tls/HOST:PORT or unixsock-stream/PATH";
+            r.refuse(*line, key, format!("{endpoint:?} is not an endpoint"), remedy);
         }
     }
     let multicast = r.boolean("multicast", false);
