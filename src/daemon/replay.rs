@@ -225,12 +225,14 @@ fn heads(path: &Path, prefix: &str) -> anyhow::Result<BTreeMap<String, Option<i6
     Ok(heads)
 }
 
-/// The loops that a file holds samples of; the others have no window in it.
-fn loops_with_samples(path: &Path, prefix: &str) -> anyhow::Result<BTreeSet<String>> {
+/// The loops that a file holds samples or estimates of; the others have no window in it.
+fn loops_with_windows(path: &Path, prefix: &str) -> anyhow::Result<BTreeSet<String>> {
     let mut reader = RecordingReader::open(path)?;
     let mut loops = BTreeSet::new();
     while let Some(message) = reader.next_message()? {
-        if let Some(Topic { loop_name, leaf: Leaf::Raw(_), .. }) = Topic::parse(Some(prefix), message.topic())
+        let leaf = Leaf::Document(Kind::Estimate);
+        if let Some(Topic { loop_name, leaf: found, .. }) = Topic::parse(Some(prefix), message.topic())
+            && (found == leaf || matches!(found, Leaf::Raw(_)))
             && !loops.contains(loop_name)
         {
             loops.insert(loop_name.to_owned());
@@ -245,8 +247,8 @@ fn loops_with_samples(path: &Path, prefix: &str) -> anyhow::Result<BTreeSet<Stri
 /// Names the file that is gone.
 pub fn files_needed(path: &Path, metadata: &RunMetadata) -> anyhow::Result<Vec<PathBuf>> {
     let mut own = heads(path, &metadata.prefix)?;
-    let sampled = loops_with_samples(path, &metadata.prefix)?;
-    own.retain(|name, _| sampled.contains(name));
+    let alive = loops_with_windows(path, &metadata.prefix)?;
+    own.retain(|name, _| alive.contains(name));
     let windows = metadata.config.loops.iter().map(|l| l.window).chain([metadata.config.window]);
     let reach_s = windows.map(|w| 1.05 * w.max_window_s + 2.0 * w.hop_s + w.lateness_s).fold(0.0, f64::max);
     let reach_ns = crate::units::ns_from_s(reach_s);
