@@ -472,7 +472,7 @@ impl Aligner {
             let on_beat = (0.6..1.6).contains(&(step_s / ts_s));
             self.off_beat = if on_beat { 0 } else { self.off_beat + 1 };
             if self.off_beat >= RELEARN_AFTER {
-                self.relearn(t_ns, step_s, out);
+                self.relearn(step_s, out);
             } else if step_s > self.max_gap_s(params) {
                 self.counts.gaps += 1;
                 out(Aligned::Break);
@@ -488,7 +488,7 @@ impl Aligner {
     }
 
     /// The sampling time has changed: the stretch ends and the new beat is taken from the last interval.
-    fn relearn(&mut self, _t_ns: i64, step_s: f64, out: &mut impl FnMut(Aligned)) {
+    fn relearn(&mut self, step_s: f64, out: &mut impl FnMut(Aligned)) {
         if let Some((ts_s, _)) = &mut self.learnt {
             *ts_s = step_s.max(1e-9);
         }
