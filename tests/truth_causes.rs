@@ -1,10 +1,19 @@
 //! Valve, tuning or disturbance: loops whose cause is known get its name.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+mod common;
+
+use core::f64::consts::PI;
 use std::collections::BTreeMap;
 
+use common::Draw;
+use stictiond::record::Record;
+use stictiond::sim::closed_loop::{ClosedLoop, LoopModel, ValveLaw, ValveModel};
+use stictiond::sim::controller::{Action, PidSettings};
+use stictiond::sim::disturbance::Disturbance;
+use stictiond::sim::process::ProcessModel;
 use stictiond::sim::scenario::Scenario;
-use stictiond::verdict::{AssessParams, assess};
+use stictiond::verdict::{AssessParams, Verdict, assess};
 
 /// Verdicts over seeds for one loop of a plant.
 fn verdicts(text: &str, seeds: u64) -> BTreeMap<&'static str, usize> {
@@ -61,4 +70,165 @@ fn a_sticking_valve_is_stiction() {
     let counts = verdicts(text, 6);
     println!("{counts:?}");
     assert!(counts.get("stiction").copied().unwrap_or(0) >= 5, "{counts:?}");
+}
+
+/// Ultimate gain and period (s) under PI control, by bisection of the open loop's phase.
+fn ultimate(p: &ProcessModel, ti: f64) -> (f64, f64) {
+    let own = |w: f64| if p.integrating { 0.5 * PI } else { (w * p.tau).atan() };
+    let phase = |w: f64| -w * (p.dead_time + 0.5) - own(w) - (w * p.tau2).atan() - 0.5 * PI + (w * ti).atan();
+    let (mut lo, mut hi) = (1e-4_f64, 3.0_f64);
+    for _ in 0..100 {
+        let w = (lo * hi).sqrt();
+        if phase(w) > -PI { lo = w } else { hi = w }
+    }
+    let first = if p.integrating { lo } else { (1.0 + (lo * p.tau).powi(2)).sqrt() };
+    let process = p.gain.abs() / first / (1.0 + (lo * p.tau2).powi(2)).sqrt();
+    (1.0 / (process * (1.0 + (lo * ti).powi(-2)).sqrt()), 2.0 * PI / lo)
+}
+
+/// A healthy loop drawn at random, one in five integrating, under random load, at a share of its ultimate gain; about
+/// twenty periods of what makes it swing.
+fn healthy(seed: u64, share: [f64; 2], load: fn(f64, f64) -> Vec<Disturbance>) -> Record {
+    let mut d = Draw::new(seed * 131 + 5);
+    let integrating = seed % 5 == 4;
+    let tau = libm::exp(d.between(libm::log(8.0), libm::log(50.0)));
+    let process = ProcessModel {
+        gain: if integrating { d.between(0.02, 0.1) } else { d.between(0.4, 2.5) },
+        tau: if integrating { 0.0 } else { tau },
+        tau2: if seed.is_multiple_of(2) { 0.0 } else { tau * d.between(0.1, 0.5) },
+        dead_time: d.between(2.0, 15.0).round(),
+        integrating,
+    };
+    let ti_s = if integrating { process.dead_time * d.between(6.0, 12.0) } else { tau * d.between(0.7, 1.5) };
+    let (gain, period) = ultimate(&process, ti_s);
+    let mut all = load(d.between(1.0, 4.0), period * d.between(0.7, 3.0));
+    let swing = match all.first() {
+        Some(Disturbance::Sine { period_s, .. } | Disturbance::Square { period_s, .. }) => *period_s,
+        _ => period,
+    };
+    all.push(Disturbance::Ar1 { sd: d.between(0.1, 0.6), time_constant_s: d.between(10.0, 60.0) });
+    let controller = PidSettings {
+        kc: d.between(share[0], share[1]) * gain,
+        ti_s,
+        td_s: 0.0,
+        action: Action::Reverse,
+        op_min: 0.0,
+        op_max: 100.0,
+        op_resolution: 0.01,
+    };
+    let model = LoopModel {
+        ts_s: 1.0,
+        process,
+        rest_op: 50.0,
+        rest_pv: 80.0,
+        controller,
+        valve: ValveModel::HEALTHY,
+        pv_noise_sd: 0.05,
+        load: all,
+        pv_disturbance: vec![],
+    };
+    let mut closed = ClosedLoop::new(model, -1500.0, 80.0, seed);
+    closed.record(1500, 80.0);
+    closed.record(((20.0 * swing) as usize).clamp(600, 3000), 80.0)
+}
+
+/// Right words of 24 for loops that swing and whose valve is not accused, and how many swing.
+fn right(share: [f64; 2], load: fn(f64, f64) -> Vec<Disturbance>, want: Verdict) -> (usize, usize) {
+    let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
+    for seed in 0..24 {
+        let found = assess(&healthy(seed, share, load), &AssessParams::default());
+        *counts.entry(found.verdict.name()).or_default() += 1;
+    }
+    let of = |name: &str| counts.get(name).copied().unwrap_or(0);
+    let judged = 24 - of("no_oscillation") - of("stiction") - of("deadband") - of("inconclusive");
+    println!("{}: {counts:?}", want.name());
+    (of(want.name()), judged)
+}
+
+#[test]
+fn tight_tuning_is_named() {
+    let (named, judged) = right([0.85, 0.97], |_, _| vec![], Verdict::Tuning);
+    assert!(judged >= 16 && named * 100 >= 85 * judged, "{named} of {judged}");
+}
+
+#[test]
+fn a_sine_load_is_named() {
+    let load = |amplitude, period_s| vec![Disturbance::Sine { amplitude, period_s, phase_deg: 0.0 }];
+    let (named, judged) = right([0.2, 0.5], load, Verdict::Disturbance);
+    assert!(judged >= 16 && named * 100 >= 85 * judged, "{named} of {judged}");
+}
+
+#[test]
+fn a_square_load_is_named() {
+    let load = |amplitude, period_s| vec![Disturbance::Square { amplitude, period_s }];
+    let (named, judged) = right([0.2, 0.5], load, Verdict::Disturbance);
+    assert!(judged >= 16 && named * 100 >= 85 * judged, "{named} of {judged}");
+}
+
+#[test]
+fn two_sine_loads_are_named() {
+    let load = |amplitude, period_s| {
+        let sine = |share, times| Disturbance::Sine {
+            amplitude: share * amplitude,
+            period_s: times * period_s,
+            phase_deg: 0.0,
+        };
+        vec![sine(1.0, 1.0), sine(0.7, 1.37)]
+    };
+    let (named, judged) = right([0.2, 0.5], load, Verdict::Disturbance);
+    assert!(judged >= 16 && named * 100 >= 85 * judged, "{named} of {judged}");
+}
+
+#[test]
+fn random_load_on_a_sane_loop_is_neither() {
+    let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
+    for seed in 0..24 {
+        let found = assess(&healthy(seed, [0.2, 0.5], |_, _| vec![]), &AssessParams::default());
+        *counts.entry(found.verdict.name()).or_default() += 1;
+    }
+    println!("{counts:?}");
+    let of = |name: &str| counts.get(name).copied().unwrap_or(0);
+    assert!(of("tuning") + of("disturbance") <= 2, "{counts:?}");
+}
+
+/// A sticking valve in a loop at a share of its ultimate gain.
+fn sticking(seed: u64, share: f64) -> Record {
+    let process = ProcessModel { gain: 2.0, tau: 20.0, tau2: 0.0, dead_time: 5.0, integrating: false };
+    let (gain, _) = ultimate(&process, 20.0);
+    let controller = PidSettings {
+        kc: share * gain,
+        ti_s: 20.0,
+        td_s: 0.0,
+        action: Action::Reverse,
+        op_min: 0.0,
+        op_max: 100.0,
+        op_resolution: 0.01,
+    };
+    let model = LoopModel {
+        ts_s: 1.0,
+        process,
+        rest_op: 50.0,
+        rest_pv: 60.0,
+        controller,
+        valve: ValveModel { law: ValveLaw::He, fs: 3.0, fd: 1.0, ..ValveModel::HEALTHY },
+        pv_noise_sd: 0.05,
+        load: vec![],
+        pv_disturbance: vec![],
+    };
+    let mut closed = ClosedLoop::new(model, -1500.0, 61.0, seed);
+    closed.record(1500, 61.0);
+    closed.record(1800, 61.0)
+}
+
+#[test]
+fn what_contributes_beside_a_sticking_valve_is_listed_only_where_it_holds() {
+    let (mut plain, mut tight) = (0, 0);
+    for seed in 0..5 {
+        let of = |share| assess(&sticking(seed, share), &AssessParams::default());
+        let found = [of(0.3), of(0.5)];
+        plain += found.iter().map(|f| f.contributing.len()).sum::<usize>();
+        tight += usize::from(of(0.88).contributing.contains(&Verdict::Tuning));
+    }
+    println!("plain {plain}, tight {tight}");
+    assert!(plain == 0 && tight >= 4, "{plain} {tight}");
 }

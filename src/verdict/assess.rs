@@ -1,5 +1,6 @@
 //! One record in, one assessment out.
 
+use super::cause;
 use super::document::{Assessment, Controller, Oscillation, Process, Search, Window};
 use super::gates::gates;
 use super::judge::judge;
@@ -38,10 +39,14 @@ pub fn assess(record: &Record, params: &AssessParams) -> Assessment {
     if let Some(e) = &estimate {
         fill(&mut out, e, record, params);
     }
-    out.controller = controller::read(record).map(|r| as_document(&r));
+    let reading = controller::read(record);
+    out.controller = reading.as_ref().map(as_document);
     let view = View::new(record);
     out.witnesses = detect::ALL.iter().map(|d| Witness { name: d.name(), score: d.score(&view), vote: None }).collect();
-    out.verdict = judge(estimate.as_ref(), &out.witnesses, found.as_ref());
+    let ringing = cause::ringing(record, found.as_ref());
+    let otherwise = || cause::cause(found.as_ref(), ringing.as_ref());
+    let beside = |e: &Estimate| cause::beside_sticking(e, reading.as_ref(), record, ringing.as_ref());
+    (out.verdict, out.contributing) = judge(estimate.as_ref(), &out.witnesses, otherwise, beside);
     out.stiction = out.verdict.stiction();
     // Without a confidence no better grade can be claimed.
     out.grade = Some(if out.stiction.is_none() { 'D' } else { 'C' });
