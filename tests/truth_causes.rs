@@ -3,13 +3,11 @@
 
 mod common;
 
-use core::f64::consts::PI;
 use std::collections::BTreeMap;
 
-use common::Draw;
+use common::healthy::{healthy, plain, settled, shaken, ultimate};
 use stictiond::record::Record;
-use stictiond::sim::closed_loop::{ClosedLoop, LoopModel, ValveLaw, ValveModel};
-use stictiond::sim::controller::{Action, PidSettings};
+use stictiond::sim::closed_loop::{LoopModel, ValveLaw, ValveModel};
 use stictiond::sim::disturbance::Disturbance;
 use stictiond::sim::process::ProcessModel;
 use stictiond::sim::scenario::Scenario;
@@ -72,71 +70,16 @@ fn a_sticking_valve_is_stiction() {
     assert!(counts.get("stiction").copied().unwrap_or(0) >= 5, "{counts:?}");
 }
 
-/// Ultimate gain and period (s) under PI control, by bisection of the open loop's phase.
-fn ultimate(p: &ProcessModel, ti: f64) -> (f64, f64) {
-    let own = |w: f64| if p.integrating { 0.5 * PI } else { (w * p.tau).atan() };
-    let phase = |w: f64| -w * (p.dead_time + 0.5) - own(w) - (w * p.tau2).atan() - 0.5 * PI + (w * ti).atan();
-    let (mut lo, mut hi) = (1e-4_f64, 3.0_f64);
-    for _ in 0..100 {
-        let w = (lo * hi).sqrt();
-        if phase(w) > -PI { lo = w } else { hi = w }
-    }
-    let first = if p.integrating { lo } else { (1.0 + (lo * p.tau).powi(2)).sqrt() };
-    let process = p.gain.abs() / first / (1.0 + (lo * p.tau2).powi(2)).sqrt();
-    (1.0 / (process * (1.0 + (lo * ti).powi(-2)).sqrt()), 2.0 * PI / lo)
-}
-
-/// A healthy loop drawn at random, one in five integrating, under random load, at a share of its ultimate gain; about
-/// twenty periods of what makes it swing.
-fn healthy(seed: u64, share: [f64; 2], load: fn(f64, f64) -> Vec<Disturbance>) -> Record {
-    let mut d = Draw::new(seed * 131 + 5);
-    let integrating = seed % 5 == 4;
-    let tau = libm::exp(d.between(libm::log(8.0), libm::log(50.0)));
-    let process = ProcessModel {
-        gain: if integrating { d.between(0.02, 0.1) } else { d.between(0.4, 2.5) },
-        tau: if integrating { 0.0 } else { tau },
-        tau2: if seed.is_multiple_of(2) { 0.0 } else { tau * d.between(0.1, 0.5) },
-        dead_time: d.between(2.0, 15.0).round(),
-        integrating,
-    };
-    let ti_s = if integrating { process.dead_time * d.between(6.0, 12.0) } else { tau * d.between(0.7, 1.5) };
-    let (gain, period) = ultimate(&process, ti_s);
-    let mut all = load(d.between(1.0, 4.0), period * d.between(0.7, 3.0));
-    let swing = match all.first() {
-        Some(Disturbance::Sine { period_s, .. } | Disturbance::Square { period_s, .. }) => *period_s,
-        _ => period,
-    };
-    all.push(Disturbance::Ar1 { sd: d.between(0.1, 0.6), time_constant_s: d.between(10.0, 60.0) });
-    let controller = PidSettings {
-        kc: d.between(share[0], share[1]) * gain,
-        ti_s,
-        td_s: 0.0,
-        action: Action::Reverse,
-        op_min: 0.0,
-        op_max: 100.0,
-        op_resolution: 0.01,
-    };
-    let model = LoopModel {
-        ts_s: 1.0,
-        process,
-        rest_op: 50.0,
-        rest_pv: 80.0,
-        controller,
-        valve: ValveModel::HEALTHY,
-        pv_noise_sd: 0.05,
-        load: all,
-        pv_disturbance: vec![],
-    };
-    let mut closed = ClosedLoop::new(model, -1500.0, 80.0, seed);
-    closed.record(1500, 80.0);
-    closed.record(((20.0 * swing) as usize).clamp(600, 3000), 80.0)
+/// Right words of 24 (see [`words`]) of loops with a load at a share of their ultimate gain.
+fn right(share: [f64; 2], load: fn(f64, f64) -> Vec<Disturbance>, want: Verdict) -> (usize, usize) {
+    words(|seed| healthy(seed, share, load), want)
 }
 
 /// Right words of 24 for loops that swing and whose valve is not accused, and how many swing.
-fn right(share: [f64; 2], load: fn(f64, f64) -> Vec<Disturbance>, want: Verdict) -> (usize, usize) {
+fn words(make: impl Fn(u64) -> Record, want: Verdict) -> (usize, usize) {
     let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
     for seed in 0..24 {
-        let found = assess(&healthy(seed, share, load), &AssessParams::default());
+        let found = assess(&make(seed), &AssessParams::default());
         *counts.entry(found.verdict.name()).or_default() += 1;
     }
     let of = |name: &str| counts.get(name).copied().unwrap_or(0);
@@ -180,6 +123,12 @@ fn two_sine_loads_are_named() {
 }
 
 #[test]
+fn a_cycle_from_outside_with_a_wandering_phase_is_named() {
+    let (named, judged) = words(|seed| shaken(seed + 30, 0.04, seed.is_multiple_of(2)), Verdict::Disturbance);
+    assert!(judged >= 16 && named * 100 >= 80 * judged, "{named} of {judged}");
+}
+
+#[test]
 fn random_load_on_a_sane_loop_is_neither() {
     let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
     for seed in 0..24 {
@@ -195,29 +144,22 @@ fn random_load_on_a_sane_loop_is_neither() {
 fn sticking(seed: u64, share: f64) -> Record {
     let process = ProcessModel { gain: 2.0, tau: 20.0, tau2: 0.0, dead_time: 5.0, integrating: false };
     let (gain, _) = ultimate(&process, 20.0);
-    let controller = PidSettings {
-        kc: share * gain,
-        ti_s: 20.0,
-        td_s: 0.0,
-        action: Action::Reverse,
-        op_min: 0.0,
-        op_max: 100.0,
-        op_resolution: 0.01,
-    };
-    let model = LoopModel {
-        ts_s: 1.0,
-        process,
-        rest_op: 50.0,
-        rest_pv: 60.0,
-        controller,
-        valve: ValveModel { law: ValveLaw::He, fs: 3.0, fd: 1.0, ..ValveModel::HEALTHY },
-        pv_noise_sd: 0.05,
-        load: vec![],
-        pv_disturbance: vec![],
-    };
-    let mut closed = ClosedLoop::new(model, -1500.0, 61.0, seed);
-    closed.record(1500, 61.0);
-    closed.record(1800, 61.0)
+    let valve = ValveModel { law: ValveLaw::He, fs: 3.0, fd: 1.0, ..ValveModel::HEALTHY };
+    settled(LoopModel { valve, ..plain(process, share * gain, 20.0) }, seed, 81.0, 1800)
+}
+
+/// The loop `name` of the scenario with four loops.
+fn of_four(name: &str) -> Verdict {
+    let text = std::fs::read_to_string("recordings/scenarios/four-loops.toml").unwrap();
+    let scenario = Scenario::parse(&text).unwrap();
+    let place = scenario.loops.iter().position(|l| l.name == name).unwrap();
+    assess(&scenario.record(place).unwrap(), &AssessParams { always_fit: true, ..AssessParams::default() }).verdict
+}
+
+#[test]
+fn the_shipped_scenario_of_four_loops_is_told_apart() {
+    assert_eq!(of_four("PIC203"), Verdict::Tuning);
+    assert_eq!(of_four("TIC204"), Verdict::Disturbance);
 }
 
 #[test]

@@ -22,6 +22,9 @@ pub struct Ringing {
     pub forced: f64,
     /// A line of another frequency, no harmonic or half of the first, that holds a good part of what these leave.
     pub second: Option<Line>,
+    /// Spread of the oscillation's amplitude over its mean: small for what a sine, a cycle or a machine outside makes
+    /// even where its phase wanders, about a half for a mode that is driven by what is random.
+    pub unsteadiness: f64,
     /// At least eight periods: enough to look for a mode.
     pub long_enough: bool,
     /// The least damped mode near the lines of what is left without them; `None` where there is none, or the record is
@@ -89,10 +92,26 @@ pub fn of(x: &[f64], period: f64) -> Option<Ringing> {
             Line { period_points: k as f64 / g, share: taken / power }
         })
     });
+    let unsteadiness = unsteadiness(&boxed, f);
     let long_enough = periods >= MIN_PERIODS[1];
     let mode = if long_enough { least_damped(&rest, f) } else { None };
     let mode = mode.map(|m| Mode { period_points: m.period_points * k as f64, ..m });
-    Some(Ringing { period_points: k as f64 / f, forced, second, long_enough, mode })
+    Some(Ringing { period_points: k as f64 / f, forced, second, unsteadiness, long_enough, mode })
+}
+
+/// Spread over mean of the amplitude at frequency `f`, averaged over two periods (complex demodulation).
+fn unsteadiness(x: &[f64], f: f64) -> f64 {
+    let width = (1.0 / f).round() as usize;
+    let part = |turn: fn(f64) -> f64| -> Vec<f64> {
+        let carried: Vec<f64> = x.iter().enumerate().map(|(k, v)| v * turn(2.0 * PI * f * k as f64)).collect();
+        detrend::hann_smooth(&carried, 2 * width)
+    };
+    let (cosine, sine) = (part(libm::cos), part(libm::sin));
+    let amplitude: Vec<f64> = cosine.iter().zip(&sine).map(|(a, b)| (a * a + b * b).sqrt()).collect();
+    // At the ends the average is over repeated values.
+    let inner = &amplitude[width.min(x.len() / 4)..x.len() - width.min(x.len() / 4)];
+    let mean = stats::mean(inner);
+    if mean > 0.0 { stats::std_dev(inner) / mean } else { 0.0 }
 }
 
 /// `frequency` and its harmonics, as far as the points carry them.
@@ -281,7 +300,7 @@ mod tests {
         for seed in 1..6 {
             let own = of(&rung(2500, 0.04, 100.0, seed), 100.0).unwrap();
             let mode = own.mode.unwrap();
-            assert!(mode.damping < 0.2 && own.forced < 0.8, "{own:?}");
+            assert!(mode.damping < 0.2 && own.forced < 0.8 && own.unsteadiness > 0.2, "{own:?}");
             height[0] += mode.height;
             let line = |k: usize, p: f64| libm::sin(2.0 * PI * k as f64 / p);
             let sane = rung(2500, 0.5, 70.0, seed);

@@ -44,7 +44,8 @@ pub fn assess(record: &Record, params: &AssessParams) -> Assessment {
     let view = View::new(record);
     out.witnesses = detect::ALL.iter().map(|d| Witness { name: d.name(), score: d.score(&view), vote: None }).collect();
     let ringing = cause::ringing(record, found.as_ref());
-    let otherwise = || cause::cause(found.as_ref(), ringing.as_ref());
+    let damping = cause::moved_damping(estimate.as_ref(), reading.as_ref(), record);
+    let otherwise = || cause::cause(found.as_ref(), ringing.as_ref(), damping);
     let beside = |e: &Estimate| cause::beside_sticking(e, reading.as_ref(), record, ringing.as_ref());
     (out.verdict, out.contributing) = judge(estimate.as_ref(), &out.witnesses, otherwise, beside);
     out.stiction = out.verdict.stiction();

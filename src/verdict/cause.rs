@@ -4,7 +4,8 @@
 //! is the loop's own. The bounds were set on simulated loops of first and second order and integrating ones under
 //! random load: at 80 to 97 % of their ultimate gain, and at 20 to 50 % of it driven by a sine, a square wave or two
 //! sines: lines hold over 0.9 of the variance of the driven ones and less of the ringing ones, whose mode stands out by
-//! 2.6 to 170.
+//! 2.6 to 170. Cycles from outside whose periods vary by 2 to 10 % are no lines, but keep their amplitude within 2 to
+//! 12 %, ringing loops theirs within 15 to 66 %.
 
 use core::f64::consts::PI;
 
@@ -16,6 +17,7 @@ use crate::detect::ringing::{self, Ringing};
 use crate::ident::Estimate;
 use crate::ident::controller::Reading;
 use crate::record::Record;
+use crate::signal::stats;
 
 /// Share of the variance that lines hold in a loop that is driven from outside.
 const DRIVEN: f64 = 0.85;
@@ -28,8 +30,14 @@ const LEFT: f64 = 0.03;
 const RINGS: f64 = 0.25;
 const STANDS_OUT: f64 = 2.5;
 const TOWERS: f64 = 12.0;
+/// Unsteadiness below which an oscillation comes from outside, though its phase may wander as a cycle's does.
+const STEADY: f64 = 0.13;
 /// Damping of the linear loop below which its tuning contributes.
 const TIGHT: f64 = 0.1;
+/// The same from which the loop does not ring by itself.
+const CALM: f64 = 0.15;
+/// Spread of the set point over PV's from which it moves the loop enough to show the process apart from disturbances.
+const MOVED: f64 = 0.3;
 /// Share of the variance from which a second line contributes.
 const SECOND: f64 = 0.1;
 /// Share of PV's variance that a process model may leave to be believed.
@@ -46,13 +54,18 @@ pub fn ringing(record: &Record, oscillation: Option<&Oscillates>) -> Option<Ring
     }
 }
 
-/// The word for a loop whose valve does not stick, and what contributes.
+/// The word for a loop whose valve does not stick, and what contributes. `damping` is that of the linear loop, where the
+/// record shows it.
 #[must_use]
-pub fn cause(oscillation: Option<&Oscillates>, ringing: Option<&Ringing>) -> (Verdict, Vec<Verdict>) {
+pub fn cause(
+    oscillation: Option<&Oscillates>,
+    ringing: Option<&Ringing>,
+    damping: Option<f64>,
+) -> (Verdict, Vec<Verdict>) {
     if !oscillation.is_some_and(|o| o.oscillating) {
         return (Verdict::NoOscillation, Vec::new());
     }
-    let verdict = ringing.map_or(Verdict::NoStiction, by_ringing);
+    let verdict = ringing.map_or(Verdict::NoStiction, |r| by_ringing(r, damping.is_some_and(|d| d > CALM)));
     let beside = match verdict {
         Verdict::Tuning => second_line(ringing),
         _ => None,
@@ -60,17 +73,27 @@ pub fn cause(oscillation: Option<&Oscillates>, ringing: Option<&Ringing>) -> (Ve
     (verdict, beside.into_iter().collect())
 }
 
-fn by_ringing(r: &Ringing) -> Verdict {
+fn by_ringing(r: &Ringing, calm: bool) -> Verdict {
     let lines = r.forced + r.second.map_or(0.0, |s| s.share);
-    let height = r.mode.filter(|m| m.damping < RINGS && 1.0 - lines > LEFT).map_or(0.0, |m| m.height);
-    match lines > DRIVEN {
-        true if height >= TOWERS => Verdict::Tuning,
+    let height = r.mode.filter(|m| !calm && m.damping < RINGS && 1.0 - lines > LEFT).map_or(0.0, |m| m.height);
+    let steady = r.long_enough && r.unsteadiness < STEADY;
+    match steady || lines > DRIVEN {
+        true if height >= TOWERS && !steady => Verdict::Tuning,
         true => Verdict::Disturbance,
         false if height >= STANDS_OUT => Verdict::Tuning,
         // Over few periods lines take up what is random, too.
         false if lines > HALF && r.long_enough => Verdict::Disturbance,
         false => Verdict::NoStiction,
     }
+}
+
+/// Damping of the linear loop of the process that was fitted and the controller that was read, where the set point
+/// moves: without that the fit of a loop without friction is drawn to the limit (see [`ringing`]).
+#[must_use]
+pub fn moved_damping(estimate: Option<&Estimate>, controller: Option<&Reading>, record: &Record) -> Option<f64> {
+    let spread = record.sp.as_deref().map_or(0.0, stats::std_dev);
+    let moved = spread > MOVED * stats::std_dev(&record.pv);
+    linear_damping(estimate.filter(|_| moved)?, controller?, record)
 }
 
 /// What contributes where the valve sticks: a loop that would hardly settle with a healthy valve either, and an
@@ -82,27 +105,28 @@ pub fn beside_sticking(
     record: &Record,
     ringing: Option<&Ringing>,
 ) -> Vec<Verdict> {
-    let fits = estimate.mse < FITS * crate::signal::stats::variance(&record.pv);
     // Gain and kinetic band can be exchanged for each other where j is not seen apart.
-    let known = fits && 5.0 * estimate.j_error < 0.33 * estimate.s;
-    let tight = controller.filter(|_| known).and_then(|c| {
-        let mut times = [0.0; 2];
-        for (slot, t) in times.iter_mut().zip(&estimate.time_constants_s) {
-            *slot = *t;
-        }
-        LinearLoop {
-            gain: estimate.gain * c.kc,
-            times_s: times,
-            integrating: estimate.class.integrates(),
-            // The hold of the output adds half a sample.
-            dead_time_s: estimate.dead_time_s + 0.5 * record.ts_s,
-            ti_s: c.ti_s,
-            td_s: c.td_s,
-        }
-        .damping()
-    });
-    let tuning = tight.filter(|zeta| *zeta < TIGHT).map(|_| Verdict::Tuning);
+    let known = 5.0 * estimate.j_error < 0.33 * estimate.s;
+    let damping = controller.filter(|_| known).and_then(|c| linear_damping(estimate, c, record));
+    let tuning = damping.filter(|zeta| *zeta < TIGHT).map(|_| Verdict::Tuning);
     tuning.into_iter().chain(second_line(ringing)).collect()
+}
+
+fn linear_damping(estimate: &Estimate, controller: &Reading, record: &Record) -> Option<f64> {
+    if estimate.mse > FITS * stats::variance(&record.pv) {
+        return None;
+    }
+    let time = |place: usize| estimate.time_constants_s.get(place).copied().unwrap_or(0.0);
+    let closed = LinearLoop {
+        gain: estimate.gain * controller.kc,
+        times_s: [time(0), time(1)],
+        integrating: estimate.class.integrates(),
+        // The hold of the output adds half a sample.
+        dead_time_s: estimate.dead_time_s + 0.5 * record.ts_s,
+        ti_s: controller.ti_s,
+        td_s: controller.td_s,
+    };
+    closed.damping()
 }
 
 fn second_line(ringing: Option<&Ringing>) -> Option<Verdict> {
@@ -185,7 +209,11 @@ mod tests {
     fn of(forced: f64, second: f64, height: f64) -> (Verdict, Vec<Verdict>) {
         let second = (second > 0.0).then_some(Line { period_points: 37.0, share: second });
         let mode = Some(Mode { damping: 0.05, period_points: 50.0, height });
-        cause(Some(&WAVE), Some(&Ringing { period_points: 50.0, forced, second, long_enough: true, mode }))
+        cause(
+            Some(&WAVE),
+            Some(&Ringing { period_points: 50.0, forced, second, unsteadiness: 0.3, long_enough: true, mode }),
+            None,
+        )
     }
 
     #[test]
@@ -195,9 +223,16 @@ mod tests {
         assert_eq!(of(0.9, 0.0, 30.0), (Verdict::Tuning, vec![]));
         assert_eq!(of(0.4, 0.15, 30.0), (Verdict::Tuning, vec![Verdict::Disturbance]));
         assert_eq!(of(0.3, 0.0, 1.0), (Verdict::NoStiction, vec![]));
-        assert_eq!(cause(Some(&WAVE), None).0, Verdict::NoStiction);
-        assert_eq!(cause(Some(&Oscillates { oscillating: false, ..WAVE }), None).0, Verdict::NoOscillation);
-        assert_eq!(cause(None, None).0, Verdict::NoOscillation);
+        let mode = Some(Mode { damping: 0.05, period_points: 50.0, height: 30.0 });
+        let cycle =
+            Ringing { period_points: 50.0, forced: 0.6, second: None, unsteadiness: 0.05, long_enough: true, mode };
+        assert_eq!(cause(Some(&WAVE), Some(&cycle), None).0, Verdict::Disturbance);
+        let rung = Ringing { unsteadiness: 0.4, ..cycle };
+        assert_eq!(cause(Some(&WAVE), Some(&rung), None).0, Verdict::Tuning);
+        assert_eq!(cause(Some(&WAVE), Some(&rung), Some(0.4)).0, Verdict::Disturbance);
+        assert_eq!(cause(Some(&WAVE), None, None).0, Verdict::NoStiction);
+        assert_eq!(cause(Some(&Oscillates { oscillating: false, ..WAVE }), None, None).0, Verdict::NoOscillation);
+        assert_eq!(cause(None, None, None).0, Verdict::NoOscillation);
     }
 
     /// PI with the time constant as integral time, so that the loop is `gain exp(-d s) / (T s)`.
