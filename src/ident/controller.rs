@@ -25,8 +25,8 @@ pub struct Reading {
     pub lag_samples: f64,
     /// Share of the variance of OP's moves explained.
     pub r2: f64,
-    /// Share of the record, 0..1, in long stretches where this controller does not explain OP: another mode, another
-    /// controller, or OP at a limit.
+    /// Share of the record, 0..1, in long stretches where this controller does not explain OP: another mode, or another
+    /// controller. Stretches with OP at a limit are left out beforehand.
     pub unexplained: f64,
 }
 
@@ -124,6 +124,8 @@ struct Signals {
     op: Vec<f64>,
     pv: Vec<f64>,
     sp: Option<Vec<f64>>,
+    /// Where OP stands at its highest or lowest value, if it comes to rest there.
+    limited: Vec<bool>,
     boxed: bool,
     box_samples: f64,
     point_s: f64,
@@ -142,7 +144,8 @@ impl Signals {
         let sp = record.sp.clone().filter(|sp| sp.len() >= n && finite(sp) && moves(sp));
         let [op, pv] = [op[..n].to_vec(), record.pv[..n].to_vec()];
         let boxed = record.box_samples > 1;
-        Some(Self { op, pv, sp, boxed, box_samples: record.box_samples as f64, point_s: record.point_s() })
+        let limited = limited(&op);
+        Some(Self { op, pv, sp, limited, boxed, box_samples: record.box_samples as f64, point_s: record.point_s() })
     }
 
     fn forms(&self) -> Vec<Form> {
@@ -174,8 +177,10 @@ impl Signals {
                 continue;
             }
             let next = Shape { extra: make(finest(filter, |filter| at(lag, filter))), ..plain };
-            (shape, fits) = (next, self.all_lags(next));
-            error = least(&fits);
+            let others = self.all_lags(next);
+            if self.report(next, &others).is_some() {
+                (shape, error, fits) = (next, least(&others), others);
+            }
         }
         self.report(shape, &fits)
     }
@@ -198,12 +203,14 @@ impl Signals {
         let td = if derivative { kd / kc } else { 0.0 };
         // Integral action that would need a hundred records to answer is none.
         let idle = ki.abs() * self.op.len() as f64 * 100.0 < kc.abs();
-        if kc == 0.0 || (!idle && ki * kc <= 0.0) || td < 0.0 {
+        let ti = if idle { f64::INFINITY } else { kc / ki };
+        // A derivative time beyond the integral time is a fit to something else.
+        if kc == 0.0 || ti.is_nan() || ti <= 0.0 || td < 0.0 || td > ti {
             return None;
         }
         let reading = Reading {
             kc,
-            ti_s: if idle { f64::INFINITY } else { kc / ki * self.point_s },
+            ti_s: ti * self.point_s,
             td_s: td * self.point_s,
             lag_samples: best.lag as f64 * self.box_samples,
             r2: best.regression.r2,
@@ -215,19 +222,40 @@ impl Signals {
     /// OP's moves regressed at one lag; once more without the stretches that the first fit leaves unexplained.
     fn fit(&self, shape: Shape, lag: isize) -> Option<Fit> {
         let [y, p, i, d] = self.columns(shape, lag);
+        let free = self.free(shape, lag);
         let columns: &[&[f64]] = if d.is_empty() { &[&p, &i] } else { &[&p, &i, &d] };
-        let mut regression = regress(&y, columns, None)?;
+        if free.iter().filter(|f| **f).count() < MIN_POINTS / 2 {
+            return None;
+        }
+        let mut regression = regress(&y, columns, Some(&free))?;
         let mut unexplained = 0.0;
         for _ in 0..2 {
             let left = residual(&y, columns, &regression.coefficients);
-            let used = explained(&y, &left);
+            let used = explained(&y, &left, &free);
             unexplained = used.iter().filter(|u| !**u).count() as f64 / used.len().max(1) as f64;
             if unexplained == 0.0 || unexplained > MOST_UNEXPLAINED {
                 break;
             }
-            regression = regress(&y, columns, Some(&used))?;
+            let both: Vec<bool> = used.iter().zip(&free).map(|(u, f)| *u && *f).collect();
+            regression = regress(&y, columns, Some(&both))?;
         }
         Some(Fit { lag, regression, unexplained })
+    }
+
+    /// First and last point whose moves can be regressed.
+    fn range(&self, shape: Shape, lag: isize) -> [usize; 2] {
+        let from = (shape.width as isize + 1 + lag.max(0)) as usize;
+        [from, ((self.op.len() as isize + lag.min(0)) as usize).max(from)]
+    }
+
+    /// Which of the moves have OP off its limits all the way.
+    fn free(&self, shape: Shape, lag: isize) -> Vec<bool> {
+        let [from, to] = self.range(shape, lag);
+        let once = |k: usize| (k - shape.width..=k).all(|i| !self.limited[i]);
+        match shape.form {
+            Form::Unseen => (from + 1..to).map(|k| once(k) && once(k - 1)).collect(),
+            _ => (from..to).map(once).collect(),
+        }
     }
 
     /// OP's moves, and those of the proportional, integral and derivative parts `lag` points before.
@@ -260,8 +288,7 @@ impl Signals {
             _ => Vec::new(),
         };
         let w = shape.width;
-        let from = (w as isize + 1 + lag.max(0)) as usize;
-        let to = (n as isize + lag.min(0)) as usize;
+        let [from, to] = self.range(shape, lag);
         let moves = |x: &[f64], lag: isize| -> Vec<f64> {
             if x.is_empty() || to <= from {
                 return Vec::new();
@@ -323,19 +350,30 @@ fn lagged(x: &[f64], tau: f64) -> Vec<f64> {
         .collect()
 }
 
-/// Which samples lie in stretches that a fit explains as well as usual, or nearly as well as the moves there allow.
-fn explained(y: &[f64], left: &[f64]) -> Vec<bool> {
+/// Which values are the highest or the lowest of all, where one of these is held for three samples in a row.
+fn limited(op: &[f64]) -> Vec<bool> {
+    let high = op.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let low = op.iter().copied().fold(f64::INFINITY, f64::min);
+    let held = |end: f64| op.windows(3).any(|w| w.iter().all(|u| *u == end));
+    let (at_high, at_low) = (held(high), held(low));
+    op.iter().map(|u| (at_high && *u == high) || (at_low && *u == low)).collect()
+}
+
+/// Which samples lie in stretches that a fit explains as well as usual, or nearly as well as the moves there allow;
+/// samples that are not free do not count.
+fn explained(y: &[f64], left: &[f64], free: &[bool]) -> Vec<bool> {
     let power = |x: &[f64]| stats::dot(x, x) / x.len().max(1) as f64;
-    let stretches: Vec<(f64, f64)> = left
-        .chunks(STRETCH)
-        .zip(y.chunks(STRETCH))
-        .map(|(r, y)| {
-            let fitted: Vec<f64> = y.iter().zip(r).map(|(y, r)| y - r).collect();
-            (power(r), power(y).max(power(&fitted)))
-        })
-        .collect();
-    let usual = stats::median(&stretches.iter().map(|s| s.0).collect::<Vec<_>>());
-    let used: Vec<bool> = stretches.iter().map(|(r, y)| *r <= UNUSUAL * usual || *r <= POOR * y).collect();
+    let of = |from: usize| {
+        let place = from..(from + STRETCH).min(y.len());
+        let pick = |x: &[f64]| -> Vec<f64> { place.clone().filter(|k| free[*k]).map(|k| x[k]).collect() };
+        let (y, r) = (pick(y), pick(left));
+        let fitted: Vec<f64> = y.iter().zip(&r).map(|(y, r)| y - r).collect();
+        (!y.is_empty()).then(|| (power(&r), power(&y).max(power(&fitted))))
+    };
+    let stretches: Vec<Option<(f64, f64)>> = (0..y.len()).step_by(STRETCH).map(of).collect();
+    let usual = stats::median(&stretches.iter().flatten().map(|s| s.0).collect::<Vec<_>>());
+    let fine = |s: &Option<(f64, f64)>| s.is_none_or(|(r, y)| r <= UNUSUAL * usual || r <= POOR * y);
+    let used: Vec<bool> = stretches.iter().map(fine).collect();
     (0..y.len()).map(|k| used[k / STRETCH]).collect()
 }
 

@@ -42,9 +42,9 @@ pub fn regress(y: &[f64], columns: &[&[f64]], used: Option<&[bool]>) -> Option<R
         coefficients[..=count].copy_from_slice(&all[..=count]);
         left = residual(y, columns, &coefficients);
         let seen: Vec<f64> = left.iter().zip(&base).filter(|(_, b)| **b > 0.0).map(|(r, _)| *r).collect();
-        let scale = 3.0 * 1.4826 * stats::mad(&seen) + 1e-12 * spread;
+        let scale = 3.0 * 1.4826 * mad(seen) + 1e-12 * spread;
         for ((w, r), b) in roots.iter_mut().zip(&left).zip(&base) {
-            *w = if scale > 0.0 { b * libm::pow(1.0 + (r / scale) * (r / scale), -0.25) } else { *b };
+            *w = if scale > 0.0 { b / (1.0 + (r / scale) * (r / scale)).sqrt().sqrt() } else { *b };
         }
     }
     let weights: Vec<f64> = roots.iter().map(|w| w * w).collect();
@@ -54,6 +54,19 @@ pub fn regress(y: &[f64], columns: &[&[f64]], used: Option<&[bool]>) -> Option<R
     let whole = stats::dot(&weights, &total);
     // Written so that a value that is not a number fails too.
     if whole > 0.0 { Some(Regression { coefficients, r2: 1.0 - stats::dot(&weights, &squares) / whole }) } else { None }
+}
+
+/// Median absolute deviation from the median, without sorting; 0 for none.
+fn mad(mut x: Vec<f64>) -> f64 {
+    if x.is_empty() {
+        return 0.0;
+    }
+    let place = x.len() / 2;
+    let middle = *x.select_nth_unstable_by(place, f64::total_cmp).1;
+    for v in &mut x {
+        *v = (*v - middle).abs();
+    }
+    *x.select_nth_unstable_by(place, f64::total_cmp).1
 }
 
 /// `y` less what the coefficients make of the columns and the constant.
