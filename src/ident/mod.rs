@@ -7,10 +7,12 @@
 mod candidate;
 mod choice;
 pub mod class;
+pub mod controller;
 mod fit;
 mod least_squares;
 mod quantify;
 pub mod region;
+mod robust;
 mod search;
 pub mod sign;
 

@@ -1,11 +1,13 @@
 //! One record in, one assessment out.
 
-use super::document::{Assessment, Oscillation, Process, Search, Window};
+use super::cause;
+use super::document::{Assessment, Controller, Oscillation, Process, Search, Window};
 use super::gates::gates;
 use super::judge::judge;
 use super::params::AssessParams;
 use crate::detect::oscillation::{self, Oscillates};
 use crate::detect::{self, View, Witness};
+use crate::ident::controller::{self, Reading};
 use crate::ident::region::{region, severity, strength};
 use crate::ident::{Estimate, Options, quantify};
 use crate::record::Record;
@@ -37,13 +39,23 @@ pub fn assess(record: &Record, params: &AssessParams) -> Assessment {
     if let Some(e) = &estimate {
         fill(&mut out, e, record, params);
     }
+    let reading = controller::read(record);
+    out.controller = reading.as_ref().map(as_document);
     let view = View::new(record);
     out.witnesses = detect::ALL.iter().map(|d| Witness { name: d.name(), score: d.score(&view), vote: None }).collect();
-    out.verdict = judge(estimate.as_ref(), &out.witnesses, found.as_ref());
+    let ringing = cause::ringing(record, found.as_ref());
+    let damping = cause::moved_damping(estimate.as_ref(), reading.as_ref(), record);
+    let otherwise = || cause::cause(found.as_ref(), ringing.as_ref(), damping);
+    let beside = |e: &Estimate| cause::beside_sticking(e, reading.as_ref(), record, ringing.as_ref());
+    (out.verdict, out.contributing) = judge(estimate.as_ref(), &out.witnesses, otherwise, beside);
     out.stiction = out.verdict.stiction();
     // Without a confidence no better grade can be claimed.
     out.grade = Some(if out.stiction.is_none() { 'D' } else { 'C' });
     out
+}
+
+const fn as_document(r: &Reading) -> Controller {
+    Controller { kc: r.kc, ti_s: r.ti_s, td_s: r.td_s, lag_samples: r.lag_samples, r2: r.r2 }
 }
 
 fn options(params: &AssessParams, found: Option<&Oscillates>) -> Options {

@@ -6,7 +6,6 @@
 
 use super::document::Verdict;
 use crate::detect::Witness;
-use crate::detect::oscillation::Oscillates;
 use crate::ident::Estimate;
 use crate::ident::region;
 
@@ -23,12 +22,6 @@ const FULL_WEIGHT: f64 = 0.2;
 const PLAIN_INDEX: f64 = 0.75;
 /// Turns of the stem that this takes: fewer can be an accident.
 const PLAIN_REVERSALS: usize = 6;
-/// Endurance (see [`Oscillates::endurance`]) above which an oscillation is driven from outside: what comes from there
-/// keeps its phase, while a loop that rings by itself under random load loses it.
-const DRIVEN: f64 = 0.8;
-/// The same below which the loop rings by itself: a damping of 0.03 or more.
-const RINGING: f64 = 0.65;
-
 /// Logit of the rule; signs that the record does not show count 0.
 #[must_use]
 pub fn evidence(estimate: Option<&Estimate>, witnesses: &[Witness]) -> f64 {
@@ -38,22 +31,24 @@ pub fn evidence(estimate: Option<&Estimate>, witnesses: &[Witness]) -> f64 {
 }
 
 /// The verdict on a window without a blocking gate (`estimate` is `None` where nothing was fitted, which leaves a
-/// sticking valve unproven).
+/// sticking valve unproven), and what contributes; `otherwise` is asked where the valve does not stick, `beside` where
+/// it does.
 #[must_use]
-pub fn judge(estimate: Option<&Estimate>, witnesses: &[Witness], oscillation: Option<&Oscillates>) -> Verdict {
+pub fn judge(
+    estimate: Option<&Estimate>,
+    witnesses: &[Witness],
+    otherwise: impl FnOnce() -> (Verdict, Vec<Verdict>),
+    beside: impl FnOnce(&Estimate) -> Vec<Verdict>,
+) -> (Verdict, Vec<Verdict>) {
     let plain = |e: &Estimate| e.index >= PLAIN_INDEX && e.s > FULL_WEIGHT * e.span && e.reversals >= PLAIN_REVERSALS;
     if let Some(e) = estimate.filter(|e| plain(e) || evidence(estimate, witnesses) >= CUT) {
-        return match region::region(e.s, e.j, e.span) {
+        let word = match region::region(e.s, e.j, e.span) {
             "deadband" => Verdict::Deadband,
             _ => Verdict::Stiction,
         };
+        return (word, beside(e));
     }
-    match oscillation {
-        Some(o) if o.oscillating && o.endurance.is_some_and(|e| e > DRIVEN) => Verdict::Disturbance,
-        Some(o) if o.oscillating && o.endurance.is_some_and(|e| e < RINGING) => Verdict::Tuning,
-        Some(o) if o.oscillating => Verdict::NoStiction,
-        _ => Verdict::NoOscillation,
-    }
+    otherwise()
 }
 
 #[cfg(test)]
@@ -65,20 +60,9 @@ mod tests {
     }
 
     #[test]
-    fn without_a_fit_nothing_sticks_and_the_course_decides() {
-        let wave = |endurance| Oscillates {
-            period_points: 50.0,
-            periods: 10.0,
-            regularity: 5.0,
-            persistence: 0.9,
-            endurance,
-            oscillating: true,
-        };
-        let all = witnesses(1.0);
-        assert_eq!(judge(None, &all, Some(&wave(Some(0.9)))), Verdict::Disturbance);
-        assert_eq!(judge(None, &all, Some(&wave(None))), Verdict::NoStiction);
-        assert_eq!(judge(None, &all, Some(&wave(Some(0.3)))), Verdict::Tuning);
-        assert_eq!(judge(None, &all, None), Verdict::NoOscillation);
+    fn without_a_fit_nothing_sticks() {
+        let other = || (Verdict::Disturbance, vec![]);
+        assert_eq!(judge(None, &witnesses(1.0), other, |_| vec![Verdict::Tuning]).0, Verdict::Disturbance);
     }
 
     #[test]

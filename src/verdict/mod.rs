@@ -1,6 +1,7 @@
 //! Judgement on one window: gates, fit, verdict, grade.
 
 mod assess;
+mod cause;
 mod document;
 mod gates;
 mod judge;
