@@ -9,6 +9,7 @@ mod choice;
 pub mod class;
 mod fit;
 mod least_squares;
+pub mod one_step;
 mod quantify;
 pub mod region;
 mod search;
