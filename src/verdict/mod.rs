@@ -5,6 +5,7 @@ mod document;
 mod gates;
 mod judge;
 mod params;
+pub mod tally;
 
 pub use crate::detect::Witness;
 pub use crate::ident::{DelayChoice, ModelChoice, ValveChoice};
