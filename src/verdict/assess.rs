@@ -2,8 +2,9 @@
 
 use super::document::{Assessment, Oscillation, Process, Search, Window};
 use super::gates::gates;
-use super::judge::judge;
+use super::judge::{grade, judge};
 use super::params::AssessParams;
+use super::rule::{self, Rule};
 use crate::detect::oscillation::{self, Oscillates};
 use crate::detect::{self, View, Witness};
 use crate::ident::region::{region, severity, strength};
@@ -27,7 +28,8 @@ pub fn assess(record: &Record, params: &AssessParams) -> Assessment {
     let gates = gates(record, &oscillation, params);
     let window = Window::of(record);
     let mut out = Assessment { gates, interval_level: Some(INTERVAL_LEVEL), ..Assessment::empty(window, oscillation) };
-    if out.gates.iter().any(|g| g.blocks()) {
+    if let Some(gate) = out.gates.iter().find(|g| g.blocks()) {
+        out.reason = Some(gate.name());
         return out;
     }
     let worth_it = params.always_fit
@@ -37,13 +39,31 @@ pub fn assess(record: &Record, params: &AssessParams) -> Assessment {
     if let Some(e) = &estimate {
         fill(&mut out, e, record, params);
     }
-    let view = View::new(record);
-    out.witnesses = detect::ALL.iter().map(|d| Witness { name: d.name(), score: d.score(&view), vote: None }).collect();
-    out.verdict = judge(estimate.as_ref(), &out.witnesses, found.as_ref());
-    out.stiction = out.verdict.stiction();
-    // Without a confidence no better grade can be claimed.
-    out.grade = Some(if out.stiction.is_none() { 'D' } else { 'C' });
+    decide(&mut out, estimate.as_ref(), record, found.as_ref());
     out
+}
+
+/// Asks the rule and says what it answers, and why.
+fn decide(out: &mut Assessment, estimate: Option<&Estimate>, record: &Record, found: Option<&Oscillates>) {
+    let rule = Rule::shipped();
+    let features = rule::features(rule::figures(estimate, &View::new(record), &detect::ALL));
+    let opinion = rule.opinion(&features);
+    let names = rule::OF_THE_FIT.into_iter().chain(detect::ALL.iter().map(|d| d.name()));
+    let witness = |name| {
+        let voice = rule.voice(name, &features);
+        let vote = (voice.contribution != 0.0).then_some(voice.contribution > 0.0);
+        Witness { name, score: voice.score, vote, contribution: voice.contribution }
+    };
+    out.witnesses = names.map(witness).collect();
+    out.verdict = judge(estimate, &opinion, found);
+    out.stiction = out.verdict.stiction();
+    let p = opinion.p();
+    out.p_stiction = Some(p);
+    out.explanation = Some(opinion);
+    out.confidence = out.stiction.map(|_| p.max(1.0 - p));
+    out.reason = out.stiction.is_none().then_some(if opinion.sticks().is_none() { "undecided" } else { "not_fitted" });
+    let width = out.s_interval.zip(out.s).map(|([low, high], s)| (high - low) / s);
+    out.grade = Some(grade(out.confidence, !out.gates.is_empty(), width));
 }
 
 fn options(params: &AssessParams, found: Option<&Oscillates>) -> Options {

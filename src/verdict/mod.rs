@@ -1,10 +1,12 @@
 //! Judgement on one window: gates, fit, verdict, grade.
 
 mod assess;
+pub mod calibrate;
 mod document;
 mod gates;
 mod judge;
 mod params;
+pub mod rule;
 pub mod tally;
 
 pub use crate::detect::Witness;
