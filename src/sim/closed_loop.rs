@@ -3,6 +3,7 @@
 
 use super::controller::{Pid, PidSettings};
 use super::disturbance::{Disturbance, DisturbanceState};
+use super::friction::{Friction, FrictionState};
 use super::noise::Noise;
 use super::process::{ProcessModel, ProcessState};
 use super::valve::{Tracking, he_step, tracking_step};
@@ -18,6 +19,9 @@ pub enum ValveLaw {
     He,
     /// The tracking (sliding) law, [`tracking_step`].
     Tracking,
+    /// Forces instead of a law: [`ValveModel::friction`].
+    #[serde(skip)]
+    Physical,
 }
 
 /// A valve: OP clipped to its travel, then its law.
@@ -33,20 +37,49 @@ pub struct ValveModel {
     pub travel_min: f64,
     /// OP at the other end, greater than `travel_min`.
     pub travel_max: f64,
+    /// Friction of the physical valve; the laws do without.
+    pub friction: Friction,
+}
+
+/// Memory of a valve.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Stem {
+    /// Position that acts until the next scan (its mean where it creeps in between), OP units.
+    pub position: f64,
+    direction: i8,
+    inner: FrictionState,
+}
+
+impl Stem {
+    /// A stem that rests at `position`.
+    #[must_use]
+    pub const fn at_rest(position: f64) -> Self {
+        Self { position, direction: 0, inner: FrictionState::at_rest(position) }
+    }
 }
 
 impl ValveModel {
     /// A valve without friction over 0..100.
-    pub const HEALTHY: Self = Self { law: ValveLaw::None, fs: 0.0, fd: 0.0, travel_min: 0.0, travel_max: 100.0 };
+    pub const HEALTHY: Self =
+        Self { law: ValveLaw::None, fs: 0.0, fd: 0.0, travel_min: 0.0, travel_max: 100.0, friction: Friction::NONE };
 
     /// Next state of the stem for `op`.
     #[must_use]
-    pub fn step(&self, stem: Tracking, op: f64) -> Tracking {
+    pub fn step(&self, stem: Stem, op: f64) -> Stem {
         let op = op.clamp(self.travel_min, self.travel_max);
         match self.law {
-            ValveLaw::None => Tracking { position: op, direction: 0 },
-            ValveLaw::He => Tracking { position: he_step(stem.position, op, self.fs, self.fd), direction: 0 },
-            ValveLaw::Tracking => tracking_step(stem, op, self.fs, self.fd),
+            ValveLaw::None => Stem { position: op, ..stem },
+            ValveLaw::He => Stem { position: he_step(stem.position, op, self.fs, self.fd), ..stem },
+            ValveLaw::Tracking => {
+                let now = Tracking { position: stem.position, direction: stem.direction };
+                let Tracking { position, direction } = tracking_step(now, op, self.fs, self.fd);
+                Stem { position, direction, ..stem }
+            }
+            ValveLaw::Physical => {
+                let mut inner = stem.inner;
+                let position = self.friction.step(&mut inner, op);
+                Stem { position, inner, ..stem }
+            }
         }
     }
 }
@@ -95,7 +128,7 @@ pub struct ClosedLoop {
     model: LoopModel,
     process: ProcessState,
     pid: Pid,
-    stem: Tracking,
+    stem: Stem,
     noise: Noise,
     load: Vec<DisturbanceState>,
     pv_disturbance: Vec<DisturbanceState>,
@@ -122,7 +155,7 @@ impl ClosedLoop {
         Self {
             process: ProcessState::at_rest(model.process, 0.0),
             pid: Pid::bumpless(model.controller, model.rest_op, sp, model.rest_pv),
-            stem: Tracking { position: model.rest_op, direction: 0 },
+            stem: Stem::at_rest(model.rest_op),
             noise: Noise::new(seed, 0),
             load,
             pv_disturbance,
@@ -152,9 +185,15 @@ impl ClosedLoop {
 
     /// One scan with the set point `sp`.
     pub fn step(&mut self, sp: f64) -> Scan {
+        self.step_with(sp, 0.0, |_| 0.0)
+    }
+
+    /// One scan with the set point `sp`, something more on PV (PV units), and more load at the process input until
+    /// the next scan (OP units), which may hang on the valve position: so a valve gets a curved characteristic.
+    pub fn step_with(&mut self, sp: f64, on_pv: f64, more_load: impl FnOnce(f64) -> f64) -> Scan {
         let model = &self.model;
         let input = self.stem.position - model.rest_op + self.held_load;
-        let mut pv = model.rest_pv + self.process.step(input, 0.0);
+        let mut pv = model.rest_pv + self.process.step(input, 0.0) + on_pv;
         for disturbance in &mut self.pv_disturbance {
             pv += disturbance.at(self.t_s);
         }
@@ -163,6 +202,7 @@ impl ClosedLoop {
         let op = self.pid.step(sp, pv, model.ts_s);
         self.stem = model.valve.step(self.stem, op);
         self.held_load = self.load.iter_mut().map(|disturbance| disturbance.at(self.t_s)).sum();
+        self.held_load += more_load(self.stem.position);
         self.scans += 1;
         self.t_s = self.start_s + self.scans as f64 * model.ts_s;
         Scan { op, pv, sp, mv: self.stem.position, manual: self.pid.is_manual() }

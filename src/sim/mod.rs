@@ -3,10 +3,12 @@
 pub mod closed_loop;
 pub mod controller;
 pub mod disturbance;
+pub mod friction;
 pub mod noise;
 pub mod plant;
 pub mod process;
 pub mod scenario;
 mod scenario_check;
 pub mod slips;
+pub mod truth;
 pub mod valve;

@@ -439,6 +439,7 @@ impl LoopSpec {
                 fd: self.valve.fd,
                 travel_min: op_min.min(0.0),
                 travel_max: op_max.max(100.0),
+                ..ValveModel::HEALTHY
             },
             pv_noise_sd: self.noise.pv_sd,
             load: self.disturbance.load.clone(),

@@ -1,0 +1,187 @@
+//! A valve with friction, from forces rather than from a law of its signals: an actuator whose force goes with OP, a
+//! spring, and packing that holds until the static band is passed and then drags along the Stribeck curve.
+//!
+//! Everything is divided by the spring, so forces are OP units and times are scans. Inertia is left out: a globe valve
+//! of some hundred newtons a millimetre settles within milliseconds. What remains is
+//! `|op - x| = fc + (fs - fc) exp(-(v/vs)^2) + fv |v|`, solved for the speed on the branch on which the stem is. A slow
+//! OP gives a staircase; a ramp quicker than the speed at the curve's minimum gives smooth tracking.
+
+/// Steps of the integration between two scans.
+pub const SUB_STEPS: usize = 20;
+
+/// Friction of a stem, with the turning points of its curve.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Friction {
+    fs: f64,
+    fc: f64,
+    vs: f64,
+    fv: f64,
+    lag: f64,
+    /// Speed and force at the curve's maximum (creeping below) and minimum (sliding above); none where it only rises.
+    folds: Option<[(f64, f64); 2]>,
+}
+
+impl Friction {
+    /// No friction at all.
+    pub const NONE: Self = Self { fs: 0.0, fc: 0.0, vs: 1.0, fv: 1e-3, lag: 0.0, folds: None };
+
+    /// Friction with static band `fs` and Coulomb band `fc <= fs` (OP units), Stribeck speed `vs` (OP units a scan),
+    /// viscous time `fv` (scans) and the actuator's lag (scans, 0 for none). All but the lag are > 0.
+    #[must_use]
+    pub fn new(fs: f64, fc: f64, vs: f64, fv: f64, lag: f64) -> Self {
+        let (fc, vs, fv) = (fc.min(fs), vs.max(1e-9), fv.max(1e-6));
+        let mut friction = Self { fs, fc, vs, fv, lag, folds: None };
+        // The slope is 0 where w exp(-w^2) = fv vs / (2 (fs - fc)), w = v/vs; the left side is largest at 1/sqrt 2.
+        let side = |w: f64| w * libm::exp(-w * w);
+        let top = core::f64::consts::FRAC_1_SQRT_2;
+        let level = fv * vs / (2.0 * (fs - fc).max(1e-12));
+        if level < side(top) {
+            let solve = |mut below: f64, mut above: f64| {
+                for _ in 0..60 {
+                    let mid = 0.5 * (below + above);
+                    if side(mid) < level { below = mid } else { above = mid }
+                }
+                0.5 * (below + above) * vs
+            };
+            let (crest, trough) = (solve(0.0, top), solve(8.0, top));
+            friction.folds = Some([(crest, friction.force(crest)), (trough, friction.force(trough))]);
+        }
+        friction
+    }
+
+    /// Force at the speed `v >= 0`.
+    #[must_use]
+    pub fn force(&self, v: f64) -> f64 {
+        let w = v / self.vs;
+        self.fc + (self.fs - self.fc) * libm::exp(-w * w) + self.fv * v
+    }
+
+    /// Static band, OP units.
+    #[must_use]
+    pub const fn static_band(&self) -> f64 {
+        self.fs
+    }
+
+    /// The speed between `low` and `high`, where the curve rises, at which it has the force `e`.
+    fn speed_within(&self, e: f64, mut low: f64, mut high: f64) -> f64 {
+        let mut v = high;
+        for _ in 0..40 {
+            let w = v / self.vs;
+            let bell = (self.fs - self.fc) * libm::exp(-w * w);
+            let over = self.fc + bell + self.fv * v - e;
+            if over > 0.0 {
+                high = v
+            } else {
+                low = v
+            }
+            let slope = self.fv - 2.0 * bell * w / self.vs;
+            let newton = v - over / slope;
+            let next = if newton > low && newton < high { newton } else { 0.5 * (low + high) };
+            if (next - v).abs() <= 1e-9 * self.vs.min(v.max(1e-12)) {
+                return next;
+            }
+            v = next;
+        }
+        v
+    }
+
+    /// Speed under the force `e >= 0` for a stem that moves with `v >= 0`.
+    fn speed(&self, e: f64, v: f64) -> f64 {
+        let fastest = ((e - self.fc) / self.fv).max(0.0);
+        match self.folds {
+            None if e <= self.fs => 0.0,
+            None => self.speed_within(e, 0.0, fastest),
+            Some([(crest, most), (trough, least)]) => {
+                let slides = v >= trough * (1.0 - 1e-9);
+                if e > most || (slides && e >= least) {
+                    self.speed_within(e, trough, fastest.max(trough))
+                } else if e <= self.fs {
+                    0.0
+                } else {
+                    self.speed_within(e, 0.0, crest)
+                }
+            }
+        }
+    }
+
+    /// One short step of `dt` scans with the actuator at `drive`; the viscous part is exact for a constant drive.
+    fn sub_step(&self, stem: &mut FrictionState, drive: f64, dt: f64) {
+        let e = drive - stem.position;
+        let along = stem.speed * e.signum();
+        let v = e.signum() * self.speed(e.abs(), along.max(0.0));
+        stem.position += v * self.fv * (1.0 - libm::exp(-dt / self.fv));
+        stem.speed = v;
+    }
+
+    /// Moves `stem` over one scan with OP held at `op`; answers its mean position, which is what a process sees.
+    pub fn step(&self, stem: &mut FrictionState, op: f64) -> f64 {
+        let dt = 1.0 / SUB_STEPS as f64;
+        let share = if self.lag > 0.0 { 1.0 - libm::exp(-dt / self.lag) } else { 1.0 };
+        let mut sum = 0.0;
+        for _ in 0..SUB_STEPS {
+            let before = stem.position;
+            stem.drive += share * (op - stem.drive);
+            self.sub_step(stem, stem.drive, dt);
+            sum += 0.5 * (before + stem.position);
+        }
+        sum * dt
+    }
+
+    /// Stick band and slip jump `(s, j)` as a test on the bench would read them: OP ramps up slowly until the stem has
+    /// made a step (or slides), turns, and travels `s` until the stem moves back; by `j` the stem then catches up.
+    #[must_use]
+    pub fn measure(&self) -> (f64, f64) {
+        let dt = 1.0 / SUB_STEPS as f64;
+        let pace = self.fs / 2_000.0;
+        let mut stem = FrictionState::at_rest(0.0);
+        let mut op = 0.0;
+        self.one_motion(&mut stem, &mut op, pace, dt);
+        let turned = op;
+        let (started, caught_up) = self.one_motion(&mut stem, &mut op, -pace, dt);
+        ((started - turned).abs(), caught_up)
+    }
+
+    /// Ramps OP by `pace` a short step until the stem has moved and rests again, or has slid for three static bands.
+    /// Answers OP at the first motion and how far the stem caught up with OP.
+    fn one_motion(&self, stem: &mut FrictionState, op: &mut f64, pace: f64, dt: f64) -> (f64, f64) {
+        let from = stem.position;
+        let (mut started, mut most, mut least) = (*op, 0.0_f64, f64::INFINITY);
+        let mut moved = false;
+        for _ in 0..20_000 {
+            *op += pace;
+            self.sub_step(stem, *op, dt);
+            let e = (*op - stem.position) * pace.signum();
+            if !moved {
+                started = *op;
+                most = most.max(e);
+                moved = (stem.position - from).abs() > 1e-3 * self.fs;
+            }
+            if moved {
+                least = least.min(e);
+                if stem.speed == 0.0 || (*op - started).abs() > 3.0 * self.fs {
+                    break;
+                }
+            }
+        }
+        (started, (most - least).max(0.0))
+    }
+}
+
+/// Memory of a stem with friction.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FrictionState {
+    /// Position, OP units.
+    pub position: f64,
+    /// Speed, OP units a scan.
+    pub speed: f64,
+    /// Where the lagging actuator pushes to, OP units.
+    pub drive: f64,
+}
+
+impl FrictionState {
+    /// A stem that rests at `position` without strain.
+    #[must_use]
+    pub const fn at_rest(position: f64) -> Self {
+        Self { position, speed: 0.0, drive: position }
+    }
+}
