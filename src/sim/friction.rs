@@ -185,3 +185,123 @@ impl FrictionState {
         Self { position, speed: 0.0, drive: position }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sim::noise::Noise;
+
+    /// The LuGre model with mass (Canudas de Wit et al. 1995), implicit where it is stiff.
+    struct LuGre {
+        friction: Friction,
+        mass: f64,
+        bristle: f64,
+        damping: f64,
+        x: f64,
+        v: f64,
+        z: f64,
+    }
+
+    impl LuGre {
+        fn step(&mut self, drive: f64, dt: f64) {
+            let Friction { fs, fc, vs, fv, .. } = self.friction;
+            let w = self.v / vs;
+            let g = (fc + (fs - fc) * (-w * w).exp()) / self.bristle;
+            let slip = (1.0 - self.v.signum() * self.z / g).max(0.0);
+            let force = drive - self.x - self.bristle * self.z;
+            self.v = (self.v + dt / self.mass * force) / (1.0 + dt / self.mass * (fv + self.damping * slip));
+            self.z = (self.z + self.v * dt) / (1.0 + self.v.abs() * dt / g);
+            self.x += self.v * dt;
+        }
+    }
+
+    /// OP as a cycle with kinks and a slow wander, so that the stem turns at unequal excursions.
+    fn path(seed: u64, size: f64, period: f64) -> Vec<f64> {
+        let mut noise = Noise::new(seed, 3);
+        let mut wander = 0.0;
+        (0..400)
+            .map(|k| {
+                let turns = f64::from(k) / period;
+                wander += 0.02 * size * noise.gaussian();
+                size * (4.0 * (turns - turns.floor() - 0.5).abs() - 1.0) + wander
+            })
+            .collect()
+    }
+
+    #[test]
+    fn the_stem_goes_where_one_with_mass_and_bristles_goes() {
+        // fs, fc, vs, fv, lag, period: staircases first, smooth tracking last.
+        for (case, (fs, fc, vs, fv, lag, period)) in [
+            (3.0, 1.5, 0.02, 0.1, 0.0, 200.0),
+            (3.0, 2.4, 0.02, 0.2, 0.3, 160.0),
+            (5.0, 2.0, 0.05, 0.3, 0.0, 120.0),
+            (2.0, 0.6, 0.01, 0.1, 0.5, 200.0),
+            (4.0, 3.6, 0.01, 0.15, 0.0, 150.0),
+            (6.0, 5.0, 0.05, 0.5, 0.2, 100.0),
+            (3.0, 2.0, 0.1, 1.0, 0.0, 150.0),
+            (3.0, 1.5, 0.01, 1.5, 0.4, 100.0),
+            (4.0, 2.0, 0.3, 0.5, 0.0, 80.0),
+            (2.0, 1.8, 1.0, 1.0, 0.8, 80.0),
+        ]
+        .into_iter()
+        .enumerate()
+        {
+            let friction = Friction::new(fs, fc, vs, fv, lag);
+            let ops = path(case as u64, 2.2 * fs, period);
+            let mut stem = FrictionState::at_rest(ops[0]);
+            let mut full = LuGre { friction, mass: 1e-4, bristle: 300.0, damping: 0.05, x: ops[0], v: 0.0, z: 0.0 };
+            let (mut drive, fine) = (ops[0], 4_000);
+            let dt = 1.0 / f64::from(fine);
+            let share = if lag > 0.0 { 1.0 - (-dt / lag).exp() } else { 1.0 };
+            let mut squares = 0.0;
+            for &op in &ops {
+                friction.step(&mut stem, op);
+                for _ in 0..fine {
+                    drive += share * (op - drive);
+                    full.step(drive, dt);
+                }
+                squares += (stem.position - full.x).powi(2);
+            }
+            let s = friction.measure().0;
+            let off = (squares / ops.len() as f64).sqrt() / s;
+            eprintln!("case {case}: rms apart {:.2} % of s {s:.2}", 100.0 * off);
+            assert!(off < 0.03, "case {case}: {off}");
+        }
+    }
+
+    #[test]
+    fn a_bench_test_reads_the_bands_of_the_curve() {
+        let friction = Friction::new(4.0, 2.0, 0.01, 0.2, 0.0);
+        let (s, j) = friction.measure();
+        let [_, (_, least)] = friction.folds.unwrap();
+        assert!((s - (4.0 + least)).abs() < 0.1 && (j - (4.0 - least)).abs() < 0.1, "{s} {j} {least}");
+        // Much drag: the stem creeps, there is no jump.
+        let (s, j) = Friction::new(4.0, 3.5, 1.0, 5.0, 0.0).measure();
+        assert!((s - 8.0).abs() < 0.3 && j < 0.2, "{s} {j}");
+    }
+
+    #[test]
+    fn a_slow_ramp_gives_a_staircase_and_a_quick_one_is_tracked() {
+        let friction = Friction::new(3.0, 1.5, 0.05, 0.2, 0.0);
+        let rests = |pace: f64| {
+            let mut stem = FrictionState::at_rest(0.0);
+            let n = (30.0 / pace) as usize;
+            let mut still = 0;
+            for k in 0..n {
+                friction.step(&mut stem, pace * k as f64);
+                still += usize::from(k > n / 2 && stem.speed == 0.0);
+            }
+            still as f64 / (n as f64 / 2.0)
+        };
+        assert!(rests(0.01) > 0.8 && rests(2.0) == 0.0, "{} {}", rests(0.01), rests(2.0));
+    }
+
+    #[test]
+    fn no_friction_follows() {
+        let mut stem = FrictionState::at_rest(50.0);
+        for op in [51.0, 49.0, 30.0] {
+            Friction::NONE.step(&mut stem, op);
+            assert!((stem.position - op).abs() < 1e-6);
+        }
+    }
+}

@@ -379,6 +379,7 @@ pub(super) fn attempt(draw: &mut Draw, regime: Regime) -> Option<TruthLoop> {
         j: Some(j),
         process: recorded.process,
         controller: recorded.settings(ts_s),
+        travel: [rig.valve.travel_min, rig.valve.travel_max],
         seed: 0,
         kind: shape.name(),
         process_kind,

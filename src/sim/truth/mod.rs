@@ -1,7 +1,7 @@
 //! Closed loops whose truth is known, by the thousand: what estimates are calibrated on and reported against.
 //!
 //! [`accuracy`] makes sticking, well-posed loops of one [`Regime`]; `s` and `j` are known, and the valve is seen to
-//! move. `verdict_case` makes healthy and sticking loops of every kind, hard ones too, as plants would store them.
+//! move. [`verdict_case`] makes healthy and sticking loops of every kind, hard ones too, as plants would store them.
 //! Both are functions of (half, what, seed) alone, to the last bit.
 //!
 //! Two [`Half`]s draw from streams of their own, so nothing that was calibrated on one is met in the other, whatever
@@ -10,12 +10,13 @@
 //! Bands are OP units (0..100 %), times scans unless they say seconds; `ts_s` is a label only.
 
 mod accuracy;
-#[allow(dead_code)]
 mod draw;
-#[allow(dead_code)]
 mod rig;
+mod storage;
+mod verdict;
 
 pub use accuracy::Regime;
+pub use verdict::{KINDS, LIMIT_CYCLE, PROCESS_KINDS, RECORD_KINDS};
 
 use super::controller::PidSettings;
 use super::process::ProcessModel;
@@ -71,6 +72,8 @@ pub struct TruthLoop {
     pub process: ProcessModel,
     /// Controller.
     pub controller: PidSettings,
+    /// Ends of the valve's travel, OP units.
+    pub travel: [f64; 2],
     /// Seed of the draws.
     pub seed: u64,
     /// What moves the loop: `limit cycle`, or the name of the excitation.
@@ -88,7 +91,7 @@ pub struct TruthLoop {
     /// Period aimed at, recorded samples.
     pub period: f64,
     /// Size of what disturbs: over half the swing of the stick-slip PV in [`accuracy`], in OP units over fs in
-    /// sticking and OP units in healthy `verdict_case` loops.
+    /// sticking and OP units in healthy [`verdict_case`] loops.
     pub disturbance: f64,
 }
 
@@ -131,4 +134,79 @@ fn first_that_fits(
 #[must_use]
 pub fn accuracy(half: Half, regime: Regime, seed: u64) -> TruthLoop {
     first_that_fits(half, regime.name(), seed, |draw| accuracy::attempt(draw, regime))
+}
+
+/// A loop for the verdict: healthy for even seeds, sticking for odd ones. The kinds take turns with `seed / 2`, all
+/// else is drawn.
+#[must_use]
+pub fn verdict_case(half: Half, seed: u64) -> TruthLoop {
+    let (sticks, what) = if seed % 2 == 1 { (true, "verdict sticking") } else { (false, "verdict healthy") };
+    first_that_fits(half, what, seed, |draw| verdict::attempt(draw, sticks, seed / 2))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sim::slips::{FirstSlip, Law, Sequence};
+
+    fn bits(found: &TruthLoop) -> Vec<u64> {
+        found.op.iter().chain(&found.pv).chain(&found.sp).chain(&found.mv).map(|x| x.to_bits()).collect()
+    }
+
+    #[test]
+    fn equal_seeds_give_equal_bits_and_halves_have_nothing_in_common() {
+        for seed in 0..6 {
+            let case = |half, seed| bits(&verdict_case(half, seed));
+            assert_eq!(case(Half::Report, seed), case(Half::Report, seed));
+            assert_ne!(case(Half::Report, seed), case(Half::Calibration, seed));
+            assert_ne!(case(Half::Report, seed), case(Half::Report, seed + 2));
+            let regime = Regime::ALL[seed as usize * 4];
+            let case = |half, seed| bits(&accuracy(half, regime, seed));
+            assert_eq!(case(Half::Report, seed), case(Half::Report, seed));
+            assert_ne!(case(Half::Report, seed), case(Half::Calibration, seed));
+            assert_ne!(case(Half::Report, seed), case(Half::Report, seed + 1));
+        }
+    }
+
+    #[test]
+    fn the_valve_obeys_its_law_in_slip_coordinates_too() {
+        for (regime, law) in [(Regime::HeStart, Law::He), (Regime::TrackingSetPoint, Law::Tracking)] {
+            for seed in 0..4 {
+                let found = accuracy(Half::Calibration, regime, seed);
+                let (s, j) = (found.s.unwrap(), found.j.unwrap());
+                let (fs, fd) = (0.5 * (s + j), 0.5 * (s - j));
+                // The stem rests where the loop rests: an upward slip needs OP above that by fs.
+                let rest = found.mv[0];
+                assert_eq!(rest, found.mv[1]);
+                let first = found.mv.iter().position(|v| *v != rest).unwrap();
+                let direction = (found.op[first] - rest).signum();
+                let first = FirstSlip { direction, threshold: rest + direction * fs };
+                let mut sequence = Sequence::default();
+                sequence.run(law, &found.op, 1, s, j, first);
+                let slipped = found.mv.iter().position(|v| *v != rest).unwrap();
+                for k in slipped..found.mv.len() {
+                    let stem = sequence.at[k] - sequence.direction[k] * fd;
+                    assert!((stem - found.mv[k]).abs() < 1e-9, "{regime:?} {seed} at {k}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn the_noise_is_what_the_truth_says() {
+        let found = accuracy(Half::Report, Regime::HighNoise, 1);
+        assert!((found.floor_sd, found.sticks) == (Some(found.noise_sd), true));
+        // Second differences hold six times the noise's variance, and little of the process.
+        let rough: f64 = found.pv.windows(3).map(|w| (w[2] - 2.0 * w[1] + w[0]).powi(2)).sum();
+        let sd = (rough / (6.0 * (found.pv.len() - 2) as f64)).sqrt();
+        assert!((0.9..1.3).contains(&(sd / found.noise_sd)), "{sd} {}", found.noise_sd);
+    }
+
+    #[test]
+    fn a_record_shows_what_a_historian_has() {
+        let found = accuracy(Half::Report, Regime::Decimated, 0);
+        let record = found.record();
+        assert!(record.mv.is_none() && record.sp.is_some() && record.len() == found.pv.len());
+        assert_eq!(record.ts_s, found.ts_s);
+    }
 }

@@ -67,6 +67,20 @@ impl Run {
 }
 
 impl Rig {
+    /// The middle of the range, no controller, no process: what the rest is filled from.
+    pub const AT_REST: Self = Self {
+        process: ProcessModel { gain: 1.0, tau: 0.0, tau2: 0.0, dead_time: 0.0, integrating: false },
+        kc: 0.0,
+        ti: f64::INFINITY,
+        td: 0.0,
+        valve: ValveModel::HEALTHY,
+        rest_op: 50.0,
+        rest_pv: 0.0,
+        op_min: 0.0,
+        op_max: 100.0,
+        curvature: 0.0,
+    };
+
     pub fn settings(&self, ts_s: f64) -> PidSettings {
         PidSettings {
             kc: self.kc,
