@@ -2,6 +2,7 @@
 
 pub mod analyze;
 pub mod bench;
+pub mod calibrate;
 pub mod check;
 pub mod convert;
 pub mod demo;
@@ -85,6 +86,7 @@ enum CommandArgs {
     Replay(replay::Args),
     Analyze(analyze::Args),
     Evaluate(evaluate::Args),
+    Calibrate(calibrate::Args),
     Simulate(simulate::Args),
     Convert(convert::ConvertArgs),
     Check(check::Args),
@@ -125,6 +127,7 @@ fn dispatch(cli: Cli) -> anyhow::Result<Outcome> {
         CommandArgs::Replay(args) => replay::run(&args, format),
         CommandArgs::Analyze(args) => analyze::run(&args, format),
         CommandArgs::Evaluate(args) => evaluate::run(&args, format),
+        CommandArgs::Calibrate(args) => calibrate::run(&args, format),
         CommandArgs::Simulate(args) => simulate::run(&args, format),
         CommandArgs::Convert(args) => convert::run(&args, format),
         CommandArgs::Check(args) => check::run(&args, format),

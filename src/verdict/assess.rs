@@ -1,10 +1,10 @@
 //! One record in, one assessment out.
 
-use super::document::{Assessment, Oscillation, Process, Search, Window};
+use super::document::{Assessment, Gate, Oscillation, Process, Search, Window};
 use super::gates::gates;
 use super::judge::{grade, judge};
 use super::params::AssessParams;
-use super::rule::{self, Rule};
+use super::rule::{self, Features, Rule};
 use crate::detect::oscillation::{self, Oscillates};
 use crate::detect::{self, View, Witness};
 use crate::ident::region::{region, severity, strength};
@@ -41,6 +41,20 @@ pub fn assess(record: &Record, params: &AssessParams) -> Assessment {
     }
     decide(&mut out, estimate.as_ref(), record, found.as_ref());
     out
+}
+
+/// The figures that the rule asks for, or the blocking gate that leaves the record without an answer.
+///
+/// # Errors
+/// The first blocking gate.
+pub fn figures(record: &Record, params: &AssessParams) -> Result<Features, Gate> {
+    let found = oscillation::detect(&record.op(), &record.pv);
+    let met = gates(record, &describe(found.as_ref(), record), params);
+    if let Some(gate) = met.into_iter().find(|g| g.blocks()) {
+        return Err(gate);
+    }
+    let estimate = quantify(record, &options(params, found.as_ref()));
+    Ok(rule::figures(estimate.as_ref(), &View::new(record), &detect::ALL))
 }
 
 /// Asks the rule and says what it answers, and why.

@@ -11,7 +11,7 @@ pub mod tally;
 
 pub use crate::detect::Witness;
 pub use crate::ident::{DelayChoice, ModelChoice, ValveChoice};
-pub use assess::assess;
+pub use assess::{assess, figures};
 pub use document::{
     Assessment, Controller, ESTIMATE_SCHEMA, EstimateDocument, Gate, Oscillation, Process, Search, Verdict, Window,
 };
