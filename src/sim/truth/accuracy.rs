@@ -240,7 +240,7 @@ pub(super) fn process(draw: &mut Draw, kind: usize) -> (ProcessModel, &'static s
 pub(super) fn physical(draw: &mut Draw, fs: f64, fd: f64, period: f64) -> Friction {
     let pace = 2.0 * (fs + fd) / period;
     let vs = pace * draw.log_between(0.1, 10.0);
-    let lag = if draw.chance(0.5) { draw.between(0.1, 0.8) } else { 0.0 };
+    let lag = draw.between(0.1, 0.8);
     Friction::new(fs, fd, vs, draw.log_between(0.1, 1.5), lag)
 }
 
@@ -406,21 +406,11 @@ mod tests {
         for regime in Regime::ALL {
             for seed in 0..3 {
                 let found = accuracy(Half::Calibration, regime, seed);
-                eprintln!(
-                    "{:20} {:10} {:18} {:13} n {} period {:.0} cycles {:.1} s {:.2} j {:.2} op span {:.1} noise {:.3}",
-                    regime.name(),
-                    found.law,
-                    found.kind,
-                    found.process_kind,
-                    found.pv.len(),
-                    found.period,
-                    found.cycles(),
-                    found.s.unwrap(),
-                    found.j.unwrap(),
-                    span(&found.op),
-                    found.noise_share
-                );
                 assert!((990..=1_910).contains(&found.pv.len()), "{regime:?} {}", found.pv.len());
+                let (s, j) = (found.s.unwrap(), found.j.unwrap());
+                assert!(s > 0.0 && (0.0..=s).contains(&j) && span(&found.op) > s, "{regime:?} {seed}: {s} {j}");
+                assert_eq!((found.regime, found.floor_sd.is_some()), (regime.name(), regime.is_matched()));
+                assert!(found.cycles() < 26.0 && found.sticks && motions(&found.mv, 1e-9) >= 6);
             }
         }
     }

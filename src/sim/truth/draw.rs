@@ -123,7 +123,7 @@ pub(super) fn std_dev(x: &[f64]) -> f64 {
     (x.iter().map(|v| (v - mean) * (v - mean)).sum::<f64>() / n).sqrt()
 }
 
-/// `x` scaled so that its half span (for chance: root two standard deviations, if less) is `size`, from its start on.
+/// `x` scaled so that its half span is `size`.
 pub(super) fn scaled(x: &[f64], size: f64) -> Vec<f64> {
     let by = size / (0.5 * span(x)).max(1e-12);
     x.iter().map(|v| v * by).collect()

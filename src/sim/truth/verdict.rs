@@ -408,7 +408,6 @@ mod tests {
             );
             assert_eq!(found.sticks, found.s.is_some());
         }
-        eprintln!("{seen:#?}");
         assert_eq!(sticking, 120);
         assert!(KINDS.iter().all(|kind| seen.contains_key(&("healthy", *kind))));
         assert!(seen.contains_key(&("sticking", LIMIT_CYCLE)));
