@@ -2,7 +2,8 @@
 
 use super::{Detector, View};
 
-/// How much more concentrated PV's moves are than OP's, -0.3..0.7: the concentration is the share of the squared moves
+/// How much more concentrated PV's moves are than OP's, 0..0.7 (less concentrated says nothing: OP answers a set point that
+/// steps in steps): the concentration is the share of the squared moves
 /// over a sixteenth of a period that the largest tenth of them holds. The same of the changes of the moves, where that is
 /// more: behind a valve that jumps, an integrating process turns sharply instead of jumping. Needs no model, no cycle and
 /// no period, but a sampling time well below a sixteenth of OP's typical time.
@@ -21,7 +22,7 @@ impl Detector for Jumps {
             (Some(pv), Some(op)) => pv - op,
             _ => jumps,
         };
-        Some(jumps.max(turns).clamp(-0.3, 0.7))
+        Some(jumps.max(turns).clamp(0.0, 0.7))
     }
 }
 

@@ -6,7 +6,7 @@ use super::judge::{grade, judge};
 use super::params::AssessParams;
 use super::rule::{self, Features, Rule};
 use crate::detect::oscillation::{self, Oscillates};
-use crate::detect::{self, View, Witness};
+use crate::detect::{self, Witness};
 use crate::ident::region::{region, severity, strength};
 use crate::ident::{Estimate, Options, quantify};
 use crate::record::Record;
@@ -54,13 +54,13 @@ pub fn figures(record: &Record, params: &AssessParams) -> Result<Features, Gate>
         return Err(gate);
     }
     let estimate = quantify(record, &options(params, found.as_ref()));
-    Ok(rule::figures(estimate.as_ref(), &View::new(record), &detect::ALL))
+    Ok(rule::figures(estimate.as_ref(), record, &detect::ALL))
 }
 
 /// Asks the rule and says what it answers, and why.
 fn decide(out: &mut Assessment, estimate: Option<&Estimate>, record: &Record, found: Option<&Oscillates>) {
     let rule = Rule::shipped();
-    let features = rule::features(rule::figures(estimate, &View::new(record), &detect::ALL));
+    let features = rule::features(rule::figures(estimate, record, &detect::ALL));
     let opinion = rule.opinion(&features);
     let names = rule::OF_THE_FIT.into_iter().chain(detect::ALL.iter().map(|d| d.name()));
     let witness = |name| {

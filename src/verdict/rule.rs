@@ -12,9 +12,17 @@ use serde::{Deserialize, Serialize};
 
 use crate::detect::{Detector, View};
 use crate::ident::Estimate;
+use crate::record::Record;
+use crate::signal::stats;
 
 /// s over OP's span below which the index counts less: smaller bands are within what noise and rounding imitate.
 const FULL_WEIGHT: f64 = 0.2;
+/// Share of the error below which less of it proves no more.
+const LEAST_ERROR: f64 = 0.018;
+/// Turns of the stem from which a fit is no accident.
+const MANY_TURNS: f64 = 12.0;
+/// What noise gives for the odd part of OP's and PV's cross-correlation, and what a sticking valve exceeds.
+const HALF_ODD: f64 = 0.5;
 
 /// One feature's part in the rule.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -142,15 +150,20 @@ impl Rule {
 }
 
 /// What a record shows, before anything is made of it: figures of the fit (none where nothing moved the stem or nothing
-/// was fitted) and of the detectors.
+/// was fitted), of the set point and of the detectors.
 #[must_use]
-pub fn figures(estimate: Option<&Estimate>, view: &View, detectors: &[&dyn Detector]) -> Features {
+pub fn figures(estimate: Option<&Estimate>, record: &Record, detectors: &[&dyn Detector]) -> Features {
     let mut out = Features::new();
     if let Some(e) = estimate {
         let fit = [("stiction_index", e.index), ("s_over_span", e.s / e.span), ("reversals", e.reversals as f64)];
         out.extend(fit.map(|(name, value)| (name.to_owned(), value)));
     }
-    out.extend(detectors.iter().filter_map(|d| Some((d.name().to_owned(), d.score(view)?))));
+    let moved = record.sp.as_deref().map_or(0.0, stats::std_dev) / stats::std_dev(&record.pv);
+    if moved.is_finite() {
+        out.insert("setpoint_share".to_owned(), moved.min(2.0));
+    }
+    let view = View::new(record);
+    out.extend(detectors.iter().filter_map(|d| Some((d.name().to_owned(), d.score(&view)?))));
     out
 }
 
@@ -158,19 +171,22 @@ pub fn figures(estimate: Option<&Estimate>, view: &View, detectors: &[&dyn Detec
 ///
 /// | feature | means |
 /// |---|---|
-/// | `index` | stiction index, times s over a fifth of OP's span where s is smaller; 0 without a fit |
-/// | `clear` | 0 at an index of 0.5, 1 at an index of 1: what hardly anything but a valve reaches |
+/// | `error_ratio` | `-ln(1 - index)`, the logarithm of the error without friction over that with it, 0..4; `index` is the stiction index, times s over a fifth of OP's span where s is smaller; 0 without a fit |
+/// | `confirmed` | `index`, less where the stem turned less than 12 times while the set point hardly moved (few turns can be an accident), and where OP is an image of PV (`horch` below 0.5: the fit may be of the controller) |
 #[must_use]
 pub fn features(mut figures: Features) -> Features {
     let of = |name: &str| figures.get(name).copied().unwrap_or(0.0);
     let index = of("stiction_index") * (of("s_over_span") / FULL_WEIGHT).min(1.0);
-    let made = [("index", index), ("clear", (2.0 * index - 1.0).max(0.0))];
+    let tried = (of("reversals") / MANY_TURNS).max(of("setpoint_share")).min(1.0);
+    let confirmed = index * tried * (of("horch") / HALF_ODD).min(1.0);
+    let ratio = libm::log(1.0 / (1.0 - index).max(LEAST_ERROR));
+    let made = [("error_ratio", ratio), ("confirmed", confirmed)];
     figures.extend(made.map(|(name, value)| (name.to_owned(), value)));
     figures
 }
 
 /// Names of the features that are made of the fit, in the order of documents.
-pub const OF_THE_FIT: [&str; 2] = ["index", "clear"];
+pub const OF_THE_FIT: [&str; 2] = ["error_ratio", "confirmed"];
 
 #[cfg(test)]
 mod tests {
