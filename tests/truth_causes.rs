@@ -1,10 +1,17 @@
 //! Valve, tuning or disturbance: loops whose cause is known get its name.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+mod common;
+
 use std::collections::BTreeMap;
 
+use common::healthy::{healthy, plain, settled, shaken, ultimate};
+use stictiond::record::Record;
+use stictiond::sim::closed_loop::{LoopModel, ValveLaw, ValveModel};
+use stictiond::sim::disturbance::Disturbance;
+use stictiond::sim::process::ProcessModel;
 use stictiond::sim::scenario::Scenario;
-use stictiond::verdict::{AssessParams, assess};
+use stictiond::verdict::{AssessParams, Verdict, assess};
 
 /// Verdicts over seeds for one loop of a plant.
 fn verdicts(text: &str, seeds: u64) -> BTreeMap<&'static str, usize> {
@@ -61,4 +68,109 @@ fn a_sticking_valve_is_stiction() {
     let counts = verdicts(text, 6);
     println!("{counts:?}");
     assert!(counts.get("stiction").copied().unwrap_or(0) >= 5, "{counts:?}");
+}
+
+/// Right words of 24 (see [`words`]) of loops with a load at a share of their ultimate gain.
+fn right(share: [f64; 2], load: fn(f64, f64) -> Vec<Disturbance>, want: Verdict) -> (usize, usize) {
+    words(|seed| healthy(seed, share, load), want)
+}
+
+/// Right words of 24 for loops that swing and whose valve is not accused, and how many swing.
+fn words(make: impl Fn(u64) -> Record, want: Verdict) -> (usize, usize) {
+    let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
+    for seed in 0..24 {
+        let found = assess(&make(seed), &AssessParams::default());
+        *counts.entry(found.verdict.name()).or_default() += 1;
+    }
+    let of = |name: &str| counts.get(name).copied().unwrap_or(0);
+    let judged = 24 - of("no_oscillation") - of("stiction") - of("deadband") - of("inconclusive");
+    println!("{}: {counts:?}", want.name());
+    (of(want.name()), judged)
+}
+
+#[test]
+fn tight_tuning_is_named() {
+    let (named, judged) = right([0.85, 0.97], |_, _| vec![], Verdict::Tuning);
+    assert!(judged >= 16 && named * 100 >= 85 * judged, "{named} of {judged}");
+}
+
+#[test]
+fn a_sine_load_is_named() {
+    let load = |amplitude, period_s| vec![Disturbance::Sine { amplitude, period_s, phase_deg: 0.0 }];
+    let (named, judged) = right([0.2, 0.5], load, Verdict::Disturbance);
+    assert!(judged >= 16 && named * 100 >= 85 * judged, "{named} of {judged}");
+}
+
+#[test]
+fn a_square_load_is_named() {
+    let load = |amplitude, period_s| vec![Disturbance::Square { amplitude, period_s }];
+    let (named, judged) = right([0.2, 0.5], load, Verdict::Disturbance);
+    assert!(judged >= 16 && named * 100 >= 85 * judged, "{named} of {judged}");
+}
+
+#[test]
+fn two_sine_loads_are_named() {
+    let load = |amplitude, period_s| {
+        let sine = |share, times| Disturbance::Sine {
+            amplitude: share * amplitude,
+            period_s: times * period_s,
+            phase_deg: 0.0,
+        };
+        vec![sine(1.0, 1.0), sine(0.7, 1.37)]
+    };
+    let (named, judged) = right([0.2, 0.5], load, Verdict::Disturbance);
+    assert!(judged >= 16 && named * 100 >= 85 * judged, "{named} of {judged}");
+}
+
+#[test]
+fn a_cycle_from_outside_with_a_wandering_phase_is_named() {
+    let (named, judged) = words(|seed| shaken(seed + 30, 0.04, seed.is_multiple_of(2)), Verdict::Disturbance);
+    assert!(judged >= 16 && named * 100 >= 80 * judged, "{named} of {judged}");
+}
+
+#[test]
+fn random_load_on_a_sane_loop_is_neither() {
+    let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
+    for seed in 0..24 {
+        let found = assess(&healthy(seed, [0.2, 0.5], |_, _| vec![]), &AssessParams::default());
+        *counts.entry(found.verdict.name()).or_default() += 1;
+    }
+    println!("{counts:?}");
+    let of = |name: &str| counts.get(name).copied().unwrap_or(0);
+    assert!(of("tuning") + of("disturbance") <= 2, "{counts:?}");
+}
+
+/// A sticking valve in a loop at a share of its ultimate gain.
+fn sticking(seed: u64, share: f64) -> Record {
+    let process = ProcessModel { gain: 2.0, tau: 20.0, tau2: 0.0, dead_time: 5.0, integrating: false };
+    let (gain, _) = ultimate(&process, 20.0);
+    let valve = ValveModel { law: ValveLaw::He, fs: 3.0, fd: 1.0, ..ValveModel::HEALTHY };
+    settled(LoopModel { valve, ..plain(process, share * gain, 20.0) }, seed, 81.0, 1800)
+}
+
+/// The loop `name` of the scenario with four loops.
+fn of_four(name: &str) -> Verdict {
+    let text = std::fs::read_to_string("recordings/scenarios/four-loops.toml").unwrap();
+    let scenario = Scenario::parse(&text).unwrap();
+    let place = scenario.loops.iter().position(|l| l.name == name).unwrap();
+    assess(&scenario.record(place).unwrap(), &AssessParams { always_fit: true, ..AssessParams::default() }).verdict
+}
+
+#[test]
+fn the_shipped_scenario_of_four_loops_is_told_apart() {
+    assert_eq!(of_four("PIC203"), Verdict::Tuning);
+    assert_eq!(of_four("TIC204"), Verdict::Disturbance);
+}
+
+#[test]
+fn what_contributes_beside_a_sticking_valve_is_listed_only_where_it_holds() {
+    let (mut plain, mut tight) = (0, 0);
+    for seed in 0..5 {
+        let of = |share| assess(&sticking(seed, share), &AssessParams::default());
+        let found = [of(0.3), of(0.5)];
+        plain += found.iter().map(|f| f.contributing.len()).sum::<usize>();
+        tight += usize::from(of(0.88).contributing.contains(&Verdict::Tuning));
+    }
+    println!("plain {plain}, tight {tight}");
+    assert!(plain == 0 && tight >= 4, "{plain} {tight}");
 }

@@ -3,6 +3,7 @@
 mod jumps;
 mod oddness;
 pub mod oscillation;
+pub mod ringing;
 mod sine;
 mod travel;
 

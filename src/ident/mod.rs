@@ -7,11 +7,13 @@
 mod candidate;
 mod choice;
 pub mod class;
+pub mod controller;
 mod fit;
 mod least_squares;
 pub mod one_step;
 mod quantify;
 pub mod region;
+mod robust;
 mod search;
 pub mod sign;
 

@@ -3,7 +3,7 @@
 //! A loop that works has negative feedback, so the process gain has the sign of the controller's. Fitting the wrong
 //! sign would model the controller backwards instead of the process.
 
-use super::least_squares::Gram;
+use super::robust;
 use crate::signal::detrend::moving_average;
 use crate::signal::stats;
 
@@ -59,34 +59,11 @@ fn regress(op: &[f64], pv: &[f64], lag: usize) -> Option<Answer> {
     let moves: Vec<f64> = (from..n).map(|k| op[k] - op[k - 1]).collect();
     let de: Vec<f64> = (from..n).map(|k| pv[k - lag - 1] - pv[k - lag]).collect();
     let e: Vec<f64> = (from..n).map(|k| middle - pv[k - lag]).collect();
-    let mut weights = vec![1.0; moves.len()];
-    let mut x = [0.0; 3];
-    for _ in 0..3 {
-        let weigh = |v: &[f64]| -> Vec<f64> { v.iter().zip(&weights).map(|(a, w)| a * w).collect() };
-        let columns = [weigh(&de), weigh(&e), weights.clone(), weigh(&moves)];
-        let mut gram = Gram::of(&[&columns[0], &columns[1], &columns[2], &columns[3]]);
-        gram.eliminate(3);
-        let all = gram.back(3, &[]);
-        x = [all[0], all[1], all[2]];
-        let residual: Vec<f64> = (0..moves.len()).map(|k| moves[k] - x[0] * de[k] - x[1] * e[k] - x[2]).collect();
-        let scale = 3.0 * 1.4826 * stats::mad(&residual) + 1e-12 * stats::std_dev(&moves);
-        for (w, r) in weights.iter_mut().zip(&residual) {
-            *w = if scale > 0.0 { libm::pow(1.0 + (r / scale) * (r / scale), -0.25) } else { 1.0 };
-        }
-    }
-    let fitted: Vec<f64> = (0..moves.len()).map(|k| x[0] * de[k] + x[1] * e[k] + x[2]).collect();
-    let squares: Vec<f64> = weights.iter().map(|w| w * w).collect();
-    let residual: Vec<f64> = moves.iter().zip(&fitted).map(|(a, b)| (a - b) * (a - b)).collect();
-    let mean = stats::dot(&squares, &moves) / squares.iter().sum::<f64>();
-    let total: Vec<f64> = moves.iter().map(|a| (a - mean) * (a - mean)).collect();
-    let whole = stats::dot(&squares, &total);
-    if whole.is_nan() || whole <= 0.0 {
-        return None;
-    }
+    let found = robust::regress(&moves, &[&de, &e], None)?;
     Some(Answer {
-        proportional: x[0] * stats::std_dev(&de),
-        integral: x[1] * stats::std_dev(&e),
-        r2: 1.0 - stats::dot(&squares, &residual) / whole,
+        proportional: found.coefficients[0] * stats::std_dev(&de),
+        integral: found.coefficients[1] * stats::std_dev(&e),
+        r2: found.r2,
     })
 }
 

@@ -1,12 +1,14 @@
 //! One record in, one assessment out.
 
-use super::document::{Assessment, Gate, Oscillation, Process, Search, Window};
+use super::cause;
+use super::document::{Assessment, Controller, Gate, Oscillation, Process, Search, Window};
 use super::gates::gates;
 use super::judge::{grade, judge};
 use super::params::AssessParams;
 use super::rule::{self, Features, Rule};
 use crate::detect::oscillation::{self, Oscillates};
 use crate::detect::{self, Witness};
+use crate::ident::controller::{self, Reading};
 use crate::ident::region::{region, severity, strength};
 use crate::ident::{Estimate, Options, quantify};
 use crate::record::Record;
@@ -69,7 +71,13 @@ fn decide(out: &mut Assessment, estimate: Option<&Estimate>, record: &Record, fo
         Witness { name, score: voice.score, vote, contribution: voice.contribution }
     };
     out.witnesses = names.map(witness).collect();
-    out.verdict = judge(estimate, &opinion, found);
+    let reading = controller::read(record);
+    out.controller = reading.as_ref().map(as_document);
+    let ringing = cause::ringing(record, found);
+    let damping = cause::moved_damping(estimate, reading.as_ref(), record);
+    let otherwise = || cause::cause(found, ringing.as_ref(), damping);
+    let beside = |e: &Estimate| cause::beside_sticking(e, reading.as_ref(), record, ringing.as_ref());
+    (out.verdict, out.contributing) = judge(estimate, &opinion, otherwise, beside);
     out.stiction = out.verdict.stiction();
     let p = opinion.p();
     out.p_stiction = Some(p);
@@ -78,6 +86,10 @@ fn decide(out: &mut Assessment, estimate: Option<&Estimate>, record: &Record, fo
     out.reason = out.stiction.is_none().then_some(if opinion.sticks().is_none() { "undecided" } else { "not_fitted" });
     let width = out.s_interval.zip(out.s).map(|([low, high], s)| (high - low) / s);
     out.grade = Some(grade(out.confidence, !out.gates.is_empty(), width));
+}
+
+const fn as_document(r: &Reading) -> Controller {
+    Controller { kc: r.kc, ti_s: r.ti_s, td_s: r.td_s, lag_samples: r.lag_samples, r2: r.r2 }
 }
 
 fn options(params: &AssessParams, found: Option<&Oscillates>) -> Options {

@@ -207,13 +207,13 @@ pub struct Process {
 /// The controller as read from the record.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Controller {
-    /// Proportional gain, OP units per PV unit.
+    /// Proportional gain, OP units per PV unit of SP - PV: negative where OP rises with PV.
     pub kc: f64,
-    /// Integral time, s.
+    /// Integral time, s; infinite, which is written as null, without integral action.
     pub ti_s: f64,
     /// Derivative time, s.
     pub td_s: f64,
-    /// Delay between PV and OP in the recording, samples.
+    /// Samples by which OP is recorded after the PV that it was computed from.
     pub lag_samples: f64,
     /// Share of OP's moves that it explains.
     pub r2: f64,

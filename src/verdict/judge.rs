@@ -2,37 +2,28 @@
 
 use super::document::Verdict;
 use super::rule::Opinion;
-use crate::detect::oscillation::Oscillates;
 use crate::ident::Estimate;
 use crate::ident::region;
 
-/// Endurance (see [`Oscillates::endurance`]) above which an oscillation is driven from outside: what comes from there
-/// keeps its phase, while a loop that rings by itself under random load loses it.
-const DRIVEN: f64 = 0.8;
-/// The same below which the loop rings by itself: a damping of 0.03 or more.
-const RINGING: f64 = 0.65;
-
-/// The verdict on a window without a blocking gate. Without a fit (`estimate` is `None`) a valve that looks sticking
-/// stays open.
+/// The verdict on a window without a blocking gate, and what contributes; `otherwise` is asked where the valve does not
+/// stick, `beside` where it does. Without a fit (`estimate` is `None`) a valve that looks sticking stays open.
 #[must_use]
-pub fn judge(estimate: Option<&Estimate>, opinion: &Opinion, oscillation: Option<&Oscillates>) -> Verdict {
+pub fn judge(
+    estimate: Option<&Estimate>,
+    opinion: &Opinion,
+    otherwise: impl FnOnce() -> (Verdict, Vec<Verdict>),
+    beside: impl FnOnce(&Estimate) -> Vec<Verdict>,
+) -> (Verdict, Vec<Verdict>) {
     match (opinion.sticks(), estimate) {
-        (Some(true), Some(e)) => match region::region(e.s, e.j, e.span) {
-            "deadband" => Verdict::Deadband,
-            _ => Verdict::Stiction,
-        },
-        (None, _) | (Some(true), None) => Verdict::Inconclusive,
-        (Some(false), _) => healthy(oscillation),
-    }
-}
-
-/// What else it is.
-fn healthy(oscillation: Option<&Oscillates>) -> Verdict {
-    match oscillation {
-        Some(o) if o.oscillating && o.endurance.is_some_and(|e| e > DRIVEN) => Verdict::Disturbance,
-        Some(o) if o.oscillating && o.endurance.is_some_and(|e| e < RINGING) => Verdict::Tuning,
-        Some(o) if o.oscillating => Verdict::NoStiction,
-        _ => Verdict::NoOscillation,
+        (Some(true), Some(e)) => {
+            let word = match region::region(e.s, e.j, e.span) {
+                "deadband" => Verdict::Deadband,
+                _ => Verdict::Stiction,
+            };
+            (word, beside(e))
+        }
+        (None, _) | (Some(true), None) => (Verdict::Inconclusive, Vec::new()),
+        (Some(false), _) => otherwise(),
     }
 }
 
@@ -58,22 +49,11 @@ mod tests {
     }
 
     #[test]
-    fn without_a_fit_nothing_sticks_and_the_course_decides() {
-        let wave = |endurance| Oscillates {
-            period_points: 50.0,
-            periods: 10.0,
-            regularity: 5.0,
-            persistence: 0.9,
-            endurance,
-            oscillating: true,
-        };
-        let healthy = opinion(-3.0);
-        assert_eq!(judge(None, &healthy, Some(&wave(Some(0.9)))), Verdict::Disturbance);
-        assert_eq!(judge(None, &healthy, Some(&wave(None))), Verdict::NoStiction);
-        assert_eq!(judge(None, &healthy, Some(&wave(Some(0.3)))), Verdict::Tuning);
-        assert_eq!(judge(None, &healthy, None), Verdict::NoOscillation);
-        assert_eq!(judge(None, &opinion(3.0), None), Verdict::Inconclusive);
-        assert_eq!(judge(None, &opinion(0.0), None), Verdict::Inconclusive);
+    fn without_a_fit_nothing_sticks() {
+        let of = |logit| judge(None, &opinion(logit), || (Verdict::Disturbance, vec![]), |_| vec![Verdict::Tuning]).0;
+        assert_eq!(of(-3.0), Verdict::Disturbance);
+        assert_eq!(of(3.0), Verdict::Inconclusive);
+        assert_eq!(of(0.0), Verdict::Inconclusive);
     }
 
     #[test]

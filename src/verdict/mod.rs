@@ -2,6 +2,7 @@
 
 mod assess;
 pub mod calibrate;
+mod cause;
 mod document;
 mod gates;
 mod judge;

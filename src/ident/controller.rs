@@ -1,0 +1,468 @@
+//! The controller, read from the record: gain, integral and derivative time from how OP follows PV.
+//!
+//! A PID controller in velocity form moves OP between samples k - m and k by
+//! `Kc [e(k) - e(k - m)] + Kc Ts/Ti sum e + Kc Td/Ts [d(k) - d(k - m)]`, e the error and d the (filtered) move of -PV
+//! (Åström and Hägglund 1995, ch. 3). That is linear in its gains, needs no process model and holds whatever the valve
+//! does, so robust least squares finds them. PV may be stamped before or after the OP that was computed from it: every
+//! lag is tried, and the controller counts as read only where one lag leads clearly.
+
+use super::robust::{Regression, regress, residual};
+use crate::record::Record;
+use crate::signal::stats;
+
+/// A controller as read from a record.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Reading {
+    /// Proportional gain, OP units per PV unit of the error SP - PV: positive where OP falls when PV rises (reverse
+    /// action, for processes of positive gain), negative where OP rises with PV.
+    pub kc: f64,
+    /// Integral time, s; infinite where no integral action shows.
+    pub ti_s: f64,
+    /// Derivative time, s; 0 where no derivative action shows.
+    pub td_s: f64,
+    /// Raw samples by which the recorded OP comes after the PV that it was computed from; negative where PV is stamped
+    /// after it.
+    pub lag_samples: f64,
+    /// Share of the variance of OP's moves explained.
+    pub r2: f64,
+    /// Share of the record, 0..1, in long stretches where this controller does not explain OP: another mode, or another
+    /// controller. Stretches with OP at a limit are left out beforehand.
+    pub unexplained: f64,
+}
+
+/// Lags tried, points; the outer two only bound the others, since the true lag may lie beyond them.
+const LAGS: [isize; 2] = [-3, 4];
+/// Widths of the moves, points: wide ones stand above OP's rounding, narrow ones show the lag best.
+const WIDTHS: [usize; 3] = [1, 4, 16];
+/// Least share of OP's moves that a reading explains.
+const MIN_R2: f64 = 0.9;
+/// The runner-up lag must leave at least this many times the variance unexplained.
+const LEAD: f64 = 1.5;
+/// What is more to fit must leave at most this share of the unexplained variance.
+const EARNS: f64 = 0.7;
+/// Share unexplained that counts as none.
+const EXACT: f64 = 1e-9;
+/// Ways of reading that are looked at closely, and steps of golden section towards the best filter.
+const BEST_SHAPES: usize = 3;
+const REFINEMENTS: usize = 10;
+/// Time constants of the filters that are tried on the derivative and on PV, points.
+const FILTERS: [f64; 6] = [0.0, 0.3, 0.7, 1.5, 3.0, 6.0];
+/// Fewest points that are read.
+const MIN_POINTS: usize = 60;
+/// Points of a stretch that is judged as one, residual power over the usual, and over the moves' own, from which it
+/// counts as unexplained, and the largest share that may be so.
+const STRETCH: usize = 25;
+const UNUSUAL: f64 = 20.0;
+const POOR: f64 = 0.5;
+const MOST_UNEXPLAINED: f64 = 0.5;
+
+/// Reads the controller; `None` where no lag leads, too little is explained, or the signs of proportional and integral
+/// part disagree.
+#[must_use]
+pub fn read(record: &Record) -> Option<Reading> {
+    let signals = Signals::of(record)?;
+    let mut plain: Vec<(Shape, Vec<Fit>)> = Vec::new();
+    for form in signals.forms() {
+        for width in WIDTHS {
+            let shape = Shape { form, width, extra: Extra::None };
+            plain.push((shape, signals.all_lags(shape)));
+        }
+    }
+    // The few best ways of reading get a derivative or a filter where it earns its place.
+    plain.sort_by(|a, b| least(&a.1).total_cmp(&least(&b.1)));
+    let mut best: Option<Reading> = None;
+    for (shape, fits) in plain.into_iter().take(BEST_SHAPES) {
+        let Some((lead, reading)) = signals.read(shape, fits) else { continue };
+        if lead >= LEAD && best.is_none_or(|b| reading.r2 > b.r2) {
+            best = Some(reading);
+        }
+    }
+    best.filter(|r| r.r2 >= MIN_R2 && r.unexplained <= MOST_UNEXPLAINED)
+}
+
+/// What the error is made of.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Form {
+    /// The set point is constant, or not known: a constant takes it up.
+    Pv,
+    /// The set point is in both parts.
+    Error,
+    /// The set point is in the integral part only.
+    ErrorIntegral,
+    /// As [`Form::Pv`], but all differenced once more: set points that step unseen leave single outliers.
+    Unseen,
+}
+
+/// What is between PV and a plain PI controller.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Extra {
+    None,
+    /// A derivative behind a filter of this time constant, points.
+    Derivative(f64),
+    /// A filter of this time constant on PV, points.
+    Filter(f64),
+}
+
+/// One way of reading.
+#[derive(Debug, Clone, Copy)]
+struct Shape {
+    form: Form,
+    width: usize,
+    extra: Extra,
+}
+
+/// A fit at one lag.
+#[derive(Debug, Clone, Copy)]
+struct Fit {
+    lag: isize,
+    regression: Regression,
+    unexplained: f64,
+}
+
+/// A record's signals on the points of the fit.
+struct Signals {
+    op: Vec<f64>,
+    pv: Vec<f64>,
+    sp: Option<Vec<f64>>,
+    /// Where OP stands at its highest or lowest value, if it comes to rest there.
+    limited: Vec<bool>,
+    boxed: bool,
+    box_samples: f64,
+    point_s: f64,
+}
+
+impl Signals {
+    fn of(record: &Record) -> Option<Self> {
+        let m = record.path_per_point();
+        let op: Vec<f64> = record.op_path.chunks_exact(m).map(|p| p[m - 1]).collect();
+        let n = op.len().min(record.len());
+        let moves = |x: &[f64]| x.windows(2).any(|w| w[0] != w[1]);
+        let finite = |x: &[f64]| x.iter().all(|v| v.is_finite());
+        if n < MIN_POINTS || !finite(&op) || !finite(&record.pv) || !moves(&op) || !moves(&record.pv) {
+            return None;
+        }
+        let sp = record.sp.clone().filter(|sp| sp.len() >= n && finite(sp) && moves(sp));
+        let [op, pv] = [op[..n].to_vec(), record.pv[..n].to_vec()];
+        let boxed = record.box_samples > 1;
+        let limited = limited(&op);
+        Some(Self { op, pv, sp, limited, boxed, box_samples: record.box_samples as f64, point_s: record.point_s() })
+    }
+
+    fn forms(&self) -> Vec<Form> {
+        match self.sp {
+            Some(_) => vec![Form::Error, Form::ErrorIntegral, Form::Pv],
+            None => vec![Form::Pv, Form::Unseen],
+        }
+    }
+
+    /// The reading in one form and width, with derivative or filter where one earns its place, and by how many times
+    /// the runner-up lag leaves more unexplained.
+    fn read(&self, plain: Shape, fits: Vec<Fit>) -> Option<(f64, Reading)> {
+        let (mut shape, mut error, mut fits) = (plain, least(&fits), fits);
+        let lag = fits.iter().max_by(|a, b| a.regression.r2.total_cmp(&b.regression.r2))?.lag;
+        let makes: [fn(f64) -> Extra; 2] = [Extra::Derivative, Extra::Filter];
+        for make in makes {
+            if error < EXACT {
+                break;
+            }
+            // The best lag may be another one once the extra part is there.
+            let at = |lag: isize, filter: f64| {
+                let fit = self.fit(Shape { extra: make(filter), ..plain }, lag);
+                fit.map_or(f64::INFINITY, |f| 1.0 - f.regression.r2)
+            };
+            let near = (lag - 2).max(LAGS[0])..=(lag + 2).min(LAGS[1]);
+            let all = near.flat_map(|lag| FILTERS.map(|filter| (at(lag, filter), lag, filter)));
+            let Some((found, lag, filter)) = all.min_by(|a, b| a.0.total_cmp(&b.0)) else { continue };
+            if found >= EARNS * error {
+                continue;
+            }
+            let next = Shape { extra: make(finest(filter, |filter| at(lag, filter))), ..plain };
+            let others = self.all_lags(next);
+            if self.report(next, &others).is_some() {
+                (shape, error, fits) = (next, least(&others), others);
+            }
+        }
+        self.report(shape, &fits)
+    }
+
+    fn all_lags(&self, shape: Shape) -> Vec<Fit> {
+        (LAGS[0]..=LAGS[1]).filter_map(|lag| self.fit(shape, lag)).collect()
+    }
+
+    fn report(&self, shape: Shape, fits: &[Fit]) -> Option<(f64, Reading)> {
+        let best = fits.iter().max_by(|a, b| a.regression.r2.total_cmp(&b.regression.r2))?;
+        let others = fits.iter().filter(|f| f.lag != best.lag);
+        let second = others.map(|f| 1.0 - f.regression.r2).fold(f64::INFINITY, f64::min);
+        let error = 1.0 - best.regression.r2;
+        let lead = if error > 0.0 { second / error } else { f64::INFINITY };
+        if best.lag == LAGS[0] || best.lag == LAGS[1] {
+            return None;
+        }
+        let [kc, ki, kd, ..] = best.regression.coefficients;
+        let derivative = matches!(shape.extra, Extra::Derivative(_));
+        let td = if derivative { kd / kc } else { 0.0 };
+        // Integral action that would need a hundred records to answer is none.
+        let idle = ki.abs() * self.op.len() as f64 * 100.0 < kc.abs();
+        let ti = if idle { f64::INFINITY } else { kc / ki };
+        // A derivative time beyond the integral time is a fit to something else.
+        if kc == 0.0 || ti.is_nan() || ti <= 0.0 || td < 0.0 || td > ti {
+            return None;
+        }
+        let reading = Reading {
+            kc,
+            ti_s: ti * self.point_s,
+            td_s: td * self.point_s,
+            lag_samples: best.lag as f64 * self.box_samples,
+            r2: best.regression.r2,
+            unexplained: best.unexplained,
+        };
+        Some((lead, reading))
+    }
+
+    /// OP's moves regressed at one lag; once more without the stretches that the first fit leaves unexplained.
+    fn fit(&self, shape: Shape, lag: isize) -> Option<Fit> {
+        let [y, p, i, d] = self.columns(shape, lag);
+        let free = self.free(shape, lag);
+        let columns: &[&[f64]] = if d.is_empty() { &[&p, &i] } else { &[&p, &i, &d] };
+        if free.iter().filter(|f| **f).count() < MIN_POINTS / 2 {
+            return None;
+        }
+        let mut regression = regress(&y, columns, Some(&free))?;
+        let mut unexplained = 0.0;
+        for _ in 0..2 {
+            let left = residual(&y, columns, &regression.coefficients);
+            let used = explained(&y, &left, &free);
+            unexplained = used.iter().filter(|u| !**u).count() as f64 / used.len().max(1) as f64;
+            if unexplained == 0.0 || unexplained > MOST_UNEXPLAINED {
+                break;
+            }
+            let both: Vec<bool> = used.iter().zip(&free).map(|(u, f)| *u && *f).collect();
+            regression = regress(&y, columns, Some(&both))?;
+        }
+        Some(Fit { lag, regression, unexplained })
+    }
+
+    /// First and last point whose moves can be regressed.
+    fn range(&self, shape: Shape, lag: isize) -> [usize; 2] {
+        let from = (shape.width as isize + 1 + lag.max(0)) as usize;
+        [from, ((self.op.len() as isize + lag.min(0)) as usize).max(from)]
+    }
+
+    /// Which of the moves have OP off its limits all the way.
+    fn free(&self, shape: Shape, lag: isize) -> Vec<bool> {
+        let [from, to] = self.range(shape, lag);
+        let once = |k: usize| (k - shape.width..=k).all(|i| !self.limited[i]);
+        match shape.form {
+            Form::Unseen => (from + 1..to).map(|k| once(k) && once(k - 1)).collect(),
+            _ => (from..to).map(once).collect(),
+        }
+    }
+
+    /// OP's moves, and those of the proportional, integral and derivative parts `lag` points before.
+    fn columns(&self, shape: Shape, lag: isize) -> [Vec<f64>; 4] {
+        let n = self.op.len();
+        let pv = lagged(&self.pv, if let Extra::Filter(tau) = shape.extra { tau } else { 0.0 });
+        let sp = self.sp.as_deref();
+        let with_sp = |k: usize| sp.map_or(0.0, |sp| sp[k]);
+        let middle = stats::mean(&pv) - sp.map_or(0.0, stats::mean);
+        // Boxes: PV's means stand for the middle of a box, OP's last value for its end.
+        let end = |x: &[f64], k: usize| if self.boxed { 0.5 * (x[k] + x[(k + 1).min(n - 1)]) } else { x[k] };
+        let minus: Vec<f64> = (0..n).map(|k| -end(&pv, k)).collect();
+        let proportional: Vec<f64> = match (shape.form, sp) {
+            (Form::Error, Some(sp)) => (0..n).map(|k| end(sp, k) + minus[k]).collect(),
+            _ => minus,
+        };
+        let sum = (0..n).scan(0.0, |sum, k| {
+            *sum += match shape.form {
+                Form::Error | Form::ErrorIntegral => with_sp(k) - pv[k] + middle,
+                Form::Pv | Form::Unseen => middle - pv[k],
+            };
+            Some(*sum)
+        });
+        let sum: Vec<f64> = sum.collect();
+        let derivative = match shape.extra {
+            Extra::Derivative(filter) => {
+                let slope: Vec<f64> = (0..n).map(|k| if k == 0 { 0.0 } else { pv[k - 1] - pv[k] }).collect();
+                lagged(&slope, filter)
+            }
+            _ => Vec::new(),
+        };
+        let w = shape.width;
+        let [from, to] = self.range(shape, lag);
+        let moves = |x: &[f64], lag: isize| -> Vec<f64> {
+            if x.is_empty() || to <= from {
+                return Vec::new();
+            }
+            let at = |k: usize| x[(k as isize - lag) as usize];
+            let once = (from..to).map(|k| at(k) - at(k - w));
+            match shape.form {
+                Form::Unseen => {
+                    let once: Vec<f64> = once.collect();
+                    once.windows(2).map(|v| v[1] - v[0]).collect()
+                }
+                _ => once.collect(),
+            }
+        };
+        [moves(&self.op, 0), moves(&proportional, lag), moves(&sum, lag), moves(&derivative, lag)]
+    }
+}
+
+/// Least share unexplained.
+fn least(fits: &[Fit]) -> f64 {
+    fits.iter().map(|f| 1.0 - f.regression.r2).fold(f64::INFINITY, f64::min)
+}
+
+/// The place of the least cost between the neighbours of `start` in [`FILTERS`], by golden section.
+fn finest(start: f64, cost: impl Fn(f64) -> f64) -> f64 {
+    let low = FILTERS.into_iter().filter(|f| *f < start).fold(0.0, f64::max);
+    let high = FILTERS.into_iter().filter(|f| *f > start).fold(2.0 * start + 0.1, f64::min);
+    let share = 0.5 * (5.0_f64.sqrt() - 1.0);
+    let (mut a, mut b) = (low, high);
+    let (mut c, mut d) = (b - share * (b - a), a + share * (b - a));
+    let (mut at_c, mut at_d) = (cost(c), cost(d));
+    for _ in 0..REFINEMENTS {
+        if at_c < at_d {
+            (b, d, at_d) = (d, c, at_c);
+            c = b - share * (b - a);
+            at_c = cost(c);
+        } else {
+            (a, c, at_c) = (c, d, at_d);
+            d = a + share * (b - a);
+            at_d = cost(d);
+        }
+    }
+    let middle = if at_c < at_d { c } else { d };
+    if cost(start) <= at_c.min(at_d) { start } else { middle }
+}
+
+/// `x` behind a first-order lag of `tau` points (backward difference), from rest.
+fn lagged(x: &[f64], tau: f64) -> Vec<f64> {
+    if tau <= 0.0 {
+        return x.to_vec();
+    }
+    let share = 1.0 / (tau + 1.0);
+    let mut state = x.first().copied().unwrap_or(0.0);
+    x.iter()
+        .map(|v| {
+            state += share * (v - state);
+            state
+        })
+        .collect()
+}
+
+/// Which values are the highest or the lowest of all, where one of these is held for three samples in a row.
+fn limited(op: &[f64]) -> Vec<bool> {
+    let high = op.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let low = op.iter().copied().fold(f64::INFINITY, f64::min);
+    let held = |end: f64| op.windows(3).any(|w| w.iter().all(|u| *u == end));
+    let (at_high, at_low) = (held(high), held(low));
+    op.iter().map(|u| (at_high && *u == high) || (at_low && *u == low)).collect()
+}
+
+/// Which samples lie in stretches that a fit explains as well as usual, or nearly as well as the moves there allow;
+/// samples that are not free do not count.
+fn explained(y: &[f64], left: &[f64], free: &[bool]) -> Vec<bool> {
+    let power = |x: &[f64]| stats::dot(x, x) / x.len().max(1) as f64;
+    let of = |from: usize| {
+        let place = from..(from + STRETCH).min(y.len());
+        let pick = |x: &[f64]| -> Vec<f64> { place.clone().filter(|k| free[*k]).map(|k| x[k]).collect() };
+        let (y, r) = (pick(y), pick(left));
+        let fitted: Vec<f64> = y.iter().zip(&r).map(|(y, r)| y - r).collect();
+        (!y.is_empty()).then(|| (power(&r), power(&y).max(power(&fitted))))
+    };
+    let stretches: Vec<Option<(f64, f64)>> = (0..y.len()).step_by(STRETCH).map(of).collect();
+    let usual = stats::median(&stretches.iter().flatten().map(|s| s.0).collect::<Vec<_>>());
+    let fine = |s: &Option<(f64, f64)>| s.is_none_or(|(r, y)| r <= UNUSUAL * usual || r <= POOR * y);
+    let used: Vec<bool> = stretches.iter().map(fine).collect();
+    (0..y.len()).map(|k| used[k / STRETCH]).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn wave(n: usize) -> Vec<f64> {
+        (0..n)
+            .map(|k| {
+                let t = k as f64;
+                50.0 + libm::sin(t * 0.13) + 0.3 * libm::sin(t * 0.9) + 0.2 * libm::sin(t * t * 0.01)
+            })
+            .collect()
+    }
+
+    /// OP of a PI controller on PV.
+    fn pi(pv: &[f64], sp: f64, kc: f64, ti: f64) -> Vec<f64> {
+        let mut integral = 0.0;
+        pv.iter()
+            .map(|p| {
+                integral += kc / ti * (sp - p);
+                30.0 + kc * (sp - p) + integral
+            })
+            .collect()
+    }
+
+    #[test]
+    fn a_pi_controller_is_read_in_its_units_and_sign() {
+        let pv = wave(600);
+        for kc in [0.7, -2.0] {
+            let found = read(&Record::uniform(5.0, pi(&pv, 50.0, kc, 20.0), pv.clone())).unwrap();
+            assert!((found.kc / kc - 1.0).abs() < 1e-6 && (found.ti_s / 100.0 - 1.0).abs() < 1e-6, "{found:?}");
+            assert_eq!((found.td_s, found.lag_samples, found.unexplained), (0.0, 0.0, 0.0));
+        }
+    }
+
+    #[test]
+    fn stamps_before_and_after_are_told() {
+        let pv = wave(700);
+        let op = pi(&pv, 50.0, 1.0, 30.0);
+        for skew in [-1_isize, 0, 2] {
+            // OP comes `skew` samples after its PV.
+            let later: Vec<f64> = (5..690).map(|k: usize| op[(k as isize - skew) as usize]).collect();
+            let found = read(&Record::uniform(1.0, later, pv[5..690].to_vec())).unwrap();
+            assert_eq!(found.lag_samples, skew as f64);
+        }
+    }
+
+    #[test]
+    fn a_set_point_that_moves_and_one_that_is_not_recorded() {
+        let pv = wave(800);
+        let sp: Vec<f64> = (0..800).map(|k| 50.0 + f64::from(k / 160 % 2)).collect();
+        let mut integral = 0.0;
+        let op: Vec<f64> = pv
+            .iter()
+            .zip(&sp)
+            .map(|(p, s)| {
+                integral += 0.1 * (s - p);
+                30.0 + 2.0 * (s - p) + integral
+            })
+            .collect();
+        let mut record = Record::uniform(1.0, op, pv);
+        let unseen = read(&record).unwrap();
+        record.sp = Some(sp);
+        let seen = read(&record).unwrap();
+        for found in [unseen, seen] {
+            assert!((found.kc / 2.0 - 1.0).abs() < 0.02 && (found.ti_s / 20.0 - 1.0).abs() < 0.05, "{found:?}");
+        }
+    }
+
+    #[test]
+    fn a_stretch_in_manual_is_found_and_left_out() {
+        let pv = wave(1000);
+        let mut op = pi(&pv, 50.0, 0.7, 20.0);
+        for k in 400..600 {
+            op[k] = op[399];
+        }
+        let found = read(&Record::uniform(1.0, op, pv)).unwrap();
+        assert!((found.kc / 0.7 - 1.0).abs() < 0.01 && (found.ti_s / 20.0 - 1.0).abs() < 0.01, "{found:?}");
+        assert!((found.unexplained - 0.2).abs() < 0.05, "{found:?}");
+    }
+
+    #[test]
+    fn what_does_not_follow_is_not_read() {
+        let pv = wave(600);
+        let other: Vec<f64> = (0_u64..600).map(|k| ((k * k * 7919) % 1013) as f64).collect();
+        assert_eq!(read(&Record::uniform(1.0, other, pv.clone())), None);
+        assert_eq!(read(&Record::uniform(1.0, vec![1.0; 600], pv)), None);
+        assert_eq!(read(&Record::uniform(1.0, vec![], vec![])), None);
+    }
+}
