@@ -13,8 +13,8 @@ const BAD_SHARE: f64 = 0.2;
 /// Share of samples equal to the one before from which a signal counts as frozen.
 const FROZEN_SHARE: f64 = 0.995;
 /// Share of OP values at one of its ends from which it counts as saturated: at a limit neither valve nor controller shows,
-/// so most of the window must lie between. And the end's width in spans.
-const SATURATED_SHARE: f64 = 0.5;
+/// so the larger part of the window must lie between. And the end's width in spans.
+const SATURATED_SHARE: f64 = 0.4;
 const END_WIDTH: f64 = 1e-3;
 /// Share of held or straight-line PV samples from which a history counts as compressed (a third, as public tools do).
 const COMPRESSED_SHARE: f64 = 0.3;
@@ -58,7 +58,7 @@ fn is_frozen(x: &[f64], repeats: f64) -> bool {
     !width.is_finite() || width <= 1e-9 * high.abs().max(low.abs()) || repeats >= FROZEN_SHARE
 }
 
-/// OP stands for half of the time at a limit of its range, or, where that is unknown, exactly at an extreme that it
+/// OP stands for two fifths of the time at a limit of its range, or, where that is unknown, exactly at an extreme that it
 /// otherwise leaves for many other values.
 fn is_saturated(op: &[f64], range: Option<[f64; 2]>) -> bool {
     let n = op.len() as f64;
