@@ -1,7 +1,7 @@
 //! One record in, one assessment out.
 
 use super::document::{Assessment, Gate, Oscillation, Process, Search, Window};
-use super::gates::gates;
+use super::gates::{gates, is_interpolated};
 use super::judge::{grade, judge};
 use super::params::AssessParams;
 use super::rule::{self, Features, Rule};
@@ -54,14 +54,13 @@ pub fn figures(record: &Record, params: &AssessParams) -> Result<Features, Gate>
         return Err(*gate);
     }
     let estimate = quantify(record, &options(params, found.as_ref()));
-    Ok(rule::figures(estimate.as_ref(), record, &detect::ALL, met.contains(&Gate::Compressed)))
+    Ok(rule::figures(estimate.as_ref(), record, &detect::ALL, is_interpolated(record)))
 }
 
 /// Asks the rule and says what it answers, and why.
 fn decide(out: &mut Assessment, estimate: Option<&Estimate>, record: &Record, found: Option<&Oscillates>) {
     let rule = Rule::shipped();
-    let compressed = out.gates.contains(&Gate::Compressed);
-    let features = rule::features(rule::figures(estimate, record, &detect::ALL, compressed));
+    let features = rule::features(rule::figures(estimate, record, &detect::ALL, is_interpolated(record)));
     let opinion = rule.opinion(&features);
     let names = rule::OF_THE_FIT.into_iter().chain(detect::ALL.iter().map(|d| d.name()));
     let witness = |name| {

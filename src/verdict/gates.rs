@@ -103,6 +103,11 @@ fn is_compressed(record: &Record, quantised: bool) -> bool {
     if f64::from(record.facts.pv_repeats) / raw > COMPRESSED_SHARE {
         return true;
     }
+    is_interpolated(record)
+}
+
+/// PV lies on straight lines between stored values: its corners are the recorder's.
+pub(super) fn is_interpolated(record: &Record) -> bool {
     let scale = 1e-6 * stats::std_dev(&record.pv);
     let straight =
         record.pv.windows(3).filter(|w| (w[2] - 2.0 * w[1] + w[0]).abs() < scale && (w[1] - w[0]).abs() > 0.0).count();

@@ -150,14 +150,14 @@ impl Rule {
 }
 
 /// What a record shows, before anything is made of it: figures of the fit (none where nothing moved the stem or nothing
-/// was fitted), of the set point and of the detectors. On a `compressed` history nobody can tell the valve's jumps from the
-/// recorder's, so the detector that looks for them is not heard.
+/// was fitted), of the set point and of the detectors. Where PV is `interpolated` between stored values its
+/// corners are the recorder's, so the detector that looks for jumps is not heard.
 #[must_use]
 pub fn figures(
     estimate: Option<&Estimate>,
     record: &Record,
     detectors: &[&dyn Detector],
-    compressed: bool,
+    interpolated: bool,
 ) -> Features {
     let mut out = Features::new();
     if let Some(e) = estimate {
@@ -169,7 +169,7 @@ pub fn figures(
         out.insert("setpoint_share".to_owned(), moved.min(2.0));
     }
     let view = View::new(record);
-    let heard = detectors.iter().filter(|d| !(compressed && d.name() == "jumps"));
+    let heard = detectors.iter().filter(|d| !(interpolated && d.name() == "jumps"));
     out.extend(heard.filter_map(|d| Some((d.name().to_owned(), d.score(&view)?))));
     out
 }
