@@ -2,7 +2,7 @@
 
 use super::cause;
 use super::document::{Assessment, Controller, Gate, Oscillation, Process, Search, Window};
-use super::gates::gates;
+use super::gates::{gates, is_interpolated};
 use super::judge::{grade, judge};
 use super::params::AssessParams;
 use super::rule::{self, Features, Rule};
@@ -52,17 +52,17 @@ pub fn assess(record: &Record, params: &AssessParams) -> Assessment {
 pub fn figures(record: &Record, params: &AssessParams) -> Result<Features, Gate> {
     let found = oscillation::detect(&record.op(), &record.pv);
     let met = gates(record, &describe(found.as_ref(), record), params);
-    if let Some(gate) = met.into_iter().find(|g| g.blocks()) {
-        return Err(gate);
+    if let Some(gate) = met.iter().find(|g| g.blocks()) {
+        return Err(*gate);
     }
     let estimate = quantify(record, &options(params, found.as_ref()));
-    Ok(rule::figures(estimate.as_ref(), record, &detect::ALL))
+    Ok(rule::figures(estimate.as_ref(), record, &detect::ALL, is_interpolated(record)))
 }
 
 /// Asks the rule and says what it answers, and why.
 fn decide(out: &mut Assessment, estimate: Option<&Estimate>, record: &Record, found: Option<&Oscillates>) {
     let rule = Rule::shipped();
-    let features = rule::features(rule::figures(estimate, record, &detect::ALL));
+    let features = rule::features(rule::figures(estimate, record, &detect::ALL, is_interpolated(record)));
     let opinion = rule.opinion(&features);
     let names = rule::OF_THE_FIT.into_iter().chain(detect::ALL.iter().map(|d| d.name()));
     let witness = |name| {

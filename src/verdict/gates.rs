@@ -13,8 +13,8 @@ const BAD_SHARE: f64 = 0.2;
 /// Share of samples equal to the one before from which a signal counts as frozen.
 const FROZEN_SHARE: f64 = 0.995;
 /// Share of OP values at one of its ends from which it counts as saturated: at a limit neither valve nor controller shows,
-/// so most of the window must lie between. And the end's width in spans.
-const SATURATED_SHARE: f64 = 0.5;
+/// so the larger part of the window must lie between. And the end's width in spans.
+const SATURATED_SHARE: f64 = 0.4;
 const END_WIDTH: f64 = 1e-3;
 /// Share of held or straight-line PV samples from which a history counts as compressed (a third, as public tools do).
 const COMPRESSED_SHARE: f64 = 0.3;
@@ -58,7 +58,7 @@ fn is_frozen(x: &[f64], repeats: f64) -> bool {
     !width.is_finite() || width <= 1e-9 * high.abs().max(low.abs()) || repeats >= FROZEN_SHARE
 }
 
-/// OP stands for half of the time at a limit of its range, or, where that is unknown, exactly at an extreme that it
+/// OP stands for two fifths of the time at a limit of its range, or, where that is unknown, exactly at an extreme that it
 /// otherwise leaves for many other values.
 fn is_saturated(op: &[f64], range: Option<[f64; 2]>) -> bool {
     let n = op.len() as f64;
@@ -103,6 +103,11 @@ fn is_compressed(record: &Record, quantised: bool) -> bool {
     if f64::from(record.facts.pv_repeats) / raw > COMPRESSED_SHARE {
         return true;
     }
+    is_interpolated(record)
+}
+
+/// PV lies on straight lines between stored values: its corners are the recorder's.
+pub(super) fn is_interpolated(record: &Record) -> bool {
     let scale = 1e-6 * stats::std_dev(&record.pv);
     let straight =
         record.pv.windows(3).filter(|w| (w[2] - 2.0 * w[1] + w[0]).abs() < scale && (w[1] - w[0]).abs() > 0.0).count();

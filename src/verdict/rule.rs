@@ -150,9 +150,15 @@ impl Rule {
 }
 
 /// What a record shows, before anything is made of it: figures of the fit (none where nothing moved the stem or nothing
-/// was fitted), of the set point and of the detectors.
+/// was fitted), of the set point and of the detectors. Where PV is `interpolated` between stored values its
+/// corners are the recorder's, so the detector that looks for jumps is not heard.
 #[must_use]
-pub fn figures(estimate: Option<&Estimate>, record: &Record, detectors: &[&dyn Detector]) -> Features {
+pub fn figures(
+    estimate: Option<&Estimate>,
+    record: &Record,
+    detectors: &[&dyn Detector],
+    interpolated: bool,
+) -> Features {
     let mut out = Features::new();
     if let Some(e) = estimate {
         let fit = [("stiction_index", e.index), ("s_over_span", e.s / e.span), ("reversals", e.reversals as f64)];
@@ -163,7 +169,8 @@ pub fn figures(estimate: Option<&Estimate>, record: &Record, detectors: &[&dyn D
         out.insert("setpoint_share".to_owned(), moved.min(2.0));
     }
     let view = View::new(record);
-    out.extend(detectors.iter().filter_map(|d| Some((d.name().to_owned(), d.score(&view)?))));
+    let heard = detectors.iter().filter(|d| !(interpolated && d.name() == "jumps"));
+    out.extend(heard.filter_map(|d| Some((d.name().to_owned(), d.score(&view)?))));
     out
 }
 
