@@ -232,6 +232,87 @@ fn what_cannot_be_done_says_so() {
     }
 }
 
+/// A triangle against a square (a sticking valve's picture), or one sine against another.
+fn wave(sticking: bool) -> String {
+    let row = |k: i32| {
+        let t = f64::from(k) / 60.0;
+        let (t, turn) = (t.fract(), 2.0 * core::f64::consts::PI * t);
+        let triangle = if t < 0.5 { 4.0 * t - 1.0 } else { 3.0 - 4.0 * t };
+        let square = if (0.1..0.6).contains(&t) { 1.0 } else { -1.0 };
+        let noise = 1e-3 * f64::from(k * k % 31);
+        let (op, pv) = if sticking { (triangle, square) } else { (turn.sin(), -turn.sin()) };
+        format!("{k},{},{}\n", 50.0 + 3.0 * op, 20.0 + pv + noise)
+    };
+    format!("t,op,pv\n{}", (0..600).map(row).collect::<String>())
+}
+
+#[test]
+fn evaluate_counts_records_data_and_valves() {
+    let folder = Folder::new();
+    for (name, sticking) in [("A_01", true), ("A_02", true), ("B", false), ("C", false)] {
+        folder.write(&format!("{name}.csv"), wave(sticking));
+    }
+    let index = folder.write(
+        "INDEX.csv",
+        "file,loop,valve,label,same_data_group\n\
+         A_01.csv,A_01,,stiction,\nA_02.csv,A_02,,no_stiction,\n\
+         B.csv,B,,tuning,D1\nC.csv,C,B,disturbance,D1\nC.csv,C,,unknown,\ngone.csv,G,,stiction,\n",
+    );
+    let text = stdout(&expect(0, &["evaluate", &index, "--format", "json"]));
+    let lines: Vec<serde_json::Value> = text.lines().map(|l| serde_json::from_str(l).unwrap()).collect();
+    let (cases, last) = lines.split_at(lines.len() - 1);
+    assert_eq!(cases.len(), 6);
+    assert_eq!(
+        (&cases[0]["valve"], &cases[1]["valve"], &cases[3]["valve"]),
+        (&"/A".into(), &"/A".into(), &"/B".into())
+    );
+    assert!(cases[5]["error"].is_string());
+    let last = &last[0];
+    assert_eq!((&last["all"]["total"], &last["all"]["errors"]), (&5.into(), &1.into()));
+    assert_eq!((&last["distinct"]["all"]["total"], &last["valves"]["all"]["total"]), (&4.into(), &3.into()));
+    let interval = &last["all"]["interval"];
+    assert!(interval[0].as_f64().unwrap() < interval[1].as_f64().unwrap());
+    assert_eq!(last["confusion"]["unknown"].as_object().unwrap().len(), 1);
+    assert!(last["brier"].as_f64().is_some_and(|b| (0.0..=1.0).contains(&b)));
+    let counted: u64 = last["reliability"].as_array().unwrap().iter().map(|b| b["count"].as_u64().unwrap()).sum();
+    assert_eq!(counted, 4);
+    // What the witnesses say adds up to the probability that is given.
+    for case in &cases[..5] {
+        let said: f64 = case["witnesses"].as_array().unwrap().iter().map(|w| w["contribution"].as_f64().unwrap()).sum();
+        let logit = case["explanation"]["base"].as_f64().unwrap() + said;
+        let p = 1.0 / (1.0 + (-logit).exp());
+        assert!((p - case["p_stiction"].as_f64().unwrap()).abs() < 1e-9, "{case}");
+    }
+    let text = stdout(&expect(0, &["evaluate", &index]));
+    for part in ["every valve counted once", "verdicts by label", "reliability", "gone.csv"] {
+        assert!(text.contains(part), "{part}: {text}");
+    }
+}
+
+#[test]
+fn calibrate_keeps_what_it_computed_and_writes_a_rule() {
+    let folder = Folder::new();
+    folder.write("A_01.csv", wave(true));
+    let index = folder.write("INDEX.csv", "file,label\nA_01.csv,stiction\ngone.csv,tuning\n");
+    let (features, out) = (folder.path("features.jsonl"), folder.path("rule.json"));
+    let arguments = ["calibrate", "--loops", "4", "--labelled", &index, "--features", &features, "--format", "json"];
+    let first = stdout(&expect(0, &[&arguments[..], &["--out", &out]].concat()));
+    let kept = fs::read_to_string(&features).unwrap();
+    assert_eq!(kept.lines().count(), 9);
+    let again = stdout(&expect(0, &[&arguments[..], &["--out", &out, "--force"]].concat()));
+    assert_eq!(first, again);
+    assert_eq!(fs::read_to_string(&features).unwrap(), kept);
+    expect(1, &[&arguments[..], &["--out", &out]].concat());
+    let told: serde_json::Value = serde_json::from_str(&first).unwrap();
+    let rule: serde_json::Value = serde_json::from_str(&fs::read_to_string(&out).unwrap()).unwrap();
+    assert_eq!(told["rule"], rule);
+    assert_eq!((&rule["made"]["valves"], &rule["made"]["recordings"]), (&1.into(), &1.into()));
+    assert_eq!(told["recordings"]["all"]["total"], 1.0);
+    assert!(told["simulated"]["brier"].is_number());
+    let other = [&arguments[..7], &["--use", "index,travel", "--ridge", "3"]].concat();
+    assert!(stdout(&expect(0, &other)).contains("counted once"));
+}
+
 /// Real tables keep every value on their way through a recording. They stand beside the working copy, if at all.
 #[test]
 fn real_tables_survive() {

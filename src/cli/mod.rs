@@ -2,6 +2,7 @@
 
 pub mod analyze;
 pub mod bench;
+pub mod calibrate;
 pub mod check;
 pub mod convert;
 pub mod demo;
@@ -17,10 +18,12 @@ use std::fmt::Display;
 use std::future::Future;
 use std::io::{IsTerminal, Write};
 use std::process::ExitCode;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use anyhow::Context;
 use clap::error::ErrorKind;
 use clap::{Parser, Subcommand, ValueEnum};
+use indicatif::{ProgressBar, ProgressStyle};
 use tracing_subscriber::EnvFilter;
 
 /// How a command ended; a verdict never changes it.
@@ -83,6 +86,7 @@ enum CommandArgs {
     Replay(replay::Args),
     Analyze(analyze::Args),
     Evaluate(evaluate::Args),
+    Calibrate(calibrate::Args),
     Simulate(simulate::Args),
     Convert(convert::ConvertArgs),
     Check(check::Args),
@@ -123,6 +127,7 @@ fn dispatch(cli: Cli) -> anyhow::Result<Outcome> {
         CommandArgs::Replay(args) => replay::run(&args, format),
         CommandArgs::Analyze(args) => analyze::run(&args, format),
         CommandArgs::Evaluate(args) => evaluate::run(&args, format),
+        CommandArgs::Calibrate(args) => calibrate::run(&args, format),
         CommandArgs::Simulate(args) => simulate::run(&args, format),
         CommandArgs::Convert(args) => convert::run(&args, format),
         CommandArgs::Check(args) => check::run(&args, format),
@@ -162,6 +167,41 @@ pub(crate) fn say(line: impl Display) -> std::io::Result<()> {
 /// Several faults, one a line.
 pub(crate) fn list(faults: &[impl Display]) -> String {
     faults.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n  ")
+}
+
+/// Does a piece of work for each item on all cores, with a progress bar; answers stand in the items' order.
+pub(crate) fn on_all_cores<T: Sync, R: Send>(
+    items: &[T],
+    name: impl Fn(&T) -> String + Sync,
+    work: impl Fn(&T) -> R + Sync,
+) -> Vec<R> {
+    let bar = ProgressBar::new(items.len() as u64);
+    if let Ok(style) = ProgressStyle::with_template("{bar:40} {pos}/{len} {wide_msg}") {
+        bar.set_style(style);
+    }
+    let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+    let next = AtomicUsize::new(0);
+    let share = || {
+        let mut mine = Vec::new();
+        loop {
+            let index = next.fetch_add(1, Ordering::Relaxed);
+            let Some(item) = items.get(index) else { return mine };
+            bar.set_message(name(item));
+            mine.push((index, work(item)));
+            bar.inc(1);
+        }
+    };
+    let mut results: Vec<(usize, R)> = std::thread::scope(|scope| {
+        let workers: Vec<_> = (0..cores).map(|_| scope.spawn(share)).collect();
+        let join = |w: std::thread::ScopedJoinHandle<'_, Vec<(usize, R)>>| match w.join() {
+            Ok(mine) => mine,
+            Err(panic) => std::panic::resume_unwind(panic),
+        };
+        workers.into_iter().flat_map(join).collect()
+    });
+    bar.finish_and_clear();
+    results.sort_by_key(|(index, _)| *index);
+    results.into_iter().map(|(_, result)| result).collect()
 }
 
 /// Runs an asynchronous command. Zenoh needs a runtime of several threads.

@@ -46,6 +46,15 @@ pub(super) fn estimate(document: &EstimateDocument) -> String {
             format!("{kind}: period {} s, {periods:.1} periods, {density:.0} samples each", number(Some(period))),
         );
     }
+    if let Some(p) = a.p_stiction {
+        let said = a.witnesses.iter().filter(|w| w.vote.is_some());
+        let said: Vec<String> = said.map(|w| format!("{} {:+.1}", w.name, w.contribution)).collect();
+        let base = a.explanation.map_or(0.0, |e| e.base);
+        row("sticking", format!("p {p:.2}: from {base:+.1} by {} (logits)", said.join(", ")));
+    }
+    if let Some(reason) = a.reason {
+        row("no answer", reason.to_owned());
+    }
     if a.stiction_index.is_some() {
         row("stiction", format!("fs {}  fd {}  (OP units)", number(a.fs), number(a.fd)));
         row("", format!("s {}  j {}  s/span {}", number(a.s), number(a.j), number(a.s_over_span)));

@@ -2,8 +2,11 @@
 
 use super::{Detector, View};
 
-/// Concentration of PV's moves less that of OP's, -0.3..0.7: the concentration is the share of the squared moves over
-/// a sixteenth of a period that the largest tenth of them holds. Needs no model, no cycle and no period.
+/// How much more concentrated PV's moves are than OP's, 0..0.7 (less concentrated says nothing: OP answers a set point that
+/// steps in steps): the concentration is the share of the squared moves
+/// over a sixteenth of a period that the largest tenth of them holds. The same of the changes of the moves, where that is
+/// more: behind a valve that jumps, an integrating process turns sharply instead of jumping. Needs no model, no cycle and
+/// no period, but a sampling time well below a sixteenth of OP's typical time.
 pub(super) struct Jumps;
 
 impl Detector for Jumps {
@@ -13,13 +16,23 @@ impl Detector for Jumps {
 
     fn score(&self, view: &View) -> Option<f64> {
         let width = ((view.period / 16.0) as usize).max(1);
-        let difference = concentration(&view.pv, width)? - concentration(&view.op, width)?;
-        Some(difference.clamp(-0.3, 0.7))
+        let (op, pv) = (moves(&view.op, width), moves(&view.pv, width));
+        let jumps = concentration(&pv)? - concentration(&op)?;
+        let turns = match (concentration(&moves(&pv, width)), concentration(&moves(&op, width))) {
+            (Some(pv), Some(op)) => pv - op,
+            _ => jumps,
+        };
+        Some(jumps.max(turns).clamp(0.0, 0.7))
     }
 }
 
-fn concentration(x: &[f64], width: usize) -> Option<f64> {
-    let mut squares: Vec<f64> = x.windows(width + 1).map(|w| (w[width] - w[0]) * (w[width] - w[0])).collect();
+fn moves(x: &[f64], width: usize) -> Vec<f64> {
+    x.windows(width + 1).map(|w| w[width] - w[0]).collect()
+}
+
+/// Share of the sum of squares in the largest tenth.
+fn concentration(x: &[f64]) -> Option<f64> {
+    let mut squares: Vec<f64> = x.iter().map(|d| d * d).collect();
     squares.sort_by(|a, b| b.total_cmp(a));
     let total: f64 = squares.iter().sum();
     let top: f64 = squares[..squares.len() / 10].iter().sum();

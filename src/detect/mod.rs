@@ -21,6 +21,8 @@ pub struct Witness {
     pub score: Option<f64>,
     /// For stiction, against, or silent.
     pub vote: Option<bool>,
+    /// Its part of the verdict, logits; 0 where it says nothing.
+    pub contribution: f64,
 }
 
 /// A sign of sticking that is read from a record without a valve model.

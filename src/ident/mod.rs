@@ -10,6 +10,7 @@ pub mod class;
 pub mod controller;
 mod fit;
 mod least_squares;
+pub mod one_step;
 mod quantify;
 pub mod region;
 mod robust;

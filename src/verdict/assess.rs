@@ -1,12 +1,13 @@
 //! One record in, one assessment out.
 
 use super::cause;
-use super::document::{Assessment, Controller, Oscillation, Process, Search, Window};
-use super::gates::gates;
-use super::judge::judge;
+use super::document::{Assessment, Controller, Gate, Oscillation, Process, Search, Window};
+use super::gates::{gates, is_interpolated};
+use super::judge::{grade, judge};
 use super::params::AssessParams;
+use super::rule::{self, Features, Rule};
 use crate::detect::oscillation::{self, Oscillates};
-use crate::detect::{self, View, Witness};
+use crate::detect::{self, Witness};
 use crate::ident::controller::{self, Reading};
 use crate::ident::region::{region, severity, strength};
 use crate::ident::{Estimate, Options, quantify};
@@ -29,7 +30,8 @@ pub fn assess(record: &Record, params: &AssessParams) -> Assessment {
     let gates = gates(record, &oscillation, params);
     let window = Window::of(record);
     let mut out = Assessment { gates, interval_level: Some(INTERVAL_LEVEL), ..Assessment::empty(window, oscillation) };
-    if out.gates.iter().any(|g| g.blocks()) {
+    if let Some(gate) = out.gates.iter().find(|g| g.blocks()) {
+        out.reason = Some(gate.name());
         return out;
     }
     let worth_it = params.always_fit
@@ -39,19 +41,51 @@ pub fn assess(record: &Record, params: &AssessParams) -> Assessment {
     if let Some(e) = &estimate {
         fill(&mut out, e, record, params);
     }
+    decide(&mut out, estimate.as_ref(), record, found.as_ref());
+    out
+}
+
+/// The figures that the rule asks for, or the blocking gate that leaves the record without an answer.
+///
+/// # Errors
+/// The first blocking gate.
+pub fn figures(record: &Record, params: &AssessParams) -> Result<Features, Gate> {
+    let found = oscillation::detect(&record.op(), &record.pv);
+    let met = gates(record, &describe(found.as_ref(), record), params);
+    if let Some(gate) = met.iter().find(|g| g.blocks()) {
+        return Err(*gate);
+    }
+    let estimate = quantify(record, &options(params, found.as_ref()));
+    Ok(rule::figures(estimate.as_ref(), record, &detect::ALL, is_interpolated(record)))
+}
+
+/// Asks the rule and says what it answers, and why.
+fn decide(out: &mut Assessment, estimate: Option<&Estimate>, record: &Record, found: Option<&Oscillates>) {
+    let rule = Rule::shipped();
+    let features = rule::features(rule::figures(estimate, record, &detect::ALL, is_interpolated(record)));
+    let opinion = rule.opinion(&features);
+    let names = rule::OF_THE_FIT.into_iter().chain(detect::ALL.iter().map(|d| d.name()));
+    let witness = |name| {
+        let voice = rule.voice(name, &features);
+        let vote = (voice.contribution != 0.0).then_some(voice.contribution > 0.0);
+        Witness { name, score: voice.score, vote, contribution: voice.contribution }
+    };
+    out.witnesses = names.map(witness).collect();
     let reading = controller::read(record);
     out.controller = reading.as_ref().map(as_document);
-    let view = View::new(record);
-    out.witnesses = detect::ALL.iter().map(|d| Witness { name: d.name(), score: d.score(&view), vote: None }).collect();
-    let ringing = cause::ringing(record, found.as_ref());
-    let damping = cause::moved_damping(estimate.as_ref(), reading.as_ref(), record);
-    let otherwise = || cause::cause(found.as_ref(), ringing.as_ref(), damping);
+    let ringing = cause::ringing(record, found);
+    let damping = cause::moved_damping(estimate, reading.as_ref(), record);
+    let otherwise = || cause::cause(found, ringing.as_ref(), damping);
     let beside = |e: &Estimate| cause::beside_sticking(e, reading.as_ref(), record, ringing.as_ref());
-    (out.verdict, out.contributing) = judge(estimate.as_ref(), &out.witnesses, otherwise, beside);
+    (out.verdict, out.contributing) = judge(estimate, &opinion, otherwise, beside);
     out.stiction = out.verdict.stiction();
-    // Without a confidence no better grade can be claimed.
-    out.grade = Some(if out.stiction.is_none() { 'D' } else { 'C' });
-    out
+    let p = opinion.p();
+    out.p_stiction = Some(p);
+    out.explanation = Some(opinion);
+    out.confidence = out.stiction.map(|_| p.max(1.0 - p));
+    out.reason = out.stiction.is_none().then_some(if opinion.sticks().is_none() { "undecided" } else { "not_fitted" });
+    let width = out.s_interval.zip(out.s).map(|([low, high], s)| (high - low) / s);
+    out.grade = Some(grade(out.confidence, !out.gates.is_empty(), width));
 }
 
 const fn as_document(r: &Reading) -> Controller {

@@ -2,9 +2,9 @@
 
 use serde::Serialize;
 
-use crate::record::Record;
-
+use super::rule::Opinion;
 use crate::detect::Witness;
+use crate::record::Record;
 
 /// Schema name of an estimate.
 pub const ESTIMATE_SCHEMA: &str = "stictiond.estimate.v1";
@@ -228,6 +228,8 @@ pub struct Assessment {
     pub verdict: Verdict,
     pub contributing: Vec<Verdict>,
     pub stiction: Option<bool>,
+    /// Why there is no answer: the first blocking gate, `undecided` (the evidence is a coin toss) or `not_fitted`.
+    pub reason: Option<&'static str>,
     pub p_stiction: Option<f64>,
     pub confidence: Option<f64>,
     pub gates: Vec<Gate>,
@@ -252,6 +254,8 @@ pub struct Assessment {
     pub process: Option<Process>,
     pub controller: Option<Controller>,
     pub witnesses: Vec<Witness>,
+    /// What the witnesses' contributions add up to, in logits.
+    pub explanation: Option<Opinion>,
     /// Search figures: evaluations done, and why the search stopped.
     pub search: Option<Search>,
     pub elapsed_ms: Option<f64>,
@@ -267,6 +271,7 @@ impl Assessment {
             verdict: Verdict::Inconclusive,
             contributing: Vec::new(),
             stiction: None,
+            reason: None,
             p_stiction: None,
             confidence: None,
             gates: Vec::new(),
@@ -291,6 +296,7 @@ impl Assessment {
             process: None,
             controller: None,
             witnesses: Vec::new(),
+            explanation: None,
             search: None,
             elapsed_ms: None,
         }

@@ -12,8 +12,9 @@ const MANUAL_SHARE: f64 = 0.05;
 const BAD_SHARE: f64 = 0.2;
 /// Share of samples equal to the one before from which a signal counts as frozen.
 const FROZEN_SHARE: f64 = 0.995;
-/// Share of OP values at one of its ends from which it counts as saturated, and the end's width in spans.
-const SATURATED_SHARE: f64 = 0.2;
+/// Share of OP values at one of its ends from which it counts as saturated: at a limit neither valve nor controller shows,
+/// so the larger part of the window must lie between. And the end's width in spans.
+const SATURATED_SHARE: f64 = 0.4;
 const END_WIDTH: f64 = 1e-3;
 /// Share of held or straight-line PV samples from which a history counts as compressed (a third, as public tools do).
 const COMPRESSED_SHARE: f64 = 0.3;
@@ -57,7 +58,7 @@ fn is_frozen(x: &[f64], repeats: f64) -> bool {
     !width.is_finite() || width <= 1e-9 * high.abs().max(low.abs()) || repeats >= FROZEN_SHARE
 }
 
-/// OP stands for a fifth of the time at a limit of its range, or, where that is unknown, exactly at an extreme that it
+/// OP stands for two fifths of the time at a limit of its range, or, where that is unknown, exactly at an extreme that it
 /// otherwise leaves for many other values.
 fn is_saturated(op: &[f64], range: Option<[f64; 2]>) -> bool {
     let n = op.len() as f64;
@@ -102,6 +103,11 @@ fn is_compressed(record: &Record, quantised: bool) -> bool {
     if f64::from(record.facts.pv_repeats) / raw > COMPRESSED_SHARE {
         return true;
     }
+    is_interpolated(record)
+}
+
+/// PV lies on straight lines between stored values: its corners are the recorder's.
+pub(super) fn is_interpolated(record: &Record) -> bool {
     let scale = 1e-6 * stats::std_dev(&record.pv);
     let straight =
         record.pv.windows(3).filter(|w| (w[2] - 2.0 * w[1] + w[0]).abs() < scale && (w[1] - w[0]).abs() > 0.0).count();
@@ -133,7 +139,7 @@ mod tests {
         let good = || wave(500, 61.3);
         assert_eq!(of(good(), vec![1.0; 500])[0], Gate::FrozenPv);
         assert_eq!(of(vec![1.0; 500], good())[0], Gate::FrozenOp);
-        let clipped: Vec<f64> = good().iter().map(|u| u.min(51.0)).collect();
+        let clipped: Vec<f64> = good().iter().map(|u| u.min(49.5)).collect();
         assert_eq!(of(clipped, good()), vec![Gate::Saturated]);
         assert_eq!(of(wave(20, 7.3), wave(20, 7.3))[0], Gate::TooFewSamples);
         let rounded: Vec<f64> = good().iter().map(|u| u.round()).collect();
@@ -162,7 +168,7 @@ mod tests {
 
     #[test]
     fn a_range_tells_saturation_of_few_levels() {
-        let op: Vec<f64> = (0..300).map(|k| if k % 3 == 0 { 100.0 } else { 60.0 + f64::from(k % 7) }).collect();
+        let op: Vec<f64> = (0..300).map(|k| if k % 3 > 0 { 100.0 } else { 60.0 + f64::from(k % 7) }).collect();
         let record = Record::uniform(1.0, op, wave(300, 61.3));
         let params = AssessParams { op_range: Some([0.0, 100.0]), ..AssessParams::default() };
         assert!(gates(&record, &STILL, &params).contains(&Gate::Saturated));

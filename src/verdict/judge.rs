@@ -1,74 +1,68 @@
-//! From figures to a word.
-//!
-//! Provisional: one logistic rule over the fit's index and the model-free signs, its weights fitted once to some
-//! thousand simulated loops and to published labelled recordings, every real valve counting once. Its output is not
-//! yet a calibrated probability and is therefore not published as one.
+//! From a probability to a word and a grade.
 
 use super::document::Verdict;
-use crate::detect::Witness;
+use super::rule::Opinion;
 use crate::ident::Estimate;
 use crate::ident::region;
 
-/// Weights of the rule: constant, stiction index, and the detectors by name.
-const CONSTANT: f64 = -4.877;
-const INDEX: f64 = 4.329;
-const SIGNS: [(&str, f64); 4] = [("horch", 1.173), ("jumps", 5.389), ("curve_fit", 3.886), ("travel", 1.513)];
-/// Logit from which the valve is said to stick: odds of 7 to 3, where one healthy simulated loop in twenty is accused.
-const CUT: f64 = 0.847;
-/// s over OP's span below which the index counts less: smaller bands are within what noise and rounding imitate.
-const FULL_WEIGHT: f64 = 0.2;
-/// Share of the free-run error that the valve law must remove to be believed without any other sign: loops that obey
-/// the law reach it, healthy ones stay far below (a dead band in front of an integrator shows no jump in PV).
-const PLAIN_INDEX: f64 = 0.75;
-/// Turns of the stem that this takes: fewer can be an accident.
-const PLAIN_REVERSALS: usize = 6;
-/// Logit of the rule; signs that the record does not show count 0.
-#[must_use]
-pub fn evidence(estimate: Option<&Estimate>, witnesses: &[Witness]) -> f64 {
-    let index = estimate.map_or(0.0, |e| e.index * (e.s / (FULL_WEIGHT * e.span)).min(1.0));
-    let of = |name: &str| witnesses.iter().find(|w| w.name == name).and_then(|w| w.score).unwrap_or(0.0);
-    CONSTANT + INDEX * index + SIGNS.iter().map(|(name, weight)| weight * of(name)).sum::<f64>()
-}
-
-/// The verdict on a window without a blocking gate (`estimate` is `None` where nothing was fitted, which leaves a
-/// sticking valve unproven), and what contributes; `otherwise` is asked where the valve does not stick, `beside` where
-/// it does.
+/// The verdict on a window without a blocking gate, and what contributes; `otherwise` is asked where the valve does not
+/// stick, `beside` where it does. Without a fit (`estimate` is `None`) a valve that looks sticking stays open.
 #[must_use]
 pub fn judge(
     estimate: Option<&Estimate>,
-    witnesses: &[Witness],
+    opinion: &Opinion,
     otherwise: impl FnOnce() -> (Verdict, Vec<Verdict>),
     beside: impl FnOnce(&Estimate) -> Vec<Verdict>,
 ) -> (Verdict, Vec<Verdict>) {
-    let plain = |e: &Estimate| e.index >= PLAIN_INDEX && e.s > FULL_WEIGHT * e.span && e.reversals >= PLAIN_REVERSALS;
-    if let Some(e) = estimate.filter(|e| plain(e) || evidence(estimate, witnesses) >= CUT) {
-        let word = match region::region(e.s, e.j, e.span) {
-            "deadband" => Verdict::Deadband,
-            _ => Verdict::Stiction,
-        };
-        return (word, beside(e));
+    match (opinion.sticks(), estimate) {
+        (Some(true), Some(e)) => {
+            let word = match region::region(e.s, e.j, e.span) {
+                "deadband" => Verdict::Deadband,
+                _ => Verdict::Stiction,
+            };
+            (word, beside(e))
+        }
+        (None, _) | (Some(true), None) => (Verdict::Inconclusive, Vec::new()),
+        (Some(false), _) => otherwise(),
     }
-    otherwise()
+}
+
+/// How far to trust an answer: A without gates, from a confidence of 0.95 on and with s known to 15 %; B from 0.85 on and
+/// with s known to 30 %; C for any other answer, D for none. `width` is that of the interval of s over s.
+#[must_use]
+pub fn grade(confidence: Option<f64>, gated: bool, width: Option<f64>) -> char {
+    let within = |least: f64, widest: f64| confidence.is_some_and(|c| c >= least) && width.is_some_and(|w| w <= widest);
+    match confidence {
+        None => 'D',
+        Some(_) if !gated && within(0.95, 0.15) => 'A',
+        Some(_) if within(0.85, 0.30) => 'B',
+        Some(_) => 'C',
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn witnesses(score: f64) -> Vec<Witness> {
-        SIGNS.iter().map(|(name, _)| Witness { name, score: Some(score), vote: None }).collect()
+    fn opinion(logit: f64) -> Opinion {
+        Opinion { base: 0.0, logit, undecided: [0.4, 0.6] }
     }
 
     #[test]
     fn without_a_fit_nothing_sticks() {
-        let other = || (Verdict::Disturbance, vec![]);
-        assert_eq!(judge(None, &witnesses(1.0), other, |_| vec![Verdict::Tuning]).0, Verdict::Disturbance);
+        let of = |logit| judge(None, &opinion(logit), || (Verdict::Disturbance, vec![]), |_| vec![Verdict::Tuning]).0;
+        assert_eq!(of(-3.0), Verdict::Disturbance);
+        assert_eq!(of(3.0), Verdict::Inconclusive);
+        assert_eq!(of(0.0), Verdict::Inconclusive);
     }
 
     #[test]
-    fn every_sign_speaks_for_the_valve() {
-        assert!(evidence(None, &witnesses(0.0)) < evidence(None, &witnesses(0.1)));
-        let named: Vec<&str> = crate::detect::ALL.iter().map(|d| d.name()).collect();
-        assert!(SIGNS.iter().all(|(name, _)| named.contains(name)));
+    fn grades_ask_for_confidence_and_a_known_size() {
+        assert_eq!(grade(Some(0.97), false, Some(0.1)), 'A');
+        assert_eq!(grade(Some(0.97), true, Some(0.1)), 'B');
+        assert_eq!(grade(Some(0.9), false, Some(0.2)), 'B');
+        assert_eq!(grade(Some(0.99), false, None), 'C');
+        assert_eq!(grade(Some(0.6), false, Some(0.01)), 'C');
+        assert_eq!(grade(None, false, Some(0.01)), 'D');
     }
 }

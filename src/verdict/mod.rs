@@ -1,15 +1,18 @@
 //! Judgement on one window: gates, fit, verdict, grade.
 
 mod assess;
+pub mod calibrate;
 mod cause;
 mod document;
 mod gates;
 mod judge;
 mod params;
+pub mod rule;
+pub mod tally;
 
 pub use crate::detect::Witness;
 pub use crate::ident::{DelayChoice, ModelChoice, ValveChoice};
-pub use assess::assess;
+pub use assess::{assess, figures};
 pub use document::{
     Assessment, Controller, ESTIMATE_SCHEMA, EstimateDocument, Gate, Oscillation, Process, Search, Verdict, Window,
 };

@@ -163,6 +163,19 @@ pub struct Labelled {
     pub record: Record,
 }
 
+/// Cells of a line of CSV, quotes taken off.
+pub fn cells(line: &str) -> Vec<String> {
+    let (mut out, mut quoted) = (vec![String::new()], false);
+    for c in line.chars() {
+        match c {
+            '"' => quoted = !quoted,
+            ',' if !quoted => out.push(String::new()),
+            c => out.last_mut().unwrap().push(c),
+        }
+    }
+    out
+}
+
 /// The recordings that the product may look at, or nothing where they are not there.
 pub fn labelled(folder: &str) -> Vec<Labelled> {
     let root = std::path::Path::new(folder);

@@ -1,0 +1,305 @@
+//! `stictiond calibrate`: fits the verdict's rule and tells how good it is on what it was not fitted to.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+use serde_json::json;
+
+use super::evaluate::{index, record_of};
+use super::{Format, Outcome, UsageError, on_all_cores, print, say};
+use crate::sim::truth::{Half, verdict_case};
+use crate::verdict::calibrate::{Example, Settings, ask, fit, leave_one_valve_out, weights};
+use crate::verdict::rule::Rule;
+use crate::verdict::tally::{self, Scored, Tally};
+use crate::verdict::{AssessParams, figures};
+
+/// Fit the rule behind p_stiction to simulated loops and labelled recordings, and print how good it is on those that it was
+/// not fitted to: recordings valve by valve left out, simulated loops of the half that is kept for the report.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:
+  stictiond calibrate --loops 2000 --features figures.jsonl
+  stictiond calibrate --features figures.jsonl --labelled labelled/INDEX.csv --out rule.json")]
+pub struct Args {
+    /// Simulated loops in each half, the fitted and the reported one.
+    #[arg(long, default_value_t = 1000)]
+    pub loops: u64,
+    /// Seed of the first simulated loop.
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Labelled recordings, as `evaluate` takes them.
+    #[arg(long, value_name = "INDEX.csv")]
+    pub labelled: Option<PathBuf>,
+    /// Keeps the figures of what was computed, a line each, and takes from there what it holds.
+    #[arg(long, value_name = "FILE.jsonl")]
+    pub features: Option<PathBuf>,
+    /// Features of the rule; those of the rule in use if none are named.
+    #[arg(long = "use", value_name = "NAME,NAME", value_delimiter = ',')]
+    pub names: Vec<String>,
+    /// Penalty on the squared weights of standardised features.
+    #[arg(long, default_value_t = 1.0)]
+    pub ridge: f64,
+    /// Valves that all simulated loops together weigh as much as.
+    #[arg(long, default_value_t = 40.0)]
+    pub weight: f64,
+    /// Probabilities between which the verdict stays open; those of the rule in use if none are given.
+    #[arg(long, value_name = "LO,HI", value_parser = super::analyze::op_range)]
+    pub undecided: Option<[f64; 2]>,
+    /// Writes the rule here.
+    #[arg(long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+    /// Replaces an existing OUT.
+    #[arg(long)]
+    pub force: bool,
+}
+
+/// What has to be looked at.
+enum Source {
+    Loop(Half, u64),
+    Recording(index::Case),
+}
+
+impl Source {
+    fn name(&self) -> String {
+        match self {
+            Self::Loop(half, seed) => format!("{} {seed}", half.name()),
+            Self::Recording(case) => case.file.clone(),
+        }
+    }
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// A file cannot be read or written, or there is nothing to fit.
+pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
+    if let Some(out) = args.out.as_ref().filter(|out| out.exists() && !args.force) {
+        bail!("{}: exists; --force replaces it", out.display());
+    }
+    if args.weight.is_nan() || args.weight < 0.0 || args.ridge.is_nan() || args.ridge < 0.0 {
+        return Err(UsageError("--weight and --ridge are numbers from 0 on".to_owned()).into());
+    }
+    let shipped = Rule::shipped();
+    let examples = gather(args)?;
+    let named = shipped.weights.iter().map(|w| w.feature.clone());
+    let settings = Settings {
+        features: if args.names.is_empty() { named.collect() } else { args.names.clone() },
+        ridge: args.ridge,
+        simulated_weight: args.weight,
+        undecided: args.undecided.unwrap_or(shipped.undecided),
+        seed: args.seed,
+    };
+    let rule = fit(&examples, &weights(&examples, args.weight), &settings).context("nothing to fit: no example")?;
+    let real = leave_one_valve_out(&examples, &settings);
+    let held: Vec<(&Example, Scored)> = examples.iter().filter(|e| e.held).map(|e| (e, ask(&rule, e, 1.0))).collect();
+    match format {
+        Format::Text => say_text(&rule, &real, &held)?,
+        Format::Json => say_json(&rule, &real, &held)?,
+    }
+    if let Some(out) = &args.out {
+        let text = serde_json::to_string_pretty(&rule)? + "\n";
+        fs::write(out, text).with_context(|| format!("{}: cannot be written", out.display()))?;
+    }
+    Ok(Outcome::Done)
+}
+
+/// Figures of everything asked for: from the file of features where it holds them, else computed.
+fn gather(args: &Args) -> anyhow::Result<Vec<Example>> {
+    let mut sources: Vec<Source> = Vec::new();
+    for half in [Half::Calibration, Half::Report] {
+        sources.extend((args.seed..args.seed + args.loops).map(|seed| Source::Loop(half, seed)));
+    }
+    let mut base = PathBuf::new();
+    if let Some(labelled) = &args.labelled {
+        base = labelled.parent().unwrap_or(Path::new("")).to_owned();
+        sources.extend(index::read(labelled)?.into_iter().filter(|c| c.truth().is_some()).map(Source::Recording));
+    }
+    let mut known = match &args.features {
+        Some(path) if path.exists() => read_features(path)?,
+        _ => BTreeMap::new(),
+    };
+    let missing: Vec<Source> = sources.iter().filter(|s| !known.contains_key(&s.name())).map(copy).collect();
+    // In parts, so that a broken run keeps what it had.
+    for part in missing.chunks(200) {
+        let found = on_all_cores(part, Source::name, |source| look(&base, source));
+        let mut lines = String::new();
+        for (source, example) in part.iter().zip(found) {
+            match example {
+                Ok(example) => {
+                    lines += &(serde_json::to_string(&example)? + "\n");
+                    known.insert(example.name.clone(), example);
+                }
+                Err(error) => tracing::warn!(name = source.name(), "{error:#}"),
+            }
+        }
+        if let Some(path) = &args.features {
+            use std::io::Write as _;
+            let file = fs::OpenOptions::new().create(true).append(true).open(path);
+            let mut file = file.with_context(|| format!("{}: cannot be written", path.display()))?;
+            file.write_all(lines.as_bytes())?;
+        }
+    }
+    Ok(sources.iter().filter_map(|s| known.remove(&s.name())).collect())
+}
+
+fn copy(source: &Source) -> Source {
+    match source {
+        Source::Loop(half, seed) => Source::Loop(*half, *seed),
+        Source::Recording(case) => Source::Recording(case.clone()),
+    }
+}
+
+fn read_features(path: &Path) -> anyhow::Result<BTreeMap<String, Example>> {
+    let text = fs::read_to_string(path).with_context(|| path.display().to_string())?;
+    let mut out = BTreeMap::new();
+    for (at, line) in text.lines().enumerate() {
+        let example: Example =
+            serde_json::from_str(line).with_context(|| format!("{}: line {}", path.display(), at + 1))?;
+        out.insert(example.name.clone(), example);
+    }
+    Ok(out)
+}
+
+fn look(base: &Path, source: &Source) -> anyhow::Result<Example> {
+    let name = source.name();
+    let (group, record, params, kind, valve, held, truth) = match source {
+        Source::Loop(half, seed) => {
+            let case = verdict_case(*half, *seed);
+            let held = matches!(half, Half::Report);
+            let params = AssessParams::default();
+            (name.clone(), case.record(), params, case.kind.to_owned(), None, held, case.sticks)
+        }
+        Source::Recording(case) => {
+            let (record, params) = record_of(base, case)?;
+            let truth = case.truth().unwrap_or_default();
+            (case.group.clone(), record, params, case.source.clone(), Some(case.valve.clone()), false, truth)
+        }
+    };
+    let (gate, figures) = match figures(&record, &params) {
+        Ok(figures) => (None, figures),
+        Err(gate) => (Some(gate.name().to_owned()), BTreeMap::new()),
+    };
+    Ok(Example { name, source: kind, valve, group, held, truth, gate, figures })
+}
+
+/// Counts by source.
+fn by_source<'e>(told: &[(&'e Example, Scored)]) -> BTreeMap<&'e str, Vec<Scored>> {
+    let mut out: BTreeMap<&str, Vec<Scored>> = BTreeMap::new();
+    for (example, scored) in told {
+        out.entry(&example.source).or_default().push(*scored);
+    }
+    out
+}
+
+/// The same answers with every valve counting once.
+fn by_valve<'e>(told: &[(&'e Example, Scored)]) -> Vec<(&'e Example, Scored)> {
+    let keys: Vec<&str> = told.iter().map(|(e, _)| e.valve.as_deref().unwrap_or(&e.name)).collect();
+    let mut scored: Vec<Scored> = told.iter().map(|(_, s)| *s).collect();
+    tally::share_by(&mut scored, &keys);
+    told.iter().map(|(e, _)| *e).zip(scored).collect()
+}
+
+fn only(told: &[(&Example, Scored)]) -> Vec<Scored> {
+    told.iter().map(|(_, s)| *s).collect()
+}
+
+fn line_of(name: &str, cases: &[Scored]) -> String {
+    let t = Tally::of(cases);
+    let brier = tally::brier(cases).map_or("-".to_owned(), |b| format!("{b:.3}"));
+    let [low, high] = t.interval().unwrap_or([0.0, 1.0]);
+    format!(
+        "  {name:<22} {:>7.1}/{:<7.1} {low:.2}..{high:.2}  missed {:>6.1}  false {:>6.1}  open {:>6.1}  Brier {brier}",
+        t.right(),
+        t.total(),
+        t.missed,
+        t.false_alarms,
+        t.unanswered
+    )
+}
+
+/// Share of the sticking loops found, of the healthy ones accused.
+fn rates(cases: &[Scored]) -> (Option<f64>, Option<f64>) {
+    let t = Tally::of(cases);
+    let share = |truth: bool, part: f64| {
+        let all = cases.iter().filter(|c| c.truth == truth).count();
+        (all > 0).then(|| part / all as f64)
+    };
+    (share(true, t.found), share(false, t.false_alarms))
+}
+
+fn say_text(rule: &Rule, real: &[(&Example, Scored)], held: &[(&Example, Scored)]) -> anyhow::Result<()> {
+    print(&format!("{}\n", serde_json::to_string_pretty(rule)?))?;
+    if !real.is_empty() {
+        say("\nrecordings, each judged by a rule that has not seen its valve (right/all, 95 %):")?;
+        for (source, cases) in by_source(real) {
+            say(line_of(source, &cases))?;
+        }
+        say(line_of("all", &only(real)))?;
+        let valves = by_valve(real);
+        say("each valve counted once:")?;
+        for (source, cases) in by_source(&valves) {
+            say(line_of(source, &cases))?;
+        }
+        say(line_of("all", &only(&valves)))?;
+        say("wrong or open:")?;
+        for (example, scored) in real.iter().filter(|(_, s)| s.answer != Some(s.truth)) {
+            let p = scored.p.map_or("-".to_owned(), |p| format!("{p:.2}"));
+            let why = example.gate.clone().unwrap_or_else(|| said(rule, example));
+            say(format!("  {:<50} {} p {p} {why}", example.name, if example.truth { "sticking" } else { "healthy " }))?;
+        }
+    }
+    if held.is_empty() {
+        return Ok(());
+    }
+    say("\nsimulated loops kept for the report:")?;
+    let percent = |x: Option<f64>| x.map_or("-".to_owned(), |x| format!("{:.1} %", 100.0 * x));
+    for (kind, cases) in by_source(held) {
+        let (found, accused) = rates(&cases);
+        say(format!("  {kind:<34} {:>5}  found {:>7}  false {:>7}", cases.len(), percent(found), percent(accused)))?;
+    }
+    let all = only(held);
+    let (found, accused) = rates(&all);
+    say(format!("  {:<34} {:>5}  found {:>7}  false {:>7}", "all", all.len(), percent(found), percent(accused)))?;
+    let bins = tally::reliability_equal(&all, 10);
+    say("reliability, bins of equally many:")?;
+    for b in &bins {
+        say(format!("  p {:.2}..{:.2}  mean {:.3}  sticking {:.3}  ({})", b.from, b.to, b.mean_p, b.rate, b.count))?;
+    }
+    let off = tally::miscalibration(&bins).unwrap_or(f64::NAN);
+    say(format!("mean distance {off:.3}, Brier {:.3}", tally::brier(&all).unwrap_or(f64::NAN)))?;
+    Ok(())
+}
+
+fn said(rule: &Rule, example: &Example) -> String {
+    let features = crate::verdict::rule::features(example.figures.clone());
+    let one = |name: &str| features.get(name).map_or(format!("{name} -"), |x| format!("{name} {x:.2}"));
+    rule.weights.iter().map(|w| one(&w.feature)).collect::<Vec<_>>().join(", ")
+}
+
+fn say_json(rule: &Rule, real: &[(&Example, Scored)], held: &[(&Example, Scored)]) -> anyhow::Result<()> {
+    let rows = |told: &[(&Example, Scored)]| {
+        let row = |cases: &[Scored]| {
+            let t = Tally::of(cases);
+            json!({"right": t.right(), "total": t.total(), "interval": t.interval(), "counts": t,
+                "brier": tally::brier(cases)})
+        };
+        let sources: BTreeMap<&str, serde_json::Value> =
+            by_source(told).into_iter().map(|(s, cases)| (s, row(&cases))).collect();
+        json!({"all": row(&only(told)), "sources": sources})
+    };
+    let kinds: BTreeMap<&str, serde_json::Value> = by_source(held)
+        .into_iter()
+        .map(|(kind, cases)| {
+            let (found, accused) = rates(&cases);
+            (kind, json!({"loops": cases.len(), "found": found, "false_alarms": accused}))
+        })
+        .collect();
+    let all = only(held);
+    let (found, accused) = rates(&all);
+    let bins = tally::reliability_equal(&all, 10);
+    say(json!({"schema": "stictiond.calibration.v1", "rule": rule, "recordings": rows(real),
+        "valves": rows(&by_valve(real)), "simulated": {"kinds": kinds, "found": found, "false_alarms": accused,
+        "brier": tally::brier(&all), "miscalibration": tally::miscalibration(&bins), "reliability": bins}}))?;
+    Ok(())
+}

@@ -1,0 +1,108 @@
+//! The labelled set: which files, what their labels say, and what must not be counted twice.
+
+use std::path::Path;
+
+use anyhow::{Context, bail};
+
+/// One line of an index.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Case {
+    /// Path below the index.
+    pub file: String,
+    /// Label as written.
+    pub label: String,
+    /// First folder of the path; empty without one.
+    pub source: String,
+    /// The valve, with its source.
+    pub valve: String,
+    /// What is recorded once only, with its source: the `same_data_group`, else the file.
+    pub group: String,
+}
+
+impl Case {
+    /// What the label says; `None` where it is not scored.
+    #[must_use]
+    pub fn truth(&self) -> Option<bool> {
+        match self.label.as_str() {
+            "stiction" | "deadband" => Some(true),
+            "no_stiction" | "tuning" | "disturbance" => Some(false),
+            _ => None,
+        }
+    }
+}
+
+/// The valve that a loop's name stands for: names of several recordings of one valve differ behind `-DB` (runs of an
+/// experiment) or in groups of digits behind underscores (a window's date and time), and these are taken off.
+#[must_use]
+pub fn valve_of(loop_name: &str) -> &str {
+    if let Some((valve, _)) = loop_name.split_once("-DB-") {
+        return valve;
+    }
+    let mut valve = loop_name;
+    while let Some((head, tail)) = valve.rsplit_once('_') {
+        if head.is_empty() || tail.is_empty() || !tail.bytes().all(|b| b.is_ascii_digit()) {
+            break;
+        }
+        valve = head;
+    }
+    valve
+}
+
+/// Reads an index: columns `file` and `label`, and where there are any `valve`, `loop` and `same_data_group`.
+///
+/// # Errors
+/// It cannot be read, lacks a column or names no file.
+pub fn read(path: &Path) -> anyhow::Result<Vec<Case>> {
+    let mut reader = csv::ReaderBuilder::new()
+        .flexible(true)
+        .from_path(path)
+        .with_context(|| format!("{}: cannot be read", path.display()))?;
+    let headers = reader.headers()?.clone();
+    let optional = |name: &str| headers.iter().position(|h| h.trim() == name);
+    let column = |name: &str| {
+        optional(name)
+            .with_context(|| format!("{}: line 1: no column {name:?}; file and label are needed", path.display()))
+    };
+    let (file, label) = (column("file")?, column("label")?);
+    let (valve, loop_name, group) = (optional("valve"), optional("loop"), optional("same_data_group"));
+    let mut cases = Vec::new();
+    for row in reader.records() {
+        let row = row.with_context(|| path.display().to_string())?;
+        let cell = |i: usize| row.get(i).unwrap_or_default().trim().to_owned();
+        let given = |i: Option<usize>| i.map(cell).filter(|text| !text.is_empty());
+        let file = cell(file);
+        if file.is_empty() {
+            continue;
+        }
+        let source = file.split_once('/').map_or("", |(folder, _)| folder).to_owned();
+        let stem = Path::new(&file).file_stem().map_or_else(String::new, |s| s.to_string_lossy().into_owned());
+        let valve = given(valve).unwrap_or_else(|| valve_of(given(loop_name).as_deref().unwrap_or(&stem)).to_owned());
+        let group = given(group).unwrap_or_else(|| file.clone());
+        let within = |name: String| format!("{source}/{name}");
+        cases.push(Case { label: cell(label), valve: within(valve), group: within(group), source, file });
+    }
+    if cases.is_empty() {
+        bail!("{}: names no file", path.display());
+    }
+    Ok(cases)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_valve_is_its_loop_without_the_window() {
+        for (loop_name, valve) in [
+            ("FIC101_0609_0957", "FIC101"),
+            ("AREA.70-3_FIC101_20241226_0953", "AREA.70-3_FIC101"),
+            ("stiction-P-DB-2-author-2018", "stiction-P"),
+            ("FIC_101", "FIC"),
+            ("boiler_flow", "boiler_flow"),
+            ("_12", "_12"),
+            ("CHEM20", "CHEM20"),
+        ] {
+            assert_eq!(valve_of(loop_name), valve);
+        }
+    }
+}

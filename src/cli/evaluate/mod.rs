@@ -1,0 +1,66 @@
+//! `stictiond evaluate`: how often the verdict is right on a labelled set.
+
+pub mod index;
+mod report;
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use anyhow::bail;
+
+use super::{Format, Outcome, analyze, on_all_cores};
+use crate::config::Config;
+use crate::files::load_samples;
+use crate::record::Record;
+use crate::verdict::{AssessParams, Assessment, assess};
+use index::Case;
+
+/// Judge a labelled set of recordings and print how often the verdict is right, wrong cases included.
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "INDEX.csv has the columns file,label with paths relative to itself. Labels stiction and deadband
+are positive; no_stiction, tuning and disturbance negative; others are shown but not scored.
+Optional columns: same_data_group (recordings that hold the same data), valve, loop. Where valve is
+missing it is the loop (else the file's name) without groups of digits behind underscores and
+without what follows -DB-: FIC101_0609_0957 and FIC101_0624_0242 are one valve, FIC101.
+Example: stictiond evaluate labelled/INDEX.csv"
+)]
+pub struct Args {
+    /// The index.
+    pub index: PathBuf,
+}
+
+/// A case with its answer.
+struct Judged {
+    case: Case,
+    result: anyhow::Result<Assessment>,
+    elapsed_s: f64,
+}
+
+/// The first loop of a case's file, whole.
+pub(super) fn record_of(base: &Path, case: &Case) -> anyhow::Result<(Record, AssessParams)> {
+    let loaded = load_samples(&base.join(&case.file))?;
+    let Some(first) = loaded.loops.first() else { bail!("{}: holds no loop", case.file) };
+    let (record, settings) = analyze::whole_record(first, &Config::with_prefix("plant"))?;
+    let params = AssessParams { always_fit: true, ..settings.assess.clone() };
+    Ok((record, params))
+}
+
+/// Runs the command. A case that cannot be read is an error line, not the end.
+///
+/// # Errors
+/// The index cannot be read.
+pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
+    let cases = index::read(&args.index)?;
+    let base = args.index.parent().unwrap_or(Path::new(""));
+    let judge = |case: &Case| {
+        let started = Instant::now();
+        let result = record_of(base, case).map(|(record, params)| assess(&record, &params));
+        (result, started.elapsed().as_secs_f64())
+    };
+    let results = on_all_cores(&cases, |case| case.file.clone(), judge);
+    let with = |(case, (result, elapsed_s))| Judged { case, result, elapsed_s };
+    let judged: Vec<Judged> = cases.into_iter().zip(results).map(with).collect();
+    report::print(&judged, format)?;
+    Ok(Outcome::Done)
+}

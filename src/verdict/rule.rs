@@ -1,0 +1,235 @@
+//! From signs to a probability: one logistic rule, its weights in a file beside it.
+//!
+//! `logit p = constant + sum of weight * feature`. A feature is a figure of the fit or a witness, found by its name. One
+//! that a record does not show counts as its mean over the cases that the rule was fitted to, so it says nothing. What
+//! each says is its weight times its distance from that mean; together with `base`, the logit where every feature
+//! stands at its mean, they add up to the logit.
+
+use std::collections::BTreeMap;
+use std::sync::LazyLock;
+
+use serde::{Deserialize, Serialize};
+
+use crate::detect::{Detector, View};
+use crate::ident::Estimate;
+use crate::record::Record;
+use crate::signal::stats;
+
+/// s over OP's span below which the index counts less: smaller bands are within what noise and rounding imitate.
+const FULL_WEIGHT: f64 = 0.2;
+/// Share of the error below which less of it proves no more.
+const LEAST_ERROR: f64 = 0.018;
+/// Turns of the stem from which a fit is no accident.
+const MANY_TURNS: f64 = 12.0;
+/// What noise gives for the odd part of OP's and PV's cross-correlation, and what a sticking valve exceeds.
+const HALF_ODD: f64 = 0.5;
+
+/// One feature's part in the rule.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Weight {
+    /// Name of the feature.
+    pub feature: String,
+    /// Logit for each unit of it.
+    pub weight: f64,
+    /// Its mean over the cases that the rule was fitted to.
+    pub mean: f64,
+}
+
+/// What the rule was fitted to.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct Made {
+    /// Simulated sticking loops.
+    pub sticking_loops: usize,
+    /// Simulated healthy loops.
+    pub healthy_loops: usize,
+    /// Real valves that weigh as much as all simulated loops together.
+    pub simulated_weight: f64,
+    /// Labelled recordings of real loops.
+    pub recordings: usize,
+    /// Valves that these show, each weighing 1.
+    pub valves: usize,
+    /// Ridge penalty on the weights of standardised features.
+    pub ridge: f64,
+    /// Seed of the first simulated loop.
+    pub seed: u64,
+}
+
+/// A fitted rule.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Rule {
+    /// Logit where every feature is 0.
+    pub constant: f64,
+    /// The features that count.
+    pub weights: Vec<Weight>,
+    /// Probabilities between which nothing is decided; from the upper one on the valve is said to stick.
+    pub undecided: [f64; 2],
+    /// What it was fitted to.
+    pub made: Made,
+}
+
+/// The rule that this build judges by.
+static SHIPPED: LazyLock<Rule> = LazyLock::new(|| {
+    // A test reads the file; an empty rule would leave everything undecided.
+    let nothing = Rule { constant: 0.0, weights: Vec::new(), undecided: [0.0, 1.0], made: Made::default() };
+    serde_json::from_str(include_str!("rule.json")).unwrap_or(nothing)
+});
+
+/// Figures by name; what the record does not show is left out.
+pub type Features = BTreeMap<String, f64>;
+
+/// What one feature says.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Voice {
+    /// Its figure.
+    pub score: Option<f64>,
+    /// Its part of the logit, against its mean; 0 where it is silent or does not count.
+    pub contribution: f64,
+}
+
+/// What the rule makes of a record.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Opinion {
+    /// Logit where every feature stands at its mean.
+    pub base: f64,
+    /// Logit of this record.
+    pub logit: f64,
+    /// Probabilities between which nothing is decided.
+    pub undecided: [f64; 2],
+}
+
+impl Opinion {
+    /// Probability that the valve sticks.
+    #[must_use]
+    pub fn p(&self) -> f64 {
+        logistic(self.logit)
+    }
+
+    /// Whether it sticks; `None` where that is open.
+    #[must_use]
+    pub fn sticks(&self) -> Option<bool> {
+        let p = self.p();
+        if p >= self.undecided[1] {
+            Some(true)
+        } else if p < self.undecided[0] {
+            Some(false)
+        } else {
+            None
+        }
+    }
+}
+
+/// `1 / (1 + exp(-x))`.
+#[must_use]
+pub fn logistic(x: f64) -> f64 {
+    1.0 / (1.0 + libm::exp(-x))
+}
+
+impl Rule {
+    /// The rule that this build judges by.
+    #[must_use]
+    pub fn shipped() -> &'static Self {
+        &SHIPPED
+    }
+
+    /// What the rule makes of a record's features.
+    #[must_use]
+    pub fn opinion(&self, features: &Features) -> Opinion {
+        let base = self.constant + self.weights.iter().map(|w| w.weight * w.mean).sum::<f64>();
+        let said: f64 = self.weights.iter().map(|w| self.voice(&w.feature, features).contribution).sum();
+        Opinion { base, logit: base + said, undecided: self.undecided }
+    }
+
+    /// What one feature says.
+    #[must_use]
+    pub fn voice(&self, name: &str, features: &Features) -> Voice {
+        let score = features.get(name).copied();
+        let weight = self.weights.iter().find(|w| w.feature == name);
+        let contribution = weight.zip(score).map_or(0.0, |(w, x)| w.weight * (x - w.mean));
+        Voice { score, contribution }
+    }
+}
+
+/// What a record shows, before anything is made of it: figures of the fit (none where nothing moved the stem or nothing
+/// was fitted), of the set point and of the detectors. Where PV is `interpolated` between stored values its
+/// corners are the recorder's, so the detector that looks for jumps is not heard.
+#[must_use]
+pub fn figures(
+    estimate: Option<&Estimate>,
+    record: &Record,
+    detectors: &[&dyn Detector],
+    interpolated: bool,
+) -> Features {
+    let mut out = Features::new();
+    if let Some(e) = estimate {
+        let fit = [("stiction_index", e.index), ("s_over_span", e.s / e.span), ("reversals", e.reversals as f64)];
+        out.extend(fit.map(|(name, value)| (name.to_owned(), value)));
+    }
+    let moved = record.sp.as_deref().map_or(0.0, stats::std_dev) / stats::std_dev(&record.pv);
+    if moved.is_finite() {
+        out.insert("setpoint_share".to_owned(), moved.min(2.0));
+    }
+    let view = View::new(record);
+    let heard = detectors.iter().filter(|d| !(interpolated && d.name() == "jumps"));
+    out.extend(heard.filter_map(|d| Some((d.name().to_owned(), d.score(&view)?))));
+    out
+}
+
+/// The features that are made of a record's figures; the detectors' are taken as they are.
+///
+/// | feature | means |
+/// |---|---|
+/// | `error_ratio` | `-ln(1 - index)`, the logarithm of the error without friction over that with it, 0..4; `index` is the stiction index, times s over a fifth of OP's span where s is smaller; 0 without a fit |
+/// | `confirmed` | `index`, less where the stem turned less than 12 times while the set point hardly moved (few turns can be an accident), and where OP is an image of PV (`horch` below 0.5: the fit may be of the controller) |
+#[must_use]
+pub fn features(mut figures: Features) -> Features {
+    let of = |name: &str| figures.get(name).copied().unwrap_or(0.0);
+    let index = of("stiction_index") * (of("s_over_span") / FULL_WEIGHT).min(1.0);
+    let tried = (of("reversals") / MANY_TURNS).max(of("setpoint_share")).min(1.0);
+    let confirmed = index * tried * (of("horch") / HALF_ODD).min(1.0);
+    let ratio = libm::log(1.0 / (1.0 - index).max(LEAST_ERROR));
+    let made = [("error_ratio", ratio), ("confirmed", confirmed)];
+    figures.extend(made.map(|(name, value)| (name.to_owned(), value)));
+    figures
+}
+
+/// Names of the features that are made of the fit, in the order of documents.
+pub const OF_THE_FIT: [&str; 2] = ["error_ratio", "confirmed"];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::detect;
+
+    #[test]
+    fn the_shipped_rule_is_read_and_names_what_there_is() {
+        let read: Result<Rule, _> = serde_json::from_str(include_str!("rule.json"));
+        let rule = read.unwrap();
+        assert_eq!(&rule, Rule::shipped());
+        assert!(!rule.weights.is_empty());
+        assert!(0.0 < rule.undecided[0] && rule.undecided[0] <= rule.undecided[1] && rule.undecided[1] < 1.0);
+        let known = |name: &str| OF_THE_FIT.contains(&name) || detect::ALL.iter().any(|d| d.name() == name);
+        assert!(rule.weights.iter().all(|w| known(&w.feature)), "{rule:?}");
+    }
+
+    #[test]
+    fn contributions_add_up_and_silence_says_nothing() {
+        let weight = |feature: &str, weight, mean| Weight { feature: feature.to_owned(), weight, mean };
+        let rule = Rule {
+            constant: -1.0,
+            weights: vec![weight("index", 2.0, 0.25), weight("travel", 4.0, 0.5)],
+            undecided: [0.4, 0.6],
+            made: Made::default(),
+        };
+        let of = |list: &[(&str, f64)]| list.iter().map(|(name, x)| ((*name).to_owned(), *x)).collect::<Features>();
+        let all = of(&[("index", 1.0), ("travel", 0.75)]);
+        let opinion = rule.opinion(&all);
+        assert_eq!((opinion.base, opinion.logit), (1.5, 4.0));
+        assert_eq!(rule.voice("index", &all).contribution + rule.voice("travel", &all).contribution, 2.5);
+        assert_eq!(opinion.sticks(), Some(true));
+        let silent = rule.opinion(&of(&[("index", 0.25), ("unknown", 9.0)]));
+        assert_eq!(silent.logit, 1.5);
+        assert_eq!(rule.opinion(&of(&[("index", -0.5)])).sticks(), None);
+        assert_eq!(rule.opinion(&of(&[("index", -2.0)])).sticks(), Some(false));
+        assert!((logistic(0.0) - 0.5).abs() < 1e-15 && logistic(-800.0) == 0.0);
+    }
+}
