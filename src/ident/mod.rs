@@ -4,13 +4,17 @@
 //! process answers with a continuous dead time, and everything linear (gain, kinetic band, bias, initial state) is
 //! solved exactly. Everything is seeded, bounded in work and scale-free.
 
+mod bank;
 mod candidate;
 mod choice;
 pub mod class;
 pub mod controller;
 mod fit;
+mod hunt;
 mod least_squares;
 pub mod one_step;
+mod order;
+mod pose;
 mod quantify;
 pub mod region;
 mod robust;
