@@ -1,7 +1,7 @@
 //! One candidate: a pair (s, j) and a first slip, the slips they make of OP, and the process model that fits best.
 
 use super::class::{Class, Limits, Shape};
-use super::fit::{Fitted, Fitter, Freedom, Target};
+use super::fit::{BandProfile, Fitted, Fitter, Freedom, Target};
 use crate::sim::slips::{FirstSlip, Law, Sequence};
 
 /// A record in normalised form: OP in spans, PV in standard deviations.
@@ -11,6 +11,8 @@ pub struct Question {
     pub path: Vec<f64>,
     /// OP values a point.
     pub per_point: usize,
+    /// Recorded samples a point.
+    pub raw_per_point: f64,
     /// OP averaged over each point.
     pub mean: Vec<f64>,
     /// As long as `mean`, all zero: the second half of a signal without friction.
@@ -205,6 +207,27 @@ impl<'a> Bench<'a> {
         let Some(freedom) = self.slip(of.s, of.j, of.start) else { return f64::INFINITY };
         let signal = [&self.sequence.at[..], &self.sequence.direction[..]];
         self.fitter.band_error(self.class, &of.fit, signal, self.target, &freedom)
+    }
+
+    /// What a candidate leaves of the target, from its first point on.
+    pub fn residual(&mut self, of: &Candidate) -> Vec<f64> {
+        let Some(freedom) = self.slip(of.s, of.j, of.start) else { return Vec::new() };
+        let signal = [&self.sequence.at[..], &self.sequence.direction[..]];
+        self.fitter.residual(self.class, &of.fit, signal, self.target, &freedom)
+    }
+
+    /// A candidate's squared error against fd, its slips and shape held, and the band of fd that its slips allow.
+    pub fn profile(&mut self, of: &Candidate) -> Option<(BandProfile, [f64; 2])> {
+        let freedom = self.slip(of.s, of.j, of.start)?;
+        let signal = [&self.sequence.at[..], &self.sequence.direction[..]];
+        Some((self.fitter.profile(self.class, &of.fit, signal, self.target, &freedom), freedom.fd))
+    }
+
+    /// By how much the standard error of a candidate's fd grows when time constants and lag are free too.
+    pub fn band_stretch(&mut self, of: &Candidate) -> f64 {
+        let Some(freedom) = self.slip(of.s, of.j, of.start) else { return 1.0 };
+        let signal = [&self.sequence.at[..], &self.sequence.direction[..]];
+        self.fitter.band_stretch(self.class, &of.fit, signal, self.target, &freedom)
     }
 
     fn candidate(&self, s: f64, j: f64, start: Start, fit: Fitted) -> Candidate {

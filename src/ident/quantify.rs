@@ -4,6 +4,7 @@ use super::candidate::{Bench, Candidate, Effort, Question};
 use super::choice::{DelayChoice, ModelChoice, ValveChoice};
 use super::class::{Class, Limits};
 use super::fit::{Fitted, Fitter, Freedom, Target};
+use super::interval::{self, Spread};
 use super::search::{Look, beam, climb, generator};
 use super::sign;
 use crate::optim::{self, Objective, Outcome, Settings, Termination};
@@ -63,6 +64,8 @@ pub struct Estimate {
     pub j_error: f64,
     /// All s in this range give the same slips, OP units.
     pub s_cell: [f64; 2],
+    /// What else explains the record nearly as well, OP units.
+    pub spread: Spread,
     /// Model responses computed.
     pub evaluations: u64,
     /// The global solver's name.
@@ -79,6 +82,8 @@ const FINER_RHO: f64 = 0.8;
 const DOUBTFUL: f64 = 0.3;
 /// Stiction index below which the exact size of the bands is not worth the work.
 const WORTH_REFINING: f64 = 0.1;
+/// Share of the error that does not tell one law from the other.
+const HARDLY_WORSE: f64 = 0.01;
 /// Share of the error that a second lag must remove.
 const SECOND_ORDER_GAIN: f64 = 0.10;
 
@@ -94,6 +99,7 @@ pub fn quantify(record: &Record, options: &Options) -> Option<Estimate> {
     let plain = Target::new(&question.pv, 0.0, question.from);
     let mut evaluations = 0;
     let mut best: Option<Found> = None;
+    let mut rival: Option<Found> = None;
     let read = sign::of_gain(&question.mean, &question.pv);
     let laws: &[Law] = match options.valve {
         ValveChoice::He => &[Law::He],
@@ -113,11 +119,20 @@ pub fn quantify(record: &Record, options: &Options) -> Option<Estimate> {
             }
         }
         if best.as_ref().is_none_or(|b| found.sse() < b.sse()) {
-            best = Some(found);
+            rival = best.replace(found);
+        } else {
+            rival = Some(found);
         }
     }
     let best = best?;
-    report(record, &question, &plain, &best, evaluations, span, deviation)
+    let mut estimate = report(record, &question, &plain, &best, evaluations, span, deviation, options.seed)?;
+    if let Some(rival) = rival.filter(|r| r.sse() < (1.0 + HARDLY_WORSE) * best.sse()) {
+        let other = report(record, &question, &plain, &rival, 0, span, deviation, options.seed);
+        if let Some(other) = other {
+            estimate.spread = estimate.spread.or(&other.spread);
+        }
+    }
+    Some(estimate)
 }
 
 /// The outcome of one search for one law and sign.
@@ -176,7 +191,8 @@ fn pose(record: &Record, options: &Options, span: f64, deviation: f64) -> Questi
     let width = ((period / 32.0) as usize).max(1);
     let travel: Vec<f64> = mean.windows(width + 1).map(|w| (w[width] - w[0]).abs() / width as f64).collect();
     let rate = stats::median(&travel);
-    Question { path, per_point: m, mean, still, pv, limits, from, period, rate, records }
+    let raw_per_point = record.box_samples.max(1) as f64;
+    Question { path, per_point: m, raw_per_point, mean, still, pv, limits, from, period, rate, records }
 }
 
 /// The best candidate for one law and one sign of the gain, in the class that it deserves.
@@ -400,12 +416,13 @@ fn report(
     evaluations: u64,
     span: f64,
     deviation: f64,
+    seed: u64,
 ) -> Option<Estimate> {
-    let c = found.candidate?;
     let count = plain.y.len() as f64;
     let scale = deviation * deviation / count;
-    let [s, j] = c.centred();
     let mut bench = Bench::new(question, found.law, found.class, plain, found.sign);
+    let interval::Found { spread, best: c } = interval::spread(&mut bench, &found.candidate?, seed);
+    let [s, j] = c.centred();
     let band_error = bench.band_error(&c);
     let point_s = record.point_s();
     let gain = found.class.gain(c.fit.gain) * deviation / span;
@@ -426,7 +443,8 @@ fn report(
         reversals: c.reversals,
         j_error: 2.0 * band_error * span,
         s_cell: c.s_cell.map(|v| v * span),
-        evaluations,
+        spread: spread.scaled(span),
+        evaluations: evaluations + bench.fitter.evaluations,
         solver: found.solver,
         stopped: found.outcome.stopped,
     })
