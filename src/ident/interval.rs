@@ -5,16 +5,15 @@
 //! the likelihood of its fit, `exp(-(SSE - SSE*) / (2 sigma^2))`, spread over its rectangle by the squared error
 //! against fd; s is even inside a cell. Quantiles of this mixture are the likelihood's intervals. What the likelihood
 //! does not know, a valve or a disturbance unlike the model, shows in the residual, and sets a least width; the
-//! figures of that are measured on simulated loops ([`Settings`]).
-
-use rand_chacha::ChaCha8Rng;
-use serde::{Deserialize, Serialize};
+//! figures of that are measured on simulated loops, see [`super::width`].
 
 use super::candidate::{Bench, Candidate, Effort, Start};
 use super::residual::{Whiteness, whiteness};
 use super::search::{generator, normal, uniform};
+use super::width::{Spread, hull};
 use crate::optim::local::on_triangle;
 use crate::signal::stats;
+use rand_chacha::ChaCha8Rng;
 
 /// Share of the mixture beyond either end of a likelihood interval.
 const TAIL: f64 = 0.05;
@@ -30,194 +29,6 @@ const MOVES: usize = 120;
 const PLACES: [usize; 2] = [5, 25];
 /// Standard error of j, times this, that must stay below a third of s for j to count as seen.
 const SEEN: f64 = 5.0;
-
-/// The likelihood's intervals and what qualifies them. Sizes in one unit: spans of OP, or OP units after
-/// [`Spread::scaled`].
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Spread {
-    /// Stick band plus dead band.
-    pub s: [f64; 2],
-    /// Slip jump; everything that the slips allow where fd is not seen apart from the gain.
-    pub j: [f64; 2],
-    /// Static band, (s + j) / 2.
-    pub fs: [f64; 2],
-    /// Kinetic band, (s - j) / 2.
-    pub fd: [f64; 2],
-    /// Whether j is seen apart from the gain.
-    pub j_identifiable: bool,
-    /// Tests of the residual.
-    pub whiteness: Whiteness,
-    /// Step of OP's values, 0 where they stand on no grid.
-    pub quantum: f64,
-    /// How far OP usually moves from one recorded sample to the next.
-    pub step: f64,
-}
-
-/// Half width at least of an interval in one class of fits, as shares of s, measured on simulated loops.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Floor {
-    /// Of s.
-    pub s: f64,
-    /// Of j.
-    pub j: f64,
-    /// Of fs.
-    pub fs: f64,
-    /// Of fd.
-    pub fd: f64,
-}
-
-/// What the likelihood does not know, measured on simulated loops: the contents of `interval.json`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Settings {
-    /// How these figures were made.
-    pub made: String,
-    /// Residual white and unlike OP.
-    pub white: Floor,
-    /// Residual white, OP on a grid.
-    pub gridded: Floor,
-    /// Residual white but like OP, or not quite white.
-    pub tinted: Floor,
-    /// Residual far from white.
-    pub coloured: Floor,
-    /// Residual far from white and OP on a grid, or hardly anything explained.
-    pub poor: Floor,
-}
-
-/// Classes of fits that have a [`Floor`] each.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Trust {
-    /// Residual white and unlike OP.
-    White,
-    /// Residual white, OP on a grid.
-    Gridded,
-    /// Residual white but like OP, or not quite white.
-    Tinted,
-    /// Residual far from white.
-    Coloured,
-    /// Residual far from white and OP on a grid, or hardly anything explained.
-    Poor,
-}
-
-/// The intervals that are told, OP units.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Intervals {
-    /// Of s.
-    pub s: [f64; 2],
-    /// Of j.
-    pub j: [f64; 2],
-    /// Of fs.
-    pub fs: [f64; 2],
-    /// Of fd.
-    pub fd: [f64; 2],
-}
-
-impl Spread {
-    /// The same in another unit.
-    #[must_use]
-    pub fn scaled(self, by: f64) -> Self {
-        let scale = |x: [f64; 2]| x.map(|v| v * by);
-        Self {
-            s: scale(self.s),
-            j: scale(self.j),
-            fs: scale(self.fs),
-            fd: scale(self.fd),
-            quantum: self.quantum * by,
-            step: self.step * by,
-            ..self
-        }
-    }
-
-    /// Covers another explanation too, which the likelihood cannot tell from this one.
-    #[must_use]
-    pub fn or(self, other: &Self) -> Self {
-        Self {
-            s: hull(self.s, other.s),
-            j: hull(self.j, other.j),
-            fs: hull(self.fs, other.fs),
-            fd: hull(self.fd, other.fd),
-            j_identifiable: self.j_identifiable && other.j_identifiable,
-            ..self
-        }
-    }
-
-    /// What these intervals are worth.
-    #[must_use]
-    pub fn trust(&self, s: f64) -> Trust {
-        let w = &self.whiteness;
-        let gridded = self.quantum > 1e-3 * s;
-        let far = w.r1.abs() > 0.3 || w.inflation > 3.0;
-        match (far, gridded) {
-            (true, true) => Trust::Poor,
-            (true, false) => Trust::Coloured,
-            (false, true) => Trust::Gridded,
-            (false, false) if w.white && !w.follows_op => Trust::White,
-            (false, false) => Trust::Tinted,
-        }
-    }
-
-    /// The intervals to tell for the estimate (s, j): at least as wide as fits like this one have to be, `times` wider
-    /// for a record that says less, and around the estimate.
-    #[must_use]
-    pub fn told(&self, s: f64, j: f64, settings: &Settings, times: f64) -> Intervals {
-        let floor = settings.of(self.trust(s));
-        let one = |found: [f64; 2], value: f64, share: f64, highest: f64| {
-            let least = times * (share * s) + self.quantum;
-            let around = [value - least, value + least];
-            let stretched = [value - times * (value - found[0]), value + times * (found[1] - value)];
-            let both = hull(hull(around, stretched), [value, value]);
-            [both[0].clamp(0.0, value), both[1].min(highest).max(value)]
-        };
-        // A share of s downwards is the same share of the lower end upwards, so s never reaches 0.
-        let mut wide = one(self.s, s, floor.s, f64::INFINITY);
-        let lowest = s / (1.0 + times * floor.s + self.quantum / s);
-        wide[0] = wide[0].max(lowest.min((s - times * (s - self.s[0])).max(0.05 * s))).min(s);
-        let (fs, fd) = (0.5 * (s + j), 0.5 * (s - j));
-        Intervals {
-            s: wide,
-            j: one(self.j, j, floor.j, wide[1]),
-            fs: one(self.fs, fs, floor.fs, wide[1]),
-            fd: one(self.fd, fd, floor.fd, 0.5 * wide[1]),
-        }
-    }
-}
-
-impl Settings {
-    /// The figures in use.
-    #[must_use]
-    pub fn shipped() -> &'static Self {
-        static SHIPPED: std::sync::LazyLock<Settings> = std::sync::LazyLock::new(|| {
-            // A test reads the same file, so what is shipped is well-formed.
-            serde_json::from_str(include_str!("interval.json")).unwrap_or_else(|_| Settings::wide())
-        });
-        &SHIPPED
-    }
-
-    /// The least width of a class.
-    #[must_use]
-    pub const fn of(&self, trust: Trust) -> Floor {
-        match trust {
-            Trust::White => self.white,
-            Trust::Gridded => self.gridded,
-            Trust::Tinted => self.tinted,
-            Trust::Coloured => self.coloured,
-            Trust::Poor => self.poor,
-        }
-    }
-
-    /// As if nothing were known.
-    #[must_use]
-    pub fn wide() -> Self {
-        let floor = Floor { s: 1.0, j: 1.0, fs: 1.0, fd: 1.0 };
-        Self { made: String::new(), white: floor, gridded: floor, tinted: floor, coloured: floor, poor: floor }
-    }
-}
-
-const fn hull(a: [f64; 2], b: [f64; 2]) -> [f64; 2] {
-    [a[0].min(b[0]), a[1].max(b[1])]
-}
 
 /// What [`spread`] found.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -9,7 +9,7 @@ mod choice;
 pub mod class;
 pub mod controller;
 mod fit;
-pub mod interval;
+mod interval;
 mod least_squares;
 pub mod one_step;
 mod quantify;
@@ -18,6 +18,7 @@ pub mod residual;
 mod robust;
 mod search;
 pub mod sign;
+pub mod width;
 
 pub use choice::{DelayChoice, ModelChoice, ValveChoice};
 pub use quantify::{Estimate, Options, quantify};
