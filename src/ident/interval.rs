@@ -25,6 +25,8 @@ const WALK_J: usize = 10;
 const LOST: usize = 4;
 /// Random moves.
 const MOVES: usize = 120;
+/// Cells whose process is fitted to its end.
+const POLISHED: usize = 40;
 /// Places in a cell, in s and in fd.
 const PLACES: [usize; 2] = [5, 25];
 /// Standard error of j, times this, that must stay below a third of s for j to count as seen.
@@ -47,6 +49,7 @@ pub fn spread(bench: &mut Bench<'_>, best: &Candidate, seed: u64) -> Found {
     looking.walk_j();
     looking.ridge();
     looking.wander(&mut generator(seed, 2));
+    looking.polish();
     let mut top = looking.top;
     if top.fit.sse < best.fit.sse {
         top = looking.bench.settle(&top).filter(|c| c.fit.sse <= top.fit.sse).unwrap_or(top);
@@ -54,6 +57,8 @@ pub fn spread(bench: &mut Bench<'_>, best: &Candidate, seed: u64) -> Found {
         looking.accept(top, tests.inflation);
         looking.walk_s();
         looking.walk_j();
+        looking.polish();
+        top = looking.top;
     }
     let (mixture, flat) = looking.mixture();
     let error = 2.0 * looking.bench.band_error(&top) * looking.stretch * tests.inflation.sqrt();
@@ -100,13 +105,14 @@ struct Looking<'b, 'a> {
 impl<'b, 'a> Looking<'b, 'a> {
     fn new(bench: &'b mut Bench<'a>, best: Candidate, inflation: f64) -> Self {
         let stretch = bench.band_stretch(&best).min(5.0);
-        let mut looking = Self { bench, cells: vec![best], top: best, variance: 0.0, stretch };
+        let mut looking = Self { bench, cells: Vec::new(), top: best, variance: 0.0, stretch };
         looking.accept(best, inflation);
         looking
     }
 
     /// Starts from a new best candidate.
     fn accept(&mut self, best: Candidate, inflation: f64) {
+        self.cells.retain(|c| !c.covers(best.s, best.j, best.start));
         self.cells.push(best);
         self.top = best;
         let count = (self.bench.target.y.len() as f64 - 8.0).max(1.0);
@@ -250,11 +256,41 @@ impl<'b, 'a> Looking<'b, 'a> {
         count.fold([j, j], |all, c| hull(all, [c.j_cell[0].min(j), c.j_cell[1].min(c.s_cell[1].min(c.s.max(1.0)))]))
     }
 
+    /// Fits the process to its end in the cells that may count most: a weight is that of the best process for the
+    /// slips.
+    fn polish(&mut self) {
+        let mut order: Vec<usize> = (0..self.cells.len()).collect();
+        order.sort_by(|a, b| self.cells[*a].fit.sse.total_cmp(&self.cells[*b].fit.sse));
+        for k in order.into_iter().take(POLISHED) {
+            let c = self.cells[k];
+            if self.weight(c.fit.sse) < 2.5 * NEGLIGIBLE || c.covers(self.top.s, self.top.j, self.top.start) {
+                continue;
+            }
+            let effort = Effort { steps: 4, hopeless: f64::INFINITY };
+            let shapes = [c.fit.shape, self.top.fit.shape];
+            let found = self.bench.fit(c.s, c.j, c.start, &shapes, effort).filter(|f| f.fit.gain != 0.0);
+            if let Some(found) = found.filter(|f| f.fit.sse < c.fit.sse) {
+                self.cells[k] = found;
+                if found.fit.sse < self.top.fit.sse {
+                    self.top = found;
+                }
+            }
+        }
+    }
+
     /// The weighted places of all cells that count, and whether the best one cannot tell fd from the gain.
     fn mixture(&mut self) -> (Mixture, bool) {
         let (mut places, mut flat) = (Vec::new(), false);
-        let cells: Vec<Candidate> =
+        let mut order: Vec<Candidate> =
             self.cells.iter().copied().filter(|c| self.weight(c.fit.sse) > NEGLIGIBLE).collect();
+        order.sort_by(|a, b| a.fit.sse.total_cmp(&b.fit.sse));
+        // One rectangle counts once, with the first slip that suits it best.
+        let mut cells: Vec<Candidate> = Vec::new();
+        for c in order {
+            if !cells.iter().any(|t| t.covers(c.s, c.j, t.start)) {
+                cells.push(c);
+            }
+        }
         for c in &cells {
             let Some((profile, [fd_low, fd_high])) = self.bench.profile(c) else { continue };
             let even = profile.is_flat();
