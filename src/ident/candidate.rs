@@ -11,8 +11,6 @@ pub struct Question {
     pub path: Vec<f64>,
     /// OP values a point.
     pub per_point: usize,
-    /// Recorded samples a point.
-    pub raw_per_point: f64,
     /// OP averaged over each point.
     pub mean: Vec<f64>,
     /// As long as `mean`, all zero: the second half of a signal without friction.

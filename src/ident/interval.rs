@@ -41,8 +41,9 @@ pub struct Found {
     pub best: Candidate,
 }
 
-/// The likelihood's intervals around `best`, in spans of OP, and a better candidate if one is met on the way.
-pub fn spread(bench: &mut Bench<'_>, best: &Candidate, seed: u64) -> Found {
+/// The likelihood's intervals around `best`, in spans of OP, and a better candidate if one is met on the way. `without`
+/// is the squared error without friction.
+pub fn spread(bench: &mut Bench<'_>, best: &Candidate, without: f64, seed: u64) -> Found {
     let mut tests = test(bench, best);
     let mut looking = Looking::new(bench, *best, tests.inflation);
     looking.walk_s();
@@ -62,7 +63,8 @@ pub fn spread(bench: &mut Bench<'_>, best: &Candidate, seed: u64) -> Found {
     }
     let (mixture, flat) = looking.mixture();
     let error = 2.0 * looking.bench.band_error(&top) * looking.stretch * tests.inflation.sqrt();
-    let question = looking.bench.question;
+    let index = if without > 0.0 { (1.0 - top.fit.sse / without).clamp(0.0, 1.0) } else { 0.0 };
+    let path = &looking.bench.question.path;
     let [s, j] = top.centred();
     let of = |f: &dyn Fn(&Place) -> f64, value: f64| hull(mixture.interval(f), [value, value]);
     let spread = Spread {
@@ -72,8 +74,8 @@ pub fn spread(bench: &mut Bench<'_>, best: &Candidate, seed: u64) -> Found {
         fd: of(&|p| 0.5 * (p.s - p.j), 0.5 * (s - j)),
         j_identifiable: !flat && SEEN * error < 0.33 * s,
         whiteness: tests,
-        quantum: quantum(&question.path),
-        step: question.rate / question.raw_per_point,
+        quantum: quantum(path),
+        index,
     };
     Found { spread, best: top }
 }

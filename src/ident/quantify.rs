@@ -192,8 +192,7 @@ fn pose(record: &Record, options: &Options, span: f64, deviation: f64) -> Questi
     let width = ((period / 32.0) as usize).max(1);
     let travel: Vec<f64> = mean.windows(width + 1).map(|w| (w[width] - w[0]).abs() / width as f64).collect();
     let rate = stats::median(&travel);
-    let raw_per_point = record.box_samples.max(1) as f64;
-    Question { path, per_point: m, raw_per_point, mean, still, pv, limits, from, period, rate, records }
+    Question { path, per_point: m, mean, still, pv, limits, from, period, rate, records }
 }
 
 /// The best candidate for one law and one sign of the gain, in the class that it deserves.
@@ -422,7 +421,7 @@ fn report(
     let count = plain.y.len() as f64;
     let scale = deviation * deviation / count;
     let mut bench = Bench::new(question, found.law, found.class, plain, found.sign);
-    let interval::Found { spread, best: c } = interval::spread(&mut bench, &found.candidate?, seed);
+    let interval::Found { spread, best: c } = interval::spread(&mut bench, &found.candidate?, found.without, seed);
     let [s, j] = c.centred();
     let band_error = bench.band_error(&c);
     let point_s = record.point_s();

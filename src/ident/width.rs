@@ -28,8 +28,8 @@ pub struct Spread {
     pub whiteness: Whiteness,
     /// Step of OP's values, 0 where they stand on no grid.
     pub quantum: f64,
-    /// How far OP usually moves from one recorded sample to the next.
-    pub step: f64,
+    /// Stiction index of the fit, 0..1.
+    pub index: f64,
 }
 
 /// Least half widths in one class of fits.
@@ -60,9 +60,11 @@ pub struct Settings {
     pub gridded: Floor,
     /// Residual white but like OP, or not quite white.
     pub tinted: Floor,
-    /// Residual far from white.
+    /// Residual far from white, friction explains nearly all.
     pub coloured: Floor,
-    /// Residual far from white, OP on a grid.
+    /// Residual far from white, friction explains much.
+    pub doubtful: Floor,
+    /// Residual far from white, friction explains little.
     pub poor: Floor,
 }
 
@@ -76,15 +78,17 @@ pub enum Trust {
     Gridded,
     /// Residual white but like OP, or not quite white.
     Tinted,
-    /// Residual far from white.
+    /// Residual far from white, friction explains nearly all.
     Coloured,
-    /// Residual far from white, OP on a grid.
+    /// Residual far from white, friction explains much.
+    Doubtful,
+    /// Residual far from white, friction explains little.
     Poor,
 }
 
 impl Trust {
     /// Every class.
-    pub const ALL: [Self; 5] = [Self::White, Self::Gridded, Self::Tinted, Self::Coloured, Self::Poor];
+    pub const ALL: [Self; 6] = [Self::White, Self::Gridded, Self::Tinted, Self::Coloured, Self::Doubtful, Self::Poor];
 
     /// Its name in tables.
     #[must_use]
@@ -94,6 +98,7 @@ impl Trust {
             Self::Gridded => "gridded",
             Self::Tinted => "tinted",
             Self::Coloured => "coloured",
+            Self::Doubtful => "doubtful",
             Self::Poor => "poor",
         }
     }
@@ -102,6 +107,9 @@ impl Trust {
 /// Lag-1 autocorrelation, or points over independent points, from which a residual is far from white.
 const FAR_R1: f64 = 0.3;
 const FAR_INFLATION: f64 = 3.0;
+/// Stiction index from which friction explains nearly all, and much.
+const NEARLY_ALL: f64 = 0.9;
+const MUCH: f64 = 0.6;
 /// Step of OP's values, in s, from which it stands on a grid that matters.
 const GRID: f64 = 1e-3;
 
@@ -129,7 +137,6 @@ impl Spread {
             fs: scale(self.fs),
             fd: scale(self.fd),
             quantum: self.quantum * by,
-            step: self.step * by,
             ..self
         }
     }
@@ -151,11 +158,16 @@ impl Spread {
     #[must_use]
     pub fn trust(&self, s: f64) -> Trust {
         let w = &self.whiteness;
-        match (w.r1.abs() > FAR_R1 || w.inflation > FAR_INFLATION, self.quantum > GRID * s) {
-            (true, true) => Trust::Poor,
-            (true, false) => Trust::Coloured,
-            (false, true) => Trust::Gridded,
-            (false, false) if w.white && !w.follows_op => Trust::White,
+        if w.r1.abs() > FAR_R1 || w.inflation > FAR_INFLATION {
+            return match self.index {
+                i if i >= NEARLY_ALL => Trust::Coloured,
+                i if i >= MUCH => Trust::Doubtful,
+                _ => Trust::Poor,
+            };
+        }
+        match (self.quantum > GRID * s, w.white && !w.follows_op) {
+            (true, _) => Trust::Gridded,
+            (false, true) => Trust::White,
             (false, false) => Trust::Tinted,
         }
     }
@@ -208,6 +220,7 @@ impl Settings {
             Trust::Gridded => &self.gridded,
             Trust::Tinted => &self.tinted,
             Trust::Coloured => &self.coloured,
+            Trust::Doubtful => &self.doubtful,
             Trust::Poor => &self.poor,
         }
     }
@@ -219,6 +232,7 @@ impl Settings {
             Trust::Gridded => &mut self.gridded,
             Trust::Tinted => &mut self.tinted,
             Trust::Coloured => &mut self.coloured,
+            Trust::Doubtful => &mut self.doubtful,
             Trust::Poor => &mut self.poor,
         }
     }
@@ -234,6 +248,7 @@ impl Settings {
             gridded: floor,
             tinted: floor,
             coloured: floor,
+            doubtful: floor,
             poor: floor,
         }
     }
@@ -259,7 +274,7 @@ mod tests {
             j_identifiable: true,
             whiteness,
             quantum: 0.0,
-            step: 0.1,
+            index: 0.95,
         }
     }
 
@@ -303,7 +318,9 @@ mod tests {
         assert_eq!(with(0.2, false, false, 0.0), Trust::Tinted);
         assert_eq!(with(0.9, false, false, 0.0), Trust::Coloured);
         assert_eq!(with(0.0, true, false, 0.1), Trust::Gridded);
-        assert_eq!(with(0.9, false, false, 0.1), Trust::Poor);
+        assert_eq!(with(0.9, false, false, 0.1), Trust::Coloured);
+        let far = |index: f64| Spread { index, whiteness: Whiteness { r1: 0.9, ..spread().whiteness }, ..spread() };
+        assert_eq!((far(0.7).trust(4.0), far(0.2).trust(4.0)), (Trust::Doubtful, Trust::Poor));
         let both = spread().or(&Spread { s: [4.5, 4.6], j_identifiable: false, ..spread() });
         assert_eq!((both.s, both.j_identifiable), ([3.9, 4.6], false));
     }

@@ -21,8 +21,6 @@ pub struct Row {
     pub found: [f64; 2],
     /// The likelihood's intervals.
     pub spread: Spread,
-    /// Stiction index of the fit.
-    pub index: f64,
     /// OP's span.
     pub span: f64,
     /// Model responses computed.
@@ -51,7 +49,7 @@ pub fn look(half: Half, regime: Regime, seed: u64) -> Option<Row> {
     let e = quantify(&record, &options)?;
     let regime = regime.name().to_owned();
     let (truth, found) = ([case.s?, case.j?], [e.s, e.j]);
-    Some(Row { regime, seed, truth, found, spread: e.spread, index: e.index, span: e.span, evaluations: e.evaluations })
+    Some(Row { regime, seed, truth, found, spread: e.spread, span: e.span, evaluations: e.evaluations })
 }
 
 /// Share of loops that a class of fits has to cover.
@@ -199,10 +197,10 @@ mod tests {
             j_identifiable: true,
             whiteness,
             quantum: 0.0,
-            step: 0.1,
+            index: 0.95,
         };
         let (truth, found) = ([s * (1.0 + off), j], [s, j]);
-        Row { regime: "he start".to_owned(), seed: 0, truth, found, spread, index: 0.9, span: 8.0, evaluations: 9 }
+        Row { regime: "he start".to_owned(), seed: 0, truth, found, spread, span: 8.0, evaluations: 9 }
     }
 
     #[test]
