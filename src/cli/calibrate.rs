@@ -20,7 +20,8 @@ use crate::verdict::{AssessParams, figures};
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   stictiond calibrate --loops 2000 --features figures.jsonl
-  stictiond calibrate --features figures.jsonl --labelled labelled/INDEX.csv --out rule.json")]
+  stictiond calibrate --features figures.jsonl --labelled labelled/INDEX.csv --out rule.json
+  stictiond calibrate --intervals 40 --out interval.json")]
 pub struct Args {
     /// Simulated loops in each half, the fitted and the reported one.
     #[arg(long, default_value_t = 1000)]
@@ -46,7 +47,10 @@ pub struct Args {
     /// Probabilities between which the verdict stays open; those of the rule in use if none are given.
     #[arg(long, value_name = "LO,HI", value_parser = super::analyze::op_range)]
     pub undecided: Option<[f64; 2]>,
-    /// Writes the rule here.
+    /// Instead of the rule, measures how wide intervals of s, j, fs and fd have to be, on so many loops of each regime.
+    #[arg(long, value_name = "LOOPS", conflicts_with_all = ["labelled", "features", "names"])]
+    pub intervals: Option<u64>,
+    /// Writes the rule (or the intervals' figures) here.
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
     /// Replaces an existing OUT.
@@ -76,6 +80,9 @@ impl Source {
 pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     if let Some(out) = args.out.as_ref().filter(|out| out.exists() && !args.force) {
         bail!("{}: exists; --force replaces it", out.display());
+    }
+    if let Some(loops) = args.intervals {
+        return super::calibrate_intervals::run(loops, args.seed, args.out.as_deref(), format);
     }
     if args.weight.is_nan() || args.weight < 0.0 || args.ridge.is_nan() || args.ridge < 0.0 {
         return Err(UsageError("--weight and --ridge are numbers from 0 on".to_owned()).into());

@@ -3,6 +3,7 @@
 pub mod analyze;
 pub mod bench;
 pub mod calibrate;
+mod calibrate_intervals;
 pub mod check;
 pub mod convert;
 pub mod demo;

@@ -131,10 +131,10 @@ impl Bank {
             let next = self.sums_after(&here, lag + 1);
             for view in 0..2 {
                 for lane in 0..LANES {
-                    let (rest, system) = self.reduced(&here, &next, view, lane);
+                    let (rest, system, whole) = self.reduced(&here, &next, view, lane);
                     for (sign, best) in signs.iter().zip(&mut best) {
                         let freedom = Freedom { sign: *sign, ..*freedom };
-                        let (_, _, explained) = best_band(system, &freedom);
+                        let (_, _, explained) = best_band(system, whole, &freedom);
                         let share = (rest - explained) / self.views[view].yy;
                         if share < best[view].share {
                             best[view] = Glance { share, tau: self.tau(lane), lag: self.lag(lag) };
@@ -237,7 +237,7 @@ impl Bank {
     /// What is left of PV once bias and memory are taken out, and of the valve signal's halves: at·at, at·direction,
     /// direction·direction, at·PV, direction·PV.
     #[inline]
-    fn reduced(&self, here: &Sums, next: &Sums, view: usize, lane: usize) -> (f64, [f64; 5]) {
+    fn reduced(&self, here: &Sums, next: &Sums, view: usize, lane: usize) -> (f64, [f64; 5], [f64; 2]) {
         let v = &self.views[view];
         let rho = v.rho;
         let power = |i: usize| {
@@ -262,6 +262,6 @@ impl Bank {
             with(0) - totals[0] * y * one - ma * my * pivot,
             with(1) - totals[1] * y * one - md * my * pivot,
         ];
-        (rest, system)
+        (rest, system, [power(0), power(2)])
     }
 }

@@ -1,7 +1,7 @@
 //! One candidate: a pair (s, j) and a first slip, the slips they make of OP, and the process model that fits best.
 
 use super::class::{Class, Limits, Shape};
-use super::fit::{Fitted, Fitter, Freedom, Target};
+use super::fit::{BandProfile, Fitted, Fitter, Freedom, Target};
 use crate::sim::slips::{FirstSlip, Law, Sequence};
 
 /// A record in normalised form: OP in spans, PV in standard deviations.
@@ -200,15 +200,6 @@ impl<'a> Bench<'a> {
         Some(self.candidate(from.s, from.j, from.start, fit))
     }
 
-    /// What a candidate leaves of the target.
-    pub fn residual(&mut self, of: &Candidate) -> Vec<f64> {
-        if self.slip(of.s, of.j, of.start).is_none() {
-            return self.target.y.clone();
-        }
-        let signal = [&self.sequence.at[..], &self.sequence.direction[..]];
-        self.fitter.residual(self.class, &of.fit, signal, self.target)
-    }
-
     /// Mean squared error on what follows the first `share` of the record when the process is fitted to that part alone.
     pub fn held_out(&mut self, of: &Candidate, share: f64) -> f64 {
         let Some(freedom) = self.slip(of.s, of.j, of.start) else { return f64::INFINITY };
@@ -217,7 +208,7 @@ impl<'a> Bench<'a> {
         let part = Target { y: self.target.y[..count].to_vec(), ..*self.target };
         let signal = [&self.sequence.at[..], &self.sequence.direction[..]];
         let fit = self.fitter.settle(self.class, of.fit, signal.map(|x| &x[..end]), &part, &freedom);
-        let left = self.fitter.residual(self.class, &fit, signal, self.target);
+        let left = self.fitter.leftover(self.class, &fit, signal, self.target);
         left[count..].iter().map(|r| r * r).sum::<f64>() / (left.len() - count).max(1) as f64
     }
 
@@ -226,6 +217,27 @@ impl<'a> Bench<'a> {
         let Some(freedom) = self.slip(of.s, of.j, of.start) else { return f64::INFINITY };
         let signal = [&self.sequence.at[..], &self.sequence.direction[..]];
         self.fitter.band_error(self.class, &of.fit, signal, self.target, &freedom)
+    }
+
+    /// What a candidate leaves of the target, from its first point on.
+    pub fn residual(&mut self, of: &Candidate) -> Vec<f64> {
+        let Some(freedom) = self.slip(of.s, of.j, of.start) else { return Vec::new() };
+        let signal = [&self.sequence.at[..], &self.sequence.direction[..]];
+        self.fitter.residual(self.class, &of.fit, signal, self.target, &freedom)
+    }
+
+    /// A candidate's squared error against fd, its slips and shape held, and the band of fd that its slips allow.
+    pub fn profile(&mut self, of: &Candidate) -> Option<(BandProfile, [f64; 2])> {
+        let freedom = self.slip(of.s, of.j, of.start)?;
+        let signal = [&self.sequence.at[..], &self.sequence.direction[..]];
+        Some((self.fitter.profile(self.class, &of.fit, signal, self.target, &freedom), freedom.fd))
+    }
+
+    /// By how much the standard error of a candidate's fd grows when time constants and lag are free too.
+    pub fn band_stretch(&mut self, of: &Candidate) -> f64 {
+        let Some(freedom) = self.slip(of.s, of.j, of.start) else { return 1.0 };
+        let signal = [&self.sequence.at[..], &self.sequence.direction[..]];
+        self.fitter.band_stretch(self.class, &of.fit, signal, self.target, &freedom)
     }
 
     fn candidate(&self, s: f64, j: f64, start: Start, fit: Fitted) -> Candidate {

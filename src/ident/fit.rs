@@ -120,10 +120,11 @@ impl Fitter {
         columns[own + 1] = &self.direction;
         columns[own + 2] = &target.y;
         let mut gram = Gram::of(&columns[..own + 3]);
+        let whole = [gram.at(own, own), gram.at(own + 1, own + 1)];
         gram.eliminate(own);
         let entry = |i: usize, k: usize| gram.at(own + i, own + k);
         let system = [entry(0, 0), entry(0, 1), entry(1, 1), entry(0, 2), entry(1, 2)];
-        let (gain, fd, explained) = best_band(system, freedom);
+        let (gain, fd, explained) = best_band(system, whole, freedom);
         let all = gram.back(own, &[gain, -gain * fd]);
         let sse = (gram.at(own + 2, own + 2) - explained).max(0.0);
         let memory = core::array::from_fn(|i| if i < own { all[i] } else { 0.0 });
@@ -223,7 +224,7 @@ impl Fitter {
     }
 
     /// What a fitted model leaves of a target that may be longer than the one it was fitted to.
-    pub fn residual(&mut self, class: Class, fit: &Fitted, signal: [&[f64]; 2], target: &Target) -> Vec<f64> {
+    pub fn leftover(&mut self, class: Class, fit: &Fitted, signal: [&[f64]; 2], target: &Target) -> Vec<f64> {
         let [long0, long1] = &mut self.long;
         class.respond_pair(&fit.shape, signal, &mut self.work, [long0, long1]);
         cut_into(long0, target.rho, target.from, &mut self.at);
@@ -270,13 +271,78 @@ impl Fitter {
         (again.sse / freedom_left / own_part).sqrt() / again.gain.abs()
     }
 
-    /// The Gauss-Newton step in the shape, with all linear coefficients free and fd held.
-    fn direction_of_descent(&mut self, class: Class, fit: &Fitted, signal: [&[f64]; 2], target: &Target) -> Shape {
-        let (own, len) = (class.memory_len(), class.shape_len());
-        self.valve.clear();
-        self.valve.extend(signal[0].iter().zip(signal[1]).map(|(a, d)| a - fit.fd * d));
+    /// What a model leaves of the target, from its first point on.
+    pub fn residual(
+        &mut self,
+        class: Class,
+        fit: &Fitted,
+        signal: [&[f64]; 2],
+        target: &Target,
+        freedom: &Freedom,
+    ) -> Vec<f64> {
+        let again = self.linear(class, &fit.shape, signal, target, freedom);
         self.response.clear();
-        self.response.extend(self.at.iter().zip(&self.direction).map(|(a, d)| a - fit.fd * d));
+        self.response.extend(self.at.iter().zip(&self.direction).map(|(a, d)| a - again.fd * d));
+        self.leave(class.memory_len(), &again, target);
+        self.residual.clone()
+    }
+
+    /// The squared error as a function of fd, the shape held and everything linear free.
+    pub fn profile(
+        &mut self,
+        class: Class,
+        fit: &Fitted,
+        signal: [&[f64]; 2],
+        target: &Target,
+        freedom: &Freedom,
+    ) -> BandProfile {
+        self.linear(class, &fit.shape, signal, target, freedom);
+        let own = class.memory_len();
+        let mut columns: [&[f64]; 6] = [&[]; 6];
+        for (slot, column) in columns.iter_mut().zip(&self.memory[..own]) {
+            *slot = column;
+        }
+        columns[own] = &self.at;
+        columns[own + 1] = &self.direction;
+        columns[own + 2] = &target.y;
+        let mut gram = Gram::of(&columns[..own + 3]);
+        gram.eliminate(own);
+        let at = |row: usize, column: usize| gram.at(own + row, own + column);
+        BandProfile { uu: at(0, 0), ud: at(0, 1), dd: at(1, 1), uy: at(0, 2), dy: at(1, 2), yy: at(2, 2) }
+    }
+
+    /// By how much the standard error of fd grows when the shape is free too, at least 1.
+    pub fn band_stretch(
+        &mut self,
+        class: Class,
+        fit: &Fitted,
+        signal: [&[f64]; 2],
+        target: &Target,
+        freedom: &Freedom,
+    ) -> f64 {
+        let again = self.linear(class, &fit.shape, signal, target, freedom);
+        self.direction_of_descent(class, &again, signal, target);
+        let (own, len) = (class.memory_len(), class.shape_len());
+        let mut columns: [&[f64]; 8] = [&[]; 8];
+        for (slot, column) in columns.iter_mut().zip(&self.memory[..own]) {
+            *slot = column;
+        }
+        columns[own] = &self.response;
+        for (slot, column) in columns[own + 1..].iter_mut().zip(&self.slopes[..len]) {
+            *slot = column;
+        }
+        columns[own + 1 + len] = &self.direction;
+        let last = own + 1 + len;
+        let mut free = Gram::of(&columns[..=last]);
+        let mut held = free.clone();
+        free.eliminate(last);
+        held.eliminate(own + 1);
+        let ratio = held.at(last, last) / free.at(last, last);
+        if ratio > 1.0 { ratio.sqrt() } else { 1.0 }
+    }
+
+    /// The residual, from the columns that [`Fitter::linear`] left and the response.
+    fn leave(&mut self, own: usize, fit: &Fitted, target: &Target) {
         self.residual.clear();
         self.residual.extend(target.y.iter().zip(&self.response).map(|(y, x)| y - fit.gain * x));
         for (column, c) in self.memory[..own].iter().zip(fit.memory) {
@@ -284,6 +350,16 @@ impl Fitter {
                 *r -= c * m;
             }
         }
+    }
+
+    /// The Gauss-Newton step in the shape, with all linear coefficients free and fd held.
+    fn direction_of_descent(&mut self, class: Class, fit: &Fitted, signal: [&[f64]; 2], target: &Target) -> Shape {
+        let (own, len) = (class.memory_len(), class.shape_len());
+        self.valve.clear();
+        self.valve.extend(signal[0].iter().zip(signal[1]).map(|(a, d)| a - fit.fd * d));
+        self.response.clear();
+        self.response.extend(self.at.iter().zip(&self.direction).map(|(a, d)| a - fit.fd * d));
+        self.leave(own, fit, target);
         for first in (0..len).step_by(2) {
             let second = (first + 1).min(len - 1);
             self.slopes_of(class, fit, target, [first, second]);
@@ -337,10 +413,43 @@ impl Fitter {
     }
 }
 
+/// Squared error against fd: a quotient of parabolas.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct BandProfile {
+    uu: f64,
+    ud: f64,
+    dd: f64,
+    uy: f64,
+    dy: f64,
+    yy: f64,
+}
+
+impl BandProfile {
+    /// Squared error with the best gain for this fd.
+    #[must_use]
+    pub fn sse(&self, fd: f64) -> f64 {
+        let power = self.uu - 2.0 * fd * self.ud + fd * fd * self.dd;
+        let along = self.uy - fd * self.dy;
+        if power > 1e-12 * (self.uu + fd * fd * self.dd) { self.yy - along * along / power } else { self.yy }
+    }
+
+    /// Whether fd only changes the size of the response, so that the gain makes up for it.
+    #[must_use]
+    pub fn is_flat(&self) -> bool {
+        self.uu * self.dd - self.ud * self.ud <= 1e-6 * self.uu * self.dd
+    }
+}
+
 /// Gain, fd and explained squares from the products left of the two halves of the valve signal, `at` and `direction`,
-/// and the target (at·at, at·direction, direction·direction, at·target, direction·target): the explained part is a quotient of parabolas in fd, so its best place is the free optimum or an end of the band.
+/// and the target (at·at, at·direction, direction·direction, at·target, direction·target): the explained part is a
+/// quotient of parabolas in fd, so its best place is the free optimum or an end of the band. A signal of which the
+/// process' own memory leaves next to nothing (of `whole`, its squares before) has no gain.
 #[inline]
-pub(super) fn best_band([uu, ud, dd, uy, dy]: [f64; 5], freedom: &Freedom) -> (f64, f64, f64) {
+pub(super) fn best_band(
+    [uu, ud, dd, uy, dy]: [f64; 5],
+    whole: [f64; 2],
+    freedom: &Freedom,
+) -> (f64, f64, f64) {
     let [low, high] = freedom.fd;
     let determinant = uu * dd - ud * ud;
     let free = if determinant > 1e-6 * uu * dd {
@@ -354,7 +463,10 @@ pub(super) fn best_band([uu, ud, dd, uy, dy]: [f64; 5], freedom: &Freedom) -> (f
     let mut consider = |fd: f64| {
         let power = uu - 2.0 * fd * ud + fd * fd * dd;
         let along = uy - fd * dy;
-        if power > 1e-12 * (uu + fd * fd * dd) && along * freedom.sign > 0.0 && along * along / power > best.2 {
+        if power > 1e-11 * (whole[0] + fd * fd * whole[1])
+            && along * freedom.sign > 0.0
+            && along * along / power > best.2
+        {
             best = (along / power, fd, along * along / power);
         }
     };

@@ -92,6 +92,12 @@ impl Found {
         self.finalists.first().map_or(f64::INFINITY, |c| c.fit.sse)
     }
 
+    /// Squared error without friction of another view.
+    #[must_use]
+    pub fn without_of(&self, target: &Target, ground: &Ground<'_>) -> f64 {
+        frictionless(ground.question, target, self.class, self.sign)
+    }
+
     /// Share of the plain error that goes with the friction.
     #[must_use]
     pub fn index(&self) -> f64 {

@@ -11,15 +11,18 @@ pub mod class;
 pub mod controller;
 mod fit;
 mod hunt;
+mod interval;
 mod least_squares;
 pub mod one_step;
 mod order;
 mod pose;
 mod quantify;
 pub mod region;
+pub mod residual;
 mod robust;
 mod search;
 pub mod sign;
+pub mod width;
 
 pub use choice::{DelayChoice, ModelChoice, ValveChoice};
 pub use quantify::{Estimate, Options, quantify};

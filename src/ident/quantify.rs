@@ -4,8 +4,10 @@ use super::choice::{DelayChoice, ModelChoice, ValveChoice};
 use super::class::Class;
 use super::fit::Target;
 use super::hunt::{Answer, Found, Ground, hunt, improvement};
+use super::interval;
 use super::pose::pose;
 use super::sign;
+use super::width::Spread;
 use crate::optim::{self, Termination};
 use crate::record::Record;
 use crate::signal::stats;
@@ -65,6 +67,8 @@ pub struct Estimate {
     pub j_error: f64,
     /// All s in this range give the same slips, OP units.
     pub s_cell: [f64; 2],
+    /// What else explains the record nearly as well, OP units.
+    pub spread: Spread,
     /// Model responses computed.
     pub evaluations: u64,
     /// The global solver's name.
@@ -75,6 +79,8 @@ pub struct Estimate {
 
 /// Share of PV's variance left unexplained from which the sign that was read is doubted.
 const DOUBTFUL: f64 = 0.3;
+/// Share of the error that does not tell one law from the other.
+const HARDLY_WORSE: f64 = 0.01;
 
 /// The best valve law and process model of a record, or `None` where a signal does not move or nothing moves the stem.
 #[must_use]
@@ -117,8 +123,16 @@ pub fn quantify(record: &Record, options: &Options) -> Option<Estimate> {
         evaluations += found.iter().map(|f| f.evaluations).sum::<u64>();
         all.extend(found.into_iter().min_by(|a, b| a.sse().total_cmp(&b.sse())));
     }
-    let best = all.into_iter().min_by(|a, b| a.sse().total_cmp(&b.sse()))?;
-    report(record, &ground, &best, evaluations, span, deviation)
+    all.sort_by(|a, b| a.sse().total_cmp(&b.sse()));
+    let best = all.first()?;
+    let mut estimate = report(record, &ground, best, evaluations, span, deviation)?;
+    if let Some(rival) = all.get(1).filter(|r| r.sse() < (1.0 + HARDLY_WORSE) * best.sse()) {
+        let other = report(record, &ground, rival, 0, span, deviation);
+        if let Some(other) = other {
+            estimate.spread = estimate.spread.or(&other.spread);
+        }
+    }
+    Some(estimate)
 }
 
 /// The estimate in recorded units.
@@ -130,12 +144,17 @@ fn report(
     span: f64,
     deviation: f64,
 ) -> Option<Estimate> {
-    let Answer { candidate: c, rho, plain_sse } = found.answer?;
+    let Answer { candidate, rho, plain_sse } = found.answer?;
     let target = Target::new(&ground.question.pv, rho, ground.question.from);
     let count = ground.plain.y.len() as f64;
     let scale = deviation * deviation / count;
-    let [s, j] = c.centred();
     let mut bench = ground.bench(found.law, found.class, &target, found.sign);
+    let without = if rho == 0.0 { found.without[0] } else { found.without_of(&target, ground) };
+    let met = interval::spread(&mut bench, &candidate, without, ground.options.seed);
+    let (spread, c) = (met.spread, met.best);
+    // A better candidate met on the way of the interval is the answer.
+    let plain_sse = if rho == 0.0 { c.fit.sse } else { plain_sse };
+    let [s, j] = c.centred();
     let band_error = bench.band_error(&c);
     let point_s = record.point_s();
     let gain = found.class.gain(c.fit.gain) * deviation / span;
@@ -157,7 +176,8 @@ fn report(
         reversals: c.reversals,
         j_error: 2.0 * band_error * span,
         s_cell: c.s_cell.map(|v| v * span),
-        evaluations,
+        spread: spread.scaled(span),
+        evaluations: evaluations + bench.fitter.evaluations,
         solver: optim::by_name(ground.options.solver).unwrap_or(optim::ALL[0]).name(),
         stopped: found.outcome.stopped,
     })

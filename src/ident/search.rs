@@ -21,12 +21,12 @@ const FEW_REVERSALS: usize = 8;
 const HOPELESS: f64 = 2.5;
 
 /// A uniform draw from 0 to below 1.
-fn uniform(rng: &mut ChaCha8Rng) -> f64 {
+pub(super) fn uniform(rng: &mut ChaCha8Rng) -> f64 {
     (rng.next_u64() >> 11) as f64 / (1_u64 << 53) as f64
 }
 
 /// A normal draw (the sum of twelve uniform ones, less six).
-fn normal(rng: &mut ChaCha8Rng) -> f64 {
+pub(super) fn normal(rng: &mut ChaCha8Rng) -> f64 {
     (0..12).map(|_| uniform(rng)).sum::<f64>() - 6.0
 }
 

@@ -10,6 +10,7 @@ use crate::detect::oscillation::{self, Oscillates};
 use crate::detect::{self, Witness};
 use crate::ident::controller::{self, Reading};
 use crate::ident::region::{region, severity, strength};
+use crate::ident::width::Settings;
 use crate::ident::{Estimate, Options, quantify};
 use crate::record::Record;
 use crate::signal::stats;
@@ -140,8 +141,14 @@ fn fill(out: &mut Assessment, e: &Estimate, record: &Record, params: &AssessPara
     out.region = Some(region(e.s, e.j, e.span));
     out.strength = Some(strength(e.s, e.span));
     out.severity = params.op_range.and_then(|range| severity(e.s, range));
-    // Seen apart from the gain: five standard errors are less than a third of s.
-    out.j_identifiable = Some(5.0 * e.j_error < 0.33 * e.s);
+    out.j_identifiable = Some(e.spread.j_identifiable);
+    // The set point's steps do not make a fit worse by themselves.
+    let limiting = out.gates.iter().filter(|g| !g.blocks() && **g != Gate::SetpointSteps).count();
+    let settings = Settings::shipped();
+    let times = (0..limiting).fold(1.0, |times, _| times * settings.gate);
+    let told = e.spread.told(e.s, e.j, settings.of(e.spread.trust(e.s)), times);
+    (out.s_interval, out.j_interval) = (Some(told.s), Some(told.j));
+    (out.fs_interval, out.fd_interval) = (Some(told.fs), Some(told.fd));
     out.valve_model = Some(match e.law {
         Law::He => "he",
         Law::Tracking => "tracking",

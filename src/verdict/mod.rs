@@ -2,6 +2,7 @@
 
 mod assess;
 pub mod calibrate;
+pub mod calibrate_intervals;
 mod cause;
 mod document;
 mod gates;

@@ -1,0 +1,327 @@
+//! From the likelihood's intervals to those that are told.
+//!
+//! The likelihood believes the model: a valve that obeys the law, noise and nothing else on PV, OP as it was. Where the
+//! residual says otherwise, or OP stands on a grid, an interval has to be at least as wide as fits like it turned out
+//! wrong on simulated loops: a [`Floor`] for each class of fits, kept in `interval.json`.
+
+use std::sync::LazyLock;
+
+use serde::{Deserialize, Serialize};
+
+use super::residual::Whiteness;
+
+/// The likelihood's intervals and what qualifies them. Sizes in one unit: spans of OP, or OP units after
+/// [`Spread::scaled`].
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Spread {
+    /// Stick band plus dead band.
+    pub s: [f64; 2],
+    /// Slip jump; everything that the slips allow where fd is not seen apart from the gain.
+    pub j: [f64; 2],
+    /// Static band, (s + j) / 2.
+    pub fs: [f64; 2],
+    /// Kinetic band, (s - j) / 2.
+    pub fd: [f64; 2],
+    /// Whether j is seen apart from the gain.
+    pub j_identifiable: bool,
+    /// Tests of the residual.
+    pub whiteness: Whiteness,
+    /// Step of OP's values, 0 where they stand on no grid.
+    pub quantum: f64,
+    /// Stiction index of the fit, 0..1.
+    pub index: f64,
+}
+
+/// Least half widths in one class of fits.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Floor {
+    /// Of s, as a factor less 1: from `s / (1 + floor)` to `s (1 + floor)`.
+    pub s: f64,
+    /// Of j, as a share of s.
+    pub j: f64,
+    /// Of fs, as a factor less 1.
+    pub fs: f64,
+    /// Of fd, as a share of s.
+    pub fd: f64,
+}
+
+/// What the likelihood does not know, measured on simulated loops: the contents of `interval.json`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Settings {
+    /// How these figures were made.
+    pub made: String,
+    /// Widening by each limiting gate that a record meets; set, not measured.
+    pub gate: f64,
+    /// Residual white and unlike OP.
+    pub white: Floor,
+    /// Residual not far from white, OP on a grid.
+    pub gridded: Floor,
+    /// Residual white but like OP, or not quite white.
+    pub tinted: Floor,
+    /// Residual far from white, friction explains nearly all.
+    pub coloured: Floor,
+    /// Residual far from white, friction explains much.
+    pub doubtful: Floor,
+    /// Residual far from white, friction explains little.
+    pub poor: Floor,
+}
+
+/// Classes of fits that have a [`Floor`] each.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Trust {
+    /// Residual white and unlike OP.
+    White,
+    /// Residual not far from white, OP on a grid.
+    Gridded,
+    /// Residual white but like OP, or not quite white.
+    Tinted,
+    /// Residual far from white, friction explains nearly all.
+    Coloured,
+    /// Residual far from white, friction explains much.
+    Doubtful,
+    /// Residual far from white, friction explains little.
+    Poor,
+}
+
+impl Trust {
+    /// Every class.
+    pub const ALL: [Self; 6] = [Self::White, Self::Gridded, Self::Tinted, Self::Coloured, Self::Doubtful, Self::Poor];
+
+    /// Its name in tables.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::White => "white",
+            Self::Gridded => "gridded",
+            Self::Tinted => "tinted",
+            Self::Coloured => "coloured",
+            Self::Doubtful => "doubtful",
+            Self::Poor => "poor",
+        }
+    }
+}
+
+/// Lag-1 autocorrelation, or points over independent points, from which a residual is far from white.
+const FAR_R1: f64 = 0.3;
+const FAR_INFLATION: f64 = 3.0;
+/// Stiction index from which friction explains nearly all, and much.
+const NEARLY_ALL: f64 = 0.9;
+const MUCH: f64 = 0.6;
+/// Step of OP's values, in s, from which it stands on a grid that matters.
+const GRID: f64 = 1e-3;
+
+/// The intervals that are told, OP units.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Intervals {
+    /// Of s.
+    pub s: [f64; 2],
+    /// Of j.
+    pub j: [f64; 2],
+    /// Of fs.
+    pub fs: [f64; 2],
+    /// Of fd.
+    pub fd: [f64; 2],
+}
+
+impl Spread {
+    /// The same in another unit.
+    #[must_use]
+    pub fn scaled(self, by: f64) -> Self {
+        let scale = |x: [f64; 2]| x.map(|v| v * by);
+        Self {
+            s: scale(self.s),
+            j: scale(self.j),
+            fs: scale(self.fs),
+            fd: scale(self.fd),
+            quantum: self.quantum * by,
+            ..self
+        }
+    }
+
+    /// Covers another explanation too, which the likelihood cannot tell from this one.
+    #[must_use]
+    pub const fn or(self, other: &Self) -> Self {
+        Self {
+            s: hull(self.s, other.s),
+            j: hull(self.j, other.j),
+            fs: hull(self.fs, other.fs),
+            fd: hull(self.fd, other.fd),
+            j_identifiable: self.j_identifiable && other.j_identifiable,
+            ..self
+        }
+    }
+
+    /// What these intervals are worth around an estimate of s.
+    #[must_use]
+    pub fn trust(&self, s: f64) -> Trust {
+        let w = &self.whiteness;
+        if w.r1.abs() > FAR_R1 || w.inflation > FAR_INFLATION {
+            return match self.index {
+                i if i >= NEARLY_ALL => Trust::Coloured,
+                i if i >= MUCH => Trust::Doubtful,
+                _ => Trust::Poor,
+            };
+        }
+        match (self.quantum > GRID * s, w.white && !w.follows_op) {
+            (true, _) => Trust::Gridded,
+            (false, true) => Trust::White,
+            (false, false) => Trust::Tinted,
+        }
+    }
+
+    /// The intervals to tell around the estimate (s, j), no narrower than `floor`, `times` wider than that for a
+    /// record that says less. They hold the estimate, that of s ends above 0, and none goes below 0.
+    #[must_use]
+    pub fn told(&self, s: f64, j: f64, floor: &Floor, times: f64) -> Intervals {
+        let q = self.quantum;
+        let factor = |found: [f64; 2], value: f64, floor: f64| {
+            if value <= 0.0 {
+                return [0.0, found[1].max(0.0) + q];
+            }
+            let down = (found[0].max(0.01 * value) / value).min(1.0 / (1.0 + floor));
+            let up = (found[1] / value).max(1.0 + floor);
+            let [low, high] = [value * libm::pow(down, times), value * libm::pow(up, times)];
+            [(low - q).max(0.5 * low), high + q]
+        };
+        let share = |found: [f64; 2], value: f64, floor: f64, most: f64| {
+            let low = value - times * (value - found[0]).max(floor * s) - q;
+            let high = value + times * (found[1] - value).max(floor * s) + q;
+            [low.clamp(0.0, value), high.clamp(value, most.max(value))]
+        };
+        let (fs, fd) = (0.5 * (s + j), 0.5 * (s - j));
+        let wide = factor(self.s, s, floor.s);
+        Intervals {
+            s: wide,
+            j: share(self.j, j, floor.j, wide[1]),
+            fs: factor(self.fs, fs, floor.fs),
+            fd: share(self.fd, fd, floor.fd, 0.5 * wide[1]),
+        }
+    }
+}
+
+impl Settings {
+    /// The figures in use.
+    #[must_use]
+    pub fn shipped() -> &'static Self {
+        static SHIPPED: LazyLock<Settings> = LazyLock::new(|| {
+            serde_json::from_str(include_str!("interval.json")).unwrap_or_else(|_| Settings::unknown())
+        });
+        &SHIPPED
+    }
+
+    /// The least widths of a class.
+    #[must_use]
+    pub const fn of(&self, trust: Trust) -> &Floor {
+        match trust {
+            Trust::White => &self.white,
+            Trust::Gridded => &self.gridded,
+            Trust::Tinted => &self.tinted,
+            Trust::Coloured => &self.coloured,
+            Trust::Doubtful => &self.doubtful,
+            Trust::Poor => &self.poor,
+        }
+    }
+
+    /// The same, to be set.
+    pub const fn of_mut(&mut self, trust: Trust) -> &mut Floor {
+        match trust {
+            Trust::White => &mut self.white,
+            Trust::Gridded => &mut self.gridded,
+            Trust::Tinted => &mut self.tinted,
+            Trust::Coloured => &mut self.coloured,
+            Trust::Doubtful => &mut self.doubtful,
+            Trust::Poor => &mut self.poor,
+        }
+    }
+
+    /// Nothing measured: an octave to either side.
+    #[must_use]
+    pub const fn unknown() -> Self {
+        let floor = Floor { s: 1.0, j: 1.0, fs: 1.0, fd: 1.0 };
+        Self {
+            made: String::new(),
+            gate: 1.5,
+            white: floor,
+            gridded: floor,
+            tinted: floor,
+            coloured: floor,
+            doubtful: floor,
+            poor: floor,
+        }
+    }
+}
+
+/// The smallest interval around two.
+pub(super) const fn hull(a: [f64; 2], b: [f64; 2]) -> [f64; 2] {
+    [a[0].min(b[0]), a[1].max(b[1])]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn spread() -> Spread {
+        let whiteness =
+            Whiteness { r1: 0.0, portmanteau: 20.0, cross: 1.0, inflation: 1.0, white: true, follows_op: false };
+        Spread {
+            s: [3.9, 4.1],
+            j: [1.8, 2.2],
+            fs: [2.95, 3.05],
+            fd: [0.9, 1.1],
+            j_identifiable: true,
+            whiteness,
+            quantum: 0.0,
+            index: 0.95,
+        }
+    }
+
+    const NONE: Floor = Floor { s: 0.0, j: 0.0, fs: 0.0, fd: 0.0 };
+
+    #[test]
+    fn what_is_shipped_can_be_read_and_worse_fits_get_wider_intervals() {
+        let shipped: Settings = serde_json::from_str(include_str!("interval.json")).unwrap();
+        assert!(shipped.gate >= 1.0 && shipped.white.s < shipped.tinted.s && shipped.tinted.s < shipped.coloured.s);
+        for trust in Trust::ALL {
+            let f = shipped.of(trust);
+            assert!([f.s, f.j, f.fs, f.fd].iter().all(|x| (0.0..20.0).contains(x)), "{trust:?}");
+        }
+    }
+
+    #[test]
+    fn intervals_hold_the_estimate_and_stay_above_zero() {
+        for (s, j) in [(4.0, 2.0), (5.0, 5.0), (3.0, 0.0)] {
+            for (floor, times) in [(NONE, 1.0), (Settings::unknown().white, 1.0), (Settings::unknown().white, 4.0)] {
+                for quantum in [0.0, 0.5, 20.0] {
+                    let t = Spread { quantum, ..spread() }.told(s, j, &floor, times);
+                    let inside = |x: [f64; 2], v: f64| x[0] >= 0.0 && x[0] <= v && v <= x[1];
+                    assert!(t.s[0] > 0.0 && inside(t.s, s) && inside(t.j, j), "{t:?}");
+                    assert!(inside(t.fs, 0.5 * (s + j)) && inside(t.fd, 0.5 * (s - j)), "{t:?}");
+                }
+            }
+        }
+        let t = spread().told(4.0, 2.0, &NONE, 1.0);
+        assert!((t.s[0] - 3.9).abs() < 1e-9 && (t.j[1] - 2.2).abs() < 1e-9);
+    }
+
+    #[test]
+    fn residuals_and_grids_decide_what_an_interval_is_worth() {
+        let with = |r1: f64, white: bool, follows_op: bool, quantum: f64| {
+            let mut s = spread();
+            s.whiteness = Whiteness { r1, white, follows_op, ..s.whiteness };
+            Spread { quantum, ..s }.trust(4.0)
+        };
+        assert_eq!(with(0.0, true, false, 0.0), Trust::White);
+        assert_eq!(with(0.0, true, true, 0.0), Trust::Tinted);
+        assert_eq!(with(0.2, false, false, 0.0), Trust::Tinted);
+        assert_eq!(with(0.9, false, false, 0.0), Trust::Coloured);
+        assert_eq!(with(0.0, true, false, 0.1), Trust::Gridded);
+        assert_eq!(with(0.9, false, false, 0.1), Trust::Coloured);
+        let far = |index: f64| Spread { index, whiteness: Whiteness { r1: 0.9, ..spread().whiteness }, ..spread() };
+        assert_eq!((far(0.7).trust(4.0), far(0.2).trust(4.0)), (Trust::Doubtful, Trust::Poor));
+        let both = spread().or(&Spread { s: [4.5, 4.6], j_identifiable: false, ..spread() });
+        assert_eq!((both.s, both.j_identifiable), ([3.9, 4.6], false));
+    }
+}
