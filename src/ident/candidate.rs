@@ -51,7 +51,8 @@ impl Question {
     }
 
     /// The first slip that `start` stands for.
-    fn first_slip(&self, start: Start) -> FirstSlip {
+    #[must_use]
+    pub fn first_slip(&self, start: Start) -> FirstSlip {
         let list = &self.records[usize::from(!start.up)];
         let direction = if start.up { 1.0 } else { -1.0 };
         let threshold = match start.record.min(list.len() - 1) {

@@ -9,6 +9,8 @@ mod choice;
 pub mod class;
 pub mod controller;
 mod fit;
+mod frictionless;
+pub mod imagine;
 mod least_squares;
 pub mod one_step;
 mod quantify;

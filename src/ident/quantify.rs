@@ -3,7 +3,8 @@
 use super::candidate::{Bench, Candidate, Effort, Question};
 use super::choice::{DelayChoice, ModelChoice, ValveChoice};
 use super::class::{Class, Limits};
-use super::fit::{Fitted, Fitter, Freedom, Target};
+use super::fit::Target;
+use super::frictionless;
 use super::search::{Look, beam, climb, generator};
 use super::sign;
 use crate::optim::{self, Objective, Outcome, Settings, Termination};
@@ -152,7 +153,7 @@ fn on_grid(x: f64) -> f64 {
 }
 
 /// The record in normalised form.
-fn pose(record: &Record, options: &Options, span: f64, deviation: f64) -> Question {
+pub(super) fn pose(record: &Record, options: &Options, span: f64, deviation: f64) -> Question {
     let (n, m) = (record.len(), record.path_per_point());
     let middle = stats::mean(&record.op_path);
     let path: Vec<f64> = record.op_path.iter().map(|u| on_grid((u - middle) / span)).collect();
@@ -367,26 +368,11 @@ fn demote(bench: &mut Bench<'_>, candidate: Option<Candidate>, model: ModelChoic
 
 /// Squared error of the best process without friction, of the same class and sign; at most that of no process at all.
 fn frictionless(question: &Question, target: &Target, class: Class, sign: f64) -> f64 {
-    let freedom = Freedom { fd: [0.0, 0.0], fd_default: 0.0, sign, limits: question.limits };
-    let mut fitter = Fitter::default();
-    let mut fits: Vec<Fitted> = Vec::new();
-    for tau in [0.01, 0.05, 0.2, 1.0] {
-        for lag in [0.01, 0.05, 0.12, 0.25] {
-            let at = question.limits.lag[0] + lag * question.period;
-            let shape = class.clamp(class.start(tau * question.period, at), &question.limits);
-            fits.push(fitter.linear(class, &shape, question.frictionless(), target, &freedom));
-        }
-    }
-    fits.sort_by(|a, b| a.sse.total_cmp(&b.sse));
-    let mut best = fits.first().map_or(f64::INFINITY, |f| f.sse);
-    for start in fits.into_iter().take(4) {
-        best = best.min(fitter.settle(class, start, question.frictionless(), target, &freedom).sse);
-    }
-    best
+    frictionless::best(question, target, class, sign, 4).map_or(f64::INFINITY, |f| f.sse)
 }
 
 /// Share of an error that goes with the friction, 0..1.
-fn improvement(with: f64, without: f64) -> f64 {
+pub(super) fn improvement(with: f64, without: f64) -> f64 {
     if without > 0.0 { (1.0 - with / without).clamp(0.0, 1.0) } else { 0.0 }
 }
 

@@ -3,6 +3,7 @@
 mod assess;
 pub mod calibrate;
 mod cause;
+mod detectable;
 mod document;
 mod gates;
 mod judge;
