@@ -51,6 +51,7 @@ impl Question {
     }
 
     /// The first slip that `start` stands for.
+    #[must_use]
     pub fn first_slip(&self, start: Start) -> FirstSlip {
         let list = &self.records[usize::from(!start.up)];
         let direction = if start.up { 1.0 } else { -1.0 };

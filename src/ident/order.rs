@@ -3,7 +3,11 @@
 use super::candidate::{Bench, Candidate, Question};
 use super::choice::ModelChoice;
 use super::class::Class;
-use super::fit::{Fitted, Fitter, Freedom, Target};
+use super::fit::Target;
+use super::frictionless;
+
+/// Starts of the frictionless process that are fitted to their end.
+const SETTLED: usize = 4;
 
 /// A candidate of first order refitted in the bench's class.
 pub fn in_class(bench: &mut Bench<'_>, from: &Candidate) -> Option<Candidate> {
@@ -78,21 +82,5 @@ pub fn demote(bench: &mut Bench<'_>, candidate: Option<Candidate>, model: ModelC
 
 /// Squared error of the best process without friction, of the same class and sign; at most that of no process at all.
 pub fn frictionless(question: &Question, target: &Target, class: Class, sign: f64) -> f64 {
-    let freedom = Freedom { fd: [0.0, 0.0], fd_default: 0.0, sign, limits: question.limits };
-    let mut fitter = Fitter::default();
-    let mut fits: Vec<Fitted> = Vec::new();
-    for tau in [0.01, 0.05, 0.2, 1.0] {
-        for lag in [0.01, 0.05, 0.12, 0.25] {
-            let at = question.limits.lag[0] + lag * question.period;
-            let shape = class.clamp(class.start(tau * question.period, at), &question.limits);
-            fits.push(fitter.linear(class, &shape, question.frictionless(), target, &freedom));
-        }
-    }
-    fits.sort_by(|a, b| a.sse.total_cmp(&b.sse));
-    let mut best = fits.first().map_or(f64::INFINITY, |f| f.sse);
-    for start in fits.into_iter().take(4) {
-        best = best.min(fitter.settle(class, start, question.frictionless(), target, &freedom).sse);
-    }
-    best
+    frictionless::best(question, target, class, sign, SETTLED).map_or(f64::INFINITY, |f| f.sse)
 }
-

@@ -1,7 +1,7 @@
 //! A record in the form that every fit works on: OP in spans, PV in deviations, times in points.
 
-use super::choice::DelayChoice;
 use super::candidate::Question;
+use super::choice::DelayChoice;
 use super::class::Limits;
 use super::quantify::Options;
 use crate::record::Record;
@@ -41,4 +41,3 @@ pub fn pose(record: &Record, options: &Options, span: f64, deviation: f64) -> Qu
     let rate = stats::median(&travel);
     Question { path, per_point: m, mean, still, pv, limits, from, period, rate, records }
 }
-
