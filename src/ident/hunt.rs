@@ -152,65 +152,107 @@ fn sweep(look: &mut Look<'_>) {
     }
 }
 
-/// From the coarse look to the finalists for one sign.
-fn follow(ground: &Ground<'_>, law: Law, sign: f64, pools: &[Vec<Candidate>; 2], outcome: Outcome) -> Found {
-    let mut rng = generator(ground.options.seed, 1);
-    let (question, model) = (ground.question, ground.options.model);
-    let mut plain = ground.bench(law, Class::First, ground.plain, sign);
-    let mut moves = ground.bench(law, Class::First, ground.moves, sign);
-    let by_level = refit(&mut plain, &beam(&pools[0], 6, 2));
-    let by_moves = refit(&mut moves, &beam(&pools[1], 12, 5));
-    let nothing = [ground.plain, ground.moves].map(|target| frictionless(question, target, Class::First, sign));
-    let best = |held: &[Candidate]| held.first().map_or(f64::INFINITY, |c| c.fit.sse);
-    let shows = improvement(best(&by_level), nothing[0]) > WORTH_REFINING
-        || improvement(best(&by_moves), nothing[1]) > WORTH_REFINING;
-    let effort = if shows { 1.0 } else { 0.2 };
-    let steps = |count: f64| (effort * count) as usize;
-    let mut by_level = round(&mut plain, by_level, steps(40.0), &mut rng);
-    by_level.truncate(3);
-    let mut by_moves = round(&mut moves, by_moves, steps(60.0), &mut rng);
-    by_moves.truncate(if shows { 8 } else { 3 });
-    let class = deserved(&mut moves, &mut plain, &by_moves, model);
-    (plain.class, moves.class) = (class, class);
-    let by_level: Vec<Candidate> = by_level.iter().filter_map(|c| in_class(&mut plain, c)).collect();
-    let by_moves: Vec<Candidate> = by_moves.iter().filter_map(|c| in_class(&mut moves, c)).collect();
-    let by_moves = ridge(&mut moves, by_moves, if shows { 3 } else { 0 }, 0.15, 30);
-    let mut by_moves = round(&mut moves, by_moves, steps(120.0), &mut rng);
-    by_moves.truncate(4);
-    let finer = Target::new(&question.pv, if class.integrates() { SEARCH_RHO } else { FINER_RHO }, question.from);
-    let mut bench = ground.bench(law, class, &finer, sign);
-    let held: Vec<Candidate> = by_moves.iter().filter_map(|c| bench.settle(c)).collect();
-    let mut held = ridge(&mut bench, held, if shows { 2 } else { 0 }, 0.05, 25);
-    held.truncate(5);
-    let held = round(&mut bench, held, steps(250.0), &mut rng);
-    let mut held: Vec<Candidate> = held.iter().take(3).filter_map(|c| plain.settle(c)).collect();
-    held.extend(by_level);
-    let mut held = round(&mut plain, held, steps(100.0), &mut rng);
-    held.truncate(4);
-    let (finalists, class) = finish(&mut plain, held, model, steps(150.0), &mut rng);
-    moves.class = class;
-    let mut finalists = finalists;
-    let answer = finalists.first().copied().map(|best| {
+/// The three benches of one law and sign, and how much work it is worth.
+struct Chase<'g, 'a> {
+    ground: &'g Ground<'a>,
+    plain: Bench<'a>,
+    moves: Bench<'a>,
+    rng: ChaCha8Rng,
+    /// Whether friction shows at all.
+    shows: bool,
+}
+
+impl Chase<'_, '_> {
+    /// Steps to take: a fifth where no friction shows.
+    fn steps(&self, count: usize) -> usize {
+        if self.shows { count } else { count / 5 }
+    }
+
+    /// From the coarse look to the best places by level and by moves, in the class that they ask for.
+    fn approach(&mut self, pools: &[Vec<Candidate>; 2]) -> [Vec<Candidate>; 2] {
+        let ground = self.ground;
+        let by_level = refit(&mut self.plain, &beam(&pools[0], 6, 2));
+        let by_moves = refit(&mut self.moves, &beam(&pools[1], 12, 5));
+        let best = |held: &[Candidate]| held.first().map_or(f64::INFINITY, |c| c.fit.sse);
+        let views = [(ground.plain, best(&by_level)), (ground.moves, best(&by_moves))];
+        self.shows = views.into_iter().any(|(target, sse)| {
+            let nothing = frictionless(ground.question, target, Class::First, self.plain.sign);
+            improvement(sse, nothing) > WORTH_REFINING
+        });
+        let (few, some) = (self.steps(40), self.steps(60));
+        let mut by_level = round(&mut self.plain, by_level, few, &mut self.rng);
+        by_level.truncate(3);
+        let mut by_moves = round(&mut self.moves, by_moves, some, &mut self.rng);
+        by_moves.truncate(if self.shows { 8 } else { 3 });
+        let class = deserved(&mut self.moves, &mut self.plain, &by_moves, ground.options.model);
+        (self.plain.class, self.moves.class) = (class, class);
+        let by_level = by_level.iter().filter_map(|c| in_class(&mut self.plain, c)).collect();
+        let by_moves = by_moves.iter().filter_map(|c| in_class(&mut self.moves, c)).collect();
+        [by_level, by_moves]
+    }
+
+    /// From there to the best places by the plain error, by way of ever weaker filters.
+    fn close_in(&mut self, by_level: Vec<Candidate>, by_moves: &mut Vec<Candidate>) -> Vec<Candidate> {
+        let (question, class) = (self.ground.question, self.plain.class);
+        let steps = self.steps(120);
+        let near = ridge(&mut self.moves, by_moves.clone(), if self.shows { 3 } else { 0 }, 0.15, 30);
+        *by_moves = round(&mut self.moves, near, steps, &mut self.rng);
+        by_moves.truncate(4);
+        let finer = Target::new(&question.pv, if class.integrates() { SEARCH_RHO } else { FINER_RHO }, question.from);
+        let mut bench = self.ground.bench(self.plain.law, class, &finer, self.plain.sign);
+        let held: Vec<Candidate> = by_moves.iter().filter_map(|c| bench.settle(c)).collect();
+        let mut held = ridge(&mut bench, held, if self.shows { 2 } else { 0 }, 0.05, 25);
+        held.truncate(5);
+        let steps = self.steps(250);
+        let held = round(&mut bench, held, steps, &mut self.rng);
+        self.plain.fitter.evaluations += bench.fitter.evaluations;
+        let mut held: Vec<Candidate> = held.iter().take(3).filter_map(|c| self.plain.settle(c)).collect();
+        held.extend(by_level);
+        let steps = self.steps(100);
+        let mut held = round(&mut self.plain, held, steps, &mut self.rng);
+        held.truncate(4);
+        held
+    }
+
+    /// The bands to report, by the whitened error; better finalists met on the way come first.
+    fn answer(&mut self, finalists: &mut Vec<Candidate>, by_moves: &[Candidate]) -> Option<Answer> {
+        let best = finalists.first().copied()?;
         let others: Vec<Candidate> = finalists.iter().chain(by_moves.iter().take(3)).copied().collect();
-        let steps = if shows { 150 } else { 0 };
-        let mut answer = whitened(ground, &mut plain, &best, &others, steps, &mut rng);
+        let steps = if self.shows { 150 } else { 0 };
+        let mut answer = whitened(self.ground, &mut self.plain, &best, &others, steps, &mut self.rng);
         for _ in 0..2 {
             if answer.rho == 0.0 {
                 break;
             }
             // What looked like a disturbance may have been wrong slips.
-            let Some(start) = plain.settle(&answer.candidate) else { break };
-            let again = climb(&mut plain, start, steps, false, &mut rng);
-            let Some(again) = plain.settle(&again).filter(|c| c.fit.sse < 0.98 * finalists[0].fit.sse) else { break };
+            let Some(start) = self.plain.settle(&answer.candidate) else { break };
+            let again = climb(&mut self.plain, start, steps, false, &mut self.rng);
+            let Some(again) = self.plain.settle(&again).filter(|c| c.fit.sse < 0.98 * finalists[0].fit.sse) else {
+                break;
+            };
             finalists.insert(0, again);
-            answer = whitened(ground, &mut plain, &again, &[answer.candidate, again], steps, &mut rng);
+            let others = [answer.candidate, again];
+            answer = whitened(self.ground, &mut self.plain, &again, &others, steps, &mut self.rng);
         }
-        answer
-    });
-    let again = finalists.iter().filter_map(|c| moves.settle(c)).map(|c| c.fit.sse);
+        Some(answer)
+    }
+}
+
+/// From the coarse look to the finalists for one sign.
+fn follow(ground: &Ground<'_>, law: Law, sign: f64, pools: &[Vec<Candidate>; 2], outcome: Outcome) -> Found {
+    let plain = ground.bench(law, Class::First, ground.plain, sign);
+    let moves = ground.bench(law, Class::First, ground.moves, sign);
+    let mut chase = Chase { ground, plain, moves, rng: generator(ground.options.seed, 1), shows: true };
+    let [by_level, mut by_moves] = chase.approach(pools);
+    let held = chase.close_in(by_level, &mut by_moves);
+    let steps = chase.steps(150);
+    let (mut finalists, class) = finish(&mut chase.plain, held, ground.options.model, steps, &mut chase.rng);
+    chase.moves.class = class;
+    let answer = chase.answer(&mut finalists, &by_moves);
+    let again = finalists.iter().filter_map(|c| chase.moves.settle(c)).map(|c| c.fit.sse);
     let moves_sse = again.fold(f64::INFINITY, f64::min);
-    let without = [ground.plain, ground.moves].map(|target| frictionless(question, target, class, sign));
-    let evaluations = plain.fitter.evaluations + moves.fitter.evaluations + bench.fitter.evaluations;
+    let without = [ground.plain, ground.moves].map(|target| frictionless(ground.question, target, class, sign));
+    let evaluations = chase.plain.fitter.evaluations + chase.moves.fitter.evaluations;
     Found { answer, finalists, class, law, sign, without, moves_sse, evaluations, outcome }
 }
 
@@ -287,10 +329,9 @@ fn along(bench: &mut Bench<'_>, around: &Candidate, reach: f64, steps: i32) -> V
     let mut pool = vec![*around];
     let rate = bench.question.rate.max(1e-6);
     let slot = bench.class.shape_len() - 1;
-    let (mut shape, mut least) = (around.fit.shape, around.fit.sse);
+    let least = around.fit.sse;
     for side in [-1.0, 1.0] {
-        (shape, least) = (around.fit.shape, around.fit.sse);
-        let mut last = around.s;
+        let (mut shape, mut last) = (around.fit.shape, around.s);
         for k in 1..=steps {
             let s = (around.s * (1.0 + side * reach * f64::from(k) / f64::from(steps))).min(1.0);
             let mut guess = shape;
@@ -306,9 +347,6 @@ fn along(bench: &mut Bench<'_>, around: &Candidate, reach: f64, steps: i32) -> V
             }
         }
     }
-    let _ = (shape, least);
-    least = around.fit.sse;
-    pool.retain(|c| c.fit.sse <= 3.0 * least);
     beam(&pool, 4, 0)
 }
 

@@ -48,6 +48,8 @@ pub struct Settings {
 const ROUNDS: usize = 60;
 /// Digits that a weight keeps.
 const DIGITS: f64 = 1e4;
+/// Simulated loops from which the probabilities are scaled to their rates.
+const ENOUGH: usize = 100;
 
 /// Weight of each example: a valve weighs 1, shared by its data groups, these shared by their recordings; all simulated
 /// loops together weigh `simulated_weight`. What cannot be answered weighs nothing.
@@ -99,15 +101,16 @@ pub fn fit(examples: &[Example], given: &[f64], settings: &Settings) -> Option<R
     let x = DMatrix::from_fn(n, k + 1, cell);
     let solution = regress(&x, &made, settings.ridge)?;
     let rounded = |v: f64| (v * DIGITS).round() / DIGITS;
+    let (offset, slope) = rescale(&x, &solution, examples, given).unwrap_or((0.0, 1.0));
     let weights: Vec<Weight> = (0..k)
         .map(|i| Weight {
             feature: settings.features[i].clone(),
-            weight: rounded(solution[i + 1] / scales[i]),
+            weight: rounded(slope * solution[i + 1] / scales[i]),
             mean: rounded(means[i]),
         })
         .collect();
     let shift: f64 = (0..k).map(|i| solution[i + 1] / scales[i] * means[i]).sum();
-    let constant = rounded(solution[0] - shift);
+    let constant = rounded(slope * (solution[0] - shift) + offset);
     Some(Rule { constant, weights, undecided: settings.undecided, made: made_of(examples, given, settings) })
 }
 
@@ -124,6 +127,25 @@ fn made_of(examples: &[Example], weights: &[f64], settings: &Settings) -> Made {
         ridge: settings.ridge,
         seed: settings.seed,
     }
+}
+
+/// Offset and slope that turn the logits into probabilities that hold for the simulated loops (Platt 1999), of which
+/// there are enough to tell: real recordings help to choose the weights, but too few to count rates.
+fn rescale(x: &DMatrix<f64>, b: &DVector<f64>, examples: &[Example], given: &[f64]) -> Option<(f64, f64)> {
+    let logits = x * b;
+    let used = examples.iter().zip(given).filter(|(_, w)| **w > 0.0).map(|(e, _)| e);
+    let simulated: Vec<(f64, f64)> = used
+        .zip(logits.iter())
+        .filter(|(e, _)| e.valve.is_none())
+        .map(|(e, z)| (*z, f64::from(u8::from(e.truth))))
+        .collect();
+    if simulated.len() < ENOUGH {
+        return None;
+    }
+    let columns = DMatrix::from_fn(simulated.len(), 2, |row, column| if column == 0 { 1.0 } else { simulated[row].0 });
+    let made: Vec<(Features, f64, f64)> = simulated.iter().map(|(_, truth)| (Features::new(), *truth, 1.0)).collect();
+    let found = regress(&columns, &made, 0.0)?;
+    (found[1] > 0.0).then_some((found[0], found[1]))
 }
 
 /// Weights of the columns of `x` (the first is the constant, which is not penalised).

@@ -169,6 +169,7 @@ pub fn figures(
     let mut out = Features::new();
     if let Some(e) = estimate {
         out.extend(of_fit(e.index, e.s / e.span, e.reversals));
+        out.insert("index_moves".to_owned(), e.index_moves);
     }
     let moved = record.sp.as_deref().map_or(0.0, stats::std_dev) / stats::std_dev(&record.pv);
     if moved.is_finite() {
@@ -186,6 +187,7 @@ pub fn figures(
 /// |---|---|
 /// | `error_ratio` | `-ln(1 - index)`, the logarithm of the error without friction over that with it, 0..4; `index` is the stiction index, times s over a fifth of OP's span where s is smaller; 0 without a fit |
 /// | `confirmed` | `index`, less where the stem turned less than 12 times while the set point hardly moved (few turns can be an accident), and where OP is an image of PV (`horch` below 0.5: the fit may be of the controller) |
+/// | `moves` | the index for differences of the free-run error, which slow disturbances hardly touch, less where s is small |
 #[must_use]
 pub fn features(mut figures: Features) -> Features {
     let of = |name: &str| figures.get(name).copied().unwrap_or(0.0);
@@ -193,13 +195,14 @@ pub fn features(mut figures: Features) -> Features {
     let tried = (of("reversals") / MANY_TURNS).max(of("setpoint_share")).min(1.0);
     let confirmed = index * tried * (of("horch") / HALF_ODD).min(1.0);
     let ratio = libm::log(1.0 / (1.0 - index).max(LEAST_ERROR));
-    let made = [("error_ratio", ratio), ("confirmed", confirmed)];
+    let moves = of("index_moves") * (of("s_over_span") / FULL_WEIGHT).min(1.0);
+    let made = [("error_ratio", ratio), ("confirmed", confirmed), ("moves", moves)];
     figures.extend(made.map(|(name, value)| (name.to_owned(), value)));
     figures
 }
 
 /// Names of the features that are made of the fit, in the order of documents.
-pub const OF_THE_FIT: [&str; 2] = ["error_ratio", "confirmed"];
+pub const OF_THE_FIT: [&str; 3] = ["error_ratio", "confirmed", "moves"];
 
 #[cfg(test)]
 mod tests {
