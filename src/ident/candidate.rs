@@ -51,7 +51,8 @@ impl Question {
     }
 
     /// The first slip that `start` stands for.
-    fn first_slip(&self, start: Start) -> FirstSlip {
+    #[must_use]
+    pub fn first_slip(&self, start: Start) -> FirstSlip {
         let list = &self.records[usize::from(!start.up)];
         let direction = if start.up { 1.0 } else { -1.0 };
         let threshold = match start.record.min(list.len() - 1) {
@@ -200,6 +201,18 @@ impl<'a> Bench<'a> {
         Some(self.candidate(from.s, from.j, from.start, fit))
     }
 
+    /// Mean squared error on what follows the first `share` of the record when the process is fitted to that part alone.
+    pub fn held_out(&mut self, of: &Candidate, share: f64) -> f64 {
+        let Some(freedom) = self.slip(of.s, of.j, of.start) else { return f64::INFINITY };
+        let count = (share * self.target.y.len() as f64) as usize;
+        let end = self.target.from + count;
+        let part = Target { y: self.target.y[..count].to_vec(), ..*self.target };
+        let signal = [&self.sequence.at[..], &self.sequence.direction[..]];
+        let fit = self.fitter.settle(self.class, of.fit, signal.map(|x| &x[..end]), &part, &freedom);
+        let left = self.fitter.leftover(self.class, &fit, signal, self.target);
+        left[count..].iter().map(|r| r * r).sum::<f64>() / (left.len() - count).max(1) as f64
+    }
+
     /// Standard error of the fitted fd in spans of OP, were the residual white; infinite where fd is not seen.
     pub fn band_error(&mut self, of: &Candidate) -> f64 {
         let Some(freedom) = self.slip(of.s, of.j, of.start) else { return f64::INFINITY };
@@ -240,12 +253,17 @@ impl<'a> Bench<'a> {
         if self.sequence.slips < MIN_SLIPS {
             return None;
         }
-        let [s_low, s_high] = self.sequence.s_cell;
-        let [j_low, j_high] = self.sequence.j_cell;
-        let s_high = if s_high.is_finite() { s_high } else { s.max(1.0) };
-        let low = (0.5 * (s_low - j_high.min(s_high))).max(0.0);
-        let high = (0.5 * (s_high - j_low)).max(low);
-        let fd_default = (0.5 * (s - j)).clamp(low, high);
-        Some(Freedom { fd: [low, high], fd_default, sign: self.sign, limits: question.limits })
+        Some(freedom(&self.sequence, s, j, self.sign, question.limits))
     }
+}
+
+/// The bands fd that the slips of `sequence` leave open to (s, j).
+#[must_use]
+pub fn freedom(sequence: &Sequence, s: f64, j: f64, sign: f64, limits: Limits) -> Freedom {
+    let [s_low, s_high] = sequence.s_cell;
+    let [j_low, j_high] = sequence.j_cell;
+    let s_high = if s_high.is_finite() { s_high } else { s.max(1.0) };
+    let low = (0.5 * (s_low - j_high.min(s_high))).max(0.0);
+    let high = (0.5 * (s_high - j_low)).max(low);
+    Freedom { fd: [low, high], fd_default: (0.5 * (s - j)).clamp(low, high), sign, limits }
 }

@@ -28,10 +28,10 @@ pub enum DelayChoice {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum ValveChoice {
     /// He's two-parameter law.
-    #[default]
     He,
     /// The tracking (sliding) law.
     Tracking,
     /// Both; the better one is reported.
+    #[default]
     Auto,
 }

@@ -122,7 +122,9 @@ impl Fitter {
         let mut gram = Gram::of(&columns[..own + 3]);
         let whole = [gram.at(own, own), gram.at(own + 1, own + 1)];
         gram.eliminate(own);
-        let (gain, fd, explained) = best_band(&gram, own, whole, freedom);
+        let entry = |i: usize, k: usize| gram.at(own + i, own + k);
+        let system = [entry(0, 0), entry(0, 1), entry(1, 1), entry(0, 2), entry(1, 2)];
+        let (gain, fd, explained) = best_band(system, whole, freedom);
         let all = gram.back(own, &[gain, -gain * fd]);
         let sse = (gram.at(own + 2, own + 2) - explained).max(0.0);
         let memory = core::array::from_fn(|i| if i < own { all[i] } else { 0.0 });
@@ -219,6 +221,23 @@ impl Fitter {
             scale *= 0.3;
         }
         None
+    }
+
+    /// What a fitted model leaves of a target that may be longer than the one it was fitted to.
+    pub fn leftover(&mut self, class: Class, fit: &Fitted, signal: [&[f64]; 2], target: &Target) -> Vec<f64> {
+        let [long0, long1] = &mut self.long;
+        class.respond_pair(&fit.shape, signal, &mut self.work, [long0, long1]);
+        cut_into(long0, target.rho, target.from, &mut self.at);
+        cut_into(long1, target.rho, target.from, &mut self.direction);
+        let model = self.at.iter().zip(&self.direction).map(|(a, d)| fit.gain * (a - fit.fd * d));
+        let mut left: Vec<f64> = target.y.iter().zip(model).map(|(y, x)| y - x).collect();
+        for index in 0..class.memory_len() {
+            class.memory(&fit.shape, index, target.from, left.len(), target.rho, &mut self.moved);
+            for (r, m) in left.iter_mut().zip(&self.moved) {
+                *r -= fit.memory[index] * m;
+            }
+        }
+        left
     }
 
     /// Standard error of fd next to the gain and everything else linear, for white residuals; infinite where the data
@@ -421,12 +440,12 @@ impl BandProfile {
     }
 }
 
-/// Gain, fd and explained squares from what is left of the two halves of the valve signal and the target: the
-/// explained part is a quotient of parabolas in fd, so its best place is the free optimum or an end of the band. A signal
-/// of which the process' own memory leaves next to nothing (of `whole`, its squares before) has no gain.
-fn best_band(gram: &Gram, own: usize, whole: [f64; 2], freedom: &Freedom) -> (f64, f64, f64) {
-    let (uu, ud, dd) = (gram.at(own, own), gram.at(own, own + 1), gram.at(own + 1, own + 1));
-    let (uy, dy) = (gram.at(own, own + 2), gram.at(own + 1, own + 2));
+/// Gain, fd and explained squares from the products left of the two halves of the valve signal, `at` and `direction`,
+/// and the target (at·at, at·direction, direction·direction, at·target, direction·target): the explained part is a
+/// quotient of parabolas in fd, so its best place is the free optimum or an end of the band. A signal of which the
+/// process' own memory leaves next to nothing (of `whole`, its squares before) has no gain.
+#[inline]
+pub(super) fn best_band([uu, ud, dd, uy, dy]: [f64; 5], whole: [f64; 2], freedom: &Freedom) -> (f64, f64, f64) {
     let [low, high] = freedom.fd;
     let determinant = uu * dd - ud * ud;
     let free = if determinant > 1e-6 * uu * dd {

@@ -4,14 +4,20 @@
 //! process answers with a continuous dead time, and everything linear (gain, kinetic band, bias, initial state) is
 //! solved exactly. Everything is seeded, bounded in work and scale-free.
 
+mod bank;
 mod candidate;
 mod choice;
 pub mod class;
 pub mod controller;
 mod fit;
+mod frictionless;
+mod hunt;
+pub mod imagine;
 mod interval;
 mod least_squares;
 pub mod one_step;
+mod order;
+mod pose;
 mod quantify;
 pub mod region;
 pub mod residual;

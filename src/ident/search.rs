@@ -7,10 +7,18 @@
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
-use super::candidate::{Bench, Candidate, Effort, Start};
-use super::class::Shape;
+use super::bank::Bank;
+use super::candidate::{Bench, Candidate, Effort, MIN_SLIPS, Question, Start, freedom};
+use super::class::Class;
+use super::fit::Fitted;
 use crate::optim::Objective;
 use crate::optim::local::on_triangle;
+use crate::sim::slips::{Law, Sequence};
+
+/// Turns of the stem below which several positions before the record are looked at.
+const FEW_REVERSALS: usize = 8;
+/// Cost over the best one from which a step is not worth refining.
+const HOPELESS: f64 = 2.5;
 
 /// A uniform draw from 0 to below 1.
 pub(super) fn uniform(rng: &mut ChaCha8Rng) -> f64 {
@@ -22,63 +30,112 @@ pub(super) fn normal(rng: &mut ChaCha8Rng) -> f64 {
     (0..12).map(|_| uniform(rng)).sum::<f64>() - 6.0
 }
 
-/// The global look as a solver sees it; keeps everything that it is asked for.
+/// The global look as a solver sees it: every point against the whole bank; keeps everything that it is asked for.
 #[derive(Debug)]
-pub struct Look<'b, 'a> {
-    bench: &'b mut Bench<'a>,
-    /// Everything fitted so far.
-    pub pool: Vec<Candidate>,
-    /// Shapes that every candidate starts from.
-    cold: Vec<Shape>,
-    warm: Option<(f64, Shape)>,
-    starts: usize,
-    steps: usize,
+pub struct Look<'a> {
+    question: &'a Question,
+    law: Law,
+    signs: &'a [f64],
+    bank: Bank,
+    sequence: Sequence,
+    /// Everything looked at so far, by sign and view, cost and shape those of the bank.
+    pub pools: Vec<[Vec<Candidate>; 2]>,
 }
 
-impl<'b, 'a> Look<'b, 'a> {
-    /// A look with `starts` stem positions a point and `steps` Gauss-Newton steps a candidate.
-    pub fn new(bench: &'b mut Bench<'a>, starts: usize, steps: usize) -> Self {
-        let period = bench.question.period;
-        let limits = bench.question.limits;
-        let class = bench.class;
-        let shape = |tau: f64, lag: f64| class.clamp(class.start(tau, lag), &limits);
-        let near = limits.lag[0];
-        let cold = vec![
-            shape(0.03 * period, near + 0.015 * period),
-            shape(0.1 * period, near + 0.03 * period),
-            shape(0.1 * period, near + 0.1 * period),
-            shape(2.0 * period, near + 0.03 * period),
-        ];
-        Self { bench, pool: Vec::new(), cold, warm: None, starts, steps }
+impl<'a> Look<'a> {
+    /// A look for one law and these signs of the gain.
+    #[must_use]
+    pub fn new(question: &'a Question, law: Law, signs: &'a [f64]) -> Self {
+        let pools = signs.iter().map(|_| [Vec::new(), Vec::new()]).collect();
+        Self { question, law, signs, bank: Bank::new(question), sequence: Sequence::default(), pools }
     }
 
-    /// Cost of one point with one start, fitted or remembered.
+    /// Valve signals looked at.
+    #[must_use]
+    pub fn evaluations(&self) -> u64 {
+        self.pools.first().map_or(0, |p| p[0].len() as u64)
+    }
+
+    /// Cost of one point with one start, looked up or remembered.
     fn ask(&mut self, s: f64, j: f64, start: Start) -> f64 {
-        if let Some(known) = self.pool.iter().rev().find(|c| c.covers(s, j, start)) {
+        let Some([plain, _]) = self.pools.first() else { return f64::INFINITY };
+        if let Some(known) = plain.iter().rev().find(|c| c.covers(s, j, start)) {
             return known.fit.sse;
         }
-        let mut shapes = self.cold.clone();
-        shapes.extend(self.warm.map(|w| w.1));
-        let hopeless = self.warm.map_or(f64::INFINITY, |w| 4.0 * w.0);
-        let Some(found) = self.bench.fit(s, j, start, &shapes, Effort { steps: self.steps, hopeless }) else {
+        let q = self.question;
+        let (per_box, whole) = (q.per_point * self.bank.points, q.mean.len() / self.bank.points * self.bank.points);
+        let path = &q.path[..whole * q.per_point];
+        self.sequence.run(self.law, path, per_box, s, j, q.first_slip(start));
+        let v = &self.sequence;
+        if v.slips < MIN_SLIPS {
             return f64::INFINITY;
-        };
-        if self.warm.is_none_or(|w| found.fit.sse < w.0) && found.fit.gain != 0.0 {
-            self.warm = Some((found.fit.sse, found.fit.shape));
         }
-        self.pool.push(found);
-        found.fit.sse
+        let freedom = freedom(v, s, j, 1.0, q.limits);
+        let glances = self.bank.look(&v.at, &v.direction, &freedom, self.signs);
+        for (pools, views) in self.pools.iter_mut().zip(&glances) {
+            for (pool, glance) in pools.iter_mut().zip(views) {
+                let shape = Class::First.clamp([libm::log(glance.tau), glance.lag, 0.0], &q.limits);
+                let gain = if glance.share < 1.0 { 1.0 } else { 0.0 };
+                let fit = Fitted { sse: glance.share, gain, fd: freedom.fd_default, memory: [0.0; 3], shape };
+                let (s_cell, j_cell) = (v.s_cell, v.j_cell);
+                pool.push(Candidate { s, j, start, s_cell, j_cell, slips: v.slips, reversals: v.reversals, fit });
+            }
+        }
+        glances.iter().map(|g| g[0].share).fold(f64::INFINITY, f64::min)
     }
 }
 
-impl Objective for Look<'_, '_> {
+impl Look<'_> {
+    /// Random steps from each of `from`, the best places of one sign's view: here every step sees all dead times, so
+    /// the ridge of an earlier slip with a longer dead time is no obstacle.
+    pub fn climb(&mut self, sign: usize, view: usize, from: Vec<Candidate>, steps: usize, rng: &mut ChaCha8Rng) {
+        for mut best in from {
+            for _ in 0..steps {
+                let Step { s, j, start, .. } = step(self.question, &best, false, rng);
+                if s < 1e-4 || best.covers(s, j, start) {
+                    continue;
+                }
+                let known = self.pools[sign][view].len();
+                self.ask(s, j, start);
+                if let Some(found) = self.pools[sign][view].get(known).filter(|f| f.fit.sse <= best.fit.sse) {
+                    best = *found;
+                }
+            }
+        }
+    }
+}
+
+impl Look<'_> {
+    /// Straight looks through each of `from`: along s, along s with j in proportion, along j.
+    pub fn cross(&mut self, from: &[Candidate]) {
+        for c in from {
+            for k in -24..=24 {
+                let s = (c.s * (1.0 + 0.008 * f64::from(k))).min(1.0);
+                self.ask(s, c.j.min(s), c.start);
+                self.ask(s, c.j / c.s * s, c.start);
+            }
+            for k in 0..36 {
+                let j = c.s * libm::pow(0.03, f64::from(k) / 36.0);
+                self.ask(c.s, j, c.start);
+            }
+        }
+    }
+}
+
+impl Objective for Look<'_> {
     fn cost(&mut self, point: [f64; 2]) -> f64 {
         let [s, j] = point;
         if s < 1e-4 {
             return f64::INFINITY;
         }
-        let starts = self.bench.question.starts(0.5 * (s + j), self.starts);
-        starts.into_iter().map(|start| self.ask(s, j, start)).fold(f64::INFINITY, f64::min)
+        // Where the stem stood before matters only while there are few slips.
+        let first = self.question.starts(0.5 * (s + j), 1);
+        let cost = first.iter().map(|start| self.ask(s, j, *start)).fold(f64::INFINITY, f64::min);
+        if self.sequence.reversals >= FEW_REVERSALS {
+            return cost;
+        }
+        let others = self.question.starts(0.5 * (s + j), 3);
+        others.into_iter().map(|start| self.ask(s, j, start)).fold(cost, f64::min)
     }
 }
 
@@ -114,11 +171,11 @@ pub fn beam(pool: &[Candidate], overall: usize, each: usize) -> Vec<Candidate> {
 pub fn climb(bench: &mut Bench<'_>, start: Candidate, steps: usize, fine: bool, rng: &mut ChaCha8Rng) -> Candidate {
     let mut best = start;
     for _ in 0..steps {
-        let Step { s, j, start: first, lag } = step(bench, &best, fine, rng);
+        let Step { s, j, start: first, lag } = step(bench.question, &best, fine, rng);
         if s < 1e-4 || best.covers(s, j, first) {
             continue;
         }
-        let effort = Effort { steps: 1, hopeless: 2.0 * best.fit.sse };
+        let effort = Effort { steps: 1, hopeless: HOPELESS * best.fit.sse };
         let mut shape = best.fit.shape;
         shape[bench.class.shape_len() - 1] += lag;
         let shape = bench.class.clamp(shape, &bench.question.limits);
@@ -139,7 +196,7 @@ struct Step {
     lag: f64,
 }
 
-fn step(bench: &Bench<'_>, from: &Candidate, fine: bool, rng: &mut ChaCha8Rng) -> Step {
+fn step(question: &Question, from: &Candidate, fine: bool, rng: &mut ChaCha8Rng) -> Step {
     let kind = uniform(rng);
     let (mut s, mut j, mut start, mut lag) = (from.s, from.j, from.start, 0.0);
     if kind < 0.65 {
@@ -154,22 +211,26 @@ fn step(bench: &Bench<'_>, from: &Candidate, fine: bool, rng: &mut ChaCha8Rng) -
             // The cost has kinks at whole lags.
             lag = normal(rng);
         }
+        if uniform(rng) < 0.06 {
+            // A staircase of half or double steps meets the right one at every other step.
+            j *= [0.5, 2.0, 2.0 / 3.0, 1.5][(4.0 * uniform(rng)) as usize];
+        }
     } else if kind < 0.78 {
         // Along the ridge: an earlier slip and a longer lag look alike.
         lag = 3.0 * uniform(rng) * normal(rng);
-        s -= lag * bench.question.rate;
+        s -= lag * question.rate;
         if uniform(rng) < 0.5 {
             j = j / from.s * s;
         }
     } else if kind < 0.92 {
-        let list = bench.question.records[usize::from(!start.up)].len();
+        let list = question.records[usize::from(!start.up)].len();
         let by = 1 + (3.0 * uniform(rng) * uniform(rng)) as usize;
         start.record =
             if uniform(rng) < 0.5 { (start.record + by).min(list - 1) } else { start.record.saturating_sub(by) };
         if uniform(rng) < 0.25 || start.record == from.start.record {
             // Anywhere, on either side.
             let up = uniform(rng) < 0.5;
-            let list = bench.question.records[usize::from(!up)].len();
+            let list = question.records[usize::from(!up)].len();
             start = Start { up, record: (uniform(rng) * list as f64) as usize, place: 0.5 };
         }
         if uniform(rng) < 0.5 {

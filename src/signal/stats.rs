@@ -133,6 +133,13 @@ pub fn levels(x: &[f64], limit: usize) -> usize {
     count
 }
 
+/// Autocorrelation of a zero-mean signal at a lag of one, -1..1; 0 for nothing.
+#[must_use]
+pub fn autocorrelation_1(x: &[f64]) -> f64 {
+    let whole = dot(x, x);
+    if whole > 0.0 { x.windows(2).map(|w| w[0] * w[1]).sum::<f64>() / whole } else { 0.0 }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

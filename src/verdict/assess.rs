@@ -1,6 +1,7 @@
 //! One record in, one assessment out.
 
 use super::cause;
+use super::detectable;
 use super::document::{Assessment, Controller, Gate, Oscillation, Process, Search, Window};
 use super::gates::{gates, is_interpolated};
 use super::judge::{grade, judge};
@@ -43,6 +44,10 @@ pub fn assess(record: &Record, params: &AssessParams) -> Assessment {
         fill(&mut out, e, record, params);
     }
     decide(&mut out, estimate.as_ref(), record, found.as_ref());
+    let sticks = out.stiction == Some(true);
+    out.s_detectable = estimate.as_ref().and_then(|e| {
+        detectable::smallest(record, &options(params, found.as_ref()), e, sticks, is_interpolated(record))
+    });
     out
 }
 

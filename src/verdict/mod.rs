@@ -4,6 +4,7 @@ mod assess;
 pub mod calibrate;
 pub mod calibrate_intervals;
 mod cause;
+mod detectable;
 mod document;
 mod gates;
 mod judge;

@@ -149,6 +149,13 @@ impl Rule {
     }
 }
 
+/// The figures of a fit, by name: its index, s over OP's span, and the turns of the stem.
+#[must_use]
+pub fn of_fit(index: f64, s_over_span: f64, reversals: usize) -> [(String, f64); 3] {
+    let fit = [("stiction_index", index), ("s_over_span", s_over_span), ("reversals", reversals as f64)];
+    fit.map(|(name, value)| (name.to_owned(), value))
+}
+
 /// What a record shows, before anything is made of it: figures of the fit (none where nothing moved the stem or nothing
 /// was fitted), of the set point and of the detectors. Where PV is `interpolated` between stored values its
 /// corners are the recorder's, so the detector that looks for jumps is not heard.
@@ -161,8 +168,7 @@ pub fn figures(
 ) -> Features {
     let mut out = Features::new();
     if let Some(e) = estimate {
-        let fit = [("stiction_index", e.index), ("s_over_span", e.s / e.span), ("reversals", e.reversals as f64)];
-        out.extend(fit.map(|(name, value)| (name.to_owned(), value)));
+        out.extend(of_fit(e.index, e.s / e.span, e.reversals));
     }
     let moved = record.sp.as_deref().map_or(0.0, stats::std_dev) / stats::std_dev(&record.pv);
     if moved.is_finite() {

@@ -1,0 +1,336 @@
+//! The hunt for the right slips under one valve law: a coarse look at everything, then ever finer steps from the best
+//! places, first by differences of the free-run error, then by the error itself.
+
+use rand_chacha::ChaCha8Rng;
+
+use super::candidate::{Bench, Candidate, Effort, Question};
+use super::choice::ModelChoice;
+use super::class::Class;
+use super::fit::Target;
+use super::order::{demote, deserved, frictionless, in_class};
+use super::quantify::Options;
+use super::search::{Look, beam, climb, generator};
+use crate::optim::{self, Objective, Outcome, Settings};
+use crate::signal::stats;
+use crate::sim::slips::Law;
+
+/// Filter of the search, first and later: differences of free-run errors forget a wrong slip, so the right one is
+/// found from farther away; the plain error, which is minimised last, is sharper.
+const SEARCH_RHO: f64 = 0.98;
+const FINER_RHO: f64 = 0.8;
+/// Rounds of straight looks through the best places, and random ones from each place afterwards.
+const STRAIGHT_ROUNDS: usize = 2;
+const RANDOM_LOOKS: usize = 20;
+/// Stiction index below which the exact size of the bands is not worth the work.
+const WORTH_REFINING: f64 = 0.1;
+
+/// What is hunted in: the record, its views, the signs of the gain that may be.
+#[derive(Debug)]
+pub struct Ground<'a> {
+    /// The record.
+    pub question: &'a Question,
+    /// PV itself.
+    pub plain: &'a Target,
+    /// PV's differences.
+    pub moves: &'a Target,
+    /// What the search was told.
+    pub options: &'a Options,
+}
+
+impl<'a> Ground<'a> {
+    /// The filtered view that the search works on.
+    #[must_use]
+    pub fn moves_of(question: &Question) -> Target {
+        Target::new(&question.pv, SEARCH_RHO, question.from)
+    }
+
+    /// A bench for one target.
+    #[must_use]
+    pub fn bench(&self, law: Law, class: Class, target: &'a Target, sign: f64) -> Bench<'a> {
+        Bench::new(self.question, law, class, target, sign)
+    }
+}
+
+/// The best candidate by the error whose residual is as white as a first-order filter makes it.
+#[derive(Debug, Clone, Copy)]
+pub struct Answer {
+    /// The candidate, fitted to the filtered error.
+    pub candidate: Candidate,
+    /// Filter of the error, 0 where the residual is white as it is.
+    pub rho: f64,
+    /// The same slips' squared plain error.
+    pub plain_sse: f64,
+}
+
+/// The outcome of one hunt.
+#[derive(Debug, Clone)]
+pub struct Found {
+    /// The bands to report: the best by the whitened error.
+    pub answer: Option<Answer>,
+    /// The best by the plain error, then others worth a look, all of one class.
+    pub finalists: Vec<Candidate>,
+    /// Class of the process.
+    pub class: Class,
+    /// The law.
+    pub law: Law,
+    /// Sign of the gain.
+    pub sign: f64,
+    /// Squared error without friction, plain and filtered.
+    pub without: [f64; 2],
+    /// Least squared error of the filtered view.
+    pub moves_sse: f64,
+    /// Responses computed.
+    pub evaluations: u64,
+    /// How the solver ended.
+    pub outcome: Outcome,
+}
+
+impl Found {
+    /// Squared error of the best finalist.
+    #[must_use]
+    pub fn sse(&self) -> f64 {
+        self.finalists.first().map_or(f64::INFINITY, |c| c.fit.sse)
+    }
+
+    /// Squared error without friction of another view.
+    #[must_use]
+    pub fn without_of(&self, target: &Target, ground: &Ground<'_>) -> f64 {
+        frictionless(ground.question, target, self.class, self.sign)
+    }
+
+    /// Share of the plain error that goes with the friction.
+    #[must_use]
+    pub fn index(&self) -> f64 {
+        improvement(self.sse(), self.without[0])
+    }
+}
+
+/// Share of an error that goes with the friction, 0..1.
+#[must_use]
+pub fn improvement(with: f64, without: f64) -> f64 {
+    if without > 0.0 { (1.0 - with / without).clamp(0.0, 1.0) } else { 0.0 }
+}
+
+/// Hunts under one law; an entry for each sign of the gain.
+#[must_use]
+pub fn hunt(ground: &Ground<'_>, law: Law, signs: &[f64]) -> Vec<Found> {
+    let options = ground.options;
+    let solver = optim::by_name(options.solver).unwrap_or(optim::ALL[0]);
+    let settings = Settings { budget: 20_000, fineness_pct: options.fineness_pct, seed: options.seed };
+    let mut look = Look::new(ground.question, law, signs);
+    let outcome = solver.search(&mut look, &settings);
+    sweep(&mut look);
+    let mut rng = generator(options.seed, 2);
+    for sign in 0..signs.len() {
+        for view in [0, 1] {
+            for _ in 0..STRAIGHT_ROUNDS {
+                let from = beam(&look.pools[sign][view], 3, 0);
+                look.cross(&from);
+            }
+            let from = beam(&look.pools[sign][view], 6, 2);
+            look.climb(sign, view, from, RANDOM_LOOKS, &mut rng);
+        }
+    }
+    let looked = look.evaluations();
+    let pools = core::mem::take(&mut look.pools);
+    let mut found: Vec<Found> =
+        signs.iter().zip(&pools).map(|(sign, pools)| follow(ground, law, *sign, pools, outcome)).collect();
+    for one in &mut found {
+        one.evaluations += looked;
+    }
+    found
+}
+
+/// An even look on a logarithmic scale of s, which no linear grid gives to small bands.
+fn sweep(look: &mut Look<'_>) {
+    const STEPS: i32 = 72;
+    for k in 0..STEPS {
+        let s = libm::pow(0.03, f64::from(k) / f64::from(STEPS - 1));
+        for share in [0.04, 0.15, 0.35, 0.6, 0.9] {
+            look.cost([s, share * s]);
+        }
+    }
+}
+
+/// From the coarse look to the finalists for one sign.
+fn follow(ground: &Ground<'_>, law: Law, sign: f64, pools: &[Vec<Candidate>; 2], outcome: Outcome) -> Found {
+    let mut rng = generator(ground.options.seed, 1);
+    let (question, model) = (ground.question, ground.options.model);
+    let mut plain = ground.bench(law, Class::First, ground.plain, sign);
+    let mut moves = ground.bench(law, Class::First, ground.moves, sign);
+    let by_level = refit(&mut plain, &beam(&pools[0], 6, 2));
+    let by_moves = refit(&mut moves, &beam(&pools[1], 12, 5));
+    let nothing = [ground.plain, ground.moves].map(|target| frictionless(question, target, Class::First, sign));
+    let best = |held: &[Candidate]| held.first().map_or(f64::INFINITY, |c| c.fit.sse);
+    let shows = improvement(best(&by_level), nothing[0]) > WORTH_REFINING
+        || improvement(best(&by_moves), nothing[1]) > WORTH_REFINING;
+    let effort = if shows { 1.0 } else { 0.2 };
+    let steps = |count: f64| (effort * count) as usize;
+    let mut by_level = round(&mut plain, by_level, steps(40.0), &mut rng);
+    by_level.truncate(3);
+    let mut by_moves = round(&mut moves, by_moves, steps(60.0), &mut rng);
+    by_moves.truncate(if shows { 8 } else { 3 });
+    let class = deserved(&mut moves, &mut plain, &by_moves, model);
+    (plain.class, moves.class) = (class, class);
+    let by_level: Vec<Candidate> = by_level.iter().filter_map(|c| in_class(&mut plain, c)).collect();
+    let by_moves: Vec<Candidate> = by_moves.iter().filter_map(|c| in_class(&mut moves, c)).collect();
+    let by_moves = ridge(&mut moves, by_moves, if shows { 3 } else { 0 }, 0.15, 30);
+    let mut by_moves = round(&mut moves, by_moves, steps(120.0), &mut rng);
+    by_moves.truncate(4);
+    let finer = Target::new(&question.pv, if class.integrates() { SEARCH_RHO } else { FINER_RHO }, question.from);
+    let mut bench = ground.bench(law, class, &finer, sign);
+    let held: Vec<Candidate> = by_moves.iter().filter_map(|c| bench.settle(c)).collect();
+    let mut held = ridge(&mut bench, held, if shows { 2 } else { 0 }, 0.05, 25);
+    held.truncate(5);
+    let held = round(&mut bench, held, steps(250.0), &mut rng);
+    let mut held: Vec<Candidate> = held.iter().take(3).filter_map(|c| plain.settle(c)).collect();
+    held.extend(by_level);
+    let mut held = round(&mut plain, held, steps(100.0), &mut rng);
+    held.truncate(4);
+    let (finalists, class) = finish(&mut plain, held, model, steps(150.0), &mut rng);
+    moves.class = class;
+    let mut finalists = finalists;
+    let answer = finalists.first().copied().map(|best| {
+        let others: Vec<Candidate> = finalists.iter().chain(by_moves.iter().take(3)).copied().collect();
+        let steps = if shows { 150 } else { 0 };
+        let mut answer = whitened(ground, &mut plain, &best, &others, steps, &mut rng);
+        for _ in 0..2 {
+            if answer.rho == 0.0 {
+                break;
+            }
+            // What looked like a disturbance may have been wrong slips.
+            let Some(start) = plain.settle(&answer.candidate) else { break };
+            let again = climb(&mut plain, start, steps, false, &mut rng);
+            let Some(again) = plain.settle(&again).filter(|c| c.fit.sse < 0.98 * finalists[0].fit.sse) else { break };
+            finalists.insert(0, again);
+            answer = whitened(ground, &mut plain, &again, &[answer.candidate, again], steps, &mut rng);
+        }
+        answer
+    });
+    let again = finalists.iter().filter_map(|c| moves.settle(c)).map(|c| c.fit.sse);
+    let moves_sse = again.fold(f64::INFINITY, f64::min);
+    let without = [ground.plain, ground.moves].map(|target| frictionless(question, target, class, sign));
+    let evaluations = plain.fitter.evaluations + moves.fitter.evaluations + bench.fitter.evaluations;
+    Found { answer, finalists, class, law, sign, without, moves_sse, evaluations, outcome }
+}
+
+/// Lag-1 autocorrelation of a residual from which it is filtered.
+const COLOURED: f64 = 0.2;
+/// Strongest filter.
+const MOST_RHO: f64 = 0.98;
+
+/// What a disturbance adds to PV stays in the residual from sample to sample; with the residual's own first-order
+/// filter in front of the error (as in generalised least squares, Cochrane and Orcutt 1949) it weighs as noise does.
+fn whitened(
+    ground: &Ground<'_>,
+    plain: &mut Bench<'_>,
+    best: &Candidate,
+    others: &[Candidate],
+    steps: usize,
+    rng: &mut ChaCha8Rng,
+) -> Answer {
+    let mut answer = Answer { candidate: *best, rho: 0.0, plain_sse: best.fit.sse };
+    let mut rho = stats::autocorrelation_1(&plain.residual(best));
+    for _ in 0..2 {
+        if rho < COLOURED || steps == 0 {
+            return answer;
+        }
+        rho = rho.min(MOST_RHO);
+        let target = Target::new(&ground.question.pv, rho, ground.question.from);
+        let mut bench = ground.bench(plain.law, plain.class, &target, plain.sign);
+        let mut held: Vec<Candidate> = others.iter().filter_map(|c| bench.settle(c)).collect();
+        held.push(answer.candidate);
+        let held: Vec<Candidate> = beam(&held, 4, 0).iter().filter_map(|c| bench.settle(c)).collect();
+        let held = ridge(&mut bench, beam(&held, 4, 0), 2, 0.1, 25);
+        let held = round(&mut bench, held.into_iter().take(4).collect(), steps, rng);
+        let Some(found) = held.first().and_then(|c| bench.settle(c)) else { return answer };
+        plain.fitter.evaluations += bench.fitter.evaluations;
+        let again = plain.settle(&found).map_or(f64::INFINITY, |c| c.fit.sse);
+        answer = Answer { candidate: found, rho, plain_sse: again };
+        // The right slips leave another residual, which may ask for another filter.
+        let left = plain.settle(&found).map(|c| stats::autocorrelation_1(&plain.residual(&c)));
+        match left {
+            Some(next) if (next - rho).abs() > 0.1 => rho = next,
+            _ => return answer,
+        }
+    }
+    answer
+}
+
+/// The best climbs on and is settled; all come to the class that it earns.
+fn finish(
+    plain: &mut Bench<'_>,
+    held: Vec<Candidate>,
+    model: ModelChoice,
+    steps: usize,
+    rng: &mut ChaCha8Rng,
+) -> (Vec<Candidate>, Class) {
+    let Some(first) = held.first().copied() else { return (held, plain.class) };
+    let best = climb(plain, first, steps, false, rng);
+    let best = plain.settle(&best);
+    let rich = plain.class;
+    let (best, class) = demote(plain, best, model);
+    let mut finalists: Vec<Candidate> = best.into_iter().collect();
+    if class != rich {
+        // What was a second lag may have stood for a wrong slip.
+        let better = finalists.first().map(|c| climb(plain, *c, steps, false, rng));
+        finalists = better.into_iter().filter_map(|c| plain.settle(&c)).collect();
+    } else {
+        finalists.extend(held.into_iter().skip(1));
+    }
+    (finalists, class)
+}
+
+/// An even look along the ridge around a candidate, its best places: a later slip goes with a shorter lag, so s up to
+/// `reach` to either side with the lag that keeps the answer where it is, j as it was and in proportion.
+fn along(bench: &mut Bench<'_>, around: &Candidate, reach: f64, steps: i32) -> Vec<Candidate> {
+    let mut pool = vec![*around];
+    let rate = bench.question.rate.max(1e-6);
+    let slot = bench.class.shape_len() - 1;
+    let (mut shape, mut least) = (around.fit.shape, around.fit.sse);
+    for side in [-1.0, 1.0] {
+        (shape, least) = (around.fit.shape, around.fit.sse);
+        let mut last = around.s;
+        for k in 1..=steps {
+            let s = (around.s * (1.0 + side * reach * f64::from(k) / f64::from(steps))).min(1.0);
+            let mut guess = shape;
+            guess[slot] -= (s - last) / rate;
+            let guess = bench.class.clamp(guess, &bench.question.limits);
+            for j in [around.j.min(s), (around.j * s / around.s).min(s), (around.j + s - around.s).clamp(0.0, s)] {
+                let effort = Effort { steps: 1, hopeless: 3.0 * least };
+                let Some(found) = bench.fit(s, j, around.start, &[guess], effort) else { continue };
+                if found.fit.sse < 2.0 * least {
+                    (shape, last) = (found.fit.shape, s);
+                }
+                pool.push(found);
+            }
+        }
+    }
+    let _ = (shape, least);
+    least = around.fit.sse;
+    pool.retain(|c| c.fit.sse <= 3.0 * least);
+    beam(&pool, 4, 0)
+}
+
+/// Candidates of the coarse look, fitted at full resolution, best first.
+fn refit(bench: &mut Bench<'_>, seen: &[Candidate]) -> Vec<Candidate> {
+    let effort = Effort { steps: 3, hopeless: f64::INFINITY };
+    let fitted: Vec<Candidate> =
+        seen.iter().filter_map(|c| bench.fit(c.s, c.j, c.start, &[c.fit.shape], effort)).collect();
+    beam(&fitted, usize::MAX, 0)
+}
+
+/// The best `count` candidates looked at along their ridges; all of them, the best first.
+fn ridge(bench: &mut Bench<'_>, held: Vec<Candidate>, count: usize, reach: f64, steps: i32) -> Vec<Candidate> {
+    let mut all = held.clone();
+    for c in held.iter().take(count) {
+        all.extend(along(bench, c, reach, steps));
+    }
+    beam(&all, 10, 0)
+}
+
+/// Random steps for each of the candidates, best first afterwards.
+fn round(bench: &mut Bench<'_>, held: Vec<Candidate>, steps: usize, rng: &mut ChaCha8Rng) -> Vec<Candidate> {
+    let climbed: Vec<Candidate> = held.into_iter().map(|c| climb(bench, c, steps, false, rng)).collect();
+    beam(&climbed, usize::MAX, 0)
+}
