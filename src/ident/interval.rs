@@ -29,6 +29,8 @@ const MOVES: usize = 120;
 const POLISHED: usize = 40;
 /// Places in a cell, in s and in fd.
 const PLACES: [usize; 2] = [5, 25];
+/// Golden section: its multiples' fractions are even.
+const GOLDEN: f64 = 0.618_033_988_749_895;
 /// Standard error of j, times this, that must stay below a third of s for j to count as seen.
 const SEEN: f64 = 5.0;
 
@@ -311,8 +313,10 @@ impl<'b, 'a> Looking<'b, 'a> {
             for m in 0..PLACES[1] {
                 let fd = band[0] + (m as f64 + 0.5) * step;
                 let weight = libm::exp(self.weight(sse(fd)).min(0.0)) * area;
+                // Rows are shifted against each other, so that s is even over the cell, not on a few values.
+                let shift = (m as f64 * GOLDEN).fract();
                 for k in 0..PLACES[0] {
-                    let s = c.s_cell[0] + s_width * (k as f64 + 0.5) / PLACES[0] as f64;
+                    let s = c.s_cell[0] + s_width * (k as f64 + shift) / PLACES[0] as f64;
                     let j = s - 2.0 * fd;
                     // The ends of a cell belong to it, and a point of it always does.
                     if j >= c.j_cell[0] - 2.0 * step && j <= c.j_cell[1] + 2.0 * step && j <= s + 2.0 * step {

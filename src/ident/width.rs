@@ -283,7 +283,12 @@ mod tests {
     #[test]
     fn what_is_shipped_can_be_read_and_worse_fits_get_wider_intervals() {
         let shipped: Settings = serde_json::from_str(include_str!("interval.json")).unwrap();
-        assert!(shipped.gate >= 1.0 && shipped.white.s < shipped.tinted.s && shipped.tinted.s < shipped.coloured.s);
+        assert!(
+            shipped.gate >= 1.0
+                && shipped.white.s < shipped.tinted.s
+                && shipped.white.s < shipped.gridded.s
+                && shipped.coloured.s < shipped.poor.s
+        );
         for trust in Trust::ALL {
             let f = shipped.of(trust);
             assert!([f.s, f.j, f.fs, f.fd].iter().all(|x| (0.0..20.0).contains(x)), "{trust:?}");
