@@ -248,7 +248,8 @@ impl Bank {
         let memory = |i: usize| here.memory[i][lane] - rho * next.memory[i][lane];
         let with = |i: usize| here.with[view][i][lane] - rho * next.with[view][i][lane];
         let one = 1.0 / (self.n - self.from) as f64;
-        let (om, mm) = (self.one_memory[lane], self.memory_memory[lane] - self.one_memory[lane].powi(2) * one);
+        let om = self.one_memory[lane];
+        let mm = self.memory_memory[lane] - om * om * one;
         let (totals, y) = ([total(0), total(1)], v.one);
         let centred = |i: usize| memory(i) - om * totals[i] * one;
         // A memory as long as the record is no column of its own.
