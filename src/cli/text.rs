@@ -58,6 +58,14 @@ pub(super) fn estimate(document: &EstimateDocument) -> String {
     if a.stiction_index.is_some() {
         row("stiction", format!("fs {}  fd {}  (OP units)", number(a.fs), number(a.fd)));
         row("", format!("s {}  j {}  s/span {}", number(a.s), number(a.j), number(a.s_over_span)));
+        for (name, interval) in [("s", a.s_interval), ("j", a.j_interval), ("fs", a.fs_interval), ("fd", a.fd_interval)]
+        {
+            if let Some([low, high]) = interval {
+                let seen =
+                    if name == "j" && a.j_identifiable == Some(false) { " (not seen apart from the gain)" } else { "" };
+                row("90 %", format!("{name} {} to {}{seen}", number(Some(low)), number(Some(high))));
+            }
+        }
         row("index", number(a.stiction_index));
         let words: Vec<&str> = [a.strength, a.region, a.severity].into_iter().flatten().collect();
         row("class", words.join(", "));
@@ -76,6 +84,16 @@ pub(super) fn estimate(document: &EstimateDocument) -> String {
                 p.fit_pct
             ),
         );
+    }
+    if let Some(least) = a.s_detectable {
+        row("detectable", format!("s from {} on", number(Some(least))));
+    }
+    if let Some(c) = &a.controller {
+        let (kc, ti, td) = (number(Some(c.kc)), number(Some(c.ti_s)), number(Some(c.td_s)));
+        row("controller", format!("Kc {kc}, Ti {ti} s, Td {td} s, R2 {:.3}", c.r2));
+    }
+    if !a.contributing.is_empty() {
+        row("besides", a.contributing.iter().map(|v| v.name()).collect::<Vec<_>>().join(", "));
     }
     if !a.gates.is_empty() {
         row("gates", gates(a));

@@ -21,6 +21,8 @@ const FINER_RHO: f64 = 0.8;
 /// Rounds of straight looks through the best places, and random ones from each place afterwards.
 const STRAIGHT_ROUNDS: usize = 2;
 const RANDOM_LOOKS: usize = 20;
+/// Squared error over another law's from which a law is out of the race.
+const FAR_BEHIND: f64 = 1.5;
 /// Stiction index below which the exact size of the bands is not worth the work.
 const WORTH_REFINING: f64 = 0.1;
 
@@ -111,9 +113,10 @@ pub fn improvement(with: f64, without: f64) -> f64 {
     if without > 0.0 { (1.0 - with / without).clamp(0.0, 1.0) } else { 0.0 }
 }
 
-/// Hunts under one law; an entry for each sign of the gain.
+/// Hunts under one law; an entry for each sign of the gain. `rival` is the squared error of another law: what is far
+/// behind it is not worth whitening.
 #[must_use]
-pub fn hunt(ground: &Ground<'_>, law: Law, signs: &[f64]) -> Vec<Found> {
+pub fn hunt(ground: &Ground<'_>, law: Law, signs: &[f64], rival: f64) -> Vec<Found> {
     let options = ground.options;
     let solver = optim::by_name(options.solver).unwrap_or(optim::ALL[0]);
     let settings = Settings { budget: 20_000, fineness_pct: options.fineness_pct, seed: options.seed };
@@ -134,7 +137,7 @@ pub fn hunt(ground: &Ground<'_>, law: Law, signs: &[f64]) -> Vec<Found> {
     let looked = look.evaluations();
     let pools = core::mem::take(&mut look.pools);
     let mut found: Vec<Found> =
-        signs.iter().zip(&pools).map(|(sign, pools)| follow(ground, law, *sign, pools, outcome)).collect();
+        signs.iter().zip(&pools).map(|(sign, pools)| follow(ground, law, *sign, pools, outcome, rival)).collect();
     for one in &mut found {
         one.evaluations += looked;
     }
@@ -239,7 +242,14 @@ impl Chase<'_, '_> {
 }
 
 /// From the coarse look to the finalists for one sign.
-fn follow(ground: &Ground<'_>, law: Law, sign: f64, pools: &[Vec<Candidate>; 2], outcome: Outcome) -> Found {
+fn follow(
+    ground: &Ground<'_>,
+    law: Law,
+    sign: f64,
+    pools: &[Vec<Candidate>; 2],
+    outcome: Outcome,
+    rival: f64,
+) -> Found {
     let plain = ground.bench(law, Class::First, ground.plain, sign);
     let moves = ground.bench(law, Class::First, ground.moves, sign);
     let mut chase = Chase { ground, plain, moves, rng: generator(ground.options.seed, 1), shows: true };
@@ -248,6 +258,7 @@ fn follow(ground: &Ground<'_>, law: Law, sign: f64, pools: &[Vec<Candidate>; 2],
     let steps = chase.steps(150);
     let (mut finalists, class) = finish(&mut chase.plain, held, ground.options.model, steps, &mut chase.rng);
     chase.moves.class = class;
+    chase.shows &= finalists.first().is_some_and(|c| c.fit.sse < FAR_BEHIND * rival);
     let answer = chase.answer(&mut finalists, &by_moves);
     let again = finalists.iter().filter_map(|c| chase.moves.settle(c)).map(|c| c.fit.sse);
     let moves_sse = again.fold(f64::INFINITY, f64::min);

@@ -103,17 +103,18 @@ pub fn quantify(record: &Record, options: &Options) -> Option<Estimate> {
         ValveChoice::Tracking => &[Law::Tracking],
         ValveChoice::Auto => &[Law::He, Law::Tracking],
     };
-    let (mut all, mut evaluations) = (Vec::new(), 0);
+    let (mut all, mut evaluations): (Vec<Found>, u64) = (Vec::new(), 0);
     for &law in laws {
         let signs: &[f64] = match read {
             Some(sign) => &[sign],
             None => &[1.0, -1.0],
         };
-        let mut found = hunt(&ground, law, signs);
+        let rival = all.iter().map(Found::sse).fold(f64::INFINITY, f64::min);
+        let mut found = hunt(&ground, law, signs, rival);
         if let (Some(sign), Some(first)) = (read, found.first()) {
             // Against the sign read only a valve speaks: a model of the controller backwards needs no friction.
             if first.sse() > DOUBTFUL * nothing {
-                let other = hunt(&ground, law, &[-sign]);
+                let other = hunt(&ground, law, &[-sign], 0.5 * first.sse());
                 let (speaks, spent): (Vec<Found>, u64) = (
                     other.iter().filter(|o| o.index() > 0.5 && o.sse() < 0.5 * first.sse()).cloned().collect(),
                     other.iter().map(|o| o.evaluations).sum(),
