@@ -47,7 +47,7 @@ pub struct Args {
     #[arg(long, default_value = "auto", value_parser = delay)]
     pub delay: DelayChoiceArg,
     /// Valve law.
-    #[arg(long, value_enum, default_value = "he")]
+    #[arg(long, value_enum, default_value = "auto")]
     pub valve: ValveArg,
     /// Solver.
     #[arg(long, default_value = "contour", value_parser = solver)]
