@@ -142,6 +142,8 @@ pub struct Effort {
     pub steps: usize,
     /// Cost beyond which the steps are not worth it.
     pub hopeless: f64,
+    /// Cost that a step must promise to be taken.
+    pub wanted: f64,
 }
 
 /// Fewest moves of the stem from which a model is fitted.
@@ -163,6 +165,14 @@ pub struct Bench<'a> {
     /// The fits' buffers and count.
     pub fitter: Fitter,
     sequence: Sequence,
+}
+
+impl Effort {
+    /// So many steps, whatever they promise.
+    #[must_use]
+    pub const fn of(steps: usize) -> Self {
+        Self { steps, hopeless: f64::INFINITY, wanted: f64::INFINITY }
+    }
 }
 
 impl<'a> Bench<'a> {
@@ -188,7 +198,15 @@ impl<'a> Bench<'a> {
             if shapes.last() != Some(&fit.shape) {
                 fit = self.fitter.linear(self.class, &fit.shape, signal, self.target, &freedom);
             }
-            fit = self.fitter.improve(self.class, fit, signal, self.target, &freedom, effort.steps, 1e-4);
+            fit = self.fitter.improve(
+                self.class,
+                fit,
+                signal,
+                self.target,
+                &freedom,
+                effort.steps,
+                [1e-4, effort.wanted],
+            );
         }
         Some(self.candidate(s, j, start, fit))
     }
@@ -231,7 +249,7 @@ impl<'a> Bench<'a> {
     pub fn profile(&mut self, of: &Candidate) -> Option<(BandProfile, [f64; 2])> {
         let freedom = self.slip(of.s, of.j, of.start)?;
         let signal = [&self.sequence.at[..], &self.sequence.direction[..]];
-        Some((self.fitter.profile(self.class, &of.fit, signal, self.target, &freedom), freedom.fd))
+        Some((self.fitter.profile(self.class, &of.fit, signal, self.target), freedom.fd))
     }
 
     /// By how much the standard error of a candidate's fd grows when time constants and lag are free too.

@@ -114,7 +114,7 @@ impl<'a> Imagination<'a> {
     pub fn index(&self, of: &Imagined) -> f64 {
         let [s, j] = of.bands;
         let mut bench = Bench::new(&self.question, Law::He, self.class, &of.target, self.sign);
-        let effort = Effort { steps: STEPS, hopeless: f64::INFINITY };
+        let effort = Effort::of(STEPS);
         let with = bench.fit(s, j, of.start, &[self.process.shape], effort);
         let without = frictionless::best(&self.question, &of.target, self.class, self.sign, 1);
         with.zip(without).map_or(0.0, |(with, without)| improvement(with.fit.sse, without.sse))
@@ -130,7 +130,7 @@ fn position(sequence: &Sequence, fd: f64) -> Vec<f64> {
 fn valve(question: &Question, target: &Target, found: &Estimate, near: Fitted) -> Option<(Fitted, Vec<f64>)> {
     let (s, j) = (found.s / found.span, found.j / found.span);
     let mut bench = Bench::new(question, found.law, found.class, target, found.gain.signum());
-    let effort = Effort { steps: STEPS, hopeless: f64::INFINITY };
+    let effort = Effort::of(STEPS);
     let mut best: Option<Candidate> = None;
     for start in question.starts(0.5 * (s + j), STARTS) {
         let fitted = bench.fit(s, j, start, &[near.shape], effort);

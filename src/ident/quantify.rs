@@ -3,7 +3,7 @@
 use super::choice::{DelayChoice, ModelChoice, ValveChoice};
 use super::class::Class;
 use super::fit::Target;
-use super::hunt::{Answer, Found, Ground, hunt, improvement};
+use super::hunt::{Answer, Found, Ground, Scouted, hunt, improvement, scout};
 use super::interval;
 use super::pose::pose;
 use super::sign;
@@ -103,27 +103,29 @@ pub fn quantify(record: &Record, options: &Options) -> Option<Estimate> {
         ValveChoice::Tracking => &[Law::Tracking],
         ValveChoice::Auto => &[Law::He, Law::Tracking],
     };
+    let signs: &[f64] = match read {
+        Some(1.0) => &[1.0],
+        Some(_) => &[-1.0],
+        None => &[1.0, -1.0],
+    };
+    let mut seen: Vec<Scouted<'_>> = laws.iter().map(|law| scout(&ground, *law, signs)).collect();
+    // The law that looks better comes first, so that the other one can be told to be far behind.
+    seen.sort_by(|a, b| a.share().total_cmp(&b.share()));
     let (mut all, mut evaluations): (Vec<Found>, u64) = (Vec::new(), 0);
-    for &law in laws {
-        let signs: &[f64] = match read {
-            Some(sign) => &[sign],
-            None => &[1.0, -1.0],
-        };
+    for scouted in &seen {
         let rival = all.iter().map(Found::sse).fold(f64::INFINITY, f64::min);
-        let mut found = hunt(&ground, law, signs, rival);
-        if let (Some(sign), Some(first)) = (read, found.first()) {
+        let mut found = hunt(&ground, scouted, rival);
+        evaluations += found.iter().map(|f| f.evaluations).sum::<u64>();
+        if let (Some(_), Some(first)) = (read, found.first()) {
             // Against the sign read only a valve speaks: a model of the controller backwards needs no friction.
+            let least = 0.5 * first.sse();
             if first.sse() > DOUBTFUL * nothing {
-                let other = hunt(&ground, law, &[-sign], 0.5 * first.sse());
-                let (speaks, spent): (Vec<Found>, u64) = (
-                    other.iter().filter(|o| o.index() > 0.5 && o.sse() < 0.5 * first.sse()).cloned().collect(),
-                    other.iter().map(|o| o.evaluations).sum(),
-                );
-                evaluations += spent;
-                found.extend(speaks);
+                let against: &[f64] = if signs == [1.0] { &[-1.0] } else { &[1.0] };
+                let other = hunt(&ground, &scout(&ground, scouted.law, against), least);
+                evaluations += other.iter().map(|o| o.evaluations).sum::<u64>();
+                found.extend(other.into_iter().filter(|o| o.index() > 0.5 && o.sse() < least));
             }
         }
-        evaluations += found.iter().map(|f| f.evaluations).sum::<u64>();
         all.extend(found.into_iter().min_by(|a, b| a.sse().total_cmp(&b.sse())));
         // The laws are alike enough that where one sees no friction at all, the other need not be asked.
         let sees = |f: &Found| f.index().max(improvement(f.moves_sse, f.without[1])) >= NO_FRICTION;

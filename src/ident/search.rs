@@ -15,10 +15,15 @@ use crate::optim::Objective;
 use crate::optim::local::on_triangle;
 use crate::sim::slips::{Law, Sequence};
 
+/// Boxes a period of the first looks and of the later ones.
+const COARSE: f64 = 20.0;
+const FINE: f64 = 40.0;
 /// Turns of the stem below which several positions before the record are looked at.
 const FEW_REVERSALS: usize = 8;
 /// Cost over the best one from which a step is not worth refining.
 const HOPELESS: f64 = 2.5;
+/// Cost over the best one that a refinement must promise by its slopes.
+const WANTED: f64 = 1.1;
 
 /// A uniform draw from 0 to below 1.
 pub(super) fn uniform(rng: &mut ChaCha8Rng) -> f64 {
@@ -38,6 +43,7 @@ pub struct Look<'a> {
     signs: &'a [f64],
     bank: Bank,
     sequence: Sequence,
+    evaluations: u64,
     /// Everything looked at so far, by sign and view, cost and shape those of the bank.
     pub pools: Vec<[Vec<Candidate>; 2]>,
 }
@@ -47,13 +53,26 @@ impl<'a> Look<'a> {
     #[must_use]
     pub fn new(question: &'a Question, law: Law, signs: &'a [f64]) -> Self {
         let pools = signs.iter().map(|_| [Vec::new(), Vec::new()]).collect();
-        Self { question, law, signs, bank: Bank::new(question), sequence: Sequence::default(), pools }
+        let bank = Bank::new(question, COARSE);
+        Self { question, law, signs, bank, sequence: Sequence::default(), evaluations: 0, pools }
     }
 
     /// Valve signals looked at.
     #[must_use]
-    pub fn evaluations(&self) -> u64 {
-        self.pools.first().map_or(0, |p| p[0].len() as u64)
+    pub const fn evaluations(&self) -> u64 {
+        self.evaluations
+    }
+
+    /// Goes on in finer boxes with the best places of every view; the others are forgotten.
+    pub fn sharpen(&mut self) {
+        let best: Vec<Candidate> = self.pools.iter().flatten().flat_map(|pool| beam(pool, 12, 4)).collect();
+        self.bank = Bank::new(self.question, FINE);
+        for pool in self.pools.iter_mut().flatten() {
+            pool.clear();
+        }
+        for c in best {
+            self.ask(c.s, c.j, c.start);
+        }
     }
 
     /// Cost of one point with one start, looked up or remembered.
@@ -71,6 +90,7 @@ impl<'a> Look<'a> {
             return f64::INFINITY;
         }
         let freedom = freedom(v, s, j, 1.0, q.limits);
+        self.evaluations += 1;
         let glances = self.bank.look(&v.at, &v.direction, &freedom, self.signs);
         for (pools, views) in self.pools.iter_mut().zip(&glances) {
             for (pool, glance) in pools.iter_mut().zip(views) {
@@ -175,7 +195,7 @@ pub fn climb(bench: &mut Bench<'_>, start: Candidate, steps: usize, fine: bool, 
         if s < 1e-4 || best.covers(s, j, first) {
             continue;
         }
-        let effort = Effort { steps: 1, hopeless: HOPELESS * best.fit.sse };
+        let effort = Effort { steps: 1, hopeless: HOPELESS * best.fit.sse, wanted: WANTED * best.fit.sse };
         let mut shape = best.fit.shape;
         shape[bench.class.shape_len() - 1] += lag;
         let shape = bench.class.clamp(shape, &bench.question.limits);
