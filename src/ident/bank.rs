@@ -41,6 +41,12 @@ pub struct Glance {
     pub lag: f64,
 }
 
+/// Ranges of dead time that are also judged apart.
+pub const BINS: usize = 6;
+
+/// The best that each view makes of one valve signal: the error itself and its differences, by range of dead time.
+pub type Glances = [[Glance; BINS]; 2];
+
 /// A bank for one question; it keeps its buffers.
 #[derive(Debug)]
 pub struct Bank {
@@ -118,14 +124,16 @@ impl Bank {
     }
 
     /// The best time constant and dead time for a valve signal averaged over the bank's boxes, `at - fd * direction`,
-    /// for each sign of `signs` and each view (the error itself, its differences).
-    pub fn look(&mut self, at: &[f64], direction: &[f64], freedom: &Freedom, signs: &[f64]) -> Vec<[Glance; 2]> {
+    /// for each sign of `signs`, by view and range of dead time.
+    pub fn look(&mut self, at: &[f64], direction: &[f64], freedom: &Freedom, signs: &[f64]) -> Vec<Glances> {
         self.respond(at, direction);
         let none = Glance { share: 1.0, tau: 1.0, lag: self.lags[0] as f64 };
-        let mut best = vec![[none; 2]; signs.len()];
+        let mut best = vec![[[none; BINS]; 2]; signs.len()];
+        let lags = self.lags[1] - self.lags[0] + 1;
         let mut here = self.sums(self.lags[0]);
         for lag in self.lags[0]..=self.lags[1] {
             let next = self.sums_after(&here, lag + 1);
+            let bin = (lag - self.lags[0]) * BINS / lags;
             for view in 0..2 {
                 for lane in 0..LANES {
                     let (rest, system, whole) = self.reduced(&here, &next, view, lane);
@@ -133,8 +141,8 @@ impl Bank {
                         let freedom = Freedom { sign: *sign, ..*freedom };
                         let (_, _, explained) = best_band(system, whole, &freedom);
                         let share = (rest - explained) / self.views[view].yy;
-                        if share < best[view].share {
-                            best[view] = Glance { share, tau: self.tau(lane), lag: self.lag(lag) };
+                        if share < best[view][bin].share {
+                            best[view][bin] = Glance { share, tau: self.tau(lane), lag: self.lag(lag) };
                         }
                     }
                 }

@@ -3,6 +3,7 @@
 
 use rand_chacha::ChaCha8Rng;
 
+use super::bank::BINS;
 use super::candidate::{Bench, Candidate, Effort, Question};
 use super::choice::ModelChoice;
 use super::class::Class;
@@ -10,7 +11,7 @@ use super::fit::Target;
 use super::order::{demote, deserved, frictionless, in_class};
 use super::quantify::Options;
 use super::review::review;
-use super::search::{Look, beam, climb, generator};
+use super::search::{Look, Stratum, beam, climb, generator};
 use crate::optim::{self, Objective, Outcome, Settings};
 use crate::signal::stats;
 use crate::sim::slips::Law;
@@ -123,6 +124,7 @@ pub struct Scouted<'a> {
     pub law: Law,
     signs: &'a [f64],
     pools: Vec<[Vec<Candidate>; 2]>,
+    strata: Vec<[Stratum; BINS]>,
     outcome: Outcome,
     looked: u64,
 }
@@ -159,15 +161,14 @@ pub fn scout<'a>(ground: &Ground<'a>, law: Law, signs: &'a [f64]) -> Scouted<'a>
         look.climb(*sign, *view, from, RANDOM_LOOKS, &mut rng);
     }
     let (looked, pools) = (look.evaluations(), core::mem::take(&mut look.pools));
-    Scouted { law, signs, pools, outcome, looked }
+    Scouted { law, signs, pools, strata: look.strata, outcome, looked }
 }
 
 /// Hunts from what the coarse look saw; an entry for each sign of the gain. `rival` is the squared error of another
 /// law: what is far behind it is not worth much work.
 #[must_use]
 pub fn hunt(ground: &Ground<'_>, seen: &Scouted<'_>, rival: f64) -> Vec<Found> {
-    let each = seen.signs.iter().zip(&seen.pools);
-    let mut found: Vec<Found> = each.map(|(sign, pools)| follow(ground, seen, *sign, pools, rival)).collect();
+    let mut found: Vec<Found> = (0..seen.signs.len()).map(|at| follow(ground, seen, at, rival)).collect();
     for one in &mut found {
         one.evaluations += seen.looked;
     }
@@ -273,8 +274,9 @@ impl Chase<'_, '_> {
 }
 
 /// From the coarse look to the finalists for one sign.
-fn follow(ground: &Ground<'_>, seen: &Scouted<'_>, sign: f64, pools: &[Vec<Candidate>; 2], rival: f64) -> Found {
+fn follow(ground: &Ground<'_>, seen: &Scouted<'_>, at: usize, rival: f64) -> Found {
     let Scouted { law, outcome, .. } = *seen;
+    let (sign, pools, strata) = (seen.signs[at], &seen.pools[at], &seen.strata[at]);
     let plain = ground.bench(law, Class::First, ground.plain, sign);
     let moves = ground.bench(law, Class::First, ground.moves, sign);
     let mut chase = Chase { ground, plain, moves, rng: generator(ground.options.seed, 1), shows: true };
@@ -284,7 +286,7 @@ fn follow(ground: &Ground<'_>, seen: &Scouted<'_>, sign: f64, pools: &[Vec<Candi
     let steps = chase.steps(150);
     let (mut finalists, class) = finish(&mut chase.plain, held, ground.options.model, steps, &mut chase.rng);
     let class = if chase.shows && finalists.first().is_some_and(|c| c.fit.sse < HOPELESS * rival) {
-        review(&mut chase.plain, &mut finalists, ground.options.model, &mut chase.rng)
+        review(&mut chase.plain, &mut finalists, strata, ground.options.model, &mut chase.rng)
     } else {
         class
     };

@@ -3,13 +3,15 @@
 
 use rand_chacha::ChaCha8Rng;
 
-use super::candidate::{Bench, Candidate, Effort};
+use super::bank::BINS;
+use super::candidate::{Bench, Candidate, Effort, Question};
 use super::choice::ModelChoice;
-use super::class::Class;
+use super::class::{Class, Limits};
+use super::fit::Target;
 use super::hunt::{along, race};
 use super::order::demote;
 use super::residual::whiteness;
-use super::search::beam;
+use super::search::{Stratum, beam};
 
 /// Rounds at most.
 const ROUNDS: usize = 3;
@@ -34,24 +36,25 @@ pub fn is_done(bench: &mut Bench<'_>, of: &Candidate) -> bool {
 pub fn review(
     bench: &mut Bench<'_>,
     finalists: &mut Vec<Candidate>,
+    strata: &[Stratum; BINS],
     model: ModelChoice,
     rng: &mut ChaCha8Rng,
 ) -> Class {
-    for _ in 0..ROUNDS {
+    for round in 0..ROUNDS {
         let Some(best) = finalists.first().copied() else { break };
         if is_done(bench, &best) {
             break;
         }
         let best = other_class(bench, best, model);
         let mut held = vec![best];
-        held.extend(valley(bench, &best));
-        let held = race(bench, beam(&held, 6, 0), &[(6, 25), (3, 50), (1, 60)], rng);
+        held.extend(if round == 0 { by_dead_time(bench, strata, rng) } else { valley(bench, &best) });
+        let held = race(bench, beam(&held, 8, 0), &[(8, 25), (3, 50), (1, 60)], rng);
         let Some(found) = held.first().and_then(|c| bench.settle(c)) else { break };
         let found = if found.fit.sse < best.fit.sse { found } else { best };
         let (simple, _) = demote(bench, Some(found), model);
         let better = found.fit.sse < 0.98 * finalists[0].fit.sse;
         *finalists = simple.into_iter().chain(held.into_iter().skip(1)).collect();
-        if !better {
+        if !better && round > 0 {
             break;
         }
     }
@@ -82,6 +85,31 @@ fn other_class(bench: &mut Bench<'_>, own: Candidate, model: ModelChoice) -> Can
     }
     bench.class = best.1;
     best.0
+}
+
+/// The best of every range of dead time, searched apart and by differences of the error: with the dead time held there
+/// is no ridge.
+fn by_dead_time(bench: &mut Bench<'_>, strata: &[Stratum; BINS], rng: &mut ChaCha8Rng) -> Vec<Candidate> {
+    let (question, class) = (bench.question, bench.class);
+    let target = Target::new(&question.pv, if class.integrates() { 0.98 } else { 0.8 }, question.from);
+    let [low, high] = question.limits.lag;
+    let mut all = Vec::new();
+    for (bin, stratum) in strata.iter().enumerate() {
+        let edge = |k: usize| low + (high - low) * k as f64 / BINS as f64;
+        let limits = Limits { lag: [edge(bin), edge(bin + 1)], ..question.limits };
+        let narrow = Question { limits, ..question.clone() };
+        let mut inner = Bench::new(&narrow, bench.law, class, &target, bench.sign);
+        let seen: Vec<Candidate> = stratum.iter().flat_map(|kept| beam(kept, 4, 1)).collect();
+        let fitted = seen.iter().filter_map(|c| {
+            let shape = class.start(libm::exp(c.fit.shape[0]), c.fit.shape[1]);
+            inner.fit(c.s, c.j, c.start, &[class.clamp(shape, &limits)], Effort::of(3))
+        });
+        let fitted = beam(&fitted.collect::<Vec<_>>(), usize::MAX, 0);
+        let held = race(&mut inner, fitted, &[(8, 12), (4, 20), (2, 40)], rng);
+        bench.fitter.evaluations += inner.fitter.evaluations;
+        all.extend(held.iter().take(2).filter_map(|c| bench.settle(c)));
+    }
+    all
 }
 
 /// The best places along the ridge around a candidate, each with the jump that suits it best.

@@ -7,7 +7,7 @@
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
-use super::bank::Bank;
+use super::bank::{BINS, Bank, Glance};
 use super::candidate::{Bench, Candidate, Effort, MIN_SLIPS, Question, Start, freedom};
 use super::class::Class;
 use super::fit::Fitted;
@@ -20,6 +20,8 @@ const COARSE: f64 = 20.0;
 const FINE: f64 = 40.0;
 /// Turns of the stem below which several positions before the record are looked at.
 const FEW_REVERSALS: usize = 8;
+/// Cost over the best one up to which a place is kept for its dead time.
+const NOT_FAR: f64 = 1.3;
 /// Cost over the best one from which a step is not worth refining.
 const HOPELESS: f64 = 2.5;
 /// Cost over the best one that a refinement must promise by its slopes.
@@ -46,15 +48,21 @@ pub struct Look<'a> {
     evaluations: u64,
     /// Everything looked at so far, by sign and view, cost and shape those of the bank.
     pub pools: Vec<[Vec<Candidate>; 2]>,
+    /// The better part of it by sign and range of dead time, both views together.
+    pub strata: Vec<[Stratum; BINS]>,
 }
+
+/// Places that suit one range of dead time, by view: the best ones and those not far behind.
+pub type Stratum = [Vec<Candidate>; 2];
 
 impl<'a> Look<'a> {
     /// A look for one law and these signs of the gain.
     #[must_use]
     pub fn new(question: &'a Question, law: Law, signs: &'a [f64]) -> Self {
         let pools = signs.iter().map(|_| [Vec::new(), Vec::new()]).collect();
+        let strata = signs.iter().map(|_| core::array::from_fn(|_| [Vec::new(), Vec::new()])).collect();
         let bank = Bank::new(question, COARSE);
-        Self { question, law, signs, bank, sequence: Sequence::default(), evaluations: 0, pools }
+        Self { question, law, signs, bank, sequence: Sequence::default(), evaluations: 0, pools, strata }
     }
 
     /// Valve signals looked at.
@@ -67,10 +75,13 @@ impl<'a> Look<'a> {
     pub fn sharpen(&mut self) {
         let best: Vec<Candidate> = self.pools.iter().flatten().flat_map(|pool| beam(pool, 12, 4)).collect();
         self.bank = Bank::new(self.question, FINE);
-        for pool in self.pools.iter_mut().flatten() {
+        let strata: Vec<Candidate> =
+            self.strata.iter().flatten().flatten().flat_map(|kept| beam(kept, 3, 0)).collect();
+        let pools = self.pools.iter_mut().flatten();
+        for pool in pools.chain(self.strata.iter_mut().flatten().flatten()) {
             pool.clear();
         }
-        for c in best {
+        for c in best.into_iter().chain(strata) {
             self.ask(c.s, c.j, c.start);
         }
     }
@@ -92,16 +103,34 @@ impl<'a> Look<'a> {
         let freedom = freedom(v, s, j, 1.0, q.limits);
         self.evaluations += 1;
         let glances = self.bank.look(&v.at, &v.direction, &freedom, self.signs);
-        for (pools, views) in self.pools.iter_mut().zip(&glances) {
-            for (pool, glance) in pools.iter_mut().zip(views) {
-                let shape = Class::First.clamp([libm::log(glance.tau), glance.lag, 0.0], &q.limits);
-                let gain = if glance.share < 1.0 { 1.0 } else { 0.0 };
-                let fit = Fitted { sse: glance.share, gain, fd: freedom.fd_default, memory: [0.0; 3], shape };
-                let (s_cell, j_cell) = (v.s_cell, v.j_cell);
-                pool.push(Candidate { s, j, start, s_cell, j_cell, slips: v.slips, reversals: v.reversals, fit });
+        let (s_cell, j_cell) = (v.s_cell, v.j_cell);
+        let candidate = |glance: Glance| {
+            let shape = Class::First.clamp([libm::log(glance.tau), glance.lag, 0.0], &q.limits);
+            let gain = if glance.share < 1.0 { 1.0 } else { 0.0 };
+            let fit = Fitted { sse: glance.share, gain, fd: freedom.fd_default, memory: [0.0; 3], shape };
+            Candidate { s, j, start, s_cell, j_cell, slips: v.slips, reversals: v.reversals, fit }
+        };
+        let mut cost = f64::INFINITY;
+        for ((pools, strata), views) in self.pools.iter_mut().zip(&mut self.strata).zip(&glances) {
+            for (view, bins) in views.iter().enumerate() {
+                for (bin, glance) in bins.iter().enumerate() {
+                    let kept = &mut strata[bin][view];
+                    // The first of a list is its best.
+                    let best = kept.first().map_or(f64::INFINITY, |c| c.fit.sse);
+                    if glance.share < NOT_FAR * best {
+                        kept.push(candidate(*glance));
+                        if glance.share < best {
+                            let last = kept.len() - 1;
+                            kept.swap(0, last);
+                        }
+                    }
+                }
+                let best = bins.iter().min_by(|a, b| a.share.total_cmp(&b.share));
+                pools[view].extend(best.map(|g| candidate(*g)));
             }
+            cost = views[0].iter().map(|g| g.share).fold(cost, f64::min);
         }
-        glances.iter().map(|g| g[0].share).fold(f64::INFINITY, f64::min)
+        cost
     }
 }
 
