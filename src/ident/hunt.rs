@@ -10,7 +10,7 @@ use super::class::Class;
 use super::fit::Target;
 use super::order::{demote, deserved, frictionless, in_class};
 use super::quantify::Options;
-use super::review::review;
+use super::review::{is_done, review};
 use super::search::{Look, Stratum, beam, climb, generator};
 use crate::optim::{self, Objective, Outcome, Settings};
 use crate::signal::stats;
@@ -25,7 +25,8 @@ const STRAIGHT_ROUNDS: usize = 2;
 const RANDOM_LOOKS: usize = 20;
 /// Squared error over another law's from which a law is out of the race.
 const FAR_BEHIND: f64 = 1.5;
-/// The same before the exact cells are known.
+/// The same before the exact cells are known: where the other law leaves nothing but noise, and where it does not.
+const BEYOND_NOISE: f64 = 1.5;
 const HOPELESS: f64 = 4.0;
 /// Stiction index below which the exact size of the bands is not worth the work.
 const WORTH_REFINING: f64 = 0.1;
@@ -81,6 +82,8 @@ pub struct Found {
     pub law: Law,
     /// Sign of the gain.
     pub sign: f64,
+    /// Whether the best finalist leaves nothing but noise.
+    pub done: bool,
     /// Squared error without friction, plain and filtered.
     pub without: [f64; 2],
     /// Least squared error of the filtered view.
@@ -164,10 +167,28 @@ pub fn scout<'a>(ground: &Ground<'a>, law: Law, signs: &'a [f64]) -> Scouted<'a>
     Scouted { law, signs, pools, strata: look.strata, outcome, looked }
 }
 
-/// Hunts from what the coarse look saw; an entry for each sign of the gain. `rival` is the squared error of another
-/// law: what is far behind it is not worth much work.
+/// Another explanation of the record: what is far behind it is not worth much work.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Rival {
+    /// Squared error.
+    pub sse: f64,
+    /// Whether it leaves nothing but noise.
+    pub done: bool,
+}
+
+impl Rival {
+    /// None yet.
+    pub const NONE: Self = Self { sse: f64::INFINITY, done: false };
+
+    /// Squared error from which the search under another law is given up.
+    fn beyond(&self) -> f64 {
+        if self.done { BEYOND_NOISE * self.sse } else { HOPELESS * self.sse }
+    }
+}
+
+/// Hunts from what the coarse look saw; an entry for each sign of the gain.
 #[must_use]
-pub fn hunt(ground: &Ground<'_>, seen: &Scouted<'_>, rival: f64) -> Vec<Found> {
+pub fn hunt(ground: &Ground<'_>, seen: &Scouted<'_>, rival: Rival) -> Vec<Found> {
     let mut found: Vec<Found> = (0..seen.signs.len()).map(|at| follow(ground, seen, at, rival)).collect();
     for one in &mut found {
         one.evaluations += seen.looked;
@@ -194,12 +215,26 @@ struct Chase<'g, 'a> {
     rng: ChaCha8Rng,
     /// Whether friction shows at all.
     shows: bool,
+    /// Whether another explanation is far better.
+    behind: bool,
 }
 
 impl Chase<'_, '_> {
-    /// Steps to take: a fifth where no friction shows.
+    /// Steps to take: a fifth where no friction shows, hardly any far behind a better explanation.
     fn steps(&self, count: usize) -> usize {
-        if self.shows { count } else { count / 5 }
+        count
+            / if self.behind {
+                20
+            } else if self.shows {
+                1
+            } else {
+                5
+            }
+    }
+
+    /// Whether every place is worth a look along its ridge.
+    fn thorough(&self) -> bool {
+        self.shows && !self.behind
     }
 
     /// From the coarse look to the best places by level and by moves, in the class that they ask for.
@@ -229,14 +264,21 @@ impl Chase<'_, '_> {
     /// From there to the best places by the plain error, by way of ever weaker filters.
     fn close_in(&mut self, by_level: Vec<Candidate>, by_moves: &mut Vec<Candidate>) -> Vec<Candidate> {
         let (question, class) = (self.ground.question, self.plain.class);
-        let near = ridge(&mut self.moves, by_moves.clone(), if self.shows { 3 } else { 0 }, 0.15, 24);
+        let count = if self.thorough() { 3 } else { 0 };
+        let near = ridge(&mut self.moves, by_moves.clone(), count, 0.15, 24);
         let heats = [(10, self.steps(30)), (5, self.steps(40)), (3, self.steps(50))];
         *by_moves = race(&mut self.moves, near, &heats, &mut self.rng);
         by_moves.truncate(4);
+        let first = by_moves.first().and_then(|c| self.plain.settle(c));
+        if let Some(first) = first.filter(|c| is_done(&mut self.plain, c)) {
+            // Nothing is left to find but the exact cell.
+            let steps = self.steps(60);
+            return race(&mut self.plain, vec![first], &[(1, steps)], &mut self.rng);
+        }
         let finer = Target::new(&question.pv, if class.integrates() { SEARCH_RHO } else { FINER_RHO }, question.from);
         let mut bench = self.ground.bench(self.plain.law, class, &finer, self.plain.sign);
         let held: Vec<Candidate> = by_moves.iter().filter_map(|c| bench.settle(c)).collect();
-        let mut held = ridge(&mut bench, held, if self.shows { 2 } else { 0 }, 0.05, 25);
+        let mut held = ridge(&mut bench, held, if self.thorough() { 2 } else { 0 }, 0.05, 25);
         held.truncate(5);
         let heats = [(5, self.steps(50)), (3, self.steps(70)), (2, self.steps(80))];
         let held = race(&mut bench, held, &heats, &mut self.rng);
@@ -274,30 +316,33 @@ impl Chase<'_, '_> {
 }
 
 /// From the coarse look to the finalists for one sign.
-fn follow(ground: &Ground<'_>, seen: &Scouted<'_>, at: usize, rival: f64) -> Found {
+fn follow(ground: &Ground<'_>, seen: &Scouted<'_>, at: usize, rival: Rival) -> Found {
     let Scouted { law, outcome, .. } = *seen;
     let (sign, pools, strata) = (seen.signs[at], &seen.pools[at], &seen.strata[at]);
     let plain = ground.bench(law, Class::First, ground.plain, sign);
     let moves = ground.bench(law, Class::First, ground.moves, sign);
-    let mut chase = Chase { ground, plain, moves, rng: generator(ground.options.seed, 1), shows: true };
+    let mut chase = Chase { ground, plain, moves, rng: generator(ground.options.seed, 1), shows: true, behind: false };
     let [by_level, mut by_moves] = chase.approach(pools);
-    chase.shows &= by_level.iter().any(|c| c.fit.sse < HOPELESS * rival);
+    let levels = by_level.iter().map(|c| c.fit.sse).fold(f64::INFINITY, f64::min);
+    let moves = by_moves.iter().take(3).filter_map(|c| chase.plain.settle(c));
+    chase.behind = moves.map(|c| c.fit.sse).fold(levels, f64::min) >= rival.beyond();
     let held = chase.close_in(by_level, &mut by_moves);
     let steps = chase.steps(150);
     let (mut finalists, class) = finish(&mut chase.plain, held, ground.options.model, steps, &mut chase.rng);
-    let class = if chase.shows && finalists.first().is_some_and(|c| c.fit.sse < HOPELESS * rival) {
+    let class = if chase.thorough() && finalists.first().is_some_and(|c| c.fit.sse < rival.beyond()) {
         review(&mut chase.plain, &mut finalists, strata, ground.options.model, &mut chase.rng)
     } else {
         class
     };
     chase.moves.class = class;
-    chase.shows &= finalists.first().is_some_and(|c| c.fit.sse < FAR_BEHIND * rival);
+    chase.shows &= finalists.first().is_some_and(|c| c.fit.sse < FAR_BEHIND * rival.sse);
+    let done = finalists.first().is_some_and(|c| is_done(&mut chase.plain, c));
     let answer = chase.answer(&mut finalists, &by_moves);
     let again = finalists.iter().filter_map(|c| chase.moves.settle(c)).map(|c| c.fit.sse);
     let moves_sse = again.fold(f64::INFINITY, f64::min);
     let without = [ground.plain, ground.moves].map(|target| frictionless(ground.question, target, class, sign));
     let evaluations = chase.plain.fitter.evaluations + chase.moves.fitter.evaluations;
-    Found { answer, finalists, class, law, sign, without, moves_sse, evaluations, outcome }
+    Found { answer, finalists, class, law, sign, done, without, moves_sse, evaluations, outcome }
 }
 
 /// Lag-1 autocorrelation of a residual from which it is filtered.

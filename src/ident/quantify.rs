@@ -3,7 +3,7 @@
 use super::choice::{DelayChoice, ModelChoice, ValveChoice};
 use super::class::Class;
 use super::fit::Target;
-use super::hunt::{Answer, Found, Ground, Scouted, hunt, improvement, scout};
+use super::hunt::{Answer, Found, Ground, Rival, Scouted, hunt, improvement, scout};
 use super::interval;
 use super::pose::pose;
 use super::sign;
@@ -113,7 +113,7 @@ pub fn quantify(record: &Record, options: &Options) -> Option<Estimate> {
     seen.sort_by(|a, b| a.share().total_cmp(&b.share()));
     let (mut all, mut evaluations): (Vec<Found>, u64) = (Vec::new(), 0);
     for scouted in &seen {
-        let rival = all.iter().map(Found::sse).fold(f64::INFINITY, f64::min);
+        let rival = all.first().map_or(Rival::NONE, |f| Rival { sse: f.sse(), done: f.done });
         let mut found = hunt(&ground, scouted, rival);
         evaluations += found.iter().map(|f| f.evaluations).sum::<u64>();
         if let (Some(_), Some(first)) = (read, found.first()) {
@@ -121,7 +121,7 @@ pub fn quantify(record: &Record, options: &Options) -> Option<Estimate> {
             let least = 0.5 * first.sse();
             if first.sse() > DOUBTFUL * nothing {
                 let against: &[f64] = if signs == [1.0] { &[-1.0] } else { &[1.0] };
-                let other = hunt(&ground, &scout(&ground, scouted.law, against), least);
+                let other = hunt(&ground, &scout(&ground, scouted.law, against), Rival { sse: least, done: false });
                 evaluations += other.iter().map(|o| o.evaluations).sum::<u64>();
                 found.extend(other.into_iter().filter(|o| o.index() > 0.5 && o.sse() < least));
             }

@@ -47,7 +47,14 @@ pub fn review(
         }
         let best = other_class(bench, best, model);
         let mut held = vec![best];
-        held.extend(if round == 0 { by_dead_time(bench, strata, rng) } else { valley(bench, &best) });
+        if round == 0 {
+            let (found, class) = by_dead_time(bench, &best, strata, rng);
+            held.extend(take_over(bench, &best, &found, class, model));
+        } else {
+            held.extend(valley(bench, &best));
+        }
+        held.sort_by(|a, b| a.fit.sse.total_cmp(&b.fit.sse));
+        let best = held[0];
         let held = race(bench, beam(&held, 8, 0), &[(8, 25), (3, 50), (1, 60)], rng);
         let Some(found) = held.first().and_then(|c| bench.settle(c)) else { break };
         let found = if found.fit.sse < best.fit.sse { found } else { best };
@@ -69,16 +76,10 @@ fn other_class(bench: &mut Bench<'_>, own: Candidate, model: ModelChoice) -> Can
         ModelChoice::Auto => &[Class::First, Class::Integrating, Class::Second, Class::LagIntegrating],
     };
     let home = bench.class;
-    let tau = home.time_constants(&own.fit.shape).first().copied().unwrap_or(bench.question.period);
-    let lag = home.lag(&own.fit.shape);
     let mut best = (own, home);
     for class in classes.iter().filter(|c| **c != home) {
         bench.class = *class;
-        let limits = bench.question.limits;
-        let shapes = [0.25, 1.0, 3.0].map(|by| class.clamp(class.start(tau * by, lag), &limits));
-        let fitted = shapes.iter().filter_map(|shape| bench.fit(own.s, own.j, own.start, &[*shape], Effort::of(4)));
-        let fitted = fitted.min_by(|a, b| a.fit.sse.total_cmp(&b.fit.sse));
-        let settled = fitted.and_then(|c| bench.settle(&c)).filter(|c| c.fit.gain != 0.0);
+        let settled = into_class(bench, &own, home);
         if let Some(settled) = settled.filter(|c| c.fit.sse < (1.0 - TAKEN) * best.0.fit.sse) {
             best = (settled, *class);
         }
@@ -87,10 +88,60 @@ fn other_class(bench: &mut Bench<'_>, own: Candidate, model: ModelChoice) -> Can
     best.0
 }
 
+/// A candidate of the class `home` settled in the bench's class, from the best of a few shapes.
+fn into_class(bench: &mut Bench<'_>, own: &Candidate, home: Class) -> Option<Candidate> {
+    if bench.class == home {
+        return bench.settle(own);
+    }
+    let tau = home.time_constants(&own.fit.shape).first().copied().unwrap_or(bench.question.period);
+    let (lag, limits) = (home.lag(&own.fit.shape), bench.question.limits);
+    let shapes = [0.25, 1.0, 3.0].map(|by| bench.class.clamp(bench.class.start(tau * by, lag), &limits));
+    let fitted = shapes.iter().filter_map(|shape| bench.fit(own.s, own.j, own.start, &[*shape], Effort::of(4)));
+    let fitted = fitted.min_by(|a, b| a.fit.sse.total_cmp(&b.fit.sse))?;
+    bench.settle(&fitted).filter(|c| c.fit.gain != 0.0)
+}
+
+/// What was found in another class, in the class that suits the best of it and `best` together; the bench goes there.
+fn take_over(
+    bench: &mut Bench<'_>,
+    best: &Candidate,
+    found: &[Candidate],
+    class: Class,
+    model: ModelChoice,
+) -> Vec<Candidate> {
+    let home = bench.class;
+    bench.class = class;
+    let mut order: Vec<Candidate> = found.iter().filter_map(|c| bench.settle(c)).collect();
+    order = beam(&order, 4, 0);
+    let mut leader = (*best, home);
+    for c in order.iter().take(2) {
+        bench.class = class;
+        let suited = other_class(bench, *c, model);
+        if suited.fit.sse < leader.0.fit.sse {
+            leader = (suited, bench.class);
+        }
+    }
+    bench.class = leader.1;
+    let mut all = vec![leader.0];
+    all.extend(into_class(bench, best, home));
+    for c in &order {
+        all.extend(into_class(bench, c, class));
+    }
+    all
+}
+
 /// The best of every range of dead time, searched apart and by differences of the error: with the dead time held there
-/// is no ridge.
-fn by_dead_time(bench: &mut Bench<'_>, strata: &[Stratum; BINS], rng: &mut ChaCha8Rng) -> Vec<Candidate> {
-    let (question, class) = (bench.question, bench.class);
+/// is no ridge. In a class without a second lag, which might make up for wrong slips; that class comes with it.
+fn by_dead_time(
+    bench: &mut Bench<'_>,
+    best: &Candidate,
+    strata: &[Stratum; BINS],
+    rng: &mut ChaCha8Rng,
+) -> (Vec<Candidate>, Class) {
+    let question = bench.question;
+    let longest = bench.class.time_constants(&best.fit.shape).first().copied().unwrap_or(f64::INFINITY);
+    let integrates = bench.class.integrates() || longest > question.mean.len() as f64;
+    let class = if integrates { Class::Integrating } else { Class::First };
     let target = Target::new(&question.pv, if class.integrates() { 0.98 } else { 0.8 }, question.from);
     let [low, high] = question.limits.lag;
     let mut all = Vec::new();
@@ -107,9 +158,9 @@ fn by_dead_time(bench: &mut Bench<'_>, strata: &[Stratum; BINS], rng: &mut ChaCh
         let fitted = beam(&fitted.collect::<Vec<_>>(), usize::MAX, 0);
         let held = race(&mut inner, fitted, &[(8, 12), (4, 20), (2, 40)], rng);
         bench.fitter.evaluations += inner.fitter.evaluations;
-        all.extend(held.iter().take(2).filter_map(|c| bench.settle(c)));
+        all.extend(held.into_iter().take(2));
     }
-    all
+    (all, class)
 }
 
 /// The best places along the ridge around a candidate, each with the jump that suits it best.

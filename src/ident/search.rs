@@ -75,8 +75,7 @@ impl<'a> Look<'a> {
     pub fn sharpen(&mut self) {
         let best: Vec<Candidate> = self.pools.iter().flatten().flat_map(|pool| beam(pool, 12, 4)).collect();
         self.bank = Bank::new(self.question, FINE);
-        let strata: Vec<Candidate> =
-            self.strata.iter().flatten().flatten().flat_map(|kept| beam(kept, 3, 0)).collect();
+        let strata: Vec<Candidate> = self.strata.iter().flatten().flatten().flat_map(|kept| beam(kept, 3, 0)).collect();
         let pools = self.pools.iter_mut().flatten();
         for pool in pools.chain(self.strata.iter_mut().flatten().flatten()) {
             pool.clear();
