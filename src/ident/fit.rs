@@ -92,6 +92,8 @@ pub struct Fitter {
 
 /// Step of the finite differences, in logarithm of time or points.
 const DELTA: f64 = 1e-5;
+/// Squared error over the best one that a hop of the lag must promise.
+const PROMISED: f64 = 1.01;
 /// Longest Gauss-Newton step in logarithm of a time constant.
 const MAX_LOG_STEP: f64 = 0.7;
 
@@ -211,7 +213,8 @@ impl Fitter {
                 let shape = class.clamp(shape, &freedom.limits);
                 let hopped = self.linear(class, &shape, signal, target, freedom);
                 if hopped.sse < 1.3 * best.sse {
-                    let found = self.improve(class, hopped, signal, target, freedom, 6, [1e-6, f64::INFINITY]);
+                    let wanted = PROMISED * best.sse;
+                    let found = self.improve(class, hopped, signal, target, freedom, 6, [1e-6, wanted]);
                     if found.sse < best.sse {
                         best = found;
                     }

@@ -1,6 +1,8 @@
 //! The hunt for the right slips under one valve law: a coarse look at everything, then ever finer steps from the best
 //! places, first by differences of the free-run error, then by the error itself.
 
+use core::cell::RefCell;
+
 use rand_chacha::ChaCha8Rng;
 
 use super::bank::BINS;
@@ -10,8 +12,8 @@ use super::class::Class;
 use super::fit::Target;
 use super::order::{demote, deserved, frictionless, in_class};
 use super::quantify::Options;
-use super::review::{is_done, review};
-use super::search::{Look, Stratum, beam, climb, generator};
+use super::review::{into_class, is_done, review};
+use super::search::{Look, Stratum, beam, climb, generator, ridge_jumps};
 use crate::optim::{self, Objective, Outcome, Settings};
 use crate::signal::stats;
 use crate::sim::slips::Law;
@@ -21,7 +23,7 @@ use crate::sim::slips::Law;
 const SEARCH_RHO: f64 = 0.98;
 const FINER_RHO: f64 = 0.8;
 /// Rounds of straight looks through the best places, and random ones from each place afterwards.
-const STRAIGHT_ROUNDS: usize = 2;
+const STRAIGHT_ROUNDS: usize = 1;
 const RANDOM_LOOKS: usize = 20;
 /// Squared error over another law's from which a law is out of the race.
 const FAR_BEHIND: f64 = 1.5;
@@ -42,6 +44,8 @@ pub struct Ground<'a> {
     pub moves: &'a Target,
     /// What the search was told.
     pub options: &'a Options,
+    /// Squared errors without friction that are known, plain and of moves.
+    pub known: RefCell<Vec<(Class, f64, [f64; 2])>>,
 }
 
 impl<'a> Ground<'a> {
@@ -49,6 +53,16 @@ impl<'a> Ground<'a> {
     #[must_use]
     pub fn moves_of(question: &Question) -> Target {
         Target::new(&question.pv, SEARCH_RHO, question.from)
+    }
+
+    /// Least squared errors without friction, plain and of moves; computed once for a class and sign.
+    fn without(&self, class: Class, sign: f64) -> [f64; 2] {
+        let known = self.known.borrow().iter().find(|k| k.0 == class && k.1 == sign).map(|k| k.2);
+        known.unwrap_or_else(|| {
+            let found = [self.plain, self.moves].map(|target| frictionless(self.question, target, class, sign));
+            self.known.borrow_mut().push((class, sign, found));
+            found
+        })
     }
 
     /// A bench for one target.
@@ -174,11 +188,13 @@ pub struct Rival {
     pub sse: f64,
     /// Whether it leaves nothing but noise.
     pub done: bool,
+    /// Class of its process.
+    pub class: Option<Class>,
 }
 
 impl Rival {
     /// None yet.
-    pub const NONE: Self = Self { sse: f64::INFINITY, done: false };
+    pub const NONE: Self = Self { sse: f64::INFINITY, done: false, class: None };
 
     /// Squared error from which the search under another law is given up.
     fn beyond(&self) -> f64 {
@@ -217,6 +233,8 @@ struct Chase<'g, 'a> {
     shows: bool,
     /// Whether another explanation is far better.
     behind: bool,
+    /// Class in which the places by moves were found.
+    searched: Class,
 }
 
 impl Chase<'_, '_> {
@@ -238,24 +256,25 @@ impl Chase<'_, '_> {
     }
 
     /// From the coarse look to the best places by level and by moves, in the class that they ask for.
-    fn approach(&mut self, pools: &[Vec<Candidate>; 2]) -> [Vec<Candidate>; 2] {
+    fn approach(&mut self, pools: &[Vec<Candidate>; 2], rival: &Rival) -> [Vec<Candidate>; 2] {
         let ground = self.ground;
         let by_level = refit(&mut self.plain, &beam(&pools[0], 6, 2));
         let by_moves = refit(&mut self.moves, &beam(&pools[1], 12, 5));
         let best = |held: &[Candidate]| held.first().map_or(f64::INFINITY, |c| c.fit.sse);
-        let views = [(ground.plain, best(&by_level)), (ground.moves, best(&by_moves))];
-        self.shows = views.into_iter().any(|(target, sse)| {
-            let nothing = frictionless(ground.question, target, Class::First, self.plain.sign);
-            improvement(sse, nothing) > WORTH_REFINING
-        });
+        let nothing = ground.without(Class::First, self.plain.sign);
+        let views = [best(&by_level), best(&by_moves)];
+        self.shows = views.into_iter().zip(nothing).any(|(sse, nothing)| improvement(sse, nothing) > WORTH_REFINING);
         let heats = [(12, self.steps(12)), (6, self.steps(14)), (3, self.steps(14))];
         let mut by_level = race(&mut self.plain, by_level, &heats, &mut self.rng);
         by_level.truncate(3);
         let heats = [(27, self.steps(12)), (14, self.steps(18)), (8, self.steps(30))];
         let mut by_moves = race(&mut self.moves, by_moves, &heats, &mut self.rng);
         by_moves.truncate(if self.shows { 8 } else { 3 });
-        let class = deserved(&mut self.moves, &mut self.plain, &by_moves, ground.options.model);
-        (self.plain.class, self.moves.class) = (class, class);
+        let class = match rival.class.filter(|_| rival.done) {
+            Some(class) => class,
+            None => deserved(&mut self.moves, &mut self.plain, &by_moves, ground.options.model),
+        };
+        (self.plain.class, self.moves.class, self.searched) = (class, class, class);
         let by_level = by_level.iter().filter_map(|c| in_class(&mut self.plain, c)).collect();
         let by_moves = by_moves.iter().filter_map(|c| in_class(&mut self.moves, c)).collect();
         [by_level, by_moves]
@@ -294,7 +313,10 @@ impl Chase<'_, '_> {
     /// The bands to report, by the whitened error; better finalists met on the way come first.
     fn answer(&mut self, finalists: &mut Vec<Candidate>, by_moves: &[Candidate]) -> Option<Answer> {
         let best = finalists.first().copied()?;
-        let others: Vec<Candidate> = finalists.iter().chain(by_moves.iter().take(3)).copied().collect();
+        let mut others = finalists.clone();
+        for c in by_moves.iter().take(3) {
+            others.extend(into_class(&mut self.plain, c, self.searched));
+        }
         let steps = if self.shows { 150 } else { 0 };
         let mut answer = whitened(self.ground, &mut self.plain, &best, &others, steps, &mut self.rng);
         for _ in 0..2 {
@@ -321,8 +343,16 @@ fn follow(ground: &Ground<'_>, seen: &Scouted<'_>, at: usize, rival: Rival) -> F
     let (sign, pools, strata) = (seen.signs[at], &seen.pools[at], &seen.strata[at]);
     let plain = ground.bench(law, Class::First, ground.plain, sign);
     let moves = ground.bench(law, Class::First, ground.moves, sign);
-    let mut chase = Chase { ground, plain, moves, rng: generator(ground.options.seed, 1), shows: true, behind: false };
-    let [by_level, mut by_moves] = chase.approach(pools);
+    let mut chase = Chase {
+        ground,
+        plain,
+        moves,
+        rng: generator(ground.options.seed, 1),
+        shows: true,
+        behind: false,
+        searched: Class::First,
+    };
+    let [by_level, mut by_moves] = chase.approach(pools, &rival);
     let levels = by_level.iter().map(|c| c.fit.sse).fold(f64::INFINITY, f64::min);
     let moves = by_moves.iter().take(3).filter_map(|c| chase.plain.settle(c));
     chase.behind = moves.map(|c| c.fit.sse).fold(levels, f64::min) >= rival.beyond();
@@ -340,7 +370,7 @@ fn follow(ground: &Ground<'_>, seen: &Scouted<'_>, at: usize, rival: Rival) -> F
     let answer = chase.answer(&mut finalists, &by_moves);
     let again = finalists.iter().filter_map(|c| chase.moves.settle(c)).map(|c| c.fit.sse);
     let moves_sse = again.fold(f64::INFINITY, f64::min);
-    let without = [ground.plain, ground.moves].map(|target| frictionless(ground.question, target, class, sign));
+    let without = ground.without(class, sign);
     let evaluations = chase.plain.fitter.evaluations + chase.moves.fitter.evaluations;
     Found { answer, finalists, class, law, sign, done, without, moves_sse, evaluations, outcome }
 }
@@ -414,7 +444,7 @@ fn finish(
 }
 
 /// An even look along the ridge around a candidate, its best places: a later slip goes with a shorter lag, so s up to
-/// `reach` to either side with the lag that keeps the answer where it is, j as it was and in proportion.
+/// `reach` to either side with the lag that keeps the answer where it is, and the jumps that may go with it.
 pub(super) fn along(bench: &mut Bench<'_>, around: &Candidate, reach: f64, steps: i32) -> Vec<Candidate> {
     let mut pool = vec![*around];
     let rate = bench.question.rate.max(1e-6);
@@ -427,7 +457,7 @@ pub(super) fn along(bench: &mut Bench<'_>, around: &Candidate, reach: f64, steps
             let mut guess = shape;
             guess[slot] -= (s - last) / rate;
             let guess = bench.class.clamp(guess, &bench.question.limits);
-            for j in [around.j.min(s), (around.j * s / around.s).min(s), (around.j + s - around.s).clamp(0.0, s)] {
+            for j in ridge_jumps([around.s, around.j], s) {
                 let effort = Effort { steps: 1, hopeless: 3.0 * least, wanted: 1.5 * least };
                 let Some(found) = bench.fit(s, j, around.start, &[guess], effort) else { continue };
                 if found.fit.sse < 2.0 * least {

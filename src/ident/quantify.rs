@@ -1,5 +1,7 @@
 //! From a record to the bands: normalise, search, refine, compare with no stiction at all.
 
+use core::cell::RefCell;
+
 use super::choice::{DelayChoice, ModelChoice, ValveChoice};
 use super::class::Class;
 use super::fit::Target;
@@ -95,7 +97,7 @@ pub fn quantify(record: &Record, options: &Options) -> Option<Estimate> {
     let question = pose(record, options, span, deviation);
     let plain = Target::new(&question.pv, 0.0, question.from);
     let moves = Ground::moves_of(&question);
-    let ground = Ground { question: &question, plain: &plain, moves: &moves, options };
+    let ground = Ground { question: &question, plain: &plain, moves: &moves, options, known: RefCell::default() };
     let read = sign::of_gain(&question.mean, &question.pv);
     let nothing = plain.y.len() as f64 * stats::variance(&plain.y);
     let laws: &[Law] = match options.valve {
@@ -113,7 +115,7 @@ pub fn quantify(record: &Record, options: &Options) -> Option<Estimate> {
     seen.sort_by(|a, b| a.share().total_cmp(&b.share()));
     let (mut all, mut evaluations): (Vec<Found>, u64) = (Vec::new(), 0);
     for scouted in &seen {
-        let rival = all.first().map_or(Rival::NONE, |f| Rival { sse: f.sse(), done: f.done });
+        let rival = all.first().map_or(Rival::NONE, |f| Rival { sse: f.sse(), done: f.done, class: Some(f.class) });
         let mut found = hunt(&ground, scouted, rival);
         evaluations += found.iter().map(|f| f.evaluations).sum::<u64>();
         if let (Some(_), Some(first)) = (read, found.first()) {
@@ -121,7 +123,7 @@ pub fn quantify(record: &Record, options: &Options) -> Option<Estimate> {
             let least = 0.5 * first.sse();
             if first.sse() > DOUBTFUL * nothing {
                 let against: &[f64] = if signs == [1.0] { &[-1.0] } else { &[1.0] };
-                let other = hunt(&ground, &scout(&ground, scouted.law, against), Rival { sse: least, done: false });
+                let other = hunt(&ground, &scout(&ground, scouted.law, against), Rival { sse: least, ..Rival::NONE });
                 evaluations += other.iter().map(|o| o.evaluations).sum::<u64>();
                 found.extend(other.into_iter().filter(|o| o.index() > 0.5 && o.sse() < least));
             }
@@ -163,7 +165,14 @@ fn report(
     let met = interval::spread(&mut bench, &candidate, without, ground.options.seed);
     let (spread, c) = (met.spread, met.best);
     // A better candidate met on the way of the interval is the answer.
-    let plain_sse = if rho == 0.0 { c.fit.sse } else { plain_sse };
+    let plain_sse = if rho == 0.0 {
+        c.fit.sse
+    } else if c == candidate {
+        plain_sse
+    } else {
+        let mut plain = ground.bench(found.law, found.class, ground.plain, found.sign);
+        plain.settle(&c).map_or(plain_sse, |c| c.fit.sse)
+    };
     let [s, j] = c.centred();
     let band_error = bench.band_error(&c);
     let point_s = record.point_s();

@@ -56,11 +56,15 @@ pub fn review(
         held.sort_by(|a, b| a.fit.sse.total_cmp(&b.fit.sse));
         let best = held[0];
         let held = race(bench, beam(&held, 8, 0), &[(8, 25), (3, 50), (1, 60)], rng);
+        let raced = bench.class;
         let Some(found) = held.first().and_then(|c| bench.settle(c)) else { break };
-        let found = if found.fit.sse < best.fit.sse { found } else { best };
+        let found = other_class(bench, if found.fit.sse < best.fit.sse { found } else { best }, model);
         let (simple, _) = demote(bench, Some(found), model);
         let better = found.fit.sse < 0.98 * finalists[0].fit.sse;
-        *finalists = simple.into_iter().chain(held.into_iter().skip(1)).collect();
+        *finalists = simple.into_iter().collect();
+        if bench.class == raced {
+            finalists.extend(held.into_iter().skip(1));
+        }
         if !better && round > 0 {
             break;
         }
@@ -77,9 +81,10 @@ fn other_class(bench: &mut Bench<'_>, own: Candidate, model: ModelChoice) -> Can
     };
     let home = bench.class;
     let mut best = (own, home);
-    for class in classes.iter().filter(|c| **c != home) {
+    for class in classes {
         bench.class = *class;
-        let settled = into_class(bench, &own, home);
+        // Its own class once more, from other shapes: two lags have minima of their own.
+        let settled = reshaped(bench, &own, home);
         if let Some(settled) = settled.filter(|c| c.fit.sse < (1.0 - TAKEN) * best.0.fit.sse) {
             best = (settled, *class);
         }
@@ -88,11 +93,13 @@ fn other_class(bench: &mut Bench<'_>, own: Candidate, model: ModelChoice) -> Can
     best.0
 }
 
-/// A candidate of the class `home` settled in the bench's class, from the best of a few shapes.
-fn into_class(bench: &mut Bench<'_>, own: &Candidate, home: Class) -> Option<Candidate> {
-    if bench.class == home {
-        return bench.settle(own);
-    }
+/// A candidate of the class `home` settled in the bench's class.
+pub(super) fn into_class(bench: &mut Bench<'_>, own: &Candidate, home: Class) -> Option<Candidate> {
+    if bench.class == home { bench.settle(own) } else { reshaped(bench, own, home) }
+}
+
+/// A candidate of the class `home` settled in the bench's class, from the best of a few shapes around its own.
+fn reshaped(bench: &mut Bench<'_>, own: &Candidate, home: Class) -> Option<Candidate> {
     let tau = home.time_constants(&own.fit.shape).first().copied().unwrap_or(bench.question.period);
     let (lag, limits) = (home.lag(&own.fit.shape), bench.question.limits);
     let shapes = [0.25, 1.0, 3.0].map(|by| bench.class.clamp(bench.class.start(tau * by, lag), &limits));

@@ -267,9 +267,7 @@ fn step(question: &Question, from: &Candidate, fine: bool, rng: &mut ChaCha8Rng)
         // Along the ridge: an earlier slip and a longer lag look alike.
         lag = 3.0 * uniform(rng) * normal(rng);
         s -= lag * question.rate;
-        if uniform(rng) < 0.5 {
-            j = j / from.s * s;
-        }
+        j = ridge_jumps([from.s, from.j], s)[(4.0 * uniform(rng)) as usize];
     } else if kind < 0.92 {
         let list = question.records[usize::from(!start.up)].len();
         let by = 1 + (3.0 * uniform(rng) * uniform(rng)) as usize;
@@ -289,6 +287,13 @@ fn step(question: &Question, from: &Candidate, fine: bool, rng: &mut ChaCha8Rng)
     }
     let [s, j] = on_triangle([s, j]);
     Step { s, j, start, lag }
+}
+
+/// Jumps that may go with another s on the ridge where an earlier slip and a longer lag look alike: the same, the same
+/// share of s, the same fd, and the same fs (the stem then stands farther from where OP turns by as much).
+pub(super) fn ridge_jumps([from_s, from_j]: [f64; 2], s: f64) -> [f64; 4] {
+    let moved = s - from_s;
+    [from_j, from_j / from_s * s, from_j + moved, from_j - moved].map(|j| j.clamp(0.0, s.max(0.0)))
 }
 
 /// A value just across an edge of its cell (30 %), else a normal step.
