@@ -44,6 +44,13 @@ pub struct Glance {
 /// Ranges of dead time that are also judged apart.
 pub const BINS: usize = 6;
 
+/// Where range `k` begins between the least lag and the greatest, as a share: dead times are short more often than long.
+#[must_use]
+pub fn bin_edge(k: usize) -> f64 {
+    let share = k as f64 / BINS as f64;
+    share * share
+}
+
 /// The best that each view makes of one valve signal: the error itself and its differences, by range of dead time.
 pub type Glances = [[Glance; BINS]; 2];
 
@@ -133,7 +140,8 @@ impl Bank {
         let mut here = self.sums(self.lags[0]);
         for lag in self.lags[0]..=self.lags[1] {
             let next = self.sums_after(&here, lag + 1);
-            let bin = (lag - self.lags[0]) * BINS / lags;
+            let share = ((lag - self.lags[0]) as f64 + 0.5) / lags as f64;
+            let bin = (1..BINS).take_while(|k| share >= bin_edge(*k)).count();
             for view in 0..2 {
                 for lane in 0..LANES {
                     let (rest, system, whole) = self.reduced(&here, &next, view, lane);

@@ -3,7 +3,7 @@
 
 use rand_chacha::ChaCha8Rng;
 
-use super::bank::BINS;
+use super::bank::{BINS, bin_edge};
 use super::candidate::{Bench, Candidate, Effort, Question};
 use super::choice::ModelChoice;
 use super::class::{Class, Limits};
@@ -11,7 +11,7 @@ use super::fit::Target;
 use super::hunt::{along, race};
 use super::order::demote;
 use super::residual::whiteness;
-use super::search::{Stratum, beam};
+use super::search::{Stratum, beam, ridge_jumps};
 
 /// Rounds at most.
 const ROUNDS: usize = 3;
@@ -147,22 +147,29 @@ fn by_dead_time(
 ) -> (Vec<Candidate>, Class) {
     let question = bench.question;
     let longest = bench.class.time_constants(&best.fit.shape).first().copied().unwrap_or(f64::INFINITY);
+    let (tau, lag) = (longest.min(question.period), bench.class.lag(&best.fit.shape));
     let integrates = bench.class.integrates() || longest > question.mean.len() as f64;
     let class = if integrates { Class::Integrating } else { Class::First };
     let target = Target::new(&question.pv, if class.integrates() { 0.98 } else { 0.8 }, question.from);
     let [low, high] = question.limits.lag;
     let mut all = Vec::new();
-    for (bin, stratum) in strata.iter().enumerate() {
-        let edge = |k: usize| low + (high - low) * k as f64 / BINS as f64;
+    for bin in 0..BINS {
+        let edge = |k: usize| low + (high - low) * bin_edge(k);
         let limits = Limits { lag: [edge(bin), edge(bin + 1)], ..question.limits };
         let narrow = Question { limits, ..question.clone() };
         let mut inner = Bench::new(&narrow, bench.law, class, &target, bench.sign);
-        let seen: Vec<Candidate> = stratum.iter().flat_map(|kept| beam(kept, 4, 1)).collect();
-        let fitted = seen.iter().filter_map(|c| {
-            let shape = class.start(libm::exp(c.fit.shape[0]), c.fit.shape[1]);
-            inner.fit(c.s, c.j, c.start, &[class.clamp(shape, &limits)], Effort::of(3))
-        });
-        let fitted = beam(&fitted.collect::<Vec<_>>(), usize::MAX, 0);
+        // The boxes of the coarse look are wider than the shortest ranges.
+        let near = &strata[bin.saturating_sub(1)..(bin + 2).min(BINS)];
+        let seen = near.iter().flatten().flat_map(|kept| beam(kept, 3, 0));
+        let seen = seen.map(|c| (c.s, c.j, c.start, class.start(libm::exp(c.fit.shape[0]), c.fit.shape[1])));
+        let middle = 0.5 * (limits.lag[0] + limits.lag[1]);
+        let s = best.s - (middle - lag) * question.rate;
+        let along = ridge_jumps([best.s, best.j], s).map(|j| (s, j, best.start, class.start(tau, middle)));
+        let mut fitted = Vec::new();
+        for (s, j, start, shape) in seen.chain(along).filter(|c| c.0 > 1e-4) {
+            fitted.extend(inner.fit(s, j, start, &[class.clamp(shape, &limits)], Effort::of(3)));
+        }
+        let fitted = beam(&fitted, 10, 0);
         let held = race(&mut inner, fitted, &[(8, 12), (4, 20), (2, 40)], rng);
         bench.fitter.evaluations += inner.fitter.evaluations;
         all.extend(held.into_iter().take(2));
