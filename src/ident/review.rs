@@ -20,6 +20,11 @@ const TAKEN: f64 = 0.03;
 /// How far along the ridge, share of s, and in how many steps.
 const REACH: f64 = 0.3;
 const STEPS: i32 = 40;
+/// Most cells to either side.
+const CELLS: i32 = 150;
+/// Filters of the search in ranges of dead time, without and with an integrator.
+const RHO: f64 = 0.8;
+const INTEGRATING_RHO: f64 = 0.9;
 /// Values of j looked at from each place of the ridge.
 const JUMPS: i32 = 16;
 
@@ -65,7 +70,7 @@ pub fn review(
         if bench.class == raced {
             finalists.extend(held.into_iter().skip(1));
         }
-        if !better && round > 0 {
+        if !better && round > 1 {
             break;
         }
     }
@@ -150,7 +155,7 @@ fn by_dead_time(
     let (tau, lag) = (longest.min(question.period), bench.class.lag(&best.fit.shape));
     let integrates = bench.class.integrates() || longest > question.mean.len() as f64;
     let class = if integrates { Class::Integrating } else { Class::First };
-    let target = Target::new(&question.pv, if class.integrates() { 0.98 } else { 0.8 }, question.from);
+    let target = Target::new(&question.pv, if integrates { INTEGRATING_RHO } else { RHO }, question.from);
     let [low, high] = question.limits.lag;
     let mut all = Vec::new();
     for bin in 0..BINS {
@@ -181,6 +186,8 @@ fn by_dead_time(
 fn valley(bench: &mut Bench<'_>, around: &Candidate) -> Vec<Candidate> {
     let ridge = along(bench, around, REACH, STEPS);
     let mut pool = ridge.clone();
+    pool.extend(cell_by_cell(bench, around, 0));
+    pool.extend(cell_by_cell(bench, around, 3));
     for c in ridge.iter().take(4) {
         for k in 0..JUMPS {
             let j = c.s * libm::pow(0.03, f64::from(k) / f64::from(JUMPS - 1));
@@ -189,4 +196,37 @@ fn valley(bench: &mut Bench<'_>, around: &Candidate) -> Vec<Candidate> {
         }
     }
     beam(&pool, 6, 0)
+}
+
+/// Every cell along the ridge around a candidate, with its first slip and the jump that [`ridge_jumps`] names: with
+/// little noise the right cell shows only when it is met exactly. Cells beyond [`CELLS`] to a side are skipped evenly.
+fn cell_by_cell(bench: &mut Bench<'_>, around: &Candidate, jump: usize) -> Vec<Candidate> {
+    let rate = bench.question.rate.max(1e-6);
+    let slot = bench.class.shape_len() - 1;
+    let least_step = REACH * around.s / f64::from(CELLS);
+    let mut pool = Vec::new();
+    for up in [false, true] {
+        let (mut at, mut shape, mut last) = (*around, around.fit.shape, around.s);
+        for _ in 0..CELLS {
+            let s = if up {
+                (at.s_cell[1] * (1.0 + 1e-9) + 1e-12).max(at.s + least_step)
+            } else {
+                (at.s_cell[0] * (1.0 - 1e-9) - 1e-12).min(at.s - least_step)
+            };
+            if !s.is_finite() || s < 1e-4 || (s / around.s - 1.0).abs() > REACH || s > 1.0 {
+                break;
+            }
+            let mut guess = shape;
+            guess[slot] -= (s - last) / rate;
+            let guess = bench.class.clamp(guess, &bench.question.limits);
+            let j = ridge_jumps([around.s, around.j], s)[jump];
+            let Some(found) = bench.fit(s, j, around.start, &[guess], Effort::of(1)) else { break };
+            if found.fit.sse < 4.0 * around.fit.sse {
+                (shape, last) = (found.fit.shape, s);
+                pool.push(found);
+            }
+            at = found;
+        }
+    }
+    beam(&pool, 4, 0)
 }
