@@ -62,6 +62,15 @@ impl Question {
         FirstSlip { direction, threshold }
     }
 
+    /// A start some points `later`, as far as OP goes on to new records there.
+    #[must_use]
+    pub fn moved_start(&self, start: Start, later: f64) -> Start {
+        let last = self.records[usize::from(!start.up)].len().saturating_sub(1);
+        let by = (later * self.per_point as f64).round();
+        let record = (start.record as f64 + by).clamp(0.0, last as f64) as usize;
+        Start { record, ..start }
+    }
+
     /// The start that a stem at `position` makes with the band `fs`, if OP ever moves it.
     fn start_from(&self, position: f64, fs: f64) -> Option<Start> {
         let moved = self.path.iter().find(|op| (*op - position).abs() > fs)?;

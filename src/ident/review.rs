@@ -21,7 +21,7 @@ const TAKEN: f64 = 0.03;
 const REACH: f64 = 0.3;
 const STEPS: i32 = 40;
 /// Most cells to either side.
-const CELLS: i32 = 150;
+const CELLS: i32 = 100;
 /// Filters of the search in ranges of dead time, without and with an integrator.
 const RHO: f64 = 0.8;
 const INTEGRATING_RHO: f64 = 0.9;
@@ -169,7 +169,8 @@ fn by_dead_time(
         let seen = seen.map(|c| (c.s, c.j, c.start, class.start(libm::exp(c.fit.shape[0]), c.fit.shape[1])));
         let middle = 0.5 * (limits.lag[0] + limits.lag[1]);
         let s = best.s - (middle - lag) * question.rate;
-        let along = ridge_jumps([best.s, best.j], s).map(|j| (s, j, best.start, class.start(tau, middle)));
+        let start = question.moved_start(best.start, lag - middle);
+        let along = ridge_jumps([best.s, best.j], s).map(|j| (s, j, start, class.start(tau, middle)));
         let mut fitted = Vec::new();
         for (s, j, start, shape) in seen.chain(along).filter(|c| c.0 > 1e-4) {
             fitted.extend(inner.fit(s, j, start, &[class.clamp(shape, &limits)], Effort::of(3)));
@@ -186,8 +187,9 @@ fn by_dead_time(
 fn valley(bench: &mut Bench<'_>, around: &Candidate) -> Vec<Candidate> {
     let ridge = along(bench, around, REACH, STEPS);
     let mut pool = ridge.clone();
-    pool.extend(cell_by_cell(bench, around, 0));
-    pool.extend(cell_by_cell(bench, around, 3));
+    for (jump, earlier) in [(0, false), (3, false), (0, true), (3, true)] {
+        pool.extend(cell_by_cell(bench, around, jump, earlier));
+    }
     for c in ridge.iter().take(4) {
         for k in 0..JUMPS {
             let j = c.s * libm::pow(0.03, f64::from(k) / f64::from(JUMPS - 1));
@@ -198,9 +200,10 @@ fn valley(bench: &mut Bench<'_>, around: &Candidate) -> Vec<Candidate> {
     beam(&pool, 6, 0)
 }
 
-/// Every cell along the ridge around a candidate, with its first slip and the jump that [`ridge_jumps`] names: with
-/// little noise the right cell shows only when it is met exactly. Cells beyond [`CELLS`] to a side are skipped evenly.
-fn cell_by_cell(bench: &mut Bench<'_>, around: &Candidate, jump: usize) -> Vec<Candidate> {
+/// Every cell along the ridge around a candidate, with the jump that [`ridge_jumps`] names: with little noise the right
+/// cell shows only when it is met exactly. The first slip stays, or comes `earlier` with all others where the lag grows.
+/// Where there are more than [`CELLS`] to a side, some are skipped.
+fn cell_by_cell(bench: &mut Bench<'_>, around: &Candidate, jump: usize, earlier: bool) -> Vec<Candidate> {
     let rate = bench.question.rate.max(1e-6);
     let slot = bench.class.shape_len() - 1;
     let least_step = REACH * around.s / f64::from(CELLS);
@@ -220,7 +223,9 @@ fn cell_by_cell(bench: &mut Bench<'_>, around: &Candidate, jump: usize) -> Vec<C
             guess[slot] -= (s - last) / rate;
             let guess = bench.class.clamp(guess, &bench.question.limits);
             let j = ridge_jumps([around.s, around.j], s)[jump];
-            let Some(found) = bench.fit(s, j, around.start, &[guess], Effort::of(1)) else { break };
+            let later = if earlier { around.fit.shape[slot] - guess[slot] } else { 0.0 };
+            let start = bench.question.moved_start(around.start, later);
+            let Some(found) = bench.fit(s, j, start, &[guess], Effort::of(1)) else { break };
             if found.fit.sse < 4.0 * around.fit.sse {
                 (shape, last) = (found.fit.shape, s);
                 pool.push(found);

@@ -268,6 +268,10 @@ fn step(question: &Question, from: &Candidate, fine: bool, rng: &mut ChaCha8Rng)
         lag = 3.0 * uniform(rng) * normal(rng);
         s -= lag * question.rate;
         j = ridge_jumps([from.s, from.j], s)[(4.0 * uniform(rng)) as usize];
+        if uniform(rng) < 0.5 {
+            // All slips come earlier, the first one too.
+            start = question.moved_start(start, -lag);
+        }
     } else if kind < 0.92 {
         let list = question.records[usize::from(!start.up)].len();
         let by = 1 + (3.0 * uniform(rng) * uniform(rng)) as usize;
