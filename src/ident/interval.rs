@@ -143,7 +143,8 @@ impl<'b, 'a> Looking<'b, 'a> {
         shape[self.bench.class.shape_len() - 1] += lag;
         let shape = self.bench.class.clamp(shape, &self.bench.question.limits);
         let hopeless = (1.3 * self.top.fit.sse).max(self.top.fit.sse - 4.0 * NEGLIGIBLE * self.variance);
-        let effort = Effort { steps: 1, hopeless };
+        let wanted = self.top.fit.sse - 3.0 * NEGLIGIBLE * self.variance;
+        let effort = Effort { steps: 1, hopeless, wanted };
         let found = self.bench.fit(s, j, start, &[shape], effort).filter(|c| c.fit.gain != 0.0)?;
         if found.fit.sse < self.top.fit.sse {
             self.top = found;
@@ -270,7 +271,7 @@ impl<'b, 'a> Looking<'b, 'a> {
             if self.weight(c.fit.sse) < 2.5 * NEGLIGIBLE || c.covers(self.top.s, self.top.j, self.top.start) {
                 continue;
             }
-            let effort = Effort { steps: 4, hopeless: f64::INFINITY };
+            let effort = Effort::of(4);
             let shapes = [c.fit.shape, self.top.fit.shape];
             let found = self.bench.fit(c.s, c.j, c.start, &shapes, effort).filter(|f| f.fit.gain != 0.0);
             if let Some(found) = found.filter(|f| f.fit.sse < c.fit.sse) {

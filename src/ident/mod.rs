@@ -23,6 +23,7 @@ mod pose;
 mod quantify;
 pub mod region;
 pub mod residual;
+mod review;
 mod robust;
 mod search;
 pub mod sign;
