@@ -3,8 +3,12 @@
 //! [`diagnose`] fits the base (He's law, first order with dead time) to the training blocks of a record, then the base
 //! with each effect of the [`effects::ALL`] catalogue, and judges on what it was not fitted to.
 
+pub mod document;
 pub mod effects;
+pub mod locate;
+pub mod loop_run;
 pub mod model;
+pub mod text;
 pub mod types;
 
 pub use types::*;
