@@ -8,6 +8,7 @@ pub mod effects;
 pub mod locate;
 pub mod loop_run;
 pub mod model;
+pub mod model_file;
 pub mod text;
 pub mod types;
 
