@@ -6,8 +6,10 @@ use super::types::{Parameter, Signature};
 use crate::record::Record;
 use crate::signal::stats;
 
-/// Quantum over the white noise below which a grid is no cause of anything.
+/// Quantum over the white noise below which a grid is no cause of anything, and what a quantum of PV's whole deviation
+/// counts for: second differences cannot tell the noise under a grid that PV crosses at every sample.
 const COARSE: f64 = 2.0;
+const AGAINST_SD: f64 = 12.0;
 /// Share of held samples, or of samples on straight lines, that speaks for a recorder.
 const RECORDED: f64 = 0.25;
 /// Share of samples exactly at an end of PV's range.
@@ -57,7 +59,7 @@ pub fn traces(record: &Record, period: f64) -> Traces {
     let cut = if at_end(ends[0]) > at_end(ends[1]) { (ends[0], at_end(ends[0])) } else { (ends[1], at_end(ends[1])) };
     let wild = wild_samples(pv, noise);
     let wild_share = wild.iter().filter(|w| **w).count() as f64 / n * 1000.0;
-    let coarse = grid.map_or(0.0, |q| q / white_part(pv, q));
+    let coarse = grid.map_or(0.0, |q| (q / white_part(pv, q)).max(AGAINST_SD * q / sd));
     // Few levels put many samples at the ends as well.
     let is_grid = coarse > COARSE;
     let still_from = 10.0_f64.max(0.12 * period) + if is_grid { 0.5 * period } else { 0.0 };
