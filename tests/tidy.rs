@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 const MAX_LINES: usize = 600;
 
 /// Which rooms each room may use, in the order of the map in `src/lib.rs`.
-const IMPORTS: [(&str, &[&str]); 20] = [
+const IMPORTS: [(&str, &[&str]); 21] = [
     // Words.
     ("units", &[]),
     ("record", &["units"]),
@@ -29,6 +29,8 @@ const IMPORTS: [(&str, &[&str]); 20] = [
     // Judgement.
     ("verdict", &["units", "record", "signal", "optim", "sim", "ident", "detect"]),
     ("gap", &["units", "record", "signal", "optim", "sim", "ident", "detect"]),
+    // Checks `gap` from outside: neither of the two may see the other.
+    ("challenge", &["units", "record", "signal", "sim"]),
     ("alarm", &["units", "record", "config", "verdict"]),
     // Engine.
     ("codec", &["units", "record"]),
