@@ -17,6 +17,7 @@ use crate::config::Config;
 use crate::detect::oscillation;
 use crate::files::{LoadedLoop, load_samples};
 use crate::gap::document::GapDocument;
+use crate::gap::locate::Subject;
 use crate::gap::{self, Ask, Diagnosis, GapError, effects, locate, text};
 use crate::record::Record;
 use base::BaseArg;
@@ -181,7 +182,7 @@ fn diagnose(
     let diagnosis = gap::diagnose(&record, &ask, &team);
     team.finish();
     let diagnosis = diagnosis.with_context(|| format!("{}: loop {}", args.input.display(), one.name))?;
-    let location = locate::locate(&record, &diagnosis, period, args.seed);
+    let location = locate::locate(&record, &Subject::of(&diagnosis, period, args.seed));
     let document = GapDocument::new(&one.name, &record, &ask.base, &diagnosis, location);
     Ok(Done { name: one.name.clone(), record, diagnosis, document })
 }
