@@ -24,6 +24,7 @@ pub mod residual;
 mod robust;
 mod search;
 pub mod sign;
+pub mod surface;
 pub mod width;
 
 pub use choice::{DelayChoice, ModelChoice, ValveChoice};
