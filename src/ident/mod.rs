@@ -26,6 +26,7 @@ pub mod residual;
 mod robust;
 pub(crate) mod search;
 pub mod sign;
+pub mod surface;
 pub mod width;
 
 pub use choice::{DelayChoice, ModelChoice, ValveChoice};

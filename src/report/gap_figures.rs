@@ -127,7 +127,8 @@ fn runs(p: &Points<'_>) -> Made {
         Panel { y_label: "OP", series: below, height: 130, shaded: &p.held_out },
     ];
     let picture = trend("Measured against simulated", WIDE, "time, s", &panels)?;
-    let caption = "Free runs from OP as recorded. No model was fitted to the shaded stretches: the gap is measured there.";
+    let caption =
+        "Free runs from OP as recorded. No model was fitted to the shaded stretches: the gap is measured there.";
     Ok(Figure { picture, caption: caption.to_owned(), wide: true })
 }
 
@@ -213,8 +214,7 @@ fn since_slip(p: &Points<'_>) -> Made {
 fn level(p: &Points<'_>) -> Made {
     let op = p.of.record.op();
     let x = |k: usize| op[k];
-    let mut figure =
-        cloud(p, "What is left, by level", ["OP", "PV less simulation"], &x, [&p.before, &p.after])?;
+    let mut figure = cloud(p, "What is left, by level", ["OP", "PV less simulation"], &x, [&p.before, &p.after])?;
     if let Some(r2) = p.of.document.location.level_r2.op {
         figure.caption =
             format!("{} The level explains {:.0} % of the base's (p {:.3}).", figure.caption, 100.0 * r2.value, r2.p);

@@ -4,7 +4,7 @@ use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 use super::gap_figures::figures;
 use super::ink;
-use super::page::{SCRIPT, STYLE, flatten, picture};
+use super::page::{SCRIPT, STYLE, flatten, optional, picture};
 use super::plot::PlotError;
 use super::words::number;
 use crate::gap::Diagnosis;
@@ -116,10 +116,6 @@ fn overview(report: &GapReport) -> Markup {
             }
         }
     }
-}
-
-fn optional(value: Option<f64>) -> String {
-    value.map_or_else(|| "\u{2013}".to_owned(), number)
 }
 
 fn section(one: &GapLoop, k: usize, open: bool) -> Result<Markup, PlotError> {

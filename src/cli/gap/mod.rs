@@ -18,8 +18,8 @@ use crate::detect::oscillation;
 use crate::files::{LoadedLoop, load_samples};
 use crate::gap::document::GapDocument;
 use crate::gap::locate::Subject;
-use crate::gap::{self, Ask, Diagnosis, GapError, effects, locate, text};
-use crate::record::Record;
+use crate::gap::{self, Ask, GapError, effects, locate, text};
+use crate::report::{GapLoop, GapReport, gap_page};
 use base::BaseArg;
 use crew::Team;
 
@@ -67,6 +67,9 @@ pub struct Args {
     /// Write measured and simulated PV, from which every figure can be computed again.
     #[arg(long, value_name = "FILE.csv")]
     pub predictions: Option<PathBuf>,
+    /// Write a page with pictures: simulation against plant before and after, and where the gap lies.
+    #[arg(long, value_name = "FILE.html")]
+    pub report: Option<PathBuf>,
     /// Replace existing outputs.
     #[arg(long)]
     pub force: bool,
@@ -78,14 +81,6 @@ pub struct Args {
 fn seconds(text: &str) -> Result<f64, String> {
     let value: f64 = text.parse().map_err(|_| format!("{text:?} is not a number"))?;
     if value.is_finite() && value > 0.0 { Ok(value) } else { Err("write a number of seconds above 0".to_owned()) }
-}
-
-/// One section of one loop, diagnosed.
-struct Done {
-    name: String,
-    record: Record,
-    diagnosis: Diagnosis,
-    document: GapDocument,
 }
 
 /// Runs the command.
@@ -109,7 +104,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
         return Err(UsageError(message.to_owned()).into());
     }
     let stop = stop_flag();
-    let mut done = 0;
+    let mut done = Vec::new();
     for one in &chosen {
         let points = Points::of(one, &config);
         for section in &sections {
@@ -118,17 +113,20 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
             }
             match diagnose(args, base.as_ref(), one, &points, *section, &stop) {
                 Ok(found) => {
-                    done += 1;
                     print(&found, format)?;
                     write_predictions(args, &points, &found, *section)?;
+                    done.push(found);
                 }
                 Err(error) if !alone && !error.is::<UsageError>() => tracing::warn!("{error:#}"),
                 Err(error) => return Err(error),
             }
         }
     }
-    if done == 0 && !stop.load(Ordering::Relaxed) {
+    if done.is_empty() && !stop.load(Ordering::Relaxed) {
         bail!("{}: no loop could be diagnosed", args.input.display());
+    }
+    if let Some(path) = args.report.as_ref().filter(|_| !done.is_empty()) {
+        write_report(args, path, &loaded.warnings, done)?;
     }
     Ok(if loaded.data_loss { Outcome::DataLoss } else { Outcome::Done })
 }
@@ -141,7 +139,8 @@ fn check(args: &Args) -> anyhow::Result<()> {
             return Err(UsageError(GapError::UnknownEffect { id: id.clone(), known }.to_string()).into());
         }
     }
-    if let Some(path) = args.predictions.as_ref().filter(|path| path.exists() && !args.force) {
+    let outputs = args.predictions.iter().chain(&args.report);
+    for path in outputs.filter(|path| path.exists() && !args.force) {
         bail!("{}: exists already; --force replaces it", path.display());
     }
     Ok(())
@@ -166,7 +165,7 @@ fn diagnose(
     points: &Points,
     section: Option<(usize, usize)>,
     stop: &AtomicBool,
-) -> anyhow::Result<Done> {
+) -> anyhow::Result<GapLoop> {
     let record = points.record_of(&one.name, args.window, section, MAX_POINTS)?;
     let period = oscillation::detect(&record.op(), &record.pv).map(|o| o.period_points);
     let share = args.budget.map_or(1.0, |seconds| seconds / DEFAULT_SECONDS);
@@ -184,10 +183,10 @@ fn diagnose(
     let diagnosis = diagnosis.with_context(|| format!("{}: loop {}", args.input.display(), one.name))?;
     let location = locate::locate(&record, &Subject::of(&diagnosis, period, args.seed));
     let document = GapDocument::new(&one.name, &record, &ask.base, &diagnosis, location);
-    Ok(Done { name: one.name.clone(), record, diagnosis, document })
+    Ok(GapLoop { document, record, diagnosis })
 }
 
-fn print(found: &Done, format: Format) -> anyhow::Result<()> {
+fn print(found: &GapLoop, format: Format) -> anyhow::Result<()> {
     match format {
         Format::Json => say(serde_json::to_string(&found.document)?)?,
         Format::Text => say(text::report(&found.document))?,
@@ -198,17 +197,34 @@ fn print(found: &Done, format: Format) -> anyhow::Result<()> {
 fn write_predictions(
     args: &Args,
     points: &Points,
-    found: &Done,
+    found: &GapLoop,
     section: Option<(usize, usize)>,
 ) -> anyhow::Result<()> {
     let Some(path) = &args.predictions else { return Ok(()) };
-    let whole = points.samples(&found.name, args.window, section)?;
+    let whole = points.samples(&found.document.loop_name, args.window, section)?;
     let rows = predictions::rows(&whole, &found.record, &found.diagnosis);
     predictions::write(path, &rows).with_context(|| path.display().to_string())
 }
 
-/// Where the file stands for a command line that can be pasted.
-pub(super) fn shown(path: &Path) -> String {
-    let text = path.display().to_string();
-    if text.contains([' ', '\'', '"']) { format!("'{}'", text.replace('\'', "'\\''")) } else { text }
+fn write_report(args: &Args, path: &Path, warnings: &[String], loops: Vec<GapLoop>) -> anyhow::Result<()> {
+    let report = GapReport {
+        input: args.input.display().to_string(),
+        command: command_line(),
+        warnings: warnings.to_vec(),
+        loops,
+    };
+    let page = gap_page(&report)?;
+    let mut part = path.to_owned().into_os_string();
+    part.push(".part");
+    std::fs::write(&part, page).and_then(|()| std::fs::rename(&part, path)).with_context(|| path.display().to_string())
+}
+
+/// The command as it was called, ready to be pasted.
+fn command_line() -> String {
+    let words = std::env::args().skip(1);
+    let quoted = words.map(|word| {
+        let plain = |c: char| c.is_ascii_alphanumeric() || "-_./:,=+@%".contains(c);
+        if !word.is_empty() && word.chars().all(plain) { word } else { format!("'{}'", word.replace('\'', "'\\''")) }
+    });
+    core::iter::once("stictiond".to_owned()).chain(quoted).collect::<Vec<_>>().join(" ")
 }
