@@ -15,9 +15,10 @@ use crate::optim::Objective;
 use crate::optim::local::on_triangle;
 use crate::sim::slips::{Law, Sequence};
 
-/// Boxes a period of the first looks and of the later ones.
+/// Boxes a period of the first looks.
 const COARSE: f64 = 20.0;
-const FINE: f64 = 40.0;
+/// Boxes a period of the later looks, and of the error surface.
+pub const FINE: f64 = 40.0;
 /// Turns of the stem below which several positions before the record are looked at.
 const FEW_REVERSALS: usize = 8;
 /// Cost over the best one up to which a place is kept for its dead time.
@@ -28,12 +29,12 @@ const HOPELESS: f64 = 2.5;
 const WANTED: f64 = 1.1;
 
 /// A uniform draw from 0 to below 1.
-pub(super) fn uniform(rng: &mut ChaCha8Rng) -> f64 {
+pub fn uniform(rng: &mut ChaCha8Rng) -> f64 {
     (rng.next_u64() >> 11) as f64 / (1_u64 << 53) as f64
 }
 
 /// A normal draw (the sum of twelve uniform ones, less six).
-pub(super) fn normal(rng: &mut ChaCha8Rng) -> f64 {
+pub fn normal(rng: &mut ChaCha8Rng) -> f64 {
     (0..12).map(|_| uniform(rng)).sum::<f64>() - 6.0
 }
 
@@ -301,7 +302,8 @@ pub(super) fn ridge_jumps([from_s, from_j]: [f64; 2], s: f64) -> [f64; 4] {
 }
 
 /// A value just across an edge of its cell (30 %), else a normal step.
-fn moved(value: f64, cell: [f64; 2], sigma: f64, rng: &mut ChaCha8Rng) -> f64 {
+#[must_use]
+pub fn moved(value: f64, cell: [f64; 2], sigma: f64, rng: &mut ChaCha8Rng) -> f64 {
     if uniform(rng) < 0.3 {
         let edge = if uniform(rng) < 0.5 { cell[0] * (1.0 - 1e-9) - 1e-12 } else { cell[1] * (1.0 + 1e-9) + 1e-12 };
         if edge.is_finite() && edge > 0.0 {

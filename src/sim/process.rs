@@ -68,6 +68,15 @@ pub fn run_pair(poles: [Pole; 2], lags: [usize; 2], v: [&[f64]; 2], x0: [f64; 2]
     }
 }
 
+/// As [`run_pair`] for one recursion.
+pub fn run_one(pole: Pole, lag: usize, v: &[f64], x0: f64, out: &mut Vec<f64>) {
+    out.resize(v.len(), 0.0);
+    if !v.is_empty() {
+        let state = head(pole, lag, v, x0, out);
+        tails([pole], [v], [state], (lag + 1).min(v.len()), [out]);
+    }
+}
+
 /// A recursion's values while its input is still that before the record, and the last of them.
 fn head(pole: Pole, lag: usize, v: &[f64], x0: f64, out: &mut [f64]) -> f64 {
     let mut x = x0;
