@@ -5,5 +5,6 @@ pub mod align;
 mod align_check;
 pub mod detrend;
 pub mod history;
+pub mod resample;
 pub mod spectrum;
 pub mod stats;
