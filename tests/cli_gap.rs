@@ -145,7 +145,8 @@ fn anyone_can_compute_the_gap_and_the_closure_from_the_rows() {
     let floor = d["gap"]["noise_floor"].as_f64().unwrap_or(0.0);
     let gap = |rmse: f64| (rmse * rmse - floor * floor).max(0.0).sqrt();
     close(gap(before), number(&d["gap"]["gap"]), "gap");
-    let named = d["effects"].as_array().unwrap().iter().find(|e| e["id"] == d["cause"]["id"]).expect("a cause is named");
+    let named =
+        d["effects"].as_array().unwrap().iter().find(|e| e["id"] == d["cause"]["id"]).expect("a cause is named");
     close(gap(before), number(&named["gap_before"]), "gap_before");
     close(gap(after), number(&named["gap_after"]), "gap_after");
     close(100.0 * (1.0 - gap(after) / gap(before)), number(&named["closed_pct"]), "closed_pct");
@@ -160,7 +161,10 @@ fn a_lag_behind_the_valve_is_named_and_closes_the_gap() {
     assert!(number(&named["closed_pct"]) > 50.0, "{named}");
     assert!((number(&named["parameters"]["lag"]["value"]) - 8.0).abs() < 4.0, "{named}");
     let after = &d["model_after"];
-    assert!(after["process"]["time_constants_s"].as_array().unwrap().len() == 2 && number(&after["s"]) > 0.0, "{after}");
+    assert!(
+        after["process"]["time_constants_s"].as_array().unwrap().len() == 2 && number(&after["s"]) > 0.0,
+        "{after}"
+    );
 }
 
 #[test]
@@ -191,10 +195,8 @@ fn the_page_stands_alone_and_holds_the_sentence_and_the_command() {
 #[test]
 fn the_model_after_is_a_base_for_later_and_closes_the_structural_gap() {
     lagging();
-    let out = expect(
-        0,
-        &["gap", &path("lagging.csv"), "--base", &path("lagging.json"), "--budget", "2", "--format", "json"],
-    );
+    let out =
+        expect(0, &["gap", &path("lagging.csv"), "--base", &path("lagging.json"), "--budget", "2", "--format", "json"]);
     let d: Value = serde_json::from_str(&stdout(&out)).unwrap();
     assert_eq!(d["base"]["source"], "given");
     let (given, refitted) = (number(&d["given"]["gap"]), number(&d["gap"]["gap"]));
@@ -214,8 +216,16 @@ fn what_is_wrong_is_refused_with_its_place_and_remedy() {
     fs::write(&still, (0..300).fold("t,op,pv\n".to_owned(), |text, k| text + &format!("{k},50,{}\n", k % 7))).unwrap();
     assert!(stderr(&expect(1, &["gap", &still])).contains("OP never moves"));
     for (name, json, part) in [
-        ("a.json", "{\"fs\":1,\"fd\":2,\"process\":{\"gain\":1,\"time_constants_s\":[5],\"dead_time_s\":0}}", "fd is 2"),
-        ("b.json", "{\"fs\":1,\"fd\":0,\"process\":{\"time_constants_s\":[5],\"dead_time_s\":0}}", "process.gain is missing"),
+        (
+            "a.json",
+            "{\"fs\":1,\"fd\":2,\"process\":{\"gain\":1,\"time_constants_s\":[5],\"dead_time_s\":0}}",
+            "fd is 2",
+        ),
+        (
+            "b.json",
+            "{\"fs\":1,\"fd\":0,\"process\":{\"time_constants_s\":[5],\"dead_time_s\":0}}",
+            "process.gain is missing",
+        ),
         ("c.json", "fs = 1", "not JSON"),
         ("d.json", "{\"schema\":\"stictiond.alarm.v1\"}", "stictiond.alarm.v1"),
     ] {
@@ -230,11 +240,7 @@ fn what_is_wrong_is_refused_with_its_place_and_remedy() {
 
 #[test]
 fn odd_data_never_panics() {
-    let odd = [
-        ("huge.csv", 1e300_f64, 1e-300_f64),
-        ("tiny.csv", 1e-300, 1e-300),
-        ("steps.csv", 1e6, 1.0),
-    ];
+    let odd = [("huge.csv", 1e300_f64, 1e-300_f64), ("tiny.csv", 1e-300, 1e-300), ("steps.csv", 1e6, 1.0)];
     for (name, big, small) in odd {
         let mut text = "t,op,pv\n".to_owned();
         for k in 0..400_u32 {

@@ -13,8 +13,10 @@ use super::{Meter, Objective, Outcome, Settings, Solver, Termination, local};
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct BranchBound;
 
-/// Times by which the surface may be steeper than was seen.
+/// Times by which the surface may be steeper than was seen, first and at most: where nothing promises more, the search
+/// trusts its slopes less and goes on.
 const MARGIN: f64 = 1.5;
+const MOST_MARGIN: f64 = 50.0;
 /// Half a cell's longer side below which it is not cut further.
 const FINEST: f64 = 5e-4;
 /// Slopes remembered, and the share of them that is less steep than what counts everywhere.
@@ -68,7 +70,8 @@ impl Solver for BranchBound {
     fn search(&self, objective: &mut dyn Objective, settings: &Settings) -> Outcome {
         // The last tenth sharpens the best place.
         let tree_budget = settings.budget - settings.budget / 10;
-        let mut tree = Tree { meter: Meter::new(objective, tree_budget), slopes: Vec::new(), worst: 0.0 };
+        let meter = Meter::new(objective, tree_budget);
+        let mut tree = Tree { meter, slopes: Vec::new(), worst: 0.0, margin: MARGIN };
         let left = tree.grow();
         let Tree { mut meter, .. } = tree;
         meter.left += settings.budget - tree_budget;
@@ -88,6 +91,7 @@ struct Tree<'a> {
     slopes: Vec<f64>,
     /// The worst finite root, which stands for places without a model.
     worst: f64,
+    margin: f64,
 }
 
 impl Tree<'_> {
@@ -100,8 +104,14 @@ impl Tree<'_> {
         while let Some(cell) = open.pop() {
             let best = self.meter.outcome.cost.sqrt();
             if cell.bound >= best {
-                self.meter.outcome.stopped = Termination::Converged;
-                return Some(best.min(least_closed));
+                if self.margin > MOST_MARGIN {
+                    self.meter.outcome.stopped = Termination::Converged;
+                    return Some(best.min(least_closed));
+                }
+                self.margin *= 2.0;
+                open.push(cell);
+                open = open.into_iter().map(|c| Cell { bound: self.bound(&c), ..c }).collect();
+                continue;
             }
             if cell.half[0].max(cell.half[1]) < FINEST {
                 least_closed = least_closed.min(cell.bound);
@@ -166,6 +176,6 @@ impl Tree<'_> {
                 *slopes.select_nth_unstable_by(at, f64::total_cmp).1
             }
         };
-        (cell.root - MARGIN * cell.slope.max(usual) * cell.reach()).max(0.0)
+        (cell.root - self.margin * cell.slope.max(usual) * cell.reach()).max(0.0)
     }
 }

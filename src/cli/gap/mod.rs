@@ -5,14 +5,13 @@ mod crew;
 mod predictions;
 
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use anyhow::{Context, bail};
+use anyhow::{Context, anyhow, bail};
 
-use super::analyze::{self, Points};
-use super::{Format, Outcome, UsageError, asked_to_stop, block_on, say};
+use super::analyze;
+use super::selection::{Points, Section, Selection};
+use super::{Format, Outcome, UsageError, say, stop};
 use crate::config::Config;
 use crate::detect::oscillation;
 use crate::files::{LoadedLoop, load_samples};
@@ -40,17 +39,11 @@ const DEFAULT_SECONDS: f64 = 5.0;
   stictiond gap june.csv --base may.json          # may.json: stictiond gap may.csv --format json
   stictiond gap plant.mcap --loop FIC101 --without extra_lag --format json")]
 pub struct Args {
-    /// A .csv file (columns t,op,pv[,sp][,mv][,mode]) or a recording (.mcap, .mcap.part).
+    /// A .csv file (columns t,op,pv[,sp][,mv][,mode]), a recording (.mcap, .mcap.part) or a compact store (.mat).
     pub input: PathBuf,
-    /// Only this loop.
-    #[arg(long = "loop", value_name = "NAME")]
-    pub loop_name: Option<String>,
-    /// Samples START to END, counted from 1, ends included; may be given several times.
-    #[arg(long, value_name = "START,END", value_parser = analyze::samples_range)]
-    pub samples: Vec<(usize, usize)>,
-    /// From time T0 to T1, ends included: seconds since 1970 or RFC 3339; ns as in documents with the suffix ns.
-    #[arg(long, value_name = "T0,T1", value_parser = analyze::time_range, conflicts_with = "samples")]
-    pub window: Option<(i64, i64)>,
+    /// Loop, section, density.
+    #[command(flatten)]
+    pub selection: Selection,
     /// A model to measure the gap from as well (an estimate, a gap document's model or a plain one, JSON), or `linear`
     /// for a base without friction.
     #[arg(long, value_name = "FILE.json|linear")]
@@ -95,38 +88,41 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
         tracing::warn!("{warning}");
     }
     let config = analyze::config_of(&args.input)?.map_or_else(|| Config::with_prefix("plant"), |r| r.config);
-    let chosen = analyze::choose(&loaded.loops, args.loop_name.as_deref(), &args.input)?;
-    let sections: Vec<Option<(usize, usize)>> =
-        if args.samples.is_empty() { vec![None] } else { args.samples.iter().copied().map(Some).collect() };
-    let alone = chosen.len() * sections.len() == 1;
-    if !alone && args.predictions.is_some() {
+    let place = args.input.display();
+    let chosen = args.selection.loops(&loaded.loops).map_err(|e| anyhow!("{place}: {e}"))?;
+    let sections = args.selection.sections();
+    let wanted = chosen.len() * sections.len();
+    if wanted > 1 && args.predictions.is_some() {
         let message = "--predictions holds one section of one loop: choose it by --loop and --samples or --window";
         return Err(UsageError(message.to_owned()).into());
     }
-    let stop = stop_flag();
-    let mut done = Vec::new();
-    for one in &chosen {
+    stop::watch();
+    let (mut done, mut answered) = (Vec::new(), 0);
+    for (one, section) in chosen.iter().flat_map(|one| sections.iter().map(move |section| (one, *section))) {
+        if stop::asked() {
+            break;
+        }
         let points = Points::of(one, &config);
-        for section in &sections {
-            if stop.load(Ordering::Relaxed) {
-                break;
+        answered += 1;
+        match diagnose(args, base.as_ref(), one, &points, section) {
+            Ok(found) => {
+                print(&found, format)?;
+                write_predictions(args, &points, &found, section)?;
+                done.push(found);
             }
-            match diagnose(args, base.as_ref(), one, &points, *section, &stop) {
-                Ok(found) => {
-                    print(&found, format)?;
-                    write_predictions(args, &points, &found, *section)?;
-                    done.push(found);
-                }
-                Err(error) if !alone && !error.is::<UsageError>() => tracing::warn!("{error:#}"),
-                Err(error) => return Err(error),
-            }
+            Err(error) if wanted > 1 && !error.is::<UsageError>() => tracing::warn!("{error:#}"),
+            Err(error) => return Err(error),
         }
     }
-    if done.is_empty() && !stop.load(Ordering::Relaxed) {
-        bail!("{}: no loop could be diagnosed", args.input.display());
-    }
-    if let Some(path) = args.report.as_ref().filter(|_| !done.is_empty()) {
+    let count = done.len();
+    if let Some(path) = args.report.as_ref().filter(|_| count > 0) {
         write_report(args, path, &loaded.warnings, done)?;
+    }
+    if stop::asked() && answered < wanted {
+        bail!("{place}: stopped after {answered} of {wanted} sections");
+    }
+    if count == 0 {
+        bail!("{place}: no loop could be diagnosed");
     }
     Ok(if loaded.data_loss { Outcome::DataLoss } else { Outcome::Done })
 }
@@ -146,27 +142,14 @@ fn check(args: &Args) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Becomes true on SIGINT or SIGTERM.
-fn stop_flag() -> Arc<AtomicBool> {
-    let flag = Arc::new(AtomicBool::new(false));
-    let own = Arc::clone(&flag);
-    std::thread::spawn(move || {
-        if block_on(asked_to_stop()).is_ok() {
-            own.store(true, Ordering::Relaxed);
-        }
-    });
-    flag
-}
-
 fn diagnose(
     args: &Args,
     base: Option<&BaseArg>,
     one: &LoadedLoop,
     points: &Points,
-    section: Option<(usize, usize)>,
-    stop: &AtomicBool,
+    section: Section,
 ) -> anyhow::Result<GapLoop> {
-    let record = points.record_of(&one.name, args.window, section, MAX_POINTS)?;
+    let (record, _) = args.selection.record_of(points, &one.name, section, MAX_POINTS)?;
     let period = oscillation::detect(&record.op(), &record.pv).map(|o| o.period_points);
     let share = args.budget.map_or(1.0, |seconds| seconds / DEFAULT_SECONDS);
     let ask = Ask {
@@ -177,7 +160,7 @@ fn diagnose(
         seed: args.seed,
         period_points: period,
     };
-    let team = Team::new(&one.name, &ask, args.budget.map(Duration::from_secs_f64), stop);
+    let team = Team::new(&one.name, &ask, args.budget.map(Duration::from_secs_f64), &|| !stop::asked());
     let diagnosis = gap::diagnose(&record, &ask, &team);
     team.finish();
     let diagnosis = diagnosis.with_context(|| format!("{}: loop {}", args.input.display(), one.name))?;
@@ -194,14 +177,9 @@ fn print(found: &GapLoop, format: Format) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn write_predictions(
-    args: &Args,
-    points: &Points,
-    found: &GapLoop,
-    section: Option<(usize, usize)>,
-) -> anyhow::Result<()> {
+fn write_predictions(args: &Args, points: &Points, found: &GapLoop, section: Section) -> anyhow::Result<()> {
     let Some(path) = &args.predictions else { return Ok(()) };
-    let whole = points.samples(&found.document.loop_name, args.window, section)?;
+    let whole = points.samples(&found.document.loop_name, section)?;
     let rows = predictions::rows(&whole, &found.record, &found.diagnosis);
     predictions::write(path, &rows).with_context(|| path.display().to_string())
 }
