@@ -10,6 +10,7 @@ mod choice;
 pub mod class;
 pub mod controller;
 mod fit;
+pub mod foresee;
 mod frictionless;
 mod hunt;
 pub mod imagine;
