@@ -10,7 +10,7 @@
 //! | 1 tools | [`signal`] joining, memory, statistics · [`optim`] solvers |
 //! | 2 physics | [`sim`] valve laws, processes, controller, noise, closed loop: the only copy of each formula |
 //! | 3 identification | [`ident`] quantification of stiction · [`detect`] oscillation, and one file per witness |
-//! | 4 judgement | [`verdict`] gates, verdict, the estimate's document · [`gap`] what the model leaves out · [`alarm`] ISA-18.2 states |
+//! | 4 judgement | [`verdict`] gates, verdict, the estimate's document · [`gap`] what the model leaves out · [`challenge`] its check on withheld causes · [`alarm`] ISA-18.2 states |
 //! | 5 engine | [`config`] text to settings · [`codec`] bytes to samples, topics · [`engine`] one state machine a loop |
 //! | 6 shell | `source` the bus · `sink` publisher, recorder · `files` CSV, MCAP · `daemon` wiring, replay · `web` · `cli` |
 //!
@@ -32,6 +32,7 @@
 //! format: `codec/` and [`codec::ALL`]. A command: `cli/` and its dispatch. A valve law or process: `sim/`.
 
 pub mod alarm;
+pub mod challenge;
 #[cfg(feature = "daemon")]
 pub mod cli;
 pub mod codec;

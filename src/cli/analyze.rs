@@ -93,7 +93,7 @@ fn pair(text: &str) -> Result<(&str, &str), String> {
     text.split_once(',').ok_or_else(|| format!("{text:?} is not two values with a comma between"))
 }
 
-fn samples_range(text: &str) -> Result<(usize, usize), String> {
+pub(super) fn samples_range(text: &str) -> Result<(usize, usize), String> {
     let (start, end) = pair(text)?;
     let whole = |s: &str| s.trim().parse::<usize>().map_err(|_| format!("{s:?} is not a whole number"));
     match (whole(start)?, whole(end)?) {
@@ -103,7 +103,7 @@ fn samples_range(text: &str) -> Result<(usize, usize), String> {
     }
 }
 
-fn time_range(text: &str) -> Result<(i64, i64), String> {
+pub(super) fn time_range(text: &str) -> Result<(i64, i64), String> {
     let (start, end) = pair(text)?;
     let time = |s: &str| match s.trim().strip_suffix("ns") {
         Some(ns) => ns.parse::<i64>().map_err(|_| format!("{s:?} is not a whole number of ns")),
@@ -147,7 +147,7 @@ pub(super) fn op_range(text: &str) -> Result<[f64; 2], String> {
 }
 
 /// The configuration that a file was recorded under; the defaults for files of others.
-fn config_of(path: &Path) -> anyhow::Result<Option<RunMetadata>> {
+pub(super) fn config_of(path: &Path) -> anyhow::Result<Option<RunMetadata>> {
     if InputKind::detect(path)? != InputKind::Mcap {
         return Ok(None);
     }
@@ -197,22 +197,55 @@ impl Points {
         window: Option<(i64, i64)>,
         samples: Option<(usize, usize)>,
     ) -> anyhow::Result<Record> {
-        let (from_ns, to_ns, end_ns) = match (window, samples) {
-            (Some((from, to)), _) => (from, to, Some(to)),
+        self.record_of(name, window, samples, self.settings.window.max_points)
+    }
+
+    /// The same, boxed from another number of points on.
+    pub fn record_of(
+        &self,
+        name: &str,
+        window: Option<(i64, i64)>,
+        samples: Option<(usize, usize)>,
+        max_points: usize,
+    ) -> anyhow::Result<Record> {
+        let (from_ns, to_ns) = self.bounds(name, window, samples)?;
+        let (record, outside) = section(&self.stretches, from_ns, to_ns, window.map(|(_, to)| to), max_points);
+        if outside > 0 {
+            tracing::warn!(name, outside, "the section has gaps: its longest stretch is analysed, the rest left out");
+        }
+        record.ok_or_else(|| anyhow!("{name}: no samples with both OP and PV in this section"))
+    }
+
+    /// Every joined sample of a section, over gaps too.
+    pub fn samples(
+        &self,
+        name: &str,
+        window: Option<(i64, i64)>,
+        samples: Option<(usize, usize)>,
+    ) -> anyhow::Result<Vec<Point>> {
+        let (from_ns, to_ns) = self.bounds(name, window, samples)?;
+        let inside = |p: &&Point| (from_ns..=to_ns).contains(&p.t_ns);
+        Ok(self.stretches.iter().flatten().filter(inside).copied().collect())
+    }
+
+    /// First and last stamp of a section.
+    fn bounds(
+        &self,
+        name: &str,
+        window: Option<(i64, i64)>,
+        samples: Option<(usize, usize)>,
+    ) -> anyhow::Result<(i64, i64)> {
+        match (window, samples) {
+            (Some(window), _) => Ok(window),
             (None, Some((start, end))) => {
                 let stamps: Vec<i64> = self.stretches.iter().flatten().map(|p| p.t_ns).collect();
                 let Some(to) = stamps.get(end - 1) else {
                     bail!("{name}: --samples {start},{end}: the loop has {} samples", stamps.len());
                 };
-                (stamps[start - 1], *to, None)
+                Ok((stamps[start - 1], *to))
             }
-            (None, None) => (i64::MIN, i64::MAX, None),
-        };
-        let (record, outside) = section(&self.stretches, from_ns, to_ns, end_ns, self.settings.window.max_points);
-        if outside > 0 {
-            tracing::warn!(name, outside, "the section has gaps: its longest stretch is analysed, the rest left out");
+            (None, None) => Ok((i64::MIN, i64::MAX)),
         }
-        record.ok_or_else(|| anyhow!("{name}: no samples with both OP and PV in this section"))
     }
 }
 
@@ -258,7 +291,11 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     Ok(if loaded.data_loss { Outcome::DataLoss } else { Outcome::Done })
 }
 
-fn choose<'l>(loops: &'l [LoadedLoop], name: Option<&str>, input: &Path) -> anyhow::Result<Vec<&'l LoadedLoop>> {
+pub(super) fn choose<'l>(
+    loops: &'l [LoadedLoop],
+    name: Option<&str>,
+    input: &Path,
+) -> anyhow::Result<Vec<&'l LoadedLoop>> {
     let Some(name) = name else {
         if loops.is_empty() {
             bail!("{}: holds no loop", input.display());

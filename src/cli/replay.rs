@@ -66,7 +66,9 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
             Format::Json => {
                 say(json!({"schema": "stictiond.replay.v1", "files": files, "compared": compared, "equal": true}))?
             }
-            Format::Text => say(format!("{files} files, {compared} estimates, alarms and gaps: all equal to the byte"))?,
+            Format::Text => {
+                say(format!("{files} files, {compared} estimates, alarms and gaps: all equal to the byte"))?
+            }
         }
     }
     Ok(if totals.cut { Outcome::DataLoss } else { Outcome::Done })

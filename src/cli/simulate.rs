@@ -126,7 +126,7 @@ fn write(args: &Args, scenario: &Scenario, config: Config, run: &RunInfo) -> any
                         let at_ns = request.record.end_ns;
                         (id, Kind::Input, at_ns, to_json(&RecordedInput::GapSkip { number, reason }))
                     }
-                    Event::Gap(id, d) => (id, Kind::Gap, d.window.end_ns, to_json(&d)),
+                    Event::Gap(id, d) => (id, Kind::Gap, d.end_ns(), to_json(&d)),
                     Event::Estimate(id, d) => (id, Kind::Estimate, d.assessment.window.end_ns, to_json(&d)),
                     Event::Alarm(id, d) => (id, Kind::Alarm, d.changed_ns, to_json(&d)),
                     Event::State(id, d) => (id, Kind::State, d.window_end_ns.unwrap_or(0), to_json(&d)),

@@ -271,7 +271,7 @@ impl Core {
                     Event::GapRequest(request) => self.request_gap(*request),
                     Event::Gap(id, document) => {
                         self.metrics.gaps.inc();
-                        self.record(id, Kind::Gap, &document, document.window.end_ns);
+                        self.record(id, Kind::Gap, &document, document.end_ns());
                         self.publish(id, Kind::Gap, to_json(&document));
                     }
                     Event::Estimate(id, document) => {
@@ -351,7 +351,7 @@ impl Core {
                 if let Some(evaluations) = cut {
                     self.metrics.gaps_cut.inc();
                     let input = RecordedInput::GapCut { number, evaluations };
-                    self.record(id, Kind::Input, &input, document.window.end_ns);
+                    self.record(id, Kind::Input, &input, document.end_ns());
                 }
                 let json = to_json(&document);
                 self.engine.complete_gap(id, number, *document, &mut self.events);

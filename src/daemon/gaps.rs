@@ -11,7 +11,7 @@ use std::time::Duration;
 
 use crossbeam_channel::{Receiver, Sender};
 
-use crate::engine::{GapDocument, GapRequest, LoopId, SkipReason};
+use crate::engine::{GapRequest, LoopId, PublishedGap, SkipReason};
 use crate::gap::Crew;
 
 /// Requests that may wait; beyond that a person is refused and the daemon's own are skipped.
@@ -25,7 +25,7 @@ const PATIENCE: u32 = 18_000;
 #[derive(Debug)]
 pub enum Outcome {
     /// A document; the evaluations at which its search was ended early, if it was.
-    Done(Box<GapDocument>, Option<u64>),
+    Done(Box<PublishedGap>, Option<u64>),
     /// None: why, and in words.
     Skipped(SkipReason, String),
 }

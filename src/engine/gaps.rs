@@ -16,13 +16,16 @@ use serde::{Deserialize, Serialize};
 
 use super::LoopId;
 use crate::config::GapParams;
+use crate::detect::oscillation;
+use crate::gap::document::GapDocument;
+use crate::gap::locate::locate;
 use crate::gap::model::{self, Model};
 use crate::gap::{self, Ask, Base, Crew, GapError};
 use crate::ident::foresee::{self, Fixed};
 use crate::record::Record;
 use crate::signal::stats;
 use crate::sim::slips::Law;
-use crate::verdict::{Assessment, Window};
+use crate::verdict::Assessment;
 
 /// Points of fit below the loop's median from which a window departs.
 pub const FIT_DROP_PCT: f64 = 15.0;
@@ -216,43 +219,41 @@ impl GapRequest {
     ///
     /// # Errors
     /// Where the record cannot be diagnosed.
-    pub fn compute(&self, crew: &dyn Crew) -> Result<GapDocument, GapError> {
+    pub fn compute(&self, crew: &dyn Crew) -> Result<PublishedGap, GapError> {
         let base = self.model.clone().map_or(Base::Refit, |model| Base::Given(Box::new(model)));
-        let ask = Ask { base, budget_evaluations: self.budget_evaluations, ..Ask::default() };
+        let period_points = oscillation::detect(&self.record.op(), &self.record.pv).map(|o| o.period_points);
+        let ask = Ask { base, period_points, budget_evaluations: self.budget_evaluations, ..Ask::default() };
         let diagnosis = gap::diagnose(&self.record, &ask, crew)?;
-        Ok(GapDocument {
-            schema: "stictiond.gap.v1",
-            loop_name: self.loop_name.to_string(),
-            window: Window::of(&self.record),
-            evaluations: diagnosis.evaluations,
+        let location = locate(&self.record, &diagnosis, period_points, ask.seed);
+        Ok(PublishedGap {
+            document: GapDocument::new(&self.loop_name, &self.record, &ask.base, &diagnosis, location),
             reason: self.reason,
             by: self.by.clone(),
-            version: crate::VERSION,
             config_hash: self.config_hash.to_string(),
         })
     }
 }
 
-/// A published diagnosis.
+/// A diagnosis as it is published: why it was made, and under which configuration.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct GapDocument {
-    /// Schema name.
-    pub schema: &'static str,
-    /// The loop's name.
-    #[serde(rename = "loop")]
-    pub loop_name: String,
-    /// What it was made from.
-    pub window: Window,
-    /// Model responses computed.
-    pub evaluations: u64,
+pub struct PublishedGap {
+    /// The diagnosis.
+    #[serde(flatten)]
+    pub document: GapDocument,
     /// Why it was made.
     pub reason: GapReason,
-    /// Who asked.
+    /// Who asked, where a person did.
     pub by: Option<String>,
-    /// Version of the program.
-    pub version: &'static str,
     /// Hash of the configuration.
     pub config_hash: String,
+}
+
+impl PublishedGap {
+    /// The name of its window, ns.
+    #[must_use]
+    pub const fn end_ns(&self) -> i64 {
+        self.document.window.end_ns
+    }
 }
 
 /// Why a person's wish for a diagnosis is refused.

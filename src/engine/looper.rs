@@ -3,19 +3,17 @@
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-use super::gaps::{GapDocument, GapReason, GapRefusal, GapRequest, GapWatch};
+use super::gaps::{GapReason, GapRefusal, GapRequest, GapWatch, PublishedGap};
 use super::windowing::choose_record;
 use super::{Checkpoint, Event, LoopFigures, LoopId, LoopSettings, Request, StateDocument, StreamState};
 use crate::alarm::{Alarm, AlarmDocument, Command, CommandError, State};
+use crate::gap::MIN_POINTS;
 use crate::gap::model::Model;
 use crate::record::{Record, Sample};
 use crate::signal::align::{Aligned, Aligner};
 use crate::signal::history::History;
 use crate::units::ns_from_s;
 use crate::verdict::{Assessment, EstimateDocument, Gate, Oscillation, Window};
-
-/// Fewest points that a person's diagnosis is made from.
-const LEAST_POINTS: usize = 30;
 
 /// A window on its way: what its document needs even without an answer, and the answer once it came.
 #[derive(Debug)]
@@ -29,7 +27,7 @@ struct Waiting {
 #[derive(Debug)]
 struct WaitingGap {
     number: u64,
-    answer: Option<Option<GapDocument>>,
+    answer: Option<Option<PublishedGap>>,
 }
 
 #[derive(Debug)]
@@ -164,8 +162,8 @@ impl Loop {
         let newest_ns = self.history.newest_ns();
         let record = newest_ns.and_then(|end_ns| choose_record(&self.history, &self.settings.window, end_ns));
         let points = record.as_ref().map_or(0, Record::len);
-        let Some(record) = record.filter(|_| points >= LEAST_POINTS) else {
-            return Err(GapRefusal::TooShort { points, needed: LEAST_POINTS });
+        let Some(record) = record.filter(|_| points >= MIN_POINTS) else {
+            return Err(GapRefusal::TooShort { points, needed: MIN_POINTS });
         };
         let (asked, model) = ((GapReason::Operator, by.map(str::to_owned)), self.gap.model().cloned());
         Ok(self.ask_gap(id, asked, Arc::new(record), model, hash, out))
@@ -198,7 +196,7 @@ impl Loop {
     }
 
     /// Takes a diagnosis, or none, and puts out all that are next in order.
-    pub fn resolve_gap(&mut self, id: LoopId, number: u64, answer: Option<GapDocument>, out: &mut Vec<Event>) {
+    pub fn resolve_gap(&mut self, id: LoopId, number: u64, answer: Option<PublishedGap>, out: &mut Vec<Event>) {
         let Some(waiting) = self.gaps_waiting.iter_mut().find(|w| w.number == number) else { return };
         waiting.answer = Some(answer);
         while self.gaps_waiting.front().is_some_and(|w| w.answer.is_some()) {

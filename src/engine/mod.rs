@@ -24,7 +24,7 @@ use crate::units::ns_from_s;
 use crate::verdict::{AssessParams, Assessment, EstimateDocument, assess};
 use looper::Loop;
 
-pub use gaps::{GapDocument, GapReason, GapRefusal, GapRequest, GapWatch};
+pub use gaps::{GapReason, GapRefusal, GapRequest, GapWatch, PublishedGap};
 pub use input::{INPUT_SCHEMA, RecordedInput, STATE_SCHEMA, StateDocument};
 pub use windowing::section;
 
@@ -117,7 +117,7 @@ pub enum Event {
     /// Compute this when nothing else waits, and hand the answer back.
     GapRequest(Box<GapRequest>),
     /// A gap diagnosis to publish and record.
-    Gap(LoopId, Box<GapDocument>),
+    Gap(LoopId, Box<PublishedGap>),
 }
 
 /// Why a due window got no fit, or a gap no diagnosis.
@@ -270,7 +270,7 @@ impl Engine {
     }
 
     /// Takes a diagnosis. It is put out once those asked before it are done.
-    pub fn complete_gap(&mut self, id: LoopId, number: u64, document: GapDocument, out: &mut Vec<Event>) {
+    pub fn complete_gap(&mut self, id: LoopId, number: u64, document: PublishedGap, out: &mut Vec<Event>) {
         self.loops[id.index()].resolve_gap(id, number, Some(document), out);
     }
 

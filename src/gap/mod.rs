@@ -3,29 +3,34 @@
 //! [`diagnose`] fits the base (He's law, first order with dead time) to the training blocks of a record, then the base
 //! with each effect of the [`effects::ALL`] catalogue, and judges on what it was not fitted to.
 
+mod decide;
+mod diagnosis;
+pub mod document;
 pub mod effects;
+mod express;
+mod forward;
+mod given;
+mod kernel;
+pub mod locate;
+pub mod loop_run;
 pub mod model;
+pub mod model_file;
+mod next_test;
+mod noise;
+mod pairs;
+mod plan;
+pub mod probability;
+mod rounds;
+mod scene;
+mod search;
+mod signatures;
+mod stages;
+pub mod text;
 pub mod types;
+mod weigh;
 
+pub use diagnosis::{MIN_POINTS, diagnose};
 pub use types::*;
-
-use crate::record::Record;
 
 /// Model responses of a default search: about five seconds on two cores.
 pub const DEFAULT_EVALUATIONS: u64 = 300_000;
-
-/// Diagnoses one record.
-///
-/// # Errors
-/// Where the record is too short, a signal never moves, an id is unknown or a given model cannot be simulated.
-pub fn diagnose(record: &Record, _ask: &Ask, _crew: &dyn Crew) -> Result<Diagnosis, GapError> {
-    Err(GapError::NoBase { points: record.len(), evaluations: 0 })
-}
-
-impl Diagnosis {
-    /// The same fits judged again as if the catalogue lacked `ids`.
-    #[must_use]
-    pub fn without(&self, _ids: &[&str]) -> Self {
-        self.clone()
-    }
-}

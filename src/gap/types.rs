@@ -2,6 +2,8 @@
 
 use super::model::Model;
 
+pub use super::decide::Basis;
+
 /// Id of an effect, as it stands in documents.
 pub type EffectId = &'static str;
 
@@ -268,7 +270,9 @@ pub struct EffectResult {
     pub closed_pct: Option<f64>,
     /// 90 % block-bootstrap interval of it.
     pub closed_interval: Option<[f64; 2]>,
-    /// Gain in training log mean squared error over the base, after BIC; what effects are ranked by.
+    /// Gain in training log mean squared error over the base.
+    pub raw_gain: f64,
+    /// The same after BIC; what effects are ranked by.
     pub evidence: f64,
     /// Evidence less the effect's margin: named only when positive.
     pub lead: f64,
@@ -402,4 +406,6 @@ pub struct Diagnosis {
     pub stages: Option<Stages>,
     /// The next test, where two answers remain.
     pub next_test: Option<NextTest>,
+    /// What else the decision was made from.
+    pub basis: Basis,
 }

@@ -445,7 +445,7 @@ impl BandProfile {
 /// quotient of parabolas in fd, so its best place is the free optimum or an end of the band. A signal of which the
 /// process' own memory leaves next to nothing (of `whole`, its squares before) has no gain.
 #[inline]
-pub(super) fn best_band([uu, ud, dd, uy, dy]: [f64; 5], whole: [f64; 2], freedom: &Freedom) -> (f64, f64, f64) {
+pub fn best_band([uu, ud, dd, uy, dy]: [f64; 5], whole: [f64; 2], freedom: &Freedom) -> (f64, f64, f64) {
     let [low, high] = freedom.fd;
     let determinant = uu * dd - ud * ud;
     let free = if determinant > 1e-6 * uu * dd {

@@ -3,7 +3,7 @@
 use crate::signal::stats::{dot, dot3};
 
 /// Most columns that a system here has, right-hand side included.
-pub const MAX: usize = 9;
+pub const MAX: usize = 16;
 
 /// A symmetric system of up to [`MAX`] columns; only the upper triangle is kept.
 #[derive(Debug, Clone)]

@@ -4,26 +4,26 @@
 //! process answers with a continuous dead time, and everything linear (gain, kinetic band, bias, initial state) is
 //! solved exactly. Everything is seeded, bounded in work and scale-free.
 
-mod bank;
-mod candidate;
+pub(crate) mod bank;
+pub(crate) mod candidate;
 mod choice;
 pub mod class;
 pub mod controller;
-mod fit;
+pub(crate) mod fit;
 pub mod foresee;
 mod frictionless;
-mod hunt;
+pub(crate) mod hunt;
 pub mod imagine;
 mod interval;
-mod least_squares;
+pub(crate) mod least_squares;
 pub mod one_step;
 mod order;
-mod pose;
+pub(crate) mod pose;
 mod quantify;
 pub mod region;
 pub mod residual;
 mod robust;
-mod search;
+pub(crate) mod search;
 pub mod sign;
 pub mod width;
 

@@ -21,12 +21,12 @@ const FEW_REVERSALS: usize = 8;
 const HOPELESS: f64 = 2.5;
 
 /// A uniform draw from 0 to below 1.
-pub(super) fn uniform(rng: &mut ChaCha8Rng) -> f64 {
+pub fn uniform(rng: &mut ChaCha8Rng) -> f64 {
     (rng.next_u64() >> 11) as f64 / (1_u64 << 53) as f64
 }
 
 /// A normal draw (the sum of twelve uniform ones, less six).
-pub(super) fn normal(rng: &mut ChaCha8Rng) -> f64 {
+pub fn normal(rng: &mut ChaCha8Rng) -> f64 {
     (0..12).map(|_| uniform(rng)).sum::<f64>() - 6.0
 }
 
@@ -244,7 +244,8 @@ fn step(question: &Question, from: &Candidate, fine: bool, rng: &mut ChaCha8Rng)
 }
 
 /// A value just across an edge of its cell (30 %), else a normal step.
-fn moved(value: f64, cell: [f64; 2], sigma: f64, rng: &mut ChaCha8Rng) -> f64 {
+#[must_use]
+pub fn moved(value: f64, cell: [f64; 2], sigma: f64, rng: &mut ChaCha8Rng) -> f64 {
     if uniform(rng) < 0.3 {
         let edge = if uniform(rng) < 0.5 { cell[0] * (1.0 - 1e-9) - 1e-12 } else { cell[1] * (1.0 + 1e-9) + 1e-12 };
         if edge.is_finite() && edge > 0.0 {

@@ -60,6 +60,12 @@ pub fn run_pair(poles: [Pole; 2], lags: [usize; 2], v: [&[f64]; 2], x0: [f64; 2]
     }
 }
 
+/// As [`run_pair`] for one recursion.
+pub fn run_one(pole: Pole, lag: usize, v: &[f64], x0: f64, out: &mut Vec<f64>) {
+    out.resize(v.len(), 0.0);
+    fast(pole, lag, v, x0, out);
+}
+
 /// One recursion, four values at a time: the chain from value to value is a quarter as long.
 fn fast(pole: Pole, lag: usize, v: &[f64], x0: f64, out: &mut [f64]) {
     let n = v.len();

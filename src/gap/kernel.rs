@@ -1,0 +1,640 @@
+//! One evaluation: a place in the search, the free run that it makes, and the best linear part for the fitted blocks.
+//!
+//! Gain, bias, initial state and everything additive are solved exactly (variable projection, Golub and Pereyra 1973),
+//! and so is fd where the valve signal is linear in it; time constants, dead time and the effects' parameters are
+//! improved by Gauss-Newton steps on finite differences.
+
+use super::plan::{Gene, MAX_PARAMS, Plan, Recipe};
+use super::scene::{Scene, View, gather};
+use crate::ident::candidate::MIN_SLIPS;
+use crate::ident::fit::{Freedom, best_band};
+use crate::ident::least_squares::Gram;
+use crate::sim::actuator::{play_step, rate_step, stop_step};
+use crate::sim::process::{Pole, run_one, separated, series_weights};
+use crate::sim::slips::Sequence;
+
+/// Points by which an integrator's answer is scaled down, so that it is of the size of its input.
+pub const INTEGRATOR_SCALE: f64 = 50.0;
+/// Columns of a model, right-hand side included, at most.
+const MAX_COLUMNS: usize = 11;
+/// Longest step in the logarithm of a time constant.
+const LOG_STEP: f64 = 0.7;
+/// Largest fd over fs, in size, of a stem that overshoots.
+const MOST_OVERSHOOT: f64 = 0.95;
+
+/// Linear coefficients of a model: those of the other columns first, then that of the response.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Linear {
+    /// In the order in which the columns are made.
+    pub others: [f64; MAX_COLUMNS],
+    /// How many of them.
+    pub count: usize,
+    /// Of the response to the valve signal.
+    pub gain: f64,
+}
+
+/// A gene and how well it fits.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Scored {
+    /// Where.
+    pub gene: Gene,
+    /// Squared error on the fitted blocks, in the view that was asked.
+    pub sse: f64,
+    /// Values of s and j that give the same slips.
+    pub cells: [[f64; 2]; 2],
+    /// Moves of the stem.
+    pub slips: usize,
+    /// The linear part.
+    pub linear: Linear,
+}
+
+impl Scored {
+    /// Whether another place with the same parameters has the same slips.
+    #[must_use]
+    pub fn covers(&self, gene: &Gene) -> bool {
+        let within = |[low, high]: [f64; 2], x: f64| low <= x && x < high;
+        gene.first == self.gene.first
+            && gene.p == self.gene.p
+            && within(self.cells[0], gene.s)
+            && within(self.cells[1], gene.j)
+    }
+}
+
+/// Evaluates genes of one scene, with its own buffers.
+#[derive(Debug)]
+pub struct Kernel<'a> {
+    /// The record.
+    pub scene: &'a Scene,
+    /// Sign of the gain.
+    pub sign: f64,
+    /// Responses computed.
+    pub evaluations: u64,
+    sequence: Sequence,
+    path: Vec<f64>,
+    valve: Vec<f64>,
+    other: Vec<f64>,
+    long: Vec<f64>,
+    longer: Vec<f64>,
+    columns: Vec<Vec<f64>>,
+    slopes: Vec<Vec<f64>>,
+    residual: Vec<f64>,
+    response: Vec<f64>,
+}
+
+/// What of the valve has to be run again.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum From {
+    Path,
+    Stem,
+    Process,
+}
+
+impl<'a> Kernel<'a> {
+    /// A kernel for one scene and sign of the gain.
+    #[must_use]
+    pub fn new(scene: &'a Scene, sign: f64) -> Self {
+        Self {
+            scene,
+            sign,
+            evaluations: 0,
+            sequence: Sequence::default(),
+            path: Vec::new(),
+            valve: Vec::new(),
+            other: Vec::new(),
+            long: Vec::new(),
+            longer: Vec::new(),
+            columns: vec![Vec::new(); MAX_COLUMNS],
+            slopes: vec![Vec::new(); MAX_PARAMS + 3],
+            residual: Vec::new(),
+            response: Vec::new(),
+        }
+    }
+
+    /// Runs the valve from the given stage on; false where the stem hardly moves.
+    fn run_valve(&mut self, plan: &Plan, gene: &mut Gene, from: From) -> bool {
+        let q = &self.scene.question;
+        if from == From::Path {
+            let path = if plan.positioner > 0.0 {
+                // A point of a boxed record is not a uniform stretch of its path; the lag is then an approximation.
+                let tau = plan.positioner * q.per_point as f64;
+                run_one(Pole::lag(tau.max(1e-3), 0.0), 0, &q.path, q.path[0], &mut self.path);
+                &self.path
+            } else {
+                &q.path
+            };
+            match plan.law {
+                Some(law) => {
+                    let bands = [gene.s, gene.j];
+                    self.sequence.run_uneven(law, path, q.per_point, bands, plan.uneven, gene.first);
+                    if self.sequence.slips < MIN_SLIPS {
+                        return false;
+                    }
+                }
+                None => {
+                    let m = q.per_point as f64;
+                    self.sequence.at.clear();
+                    self.sequence.at.extend(path.chunks_exact(q.per_point).map(|p| p.iter().sum::<f64>() / m));
+                    self.sequence.direction.clear();
+                    self.sequence.direction.resize(self.sequence.at.len(), 0.0);
+                }
+            }
+        }
+        if from != From::Process && !plan.is_linear_in_fd() {
+            if plan.law.is_some() {
+                let [low, high] = self.band_of(plan, gene).fd;
+                gene.fd = gene.fd.clamp(low, high);
+            }
+            self.assemble(plan, gene.fd);
+        }
+        true
+    }
+
+    /// The valve signal behind everything that follows the stem.
+    fn assemble(&mut self, plan: &Plan, fd: f64) {
+        let Sequence { at, direction, .. } = &self.sequence;
+        self.valve.clear();
+        self.valve.extend(at.iter().zip(direction).map(|(a, d)| a - fd * d));
+        let Some(first) = self.valve.first().copied() else { return };
+        if plan.rate < f64::INFINITY {
+            let mut stem = first;
+            for v in &mut self.valve {
+                stem = rate_step(stem, *v, plan.rate);
+                *v = stem;
+            }
+        }
+        if plan.stops != [f64::NEG_INFINITY, f64::INFINITY] {
+            for v in &mut self.valve {
+                *v = stop_step(*v, plan.stops);
+            }
+        }
+        if plan.play > 0.0 {
+            let mut far = first;
+            for v in &mut self.valve {
+                far = play_step(far, *v, plan.play);
+                *v = far;
+            }
+        }
+    }
+
+    /// Makes the compact columns of a plan: others first, then one or two for the valve. Returns how many others.
+    fn make_columns(&mut self, plan: &Plan, gene: &Gene, view: View) -> usize {
+        let (scene, rho) = (self.scene, view.rho());
+        let n = scene.n();
+        let from = scene.blocks.from;
+        let tau = libm::exp(gene.log_tau);
+        let lag = gene.lag.floor().max(0.0);
+        let (whole, fraction) = (lag as usize, gene.lag.max(0.0) - lag);
+        let [tau1, tau2] = if plan.tau2 > 0.0 { separated(tau, plan.tau2).into() } else { [tau, 0.0] };
+        let train = &scene.train;
+        let mut count = 0;
+        let mut put = |columns: &mut Vec<Vec<f64>>, long: &[f64]| {
+            gather(long, train, rho, &mut columns[count]);
+            count += 1;
+        };
+        // What does not depend on the valve.
+        self.long.clear();
+        self.long.resize(n, 1.0);
+        put(&mut self.columns, &self.long);
+        let memories: &[f64] = if plan.integrating { &[] } else { &[tau1, tau2] };
+        for tau in memories.iter().filter(|t| **t > 0.0) {
+            course(&mut self.long, n, from, libm::exp(-1.0 / tau));
+            put(&mut self.columns, &self.long);
+        }
+        if plan.integrating {
+            self.long.clear();
+            self.long.extend((0..n).map(|k| (k as f64 - from as f64) / n as f64));
+            put(&mut self.columns, &self.long);
+        }
+        if let Some(omega) = plan.omega {
+            for turn in [libm::sin, libm::cos] {
+                self.long.clear();
+                self.long.extend((0..n).map(|k| turn(omega * k as f64)));
+                put(&mut self.columns, &self.long);
+            }
+        }
+        if let Some(start) = plan.ramp {
+            self.long.clear();
+            self.long.extend((0..n).map(|k| (k as f64 - start).max(0.0) / n as f64));
+            put(&mut self.columns, &self.long);
+        }
+        if let Some((start, straight)) = plan.step {
+            self.long.clear();
+            self.long.extend((0..n).map(|k| {
+                let since = k as f64 - start;
+                if since < 0.0 {
+                    0.0
+                } else if straight || plan.integrating {
+                    1.0
+                } else {
+                    1.0 - libm::exp(-since / tau)
+                }
+            }));
+            put(&mut self.columns, &self.long);
+        }
+        // What does.
+        let linear_in_fd = plan.is_linear_in_fd();
+        let signal = if linear_in_fd { &self.sequence.at } else { &self.valve };
+        let process = Process { plan, tau: [tau1, tau2], whole, fraction, n };
+        if plan.curved || plan.drifts {
+            let middle = signal.iter().sum::<f64>() / n as f64;
+            self.other.clear();
+            let bend = |(k, v): (usize, &f64)| {
+                let v = v - middle;
+                if plan.curved { v * v } else { v * (k as f64 / n as f64 - 0.5) }
+            };
+            self.other.extend(signal.iter().enumerate().map(bend));
+            process.respond(&self.other, &mut self.long, &mut self.longer);
+            put(&mut self.columns, &self.long);
+            if plan.curved && plan.drifts {
+                self.other.clear();
+                let drift = |(k, v): (usize, &f64)| (v - middle) * (k as f64 / n as f64 - 0.5);
+                self.other.extend(signal.iter().enumerate().map(drift));
+                process.respond(&self.other, &mut self.long, &mut self.longer);
+                put(&mut self.columns, &self.long);
+            }
+        }
+        if plan.zero {
+            let second = Process { tau: [tau2, 0.0], ..process };
+            second.respond(signal, &mut self.long, &mut self.longer);
+            put(&mut self.columns, &self.long);
+        }
+        let others = count;
+        let main = if plan.zero { Process { tau: [tau1, 0.0], ..process } } else { process };
+        main.respond(signal, &mut self.long, &mut self.longer);
+        gather(&self.long, train, rho, &mut self.columns[others]);
+        if linear_in_fd {
+            main.respond(&self.sequence.direction, &mut self.long, &mut self.longer);
+            gather(&self.long, train, rho, &mut self.columns[others + 1]);
+        }
+        others
+    }
+
+    /// The values of fd that the slips at hand leave open.
+    fn band_of(&self, plan: &Plan, gene: &Gene) -> Freedom {
+        let [s_low, s_high] = self.sequence.s_cell;
+        let [j_low, j_high] = self.sequence.j_cell;
+        let s_high = if s_high.is_finite() { s_high } else { gene.s.max(1.0) };
+        let wanted = 0.5 * (gene.s - gene.j);
+        let limits = self.scene.question.limits;
+        let (low, high) = if plan.overshoot {
+            let most = MOST_OVERSHOOT * 0.5 * (gene.s + gene.j);
+            let j_high = if j_high.is_finite() { j_high } else { gene.j.max(3.0 * gene.s) };
+            let low = (0.5 * (s_low - j_high)).max(-most);
+            (low, (0.5 * (s_high - j_low)).min(0.0).max(low))
+        } else {
+            let low = (0.5 * (s_low - j_high.min(s_high))).max(0.0);
+            (low, (0.5 * (s_high - j_low)).max(low))
+        };
+        Freedom { fd: [low, high], fd_default: wanted.clamp(low, high), sign: self.sign, limits }
+    }
+
+    /// The best linear part at one place; `None` where the stem hardly moves or no gain of the sign helps.
+    pub fn evaluate(&mut self, recipe: &Recipe, gene: &Gene, view: View) -> Option<Scored> {
+        self.evaluations += 1;
+        let plan = recipe.plan(gene);
+        let mut gene = *gene;
+        if !self.run_valve(&plan, &mut gene, From::Path) {
+            return None;
+        }
+        let others = self.make_columns(&plan, &gene, view);
+        let target = self.scene.target(view);
+        let two = plan.is_linear_in_fd();
+        let mains = if two { 2 } else { 1 };
+        let mut columns: [&[f64]; MAX_COLUMNS] = [&[]; MAX_COLUMNS];
+        for (slot, column) in columns.iter_mut().zip(&self.columns[..others + mains]) {
+            *slot = column;
+        }
+        columns[others + mains] = target;
+        let mut gram = Gram::of(&columns[..=others + mains]);
+        let whole = gram.at(others, others);
+        let whole_direction = if two { gram.at(others + 1, others + 1) } else { 0.0 };
+        gram.eliminate(others);
+        let last = others + mains;
+        let (gain, known, explained) = if two {
+            let at = |i: usize, k: usize| gram.at(others + i, others + k);
+            let system = [at(0, 0), at(0, 1), at(1, 1), at(0, 2), at(1, 2)];
+            let freedom = self.band_of(&plan, &gene);
+            let (gain, fd, explained) = best_band(system, [whole, whole_direction], &freedom);
+            gene.fd = fd;
+            (gain, [gain, -gain * fd], explained)
+        } else {
+            let (power, along) = (gram.at(others, others), gram.at(others, last));
+            let gain = if power > 1e-11 * whole { along / power } else { 0.0 };
+            (gain, [gain, 0.0], gain * along)
+        };
+        let all = gram.back(others, &known[..mains]);
+        let mut linear = Linear { others: [0.0; MAX_COLUMNS], count: others, gain };
+        linear.others[..others].copy_from_slice(&all[..others]);
+        let total = if plan.zero { gain + linear.others[others - 1] } else { gain };
+        if gain == 0.0 || total * self.sign <= 0.0 {
+            return None;
+        }
+        let sse = (gram.at(last, last) - explained).max(0.0);
+        let cells = [self.sequence.s_cell, self.sequence.j_cell];
+        Some(Scored { gene, sse, cells, slips: self.sequence.slips, linear })
+    }
+
+    /// As [`Kernel::evaluate`] by the plain error with fd and the gain held: only the other columns are fitted.
+    pub fn held(&mut self, recipe: &Recipe, gene: &Gene, gain: f64) -> Option<Scored> {
+        self.evaluations += 1;
+        let plan = recipe.plan(gene);
+        let (mut moved, fd) = (*gene, gene.fd);
+        if !self.run_valve(&plan, &mut moved, From::Path) {
+            return None;
+        }
+        let others = self.make_columns(&plan, gene, View::Plain);
+        let only = Linear { others: [0.0; MAX_COLUMNS], count: 0, gain };
+        let mut left = Vec::new();
+        let main = self.columns[others].clone();
+        if plan.is_linear_in_fd() {
+            let direction = &self.columns[others + 1];
+            left.extend(main.iter().zip(direction).map(|(a, d)| -gain * (a - fd * d)));
+        } else {
+            left.extend(main.iter().map(|a| -gain * a));
+        }
+        for (l, y) in left.iter_mut().zip(self.scene.target(View::Plain)) {
+            *l += y;
+        }
+        let mut columns: Vec<&[f64]> = self.columns[..others].iter().map(Vec::as_slice).collect();
+        columns.push(&left);
+        let mut gram = Gram::of(&columns);
+        gram.eliminate(others);
+        let all = gram.back(others, &[]);
+        let mut linear = Linear { count: others, ..only };
+        linear.others[..others].copy_from_slice(&all[..others]);
+        let cells = [self.sequence.s_cell, self.sequence.j_cell];
+        let sse = gram.at(others, others).max(0.0);
+        Some(Scored { gene: *gene, sse, cells, slips: self.sequence.slips, linear })
+    }
+
+    /// The model's course on the fitted stretches with its coefficients held, into `out`.
+    fn course_of(&mut self, plan: &Plan, gene: &Gene, linear: &Linear, view: View, slot: usize) {
+        let others = self.make_columns(plan, gene, view);
+        let mut out = core::mem::take(&mut self.slopes[slot]);
+        self.combine(plan, others, gene.fd, linear, &mut out);
+        self.slopes[slot] = out;
+    }
+
+    fn combine(&self, plan: &Plan, others: usize, fd: f64, linear: &Linear, out: &mut Vec<f64>) {
+        out.clear();
+        if plan.is_linear_in_fd() {
+            let (at, direction) = (&self.columns[others], &self.columns[others + 1]);
+            out.extend(at.iter().zip(direction).map(|(a, d)| linear.gain * (a - fd * d)));
+        } else {
+            out.extend(self.columns[others].iter().map(|x| linear.gain * x));
+        }
+        for (column, c) in self.columns[..others].iter().zip(linear.others) {
+            for (o, x) in out.iter_mut().zip(column) {
+                *o += c * x;
+            }
+        }
+    }
+
+    /// Up to `steps` Gauss-Newton steps.
+    pub fn improve(&mut self, recipe: &Recipe, start: Scored, view: View, steps: usize) -> Scored {
+        let mut best = start;
+        for _ in 0..steps {
+            let Some(again) = self.evaluate(recipe, &best.gene, view) else { break };
+            best = again;
+            let Some(next) = self.descend(recipe, &best, view) else { break };
+            let gained = (best.sse - next.sse) / best.sse;
+            best = next;
+            if gained < 1e-4 {
+                break;
+            }
+        }
+        best
+    }
+
+    /// One Gauss-Newton step from the place that was evaluated last, in the same view.
+    pub fn improve_fresh(&mut self, recipe: &Recipe, start: Scored, view: View) -> Scored {
+        self.descend(recipe, &start, view).unwrap_or(start)
+    }
+
+    /// One step, shortened until it helps; `None` when none does. The buffers hold the columns of `best`.
+    fn descend(&mut self, recipe: &Recipe, best: &Scored, view: View) -> Option<Scored> {
+        let plan = recipe.plan(&best.gene);
+        let others = best.linear.count;
+        let mut response = core::mem::take(&mut self.response);
+        self.combine(&plan, others, best.gene.fd, &best.linear, &mut response);
+        let target = self.scene.target(view);
+        self.residual.clear();
+        self.residual.extend(target.iter().zip(&response).map(|(y, x)| y - x));
+        // The response alone, whose gain stays free.
+        let mut unit = Vec::with_capacity(response.len());
+        if plan.is_linear_in_fd() {
+            let (at, direction) = (&self.columns[others], &self.columns[others + 1]);
+            unit.extend(at.iter().zip(direction).map(|(a, d)| a - best.gene.fd * d));
+        } else {
+            unit.extend_from_slice(&self.columns[others]);
+        }
+        let kept: Vec<Vec<f64>> = self.columns[..others].to_vec();
+        let moves = movable(recipe, &plan, self.scene);
+        for (slot, m) in moves.iter().enumerate() {
+            let mut gene = best.gene;
+            let delta = m.shift(&mut gene, 1e-4);
+            let moved = recipe.plan(&gene);
+            if m.from != From::Process {
+                self.run_valve(&moved, &mut gene, m.from);
+            }
+            self.evaluations += 1;
+            self.course_of(&moved, &gene, &best.linear, view, slot);
+            for (s, r) in self.slopes[slot].iter_mut().zip(&response) {
+                *s = (*s - r) / delta;
+            }
+            if m.from != From::Process {
+                self.run_valve(&plan, &mut best.gene.clone(), m.from);
+            }
+        }
+        let mut columns: Vec<&[f64]> = kept.iter().map(Vec::as_slice).collect();
+        columns.push(&unit);
+        columns.extend(self.slopes[..moves.len()].iter().map(Vec::as_slice));
+        columns.push(&self.residual);
+        let head = others + 1;
+        let mut gram = Gram::of(&columns);
+        gram.eliminate(head + moves.len());
+        let all = gram.back(head + moves.len(), &[]);
+        self.response = response;
+        let mut scale = 1.0;
+        for _ in 0..3 {
+            let mut gene = best.gene;
+            for (m, step) in moves.iter().zip(&all[head..]) {
+                m.step(&mut gene, scale * step);
+            }
+            gene = clamped(recipe, gene, self.scene);
+            if gene != best.gene {
+                let found = self.evaluate(recipe, &gene, view).filter(|f| f.sse < best.sse);
+                if found.is_some() {
+                    return found;
+                }
+            }
+            scale *= 0.3;
+        }
+        None
+    }
+
+    /// Free run over the whole record, normalised PV units, the valve signal (spans) and moves of the stem as
+    /// (point, size); `None` as for [`Kernel::evaluate`].
+    pub fn simulate(&mut self, recipe: &Recipe, of: &Scored) -> Option<(Vec<f64>, Vec<f64>)> {
+        let plan = recipe.plan(&of.gene);
+        let whole = self.scene.whole();
+        let mut kernel = Kernel::new(&whole, self.sign);
+        let mut gene = of.gene;
+        if !kernel.run_valve(&plan, &mut gene, From::Path) {
+            return None;
+        }
+        let others = kernel.make_columns(&plan, &gene, View::Plain);
+        let mut out = Vec::new();
+        kernel.combine(&plan, others, gene.fd, &of.linear, &mut out);
+        kernel.assemble(&plan, gene.fd);
+        Some((out, kernel.valve))
+    }
+}
+
+/// The decay `a^(k - from)`, 1 before.
+fn course(out: &mut Vec<f64>, n: usize, from: usize, a: f64) {
+    out.clear();
+    out.resize(from.min(n), 1.0);
+    let mut value = 1.0;
+    while out.len() < n {
+        out.push(value);
+        value *= a;
+        if value < 1e-14 {
+            out.resize(n, 0.0);
+        }
+    }
+}
+
+/// The process of a plan.
+#[derive(Clone, Copy)]
+struct Process<'p> {
+    plan: &'p Plan,
+    tau: [f64; 2],
+    whole: usize,
+    fraction: f64,
+    n: usize,
+}
+
+impl Process<'_> {
+    /// Its answer to `v` from rest at its first value.
+    fn respond(&self, v: &[f64], out: &mut Vec<f64>, work: &mut Vec<f64>) {
+        self.at_lag(v, self.whole, self.fraction, out, work);
+        let Some([time, more]) = self.plan.switch else { return };
+        let lag = (self.whole as f64 + self.fraction + more).max(0.0);
+        let mut after = Vec::with_capacity(self.n);
+        self.at_lag(v, lag.floor() as usize, lag - lag.floor(), &mut after, work);
+        // From the change on, the state at the change runs down in the process' own time.
+        let at = (time.max(0.0) as usize).min(self.n.saturating_sub(1));
+        let mut left = out[at] - after[at];
+        let decay = if self.plan.integrating { 1.0 } else { libm::exp(-1.0 / self.tau[0]) };
+        for (o, a) in out[at..].iter_mut().zip(&after[at..]) {
+            *o = a + left;
+            left *= decay;
+        }
+    }
+
+    fn at_lag(&self, v: &[f64], whole: usize, fraction: f64, out: &mut Vec<f64>, work: &mut Vec<f64>) {
+        let first = v.first().copied().unwrap_or(0.0);
+        if self.plan.integrating {
+            let p = Pole::integrator(fraction);
+            let p = Pole { a: p.a, b0: p.b0 / INTEGRATOR_SCALE, b1: p.b1 / INTEGRATOR_SCALE };
+            run_one(p, whole, v, 0.0, out);
+            return;
+        }
+        let [tau1, tau2] = self.tau;
+        run_one(Pole::lag(tau1, fraction), whole, v, first, out);
+        if tau2 > 0.0 {
+            run_one(Pole::lag(tau2, fraction), whole, v, first, work);
+            let (w1, w2) = series_weights(tau1, tau2);
+            for (o, w) in out.iter_mut().zip(work.iter()) {
+                *o = w1 * *o + w2 * w;
+            }
+        }
+    }
+}
+
+/// One entry that Gauss-Newton may move.
+struct Movable {
+    slot: Slot,
+    from: From,
+    /// Longest step.
+    most: f64,
+    /// Size of 1e-4 of it for a difference.
+    scale: f64,
+}
+
+enum Slot {
+    Fd,
+    LogTau,
+    Lag,
+    Param(usize),
+}
+
+impl Movable {
+    fn entry<'g>(&self, gene: &'g mut Gene) -> &'g mut f64 {
+        match self.slot {
+            Slot::Fd => &mut gene.fd,
+            Slot::LogTau => &mut gene.log_tau,
+            Slot::Lag => &mut gene.lag,
+            Slot::Param(i) => &mut gene.p[i],
+        }
+    }
+
+    fn shift(&self, gene: &mut Gene, share: f64) -> f64 {
+        let delta = share * self.scale;
+        *self.entry(gene) += delta;
+        delta
+    }
+
+    fn step(&self, gene: &mut Gene, by: f64) {
+        if by.is_finite() {
+            *self.entry(gene) += by.clamp(-self.most, self.most);
+        }
+    }
+}
+
+fn movable(recipe: &Recipe, plan: &Plan, scene: &Scene) -> Vec<Movable> {
+    let mut out = Vec::with_capacity(MAX_PARAMS + 3);
+    if plan.law.is_some() && !plan.is_linear_in_fd() {
+        out.push(Movable { slot: Slot::Fd, from: From::Stem, most: 0.1, scale: 0.1 });
+    }
+    if !plan.integrating {
+        out.push(Movable { slot: Slot::LogTau, from: From::Process, most: LOG_STEP, scale: 0.1 });
+    }
+    out.push(Movable { slot: Slot::Lag, from: From::Process, most: 2.5_f64.max(0.02 * scene.period), scale: 0.1 });
+    for (i, param) in recipe.params().enumerate() {
+        if let Some(from) = match param.reach {
+            super::effects::Reach::Process => Some(From::Process),
+            super::effects::Reach::Stem => Some(From::Stem),
+            super::effects::Reach::Path => Some(From::Path),
+            super::effects::Reach::Jumps => None,
+        } {
+            let [low, high] = param.bounds(scene);
+            let width = high - low;
+            out.push(Movable { slot: Slot::Param(i), from, most: 0.2 * width, scale: 0.01 * width });
+        }
+    }
+    out
+}
+
+/// The gene inside its bounds.
+#[must_use]
+pub fn clamped(recipe: &Recipe, mut gene: Gene, scene: &Scene) -> Gene {
+    let limits = scene.question.limits;
+    gene.log_tau = gene.log_tau.clamp(libm::log(limits.tau[0]), libm::log(limits.tau[1]));
+    gene.lag = gene.lag.clamp(limits.lag[0], limits.lag[1]);
+    for (value, param) in gene.p.iter_mut().zip(recipe.params()) {
+        let [low, high] = param.bounds(scene);
+        *value = value.clamp(low, high);
+    }
+    let overshoot = recipe.each().any(|e| e.id == "slip_overshoot");
+    gene.s = gene.s.clamp(1e-4, 1.5);
+    if overshoot {
+        gene.j = gene.j.clamp(gene.s, 39.0 * gene.s);
+        gene.fd = gene.fd.clamp(-MOST_OVERSHOOT * 0.5 * (gene.s + gene.j), 0.0);
+    } else {
+        gene.j = gene.j.clamp(0.0, gene.s);
+        gene.fd = gene.fd.clamp(0.0, 0.5 * gene.s);
+    }
+    gene
+}
