@@ -11,6 +11,7 @@ mod choice;
 pub mod class;
 pub mod controller;
 pub(crate) mod fit;
+pub mod foresee;
 mod frictionless;
 pub(crate) mod hunt;
 pub mod imagine;
