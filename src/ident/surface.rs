@@ -1,6 +1,35 @@
 //! The error over the plane of friction bands, as the toolbox draws and searches it: for a pair (fs, fd) taken at its
 //! word, the mean squared free-run error of the best process of one class (Lee, Ren and Huang 2008, their error map).
 //!
+//! ```
+//! use stictiond::ident::class::Class;
+//! use stictiond::ident::surface::{Surface, solve};
+//! use stictiond::ident::{DelayChoice, ModelChoice, Options, ValveChoice};
+//! use stictiond::optim::{AdaptiveRandom, Settings};
+//! # use stictiond::record::Record;
+//! # use stictiond::sim::{slips::Law, valve::he_step};
+//! # let op: Vec<f64> = (0..300).map(|k| 6.0 * (f64::from(k) * 0.1).sin()).collect();
+//! # let (mut stem, mut level, mut pv) = (0.0, 0.0, Vec::new());
+//! # for &u in &op {
+//! #     pv.push(level);
+//! #     stem = he_step(stem, u, 2.5, 1.0);
+//! #     level += 0.1 * (1.5 * stem - level);
+//! # }
+//! # let record = Record::uniform(1.0, op, pv);
+//! let options = Options {
+//!     model: ModelChoice::Fopdt,
+//!     delay: DelayChoice::Auto,
+//!     valve: ValveChoice::He,
+//!     solver: "contour",
+//!     fineness_pct: 5.0,
+//!     seed: 1,
+//!     period_points: None,
+//! };
+//! let mut surface = Surface::new(&record, &options, Law::He, Class::First).expect("signals that move");
+//! let found = solve(&mut surface, &AdaptiveRandom, &Settings { budget: 500, fineness_pct: 5.0, seed: 1 });
+//! assert!(found.fs + found.fd <= found.s0 && found.mse < surface.mse(0.0, 0.0));
+//! ```
+//!
 //! [`super::quantify`] searches otherwise (whole cells of equal slips at once, fd solved, several views of the error);
 //! this surface is what a general solver can be set on, and what an error map shows.
 

@@ -18,6 +18,12 @@ from pathlib import Path
 import zenoh
 from mcap.reader import make_reader
 
+from compact_store import (  # noqa: F401, found by name below
+    test_a_solver_in_python,
+    test_scipy_reads_the_manuals_example,
+    test_the_greatest_byte_may_come_first,
+    test_what_scipy_writes_is_read,
+)
 from daemon import ROOT, Daemon, close_sessions, eventually, free_port, session, stictiond
 from plant import Loop
 
