@@ -4,8 +4,8 @@
 
 use stictiond::ident::class::Class;
 use stictiond::ident::surface::{Surface, solve};
-use stictiond::ident::{DelayChoice, ModelChoice, Options, ValveChoice};
-use stictiond::optim::{self, Objective, Outcome, Settings, Solver, Termination};
+use stictiond::ident::{ModelChoice, Options, ValveChoice};
+use stictiond::optim::{self, Objective, Outcome, Settings, Solver};
 use stictiond::record::Record;
 use stictiond::sim::slips::Law;
 use stictiond::sim::valve::he_step;
@@ -21,13 +21,7 @@ impl Solver for Rows {
     /// Points are [s, j] in spans of OP, with s = fs + fd and j = fs - fd.
     fn search(&self, objective: &mut dyn Objective, settings: &Settings) -> Outcome {
         let side = ((2 * settings.budget) as f64).sqrt() as u32;
-        let mut best = Outcome {
-            best: [0.0, 0.0],
-            cost: f64::INFINITY,
-            evaluations: 0,
-            stopped: Termination::Complete,
-            lower_bound: None,
-        };
+        let mut best = Outcome::nothing();
         for row in 1..side {
             for column in 0..row {
                 let point = [f64::from(row) / f64::from(side), f64::from(column) / f64::from(side)];
@@ -56,15 +50,7 @@ fn record() -> Record {
 }
 
 fn main() {
-    let options = Options {
-        model: ModelChoice::Fopdt,
-        delay: DelayChoice::Auto,
-        valve: ValveChoice::He,
-        solver: "contour",
-        fineness_pct: 5.0,
-        seed: 1,
-        period_points: None,
-    };
+    let options = Options { model: ModelChoice::Fopdt, valve: ValveChoice::He, ..Options::default() };
     let record = record();
     let settings = Settings { budget: 2000, fineness_pct: 2.0, seed: 1 };
     let own: &dyn Solver = &Rows;

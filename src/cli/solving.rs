@@ -274,13 +274,7 @@ fn converse(
     });
     // A program that does not read notices when it is ended.
     let mut open = writeln!(input, "{task}").and_then(|()| input.flush()).is_ok();
-    let mut best = Outcome {
-        best: [0.0, 0.0],
-        cost: f64::INFINITY,
-        evaluations: 0,
-        stopped: Termination::Complete,
-        lower_bound: None,
-    };
+    let mut best = Outcome::nothing();
     loop {
         let line = match next_line(&running.lines, patience)? {
             Some(line) => line?,

@@ -34,6 +34,21 @@ pub struct Options {
     pub period_points: Option<f64>,
 }
 
+impl Default for Options {
+    /// As the daemon asks, without a period.
+    fn default() -> Self {
+        Self {
+            model: ModelChoice::default(),
+            delay: DelayChoice::default(),
+            valve: ValveChoice::default(),
+            solver: "contour",
+            fineness_pct: 5.0,
+            seed: 1,
+            period_points: None,
+        }
+    }
+}
+
 /// What a fit found. Bands in OP units, gain in PV units per OP unit (per second too when integrating).
 #[derive(Debug, Clone, PartialEq)]
 pub struct Estimate {

@@ -4,7 +4,7 @@
 //! ```
 //! use stictiond::ident::class::Class;
 //! use stictiond::ident::surface::{Surface, solve};
-//! use stictiond::ident::{DelayChoice, ModelChoice, Options, ValveChoice};
+//! use stictiond::ident::Options;
 //! use stictiond::optim::{AdaptiveRandom, Settings};
 //! # use stictiond::record::Record;
 //! # use stictiond::sim::{slips::Law, valve::he_step};
@@ -16,16 +16,7 @@
 //! #     level += 0.1 * (1.5 * stem - level);
 //! # }
 //! # let record = Record::uniform(1.0, op, pv);
-//! let options = Options {
-//!     model: ModelChoice::Fopdt,
-//!     delay: DelayChoice::Auto,
-//!     valve: ValveChoice::He,
-//!     solver: "contour",
-//!     fineness_pct: 5.0,
-//!     seed: 1,
-//!     period_points: None,
-//! };
-//! let mut surface = Surface::new(&record, &options, Law::He, Class::First).expect("signals that move");
+//! let mut surface = Surface::new(&record, &Options::default(), Law::He, Class::First).expect("signals that move");
 //! let found = solve(&mut surface, &AdaptiveRandom, &Settings { budget: 500, fineness_pct: 5.0, seed: 1 });
 //! assert!(found.fs + found.fd <= found.s0 && found.mse < surface.mse(0.0, 0.0));
 //! ```

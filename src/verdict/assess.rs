@@ -134,15 +134,7 @@ const fn as_document(r: &Reading) -> Controller {
 }
 
 fn options(params: &AssessParams, found: Option<&Oscillates>) -> Options {
-    Options {
-        model: params.model,
-        delay: params.delay,
-        valve: params.valve,
-        solver: params.solver,
-        fineness_pct: params.fineness_pct,
-        seed: params.seed,
-        period_points: found.map(|o| o.period_points),
-    }
+    params.options(found.map(|o| o.period_points))
 }
 
 fn describe(found: Option<&Oscillates>, record: &Record) -> Oscillation {
