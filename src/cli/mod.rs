@@ -4,10 +4,12 @@ pub mod analyze;
 pub mod bench;
 pub mod calibrate;
 mod calibrate_intervals;
+pub mod challenge;
 pub mod check;
 pub mod convert;
 pub mod demo;
 pub mod evaluate;
+pub mod gap;
 pub mod info;
 pub mod play;
 pub mod replay;
@@ -86,6 +88,7 @@ enum CommandArgs {
     Play(play::Args),
     Replay(replay::Args),
     Analyze(analyze::Args),
+    Gap(gap::Args),
     Evaluate(evaluate::Args),
     Calibrate(calibrate::Args),
     Simulate(simulate::Args),
@@ -127,6 +130,7 @@ fn dispatch(cli: Cli) -> anyhow::Result<Outcome> {
         CommandArgs::Play(args) => play::run(&args, format),
         CommandArgs::Replay(args) => replay::run(&args, format),
         CommandArgs::Analyze(args) => analyze::run(&args, format),
+        CommandArgs::Gap(args) => gap::run(&args, format),
         CommandArgs::Evaluate(args) => evaluate::run(&args, format),
         CommandArgs::Calibrate(args) => calibrate::run(&args, format),
         CommandArgs::Simulate(args) => simulate::run(&args, format),
