@@ -20,6 +20,7 @@ use crate::gap::locate::Subject;
 use crate::gap::{self, Ask, GapError, effects, locate, text};
 use crate::report::{GapLoop, GapReport, gap_page};
 use base::BaseArg;
+pub(super) use base::model_file;
 use crew::Team;
 
 /// Most points of a simulation: sections with more samples are averaged in boxes.
