@@ -4,11 +4,12 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
 
-use anyhow::{anyhow, bail};
+use anyhow::{Context, anyhow, bail};
 use clap::ValueEnum;
 use indicatif::ProgressBar;
 use serde::Serialize;
 
+use super::gap::model_file;
 use super::selection::{MIN_SAMPLES, Points, Section, Selection, Taken, pair, usable};
 use super::solving::{self, SolverArgs, SolverDocument};
 use super::{Format, Outcome, UsageError, in_order_on_all_cores, say, stop, text};
@@ -17,6 +18,8 @@ use crate::daemon::replay::RunMetadata;
 use crate::engine::LoopSettings;
 use crate::files::RecordingReader;
 use crate::files::{InputKind, LoadedLoop, load_samples};
+use crate::gap::Ask;
+use crate::gap::score::score;
 use crate::record::Record;
 use crate::signal::stats;
 use crate::verdict::{AssessParams, DelayChoice, EstimateDocument, ModelChoice, ValveChoice, assess};
@@ -27,6 +30,7 @@ use crate::verdict::{AssessParams, DelayChoice, EstimateDocument, ModelChoice, V
   stictiond analyze recordings/sticking.mcap
   stictiond analyze store.mat --loop loop4 --samples 50,500 --downsample 2
   stictiond analyze loop4.csv --samples 50,500 --samples 600,1200 --model sopdt --delay 12s
+  stictiond analyze june.csv --score may.json
   stictiond analyze loop4.csv --solver multistart --evaluations 20000 --seed 7
   stictiond analyze loop4.csv --solver \"cmd:python3 examples/solver.py\"
   stictiond analyze plant.mcap --loop FIC101 --window 2026-01-05T08:00:00Z,2026-01-05T09:00:00Z --format json
@@ -51,9 +55,24 @@ pub struct Args {
     /// Range of OP, so that sizes are given in % of travel.
     #[arg(long, value_name = "LO,HI", value_parser = op_range, help_heading = "Model")]
     pub op_range: Option<[f64; 2]>,
+    /// Also run a model from elsewhere over the record and say how well it follows: an estimate, a gap document's
+    /// model, or a plain one (JSON). It changes nothing else.
+    #[arg(long, value_name = "FILE.json", help_heading = "Model")]
+    pub score: Option<PathBuf>,
     /// A solver to compare with.
     #[command(flatten)]
     pub solver: SolverArgs,
+}
+
+/// How well a model from elsewhere follows the record, free run.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Scored {
+    /// Its file.
+    pub model: PathBuf,
+    /// Mean squared error, PV units squared.
+    pub mse: f64,
+    /// 100 (1 - rms error / std PV).
+    pub fit_pct: f64,
 }
 
 /// An estimate with what `analyze` adds to the published document.
@@ -68,6 +87,8 @@ pub struct Answer {
     pub selection: Taken,
     /// What the solver found that was asked for.
     pub solver: Option<SolverDocument>,
+    /// How well the model follows that was given.
+    pub scored: Option<Scored>,
 }
 
 /// `--model`.
@@ -217,12 +238,22 @@ fn estimate(
     let options = params.options(period_s.map(|period| period / record.point_s()));
     let solver = solving::run(&args.solver, &record, &options, &assessment, bar)?;
     let span = stats::span(&record.op_path);
+    let scored = args.score.as_deref().map(|path| scored(path, &record, options.period_points)).transpose()?;
     Ok(Answer {
         document: EstimateDocument::new(&one.name, hash, assessment),
         s0: (span.is_finite() && span > 0.0).then_some(span),
         selection,
         solver,
+        scored,
     })
+}
+
+/// Runs the model of a file over the record.
+fn scored(path: &Path, record: &Record, period_points: Option<f64>) -> anyhow::Result<Scored> {
+    let file = model_file(path)?;
+    let ask = Ask { period_points, ..Ask::default() };
+    let found = score(record, &file.on(record), &ask).with_context(|| path.display().to_string())?;
+    Ok(Scored { model: path.to_owned(), mse: found.mse, fit_pct: found.fit_pct })
 }
 
 /// What the fit is told: the loop's settings, and the command line over them.

@@ -10,6 +10,7 @@ use std::time::Duration;
 use anyhow::{Context, anyhow, bail};
 
 use super::analyze;
+use super::challenge;
 use super::selection::{Points, Section, Selection};
 use super::{Format, Outcome, UsageError, say, stop};
 use crate::config::Config;
@@ -20,6 +21,7 @@ use crate::gap::locate::Subject;
 use crate::gap::{self, Ask, GapError, effects, locate, text};
 use crate::report::{GapLoop, GapReport, gap_page};
 use base::BaseArg;
+pub(super) use base::model_file;
 use crew::Team;
 
 /// Most points of a simulation: sections with more samples are averaged in boxes.
@@ -33,12 +35,31 @@ const DEFAULT_SECONDS: f64 = 5.0;
 /// The gap is measured in free run, on stretches that no model was fitted to, from a sticking valve (He's law) before a
 /// first-order process with dead time.
 #[derive(Debug, clap::Args)]
+#[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true, arg_required_else_help = true)]
 #[command(after_help = "Examples:
   stictiond gap recordings/sticking.mcap
   stictiond gap loop4.csv --samples 50,900 --predictions loop4-gap.csv
   stictiond gap june.csv --base may.json          # may.json: stictiond gap may.csv --format json
   stictiond gap plant.mcap --loop FIC101 --without extra_lag --format json")]
 pub struct Args {
+    /// The check on withheld causes.
+    #[command(subcommand)]
+    pub command: Option<Command>,
+    /// What to diagnose.
+    #[command(flatten)]
+    pub diagnose: Option<Diagnose>,
+}
+
+/// What `gap` does beside diagnosing one file.
+#[derive(Debug, clap::Subcommand)]
+pub enum Command {
+    /// Check the diagnosis on loops whose cause is withheld from it.
+    Challenge(challenge::Args),
+}
+
+/// What to diagnose, and from where.
+#[derive(Debug, clap::Args)]
+pub struct Diagnose {
     /// A .csv file (columns t,op,pv[,sp][,mv][,mode]), a recording (.mcap, .mcap.part) or a compact store (.mat).
     pub input: PathBuf,
     /// Loop, section, density.
@@ -79,8 +100,20 @@ fn seconds(text: &str) -> Result<f64, String> {
 /// Runs the command.
 ///
 /// # Errors
-/// The file cannot be read, the loop or section does not exist, an id is unknown, or nothing in it can be diagnosed.
+/// What the diagnosis or the check says.
 pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
+    match (&args.command, &args.diagnose) {
+        (Some(Command::Challenge(args)), _) => challenge::run(args, format),
+        (None, Some(args)) => diagnose_all(args, format),
+        (None, None) => Err(UsageError("gap needs a file, or `gap challenge`".to_owned()).into()),
+    }
+}
+
+/// Every chosen loop and section of one file.
+///
+/// # Errors
+/// The file cannot be read, the loop or section does not exist, an id is unknown, or nothing in it can be diagnosed.
+fn diagnose_all(args: &Diagnose, format: Format) -> anyhow::Result<Outcome> {
     check(args)?;
     let base = args.base.as_deref().map(BaseArg::read).transpose()?;
     let loaded = load_samples(&args.input)?;
@@ -128,7 +161,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
 }
 
 /// What can be refused before anything is read.
-fn check(args: &Args) -> anyhow::Result<()> {
+fn check(args: &Diagnose) -> anyhow::Result<()> {
     for id in &args.without {
         if !effects::ALL.iter().any(|e| e.id == id.as_str()) {
             let known = effects::ALL.iter().map(|e| e.id).collect::<Vec<_>>().join(", ");
@@ -143,7 +176,7 @@ fn check(args: &Args) -> anyhow::Result<()> {
 }
 
 fn diagnose(
-    args: &Args,
+    args: &Diagnose,
     base: Option<&BaseArg>,
     one: &LoadedLoop,
     points: &Points,
@@ -177,14 +210,14 @@ fn print(found: &GapLoop, format: Format) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn write_predictions(args: &Args, points: &Points, found: &GapLoop, section: Section) -> anyhow::Result<()> {
+fn write_predictions(args: &Diagnose, points: &Points, found: &GapLoop, section: Section) -> anyhow::Result<()> {
     let Some(path) = &args.predictions else { return Ok(()) };
     let whole = points.samples(&found.document.loop_name, section)?;
     let rows = predictions::rows(&whole, &found.record, &found.diagnosis);
     predictions::write(path, &rows).with_context(|| path.display().to_string())
 }
 
-fn write_report(args: &Args, path: &Path, warnings: &[String], loops: Vec<GapLoop>) -> anyhow::Result<()> {
+fn write_report(args: &Diagnose, path: &Path, warnings: &[String], loops: Vec<GapLoop>) -> anyhow::Result<()> {
     let report = GapReport {
         input: args.input.display().to_string(),
         command: command_line(),
