@@ -7,6 +7,7 @@ use std::time::Instant;
 use anyhow::{Context, anyhow, bail};
 use clap::ValueEnum;
 
+use super::analyze_report::Maker;
 use super::{Format, Outcome, say, text};
 use crate::config::Config;
 use crate::daemon::replay::RunMetadata;
@@ -17,7 +18,7 @@ use crate::optim;
 use crate::record::{Record, Signal, Value};
 use crate::signal::align::{Point, align_all};
 use crate::units::parse_time;
-use crate::verdict::{Assessment, DelayChoice, EstimateDocument, ModelChoice, ValveChoice, assess};
+use crate::verdict::{AssessParams, Assessment, DelayChoice, EstimateDocument, ModelChoice, ValveChoice, assess};
 
 /// Usable samples that a loop must have at least.
 const MIN_SAMPLES: usize = 30;
@@ -27,7 +28,8 @@ const MIN_SAMPLES: usize = 30;
 #[command(after_help = "Examples:
   stictiond analyze recordings/sticking.mcap
   stictiond analyze loop4.csv --samples 50,500 --model sopdt --delay 12s
-  stictiond analyze plant.mcap --loop FIC101 --window 2026-01-05T08:00:00Z,2026-01-05T09:00:00Z --format json")]
+  stictiond analyze plant.mcap --loop FIC101 --window 2026-01-05T08:00:00Z,2026-01-05T09:00:00Z --format json
+  stictiond analyze plant.mcap --report plant.html")]
 pub struct Args {
     /// A .csv file (columns t,op,pv[,sp][,mv][,mode]) or a recording (.mcap, .mcap.part).
     pub input: PathBuf,
@@ -61,6 +63,15 @@ pub struct Args {
     /// Range of OP, so that sizes are given in % of travel.
     #[arg(long, value_name = "LO,HI", value_parser = op_range)]
     pub op_range: Option<[f64; 2]>,
+    /// Write a report too: a page that opens offline (.html), or its pictures alone (.svg).
+    #[arg(long, value_name = "FILE")]
+    pub report: Option<PathBuf>,
+    /// Draw every loop of the report in full, not only the twelve that most likely stick.
+    #[arg(long, requires = "report")]
+    pub report_all: bool,
+    /// Replace an existing report.
+    #[arg(long, requires = "report")]
+    pub force: bool,
 }
 
 /// `--model`.
@@ -221,9 +232,14 @@ impl Points {
 /// # Errors
 /// The file cannot be read, the loop or section does not exist, or nothing in it can be analysed.
 pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
+    let mut report = match &args.report {
+        Some(path) => Some(Maker::new(path, args.report_all, args.force)?),
+        None => None,
+    };
     let loaded = load_samples(&args.input)?;
     for warning in &loaded.warnings {
         tracing::warn!("{warning}");
+        report.iter_mut().for_each(|r| r.warn(warning.clone()));
     }
     let recorded = config_of(&args.input)?;
     let config = recorded.map_or_else(|| Config::with_prefix("plant"), |r| r.config);
@@ -243,17 +259,27 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
             if args.samples.is_empty() { vec![None] } else { args.samples.iter().copied().map(Some).collect() };
         for range in ranges {
             match estimate(args, one, &points, range) {
-                Ok(assessment) => {
+                Ok((assessment, record, params)) => {
                     done += 1;
-                    print(&EstimateDocument::new(&one.name, &hash, assessment), format)?;
+                    let document = EstimateDocument::new(&one.name, &hash, assessment);
+                    print(&document, format)?;
+                    if let Some(report) = &mut report {
+                        report.add(document, record, params);
+                    }
                 }
-                Err(error) if chosen.len() > 1 => tracing::warn!("{error:#}"),
+                Err(error) if chosen.len() > 1 => {
+                    tracing::warn!("{error:#}");
+                    report.iter_mut().for_each(|r| r.warn(format!("{error:#}")));
+                }
                 Err(error) => return Err(error),
             }
         }
     }
     if done == 0 {
         bail!("{}: no loop could be analysed", args.input.display());
+    }
+    if let Some(report) = report {
+        report.finish(&args.input)?;
     }
     Ok(if loaded.data_loss { Outcome::DataLoss } else { Outcome::Done })
 }
@@ -275,7 +301,7 @@ fn estimate(
     one: &LoadedLoop,
     points: &Points,
     range: Option<(usize, usize)>,
-) -> anyhow::Result<Assessment> {
+) -> anyhow::Result<(Assessment, Record, AssessParams)> {
     let started = Instant::now();
     let record = points.record(&one.name, args.window, range)?;
     let mut params = points.settings.assess.clone();
@@ -297,7 +323,7 @@ fn estimate(
     };
     let mut assessment = assess(&record, &params);
     assessment.elapsed_ms = Some(started.elapsed().as_secs_f64() * 1e3);
-    Ok(assessment)
+    Ok((assessment, record, params))
 }
 
 fn print(document: &EstimateDocument, format: Format) -> anyhow::Result<()> {
