@@ -267,20 +267,25 @@ fn error_map(of: &Subject<'_>, detail: &Detail, map: &ErrorMap) -> Result<Figure
         step: [map.step; 2],
         x: [0.0, span * 1.02],
         y: [0.0, 0.54 * span],
+        ground: vec![(0.0, 0.0), (0.5 * span, 0.5 * span), (span, 0.0)],
         overlays,
-        words: vec![
-            ([0.5 * BOUNDS[0] * span, -0.0 + 0.018 * span], "none"),
-            ([0.36 * span, 0.43 * span], "deadband"),
-            ([0.5 * span, 0.2 * span], "deadband with stick and slip"),
-            ([0.75 * span, 0.02 * span], "stick-slip"),
-            ([0.62 * span, 0.30 * span], "strong"),
-        ],
+        words: [
+            ([0.052, 0.013], "none"),
+            ([0.43, 0.385], "deadband"),
+            ([0.52, 0.27], "deadband with stick and slip"),
+            ([0.79, 0.028], "stick-slip"),
+            ([0.135, 0.058], "weak"),
+            ([0.33, 0.12], "moderate"),
+            ([0.72, 0.13], "strong"),
+        ]
+        .map(|(place, word)| (place.map(|v| v * span), word))
+        .to_vec(),
     })?;
     let mark = if chosen { " This order was chosen." } else { "" };
     let caption = format!(
         "Free-run error over the bands, order {}: each cell with its best process. Below the line fs + fd = S0 = {}. \
          Least cell: fs {}, fd {}. Box: cells within a tenth of the way from the least squared error to that without \
-         friction.{mark}",
+         friction. Grey: the stem moves too seldom for a model.{mark}",
         map.order,
         number(span),
         number(map.best.fs),
