@@ -133,7 +133,7 @@ pub(super) fn answer(answer: &Answer) -> String {
         row("least MSE", format!("{mse:.4e} (PV units squared)"));
     }
     if let Some(s) = &answer.scored {
-        row("given model", format!("{}: fit {:.1} %, MSE {}", s.model.display(), s.fit_pct, exponent(s.mse)));
+        row("given model", format!("{}: fit {:.1} %, MSE {}", s.model.display(), s.fit_pct, exponent(Some(s.mse))));
     }
     if let Some(s) = &answer.solver {
         row("solver", format!("{}: fs {}  fd {}  MSE {}", s.name, number(s.fs), number(s.fd), exponent(s.mse)));
