@@ -204,7 +204,7 @@ impl Record {
     /// [`crate::signal::resample`].
     #[must_use]
     pub fn path_per_point(&self) -> usize {
-        if self.box_samples == 1 { 1 } else { (self.op_path.len() / self.pv.len().max(1)).max(1) }
+        (self.op_path.len() / self.pv.len().max(1)).max(1)
     }
 
     /// Seconds between points.

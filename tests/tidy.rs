@@ -30,7 +30,7 @@ const IMPORTS: [(&str, &[&str]); 21] = [
     ("verdict", &["units", "record", "signal", "optim", "sim", "ident", "detect"]),
     ("gap", &["units", "record", "signal", "optim", "sim", "ident", "detect"]),
     // Checks `gap` from outside: neither of the two may see the other.
-    ("challenge", &["units", "record", "signal", "sim"]),
+    ("challenge", &["units", "record", "signal", "sim", "verdict"]),
     ("alarm", &["units", "record", "config", "verdict"]),
     // Engine.
     ("codec", &["units", "record"]),

@@ -7,7 +7,7 @@ mod common;
 use common::Loop;
 use stictiond::ident::class::Class;
 use stictiond::ident::surface::{Surface, solve};
-use stictiond::ident::{DelayChoice, ModelChoice, Options, ValveChoice};
+use stictiond::ident::{ModelChoice, Options, ValveChoice};
 use stictiond::optim::{self, Settings};
 use stictiond::sim::slips::Law;
 
@@ -15,15 +15,7 @@ use stictiond::sim::slips::Law;
 const BUDGET: u64 = 4000;
 
 fn options() -> Options {
-    Options {
-        model: ModelChoice::Fopdt,
-        delay: DelayChoice::Auto,
-        valve: ValveChoice::He,
-        solver: "contour",
-        fineness_pct: 5.0,
-        seed: 1,
-        period_points: None,
-    }
+    Options { model: ModelChoice::Fopdt, valve: ValveChoice::He, ..Options::default() }
 }
 
 fn sticking() -> Loop {

@@ -20,7 +20,6 @@ use crate::files::RecordingReader;
 use crate::files::{InputKind, LoadedLoop, load_samples};
 use crate::gap::Ask;
 use crate::gap::score::score;
-use crate::ident::Options;
 use crate::record::Record;
 use crate::signal::stats;
 use crate::verdict::{AssessParams, DelayChoice, EstimateDocument, ModelChoice, ValveChoice, assess};
@@ -236,15 +235,7 @@ fn estimate(
     if let Some(left) = &mut selection.downsample {
         left.points_per_period = period_s.map(|period| period / record.point_s());
     }
-    let options = Options {
-        model: params.model,
-        delay: params.delay,
-        valve: params.valve,
-        solver: params.solver,
-        fineness_pct: params.fineness_pct,
-        seed: params.seed,
-        period_points: period_s.map(|period| period / record.point_s()),
-    };
+    let options = params.options(period_s.map(|period| period / record.point_s()));
     let solver = solving::run(&args.solver, &record, &options, &assessment, bar)?;
     let span = stats::span(&record.op_path);
     let scored = args.score.as_deref().map(|path| scored(path, &record, options.period_points)).transpose()?;

@@ -4,6 +4,7 @@ pub mod analyze;
 pub mod bench;
 pub mod calibrate;
 mod calibrate_intervals;
+pub mod challenge;
 pub mod check;
 pub mod compact;
 pub mod completions;

@@ -12,8 +12,9 @@ use crate::codec::encode_recorded;
 use crate::codec::topic::{self, Kind};
 use crate::config::{Config, short_hash};
 use crate::daemon::to_json;
-use crate::engine::{Engine, Event};
+use crate::engine::{Engine, Event, RecordedInput, SkipReason};
 use crate::files::RecordingFile;
+use crate::gap::Serial;
 use crate::gap::loop_run::CLOSABLE;
 use crate::record::Record;
 use crate::sim::closed_loop::ValveLaw;
@@ -166,6 +167,17 @@ fn write(args: &Args, scenario: &Scenario, config: Config, run: &RunInfo) -> any
                         engine.complete(request.id, request.seq, request.compute(), &mut events);
                         continue;
                     }
+                    Event::GapRequest(request) => {
+                        let (id, number, reason) = (request.id, request.number, SkipReason::Failed);
+                        if let Ok(document) = request.compute(&Serial) {
+                            engine.complete_gap(id, number, document, &mut events);
+                            continue;
+                        }
+                        engine.skip_gap(id, number, reason, &mut events);
+                        let at_ns = request.record.end_ns;
+                        (id, Kind::Input, at_ns, to_json(&RecordedInput::GapSkip { number, reason }))
+                    }
+                    Event::Gap(id, d) => (id, Kind::Gap, d.end_ns(), to_json(&d)),
                     Event::Estimate(id, d) => (id, Kind::Estimate, d.assessment.window.end_ns, to_json(&d)),
                     Event::Alarm(id, d) => (id, Kind::Alarm, d.changed_ns, to_json(&d)),
                     Event::State(id, d) => (id, Kind::State, d.window_end_ns.unwrap_or(0), to_json(&d)),

@@ -85,6 +85,8 @@ pub struct SolverDocument {
     pub fd: Option<f64>,
     /// Smallest mean squared error, PV units squared.
     pub mse: Option<f64>,
+    /// Mean squared error of the estimate's own bands on the same surface.
+    pub estimate_mse: Option<f64>,
     /// Order of the process behind the valve.
     pub order: u8,
     /// Process gain, PV units per OP unit (per second too when integrating).
@@ -133,6 +135,8 @@ pub fn run(
     let law = if found.valve_model == Some("tracking") { Law::Tracking } else { Law::He };
     let Some(mut surface) = Surface::new(record, options, law, class) else { return Ok(None) };
     let settings = Settings { budget: args.evaluations, fineness_pct: args.fineness, seed: args.seed };
+    let own = found.fs.zip(found.fd);
+    let estimate_mse = own.map(|(fs, fd)| surface.mse(fs, fd)).filter(|mse| mse.is_finite());
     let started = Instant::now();
     let (name, mut solved) = match choice {
         SolverChoice::Ours(name) => {
@@ -144,7 +148,7 @@ pub fn run(
         }
         SolverChoice::Program(program) => {
             let patience = Duration::from_secs_f64(args.solver_patience);
-            let outcome = converse(program, &mut surface, &settings, patience, bar)
+            let outcome = converse(program, &mut surface, &settings, own, patience, bar)
                 .with_context(|| format!("--solver cmd:{program}"))?;
             (program.clone(), Solved::of(outcome, surface.s0()))
         }
@@ -153,7 +157,8 @@ pub fn run(
     if stop::asked() {
         solved.outcome.stopped = Termination::Interrupted;
     }
-    Ok(Some(document(name, &solved, &mut surface, &settings, process.order, elapsed_ms)))
+    let told = document(name, &solved, &mut surface, &settings, process.order, elapsed_ms);
+    Ok(Some(SolverDocument { estimate_mse, ..told }))
 }
 
 fn document(
@@ -172,6 +177,7 @@ fn document(
         fs: there.then_some(solved.fs),
         fd: there.then_some(solved.fd),
         mse: there.then_some(solved.mse),
+        estimate_mse: None,
         order,
         gain: point.as_ref().map(|p| p.gain),
         time_constants_s: point.as_ref().map_or_else(Vec::new, |p| p.time_constants_s.clone()),
@@ -255,6 +261,7 @@ fn converse(
     program: &str,
     surface: &mut Surface,
     settings: &Settings,
+    own: Option<(f64, f64)>,
     patience: Duration,
     bar: &ProgressBar,
 ) -> anyhow::Result<Outcome> {
@@ -263,16 +270,11 @@ fn converse(
     let task = json!({
         "schema": "stictiond.solver.v1", "s0": s0, "bounds": {"fs": [0.0, s0], "fd": [0.0, s0]},
         "constraints": ["fd <= fs", "fs + fd <= s0"], "evaluations": settings.budget, "seed": settings.seed,
+        "estimate": own.map(|(fs, fd)| json!({"fs": fs, "fd": fd})),
     });
     // A program that does not read notices when it is ended.
     let mut open = writeln!(input, "{task}").and_then(|()| input.flush()).is_ok();
-    let mut best = Outcome {
-        best: [0.0, 0.0],
-        cost: f64::INFINITY,
-        evaluations: 0,
-        stopped: Termination::Complete,
-        lower_bound: None,
-    };
+    let mut best = Outcome::nothing();
     loop {
         let line = match next_line(&running.lines, patience)? {
             Some(line) => line?,

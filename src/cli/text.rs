@@ -147,6 +147,7 @@ pub(super) fn answer(answer: &Answer) -> String {
         let bound =
             s.lower_bound_mse.map_or(String::new(), |b| format!("; believed bound {b:.4e} (heuristic, no proof)"));
         row("", stopped + &bound);
+        row("", format!("the estimate's own bands have MSE {} there", exponent(s.estimate_mse)));
     }
     if let Some(ms) = answer.document.assessment.elapsed_ms {
         row("run time", format!("{:.2} s", ms / 1e3));

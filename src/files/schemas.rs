@@ -40,7 +40,7 @@ fn fields(kind: Kind) -> Fields {
                 ("window", &["start_ns", "end_ns", "samples", "ts_s"]),
                 ("oscillation", &["period_s", "periods", "samples_per_period", "regularity"]),
                 ("process", &["order", "gain", "dead_time_s", "mse", "fit_pct"]),
-                ("controller", &["kc", "ti_s", "td_s", "lag_samples", "r2"]),
+                ("controller", &["kc", "ti_s", "td_s", "lag_samples", "r2", "unexplained"]),
             ],
             ..Fields::default()
         },

@@ -1,6 +1,26 @@
 //! The error over the plane of friction bands, as the toolbox draws and searches it: for a pair (fs, fd) taken at its
 //! word, the mean squared free-run error of the best process of one class (Lee, Ren and Huang 2008, their error map).
 //!
+//! ```
+//! use stictiond::ident::class::Class;
+//! use stictiond::ident::surface::{Surface, solve};
+//! use stictiond::ident::Options;
+//! use stictiond::optim::{AdaptiveRandom, Settings};
+//! # use stictiond::record::Record;
+//! # use stictiond::sim::{slips::Law, valve::he_step};
+//! # let op: Vec<f64> = (0..300).map(|k| 6.0 * (f64::from(k) * 0.1).sin()).collect();
+//! # let (mut stem, mut level, mut pv) = (0.0, 0.0, Vec::new());
+//! # for &u in &op {
+//! #     pv.push(level);
+//! #     stem = he_step(stem, u, 2.5, 1.0);
+//! #     level += 0.1 * (1.5 * stem - level);
+//! # }
+//! # let record = Record::uniform(1.0, op, pv);
+//! let mut surface = Surface::new(&record, &Options::default(), Law::He, Class::First).expect("signals that move");
+//! let found = solve(&mut surface, &AdaptiveRandom, &Settings { budget: 500, fineness_pct: 5.0, seed: 1 });
+//! assert!(found.fs + found.fd <= found.s0 && found.mse < surface.mse(0.0, 0.0));
+//! ```
+//!
 //! [`super::quantify`] searches otherwise (whole cells of equal slips at once, fd solved, several views of the error);
 //! this surface is what a general solver can be set on, and what an error map shows.
 
@@ -11,6 +31,7 @@ use super::fit::{Fitted, Fitter, Freedom, Target};
 use super::frictionless;
 use super::pose::pose;
 use super::quantify::Options;
+use super::search::FINE;
 use super::sign;
 use crate::optim::{Objective, Outcome, Settings, Solver};
 use crate::record::Record;
@@ -74,7 +95,7 @@ impl Surface {
         let question = pose(record, options, span, deviation);
         let target = Target::new(&question.pv, 0.0, question.from);
         let signs = sign::of_gain(&question.mean, &question.pv).map_or(vec![1.0, -1.0], |s| vec![s]);
-        let bank = Bank::new(&question);
+        let bank = Bank::new(&question, FINE);
         Some(Self {
             bank,
             signs,
@@ -182,8 +203,8 @@ impl Surface {
         let per_box = |x: &[f64]| crate::signal::detrend::box_means(x, points);
         let boxed = [per_box(&self.sequence.at), per_box(&self.sequence.direction)];
         let glances = self.bank.look(&boxed[0], &boxed[1], &freedom, &self.signs);
-        let seen = self.signs.iter().zip(glances).min_by(|a, b| a.1[0].share.total_cmp(&b.1[0].share));
-        let (sign, [glance, _]) = seen?;
+        let plain = self.signs.iter().zip(glances).flat_map(|(sign, [plain, _])| plain.map(|glance| (sign, glance)));
+        let (sign, glance) = plain.min_by(|a, b| a.1.share.total_cmp(&b.1.share))?;
         freedom.sign = *sign;
         let signal = [&self.sequence.at[..], &self.sequence.direction[..]];
         let first = Class::First.clamp([libm::log(glance.tau), glance.lag, 0.0], &q.limits);
@@ -194,7 +215,7 @@ impl Surface {
         }
         let best = best?;
         let at = self.fitter.linear(self.class, &best.shape, signal, &self.target, &freedom);
-        let fit = self.fitter.improve(self.class, at, signal, &self.target, &freedom, STEPS, 1e-4);
+        let fit = self.fitter.improve(self.class, at, signal, &self.target, &freedom, STEPS, [1e-4, f64::INFINITY]);
         (fit.gain != 0.0).then_some(fit)
     }
 }

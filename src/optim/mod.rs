@@ -75,6 +75,20 @@ pub struct Outcome {
     pub lower_bound: Option<f64>,
 }
 
+impl Outcome {
+    /// A search that has found nothing yet.
+    #[must_use]
+    pub const fn nothing() -> Self {
+        Self {
+            best: [0.0, 0.0],
+            cost: f64::INFINITY,
+            evaluations: 0,
+            stopped: Termination::Complete,
+            lower_bound: None,
+        }
+    }
+}
+
 /// A global search. The same settings and cost give the same outcome on every machine.
 pub trait Solver: Sync {
     /// Its name on the command line and in documents.
@@ -101,14 +115,7 @@ struct Meter<'a> {
 
 impl<'a> Meter<'a> {
     fn new(objective: &'a mut dyn Objective, budget: u64) -> Self {
-        let outcome = Outcome {
-            best: [0.0, 0.0],
-            cost: f64::INFINITY,
-            evaluations: 0,
-            stopped: Termination::Complete,
-            lower_bound: None,
-        };
-        Self { objective, left: budget, outcome }
+        Self { objective, left: budget, outcome: Outcome::nothing() }
     }
 
     /// Cost of a point, or `None` when the budget is spent.

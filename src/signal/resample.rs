@@ -3,12 +3,16 @@
 use crate::record::{Facts, Record};
 use crate::units::ns_from_s;
 
+/// Steps a sample of the grid for ratios that are no whole numbers.
+const GRID: usize = 4;
+
 /// Boxes of `ratio` raw samples (any real number above 1).
 ///
 /// PV, SP and MV become means over each box; OP keeps every value on its way, because the valve law must run on OP as
 /// recorded, and what the law makes of it is then averaged over the same box. Where `ratio` is no whole number, signals
-/// are held on a grid of `ceil(ratio)` steps a box, which passes every sample: [`Record::ts_s`] is then that step. PV
-/// is held from the side that keeps the delay of one step between OP and its first answer.
+/// are held on a grid of [`GRID`] steps a sample, the box counts as the nearest whole number of samples, and
+/// [`Record::ts_s`] is what such a sample would take. PV is then read ahead, or late, by what keeps the delay between OP
+/// and its first answer at one of these.
 ///
 /// `None` where the ratio is no finite number above 1, the record is boxed already, or not one whole box is there.
 #[must_use]
@@ -17,11 +21,13 @@ pub fn boxed(record: &Record, ratio: f64) -> Option<Record> {
     if !(ratio.is_finite() && ratio > 1.0) || record.box_samples != 1 || ratio > n as f64 {
         return None;
     }
-    let steps = (ratio - 1e-9).ceil() as usize;
+    let box_samples = ratio.round().max(1.0);
+    let whole = (ratio - box_samples).abs() < 1e-9;
+    let steps = if whole { box_samples as usize } else { GRID * ratio.ceil() as usize };
     let step = ratio / steps as f64;
     let points = ((n as f64 + 1e-9) / ratio) as usize;
     let place = |k: usize, ahead: f64| (((k as f64 + 0.5) * step + ahead + 1e-9) as usize).min(n - 1);
-    let ahead = 1.0 - step;
+    let ahead = if whole { 0.0 } else { 1.0 - ratio / box_samples };
     let mean_of = |x: &[f64]| -> Vec<f64> {
         let value = |k: usize| x[place(k, ahead)];
         (0..points).map(|p| (p * steps..(p + 1) * steps).map(value).sum::<f64>() / steps as f64).collect()
@@ -30,9 +36,9 @@ pub fn boxed(record: &Record, ratio: f64) -> Option<Record> {
     Some(Record {
         start_ns: record.start_ns,
         end_ns: record.end_ns,
-        ts_s: record.ts_s * step,
+        ts_s: record.ts_s * ratio / box_samples,
         raw_samples: used,
-        box_samples: steps,
+        box_samples: box_samples as usize,
         op_path: (0..points * steps).map(|k| record.op_path[place(k, 0.0)]).collect(),
         pv: mean_of(&record.pv),
         sp: record.sp.as_deref().map(mean_of),

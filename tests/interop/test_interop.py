@@ -18,6 +18,12 @@ from pathlib import Path
 import zenoh
 from mcap.reader import make_reader
 
+from compact_store import (  # noqa: F401, found by name below
+    test_a_solver_in_python,
+    test_scipy_reads_the_manuals_example,
+    test_the_greatest_byte_may_come_first,
+    test_what_scipy_writes_is_read,
+)
 from daemon import ROOT, Daemon, close_sessions, eventually, free_port, session, stictiond
 from plant import Loop
 
@@ -28,6 +34,8 @@ SCANS = 1900
 HOP_S = 300
 
 BUSY = f"""
+[gap]
+budget_evaluations = 3000
 [window]
 hop_s = {HOP_S}
 lateness_s = 3
@@ -152,10 +160,10 @@ class Heard:
         return self.by_key[f"{PLANE}/{loop}/estimate"]
 
 
-def ask(bus, selector):
+def ask(bus, selector, timeout=5):
     """Answers to a query: documents by key, and errors."""
     good, bad = {}, []
-    for reply in bus.get(selector, timeout=5):
+    for reply in bus.get(selector, timeout=timeout):
         if reply.ok is not None:
             good[str(reply.ok.key_expr)] = json.loads(reply.ok.payload.to_string())
         else:
@@ -247,6 +255,21 @@ def test_live_recorded_replayed(folder):
             f"{key}?cmd=ack;by=ann", f"{key}?cmd=explode", f"{PLANE}/FIC999/alarm?cmd=ack",
             f"{PLANE}/*/alarm?cmd=ack", f"{PLANE}/FIC101/estimate?cmd=ack",
         ):
+            good, bad = ask(bus, selector)
+            assert not good and len(bad) == 1 and bad[0], (selector, good, bad)
+
+        # A gap diagnosis on demand: answered, published, and the last value from then on.
+        key = f"{PLANE}/FIC101/gap"
+        good, bad = ask(bus, f"{key}?run;by=ann", timeout=300)
+        assert not bad and set(good) == {key}, (good, bad)
+        document = good[key]
+        assert (document["schema"], document["loop"]) == ("stictiond.gap.v1", "FIC101"), document
+        assert (document["reason"], document["by"], document["evaluations"] > 0) == ("operator", "ann", True), document
+        assert document["cause"]["id"] and 0 <= document["cause"]["probability"] <= 1, document["cause"]
+        eventually("the diagnosis on the bus", lambda: document in heard.by_key[key])
+        good, bad = ask(bus, key)
+        assert not bad and good[key] == heard.by_key[key][-1]
+        for selector in (f"{PLANE}/FIC999/gap?run", f"{PLANE}/*/gap?run", f"{PLANE}/FIC101/estimate?run"):
             good, bad = ask(bus, selector)
             assert not good and len(bad) == 1 and bad[0], (selector, good, bad)
 

@@ -11,7 +11,7 @@ use anyhow::{Context, anyhow, bail};
 
 use super::analyze;
 use super::selection::{Points, Section, Selection};
-use super::{Format, Outcome, UsageError, say, stop};
+use super::{Format, Outcome, UsageError, challenge, say, stop};
 use crate::config::Config;
 use crate::detect::oscillation;
 use crate::files::{LoadedLoop, load_samples};
@@ -34,12 +34,31 @@ const DEFAULT_SECONDS: f64 = 5.0;
 /// The gap is measured in free run, on stretches that no model was fitted to, from a sticking valve (He's law) before a
 /// first-order process with dead time.
 #[derive(Debug, clap::Args)]
+#[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
 #[command(after_help = "Examples:
   stictiond gap recordings/sticking.mcap
   stictiond gap loop4.csv --samples 50,900 --predictions loop4-gap.csv
   stictiond gap june.csv --base may.json          # may.json: stictiond gap may.csv --format json
   stictiond gap plant.mcap --loop FIC101 --without extra_lag --format json")]
 pub struct Args {
+    /// The check of the diagnosis on withheld causes.
+    #[command(subcommand)]
+    pub command: Option<Command>,
+    /// What is diagnosed.
+    #[command(flatten)]
+    pub diagnosis: Option<DiagnosisArgs>,
+}
+
+/// What `gap` does beside diagnosing one file.
+#[derive(Debug, clap::Subcommand)]
+pub enum Command {
+    /// See [`challenge`].
+    Challenge(challenge::Args),
+}
+
+/// `gap INPUT` with its options.
+#[derive(Debug, clap::Args)]
+pub struct DiagnosisArgs {
     /// A .csv file (columns t,op,pv[,sp][,mv][,mode]), a recording (.mcap, .mcap.part) or a compact store (.mat).
     pub input: PathBuf,
     /// Loop, section, density.
@@ -82,6 +101,16 @@ fn seconds(text: &str) -> Result<f64, String> {
 /// # Errors
 /// The file cannot be read, the loop or section does not exist, an id is unknown, or nothing in it can be diagnosed.
 pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
+    match (&args.command, &args.diagnosis) {
+        (Some(Command::Challenge(args)), _) => challenge::run(args, format),
+        (None, Some(args)) => diagnose_all(args, format),
+        (None, None) => {
+            Err(UsageError("give a file to diagnose, or `challenge`; see stictiond gap --help".to_owned()).into())
+        }
+    }
+}
+
+fn diagnose_all(args: &DiagnosisArgs, format: Format) -> anyhow::Result<Outcome> {
     check(args)?;
     let base = args.base.as_deref().map(BaseArg::read).transpose()?;
     let loaded = load_samples(&args.input)?;
@@ -129,7 +158,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
 }
 
 /// What can be refused before anything is read.
-fn check(args: &Args) -> anyhow::Result<()> {
+fn check(args: &DiagnosisArgs) -> anyhow::Result<()> {
     for id in &args.without {
         if !effects::ALL.iter().any(|e| e.id == id.as_str()) {
             let known = effects::ALL.iter().map(|e| e.id).collect::<Vec<_>>().join(", ");
@@ -144,7 +173,7 @@ fn check(args: &Args) -> anyhow::Result<()> {
 }
 
 fn diagnose(
-    args: &Args,
+    args: &DiagnosisArgs,
     base: Option<&BaseArg>,
     one: &LoadedLoop,
     points: &Points,
@@ -178,14 +207,14 @@ fn print(found: &GapLoop, format: Format) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn write_predictions(args: &Args, points: &Points, found: &GapLoop, section: Section) -> anyhow::Result<()> {
+fn write_predictions(args: &DiagnosisArgs, points: &Points, found: &GapLoop, section: Section) -> anyhow::Result<()> {
     let Some(path) = &args.predictions else { return Ok(()) };
     let whole = points.samples(&found.document.loop_name, section)?;
     let rows = predictions::rows(&whole, &found.record, &found.diagnosis);
     predictions::write(path, &rows).with_context(|| path.display().to_string())
 }
 
-fn write_report(args: &Args, path: &Path, warnings: &[String], loops: Vec<GapLoop>) -> anyhow::Result<()> {
+fn write_report(args: &DiagnosisArgs, path: &Path, warnings: &[String], loops: Vec<GapLoop>) -> anyhow::Result<()> {
     let report = GapReport {
         input: args.input.display().to_string(),
         command: command_line(),
