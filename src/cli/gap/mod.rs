@@ -46,7 +46,7 @@ pub struct Args {
     pub command: Option<Command>,
     /// What is diagnosed.
     #[command(flatten)]
-    pub diagnosis: Option<DiagnosisArgs>,
+    pub diagnosis: DiagnosisArgs,
 }
 
 /// What `gap` does beside diagnosing one file.
@@ -60,7 +60,9 @@ pub enum Command {
 #[derive(Debug, clap::Args)]
 pub struct DiagnosisArgs {
     /// A .csv file (columns t,op,pv[,sp][,mv][,mode]), a recording (.mcap, .mcap.part) or a compact store (.mat).
-    pub input: PathBuf,
+    // Absent only where a subcommand is called instead.
+    #[arg(required = true)]
+    pub input: Option<PathBuf>,
     /// Loop, section, density.
     #[command(flatten)]
     pub selection: Selection,
@@ -101,24 +103,27 @@ fn seconds(text: &str) -> Result<f64, String> {
 /// # Errors
 /// The file cannot be read, the loop or section does not exist, an id is unknown, or nothing in it can be diagnosed.
 pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
-    match (&args.command, &args.diagnosis) {
-        (Some(Command::Challenge(args)), _) => challenge::run(args, format),
-        (None, Some(args)) => diagnose_all(args, format),
-        (None, None) => {
-            Err(UsageError("give a file to diagnose, or `challenge`; see stictiond gap --help".to_owned()).into())
-        }
+    match &args.command {
+        Some(Command::Challenge(args)) => challenge::run(args, format),
+        None => diagnose_all(&args.diagnosis, format),
+    }
+}
+
+impl DiagnosisArgs {
+    fn input(&self) -> &Path {
+        self.input.as_deref().unwrap_or(Path::new(""))
     }
 }
 
 fn diagnose_all(args: &DiagnosisArgs, format: Format) -> anyhow::Result<Outcome> {
     check(args)?;
     let base = args.base.as_deref().map(BaseArg::read).transpose()?;
-    let loaded = load_samples(&args.input)?;
+    let loaded = load_samples(args.input())?;
     for warning in &loaded.warnings {
         tracing::warn!("{warning}");
     }
-    let config = analyze::config_of(&args.input)?.map_or_else(|| Config::with_prefix("plant"), |r| r.config);
-    let place = args.input.display();
+    let config = analyze::config_of(args.input())?.map_or_else(|| Config::with_prefix("plant"), |r| r.config);
+    let place = args.input().display();
     let chosen = args.selection.loops(&loaded.loops).map_err(|e| anyhow!("{place}: {e}"))?;
     let sections = args.selection.sections();
     let wanted = chosen.len() * sections.len();
@@ -193,7 +198,7 @@ fn diagnose(
     let team = Team::new(&one.name, &ask, args.budget.map(Duration::from_secs_f64), &|| !stop::asked());
     let diagnosis = gap::diagnose(&record, &ask, &team);
     team.finish();
-    let diagnosis = diagnosis.with_context(|| format!("{}: loop {}", args.input.display(), one.name))?;
+    let diagnosis = diagnosis.with_context(|| format!("{}: loop {}", args.input().display(), one.name))?;
     let location = locate::locate(&record, &Subject::of(&diagnosis, period, args.seed));
     let document = GapDocument::new(&one.name, &record, &ask.base, &diagnosis, location);
     Ok(GapLoop { document, record, diagnosis })
@@ -216,7 +221,7 @@ fn write_predictions(args: &DiagnosisArgs, points: &Points, found: &GapLoop, sec
 
 fn write_report(args: &DiagnosisArgs, path: &Path, warnings: &[String], loops: Vec<GapLoop>) -> anyhow::Result<()> {
     let report = GapReport {
-        input: args.input.display().to_string(),
+        input: args.input().display().to_string(),
         command: command_line(),
         warnings: warnings.to_vec(),
         loops,
