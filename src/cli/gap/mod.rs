@@ -10,8 +10,9 @@ use std::time::Duration;
 use anyhow::{Context, anyhow, bail};
 
 use super::analyze;
+use super::challenge;
 use super::selection::{Points, Section, Selection};
-use super::{Format, Outcome, UsageError, challenge, say, stop};
+use super::{Format, Outcome, UsageError, say, stop};
 use crate::config::Config;
 use crate::detect::oscillation;
 use crate::files::{LoadedLoop, load_samples};
@@ -34,35 +35,33 @@ const DEFAULT_SECONDS: f64 = 5.0;
 /// The gap is measured in free run, on stretches that no model was fitted to, from a sticking valve (He's law) before a
 /// first-order process with dead time.
 #[derive(Debug, clap::Args)]
-#[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
+#[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true, arg_required_else_help = true)]
 #[command(after_help = "Examples:
   stictiond gap recordings/sticking.mcap
   stictiond gap loop4.csv --samples 50,900 --predictions loop4-gap.csv
   stictiond gap june.csv --base may.json          # may.json: stictiond gap may.csv --format json
   stictiond gap plant.mcap --loop FIC101 --without extra_lag --format json")]
 pub struct Args {
-    /// The check of the diagnosis on withheld causes.
+    /// The check on withheld causes.
     #[command(subcommand)]
     pub command: Option<Command>,
-    /// What is diagnosed.
+    /// What to diagnose.
     #[command(flatten)]
-    pub diagnosis: DiagnosisArgs,
+    pub diagnose: Option<Diagnose>,
 }
 
 /// What `gap` does beside diagnosing one file.
 #[derive(Debug, clap::Subcommand)]
 pub enum Command {
-    /// See [`challenge`].
+    /// Check the diagnosis on loops whose cause is withheld from it.
     Challenge(challenge::Args),
 }
 
-/// `gap INPUT` with its options.
+/// What to diagnose, and from where.
 #[derive(Debug, clap::Args)]
-pub struct DiagnosisArgs {
+pub struct Diagnose {
     /// A .csv file (columns t,op,pv[,sp][,mv][,mode]), a recording (.mcap, .mcap.part) or a compact store (.mat).
-    // Absent only where a subcommand is called instead.
-    #[arg(required = true)]
-    pub input: Option<PathBuf>,
+    pub input: PathBuf,
     /// Loop, section, density.
     #[command(flatten)]
     pub selection: Selection,
@@ -101,29 +100,28 @@ fn seconds(text: &str) -> Result<f64, String> {
 /// Runs the command.
 ///
 /// # Errors
-/// The file cannot be read, the loop or section does not exist, an id is unknown, or nothing in it can be diagnosed.
+/// What the diagnosis or the check says.
 pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
-    match &args.command {
-        Some(Command::Challenge(args)) => challenge::run(args, format),
-        None => diagnose_all(&args.diagnosis, format),
+    match (&args.command, &args.diagnose) {
+        (Some(Command::Challenge(args)), _) => challenge::run(args, format),
+        (None, Some(args)) => diagnose_all(args, format),
+        (None, None) => Err(UsageError("gap needs a file, or `gap challenge`".to_owned()).into()),
     }
 }
 
-impl DiagnosisArgs {
-    fn input(&self) -> &Path {
-        self.input.as_deref().unwrap_or(Path::new(""))
-    }
-}
-
-fn diagnose_all(args: &DiagnosisArgs, format: Format) -> anyhow::Result<Outcome> {
+/// Every chosen loop and section of one file.
+///
+/// # Errors
+/// The file cannot be read, the loop or section does not exist, an id is unknown, or nothing in it can be diagnosed.
+fn diagnose_all(args: &Diagnose, format: Format) -> anyhow::Result<Outcome> {
     check(args)?;
     let base = args.base.as_deref().map(BaseArg::read).transpose()?;
-    let loaded = load_samples(args.input())?;
+    let loaded = load_samples(&args.input)?;
     for warning in &loaded.warnings {
         tracing::warn!("{warning}");
     }
-    let config = analyze::config_of(args.input())?.map_or_else(|| Config::with_prefix("plant"), |r| r.config);
-    let place = args.input().display();
+    let config = analyze::config_of(&args.input)?.map_or_else(|| Config::with_prefix("plant"), |r| r.config);
+    let place = args.input.display();
     let chosen = args.selection.loops(&loaded.loops).map_err(|e| anyhow!("{place}: {e}"))?;
     let sections = args.selection.sections();
     let wanted = chosen.len() * sections.len();
@@ -163,7 +161,7 @@ fn diagnose_all(args: &DiagnosisArgs, format: Format) -> anyhow::Result<Outcome>
 }
 
 /// What can be refused before anything is read.
-fn check(args: &DiagnosisArgs) -> anyhow::Result<()> {
+fn check(args: &Diagnose) -> anyhow::Result<()> {
     for id in &args.without {
         if !effects::ALL.iter().any(|e| e.id == id.as_str()) {
             let known = effects::ALL.iter().map(|e| e.id).collect::<Vec<_>>().join(", ");
@@ -178,7 +176,7 @@ fn check(args: &DiagnosisArgs) -> anyhow::Result<()> {
 }
 
 fn diagnose(
-    args: &DiagnosisArgs,
+    args: &Diagnose,
     base: Option<&BaseArg>,
     one: &LoadedLoop,
     points: &Points,
@@ -198,7 +196,7 @@ fn diagnose(
     let team = Team::new(&one.name, &ask, args.budget.map(Duration::from_secs_f64), &|| !stop::asked());
     let diagnosis = gap::diagnose(&record, &ask, &team);
     team.finish();
-    let diagnosis = diagnosis.with_context(|| format!("{}: loop {}", args.input().display(), one.name))?;
+    let diagnosis = diagnosis.with_context(|| format!("{}: loop {}", args.input.display(), one.name))?;
     let location = locate::locate(&record, &Subject::of(&diagnosis, period, args.seed));
     let document = GapDocument::new(&one.name, &record, &ask.base, &diagnosis, location);
     Ok(GapLoop { document, record, diagnosis })
@@ -212,16 +210,16 @@ fn print(found: &GapLoop, format: Format) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn write_predictions(args: &DiagnosisArgs, points: &Points, found: &GapLoop, section: Section) -> anyhow::Result<()> {
+fn write_predictions(args: &Diagnose, points: &Points, found: &GapLoop, section: Section) -> anyhow::Result<()> {
     let Some(path) = &args.predictions else { return Ok(()) };
     let whole = points.samples(&found.document.loop_name, section)?;
     let rows = predictions::rows(&whole, &found.record, &found.diagnosis);
     predictions::write(path, &rows).with_context(|| path.display().to_string())
 }
 
-fn write_report(args: &DiagnosisArgs, path: &Path, warnings: &[String], loops: Vec<GapLoop>) -> anyhow::Result<()> {
+fn write_report(args: &Diagnose, path: &Path, warnings: &[String], loops: Vec<GapLoop>) -> anyhow::Result<()> {
     let report = GapReport {
-        input: args.input().display().to_string(),
+        input: args.input.display().to_string(),
         command: command_line(),
         warnings: warnings.to_vec(),
         loops,
