@@ -12,7 +12,7 @@
 //! | 3 identification | [`ident`] quantification of stiction · [`detect`] oscillation, and one file per witness |
 //! | 4 judgement | [`verdict`] gates, verdict, the estimate's document · [`gap`] what the model leaves out · [`challenge`] its check on withheld causes · [`alarm`] ISA-18.2 states |
 //! | 5 engine | [`config`] text to settings · [`codec`] bytes to samples, topics · [`engine`] one state machine a loop |
-//! | 6 shell | `source` the bus · `sink` publisher, recorder · `files` CSV, MCAP · `daemon` wiring, replay · `web` · `cli` |
+//! | 6 shell | `source` the bus · `sink` publisher, recorder · `files` CSV, MCAP · `report` pictures, pages · `daemon` wiring, replay · `web` · `cli` |
 //!
 //! `alarm` and `engine` take their settings from [`config`], which knows none of them.
 //!
@@ -47,6 +47,8 @@ pub mod gap;
 pub mod ident;
 pub mod optim;
 pub mod record;
+#[cfg(feature = "daemon")]
+pub mod report;
 pub mod signal;
 pub mod sim;
 #[cfg(feature = "daemon")]

@@ -18,7 +18,7 @@ use super::LoopId;
 use crate::config::GapParams;
 use crate::detect::oscillation;
 use crate::gap::document::GapDocument;
-use crate::gap::locate::locate;
+use crate::gap::locate::{Subject, locate};
 use crate::gap::model::{self, Model};
 use crate::gap::{self, Ask, Base, Crew, GapError};
 use crate::ident::foresee::{self, Fixed};
@@ -224,7 +224,7 @@ impl GapRequest {
         let period_points = oscillation::detect(&self.record.op(), &self.record.pv).map(|o| o.period_points);
         let ask = Ask { base, period_points, budget_evaluations: self.budget_evaluations, ..Ask::default() };
         let diagnosis = gap::diagnose(&self.record, &ask, crew)?;
-        let location = locate(&self.record, &diagnosis, period_points, ask.seed);
+        let location = locate(&self.record, &Subject::of(&diagnosis, period_points, ask.seed));
         Ok(PublishedGap {
             document: GapDocument::new(&self.loop_name, &self.record, &ask.base, &diagnosis, location),
             reason: self.reason,

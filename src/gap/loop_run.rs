@@ -16,7 +16,7 @@ use crate::sim::controller::{Action, PidSettings};
 use crate::sim::process::ProcessModel;
 
 /// Effects whose model is whole in valve law and process, so that the loop can be closed over it.
-const CLOSABLE: [&str; 5] = ["extra_lag", "integrating", "sliding_valve", "slip_overshoot", "stiction"];
+pub const CLOSABLE: [&str; 5] = ["extra_lag", "integrating", "sliding_valve", "slip_overshoot", "stiction"];
 /// Scans simulated at most.
 const MAX_SCANS: usize = 60_000;
 /// Room for OP on both sides of what was recorded, spans.

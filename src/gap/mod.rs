@@ -22,6 +22,7 @@ mod plan;
 pub mod probability;
 mod rounds;
 mod scene;
+pub mod score;
 mod search;
 mod signatures;
 mod stages;

@@ -173,15 +173,23 @@ fn named(d: &GapDocument, e: &EffectNote) -> String {
     text
 }
 
+/// The answer in a word or two: `extra_lag, suspected`.
+#[must_use]
+pub fn answer(d: &GapDocument) -> String {
+    let open = d.cause.confirmed || [NONE, UNKNOWN].contains(&d.cause.id.as_str());
+    if open { d.cause.id.clone() } else { format!("{}, suspected", d.cause.id) }
+}
+
+/// The cycle as measured and as the closed loop makes it.
+#[must_use]
+pub fn cycles(c: &super::loop_run::Cycles) -> String {
+    place::cycles(c)
+}
+
 /// The whole report as lines: the paragraph, then the figures.
 #[must_use]
 pub fn report(d: &GapDocument) -> String {
-    let cause = if ["none", "unknown"].contains(&d.cause.id.as_str()) || d.cause.confirmed {
-        String::new()
-    } else {
-        ", suspected".to_owned()
-    };
-    let mut lines = vec![format!("{}: {}{cause} (p {:.2})", d.loop_name, d.cause.id, d.cause.probability)];
+    let mut lines = vec![format!("{}: {} (p {:.2})", d.loop_name, answer(d), d.cause.probability)];
     lines.push(format!("  {}", paragraph(d)));
     let mut row = |name: &str, value: String| lines.push(format!("  {name:<12} {value}"));
     let floor = d.gap.noise_floor.map_or("unknown".to_owned(), figure);

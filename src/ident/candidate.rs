@@ -175,10 +175,35 @@ impl<'a> Bench<'a> {
     /// Fits the process from the best of the `shapes`; `None` where the stem hardly moves.
     pub fn fit(&mut self, s: f64, j: f64, start: Start, shapes: &[Shape], effort: Effort) -> Option<Candidate> {
         let freedom = self.slip(s, j, start)?;
+        self.fit_within(&freedom, [s, j], start, shapes, effort)
+    }
+
+    /// The same with fd held at (s - j) / 2, for maps of the error.
+    pub fn fit_exactly(
+        &mut self,
+        [s, j]: [f64; 2],
+        start: Start,
+        shapes: &[Shape],
+        effort: Effort,
+    ) -> Option<Candidate> {
+        let fd = 0.5 * (s - j);
+        let freedom = Freedom { fd: [fd; 2], fd_default: fd, ..self.slip(s, j, start)? };
+        self.fit_within(&freedom, [s, j], start, shapes, effort)
+    }
+
+    /// Fits the process behind the slips at hand.
+    fn fit_within(
+        &mut self,
+        freedom: &Freedom,
+        [s, j]: [f64; 2],
+        start: Start,
+        shapes: &[Shape],
+        effort: Effort,
+    ) -> Option<Candidate> {
         let signal = [&self.sequence.at[..], &self.sequence.direction[..]];
         let mut best: Option<Fitted> = None;
         for shape in shapes {
-            let fit = self.fitter.linear(self.class, shape, signal, self.target, &freedom);
+            let fit = self.fitter.linear(self.class, shape, signal, self.target, freedom);
             if best.is_none_or(|b| fit.sse < b.sse) {
                 best = Some(fit);
             }
@@ -186,9 +211,9 @@ impl<'a> Bench<'a> {
         let mut fit = best?;
         if effort.steps > 0 && fit.sse < effort.hopeless {
             if shapes.last() != Some(&fit.shape) {
-                fit = self.fitter.linear(self.class, &fit.shape, signal, self.target, &freedom);
+                fit = self.fitter.linear(self.class, &fit.shape, signal, self.target, freedom);
             }
-            fit = self.fitter.improve(self.class, fit, signal, self.target, &freedom, effort.steps, 1e-4);
+            fit = self.fitter.improve(self.class, fit, signal, self.target, freedom, effort.steps, 1e-4);
         }
         Some(self.candidate(s, j, start, fit))
     }

@@ -4,6 +4,7 @@
 //! process answers with a continuous dead time, and everything linear (gain, kinetic band, bias, initial state) is
 //! solved exactly. Everything is seeded, bounded in work and scale-free.
 
+mod again;
 pub(crate) mod bank;
 pub(crate) mod candidate;
 mod choice;
@@ -18,6 +19,7 @@ mod interval;
 pub(crate) mod least_squares;
 pub mod one_step;
 mod order;
+pub mod portrait;
 pub(crate) mod pose;
 mod quantify;
 pub mod region;
@@ -25,6 +27,7 @@ pub mod residual;
 mod robust;
 pub(crate) mod search;
 pub mod sign;
+pub mod surface;
 pub mod width;
 
 pub use choice::{DelayChoice, ModelChoice, ValveChoice};

@@ -401,6 +401,59 @@ def test_the_example_gateway(folder):
         assert daemon.stop() < 5
 
 
+GAP = {
+    "schema": str, "loop": str, "window": dict, "base": dict, "gap": dict, "given": (dict, None), "where": dict,
+    "effects": list, "cause": dict, "alternatives": list, "forward": (dict, None), "model_after": dict,
+    "next_test": (dict, None), "evaluations": int, "version": str,
+}
+WHERE = {
+    "stage": str, "segments": list, "phases": dict, "direction": dict, "bands": list, "level": list, "slips": dict,
+    "onset_s": (float, None), "correlates": list, "signatures": list, "excitation": dict, "op_to_mv": (dict, None),
+    "mv_to_pv": (dict, None),
+}
+
+
+def test_the_gap_can_be_computed_from_the_predictions(folder):
+    # Without a lead on the cause: whatever is answered must follow from the rows.
+    plant = Loop(fs=4.0, fd=1.5, sine=1.0, seed=5).run(1000)
+    table, rows_file = Path(folder) / "loop.csv", Path(folder) / "rows.csv"
+    with table.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(["t", "op", "pv"])
+        writer.writerows([START_NS // 10**9 + k, op, pv] for k, (op, pv) in enumerate(zip(plant.op, plant.pv)))
+    code, out, err = stictiond("gap", table, "--predictions", rows_file, "--format", "json")
+    assert code == 0, err
+    document = json.loads(out)
+    check_fields(document, GAP, "the gap document")
+    check_fields(document["where"], WHERE, "where")
+    with rows_file.open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert list(rows[0]) == ["t", "pv", "pv_base", "pv_after", "held_out"]
+    assert len(rows) == 1000 and [float(r["pv"]) for r in rows] == plant.pv
+    held = [r for r in rows if r["held_out"] == "1"]
+    assert len(held) > 300
+
+    def rmse(column):
+        return math.sqrt(sum((float(r["pv"]) - float(r[column])) ** 2 for r in held) / len(held))
+
+    floor = document["gap"]["noise_floor"] or 0.0
+
+    def gap(column):
+        return math.sqrt(max(rmse(column) ** 2 - floor**2, 0.0))
+
+    same = lambda a, b: math.isclose(a, b, rel_tol=1e-9, abs_tol=1e-12)
+    assert same(rmse("pv_base"), document["gap"]["rmse"])
+    assert same(gap("pv_base"), document["gap"]["gap"])
+    named = [e for e in document["effects"] if e["id"] == document["cause"]["id"]]
+    if named:
+        assert same(gap("pv_after"), named[0]["gap_after"])
+        if named[0]["closed_pct"] is not None:
+            assert same(100 * (1 - gap("pv_after") / gap("pv_base")), named[0]["closed_pct"])
+    else:
+        assert document["cause"]["id"] in ("none", "unknown")
+        assert all(r["pv_base"] == r["pv_after"] for r in rows)
+
+
 def main():
     wanted = sys.argv[1:]
     tests = {name: test for name, test in globals().items() if name.startswith("test_")}

@@ -1,6 +1,6 @@
 //! All cores, a progress bar and a clock for a search that knows none of them.
 
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressStyle};
@@ -12,19 +12,19 @@ pub(super) struct Team<'a> {
     cores: usize,
     bar: ProgressBar,
     until: Option<Instant>,
-    stop: &'a AtomicBool,
+    go_on: &'a (dyn Fn() -> bool + Sync),
 }
 
 impl<'a> Team<'a> {
-    /// A team for one search of at most `time`.
-    pub fn new(name: &str, ask: &Ask, time: Option<Duration>, stop: &'a AtomicBool) -> Self {
+    /// A team for one search of at most `time`, as long as `go_on` says so.
+    pub fn new(name: &str, ask: &Ask, time: Option<Duration>, go_on: &'a (dyn Fn() -> bool + Sync)) -> Self {
         let bar = ProgressBar::new(ask.budget_evaluations);
         if let Ok(style) = ProgressStyle::with_template("{wide_msg} {bar:30} {percent:>3} %") {
             bar.set_style(style);
         }
         bar.set_message(name.to_owned());
         let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
-        Self { cores, bar, until: time.map(|t| Instant::now() + t), stop }
+        Self { cores, bar, until: time.map(|t| Instant::now() + t), go_on }
     }
 
     /// Takes the bar away.
@@ -56,19 +56,20 @@ impl Crew for Team<'_> {
 
     fn tick(&self, done: u64) -> bool {
         self.bar.set_position(done);
-        !self.stop.load(Ordering::Relaxed) && self.until.is_none_or(|until| Instant::now() < until)
+        (self.go_on)() && self.until.is_none_or(|until| Instant::now() < until)
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::sync::atomic::AtomicU64;
+    use std::sync::atomic::{AtomicBool, AtomicU64};
 
     #[test]
     fn every_job_is_done_once_and_the_flag_ends_the_search() {
         let stop = AtomicBool::new(false);
-        let team = Team::new("a", &Ask::default(), None, &stop);
+        let go_on = || !stop.load(Ordering::Relaxed);
+        let team = Team::new("a", &Ask::default(), None, &go_on);
         let counts: Vec<AtomicU64> = (0..100).map(|_| AtomicU64::new(0)).collect();
         team.run(100, &|i| {
             counts[i].fetch_add(1, Ordering::Relaxed);
@@ -77,7 +78,7 @@ mod tests {
         assert!(team.tick(1));
         stop.store(true, Ordering::Relaxed);
         assert!(!team.tick(2));
-        let late = Team::new("b", &Ask::default(), Some(Duration::ZERO), &stop);
+        let late = Team::new("b", &Ask::default(), Some(Duration::ZERO), &|| true);
         assert!(!late.tick(0));
     }
 }

@@ -5,21 +5,22 @@ mod crew;
 mod predictions;
 
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use anyhow::{Context, bail};
+use anyhow::{Context, anyhow, bail};
 
-use super::analyze::{self, Points};
-use super::{Format, Outcome, UsageError, asked_to_stop, block_on, say};
+use super::analyze;
+use super::selection::{Points, Section, Selection};
+use super::{Format, Outcome, UsageError, say, stop};
 use crate::config::Config;
 use crate::detect::oscillation;
 use crate::files::{LoadedLoop, load_samples};
 use crate::gap::document::GapDocument;
-use crate::gap::{self, Ask, Diagnosis, GapError, effects, locate, text};
-use crate::record::Record;
+use crate::gap::locate::Subject;
+use crate::gap::{self, Ask, GapError, effects, locate, text};
+use crate::report::{GapLoop, GapReport, gap_page};
 use base::BaseArg;
+pub(super) use base::model_file;
 use crew::Team;
 
 /// Most points of a simulation: sections with more samples are averaged in boxes.
@@ -39,17 +40,11 @@ const DEFAULT_SECONDS: f64 = 5.0;
   stictiond gap june.csv --base may.json          # may.json: stictiond gap may.csv --format json
   stictiond gap plant.mcap --loop FIC101 --without extra_lag --format json")]
 pub struct Args {
-    /// A .csv file (columns t,op,pv[,sp][,mv][,mode]) or a recording (.mcap, .mcap.part).
+    /// A .csv file (columns t,op,pv[,sp][,mv][,mode]), a recording (.mcap, .mcap.part) or a compact store (.mat).
     pub input: PathBuf,
-    /// Only this loop.
-    #[arg(long = "loop", value_name = "NAME")]
-    pub loop_name: Option<String>,
-    /// Samples START to END, counted from 1, ends included; may be given several times.
-    #[arg(long, value_name = "START,END", value_parser = analyze::samples_range)]
-    pub samples: Vec<(usize, usize)>,
-    /// From time T0 to T1, ends included: seconds since 1970 or RFC 3339; ns as in documents with the suffix ns.
-    #[arg(long, value_name = "T0,T1", value_parser = analyze::time_range, conflicts_with = "samples")]
-    pub window: Option<(i64, i64)>,
+    /// Loop, section, density.
+    #[command(flatten)]
+    pub selection: Selection,
     /// A model to measure the gap from as well (an estimate, a gap document's model or a plain one, JSON), or `linear`
     /// for a base without friction.
     #[arg(long, value_name = "FILE.json|linear")]
@@ -66,6 +61,9 @@ pub struct Args {
     /// Write measured and simulated PV, from which every figure can be computed again.
     #[arg(long, value_name = "FILE.csv")]
     pub predictions: Option<PathBuf>,
+    /// Write a page with pictures: simulation against plant before and after, and where the gap lies.
+    #[arg(long, value_name = "FILE.html")]
+    pub report: Option<PathBuf>,
     /// Replace existing outputs.
     #[arg(long)]
     pub force: bool,
@@ -77,14 +75,6 @@ pub struct Args {
 fn seconds(text: &str) -> Result<f64, String> {
     let value: f64 = text.parse().map_err(|_| format!("{text:?} is not a number"))?;
     if value.is_finite() && value > 0.0 { Ok(value) } else { Err("write a number of seconds above 0".to_owned()) }
-}
-
-/// One section of one loop, diagnosed.
-struct Done {
-    name: String,
-    record: Record,
-    diagnosis: Diagnosis,
-    document: GapDocument,
 }
 
 /// Runs the command.
@@ -99,35 +89,41 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
         tracing::warn!("{warning}");
     }
     let config = analyze::config_of(&args.input)?.map_or_else(|| Config::with_prefix("plant"), |r| r.config);
-    let chosen = analyze::choose(&loaded.loops, args.loop_name.as_deref(), &args.input)?;
-    let sections: Vec<Option<(usize, usize)>> =
-        if args.samples.is_empty() { vec![None] } else { args.samples.iter().copied().map(Some).collect() };
-    let alone = chosen.len() * sections.len() == 1;
-    if !alone && args.predictions.is_some() {
+    let place = args.input.display();
+    let chosen = args.selection.loops(&loaded.loops).map_err(|e| anyhow!("{place}: {e}"))?;
+    let sections = args.selection.sections();
+    let wanted = chosen.len() * sections.len();
+    if wanted > 1 && args.predictions.is_some() {
         let message = "--predictions holds one section of one loop: choose it by --loop and --samples or --window";
         return Err(UsageError(message.to_owned()).into());
     }
-    let stop = stop_flag();
-    let mut done = 0;
-    for one in &chosen {
+    stop::watch();
+    let (mut done, mut answered) = (Vec::new(), 0);
+    for (one, section) in chosen.iter().flat_map(|one| sections.iter().map(move |section| (one, *section))) {
+        if stop::asked() {
+            break;
+        }
         let points = Points::of(one, &config);
-        for section in &sections {
-            if stop.load(Ordering::Relaxed) {
-                break;
+        answered += 1;
+        match diagnose(args, base.as_ref(), one, &points, section) {
+            Ok(found) => {
+                print(&found, format)?;
+                write_predictions(args, &points, &found, section)?;
+                done.push(found);
             }
-            match diagnose(args, base.as_ref(), one, &points, *section, &stop) {
-                Ok(found) => {
-                    done += 1;
-                    print(&found, format)?;
-                    write_predictions(args, &points, &found, *section)?;
-                }
-                Err(error) if !alone && !error.is::<UsageError>() => tracing::warn!("{error:#}"),
-                Err(error) => return Err(error),
-            }
+            Err(error) if wanted > 1 && !error.is::<UsageError>() => tracing::warn!("{error:#}"),
+            Err(error) => return Err(error),
         }
     }
-    if done == 0 && !stop.load(Ordering::Relaxed) {
-        bail!("{}: no loop could be diagnosed", args.input.display());
+    let count = done.len();
+    if let Some(path) = args.report.as_ref().filter(|_| count > 0) {
+        write_report(args, path, &loaded.warnings, done)?;
+    }
+    if stop::asked() && answered < wanted {
+        bail!("{place}: stopped after {answered} of {wanted} sections");
+    }
+    if count == 0 {
+        bail!("{place}: no loop could be diagnosed");
     }
     Ok(if loaded.data_loss { Outcome::DataLoss } else { Outcome::Done })
 }
@@ -140,22 +136,11 @@ fn check(args: &Args) -> anyhow::Result<()> {
             return Err(UsageError(GapError::UnknownEffect { id: id.clone(), known }.to_string()).into());
         }
     }
-    if let Some(path) = args.predictions.as_ref().filter(|path| path.exists() && !args.force) {
+    let outputs = args.predictions.iter().chain(&args.report);
+    for path in outputs.filter(|path| path.exists() && !args.force) {
         bail!("{}: exists already; --force replaces it", path.display());
     }
     Ok(())
-}
-
-/// Becomes true on SIGINT or SIGTERM.
-fn stop_flag() -> Arc<AtomicBool> {
-    let flag = Arc::new(AtomicBool::new(false));
-    let own = Arc::clone(&flag);
-    std::thread::spawn(move || {
-        if block_on(asked_to_stop()).is_ok() {
-            own.store(true, Ordering::Relaxed);
-        }
-    });
-    flag
 }
 
 fn diagnose(
@@ -163,10 +148,9 @@ fn diagnose(
     base: Option<&BaseArg>,
     one: &LoadedLoop,
     points: &Points,
-    section: Option<(usize, usize)>,
-    stop: &AtomicBool,
-) -> anyhow::Result<Done> {
-    let record = points.record_of(&one.name, args.window, section, MAX_POINTS)?;
+    section: Section,
+) -> anyhow::Result<GapLoop> {
+    let (record, _) = args.selection.record_of(points, &one.name, section, MAX_POINTS)?;
     let period = oscillation::detect(&record.op(), &record.pv).map(|o| o.period_points);
     let share = args.budget.map_or(1.0, |seconds| seconds / DEFAULT_SECONDS);
     let ask = Ask {
@@ -177,16 +161,16 @@ fn diagnose(
         seed: args.seed,
         period_points: period,
     };
-    let team = Team::new(&one.name, &ask, args.budget.map(Duration::from_secs_f64), stop);
+    let team = Team::new(&one.name, &ask, args.budget.map(Duration::from_secs_f64), &|| !stop::asked());
     let diagnosis = gap::diagnose(&record, &ask, &team);
     team.finish();
     let diagnosis = diagnosis.with_context(|| format!("{}: loop {}", args.input.display(), one.name))?;
-    let location = locate::locate(&record, &diagnosis, period, args.seed);
+    let location = locate::locate(&record, &Subject::of(&diagnosis, period, args.seed));
     let document = GapDocument::new(&one.name, &record, &ask.base, &diagnosis, location);
-    Ok(Done { name: one.name.clone(), record, diagnosis, document })
+    Ok(GapLoop { document, record, diagnosis })
 }
 
-fn print(found: &Done, format: Format) -> anyhow::Result<()> {
+fn print(found: &GapLoop, format: Format) -> anyhow::Result<()> {
     match format {
         Format::Json => say(serde_json::to_string(&found.document)?)?,
         Format::Text => say(text::report(&found.document))?,
@@ -194,20 +178,32 @@ fn print(found: &Done, format: Format) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn write_predictions(
-    args: &Args,
-    points: &Points,
-    found: &Done,
-    section: Option<(usize, usize)>,
-) -> anyhow::Result<()> {
+fn write_predictions(args: &Args, points: &Points, found: &GapLoop, section: Section) -> anyhow::Result<()> {
     let Some(path) = &args.predictions else { return Ok(()) };
-    let whole = points.samples(&found.name, args.window, section)?;
+    let whole = points.samples(&found.document.loop_name, section)?;
     let rows = predictions::rows(&whole, &found.record, &found.diagnosis);
     predictions::write(path, &rows).with_context(|| path.display().to_string())
 }
 
-/// Where the file stands for a command line that can be pasted.
-pub(super) fn shown(path: &Path) -> String {
-    let text = path.display().to_string();
-    if text.contains([' ', '\'', '"']) { format!("'{}'", text.replace('\'', "'\\''")) } else { text }
+fn write_report(args: &Args, path: &Path, warnings: &[String], loops: Vec<GapLoop>) -> anyhow::Result<()> {
+    let report = GapReport {
+        input: args.input.display().to_string(),
+        command: command_line(),
+        warnings: warnings.to_vec(),
+        loops,
+    };
+    let page = gap_page(&report)?;
+    let mut part = path.to_owned().into_os_string();
+    part.push(".part");
+    std::fs::write(&part, page).and_then(|()| std::fs::rename(&part, path)).with_context(|| path.display().to_string())
+}
+
+/// The command as it was called, ready to be pasted.
+fn command_line() -> String {
+    let words = std::env::args().skip(1);
+    let quoted = words.map(|word| {
+        let plain = |c: char| c.is_ascii_alphanumeric() || "-_./:,=+@%".contains(c);
+        if !word.is_empty() && word.chars().all(plain) { word } else { format!("'{}'", word.replace('\'', "'\\''")) }
+    });
+    core::iter::once("stictiond".to_owned()).chain(quoted).collect::<Vec<_>>().join(" ")
 }

@@ -5,7 +5,7 @@ use std::path::Path;
 use crate::gap::Diagnosis;
 use crate::record::Record;
 use crate::signal::align::Point;
-use crate::units::format_seconds;
+use crate::units::{format_seconds, ns_from_s};
 
 /// One row of the table.
 #[derive(Debug, Clone, PartialEq)]
@@ -17,33 +17,31 @@ pub(super) struct Row {
 }
 
 /// A row for every sample of the section. Free runs stand where they count: not where the valve's past has a say, not
-/// on masked points, not outside the stretch that was simulated. In a boxed record a row is a box, with its last
-/// sample's stamp and PV's mean, because that is what was simulated.
+/// on masked points, not outside the stretch that was simulated. Where a point of the simulation stands for several
+/// samples, a row is such a point, with PV's mean, because that is what was simulated.
 pub(super) fn rows(section: &[Point], record: &Record, diagnosis: &Diagnosis) -> Vec<Row> {
-    let inside = |t_ns: i64| (record.start_ns..=record.end_ns).contains(&t_ns);
     let predictions = &diagnosis.predictions;
-    let at = |k: usize| -> (Option<[f64; 2]>, bool) {
+    let row = |t_ns: i64, k: usize| {
         let flag = |mask: &[bool]| mask.get(k).copied().unwrap_or(false);
-        let counts = k >= diagnosis.blocks.from && !flag(&predictions.masked);
-        let both = predictions.pv_base.get(k).copied().flatten().zip(predictions.pv_after.get(k).copied().flatten());
-        let both = both.filter(|(a, b)| counts && a.is_finite() && b.is_finite());
-        (both.map(|(a, b)| [a, b]), both.is_some() && flag(&predictions.held_out))
+        let value = |x: &[Option<f64>]| x.get(k).copied().flatten().filter(|v| v.is_finite());
+        let simulated = value(&predictions.pv_base).zip(value(&predictions.pv_after)).map(|(a, b)| [a, b]);
+        Row { t_ns, pv: record.pv[k], simulated, held_out: simulated.is_some() && flag(&predictions.held_out) }
     };
-    let mut out = Vec::with_capacity(section.len());
-    let mut sample = 0;
-    for point in section {
-        if !inside(point.t_ns) {
-            out.push(Row { t_ns: point.t_ns, pv: point.pv, simulated: None, held_out: false });
-            continue;
-        }
-        sample += 1;
-        if sample % record.box_samples == 0 && sample / record.box_samples <= record.len() {
-            let k = sample / record.box_samples - 1;
-            let (simulated, held_out) = at(k);
-            out.push(Row { t_ns: point.t_ns, pv: record.pv[k], simulated, held_out });
-        }
+    let outside = |p: &Point| !(record.start_ns..=record.end_ns).contains(&p.t_ns);
+    let samples = section.iter().filter(|p| !outside(p)).count();
+    if record.box_samples > 1 || samples != record.len() {
+        let end_s = |k: usize| (k + 1) as f64 * record.point_s() - record.ts_s;
+        return (0..record.len()).map(|k| row(record.start_ns + ns_from_s(end_s(k)), k)).collect();
     }
-    out
+    let mut next = 0;
+    let of = |point: &Point| {
+        if outside(point) {
+            return Row { t_ns: point.t_ns, pv: point.pv, simulated: None, held_out: false };
+        }
+        next += 1;
+        row(point.t_ns, next - 1)
+    };
+    section.iter().map(of).collect()
 }
 
 /// Writes the rows into a file of another name first: an output is whole or not there.

@@ -1,7 +1,7 @@
 //! The held-out residual, cut in groups, and whether a cut says more than chance.
 
-use super::Test;
-use crate::gap::types::{Blocks, Fit};
+use super::{Subject, Test};
+use crate::gap::types::Fit;
 use crate::record::Record;
 use crate::signal::stats;
 use crate::sim::noise::{Noise, stream_of};
@@ -43,8 +43,9 @@ pub(super) struct Shares {
 }
 
 impl<'a> Held<'a> {
-    /// The residual of `fit` on the record that it was fitted to.
-    pub fn new(record: &Record, fit: &'a Fit, blocks: &Blocks, period: Option<f64>, seed: u64) -> Self {
+    /// The subject's residual on the record that it was fitted to.
+    pub fn new(record: &Record, subject: &Subject<'a>) -> Self {
+        let Subject { fit, blocks, period_points, seed, .. } = *subject;
         let left = |k: usize| {
             let e = record.pv.get(k)? - fit.prediction.get(k)?;
             (k >= blocks.from && e.is_finite()).then_some(e)
@@ -60,7 +61,7 @@ impl<'a> Held<'a> {
             last
         };
         // Blocks are one and a half periods long.
-        let period = period.filter(|p| p.is_finite() && *p >= 2.0).unwrap_or(blocks.length as f64 / 1.5);
+        let period = period_points.filter(|p| p.is_finite() && *p >= 2.0).unwrap_or(blocks.length as f64 / 1.5);
         Self {
             fit,
             op: record.op(),

@@ -16,7 +16,7 @@ mod time;
 
 use serde::{Deserialize, Serialize};
 
-use super::types::Diagnosis;
+use super::types::{Blocks, Diagnosis, Fit, Signature, Stage, Stages};
 use crate::record::Record;
 use held::Held;
 
@@ -246,20 +246,58 @@ pub struct Location {
     pub points: u64,
 }
 
-/// Says where the base's gap lies. `period_points` is the oscillation's period, where one is known.
+/// What is looked at: a fit, and what the diagnosis knows beside it.
+#[derive(Debug, Clone, Copy)]
+pub struct Subject<'a> {
+    /// The model whose residual is looked at.
+    pub fit: &'a Fit,
+    /// Which points count.
+    pub blocks: &'a Blocks,
+    /// What no model gets below, PV units.
+    pub noise_floor: Option<f64>,
+    /// Traces in the data.
+    pub signatures: &'a [Signature],
+    /// The gaps before and behind the recorded valve position.
+    pub stages: Option<&'a Stages>,
+    /// The cause's stage.
+    pub stage: Stage,
+    /// Period of the oscillation, points, where one is known.
+    pub period_points: Option<f64>,
+    /// Seed of the shuffles.
+    pub seed: u64,
+}
+
+impl<'a> Subject<'a> {
+    /// The base of a diagnosis.
+    #[must_use]
+    pub fn of(diagnosis: &'a Diagnosis, period_points: Option<f64>, seed: u64) -> Self {
+        Self {
+            fit: &diagnosis.base,
+            blocks: &diagnosis.blocks,
+            noise_floor: diagnosis.floor.noise_floor,
+            signatures: &diagnosis.signatures,
+            stages: diagnosis.stages.as_ref(),
+            stage: diagnosis.cause.stage,
+            period_points,
+            seed,
+        }
+    }
+}
+
+/// Says where a model's gap lies on the record that it was fitted to.
 #[must_use]
-pub fn locate(record: &Record, diagnosis: &Diagnosis, period_points: Option<f64>, seed: u64) -> Location {
-    let held = Held::new(record, &diagnosis.base, &diagnosis.blocks, period_points, seed);
+pub fn locate(record: &Record, subject: &Subject<'_>) -> Location {
+    let held = Held::new(record, subject);
     let (segments, uneven_segments) = time::segments(&held);
     let steps = cycle::Steps::of(&held);
     let (phases, phases_expected, uneven_phases) = cycle::phases(&held, &steps);
     let (direction, direction_ratio, uneven_direction) = cycle::direction(&held, &steps);
     let (level, uneven_level) = level::by_op(&held);
     let trend = time::course(&held);
-    let stages = diagnosis.stages.as_ref();
     let deviation = crate::signal::stats::std_dev(&record.pv);
+    let relative = |gap: f64| (deviation > 0.0).then(|| gap / deviation);
     Location {
-        stage: diagnosis.cause.stage.name().to_owned(),
+        stage: subject.stage.name().to_owned(),
         segments,
         phases,
         phases_expected,
@@ -270,15 +308,14 @@ pub fn locate(record: &Record, diagnosis: &Diagnosis, period_points: Option<f64>
         fundamental_hz: 1.0 / (held.period * held.point_s),
         level,
         level_r2: level::r2(&held),
-        slips: cycle::slips(&held, record.mv.as_deref(), diagnosis.floor.noise_floor),
+        slips: cycle::slips(&held, record.mv.as_deref(), subject.noise_floor),
         onset_s: trend.onset_s,
         trend,
         correlates: correlate::correlates(&held),
-        signatures: diagnosis.signatures.iter().map(trace).collect(),
+        signatures: subject.signatures.iter().map(trace).collect(),
         excitation: excitation::excitation(&held, record),
-        op_to_mv: stages.map(|s| OpToMv { unexplained_pct: s.op_to_mv }),
-        mv_to_pv: stages
-            .map(|s| MvToPv { gap: s.mv_to_pv, relative: (deviation > 0.0).then(|| s.mv_to_pv / deviation) }),
+        op_to_mv: subject.stages.map(|s| OpToMv { unexplained_pct: s.op_to_mv }),
+        mv_to_pv: subject.stages.map(|s| MvToPv { gap: s.mv_to_pv, relative: relative(s.mv_to_pv) }),
         uneven: Unevenness {
             segments: uneven_segments,
             phases: uneven_phases,
@@ -289,7 +326,7 @@ pub fn locate(record: &Record, diagnosis: &Diagnosis, period_points: Option<f64>
     }
 }
 
-fn trace(signature: &super::types::Signature) -> Trace {
-    let super::types::Signature { id, value, threshold, met, .. } = signature;
+fn trace(signature: &Signature) -> Trace {
+    let Signature { id, value, threshold, met, .. } = signature;
     Trace { id: (*id).to_owned(), value: *value, threshold: *threshold, met: *met }
 }

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::gap::model::{Model, Process, SCHEMA, Valve};
-use crate::gap::types::{Blocks, Cause, Fit, Floor, NONE, NoiseModels, Predictions, Slip, Stage};
+use crate::gap::types::{Blocks, Fit, Slip, Stage};
 use crate::sim::noise::Noise;
 use crate::sim::process::{ProcessModel, ProcessState};
 use crate::sim::valve::he_step;
@@ -45,7 +45,7 @@ fn slips(valve: &[f64]) -> Vec<Slip> {
 }
 
 /// A diagnosis whose base is the model that made the record, and a record that differs from it by `residual`.
-fn case(residual: impl Fn(usize, &[f64], &[f64]) -> f64) -> (Record, Diagnosis) {
+fn case(residual: impl Fn(usize, &[f64], &[f64]) -> f64) -> (Record, Case) {
     let op = op();
     let valve = stem(&op);
     let prediction = answer(&valve);
@@ -54,7 +54,7 @@ fn case(residual: impl Fn(usize, &[f64], &[f64]) -> f64) -> (Record, Diagnosis) 
     (Record::uniform(TS_S, op, pv), diagnosis(valve, prediction))
 }
 
-fn diagnosis(valve: Vec<f64>, prediction: Vec<f64>) -> Diagnosis {
+fn diagnosis(valve: Vec<f64>, prediction: Vec<f64>) -> Case {
     let n = prediction.len();
     let length = (1.5 * PERIOD) as usize;
     let model = Model {
@@ -75,7 +75,7 @@ fn diagnosis(valve: Vec<f64>, prediction: Vec<f64>) -> Diagnosis {
         id: "base".to_owned(),
         slips: slips(&valve),
         valve,
-        prediction: prediction.clone(),
+        prediction,
         dead_time_s: DEAD * TS_S,
         time_constants_s: vec![TAU * TS_S],
         rmse_train: 1.0,
@@ -84,21 +84,10 @@ fn diagnosis(valve: Vec<f64>, prediction: Vec<f64>) -> Diagnosis {
         parameters: 6,
         evaluations: 1,
         at_floor: false,
-        model: model.clone(),
+        model,
     };
-    Diagnosis {
+    Case {
         base,
-        given: None,
-        relative_gap: 0.1,
-        effects: Vec::new(),
-        cause: Cause { id: NONE.to_owned(), probability: 0.5, confirmed: false, stage: Stage::None },
-        alternatives: Vec::new(),
-        forward: None,
-        model_after: model,
-        pairs: Vec::new(),
-        evaluations: 1,
-        stopped_early: false,
-        floor: Floor { noise_sd: Some(NOISE), quantum: None, noise_floor: Some(NOISE), high_band_sd: None },
         blocks: Blocks {
             from: 30,
             length,
@@ -106,22 +95,34 @@ fn diagnosis(valve: Vec<f64>, prediction: Vec<f64>) -> Diagnosis {
             masked: vec![false; n],
             number: (0..n).map(|k| k / length).collect(),
         },
-        predictions: Predictions {
-            pv_base: prediction.iter().copied().map(Some).collect(),
-            pv_after: prediction.iter().copied().map(Some).collect(),
-            held_out: vec![false; n],
-            masked: vec![false; n],
-        },
-        signatures: Vec::new(),
-        noise_models: NoiseModels { over_base: 0.0, over_best: 0.0, independence_p: 1.0, whitens: true },
-        stages: None,
-        next_test: None,
+    }
+}
+
+/// A fit and the points that count.
+struct Case {
+    base: Fit,
+    blocks: Blocks,
+}
+
+impl Case {
+    fn locate(&self, record: &Record, period_points: Option<f64>, seed: u64) -> Location {
+        let subject = Subject {
+            fit: &self.base,
+            blocks: &self.blocks,
+            noise_floor: Some(NOISE),
+            signatures: &[],
+            stages: None,
+            stage: Stage::None,
+            period_points,
+            seed,
+        };
+        locate(record, &subject)
     }
 }
 
 fn found(residual: impl Fn(usize, &[f64], &[f64]) -> f64) -> Location {
     let (record, diagnosis) = case(residual);
-    let location = locate(&record, &diagnosis, Some(PERIOD), 1);
+    let location = diagnosis.locate(&record, Some(PERIOD), 1);
     assert_whole(&location);
     location
 }
@@ -255,7 +256,7 @@ fn slips_that_model_and_plant_do_not_share_are_counted() {
         let pv = answer(plant).iter().map(|y| y + NOISE * noise.gaussian()).collect();
         let mut record = Record::uniform(TS_S, op.clone(), pv);
         record.mv = mv.then(|| plant.iter().map(|v| 12.0 - 0.1 * v).collect());
-        locate(&record, &diagnosis(model.to_vec(), answer(model)), Some(PERIOD), 1).slips
+        diagnosis(model.to_vec(), answer(model)).locate(&record, Some(PERIOD), 1).slips
     };
     for mv in [false, true] {
         let missed = count(&valve, &other, mv);
@@ -269,11 +270,11 @@ fn slips_that_model_and_plant_do_not_share_are_counted() {
 fn excitation_counts_positions_and_set_point_moves() {
     let (mut record, mut diagnosis) = case(|_, _, _| 0.0);
     record.sp = Some((0..N).map(|k| if k < 400 { 100.0 } else { 103.0 }).collect());
-    let e = locate(&record, &diagnosis, Some(PERIOD), 1).excitation;
+    let e = diagnosis.locate(&record, Some(PERIOD), 1).excitation;
     assert!(e.levels > 5 && !e.two_level && e.setpoint_moves == Some(1) && e.jumps_per_half_cycle.unwrap() > 1.0);
     diagnosis.base.valve = (0..N).map(|k| if k / 30 % 2 == 0 { 49.0 } else { 51.0 }).collect();
     diagnosis.base.slips = slips(&diagnosis.base.valve);
-    let e = locate(&record, &diagnosis, Some(PERIOD), 1).excitation;
+    let e = diagnosis.locate(&record, Some(PERIOD), 1).excitation;
     assert!(e.two_level && e.levels == 2 && e.jumps_per_half_cycle == Some(1.0), "{e:?}");
 }
 
@@ -283,7 +284,7 @@ fn a_linear_base_has_no_slips_to_miss() {
     diagnosis.base.model.valve.law = "none".to_owned();
     diagnosis.base.valve = record.op();
     diagnosis.base.slips = Vec::new();
-    let l = locate(&record, &diagnosis, None, 1);
+    let l = diagnosis.locate(&record, None, 1);
     assert_whole(&l);
     assert!(l.phases.moving.unwrap() > 0.99 && l.slips.missed.is_none() && l.slips.extra.is_none());
 }
@@ -314,7 +315,7 @@ proptest! {
         let mut record = Record::uniform(1.0, op, pv.clone());
         record.sp = Some(pv.clone());
         record.mv = (seed % 2 == 0).then_some(pv);
-        let location = locate(&record, &d, Some(20.0), seed);
+        let location = d.locate(&record, Some(20.0), seed);
         let text = serde_json::to_string(&location).unwrap();
         prop_assert_eq!(serde_json::from_str::<Location>(&text).ok().map(|l| l.segments.len()), Some(16), "{}", text);
     }
