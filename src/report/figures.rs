@@ -77,11 +77,11 @@ pub fn detailed(of: &Subject<'_>) -> Figures {
     }
     out.extend(phases(of)?);
     if let Some(detail) = of.detail {
+        out.push(orders(of, detail)?);
         for map in &detail.maps {
             out.push(error_map(of, detail, map)?);
         }
         out.extend(draws(of, detail)?);
-        out.push(orders(of, detail)?);
     }
     if of.assessment.witnesses.iter().any(|w| w.contribution != 0.0) {
         out.push(witnesses(of.assessment)?);
@@ -245,7 +245,7 @@ fn error_map(of: &Subject<'_>, detail: &Detail, map: &ErrorMap) -> Result<Figure
     }
     let [fs, fd] = map.region.map(|[low, high]| [low - 0.5 * map.step, high + 0.5 * map.step]);
     let corners = vec![(fs[0], fd[0]), (fs[1], fd[0]), (fs[1], fd[1]), (fs[0], fd[1]), (fs[0], fd[0])];
-    overlays.push(Overlay { name: "suggested", points: corners, mark: Mark::Line, ink: Ink::Error });
+    overlays.push(Overlay { name: "suggested", points: corners, mark: Mark::Line, ink: Ink::Over });
     let chosen = a.process.as_ref().is_some_and(|p| p.order == map.order);
     if let (true, Some([s0, s1]), Some([j0, j1])) = (chosen, a.s_interval, a.j_interval) {
         let ring = [(s0, j0), (s1, j0), (s1, j1), (s0, j1), (s0, j0)];
@@ -337,7 +337,9 @@ fn orders(of: &Subject<'_>, detail: &Detail) -> Result<Figure, PlotError> {
     let gained = match chart.figures.as_slice() {
         [one, two] if one.held_out_rms > 0.0 => {
             let ratio = two.held_out_rms / one.held_out_rms;
-            format!("it removes {} %", number(100.0 * (1.0 - ratio * ratio)))
+            let removed = 100.0 * (1.0 - ratio * ratio);
+            let word = if removed < 0.0 { "adds" } else { "removes" };
+            format!("it {word} {} %", number(removed.abs()))
         }
         _ => "one of them cannot be fitted".to_owned(),
     };
