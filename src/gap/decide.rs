@@ -10,6 +10,9 @@ use super::types::{Alternative, Cause, EffectResult, NONE, NoiseModels, Stage, U
 /// Farther behind the best in training evidence, an effect is no alternative; and how fast it loses weight.
 const FAR: f64 = 0.6;
 const STEEP: f64 = 8.0;
+/// Coloured noise is named where it depends on nothing with this p, and where first order is nearly enough.
+const INDEPENDENT: f64 = 0.1;
+const FIRST_ORDER: f64 = 0.15;
 /// Effects that act at one time of the record: forward in time says nothing about them.
 const LOCAL: [&str; 6] = ["step_load", "dead_time_change", "ramp", "frozen_sensor", "outliers", "clipping"];
 
@@ -62,7 +65,7 @@ pub fn decide(effects: &[EffectResult], evidence: &Basis, without: &[&str]) -> D
     let features = features(evidence, &ranked);
     if let Some((id, gain)) = evidence.on_mv.iter().find(|(id, _)| has(id)) {
         // Behind a measured valve the process stands alone: its own ranking counts.
-        if evidence.by_mv == Some(Stage::Process) && *gain > effects::MARGIN {
+        if evidence.by_mv == Some(Stage::Process) && *gain > effects::MARGIN && !evidence.base_at_floor {
             return named(id, stage_of(id), probability::of_trace(), true, &alternatives(&ranked, id, features));
         }
     }
@@ -76,7 +79,8 @@ pub fn decide(effects: &[EffectResult], evidence: &Basis, without: &[&str]) -> D
         _ if rejects => {
             let noise = &evidence.noise;
             let p = probability::of_rejected(&features);
-            if coloured_is_known && noise.whitens && noise.independence_p > 0.1 {
+            let plain = noise.whitens && noise.independence_p > INDEPENDENT && noise.beyond_first < FIRST_ORDER;
+            if coloured_is_known && plain {
                 named(
                     "coloured_noise",
                     Stage::Disturbance,

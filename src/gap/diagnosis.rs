@@ -187,7 +187,7 @@ fn basis(
         skew: skew.filter(|_| !left_out("time_skew")),
         noise: noise::judge(scene, &of_base, &of_best, &slipped, ask.seed),
         coloured_noise: !left_out("coloured_noise"),
-        by_mv: seen.as_ref().map(|s| s.stages.stage),
+        by_mv: seen.as_ref().map(|s| s.stages.stage).filter(|_| !base.at_floor),
         on_mv: seen.as_ref().map(|s| s.ranked.clone()).unwrap_or_default(),
         base_at_floor: base.at_floor,
         excited: excited(record, scene),

@@ -5,7 +5,7 @@
 //! improved by Gauss-Newton steps on finite differences.
 
 use super::plan::{Gene, MAX_PARAMS, Plan, Recipe};
-use super::scene::{Scene, View, gather};
+use super::scene::{Scene, View};
 use crate::ident::candidate::MIN_SLIPS;
 use crate::ident::fit::{Freedom, best_band};
 use crate::ident::least_squares::Gram;
@@ -178,17 +178,16 @@ impl<'a> Kernel<'a> {
 
     /// Makes the compact columns of a plan: others first, then one or two for the valve. Returns how many others.
     fn make_columns(&mut self, plan: &Plan, gene: &Gene, view: View) -> usize {
-        let (scene, rho) = (self.scene, view.rho());
+        let scene = self.scene;
         let n = scene.n();
         let from = scene.blocks.from;
         let tau = libm::exp(gene.log_tau);
         let lag = gene.lag.floor().max(0.0);
         let (whole, fraction) = (lag as usize, gene.lag.max(0.0) - lag);
         let [tau1, tau2] = if plan.tau2 > 0.0 { separated(tau, plan.tau2).into() } else { [tau, 0.0] };
-        let train = &scene.train;
         let mut count = 0;
         let mut put = |columns: &mut Vec<Vec<f64>>, long: &[f64]| {
-            gather(long, train, rho, &mut columns[count]);
+            scene.gather(long, view, &mut columns[count]);
             count += 1;
         };
         // What does not depend on the valve.
@@ -206,29 +205,29 @@ impl<'a> Kernel<'a> {
             put(&mut self.columns, &self.long);
         }
         if let Some(omega) = plan.omega {
-            for turn in [libm::sin, libm::cos] {
-                self.long.clear();
-                self.long.extend((0..n).map(|k| turn(omega * k as f64)));
+            let turn = [libm::sin(omega), libm::cos(omega)];
+            for start in [[0.0, 1.0], [1.0, 0.0]] {
+                waves(&mut self.long, n, start, turn);
                 put(&mut self.columns, &self.long);
             }
         }
-        if let Some(start) = plan.ramp {
+        // A gain that drifts also drifts PV's level, since the process need not rest at the middle of the stem's range.
+        if let Some(start) = plan.ramp.or(plan.drifts.then_some(0.0)) {
             self.long.clear();
             self.long.extend((0..n).map(|k| (k as f64 - start).max(0.0) / n as f64));
             put(&mut self.columns, &self.long);
         }
         if let Some((start, straight)) = plan.step {
+            let after = (start.ceil().max(0.0) as usize).min(n);
+            let decay = if straight || plan.integrating { 0.0 } else { libm::exp(-1.0 / tau) };
+            let mut left = if decay > 0.0 { libm::exp((start - after as f64) / tau) } else { 0.0 };
             self.long.clear();
-            self.long.extend((0..n).map(|k| {
-                let since = k as f64 - start;
-                if since < 0.0 {
-                    0.0
-                } else if straight || plan.integrating {
-                    1.0
-                } else {
-                    1.0 - libm::exp(-since / tau)
-                }
-            }));
+            self.long.resize(after, 0.0);
+            self.long.resize_with(n, || {
+                let value = 1.0 - left;
+                left *= decay;
+                value
+            });
             put(&mut self.columns, &self.long);
         }
         // What does.
@@ -261,10 +260,10 @@ impl<'a> Kernel<'a> {
         let others = count;
         let main = if plan.zero { Process { tau: [tau1, 0.0], ..process } } else { process };
         main.respond(signal, &mut self.long, &mut self.longer);
-        gather(&self.long, train, rho, &mut self.columns[others]);
+        scene.gather(&self.long, view, &mut self.columns[others]);
         if linear_in_fd {
             main.respond(&self.sequence.direction, &mut self.long, &mut self.longer);
-            gather(&self.long, train, rho, &mut self.columns[others + 1]);
+            scene.gather(&self.long, view, &mut self.columns[others + 1]);
         }
         others
     }
@@ -489,6 +488,18 @@ impl<'a> Kernel<'a> {
         kernel.assemble(&plan, gene.fd);
         Some((out, kernel.valve))
     }
+}
+
+/// One of sine and cosine over the record by turning `[sin, cos]` from `start` (its first entry is kept).
+fn waves(out: &mut Vec<f64>, n: usize, start: [f64; 2], turn: [f64; 2]) {
+    let [mut a, mut b] = start;
+    let [sin, cos] = turn;
+    out.clear();
+    out.resize_with(n, || {
+        let value = a;
+        (a, b) = (a * cos + b * sin, b * cos - a * sin);
+        value
+    });
 }
 
 /// The decay `a^(k - from)`, 1 before.

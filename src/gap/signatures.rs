@@ -15,7 +15,7 @@ const RECORDED: f64 = 0.25;
 /// Share of samples exactly at an end of PV's range.
 const CUT: f64 = 0.02;
 /// Size of a wild sample against the noise, and how many in a thousand speak.
-const WILD: f64 = 7.0;
+const WILD: f64 = 8.0;
 const WILD_SHARE: f64 = 2.0;
 /// Most of the record that may be masked.
 const MOST_MASKED: f64 = 0.05;
@@ -165,7 +165,7 @@ fn wild_samples(pv: &[f64], noise: f64) -> Vec<bool> {
     let least = (WILD * noise).max(8.0 * usual);
     for k in 2..pv.len().saturating_sub(2) {
         let (before, after) = (pv[k] - pv[k - 1], pv[k] - pv[k + 1]);
-        let agree = (pv[k - 1] - pv[k + 1]).abs() < 0.5 * before.abs().min(after.abs());
+        let agree = (pv[k - 1] - pv[k + 1]).abs() < 0.3 * before.abs().min(after.abs());
         wild[k] = least > 0.0 && before * after > 0.0 && before.abs().min(after.abs()) > least && agree;
     }
     wild

@@ -354,6 +354,9 @@ pub struct NoiseModels {
     pub independence_p: f64,
     /// Whether the autoregression leaves white noise.
     pub whitens: bool,
+    /// By how much an autoregression of higher order beats one of first order, log mean squared error: what swings or
+    /// answers moves is of higher order than noise with a memory.
+    pub beyond_first: f64,
 }
 
 /// The position behind the friction, where it is recorded: two gaps.
