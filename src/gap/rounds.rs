@@ -34,7 +34,7 @@ pub struct Work<'c> {
     pub budget: u64,
     /// Evaluations done.
     pub done: u64,
-    /// Whether the crew ended it.
+    /// Whether crew or budget ended it before its time.
     pub stopped: bool,
     /// Seed.
     pub seed: u64,
@@ -55,10 +55,11 @@ impl Work<'_> {
 
     /// Whether another round may begin.
     pub fn goes_on(&mut self) -> bool {
-        if !self.stopped && !self.crew.tick(self.done) {
+        // A spent budget ends a search as the crew does, so that one with the evaluations of the other is its equal.
+        if !self.stopped && (self.done >= self.budget || !self.crew.tick(self.done)) {
             self.stopped = true;
         }
-        !self.stopped && self.done < self.budget
+        !self.stopped
     }
 }
 

@@ -36,9 +36,9 @@ pub struct Traces {
     pv: Vec<f64>,
 }
 
-/// Looks for all of them. `period` in points.
+/// Looks for all of them; `period` in points. Points are masked for none of the effects in `without`.
 #[must_use]
-pub fn traces(record: &Record, period: f64) -> Traces {
+pub fn traces(record: &Record, period: f64, without: &[String]) -> Traces {
     let pv = &record.pv;
     let n = pv.len() as f64;
     let sd = stats::std_dev(pv);
@@ -80,7 +80,7 @@ pub fn traces(record: &Record, period: f64) -> Traces {
         signature("outliers", wild_share, WILD_SHARE, true, number("per_thousand", wild_share, "1")),
         signature("frozen_sensor", length, still_from, frozen, number("still", length * record.point_s(), "s")),
     ];
-    let met = |id: &str| signatures.iter().any(|s| s.id == id && s.met);
+    let met = |id: &str| signatures.iter().any(|s| s.id == id && s.met) && !without.iter().any(|w| w == id);
     let mut masked = vec![false; pv.len()];
     if met("outliers") {
         masked.clone_from(&wild);
@@ -200,7 +200,7 @@ mod tests {
 
     fn met(pv: Vec<f64>) -> Vec<&'static str> {
         let record = Record::uniform(1.0, pv.clone(), pv);
-        traces(&record, 70.0).signatures.into_iter().filter(|s| s.met).map(|s| s.id).collect()
+        traces(&record, 70.0, &[]).signatures.into_iter().filter(|s| s.met).map(|s| s.id).collect()
     }
 
     #[test]
@@ -235,7 +235,7 @@ mod tests {
         let held: Vec<f64> = (0..900).map(|k| pv[k - k % 4]).collect();
         let record = Record::uniform(1.0, pv.clone(), held.clone());
         let mut again = pv.clone();
-        traces(&record, 70.0).apply("hold_compression", &mut again);
+        traces(&record, 70.0, &[]).apply("hold_compression", &mut again);
         assert_eq!(again, held);
     }
 }

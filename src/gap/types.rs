@@ -3,6 +3,7 @@
 use super::model::Model;
 
 pub use super::decide::Basis;
+pub use super::probability::Features;
 
 /// Id of an effect, as it stands in documents.
 pub type EffectId = &'static str;
@@ -393,7 +394,7 @@ pub struct Diagnosis {
     pub pairs: Vec<EffectResult>,
     /// Model responses computed.
     pub evaluations: u64,
-    /// Whether the crew ended the search.
+    /// Whether crew or budget ended the search before its time.
     pub stopped_early: bool,
     /// The noise floor.
     pub floor: Floor,
@@ -411,4 +412,6 @@ pub struct Diagnosis {
     pub next_test: Option<NextTest>,
     /// What else the decision was made from.
     pub basis: Basis,
+    /// What the cause's probability was made of, for calibrations.
+    pub features: Features,
 }
