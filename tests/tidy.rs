@@ -30,23 +30,24 @@ const IMPORTS: [(&str, &[&str]); 21] = [
     ("verdict", &["units", "record", "signal", "optim", "sim", "ident", "detect"]),
     ("gap", &["units", "record", "signal", "optim", "sim", "ident", "detect"]),
     // Checks `gap` from outside: neither of the two may see the other.
-    ("challenge", &["units", "record", "signal", "sim"]),
+    ("challenge", &["units", "record", "signal", "sim", "verdict"]),
     ("alarm", &["units", "record", "config", "verdict"]),
     // Engine.
     ("codec", &["units", "record"]),
     ("engine", &["units", "record", "signal", "sim", "ident", "detect", "config", "verdict", "gap", "alarm"]),
     // Shell: anything pure, and each other; nobody uses `cli`.
     ("files", &["pure"]),
+    ("report", &["pure"]),
     ("source", &["pure", "daemon"]),
     ("sink", &["pure", "files", "source", "daemon"]),
     ("web", &["pure", "daemon"]),
     ("daemon", &["pure", "files", "source", "sink", "web"]),
-    ("cli", &["pure", "files", "source", "sink", "web", "daemon"]),
+    ("cli", &["pure", "files", "report", "source", "sink", "web", "daemon"]),
     ("main", &["cli"]),
 ];
 
 /// Rooms of the shell, which the feature `daemon` switches on.
-const SHELL: [&str; 7] = ["files", "source", "sink", "web", "daemon", "cli", "main"];
+const SHELL: [&str; 8] = ["files", "report", "source", "sink", "web", "daemon", "cli", "main"];
 
 /// What the pure half must not name, and why.
 const IMPURE: [(&str, &str); 13] = [

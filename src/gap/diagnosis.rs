@@ -29,7 +29,7 @@ const LAGS: [isize; 2] = [-14, 14];
 const USUAL_LAGS: [f64; 2] = [-0.5, 1.5];
 
 /// Checks what was asked against the record and the catalogue.
-fn check(record: &Record, ask: &Ask) -> Result<(), GapError> {
+pub(super) fn check(record: &Record, ask: &Ask) -> Result<(), GapError> {
     let points = record.len();
     if points < MIN_POINTS {
         return Err(GapError::TooShort { points, needed: MIN_POINTS });

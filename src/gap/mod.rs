@@ -6,12 +6,16 @@
 mod coarse;
 mod decide;
 mod diagnosis;
+pub mod document;
 pub mod effects;
 mod express;
 mod forward;
 mod given;
 mod kernel;
+pub mod locate;
+pub mod loop_run;
 pub mod model;
+pub mod model_file;
 mod next_test;
 mod noise;
 mod pairs;
@@ -19,9 +23,11 @@ mod plan;
 pub mod probability;
 mod rounds;
 mod scene;
+pub mod score;
 mod search;
 mod signatures;
 mod stages;
+pub mod text;
 pub mod types;
 mod weigh;
 

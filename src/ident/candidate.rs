@@ -62,6 +62,15 @@ impl Question {
         FirstSlip { direction, threshold }
     }
 
+    /// A start some points `later`, as far as OP goes on to new records there.
+    #[must_use]
+    pub fn moved_start(&self, start: Start, later: f64) -> Start {
+        let last = self.records[usize::from(!start.up)].len().saturating_sub(1);
+        let by = (later * self.per_point as f64).round();
+        let record = (start.record as f64 + by).clamp(0.0, last as f64) as usize;
+        Start { record, ..start }
+    }
+
     /// The start that a stem at `position` makes with the band `fs`, if OP ever moves it.
     fn start_from(&self, position: f64, fs: f64) -> Option<Start> {
         let moved = self.path.iter().find(|op| (*op - position).abs() > fs)?;
@@ -142,6 +151,8 @@ pub struct Effort {
     pub steps: usize,
     /// Cost beyond which the steps are not worth it.
     pub hopeless: f64,
+    /// Cost that a step must promise to be taken.
+    pub wanted: f64,
 }
 
 /// Fewest moves of the stem from which a model is fitted.
@@ -165,6 +176,14 @@ pub struct Bench<'a> {
     sequence: Sequence,
 }
 
+impl Effort {
+    /// So many steps, whatever they promise.
+    #[must_use]
+    pub const fn of(steps: usize) -> Self {
+        Self { steps, hopeless: f64::INFINITY, wanted: f64::INFINITY }
+    }
+}
+
 impl<'a> Bench<'a> {
     /// A bench for one record, law, class, target and sign.
     #[must_use]
@@ -175,10 +194,35 @@ impl<'a> Bench<'a> {
     /// Fits the process from the best of the `shapes`; `None` where the stem hardly moves.
     pub fn fit(&mut self, s: f64, j: f64, start: Start, shapes: &[Shape], effort: Effort) -> Option<Candidate> {
         let freedom = self.slip(s, j, start)?;
+        self.fit_within(&freedom, [s, j], start, shapes, effort)
+    }
+
+    /// The same with fd held at (s - j) / 2, for maps of the error.
+    pub fn fit_exactly(
+        &mut self,
+        [s, j]: [f64; 2],
+        start: Start,
+        shapes: &[Shape],
+        effort: Effort,
+    ) -> Option<Candidate> {
+        let fd = 0.5 * (s - j);
+        let freedom = Freedom { fd: [fd; 2], fd_default: fd, ..self.slip(s, j, start)? };
+        self.fit_within(&freedom, [s, j], start, shapes, effort)
+    }
+
+    /// Fits the process behind the slips at hand.
+    fn fit_within(
+        &mut self,
+        freedom: &Freedom,
+        [s, j]: [f64; 2],
+        start: Start,
+        shapes: &[Shape],
+        effort: Effort,
+    ) -> Option<Candidate> {
         let signal = [&self.sequence.at[..], &self.sequence.direction[..]];
         let mut best: Option<Fitted> = None;
         for shape in shapes {
-            let fit = self.fitter.linear(self.class, shape, signal, self.target, &freedom);
+            let fit = self.fitter.linear(self.class, shape, signal, self.target, freedom);
             if best.is_none_or(|b| fit.sse < b.sse) {
                 best = Some(fit);
             }
@@ -186,9 +230,17 @@ impl<'a> Bench<'a> {
         let mut fit = best?;
         if effort.steps > 0 && fit.sse < effort.hopeless {
             if shapes.last() != Some(&fit.shape) {
-                fit = self.fitter.linear(self.class, &fit.shape, signal, self.target, &freedom);
+                fit = self.fitter.linear(self.class, &fit.shape, signal, self.target, freedom);
             }
-            fit = self.fitter.improve(self.class, fit, signal, self.target, &freedom, effort.steps, 1e-4);
+            fit = self.fitter.improve(
+                self.class,
+                fit,
+                signal,
+                self.target,
+                freedom,
+                effort.steps,
+                [1e-4, effort.wanted],
+            );
         }
         Some(self.candidate(s, j, start, fit))
     }
@@ -231,7 +283,7 @@ impl<'a> Bench<'a> {
     pub fn profile(&mut self, of: &Candidate) -> Option<(BandProfile, [f64; 2])> {
         let freedom = self.slip(of.s, of.j, of.start)?;
         let signal = [&self.sequence.at[..], &self.sequence.direction[..]];
-        Some((self.fitter.profile(self.class, &of.fit, signal, self.target, &freedom), freedom.fd))
+        Some((self.fitter.profile(self.class, &of.fit, signal, self.target), freedom.fd))
     }
 
     /// By how much the standard error of a candidate's fd grows when time constants and lag are free too.

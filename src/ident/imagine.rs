@@ -6,7 +6,8 @@
 //! stay as they were. OP stays too, although the controller would have answered: it would have gone farther until the
 //! stem moved, so a large band looks larger and moves the stem less often here than it would have done.
 
-use super::candidate::{Bench, Candidate, Effort, MIN_SLIPS, Question, Start};
+use super::again::again;
+use super::candidate::{Bench, Effort, MIN_SLIPS, Question, Start};
 use super::class::{Class, Scratch};
 use super::fit::{Fitted, Target};
 use super::frictionless;
@@ -48,8 +49,6 @@ pub struct Imagined {
 
 /// Gauss-Newton steps for the process behind an imagined valve, which starts at the process that made PV.
 const STEPS: usize = 6;
-/// First positions of the stem that are tried for the valve at hand.
-const STARTS: usize = 9;
 
 impl<'a> Imagination<'a> {
     /// Takes the process at hand out of a record; `estimate` is what [`super::quantify()`] made of it with the same
@@ -114,7 +113,7 @@ impl<'a> Imagination<'a> {
     pub fn index(&self, of: &Imagined) -> f64 {
         let [s, j] = of.bands;
         let mut bench = Bench::new(&self.question, Law::He, self.class, &of.target, self.sign);
-        let effort = Effort { steps: STEPS, hopeless: f64::INFINITY };
+        let effort = Effort::of(STEPS);
         let with = bench.fit(s, j, of.start, &[self.process.shape], effort);
         let without = frictionless::best(&self.question, &of.target, self.class, self.sign, 1);
         with.zip(without).map_or(0.0, |(with, without)| improvement(with.fit.sse, without.sse))
@@ -130,15 +129,7 @@ fn position(sequence: &Sequence, fd: f64) -> Vec<f64> {
 fn valve(question: &Question, target: &Target, found: &Estimate, near: Fitted) -> Option<(Fitted, Vec<f64>)> {
     let (s, j) = (found.s / found.span, found.j / found.span);
     let mut bench = Bench::new(question, found.law, found.class, target, found.gain.signum());
-    let effort = Effort { steps: STEPS, hopeless: f64::INFINITY };
-    let mut best: Option<Candidate> = None;
-    for start in question.starts(0.5 * (s + j), STARTS) {
-        let fitted = bench.fit(s, j, start, &[near.shape], effort);
-        if let Some(fitted) = fitted.filter(|f| best.is_none_or(|b| f.fit.sse < b.fit.sse)) {
-            best = Some(fitted);
-        }
-    }
-    let best = bench.settle(&best?)?;
+    let best = again(&mut bench, [s, j], &[near.shape])?;
     if best.fit.gain == 0.0 || best.fit.sse >= near.sse {
         return None;
     }

@@ -4,12 +4,14 @@
 //! process answers with a continuous dead time, and everything linear (gain, kinetic band, bias, initial state) is
 //! solved exactly. Everything is seeded, bounded in work and scale-free.
 
+mod again;
 pub(crate) mod bank;
 pub(crate) mod candidate;
 mod choice;
 pub mod class;
 pub mod controller;
 pub(crate) mod fit;
+pub mod foresee;
 mod frictionless;
 pub(crate) mod hunt;
 pub mod imagine;
@@ -17,13 +19,16 @@ mod interval;
 pub(crate) mod least_squares;
 pub mod one_step;
 mod order;
+pub mod portrait;
 pub(crate) mod pose;
 mod quantify;
 pub mod region;
 pub mod residual;
+mod review;
 mod robust;
 pub(crate) mod search;
 pub mod sign;
+pub mod surface;
 pub mod width;
 
 pub use choice::{DelayChoice, ModelChoice, ValveChoice};

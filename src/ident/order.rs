@@ -2,7 +2,7 @@
 
 use super::candidate::{Bench, Candidate, Question};
 use super::choice::ModelChoice;
-use super::class::Class;
+use super::class::{Class, Shape};
 use super::fit::Target;
 use super::frictionless;
 
@@ -23,16 +23,16 @@ pub fn in_class(bench: &mut Bench<'_>, from: &Candidate) -> Option<Candidate> {
 /// Share of the filtered error, and of the plain one, that a second lag must remove to be kept in the search.
 const PROMISE: [f64; 2] = [0.002, 0.02];
 /// Share of the error on data not fitted to that it must remove to stay in the answer.
-const EARNED: f64 = 0.01;
+pub const EARNED: f64 = 0.01;
 /// Share of a record that the held-out fit is made to.
-const FITTED_SHARE: f64 = 0.6;
+pub const FITTED_SHARE: f64 = 0.6;
 
 /// The class that the best candidates of first order ask for, by filtered and by plain errors.
 #[must_use]
 pub fn deserved(filtered: &mut Bench<'_>, plain: &mut Bench<'_>, held: &[Candidate], model: ModelChoice) -> Class {
     let best_of = |bench: &mut Bench<'_>, class: Class| {
         bench.class = class;
-        let refitted = held.iter().take(3).filter_map(|c| match class {
+        let refitted = held.iter().take(2).filter_map(|c| match class {
             Class::First => bench.settle(c),
             _ => in_class(bench, c),
         });
@@ -55,6 +55,12 @@ pub fn deserved(filtered: &mut Bench<'_>, plain: &mut Bench<'_>, held: &[Candida
     if promising { two.1 } else { one.1 }
 }
 
+/// The simpler class' shape whose lag takes the place of the second lag.
+pub fn reduced(class: Class, simpler: Class, shape: &Shape) -> Shape {
+    let lost = libm::exp(shape[if class == Class::Second { 1 } else { 0 }]);
+    simpler.start(libm::exp(shape[0]), class.lag(shape) + lost)
+}
+
 /// Goes back to the simpler class where the second lag does not earn its place on data that it was not fitted to.
 pub fn demote(bench: &mut Bench<'_>, candidate: Option<Candidate>, model: ModelChoice) -> (Option<Candidate>, Class) {
     let class = bench.class;
@@ -67,9 +73,7 @@ pub fn demote(bench: &mut Bench<'_>, candidate: Option<Candidate>, model: ModelC
     let of_rich = bench.held_out(&rich, FITTED_SHARE);
     bench.class = simpler;
     let mut start = rich;
-    let lost = libm::exp(rich.fit.shape[if class == Class::Second { 1 } else { 0 }]);
-    let lag = class.lag(&rich.fit.shape) + lost;
-    start.fit.shape = simpler.clamp(simpler.start(libm::exp(rich.fit.shape[0]), lag), &bench.question.limits);
+    start.fit.shape = simpler.clamp(reduced(class, simpler, &rich.fit.shape), &bench.question.limits);
     if let Some(plain) = bench.settle(&start) {
         let of_plain = bench.held_out(&plain, FITTED_SHARE);
         if plain.fit.gain != 0.0 && of_rich > (1.0 - EARNED) * of_plain {

@@ -5,5 +5,7 @@ pub mod align;
 mod align_check;
 pub mod detrend;
 pub mod history;
+pub mod lag;
+pub mod resample;
 pub mod spectrum;
 pub mod stats;

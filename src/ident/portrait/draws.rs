@@ -1,0 +1,98 @@
+//! Where searches with other seeds end, and where the bands would have come out under other draws of the noise.
+
+use super::super::candidate::Candidate;
+use super::super::choice::ValveChoice;
+use super::super::fit::Target;
+use super::super::quantify::{Options, quantify};
+use super::super::search::{climb, generator, uniform};
+use super::{Bench, Portrait};
+use crate::sim::slips::Law;
+
+/// Where one search ended.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Optimum {
+    /// Static band, OP units.
+    pub fs: f64,
+    /// Kinetic band, OP units.
+    pub fd: f64,
+    /// Root mean squared free-run error there, PV units.
+    pub rms: f64,
+}
+
+/// Restarts of a picture.
+pub const RESTARTS: usize = 8;
+/// Resamples of a picture.
+pub const RESAMPLES: usize = 40;
+/// Random steps of a search that starts at the answer.
+const FINE_STEPS: usize = 25;
+/// Fewest points in a block of the residual.
+const SHORTEST_BLOCK: usize = 10;
+
+impl Portrait<'_> {
+    fn optimum(&self, c: &Candidate, rms: f64) -> Optimum {
+        let [s, j] = c.centred();
+        Optimum { fs: 0.5 * (s + j) * self.span, fd: 0.5 * (s - j) * self.span, rms }
+    }
+
+    /// Where the whole search ends when it draws from another seed, the valve law kept: restarts that end apart tell of
+    /// several valleys of the error, not how sure the answer is. Costs as much as an estimate.
+    #[must_use]
+    pub fn restart(&self, seed: u64) -> Option<Optimum> {
+        let valve = match self.law {
+            Law::He => ValveChoice::He,
+            Law::Tracking => ValveChoice::Tracking,
+        };
+        let e = quantify(self.record, &Options { seed, valve, ..self.options })?;
+        Some(Optimum { fs: 0.5 * (e.s + e.j), fd: 0.5 * (e.s - e.j), rms: e.mse.sqrt() })
+    }
+
+    /// The bands found again after the residual was put together anew from its own blocks, `count` times (moving block
+    /// bootstrap, Künsch 1989; blocks of one period). OP is held as recorded, and each search starts at the answer: the
+    /// spread is that of noise and disturbance near this answer, not of other answers.
+    #[must_use]
+    pub fn bootstrap(&self, count: usize, seed: u64) -> Vec<Optimum> {
+        let mut rng = generator(seed, 12);
+        let residual = self.bench(self.class).residual(&self.candidate);
+        let n = residual.len();
+        let block = (self.question.period.round() as usize).clamp(SHORTEST_BLOCK.min(n), (n / 4).max(1));
+        let mut out = Vec::with_capacity(count);
+        for _ in 0..count {
+            let drawn = blocks(&residual, block, &mut || uniform(&mut rng));
+            let y = self.target.y.iter().zip(&residual).zip(&drawn).map(|((y, old), new)| y - old + new).collect();
+            let target = Target { y, ..self.target };
+            let mut bench = Bench::new(&self.question, self.law, self.class, &target, self.sign);
+            let Some(first) = bench.settle(&self.candidate) else { continue };
+            let best = climb(&mut bench, first, FINE_STEPS, true, &mut rng);
+            if let Some(end) = bench.settle(&best) {
+                out.push(self.optimum(&end, self.rms(end.fit.sse)));
+            }
+        }
+        out
+    }
+}
+
+/// As many values, put together from stretches of `block` values that begin anywhere.
+fn blocks(x: &[f64], block: usize, draw: &mut dyn FnMut() -> f64) -> Vec<f64> {
+    let mut out = Vec::with_capacity(x.len() + block);
+    while out.len() < x.len() {
+        let first = (draw() * (x.len() - block + 1) as f64) as usize;
+        out.extend_from_slice(&x[first..first + block]);
+    }
+    out.truncate(x.len());
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn blocks_keep_neighbours_and_length() {
+        let x: Vec<f64> = (0..100).map(f64::from).collect();
+        let mut rng = generator(3, 1);
+        let y = blocks(&x, 20, &mut || uniform(&mut rng));
+        assert_eq!(y.len(), 100);
+        assert!(y.chunks(20).all(|b| b.windows(2).all(|w| w[1] - w[0] == 1.0)));
+        assert_ne!(x, y);
+    }
+}

@@ -1,0 +1,232 @@
+//! What pictures of a fit show: the model's own curves, its error over the plane of the bands, what another order or
+//! another draw of the noise would have said.
+//!
+//! Everything starts from a [`Model`] as an estimate tells it, and is computed anew from the record, so that a picture
+//! can be made of any document. Nothing here goes into a verdict or an interval.
+
+mod draws;
+mod map;
+
+pub use draws::{Optimum, RESAMPLES, RESTARTS};
+pub use map::{Cell, ErrorMap};
+
+use super::again::again;
+use super::candidate::{Bench, Candidate, Question};
+use super::class::{Class, Shape};
+use super::fit::Target;
+use super::frictionless;
+use super::order::{EARNED, FITTED_SHARE, reduced};
+use super::pose::pose;
+use super::quantify::{Estimate, Options};
+use crate::record::Record;
+use crate::signal::stats;
+use crate::sim::slips::{Law, Sequence};
+
+/// A valve and a process, as an estimate tells them.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Model {
+    /// The valve law.
+    pub law: Law,
+    /// Order of the process, 1 or 2.
+    pub order: u8,
+    /// Whether the process integrates.
+    pub integrating: bool,
+    /// Dead band plus stick band, OP units.
+    pub s: f64,
+    /// Slip jump, OP units.
+    pub j: f64,
+    /// Process gain; only its sign counts here.
+    pub gain: f64,
+    /// Time constants, s, largest first.
+    pub time_constants_s: Vec<f64>,
+    /// Dead time, s.
+    pub dead_time_s: f64,
+}
+
+impl From<&Estimate> for Model {
+    fn from(e: &Estimate) -> Self {
+        Self {
+            law: e.law,
+            order: e.class.order(),
+            integrating: e.class.integrates(),
+            s: e.s,
+            j: e.j,
+            gain: e.gain,
+            time_constants_s: e.time_constants_s.clone(),
+            dead_time_s: e.dead_time_s,
+        }
+    }
+}
+
+/// The class of an order.
+const fn class_of(order: u8, integrating: bool) -> Class {
+    match (order, integrating) {
+        (2, false) => Class::Second,
+        (2, true) => Class::LagIntegrating,
+        (_, false) => Class::First,
+        (_, true) => Class::Integrating,
+    }
+}
+
+impl Model {
+    /// Shape of the process, points.
+    fn shape(&self, record: &Record) -> Shape {
+        let class = class_of(self.order, self.integrating);
+        let mut shape = [0.0; 3];
+        for (slot, tau) in shape.iter_mut().zip(&self.time_constants_s) {
+            *slot = libm::log((tau / record.point_s()).max(1e-3));
+        }
+        shape[class.shape_len() - 1] = (self.dead_time_s / record.ts_s + 1.0) / record.box_samples as f64;
+        shape
+    }
+}
+
+/// A model met again on its record.
+#[derive(Debug)]
+pub struct Portrait<'a> {
+    record: &'a Record,
+    options: Options,
+    question: Question,
+    target: Target,
+    candidate: Candidate,
+    law: Law,
+    class: Class,
+    sign: f64,
+    span: f64,
+    deviation: f64,
+}
+
+/// What the model answers to OP, without ever seeing PV on the way.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FreeRun {
+    /// First point that the model answers for: before it, the stem's past matters.
+    pub from: usize,
+    /// The stem behind the friction, OP units, at every point of the record.
+    pub valve: Vec<f64>,
+    /// PV by the model, PV units, from `from` on.
+    pub pv: Vec<f64>,
+    /// Measured PV less that, PV units, from `from` on.
+    pub residual: Vec<f64>,
+}
+
+/// How well one order of the process does.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct OrderFigures {
+    /// 1 or 2.
+    pub order: u8,
+    /// Root mean squared free-run error on the whole record it was fitted to, PV units.
+    pub fitted_rms: f64,
+    /// The same on the last part of the record, the process fitted to the part before.
+    pub held_out_rms: f64,
+}
+
+/// The figures that decide the order.
+#[derive(Debug, Clone, PartialEq)]
+pub struct OrderChart {
+    /// First order, then second.
+    pub figures: Vec<OrderFigures>,
+    /// Share of the record that held-out fits see.
+    pub fitted_share: f64,
+    /// Share of the held-out squared error that the second lag must remove to be kept.
+    pub must_remove: f64,
+}
+
+impl<'a> Portrait<'a> {
+    /// Meets `model` again on its record; `options` are those that the estimate was made with. `None` where a signal
+    /// does not move or the stem never slips.
+    #[must_use]
+    pub fn new(record: &'a Record, options: &Options, model: &Model) -> Option<Self> {
+        let (span, deviation) = (stats::span(&record.op_path), stats::std_dev(&record.pv));
+        if record.len() < 30 || !span.is_normal() || !deviation.is_normal() || !(model.s > 0.0) {
+            return None;
+        }
+        let question = pose(record, options, span, deviation);
+        let target = Target::new(&question.pv, 0.0, question.from);
+        let class = class_of(model.order, model.integrating);
+        let (law, sign) = (model.law, if model.gain < 0.0 { -1.0 } else { 1.0 });
+        let told = class.clamp(model.shape(record), &question.limits);
+        let plain = frictionless::best(&question, &target, class, sign, 1).map_or(told, |f| f.shape);
+        let bands = [model.s / span, model.j.clamp(0.0, model.s) / span];
+        let candidate = again(&mut Bench::new(&question, law, class, &target, sign), bands, &[told, plain])?;
+        Some(Self { record, options: *options, question, target, candidate, law, class, sign, span, deviation })
+    }
+
+    fn bench(&self, class: Class) -> Bench<'_> {
+        Bench::new(&self.question, self.law, class, &self.target, self.sign)
+    }
+
+    /// Span of OP, OP units: no bands with fs + fd above it can be seen.
+    #[must_use]
+    pub const fn span(&self) -> f64 {
+        self.span
+    }
+
+    /// Points that count.
+    fn count(&self) -> f64 {
+        self.target.y.len().max(1) as f64
+    }
+
+    /// Root mean square, PV units, of a squared error in normalised units.
+    fn rms(&self, sse: f64) -> f64 {
+        (sse / self.count()).sqrt() * self.deviation
+    }
+
+    /// The model's curves.
+    #[must_use]
+    pub fn free_run(&self) -> FreeRun {
+        let c = &self.candidate;
+        let residual = self.bench(self.class).residual(c);
+        let mut sequence = Sequence::default();
+        let q = &self.question;
+        sequence.run(self.law, &q.path, q.per_point, c.s, c.j, q.first_slip(c.start));
+        let middle = stats::mean(&self.record.op_path);
+        let stem = sequence.at.iter().zip(&sequence.direction).map(|(at, direction)| at - c.fit.fd * direction);
+        let residual: Vec<f64> = residual.iter().map(|r| r * self.deviation).collect();
+        let measured = &self.record.pv[q.from.min(self.record.pv.len())..];
+        FreeRun {
+            from: q.from,
+            valve: stem.map(|v| middle + self.span * v).collect(),
+            pv: measured.iter().zip(&residual).map(|(y, r)| y - r).collect(),
+            residual,
+        }
+    }
+
+    /// The candidate in another order, fitted.
+    fn in_order(&self, order: u8) -> Option<Candidate> {
+        let class = class_of(order, self.class.integrates());
+        let mut start = self.candidate;
+        start.fit.shape = class.clamp(self.shape_in(class), &self.question.limits);
+        self.bench(class).settle(&start)
+    }
+
+    /// The candidate's shape in another class of the same family.
+    fn shape_in(&self, class: Class) -> Shape {
+        let shape = &self.candidate.fit.shape;
+        match (self.class.order(), class.order()) {
+            (1, 2) if self.class.integrates() => class.start(self.question.period, self.class.lag(shape)),
+            (1, 2) => class.start(libm::exp(shape[0]), self.class.lag(shape)),
+            (2, 1) => reduced(self.class, class, shape),
+            _ => *shape,
+        }
+    }
+
+    /// What speaks for either order of the process, the valve kept.
+    #[must_use]
+    pub fn orders(&self) -> OrderChart {
+        let figures = [1, 2].into_iter().filter_map(|order| {
+            let fitted = self.in_order(order)?;
+            let mut bench = self.bench(class_of(order, self.class.integrates()));
+            let held_out = bench.held_out(&fitted, FITTED_SHARE);
+            let held_out_rms = held_out.sqrt() * self.deviation;
+            held_out_rms.is_finite().then_some(OrderFigures {
+                order,
+                fitted_rms: self.rms(fitted.fit.sse),
+                held_out_rms,
+            })
+        });
+        OrderChart { figures: figures.collect(), fitted_share: FITTED_SHARE, must_remove: EARNED }
+    }
+}
+
+#[cfg(test)]
+mod tests;

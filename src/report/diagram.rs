@@ -1,0 +1,92 @@
+//! The loop as a block diagram, with its tags.
+
+use maud::{PreEscaped, html};
+
+use super::ink::Ink;
+use super::plot::{FINE, Picture, shortened};
+
+/// Names of a loop's signals; `None` where a signal is not in the record.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Tags {
+    /// Set point.
+    pub sp: Option<String>,
+    /// Controller output.
+    pub op: String,
+    /// Valve position.
+    pub mv: Option<String>,
+    /// Process variable.
+    pub pv: String,
+}
+
+impl Tags {
+    /// The names that a loop's signals have without tags of their own.
+    #[must_use]
+    pub fn of_loop(name: &str, sp: bool, mv: bool) -> Self {
+        let tag = |signal: &str| format!("{name}.{signal}");
+        Self { sp: sp.then(|| tag("SP")), op: tag("OP"), mv: mv.then(|| tag("MV")), pv: tag("PV") }
+    }
+}
+
+const WIDTH: u32 = 760;
+const HEIGHT: u32 = 150;
+/// Letters of a tag that fit below an arrow.
+const LETTERS: usize = 15;
+
+/// SP, controller, OP, valve, MV, process, PV and the way back.
+#[must_use]
+pub fn loop_diagram(tags: &Tags) -> Picture {
+    let unknown = "not recorded".to_owned();
+    let arrows = [
+        (2, 62, "SP", tags.sp.as_ref().unwrap_or(&unknown), Ink::Sp),
+        (242, 332, "OP", &tags.op, Ink::Op),
+        (422, 512, "MV", tags.mv.as_ref().unwrap_or(&unknown), Ink::Mv),
+        (602, 742, "PV", &tags.pv, Ink::Pv),
+    ];
+    let boxes = [(142, "Controller"), (332, "Valve"), (512, "Process")];
+    let line = Ink::Soft.hex();
+    let body = html! {
+        g transform=(format!("scale({FINE})")) font-size="13" fill=(Ink::Text.hex()) {
+            circle cx="76" cy="50" r="14" fill="none" stroke=(line) stroke-width="1.5" {}
+            text x="76" y="55" text-anchor="middle" { "\u{2212}" }
+            (arrow(90, 142, &line))
+            @for (x, name) in boxes {
+                @let wide = if name == "Controller" { 100 } else { 90 };
+                rect x=(x) y="28" width=(wide) height="44" rx="5" fill="none" stroke=(line) stroke-width="1.5" {}
+                text x=(x + wide / 2) y="55" text-anchor="middle" { (name) }
+            }
+            @for (from, to, name, tag, ink) in arrows {
+                @let middle = if name == "SP" { 4 } else { (from + to) / 2 };
+                @let anchor = if name == "SP" { "start" } else { "middle" };
+                (arrow(from, to, &ink.hex()))
+                text x=(if name == "SP" { 20 } else { middle }) y="42" text-anchor=(anchor) fill=(ink.hex()) { (name) }
+                text x=(middle) y="96" text-anchor=(anchor) font-size="11" fill=(Ink::Soft.hex()) {
+                    title { (tag) }
+                    (shortened(tag, LETTERS))
+                }
+            }
+            path d="M 690 50 V 130 H 76 V 64" fill="none" stroke=(Ink::Pv.hex()) stroke-width="1.5" {}
+            path d="M 71 74 L 76 64 L 81 74 Z" fill=(Ink::Pv.hex()) {}
+        }
+    };
+    Picture::new(WIDTH, HEIGHT, format!("Loop diagram of {}", tags.pv), body.into_string())
+}
+
+fn arrow(from: i32, to: i32, colour: &str) -> PreEscaped<String> {
+    html! {
+        path d=(format!("M {from} 50 H {}", to - 4)) fill="none" stroke=(colour) stroke-width="1.5" {}
+        path d=(format!("M {} 45 L {to} 50 L {} 55 Z", to - 10, to - 10)) fill=(colour) {}
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn tags_from_outside_are_escaped_and_kept_whole_for_the_pointer() {
+        let long = format!("<script>alert(1)</script>{}", "X".repeat(200));
+        let svg = loop_diagram(&Tags::of_loop(&long, false, true)).svg();
+        assert!(!svg.contains("<script") && svg.contains("&lt;script&gt;alert(1)"));
+        assert!(svg.contains(&"X".repeat(200)) && svg.contains("not recorded"));
+    }
+}

@@ -1,0 +1,296 @@
+//! An estimate in words that a planner can act on.
+
+use crate::verdict::{Assessment, Gate, Verdict};
+
+/// A number with as many digits as matter, for sentences and tables.
+#[must_use]
+pub fn number(value: f64) -> String {
+    let size = value.abs();
+    let text = match size {
+        _ if !value.is_finite() => return "unknown".to_owned(),
+        s if s == 0.0 => return "0".to_owned(),
+        s if !(1e-3..1e6).contains(&s) => return format!("{value:.2e}"),
+        s if s >= 100.0 => return format!("{value:.0}"),
+        s if s >= 10.0 => format!("{value:.1}"),
+        s if s >= 1.0 => format!("{value:.2}"),
+        _ => format!("{value:.3}"),
+    };
+    text.trim_end_matches('0').trim_end_matches('.').to_owned()
+}
+
+/// A time as people say it.
+#[must_use]
+pub fn duration(seconds: f64) -> String {
+    match seconds {
+        s if s < 120.0 => format!("{} s", number(s)),
+        s if s < 7_200.0 => format!("{} min", number(s / 60.0)),
+        s if s < 172_800.0 => format!("{} h", number(s / 3_600.0)),
+        s => format!("{} days", number(s / 86_400.0)),
+    }
+}
+
+/// The verdict in a sentence.
+#[must_use]
+pub const fn verdict(v: Verdict) -> &'static str {
+    match v {
+        Verdict::Stiction => "the valve sticks and slips",
+        Verdict::Deadband => "the valve has a dead band",
+        Verdict::Disturbance => "the loop oscillates, most likely from outside; the valve follows its signal",
+        Verdict::Tuning => "the loop oscillates, most likely by its own tuning; the valve follows its signal",
+        Verdict::NoOscillation => "no oscillation, and no stiction seen",
+        Verdict::NoStiction => "no stiction seen",
+        Verdict::Inconclusive => "this window cannot answer",
+    }
+}
+
+/// What to do about it.
+#[must_use]
+pub const fn advice(v: Verdict) -> &'static str {
+    match v {
+        Verdict::Stiction => "Confirm with the bump test below, then have packing, actuator and positioner looked at.",
+        Verdict::Deadband => {
+            "Confirm with the bump test below, then have linkage, gears and positioner looked at for play."
+        }
+        Verdict::Disturbance => "Look upstream: another loop or load drives this one. The valve can stay in service.",
+        Verdict::Tuning => "Have the tuning looked at: the loop swings by itself. The valve can stay in service.",
+        Verdict::NoOscillation | Verdict::NoStiction => "Nothing to be done about this valve on this record.",
+        Verdict::Inconclusive => "Take another record: longer, faster sampled, in automatic, while the loop swings.",
+    }
+}
+
+/// How sure the verdict is, in a sentence.
+#[must_use]
+pub fn sureness(a: &Assessment) -> String {
+    let Some(p) = a.p_stiction else {
+        return "Nothing can be said: a gate blocks the answer.".to_owned();
+    };
+    let odds = match p {
+        p if p >= 0.99 => "hardly any doubt that the valve sticks",
+        p if p >= 0.9 => "very likely the valve sticks",
+        p if p >= 0.6 => "more likely than not the valve sticks",
+        p if p > 0.4 => "as good as a coin toss",
+        p if p > 0.1 => "more likely than not the valve is well",
+        p if p > 0.01 => "very likely the valve is well",
+        _ => "hardly any doubt that the valve is well",
+    };
+    let grade = match a.grade {
+        Some('A') => "grade A: no gate met, a narrow interval",
+        Some('B') => "grade B: good, with an interval up to 30 % of s",
+        Some('C') => "grade C: an answer with reservations",
+        _ => "grade D: no answer",
+    };
+    format!("Probability of sticking {p:.2}: {odds}; {grade}.")
+}
+
+/// The size, in OP units and in % of travel where the range is known.
+#[must_use]
+pub fn size(a: &Assessment, op_range: Option<[f64; 2]>) -> Option<String> {
+    let s = a.s?;
+    let of_travel = |v: f64| op_range.map(|[low, high]| 100.0 * v / (high - low).abs());
+    let mut text = match of_travel(s) {
+        Some(percent) => format!("{} % of travel ({} OP units)", number(percent), number(s)),
+        None => format!("{} OP units", number(s)),
+    };
+    if let Some([low, high]) = a.s_interval {
+        let [low, high] = [low, high].map(|v| number(of_travel(v).unwrap_or(v)));
+        let unit = if op_range.is_some() { " %" } else { "" };
+        text = format!("{text}, 90 % interval {low} to {high}{unit}");
+    }
+    if let (Some(fs), Some(fd)) = (a.fs, a.fd) {
+        text = format!("{text}; static band {}, kinetic band {} OP units", number(fs), number(fd));
+    }
+    Some(text)
+}
+
+/// What a witness looks at.
+fn looks_at(name: &str) -> &'static str {
+    match name {
+        "error_ratio" => "how much better the record is explained with friction than without",
+        "confirmed" => "whether that fit could be an accident (few turns of the stem, OP an image of PV)",
+        "moves" => "the same gain for PV's changes, which slow disturbances hardly touch",
+        "horch" => "whether OP and PV are out of phase by a quarter, as behind a sticking valve",
+        "jumps" => "whether PV moves in jumps while OP moves steadily",
+        "curve_fit" => "whether half cycles are triangles rather than sinusoids",
+        "travel" => "how far OP goes while PV stands",
+        _ => "a sign in the record",
+    }
+}
+
+/// What speaks for and against, strongest first: words, logits.
+#[must_use]
+pub fn evidence(a: &Assessment) -> Vec<(String, f64)> {
+    let mut said: Vec<_> = a.witnesses.iter().filter(|w| w.contribution.abs() >= 0.05).collect();
+    said.sort_by(|x, y| y.contribution.abs().total_cmp(&x.contribution.abs()));
+    let side = |c: f64| if c > 0.0 { "for the valve" } else { "against it" };
+    said.iter().map(|w| (format!("{}: speaks {}", looks_at(w.name), side(w.contribution)), w.contribution)).collect()
+}
+
+/// A gate in words.
+#[must_use]
+pub const fn gate(g: Gate) -> &'static str {
+    match g {
+        Gate::Manual => "the controller was in manual",
+        Gate::BadQuality => "too many values were missing or bad",
+        Gate::FrozenPv => "PV never moves",
+        Gate::FrozenOp => "OP never moves",
+        Gate::Saturated => "OP stands at a limit",
+        Gate::TooFewSamples => "too few usable samples, or under two periods",
+        Gate::Skipped => "the fit was not done: the machine was too busy, or the daemon stopped",
+        Gate::TooFewPeriods => "few periods: intervals are wide",
+        Gate::TooCoarse => "sampled too coarsely for trustworthy bands",
+        Gate::SetpointSteps => "the set point moved in steps: the oscillation test is disturbed",
+        Gate::Quantised => "OP or PV stands on a coarse grid",
+        Gate::Compressed => "the history was compressed: corners of PV are the recorder's",
+        Gate::Irregular => "the sampling time is not constant",
+    }
+}
+
+/// What this record leaves open.
+#[must_use]
+pub fn unknowns(a: &Assessment, op_range: Option<[f64; 2]>) -> Vec<String> {
+    let mut out: Vec<String> = a.gates.iter().map(|g| format!("{} ({})", gate(*g), g.name())).collect();
+    if a.s.is_none() {
+        out.push("the size: no model was fitted".to_owned());
+    } else if a.j_identifiable == Some(false) {
+        out.push("the slip jump j: the stem slips too seldom to tell it from the process gain".to_owned());
+    }
+    if a.gates.contains(&Gate::TooCoarse)
+        && let Some(period) = a.oscillation.period_s
+    {
+        out.push(format!("with a sample every {} or faster it would be told", duration(period / 50.0)));
+    }
+    if a.s.is_some() && op_range.is_none() {
+        out.push(
+            "the size in % of travel: OP's range is not known (--op-range, or op_range in the configuration)".into(),
+        );
+    }
+    match a.s_detectable {
+        Some(least) => out.push(format!("bands below s = {} OP units would not have been seen here", number(least))),
+        None if a.stiction == Some(false) => {
+            out.push("how small a band would have been seen here: this record cannot tell".to_owned());
+        }
+        None => {}
+    }
+    out
+}
+
+/// A test by hand that shows the band without any model.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct BumpTest {
+    /// First move, OP units: takes up the slack in one direction.
+    pub first_op: f64,
+    /// Each step back, OP units.
+    pub step_op: f64,
+    /// Steps back.
+    pub steps: u32,
+    /// Hold after each move, s.
+    pub hold_s: f64,
+    /// All of it, s.
+    pub total_s: f64,
+    /// How far PV goes at most, PV units; per hold where the process integrates.
+    pub pv_move: f64,
+}
+
+/// The bump test for an estimate with a fit: a first move of 1.5 s takes up the slack, then steps of a quarter of s go
+/// back until PV follows, held for the dead time and three of the largest time constant (a quarter of the period where
+/// the process integrates). PV that first follows after n steps shows a band of about n s / 4.
+#[must_use]
+pub fn bump_test(a: &Assessment) -> Option<BumpTest> {
+    let (s, process) = (a.s.filter(|s| *s > 0.0)?, a.process.as_ref()?);
+    let settle = if process.integrating {
+        0.25 * a.oscillation.period_s.unwrap_or(4.0 * process.dead_time_s)
+    } else {
+        3.0 * process.time_constants_s.first().copied().unwrap_or(0.0)
+    };
+    let hold_s = (process.dead_time_s + settle).max(2.0 * a.window.ts_s);
+    let steps = 6;
+    let travel = process.gain.abs() * 1.5 * s;
+    Some(BumpTest {
+        first_op: 1.5 * s,
+        step_op: 0.25 * s,
+        steps,
+        hold_s,
+        total_s: hold_s * f64::from(steps + 1),
+        pv_move: if process.integrating { travel * hold_s } else { travel },
+    })
+}
+
+/// The bump test as an instruction.
+#[must_use]
+pub fn bump_words(t: &BumpTest, s: f64) -> String {
+    format!(
+        "With the operators' consent, controller in manual: move OP by {} in one direction, wait {}. Then move it back in \
+         steps of {}, waiting {} after each, up to {} steps ({} in all; PV may move by up to {} PV units). A sound valve \
+         moves PV at the first step back; with the band found here ({}) PV follows only after about {} steps.",
+        number(t.first_op),
+        duration(t.hold_s),
+        number(t.step_op),
+        duration(t.hold_s),
+        t.steps,
+        duration(t.total_s),
+        number(t.pv_move),
+        number(s),
+        (s / t.step_op).ceil()
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::record::Record;
+    use crate::verdict::{Oscillation, Process, Window};
+
+    fn empty() -> Assessment {
+        let window = Window::of(&Record::uniform(1.0, vec![0.0; 40], vec![0.0; 40]));
+        let oscillation = Oscillation {
+            oscillating: false,
+            period_s: Some(100.0),
+            periods: None,
+            samples_per_period: None,
+            regularity: None,
+        };
+        Assessment::empty(window, oscillation)
+    }
+
+    #[test]
+    fn numbers_read_as_people_write_them() {
+        assert_eq!(
+            [8.0052, 0.0, 123.4, 12.34, 0.5, -2.5, 1e-9].map(number).join(" "),
+            "8.01 0 123 12.3 0.5 -2.5 1.00e-9"
+        );
+        assert_eq!([12.0, 600.0, 7_200.0, 200_000.0].map(duration).join(", "), "12 s, 10 min, 2 h, 2.31 days");
+        assert_eq!(number(f64::NAN), "unknown");
+    }
+
+    #[test]
+    fn a_bump_test_follows_from_s_and_the_process() {
+        let mut a = empty();
+        assert_eq!((bump_test(&a), size(&a, None)), (None, None));
+        a.s = Some(8.0);
+        a.process = Some(Process {
+            order: 1,
+            gain: -2.0,
+            time_constants_s: vec![20.0],
+            dead_time_s: 6.0,
+            integrating: false,
+            mse: 0.1,
+            fit_pct: 90.0,
+        });
+        let t = bump_test(&a).unwrap();
+        assert_eq!((t.first_op, t.step_op, t.hold_s, t.total_s, t.pv_move), (12.0, 2.0, 66.0, 462.0, 24.0));
+        assert!(bump_words(&t, 8.0).contains("about 4 steps"));
+        assert!(f64::from(t.steps) * t.step_op > 8.0, "the steps must pass the band");
+    }
+
+    #[test]
+    fn what_is_missing_is_said_not_shown_as_zero() {
+        let mut a = empty();
+        assert!(unknowns(&a, None).iter().any(|u| u.contains("no model")) && evidence(&a).is_empty());
+        assert!(sureness(&a).contains("blocks"));
+        a.s = Some(2.0);
+        a.s_interval = Some([1.0, 4.0]);
+        assert_eq!(size(&a, Some([0.0, 200.0])).unwrap(), "1 % of travel (2 OP units), 90 % interval 0.5 to 2 %");
+        assert_eq!(size(&a, None).unwrap(), "2 OP units, 90 % interval 1 to 4");
+        assert!(unknowns(&a, None).iter().any(|u| u.contains("--op-range")));
+    }
+}

@@ -1,0 +1,40 @@
+//! By how much one signal follows another.
+
+use super::stats;
+
+/// Points, 0 to `most`, by which `pv` follows `op` best: where the normalised correlation of `op` with the later `pv` is
+/// largest in size. 0 where either does not move.
+#[must_use]
+pub fn of_largest_correlation(op: &[f64], pv: &[f64], most: usize) -> usize {
+    let n = op.len().min(pv.len());
+    let (x, y) = (&op[..n], &pv[..n]);
+    let (mx, my) = (stats::mean(x), stats::mean(y));
+    let x: Vec<f64> = x.iter().map(|v| v - mx).collect();
+    let y: Vec<f64> = y.iter().map(|v| v - my).collect();
+    let mut best = (0, 0.0);
+    for lag in 0..=most.min(n.saturating_sub(2)) {
+        let (a, b) = (&x[..n - lag], &y[lag..]);
+        let scale = (stats::dot(a, a) * stats::dot(b, b)).sqrt();
+        let r = if scale > 0.0 { (stats::dot(a, b) / scale).abs() } else { 0.0 };
+        if r > best.1 + 1e-12 {
+            best = (lag, r);
+        }
+    }
+    best.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_delay_is_read_with_either_sign() {
+        let op: Vec<f64> = (0..400).map(|k| libm::sin(k as f64 * 0.1) + 0.3 * libm::sin(k as f64 * 0.37)).collect();
+        for sign in [1.0, -1.0] {
+            let pv: Vec<f64> = (0..400).map(|k| if k >= 9 { 5.0 + sign * op[k - 9] } else { 5.0 }).collect();
+            assert_eq!(of_largest_correlation(&op, &pv, 30), 9);
+        }
+        assert_eq!(of_largest_correlation(&op, &[1.0; 400], 30), 0);
+        assert_eq!(of_largest_correlation(&[], &[], 30), 0);
+    }
+}
