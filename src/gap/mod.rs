@@ -3,6 +3,7 @@
 //! [`diagnose`] fits the base (He's law, first order with dead time) to the training blocks of a record, then the base
 //! with each effect of the [`effects::ALL`] catalogue, and judges on what it was not fitted to.
 
+mod coarse;
 mod decide;
 mod diagnosis;
 pub mod document;
@@ -34,4 +35,4 @@ pub use diagnosis::{MIN_POINTS, diagnose};
 pub use types::*;
 
 /// Model responses of a default search: about five seconds on two cores.
-pub const DEFAULT_EVALUATIONS: u64 = 300_000;
+pub const DEFAULT_EVALUATIONS: u64 = 600_000;

@@ -15,7 +15,7 @@ const RECORDED: f64 = 0.25;
 /// Share of samples exactly at an end of PV's range.
 const CUT: f64 = 0.02;
 /// Size of a wild sample against the noise, and how many in a thousand speak.
-const WILD: f64 = 7.0;
+const WILD: f64 = 8.0;
 const WILD_SHARE: f64 = 2.0;
 /// Most of the record that may be masked.
 const MOST_MASKED: f64 = 0.05;
@@ -36,9 +36,9 @@ pub struct Traces {
     pv: Vec<f64>,
 }
 
-/// Looks for all of them. `period` in points.
+/// Looks for all of them; `period` in points. Points are masked for none of the effects in `without`.
 #[must_use]
-pub fn traces(record: &Record, period: f64) -> Traces {
+pub fn traces(record: &Record, period: f64, without: &[String]) -> Traces {
     let pv = &record.pv;
     let n = pv.len() as f64;
     let sd = stats::std_dev(pv);
@@ -53,7 +53,9 @@ pub fn traces(record: &Record, period: f64) -> Traces {
     let still = longest_still(pv);
     let length = (still[1] - still[0]) as f64;
     let elsewhere = (repeats * n - length).max(0.0) / n;
-    let held = if grid.is_none() { repeats } else { 0.0 };
+    let at_ends = pv.windows(2).filter(|w| w[0] == w[1] && ends.contains(&w[0])).count() as f64 / n;
+    // A signal that is cut off repeats its end.
+    let held = if grid.is_none() { (repeats - at_ends).max(0.0) } else { 0.0 };
     let straight = straight_share(pv, sd);
     let at_end = |end: f64| pv.iter().filter(|v| **v == end).count() as f64 / n;
     let cut = if at_end(ends[0]) > at_end(ends[1]) { (ends[0], at_end(ends[0])) } else { (ends[1], at_end(ends[1])) };
@@ -80,7 +82,7 @@ pub fn traces(record: &Record, period: f64) -> Traces {
         signature("outliers", wild_share, WILD_SHARE, true, number("per_thousand", wild_share, "1")),
         signature("frozen_sensor", length, still_from, frozen, number("still", length * record.point_s(), "s")),
     ];
-    let met = |id: &str| signatures.iter().any(|s| s.id == id && s.met);
+    let met = |id: &str| signatures.iter().any(|s| s.id == id && s.met) && !without.iter().any(|w| w == id);
     let mut masked = vec![false; pv.len()];
     if met("outliers") {
         masked.clone_from(&wild);
@@ -165,7 +167,7 @@ fn wild_samples(pv: &[f64], noise: f64) -> Vec<bool> {
     let least = (WILD * noise).max(8.0 * usual);
     for k in 2..pv.len().saturating_sub(2) {
         let (before, after) = (pv[k] - pv[k - 1], pv[k] - pv[k + 1]);
-        let agree = (pv[k - 1] - pv[k + 1]).abs() < 0.5 * before.abs().min(after.abs());
+        let agree = (pv[k - 1] - pv[k + 1]).abs() < 0.3 * before.abs().min(after.abs());
         wild[k] = least > 0.0 && before * after > 0.0 && before.abs().min(after.abs()) > least && agree;
     }
     wild
@@ -200,7 +202,7 @@ mod tests {
 
     fn met(pv: Vec<f64>) -> Vec<&'static str> {
         let record = Record::uniform(1.0, pv.clone(), pv);
-        traces(&record, 70.0).signatures.into_iter().filter(|s| s.met).map(|s| s.id).collect()
+        traces(&record, 70.0, &[]).signatures.into_iter().filter(|s| s.met).map(|s| s.id).collect()
     }
 
     #[test]
@@ -235,7 +237,7 @@ mod tests {
         let held: Vec<f64> = (0..900).map(|k| pv[k - k % 4]).collect();
         let record = Record::uniform(1.0, pv.clone(), held.clone());
         let mut again = pv.clone();
-        traces(&record, 70.0).apply("hold_compression", &mut again);
+        traces(&record, 70.0, &[]).apply("hold_compression", &mut again);
         assert_eq!(again, held);
     }
 }

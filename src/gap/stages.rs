@@ -34,6 +34,9 @@ fn driven_by(record: &Record, mv: &[f64]) -> Record {
 
 /// Looks at MV, where it is recorded and moves.
 pub fn look(record: &Record, scene: &Scene, without: &[String], work: &mut Work<'_>) -> Option<Seen> {
+    if work.stopped {
+        return None;
+    }
     let mv = record.mv.as_ref().filter(|mv| mv.len() == record.len() && stats::span(mv).is_normal())?;
     let behind = driven_by(record, mv);
     let masked = scene.blocks.masked.clone();
