@@ -10,6 +10,12 @@ use super::types::{Alternative, Cause, EffectResult, NONE, NoiseModels, Stage, U
 /// Farther behind the best in training evidence, an effect is no alternative; and how fast it loses weight.
 const FAR: f64 = 0.6;
 const STEEP: f64 = 8.0;
+/// Coloured noise is named where it depends on nothing with this p, and where first order is nearly enough.
+const INDEPENDENT: f64 = 0.1;
+const FIRST_ORDER: f64 = 0.15;
+/// Traces whose samples are left out of every fit, and the error over the floor up to which the rest is explained.
+const MASKED: [&str; 2] = ["outliers", "frozen_sensor"];
+const EXPLAINED: f64 = 1.2;
 /// Effects that act at one time of the record: forward in time says nothing about them.
 const LOCAL: [&str; 6] = ["step_load", "dead_time_change", "ramp", "frozen_sensor", "outliers", "clipping"];
 
@@ -32,6 +38,8 @@ pub struct Basis {
     pub on_mv: Vec<(&'static str, f64)>,
     /// Whether the base is at the floor.
     pub base_at_floor: bool,
+    /// The base's training error over the floor; `None` where there is no floor.
+    pub over_floor: Option<f64>,
     /// Whether the set point moves or OP's swings differ in size.
     pub excited: bool,
 }
@@ -43,40 +51,56 @@ pub struct Decision {
     pub cause: Cause,
     /// What else, best first.
     pub alternatives: Vec<Alternative>,
+    /// What the probability was made of.
+    pub features: Features,
 }
 
 /// Decides with a catalogue that lacks `without`.
 #[must_use]
 pub fn decide(effects: &[EffectResult], evidence: &Basis, without: &[&str]) -> Decision {
     let has = |id: &str| !id.split('+').any(|part| without.contains(&part));
-    if let Some(trace) = evidence.traces.iter().find(|t| has(t)) {
-        return named(trace, stage_of(trace), probability::of_trace(), true, &[]);
+    let features = |ranked: &[&EffectResult]| features(evidence, ranked);
+    // Masked samples are the whole story only where the rest is explained.
+    let explained = |t: &str| !MASKED.contains(&t) || evidence.over_floor.is_none_or(|o| o < EXPLAINED);
+    if let Some(trace) = evidence.traces.iter().find(|t| has(t) && explained(t)) {
+        return named(trace, stage_of(trace), probability::of_trace(), true, &[], features(&[]));
     }
     if evidence.skew.is_some() && has("time_skew") {
-        return named("time_skew", Stage::Measurement, probability::of_trace(), true, &[]);
+        return named("time_skew", Stage::Measurement, probability::of_trace(), true, &[], features(&[]));
     }
     let mut ranked: Vec<&EffectResult> =
         effects.iter().filter(|e| e.fit.is_some() && has(&e.id) && allowed(evidence, e)).collect();
     ranked.sort_by(|a, b| b.lead.total_cmp(&a.lead));
     let best = ranked.first().copied();
-    let features = features(evidence, &ranked);
+    let features = features(&ranked);
     if let Some((id, gain)) = evidence.on_mv.iter().find(|(id, _)| has(id)) {
         // Behind a measured valve the process stands alone: its own ranking counts.
-        if evidence.by_mv == Some(Stage::Process) && *gain > effects::MARGIN {
-            return named(id, stage_of(id), probability::of_trace(), true, &alternatives(&ranked, id, features));
+        if evidence.by_mv == Some(Stage::Process) && *gain > effects::MARGIN && !evidence.base_at_floor {
+            return named(
+                id,
+                stage_of(id),
+                probability::of_trace(),
+                true,
+                &alternatives(&ranked, id, features),
+                features,
+            );
         }
     }
-    let rejects = features.over_best > probability::reject_margin();
+    // What no noise model and no effect explains, or what is left of samples that would have been masked.
+    let hidden = evidence.traces.iter().any(|t| !has(t) && MASKED.contains(t));
+    let unexplained = best.is_none_or(|b| b.lead <= 0.0) && evidence.over_floor.is_some_and(|o| o > EXPLAINED);
+    let rejects = features.over_best > probability::reject_margin() || hidden || unexplained;
     let coloured_is_known = evidence.coloured_noise && has("coloured_noise");
     match best {
         Some(best) if best.lead > 0.0 && !rejects => {
             let p = probability::of_named(&features);
-            named(&best.id, best.stage, p, false, &alternatives(&ranked, &best.id, features))
+            named(&best.id, best.stage, p, false, &alternatives(&ranked, &best.id, features), features)
         }
         _ if rejects => {
             let noise = &evidence.noise;
             let p = probability::of_rejected(&features);
-            if coloured_is_known && noise.whitens && noise.independence_p > 0.1 {
+            let plain = noise.whitens && noise.independence_p > INDEPENDENT && noise.beyond_first < FIRST_ORDER;
+            if coloured_is_known && plain {
                 named(
                     "coloured_noise",
                     Stage::Disturbance,
@@ -85,14 +109,28 @@ pub fn decide(effects: &[EffectResult], evidence: &Basis, without: &[&str]) -> D
                     &alternatives(&ranked, "coloured_noise", features),
                 )
             } else {
-                named(UNKNOWN, Stage::CannotTell, p, false, &alternatives(&ranked, UNKNOWN, features))
+                named(UNKNOWN, Stage::CannotTell, p, false, &alternatives(&ranked, UNKNOWN, features), features)
             }
         }
-        _ => named(NONE, Stage::None, probability::of_none(&features), true, &alternatives(&ranked, NONE, features)),
+        _ => named(
+            NONE,
+            Stage::None,
+            probability::of_none(&features),
+            true,
+            &alternatives(&ranked, NONE, features),
+            features,
+        ),
     }
 }
 
-fn named(id: &str, stage: Stage, probability: f64, confirmed: bool, others: &[Alternative]) -> Decision {
+fn named(
+    id: &str,
+    stage: Stage,
+    probability: f64,
+    confirmed: bool,
+    others: &[Alternative],
+    features: Features,
+) -> Decision {
     let mut rest = (1.0 - probability).max(0.0);
     let alternatives = others
         .iter()
@@ -102,7 +140,7 @@ fn named(id: &str, stage: Stage, probability: f64, confirmed: bool, others: &[Al
             Alternative { id: a.id.clone(), probability: p }
         })
         .collect();
-    Decision { cause: Cause { id: id.to_owned(), probability, confirmed, stage }, alternatives }
+    Decision { cause: Cause { id: id.to_owned(), probability, confirmed, stage }, alternatives, features }
 }
 
 fn stage_of(id: &str) -> Stage {

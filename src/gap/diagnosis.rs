@@ -29,7 +29,7 @@ const LAGS: [isize; 2] = [-14, 14];
 const USUAL_LAGS: [f64; 2] = [-0.5, 1.5];
 
 /// Checks what was asked against the record and the catalogue.
-fn check(record: &Record, ask: &Ask) -> Result<(), GapError> {
+pub(super) fn check(record: &Record, ask: &Ask) -> Result<(), GapError> {
     let points = record.len();
     if points < MIN_POINTS {
         return Err(GapError::TooShort { points, needed: MIN_POINTS });
@@ -55,7 +55,7 @@ fn check(record: &Record, ask: &Ask) -> Result<(), GapError> {
 pub fn diagnose(record: &Record, ask: &Ask, crew: &dyn Crew) -> Result<Diagnosis, GapError> {
     check(record, ask)?;
     let period = ask.period_points.unwrap_or_else(|| period_of(record).0);
-    let traces = signatures::traces(record, period);
+    let traces = signatures::traces(record, period, &ask.without);
     let scene = Scene::new(record, Some(period), ask.seed, traces.masked.clone());
     let straight = traces.signatures.iter().any(|s| s.id == "swinging_door" && s.met);
     let mut floor = noise::floor(&record.pv, straight);
@@ -72,7 +72,8 @@ pub fn diagnose(record: &Record, ask: &Ask, crew: &dyn Crew) -> Result<Diagnosis
     };
     let seen = stages::look(record, &scene, &ask.without, &mut work);
     let effects = weigh(&scene, &found, &base, &traces, &floor, ask);
-    let basis = basis(record, &scene, &found, &base, &effects, &traces, &seen, ask);
+    let basis = basis(record, &scene, &found, &base, &effects, &traces, &seen, &floor, ask);
+    let nothing = decide::decide(&[], &basis, &[]);
     let mut made = Diagnosis {
         relative_gap: base.gap / scene.deviation,
         predictions: Predictions {
@@ -85,8 +86,9 @@ pub fn diagnose(record: &Record, ask: &Ask, crew: &dyn Crew) -> Result<Diagnosis
         base,
         given,
         effects,
-        cause: decide::decide(&[], &basis, &[]).cause,
-        alternatives: Vec::new(),
+        cause: nothing.cause,
+        alternatives: nothing.alternatives,
+        features: nothing.features,
         forward: None,
         pairs: Vec::new(),
         evaluations: 0,
@@ -162,6 +164,7 @@ fn basis(
     effects: &[EffectResult],
     traces: &Traces,
     seen: &Option<stages::Seen>,
+    floor: &Floor,
     ask: &Ask,
 ) -> Basis {
     let nothing = || vec![0.0; scene.n()];
@@ -187,9 +190,10 @@ fn basis(
         skew: skew.filter(|_| !left_out("time_skew")),
         noise: noise::judge(scene, &of_base, &of_best, &slipped, ask.seed),
         coloured_noise: !left_out("coloured_noise"),
-        by_mv: seen.as_ref().map(|s| s.stages.stage),
+        by_mv: seen.as_ref().map(|s| s.stages.stage).filter(|_| !base.at_floor),
         on_mv: seen.as_ref().map(|s| s.ranked.clone()).unwrap_or_default(),
         base_at_floor: base.at_floor,
+        over_floor: floor.noise_floor.map(|f| base.rmse_train / f),
         excited: excited(record, scene),
         effects: effects.iter().filter(|e| e.lead > 0.0).count(),
     }
@@ -232,7 +236,7 @@ impl Diagnosis {
     /// Decides, and lets everything that follows from the cause follow it.
     fn settle(&mut self, without: &[&str]) {
         let decision = decide::decide(&self.effects, &self.basis, without);
-        (self.cause, self.alternatives) = (decision.cause, decision.alternatives);
+        (self.cause, self.alternatives, self.features) = (decision.cause, decision.alternatives, decision.features);
         let has = |id: &str| !id.split('+').any(|part| without.contains(&part));
         if let Some(pair) = self.pairs.iter().find(|p| has(&p.id) && pairs::beats(p, &self.effects, without)) {
             self.cause.id = pair.id.clone();

@@ -5,7 +5,7 @@
 //! improved by Gauss-Newton steps on finite differences.
 
 use super::plan::{Gene, MAX_PARAMS, Plan, Recipe};
-use super::scene::{Scene, View, gather};
+use super::scene::{Scene, View};
 use crate::ident::candidate::MIN_SLIPS;
 use crate::ident::fit::{Freedom, best_band};
 use crate::ident::least_squares::Gram;
@@ -178,17 +178,16 @@ impl<'a> Kernel<'a> {
 
     /// Makes the compact columns of a plan: others first, then one or two for the valve. Returns how many others.
     fn make_columns(&mut self, plan: &Plan, gene: &Gene, view: View) -> usize {
-        let (scene, rho) = (self.scene, view.rho());
+        let scene = self.scene;
         let n = scene.n();
         let from = scene.blocks.from;
         let tau = libm::exp(gene.log_tau);
         let lag = gene.lag.floor().max(0.0);
         let (whole, fraction) = (lag as usize, gene.lag.max(0.0) - lag);
         let [tau1, tau2] = if plan.tau2 > 0.0 { separated(tau, plan.tau2).into() } else { [tau, 0.0] };
-        let train = &scene.train;
         let mut count = 0;
         let mut put = |columns: &mut Vec<Vec<f64>>, long: &[f64]| {
-            gather(long, train, rho, &mut columns[count]);
+            scene.gather(long, view, &mut columns[count]);
             count += 1;
         };
         // What does not depend on the valve.
@@ -206,29 +205,29 @@ impl<'a> Kernel<'a> {
             put(&mut self.columns, &self.long);
         }
         if let Some(omega) = plan.omega {
-            for turn in [libm::sin, libm::cos] {
-                self.long.clear();
-                self.long.extend((0..n).map(|k| turn(omega * k as f64)));
+            let turn = [libm::sin(omega), libm::cos(omega)];
+            for start in [[0.0, 1.0], [1.0, 0.0]] {
+                waves(&mut self.long, n, start, turn);
                 put(&mut self.columns, &self.long);
             }
         }
-        if let Some(start) = plan.ramp {
+        // A gain that drifts also drifts PV's level, since the process need not rest at the middle of the stem's range.
+        if let Some(start) = plan.ramp.or(plan.drifts.then_some(0.0)) {
             self.long.clear();
             self.long.extend((0..n).map(|k| (k as f64 - start).max(0.0) / n as f64));
             put(&mut self.columns, &self.long);
         }
         if let Some((start, straight)) = plan.step {
+            let after = (start.ceil().max(0.0) as usize).min(n);
+            let decay = if straight || plan.integrating { 0.0 } else { libm::exp(-1.0 / tau) };
+            let mut left = if decay > 0.0 { libm::exp((start - after as f64) / tau) } else { 0.0 };
             self.long.clear();
-            self.long.extend((0..n).map(|k| {
-                let since = k as f64 - start;
-                if since < 0.0 {
-                    0.0
-                } else if straight || plan.integrating {
-                    1.0
-                } else {
-                    1.0 - libm::exp(-since / tau)
-                }
-            }));
+            self.long.resize(after, 0.0);
+            self.long.resize_with(n, || {
+                let value = 1.0 - left;
+                left *= decay;
+                value
+            });
             put(&mut self.columns, &self.long);
         }
         // What does.
@@ -261,10 +260,10 @@ impl<'a> Kernel<'a> {
         let others = count;
         let main = if plan.zero { Process { tau: [tau1, 0.0], ..process } } else { process };
         main.respond(signal, &mut self.long, &mut self.longer);
-        gather(&self.long, train, rho, &mut self.columns[others]);
+        scene.gather(&self.long, view, &mut self.columns[others]);
         if linear_in_fd {
             main.respond(&self.sequence.direction, &mut self.long, &mut self.longer);
-            gather(&self.long, train, rho, &mut self.columns[others + 1]);
+            scene.gather(&self.long, view, &mut self.columns[others + 1]);
         }
         others
     }
@@ -491,6 +490,18 @@ impl<'a> Kernel<'a> {
     }
 }
 
+/// One of sine and cosine over the record by turning `[sin, cos]` from `start` (its first entry is kept).
+fn waves(out: &mut Vec<f64>, n: usize, start: [f64; 2], turn: [f64; 2]) {
+    let [mut a, mut b] = start;
+    let [sin, cos] = turn;
+    out.clear();
+    out.resize_with(n, || {
+        let value = a;
+        (a, b) = (a * cos + b * sin, b * cos - a * sin);
+        value
+    });
+}
+
 /// The decay `a^(k - from)`, 1 before.
 fn course(out: &mut Vec<f64>, n: usize, from: usize, a: f64) {
     out.clear();
@@ -637,4 +648,69 @@ pub fn clamped(recipe: &Recipe, mut gene: Gene, scene: &Scene) -> Gene {
         gene.fd = gene.fd.clamp(0.0, 0.5 * gene.s);
     }
     gene
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gap::effects::{self, Way};
+    use crate::record::Record;
+    use crate::sim::noise::Noise;
+    use crate::sim::slips::{FirstSlip, Law};
+
+    /// A record made by the base, and the gene that made it.
+    fn made() -> (Scene, Gene) {
+        let mut noise = Noise::new(1, 0);
+        let op: Vec<f64> = (0..700)
+            .map(|k| 50.0 + 5.0 * libm::sin(f64::from(k) * 0.09) + 2.0 * libm::sin(f64::from(k) * 0.031))
+            .collect();
+        let pv: Vec<f64> = (0..700).map(|_| noise.gaussian()).collect();
+        let scene = Scene::new(&Record::uniform(1.0, op.clone(), pv), None, 1, vec![false; 700]);
+        let first = FirstSlip { direction: 1.0, threshold: scene.question.path[0] + 0.05 };
+        let gene = Gene { s: 0.3, j: 0.1, first, fd: 0.1, log_tau: libm::log(9.0), lag: 4.3, p: [0.0; MAX_PARAMS] };
+        let linear = Linear { others: [0.0; MAX_COLUMNS], count: 2, gain: 2.0 };
+        let of = Scored { gene, sse: 0.0, cells: [[0.0; 2]; 2], slips: 9, linear };
+        let (course, _) = Kernel::new(&scene, 1.0).simulate(&Recipe::base(Some(Law::He)), &of).unwrap();
+        let pv = course.iter().map(|x| 3.0 * x + 0.01 * noise.gaussian()).collect();
+        (Scene::new(&Record::uniform(1.0, op, pv), None, 1, vec![false; 700]), gene)
+    }
+
+    #[test]
+    fn every_effect_at_rest_is_the_base() {
+        let (scene, gene) = made();
+        let mut kernel = Kernel::new(&scene, 1.0);
+        let base = kernel.evaluate(&Recipe::base(Some(Law::He)), &gene, View::Plain).unwrap();
+        let n = scene.target(View::Plain).len() as f64;
+        assert!((base.sse / n).sqrt() * scene.deviation < 0.02, "{}", base.sse);
+        let rest = |id: &str| match id {
+            "rate_limit" => [libm::log(2.0), 0.0],
+            "travel_limit" => [2.0, 1.0],
+            "positioner_lag" | "extra_lag" | "inverse_response" => [libm::log(1e-3), 0.0],
+            "dead_time_change" => [350.0, 0.0],
+            "sinusoid" => [0.5, 0.0],
+            "step_load" => [300.0, 0.0],
+            _ => [0.0; 2],
+        };
+        let switches = ["slip_overshoot", "sliding_valve", "integrating"];
+        for effect in effects::ALL.into_iter().filter(|e| e.way == Way::Simulated && !switches.contains(&e.id)) {
+            let [a, b] = rest(effect.id);
+            let at_rest = Gene { p: [a, b, 0.0, 0.0], ..gene };
+            let found = kernel.evaluate(&Recipe::with(Some(Law::He), effect), &at_rest, View::Plain).unwrap();
+            // Linear coefficients of its own can only help.
+            let ratio = found.sse / base.sse;
+            assert!(ratio < 1.0 + 1e-3 && ratio > 0.9, "{}: {ratio}", effect.id);
+        }
+    }
+
+    #[test]
+    fn gauss_newton_finds_lag_time_constant_and_band() {
+        let (scene, gene) = made();
+        let recipe = Recipe::base(Some(Law::He));
+        let mut kernel = Kernel::new(&scene, 1.0);
+        let away = Gene { log_tau: libm::log(14.0), lag: 6.0, ..gene };
+        let start = kernel.evaluate(&recipe, &away, View::Plain).unwrap();
+        let found = kernel.improve(&recipe, start, View::Plain, 12);
+        assert!(found.sse < start.sse && (found.gene.lag - 4.3).abs() < 0.1, "{}", found.gene.lag);
+        assert!((libm::exp(found.gene.log_tau) - 9.0).abs() < 0.2 && (found.gene.fd - 0.1).abs() < 0.02);
+    }
 }

@@ -3,14 +3,19 @@
 //! [`diagnose`] fits the base (He's law, first order with dead time) to the training blocks of a record, then the base
 //! with each effect of the [`effects::ALL`] catalogue, and judges on what it was not fitted to.
 
+mod coarse;
 mod decide;
 mod diagnosis;
+pub mod document;
 pub mod effects;
 mod express;
 mod forward;
 mod given;
 mod kernel;
+pub mod locate;
+pub mod loop_run;
 pub mod model;
+pub mod model_file;
 mod next_test;
 mod noise;
 mod pairs;
@@ -18,9 +23,11 @@ mod plan;
 pub mod probability;
 mod rounds;
 mod scene;
+pub mod score;
 mod search;
 mod signatures;
 mod stages;
+pub mod text;
 pub mod types;
 mod weigh;
 
@@ -28,4 +35,4 @@ pub use diagnosis::{MIN_POINTS, diagnose};
 pub use types::*;
 
 /// Model responses of a default search: about five seconds on two cores.
-pub const DEFAULT_EVALUATIONS: u64 = 300_000;
+pub const DEFAULT_EVALUATIONS: u64 = 600_000;

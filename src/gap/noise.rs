@@ -62,13 +62,17 @@ pub struct Autoregression {
 /// Fits one to the stretches of a residual; `None` for too few points.
 #[must_use]
 pub fn autoregression(residual: &[f64], stretches: &[[usize; 2]]) -> Option<Autoregression> {
-    let mut columns: Vec<Vec<f64>> = vec![Vec::new(); ORDER + 1];
+    of_order(residual, stretches, ORDER)
+}
+
+fn of_order(residual: &[f64], stretches: &[[usize; 2]], order: usize) -> Option<Autoregression> {
+    let mut columns: Vec<Vec<f64>> = vec![Vec::new(); order + 1];
     let mut places = Vec::new();
     for [a, b] in stretches {
         for k in a + ORDER..*b {
             for (lag, column) in columns.iter_mut().enumerate() {
                 // The last column is the point itself.
-                column.push(residual[k - (ORDER - lag)]);
+                column.push(residual[k - (order - lag)]);
             }
             places.push(k);
         }
@@ -78,12 +82,12 @@ pub fn autoregression(residual: &[f64], stretches: &[[usize; 2]]) -> Option<Auto
     }
     let views: Vec<&[f64]> = columns.iter().map(Vec::as_slice).collect();
     let mut gram = Gram::of(&views);
-    gram.eliminate(ORDER);
-    let all = gram.back(ORDER, &[]);
+    gram.eliminate(order);
+    let all = gram.back(order, &[]);
     let innovations: Vec<(usize, f64)> = places
         .iter()
         .enumerate()
-        .map(|(i, k)| (*k, columns[ORDER][i] - (0..ORDER).map(|l| all[l] * columns[l][i]).sum::<f64>()))
+        .map(|(i, k)| (*k, columns[order][i] - (0..order).map(|l| all[l] * columns[l][i]).sum::<f64>()))
         .collect();
     let mse = innovations.iter().map(|(_, e)| e * e).sum::<f64>() / innovations.len() as f64;
     Some(Autoregression { mse, innovations })
@@ -92,7 +96,8 @@ pub fn autoregression(residual: &[f64], stretches: &[[usize; 2]]) -> Option<Auto
 /// What noise models say: `base` and `best` are free-run residuals over the whole record.
 #[must_use]
 pub fn judge(scene: &Scene, base: &[f64], best: &[f64], slipped: &[bool], seed: u64) -> NoiseModels {
-    let nothing = NoiseModels { over_base: 0.0, over_best: 0.0, independence_p: 1.0, whitens: false };
+    let nothing =
+        NoiseModels { over_base: 0.0, over_best: 0.0, independence_p: 1.0, whitens: false, beyond_first: 0.0 };
     let Some(found) = autoregression(base, &scene.train) else { return nothing };
     let mse = |r: &[f64]| {
         let n = scene.train.iter().map(|[a, b]| b - a).sum::<usize>().max(1);
@@ -106,6 +111,7 @@ pub fn judge(scene: &Scene, base: &[f64], best: &[f64], slipped: &[bool], seed: 
         over_best: log(mse(best)) - log(found.mse),
         independence_p: independence(scene, &found, slipped, seed),
         whitens: residual::whiteness(&e, &op).white,
+        beyond_first: of_order(base, &scene.train, 1).map_or(0.0, |first| log(first.mse) - log(found.mse)),
     }
 }
 

@@ -32,7 +32,7 @@ pub fn run(scene: &Scene, found: &Found, scales: &Scales<'_>, work: &mut Work<'_
         let mut from = all.clone();
         from.extend(lanes.iter().cloned());
         let genes = cross(&from, 2);
-        share(scene, &mut lanes, &NARROW, work, &|_| genes.clone());
+        share(scene, &mut lanes, &NARROW, work, &|_| genes.clone(), &|_| &[]);
     }
     let mut out: Vec<EffectResult> = lanes.iter().filter_map(|lane| scales.weigh(lane)).collect();
     out.sort_by(|a, b| b.lead.total_cmp(&a.lead));

@@ -82,7 +82,8 @@ impl Plan {
     #[must_use]
     pub fn extras(&self) -> usize {
         let two = if self.omega.is_some() { 2 } else { 0 };
-        let ones = [self.curved, self.drifts, self.zero, self.ramp.is_some(), self.step.is_some()];
+        let ramp = self.ramp.is_some() || self.drifts;
+        let ones = [self.curved, self.drifts, self.zero, ramp, self.step.is_some()];
         two + ones.into_iter().filter(|x| *x).count()
     }
 }

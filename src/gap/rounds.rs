@@ -5,18 +5,22 @@
 
 use std::sync::Mutex;
 
+use super::coarse;
 use super::effects::{ALL, Clues, Effect, Way};
 use super::express::rms;
 use super::kernel::Kernel;
-use super::plan::{Gene, MAX_PARAMS, Recipe};
+use super::plan::{Gene, MAX_PARAMS, Plan, Recipe};
 use super::scene::Scene;
-use super::search::{Effort, Lane, NARROW, WIDE, cross, frictionless, hunt, seeds};
+use super::search::{Effort, Lane, NARROW, WIDE, cross, frictionless, hunt};
 use super::types::Crew;
 use crate::ident::residual;
 use crate::sim::slips::Law;
 
 /// Rounds in which findings are shared.
 const SHARED_ROUNDS: usize = 4;
+/// Places kept of each measure of the first look, for the base and for an effect's own look.
+const KEPT: usize = 14;
+const OWN_KEPT: usize = 6;
 /// Relative gain in squared error below which a lane has not improved.
 const NO_GAIN: f64 = 0.003;
 /// Error over the floor at which a white base is the answer and the effects need only a glance.
@@ -30,7 +34,7 @@ pub struct Work<'c> {
     pub budget: u64,
     /// Evaluations done.
     pub done: u64,
-    /// Whether the crew ended it.
+    /// Whether crew or budget ended it before its time.
     pub stopped: bool,
     /// Seed.
     pub seed: u64,
@@ -51,10 +55,11 @@ impl Work<'_> {
 
     /// Whether another round may begin.
     pub fn goes_on(&mut self) -> bool {
-        if !self.stopped && !self.crew.tick(self.done) {
+        // A spent budget ends a search as the crew does, so that one with the evaluations of the other is its equal.
+        if !self.stopped && (self.done >= self.budget || !self.crew.tick(self.done)) {
             self.stopped = true;
         }
-        !self.stopped && self.done < self.budget
+        !self.stopped
     }
 }
 
@@ -65,8 +70,6 @@ pub struct Found {
     pub base: Lane,
     /// Base and one effect each.
     pub lanes: Vec<Lane>,
-    /// Whether the base is at the floor with a white residual.
-    pub calm: bool,
 }
 
 /// Effects of the catalogue that are simulated against this base.
@@ -92,7 +95,7 @@ pub fn base(scene: &Scene, law: Option<Law>, work: &mut Work<'_>) -> Option<(Lan
     let signs: Vec<f64> = scene.sign.map_or_else(|| vec![1.0, -1.0], |s| vec![s]);
     let seed = work.seed;
     let looked = work.all(signs.len(), |i| match law {
-        Some(law) => seeds(scene, law, signs[i], seed, 16),
+        Some(_) => coarse::look(scene, &Plan::base(law), [0.0; MAX_PARAMS], signs[i], KEPT),
         None => (frictionless(scene), 0),
     });
     work.done += looked.iter().map(|(_, n)| n).sum::<u64>();
@@ -102,7 +105,7 @@ pub fn base(scene: &Scene, law: Option<Law>, work: &mut Work<'_>) -> Option<(Lan
         let sign = i / 2;
         let mut lane = lane(Recipe::base(law), signs[sign], vec![[0.0; MAX_PARAMS]], 1 + i as u64);
         if let Some((genes, _)) = looked.get(sign) {
-            hunt(scene, &mut lane, genes, &WIDE, seed);
+            hunt(scene, &mut lane, genes, &[], &WIDE, seed);
         }
         lane
     });
@@ -171,24 +174,13 @@ pub fn run(
     if work.goes_on() {
         let mut from = cross(core::slice::from_ref(&base), 4);
         if !calm {
-            from.extend(genes.iter().take(20));
+            from.extend(&genes);
         }
-        let friction = if base_law.is_none() { seeds(scene, Law::He, base.sign, work.seed, 16).0 } else { Vec::new() };
-        let sliding = if base_law.is_some() && !calm {
-            seeds(scene, Law::Tracking, base.sign, work.seed, 10).0
-        } else {
-            Vec::new()
-        };
+        let own = work.all(lanes.len(), |i| own_look(scene, &lanes[i], calm));
+        work.done += own.iter().map(|(_, n)| n).sum::<u64>();
         let effort = if calm { &NARROW } else { &WIDE };
-        share(scene, &mut lanes, effort, work, &|lane| {
-            let mut genes = from.clone();
-            match lane.recipe.each().next().map(|e| e.id) {
-                Some("stiction") => genes.clone_from(&friction),
-                Some("sliding_valve") => genes.extend(&sliding),
-                _ => {}
-            }
-            genes
-        });
+        let own = |i: usize| own.get(i).map_or(&[][..], |(genes, _)| genes);
+        share(scene, &mut lanes, effort, work, &|_| from.clone(), &own);
     }
     for _ in 0..SHARED_ROUNDS {
         if calm || !work.goes_on() {
@@ -198,7 +190,7 @@ pub fn run(
         let mut all = vec![base.clone()];
         all.extend(lanes.iter().cloned());
         let genes = cross(&all, 2);
-        share(scene, &mut all, &NARROW, work, &|_| genes.clone());
+        share(scene, &mut all, &NARROW, work, &|_| genes.clone(), &|_| &[]);
         base = all.remove(0);
         lanes = all;
         let after = core::iter::once(&base).chain(&lanes).map(Lane::sse);
@@ -206,23 +198,43 @@ pub fn run(
             break;
         }
     }
-    Some(Found { base, lanes, calm })
+    Some(Found { base, lanes })
+}
+
+/// A look of its own for an effect that makes other slips of the same OP.
+fn own_look(scene: &Scene, lane: &Lane, calm: bool) -> (Vec<Gene>, u64) {
+    let nothing = (Vec::new(), 0);
+    let Some(effect) = lane.recipe.each().next() else { return nothing };
+    let moves_slips = ["asymmetric_stiction", "slip_overshoot", "sliding_valve", "positioner_lag", "stiction"];
+    if calm || !moves_slips.contains(&effect.id) {
+        return nothing;
+    }
+    let (mut genes, mut count) = (Vec::new(), 0);
+    for p in &lane.starts {
+        let mut plan = Plan::base(lane.recipe.law);
+        (effect.enter)(&p[..effect.params.len()], &mut plan);
+        let (found, n) = coarse::look(scene, &plan, *p, lane.sign, OWN_KEPT);
+        genes.extend(found);
+        count += n;
+    }
+    (genes, count)
 }
 
 /// One round for every lane.
-pub fn share(
+pub fn share<'g>(
     scene: &Scene,
     lanes: &mut Vec<Lane>,
     effort: &Effort,
     work: &mut Work<'_>,
     genes: &(dyn Fn(&Lane) -> Vec<Gene> + Sync),
+    own: &(dyn Fn(usize) -> &'g [Gene] + Sync),
 ) {
     let before: u64 = lanes.iter().map(|l| l.evaluations).sum();
     let seed = work.seed;
     let made = work.all(lanes.len(), |i| {
         let mut lane = lanes[i].clone();
         let genes = genes(&lane);
-        hunt(scene, &mut lane, &genes, effort, seed);
+        hunt(scene, &mut lane, &genes, own(i), effort, seed);
         lane
     });
     if made.len() == lanes.len() {

@@ -22,6 +22,8 @@ pub enum View {
     Plain,
     /// Filtered differences.
     Moves,
+    /// What is faster than a period.
+    Fast,
 }
 
 /// One record, posed.
@@ -36,7 +38,7 @@ pub struct Scene {
     /// Stretches that are held out.
     pub test: Vec<[usize; 2]>,
     /// PV on the fitted stretches, one after the other, plain and filtered.
-    targets: [Vec<f64>; 2],
+    targets: [Vec<f64>; 3],
     /// Sign of the gain, where it could be read.
     pub sign: Option<f64>,
     /// Typical period, points.
@@ -97,7 +99,7 @@ impl Scene {
             question,
             train: Vec::new(),
             test: Vec::new(),
-            targets: [Vec::new(), Vec::new()],
+            targets: [Vec::new(), Vec::new(), Vec::new()],
             blocks,
             sign,
             period,
@@ -139,9 +141,9 @@ impl Scene {
             out
         };
         (self.train, self.test) = (stretches(false), stretches(true));
-        let mut targets = [Vec::new(), Vec::new()];
-        for (target, view) in targets.iter_mut().zip([View::Plain, View::Moves]) {
-            gather(&self.question.pv, &self.train, view.rho(), target);
+        let mut targets = [Vec::new(), Vec::new(), Vec::new()];
+        for (target, view) in targets.iter_mut().zip(View::ALL) {
+            self.gather(&self.question.pv, view, target);
         }
         self.targets = targets;
     }
@@ -149,7 +151,7 @@ impl Scene {
     /// PV on the fitted stretches.
     #[must_use]
     pub fn target(&self, view: View) -> &[f64] {
-        &self.targets[usize::from(view == View::Moves)]
+        &self.targets[view as usize]
     }
 
     /// The same scene for running a model over all of it.
@@ -174,24 +176,46 @@ impl Scene {
 }
 
 impl View {
-    /// The filter's coefficient.
-    #[must_use]
-    pub const fn rho(self) -> f64 {
-        match self {
-            Self::Plain => 0.0,
-            Self::Moves => MOVES_RHO,
-        }
-    }
+    /// All, in the order of their targets.
+    pub const ALL: [Self; 3] = [Self::Plain, Self::Moves, Self::Fast];
 }
 
-/// `x[k] - rho x[k-1]` of the stretches, one after the other; no stretch starts at 0.
-pub fn gather(x: &[f64], stretches: &[[usize; 2]], rho: f64, out: &mut Vec<f64>) {
-    out.clear();
-    for [from, to] in stretches {
-        if rho == 0.0 {
-            out.extend_from_slice(&x[*from..*to]);
-        } else {
-            out.extend(x[from - 1..*to].windows(2).map(|w| w[1] - rho * w[0]));
+impl Scene {
+    /// A signal on the fitted stretches, as a view sees it.
+    pub fn gather(&self, x: &[f64], view: View, out: &mut Vec<f64>) {
+        out.clear();
+        match view {
+            View::Plain => self.train.iter().for_each(|[from, to]| out.extend_from_slice(&x[*from..*to])),
+            View::Moves => {
+                for [from, to] in &self.train {
+                    out.extend(x[from.max(&1) - 1..*to].windows(2).map(|w| w[1] - MOVES_RHO * w[0]));
+                }
+            }
+            View::Fast => self.fast(x, out),
+        }
+    }
+
+    /// The signal less its mean over a period around each point (over what there is of it at the ends).
+    fn fast(&self, x: &[f64], out: &mut Vec<f64>) {
+        let n = x.len();
+        let half = ((0.5 * self.period) as usize).clamp(1, n / 2);
+        let (mut low, mut high, mut sum) = (0, 0, 0.0);
+        for [from, to] in &self.train {
+            for k in *from..*to {
+                let (first, last) = (k.saturating_sub(half), (k + half + 1).min(n));
+                if first >= high {
+                    (low, high, sum) = (first, first, 0.0);
+                }
+                while high < last {
+                    sum += x[high];
+                    high += 1;
+                }
+                while low < first {
+                    sum -= x[low];
+                    low += 1;
+                }
+                out.push(x[k] - sum / (high - low) as f64);
+            }
         }
     }
 }

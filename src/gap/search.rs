@@ -7,11 +7,10 @@ use rand_chacha::ChaCha8Rng;
 
 use super::kernel::{Kernel, Scored, clamped};
 use super::plan::{Gene, MAX_PARAMS, Recipe};
-use super::scene::{Scene, View, options};
+use super::scene::{Scene, View};
 use crate::ident::candidate::Question;
-use crate::ident::search::{Look, beam, generator, moved, normal, uniform};
-use crate::optim::{self, Objective, Settings};
-use crate::sim::slips::{FirstSlip, Law};
+use crate::ident::search::{generator, moved, normal, uniform};
+use crate::sim::slips::FirstSlip;
 
 /// Cost over the best one from which a step is not worth refining.
 const HOPELESS: f64 = 2.5;
@@ -43,50 +42,6 @@ impl Lane {
     }
 }
 
-/// Places of an even look at all bands, dead times and time constants at once, best by level and by moves.
-#[must_use]
-pub fn seeds(scene: &Scene, law: Law, sign: f64, seed: u64, wanted: usize) -> (Vec<Gene>, u64) {
-    let signs = [sign];
-    let question = &scene.question;
-    let mut look = Look::new(question, law, &signs);
-    let told = options(seed, scene.period);
-    let solver = optim::by_name(told.solver).unwrap_or(optim::ALL[0]);
-    solver.search(&mut look, &Settings { budget: 20_000, fineness_pct: told.fineness_pct, seed });
-    // Small bands ask for even steps of the logarithm.
-    for k in 0..60 {
-        let s = libm::pow(0.03, f64::from(k) / 59.0);
-        for share in [0.05, 0.2, 0.5, 0.85] {
-            look.cost([s, share * s]);
-        }
-    }
-    let mut rng = generator(seed, 2);
-    for view in [0, 1] {
-        let from = beam(&look.pools[0][view], 3, 0);
-        look.cross(&from);
-        let from = beam(&look.pools[0][view], 5, 2);
-        look.climb(0, view, from, 15, &mut rng);
-    }
-    let mut genes: Vec<Gene> = Vec::new();
-    for view in [0, 1] {
-        for c in beam(&look.pools[0][view], wanted, wanted / 4) {
-            let shape = c.fit.shape;
-            let gene = Gene {
-                s: c.s,
-                j: c.j,
-                first: question.first_slip(c.start),
-                fd: c.fit.fd,
-                log_tau: shape[0],
-                lag: shape[1],
-                p: [0.0; MAX_PARAMS],
-            };
-            if !genes.contains(&gene) {
-                genes.push(gene);
-            }
-        }
-    }
-    (genes, look.evaluations())
-}
-
 /// Genes for a base that has no friction: an even look at time constants and lags.
 #[must_use]
 pub fn frictionless(scene: &Scene) -> Vec<Gene> {
@@ -107,49 +62,50 @@ pub fn frictionless(scene: &Scene) -> Vec<Gene> {
     out
 }
 
-/// How much work a round is.
+/// How much work a round is: how many places and steps for each, view by view.
 #[derive(Debug, Clone, Copy)]
 pub struct Effort {
-    /// Places improved by differences, then by the error: how many, and steps for each.
-    pub moves: [(usize, usize); 2],
-    /// The same by the error itself.
+    /// By differences, then by the fast part: places and steps, first and later.
+    pub views: [(usize, usize); 2],
+    /// By the error itself.
     pub plain: [(usize, usize); 3],
 }
 
 /// The first, wide round.
-pub const WIDE: Effort = Effort { moves: [(8, 40), (3, 120)], plain: [(8, 40), (4, 120), (2, 300)] };
+pub const WIDE: Effort = Effort { views: [(9, 40), (3, 100)], plain: [(12, 40), (5, 120), (2, 350)] };
 /// A later one, from what others have found.
-pub const NARROW: Effort = Effort { moves: [(2, 40), (1, 80)], plain: [(4, 50), (2, 150), (1, 200)] };
+pub const NARROW: Effort = Effort { views: [(2, 30), (1, 60)], plain: [(4, 50), (2, 150), (1, 200)] };
 
-/// Looks at all genes with all of the lane's starts, then improves the best.
-pub fn hunt(scene: &Scene, lane: &mut Lane, genes: &[Gene], effort: &Effort, seed: u64) {
+/// Looks at all genes with all of the lane's starts, and at `own` as they are, then improves the best.
+pub fn hunt(scene: &Scene, lane: &mut Lane, genes: &[Gene], own: &[Gene], effort: &Effort, seed: u64) {
     let mut kernel = Kernel::new(scene, lane.sign);
     lane.stream += 1;
     let mut rng = generator(seed, 100 + lane.stream);
     let recipe = lane.recipe;
-    let mut pools: [Vec<Scored>; 2] = [Vec::new(), Vec::new()];
+    let mut pools: [Vec<Scored>; 3] = [Vec::new(), Vec::new(), Vec::new()];
     let mut starts = lane.starts.clone();
     starts.extend(lane.best.iter().take(2).map(|b| b.gene.p));
-    for gene in genes {
-        for p in &starts {
-            let gene = fitted_to(&recipe, Gene { p: *p, ..*gene }, scene);
-            for (pool, view) in pools.iter_mut().zip([View::Plain, View::Moves]) {
-                pool.extend(kernel.evaluate(&recipe, &gene, view));
-            }
+    let with_starts = genes.iter().flat_map(|gene| starts.iter().map(move |p| (gene, *p)));
+    for (gene, p) in with_starts.chain(own.iter().map(|gene| (gene, gene.p))) {
+        let mut gene = *gene;
+        gene.p = p;
+        let gene = fitted_to(&recipe, gene, scene);
+        for (pool, view) in pools.iter_mut().zip(View::ALL) {
+            pool.extend(kernel.evaluate(&recipe, &gene, view));
         }
     }
-    let [plain, moves] = pools;
-    // By differences.
-    let [(wide, few), (narrow, some)] = effort.moves;
-    let mut by_moves: Vec<Scored> =
-        apart(moves, wide).into_iter().map(|c| kernel.improve(&recipe, c, View::Moves, 3)).collect();
-    by_moves = climbs(&mut kernel, &recipe, by_moves, View::Moves, few, &mut rng);
-    by_moves = apart(by_moves, narrow);
-    by_moves = climbs(&mut kernel, &recipe, by_moves, View::Moves, some, &mut rng);
-    // By the error itself.
-    let mut held: Vec<Scored> =
-        by_moves.iter().filter_map(|c| kernel.evaluate(&recipe, &c.gene, View::Plain)).collect();
-    held.extend(apart(plain, effort.plain[0].0));
+    let [plain, moves, fast] = pools;
+    let mut held: Vec<Scored> = Vec::new();
+    let [(wide, few), (narrow, some)] = effort.views;
+    for (pool, view) in [(moves, View::Moves), (fast, View::Fast)] {
+        let chosen = of_every_size(pool, wide);
+        let mut found: Vec<Scored> = chosen.into_iter().map(|c| kernel.improve(&recipe, c, view, 3)).collect();
+        for (count, steps) in [(wide, few), (narrow, some)] {
+            found = climbs(&mut kernel, &recipe, apart(found, count), view, steps, &mut rng);
+        }
+        held.extend(found.iter().filter_map(|c| kernel.evaluate(&recipe, &c.gene, View::Plain)));
+    }
+    held.extend(of_every_size(plain, effort.plain[0].0));
     held = held.into_iter().map(|c| kernel.improve(&recipe, c, View::Plain, 3)).collect();
     held.extend(lane.best.iter().copied());
     for (count, steps) in effort.plain {
@@ -165,6 +121,28 @@ pub fn hunt(scene: &Scene, lane: &mut Lane, genes: &[Gene], effort: &Effort, see
     }
     lane.best = apart(held, KEPT);
     lane.evaluations += kernel.evaluations;
+}
+
+/// The best half overall, the rest from all sizes of s in turn: the right size may begin badly.
+fn of_every_size(pool: Vec<Scored>, wanted: usize) -> Vec<Scored> {
+    let mut chosen = apart(pool.clone(), wanted / 2);
+    let class = |c: &Scored| (-2.0 * libm::log(c.gene.s.max(1e-3))).floor() as i64;
+    let mut rest = apart(pool, usize::MAX);
+    while chosen.len() < wanted && !rest.is_empty() {
+        let mut taken: Vec<i64> = Vec::new();
+        rest.retain(|c| {
+            let new = chosen.len() < wanted && !taken.contains(&class(c)) && !chosen.contains(c);
+            if new {
+                taken.push(class(c));
+                chosen.push(*c);
+            }
+            !new
+        });
+        if taken.is_empty() {
+            break;
+        }
+    }
+    chosen
 }
 
 /// A gene moved to where its recipe may stand.

@@ -6,14 +6,16 @@ use super::types::{Parameter, Signature};
 use crate::record::Record;
 use crate::signal::stats;
 
-/// Quantum over the white noise below which a grid is no cause of anything.
+/// Quantum over the white noise below which a grid is no cause of anything, and what a quantum of PV's whole deviation
+/// counts for: second differences cannot tell the noise under a grid that PV crosses at every sample.
 const COARSE: f64 = 2.0;
+const AGAINST_SD: f64 = 12.0;
 /// Share of held samples, or of samples on straight lines, that speaks for a recorder.
 const RECORDED: f64 = 0.25;
 /// Share of samples exactly at an end of PV's range.
 const CUT: f64 = 0.02;
 /// Size of a wild sample against the noise, and how many in a thousand speak.
-const WILD: f64 = 7.0;
+const WILD: f64 = 8.0;
 const WILD_SHARE: f64 = 2.0;
 /// Most of the record that may be masked.
 const MOST_MASKED: f64 = 0.05;
@@ -34,9 +36,9 @@ pub struct Traces {
     pv: Vec<f64>,
 }
 
-/// Looks for all of them. `period` in points.
+/// Looks for all of them; `period` in points. Points are masked for none of the effects in `without`.
 #[must_use]
-pub fn traces(record: &Record, period: f64) -> Traces {
+pub fn traces(record: &Record, period: f64, without: &[String]) -> Traces {
     let pv = &record.pv;
     let n = pv.len() as f64;
     let sd = stats::std_dev(pv);
@@ -57,7 +59,7 @@ pub fn traces(record: &Record, period: f64) -> Traces {
     let cut = if at_end(ends[0]) > at_end(ends[1]) { (ends[0], at_end(ends[0])) } else { (ends[1], at_end(ends[1])) };
     let wild = wild_samples(pv, noise);
     let wild_share = wild.iter().filter(|w| **w).count() as f64 / n * 1000.0;
-    let coarse = grid.map_or(0.0, |q| q / white_part(pv, q));
+    let coarse = grid.map_or(0.0, |q| (q / white_part(pv, q)).max(AGAINST_SD * q / sd));
     // Few levels put many samples at the ends as well.
     let is_grid = coarse > COARSE;
     let still_from = 10.0_f64.max(0.12 * period) + if is_grid { 0.5 * period } else { 0.0 };
@@ -78,7 +80,7 @@ pub fn traces(record: &Record, period: f64) -> Traces {
         signature("outliers", wild_share, WILD_SHARE, true, number("per_thousand", wild_share, "1")),
         signature("frozen_sensor", length, still_from, frozen, number("still", length * record.point_s(), "s")),
     ];
-    let met = |id: &str| signatures.iter().any(|s| s.id == id && s.met);
+    let met = |id: &str| signatures.iter().any(|s| s.id == id && s.met) && !without.iter().any(|w| w == id);
     let mut masked = vec![false; pv.len()];
     if met("outliers") {
         masked.clone_from(&wild);
@@ -163,7 +165,7 @@ fn wild_samples(pv: &[f64], noise: f64) -> Vec<bool> {
     let least = (WILD * noise).max(8.0 * usual);
     for k in 2..pv.len().saturating_sub(2) {
         let (before, after) = (pv[k] - pv[k - 1], pv[k] - pv[k + 1]);
-        let agree = (pv[k - 1] - pv[k + 1]).abs() < 0.5 * before.abs().min(after.abs());
+        let agree = (pv[k - 1] - pv[k + 1]).abs() < 0.3 * before.abs().min(after.abs());
         wild[k] = least > 0.0 && before * after > 0.0 && before.abs().min(after.abs()) > least && agree;
     }
     wild
@@ -198,7 +200,7 @@ mod tests {
 
     fn met(pv: Vec<f64>) -> Vec<&'static str> {
         let record = Record::uniform(1.0, pv.clone(), pv);
-        traces(&record, 70.0).signatures.into_iter().filter(|s| s.met).map(|s| s.id).collect()
+        traces(&record, 70.0, &[]).signatures.into_iter().filter(|s| s.met).map(|s| s.id).collect()
     }
 
     #[test]
@@ -233,7 +235,7 @@ mod tests {
         let held: Vec<f64> = (0..900).map(|k| pv[k - k % 4]).collect();
         let record = Record::uniform(1.0, pv.clone(), held.clone());
         let mut again = pv.clone();
-        traces(&record, 70.0).apply("hold_compression", &mut again);
+        traces(&record, 70.0, &[]).apply("hold_compression", &mut again);
         assert_eq!(again, held);
     }
 }

@@ -34,10 +34,15 @@ fn driven_by(record: &Record, mv: &[f64]) -> Record {
 
 /// Looks at MV, where it is recorded and moves.
 pub fn look(record: &Record, scene: &Scene, without: &[String], work: &mut Work<'_>) -> Option<Seen> {
+    if work.stopped {
+        return None;
+    }
     let mv = record.mv.as_ref().filter(|mv| mv.len() == record.len() && stats::span(mv).is_normal())?;
     let behind = driven_by(record, mv);
     let masked = scene.blocks.masked.clone();
-    let from_mv = Scene::new(&behind, Some(scene.period), work.seed, masked.clone());
+    // A transmitter may be reversed, and the controller answers PV by OP, not by MV: both signs are tried.
+    let mut from_mv = Scene::new(&behind, Some(scene.period), work.seed, masked.clone());
+    from_mv.sign = None;
     let floor = noise::floor(&record.pv, false).noise_floor;
     let not_behind = effects::ALL.into_iter().filter(|e| e.stage == Stage::Valve || e.way != Way::Simulated);
     let mut left_out: Vec<String> = not_behind.map(|e| e.id.to_owned()).collect();
@@ -46,7 +51,8 @@ pub fn look(record: &Record, scene: &Scene, without: &[String], work: &mut Work<
     let base = fit(&from_mv, &found.base, floor, &|_| {})?;
     let explains = floor.is_some_and(|f| base.rmse_train <= EXPLAINS * f) || is_calm(&from_mv, &found.base, floor);
     let before = Record { pv: mv.clone(), mv: None, ..record.clone() };
-    let to_mv = Scene::new(&before, Some(scene.period), work.seed, masked);
+    let mut to_mv = Scene::new(&before, Some(scene.period), work.seed, masked);
+    to_mv.sign = None;
     let valve = rounds::base(&to_mv, Some(Law::He), work).and_then(|(lane, _)| residual_of(&to_mv, &lane));
     let op_to_mv = valve.map_or(1.0, |left| rms(&left, &to_mv.test));
     Some(Seen {

@@ -3,6 +3,7 @@
 use super::model::Model;
 
 pub use super::decide::Basis;
+pub use super::probability::Features;
 
 /// Id of an effect, as it stands in documents.
 pub type EffectId = &'static str;
@@ -354,6 +355,9 @@ pub struct NoiseModels {
     pub independence_p: f64,
     /// Whether the autoregression leaves white noise.
     pub whitens: bool,
+    /// By how much an autoregression of higher order beats one of first order, log mean squared error: what swings or
+    /// answers moves is of higher order than noise with a memory.
+    pub beyond_first: f64,
 }
 
 /// The position behind the friction, where it is recorded: two gaps.
@@ -390,7 +394,7 @@ pub struct Diagnosis {
     pub pairs: Vec<EffectResult>,
     /// Model responses computed.
     pub evaluations: u64,
-    /// Whether the crew ended the search.
+    /// Whether crew or budget ended the search before its time.
     pub stopped_early: bool,
     /// The noise floor.
     pub floor: Floor,
@@ -408,4 +412,6 @@ pub struct Diagnosis {
     pub next_test: Option<NextTest>,
     /// What else the decision was made from.
     pub basis: Basis,
+    /// What the cause's probability was made of, for calibrations.
+    pub features: Features,
 }

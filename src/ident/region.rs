@@ -3,16 +3,22 @@
 //! The plane's triangle has pure dead band on the ray `fs = fd` (j = 0), pure stick-slip on the axis `fd = 0`
 //! (j = s), both in between, and strong cases towards its far side `s = S0` (after Lee, Ren and Huang 2008).
 
+/// Bounds of the plane's parts: s over OP's span below which nothing is said, j/s up to which it is dead band, and from
+/// which it is stick-slip.
+pub const BOUNDS: [f64; 3] = [0.1, 0.15, 0.85];
+/// s over OP's span from which sticking is moderate, and above which it is strong.
+pub const STRENGTHS: [f64; 2] = [0.2, 0.6];
+
 /// What kind of sticking: by j/s, once s is large enough to be seen at all.
 ///
 /// `none` below a tenth of OP's span; `deadband` below j/s = 0.15; `stick_slip` above 0.85.
 #[must_use]
 pub fn region(s: f64, j: f64, span: f64) -> &'static str {
-    if s < 0.1 * span || s <= 0.0 {
+    if s < BOUNDS[0] * span || s <= 0.0 {
         "none"
-    } else if j / s < 0.15 {
+    } else if j / s < BOUNDS[1] {
         "deadband"
-    } else if j / s > 0.85 {
+    } else if j / s > BOUNDS[2] {
         "stick_slip"
     } else {
         "deadband_stick_slip"
@@ -22,9 +28,9 @@ pub fn region(s: f64, j: f64, span: f64) -> &'static str {
 /// How strong against the loop's own movement: by s over OP's span, 0.2 and 0.6.
 #[must_use]
 pub fn strength(s: f64, span: f64) -> &'static str {
-    if s > 0.6 * span {
+    if s > STRENGTHS[1] * span {
         "strong"
-    } else if s >= 0.2 * span {
+    } else if s >= STRENGTHS[0] * span {
         "moderate"
     } else {
         "weak"

@@ -48,7 +48,9 @@ pub const fn verdict(v: Verdict) -> &'static str {
 pub const fn advice(v: Verdict) -> &'static str {
     match v {
         Verdict::Stiction => "Confirm with the bump test below, then have packing, actuator and positioner looked at.",
-        Verdict::Deadband => "Confirm with the bump test below, then have linkage, gears and positioner looked at for play.",
+        Verdict::Deadband => {
+            "Confirm with the bump test below, then have linkage, gears and positioner looked at for play."
+        }
         Verdict::Disturbance => "Look upstream: another loop or load drives this one. The valve can stay in service.",
         Verdict::Tuning => "Have the tuning looked at: the loop swings by itself. The valve can stay in service.",
         Verdict::NoOscillation | Verdict::NoStiction => "Nothing to be done about this valve on this record.",
@@ -158,7 +160,9 @@ pub fn unknowns(a: &Assessment, op_range: Option<[f64; 2]>) -> Vec<String> {
         out.push(format!("with a sample every {} or faster it would be told", duration(period / 50.0)));
     }
     if a.s.is_some() && op_range.is_none() {
-        out.push("the size in % of travel: OP's range is not known (--op-range, or op_range in the configuration)".into());
+        out.push(
+            "the size in % of travel: OP's range is not known (--op-range, or op_range in the configuration)".into(),
+        );
     }
     match a.s_detectable {
         Some(least) => out.push(format!("bands below s = {} OP units would not have been seen here", number(least))),
@@ -250,7 +254,10 @@ mod tests {
 
     #[test]
     fn numbers_read_as_people_write_them() {
-        assert_eq!([8.0052, 0.0, 123.4, 12.34, 0.5, -2.5, 1e-9].map(number).join(" "), "8.01 0 123 12.3 0.5 -2.5 1.00e-9");
+        assert_eq!(
+            [8.0052, 0.0, 123.4, 12.34, 0.5, -2.5, 1e-9].map(number).join(" "),
+            "8.01 0 123 12.3 0.5 -2.5 1.00e-9"
+        );
         assert_eq!([12.0, 600.0, 7_200.0, 200_000.0].map(duration).join(", "), "12 s, 10 min, 2 h, 2.31 days");
         assert_eq!(number(f64::NAN), "unknown");
     }

@@ -36,6 +36,6 @@ mod tests {
     fn time_times_the_valve_signal_is_added() {
         let mut plan = Plan::base(Some(Law::He));
         (EFFECT.enter)(&[], &mut plan);
-        assert!(plan.drifts && plan.extras() == 1);
+        assert!(plan.drifts && plan.extras() == 2);
     }
 }

@@ -65,7 +65,7 @@ impl Portrait<'_> {
                 ridge[slot] -= (s - own_s) / self.question.rate.max(1e-6);
                 let mut shapes = vec![own, class.clamp(ridge, &self.question.limits), plain.shape];
                 shapes.extend(column.last().into_iter().chain(near.get(b as usize)));
-                let effort = Effort { steps: STEPS, hopeless: f64::INFINITY };
+                let effort = Effort::of(STEPS);
                 let mut best: Option<Candidate> = None;
                 for start in self.question.starts(fs, STARTS) {
                     let found = bench.fit_exactly([s, j], start, &shapes, effort);

@@ -1,0 +1,76 @@
+//! The computations behind a loop's pictures, in the order of their cost.
+
+use crate::ident::portrait::{ErrorMap, FreeRun, Model, Optimum, OrderChart, Portrait, RESAMPLES, RESTARTS};
+use crate::ident::{Options, portrait};
+use crate::record::Record;
+use crate::sim::slips::Law;
+use crate::verdict::{AssessParams, Assessment};
+
+/// Step of the error maps, share of OP's span.
+const MAP_STEP: f64 = 0.025;
+
+/// What the detailed pictures show.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Detail {
+    /// Span of OP, OP units.
+    pub span: f64,
+    /// The model's curves.
+    pub run: FreeRun,
+    /// Error over the plane for first and second order.
+    pub maps: Vec<ErrorMap>,
+    /// What decides the order.
+    pub orders: OrderChart,
+    /// Where searches with other seeds end.
+    pub restarts: Vec<Optimum>,
+    /// Bands under other draws of the residual.
+    pub bootstrap: Vec<Optimum>,
+}
+
+/// The model that an assessment tells; `None` without a fit.
+#[must_use]
+pub fn model_of(a: &Assessment) -> Option<Model> {
+    let (s, j, process) = (a.s?, a.j?, a.process.as_ref()?);
+    Some(Model {
+        law: if a.valve_model == Some("tracking") { Law::Tracking } else { Law::He },
+        order: process.order,
+        integrating: process.integrating,
+        s,
+        j,
+        gain: process.gain,
+        time_constants_s: process.time_constants_s.clone(),
+        dead_time_s: process.dead_time_s,
+    })
+}
+
+impl Detail {
+    /// Computes everything for one loop; `None` where nothing was fitted. Takes a few times as long as an estimate.
+    #[must_use]
+    pub fn of(record: &Record, params: &AssessParams, a: &Assessment) -> Option<Self> {
+        let model = model_of(a)?;
+        let options = Options {
+            model: params.model,
+            delay: params.delay,
+            valve: params.valve,
+            solver: params.solver,
+            fineness_pct: params.fineness_pct,
+            seed: params.seed,
+            period_points: a.oscillation.period_s.map(|p| p / record.point_s()),
+        };
+        let portrait = Portrait::new(record, &options, &model)?;
+        let other = |k: usize| params.seed.wrapping_add(1_000 + k as u64);
+        Some(Self {
+            span: portrait.span(),
+            run: portrait.free_run(),
+            maps: [1, 2].into_iter().filter_map(|order| portrait.error_map(order, MAP_STEP)).collect(),
+            orders: portrait.orders(),
+            restarts: (0..RESTARTS).filter_map(|k| portrait.restart(other(k))).collect(),
+            bootstrap: portrait.bootstrap(RESAMPLES, params.seed),
+        })
+    }
+
+    /// The map of an order.
+    #[must_use]
+    pub fn map(&self, order: u8) -> Option<&portrait::ErrorMap> {
+        self.maps.iter().find(|m| m.order == order)
+    }
+}

@@ -1,0 +1,372 @@
+//! One loop's pictures, from its record and what was computed of it.
+
+use crate::ident::portrait::{ErrorMap, Optimum};
+use crate::ident::region::{BOUNDS, STRENGTHS};
+use crate::record::Record;
+use crate::signal::{lag, stats};
+use crate::verdict::Assessment;
+
+use super::chart::{Bar, HeatMap, Histogram, Overlay, bars, heat_map, histogram};
+use super::detail::Detail;
+use super::diagram::{Tags, loop_diagram};
+use super::ink::Ink;
+use super::plot::{Mark, Panel, Picture, Plane, PlotError, Series, scatter, trend};
+use super::words::number;
+
+/// A picture with its caption.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Figure {
+    /// The picture.
+    pub picture: Picture,
+    /// What it shows and how to read it.
+    pub caption: String,
+    /// Whether it takes the page's whole width.
+    pub wide: bool,
+}
+
+/// Everything that a loop's pictures are made of.
+#[derive(Debug, Clone, Copy)]
+pub struct Subject<'a> {
+    /// The record that was analysed.
+    pub record: &'a Record,
+    /// The section as recorded, where the analysed one was thinned.
+    pub original: Option<&'a Record>,
+    /// What it says.
+    pub assessment: &'a Assessment,
+    /// Names of its signals.
+    pub tags: &'a Tags,
+    /// What was computed for detailed pictures.
+    pub detail: Option<&'a Detail>,
+}
+
+const WIDE: u32 = 1080;
+const HALF: u32 = 520;
+/// Points of a curve in an overview picture.
+const FEW_POINTS: usize = 160;
+
+type Figures = Result<Vec<Figure>, PlotError>;
+
+fn times(record: &Record) -> Vec<f64> {
+    (0..record.len()).map(|k| k as f64 * record.point_s()).collect()
+}
+
+/// All detailed pictures; those that need a fit are left out without one.
+///
+/// # Errors
+/// [`PlotError`], where the drawing library refuses.
+pub fn detailed(of: &Subject<'_>) -> Figures {
+    let mut out =
+        vec![Figure { picture: loop_diagram(of.tags), caption: "The loop and its tags.".to_owned(), wide: true }];
+    if let Some(original) = of.original {
+        let caption = format!("As recorded: {} samples of {} s.", original.raw_samples, number(original.ts_s));
+        out.push(Figure { picture: trends("Trends before downsampling", original, WIDE)?, caption, wide: true });
+    }
+    let boxed = match of.record.box_samples {
+        1 => String::new(),
+        k => format!(" Each point stands for {k} samples: PV's mean, the middle of OP's extremes."),
+    };
+    let after = if of.original.is_some() { "After downsampling, as analysed: " } else { "As analysed: " };
+    let caption = format!("{after}{} points, one every {} s.{boxed}", of.record.len(), number(of.record.point_s()));
+    out.push(Figure { picture: trends("Trends", of.record, WIDE)?, caption, wide: true });
+    if let Some(detail) = of.detail {
+        out.push(fit(of, detail)?);
+    }
+    if let Some(original) = of.original {
+        let picture = phase("Phase plot before downsampling", original, 0, None)?;
+        out.push(Figure { picture, caption: "PV over OP before downsampling.".to_owned(), wide: false });
+    }
+    out.extend(phases(of)?);
+    if let Some(detail) = of.detail {
+        for map in &detail.maps {
+            out.push(error_map(of, detail, map)?);
+        }
+        out.extend(draws(of, detail)?);
+        out.push(orders(of, detail)?);
+    }
+    if of.assessment.witnesses.iter().any(|w| w.contribution != 0.0) {
+        out.push(witnesses(of.assessment)?);
+    }
+    Ok(out)
+}
+
+/// The two pictures of a loop that is shown in short.
+///
+/// # Errors
+/// [`PlotError`], where the drawing library refuses.
+pub fn brief(of: &Subject<'_>) -> Figures {
+    let step = of.record.len().div_ceil(FEW_POINTS).max(1);
+    let short = thinner(of.record, step);
+    let caption = format!("{} points, drawn from every {step}.", of.record.len());
+    let caption = if step == 1 { format!("{} points.", of.record.len()) } else { caption };
+    Ok(vec![
+        Figure { picture: trends("Trends", &short, HALF)?, caption, wide: false },
+        Figure { picture: phase("Phase plot", &short, 0, None)?, caption: "PV over OP.".to_owned(), wide: false },
+    ])
+}
+
+/// Every `step`-th point of a record, for small pictures only.
+fn thinner(record: &Record, step: usize) -> Record {
+    let every = |x: &[f64]| x.iter().copied().step_by(step).collect::<Vec<_>>();
+    Record {
+        op_path: every(&record.op()),
+        pv: every(&record.pv),
+        sp: record.sp.as_deref().map(every),
+        mv: record.mv.as_deref().map(every),
+        ts_s: record.point_s() * step as f64,
+        box_samples: 1,
+        ..record.clone()
+    }
+}
+
+fn line<'a>(name: &'a str, x: &'a [f64], y: &'a [f64], ink: Ink, mark: Mark) -> Series<'a> {
+    Series { name, x, y, ink, mark }
+}
+
+/// PV with SP over OP with MV.
+fn trends(title: &str, record: &Record, width: u32) -> Result<Picture, PlotError> {
+    let (t, op) = (times(record), record.op());
+    let mut above = Vec::new();
+    if let Some(sp) = &record.sp {
+        above.push(line("SP", &t, sp, Ink::Sp, Mark::Steps));
+    }
+    above.push(line("PV", &t, &record.pv, Ink::Pv, Mark::Line));
+    let mut panels = vec![
+        Panel { y_label: "PV units", series: above, height: 150, shaded: &[] },
+        Panel { y_label: "OP units", series: vec![line("OP", &t, &op, Ink::Op, Mark::Line)], height: 130, shaded: &[] },
+    ];
+    if let Some(mv) = &record.mv {
+        let series = vec![line("MV", &t, mv, Ink::Mv, Mark::Line)];
+        panels.push(Panel { y_label: "MV units", series, height: 110, shaded: &[] });
+    }
+    trend(title, width, "time from the section's start, s", &panels)
+}
+
+fn fit(of: &Subject<'_>, detail: &Detail) -> Result<Figure, PlotError> {
+    let (t, op, run) = (times(of.record), of.record.op(), &detail.run);
+    let late = &t[run.from.min(t.len())..];
+    let panels = [
+        Panel {
+            y_label: "PV units",
+            series: vec![
+                line("PV measured", &t, &of.record.pv, Ink::Pv, Mark::Line),
+                line("PV by the model, free run", late, &run.pv, Ink::Fit, Mark::Line),
+            ],
+            height: 150,
+            shaded: &[],
+        },
+        Panel {
+            y_label: "OP units",
+            series: vec![
+                line("OP", &t, &op, Ink::Op, Mark::Line),
+                line("valve by the model", &t, &run.valve, Ink::Mv, Mark::Line),
+            ],
+            height: 130,
+            shaded: &[],
+        },
+        Panel {
+            y_label: "PV units",
+            series: vec![line("residual: measured less model", late, &run.residual, Ink::Error, Mark::Line)],
+            height: 90,
+            shaded: &[],
+        },
+    ];
+    let picture = trend("Measured and fitted", WIDE, "time from the section's start, s", &panels)?;
+    let explained = of.assessment.process.as_ref().map_or(0.0, |p| p.fit_pct);
+    let caption = format!(
+        "The model never sees PV on its way: valve law and process answer to OP alone. Fit {explained:.1} % (100 is \
+         perfect, 0 no better than PV's mean). What the residual still shows, the model does not know."
+    );
+    Ok(Figure { picture, caption, wide: true })
+}
+
+fn phase(title: &str, record: &Record, shift: usize, valve: Option<&[f64]>) -> Result<Picture, PlotError> {
+    let op = record.op();
+    let n = record.len();
+    let x = valve.unwrap_or(&op);
+    let (x, y) = (&x[..n - shift.min(n)], &record.pv[shift.min(n)..]);
+    let (label, ink) = if valve.is_some() { ("valve by the model, OP units", Ink::Mv) } else { ("OP units", Ink::Op) };
+    let series = vec![line("", x, y, ink, Mark::Thin)];
+    scatter(&Plane { title, size: [HALF, 340], x_label: label, y_label: "PV units", series })
+}
+
+fn phases(of: &Subject<'_>) -> Figures {
+    let record = of.record;
+    let most = of.assessment.oscillation.period_s.map_or(record.len() / 8, |p| (0.5 * p / record.point_s()) as usize);
+    let shift = lag::of_largest_correlation(&record.op(), &record.pv, most.min(record.len() / 3));
+    let mut out = vec![
+        Figure {
+            picture: phase("Phase plot", record, 0, None)?,
+            caption: "PV over OP as recorded. A sticking valve leaves flanks where OP moves and PV stands.".to_owned(),
+            wide: false,
+        },
+        Figure {
+            picture: phase("Phase plot, shifted", record, shift, None)?,
+            caption: format!(
+                "PV {} s later over OP: the shift at which both go together best, so that dead time and lag do not \
+                 open the loop by themselves.",
+                number(shift as f64 * record.point_s())
+            ),
+            wide: false,
+        },
+    ];
+    if let Some(detail) = of.detail {
+        let picture = phase("Phase plot of the fitted valve", record, shift, Some(&detail.run.valve))?;
+        let caption = "PV, shifted alike, over the valve signal of the fit: what is left open is the process' own lag.";
+        out.push(Figure { picture, caption: caption.to_owned(), wide: false });
+    }
+    Ok(out)
+}
+
+/// The corners of the (fs, fd) plane's parts, of a pair (s, j).
+fn bands(s: f64, j: f64) -> (f64, f64) {
+    (0.5 * (s + j), 0.5 * (s - j))
+}
+
+fn error_map(of: &Subject<'_>, detail: &Detail, map: &ErrorMap) -> Result<Figure, PlotError> {
+    let a = of.assessment;
+    let deviation = stats::std_dev(&of.record.pv);
+    let cells: Vec<[f64; 3]> =
+        map.cells.iter().filter_map(|c| c.rms.map(|rms| [c.fs, c.fd, 100.0 * rms / deviation])).collect();
+    let span = detail.span;
+    let over = |points: Vec<(f64, f64)>, mark| Overlay { name: "", points, mark, ink: Ink::Over };
+    let mut overlays = vec![
+        // The triangle's far side, fs + fd = S0, and its upper one, fs = fd.
+        over(vec![(0.0, 0.0), (0.5 * span, 0.5 * span), (span, 0.0)], Mark::Thin),
+        over(vec![bands(BOUNDS[0] * span, 0.0), bands(BOUNDS[0] * span, BOUNDS[0] * span)], Mark::Dashed),
+    ];
+    for share in [BOUNDS[1], BOUNDS[2]] {
+        overlays.push(over(
+            vec![bands(BOUNDS[0] * span, share * BOUNDS[0] * span), bands(span, share * span)],
+            Mark::Dashed,
+        ));
+    }
+    for share in STRENGTHS {
+        overlays.push(over(vec![bands(share * span, 0.0), bands(share * span, share * span)], Mark::Dashed));
+    }
+    let [fs, fd] = map.region.map(|[low, high]| [low - 0.5 * map.step, high + 0.5 * map.step]);
+    let corners = vec![(fs[0], fd[0]), (fs[1], fd[0]), (fs[1], fd[1]), (fs[0], fd[1]), (fs[0], fd[0])];
+    overlays.push(Overlay { name: "suggested", points: corners, mark: Mark::Line, ink: Ink::Error });
+    let chosen = a.process.as_ref().is_some_and(|p| p.order == map.order);
+    if let (true, Some([s0, s1]), Some([j0, j1])) = (chosen, a.s_interval, a.j_interval) {
+        let ring = [(s0, j0), (s1, j0), (s1, j1), (s0, j1), (s0, j0)];
+        let points = ring.map(|(s, j)| bands(s.min(span), j.clamp(0.0, s.min(span)))).to_vec();
+        overlays.push(Overlay { name: "90 % interval", points, mark: Mark::Line, ink: Ink::Op });
+    }
+    if let (true, Some(fs), Some(fd)) = (chosen, a.fs, a.fd) {
+        overlays.push(Overlay { name: "answer", points: vec![(fs, fd)], mark: Mark::Rings, ink: Ink::Op });
+    }
+    let least = vec![(map.best.fs, map.best.fd)];
+    overlays.push(Overlay { name: "least", points: least, mark: Mark::Dots, ink: Ink::Error });
+    let picture = heat_map(&HeatMap {
+        title: &format!("Error map, order {}", map.order),
+        size: [HALF, 400],
+        x_label: "fs, OP units",
+        y_label: "fd, OP units",
+        z_label: "rms, % of std",
+        cells: &cells,
+        step: [map.step; 2],
+        x: [0.0, span * 1.02],
+        y: [0.0, 0.54 * span],
+        overlays,
+        words: vec![
+            ([0.5 * BOUNDS[0] * span, -0.0 + 0.018 * span], "none"),
+            ([0.36 * span, 0.43 * span], "deadband"),
+            ([0.5 * span, 0.2 * span], "deadband with stick and slip"),
+            ([0.75 * span, 0.02 * span], "stick-slip"),
+            ([0.62 * span, 0.30 * span], "strong"),
+        ],
+    })?;
+    let mark = if chosen { " This order was chosen." } else { "" };
+    let caption = format!(
+        "Free-run error over the bands, order {}: each cell with its best process. Below the line fs + fd = S0 = {}. \
+         Least cell: fs {}, fd {}. Box: cells within a tenth of the way from the least squared error to that without \
+         friction.{mark}",
+        map.order,
+        number(span),
+        number(map.best.fs),
+        number(map.best.fd),
+    );
+    Ok(Figure { picture, caption, wide: false })
+}
+
+fn draws(of: &Subject<'_>, detail: &Detail) -> Figures {
+    let a = of.assessment;
+    let column = |all: &[Optimum], f: fn(&Optimum) -> f64| all.iter().map(f).collect::<Vec<f64>>();
+    let mut out = Vec::new();
+    for (name, value, get) in
+        [("fs", a.fs, (|o| o.fs) as fn(&Optimum) -> f64), ("fd", a.fd, (|o| o.fd) as fn(&Optimum) -> f64)]
+    {
+        let (again, drawn) = (column(&detail.restarts, get), column(&detail.bootstrap, get));
+        let names = [format!("{} restarts", again.len()), format!("{} resamples", drawn.len())];
+        let picture = histogram(&Histogram {
+            title: &format!("Histogram of {name}"),
+            size: [HALF, 240],
+            x_label: &format!("{name}, OP units"),
+            sets: &[(&names[1], &drawn, Ink::Pv), (&names[0], &again, Ink::Op)],
+            mark: value.map(|v| ("answer", v)),
+        })?;
+        let caption = format!(
+            "{name} where the whole search, begun again with other seeds, ends (restarts: how many valleys the error \
+             has), and {name} found again near the answer after the residual was put together anew from its own blocks \
+             of a period, OP as recorded (resamples: noise and disturbance). Neither is the 90 % interval."
+        );
+        out.push(Figure { picture, caption, wide: false });
+    }
+    Ok(out)
+}
+
+fn orders(of: &Subject<'_>, detail: &Detail) -> Result<Figure, PlotError> {
+    let chart = &detail.orders;
+    let labels: Vec<String> = chart
+        .figures
+        .iter()
+        .flat_map(|f| [format!("order {}, fitted", f.order), format!("order {}, held out", f.order)])
+        .collect();
+    let values = chart.figures.iter().flat_map(|f| [(f.fitted_rms, Ink::Other), (f.held_out_rms, Ink::Fit)]);
+    let rows: Vec<Bar<'_>> = labels
+        .iter()
+        .zip(values)
+        .map(|(label, (v, ink))| Bar { label, value: Some(v), interval: None, ink, note: "" })
+        .collect();
+    let picture = bars("Decision chart of the order", HALF, "rms error, PV units", &rows)?;
+    let gained = match chart.figures.as_slice() {
+        [one, two] if one.held_out_rms > 0.0 => {
+            let ratio = two.held_out_rms / one.held_out_rms;
+            format!("it removes {} %", number(100.0 * (1.0 - ratio * ratio)))
+        }
+        _ => "one of them cannot be fitted".to_owned(),
+    };
+    let chosen = of.assessment.process.as_ref().map_or(0, |p| p.order);
+    let caption = format!(
+        "Errors on the whole record, and on its last {:.0} % with the process fitted to the first {:.0} %. With --model \
+         auto the second order is kept if it removes {:.0} % of the held-out squared error: {gained}. Chosen: order \
+         {chosen}.",
+        100.0 * (1.0 - chart.fitted_share),
+        100.0 * chart.fitted_share,
+        100.0 * chart.must_remove,
+    );
+    Ok(Figure { picture, caption, wide: false })
+}
+
+fn witnesses(a: &Assessment) -> Result<Figure, PlotError> {
+    let base =
+        a.explanation.map(|e| Bar { label: "base", value: Some(e.base), interval: None, ink: Ink::Sp, note: "" });
+    let said = a.witnesses.iter().map(|w| Bar {
+        label: w.name,
+        value: w.score.map(|_| w.contribution),
+        interval: None,
+        ink: if w.contribution > 0.0 { Ink::Error } else { Ink::Fit },
+        note: "",
+    });
+    let sum = a.explanation.map(|e| Bar {
+        label: "together",
+        value: Some(e.logit),
+        interval: None,
+        ink: Ink::Text,
+        note: "",
+    });
+    let rows: Vec<Bar<'_>> = base.into_iter().chain(said).chain(sum).collect();
+    let picture = bars("Witnesses", HALF, "logits: right for sticking, left against", &rows)?;
+    let caption = "What each witness adds; together they are the logit of the probability. README, \"The rule\".";
+    Ok(Figure { picture, caption: caption.to_owned(), wide: false })
+}

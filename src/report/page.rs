@@ -1,0 +1,250 @@
+//! The report as one HTML file: readable without scripts and without a network.
+//!
+//! Names come from outside; every value goes through `maud`, which escapes it. The style sheet and the script stand
+//! beside this file and know nothing of the data.
+
+use maud::{DOCTYPE, Markup, PreEscaped, html};
+use serde_json::Value;
+
+use super::figures::{Figure, Subject, brief, detailed};
+use super::ink;
+use super::plot::PlotError;
+use super::words::{self, number};
+use super::{LoopReport, Report};
+use crate::units::format_rfc3339;
+use crate::verdict::{Assessment, Verdict};
+
+pub(super) const STYLE: &str = include_str!("page.css");
+pub(super) const SCRIPT: &str = include_str!("page.js");
+
+/// The whole page.
+///
+/// # Errors
+/// [`PlotError`], where a picture cannot be drawn.
+pub fn page(report: &Report) -> Result<String, PlotError> {
+    let order = report.by_urgency();
+    let single = report.loops.len() == 1;
+    let mut sections = Vec::with_capacity(order.len());
+    for &k in &order {
+        sections.push(section(&report.loops[k], k, single)?);
+    }
+    let title = match report.loops.as_slice() {
+        [one] => format!("Valve stiction report: {}", one.document.loop_name),
+        all => format!("Valve stiction report: {} loops", all.len()),
+    };
+    Ok(html! {
+        (DOCTYPE)
+        html lang="en" {
+            head {
+                meta charset="utf-8";
+                meta name="viewport" content="width=device-width, initial-scale=1";
+                meta name="color-scheme" content="light dark";
+                meta http-equiv="Content-Security-Policy"
+                    content="default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'";
+                title { (title) }
+                style { (PreEscaped(ink::style())) (PreEscaped(STYLE)) }
+            }
+            body {
+                header {
+                    h1 { (title) }
+                    p.soft { "From " code { (report.input) } ", stictiond " (report.version) "." }
+                }
+                main {
+                    @if !single { (overview(report, &order)) }
+                    @for warning in &report.warnings { p.warning { (warning) } }
+                    @for part in sections { (part) }
+                    (footer(report))
+                }
+                div id="value" hidden {}
+                script { (PreEscaped(SCRIPT)) }
+            }
+        }
+    }
+    .into_string())
+}
+
+fn footer(report: &Report) -> Markup {
+    html! {
+        section.card {
+            h2 { "How this report was made" }
+            pre { code { (report.command) } }
+            p.soft {
+                "The same file, options and build give the same numbers. Fields are explained in the README of stictiond. \
+                 Pictures are drawn from the points that were analysed; curves keep the extremes of each pixel column."
+            }
+        }
+    }
+}
+
+/// The table of all loops, those that most likely stick and stick most first.
+fn overview(report: &Report, order: &[usize]) -> Markup {
+    let count = |wanted: Option<bool>| report.loops.iter().filter(|l| l.document.assessment.stiction == wanted).count();
+    html! {
+        section.card {
+            h2 { "All loops" }
+            p {
+                (report.loops.len()) " loops: " b { (count(Some(true))) " stick" } ", " (count(Some(false))) " do not, "
+                (count(None)) " cannot be told. Sorted by probability, then by s."
+            }
+            @if report.loops.iter().any(|l| l.detail.is_none() && l.document.assessment.s.is_some()) {
+                p.soft { "Loops further down are shown in short; --report-all draws every loop in full, --loop one of them." }
+            }
+            div.scroll {
+                table.overview {
+                    thead { tr {
+                        th { "loop" } th { "verdict" } th.number { "p" } th { "grade" } th.number { "s, OP units" }
+                        th.number.more { "90 %" } th.number.more { "% of travel" } th.number.more { "period, s" }
+                        th.more { "gates" }
+                    } }
+                    tbody {
+                        @for &k in order {
+                            @let one = &report.loops[k];
+                            @let a = &one.document.assessment;
+                            tr {
+                                td.name { a href=(format!("#loop-{k}")) { (one.document.loop_name) } }
+                                td { (badge(a.verdict)) }
+                                td.number { (optional(a.p_stiction)) }
+                                td { @if let Some(grade) = a.grade { (grade) } }
+                                td.number { (optional(a.s)) }
+                                td.number.more { @if let Some([low, high]) = a.s_interval { (number(low)) " to " (number(high)) } }
+                                td.number.more { (optional(one.percent())) }
+                                td.number.more { (optional(a.oscillation.period_s)) }
+                                td.more { (a.gates.iter().map(|g| g.name()).collect::<Vec<_>>().join(", ")) }
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+pub(super) fn optional(value: Option<f64>) -> String {
+    value.map_or_else(|| "\u{2013}".to_owned(), number)
+}
+
+fn badge(v: Verdict) -> Markup {
+    let class = match v.stiction() {
+        Some(true) => "badge bad",
+        Some(false) => "badge good",
+        None => "badge open",
+    };
+    html! { span class=(class) { (v.name().replace('_', " ")) } }
+}
+
+/// One loop, collapsible; open where it is the only one.
+fn section(one: &LoopReport, k: usize, open: bool) -> Result<Markup, PlotError> {
+    let a = &one.document.assessment;
+    let subject = Subject {
+        record: &one.record,
+        original: one.original.as_ref(),
+        assessment: a,
+        tags: &one.tags,
+        detail: one.detail.as_ref(),
+    };
+    let in_full = open || one.detail.is_some() || one.full;
+    let figures = if in_full { detailed(&subject)? } else { brief(&subject)? };
+    Ok(html! {
+        details.loop open[open] {
+            summary {
+                span.name { (one.document.loop_name) } " " (badge(a.verdict))
+                @if let Some(p) = a.p_stiction { span.soft { " p " (number(p)) } }
+                @if let Some(s) = a.s { span.soft { " s " (number(s)) } }
+            }
+            div id=(format!("loop-{k}")) {
+                (summary(one, a))
+                div.pictures { @for figure in &figures { (picture(figure)) } }
+                details.numbers {
+                    summary { "All numbers" }
+                    (numbers(one))
+                }
+            }
+        }
+    })
+}
+
+pub(super) fn picture(figure: &Figure) -> Markup {
+    html! {
+        figure class=[figure.wide.then_some("wide")] {
+            div.frame { (figure.picture) }
+            figcaption { b { (figure.picture.title) "." } " " (figure.caption) }
+        }
+    }
+}
+
+/// What a planner needs.
+fn summary(one: &LoopReport, a: &Assessment) -> Markup {
+    let w = &a.window;
+    let evidence = words::evidence(a);
+    let unknown = words::unknowns(a, one.op_range);
+    let bump = words::bump_test(a).zip(a.s).filter(|_| a.stiction != Some(false));
+    html! {
+        section.card {
+            p.headline { (badge(a.verdict)) " " (capital(words::verdict(a.verdict))) "." }
+            dl {
+                @if let Some(size) = words::size(a, one.op_range).filter(|_| a.stiction != Some(false)) {
+                    dt { "Size" } dd { (size) "." }
+                }
+                dt { "How sure" } dd { (words::sureness(a)) }
+                dt { "What to do" } dd {
+                    (words::advice(a.verdict))
+                    @if !a.contributing.is_empty() {
+                        " Besides: " (a.contributing.iter().map(|v| words::verdict(*v)).collect::<Vec<_>>().join("; ")) "."
+                    }
+                }
+                @if let Some((test, s)) = bump { dt { "Bump test" } dd { (words::bump_words(&test, s)) } }
+                @if !evidence.is_empty() {
+                    dt { "Evidence" } dd { ul { @for (text, logits) in &evidence {
+                        li { (text) span.soft { " (" (format!("{logits:+.1}")) ")" } }
+                    } } }
+                }
+                @if !unknown.is_empty() {
+                    dt { "Not known" } dd { ul { @for text in &unknown { li { (text) } } } }
+                }
+                dt { "Record" } dd {
+                    (format_rfc3339(w.start_ns)) " to " (format_rfc3339(w.end_ns)) ", " (w.samples) " samples of "
+                    (number(w.ts_s)) " s"
+                    @if let (Some(period), Some(periods)) = (a.oscillation.period_s, a.oscillation.periods) {
+                        ", " (number(periods)) " periods of " (words::duration(period))
+                    }
+                    "."
+                    @if let Some(comment) = &one.comment { " " (comment) }
+                }
+            }
+        }
+    }
+}
+
+fn capital(text: &str) -> String {
+    let mut letters = text.chars();
+    letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
+}
+
+/// The whole document as a table, absent numbers too.
+fn numbers(one: &LoopReport) -> Markup {
+    let document = serde_json::to_value(&one.document).unwrap_or(Value::Null);
+    let mut rows = Vec::new();
+    flatten("", &document, &mut rows);
+    html! {
+        div.scroll { table.plain { tbody {
+            @for (name, value) in &rows { tr { th { (name) } td { (value) } } }
+        } } }
+    }
+}
+
+/// Leaves of a document with their paths; lists of numbers stay together.
+pub(super) fn flatten(path: &str, value: &Value, out: &mut Vec<(String, String)>) {
+    let below = |name: &str| if path.is_empty() { name.to_owned() } else { format!("{path}.{name}") };
+    match value {
+        Value::Object(map) => map.iter().for_each(|(name, v)| flatten(&below(name), v, out)),
+        Value::Array(list) if list.iter().any(Value::is_object) => {
+            for (k, v) in list.iter().enumerate() {
+                let name = v.get("name").and_then(Value::as_str).map_or_else(|| k.to_string(), str::to_owned);
+                flatten(&below(&name), v, out);
+            }
+        }
+        Value::Null => out.push((path.to_owned(), "null".to_owned())),
+        Value::String(text) => out.push((path.to_owned(), text.clone())),
+        other => out.push((path.to_owned(), other.to_string())),
+    }
+}
