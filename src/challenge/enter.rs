@@ -104,10 +104,10 @@ impl Made {
                 let [fs, fd] = valve.bench(1.0);
                 self.note("fd_over_fs", fd / fs, "");
             }
-            Kind::SlidingValve => {
-                // From far above OP's pace to far below it, and enough drag to be in motion still at the next scan.
-                valve.packing.vs *= libm::exp(-7.0 * size.min(1.0));
-                valve.packing.fv += 1.2 * size;
+            Kind::SlidingValve if size > 0.0 => {
+                // A Stribeck speed far below OP's pace, and enough drag to be in motion still at the next scan.
+                valve.packing.vs *= libm::exp(-5.0 - 2.0 * size);
+                valve.packing.fv = 0.25 + 0.25 * size;
                 let vs = valve.packing.vs;
                 self.note("stribeck_speed", vs, "op/sample");
             }

@@ -25,6 +25,7 @@ mod enter;
 mod generate;
 mod kinds;
 mod plant;
+pub mod real;
 pub mod score;
 mod truth;
 mod valve;

@@ -3,6 +3,7 @@
 
 mod answer;
 mod picture;
+mod real;
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -53,6 +54,8 @@ enum Command {
     Run(RunArgs),
     /// Open the truth, refuse one that was changed, and print every figure.
     Score(ScoreArgs),
+    /// Check it on real recordings: effects put into them, the valve position hidden, stiction itself withheld.
+    Real(real::Args),
 }
 
 #[derive(Debug, clap::Args)]
@@ -113,6 +116,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
         Command::New(args) => new(args, format),
         Command::Run(args) => answer_all(args, format),
         Command::Score(args) => score_all(args, format),
+        Command::Real(args) => real::run(args, format),
     }
 }
 
