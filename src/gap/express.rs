@@ -1,6 +1,7 @@
 //! From the search's normalised places to models and fits in recorded units.
 
-use super::kernel::{INTEGRATOR_SCALE, Kernel, Scored};
+use super::answer::INTEGRATOR_SCALE;
+use super::kernel::{Kernel, Scored};
 use super::model::{Added, Model, Process, SCHEMA, Valve};
 use super::plan::Recipe;
 use super::scene::Scene;

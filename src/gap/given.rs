@@ -1,9 +1,10 @@
 //! A model from elsewhere, simulated on a record as it is: only what the record must supply is fitted (the stem before
 //! it, PV's level, the process' state, and loads that the model names without their size).
 
+use super::answer::INTEGRATOR_SCALE;
 use super::effects::{self, Effect};
 use super::express::{above_floor, rms};
-use super::kernel::{INTEGRATOR_SCALE, Kernel, Scored};
+use super::kernel::{Kernel, Scored};
 use super::model::{Model, ModelError};
 use super::plan::{Gene, MAX_PARAMS, Recipe};
 use super::scene::Scene;

@@ -4,23 +4,19 @@
 //! and so is fd where the valve signal is linear in it; time constants, dead time and the effects' parameters are
 //! improved by Gauss-Newton steps on finite differences.
 
+use super::answer::Process;
+use super::moves::{From, MOST_OVERSHOOT, clamped, movable};
 use super::plan::{Gene, MAX_PARAMS, Plan, Recipe};
 use super::scene::{Scene, View};
 use crate::ident::candidate::MIN_SLIPS;
 use crate::ident::fit::{Freedom, best_band};
 use crate::ident::least_squares::Gram;
 use crate::sim::actuator::{play_step, rate_step, stop_step};
-use crate::sim::process::{Pole, run_one, separated, series_weights};
+use crate::sim::process::{Pole, run_one, separated};
 use crate::sim::slips::Sequence;
 
-/// Points by which an integrator's answer is scaled down, so that it is of the size of its input.
-pub const INTEGRATOR_SCALE: f64 = 50.0;
 /// Columns of a model, right-hand side included, at most.
 const MAX_COLUMNS: usize = 11;
-/// Longest step in the logarithm of a time constant.
-const LOG_STEP: f64 = 0.7;
-/// Largest fd over fs, in size, of a stem that overshoots.
-const MOST_OVERSHOOT: f64 = 0.95;
 
 /// Linear coefficients of a model: those of the other columns first, then that of the response.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -79,14 +75,6 @@ pub struct Kernel<'a> {
     slopes: Vec<Vec<f64>>,
     residual: Vec<f64>,
     response: Vec<f64>,
-}
-
-/// What of the valve has to be run again.
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum From {
-    Path,
-    Stem,
-    Process,
 }
 
 impl<'a> Kernel<'a> {
@@ -516,201 +504,5 @@ fn course(out: &mut Vec<f64>, n: usize, from: usize, a: f64) {
     }
 }
 
-/// The process of a plan.
-#[derive(Clone, Copy)]
-struct Process<'p> {
-    plan: &'p Plan,
-    tau: [f64; 2],
-    whole: usize,
-    fraction: f64,
-    n: usize,
-}
-
-impl Process<'_> {
-    /// Its answer to `v` from rest at its first value.
-    fn respond(&self, v: &[f64], out: &mut Vec<f64>, work: &mut Vec<f64>) {
-        self.at_lag(v, self.whole, self.fraction, out, work);
-        let Some([time, more]) = self.plan.switch else { return };
-        let lag = (self.whole as f64 + self.fraction + more).max(0.0);
-        let mut after = Vec::with_capacity(self.n);
-        self.at_lag(v, lag.floor() as usize, lag - lag.floor(), &mut after, work);
-        // From the change on, the state at the change runs down in the process' own time.
-        let at = (time.max(0.0) as usize).min(self.n.saturating_sub(1));
-        let mut left = out[at] - after[at];
-        let decay = if self.plan.integrating { 1.0 } else { libm::exp(-1.0 / self.tau[0]) };
-        for (o, a) in out[at..].iter_mut().zip(&after[at..]) {
-            *o = a + left;
-            left *= decay;
-        }
-    }
-
-    fn at_lag(&self, v: &[f64], whole: usize, fraction: f64, out: &mut Vec<f64>, work: &mut Vec<f64>) {
-        let first = v.first().copied().unwrap_or(0.0);
-        if self.plan.integrating {
-            let p = Pole::integrator(fraction);
-            let p = Pole { a: p.a, b0: p.b0 / INTEGRATOR_SCALE, b1: p.b1 / INTEGRATOR_SCALE };
-            run_one(p, whole, v, 0.0, out);
-            return;
-        }
-        let [tau1, tau2] = self.tau;
-        run_one(Pole::lag(tau1, fraction), whole, v, first, out);
-        if tau2 > 0.0 {
-            run_one(Pole::lag(tau2, fraction), whole, v, first, work);
-            let (w1, w2) = series_weights(tau1, tau2);
-            for (o, w) in out.iter_mut().zip(work.iter()) {
-                *o = w1 * *o + w2 * w;
-            }
-        }
-    }
-}
-
-/// One entry that Gauss-Newton may move.
-struct Movable {
-    slot: Slot,
-    from: From,
-    /// Longest step.
-    most: f64,
-    /// Size of 1e-4 of it for a difference.
-    scale: f64,
-}
-
-enum Slot {
-    Fd,
-    LogTau,
-    Lag,
-    Param(usize),
-}
-
-impl Movable {
-    fn entry<'g>(&self, gene: &'g mut Gene) -> &'g mut f64 {
-        match self.slot {
-            Slot::Fd => &mut gene.fd,
-            Slot::LogTau => &mut gene.log_tau,
-            Slot::Lag => &mut gene.lag,
-            Slot::Param(i) => &mut gene.p[i],
-        }
-    }
-
-    fn shift(&self, gene: &mut Gene, share: f64) -> f64 {
-        let delta = share * self.scale;
-        *self.entry(gene) += delta;
-        delta
-    }
-
-    fn step(&self, gene: &mut Gene, by: f64) {
-        if by.is_finite() {
-            *self.entry(gene) += by.clamp(-self.most, self.most);
-        }
-    }
-}
-
-fn movable(recipe: &Recipe, plan: &Plan, scene: &Scene) -> Vec<Movable> {
-    let mut out = Vec::with_capacity(MAX_PARAMS + 3);
-    if plan.law.is_some() && !plan.is_linear_in_fd() {
-        out.push(Movable { slot: Slot::Fd, from: From::Stem, most: 0.1, scale: 0.1 });
-    }
-    if !plan.integrating {
-        out.push(Movable { slot: Slot::LogTau, from: From::Process, most: LOG_STEP, scale: 0.1 });
-    }
-    out.push(Movable { slot: Slot::Lag, from: From::Process, most: 2.5_f64.max(0.02 * scene.period), scale: 0.1 });
-    for (i, param) in recipe.params().enumerate() {
-        if let Some(from) = match param.reach {
-            super::effects::Reach::Process => Some(From::Process),
-            super::effects::Reach::Stem => Some(From::Stem),
-            super::effects::Reach::Path => Some(From::Path),
-            super::effects::Reach::Jumps => None,
-        } {
-            let [low, high] = param.bounds(scene);
-            let width = high - low;
-            out.push(Movable { slot: Slot::Param(i), from, most: 0.2 * width, scale: 0.01 * width });
-        }
-    }
-    out
-}
-
-/// The gene inside its bounds.
-#[must_use]
-pub fn clamped(recipe: &Recipe, mut gene: Gene, scene: &Scene) -> Gene {
-    let limits = scene.question.limits;
-    gene.log_tau = gene.log_tau.clamp(libm::log(limits.tau[0]), libm::log(limits.tau[1]));
-    gene.lag = gene.lag.clamp(limits.lag[0], limits.lag[1]);
-    for (value, param) in gene.p.iter_mut().zip(recipe.params()) {
-        let [low, high] = param.bounds(scene);
-        *value = value.clamp(low, high);
-    }
-    let overshoot = recipe.each().any(|e| e.id == "slip_overshoot");
-    gene.s = gene.s.clamp(1e-4, 1.5);
-    if overshoot {
-        gene.j = gene.j.clamp(gene.s, 39.0 * gene.s);
-        gene.fd = gene.fd.clamp(-MOST_OVERSHOOT * 0.5 * (gene.s + gene.j), 0.0);
-    } else {
-        gene.j = gene.j.clamp(0.0, gene.s);
-        gene.fd = gene.fd.clamp(0.0, 0.5 * gene.s);
-    }
-    gene
-}
-
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::gap::effects::{self, Way};
-    use crate::record::Record;
-    use crate::sim::noise::Noise;
-    use crate::sim::slips::{FirstSlip, Law};
-
-    /// A record made by the base, and the gene that made it.
-    fn made() -> (Scene, Gene) {
-        let mut noise = Noise::new(1, 0);
-        let op: Vec<f64> = (0..700)
-            .map(|k| 50.0 + 5.0 * libm::sin(f64::from(k) * 0.09) + 2.0 * libm::sin(f64::from(k) * 0.031))
-            .collect();
-        let pv: Vec<f64> = (0..700).map(|_| noise.gaussian()).collect();
-        let scene = Scene::new(&Record::uniform(1.0, op.clone(), pv), None, 1, vec![false; 700]);
-        let first = FirstSlip { direction: 1.0, threshold: scene.question.path[0] + 0.05 };
-        let gene = Gene { s: 0.3, j: 0.1, first, fd: 0.1, log_tau: libm::log(9.0), lag: 4.3, p: [0.0; MAX_PARAMS] };
-        let linear = Linear { others: [0.0; MAX_COLUMNS], count: 2, gain: 2.0 };
-        let of = Scored { gene, sse: 0.0, cells: [[0.0; 2]; 2], slips: 9, linear };
-        let (course, _) = Kernel::new(&scene, 1.0).simulate(&Recipe::base(Some(Law::He)), &of).unwrap();
-        let pv = course.iter().map(|x| 3.0 * x + 0.01 * noise.gaussian()).collect();
-        (Scene::new(&Record::uniform(1.0, op, pv), None, 1, vec![false; 700]), gene)
-    }
-
-    #[test]
-    fn every_effect_at_rest_is_the_base() {
-        let (scene, gene) = made();
-        let mut kernel = Kernel::new(&scene, 1.0);
-        let base = kernel.evaluate(&Recipe::base(Some(Law::He)), &gene, View::Plain).unwrap();
-        let n = scene.target(View::Plain).len() as f64;
-        assert!((base.sse / n).sqrt() * scene.deviation < 0.02, "{}", base.sse);
-        let rest = |id: &str| match id {
-            "rate_limit" => [libm::log(2.0), 0.0],
-            "travel_limit" => [2.0, 1.0],
-            "positioner_lag" | "extra_lag" | "inverse_response" => [libm::log(1e-3), 0.0],
-            "dead_time_change" => [350.0, 0.0],
-            "sinusoid" => [0.5, 0.0],
-            "step_load" => [300.0, 0.0],
-            _ => [0.0; 2],
-        };
-        let switches = ["slip_overshoot", "sliding_valve", "integrating"];
-        for effect in effects::ALL.into_iter().filter(|e| e.way == Way::Simulated && !switches.contains(&e.id)) {
-            let [a, b] = rest(effect.id);
-            let at_rest = Gene { p: [a, b, 0.0, 0.0], ..gene };
-            let found = kernel.evaluate(&Recipe::with(Some(Law::He), effect), &at_rest, View::Plain).unwrap();
-            // Linear coefficients of its own can only help; fd is not solved exactly behind what follows the stem.
-            let ratio = found.sse / base.sse;
-            assert!(ratio < 1.0 + 1e-2 && ratio > 0.9, "{}: {ratio}", effect.id);
-        }
-    }
-
-    #[test]
-    fn gauss_newton_finds_lag_time_constant_and_band() {
-        let (scene, gene) = made();
-        let recipe = Recipe::base(Some(Law::He));
-        let mut kernel = Kernel::new(&scene, 1.0);
-        let away = Gene { log_tau: libm::log(14.0), lag: 6.0, ..gene };
-        let start = kernel.evaluate(&recipe, &away, View::Plain).unwrap();
-        let found = kernel.improve(&recipe, start, View::Plain, 12);
-        assert!(found.sse < start.sse && (found.gene.lag - 4.3).abs() < 0.1, "{}", found.gene.lag);
-        assert!((libm::exp(found.gene.log_tau) - 9.0).abs() < 0.2 && (found.gene.fd - 0.1).abs() < 0.02);
-    }
-}
+mod tests;

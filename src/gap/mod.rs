@@ -3,6 +3,7 @@
 //! [`diagnose`] fits the base (He's law, first order with dead time) to the training blocks of a record, then the base
 //! with each effect of the [`effects::ALL`] catalogue, and judges on what it was not fitted to.
 
+mod answer;
 mod coarse;
 mod decide;
 mod diagnosis;
@@ -16,6 +17,7 @@ pub mod locate;
 pub mod loop_run;
 pub mod model;
 pub mod model_file;
+mod moves;
 mod next_test;
 mod noise;
 mod pairs;

@@ -5,7 +5,8 @@
 
 use rand_chacha::ChaCha8Rng;
 
-use super::kernel::{Kernel, Scored, clamped};
+use super::kernel::{Kernel, Scored};
+use super::moves::clamped;
 use super::plan::{Gene, MAX_PARAMS, Recipe};
 use super::scene::{Scene, View};
 use crate::ident::candidate::Question;

@@ -182,8 +182,8 @@ fn between_knots(pv: &[f64], prediction: &mut [f64]) {
         let knot = k + 1 == n || (pv[k + 1] - 2.0 * pv[k] + pv[k - 1]).abs() >= scale;
         if knot {
             let (a, b) = (prediction[last], prediction[k]);
-            for i in last + 1..k {
-                prediction[i] = a + (b - a) * (i - last) as f64 / (k - last) as f64;
+            for (i, p) in prediction[last..k].iter_mut().enumerate().skip(1) {
+                *p = a + (b - a) * i as f64 / (k - last) as f64;
             }
             last = k;
         }

@@ -22,7 +22,7 @@ pub const EFFECT: Effect = Effect {
         },
     ],
     enter: |p, plan| plan.switch = Some([p[0], p[1]]),
-    starts: starts,
+    starts,
     linear: nothing,
     margin: WIDE_MARGIN,
     predictable: true,

@@ -17,7 +17,7 @@ pub const EFFECT: Effect = Effect {
         plan.tau2 = libm::exp(p[0]);
         plan.zero = true;
     },
-    starts: starts,
+    starts,
     linear: nothing,
     margin: WIDE_MARGIN,
     predictable: true,

@@ -14,7 +14,7 @@ pub const EFFECT: Effect = Effect {
         limits: |s| [libm::log(0.3 / s.box_samples), libm::log(40.0 / s.box_samples)],
     }],
     enter: |p, plan| plan.positioner = libm::exp(p[0]),
-    starts: starts,
+    starts,
     linear: nothing,
     margin: MARGIN,
     predictable: true,

@@ -17,7 +17,7 @@ pub const EFFECT: Effect = Effect {
         limits: |s| [0.0, 0.8 * s.n() as f64],
     }],
     enter: |p, plan| plan.ramp = Some(p[0]),
-    starts: starts,
+    starts,
     linear: rate,
     margin: WIDE_MARGIN,
     predictable: true,

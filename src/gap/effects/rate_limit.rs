@@ -14,7 +14,7 @@ pub const EFFECT: Effect = Effect {
         limits: |_| [libm::log(0.002), libm::log(2.0)],
     }],
     enter: |p, plan| plan.rate = libm::exp(p[0]),
-    starts: starts,
+    starts,
     linear: nothing,
     margin: MARGIN,
     predictable: true,

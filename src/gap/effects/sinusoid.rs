@@ -17,7 +17,7 @@ pub const EFFECT: Effect = Effect {
         limits: |s| [3.0 / s.n() as f64, 1.5],
     }],
     enter: |p, plan| plan.omega = Some(p[0]),
-    starts: starts,
+    starts,
     linear: amplitude,
     margin: WIDE_MARGIN,
     predictable: true,

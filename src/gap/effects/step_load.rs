@@ -20,7 +20,7 @@ pub const EFFECT: Effect = Effect {
         Param { name: "straight", unit: Unit::Choice, reach: Reach::Jumps, limits: |_| [0.0, 1.0] },
     ],
     enter: |p, plan| plan.step = Some((p[0], p[1] > 0.5)),
-    starts: starts,
+    starts,
     linear: size,
     margin: WIDE_MARGIN,
     predictable: true,

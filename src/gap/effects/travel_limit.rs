@@ -15,7 +15,7 @@ pub const EFFECT: Effect = Effect {
         // The second says which end.
         if p[1] < 0.5 { plan.stops[0] = p[0] } else { plan.stops[1] = p[0] }
     },
-    starts: starts,
+    starts,
     linear: nothing,
     margin: MARGIN,
     predictable: true,
