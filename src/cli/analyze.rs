@@ -9,6 +9,7 @@ use clap::ValueEnum;
 use indicatif::ProgressBar;
 use serde::Serialize;
 
+use super::analyze_report::Maker;
 use super::gap::model_file;
 use super::selection::{MIN_SAMPLES, Points, Section, Selection, Taken, pair, usable};
 use super::solving::{self, SolverArgs, SolverDocument};
@@ -34,6 +35,7 @@ use crate::verdict::{AssessParams, DelayChoice, EstimateDocument, ModelChoice, V
   stictiond analyze loop4.csv --solver multistart --evaluations 20000 --seed 7
   stictiond analyze loop4.csv --solver \"cmd:python3 examples/solver.py\"
   stictiond analyze plant.mcap --loop FIC101 --window 2026-01-05T08:00:00Z,2026-01-05T09:00:00Z --format json
+  stictiond analyze plant.mcap --report plant.html
 
 Bands are sought with 0 <= fd <= fs and fs + fd <= S0, the span of OP. Ctrl-C ends after the loop under way; what is
 known by then has been printed, and the exit code is 1. At least 30 samples are needed, 50 a period are wanted.")]
@@ -62,6 +64,15 @@ pub struct Args {
     /// A solver to compare with.
     #[command(flatten)]
     pub solver: SolverArgs,
+    /// Write a report too: a page that opens offline (.html), or its pictures alone (.svg).
+    #[arg(long, value_name = "FILE")]
+    pub report: Option<PathBuf>,
+    /// Draw every loop of the report in full, not only the twelve that most likely stick.
+    #[arg(long, requires = "report")]
+    pub report_all: bool,
+    /// Replace an existing report.
+    #[arg(long, requires = "report")]
+    pub force: bool,
 }
 
 /// How well a model from elsewhere follows the record, free run.
@@ -89,6 +100,9 @@ pub struct Answer {
     pub solver: Option<SolverDocument>,
     /// How well the model follows that was given.
     pub scored: Option<Scored>,
+    /// What the report draws.
+    #[serde(skip)]
+    pub looked_at: (Record, AssessParams),
 }
 
 /// `--model`.
@@ -158,9 +172,14 @@ pub(super) fn config_of(path: &Path) -> anyhow::Result<Option<RunMetadata>> {
 /// # Errors
 /// The file cannot be read, the loop or section does not exist, or nothing in it can be analysed.
 pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
+    let mut report = match &args.report {
+        Some(path) => Some(Maker::new(path, args.report_all, args.force)?),
+        None => None,
+    };
     let loaded = load_samples(&args.input)?;
     for warning in &loaded.warnings {
         tracing::warn!("{warning}");
+        report.iter_mut().for_each(|r| r.warn(warning.clone()));
     }
     let recorded = config_of(&args.input)?;
     let config = recorded.map_or_else(|| Config::with_prefix("plant"), |r| r.config);
@@ -188,8 +207,15 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
                     Ok(answer) => {
                         done += 1;
                         print(&answer, format)?;
+                        if let Some(report) = &mut report {
+                            let Answer { document, looked_at: (record, params), .. } = answer;
+                            report.add(document, record, params);
+                        }
                     }
-                    Err(error) if !alone && !error.is::<UsageError>() => tracing::warn!("{error:#}"),
+                    Err(error) if !alone && !error.is::<UsageError>() => {
+                        tracing::warn!("{error:#}");
+                        report.iter_mut().for_each(|r| r.warn(format!("{error:#}")));
+                    }
                     Err(error) => return Err(error),
                 }
             }
@@ -201,6 +227,9 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     }
     if done == 0 {
         bail!("{place}: no loop could be analysed");
+    }
+    if let Some(report) = report {
+        report.finish(&args.input)?;
     }
     Ok(if loaded.data_loss { Outcome::DataLoss } else { Outcome::Done })
 }
@@ -245,6 +274,7 @@ fn estimate(
         selection,
         solver,
         scored,
+        looked_at: (record, params),
     })
 }
 

@@ -53,13 +53,13 @@ pub struct NewArgs {
     #[arg(long, value_name = "TAG")]
     pub tag: Vec<String>,
     /// Sampling time, s; otherwise the tables' own.
-    #[arg(long, value_name = "SECONDS")]
+    #[arg(long, value_name = "SECONDS", allow_negative_numbers = true)]
     pub ts: Vec<f64>,
     /// A note, once a file.
     #[arg(long, value_name = "TEXT")]
     pub comment: Vec<String>,
     /// Time of the first sample, seconds since 1970 or RFC 3339; otherwise the tables' own, or 1970.
-    #[arg(long, value_name = "TIME", value_parser = |text: &str| parse_time(text).map_err(|e| e.to_string()))]
+    #[arg(long, value_name = "TIME", allow_negative_numbers = true, value_parser = |text: &str| parse_time(text).map_err(|e| e.to_string()))]
     pub start: Vec<i64>,
     /// Write as save -v6 does, without compression.
     #[arg(long)]

@@ -1,6 +1,7 @@
 //! The command line: one file a command, results on stdout, everything else on stderr.
 
 pub mod analyze;
+mod analyze_report;
 pub mod bench;
 pub mod calibrate;
 mod calibrate_intervals;

@@ -1,8 +1,9 @@
 //! Documents in words.
 
 use super::analyze::Answer;
+use crate::report::words;
 use crate::units::format_rfc3339;
-use crate::verdict::{Assessment, EstimateDocument, Verdict};
+use crate::verdict::{Assessment, EstimateDocument};
 
 /// A number with a sensible count of digits, or a dash.
 fn number(value: Option<f64>) -> String {
@@ -10,19 +11,6 @@ fn number(value: Option<f64>) -> String {
         None => "-".to_owned(),
         Some(v) if v == 0.0 || (0.01..1e5).contains(&v.abs()) => format!("{v:.3}"),
         Some(v) => format!("{v:.3e}"),
-    }
-}
-
-/// The verdict in a sentence.
-fn sentence(a: &Assessment) -> &'static str {
-    match a.verdict {
-        Verdict::Stiction => "the valve sticks and slips",
-        Verdict::Deadband => "the valve has a dead band",
-        Verdict::Disturbance => "the loop oscillates, most likely from outside; the valve follows its signal",
-        Verdict::Tuning => "the loop oscillates, most likely by its own tuning; the valve follows its signal",
-        Verdict::NoOscillation => "no oscillation, and no stiction seen",
-        Verdict::NoStiction => "no stiction seen",
-        Verdict::Inconclusive => "this window cannot answer",
     }
 }
 
@@ -34,7 +22,7 @@ fn gates(a: &Assessment) -> String {
 pub(super) fn estimate(document: &EstimateDocument) -> String {
     let a = &document.assessment;
     let w = &a.window;
-    let mut lines = vec![format!("{}: {} ({})", document.loop_name, a.verdict.name(), sentence(a))];
+    let mut lines = vec![format!("{}: {} ({})", document.loop_name, a.verdict.name(), words::verdict(a.verdict))];
     let mut row = |name: &str, value: String| lines.push(format!("  {name:<12} {value}"));
     let boxes = if w.box_samples > 1 { format!(", in boxes of {}", w.box_samples) } else { String::new() };
     let (start, end) = (format_rfc3339(w.start_ns), format_rfc3339(w.end_ns));

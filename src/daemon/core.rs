@@ -314,8 +314,11 @@ impl Core {
             return self.refuse_gap(answer, &GapRefusal::UnknownLoop(loop_name.to_owned()).to_string());
         };
         if let Some(number) = self.engine.gaps_waiting(id).last() {
-            self.asking.entry((id, number)).or_default().push(answer);
-            return;
+            let asking = self.asking.entry((id, number)).or_default();
+            if asking.len() < gaps::QUEUE {
+                return asking.push(answer);
+            }
+            return self.refuse_gap(answer, &format!("{} wait for this diagnosis already", gaps::QUEUE));
         }
         if self.diagnoser.requests.is_full() {
             return self.refuse_gap(answer, &format!("{} diagnoses wait already: try again later", gaps::QUEUE));

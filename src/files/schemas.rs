@@ -53,7 +53,7 @@ fn fields(kind: Kind) -> Fields {
         Kind::Gap => Fields {
             integers: &["evaluations"],
             numbers: &["parametric"],
-            texts: &["schema", "loop", "version"],
+            texts: &["schema", "loop", "version", "reason", "by", "config_hash"],
             flags: &["stopped_early"],
             objects: &[
                 ("window", &["start_ns", "end_ns", "samples", "ts_s"]),

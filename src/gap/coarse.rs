@@ -8,7 +8,7 @@
 
 use super::plan::{Gene, MAX_PARAMS, Plan};
 use super::scene::Scene;
-use crate::ident::bank::{Bank, Glance};
+use crate::ident::bank::{BINS, Bank, Glance, bin_edge};
 use crate::ident::candidate::{MIN_SLIPS, Question, freedom};
 use crate::ident::fit::Freedom;
 use crate::signal::detrend::{box_means, high_pass};
@@ -25,8 +25,12 @@ const BEYOND: [f64; 5] = [1.08, 1.3, 1.7, 2.4, 4.0];
 const FEW_REVERSALS: usize = 10;
 /// Measures: PV, its differences, its fast part.
 const VIEWS: usize = 3;
-/// Classes of size of which the best are kept.
+/// Classes of size of which the best are kept, for short and for long dead times.
 const CLASSES: usize = 8;
+/// Ranges of dead time that count as short.
+const SHORT: usize = 3;
+/// Boxes of the bank in a period.
+const PER_PERIOD: f64 = 32.0;
 
 /// One sequence with the process that the bank liked best.
 #[derive(Debug, Clone, Copy)]
@@ -36,14 +40,14 @@ struct Seen {
 }
 
 /// Genes worth a fit for valves of this plan (law, unevenness, positioner lag, overshoot), and sequences looked at.
-/// `each` are kept of every measure overall, and two of every size.
+/// `each` are kept of every measure overall, and one of every size and kind of dead time.
 #[must_use]
 pub fn look(scene: &Scene, plan: &Plan, p: [f64; MAX_PARAMS], sign: f64, each: usize) -> (Vec<Gene>, u64) {
     let Some(law) = plan.law else { return (Vec::new(), 0) };
     let question = led(scene, plan);
     let width = scene.period.round() as usize;
     let fast = Question { pv: high_pass(&question.pv, width), ..question.clone() };
-    let (mut plain_bank, mut fast_bank) = (Bank::new(&question), Bank::new(&fast));
+    let (mut plain_bank, mut fast_bank) = (Bank::new(&question, PER_PERIOD), Bank::new(&fast, PER_PERIOD));
     let points = plain_bank.points;
     let whole = question.mean.len() / points * points;
     let path = &question.path[..whole * question.per_point];
@@ -76,15 +80,22 @@ pub fn look(scene: &Scene, plan: &Plan, p: [f64; MAX_PARAMS], sign: f64, each: u
                 let slow = plain_bank.look(&sequence.at, &sequence.direction, &free, &[sign]);
                 let quick = fast_bank.look(&at, &direction, &free, &[sign]);
                 let (Some([level, moves]), Some([part, _])) = (slow.first(), quick.first()) else { continue };
-                for (pool, glance) in pools.iter_mut().zip([level, moves, part]) {
-                    pool.extend(seen(scene, [s, j, free.fd_default], first, glance, p));
+                for (pool, glances) in pools.iter_mut().zip([level, moves, part]) {
+                    // Short and long dead times apart: the wrong slips often go with a long one.
+                    let (short, long) = glances.split_at(SHORT);
+                    for glances in [short, long] {
+                        let best = glances.iter().min_by(|a, b| a.share.total_cmp(&b.share));
+                        pool.extend(best.and_then(|g| seen(scene, [s, j, free.fd_default], first, g, p)));
+                    }
                 }
             }
         }
     }
     let mut out: Vec<Gene> = Vec::new();
+    let [least, most] = question.limits.lag;
+    let long_from = least + bin_edge(SHORT.min(BINS)) * (most - least);
     for pool in &mut pools {
-        keep(pool, each, &mut out);
+        keep(pool, each, long_from, &mut out);
     }
     (out, count)
 }
@@ -117,24 +128,26 @@ fn seen(scene: &Scene, [s, j, fd]: [f64; 3], first: FirstSlip, glance: &Glance, 
     (glance.share < 1.0).then_some(Seen { gene: Gene { s, j, first, fd, log_tau, lag, p }, share: glance.share })
 }
 
-/// Keeps the best `each` overall and two of every class of size, apart from each other.
-fn keep(pool: &mut [Seen], each: usize, out: &mut Vec<Gene>) {
+/// Keeps the best `each` overall and one of every class of size, apart from each other.
+fn keep(pool: &mut [Seen], each: usize, long_from: f64, out: &mut Vec<Gene>) {
     pool.sort_by(|a, b| a.share.total_cmp(&b.share));
     let class = |g: &Gene| {
         let place = 1.0 - libm::log(g.s) / libm::log(LEAST);
-        ((place * CLASSES as f64) as usize).min(CLASSES - 1)
+        let size = ((place * CLASSES as f64) as usize).min(CLASSES - 1);
+        2 * size + usize::from(g.lag >= long_from)
     };
     let mut held: Vec<Gene> = Vec::new();
-    let mut of_class = [0; CLASSES];
+    let mut of_class = [0; 2 * CLASSES];
     let mut overall = 0;
     for seen in pool.iter() {
         let g = seen.gene;
-        let near = |o: &Gene| (o.s / g.s - 1.0).abs() < 0.04 && (o.j - g.j).abs() < 0.15 * g.s;
+        let near =
+            |o: &Gene| (o.s / g.s - 1.0).abs() < 0.04 && (o.j - g.j).abs() < 0.15 * g.s && (o.lag - g.lag).abs() < 3.0;
         if held.iter().any(near) {
             continue;
         }
         let slot = &mut of_class[class(&g)];
-        if overall < each || *slot < 2 {
+        if overall < each || *slot < 1 {
             *slot += 1;
             overall += 1;
             held.push(g);

@@ -107,6 +107,7 @@ pub fn decide(effects: &[EffectResult], evidence: &Basis, without: &[&str]) -> D
                     p,
                     false,
                     &alternatives(&ranked, "coloured_noise", features),
+                    features,
                 )
             } else {
                 named(UNKNOWN, Stage::CannotTell, p, false, &alternatives(&ranked, UNKNOWN, features), features)

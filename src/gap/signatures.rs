@@ -53,7 +53,9 @@ pub fn traces(record: &Record, period: f64, without: &[String]) -> Traces {
     let still = longest_still(pv);
     let length = (still[1] - still[0]) as f64;
     let elsewhere = (repeats * n - length).max(0.0) / n;
-    let held = if grid.is_none() { repeats } else { 0.0 };
+    let at_ends = pv.windows(2).filter(|w| w[0] == w[1] && ends.contains(&w[0])).count() as f64 / n;
+    // A signal that is cut off repeats its end.
+    let held = if grid.is_none() { (repeats - at_ends).max(0.0) } else { 0.0 };
     let straight = straight_share(pv, sd);
     let at_end = |end: f64| pv.iter().filter(|v| **v == end).count() as f64 / n;
     let cut = if at_end(ends[0]) > at_end(ends[1]) { (ends[0], at_end(ends[0])) } else { (ends[1], at_end(ends[1])) };

@@ -168,7 +168,7 @@ fn named(d: &GapDocument, e: &EffectNote) -> String {
         text.push_str(&format!("; not excluded: {}", rivals.join(", ")));
     }
     if !e.separated_by.is_empty() {
-        text.push_str(&format!("; {} would settle it", e.separated_by));
+        text.push_str(&format!("; {} would settle it", e.separated_by.replace("; ", ", or ")));
     }
     text
 }

@@ -232,15 +232,8 @@ impl<'a> Bench<'a> {
             if shapes.last() != Some(&fit.shape) {
                 fit = self.fitter.linear(self.class, &fit.shape, signal, self.target, freedom);
             }
-            fit = self.fitter.improve(
-                self.class,
-                fit,
-                signal,
-                self.target,
-                freedom,
-                effort.steps,
-                [1e-4, effort.wanted],
-            );
+            fit =
+                self.fitter.improve(self.class, fit, signal, self.target, freedom, effort.steps, [1e-4, effort.wanted]);
         }
         Some(self.candidate(s, j, start, fit))
     }

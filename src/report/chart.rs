@@ -6,8 +6,9 @@ use plotters::style::text_anchor::{HPos, VPos};
 use super::ink::Ink;
 use super::plot::{
     Area, Drawn, FINE, LEGEND, Mark, Picture, PlotError, Series, curve, draw, frame, legend, note_axes, range,
-    shortened, text_width, tick, words, write_legend,
+    shortened, text_width, tick, ticks, words, write_legend,
 };
+use super::words::number;
 
 /// Counts of values over one axis.
 #[derive(Debug, Clone)]
@@ -33,7 +34,9 @@ const BINS: usize = 24;
 /// [`PlotError`], where the drawing library refuses.
 pub fn histogram(h: &Histogram<'_>) -> Result<Picture, PlotError> {
     let marked = h.mark.map(|m| m.1);
-    let x = range(h.sets.iter().flat_map(|s| s.1.iter().copied()).chain(marked), 0.05);
+    // No narrower than a few per cent of the marked value: less does not matter.
+    let least = marked.map(|m| [0.97 * m, 1.03 * m]);
+    let x = range(h.sets.iter().flat_map(|s| s.1.iter().copied()).chain(least.into_iter().flatten()), 0.05);
     let counted: Vec<Vec<u32>> = h.sets.iter().map(|s| counts(s.1, x, BINS)).collect();
     let most = counted.iter().flatten().copied().max().unwrap_or(0).max(1);
     let line = h.mark.map(|(name, at)| (name, [at, at], [0.0, f64::from(most) * 1.08]));
@@ -104,6 +107,8 @@ pub struct HeatMap<'a> {
     pub x: [f64; 2],
     /// Range of the vertical axis.
     pub y: [f64; 2],
+    /// Corners of the part of the plane that makes sense; what has no value in it is grey.
+    pub ground: Vec<(f64, f64)>,
     /// Lines and points over it.
     pub overlays: Vec<Overlay<'a>>,
     /// Words over it: place and text.
@@ -111,14 +116,14 @@ pub struct HeatMap<'a> {
 }
 
 /// Width of the colour scale with its numbers, pixels.
-const SCALE: u32 = 76;
+const SCALE: u32 = 100;
 
 /// A heat map with its colour scale.
 ///
 /// # Errors
 /// [`PlotError`], where the drawing library refuses.
 pub fn heat_map(map: &HeatMap<'_>) -> Result<Picture, PlotError> {
-    let z = range(map.cells.iter().map(|c| c[2]), 0.0);
+    let z = Scale::of(range(map.cells.iter().map(|c| c[2]), 0.0));
     let [width, height] = map.size;
     let entries: Vec<Series<'_>> =
         map.overlays.iter().map(|o| Series { name: o.name, x: &[], y: &[], ink: shown(o.ink), mark: o.mark }).collect();
@@ -129,13 +134,14 @@ pub fn heat_map(map: &HeatMap<'_>) -> Result<Picture, PlotError> {
         let (left, right) = root.split_horizontally((width - SCALE) * FINE);
         let mut chart = frame(&left, top, map.x, map.y, Some(map.x_label))?;
         note_axes(axes, &chart);
+        chart.draw_series([Polygon::new(map.ground.clone(), RGBColor(0x80, 0x86, 0x90).filled())])?;
         let [half_x, half_y] = map.step.map(|s| 0.5 * s);
         let cells = map.cells.iter().filter(|c| c[2].is_finite()).map(|[x, y, v]| {
             let corners = [
                 ((x - half_x).max(map.x[0]), (y + half_y).min(map.y[1])),
                 ((x + half_x).min(map.x[1]), (y - half_y).max(map.y[0])),
             ];
-            Rectangle::new(corners, colour(*v, z).filled())
+            Rectangle::new(corners, z.colour(*v).filled())
         });
         chart.draw_series(cells)?;
         for overlay in &map.overlays {
@@ -157,25 +163,50 @@ fn shown(ink: Ink) -> Ink {
     if ink == Ink::Over { Ink::Soft } else { ink }
 }
 
-/// Dark for small values, bright for large ones, even to the eye and to the colour-blind.
-fn colour(value: f64, z: [f64; 2]) -> RGBColor {
-    let share = ((value - z[0]) / (z[1] - z[0])).clamp(0.0, 1.0);
-    ViridisRGB.get_color(share as f32)
+/// A scale of colours over a range of values.
+#[derive(Debug, Clone, Copy)]
+struct Scale {
+    z: [f64; 2],
+    /// Equal steps of colour are equal factors.
+    log: bool,
 }
 
-fn scale(area: &Area<'_>, top: u32, height: u32, z: [f64; 2], label: &str) -> Drawn {
+impl Scale {
+    fn of(z: [f64; 2]) -> Self {
+        Self { z, log: z[0] > 0.0 && z[1] > 3.0 * z[0] }
+    }
+
+    /// Value at a share of the scale.
+    fn at(self, share: f64) -> f64 {
+        let [low, high] = self.z;
+        if self.log { low * (high / low).powf(share) } else { low + (high - low) * share }
+    }
+
+    fn share(self, value: f64) -> f64 {
+        let [low, high] = self.z;
+        let share = if self.log { (value / low).ln() / (high / low).ln() } else { (value - low) / (high - low) };
+        share.clamp(0.0, 1.0)
+    }
+
+    /// Dark for small values, bright for large ones, even to the eye and to the colour-blind.
+    fn colour(self, value: f64) -> RGBColor {
+        ViridisRGB.get_color(self.share(value) as f32)
+    }
+}
+
+fn scale(area: &Area<'_>, top: u32, height: u32, z: Scale, label: &str) -> Drawn {
     const PARTS: u32 = 40;
     let fine = FINE as i32;
     let (from, to) = ((top * FINE) as i32, ((height - super::plot::X_LABELS) * FINE) as i32);
     let at = |k: u32| to - (to - from) * k as i32 / PARTS as i32;
     for k in 0..PARTS {
-        let value = z[0] + (z[1] - z[0]) * (f64::from(k) + 0.5) / f64::from(PARTS);
-        area.draw(&Rectangle::new([(2 * fine, at(k + 1)), (14 * fine, at(k))], colour(value, z).filled()))?;
+        let value = z.at((f64::from(k) + 0.5) / f64::from(PARTS));
+        area.draw(&Rectangle::new([(2 * fine, at(k + 1)), (14 * fine, at(k))], z.colour(value).filled()))?;
     }
     for k in (0..=PARTS).step_by(8) {
-        let value = z[0] + (z[1] - z[0]) * f64::from(k) / f64::from(PARTS);
+        let value = z.at(f64::from(k) / f64::from(PARTS));
         let style = words(Ink::Soft, HPos::Left, VPos::Center);
-        area.draw(&Text::new(tick(value, z[1] - z[0]), (18 * fine, at(k).max(from + 5 * fine)), style))?;
+        area.draw(&Text::new(number(value), (18 * fine, at(k).max(from + 5 * fine)), style))?;
     }
     let style = words(Ink::Soft, HPos::Left, VPos::Center);
     let room = ((f64::from(SCALE) - 2.0) / text_width("x")) as usize;
@@ -212,13 +243,15 @@ pub fn bars(title: &str, width: u32, x_label: &str, rows: &[Bar<'_>]) -> Result<
     let behind = noted.iter().map(|n| text_width(n)).fold(20.0, f64::max).min(0.3 * f64::from(width));
     let right = f64::from(width) - behind - 14.0;
     let ends = rows.iter().flat_map(|r| r.value.into_iter().chain(r.interval.into_iter().flatten()));
-    let x = range(ends.chain([0.0]), 0.03);
+    let mut x = range(ends.chain([0.0]), 0.03);
+    if rows.iter().all(|r| r.value.is_none_or(|v| v >= 0.0) && r.interval.is_none_or(|i| i[0] >= 0.0)) {
+        x[0] = 0.0;
+    }
     let at = |v: f64| ((left + (v - x[0]) / (x[1] - x[0]) * (right - left)) * fine) as i32;
     let height = ROW * rows.len() as u32 + 40;
     let bottom = (ROW * rows.len() as u32 + 4) as i32 * FINE as i32;
     draw(title, width, height, |root, _| {
-        for k in 0..=4 {
-            let v = x[0] + (x[1] - x[0]) * f64::from(k) / 4.0;
+        for v in ticks(x, 5) {
             let grid = Ink::Faint.colour().stroke_width(FINE);
             root.draw(&PathElement::new([(at(v), 0), (at(v), bottom)], grid))?;
             let style = words(Ink::Soft, HPos::Center, VPos::Top);
@@ -254,7 +287,7 @@ pub fn bars(title: &str, width: u32, x_label: &str, rows: &[Bar<'_>]) -> Result<
 }
 
 fn value_text(value: Option<f64>) -> String {
-    value.map_or_else(|| "unknown".to_owned(), |v| tick(v, (0.1 * v.abs()).max(1e-6)))
+    value.map_or_else(|| "unknown".to_owned(), number)
 }
 
 /// A table of shares as colours with the numbers in it: row by row, say truths against answers. Counts are whole.
@@ -292,8 +325,8 @@ pub fn confusion(
                 let share = f64::from(*n) / f64::from(total.max(1));
                 let x = left + cell * k as i32;
                 let corners = [(x * fine, y * fine), ((x + cell - 1) * fine, (y + ROW as i32 - 1) * fine)];
-                root.draw(&Rectangle::new(corners, colour(share, [0.0, 1.0]).filled()))?;
-                let (red, green, blue) = colour(share, [0.0, 1.0]).rgb();
+                root.draw(&Rectangle::new(corners, Scale::of([0.0, 1.0]).colour(share).filled()))?;
+                let (red, green, blue) = Scale::of([0.0, 1.0]).colour(share).rgb();
                 let bright = u32::from(red) * 3 + u32::from(green) * 6 + u32::from(blue) > 1500;
                 let ink = if bright { RGBColor(0, 0, 0) } else { RGBColor(255, 255, 255) };
                 let place = ((x + cell / 2) * fine, (y + ROW as i32 / 2) * fine);
@@ -332,6 +365,7 @@ mod tests {
             step: [0.2, 0.2],
             x: [0.0, 1.0],
             y: [0.0, 0.5],
+            ground: vec![(0.0, 0.0), (0.5, 0.5), (1.0, 0.0)],
             overlays,
             words: vec![([0.5, 0.2], evil)],
         };

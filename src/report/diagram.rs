@@ -55,16 +55,20 @@ pub fn loop_diagram(tags: &Tags) -> Picture {
                 text x=(x + wide / 2) y="55" text-anchor="middle" { (name) }
             }
             @for (from, to, name, tag, ink) in arrows {
-                @let middle = if name == "SP" { 4 } else { (from + to) / 2 };
-                @let anchor = if name == "SP" { "start" } else { "middle" };
+                // SP's tag stands above, where it meets nothing; PV's keeps off the way back.
+                @let (middle, anchor, y) = match name {
+                    "SP" => (4, "start", 20),
+                    "PV" => (658, "middle", 96),
+                    _ => ((from + to) / 2, "middle", 96),
+                };
                 (arrow(from, to, &ink.hex()))
-                text x=(if name == "SP" { 20 } else { middle }) y="42" text-anchor=(anchor) fill=(ink.hex()) { (name) }
-                text x=(middle) y="96" text-anchor=(anchor) font-size="11" fill=(Ink::Soft.hex()) {
+                text x=(middle + if name == "SP" { 16 } else { 0 }) y="42" text-anchor=(anchor) fill=(ink.hex()) { (name) }
+                text x=(middle) y=(y) text-anchor=(anchor) font-size="11" fill=(Ink::Soft.hex()) {
                     title { (tag) }
                     (shortened(tag, LETTERS))
                 }
             }
-            path d="M 690 50 V 130 H 76 V 64" fill="none" stroke=(Ink::Pv.hex()) stroke-width="1.5" {}
+            path d="M 722 50 V 130 H 76 V 64" fill="none" stroke=(Ink::Pv.hex()) stroke-width="1.5" {}
             path d="M 71 74 L 76 64 L 81 74 Z" fill=(Ink::Pv.hex()) {}
         }
     };

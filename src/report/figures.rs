@@ -77,11 +77,11 @@ pub fn detailed(of: &Subject<'_>) -> Figures {
     }
     out.extend(phases(of)?);
     if let Some(detail) = of.detail {
+        out.push(orders(of, detail)?);
         for map in &detail.maps {
             out.push(error_map(of, detail, map)?);
         }
         out.extend(draws(of, detail)?);
-        out.push(orders(of, detail)?);
     }
     if of.assessment.witnesses.iter().any(|w| w.contribution != 0.0) {
         out.push(witnesses(of.assessment)?);
@@ -245,7 +245,7 @@ fn error_map(of: &Subject<'_>, detail: &Detail, map: &ErrorMap) -> Result<Figure
     }
     let [fs, fd] = map.region.map(|[low, high]| [low - 0.5 * map.step, high + 0.5 * map.step]);
     let corners = vec![(fs[0], fd[0]), (fs[1], fd[0]), (fs[1], fd[1]), (fs[0], fd[1]), (fs[0], fd[0])];
-    overlays.push(Overlay { name: "suggested", points: corners, mark: Mark::Line, ink: Ink::Error });
+    overlays.push(Overlay { name: "suggested", points: corners, mark: Mark::Line, ink: Ink::Over });
     let chosen = a.process.as_ref().is_some_and(|p| p.order == map.order);
     if let (true, Some([s0, s1]), Some([j0, j1])) = (chosen, a.s_interval, a.j_interval) {
         let ring = [(s0, j0), (s1, j0), (s1, j1), (s0, j1), (s0, j0)];
@@ -267,20 +267,25 @@ fn error_map(of: &Subject<'_>, detail: &Detail, map: &ErrorMap) -> Result<Figure
         step: [map.step; 2],
         x: [0.0, span * 1.02],
         y: [0.0, 0.54 * span],
+        ground: vec![(0.0, 0.0), (0.5 * span, 0.5 * span), (span, 0.0)],
         overlays,
-        words: vec![
-            ([0.5 * BOUNDS[0] * span, -0.0 + 0.018 * span], "none"),
-            ([0.36 * span, 0.43 * span], "deadband"),
-            ([0.5 * span, 0.2 * span], "deadband with stick and slip"),
-            ([0.75 * span, 0.02 * span], "stick-slip"),
-            ([0.62 * span, 0.30 * span], "strong"),
-        ],
+        words: [
+            ([0.052, 0.013], "none"),
+            ([0.43, 0.385], "deadband"),
+            ([0.52, 0.27], "deadband with stick and slip"),
+            ([0.79, 0.028], "stick-slip"),
+            ([0.135, 0.058], "weak"),
+            ([0.33, 0.12], "moderate"),
+            ([0.72, 0.13], "strong"),
+        ]
+        .map(|(place, word)| (place.map(|v| v * span), word))
+        .to_vec(),
     })?;
     let mark = if chosen { " This order was chosen." } else { "" };
     let caption = format!(
         "Free-run error over the bands, order {}: each cell with its best process. Below the line fs + fd = S0 = {}. \
          Least cell: fs {}, fd {}. Box: cells within a tenth of the way from the least squared error to that without \
-         friction.{mark}",
+         friction. Grey: the stem moves too seldom for a model.{mark}",
         map.order,
         number(span),
         number(map.best.fs),
@@ -332,7 +337,9 @@ fn orders(of: &Subject<'_>, detail: &Detail) -> Result<Figure, PlotError> {
     let gained = match chart.figures.as_slice() {
         [one, two] if one.held_out_rms > 0.0 => {
             let ratio = two.held_out_rms / one.held_out_rms;
-            format!("it removes {} %", number(100.0 * (1.0 - ratio * ratio)))
+            let removed = 100.0 * (1.0 - ratio * ratio);
+            let word = if removed < 0.0 { "adds" } else { "removes" };
+            format!("it {word} {} %", number(removed.abs()))
         }
         _ => "one of them cannot be fitted".to_owned(),
     };

@@ -152,9 +152,9 @@ fn residuals(p: &Points<'_>) -> Made {
 
 fn percent_note(share: Option<f64>, expected: Option<f64>) -> String {
     match (share, expected) {
-        (Some(s), Some(e)) => format!("{:.0} % of the error, {:.0} % of the time", 100.0 * s, 100.0 * e),
-        (Some(s), None) => format!("{:.0} % of the error", 100.0 * s),
-        _ => "none of the time".to_owned(),
+        (Some(s), Some(e)) => format!("{:.0} % ({:.0} % of time)", 100.0 * s, 100.0 * e),
+        (Some(s), None) => format!("{:.0} %", 100.0 * s),
+        _ => "never".to_owned(),
     }
 }
 

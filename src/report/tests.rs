@@ -1,3 +1,5 @@
+//! The report on documents made by hand: escaping, order, what stands alone.
+
 use super::*;
 use crate::verdict::{Oscillation, Verdict, Window};
 

@@ -99,6 +99,11 @@ pub fn size(a: &Assessment, op_range: Option<[f64; 2]>) -> Option<String> {
     if let (Some(fs), Some(fd)) = (a.fs, a.fd) {
         text = format!("{text}; static band {}, kinetic band {} OP units", number(fs), number(fd));
     }
+    let words: Vec<String> =
+        [a.strength, a.region].into_iter().flatten().map(|w| w.replace('_', " ")).filter(|w| w != "none").collect();
+    if !words.is_empty() {
+        text = format!("{text}; by its share of OP's swing: {}", words.join(", "));
+    }
     Some(text)
 }
 

@@ -447,7 +447,7 @@ def test_the_gap_can_be_computed_from_the_predictions(folder):
     def gap(column):
         return math.sqrt(max(rmse(column) ** 2 - floor**2, 0.0))
 
-    same = lambda a, b: math.isclose(a, b, rel_tol=1e-9, abs_tol=1e-12)
+    same = lambda a, b: math.isclose(a, b, rel_tol=1e-6, abs_tol=1e-9)
     assert same(rmse("pv_base"), document["gap"]["rmse"])
     assert same(gap("pv_base"), document["gap"]["gap"])
     named = [e for e in document["effects"] if e["id"] == document["cause"]["id"]]

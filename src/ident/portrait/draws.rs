@@ -29,9 +29,12 @@ const FINE_STEPS: usize = 25;
 const SHORTEST_BLOCK: usize = 10;
 
 impl Portrait<'_> {
-    fn optimum(&self, c: &Candidate, rms: f64) -> Optimum {
-        let [s, j] = c.centred();
-        Optimum { fs: 0.5 * (s + j) * self.span, fd: 0.5 * (s - j) * self.span, rms }
+    /// Bands of a candidate: all s of its cell give the same slips, so `place` (0..1) takes one of them.
+    fn optimum(&self, c: &Candidate, place: f64) -> Optimum {
+        let [low, high] = [c.s_cell[0], c.s_cell[1].min(c.s.max(1.0))];
+        let fd = c.fit.fd;
+        let s = (low + place * (high - low)).max(2.0 * fd);
+        Optimum { fs: (s - fd) * self.span, fd: fd * self.span, rms: self.rms(c.fit.sse) }
     }
 
     /// Where the whole search ends when it draws from another seed, the valve law kept: restarts that end apart tell of
@@ -64,7 +67,8 @@ impl Portrait<'_> {
             let Some(first) = bench.settle(&self.candidate) else { continue };
             let best = climb(&mut bench, first, FINE_STEPS, true, &mut rng);
             if let Some(end) = bench.settle(&best) {
-                out.push(self.optimum(&end, self.rms(end.fit.sse)));
+                let place = uniform(&mut rng);
+                out.push(self.optimum(&end, place));
             }
         }
         out

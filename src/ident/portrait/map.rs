@@ -12,7 +12,7 @@ pub struct Cell {
     pub fs: f64,
     /// Kinetic band, OP units.
     pub fd: f64,
-    /// Root mean squared free-run error of the best process, PV units; `None` where the stem moves less than three
+    /// Root mean squared free-run error of the best process, PV units, at the best of a few places in the cell; `None` where the stem moves less than three
     /// times, so that no process can be fitted.
     pub rms: Option<f64>,
 }
@@ -39,6 +39,13 @@ const SUGGESTED: f64 = 0.1;
 const STEPS: usize = 4;
 const STARTS: usize = 2;
 
+/// Places of a cell besides its middle, within the triangle.
+fn around([s, j]: [f64; 2], step: f64) -> Vec<[f64; 2]> {
+    let quarter = 0.25 * step;
+    let all = [[s - quarter, j], [s + quarter, j], [s, j - quarter], [s, j + quarter]];
+    all.into_iter().filter(|[s, j]| 0.0 <= *j && j <= s && *s <= 1.0).collect()
+}
+
 impl Portrait<'_> {
     /// The error of each cell of a grid of `step`, a share of OP's span, for one order of the process. `None` where no
     /// cell has an error.
@@ -47,7 +54,7 @@ impl Portrait<'_> {
         let class = class_of(order, self.class.integrates());
         let mut bench = self.bench(class);
         let own = class.clamp(self.shape_in(class), &self.question.limits);
-        let own_s = self.candidate.s;
+        let [c_s, c_j] = self.candidate.centred();
         let slot = class.shape_len() - 1;
         let mut cells = Vec::new();
         let plain = frictionless::best(&self.question, &self.target, class, self.sign, 1)?;
@@ -62,14 +69,26 @@ impl Portrait<'_> {
                 let (s, j) = (fs + fd, fs - fd);
                 // The ridge: a later slip with a shorter lag looks alike.
                 let mut ridge = own;
-                ridge[slot] -= (s - own_s) / self.question.rate.max(1e-6);
+                ridge[slot] -= (s - c_s) / self.question.rate.max(1e-6);
                 let mut shapes = vec![own, class.clamp(ridge, &self.question.limits), plain.shape];
                 shapes.extend(column.last().into_iter().chain(near.get(b as usize)));
-                let effort = Effort::of(STEPS);
                 let mut best: Option<Candidate> = None;
-                for start in self.question.starts(fs, STARTS) {
+                let effort = Effort::of(STEPS);
+                let starts = self.question.starts(fs, STARTS).into_iter().chain([self.candidate.start]);
+                for start in starts {
                     let found = bench.fit_exactly([s, j], start, &shapes, effort);
                     best = found.filter(|f| best.is_none_or(|b| f.fit.sse < b.fit.sse)).or(best);
+                }
+                // Valleys are narrower than cells: a cell is worth its best place.
+                if let Some(middle) = best {
+                    let inside = (c_s - s).abs() <= step && (c_j - j).abs() <= step;
+                    let own_place = inside.then_some([c_s, c_j]);
+                    for [s, j] in around([s, j], step).into_iter().chain(own_place) {
+                        let shapes = [middle.fit.shape, own];
+                        let effort = Effort { hopeless: 4.0 * middle.fit.sse, ..Effort::of(STEPS / 2) };
+                        let found = bench.fit_exactly([s, j], middle.start, &shapes, effort);
+                        best = found.filter(|f| best.is_none_or(|b| f.fit.sse < b.fit.sse)).or(best);
+                    }
                 }
                 column.push(best.map_or(own, |c| c.fit.shape));
                 let rms = best.map(|c| self.rms(c.fit.sse));

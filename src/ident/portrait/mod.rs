@@ -194,9 +194,19 @@ impl<'a> Portrait<'a> {
     /// The candidate in another order, fitted.
     fn in_order(&self, order: u8) -> Option<Candidate> {
         let class = class_of(order, self.class.integrates());
-        let mut start = self.candidate;
-        start.fit.shape = class.clamp(self.shape_in(class), &self.question.limits);
-        self.bench(class).settle(&start)
+        let mut bench = self.bench(class);
+        let mut shapes = vec![self.shape_in(class)];
+        if class == Class::Second && self.class == Class::First {
+            // The first order itself, with a second lag too short to matter.
+            let shape = &self.candidate.fit.shape;
+            shapes.push([shape[0], libm::log(self.question.limits.tau[0]), shape[1] - self.question.limits.tau[0]]);
+        }
+        let settled = shapes.into_iter().filter_map(|shape| {
+            let mut start = self.candidate;
+            start.fit.shape = class.clamp(shape, &self.question.limits);
+            bench.settle(&start)
+        });
+        settled.min_by(|a, b| a.fit.sse.total_cmp(&b.fit.sse))
     }
 
     /// The candidate's shape in another class of the same family.

@@ -1,3 +1,5 @@
+//! The pictures' numbers on loops whose valve and process are known.
+
 use super::*;
 use crate::ident::class::Scratch;
 use crate::ident::{DelayChoice, ModelChoice, ValveChoice};
