@@ -1,3 +1,5 @@
+//! Tests of the whole page and sheet.
+
 use super::*;
 use crate::verdict::{Oscillation, Verdict, Window};
 

@@ -1,3 +1,5 @@
+//! Tests of the portrait: curves, maps, orders and draws of a simulated loop whose truth is known.
+
 use super::*;
 use crate::ident::class::Scratch;
 use crate::ident::{DelayChoice, ModelChoice, ValveChoice};
