@@ -92,7 +92,7 @@ fn overview(report: &Report, order: &[usize]) -> Markup {
             div.scroll {
                 table.overview {
                     thead { tr {
-                        th { "loop" } th { "verdict" } th.number { "p" } th { "grade" } th.number { "s, OP units" }
+                        th { "loop" } th { "verdict" } th.number { "p" } th.more { "grade" } th.number { "s (OP)" }
                         th.number.more { "90 %" } th.number.more { "% of travel" } th.number.more { "period, s" }
                         th.more { "gates" }
                     } }
@@ -104,7 +104,7 @@ fn overview(report: &Report, order: &[usize]) -> Markup {
                                 td.name { a href=(format!("#loop-{k}")) { (one.document.loop_name) } }
                                 td { (badge(a.verdict)) }
                                 td.number { (optional(a.p_stiction)) }
-                                td { @if let Some(grade) = a.grade { (grade) } }
+                                td.more { @if let Some(grade) = a.grade { (grade) } }
                                 td.number { (optional(a.s)) }
                                 td.number.more { @if let Some([low, high]) = a.s_interval { (number(low)) " to " (number(high)) } }
                                 td.number.more { (optional(one.percent())) }
@@ -189,7 +189,7 @@ fn summary(one: &LoopReport, a: &Assessment) -> Markup {
                 dt { "What to do" } dd {
                     (words::advice(a.verdict))
                     @if !a.contributing.is_empty() {
-                        " Besides: " (a.contributing.iter().map(|v| words::verdict(*v)).collect::<Vec<_>>().join("; ")) "."
+                        " Besides: " (a.contributing.iter().map(|v| words::beside(*v)).collect::<Vec<_>>().join("; ")) "."
                     }
                 }
                 @if let Some((test, s)) = bump { dt { "Bump test" } dd { (words::bump_words(&test, s)) } }

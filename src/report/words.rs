@@ -43,6 +43,16 @@ pub const fn verdict(v: Verdict) -> &'static str {
     }
 }
 
+/// A further cause beside the verdict.
+#[must_use]
+pub const fn beside(v: Verdict) -> &'static str {
+    match v {
+        Verdict::Tuning => "the controller's tuning makes the loop swing too",
+        Verdict::Disturbance => "something from outside drives the loop too",
+        other => verdict(other),
+    }
+}
+
 /// What to do about it.
 #[must_use]
 pub const fn advice(v: Verdict) -> &'static str {

@@ -131,7 +131,7 @@ def main():
                     if shots:
                         shots.mkdir(parents=True, exist_ok=True)
                         page.screenshot(path=shots / f"{report.stem}-{report.suffix[1:]}-{width}-{scheme}.png",
-                                        full_page=report.stem != "many")
+                                        full_page=report.stem != "many" and report.suffix == ".html", timeout=0)
                     failures += [f"{name}: {fault}" for fault in dict.fromkeys(said)]
                     page.close()
         chromium.close()
