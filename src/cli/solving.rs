@@ -210,7 +210,7 @@ impl Objective for Watched<'_> {
         let cost = self.surface.cost(point);
         self.least = self.least.min(cost);
         let done = self.surface.evaluations();
-        if done % 50 == 0 {
+        if done.is_multiple_of(50) {
             self.bar.set_message(format!("{} {done} of {}, least MSE {:.4e}", self.name, self.limit, self.least));
         }
         cost
@@ -298,7 +298,7 @@ fn converse(
         }
         let answer = if mse.is_finite() { format!("{mse}") } else { "inf".to_owned() };
         open &= writeln!(input, "{answer}").and_then(|()| input.flush()).is_ok();
-        if best.evaluations % 50 == 0 {
+        if best.evaluations.is_multiple_of(50) {
             bar.set_message(format!("{program} {} of {}", best.evaluations, settings.budget));
         }
         if stop::asked() {

@@ -343,7 +343,7 @@ fn numbers(kind: u32, content: Bytes<'_>) -> Result<Vec<f64>, MatError> {
         kind::DOUBLE | kind::INT64 | kind::UINT64 => 8,
         _ => return Err(damaged(content.place(), format!("type {kind} is no type of numbers"))),
     };
-    if content.left() % width != 0 {
+    if !content.left().is_multiple_of(width) {
         let what = format!("{} bytes are no whole number of values of {width} bytes", content.left());
         return Err(damaged(content.place(), what));
     }
