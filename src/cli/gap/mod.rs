@@ -10,6 +10,7 @@ use std::time::Duration;
 use anyhow::{Context, anyhow, bail};
 
 use super::analyze;
+use super::analyze_report::command_line;
 use super::challenge;
 use super::selection::{Points, Section, Selection};
 use super::{Format, Outcome, UsageError, say, stop};
@@ -220,7 +221,7 @@ fn write_predictions(args: &Diagnose, points: &Points, found: &GapLoop, section:
 fn write_report(args: &Diagnose, path: &Path, warnings: &[String], loops: Vec<GapLoop>) -> anyhow::Result<()> {
     let report = GapReport {
         input: args.input.display().to_string(),
-        command: command_line(),
+        command: command_line(std::env::args()),
         warnings: warnings.to_vec(),
         loops,
     };
@@ -228,14 +229,4 @@ fn write_report(args: &Diagnose, path: &Path, warnings: &[String], loops: Vec<Ga
     let mut part = path.to_owned().into_os_string();
     part.push(".part");
     std::fs::write(&part, page).and_then(|()| std::fs::rename(&part, path)).with_context(|| path.display().to_string())
-}
-
-/// The command as it was called, ready to be pasted.
-fn command_line() -> String {
-    let words = std::env::args().skip(1);
-    let quoted = words.map(|word| {
-        let plain = |c: char| c.is_ascii_alphanumeric() || "-_./:,=+@%".contains(c);
-        if !word.is_empty() && word.chars().all(plain) { word } else { format!("'{}'", word.replace('\'', "'\\''")) }
-    });
-    core::iter::once("stictiond".to_owned()).chain(quoted).collect::<Vec<_>>().join(" ")
 }
