@@ -168,8 +168,8 @@ impl Surface {
         if s < NOTHING {
             return self.without();
         }
-        let first = self.from_starts(s, j, 1);
-        if self.sequence.reversals >= FEW_REVERSALS { first } else { better(first, self.from_starts(s, j, 3)) }
+        let first = self.best_of_starts(s, j, 1);
+        if self.sequence.reversals >= FEW_REVERSALS { first } else { better(first, self.best_of_starts(s, j, 3)) }
     }
 
     /// The best process without friction.
@@ -182,7 +182,7 @@ impl Surface {
     }
 
     /// The best fit over `wanted` positions of the stem before the record.
-    fn from_starts(&mut self, s: f64, j: f64, wanted: usize) -> Option<Fitted> {
+    fn best_of_starts(&mut self, s: f64, j: f64, wanted: usize) -> Option<Fitted> {
         let starts = self.question.starts(0.5 * (s + j), wanted);
         let mut best = None;
         for start in starts {
