@@ -219,8 +219,8 @@ const Y_LABELS: u32 = 50;
 const RIGHT: u32 = 14;
 
 /// Runs a drawing and takes its elements out of the library's document.
-pub(super) fn draw<'t>(
-    title: &'t str,
+pub(super) fn draw(
+    title: &str,
     width: u32,
     height: u32,
     paint: impl FnOnce(&Area<'_>, &mut String) -> Drawn,
