@@ -10,11 +10,32 @@
 //! | 1 tools | [`signal`] joining, memory, statistics · [`optim`] solvers |
 //! | 2 physics | [`sim`] valve laws, processes, controller, noise, closed loop: the only copy of each formula |
 //! | 3 identification | [`ident`] quantification of stiction · [`detect`] oscillation, and one file per witness |
-//! | 4 judgement | [`verdict`] gates, verdict, the estimate's document · [`alarm`] ISA-18.2 states |
+//! | 4 judgement | [`verdict`] gates, verdict, the estimate's document · [`gap`] what the model leaves out · [`challenge`] its check on withheld causes · [`alarm`] ISA-18.2 states |
 //! | 5 engine | [`config`] text to settings · [`codec`] bytes to samples, topics · [`engine`] one state machine a loop |
-//! | 6 shell | `source` the bus · `sink` publisher, recorder · `files` CSV, MCAP · `report` pictures, pages · `daemon` wiring, replay · `web` · `cli` |
+//! | 6 shell | `source` the bus · `sink` publisher, recorder · `files` CSV, MCAP, .mat · `report` pictures, pages · `daemon` wiring, replay · `web` · `cli` |
 //!
 //! `alarm` and `engine` take their settings from [`config`], which knows none of them.
+//!
+//! # As a library
+//! A [`record::Record`] in, typed numbers out; `examples/` holds more.
+//!
+//! ```
+//! use stictiond::record::Record;
+//! use stictiond::sim::valve::he_step;
+//! use stictiond::verdict::{AssessParams, assess};
+//!
+//! // OP swings, a valve with fs 2.5 and fd 1 follows it, a first-order process answers the valve.
+//! let op: Vec<f64> = (0..600).map(|k| 6.0 * (f64::from(k) * 0.06).sin() + 2.0 * (f64::from(k) * 0.017).sin()).collect();
+//! let (mut stem, mut pv, mut measured) = (0.0, 0.0, Vec::new());
+//! for &u in &op {
+//!     measured.push(pv);
+//!     stem = he_step(stem, u, 2.5, 1.0);
+//!     pv += 0.1 * (1.5 * stem - pv);
+//! }
+//! let record = Record::uniform(1.0, op, measured);
+//! let found = assess(&record, &AssessParams { always_fit: true, ..AssessParams::default() });
+//! assert!((found.s.unwrap() - 3.5).abs() < 0.1);
+//! ```
 //!
 //! # What must be absent
 //! Layers 0 to 5 build without the feature `daemon` and hold no file, socket, clock, thread, environment or unseeded
@@ -32,6 +53,7 @@
 //! format: `codec/` and [`codec::ALL`]. A command: `cli/` and its dispatch. A valve law or process: `sim/`.
 
 pub mod alarm;
+pub mod challenge;
 #[cfg(feature = "daemon")]
 pub mod cli;
 pub mod codec;
@@ -42,6 +64,7 @@ pub mod detect;
 pub mod engine;
 #[cfg(feature = "daemon")]
 pub mod files;
+pub mod gap;
 pub mod ident;
 pub mod optim;
 pub mod record;

@@ -151,7 +151,7 @@ pub struct Record {
     pub ts_s: f64,
     /// Raw samples in the record.
     pub raw_samples: usize,
-    /// Raw samples in a point (a power of two).
+    /// Raw samples in a point (a power of two in the daemon's memory).
     pub box_samples: usize,
     /// OP on the way through each point, `n * path_per_point` values.
     pub op_path: Vec<f64>,
@@ -200,10 +200,11 @@ impl Record {
         self.pv.is_empty()
     }
 
-    /// OP values a point: 1 for raw samples, 4 for boxes.
+    /// OP values a point: 1 for raw samples, 4 for the daemon's boxes, all of them for those of
+    /// [`crate::signal::resample`].
     #[must_use]
     pub fn path_per_point(&self) -> usize {
-        if self.box_samples == 1 { 1 } else { 4 }
+        (self.op_path.len() / self.pv.len().max(1)).max(1)
     }
 
     /// Seconds between points.
@@ -217,7 +218,13 @@ impl Record {
     pub fn op(&self) -> Vec<f64> {
         match self.path_per_point() {
             1 => self.op_path.clone(),
-            m => self.op_path.chunks_exact(m).map(|p| 0.5 * (p[1] + p[2])).collect(),
+            m => self.op_path.chunks_exact(m).map(middle).collect(),
         }
     }
+}
+
+/// The middle of the extremes.
+fn middle(path: &[f64]) -> f64 {
+    let (low, high) = path.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(*v), h.max(*v)));
+    0.5 * (low + high)
 }

@@ -7,7 +7,7 @@ use proptest::prelude::*;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use stictiond::config::Config;
-use stictiond::engine::{Engine, Event, LoopSettings, Request, section};
+use stictiond::engine::{Engine, Event, LoopSettings, Request, SkipReason, section};
 use stictiond::record::{Mode, Sample, Signal, Value};
 use stictiond::signal::align::align_all;
 use stictiond::sim::scenario::Scenario;
@@ -56,6 +56,11 @@ fn run(samples: &[(String, Sample)], config: Config, answers: Answers) -> BTreeM
                     Event::Estimate(id, d) => (id, serde_json::to_string(&d).unwrap()),
                     Event::Alarm(id, d) => (id, serde_json::to_string(&d).unwrap()),
                     Event::State(id, d) => (id, serde_json::to_string(&d).unwrap()),
+                    Event::GapRequest(r) => {
+                        engine.skip_gap(r.id, r.number, SkipReason::Failed, events);
+                        continue;
+                    }
+                    Event::Gap(_, d) => panic!("{d:?}"),
                 };
                 documents.entry(engine.name(id).to_string()).or_default().push(text);
             }
@@ -175,6 +180,7 @@ fn a_skipped_window_says_so_and_holds_the_alarm() {
                     Event::Estimate(_, d) => gates.extend(d.assessment.gates.iter().map(|g| g.name())),
                     Event::Alarm(_, d) => panic!("{d:?}"),
                     Event::State(..) => {}
+                    Event::Gap(..) | Event::GapRequest(..) => panic!("{event:?}"),
                 }
             }
         }

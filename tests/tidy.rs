@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 const MAX_LINES: usize = 600;
 
 /// Which rooms each room may use, in the order of the map in `src/lib.rs`.
-const IMPORTS: [(&str, &[&str]); 21] = [
+const IMPORTS: [(&str, &[&str]); 22] = [
     // Words.
     ("units", &[]),
     ("record", &["units"]),
@@ -28,7 +28,9 @@ const IMPORTS: [(&str, &[&str]); 21] = [
     ("config", &["units", "record"]),
     // Judgement.
     ("verdict", &["units", "record", "signal", "optim", "sim", "ident", "detect"]),
-    ("gap", &["units", "record", "signal", "optim", "sim", "ident"]),
+    ("gap", &["units", "record", "signal", "optim", "sim", "ident", "detect"]),
+    // Checks `gap` from outside: neither of the two may see the other.
+    ("challenge", &["units", "record", "signal", "sim", "verdict"]),
     ("alarm", &["units", "record", "config", "verdict"]),
     // Engine.
     ("codec", &["units", "record"]),
@@ -257,10 +259,34 @@ fn rooms_use_only_rooms_above_them() {
             faults.push(format!("src/{}: line {line}: {outside} leaves the room", source.path));
         }
     }
-    for (room, _) in IMPORTS.iter().filter(|(room, _)| *room != "gap" && !seen.contains(*room)) {
+    for (room, _) in IMPORTS.iter().filter(|(room, _)| !seen.contains(*room)) {
         faults.push(format!("room {room} is in the table of tests/tidy.rs but not in src"));
     }
     fail_on(&faults);
+}
+
+#[test]
+fn the_diagnosis_cannot_see_what_checks_it() {
+    let allowed = IMPORTS.iter().find(|(room, _)| *room == "gap").unwrap().1;
+    assert!(!allowed.contains(&"challenge"));
+    let seen = |room: &str| IMPORTS.iter().any(|(name, others)| *name == room && others.contains(&"challenge"));
+    // Nor by way of a room that it may use.
+    assert!(allowed.iter().all(|room| !seen(room)));
+    let hidden = ["challenge::", "truth::", "friction::", "Friction"];
+    let mut faults = Vec::new();
+    for source in sources().iter().filter(|s| s.room() == "gap") {
+        for wanted in hidden {
+            let found = places(&source.code, wanted);
+            faults.extend(found.map(|(line, _)| format!("src/{}: line {line}: {wanted}", source.path)));
+        }
+    }
+    let mut own = Vec::new();
+    for source in sources().iter().filter(|s| s.room() == "challenge") {
+        own.extend(places(&source.code, "gap::").map(|(line, _)| format!("src/{}: line {line}: gap::", source.path)));
+    }
+    assert!(sources().iter().any(|s| s.room() == "challenge"));
+    fail_on(&faults);
+    fail_on(&own);
 }
 
 #[test]

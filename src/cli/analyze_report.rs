@@ -99,7 +99,7 @@ impl Maker {
 }
 
 /// The command as it can be pasted into a shell.
-fn command_line(arguments: impl Iterator<Item = String>) -> String {
+pub(super) fn command_line(arguments: impl Iterator<Item = String>) -> String {
     let plain = |c: char| c.is_ascii_alphanumeric() || "-_./,:=+@%".contains(c);
     let quoted = arguments.enumerate().map(|(k, text)| {
         // The program by its name: where it stands differs between machines.

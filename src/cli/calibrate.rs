@@ -174,7 +174,7 @@ fn look(base: &Path, source: &Source) -> anyhow::Result<Example> {
         Source::Loop(half, seed) => {
             let case = verdict_case(*half, *seed);
             let held = matches!(half, Half::Report);
-            let params = AssessParams::default();
+            let params = AssessParams { always_fit: true, ..AssessParams::default() };
             (name.clone(), case.record(), params, case.kind.to_owned(), None, held, case.sticks)
         }
         Source::Recording(case) => {
@@ -235,6 +235,19 @@ fn rates(cases: &[Scored]) -> (Option<f64>, Option<f64>) {
     (share(true, t.found), share(false, t.false_alarms))
 }
 
+/// Sticking loops found and healthy ones accused of one kind.
+fn kind_line(kind: &str, cases: &[Scored]) -> String {
+    let t = Tally::of(cases);
+    let share = |part: f64, truth: bool| {
+        let all = cases.iter().filter(|c| c.truth == truth).count() as f64;
+        let interval = tally::wilson(part, all);
+        interval.map_or("-".to_owned(), |[low, high]| {
+            format!("{part:>4}/{all:<4} {:>5.1} % ({:.0}..{:.0})", 100.0 * part / all, 100.0 * low, 100.0 * high)
+        })
+    };
+    format!("  {kind:<22} found {:<26} false {:<26}", share(t.found, true), share(t.false_alarms, false))
+}
+
 fn say_text(rule: &Rule, real: &[(&Example, Scored)], held: &[(&Example, Scored)]) -> anyhow::Result<()> {
     print(&format!("{}\n", serde_json::to_string_pretty(rule)?))?;
     if !real.is_empty() {
@@ -259,15 +272,12 @@ fn say_text(rule: &Rule, real: &[(&Example, Scored)], held: &[(&Example, Scored)
     if held.is_empty() {
         return Ok(());
     }
-    say("\nsimulated loops kept for the report:")?;
-    let percent = |x: Option<f64>| x.map_or("-".to_owned(), |x| format!("{:.1} %", 100.0 * x));
+    say("\nsimulated loops kept for the report: sticking ones found, healthy ones accused (95 %):")?;
     for (kind, cases) in by_source(held) {
-        let (found, accused) = rates(&cases);
-        say(format!("  {kind:<34} {:>5}  found {:>7}  false {:>7}", cases.len(), percent(found), percent(accused)))?;
+        say(kind_line(kind, &cases))?;
     }
     let all = only(held);
-    let (found, accused) = rates(&all);
-    say(format!("  {:<34} {:>5}  found {:>7}  false {:>7}", "all", all.len(), percent(found), percent(accused)))?;
+    say(kind_line("all", &all))?;
     let bins = tally::reliability_equal(&all, 10);
     say("reliability, bins of equally many:")?;
     for b in &bins {

@@ -1,11 +1,13 @@
-//! `convert IN OUT`: between tables and recordings, by OUT's extension.
+//! `convert IN OUT`: between tables, recordings and compact stores, by OUT's extension.
 
 use super::{Format, Outcome, UsageError};
 use crate::codec::encode_recorded;
 use crate::codec::topic::Kind;
+use crate::files::compact::{self, CompactLoop};
 use crate::files::{self, Loaded, LoadedLoop, METADATA_PREFIX, RecordingFile, csv};
+use crate::record::Signal;
 use crate::units::{is_loop_name, loop_name_from};
-use anyhow::{Context, bail};
+use anyhow::{Context, anyhow, bail};
 use serde_json::json;
 use std::collections::{BTreeMap, HashSet};
 use std::fs::{self, File};
@@ -18,13 +20,20 @@ const PREFIX: &str = "plant";
 /// Names listed in a message, at most.
 const NAMES_SHOWN: usize = 20;
 
-/// Converts between .csv and .mcap, by OUT's extension
+/// Converts between .csv, .mcap and .mat (compact store), by OUT's extension
 #[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:
+  stictiond convert plant.mcap loops/                       one .csv a loop
+  stictiond convert plant.mcap FIC101.csv --loop FIC101
+  stictiond convert store.mat store.mcap
+  stictiond convert loops.mcap store.mat                    OP and PV, for the toolbox
+
+A compact store holds OP and PV at one sampling time; the rest is left out and said.")]
 pub struct ConvertArgs {
-    /// File to read, .csv or .mcap; cut-off and .part recordings are read up to the cut
+    /// File to read: .csv, .mcap or .mat; cut-off and .part recordings are read up to the cut
     #[arg(value_name = "IN")]
     pub input: PathBuf,
-    /// File to write, .csv or .mcap, or a folder for one .csv a loop
+    /// File to write: .csv, .mcap or .mat, or a folder for one .csv a loop
     #[arg(value_name = "OUT")]
     pub output: PathBuf,
     /// Take this loop only
@@ -39,6 +48,7 @@ pub struct ConvertArgs {
 enum Target {
     Csv(PathBuf),
     Mcap(PathBuf),
+    Mat(PathBuf),
     Folder(PathBuf),
 }
 
@@ -56,7 +66,7 @@ struct Written {
 /// What cannot be read or written, with its place; [`UsageError`] where the request must change.
 pub fn run(args: &ConvertArgs, format: Format) -> anyhow::Result<Outcome> {
     let target = target_of(&args.output)?;
-    if let Target::Csv(path) | Target::Mcap(path) = &target {
+    if let Target::Csv(path) | Target::Mcap(path) | Target::Mat(path) = &target {
         refuse_existing(path, args.force)?;
         if same_file(&args.input, path) {
             return Err(UsageError(format!("{}: IN and OUT are the same file", path.display())).into());
@@ -70,6 +80,7 @@ pub fn run(args: &ConvertArgs, format: Format) -> anyhow::Result<Outcome> {
     let written = match target {
         Target::Csv(path) => vec![to_csv(&loaded, &path)?],
         Target::Mcap(path) => vec![to_mcap(&loaded, &args.input, &path)?],
+        Target::Mat(path) => vec![to_mat(&loaded, &path)?],
         Target::Folder(folder) => to_folder(&loaded, &folder, args.force)?,
     };
     report(args, &loaded, &written, format)?;
@@ -84,16 +95,16 @@ fn target_of(output: &Path) -> anyhow::Result<Target> {
     match extension.as_deref() {
         Some("csv") => Ok(Target::Csv(output.to_owned())),
         Some("mcap") => Ok(Target::Mcap(output.to_owned())),
-        Some("mat") => bail!("{}: .mat is not supported yet; write .csv or .mcap", output.display()),
+        Some("mat") => Ok(Target::Mat(output.to_owned())),
         None => Ok(Target::Folder(output.to_owned())),
         Some(other) => {
             let place = output.display();
-            Err(UsageError(format!("{place}: OUT ends in .{other}; write .csv, .mcap or a folder")).into())
+            Err(UsageError(format!("{place}: OUT ends in .{other}; write .csv, .mcap, .mat or a folder")).into())
         }
     }
 }
 
-fn refuse_existing(path: &Path, force: bool) -> anyhow::Result<()> {
+pub(super) fn refuse_existing(path: &Path, force: bool) -> anyhow::Result<()> {
     if path.exists() && !force {
         bail!("{}: exists already; --force replaces it", path.display());
     }
@@ -110,12 +121,9 @@ fn select(loaded: &mut Loaded, name: Option<&str>, input: &Path) -> anyhow::Resu
     if loaded.loops.is_empty() {
         bail!("{place}: holds no sample that can be read");
     }
-    let Some(name) = name else { return Ok(()) };
-    let names = listed(&loaded.loops);
-    loaded.loops.retain(|one| one.name == name);
-    if loaded.loops.is_empty() {
-        return Err(UsageError(format!("{place}: no loop {name:?}; it holds {names}")).into());
-    }
+    let Some(wanted) = name else { return Ok(()) };
+    let chosen = files::choose_loop(&loaded.loops, wanted).map_err(|e| UsageError(format!("{place}: {e}")))?;
+    loaded.loops = vec![chosen.clone()];
     Ok(())
 }
 
@@ -212,6 +220,43 @@ fn to_mcap(loaded: &Loaded, input: &Path, path: &Path) -> anyhow::Result<Written
     file.finish()?;
     let loops = loaded.loops.iter().map(|one| one.name.clone()).collect();
     Ok(Written { path: path.to_owned(), loops, samples, rows: None })
+}
+
+/// A compact store of all loops; what it cannot hold is said.
+fn to_mat(loaded: &Loaded, path: &Path) -> anyhow::Result<Written> {
+    let mut stored = Vec::with_capacity(loaded.loops.len());
+    for one in &loaded.loops {
+        let ts_s = one.about.as_ref().map(|about| about.ts_s);
+        let mut kept = CompactLoop::from_samples(&one.name, &one.samples, ts_s)
+            .map_err(|fault| anyhow!("{}: {fault}; a compact store has one sampling time", one.name))?;
+        if let Some(about) = &one.about {
+            (kept.tags, kept.comment) = (about.tags.clone(), about.comment.clone());
+        }
+        let lost: Vec<&str> = [Signal::Sp, Signal::Mv, Signal::Mode]
+            .into_iter()
+            .filter(|s| one.count(*s).0 > 0)
+            .map(Signal::name)
+            .collect();
+        if !lost.is_empty() {
+            eprintln!("warning: {}: a compact store holds OP and PV alone, left out: {}", one.name, lost.join(", "));
+        }
+        stored.push(kept);
+    }
+    write_store(&stored, path, true)?;
+    let loops = loaded.loops.iter().map(|one| one.name.clone()).collect();
+    let rows = stored.iter().map(|one| one.rows.len()).sum();
+    Ok(Written { path: path.to_owned(), loops, samples: 2 * rows, rows: Some(rows) })
+}
+
+/// Writes a compact store, whole or not at all.
+pub(super) fn write_store(loops: &[CompactLoop], path: &Path, deflated: bool) -> anyhow::Result<()> {
+    let context = || format!("{}: cannot be written", path.display());
+    let temporary = Temporary::beside(path);
+    let mut out = BufWriter::with_capacity(1 << 16, File::create(&temporary.path).with_context(context)?);
+    compact::write(&mut out, loops, deflated).with_context(context)?;
+    let file = out.into_inner().map_err(std::io::IntoInnerError::into_error).with_context(context)?;
+    file.sync_all().with_context(context)?;
+    temporary.become_file(path)
 }
 
 /// A file under a passing name; removed unless it becomes the real one.

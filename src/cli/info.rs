@@ -1,4 +1,4 @@
-//! `info FILE`: what a table or recording holds, and whether it is whole.
+//! `info FILE`: what a table, recording or compact store holds, and whether it is whole.
 
 use super::{Format, Outcome};
 use crate::codec;
@@ -15,10 +15,14 @@ use std::path::{Path, PathBuf};
 /// Stamps from which the sampling time is taken, at most.
 const STAMPS: usize = 4096;
 
-/// Summarises a table or recording
+/// Summarises a table, recording or compact store
 #[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:
+  stictiond info recordings/sticking.mcap
+  stictiond info store.mat
+  stictiond info plant.mcap --verify --format json")]
 pub struct InfoArgs {
-    /// File to look at, .csv or .mcap
+    /// File to look at: .csv, .mcap or .mat
     #[arg(value_name = "FILE")]
     pub file: PathBuf,
     /// Check every payload too, beside the checksums; exit code 3 if anything is damaged
@@ -40,6 +44,10 @@ struct LoopInfo {
     end_ns: Option<i64>,
     span_s: Option<f64>,
     ts_s: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    tags: Option<[String; 2]>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    comment: Option<String>,
     signals: BTreeMap<&'static str, SignalInfo>,
     results: BTreeMap<&'static str, u64>,
     #[serde(skip)]
@@ -75,11 +83,11 @@ pub fn run(args: &InfoArgs, format: Format) -> anyhow::Result<Outcome> {
     let kind = InputKind::detect(&args.file)?;
     let mut info = match kind {
         InputKind::Mcap => of_recording(&args.file, args.verify)?,
-        InputKind::Csv => of_table(&args.file)?,
+        InputKind::Csv | InputKind::Mat => of_table(&args.file, kind)?,
     };
     info.verified = args.verify;
     if let Some(reason) = &info.reason {
-        eprintln!("warning: {}: the recording is {}: {reason}", args.file.display(), info.state);
+        eprintln!("warning: {}: the file is {}: {reason}", args.file.display(), info.state);
     }
     let text = match format {
         Format::Json => serde_json::to_string(&info)? + "\n",
@@ -158,19 +166,32 @@ impl LoopInfo {
     }
 }
 
-fn of_table(path: &Path) -> anyhow::Result<Info> {
-    let mut info = Info::new(path, InputKind::Csv, std::fs::metadata(path)?.len());
+fn of_table(path: &Path, kind: InputKind) -> anyhow::Result<Info> {
+    let mut info = Info::new(path, kind, std::fs::metadata(path)?.len());
     let loaded = load_samples(path)?;
     for warning in &loaded.warnings {
         eprintln!("warning: {}: {warning}", path.display());
     }
+    let mut sampling = Vec::new();
     for one in loaded.loops {
         let mut summary = LoopInfo { name: one.name, ..LoopInfo::default() };
         one.samples.iter().for_each(|sample| summary.take(sample));
         info.messages += one.samples.len() as u64;
+        sampling.push(one.about.as_ref().map(|about| about.ts_s));
+        if let Some(about) = one.about {
+            (summary.tags, summary.comment) = (Some(about.tags), Some(about.comment));
+        }
         info.loops.push(summary);
     }
     info.close();
+    for (one, ts_s) in info.loops.iter_mut().zip(sampling) {
+        // In a compact store the sampling time is said, not seen.
+        one.ts_s = ts_s.or(one.ts_s);
+    }
+    if loaded.data_loss {
+        info.state = "damaged";
+        info.reason = Some("loops were left out".to_owned());
+    }
     Ok(info)
 }
 
@@ -292,6 +313,12 @@ fn loop_text(text: &mut String, one: &LoopInfo) {
         let _ = write!(text, ", every {ts_s} s");
     }
     let _ = writeln!(text, "{}", named(&one.results));
+    if let Some([op, pv]) = &one.tags {
+        let _ = writeln!(text, "  tags        {op}, {pv}");
+    }
+    for line in one.comment.iter().flat_map(|comment| comment.lines()) {
+        let _ = writeln!(text, "  comment     {line}");
+    }
 }
 
 fn named(counts: &BTreeMap<&'static str, u64>) -> String {

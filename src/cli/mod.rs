@@ -5,15 +5,23 @@ mod analyze_report;
 pub mod bench;
 pub mod calibrate;
 mod calibrate_intervals;
+pub mod challenge;
 pub mod check;
+pub mod compact;
+pub mod completions;
 pub mod convert;
 pub mod demo;
 pub mod evaluate;
+pub mod gap;
 pub mod info;
+pub mod manual;
 pub mod play;
 pub mod replay;
 pub mod run;
+pub mod selection;
 pub mod simulate;
+pub mod solving;
+mod stop;
 mod text;
 
 use std::fmt::Display;
@@ -87,13 +95,17 @@ enum CommandArgs {
     Play(play::Args),
     Replay(replay::Args),
     Analyze(analyze::Args),
+    Gap(gap::Args),
     Evaluate(evaluate::Args),
     Calibrate(calibrate::Args),
     Simulate(simulate::Args),
+    Compact(compact::Args),
     Convert(convert::ConvertArgs),
     Check(check::Args),
     Info(info::InfoArgs),
     Bench(bench::Args),
+    Manual(manual::Args),
+    Completions(completions::Args),
 }
 
 /// Reads the command line and runs one command.
@@ -128,13 +140,17 @@ fn dispatch(cli: Cli) -> anyhow::Result<Outcome> {
         CommandArgs::Play(args) => play::run(&args, format),
         CommandArgs::Replay(args) => replay::run(&args, format),
         CommandArgs::Analyze(args) => analyze::run(&args, format),
+        CommandArgs::Gap(args) => gap::run(&args, format),
         CommandArgs::Evaluate(args) => evaluate::run(&args, format),
         CommandArgs::Calibrate(args) => calibrate::run(&args, format),
         CommandArgs::Simulate(args) => simulate::run(&args, format),
+        CommandArgs::Compact(args) => compact::run(&args, format),
         CommandArgs::Convert(args) => convert::run(&args, format),
         CommandArgs::Check(args) => check::run(&args, format),
         CommandArgs::Info(args) => info::run(&args, format),
         CommandArgs::Bench(args) => bench::run(&args, format),
+        CommandArgs::Manual(args) => manual::run(&args, format),
+        CommandArgs::Completions(args) => completions::run(&args),
     }
 }
 
@@ -177,33 +193,67 @@ pub(crate) fn on_all_cores<T: Sync, R: Send>(
     name: impl Fn(&T) -> String + Sync,
     work: impl Fn(&T) -> R + Sync,
 ) -> Vec<R> {
+    let mut answers = Vec::with_capacity(items.len());
+    let keep = |answer| {
+        answers.push(answer);
+        Ok(())
+    };
+    // Keeping an answer cannot fail.
+    let _: anyhow::Result<()> = in_order_on_all_cores(items, name, |item, _| work(item), keep);
+    answers
+}
+
+/// The same, each answer handed on as soon as all before it are there. Ctrl-C, where it is watched, lets no further
+/// item begin, and neither does an error of `take`, which is returned.
+pub(crate) fn in_order_on_all_cores<T: Sync, R: Send>(
+    items: &[T],
+    name: impl Fn(&T) -> String + Sync,
+    work: impl Fn(&T, &ProgressBar) -> R + Sync,
+    mut take: impl FnMut(R) -> anyhow::Result<()>,
+) -> anyhow::Result<()> {
     let bar = ProgressBar::new(items.len() as u64);
-    if let Ok(style) = ProgressStyle::with_template("{bar:40} {pos}/{len} {wide_msg}") {
+    if let Ok(style) = ProgressStyle::with_template("{spinner} {bar:40} {pos}/{len} {elapsed} {wide_msg}") {
         bar.set_style(style);
     }
-    let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+    bar.enable_steady_tick(std::time::Duration::from_millis(200));
+    let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get).min(items.len().max(1));
     let next = AtomicUsize::new(0);
-    let share = || {
-        let mut mine = Vec::new();
-        loop {
+    let (send, answers) = crossbeam_channel::unbounded();
+    let share = |send: crossbeam_channel::Sender<(usize, R)>| {
+        while !stop::asked() {
             let index = next.fetch_add(1, Ordering::Relaxed);
-            let Some(item) = items.get(index) else { return mine };
+            let Some(item) = items.get(index) else { break };
             bar.set_message(name(item));
-            mine.push((index, work(item)));
+            let answer = work(item, &bar);
             bar.inc(1);
+            if send.send((index, answer)).is_err() {
+                break;
+            }
         }
     };
-    let mut results: Vec<(usize, R)> = std::thread::scope(|scope| {
-        let workers: Vec<_> = (0..cores).map(|_| scope.spawn(share)).collect();
-        let join = |w: std::thread::ScopedJoinHandle<'_, Vec<(usize, R)>>| match w.join() {
-            Ok(mine) => mine,
-            Err(panic) => std::panic::resume_unwind(panic),
-        };
-        workers.into_iter().flat_map(join).collect()
+    let result = std::thread::scope(|scope| {
+        let share = &share;
+        for send in std::iter::repeat_n(send, cores) {
+            scope.spawn(move || share(send));
+        }
+        let mut early = std::collections::BTreeMap::new();
+        let mut wanted = 0;
+        for (index, answer) in &answers {
+            early.insert(index, answer);
+            while let Some(answer) = early.remove(&wanted) {
+                wanted += 1;
+                if let Err(error) = bar.suspend(|| take(answer)) {
+                    // Whoever sends now learns that nobody listens.
+                    next.store(items.len(), Ordering::Relaxed);
+                    return Err(error);
+                }
+            }
+        }
+        // After Ctrl-C answers may be missing in between.
+        early.into_values().try_for_each(&mut take)
     });
     bar.finish_and_clear();
-    results.sort_by_key(|(index, _)| *index);
-    results.into_iter().map(|(_, result)| result).collect()
+    result
 }
 
 /// Runs an asynchronous command. Zenoh needs a runtime of several threads.

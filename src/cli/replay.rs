@@ -13,7 +13,7 @@ use crate::source::zenoh as bus;
 
 /// Re-run the engine on a recording or a folder of them.
 ///
-/// With --verify every estimate and alarm is compared, byte for byte, with the recorded one: exit 1 on the first
+/// With --verify every estimate, alarm and gap is compared, byte for byte, with the recorded one: exit 1 on the first
 /// difference, exit 2 if the file comes from another version or its configuration has another hash.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
@@ -60,13 +60,15 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     let (files, compared) = (totals.files, totals.compared);
     if args.verify {
         if compared == 0 {
-            tracing::warn!("nothing was compared: the recordings hold no estimate and no alarm");
+            tracing::warn!("nothing was compared: the recordings hold no estimate, alarm or gap");
         }
         match format {
             Format::Json => {
                 say(json!({"schema": "stictiond.replay.v1", "files": files, "compared": compared, "equal": true}))?
             }
-            Format::Text => say(format!("{files} files, {compared} estimates and alarms: all equal to the byte"))?,
+            Format::Text => {
+                say(format!("{files} files, {compared} estimates, alarms and gaps: all equal to the byte"))?
+            }
         }
     }
     Ok(if totals.cut { Outcome::DataLoss } else { Outcome::Done })
@@ -92,6 +94,7 @@ fn replay_chain(
         if verify && let Some(outcome) = refuse_foreign(args, path, &metadata)? {
             return Ok(Some(outcome));
         }
+        replay.set_diagnose(shown);
         let report = replay_file(&mut replay, path, &metadata.prefix, fresh, verify)
             .with_context(|| path.display().to_string())?;
         fresh = false;
@@ -144,23 +147,26 @@ fn print(format: Format, output: &Output) -> anyhow::Result<()> {
     let d: serde_json::Value = serde_json::from_slice(&output.json)?;
     let time = |v: &serde_json::Value| crate::units::format_rfc3339(v.as_i64().unwrap_or(0));
     let number = |v: &serde_json::Value| v.as_f64().map_or("-".to_owned(), |x| format!("{x:.3}"));
-    let line = if output.kind == Kind::Alarm {
-        format!(
-            "{}  {:<12} alarm {}: {}",
-            time(&d["changed_ns"]),
-            output.loop_name,
-            d["state"].as_str().unwrap_or("?"),
-            d["why"].as_str().unwrap_or("")
-        )
-    } else {
-        format!(
-            "{}  {:<12} {:<15} index {:>6}  s {:>7}",
+    let text = |v: &serde_json::Value| v.as_str().unwrap_or("?").to_owned();
+    let name = &output.loop_name;
+    let line = match output.kind {
+        Kind::Alarm => {
+            format!("{}  {name:<12} alarm {}: {}", time(&d["changed_ns"]), text(&d["state"]), text(&d["why"]))
+        }
+        Kind::Gap => format!(
+            "{}  {name:<12} gap {} ({}, p {})",
             time(&d["window"]["end_ns"]),
-            output.loop_name,
-            d["verdict"].as_str().unwrap_or("?"),
+            text(&d["cause"]["id"]),
+            text(&d["reason"]),
+            number(&d["cause"]["probability"])
+        ),
+        _ => format!(
+            "{}  {name:<12} {:<15} index {:>6}  s {:>7}",
+            time(&d["window"]["end_ns"]),
+            text(&d["verdict"]),
             number(&d["stiction_index"]),
             number(&d["s"])
-        )
+        ),
     };
     say(line)?;
     Ok(())

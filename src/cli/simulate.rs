@@ -1,24 +1,31 @@
 //! `stictiond simulate`: a recording of a simulated plant, as the daemon would have made it.
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow, bail};
 use serde_json::json;
 
+use super::gap::model_file;
 use super::{Format, Outcome, list, say};
 use crate::codec::encode_recorded;
 use crate::codec::topic::{self, Kind};
 use crate::config::{Config, short_hash};
 use crate::daemon::to_json;
-use crate::engine::{Engine, Event};
+use crate::engine::{Engine, Event, RecordedInput, SkipReason};
 use crate::files::RecordingFile;
-use crate::sim::scenario::Scenario;
+use crate::gap::Serial;
+use crate::gap::loop_run::CLOSABLE;
+use crate::record::Record;
+use crate::sim::closed_loop::ValveLaw;
+use crate::sim::scenario::{ProcessSpec, Scenario};
 use crate::sink::recorder::RunInfo;
 
 /// Simulate a plant and write what a daemon beside it would have recorded: samples, estimates, alarms.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Example: stictiond simulate recordings/scenarios/sticking.toml --out sticking.mcap")]
+#[command(after_help = "Examples:
+  stictiond simulate recordings/scenarios/sticking.toml --out sticking.mcap
+  stictiond simulate recordings/scenarios/sticking.toml --model gap.json --out as-diagnosed.mcap")]
 pub struct Args {
     /// The plant (TOML), such as those in recordings/scenarios.
     pub scenario: PathBuf,
@@ -28,6 +35,13 @@ pub struct Args {
     /// Configuration of the daemon beside it; its prefix must be the scenario's. Default: windows every 300 s.
     #[arg(long)]
     pub config: Option<PathBuf>,
+    /// Valve and process of a model from elsewhere instead of the scenario's: an estimate, a gap document's model, or a
+    /// plain one (JSON). Controller, set point, noise and disturbances stay the scenario's.
+    #[arg(long, value_name = "FILE.json")]
+    pub model: Option<PathBuf>,
+    /// Which of the scenario's loops the model is for, where it has several.
+    #[arg(long = "loop", value_name = "NAME", requires = "model")]
+    pub loop_name: Option<String>,
     /// Samples only, no results.
     #[arg(long)]
     pub raw: bool,
@@ -42,7 +56,10 @@ pub struct Args {
 /// A scenario or configuration with faults, an output that exists or cannot be written.
 pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     let text = std::fs::read_to_string(&args.scenario).with_context(|| args.scenario.display().to_string())?;
-    let scenario = Scenario::parse(&text).map_err(|e| anyhow!("{}: {e}", args.scenario.display()))?;
+    let mut scenario = Scenario::parse(&text).map_err(|e| anyhow!("{}: {e}", args.scenario.display()))?;
+    if let Some(path) = &args.model {
+        put_model(&mut scenario, path, args.loop_name.as_deref())?;
+    }
     let config_text = match &args.config {
         Some(path) => std::fs::read_to_string(path).with_context(|| path.display().to_string())?,
         None => format!("[site]\nprefix = \"{}\"\n\n[window]\nhop_s = 300.0\n", scenario.site.prefix),
@@ -59,8 +76,8 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     }
     let run = RunInfo {
         prefix: config.site.prefix.clone(),
-        // The same scenario gives the same file, to the byte.
-        run_id: short_hash(format!("{text}\n{config_text}").as_bytes())[..8].to_owned(),
+        // The same scenario and model give the same file, to the byte.
+        run_id: short_hash(format!("{text}\n{config_text}{}", model_text(args)?).as_bytes())[..8].to_owned(),
         started_ns: scenario.start_ns(),
         origin: if args.raw { "simulate_raw" } else { "simulate" },
         config_hash: config.hash(),
@@ -79,6 +96,41 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
         }
     }
     Ok(Outcome::Done)
+}
+
+/// The model's file as it stands; empty without one.
+fn model_text(args: &Args) -> anyhow::Result<String> {
+    let Some(path) = &args.model else { return Ok(String::new()) };
+    std::fs::read_to_string(path).with_context(|| path.display().to_string())
+}
+
+/// Puts a file's valve and process into one loop of the scenario.
+fn put_model(scenario: &mut Scenario, path: &Path, name: Option<&str>) -> anyhow::Result<()> {
+    let names: Vec<String> = scenario.loop_names().map(str::to_owned).collect();
+    let at = match name {
+        Some(name) => names.iter().position(|n| n == name),
+        None => (names.len() == 1).then_some(0),
+    };
+    let Some(at) = at else { bail!("--loop says which loop gets the model: {}", names.join(", ")) };
+    let spec = &mut scenario.loops[at];
+    let rest = Record::uniform(scenario.run.ts_s, vec![spec.operating_point.op], vec![spec.operating_point.pv]);
+    let model = model_file(path)?.on(&rest);
+    if let Some(effect) = model.effects.iter().find(|e| !CLOSABLE.contains(&e.id.as_str())) {
+        bail!("{}: {:?} has no place in a scenario's valve or process", path.display(), effect.id);
+    }
+    spec.valve.law = match model.valve.law.as_str() {
+        "he" => ValveLaw::He,
+        "tracking" => ValveLaw::Tracking,
+        _ => ValveLaw::None,
+    };
+    (spec.valve.fs, spec.valve.fd) = (model.valve.fs, model.valve.fd);
+    spec.process = ProcessSpec {
+        gain: model.process.gain,
+        time_constants_s: model.process.time_constants_s,
+        dead_time_s: model.process.dead_time_s,
+        integrating: model.process.integrating,
+    };
+    Ok(())
 }
 
 /// Writes into a file of another name first: an output is whole or not there.
@@ -115,6 +167,17 @@ fn write(args: &Args, scenario: &Scenario, config: Config, run: &RunInfo) -> any
                         engine.complete(request.id, request.seq, request.compute(), &mut events);
                         continue;
                     }
+                    Event::GapRequest(request) => {
+                        let (id, number, reason) = (request.id, request.number, SkipReason::Failed);
+                        if let Ok(document) = request.compute(&Serial) {
+                            engine.complete_gap(id, number, document, &mut events);
+                            continue;
+                        }
+                        engine.skip_gap(id, number, reason, &mut events);
+                        let at_ns = request.record.end_ns;
+                        (id, Kind::Input, at_ns, to_json(&RecordedInput::GapSkip { number, reason }))
+                    }
+                    Event::Gap(id, d) => (id, Kind::Gap, d.end_ns(), to_json(&d)),
                     Event::Estimate(id, d) => (id, Kind::Estimate, d.assessment.window.end_ns, to_json(&d)),
                     Event::Alarm(id, d) => (id, Kind::Alarm, d.changed_ns, to_json(&d)),
                     Event::State(id, d) => (id, Kind::State, d.window_end_ns.unwrap_or(0), to_json(&d)),

@@ -1,5 +1,6 @@
 //! Documents in words.
 
+use super::analyze::Answer;
 use crate::report::words;
 use crate::units::format_rfc3339;
 use crate::verdict::{Assessment, EstimateDocument};
@@ -90,4 +91,58 @@ pub(super) fn estimate(document: &EstimateDocument) -> String {
         row("grade", grade.to_string());
     }
     lines.join("\n")
+}
+
+/// An estimate with what `analyze` adds: what was looked at, what was enforced, what the solver found.
+pub(super) fn answer(answer: &Answer) -> String {
+    let mut lines = vec![estimate(&answer.document)];
+    let mut row = |name: &str, value: String| lines.push(format!("  {name:<12} {value}"));
+    let taken = &answer.selection;
+    let words = taken.section.words();
+    if !words.is_empty() {
+        row("section", words);
+    }
+    if let Some(kind) = taken.detrend {
+        row("detrended", format!("{kind:?}").to_lowercase());
+    }
+    if let Some(d) = &taken.downsample {
+        let how = if d.like_toolbox {
+            "samples dropped, as the toolbox does"
+        } else {
+            "averaged, the valve law on every OP value"
+        };
+        let left = d.points_per_period.map_or(String::new(), |p| format!(", {p:.0} points left of a period"));
+        row("downsampled", format!("by {}: {} samples to {} points{left} ({how})", d.ratio, d.samples, d.points));
+    }
+    if let Some(s0) = answer.s0 {
+        row("constraint", format!("fs + fd <= S0 = {}", number(Some(s0))));
+    }
+    if let Some(mse) = answer.document.assessment.process.as_ref().map(|p| p.mse) {
+        row("least MSE", format!("{mse:.4e} (PV units squared)"));
+    }
+    if let Some(s) = &answer.scored {
+        row("given model", format!("{}: fit {:.1} %, MSE {}", s.model.display(), s.fit_pct, exponent(Some(s.mse))));
+    }
+    if let Some(s) = &answer.solver {
+        row("solver", format!("{}: fs {}  fd {}  MSE {}", s.name, number(s.fs), number(s.fd), exponent(s.mse)));
+        let stopped = format!(
+            "{} of {} models tried in {:.1} s, {}",
+            s.evaluations,
+            s.evaluations_limit,
+            s.elapsed_ms / 1e3,
+            s.stopped
+        );
+        let bound =
+            s.lower_bound_mse.map_or(String::new(), |b| format!("; believed bound {b:.4e} (heuristic, no proof)"));
+        row("", stopped + &bound);
+        row("", format!("the estimate's own bands have MSE {} there", exponent(s.estimate_mse)));
+    }
+    if let Some(ms) = answer.document.assessment.elapsed_ms {
+        row("run time", format!("{:.2} s", ms / 1e3));
+    }
+    lines.join("\n")
+}
+
+fn exponent(value: Option<f64>) -> String {
+    value.map_or_else(|| "-".to_owned(), |v| format!("{v:.4e}"))
 }

@@ -25,6 +25,10 @@ pub struct Config {
     pub window: WindowParams,
     /// Alarms, for loops that say nothing else.
     pub alarm: AlarmParams,
+    /// The gap diagnosis. Left out of [`Config::hash`] while nothing is set, so that recordings from before it existed
+    /// still verify.
+    #[serde(skip_serializing_if = "GapParams::is_default")]
+    pub gap: GapParams,
     /// Where and how to record.
     pub recording: Recording,
     /// Metrics and health over HTTP.
@@ -103,6 +107,15 @@ pub struct AlarmParams {
     pub s_limit_op: f64,
 }
 
+/// `[gap]`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct GapParams {
+    /// Whether a loop that departs from its model is diagnosed without being asked.
+    pub enabled: bool,
+    /// Model responses that one diagnosis may compute.
+    pub budget_evaluations: u64,
+}
+
 /// `[recording]`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Recording {
@@ -163,6 +176,18 @@ impl Default for AlarmParams {
     }
 }
 
+impl Default for GapParams {
+    fn default() -> Self {
+        Self { enabled: true, budget_evaluations: 100_000 }
+    }
+}
+
+impl GapParams {
+    fn is_default(&self) -> bool {
+        *self == Self::default()
+    }
+}
+
 impl Config {
     /// Reads a configuration.
     ///
@@ -181,8 +206,8 @@ impl Config {
 
     fn read(text: &str, root: &DeTable<'_>, faults: &mut Vec<Fault>) -> Self {
         let mut open = |key: &str| subtable(text, root, key, faults);
-        let tables = ["site", "zenoh", "input", "window", "alarm", "recording", "web"].map(|key| (key, open(key)));
-        let [site, zenoh, input, window, alarm, recording, web] = tables;
+        let keys = ["site", "zenoh", "input", "window", "alarm", "gap", "recording", "web"];
+        let [site, zenoh, input, window, alarm, gap, recording, web] = keys.map(|key| (key, open(key)));
         macro_rules! read {
             ($entry:expr, $read:expr) => {{
                 let mut reader = TableReader::new(text, $entry.0, $entry.1.1, $entry.1.0, faults);
@@ -196,10 +221,11 @@ impl Config {
         let input = read!(input, read_input);
         let window = read!(window, |r: &mut TableReader<'_, '_>| read_window(r, WindowParams::default()));
         let alarm = read!(alarm, |r: &mut TableReader<'_, '_>| read_alarm(r, AlarmParams::default()));
+        let gap = read!(gap, read_gap);
         let recording = read!(recording, read_recording);
         let web = read!(web, read_web);
         let loops = read_loops(text, root, window, alarm, faults);
-        Self { site, zenoh, input, window, alarm, recording, web, loops }
+        Self { site, zenoh, input, window, alarm, gap, recording, web, loops }
     }
 
     /// A configuration with every default, for a prefix that is known to be sound.
@@ -238,7 +264,7 @@ fn syntax_fault(text: &str, error: &toml::de::Error) -> Fault {
 }
 
 fn refuse_unknown_tables(text: &str, root: &DeTable<'_>, faults: &mut Vec<Fault>) {
-    const KNOWN: [&str; 8] = ["site", "zenoh", "input", "window", "alarm", "recording", "web", "loop"];
+    const KNOWN: [&str; 9] = ["site", "zenoh", "input", "window", "alarm", "gap", "recording", "web", "loop"];
     for (key, _) in root.iter().filter(|(k, _)| !KNOWN.iter().any(|known| known == k.get_ref())) {
         faults.push(Fault {
             line: line_of(text, key.span().start),
@@ -346,6 +372,14 @@ fn read_alarm(r: &mut TableReader<'_, '_>, d: AlarmParams) -> AlarmParams {
         }
     }
     AlarmParams { raise, s_limit_op: r.number("s_limit_op", d.s_limit_op, 0.0, 1e12) }
+}
+
+fn read_gap(r: &mut TableReader<'_, '_>) -> GapParams {
+    let d = GapParams::default();
+    GapParams {
+        enabled: r.boolean("enabled", d.enabled),
+        budget_evaluations: r.integer("budget_evaluations", d.budget_evaluations, 1_000, 100_000_000),
+    }
 }
 
 fn read_recording(r: &mut TableReader<'_, '_>) -> Recording {
@@ -482,6 +516,16 @@ mod tests {
         let config = Config::parse(text).unwrap();
         let a = config.loop_named("A").unwrap();
         assert_eq!((a.window.hop_s, a.alarm.s_limit_op, config.window.hop_s), (30.0, 2.0, 60.0));
+    }
+
+    #[test]
+    fn the_hash_hangs_on_the_gap_only_where_it_is_set() {
+        let hash = |gap: &str| Config::parse(&format!("[site]\nprefix = \"p\"\n{gap}")).unwrap().hash();
+        // As it was before there was a gap diagnosis: older recordings still read as recorded.
+        assert_eq!(hash(""), "aa77f03d084b55b4");
+        assert_eq!(hash("[gap]\nenabled = true\n"), hash(""));
+        assert_ne!(hash("[gap]\nenabled = false\n"), hash(""));
+        assert_ne!(hash("[gap]\nbudget_evaluations = 5000\n"), hash(""));
     }
 
     proptest! {

@@ -3,26 +3,29 @@
 //! What it takes it records first; what the engine puts out goes to workers, recorder and publisher. It never waits
 //! for a fit and never for the bus; for the recorder it waits a little (see [`crate::sink::recorder`]).
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 use std::sync::{Arc, RwLock};
 use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, never, select, tick};
 
 use super::clock::now_ns;
+use super::gaps::{self, Diagnosed, Diagnoser, Outcome};
 use super::health::{DaemonHealth, LoopHealth, QueueHealth};
 use super::metrics::{Label, Metrics};
 use super::routes::{Route, Routes};
 use super::worker::{self, Answered, Workers};
-use crate::alarm::{Alarm, AlarmDocument, Command, CommandError};
+use crate::alarm::{AlarmDocument, Command, CommandError};
 use crate::codec;
 use crate::codec::topic::{self, Kind};
-use crate::engine::{Checkpoint, Engine, Event, LoopId, RecordedInput, Request, SkipReason, StateDocument};
+use crate::engine::{
+    Checkpoint, Engine, Event, GapRefusal, GapRequest, LoopId, RecordedInput, Request, SkipReason, StateDocument,
+};
 use crate::record::Sample;
 use crate::signal::align::AlignCounts;
 use crate::sink::recorder::{self, Item, LOOPS_PER_FILE, Recorder, shard_of};
 use crate::sink::zenoh::{self as bus, Publication, Publisher};
-use crate::source::{Incoming, Message};
+use crate::source::{Answer, Incoming, Message};
 
 /// Messages taken before the other channels are looked at again.
 const BATCH: usize = 256;
@@ -42,6 +45,9 @@ pub struct Core {
     engine: Engine,
     routes: Routes,
     workers: Workers,
+    diagnoser: Diagnoser,
+    /// People who wait for a diagnosis, by loop and number.
+    asking: HashMap<(LoopId, u64), Vec<Answer>>,
     recorder: Option<Recorder>,
     publisher: Publisher,
     metrics: Arc<Metrics>,
@@ -60,10 +66,12 @@ pub struct Core {
 
 /// What a core is made of.
 pub struct Parts {
-    /// The engine, with restored alarms.
+    /// The engine.
     pub engine: Engine,
     /// The workers.
     pub workers: Workers,
+    /// The gap's thread.
+    pub diagnoser: Diagnoser,
     /// The recorder.
     pub recorder: Option<Recorder>,
     /// The publisher.
@@ -87,6 +95,8 @@ impl Core {
             input_limit: config.input.queue,
             engine: parts.engine,
             workers: parts.workers,
+            diagnoser: parts.diagnoser,
+            asking: HashMap::new(),
             recorder: parts.recorder,
             publisher: parts.publisher,
             metrics: parts.metrics,
@@ -102,11 +112,11 @@ impl Core {
         }
     }
 
-    /// Takes the alarms of the run before over, and publishes those that are not at rest.
-    pub fn restore(&mut self, alarms: BTreeMap<String, Alarm>) {
-        for (name, alarm) in alarms {
+    /// Takes over what the run before remembered of its loops, and publishes the alarms that are not at rest.
+    pub fn restore(&mut self, memories: BTreeMap<String, Checkpoint>) {
+        for (name, memory) in memories {
             let Some(id) = self.engine.appear(&name) else { continue };
-            if let Some(document) = self.engine.restore(id, Checkpoint { alarm, stream: None }) {
+            if let Some(document) = self.engine.restore(id, memory) {
                 self.publish(id, Kind::Alarm, to_json(&document));
             }
         }
@@ -117,6 +127,7 @@ impl Core {
     pub fn run(mut self, incoming: &Receiver<Incoming>, stop: &Receiver<()>) {
         let ticker = tick(HEALTH_EVERY);
         let answers = self.workers.answers.clone();
+        let diagnoses = self.diagnoser.answers.clone();
         let rotations = self.recorder.as_ref().map_or_else(never, |r| r.rotations.clone());
         self.open_shards();
         loop {
@@ -126,6 +137,7 @@ impl Core {
                     Err(_) => break,
                 },
                 recv(answers) -> answered => if let Ok(answered) = answered { self.answered(answered) },
+                recv(diagnoses) -> diagnosed => if let Ok(diagnosed) = diagnosed { self.diagnosed(diagnosed) },
                 recv(rotations) -> shard => if let Ok(shard) = shard { self.open_shard(shard) },
                 recv(ticker) -> _ => self.report(incoming.len()),
                 recv(stop) -> _ => break,
@@ -151,6 +163,15 @@ impl Core {
                 self.handle_events();
             }
         }
+        while let Ok(diagnosed) = self.diagnoser.answers.try_recv() {
+            self.diagnosed(diagnosed);
+        }
+        for id in self.engine.ids() {
+            for number in self.engine.gaps_waiting(id).collect::<Vec<u64>>() {
+                self.skip_gap(id, number, SkipReason::Shutdown, "the daemon stopped");
+                self.handle_events();
+            }
+        }
         self.report(incoming.len());
     }
 
@@ -173,6 +194,7 @@ impl Core {
                 };
                 answer(result.map(|document| to_json(&document)).map_err(|e| e.to_string()));
             }
+            Incoming::GapRun { loop_name, by, answer } => self.run_gap(&loop_name, by, answer),
         }
     }
 
@@ -246,6 +268,12 @@ impl Core {
             for event in std::mem::take(&mut self.events) {
                 match event {
                     Event::Request(request) => self.request(*request),
+                    Event::GapRequest(request) => self.request_gap(*request),
+                    Event::Gap(id, document) => {
+                        self.metrics.gaps.inc();
+                        self.record(id, Kind::Gap, &document, document.end_ns());
+                        self.publish(id, Kind::Gap, to_json(&document));
+                    }
                     Event::Estimate(id, document) => {
                         self.metrics.estimates.inc();
                         let a = &document.assessment;
@@ -278,6 +306,76 @@ impl Core {
         self.metrics.fits_skipped.inc();
         self.record(id, Kind::Input, &RecordedInput::Skip { window_end_ns, seq, reason }, window_end_ns);
         self.engine.skip(id, seq, &mut self.events);
+    }
+
+    /// A person asks for a diagnosis. Who asks while one is under way is answered with that one.
+    fn run_gap(&mut self, loop_name: &str, by: Option<String>, answer: Answer) {
+        let Some(id) = self.engine.find(loop_name) else {
+            return self.refuse_gap(answer, &GapRefusal::UnknownLoop(loop_name.to_owned()).to_string());
+        };
+        if let Some(number) = self.engine.gaps_waiting(id).last() {
+            let asking = self.asking.entry((id, number)).or_default();
+            if asking.len() < gaps::QUEUE {
+                return asking.push(answer);
+            }
+            return self.refuse_gap(answer, &format!("{} wait for this diagnosis already", gaps::QUEUE));
+        }
+        if self.diagnoser.requests.is_full() {
+            return self.refuse_gap(answer, &format!("{} diagnoses wait already: try again later", gaps::QUEUE));
+        }
+        match self.engine.run_gap(id, by.as_deref(), &mut self.events) {
+            Ok(number) => {
+                let at_ns = self.engine.figures(id).greatest_ns.unwrap_or(0);
+                self.record(id, Kind::Input, &RecordedInput::GapRun { number, by }, at_ns);
+                self.asking.entry((id, number)).or_default().push(answer);
+                self.handle_events();
+            }
+            Err(refusal) => self.refuse_gap(answer, &refusal.to_string()),
+        }
+    }
+
+    fn refuse_gap(&self, answer: Answer, why: &str) {
+        self.metrics.gaps_skipped.inc();
+        answer(Err(why.to_owned()));
+    }
+
+    fn request_gap(&mut self, request: GapRequest) {
+        let (id, number) = (request.id, request.number);
+        if self.diagnoser.requests.try_send(request).is_err() {
+            self.skip_gap(id, number, SkipReason::QueueFull, "too many diagnoses wait already");
+        }
+    }
+
+    fn diagnosed(&mut self, diagnosed: Diagnosed) {
+        let Diagnosed { id, number, outcome } = diagnosed;
+        match outcome {
+            Outcome::Skipped(reason, why) => self.skip_gap(id, number, reason, &why),
+            Outcome::Done(document, cut) => {
+                if let Some(evaluations) = cut {
+                    self.metrics.gaps_cut.inc();
+                    let input = RecordedInput::GapCut { number, evaluations };
+                    self.record(id, Kind::Input, &input, document.end_ns());
+                }
+                let json = to_json(&document);
+                self.engine.complete_gap(id, number, *document, &mut self.events);
+                self.handle_events();
+                for answer in self.asking.remove(&(id, number)).into_iter().flatten() {
+                    answer(Ok(json.clone()));
+                }
+            }
+        }
+        self.handle_events();
+    }
+
+    fn skip_gap(&mut self, id: LoopId, number: u64, reason: SkipReason, why: &str) {
+        self.metrics.gaps_skipped.inc();
+        tracing::info!(name = %self.engine.name(id), why, "a gap diagnosis was not made");
+        let at_ns = self.engine.figures(id).greatest_ns.unwrap_or(0);
+        self.record(id, Kind::Input, &RecordedInput::GapSkip { number, reason }, at_ns);
+        self.engine.skip_gap(id, number, reason, &mut self.events);
+        for answer in self.asking.remove(&(id, number)).into_iter().flatten() {
+            answer(Err(why.to_owned()));
+        }
     }
 
     fn alarm_changed(&mut self, id: LoopId, document: &AlarmDocument) {
@@ -388,6 +486,7 @@ impl Core {
             queues: vec![
                 queue("input", input_waiting, self.input_limit, m.dropped_input.get()),
                 queue("fits", self.workers.requests.len(), worker::QUEUE, m.fits_skipped.get()),
+                queue("gaps", self.diagnoser.requests.len(), gaps::QUEUE, m.gaps_skipped.get()),
                 queue("recorder", recorder_waiting, recorder::QUEUE, m.recording_lost.get()),
                 queue("publisher", self.publisher.waiting(), bus::QUEUE, m.dropped_output.get()),
             ],

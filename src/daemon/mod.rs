@@ -3,12 +3,14 @@
 //! ```text
 //! Zenoh callbacks --(input, drops + counts)--> engine thread --(fits, skips + records)--> workers
 //!                                                |    ^-------------(answers)----------------'
+//!                                                |--(gaps, refuses or skips + records)--> gap thread, last to get a core
 //!                                                |--(recorder, waits 2 s)--> recorder thread --> *.mcap
 //!                                                '--(publisher, alarms wait)--> publisher thread --> Zenoh, last values
 //! ```
 
 pub mod clock;
 mod core;
+pub mod gaps;
 mod health;
 pub mod metrics;
 pub mod replay;
@@ -28,6 +30,7 @@ use anyhow::{Context, anyhow};
 pub use self::core::HealthSnapshot;
 pub(crate) use self::core::to_json;
 use self::core::{Core, Parts};
+use self::gaps::Diagnoser;
 pub use self::health::DaemonHealth;
 use self::metrics::Metrics;
 use crate::codec::topic;
@@ -62,11 +65,11 @@ pub async fn run(
     let metrics = Arc::new(Metrics::default());
     let recordings = Path::new(&config.recording.dir).to_owned();
     // A demonstration starts afresh.
-    let mut alarms = match options.origin {
-        "run" => restore::alarms_of_last_run(&recordings, &config.site.prefix),
+    let mut memories = match options.origin {
+        "run" => restore::memories_of_last_run(&recordings, &config.site.prefix),
         _ => BTreeMap::new(),
     };
-    alarms.retain(|name, _| config.input.discover || config.loop_named(name).is_some());
+    memories.retain(|name, _| config.input.discover || config.loop_named(name).is_some());
     let starting = |id: &str| (Instant::now(), Arc::new(DaemonHealth::starting(id, &config.hash())));
     let snapshot = HealthSnapshot::new(RwLock::new(starting("")));
     let web = crate::web::serve(&config.web, metrics.clone(), snapshot.clone()).await?;
@@ -90,6 +93,8 @@ pub async fn run(
     let run = run_info(&config, config_text, &options, &daemon_id);
     let (recorder, recording) = Recorder::start(run, config.recording.clone(), metrics.clone())?;
     let workers = worker::start(options.workers)?;
+    let waiting = workers.requests.clone();
+    let diagnoser = Diagnoser::start(move || !waiting.is_empty())?;
 
     let prefix = config.site.prefix.clone();
     let queryables = source::zenoh::answer_queries(&session, &prefix, queue.clone(), last, metrics.clone()).await?;
@@ -97,6 +102,7 @@ pub async fn run(
     let parts = Parts {
         engine,
         workers,
+        diagnoser,
         recorder: Some(recorder),
         publisher,
         metrics: metrics.clone(),
@@ -106,7 +112,7 @@ pub async fn run(
     let (stop_core, stopping) = crossbeam_channel::bounded::<()>(0);
     let core = std::thread::Builder::new().name("engine".into()).spawn(move || {
         let mut core = Core::new(parts);
-        core.restore(alarms);
+        core.restore(memories);
         core.run(&incoming, &stopping);
     })?;
     let subscribers = source::zenoh::subscribe(&session, &config, queue, metrics.clone()).await?;

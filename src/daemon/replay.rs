@@ -4,18 +4,19 @@
 //! there. Skips and commands are obeyed where they stand. So whatever the workers' speed was, the engine sees the same
 //! inputs in the same order, and must say the same.
 
-use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
+use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow, bail};
 use serde::Deserialize;
 
+use super::gaps::Until;
 use super::restore::{RunFile, is_recording};
 use super::to_json;
 use crate::codec::decode_recorded;
 use crate::codec::topic::{Kind, Leaf, Topic};
 use crate::config::Config;
-use crate::engine::{Engine, Event, LoopId, RecordedInput, Request, StateDocument};
+use crate::engine::{Engine, Event, GapRequest, LoopId, RecordedInput, Request, SkipReason, StateDocument};
 use crate::files::{End, RecordingReader};
 
 /// A document that replay made.
@@ -23,7 +24,7 @@ use crate::files::{End, RecordingReader};
 pub struct Output {
     /// The loop's name.
     pub loop_name: String,
-    /// What it is: estimate or alarm.
+    /// What it is: estimate, alarm or gap.
     pub kind: Kind,
     /// Its JSON, to the byte.
     pub json: Vec<u8>,
@@ -34,12 +35,16 @@ pub struct Replay {
     engine: Engine,
     /// Requests that wait for their place, per loop.
     waiting: HashMap<LoopId, VecDeque<Request>>,
+    /// Diagnoses that wait for their place, per loop, and where their search was ended.
+    gaps: HashMap<LoopId, VecDeque<(GapRequest, Option<u64>)>>,
+    /// Whether diagnoses are made again. Nothing else hangs on them, so on the way to a file they need not be.
+    diagnose: bool,
     /// Compute each request at once: for recordings that hold no results of their own.
     at_once: bool,
     events: Vec<Event>,
 }
 
-/// The window of a recorded estimate, all that replay needs of it.
+/// The window of a recorded estimate or gap, all that replay needs of it.
 #[derive(Deserialize)]
 struct Marker {
     window: MarkerWindow,
@@ -54,7 +59,14 @@ impl Replay {
     /// A replay under a configuration. `at_once` is for recordings without results.
     #[must_use]
     pub fn new(config: Config, at_once: bool) -> Self {
-        Self { engine: Engine::new(config), waiting: HashMap::new(), at_once, events: Vec::new() }
+        let engine = Engine::new(config);
+        let (waiting, gaps, events) = (HashMap::new(), HashMap::new(), Vec::new());
+        Self { engine, waiting, gaps, diagnose: true, at_once, events }
+    }
+
+    /// Whether gap diagnoses are made again from here on, or only their places are kept.
+    pub const fn set_diagnose(&mut self, diagnose: bool) {
+        self.diagnose = diagnose;
     }
 
     /// Takes one message of the file.
@@ -72,24 +84,60 @@ impl Replay {
                 let marker: Marker = serde_json::from_slice(data).context("a recorded estimate names no window")?;
                 self.answer(id, marker.window.end_ns);
             }
-            Leaf::Document(Kind::Input) => match serde_json::from_slice(data).context("a recorded input")? {
-                RecordedInput::Skip { seq, .. } => {
-                    self.waiting.entry(id).or_default().retain(|r| r.seq != seq);
-                    self.engine.skip(id, seq, &mut self.events);
-                }
-                RecordedInput::Command(command) => {
-                    if let Ok(document) = self.engine.command(id, &command) {
-                        out.push(self.output(id, Kind::Alarm, to_json(&document)));
-                    }
-                }
-            },
+            Leaf::Document(Kind::Gap) if !self.at_once => self.diagnose_next(id),
+            Leaf::Document(Kind::Input) => {
+                self.obey(id, serde_json::from_slice(data).context("a recorded input")?, out);
+            }
             Leaf::Document(_) => {}
         }
         self.sort_events(out);
         Ok(())
     }
 
-    /// Takes over the states that a file starts with: everything at the start of the replay, alarms alone later.
+    /// Does what outside time or people did there.
+    fn obey(&mut self, id: LoopId, input: RecordedInput, out: &mut Vec<Output>) {
+        match input {
+            RecordedInput::Skip { seq, .. } => {
+                self.waiting.entry(id).or_default().retain(|r| r.seq != seq);
+                self.engine.skip(id, seq, &mut self.events);
+            }
+            RecordedInput::Command(command) => {
+                if let Ok(document) = self.engine.command(id, &command) {
+                    out.push(self.output(id, Kind::Alarm, to_json(&document)));
+                }
+            }
+            RecordedInput::GapRun { by, .. } => {
+                // A run that was recorded was not refused.
+                let _ = self.engine.run_gap(id, by.as_deref(), &mut self.events);
+            }
+            RecordedInput::GapSkip { number, reason } => {
+                self.gaps.entry(id).or_default().retain(|(r, _)| r.number != number);
+                self.engine.skip_gap(id, number, reason, &mut self.events);
+            }
+            RecordedInput::GapCut { number, evaluations } => {
+                let waiting = self.gaps.entry(id).or_default().iter_mut();
+                waiting.filter(|(r, _)| r.number == number).for_each(|(_, cut)| *cut = Some(evaluations));
+            }
+        }
+    }
+
+    /// Makes the loop's oldest diagnosis, whose recorded document stands here.
+    fn diagnose_next(&mut self, id: LoopId) {
+        if let Some((request, cut)) = self.gaps.entry(id).or_default().pop_front() {
+            self.diagnose(&request, cut);
+        }
+    }
+
+    fn diagnose(&mut self, request: &GapRequest, cut: Option<u64>) {
+        let (id, number) = (request.id, request.number);
+        match self.diagnose.then(|| request.compute(&Until(cut))) {
+            Some(Ok(document)) => self.engine.complete_gap(id, number, document, &mut self.events),
+            // Without an answer there is no document; a recorded one then stands without its like.
+            Some(Err(_)) | None => self.engine.skip_gap(id, number, SkipReason::Failed, &mut self.events),
+        }
+    }
+
+    /// Takes over the states that a file starts with: everything at the start of the replay, no streams later.
     ///
     /// # Errors
     /// A payload that is no state.
@@ -99,7 +147,7 @@ impl Replay {
         if everything {
             self.engine.restore(id, state.checkpoint);
         } else {
-            self.engine.restore_alarm(id, state.checkpoint.alarm);
+            self.engine.restore_memory(id, state.checkpoint);
         }
         Ok(())
     }
@@ -120,6 +168,11 @@ impl Replay {
                     Event::Request(request) if self.at_once => {
                         self.engine.complete(request.id, request.seq, request.compute(), &mut self.events);
                     }
+                    Event::GapRequest(request) if self.at_once => self.diagnose(&request, None),
+                    Event::GapRequest(request) => {
+                        self.gaps.entry(request.id).or_default().push_back((*request, None));
+                    }
+                    Event::Gap(id, document) => out.push(self.output(id, Kind::Gap, to_json(&document))),
                     Event::Request(request) => self.waiting.entry(request.id).or_default().push_back(*request),
                     Event::Estimate(id, document) => out.push(self.output(id, Kind::Estimate, to_json(&document))),
                     Event::Alarm(id, document) => out.push(self.output(id, Kind::Alarm, to_json(&document))),
@@ -225,17 +278,23 @@ fn heads(path: &Path, prefix: &str) -> anyhow::Result<BTreeMap<String, Option<i6
     Ok(heads)
 }
 
-/// The loops that a file holds samples or estimates of; the others have no window in it.
-fn loops_with_windows(path: &Path, prefix: &str) -> anyhow::Result<BTreeSet<String>> {
+/// The loops that a file holds samples or results of, and the earliest window of their gap diagnoses; the others have no
+/// window in it.
+fn loops_with_windows(path: &Path, prefix: &str) -> anyhow::Result<BTreeMap<String, Option<i64>>> {
     let mut reader = RecordingReader::open(path)?;
-    let mut loops = BTreeSet::new();
+    let mut loops: BTreeMap<String, Option<i64>> = BTreeMap::new();
     while let Some(message) = reader.next_message()? {
-        let leaf = Leaf::Document(Kind::Estimate);
-        if let Some(Topic { loop_name, leaf: found, .. }) = Topic::parse(Some(prefix), message.topic())
-            && (found == leaf || matches!(found, Leaf::Raw(_)))
-            && !loops.contains(loop_name)
-        {
-            loops.insert(loop_name.to_owned());
+        let Some(topic) = Topic::parse(Some(prefix), message.topic()) else { continue };
+        match topic.leaf {
+            Leaf::Document(Kind::Gap) => {
+                let marker: Marker = serde_json::from_slice(message.data).context("a recorded gap names no window")?;
+                let earliest = loops.entry(topic.loop_name.to_owned()).or_default();
+                *earliest = Some(earliest.map_or(marker.window.end_ns, |e| e.min(marker.window.end_ns)));
+            }
+            Leaf::Raw(_) | Leaf::Document(Kind::Estimate) if !loops.contains_key(topic.loop_name) => {
+                loops.insert(topic.loop_name.to_owned(), None);
+            }
+            _ => {}
         }
     }
     Ok(loops)
@@ -248,7 +307,11 @@ fn loops_with_windows(path: &Path, prefix: &str) -> anyhow::Result<BTreeSet<Stri
 pub fn files_needed(path: &Path, metadata: &RunMetadata) -> anyhow::Result<Vec<PathBuf>> {
     let mut own = heads(path, &metadata.prefix)?;
     let alive = loops_with_windows(path, &metadata.prefix)?;
-    own.retain(|name, _| alive.contains(name));
+    own.retain(|name, _| alive.contains_key(name));
+    // A diagnosis may be of a window long before the file in which it was done.
+    for (name, greatest) in &mut own {
+        *greatest = greatest.map(|g| alive.get(name).copied().flatten().map_or(g, |end_ns| g.min(end_ns)));
+    }
     let windows = metadata.config.loops.iter().map(|l| l.window).chain([metadata.config.window]);
     let reach_s = windows.map(|w| 1.05 * w.max_window_s + 2.0 * w.hop_s + w.lateness_s).fold(0.0, f64::max);
     let reach_ns = crate::units::ns_from_s(reach_s);
@@ -290,7 +353,7 @@ pub struct FileReport {
     pub cut: Option<String>,
 }
 
-/// Takes a whole file. With `verify` every estimate and alarm is compared with the recorded one.
+/// Takes a whole file. With `verify` every estimate, alarm and gap is compared with the recorded one.
 ///
 /// # Errors
 /// The file cannot be read, or a message is not what its topic says.
@@ -321,7 +384,7 @@ pub fn replay_file(
             }
             report.outputs.push(output);
         }
-        if let (true, Leaf::Document(kind @ (Kind::Estimate | Kind::Alarm)), None) =
+        if let (true, Leaf::Document(kind @ (Kind::Estimate | Kind::Alarm | Kind::Gap)), None) =
             (verify, topic.leaf, &report.difference)
         {
             let again = made.get_mut(&(topic.loop_name.to_owned(), kind)).and_then(VecDeque::pop_front);

@@ -1,4 +1,4 @@
-//! Carries alarms over a restart: the newest states of the last run, read from its recordings.
+//! Carries a loop's memory over a restart: alarm and gap watch, from the newest states of the last run's recordings.
 //!
 //! A file that cannot be read as a recording is put aside under another name; the daemon starts whatever it finds.
 
@@ -6,9 +6,8 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use crate::alarm::Alarm;
 use crate::codec::topic::{Kind, Leaf, Topic};
-use crate::engine::StateDocument;
+use crate::engine::{Checkpoint, StateDocument};
 use crate::files::{ReadError, RecordingReader};
 
 /// Files of the last run that are read per shard: the last one may have been cut before its first flush.
@@ -51,9 +50,9 @@ pub fn is_recording(path: &Path) -> bool {
     name.ends_with(".mcap") || name.ends_with(".mcap.part")
 }
 
-/// The alarms with which the last run under this prefix ended, by loop. Never fails: what cannot be read is logged.
+/// What the last run under this prefix ended with, by loop: alarms and gap watches, never the stream of points. Never fails: what cannot be read is logged.
 #[must_use]
-pub fn alarms_of_last_run(dir: &Path, prefix: &str) -> BTreeMap<String, Alarm> {
+pub fn memories_of_last_run(dir: &Path, prefix: &str) -> BTreeMap<String, Checkpoint> {
     let mut files = Vec::new();
     let entries = fs::read_dir(dir).into_iter().flatten().flatten();
     for path in entries.map(|e| e.path()).filter(|p| p.is_file() && is_recording(p)) {
@@ -71,26 +70,26 @@ pub fn alarms_of_last_run(dir: &Path, prefix: &str) -> BTreeMap<String, Alarm> {
     };
     files.retain(|f| f.run_id == run_id);
     files.sort_by_key(|f| (f.shard, f.index));
-    let mut alarms = BTreeMap::new();
+    let mut memories = BTreeMap::new();
     for shard in files.chunk_by(|a, b| a.shard == b.shard) {
         for file in &shard[shard.len().saturating_sub(FILES_PER_SHARD)..] {
-            if let Err(error) = read_states(&file.path, prefix, &mut alarms) {
-                tracing::warn!(%error, "alarm states could not be read to the end");
+            if let Err(error) = read_states(&file.path, prefix, &mut memories) {
+                tracing::warn!(%error, "states could not be read to the end");
             }
         }
     }
-    tracing::info!(loops = alarms.len(), run_id, "alarm states carried over");
-    alarms
+    tracing::info!(loops = memories.len(), run_id, "states carried over");
+    memories
 }
 
-fn read_states(path: &Path, prefix: &str, alarms: &mut BTreeMap<String, Alarm>) -> Result<(), ReadError> {
+fn read_states(path: &Path, prefix: &str, memories: &mut BTreeMap<String, Checkpoint>) -> Result<(), ReadError> {
     let mut reader = RecordingReader::open(path)?;
     while let Some(message) = reader.next_message()? {
         let topic = Topic::parse(Some(prefix), message.topic());
         if topic.is_some_and(|t| t.leaf == Leaf::Document(Kind::State))
             && let Ok(state) = serde_json::from_slice::<StateDocument>(message.data)
         {
-            alarms.insert(state.loop_name, state.checkpoint.alarm);
+            memories.insert(state.loop_name, Checkpoint { stream: None, ..state.checkpoint });
         }
     }
     Ok(())

@@ -1,5 +1,6 @@
 //! Detection: does the loop oscillate, and which signs in the record speak for the valve.
 
+mod foresight;
 mod jumps;
 mod oddness;
 pub mod oscillation;
@@ -34,7 +35,8 @@ pub trait Detector: Sync {
 }
 
 /// Every detector.
-pub const ALL: [&dyn Detector; 4] = [&oddness::Oddness, &jumps::Jumps, &sine::Sine, &travel::Travel];
+pub const ALL: [&dyn Detector; 6] =
+    [&oddness::Oddness, &jumps::Jumps, &sine::Sine, &travel::Travel, &foresight::Foresight, &foresight::Clock];
 
 /// A record as the detectors look at it: at most about 80 points a period.
 #[derive(Debug, Clone)]
@@ -51,6 +53,8 @@ pub struct View {
     pub pv_noise: f64,
     /// Period, points of this view.
     pub period: f64,
+    /// Views in which PV is foretold; `None` where the record is too short or a signal does not move.
+    grounds: [Option<foresight::Ground>; 2],
 }
 
 /// Points a period that a view keeps, and points that it looks at.
@@ -70,14 +74,27 @@ impl View {
             boxed
         };
         let (op, pv) = (take(&record.op()), take(&record.pv));
+        let grounds = foresight::GRAINS.map(|grain| foresight::Ground::of(record, period, grain));
         let period = period / k as f64;
         let pv_noise = stats::noise_sd(&pv);
         let width = (period / 16.0) as usize;
         let (op, pv) = (detrend::hann_smooth(&op, width), detrend::hann_smooth(&pv, width));
         let slow = (period as usize).max(2);
         let (op_fast, pv_fast) = (detrend::high_pass(&op, slow), detrend::high_pass(&pv, slow));
-        Self { op, pv, op_fast, pv_fast, pv_noise, period }
+        Self { op, pv, op_fast, pv_fast, pv_noise, period, grounds }
     }
+}
+
+/// White noise between -0.5 and 0.5 for the detectors' tests.
+#[cfg(test)]
+fn noise(n: usize, seed: u64) -> Vec<f64> {
+    let mut state = seed;
+    (0..n)
+        .map(|_| {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 11) as f64 / (1_u64 << 53) as f64 - 0.5
+        })
+        .collect()
 }
 
 #[cfg(test)]

@@ -120,17 +120,8 @@ fn judge(x: &[f64], factor: usize) -> Option<Oscillates> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::noise;
     use super::*;
-
-    fn noise(n: usize, seed: u64) -> Vec<f64> {
-        let mut state = seed;
-        (0..n)
-            .map(|_| {
-                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-                (state >> 11) as f64 / (1_u64 << 53) as f64 - 0.5
-            })
-            .collect()
-    }
 
     fn sine(n: usize, period: f64) -> Vec<f64> {
         (0..n).map(|k| libm::sin(2.0 * core::f64::consts::PI * k as f64 / period)).collect()

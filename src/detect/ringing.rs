@@ -115,7 +115,7 @@ fn unsteadiness(x: &[f64], f: f64) -> f64 {
 }
 
 /// `frequency` and its harmonics, as far as the points carry them.
-fn harmonics(frequency: f64) -> Vec<f64> {
+pub(super) fn harmonics(frequency: f64) -> Vec<f64> {
     let count = HARMONICS.min((0.45 / frequency) as usize).max(1);
     (1..=count).map(|m| frequency * m as f64).collect()
 }
@@ -160,7 +160,7 @@ fn line_power(x: &[f64], f: f64) -> f64 {
 }
 
 /// Frequency of the strongest line in a range, to a fortieth of a bin.
-fn strongest(x: &[f64], range: [f64; 2]) -> f64 {
+pub(super) fn strongest(x: &[f64], range: [f64; 2]) -> f64 {
     let n = x.len() as f64;
     let look = |from: f64, to: f64, steps: i32| {
         let places = (0..=steps).map(|k| from + (to - from) * f64::from(k) / f64::from(steps));
@@ -255,17 +255,8 @@ fn roots(a: &[f64]) -> Vec<Complex<f64>> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::noise;
     use super::*;
-
-    fn noise(n: usize, seed: u64) -> Vec<f64> {
-        let mut state = seed;
-        (0..n)
-            .map(|_| {
-                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-                (state >> 11) as f64 / (1_u64 << 53) as f64 - 0.5
-            })
-            .collect()
-    }
 
     /// A second-order mode of damping `zeta` and period `period` driven by white noise.
     fn rung(n: usize, zeta: f64, period: f64, seed: u64) -> Vec<f64> {

@@ -25,6 +25,27 @@ pub enum RecordedInput {
     },
     /// A person's command, taken here.
     Command(Command),
+    /// A person's wish for a gap diagnosis, taken here.
+    GapRun {
+        /// Its place among the loop's diagnoses.
+        number: u64,
+        /// Who asked.
+        by: Option<String>,
+    },
+    /// A gap diagnosis that was not made.
+    GapSkip {
+        /// Its place among the loop's diagnoses.
+        number: u64,
+        /// Why.
+        reason: SkipReason,
+    },
+    /// A gap diagnosis whose search was ended before its budget: its document follows.
+    GapCut {
+        /// Its place among the loop's diagnoses.
+        number: u64,
+        /// Evaluations that it had done.
+        evaluations: u64,
+    },
 }
 
 /// A loop's state at a place in a recording.

@@ -3,9 +3,12 @@
 use std::collections::VecDeque;
 use std::sync::Arc;
 
+use super::gaps::{GapReason, GapRefusal, GapRequest, GapWatch, PublishedGap};
 use super::windowing::choose_record;
 use super::{Checkpoint, Event, LoopFigures, LoopId, LoopSettings, Request, StateDocument, StreamState};
 use crate::alarm::{Alarm, AlarmDocument, Command, CommandError, State};
+use crate::gap::MIN_POINTS;
+use crate::gap::model::Model;
 use crate::record::{Record, Sample};
 use crate::signal::align::{Aligned, Aligner};
 use crate::signal::history::History;
@@ -16,8 +19,15 @@ use crate::verdict::{Assessment, EstimateDocument, Gate, Oscillation, Window};
 #[derive(Debug)]
 struct Waiting {
     seq: u64,
-    window: Window,
+    record: Arc<Record>,
     answer: Option<Assessment>,
+}
+
+/// A diagnosis on its way; the answer once it came is none where it was given up.
+#[derive(Debug)]
+struct WaitingGap {
+    number: u64,
+    answer: Option<Option<PublishedGap>>,
 }
 
 #[derive(Debug)]
@@ -25,12 +35,15 @@ pub(super) struct Loop {
     pub name: Arc<str>,
     pub settings: Arc<LoopSettings>,
     pub alarm: Alarm,
+    pub gap: GapWatch,
     aligner: Aligner,
     history: History,
     /// End of the window under way: the first multiple of the hop at or after the last sample taken.
     next_end_ns: Option<i64>,
     windows: u64,
     waiting: VecDeque<Waiting>,
+    gaps: u64,
+    gaps_waiting: VecDeque<WaitingGap>,
 }
 
 impl Loop {
@@ -38,11 +51,14 @@ impl Loop {
         Self {
             name,
             alarm: Alarm::default(),
+            gap: GapWatch::default(),
             aligner: Aligner::new(),
             history: History::new(settings.window.max_points),
             next_end_ns: None,
             windows: 0,
             waiting: VecDeque::new(),
+            gaps: 0,
+            gaps_waiting: VecDeque::new(),
             settings,
         }
     }
@@ -96,36 +112,105 @@ impl Loop {
             ..Record::uniform(self.aligner.sampling_time_s().unwrap_or(0.0), Vec::new(), Vec::new())
         });
         record.facts.bad += u32::from(self.aligner.bad_since_last_point());
-        let (seq, window) = (self.windows, Window::of(&record));
+        let (seq, record) = (self.windows, Arc::new(record));
         self.windows += 1;
-        self.waiting.push_back(Waiting { seq, window, answer: None });
+        self.waiting.push_back(Waiting { seq, record: record.clone(), answer: None });
         out.push(Event::Request(Box::new(Request { id, seq, end_ns, record, settings: self.settings.clone() })));
     }
 
     /// Takes an answer (or none) and consumes all that are next in order.
-    pub fn resolve(&mut self, id: LoopId, seq: u64, answer: Option<Assessment>, hash: &str, out: &mut Vec<Event>) {
+    pub fn resolve(&mut self, id: LoopId, seq: u64, answer: Option<Assessment>, hash: &Arc<str>, out: &mut Vec<Event>) {
         let Some(waiting) = self.waiting.iter_mut().find(|w| w.seq == seq) else { return };
-        waiting.answer = Some(answer.unwrap_or_else(|| skipped(waiting.window)));
+        waiting.answer = Some(answer.unwrap_or_else(|| skipped(Window::of(&waiting.record))));
         while self.waiting.front().is_some_and(|w| w.answer.is_some()) {
-            if let Some(assessment) = self.waiting.pop_front().and_then(|w| w.answer) {
-                self.consume(id, assessment, hash, out);
+            if let Some(Waiting { record, answer: Some(assessment), .. }) = self.waiting.pop_front() {
+                self.consume(id, &record, assessment, hash, out);
             }
         }
     }
 
-    fn consume(&mut self, id: LoopId, assessment: Assessment, hash: &str, out: &mut Vec<Event>) {
+    fn consume(
+        &mut self,
+        id: LoopId,
+        record: &Arc<Record>,
+        assessment: Assessment,
+        hash: &Arc<str>,
+        out: &mut Vec<Event>,
+    ) {
         let change = self.alarm.window(&self.name, &assessment, &self.settings.alarm);
+        let departed = self.gap.window(&assessment, record, &self.settings.gap);
         let end_ns = assessment.window.end_ns;
         out.push(Event::Estimate(id, Box::new(EstimateDocument::new(&self.name, hash, assessment))));
         if let Some(document) = change {
             out.push(Event::Alarm(id, document));
         }
-        let checkpoint = Checkpoint { alarm: self.alarm.clone(), stream: None };
+        let checkpoint = Checkpoint { alarm: self.alarm.clone(), gap: self.gap.clone(), stream: None };
         out.push(Event::State(id, Box::new(StateDocument::new(&self.name, Some(end_ns), checkpoint))));
+        if let Some((reason, model)) = departed {
+            self.ask_gap(id, (reason, None), record.clone(), model, hash, out);
+        }
+    }
+
+    /// A person asks for a diagnosis of the latest data, cut as a window would be that ended now.
+    pub fn run_gap(
+        &mut self,
+        id: LoopId,
+        by: Option<&str>,
+        hash: &Arc<str>,
+        out: &mut Vec<Event>,
+    ) -> Result<u64, GapRefusal> {
+        let newest_ns = self.history.newest_ns();
+        let record = newest_ns.and_then(|end_ns| choose_record(&self.history, &self.settings.window, end_ns));
+        let points = record.as_ref().map_or(0, Record::len);
+        let Some(record) = record.filter(|_| points >= MIN_POINTS) else {
+            return Err(GapRefusal::TooShort { points, needed: MIN_POINTS });
+        };
+        let (asked, model) = ((GapReason::Operator, by.map(str::to_owned)), self.gap.model().cloned());
+        Ok(self.ask_gap(id, asked, Arc::new(record), model, hash, out))
+    }
+
+    fn ask_gap(
+        &mut self,
+        id: LoopId,
+        (reason, by): (GapReason, Option<String>),
+        record: Arc<Record>,
+        model: Option<Model>,
+        hash: &Arc<str>,
+        out: &mut Vec<Event>,
+    ) -> u64 {
+        let number = self.gaps;
+        self.gaps += 1;
+        self.gaps_waiting.push_back(WaitingGap { number, answer: None });
+        out.push(Event::GapRequest(Box::new(GapRequest {
+            id,
+            number,
+            loop_name: self.name.clone(),
+            reason,
+            by,
+            record,
+            model,
+            budget_evaluations: self.settings.gap.budget_evaluations,
+            config_hash: hash.clone(),
+        })));
+        number
+    }
+
+    /// Takes a diagnosis, or none, and puts out all that are next in order.
+    pub fn resolve_gap(&mut self, id: LoopId, number: u64, answer: Option<PublishedGap>, out: &mut Vec<Event>) {
+        let Some(waiting) = self.gaps_waiting.iter_mut().find(|w| w.number == number) else { return };
+        waiting.answer = Some(answer);
+        while self.gaps_waiting.front().is_some_and(|w| w.answer.is_some()) {
+            let document = self.gaps_waiting.pop_front().and_then(|w| w.answer).flatten();
+            out.extend(document.map(|document| Event::Gap(id, Box::new(document))));
+        }
+    }
+
+    pub fn gaps_waiting(&self) -> impl Iterator<Item = u64> + '_ {
+        self.gaps_waiting.iter().filter(|w| w.answer.is_none()).map(|w| w.number)
     }
 
     pub fn waiting(&self) -> impl Iterator<Item = (u64, i64)> + '_ {
-        self.waiting.iter().filter(|w| w.answer.is_none()).map(|w| (w.seq, w.window.end_ns))
+        self.waiting.iter().filter(|w| w.answer.is_none()).map(|w| (w.seq, w.record.end_ns))
     }
 
     pub fn command(&mut self, command: &Command) -> Result<AlarmDocument, CommandError> {
@@ -140,17 +225,19 @@ impl Loop {
             points: self.history.total(),
             next_end_ns: self.next_end_ns,
             windows: self.windows,
+            gaps: self.gaps,
         };
-        Checkpoint { alarm: self.alarm.clone(), stream: Some(stream) }
+        Checkpoint { alarm: self.alarm.clone(), gap: self.gap.clone(), stream: Some(stream) }
     }
 
     pub fn restore(&mut self, checkpoint: Checkpoint) -> Option<AlarmDocument> {
-        self.alarm = checkpoint.alarm;
+        (self.alarm, self.gap) = (checkpoint.alarm, checkpoint.gap);
         if let Some(stream) = checkpoint.stream {
             self.history = History::resumed(self.settings.window.max_points, stream.points);
             self.aligner = stream.aligner;
             self.next_end_ns = stream.next_end_ns;
             self.windows = stream.windows;
+            self.gaps = stream.gaps;
         }
         (self.alarm.state != State::Normal).then(|| self.alarm.restored(&self.name))
     }

@@ -4,7 +4,9 @@
 //! each puts [`Event`]s out. There is no clock, thread or file below here, and no fit is run inline: a due window
 //! leaves as a [`Request`] that holds its record, and whoever drives the engine computes it. Answers are consumed per
 //! loop in the order of the windows, so everything after them depends on that order and on event time alone.
+//! Gap diagnoses leave as [`GapRequest`]s of their own; see [`gaps`] for when.
 
+pub mod gaps;
 mod input;
 mod looper;
 mod windowing;
@@ -15,13 +17,14 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use crate::alarm::{Alarm, AlarmDocument, Command, CommandError};
-use crate::config::{AlarmParams, Config, LoopConfig, WindowParams};
+use crate::config::{AlarmParams, Config, GapParams, LoopConfig, WindowParams};
 use crate::record::{Record, Sample};
 use crate::signal::align::{AlignCounts, AlignParams, Aligner, Quality};
 use crate::units::ns_from_s;
 use crate::verdict::{AssessParams, Assessment, EstimateDocument, assess};
 use looper::Loop;
 
+pub use gaps::{GapReason, GapRefusal, GapRequest, GapWatch, PublishedGap};
 pub use input::{INPUT_SCHEMA, RecordedInput, STATE_SCHEMA, StateDocument};
 pub use windowing::section;
 
@@ -48,6 +51,8 @@ pub struct LoopSettings {
     pub alarm: AlarmParams,
     /// Its estimates.
     pub assess: AssessParams,
+    /// Its gap diagnoses.
+    pub gap: GapParams,
 }
 
 impl LoopSettings {
@@ -70,6 +75,7 @@ impl LoopSettings {
             },
             window,
             alarm,
+            gap: config.gap,
         }
     }
 }
@@ -84,7 +90,7 @@ pub struct Request {
     /// The window's name: its end, ns.
     pub end_ns: i64,
     /// What the estimate is made from.
-    pub record: Record,
+    pub record: Arc<Record>,
     /// How.
     pub settings: Arc<LoopSettings>,
 }
@@ -106,19 +112,23 @@ pub enum Event {
     Estimate(LoopId, Box<EstimateDocument>),
     /// A change of an alarm to publish, record and log.
     Alarm(LoopId, AlarmDocument),
-    /// The alarm's memory after a window, to record.
+    /// The loop's memory after a window, to record.
     State(LoopId, Box<StateDocument>),
+    /// Compute this when nothing else waits, and hand the answer back.
+    GapRequest(Box<GapRequest>),
+    /// A gap diagnosis to publish and record.
+    Gap(LoopId, Box<PublishedGap>),
 }
 
-/// Why a due window got no fit.
+/// Why a due window got no fit, or a gap no diagnosis.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SkipReason {
     /// The machine was too busy.
     QueueFull,
-    /// The daemon stopped before the fit was done.
+    /// The daemon stopped before it was done.
     Shutdown,
-    /// The fit broke off; its message is in the log.
+    /// It broke off or found no answer; its message is in the log.
     Failed,
 }
 
@@ -140,6 +150,9 @@ pub struct LoopFigures {
 pub struct Checkpoint {
     /// The alarm and its memory.
     pub alarm: Alarm,
+    /// What is usual of the loop, and the model that its gap is measured from.
+    #[serde(default)]
+    pub gap: GapWatch,
     /// Samples on their way into the history, and what is held. Absent at the start of a run.
     pub stream: Option<StreamState>,
 }
@@ -151,6 +164,8 @@ pub struct StreamState {
     points: u64,
     next_end_ns: Option<i64>,
     windows: u64,
+    #[serde(default)]
+    gaps: u64,
 }
 
 impl StreamState {
@@ -165,7 +180,7 @@ impl StreamState {
 #[derive(Debug)]
 pub struct Engine {
     config: Arc<Config>,
-    config_hash: String,
+    config_hash: Arc<str>,
     common: Arc<LoopSettings>,
     loops: Vec<Loop>,
     by_name: HashMap<Arc<str>, LoopId>,
@@ -176,7 +191,7 @@ impl Engine {
     #[must_use]
     pub fn new(config: Config) -> Self {
         let common = Arc::new(LoopSettings::of(&config, None));
-        let config_hash = config.hash();
+        let config_hash = config.hash().into();
         Self { config: Arc::new(config), config_hash, common, loops: Vec::new(), by_name: HashMap::new() }
     }
 
@@ -246,6 +261,33 @@ impl Engine {
         self.loops[id.index()].waiting()
     }
 
+    /// Asks for a diagnosis of a loop as it is now, in the name of a person; gives its number.
+    ///
+    /// # Errors
+    /// [`GapRefusal`] where too little is held of the loop.
+    pub fn run_gap(&mut self, id: LoopId, by: Option<&str>, out: &mut Vec<Event>) -> Result<u64, GapRefusal> {
+        self.loops[id.index()].run_gap(id, by, &self.config_hash, out)
+    }
+
+    /// Takes a diagnosis. It is put out once those asked before it are done.
+    pub fn complete_gap(&mut self, id: LoopId, number: u64, document: PublishedGap, out: &mut Vec<Event>) {
+        self.loops[id.index()].resolve_gap(id, number, Some(document), out);
+    }
+
+    /// Gives a diagnosis up; the recording must hold the skip as an input. One that found no place is asked again by
+    /// the loop's next departing window.
+    pub fn skip_gap(&mut self, id: LoopId, number: u64, reason: SkipReason, out: &mut Vec<Event>) {
+        if reason == SkipReason::QueueFull {
+            self.loops[id.index()].gap.gave_up();
+        }
+        self.loops[id.index()].resolve_gap(id, number, None, out);
+    }
+
+    /// Diagnoses of a loop that wait for their answers, oldest first.
+    pub fn gaps_waiting(&self, id: LoopId) -> impl Iterator<Item = u64> + '_ {
+        self.loops[id.index()].gaps_waiting()
+    }
+
     /// Carries out a person's command.
     ///
     /// # Errors
@@ -266,9 +308,10 @@ impl Engine {
         self.loops[id.index()].restore(checkpoint)
     }
 
-    /// Takes over the alarm alone, as at the start of the file that is verified.
-    pub fn restore_alarm(&mut self, id: LoopId, alarm: Alarm) {
-        self.loops[id.index()].alarm = alarm;
+    /// Takes over what windows left behind, without the stream: as at the start of the file that is verified.
+    pub fn restore_memory(&mut self, id: LoopId, checkpoint: Checkpoint) {
+        let of = &mut self.loops[id.index()];
+        (of.alarm, of.gap) = (checkpoint.alarm, checkpoint.gap);
     }
 
     /// A loop's settings.

@@ -1,6 +1,8 @@
-//! Files: recordings (MCAP) and tables (CSV). What a file is, its content says, not its name.
+//! Files: recordings (MCAP), tables (CSV), compact stores (MATLAB). What a file is, its content says, not its name.
 
+pub mod compact;
 pub mod csv;
+pub mod mat;
 mod mcap_index;
 mod mcap_read;
 mod mcap_write;
@@ -32,15 +34,18 @@ pub enum InputKind {
     Mcap,
     /// A table `t,op,pv…`.
     Csv,
+    /// The toolbox's compact store, a MATLAB file of version 5.
+    Mat,
 }
 
 impl InputKind {
-    /// `mcap` or `csv`.
+    /// `mcap`, `csv` or `mat`.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Mcap => "mcap",
             Self::Csv => "csv",
+            Self::Mat => "mat",
         }
     }
 
@@ -55,15 +60,17 @@ impl InputKind {
         }
         let mut head = Vec::with_capacity(4096);
         File::open(path).map_err(failed)?.take(4096).read_to_end(&mut head).map_err(failed)?;
+        match mat::recognise(&head) {
+            Ok(true) => return Ok(Self::Mat),
+            Ok(false) => {}
+            Err(source) => return Err(FileError::Compact { path: path.to_owned(), source: source.into() }),
+        }
         Self::of_content(&head).map_err(|what| FileError::Kind { path: path.to_owned(), what })
     }
 
     /// What begins like this; otherwise, what it seems to be and the remedy.
     fn of_content(head: &[u8]) -> Result<Self, &'static str> {
-        let unsupported: [(&[u8], &str); 6] = [
-            (b"MATLAB 5.0", "a MATLAB file, which is not supported yet; export t,op,pv as .csv, then convert that"),
-            (b"MATLAB 7.3", "a MATLAB file, which is not supported yet; export t,op,pv as .csv, then convert that"),
-            (b"\x89HDF", "an HDF5 or MATLAB 7.3 file, which is not supported; export t,op,pv as .csv"),
+        let unsupported: [(&[u8], &str); 3] = [
             (b"PK\x03\x04", "a workbook or zip archive; save the sheet as .csv, or unpack it"),
             (b"\x1f\x8b", "compressed by gzip; unpack it"),
             (b"\xff\xfe", "UTF-16 text; save it as UTF-8"),
@@ -75,10 +82,12 @@ impl InputKind {
             return Err(what);
         }
         if head.iter().all(u8::is_ascii_whitespace) {
-            return Err("empty; expected a recording (.mcap) or a table with the header t,op,pv");
+            return Err(
+                "empty; expected a recording (.mcap), a table with the header t,op,pv or a compact store (.mat)",
+            );
         }
         if head.contains(&0) {
-            return Err("neither a recording (.mcap) nor text; expected one of these");
+            return Err("neither a recording (.mcap), nor a compact store (.mat), nor text; expected one of these");
         }
         Ok(Self::Csv)
     }
@@ -114,6 +123,25 @@ pub enum FileError {
         /// Line and remedy.
         source: csv::CsvError,
     },
+    /// A compact store that cannot be read.
+    #[error("{}: {source}", path.display())]
+    Compact {
+        /// The file.
+        path: PathBuf,
+        /// Place and remedy.
+        source: compact::CompactError,
+    },
+}
+
+/// What a compact store knows of a loop besides its samples.
+#[derive(Debug, Clone, PartialEq)]
+pub struct About {
+    /// Tags of OP and PV.
+    pub tags: [String; 2],
+    /// Sampling time, s.
+    pub ts_s: f64,
+    /// What somebody noted.
+    pub comment: String,
 }
 
 /// One loop of a file.
@@ -123,9 +151,17 @@ pub struct LoadedLoop {
     pub name: String,
     /// Its samples in recorded order.
     pub samples: Vec<Sample>,
+    /// Tags, sampling time and comment, from compact stores.
+    pub about: Option<About>,
 }
 
 impl LoadedLoop {
+    /// A loop of samples alone.
+    #[must_use]
+    pub fn new(name: impl Into<String>, samples: Vec<Sample>) -> Self {
+        Self { name: name.into(), samples, about: None }
+    }
+
     /// Samples of a signal, and how many of them are missing values.
     #[must_use]
     pub fn count(&self, signal: Signal) -> (usize, usize) {
@@ -149,7 +185,7 @@ pub struct Loaded {
     pub metadata: BTreeMap<String, String>,
 }
 
-/// Reads the raw data of a table or recording. Cut-off and damaged recordings give what can be read, with
+/// Reads the raw data of a table, recording or compact store. Cut-off and damaged recordings give what can be read, with
 /// [`Loaded::data_loss`] set.
 ///
 /// # Errors
@@ -157,17 +193,67 @@ pub struct Loaded {
 pub fn load_samples(path: &Path) -> Result<Loaded, FileError> {
     match InputKind::detect(path)? {
         InputKind::Mcap => load_recording(path),
+        InputKind::Mat => load_store(path),
         InputKind::Csv => {
-            let table = csv::read(path)?;
+            let table = csv::read(path).map_err(|error| named_mat(path, error))?;
             let name = path.file_stem().map_or_else(|| "loop".into(), |stem| loop_name_from(&stem.to_string_lossy()));
             Ok(Loaded {
                 kind: InputKind::Csv,
-                loops: vec![LoadedLoop { name, samples: table.samples }],
+                loops: vec![LoadedLoop::new(name, table.samples)],
                 warnings: table.warnings,
                 data_loss: false,
                 metadata: BTreeMap::new(),
             })
         }
+    }
+}
+
+/// A text that is named as a MATLAB file and is no table either says so.
+fn named_mat(path: &Path, error: FileError) -> FileError {
+    let named = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("mat"));
+    match error {
+        FileError::Csv { .. } if named => FileError::Kind {
+            path: path.to_owned(),
+            what: "text although it is named .mat, and no table t,op,pv either; save it in MATLAB with save -v7",
+        },
+        other => other,
+    }
+}
+
+fn load_store(path: &Path) -> Result<Loaded, FileError> {
+    let store = compact::read(path).map_err(|source| FileError::Compact { path: path.to_owned(), source })?;
+    let loops = store.loops.into_iter().map(|one| LoadedLoop {
+        samples: one.samples(),
+        name: one.name,
+        about: Some(About { tags: one.tags, ts_s: one.ts_s, comment: one.comment }),
+    });
+    Ok(Loaded {
+        kind: InputKind::Mat,
+        loops: loops.collect(),
+        warnings: store.warnings,
+        data_loss: store.incomplete,
+        metadata: BTreeMap::new(),
+    })
+}
+
+/// The loop that somebody means: by its name; in compact stores also by its number, a tag, or what both tags share.
+///
+/// # Errors
+/// A sentence that lists what there is.
+pub fn choose_loop<'l>(loops: &'l [LoadedLoop], wanted: &str) -> Result<&'l LoadedLoop, String> {
+    if let Some(one) = loops.iter().find(|one| one.name == wanted) {
+        return Ok(one);
+    }
+    let number = |one: &LoadedLoop| one.name.strip_prefix("loop") == Some(wanted);
+    let tagged =
+        |about: &About| about.tags.iter().any(|tag| tag == wanted) || compact::stem_of(&about.tags) == Some(wanted);
+    let means = |one: &&LoadedLoop| one.about.as_ref().is_some_and(|about| number(one) || tagged(about));
+    let found: Vec<&LoadedLoop> = loops.iter().filter(means).collect();
+    let names = |of: &[&LoadedLoop]| of.iter().take(20).map(|one| one.name.as_str()).collect::<Vec<_>>().join(", ");
+    match found[..] {
+        [one] => Ok(one),
+        [] => Err(format!("no loop {wanted:?}; it holds {}", names(&loops.iter().collect::<Vec<_>>()))),
+        _ => Err(format!("{wanted:?} may be {}; choose one of these", names(&found))),
     }
 }
 
@@ -225,7 +311,7 @@ impl LoopTable {
             Some(Topic { loop_name, leaf: Leaf::Raw(signal), .. }) => {
                 let at = *self.by_name.entry(loop_name.to_owned()).or_insert(self.loops.len());
                 if at == self.loops.len() {
-                    self.loops.push(LoadedLoop { name: loop_name.to_owned(), samples: Vec::new() });
+                    self.loops.push(LoadedLoop::new(loop_name, Vec::new()));
                 }
                 Some((at, signal))
             }
@@ -244,7 +330,7 @@ mod tests {
     fn content_tells_the_kind() {
         assert_eq!(InputKind::of_content(b"\x89MCAP0\r\n..."), Ok(InputKind::Mcap));
         assert_eq!(InputKind::of_content(b"t,op,pv\n0,1,2\n"), Ok(InputKind::Csv));
-        assert!(InputKind::of_content(b"MATLAB 5.0 MAT-file, x").unwrap_err().contains("not supported yet"));
+        assert!(mat::recognise(b"MATLAB 5.0 MAT-file, x").unwrap());
         assert!(InputKind::of_content(b" \r\n").unwrap_err().contains("empty"));
         assert!(InputKind::of_content(b"\x00\x01").is_err());
         assert!(InputKind::of_content(b"PK\x03\x04").is_err());

@@ -40,7 +40,7 @@ fn fields(kind: Kind) -> Fields {
                 ("window", &["start_ns", "end_ns", "samples", "ts_s"]),
                 ("oscillation", &["period_s", "periods", "samples_per_period", "regularity"]),
                 ("process", &["order", "gain", "dead_time_s", "mse", "fit_pct"]),
-                ("controller", &["kc", "ti_s", "td_s", "lag_samples", "r2"]),
+                ("controller", &["kc", "ti_s", "td_s", "lag_samples", "r2", "unexplained"]),
             ],
             ..Fields::default()
         },
@@ -52,11 +52,18 @@ fn fields(kind: Kind) -> Fields {
         },
         Kind::Gap => Fields {
             integers: &["evaluations"],
-            texts: &["schema", "loop", "version"],
+            numbers: &["parametric"],
+            texts: &["schema", "loop", "version", "reason", "by", "config_hash"],
+            flags: &["stopped_early"],
             objects: &[
-                ("gap", &["rmse", "noise_floor", "relative"]),
+                ("window", &["start_ns", "end_ns", "samples", "ts_s"]),
+                ("gap", &["rmse", "noise_floor", "gap", "relative"]),
+                ("given", &["rmse", "noise_floor", "gap", "relative"]),
+                ("where", &["onset_s", "slip_window_s", "direction_ratio", "fundamental_hz"]),
                 ("cause", &["probability"]),
-                ("forward", &["gap_before", "gap_after"]),
+                ("forward", &["gap_before", "gap_after", "closed_pct"]),
+                ("model_after", &["fs", "fd", "s", "j", "ts_s"]),
+                ("next_test", &["size", "duration_s", "p"]),
             ],
             ..Fields::default()
         },

@@ -11,7 +11,7 @@ const STARTS: usize = 9;
 
 /// The best candidate with the bands (s, j), spans of OP, its process fitted from the best of `shapes`.
 pub fn again(bench: &mut Bench<'_>, [s, j]: [f64; 2], shapes: &[Shape]) -> Option<Candidate> {
-    let effort = Effort { steps: STEPS, hopeless: f64::INFINITY };
+    let effort = Effort::of(STEPS);
     let mut best: Option<Candidate> = None;
     for start in bench.question.starts(0.5 * (s + j), STARTS) {
         let fitted = bench.fit(s, j, start, shapes, effort);

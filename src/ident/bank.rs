@@ -1,6 +1,6 @@
 //! The coarse look: one valve signal against a bank of first-order lags and all dead times at once.
 //!
-//! Boxes of samples (the valve law still runs on every OP value) keep a period at some forty points. Eight time
+//! Boxes of samples (the valve law still runs on every OP value) keep a period at a few dozen points. Eight time
 //! constants are filtered side by side; a whole number of boxes of dead time only shifts their responses, so the
 //! products for every dead time follow from sums along the record. The cost of each pair is that of the best gain,
 //! friction band, bias and initial state, for the error itself and for its filtered differences.
@@ -14,8 +14,6 @@ use crate::signal::stats;
 const LANES: usize = 8;
 /// Time constants of the bank, periods.
 const TAUS: [f64; LANES] = [0.004, 0.02, 0.045, 0.09, 0.18, 0.4, 1.0, 4.0];
-/// Points a period that the boxes leave, and points that they leave of long dead times.
-const POINTS_PER_PERIOD: f64 = 40.0;
 
 type Lane = [f64; LANES];
 
@@ -26,8 +24,6 @@ const RHO: f64 = 0.98;
 #[derive(Debug, Clone)]
 struct View {
     rho: f64,
-    /// Filtered PV from `from` on.
-    y: Vec<f64>,
     /// Products with itself, the constant and each lane's memory.
     yy: f64,
     one: f64,
@@ -45,6 +41,19 @@ pub struct Glance {
     pub lag: f64,
 }
 
+/// Ranges of dead time that are also judged apart.
+pub const BINS: usize = 6;
+
+/// Where range `k` begins between the least lag and the greatest, as a share: dead times are short more often than long.
+#[must_use]
+pub fn bin_edge(k: usize) -> f64 {
+    let share = k as f64 / BINS as f64;
+    share * share
+}
+
+/// The best that each view makes of one valve signal: the error itself and its differences, by range of dead time.
+pub type Glances = [[Glance; BINS]; 2];
+
 /// A bank for one question; it keeps its buffers.
 #[derive(Debug)]
 pub struct Bank {
@@ -57,6 +66,7 @@ pub struct Bank {
     /// Products of the constant and the lanes' memories: 1·m and m·m.
     one_memory: Lane,
     memory_memory: Lane,
+    pv: Vec<f64>,
     views: [View; 2],
     at: Vec<Lane>,
     direction: Vec<Lane>,
@@ -77,13 +87,13 @@ struct Sums {
 }
 
 impl Bank {
-    /// A bank for a question.
+    /// A bank for a question, its boxes `per_period` of a period.
     #[must_use]
-    pub fn new(question: &Question) -> Self {
-        let points = ((question.period / POINTS_PER_PERIOD) as usize).max(1);
-        let pv = box_means(&question.pv, points);
+    pub fn new(question: &Question, per_period: f64) -> Self {
+        let points = ((question.period / per_period) as usize).max(1);
+        let mut pv = box_means(&question.pv, points);
         let n = question.mean.len() / points;
-        let pv = &pv[..n];
+        pv.truncate(n);
         let size = points as f64;
         let shift = 0.5 * (size - 1.0);
         let lags = question.limits.lag.map(|lag| ((lag + shift) / size).round() as usize);
@@ -114,21 +124,24 @@ impl Bank {
             for lane in 0..LANES {
                 memory(poles[lane], &mut |k, m| with[lane] += m * y[k]);
             }
-            View { rho, yy: stats::dot(&y, &y), one: y.iter().sum(), y, memory: with }
+            View { rho, yy: stats::dot(&y, &y), one: y.iter().sum(), memory: with }
         });
         let (at, direction) = (vec![[0.0; LANES]; n], vec![[0.0; LANES]; n]);
-        Self { points, n, from, lags, poles, one_memory, memory_memory, views, at, direction }
+        Self { points, n, from, lags, poles, one_memory, memory_memory, pv, views, at, direction }
     }
 
     /// The best time constant and dead time for a valve signal averaged over the bank's boxes, `at - fd * direction`,
-    /// for each sign of `signs` and each view (the error itself, its differences).
-    pub fn look(&mut self, at: &[f64], direction: &[f64], freedom: &Freedom, signs: &[f64]) -> Vec<[Glance; 2]> {
+    /// for each sign of `signs`, by view and range of dead time.
+    pub fn look(&mut self, at: &[f64], direction: &[f64], freedom: &Freedom, signs: &[f64]) -> Vec<Glances> {
         self.respond(at, direction);
         let none = Glance { share: 1.0, tau: 1.0, lag: self.lags[0] as f64 };
-        let mut best = vec![[none; 2]; signs.len()];
+        let mut best = vec![[[none; BINS]; 2]; signs.len()];
+        let lags = self.lags[1] - self.lags[0] + 1;
         let mut here = self.sums(self.lags[0]);
         for lag in self.lags[0]..=self.lags[1] {
             let next = self.sums_after(&here, lag + 1);
+            let share = ((lag - self.lags[0]) as f64 + 0.5) / lags as f64;
+            let bin = (1..BINS).take_while(|k| share >= bin_edge(*k)).count();
             for view in 0..2 {
                 for lane in 0..LANES {
                     let (rest, system, whole) = self.reduced(&here, &next, view, lane);
@@ -136,8 +149,8 @@ impl Bank {
                         let freedom = Freedom { sign: *sign, ..*freedom };
                         let (_, _, explained) = best_band(system, whole, &freedom);
                         let share = (rest - explained) / self.views[view].yy;
-                        if share < best[view].share {
-                            best[view] = Glance { share, tau: self.tau(lane), lag: self.lag(lag) };
+                        if share < best[view][bin].share {
+                            best[view][bin] = Glance { share, tau: self.tau(lane), lag: self.lag(lag) };
                         }
                     }
                 }
@@ -182,7 +195,7 @@ impl Bank {
                 sums.memory[1][lane] = self.poles[lane] * sums.memory[1][lane] + d[lane];
             }
         }
-        self.products(&mut sums, lag);
+        self.products(&mut sums, lag, self.earlier(lag));
         sums
     }
 
@@ -200,7 +213,7 @@ impl Bank {
                 memory[lane] = x[first][lane] + pole * memory[lane] - leaving * x[last][lane];
             }
         }
-        self.products(&mut sums, lag);
+        self.products(&mut sums, lag, self.earlier_after(&before.with[0], lag));
         sums
     }
 
@@ -220,18 +233,41 @@ impl Bank {
         }
     }
 
-    fn products(&self, sums: &mut Sums, lag: usize) {
-        for (with, view) in sums.with.iter_mut().zip(&self.views) {
-            let (mut a, mut d) = ([0.0; LANES], [0.0; LANES]);
-            let (at, direction) = (&self.at[self.from - lag..], &self.direction[self.from - lag..]);
-            for ((x, z), y) in at.iter().zip(direction).zip(&view.y) {
-                for lane in 0..LANES {
-                    a[lane] += x[lane] * y;
-                    d[lane] += z[lane] * y;
-                }
-            }
-            *with = [a, d];
+    /// Products with PV at one lag; the filtered view's follow from those with PV one box earlier.
+    fn products(&self, sums: &mut Sums, lag: usize, earlier: [Lane; 2]) {
+        let plain = self.with_pv(lag, &self.pv[self.from..]);
+        sums.with[0] = plain;
+        for (half, with) in sums.with[1].iter_mut().enumerate() {
+            *with = core::array::from_fn(|lane| plain[half][lane] - self.views[1].rho * earlier[half][lane]);
         }
+    }
+
+    /// Products of both halves at one lag with values that begin at the first box that counts.
+    fn with_pv(&self, lag: usize, pv: &[f64]) -> [Lane; 2] {
+        let (mut a, mut d) = ([0.0; LANES], [0.0; LANES]);
+        let (at, direction) = (&self.at[self.from - lag..], &self.direction[self.from - lag..]);
+        for ((x, z), y) in at.iter().zip(direction).zip(pv) {
+            for lane in 0..LANES {
+                a[lane] += x[lane] * y;
+                d[lane] += z[lane] * y;
+            }
+        }
+        [a, d]
+    }
+
+    /// Products with PV one box earlier at one lag.
+    fn earlier(&self, lag: usize) -> [Lane; 2] {
+        self.with_pv(lag, &self.pv[self.from - 1..self.n - 1])
+    }
+
+    /// The same, from the products `with` PV at the lag before.
+    fn earlier_after(&self, with: &[Lane; 2], lag: usize) -> [Lane; 2] {
+        let (first, last) = (self.pv[self.from - 1], self.pv[self.n - 1]);
+        let edges = |x: &[Lane], lane: usize| x[self.from - lag][lane] * first - x[self.n - lag][lane] * last;
+        [
+            core::array::from_fn(|lane| with[0][lane] + edges(&self.at, lane)),
+            core::array::from_fn(|lane| with[1][lane] + edges(&self.direction, lane)),
+        ]
     }
 
     /// What is left of PV once bias and memory are taken out, and of the valve signal's halves: at·at, at·direction,

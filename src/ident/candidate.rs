@@ -62,6 +62,15 @@ impl Question {
         FirstSlip { direction, threshold }
     }
 
+    /// A start some points `later`, as far as OP goes on to new records there.
+    #[must_use]
+    pub fn moved_start(&self, start: Start, later: f64) -> Start {
+        let last = self.records[usize::from(!start.up)].len().saturating_sub(1);
+        let by = (later * self.per_point as f64).round();
+        let record = (start.record as f64 + by).clamp(0.0, last as f64) as usize;
+        Start { record, ..start }
+    }
+
     /// The start that a stem at `position` makes with the band `fs`, if OP ever moves it.
     fn start_from(&self, position: f64, fs: f64) -> Option<Start> {
         let moved = self.path.iter().find(|op| (*op - position).abs() > fs)?;
@@ -142,6 +151,8 @@ pub struct Effort {
     pub steps: usize,
     /// Cost beyond which the steps are not worth it.
     pub hopeless: f64,
+    /// Cost that a step must promise to be taken.
+    pub wanted: f64,
 }
 
 /// Fewest moves of the stem from which a model is fitted.
@@ -163,6 +174,14 @@ pub struct Bench<'a> {
     /// The fits' buffers and count.
     pub fitter: Fitter,
     sequence: Sequence,
+}
+
+impl Effort {
+    /// So many steps, whatever they promise.
+    #[must_use]
+    pub const fn of(steps: usize) -> Self {
+        Self { steps, hopeless: f64::INFINITY, wanted: f64::INFINITY }
+    }
 }
 
 impl<'a> Bench<'a> {
@@ -213,7 +232,8 @@ impl<'a> Bench<'a> {
             if shapes.last() != Some(&fit.shape) {
                 fit = self.fitter.linear(self.class, &fit.shape, signal, self.target, freedom);
             }
-            fit = self.fitter.improve(self.class, fit, signal, self.target, freedom, effort.steps, 1e-4);
+            fit =
+                self.fitter.improve(self.class, fit, signal, self.target, freedom, effort.steps, [1e-4, effort.wanted]);
         }
         Some(self.candidate(s, j, start, fit))
     }
@@ -256,7 +276,7 @@ impl<'a> Bench<'a> {
     pub fn profile(&mut self, of: &Candidate) -> Option<(BandProfile, [f64; 2])> {
         let freedom = self.slip(of.s, of.j, of.start)?;
         let signal = [&self.sequence.at[..], &self.sequence.direction[..]];
-        Some((self.fitter.profile(self.class, &of.fit, signal, self.target, &freedom), freedom.fd))
+        Some((self.fitter.profile(self.class, &of.fit, signal, self.target), freedom.fd))
     }
 
     /// By how much the standard error of a candidate's fd grows when time constants and lag are free too.

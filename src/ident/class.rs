@@ -153,7 +153,8 @@ impl Class {
         }
     }
 
-    /// Column `index` of the process' own memory at points `from..from + n`, filtered by `1 - rho q^-1`.
+    /// Column `index` of the process' own memory at points `from..from + n`, filtered by `1 - rho q^-1`; shorter where
+    /// nothing is left of it.
     pub fn memory(self, shape: &Shape, index: usize, from: usize, n: usize, rho: f64, out: &mut Vec<f64>) {
         out.clear();
         let slot = match (self, index) {
@@ -171,14 +172,10 @@ impl Class {
             _ => 1,
         };
         let a = libm::exp(-libm::exp(-shape[slot]));
-        out.resize(n, 0.0);
         let mut value = 1.0;
-        for slot in out.iter_mut() {
-            *slot = value;
+        while out.len() < n && value >= 1e-14 {
+            out.push(value);
             value *= a;
-            if value < 1e-14 {
-                break;
-            }
         }
     }
 

@@ -60,7 +60,13 @@ const MOST_UNEXPLAINED: f64 = 0.5;
 /// part disagree.
 #[must_use]
 pub fn read(record: &Record) -> Option<Reading> {
-    let signals = Signals::of(record)?;
+    read_within(record, LAGS)
+}
+
+/// As [`read`], with other lags tried, points; the outer two only bound the others.
+#[must_use]
+pub fn read_within(record: &Record, lags: [isize; 2]) -> Option<Reading> {
+    let signals = Signals { lags, ..Signals::of(record)? };
     let mut plain: Vec<(Shape, Vec<Fit>)> = Vec::new();
     for form in signals.forms() {
         for width in WIDTHS {
@@ -121,6 +127,8 @@ struct Fit {
 
 /// A record's signals on the points of the fit.
 struct Signals {
+    /// Lags tried, points.
+    lags: [isize; 2],
     op: Vec<f64>,
     pv: Vec<f64>,
     sp: Option<Vec<f64>>,
@@ -145,7 +153,16 @@ impl Signals {
         let [op, pv] = [op[..n].to_vec(), record.pv[..n].to_vec()];
         let boxed = record.box_samples > 1;
         let limited = limited(&op);
-        Some(Self { op, pv, sp, limited, boxed, box_samples: record.box_samples as f64, point_s: record.point_s() })
+        Some(Self {
+            lags: LAGS,
+            op,
+            pv,
+            sp,
+            limited,
+            boxed,
+            box_samples: record.box_samples as f64,
+            point_s: record.point_s(),
+        })
     }
 
     fn forms(&self) -> Vec<Form> {
@@ -170,7 +187,7 @@ impl Signals {
                 let fit = self.fit(Shape { extra: make(filter), ..plain }, lag);
                 fit.map_or(f64::INFINITY, |f| 1.0 - f.regression.r2)
             };
-            let near = (lag - 2).max(LAGS[0])..=(lag + 2).min(LAGS[1]);
+            let near = (lag - 2).max(self.lags[0])..=(lag + 2).min(self.lags[1]);
             let all = near.flat_map(|lag| FILTERS.map(|filter| (at(lag, filter), lag, filter)));
             let Some((found, lag, filter)) = all.min_by(|a, b| a.0.total_cmp(&b.0)) else { continue };
             if found >= EARNS * error {
@@ -186,7 +203,7 @@ impl Signals {
     }
 
     fn all_lags(&self, shape: Shape) -> Vec<Fit> {
-        (LAGS[0]..=LAGS[1]).filter_map(|lag| self.fit(shape, lag)).collect()
+        (self.lags[0]..=self.lags[1]).filter_map(|lag| self.fit(shape, lag)).collect()
     }
 
     fn report(&self, shape: Shape, fits: &[Fit]) -> Option<(f64, Reading)> {
@@ -195,7 +212,7 @@ impl Signals {
         let second = others.map(|f| 1.0 - f.regression.r2).fold(f64::INFINITY, f64::min);
         let error = 1.0 - best.regression.r2;
         let lead = if error > 0.0 { second / error } else { f64::INFINITY };
-        if best.lag == LAGS[0] || best.lag == LAGS[1] {
+        if best.lag == self.lags[0] || best.lag == self.lags[1] {
             return None;
         }
         let [kc, ki, kd, ..] = best.regression.coefficients;

@@ -6,7 +6,8 @@
 //! matters, optionally of `1 - rho q^-1` times it.
 
 use super::class::{Class, Limits, Scratch, Shape};
-use super::least_squares::Gram;
+use super::least_squares::{Gram, MAX};
+use crate::signal::stats::dot;
 
 /// What a fit is made to: a signal in any units, and where its cost begins.
 #[derive(Debug, Clone)]
@@ -37,7 +38,9 @@ fn cut(x: &[f64], rho: f64, from: usize) -> Vec<f64> {
 
 fn cut_into(x: &[f64], rho: f64, from: usize, out: &mut Vec<f64>) {
     out.clear();
-    if from >= 1 && x.len() >= from {
+    if rho == 0.0 {
+        out.extend_from_slice(x.get(from..).unwrap_or(&[]));
+    } else if from >= 1 && x.len() >= from {
         out.extend(x[from - 1..].windows(2).map(|w| w[1] - rho * w[0]));
     }
 }
@@ -89,6 +92,8 @@ pub struct Fitter {
 
 /// Step of the finite differences, in logarithm of time or points.
 const DELTA: f64 = 1e-5;
+/// Squared error over the best one that a hop of the lag must promise.
+const PROMISED: f64 = 1.01;
 /// Longest Gauss-Newton step in logarithm of a time constant.
 const MAX_LOG_STEP: f64 = 0.7;
 
@@ -102,24 +107,9 @@ impl Fitter {
         target: &Target,
         freedom: &Freedom,
     ) -> Fitted {
-        self.evaluations += 1;
-        let [long0, long1] = &mut self.long;
-        class.respond_pair(shape, signal, &mut self.work, [long0, long1]);
-        cut_into(long0, target.rho, target.from, &mut self.at);
-        cut_into(long1, target.rho, target.from, &mut self.direction);
+        self.lay(class, shape, signal, target);
         let own = class.memory_len();
-        let n = target.y.len();
-        for (index, column) in self.memory.iter_mut().enumerate().take(own) {
-            class.memory(shape, index, target.from, n, target.rho, column);
-        }
-        let mut columns: [&[f64]; 6] = [&[]; 6];
-        for (slot, column) in columns.iter_mut().zip(&self.memory[..own]) {
-            *slot = column;
-        }
-        columns[own] = &self.at;
-        columns[own + 1] = &self.direction;
-        columns[own + 2] = &target.y;
-        let mut gram = Gram::of(&columns[..own + 3]);
+        let mut gram = self.halves(own, target);
         let whole = [gram.at(own, own), gram.at(own + 1, own + 1)];
         gram.eliminate(own);
         let entry = |i: usize, k: usize| gram.at(own + i, own + k);
@@ -131,8 +121,43 @@ impl Fitter {
         Fitted { sse, gain, fd, memory, shape: *shape }
     }
 
+    /// Lays out the columns of a shape: the answers to the valve signal's halves and the process' own memory.
+    fn lay(&mut self, class: Class, shape: &Shape, signal: [&[f64]; 2], target: &Target) {
+        self.evaluations += 1;
+        let [long0, long1] = &mut self.long;
+        class.respond_pair(shape, signal, &mut self.work, [long0, long1]);
+        cut_into(long0, target.rho, target.from, &mut self.at);
+        cut_into(long1, target.rho, target.from, &mut self.direction);
+        let n = self.at.len();
+        for (index, column) in self.memory.iter_mut().enumerate().take(class.memory_len()).skip(1) {
+            class.memory(shape, index, target.from, n, target.rho, column);
+        }
+    }
+
+    /// The response, its halves put together with a band.
+    fn put_together(&mut self, fd: f64) {
+        self.response.clear();
+        self.response.extend(self.at.iter().zip(&self.direction).map(|(a, d)| a - fd * d));
+    }
+
+    /// Products of the constant, the process' own memory, the `others`, in this order.
+    fn products(&self, own: usize, target: &Target, others: &[&[f64]]) -> Gram {
+        let mut columns: [&[f64]; MAX] = [&[]; MAX];
+        let memory = self.memory[1..own].iter().map(Vec::as_slice);
+        let all = memory.chain(others.iter().copied());
+        for (slot, column) in columns.iter_mut().zip(all) {
+            *slot = column;
+        }
+        Gram::with_constant(1.0 - target.rho, self.at.len(), &columns[..own - 1 + others.len()])
+    }
+
+    /// Products of the process' own memory, both halves and the target.
+    fn halves(&self, own: usize, target: &Target) -> Gram {
+        self.products(own, target, &[&self.at, &self.direction, &target.y])
+    }
+
     /// Up to `steps` Gauss-Newton steps from `start` (as [`Fitter::linear`] just gave it for the same signal); stops
-    /// at a relative gain below `enough`.
+    /// at a relative gain below `enough`, and where the slopes do not promise a squared error below `wanted`.
     #[allow(clippy::too_many_arguments)] // the signal, the target and the freedom are three things
     pub fn improve(
         &mut self,
@@ -142,7 +167,7 @@ impl Fitter {
         target: &Target,
         freedom: &Freedom,
         steps: usize,
-        enough: f64,
+        [enough, wanted]: [f64; 2],
     ) -> Fitted {
         let mut best = start;
         for step in 0..steps {
@@ -153,7 +178,10 @@ impl Fitter {
                 // The buffers must hold the columns of the best shape, not of a refused one.
                 best = self.linear(class, &best.shape, signal, target, freedom);
             }
-            let delta = self.direction_of_descent(class, &best, signal, target);
+            let (delta, promised) = self.direction_of_descent(class, &best, signal, target);
+            if promised > wanted {
+                break;
+            }
             let Some(next) = self.walk(class, &best, delta, signal, target, freedom) else { break };
             let gained = (best.sse - next.sse) / best.sse;
             best = next;
@@ -175,7 +203,7 @@ impl Fitter {
         freedom: &Freedom,
     ) -> Fitted {
         let start = self.linear(class, &start.shape, signal, target, freedom);
-        let mut best = self.improve(class, start, signal, target, freedom, 12, 1e-6);
+        let mut best = self.improve(class, start, signal, target, freedom, 12, [1e-6, f64::INFINITY]);
         let slot = class.shape_len() - 1;
         for _ in 0..6 {
             let before = best.sse;
@@ -185,7 +213,8 @@ impl Fitter {
                 let shape = class.clamp(shape, &freedom.limits);
                 let hopped = self.linear(class, &shape, signal, target, freedom);
                 if hopped.sse < 1.3 * best.sse {
-                    let found = self.improve(class, hopped, signal, target, freedom, 6, 1e-6);
+                    let wanted = PROMISED * best.sse;
+                    let found = self.improve(class, hopped, signal, target, freedom, 6, [1e-6, wanted]);
                     if found.sse < best.sse {
                         best = found;
                     }
@@ -225,19 +254,10 @@ impl Fitter {
 
     /// What a fitted model leaves of a target that may be longer than the one it was fitted to.
     pub fn leftover(&mut self, class: Class, fit: &Fitted, signal: [&[f64]; 2], target: &Target) -> Vec<f64> {
-        let [long0, long1] = &mut self.long;
-        class.respond_pair(&fit.shape, signal, &mut self.work, [long0, long1]);
-        cut_into(long0, target.rho, target.from, &mut self.at);
-        cut_into(long1, target.rho, target.from, &mut self.direction);
-        let model = self.at.iter().zip(&self.direction).map(|(a, d)| fit.gain * (a - fit.fd * d));
-        let mut left: Vec<f64> = target.y.iter().zip(model).map(|(y, x)| y - x).collect();
-        for index in 0..class.memory_len() {
-            class.memory(&fit.shape, index, target.from, left.len(), target.rho, &mut self.moved);
-            for (r, m) in left.iter_mut().zip(&self.moved) {
-                *r -= fit.memory[index] * m;
-            }
-        }
-        left
+        self.lay(class, &fit.shape, signal, target);
+        self.put_together(fit.fd);
+        self.leave(class.memory_len(), fit, target);
+        self.residual.clone()
     }
 
     /// Standard error of fd next to the gain and everything else linear, for white residuals; infinite where the data
@@ -252,15 +272,8 @@ impl Fitter {
     ) -> f64 {
         let again = self.linear(class, &fit.shape, signal, target, freedom);
         let own = class.memory_len();
-        self.response.clear();
-        self.response.extend(self.at.iter().zip(&self.direction).map(|(a, d)| a - again.fd * d));
-        let mut columns: [&[f64]; 5] = [&[]; 5];
-        for (slot, column) in columns.iter_mut().zip(&self.memory[..own]) {
-            *slot = column;
-        }
-        columns[own] = &self.response;
-        columns[own + 1] = &self.direction;
-        let mut gram = Gram::of(&columns[..own + 2]);
+        self.put_together(again.fd);
+        let mut gram = self.products(own, target, &[&self.response, &self.direction]);
         let whole = gram.at(own + 1, own + 1);
         gram.eliminate(own + 1);
         let own_part = gram.at(own + 1, own + 1);
@@ -281,31 +294,14 @@ impl Fitter {
         freedom: &Freedom,
     ) -> Vec<f64> {
         let again = self.linear(class, &fit.shape, signal, target, freedom);
-        self.response.clear();
-        self.response.extend(self.at.iter().zip(&self.direction).map(|(a, d)| a - again.fd * d));
-        self.leave(class.memory_len(), &again, target);
-        self.residual.clone()
+        self.leftover(class, &again, signal, target)
     }
 
     /// The squared error as a function of fd, the shape held and everything linear free.
-    pub fn profile(
-        &mut self,
-        class: Class,
-        fit: &Fitted,
-        signal: [&[f64]; 2],
-        target: &Target,
-        freedom: &Freedom,
-    ) -> BandProfile {
-        self.linear(class, &fit.shape, signal, target, freedom);
+    pub fn profile(&mut self, class: Class, fit: &Fitted, signal: [&[f64]; 2], target: &Target) -> BandProfile {
+        self.lay(class, &fit.shape, signal, target);
         let own = class.memory_len();
-        let mut columns: [&[f64]; 6] = [&[]; 6];
-        for (slot, column) in columns.iter_mut().zip(&self.memory[..own]) {
-            *slot = column;
-        }
-        columns[own] = &self.at;
-        columns[own + 1] = &self.direction;
-        columns[own + 2] = &target.y;
-        let mut gram = Gram::of(&columns[..own + 3]);
+        let mut gram = self.halves(own, target);
         gram.eliminate(own);
         let at = |row: usize, column: usize| gram.at(own + row, own + column);
         BandProfile { uu: at(0, 0), ud: at(0, 1), dd: at(1, 1), uy: at(0, 2), dy: at(1, 2), yy: at(2, 2) }
@@ -321,19 +317,16 @@ impl Fitter {
         freedom: &Freedom,
     ) -> f64 {
         let again = self.linear(class, &fit.shape, signal, target, freedom);
-        self.direction_of_descent(class, &again, signal, target);
         let (own, len) = (class.memory_len(), class.shape_len());
-        let mut columns: [&[f64]; 8] = [&[]; 8];
-        for (slot, column) in columns.iter_mut().zip(&self.memory[..own]) {
+        self.slopes(class, &again, signal, target);
+        let mut columns: [&[f64]; 5] = [&[]; 5];
+        columns[0] = &self.response;
+        for (slot, column) in columns[1..].iter_mut().zip(&self.slopes[..len]) {
             *slot = column;
         }
-        columns[own] = &self.response;
-        for (slot, column) in columns[own + 1..].iter_mut().zip(&self.slopes[..len]) {
-            *slot = column;
-        }
-        columns[own + 1 + len] = &self.direction;
+        columns[1 + len] = &self.direction;
         let last = own + 1 + len;
-        let mut free = Gram::of(&columns[..=last]);
+        let mut free = self.products(own, target, &columns[..len + 2]);
         let mut held = free.clone();
         free.eliminate(last);
         held.eliminate(own + 1);
@@ -341,47 +334,64 @@ impl Fitter {
         if ratio > 1.0 { ratio.sqrt() } else { 1.0 }
     }
 
-    /// The residual, from the columns that [`Fitter::linear`] left and the response.
+    /// The residual, from the columns that [`Fitter::lay`] left and the response.
     fn leave(&mut self, own: usize, fit: &Fitted, target: &Target) {
         self.residual.clear();
-        self.residual.extend(target.y.iter().zip(&self.response).map(|(y, x)| y - fit.gain * x));
-        for (column, c) in self.memory[..own].iter().zip(fit.memory) {
+        let constant = fit.memory[0] * (1.0 - target.rho);
+        self.residual.extend(target.y.iter().zip(&self.response).map(|(y, x)| y - fit.gain * x - constant));
+        for (column, c) in self.memory[1..own].iter().zip(&fit.memory[1..]) {
             for (r, m) in self.residual.iter_mut().zip(column) {
                 *r -= c * m;
             }
         }
     }
 
-    /// The Gauss-Newton step in the shape, with all linear coefficients free and fd held.
-    fn direction_of_descent(&mut self, class: Class, fit: &Fitted, signal: [&[f64]; 2], target: &Target) -> Shape {
-        let (own, len) = (class.memory_len(), class.shape_len());
+    /// The response of a fit that [`Fitter::linear`] just gave, and its slopes along the shape.
+    fn slopes(&mut self, class: Class, fit: &Fitted, signal: [&[f64]; 2], target: &Target) {
         self.valve.clear();
         self.valve.extend(signal[0].iter().zip(signal[1]).map(|(a, d)| a - fit.fd * d));
-        self.response.clear();
-        self.response.extend(self.at.iter().zip(&self.direction).map(|(a, d)| a - fit.fd * d));
-        self.leave(own, fit, target);
+        self.put_together(fit.fd);
+        let len = class.shape_len();
         for first in (0..len).step_by(2) {
             let second = (first + 1).min(len - 1);
             self.slopes_of(class, fit, target, [first, second]);
         }
-        let mut columns: [&[f64]; 9] = [&[]; 9];
-        for (slot, column) in columns.iter_mut().zip(&self.memory[..own]) {
+    }
+
+    /// The Gauss-Newton step in the shape, with all linear coefficients free and fd held, and the squared error that
+    /// it promises.
+    fn direction_of_descent(
+        &mut self,
+        class: Class,
+        fit: &Fitted,
+        signal: [&[f64]; 2],
+        target: &Target,
+    ) -> (Shape, f64) {
+        let (own, len) = (class.memory_len(), class.shape_len());
+        self.slopes(class, fit, signal, target);
+        self.leave(own, fit, target);
+        let mut columns: [&[f64]; 4] = [&[]; 4];
+        columns[0] = &self.response;
+        for (slot, column) in columns[1..].iter_mut().zip(&self.slopes[..len]) {
             *slot = column;
         }
-        columns[own] = &self.response;
-        for (slot, column) in columns[own + 1..].iter_mut().zip(&self.slopes[..len]) {
-            *slot = column;
+        let mut gram = self.products(own, target, &columns[..=len]);
+        // What the linear part leaves has nothing in common with its columns.
+        let mut with = [0.0; MAX];
+        for (slot, slope) in with[own + 1..].iter_mut().zip(&self.slopes[..len]) {
+            *slot = dot(&self.residual, slope);
         }
-        columns[own + 1 + len] = &self.residual;
-        let mut gram = Gram::of(&columns[..own + 2 + len]);
-        gram.eliminate(own + 1 + len);
-        let all = gram.back(own + 1 + len, &[]);
+        let last = own + 1 + len;
+        gram.append(&with[..last], fit.sse);
+        gram.eliminate(last);
+        let all = gram.back(last, &[]);
         let lag_step = 2.5_f64.max(0.1 * class.lag(&fit.shape));
-        core::array::from_fn(|i| match i {
+        let step = core::array::from_fn(|i| match i {
             i if i + 1 < len => all[own + 1 + i].clamp(-MAX_LOG_STEP, MAX_LOG_STEP),
             i if i + 1 == len => all[own + 1 + i].clamp(-lag_step, lag_step),
             _ => 0.0,
-        })
+        });
+        (step, gram.at(last, last))
     }
 
     /// Slopes of the fitted curve along two entries of the shape (the same twice where only one is left).
@@ -445,7 +455,7 @@ impl BandProfile {
 /// quotient of parabolas in fd, so its best place is the free optimum or an end of the band. A signal of which the
 /// process' own memory leaves next to nothing (of `whole`, its squares before) has no gain.
 #[inline]
-pub(super) fn best_band([uu, ud, dd, uy, dy]: [f64; 5], whole: [f64; 2], freedom: &Freedom) -> (f64, f64, f64) {
+pub fn best_band([uu, ud, dd, uy, dy]: [f64; 5], whole: [f64; 2], freedom: &Freedom) -> (f64, f64, f64) {
     let [low, high] = freedom.fd;
     let determinant = uu * dd - ud * ud;
     let free = if determinant > 1e-6 * uu * dd {

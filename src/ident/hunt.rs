@@ -1,15 +1,19 @@
 //! The hunt for the right slips under one valve law: a coarse look at everything, then ever finer steps from the best
 //! places, first by differences of the free-run error, then by the error itself.
 
+use core::cell::RefCell;
+
 use rand_chacha::ChaCha8Rng;
 
+use super::bank::BINS;
 use super::candidate::{Bench, Candidate, Effort, Question};
 use super::choice::ModelChoice;
 use super::class::Class;
 use super::fit::Target;
 use super::order::{demote, deserved, frictionless, in_class};
 use super::quantify::Options;
-use super::search::{Look, beam, climb, generator};
+use super::review::{into_class, is_done, review};
+use super::search::{Look, Stratum, beam, climb, generator, ridge_jumps};
 use crate::optim::{self, Objective, Outcome, Settings};
 use crate::signal::stats;
 use crate::sim::slips::Law;
@@ -19,10 +23,13 @@ use crate::sim::slips::Law;
 const SEARCH_RHO: f64 = 0.98;
 const FINER_RHO: f64 = 0.8;
 /// Rounds of straight looks through the best places, and random ones from each place afterwards.
-const STRAIGHT_ROUNDS: usize = 2;
+const STRAIGHT_ROUNDS: usize = 1;
 const RANDOM_LOOKS: usize = 20;
 /// Squared error over another law's from which a law is out of the race.
 const FAR_BEHIND: f64 = 1.5;
+/// The same before the exact cells are known: where the other law leaves nothing but noise, and where it does not.
+const BEYOND_NOISE: f64 = 1.5;
+const HOPELESS: f64 = 4.0;
 /// Stiction index below which the exact size of the bands is not worth the work.
 const WORTH_REFINING: f64 = 0.1;
 
@@ -37,6 +44,8 @@ pub struct Ground<'a> {
     pub moves: &'a Target,
     /// What the search was told.
     pub options: &'a Options,
+    /// Squared errors without friction that are known, plain and of moves.
+    pub known: RefCell<Vec<(Class, f64, [f64; 2])>>,
 }
 
 impl<'a> Ground<'a> {
@@ -44,6 +53,16 @@ impl<'a> Ground<'a> {
     #[must_use]
     pub fn moves_of(question: &Question) -> Target {
         Target::new(&question.pv, SEARCH_RHO, question.from)
+    }
+
+    /// Least squared errors without friction, plain and of moves; computed once for a class and sign.
+    fn without(&self, class: Class, sign: f64) -> [f64; 2] {
+        let known = self.known.borrow().iter().find(|k| k.0 == class && k.1 == sign).map(|k| k.2);
+        known.unwrap_or_else(|| {
+            let found = [self.plain, self.moves].map(|target| frictionless(self.question, target, class, sign));
+            self.known.borrow_mut().push((class, sign, found));
+            found
+        })
     }
 
     /// A bench for one target.
@@ -77,6 +96,8 @@ pub struct Found {
     pub law: Law,
     /// Sign of the gain.
     pub sign: f64,
+    /// Whether the best finalist leaves nothing but noise.
+    pub done: bool,
     /// Squared error without friction, plain and filtered.
     pub without: [f64; 2],
     /// Least squared error of the filtered view.
@@ -113,10 +134,30 @@ pub fn improvement(with: f64, without: f64) -> f64 {
     if without > 0.0 { (1.0 - with / without).clamp(0.0, 1.0) } else { 0.0 }
 }
 
-/// Hunts under one law; an entry for each sign of the gain. `rival` is the squared error of another law: what is far
-/// behind it is not worth whitening.
+/// What the coarse look under one law saw.
+#[derive(Debug)]
+pub struct Scouted<'a> {
+    /// The law.
+    pub law: Law,
+    signs: &'a [f64],
+    pools: Vec<[Vec<Candidate>; 2]>,
+    strata: Vec<[Stratum; BINS]>,
+    outcome: Outcome,
+    looked: u64,
+}
+
+impl Scouted<'_> {
+    /// Least share of PV that a model seen leaves, over both views.
+    #[must_use]
+    pub fn share(&self) -> f64 {
+        let seen = self.pools.iter().flatten().flatten();
+        seen.map(|c| c.fit.sse).fold(f64::INFINITY, f64::min)
+    }
+}
+
+/// Looks under one law at everything, for these signs of the gain.
 #[must_use]
-pub fn hunt(ground: &Ground<'_>, law: Law, signs: &[f64], rival: f64) -> Vec<Found> {
+pub fn scout<'a>(ground: &Ground<'a>, law: Law, signs: &'a [f64]) -> Scouted<'a> {
     let options = ground.options;
     let solver = optim::by_name(options.solver).unwrap_or(optim::ALL[0]);
     let settings = Settings { budget: 20_000, fineness_pct: options.fineness_pct, seed: options.seed };
@@ -124,22 +165,49 @@ pub fn hunt(ground: &Ground<'_>, law: Law, signs: &[f64], rival: f64) -> Vec<Fou
     let outcome = solver.search(&mut look, &settings);
     sweep(&mut look);
     let mut rng = generator(options.seed, 2);
-    for sign in 0..signs.len() {
-        for view in [0, 1] {
-            for _ in 0..STRAIGHT_ROUNDS {
-                let from = beam(&look.pools[sign][view], 3, 0);
-                look.cross(&from);
-            }
-            let from = beam(&look.pools[sign][view], 6, 2);
-            look.climb(sign, view, from, RANDOM_LOOKS, &mut rng);
+    let views: Vec<(usize, usize)> = (0..signs.len()).flat_map(|sign| [(sign, 0), (sign, 1)]).collect();
+    for (sign, view) in &views {
+        for _ in 0..STRAIGHT_ROUNDS {
+            let from = beam(&look.pools[*sign][*view], 3, 0);
+            look.cross(&from);
         }
     }
-    let looked = look.evaluations();
-    let pools = core::mem::take(&mut look.pools);
-    let mut found: Vec<Found> =
-        signs.iter().zip(&pools).map(|(sign, pools)| follow(ground, law, *sign, pools, outcome, rival)).collect();
+    look.sharpen();
+    for (sign, view) in &views {
+        let from = beam(&look.pools[*sign][*view], 6, 2);
+        look.climb(*sign, *view, from, RANDOM_LOOKS, &mut rng);
+    }
+    let (looked, pools) = (look.evaluations(), core::mem::take(&mut look.pools));
+    Scouted { law, signs, pools, strata: look.strata, outcome, looked }
+}
+
+/// Another explanation of the record: what is far behind it is not worth much work.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Rival {
+    /// Squared error.
+    pub sse: f64,
+    /// Whether it leaves nothing but noise.
+    pub done: bool,
+    /// Class of its process.
+    pub class: Option<Class>,
+}
+
+impl Rival {
+    /// None yet.
+    pub const NONE: Self = Self { sse: f64::INFINITY, done: false, class: None };
+
+    /// Squared error from which the search under another law is given up.
+    fn beyond(&self) -> f64 {
+        if self.done { BEYOND_NOISE * self.sse } else { HOPELESS * self.sse }
+    }
+}
+
+/// Hunts from what the coarse look saw; an entry for each sign of the gain.
+#[must_use]
+pub fn hunt(ground: &Ground<'_>, seen: &Scouted<'_>, rival: Rival) -> Vec<Found> {
+    let mut found: Vec<Found> = (0..seen.signs.len()).map(|at| follow(ground, seen, at, rival)).collect();
     for one in &mut found {
-        one.evaluations += looked;
+        one.evaluations += seen.looked;
     }
     found
 }
@@ -163,32 +231,50 @@ struct Chase<'g, 'a> {
     rng: ChaCha8Rng,
     /// Whether friction shows at all.
     shows: bool,
+    /// Whether another explanation is far better.
+    behind: bool,
+    /// Class in which the places by moves were found.
+    searched: Class,
 }
 
 impl Chase<'_, '_> {
-    /// Steps to take: a fifth where no friction shows.
+    /// Steps to take: a fifth where no friction shows, hardly any far behind a better explanation.
     fn steps(&self, count: usize) -> usize {
-        if self.shows { count } else { count / 5 }
+        count
+            / if self.behind {
+                20
+            } else if self.shows {
+                1
+            } else {
+                5
+            }
+    }
+
+    /// Whether every place is worth a look along its ridge.
+    fn thorough(&self) -> bool {
+        self.shows && !self.behind
     }
 
     /// From the coarse look to the best places by level and by moves, in the class that they ask for.
-    fn approach(&mut self, pools: &[Vec<Candidate>; 2]) -> [Vec<Candidate>; 2] {
+    fn approach(&mut self, pools: &[Vec<Candidate>; 2], rival: &Rival) -> [Vec<Candidate>; 2] {
         let ground = self.ground;
         let by_level = refit(&mut self.plain, &beam(&pools[0], 6, 2));
         let by_moves = refit(&mut self.moves, &beam(&pools[1], 12, 5));
         let best = |held: &[Candidate]| held.first().map_or(f64::INFINITY, |c| c.fit.sse);
-        let views = [(ground.plain, best(&by_level)), (ground.moves, best(&by_moves))];
-        self.shows = views.into_iter().any(|(target, sse)| {
-            let nothing = frictionless(ground.question, target, Class::First, self.plain.sign);
-            improvement(sse, nothing) > WORTH_REFINING
-        });
-        let (few, some) = (self.steps(40), self.steps(60));
-        let mut by_level = round(&mut self.plain, by_level, few, &mut self.rng);
+        let nothing = ground.without(Class::First, self.plain.sign);
+        let views = [best(&by_level), best(&by_moves)];
+        self.shows = views.into_iter().zip(nothing).any(|(sse, nothing)| improvement(sse, nothing) > WORTH_REFINING);
+        let heats = [(12, self.steps(12)), (6, self.steps(14)), (3, self.steps(14))];
+        let mut by_level = race(&mut self.plain, by_level, &heats, &mut self.rng);
         by_level.truncate(3);
-        let mut by_moves = round(&mut self.moves, by_moves, some, &mut self.rng);
+        let heats = [(27, self.steps(12)), (14, self.steps(18)), (8, self.steps(30))];
+        let mut by_moves = race(&mut self.moves, by_moves, &heats, &mut self.rng);
         by_moves.truncate(if self.shows { 8 } else { 3 });
-        let class = deserved(&mut self.moves, &mut self.plain, &by_moves, ground.options.model);
-        (self.plain.class, self.moves.class) = (class, class);
+        let class = match rival.class.filter(|_| rival.done) {
+            Some(class) => class,
+            None => deserved(&mut self.moves, &mut self.plain, &by_moves, ground.options.model),
+        };
+        (self.plain.class, self.moves.class, self.searched) = (class, class, class);
         let by_level = by_level.iter().filter_map(|c| in_class(&mut self.plain, c)).collect();
         let by_moves = by_moves.iter().filter_map(|c| in_class(&mut self.moves, c)).collect();
         [by_level, by_moves]
@@ -197,22 +283,29 @@ impl Chase<'_, '_> {
     /// From there to the best places by the plain error, by way of ever weaker filters.
     fn close_in(&mut self, by_level: Vec<Candidate>, by_moves: &mut Vec<Candidate>) -> Vec<Candidate> {
         let (question, class) = (self.ground.question, self.plain.class);
-        let steps = self.steps(120);
-        let near = ridge(&mut self.moves, by_moves.clone(), if self.shows { 3 } else { 0 }, 0.15, 30);
-        *by_moves = round(&mut self.moves, near, steps, &mut self.rng);
+        let count = if self.thorough() { 3 } else { 0 };
+        let near = ridge(&mut self.moves, by_moves.clone(), count, 0.15, 24);
+        let heats = [(10, self.steps(30)), (5, self.steps(40)), (3, self.steps(50))];
+        *by_moves = race(&mut self.moves, near, &heats, &mut self.rng);
         by_moves.truncate(4);
+        let first = by_moves.first().and_then(|c| self.plain.settle(c));
+        if let Some(first) = first.filter(|c| is_done(&mut self.plain, c)) {
+            // Nothing is left to find but the exact cell.
+            let steps = self.steps(60);
+            return race(&mut self.plain, vec![first], &[(1, steps)], &mut self.rng);
+        }
         let finer = Target::new(&question.pv, if class.integrates() { SEARCH_RHO } else { FINER_RHO }, question.from);
         let mut bench = self.ground.bench(self.plain.law, class, &finer, self.plain.sign);
         let held: Vec<Candidate> = by_moves.iter().filter_map(|c| bench.settle(c)).collect();
-        let mut held = ridge(&mut bench, held, if self.shows { 2 } else { 0 }, 0.05, 25);
+        let mut held = ridge(&mut bench, held, if self.thorough() { 2 } else { 0 }, 0.05, 25);
         held.truncate(5);
-        let steps = self.steps(250);
-        let held = round(&mut bench, held, steps, &mut self.rng);
+        let heats = [(5, self.steps(50)), (3, self.steps(70)), (2, self.steps(80))];
+        let held = race(&mut bench, held, &heats, &mut self.rng);
         self.plain.fitter.evaluations += bench.fitter.evaluations;
         let mut held: Vec<Candidate> = held.iter().take(3).filter_map(|c| self.plain.settle(c)).collect();
         held.extend(by_level);
-        let steps = self.steps(100);
-        let mut held = round(&mut self.plain, held, steps, &mut self.rng);
+        let heats = [(6, self.steps(30)), (3, self.steps(70))];
+        let mut held = race(&mut self.plain, held, &heats, &mut self.rng);
         held.truncate(4);
         held
     }
@@ -220,7 +313,10 @@ impl Chase<'_, '_> {
     /// The bands to report, by the whitened error; better finalists met on the way come first.
     fn answer(&mut self, finalists: &mut Vec<Candidate>, by_moves: &[Candidate]) -> Option<Answer> {
         let best = finalists.first().copied()?;
-        let others: Vec<Candidate> = finalists.iter().chain(by_moves.iter().take(3)).copied().collect();
+        let mut others = finalists.clone();
+        for c in by_moves.iter().take(3) {
+            others.extend(into_class(&mut self.plain, c, self.searched));
+        }
         let steps = if self.shows { 150 } else { 0 };
         let mut answer = whitened(self.ground, &mut self.plain, &best, &others, steps, &mut self.rng);
         for _ in 0..2 {
@@ -242,29 +338,41 @@ impl Chase<'_, '_> {
 }
 
 /// From the coarse look to the finalists for one sign.
-fn follow(
-    ground: &Ground<'_>,
-    law: Law,
-    sign: f64,
-    pools: &[Vec<Candidate>; 2],
-    outcome: Outcome,
-    rival: f64,
-) -> Found {
+fn follow(ground: &Ground<'_>, seen: &Scouted<'_>, at: usize, rival: Rival) -> Found {
+    let Scouted { law, outcome, .. } = *seen;
+    let (sign, pools, strata) = (seen.signs[at], &seen.pools[at], &seen.strata[at]);
     let plain = ground.bench(law, Class::First, ground.plain, sign);
     let moves = ground.bench(law, Class::First, ground.moves, sign);
-    let mut chase = Chase { ground, plain, moves, rng: generator(ground.options.seed, 1), shows: true };
-    let [by_level, mut by_moves] = chase.approach(pools);
+    let mut chase = Chase {
+        ground,
+        plain,
+        moves,
+        rng: generator(ground.options.seed, 1),
+        shows: true,
+        behind: false,
+        searched: Class::First,
+    };
+    let [by_level, mut by_moves] = chase.approach(pools, &rival);
+    let levels = by_level.iter().map(|c| c.fit.sse).fold(f64::INFINITY, f64::min);
+    let moves = by_moves.iter().take(3).filter_map(|c| chase.plain.settle(c));
+    chase.behind = moves.map(|c| c.fit.sse).fold(levels, f64::min) >= rival.beyond();
     let held = chase.close_in(by_level, &mut by_moves);
     let steps = chase.steps(150);
     let (mut finalists, class) = finish(&mut chase.plain, held, ground.options.model, steps, &mut chase.rng);
+    let class = if chase.thorough() && finalists.first().is_some_and(|c| c.fit.sse < rival.beyond()) {
+        review(&mut chase.plain, &mut finalists, strata, ground.options.model, &mut chase.rng)
+    } else {
+        class
+    };
     chase.moves.class = class;
-    chase.shows &= finalists.first().is_some_and(|c| c.fit.sse < FAR_BEHIND * rival);
+    chase.shows &= finalists.first().is_some_and(|c| c.fit.sse < FAR_BEHIND * rival.sse);
+    let done = finalists.first().is_some_and(|c| is_done(&mut chase.plain, c));
     let answer = chase.answer(&mut finalists, &by_moves);
     let again = finalists.iter().filter_map(|c| chase.moves.settle(c)).map(|c| c.fit.sse);
     let moves_sse = again.fold(f64::INFINITY, f64::min);
-    let without = [ground.plain, ground.moves].map(|target| frictionless(ground.question, target, class, sign));
+    let without = ground.without(class, sign);
     let evaluations = chase.plain.fitter.evaluations + chase.moves.fitter.evaluations;
-    Found { answer, finalists, class, law, sign, without, moves_sse, evaluations, outcome }
+    Found { answer, finalists, class, law, sign, done, without, moves_sse, evaluations, outcome }
 }
 
 /// Lag-1 autocorrelation of a residual from which it is filtered.
@@ -295,7 +403,8 @@ fn whitened(
         held.push(answer.candidate);
         let held: Vec<Candidate> = beam(&held, 4, 0).iter().filter_map(|c| bench.settle(c)).collect();
         let held = ridge(&mut bench, beam(&held, 4, 0), 2, 0.1, 25);
-        let held = round(&mut bench, held.into_iter().take(4).collect(), steps, rng);
+        let heats = [(4, steps / 3), (2, steps - steps / 3)];
+        let held = race(&mut bench, held, &heats, rng);
         let Some(found) = held.first().and_then(|c| bench.settle(c)) else { return answer };
         plain.fitter.evaluations += bench.fitter.evaluations;
         let again = plain.settle(&found).map_or(f64::INFINITY, |c| c.fit.sse);
@@ -335,8 +444,8 @@ fn finish(
 }
 
 /// An even look along the ridge around a candidate, its best places: a later slip goes with a shorter lag, so s up to
-/// `reach` to either side with the lag that keeps the answer where it is, j as it was and in proportion.
-fn along(bench: &mut Bench<'_>, around: &Candidate, reach: f64, steps: i32) -> Vec<Candidate> {
+/// `reach` to either side with the lag that keeps the answer where it is, and the jumps that may go with it.
+pub(super) fn along(bench: &mut Bench<'_>, around: &Candidate, reach: f64, steps: i32) -> Vec<Candidate> {
     let mut pool = vec![*around];
     let rate = bench.question.rate.max(1e-6);
     let slot = bench.class.shape_len() - 1;
@@ -348,8 +457,8 @@ fn along(bench: &mut Bench<'_>, around: &Candidate, reach: f64, steps: i32) -> V
             let mut guess = shape;
             guess[slot] -= (s - last) / rate;
             let guess = bench.class.clamp(guess, &bench.question.limits);
-            for j in [around.j.min(s), (around.j * s / around.s).min(s), (around.j + s - around.s).clamp(0.0, s)] {
-                let effort = Effort { steps: 1, hopeless: 3.0 * least };
+            for j in ridge_jumps([around.s, around.j], s) {
+                let effort = Effort { steps: 1, hopeless: 3.0 * least, wanted: 1.5 * least };
                 let Some(found) = bench.fit(s, j, around.start, &[guess], effort) else { continue };
                 if found.fit.sse < 2.0 * least {
                     (shape, last) = (found.fit.shape, s);
@@ -363,7 +472,7 @@ fn along(bench: &mut Bench<'_>, around: &Candidate, reach: f64, steps: i32) -> V
 
 /// Candidates of the coarse look, fitted at full resolution, best first.
 fn refit(bench: &mut Bench<'_>, seen: &[Candidate]) -> Vec<Candidate> {
-    let effort = Effort { steps: 3, hopeless: f64::INFINITY };
+    let effort = Effort::of(3);
     let fitted: Vec<Candidate> =
         seen.iter().filter_map(|c| bench.fit(c.s, c.j, c.start, &[c.fit.shape], effort)).collect();
     beam(&fitted, usize::MAX, 0)
@@ -378,8 +487,20 @@ fn ridge(bench: &mut Bench<'_>, held: Vec<Candidate>, count: usize, reach: f64, 
     beam(&all, 10, 0)
 }
 
-/// Random steps for each of the candidates, best first afterwards.
-fn round(bench: &mut Bench<'_>, held: Vec<Candidate>, steps: usize, rng: &mut ChaCha8Rng) -> Vec<Candidate> {
-    let climbed: Vec<Candidate> = held.into_iter().map(|c| climb(bench, c, steps, false, rng)).collect();
-    beam(&climbed, usize::MAX, 0)
+/// Random steps for the best of the candidates, in heats of (how many, steps for each), all of them best first
+/// afterwards.
+pub(super) fn race(
+    bench: &mut Bench<'_>,
+    mut held: Vec<Candidate>,
+    heats: &[(usize, usize)],
+    rng: &mut ChaCha8Rng,
+) -> Vec<Candidate> {
+    for (count, steps) in heats {
+        held.sort_by(|a, b| a.fit.sse.total_cmp(&b.fit.sse));
+        for c in held.iter_mut().take(*count) {
+            *c = climb(bench, *c, *steps, false, rng);
+        }
+        held = beam(&held, usize::MAX, 0);
+    }
+    held
 }

@@ -113,7 +113,7 @@ impl<'a> Imagination<'a> {
     pub fn index(&self, of: &Imagined) -> f64 {
         let [s, j] = of.bands;
         let mut bench = Bench::new(&self.question, Law::He, self.class, &of.target, self.sign);
-        let effort = Effort { steps: STEPS, hopeless: f64::INFINITY };
+        let effort = Effort::of(STEPS);
         let with = bench.fit(s, j, of.start, &[self.process.shape], effort);
         let without = frictionless::best(&self.question, &of.target, self.class, self.sign, 1);
         with.zip(without).map_or(0.0, |(with, without)| improvement(with.fit.sse, without.sse))

@@ -48,8 +48,7 @@ pub struct Found {
 pub fn spread(bench: &mut Bench<'_>, best: &Candidate, without: f64, seed: u64) -> Found {
     let mut tests = test(bench, best);
     let mut looking = Looking::new(bench, *best, tests.inflation);
-    looking.walk_s();
-    looking.walk_j();
+    looking.walk();
     looking.ridge();
     looking.wander(&mut generator(seed, 2));
     looking.polish();
@@ -58,8 +57,7 @@ pub fn spread(bench: &mut Bench<'_>, best: &Candidate, without: f64, seed: u64) 
         top = looking.bench.settle(&top).filter(|c| c.fit.sse <= top.fit.sse).unwrap_or(top);
         tests = test(looking.bench, &top);
         looking.accept(top, tests.inflation);
-        looking.walk_s();
-        looking.walk_j();
+        looking.walk();
         looking.polish();
         top = looking.top;
     }
@@ -143,7 +141,8 @@ impl<'b, 'a> Looking<'b, 'a> {
         shape[self.bench.class.shape_len() - 1] += lag;
         let shape = self.bench.class.clamp(shape, &self.bench.question.limits);
         let hopeless = (1.3 * self.top.fit.sse).max(self.top.fit.sse - 4.0 * NEGLIGIBLE * self.variance);
-        let effort = Effort { steps: 1, hopeless };
+        let wanted = self.top.fit.sse - 3.0 * NEGLIGIBLE * self.variance;
+        let effort = Effort { steps: 1, hopeless, wanted };
         let found = self.bench.fit(s, j, start, &[shape], effort).filter(|c| c.fit.gain != 0.0)?;
         if found.fit.sse < self.top.fit.sse {
             self.top = found;
@@ -156,47 +155,40 @@ impl<'b, 'a> Looking<'b, 'a> {
         Some(found)
     }
 
-    /// From the best cell across the edges in s, to either side.
-    fn walk_s(&mut self) {
+    /// From the best cell across the edges in s, to either side, then in j.
+    fn walk(&mut self) {
         let home = self.top;
-        for up in [false, true] {
-            let (mut at, mut warm, mut lost) = (home, home, 0);
-            for _ in 0..WALK_S {
-                let edge = if up { at.s_cell[1] * (1.0 + 1e-9) + 1e-12 } else { at.s_cell[0] * (1.0 - 1e-9) - 1e-12 };
-                if !edge.is_finite() || edge <= 1e-4 || edge > 3.0 {
-                    break;
-                }
-                let Some(next) = self.visit(edge, home.j.min(edge), home.start, &warm, 0.0) else { break };
-                if self.weight(next.fit.sse) > NEGLIGIBLE {
-                    (warm, lost) = (next, 0);
-                } else {
-                    lost += 1;
-                }
-                if lost == LOST || next.s_cell == at.s_cell {
-                    break;
-                }
-                at = next;
-            }
-        }
+        self.walk_edges(WALK_S, [1e-4, 3.0], |c| c.s_cell, |edge| [edge, home.j.min(edge)]);
+        let home = self.top;
+        self.walk_edges(WALK_J, [0.0, home.s], |c| c.j_cell, |edge| [home.s, edge]);
     }
 
-    /// The same in j.
-    fn walk_j(&mut self) {
+    /// From the best cell to either side, at most `most` cells, while their edges lie inside `range`; `place` is where
+    /// an edge is looked at.
+    fn walk_edges(
+        &mut self,
+        most: usize,
+        range: [f64; 2],
+        cell: impl Fn(&Candidate) -> [f64; 2],
+        place: impl Fn(f64) -> [f64; 2],
+    ) {
         let home = self.top;
         for up in [false, true] {
             let (mut at, mut warm, mut lost) = (home, home, 0);
-            for _ in 0..WALK_J {
-                let edge = if up { at.j_cell[1] * (1.0 + 1e-9) + 1e-12 } else { at.j_cell[0] * (1.0 - 1e-9) - 1e-12 };
-                if !edge.is_finite() || edge < 0.0 || edge > home.s {
+            for _ in 0..most {
+                let [low, high] = cell(&at);
+                let edge = if up { high * (1.0 + 1e-9) + 1e-12 } else { low * (1.0 - 1e-9) - 1e-12 };
+                if !edge.is_finite() || edge <= range[0] || edge > range[1] {
                     break;
                 }
-                let Some(next) = self.visit(home.s, edge, home.start, &warm, 0.0) else { break };
+                let [s, j] = place(edge);
+                let Some(next) = self.visit(s, j, home.start, &warm, 0.0) else { break };
                 if self.weight(next.fit.sse) > NEGLIGIBLE {
                     (warm, lost) = (next, 0);
                 } else {
                     lost += 1;
                 }
-                if lost == LOST || next.j_cell == at.j_cell {
+                if lost == LOST || cell(&next) == cell(&at) {
                     break;
                 }
                 at = next;
@@ -270,7 +262,7 @@ impl<'b, 'a> Looking<'b, 'a> {
             if self.weight(c.fit.sse) < 2.5 * NEGLIGIBLE || c.covers(self.top.s, self.top.j, self.top.start) {
                 continue;
             }
-            let effort = Effort { steps: 4, hopeless: f64::INFINITY };
+            let effort = Effort::of(4);
             let shapes = [c.fit.shape, self.top.fit.shape];
             let found = self.bench.fit(c.s, c.j, c.start, &shapes, effort).filter(|f| f.fit.gain != 0.0);
             if let Some(found) = found.filter(|f| f.fit.sse < c.fit.sse) {

@@ -5,27 +5,30 @@
 //! solved exactly. Everything is seeded, bounded in work and scale-free.
 
 mod again;
-mod bank;
-mod candidate;
+pub(crate) mod bank;
+pub(crate) mod candidate;
 mod choice;
 pub mod class;
 pub mod controller;
-mod fit;
+pub(crate) mod fit;
+pub mod foresee;
 mod frictionless;
-mod hunt;
+pub(crate) mod hunt;
 pub mod imagine;
 mod interval;
-mod least_squares;
+pub(crate) mod least_squares;
 pub mod one_step;
 mod order;
 pub mod portrait;
-mod pose;
+pub(crate) mod pose;
 mod quantify;
 pub mod region;
 pub mod residual;
+mod review;
 mod robust;
-mod search;
+pub(crate) mod search;
 pub mod sign;
+pub mod surface;
 pub mod width;
 
 pub use choice::{DelayChoice, ModelChoice, ValveChoice};

@@ -32,7 +32,7 @@ pub const FITTED_SHARE: f64 = 0.6;
 pub fn deserved(filtered: &mut Bench<'_>, plain: &mut Bench<'_>, held: &[Candidate], model: ModelChoice) -> Class {
     let best_of = |bench: &mut Bench<'_>, class: Class| {
         bench.class = class;
-        let refitted = held.iter().take(3).filter_map(|c| match class {
+        let refitted = held.iter().take(2).filter_map(|c| match class {
             Class::First => bench.settle(c),
             _ => in_class(bench, c),
         });

@@ -1,9 +1,11 @@
 //! From a record to the bands: normalise, search, refine, compare with no stiction at all.
 
+use core::cell::RefCell;
+
 use super::choice::{DelayChoice, ModelChoice, ValveChoice};
 use super::class::Class;
 use super::fit::Target;
-use super::hunt::{Answer, Found, Ground, hunt, improvement};
+use super::hunt::{Answer, Found, Ground, Rival, Scouted, hunt, improvement, scout};
 use super::interval;
 use super::pose::pose;
 use super::sign;
@@ -30,6 +32,21 @@ pub struct Options {
     pub seed: u64,
     /// Period of the oscillation, points, where one is known.
     pub period_points: Option<f64>,
+}
+
+impl Default for Options {
+    /// As the daemon asks, without a period.
+    fn default() -> Self {
+        Self {
+            model: ModelChoice::default(),
+            delay: DelayChoice::default(),
+            valve: ValveChoice::default(),
+            solver: "contour",
+            fineness_pct: 5.0,
+            seed: 1,
+            period_points: None,
+        }
+    }
 }
 
 /// What a fit found. Bands in OP units, gain in PV units per OP unit (per second too when integrating).
@@ -95,7 +112,7 @@ pub fn quantify(record: &Record, options: &Options) -> Option<Estimate> {
     let question = pose(record, options, span, deviation);
     let plain = Target::new(&question.pv, 0.0, question.from);
     let moves = Ground::moves_of(&question);
-    let ground = Ground { question: &question, plain: &plain, moves: &moves, options };
+    let ground = Ground { question: &question, plain: &plain, moves: &moves, options, known: RefCell::default() };
     let read = sign::of_gain(&question.mean, &question.pv);
     let nothing = plain.y.len() as f64 * stats::variance(&plain.y);
     let laws: &[Law] = match options.valve {
@@ -103,27 +120,29 @@ pub fn quantify(record: &Record, options: &Options) -> Option<Estimate> {
         ValveChoice::Tracking => &[Law::Tracking],
         ValveChoice::Auto => &[Law::He, Law::Tracking],
     };
+    let signs: &[f64] = match read {
+        Some(1.0) => &[1.0],
+        Some(_) => &[-1.0],
+        None => &[1.0, -1.0],
+    };
+    let mut seen: Vec<Scouted<'_>> = laws.iter().map(|law| scout(&ground, *law, signs)).collect();
+    // The law that looks better comes first, so that the other one can be told to be far behind.
+    seen.sort_by(|a, b| a.share().total_cmp(&b.share()));
     let (mut all, mut evaluations): (Vec<Found>, u64) = (Vec::new(), 0);
-    for &law in laws {
-        let signs: &[f64] = match read {
-            Some(sign) => &[sign],
-            None => &[1.0, -1.0],
-        };
-        let rival = all.iter().map(Found::sse).fold(f64::INFINITY, f64::min);
-        let mut found = hunt(&ground, law, signs, rival);
-        if let (Some(sign), Some(first)) = (read, found.first()) {
+    for scouted in &seen {
+        let rival = all.first().map_or(Rival::NONE, |f| Rival { sse: f.sse(), done: f.done, class: Some(f.class) });
+        let mut found = hunt(&ground, scouted, rival);
+        evaluations += found.iter().map(|f| f.evaluations).sum::<u64>();
+        if let (Some(_), Some(first)) = (read, found.first()) {
             // Against the sign read only a valve speaks: a model of the controller backwards needs no friction.
+            let least = 0.5 * first.sse();
             if first.sse() > DOUBTFUL * nothing {
-                let other = hunt(&ground, law, &[-sign], 0.5 * first.sse());
-                let (speaks, spent): (Vec<Found>, u64) = (
-                    other.iter().filter(|o| o.index() > 0.5 && o.sse() < 0.5 * first.sse()).cloned().collect(),
-                    other.iter().map(|o| o.evaluations).sum(),
-                );
-                evaluations += spent;
-                found.extend(speaks);
+                let against: &[f64] = if signs == [1.0] { &[-1.0] } else { &[1.0] };
+                let other = hunt(&ground, &scout(&ground, scouted.law, against), Rival { sse: least, ..Rival::NONE });
+                evaluations += other.iter().map(|o| o.evaluations).sum::<u64>();
+                found.extend(other.into_iter().filter(|o| o.index() > 0.5 && o.sse() < least));
             }
         }
-        evaluations += found.iter().map(|f| f.evaluations).sum::<u64>();
         all.extend(found.into_iter().min_by(|a, b| a.sse().total_cmp(&b.sse())));
         // The laws are alike enough that where one sees no friction at all, the other need not be asked.
         let sees = |f: &Found| f.index().max(improvement(f.moves_sse, f.without[1])) >= NO_FRICTION;
@@ -161,7 +180,14 @@ fn report(
     let met = interval::spread(&mut bench, &candidate, without, ground.options.seed);
     let (spread, c) = (met.spread, met.best);
     // A better candidate met on the way of the interval is the answer.
-    let plain_sse = if rho == 0.0 { c.fit.sse } else { plain_sse };
+    let plain_sse = if rho == 0.0 {
+        c.fit.sse
+    } else if c == candidate {
+        plain_sse
+    } else {
+        let mut plain = ground.bench(found.law, found.class, ground.plain, found.sign);
+        plain.settle(&c).map_or(plain_sse, |c| c.fit.sse)
+    };
     let [s, j] = c.centred();
     let band_error = bench.band_error(&c);
     let point_s = record.point_s();

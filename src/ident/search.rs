@@ -7,7 +7,7 @@
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
-use super::bank::Bank;
+use super::bank::{BINS, Bank, Glance};
 use super::candidate::{Bench, Candidate, Effort, MIN_SLIPS, Question, Start, freedom};
 use super::class::Class;
 use super::fit::Fitted;
@@ -15,18 +15,26 @@ use crate::optim::Objective;
 use crate::optim::local::on_triangle;
 use crate::sim::slips::{Law, Sequence};
 
+/// Boxes a period of the first looks.
+const COARSE: f64 = 20.0;
+/// Boxes a period of the later looks, and of the error surface.
+pub const FINE: f64 = 40.0;
 /// Turns of the stem below which several positions before the record are looked at.
 const FEW_REVERSALS: usize = 8;
+/// Cost over the best one up to which a place is kept for its dead time.
+const NOT_FAR: f64 = 1.3;
 /// Cost over the best one from which a step is not worth refining.
 const HOPELESS: f64 = 2.5;
+/// Cost over the best one that a refinement must promise by its slopes.
+const WANTED: f64 = 1.1;
 
 /// A uniform draw from 0 to below 1.
-pub(super) fn uniform(rng: &mut ChaCha8Rng) -> f64 {
+pub fn uniform(rng: &mut ChaCha8Rng) -> f64 {
     (rng.next_u64() >> 11) as f64 / (1_u64 << 53) as f64
 }
 
 /// A normal draw (the sum of twelve uniform ones, less six).
-pub(super) fn normal(rng: &mut ChaCha8Rng) -> f64 {
+pub fn normal(rng: &mut ChaCha8Rng) -> f64 {
     (0..12).map(|_| uniform(rng)).sum::<f64>() - 6.0
 }
 
@@ -38,22 +46,44 @@ pub struct Look<'a> {
     signs: &'a [f64],
     bank: Bank,
     sequence: Sequence,
+    evaluations: u64,
     /// Everything looked at so far, by sign and view, cost and shape those of the bank.
     pub pools: Vec<[Vec<Candidate>; 2]>,
+    /// The better part of it by sign and range of dead time, both views together.
+    pub strata: Vec<[Stratum; BINS]>,
 }
+
+/// Places that suit one range of dead time, by view: the best ones and those not far behind.
+pub type Stratum = [Vec<Candidate>; 2];
 
 impl<'a> Look<'a> {
     /// A look for one law and these signs of the gain.
     #[must_use]
     pub fn new(question: &'a Question, law: Law, signs: &'a [f64]) -> Self {
         let pools = signs.iter().map(|_| [Vec::new(), Vec::new()]).collect();
-        Self { question, law, signs, bank: Bank::new(question), sequence: Sequence::default(), pools }
+        let strata = signs.iter().map(|_| core::array::from_fn(|_| [Vec::new(), Vec::new()])).collect();
+        let bank = Bank::new(question, COARSE);
+        Self { question, law, signs, bank, sequence: Sequence::default(), evaluations: 0, pools, strata }
     }
 
     /// Valve signals looked at.
     #[must_use]
-    pub fn evaluations(&self) -> u64 {
-        self.pools.first().map_or(0, |p| p[0].len() as u64)
+    pub const fn evaluations(&self) -> u64 {
+        self.evaluations
+    }
+
+    /// Goes on in finer boxes with the best places of every view; the others are forgotten.
+    pub fn sharpen(&mut self) {
+        let best: Vec<Candidate> = self.pools.iter().flatten().flat_map(|pool| beam(pool, 12, 4)).collect();
+        self.bank = Bank::new(self.question, FINE);
+        let strata: Vec<Candidate> = self.strata.iter().flatten().flatten().flat_map(|kept| beam(kept, 3, 0)).collect();
+        let pools = self.pools.iter_mut().flatten();
+        for pool in pools.chain(self.strata.iter_mut().flatten().flatten()) {
+            pool.clear();
+        }
+        for c in best.into_iter().chain(strata) {
+            self.ask(c.s, c.j, c.start);
+        }
     }
 
     /// Cost of one point with one start, looked up or remembered.
@@ -71,17 +101,36 @@ impl<'a> Look<'a> {
             return f64::INFINITY;
         }
         let freedom = freedom(v, s, j, 1.0, q.limits);
+        self.evaluations += 1;
         let glances = self.bank.look(&v.at, &v.direction, &freedom, self.signs);
-        for (pools, views) in self.pools.iter_mut().zip(&glances) {
-            for (pool, glance) in pools.iter_mut().zip(views) {
-                let shape = Class::First.clamp([libm::log(glance.tau), glance.lag, 0.0], &q.limits);
-                let gain = if glance.share < 1.0 { 1.0 } else { 0.0 };
-                let fit = Fitted { sse: glance.share, gain, fd: freedom.fd_default, memory: [0.0; 3], shape };
-                let (s_cell, j_cell) = (v.s_cell, v.j_cell);
-                pool.push(Candidate { s, j, start, s_cell, j_cell, slips: v.slips, reversals: v.reversals, fit });
+        let (s_cell, j_cell) = (v.s_cell, v.j_cell);
+        let candidate = |glance: Glance| {
+            let shape = Class::First.clamp([libm::log(glance.tau), glance.lag, 0.0], &q.limits);
+            let gain = if glance.share < 1.0 { 1.0 } else { 0.0 };
+            let fit = Fitted { sse: glance.share, gain, fd: freedom.fd_default, memory: [0.0; 3], shape };
+            Candidate { s, j, start, s_cell, j_cell, slips: v.slips, reversals: v.reversals, fit }
+        };
+        let mut cost = f64::INFINITY;
+        for ((pools, strata), views) in self.pools.iter_mut().zip(&mut self.strata).zip(&glances) {
+            for (view, bins) in views.iter().enumerate() {
+                for (bin, glance) in bins.iter().enumerate() {
+                    let kept = &mut strata[bin][view];
+                    // The first of a list is its best.
+                    let best = kept.first().map_or(f64::INFINITY, |c| c.fit.sse);
+                    if glance.share < NOT_FAR * best {
+                        kept.push(candidate(*glance));
+                        if glance.share < best {
+                            let last = kept.len() - 1;
+                            kept.swap(0, last);
+                        }
+                    }
+                }
+                let best = bins.iter().min_by(|a, b| a.share.total_cmp(&b.share));
+                pools[view].extend(best.map(|g| candidate(*g)));
             }
+            cost = views[0].iter().map(|g| g.share).fold(cost, f64::min);
         }
-        glances.iter().map(|g| g[0].share).fold(f64::INFINITY, f64::min)
+        cost
     }
 }
 
@@ -175,7 +224,7 @@ pub fn climb(bench: &mut Bench<'_>, start: Candidate, steps: usize, fine: bool, 
         if s < 1e-4 || best.covers(s, j, first) {
             continue;
         }
-        let effort = Effort { steps: 1, hopeless: HOPELESS * best.fit.sse };
+        let effort = Effort { steps: 1, hopeless: HOPELESS * best.fit.sse, wanted: WANTED * best.fit.sse };
         let mut shape = best.fit.shape;
         shape[bench.class.shape_len() - 1] += lag;
         let shape = bench.class.clamp(shape, &bench.question.limits);
@@ -219,8 +268,10 @@ fn step(question: &Question, from: &Candidate, fine: bool, rng: &mut ChaCha8Rng)
         // Along the ridge: an earlier slip and a longer lag look alike.
         lag = 3.0 * uniform(rng) * normal(rng);
         s -= lag * question.rate;
+        j = ridge_jumps([from.s, from.j], s)[(4.0 * uniform(rng)) as usize];
         if uniform(rng) < 0.5 {
-            j = j / from.s * s;
+            // All slips come earlier, the first one too.
+            start = question.moved_start(start, -lag);
         }
     } else if kind < 0.92 {
         let list = question.records[usize::from(!start.up)].len();
@@ -243,8 +294,16 @@ fn step(question: &Question, from: &Candidate, fine: bool, rng: &mut ChaCha8Rng)
     Step { s, j, start, lag }
 }
 
+/// Jumps that may go with another s on the ridge where an earlier slip and a longer lag look alike: the same, the same
+/// share of s, the same fd, and the same fs (the stem then stands farther from where OP turns by as much).
+pub(super) fn ridge_jumps([from_s, from_j]: [f64; 2], s: f64) -> [f64; 4] {
+    let moved = s - from_s;
+    [from_j, from_j / from_s * s, from_j + moved, from_j - moved].map(|j| j.clamp(0.0, s.max(0.0)))
+}
+
 /// A value just across an edge of its cell (30 %), else a normal step.
-fn moved(value: f64, cell: [f64; 2], sigma: f64, rng: &mut ChaCha8Rng) -> f64 {
+#[must_use]
+pub fn moved(value: f64, cell: [f64; 2], sigma: f64, rng: &mut ChaCha8Rng) -> f64 {
     if uniform(rng) < 0.3 {
         let edge = if uniform(rng) < 0.5 { cell[0] * (1.0 - 1e-9) - 1e-12 } else { cell[1] * (1.0 + 1e-9) + 1e-12 };
         if edge.is_finite() && edge > 0.0 {

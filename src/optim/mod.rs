@@ -4,10 +4,17 @@
 //! A solver sees a cost of two numbers, a budget and a seed; it knows nothing of valves. One file per solver, one
 //! line in [`ALL`].
 
+mod branch_bound;
 mod contour;
+mod draw;
 pub mod local;
+mod multistart;
+mod random;
 
+pub use branch_bound::BranchBound;
 pub use contour::Contour;
+pub use multistart::Multistart;
+pub use random::AdaptiveRandom;
 
 /// What is searched.
 pub trait Objective {
@@ -34,8 +41,10 @@ pub enum Termination {
     Complete,
     /// The budget was spent first.
     Budget,
-    /// Steps became too small to matter.
+    /// Nothing better is to be expected: steps, gains or what is promised became too small to matter.
     Converged,
+    /// Somebody asked it to stop; what was found until then stands.
+    Interrupted,
 }
 
 impl Termination {
@@ -46,6 +55,7 @@ impl Termination {
             Self::Complete => "complete",
             Self::Budget => "budget",
             Self::Converged => "converged",
+            Self::Interrupted => "interrupted",
         }
     }
 }
@@ -61,6 +71,22 @@ pub struct Outcome {
     pub evaluations: u64,
     /// Why it stopped.
     pub stopped: Termination,
+    /// Cost below which the solver believes nothing lies, where its method has such a bound. Heuristic: no proof.
+    pub lower_bound: Option<f64>,
+}
+
+impl Outcome {
+    /// A search that has found nothing yet.
+    #[must_use]
+    pub const fn nothing() -> Self {
+        Self {
+            best: [0.0, 0.0],
+            cost: f64::INFINITY,
+            evaluations: 0,
+            stopped: Termination::Complete,
+            lower_bound: None,
+        }
+    }
 }
 
 /// A global search. The same settings and cost give the same outcome on every machine.
@@ -72,7 +98,7 @@ pub trait Solver: Sync {
 }
 
 /// Every solver.
-pub const ALL: [&dyn Solver; 1] = [&Contour];
+pub const ALL: [&dyn Solver; 4] = [&Contour, &Multistart, &AdaptiveRandom, &BranchBound];
 
 /// The solver of that name.
 #[must_use]
@@ -89,8 +115,7 @@ struct Meter<'a> {
 
 impl<'a> Meter<'a> {
     fn new(objective: &'a mut dyn Objective, budget: u64) -> Self {
-        let outcome = Outcome { best: [0.0, 0.0], cost: f64::INFINITY, evaluations: 0, stopped: Termination::Complete };
-        Self { objective, left: budget, outcome }
+        Self { objective, left: budget, outcome: Outcome::nothing() }
     }
 
     /// Cost of a point, or `None` when the budget is spent.
@@ -133,6 +158,26 @@ mod tests {
                 assert!(found.cost < 1e-4, "{} {target:?}: {found:?}", solver.name());
                 assert_eq!(found, solver.search(&mut Bowl(target), &settings));
             }
+        }
+    }
+
+    #[test]
+    fn every_solver_finds_the_deepest_of_many_valleys() {
+        struct Valleys;
+        impl Objective for Valleys {
+            fn cost(&mut self, p: [f64; 2]) -> f64 {
+                let bowl = |x: f64, y: f64| (p[0] - x) * (p[0] - x) + (p[1] - y) * (p[1] - y);
+                let ripple = 1.0 - libm::cos(25.0 * (p[0] - 0.63)) * libm::cos(25.0 * (p[1] - 0.22));
+                // No model at all near the tip, as where the stem hardly moves.
+                if p[0] > 0.95 { f64::INFINITY } else { bowl(0.63, 0.22) + 0.03 * ripple }
+            }
+        }
+        let settings = Settings { budget: 10_000, fineness_pct: 5.0, seed: 4 };
+        for solver in ALL {
+            let found = solver.search(&mut Valleys, &settings);
+            let [s, j] = found.best;
+            assert!((s - 0.63).abs() < 0.01 && (j - 0.22).abs() < 0.01, "{}: {found:?}", solver.name());
+            assert!(found.lower_bound.is_none_or(|bound| bound <= found.cost), "{}: {found:?}", solver.name());
         }
     }
 

@@ -2,18 +2,21 @@
 //!
 //! [`plot`] and [`chart`] turn data into SVG and know nothing of valves; [`ink`] says which colour stands for what.
 //! [`detail`] computes what a loop's pictures need, [`figures`] draws them, [`words`] puts the numbers into sentences.
-//! [`page`] is the HTML file, [`sheet`] the SVG file.
+//! [`page`] is the HTML file, [`sheet`] the SVG file; [`gap_figures`] and [`gap_page`] do the same for a gap.
 
 pub mod chart;
 pub mod detail;
 pub mod diagram;
 pub mod figures;
+pub mod gap_figures;
+mod gap_page;
 pub mod ink;
 mod page;
 pub mod plot;
 mod sheet;
 pub mod words;
 
+pub use gap_page::{GapLoop, GapReport, gap_page};
 pub use page::page;
 pub use sheet::sheet;
 

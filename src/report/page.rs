@@ -14,8 +14,8 @@ use super::{LoopReport, Report};
 use crate::units::format_rfc3339;
 use crate::verdict::{Assessment, Verdict};
 
-const STYLE: &str = include_str!("page.css");
-const SCRIPT: &str = include_str!("page.js");
+pub(super) const STYLE: &str = include_str!("page.css");
+pub(super) const SCRIPT: &str = include_str!("page.js");
 
 /// The whole page.
 ///
@@ -119,7 +119,7 @@ fn overview(report: &Report, order: &[usize]) -> Markup {
     }
 }
 
-fn optional(value: Option<f64>) -> String {
+pub(super) fn optional(value: Option<f64>) -> String {
     value.map_or_else(|| "\u{2013}".to_owned(), number)
 }
 
@@ -163,7 +163,7 @@ fn section(one: &LoopReport, k: usize, open: bool) -> Result<Markup, PlotError> 
     })
 }
 
-fn picture(figure: &Figure) -> Markup {
+pub(super) fn picture(figure: &Figure) -> Markup {
     html! {
         figure class=[figure.wide.then_some("wide")] {
             div.frame { (figure.picture) }
@@ -233,7 +233,7 @@ fn numbers(one: &LoopReport) -> Markup {
 }
 
 /// Leaves of a document with their paths; lists of numbers stay together.
-fn flatten(path: &str, value: &Value, out: &mut Vec<(String, String)>) {
+pub(super) fn flatten(path: &str, value: &Value, out: &mut Vec<(String, String)>) {
     let below = |name: &str| if path.is_empty() { name.to_owned() } else { format!("{path}.{name}") };
     match value {
         Value::Object(map) => map.iter().for_each(|(name, v)| flatten(&below(name), v, out)),

@@ -1,4 +1,4 @@
-//! Tests of the whole page and sheet.
+//! The report on documents made by hand: escaping, order, what stands alone.
 
 use super::*;
 use crate::verdict::{Oscillation, Verdict, Window};

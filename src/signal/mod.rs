@@ -6,5 +6,6 @@ mod align_check;
 pub mod detrend;
 pub mod history;
 pub mod lag;
+pub mod resample;
 pub mod spectrum;
 pub mod stats;

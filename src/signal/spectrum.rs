@@ -53,6 +53,34 @@ pub fn zero_crossings(x: &[f64], hysteresis: f64) -> Vec<f64> {
     places
 }
 
+/// Splits `x` into bands that add up to it again: one below each edge (rising, cycles a point, at most 0.5), and the
+/// rest above the last.
+///
+/// A cosine transform (of `x` and its mirror image, so that the ends meet) cut sharply at the edges. The cost is the
+/// length times the number of frequencies below the last edge.
+#[must_use]
+pub fn split(x: &[f64], edges: &[f64]) -> Vec<Vec<f64>> {
+    let n = x.len();
+    let mut bands = vec![vec![0.0; n]; edges.len()];
+    let turn = 4 * n;
+    // cos(2 pi i / 4n), all that the transform needs.
+    let table: Vec<f64> = (0..turn).map(|i| libm::cos(core::f64::consts::PI * i as f64 / (2 * n) as f64)).collect();
+    let mut index = 0;
+    for (band, edge) in bands.iter_mut().zip(edges) {
+        // Frequency `index` is index / 2n cycles a point.
+        while index < n && (index as f64) < edge * (2 * n) as f64 {
+            let angle = |j: usize| table[(index * (2 * j + 1)) % turn];
+            let sum: f64 = x.iter().enumerate().map(|(j, v)| v * angle(j)).sum();
+            let weight = if index == 0 { 1.0 } else { 2.0 } * sum / n as f64;
+            band.iter_mut().enumerate().for_each(|(j, v)| *v += weight * angle(j));
+            index += 1;
+        }
+    }
+    let rest = (0..n).map(|j| x[j] - bands.iter().map(|b| b[j]).sum::<f64>()).collect();
+    bands.push(rest);
+    bands
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -80,5 +108,22 @@ mod tests {
         }
         let places = zero_crossings(&x, 0.2);
         assert!(places.windows(2).all(|w| (w[1] - w[0] - 20.0).abs() < 1.5), "{places:?}");
+    }
+
+    #[test]
+    fn bands_add_up_and_hold_what_belongs_to_them() {
+        let (slow, fast) = (sine(900, 90.0), sine(900, 9.0));
+        let x: Vec<f64> = slow.iter().zip(&fast).map(|(a, b)| 5.0 + a + 0.5 * b).collect();
+        let bands = split(&x, &[0.002, 0.03, 0.2]);
+        assert_eq!(bands.len(), 4);
+        for k in 0..900 {
+            assert!((bands.iter().map(|b| b[k]).sum::<f64>() - x[k]).abs() < 1e-9);
+        }
+        let error = |band: &[f64], want: &[f64], size: f64| {
+            let e: Vec<f64> = band[90..810].iter().zip(&want[90..810]).map(|(b, w)| b - size * w).collect();
+            dot(&e, &e) / dot(&want[90..810], &want[90..810]) / (size * size)
+        };
+        assert!(error(&bands[1], &slow, 1.0) < 0.02 && error(&bands[2], &fast, 0.5) < 0.02);
+        assert!(split(&[], &[0.1]).iter().all(Vec::is_empty));
     }
 }

@@ -41,6 +41,20 @@ pub fn dot(a: &[f64], b: &[f64]) -> f64 {
     ((sums[0] + sums[4]) + (sums[1] + sums[5])) + ((sums[2] + sums[6]) + (sums[3] + sums[7])) + tail
 }
 
+/// Sum in eight running sums.
+#[must_use]
+pub fn sum(x: &[f64]) -> f64 {
+    let mut sums = [0.0; 8];
+    let (blocks, rest) = x.as_chunks::<8>();
+    for block in blocks {
+        for lane in 0..8 {
+            sums[lane] += block[lane];
+        }
+    }
+    let tail: f64 = rest.iter().sum();
+    ((sums[0] + sums[4]) + (sums[1] + sums[5])) + ((sums[2] + sums[6]) + (sums[3] + sums[7])) + tail
+}
+
 /// Inner products of `a` with three others at once, in four running sums each; all of the length of `a` or longer.
 #[must_use]
 pub fn dot3(a: &[f64], b: [&[f64]; 3]) -> [f64; 3] {

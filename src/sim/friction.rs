@@ -109,7 +109,7 @@ impl Friction {
     }
 
     /// One short step of `dt` scans with the actuator at `drive`; the viscous part is exact for a constant drive.
-    fn sub_step(&self, stem: &mut FrictionState, drive: f64, dt: f64) {
+    pub fn sub_step(&self, stem: &mut FrictionState, drive: f64, dt: f64) {
         let e = drive - stem.position;
         let along = stem.speed * e.signum();
         let v = e.signum() * self.speed(e.abs(), along.max(0.0));

@@ -1,5 +1,6 @@
 //! Physics: valve laws, process models, controller, noise and the closed loop. The only copy of each formula.
 
+pub mod actuator;
 pub mod closed_loop;
 pub mod controller;
 pub mod disturbance;

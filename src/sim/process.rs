@@ -54,46 +54,68 @@ impl Pole {
 /// several times as fast. `v` are of equal length, `out` are set to it.
 pub fn run_pair(poles: [Pole; 2], lags: [usize; 2], v: [&[f64]; 2], x0: [f64; 2], out: [&mut Vec<f64>; 2]) {
     let n = v[0].len().min(v[1].len());
-    for (i, out) in out.into_iter().enumerate() {
-        out.resize(n, 0.0);
-        fast(poles[i], lags[i], &v[i][..n], x0[i], out);
+    let [first, second] = out;
+    first.resize(n, 0.0);
+    second.resize(n, 0.0);
+    let x0 = [head(poles[0], lags[0], &v[0][..n], x0[0], first), head(poles[1], lags[1], &v[1][..n], x0[1], second)];
+    let from = lags.map(|lag| (lag + 1).min(n));
+    if from[0] == from[1] {
+        // Side by side, neither chain waits for the other.
+        tails(poles, [&v[0][..n], &v[1][..n]], x0, from[0], [first, second]);
+    } else {
+        tails([poles[0]], [&v[0][..n]], [x0[0]], from[0], [first]);
+        tails([poles[1]], [&v[1][..n]], [x0[1]], from[1], [second]);
     }
 }
 
-/// One recursion, four values at a time: the chain from value to value is a quarter as long.
-fn fast(pole: Pole, lag: usize, v: &[f64], x0: f64, out: &mut [f64]) {
-    let n = v.len();
-    if n == 0 {
-        return;
+/// As [`run_pair`] for one recursion.
+pub fn run_one(pole: Pole, lag: usize, v: &[f64], x0: f64, out: &mut Vec<f64>) {
+    out.resize(v.len(), 0.0);
+    if !v.is_empty() {
+        let state = head(pole, lag, v, x0, out);
+        tails([pole], [v], [state], (lag + 1).min(v.len()), [out]);
     }
-    let Pole { a, b0, b1 } = pole;
+}
+
+/// A recursion's values while its input is still that before the record, and the last of them.
+fn head(pole: Pole, lag: usize, v: &[f64], x0: f64, out: &mut [f64]) -> f64 {
     let mut x = x0;
-    let head = (lag + 1).min(n);
-    for (k, slot) in out[..head].iter_mut().enumerate() {
+    for (k, slot) in out.iter_mut().take(lag + 1).enumerate() {
         let newer = if k >= lag { v[k - lag] } else { v[0] };
-        x = a * x + (b0 * newer + b1 * v[0]);
+        x = pole.a * x + (pole.b0 * newer + pole.b1 * v[0]);
         *slot = x;
     }
-    if head == n {
+    x
+}
+
+/// Recursions from value `from` on, four values at a time: the chain from value to value is a quarter as long.
+fn tails<const N: usize>(poles: [Pole; N], v: [&[f64]; N], mut x: [f64; N], from: usize, out: [&mut Vec<f64>; N]) {
+    let n = v.iter().fold(usize::MAX, |n, v| n.min(v.len()));
+    if n <= from {
         return;
     }
-    let (a2, a3) = (a * a, a * a * a);
-    let a4 = a2 * a2;
-    let (older, newer) = (&v[..n - head], &v[1..n - head + 1]);
-    let (slots, rest) = out[head..].as_chunks_mut::<4>();
-    let (old, old_rest) = older.as_chunks::<4>();
-    let (new, new_rest) = newer.as_chunks::<4>();
-    for ((slot, o), w) in slots.iter_mut().zip(old).zip(new) {
-        let input: [f64; 4] = core::array::from_fn(|i| b0 * w[i] + b1 * o[i]);
-        let p1 = a * input[0] + input[1];
-        let p2 = a * p1 + input[2];
-        let p3 = a * p2 + input[3];
-        *slot = [a * x + input[0], a2 * x + p1, a3 * x + p2, a4 * x + p3];
-        x = slot[3];
+    let powers = poles.map(|p| [p.a, p.a * p.a, p.a * p.a * p.a, (p.a * p.a) * (p.a * p.a)]);
+    let slots = out.map(|out| out[from..n].as_chunks_mut::<4>());
+    let old = v.map(|v| v[..n - from].as_chunks::<4>());
+    let new = v.map(|v| v[1..n - from + 1].as_chunks::<4>());
+    for block in 0..(n - from) / 4 {
+        for i in 0..N {
+            let (Pole { a, b0, b1 }, [_, a2, a3, a4]) = (poles[i], powers[i]);
+            let (o, w) = (&old[i].0[block], &new[i].0[block]);
+            let input: [f64; 4] = core::array::from_fn(|k| b0 * w[k] + b1 * o[k]);
+            let p1 = a * input[0] + input[1];
+            let p2 = a * p1 + input[2];
+            let p3 = a * p2 + input[3];
+            slots[i].0[block] = [a * x[i] + input[0], a2 * x[i] + p1, a3 * x[i] + p2, a4 * x[i] + p3];
+            x[i] = slots[i].0[block][3];
+        }
     }
-    for ((slot, o), w) in rest.iter_mut().zip(old_rest).zip(new_rest) {
-        x = a * x + (b0 * w + b1 * o);
-        *slot = x;
+    for i in 0..N {
+        let Pole { a, b0, b1 } = poles[i];
+        for ((slot, o), w) in slots[i].1.iter_mut().zip(old[i].1).zip(new[i].1) {
+            x[i] = a * x[i] + (b0 * w + b1 * o);
+            *slot = x[i];
+        }
     }
 }
 

@@ -45,6 +45,9 @@ pub struct Sequence {
 struct Stem {
     at: f64,
     direction: f64,
+    /// What unevenness adds to the way back, and by how much it divides the way on, in the direction of the last slip.
+    back: f64,
+    on: f64,
     slipped: bool,
     moving: bool,
     s_cell: [f64; 2],
@@ -53,12 +56,30 @@ struct Stem {
     reversals: usize,
 }
 
+/// Bands that differ with the direction: `fs (1 + uneven)`, `fd (1 + uneven)` upwards, `1 - uneven` downwards. In slip
+/// coordinates the way back is `s - d uneven j`, the way on `j (1 + d uneven)`; the stem shifts by a constant.
+#[derive(Debug, Clone, Copy)]
+struct Uneven {
+    uneven: f64,
+    j: f64,
+}
+
+impl Uneven {
+    fn of(self, direction: f64) -> (f64, f64) {
+        let d = direction * self.uneven;
+        (d * self.j, 1.0 / (1.0 + d))
+    }
+}
+
 impl Stem {
     /// Before the first slip: as if the last one had gone the other way, s away.
-    fn new(first: FirstSlip, s: f64) -> Self {
+    fn new(first: FirstSlip, s: f64, uneven: Uneven) -> Self {
+        let (back, on) = uneven.of(-first.direction);
         Self {
-            at: first.threshold - first.direction * s,
+            at: first.threshold - first.direction * (s - back),
             direction: -first.direction,
+            back,
+            on,
             slipped: false,
             moving: false,
             s_cell: [0.0, f64::INFINITY],
@@ -70,28 +91,31 @@ impl Stem {
 
     /// Takes the next OP value.
     #[inline]
-    fn take(&mut self, law: Law, op: f64, s: f64, j: f64) {
+    fn take(&mut self, law: Law, op: f64, s: f64, j: f64, uneven: Uneven) {
         let ahead = self.direction * (op - self.at);
         if ahead >= 0.0 {
+            let on = ahead * self.on;
             if self.moving {
                 self.at = op;
-            } else if ahead > j {
+            } else if on > j {
                 self.slip(law, op, self.direction);
-                self.j_cell[1] = self.j_cell[1].min(ahead);
+                self.j_cell[1] = self.j_cell[1].min(on);
             } else if self.slipped {
-                self.j_cell[0] = self.j_cell[0].max(ahead);
+                self.j_cell[0] = self.j_cell[0].max(on);
             }
             return;
         }
         self.moving = false;
-        if -ahead > s {
+        let back = self.back - ahead;
+        if back > s {
             if self.slipped {
-                self.s_cell[1] = self.s_cell[1].min(-ahead);
+                self.s_cell[1] = self.s_cell[1].min(back);
                 self.reversals += 1;
             }
             self.slip(law, op, -self.direction);
+            (self.back, self.on) = uneven.of(self.direction);
         } else if self.slipped {
-            self.s_cell[0] = self.s_cell[0].max(-ahead);
+            self.s_cell[0] = self.s_cell[0].max(back);
         }
     }
 
@@ -108,14 +132,29 @@ impl Stem {
 impl Sequence {
     /// Runs a law over `path` (`n * per_point` OP values) and keeps the slips.
     pub fn run(&mut self, law: Law, path: &[f64], per_point: usize, s: f64, j: f64, first: FirstSlip) {
-        let mut stem = Stem::new(first, s);
+        self.run_uneven(law, path, per_point, [s, j], 0.0, first);
+    }
+
+    /// As [`Sequence::run`] for bands `[s, j]` that are `1 + uneven` times as wide upwards and `1 - uneven` times
+    /// downwards, `-1 < uneven < 1`. The stem stands at `at - fd (direction + uneven)`.
+    pub fn run_uneven(
+        &mut self,
+        law: Law,
+        path: &[f64],
+        per_point: usize,
+        [s, j]: [f64; 2],
+        uneven: f64,
+        first: FirstSlip,
+    ) {
+        let uneven = Uneven { uneven, j };
+        let mut stem = Stem::new(first, s, uneven);
         let n = path.len() / per_point.max(1);
         self.at.resize(n, 0.0);
         self.direction.resize(n, 0.0);
         let points = self.at.iter_mut().zip(&mut self.direction);
         if per_point <= 1 {
             for ((at, direction), &op) in points.zip(path) {
-                stem.take(law, op, s, j);
+                stem.take(law, op, s, j, uneven);
                 (*at, *direction) = (stem.at, stem.direction);
             }
         } else {
@@ -123,7 +162,7 @@ impl Sequence {
             for ((at, direction), point) in points.zip(path.chunks_exact(per_point)) {
                 let (mut sum_at, mut sum_direction) = (0.0, 0.0);
                 for &op in point {
-                    stem.take(law, op, s, j);
+                    stem.take(law, op, s, j, uneven);
                     sum_at += stem.at;
                     sum_direction += stem.direction;
                 }
@@ -175,6 +214,40 @@ mod tests {
                     let stem = sequence.at[k] - sequence.direction[k] * fd;
                     assert!((stem - state.position).abs() < 1e-9, "tracking at {k} of {seed}, {fs} {fd}");
                 }
+            }
+        }
+    }
+
+    #[test]
+    fn uneven_bands_are_wider_upwards() {
+        for (law, uneven) in [(Law::He, 0.4), (Law::He, -0.6), (Law::Tracking, 0.3)] {
+            let (op, fs, fd) = (path(4), 3.0, 1.2);
+            let band = |x: f64, up: bool| x * if up { 1.0 + uneven } else { 1.0 - uneven };
+            let threshold = op[0] + 0.5;
+            let mut position = threshold - band(fs, true);
+            let mut moving = 0.0;
+            let mut sequence = Sequence::default();
+            let first = FirstSlip { direction: 1.0, threshold };
+            sequence.run_uneven(law, &op, 1, [fs + fd, fs - fd], uneven, first);
+            for (k, &u) in op.iter().enumerate() {
+                let force = u - position;
+                let slides = moving != 0.0 && moving * (u - moving * band(fd, moving > 0.0) - position) >= 0.0;
+                let slips = force > band(fs, true) || force < -band(fs, false);
+                if slides || slips {
+                    let up = if slides { moving > 0.0 } else { force > 0.0 };
+                    position = if up { u - band(fd, true) } else { u + band(fd, false) };
+                    moving = if law == Law::He {
+                        0.0
+                    } else if up {
+                        1.0
+                    } else {
+                        -1.0
+                    };
+                } else {
+                    moving = 0.0;
+                }
+                let stem = sequence.at[k] - fd * (sequence.direction[k] + uneven);
+                assert!((stem - position).abs() < 1e-9, "{law:?} {uneven} at {k}: {stem} {position}");
             }
         }
     }

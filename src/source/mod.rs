@@ -35,4 +35,13 @@ pub enum Incoming {
         /// Where the answer goes.
         answer: Answer,
     },
+    /// A person's wish for a gap diagnosis.
+    GapRun {
+        /// The loop's name.
+        loop_name: String,
+        /// Who asks.
+        by: Option<String>,
+        /// Where the answer goes, once there is one.
+        answer: Answer,
+    },
 }

@@ -14,7 +14,7 @@ use zenoh::key_expr::KeyExpr;
 use zenoh::query::Query;
 use zenoh::sample::{Sample as BusSample, SampleKind};
 
-use super::{Incoming, Message};
+use super::{Answer, Incoming, Message};
 use crate::alarm::Command;
 use crate::codec::MAX_PAYLOAD;
 use crate::codec::topic::{self, Kind, Leaf, Topic};
@@ -159,9 +159,11 @@ pub async fn answer_queries(
         let (last, metrics) = (last.clone(), metrics.clone());
         let answer = move |query: Query| {
             metrics.queries.inc();
-            match query.parameters().get("cmd") {
-                Some(cmd) => forward_command(&prefix, cmd.to_owned(), query, &queue),
-                None => answer_last(&query, &last),
+            let parameters = query.parameters();
+            match (parameters.get("cmd").map(str::to_owned), parameters.contains_key("run")) {
+                (Some(cmd), _) => forward_command(&prefix, cmd, query, &queue),
+                (None, true) => forward_run(&prefix, query, &queue),
+                (None, false) => answer_last(&query, &last),
             }
         };
         let queryable = session.declare_queryable(key.clone()).callback(answer).await;
@@ -200,29 +202,51 @@ pub fn encoding_of(leaf: &str) -> Encoding {
     }
 }
 
-fn forward_command(prefix: &str, cmd: String, query: Query, queue: &Sender<Incoming>) {
-    let refuse = |query: &Query, why: String| {
-        let _ = query.reply_err(why).encoding(Encoding::TEXT_PLAIN).wait();
-    };
-    let key = query.key_expr().as_str().to_owned();
-    let parsed = Topic::parse(Some(prefix), &key).filter(|t| t.leaf == Leaf::Document(Kind::Alarm));
-    let Some(loop_name) = parsed.map(|t| t.loop_name.to_owned()).filter(|name| !name.contains('*')) else {
-        refuse(&query, format!("commands go to one loop's alarm key, such as {}", topic::plane(prefix, "LOOP/alarm")));
-        return;
-    };
-    let parameter = |name: &str| query.parameters().get(name).map(str::to_owned);
-    let command = Command { cmd, by: parameter("by"), why: parameter("why") };
-    let busy = query.clone();
-    let answer = Box::new(move |result: Result<Vec<u8>, String>| {
+fn refuse(query: &Query, why: &str) {
+    let _ = query.reply_err(why).encoding(Encoding::TEXT_PLAIN).wait();
+}
+
+/// The one loop whose document of this kind a query names.
+fn loop_asked(prefix: &str, query: &Query, kind: Kind) -> Option<String> {
+    let parsed = Topic::parse(Some(prefix), query.key_expr().as_str()).filter(|t| t.leaf == Leaf::Document(kind))?;
+    Some(parsed.loop_name.to_owned()).filter(|name| !name.contains('*'))
+}
+
+/// Sends a document of this kind, or why there is none, in answer to a query.
+fn answer_with(query: Query, kind: Kind) -> Answer {
+    Box::new(move |result: Result<Vec<u8>, String>| {
+        let key = query.key_expr();
         let sent = match result {
-            Ok(document) => query.reply(key.as_str(), document).encoding(encoding_of("alarm")).wait(),
+            Ok(document) => query.reply(key, document).encoding(encoding_of(kind.name())).wait(),
             Err(why) => query.reply_err(why).encoding(Encoding::TEXT_PLAIN).wait(),
         };
         if let Err(error) = sent {
-            tracing::debug!(%key, %error, "a command's answer could not be sent");
+            tracing::debug!(%key, %error, "an answer could not be sent");
         }
-    });
+    })
+}
+
+fn forward_command(prefix: &str, cmd: String, query: Query, queue: &Sender<Incoming>) {
+    let Some(loop_name) = loop_asked(prefix, &query, Kind::Alarm) else {
+        let example = topic::plane(prefix, "LOOP/alarm");
+        return refuse(&query, &format!("commands go to one loop's alarm key, such as {example}"));
+    };
+    let parameter = |name: &str| query.parameters().get(name).map(str::to_owned);
+    let command = Command { cmd, by: parameter("by"), why: parameter("why") };
+    let answer = answer_with(query.clone(), Kind::Alarm);
     if queue.try_send(Incoming::Command { loop_name, command, answer }).is_err() {
-        refuse(&busy, "the daemon is too busy for commands: try again".to_owned());
+        refuse(&query, "the daemon is too busy for commands: try again");
+    }
+}
+
+fn forward_run(prefix: &str, query: Query, queue: &Sender<Incoming>) {
+    let Some(loop_name) = loop_asked(prefix, &query, Kind::Gap) else {
+        let example = topic::plane(prefix, "LOOP/gap");
+        return refuse(&query, &format!("run goes to one loop's gap key, such as {example}?run"));
+    };
+    let by = query.parameters().get("by").filter(|by| !by.is_empty()).map(str::to_owned);
+    let answer = answer_with(query.clone(), Kind::Gap);
+    if queue.try_send(Incoming::GapRun { loop_name, by, answer }).is_err() {
+        refuse(&query, "the daemon is too busy for a diagnosis: try again");
     }
 }

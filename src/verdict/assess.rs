@@ -26,27 +26,21 @@ const INTERVAL_LEVEL: f64 = 0.9;
 /// leaves every number out; values that are not finite are answered by the gates of frozen signals.
 #[must_use]
 pub fn assess(record: &Record, params: &AssessParams) -> Assessment {
-    let op = record.op();
-    let found = oscillation::detect(&op, &record.pv);
-    let oscillation = describe(found.as_ref(), record);
-    let gates = gates(record, &oscillation, params);
+    let seen = Seen::of(record, params);
     let window = Window::of(record);
-    let mut out = Assessment { gates, interval_level: Some(INTERVAL_LEVEL), ..Assessment::empty(window, oscillation) };
-    if let Some(gate) = out.gates.iter().find(|g| g.blocks()) {
-        out.reason = Some(gate.name());
+    let empty = Assessment::empty(window, describe(seen.found.as_ref(), record));
+    let mut out = Assessment { gates: seen.gates.clone(), interval_level: Some(INTERVAL_LEVEL), ..empty };
+    let Some(evidence) = &seen.evidence else {
+        out.reason = seen.blocked().map(Gate::name);
         return out;
-    }
-    let worth_it = params.always_fit
-        || found.is_some_and(|o| o.oscillating && o.periods >= params.min_periods)
-        || reversals(&op) as f64 >= params.min_periods;
-    let estimate = if worth_it { quantify(record, &options(params, found.as_ref())) } else { None };
-    if let Some(e) = &estimate {
+    };
+    if let Some(e) = &evidence.estimate {
         fill(&mut out, e, record, params);
     }
-    decide(&mut out, estimate.as_ref(), record, found.as_ref());
+    decide(&mut out, evidence, record, seen.found.as_ref());
     let sticks = out.stiction == Some(true);
-    out.s_detectable = estimate.as_ref().and_then(|e| {
-        detectable::smallest(record, &options(params, found.as_ref()), e, sticks, is_interpolated(record))
+    out.s_detectable = evidence.estimate.as_ref().and_then(|e| {
+        detectable::smallest(record, &options(params, seen.found.as_ref()), e, sticks, is_interpolated(record))
     });
     out
 }
@@ -56,19 +50,53 @@ pub fn assess(record: &Record, params: &AssessParams) -> Assessment {
 /// # Errors
 /// The first blocking gate.
 pub fn figures(record: &Record, params: &AssessParams) -> Result<Features, Gate> {
-    let found = oscillation::detect(&record.op(), &record.pv);
-    let met = gates(record, &describe(found.as_ref(), record), params);
-    if let Some(gate) = met.iter().find(|g| g.blocks()) {
-        return Err(*gate);
+    let seen = Seen::of(record, params);
+    let blocked = seen.blocked().unwrap_or(Gate::Skipped);
+    seen.evidence.map(|e| e.figures).ok_or(blocked)
+}
+
+/// What a record shows, before anything is made of it.
+struct Seen {
+    found: Option<Oscillates>,
+    gates: Vec<Gate>,
+    /// `None` behind a blocking gate.
+    evidence: Option<Evidence>,
+}
+
+/// What the verdict stands on.
+struct Evidence {
+    /// `None` where nothing was fitted.
+    estimate: Option<Estimate>,
+    figures: Features,
+}
+
+impl Seen {
+    fn of(record: &Record, params: &AssessParams) -> Self {
+        let op = record.op();
+        let found = oscillation::detect(&op, &record.pv);
+        let gates = gates(record, &describe(found.as_ref(), record), params);
+        let mut seen = Self { found, gates, evidence: None };
+        if seen.blocked().is_none() {
+            let worth_it = params.always_fit
+                || found.is_some_and(|o| o.oscillating && o.periods >= params.min_periods)
+                || reversals(&op) as f64 >= params.min_periods;
+            let estimate = if worth_it { quantify(record, &options(params, found.as_ref())) } else { None };
+            let figures = rule::figures(estimate.as_ref(), record, &detect::ALL, is_interpolated(record));
+            seen.evidence = Some(Evidence { estimate, figures });
+        }
+        seen
     }
-    let estimate = quantify(record, &options(params, found.as_ref()));
-    Ok(rule::figures(estimate.as_ref(), record, &detect::ALL, is_interpolated(record)))
+
+    fn blocked(&self) -> Option<Gate> {
+        self.gates.iter().copied().find(|g| g.blocks())
+    }
 }
 
 /// Asks the rule and says what it answers, and why.
-fn decide(out: &mut Assessment, estimate: Option<&Estimate>, record: &Record, found: Option<&Oscillates>) {
+fn decide(out: &mut Assessment, evidence: &Evidence, record: &Record, found: Option<&Oscillates>) {
     let rule = Rule::shipped();
-    let features = rule::features(rule::figures(estimate, record, &detect::ALL, is_interpolated(record)));
+    let estimate = evidence.estimate.as_ref();
+    let features = rule::features(evidence.figures.clone());
     let opinion = rule.opinion(&features);
     let names = rule::OF_THE_FIT.into_iter().chain(detect::ALL.iter().map(|d| d.name()));
     let witness = |name| {
@@ -95,19 +123,18 @@ fn decide(out: &mut Assessment, estimate: Option<&Estimate>, record: &Record, fo
 }
 
 const fn as_document(r: &Reading) -> Controller {
-    Controller { kc: r.kc, ti_s: r.ti_s, td_s: r.td_s, lag_samples: r.lag_samples, r2: r.r2 }
+    Controller {
+        kc: r.kc,
+        ti_s: r.ti_s,
+        td_s: r.td_s,
+        lag_samples: r.lag_samples,
+        r2: r.r2,
+        unexplained: r.unexplained,
+    }
 }
 
 fn options(params: &AssessParams, found: Option<&Oscillates>) -> Options {
-    Options {
-        model: params.model,
-        delay: params.delay,
-        valve: params.valve,
-        solver: params.solver,
-        fineness_pct: params.fineness_pct,
-        seed: params.seed,
-        period_points: found.map(|o| o.period_points),
-    }
+    params.options(found.map(|o| o.period_points))
 }
 
 fn describe(found: Option<&Oscillates>, record: &Record) -> Oscillation {

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::detect::oscillation;
 use crate::ident::width::{Floor, Intervals, Settings, Spread, Trust};
-use crate::ident::{DelayChoice, ModelChoice, Options, ValveChoice, quantify};
+use crate::ident::{Options, quantify};
 use crate::signal::stats;
 use crate::sim::truth::{self, Half, Regime};
 
@@ -27,25 +27,13 @@ pub struct Row {
     pub evaluations: u64,
 }
 
-/// Fits one simulated loop, by the law that it obeys where it obeys one; `None` where the fit finds nothing.
+/// Fits one simulated loop as the daemon fits any; `None` where the fit finds nothing.
 #[must_use]
 pub fn look(half: Half, regime: Regime, seed: u64) -> Option<Row> {
     let case = truth::accuracy(half, regime, seed);
     let record = case.record();
     let period_points = oscillation::detect(&record.op(), &record.pv).map(|o| o.period_points);
-    let options = Options {
-        model: ModelChoice::Auto,
-        delay: DelayChoice::Auto,
-        valve: match case.law {
-            "he" => ValveChoice::He,
-            "tracking" => ValveChoice::Tracking,
-            _ => ValveChoice::Auto,
-        },
-        solver: "contour",
-        fineness_pct: 1.0,
-        seed,
-        period_points,
-    };
+    let options = Options { seed, period_points, ..Options::default() };
     let e = quantify(&record, &options)?;
     let regime = regime.name().to_owned();
     let (truth, found) = ([case.s?, case.j?], [e.s, e.j]);

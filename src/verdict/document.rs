@@ -217,6 +217,8 @@ pub struct Controller {
     pub lag_samples: f64,
     /// Share of OP's moves that it explains.
     pub r2: f64,
+    /// Share of the window, 0..1, in stretches where it does not explain OP: another mode, or other settings.
+    pub unexplained: f64,
 }
 
 /// Everything an estimate says that depends on its window alone. Field order is the document's.

@@ -1,6 +1,6 @@
 //! What an assessment can be told.
 
-use crate::ident::{DelayChoice, ModelChoice, ValveChoice};
+use crate::ident::{DelayChoice, ModelChoice, Options, ValveChoice};
 
 /// Everything that [`super::assess`] may be told. The defaults are the daemon's.
 #[derive(Debug, Clone, PartialEq)]
@@ -40,6 +40,22 @@ impl Default for AssessParams {
             fineness_pct: 5.0,
             seed: 1,
             always_fit: false,
+        }
+    }
+}
+
+impl AssessParams {
+    /// What the fit is told, with the oscillation's period where one is known, points.
+    #[must_use]
+    pub const fn options(&self, period_points: Option<f64>) -> Options {
+        Options {
+            model: self.model,
+            delay: self.delay,
+            valve: self.valve,
+            solver: self.solver,
+            fineness_pct: self.fineness_pct,
+            seed: self.seed,
+            period_points,
         }
     }
 }

@@ -18,6 +18,12 @@ from pathlib import Path
 import zenoh
 from mcap.reader import make_reader
 
+from compact_store import (  # noqa: F401, found by name below
+    test_a_solver_in_python,
+    test_scipy_reads_the_manuals_example,
+    test_the_greatest_byte_may_come_first,
+    test_what_scipy_writes_is_read,
+)
 from daemon import ROOT, Daemon, close_sessions, eventually, free_port, session, stictiond
 from plant import Loop
 
@@ -28,6 +34,8 @@ SCANS = 1900
 HOP_S = 300
 
 BUSY = f"""
+[gap]
+budget_evaluations = 3000
 [window]
 hop_s = {HOP_S}
 lateness_s = 3
@@ -152,10 +160,10 @@ class Heard:
         return self.by_key[f"{PLANE}/{loop}/estimate"]
 
 
-def ask(bus, selector):
+def ask(bus, selector, timeout=5):
     """Answers to a query: documents by key, and errors."""
     good, bad = {}, []
-    for reply in bus.get(selector, timeout=5):
+    for reply in bus.get(selector, timeout=timeout):
         if reply.ok is not None:
             good[str(reply.ok.key_expr)] = json.loads(reply.ok.payload.to_string())
         else:
@@ -247,6 +255,21 @@ def test_live_recorded_replayed(folder):
             f"{key}?cmd=ack;by=ann", f"{key}?cmd=explode", f"{PLANE}/FIC999/alarm?cmd=ack",
             f"{PLANE}/*/alarm?cmd=ack", f"{PLANE}/FIC101/estimate?cmd=ack",
         ):
+            good, bad = ask(bus, selector)
+            assert not good and len(bad) == 1 and bad[0], (selector, good, bad)
+
+        # A gap diagnosis on demand: answered, published, and the last value from then on.
+        key = f"{PLANE}/FIC101/gap"
+        good, bad = ask(bus, f"{key}?run;by=ann", timeout=300)
+        assert not bad and set(good) == {key}, (good, bad)
+        document = good[key]
+        assert (document["schema"], document["loop"]) == ("stictiond.gap.v1", "FIC101"), document
+        assert (document["reason"], document["by"], document["evaluations"] > 0) == ("operator", "ann", True), document
+        assert document["cause"]["id"] and 0 <= document["cause"]["probability"] <= 1, document["cause"]
+        eventually("the diagnosis on the bus", lambda: document in heard.by_key[key])
+        good, bad = ask(bus, key)
+        assert not bad and good[key] == heard.by_key[key][-1]
+        for selector in (f"{PLANE}/FIC999/gap?run", f"{PLANE}/*/gap?run", f"{PLANE}/FIC101/estimate?run"):
             good, bad = ask(bus, selector)
             assert not good and len(bad) == 1 and bad[0], (selector, good, bad)
 
@@ -382,6 +405,59 @@ def test_the_example_gateway(folder):
         eventually("every sample", lambda: daemon.healthz()["counters"].get("samples") == 1401, 20)
         eventually("two windows", lambda: daemon.healthz()["counters"]["estimates"] == 2, 60)
         assert daemon.stop() < 5
+
+
+GAP = {
+    "schema": str, "loop": str, "window": dict, "base": dict, "gap": dict, "given": (dict, None), "where": dict,
+    "effects": list, "cause": dict, "alternatives": list, "forward": (dict, None), "model_after": dict,
+    "next_test": (dict, None), "evaluations": int, "version": str,
+}
+WHERE = {
+    "stage": str, "segments": list, "phases": dict, "direction": dict, "bands": list, "level": list, "slips": dict,
+    "onset_s": (float, None), "correlates": list, "signatures": list, "excitation": dict, "op_to_mv": (dict, None),
+    "mv_to_pv": (dict, None),
+}
+
+
+def test_the_gap_can_be_computed_from_the_predictions(folder):
+    # Without a lead on the cause: whatever is answered must follow from the rows.
+    plant = Loop(fs=4.0, fd=1.5, sine=1.0, seed=5).run(1000)
+    table, rows_file = Path(folder) / "loop.csv", Path(folder) / "rows.csv"
+    with table.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(["t", "op", "pv"])
+        writer.writerows([START_NS // 10**9 + k, op, pv] for k, (op, pv) in enumerate(zip(plant.op, plant.pv)))
+    code, out, err = stictiond("gap", table, "--predictions", rows_file, "--format", "json")
+    assert code == 0, err
+    document = json.loads(out)
+    check_fields(document, GAP, "the gap document")
+    check_fields(document["where"], WHERE, "where")
+    with rows_file.open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert list(rows[0]) == ["t", "pv", "pv_base", "pv_after", "held_out"]
+    assert len(rows) == 1000 and [float(r["pv"]) for r in rows] == plant.pv
+    held = [r for r in rows if r["held_out"] == "1"]
+    assert len(held) > 300
+
+    def rmse(column):
+        return math.sqrt(sum((float(r["pv"]) - float(r[column])) ** 2 for r in held) / len(held))
+
+    floor = document["gap"]["noise_floor"] or 0.0
+
+    def gap(column):
+        return math.sqrt(max(rmse(column) ** 2 - floor**2, 0.0))
+
+    same = lambda a, b: math.isclose(a, b, rel_tol=1e-6, abs_tol=1e-9)
+    assert same(rmse("pv_base"), document["gap"]["rmse"])
+    assert same(gap("pv_base"), document["gap"]["gap"])
+    named = [e for e in document["effects"] if e["id"] == document["cause"]["id"]]
+    if named:
+        assert same(gap("pv_after"), named[0]["gap_after"])
+        if named[0]["closed_pct"] is not None:
+            assert same(100 * (1 - gap("pv_after") / gap("pv_base")), named[0]["closed_pct"])
+    else:
+        assert document["cause"]["id"] in ("none", "unknown")
+        assert all(r["pv_base"] == r["pv_after"] for r in rows)
 
 
 def main():

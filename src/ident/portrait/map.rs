@@ -73,7 +73,7 @@ impl Portrait<'_> {
                 let mut shapes = vec![own, class.clamp(ridge, &self.question.limits), plain.shape];
                 shapes.extend(column.last().into_iter().chain(near.get(b as usize)));
                 let mut best: Option<Candidate> = None;
-                let effort = Effort { steps: STEPS, hopeless: f64::INFINITY };
+                let effort = Effort::of(STEPS);
                 let starts = self.question.starts(fs, STARTS).into_iter().chain([self.candidate.start]);
                 for start in starts {
                     let found = bench.fit_exactly([s, j], start, &shapes, effort);
@@ -85,7 +85,7 @@ impl Portrait<'_> {
                     let own_place = inside.then_some([c_s, c_j]);
                     for [s, j] in around([s, j], step).into_iter().chain(own_place) {
                         let shapes = [middle.fit.shape, own];
-                        let effort = Effort { steps: STEPS / 2, hopeless: 4.0 * middle.fit.sse };
+                        let effort = Effort { hopeless: 4.0 * middle.fit.sse, ..Effort::of(STEPS / 2) };
                         let found = bench.fit_exactly([s, j], middle.start, &shapes, effort);
                         best = found.filter(|f| best.is_none_or(|b| f.fit.sse < b.fit.sse)).or(best);
                     }

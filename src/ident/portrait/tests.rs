@@ -1,4 +1,4 @@
-//! Tests of the portrait: curves, maps, orders and draws of a simulated loop whose truth is known.
+//! The pictures' numbers on loops whose valve and process are known.
 
 use super::*;
 use crate::ident::class::Scratch;

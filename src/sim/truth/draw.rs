@@ -5,7 +5,7 @@ use crate::sim::noise::{Noise, stream_of};
 
 /// A source of draws with the ranges that loops need.
 #[derive(Debug, Clone)]
-pub(super) struct Draw(Noise);
+pub(crate) struct Draw(Noise);
 
 impl Draw {
     /// The draws of `seed` for a purpose; each purpose is a stream of its own.
@@ -112,19 +112,19 @@ impl Draw {
 }
 
 /// From the least to the greatest.
-pub(super) fn span(x: &[f64]) -> f64 {
+pub(crate) fn span(x: &[f64]) -> f64 {
     x.iter().copied().fold(f64::MIN, f64::max) - x.iter().copied().fold(f64::MAX, f64::min)
 }
 
 /// Standard deviation around the mean.
-pub(super) fn std_dev(x: &[f64]) -> f64 {
+pub(crate) fn std_dev(x: &[f64]) -> f64 {
     let n = x.len().max(1) as f64;
     let mean = x.iter().sum::<f64>() / n;
     (x.iter().map(|v| (v - mean) * (v - mean)).sum::<f64>() / n).sqrt()
 }
 
 /// `x` scaled so that its half span is `size`.
-pub(super) fn scaled(x: &[f64], size: f64) -> Vec<f64> {
+pub(crate) fn scaled(x: &[f64], size: f64) -> Vec<f64> {
     let by = size / (0.5 * span(x)).max(1e-12);
     x.iter().map(|v| v * by).collect()
 }

@@ -10,9 +10,9 @@
 //! Bands are OP units (0..100 %), times scans unless they say seconds; `ts_s` is a label only.
 
 mod accuracy;
-mod draw;
-mod rig;
-mod storage;
+pub(crate) mod draw;
+pub(crate) mod rig;
+pub(crate) mod storage;
 mod verdict;
 
 pub use accuracy::Regime;

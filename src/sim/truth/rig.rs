@@ -7,7 +7,7 @@ use crate::sim::process::{ProcessModel, ProcessState};
 
 /// A loop, times in scans.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Rig {
+pub(crate) struct Rig {
     pub process: ProcessModel,
     /// Controller gain, OP units per PV unit, > 0.
     pub kc: f64,
@@ -25,7 +25,7 @@ pub(super) struct Rig {
 
 /// What drives a loop, each as long as the run.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Drive {
+pub(crate) struct Drive {
     /// Set point less the rest, PV units.
     pub sp: Vec<f64>,
     /// At the process input, OP units.
@@ -46,7 +46,7 @@ impl Drive {
 
 /// The signals of a run.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub(super) struct Run {
+pub(crate) struct Run {
     pub op: Vec<f64>,
     pub pv: Vec<f64>,
     pub sp: Vec<f64>,
@@ -163,13 +163,13 @@ impl Rig {
 }
 
 /// Motions of the stem: how often it starts to move, either way; what moves less than `least` in a scan rests.
-pub(super) fn motions(mv: &[f64], least: f64) -> usize {
+pub(crate) fn motions(mv: &[f64], least: f64) -> usize {
     let moves: Vec<bool> = mv.windows(2).map(|w| (w[1] - w[0]).abs() > least).collect();
     moves.windows(2).filter(|w| w[1] && !w[0]).count()
 }
 
 /// How often the stem turns, and its mean period over the last two thirds, scans.
-pub(super) fn turns(mv: &[f64], least: f64) -> (usize, Option<f64>) {
+pub(crate) fn turns(mv: &[f64], least: f64) -> (usize, Option<f64>) {
     let (mut direction, mut all, mut ups) = (0.0, 0, Vec::new());
     for (k, w) in mv.windows(2).enumerate() {
         let step = w[1] - w[0];
@@ -194,7 +194,7 @@ pub(super) fn turns(mv: &[f64], least: f64) -> (usize, Option<f64>) {
 
 /// Controller gain at which a loop that rings for ever would start to, and the period of that ringing, scans; from the
 /// frequency response, half a scan of dead time for the hold. None where the phase never gets that far.
-pub(super) fn ultimate(process: &ProcessModel, ti: f64, td: f64) -> Option<(f64, f64)> {
+pub(crate) fn ultimate(process: &ProcessModel, ti: f64, td: f64) -> Option<(f64, f64)> {
     let pi = core::f64::consts::PI;
     let phase_and_size = |w: f64| {
         let mut phase = -w * (process.dead_time + 0.5);
@@ -226,7 +226,7 @@ pub(super) fn ultimate(process: &ProcessModel, ti: f64, td: f64) -> Option<(f64,
 }
 
 /// A controller for `process` as people tune them, `tight` times the gain at which it rings (0..1).
-pub(super) fn tune(draw: &mut Draw, process: &ProcessModel, tight: f64) -> Option<(f64, f64, f64, f64)> {
+pub(crate) fn tune(draw: &mut Draw, process: &ProcessModel, tight: f64) -> Option<(f64, f64, f64, f64)> {
     let slow = process.tau + process.tau2 + 0.5 * process.dead_time + 0.5;
     let ti = if process.integrating {
         (process.dead_time + process.tau + 0.5) * draw.log_between(4.0, 20.0)
@@ -244,6 +244,6 @@ pub(super) fn tune(draw: &mut Draw, process: &ProcessModel, tight: f64) -> Optio
 }
 
 /// Half the spread that counts as the size of a swing.
-pub(super) fn swing(x: &[f64]) -> f64 {
+pub(crate) fn swing(x: &[f64]) -> f64 {
     (2.0_f64).sqrt() * std_dev(x)
 }

@@ -3,7 +3,7 @@
 use crate::sim::noise::quantise;
 
 /// Exception reporting: a value is stored when it stands more than `band` from the last one stored, else that is held.
-pub(super) fn exception_hold(x: &mut [f64], band: f64) {
+pub(crate) fn exception_hold(x: &mut [f64], band: f64) {
     let Some(mut last) = x.first().copied() else { return };
     for v in x {
         if (*v - last).abs() > band {
@@ -15,7 +15,7 @@ pub(super) fn exception_hold(x: &mut [f64], band: f64) {
 
 /// Swinging door (Bristol 1990): values are stored such that the straight lines between them pass all others within
 /// `band`, and read back along those lines.
-pub(super) fn swinging_door(x: &mut [f64], band: f64) {
+pub(crate) fn swinging_door(x: &mut [f64], band: f64) {
     let n = x.len();
     let (mut from, mut steepest_low, mut steepest_high) = (0, f64::NEG_INFINITY, f64::INFINITY);
     let mut k = 1;
@@ -46,7 +46,7 @@ fn line(x: &mut [f64], from: usize, to: usize) {
 }
 
 /// Every value rounded to multiples of `quantum`.
-pub(super) fn rounded(x: &mut [f64], quantum: f64) {
+pub(crate) fn rounded(x: &mut [f64], quantum: f64) {
     x.iter_mut().for_each(|v| *v = quantise(*v, quantum));
 }
 

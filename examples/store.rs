@@ -1,0 +1,33 @@
+//! Files in the library: a compact store is written, read back and its loops assessed.
+//!
+//! `cargo run --example store`
+
+use std::error::Error;
+use std::fs::File;
+
+use stictiond::cli::selection::{Points, Selection};
+use stictiond::config::Config;
+use stictiond::files::compact::{CompactLoop, write};
+use stictiond::files::load_samples;
+use stictiond::verdict::{AssessParams, assess};
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let samples = load_samples("recordings/sticking.mcap".as_ref())?.loops.remove(0).samples;
+    let one = CompactLoop::from_samples("FIC101", &samples, None)?;
+    let path = std::env::temp_dir().join("stictiond-example.mat");
+    write(&mut File::create(&path)?, &[one], true)?;
+
+    // The same call reads tables, recordings and stores.
+    let loaded = load_samples(&path)?;
+    for one in &loaded.loops {
+        let points = Points::of(one, &Config::with_prefix("plant"));
+        let selection = Selection { samples: vec![(50, 500)], downsample: Some(2.0), ..Selection::default() };
+        for section in selection.sections() {
+            let (record, taken) = selection.record(&points, &one.name, section)?;
+            let found = assess(&record, &AssessParams { always_fit: true, ..AssessParams::default() });
+            println!("{} {:?}: {} s {:?}", one.name, taken.section, found.verdict.name(), found.s);
+        }
+    }
+    std::fs::remove_file(path)?;
+    Ok(())
+}

@@ -1,0 +1,28 @@
+//! The confusion matrix as a picture.
+
+use anyhow::anyhow;
+
+use crate::challenge::score::Figures;
+use crate::report;
+
+/// Truths as rows, answers as columns, as a stand-alone SVG.
+///
+/// # Errors
+/// The drawing library refuses.
+pub(super) fn confusion(figures: &Figures) -> anyhow::Result<String> {
+    let table = &figures.confusion;
+    let kept: Vec<usize> = (0..table.truths.len()).filter(|r| table.counts[*r].iter().any(|n| *n > 0)).collect();
+    let rows: Vec<&str> = kept.iter().map(|r| table.truths[*r].as_str()).collect();
+    let counts: Vec<Vec<u32>> = kept.iter().map(|r| table.counts[*r].clone()).collect();
+    let columns: Vec<&str> = table.answers.iter().map(String::as_str).collect();
+    let title = format!("True cause (rows) and answer (columns), seed {}, split {}", figures.seed, figures.split);
+    let picture = report::chart::confusion(&title, 1_100, &rows, &columns, &counts);
+    let picture = picture.map_err(|e| anyhow!("the confusion matrix cannot be drawn: {e}"))?;
+    Ok(alone(&picture.svg()))
+}
+
+/// A picture for a page made one that stands alone: with its name space and its colours.
+fn alone(svg: &str) -> String {
+    let named = svg.replacen("<svg ", "<svg xmlns=\"http://www.w3.org/2000/svg\" ", 1);
+    named.replacen('>', &format!("><style>{}</style>", report::ink::style()), 1)
+}

@@ -1,0 +1,227 @@
+//! `stictiond gap challenge real`: real recordings whose truth is made, hidden or labelled.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+use serde_json::{Value, json};
+
+use crate::challenge::real::{Spoilt, spoilt};
+use crate::cli::evaluate::index::{self, Case};
+use crate::cli::{Format, Outcome, analyze, on_all_cores, say};
+use crate::config::Config;
+use crate::files::load_samples;
+use crate::gap::{Ask, Base, DEFAULT_EVALUATIONS, Diagnosis, Serial, diagnose};
+use crate::record::{Record, Signal};
+
+/// Raw samples of a recording that are looked at: as many as stay raw.
+const SAMPLES: usize = 1_800;
+
+#[derive(Debug, clap::Args)]
+pub(super) struct Args {
+    /// The index of a labelled set, as `evaluate` takes it.
+    index: PathBuf,
+    /// Recordings into which effects are put, spread over the index.
+    #[arg(long, default_value_t = 12)]
+    spoil: usize,
+    /// Model responses that each search may compute.
+    #[arg(long, default_value_t = DEFAULT_EVALUATIONS)]
+    evaluations: u64,
+    /// Seed of what is put in.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Only this part of the check.
+    #[arg(long, value_enum)]
+    part: Option<Part>,
+}
+
+/// What is checked.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum Part {
+    /// Effects put into recordings are found, and without them the first answer is given again.
+    Spoilt,
+    /// The valve position is hidden, then revealed.
+    Hidden,
+    /// Stiction itself is withheld: it is named on sticking loops and not on others.
+    Linear,
+}
+
+/// One diagnosis that is to be made.
+enum Task {
+    Spoil(Case),
+    Hide(Case),
+    Linear(Case),
+}
+
+impl Task {
+    const fn case(&self) -> &Case {
+        match self {
+            Self::Spoil(case) | Self::Hide(case) | Self::Linear(case) => case,
+        }
+    }
+}
+
+/// The first loop of a file, its first samples.
+fn record_of(base: &Path, case: &Case) -> anyhow::Result<Record> {
+    let loaded = load_samples(&base.join(&case.file))?;
+    let Some(mut first) = loaded.loops.into_iter().next() else { bail!("{}: holds no loop", case.file) };
+    let last = first.samples.iter().filter(|s| s.signal == Signal::Pv).map(|s| s.t_ns).nth(SAMPLES);
+    if let Some(last) = last {
+        first.samples.retain(|s| s.t_ns < last);
+    }
+    Ok(analyze::whole_record(&first, &Config::with_prefix("plant"))?.0)
+}
+
+/// Every recording once, in the index's order.
+fn distinct(cases: &[Case]) -> Vec<Case> {
+    let mut out: Vec<Case> = Vec::new();
+    for case in cases {
+        if out.iter().all(|other| other.group != case.group) {
+            out.push(case.clone());
+        }
+    }
+    out
+}
+
+fn tasks(args: &Args, cases: &[Case], base: &Path) -> Vec<Task> {
+    let wanted = |part| args.part.is_none_or(|only| only == part);
+    let mut out = Vec::new();
+    if wanted(Part::Spoilt) {
+        let every = cases.len().div_ceil(args.spoil.max(1));
+        out.extend(cases.iter().step_by(every.max(1)).take(args.spoil).cloned().map(Task::Spoil));
+    }
+    if wanted(Part::Hidden) {
+        let with_mv = cases.iter().filter(|case| record_of(base, case).is_ok_and(|r| r.mv.is_some()));
+        out.extend(with_mv.cloned().map(Task::Hide));
+    }
+    if wanted(Part::Linear) {
+        out.extend(cases.iter().filter(|case| case.truth().is_some()).cloned().map(Task::Linear));
+    }
+    out
+}
+
+/// Runs the command. A recording that cannot be diagnosed is a line, not the end.
+///
+/// # Errors
+/// The index cannot be read.
+pub(super) fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
+    let cases = distinct(&index::read(&args.index)?);
+    let base = args.index.parent().unwrap_or(Path::new(""));
+    let tasks = tasks(args, &cases, base);
+    let ask = Ask { budget_evaluations: args.evaluations, ..Ask::default() };
+    let work = |task: &Task| -> Value {
+        let found = record_of(base, task.case()).and_then(|record| match task {
+            Task::Spoil(_) => spoil(&record, &ask, args.seed),
+            Task::Hide(_) => hide(&record, &ask),
+            Task::Linear(case) => linear(&record, &ask, case),
+        });
+        let found = found.with_context(|| task.case().file.clone());
+        let mut line = found.unwrap_or_else(|error| json!({ "error": format!("{error:#}") }));
+        line["file"] = json!(task.case().file);
+        line["label"] = json!(task.case().label);
+        line
+    };
+    let lines = on_all_cores(&tasks, |task| task.case().file.clone(), work);
+    match format {
+        Format::Json => lines.iter().try_for_each(say)?,
+        Format::Text => table(&lines)?,
+    }
+    Ok(Outcome::Done)
+}
+
+fn called(diagnosis: &Diagnosis) -> Value {
+    json!({ "cause": diagnosis.cause.id, "stage": diagnosis.cause.stage.name(), "probability": diagnosis.cause.probability })
+}
+
+fn spoil(record: &Record, ask: &Ask, seed: u64) -> anyhow::Result<Value> {
+    let before = diagnose(record, ask, &Serial)?;
+    let mut made = Vec::new();
+    for Spoilt { effect, record } in spoilt(record, seed) {
+        made.push(match diagnose(&record, ask, &Serial) {
+            Ok(after) => {
+                let without = after.without(&[effect]).cause.id;
+                json!({ "effect": effect, "answer": called(&after), "found": after.cause.id == effect,
+                    "without": without, "kept": without == before.cause.id })
+            }
+            Err(error) => json!({ "effect": effect, "error": error.to_string() }),
+        });
+    }
+    Ok(json!({ "part": "spoilt", "before": called(&before), "made": made }))
+}
+
+fn hide(record: &Record, ask: &Ask) -> anyhow::Result<Value> {
+    let blind = diagnose(&Record { mv: None, ..record.clone() }, ask, &Serial)?;
+    let seen = diagnose(record, ask, &Serial)?;
+    let gaps = seen
+        .stages
+        .as_ref()
+        .map(|s| json!({ "op_to_mv_pct": s.op_to_mv, "mv_to_pv": s.mv_to_pv, "stage": s.stage.name() }));
+    Ok(json!({ "part": "hidden", "hidden": called(&blind), "revealed": called(&seen), "gaps": gaps }))
+}
+
+fn linear(record: &Record, ask: &Ask, case: &Case) -> anyhow::Result<Value> {
+    let found = diagnose(record, &Ask { base: Base::Linear, ..ask.clone() }, &Serial)?;
+    let named = found.cause.id == "stiction";
+    Ok(json!({ "part": "linear", "answer": called(&found), "named": named, "right": case.truth() == Some(named) }))
+}
+
+fn text<'a>(value: &'a Value) -> &'a str {
+    value.as_str().unwrap_or("-")
+}
+
+/// Three tables and their sums.
+fn table(lines: &[Value]) -> anyhow::Result<()> {
+    let of = |part: &'static str| lines.iter().filter(move |l| l["part"] == part);
+    for line in lines.iter().filter(|l| l["error"].is_string()) {
+        say(format!("{:<44} {}", text(&line["file"]), text(&line["error"])))?;
+    }
+    let (mut found, mut kept, mut all) = (0, 0, 0);
+    for line in of("spoilt") {
+        say(format!("{:<44} as it is: {}", text(&line["file"]), text(&line["before"]["cause"])))?;
+        for made in line["made"].as_array().into_iter().flatten() {
+            let (is_found, is_kept) = (made["found"] == true, made["kept"] == true);
+            (found, kept, all) = (found + usize::from(is_found), kept + usize::from(is_kept), all + 1);
+            let answer = made["answer"]["cause"].as_str().unwrap_or_else(|| text(&made["error"]));
+            say(format!(
+                "    {:<20} answered {answer:<22} without it {}",
+                text(&made["effect"]),
+                text(&made["without"])
+            ))?;
+        }
+    }
+    if all > 0 {
+        say(format!("effects put in: {found} of {all} found, the first answer kept without them {kept} of {all}\n"))?;
+    }
+    for line in of("hidden") {
+        let (blind, seen) = (&line["hidden"], &line["revealed"]);
+        say(format!("{:<44} MV hidden: {} ({})", text(&line["file"]), text(&blind["cause"]), text(&blind["stage"])))?;
+        let gaps = &line["gaps"];
+        let number = |name: &str| gaps[name].as_f64().map_or_else(|| "-".to_owned(), |v| format!("{v:.3}"));
+        say(format!(
+            "    revealed: {} ({}); the two gaps say {}: OP to MV {} % left, MV to PV {}",
+            text(&seen["cause"]),
+            text(&seen["stage"]),
+            text(&gaps["stage"]),
+            number("op_to_mv_pct"),
+            number("mv_to_pv")
+        ))?;
+    }
+    let rows: Vec<&Value> = of("linear").collect();
+    for line in &rows {
+        say(format!(
+            "{:<44} {:<14} answered {}",
+            text(&line["file"]),
+            text(&line["label"]),
+            text(&line["answer"]["cause"])
+        ))?;
+    }
+    if !rows.is_empty() {
+        let sticking = |l: &&&Value| matches!(text(&l["label"]), "stiction" | "deadband");
+        let named = |sticks: bool| {
+            let its = rows.iter().filter(|l| sticking(l) == sticks);
+            let (yes, all) = its.fold((0, 0), |(yes, all), l| (yes + usize::from(l["named"] == true), all + 1));
+            format!("{yes} of {all}")
+        };
+        say(format!("stiction withheld: named on {} sticking loops and on {} others", named(true), named(false)))?;
+    }
+    Ok(())
+}

@@ -1,0 +1,41 @@
+//! `--base`: the model that the gap is measured from.
+
+use std::path::Path;
+
+use anyhow::Context;
+
+use crate::gap::Base;
+use crate::gap::model_file::ModelFile;
+use crate::record::Record;
+
+/// `--base`, read.
+pub(super) enum BaseArg {
+    /// Without friction.
+    Linear,
+    /// A model from a file.
+    File(ModelFile),
+}
+
+impl BaseArg {
+    /// Reads the word or the file.
+    pub fn read(text: &str) -> anyhow::Result<Self> {
+        if text == "linear" {
+            return Ok(Self::Linear);
+        }
+        Ok(Self::File(model_file(Path::new(text))?))
+    }
+
+    /// The base for a record.
+    pub fn on(&self, record: &Record) -> Base {
+        match self {
+            Self::Linear => Base::Linear,
+            Self::File(file) => Base::Given(Box::new(file.on(record))),
+        }
+    }
+}
+
+/// Reads a model's file.
+pub(in crate::cli) fn model_file(path: &Path) -> anyhow::Result<ModelFile> {
+    let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
+    ModelFile::parse(&text).with_context(|| path.display().to_string())
+}

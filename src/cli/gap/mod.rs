@@ -1,0 +1,232 @@
+//! `stictiond gap`: where the simulation departs from the plant, which effect causes it, how far adding it closes the gap.
+
+mod base;
+mod crew;
+mod predictions;
+
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use anyhow::{Context, anyhow, bail};
+
+use super::analyze;
+use super::analyze_report::command_line;
+use super::challenge;
+use super::selection::{Points, Section, Selection};
+use super::{Format, Outcome, UsageError, say, stop};
+use crate::config::Config;
+use crate::detect::oscillation;
+use crate::files::{LoadedLoop, load_samples};
+use crate::gap::document::GapDocument;
+use crate::gap::locate::Subject;
+use crate::gap::{self, Ask, GapError, effects, locate, text};
+use crate::report::{GapLoop, GapReport, gap_page};
+use base::BaseArg;
+pub(super) use base::model_file;
+use crew::Team;
+
+/// Most points of a simulation: sections with more samples are averaged in boxes.
+const MAX_POINTS: usize = 8_192;
+/// Seconds that the default number of evaluations takes on two cores, about.
+const DEFAULT_SECONDS: f64 = 5.0;
+
+/// Diagnose the gap between a loop's model and its record: where it lies, which unmodelled effect causes it, and how
+/// far it shrinks once that effect is added.
+///
+/// The gap is measured in free run, on stretches that no model was fitted to, from a sticking valve (He's law) before a
+/// first-order process with dead time.
+#[derive(Debug, clap::Args)]
+#[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true, arg_required_else_help = true)]
+#[command(after_help = "Examples:
+  stictiond gap recordings/sticking.mcap
+  stictiond gap loop4.csv --samples 50,900 --predictions loop4-gap.csv
+  stictiond gap june.csv --base may.json          # may.json: stictiond gap may.csv --format json
+  stictiond gap plant.mcap --loop FIC101 --without extra_lag --format json")]
+pub struct Args {
+    /// The check on withheld causes.
+    #[command(subcommand)]
+    pub command: Option<Command>,
+    /// What to diagnose.
+    #[command(flatten)]
+    pub diagnose: Option<Diagnose>,
+}
+
+/// What `gap` does beside diagnosing one file.
+#[derive(Debug, clap::Subcommand)]
+pub enum Command {
+    /// Check the diagnosis on loops whose cause is withheld from it.
+    Challenge(challenge::Args),
+}
+
+/// What to diagnose, and from where.
+#[derive(Debug, clap::Args)]
+pub struct Diagnose {
+    /// A .csv file (columns t,op,pv[,sp][,mv][,mode]), a recording (.mcap, .mcap.part) or a compact store (.mat).
+    pub input: PathBuf,
+    /// Loop, section, density.
+    #[command(flatten)]
+    pub selection: Selection,
+    /// A model to measure the gap from as well (an estimate, a gap document's model or a plain one, JSON), or `linear`
+    /// for a base without friction.
+    #[arg(long, value_name = "FILE.json|linear")]
+    pub base: Option<String>,
+    /// Take an effect out of the catalogue; may be given several times.
+    #[arg(long, value_name = "ID")]
+    pub without: Vec<String>,
+    /// Also try two effects at once.
+    #[arg(long)]
+    pub pairs: bool,
+    /// Time for the search, a loop.
+    #[arg(long, value_name = "SECONDS", value_parser = seconds)]
+    pub budget: Option<f64>,
+    /// Write measured and simulated PV, from which every figure can be computed again.
+    #[arg(long, value_name = "FILE.csv")]
+    pub predictions: Option<PathBuf>,
+    /// Write a page with pictures: simulation against plant before and after, and where the gap lies.
+    #[arg(long, value_name = "FILE.html")]
+    pub report: Option<PathBuf>,
+    /// Replace existing outputs.
+    #[arg(long)]
+    pub force: bool,
+    /// Seed of every random choice.
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+}
+
+fn seconds(text: &str) -> Result<f64, String> {
+    let value: f64 = text.parse().map_err(|_| format!("{text:?} is not a number"))?;
+    if value.is_finite() && value > 0.0 { Ok(value) } else { Err("write a number of seconds above 0".to_owned()) }
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// What the diagnosis or the check says.
+pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
+    match (&args.command, &args.diagnose) {
+        (Some(Command::Challenge(args)), _) => challenge::run(args, format),
+        (None, Some(args)) => diagnose_all(args, format),
+        (None, None) => Err(UsageError("gap needs a file, or `gap challenge`".to_owned()).into()),
+    }
+}
+
+/// Every chosen loop and section of one file.
+///
+/// # Errors
+/// The file cannot be read, the loop or section does not exist, an id is unknown, or nothing in it can be diagnosed.
+fn diagnose_all(args: &Diagnose, format: Format) -> anyhow::Result<Outcome> {
+    check(args)?;
+    let base = args.base.as_deref().map(BaseArg::read).transpose()?;
+    let loaded = load_samples(&args.input)?;
+    for warning in &loaded.warnings {
+        tracing::warn!("{warning}");
+    }
+    let config = analyze::config_of(&args.input)?.map_or_else(|| Config::with_prefix("plant"), |r| r.config);
+    let place = args.input.display();
+    let chosen = args.selection.loops(&loaded.loops).map_err(|e| anyhow!("{place}: {e}"))?;
+    let sections = args.selection.sections();
+    let wanted = chosen.len() * sections.len();
+    if wanted > 1 && args.predictions.is_some() {
+        let message = "--predictions holds one section of one loop: choose it by --loop and --samples or --window";
+        return Err(UsageError(message.to_owned()).into());
+    }
+    stop::watch();
+    let (mut done, mut answered) = (Vec::new(), 0);
+    for (one, section) in chosen.iter().flat_map(|one| sections.iter().map(move |section| (one, *section))) {
+        if stop::asked() {
+            break;
+        }
+        let points = Points::of(one, &config);
+        answered += 1;
+        match diagnose(args, base.as_ref(), one, &points, section) {
+            Ok(found) => {
+                print(&found, format)?;
+                write_predictions(args, &points, &found, section)?;
+                done.push(found);
+            }
+            Err(error) if wanted > 1 && !error.is::<UsageError>() => tracing::warn!("{error:#}"),
+            Err(error) => return Err(error),
+        }
+    }
+    let count = done.len();
+    if let Some(path) = args.report.as_ref().filter(|_| count > 0) {
+        write_report(args, path, &loaded.warnings, done)?;
+    }
+    if stop::asked() && answered < wanted {
+        bail!("{place}: stopped after {answered} of {wanted} sections");
+    }
+    if count == 0 {
+        bail!("{place}: no loop could be diagnosed");
+    }
+    Ok(if loaded.data_loss { Outcome::DataLoss } else { Outcome::Done })
+}
+
+/// What can be refused before anything is read.
+fn check(args: &Diagnose) -> anyhow::Result<()> {
+    for id in &args.without {
+        if !effects::ALL.iter().any(|e| e.id == id.as_str()) {
+            let known = effects::ALL.iter().map(|e| e.id).collect::<Vec<_>>().join(", ");
+            return Err(UsageError(GapError::UnknownEffect { id: id.clone(), known }.to_string()).into());
+        }
+    }
+    let outputs = args.predictions.iter().chain(&args.report);
+    for path in outputs.filter(|path| path.exists() && !args.force) {
+        bail!("{}: exists already; --force replaces it", path.display());
+    }
+    Ok(())
+}
+
+fn diagnose(
+    args: &Diagnose,
+    base: Option<&BaseArg>,
+    one: &LoadedLoop,
+    points: &Points,
+    section: Section,
+) -> anyhow::Result<GapLoop> {
+    let (record, _) = args.selection.record_of(points, &one.name, section, MAX_POINTS)?;
+    let period = oscillation::detect(&record.op(), &record.pv).map(|o| o.period_points);
+    let share = args.budget.map_or(1.0, |seconds| seconds / DEFAULT_SECONDS);
+    let ask = Ask {
+        base: base.map(|b| b.on(&record)).unwrap_or_default(),
+        without: args.without.clone(),
+        pairs: args.pairs,
+        budget_evaluations: (gap::DEFAULT_EVALUATIONS as f64 * share).ceil() as u64,
+        seed: args.seed,
+        period_points: period,
+    };
+    let team = Team::new(&one.name, &ask, args.budget.map(Duration::from_secs_f64), &|| !stop::asked());
+    let diagnosis = gap::diagnose(&record, &ask, &team);
+    team.finish();
+    let diagnosis = diagnosis.with_context(|| format!("{}: loop {}", args.input.display(), one.name))?;
+    let location = locate::locate(&record, &Subject::of(&diagnosis, period, args.seed));
+    let document = GapDocument::new(&one.name, &record, &ask.base, &diagnosis, location);
+    Ok(GapLoop { document, record, diagnosis })
+}
+
+fn print(found: &GapLoop, format: Format) -> anyhow::Result<()> {
+    match format {
+        Format::Json => say(serde_json::to_string(&found.document)?)?,
+        Format::Text => say(text::report(&found.document))?,
+    }
+    Ok(())
+}
+
+fn write_predictions(args: &Diagnose, points: &Points, found: &GapLoop, section: Section) -> anyhow::Result<()> {
+    let Some(path) = &args.predictions else { return Ok(()) };
+    let whole = points.samples(&found.document.loop_name, section)?;
+    let rows = predictions::rows(&whole, &found.record, &found.diagnosis);
+    predictions::write(path, &rows).with_context(|| path.display().to_string())
+}
+
+fn write_report(args: &Diagnose, path: &Path, warnings: &[String], loops: Vec<GapLoop>) -> anyhow::Result<()> {
+    let report = GapReport {
+        input: args.input.display().to_string(),
+        command: command_line(std::env::args()),
+        warnings: warnings.to_vec(),
+        loops,
+    };
+    let page = gap_page(&report)?;
+    let mut part = path.to_owned().into_os_string();
+    part.push(".part");
+    std::fs::write(&part, page).and_then(|()| std::fs::rename(&part, path)).with_context(|| path.display().to_string())
+}

@@ -1,0 +1,369 @@
+//! A solver set on the error surface, as the toolbox does it: ours by name, or somebody's program.
+
+use std::io::{BufRead, BufReader, Write};
+use std::process::{Child, ChildStdin, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, bail};
+use crossbeam_channel::{Receiver, RecvTimeoutError, bounded};
+use indicatif::ProgressBar;
+use serde::Serialize;
+use serde_json::json;
+
+use super::stop;
+use crate::ident::Options;
+use crate::ident::class::Class;
+use crate::ident::surface::{BUDGET, Solved, Surface};
+use crate::optim::{self, Objective, Outcome, Settings, Termination};
+use crate::record::Record;
+use crate::sim::slips::Law;
+use crate::verdict::Assessment;
+
+/// `--solver` and what goes with it.
+#[derive(Debug, Clone, clap::Args)]
+pub struct SolverArgs {
+    /// Set this solver on the mean squared error over (fs, fd), as the toolbox does, and tell what it finds beside the
+    /// estimate: contour, multistart, random, branch-bound, or cmd:PROGRAM (see examples/solver.py).
+    #[arg(long, value_parser = solver, help_heading = "Solver")]
+    pub solver: Option<SolverChoice>,
+    /// Step of the contour grid in % of OP's span S0, for --solver contour and for our own first look.
+    #[arg(long, value_name = "PCT", default_value_t = 5.0, value_parser = fineness, help_heading = "Solver")]
+    pub fineness: f64,
+    /// Models that the solver may try.
+    #[arg(long, value_name = "N", default_value_t = BUDGET, value_parser = clap::value_parser!(u64).range(1..=10_000_000),
+        help_heading = "Solver")]
+    pub evaluations: u64,
+    /// A program that says nothing for so long is ended.
+    #[arg(long, value_name = "SECONDS", default_value_t = 60.0, value_parser = patience, help_heading = "Solver")]
+    pub solver_patience: f64,
+    /// Seed of every random choice.
+    #[arg(long, default_value_t = 1, help_heading = "Solver")]
+    pub seed: u64,
+}
+
+/// Which solver.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum SolverChoice {
+    /// One of [`optim::ALL`].
+    Ours(&'static str),
+    /// A program with its arguments.
+    Program(String),
+}
+
+fn solver(text: &str) -> Result<SolverChoice, String> {
+    if let Some(program) = text.strip_prefix("cmd:") {
+        let program = program.trim();
+        return if program.is_empty() {
+            Err("write the program behind cmd:, such as cmd:examples/solver.py".to_owned())
+        } else {
+            Ok(SolverChoice::Program(program.to_owned()))
+        };
+    }
+    let names: Vec<&'static str> = optim::ALL.iter().map(|s| s.name()).collect();
+    let known = names.iter().find(|n| **n == text).copied();
+    known.map(SolverChoice::Ours).ok_or_else(|| format!("known solvers: {}, cmd:PROGRAM", names.join(", ")))
+}
+
+fn fineness(text: &str) -> Result<f64, String> {
+    let value: f64 = text.parse().map_err(|_| format!("{text:?} is not a number"))?;
+    if (0.5..=50.0).contains(&value) { Ok(value) } else { Err("write a step from 0.5 to 50 %".to_owned()) }
+}
+
+fn patience(text: &str) -> Result<f64, String> {
+    let value: f64 = text.parse().map_err(|_| format!("{text:?} is not a number"))?;
+    if (0.1..=86_400.0).contains(&value) { Ok(value) } else { Err("write seconds from 0.1 to 86400".to_owned()) }
+}
+
+/// What a solver found, as documents carry it.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct SolverDocument {
+    /// Its name, or the program.
+    pub name: String,
+    /// Static band, OP units; null where no model exists anywhere.
+    pub fs: Option<f64>,
+    /// Kinetic band, OP units.
+    pub fd: Option<f64>,
+    /// Smallest mean squared error, PV units squared.
+    pub mse: Option<f64>,
+    /// Mean squared error of the estimate's own bands on the same surface.
+    pub estimate_mse: Option<f64>,
+    /// Order of the process behind the valve.
+    pub order: u8,
+    /// Process gain, PV units per OP unit (per second too when integrating).
+    pub gain: Option<f64>,
+    /// Time constants, s.
+    pub time_constants_s: Vec<f64>,
+    /// Dead time, s.
+    pub dead_time_s: Option<f64>,
+    /// Span of OP.
+    pub s0: f64,
+    /// What was enforced.
+    pub constraint: &'static str,
+    /// Models tried.
+    pub evaluations: u64,
+    /// Models allowed.
+    pub evaluations_limit: u64,
+    /// Why it stopped.
+    pub stopped: &'static str,
+    /// MSE below which the solver believes nothing lies.
+    pub lower_bound_mse: Option<f64>,
+    /// What that bound is worth.
+    pub bound: Option<&'static str>,
+    /// Run time.
+    pub elapsed_ms: f64,
+}
+
+/// Sets the solver on the surface that belongs to an assessment: its valve law and class of process. `None` where the
+/// record could not be fitted at all.
+///
+/// # Errors
+/// The program cannot be run, says something else than numbers, or nothing for too long.
+pub fn run(
+    args: &SolverArgs,
+    record: &Record,
+    options: &Options,
+    found: &Assessment,
+    bar: &ProgressBar,
+) -> anyhow::Result<Option<SolverDocument>> {
+    let (Some(choice), Some(process)) = (&args.solver, &found.process) else { return Ok(None) };
+    let class = match (process.order, process.integrating) {
+        (1, false) => Class::First,
+        (1, true) => Class::Integrating,
+        (_, false) => Class::Second,
+        (_, true) => Class::LagIntegrating,
+    };
+    let law = if found.valve_model == Some("tracking") { Law::Tracking } else { Law::He };
+    let Some(mut surface) = Surface::new(record, options, law, class) else { return Ok(None) };
+    let settings = Settings { budget: args.evaluations, fineness_pct: args.fineness, seed: args.seed };
+    let own = found.fs.zip(found.fd);
+    let estimate_mse = own.map(|(fs, fd)| surface.mse(fs, fd)).filter(|mse| mse.is_finite());
+    let started = Instant::now();
+    let (name, mut solved) = match choice {
+        SolverChoice::Ours(name) => {
+            let mut watched =
+                Watched { surface: &mut surface, bar, name, limit: settings.budget, least: f64::INFINITY };
+            let solver = optim::by_name(name).unwrap_or(optim::ALL[0]);
+            let outcome = solver.search(&mut watched, &settings);
+            ((*name).to_owned(), Solved::of(outcome, surface.s0()))
+        }
+        SolverChoice::Program(program) => {
+            let patience = Duration::from_secs_f64(args.solver_patience);
+            let outcome = converse(program, &mut surface, &settings, own, patience, bar)
+                .with_context(|| format!("--solver cmd:{program}"))?;
+            (program.clone(), Solved::of(outcome, surface.s0()))
+        }
+    };
+    let elapsed_ms = started.elapsed().as_secs_f64() * 1e3;
+    if stop::asked() {
+        solved.outcome.stopped = Termination::Interrupted;
+    }
+    let told = document(name, &solved, &mut surface, &settings, process.order, elapsed_ms);
+    Ok(Some(SolverDocument { estimate_mse, ..told }))
+}
+
+fn document(
+    name: String,
+    solved: &Solved,
+    surface: &mut Surface,
+    settings: &Settings,
+    order: u8,
+    elapsed_ms: f64,
+) -> SolverDocument {
+    let there = solved.mse.is_finite();
+    let point = if there { surface.point(solved.fs, solved.fd.min(solved.fs)) } else { None };
+    let bound = solved.outcome.lower_bound.filter(|_| there);
+    SolverDocument {
+        name,
+        fs: there.then_some(solved.fs),
+        fd: there.then_some(solved.fd),
+        mse: there.then_some(solved.mse),
+        estimate_mse: None,
+        order,
+        gain: point.as_ref().map(|p| p.gain),
+        time_constants_s: point.as_ref().map_or_else(Vec::new, |p| p.time_constants_s.clone()),
+        dead_time_s: point.as_ref().map(|p| p.dead_time_s),
+        s0: solved.s0,
+        constraint: "0 <= fd <= fs, fs + fd <= s0",
+        evaluations: solved.outcome.evaluations,
+        evaluations_limit: settings.budget,
+        stopped: solved.outcome.stopped.name(),
+        lower_bound_mse: bound,
+        bound: bound.map(|_| "heuristic"),
+        elapsed_ms,
+    }
+}
+
+/// A surface that shows how far the search is, and answers at once when somebody asks to stop.
+struct Watched<'a> {
+    surface: &'a mut Surface,
+    bar: &'a ProgressBar,
+    name: &'a str,
+    limit: u64,
+    least: f64,
+}
+
+impl Objective for Watched<'_> {
+    fn cost(&mut self, point: [f64; 2]) -> f64 {
+        if stop::asked() {
+            return f64::INFINITY;
+        }
+        let cost = self.surface.cost(point);
+        self.least = self.least.min(cost);
+        let done = self.surface.evaluations();
+        if done.is_multiple_of(50) {
+            self.bar.set_message(format!("{} {done} of {}, least MSE {:.4e}", self.name, self.limit, self.least));
+        }
+        cost
+    }
+}
+
+/// A program that was started; ended when dropped.
+struct Program {
+    child: Child,
+    lines: Receiver<std::io::Result<String>>,
+}
+
+impl Drop for Program {
+    fn drop(&mut self) {
+        // Gone already where it ended by itself.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+fn launch(program: &str) -> anyhow::Result<(Program, ChildStdin)> {
+    let whole = std::path::Path::new(program).is_file();
+    let mut words = if whole { vec![program] } else { program.split_whitespace().collect() };
+    let first = words.remove(0);
+    let mut child = Command::new(first)
+        .args(words)
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .spawn()
+        .with_context(|| format!("{first:?} cannot be started"))?;
+    let (Some(input), Some(output)) = (child.stdin.take(), child.stdout.take()) else {
+        bail!("{first:?} has no standard input and output");
+    };
+    let (send, lines) = bounded(16);
+    std::thread::spawn(move || {
+        for line in BufReader::new(output).lines() {
+            if send.send(line).is_err() {
+                break;
+            }
+        }
+    });
+    Ok((Program { child, lines }, input))
+}
+
+/// Asks a program for pairs `fs fd` and answers each with its mean squared error (`inf` where no model exists), until
+/// it ends its output or the evaluations are spent.
+fn converse(
+    program: &str,
+    surface: &mut Surface,
+    settings: &Settings,
+    own: Option<(f64, f64)>,
+    patience: Duration,
+    bar: &ProgressBar,
+) -> anyhow::Result<Outcome> {
+    let s0 = surface.s0();
+    let (mut running, mut input) = launch(program)?;
+    let task = json!({
+        "schema": "stictiond.solver.v1", "s0": s0, "bounds": {"fs": [0.0, s0], "fd": [0.0, s0]},
+        "constraints": ["fd <= fs", "fs + fd <= s0"], "evaluations": settings.budget, "seed": settings.seed,
+        "estimate": own.map(|(fs, fd)| json!({"fs": fs, "fd": fd})),
+    });
+    // A program that does not read notices when it is ended.
+    let mut open = writeln!(input, "{task}").and_then(|()| input.flush()).is_ok();
+    let mut best = Outcome::nothing();
+    loop {
+        let line = match next_line(&running.lines, patience)? {
+            Some(line) => line?,
+            None => break,
+        };
+        let line = line.trim();
+        if line.is_empty() {
+            continue;
+        }
+        let Some([fs, fd]) = two_numbers(line) else {
+            bail!("wrote {line:?} after {} evaluations; a line holds two numbers, fs fd", best.evaluations);
+        };
+        if best.evaluations == settings.budget {
+            best.stopped = Termination::Budget;
+            return Ok(best);
+        }
+        let mse = surface.mse(fs, fd);
+        best.evaluations += 1;
+        if mse < best.cost {
+            (best.cost, best.best) = (mse, [(fs + fd) / s0, (fs - fd) / s0]);
+        }
+        let answer = if mse.is_finite() { format!("{mse}") } else { "inf".to_owned() };
+        open &= writeln!(input, "{answer}").and_then(|()| input.flush()).is_ok();
+        if best.evaluations.is_multiple_of(50) {
+            bar.set_message(format!("{program} {} of {}", best.evaluations, settings.budget));
+        }
+        if stop::asked() {
+            return Ok(best);
+        }
+    }
+    drop(input);
+    finish(&mut running, &best, open, patience)?;
+    Ok(best)
+}
+
+fn two_numbers(line: &str) -> Option<[f64; 2]> {
+    let mut words = line.split(|c: char| c.is_whitespace() || c == ',').filter(|w| !w.is_empty());
+    let numbers = [words.next()?.parse().ok()?, words.next()?.parse().ok()?];
+    words.next().is_none().then_some(numbers)
+}
+
+/// The next line, `None` at the end of the output.
+fn next_line(
+    lines: &Receiver<std::io::Result<String>>,
+    patience: Duration,
+) -> anyhow::Result<Option<std::io::Result<String>>> {
+    let until = Instant::now() + patience;
+    loop {
+        match lines.recv_timeout(Duration::from_millis(100)) {
+            Ok(line) => return Ok(Some(line)),
+            Err(RecvTimeoutError::Disconnected) => return Ok(None),
+            Err(RecvTimeoutError::Timeout) if stop::asked() => return Ok(None),
+            Err(RecvTimeoutError::Timeout) if Instant::now() > until => {
+                bail!("said nothing for {} s and was ended; --solver-patience waits longer", patience.as_secs_f64());
+            }
+            Err(RecvTimeoutError::Timeout) => {}
+        }
+    }
+}
+
+/// Waits for the end of a program that has closed its output, and hears how it ended.
+fn finish(running: &mut Program, best: &Outcome, open: bool, patience: Duration) -> anyhow::Result<()> {
+    let until = Instant::now() + patience.min(Duration::from_secs(5));
+    while Instant::now() < until && !stop::asked() {
+        if let Some(status) = running.child.try_wait()? {
+            let done = best.evaluations;
+            if !status.success() {
+                bail!("ended with {status} after {done} evaluations");
+            }
+            if done == 0 {
+                bail!("ended without a pair fs fd{}", if open { "" } else { " and without reading the task" });
+            }
+            return Ok(());
+        }
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn solvers_are_read_or_refused_with_a_reason() {
+        assert_eq!(solver("random"), Ok(SolverChoice::Ours("random")));
+        assert_eq!(solver("cmd:python3 a.py"), Ok(SolverChoice::Program("python3 a.py".to_owned())));
+        assert!(solver("lgo").unwrap_err().contains("multistart") && solver("cmd: ").is_err());
+        assert_eq!(two_numbers("1.5, 2e-1"), Some([1.5, 0.2]));
+        assert!(two_numbers("1").is_none() && two_numbers("1 2 3").is_none() && two_numbers("a b").is_none());
+    }
+}

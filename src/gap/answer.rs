@@ -1,0 +1,60 @@
+//! The process' answer to a valve signal: lag, second lag or integrator, with a dead time that may change.
+
+use super::plan::Plan;
+use crate::sim::process::{Pole, run_one, series_weights};
+
+/// Points by which an integrator's answer is scaled down, so that it is of the size of its input.
+pub const INTEGRATOR_SCALE: f64 = 50.0;
+
+/// The process of a plan.
+#[derive(Debug, Clone, Copy)]
+pub struct Process<'p> {
+    /// Which blocks it has.
+    pub plan: &'p Plan,
+    /// Time constants, points; the second 0 for none.
+    pub tau: [f64; 2],
+    /// Lag, whole points and the rest.
+    pub whole: usize,
+    /// See `whole`.
+    pub fraction: f64,
+    /// Points in the record.
+    pub n: usize,
+}
+
+impl Process<'_> {
+    /// Its answer to `v` from rest at its first value.
+    pub fn respond(&self, v: &[f64], out: &mut Vec<f64>, work: &mut Vec<f64>) {
+        self.at_lag(v, self.whole, self.fraction, out, work);
+        let Some([time, more]) = self.plan.switch else { return };
+        let lag = (self.whole as f64 + self.fraction + more).max(0.0);
+        let mut after = Vec::with_capacity(self.n);
+        self.at_lag(v, lag.floor() as usize, lag - lag.floor(), &mut after, work);
+        // From the change on, the state at the change runs down in the process' own time.
+        let at = (time.max(0.0) as usize).min(self.n.saturating_sub(1));
+        let mut left = out[at] - after[at];
+        let decay = if self.plan.integrating { 1.0 } else { libm::exp(-1.0 / self.tau[0]) };
+        for (o, a) in out[at..].iter_mut().zip(&after[at..]) {
+            *o = a + left;
+            left *= decay;
+        }
+    }
+
+    fn at_lag(&self, v: &[f64], whole: usize, fraction: f64, out: &mut Vec<f64>, work: &mut Vec<f64>) {
+        let first = v.first().copied().unwrap_or(0.0);
+        if self.plan.integrating {
+            let p = Pole::integrator(fraction);
+            let p = Pole { a: p.a, b0: p.b0 / INTEGRATOR_SCALE, b1: p.b1 / INTEGRATOR_SCALE };
+            run_one(p, whole, v, 0.0, out);
+            return;
+        }
+        let [tau1, tau2] = self.tau;
+        run_one(Pole::lag(tau1, fraction), whole, v, first, out);
+        if tau2 > 0.0 {
+            run_one(Pole::lag(tau2, fraction), whole, v, first, work);
+            let (w1, w2) = series_weights(tau1, tau2);
+            for (o, w) in out.iter_mut().zip(work.iter()) {
+                *o = w1 * *o + w2 * w;
+            }
+        }
+    }
+}

@@ -1,0 +1,157 @@
+//! The first look: very many slip sequences, each against a bank of lags and all dead times at once, by three measures.
+//!
+//! By PV itself, by its differences, and by what is faster than a period: a wrong slip weighs little in the second, a
+//! slow disturbance in the third. The best of each measure are kept, and the best of every size of the bands, since a
+//! model that lacks an effect often prefers slips of quite another size than the right ones.
+//!
+//! The look sees the whole record; it only says where the fits to the training blocks begin.
+
+use super::plan::{Gene, MAX_PARAMS, Plan};
+use super::scene::Scene;
+use crate::ident::bank::{BINS, Bank, Glance, bin_edge};
+use crate::ident::candidate::{MIN_SLIPS, Question, freedom};
+use crate::ident::fit::Freedom;
+use crate::signal::detrend::{box_means, high_pass};
+use crate::sim::process::{Pole, run_one};
+use crate::sim::slips::{FirstSlip, Sequence};
+
+/// Sizes of s on a logarithmic scale from [`LEAST`] spans to one span.
+const SIZES: usize = 90;
+const LEAST: f64 = 0.02;
+/// j over s, of stems that stop short of OP and of those that jump beyond it.
+const SHARES: [f64; 7] = [0.03, 0.1, 0.2, 0.35, 0.55, 0.75, 0.95];
+const BEYOND: [f64; 5] = [1.08, 1.3, 1.7, 2.4, 4.0];
+/// Turns of the stem below which several starts are looked at.
+const FEW_REVERSALS: usize = 10;
+/// Measures: PV, its differences, its fast part.
+const VIEWS: usize = 3;
+/// Classes of size of which the best are kept, for short and for long dead times.
+const CLASSES: usize = 8;
+/// Ranges of dead time that count as short.
+const SHORT: usize = 3;
+/// Boxes of the bank in a period.
+const PER_PERIOD: f64 = 32.0;
+
+/// One sequence with the process that the bank liked best.
+#[derive(Debug, Clone, Copy)]
+struct Seen {
+    gene: Gene,
+    share: f64,
+}
+
+/// Genes worth a fit for valves of this plan (law, unevenness, positioner lag, overshoot), and sequences looked at.
+/// `each` are kept of every measure overall, and one of every size and kind of dead time.
+#[must_use]
+pub fn look(scene: &Scene, plan: &Plan, p: [f64; MAX_PARAMS], sign: f64, each: usize) -> (Vec<Gene>, u64) {
+    let Some(law) = plan.law else { return (Vec::new(), 0) };
+    let question = led(scene, plan);
+    let width = scene.period.round() as usize;
+    let fast = Question { pv: high_pass(&question.pv, width), ..question.clone() };
+    let (mut plain_bank, mut fast_bank) = (Bank::new(&question, PER_PERIOD), Bank::new(&fast, PER_PERIOD));
+    let points = plain_bank.points;
+    let whole = question.mean.len() / points * points;
+    let path = &question.path[..whole * question.per_point];
+    let fast_width = (width / points).max(2);
+    let mut sequence = Sequence::default();
+    let mut pools: [Vec<Seen>; VIEWS] = [Vec::new(), Vec::new(), Vec::new()];
+    let mut count = 0;
+    let mut before: Option<([[f64; 2]; 2], FirstSlip)> = None;
+    let shares: &[f64] = if plan.overshoot { &BEYOND } else { &SHARES };
+    for size in 0..SIZES {
+        let s = libm::pow(LEAST, 1.0 - size as f64 / (SIZES - 1) as f64);
+        for share in shares {
+            let j = share * s;
+            let starts = question.starts(0.5 * (s + j), 3);
+            for (which, start) in starts.into_iter().enumerate() {
+                let first = question.first_slip(start);
+                let same = |[sc, jc]: [[f64; 2]; 2]| sc[0] <= s && s < sc[1] && jc[0] <= j && j < jc[1];
+                if before.is_some_and(|(cells, at)| at == first && same(cells)) {
+                    continue;
+                }
+                sequence.run_uneven(law, path, question.per_point * points, [s, j], plan.uneven, first);
+                if sequence.slips < MIN_SLIPS || (which > 0 && sequence.reversals >= FEW_REVERSALS) {
+                    continue;
+                }
+                before = Some(([sequence.s_cell, sequence.j_cell], first));
+                count += 1;
+                let free = band(&sequence, plan, s, j, sign, &question);
+                let at = high_pass(&sequence.at, fast_width);
+                let direction = high_pass(&sequence.direction, fast_width);
+                let slow = plain_bank.look(&sequence.at, &sequence.direction, &free, &[sign]);
+                let quick = fast_bank.look(&at, &direction, &free, &[sign]);
+                let (Some([level, moves]), Some([part, _])) = (slow.first(), quick.first()) else { continue };
+                for (pool, glances) in pools.iter_mut().zip([level, moves, part]) {
+                    // Short and long dead times apart: the wrong slips often go with a long one.
+                    let (short, long) = glances.split_at(SHORT);
+                    for glances in [short, long] {
+                        let best = glances.iter().min_by(|a, b| a.share.total_cmp(&b.share));
+                        pool.extend(best.and_then(|g| seen(scene, [s, j, free.fd_default], first, g, p)));
+                    }
+                }
+            }
+        }
+    }
+    let mut out: Vec<Gene> = Vec::new();
+    let [least, most] = question.limits.lag;
+    let long_from = least + bin_edge(SHORT.min(BINS)) * (most - least);
+    for pool in &mut pools {
+        keep(pool, each, long_from, &mut out);
+    }
+    (out, count)
+}
+
+/// The record behind the plan's positioner.
+fn led(scene: &Scene, plan: &Plan) -> Question {
+    let mut question = scene.question.clone();
+    if plan.positioner > 0.0 {
+        let tau = plan.positioner * question.per_point as f64;
+        let path = question.path.clone();
+        run_one(Pole::lag(tau.max(1e-3), 0.0), 0, &path, path[0], &mut question.path);
+        question.mean = box_means(&question.path, question.per_point);
+        question.records = Question::records_of(&question.path);
+    }
+    question
+}
+
+fn band(sequence: &Sequence, plan: &Plan, s: f64, j: f64, sign: f64, question: &Question) -> Freedom {
+    if plan.overshoot {
+        let fd = 0.5 * (s - j);
+        return Freedom { fd: [1.3 * fd, 0.7 * fd], fd_default: fd, sign, limits: question.limits };
+    }
+    freedom(sequence, s, j, sign, question.limits)
+}
+
+fn seen(scene: &Scene, [s, j, fd]: [f64; 3], first: FirstSlip, glance: &Glance, p: [f64; MAX_PARAMS]) -> Option<Seen> {
+    let limits = scene.question.limits;
+    let log_tau = libm::log(glance.tau.clamp(limits.tau[0], limits.tau[1]));
+    let lag = glance.lag.clamp(limits.lag[0], limits.lag[1]);
+    (glance.share < 1.0).then_some(Seen { gene: Gene { s, j, first, fd, log_tau, lag, p }, share: glance.share })
+}
+
+/// Keeps the best `each` overall and one of every class of size, apart from each other.
+fn keep(pool: &mut [Seen], each: usize, long_from: f64, out: &mut Vec<Gene>) {
+    pool.sort_by(|a, b| a.share.total_cmp(&b.share));
+    let class = |g: &Gene| {
+        let place = 1.0 - libm::log(g.s) / libm::log(LEAST);
+        let size = ((place * CLASSES as f64) as usize).min(CLASSES - 1);
+        2 * size + usize::from(g.lag >= long_from)
+    };
+    let mut held: Vec<Gene> = Vec::new();
+    let mut of_class = [0; 2 * CLASSES];
+    let mut overall = 0;
+    for seen in pool.iter() {
+        let g = seen.gene;
+        let near =
+            |o: &Gene| (o.s / g.s - 1.0).abs() < 0.04 && (o.j - g.j).abs() < 0.15 * g.s && (o.lag - g.lag).abs() < 3.0;
+        if held.iter().any(near) {
+            continue;
+        }
+        let slot = &mut of_class[class(&g)];
+        if overall < each || *slot < 1 {
+            *slot += 1;
+            overall += 1;
+            held.push(g);
+        }
+    }
+    out.extend(held);
+}

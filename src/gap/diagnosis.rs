@@ -1,0 +1,276 @@
+//! From a record to the diagnosis: traces, base, effects, noise models, decision, and what follows from it.
+
+use super::decide::{self, Basis};
+use super::effects::{self, Way};
+use super::express::{fit, rms};
+use super::forward::forward;
+use super::given;
+use super::model::Model;
+use super::next_test::next_test;
+use super::noise;
+use super::pairs;
+use super::rounds::{self, Found, Work, residual_of};
+use super::scene::{Scene, period_of};
+use super::signatures::{self, Traces};
+use super::stages;
+use super::types::{
+    Ask, Base, Crew, Diagnosis, EffectResult, Fit, Floor, Forward, GapError, NONE, Predictions, UNKNOWN,
+};
+use super::weigh::Scales;
+use crate::ident::controller;
+use crate::record::Record;
+use crate::signal::stats;
+use crate::sim::slips::Law;
+
+/// Fewest points that are diagnosed.
+pub const MIN_POINTS: usize = 120;
+/// Lags of the controller that are asked, points; beyond [`USUAL_LAGS`] the recording is skewed.
+const LAGS: [isize; 2] = [-14, 14];
+const USUAL_LAGS: [f64; 2] = [-0.5, 1.5];
+
+/// Checks what was asked against the record and the catalogue.
+pub(super) fn check(record: &Record, ask: &Ask) -> Result<(), GapError> {
+    let points = record.len();
+    if points < MIN_POINTS {
+        return Err(GapError::TooShort { points, needed: MIN_POINTS });
+    }
+    for (signal, spread) in [("OP", stats::span(&record.op_path)), ("PV", stats::std_dev(&record.pv))] {
+        if !spread.is_normal() {
+            return Err(GapError::Still { signal, spread, points });
+        }
+    }
+    for id in &ask.without {
+        if effects::by_id(id).is_none() {
+            let known: Vec<&str> = effects::ALL.iter().map(|e| e.id).collect();
+            return Err(GapError::UnknownEffect { id: id.clone(), known: known.join(", ") });
+        }
+    }
+    Ok(())
+}
+
+/// Diagnoses one record.
+///
+/// # Errors
+/// Where the record is too short, a signal never moves, an id is unknown or a given model cannot be simulated.
+pub fn diagnose(record: &Record, ask: &Ask, crew: &dyn Crew) -> Result<Diagnosis, GapError> {
+    check(record, ask)?;
+    let period = ask.period_points.unwrap_or_else(|| period_of(record).0);
+    let traces = signatures::traces(record, period, &ask.without);
+    let scene = Scene::new(record, Some(period), ask.seed, traces.masked.clone());
+    let straight = traces.signatures.iter().any(|s| s.id == "swinging_door" && s.met);
+    let mut floor = noise::floor(&record.pv, straight);
+    let law = if ask.base == Base::Linear { None } else { Some(Law::He) };
+    let mut work = Work { crew, budget: ask.budget_evaluations, done: 0, stopped: false, seed: ask.seed };
+    let found = rounds::run(&scene, law, &ask.without, floor.noise_floor, &mut work)
+        .ok_or(GapError::NoBase { points: record.len(), evaluations: work.done })?;
+    let no_base = GapError::NoBase { points: record.len(), evaluations: work.done };
+    let base = fit(&scene, &found.base, floor.noise_floor, &|_| {}).ok_or(no_base)?;
+    check_floor(&scene, &found, &mut floor);
+    let given = match &ask.base {
+        Base::Given(model) => Some(given::simulate(&scene, model, floor.noise_floor)?),
+        _ => None,
+    };
+    let seen = stages::look(record, &scene, &ask.without, &mut work);
+    let effects = weigh(&scene, &found, &base, &traces, &floor, ask);
+    let basis = basis(record, &scene, &found, &base, &effects, &traces, &seen, &floor, ask);
+    let nothing = decide::decide(&[], &basis, &[]);
+    let mut made = Diagnosis {
+        relative_gap: base.gap / scene.deviation,
+        predictions: Predictions {
+            pv_base: Vec::new(),
+            pv_after: Vec::new(),
+            held_out: scene.blocks.held_out.clone(),
+            masked: scene.blocks.masked.clone(),
+        },
+        model_after: base.model.clone(),
+        base,
+        given,
+        effects,
+        cause: nothing.cause,
+        alternatives: nothing.alternatives,
+        features: nothing.features,
+        forward: None,
+        pairs: Vec::new(),
+        evaluations: 0,
+        stopped_early: false,
+        floor,
+        blocks: scene.blocks.clone(),
+        signatures: traces.signatures.clone(),
+        noise_models: basis.noise,
+        stages: seen.map(|s| s.stages),
+        next_test: None,
+        basis,
+    };
+    if ask.pairs {
+        let scales = scales(&scene, &found, &made.base, &traces, &made.floor, ask.seed);
+        made.pairs = pairs::run(&scene, &found, &scales, &mut work);
+    }
+    made.settle(&[]);
+    made.forward = run_forward(&scene, &found, &made, &mut work);
+    made.confirm();
+    made.next_test = next_test(&scene, &found, &made);
+    made.evaluations = work.done;
+    made.stopped_early = work.stopped;
+    Ok(made)
+}
+
+fn scales<'a>(
+    scene: &'a Scene,
+    found: &'a Found,
+    base: &'a Fit,
+    traces: &'a Traces,
+    floor: &'a Floor,
+    seed: u64,
+) -> Scales<'a> {
+    Scales { scene, floor, base, lane: &found.base, traces, seed }
+}
+
+/// The best residual's high band beside the floor that was read from PV alone.
+fn check_floor(scene: &Scene, found: &Found, floor: &mut Floor) {
+    let best = found.lanes.iter().chain([&found.base]).min_by(|a, b| a.sse().total_cmp(&b.sse()));
+    let left = best.and_then(|lane| residual_of(scene, lane));
+    let sd = left.and_then(|r| noise::high_band(&r, &scene.train));
+    floor.high_band_sd = sd.map(|s| s * scene.deviation);
+}
+
+/// Every effect of the catalogue, weighed.
+fn weigh(scene: &Scene, found: &Found, base: &Fit, traces: &Traces, floor: &Floor, ask: &Ask) -> Vec<EffectResult> {
+    let scales = scales(scene, found, base, traces, floor, ask.seed);
+    let mut out: Vec<EffectResult> = found.lanes.iter().filter_map(|lane| scales.weigh(lane)).collect();
+    let left = residual_of(scene, &found.base);
+    let one_step = left.and_then(|r| noise::autoregression(&r, &scene.train)).map(|a| a.mse.sqrt() * scene.deviation);
+    let asked = |e: &&effects::Effect| !ask.without.iter().any(|w| w == e.id);
+    for effect in effects::ALL.into_iter().filter(asked) {
+        let floor_after = match effect.id {
+            "coloured_noise" => one_step,
+            "quantisation" => floor.noise_floor,
+            _ => None,
+        };
+        if !matches!(effect.way, Way::Simulated | Way::AgainstLinear) {
+            out.push(scales.recorded(effect, floor_after));
+        }
+    }
+    out.sort_by(|a, b| b.lead.total_cmp(&a.lead));
+    out
+}
+
+/// What the decision is made from beside the fits.
+#[allow(clippy::too_many_arguments)] // everything that was found
+fn basis(
+    record: &Record,
+    scene: &Scene,
+    found: &Found,
+    base: &Fit,
+    effects: &[EffectResult],
+    traces: &Traces,
+    seen: &Option<stages::Seen>,
+    floor: &Floor,
+    ask: &Ask,
+) -> Basis {
+    let nothing = || vec![0.0; scene.n()];
+    let of_base = residual_of(scene, &found.base).unwrap_or_else(nothing);
+    let best = found.lanes.iter().min_by(|a, b| a.sse().total_cmp(&b.sse()));
+    let of_best = best.and_then(|lane| residual_of(scene, lane)).unwrap_or_else(nothing);
+    let after = (base.dead_time_s + base.time_constants_s.first().copied().unwrap_or(0.0)) / scene.point_s;
+    let mut slipped = vec![false; scene.n()];
+    for slip in &base.slips {
+        let end = (slip.point + after.ceil() as usize + 1).min(scene.n());
+        slipped[slip.point..end].fill(true);
+    }
+    let mut strongest: Vec<_> = traces.signatures.iter().filter(|s| s.met).collect();
+    strongest.sort_by(|a, b| (b.value / b.threshold).total_cmp(&(a.value / a.threshold)));
+    let reading = controller::read_within(record, LAGS);
+    let skew = reading.map(|r| r.lag_samples / scene.box_samples).filter(|l| {
+        let [low, high] = USUAL_LAGS;
+        *l < low || *l > high
+    });
+    let left_out = |id: &str| ask.without.iter().any(|w| w == id);
+    Basis {
+        traces: strongest.iter().map(|s| s.id).filter(|id| !left_out(id)).collect(),
+        skew: skew.filter(|_| !left_out("time_skew")),
+        noise: noise::judge(scene, &of_base, &of_best, &slipped, ask.seed),
+        coloured_noise: !left_out("coloured_noise"),
+        by_mv: seen.as_ref().map(|s| s.stages.stage).filter(|_| !base.at_floor),
+        on_mv: seen.as_ref().map(|s| s.ranked.clone()).unwrap_or_default(),
+        base_at_floor: base.at_floor,
+        over_floor: floor.noise_floor.map(|f| base.rmse_train / f),
+        excited: excited(record, scene),
+        effects: effects.iter().filter(|e| e.lead > 0.0).count(),
+    }
+}
+
+/// Whether the record holds more than one repeated swing: the set point moves, or OP's turns differ in size.
+fn excited(record: &Record, scene: &Scene) -> bool {
+    let moves = record.sp.as_ref().is_some_and(|sp| stats::std_dev(sp) > 0.05 * scene.deviation);
+    moves || !scene.oscillates
+}
+
+/// Base and cause fitted to the first part alone.
+fn run_forward(scene: &Scene, found: &Found, made: &Diagnosis, work: &mut Work<'_>) -> Option<Forward> {
+    let lane = found.lanes.iter().find(|l| l.recipe.id() == made.cause.id);
+    let (Some(lane), false) = (lane, work.stopped) else { return None };
+    forward(scene, &found.base, lane, made.floor.noise_floor, work)
+}
+
+impl Diagnosis {
+    /// The same fits judged again as if the catalogue lacked `ids` as well.
+    #[must_use]
+    pub fn without(&self, ids: &[&str]) -> Self {
+        let mut again = self.clone();
+        again.settle(ids);
+        if again.cause.id != self.cause.id {
+            // The run forward in time was made for another cause.
+            again.forward = None;
+            again.next_test = None;
+        }
+        again.confirm();
+        again
+    }
+
+    /// The result of the named cause, single or pair.
+    #[must_use]
+    pub fn named(&self) -> Option<&EffectResult> {
+        self.effects.iter().chain(&self.pairs).find(|e| e.id == self.cause.id)
+    }
+
+    /// Decides, and lets everything that follows from the cause follow it.
+    fn settle(&mut self, without: &[&str]) {
+        let decision = decide::decide(&self.effects, &self.basis, without);
+        (self.cause, self.alternatives, self.features) = (decision.cause, decision.alternatives, decision.features);
+        let has = |id: &str| !id.split('+').any(|part| without.contains(&part));
+        if let Some(pair) = self.pairs.iter().find(|p| has(&p.id) && pairs::beats(p, &self.effects, without)) {
+            self.cause.id = pair.id.clone();
+            self.cause.stage = pair.stage;
+        }
+        let after = self.named().and_then(|e| e.fit.clone());
+        let from = self.blocks.from;
+        let run = |f: &Fit, masked: &[bool]| -> Vec<Option<f64>> {
+            let points = f.prediction.iter().enumerate();
+            points.map(|(k, p)| (k >= from && !masked[k]).then_some(*p)).collect()
+        };
+        let masked = &self.predictions.masked;
+        self.predictions.pv_base = run(&self.base, masked);
+        self.predictions.pv_after = run(after.as_ref().unwrap_or(&self.base), masked);
+        self.model_after = after.map_or_else(|| self.base.model.clone(), |f: Fit| -> Model { f.model });
+    }
+
+    /// Whether held-out blocks and the run forward bear the cause out.
+    fn confirm(&mut self) {
+        if self.cause.id == NONE || self.cause.id == UNKNOWN {
+            self.cause.confirmed = self.cause.id == NONE && self.base.at_floor;
+            return;
+        }
+        let forward = self.forward.map(|f| [f.gap_before, f.gap_after]);
+        let trace = self.signatures.iter().any(|s| s.met && s.id == self.cause.id);
+        let own = self.named().is_some_and(|e| decide::confirmed(e, forward));
+        self.cause.confirmed = trace || own || (self.cause.id == "time_skew");
+    }
+
+    /// Root mean squared held-out error of a free run, PV units, for whoever recomputes a gap.
+    #[must_use]
+    pub fn held_out_rmse(&self, pv: &[f64], prediction: &[f64]) -> f64 {
+        let residual: Vec<f64> = pv.iter().zip(prediction).map(|(y, p)| y - p).collect();
+        let points = (self.blocks.from..pv.len()).filter(|k| self.blocks.held_out[*k] && !self.blocks.masked[*k]);
+        rms(&residual, &points.map(|k| [k, k + 1]).collect::<Vec<_>>())
+    }
+}

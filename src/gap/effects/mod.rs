@@ -1,0 +1,237 @@
+//! The catalogue: one file an effect, with where it acts, its parameters and bounds, how it enters the simulator, where
+//! to begin looking, what it is confused with and which measurement would tell.
+
+mod asymmetric_stiction;
+mod backlash;
+mod clipping;
+mod clues;
+mod coloured_noise;
+mod dead_time_change;
+mod extra_lag;
+mod frozen_sensor;
+mod gain_drift;
+mod hold_compression;
+mod integrating;
+mod inverse_response;
+mod outliers;
+mod positioner_lag;
+mod quantisation;
+mod ramp;
+mod rate_limit;
+mod sinusoid;
+mod sliding_valve;
+mod slip_overshoot;
+mod static_nonlinearity;
+mod step_load;
+mod stiction;
+mod swinging_door;
+mod time_skew;
+mod travel_limit;
+
+pub use clues::Clues;
+
+use super::kernel::Linear;
+use super::plan::Plan;
+use super::scene::Scene;
+use super::types::{EffectId, Parameter, Stage};
+
+/// How an effect is found.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Way {
+    /// It is simulated and fitted.
+    Simulated,
+    /// Only against the base without friction.
+    AgainstLinear,
+    /// By a noise model of the residual.
+    Noise,
+    /// By its trace in PV.
+    Signature,
+    /// By the controller's lag.
+    Controller,
+}
+
+/// Which part of the simulator a parameter moves.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Reach {
+    /// What the friction sees.
+    Path,
+    /// What follows the stem.
+    Stem,
+    /// The process and what is added to PV.
+    Process,
+    /// The cost jumps along it: random steps only.
+    Jumps,
+}
+
+/// What a parameter is measured in, and so how it is given in recorded units.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Unit {
+    /// A number.
+    One,
+    /// Points to seconds, from its logarithm.
+    LogTime,
+    /// Points to seconds.
+    Time,
+    /// Point of the record to seconds from its start.
+    Instant,
+    /// Spans to OP units.
+    Op,
+    /// Spans a point to OP units a second, from its logarithm.
+    LogRate,
+    /// Spans from OP's middle to an OP value.
+    OpLevel,
+    /// Radians a point to a period in seconds.
+    Period,
+    /// A choice; not given.
+    Choice,
+}
+
+/// One nonlinear parameter.
+#[derive(Debug)]
+pub struct Param {
+    /// Name in documents.
+    pub name: &'static str,
+    /// Unit.
+    pub unit: Unit,
+    /// What it moves.
+    pub reach: Reach,
+    /// Bounds in the units of the search.
+    pub limits: fn(&Scene) -> [f64; 2],
+}
+
+impl Param {
+    /// Bounds in the units of the search, low below high.
+    #[must_use]
+    pub fn bounds(&self, scene: &Scene) -> [f64; 2] {
+        let [low, high] = (self.limits)(scene);
+        [low, high.max(low + 1e-9)]
+    }
+
+    /// The value in recorded units, with their name.
+    #[must_use]
+    pub fn recorded(&self, value: f64, scene: &Scene) -> Option<Parameter> {
+        let (value, unit) = match self.unit {
+            Unit::One => (value, "1"),
+            Unit::LogTime => (libm::exp(value) * scene.point_s, "s"),
+            Unit::Time | Unit::Instant => (value * scene.point_s, "s"),
+            Unit::Op => (value * scene.span, "OP"),
+            Unit::LogRate => (libm::exp(value) * scene.span / scene.point_s, "OP/s"),
+            Unit::OpLevel => (value * scene.span + scene.op_middle, "OP"),
+            Unit::Period => (2.0 * core::f64::consts::PI / value.max(1e-9) * scene.point_s, "s"),
+            Unit::Choice => return None,
+        };
+        Some(Parameter { name: self.name, value, unit })
+    }
+
+    /// The inverse of [`Param::recorded`].
+    #[must_use]
+    pub fn posed(&self, value: f64, scene: &Scene) -> f64 {
+        match self.unit {
+            Unit::One | Unit::Choice => value,
+            Unit::LogTime => libm::log((value / scene.point_s).max(1e-9)),
+            Unit::Time | Unit::Instant => value / scene.point_s,
+            Unit::Op => value / scene.span,
+            Unit::LogRate => libm::log((value * scene.point_s / scene.span).max(1e-12)),
+            Unit::OpLevel => (value - scene.op_middle) / scene.span,
+            Unit::Period => 2.0 * core::f64::consts::PI * scene.point_s / value.max(1e-9),
+        }
+    }
+}
+
+/// One effect that the base leaves out.
+#[derive(Debug)]
+pub struct Effect {
+    /// Id in documents.
+    pub id: EffectId,
+    /// Where it acts.
+    pub stage: Stage,
+    /// How it is found.
+    pub way: Way,
+    /// Its nonlinear parameters.
+    pub params: &'static [Param],
+    /// Puts it into the simulator.
+    pub enter: fn(&[f64], &mut Plan),
+    /// Parameter values at which a search begins.
+    pub starts: fn(&Clues<'_>) -> Vec<[f64; 2]>,
+    /// What the linear coefficients say in recorded units.
+    pub linear: fn(&Linear, &Scene) -> Vec<Parameter>,
+    /// Training log mean squared error by which it must beat the base: more for what bends to anything.
+    pub margin: f64,
+    /// Whether free run can predict it.
+    pub predictable: bool,
+    /// Effects that look alike on OP and PV.
+    pub confused_with: &'static [EffectId],
+    /// The measurement that would tell.
+    pub separated_by: &'static str,
+}
+
+/// Margin of an effect that is bound to the valve signal.
+pub const MARGIN: f64 = 0.10;
+/// Margin of one that is not, or that bends further.
+pub const WIDE_MARGIN: f64 = 0.15;
+
+/// Every effect.
+pub const ALL: [&Effect; 25] = [
+    &asymmetric_stiction::EFFECT,
+    &slip_overshoot::EFFECT,
+    &sliding_valve::EFFECT,
+    &backlash::EFFECT,
+    &travel_limit::EFFECT,
+    &rate_limit::EFFECT,
+    &positioner_lag::EFFECT,
+    &extra_lag::EFFECT,
+    &static_nonlinearity::EFFECT,
+    &inverse_response::EFFECT,
+    &integrating::EFFECT,
+    &gain_drift::EFFECT,
+    &dead_time_change::EFFECT,
+    &sinusoid::EFFECT,
+    &ramp::EFFECT,
+    &step_load::EFFECT,
+    &coloured_noise::EFFECT,
+    &quantisation::EFFECT,
+    &hold_compression::EFFECT,
+    &swinging_door::EFFECT,
+    &clipping::EFFECT,
+    &outliers::EFFECT,
+    &frozen_sensor::EFFECT,
+    &time_skew::EFFECT,
+    &stiction::EFFECT,
+];
+
+/// The effect of an id.
+#[must_use]
+pub fn by_id(id: &str) -> Option<&'static Effect> {
+    ALL.into_iter().find(|e| e.id == id)
+}
+
+/// For effects without nonlinear parameters: one start.
+fn once(_clues: &Clues<'_>) -> Vec<[f64; 2]> {
+    vec![[0.0; 2]]
+}
+
+/// For effects without linear coefficients of their own.
+fn nothing(_linear: &Linear, _scene: &Scene) -> Vec<Parameter> {
+    Vec::new()
+}
+
+/// For effects that do not enter the simulator.
+fn outside(_p: &[f64], _plan: &mut Plan) {}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ids_are_unique_and_what_is_confused_exists() {
+        for (i, effect) in ALL.iter().enumerate() {
+            assert!(ALL[i + 1..].iter().all(|e| e.id != effect.id), "{} twice", effect.id);
+            assert_eq!(by_id(effect.id).map(|e| e.id), Some(effect.id));
+            for other in effect.confused_with {
+                assert!(by_id(other).is_some_and(|o| o.id != effect.id), "{}: {other}", effect.id);
+            }
+            assert!(!effect.separated_by.is_empty() && effect.params.len() <= 2);
+        }
+        assert!(by_id("none").is_none());
+    }
+}

@@ -1,0 +1,52 @@
+//! A load that grows evenly from some instant on.
+
+use super::{Clues, Effect, Param, Reach, Stage, Unit, WIDE_MARGIN, Way};
+use crate::gap::kernel::Linear;
+use crate::gap::scene::Scene;
+use crate::gap::types::Parameter;
+
+/// As the catalogue has it.
+pub const EFFECT: Effect = Effect {
+    id: "ramp",
+    stage: Stage::Disturbance,
+    way: Way::Simulated,
+    params: &[Param {
+        name: "from",
+        unit: Unit::Instant,
+        reach: Reach::Process,
+        limits: |s| [0.0, 0.8 * s.n() as f64],
+    }],
+    enter: |p, plan| plan.ramp = Some(p[0]),
+    starts,
+    linear: rate,
+    margin: WIDE_MARGIN,
+    predictable: true,
+    confused_with: &["step_load", "coloured_noise", "integrating"],
+    separated_by: "the load itself, or PV with OP held",
+};
+
+fn starts(clues: &Clues<'_>) -> Vec<[f64; 2]> {
+    let mut out = vec![[0.0; 2]];
+    out.extend(clues.bends(3).into_iter().map(|t| [t, 0.0]));
+    out
+}
+
+fn rate(linear: &Linear, scene: &Scene) -> Vec<Parameter> {
+    // Constant and memory stand before it.
+    let whole = scene.n() as f64 * scene.point_s;
+    vec![Parameter { name: "slope", value: linear.others[2] * scene.deviation / whole, unit: "PV/s" }]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gap::plan::Plan;
+    use crate::sim::slips::Law;
+
+    #[test]
+    fn one_coefficient_is_its_slope() {
+        let mut plan = Plan::base(Some(Law::He));
+        (EFFECT.enter)(&[50.0], &mut plan);
+        assert!(plan.ramp == Some(50.0) && plan.extras() == 1);
+    }
+}

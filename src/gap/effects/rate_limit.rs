@@ -1,0 +1,42 @@
+//! An actuator that moves no faster than so much a second.
+
+use super::{Clues, Effect, MARGIN, Param, Reach, Stage, Unit, Way, nothing};
+
+/// As the catalogue has it.
+pub const EFFECT: Effect = Effect {
+    id: "rate_limit",
+    stage: Stage::Valve,
+    way: Way::Simulated,
+    params: &[Param {
+        name: "rate",
+        unit: Unit::LogRate,
+        reach: Reach::Stem,
+        limits: |_| [libm::log(0.002), libm::log(2.0)],
+    }],
+    enter: |p, plan| plan.rate = libm::exp(p[0]),
+    starts,
+    linear: nothing,
+    margin: MARGIN,
+    predictable: true,
+    confused_with: &["extra_lag", "positioner_lag"],
+    separated_by: "the valve position after a large step of OP",
+};
+
+fn starts(clues: &Clues<'_>) -> Vec<[f64; 2]> {
+    let travel = (clues.stem[1] - clues.stem[0]).max(0.05);
+    [3.0, 8.0, 25.0, 80.0].map(|r| [libm::log(r * travel / clues.scene.period), 0.0]).to_vec()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gap::plan::Plan;
+    use crate::sim::slips::Law;
+
+    #[test]
+    fn the_rate_is_a_logarithm() {
+        let mut plan = Plan::base(Some(Law::He));
+        (EFFECT.enter)(&[libm::log(0.05)], &mut plan);
+        assert!((plan.rate - 0.05).abs() < 1e-12 && !plan.is_linear_in_fd());
+    }
+}

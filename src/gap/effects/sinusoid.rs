@@ -1,0 +1,51 @@
+//! A sinusoid from outside, at a period of its own.
+
+use super::{Clues, Effect, Param, Reach, Stage, Unit, WIDE_MARGIN, Way};
+use crate::gap::kernel::Linear;
+use crate::gap::scene::Scene;
+use crate::gap::types::Parameter;
+
+/// As the catalogue has it.
+pub const EFFECT: Effect = Effect {
+    id: "sinusoid",
+    stage: Stage::Disturbance,
+    way: Way::Simulated,
+    params: &[Param {
+        name: "period",
+        unit: Unit::Period,
+        reach: Reach::Process,
+        limits: |s| [3.0 / s.n() as f64, 1.5],
+    }],
+    enter: |p, plan| plan.omega = Some(p[0]),
+    starts,
+    linear: amplitude,
+    margin: WIDE_MARGIN,
+    predictable: true,
+    confused_with: &["coloured_noise"],
+    separated_by: "the suspected source beside PV; OP held for some periods",
+};
+
+fn starts(clues: &Clues<'_>) -> Vec<[f64; 2]> {
+    clues.frequencies(5).into_iter().map(|w| [w, 0.0]).collect()
+}
+
+/// Half of the way from trough to crest.
+fn amplitude(linear: &Linear, scene: &Scene) -> Vec<Parameter> {
+    // Constant and memory stand before sine and cosine.
+    let [a, b] = [linear.others[2], linear.others[3]];
+    vec![Parameter { name: "amplitude", value: (a * a + b * b).sqrt() * scene.deviation, unit: "PV" }]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gap::plan::Plan;
+    use crate::sim::slips::Law;
+
+    #[test]
+    fn two_coefficients_are_its_amplitude_and_phase() {
+        let mut plan = Plan::base(Some(Law::He));
+        (EFFECT.enter)(&[0.2], &mut plan);
+        assert!(plan.omega == Some(0.2) && plan.extras() == 2);
+    }
+}

@@ -1,0 +1,52 @@
+//! A load that steps at some instant, before the process or straight into PV.
+
+use super::{Clues, Effect, Param, Reach, Stage, Unit, WIDE_MARGIN, Way};
+use crate::gap::kernel::Linear;
+use crate::gap::scene::Scene;
+use crate::gap::types::Parameter;
+
+/// As the catalogue has it.
+pub const EFFECT: Effect = Effect {
+    id: "step_load",
+    stage: Stage::Disturbance,
+    way: Way::Simulated,
+    params: &[
+        Param {
+            name: "at",
+            unit: Unit::Instant,
+            reach: Reach::Process,
+            limits: |s| [s.blocks.from as f64, s.n() as f64 - 3.0],
+        },
+        Param { name: "straight", unit: Unit::Choice, reach: Reach::Jumps, limits: |_| [0.0, 1.0] },
+    ],
+    enter: |p, plan| plan.step = Some((p[0], p[1] > 0.5)),
+    starts,
+    linear: size,
+    margin: WIDE_MARGIN,
+    predictable: true,
+    confused_with: &["ramp", "coloured_noise"],
+    separated_by: "the load itself",
+};
+
+fn starts(clues: &Clues<'_>) -> Vec<[f64; 2]> {
+    clues.steps(4).into_iter().flat_map(|t| [[t, 0.0], [t, 1.0]]).collect()
+}
+
+fn size(linear: &Linear, scene: &Scene) -> Vec<Parameter> {
+    // Constant and memory stand before it.
+    vec![Parameter { name: "size", value: linear.others[2] * scene.deviation, unit: "PV" }]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gap::plan::Plan;
+    use crate::sim::slips::Law;
+
+    #[test]
+    fn one_coefficient_is_its_size() {
+        let mut plan = Plan::base(Some(Law::He));
+        (EFFECT.enter)(&[50.0, 1.0], &mut plan);
+        assert!(plan.step == Some((50.0, true)) && plan.extras() == 1);
+    }
+}

@@ -1,0 +1,155 @@
+//! From the search's normalised places to models and fits in recorded units.
+
+use super::answer::INTEGRATOR_SCALE;
+use super::kernel::{Kernel, Scored};
+use super::model::{Added, Model, Process, SCHEMA, Valve};
+use super::plan::Recipe;
+use super::scene::Scene;
+use super::search::Lane;
+use super::types::{Fit, Parameter, Slip};
+use crate::sim::process::separated;
+use crate::sim::slips::Law;
+
+/// Training error over the floor up to which a fit counts as having reached it.
+const AT_FLOOR: f64 = 1.05;
+
+/// Root of the mean of `residual` squared over stretches.
+#[must_use]
+pub fn rms(residual: &[f64], stretches: &[[usize; 2]]) -> f64 {
+    let n = stretches.iter().map(|[a, b]| b - a).sum::<usize>().max(1);
+    let sum: f64 = stretches.iter().flat_map(|[a, b]| &residual[*a..*b]).map(|r| r * r).sum();
+    (sum / n as f64).sqrt()
+}
+
+/// What is left above a floor: `sqrt(rmse^2 - floor^2)`, at least 0.
+#[must_use]
+pub fn above_floor(rmse: f64, floor: Option<f64>) -> f64 {
+    let floor = floor.unwrap_or(0.0);
+    (rmse * rmse - floor * floor).max(0.0).sqrt()
+}
+
+/// fs and fd in spans: bands in the middle of what the slips and the fitted fd leave open.
+fn bands(of: &Scored) -> [f64; 2] {
+    let (fd, [s_cell, j_cell]) = (of.gene.fd, of.cells);
+    let high_s = s_cell[1].min(of.gene.s.max(1.0));
+    let low = s_cell[0].max(j_cell[0] + 2.0 * fd);
+    let high = high_s.min(j_cell[1] + 2.0 * fd);
+    let s = if low <= high { 0.5 * (low + high) } else { of.gene.s };
+    [s - fd, fd]
+}
+
+/// The model of a place.
+#[must_use]
+pub fn model(scene: &Scene, recipe: &Recipe, of: &Scored) -> Model {
+    let plan = recipe.plan(&of.gene);
+    let per_op = scene.deviation / scene.span;
+    let total = if plan.zero { of.linear.gain + of.linear.others[of.linear.count - 1] } else { of.linear.gain };
+    let gain = if plan.integrating { total * per_op / INTEGRATOR_SCALE / scene.point_s } else { total * per_op };
+    let tau = libm::exp(of.gene.log_tau);
+    let time_constants = match (plan.integrating, plan.tau2 > 0.0) {
+        (true, _) => vec![],
+        (false, true) => {
+            let (a, b) = separated(tau, plan.tau2);
+            vec![a.max(b), a.min(b)]
+        }
+        (false, false) => vec![tau],
+    };
+    let [fs, fd] = if plan.law.is_some() { bands(of) } else { [0.0; 2] };
+    let law = match plan.law {
+        None => "none",
+        Some(Law::He) => "he",
+        Some(Law::Tracking) => "tracking",
+    };
+    let stem0 = of.gene.first.threshold - of.gene.first.direction * fs;
+    let ts_s = scene.point_s / scene.box_samples;
+    Model {
+        schema: SCHEMA.to_owned(),
+        ts_s,
+        valve: Valve {
+            law: law.to_owned(),
+            fs: fs * scene.span,
+            fd: fd * scene.span,
+            stem0: plan.law.map(|_| stem0 * scene.span + scene.op_middle),
+        },
+        process: Process {
+            gain,
+            time_constants_s: time_constants.iter().map(|t| t * scene.point_s).collect(),
+            dead_time_s: (of.gene.lag * scene.box_samples - 1.0).max(0.0) * ts_s,
+            integrating: plan.integrating,
+            op: scene.op_middle,
+            pv: scene.pv_mean + of.linear.others[0] * scene.deviation,
+        },
+        effects: recipe
+            .each()
+            .map(|e| Added {
+                id: e.id.to_owned(),
+                parameters: parameters_of(scene, recipe, of, e.id)
+                    .into_iter()
+                    .map(|p| (p.name.to_owned(), p.value))
+                    .collect(),
+            })
+            .collect(),
+    }
+}
+
+/// The parameters of one of a recipe's effects, in recorded units.
+fn parameters_of(scene: &Scene, recipe: &Recipe, of: &Scored, id: &str) -> Vec<Parameter> {
+    let mut at = 0;
+    for effect in recipe.each() {
+        let values = &of.gene.p[at..];
+        if effect.id == id {
+            let own = effect.params.iter().zip(values).filter_map(|(p, v)| p.recorded(*v, scene));
+            return own.chain((effect.linear)(&of.linear, scene)).collect();
+        }
+        at += effect.params.len();
+    }
+    Vec::new()
+}
+
+/// The parameters of all of a recipe's effects.
+#[must_use]
+pub fn parameters(scene: &Scene, recipe: &Recipe, of: &Scored) -> Vec<Parameter> {
+    recipe.each().flat_map(|e| parameters_of(scene, recipe, of, e.id)).collect()
+}
+
+/// The fit of a lane's best place; `after` is applied to the prediction (what a recorder does to PV).
+#[must_use]
+pub fn fit(scene: &Scene, lane: &Lane, floor: Option<f64>, after: &dyn Fn(&mut [f64])) -> Option<Fit> {
+    let best = lane.best.first()?;
+    let mut kernel = Kernel::new(scene, lane.sign);
+    let (mut prediction, valve) = kernel.simulate(&lane.recipe, best)?;
+    for p in &mut prediction {
+        *p = *p * scene.deviation + scene.pv_mean;
+    }
+    after(&mut prediction);
+    let residual: Vec<f64> =
+        prediction.iter().zip(&scene.question.pv).map(|(p, y)| y * scene.deviation + scene.pv_mean - p).collect();
+    let (train, test) = (rms(&residual, &scene.train), rms(&residual, &scene.test));
+    let model = model(scene, &lane.recipe, best);
+    let valve: Vec<f64> = valve.iter().map(|v| v * scene.span + scene.op_middle).collect();
+    let plan = lane.recipe.plan(&best.gene);
+    Some(Fit {
+        id: lane.recipe.id(),
+        slips: if plan.law.is_some() { slips(&valve, 1e-6 * scene.span) } else { Vec::new() },
+        dead_time_s: model.process.dead_time_s,
+        time_constants_s: model.process.time_constants_s.clone(),
+        model,
+        valve,
+        prediction,
+        rmse_train: train,
+        rmse: test,
+        gap: above_floor(test, floor),
+        parameters: lane.recipe.freedom(&plan),
+        evaluations: lane.evaluations,
+        at_floor: floor.is_some_and(|f| train <= AT_FLOOR * f),
+    })
+}
+
+fn slips(valve: &[f64], least: f64) -> Vec<Slip> {
+    valve
+        .windows(2)
+        .enumerate()
+        .filter(|(_, w)| (w[1] - w[0]).abs() > least)
+        .map(|(k, w)| Slip { point: k + 1, direction: (w[1] - w[0]).signum(), size: (w[1] - w[0]).abs() })
+        .collect()
+}

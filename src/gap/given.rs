@@ -1,0 +1,134 @@
+//! A model from elsewhere, simulated on a record as it is: only what the record must supply is fitted (the stem before
+//! it, PV's level, the process' state, and loads that the model names without their size).
+
+use super::answer::INTEGRATOR_SCALE;
+use super::effects::{self, Effect};
+use super::express::{above_floor, rms};
+use super::kernel::{Kernel, Scored};
+use super::model::{Model, ModelError};
+use super::plan::{Gene, MAX_PARAMS, Recipe};
+use super::scene::Scene;
+use super::types::Fit;
+use crate::sim::slips::{FirstSlip, Law};
+
+/// Places of the stem before the record that are tried.
+const STARTS: usize = 9;
+
+/// The model's free run and what it leaves.
+///
+/// # Errors
+/// Where a number or word of the model is out of range, or nothing moves its stem.
+pub fn simulate(scene: &Scene, model: &Model, floor: Option<f64>) -> Result<Fit, ModelError> {
+    model.check()?;
+    let recipe = recipe(model)?;
+    let gene = gene(scene, model, &recipe);
+    let integrating = if model.process.integrating { INTEGRATOR_SCALE * scene.point_s } else { 1.0 };
+    let gain = model.process.gain * scene.span / scene.deviation * integrating;
+    let mut kernel = Kernel::new(scene, gain.signum());
+    let mut best: Option<Scored> = None;
+    for first in firsts(scene, model, &gene) {
+        let mut place = gene;
+        place.first = first;
+        let held = kernel.held(&recipe, &place, gain);
+        best = held.filter(|h| best.is_none_or(|b| h.sse < b.sse)).or(best);
+    }
+    let stuck = ModelError::Range { name: "fs", value: model.valve.fs, want: "small enough for OP to move the stem" };
+    let best = best.ok_or(stuck.clone())?;
+    let (prediction, valve) = kernel.simulate(&recipe, &best).ok_or(stuck)?;
+    let prediction: Vec<f64> = prediction.iter().map(|p| p * scene.deviation + scene.pv_mean).collect();
+    let residual: Vec<f64> =
+        scene.question.pv.iter().zip(&prediction).map(|(y, p)| y * scene.deviation + scene.pv_mean - p).collect();
+    let (train, test) = (rms(&residual, &scene.train), rms(&residual, &scene.test));
+    Ok(Fit {
+        id: "given".to_owned(),
+        model: model.clone(),
+        valve: valve.iter().map(|v| v * scene.span + scene.op_middle).collect(),
+        slips: Vec::new(),
+        prediction,
+        dead_time_s: model.process.dead_time_s,
+        time_constants_s: model.process.time_constants_s.clone(),
+        rmse_train: train,
+        rmse: test,
+        gap: above_floor(test, floor),
+        parameters: 0,
+        evaluations: kernel.evaluations,
+        at_floor: floor.is_some_and(|f| train <= 1.05 * f),
+    })
+}
+
+/// The recipe whose blocks a model has.
+fn recipe(model: &Model) -> Result<Recipe, ModelError> {
+    let law = match model.valve.law.as_str() {
+        "none" => None,
+        "tracking" => Some(Law::Tracking),
+        _ => Some(Law::He),
+    };
+    let mut wanted: Vec<&'static Effect> = Vec::new();
+    for added in &model.effects {
+        wanted.push(effects::by_id(&added.id).ok_or_else(|| ModelError::Word {
+            name: "effects",
+            value: added.id.clone(),
+            want: "the catalogue's ids",
+        })?);
+    }
+    let mut also = |id: &str, rivals: &[&str], needed: bool| {
+        if needed && !wanted.iter().any(|e| e.id == id || rivals.contains(&e.id)) {
+            wanted.extend(effects::by_id(id));
+        }
+    };
+    also("extra_lag", &["inverse_response"], model.process.time_constants_s.len() > 1 && !model.process.integrating);
+    also("integrating", &[], model.process.integrating);
+    // The law itself says these.
+    wanted.retain(|e| e.id != "sliding_valve" && e.id != "stiction");
+    if wanted.len() > 2 {
+        let value = wanted.len() as f64;
+        return Err(ModelError::Range { name: "effects", value, want: "at most 2, a second lag counted" });
+    }
+    Ok(Recipe { law, effects: [wanted.first().copied(), wanted.get(1).copied()] })
+}
+
+fn gene(scene: &Scene, model: &Model, recipe: &Recipe) -> Gene {
+    let (fs, fd) = (model.valve.fs / scene.span, model.valve.fd / scene.span);
+    let tau = |i: usize| model.process.time_constants_s.get(i).map_or(1.0, |t| t / scene.point_s);
+    let mut p = [0.0; MAX_PARAMS];
+    let mut at = 0;
+    for effect in recipe.each() {
+        let added = model.effects.iter().find(|a| a.id == effect.id);
+        for param in effect.params {
+            let stated = added.and_then(|a| a.parameters.get(param.name)).copied();
+            p[at] = match (stated, effect.id) {
+                (Some(value), _) => param.posed(value, scene),
+                (None, "extra_lag") => libm::log(tau(1).max(1e-3)),
+                (None, _) => 0.0,
+            };
+            at += 1;
+        }
+    }
+    let ts_s = scene.point_s / scene.box_samples;
+    Gene {
+        s: fs + fd,
+        j: fs - fd,
+        first: FirstSlip { direction: 1.0, threshold: 0.0 },
+        fd,
+        log_tau: libm::log(tau(0).max(1e-3)),
+        lag: (model.process.dead_time_s / ts_s + 1.0) / scene.box_samples,
+        p,
+    }
+}
+
+/// First slips to try: from the position that the model states, and from an even look.
+fn firsts(scene: &Scene, model: &Model, gene: &Gene) -> Vec<FirstSlip> {
+    let fs = 0.5 * (gene.s + gene.j);
+    let question = &scene.question;
+    let mut out: Vec<FirstSlip> =
+        question.starts(fs, STARTS).into_iter().map(|start| question.first_slip(start)).collect();
+    if let Some(stem0) = model.valve.stem0 {
+        let position = (stem0 - scene.op_middle) / scene.span;
+        out.push(FirstSlip { direction: 1.0, threshold: position + fs });
+        out.push(FirstSlip { direction: -1.0, threshold: position - fs });
+    }
+    if out.is_empty() {
+        out.push(gene.first);
+    }
+    out
+}

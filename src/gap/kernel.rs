@@ -1,0 +1,508 @@
+//! One evaluation: a place in the search, the free run that it makes, and the best linear part for the fitted blocks.
+//!
+//! Gain, bias, initial state and everything additive are solved exactly (variable projection, Golub and Pereyra 1973),
+//! and so is fd where the valve signal is linear in it; time constants, dead time and the effects' parameters are
+//! improved by Gauss-Newton steps on finite differences.
+
+use super::answer::Process;
+use super::moves::{From, MOST_OVERSHOOT, clamped, movable};
+use super::plan::{Gene, MAX_PARAMS, Plan, Recipe};
+use super::scene::{Scene, View};
+use crate::ident::candidate::MIN_SLIPS;
+use crate::ident::fit::{Freedom, best_band};
+use crate::ident::least_squares::Gram;
+use crate::sim::actuator::{play_step, rate_step, stop_step};
+use crate::sim::process::{Pole, run_one, separated};
+use crate::sim::slips::Sequence;
+
+/// Columns of a model, right-hand side included, at most.
+const MAX_COLUMNS: usize = 11;
+
+/// Linear coefficients of a model: those of the other columns first, then that of the response.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Linear {
+    /// In the order in which the columns are made.
+    pub others: [f64; MAX_COLUMNS],
+    /// How many of them.
+    pub count: usize,
+    /// Of the response to the valve signal.
+    pub gain: f64,
+}
+
+/// A gene and how well it fits.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Scored {
+    /// Where.
+    pub gene: Gene,
+    /// Squared error on the fitted blocks, in the view that was asked.
+    pub sse: f64,
+    /// Values of s and j that give the same slips.
+    pub cells: [[f64; 2]; 2],
+    /// Moves of the stem.
+    pub slips: usize,
+    /// The linear part.
+    pub linear: Linear,
+}
+
+impl Scored {
+    /// Whether another place with the same parameters has the same slips.
+    #[must_use]
+    pub fn covers(&self, gene: &Gene) -> bool {
+        let within = |[low, high]: [f64; 2], x: f64| low <= x && x < high;
+        gene.first == self.gene.first
+            && gene.p == self.gene.p
+            && within(self.cells[0], gene.s)
+            && within(self.cells[1], gene.j)
+    }
+}
+
+/// Evaluates genes of one scene, with its own buffers.
+#[derive(Debug)]
+pub struct Kernel<'a> {
+    /// The record.
+    pub scene: &'a Scene,
+    /// Sign of the gain.
+    pub sign: f64,
+    /// Responses computed.
+    pub evaluations: u64,
+    sequence: Sequence,
+    path: Vec<f64>,
+    valve: Vec<f64>,
+    other: Vec<f64>,
+    long: Vec<f64>,
+    longer: Vec<f64>,
+    columns: Vec<Vec<f64>>,
+    slopes: Vec<Vec<f64>>,
+    residual: Vec<f64>,
+    response: Vec<f64>,
+}
+
+impl<'a> Kernel<'a> {
+    /// A kernel for one scene and sign of the gain.
+    #[must_use]
+    pub fn new(scene: &'a Scene, sign: f64) -> Self {
+        Self {
+            scene,
+            sign,
+            evaluations: 0,
+            sequence: Sequence::default(),
+            path: Vec::new(),
+            valve: Vec::new(),
+            other: Vec::new(),
+            long: Vec::new(),
+            longer: Vec::new(),
+            columns: vec![Vec::new(); MAX_COLUMNS],
+            slopes: vec![Vec::new(); MAX_PARAMS + 3],
+            residual: Vec::new(),
+            response: Vec::new(),
+        }
+    }
+
+    /// Runs the valve from the given stage on; false where the stem hardly moves.
+    fn run_valve(&mut self, plan: &Plan, gene: &mut Gene, from: From) -> bool {
+        let q = &self.scene.question;
+        if from == From::Path {
+            let path = if plan.positioner > 0.0 {
+                // A point of a boxed record is not a uniform stretch of its path; the lag is then an approximation.
+                let tau = plan.positioner * q.per_point as f64;
+                run_one(Pole::lag(tau.max(1e-3), 0.0), 0, &q.path, q.path[0], &mut self.path);
+                &self.path
+            } else {
+                &q.path
+            };
+            match plan.law {
+                Some(law) => {
+                    let bands = [gene.s, gene.j];
+                    self.sequence.run_uneven(law, path, q.per_point, bands, plan.uneven, gene.first);
+                    if self.sequence.slips < MIN_SLIPS {
+                        return false;
+                    }
+                }
+                None => {
+                    let m = q.per_point as f64;
+                    self.sequence.at.clear();
+                    self.sequence.at.extend(path.chunks_exact(q.per_point).map(|p| p.iter().sum::<f64>() / m));
+                    self.sequence.direction.clear();
+                    self.sequence.direction.resize(self.sequence.at.len(), 0.0);
+                }
+            }
+        }
+        if from != From::Process && !plan.is_linear_in_fd() {
+            if plan.law.is_some() {
+                let [low, high] = self.band_of(plan, gene).fd;
+                gene.fd = gene.fd.clamp(low, high);
+            }
+            self.assemble(plan, gene.fd);
+        }
+        true
+    }
+
+    /// The valve signal behind everything that follows the stem.
+    fn assemble(&mut self, plan: &Plan, fd: f64) {
+        let Sequence { at, direction, .. } = &self.sequence;
+        self.valve.clear();
+        self.valve.extend(at.iter().zip(direction).map(|(a, d)| a - fd * d));
+        let Some(first) = self.valve.first().copied() else { return };
+        if plan.rate < f64::INFINITY {
+            let mut stem = first;
+            for v in &mut self.valve {
+                stem = rate_step(stem, *v, plan.rate);
+                *v = stem;
+            }
+        }
+        if plan.stops != [f64::NEG_INFINITY, f64::INFINITY] {
+            for v in &mut self.valve {
+                *v = stop_step(*v, plan.stops);
+            }
+        }
+        if plan.play > 0.0 {
+            let mut far = first;
+            for v in &mut self.valve {
+                far = play_step(far, *v, plan.play);
+                *v = far;
+            }
+        }
+    }
+
+    /// Makes the compact columns of a plan: others first, then one or two for the valve. Returns how many others.
+    fn make_columns(&mut self, plan: &Plan, gene: &Gene, view: View) -> usize {
+        let scene = self.scene;
+        let n = scene.n();
+        let from = scene.blocks.from;
+        let tau = libm::exp(gene.log_tau);
+        let lag = gene.lag.floor().max(0.0);
+        let (whole, fraction) = (lag as usize, gene.lag.max(0.0) - lag);
+        let [tau1, tau2] = if plan.tau2 > 0.0 { separated(tau, plan.tau2).into() } else { [tau, 0.0] };
+        let mut count = 0;
+        let mut put = |columns: &mut Vec<Vec<f64>>, long: &[f64]| {
+            scene.gather(long, view, &mut columns[count]);
+            count += 1;
+        };
+        // What does not depend on the valve.
+        self.long.clear();
+        self.long.resize(n, 1.0);
+        put(&mut self.columns, &self.long);
+        let memories: &[f64] = if plan.integrating { &[] } else { &[tau1, tau2] };
+        for tau in memories.iter().filter(|t| **t > 0.0) {
+            course(&mut self.long, n, from, libm::exp(-1.0 / tau));
+            put(&mut self.columns, &self.long);
+        }
+        if plan.integrating {
+            self.long.clear();
+            self.long.extend((0..n).map(|k| (k as f64 - from as f64) / n as f64));
+            put(&mut self.columns, &self.long);
+        }
+        if let Some(omega) = plan.omega {
+            let turn = [libm::sin(omega), libm::cos(omega)];
+            for start in [[0.0, 1.0], [1.0, 0.0]] {
+                waves(&mut self.long, n, start, turn);
+                put(&mut self.columns, &self.long);
+            }
+        }
+        // A gain that drifts also drifts PV's level, since the process need not rest at the middle of the stem's range.
+        if let Some(start) = plan.ramp.or(plan.drifts.then_some(0.0)) {
+            self.long.clear();
+            self.long.extend((0..n).map(|k| (k as f64 - start).max(0.0) / n as f64));
+            put(&mut self.columns, &self.long);
+        }
+        if let Some((start, straight)) = plan.step {
+            let after = (start.ceil().max(0.0) as usize).min(n);
+            let decay = if straight || plan.integrating { 0.0 } else { libm::exp(-1.0 / tau) };
+            let mut left = if decay > 0.0 { libm::exp((start - after as f64) / tau) } else { 0.0 };
+            self.long.clear();
+            self.long.resize(after, 0.0);
+            self.long.resize_with(n, || {
+                let value = 1.0 - left;
+                left *= decay;
+                value
+            });
+            put(&mut self.columns, &self.long);
+        }
+        // What does.
+        let linear_in_fd = plan.is_linear_in_fd();
+        let signal = if linear_in_fd { &self.sequence.at } else { &self.valve };
+        let process = Process { plan, tau: [tau1, tau2], whole, fraction, n };
+        if plan.curved || plan.drifts {
+            let middle = signal.iter().sum::<f64>() / n as f64;
+            self.other.clear();
+            let bend = |(k, v): (usize, &f64)| {
+                let v = v - middle;
+                if plan.curved { v * v } else { v * (k as f64 / n as f64 - 0.5) }
+            };
+            self.other.extend(signal.iter().enumerate().map(bend));
+            process.respond(&self.other, &mut self.long, &mut self.longer);
+            put(&mut self.columns, &self.long);
+            if plan.curved && plan.drifts {
+                self.other.clear();
+                let drift = |(k, v): (usize, &f64)| (v - middle) * (k as f64 / n as f64 - 0.5);
+                self.other.extend(signal.iter().enumerate().map(drift));
+                process.respond(&self.other, &mut self.long, &mut self.longer);
+                put(&mut self.columns, &self.long);
+            }
+        }
+        if plan.zero {
+            let second = Process { tau: [tau2, 0.0], ..process };
+            second.respond(signal, &mut self.long, &mut self.longer);
+            put(&mut self.columns, &self.long);
+        }
+        let others = count;
+        let main = if plan.zero { Process { tau: [tau1, 0.0], ..process } } else { process };
+        main.respond(signal, &mut self.long, &mut self.longer);
+        scene.gather(&self.long, view, &mut self.columns[others]);
+        if linear_in_fd {
+            main.respond(&self.sequence.direction, &mut self.long, &mut self.longer);
+            scene.gather(&self.long, view, &mut self.columns[others + 1]);
+        }
+        others
+    }
+
+    /// The values of fd that the slips at hand leave open.
+    fn band_of(&self, plan: &Plan, gene: &Gene) -> Freedom {
+        let [s_low, s_high] = self.sequence.s_cell;
+        let [j_low, j_high] = self.sequence.j_cell;
+        let s_high = if s_high.is_finite() { s_high } else { gene.s.max(1.0) };
+        let wanted = 0.5 * (gene.s - gene.j);
+        let limits = self.scene.question.limits;
+        let (low, high) = if plan.overshoot {
+            let most = MOST_OVERSHOOT * 0.5 * (gene.s + gene.j);
+            let j_high = if j_high.is_finite() { j_high } else { gene.j.max(3.0 * gene.s) };
+            let low = (0.5 * (s_low - j_high)).max(-most);
+            (low, (0.5 * (s_high - j_low)).min(0.0).max(low))
+        } else {
+            let low = (0.5 * (s_low - j_high.min(s_high))).max(0.0);
+            (low, (0.5 * (s_high - j_low)).max(low))
+        };
+        Freedom { fd: [low, high], fd_default: wanted.clamp(low, high), sign: self.sign, limits }
+    }
+
+    /// The best linear part at one place; `None` where the stem hardly moves or no gain of the sign helps.
+    pub fn evaluate(&mut self, recipe: &Recipe, gene: &Gene, view: View) -> Option<Scored> {
+        self.evaluations += 1;
+        let plan = recipe.plan(gene);
+        let mut gene = *gene;
+        if !self.run_valve(&plan, &mut gene, From::Path) {
+            return None;
+        }
+        let others = self.make_columns(&plan, &gene, view);
+        let target = self.scene.target(view);
+        let two = plan.is_linear_in_fd();
+        let mains = if two { 2 } else { 1 };
+        let mut columns: [&[f64]; MAX_COLUMNS] = [&[]; MAX_COLUMNS];
+        for (slot, column) in columns.iter_mut().zip(&self.columns[..others + mains]) {
+            *slot = column;
+        }
+        columns[others + mains] = target;
+        let mut gram = Gram::of(&columns[..=others + mains]);
+        let whole = gram.at(others, others);
+        let whole_direction = if two { gram.at(others + 1, others + 1) } else { 0.0 };
+        gram.eliminate(others);
+        let last = others + mains;
+        let (gain, known, explained) = if two {
+            let at = |i: usize, k: usize| gram.at(others + i, others + k);
+            let system = [at(0, 0), at(0, 1), at(1, 1), at(0, 2), at(1, 2)];
+            let freedom = self.band_of(&plan, &gene);
+            let (gain, fd, explained) = best_band(system, [whole, whole_direction], &freedom);
+            gene.fd = fd;
+            (gain, [gain, -gain * fd], explained)
+        } else {
+            let (power, along) = (gram.at(others, others), gram.at(others, last));
+            let gain = if power > 1e-11 * whole { along / power } else { 0.0 };
+            (gain, [gain, 0.0], gain * along)
+        };
+        let all = gram.back(others, &known[..mains]);
+        let mut linear = Linear { others: [0.0; MAX_COLUMNS], count: others, gain };
+        linear.others[..others].copy_from_slice(&all[..others]);
+        let total = if plan.zero { gain + linear.others[others - 1] } else { gain };
+        if gain == 0.0 || total * self.sign <= 0.0 {
+            return None;
+        }
+        let sse = (gram.at(last, last) - explained).max(0.0);
+        let cells = [self.sequence.s_cell, self.sequence.j_cell];
+        Some(Scored { gene, sse, cells, slips: self.sequence.slips, linear })
+    }
+
+    /// As [`Kernel::evaluate`] by the plain error with fd and the gain held: only the other columns are fitted.
+    pub fn held(&mut self, recipe: &Recipe, gene: &Gene, gain: f64) -> Option<Scored> {
+        self.evaluations += 1;
+        let plan = recipe.plan(gene);
+        let (mut moved, fd) = (*gene, gene.fd);
+        if !self.run_valve(&plan, &mut moved, From::Path) {
+            return None;
+        }
+        let others = self.make_columns(&plan, gene, View::Plain);
+        let only = Linear { others: [0.0; MAX_COLUMNS], count: 0, gain };
+        let mut left = Vec::new();
+        let main = self.columns[others].clone();
+        if plan.is_linear_in_fd() {
+            let direction = &self.columns[others + 1];
+            left.extend(main.iter().zip(direction).map(|(a, d)| -gain * (a - fd * d)));
+        } else {
+            left.extend(main.iter().map(|a| -gain * a));
+        }
+        for (l, y) in left.iter_mut().zip(self.scene.target(View::Plain)) {
+            *l += y;
+        }
+        let mut columns: Vec<&[f64]> = self.columns[..others].iter().map(Vec::as_slice).collect();
+        columns.push(&left);
+        let mut gram = Gram::of(&columns);
+        gram.eliminate(others);
+        let all = gram.back(others, &[]);
+        let mut linear = Linear { count: others, ..only };
+        linear.others[..others].copy_from_slice(&all[..others]);
+        let cells = [self.sequence.s_cell, self.sequence.j_cell];
+        let sse = gram.at(others, others).max(0.0);
+        Some(Scored { gene: *gene, sse, cells, slips: self.sequence.slips, linear })
+    }
+
+    /// The model's course on the fitted stretches with its coefficients held, into `out`.
+    fn course_of(&mut self, plan: &Plan, gene: &Gene, linear: &Linear, view: View, slot: usize) {
+        let others = self.make_columns(plan, gene, view);
+        let mut out = core::mem::take(&mut self.slopes[slot]);
+        self.combine(plan, others, gene.fd, linear, &mut out);
+        self.slopes[slot] = out;
+    }
+
+    fn combine(&self, plan: &Plan, others: usize, fd: f64, linear: &Linear, out: &mut Vec<f64>) {
+        out.clear();
+        if plan.is_linear_in_fd() {
+            let (at, direction) = (&self.columns[others], &self.columns[others + 1]);
+            out.extend(at.iter().zip(direction).map(|(a, d)| linear.gain * (a - fd * d)));
+        } else {
+            out.extend(self.columns[others].iter().map(|x| linear.gain * x));
+        }
+        for (column, c) in self.columns[..others].iter().zip(linear.others) {
+            for (o, x) in out.iter_mut().zip(column) {
+                *o += c * x;
+            }
+        }
+    }
+
+    /// Up to `steps` Gauss-Newton steps.
+    pub fn improve(&mut self, recipe: &Recipe, start: Scored, view: View, steps: usize) -> Scored {
+        let mut best = start;
+        for _ in 0..steps {
+            let Some(again) = self.evaluate(recipe, &best.gene, view) else { break };
+            best = again;
+            let Some(next) = self.descend(recipe, &best, view) else { break };
+            let gained = (best.sse - next.sse) / best.sse;
+            best = next;
+            if gained < 1e-4 {
+                break;
+            }
+        }
+        best
+    }
+
+    /// One Gauss-Newton step from the place that was evaluated last, in the same view.
+    pub fn improve_fresh(&mut self, recipe: &Recipe, start: Scored, view: View) -> Scored {
+        self.descend(recipe, &start, view).unwrap_or(start)
+    }
+
+    /// One step, shortened until it helps; `None` when none does. The buffers hold the columns of `best`.
+    fn descend(&mut self, recipe: &Recipe, best: &Scored, view: View) -> Option<Scored> {
+        let plan = recipe.plan(&best.gene);
+        let others = best.linear.count;
+        let mut response = core::mem::take(&mut self.response);
+        self.combine(&plan, others, best.gene.fd, &best.linear, &mut response);
+        let target = self.scene.target(view);
+        self.residual.clear();
+        self.residual.extend(target.iter().zip(&response).map(|(y, x)| y - x));
+        // The response alone, whose gain stays free.
+        let mut unit = Vec::with_capacity(response.len());
+        if plan.is_linear_in_fd() {
+            let (at, direction) = (&self.columns[others], &self.columns[others + 1]);
+            unit.extend(at.iter().zip(direction).map(|(a, d)| a - best.gene.fd * d));
+        } else {
+            unit.extend_from_slice(&self.columns[others]);
+        }
+        let kept: Vec<Vec<f64>> = self.columns[..others].to_vec();
+        let moves = movable(recipe, &plan, self.scene);
+        for (slot, m) in moves.iter().enumerate() {
+            let mut gene = best.gene;
+            let delta = m.shift(&mut gene, 1e-4);
+            let moved = recipe.plan(&gene);
+            if m.from != From::Process {
+                self.run_valve(&moved, &mut gene, m.from);
+            }
+            self.evaluations += 1;
+            self.course_of(&moved, &gene, &best.linear, view, slot);
+            for (s, r) in self.slopes[slot].iter_mut().zip(&response) {
+                *s = (*s - r) / delta;
+            }
+            if m.from != From::Process {
+                self.run_valve(&plan, &mut best.gene.clone(), m.from);
+            }
+        }
+        let mut columns: Vec<&[f64]> = kept.iter().map(Vec::as_slice).collect();
+        columns.push(&unit);
+        columns.extend(self.slopes[..moves.len()].iter().map(Vec::as_slice));
+        columns.push(&self.residual);
+        let head = others + 1;
+        let mut gram = Gram::of(&columns);
+        gram.eliminate(head + moves.len());
+        let all = gram.back(head + moves.len(), &[]);
+        self.response = response;
+        let mut scale = 1.0;
+        for _ in 0..3 {
+            let mut gene = best.gene;
+            for (m, step) in moves.iter().zip(&all[head..]) {
+                m.step(&mut gene, scale * step);
+            }
+            gene = clamped(recipe, gene, self.scene);
+            if gene != best.gene {
+                let found = self.evaluate(recipe, &gene, view).filter(|f| f.sse < best.sse);
+                if found.is_some() {
+                    return found;
+                }
+            }
+            scale *= 0.3;
+        }
+        None
+    }
+
+    /// Free run over the whole record, normalised PV units, the valve signal (spans) and moves of the stem as
+    /// (point, size); `None` as for [`Kernel::evaluate`].
+    pub fn simulate(&mut self, recipe: &Recipe, of: &Scored) -> Option<(Vec<f64>, Vec<f64>)> {
+        let plan = recipe.plan(&of.gene);
+        let whole = self.scene.whole();
+        let mut kernel = Kernel::new(&whole, self.sign);
+        let mut gene = of.gene;
+        if !kernel.run_valve(&plan, &mut gene, From::Path) {
+            return None;
+        }
+        let others = kernel.make_columns(&plan, &gene, View::Plain);
+        let mut out = Vec::new();
+        kernel.combine(&plan, others, gene.fd, &of.linear, &mut out);
+        kernel.assemble(&plan, gene.fd);
+        Some((out, kernel.valve))
+    }
+}
+
+/// One of sine and cosine over the record by turning `[sin, cos]` from `start` (its first entry is kept).
+fn waves(out: &mut Vec<f64>, n: usize, start: [f64; 2], turn: [f64; 2]) {
+    let [mut a, mut b] = start;
+    let [sin, cos] = turn;
+    out.clear();
+    out.resize_with(n, || {
+        let value = a;
+        (a, b) = (a * cos + b * sin, b * cos - a * sin);
+        value
+    });
+}
+
+/// The decay `a^(k - from)`, 1 before.
+fn course(out: &mut Vec<f64>, n: usize, from: usize, a: f64) {
+    out.clear();
+    out.resize(from.min(n), 1.0);
+    let mut value = 1.0;
+    while out.len() < n {
+        out.push(value);
+        value *= a;
+        if value < 1e-14 {
+            out.resize(n, 0.0);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

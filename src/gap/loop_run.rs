@@ -1,0 +1,172 @@
+//! The whole loop with the models: does it oscillate as the plant does?
+//!
+//! Free run takes OP as recorded. Where the controller can be read from the record, the loop can be closed over the
+//! model, and the cycle that comes out compared with the recorded one: period and size.
+
+use serde::{Deserialize, Serialize};
+
+use super::model::Model;
+use super::types::Diagnosis;
+use crate::detect::oscillation;
+use crate::ident::controller::{self, Reading};
+use crate::record::Record;
+use crate::signal::stats;
+use crate::sim::closed_loop::{ClosedLoop, LoopModel, ValveLaw, ValveModel};
+use crate::sim::controller::{Action, PidSettings};
+use crate::sim::process::ProcessModel;
+
+/// Effects whose model is whole in valve law and process, so that the loop can be closed over it.
+pub const CLOSABLE: [&str; 5] = ["extra_lag", "integrating", "sliding_valve", "slip_overshoot", "stiction"];
+/// Scans simulated at most.
+const MAX_SCANS: usize = 60_000;
+/// Room for OP on both sides of what was recorded, spans.
+const WIDE: f64 = 10.0;
+/// A start off the resting place, bands.
+const START_BANDS: f64 = 1.5;
+
+/// A loop's cycle.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Cycle {
+    /// Whether it oscillates regularly.
+    pub oscillating: bool,
+    /// Its period, s; `None` where nothing repeats.
+    pub period_s: Option<f64>,
+    /// Half of PV's span, PV units.
+    pub amplitude_pv: f64,
+    /// Half of OP's span, OP units.
+    pub amplitude_op: f64,
+}
+
+/// The controller that closes the loop.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct ControllerNote {
+    /// Proportional gain, OP units per PV unit of SP - PV.
+    pub kc: f64,
+    /// Integral time, s; `None` without integral action.
+    pub ti_s: Option<f64>,
+    /// Derivative time, s.
+    pub td_s: f64,
+    /// Share of OP's moves that it explains.
+    pub r2: f64,
+}
+
+/// Cycles as recorded and as simulated.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Cycles {
+    /// As read from the record.
+    pub controller: ControllerNote,
+    /// In the record.
+    pub measured: Cycle,
+    /// With the base.
+    pub before: Option<Cycle>,
+    /// With the cause added; `None` where it has no place in a closed loop's simulation, or nothing was added.
+    pub after: Option<Cycle>,
+}
+
+/// Closes the loop over base and model after; `None` where the controller cannot be read.
+#[must_use]
+pub fn cycles(record: &Record, diagnosis: &Diagnosis) -> Option<Cycles> {
+    let reading = controller::read(record)?;
+    let noise_sd = diagnosis.floor.noise_sd.unwrap_or(0.0);
+    let after = &diagnosis.model_after;
+    let added = !after.effects.is_empty() && after.effects.iter().all(|e| CLOSABLE.contains(&e.id.as_str()));
+    Some(Cycles {
+        controller: ControllerNote {
+            kc: reading.kc,
+            ti_s: reading.ti_s.is_finite().then_some(reading.ti_s),
+            td_s: reading.td_s,
+            r2: reading.r2,
+        },
+        measured: cycle(&record.op(), &record.pv, record.point_s()),
+        before: run(&diagnosis.base.model, &reading, record, noise_sd),
+        after: if added { run(after, &reading, record, noise_sd) } else { None },
+    })
+}
+
+/// The cycle of two signals whose points stand `point_s` apart.
+fn cycle(op: &[f64], pv: &[f64], point_s: f64) -> Cycle {
+    let found = oscillation::detect(op, pv);
+    Cycle {
+        oscillating: found.is_some_and(|o| o.oscillating),
+        period_s: found.map(|o| o.period_points * point_s),
+        amplitude_pv: 0.5 * stats::span(pv),
+        amplitude_op: 0.5 * stats::span(op),
+    }
+}
+
+/// The loop as the simulator takes it, off its resting place by a band and a half.
+fn loop_model(model: &Model, reading: &Reading, sp: f64, limits: [f64; 2], noise_sd: f64) -> Option<LoopModel> {
+    let Model { ts_s, valve, process, .. } = model;
+    let law = match valve.law.as_str() {
+        "he" => ValveLaw::He,
+        "tracking" => ValveLaw::Tracking,
+        "none" => ValveLaw::None,
+        _ => return None,
+    };
+    let mut taus = process.time_constants_s.iter().map(|tau| tau / ts_s);
+    let (op, pv) = (process.op, process.pv);
+    let rest = if process.integrating { op } else { op + (sp - pv) / process.gain };
+    let off = START_BANDS * (valve.fs + valve.fd.abs());
+    let rest_pv = if process.integrating { sp + off / reading.kc.abs() } else { sp + process.gain * off };
+    let whole = [*ts_s, process.gain, rest, rest_pv, reading.kc];
+    let usable = *ts_s > 0.0 && process.gain != 0.0 && reading.kc != 0.0 && whole.iter().all(|x| x.is_finite());
+    usable.then(|| LoopModel {
+        ts_s: *ts_s,
+        process: ProcessModel {
+            gain: if process.integrating { process.gain * ts_s } else { process.gain },
+            tau: taus.next().unwrap_or(0.0),
+            tau2: taus.next().unwrap_or(0.0),
+            dead_time: process.dead_time_s / ts_s + reading.lag_samples.max(0.0),
+            integrating: process.integrating,
+        },
+        rest_op: if process.integrating { rest } else { rest + off },
+        rest_pv,
+        controller: PidSettings {
+            kc: reading.kc.abs(),
+            ti_s: reading.ti_s,
+            td_s: reading.td_s,
+            action: if reading.kc > 0.0 { Action::Reverse } else { Action::Direct },
+            op_min: limits[0],
+            op_max: limits[1],
+            op_resolution: 0.0,
+        },
+        valve: ValveModel {
+            law,
+            fs: valve.fs,
+            fd: valve.fd,
+            travel_min: limits[0],
+            travel_max: limits[1],
+            ..ValveModel::HEALTHY
+        },
+        pv_noise_sd: noise_sd,
+        load: vec![],
+        pv_disturbance: vec![],
+    })
+}
+
+/// Runs the loop for twice the record under its set point (its mean where none is recorded) and measures the second
+/// half.
+fn run(model: &Model, reading: &Reading, record: &Record, noise_sd: f64) -> Option<Cycle> {
+    let sp = record.sp.as_ref().filter(|sp| !sp.is_empty() && sp.iter().all(|v| v.is_finite()));
+    let first = sp.map_or_else(|| stats::mean(&record.pv), |sp| sp[0]);
+    // The controller's limits are not recorded: wide ones leave the cycle alone.
+    let op = stats::sorted(&record.op());
+    let (low, high) = (*op.first()?, *op.last()?);
+    let room = WIDE * (high - low);
+    let loop_model = loop_model(model, reading, first, [low - room, high + room], noise_sd)?;
+    let scans = (record.end_ns - record.start_ns) as f64 / 1e9 / loop_model.ts_s;
+    let scans = (scans.max(0.0) as usize + 1).min(MAX_SCANS / 2);
+    let mut closed = ClosedLoop::new(loop_model, 0.0, first, 1);
+    for _ in 0..scans {
+        closed.step(first);
+    }
+    let set_point = |k: usize| sp.map_or(first, |sp| sp[(k * sp.len() / scans.max(1)).min(sp.len() - 1)]);
+    let (mut op, mut pv) = (Vec::with_capacity(scans), Vec::with_capacity(scans));
+    for k in 0..scans {
+        let scan = closed.step(set_point(k));
+        op.push(scan.op);
+        pv.push(scan.pv);
+    }
+    let found = cycle(&op, &pv, model.ts_s);
+    (found.amplitude_pv.is_finite() && found.amplitude_op.is_finite()).then_some(found)
+}

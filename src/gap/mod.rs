@@ -1,0 +1,40 @@
+//! The gap between simulation and plant: where it lies, which effect causes it, how far adding that effect closes it.
+//!
+//! [`diagnose`] fits the base (He's law, first order with dead time) to the training blocks of a record, then the base
+//! with each effect of the [`effects::ALL`] catalogue, and judges on what it was not fitted to.
+
+mod answer;
+mod coarse;
+mod decide;
+mod diagnosis;
+pub mod document;
+pub mod effects;
+mod express;
+mod forward;
+mod given;
+mod kernel;
+pub mod locate;
+pub mod loop_run;
+pub mod model;
+pub mod model_file;
+mod moves;
+mod next_test;
+mod noise;
+mod pairs;
+mod plan;
+pub mod probability;
+mod rounds;
+mod scene;
+pub mod score;
+mod search;
+mod signatures;
+mod stages;
+pub mod text;
+pub mod types;
+mod weigh;
+
+pub use diagnosis::{MIN_POINTS, diagnose};
+pub use types::*;
+
+/// Model responses of a default search: about five seconds on two cores.
+pub const DEFAULT_EVALUATIONS: u64 = 600_000;

@@ -1,0 +1,76 @@
+//! The next test: the smallest bump of OP that tells the two best answers apart, found by simulating both.
+
+use super::kernel::{Kernel, Linear, Scored};
+use super::rounds::Found;
+use super::scene::Scene;
+use super::search::Lane;
+use super::types::{Diagnosis, NONE, NextTest};
+use crate::signal::stats;
+use crate::sim::slips::FirstSlip;
+
+/// Probability that is asked for.
+const WANTED: f64 = 0.95;
+/// Sizes that are tried, in bands s (or tenths of the span where nothing sticks).
+const SIZES: [f64; 8] = [1.1, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0];
+
+/// The test for the cause and its best simulated rival; `None` where there is none or no bump tells them apart.
+#[must_use]
+pub fn next_test(scene: &Scene, found: &Found, made: &Diagnosis) -> Option<NextTest> {
+    let lane_of = |id: &str| {
+        if id == NONE { Some(&found.base) } else { found.lanes.iter().find(|l| l.recipe.id() == id) }
+    };
+    let first = lane_of(&made.cause.id)?;
+    let (rival, second) = made.alternatives.iter().find_map(|a| Some((a.id.clone(), lane_of(&a.id)?)))?;
+    let best = first.best.first()?;
+    let noise = made.floor.noise_floor.unwrap_or(made.base.rmse) / scene.deviation;
+    let settles = best.gene.lag + 3.0 * libm::exp(best.gene.log_tau).min(scene.period);
+    let hold = settles.ceil() as usize + 2;
+    let unit = if best.gene.s > 0.0 { best.gene.s } else { 0.1 };
+    for size in SIZES.map(|s| s * unit) {
+        let answers = [first, second].map(|lane| answer(scene, lane, size, hold));
+        let [Some(a), Some(b)] = answers else { continue };
+        let apart: Vec<f64> = a.iter().zip(&b).map(|(x, y)| x - y).collect();
+        // The better of two known courses in white noise (matched filter).
+        let p = normal_below(0.5 * stats::dot(&apart, &apart).sqrt() / noise.max(1e-12));
+        if p >= WANTED {
+            return Some(NextTest {
+                signal: "op",
+                size: size * scene.span,
+                duration_s: hold as f64 * scene.point_s,
+                separates: [made.cause.id.clone(), rival],
+                p,
+            });
+        }
+    }
+    None
+}
+
+/// PV's answer to OP up, back, down and back, `hold` points each, from rest with the stem in the middle of its band.
+fn answer(scene: &Scene, lane: &Lane, size: f64, hold: usize) -> Option<Vec<f64>> {
+    let best = lane.best.first()?;
+    let mut test = scene.clone();
+    let lead = scene.blocks.from.max(1);
+    test.question.path = vec![0.0; lead];
+    for level in [size, 0.0, -size, 0.0] {
+        test.question.path.extend(core::iter::repeat_n(level, hold));
+    }
+    test.question.per_point = 1;
+    let n = test.question.path.len();
+    test.question.pv = vec![0.0; n];
+    let fs = 0.5 * (best.gene.s + best.gene.j);
+    let plan = lane.recipe.plan(&best.gene);
+    let mut place: Scored = *best;
+    place.gene.first = FirstSlip { direction: 1.0, threshold: fs };
+    // Loads and the record's own start have no part in the test.
+    let own = usize::from(plan.curved) + usize::from(plan.drifts) + usize::from(plan.zero);
+    let Linear { others, count, .. } = &mut place.linear;
+    others[..count.saturating_sub(own)].fill(0.0);
+    let (course, _) = Kernel::new(&test, lane.sign).simulate(&lane.recipe, &place)?;
+    let rest = course[lead - 1];
+    Some(course[lead..].iter().map(|x| x - rest).collect())
+}
+
+/// The normal distribution's share below `x`.
+fn normal_below(x: f64) -> f64 {
+    0.5 * libm::erfc(-x * core::f64::consts::FRAC_1_SQRT_2)
+}

@@ -1,0 +1,198 @@
+//! The noise that no free run explains: its floor, and what a noise model makes of a residual one step ahead.
+
+use super::scene::Scene;
+use super::types::{Floor, NoiseModels};
+use crate::ident::least_squares::Gram;
+use crate::ident::residual;
+use crate::signal::stats;
+use crate::sim::noise::Noise;
+
+/// Order of the autoregression.
+const ORDER: usize = 4;
+/// Circular shifts of a permutation test.
+const SHIFTS: usize = 99;
+/// Lags of OP and of its moves that are asked.
+const LAGS: usize = 24;
+/// Share of held samples from which no noise can be read.
+const HELD: f64 = 0.3;
+
+/// The quantum of a signal on a grid; `None` where it is on none, or on one far finer than its noise.
+#[must_use]
+pub fn quantum(x: &[f64]) -> Option<f64> {
+    let sorted = stats::sorted(x);
+    let width = sorted.last()? - sorted.first()?;
+    let gaps: Vec<f64> = sorted.windows(2).map(|w| w[1] - w[0]).filter(|g| *g > 1e-9 * width).collect();
+    let least = gaps.iter().copied().fold(f64::INFINITY, f64::min);
+    let on_grid = |g: &&f64| ((*g / least) - (*g / least).round()).abs() < 0.02;
+    let few = gaps.len() * 3 < x.len();
+    (few && !gaps.is_empty() && gaps.iter().filter(on_grid).count() == gaps.len()).then_some(least)
+}
+
+/// The noise floor of PV, without any model of valve or process.
+#[must_use]
+pub fn floor(pv: &[f64], straight: bool) -> Floor {
+    let quantum = quantum(pv);
+    let held = quantum.is_none() && stats::repeat_share(pv) > HELD;
+    let noise_sd = if held || straight { None } else { Some(stats::noise_sd(pv)) };
+    let grid = quantum.unwrap_or(0.0) / 12.0_f64.sqrt();
+    // Rounding shows in the second differences too where it is finer than the noise.
+    let noise_floor = noise_sd.map(|sd| if sd > 2.0 * grid { sd } else { sd + grid });
+    Floor { noise_sd, quantum, noise_floor: noise_floor.filter(|f| *f > 0.0), high_band_sd: None }
+}
+
+/// Standard deviation of a residual's white part from its second differences, over the given stretches.
+#[must_use]
+pub fn high_band(residual: &[f64], stretches: &[[usize; 2]]) -> Option<f64> {
+    let mut second: Vec<f64> = Vec::new();
+    for [a, b] in stretches {
+        second.extend(residual[*a..*b].windows(3).map(|w| w[2] - 2.0 * w[1] + w[0]));
+    }
+    (second.len() > 20).then(|| 1.4826 * stats::mad(&second) / 6.0_f64.sqrt())
+}
+
+/// An autoregression of a residual.
+#[derive(Debug, Clone)]
+pub struct Autoregression {
+    /// Mean squared error one step ahead.
+    pub mse: f64,
+    /// What it leaves, with the point of each.
+    pub innovations: Vec<(usize, f64)>,
+}
+
+/// Fits one to the stretches of a residual; `None` for too few points.
+#[must_use]
+pub fn autoregression(residual: &[f64], stretches: &[[usize; 2]]) -> Option<Autoregression> {
+    of_order(residual, stretches, ORDER)
+}
+
+fn of_order(residual: &[f64], stretches: &[[usize; 2]], order: usize) -> Option<Autoregression> {
+    let mut columns: Vec<Vec<f64>> = vec![Vec::new(); order + 1];
+    let mut places = Vec::new();
+    for [a, b] in stretches {
+        for k in a + ORDER..*b {
+            for (lag, column) in columns.iter_mut().enumerate() {
+                // The last column is the point itself.
+                column.push(residual[k - (order - lag)]);
+            }
+            places.push(k);
+        }
+    }
+    if places.len() < 10 * ORDER {
+        return None;
+    }
+    let views: Vec<&[f64]> = columns.iter().map(Vec::as_slice).collect();
+    let mut gram = Gram::of(&views);
+    gram.eliminate(order);
+    let all = gram.back(order, &[]);
+    let innovations: Vec<(usize, f64)> = places
+        .iter()
+        .enumerate()
+        .map(|(i, k)| (*k, columns[order][i] - (0..order).map(|l| all[l] * columns[l][i]).sum::<f64>()))
+        .collect();
+    let mse = innovations.iter().map(|(_, e)| e * e).sum::<f64>() / innovations.len() as f64;
+    Some(Autoregression { mse, innovations })
+}
+
+/// What noise models say: `base` and `best` are free-run residuals over the whole record.
+#[must_use]
+pub fn judge(scene: &Scene, base: &[f64], best: &[f64], slipped: &[bool], seed: u64) -> NoiseModels {
+    let nothing =
+        NoiseModels { over_base: 0.0, over_best: 0.0, independence_p: 1.0, whitens: false, beyond_first: 0.0 };
+    let Some(found) = autoregression(base, &scene.train) else { return nothing };
+    let mse = |r: &[f64]| {
+        let n = scene.train.iter().map(|[a, b]| b - a).sum::<usize>().max(1);
+        scene.train.iter().flat_map(|[a, b]| &r[*a..*b]).map(|e| e * e).sum::<f64>() / n as f64
+    };
+    let log = |x: f64| libm::log(x.max(1e-30));
+    let e: Vec<f64> = found.innovations.iter().map(|(_, e)| *e).collect();
+    let op: Vec<f64> = found.innovations.iter().map(|(k, _)| scene.question.mean[*k]).collect();
+    NoiseModels {
+        over_base: log(mse(base)) - log(found.mse),
+        over_best: log(mse(best)) - log(found.mse),
+        independence_p: independence(scene, &found, slipped, seed),
+        whitens: residual::whiteness(&e, &op).white,
+        beyond_first: of_order(base, &scene.train, 1).map_or(0.0, |first| log(first.mse) - log(found.mse)),
+    }
+}
+
+/// Smallest p of the innovations' independence from what OP did before, from slips and from the level, by circular
+/// shifts. Innovations, because under feedback OP carries the residual's own past.
+fn independence(scene: &Scene, found: &Autoregression, slipped: &[bool], seed: u64) -> f64 {
+    let op = &scene.question.mean;
+    let places: Vec<usize> = found.innovations.iter().map(|(k, _)| *k).collect();
+    let e: Vec<f64> = found.innovations.iter().map(|(_, e)| *e).collect();
+    let n = e.len();
+    let stride = ((scene.longest_lag() / LAGS as f64).ceil() as usize).max(1);
+    let mut series: Vec<Vec<f64>> = Vec::new();
+    for lag in (1..=LAGS).map(|l| l * stride) {
+        let back = |k: usize, more: usize| op[k.saturating_sub(lag + more)];
+        series.push(places.iter().map(|k| back(*k, 0)).collect());
+        series.push(places.iter().map(|k| back(*k, 0) - back(*k, stride)).collect());
+    }
+    let levels: Vec<f64> = places.iter().map(|k| scene.question.pv[k.saturating_sub(1)]).collect();
+    series.push(levels.iter().map(|l| l * l).collect());
+    series.push(levels);
+    let after: Vec<f64> = places.iter().map(|k| f64::from(u8::from(slipped[*k]))).collect();
+    for s in series.iter_mut() {
+        standardise(s);
+    }
+    let mut slips = after;
+    standardise(&mut slips);
+    let statistic = |shift: usize| -> [f64; 2] {
+        let turned: Vec<f64> = (0..n).map(|i| e[(i + shift) % n]).collect();
+        let mut squares: Vec<f64> = turned.iter().map(|x| x * x).collect();
+        standardise(&mut squares);
+        let linear = series.iter().map(|s| stats::dot(s, &turned).abs()).fold(0.0, f64::max);
+        [linear, stats::dot(&slips, &squares).abs()]
+    };
+    let own = statistic(0);
+    let mut rng = Noise::new(seed, 77);
+    let mut above = [1_usize; 2];
+    for _ in 0..SHIFTS {
+        let shift = n / 20 + rng.below((n - n / 10).max(1) as u64) as usize;
+        for (count, (other, own)) in above.iter_mut().zip(statistic(shift).into_iter().zip(own)) {
+            *count += usize::from(other >= own);
+        }
+    }
+    let least = above.into_iter().min().unwrap_or(1) as f64;
+    (2.0 * least / (SHIFTS + 1) as f64).min(1.0)
+}
+
+fn standardise(x: &mut [f64]) {
+    let (mean, sd) = (stats::mean(x), stats::std_dev(x));
+    for v in x.iter_mut() {
+        *v = if sd > 0.0 { (*v - mean) / sd } else { 0.0 };
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn noise(n: usize) -> Vec<f64> {
+        let mut noise = Noise::new(3, 0);
+        (0..n).map(|_| noise.gaussian()).collect()
+    }
+
+    #[test]
+    fn the_floor_is_the_noise_and_the_grid() {
+        let slow: Vec<f64> =
+            noise(2000).iter().enumerate().map(|(k, e)| 0.1 * e + 3.0 * libm::sin(k as f64 * 0.05)).collect();
+        let found = floor(&slow, false);
+        assert!((found.noise_floor.unwrap() / 0.1 - 1.0).abs() < 0.08 && found.quantum.is_none());
+        let rounded: Vec<f64> = slow.iter().map(|x| crate::sim::noise::quantise(*x, 0.5)).collect();
+        assert!((floor(&rounded, false).quantum.unwrap() - 0.5).abs() < 1e-9);
+        let held: Vec<f64> = (0..2000).map(|k| slow[k - k % 5]).collect();
+        assert_eq!(floor(&held, false).noise_floor, None);
+    }
+
+    #[test]
+    fn an_autoregression_finds_the_innovations() {
+        let mut x = noise(3000);
+        for k in 1..x.len() {
+            x[k] += 0.9 * x[k - 1];
+        }
+        let found = autoregression(&x, &[[0, 1500], [1600, 3000]]).unwrap();
+        assert!((found.mse - 1.0).abs() < 0.1, "{}", found.mse);
+    }
+}

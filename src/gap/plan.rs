@@ -1,0 +1,171 @@
+//! The simulator between OP and PV, block by block, in the normalised units of the search: OP in spans, PV in standard
+//! deviations, times in points.
+//!
+//! OP → positioner lag → friction → rate limit → stops → play → characteristic → dead time → lag → second lag → zero,
+//! and what disturbs PV. A [`Plan`] says which blocks are there; every block left at its neutral value is the base.
+
+use super::effects::Effect;
+use crate::sim::slips::{FirstSlip, Law};
+
+/// Most parameters that a recipe's effects have together.
+pub const MAX_PARAMS: usize = 4;
+
+/// Which blocks stand in the simulator.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Plan {
+    /// Friction; `None` for a valve that follows OP.
+    pub law: Option<Law>,
+    /// The stem may jump beyond OP: fd < 0.
+    pub overshoot: bool,
+    /// Bands `1 + uneven` upwards, `1 - uneven` downwards.
+    pub uneven: f64,
+    /// Lag before the friction, points.
+    pub positioner: f64,
+    /// Fastest move of the stem, spans a point.
+    pub rate: f64,
+    /// Stops, spans.
+    pub stops: [f64; 2],
+    /// Play behind the stem, spans.
+    pub play: f64,
+    /// Also the square of the valve signal acts.
+    pub curved: bool,
+    /// Also time times the valve signal acts.
+    pub drifts: bool,
+    /// Second lag, points; 0 for none.
+    pub tau2: f64,
+    /// The second lag's share is free: a zero.
+    pub zero: bool,
+    /// The process integrates.
+    pub integrating: bool,
+    /// From a point on, so much is added to the lag.
+    pub switch: Option<[f64; 2]>,
+    /// A sinusoid of this frequency is added, radians a point.
+    pub omega: Option<f64>,
+    /// A ramp from this point on is added.
+    pub ramp: Option<f64>,
+    /// A step at this point is added, through the process' lag or (`true`) straight to PV.
+    pub step: Option<(f64, bool)>,
+}
+
+impl Plan {
+    /// The base with a valve law, or without friction.
+    #[must_use]
+    pub const fn base(law: Option<Law>) -> Self {
+        Self {
+            law,
+            overshoot: false,
+            uneven: 0.0,
+            positioner: 0.0,
+            rate: f64::INFINITY,
+            stops: [f64::NEG_INFINITY, f64::INFINITY],
+            play: 0.0,
+            curved: false,
+            drifts: false,
+            tau2: 0.0,
+            zero: false,
+            integrating: false,
+            switch: None,
+            omega: None,
+            ramp: None,
+            step: None,
+        }
+    }
+
+    /// Whether the valve signal is linear in fd, `at - fd * direction`.
+    #[must_use]
+    pub fn is_linear_in_fd(&self) -> bool {
+        let free = self.rate == f64::INFINITY && self.stops == [f64::NEG_INFINITY, f64::INFINITY] && self.play == 0.0;
+        self.law.is_some() && free && !self.curved && !self.drifts && !self.zero
+    }
+
+    /// Linear coefficients beside gain, fd, constant and memory.
+    #[must_use]
+    pub fn extras(&self) -> usize {
+        let two = if self.omega.is_some() { 2 } else { 0 };
+        let ramp = self.ramp.is_some() || self.drifts;
+        let ones = [self.curved, self.drifts, self.zero, ramp, self.step.is_some()];
+        two + ones.into_iter().filter(|x| *x).count()
+    }
+}
+
+/// Base and the effects added to it.
+#[derive(Debug, Clone, Copy)]
+pub struct Recipe {
+    /// Law of the base.
+    pub law: Option<Law>,
+    /// Up to two effects.
+    pub effects: [Option<&'static Effect>; 2],
+}
+
+impl Recipe {
+    /// The base alone.
+    #[must_use]
+    pub const fn base(law: Option<Law>) -> Self {
+        Self { law, effects: [None; 2] }
+    }
+
+    /// Base and one effect.
+    #[must_use]
+    pub const fn with(law: Option<Law>, effect: &'static Effect) -> Self {
+        Self { law, effects: [Some(effect), None] }
+    }
+
+    /// The effects, in order.
+    pub fn each(&self) -> impl Iterator<Item = &'static Effect> + '_ {
+        self.effects.iter().flatten().copied()
+    }
+
+    /// The id in documents.
+    #[must_use]
+    pub fn id(&self) -> String {
+        let ids: Vec<&str> = self.each().map(|e| e.id).collect();
+        if ids.is_empty() { "base".to_owned() } else { ids.join("+") }
+    }
+
+    /// All parameters, in the order of [`Gene::p`].
+    pub fn params(&self) -> impl Iterator<Item = &'static super::effects::Param> + '_ {
+        self.each().flat_map(|e| e.params.iter()).take(MAX_PARAMS)
+    }
+
+    /// The plan that a gene's parameters make.
+    #[must_use]
+    pub fn plan(&self, gene: &Gene) -> Plan {
+        let mut plan = Plan::base(self.law);
+        let mut at = 0;
+        for effect in self.each() {
+            let end = (at + effect.params.len()).min(MAX_PARAMS);
+            (effect.enter)(&gene.p[at..end], &mut plan);
+            at = end;
+        }
+        plan
+    }
+
+    /// Free parameters of a model: bands, first slip, process, effects, linear ones.
+    #[must_use]
+    pub fn freedom(&self, plan: &Plan) -> usize {
+        let friction = if plan.law.is_some() { 3 } else { 0 };
+        let lags = if plan.integrating { 1 } else { 2 };
+        // Gain, constant and memory.
+        let linear = 3 + usize::from(plan.tau2 > 0.0) + plan.extras();
+        friction + lags + linear + self.params().count()
+    }
+}
+
+/// A place in the search.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Gene {
+    /// Dead band plus stick band.
+    pub s: f64,
+    /// Slip jump.
+    pub j: f64,
+    /// First slip.
+    pub first: FirstSlip,
+    /// Kinetic band.
+    pub fd: f64,
+    /// Logarithm of the first time constant.
+    pub log_tau: f64,
+    /// Dead time plus one raw sample.
+    pub lag: f64,
+    /// The effects' parameters.
+    pub p: [f64; MAX_PARAMS],
+}

@@ -1,0 +1,244 @@
+//! The rounds of a diagnosis: the base first, then every effect with the same work, then what each found for all others.
+//!
+//! Between rounds the crew is asked whether to go on; a search that ends early has done whole rounds only, so the
+//! evaluations it reports name it.
+
+use std::sync::Mutex;
+
+use super::coarse;
+use super::effects::{ALL, Clues, Effect, Way};
+use super::express::rms;
+use super::kernel::Kernel;
+use super::plan::{Gene, MAX_PARAMS, Plan, Recipe};
+use super::scene::Scene;
+use super::search::{Effort, Lane, NARROW, WIDE, cross, frictionless, hunt};
+use super::types::Crew;
+use crate::ident::residual;
+use crate::sim::slips::Law;
+
+/// Rounds in which findings are shared.
+const SHARED_ROUNDS: usize = 4;
+/// Places kept of each measure of the first look, for the base and for an effect's own look.
+const KEPT: usize = 14;
+const OWN_KEPT: usize = 6;
+/// Relative gain in squared error below which a lane has not improved.
+const NO_GAIN: f64 = 0.003;
+/// Error over the floor at which a white base is the answer and the effects need only a glance.
+const CALM: f64 = 1.04;
+
+/// Work done, and who does it.
+pub struct Work<'c> {
+    /// The crew.
+    pub crew: &'c dyn Crew,
+    /// Evaluations allowed.
+    pub budget: u64,
+    /// Evaluations done.
+    pub done: u64,
+    /// Whether crew or budget ended it before its time.
+    pub stopped: bool,
+    /// Seed.
+    pub seed: u64,
+}
+
+impl Work<'_> {
+    /// Runs jobs and gives their results in order.
+    pub fn all<T: Send>(&self, jobs: usize, job: impl Fn(usize) -> T + Sync) -> Vec<T> {
+        let slots: Vec<Mutex<Option<T>>> = (0..jobs).map(|_| Mutex::new(None)).collect();
+        self.crew.run(jobs, &|i| {
+            let made = job(i);
+            if let Ok(mut slot) = slots[i].lock() {
+                *slot = Some(made);
+            }
+        });
+        slots.into_iter().filter_map(|slot| slot.into_inner().ok().flatten()).collect()
+    }
+
+    /// Whether another round may begin.
+    pub fn goes_on(&mut self) -> bool {
+        // A spent budget ends a search as the crew does, so that one with the evaluations of the other is its equal.
+        if !self.stopped && (self.done >= self.budget || !self.crew.tick(self.done)) {
+            self.stopped = true;
+        }
+        !self.stopped
+    }
+}
+
+/// All that the rounds found.
+#[derive(Debug)]
+pub struct Found {
+    /// The base.
+    pub base: Lane,
+    /// Base and one effect each.
+    pub lanes: Vec<Lane>,
+}
+
+/// Effects of the catalogue that are simulated against this base.
+#[must_use]
+pub fn simulated(linear_base: bool) -> Vec<&'static Effect> {
+    let wanted = |e: &&Effect| match e.way {
+        Way::Simulated => {
+            !linear_base || e.id != "slip_overshoot" && e.id != "sliding_valve" && e.id != "asymmetric_stiction"
+        }
+        Way::AgainstLinear => linear_base,
+        _ => false,
+    };
+    ALL.into_iter().filter(wanted).collect()
+}
+
+fn lane(recipe: Recipe, sign: f64, starts: Vec<[f64; MAX_PARAMS]>, stream: u64) -> Lane {
+    Lane { recipe, sign, starts, best: Vec::new(), evaluations: 0, stream: 1000 * stream }
+}
+
+/// The base, fitted; `None` where nothing in PV follows OP.
+#[must_use]
+pub fn base(scene: &Scene, law: Option<Law>, work: &mut Work<'_>) -> Option<(Lane, Vec<Gene>)> {
+    let signs: Vec<f64> = scene.sign.map_or_else(|| vec![1.0, -1.0], |s| vec![s]);
+    let seed = work.seed;
+    let looked = work.all(signs.len(), |i| match law {
+        Some(_) => coarse::look(scene, &Plan::base(law), [0.0; MAX_PARAMS], signs[i], KEPT),
+        None => (frictionless(scene), 0),
+    });
+    work.done += looked.iter().map(|(_, n)| n).sum::<u64>();
+    // Twice with other chance: the base must not lose by bad luck.
+    let jobs = 2 * signs.len();
+    let lanes = work.all(jobs, |i| {
+        let sign = i / 2;
+        let mut lane = lane(Recipe::base(law), signs[sign], vec![[0.0; MAX_PARAMS]], 1 + i as u64);
+        if let Some((genes, _)) = looked.get(sign) {
+            hunt(scene, &mut lane, genes, &[], &WIDE, seed);
+        }
+        lane
+    });
+    work.done += lanes.iter().map(|l| l.evaluations).sum::<u64>();
+    let best = lanes.iter().min_by(|a, b| a.sse().total_cmp(&b.sse()))?.clone();
+    if best.best.is_empty() {
+        return None;
+    }
+    let mut base = Lane { evaluations: lanes.iter().map(|l| l.evaluations).sum(), ..best };
+    for other in lanes.iter().filter(|l| l.sign == base.sign && l.stream != base.stream) {
+        base.best.extend(other.best.iter().take(3).copied());
+    }
+    base.best.sort_by(|a, b| a.sse.total_cmp(&b.sse));
+    let genes = looked.into_iter().zip(&signs).find(|(_, s)| **s == base.sign).map(|((g, _), _)| g)?;
+    Some((base, genes))
+}
+
+/// Whether a lane is at the floor and leaves white noise that does not follow OP.
+#[must_use]
+pub fn is_calm(scene: &Scene, lane: &Lane, floor: Option<f64>) -> bool {
+    let (Some(floor), Some(left)) = (floor, residual_of(scene, lane)) else { return false };
+    let error = rms(&left, &scene.train) * scene.deviation;
+    let from = scene.blocks.from;
+    let whiteness = residual::whiteness(&left[from..], &scene.question.mean[from..]);
+    error <= CALM * floor && whiteness.white && !whiteness.follows_op
+}
+
+/// What a lane's best place leaves of PV at each point, deviations.
+#[must_use]
+pub fn residual_of(scene: &Scene, lane: &Lane) -> Option<Vec<f64>> {
+    let mut kernel = Kernel::new(scene, lane.sign);
+    let (prediction, _) = kernel.simulate(&lane.recipe, lane.best.first()?)?;
+    Some(scene.question.pv.iter().zip(&prediction).map(|(y, p)| y - p).collect())
+}
+
+/// The starts of every effect's lane.
+fn lanes_of(scene: &Scene, base: &Lane, effects: &[&'static Effect]) -> Vec<Lane> {
+    let mut kernel = Kernel::new(scene, base.sign);
+    let Some(best) = base.best.first() else { return Vec::new() };
+    let Some((prediction, valve)) = kernel.simulate(&base.recipe, best) else { return Vec::new() };
+    let residual: Vec<f64> = scene.question.pv.iter().zip(&prediction).map(|(y, p)| y - p).collect();
+    let low = valve.iter().copied().fold(f64::INFINITY, f64::min);
+    let high = valve.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let clues = Clues { scene, residual: &residual, stem: [low, high], lag: best.gene.lag };
+    let own = |e: &'static Effect| {
+        (e.starts)(&clues).into_iter().map(|p| [p[0], p[1], 0.0, 0.0]).collect::<Vec<[f64; MAX_PARAMS]>>()
+    };
+    let recipe = |e: &'static Effect| Recipe::with(base.recipe.law, e);
+    effects.iter().enumerate().map(|(i, e)| lane(recipe(e), base.sign, own(e), 10 + i as u64)).collect()
+}
+
+/// Base and effects, as far as the budget goes.
+#[must_use]
+pub fn run(
+    scene: &Scene,
+    base_law: Option<Law>,
+    without: &[String],
+    floor: Option<f64>,
+    work: &mut Work<'_>,
+) -> Option<Found> {
+    let (mut base, genes) = base(scene, base_law, work)?;
+    let calm = is_calm(scene, &base, floor);
+    let effects: Vec<&'static Effect> =
+        simulated(base_law.is_none()).into_iter().filter(|e| !without.iter().any(|w| w == e.id)).collect();
+    let mut lanes = lanes_of(scene, &base, &effects);
+    if work.goes_on() {
+        let mut from = cross(core::slice::from_ref(&base), 4);
+        if !calm {
+            from.extend(&genes);
+        }
+        let own = work.all(lanes.len(), |i| own_look(scene, &lanes[i], calm));
+        work.done += own.iter().map(|(_, n)| n).sum::<u64>();
+        let effort = if calm { &NARROW } else { &WIDE };
+        let own = |i: usize| own.get(i).map_or(&[][..], |(genes, _)| genes);
+        share(scene, &mut lanes, effort, work, &|_| from.clone(), &own);
+    }
+    for _ in 0..SHARED_ROUNDS {
+        if calm || !work.goes_on() {
+            break;
+        }
+        let before: Vec<f64> = core::iter::once(&base).chain(&lanes).map(Lane::sse).collect();
+        let mut all = vec![base.clone()];
+        all.extend(lanes.iter().cloned());
+        let genes = cross(&all, 2);
+        share(scene, &mut all, &NARROW, work, &|_| genes.clone(), &|_| &[]);
+        base = all.remove(0);
+        lanes = all;
+        let after = core::iter::once(&base).chain(&lanes).map(Lane::sse);
+        if !before.iter().zip(after).any(|(b, a)| a < (1.0 - NO_GAIN) * b) {
+            break;
+        }
+    }
+    Some(Found { base, lanes })
+}
+
+/// A look of its own for an effect that makes other slips of the same OP.
+fn own_look(scene: &Scene, lane: &Lane, calm: bool) -> (Vec<Gene>, u64) {
+    let nothing = (Vec::new(), 0);
+    let Some(effect) = lane.recipe.each().next() else { return nothing };
+    let moves_slips = ["asymmetric_stiction", "slip_overshoot", "sliding_valve", "positioner_lag", "stiction"];
+    if calm || !moves_slips.contains(&effect.id) {
+        return nothing;
+    }
+    let (mut genes, mut count) = (Vec::new(), 0);
+    for p in &lane.starts {
+        let mut plan = Plan::base(lane.recipe.law);
+        (effect.enter)(&p[..effect.params.len()], &mut plan);
+        let (found, n) = coarse::look(scene, &plan, *p, lane.sign, OWN_KEPT);
+        genes.extend(found);
+        count += n;
+    }
+    (genes, count)
+}
+
+/// One round for every lane.
+pub fn share<'g>(
+    scene: &Scene,
+    lanes: &mut Vec<Lane>,
+    effort: &Effort,
+    work: &mut Work<'_>,
+    genes: &(dyn Fn(&Lane) -> Vec<Gene> + Sync),
+    own: &(dyn Fn(usize) -> &'g [Gene] + Sync),
+) {
+    let before: u64 = lanes.iter().map(|l| l.evaluations).sum();
+    let seed = work.seed;
+    let made = work.all(lanes.len(), |i| {
+        let mut lane = lanes[i].clone();
+        let genes = genes(&lane);
+        hunt(scene, &mut lane, &genes, own(i), effort, seed);
+        lane
+    });
+    if made.len() == lanes.len() {
+        *lanes = made;
+    }
+    work.done += lanes.iter().map(|l| l.evaluations).sum::<u64>() - before;
+}

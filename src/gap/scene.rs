@@ -1,0 +1,253 @@
+//! The record as the search sees it: normalised, divided into blocks that are fitted and blocks that are held out.
+
+use super::types::Blocks;
+use crate::detect::oscillation;
+use crate::ident::candidate::Question;
+use crate::ident::pose::pose;
+use crate::ident::{DelayChoice, ModelChoice, Options, ValveChoice, sign};
+use crate::record::Record;
+use crate::signal::stats;
+
+/// Filter of the view in which wrong slips and slow disturbances weigh little: `1 - rho q^-1`.
+pub const MOVES_RHO: f64 = 0.95;
+/// Periods in a block.
+const BLOCK_PERIODS: f64 = 1.5;
+/// Fewest and most blocks.
+const BLOCKS: [usize; 2] = [6, 60];
+
+/// Which error is meant: the free run's itself, or that of its differences.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum View {
+    /// The error itself.
+    Plain,
+    /// Filtered differences.
+    Moves,
+    /// What is faster than a period.
+    Fast,
+}
+
+/// One record, posed.
+#[derive(Debug, Clone)]
+pub struct Scene {
+    /// The record in normalised form.
+    pub question: Question,
+    /// What counts for what.
+    pub blocks: Blocks,
+    /// Stretches that are fitted, points.
+    pub train: Vec<[usize; 2]>,
+    /// Stretches that are held out.
+    pub test: Vec<[usize; 2]>,
+    /// PV on the fitted stretches, one after the other, plain and filtered.
+    targets: [Vec<f64>; 3],
+    /// Sign of the gain, where it could be read.
+    pub sign: Option<f64>,
+    /// Typical period, points.
+    pub period: f64,
+    /// Whether it oscillates regularly.
+    pub oscillates: bool,
+    /// OP units in a span, its middle; PV units in a deviation, PV's mean.
+    pub span: f64,
+    /// Middle of OP, OP units.
+    pub op_middle: f64,
+    /// Standard deviation of PV, PV units.
+    pub deviation: f64,
+    /// Mean of PV, PV units.
+    pub pv_mean: f64,
+    /// Seconds a point, seconds a raw sample, raw samples a point.
+    pub point_s: f64,
+    /// Raw samples in a point.
+    pub box_samples: f64,
+}
+
+/// What the base of every fit is told.
+#[must_use]
+pub fn options(seed: u64, period: f64) -> Options {
+    Options {
+        model: ModelChoice::Fopdt,
+        delay: DelayChoice::Auto,
+        valve: ValveChoice::He,
+        solver: "contour",
+        fineness_pct: 5.0,
+        seed,
+        period_points: Some(period),
+    }
+}
+
+/// Period of the record's oscillation, or of its typical movement, points; and whether it oscillates.
+#[must_use]
+pub fn period_of(record: &Record) -> (f64, bool) {
+    let op = record.op();
+    let n = record.len() as f64;
+    let (period, regular) = match oscillation::detect(&op, &record.pv) {
+        Some(o) if o.oscillating => (o.period_points, true),
+        _ => (oscillation::typical_period(&record.pv).unwrap_or(n / 10.0), false),
+    };
+    (period.clamp(8.0, n / 4.0), regular)
+}
+
+impl Scene {
+    /// Poses a record; `masked` points count for nothing.
+    #[must_use]
+    pub fn new(record: &Record, period: Option<f64>, seed: u64, masked: Vec<bool>) -> Self {
+        let (span, deviation) = (stats::span(&record.op_path), stats::std_dev(&record.pv));
+        let (seen, oscillates) = period_of(record);
+        let period = period.unwrap_or(seen).clamp(8.0, record.len() as f64 / 4.0);
+        let question = pose(record, &options(seed, period), span, deviation);
+        let blocks = divide(record.len(), question.from, period, masked);
+        let sign = sign::of_gain(&question.mean, &question.pv);
+        let mut scene = Self {
+            question,
+            train: Vec::new(),
+            test: Vec::new(),
+            targets: [Vec::new(), Vec::new(), Vec::new()],
+            blocks,
+            sign,
+            period,
+            oscillates,
+            span,
+            op_middle: stats::mean(&record.op_path),
+            deviation,
+            pv_mean: stats::mean(&record.pv),
+            point_s: record.point_s(),
+            box_samples: record.box_samples as f64,
+        };
+        let held_out = scene.blocks.held_out.clone();
+        scene.divide_by(&held_out);
+        scene
+    }
+
+    /// The same scene with other points held out.
+    #[must_use]
+    pub fn held_out_by(&self, held_out: &[bool]) -> Self {
+        let mut scene = self.clone();
+        scene.blocks.held_out = held_out.to_vec();
+        scene.divide_by(held_out);
+        scene
+    }
+
+    fn divide_by(&mut self, held_out: &[bool]) {
+        let from = self.blocks.from;
+        let stretches = |wanted: bool| {
+            let mut out: Vec<[usize; 2]> = Vec::new();
+            for (k, held) in held_out.iter().enumerate().skip(from) {
+                if *held != wanted || self.blocks.masked[k] {
+                    continue;
+                }
+                match out.last_mut() {
+                    Some(last) if last[1] == k => last[1] = k + 1,
+                    _ => out.push([k, k + 1]),
+                }
+            }
+            out
+        };
+        (self.train, self.test) = (stretches(false), stretches(true));
+        let mut targets = [Vec::new(), Vec::new(), Vec::new()];
+        for (target, view) in targets.iter_mut().zip(View::ALL) {
+            self.gather(&self.question.pv, view, target);
+        }
+        self.targets = targets;
+    }
+
+    /// PV on the fitted stretches.
+    #[must_use]
+    pub fn target(&self, view: View) -> &[f64] {
+        &self.targets[view as usize]
+    }
+
+    /// The same scene for running a model over all of it.
+    #[must_use]
+    pub fn whole(&self) -> Self {
+        let mut scene = self.clone();
+        scene.train = vec![[0, self.n()]];
+        scene
+    }
+
+    /// Points in the record.
+    #[must_use]
+    pub fn n(&self) -> usize {
+        self.question.pv.len()
+    }
+
+    /// Longest lag, points.
+    #[must_use]
+    pub fn longest_lag(&self) -> f64 {
+        self.question.limits.lag[1]
+    }
+}
+
+impl View {
+    /// All, in the order of their targets.
+    pub const ALL: [Self; 3] = [Self::Plain, Self::Moves, Self::Fast];
+}
+
+impl Scene {
+    /// A signal on the fitted stretches, as a view sees it.
+    pub fn gather(&self, x: &[f64], view: View, out: &mut Vec<f64>) {
+        out.clear();
+        match view {
+            View::Plain => self.train.iter().for_each(|[from, to]| out.extend_from_slice(&x[*from..*to])),
+            View::Moves => {
+                for [from, to] in &self.train {
+                    out.extend(x[from.max(&1) - 1..*to].windows(2).map(|w| w[1] - MOVES_RHO * w[0]));
+                }
+            }
+            View::Fast => self.fast(x, out),
+        }
+    }
+
+    /// The signal less its mean over a period around each point (over what there is of it at the ends).
+    fn fast(&self, x: &[f64], out: &mut Vec<f64>) {
+        let n = x.len();
+        let half = ((0.5 * self.period) as usize).clamp(1, n / 2);
+        let (mut low, mut high, mut sum) = (0, 0, 0.0);
+        for [from, to] in &self.train {
+            for k in *from..*to {
+                let (first, last) = (k.saturating_sub(half), (k + half + 1).min(n));
+                if first >= high {
+                    (low, high, sum) = (first, first, 0.0);
+                }
+                while high < last {
+                    sum += x[high];
+                    high += 1;
+                }
+                while low < first {
+                    sum -= x[low];
+                    low += 1;
+                }
+                out.push(x[k] - sum / (high - low) as f64);
+            }
+        }
+    }
+}
+
+/// Blocks of one and a half periods from `from` on, every second one held out.
+fn divide(n: usize, from: usize, period: f64, masked: Vec<bool>) -> Blocks {
+    let rest = n - from;
+    let least = rest.div_ceil(BLOCKS[1]).max(4);
+    let most = (rest / BLOCKS[0]).max(least);
+    let length = ((BLOCK_PERIODS * period).round() as usize).clamp(least, most);
+    let number: Vec<usize> = (0..n).map(|k| k.saturating_sub(from) / length).collect();
+    let held_out = (0..n).map(|k| k >= from && number[k] % 2 == 1).collect();
+    Blocks { from, length, held_out, masked, number }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn half_is_held_out_and_masked_points_count_nowhere() {
+        let op: Vec<f64> = (0..600).map(|k| libm::sin(f64::from(k) * 0.1)).collect();
+        let pv: Vec<f64> = (0..600).map(|k| libm::sin(f64::from(k) * 0.1 - 0.5)).collect();
+        let mut masked = vec![false; 600];
+        masked[300] = true;
+        let scene = Scene::new(&Record::uniform(1.0, op, pv), None, 1, masked);
+        let count = |x: &[[usize; 2]]| x.iter().map(|[a, b]| b - a).sum::<usize>();
+        let (train, test) = (count(&scene.train), count(&scene.test));
+        assert_eq!(train + test + 1 + scene.blocks.from, 600);
+        assert!(test * 3 > train && train * 3 > test);
+        assert_eq!(scene.target(View::Plain).len(), train);
+        assert!(scene.train.iter().chain(&scene.test).all(|[a, b]| *b <= 300 || *a > 300));
+        assert!((scene.period - 62.8).abs() < 1.0 && scene.oscillates);
+    }
+}

@@ -1,0 +1,80 @@
+//! How well a model from elsewhere follows a record, as it is.
+
+use super::diagnosis::check;
+use super::given;
+use super::model::Model;
+use super::scene::Scene;
+use super::types::{Ask, GapError};
+use crate::record::Record;
+use crate::signal::stats;
+
+/// A given model's free run over a record.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Score {
+    /// Mean squared error, PV units squared, from the first point that counts on.
+    pub mse: f64,
+    /// 100 (1 - rms error / std PV): 100 is perfect, 0 no better than the mean.
+    pub fit_pct: f64,
+    /// The free run, PV units; `None` where the valve's past has a say.
+    pub prediction: Vec<Option<f64>>,
+}
+
+/// Runs a model freely over a record. Only what the record must supply is fitted: the stem's and the process' state
+/// before it, and PV's level.
+///
+/// # Errors
+/// Where the record is too short, a signal never moves, or the model cannot be simulated.
+pub fn score(record: &Record, model: &Model, ask: &Ask) -> Result<Score, GapError> {
+    check(record, ask)?;
+    let scene = Scene::new(record, ask.period_points, ask.seed, vec![false; record.len()]);
+    let fit = given::simulate(&scene, model, None)?;
+    let from = scene.blocks.from.min(record.len());
+    let errors: Vec<f64> =
+        record.pv[from..].iter().zip(&fit.prediction[from..]).map(|(y, p)| (y - p) * (y - p)).collect();
+    let mse = stats::mean(&errors);
+    let prediction = fit.prediction.iter().enumerate().map(|(k, p)| (k >= from).then_some(*p)).collect();
+    Ok(Score { mse, fit_pct: 100.0 * (1.0 - mse.sqrt() / stats::std_dev(&record.pv)), prediction })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gap::model::{Process, SCHEMA, Valve};
+    use crate::sim::noise::Noise;
+    use crate::sim::process::{ProcessModel, ProcessState};
+    use crate::sim::valve::he_step;
+
+    #[test]
+    fn the_model_that_made_a_record_follows_it_and_another_does_not() {
+        let (n, ts_s) = (900, 2.0);
+        let turn = |k: usize, period: f64| libm::sin(2.0 * core::f64::consts::PI * k as f64 / period);
+        let op: Vec<f64> = (0..n).map(|k| 50.0 + 4.0 * turn(k, 70.0) + 2.0 * turn(k, 431.0)).collect();
+        let made = ProcessModel { gain: 2.0, tau: 6.0, tau2: 0.0, dead_time: 2.5, integrating: false };
+        let (mut process, mut noise, mut stem) = (ProcessState::at_rest(made, 0.0), Noise::new(4, 1), 50.0);
+        let mut pv = Vec::new();
+        for u in &op {
+            // PV is measured before the valve answers this scan's OP.
+            pv.push(120.0 + process.step(stem - 50.0, 0.0) + 0.02 * noise.gaussian());
+            stem = he_step(stem, *u, 1.5, 0.5);
+        }
+        let record = Record::uniform(ts_s, op, pv);
+        let process = Process {
+            gain: 2.0,
+            time_constants_s: vec![6.0 * ts_s],
+            dead_time_s: 2.5 * ts_s,
+            integrating: false,
+            op: 50.0,
+            pv: 120.0,
+        };
+        let valve = Valve { law: "he".to_owned(), fs: 1.5, fd: 0.5, stem0: None };
+        let right = Model { schema: SCHEMA.to_owned(), ts_s, valve, process, effects: Vec::new() };
+        let scored = score(&record, &right, &Ask::default()).unwrap();
+        assert!(scored.fit_pct > 99.0 && scored.mse.sqrt() < 0.03, "{} {}", scored.fit_pct, scored.mse);
+        let mut wrong = right.clone();
+        wrong.process.gain = 1.0;
+        wrong.valve.fs = 3.0;
+        assert!(score(&record, &wrong, &Ask::default()).unwrap().fit_pct < 70.0);
+        wrong.valve.law = "kano".to_owned();
+        assert!(score(&record, &wrong, &Ask::default()).is_err());
+    }
+}

@@ -1,0 +1,85 @@
+//! With the valve position recorded the gap falls in two: OP to MV, which only the valve makes, and MV to PV, which
+//! everything behind it makes.
+
+use super::effects::{self, Way};
+use super::express::{fit, rms};
+use super::kernel::Scored;
+use super::noise;
+use super::rounds::{self, Work, is_calm, residual_of};
+use super::scene::{Scene, View};
+use super::search::Lane;
+use super::types::{EffectId, Stage, Stages};
+use crate::record::Record;
+use crate::signal::stats;
+use crate::sim::slips::Law;
+
+/// Training error over the floor up to which MV explains PV.
+const EXPLAINS: f64 = 1.08;
+
+/// What MV shows.
+#[derive(Debug, Clone)]
+pub struct Seen {
+    /// The two gaps.
+    pub stages: Stages,
+    /// Effects behind the valve by their evidence beyond the margin on MV, best first.
+    pub ranked: Vec<(EffectId, f64)>,
+}
+
+/// The record with MV in the place of OP.
+fn driven_by(record: &Record, mv: &[f64]) -> Record {
+    let m = record.path_per_point();
+    let op_path = mv.iter().flat_map(|v| core::iter::repeat_n(*v, m)).collect();
+    Record { op_path, mv: None, ..record.clone() }
+}
+
+/// Looks at MV, where it is recorded and moves.
+pub fn look(record: &Record, scene: &Scene, without: &[String], work: &mut Work<'_>) -> Option<Seen> {
+    if work.stopped {
+        return None;
+    }
+    let mv = record.mv.as_ref().filter(|mv| mv.len() == record.len() && stats::span(mv).is_normal())?;
+    let behind = driven_by(record, mv);
+    let masked = scene.blocks.masked.clone();
+    // A transmitter may be reversed, and the controller answers PV by OP, not by MV: both signs are tried.
+    let mut from_mv = Scene::new(&behind, Some(scene.period), work.seed, masked.clone());
+    from_mv.sign = None;
+    let floor = noise::floor(&record.pv, false).noise_floor;
+    let not_behind = effects::ALL.into_iter().filter(|e| e.stage == Stage::Valve || e.way != Way::Simulated);
+    let mut left_out: Vec<String> = not_behind.map(|e| e.id.to_owned()).collect();
+    left_out.extend(without.iter().cloned());
+    let found = rounds::run(&from_mv, None, &left_out, floor, work)?;
+    let base = fit(&from_mv, &found.base, floor, &|_| {})?;
+    let explains = floor.is_some_and(|f| base.rmse_train <= EXPLAINS * f) || is_calm(&from_mv, &found.base, floor);
+    let before = Record { pv: mv.clone(), mv: None, ..record.clone() };
+    let mut to_mv = Scene::new(&before, Some(scene.period), work.seed, masked);
+    to_mv.sign = None;
+    let valve = rounds::base(&to_mv, Some(Law::He), work).and_then(|(lane, _)| residual_of(&to_mv, &lane));
+    let op_to_mv = valve.map_or(1.0, |left| rms(&left, &to_mv.test));
+    Some(Seen {
+        stages: Stages {
+            op_to_mv: 100.0 * op_to_mv * op_to_mv,
+            mv_to_pv: base.gap,
+            stage: if explains { Stage::Valve } else { Stage::Process },
+        },
+        ranked: ranked(&from_mv, &found.base, &found.lanes),
+    })
+}
+
+fn ranked(scene: &Scene, base: &Lane, lanes: &[Lane]) -> Vec<(EffectId, f64)> {
+    let n = scene.target(View::Plain).len().max(2) as f64;
+    let freedom = |lane: &Lane, of: &Scored| lane.recipe.freedom(&lane.recipe.plan(&of.gene)) as f64;
+    let score = |lane: &Lane| {
+        let best = lane.best.first()?;
+        Some(libm::log((best.sse / n).max(1e-30)) + freedom(lane, best) * libm::log(n) / n)
+    };
+    let Some(own) = score(base) else { return Vec::new() };
+    let mut out: Vec<(EffectId, f64)> = lanes
+        .iter()
+        .filter_map(|lane| {
+            let effect = lane.recipe.each().next()?;
+            Some((effect.id, own - score(lane)? - effect.margin + effects::MARGIN))
+        })
+        .collect();
+    out.sort_by(|a, b| b.1.total_cmp(&a.1));
+    out
+}

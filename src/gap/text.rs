@@ -1,0 +1,244 @@
+//! A diagnosis in words that can be read aloud.
+
+mod effect;
+mod place;
+
+use super::document::{EffectNote, GapDocument};
+use super::types::{NONE, UNKNOWN};
+
+/// Three digits, as a person would write them.
+#[must_use]
+pub fn figure(value: f64) -> String {
+    let size = value.abs();
+    if size != 0.0 && !(1e-3..1e5).contains(&size) {
+        return format!("{value:.2e}");
+    }
+    let digits = if size >= 100.0 {
+        0
+    } else if size >= 10.0 {
+        1
+    } else if size >= 1.0 {
+        2
+    } else {
+        3
+    };
+    let text = format!("{value:.digits$}");
+    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
+}
+
+fn percent(value: f64) -> String {
+    format!("{value:.0} %")
+}
+
+/// The answer as one paragraph: where, which, how far, what it cannot be told from, what would settle it.
+#[must_use]
+pub fn paragraph(d: &GapDocument) -> String {
+    let mut parts = Vec::new();
+    parts.extend(split_of_given(d));
+    parts.push(match d.cause.id.as_str() {
+        NONE => nothing(d),
+        UNKNOWN => not_in_the_catalogue(d),
+        _ => d.named().map_or_else(|| format!("{} explains it", d.cause.id), |e| named(d, e)),
+    });
+    if let Some(test) = &d.next_test {
+        let [a, b] = &test.separates;
+        parts.push(format!(
+            "a bump of {} {} units for {} s would tell {} from {} (p {:.2})",
+            figure(test.size),
+            test.signal.to_uppercase(),
+            figure(test.duration_s),
+            effect::noun(a),
+            effect::noun(b),
+            test.p
+        ));
+    }
+    if d.stopped_early {
+        parts.push("the search was cut short, so a better answer may exist".to_owned());
+    }
+    sentence(&parts.join("; "))
+}
+
+/// Begins with a capital and ends with a full stop.
+fn sentence(text: &str) -> String {
+    let mut letters = text.chars();
+    let first = letters.next().map(|c| c.to_uppercase().to_string()).unwrap_or_default();
+    format!("{first}{}.", letters.as_str())
+}
+
+/// As given, refitted, left: only where a model was given.
+fn split_of_given(d: &GapDocument) -> Option<String> {
+    let (given, parametric) = (d.given?, d.parametric?);
+    if given.gap <= 0.0 {
+        return Some("the given model leaves nothing above the noise".to_owned());
+    }
+    let share = 100.0 * parametric / given.gap;
+    let left = figure(given.gap);
+    Some(if share < 5.0 {
+        format!("the given model leaves a gap of {left} PV units, and refitting it gains next to nothing")
+    } else if share > 95.0 {
+        format!(
+            "the given model leaves a gap of {left} PV units, and refitting its numbers closes {}: the loop has changed \
+             in its numbers, not in its kind",
+            percent(share)
+        )
+    } else {
+        format!(
+            "the given model leaves a gap of {left} PV units: refitting its numbers closes {}, the other {} is something \
+             that it leaves out",
+            percent(share),
+            percent(100.0 - share)
+        )
+    })
+}
+
+fn base_of(d: &GapDocument) -> &'static str {
+    if d.base.valve_model == "none" {
+        "a first-order process behind a valve without friction"
+    } else {
+        "a sticking valve before a first-order process"
+    }
+}
+
+fn share_of_pv(d: &GapDocument) -> String {
+    d.gap.relative.map_or_else(String::new, |r| format!(", {} of PV's standard deviation", percent(100.0 * r)))
+}
+
+fn nothing(d: &GapDocument) -> String {
+    let left = match d.gap.noise_floor {
+        Some(floor) if d.gap.rmse < 1.05 * floor => format!("what is left is noise ({} PV units)", figure(d.gap.rmse)),
+        Some(_) => format!("{} PV units are left above the noise{}", figure(d.gap.gap), share_of_pv(d)),
+        None => {
+            format!("{} PV units are left{}, and PV shows no noise to compare with", figure(d.gap.gap), share_of_pv(d))
+        }
+    };
+    let p = d.cause.probability;
+    format!("{} explains this record: {left}; no unmodelled effect shows (p {p:.2})", base_of(d))
+}
+
+fn not_in_the_catalogue(d: &GapDocument) -> String {
+    let best = d.effects.iter().filter(|e| e.closed_pct.is_some()).max_by(|a, b| a.evidence.total_cmp(&b.evidence));
+    let best = best.map_or_else(String::new, |e| {
+        let closed = e.closed_pct.unwrap_or(0.0).max(0.0);
+        format!("; the best of them, {}, closes {} on data it was not fitted to", effect::noun(&e.id), percent(closed))
+    });
+    format!(
+        "{}; something departs from the model ({} PV units above the noise{}) that none of the {} effects asked explains \
+         (p {:.2}){best}",
+        place::headline(d),
+        figure(d.gap.gap),
+        share_of_pv(d),
+        d.effects.len(),
+        d.cause.probability
+    )
+}
+
+fn named(d: &GapDocument, e: &EffectNote) -> String {
+    let what = effect::phrase(e);
+    let doubt = if d.cause.confirmed { "explains it" } else { "is suspected, not confirmed" };
+    let mut text = format!("{}; {what} {doubt} (p {:.2})", place::headline(d), d.cause.probability);
+    match (e.closed_pct, e.floor_after) {
+        (Some(pct), _) => {
+            text.push_str(&format!("; adding it closes {}", percent(pct)));
+            if let Some([low, high]) = e.closed_interval {
+                text.push_str(&format!(" ({low:.0} to {high:.0})"));
+            }
+            text.push_str(" on data it was not fitted to");
+            if let Some(pct) = d.forward.and_then(|f| f.closed_pct) {
+                text.push_str(&format!(", {} forward in time", percent(pct)));
+            }
+        }
+        (None, Some(floor)) => text.push_str(&format!(
+            "; no simulation can close it, because it raises what can be predicted at best to {} PV units",
+            figure(floor)
+        )),
+        (None, None) => {}
+    }
+    let twins = effect::twins(e);
+    if !twins.is_empty() {
+        text.push_str(&format!("; it cannot be told from {}", twins.join(" or ")));
+    }
+    let rivals: Vec<String> = d
+        .alternatives
+        .iter()
+        .take(2)
+        .filter(|a| a.probability >= 0.05)
+        .map(|a| format!("{} (p {:.2})", effect::noun(&a.id), a.probability))
+        .collect();
+    if !rivals.is_empty() {
+        text.push_str(&format!("; not excluded: {}", rivals.join(", ")));
+    }
+    if !e.separated_by.is_empty() {
+        text.push_str(&format!("; {} would settle it", e.separated_by.replace("; ", ", or ")));
+    }
+    text
+}
+
+/// The answer in a word or two: `extra_lag, suspected`.
+#[must_use]
+pub fn answer(d: &GapDocument) -> String {
+    let open = d.cause.confirmed || [NONE, UNKNOWN].contains(&d.cause.id.as_str());
+    if open { d.cause.id.clone() } else { format!("{}, suspected", d.cause.id) }
+}
+
+/// The cycle as measured and as the closed loop makes it.
+#[must_use]
+pub fn cycles(c: &super::loop_run::Cycles) -> String {
+    place::cycles(c)
+}
+
+/// The whole report as lines: the paragraph, then the figures.
+#[must_use]
+pub fn report(d: &GapDocument) -> String {
+    let mut lines = vec![format!("{}: {} (p {:.2})", d.loop_name, answer(d), d.cause.probability)];
+    lines.push(format!("  {}", paragraph(d)));
+    let mut row = |name: &str, value: String| lines.push(format!("  {name:<12} {value}"));
+    let floor = d.gap.noise_floor.map_or("unknown".to_owned(), figure);
+    row(
+        "gap",
+        format!(
+            "{} PV units{} (rms error {}, noise floor {floor})",
+            figure(d.gap.gap),
+            share_of_pv(d),
+            figure(d.gap.rmse)
+        ),
+    );
+    if let Some(given) = d.given {
+        row("given model", format!("gap {} PV units (rms error {})", figure(given.gap), figure(given.rmse)));
+    }
+    if let Some(mv) = &d.location.mv_to_pv {
+        let of_mv = d.location.op_to_mv.map_or(0.0, |o| o.unexplained_pct);
+        row("with MV", format!("OP to MV: {of_mv:.1} % unexplained; MV to PV: gap {} PV units", figure(mv.gap)));
+    }
+    place::rows(d, &mut row);
+    for (rank, e) in d.effects.iter().chain(&d.pairs).filter(|e| e.evidence > 0.0).take(5).enumerate() {
+        let closed = match (e.closed_pct, e.closed_interval) {
+            (Some(pct), Some([low, high])) => format!("closes {} ({low:.0} to {high:.0})", percent(pct)),
+            (Some(pct), None) => format!("closes {}", percent(pct)),
+            (None, _) => "free run cannot show it".to_owned(),
+        };
+        let name = if rank == 0 { "effects" } else { "" };
+        row(name, format!("{:<20} evidence {:+.2}, {closed}: {}", e.id, e.evidence, effect::phrase(e)));
+    }
+    if let Some(f) = d.forward {
+        row("forward", format!("gap {} before, {} after", figure(f.gap_before), figure(f.gap_after)));
+    }
+    if let Some(cycles) = &d.closed_loop {
+        row("closed loop", place::cycles(cycles));
+    }
+    let cut = if d.stopped_early { ", cut short" } else { "" };
+    row("search", format!("{} model responses{cut}", d.evaluations));
+    lines.join("\n")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::figure;
+
+    #[test]
+    fn figures_have_three_digits() {
+        let cases = [(0.0, "0"), (18.04, "18"), (1.234, "1.23"), (0.01234, "0.012"), (123.6, "124"), (1e-7, "1.00e-7")];
+        for (value, text) in cases {
+            assert_eq!(figure(value), text);
+        }
+    }
+}

@@ -1,0 +1,176 @@
+//! The report on a gap as one HTML file, readable without scripts and without a network.
+
+use maud::{DOCTYPE, Markup, PreEscaped, html};
+
+use super::gap_figures::figures;
+use super::ink;
+use super::page::{SCRIPT, STYLE, flatten, optional, picture};
+use super::plot::PlotError;
+use super::words::number;
+use crate::gap::Diagnosis;
+use crate::gap::document::GapDocument;
+use crate::gap::text;
+use crate::record::Record;
+use crate::units::format_rfc3339;
+
+/// One loop's part of the report.
+#[derive(Debug, Clone)]
+pub struct GapLoop {
+    /// What was found.
+    pub document: GapDocument,
+    /// The record that was diagnosed.
+    pub record: Record,
+    /// The fits behind it.
+    pub diagnosis: Diagnosis,
+}
+
+/// Everything that the report shows.
+#[derive(Debug, Clone)]
+pub struct GapReport {
+    /// The file that was read, as it was given.
+    pub input: String,
+    /// The command that makes the report again.
+    pub command: String,
+    /// What went wrong on the way.
+    pub warnings: Vec<String>,
+    /// The loops in the file's order.
+    pub loops: Vec<GapLoop>,
+}
+
+/// The whole page.
+///
+/// # Errors
+/// [`PlotError`], where a picture cannot be drawn.
+pub fn gap_page(report: &GapReport) -> Result<String, PlotError> {
+    let single = report.loops.len() == 1;
+    let mut sections = Vec::with_capacity(report.loops.len());
+    for (k, one) in report.loops.iter().enumerate() {
+        sections.push(section(one, k, single)?);
+    }
+    let title = match report.loops.as_slice() {
+        [one] => format!("Gap between simulation and plant: {}", one.document.loop_name),
+        all => format!("Gap between simulation and plant: {} sections", all.len()),
+    };
+    Ok(html! {
+        (DOCTYPE)
+        html lang="en" {
+            head {
+                meta charset="utf-8";
+                meta name="viewport" content="width=device-width, initial-scale=1";
+                meta name="color-scheme" content="light dark";
+                meta http-equiv="Content-Security-Policy"
+                    content="default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'";
+                title { (title) }
+                style { (PreEscaped(ink::style())) (PreEscaped(STYLE)) }
+            }
+            body {
+                header {
+                    h1 { (title) }
+                    p.soft { "From " code { (report.input) } ", stictiond " (crate::VERSION) "." }
+                }
+                main {
+                    @for warning in &report.warnings { p.warning { (warning) } }
+                    @if !single { (overview(report)) }
+                    @for part in sections { (part) }
+                    section.card {
+                        h2 { "How this report was made" }
+                        pre { code { (report.command) } }
+                        p.soft {
+                            "The same file, options and build give the same numbers, unless the search ran out of time. \
+                             Every figure can be computed again from what --predictions writes."
+                        }
+                    }
+                }
+                div id="value" hidden {}
+                script { (PreEscaped(SCRIPT)) }
+            }
+        }
+    }
+    .into_string())
+}
+
+fn overview(report: &GapReport) -> Markup {
+    html! {
+        section.card {
+            h2 { "All sections" }
+            div.scroll {
+                table.overview {
+                    thead { tr {
+                        th { "loop" } th { "answer" } th.number { "p" } th.number { "gap, PV units" }
+                        th.number.more { "of PV's deviation, %" } th.number { "closed, %" }
+                    } }
+                    tbody {
+                        @for (k, one) in report.loops.iter().enumerate() {
+                            @let d = &one.document;
+                            tr {
+                                td.name { a href=(format!("#loop-{k}")) { (d.loop_name) } }
+                                td { (text::answer(d)) }
+                                td.number { (number(d.cause.probability)) }
+                                td.number { (number(d.gap.gap)) }
+                                td.number.more { (optional(d.gap.relative.map(|r| 100.0 * r))) }
+                                td.number { (optional(d.named().and_then(|e| e.closed_pct))) }
+                            }
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+fn section(one: &GapLoop, k: usize, open: bool) -> Result<Markup, PlotError> {
+    let d = &one.document;
+    let pictures = figures(one)?;
+    let (start, end) = (format_rfc3339(d.window.start_ns), format_rfc3339(d.window.end_ns));
+    let floor = d.gap.noise_floor.map_or_else(|| "not known".to_owned(), number);
+    let document = serde_json::to_value(d).unwrap_or(serde_json::Value::Null);
+    let mut rows = Vec::new();
+    flatten("", &document, &mut rows);
+    Ok(html! {
+        details.loop open[open] {
+            summary { span.name { (d.loop_name) } " " (text::answer(d)) span.soft { " p " (number(d.cause.probability)) } }
+            div id=(format!("loop-{k}")) {
+                section.card {
+                    p.headline { (text::paragraph(d)) }
+                    dl {
+                        dt { "Gap" } dd {
+                            (number(d.gap.gap)) " PV units above the noise"
+                            @if let Some(relative) = d.gap.relative {
+                                ", " (number(100.0 * relative)) " % of PV's standard deviation"
+                            }
+                            " (rms error " (number(d.gap.rmse)) ", noise floor " (floor) ")."
+                        }
+                        @if let (Some(given), Some(parametric)) = (d.given, d.parametric) {
+                            dt { "Given model" } dd {
+                                "gap " (number(given.gap)) ", of which refitting closes " (number(parametric)) "."
+                            }
+                        }
+                        @if let (Some(op), Some(pv)) = (d.location.op_to_mv, d.location.mv_to_pv) {
+                            dt { "With MV" } dd {
+                                "OP to MV: " (number(op.unexplained_pct)) " % unexplained; MV to PV: gap " (number(pv.gap)) "."
+                            }
+                        }
+                        @if let Some(f) = d.forward {
+                            dt { "Forward" } dd {
+                                "Fitted to the first part and run over the rest: gap " (number(f.gap_before))
+                                " before, " (number(f.gap_after)) " after."
+                            }
+                        }
+                        @if let Some(cycles) = &d.closed_loop { dt { "Closed loop" } dd { (text::cycles(cycles)) "." } }
+                        dt { "Record" } dd {
+                            (start) " to " (end) ", " (d.window.samples) " samples of " (number(d.window.ts_s)) " s, "
+                            (d.evaluations) " model responses" @if d.stopped_early { ", search cut short" } "."
+                        }
+                    }
+                }
+                div.pictures { @for figure in &pictures { (picture(figure)) } }
+                details.numbers {
+                    summary { "All numbers" }
+                    div.scroll { table.plain { tbody {
+                        @for (name, value) in &rows { tr { th { (name) } td { (value) } } }
+                    } } }
+                }
+            }
+        }
+    })
+}
