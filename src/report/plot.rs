@@ -219,8 +219,8 @@ const Y_LABELS: u32 = 50;
 const RIGHT: u32 = 14;
 
 /// Runs a drawing and takes its elements out of the library's document.
-pub(super) fn draw<'t>(
-    title: &'t str,
+pub(super) fn draw(
+    title: &str,
     width: u32,
     height: u32,
     paint: impl FnOnce(&Area<'_>, &mut String) -> Drawn,
@@ -545,8 +545,10 @@ mod tests {
         let series: Vec<Series<'_>> =
             (0..3).map(|_| Series { name: &long, x: &[], y: &[], ink: Ink::Op, mark: Mark::Line }).collect();
         let rows = legend("y", &series, 400);
-        assert_eq!(rows.len(), 4);
-        assert!(rows.iter().flatten().all(|e| e.x + text_width(&e.text) <= 400.0));
+        // The first one still fits beside the axis' name.
+        assert_eq!(rows.iter().map(Vec::len).collect::<Vec<_>>(), [2, 1, 1]);
+        let end = |e: &Entry<'_>| e.x + text_width(&e.text) + if e.mark.is_some() { 22.0 } else { 0.0 };
+        assert!(rows.iter().flatten().all(|e| end(e) <= 400.0));
     }
 
     #[test]

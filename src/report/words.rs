@@ -8,7 +8,7 @@ pub fn number(value: f64) -> String {
     let size = value.abs();
     let text = match size {
         _ if !value.is_finite() => return "unknown".to_owned(),
-        s if s == 0.0 => return "0".to_owned(),
+        0.0 => return "0".to_owned(),
         s if !(1e-3..1e6).contains(&s) => return format!("{value:.2e}"),
         s if s >= 100.0 => return format!("{value:.0}"),
         s if s >= 10.0 => format!("{value:.1}"),

@@ -137,7 +137,7 @@ impl<'a> Portrait<'a> {
     #[must_use]
     pub fn new(record: &'a Record, options: &Options, model: &Model) -> Option<Self> {
         let (span, deviation) = (stats::span(&record.op_path), stats::std_dev(&record.pv));
-        if record.len() < 30 || !span.is_normal() || !deviation.is_normal() || !(model.s > 0.0) {
+        if record.len() < 30 || !span.is_normal() || !deviation.is_normal() || model.s.is_nan() || model.s <= 0.0 {
             return None;
         }
         let question = pose(record, options, span, deviation);
