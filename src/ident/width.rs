@@ -329,7 +329,10 @@ mod tests {
         assert!((t.s[0] - 3.9).abs() < 1e-9 && (t.j[1] - 2.2).abs() < 1e-9);
         let wide = spread().told(4.0, 2.0, &Settings::unknown().white, 4.0);
         let cut = wide.within(5.0, 4.0, 2.0);
-        assert!(wide.s[1] > 5.0 && (cut.s[1], cut.fs[1]) == (5.0, 5.0) && cut.j[1] <= 5.0 && cut.fd[1] <= 2.5, "{cut:?}");
+        assert!(
+            wide.s[1] > 5.0 && (cut.s[1], cut.fs[1]) == (5.0, 5.0) && cut.j[1] <= 5.0 && cut.fd[1] <= 2.5,
+            "{cut:?}"
+        );
         assert_eq!(wide.within(3.0, 4.0, 2.0).s[1], 4.0);
     }
 
