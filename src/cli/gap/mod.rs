@@ -176,8 +176,8 @@ fn check(args: &Diagnose) -> anyhow::Result<()> {
             return Err(UsageError(GapError::UnknownEffect { id: id.clone(), known }.to_string()).into());
         }
     }
-    let outputs = args.predictions.iter().chain(&args.report);
-    for path in outputs.filter(|path| path.exists() && !args.force) {
+    let mut outputs = args.predictions.iter().chain(&args.report);
+    if let Some(path) = outputs.find(|path| path.exists() && !args.force) {
         bail!("{}: exists already; --force replaces it", path.display());
     }
     Ok(())
