@@ -3,7 +3,7 @@
 //! Valve and process stay as they are. Only what no earlier record can know is found anew: the level (for an integrating
 //! process its drift as well), the process' own memory of what went before, and where the stem stood at the start.
 
-use super::candidate::Question;
+use super::candidate::{Question, Start};
 use super::class::{Class, Limits, Scratch, Shape};
 use super::least_squares::Gram;
 use super::pose::pose;
@@ -13,8 +13,8 @@ use crate::record::Record;
 use crate::signal::stats;
 use crate::sim::slips::{Law, Sequence};
 
-/// First positions of the stem that are tried.
-const STARTS: usize = 9;
+/// Most first slips that are tried in either direction.
+const STARTS: usize = 256;
 /// Fewest points from which an error is told.
 const LEAST: usize = 30;
 
@@ -128,7 +128,7 @@ impl Run<'_> {
         let stems: Vec<Vec<f64>> = if fs == 0.0 {
             vec![self.question.mean.clone()]
         } else {
-            let starts = self.question.starts(fs, STARTS);
+            let starts = self.starts(fs);
             let mut sequence = Sequence::default();
             let stem = |start| {
                 let question = self.question;
@@ -153,6 +153,18 @@ impl Run<'_> {
         best.filter(|b| b.rmse.is_finite())
     }
 
+    /// Every first slip that a stem within the band can make: each new record of OP up to two bands away.
+    fn starts(&self, fs: f64) -> Vec<Start> {
+        let mut starts = Vec::new();
+        for (list, up) in self.question.records.iter().zip([true, false]) {
+            let near = |r: &&f64| (**r - list[0]).abs() <= 2.0 * fs;
+            let count = list.iter().take_while(near).count();
+            let every = count.div_ceil(STARTS).max(1);
+            starts.extend((0..count.min(list.len())).step_by(every).map(|record| Start { up, record, place: 0.5 }));
+        }
+        starts
+    }
+
     /// What is left behind the best level, drift and memory.
     fn levelled(&self, stem: &[f64], response: &[f64]) -> Found {
         let n = stem.len() - self.from;
@@ -162,6 +174,8 @@ impl Run<'_> {
         let mut columns = vec![Vec::new(); count];
         for (index, column) in columns.iter_mut().enumerate() {
             self.class.memory(&self.shape, index, self.from, n, 0.0, column);
+            // What has died away is left out there.
+            column.resize(n, 0.0);
         }
         let mut views: Vec<&[f64]> = columns.iter().map(Vec::as_slice).collect();
         views.push(&left);
