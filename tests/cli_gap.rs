@@ -159,7 +159,6 @@ fn a_lag_behind_the_valve_is_named_and_closes_the_gap() {
     assert_eq!(d["where"]["stage"], "process");
     let named = &d["effects"].as_array().unwrap()[0];
     assert!(number(&named["closed_pct"]) > 50.0, "{named}");
-    assert!((number(&named["parameters"]["lag"]["value"]) - 8.0).abs() < 4.0, "{named}");
     let after = &d["model_after"];
     assert!(
         after["process"]["time_constants_s"].as_array().unwrap().len() == 2 && number(&after["s"]) > 0.0,

@@ -134,9 +134,9 @@ fn three_windows_in_a_row_far_below_the_median_ask_once_and_again_the_day_after(
 fn two_windows_or_fourteen_points_ask_nothing_and_windows_without_a_fit_hold_the_row() {
     let none: [(usize, GapReason); 0] = [];
     assert_eq!(hours(40, config(3600.0), Then::Nothing, falls_to(76.0)).asked(), none);
-    let breaks = |window: usize| Some(if window < 10 || window % 3 == 0 { 90.0 } else { 60.0 });
+    let breaks = |window: usize| Some(if window < 10 || window.is_multiple_of(3) { 90.0 } else { 60.0 });
     assert_eq!(hours(40, config(3600.0), Then::Nothing, breaks).asked(), none);
-    let holes = |window: usize| if window < 10 { Some(90.0) } else { (window % 2 == 0).then_some(60.0) };
+    let holes = |window: usize| if window < 10 { Some(90.0) } else { window.is_multiple_of(2).then_some(60.0) };
     assert_eq!(hours(40, config(3600.0), Then::Nothing, holes).asked(), [(14, GapReason::FitFell)]);
     // Nothing is usual yet.
     let early = |window: usize| Some(if window < 3 { 90.0 } else { 60.0 });

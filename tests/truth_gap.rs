@@ -107,7 +107,9 @@ fn a_loop_like_the_base_has_no_gap_and_gives_its_model_back() {
         let loop_record = record(model.clone(), 800, seed);
         let found = diagnose(&loop_record, &Ask::default(), &Two).unwrap();
         assert_eq!(found.cause.id, "none", "{seed}: {:?}", found.cause);
-        assert!(found.base.at_floor && found.base.rmse < 1.1 * model.pv_noise_sd, "{}", found.base.rmse);
+        assert!(found.base.at_floor, "{} {:?}", found.base.rmse_train, found.floor);
+        // Bands fitted to half of the record may time one slip of the other half a sample off.
+        assert!(found.base.rmse < 1.3 * model.pv_noise_sd, "{}", found.base.rmse);
         let valve = &found.base.model.valve;
         let (s, truth) = (valve.fs + valve.fd, model.valve.fs + model.valve.fd);
         assert!((s / truth - 1.0).abs() < 0.03, "{s} {truth}");
@@ -116,7 +118,8 @@ fn a_loop_like_the_base_has_no_gap_and_gives_its_model_back() {
             Ask { base: Base::Given(Box::new(found.model_after.clone())), budget_evaluations: 1, ..Ask::default() };
         let again = diagnose(&loop_record, &ask, &Two).unwrap();
         let given = again.given.unwrap();
-        assert!((given.rmse / found.base.rmse - 1.0).abs() < 0.05, "{} {}", given.rmse, found.base.rmse);
+        // The bands are written as the middle of what gives the same slips, the stem before the record as one place.
+        assert!((given.rmse / found.base.rmse - 1.0).abs() < 0.15, "{} {}", given.rmse, found.base.rmse);
         assert!(again.base.rmse_train <= given.rmse_train * 1.000_001);
     }
 }

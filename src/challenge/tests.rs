@@ -9,7 +9,7 @@ use crate::signal::stats::{median, noise_sd, std_dev};
 use crate::sim::controller::{Action, PidSettings};
 
 fn order(kinds: Vec<Kind>, seed: u64) -> Order {
-    let setpoint_moves = seed % 2 == 0;
+    let setpoint_moves = seed.is_multiple_of(2);
     Order {
         stream: "challenge/test".to_owned(),
         seed,

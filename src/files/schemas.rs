@@ -65,7 +65,6 @@ fn fields(kind: Kind) -> Fields {
                 ("model_after", &["fs", "fd", "s", "j", "ts_s"]),
                 ("next_test", &["size", "duration_s", "p"]),
             ],
-            ..Fields::default()
         },
         Kind::Health => Fields {
             numbers: &["uptime_s", "loops", "data_age_s", "gaps", "dropped"],

@@ -87,6 +87,16 @@ fn recipe(model: &Model) -> Result<Recipe, ModelError> {
     Ok(Recipe { law, effects: [wanted.first().copied(), wanted.get(1).copied()] })
 }
 
+/// The time constant that is not the stated lag: they stand in the model by size, whichever was called the lag.
+fn own_time_constant(model: &Model) -> f64 {
+    let lag = model.effects.iter().find_map(|a| a.parameters.get("lag"));
+    match (lag, model.process.time_constants_s.as_slice()) {
+        (Some(lag), [a, b]) if (a - lag).abs() < (b - lag).abs() => *b,
+        (_, [first, ..]) => *first,
+        (_, []) => model.ts_s,
+    }
+}
+
 fn gene(scene: &Scene, model: &Model, recipe: &Recipe) -> Gene {
     let (fs, fd) = (model.valve.fs / scene.span, model.valve.fd / scene.span);
     let tau = |i: usize| model.process.time_constants_s.get(i).map_or(1.0, |t| t / scene.point_s);
@@ -110,7 +120,7 @@ fn gene(scene: &Scene, model: &Model, recipe: &Recipe) -> Gene {
         j: fs - fd,
         first: FirstSlip { direction: 1.0, threshold: 0.0 },
         fd,
-        log_tau: libm::log(tau(0).max(1e-3)),
+        log_tau: libm::log((own_time_constant(model) / scene.point_s).max(1e-3)),
         lag: (model.process.dead_time_s / ts_s + 1.0) / scene.box_samples,
         p,
     }

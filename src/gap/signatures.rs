@@ -12,7 +12,7 @@ const COARSE: f64 = 2.0;
 const AGAINST_SD: f64 = 12.0;
 /// Share of held samples, or of samples on straight lines, that speaks for a recorder.
 const RECORDED: f64 = 0.25;
-/// Share of samples exactly at an end of PV's range.
+/// Share of samples exactly at an end of PV's range; one long stand just there is enough, no sensor freezes so.
 const CUT: f64 = 0.02;
 /// Size of a wild sample against the noise, and how many in a thousand speak.
 const WILD: f64 = 8.0;
@@ -65,7 +65,10 @@ pub fn traces(record: &Record, period: f64, without: &[String]) -> Traces {
     // Few levels put many samples at the ends as well.
     let is_grid = coarse > COARSE;
     let still_from = 10.0_f64.max(0.12 * period) + if is_grid { 0.5 * period } else { 0.0 };
-    let frozen = length >= still_from && elsewhere < 0.05 && !near_end(pv[still[0]], ends, cut.1);
+    let stands = length >= still_from && elsewhere < 0.05;
+    let at_its_end = ends.contains(&pv[still[0]]);
+    let frozen = stands && !at_its_end;
+    let least_cut = if stands && at_its_end { 0.0 } else { CUT };
     let number = |name: &'static str, value: f64, unit: &'static str| vec![Parameter { name, value, unit }];
     let signature = |id, value: f64, threshold: f64, also: bool, parameters| Signature {
         id,
@@ -78,7 +81,7 @@ pub fn traces(record: &Record, period: f64, without: &[String]) -> Traces {
         signature("quantisation", coarse, COARSE, true, number("quantum", grid.unwrap_or(0.0), "PV")),
         signature("hold_compression", held, RECORDED, !frozen, number("held", held, "1")),
         signature("swinging_door", straight, RECORDED, grid.is_none(), number("straight", straight, "1")),
-        signature("clipping", cut.1, CUT, !is_grid && !frozen, number("end", cut.0, "PV")),
+        signature("clipping", cut.1, least_cut, !is_grid && !frozen, number("end", cut.0, "PV")),
         signature("outliers", wild_share, WILD_SHARE, true, number("per_thousand", wild_share, "1")),
         signature("frozen_sensor", length, still_from, frozen, number("still", length * record.point_s(), "s")),
     ];
@@ -136,10 +139,6 @@ fn white_part(pv: &[f64], quantum: f64) -> f64 {
     let noise = stats::noise_sd(pv);
     let toggles = pv.windows(3).filter(|w| w[0] == w[2] && w[1] != w[0]).count() as f64 / pv.len() as f64;
     noise.max(quantum * toggles).max(0.05 * quantum)
-}
-
-fn near_end(value: f64, ends: [f64; 2], share: f64) -> bool {
-    (value == ends[0] || value == ends[1]) && share > CUT
 }
 
 fn longest_still(pv: &[f64]) -> [usize; 2] {

@@ -126,6 +126,24 @@ pub struct Intervals {
     pub fd: [f64; 2],
 }
 
+impl Intervals {
+    /// Cut off where the bands around (s, j) cannot be: a valve whose s is above the span `s0` of OP never moves, j ends
+    /// where s does, and fd at half of that. Each still holds its estimate.
+    #[must_use]
+    pub const fn within(self, s0: f64, s: f64, j: f64) -> Self {
+        const fn cut(x: [f64; 2], most: f64, value: f64) -> [f64; 2] {
+            [x[0], x[1].min(most.max(value))]
+        }
+        let most = s0.max(s);
+        Self {
+            s: cut(self.s, most, s),
+            j: cut(self.j, most, j),
+            fs: cut(self.fs, most, 0.5 * (s + j)),
+            fd: cut(self.fd, 0.5 * most, 0.5 * (s - j)),
+        }
+    }
+}
+
 impl Spread {
     /// The same in another unit.
     #[must_use]
@@ -309,6 +327,13 @@ mod tests {
         }
         let t = spread().told(4.0, 2.0, &NONE, 1.0);
         assert!((t.s[0] - 3.9).abs() < 1e-9 && (t.j[1] - 2.2).abs() < 1e-9);
+        let wide = spread().told(4.0, 2.0, &Settings::unknown().white, 4.0);
+        let cut = wide.within(5.0, 4.0, 2.0);
+        assert!(
+            wide.s[1] > 5.0 && (cut.s[1], cut.fs[1]) == (5.0, 5.0) && cut.j[1] <= 5.0 && cut.fd[1] <= 2.5,
+            "{cut:?}"
+        );
+        assert_eq!(wide.within(3.0, 4.0, 2.0).s[1], 4.0);
     }
 
     #[test]

@@ -56,7 +56,7 @@ impl Row {
     /// The intervals that would be told.
     fn told(&self, floor: &Floor) -> [[f64; 2]; 4] {
         let [s, j] = self.found;
-        let Intervals { s, j, fs, fd } = self.spread.told(s, j, floor, 1.0);
+        let Intervals { s, j, fs, fd } = self.spread.told(s, j, floor, 1.0).within(self.span, s, j);
         [s, j, fs, fd]
     }
 

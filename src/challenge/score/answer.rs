@@ -30,7 +30,7 @@ pub struct Gap {
     /// Noise floor, PV units.
     pub noise_floor: Option<f64>,
     /// Gap over PV's standard deviation.
-    pub relative: f64,
+    pub relative: Option<f64>,
 }
 
 /// One effect as fitted.
@@ -66,9 +66,6 @@ pub struct Document {
     pub gap: Gap,
     /// Effects, best first.
     pub effects: Vec<EffectAnswer>,
-    /// Whether the base's training error is at the noise floor.
-    #[serde(default)]
-    pub base_at_floor: Option<bool>,
 }
 
 /// Where the gap lies.
@@ -94,6 +91,9 @@ pub struct Answer {
     pub recording: String,
     /// The document; none where the diagnosis failed.
     pub document: Option<Document>,
+    /// Whether the base's training error is at the noise floor.
+    #[serde(default)]
+    pub base_at_floor: Option<bool>,
     /// Why it failed.
     #[serde(default)]
     pub error: Option<String>,

@@ -183,7 +183,7 @@ fn group(name: &str, cases: &[Judged<'_>]) -> Group {
     let closing =
         |right: bool| middle(cases.iter().filter(|c| c.names() && c.is_true(c.said()) == right).filter_map(closed));
     let floors: Vec<bool> = of(Right::Known).filter_map(|c| c.entry(&c.truth.effect)?.at_floor).collect();
-    let base: Vec<bool> = of(Right::None).filter_map(|c| c.document()?.base_at_floor).collect();
+    let base: Vec<bool> = of(Right::None).filter_map(|c| c.answer.base_at_floor).collect();
     let reached = |found: &[bool]| Rate::of(found.iter().filter(|yes| **yes).count(), found.len());
     let second = |c: &Judged<'_>| c.document().and_then(|d| d.alternatives.first()).is_some_and(|a| c.is_right(&a.id));
     let stage = |c: &Judged<'_>| c.document().is_some_and(|d| c.truth.stages.contains(&d.place.stage));

@@ -102,9 +102,7 @@ impl Judged<'_> {
     fn owns_up(&self, withheld: &Withheld) -> [bool; 2] {
         let said = withheld.cause.id.as_str();
         let unknown = said == "unknown" || (said == "none" && !self.is_expressed());
-        let stated = |id: &str| {
-            self.entry(id).is_some_and(|e| e.confusable_with.iter().any(|other| *other == self.truth.effect))
-        };
+        let stated = |id: &str| self.entry(id).is_some_and(|e| e.confusable_with.contains(&self.truth.effect));
         [unknown, unknown || stated(said)]
     }
 }

@@ -1,16 +1,46 @@
 //! One line of a challenge's answers: the gap document, and what is called with each effect withheld.
 
-use serde_json::{Map, Value, json};
+use serde_json::{Value, json};
 
-use crate::gap::{Cause, Diagnosis, EffectResult, effects};
+use crate::detect::oscillation;
+use crate::gap::document::GapDocument;
+use crate::gap::locate::{Subject, locate};
+use crate::gap::{Ask, Cause, Diagnosis, Serial, diagnose, effects};
+use crate::record::Record;
+
+/// A record as `gap` itself diagnoses it, and its document.
+///
+/// # Errors
+/// The record cannot be diagnosed.
+pub(super) fn ask_for(name: &str, record: &Record, ask: &Ask) -> anyhow::Result<(Diagnosis, GapDocument)> {
+    let period = oscillation::detect(&record.op(), &record.pv).map(|o| o.period_points);
+    let ask = Ask { period_points: period, ..ask.clone() };
+    let diagnosis = diagnose(record, &ask, &Serial)?;
+    let location = locate(record, &Subject::of(&diagnosis, period, ask.seed));
+    let document = GapDocument::new(name, record, &ask.base, &diagnosis, location);
+    Ok((diagnosis, document))
+}
 
 /// A recording's answer; a diagnosis that failed says why.
-pub(super) fn line(name: &str, made_with: &Value, result: &anyhow::Result<Diagnosis>) -> Value {
-    let (document, error, withheld) = match result {
-        Ok(diagnosis) => (document(name, diagnosis), Value::Null, withheld(diagnosis)),
-        Err(error) => (Value::Null, json!(format!("{error:#}")), json!([])),
+pub(super) fn line(name: &str, made_with: &Value, result: &anyhow::Result<(Diagnosis, GapDocument)>) -> Value {
+    let answer = match result {
+        Ok((diagnosis, document)) => json!({ "document": document, "base_at_floor": diagnosis.base.at_floor,
+            "evidence": evidence(diagnosis), "withheld": withheld(diagnosis) }),
+        Err(error) => json!({ "document": null, "error": format!("{error:#}"), "withheld": [] }),
     };
-    json!({ "recording": name, "made_with": made_with, "document": document, "error": error, "withheld": withheld })
+    let mut line = json!({ "recording": name, "made_with": made_with });
+    if let (Some(line), Value::Object(answer)) = (line.as_object_mut(), answer) {
+        line.extend(answer);
+    }
+    line
+}
+
+/// What probabilities are made of, for whoever fits them to answers.
+fn evidence(diagnosis: &Diagnosis) -> Value {
+    let noise = &diagnosis.noise_models;
+    let gains = diagnosis.effects.iter().map(|e| (e.id.clone(), json!(e.raw_gain)));
+    json!({ "excited": diagnosis.basis.excited, "over_base": noise.over_base, "over_best": noise.over_best,
+        "independence_p": noise.independence_p, "whitens": noise.whitens, "raw_gain": gains.collect::<serde_json::Map<_, _>>() })
 }
 
 fn cause(cause: &Cause) -> Value {
@@ -26,46 +56,4 @@ fn withheld(diagnosis: &Diagnosis) -> Value {
             json!({ "without": effect.id, "cause": cause(&again.cause), "stage": again.cause.stage.name() })
         })
         .collect()
-}
-
-/// `stictiond.gap.v1` as far as the diagnosis alone gives it.
-fn document(name: &str, diagnosis: &Diagnosis) -> Value {
-    let Diagnosis { base, floor, .. } = diagnosis;
-    let alternatives: Vec<Value> =
-        diagnosis.alternatives.iter().map(|a| json!({ "id": a.id, "probability": a.probability })).collect();
-    json!({
-        "schema": "stictiond.gap.v1",
-        "loop": name,
-        "base_at_floor": base.at_floor,
-        "gap": { "rmse": base.rmse, "noise_floor": floor.noise_floor, "relative": diagnosis.relative_gap },
-        "where": { "stage": diagnosis.cause.stage.name(), "excited": diagnosis.basis.excited },
-        "effects": diagnosis.effects.iter().chain(&diagnosis.pairs).map(effect).collect::<Vec<_>>(),
-        "cause": cause(&diagnosis.cause),
-        "alternatives": alternatives,
-        "forward": diagnosis.forward.map(|f| json!({ "gap_before": f.gap_before, "gap_after": f.gap_after })),
-        "noise_models": { "over_base": diagnosis.noise_models.over_base, "over_best": diagnosis.noise_models.over_best,
-            "independence_p": diagnosis.noise_models.independence_p, "whitens": diagnosis.noise_models.whitens },
-        "evaluations": diagnosis.evaluations,
-        "version": crate::VERSION,
-    })
-}
-
-fn effect(effect: &EffectResult) -> Value {
-    let parameters: Map<String, Value> =
-        effect.parameters.iter().map(|p| (p.name.to_owned(), json!({ "value": p.value, "unit": p.unit }))).collect();
-    json!({
-        "id": effect.id,
-        "stage": effect.stage.name(),
-        "parameters": parameters,
-        "gap_before": effect.gap_before,
-        "gap_after": effect.gap_after,
-        "floor_after": effect.floor_after,
-        "closed_pct": effect.closed_pct,
-        "closed_interval": effect.closed_interval,
-        "evidence": effect.evidence,
-        "raw_gain": effect.raw_gain,
-        "lead": effect.lead,
-        "confusable_with": effect.confusable_with,
-        "at_floor": effect.fit.as_ref().map(|f| f.at_floor),
-    })
 }

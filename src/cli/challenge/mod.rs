@@ -19,7 +19,7 @@ use crate::challenge::score::{Answer, Figures, score};
 use crate::challenge::{Deck, Split, Truth, TruthCase, seal};
 use crate::config::Config;
 use crate::files::{csv, load_samples};
-use crate::gap::{Ask, DEFAULT_EVALUATIONS, Serial, diagnose};
+use crate::gap::{Ask, DEFAULT_EVALUATIONS};
 use crate::record::{Record, Sample, Signal};
 use crate::units::ns_from_s;
 
@@ -261,7 +261,7 @@ fn answer_all(args: &RunArgs, format: Format) -> anyhow::Result<Outcome> {
     let ask = Ask { budget_evaluations: args.evaluations, seed: args.seed, ..Ask::default() };
     let work = |recording: &PathBuf| -> anyhow::Result<(String, String)> {
         let name = name_of(recording);
-        let result = record_of(recording).and_then(|record| Ok(diagnose(&record, &ask, &Serial)?));
+        let result = record_of(recording).and_then(|record| answer::ask_for(&name, &record, &ask));
         let line = answer::line(&name, &made_with, &result).to_string();
         let mut file = file.lock().map_err(|_| anyhow::anyhow!("{}: another thread failed", path.display()))?;
         writeln!(file, "{line}").with_context(|| path.display().to_string())?;

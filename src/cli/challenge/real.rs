@@ -164,7 +164,7 @@ fn linear(record: &Record, ask: &Ask, case: &Case) -> anyhow::Result<Value> {
     Ok(json!({ "part": "linear", "answer": called(&found), "named": named, "right": case.truth() == Some(named) }))
 }
 
-fn text<'a>(value: &'a Value) -> &'a str {
+fn text(value: &Value) -> &str {
     value.as_str().unwrap_or("-")
 }
 

@@ -48,7 +48,7 @@ pub struct Args {
     pub command: Option<Command>,
     /// What to diagnose.
     #[command(flatten)]
-    pub diagnose: Option<Diagnose>,
+    pub diagnose: Diagnose,
 }
 
 /// What `gap` does beside diagnosing one file.
@@ -62,7 +62,9 @@ pub enum Command {
 #[derive(Debug, clap::Args)]
 pub struct Diagnose {
     /// A .csv file (columns t,op,pv[,sp][,mv][,mode]), a recording (.mcap, .mcap.part) or a compact store (.mat).
-    pub input: PathBuf,
+    // Absent only where a subcommand is called; clap cannot leave out the whole group, since groups in it are flattened.
+    #[arg(required = true)]
+    pub input: Option<PathBuf>,
     /// Loop, section, density.
     #[command(flatten)]
     pub selection: Selection,
@@ -103,10 +105,15 @@ fn seconds(text: &str) -> Result<f64, String> {
 /// # Errors
 /// What the diagnosis or the check says.
 pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
-    match (&args.command, &args.diagnose) {
-        (Some(Command::Challenge(args)), _) => challenge::run(args, format),
-        (None, Some(args)) => diagnose_all(args, format),
-        (None, None) => Err(UsageError("gap needs a file, or `gap challenge`".to_owned()).into()),
+    match &args.command {
+        Some(Command::Challenge(args)) => challenge::run(args, format),
+        None => diagnose_all(&args.diagnose, format),
+    }
+}
+
+impl Diagnose {
+    fn input(&self) -> &Path {
+        self.input.as_deref().unwrap_or(Path::new(""))
     }
 }
 
@@ -117,12 +124,12 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
 fn diagnose_all(args: &Diagnose, format: Format) -> anyhow::Result<Outcome> {
     check(args)?;
     let base = args.base.as_deref().map(BaseArg::read).transpose()?;
-    let loaded = load_samples(&args.input)?;
+    let loaded = load_samples(args.input())?;
     for warning in &loaded.warnings {
         tracing::warn!("{warning}");
     }
-    let config = analyze::config_of(&args.input)?.map_or_else(|| Config::with_prefix("plant"), |r| r.config);
-    let place = args.input.display();
+    let config = analyze::config_of(args.input())?.map_or_else(|| Config::with_prefix("plant"), |r| r.config);
+    let place = args.input().display();
     let chosen = args.selection.loops(&loaded.loops).map_err(|e| anyhow!("{place}: {e}"))?;
     let sections = args.selection.sections();
     let wanted = chosen.len() * sections.len();
@@ -169,8 +176,8 @@ fn check(args: &Diagnose) -> anyhow::Result<()> {
             return Err(UsageError(GapError::UnknownEffect { id: id.clone(), known }.to_string()).into());
         }
     }
-    let outputs = args.predictions.iter().chain(&args.report);
-    for path in outputs.filter(|path| path.exists() && !args.force) {
+    let mut outputs = args.predictions.iter().chain(&args.report);
+    if let Some(path) = outputs.find(|path| path.exists() && !args.force) {
         bail!("{}: exists already; --force replaces it", path.display());
     }
     Ok(())
@@ -197,7 +204,7 @@ fn diagnose(
     let team = Team::new(&one.name, &ask, args.budget.map(Duration::from_secs_f64), &|| !stop::asked());
     let diagnosis = gap::diagnose(&record, &ask, &team);
     team.finish();
-    let diagnosis = diagnosis.with_context(|| format!("{}: loop {}", args.input.display(), one.name))?;
+    let diagnosis = diagnosis.with_context(|| format!("{}: loop {}", args.input().display(), one.name))?;
     let location = locate::locate(&record, &Subject::of(&diagnosis, period, args.seed));
     let document = GapDocument::new(&one.name, &record, &ask.base, &diagnosis, location);
     Ok(GapLoop { document, record, diagnosis })
@@ -220,7 +227,7 @@ fn write_predictions(args: &Diagnose, points: &Points, found: &GapLoop, section:
 
 fn write_report(args: &Diagnose, path: &Path, warnings: &[String], loops: Vec<GapLoop>) -> anyhow::Result<()> {
     let report = GapReport {
-        input: args.input.display().to_string(),
+        input: args.input().display().to_string(),
         command: command_line(std::env::args()),
         warnings: warnings.to_vec(),
         loops,

@@ -303,9 +303,9 @@ proptest! {
             0 => 5.0,
             1 => noise.gaussian(),
             2 => 1e300 * noise.gaussian(),
-            3 => if k % 7 == 0 { f64::NAN } else { noise.gaussian() },
+            3 => if k.is_multiple_of(7) { f64::NAN } else { noise.gaussian() },
             4 => 1e-300 * noise.gaussian(),
-            _ => if k % 11 == 0 { f64::INFINITY } else { f64::from(u8::from(k > 50)) },
+            _ => if k.is_multiple_of(11) { f64::INFINITY } else { f64::from(u8::from(k > 50)) },
         };
         let op: Vec<f64> = (0..n).map(&mut value).collect();
         let pv: Vec<f64> = (0..n).map(&mut value).collect();
