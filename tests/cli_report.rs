@@ -33,6 +33,15 @@ fn a_page_and_a_sheet_are_written_and_never_overwritten_unasked() {
     assert!(!html.contains("http://") && !html.contains("https://") && !html.contains("NaN"));
     assert!(html.len() < 1_000_000, "{} bytes", html.len());
 
+    assert!(!html.contains("before downsampling"));
+    let both = path("both.html");
+    let halved = ["recordings/sticking.mcap", "--samples", "1,800", "--valve", "he", "--downsample", "2"];
+    assert_eq!(analyze(&[&halved[..], &["--report", &both]].concat()).status.code(), Some(0));
+    let text = fs::read_to_string(&both).unwrap();
+    for part in ["Trends before downsampling", "Phase plot before downsampling", "As recorded: 800 samples of 1 s"] {
+        assert!(text.contains(part), "{part}");
+    }
+
     let again = analyze(&[&section[..], &["--report", &page]].concat());
     assert_eq!(again.status.code(), Some(1));
     assert!(String::from_utf8_lossy(&again.stderr).contains("--force"));

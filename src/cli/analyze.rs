@@ -9,7 +9,7 @@ use clap::ValueEnum;
 use indicatif::ProgressBar;
 use serde::Serialize;
 
-use super::analyze_report::Maker;
+use super::analyze_report::{Maker, Subject};
 use super::gap::model_file;
 use super::selection::{MIN_SAMPLES, Points, Section, Selection, Taken, pair, usable};
 use super::solving::{self, SolverArgs, SolverDocument};
@@ -102,7 +102,7 @@ pub struct Answer {
     pub scored: Option<Scored>,
     /// What the report draws.
     #[serde(skip)]
-    pub looked_at: (Record, AssessParams),
+    pub looked_at: Subject,
 }
 
 /// `--model`.
@@ -208,8 +208,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
                         done += 1;
                         print(&answer, format)?;
                         if let Some(report) = &mut report {
-                            let Answer { document, looked_at: (record, params), .. } = answer;
-                            report.add(document, record, params);
+                            report.add(answer.document, answer.looked_at);
                         }
                     }
                     Err(error) if !alone && !error.is::<UsageError>() => {
@@ -267,6 +266,9 @@ fn estimate(
     let options = params.options(period_s.map(|period| period / record.point_s()));
     let solver = solving::run(&args.solver, &record, &options, &assessment, bar)?;
     let span = stats::span(&record.op_path);
+    let asked = args.report.is_some() && selection.downsample.is_some();
+    let before = || points.record(&one.name, section, points.settings.window.max_points);
+    let original = asked.then(before).transpose()?;
     let scored = args.score.as_deref().map(|path| scored(path, &record, options.period_points)).transpose()?;
     Ok(Answer {
         document: EstimateDocument::new(&one.name, hash, assessment),
@@ -274,7 +276,7 @@ fn estimate(
         selection,
         solver,
         scored,
-        looked_at: (record, params),
+        looked_at: Subject { record, original, about: one.about.clone(), params },
     })
 }
 

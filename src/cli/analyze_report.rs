@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 
 use super::{UsageError, on_all_cores};
+use crate::files::About;
 use crate::record::Record;
 use crate::report::detail::Detail;
 use crate::report::diagram::Tags;
@@ -16,6 +17,19 @@ use crate::verdict::{AssessParams, EstimateDocument};
 enum Kind {
     Html,
     Svg,
+}
+
+/// One loop's or section's part of a report.
+#[derive(Debug)]
+pub struct Subject {
+    /// The record that was analysed.
+    pub record: Record,
+    /// The section as recorded, where the analysed one was downsampled.
+    pub original: Option<Record>,
+    /// What the file says of the loop.
+    pub about: Option<About>,
+    /// What the fit was told.
+    pub params: AssessParams,
 }
 
 /// A report in the making.
@@ -46,18 +60,16 @@ impl Maker {
     }
 
     /// Adds what was made of one loop or section.
-    pub(super) fn add(&mut self, document: EstimateDocument, record: Record, params: AssessParams) {
-        let tags = Tags::of_loop(&document.loop_name, record.sp.is_some(), record.mv.is_some());
-        let one = LoopReport {
-            op_range: params.op_range,
-            document,
-            record,
-            original: None,
-            tags,
-            comment: None,
-            full: self.all,
-            detail: None,
-        };
+    pub(super) fn add(&mut self, document: EstimateDocument, subject: Subject) {
+        let Subject { record, original, about, params } = subject;
+        let mut tags = Tags::of_loop(&document.loop_name, record.sp.is_some(), record.mv.is_some());
+        let mut comment = None;
+        if let Some(About { tags: [op, pv], comment: noted, .. }) = about {
+            (tags.op, tags.pv) = (op, pv);
+            comment = Some(noted).filter(|c| !c.trim().is_empty());
+        }
+        let op_range = params.op_range;
+        let one = LoopReport { op_range, document, record, original, tags, comment, full: self.all, detail: None };
         self.loops.push((one, params));
     }
 

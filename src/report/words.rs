@@ -117,6 +117,9 @@ pub fn size(a: &Assessment, op_range: Option<[f64; 2]>) -> Option<String> {
     Some(text)
 }
 
+/// What is said of a witness without words of its own.
+const UNNAMED: &str = "a sign in the record";
+
 /// What a witness looks at.
 fn looks_at(name: &str) -> &'static str {
     match name {
@@ -127,7 +130,9 @@ fn looks_at(name: &str) -> &'static str {
         "jumps" => "whether PV moves in jumps while OP moves steadily",
         "curve_fit" => "whether half cycles are triangles rather than sinusoids",
         "travel" => "how far OP goes while PV stands",
-        _ => "a sign in the record",
+        "foresight" => "how much better a sticking stem foretells PV's next step than OP does",
+        "clock" => "how much of PV's movement keeps time on its own account, as a load from outside does",
+        _ => UNNAMED,
     }
 }
 
@@ -295,6 +300,13 @@ mod tests {
         assert_eq!((t.first_op, t.step_op, t.hold_s, t.total_s, t.pv_move), (12.0, 2.0, 66.0, 462.0, 24.0));
         assert!(bump_words(&t, 8.0).contains("about 4 steps"));
         assert!(f64::from(t.steps) * t.step_op > 8.0, "the steps must pass the band");
+    }
+
+    #[test]
+    fn every_witness_has_words() {
+        let names = crate::verdict::rule::OF_THE_FIT.into_iter().chain(crate::detect::ALL.iter().map(|d| d.name()));
+        let silent: Vec<&str> = names.filter(|name| looks_at(name) == UNNAMED).collect();
+        assert!(silent.is_empty(), "{silent:?}");
     }
 
     #[test]
