@@ -98,7 +98,7 @@ fn ramps() {
 
 #[test]
 fn a_set_point_that_ramps_up_and_down() {
-    none_accused("set-point ramps", |seed| {
+    at_most_one_accused("set-point ramps", |seed| {
         following(sane(seed), seed, 1800, |k| 80.0 + 0.02 * (150.0 - (k % 300) as f64).abs())
     });
 }
