@@ -82,13 +82,8 @@ impl Maker {
     pub(super) fn finish(self, input: &Path) -> anyhow::Result<()> {
         let Self { path, kind, all, loops, warnings } = self;
         let (loops, params): (Vec<LoopReport>, Vec<AssessParams>) = loops.into_iter().unzip();
-        let mut report = Report {
-            input: input.display().to_string(),
-            command: command_line(std::env::args()),
-            version: crate::VERSION,
-            warnings,
-            loops,
-        };
+        let mut report =
+            Report { input: input.display().to_string(), command: command_line(std::env::args()), warnings, loops };
         let mut chosen: Vec<usize> =
             report.by_urgency().into_iter().filter(|k| report.loops[*k].document.assessment.s.is_some()).collect();
         chosen.truncate(if all { usize::MAX } else { IN_FULL });

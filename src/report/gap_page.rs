@@ -1,10 +1,9 @@
 //! The report on a gap as one HTML file, readable without scripts and without a network.
 
-use maud::{DOCTYPE, Markup, PreEscaped, html};
+use maud::{Markup, html};
 
 use super::gap_figures::figures;
-use super::ink;
-use super::page::{SCRIPT, STYLE, flatten, optional, picture};
+use super::page::{flatten, optional, picture, whole};
 use super::plot::PlotError;
 use super::words::number;
 use crate::gap::Diagnosis;
@@ -51,42 +50,14 @@ pub fn gap_page(report: &GapReport) -> Result<String, PlotError> {
         [one] => format!("Gap between simulation and plant: {}", one.document.loop_name),
         all => format!("Gap between simulation and plant: {} sections", all.len()),
     };
-    Ok(html! {
-        (DOCTYPE)
-        html lang="en" {
-            head {
-                meta charset="utf-8";
-                meta name="viewport" content="width=device-width, initial-scale=1";
-                meta name="color-scheme" content="light dark";
-                meta http-equiv="Content-Security-Policy"
-                    content="default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'";
-                title { (title) }
-                style { (PreEscaped(ink::style())) (PreEscaped(STYLE)) }
-            }
-            body {
-                header {
-                    h1 { (title) }
-                    p.soft { "From " code { (report.input) } ", stictiond " (crate::VERSION) "." }
-                }
-                main {
-                    @for warning in &report.warnings { p.warning { (warning) } }
-                    @if !single { (overview(report)) }
-                    @for part in sections { (part) }
-                    section.card {
-                        h2 { "How this report was made" }
-                        pre { code { (report.command) } }
-                        p.soft {
-                            "The same file, options and build give the same numbers, unless the search ran out of time. \
-                             Every figure can be computed again from what --predictions writes."
-                        }
-                    }
-                }
-                div id="value" hidden {}
-                script { (PreEscaped(SCRIPT)) }
-            }
-        }
-    }
-    .into_string())
+    let body = html! {
+        @for warning in &report.warnings { p.warning { (warning) } }
+        @if !single { (overview(report)) }
+        @for part in sections { (part) }
+    };
+    let remark = "The same file, options and build give the same numbers, unless the search ran out of time. \
+                  Every figure can be computed again from what --predictions writes.";
+    Ok(whole(&title, [&report.input, &report.command], &body, remark))
 }
 
 fn overview(report: &GapReport) -> Markup {

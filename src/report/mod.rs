@@ -65,8 +65,6 @@ pub struct Report {
     pub input: String,
     /// The exact command.
     pub command: String,
-    /// The program's version.
-    pub version: &'static str,
     /// What went wrong on the way.
     pub warnings: Vec<String>,
     /// The loops in the file's order.

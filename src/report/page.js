@@ -71,12 +71,13 @@
     const find = document.createElement("input");
     find.id = "find";
     find.type = "search";
-    find.placeholder = "Filter loops";
-    find.setAttribute("aria-label", "Filter loops");
     find.addEventListener("input", () => {
       const word = find.value.toLowerCase();
       for (const row of rows) row.hidden = !row.textContent.toLowerCase().includes(word);
     });
-    document.querySelector(".overview").parentElement.before(find);
+    const label = document.createElement("label");
+    label.id = "filter";
+    label.append("Filter loops ", find);
+    document.querySelector(".overview").parentElement.before(label);
   }
 })();

@@ -14,9 +14,6 @@ use super::{LoopReport, Report};
 use crate::units::format_rfc3339;
 use crate::verdict::{Assessment, Verdict};
 
-pub(super) const STYLE: &str = include_str!("page.css");
-pub(super) const SCRIPT: &str = include_str!("page.js");
-
 /// The whole page.
 ///
 /// # Errors
@@ -32,7 +29,19 @@ pub fn page(report: &Report) -> Result<String, PlotError> {
         [one] => format!("Valve stiction report: {}", one.document.loop_name),
         all => format!("Valve stiction report: {} loops", all.len()),
     };
-    Ok(html! {
+    let body = html! {
+        @if !single { (overview(report, &order)) }
+        @for warning in &report.warnings { p.warning { (warning) } }
+        @for part in sections { (part) }
+    };
+    let remark = "The same file, options and build give the same numbers. Fields are explained in the README of stictiond. \
+                  Pictures are drawn from the points that were analysed; curves keep the extremes of each pixel column.";
+    Ok(whole(&title, [&report.input, &report.command], &body, remark))
+}
+
+/// A page around `body`: head, styles, script, and at its foot how it was made (`[input, command]` and a remark).
+pub(super) fn whole(title: &str, [input, command]: [&str; 2], body: &Markup, remark: &str) -> String {
+    html! {
         (DOCTYPE)
         html lang="en" {
             head {
@@ -42,38 +51,27 @@ pub fn page(report: &Report) -> Result<String, PlotError> {
                 meta http-equiv="Content-Security-Policy"
                     content="default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'";
                 title { (title) }
-                style { (PreEscaped(ink::style())) (PreEscaped(STYLE)) }
+                style { (PreEscaped(ink::style())) (PreEscaped(include_str!("page.css"))) }
             }
             body {
                 header {
                     h1 { (title) }
-                    p.soft { "From " code { (report.input) } ", stictiond " (report.version) "." }
+                    p.soft { "From " code { (input) } ", stictiond " (crate::VERSION) "." }
                 }
                 main {
-                    @if !single { (overview(report, &order)) }
-                    @for warning in &report.warnings { p.warning { (warning) } }
-                    @for part in sections { (part) }
-                    (footer(report))
+                    (body)
+                    section.card {
+                        h2 { "How this report was made" }
+                        pre { code { (command) } }
+                        p.soft { (remark) }
+                    }
                 }
                 div id="value" hidden {}
-                script { (PreEscaped(SCRIPT)) }
+                script { (PreEscaped(include_str!("page.js"))) }
             }
         }
     }
-    .into_string())
-}
-
-fn footer(report: &Report) -> Markup {
-    html! {
-        section.card {
-            h2 { "How this report was made" }
-            pre { code { (report.command) } }
-            p.soft {
-                "The same file, options and build give the same numbers. Fields are explained in the README of stictiond. \
-                 Pictures are drawn from the points that were analysed; curves keep the extremes of each pixel column."
-            }
-        }
-    }
+    .into_string()
 }
 
 /// The table of all loops, those that most likely stick and stick most first.

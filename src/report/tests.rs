@@ -22,7 +22,6 @@ fn report(names: &[&str]) -> Report {
     Report {
         input: names.join("/"),
         command: format!("stictiond analyze {} --report out.html", names.join("/")),
-        version: crate::VERSION,
         warnings: vec![format!("{} has gaps", names.join("/"))],
         loops: names.iter().map(|n| one(n)).collect(),
     }
