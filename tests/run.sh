@@ -10,16 +10,16 @@ step() {
 }
 
 step "tests of the pure half"
-cargo test --locked --no-default-features --quiet
+cargo test --no-fail-fast --locked --no-default-features --quiet
 
 # The pure rooms and their tests were built and run above; here run the shell's rooms and the tests that need it.
 step "tests of the shell"
 cargo build --locked --quiet
 shell=$(sed -n 's/^#\[cfg(feature = "daemon")\]$/shell/; /^shell$/{n;s/^pub mod \([a-z]*\);$/\1::/p}' src/lib.rs)
-cargo test --locked --quiet --lib --bins -- $shell
+cargo test --no-fail-fast --locked --quiet --lib --bins -- $shell
 named=$(grep -l 'feature = "daemon"' tests/*.rs | sed 's#tests/\(.*\)\.rs#--test \1#')
-cargo test --locked --quiet --examples $named
-cargo test --locked --quiet --doc
+cargo test --no-fail-fast --locked --quiet --examples $named
+cargo test --no-fail-fast --locked --quiet --doc
 
 step "tests from outside"
 bash tests/interop/run.sh

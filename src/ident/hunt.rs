@@ -12,8 +12,8 @@ use super::class::Class;
 use super::fit::Target;
 use super::order::{demote, deserved, frictionless, in_class};
 use super::quantify::Options;
-use super::review::{into_class, is_done, review};
-use super::search::{Look, Stratum, beam, climb, generator, ridge_jumps};
+use super::review::{into_class, is_done, other_class, review};
+use super::search::{Look, Stratum, beam, climb, generator, ridge_jumps, uniform};
 use crate::optim::{self, Objective, Outcome, Settings};
 use crate::signal::stats;
 use crate::sim::slips::Law;
@@ -23,8 +23,8 @@ use crate::sim::slips::Law;
 const SEARCH_RHO: f64 = 0.98;
 const FINER_RHO: f64 = 0.8;
 /// Rounds of straight looks through the best places, and random ones from each place afterwards.
-const STRAIGHT_ROUNDS: usize = 1;
-const RANDOM_LOOKS: usize = 20;
+const STRAIGHT_ROUNDS: usize = 2;
+const RANDOM_LOOKS: usize = 40;
 /// Squared error over another law's from which a law is out of the race.
 const FAR_BEHIND: f64 = 1.5;
 /// The same before the exact cells are known: where the other law leaves nothing but noise, and where it does not.
@@ -163,7 +163,7 @@ pub fn scout<'a>(ground: &Ground<'a>, law: Law, signs: &'a [f64]) -> Scouted<'a>
     let settings = Settings { budget: 20_000, fineness_pct: options.fineness_pct, seed: options.seed };
     let mut look = Look::new(ground.question, law, signs);
     let outcome = solver.search(&mut look, &settings);
-    sweep(&mut look);
+    sweep(&mut look, options.seed);
     let mut rng = generator(options.seed, 2);
     let views: Vec<(usize, usize)> = (0..signs.len()).flat_map(|sign| [(sign, 0), (sign, 1)]).collect();
     for (sign, view) in &views {
@@ -212,13 +212,17 @@ pub fn hunt(ground: &Ground<'_>, seen: &Scouted<'_>, rival: Rival) -> Vec<Found>
     found
 }
 
-/// An even look on a logarithmic scale of s, which no linear grid gives to small bands.
-fn sweep(look: &mut Look<'_>) {
-    const STEPS: i32 = 72;
+/// An even look on a logarithmic scale of s, which no linear grid gives to small bands; its grid moves with the seed, so
+/// that another search sees other places.
+fn sweep(look: &mut Look<'_>, seed: u64) {
+    const STEPS: i32 = 120;
+    const SHARES: [f64; 8] = [0.03, 0.08, 0.16, 0.27, 0.4, 0.55, 0.72, 0.9];
+    let mut rng = generator(seed, 3);
+    let (shift, tilt) = (uniform(&mut rng) - 0.5, 1.0 + 0.24 * (uniform(&mut rng) - 0.5));
     for k in 0..STEPS {
-        let s = libm::pow(0.03, f64::from(k) / f64::from(STEPS - 1));
-        for share in [0.04, 0.15, 0.35, 0.6, 0.9] {
-            look.cost([s, share * s]);
+        let s = libm::pow(0.03, (f64::from(k) + shift) / f64::from(STEPS - 1)).min(1.0);
+        for share in SHARES {
+            look.cost([s, (tilt * share).min(1.0) * s]);
         }
     }
 }
@@ -335,6 +339,24 @@ impl Chase<'_, '_> {
         }
         Some(answer)
     }
+
+    /// Whether the slips now found ask for another class of process than the ones before did; the best goes there.
+    fn reclass(&mut self, finalists: &mut Vec<Candidate>) -> bool {
+        let Some(best) = finalists.first().copied() else { return false };
+        let home = self.plain.class;
+        if is_done(&mut self.plain, &best) {
+            return false;
+        }
+        let better = other_class(&mut self.plain, best, self.ground.options.model);
+        if self.plain.class == home {
+            return false;
+        }
+        let better = climb(&mut self.plain, better, 150, false, &mut self.rng);
+        let (better, _) = demote(&mut self.plain, Some(better), self.ground.options.model);
+        *finalists = better.and_then(|c| self.plain.settle(&c)).into_iter().collect();
+        (self.moves.class, self.searched) = (self.plain.class, home);
+        true
+    }
 }
 
 /// From the coarse look to the finalists for one sign.
@@ -366,8 +388,12 @@ fn follow(ground: &Ground<'_>, seen: &Scouted<'_>, at: usize, rival: Rival) -> F
     };
     chase.moves.class = class;
     chase.shows &= finalists.first().is_some_and(|c| c.fit.sse < FAR_BEHIND * rival.sse);
+    let mut answer = chase.answer(&mut finalists, &by_moves);
+    if chase.thorough() && chase.reclass(&mut finalists) {
+        answer = chase.answer(&mut finalists, &by_moves);
+    }
+    let class = chase.plain.class;
     let done = finalists.first().is_some_and(|c| is_done(&mut chase.plain, c));
-    let answer = chase.answer(&mut finalists, &by_moves);
     let again = finalists.iter().filter_map(|c| chase.moves.settle(c)).map(|c| c.fit.sse);
     let moves_sse = again.fold(f64::INFINITY, f64::min);
     let without = ground.without(class, sign);

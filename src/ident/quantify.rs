@@ -98,6 +98,10 @@ pub struct Estimate {
 const DOUBTFUL: f64 = 0.3;
 /// Stiction index, plain and of differences, below which a law sees no friction.
 const NO_FRICTION: f64 = 0.05;
+/// Searches with other chance at most, while the best leaves more than noise: in the rugged error a search finds the
+/// right slips by luck too. And the stiction index below which they are not worth it.
+const ROUNDS: u64 = 3;
+const WORTH_ANOTHER: f64 = 0.3;
 /// Share of the error that does not tell one law from the other.
 const HARDLY_WORSE: f64 = 0.01;
 
@@ -114,7 +118,6 @@ pub fn quantify(record: &Record, options: &Options) -> Option<Estimate> {
     let moves = Ground::moves_of(&question);
     let ground = Ground { question: &question, plain: &plain, moves: &moves, options, known: RefCell::default() };
     let read = sign::of_gain(&question.mean, &question.pv);
-    let nothing = plain.y.len() as f64 * stats::variance(&plain.y);
     let laws: &[Law] = match options.valve {
         ValveChoice::He => &[Law::He],
         ValveChoice::Tracking => &[Law::Tracking],
@@ -125,20 +128,47 @@ pub fn quantify(record: &Record, options: &Options) -> Option<Estimate> {
         Some(_) => &[-1.0],
         None => &[1.0, -1.0],
     };
-    let mut seen: Vec<Scouted<'_>> = laws.iter().map(|law| scout(&ground, *law, signs)).collect();
+    let (mut all, mut evaluations) = search(&ground, laws, signs, read, Rival::NONE);
+    for round in 1..ROUNDS {
+        all.sort_by(|a, b| a.sse().total_cmp(&b.sse()));
+        let Some(best) = all.first().filter(|best| !best.done && best.index() > WORTH_ANOTHER) else { break };
+        let rival = Rival { sse: best.sse(), ..Rival::NONE };
+        let options = Options { seed: options.seed.wrapping_add(round << 32), ..*options };
+        let again = Ground { options: &options, known: ground.known.clone(), ..ground };
+        let (more, spent) = search(&again, laws, signs, read, rival);
+        evaluations += spent;
+        all.extend(more);
+    }
+    all.sort_by(|a, b| a.sse().total_cmp(&b.sse()));
+    let best = all.first()?;
+    let mut estimate = report(record, &ground, best, evaluations, span, deviation)?;
+    let other_law = all.iter().find(|f| f.law != best.law);
+    if let Some(rival) = other_law.filter(|r| r.sse() < (1.0 + HARDLY_WORSE) * best.sse()) {
+        let other = report(record, &ground, rival, 0, span, deviation);
+        if let Some(other) = other {
+            estimate.spread = estimate.spread.or(&other.spread);
+        }
+    }
+    Some(estimate)
+}
+
+/// The best of each law, for the signs of the gain that may be, and the responses computed.
+fn search(ground: &Ground<'_>, laws: &[Law], signs: &[f64], read: Option<f64>, known: Rival) -> (Vec<Found>, u64) {
+    let nothing = ground.plain.y.len() as f64 * stats::variance(&ground.plain.y);
+    let mut seen: Vec<Scouted<'_>> = laws.iter().map(|law| scout(ground, *law, signs)).collect();
     // The law that looks better comes first, so that the other one can be told to be far behind.
     seen.sort_by(|a, b| a.share().total_cmp(&b.share()));
     let (mut all, mut evaluations): (Vec<Found>, u64) = (Vec::new(), 0);
     for scouted in &seen {
-        let rival = all.first().map_or(Rival::NONE, |f| Rival { sse: f.sse(), done: f.done, class: Some(f.class) });
-        let mut found = hunt(&ground, scouted, rival);
+        let rival = all.first().map_or(known, |f| Rival { sse: f.sse(), done: f.done, class: Some(f.class) });
+        let mut found = hunt(ground, scouted, rival);
         evaluations += found.iter().map(|f| f.evaluations).sum::<u64>();
         if let (Some(_), Some(first)) = (read, found.first()) {
             // Against the sign read only a valve speaks: a model of the controller backwards needs no friction.
             let least = 0.5 * first.sse();
             if first.sse() > DOUBTFUL * nothing {
                 let against: &[f64] = if signs == [1.0] { &[-1.0] } else { &[1.0] };
-                let other = hunt(&ground, &scout(&ground, scouted.law, against), Rival { sse: least, ..Rival::NONE });
+                let other = hunt(ground, &scout(ground, scouted.law, against), Rival { sse: least, ..Rival::NONE });
                 evaluations += other.iter().map(|o| o.evaluations).sum::<u64>();
                 found.extend(other.into_iter().filter(|o| o.index() > 0.5 && o.sse() < least));
             }
@@ -150,16 +180,7 @@ pub fn quantify(record: &Record, options: &Options) -> Option<Estimate> {
             break;
         }
     }
-    all.sort_by(|a, b| a.sse().total_cmp(&b.sse()));
-    let best = all.first()?;
-    let mut estimate = report(record, &ground, best, evaluations, span, deviation)?;
-    if let Some(rival) = all.get(1).filter(|r| r.sse() < (1.0 + HARDLY_WORSE) * best.sse()) {
-        let other = report(record, &ground, rival, 0, span, deviation);
-        if let Some(other) = other {
-            estimate.spread = estimate.spread.or(&other.spread);
-        }
-    }
-    Some(estimate)
+    (all, evaluations)
 }
 
 /// The estimate in recorded units.

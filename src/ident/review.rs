@@ -28,8 +28,14 @@ const INTEGRATING_RHO: f64 = 0.9;
 /// Values of j looked at from each place of the ridge.
 const JUMPS: i32 = 16;
 
+/// Share of PV's variance below which what is left is rounding, whatever it looks like.
+const ROUNDING: f64 = 1e-9;
+
 /// Whether a candidate leaves nothing but noise.
 pub fn is_done(bench: &mut Bench<'_>, of: &Candidate) -> bool {
+    if of.fit.sse < ROUNDING * bench.target.y.len() as f64 {
+        return true;
+    }
     let residual = bench.residual(of);
     let from = bench.target.from.min(bench.question.mean.len());
     let tests = whiteness(&residual, &bench.question.mean[from..]);
@@ -78,7 +84,7 @@ pub fn review(
 }
 
 /// The candidate in the class that suits its slips best; its own unless another one is clearly better.
-fn other_class(bench: &mut Bench<'_>, own: Candidate, model: ModelChoice) -> Candidate {
+pub(super) fn other_class(bench: &mut Bench<'_>, own: Candidate, model: ModelChoice) -> Candidate {
     let classes: &[Class] = match model {
         ModelChoice::Fopdt => &[Class::First, Class::Integrating],
         ModelChoice::Sopdt => &[Class::Second, Class::LagIntegrating],
@@ -176,7 +182,7 @@ fn by_dead_time(
             fitted.extend(inner.fit(s, j, start, &[class.clamp(shape, &limits)], Effort::of(3)));
         }
         let fitted = beam(&fitted, 10, 0);
-        let held = race(&mut inner, fitted, &[(8, 12), (4, 20), (2, 40)], rng);
+        let held = race(&mut inner, fitted, &[(8, 24), (4, 40), (2, 80)], rng);
         bench.fitter.evaluations += inner.fitter.evaluations;
         all.extend(held.into_iter().take(2));
     }

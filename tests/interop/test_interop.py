@@ -212,7 +212,7 @@ def test_live_recorded_replayed(folder):
         wanted = SCANS // HOP_S
         for loop in loops:
             # The very first scan stands on a whole hop and makes a window of one sample.
-            eventually(f"{wanted} estimates of {loop}", lambda l=loop: len(heard.estimates(l)) >= wanted, 120)
+            eventually(f"{wanted + 1} estimates of {loop}", lambda l=loop: len(heard.estimates(l)) > wanted, 120)
         for loop in loops:
             for document in heard.estimates(loop):
                 check_estimate(document)
