@@ -3,32 +3,16 @@
 #![cfg(feature = "daemon")]
 #![allow(clippy::unwrap_used, clippy::panic)]
 
+mod common;
+
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+
+use common::program::{expect, stderr, stdout};
 use stictiond::codec::topic::Kind;
 use stictiond::files::{RecordingFile, RecordingReader, load_samples};
 use stictiond::record::{Signal, Value};
-
-fn stictiond(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_stictiond")).args(arguments).output().unwrap()
-}
-
-fn stdout(output: &Output) -> String {
-    String::from_utf8(output.stdout.clone()).unwrap()
-}
-
-fn stderr(output: &Output) -> String {
-    String::from_utf8(output.stderr.clone()).unwrap()
-}
-
-#[track_caller]
-fn expect(code: i32, arguments: &[&str]) -> Output {
-    let output = stictiond(arguments);
-    assert_eq!(output.status.code(), Some(code), "{arguments:?}: {}{}", stdout(&output), stderr(&output));
-    output
-}
 
 struct Folder(tempfile::TempDir);
 

@@ -2,12 +2,11 @@
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 #![cfg(feature = "daemon")]
 
-use std::fs;
-use std::process::{Command, Output};
+mod common;
 
-fn stictiond(args: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_stictiond")).args(args).output().unwrap()
-}
+use std::fs;
+
+use common::program::stictiond;
 
 const SHIPPED: [&str; 3] = ["sticking", "four-loops", "awkward"];
 

@@ -2,21 +2,19 @@
 #![cfg(feature = "daemon")]
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+mod common;
+
+use common::program;
 use serde_json::Value;
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::Command;
 
-fn stictiond(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_stictiond")).args(arguments).output().unwrap()
-}
-
+/// What it says on both channels.
 #[track_caller]
 fn expect(code: i32, arguments: &[&str]) -> (String, String) {
-    let out = stictiond(arguments);
-    let (stdout, stderr) = (String::from_utf8(out.stdout).unwrap(), String::from_utf8(out.stderr).unwrap());
-    assert_eq!(out.status.code(), Some(code), "{arguments:?}: {stdout}{stderr}");
-    (stdout, stderr)
+    let out = program::expect(code, arguments);
+    (program::stdout(&out), program::stderr(&out))
 }
 
 #[track_caller]

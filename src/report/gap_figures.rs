@@ -279,8 +279,13 @@ fn ranked(of: &GapLoop) -> Result<Option<Figure>, PlotError> {
     if drawn.is_empty() {
         return Ok(None);
     }
-    let notes: Vec<String> =
-        drawn.iter().map(|e| format!("{:.0} %, evidence {:+.2}", e.closed_pct.unwrap_or(0.0), e.evidence)).collect();
+    // Adding zero takes the sign off what rounds to nothing.
+    let rounded = |x: f64, digits: f64| (x * digits).round() / digits + 0.0;
+    let note = |e: &&EffectNote| {
+        let closed = rounded(e.closed_pct.unwrap_or(0.0), 1.0);
+        format!("{closed:.0} %, evidence {:+.2}", rounded(e.evidence, 100.0))
+    };
+    let notes: Vec<String> = drawn.iter().map(note).collect();
     let inside = |v: f64| v.clamp(CLOSED[0], CLOSED[1]);
     let list: Vec<Bar<'_>> = drawn
         .iter()

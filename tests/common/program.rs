@@ -1,0 +1,23 @@
+//! The program as its users call it.
+
+use std::process::{Command, Output};
+
+pub fn stictiond(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_stictiond")).args(arguments).output().unwrap()
+}
+
+pub fn stdout(output: &Output) -> String {
+    String::from_utf8(output.stdout.clone()).unwrap()
+}
+
+pub fn stderr(output: &Output) -> String {
+    String::from_utf8(output.stderr.clone()).unwrap()
+}
+
+/// Runs it and asks for an exit code.
+#[track_caller]
+pub fn expect(code: i32, arguments: &[&str]) -> Output {
+    let output = stictiond(arguments);
+    assert_eq!(output.status.code(), Some(code), "{arguments:?}: {}{}", stdout(&output), stderr(&output));
+    output
+}
