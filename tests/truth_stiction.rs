@@ -88,19 +88,20 @@ fn batch(kind: u8, seeds: std::ops::Range<u64>) -> (f64, f64, f64) {
 #[test]
 fn noisy_first_order_loops_reach_the_noise_floor() {
     let (floor, error, sticking) = batch(0, 0..24);
-    assert!(floor >= 0.7 && error < 0.5 && sticking > 0.85);
+    assert!(floor >= 0.9 && error < 0.3 && sticking > 0.7);
 }
 
 #[test]
 fn noisy_second_order_loops_are_measured() {
     let (floor, error, sticking) = batch(1, 0..16);
-    assert!(floor >= 0.25 && error < 6.0 && sticking > 0.5);
+    // A second lag that held-out data do not miss is taken for dead time, and s goes with it.
+    assert!(floor >= 0.75 && error < 8.0 && sticking > 0.35);
 }
 
 #[test]
 fn noisy_integrating_loops_are_measured() {
     let (floor, error, sticking) = batch(2, 0..16);
-    assert!(floor >= 0.35 && error < 3.0 && sticking > 0.8);
+    assert!(floor >= 0.6 && error < 0.5 && sticking > 0.8);
 }
 
 #[test]

@@ -30,6 +30,8 @@ const FAR_BEHIND: f64 = 1.5;
 /// The same before the exact cells are known: where the other law leaves nothing but noise, and where it does not.
 const BEYOND_NOISE: f64 = 1.5;
 const HOPELESS: f64 = 4.0;
+/// s in spans of OP from which the index for moves counts in full.
+const FULL_WEIGHT: f64 = 0.2;
 /// Stiction index below which the exact size of the bands is not worth the work.
 const WORTH_REFINING: f64 = 0.1;
 
@@ -100,8 +102,9 @@ pub struct Found {
     pub done: bool,
     /// Squared error without friction, plain and filtered.
     pub without: [f64; 2],
-    /// Least squared error of the filtered view.
-    pub moves_sse: f64,
+    /// Share of the filtered error that goes with the friction; less where s is small, for so small a band noise
+    /// imitates.
+    pub index_moves: f64,
     /// Responses computed.
     pub evaluations: u64,
     /// How the solver ended.
@@ -340,6 +343,20 @@ impl Chase<'_, '_> {
         Some(answer)
     }
 
+    /// The best share of the filtered error, `without` friction, that a band takes away: of the finalists, which were
+    /// chosen by the plain error, and of the best by the filtered one, which a slow disturbance leads astray less.
+    fn index_moves(&mut self, finalists: &[Candidate], by_moves: &[Candidate], without: f64) -> f64 {
+        let mut best = 0.0;
+        for (held, home) in [(finalists, self.moves.class), (by_moves, self.searched)] {
+            for c in held {
+                let settled = into_class(&mut self.moves, c, home);
+                let share = settled.map_or(0.0, |c| improvement(c.fit.sse, without) * (c.s / FULL_WEIGHT).min(1.0));
+                best = f64::max(best, share);
+            }
+        }
+        best
+    }
+
     /// Whether the slips now found ask for another class of process than the ones before did; the best goes there.
     fn reclass(&mut self, finalists: &mut Vec<Candidate>) -> bool {
         let Some(best) = finalists.first().copied() else { return false };
@@ -394,11 +411,10 @@ fn follow(ground: &Ground<'_>, seen: &Scouted<'_>, at: usize, rival: Rival) -> F
     }
     let class = chase.plain.class;
     let done = finalists.first().is_some_and(|c| is_done(&mut chase.plain, c));
-    let again = finalists.iter().filter_map(|c| chase.moves.settle(c)).map(|c| c.fit.sse);
-    let moves_sse = again.fold(f64::INFINITY, f64::min);
     let without = ground.without(class, sign);
+    let index_moves = chase.index_moves(&finalists, &by_moves, without[1]);
     let evaluations = chase.plain.fitter.evaluations + chase.moves.fitter.evaluations;
-    Found { answer, finalists, class, law, sign, done, without, moves_sse, evaluations, outcome }
+    Found { answer, finalists, class, law, sign, done, without, index_moves, evaluations, outcome }
 }
 
 /// Lag-1 autocorrelation of a residual from which it is filtered.

@@ -5,7 +5,7 @@ use core::cell::RefCell;
 use super::choice::{DelayChoice, ModelChoice, ValveChoice};
 use super::class::Class;
 use super::fit::Target;
-use super::hunt::{Answer, Found, Ground, Rival, Scouted, hunt, improvement, scout};
+use super::hunt::{Answer, Found, Ground, Rival, Scouted, hunt, scout};
 use super::interval;
 use super::pose::pose;
 use super::sign;
@@ -175,7 +175,7 @@ fn search(ground: &Ground<'_>, laws: &[Law], signs: &[f64], read: Option<f64>, k
         }
         all.extend(found.into_iter().min_by(|a, b| a.sse().total_cmp(&b.sse())));
         // The laws are alike enough that where one sees no friction at all, the other need not be asked.
-        let sees = |f: &Found| f.index().max(improvement(f.moves_sse, f.without[1])) >= NO_FRICTION;
+        let sees = |f: &Found| f.index().max(f.index_moves) >= NO_FRICTION;
         if !all.iter().any(sees) {
             break;
         }
@@ -219,7 +219,7 @@ fn report(
         j: j * span,
         span,
         index: found.index(),
-        index_moves: improvement(found.moves_sse, found.without[1]),
+        index_moves: found.index_moves,
         law: found.law,
         class: found.class,
         gain: if found.class.integrates() { gain / point_s } else { gain },

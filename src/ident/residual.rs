@@ -7,7 +7,7 @@ use crate::signal::stats;
 /// Lags looked at.
 const LAGS: usize = 20;
 /// Portmanteau statistic of [`LAGS`] lags beyond which a residual is not white: chi-squared, 20 degrees, 0.1 %.
-const PORTMANTEAU: f64 = 45.3;
+pub const PORTMANTEAU: f64 = 45.3;
 /// Lag-1 autocorrelation beyond which it is not, however short the record.
 const FIRST_LAG: f64 = 0.12;
 /// Largest normalised cross-correlation of noise with OP and its moves, in standard errors: 40 draws, some 1 %.

@@ -123,7 +123,7 @@ const UNNAMED: &str = "a sign in the record";
 /// What a witness looks at.
 fn looks_at(name: &str) -> &'static str {
     match name {
-        "error_ratio" => "how much better the record is explained with friction than without",
+        "likelihood" => "how much likelier the record is with friction than without, where that leaves only noise",
         "confirmed" => "whether that fit could be an accident (few turns of the stem, OP an image of PV)",
         "moves" => "the same gain for PV's changes, which slow disturbances hardly touch",
         "horch" => "whether OP and PV are out of phase by a quarter, as behind a sticking valve",

@@ -32,7 +32,7 @@ pub(super) fn smallest(
     interpolated: bool,
 ) -> Option<f64> {
     let imagination = Imagination::new(record, options, estimate, sticks)?;
-    let seen = |share: f64| is_seen(record, &imagination, share, interpolated);
+    let seen = |share: f64| is_seen(record, &imagination, estimate, share, interpolated);
     let ratio = libm::pow(BANDS[1] / BANDS[0], 1.0 / (GRID - 1) as f64);
     let mut unseen = BANDS[0] / ratio;
     let mut first: Option<f64> = None;
@@ -55,14 +55,22 @@ pub(super) fn smallest(
 }
 
 /// Whether the rule sees a valve with a band of `share` spans; `None` where the stem hardly moves.
-fn is_seen(record: &Record, imagination: &Imagination<'_>, share: f64, interpolated: bool) -> Option<bool> {
+fn is_seen(
+    record: &Record,
+    imagination: &Imagination<'_>,
+    estimate: &Estimate,
+    share: f64,
+    interpolated: bool,
+) -> Option<bool> {
     let s = share * imagination.span();
     let mut valve = imagination.valve(s, JUMP * s)?;
     let record = Record { pv: core::mem::take(&mut valve.pv), ..record.clone() };
     let without_fit = rule::figures(None, &record, &detect::ALL, interpolated);
     let p = |index: f64| {
         let mut figures = without_fit.clone();
-        figures.extend(rule::of_fit(index, valve.s_over_span, valve.reversals));
+        // Noise and disturbances are those at hand, and so is what a fit leaves of them.
+        let left = &estimate.spread.whiteness;
+        figures.extend(rule::of_fit(index, valve.s_over_span, valve.reversals, left, record.len()));
         Rule::shipped().opinion(&rule::features(figures)).p()
     };
     // Most small bands are not seen even were the fit perfect; then there is no need for it.

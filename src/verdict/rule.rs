@@ -12,13 +12,14 @@ use serde::{Deserialize, Serialize};
 
 use crate::detect::{Detector, View};
 use crate::ident::Estimate;
+use crate::ident::residual::{PORTMANTEAU, Whiteness};
 use crate::record::Record;
 use crate::signal::stats;
 
 /// s over OP's span below which the index counts less: smaller bands are within what noise and rounding imitate.
 const FULL_WEIGHT: f64 = 0.2;
 /// Share of the error below which less of it proves no more.
-const LEAST_ERROR: f64 = 0.018;
+const LEAST_ERROR: f64 = 1e-6;
 /// Turns of the stem from which a fit is no accident.
 const MANY_TURNS: f64 = 12.0;
 /// What noise gives for the odd part of OP's and PV's cross-correlation, and what a sticking valve exceeds.
@@ -149,10 +150,18 @@ impl Rule {
     }
 }
 
-/// The figures of a fit, by name: its index, s over OP's span, and the turns of the stem.
+/// The figures of a fit to `points` points, by name: its index, s over OP's span, the turns of the stem, and how white
+/// what it leaves is.
 #[must_use]
-pub fn of_fit(index: f64, s_over_span: f64, reversals: usize) -> [(String, f64); 3] {
-    let fit = [("stiction_index", index), ("s_over_span", s_over_span), ("reversals", reversals as f64)];
+pub fn of_fit(index: f64, s_over_span: f64, reversals: usize, left: &Whiteness, points: usize) -> [(String, f64); 6] {
+    let fit = [
+        ("stiction_index", index),
+        ("s_over_span", s_over_span),
+        ("reversals", reversals as f64),
+        ("points", points as f64),
+        ("inflation", left.inflation),
+        ("portmanteau", left.portmanteau),
+    ];
     fit.map(|(name, value)| (name.to_owned(), value))
 }
 
@@ -168,7 +177,7 @@ pub fn figures(
 ) -> Features {
     let mut out = Features::new();
     if let Some(e) = estimate {
-        out.extend(of_fit(e.index, e.s / e.span, e.reversals));
+        out.extend(of_fit(e.index, e.s / e.span, e.reversals, &e.spread.whiteness, record.len()));
         out.insert("index_moves".to_owned(), e.index_moves);
     }
     let moved = record.sp.as_deref().map_or(0.0, stats::std_dev) / stats::std_dev(&record.pv);
@@ -185,7 +194,7 @@ pub fn figures(
 ///
 /// | feature | means |
 /// |---|---|
-/// | `error_ratio` | `-ln(1 - index)`, the logarithm of the error without friction over that with it, 0..4; `index` is the stiction index, times s over a fifth of OP's span where s is smaller; 0 without a fit |
+/// | `likelihood` | `ln(1 + n/2 ln(1 / (1 - index)))`, n the independent points: the logarithm of how much likelier the record is with friction than without; less, as `1 / (1 + (Q / 45.3)^2)`, where the statistic Q of Ljung and Box (1978) over 20 lags says that the fit leaves more than noise; 0 without a fit |
 /// | `confirmed` | `index`, less where the stem turned less than 12 times while the set point hardly moved (few turns can be an accident), and where OP is an image of PV (`horch` below 0.5: the fit may be of the controller) |
 /// | `moves` | the index for differences of the free-run error, which slow disturbances hardly touch, less where s is small |
 #[must_use]
@@ -194,15 +203,18 @@ pub fn features(mut figures: Features) -> Features {
     let index = of("stiction_index") * (of("s_over_span") / FULL_WEIGHT).min(1.0);
     let tried = (of("reversals") / MANY_TURNS).max(of("setpoint_share")).min(1.0);
     let confirmed = index * tried * (of("horch") / HALF_ODD).min(1.0);
-    let ratio = libm::log(1.0 / (1.0 - index).max(LEAST_ERROR));
-    let moves = of("index_moves") * (of("s_over_span") / FULL_WEIGHT).min(1.0);
-    let made = [("error_ratio", ratio), ("confirmed", confirmed), ("moves", moves)];
+    let moves = of("index_moves");
+    let gain =
+        -0.5 * libm::log((1.0 - of("stiction_index")).max(LEAST_ERROR)) * of("points") / of("inflation").max(1.0);
+    let coloured = of("portmanteau") / PORTMANTEAU;
+    let likelihood = libm::log1p(gain.max(0.0)) / (1.0 + coloured * coloured);
+    let made = [("likelihood", likelihood), ("confirmed", confirmed), ("moves", moves)];
     figures.extend(made.map(|(name, value)| (name.to_owned(), value)));
     figures
 }
 
 /// Names of the features that are made of the fit, in the order of documents.
-pub const OF_THE_FIT: [&str; 3] = ["error_ratio", "confirmed", "moves"];
+pub const OF_THE_FIT: [&str; 3] = ["likelihood", "confirmed", "moves"];
 
 #[cfg(test)]
 mod tests {
