@@ -9,6 +9,7 @@ mod decide;
 mod diagnosis;
 pub mod document;
 pub mod effects;
+pub mod evidence;
 mod express;
 mod forward;
 mod given;
