@@ -70,6 +70,8 @@ pub fn decide(evidence: &Evidence, without: &[&str], calibration: &Calibration) 
         let alternatives = alternatives(&ranked, &cause, &outcomes, calibration);
         Decision { cause, alternatives, by, best: best.clone(), features, outcomes }
     };
+    let coloured = basis.coloured_noise && has("coloured_noise") && is_plain(basis);
+    let unnamed = if coloured { "coloured_noise" } else { UNKNOWN };
     // Masked samples are the whole story only where the rest is explained.
     let explained = |t: &str| !MASKED.contains(&t) || basis.base.over_floor.is_none_or(|o| o < EXPLAINED);
     if let Some(trace) = basis.traces.iter().find(|t| has(t) && explained(t)) {
@@ -79,9 +81,10 @@ pub fn decide(evidence: &Evidence, without: &[&str], calibration: &Calibration) 
         return answer("time_skew", calibration.trace, By::Trace);
     }
     if let Some(first) = basis.on_mv.iter().find(|e| has(&e.id)) {
-        // Behind a measured valve the process stands alone: its own ranking counts.
+        // Behind a measured valve the process stands alone: its own ranking counts, and the right effect explains all.
         if basis.by_mv == Some(Stage::Process) && first.evidence > effects::MARGIN && !basis.base_at_floor {
-            return answer(&first.id, calibration.by_mv, By::Mv);
+            let id = if first.over_floor.is_none_or(|o| o < EXPLAINED) { &first.id } else { unnamed };
+            return answer(id, calibration.by_mv, By::Mv);
         }
     }
     // Of samples that would have been masked, nothing is known.
@@ -91,10 +94,10 @@ pub fn decide(evidence: &Evidence, without: &[&str], calibration: &Calibration) 
             answer(&best.id, outcomes.right, By::Choice)
         }
         _ if outcomes.none >= outcomes.other && !hidden => answer(NONE, outcomes.none, By::Choice),
-        _ if basis.coloured_noise && has("coloured_noise") && is_plain(basis) => {
-            answer("coloured_noise", outcomes.other * calibration.coloured_noise, By::Choice)
+        _ => {
+            let share = if coloured { calibration.coloured_noise } else { calibration.unknown };
+            answer(unnamed, outcomes.other * share, By::Choice)
         }
-        _ => answer(UNKNOWN, outcomes.other * calibration.unknown, By::Choice),
     }
 }
 
@@ -157,9 +160,20 @@ fn alternatives(
 /// Whether held-out blocks, and where it can say so the run forward in time, bear a call out.
 #[must_use]
 pub fn confirmed(effect: &EffectResult, forward: Option<[f64; 2]>) -> bool {
-    let closes = effect.closed_pct.is_some_and(|c| c > 5.0) || effect.gap_after < 0.9 * effect.gap_before;
+    let closes = closes(effect.closed_pct) || effect.gap_after < 0.9 * effect.gap_before;
     let local = LOCAL.contains(&effect.id.as_str());
     closes && (local || forward.is_none_or(|[before, after]| after < before))
+}
+
+/// Whether held-out blocks alone bear an answer out, for one that was decided again.
+#[must_use]
+pub fn holds_out(evidence: &Evidence, cause: &Cause) -> bool {
+    let named = evidence.contenders.iter().find(|c| c.id == cause.id);
+    named.map_or(cause.confirmed, |c| closes(c.closed_pct))
+}
+
+fn closes(pct: Option<f64>) -> bool {
+    pct.is_some_and(|c| c > 5.0)
 }
 
 /// Whether free run can predict an effect.

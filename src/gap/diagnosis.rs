@@ -62,7 +62,8 @@ pub fn diagnose(record: &Record, ask: &Ask, crew: &dyn Crew) -> Result<Diagnosis
     let straight = traces.signatures.iter().any(|s| s.id == "swinging_door" && s.met);
     let mut floor = noise::floor(&record.pv, straight);
     let law = if ask.base == Base::Linear { None } else { Some(Law::He) };
-    let mut work = Work { crew, budget: ask.budget_evaluations, done: 0, stopped: false, seed: ask.seed };
+    let budget = ask.budget_evaluations;
+    let mut work = Work { crew, budget, done: 0, stopped: false, spent: false, seed: ask.seed };
     let found = rounds::run(&scene, law, &ask.without, floor.noise_floor, &mut work)
         .ok_or(GapError::NoBase { points: record.len(), evaluations: work.done })?;
     let no_base = GapError::NoBase { points: record.len(), evaluations: work.done };
@@ -72,6 +73,7 @@ pub fn diagnose(record: &Record, ask: &Ask, crew: &dyn Crew) -> Result<Diagnosis
         Base::Given(model) => Some(given::simulate(&scene, model, floor.noise_floor)?),
         _ => None,
     };
+    work.begin(budget);
     let seen = stages::look(record, &scene, &ask.without, &mut work);
     let effects = weigh(&scene, &found, &base, &traces, &floor, ask);
     let basis = basis(record, &scene, &found, &base, &traces, &seen, &floor, ask);
@@ -104,6 +106,7 @@ pub fn diagnose(record: &Record, ask: &Ask, crew: &dyn Crew) -> Result<Diagnosis
         basis,
     };
     if ask.pairs {
+        work.begin(budget);
         let scales = scales(&scene, &found, &made.base, &traces, &made.floor, ask.seed);
         made.pairs = pairs::run(&scene, &found, &scales, &mut work);
     }
@@ -112,7 +115,7 @@ pub fn diagnose(record: &Record, ask: &Ask, crew: &dyn Crew) -> Result<Diagnosis
     made.confirm();
     made.next_test = next_test(&scene, &found, &made);
     made.evaluations = work.done;
-    made.stopped_early = work.stopped;
+    made.stopped_early = work.stopped || work.spent;
     Ok(made)
 }
 

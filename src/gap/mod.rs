@@ -34,6 +34,7 @@ pub mod text;
 pub mod types;
 mod weigh;
 
+pub use decide::{By, Decision, decide, holds_out};
 pub use diagnosis::{MIN_POINTS, diagnose};
 pub use types::*;
 

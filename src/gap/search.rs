@@ -31,6 +31,8 @@ pub struct Lane {
     pub best: Vec<Scored>,
     /// Responses computed.
     pub evaluations: u64,
+    /// Responses that its next round may compute.
+    pub allowed: u64,
     /// Where its random steps are drawn from: differs with every round.
     pub stream: u64,
 }
@@ -80,6 +82,7 @@ pub const NARROW: Effort = Effort { views: [(2, 30), (1, 60)], plain: [(4, 50), 
 /// Looks at all genes with all of the lane's starts, and at `own` as they are, then improves the best.
 pub fn hunt(scene: &Scene, lane: &mut Lane, genes: &[Gene], own: &[Gene], effort: &Effort, seed: u64) {
     let mut kernel = Kernel::new(scene, lane.sign);
+    kernel.limit = lane.allowed;
     lane.stream += 1;
     let mut rng = generator(seed, 100 + lane.stream);
     let recipe = lane.recipe;

@@ -36,7 +36,7 @@ pub struct Ask {
     pub without: Vec<String>,
     /// Also pairs of effects.
     pub pairs: bool,
-    /// Model responses that the search may compute.
+    /// Model responses that a search may compute; a recorded valve position and pairs each bring another search.
     pub budget_evaluations: u64,
     /// Seed of every random choice.
     pub seed: u64,

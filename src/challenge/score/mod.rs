@@ -107,6 +107,12 @@ impl Judged<'_> {
     }
 }
 
+/// Whether the effect of a case shows: the base leaves more than [`EXPRESSED`] times the noise.
+#[must_use]
+pub fn is_expressed(truth: &TruthCase, answer: &Answer) -> bool {
+    Judged { truth, answer }.is_expressed()
+}
+
 /// Pairs answers with the truth and counts.
 ///
 /// # Errors
