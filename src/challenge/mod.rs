@@ -31,7 +31,7 @@ mod truth;
 mod valve;
 
 pub use kinds::{Kind, Stage};
-pub use truth::{Answer, SCHEMA as TRUTH_SCHEMA, Tampered, Truth, TruthCase, seal};
+pub use truth::{Answer, Tampered, Truth, TruthCase, seal};
 
 use crate::record::Record;
 use crate::sim::truth::draw::Draw;

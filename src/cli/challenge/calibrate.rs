@@ -65,7 +65,7 @@ pub(super) fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     if let Some(out) = args.out.as_ref().filter(|out| out.exists() && !args.force) {
         bail!("{}: exists; --force replaces it", out.display());
     }
-    let (mut cases, mut decks) = (Vec::new(), Vec::new());
+    let (mut cases, mut decks, mut first) = (Vec::new(), Vec::new(), None);
     for dir in &args.dirs {
         let truth = opened(dir)?;
         if truth.split != Split::A.name() {
@@ -74,6 +74,7 @@ pub(super) fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
         let read = cases_of(dir, &truth)?;
         decks.push(format!("seed {} ({} cases)", truth.seed, read.len()));
         cases.extend(read);
+        first.get_or_insert(truth);
     }
     let mut made = calibrated(args, &cases).context("no case shows an effect: answer a larger challenge")?;
     made.from = format!(
@@ -84,11 +85,12 @@ pub(super) fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
         crate::VERSION,
         decks.join(", ")
     );
-    let inside = judged(&cases, |_| Some(&made))?;
+    let first = first.context("no folder was given")?;
+    let inside = judged(&first, &cases, |_| Some(&made))?;
     let folds = usize::from(args.folds);
     let parts: Vec<Option<Calibration>> =
         (0..folds).map(|part| calibrated(args, &without(&cases, part, folds))).collect();
-    let outside = judged(&cases, |index| parts[index % folds].as_ref())?;
+    let outside = judged(&first, &cases, |index| parts[index % folds].as_ref())?;
     if let Some(out) = &args.out {
         let mut bytes = serde_json::to_vec_pretty(&made)?;
         bytes.push(b'\n');
@@ -255,23 +257,24 @@ impl Tally {
     }
 }
 
-/// All figures with the answers decided again.
-fn judged<'c>(cases: &[Case], rule: impl Fn(usize) -> Option<&'c Calibration>) -> anyhow::Result<Figures> {
-    let answers: Vec<Answer> = cases
-        .iter()
-        .enumerate()
-        .map(|(index, case)| rule(index).map_or_else(|| case.answer.clone(), |r| again(case, r)))
-        .collect();
-    let Some(first) = cases.first() else { bail!("there is no case") };
-    let truth = Truth {
-        schema: crate::challenge::TRUTH_SCHEMA.to_owned(),
-        version: crate::VERSION.to_owned(),
-        seed: first.truth.name.split('/').next().and_then(|s| s.parse().ok()).unwrap_or(0),
-        split: Split::A.name().to_owned(),
-        cases_per_effect: 0,
-        cases: cases.iter().map(|c| c.truth.clone()).collect(),
-    };
+/// All figures with the answers decided again, each by its rule; where there is none, as answered.
+fn judged<'c>(of: &Truth, cases: &[Case], rule: impl Fn(usize) -> Option<&'c Calibration>) -> anyhow::Result<Figures> {
+    let decided = |(index, case): (usize, &Case)| rule(index).map_or_else(|| case.answer.clone(), |r| again(case, r));
+    let answers: Vec<Answer> = cases.iter().enumerate().map(decided).collect();
+    let truth = Truth { cases: cases.iter().map(|c| c.truth.clone()).collect(), ..of.clone() };
     Ok(score(&truth, &answers)?)
+}
+
+/// The figures of a folder with this version's decision made again from the answers' fits.
+///
+/// # Errors
+/// Answers are missing or of another version.
+pub(super) fn decided_again(dir: &Path, truth: &Truth) -> anyhow::Result<Figures> {
+    let cases = cases_of(dir, truth)?;
+    if let Some(case) = cases.iter().find(|c| c.evidence.is_none() && c.answer.document.is_some()) {
+        bail!("{}: {} was answered by a version that kept no evidence", dir.display(), case.truth.name);
+    }
+    judged(truth, &cases, |_| Some(Calibration::shipped()))
 }
 
 /// An answer decided again; the fits stay as they are.

@@ -109,6 +109,9 @@ struct ScoreArgs {
     /// Scores what is answered although recordings are left.
     #[arg(long)]
     partial: bool,
+    /// Scores what this version decides from the answers' fits; searches nothing again.
+    #[arg(long)]
+    again: bool,
 }
 
 /// Runs the command.
@@ -302,7 +305,10 @@ fn score_all(args: &ScoreArgs, format: Format) -> anyhow::Result<Outcome> {
     if args.partial {
         truth.cases.retain(|case| answers.iter().any(|a| a.recording == case.name));
     }
-    let figures = score(&truth, &answers)?;
+    let mut figures = score(&truth, &answers)?;
+    if args.again {
+        figures = calibrate::decided_again(&args.dir, &truth)?;
+    }
     write(&args.dir.join(SCORE), &serde_json::to_vec_pretty(&figures)?)?;
     write(&args.dir.join(CONFUSION), picture::confusion(&figures)?.as_bytes())?;
     show(&figures, format)
