@@ -5,7 +5,7 @@
 //! calibrated probability says ([`Calibration`]), and that does ask the held-out blocks.
 
 use super::effects::{self, Way};
-use super::evidence::{Basis, Contender, Evidence};
+use super::evidence::{Basis, Contender, Evidence, OnMv};
 use super::probability::{Calibration, Features, Outcomes};
 use super::types::{Alternative, Cause, EffectResult, NONE, Stage, UNKNOWN};
 
@@ -17,9 +17,12 @@ const NEAR: usize = 4;
 /// Coloured noise is named where it depends on nothing with this p, and where first order is nearly enough.
 const INDEPENDENT: f64 = 0.1;
 const FIRST_ORDER: f64 = 0.15;
-/// Traces whose samples are left out of every fit, and the error over the floor up to which the rest is explained.
+/// Traces whose samples are left out of every fit.
 const MASKED: [&str; 2] = ["outliers", "frozen_sensor"];
+/// Error over the floor up to which a record is explained.
 const EXPLAINED: f64 = 1.2;
+/// Share of the log error above the floor that an effect behind the recorded valve position has to take.
+const MOST: f64 = 0.6;
 /// Effects that act at one time of the record: forward in time says nothing about them.
 const LOCAL: [&str; 6] = ["step_load", "dead_time_change", "ramp", "frozen_sensor", "outliers", "clipping"];
 
@@ -72,8 +75,8 @@ pub fn decide(evidence: &Evidence, without: &[&str], calibration: &Calibration) 
     };
     let coloured = basis.coloured_noise && has("coloured_noise") && is_plain(basis);
     let unnamed = if coloured { "coloured_noise" } else { UNKNOWN };
-    // Masked samples are the whole story only where the rest is explained.
-    let explained = |t: &str| !MASKED.contains(&t) || basis.base.over_floor.is_none_or(|o| o < EXPLAINED);
+    // Single wild samples are the whole story only where the rest is explained.
+    let explained = |t: &str| t != "outliers" || basis.base.over_floor.is_none_or(|o| o < EXPLAINED);
     if let Some(trace) = basis.traces.iter().find(|t| has(t) && explained(t)) {
         return answer(trace, calibration.trace, By::Trace);
     }
@@ -83,7 +86,7 @@ pub fn decide(evidence: &Evidence, without: &[&str], calibration: &Calibration) 
     if let Some(first) = basis.on_mv.iter().find(|e| has(&e.id)) {
         // Behind a measured valve the process stands alone: its own ranking counts, and the right effect explains all.
         if basis.by_mv == Some(Stage::Process) && first.evidence > effects::MARGIN && !basis.base_at_floor {
-            let id = if first.over_floor.is_none_or(|o| o < EXPLAINED) { &first.id } else { unnamed };
+            let id = if explains(first) { &first.id } else { unnamed };
             return answer(id, calibration.by_mv, By::Mv);
         }
     }
@@ -108,6 +111,12 @@ fn ranked<'e>(evidence: &'e Evidence, without: &[&str]) -> Vec<&'e Contender> {
         evidence.contenders.iter().filter(|e| has(&e.id) && allowed(&evidence.basis, e)).collect();
     ranked.sort_by(|a, b| b.lead.total_cmp(&a.lead));
     ranked
+}
+
+/// Whether an effect takes most of what stands above the floor behind the recorded valve position.
+fn explains(effect: &OnMv) -> bool {
+    let left = effect.over_floor.map_or(0.0, |o| 2.0 * libm::log(o.max(1.0)));
+    left < 2.0 * libm::log(EXPLAINED) || effect.evidence >= MOST * (effect.evidence + left)
 }
 
 /// Whether what is left is noise with a memory and nothing else.

@@ -20,6 +20,8 @@ const MAX_COLUMNS: usize = 11;
 
 /// Initial slope of a pair of lags, that of the quicker one alone being 1, from which it counts as leading.
 const LEADS: f64 = 0.5;
+/// What such a pair leaves in the end, over its larger part, below which it comes back.
+const COMES_BACK: f64 = 0.05;
 
 /// Linear coefficients of a model: those of the other columns first, then that of the response.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -273,7 +275,7 @@ impl<'a> Kernel<'a> {
             let most = MOST_OVERSHOOT * 0.5 * (gene.s + gene.j);
             let j_high = if j_high.is_finite() { j_high } else { gene.j.max(3.0 * gene.s) };
             let low = (0.5 * (s_low - j_high)).max(-most);
-            (low, (0.5 * (s_high - j_low)).min(0.0).max(low))
+            (low, (0.5 * (s_high - j_low)).max(low))
         } else {
             let low = (0.5 * (s_low - j_high.min(s_high))).max(0.0);
             (low, (0.5 * (s_high - j_low)).max(low))
@@ -326,7 +328,7 @@ impl<'a> Kernel<'a> {
         if gain == 0.0 || total * self.sign <= 0.0 {
             return None;
         }
-        if plan.zero && leads(time_constants(&plan, &gene), [gain, total - gain]) {
+        if plan.zero && reads_controller(time_constants(&plan, &gene), [gain, total - gain]) {
             return None;
         }
         let sse = (gram.at(last, last) - explained).max(0.0);
@@ -497,11 +499,12 @@ fn time_constants(plan: &Plan, gene: &Gene) -> [f64; 2] {
     if plan.tau2 > 0.0 { separated(tau, plan.tau2).into() } else { [tau, 0.0] }
 }
 
-/// Whether two lags side by side begin faster than half of what one would: their zero then leads, and in a closed loop
-/// the best such pair is not the process but the controller read backwards.
-fn leads(tau: [f64; 2], gain: [f64; 2]) -> bool {
+/// Whether two lags side by side are not the process but the closed loop's controller read backwards, which gives PV's
+/// moves from OP's and no level: the pair begins faster than half of what one lag would, or comes back to where it was.
+fn reads_controller(tau: [f64; 2], gain: [f64; 2]) -> bool {
+    let total = gain[0] + gain[1];
     let slope = gain[0] / tau[0] + gain[1] / tau[1];
-    slope * tau[0].min(tau[1]) / (gain[0] + gain[1]) > LEADS
+    slope * tau[0].min(tau[1]) / total > LEADS || total.abs() < COMES_BACK * gain[0].abs().max(gain[1].abs())
 }
 
 /// One of sine and cosine over the record by turning `[sin, cos]` from `start` (its first entry is kept).

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use super::evidence::{Basis, Contender};
 
 /// What an answer's probability is made of, in this order; the first is a constant.
-pub const NAMES: [&str; 22] = [
+pub const NAMES: [&str; 24] = [
     "one",
     "lead",
     "ahead",
@@ -21,6 +21,8 @@ pub const NAMES: [&str; 22] = [
     "train",
     "held_out",
     "colour",
+    "white_above",
+    "explained",
     "with_op",
     "over_best",
     "base_train",
@@ -59,6 +61,10 @@ impl Features {
         let share = |pct: f64| (pct / 100.0).clamp(-1.0, 1.0);
         let against = |x: f64| ((x - 3.0) / 6.0).clamp(0.0, 1.5);
         let raw_gain = best.map_or(0.0, |b| b.raw_gain).max(0.0);
+        let train = log(left.over_floor);
+        // White but well above the noise: a model that reads the controller backwards finds the noise in OP.
+        let white_above = train.max(0.0) * libm::exp(-5.0 * left.colour.max(0.0));
+        let to_explain = 2.0 * libm::log(base.over_floor.unwrap_or(1.0).max(1.05));
         Self([
             1.0,
             lead.clamp(-0.3, 1.5),
@@ -66,9 +72,11 @@ impl Features {
             flag(best.is_some_and(|b| b.at_floor)),
             share(closed),
             share(at_least),
-            log(left.over_floor),
+            train,
             log(left.held_over_floor),
             left.colour.clamp(0.0, 2.0),
+            white_above,
+            (raw_gain / to_explain).clamp(0.0, 1.2),
             against(left.with_op),
             (basis.noise.over_base - raw_gain).clamp(-0.5, 1.5),
             log(base.over_floor),

@@ -228,7 +228,9 @@ fn own_look(scene: &Scene, lane: &Lane, calm: bool) -> (Vec<Gene>, u64) {
     for p in &lane.starts {
         let mut plan = Plan::base(lane.recipe.law);
         (effect.enter)(&p[..effect.params.len()], &mut plan);
-        let (found, n) = coarse::look(scene, &plan, *p, lane.sign, OWN_KEPT);
+        // Against a base without friction nobody else looks for slips.
+        let kept = if effect.way == Way::AgainstLinear { KEPT } else { OWN_KEPT };
+        let (found, n) = coarse::look(scene, &plan, *p, lane.sign, kept);
         genes.extend(found);
         count += n;
     }
