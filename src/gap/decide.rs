@@ -14,9 +14,11 @@ const FAR: f64 = 0.6;
 const STEEP: f64 = 8.0;
 /// Most effects among the alternatives.
 const NEAR: usize = 4;
-/// Coloured noise is named where it depends on nothing with this p, and where first order is nearly enough.
+/// Coloured noise is named where it depends on nothing with this p, where first order is nearly enough, and where it
+/// explains so much more than any effect, log mean squared error.
 const INDEPENDENT: f64 = 0.1;
-const FIRST_ORDER: f64 = 0.15;
+const FIRST_ORDER: f64 = 0.1;
+const MORE: f64 = 0.3;
 /// Traces whose samples are left out of every fit.
 const MASKED: [&str; 2] = ["outliers", "frozen_sensor"];
 /// Error over the floor up to which a record is explained.
@@ -122,7 +124,8 @@ fn explains(effect: &OnMv) -> bool {
 /// Whether what is left is noise with a memory and nothing else.
 fn is_plain(basis: &Basis) -> bool {
     let noise = &basis.noise;
-    noise.whitens && noise.independence_p > INDEPENDENT && noise.beyond_first < FIRST_ORDER
+    let alone = noise.independence_p > INDEPENDENT && noise.over_best > MORE;
+    noise.whitens && alone && noise.beyond_first < FIRST_ORDER
 }
 
 /// MV at the floor of PV leaves the valve's effects; else what acts behind it.

@@ -186,6 +186,14 @@ pub fn run(
     let effects: Vec<&'static Effect> =
         simulated(base_law.is_none()).into_iter().filter(|e| !without.iter().any(|w| w == e.id)).collect();
     let mut lanes = lanes_of(scene, &base, &effects);
+    // Against a base without friction nobody else looks for slips: the search for He's base is made for it.
+    let sticking = lanes.iter().position(|l| l.recipe.each().any(|e| e.way == Way::AgainstLinear));
+    if let (Some(at), true) = (sticking, work.goes_on()) {
+        if let Some((found, _)) = self::base(scene, Some(Law::He), work) {
+            lanes[at] =
+                Lane { sign: found.sign, best: found.best, evaluations: found.evaluations, ..lanes[at].clone() };
+        }
+    }
     if work.goes_on() {
         let mut from = cross(core::slice::from_ref(&base), 4);
         if !calm {
@@ -220,7 +228,7 @@ pub fn run(
 fn own_look(scene: &Scene, lane: &Lane, calm: bool) -> (Vec<Gene>, u64) {
     let nothing = (Vec::new(), 0);
     let Some(effect) = lane.recipe.each().next() else { return nothing };
-    let moves_slips = ["asymmetric_stiction", "slip_overshoot", "sliding_valve", "positioner_lag", "stiction"];
+    let moves_slips = ["asymmetric_stiction", "slip_overshoot", "sliding_valve", "positioner_lag"];
     if calm || !moves_slips.contains(&effect.id) {
         return nothing;
     }
@@ -228,9 +236,7 @@ fn own_look(scene: &Scene, lane: &Lane, calm: bool) -> (Vec<Gene>, u64) {
     for p in &lane.starts {
         let mut plan = Plan::base(lane.recipe.law);
         (effect.enter)(&p[..effect.params.len()], &mut plan);
-        // Against a base without friction nobody else looks for slips.
-        let kept = if effect.way == Way::AgainstLinear { KEPT } else { OWN_KEPT };
-        let (found, n) = coarse::look(scene, &plan, *p, lane.sign, kept);
+        let (found, n) = coarse::look(scene, &plan, *p, lane.sign, OWN_KEPT);
         genes.extend(found);
         count += n;
     }
