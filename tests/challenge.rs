@@ -84,12 +84,34 @@ fn a_challenge_is_made_run_without_its_truth_and_scored_with_it() {
     assert_eq!(figures["groups"][0]["cases"], 2);
     let picture = fs::read_to_string(dir.join("confusion.svg")).unwrap();
     assert!(picture.starts_with("<svg xmlns=") && picture.trim_end().ends_with("</svg>"));
+    // The calibration decides again from the answers alone, and says on which seeds.
+    let rule = home.path().join("rule.json");
+    let calibrate = |dir: &str| stictiond(&["gap", "challenge", "calibrate", dir, "--out", rule.to_str().unwrap()]);
+    let calibrated = calibrate(at);
+    assert!(calibrated.status.success(), "{}", text(&calibrated.stderr));
+    let words = text(&calibrated.stdout);
+    assert!(words.contains("seed 5 (2 cases)") && words.contains("left out of the fit"), "{words}");
+    let made: serde_json::Value = serde_json::from_slice(&fs::read(&rule).unwrap()).unwrap();
+    assert!(made["weights"]["lead"].is_array() && made["name_from"].as_f64().is_some_and(|p| p > 0.0 && p < 1.0));
+    assert!(made["from"].as_str().unwrap().contains("split A, seed 5") && !words.contains(at), "{made}");
+    assert!(text(&calibrate(at).stderr).contains("--force"));
     let changed = text(&truth).replacen("\"none\"", "\"ramp\"", 1);
     assert_ne!(changed.as_bytes(), truth);
     fs::write(dir.join("truth.json"), changed).unwrap();
     let refused = score(&["--partial"]);
     assert_eq!(refused.status.code(), Some(1));
     assert!(text(&refused.stderr).contains("SHA-256") && text(&refused.stderr).contains(sealed.trim()));
+}
+
+#[test]
+fn nothing_is_calibrated_on_the_split_that_is_reported() {
+    let home = tempfile::tempdir().unwrap();
+    let dir = home.path().join("b");
+    let at = dir.to_str().unwrap();
+    stictiond(&["gap", "challenge", "new", "--seed", "6", "--cases", "1", "--out", at]);
+    let refused = stictiond(&["gap", "challenge", "calibrate", at]);
+    assert_eq!(refused.status.code(), Some(1));
+    assert!(text(&refused.stderr).contains("split B is for reporting"), "{}", text(&refused.stderr));
 }
 
 #[test]

@@ -83,16 +83,16 @@ impl Crew for Two {
     }
 }
 
-/// One after the other, ended at the second question.
-struct Impatient(AtomicUsize);
+/// One after the other, ended when so many evaluations are done.
+struct Until(u64);
 
-impl Crew for Impatient {
+impl Crew for Until {
     fn run(&self, jobs: usize, job: &(dyn Fn(usize) + Sync)) {
         (0..jobs).for_each(job);
     }
 
-    fn tick(&self, _done: u64) -> bool {
-        self.0.fetch_add(1, Ordering::Relaxed) < 1
+    fn tick(&self, done: u64) -> bool {
+        done < self.0
     }
 }
 
@@ -159,10 +159,12 @@ fn answers_depend_on_the_work_and_not_on_who_does_it() {
     let ask = Ask { budget_evaluations: 60_000, ..Ask::default() };
     let one = diagnose(&loop_record, &ask, &Serial).unwrap();
     assert_eq!(one, diagnose(&loop_record, &ask, &Two).unwrap());
-    let cut = diagnose(&loop_record, &Ask::default(), &Impatient(AtomicUsize::new(0))).unwrap();
-    assert!(cut.stopped_early);
-    let ask = Ask { budget_evaluations: cut.evaluations, ..Ask::default() };
-    assert_eq!(cut, diagnose(&loop_record, &ask, &Two).unwrap());
+    // A search that was ended from outside is found again from the evaluations it had done.
+    let cut = diagnose(&loop_record, &Ask::default(), &Until(100_000)).unwrap();
+    assert!(cut.stopped_early && cut.evaluations >= 100_000);
+    assert_eq!(cut, diagnose(&loop_record, &Ask::default(), &Until(cut.evaluations)).unwrap());
+    // A budget is kept but for the base and the last steps.
+    assert!(one.evaluations < 90_000, "{}", one.evaluations);
 }
 
 #[test]

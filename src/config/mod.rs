@@ -112,7 +112,7 @@ pub struct AlarmParams {
 pub struct GapParams {
     /// Whether a loop that departs from its model is diagnosed without being asked.
     pub enabled: bool,
-    /// Model responses that one diagnosis may compute.
+    /// Model responses that one search may compute; a diagnosis with a recorded valve position makes two.
     pub budget_evaluations: u64,
 }
 

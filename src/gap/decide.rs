@@ -1,47 +1,42 @@
 //! The decision: what is named, what else is possible, and what is left unnamed.
 //!
 //! Effects are ranked by their gain on the training blocks after BIC (Schwarz 1978); choosing by held-out free run
-//! would let one mistimed slip decide. Held-out blocks and the run forward in time only confirm.
+//! would let one mistimed slip decide. Whether the best one is right, nothing is missing or something else is, a
+//! calibrated probability says ([`Calibration`]), and that does ask the held-out blocks.
 
 use super::effects::{self, Way};
-use super::probability::{self, Features};
-use super::types::{Alternative, Cause, EffectResult, NONE, NoiseModels, Stage, UNKNOWN};
+use super::evidence::{Basis, Contender, Evidence, OnMv};
+use super::probability::{Calibration, Features, Outcomes};
+use super::types::{Alternative, Cause, EffectResult, NONE, Stage, UNKNOWN};
 
 /// Farther behind the best in training evidence, an effect is no alternative; and how fast it loses weight.
 const FAR: f64 = 0.6;
 const STEEP: f64 = 8.0;
-/// Coloured noise is named where it depends on nothing with this p, and where first order is nearly enough.
+/// Most effects among the alternatives.
+const NEAR: usize = 4;
+/// Coloured noise is named where it depends on nothing with this p, where first order is nearly enough, and where it
+/// explains so much more than any effect, log mean squared error.
 const INDEPENDENT: f64 = 0.1;
-const FIRST_ORDER: f64 = 0.15;
-/// Traces whose samples are left out of every fit, and the error over the floor up to which the rest is explained.
+const FIRST_ORDER: f64 = 0.1;
+const MORE: f64 = 0.3;
+/// Traces whose samples are left out of every fit.
 const MASKED: [&str; 2] = ["outliers", "frozen_sensor"];
+/// Error over the floor up to which a record is explained.
 const EXPLAINED: f64 = 1.2;
+/// Share of the log error above the floor that an effect behind the recorded valve position has to take.
+const MOST: f64 = 0.6;
 /// Effects that act at one time of the record: forward in time says nothing about them.
 const LOCAL: [&str; 6] = ["step_load", "dead_time_change", "ramp", "frozen_sensor", "outliers", "clipping"];
 
-/// What the decision is made from beside the effects' fits; everything in it is known without deciding.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Basis {
-    /// Ids whose trace stands in PV, strongest first.
-    pub traces: Vec<&'static str>,
-    /// Points by which the recorded OP is off the PV that it answers, where the controller says so.
-    pub skew: Option<f64>,
-    /// Noise models of the residual.
-    pub noise: NoiseModels,
-    /// Whether coloured noise may be named.
-    pub coloured_noise: bool,
-    /// Effects beyond their margin.
-    pub effects: usize,
-    /// The stage that MV points to.
-    pub by_mv: Option<Stage>,
-    /// Effects ranked on MV instead of OP: id and evidence, best first.
-    pub on_mv: Vec<(&'static str, f64)>,
-    /// Whether the base is at the floor.
-    pub base_at_floor: bool,
-    /// The base's training error over the floor; `None` where there is no floor.
-    pub over_floor: Option<f64>,
-    /// Whether the set point moves or OP's swings differ in size.
-    pub excited: bool,
+/// How an answer was come by.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum By {
+    /// A trace in PV, or the controller's lag.
+    Trace,
+    /// The ranking behind the recorded valve position.
+    Mv,
+    /// The calibrated choice.
+    Choice,
 }
 
 /// The answer without its confirmation.
@@ -51,142 +46,125 @@ pub struct Decision {
     pub cause: Cause,
     /// What else, best first.
     pub alternatives: Vec<Alternative>,
-    /// What the probability was made of.
+    /// How it was come by.
+    pub by: By,
+    /// The best of the ranked effects, whatever was named.
+    pub best: Option<String>,
+    /// What the probabilities are made of.
     pub features: Features,
+    /// Probabilities of the outcomes.
+    pub outcomes: Outcomes,
 }
 
 /// Decides with a catalogue that lacks `without`.
 #[must_use]
-pub fn decide(effects: &[EffectResult], evidence: &Basis, without: &[&str]) -> Decision {
+pub fn decide(evidence: &Evidence, without: &[&str], calibration: &Calibration) -> Decision {
+    let basis = &evidence.basis;
     let has = |id: &str| !id.split('+').any(|part| without.contains(&part));
-    let features = |ranked: &[&EffectResult]| features(evidence, ranked);
-    // Masked samples are the whole story only where the rest is explained.
-    let explained = |t: &str| !MASKED.contains(&t) || evidence.over_floor.is_none_or(|o| o < EXPLAINED);
-    if let Some(trace) = evidence.traces.iter().find(|t| has(t) && explained(t)) {
-        return named(trace, stage_of(trace), probability::of_trace(), true, &[], features(&[]));
+    let ranked = ranked(evidence, without);
+    let features = Features::of(basis, &ranked);
+    let outcomes = calibration.outcomes(&features);
+    let best = ranked.first().map(|b| b.id.clone());
+    let answer = |id: &str, probability: f64, by: By| {
+        let stage = match id {
+            NONE => Stage::None,
+            _ => effects::by_id(id).map_or(Stage::CannotTell, |e| e.stage),
+        };
+        let confirmed = by != By::Choice || id == NONE;
+        let cause = Cause { id: id.to_owned(), probability, confirmed, stage };
+        let alternatives = alternatives(&ranked, &cause, &outcomes, calibration);
+        Decision { cause, alternatives, by, best: best.clone(), features, outcomes }
+    };
+    let coloured = basis.coloured_noise && has("coloured_noise") && is_plain(basis);
+    let unnamed = if coloured { "coloured_noise" } else { UNKNOWN };
+    // Single wild samples are the whole story only where the rest is explained.
+    let explained = |t: &str| t != "outliers" || basis.base.over_floor.is_none_or(|o| o < EXPLAINED);
+    if let Some(trace) = basis.traces.iter().find(|t| has(t) && explained(t)) {
+        return answer(trace, calibration.trace, By::Trace);
     }
-    if evidence.skew.is_some() && has("time_skew") {
-        return named("time_skew", Stage::Measurement, probability::of_trace(), true, &[], features(&[]));
+    if basis.skew.is_some() && has("time_skew") {
+        return answer("time_skew", calibration.trace, By::Trace);
     }
-    let mut ranked: Vec<&EffectResult> =
-        effects.iter().filter(|e| e.fit.is_some() && has(&e.id) && allowed(evidence, e)).collect();
+    if let Some(first) = basis.on_mv.iter().find(|e| has(&e.id)) {
+        // Behind a measured valve the process stands alone: its own ranking counts, and the right effect explains all.
+        if basis.by_mv == Some(Stage::Process) && first.evidence > effects::MARGIN && !basis.base_at_floor {
+            let id = if explains(first) { &first.id } else { unnamed };
+            return answer(id, calibration.by_mv, By::Mv);
+        }
+    }
+    // Of samples that would have been masked, nothing is known.
+    let hidden = basis.traces.iter().any(|t| !has(t) && MASKED.contains(&t.as_str()));
+    match ranked.first() {
+        Some(best) if best.lead > 0.0 && outcomes.right >= calibration.name_from && !hidden => {
+            answer(&best.id, outcomes.right, By::Choice)
+        }
+        _ if outcomes.none >= outcomes.other && !hidden => answer(NONE, outcomes.none, By::Choice),
+        _ => {
+            let share = if coloured { calibration.coloured_noise } else { calibration.unknown };
+            answer(unnamed, outcomes.other * share, By::Choice)
+        }
+    }
+}
+
+/// The effects that may be named, best first.
+fn ranked<'e>(evidence: &'e Evidence, without: &[&str]) -> Vec<&'e Contender> {
+    let has = |id: &str| !id.split('+').any(|part| without.contains(&part));
+    let mut ranked: Vec<&Contender> =
+        evidence.contenders.iter().filter(|e| has(&e.id) && allowed(&evidence.basis, e)).collect();
     ranked.sort_by(|a, b| b.lead.total_cmp(&a.lead));
-    let best = ranked.first().copied();
-    let features = features(&ranked);
-    if let Some((id, gain)) = evidence.on_mv.iter().find(|(id, _)| has(id)) {
-        // Behind a measured valve the process stands alone: its own ranking counts.
-        if evidence.by_mv == Some(Stage::Process) && *gain > effects::MARGIN && !evidence.base_at_floor {
-            return named(
-                id,
-                stage_of(id),
-                probability::of_trace(),
-                true,
-                &alternatives(&ranked, id, features),
-                features,
-            );
-        }
-    }
-    // What no noise model and no effect explains, or what is left of samples that would have been masked.
-    let hidden = evidence.traces.iter().any(|t| !has(t) && MASKED.contains(t));
-    let unexplained = best.is_none_or(|b| b.lead <= 0.0) && evidence.over_floor.is_some_and(|o| o > EXPLAINED);
-    let rejects = features.over_best > probability::reject_margin() || hidden || unexplained;
-    let coloured_is_known = evidence.coloured_noise && has("coloured_noise");
-    match best {
-        Some(best) if best.lead > 0.0 && !rejects => {
-            let p = probability::of_named(&features);
-            named(&best.id, best.stage, p, false, &alternatives(&ranked, &best.id, features), features)
-        }
-        _ if rejects => {
-            let noise = &evidence.noise;
-            let p = probability::of_rejected(&features);
-            let plain = noise.whitens && noise.independence_p > INDEPENDENT && noise.beyond_first < FIRST_ORDER;
-            if coloured_is_known && plain {
-                named(
-                    "coloured_noise",
-                    Stage::Disturbance,
-                    p,
-                    false,
-                    &alternatives(&ranked, "coloured_noise", features),
-                    features,
-                )
-            } else {
-                named(UNKNOWN, Stage::CannotTell, p, false, &alternatives(&ranked, UNKNOWN, features), features)
-            }
-        }
-        _ => named(
-            NONE,
-            Stage::None,
-            probability::of_none(&features),
-            true,
-            &alternatives(&ranked, NONE, features),
-            features,
-        ),
-    }
+    ranked
 }
 
-fn named(
-    id: &str,
-    stage: Stage,
-    probability: f64,
-    confirmed: bool,
-    others: &[Alternative],
-    features: Features,
-) -> Decision {
-    let mut rest = (1.0 - probability).max(0.0);
-    let alternatives = others
-        .iter()
-        .map(|a| {
-            let p = a.probability * (1.0 - probability);
-            rest -= p;
-            Alternative { id: a.id.clone(), probability: p }
-        })
-        .collect();
-    Decision { cause: Cause { id: id.to_owned(), probability, confirmed, stage }, alternatives, features }
+/// Whether an effect takes most of what stands above the floor behind the recorded valve position.
+fn explains(effect: &OnMv) -> bool {
+    let left = effect.over_floor.map_or(0.0, |o| 2.0 * libm::log(o.max(1.0)));
+    left < 2.0 * libm::log(EXPLAINED) || effect.evidence >= MOST * (effect.evidence + left)
 }
 
-fn stage_of(id: &str) -> Stage {
-    effects::by_id(id).map_or(Stage::CannotTell, |e| e.stage)
+/// Whether what is left is noise with a memory and nothing else.
+fn is_plain(basis: &Basis) -> bool {
+    let noise = &basis.noise;
+    let alone = noise.independence_p > INDEPENDENT && noise.over_best > MORE;
+    noise.whitens && alone && noise.beyond_first < FIRST_ORDER
 }
 
 /// MV at the floor of PV leaves the valve's effects; else what acts behind it.
-fn allowed(evidence: &Basis, effect: &EffectResult) -> bool {
-    match evidence.by_mv {
-        Some(Stage::Valve) => effect.stage == Stage::Valve || effect.id == "positioner_lag",
+fn allowed(basis: &Basis, effect: &Contender) -> bool {
+    match basis.by_mv {
+        Some(Stage::Valve) => effect.stage == Stage::Valve,
         Some(Stage::Process) => effect.stage != Stage::Valve,
         _ => true,
     }
 }
 
-/// What the probabilities are made of.
-fn features(evidence: &Basis, ranked: &[&EffectResult]) -> Features {
-    let lead = ranked.first().map_or(0.0, |e| e.lead);
-    let second = ranked.get(1).map_or(0.0, |e| e.lead);
-    let best_fit = ranked.first().and_then(|e| e.fit.as_ref());
-    Features {
-        lead,
-        ahead: (lead - second.max(0.0)).max(0.0),
-        at_floor: best_fit.is_some_and(|f| f.at_floor),
-        closed: ranked.first().and_then(|e| e.closed_pct).unwrap_or(0.0) / 100.0,
-        // Against the best that is still in the catalogue.
-        over_best: evidence.noise.over_base - ranked.first().map_or(0.0, |e| e.raw_gain).max(0.0),
-        excited: evidence.excited,
-    }
-}
-
-/// Shares of what the named one leaves, by evidence; those within [`FAR`] of the best, at most four.
-fn alternatives(ranked: &[&EffectResult], cause: &str, features: Features) -> Vec<Alternative> {
-    let near = ranked.iter().filter(|e| e.id != cause && e.lead > features.lead - FAR && e.evidence > 0.0).take(4);
-    let mut weights: Vec<(String, f64)> =
-        near.map(|e| (e.id.clone(), libm::exp(STEEP * (e.lead - features.lead)))).collect();
-    if cause != NONE && features.lead < 0.5 {
-        weights.push((NONE.to_owned(), libm::exp(-STEEP * features.lead.max(0.0))));
-    }
-    if cause != UNKNOWN {
-        weights.push((UNKNOWN.to_owned(), 0.3 + features.over_best.clamp(0.0, 1.0)));
-    }
-    let total: f64 = weights.iter().map(|(_, w)| w).sum();
+/// All other answers with their shares, best first: the best effect, `none`, and what shares "something else", `unknown`
+/// and the effects within [`FAR`] of the best.
+fn alternatives(
+    ranked: &[&Contender],
+    cause: &Cause,
+    outcomes: &Outcomes,
+    calibration: &Calibration,
+) -> Vec<Alternative> {
+    let best = ranked.first().filter(|b| b.lead > -effects::MARGIN);
+    let lead = best.map_or(0.0, |b| b.lead);
+    let near: Vec<(&str, f64)> = ranked
+        .iter()
+        .skip(usize::from(best.is_some()))
+        .filter(|e| e.lead > lead - FAR && e.evidence > 0.0)
+        .take(NEAR)
+        .map(|e| (e.id.as_str(), libm::exp(STEEP * (e.lead - lead).min(0.0))))
+        .collect();
+    let total: f64 = near.iter().map(|(_, w)| w).sum();
+    let unknown = if total > 0.0 { calibration.unknown } else { 1.0 };
+    let mut all = vec![(NONE, outcomes.none), (UNKNOWN, outcomes.other * unknown)];
+    all.extend(best.map(|b| (b.id.as_str(), outcomes.right)));
+    all.extend(near.iter().map(|(id, w)| (*id, outcomes.other * (1.0 - unknown) * w / total)));
+    all.retain(|(id, _)| *id != cause.id);
+    let sum: f64 = all.iter().map(|(_, p)| p).sum();
+    let share = if sum > 0.0 { (1.0 - cause.probability).max(0.0) / sum } else { 0.0 };
     let mut out: Vec<Alternative> =
-        weights.into_iter().map(|(id, w)| Alternative { id, probability: w / total }).collect();
+        all.into_iter().map(|(id, p)| Alternative { id: id.to_owned(), probability: p * share }).collect();
+    out.retain(|a| a.probability > 0.005);
     out.sort_by(|a, b| b.probability.total_cmp(&a.probability));
     out
 }
@@ -194,9 +172,20 @@ fn alternatives(ranked: &[&EffectResult], cause: &str, features: Features) -> Ve
 /// Whether held-out blocks, and where it can say so the run forward in time, bear a call out.
 #[must_use]
 pub fn confirmed(effect: &EffectResult, forward: Option<[f64; 2]>) -> bool {
-    let closes = effect.closed_pct.is_some_and(|c| c > 5.0) || effect.gap_after < 0.9 * effect.gap_before;
+    let closes = closes(effect.closed_pct) || effect.gap_after < 0.9 * effect.gap_before;
     let local = LOCAL.contains(&effect.id.as_str());
     closes && (local || forward.is_none_or(|[before, after]| after < before))
+}
+
+/// Whether held-out blocks alone bear an answer out, for one that was decided again.
+#[must_use]
+pub fn holds_out(evidence: &Evidence, cause: &Cause) -> bool {
+    let named = evidence.contenders.iter().find(|c| c.id == cause.id);
+    named.map_or(cause.confirmed, |c| closes(c.closed_pct))
+}
+
+fn closes(pct: Option<f64>) -> bool {
+    pct.is_some_and(|c| c > 5.0)
 }
 
 /// Whether free run can predict an effect.

@@ -1,7 +1,8 @@
 //! From a record to the diagnosis: traces, base, effects, noise models, decision, and what follows from it.
 
-use super::decide::{self, Basis};
+use super::decide;
 use super::effects::{self, Way};
+use super::evidence::{Basis, Evidence, Left};
 use super::express::{fit, rms};
 use super::forward::forward;
 use super::given;
@@ -9,6 +10,7 @@ use super::model::Model;
 use super::next_test::next_test;
 use super::noise;
 use super::pairs;
+use super::probability::Calibration;
 use super::rounds::{self, Found, Work, residual_of};
 use super::scene::{Scene, period_of};
 use super::signatures::{self, Traces};
@@ -60,7 +62,8 @@ pub fn diagnose(record: &Record, ask: &Ask, crew: &dyn Crew) -> Result<Diagnosis
     let straight = traces.signatures.iter().any(|s| s.id == "swinging_door" && s.met);
     let mut floor = noise::floor(&record.pv, straight);
     let law = if ask.base == Base::Linear { None } else { Some(Law::He) };
-    let mut work = Work { crew, budget: ask.budget_evaluations, done: 0, stopped: false, seed: ask.seed };
+    let budget = ask.budget_evaluations;
+    let mut work = Work { crew, budget, done: 0, stopped: false, spent: false, seed: ask.seed };
     let found = rounds::run(&scene, law, &ask.without, floor.noise_floor, &mut work)
         .ok_or(GapError::NoBase { points: record.len(), evaluations: work.done })?;
     let no_base = GapError::NoBase { points: record.len(), evaluations: work.done };
@@ -70,10 +73,11 @@ pub fn diagnose(record: &Record, ask: &Ask, crew: &dyn Crew) -> Result<Diagnosis
         Base::Given(model) => Some(given::simulate(&scene, model, floor.noise_floor)?),
         _ => None,
     };
+    work.begin(budget);
     let seen = stages::look(record, &scene, &ask.without, &mut work);
     let effects = weigh(&scene, &found, &base, &traces, &floor, ask);
-    let basis = basis(record, &scene, &found, &base, &effects, &traces, &seen, &floor, ask);
-    let nothing = decide::decide(&[], &basis, &[]);
+    let basis = basis(record, &scene, &found, &base, &traces, &seen, &floor, ask);
+    let nothing = decide::decide(&Evidence::new(&basis, &[], None), &[], Calibration::shipped());
     let mut made = Diagnosis {
         relative_gap: base.gap / scene.deviation,
         predictions: Predictions {
@@ -102,6 +106,7 @@ pub fn diagnose(record: &Record, ask: &Ask, crew: &dyn Crew) -> Result<Diagnosis
         basis,
     };
     if ask.pairs {
+        work.begin(budget);
         let scales = scales(&scene, &found, &made.base, &traces, &made.floor, ask.seed);
         made.pairs = pairs::run(&scene, &found, &scales, &mut work);
     }
@@ -110,7 +115,7 @@ pub fn diagnose(record: &Record, ask: &Ask, crew: &dyn Crew) -> Result<Diagnosis
     made.confirm();
     made.next_test = next_test(&scene, &found, &made);
     made.evaluations = work.done;
-    made.stopped_early = work.stopped;
+    made.stopped_early = work.stopped || work.spent;
     Ok(made)
 }
 
@@ -161,7 +166,6 @@ fn basis(
     scene: &Scene,
     found: &Found,
     base: &Fit,
-    effects: &[EffectResult],
     traces: &Traces,
     seen: &Option<stages::Seen>,
     floor: &Floor,
@@ -186,16 +190,16 @@ fn basis(
     });
     let left_out = |id: &str| ask.without.iter().any(|w| w == id);
     Basis {
-        traces: strongest.iter().map(|s| s.id).filter(|id| !left_out(id)).collect(),
+        traces: strongest.iter().filter(|s| !left_out(s.id)).map(|s| s.id.to_owned()).collect(),
         skew: skew.filter(|_| !left_out("time_skew")),
         noise: noise::judge(scene, &of_base, &of_best, &slipped, ask.seed),
         coloured_noise: !left_out("coloured_noise"),
         by_mv: seen.as_ref().map(|s| s.stages.stage).filter(|_| !base.at_floor),
         on_mv: seen.as_ref().map(|s| s.ranked.clone()).unwrap_or_default(),
         base_at_floor: base.at_floor,
-        over_floor: floor.noise_floor.map(|f| base.rmse_train / f),
+        base: Left::of(base, floor.noise_floor),
         excited: excited(record, scene),
-        effects: effects.iter().filter(|e| e.lead > 0.0).count(),
+        linear: ask.base == Base::Linear,
     }
 }
 
@@ -213,6 +217,12 @@ fn run_forward(scene: &Scene, found: &Found, made: &Diagnosis, work: &mut Work<'
 }
 
 impl Diagnosis {
+    /// What the decision is made from.
+    #[must_use]
+    pub fn evidence(&self) -> Evidence {
+        Evidence::new(&self.basis, &self.effects, self.floor.noise_floor)
+    }
+
     /// The same fits judged again as if the catalogue lacked `ids` as well.
     #[must_use]
     pub fn without(&self, ids: &[&str]) -> Self {
@@ -235,7 +245,7 @@ impl Diagnosis {
 
     /// Decides, and lets everything that follows from the cause follow it.
     fn settle(&mut self, without: &[&str]) {
-        let decision = decide::decide(&self.effects, &self.basis, without);
+        let decision = decide::decide(&self.evidence(), without, Calibration::shipped());
         (self.cause, self.alternatives, self.features) = (decision.cause, decision.alternatives, decision.features);
         let has = |id: &str| !id.split('+').any(|part| without.contains(&part));
         if let Some(pair) = self.pairs.iter().find(|p| has(&p.id) && pairs::beats(p, &self.effects, without)) {

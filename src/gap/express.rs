@@ -3,10 +3,12 @@
 use super::answer::INTEGRATOR_SCALE;
 use super::kernel::{Kernel, Scored};
 use super::model::{Added, Model, Process, SCHEMA, Valve};
+use super::noise;
 use super::plan::Recipe;
 use super::scene::Scene;
 use super::search::Lane;
 use super::types::{Fit, Parameter, Slip};
+use crate::ident::residual::whiteness;
 use crate::sim::process::separated;
 use crate::sim::slips::Law;
 
@@ -124,7 +126,7 @@ pub fn fit(scene: &Scene, lane: &Lane, floor: Option<f64>, after: &dyn Fn(&mut [
     after(&mut prediction);
     let residual: Vec<f64> =
         prediction.iter().zip(&scene.question.pv).map(|(p, y)| y * scene.deviation + scene.pv_mean - p).collect();
-    let (train, test) = (rms(&residual, &scene.train), rms(&residual, &scene.test));
+    let errors = Errors::of(scene, &residual);
     let model = model(scene, &lane.recipe, best);
     let valve: Vec<f64> = valve.iter().map(|v| v * scene.span + scene.op_middle).collect();
     let plan = lane.recipe.plan(&best.gene);
@@ -136,16 +138,55 @@ pub fn fit(scene: &Scene, lane: &Lane, floor: Option<f64>, after: &dyn Fn(&mut [
         model,
         valve,
         prediction,
-        rmse_train: train,
-        rmse: test,
-        gap: above_floor(test, floor),
+        rmse_train: errors.train,
+        rmse: errors.test,
+        gap: above_floor(errors.test, floor),
         parameters: lane.recipe.freedom(&plan),
         evaluations: lane.evaluations,
-        at_floor: floor.is_some_and(|f| train <= AT_FLOOR * f),
+        at_floor: errors.at_floor(floor),
+        colour: errors.colour,
+        with_op: errors.with_op,
     })
 }
 
-fn slips(valve: &[f64], least: f64) -> Vec<Slip> {
+/// What a free run leaves of PV.
+#[derive(Debug, Clone, Copy)]
+pub struct Errors {
+    /// Root mean square on the training blocks, PV units.
+    pub train: f64,
+    /// On the held-out blocks.
+    pub test: f64,
+    /// See [`Fit::colour`].
+    pub colour: f64,
+    /// See [`Fit::with_op`].
+    pub with_op: f64,
+}
+
+impl Errors {
+    /// Of a residual over the whole record, PV units.
+    #[must_use]
+    pub fn of(scene: &Scene, residual: &[f64]) -> Self {
+        let train = rms(residual, &scene.train);
+        let one_step = noise::autoregression(residual, &scene.train).map_or(train * train, |a| a.mse);
+        let from = scene.blocks.from;
+        Self {
+            train,
+            test: rms(residual, &scene.test),
+            colour: libm::log((train * train).max(1e-300)) - libm::log(one_step.max(1e-300)),
+            with_op: whiteness(&residual[from..], &scene.question.mean[from..]).cross,
+        }
+    }
+
+    /// Whether the training error has reached the floor.
+    #[must_use]
+    pub fn at_floor(&self, floor: Option<f64>) -> bool {
+        floor.is_some_and(|f| self.train <= AT_FLOOR * f)
+    }
+}
+
+/// Moves of a stem, OP units, larger than `least`.
+#[must_use]
+pub fn slips(valve: &[f64], least: f64) -> Vec<Slip> {
     valve
         .windows(2)
         .enumerate()

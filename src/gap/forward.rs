@@ -26,7 +26,7 @@ pub fn forward(scene: &Scene, base: &Lane, cause: &Lane, floor: Option<f64>, wor
         let source = if i == 0 { base } else { cause };
         let genes: Vec<Gene> = source.best.iter().map(|b| b.gene).collect();
         let starts = source.best.iter().take(2).map(|b| b.gene.p).collect();
-        let mut lane = Lane { best: Vec::new(), evaluations: 0, starts, ..source.clone() };
+        let mut lane = Lane { best: Vec::new(), evaluations: 0, allowed: u64::MAX, starts, ..source.clone() };
         hunt(&part, &mut lane, &genes, &[], &NARROW, seed);
         lane
     });

@@ -3,7 +3,7 @@
 
 use super::answer::INTEGRATOR_SCALE;
 use super::effects::{self, Effect};
-use super::express::{above_floor, rms};
+use super::express::{Errors, above_floor, slips};
 use super::kernel::{Kernel, Scored};
 use super::model::{Model, ModelError};
 use super::plan::{Gene, MAX_PARAMS, Recipe};
@@ -38,21 +38,24 @@ pub fn simulate(scene: &Scene, model: &Model, floor: Option<f64>) -> Result<Fit,
     let prediction: Vec<f64> = prediction.iter().map(|p| p * scene.deviation + scene.pv_mean).collect();
     let residual: Vec<f64> =
         scene.question.pv.iter().zip(&prediction).map(|(y, p)| y * scene.deviation + scene.pv_mean - p).collect();
-    let (train, test) = (rms(&residual, &scene.train), rms(&residual, &scene.test));
+    let errors = Errors::of(scene, &residual);
+    let valve: Vec<f64> = valve.iter().map(|v| v * scene.span + scene.op_middle).collect();
     Ok(Fit {
         id: "given".to_owned(),
         model: model.clone(),
-        valve: valve.iter().map(|v| v * scene.span + scene.op_middle).collect(),
-        slips: Vec::new(),
+        slips: if recipe.law.is_some() { slips(&valve, 1e-6 * scene.span) } else { Vec::new() },
+        valve,
         prediction,
         dead_time_s: model.process.dead_time_s,
         time_constants_s: model.process.time_constants_s.clone(),
-        rmse_train: train,
-        rmse: test,
-        gap: above_floor(test, floor),
+        rmse_train: errors.train,
+        rmse: errors.test,
+        gap: above_floor(errors.test, floor),
         parameters: 0,
         evaluations: kernel.evaluations,
-        at_floor: floor.is_some_and(|f| train <= 1.05 * f),
+        at_floor: errors.at_floor(floor),
+        colour: errors.colour,
+        with_op: errors.with_op,
     })
 }
 

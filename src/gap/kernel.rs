@@ -18,6 +18,11 @@ use crate::sim::slips::Sequence;
 /// Columns of a model, right-hand side included, at most.
 const MAX_COLUMNS: usize = 11;
 
+/// Initial slope of a pair of lags, that of the quicker one alone being 1, from which it counts as leading.
+const LEADS: f64 = 0.5;
+/// What such a pair leaves in the end, over its larger part, below which it comes back.
+const COMES_BACK: f64 = 0.05;
+
 /// Linear coefficients of a model: those of the other columns first, then that of the response.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Linear {
@@ -65,6 +70,8 @@ pub struct Kernel<'a> {
     pub sign: f64,
     /// Responses computed.
     pub evaluations: u64,
+    /// Responses that may be computed: from there on nothing is found any more.
+    pub limit: u64,
     sequence: Sequence,
     path: Vec<f64>,
     valve: Vec<f64>,
@@ -85,6 +92,7 @@ impl<'a> Kernel<'a> {
             scene,
             sign,
             evaluations: 0,
+            limit: u64::MAX,
             sequence: Sequence::default(),
             path: Vec::new(),
             valve: Vec::new(),
@@ -169,10 +177,10 @@ impl<'a> Kernel<'a> {
         let scene = self.scene;
         let n = scene.n();
         let from = scene.blocks.from;
+        let [tau1, tau2] = time_constants(plan, gene);
         let tau = libm::exp(gene.log_tau);
         let lag = gene.lag.floor().max(0.0);
         let (whole, fraction) = (lag as usize, gene.lag.max(0.0) - lag);
-        let [tau1, tau2] = if plan.tau2 > 0.0 { separated(tau, plan.tau2).into() } else { [tau, 0.0] };
         let mut count = 0;
         let mut put = |columns: &mut Vec<Vec<f64>>, long: &[f64]| {
             scene.gather(long, view, &mut columns[count]);
@@ -267,7 +275,7 @@ impl<'a> Kernel<'a> {
             let most = MOST_OVERSHOOT * 0.5 * (gene.s + gene.j);
             let j_high = if j_high.is_finite() { j_high } else { gene.j.max(3.0 * gene.s) };
             let low = (0.5 * (s_low - j_high)).max(-most);
-            (low, (0.5 * (s_high - j_low)).min(0.0).max(low))
+            (low, (0.5 * (s_high - j_low)).max(low))
         } else {
             let low = (0.5 * (s_low - j_high.min(s_high))).max(0.0);
             (low, (0.5 * (s_high - j_low)).max(low))
@@ -275,8 +283,12 @@ impl<'a> Kernel<'a> {
         Freedom { fd: [low, high], fd_default: wanted.clamp(low, high), sign: self.sign, limits }
     }
 
-    /// The best linear part at one place; `None` where the stem hardly moves or no gain of the sign helps.
+    /// The best linear part at one place; `None` where the stem hardly moves, no gain of the sign helps, or the limit is
+    /// reached.
     pub fn evaluate(&mut self, recipe: &Recipe, gene: &Gene, view: View) -> Option<Scored> {
+        if self.evaluations >= self.limit {
+            return None;
+        }
         self.evaluations += 1;
         let plan = recipe.plan(gene);
         let mut gene = *gene;
@@ -314,6 +326,9 @@ impl<'a> Kernel<'a> {
         linear.others[..others].copy_from_slice(&all[..others]);
         let total = if plan.zero { gain + linear.others[others - 1] } else { gain };
         if gain == 0.0 || total * self.sign <= 0.0 {
+            return None;
+        }
+        if plan.zero && reads_controller(time_constants(&plan, &gene), [gain, total - gain]) {
             return None;
         }
         let sse = (gram.at(last, last) - explained).max(0.0);
@@ -476,6 +491,20 @@ impl<'a> Kernel<'a> {
         kernel.assemble(&plan, gene.fd);
         Some((out, kernel.valve))
     }
+}
+
+/// Both time constants, points; the second 0 for none.
+fn time_constants(plan: &Plan, gene: &Gene) -> [f64; 2] {
+    let tau = libm::exp(gene.log_tau);
+    if plan.tau2 > 0.0 { separated(tau, plan.tau2).into() } else { [tau, 0.0] }
+}
+
+/// Whether two lags side by side are not the process but the closed loop's controller read backwards, which gives PV's
+/// moves from OP's and no level: the pair begins faster than half of what one lag would, or comes back to where it was.
+fn reads_controller(tau: [f64; 2], gain: [f64; 2]) -> bool {
+    let total = gain[0] + gain[1];
+    let slope = gain[0] / tau[0] + gain[1] / tau[1];
+    slope * tau[0].min(tau[1]) / total > LEADS || total.abs() < COMES_BACK * gain[0].abs().max(gain[1].abs())
 }
 
 /// One of sine and cosine over the record by turning `[sin, cos]` from `start` (its first entry is kept).

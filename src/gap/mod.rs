@@ -9,6 +9,7 @@ mod decide;
 mod diagnosis;
 pub mod document;
 pub mod effects;
+pub mod evidence;
 mod express;
 mod forward;
 mod given;
@@ -33,6 +34,7 @@ pub mod text;
 pub mod types;
 mod weigh;
 
+pub use decide::{By, Decision, decide, holds_out};
 pub use diagnosis::{MIN_POINTS, diagnose};
 pub use types::*;
 

@@ -6,11 +6,10 @@ use serde_json::{Map, Value};
 
 use super::document::GAP_SCHEMA;
 use super::model::{Added, Model, Process, SCHEMA, Valve};
+use crate::ident::ESTIMATE_SCHEMA;
 use crate::record::Record;
 use crate::signal::stats;
 
-/// Schema of the estimates that are read.
-const ESTIMATE_SCHEMA: &str = "stictiond.estimate.v1";
 /// Laws of the valve.
 const LAWS: [&str; 3] = ["he", "tracking", "none"];
 

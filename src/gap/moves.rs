@@ -104,8 +104,8 @@ pub fn clamped(recipe: &Recipe, mut gene: Gene, scene: &Scene) -> Gene {
     let overshoot = recipe.each().any(|e| e.id == "slip_overshoot");
     gene.s = gene.s.clamp(1e-4, 1.5);
     if overshoot {
-        gene.j = gene.j.clamp(gene.s, 39.0 * gene.s);
-        gene.fd = gene.fd.clamp(-MOST_OVERSHOOT * 0.5 * (gene.s + gene.j), 0.0);
+        gene.j = gene.j.clamp(0.0, 39.0 * gene.s);
+        gene.fd = gene.fd.clamp(-MOST_OVERSHOOT * 0.5 * (gene.s + gene.j), 0.5 * gene.s);
     } else {
         gene.j = gene.j.clamp(0.0, gene.s);
         gene.fd = gene.fd.clamp(0.0, 0.5 * gene.s);

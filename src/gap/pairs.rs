@@ -62,7 +62,7 @@ fn paired(a: &Lane, b: &Lane, stream: u64) -> Option<Lane> {
         }
     }
     let recipe = Recipe { law: a.recipe.law, effects: [Some(first), Some(second)] };
-    Some(Lane { recipe, sign: a.sign, starts, best: Vec::new(), evaluations: 0, stream: 1000 * stream })
+    Some(Lane { recipe, starts, best: Vec::new(), evaluations: 0, stream: 1000 * stream, ..a.clone() })
 }
 
 /// Whether a pair beats every single effect by the margin and closes more on held-out blocks.

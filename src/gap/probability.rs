@@ -1,167 +1,271 @@
-//! How sure a call is: a logistic function of a few features, its coefficients calibrated on generated loops.
+//! How sure an answer is: a calibrated choice between three outcomes, "the best effect is right", "nothing is missing",
+//! "something else is", made from bounded features (multinomial logistic regression; its weights stand in
+//! `calibration.json`, fitted by [`fit`] to loops of known cause).
 
+use std::collections::BTreeMap;
 use std::sync::OnceLock;
 
+use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
-/// What is known about a call.
+use super::evidence::{Basis, Contender};
+
+/// What an answer's probability is made of, in this order; the first is a constant.
+pub const NAMES: [&str; 24] = [
+    "one",
+    "lead",
+    "ahead",
+    "at_floor",
+    "closed",
+    "closed_at_least",
+    "train",
+    "held_out",
+    "colour",
+    "white_above",
+    "explained",
+    "with_op",
+    "over_best",
+    "base_train",
+    "base_held_out",
+    "base_colour",
+    "base_with_op",
+    "independent",
+    "beyond_first",
+    "no_floor",
+    "excited",
+    "bends",
+    "nothing_ranked",
+    "valve",
+];
+
+/// Effects that bend to nearly anything.
+const BENDING: [&str; 5] = ["sinusoid", "step_load", "ramp", "dead_time_change", "inverse_response"];
+
+/// The features of one decision, bounded, in the order of [`NAMES`].
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Features {
-    /// Training evidence of the best effect beyond its margin.
-    pub lead: f64,
-    /// By how much it leads the second.
-    pub ahead: f64,
-    /// Whether its fit is at the noise floor.
-    pub at_floor: bool,
-    /// Share of the gap that it closes on held-out blocks.
-    pub closed: f64,
-    /// By how much a noise model of the base beats it, log mean squared error.
-    pub over_best: f64,
-    /// Whether the record is excited beyond a plain cycle.
-    pub excited: bool,
-}
+pub struct Features([f64; NAMES.len()]);
 
 impl Features {
-    /// As the logistic sees them: a constant first, everything bounded.
+    /// Of what is ranked, best first.
     #[must_use]
-    pub fn columns(&self) -> [f64; COLUMNS] {
-        let unit = |x: f64| x.clamp(-1.0, 1.0);
+    pub fn of(basis: &Basis, ranked: &[&Contender]) -> Self {
         let flag = |x: bool| f64::from(u8::from(x));
-        [
+        let log = |x: Option<f64>| libm::log(x.unwrap_or(1.0)).clamp(-0.1, 1.5);
+        let base = &basis.base;
+        let best = ranked.first();
+        let left = best.map_or(base, |b| &b.left);
+        let lead = best.map_or(-0.2, |b| b.lead);
+        let second = ranked.get(1).map_or(0.0, |e| e.lead);
+        let closed = best.and_then(|b| b.closed_pct).unwrap_or(0.0);
+        let at_least = best.and_then(|b| b.closed_interval).map_or(closed, |[low, _]| low);
+        let share = |pct: f64| (pct / 100.0).clamp(-1.0, 1.0);
+        let against = |x: f64| ((x - 3.0) / 6.0).clamp(0.0, 1.5);
+        let raw_gain = best.map_or(0.0, |b| b.raw_gain).max(0.0);
+        let train = log(left.over_floor);
+        // White but well above the noise: a model that reads the controller backwards finds the noise in OP.
+        let white_above = train.max(0.0) * libm::exp(-5.0 * left.colour.max(0.0));
+        let to_explain = 2.0 * libm::log(base.over_floor.unwrap_or(1.0).max(1.05));
+        Self([
             1.0,
-            unit(self.lead),
-            unit(2.0 * self.ahead),
-            flag(self.at_floor),
-            unit(self.closed),
-            unit(self.over_best),
-            flag(self.excited),
-        ]
+            lead.clamp(-0.3, 1.5),
+            (2.0 * (lead - second.max(0.0))).clamp(0.0, 1.0),
+            flag(best.is_some_and(|b| b.at_floor)),
+            share(closed),
+            share(at_least),
+            train,
+            log(left.held_over_floor),
+            left.colour.clamp(0.0, 2.0),
+            white_above,
+            (raw_gain / to_explain).clamp(0.0, 1.2),
+            against(left.with_op),
+            (basis.noise.over_base - raw_gain).clamp(-0.5, 1.5),
+            log(base.over_floor),
+            log(base.held_over_floor),
+            base.colour.clamp(0.0, 2.0),
+            against(base.with_op),
+            flag(basis.noise.independence_p > 0.1),
+            basis.noise.beyond_first.clamp(0.0, 1.0),
+            flag(base.over_floor.is_none()),
+            flag(basis.excited),
+            flag(best.is_some_and(|b| BENDING.contains(&b.id.as_str()))),
+            flag(best.is_none_or(|b| b.lead <= 0.0)),
+            flag(best.is_some_and(|b| b.stage == super::types::Stage::Valve)),
+        ])
+    }
+
+    /// Names and values.
+    pub fn named(&self) -> impl Iterator<Item = (&'static str, f64)> + '_ {
+        NAMES.into_iter().zip(self.0)
     }
 }
 
-/// Columns of the logistic.
-pub const COLUMNS: usize = 7;
+/// Probabilities of the three outcomes; their sum is 1.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Outcomes {
+    /// The best of the ranked effects is the cause.
+    pub right: f64,
+    /// Nothing is missing in the base.
+    pub none: f64,
+    /// Something else is.
+    pub other: f64,
+}
 
-/// Thresholds and coefficients, as the calibration writes them.
+/// Which one came true.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Outcome {
+    /// See [`Outcomes::right`].
+    Right,
+    /// See [`Outcomes::none`].
+    None,
+    /// See [`Outcomes::other`].
+    Other,
+}
+
+/// Weights of a feature for "right" and for "none"; "other" is the one they are measured against.
+pub type Weights = BTreeMap<String, [f64; 2]>;
+
+/// Weights and thresholds, as `gap challenge calibrate` writes them.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Calibration {
-    /// A noise model this much better than the best structural one rejects it, log mean squared error.
-    pub reject: f64,
-    /// Probability that a call made from a trace in the data is right.
+    /// By feature; one that is absent weighs nothing.
+    pub weights: Weights,
+    /// Probability of being right from which an effect is named.
+    pub name_from: f64,
+    /// Share of right ones among calls made from a trace in PV or from the controller's lag.
     pub trace: f64,
-    /// Logistic coefficients for named effects.
-    pub named: [f64; COLUMNS],
-    /// For `none`.
-    pub none: [f64; COLUMNS],
-    /// For `unknown` and `coloured_noise`.
-    pub rejected: [f64; COLUMNS],
-    /// Where they come from.
+    /// Among calls made from the recorded valve position.
+    pub by_mv: f64,
+    /// Among calls of coloured noise.
+    pub coloured_noise: f64,
+    /// Share of effects that no catalogue has where something else than the best effect was likeliest.
+    pub unknown: f64,
+    /// Where all this comes from.
     pub from: String,
 }
 
-fn calibration() -> &'static Calibration {
-    static READ: OnceLock<Calibration> = OnceLock::new();
-    READ.get_or_init(|| {
-        serde_json::from_str(include_str!("calibration.json")).unwrap_or(Calibration {
-            reject: 0.25,
+impl Calibration {
+    /// The one that is built in.
+    #[must_use]
+    pub fn shipped() -> &'static Self {
+        static READ: OnceLock<Calibration> = OnceLock::new();
+        READ.get_or_init(|| serde_json::from_str(include_str!("calibration.json")).unwrap_or_else(|_| Self::blank()))
+    }
+
+    /// One that knows nothing.
+    #[must_use]
+    pub const fn blank() -> Self {
+        Self {
+            weights: BTreeMap::new(),
+            name_from: 0.5,
             trace: 0.9,
-            named: [0.0; COLUMNS],
-            none: [0.0; COLUMNS],
-            rejected: [0.0; COLUMNS],
+            by_mv: 0.9,
+            coloured_noise: 0.5,
+            unknown: 0.5,
             from: String::new(),
-        })
-    })
-}
-
-fn logistic(coefficients: &[f64; COLUMNS], features: &Features) -> f64 {
-    let z: f64 = coefficients.iter().zip(features.columns()).map(|(c, x)| c * x).sum();
-    1.0 / (1.0 + libm::exp(-z))
-}
-
-/// Probability that a named effect is right.
-#[must_use]
-pub fn of_named(features: &Features) -> f64 {
-    logistic(&calibration().named, features)
-}
-
-/// Probability that `none` is right.
-#[must_use]
-pub fn of_none(features: &Features) -> f64 {
-    logistic(&calibration().none, features)
-}
-
-/// Probability that `unknown` or `coloured_noise` is right.
-#[must_use]
-pub fn of_rejected(features: &Features) -> f64 {
-    logistic(&calibration().rejected, features)
-}
-
-/// Probability of a call from a trace in the data.
-#[must_use]
-pub fn of_trace() -> f64 {
-    calibration().trace
-}
-
-/// From here on a noise model rejects the best structural one.
-#[must_use]
-pub fn reject_margin() -> f64 {
-    calibration().reject
-}
-
-/// Fits the coefficients to calls of known outcome: Newton steps with a ridge of `ridge` on all but the constant.
-/// Cases are features and whether the call was right.
-#[must_use]
-pub fn calibrate(cases: &[(Features, bool)], ridge: f64) -> [f64; COLUMNS] {
-    let mut w = [0.0; COLUMNS];
-    for _ in 0..30 {
-        let mut hessian = nalgebra::SMatrix::<f64, COLUMNS, COLUMNS>::zeros();
-        let mut slope = nalgebra::SVector::<f64, COLUMNS>::zeros();
-        for (features, right) in cases {
-            let x = nalgebra::SVector::<f64, COLUMNS>::from(features.columns());
-            let p = logistic(&w, features);
-            slope += x * (f64::from(u8::from(*right)) - p);
-            hessian += x * x.transpose() * (p * (1.0 - p)).max(1e-6);
         }
-        for i in 0..COLUMNS {
-            let held = if i == 0 { 1e-3 } else { ridge };
+    }
+
+    /// Probabilities of the outcomes.
+    #[must_use]
+    pub fn outcomes(&self, features: &Features) -> Outcomes {
+        let said = features.named().filter_map(|(name, x)| Some((self.weights.get(name)?, x)));
+        let z = said.fold([0.0; 2], |z, (w, x)| [z[0] + w[0] * x, z[1] + w[1] * x]);
+        let [right, none, other] = softmax(z);
+        Outcomes { right, none, other }
+    }
+}
+
+/// Probabilities of two outcomes measured against a third, and of that one.
+fn softmax(z: [f64; 2]) -> [f64; 3] {
+    let most = z[0].max(z[1]).max(0.0);
+    let e = [libm::exp(z[0] - most), libm::exp(z[1] - most), libm::exp(-most)];
+    let sum: f64 = e.iter().sum();
+    e.map(|x| x / sum)
+}
+
+/// Newton steps of a fit, and the digits that a weight keeps.
+const STEPS: usize = 40;
+const DIGITS: f64 = 1e4;
+
+/// Fits weights to decisions of known outcome, each with a weight of its own: Newton steps with a penalty of `ridge` on
+/// the squared weights of all but the constant.
+#[must_use]
+pub fn fit(cases: &[(Features, Outcome, f64)], ridge: f64) -> Weights {
+    const K: usize = NAMES.len();
+    let mut w = DVector::<f64>::zeros(2 * K);
+    for _ in 0..STEPS {
+        let (mut hessian, mut slope) = (DMatrix::<f64>::zeros(2 * K, 2 * K), DVector::<f64>::zeros(2 * K));
+        for (Features(x), outcome, weight) in cases {
+            let z = |from: usize| (0..K).map(|i| w[from + i] * x[i]).sum::<f64>();
+            let [right, none, _] = softmax([z(0), z(K)]);
+            let p = [right, none];
+            let came = [Outcome::Right, Outcome::None].map(|o| f64::from(u8::from(o == *outcome)));
+            for a in 0..2 {
+                for i in 0..K {
+                    slope[a * K + i] += weight * (came[a] - p[a]) * x[i];
+                    for b in 0..2 {
+                        let bend = if a == b { p[a] * (1.0 - p[a]) } else { -p[a] * p[b] };
+                        for j in 0..K {
+                            hessian[(a * K + i, b * K + j)] += weight * bend * x[i] * x[j];
+                        }
+                    }
+                }
+            }
+        }
+        for i in 0..2 * K {
+            let held = if i % K == 0 { 1e-3 } else { ridge };
             hessian[(i, i)] += held;
             slope[i] -= held * w[i];
         }
-        let Some(step) = hessian.lu().solve(&slope) else { break };
-        for (value, by) in w.iter_mut().zip(step.iter()) {
-            *value += by;
-        }
-        if step.norm() < 1e-9 {
+        let Some(step) = hessian.cholesky().map(|c| c.solve(&slope)) else { break };
+        w += &step;
+        if step.norm() < 1e-8 {
             break;
         }
     }
-    w
+    let kept = |x: f64| (x * DIGITS).round() / DIGITS;
+    NAMES.iter().enumerate().map(|(i, name)| ((*name).to_owned(), [kept(w[i]), kept(w[K + i])])).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    #[test]
-    fn the_shipped_calibration_is_read_and_sane() {
-        assert!(!calibration().from.is_empty() && calibration().reject > 0.0 && of_trace() > 0.5);
-        let weak = Features { lead: 0.01, ahead: 0.0, at_floor: false, closed: 0.0, over_best: 0.2, excited: false };
-        let strong = Features { lead: 1.0, ahead: 0.5, at_floor: true, closed: 0.9, over_best: -0.1, excited: true };
-        assert!(of_named(&strong) > of_named(&weak));
+    fn features(lead: f64, closed: f64) -> Features {
+        let mut values = [0.0; NAMES.len()];
+        (values[0], values[1], values[4]) = (1.0, lead, closed);
+        Features(values)
     }
 
     #[test]
-    fn coefficients_are_recovered() {
+    fn the_shipped_calibration_is_read_and_has_every_feature() {
+        let shipped = Calibration::shipped();
+        assert!(!shipped.from.is_empty() && shipped.trace > 0.5 && shipped.name_from > 0.0);
+        assert!(NAMES.iter().all(|name| shipped.weights.contains_key(*name)));
+    }
+
+    #[test]
+    fn weights_are_recovered() {
         let mut noise = crate::sim::noise::Noise::new(5, 0);
-        let cases: Vec<(Features, bool)> = (0..4000)
+        let truth = |lead: f64, closed: f64| softmax([4.0 * lead - 1.5, 2.0 * closed - 1.0]);
+        let cases: Vec<_> = (0..6000)
             .map(|_| {
-                let lead = noise.uniform();
-                let f = Features { lead, ahead: 0.0, at_floor: false, closed: 0.0, over_best: 0.0, excited: false };
-                let p = 1.0 / (1.0 + libm::exp(-(4.0 * lead - 1.5)));
-                (f, noise.chance(p))
+                let (lead, closed) = (noise.uniform(), noise.uniform());
+                let [right, none, _] = truth(lead, closed);
+                let luck = noise.uniform();
+                let outcome = match luck {
+                    u if u < right => Outcome::Right,
+                    u if u < right + none => Outcome::None,
+                    _ => Outcome::Other,
+                };
+                (features(lead, closed), outcome, 1.0)
             })
             .collect();
-        let w = calibrate(&cases, 0.1);
-        assert!((w[1] - 4.0).abs() < 0.5 && (w[0] + 1.5).abs() < 0.3, "{w:?}");
+        let made = Calibration { weights: fit(&cases, 0.1), ..Calibration::blank() };
+        for (lead, closed) in [(0.1, 0.2), (0.9, 0.5), (0.4, 0.9)] {
+            let (found, [right, none, other]) = (made.outcomes(&features(lead, closed)), truth(lead, closed));
+            assert!((found.right - right).abs() < 0.05 && (found.none - none).abs() < 0.05, "{found:?} {right} {none}");
+            assert!((found.right + found.none + found.other - 1.0).abs() < 1e-12 && other > 0.0);
+        }
     }
 }

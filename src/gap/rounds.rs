@@ -1,7 +1,7 @@
 //! The rounds of a diagnosis: the base first, then every effect with the same work, then what each found for all others.
 //!
-//! Between rounds the crew is asked whether to go on; a search that ends early has done whole rounds only, so the
-//! evaluations it reports name it.
+//! Between rounds the crew is asked whether to go on; a search that it ends early has done whole rounds only, so the
+//! evaluations it reports name it. What the budget leaves is shared evenly by the lanes of a round.
 
 use std::sync::Mutex;
 
@@ -23,6 +23,8 @@ const KEPT: usize = 14;
 const OWN_KEPT: usize = 6;
 /// Relative gain in squared error below which a lane has not improved.
 const NO_GAIN: f64 = 0.003;
+/// Responses that a search for the base is given at least: without a base nothing can be said.
+const BASE_AT_LEAST: u64 = 10_000;
 /// Error over the floor at which a white base is the answer and the effects need only a glance.
 const CALM: f64 = 1.04;
 
@@ -30,12 +32,14 @@ const CALM: f64 = 1.04;
 pub struct Work<'c> {
     /// The crew.
     pub crew: &'c dyn Crew,
-    /// Evaluations allowed.
+    /// Evaluations at which the search at hand ends.
     pub budget: u64,
     /// Evaluations done.
     pub done: u64,
-    /// Whether crew or budget ended it before its time.
+    /// Whether the crew ended all work.
     pub stopped: bool,
+    /// Whether a search ended because its budget was spent.
+    pub spent: bool,
     /// Seed.
     pub seed: u64,
 }
@@ -53,13 +57,22 @@ impl Work<'_> {
         slots.into_iter().filter_map(|slot| slot.into_inner().ok().flatten()).collect()
     }
 
+    /// Responses that each of so many lanes may compute, so that the budget is kept.
+    fn allowed(&self, lanes: usize) -> u64 {
+        self.budget.saturating_sub(self.done).div_ceil(lanes.max(1) as u64)
+    }
+
     /// Whether another round may begin.
     pub fn goes_on(&mut self) -> bool {
-        // A spent budget ends a search as the crew does, so that one with the evaluations of the other is its equal.
-        if !self.stopped && (self.done >= self.budget || !self.crew.tick(self.done)) {
-            self.stopped = true;
-        }
-        !self.stopped
+        self.stopped |= !self.crew.tick(self.done);
+        let spent = self.done >= self.budget;
+        self.spent |= spent;
+        !self.stopped && !spent
+    }
+
+    /// Gives another search as much as the first one had.
+    pub const fn begin(&mut self, budget: u64) {
+        self.budget = self.done.saturating_add(budget);
     }
 }
 
@@ -86,7 +99,7 @@ pub fn simulated(linear_base: bool) -> Vec<&'static Effect> {
 }
 
 fn lane(recipe: Recipe, sign: f64, starts: Vec<[f64; MAX_PARAMS]>, stream: u64) -> Lane {
-    Lane { recipe, sign, starts, best: Vec::new(), evaluations: 0, stream: 1000 * stream }
+    Lane { recipe, sign, starts, best: Vec::new(), evaluations: 0, allowed: u64::MAX, stream: 1000 * stream }
 }
 
 /// The base, fitted; `None` where nothing in PV follows OP.
@@ -101,9 +114,11 @@ pub fn base(scene: &Scene, law: Option<Law>, work: &mut Work<'_>) -> Option<(Lan
     work.done += looked.iter().map(|(_, n)| n).sum::<u64>();
     // Twice with other chance: the base must not lose by bad luck.
     let jobs = 2 * signs.len();
+    let allowed = work.allowed(jobs).max(BASE_AT_LEAST);
     let lanes = work.all(jobs, |i| {
         let sign = i / 2;
         let mut lane = lane(Recipe::base(law), signs[sign], vec![[0.0; MAX_PARAMS]], 1 + i as u64);
+        lane.allowed = allowed;
         if let Some((genes, _)) = looked.get(sign) {
             hunt(scene, &mut lane, genes, &[], &WIDE, seed);
         }
@@ -171,6 +186,14 @@ pub fn run(
     let effects: Vec<&'static Effect> =
         simulated(base_law.is_none()).into_iter().filter(|e| !without.iter().any(|w| w == e.id)).collect();
     let mut lanes = lanes_of(scene, &base, &effects);
+    // Against a base without friction nobody else looks for slips: the search for He's base is made for it.
+    let sticking = lanes.iter().position(|l| l.recipe.each().any(|e| e.way == Way::AgainstLinear));
+    if let (Some(at), true) = (sticking, work.goes_on()) {
+        if let Some((found, _)) = self::base(scene, Some(Law::He), work) {
+            lanes[at] =
+                Lane { sign: found.sign, best: found.best, evaluations: found.evaluations, ..lanes[at].clone() };
+        }
+    }
     if work.goes_on() {
         let mut from = cross(core::slice::from_ref(&base), 4);
         if !calm {
@@ -205,7 +228,7 @@ pub fn run(
 fn own_look(scene: &Scene, lane: &Lane, calm: bool) -> (Vec<Gene>, u64) {
     let nothing = (Vec::new(), 0);
     let Some(effect) = lane.recipe.each().next() else { return nothing };
-    let moves_slips = ["asymmetric_stiction", "slip_overshoot", "sliding_valve", "positioner_lag", "stiction"];
+    let moves_slips = ["asymmetric_stiction", "slip_overshoot", "sliding_valve", "positioner_lag"];
     if calm || !moves_slips.contains(&effect.id) {
         return nothing;
     }
@@ -230,9 +253,9 @@ pub fn share<'g>(
     own: &(dyn Fn(usize) -> &'g [Gene] + Sync),
 ) {
     let before: u64 = lanes.iter().map(|l| l.evaluations).sum();
-    let seed = work.seed;
+    let (seed, allowed) = (work.seed, work.allowed(lanes.len()));
     let made = work.all(lanes.len(), |i| {
-        let mut lane = lanes[i].clone();
+        let mut lane = Lane { allowed, ..lanes[i].clone() };
         let genes = genes(&lane);
         hunt(scene, &mut lane, &genes, own(i), effort, seed);
         lane

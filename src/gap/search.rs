@@ -31,6 +31,8 @@ pub struct Lane {
     pub best: Vec<Scored>,
     /// Responses computed.
     pub evaluations: u64,
+    /// Responses that its next round may compute.
+    pub allowed: u64,
     /// Where its random steps are drawn from: differs with every round.
     pub stream: u64,
 }
@@ -80,6 +82,7 @@ pub const NARROW: Effort = Effort { views: [(2, 30), (1, 60)], plain: [(4, 50), 
 /// Looks at all genes with all of the lane's starts, and at `own` as they are, then improves the best.
 pub fn hunt(scene: &Scene, lane: &mut Lane, genes: &[Gene], own: &[Gene], effort: &Effort, seed: u64) {
     let mut kernel = Kernel::new(scene, lane.sign);
+    kernel.limit = lane.allowed;
     lane.stream += 1;
     let mut rng = generator(seed, 100 + lane.stream);
     let recipe = lane.recipe;
@@ -88,11 +91,11 @@ pub fn hunt(scene: &Scene, lane: &mut Lane, genes: &[Gene], own: &[Gene], effort
     starts.extend(lane.best.iter().take(2).map(|b| b.gene.p));
     let with_starts = genes.iter().flat_map(|gene| starts.iter().map(move |p| (gene, *p)));
     for (gene, p) in with_starts.chain(own.iter().map(|gene| (gene, gene.p))) {
-        let mut gene = *gene;
-        gene.p = p;
-        let gene = fitted_to(&recipe, gene, scene);
-        for (pool, view) in pools.iter_mut().zip(View::ALL) {
-            pool.extend(kernel.evaluate(&recipe, &gene, view));
+        let gene = Gene { p, ..*gene };
+        for gene in fitted_to(&recipe, gene, scene) {
+            for (pool, view) in pools.iter_mut().zip(View::ALL) {
+                pool.extend(kernel.evaluate(&recipe, &gene, view));
+            }
         }
     }
     let [plain, moves, fast] = pools;
@@ -146,17 +149,24 @@ fn of_every_size(pool: Vec<Scored>, wanted: usize) -> Vec<Scored> {
     chosen
 }
 
-/// A gene moved to where its recipe may stand.
-fn fitted_to(recipe: &Recipe, mut gene: Gene, scene: &Scene) -> Gene {
-    if recipe.each().any(|e| e.id == "slip_overshoot") && gene.j < gene.s {
-        // The same way back, so that the slips stay: fd turns.
-        gene.j = gene.s * (1.0 + 0.5 * (1.0 - gene.j / gene.s.max(1e-9)));
-        gene.fd = 0.5 * (gene.s - gene.j);
-    } else if gene.j > gene.s {
+/// A gene moved to where its recipe may stand; for a stem that may overshoot also the same way back and as far beyond.
+fn fitted_to(recipe: &Recipe, mut gene: Gene, scene: &Scene) -> Vec<Gene> {
+    if recipe.each().any(|e| e.id == "slip_overshoot") {
+        // The base is among its models: it must never do worse.
+        let mut out = vec![clamped(recipe, gene, scene)];
+        if gene.j < gene.s {
+            // The slips stay: fd turns.
+            gene.j = gene.s * (1.0 + 0.5 * (1.0 - gene.j / gene.s.max(1e-9)));
+            gene.fd = 0.5 * (gene.s - gene.j);
+            out.push(clamped(recipe, gene, scene));
+        }
+        return out;
+    }
+    if gene.j > gene.s {
         gene.j = gene.s;
         gene.fd = 0.0;
     }
-    clamped(recipe, gene, scene)
+    vec![clamped(recipe, gene, scene)]
 }
 
 /// The best places that stand apart, best first.

@@ -2,13 +2,14 @@
 //! everything behind it makes.
 
 use super::effects::{self, Way};
+use super::evidence::OnMv;
 use super::express::{fit, rms};
 use super::kernel::Scored;
 use super::noise;
 use super::rounds::{self, Work, is_calm, residual_of};
 use super::scene::{Scene, View};
 use super::search::Lane;
-use super::types::{EffectId, Stage, Stages};
+use super::types::{Stage, Stages};
 use crate::record::Record;
 use crate::signal::stats;
 use crate::sim::slips::Law;
@@ -22,7 +23,7 @@ pub struct Seen {
     /// The two gaps.
     pub stages: Stages,
     /// Effects behind the valve by their evidence beyond the margin on MV, best first.
-    pub ranked: Vec<(EffectId, f64)>,
+    pub ranked: Vec<OnMv>,
 }
 
 /// The record with MV in the place of OP.
@@ -61,11 +62,11 @@ pub fn look(record: &Record, scene: &Scene, without: &[String], work: &mut Work<
             mv_to_pv: base.gap,
             stage: if explains { Stage::Valve } else { Stage::Process },
         },
-        ranked: ranked(&from_mv, &found.base, &found.lanes),
+        ranked: ranked(&from_mv, &found.base, &found.lanes, floor),
     })
 }
 
-fn ranked(scene: &Scene, base: &Lane, lanes: &[Lane]) -> Vec<(EffectId, f64)> {
+fn ranked(scene: &Scene, base: &Lane, lanes: &[Lane], floor: Option<f64>) -> Vec<OnMv> {
     let n = scene.target(View::Plain).len().max(2) as f64;
     let freedom = |lane: &Lane, of: &Scored| lane.recipe.freedom(&lane.recipe.plan(&of.gene)) as f64;
     let score = |lane: &Lane| {
@@ -73,13 +74,15 @@ fn ranked(scene: &Scene, base: &Lane, lanes: &[Lane]) -> Vec<(EffectId, f64)> {
         Some(libm::log((best.sse / n).max(1e-30)) + freedom(lane, best) * libm::log(n) / n)
     };
     let Some(own) = score(base) else { return Vec::new() };
-    let mut out: Vec<(EffectId, f64)> = lanes
+    let mut out: Vec<OnMv> = lanes
         .iter()
         .filter_map(|lane| {
             let effect = lane.recipe.each().next()?;
-            Some((effect.id, own - score(lane)? - effect.margin + effects::MARGIN))
+            let evidence = own - score(lane)? - effect.margin + effects::MARGIN;
+            let error = (lane.sse() / n).sqrt() * scene.deviation;
+            Some(OnMv { id: effect.id.to_owned(), evidence, over_floor: floor.map(|f| error / f) })
         })
         .collect();
-    out.sort_by(|a, b| b.1.total_cmp(&a.1));
+    out.sort_by(|a, b| b.evidence.total_cmp(&a.evidence));
     out
 }

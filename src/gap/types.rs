@@ -1,8 +1,10 @@
 //! What the diagnosis is asked and what it answers.
 
+use serde::{Deserialize, Serialize};
+
 use super::model::Model;
 
-pub use super::decide::Basis;
+pub use super::evidence::{Basis, Evidence};
 pub use super::probability::Features;
 
 /// Id of an effect, as it stands in documents.
@@ -34,7 +36,7 @@ pub struct Ask {
     pub without: Vec<String>,
     /// Also pairs of effects.
     pub pairs: bool,
-    /// Model responses that the search may compute.
+    /// Model responses that a search may compute; a recorded valve position and pairs each bring another search.
     pub budget_evaluations: u64,
     /// Seed of every random choice.
     pub seed: u64,
@@ -78,7 +80,8 @@ impl Crew for Serial {
 }
 
 /// Where an effect acts.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Stage {
     /// Between OP and the flow.
     Valve,
@@ -207,6 +210,10 @@ pub struct Fit {
     pub evaluations: u64,
     /// Whether its training error is at the noise floor (within 5 %).
     pub at_floor: bool,
+    /// Gain of an autoregression of what it leaves, log mean squared training error: near 0 where that is white.
+    pub colour: f64,
+    /// Largest correlation of what it leaves with OP or its moves before, in standard errors of white noise.
+    pub with_op: f64,
 }
 
 /// The noise that no model explains.
@@ -345,7 +352,7 @@ pub struct Predictions {
 }
 
 /// What the noise models make of the base's residual.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct NoiseModels {
     /// Gain in training log mean squared error of an autoregressive model of the best residual, one step ahead.
     pub over_base: f64,

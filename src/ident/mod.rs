@@ -31,5 +31,8 @@ pub mod sign;
 pub mod surface;
 pub mod width;
 
+/// Schema name of the documents that hold an estimate, which others read models from.
+pub const ESTIMATE_SCHEMA: &str = "stictiond.estimate.v1";
+
 pub use choice::{DelayChoice, ModelChoice, ValveChoice};
 pub use quantify::{Estimate, Options, quantify};

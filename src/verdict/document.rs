@@ -4,10 +4,8 @@ use serde::Serialize;
 
 use super::rule::Opinion;
 use crate::detect::Witness;
+pub use crate::ident::ESTIMATE_SCHEMA;
 use crate::record::Record;
-
-/// Schema name of an estimate.
-pub const ESTIMATE_SCHEMA: &str = "stictiond.estimate.v1";
 
 /// What one window says about its loop.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize)]

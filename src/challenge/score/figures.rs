@@ -161,7 +161,7 @@ fn middle(values: impl Iterator<Item = f64>) -> Option<f64> {
     (!values.is_empty()).then(|| median(&values))
 }
 
-/// Per cent that the called effect closes, where free run can predict it.
+/// Per cent that the called effect closes, where free run can predict the truth (one of two effects closes its own part).
 fn closed(case: &Judged<'_>) -> Option<f64> {
     if case.truth.unpredictable {
         return None;
@@ -180,8 +180,7 @@ fn group(name: &str, cases: &[Judged<'_>]) -> Group {
         let asked: Vec<bool> = of(Right::Known).filter_map(|c| c.without_truth().map(|w| c.owns_up(w)[mate])).collect();
         Rate::of(asked.iter().filter(|yes| **yes).count(), asked.len())
     };
-    let closing =
-        |right: bool| middle(cases.iter().filter(|c| c.names() && c.is_true(c.said()) == right).filter_map(closed));
+    let closing = |right: bool| middle(named().filter(|c| c.is_true(c.said()) == right).filter_map(closed));
     let floors: Vec<bool> = of(Right::Known).filter_map(|c| c.entry(&c.truth.effect)?.at_floor).collect();
     let base: Vec<bool> = of(Right::None).filter_map(|c| c.answer.base_at_floor).collect();
     let reached = |found: &[bool]| Rate::of(found.iter().filter(|yes| **yes).count(), found.len());

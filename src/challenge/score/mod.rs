@@ -107,6 +107,12 @@ impl Judged<'_> {
     }
 }
 
+/// Whether the effect of a case shows: the base leaves more than [`EXPRESSED`] times the noise.
+#[must_use]
+pub fn is_expressed(truth: &TruthCase, answer: &Answer) -> bool {
+    Judged { truth, answer }.is_expressed()
+}
+
 /// Pairs answers with the truth and counts.
 ///
 /// # Errors
@@ -202,7 +208,7 @@ mod tests {
         assert_eq!((share(all.coverage), share(all.precision)), ((2, 4), (1, 4)));
         assert_eq!((share(all.named_false_alarms), share(all.all_false_alarms)), ((1, 2), (1, 2)));
         assert_eq!((share(all.unknown_foreign), share(all.unknown_withheld)), ((1, 2), (2, 4)));
-        assert_eq!((share(all.pairs), all.closed_right_pct), ((1, 1), Some(37.5)));
+        assert_eq!((share(all.pairs), all.closed_right_pct), ((1, 1), Some(75.0)));
         // Among calls of at least .5 the wrong one of c is gone.
         let half = figures.curve.iter().find(|c| c.p == 0.5).unwrap();
         assert_eq!((share(half.coverage), share(half.precision)), ((1, 4), (1, 2)));

@@ -5,6 +5,7 @@ use serde_json::{Value, json};
 use crate::detect::oscillation;
 use crate::gap::document::GapDocument;
 use crate::gap::locate::{Subject, locate};
+use crate::gap::probability::Features;
 use crate::gap::{Ask, Cause, Diagnosis, Serial, diagnose, effects};
 use crate::record::Record;
 
@@ -25,7 +26,7 @@ pub(super) fn ask_for(name: &str, record: &Record, ask: &Ask) -> anyhow::Result<
 pub(super) fn line(name: &str, made_with: &Value, result: &anyhow::Result<(Diagnosis, GapDocument)>) -> Value {
     let answer = match result {
         Ok((diagnosis, document)) => json!({ "document": document, "base_at_floor": diagnosis.base.at_floor,
-            "evidence": evidence(diagnosis), "withheld": withheld(diagnosis) }),
+            "evidence": diagnosis.evidence(), "features": features(&diagnosis.features), "withheld": withheld(diagnosis) }),
         Err(error) => json!({ "document": null, "error": format!("{error:#}"), "withheld": [] }),
     };
     let mut line = json!({ "recording": name, "made_with": made_with });
@@ -35,12 +36,9 @@ pub(super) fn line(name: &str, made_with: &Value, result: &anyhow::Result<(Diagn
     line
 }
 
-/// What probabilities are made of, for whoever fits them to answers.
-fn evidence(diagnosis: &Diagnosis) -> Value {
-    let noise = &diagnosis.noise_models;
-    let gains = diagnosis.effects.iter().map(|e| (e.id.clone(), json!(e.raw_gain)));
-    json!({ "excited": diagnosis.basis.excited, "over_base": noise.over_base, "over_best": noise.over_best,
-        "independence_p": noise.independence_p, "whitens": noise.whitens, "raw_gain": gains.collect::<serde_json::Map<_, _>>() })
+/// What a decision's probabilities are made of.
+fn features(features: &Features) -> Value {
+    features.named().map(|(name, x)| (name.to_owned(), json!(x))).collect::<serde_json::Map<_, _>>().into()
 }
 
 fn cause(cause: &Cause) -> Value {
@@ -53,7 +51,8 @@ fn withheld(diagnosis: &Diagnosis) -> Value {
         .iter()
         .map(|effect| {
             let again = diagnosis.without(&[effect.id]);
-            json!({ "without": effect.id, "cause": cause(&again.cause), "stage": again.cause.stage.name() })
+            json!({ "without": effect.id, "cause": cause(&again.cause), "stage": again.cause.stage.name(),
+                "features": features(&again.features) })
         })
         .collect()
 }

@@ -2,6 +2,7 @@
 //! share no truth but a sealed file.
 
 mod answer;
+mod calibrate;
 mod picture;
 mod real;
 
@@ -40,6 +41,7 @@ const START_S: f64 = 1_700_000_000.0;
   stictiond gap challenge new --seed 2 --cases 4 --out check
   stictiond gap challenge run check
   stictiond gap challenge score check
+  stictiond gap challenge calibrate check-a --out src/gap/calibration.json --force
 Odd seeds are split A, for choosing thresholds; even seeds split B, for reporting.")]
 pub struct Args {
     #[command(subcommand)]
@@ -54,6 +56,8 @@ enum Command {
     Run(RunArgs),
     /// Open the truth, refuse one that was changed, and print every figure.
     Score(ScoreArgs),
+    /// Fit the decision's probabilities and threshold to answered challenges of split A.
+    Calibrate(calibrate::Args),
     /// Check it on real recordings: effects put into them, the valve position hidden, stiction itself withheld.
     Real(real::Args),
 }
@@ -105,6 +109,9 @@ struct ScoreArgs {
     /// Scores what is answered although recordings are left.
     #[arg(long)]
     partial: bool,
+    /// Scores what this version decides from the answers' fits; searches nothing again.
+    #[arg(long)]
+    again: bool,
 }
 
 /// Runs the command.
@@ -116,6 +123,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
         Command::New(args) => new(args, format),
         Command::Run(args) => answer_all(args, format),
         Command::Score(args) => score_all(args, format),
+        Command::Calibrate(args) => calibrate::run(args, format),
         Command::Real(args) => real::run(args, format),
     }
 }
@@ -281,10 +289,15 @@ fn answer_all(args: &RunArgs, format: Format) -> anyhow::Result<Outcome> {
     Ok(Outcome::Done)
 }
 
+/// A folder's truth, if it is the one that was sealed.
+fn opened(dir: &Path) -> anyhow::Result<Truth> {
+    let path = dir.join(TRUTH);
+    let sealed = String::from_utf8_lossy(&read(&dir.join(SEALED))?).into_owned();
+    Truth::open(&read(&path)?, &sealed).with_context(|| path.display().to_string())
+}
+
 fn score_all(args: &ScoreArgs, format: Format) -> anyhow::Result<Outcome> {
-    let path = args.dir.join(TRUTH);
-    let sealed = String::from_utf8_lossy(&read(&args.dir.join(SEALED))?).into_owned();
-    let mut truth = Truth::open(&read(&path)?, &sealed).with_context(|| path.display().to_string())?;
+    let mut truth = opened(&args.dir)?;
     let path = args.dir.join(ANSWERS);
     let text = String::from_utf8_lossy(&read(&path)?).into_owned();
     let answers: Result<Vec<Answer>, _> = text.lines().map(serde_json::from_str).collect();
@@ -292,7 +305,10 @@ fn score_all(args: &ScoreArgs, format: Format) -> anyhow::Result<Outcome> {
     if args.partial {
         truth.cases.retain(|case| answers.iter().any(|a| a.recording == case.name));
     }
-    let figures = score(&truth, &answers)?;
+    let mut figures = score(&truth, &answers)?;
+    if args.again {
+        figures = calibrate::decided_again(&args.dir, &truth)?;
+    }
     write(&args.dir.join(SCORE), &serde_json::to_vec_pretty(&figures)?)?;
     write(&args.dir.join(CONFUSION), picture::confusion(&figures)?.as_bytes())?;
     show(&figures, format)

@@ -23,6 +23,9 @@ pub(super) struct Args {
     /// Recordings into which effects are put, spread over the index.
     #[arg(long, default_value_t = 12)]
     spoil: usize,
+    /// Only so many recordings of the other parts, spread over the index.
+    #[arg(long, value_name = "N")]
+    first: Option<usize>,
     /// Model responses that each search may compute.
     #[arg(long, default_value_t = DEFAULT_EVALUATIONS)]
     evaluations: u64,
@@ -82,19 +85,27 @@ fn distinct(cases: &[Case]) -> Vec<Case> {
     out
 }
 
+/// So many cases, evenly over all.
+fn spread(cases: &[Case], wanted: Option<usize>) -> Vec<Case> {
+    let wanted = wanted.unwrap_or(cases.len());
+    let every = cases.len().div_ceil(wanted.max(1)).max(1);
+    cases.iter().step_by(every).take(wanted).cloned().collect()
+}
+
 fn tasks(args: &Args, cases: &[Case], base: &Path) -> Vec<Task> {
     let wanted = |part| args.part.is_none_or(|only| only == part);
     let mut out = Vec::new();
     if wanted(Part::Spoilt) {
-        let every = cases.len().div_ceil(args.spoil.max(1));
-        out.extend(cases.iter().step_by(every.max(1)).take(args.spoil).cloned().map(Task::Spoil));
+        out.extend(spread(cases, Some(args.spoil)).into_iter().map(Task::Spoil));
     }
     if wanted(Part::Hidden) {
         let with_mv = cases.iter().filter(|case| record_of(base, case).is_ok_and(|r| r.mv.is_some()));
-        out.extend(with_mv.cloned().map(Task::Hide));
+        let with_mv: Vec<Case> = with_mv.cloned().collect();
+        out.extend(spread(&with_mv, args.first).into_iter().map(Task::Hide));
     }
     if wanted(Part::Linear) {
-        out.extend(cases.iter().filter(|case| case.truth().is_some()).cloned().map(Task::Linear));
+        let labelled: Vec<Case> = cases.iter().filter(|case| case.truth().is_some()).cloned().collect();
+        out.extend(spread(&labelled, args.first).into_iter().map(Task::Linear));
     }
     out
 }

@@ -1,30 +1,21 @@
 //! A second lag behind the friction: in the process, or in the sensor and its filter. OP and PV cannot tell which.
 
-use super::{Clues, Effect, MARGIN, Param, Reach, Stage, Unit, Way, nothing};
+use super::{Effect, MARGIN, Reach, Stage, Way, lag, lags, nothing};
 
 /// As the catalogue has it.
 pub const EFFECT: Effect = Effect {
     id: "extra_lag",
     stage: Stage::Process,
     way: Way::Simulated,
-    params: &[Param {
-        name: "lag",
-        unit: Unit::LogTime,
-        reach: Reach::Process,
-        limits: |s| [libm::log(0.3 / s.box_samples), libm::log(60.0 / s.box_samples)],
-    }],
+    params: &[lag::<60>(Reach::Process)],
     enter: |p, plan| plan.tau2 = libm::exp(p[0]),
-    starts,
+    starts: |clues| lags(clues, &[0.01, 0.04, 0.12, 0.3]),
     linear: nothing,
     margin: MARGIN,
     predictable: true,
     confused_with: &["positioner_lag", "inverse_response"],
     separated_by: "a second sensor, or the filter setting of the transmitter",
 };
-
-fn starts(clues: &Clues<'_>) -> Vec<[f64; 2]> {
-    [0.01, 0.04, 0.12, 0.3].map(|t| [libm::log(t * clues.scene.period), 0.0]).to_vec()
-}
 
 #[cfg(test)]
 mod tests {

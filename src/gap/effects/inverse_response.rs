@@ -1,33 +1,24 @@
 //! PV first goes the wrong way: a zero in the right half plane beside a second lag.
 
-use super::{Clues, Effect, Param, Reach, Stage, Unit, WIDE_MARGIN, Way, nothing};
+use super::{Effect, Reach, Stage, WIDE_MARGIN, Way, lag, lags, nothing};
 
 /// As the catalogue has it.
 pub const EFFECT: Effect = Effect {
     id: "inverse_response",
     stage: Stage::Process,
     way: Way::Simulated,
-    params: &[Param {
-        name: "lag",
-        unit: Unit::LogTime,
-        reach: Reach::Process,
-        limits: |s| [libm::log(0.3 / s.box_samples), libm::log(60.0 / s.box_samples)],
-    }],
+    params: &[lag::<60>(Reach::Process)],
     enter: |p, plan| {
         plan.tau2 = libm::exp(p[0]);
         plan.zero = true;
     },
-    starts,
+    starts: |clues| lags(clues, &[0.01, 0.05, 0.2]),
     linear: nothing,
     margin: WIDE_MARGIN,
     predictable: true,
     confused_with: &["extra_lag"],
     separated_by: "one open-loop step of OP",
 };
-
-fn starts(clues: &Clues<'_>) -> Vec<[f64; 2]> {
-    [0.01, 0.05, 0.2].map(|t| [libm::log(t * clues.scene.period), 0.0]).to_vec()
-}
 
 #[cfg(test)]
 mod tests {

@@ -165,6 +165,25 @@ pub struct Effect {
     pub separated_by: &'static str,
 }
 
+impl Effect {
+    /// An effect that no search fits: it is seen in the recording.
+    const fn unsimulated(id: EffectId, way: Way) -> Self {
+        Self {
+            id,
+            stage: Stage::Measurement,
+            way,
+            params: &[],
+            enter: outside,
+            starts: once,
+            linear: nothing,
+            margin: MARGIN,
+            predictable: true,
+            confused_with: &[],
+            separated_by: "",
+        }
+    }
+}
+
 /// Margin of an effect that is bound to the valve signal.
 pub const MARGIN: f64 = 0.10;
 /// Margin of one that is not, or that bends further.
@@ -203,6 +222,20 @@ pub const ALL: [&Effect; 25] = [
 #[must_use]
 pub fn by_id(id: &str) -> Option<&'static Effect> {
     ALL.into_iter().find(|e| e.id == id)
+}
+
+/// A lag of up to `MOST` raw samples that acts where `reach` says.
+const fn lag<const MOST: u32>(reach: Reach) -> Param {
+    Param { name: "lag", unit: Unit::LogTime, reach, limits: lag_limits::<MOST> }
+}
+
+fn lag_limits<const MOST: u32>(scene: &Scene) -> [f64; 2] {
+    [0.3, f64::from(MOST)].map(|samples| libm::log(samples / scene.box_samples))
+}
+
+/// Lags of these shares of a period.
+fn lags(clues: &Clues<'_>, shares: &[f64]) -> Vec<[f64; 2]> {
+    shares.iter().map(|t| [libm::log(t * clues.scene.period), 0.0]).collect()
 }
 
 /// For effects without nonlinear parameters: one start.

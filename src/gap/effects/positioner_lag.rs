@@ -1,30 +1,21 @@
 //! A lag before the friction: positioner or current-to-pressure converter. It moves the slips, and not only what follows them.
 
-use super::{Clues, Effect, MARGIN, Param, Reach, Stage, Unit, Way, nothing};
+use super::{Effect, MARGIN, Reach, Stage, Way, lag, lags, nothing};
 
 /// As the catalogue has it.
 pub const EFFECT: Effect = Effect {
     id: "positioner_lag",
     stage: Stage::Valve,
     way: Way::Simulated,
-    params: &[Param {
-        name: "lag",
-        unit: Unit::LogTime,
-        reach: Reach::Path,
-        limits: |s| [libm::log(0.3 / s.box_samples), libm::log(40.0 / s.box_samples)],
-    }],
+    params: &[lag::<40>(Reach::Path)],
     enter: |p, plan| plan.positioner = libm::exp(p[0]),
-    starts,
+    starts: |clues| lags(clues, &[0.015, 0.04, 0.1, 0.25]),
     linear: nothing,
     margin: MARGIN,
     predictable: true,
     confused_with: &["extra_lag", "rate_limit"],
     separated_by: "the pressure on the actuator, or the valve position",
 };
-
-fn starts(clues: &Clues<'_>) -> Vec<[f64; 2]> {
-    [0.015, 0.04, 0.1, 0.25].map(|t| [libm::log(t * clues.scene.period), 0.0]).to_vec()
-}
 
 #[cfg(test)]
 mod tests {

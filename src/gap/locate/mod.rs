@@ -268,11 +268,11 @@ pub struct Subject<'a> {
 }
 
 impl<'a> Subject<'a> {
-    /// The base of a diagnosis.
+    /// The model that a diagnosis measures from: the given one as it was given, else the base.
     #[must_use]
     pub fn of(diagnosis: &'a Diagnosis, period_points: Option<f64>, seed: u64) -> Self {
         Self {
-            fit: &diagnosis.base,
+            fit: diagnosis.given.as_ref().unwrap_or(&diagnosis.base),
             blocks: &diagnosis.blocks,
             noise_floor: diagnosis.floor.noise_floor,
             signatures: &diagnosis.signatures,

@@ -84,6 +84,8 @@ fn diagnosis(valve: Vec<f64>, prediction: Vec<f64>) -> Case {
         parameters: 6,
         evaluations: 1,
         at_floor: false,
+        colour: 0.0,
+        with_op: 0.0,
         model,
     };
     Case {
