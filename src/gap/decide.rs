@@ -87,7 +87,11 @@ pub fn decide(evidence: &Evidence, without: &[&str], calibration: &Calibration) 
     }
     if let Some(first) = basis.on_mv.iter().find(|e| has(&e.id)) {
         // Behind a measured valve the process stands alone: its own ranking counts, and the right effect explains all.
-        if basis.by_mv == Some(Stage::Process) && first.evidence > effects::MARGIN && !basis.base_at_floor {
+        // What held-out data speak against is not named for its rank.
+        let own = evidence.contenders.iter().find(|c| c.id == first.id);
+        let refuted = own.is_some_and(|c| c.closed_pct.is_some_and(|closed| closed < 0.0));
+        let ranks = basis.by_mv == Some(Stage::Process) && first.evidence > effects::MARGIN;
+        if ranks && !basis.base_at_floor && !refuted {
             let id = if explains(first) { &first.id } else { unnamed };
             return answer(id, calibration.by_mv, By::Mv);
         }

@@ -54,7 +54,8 @@ pub fn look(record: &Record, scene: &Scene, without: &[String], work: &mut Work<
     let before = Record { pv: mv.clone(), mv: None, ..record.clone() };
     let mut to_mv = Scene::new(&before, Some(scene.period), work.seed, masked);
     to_mv.sign = None;
-    let valve = rounds::base(&to_mv, Some(Law::He), work).and_then(|(lane, _)| residual_of(&to_mv, &lane));
+    let mv_floor = noise::floor(mv, false).noise_floor;
+    let valve = rounds::base(&to_mv, Some(Law::He), mv_floor, work).and_then(|(lane, _)| residual_of(&to_mv, &lane));
     let op_to_mv = valve.map_or(1.0, |left| rms(&left, &to_mv.test));
     Some(Seen {
         stages: Stages {
