@@ -21,8 +21,6 @@ const LEAST: f64 = 0.02;
 /// j over s, of stems that stop short of OP and of those that jump beyond it.
 const SHARES: [f64; 7] = [0.03, 0.1, 0.2, 0.35, 0.55, 0.75, 0.95];
 const BEYOND: [f64; 5] = [1.08, 1.3, 1.7, 2.4, 4.0];
-/// How far shares move with the grid.
-const TILT: f64 = 0.05;
 /// Turns of the stem below which several starts are looked at.
 const FEW_REVERSALS: usize = 10;
 /// Measures: PV, its differences, its fast part.
@@ -42,10 +40,9 @@ struct Seen {
 }
 
 /// Genes worth a fit for valves of this plan (law, unevenness, positioner lag, overshoot), and sequences looked at.
-/// `each` are kept of every measure overall, and one of every size and kind of dead time. The grid of sizes is
-/// shifted by a share of its step.
+/// `each` are kept of every measure overall, and one of every size and kind of dead time.
 #[must_use]
-pub fn look(scene: &Scene, plan: &Plan, p: [f64; MAX_PARAMS], sign: f64, each: usize, shift: f64) -> (Vec<Gene>, u64) {
+pub fn look(scene: &Scene, plan: &Plan, p: [f64; MAX_PARAMS], sign: f64, each: usize) -> (Vec<Gene>, u64) {
     let Some(law) = plan.law else { return (Vec::new(), 0) };
     let question = led(scene, plan);
     let width = scene.period.round() as usize;
@@ -61,9 +58,9 @@ pub fn look(scene: &Scene, plan: &Plan, p: [f64; MAX_PARAMS], sign: f64, each: u
     let mut before: Option<([[f64; 2]; 2], FirstSlip)> = None;
     let shares: &[f64] = if plan.overshoot { &BEYOND } else { &SHARES };
     for size in 0..SIZES {
-        let s = libm::pow(LEAST, 1.0 - (size as f64 - shift) / (SIZES - 1) as f64);
+        let s = libm::pow(LEAST, 1.0 - size as f64 / (SIZES - 1) as f64);
         for share in shares {
-            let j = share * (1.0 + TILT * shift) * s;
+            let j = share * s;
             let starts = question.starts(0.5 * (s + j), 3);
             for (which, start) in starts.into_iter().enumerate() {
                 let first = question.first_slip(start);

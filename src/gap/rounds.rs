@@ -3,6 +3,7 @@
 //! Between rounds the crew is asked whether to go on; a search that it ends early has done whole rounds only, so the
 //! evaluations it reports name it. What the budget leaves is shared evenly by the lanes of a round.
 
+use core::cell::RefCell;
 use std::sync::Mutex;
 
 use super::coarse;
@@ -13,7 +14,10 @@ use super::plan::{Gene, MAX_PARAMS, Plan, Recipe};
 use super::scene::Scene;
 use super::search::{Effort, Lane, NARROW, WIDE, cross, frictionless, hunt};
 use super::types::Crew;
-use crate::ident::residual;
+use crate::ident::class::Class;
+use crate::ident::fit::Target;
+use crate::ident::hunt::{Ground, Rival, scout};
+use crate::ident::{self, ModelChoice, Options, residual};
 use crate::sim::slips::Law;
 
 /// Rounds in which findings are shared.
@@ -25,9 +29,8 @@ const OWN_KEPT: usize = 6;
 const NO_GAIN: f64 = 0.003;
 /// Responses that a search for the base is given at least: without a base nothing can be said.
 const BASE_AT_LEAST: u64 = 10_000;
-/// Searches for the base at most, and streams of chance from one to the next, apart from those of all effects.
-const BASE_ROUNDS: u64 = 3;
-const BASE_STREAMS: u64 = 1000;
+/// Searches for the base's slips at most beyond the first.
+const AGAIN: u64 = 2;
 /// Error over the floor at which a white base is the answer and the effects need only a glance.
 const CALM: f64 = 1.04;
 
@@ -107,39 +110,60 @@ fn lane(recipe: Recipe, sign: f64, starts: Vec<[f64; MAX_PARAMS]>, stream: u64) 
 
 /// The base, fitted, and the places of its first look; `None` where nothing in PV follows OP.
 ///
-/// While it leaves more than noise it is looked for again with other chance and another grid: in the rugged error a
-/// search finds the right slips by luck too, and every effect starts from the base's.
+/// While it leaves more than noise, the search for the right slips that `analyze` makes says where to begin again, up to
+/// [`AGAIN`] times with other chance: every effect starts from the base's slips.
 #[must_use]
 pub fn base(scene: &Scene, law: Option<Law>, floor: Option<f64>, work: &mut Work<'_>) -> Option<(Lane, Vec<Gene>)> {
-    let (mut base, mut genes) = base_once(scene, law, 0, work)?;
-    for round in 1..BASE_ROUNDS {
-        if law.is_none() || is_calm(scene, &base, floor) || !work.goes_on() {
+    let (mut base, genes) = base_once(scene, law, work)?;
+    let Some(law) = law else { return Some((base, genes)) };
+    for round in 0..AGAIN {
+        if is_calm(scene, &base, floor) || !work.goes_on() {
             break;
         }
-        let Some((other, places)) = base_once(scene, law, round, work) else { break };
-        let done = base.evaluations + other.evaluations;
-        let (mut best, rest) = if other.sse() < base.sse() {
-            genes = places;
-            (other, base)
-        } else {
-            (base, other)
-        };
-        if rest.sign == best.sign {
-            best.best.extend(rest.best.iter().take(3).copied());
-            best.best.sort_by(|a, b| a.sse.total_cmp(&b.sse));
-        }
-        base = Lane { evaluations: done, ..best };
+        let seed = work.seed.wrapping_add(round << 32);
+        let looked = work.all(1, |_| right_slips(scene, law, base.sign, seed));
+        let Some((places, count)) = looked.into_iter().next() else { break };
+        work.done += count;
+        let allowed = work.allowed(1);
+        let found = work.all(1, |_| {
+            let mut lane = Lane { allowed, ..base.clone() };
+            hunt(scene, &mut lane, &places, &[], &NARROW, seed);
+            lane
+        });
+        let Some(better) = found.into_iter().next() else { break };
+        work.done += better.evaluations - base.evaluations;
+        base = better;
     }
     Some((base, genes))
 }
 
+/// Where the search of [`crate::ident`] for a first-order process ends, and the responses it computed.
+fn right_slips(scene: &Scene, law: Law, sign: f64, seed: u64) -> (Vec<Gene>, u64) {
+    let question = &scene.question;
+    let options = Options { model: ModelChoice::Fopdt, seed, ..Options::default() };
+    let (plain, moves) = (Target::new(&question.pv, 0.0, question.from), Ground::moves_of(question));
+    let ground = Ground { question, plain: &plain, moves: &moves, options: &options, known: RefCell::default() };
+    let found = ident::hunt::hunt(&ground, &scout(&ground, law, &[sign]), Rival::NONE);
+    let count = found.iter().map(|f| f.evaluations).sum();
+    let first = found.iter().filter(|f| f.class == Class::First);
+    let places = first.flat_map(|f| &f.finalists).map(|c| Gene {
+        s: c.s,
+        j: c.j,
+        first: question.first_slip(c.start),
+        fd: c.fit.fd,
+        log_tau: c.fit.shape[0],
+        lag: f64::max(Class::First.lag(&c.fit.shape), question.limits.lag[0]),
+        p: [0.0; MAX_PARAMS],
+    });
+    (places.collect(), count)
+}
+
 /// One search for the base.
-fn base_once(scene: &Scene, law: Option<Law>, round: u64, work: &mut Work<'_>) -> Option<(Lane, Vec<Gene>)> {
+fn base_once(scene: &Scene, law: Option<Law>, work: &mut Work<'_>) -> Option<(Lane, Vec<Gene>)> {
     let signs: Vec<f64> = scene.sign.map_or_else(|| vec![1.0, -1.0], |s| vec![s]);
     let seed = work.seed;
-    let shift = round as f64 / BASE_ROUNDS as f64;
     let looked = work.all(signs.len(), |i| match law {
-        Some(_) => coarse::look(scene, &Plan::base(law), [0.0; MAX_PARAMS], signs[i], KEPT, shift),
+        Some(_) => coarse::look(scene, &Plan::base(law), [0.0; MAX_PARAMS], signs[i], KEPT),
         None => (frictionless(scene), 0),
     });
     work.done += looked.iter().map(|(_, n)| n).sum::<u64>();
@@ -148,8 +172,7 @@ fn base_once(scene: &Scene, law: Option<Law>, round: u64, work: &mut Work<'_>) -
     let allowed = work.allowed(jobs).max(BASE_AT_LEAST);
     let lanes = work.all(jobs, |i| {
         let sign = i / 2;
-        let mut lane =
-            lane(Recipe::base(law), signs[sign], vec![[0.0; MAX_PARAMS]], 1 + i as u64 + BASE_STREAMS * round);
+        let mut lane = lane(Recipe::base(law), signs[sign], vec![[0.0; MAX_PARAMS]], 1 + i as u64);
         lane.allowed = allowed;
         if let Some((genes, _)) = looked.get(sign) {
             hunt(scene, &mut lane, genes, &[], &WIDE, seed);
@@ -268,7 +291,7 @@ fn own_look(scene: &Scene, lane: &Lane, calm: bool) -> (Vec<Gene>, u64) {
     for p in &lane.starts {
         let mut plan = Plan::base(lane.recipe.law);
         (effect.enter)(&p[..effect.params.len()], &mut plan);
-        let (found, n) = coarse::look(scene, &plan, *p, lane.sign, OWN_KEPT, 0.0);
+        let (found, n) = coarse::look(scene, &plan, *p, lane.sign, OWN_KEPT);
         genes.extend(found);
         count += n;
     }
