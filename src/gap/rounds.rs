@@ -243,11 +243,10 @@ pub fn run(
     let mut lanes = lanes_of(scene, &base, &effects);
     // Against a base without friction nobody else looks for slips: the search for He's base is made for it.
     let sticking = lanes.iter().position(|l| l.recipe.each().any(|e| e.way == Way::AgainstLinear));
-    if let (Some(at), true) = (sticking, work.goes_on()) {
-        if let Some((found, _)) = self::base(scene, Some(Law::He), floor, work) {
-            lanes[at] =
-                Lane { sign: found.sign, best: found.best, evaluations: found.evaluations, ..lanes[at].clone() };
-        }
+    if let (Some(at), true) = (sticking, work.goes_on())
+        && let Some((found, _)) = self::base(scene, Some(Law::He), floor, work)
+    {
+        lanes[at] = Lane { sign: found.sign, best: found.best, evaluations: found.evaluations, ..lanes[at].clone() };
     }
     if work.goes_on() {
         let mut from = cross(core::slice::from_ref(&base), 4);
