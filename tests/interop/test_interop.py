@@ -303,7 +303,7 @@ def test_live_recorded_replayed(folder):
         samples = int(next(l for l in text.splitlines() if l.startswith("stictiond_samples_total")).split()[1])
         assert samples == SCANS * (4 + 2 + 3 + 2 + 2 + 2 + 2), samples
 
-        alarms_heard = len(heard.by_key[key])
+        alarms_heard = len(heard.by_key[f"{PLANE}/FIC101/alarm"])
         took = daemon.stop()
         assert took < 5, f"{took:.1f} s to stop"
         bus.close()
