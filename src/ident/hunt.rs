@@ -30,8 +30,8 @@ const FAR_BEHIND: f64 = 1.5;
 /// The same before the exact cells are known: where the other law leaves nothing but noise, and where it does not.
 const BEYOND_NOISE: f64 = 1.5;
 const HOPELESS: f64 = 4.0;
-/// s in spans of OP from which the index for moves counts in full.
-const FULL_WEIGHT: f64 = 0.2;
+/// s in spans of OP from which an index counts in full: smaller bands are within what noise and rounding imitate.
+pub const FULL_WEIGHT: f64 = 0.2;
 /// Stiction index below which the exact size of the bands is not worth the work.
 const WORTH_REFINING: f64 = 0.1;
 
@@ -357,20 +357,26 @@ impl Chase<'_, '_> {
         best
     }
 
-    /// Whether the slips now found ask for another class of process than the ones before did; the best goes there.
+    /// Whether the slips now found ask for another class of process than the ones before did; the best goes there, and
+    /// is never worse for it.
     fn reclass(&mut self, finalists: &mut Vec<Candidate>) -> bool {
         let Some(best) = finalists.first().copied() else { return false };
-        let home = self.plain.class;
+        let (home, model, steps) = (self.plain.class, self.ground.options.model, self.steps(150));
         if is_done(&mut self.plain, &best) {
             return false;
         }
-        let better = other_class(&mut self.plain, best, self.ground.options.model);
+        let better = other_class(&mut self.plain, best, model);
         if self.plain.class == home {
             return false;
         }
-        let better = climb(&mut self.plain, better, 150, false, &mut self.rng);
-        let (better, _) = demote(&mut self.plain, Some(better), self.ground.options.model);
-        *finalists = better.and_then(|c| self.plain.settle(&c)).into_iter().collect();
+        let better = climb(&mut self.plain, better, steps, false, &mut self.rng);
+        let (better, _) = demote(&mut self.plain, Some(better), model);
+        let better = better.and_then(|c| self.plain.settle(&c)).filter(|c| c.fit.sse < best.fit.sse);
+        let Some(better) = better else {
+            self.plain.class = home;
+            return false;
+        };
+        *finalists = vec![better];
         (self.moves.class, self.searched) = (self.plain.class, home);
         true
     }

@@ -12,12 +12,11 @@ use serde::{Deserialize, Serialize};
 
 use crate::detect::{Detector, View};
 use crate::ident::Estimate;
+use crate::ident::hunt::FULL_WEIGHT;
 use crate::ident::residual::{PORTMANTEAU, Whiteness};
 use crate::record::Record;
 use crate::signal::stats;
 
-/// s over OP's span below which the index counts less: smaller bands are within what noise and rounding imitate.
-const FULL_WEIGHT: f64 = 0.2;
 /// Share of the error below which less of it proves no more.
 const LEAST_ERROR: f64 = 1e-6;
 /// Turns of the stem from which a fit is no accident.
@@ -195,7 +194,7 @@ pub fn figures(
 /// | feature | means |
 /// |---|---|
 /// | `likelihood` | `ln(1 + n/2 ln(1 / (1 - index)))`, n the independent points: the logarithm of how much likelier the record is with friction than without; less, as `1 / (1 + (Q / 45.3)^2)`, where the statistic Q of Ljung and Box (1978) over 20 lags says that the fit leaves more than noise; 0 without a fit |
-/// | `confirmed` | `index`, less where the stem turned less than 12 times while the set point hardly moved (few turns can be an accident), and where OP is an image of PV (`horch` below 0.5: the fit may be of the controller) |
+/// | `confirmed` | the stiction index, less where s is under a fifth of OP's span, where the stem turned less than 12 times while the set point hardly moved (few turns can be an accident), and where OP is an image of PV (`horch` below 0.5: the fit may be of the controller) |
 /// | `moves` | the index for differences of the free-run error, which slow disturbances hardly touch, less where s is small |
 #[must_use]
 pub fn features(mut figures: Features) -> Features {

@@ -5,7 +5,6 @@ use serde_json::{Value, json};
 use crate::detect::oscillation;
 use crate::gap::document::GapDocument;
 use crate::gap::locate::{Subject, locate};
-use crate::gap::probability::Features;
 use crate::gap::{Ask, Cause, Diagnosis, Serial, diagnose, effects};
 use crate::record::Record;
 
@@ -26,7 +25,7 @@ pub(super) fn ask_for(name: &str, record: &Record, ask: &Ask) -> anyhow::Result<
 pub(super) fn line(name: &str, made_with: &Value, result: &anyhow::Result<(Diagnosis, GapDocument)>) -> Value {
     let answer = match result {
         Ok((diagnosis, document)) => json!({ "document": document, "base_at_floor": diagnosis.base.at_floor,
-            "evidence": diagnosis.evidence(), "features": features(&diagnosis.features), "withheld": withheld(diagnosis) }),
+            "evidence": diagnosis.evidence(), "withheld": withheld(diagnosis) }),
         Err(error) => json!({ "document": null, "error": format!("{error:#}"), "withheld": [] }),
     };
     let mut line = json!({ "recording": name, "made_with": made_with });
@@ -34,11 +33,6 @@ pub(super) fn line(name: &str, made_with: &Value, result: &anyhow::Result<(Diagn
         line.extend(answer);
     }
     line
-}
-
-/// What a decision's probabilities are made of.
-fn features(features: &Features) -> Value {
-    features.named().map(|(name, x)| (name.to_owned(), json!(x))).collect::<serde_json::Map<_, _>>().into()
 }
 
 fn cause(cause: &Cause) -> Value {
@@ -51,8 +45,7 @@ fn withheld(diagnosis: &Diagnosis) -> Value {
         .iter()
         .map(|effect| {
             let again = diagnosis.without(&[effect.id]);
-            json!({ "without": effect.id, "cause": cause(&again.cause), "stage": again.cause.stage.name(),
-                "features": features(&again.features) })
+            json!({ "without": effect.id, "cause": cause(&again.cause), "stage": again.cause.stage.name() })
         })
         .collect()
 }

@@ -305,10 +305,7 @@ fn score_all(args: &ScoreArgs, format: Format) -> anyhow::Result<Outcome> {
     if args.partial {
         truth.cases.retain(|case| answers.iter().any(|a| a.recording == case.name));
     }
-    let mut figures = score(&truth, &answers)?;
-    if args.again {
-        figures = calibrate::decided_again(&args.dir, &truth)?;
-    }
+    let figures = if args.again { calibrate::decided_again(&args.dir, &truth)? } else { score(&truth, &answers)? };
     write(&args.dir.join(SCORE), &serde_json::to_vec_pretty(&figures)?)?;
     write(&args.dir.join(CONFUSION), picture::confusion(&figures)?.as_bytes())?;
     show(&figures, format)
