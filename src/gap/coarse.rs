@@ -101,7 +101,8 @@ pub fn look(scene: &Scene, plan: &Plan, p: [f64; MAX_PARAMS], sign: f64, each: u
 }
 
 /// The record behind the plan's positioner.
-fn led(scene: &Scene, plan: &Plan) -> Question {
+#[must_use]
+pub fn led(scene: &Scene, plan: &Plan) -> Question {
     let mut question = scene.question.clone();
     if plan.positioner > 0.0 {
         let tau = plan.positioner * question.per_point as f64;

@@ -478,17 +478,37 @@ impl<'a> Kernel<'a> {
     /// Free run over the whole record, normalised PV units, the valve signal (spans) and moves of the stem as
     /// (point, size); `None` as for [`Kernel::evaluate`].
     pub fn simulate(&mut self, recipe: &Recipe, of: &Scored) -> Option<(Vec<f64>, Vec<f64>)> {
+        self.run_plan(&recipe.plan(&of.gene), of, of.linear)
+    }
+
+    /// What a recipe's effect adds to the free run of the same slips through the same process, the stem's law apart;
+    /// zeros where it acts on that law alone.
+    pub fn added(&mut self, recipe: &Recipe, of: &Scored) -> Option<Vec<f64>> {
         let plan = recipe.plan(&of.gene);
+        let plain = plan.valve_alone();
+        if plan == plain {
+            return Some(vec![0.0; self.scene.n()]);
+        }
+        let mut linear = of.linear;
+        if plan.zero {
+            linear.gain += linear.others[linear.count - 1];
+        }
+        let (with, _) = self.run_plan(&plan, of, of.linear)?;
+        let (without, _) = self.run_plan(&plain, of, linear)?;
+        Some(with.iter().zip(&without).map(|(a, b)| a - b).collect())
+    }
+
+    fn run_plan(&self, plan: &Plan, of: &Scored, linear: Linear) -> Option<(Vec<f64>, Vec<f64>)> {
         let whole = self.scene.whole();
         let mut kernel = Kernel::new(&whole, self.sign);
         let mut gene = of.gene;
-        if !kernel.run_valve(&plan, &mut gene, From::Path) {
+        if !kernel.run_valve(plan, &mut gene, From::Path) {
             return None;
         }
-        let others = kernel.make_columns(&plan, &gene, View::Plain);
+        let others = kernel.make_columns(plan, &gene, View::Plain);
         let mut out = Vec::new();
-        kernel.combine(&plan, others, gene.fd, &of.linear, &mut out);
-        kernel.assemble(&plan, gene.fd);
+        kernel.combine(plan, others, gene.fd, &linear, &mut out);
+        kernel.assemble(plan, gene.fd);
         Some((out, kernel.valve))
     }
 }

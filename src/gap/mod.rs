@@ -29,6 +29,7 @@ mod scene;
 pub mod score;
 mod search;
 mod signatures;
+mod slips;
 mod stages;
 pub mod text;
 pub mod types;

@@ -71,6 +71,18 @@ impl Plan {
         }
     }
 
+    /// Only what decides when the stem slips, in front of the same kind of process.
+    #[must_use]
+    pub const fn valve_alone(&self) -> Self {
+        Self {
+            overshoot: self.overshoot,
+            uneven: self.uneven,
+            positioner: self.positioner,
+            integrating: self.integrating,
+            ..Self::base(self.law)
+        }
+    }
+
     /// Whether the valve signal is linear in fd, `at - fd * direction`.
     #[must_use]
     pub fn is_linear_in_fd(&self) -> bool {

@@ -3,7 +3,6 @@
 //! Between rounds the crew is asked whether to go on; a search that it ends early has done whole rounds only, so the
 //! evaluations it reports name it. What the budget leaves is shared evenly by the lanes of a round.
 
-use core::cell::RefCell;
 use std::sync::Mutex;
 
 use super::coarse;
@@ -12,12 +11,10 @@ use super::express::rms;
 use super::kernel::Kernel;
 use super::plan::{Gene, MAX_PARAMS, Plan, Recipe};
 use super::scene::Scene;
-use super::search::{Effort, Lane, NARROW, WIDE, cross, frictionless, hunt};
+use super::search::{Effort, Lane, MIDDLE, NARROW, SMALL, WIDE, cross, frictionless, hunt};
+use super::slips::right_slips;
 use super::types::Crew;
-use crate::ident::class::Class;
-use crate::ident::fit::Target;
-use crate::ident::hunt::{Ground, Rival, scout};
-use crate::ident::{self, ModelChoice, Options, residual};
+use crate::ident::residual;
 use crate::sim::slips::Law;
 
 /// Rounds in which findings are shared.
@@ -29,8 +26,10 @@ const OWN_KEPT: usize = 6;
 const NO_GAIN: f64 = 0.003;
 /// Responses that a search for the base is given at least: without a base nothing can be said.
 const BASE_AT_LEAST: u64 = 10_000;
-/// Searches for the base's slips at most beyond the first.
+/// Searches for the right slips at most beyond the first, of the base and of the effects.
 const AGAIN: u64 = 2;
+/// Effects for which that is worth its while.
+const LIKELY: usize = 4;
 /// Error over the floor at which a white base is the answer and the effects need only a glance.
 const CALM: f64 = 1.04;
 
@@ -115,13 +114,12 @@ fn lane(recipe: Recipe, sign: f64, starts: Vec<[f64; MAX_PARAMS]>, stream: u64) 
 #[must_use]
 pub fn base(scene: &Scene, law: Option<Law>, floor: Option<f64>, work: &mut Work<'_>) -> Option<(Lane, Vec<Gene>)> {
     let (mut base, genes) = base_once(scene, law, work)?;
-    let Some(law) = law else { return Some((base, genes)) };
     for round in 0..AGAIN {
-        if is_calm(scene, &base, floor) || !work.goes_on() {
+        if law.is_none() || is_calm(scene, &base, floor) || !work.goes_on() {
             break;
         }
         let seed = work.seed.wrapping_add(round << 32);
-        let looked = work.all(1, |_| right_slips(scene, law, base.sign, seed));
+        let looked = work.all(1, |_| right_slips(scene, &base, seed));
         let Some((places, count)) = looked.into_iter().next() else { break };
         work.done += count;
         let allowed = work.allowed(1);
@@ -135,27 +133,6 @@ pub fn base(scene: &Scene, law: Option<Law>, floor: Option<f64>, work: &mut Work
         base = better;
     }
     Some((base, genes))
-}
-
-/// Where the search of [`crate::ident`] for a first-order process ends, and the responses it computed.
-fn right_slips(scene: &Scene, law: Law, sign: f64, seed: u64) -> (Vec<Gene>, u64) {
-    let question = &scene.question;
-    let options = Options { model: ModelChoice::Fopdt, seed, ..Options::default() };
-    let (plain, moves) = (Target::new(&question.pv, 0.0, question.from), Ground::moves_of(question));
-    let ground = Ground { question, plain: &plain, moves: &moves, options: &options, known: RefCell::default() };
-    let found = ident::hunt::hunt(&ground, &scout(&ground, law, &[sign]), Rival::NONE);
-    let count = found.iter().map(|f| f.evaluations).sum();
-    let first = found.iter().filter(|f| f.class == Class::First);
-    let places = first.flat_map(|f| &f.finalists).map(|c| Gene {
-        s: c.s,
-        j: c.j,
-        first: question.first_slip(c.start),
-        fd: c.fit.fd,
-        log_tau: c.fit.shape[0],
-        lag: f64::max(Class::First.lag(&c.fit.shape), question.limits.lag[0]),
-        p: [0.0; MAX_PARAMS],
-    });
-    (places.collect(), count)
 }
 
 /// One search for the base.
@@ -255,27 +232,59 @@ pub fn run(
         }
         let own = work.all(lanes.len(), |i| own_look(scene, &lanes[i], calm));
         work.done += own.iter().map(|(_, n)| n).sum::<u64>();
-        let effort = if calm { &NARROW } else { &WIDE };
+        let effort = if calm { &NARROW } else { &MIDDLE };
         let own = |i: usize| own.get(i).map_or(&[][..], |(genes, _)| genes);
         share(scene, &mut lanes, effort, work, &|_| from.clone(), &own);
     }
-    for _ in 0..SHARED_ROUNDS {
+    for round in 0..SHARED_ROUNDS as u64 {
         if calm || !work.goes_on() {
             break;
         }
-        let before: Vec<f64> = core::iter::once(&base).chain(&lanes).map(Lane::sse).collect();
-        let mut all = vec![base.clone()];
-        all.extend(lanes.iter().cloned());
-        let genes = cross(&all, 2);
-        share(scene, &mut all, &NARROW, work, &|_| genes.clone(), &|_| &[]);
-        base = all.remove(0);
-        lanes = all;
-        let after = core::iter::once(&base).chain(&lanes).map(Lane::sse);
-        if !before.iter().zip(after).any(|(b, a)| a < (1.0 - NO_GAIN) * b) {
+        let found = round < AGAIN && look_again(scene, &mut lanes, floor, round, work);
+        if !cross_pollinate(scene, &mut base, &mut lanes, work) && !found {
             break;
         }
     }
     Some(Found { base, lanes })
+}
+
+/// A round in which every lane, the base too, tries what the others found. Says whether one gained from it.
+fn cross_pollinate(scene: &Scene, base: &mut Lane, lanes: &mut Vec<Lane>, work: &mut Work<'_>) -> bool {
+    let mut all = vec![base.clone()];
+    all.append(lanes);
+    let before: Vec<f64> = all.iter().map(Lane::sse).collect();
+    let genes = cross(&all, 2);
+    share(scene, &mut all, &SMALL, work, &|_| genes.clone(), &|_| &[]);
+    let gains = before.iter().zip(&all).any(|(b, a)| a.sse() < (1.0 - NO_GAIN) * b);
+    *base = all.remove(0);
+    *lanes = all;
+    gains
+}
+
+/// The search for the right slips, made for each of the most likely effects while none of them explains everything.
+/// Says whether one of them gained from it.
+fn look_again(scene: &Scene, lanes: &mut [Lane], floor: Option<f64>, round: u64, work: &mut Work<'_>) -> bool {
+    let mut order: Vec<usize> = (0..lanes.len()).collect();
+    order.sort_by(|a, b| lanes[*a].sse().total_cmp(&lanes[*b].sse()));
+    order.truncate(LIKELY);
+    if order.first().is_none_or(|best| is_calm(scene, &lanes[*best], floor)) || !work.goes_on() {
+        return false;
+    }
+    let (allowed, seed) = (work.allowed(order.len()), work.seed.wrapping_add((AGAIN + round) << 32));
+    let made = work.all(order.len(), |i| {
+        let mut lane = Lane { allowed, ..lanes[order[i]].clone() };
+        let (places, count) = right_slips(scene, &lane, seed);
+        hunt(scene, &mut lane, &places, &[], &WIDE, seed);
+        lane.evaluations += count;
+        lane
+    });
+    let mut gains = false;
+    for (at, lane) in order.into_iter().zip(made) {
+        work.done += lane.evaluations - lanes[at].evaluations;
+        gains |= lane.sse() < (1.0 - NO_GAIN) * lanes[at].sse();
+        lanes[at] = lane;
+    }
+    gains
 }
 
 /// A look of its own for an effect that makes other slips of the same OP.

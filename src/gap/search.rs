@@ -74,10 +74,14 @@ pub struct Effort {
     pub plain: [(usize, usize); 3],
 }
 
-/// The first, wide round.
+/// For the base, and for an effect that may be the cause.
 pub const WIDE: Effort = Effort { views: [(9, 40), (3, 100)], plain: [(12, 40), (5, 120), (2, 350)] };
-/// A later one, from what others have found.
+/// Every effect's first.
+pub const MIDDLE: Effort = Effort { views: [(5, 30), (2, 60)], plain: [(8, 40), (3, 120), (1, 200)] };
+/// From places that another search has found.
 pub const NARROW: Effort = Effort { views: [(2, 30), (1, 60)], plain: [(4, 50), (2, 150), (1, 200)] };
+/// From what the other lanes have found.
+pub const SMALL: Effort = Effort { views: [(2, 20), (1, 30)], plain: [(3, 30), (1, 100), (1, 100)] };
 
 /// Looks at all genes with all of the lane's starts, and at `own` as they are, then improves the best.
 pub fn hunt(scene: &Scene, lane: &mut Lane, genes: &[Gene], own: &[Gene], effort: &Effort, seed: u64) {

@@ -27,6 +27,8 @@ pub struct Question {
     pub rate: f64,
     /// OP's running maxima, then minima: the places where a first slip can happen.
     pub records: [Vec<f64>; 2],
+    /// The bands are `1 + uneven` times as wide upwards and `1 - uneven` times downwards.
+    pub uneven: f64,
 }
 
 impl Question {
@@ -294,7 +296,8 @@ impl<'a> Bench<'a> {
     /// Runs the valve and tells which fd its slips allow.
     fn slip(&mut self, s: f64, j: f64, start: Start) -> Option<Freedom> {
         let question = self.question;
-        self.sequence.run(self.law, &question.path, question.per_point, s, j, question.first_slip(start));
+        let first = question.first_slip(start);
+        self.sequence.run_uneven(self.law, &question.path, question.per_point, [s, j], question.uneven, first);
         if self.sequence.slips < MIN_SLIPS {
             return None;
         }

@@ -39,5 +39,5 @@ pub fn pose(record: &Record, options: &Options, span: f64, deviation: f64) -> Qu
     let width = ((period / 32.0) as usize).max(1);
     let travel: Vec<f64> = mean.windows(width + 1).map(|w| (w[width] - w[0]).abs() / width as f64).collect();
     let rate = stats::median(&travel);
-    Question { path, per_point: m, mean, still, pv, limits, from, period, rate, records }
+    Question { path, per_point: m, mean, still, pv, limits, from, period, rate, records, uneven: 0.0 }
 }
