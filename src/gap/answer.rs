@@ -6,6 +6,9 @@ use crate::sim::process::{Pole, run_one, series_weights};
 /// Points by which an integrator's answer is scaled down, so that it is of the size of its input.
 pub const INTEGRATOR_SCALE: f64 = 50.0;
 
+/// Least share of its usual rate at which a process settles whose rate goes with its input.
+const LEAST_RATE: f64 = 0.1;
+
 /// The process of a plan.
 #[derive(Debug, Clone, Copy)]
 pub struct Process<'p> {
@@ -39,8 +42,38 @@ impl Process<'_> {
         }
     }
 
+    /// The process whose gain and time constant grow with its input, `tau dx/dt = -(1 - c v) x + v`, solved exactly over
+    /// each part of a point for which the delayed input is held.
+    fn with_level(&self, v: &[f64], whole: usize, fraction: f64, out: &mut Vec<f64>) {
+        let first = v.first().copied().unwrap_or(0.0);
+        let own = |v: f64| (1.0 - self.plan.level * v).max(LEAST_RATE);
+        let decay = |v: f64, time: f64| libm::exp(-time * own(v) / self.tau[0]);
+        let rest = |v: f64| v / own(v);
+        let mut before = [first, decay(first, fraction), decay(first, 1.0 - fraction)];
+        let mut x = rest(first);
+        out.clear();
+        for k in 0..v.len() {
+            let newer = if k >= whole { v[k - whole] } else { first };
+            let older = before;
+            if newer != before[0] {
+                before = [newer, decay(newer, fraction), decay(newer, 1.0 - fraction)];
+            }
+            x = rest(older[0]) + (x - rest(older[0])) * older[1];
+            x = rest(newer) + (x - rest(newer)) * before[2];
+            out.push(x);
+        }
+    }
+
     fn at_lag(&self, v: &[f64], whole: usize, fraction: f64, out: &mut Vec<f64>, work: &mut Vec<f64>) {
         let first = v.first().copied().unwrap_or(0.0);
+        if self.plan.level != 0.0 && !self.plan.integrating {
+            self.with_level(v, whole, fraction, out);
+            if self.tau[1] > 0.0 {
+                work.clone_from(out);
+                run_one(Pole::lag(self.tau[1], 0.0), 0, work, work.first().copied().unwrap_or(0.0), out);
+            }
+            return;
+        }
         if self.plan.integrating {
             let p = Pole::integrator(fraction);
             let p = Pole { a: p.a, b0: p.b0 / INTEGRATOR_SCALE, b1: p.b1 / INTEGRATOR_SCALE };

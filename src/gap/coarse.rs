@@ -68,7 +68,7 @@ pub fn look(scene: &Scene, plan: &Plan, p: [f64; MAX_PARAMS], sign: f64, each: u
                 if before.is_some_and(|(cells, at)| at == first && same(cells)) {
                     continue;
                 }
-                sequence.run_uneven(law, path, question.per_point * points, [s, j], plan.uneven, first);
+                sequence.run_in(plan.stroke, law, path, question.per_point * points, [s, j], first);
                 if sequence.slips < MIN_SLIPS || (which > 0 && sequence.reversals >= FEW_REVERSALS) {
                     continue;
                 }

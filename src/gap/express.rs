@@ -101,7 +101,7 @@ fn parameters_of(scene: &Scene, recipe: &Recipe, of: &Scored, id: &str) -> Vec<P
         let values = &of.gene.p[at..];
         if effect.id == id {
             let own = effect.params.iter().zip(values).filter_map(|(p, v)| p.recorded(*v, scene));
-            return own.chain((effect.linear)(&of.linear, scene)).collect();
+            return own.chain((effect.linear)(values, of, scene)).collect();
         }
         at += effect.params.len();
     }

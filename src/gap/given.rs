@@ -116,6 +116,10 @@ fn gene(scene: &Scene, model: &Model, recipe: &Recipe) -> Gene {
             };
             at += 1;
         }
+        if effect.id == "travel_limit" {
+            let own = &mut p[at - effect.params.len()..at];
+            own[0] += effects::above_stop(own, fd);
+        }
     }
     let ts_s = scene.point_s / scene.box_samples;
     Gene {

@@ -76,6 +76,7 @@ pub struct Kernel<'a> {
     path: Vec<f64>,
     valve: Vec<f64>,
     other: Vec<f64>,
+    bent: Vec<f64>,
     long: Vec<f64>,
     longer: Vec<f64>,
     columns: Vec<Vec<f64>>,
@@ -97,6 +98,7 @@ impl<'a> Kernel<'a> {
             path: Vec::new(),
             valve: Vec::new(),
             other: Vec::new(),
+            bent: Vec::new(),
             long: Vec::new(),
             longer: Vec::new(),
             columns: vec![Vec::new(); MAX_COLUMNS],
@@ -121,7 +123,7 @@ impl<'a> Kernel<'a> {
             match plan.law {
                 Some(law) => {
                     let bands = [gene.s, gene.j];
-                    self.sequence.run_uneven(law, path, q.per_point, bands, plan.uneven, gene.first);
+                    self.sequence.run_in(plan.stroke, law, path, q.per_point, bands, gene.first);
                     if self.sequence.slips < MIN_SLIPS {
                         return false;
                     }
@@ -228,25 +230,24 @@ impl<'a> Kernel<'a> {
         }
         // What does.
         let linear_in_fd = plan.is_linear_in_fd();
-        let signal = if linear_in_fd { &self.sequence.at } else { &self.valve };
+        let mut bent = core::mem::take(&mut self.bent);
+        let signal = if plan.bend != 0.0 {
+            bent.clear();
+            bent.extend(self.valve.iter().map(|v| libm::expm1(plan.bend * v) / plan.bend));
+            &bent
+        } else if linear_in_fd {
+            &self.sequence.at
+        } else {
+            &self.valve
+        };
         let process = Process { plan, tau: [tau1, tau2], whole, fraction, n };
-        if plan.curved || plan.drifts {
+        if plan.drifts {
             let middle = signal.iter().sum::<f64>() / n as f64;
             self.other.clear();
-            let bend = |(k, v): (usize, &f64)| {
-                let v = v - middle;
-                if plan.curved { v * v } else { v * (k as f64 / n as f64 - 0.5) }
-            };
-            self.other.extend(signal.iter().enumerate().map(bend));
+            let drift = |(k, v): (usize, &f64)| (v - middle) * (k as f64 / n as f64 - 0.5);
+            self.other.extend(signal.iter().enumerate().map(drift));
             process.respond(&self.other, &mut self.long, &mut self.longer);
             put(&mut self.columns, &self.long);
-            if plan.curved && plan.drifts {
-                self.other.clear();
-                let drift = |(k, v): (usize, &f64)| (v - middle) * (k as f64 / n as f64 - 0.5);
-                self.other.extend(signal.iter().enumerate().map(drift));
-                process.respond(&self.other, &mut self.long, &mut self.longer);
-                put(&mut self.columns, &self.long);
-            }
         }
         if plan.zero {
             let second = Process { tau: [tau2, 0.0], ..process };
@@ -261,6 +262,7 @@ impl<'a> Kernel<'a> {
             main.respond(&self.sequence.direction, &mut self.long, &mut self.longer);
             scene.gather(&self.long, view, &mut self.columns[others + 1]);
         }
+        self.bent = bent;
         others
     }
 

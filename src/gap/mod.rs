@@ -40,4 +40,4 @@ pub use diagnosis::{MIN_POINTS, diagnose};
 pub use types::*;
 
 /// Model responses of a default search: about five seconds on two cores.
-pub const DEFAULT_EVALUATIONS: u64 = 600_000;
+pub const DEFAULT_EVALUATIONS: u64 = 700_000;

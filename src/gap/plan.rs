@@ -5,10 +5,11 @@
 //! and what disturbs PV. A [`Plan`] says which blocks are there; every block left at its neutral value is the base.
 
 use super::effects::Effect;
-use crate::sim::slips::{FirstSlip, Law};
+use crate::ident::class::Class;
+use crate::sim::slips::{FirstSlip, Law, Stroke};
 
 /// Most parameters that a recipe's effects have together.
-pub const MAX_PARAMS: usize = 4;
+pub const MAX_PARAMS: usize = 6;
 
 /// Which blocks stand in the simulator.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -17,18 +18,20 @@ pub struct Plan {
     pub law: Option<Law>,
     /// The stem may jump beyond OP: fd < 0.
     pub overshoot: bool,
-    /// Bands `1 + uneven` upwards, `1 - uneven` downwards.
-    pub uneven: f64,
+    /// Uneven bands, and stops that the stem itself meets, spans.
+    pub stroke: Stroke,
     /// Lag before the friction, points.
     pub positioner: f64,
     /// Fastest move of the stem, spans a point.
     pub rate: f64,
-    /// Stops, spans.
+    /// Ends of what passes the stem, spans.
     pub stops: [f64; 2],
     /// Play behind the stem, spans.
     pub play: f64,
-    /// Also the square of the valve signal acts.
-    pub curved: bool,
+    /// Bend of the valve's characteristic, `expm1(bend v) / bend`: the share by which its slope grows with each span.
+    pub bend: f64,
+    /// Share by which gain and time constant grow with the valve signal, for each span.
+    pub level: f64,
     /// Also time times the valve signal acts.
     pub drifts: bool,
     /// Second lag, points; 0 for none.
@@ -54,12 +57,13 @@ impl Plan {
         Self {
             law,
             overshoot: false,
-            uneven: 0.0,
+            stroke: Stroke::FREE,
             positioner: 0.0,
             rate: f64::INFINITY,
             stops: [f64::NEG_INFINITY, f64::INFINITY],
             play: 0.0,
-            curved: false,
+            bend: 0.0,
+            level: 0.0,
             drifts: false,
             tau2: 0.0,
             zero: false,
@@ -71,23 +75,37 @@ impl Plan {
         }
     }
 
-    /// Only what decides when the stem slips, in front of the same kind of process.
+    /// Only what decides when the stem slips, in front of a plain process of the same kind and order.
     #[must_use]
     pub const fn valve_alone(&self) -> Self {
         Self {
             overshoot: self.overshoot,
-            uneven: self.uneven,
+            stroke: self.stroke,
             positioner: self.positioner,
+            tau2: if self.zero { 0.0 } else { self.tau2 },
             integrating: self.integrating,
             ..Self::base(self.law)
+        }
+    }
+
+    /// The class of process that the search of [`crate::ident`] knows it by.
+    #[must_use]
+    pub fn class(&self) -> Class {
+        match (self.integrating, self.tau2 > 0.0 && !self.zero) {
+            (true, _) => Class::Integrating,
+            (false, true) => Class::Second,
+            (false, false) => Class::First,
         }
     }
 
     /// Whether the valve signal is linear in fd, `at - fd * direction`.
     #[must_use]
     pub fn is_linear_in_fd(&self) -> bool {
-        let free = self.rate == f64::INFINITY && self.stops == [f64::NEG_INFINITY, f64::INFINITY] && self.play == 0.0;
-        self.law.is_some() && free && !self.curved && !self.drifts && !self.zero
+        let free = self.level == 0.0
+            && self.rate == f64::INFINITY
+            && self.stops == [f64::NEG_INFINITY, f64::INFINITY]
+            && self.play == 0.0;
+        self.law.is_some() && free && self.bend == 0.0 && !self.drifts && !self.zero
     }
 
     /// Linear coefficients beside gain, fd, constant and memory.
@@ -95,7 +113,7 @@ impl Plan {
     pub fn extras(&self) -> usize {
         let two = if self.omega.is_some() { 2 } else { 0 };
         let ramp = self.ramp.is_some() || self.drifts;
-        let ones = [self.curved, self.drifts, self.zero, ramp, self.step.is_some()];
+        let ones = [self.drifts, self.zero, ramp, self.step.is_some()];
         two + ones.into_iter().filter(|x| *x).count()
     }
 }
@@ -142,11 +160,17 @@ impl Recipe {
     /// The plan that a gene's parameters make.
     #[must_use]
     pub fn plan(&self, gene: &Gene) -> Plan {
+        self.plan_of(&gene.p)
+    }
+
+    /// The plan that these parameters make.
+    #[must_use]
+    pub fn plan_of(&self, p: &[f64; MAX_PARAMS]) -> Plan {
         let mut plan = Plan::base(self.law);
         let mut at = 0;
         for effect in self.each() {
             let end = (at + effect.params.len()).min(MAX_PARAMS);
-            (effect.enter)(&gene.p[at..end], &mut plan);
+            (effect.enter)(&p[at..end], &mut plan);
             at = end;
         }
         plan

@@ -6,7 +6,7 @@
 use std::sync::Mutex;
 
 use super::coarse;
-use super::effects::{ALL, Clues, Effect, Way};
+use super::effects::{ALL, Clues, Effect, Start, Way};
 use super::express::rms;
 use super::kernel::Kernel;
 use super::plan::{Gene, MAX_PARAMS, Plan, Recipe};
@@ -14,6 +14,7 @@ use super::scene::Scene;
 use super::search::{Effort, Lane, MIDDLE, NARROW, SMALL, WIDE, cross, frictionless, hunt};
 use super::slips::right_slips;
 use super::types::Crew;
+use crate::ident::class::Class;
 use crate::ident::residual;
 use crate::sim::slips::Law;
 
@@ -28,6 +29,8 @@ const NO_GAIN: f64 = 0.003;
 const BASE_AT_LEAST: u64 = 10_000;
 /// Searches for the right slips at most beyond the first, of the base and of the effects.
 const AGAIN: u64 = 2;
+/// Squared error over the best one from which an effect is out of the running, so that it does not try what others find.
+const FAR_BEHIND: f64 = 9.0;
 /// Effects for which that is worth its while.
 const LIKELY: usize = 4;
 /// Error over the floor at which a white base is the answer and the effects need only a glance.
@@ -198,7 +201,8 @@ fn lanes_of(scene: &Scene, base: &Lane, effects: &[&'static Effect]) -> Vec<Lane
     let high = valve.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     let clues = Clues { scene, residual: &residual, stem: [low, high], lag: best.gene.lag };
     let own = |e: &'static Effect| {
-        (e.starts)(&clues).into_iter().map(|p| [p[0], p[1], 0.0, 0.0]).collect::<Vec<[f64; MAX_PARAMS]>>()
+        let padded = |p: Start| core::array::from_fn(|i| p.get(i).copied().unwrap_or(0.0));
+        (e.starts)(&clues).into_iter().map(padded).collect::<Vec<[f64; MAX_PARAMS]>>()
     };
     let recipe = |e: &'static Effect| Recipe::with(base.recipe.law, e);
     effects.iter().enumerate().map(|(i, e)| lane(recipe(e), base.sign, own(e), 10 + i as u64)).collect()
@@ -230,7 +234,8 @@ pub fn run(
         if !calm {
             from.extend(&genes);
         }
-        let own = work.all(lanes.len(), |i| own_look(scene, &lanes[i], calm));
+        let seed = work.seed;
+        let own = work.all(lanes.len(), |i| own_look(scene, &lanes[i], calm, seed));
         work.done += own.iter().map(|(_, n)| n).sum::<u64>();
         let effort = if calm { &NARROW } else { &MIDDLE };
         let own = |i: usize| own.get(i).map_or(&[][..], |(genes, _)| genes);
@@ -248,16 +253,18 @@ pub fn run(
     Some(Found { base, lanes })
 }
 
-/// A round in which every lane, the base too, tries what the others found. Says whether one gained from it.
+/// A round in which the base and every lane that is not far behind try what the others found. Says whether one gained.
 fn cross_pollinate(scene: &Scene, base: &mut Lane, lanes: &mut Vec<Lane>, work: &mut Work<'_>) -> bool {
+    let best = lanes.iter().map(Lane::sse).fold(base.sse(), f64::min);
+    let (near, far): (Vec<Lane>, Vec<Lane>) = lanes.drain(..).partition(|l| l.sse() <= FAR_BEHIND * best);
     let mut all = vec![base.clone()];
-    all.append(lanes);
+    all.extend(near);
     let before: Vec<f64> = all.iter().map(Lane::sse).collect();
     let genes = cross(&all, 2);
     share(scene, &mut all, &SMALL, work, &|_| genes.clone(), &|_| &[]);
     let gains = before.iter().zip(&all).any(|(b, a)| a.sse() < (1.0 - NO_GAIN) * b);
     *base = all.remove(0);
-    *lanes = all;
+    lanes.extend(all.into_iter().chain(far));
     gains
 }
 
@@ -274,7 +281,7 @@ fn look_again(scene: &Scene, lanes: &mut [Lane], floor: Option<f64>, round: u64,
     let made = work.all(order.len(), |i| {
         let mut lane = Lane { allowed, ..lanes[order[i]].clone() };
         let (places, count) = right_slips(scene, &lane, seed);
-        hunt(scene, &mut lane, &places, &[], &WIDE, seed);
+        hunt(scene, &mut lane, &places, &places, &WIDE, seed);
         lane.evaluations += count;
         lane
     });
@@ -288,17 +295,23 @@ fn look_again(scene: &Scene, lanes: &mut [Lane], floor: Option<f64>, round: u64,
 }
 
 /// A look of its own for an effect that makes other slips of the same OP.
-fn own_look(scene: &Scene, lane: &Lane, calm: bool) -> (Vec<Gene>, u64) {
-    let nothing = (Vec::new(), 0);
-    let Some(effect) = lane.recipe.each().next() else { return nothing };
-    let moves_slips = ["asymmetric_stiction", "slip_overshoot", "sliding_valve", "positioner_lag"];
-    if calm || !moves_slips.contains(&effect.id) {
-        return nothing;
-    }
+fn own_look(scene: &Scene, lane: &Lane, calm: bool, seed: u64) -> (Vec<Gene>, u64) {
     let (mut genes, mut count) = (Vec::new(), 0);
-    for p in &lane.starts {
-        let mut plan = Plan::base(lane.recipe.law);
-        (effect.enter)(&p[..effect.params.len()], &mut plan);
+    if calm {
+        return (genes, count);
+    }
+    for (i, p) in lane.starts.iter().enumerate() {
+        let plan = lane.recipe.plan_of(p);
+        if lane.recipe.law.is_none() || plan.valve_alone() == Plan::base(lane.recipe.law) {
+            continue;
+        }
+        if plan.class() != Class::First {
+            // Another process is looked for by the search that knows it, once.
+            let (found, n) = if i == 0 { right_slips(scene, lane, seed) } else { (Vec::new(), 0) };
+            genes.extend(found);
+            count += n;
+            continue;
+        }
         let (found, n) = coarse::look(scene, &plan, *p, lane.sign, OWN_KEPT);
         genes.extend(found);
         count += n;

@@ -1,6 +1,6 @@
 //! The search for the right slips that `analyze` makes, for the base and for every effect that leaves more than noise.
 //!
-//! It knows the two laws, uneven bands and a lag before the valve. What an effect does behind the stem is taken out of PV
+//! It knows the two laws, uneven bands, stops of the stem and a lag before it. What an effect does behind the stem is taken out of PV
 //! as the lane has it so far, so that slips and effect are found in turn.
 
 use core::cell::RefCell;
@@ -18,8 +18,8 @@ use crate::ident::{ModelChoice, Options};
 use crate::signal::stats;
 use crate::sim::slips::Law;
 
-/// Places where a lane's best may be improved upon, by other slips, and the responses computed for it; nothing for a stem
-/// that jumps beyond OP or knows no friction.
+/// Places for a lane with the parameters that belong to them, where other slips than its best ones may fit better, and
+/// the responses computed for it; nothing for a stem that jumps beyond OP or knows no friction.
 #[must_use]
 pub fn right_slips(scene: &Scene, lane: &Lane, seed: u64) -> (Vec<Gene>, u64) {
     posed(scene, lane).map_or_else(|| (Vec::new(), 0), |p| search(&p, lane.sign, seed))
@@ -30,27 +30,32 @@ struct Posed {
     question: Question,
     law: Law,
     class: Class,
+    p: [f64; MAX_PARAMS],
 }
 
 fn posed(scene: &Scene, lane: &Lane) -> Option<Posed> {
-    let best = lane.best.first()?;
-    let plan = lane.recipe.plan(&best.gene);
+    let best = lane.best.first();
+    let p = best.map_or_else(|| lane.starts.first().copied(), |b| Some(b.gene.p))?;
+    let plan = lane.recipe.plan_of(&p);
     let law = plan.law.filter(|_| !plan.overshoot)?;
-    let added = Kernel::new(scene, lane.sign).added(&lane.recipe, best)?;
+    let added = match best {
+        Some(best) => Kernel::new(scene, lane.sign).added(&lane.recipe, best)?,
+        None => Vec::new(),
+    };
     let mut question = led(scene, &plan);
-    question.uneven = plan.uneven;
+    question.stroke = plan.stroke;
     for (y, a) in question.pv.iter_mut().zip(&added) {
         *y -= a;
     }
     let mean = stats::mean(&question.pv);
     question.pv.iter_mut().for_each(|y| *y -= mean);
-    let class = if plan.integrating { Class::Integrating } else { Class::First };
-    Some(Posed { question, law, class })
+    Some(Posed { question, law, class: plan.class(), p })
 }
 
 fn search(posed: &Posed, sign: f64, seed: u64) -> (Vec<Gene>, u64) {
-    let Posed { question, law, class } = posed;
-    let options = Options { model: ModelChoice::Fopdt, seed, ..Options::default() };
+    let Posed { question, law, class, p } = posed;
+    let model = if *class == Class::Second { ModelChoice::Sopdt } else { ModelChoice::Fopdt };
+    let options = Options { model, seed, ..Options::default() };
     let (plain, moves) = (Target::new(&question.pv, 0.0, question.from), Ground::moves_of(question));
     let ground = Ground { question, plain: &plain, moves: &moves, options: &options, known: RefCell::default() };
     let found = hunt(&ground, &scout(&ground, *law, &[sign]), Rival::NONE);
@@ -63,7 +68,8 @@ fn search(posed: &Posed, sign: f64, seed: u64) -> (Vec<Gene>, u64) {
         fd: c.fit.fd,
         log_tau: c.fit.shape[0],
         lag: f64::max(class.lag(&c.fit.shape), question.limits.lag[0]),
-        p: [0.0; MAX_PARAMS],
+        // The second lag is the first parameter of the one effect that has it.
+        p: if *class == Class::Second { [c.fit.shape[1], p[1], p[2], p[3], p[4], p[5]] } else { *p },
     });
     (places.collect(), count)
 }

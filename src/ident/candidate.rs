@@ -2,7 +2,7 @@
 
 use super::class::{Class, Limits, Shape};
 use super::fit::{BandProfile, Fitted, Fitter, Freedom, Target};
-use crate::sim::slips::{FirstSlip, Law, Sequence};
+use crate::sim::slips::{FirstSlip, Law, Sequence, Stroke};
 
 /// A record in normalised form: OP in spans, PV in standard deviations.
 #[derive(Debug, Clone)]
@@ -27,8 +27,8 @@ pub struct Question {
     pub rate: f64,
     /// OP's running maxima, then minima: the places where a first slip can happen.
     pub records: [Vec<f64>; 2],
-    /// The bands are `1 + uneven` times as wide upwards and `1 - uneven` times downwards.
-    pub uneven: f64,
+    /// What the valve has beside its law.
+    pub stroke: Stroke,
 }
 
 impl Question {
@@ -297,7 +297,7 @@ impl<'a> Bench<'a> {
     fn slip(&mut self, s: f64, j: f64, start: Start) -> Option<Freedom> {
         let question = self.question;
         let first = question.first_slip(start);
-        self.sequence.run_uneven(self.law, &question.path, question.per_point, [s, j], question.uneven, first);
+        self.sequence.run_in(question.stroke, self.law, &question.path, question.per_point, [s, j], first);
         if self.sequence.slips < MIN_SLIPS {
             return None;
         }

@@ -6,6 +6,7 @@ use super::class::Limits;
 use super::quantify::Options;
 use crate::record::Record;
 use crate::signal::stats;
+use crate::sim::slips::Stroke;
 
 /// The value on a grid of 2^-24, far finer than any recording: shifting or scaling a record changes its normalised
 /// values in the last bits only, and the grid takes those away, so that every search takes the same way.
@@ -39,5 +40,5 @@ pub fn pose(record: &Record, options: &Options, span: f64, deviation: f64) -> Qu
     let width = ((period / 32.0) as usize).max(1);
     let travel: Vec<f64> = mean.windows(width + 1).map(|w| (w[width] - w[0]).abs() / width as f64).collect();
     let rate = stats::median(&travel);
-    Question { path, per_point: m, mean, still, pv, limits, from, period, rate, records, uneven: 0.0 }
+    Question { path, per_point: m, mean, still, pv, limits, from, period, rate, records, stroke: Stroke::FREE }
 }

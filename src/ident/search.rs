@@ -95,7 +95,7 @@ impl<'a> Look<'a> {
         let q = self.question;
         let (per_box, whole) = (q.per_point * self.bank.points, q.mean.len() / self.bank.points * self.bank.points);
         let path = &q.path[..whole * q.per_point];
-        self.sequence.run_uneven(self.law, path, per_box, [s, j], q.uneven, q.first_slip(start));
+        self.sequence.run_in(q.stroke, self.law, path, per_box, [s, j], q.first_slip(start));
         let v = &self.sequence;
         if v.slips < MIN_SLIPS {
             return f64::INFINITY;

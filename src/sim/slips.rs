@@ -41,10 +41,26 @@ pub struct Sequence {
     pub reversals: usize,
 }
 
+/// What a valve has beside its law.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Stroke {
+    /// Bands are `1 + uneven` times as wide upwards and `1 - uneven` times downwards, `-1 < uneven < 1`.
+    pub uneven: f64,
+    /// Where the stem meets its stops: least and greatest OP value that counts as that of a slip. The stem stands at a
+    /// stop fd below the greatest, or above the least one.
+    pub ends: [f64; 2],
+}
+
+impl Stroke {
+    /// Even bands and no stop.
+    pub const FREE: Self = Self { uneven: 0.0, ends: [f64::NEG_INFINITY, f64::INFINITY] };
+}
+
 /// The stem's memory between OP values, and what is learned of the cell on the way.
 struct Stem {
     at: f64,
     direction: f64,
+    ends: [f64; 2],
     /// What unevenness adds to the way back, and by how much it divides the way on, in the direction of the last slip.
     back: f64,
     on: f64,
@@ -73,11 +89,12 @@ impl Uneven {
 
 impl Stem {
     /// Before the first slip: as if the last one had gone the other way, s away.
-    fn new(first: FirstSlip, s: f64, uneven: Uneven) -> Self {
+    fn new(first: FirstSlip, s: f64, uneven: Uneven, ends: [f64; 2]) -> Self {
         let (back, on) = uneven.of(-first.direction);
         Self {
             at: first.threshold - first.direction * (s - back),
             direction: -first.direction,
+            ends,
             back,
             on,
             slipped: false,
@@ -96,11 +113,11 @@ impl Stem {
         if ahead >= 0.0 {
             let on = ahead * self.on;
             if self.moving {
-                self.at = op;
-            } else if on > j {
+                self.at = op.clamp(self.ends[0], self.ends[1]);
+            } else if on > j && !self.is_at_stop() {
                 self.slip(law, op, self.direction);
                 self.j_cell[1] = self.j_cell[1].min(on);
-            } else if self.slipped {
+            } else if self.slipped && on <= j {
                 self.j_cell[0] = self.j_cell[0].max(on);
             }
             return;
@@ -119,9 +136,15 @@ impl Stem {
         }
     }
 
+    /// Whether a stop is in the way of going on.
+    #[inline]
+    fn is_at_stop(&self) -> bool {
+        self.at == self.ends[usize::from(self.direction > 0.0)]
+    }
+
     #[inline]
     fn slip(&mut self, law: Law, op: f64, direction: f64) {
-        self.at = op;
+        self.at = op.clamp(self.ends[0], self.ends[1]);
         self.direction = direction;
         self.slipped = true;
         self.moving = law == Law::Tracking;
@@ -132,22 +155,21 @@ impl Stem {
 impl Sequence {
     /// Runs a law over `path` (`n * per_point` OP values) and keeps the slips.
     pub fn run(&mut self, law: Law, path: &[f64], per_point: usize, s: f64, j: f64, first: FirstSlip) {
-        self.run_uneven(law, path, per_point, [s, j], 0.0, first);
+        self.run_in(Stroke::FREE, law, path, per_point, [s, j], first);
     }
 
-    /// As [`Sequence::run`] for bands `[s, j]` that are `1 + uneven` times as wide upwards and `1 - uneven` times
-    /// downwards, `-1 < uneven < 1`. The stem stands at `at - fd (direction + uneven)`.
-    pub fn run_uneven(
+    /// As [`Sequence::run`] for bands `[s, j]` and a stroke. The stem stands at `at - fd (direction + uneven)`.
+    pub fn run_in(
         &mut self,
+        stroke: Stroke,
         law: Law,
         path: &[f64],
         per_point: usize,
         [s, j]: [f64; 2],
-        uneven: f64,
         first: FirstSlip,
     ) {
-        let uneven = Uneven { uneven, j };
-        let mut stem = Stem::new(first, s, uneven);
+        let uneven = Uneven { uneven: stroke.uneven, j };
+        let mut stem = Stem::new(first, s, uneven, stroke.ends);
         let n = path.len() / per_point.max(1);
         self.at.resize(n, 0.0);
         self.direction.resize(n, 0.0);
@@ -228,7 +250,7 @@ mod tests {
             let mut moving = 0.0;
             let mut sequence = Sequence::default();
             let first = FirstSlip { direction: 1.0, threshold };
-            sequence.run_uneven(law, &op, 1, [fs + fd, fs - fd], uneven, first);
+            sequence.run_in(Stroke { uneven, ..Stroke::FREE }, law, &op, 1, [fs + fd, fs - fd], first);
             for (k, &u) in op.iter().enumerate() {
                 let force = u - position;
                 let slides = moving != 0.0 && moving * (u - moving * band(fd, moving > 0.0) - position) >= 0.0;
@@ -249,6 +271,33 @@ mod tests {
                 let stem = sequence.at[k] - fd * (sequence.direction[k] + uneven);
                 assert!((stem - position).abs() < 1e-9, "{law:?} {uneven} at {k}: {stem} {position}");
             }
+        }
+    }
+
+    #[test]
+    fn a_stem_at_its_stop_turns_back_from_there() {
+        for (law, seed) in [(Law::He, 1), (Law::He, 5), (Law::Tracking, 2)] {
+            let (op, fs, fd) = (path(seed), 3.0, 1.2);
+            let stops = [-3.0, 2.5];
+            let first = FirstSlip { direction: 1.0, threshold: op[0] + 0.5 };
+            let mut sequence = Sequence::default();
+            let stroke = Stroke { ends: [stops[0] - fd, stops[1] + fd], ..Stroke::FREE };
+            sequence.run_in(stroke, law, &op, 1, [fs + fd, fs - fd], first);
+            let mut state = Tracking { position: op[0] + 0.5 - fs, direction: 0 };
+            let mut met = [0, 0];
+            for (k, &u) in op.iter().enumerate() {
+                state = if law == Law::He {
+                    Tracking { position: he_step(state.position, u, fs, fd), ..state }
+                } else {
+                    tracking_step(state, u, fs, fd)
+                };
+                state.position = state.position.clamp(stops[0], stops[1]);
+                met[0] += usize::from(state.position == stops[0]);
+                met[1] += usize::from(state.position == stops[1]);
+                let stem = sequence.at[k] - fd * sequence.direction[k];
+                assert!((stem - state.position).abs() < 1e-9, "{law:?} at {k}: {stem} {}", state.position);
+            }
+            assert!(met.iter().all(|m| *m > 20), "{met:?}");
         }
     }
 

@@ -8,8 +8,8 @@ pub const EFFECT: Effect = Effect {
     stage: Stage::Valve,
     way: Way::Simulated,
     params: &[Param { name: "alpha", unit: Unit::One, reach: Reach::Jumps, limits: |_| [-0.7, 0.7] }],
-    enter: |p, plan| plan.uneven = p[0],
-    starts: |_| [0.2, -0.2, 0.45, -0.45].map(|a| [a, 0.0]).to_vec(),
+    enter: |p, plan| plan.stroke.uneven = p[0],
+    starts: |_| [0.2, -0.2, 0.45, -0.45].map(|a| [a, 0.0, 0.0]).to_vec(),
     linear: nothing,
     margin: MARGIN,
     predictable: true,
@@ -27,7 +27,7 @@ mod tests {
     fn alpha_makes_the_bands_uneven_and_zero_is_the_base() {
         let mut plan = Plan::base(Some(Law::He));
         (EFFECT.enter)(&[0.3], &mut plan);
-        assert_eq!(plan.uneven, 0.3);
+        assert_eq!(plan.stroke.uneven, 0.3);
         (EFFECT.enter)(&[0.0], &mut plan);
         assert_eq!(plan, Plan::base(Some(Law::He)));
     }

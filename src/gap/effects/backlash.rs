@@ -9,7 +9,7 @@ pub const EFFECT: Effect = Effect {
     way: Way::Simulated,
     params: &[Param { name: "width", unit: Unit::Op, reach: Reach::Stem, limits: |_| [0.0, 0.8] }],
     enter: |p, plan| plan.play = p[0].max(0.0),
-    starts: |_| [0.04, 0.12, 0.3, 0.55].map(|w| [w, 0.0]).to_vec(),
+    starts: |_| [0.04, 0.12, 0.3, 0.55].map(|w| [w, 0.0, 0.0]).to_vec(),
     linear: nothing,
     margin: MARGIN,
     predictable: true,

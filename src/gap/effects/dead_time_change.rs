@@ -1,6 +1,6 @@
 //! From some instant on, another dead time.
 
-use super::{Clues, Effect, Param, Reach, Stage, Unit, WIDE_MARGIN, Way, nothing};
+use super::{Clues, Effect, Param, Reach, Stage, Start, Unit, WIDE_MARGIN, Way, nothing};
 
 /// As the catalogue has it.
 pub const EFFECT: Effect = Effect {
@@ -30,12 +30,12 @@ pub const EFFECT: Effect = Effect {
     separated_by: "flow or speed that sets the transport time",
 };
 
-fn starts(clues: &Clues<'_>) -> Vec<[f64; 2]> {
+fn starts(clues: &Clues<'_>) -> Vec<Start> {
     let (n, lag) = (clues.scene.n() as f64, clues.lag);
     let mut out = Vec::new();
     for at in [0.3, 0.45, 0.6, 0.75] {
         for added in [-0.6 * lag, 0.5 * lag, 1.5 * lag] {
-            out.push([at * n, added]);
+            out.push([at * n, added, 0.0]);
         }
     }
     out

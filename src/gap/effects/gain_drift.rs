@@ -1,7 +1,7 @@
 //! A gain that grows or falls evenly with time.
 
 use super::{Effect, MARGIN, Stage, Way, once};
-use crate::gap::kernel::Linear;
+use crate::gap::kernel::Scored;
 use crate::gap::scene::Scene;
 use crate::gap::types::Parameter;
 
@@ -21,9 +21,9 @@ pub const EFFECT: Effect = Effect {
 };
 
 /// Change of the gain from start to end of the record, over its middle.
-fn slope(linear: &Linear, _scene: &Scene) -> Vec<Parameter> {
-    let at = linear.count.saturating_sub(1);
-    vec![Parameter { name: "gain_change_over_record", value: linear.others[at] / linear.gain, unit: "1" }]
+fn slope(_p: &[f64], of: &Scored, _scene: &Scene) -> Vec<Parameter> {
+    let at = of.linear.count.saturating_sub(1);
+    vec![Parameter { name: "gain_change_over_record", value: of.linear.others[at] / of.linear.gain, unit: "1" }]
 }
 
 #[cfg(test)]

@@ -29,8 +29,9 @@ mod time_skew;
 mod travel_limit;
 
 pub use clues::Clues;
+pub use travel_limit::above_stop;
 
-use super::kernel::Linear;
+use super::kernel::Scored;
 use super::plan::Plan;
 use super::scene::Scene;
 use super::types::{EffectId, Parameter, Stage};
@@ -78,12 +79,14 @@ pub enum Unit {
     Op,
     /// Spans a point to OP units a second, from its logarithm.
     LogRate,
-    /// Spans from OP's middle to an OP value.
-    OpLevel,
     /// Radians a point to a period in seconds.
     Period,
-    /// A choice; not given.
+    /// Yes (1) or no (0).
     Choice,
+    /// Per span to per OP unit.
+    PerOp,
+    /// Spans from OP's middle to an OP value; told by the effect's own function, since fd belongs to it.
+    StemEnd,
 }
 
 /// One nonlinear parameter.
@@ -116,9 +119,10 @@ impl Param {
             Unit::Time | Unit::Instant => (value * scene.point_s, "s"),
             Unit::Op => (value * scene.span, "OP"),
             Unit::LogRate => (libm::exp(value) * scene.span / scene.point_s, "OP/s"),
-            Unit::OpLevel => (value * scene.span + scene.op_middle, "OP"),
             Unit::Period => (2.0 * core::f64::consts::PI / value.max(1e-9) * scene.point_s, "s"),
-            Unit::Choice => return None,
+            Unit::Choice => (if value > 0.5 { 1.0 } else { 0.0 }, "1"),
+            Unit::PerOp => (value / scene.span, "1/OP"),
+            Unit::StemEnd => return None,
         };
         Some(Parameter { name: self.name, value, unit })
     }
@@ -132,11 +136,15 @@ impl Param {
             Unit::Time | Unit::Instant => value / scene.point_s,
             Unit::Op => value / scene.span,
             Unit::LogRate => libm::log((value * scene.point_s / scene.span).max(1e-12)),
-            Unit::OpLevel => (value - scene.op_middle) / scene.span,
+            Unit::PerOp => value * scene.span,
+            Unit::StemEnd => (value - scene.op_middle) / scene.span,
             Unit::Period => 2.0 * core::f64::consts::PI * scene.point_s / value.max(1e-9),
         }
     }
 }
+
+/// Parameter values at which a search begins; an effect has up to three.
+pub type Start = [f64; 3];
 
 /// One effect that the base leaves out.
 #[derive(Debug)]
@@ -152,9 +160,9 @@ pub struct Effect {
     /// Puts it into the simulator.
     pub enter: fn(&[f64], &mut Plan),
     /// Parameter values at which a search begins.
-    pub starts: fn(&Clues<'_>) -> Vec<[f64; 2]>,
-    /// What the linear coefficients say in recorded units.
-    pub linear: fn(&Linear, &Scene) -> Vec<Parameter>,
+    pub starts: fn(&Clues<'_>) -> Vec<Start>,
+    /// What the linear coefficients and fd say in recorded units, of an effect with these parameters.
+    pub linear: fn(&[f64], &Scored, &Scene) -> Vec<Parameter>,
     /// Training log mean squared error by which it must beat the base: more for what bends to anything.
     pub margin: f64,
     /// Whether free run can predict it.
@@ -234,17 +242,17 @@ fn lag_limits<const MOST: u32>(scene: &Scene) -> [f64; 2] {
 }
 
 /// Lags of these shares of a period.
-fn lags(clues: &Clues<'_>, shares: &[f64]) -> Vec<[f64; 2]> {
-    shares.iter().map(|t| [libm::log(t * clues.scene.period), 0.0]).collect()
+fn lags(clues: &Clues<'_>, shares: &[f64]) -> Vec<Start> {
+    shares.iter().map(|t| [libm::log(t * clues.scene.period), 0.0, 0.0]).collect()
 }
 
 /// For effects without nonlinear parameters: one start.
-fn once(_clues: &Clues<'_>) -> Vec<[f64; 2]> {
-    vec![[0.0; 2]]
+fn once(_clues: &Clues<'_>) -> Vec<Start> {
+    vec![[0.0; 3]]
 }
 
 /// For effects without linear coefficients of their own.
-fn nothing(_linear: &Linear, _scene: &Scene) -> Vec<Parameter> {
+fn nothing(_p: &[f64], _of: &Scored, _scene: &Scene) -> Vec<Parameter> {
     Vec::new()
 }
 

@@ -1,7 +1,7 @@
 //! A load that grows evenly from some instant on.
 
-use super::{Clues, Effect, Param, Reach, Stage, Unit, WIDE_MARGIN, Way};
-use crate::gap::kernel::Linear;
+use super::{Clues, Effect, Param, Reach, Stage, Start, Unit, WIDE_MARGIN, Way};
+use crate::gap::kernel::Scored;
 use crate::gap::scene::Scene;
 use crate::gap::types::Parameter;
 
@@ -25,16 +25,16 @@ pub const EFFECT: Effect = Effect {
     separated_by: "the load itself, or PV with OP held",
 };
 
-fn starts(clues: &Clues<'_>) -> Vec<[f64; 2]> {
-    let mut out = vec![[0.0; 2]];
-    out.extend(clues.bends(3).into_iter().map(|t| [t, 0.0]));
+fn starts(clues: &Clues<'_>) -> Vec<Start> {
+    let mut out = vec![[0.0; 3]];
+    out.extend(clues.bends(3).into_iter().map(|t| [t, 0.0, 0.0]));
     out
 }
 
-fn rate(linear: &Linear, scene: &Scene) -> Vec<Parameter> {
+fn rate(_p: &[f64], of: &Scored, scene: &Scene) -> Vec<Parameter> {
     // Constant and memory stand before it.
     let whole = scene.n() as f64 * scene.point_s;
-    vec![Parameter { name: "slope", value: linear.others[2] * scene.deviation / whole, unit: "PV/s" }]
+    vec![Parameter { name: "slope", value: of.linear.others[2] * scene.deviation / whole, unit: "PV/s" }]
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! An actuator that moves no faster than so much a second.
 
-use super::{Clues, Effect, MARGIN, Param, Reach, Stage, Unit, Way, nothing};
+use super::{Clues, Effect, MARGIN, Param, Reach, Stage, Start, Unit, Way, nothing};
 
 /// As the catalogue has it.
 pub const EFFECT: Effect = Effect {
@@ -22,9 +22,9 @@ pub const EFFECT: Effect = Effect {
     separated_by: "the valve position after a large step of OP",
 };
 
-fn starts(clues: &Clues<'_>) -> Vec<[f64; 2]> {
+fn starts(clues: &Clues<'_>) -> Vec<Start> {
     let travel = (clues.stem[1] - clues.stem[0]).max(0.05);
-    [3.0, 8.0, 25.0, 80.0].map(|r| [libm::log(r * travel / clues.scene.period), 0.0]).to_vec()
+    [3.0, 8.0, 25.0, 80.0].map(|r| [libm::log(r * travel / clues.scene.period), 0.0, 0.0]).to_vec()
 }
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! A sinusoid from outside, at a period of its own.
 
-use super::{Clues, Effect, Param, Reach, Stage, Unit, WIDE_MARGIN, Way};
-use crate::gap::kernel::Linear;
+use super::{Clues, Effect, Param, Reach, Stage, Start, Unit, WIDE_MARGIN, Way};
+use crate::gap::kernel::Scored;
 use crate::gap::scene::Scene;
 use crate::gap::types::Parameter;
 
@@ -25,14 +25,14 @@ pub const EFFECT: Effect = Effect {
     separated_by: "the suspected source beside PV; OP held for some periods",
 };
 
-fn starts(clues: &Clues<'_>) -> Vec<[f64; 2]> {
-    clues.frequencies(5).into_iter().map(|w| [w, 0.0]).collect()
+fn starts(clues: &Clues<'_>) -> Vec<Start> {
+    clues.frequencies(5).into_iter().map(|w| [w, 0.0, 0.0]).collect()
 }
 
 /// Half of the way from trough to crest.
-fn amplitude(linear: &Linear, scene: &Scene) -> Vec<Parameter> {
+fn amplitude(_p: &[f64], of: &Scored, scene: &Scene) -> Vec<Parameter> {
     // Constant and memory stand before sine and cosine.
-    let [a, b] = [linear.others[2], linear.others[3]];
+    let [a, b] = [of.linear.others[2], of.linear.others[3]];
     vec![Parameter { name: "amplitude", value: (a * a + b * b).sqrt() * scene.deviation, unit: "PV" }]
 }
 

@@ -1,30 +1,30 @@
-//! A gain that goes with the level: the valve's characteristic, or the process' own. OP and PV cannot tell which.
+//! A gain that goes with the level: the valve's characteristic, or the process' own. OP and PV hardly tell which.
+//!
+//! A characteristic whose slope grows by the same share with each OP unit (equal percentage) bends the valve signal in
+//! front of the process. Where the process' own gain goes with PV, `tau dy/dt = -y + (1 + c y) v`, gain and time constant
+//! grow together; from whatever level y and v are counted, the form stays the same. One or the other is fitted: both at
+//! once would also imitate a time constant that changes alone.
 
-use super::{Effect, MARGIN, Stage, Way, once};
-use crate::gap::kernel::Linear;
-use crate::gap::scene::Scene;
-use crate::gap::types::Parameter;
+use super::{Effect, MARGIN, Param, Reach, Stage, Unit, Way, nothing};
 
 /// As the catalogue has it.
 pub const EFFECT: Effect = Effect {
     id: "static_nonlinearity",
     stage: Stage::Process,
     way: Way::Simulated,
-    params: &[],
-    enter: |_, plan| plan.curved = true,
-    starts: once,
-    linear: curvature,
+    params: &[
+        Param { name: "gain_change_per_op", unit: Unit::PerOp, reach: Reach::Process, limits: |_| [-6.0, 6.0] },
+        Param { name: "by_level", unit: Unit::Choice, reach: Reach::Jumps, limits: |_| [0.0, 1.0] },
+    ],
+    // At OP's middle the slope of `v / (1 - c v)`, where a process comes to rest, grows by 2 c with each span.
+    enter: |p, plan| *(if p[1] > 0.5 { &mut plan.level } else { &mut plan.bend }) = p[0] / (1.0 + p[1].round()),
+    starts: |_| [-2.0, 2.0].into_iter().flat_map(|c| [[c, 0.0, 0.0], [c, 1.0, 0.0]]).collect(),
+    linear: nothing,
     margin: MARGIN,
     predictable: true,
     confused_with: &["travel_limit", "gain_drift", "asymmetric_stiction"],
     separated_by: "the flow, or steps of OP at two levels",
 };
-
-/// Change of the gain over a span of OP, over the gain.
-fn curvature(linear: &Linear, _scene: &Scene) -> Vec<Parameter> {
-    let at = linear.count.saturating_sub(1);
-    vec![Parameter { name: "gain_change_over_span", value: 2.0 * linear.others[at] / linear.gain, unit: "1" }]
-}
 
 #[cfg(test)]
 mod tests {
@@ -33,9 +33,15 @@ mod tests {
     use crate::sim::slips::Law;
 
     #[test]
-    fn a_square_is_added_with_a_coefficient_of_its_own() {
-        let mut plan = Plan::base(Some(Law::He));
-        (EFFECT.enter)(&[], &mut plan);
-        assert!(plan.curved && plan.extras() == 1);
+    fn the_bend_is_the_valves_or_the_process_and_none_is_the_base() {
+        let base = Plan::base(Some(Law::He));
+        let entered = |p: [f64; 2]| {
+            let mut plan = base;
+            (EFFECT.enter)(&p, &mut plan);
+            plan
+        };
+        assert_eq!([entered([0.4, 0.0]).bend, entered([0.4, 0.0]).level], [0.4, 0.0]);
+        assert_eq!([entered([0.4, 1.0]).bend, entered([0.4, 1.0]).level], [0.0, 0.2]);
+        assert!(entered([0.0, 0.0]) == base && !entered([0.4, 1.0]).is_linear_in_fd());
     }
 }

@@ -1,7 +1,7 @@
 //! A load that steps at some instant, before the process or straight into PV.
 
-use super::{Clues, Effect, Param, Reach, Stage, Unit, WIDE_MARGIN, Way};
-use crate::gap::kernel::Linear;
+use super::{Clues, Effect, Param, Reach, Stage, Start, Unit, WIDE_MARGIN, Way};
+use crate::gap::kernel::Scored;
 use crate::gap::scene::Scene;
 use crate::gap::types::Parameter;
 
@@ -28,13 +28,13 @@ pub const EFFECT: Effect = Effect {
     separated_by: "the load itself",
 };
 
-fn starts(clues: &Clues<'_>) -> Vec<[f64; 2]> {
-    clues.steps(4).into_iter().flat_map(|t| [[t, 0.0], [t, 1.0]]).collect()
+fn starts(clues: &Clues<'_>) -> Vec<Start> {
+    clues.steps(4).into_iter().flat_map(|t| [[t, 0.0, 0.0], [t, 1.0, 0.0]]).collect()
 }
 
-fn size(linear: &Linear, scene: &Scene) -> Vec<Parameter> {
+fn size(_p: &[f64], of: &Scored, scene: &Scene) -> Vec<Parameter> {
     // Constant and memory stand before it.
-    vec![Parameter { name: "size", value: linear.others[2] * scene.deviation, unit: "PV" }]
+    vec![Parameter { name: "size", value: of.linear.others[2] * scene.deviation, unit: "PV" }]
 }
 
 #[cfg(test)]

@@ -1,6 +1,9 @@
-//! A stop, low or high, that the stem meets inside the range of OP.
+//! A stop, low or high, that the stem meets inside the range of OP, or an end of what flows behind a free stem.
 
-use super::{Clues, Effect, MARGIN, Param, Reach, Stage, Unit, Way, nothing};
+use super::{Clues, Effect, MARGIN, Param, Reach, Stage, Start, Unit, Way};
+use crate::gap::kernel::Scored;
+use crate::gap::scene::Scene;
+use crate::gap::types::Parameter;
 
 /// As the catalogue has it.
 pub const EFFECT: Effect = Effect {
@@ -8,25 +11,47 @@ pub const EFFECT: Effect = Effect {
     stage: Stage::Valve,
     way: Way::Simulated,
     params: &[
-        Param { name: "stop", unit: Unit::OpLevel, reach: Reach::Stem, limits: |_| [-2.0, 2.0] },
+        Param { name: "stop", unit: Unit::StemEnd, reach: Reach::Path, limits: |_| [-2.0, 2.0] },
         Param { name: "upper", unit: Unit::Choice, reach: Reach::Jumps, limits: |_| [0.0, 1.0] },
+        Param { name: "of_stem", unit: Unit::Choice, reach: Reach::Jumps, limits: |_| [0.0, 1.0] },
     ],
     enter: |p, plan| {
-        // The second says which end.
-        if p[1] < 0.5 { plan.stops[0] = p[0] } else { plan.stops[1] = p[0] }
+        let ends = if p[2] > 0.5 { &mut plan.stroke.ends } else { &mut plan.stops };
+        ends[usize::from(p[1] > 0.5)] = p[0];
     },
     starts,
-    linear: nothing,
+    linear: stop,
     margin: MARGIN,
     predictable: true,
     confused_with: &["static_nonlinearity", "clipping"],
     separated_by: "the valve position, or OP moved slowly to the suspected stop and back",
 };
 
-fn starts(clues: &Clues<'_>) -> Vec<[f64; 2]> {
+fn starts(clues: &Clues<'_>) -> Vec<Start> {
     let [low, high] = clues.stem;
     let at = |share: f64| low + share * (high - low);
-    vec![[at(0.12), 0.0], [at(0.35), 0.0], [at(0.88), 1.0], [at(0.65), 1.0]]
+    let places = [(at(0.12), 0.0), (at(0.35), 0.0), (at(0.88), 1.0), (at(0.65), 1.0)];
+    places.into_iter().flat_map(|(stop, upper)| [[stop, upper, 0.0], [stop, upper, 1.0]]).collect()
+}
+
+/// What an end of the stem stands above its stop: the first parameter is the OP value of a slip that ends there.
+#[must_use]
+pub fn above_stop(p: &[f64], fd: f64) -> f64 {
+    match p {
+        [_, upper, of_stem, ..] if *of_stem > 0.5 => {
+            if *upper > 0.5 {
+                fd
+            } else {
+                -fd
+            }
+        }
+        _ => 0.0,
+    }
+}
+
+fn stop(p: &[f64], of: &Scored, scene: &Scene) -> Vec<Parameter> {
+    let place = p[0] - above_stop(p, of.gene.fd);
+    vec![Parameter { name: "stop", value: place * scene.span + scene.op_middle, unit: "OP" }]
 }
 
 #[cfg(test)]
@@ -36,11 +61,16 @@ mod tests {
     use crate::sim::slips::Law;
 
     #[test]
-    fn either_end_can_be_the_stop_and_far_away_it_is_none() {
+    fn either_end_can_be_the_stop_of_stem_or_flow_and_far_away_it_is_none() {
         let mut plan = Plan::base(Some(Law::He));
-        (EFFECT.enter)(&[0.3, 1.0], &mut plan);
+        (EFFECT.enter)(&[0.3, 1.0, 0.0], &mut plan);
         assert_eq!(plan.stops, [f64::NEG_INFINITY, 0.3]);
-        (EFFECT.enter)(&[-0.3, 0.0], &mut plan);
+        (EFFECT.enter)(&[-0.3, 0.0, 0.0], &mut plan);
         assert_eq!(plan.stops, [-0.3, 0.3]);
+        let mut plan = Plan::base(Some(Law::He));
+        (EFFECT.enter)(&[0.3, 1.0, 1.0], &mut plan);
+        assert!(plan.stroke.ends == [f64::NEG_INFINITY, 0.3] && plan.is_linear_in_fd());
+        assert_eq!([above_stop(&[0.3, 1.0, 1.0], 0.1), above_stop(&[0.3, 0.0, 1.0], 0.1)], [0.1, -0.1]);
+        assert_eq!(above_stop(&[0.3, 1.0, 0.0], 0.1), 0.0);
     }
 }

@@ -41,7 +41,7 @@ fn every_effect_at_rest_is_the_base() {
     let switches = ["slip_overshoot", "sliding_valve", "integrating"];
     for effect in effects::ALL.into_iter().filter(|e| e.way == Way::Simulated && !switches.contains(&e.id)) {
         let [a, b] = rest(effect.id);
-        let at_rest = Gene { p: [a, b, 0.0, 0.0], ..gene };
+        let at_rest = Gene { p: [a, b, 0.0, 0.0, 0.0, 0.0], ..gene };
         let found = kernel.evaluate(&Recipe::with(Some(Law::He), effect), &at_rest, View::Plain).unwrap();
         // Linear coefficients of its own can only help; fd is not solved exactly behind what follows the stem.
         let ratio = found.sse / base.sse;

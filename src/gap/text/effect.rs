@@ -66,8 +66,8 @@ pub(super) fn phrase(e: &EffectNote) -> String {
         "rate_limit" => said("rate").map(|r| format!("a stem that moves no faster than {r} OP units a second")),
         "positioner_lag" => said("lag").map(|l| format!("a positioner lag of {l} s")),
         "extra_lag" => said("lag").map(|l| format!("an extra lag of {l} s")),
-        "static_nonlinearity" => value("gain_change_over_span")
-            .map(|g| format!("a gain that changes by {} over OP's span", percent(100.0 * g.abs()))),
+        "static_nonlinearity" => value("gain_change_per_op")
+            .map(|g| format!("a gain that {} by {} with each OP unit", grows(g), percent(100.0 * g.abs()))),
         "inverse_response" => said("lag").map(|l| format!("an inverse response with a lag of {l} s")),
         "gain_drift" => value("gain_change_over_record")
             .map(|g| format!("a gain that {} by {} over the record", grows(g), percent(100.0 * g.abs()))),
