@@ -91,3 +91,40 @@ impl Process<'_> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// `tau dx/dt = -(1 - c v) x + v` in a thousand steps a point, `v` delayed by `lag` points.
+    fn by_small_steps(v: &[f64], lag: f64, tau: f64, c: f64) -> Vec<f64> {
+        const PARTS: usize = 1000;
+        let at = |t: f64| if t < 0.0 { v[0] } else { v[(t.floor() as usize).min(v.len() - 1)] };
+        let mut x = v[0] / (1.0 - c * v[0]);
+        let mut out = Vec::new();
+        for k in 0..v.len() {
+            for i in 0..PARTS {
+                // The value of a point acts over the point that ends there.
+                let t = k as f64 + (i as f64 + 0.5) / PARTS as f64 - lag;
+                let held = at(t);
+                x += (held - (1.0 - c * held) * x) / (tau * PARTS as f64);
+            }
+            out.push(x);
+        }
+        out
+    }
+
+    #[test]
+    fn a_gain_that_goes_with_the_level_is_solved_exactly() {
+        let v: Vec<f64> = (0..120).map(|k| if k % 40 < 17 { 0.35 } else { -0.3 }).collect();
+        for (level, fraction) in [(0.8, 0.3), (-1.2, 0.0), (0.0, 0.6)] {
+            let plan = Plan { level, ..Plan::base(None) };
+            let process = Process { plan: &plan, tau: [7.0, 0.0], whole: 3, fraction, n: v.len() };
+            let (mut out, mut work) = (Vec::new(), Vec::new());
+            process.respond(&v, &mut out, &mut work);
+            for (x, y) in out.iter().zip(by_small_steps(&v, 3.0 + fraction, 7.0, level)) {
+                assert!((x - y).abs() < 1e-3, "{level} {fraction}: {x} {y}");
+            }
+        }
+    }
+}

@@ -39,5 +39,5 @@ pub use decide::{By, Decision, decide, holds_out};
 pub use diagnosis::{MIN_POINTS, diagnose};
 pub use types::*;
 
-/// Model responses of a default search: about five seconds on two cores.
+/// Model responses of a default search: five to eight seconds on two cores.
 pub const DEFAULT_EVALUATIONS: u64 = 700_000;

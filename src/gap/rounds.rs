@@ -1,4 +1,5 @@
-//! The rounds of a diagnosis: the base first, then every effect with the same work, then what each found for all others.
+//! The rounds of a diagnosis: the base first, then every effect with the same work, then the likely ones with more of it,
+//! and what each found for all that are not far behind.
 //!
 //! Between rounds the crew is asked whether to go on; a search that it ends early has done whole rounds only, so the
 //! evaluations it reports name it. What the budget leaves is shared evenly by the lanes of a round.
@@ -27,12 +28,14 @@ const OWN_KEPT: usize = 6;
 const NO_GAIN: f64 = 0.003;
 /// Responses that a search for the base is given at least: without a base nothing can be said.
 const BASE_AT_LEAST: u64 = 10_000;
-/// Searches for the right slips at most beyond the first, of the base and of the effects.
-const AGAIN: u64 = 2;
 /// Squared error over the best one from which an effect is out of the running, so that it does not try what others find.
 const FAR_BEHIND: f64 = 9.0;
+/// Searches for the right slips at most beyond the first, of the base and of the effects.
+const AGAIN: u64 = 2;
 /// Effects for which that is worth its while.
 const LIKELY: usize = 4;
+/// Responses that the search for the right slips of one effect computes, about.
+const LOOK_AGAIN: u64 = 30_000;
 /// Error over the floor at which a white base is the answer and the effects need only a glance.
 const CALM: f64 = 1.04;
 
@@ -65,9 +68,14 @@ impl Work<'_> {
         slots.into_iter().filter_map(|slot| slot.into_inner().ok().flatten()).collect()
     }
 
+    /// Responses that are left of the budget.
+    const fn left(&self) -> u64 {
+        self.budget.saturating_sub(self.done)
+    }
+
     /// Responses that each of so many lanes may compute, so that the budget is kept.
     fn allowed(&self, lanes: usize) -> u64 {
-        self.budget.saturating_sub(self.done).div_ceil(lanes.max(1) as u64)
+        self.left().div_ceil(lanes.max(1) as u64)
     }
 
     /// Whether another round may begin.
@@ -273,7 +281,7 @@ fn cross_pollinate(scene: &Scene, base: &mut Lane, lanes: &mut Vec<Lane>, work: 
 fn look_again(scene: &Scene, lanes: &mut [Lane], floor: Option<f64>, round: u64, work: &mut Work<'_>) -> bool {
     let mut order: Vec<usize> = (0..lanes.len()).collect();
     order.sort_by(|a, b| lanes[*a].sse().total_cmp(&lanes[*b].sse()));
-    order.truncate(LIKELY);
+    order.truncate(LIKELY.min((work.left() / LOOK_AGAIN) as usize));
     if order.first().is_none_or(|best| is_calm(scene, &lanes[*best], floor)) || !work.goes_on() {
         return false;
     }

@@ -61,6 +61,12 @@ fn search(posed: &Posed, sign: f64, seed: u64) -> (Vec<Gene>, u64) {
     let found = hunt(&ground, &scout(&ground, *law, &[sign]), Rival::NONE);
     let count = found.iter().map(|f| f.evaluations).sum();
     let of_class = found.iter().filter(|f| f.class == *class);
+    // The second lag is the first parameter of the one effect that has it.
+    let with_second_lag = |log_tau2: f64| {
+        let mut p = *p;
+        p[0] = log_tau2;
+        p
+    };
     let places = of_class.flat_map(|f| &f.finalists).map(|c| Gene {
         s: c.s,
         j: c.j,
@@ -68,8 +74,7 @@ fn search(posed: &Posed, sign: f64, seed: u64) -> (Vec<Gene>, u64) {
         fd: c.fit.fd,
         log_tau: c.fit.shape[0],
         lag: f64::max(class.lag(&c.fit.shape), question.limits.lag[0]),
-        // The second lag is the first parameter of the one effect that has it.
-        p: if *class == Class::Second { [c.fit.shape[1], p[1], p[2], p[3], p[4], p[5]] } else { *p },
+        p: if *class == Class::Second { with_second_lag(c.fit.shape[1]) } else { *p },
     });
     (places.collect(), count)
 }

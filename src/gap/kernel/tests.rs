@@ -60,3 +60,20 @@ fn gauss_newton_finds_lag_time_constant_and_band() {
     assert!(found.sse < start.sse && (found.gene.lag - 4.3).abs() < 0.1, "{}", found.gene.lag);
     assert!((libm::exp(found.gene.log_tau) - 9.0).abs() < 0.2 && (found.gene.fd - 0.1).abs() < 0.02);
 }
+
+#[test]
+fn what_an_effect_adds_is_the_run_with_it_less_the_run_without() {
+    let (scene, gene) = made();
+    let mut kernel = Kernel::new(&scene, 1.0);
+    let recipe = |id: &str| Recipe::with(Some(Law::He), effects::by_id(id).unwrap());
+    // Uneven bands decide when the stem slips: the search for slips knows them, nothing is taken out.
+    let uneven = Gene { p: [0.3, 0.0, 0.0, 0.0, 0.0, 0.0], ..gene };
+    let scored = kernel.evaluate(&recipe("asymmetric_stiction"), &uneven, View::Plain).unwrap();
+    assert!(kernel.added(&recipe("asymmetric_stiction"), &scored).unwrap().iter().all(|x| *x == 0.0));
+    // A load straight into PV is a step of its own size.
+    let step = Gene { p: [300.0, 1.0, 0.0, 0.0, 0.0, 0.0], ..gene };
+    let mut scored = kernel.evaluate(&recipe("step_load"), &step, View::Plain).unwrap();
+    scored.linear.others[2] = 0.7;
+    let added = kernel.added(&recipe("step_load"), &scored).unwrap();
+    assert!(added[..300].iter().all(|x| x.abs() < 1e-9) && added[301..].iter().all(|x| (x - 0.7).abs() < 1e-9));
+}

@@ -62,7 +62,10 @@ pub(super) fn phrase(e: &EffectNote) -> String {
             format!("friction that is {} larger {side} than its mean", percent(100.0 * a.abs()))
         }),
         "backlash" => said("width").map(|w| format!("backlash of {w} OP units behind the stem")),
-        "travel_limit" => said("stop").map(|s| format!("a stop of the stem at OP {s}")),
+        "travel_limit" => said("stop").map(|s| {
+            let what = if value("of_stem") == Some(0.0) { "an end of the flow" } else { "a stop of the stem" };
+            format!("{what} at OP {s}")
+        }),
         "rate_limit" => said("rate").map(|r| format!("a stem that moves no faster than {r} OP units a second")),
         "positioner_lag" => said("lag").map(|l| format!("a positioner lag of {l} s")),
         "extra_lag" => said("lag").map(|l| format!("an extra lag of {l} s")),
