@@ -262,6 +262,7 @@ fn outside(_p: &[f64], _plan: &mut Plan) {}
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::gap::plan::MAX_PARAMS;
 
     #[test]
     fn ids_are_unique_and_what_is_confused_exists() {
@@ -271,7 +272,7 @@ mod tests {
             for other in effect.confused_with {
                 assert!(by_id(other).is_some_and(|o| o.id != effect.id), "{}: {other}", effect.id);
             }
-            assert!(!effect.separated_by.is_empty() && effect.params.len() <= 2);
+            assert!(!effect.separated_by.is_empty() && 2 * effect.params.len() <= MAX_PARAMS);
         }
         assert!(by_id("none").is_none());
     }
