@@ -131,7 +131,7 @@ fn what_was_added_is_named_and_closes_the_gap() {
     let second = |m: LoopModel| LoopModel { process: ProcessModel { tau2: 9.0, ..m.process }, ..m };
     let slides = |m: LoopModel| LoopModel { valve: ValveModel { law: ValveLaw::Tracking, ..m.valve }, ..m };
     // The stem stands against its stop a good part of the time, and turns back from there.
-    let stopped = |m: LoopModel| LoopModel { valve: ValveModel { travel_max: m.rest_op + 1.0, ..m.valve }, ..m };
+    let stopped = |m: LoopModel| LoopModel { valve: ValveModel { travel_max: m.rest_op + 2.5, ..m.valve }, ..m };
     let cases: [(&str, LoopModel); 5] = [
         ("sinusoid", LoopModel { pv_disturbance: vec![sine], ..plain(3) }),
         ("step_load", LoopModel { load: vec![step], ..plain(4) }),
@@ -145,6 +145,10 @@ fn what_was_added_is_named_and_closes_the_gap() {
         let named = found.cause.id == id;
         let closes = found.named().and_then(|e| e.closed_pct).is_some_and(|c| c > 40.0);
         println!("{id}: {:?}, closed {:?}", found.cause, found.named().and_then(|e| e.closed_pct));
+        for e in found.effects.iter().take(4) {
+            let left = e.fit.as_ref().map(|f| f.rmse_train);
+            println!("  {} leads by {:.2}, leaves {left:?} of floor {:?}", e.id, e.lead, found.floor.noise_floor);
+        }
         right += usize::from(named && closes);
         if named {
             let without = found.without(&[id]);
