@@ -118,8 +118,8 @@ fn nothing(d: &GapDocument) -> String {
 fn not_in_the_catalogue(d: &GapDocument) -> String {
     let best = d.effects.iter().filter(|e| e.closed_pct.is_some()).max_by(|a, b| a.evidence.total_cmp(&b.evidence));
     let best = best.map_or_else(String::new, |e| {
-        let closed = e.closed_pct.unwrap_or(0.0).max(0.0);
-        format!("; the best of them, {}, closes {} on data it was not fitted to", effect::noun(&e.id), percent(closed))
+        let closed = e.closed_pct.filter(|c| *c >= 0.5).map_or_else(|| "nothing".to_owned(), percent);
+        format!("; the best of them, {}, closes {closed} on data it was not fitted to", effect::noun(&e.id))
     });
     format!(
         "{}; something departs from the model ({} PV units above the noise{}) that none of the {} effects asked explains \
