@@ -2,7 +2,7 @@
 //! it, PV's level, the process' state, and loads that the model names without their size).
 
 use super::answer::INTEGRATOR_SCALE;
-use super::effects::{self, Effect};
+use super::effects::{self, Effect, Param, Unit};
 use super::express::{Errors, above_floor, slips};
 use super::kernel::{Kernel, Scored};
 use super::model::{Model, ModelError};
@@ -68,11 +68,18 @@ fn recipe(model: &Model) -> Result<Recipe, ModelError> {
     };
     let mut wanted: Vec<&'static Effect> = Vec::new();
     for added in &model.effects {
-        wanted.push(effects::by_id(&added.id).ok_or_else(|| ModelError::Word {
+        let effect = effects::by_id(&added.id).ok_or_else(|| ModelError::Word {
             name: "effects",
             value: added.id.clone(),
             want: "the catalogue's ids",
-        })?);
+        })?;
+        // A second lag may stand among the time constants alone, and what is not said to be so is not so.
+        let needed = |p: &&Param| effect.id != "extra_lag" && p.unit != Unit::Choice;
+        let missing = effect.params.iter().filter(needed).find(|p| !added.parameters.contains_key(p.name));
+        if let Some(Param { name, .. }) = missing {
+            return Err(ModelError::Missing { effect: added.id.clone(), name });
+        }
+        wanted.push(effect);
     }
     let mut also = |id: &str, rivals: &[&str], needed: bool| {
         if needed && !wanted.iter().any(|e| e.id == id || rivals.contains(&e.id)) {
@@ -148,4 +155,33 @@ fn firsts(scene: &Scene, model: &Model, gene: &Gene) -> Vec<FirstSlip> {
         out.push(gene.first);
     }
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gap::model::{Added, Process, SCHEMA, Valve};
+
+    #[test]
+    fn an_effect_without_its_number_is_refused_by_name() {
+        let with = |id: &str, parameters: &[(&str, f64)]| {
+            let parameters = parameters.iter().map(|(name, x)| ((*name).to_owned(), *x)).collect();
+            let process = Process {
+                gain: 1.0,
+                time_constants_s: vec![9.0],
+                dead_time_s: 2.0,
+                integrating: false,
+                op: 50.0,
+                pv: 10.0,
+            };
+            let valve = Valve { law: "he".to_owned(), fs: 3.0, fd: 1.0, stem0: None };
+            let effects = vec![Added { id: id.to_owned(), parameters }];
+            recipe(&Model { schema: SCHEMA.to_owned(), ts_s: 1.0, valve, process, effects }).map(|r| r.id())
+        };
+        let error = with("static_nonlinearity", &[]).unwrap_err().to_string();
+        assert_eq!(error, "the effect static_nonlinearity has no gain_change_per_op among its parameters");
+        // Which end and whose it is are no where they are not said.
+        assert_eq!(with("travel_limit", &[("stop", 40.0)]), Ok("travel_limit".to_owned()));
+        assert_eq!(with("extra_lag", &[]), Ok("extra_lag".to_owned()));
+    }
 }

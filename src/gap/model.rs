@@ -75,6 +75,14 @@ pub enum ModelError {
         /// What it must be.
         want: &'static str,
     },
+    /// An effect without one of its numbers.
+    #[error("the effect {effect} has no {name} among its parameters")]
+    Missing {
+        /// Its id.
+        effect: String,
+        /// The parameter.
+        name: &'static str,
+    },
     /// A word that is none of those known.
     #[error("{name} is {value:?}, but must be one of {want}")]
     Word {
