@@ -12,7 +12,6 @@ use crate::ident::bank::{BINS, Bank, Glance, bin_edge};
 use crate::ident::candidate::{MIN_SLIPS, Question, freedom};
 use crate::ident::fit::Freedom;
 use crate::signal::detrend::{box_means, high_pass};
-use crate::sim::process::{Pole, run_one};
 use crate::sim::slips::{FirstSlip, Sequence};
 
 /// Sizes of s on a logarithmic scale from [`LEAST`] spans to one span.
@@ -29,8 +28,11 @@ const VIEWS: usize = 3;
 const CLASSES: usize = 8;
 /// Ranges of dead time that count as short.
 const SHORT: usize = 3;
-/// Boxes of the bank in a period.
-const PER_PERIOD: f64 = 32.0;
+/// Values a point has at least, of a path that moves on between samples.
+const PARTS: usize = 5;
+/// Boxes of the bank in a period, for the base and for the many looks of the effects.
+pub const FINE: f64 = 32.0;
+pub const ROUGH: f64 = 16.0;
 
 /// One sequence with the process that the bank liked best.
 #[derive(Debug, Clone, Copy)]
@@ -39,15 +41,21 @@ struct Seen {
     share: f64,
 }
 
-/// Genes worth a fit for valves of this plan (law, unevenness, positioner lag, overshoot), and sequences looked at.
+/// Genes worth a fit for valves of this plan (all but the process), and sequences looked at.
 /// `each` are kept of every measure overall, and one of every size and kind of dead time.
 #[must_use]
-pub fn look(scene: &Scene, plan: &Plan, p: [f64; MAX_PARAMS], sign: f64, each: usize) -> (Vec<Gene>, u64) {
+pub fn look(
+    scene: &Scene,
+    plan: &Plan,
+    p: [f64; MAX_PARAMS],
+    sign: f64,
+    (each, per_period): (usize, f64),
+) -> (Vec<Gene>, u64) {
     let Some(law) = plan.law else { return (Vec::new(), 0) };
     let question = led(scene, plan);
     let width = scene.period.round() as usize;
     let fast = Question { pv: high_pass(&question.pv, width), ..question.clone() };
-    let (mut plain_bank, mut fast_bank) = (Bank::new(&question, PER_PERIOD), Bank::new(&fast, PER_PERIOD));
+    let (mut plain_bank, mut fast_bank) = (Bank::new(&question, per_period), Bank::new(&fast, per_period));
     let points = plain_bank.points;
     let whole = question.mean.len() / points * points;
     let path = &question.path[..whole * question.per_point];
@@ -56,6 +64,7 @@ pub fn look(scene: &Scene, plan: &Plan, p: [f64; MAX_PARAMS], sign: f64, each: u
     let mut pools: [Vec<Seen>; VIEWS] = [Vec::new(), Vec::new(), Vec::new()];
     let mut count = 0;
     let mut before: Option<([[f64; 2]; 2], FirstSlip)> = None;
+    let behind = plan.follows() || plan.bend != 0.0;
     let shares: &[f64] = if plan.overshoot { &BEYOND } else { &SHARES };
     for size in 0..SIZES {
         let s = libm::pow(LEAST, 1.0 - size as f64 / (SIZES - 1) as f64);
@@ -74,7 +83,11 @@ pub fn look(scene: &Scene, plan: &Plan, p: [f64; MAX_PARAMS], sign: f64, each: u
                 }
                 before = Some(([sequence.s_cell, sequence.j_cell], first));
                 count += 1;
-                let free = band(&sequence, plan, s, j, sign, &question);
+                let mut free = band(&sequence, plan, s, j, sign, &question);
+                if behind {
+                    put_behind(plan, &mut sequence, 0.5 * (s - j), points as f64);
+                    free.fd = [0.0; 2];
+                }
                 let at = high_pass(&sequence.at, fast_width);
                 let direction = high_pass(&sequence.direction, fast_width);
                 let slow = plain_bank.look(&sequence.at, &sequence.direction, &free, &[sign]);
@@ -100,18 +113,46 @@ pub fn look(scene: &Scene, plan: &Plan, p: [f64; MAX_PARAMS], sign: f64, each: u
     (out, count)
 }
 
+/// The stem's signal behind what follows it, with this fd; no direction is left in it.
+fn put_behind(plan: &Plan, sequence: &mut Sequence, fd: f64, points: f64) {
+    for (at, direction) in sequence.at.iter_mut().zip(&mut sequence.direction) {
+        *at -= fd * *direction;
+        *direction = 0.0;
+    }
+    plan.follow(&mut sequence.at, points);
+    sequence.at.iter_mut().for_each(|v| *v = plan.bent(*v));
+}
+
 /// The record behind the plan's positioner.
 #[must_use]
 pub fn led(scene: &Scene, plan: &Plan) -> Question {
     let mut question = scene.question.clone();
     if plan.positioner > 0.0 {
-        let tau = plan.positioner * question.per_point as f64;
-        let path = question.path.clone();
-        run_one(Pole::lag(tau.max(1e-3), 0.0), 0, &path, path[0], &mut question.path);
+        question.per_point = lagged(&scene.question, plan.positioner, &mut question.path);
         question.mean = box_means(&question.path, question.per_point);
         question.records = Question::records_of(&question.path);
     }
     question
+}
+
+/// OP behind a lag of `tau` points into `path`; answers how many values of it a point has.
+///
+/// The lag moves on between two raw samples while OP is held, so a slip falls anywhere between them: each part has the
+/// value at its middle, exactly.
+pub fn lagged(question: &Question, tau: f64, path: &mut Vec<f64>) -> usize {
+    let parts = PARTS.div_ceil(question.per_point);
+    let per_point = question.per_point * parts;
+    let step = 1.0 / (tau * per_point as f64).max(1e-3);
+    let (whole, half) = (libm::exp(-step), libm::exp(-0.5 * step));
+    let mut drive = question.path.first().copied().unwrap_or(0.0);
+    path.clear();
+    for op in &question.path {
+        for _ in 0..parts {
+            path.push(op + (drive - op) * half);
+            drive = op + (drive - op) * whole;
+        }
+    }
+    per_point
 }
 
 fn band(sequence: &Sequence, plan: &Plan, s: f64, j: f64, sign: f64, question: &Question) -> Freedom {

@@ -18,7 +18,7 @@ const NEAR: usize = 4;
 /// explains so much more than any effect, log mean squared error.
 const INDEPENDENT: f64 = 0.1;
 const FIRST_ORDER: f64 = 0.1;
-const MORE: f64 = 0.3;
+const MORE: f64 = 0.05;
 /// Traces whose samples are left out of every fit.
 const MASKED: [&str; 2] = ["outliers", "frozen_sensor"];
 /// Error over the floor up to which a record is explained.
@@ -132,13 +132,23 @@ fn is_plain(basis: &Basis) -> bool {
     noise.whitens && alone && noise.beyond_first < FIRST_ORDER
 }
 
-/// MV at the floor of PV leaves the valve's effects; else what acts behind it.
+/// MV at the floor of PV leaves the valve's effects; no better than OP, it leaves what acts behind the stem.
 fn allowed(basis: &Basis, effect: &Contender) -> bool {
     match basis.by_mv {
         Some(Stage::Valve) => effect.stage == Stage::Valve,
-        Some(Stage::Process) => effect.stage != Stage::Valve,
+        Some(Stage::Process) => {
+            let behind = effect.id.split('+').all(|id| effects::by_id(id).is_none_or(|e| e.is_behind_stem()));
+            behind || explains_more(basis, effect)
+        }
         _ => true,
     }
+}
+
+/// Whether an effect leaves less of PV than anything that is put behind the recorded position: sampled once a scan, the
+/// position is not the last word where there is little noise.
+fn explains_more(basis: &Basis, effect: &Contender) -> bool {
+    let of_mv = basis.on_mv.iter().filter_map(|e| e.over_floor).fold(f64::INFINITY, f64::min);
+    effect.lead > 0.0 && effect.left.over_floor.is_some_and(|left| left < of_mv)
 }
 
 /// All other answers with their shares, best first: the best effect, `none`, and what shares "something else", `unknown`

@@ -74,7 +74,7 @@ pub fn diagnose(record: &Record, ask: &Ask, crew: &dyn Crew) -> Result<Diagnosis
         _ => None,
     };
     work.begin(budget);
-    let seen = stages::look(record, &scene, &ask.without, &mut work);
+    let seen = stages::look(record, &scene, base.rmse_train, &ask.without, &mut work);
     let effects = weigh(&scene, &found, &base, &traces, &floor, ask);
     let basis = basis(record, &scene, &found, &base, &traces, &seen, &floor, ask);
     let nothing = decide::decide(&Evidence::new(&basis, &[], None), &[], Calibration::shipped());

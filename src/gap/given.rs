@@ -14,6 +14,10 @@ use crate::sim::slips::{FirstSlip, Law};
 /// Places of the stem before the record that are tried.
 const STARTS: usize = 9;
 
+/// Effects that are whole without their numbers: a second lag may stand among the time constants alone, a law may be
+/// switched and a stem may overshoot without mass or drag. What is not said to be so is not so.
+const BARE: [&str; 3] = ["extra_lag", "sliding_valve", "slip_overshoot"];
+
 /// The model's free run and what it leaves.
 ///
 /// # Errors
@@ -73,8 +77,7 @@ fn recipe(model: &Model) -> Result<Recipe, ModelError> {
             value: added.id.clone(),
             want: "the catalogue's ids",
         })?;
-        // A second lag may stand among the time constants alone, and what is not said to be so is not so.
-        let needed = |p: &&Param| effect.id != "extra_lag" && p.unit != Unit::Choice;
+        let needed = |p: &&Param| !BARE.contains(&effect.id) && p.unit != Unit::Choice;
         let missing = effect.params.iter().filter(needed).find(|p| !added.parameters.contains_key(p.name));
         if let Some(Param { name, .. }) = missing {
             return Err(ModelError::Missing { effect: added.id.clone(), name });
@@ -88,8 +91,8 @@ fn recipe(model: &Model) -> Result<Recipe, ModelError> {
     };
     also("extra_lag", &["inverse_response"], model.process.time_constants_s.len() > 1 && !model.process.integrating);
     also("integrating", &[], model.process.integrating);
-    // The law itself says these.
-    wanted.retain(|e| e.id != "sliding_valve" && e.id != "stiction");
+    // The law itself says this.
+    wanted.retain(|e| e.id != "stiction");
     if wanted.len() > 2 {
         let value = wanted.len() as f64;
         return Err(ModelError::Range { name: "effects", value, want: "at most 2, a second lag counted" });
@@ -119,7 +122,7 @@ fn gene(scene: &Scene, model: &Model, recipe: &Recipe) -> Gene {
             p[at] = match (stated, effect.id) {
                 (Some(value), _) => param.posed(value, scene),
                 (None, "extra_lag") => libm::log(tau(1).max(1e-3)),
-                (None, _) => 0.0,
+                (None, _) => param.posed(0.0, scene),
             };
             at += 1;
         }
@@ -183,5 +186,6 @@ mod tests {
         // Which end and whose it is are no where they are not said.
         assert_eq!(with("travel_limit", &[("stop", 40.0)]), Ok("travel_limit".to_owned()));
         assert_eq!(with("extra_lag", &[]), Ok("extra_lag".to_owned()));
+        assert_eq!(with("slip_overshoot", &[]), Ok("slip_overshoot".to_owned()));
     }
 }

@@ -5,14 +5,14 @@
 //! improved by Gauss-Newton steps on finite differences.
 
 use super::answer::Process;
+use super::coarse::lagged;
 use super::moves::{From, MOST_OVERSHOOT, clamped, movable};
 use super::plan::{Gene, MAX_PARAMS, Plan, Recipe};
 use super::scene::{Scene, View};
 use crate::ident::candidate::MIN_SLIPS;
 use crate::ident::fit::{Freedom, best_band};
 use crate::ident::least_squares::Gram;
-use crate::sim::actuator::{play_step, rate_step, stop_step};
-use crate::sim::process::{Pole, run_one, separated};
+use crate::sim::process::separated;
 use crate::sim::slips::Sequence;
 
 /// Columns of a model, right-hand side included, at most.
@@ -112,26 +112,24 @@ impl<'a> Kernel<'a> {
     fn run_valve(&mut self, plan: &Plan, gene: &mut Gene, from: From) -> bool {
         let q = &self.scene.question;
         if from == From::Path {
-            let path = if plan.positioner > 0.0 {
-                // A point of a boxed record is not a uniform stretch of its path; the lag is then an approximation.
-                let tau = plan.positioner * q.per_point as f64;
-                run_one(Pole::lag(tau.max(1e-3), 0.0), 0, &q.path, q.path[0], &mut self.path);
-                &self.path
+            let (path, per_point) = if plan.positioner > 0.0 {
+                let per_point = lagged(q, plan.positioner, &mut self.path);
+                (&self.path, per_point)
             } else {
-                &q.path
+                (&q.path, q.per_point)
             };
             match plan.law {
                 Some(law) => {
                     let bands = [gene.s, gene.j];
-                    self.sequence.run_in(plan.stroke, law, path, q.per_point, bands, gene.first);
+                    self.sequence.run_in(plan.stroke, law, path, per_point, bands, gene.first);
                     if self.sequence.slips < MIN_SLIPS {
                         return false;
                     }
                 }
                 None => {
-                    let m = q.per_point as f64;
+                    let m = per_point as f64;
                     self.sequence.at.clear();
-                    self.sequence.at.extend(path.chunks_exact(q.per_point).map(|p| p.iter().sum::<f64>() / m));
+                    self.sequence.at.extend(path.chunks_exact(per_point).map(|p| p.iter().sum::<f64>() / m));
                     self.sequence.direction.clear();
                     self.sequence.direction.resize(self.sequence.at.len(), 0.0);
                 }
@@ -152,26 +150,7 @@ impl<'a> Kernel<'a> {
         let Sequence { at, direction, .. } = &self.sequence;
         self.valve.clear();
         self.valve.extend(at.iter().zip(direction).map(|(a, d)| a - fd * d));
-        let Some(first) = self.valve.first().copied() else { return };
-        if plan.rate < f64::INFINITY {
-            let mut stem = first;
-            for v in &mut self.valve {
-                stem = rate_step(stem, *v, plan.rate);
-                *v = stem;
-            }
-        }
-        if plan.stops != [f64::NEG_INFINITY, f64::INFINITY] {
-            for v in &mut self.valve {
-                *v = stop_step(*v, plan.stops);
-            }
-        }
-        if plan.play > 0.0 {
-            let mut far = first;
-            for v in &mut self.valve {
-                far = play_step(far, *v, plan.play);
-                *v = far;
-            }
-        }
+        plan.follow(&mut self.valve, 1.0);
     }
 
     /// Makes the compact columns of a plan: others first, then one or two for the valve. Returns how many others.
@@ -209,10 +188,15 @@ impl<'a> Kernel<'a> {
                 put(&mut self.columns, &self.long);
             }
         }
-        // A gain that drifts also drifts PV's level, since the process need not rest at the middle of the stem's range.
-        if let Some(start) = plan.ramp.or(plan.drifts.then_some(0.0)) {
+        if let Some(start) = plan.ramp {
             self.long.clear();
             self.long.extend((0..n).map(|k| (k as f64 - start).max(0.0) / n as f64));
+            put(&mut self.columns, &self.long);
+        }
+        // A gain that drifts also drifts PV's level, since the process need not rest at the middle of the stem's range.
+        if let Some(drift) = plan.drift {
+            self.long.clear();
+            self.long.extend((0..n).map(|k| drift.course(k, n)));
             put(&mut self.columns, &self.long);
         }
         if let Some((start, straight)) = plan.step {
@@ -233,7 +217,7 @@ impl<'a> Kernel<'a> {
         let mut bent = core::mem::take(&mut self.bent);
         let signal = if plan.bend != 0.0 {
             bent.clear();
-            bent.extend(self.valve.iter().map(|v| libm::expm1(plan.bend * v) / plan.bend));
+            bent.extend(self.valve.iter().map(|v| plan.bent(*v)));
             &bent
         } else if linear_in_fd {
             &self.sequence.at
@@ -241,14 +225,6 @@ impl<'a> Kernel<'a> {
             &self.valve
         };
         let process = Process { plan, tau: [tau1, tau2], whole, fraction, n };
-        if plan.drifts {
-            let middle = signal.iter().sum::<f64>() / n as f64;
-            self.other.clear();
-            let drift = |(k, v): (usize, &f64)| (v - middle) * (k as f64 / n as f64 - 0.5);
-            self.other.extend(signal.iter().enumerate().map(drift));
-            process.respond(&self.other, &mut self.long, &mut self.longer);
-            put(&mut self.columns, &self.long);
-        }
         if plan.zero {
             let second = Process { tau: [tau2, 0.0], ..process };
             second.respond(signal, &mut self.long, &mut self.longer);
@@ -256,11 +232,18 @@ impl<'a> Kernel<'a> {
         }
         let others = count;
         let main = if plan.zero { Process { tau: [tau1, 0.0], ..process } } else { process };
-        main.respond(signal, &mut self.long, &mut self.longer);
-        scene.gather(&self.long, view, &mut self.columns[others]);
-        if linear_in_fd {
-            main.respond(&self.sequence.direction, &mut self.long, &mut self.longer);
-            scene.gather(&self.long, view, &mut self.columns[others + 1]);
+        let mains = [signal, &self.sequence.direction];
+        for (i, signal) in mains.into_iter().take(if linear_in_fd { 2 } else { 1 }).enumerate() {
+            let signal = match plan.drift {
+                Some(drift) => {
+                    self.other.clear();
+                    self.other.extend(signal.iter().enumerate().map(|(k, v)| v * (1.0 + drift.change * drift.course(k, n))));
+                    &self.other
+                }
+                None => signal,
+            };
+            main.respond(signal, &mut self.long, &mut self.longer);
+            scene.gather(&self.long, view, &mut self.columns[others + i]);
         }
         self.bent = bent;
         others

@@ -25,6 +25,7 @@ mod pairs;
 mod plan;
 pub mod probability;
 mod rounds;
+mod scan;
 mod scene;
 pub mod score;
 mod search;

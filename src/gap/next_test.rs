@@ -62,7 +62,7 @@ fn answer(scene: &Scene, lane: &Lane, size: f64, hold: usize) -> Option<Vec<f64>
     let mut place: Scored = *best;
     place.gene.first = FirstSlip { direction: 1.0, threshold: fs };
     // Loads and the record's own start have no part in the test.
-    let own = usize::from(plan.drifts) + usize::from(plan.zero);
+    let own = usize::from(plan.zero);
     let Linear { others, count, .. } = &mut place.linear;
     others[..count.saturating_sub(own)].fill(0.0);
     let (course, _) = Kernel::new(&test, lane.sign).simulate(&lane.recipe, &place)?;

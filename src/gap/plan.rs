@@ -4,12 +4,35 @@
 //! OP → positioner lag → friction → rate limit → stops → play → characteristic → dead time → lag → second lag → zero,
 //! and what disturbs PV. A [`Plan`] says which blocks are there; every block left at its neutral value is the base.
 
-use super::effects::Effect;
+use super::effects::{Effect, Unit};
 use crate::ident::class::Class;
+use crate::sim::actuator::{play_step, rate_step, stop_step};
 use crate::sim::slips::{FirstSlip, Law, Stroke};
 
 /// Most parameters that a recipe's effects have together.
 pub const MAX_PARAMS: usize = 6;
+
+/// A gain that goes from one value to another over the record.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Drift {
+    /// Gain at the end less that at the start, over that in the middle.
+    pub change: f64,
+    /// By the same factor in every stretch, not by the same amount.
+    pub by_factor: bool,
+}
+
+impl Drift {
+    /// Gain at point `k` of `n`, over that in the middle, less 1, over the change: from about -1/2 to 1/2.
+    #[must_use]
+    pub fn course(&self, k: usize, n: usize) -> f64 {
+        let late = k as f64 / n as f64 - 0.5;
+        if self.by_factor && self.change.abs() > 1e-6 {
+            libm::expm1(2.0 * libm::asinh(0.5 * self.change) * late) / self.change
+        } else {
+            late
+        }
+    }
+}
 
 /// Which blocks stand in the simulator.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -32,8 +55,8 @@ pub struct Plan {
     pub bend: f64,
     /// Share by which gain and time constant grow with the valve signal, for each span.
     pub level: f64,
-    /// Also time times the valve signal acts.
-    pub drifts: bool,
+    /// The gain drifts over the record.
+    pub drift: Option<Drift>,
     /// Second lag, points; 0 for none.
     pub tau2: f64,
     /// The second lag's share is free: a zero.
@@ -64,7 +87,7 @@ impl Plan {
             play: 0.0,
             bend: 0.0,
             level: 0.0,
-            drifts: false,
+            drift: None,
             tau2: 0.0,
             zero: false,
             integrating: false,
@@ -88,6 +111,42 @@ impl Plan {
         }
     }
 
+    /// Whether something follows the stem that changes its signal.
+    #[must_use]
+    pub fn follows(&self) -> bool {
+        self.rate < f64::INFINITY || self.stops != Self::base(None).stops || self.play > 0.0
+    }
+
+    /// Lets what follows the stem (rate limit, ends of the flow, play) act on its signal, `per` points a value.
+    pub fn follow(&self, valve: &mut [f64], per: f64) {
+        let Some(first) = valve.first().copied() else { return };
+        if self.rate < f64::INFINITY {
+            let mut stem = first;
+            for v in &mut *valve {
+                stem = rate_step(stem, *v, self.rate * per);
+                *v = stem;
+            }
+        }
+        if self.stops != Self::base(None).stops {
+            for v in &mut *valve {
+                *v = stop_step(*v, self.stops);
+            }
+        }
+        if self.play > 0.0 {
+            let mut far = first;
+            for v in &mut *valve {
+                far = play_step(far, *v, self.play);
+                *v = far;
+            }
+        }
+    }
+
+    /// The valve's characteristic at `v`.
+    #[must_use]
+    pub fn bent(&self, v: f64) -> f64 {
+        if self.bend == 0.0 { v } else { libm::expm1(self.bend * v) / self.bend }
+    }
+
     /// The class of process that the search of [`crate::ident`] knows it by.
     #[must_use]
     pub fn class(&self) -> Class {
@@ -101,19 +160,14 @@ impl Plan {
     /// Whether the valve signal is linear in fd, `at - fd * direction`.
     #[must_use]
     pub fn is_linear_in_fd(&self) -> bool {
-        let free = self.level == 0.0
-            && self.rate == f64::INFINITY
-            && self.stops == [f64::NEG_INFINITY, f64::INFINITY]
-            && self.play == 0.0;
-        self.law.is_some() && free && self.bend == 0.0 && !self.drifts && !self.zero
+        self.law.is_some() && !self.follows() && self.level == 0.0 && self.bend == 0.0 && !self.zero
     }
 
     /// Linear coefficients beside gain, fd, constant and memory.
     #[must_use]
     pub fn extras(&self) -> usize {
         let two = if self.omega.is_some() { 2 } else { 0 };
-        let ramp = self.ramp.is_some() || self.drifts;
-        let ones = [self.drifts, self.zero, ramp, self.step.is_some()];
+        let ones = [self.drift.is_some(), self.zero, self.ramp.is_some(), self.step.is_some()];
         two + ones.into_iter().filter(|x| *x).count()
     }
 }
@@ -155,6 +209,20 @@ impl Recipe {
     /// All parameters, in the order of [`Gene::p`].
     pub fn params(&self) -> impl Iterator<Item = &'static super::effects::Param> + '_ {
         self.each().flat_map(|e| e.params.iter()).take(MAX_PARAMS)
+    }
+
+    /// Lets the rest of a gene give way to a change `by` of its parameter `at`, as far as a model trades one for the other:
+    /// play for the kinetic band, a lag or a later dead time for dead time.
+    pub fn trade(&self, gene: &mut Gene, at: usize, by: f64) {
+        match self.params().nth(at).map(|p| p.unit) {
+            Some(Unit::Op) => {
+                gene.s -= by;
+                gene.fd -= 0.5 * by;
+            }
+            Some(Unit::LogTime) => gene.lag -= libm::exp(gene.p[at]) - libm::exp(gene.p[at] - by),
+            Some(Unit::Time) => gene.lag -= 0.5 * by,
+            _ => {}
+        }
     }
 
     /// The plan that a gene's parameters make.

@@ -9,12 +9,12 @@ use std::sync::Mutex;
 use super::coarse;
 use super::effects::{ALL, Clues, Effect, Start, Way};
 use super::express::rms;
-use super::kernel::Kernel;
+use super::kernel::{Kernel, Scored};
 use super::plan::{Gene, MAX_PARAMS, Plan, Recipe};
-use super::scene::Scene;
+use super::scene::{Scene, View};
 use super::search::{Effort, Lane, MIDDLE, NARROW, SMALL, WIDE, cross, frictionless, hunt};
 use super::slips::right_slips;
-use super::types::Crew;
+use super::types::{Crew, Stage};
 use crate::ident::class::Class;
 use crate::ident::residual;
 use crate::sim::slips::Law;
@@ -24,6 +24,9 @@ const SHARED_ROUNDS: usize = 4;
 /// Places kept of each measure of the first look, for the base and for an effect's own look.
 const KEPT: usize = 14;
 const OWN_KEPT: usize = 6;
+/// Places of the first look, of each of two measures, at which a load's own clues are read, and starts taken from each.
+const PLACES: usize = 10;
+const STARTS: usize = 3;
 /// Relative gain in squared error below which a lane has not improved.
 const NO_GAIN: f64 = 0.003;
 /// Responses that a search for the base is given at least: without a base nothing can be said.
@@ -151,7 +154,7 @@ fn base_once(scene: &Scene, law: Option<Law>, work: &mut Work<'_>) -> Option<(La
     let signs: Vec<f64> = scene.sign.map_or_else(|| vec![1.0, -1.0], |s| vec![s]);
     let seed = work.seed;
     let looked = work.all(signs.len(), |i| match law {
-        Some(_) => coarse::look(scene, &Plan::base(law), [0.0; MAX_PARAMS], signs[i], KEPT),
+        Some(_) => coarse::look(scene, &Plan::base(law), [0.0; MAX_PARAMS], signs[i], (KEPT, coarse::FINE)),
         None => (frictionless(scene), 0),
     });
     work.done += looked.iter().map(|(_, n)| n).sum::<u64>();
@@ -204,14 +207,7 @@ fn lanes_of(scene: &Scene, base: &Lane, effects: &[&'static Effect]) -> Vec<Lane
     let mut kernel = Kernel::new(scene, base.sign);
     let Some(best) = base.best.first() else { return Vec::new() };
     let Some((prediction, valve)) = kernel.simulate(&base.recipe, best) else { return Vec::new() };
-    let residual: Vec<f64> = scene.question.pv.iter().zip(&prediction).map(|(y, p)| y - p).collect();
-    let low = valve.iter().copied().fold(f64::INFINITY, f64::min);
-    let high = valve.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-    let clues = Clues { scene, residual: &residual, stem: [low, high], lag: best.gene.lag };
-    let own = |e: &'static Effect| {
-        let padded = |p: Start| core::array::from_fn(|i| p.get(i).copied().unwrap_or(0.0));
-        (e.starts)(&clues).into_iter().map(padded).collect::<Vec<[f64; MAX_PARAMS]>>()
-    };
+    let own = |e: &Effect| starts_at(scene, e, best, &prediction, &valve);
     let recipe = |e: &'static Effect| Recipe::with(base.recipe.law, e);
     effects.iter().enumerate().map(|(i, e)| lane(recipe(e), base.sign, own(e), 10 + i as u64)).collect()
 }
@@ -243,7 +239,7 @@ pub fn run(
             from.extend(&genes);
         }
         let seed = work.seed;
-        let own = work.all(lanes.len(), |i| own_look(scene, &lanes[i], calm, seed));
+        let own = work.all(lanes.len(), |i| own_look(scene, &lanes[i], &genes, calm, seed));
         work.done += own.iter().map(|(_, n)| n).sum::<u64>();
         let effort = if calm { &NARROW } else { &MIDDLE };
         let own = |i: usize| own.get(i).map_or(&[][..], |(genes, _)| genes);
@@ -302,15 +298,56 @@ fn look_again(scene: &Scene, lanes: &mut [Lane], floor: Option<f64>, round: u64,
     gains
 }
 
-/// A look of its own for an effect that makes other slips of the same OP.
-fn own_look(scene: &Scene, lane: &Lane, calm: bool, seed: u64) -> (Vec<Gene>, u64) {
+/// Places of the base's first look with what a load's own clues say of the residual there: the residual of the wrong
+/// slips hides it. The places are the best by what is fast and by differences, where a slow load weighs little.
+fn with_own_clues(scene: &Scene, lane: &Lane, genes: &[Gene]) -> (Vec<Gene>, u64) {
+    let Some(effect) = lane.recipe.each().next() else { return (Vec::new(), 0) };
+    let base = Recipe::base(lane.recipe.law);
+    let mut kernel = Kernel::new(scene, lane.sign);
+    let mut out = Vec::new();
+    for view in [View::Moves, View::Fast] {
+        let mut seen: Vec<_> = genes.iter().filter_map(|g| kernel.evaluate(&base, g, view)).collect();
+        seen.sort_by(|a, b| a.sse.total_cmp(&b.sse));
+        for place in seen.iter().take(PLACES) {
+            let Some(place) = kernel.evaluate(&base, &place.gene, View::Plain) else { continue };
+            let Some((prediction, valve)) = kernel.simulate(&base, &place) else { continue };
+            let starts = starts_at(scene, effect, &place, &prediction, &valve);
+            out.extend(starts.into_iter().take(STARTS).map(|p| Gene { p, ..place.gene }));
+        }
+    }
+    (out, kernel.evaluations)
+}
+
+/// Where an effect's clues say that its parameters may lie, given the base's run at a place.
+fn starts_at(
+    scene: &Scene,
+    effect: &Effect,
+    at: &Scored,
+    prediction: &[f64],
+    valve: &[f64],
+) -> Vec<[f64; MAX_PARAMS]> {
+    let residual: Vec<f64> = scene.question.pv.iter().zip(prediction).map(|(y, p)| y - p).collect();
+    let low = valve.iter().copied().fold(f64::INFINITY, f64::min);
+    let high = valve.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let clues = Clues { scene, residual: &residual, stem: [low, high], lag: at.gene.lag };
+    let padded = |p: Start| core::array::from_fn(|i| p.get(i).copied().unwrap_or(0.0));
+    (effect.starts)(&clues).into_iter().map(padded).collect()
+}
+
+/// A look of its own for an effect that makes other slips of the same OP, or whose traces the wrong slips hide; `looked`
+/// are the places of the base's.
+fn own_look(scene: &Scene, lane: &Lane, looked: &[Gene], calm: bool, seed: u64) -> (Vec<Gene>, u64) {
     let (mut genes, mut count) = (Vec::new(), 0);
     if calm {
         return (genes, count);
     }
+    if lane.recipe.each().any(|e| e.stage == Stage::Disturbance) {
+        return with_own_clues(scene, lane, looked);
+    }
     for (i, p) in lane.starts.iter().enumerate() {
         let plan = lane.recipe.plan_of(p);
-        if lane.recipe.law.is_none() || plan.valve_alone() == Plan::base(lane.recipe.law) {
+        let same_slips = plan.valve_alone() == Plan::base(lane.recipe.law);
+        if lane.recipe.law.is_none() || (same_slips && !plan.follows() && plan.bend == 0.0) {
             continue;
         }
         if plan.class() != Class::First {
@@ -320,7 +357,7 @@ fn own_look(scene: &Scene, lane: &Lane, calm: bool, seed: u64) -> (Vec<Gene>, u6
             count += n;
             continue;
         }
-        let (found, n) = coarse::look(scene, &plan, *p, lane.sign, OWN_KEPT);
+        let (found, n) = coarse::look(scene, &plan, *p, lane.sign, (OWN_KEPT, coarse::ROUGH));
         genes.extend(found);
         count += n;
     }

@@ -8,6 +8,7 @@ use rand_chacha::ChaCha8Rng;
 use super::kernel::{Kernel, Scored};
 use super::moves::clamped;
 use super::plan::{Gene, MAX_PARAMS, Recipe};
+use super::scan::scan;
 use super::scene::{Scene, View};
 use crate::ident::candidate::Question;
 use crate::ident::search::{generator, moved, normal, uniform};
@@ -15,6 +16,8 @@ use crate::sim::slips::FirstSlip;
 
 /// Cost over the best one from which a step is not worth refining.
 const HOPELESS: f64 = 2.5;
+/// Random steps from a place that a look along a parameter found, of each view.
+const SCAN_STEPS: usize = 40;
 /// Places that a lane keeps.
 const KEPT: usize = 6;
 
@@ -72,16 +75,18 @@ pub struct Effort {
     pub views: [(usize, usize); 2],
     /// By the error itself.
     pub plain: [(usize, usize); 3],
+    /// Places from which each parameter is looked along.
+    pub scans: usize,
 }
 
 /// For the base, and for an effect that may be the cause.
-pub const WIDE: Effort = Effort { views: [(9, 40), (3, 100)], plain: [(12, 40), (5, 120), (2, 350)] };
+pub const WIDE: Effort = Effort { views: [(9, 40), (3, 100)], plain: [(12, 40), (5, 120), (2, 350)], scans: 2 };
 /// Every effect's first.
-pub const MIDDLE: Effort = Effort { views: [(5, 30), (2, 60)], plain: [(8, 40), (3, 120), (1, 200)] };
+pub const MIDDLE: Effort = Effort { views: [(5, 30), (2, 60)], plain: [(8, 40), (3, 120), (1, 200)], scans: 2 };
 /// From places that another search has found.
-pub const NARROW: Effort = Effort { views: [(2, 30), (1, 60)], plain: [(4, 50), (2, 150), (1, 200)] };
+pub const NARROW: Effort = Effort { views: [(2, 30), (1, 60)], plain: [(4, 50), (2, 150), (1, 200)], scans: 0 };
 /// From what the other lanes have found.
-pub const SMALL: Effort = Effort { views: [(2, 20), (1, 30)], plain: [(3, 30), (1, 100), (1, 100)] };
+pub const SMALL: Effort = Effort { views: [(2, 20), (1, 30)], plain: [(3, 30), (1, 100), (1, 100)], scans: 0 };
 
 /// Looks at all genes with all of the lane's starts, and at `own` as they are, then improves the best.
 pub fn hunt(scene: &Scene, lane: &mut Lane, genes: &[Gene], own: &[Gene], effort: &Effort, seed: u64) {
@@ -116,7 +121,11 @@ pub fn hunt(scene: &Scene, lane: &mut Lane, genes: &[Gene], own: &[Gene], effort
     held.extend(of_every_size(plain, effort.plain[0].0));
     held = held.into_iter().map(|c| kernel.improve(&recipe, c, View::Plain, 3)).collect();
     held.extend(lane.best.iter().copied());
-    for (count, steps) in effort.plain {
+    for (round, (count, steps)) in effort.plain.into_iter().enumerate() {
+        if round == 1 {
+            let far = scans(&mut kernel, &recipe, &held[..effort.scans.min(held.len())], &mut rng);
+            held.extend(far);
+        }
         held = climbs(&mut kernel, &recipe, apart(held.clone(), count), View::Plain, steps, &mut rng)
             .into_iter()
             .chain(held)
@@ -129,6 +138,21 @@ pub fn hunt(scene: &Scene, lane: &mut Lane, genes: &[Gene], own: &[Gene], effort
     }
     lane.best = apart(held, KEPT);
     lane.evaluations += kernel.evaluations;
+}
+
+/// Places from looks along every parameter, climbed by differences and then by the error.
+fn scans(kernel: &mut Kernel<'_>, recipe: &Recipe, from: &[Scored], rng: &mut ChaCha8Rng) -> Vec<Scored> {
+    let genes: Vec<Gene> = from.iter().flat_map(|place| scan(kernel, recipe, place, rng)).collect();
+    let mut out = Vec::new();
+    for gene in genes {
+        let Some(seen) = kernel.evaluate(recipe, &gene, View::Moves) else { continue };
+        let seen = kernel.improve(recipe, seen, View::Moves, 2);
+        let climbed = climb(kernel, recipe, seen, View::Moves, SCAN_STEPS, rng);
+        let Some(seen) = kernel.evaluate(recipe, &climbed.gene, View::Plain) else { continue };
+        let seen = kernel.improve(recipe, seen, View::Plain, 3);
+        out.push(climb(kernel, recipe, seen, View::Plain, SCAN_STEPS, rng));
+    }
+    out
 }
 
 /// The best half overall, the rest from all sizes of s in turn: the right size may begin badly.

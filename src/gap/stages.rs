@@ -16,6 +16,9 @@ use crate::sim::slips::Law;
 
 /// Training error over the floor up to which MV explains PV.
 const EXPLAINS: f64 = 1.08;
+/// Share of the base's logarithm of that up to which MV explains what OP does not, and from which it does not help. A
+/// position that is sampled once a scan leaves a little even where the valve is all that is wrong.
+const MOSTLY: [f64; 2] = [0.2, 0.6];
 
 /// What MV shows.
 #[derive(Debug, Clone)]
@@ -33,8 +36,8 @@ fn driven_by(record: &Record, mv: &[f64]) -> Record {
     Record { op_path, mv: None, ..record.clone() }
 }
 
-/// Looks at MV, where it is recorded and moves.
-pub fn look(record: &Record, scene: &Scene, without: &[String], work: &mut Work<'_>) -> Option<Seen> {
+/// Looks at MV, where it is recorded and moves; `from_op` is the base's training error, PV units.
+pub fn look(record: &Record, scene: &Scene, from_op: f64, without: &[String], work: &mut Work<'_>) -> Option<Seen> {
     if work.stopped {
         return None;
     }
@@ -45,12 +48,13 @@ pub fn look(record: &Record, scene: &Scene, without: &[String], work: &mut Work<
     let mut from_mv = Scene::new(&behind, Some(scene.period), work.seed, masked.clone());
     from_mv.sign = None;
     let floor = noise::floor(&record.pv, false).noise_floor;
-    let not_behind = effects::ALL.into_iter().filter(|e| e.stage == Stage::Valve || e.way != Way::Simulated);
+    let not_behind = effects::ALL.into_iter().filter(|e| !e.is_behind_stem() || e.way != Way::Simulated);
     let mut left_out: Vec<String> = not_behind.map(|e| e.id.to_owned()).collect();
     left_out.extend(without.iter().cloned());
     let found = rounds::run(&from_mv, None, &left_out, floor, work)?;
     let base = fit(&from_mv, &found.base, floor, &|_| {})?;
-    let explains = floor.is_some_and(|f| base.rmse_train <= EXPLAINS * f) || is_calm(&from_mv, &found.base, floor);
+    let calm = is_calm(&from_mv, &found.base, floor);
+    let stage = if calm { Stage::Valve } else { floor.map_or(Stage::Process, |f| pointed(base.rmse_train / f, from_op / f)) };
     let before = Record { pv: mv.clone(), mv: None, ..record.clone() };
     let mut to_mv = Scene::new(&before, Some(scene.period), work.seed, masked);
     to_mv.sign = None;
@@ -61,10 +65,20 @@ pub fn look(record: &Record, scene: &Scene, without: &[String], work: &mut Work<
         stages: Stages {
             op_to_mv: 100.0 * op_to_mv * op_to_mv,
             mv_to_pv: base.gap,
-            stage: if explains { Stage::Valve } else { Stage::Process },
+            stage,
         },
         ranked: ranked(&from_mv, &found.base, &found.lanes, floor),
     })
+}
+
+/// The stage that errors over the floor point to, from MV and from OP.
+fn pointed(from_mv: f64, from_op: f64) -> Stage {
+    let above = |error: f64| libm::log(error.max(1.0));
+    match above(from_mv) {
+        left if from_mv <= EXPLAINS || left <= MOSTLY[0] * above(from_op) => Stage::Valve,
+        left if left >= MOSTLY[1] * above(from_op) => Stage::Process,
+        _ => Stage::CannotTell,
+    }
 }
 
 fn ranked(scene: &Scene, base: &Lane, lanes: &[Lane], floor: Option<f64>) -> Vec<OnMv> {
@@ -86,4 +100,18 @@ fn ranked(scene: &Scene, base: &Lane, lanes: &[Lane], floor: Option<f64>) -> Vec
         .collect();
     out.sort_by(|a, b| b.evidence.total_cmp(&a.evidence));
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_mv_leaves_is_held_against_what_op_leaves() {
+        assert_eq!(pointed(1.05, 1.2), Stage::Valve);
+        assert_eq!(pointed(1.2, 15.0), Stage::Valve);
+        assert_eq!(pointed(7.6, 7.4), Stage::Process);
+        assert_eq!(pointed(1.3, 1.4), Stage::Process);
+        assert_eq!(pointed(2.0, 4.5), Stage::CannotTell);
+    }
 }

@@ -49,11 +49,27 @@ pub struct Stroke {
     /// Where the stem meets its stops: least and greatest OP value that counts as that of a slip. The stem stands at a
     /// stop fd below the greatest, or above the least one.
     pub ends: [f64; 2],
+    /// Share of OP's lead beyond the threshold by which a slip goes further: a heavy stem swings as far past its new
+    /// resting place as it was pulled away from it, less what friction takes.
+    pub carried: f64,
+    /// Fastest motion of the stem, OP units a point.
+    pub rate: f64,
+    /// Time constant with which a sliding stem follows OP, points.
+    pub drag: f64,
+    /// Speed below which a sliding stem sticks again, OP units a point.
+    pub slowest: f64,
 }
 
 impl Stroke {
-    /// Even bands and no stop.
-    pub const FREE: Self = Self { uneven: 0.0, ends: [f64::NEG_INFINITY, f64::INFINITY] };
+    /// Even bands, no stop, no mass, no delay in motion.
+    pub const FREE: Self = Self {
+        uneven: 0.0,
+        ends: [f64::NEG_INFINITY, f64::INFINITY],
+        carried: 0.0,
+        rate: f64::INFINITY,
+        drag: 0.0,
+        slowest: 0.0,
+    };
 }
 
 /// The stem's memory between OP values, and what is learned of the cell on the way.
@@ -61,6 +77,15 @@ struct Stem {
     at: f64,
     direction: f64,
     ends: [f64; 2],
+    carried: f64,
+    /// Fastest motion between two OP values.
+    rate: f64,
+    /// Drag in OP values, the share of a way that it leaves after one, and the force that it lacks when the stem stops.
+    drag: f64,
+    left: f64,
+    rest: f64,
+    /// By how much the stem's mean place since the last OP value is behind `at`.
+    behind: f64,
     /// What unevenness adds to the way back, and by how much it divides the way on, in the direction of the last slip.
     back: f64,
     on: f64,
@@ -89,12 +114,20 @@ impl Uneven {
 
 impl Stem {
     /// Before the first slip: as if the last one had gone the other way, s away.
-    fn new(first: FirstSlip, s: f64, uneven: Uneven, ends: [f64; 2]) -> Self {
+    fn new(first: FirstSlip, s: f64, uneven: Uneven, stroke: Stroke, per_point: usize) -> Self {
         let (back, on) = uneven.of(-first.direction);
+        let drag = stroke.drag * per_point as f64;
+        let left = if drag > 0.0 { libm::exp(-1.0 / drag) } else { 0.0 };
         Self {
             at: first.threshold - first.direction * (s - back),
             direction: -first.direction,
-            ends,
+            ends: stroke.ends,
+            carried: stroke.carried,
+            rate: stroke.rate / per_point as f64,
+            drag,
+            left,
+            rest: stroke.drag * stroke.slowest,
+            behind: 0.0,
             back,
             on,
             slipped: false,
@@ -110,12 +143,13 @@ impl Stem {
     #[inline]
     fn take(&mut self, law: Law, op: f64, s: f64, j: f64, uneven: Uneven) {
         let ahead = self.direction * (op - self.at);
+        self.behind = 0.0;
         if ahead >= 0.0 {
             let on = ahead * self.on;
             if self.moving {
-                self.at = op.clamp(self.ends[0], self.ends[1]);
+                self.advance(law, op);
             } else if on > j && !self.is_at_stop() {
-                self.slip(law, op, self.direction);
+                self.slip(law, op, self.direction, ahead - j / self.on, 0.0);
                 self.j_cell[1] = self.j_cell[1].min(on);
             } else if self.slipped && on <= j {
                 self.j_cell[0] = self.j_cell[0].max(on);
@@ -129,7 +163,7 @@ impl Stem {
                 self.s_cell[1] = self.s_cell[1].min(back);
                 self.reversals += 1;
             }
-            self.slip(law, op, -self.direction);
+            self.slip(law, op, -self.direction, back - s, s - j);
             (self.back, self.on) = uneven.of(self.direction);
         } else if self.slipped {
             self.s_cell[0] = self.s_cell[0].max(back);
@@ -142,13 +176,49 @@ impl Stem {
         self.at == self.ends[usize::from(self.direction > 0.0)]
     }
 
+    /// Breaks away; a reversal moves the place that counts by `turn`, twice the kinetic band.
     #[inline]
-    fn slip(&mut self, law: Law, op: f64, direction: f64) {
-        self.at = op.clamp(self.ends[0], self.ends[1]);
+    fn slip(&mut self, law: Law, op: f64, direction: f64, lead: f64, turn: f64) {
         self.direction = direction;
         self.slipped = true;
-        self.moving = law == Law::Tracking;
+        self.moving = true;
         self.slips += 1;
+        self.at += direction * turn;
+        self.advance(law, op + direction * self.carried * lead);
+    }
+
+    /// Motion towards OP for as long as one value of it lasts.
+    #[inline]
+    fn advance(&mut self, law: Law, op: f64) {
+        self.moving = law == Law::Tracking;
+        if self.rate < f64::INFINITY {
+            let way = self.direction * (op - self.at);
+            let step = way.min(self.rate);
+            self.moving |= step < way;
+            self.at += self.direction * step;
+            self.behind = 0.5 * self.direction * step * step / self.rate;
+        } else if self.left > 0.0 && self.moving {
+            self.slide(op);
+        } else {
+            self.at = op;
+        }
+        self.at = self.at.clamp(self.ends[0], self.ends[1]);
+    }
+
+    /// Motion against drag: towards a place beyond OP by what the stem still has to overcome when it is slowest, until
+    /// it is at OP.
+    fn slide(&mut self, op: f64) {
+        let way = self.direction * (op - self.at);
+        let start = way + self.rest;
+        let end = start * self.left - self.rest;
+        if end <= 0.0 && self.rest > 0.0 {
+            self.moving = false;
+            self.at = op;
+            self.behind = self.direction * self.drag * (way - self.rest * libm::log(start / self.rest));
+        } else {
+            self.at = op - self.direction * end;
+            self.behind = self.direction * (self.drag * start * (1.0 - self.left) - self.rest - end);
+        }
     }
 }
 
@@ -169,7 +239,7 @@ impl Sequence {
         first: FirstSlip,
     ) {
         let uneven = Uneven { uneven: stroke.uneven, j };
-        let mut stem = Stem::new(first, s, uneven, stroke.ends);
+        let mut stem = Stem::new(first, s, uneven, stroke, per_point.max(1));
         let n = path.len() / per_point.max(1);
         self.at.resize(n, 0.0);
         self.direction.resize(n, 0.0);
@@ -177,7 +247,7 @@ impl Sequence {
         if per_point <= 1 {
             for ((at, direction), &op) in points.zip(path) {
                 stem.take(law, op, s, j, uneven);
-                (*at, *direction) = (stem.at, stem.direction);
+                (*at, *direction) = (stem.at - stem.behind, stem.direction);
             }
         } else {
             let share = 1.0 / per_point as f64;
@@ -185,7 +255,7 @@ impl Sequence {
                 let (mut sum_at, mut sum_direction) = (0.0, 0.0);
                 for &op in point {
                     stem.take(law, op, s, j, uneven);
-                    sum_at += stem.at;
+                    sum_at += stem.at - stem.behind;
                     sum_direction += stem.direction;
                 }
                 (*at, *direction) = (sum_at * share, sum_direction * share);

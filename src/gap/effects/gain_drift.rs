@@ -1,30 +1,30 @@
-//! A gain that grows or falls evenly with time.
+//! A gain that grows or falls with time: by the same amount in every hour (fouling), or by the same share (wear, decay).
 
-use super::{Effect, MARGIN, Stage, Way, once};
-use crate::gap::kernel::Scored;
-use crate::gap::scene::Scene;
-use crate::gap::types::Parameter;
+use super::{Effect, MARGIN, Param, Reach, Stage, Unit, Way, nothing};
+use crate::gap::plan::Drift;
 
 /// As the catalogue has it.
 pub const EFFECT: Effect = Effect {
     id: "gain_drift",
     stage: Stage::Process,
     way: Way::Simulated,
-    params: &[],
-    enter: |_, plan| plan.drifts = true,
-    starts: once,
-    linear: slope,
+    params: &[
+        Param {
+            name: "gain_change_over_record",
+            unit: Unit::One,
+            reach: Reach::Process,
+            limits: |_| [-1.9, 1.9],
+        },
+        Param { name: "by_factor", unit: Unit::Choice, reach: Reach::Jumps, limits: |_| [0.0, 1.0] },
+    ],
+    enter: |p, plan| plan.drift = Some(Drift { change: p[0], by_factor: p[1] > 0.5 }),
+    starts: |_| [-0.4, 0.4].into_iter().flat_map(|c| [[c, 0.0, 0.0], [c, 1.0, 0.0]]).collect(),
+    linear: nothing,
     margin: MARGIN,
     predictable: true,
     confused_with: &["static_nonlinearity", "dead_time_change"],
     separated_by: "the same step of OP early and late",
 };
-
-/// Change of the gain from start to end of the record, over its middle.
-fn slope(_p: &[f64], of: &Scored, _scene: &Scene) -> Vec<Parameter> {
-    let at = of.linear.count.saturating_sub(1);
-    vec![Parameter { name: "gain_change_over_record", value: of.linear.others[at] / of.linear.gain, unit: "1" }]
-}
 
 #[cfg(test)]
 mod tests {
@@ -33,9 +33,16 @@ mod tests {
     use crate::sim::slips::Law;
 
     #[test]
-    fn time_times_the_valve_signal_is_added() {
-        let mut plan = Plan::base(Some(Law::He));
-        (EFFECT.enter)(&[], &mut plan);
-        assert!(plan.drifts && plan.extras() == 2);
+    fn the_gain_changes_by_so_much_of_its_middle_either_way() {
+        for by_factor in [0.0, 1.0] {
+            let mut plan = Plan::base(Some(Law::He));
+            (EFFECT.enter)(&[0.6, by_factor], &mut plan);
+            let drift = plan.drift.unwrap();
+            let gain = |k: usize| 1.0 + drift.change * drift.course(k, 1000);
+            assert!((gain(1000) - gain(0) - 0.6).abs() < 1e-12 && (gain(500) - 1.0).abs() < 1e-12);
+            let [first, second] = [gain(500) / gain(0), gain(1000) / gain(500)];
+            assert_eq!((first - second).abs() < 1e-9, by_factor > 0.5);
+            assert!(plan.extras() == 1 && plan.is_linear_in_fd());
+        }
     }
 }

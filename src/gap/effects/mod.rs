@@ -174,6 +174,12 @@ pub struct Effect {
 }
 
 impl Effect {
+    /// Whether it acts behind a stem whose position is recorded.
+    #[must_use]
+    pub fn is_behind_stem(&self) -> bool {
+        self.stage != Stage::Valve || BEHIND_STEM.contains(&self.id)
+    }
+
     /// An effect that no search fits: it is seen in the recording.
     const fn unsimulated(id: EffectId, way: Way) -> Self {
         Self {
@@ -196,6 +202,9 @@ impl Effect {
 pub const MARGIN: f64 = 0.10;
 /// Margin of one that is not, or that bends further.
 pub const WIDE_MARGIN: f64 = 0.15;
+
+/// Effects of the valve that a recorded stem position does not show, or not always.
+const BEHIND_STEM: [EffectId; 3] = ["backlash", "travel_limit", "rate_limit"];
 
 /// Every effect.
 pub const ALL: [&Effect; 25] = [

@@ -7,13 +7,16 @@ pub const EFFECT: Effect = Effect {
     id: "rate_limit",
     stage: Stage::Valve,
     way: Way::Simulated,
-    params: &[Param {
-        name: "rate",
-        unit: Unit::LogRate,
-        reach: Reach::Stem,
-        limits: |_| [libm::log(0.002), libm::log(2.0)],
-    }],
-    enter: |p, plan| plan.rate = libm::exp(p[0]),
+    params: &[
+        Param {
+            name: "rate",
+            unit: Unit::LogRate,
+            reach: Reach::Path,
+            limits: |_| [libm::log(0.002), libm::log(2.0)],
+        },
+        Param { name: "of_stem", unit: Unit::Choice, reach: Reach::Jumps, limits: |_| [0.0, 1.0] },
+    ],
+    enter: |p, plan| *(if p[1] > 0.5 { &mut plan.stroke.rate } else { &mut plan.rate }) = libm::exp(p[0]),
     starts,
     linear: nothing,
     margin: MARGIN,
@@ -24,7 +27,8 @@ pub const EFFECT: Effect = Effect {
 
 fn starts(clues: &Clues<'_>) -> Vec<Start> {
     let travel = (clues.stem[1] - clues.stem[0]).max(0.05);
-    [3.0, 8.0, 25.0, 80.0].map(|r| [libm::log(r * travel / clues.scene.period), 0.0, 0.0]).to_vec()
+    let rate = |r: f64| libm::log(r * travel / clues.scene.period);
+    [3.0, 8.0, 25.0, 80.0].into_iter().flat_map(|r| [[rate(r), 0.0, 0.0], [rate(r), 1.0, 0.0]]).collect()
 }
 
 #[cfg(test)]
@@ -34,9 +38,12 @@ mod tests {
     use crate::sim::slips::Law;
 
     #[test]
-    fn the_rate_is_a_logarithm() {
+    fn the_rate_is_a_logarithm_of_the_stem_or_of_what_follows_it() {
         let mut plan = Plan::base(Some(Law::He));
-        (EFFECT.enter)(&[libm::log(0.05)], &mut plan);
+        (EFFECT.enter)(&[libm::log(0.05), 0.0], &mut plan);
         assert!((plan.rate - 0.05).abs() < 1e-12 && !plan.is_linear_in_fd());
+        let mut plan = Plan::base(Some(Law::He));
+        (EFFECT.enter)(&[libm::log(0.05), 1.0], &mut plan);
+        assert!((plan.stroke.rate - 0.05).abs() < 1e-12 && plan.is_linear_in_fd());
     }
 }

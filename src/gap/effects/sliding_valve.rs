@@ -1,16 +1,37 @@
 //! A valve that slides once it has broken away, until OP turns (Kano 2004, Choudhury 2005), instead of sticking again at each scan.
 
-use super::{Effect, MARGIN, Stage, Way, nothing, once};
+use super::{Effect, MARGIN, Param, Reach, Stage, Unit, Way, nothing};
+use crate::gap::scene::Scene;
 use crate::sim::slips::Law;
+
+/// Drag of none to speak of, and the most, raw samples.
+const LEAST_DRAG: f64 = 0.02;
+const MOST_DRAG: f64 = 5.0;
+/// Speed at which it sticks again, spans a point.
+const SLOWEST: [f64; 2] = [1e-6, 0.1];
+
+fn drag(scene: &Scene) -> [f64; 2] {
+    [LEAST_DRAG, MOST_DRAG].map(|samples| libm::log(samples / scene.box_samples))
+}
 
 /// As the catalogue has it.
 pub const EFFECT: Effect = Effect {
     id: "sliding_valve",
     stage: Stage::Valve,
     way: Way::Simulated,
-    params: &[],
-    enter: |_, plan| plan.law = Some(Law::Tracking),
-    starts: once,
+    params: &[
+        Param { name: "drag", unit: Unit::LogTime, reach: Reach::Path, limits: drag },
+        Param { name: "slowest", unit: Unit::LogRate, reach: Reach::Path, limits: |_| SLOWEST.map(libm::log) },
+    ],
+    enter: |p, plan| {
+        plan.law = Some(Law::Tracking);
+        (plan.stroke.drag, plan.stroke.slowest) = (libm::exp(p[0]), libm::exp(p[1]));
+    },
+    starts: |clues| {
+        let at = |samples: f64| libm::log(samples / clues.scene.box_samples);
+        let slow = libm::log(SLOWEST[0]);
+        vec![[at(LEAST_DRAG), slow, 0.0], [at(0.4), slow, 0.0]]
+    },
     linear: nothing,
     margin: MARGIN,
     predictable: true,
@@ -24,9 +45,11 @@ mod tests {
     use crate::gap::plan::Plan;
 
     #[test]
-    fn the_law_is_switched() {
+    fn the_law_is_switched_and_the_stem_dragged() {
         let mut plan = Plan::base(Some(Law::He));
-        (EFFECT.enter)(&[], &mut plan);
+        (EFFECT.enter)(&[libm::log(0.3), libm::log(0.01)], &mut plan);
+        assert!((plan.stroke.drag - 0.3).abs() < 1e-12 && (plan.stroke.slowest - 0.01).abs() < 1e-12);
+        (plan.stroke.drag, plan.stroke.slowest) = (0.0, 0.0);
         assert_eq!(plan, Plan::base(Some(Law::Tracking)));
     }
 }

@@ -1,15 +1,18 @@
 //! A stem that jumps beyond OP when it breaks away: fd below zero, so j above s.
 
-use super::{Effect, MARGIN, Stage, Way, nothing, once};
+use super::{Effect, MARGIN, Param, Reach, Stage, Unit, Way, nothing};
 
 /// As the catalogue has it.
 pub const EFFECT: Effect = Effect {
     id: "slip_overshoot",
     stage: Stage::Valve,
     way: Way::Simulated,
-    params: &[],
-    enter: |_, plan| plan.overshoot = true,
-    starts: once,
+    params: &[Param { name: "carried", unit: Unit::One, reach: Reach::Path, limits: |_| [0.0, 1.0] }],
+    enter: |p, plan| {
+        plan.overshoot = true;
+        plan.stroke.carried = p[0];
+    },
+    starts: |_| vec![[0.0; 3], [0.5, 0.0, 0.0]],
     linear: nothing,
     margin: MARGIN,
     predictable: true,
@@ -26,7 +29,7 @@ mod tests {
     #[test]
     fn only_fd_may_turn_negative() {
         let mut plan = Plan::base(Some(Law::He));
-        (EFFECT.enter)(&[], &mut plan);
+        (EFFECT.enter)(&[0.3], &mut plan);
         assert!(plan.overshoot && plan.is_linear_in_fd());
     }
 }
