@@ -15,7 +15,7 @@ use crate::daemon::to_json;
 use crate::engine::{Engine, Event, RecordedInput, SkipReason};
 use crate::files::RecordingFile;
 use crate::gap::Serial;
-use crate::gap::loop_run::CLOSABLE;
+use crate::gap::loop_run::stroke;
 use crate::record::Record;
 use crate::sim::closed_loop::ValveLaw;
 use crate::sim::scenario::{ProcessSpec, Scenario};
@@ -115,9 +115,10 @@ fn put_model(scenario: &mut Scenario, path: &Path, name: Option<&str>) -> anyhow
     let spec = &mut scenario.loops[at];
     let rest = Record::uniform(scenario.run.ts_s, vec![spec.operating_point.op], vec![spec.operating_point.pv]);
     let model = model_file(path)?.on(&rest);
-    if let Some(effect) = model.effects.iter().find(|e| !CLOSABLE.contains(&e.id.as_str())) {
-        bail!("{}: {:?} has no place in a scenario's valve or process", path.display(), effect.id);
-    }
+    spec.valve.stroke = match stroke(&model) {
+        Ok(stroke) => stroke,
+        Err(id) => bail!("{}: {id:?} has no place in a scenario's valve or process", path.display()),
+    };
     spec.valve.law = match model.valve.law.as_str() {
         "he" => ValveLaw::He,
         "tracking" => ValveLaw::Tracking,

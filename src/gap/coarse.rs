@@ -197,3 +197,55 @@ fn keep(pool: &mut [Seen], each: usize, long_from: f64, out: &mut Vec<Gene>) {
     }
     out.extend(held);
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::record::Record;
+    use crate::sim::slips::Law;
+
+    fn scene() -> Scene {
+        let op: Vec<f64> = (0..400).map(|k| 50.0 + 5.0 * libm::sin(f64::from(k) * 0.09)).collect();
+        let pv: Vec<f64> = (0..400).map(|k| libm::sin(f64::from(k) * 0.09 - 1.0)).collect();
+        Scene::new(&Record::uniform(1.0, op, pv), None, 1, vec![false; 400])
+    }
+
+    #[test]
+    fn a_lag_moves_on_between_two_samples() {
+        let question = scene().question;
+        let mut path = Vec::new();
+        let per_point = lagged(&question, 2.5, &mut path);
+        assert_eq!((per_point, path.len()), (PARTS, PARTS * question.path.len()));
+        // From one end of a sample to the other, the middle of each part, by the exponential of a held OP.
+        let mut drive = question.path[0];
+        for (op, parts) in question.path.iter().zip(path.chunks_exact(PARTS)) {
+            for (i, x) in parts.iter().enumerate() {
+                let time = (i as f64 + 0.5) / PARTS as f64;
+                assert!((x - (op + (drive - op) * libm::exp(-time / 2.5))).abs() < 1e-12);
+            }
+            drive = op + (drive - op) * libm::exp(-1.0 / 2.5);
+        }
+    }
+
+    #[test]
+    fn what_follows_the_stem_is_looked_at_behind_it() {
+        let scene = scene();
+        let first = FirstSlip { direction: 1.0, threshold: scene.question.path[0] + 0.02 };
+        let run = || {
+            let mut sequence = Sequence::default();
+            sequence.run(Law::He, &scene.question.path, 1, 0.3, 0.1, first);
+            sequence
+        };
+        let plain = run();
+        let mut behind = run();
+        let plan = Plan { play: 0.2, ..Plan::base(Some(Law::He)) };
+        put_behind(&plan, &mut behind, 0.1, 1.0);
+        assert!(behind.direction.iter().all(|d| *d == 0.0));
+        let stem: Vec<f64> = plain.at.iter().zip(&plain.direction).map(|(at, d)| at - 0.1 * d).collect();
+        let width = |x: &[f64]| {
+            let late = &x[100..];
+            late.iter().fold(f64::MIN, |m, v| m.max(*v)) - late.iter().fold(f64::MAX, |m, v| m.min(*v))
+        };
+        assert!((width(&stem) - width(&behind.at) - 0.2).abs() < 1e-9);
+    }
+}

@@ -237,7 +237,8 @@ impl<'a> Kernel<'a> {
             let signal = match plan.drift {
                 Some(drift) => {
                     self.other.clear();
-                    self.other.extend(signal.iter().enumerate().map(|(k, v)| v * (1.0 + drift.change * drift.course(k, n))));
+                    self.other
+                        .extend(signal.iter().enumerate().map(|(k, v)| v * (1.0 + drift.change * drift.course(k, n))));
                     &self.other
                 }
                 None => signal,

@@ -14,9 +14,8 @@ use crate::signal::stats;
 use crate::sim::closed_loop::{ClosedLoop, LoopModel, ValveLaw, ValveModel};
 use crate::sim::controller::{Action, PidSettings};
 use crate::sim::process::ProcessModel;
+use crate::sim::slips::Stroke;
 
-/// Effects whose model is whole in valve law and process, so that the loop can be closed over it.
-pub const CLOSABLE: [&str; 5] = ["extra_lag", "integrating", "sliding_valve", "slip_overshoot", "stiction"];
 /// Scans simulated at most.
 const MAX_SCANS: usize = 60_000;
 /// Room for OP on both sides of what was recorded, spans.
@@ -69,7 +68,6 @@ pub fn cycles(record: &Record, diagnosis: &Diagnosis) -> Option<Cycles> {
     let reading = controller::read(record)?;
     let noise_sd = diagnosis.floor.noise_sd.unwrap_or(0.0);
     let after = &diagnosis.model_after;
-    let added = !after.effects.is_empty() && after.effects.iter().all(|e| CLOSABLE.contains(&e.id.as_str()));
     Some(Cycles {
         controller: ControllerNote {
             kc: reading.kc,
@@ -79,7 +77,7 @@ pub fn cycles(record: &Record, diagnosis: &Diagnosis) -> Option<Cycles> {
         },
         measured: cycle(&record.op(), &record.pv, record.point_s()),
         before: run(&diagnosis.base.model, &reading, record, noise_sd),
-        after: if added { run(after, &reading, record, noise_sd) } else { None },
+        after: if after.effects.is_empty() { None } else { run(after, &reading, record, noise_sd) },
     })
 }
 
@@ -94,6 +92,36 @@ fn cycle(op: &[f64], pv: &[f64], point_s: f64) -> Cycle {
     }
 }
 
+/// What a model's effects make of the stem, for a simulation in scans; the id of the first effect that acts elsewhere than
+/// in the stem's motion, or in time constants that the model itself has.
+///
+/// # Errors
+/// The id of an effect that has no place there.
+pub fn stroke(model: &Model) -> Result<Stroke, &str> {
+    let mut stroke = Stroke::FREE;
+    for effect in &model.effects {
+        let number = |name: &str| effect.parameters.get(name).copied().unwrap_or(0.0);
+        let of_stem = number("of_stem") > 0.5;
+        match effect.id.as_str() {
+            "extra_lag" | "integrating" | "stiction" => {}
+            "slip_overshoot" => stroke.carried = number("carried"),
+            "sliding_valve" => {
+                stroke.drag = number("drag") / model.ts_s;
+                stroke.slowest = number("slowest") * model.ts_s;
+            }
+            "asymmetric_stiction" => stroke.uneven = number("alpha"),
+            "rate_limit" if of_stem => stroke.rate = number("rate") * model.ts_s,
+            "travel_limit" if of_stem => {
+                let end = usize::from(number("upper") > 0.5);
+                let stop = number("stop");
+                stroke.ends[end] = if end == 1 { stop + model.valve.fd } else { stop - model.valve.fd };
+            }
+            other => return Err(other),
+        }
+    }
+    Ok(stroke)
+}
+
 /// The loop as the simulator takes it, off its resting place by a band and a half.
 fn loop_model(model: &Model, reading: &Reading, sp: f64, limits: [f64; 2], noise_sd: f64) -> Option<LoopModel> {
     let Model { ts_s, valve, process, .. } = model;
@@ -103,6 +131,7 @@ fn loop_model(model: &Model, reading: &Reading, sp: f64, limits: [f64; 2], noise
         "none" => ValveLaw::None,
         _ => return None,
     };
+    let stroke = stroke(model).ok()?;
     let mut taus = process.time_constants_s.iter().map(|tau| tau / ts_s);
     let (op, pv) = (process.op, process.pv);
     let rest = if process.integrating { op } else { op + (sp - pv) / process.gain };
@@ -136,6 +165,7 @@ fn loop_model(model: &Model, reading: &Reading, sp: f64, limits: [f64; 2], noise
             fd: valve.fd,
             travel_min: limits[0],
             travel_max: limits[1],
+            stroke,
             ..ValveModel::HEALTHY
         },
         pv_noise_sd: noise_sd,
@@ -169,4 +199,41 @@ fn run(model: &Model, reading: &Reading, record: &Record, noise_sd: f64) -> Opti
     }
     let found = cycle(&op, &pv, model.ts_s);
     (found.amplitude_pv.is_finite() && found.amplitude_op.is_finite()).then_some(found)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gap::model::{Added, Process, SCHEMA, Valve};
+
+    #[test]
+    fn what_moves_the_stem_is_taken_over_in_scans_and_anything_else_named() {
+        let with = |id: &str, numbers: &[(&str, f64)]| {
+            let parameters = numbers.iter().map(|(name, x)| ((*name).to_owned(), *x)).collect();
+            let process = Process {
+                gain: 1.0,
+                time_constants_s: vec![9.0],
+                dead_time_s: 2.0,
+                integrating: false,
+                op: 50.0,
+                pv: 10.0,
+            };
+            let valve = Valve { law: "he".to_owned(), fs: 3.0, fd: 1.0, stem0: None };
+            let effects = vec![Added { id: id.to_owned(), parameters }];
+            let model = Model { schema: SCHEMA.to_owned(), ts_s: 2.0, valve, process, effects };
+            stroke(&model).map_err(str::to_owned)
+        };
+        assert_eq!(with("extra_lag", &[("lag", 3.0)]), Ok(Stroke::FREE));
+        assert_eq!(with("slip_overshoot", &[("carried", 0.4)]), Ok(Stroke { carried: 0.4, ..Stroke::FREE }));
+        let slides = Stroke { drag: 0.5, slowest: 0.2, ..Stroke::FREE };
+        assert_eq!(with("sliding_valve", &[("drag", 1.0), ("slowest", 0.1)]), Ok(slides));
+        let slow = Stroke { rate: 0.6, ..Stroke::FREE };
+        assert_eq!(with("rate_limit", &[("rate", 0.3), ("of_stem", 1.0)]), Ok(slow));
+        // A stem at its upper stop was pushed there by an OP that stands fd above it.
+        let stopped = Stroke { ends: [f64::NEG_INFINITY, 61.0], ..Stroke::FREE };
+        assert_eq!(with("travel_limit", &[("stop", 60.0), ("upper", 1.0), ("of_stem", 1.0)]), Ok(stopped));
+        for elsewhere in ["rate_limit", "travel_limit", "backlash", "gain_drift"] {
+            assert_eq!(with(elsewhere, &[("rate", 0.3), ("stop", 60.0)]), Err(elsewhere.to_owned()));
+        }
+    }
 }

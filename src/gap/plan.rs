@@ -212,15 +212,17 @@ impl Recipe {
     }
 
     /// Lets the rest of a gene give way to a change `by` of its parameter `at`, as far as a model trades one for the other:
-    /// play for the kinetic band, a lag or a later dead time for dead time.
-    pub fn trade(&self, gene: &mut Gene, at: usize, by: f64) {
-        match self.params().nth(at).map(|p| p.unit) {
-            Some(Unit::Op) => {
+    /// play for the kinetic band, a lag or a later dead time for dead time, what is carried on for the band.
+    pub fn trade(&self, gene: &mut Gene, at: usize, by: f64, op_rate: f64) {
+        match self.params().nth(at).map(|p| (p.unit, p.name)) {
+            // OP is ahead by half of what it moves between two points when a slip comes.
+            Some((_, "carried")) => gene.s -= 0.5 * op_rate * by,
+            Some((Unit::Op, _)) => {
                 gene.s -= by;
                 gene.fd -= 0.5 * by;
             }
-            Some(Unit::LogTime) => gene.lag -= libm::exp(gene.p[at]) - libm::exp(gene.p[at] - by),
-            Some(Unit::Time) => gene.lag -= 0.5 * by,
+            Some((Unit::LogTime, _)) => gene.lag -= libm::exp(gene.p[at]) - libm::exp(gene.p[at] - by),
+            Some((Unit::Time, _)) => gene.lag -= 0.5 * by,
             _ => {}
         }
     }

@@ -319,13 +319,7 @@ fn with_own_clues(scene: &Scene, lane: &Lane, genes: &[Gene]) -> (Vec<Gene>, u64
 }
 
 /// Where an effect's clues say that its parameters may lie, given the base's run at a place.
-fn starts_at(
-    scene: &Scene,
-    effect: &Effect,
-    at: &Scored,
-    prediction: &[f64],
-    valve: &[f64],
-) -> Vec<[f64; MAX_PARAMS]> {
+fn starts_at(scene: &Scene, effect: &Effect, at: &Scored, prediction: &[f64], valve: &[f64]) -> Vec<[f64; MAX_PARAMS]> {
     let residual: Vec<f64> = scene.question.pv.iter().zip(prediction).map(|(y, p)| y - p).collect();
     let low = valve.iter().copied().fold(f64::INFINITY, f64::min);
     let high = valve.iter().copied().fold(f64::NEG_INFINITY, f64::max);

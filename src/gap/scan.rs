@@ -34,7 +34,7 @@ pub fn scan(kernel: &mut Kernel<'_>, recipe: &Recipe, from: &Scored, rng: &mut C
             let mut gene = from.gene;
             let by = value - gene.p[i];
             gene.p[i] = value;
-            recipe.trade(&mut gene, i, by);
+            recipe.trade(&mut gene, i, by, kernel.scene.question.rate);
             if k % 2 == 1 {
                 gene.s *= 1.0 + SHAKEN * normal(rng);
             }

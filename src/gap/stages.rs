@@ -54,7 +54,8 @@ pub fn look(record: &Record, scene: &Scene, from_op: f64, without: &[String], wo
     let found = rounds::run(&from_mv, None, &left_out, floor, work)?;
     let base = fit(&from_mv, &found.base, floor, &|_| {})?;
     let calm = is_calm(&from_mv, &found.base, floor);
-    let stage = if calm { Stage::Valve } else { floor.map_or(Stage::Process, |f| pointed(base.rmse_train / f, from_op / f)) };
+    let stage =
+        if calm { Stage::Valve } else { floor.map_or(Stage::Process, |f| pointed(base.rmse_train / f, from_op / f)) };
     let before = Record { pv: mv.clone(), mv: None, ..record.clone() };
     let mut to_mv = Scene::new(&before, Some(scene.period), work.seed, masked);
     to_mv.sign = None;
@@ -62,11 +63,7 @@ pub fn look(record: &Record, scene: &Scene, from_op: f64, without: &[String], wo
     let valve = rounds::base(&to_mv, Some(Law::He), mv_floor, work).and_then(|(lane, _)| residual_of(&to_mv, &lane));
     let op_to_mv = valve.map_or(1.0, |left| rms(&left, &to_mv.test));
     Some(Seen {
-        stages: Stages {
-            op_to_mv: 100.0 * op_to_mv * op_to_mv,
-            mv_to_pv: base.gap,
-            stage,
-        },
+        stages: Stages { op_to_mv: 100.0 * op_to_mv * op_to_mv, mv_to_pv: base.gap, stage },
         ranked: ranked(&from_mv, &found.base, &found.lanes, floor),
     })
 }

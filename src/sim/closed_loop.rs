@@ -6,6 +6,7 @@ use super::disturbance::{Disturbance, DisturbanceState};
 use super::friction::{Friction, FrictionState};
 use super::noise::Noise;
 use super::process::{ProcessModel, ProcessState};
+use super::slips::{self, Law, Stroke};
 use super::valve::{Tracking, he_step, tracking_step};
 use crate::record::Record;
 
@@ -37,6 +38,8 @@ pub struct ValveModel {
     pub travel_min: f64,
     /// OP at the other end, greater than `travel_min`.
     pub travel_max: f64,
+    /// What the stem has beside its law.
+    pub stroke: Stroke,
     /// Friction of the physical valve; the laws do without.
     pub friction: Friction,
 }
@@ -48,20 +51,29 @@ pub struct Stem {
     pub position: f64,
     direction: i8,
     inner: FrictionState,
+    /// Its memory where it has more than a law.
+    moving: Option<slips::Stem>,
 }
 
 impl Stem {
     /// A stem that rests at `position`.
     #[must_use]
     pub const fn at_rest(position: f64) -> Self {
-        Self { position, direction: 0, inner: FrictionState::at_rest(position) }
+        Self { position, direction: 0, inner: FrictionState::at_rest(position), moving: None }
     }
 }
 
 impl ValveModel {
     /// A valve without friction over 0..100.
-    pub const HEALTHY: Self =
-        Self { law: ValveLaw::None, fs: 0.0, fd: 0.0, travel_min: 0.0, travel_max: 100.0, friction: Friction::NONE };
+    pub const HEALTHY: Self = Self {
+        law: ValveLaw::None,
+        fs: 0.0,
+        fd: 0.0,
+        travel_min: 0.0,
+        travel_max: 100.0,
+        stroke: Stroke::FREE,
+        friction: Friction::NONE,
+    };
 
     /// Next state of the stem for `op`.
     #[must_use]
@@ -69,6 +81,8 @@ impl ValveModel {
         let op = op.clamp(self.travel_min, self.travel_max);
         match self.law {
             ValveLaw::None => Stem { position: op, ..stem },
+            ValveLaw::He if self.stroke != Stroke::FREE => self.move_on(Law::He, stem, op),
+            ValveLaw::Tracking if self.stroke != Stroke::FREE => self.move_on(Law::Tracking, stem, op),
             ValveLaw::He => Stem { position: he_step(stem.position, op, self.fs, self.fd), ..stem },
             ValveLaw::Tracking => {
                 let now = Tracking { position: stem.position, direction: stem.direction };
@@ -81,6 +95,13 @@ impl ValveModel {
                 Stem { position, inner, ..stem }
             }
         }
+    }
+
+    fn move_on(&self, law: Law, stem: Stem, op: f64) -> Stem {
+        let bands = [self.fs, self.fd];
+        let mut moving = stem.moving.unwrap_or_else(|| slips::Stem::resting(stem.position, bands, self.stroke));
+        let position = moving.follow(law, op, bands, self.stroke.uneven);
+        Stem { position, moving: Some(moving), ..stem }
     }
 }
 
@@ -411,5 +432,31 @@ mod tests {
         // One scan integrates the error of -10: 0.4 * -10 / 20.
         let first = closed.step(60.0);
         assert!((first.op - 54.8).abs() < 1e-3 && !first.manual);
+    }
+
+    #[test]
+    fn a_stem_with_more_than_a_law_steps_as_its_whole_path_runs() {
+        let free = Stroke::FREE;
+        let cases = [
+            (ValveLaw::He, Law::He, Stroke { carried: 0.6, ..free }),
+            (ValveLaw::He, Law::He, Stroke { rate: 0.3, uneven: -0.3, ..free }),
+            (ValveLaw::Tracking, Law::Tracking, Stroke { drag: 0.5, slowest: 0.05, ..free }),
+            (ValveLaw::He, Law::He, Stroke { ends: [48.0, 52.5], ..free }),
+        ];
+        let op: Vec<f64> = (0..700).map(|k| 50.0 + 5.0 * libm::sin(f64::from(k) * 0.07)).collect();
+        for (law, same, stroke) in cases {
+            let (fs, fd) = (3.0, 1.2);
+            let valve = ValveModel { law, fs, fd, stroke, ..ValveModel::HEALTHY };
+            let first = slips::FirstSlip { direction: 1.0, threshold: op[0] + fs * (1.0 + stroke.uneven) };
+            let mut whole = slips::Sequence::default();
+            whole.run_in(stroke, same, &op, 1, [fs + fd, fs - fd], first);
+            let mut stem = Stem::at_rest(op[0]);
+            for (k, op) in op.iter().enumerate() {
+                stem = valve.step(stem, *op);
+                let position = whole.at[k] - fd * (whole.direction[k] + stroke.uneven);
+                assert!((stem.position - position).abs() < 1e-9, "{stroke:?} at {k}: {} {position}", stem.position);
+            }
+            assert!(whole.slips > 10, "{}", whole.slips);
+        }
     }
 }

@@ -30,6 +30,7 @@ use super::controller::{Action, PidSettings};
 use super::disturbance::Disturbance;
 use super::process::ProcessModel;
 use super::scenario_check;
+use super::slips::Stroke;
 use crate::record::Signal;
 use crate::units::{parse_time, s_from_ns};
 
@@ -247,11 +248,18 @@ pub struct ValveSpec {
     /// Kinetic band, OP units.
     #[serde(default)]
     pub fd: f64,
+    /// What the stem has beside its law; only a model's file says.
+    #[serde(skip, default = "free")]
+    pub stroke: Stroke,
+}
+
+const fn free() -> Stroke {
+    Stroke::FREE
 }
 
 impl Default for ValveSpec {
     fn default() -> Self {
-        Self { law: ValveLaw::None, fs: 0.0, fd: 0.0 }
+        Self { law: ValveLaw::None, fs: 0.0, fd: 0.0, stroke: Stroke::FREE }
     }
 }
 
@@ -439,6 +447,7 @@ impl LoopSpec {
                 fd: self.valve.fd,
                 travel_min: op_min.min(0.0),
                 travel_max: op_max.max(100.0),
+                stroke: self.valve.stroke,
                 ..ValveModel::HEALTHY
             },
             pv_noise_sd: self.noise.pv_sd,

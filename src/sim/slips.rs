@@ -73,7 +73,8 @@ impl Stroke {
 }
 
 /// The stem's memory between OP values, and what is learned of the cell on the way.
-struct Stem {
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Stem {
     at: f64,
     direction: f64,
     ends: [f64; 2],
@@ -137,6 +138,23 @@ impl Stem {
             slips: 0,
             reversals: 0,
         }
+    }
+
+    /// A stem that rests at `position` with bands `[fs, fd]`, to be taken on value by value, a point each.
+    #[must_use]
+    pub fn resting(position: f64, [fs, fd]: [f64; 2], stroke: Stroke) -> Self {
+        let uneven = Uneven { uneven: stroke.uneven, j: fs - fd };
+        let mut stem = Self::new(FirstSlip { direction: 1.0, threshold: position }, fs + fd, uneven, stroke, 1);
+        stem.direction = 1.0;
+        (stem.back, stem.on) = uneven.of(1.0);
+        stem.at = position + fd * (1.0 + stroke.uneven);
+        stem
+    }
+
+    /// Takes the next OP value with bands `[fs, fd]` and answers the mean position until the next one.
+    pub fn follow(&mut self, law: Law, op: f64, [fs, fd]: [f64; 2], uneven: f64) -> f64 {
+        self.take(law, op, fs + fd, fs - fd, Uneven { uneven, j: fs - fd });
+        self.at - self.behind - fd * (self.direction + uneven)
     }
 
     /// Takes the next OP value.
@@ -385,5 +403,88 @@ mod tests {
         assert_eq!(tail(&here), tail(&there));
         there.run(Law::He, &op, 1, s_high, j_low, first);
         assert_ne!(tail(&here), tail(&there));
+    }
+
+    /// A stem that moves by itself between OP values, in small steps: it breaks away beyond `fs` and then goes as `go`
+    /// says (force, step, position, speed) until that answers that it rests. Gives the mean position over each value.
+    fn by_small_steps(
+        op: &[f64],
+        mut position: f64,
+        fs: f64,
+        go: &dyn Fn(f64, f64, f64, &mut f64, &mut f64) -> bool,
+    ) -> Vec<f64> {
+        const PARTS: usize = 4000;
+        let (mut speed, mut along) = (0.0, 0.0);
+        let one = |op: &f64| {
+            let mut sum = 0.0;
+            for _ in 0..PARTS {
+                let force = op - position;
+                if along == 0.0 && force.abs() > fs {
+                    along = force.signum();
+                }
+                if along != 0.0 && !go(along * force, 1.0 / PARTS as f64, along, &mut position, &mut speed) {
+                    (along, speed) = (0.0, 0.0);
+                }
+                sum += position;
+            }
+            sum / PARTS as f64
+        };
+        op.iter().map(one).collect()
+    }
+
+    /// Bands, first slip and sequence of a law with a stroke on an OP path, and the worst error against small steps in
+    /// all but the few values near which a slip comes a moment earlier or later.
+    fn apart(stroke: Stroke, law: Law, [fs, fd]: [f64; 2], op: &[f64], small: &[f64]) -> f64 {
+        let mut sequence = Sequence::default();
+        let first = FirstSlip { direction: 1.0, threshold: op[0] + fs };
+        sequence.run_in(stroke, law, op, 1, [fs + fd, fs - fd], first);
+        let stem = sequence.at.iter().zip(&sequence.direction).map(|(at, d)| at - fd * d);
+        let mut errors: Vec<f64> = stem.zip(small).map(|(a, b)| (a - b).abs()).collect();
+        errors.sort_by(f64::total_cmp);
+        errors[errors.len() * 98 / 100]
+    }
+
+    #[test]
+    fn a_heavy_stem_carries_on_by_what_op_was_ahead() {
+        // No drag: from `force` it swings to as far beyond the place where friction and spring are equal.
+        let (op, fs, fc, mass) = (path(3), 3.0, 0.6, 1e-3);
+        let small = by_small_steps(&op, op[0], fs, &|force, dt, along, position, speed| {
+            *speed += dt / mass * (force - fc);
+            *position += along * dt * *speed;
+            *speed > 0.0
+        });
+        let stroke = Stroke { carried: 1.0, ..Stroke::FREE };
+        let error = apart(stroke, Law::He, [fs, 2.0 * fc - fs], &op, &small);
+        // The swing itself takes a tenth of a value.
+        assert!(error < 0.3, "{error}");
+        let plain = apart(Stroke::FREE, Law::He, [fs, 2.0 * fc - fs], &op, &small);
+        assert!(plain > 3.0 * error, "{plain} {error}");
+    }
+
+    #[test]
+    fn a_slow_stem_takes_its_time_and_friction_acts_where_it_is() {
+        let (op, fs, fd, rate) = (path(4), 3.0, 1.2, 0.4);
+        let small = by_small_steps(&op, op[0], fs, &|force, dt, along, position, _| {
+            *position += along * (dt * rate).min((force - fd).max(0.0));
+            force - fd > dt * rate
+        });
+        let error = apart(Stroke { rate, ..Stroke::FREE }, Law::He, [fs, fd], &op, &small);
+        assert!(error < 2e-3, "{error}");
+    }
+
+    #[test]
+    fn a_sliding_stem_drags_behind_and_sticks_when_it_gets_slow() {
+        let (fs, fc, drag) = (2.0, 0.8, 0.7);
+        let op: Vec<f64> = (0..900).map(|k| 5.0 * libm::sin(f64::from(k) * 0.03)).collect();
+        for slowest in [0.0, 0.08] {
+            let small = by_small_steps(&op, op[0], fs, &|force, dt, along, position, _| {
+                let speed = (force - fc) / drag;
+                *position += along * dt * speed.max(0.0);
+                speed > slowest
+            });
+            let stroke = Stroke { drag, slowest, ..Stroke::FREE };
+            let error = apart(stroke, Law::Tracking, [fs, fc + drag * slowest], &op, &small);
+            assert!(error < 5e-3, "{slowest}: {error}");
+        }
     }
 }

@@ -9,12 +9,7 @@ pub const EFFECT: Effect = Effect {
     stage: Stage::Process,
     way: Way::Simulated,
     params: &[
-        Param {
-            name: "gain_change_over_record",
-            unit: Unit::One,
-            reach: Reach::Process,
-            limits: |_| [-1.9, 1.9],
-        },
+        Param { name: "gain_change_over_record", unit: Unit::One, reach: Reach::Process, limits: |_| [-1.9, 1.9] },
         Param { name: "by_factor", unit: Unit::Choice, reach: Reach::Jumps, limits: |_| [0.0, 1.0] },
     ],
     enter: |p, plan| plan.drift = Some(Drift { change: p[0], by_factor: p[1] > 0.5 }),

@@ -8,12 +8,7 @@ pub const EFFECT: Effect = Effect {
     stage: Stage::Valve,
     way: Way::Simulated,
     params: &[
-        Param {
-            name: "rate",
-            unit: Unit::LogRate,
-            reach: Reach::Path,
-            limits: |_| [libm::log(0.002), libm::log(2.0)],
-        },
+        Param { name: "rate", unit: Unit::LogRate, reach: Reach::Path, limits: |_| [libm::log(0.002), libm::log(2.0)] },
         Param { name: "of_stem", unit: Unit::Choice, reach: Reach::Jumps, limits: |_| [0.0, 1.0] },
     ],
     enter: |p, plan| *(if p[1] > 0.5 { &mut plan.stroke.rate } else { &mut plan.rate }) = libm::exp(p[0]),

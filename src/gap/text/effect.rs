@@ -66,7 +66,10 @@ pub(super) fn phrase(e: &EffectNote) -> String {
             let what = if value("of_stem") == Some(0.0) { "an end of the flow" } else { "a stop of the stem" };
             format!("{what} at OP {s}")
         }),
-        "rate_limit" => said("rate").map(|r| format!("a stem that moves no faster than {r} OP units a second")),
+        "rate_limit" => said("rate").map(|r| {
+            let what = if value("of_stem") == Some(1.0) { "a stem" } else { "a valve behind its stem" };
+            format!("{what} that moves no faster than {r} OP units a second")
+        }),
         "positioner_lag" => said("lag").map(|l| format!("a positioner lag of {l} s")),
         "extra_lag" => said("lag").map(|l| format!("an extra lag of {l} s")),
         "static_nonlinearity" => value("gain_change_per_op")
