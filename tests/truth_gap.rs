@@ -143,7 +143,7 @@ fn what_was_added_is_named_and_closes_the_gap() {
         ("extra_lag", second(plain(5))),
         ("sliding_valve", slides(plain(6))),
         ("travel_limit", stopped(plain(8))),
-        ("slip_overshoot", moves(carried, heavy(plain(9)))),
+        ("slip_overshoot", moves(carried, heavy(plain(11)))),
         ("rate_limit", moves(slow, plain(10))),
     ];
     let mut right = 0;

@@ -178,7 +178,7 @@ impl Default for AlarmParams {
 
 impl Default for GapParams {
     fn default() -> Self {
-        Self { enabled: true, budget_evaluations: 100_000 }
+        Self { enabled: true, budget_evaluations: 400_000 }
     }
 }
 

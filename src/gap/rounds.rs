@@ -35,6 +35,11 @@ const BASE_AT_LEAST: u64 = 10_000;
 const FAR_BEHIND: f64 = 9.0;
 /// Searches for the right slips at most beyond the first, of the base and of the effects.
 const AGAIN: u64 = 2;
+/// Shares of the budget that the base has at most, and of what it leaves that the effects' own first looks have.
+const OF_BASE: f64 = 0.4;
+const OF_LOOKS: f64 = 0.5;
+/// Responses that one such look computes, about.
+const LOOK: f64 = 2_500.0;
 /// Effects for which that is worth its while.
 const LIKELY: usize = 4;
 /// Responses that the search for the right slips of one effect computes, about.
@@ -79,6 +84,11 @@ impl Work<'_> {
     /// Responses that each of so many lanes may compute, so that the budget is kept.
     fn allowed(&self, lanes: usize) -> u64 {
         self.left().div_ceil(lanes.max(1) as u64)
+    }
+
+    /// Responses that a share of what is left comes to.
+    fn part(&self, share: f64) -> u64 {
+        (share * self.left() as f64) as u64
     }
 
     /// Whether another round may begin.
@@ -127,9 +137,10 @@ fn lane(recipe: Recipe, sign: f64, starts: Vec<[f64; MAX_PARAMS]>, stream: u64) 
 /// [`AGAIN`] times with other chance: every effect starts from the base's slips.
 #[must_use]
 pub fn base(scene: &Scene, law: Option<Law>, floor: Option<f64>, work: &mut Work<'_>) -> Option<(Lane, Vec<Gene>)> {
+    let enough = work.done.saturating_add(work.part(OF_BASE));
     let (mut base, genes) = base_once(scene, law, work)?;
     for round in 0..AGAIN {
-        if law.is_none() || is_calm(scene, &base, floor) || !work.goes_on() {
+        if law.is_none() || is_calm(scene, &base, floor) || work.done >= enough || !work.goes_on() {
             break;
         }
         let seed = work.seed.wrapping_add(round << 32);
@@ -160,7 +171,7 @@ fn base_once(scene: &Scene, law: Option<Law>, work: &mut Work<'_>) -> Option<(La
     work.done += looked.iter().map(|(_, n)| n).sum::<u64>();
     // Twice with other chance: the base must not lose by bad luck.
     let jobs = 2 * signs.len();
-    let allowed = work.allowed(jobs).max(BASE_AT_LEAST);
+    let allowed = work.part(OF_BASE).div_ceil(jobs as u64).max(BASE_AT_LEAST);
     let lanes = work.all(jobs, |i| {
         let sign = i / 2;
         let mut lane = lane(Recipe::base(law), signs[sign], vec![[0.0; MAX_PARAMS]], 1 + i as u64);
@@ -239,7 +250,9 @@ pub fn run(
             from.extend(&genes);
         }
         let seed = work.seed;
-        let own = work.all(lanes.len(), |i| own_look(scene, &lanes[i], &genes, calm, seed));
+        let looking = lanes.iter().filter(|l| l.starts.iter().any(|p| looks(&l.recipe.plan_of(p), &l.recipe))).count();
+        let each = (work.part(OF_LOOKS) as f64 / LOOK / looking.max(1) as f64).max(1.0) as usize;
+        let own = work.all(lanes.len(), |i| own_look(scene, &lanes[i], &genes, if calm { 0 } else { each }, seed));
         work.done += own.iter().map(|(_, n)| n).sum::<u64>();
         let effort = if calm { &NARROW } else { &MIDDLE };
         let own = |i: usize| own.get(i).map_or(&[][..], |(genes, _)| genes);
@@ -329,24 +342,25 @@ fn starts_at(scene: &Scene, effect: &Effect, at: &Scored, prediction: &[f64], va
 }
 
 /// A look of its own for an effect that makes other slips of the same OP, or whose traces the wrong slips hide; `looked`
-/// are the places of the base's.
-fn own_look(scene: &Scene, lane: &Lane, looked: &[Gene], calm: bool, seed: u64) -> (Vec<Gene>, u64) {
+/// are the places of the base's, `most` the starts from which is looked.
+fn own_look(scene: &Scene, lane: &Lane, looked: &[Gene], most: usize, seed: u64) -> (Vec<Gene>, u64) {
     let (mut genes, mut count) = (Vec::new(), 0);
-    if calm {
+    if most == 0 {
         return (genes, count);
     }
     if lane.recipe.each().any(|e| e.stage == Stage::Disturbance) {
         return with_own_clues(scene, lane, looked);
     }
-    for (i, p) in lane.starts.iter().enumerate() {
+    // Evenly from all of them, where there is no time for each.
+    let every = lane.starts.len().div_ceil(most);
+    for (i, p) in lane.starts.iter().enumerate().step_by(every.max(1)) {
         let plan = lane.recipe.plan_of(p);
-        let same_slips = plan.valve_alone() == Plan::base(lane.recipe.law);
-        if lane.recipe.law.is_none() || (same_slips && !plan.follows() && plan.bend == 0.0) {
+        if !looks(&plan, &lane.recipe) {
             continue;
         }
         if plan.class() != Class::First {
             // Another process is looked for by the search that knows it, once.
-            let (found, n) = if i == 0 { right_slips(scene, lane, seed) } else { (Vec::new(), 0) };
+            let (found, n) = if i == 0 && most > 1 { right_slips(scene, lane, seed) } else { (Vec::new(), 0) };
             genes.extend(found);
             count += n;
             continue;
@@ -356,6 +370,12 @@ fn own_look(scene: &Scene, lane: &Lane, looked: &[Gene], calm: bool, seed: u64) 
         count += n;
     }
     (genes, count)
+}
+
+/// Whether a plan makes other slips than the base, or another signal of the same slips.
+fn looks(plan: &Plan, recipe: &Recipe) -> bool {
+    let same_slips = plan.valve_alone() == Plan::base(recipe.law);
+    recipe.law.is_some() && (!same_slips || plan.follows() || plan.bend != 0.0)
 }
 
 /// One round for every lane.
