@@ -6,6 +6,7 @@ mod common;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use common::Draw;
+use stictiond::gap::model::{Added, Model, Process, SCHEMA, Valve};
 use stictiond::gap::{Ask, Base, Crew, Diagnosis, GapError, Serial, diagnose};
 use stictiond::record::Record;
 use stictiond::sim::closed_loop::{ClosedLoop, LoopModel, ValveLaw, ValveModel};
@@ -134,16 +135,13 @@ fn what_was_added_is_named_and_closes_the_gap() {
     // The stem stands against its stop a good part of the time, and turns back from there.
     let stopped = |m: LoopModel| LoopModel { valve: ValveModel { travel_max: m.rest_op + 2.5, ..m.valve }, ..m };
     let moves = |stroke: Stroke, m: LoopModel| LoopModel { valve: ValveModel { stroke, ..m.valve }, ..m };
-    let heavy = |m: LoopModel| LoopModel { valve: ValveModel { fd: -0.4 * m.valve.fs, ..m.valve }, ..m };
-    let carried = Stroke { carried: 0.6, ..Stroke::FREE };
     let slow = Stroke { rate: 0.25, ..Stroke::FREE };
-    let cases: [(&str, LoopModel); 7] = [
+    let cases: [(&str, LoopModel); 6] = [
         ("sinusoid", LoopModel { pv_disturbance: vec![sine], ..plain(3) }),
         ("step_load", LoopModel { load: vec![step], ..plain(4) }),
         ("extra_lag", second(plain(5))),
         ("sliding_valve", slides(plain(6))),
         ("travel_limit", stopped(plain(8))),
-        ("slip_overshoot", moves(carried, heavy(plain(11)))),
         ("rate_limit", moves(slow, plain(10))),
     ];
     let mut right = 0;
@@ -163,8 +161,37 @@ fn what_was_added_is_named_and_closes_the_gap() {
             assert!(found.cause.probability > 0.5);
         }
     }
-    // One of seven may hide behind a neighbour: a second lag and a sliding valve round the same corners.
-    assert!(right >= 6, "{right} of 7");
+    // One of six may hide behind a neighbour: a second lag and a sliding valve round the same corners.
+    assert!(right >= 5, "{right} of 6");
+}
+
+#[test]
+fn a_heavy_stem_is_followed_by_its_own_law_and_not_without_its_mass() {
+    for seed in 9..12 {
+        let m = plain(seed);
+        let stroke = Stroke { carried: 0.6, ..Stroke::FREE };
+        let heavy = LoopModel { valve: ValveModel { fd: -0.4 * m.valve.fs, stroke, ..m.valve }, ..m };
+        let loop_record = record(heavy.clone(), 900, seed);
+        let left = |carried: f64| {
+            let valve =
+                Valve { law: "he".to_owned(), fs: heavy.valve.fs, fd: heavy.valve.fd, stem0: Some(heavy.rest_op) };
+            let process = Process {
+                gain: 1.0,
+                time_constants_s: vec![heavy.process.tau],
+                dead_time_s: heavy.process.dead_time,
+                integrating: false,
+                op: heavy.rest_op,
+                pv: heavy.rest_pv,
+            };
+            let parameters = [("carried".to_owned(), carried)].into_iter().collect();
+            let effects = vec![Added { id: "slip_overshoot".to_owned(), parameters }];
+            let model = Model { schema: SCHEMA.to_owned(), ts_s: 1.0, valve, process, effects };
+            let ask = Ask { base: Base::Given(Box::new(model)), budget_evaluations: 1, ..Ask::default() };
+            diagnose(&loop_record, &ask, &Two).unwrap().given.unwrap().rmse
+        };
+        let (own, bare) = (left(0.6), left(0.0));
+        assert!(own < 1.15 * heavy.pv_noise_sd && bare > 2.0 * own, "{seed}: {own} {bare}");
+    }
 }
 
 #[test]
