@@ -115,7 +115,7 @@ fn put_model(scenario: &mut Scenario, path: &Path, name: Option<&str>) -> anyhow
     let spec = &mut scenario.loops[at];
     let rest = Record::uniform(scenario.run.ts_s, vec![spec.operating_point.op], vec![spec.operating_point.pv]);
     let model = model_file(path)?.on(&rest);
-    spec.valve.stroke = match stroke(&model) {
+    spec.valve.stroke = match stroke(&model, scenario.run.ts_s) {
         Ok(stroke) => stroke,
         Err(id) => bail!("{}: {id:?} has no place in a scenario's valve or process", path.display()),
     };

@@ -12,6 +12,7 @@ use crate::ident::bank::{BINS, Bank, Glance, bin_edge};
 use crate::ident::candidate::{MIN_SLIPS, Question, freedom};
 use crate::ident::fit::Freedom;
 use crate::signal::detrend::{box_means, high_pass};
+use crate::sim::actuator::lag_path;
 use crate::sim::slips::{FirstSlip, Sequence};
 
 /// Sizes of s on a logarithmic scale from [`LEAST`] spans to one span.
@@ -28,8 +29,6 @@ const VIEWS: usize = 3;
 const CLASSES: usize = 8;
 /// Ranges of dead time that count as short.
 const SHORT: usize = 3;
-/// Values a point has at least, of a path that moves on between samples.
-const PARTS: usize = 5;
 /// Boxes of the bank in a period, for the base and for the many looks of the effects.
 pub const FINE: f64 = 32.0;
 pub const ROUGH: f64 = 16.0;
@@ -128,31 +127,12 @@ fn put_behind(plan: &Plan, sequence: &mut Sequence, fd: f64, points: f64) {
 pub fn led(scene: &Scene, plan: &Plan) -> Question {
     let mut question = scene.question.clone();
     if plan.positioner > 0.0 {
-        question.per_point = lagged(&scene.question, plan.positioner, &mut question.path);
+        let plain = &scene.question;
+        question.per_point = lag_path(&plain.path, plain.per_point, plan.positioner, &mut question.path);
         question.mean = box_means(&question.path, question.per_point);
         question.records = Question::records_of(&question.path);
     }
     question
-}
-
-/// OP behind a lag of `tau` points into `path`; answers how many values of it a point has.
-///
-/// The lag moves on between two raw samples while OP is held, so a slip falls anywhere between them: each part has the
-/// value at its middle, exactly.
-pub fn lagged(question: &Question, tau: f64, path: &mut Vec<f64>) -> usize {
-    let parts = PARTS.div_ceil(question.per_point);
-    let per_point = question.per_point * parts;
-    let step = 1.0 / (tau * per_point as f64).max(1e-3);
-    let (whole, half) = (libm::exp(-step), libm::exp(-0.5 * step));
-    let mut drive = question.path.first().copied().unwrap_or(0.0);
-    path.clear();
-    for op in &question.path {
-        for _ in 0..parts {
-            path.push(op + (drive - op) * half);
-            drive = op + (drive - op) * whole;
-        }
-    }
-    per_point
 }
 
 fn band(sequence: &Sequence, plan: &Plan, s: f64, j: f64, sign: f64, question: &Question) -> Freedom {
@@ -208,23 +188,6 @@ mod tests {
         let op: Vec<f64> = (0..400).map(|k| 50.0 + 5.0 * libm::sin(f64::from(k) * 0.09)).collect();
         let pv: Vec<f64> = (0..400).map(|k| libm::sin(f64::from(k) * 0.09 - 1.0)).collect();
         Scene::new(&Record::uniform(1.0, op, pv), None, 1, vec![false; 400])
-    }
-
-    #[test]
-    fn a_lag_moves_on_between_two_samples() {
-        let question = scene().question;
-        let mut path = Vec::new();
-        let per_point = lagged(&question, 2.5, &mut path);
-        assert_eq!((per_point, path.len()), (PARTS, PARTS * question.path.len()));
-        // From one end of a sample to the other, the middle of each part, by the exponential of a held OP.
-        let mut drive = question.path[0];
-        for (op, parts) in question.path.iter().zip(path.chunks_exact(PARTS)) {
-            for (i, x) in parts.iter().enumerate() {
-                let time = (i as f64 + 0.5) / PARTS as f64;
-                assert!((x - (op + (drive - op) * libm::exp(-time / 2.5))).abs() < 1e-12);
-            }
-            drive = op + (drive - op) * libm::exp(-1.0 / 2.5);
-        }
     }
 
     #[test]

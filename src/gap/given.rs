@@ -163,24 +163,10 @@ fn firsts(scene: &Scene, model: &Model, gene: &Gene) -> Vec<FirstSlip> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gap::model::{Added, Process, SCHEMA, Valve};
 
     #[test]
     fn an_effect_without_its_number_is_refused_by_name() {
-        let with = |id: &str, parameters: &[(&str, f64)]| {
-            let parameters = parameters.iter().map(|(name, x)| ((*name).to_owned(), *x)).collect();
-            let process = Process {
-                gain: 1.0,
-                time_constants_s: vec![9.0],
-                dead_time_s: 2.0,
-                integrating: false,
-                op: 50.0,
-                pv: 10.0,
-            };
-            let valve = Valve { law: "he".to_owned(), fs: 3.0, fd: 1.0, stem0: None };
-            let effects = vec![Added { id: id.to_owned(), parameters }];
-            recipe(&Model { schema: SCHEMA.to_owned(), ts_s: 1.0, valve, process, effects }).map(|r| r.id())
-        };
+        let with = |id: &str, numbers: &[(&str, f64)]| recipe(&Model::example(Some((id, numbers)))).map(|r| r.id());
         let error = with("static_nonlinearity", &[]).unwrap_err().to_string();
         assert_eq!(error, "the effect static_nonlinearity has no gain_change_per_op among its parameters");
         // Which end and whose it is are no where they are not said.

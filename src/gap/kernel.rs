@@ -5,13 +5,13 @@
 //! improved by Gauss-Newton steps on finite differences.
 
 use super::answer::Process;
-use super::coarse::lagged;
 use super::moves::{From, MOST_OVERSHOOT, clamped, movable};
 use super::plan::{Gene, MAX_PARAMS, Plan, Recipe};
 use super::scene::{Scene, View};
 use crate::ident::candidate::MIN_SLIPS;
 use crate::ident::fit::{Freedom, best_band};
 use crate::ident::least_squares::Gram;
+use crate::sim::actuator::lag_path;
 use crate::sim::process::separated;
 use crate::sim::slips::Sequence;
 
@@ -76,6 +76,7 @@ pub struct Kernel<'a> {
     path: Vec<f64>,
     valve: Vec<f64>,
     other: Vec<f64>,
+    drift: Vec<f64>,
     bent: Vec<f64>,
     long: Vec<f64>,
     longer: Vec<f64>,
@@ -98,6 +99,7 @@ impl<'a> Kernel<'a> {
             path: Vec::new(),
             valve: Vec::new(),
             other: Vec::new(),
+            drift: Vec::new(),
             bent: Vec::new(),
             long: Vec::new(),
             longer: Vec::new(),
@@ -113,7 +115,7 @@ impl<'a> Kernel<'a> {
         let q = &self.scene.question;
         if from == From::Path {
             let (path, per_point) = if plan.positioner > 0.0 {
-                let per_point = lagged(q, plan.positioner, &mut self.path);
+                let per_point = lag_path(&q.path, q.per_point, plan.positioner, &mut self.path);
                 (&self.path, per_point)
             } else {
                 (&q.path, q.per_point)
@@ -194,10 +196,10 @@ impl<'a> Kernel<'a> {
             put(&mut self.columns, &self.long);
         }
         // A gain that drifts also drifts PV's level, since the process need not rest at the middle of the stem's range.
+        self.drift.clear();
         if let Some(drift) = plan.drift {
-            self.long.clear();
-            self.long.extend((0..n).map(|k| drift.course(k, n)));
-            put(&mut self.columns, &self.long);
+            self.drift.extend(drift.course(n));
+            put(&mut self.columns, &self.drift);
         }
         if let Some((start, straight)) = plan.step {
             let after = (start.ceil().max(0.0) as usize).min(n);
@@ -237,8 +239,7 @@ impl<'a> Kernel<'a> {
             let signal = match plan.drift {
                 Some(drift) => {
                     self.other.clear();
-                    self.other
-                        .extend(signal.iter().enumerate().map(|(k, v)| v * (1.0 + drift.change * drift.course(k, n))));
+                    self.other.extend(signal.iter().zip(&self.drift).map(|(v, x)| v * (1.0 + drift.change * x)));
                     &self.other
                 }
                 None => signal,

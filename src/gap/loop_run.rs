@@ -92,12 +92,12 @@ fn cycle(op: &[f64], pv: &[f64], point_s: f64) -> Cycle {
     }
 }
 
-/// What a model's effects make of the stem, for a simulation in scans; the id of the first effect that acts elsewhere than
+/// What a model's effects make of the stem, for a simulation in scans of `ts_s`; the id of the first effect that acts elsewhere than
 /// in the stem's motion, or in time constants that the model itself has.
 ///
 /// # Errors
 /// The id of an effect that has no place there.
-pub fn stroke(model: &Model) -> Result<Stroke, &str> {
+pub fn stroke(model: &Model, ts_s: f64) -> Result<Stroke, &str> {
     let mut stroke = Stroke::FREE;
     for effect in &model.effects {
         let number = |name: &str| effect.parameters.get(name).copied().unwrap_or(0.0);
@@ -106,11 +106,11 @@ pub fn stroke(model: &Model) -> Result<Stroke, &str> {
             "extra_lag" | "integrating" | "stiction" => {}
             "slip_overshoot" => stroke.carried = number("carried"),
             "sliding_valve" => {
-                stroke.drag = number("drag") / model.ts_s;
-                stroke.slowest = number("slowest") * model.ts_s;
+                stroke.drag = number("drag") / ts_s;
+                stroke.slowest = number("slowest") * ts_s;
             }
             "asymmetric_stiction" => stroke.uneven = number("alpha"),
-            "rate_limit" if of_stem => stroke.rate = number("rate") * model.ts_s,
+            "rate_limit" if of_stem => stroke.rate = number("rate") * ts_s,
             "travel_limit" if of_stem => {
                 let end = usize::from(number("upper") > 0.5);
                 let stop = number("stop");
@@ -131,7 +131,7 @@ fn loop_model(model: &Model, reading: &Reading, sp: f64, limits: [f64; 2], noise
         "none" => ValveLaw::None,
         _ => return None,
     };
-    let stroke = stroke(model).ok()?;
+    let stroke = stroke(model, *ts_s).ok()?;
     let mut taus = process.time_constants_s.iter().map(|tau| tau / ts_s);
     let (op, pv) = (process.op, process.pv);
     let rest = if process.integrating { op } else { op + (sp - pv) / process.gain };
@@ -204,24 +204,13 @@ fn run(model: &Model, reading: &Reading, record: &Record, noise_sd: f64) -> Opti
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gap::model::{Added, Process, SCHEMA, Valve};
 
     #[test]
     fn what_moves_the_stem_is_taken_over_in_scans_and_anything_else_named() {
         let with = |id: &str, numbers: &[(&str, f64)]| {
-            let parameters = numbers.iter().map(|(name, x)| ((*name).to_owned(), *x)).collect();
-            let process = Process {
-                gain: 1.0,
-                time_constants_s: vec![9.0],
-                dead_time_s: 2.0,
-                integrating: false,
-                op: 50.0,
-                pv: 10.0,
-            };
-            let valve = Valve { law: "he".to_owned(), fs: 3.0, fd: 1.0, stem0: None };
-            let effects = vec![Added { id: id.to_owned(), parameters }];
-            let model = Model { schema: SCHEMA.to_owned(), ts_s: 2.0, valve, process, effects };
-            stroke(&model).map_err(str::to_owned)
+            let model = Model { ts_s: 7.0, ..Model::example(Some((id, numbers))) };
+            // The scans that count are those of the simulation, not of the record that the model was fitted to.
+            stroke(&model, 2.0).map_err(str::to_owned)
         };
         assert_eq!(with("extra_lag", &[("lag", 3.0)]), Ok(Stroke::FREE));
         assert_eq!(with("slip_overshoot", &[("carried", 0.4)]), Ok(Stroke { carried: 0.4, ..Stroke::FREE }));

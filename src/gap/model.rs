@@ -124,11 +124,9 @@ impl Model {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_model_reads_back_and_says_what_is_wrong_with_it() {
+impl Model {
+    /// He's law before a first-order process with one effect, for tests.
+    pub(super) fn example(effect: Option<(&str, &[(&str, f64)])>) -> Self {
         let process = Process {
             gain: 1.5,
             time_constants_s: vec![20.0],
@@ -138,7 +136,21 @@ mod tests {
             pv: 10.0,
         };
         let valve = Valve { law: "he".to_owned(), fs: 3.0, fd: 1.0, stem0: None };
-        let good = Model { schema: SCHEMA.to_owned(), ts_s: 1.0, valve, process, effects: Vec::new() };
+        let added = |(id, numbers): (&str, &[(&str, f64)])| Added {
+            id: id.to_owned(),
+            parameters: numbers.iter().map(|(name, x)| ((*name).to_owned(), *x)).collect(),
+        };
+        Self { schema: SCHEMA.to_owned(), ts_s: 1.0, valve, process, effects: effect.map(added).into_iter().collect() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_model_reads_back_and_says_what_is_wrong_with_it() {
+        let good = Model::example(None);
         assert_eq!(good.check(), Ok(()));
         let text = serde_json::to_string(&good).unwrap();
         assert_eq!(serde_json::from_str::<Model>(&text).unwrap(), good);

@@ -22,15 +22,14 @@ pub struct Drift {
 }
 
 impl Drift {
-    /// Gain at point `k` of `n`, over that in the middle, less 1, over the change: from about -1/2 to 1/2.
-    #[must_use]
-    pub fn course(&self, k: usize, n: usize) -> f64 {
-        let late = k as f64 / n as f64 - 0.5;
-        if self.by_factor && self.change.abs() > 1e-6 {
-            libm::expm1(2.0 * libm::asinh(0.5 * self.change) * late) / self.change
-        } else {
-            late
-        }
+    /// At each of `n` points the gain over that in the middle, less 1, over the change: from about -1/2 to 1/2.
+    pub fn course(self, n: usize) -> impl Iterator<Item = f64> {
+        let by_factor = self.by_factor && self.change.abs() > 1e-6;
+        let exponent = 2.0 * libm::asinh(0.5 * self.change);
+        (0..n).map(move |k| {
+            let late = k as f64 / n as f64 - 0.5;
+            if by_factor { libm::expm1(exponent * late) / self.change } else { late }
+        })
     }
 }
 

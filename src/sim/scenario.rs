@@ -249,12 +249,8 @@ pub struct ValveSpec {
     #[serde(default)]
     pub fd: f64,
     /// What the stem has beside its law; only a model's file says.
-    #[serde(skip, default = "free")]
+    #[serde(skip)]
     pub stroke: Stroke,
-}
-
-const fn free() -> Stroke {
-    Stroke::FREE
 }
 
 impl Default for ValveSpec {

@@ -72,6 +72,12 @@ impl Stroke {
     };
 }
 
+impl Default for Stroke {
+    fn default() -> Self {
+        Self::FREE
+    }
+}
+
 /// The stem's memory between OP values, and what is learned of the cell on the way.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Stem {

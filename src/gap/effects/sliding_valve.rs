@@ -1,4 +1,5 @@
-//! A valve that slides once it has broken away, until OP turns (Kano 2004, Choudhury 2005), instead of sticking again at each scan.
+//! A valve that slides once it has broken away, until OP turns (Kano 2004, Choudhury 2005) or it gets slow, with a drag,
+//! instead of sticking again at each scan.
 
 use super::{Effect, MARGIN, Param, Reach, Stage, Unit, Way, nothing};
 use crate::gap::scene::Scene;

@@ -1,4 +1,5 @@
-//! A stem that jumps beyond OP when it breaks away: fd below zero, so j above s.
+//! A stem that jumps beyond OP when it breaks away: fd below zero, so j above s. A heavy one carries on by a share of
+//! what OP was ahead of the threshold.
 
 use super::{Effect, MARGIN, Param, Reach, Stage, Unit, Way, nothing};
 
