@@ -140,7 +140,7 @@ fn band(sequence: &Sequence, plan: &Plan, s: f64, j: f64, sign: f64, question: &
         let fd = 0.5 * (s - j);
         return Freedom { fd: [1.3 * fd, 0.7 * fd], fd_default: fd, sign, limits: question.limits };
     }
-    freedom(sequence, s, j, sign, question.limits)
+    freedom(sequence, [s, j], sign, question.limits, question.landing)
 }
 
 fn seen(scene: &Scene, [s, j, fd]: [f64; 3], first: FirstSlip, glance: &Glance, p: [f64; MAX_PARAMS]) -> Option<Seen> {

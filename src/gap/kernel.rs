@@ -5,10 +5,10 @@
 //! improved by Gauss-Newton steps on finite differences.
 
 use super::answer::Process;
-use super::moves::{From, MOST_OVERSHOOT, clamped, movable};
+use super::moves::{From, clamped, movable};
 use super::plan::{Gene, MAX_PARAMS, Plan, Recipe};
 use super::scene::{Scene, View};
-use crate::ident::candidate::MIN_SLIPS;
+use crate::ident::candidate::{Landing, MIN_SLIPS, freedom};
 use crate::ident::fit::{Freedom, best_band};
 use crate::ident::least_squares::Gram;
 use crate::sim::actuator::lag_path;
@@ -253,21 +253,8 @@ impl<'a> Kernel<'a> {
 
     /// The values of fd that the slips at hand leave open.
     fn band_of(&self, plan: &Plan, gene: &Gene) -> Freedom {
-        let [s_low, s_high] = self.sequence.s_cell;
-        let [j_low, j_high] = self.sequence.j_cell;
-        let s_high = if s_high.is_finite() { s_high } else { gene.s.max(1.0) };
-        let wanted = 0.5 * (gene.s - gene.j);
-        let limits = self.scene.question.limits;
-        let (low, high) = if plan.overshoot {
-            let most = MOST_OVERSHOOT * 0.5 * (gene.s + gene.j);
-            let j_high = if j_high.is_finite() { j_high } else { gene.j.max(3.0 * gene.s) };
-            let low = (0.5 * (s_low - j_high)).max(-most);
-            (low, (0.5 * (s_high - j_low)).max(low))
-        } else {
-            let low = (0.5 * (s_low - j_high.min(s_high))).max(0.0);
-            (low, (0.5 * (s_high - j_low)).max(low))
-        };
-        Freedom { fd: [low, high], fd_default: wanted.clamp(low, high), sign: self.sign, limits }
+        let landing = if plan.overshoot { Landing::Beyond } else { Landing::Short };
+        freedom(&self.sequence, [gene.s, gene.j], self.sign, self.scene.question.limits, landing)
     }
 
     /// The best linear part at one place; `None` where the stem hardly moves, no gain of the sign helps, or the limit is

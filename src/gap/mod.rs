@@ -41,4 +41,4 @@ pub use diagnosis::{MIN_POINTS, diagnose};
 pub use types::*;
 
 /// Model responses of a default search: five to eight seconds on two cores.
-pub const DEFAULT_EVALUATIONS: u64 = 700_000;
+pub const DEFAULT_EVALUATIONS: u64 = 1_000_000;

@@ -3,11 +3,10 @@
 use super::effects::Reach;
 use super::plan::{Gene, MAX_PARAMS, Plan, Recipe};
 use super::scene::Scene;
+use crate::ident::candidate::MOST_OVERSHOOT;
 
 /// Longest step in the logarithm of a time constant.
 const LOG_STEP: f64 = 0.7;
-/// Largest fd over fs, in size, of a stem that overshoots.
-pub const MOST_OVERSHOOT: f64 = 0.95;
 
 /// What of the valve has to be run again.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

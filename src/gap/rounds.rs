@@ -13,7 +13,7 @@ use super::kernel::{Kernel, Scored};
 use super::plan::{Gene, MAX_PARAMS, Plan, Recipe};
 use super::scene::{Scene, View};
 use super::search::{Effort, Lane, MIDDLE, NARROW, SMALL, WIDE, cross, frictionless, hunt};
-use super::slips::right_slips;
+use super::slips::{right_slips, right_slips_of_starts};
 use super::types::{Crew, Stage};
 use crate::ident::class::Class;
 use crate::ident::residual;
@@ -40,6 +40,8 @@ const OF_BASE: f64 = 0.4;
 const OF_LOOKS: f64 = 0.5;
 /// Responses that one such look computes, about.
 const LOOK: f64 = 2_500.0;
+/// Share of what the first round leaves that the search for slips of another kind has.
+const OF_OTHER_SLIPS: f64 = 0.6;
 /// Effects for which that is worth its while.
 const LIKELY: usize = 4;
 /// Responses that the search for the right slips of one effect computes, about.
@@ -144,7 +146,7 @@ pub fn base(scene: &Scene, law: Option<Law>, floor: Option<f64>, work: &mut Work
             break;
         }
         let seed = work.seed.wrapping_add(round << 32);
-        let looked = work.all(1, |_| right_slips(scene, &base, seed));
+        let looked = work.all(1, |_| right_slips(scene, &base, &[0.0; MAX_PARAMS], seed));
         let Some((places, count)) = looked.into_iter().next() else { break };
         work.done += count;
         let allowed = work.allowed(1);
@@ -198,11 +200,19 @@ fn base_once(scene: &Scene, law: Option<Law>, work: &mut Work<'_>) -> Option<(La
 /// Whether a lane is at the floor and leaves white noise that does not follow OP.
 #[must_use]
 pub fn is_calm(scene: &Scene, lane: &Lane, floor: Option<f64>) -> bool {
-    let (Some(floor), Some(left)) = (floor, residual_of(scene, lane)) else { return false };
-    let error = rms(&left, &scene.train) * scene.deviation;
+    if !is_at_floor(scene, lane, floor) {
+        return false;
+    }
+    let Some(left) = residual_of(scene, lane) else { return false };
     let from = scene.blocks.from;
     let whiteness = residual::whiteness(&left[from..], &scene.question.mean[from..]);
-    error <= CALM * floor && whiteness.white && !whiteness.follows_op
+    whiteness.white && !whiteness.follows_op
+}
+
+/// Whether a lane's error is at the floor, whatever it leaves there.
+fn is_at_floor(scene: &Scene, lane: &Lane, floor: Option<f64>) -> bool {
+    let (Some(floor), Some(left)) = (floor, residual_of(scene, lane)) else { return false };
+    rms(&left, &scene.train) * scene.deviation <= CALM * floor
 }
 
 /// What a lane's best place leaves of PV at each point, deviations.
@@ -250,13 +260,16 @@ pub fn run(
             from.extend(&genes);
         }
         let seed = work.seed;
-        let looking = lanes.iter().filter(|l| l.starts.iter().any(|p| looks(&l.recipe.plan_of(p), &l.recipe))).count();
+        let looking = lanes.iter().filter(|l| plans_of(l).any(|plan| looks(&plan, &l.recipe))).count();
         let each = (work.part(OF_LOOKS) as f64 / LOOK / looking.max(1) as f64).max(1.0) as usize;
         let own = work.all(lanes.len(), |i| own_look(scene, &lanes[i], &genes, if calm { 0 } else { each }, seed));
         work.done += own.iter().map(|(_, n)| n).sum::<u64>();
         let effort = if calm { &NARROW } else { &MIDDLE };
         let own = |i: usize| own.get(i).map_or(&[][..], |(genes, _)| genes);
         share(scene, &mut lanes, effort, work, &|_| from.clone(), &own);
+    }
+    if !calm {
+        look_for_other_slips(scene, &mut lanes, floor, work);
     }
     for round in 0..SHARED_ROUNDS as u64 {
         if calm || !work.goes_on() {
@@ -285,6 +298,34 @@ fn cross_pollinate(scene: &Scene, base: &mut Lane, lanes: &mut Vec<Lane>, work: 
     gains
 }
 
+/// The search for the right slips of every stem that makes others than the base can, from all of its starts: much work,
+/// done where nothing explains everything yet.
+fn look_for_other_slips(scene: &Scene, lanes: &mut [Lane], floor: Option<f64>, work: &mut Work<'_>) {
+    let at: Vec<usize> =
+        (0..lanes.len()).filter(|i| plans_of(&lanes[*i]).any(|plan| makes_other_slips(&plan))).collect();
+    if at.is_empty() || !work.goes_on() || lanes.iter().any(|lane| is_at_floor(scene, lane, floor)) {
+        return;
+    }
+    let responses = work.part(OF_OTHER_SLIPS) / at.len() as u64;
+    let (allowed, seed) = (work.allowed(at.len()), work.seed);
+    let made = work.all(at.len(), |i| {
+        let mut lane = Lane { allowed, ..lanes[at[i]].clone() };
+        let (genes, count) = right_slips_of_starts(scene, &lane, responses, seed);
+        hunt(scene, &mut lane, &[], &genes, &MIDDLE, seed);
+        lane.evaluations += count;
+        lane
+    });
+    for (at, lane) in at.into_iter().zip(made) {
+        work.done += lane.evaluations - lanes[at].evaluations;
+        lanes[at] = lane;
+    }
+}
+
+/// The plans of all starts of a lane.
+fn plans_of(lane: &Lane) -> impl Iterator<Item = Plan> {
+    lane.starts.iter().map(|p| lane.recipe.plan_of(p))
+}
+
 /// The search for the right slips, made for each of the most likely effects while none of them explains everything.
 /// Says whether one of them gained from it.
 fn look_again(scene: &Scene, lanes: &mut [Lane], floor: Option<f64>, round: u64, work: &mut Work<'_>) -> bool {
@@ -297,7 +338,7 @@ fn look_again(scene: &Scene, lanes: &mut [Lane], floor: Option<f64>, round: u64,
     let (allowed, seed) = (work.allowed(order.len()), work.seed.wrapping_add((AGAIN + round) << 32));
     let made = work.all(order.len(), |i| {
         let mut lane = Lane { allowed, ..lanes[order[i]].clone() };
-        let (places, count) = right_slips(scene, &lane, seed);
+        let (places, count) = right_slips(scene, &lane, &[0.0; MAX_PARAMS], seed);
         hunt(scene, &mut lane, &places, &places, &WIDE, seed);
         lane.evaluations += count;
         lane
@@ -360,7 +401,7 @@ fn own_look(scene: &Scene, lane: &Lane, looked: &[Gene], most: usize, seed: u64)
         }
         if plan.class() != Class::First {
             // Another process is looked for by the search that knows it, once.
-            let (found, n) = if i == 0 && most > 1 { right_slips(scene, lane, seed) } else { (Vec::new(), 0) };
+            let (found, n) = if i == 0 && most > 1 { right_slips(scene, lane, p, seed) } else { (Vec::new(), 0) };
             genes.extend(found);
             count += n;
             continue;
@@ -372,10 +413,15 @@ fn own_look(scene: &Scene, lane: &Lane, looked: &[Gene], most: usize, seed: u64)
     (genes, count)
 }
 
+/// Whether a stem answers OP with slips that no pair of bands gives, so that a look at the base's is of no use.
+fn makes_other_slips(plan: &Plan) -> bool {
+    plan.overshoot || plan.stroke.uneven != 0.0
+}
+
 /// Whether a plan makes other slips than the base, or another signal of the same slips.
 fn looks(plan: &Plan, recipe: &Recipe) -> bool {
     let same_slips = plan.valve_alone() == Plan::base(recipe.law);
-    recipe.law.is_some() && (!same_slips || plan.follows() || plan.bend != 0.0)
+    recipe.law.is_some() && !makes_other_slips(plan) && (!same_slips || plan.follows() || plan.bend != 0.0)
 }
 
 /// One round for every lane.

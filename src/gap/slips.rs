@@ -9,20 +9,51 @@ use super::coarse::led;
 use super::kernel::Kernel;
 use super::plan::{Gene, MAX_PARAMS};
 use super::scene::Scene;
-use super::search::Lane;
-use crate::ident::candidate::Question;
+use super::search::{Lane, MIDDLE, hunt};
+use crate::ident::candidate::{Candidate, Landing, Question};
 use crate::ident::class::Class;
 use crate::ident::fit::Target;
-use crate::ident::hunt::{Ground, Rival, hunt, scout};
+use crate::ident::hunt::{Ground, Rival, Scouted, hunt as follow, scout};
 use crate::ident::{ModelChoice, Options};
 use crate::signal::stats;
 use crate::sim::slips::Law;
 
+/// Starts of an effect that are followed to the end at most, of those that look best.
+const FOLLOWED: u64 = 4;
+/// Responses that following one to the end and climbing from there computes, about.
+const FOLLOW: u64 = 45_000;
+
 /// Places for a lane with the parameters that belong to them, where other slips than its best ones may fit better, and
-/// the responses computed for it; nothing for a stem that jumps beyond OP or knows no friction.
+/// the responses computed for it; nothing for a stem that knows no friction. With the parameters of the lane's best place,
+/// or those of `start` before it has one.
 #[must_use]
-pub fn right_slips(scene: &Scene, lane: &Lane, seed: u64) -> (Vec<Gene>, u64) {
-    posed(scene, lane).map_or_else(|| (Vec::new(), 0), |p| search(&p, lane.sign, seed))
+pub fn right_slips(scene: &Scene, lane: &Lane, start: &[f64; MAX_PARAMS], seed: u64) -> (Vec<Gene>, u64) {
+    let Some(posed) = posed(scene, lane, start) else { return (Vec::new(), 0) };
+    let signs = [lane.sign];
+    posed.follow(&posed.scout(&signs, seed), seed)
+}
+
+/// The same for all starts of a lane, whatever it has found: each is looked at, the best are followed and climbed
+/// with all that the effect has, so that they can be compared; how many, about so many `responses` say.
+#[must_use]
+pub fn right_slips_of_starts(scene: &Scene, lane: &Lane, responses: u64, seed: u64) -> (Vec<Gene>, u64) {
+    let signs = [lane.sign];
+    let lane = &Lane { best: Vec::new(), ..lane.clone() };
+    let posed: Vec<Posed> = lane.starts.iter().filter_map(|start| posed(scene, lane, start)).collect();
+    let mut seen: Vec<(&Posed, Scouted<'_>)> = posed.iter().map(|p| (p, p.scout(&signs, seed))).collect();
+    seen.sort_by(|a, b| a.1.share().total_cmp(&b.1.share()));
+    let looked: u64 = seen.iter().map(|(_, s)| s.looked()).sum();
+    let followed = ((responses.saturating_sub(looked) + FOLLOW / 2) / FOLLOW).clamp(1, FOLLOWED) as usize;
+    let mut count = seen.iter().skip(followed).map(|(_, s)| s.looked()).sum();
+    let mut out = Vec::new();
+    for (posed, seen) in seen.iter().take(followed) {
+        let (places, n) = posed.follow(seen, seed);
+        let mut own = Lane { starts: Vec::new(), evaluations: n, ..lane.clone() };
+        hunt(scene, &mut own, &[], &places, &MIDDLE, seed);
+        count += own.evaluations;
+        out.extend(own.best.iter().map(|b| b.gene));
+    }
+    (out, count)
 }
 
 /// What is asked, of which law, in front of which process.
@@ -33,17 +64,18 @@ struct Posed {
     p: [f64; MAX_PARAMS],
 }
 
-fn posed(scene: &Scene, lane: &Lane) -> Option<Posed> {
+fn posed(scene: &Scene, lane: &Lane, start: &[f64; MAX_PARAMS]) -> Option<Posed> {
     let best = lane.best.first();
-    let p = best.map_or_else(|| lane.starts.first().copied(), |b| Some(b.gene.p))?;
+    let p = best.map_or(*start, |b| b.gene.p);
     let plan = lane.recipe.plan_of(&p);
-    let law = plan.law.filter(|_| !plan.overshoot)?;
+    let law = plan.law?;
     let added = match best {
         Some(best) => Kernel::new(scene, lane.sign).added(&lane.recipe, best)?,
         None => Vec::new(),
     };
     let mut question = led(scene, &plan);
     question.stroke = plan.stroke;
+    question.landing = if plan.overshoot { Landing::Beyond } else { Landing::Short };
     for (y, a) in question.pv.iter_mut().zip(&added) {
         *y -= a;
     }
@@ -52,29 +84,43 @@ fn posed(scene: &Scene, lane: &Lane) -> Option<Posed> {
     Some(Posed { question, law, class: plan.class(), p })
 }
 
-fn search(posed: &Posed, sign: f64, seed: u64) -> (Vec<Gene>, u64) {
-    let Posed { question, law, class, p } = posed;
-    let model = if *class == Class::Second { ModelChoice::Sopdt } else { ModelChoice::Fopdt };
-    let options = Options { model, seed, ..Options::default() };
-    let (plain, moves) = (Target::new(&question.pv, 0.0, question.from), Ground::moves_of(question));
-    let ground = Ground { question, plain: &plain, moves: &moves, options: &options, known: RefCell::default() };
-    let found = hunt(&ground, &scout(&ground, *law, &[sign]), Rival::NONE);
-    let count = found.iter().map(|f| f.evaluations).sum();
-    let of_class = found.iter().filter(|f| f.class == *class);
-    // The second lag is the first parameter of the one effect that has it.
-    let with_second_lag = |log_tau2: f64| {
-        let mut p = *p;
-        p[0] = log_tau2;
-        p
-    };
-    let places = of_class.flat_map(|f| &f.finalists).map(|c| Gene {
-        s: c.s,
-        j: c.j,
-        first: question.first_slip(c.start),
-        fd: c.fit.fd,
-        log_tau: c.fit.shape[0],
-        lag: f64::max(class.lag(&c.fit.shape), question.limits.lag[0]),
-        p: if *class == Class::Second { with_second_lag(c.fit.shape[1]) } else { *p },
-    });
-    (places.collect(), count)
+impl Posed {
+    /// Calls `job` with the ground that the search of `analyze` is made on.
+    fn on_ground<T>(&self, seed: u64, job: impl FnOnce(&Ground<'_>) -> T) -> T {
+        let question = &self.question;
+        let model = if self.class == Class::Second { ModelChoice::Sopdt } else { ModelChoice::Fopdt };
+        let options = Options { model, seed, ..Options::default() };
+        let (plain, moves) = (Target::new(&question.pv, 0.0, question.from), Ground::moves_of(question));
+        job(&Ground { question, plain: &plain, moves: &moves, options: &options, known: RefCell::default() })
+    }
+
+    fn scout<'s>(&self, signs: &'s [f64], seed: u64) -> Scouted<'s> {
+        self.on_ground(seed, |ground| scout(ground, self.law, signs))
+    }
+
+    /// From what was seen to the best places, and the responses computed, those of the look included.
+    fn follow(&self, seen: &Scouted<'_>, seed: u64) -> (Vec<Gene>, u64) {
+        let found = self.on_ground(seed, |ground| follow(ground, seen, Rival::NONE));
+        let count = found.iter().map(|f| f.evaluations).sum();
+        let of_class = found.iter().filter(|f| f.class == self.class);
+        let places = of_class.flat_map(|f| &f.finalists).map(|c| self.gene(c));
+        (places.collect(), count)
+    }
+
+    fn gene(&self, c: &Candidate) -> Gene {
+        let (question, class, mut p) = (&self.question, self.class, self.p);
+        if class == Class::Second {
+            // The second lag is the first parameter of the one effect that has it.
+            p[0] = c.fit.shape[1];
+        }
+        Gene {
+            s: c.s,
+            j: c.j,
+            first: question.first_slip(c.start),
+            fd: c.fit.fd,
+            log_tau: c.fit.shape[0],
+            lag: f64::max(class.lag(&c.fit.shape), question.limits.lag[0]),
+            p,
+        }
+    }
 }

@@ -70,6 +70,8 @@ pub struct Bank {
     views: [View; 2],
     at: Vec<Lane>,
     direction: Vec<Lane>,
+    /// Products of their halves with PV at every lag, from the least to one past the greatest.
+    with_pv: Vec<[Lane; 2]>,
 }
 
 /// Sums over the record for one lag.
@@ -127,13 +129,15 @@ impl Bank {
             View { rho, yy: stats::dot(&y, &y), one: y.iter().sum(), memory: with }
         });
         let (at, direction) = (vec![[0.0; LANES]; n], vec![[0.0; LANES]; n]);
-        Self { points, n, from, lags, poles, one_memory, memory_memory, pv, views, at, direction }
+        let with_pv = vec![[[0.0; LANES]; 2]; lags[1] - lags[0] + 2];
+        Self { points, n, from, lags, poles, one_memory, memory_memory, pv, views, at, direction, with_pv }
     }
 
     /// The best time constant and dead time for a valve signal averaged over the bank's boxes, `at - fd * direction`,
     /// for each sign of `signs`, by view and range of dead time.
     pub fn look(&mut self, at: &[f64], direction: &[f64], freedom: &Freedom, signs: &[f64]) -> Vec<Glances> {
         self.respond(at, direction);
+        self.correlate(at, direction);
         let none = Glance { share: 1.0, tau: 1.0, lag: self.lags[0] as f64 };
         let mut best = vec![[[none; BINS]; 2]; signs.len()];
         let lags = self.lags[1] - self.lags[0] + 1;
@@ -180,6 +184,27 @@ impl Bank {
                 *slot = x;
             }
         }
+    }
+
+    /// Products of the responses with PV at every lag: as a response goes on by its pole from one box to the next, so do
+    /// its products from a lag to the one before, with those of the valve signal itself.
+    fn correlate(&mut self, at: &[f64], direction: &[f64]) {
+        let greatest = self.lags[1] + 1;
+        let y = &self.pv[self.from..];
+        let mut last = self.products_with(greatest, y);
+        let mut made = core::mem::take(&mut self.with_pv);
+        for (slot, lag) in made.iter_mut().zip(self.lags[0]..greatest + 1).rev() {
+            if lag < greatest {
+                let own = [at, direction].map(|v| stats::dot(&v[self.from - lag..self.n - lag], y));
+                for (sums, own) in last.iter_mut().zip(own) {
+                    for lane in 0..LANES {
+                        sums[lane] = self.poles[lane] * sums[lane] + (1.0 - self.poles[lane]) * own;
+                    }
+                }
+            }
+            *slot = last;
+        }
+        self.with_pv = made;
     }
 
     /// All sums for the first lag.
@@ -235,7 +260,7 @@ impl Bank {
 
     /// Products with PV at one lag; the filtered view's follow from those with PV one box earlier.
     fn products(&self, sums: &mut Sums, lag: usize, earlier: [Lane; 2]) {
-        let plain = self.with_pv(lag, &self.pv[self.from..]);
+        let plain = self.with_pv[lag - self.lags[0]];
         sums.with[0] = plain;
         for (half, with) in sums.with[1].iter_mut().enumerate() {
             *with = core::array::from_fn(|lane| plain[half][lane] - self.views[1].rho * earlier[half][lane]);
@@ -243,7 +268,7 @@ impl Bank {
     }
 
     /// Products of both halves at one lag with values that begin at the first box that counts.
-    fn with_pv(&self, lag: usize, pv: &[f64]) -> [Lane; 2] {
+    fn products_with(&self, lag: usize, pv: &[f64]) -> [Lane; 2] {
         let (mut a, mut d) = ([0.0; LANES], [0.0; LANES]);
         let (at, direction) = (&self.at[self.from - lag..], &self.direction[self.from - lag..]);
         for ((x, z), y) in at.iter().zip(direction).zip(pv) {
@@ -257,7 +282,7 @@ impl Bank {
 
     /// Products with PV one box earlier at one lag.
     fn earlier(&self, lag: usize) -> [Lane; 2] {
-        self.with_pv(lag, &self.pv[self.from - 1..self.n - 1])
+        self.products_with(lag, &self.pv[self.from - 1..self.n - 1])
     }
 
     /// The same, from the products `with` PV at the lag before.

@@ -29,6 +29,41 @@ pub struct Question {
     pub records: [Vec<f64>; 2],
     /// What the valve has beside its law.
     pub stroke: Stroke,
+    /// Where its slips end.
+    pub landing: Landing,
+}
+
+/// Where a slip ends, so on which side of s the jump j lies.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Landing {
+    /// Short of OP or on it: fd >= 0, j <= s.
+    #[default]
+    Short,
+    /// Beyond OP: fd < 0, j >= s.
+    Beyond,
+}
+
+/// Largest fd over fs, in size, of a stem that lands beyond OP.
+pub const MOST_OVERSHOOT: f64 = 0.95;
+
+impl Landing {
+    /// The jump of this landing for one of the other triangle, 0 < j <= s, which searches are made for.
+    #[must_use]
+    pub fn jump(self, s: f64, j: f64) -> f64 {
+        match self {
+            Self::Short => j,
+            Self::Beyond => s * s / j.max(1e-3 * s),
+        }
+    }
+
+    /// The nearest jump that goes with s.
+    #[must_use]
+    pub fn keep(self, s: f64, j: f64) -> f64 {
+        match self {
+            Self::Short => j.clamp(0.0, s.max(0.0)),
+            Self::Beyond => j.max(s),
+        }
+    }
 }
 
 impl Question {
@@ -301,17 +336,23 @@ impl<'a> Bench<'a> {
         if self.sequence.slips < MIN_SLIPS {
             return None;
         }
-        Some(freedom(&self.sequence, s, j, self.sign, question.limits))
+        Some(freedom(&self.sequence, [s, j], self.sign, question.limits, question.landing))
     }
 }
 
 /// The bands fd that the slips of `sequence` leave open to (s, j).
 #[must_use]
-pub fn freedom(sequence: &Sequence, s: f64, j: f64, sign: f64, limits: Limits) -> Freedom {
+pub fn freedom(sequence: &Sequence, [s, j]: [f64; 2], sign: f64, limits: Limits, landing: Landing) -> Freedom {
     let [s_low, s_high] = sequence.s_cell;
     let [j_low, j_high] = sequence.j_cell;
     let s_high = if s_high.is_finite() { s_high } else { s.max(1.0) };
-    let low = (0.5 * (s_low - j_high.min(s_high))).max(0.0);
+    let low = match landing {
+        Landing::Short => (0.5 * (s_low - j_high.min(s_high))).max(0.0),
+        Landing::Beyond => {
+            let j_high = if j_high.is_finite() { j_high } else { j.max(3.0 * s) };
+            (0.5 * (s_low - j_high)).max(-MOST_OVERSHOOT * 0.5 * (s + j))
+        }
+    };
     let high = (0.5 * (s_high - j_low)).max(low);
     Freedom { fd: [low, high], fd_default: (0.5 * (s - j)).clamp(low, high), sign, limits }
 }

@@ -150,6 +150,12 @@ pub struct Scouted<'a> {
 }
 
 impl Scouted<'_> {
+    /// Valve signals looked at.
+    #[must_use]
+    pub const fn looked(&self) -> u64 {
+        self.looked
+    }
+
     /// Least share of PV that a model seen leaves, over both views.
     #[must_use]
     pub fn share(&self) -> f64 {
@@ -160,7 +166,7 @@ impl Scouted<'_> {
 
 /// Looks under one law at everything, for these signs of the gain.
 #[must_use]
-pub fn scout<'a>(ground: &Ground<'a>, law: Law, signs: &'a [f64]) -> Scouted<'a> {
+pub fn scout<'a>(ground: &Ground<'_>, law: Law, signs: &'a [f64]) -> Scouted<'a> {
     let options = ground.options;
     let solver = optim::by_name(options.solver).unwrap_or(optim::ALL[0]);
     let settings = Settings { budget: 20_000, fineness_pct: options.fineness_pct, seed: options.seed };
@@ -505,7 +511,7 @@ pub(super) fn along(bench: &mut Bench<'_>, around: &Candidate, reach: f64, steps
             let mut guess = shape;
             guess[slot] -= (s - last) / rate;
             let guess = bench.class.clamp(guess, &bench.question.limits);
-            for j in ridge_jumps([around.s, around.j], s) {
+            for j in ridge_jumps([around.s, around.j], s, bench.question.landing) {
                 let effort = Effort { steps: 1, hopeless: 3.0 * least, wanted: 1.5 * least };
                 let Some(found) = bench.fit(s, j, around.start, &[guess], effort) else { continue };
                 if found.fit.sse < 2.0 * least {

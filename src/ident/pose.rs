@@ -1,6 +1,6 @@
 //! A record in the form that every fit works on: OP in spans, PV in deviations, times in points.
 
-use super::candidate::Question;
+use super::candidate::{Landing, Question};
 use super::choice::DelayChoice;
 use super::class::Limits;
 use super::quantify::Options;
@@ -40,5 +40,18 @@ pub fn pose(record: &Record, options: &Options, span: f64, deviation: f64) -> Qu
     let width = ((period / 32.0) as usize).max(1);
     let travel: Vec<f64> = mean.windows(width + 1).map(|w| (w[width] - w[0]).abs() / width as f64).collect();
     let rate = stats::median(&travel);
-    Question { path, per_point: m, mean, still, pv, limits, from, period, rate, records, stroke: Stroke::FREE }
+    Question {
+        path,
+        per_point: m,
+        mean,
+        still,
+        pv,
+        limits,
+        from,
+        period,
+        rate,
+        records,
+        stroke: Stroke::FREE,
+        landing: Landing::Short,
+    }
 }

@@ -176,7 +176,7 @@ fn by_dead_time(
         let middle = 0.5 * (limits.lag[0] + limits.lag[1]);
         let s = best.s - (middle - lag) * question.rate;
         let start = question.moved_start(best.start, lag - middle);
-        let along = ridge_jumps([best.s, best.j], s).map(|j| (s, j, start, class.start(tau, middle)));
+        let along = ridge_jumps([best.s, best.j], s, question.landing).map(|j| (s, j, start, class.start(tau, middle)));
         let mut fitted = Vec::new();
         for (s, j, start, shape) in seen.chain(along).filter(|c| c.0 > 1e-4) {
             fitted.extend(inner.fit(s, j, start, &[class.clamp(shape, &limits)], Effort::of(3)));
@@ -200,6 +200,7 @@ fn valley(bench: &mut Bench<'_>, around: &Candidate) -> Vec<Candidate> {
         for k in 0..JUMPS {
             let j = c.s * libm::pow(0.03, f64::from(k) / f64::from(JUMPS - 1));
             let effort = Effort { steps: 1, hopeless: 3.0 * c.fit.sse, wanted: 1.5 * c.fit.sse };
+            let j = bench.question.landing.jump(c.s, j);
             pool.extend(bench.fit(c.s, j, c.start, &[c.fit.shape], effort).filter(|c| c.fit.gain != 0.0));
         }
     }
@@ -228,7 +229,7 @@ fn cell_by_cell(bench: &mut Bench<'_>, around: &Candidate, jump: usize, earlier:
             let mut guess = shape;
             guess[slot] -= (s - last) / rate;
             let guess = bench.class.clamp(guess, &bench.question.limits);
-            let j = ridge_jumps([around.s, around.j], s)[jump];
+            let j = ridge_jumps([around.s, around.j], s, bench.question.landing)[jump];
             let later = if earlier { around.fit.shape[slot] - guess[slot] } else { 0.0 };
             let start = bench.question.moved_start(around.start, later);
             let Some(found) = bench.fit(s, j, start, &[guess], Effort::of(1)) else { break };

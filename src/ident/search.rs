@@ -8,11 +8,10 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
 use super::bank::{BINS, Bank, Glance};
-use super::candidate::{Bench, Candidate, Effort, MIN_SLIPS, Question, Start, freedom};
+use super::candidate::{Bench, Candidate, Effort, Landing, MIN_SLIPS, Question, Start, freedom};
 use super::class::Class;
 use super::fit::Fitted;
 use crate::optim::Objective;
-use crate::optim::local::on_triangle;
 use crate::sim::slips::{Law, Sequence};
 
 /// Boxes a period of the first looks.
@@ -100,7 +99,7 @@ impl<'a> Look<'a> {
         if v.slips < MIN_SLIPS {
             return f64::INFINITY;
         }
-        let freedom = freedom(v, s, j, 1.0, q.limits);
+        let freedom = freedom(v, [s, j], 1.0, q.limits, q.landing);
         self.evaluations += 1;
         let glances = self.bank.look(&v.at, &v.direction, &freedom, self.signs);
         let (s_cell, j_cell) = (v.s_cell, v.j_cell);
@@ -157,15 +156,16 @@ impl Look<'_> {
 impl Look<'_> {
     /// Straight looks through each of `from`: along s, along s with j in proportion, along j.
     pub fn cross(&mut self, from: &[Candidate]) {
+        let landing = self.question.landing;
         for c in from {
             for k in -24..=24 {
                 let s = (c.s * (1.0 + 0.008 * f64::from(k))).min(1.0);
-                self.ask(s, c.j.min(s), c.start);
+                self.ask(s, landing.keep(s, c.j), c.start);
                 self.ask(s, c.j / c.s * s, c.start);
             }
             for k in 0..36 {
                 let j = c.s * libm::pow(0.03, f64::from(k) / 36.0);
-                self.ask(c.s, j, c.start);
+                self.ask(c.s, landing.jump(c.s, j), c.start);
             }
         }
     }
@@ -177,6 +177,7 @@ impl Objective for Look<'_> {
         if s < 1e-4 {
             return f64::INFINITY;
         }
+        let j = self.question.landing.jump(s, j);
         // Where the stem stood before matters only while there are few slips.
         let first = self.question.starts(0.5 * (s + j), 1);
         let cost = first.iter().map(|start| self.ask(s, j, *start)).fold(f64::INFINITY, f64::min);
@@ -206,7 +207,7 @@ pub fn beam(pool: &[Candidate], overall: usize, each: usize) -> Vec<Candidate> {
     for third in 0..3 {
         let mut taken = 0;
         for c in &order {
-            let here = (3.0 * c.j / c.s).floor().clamp(0.0, 2.0) as i32 == third;
+            let here = (3.0 * c.j.min(c.s) / c.j.max(c.s)).floor().clamp(0.0, 2.0) as i32 == third;
             if here && taken < each && apart(&chosen, c) {
                 chosen.push(**c);
                 taken += 1;
@@ -254,7 +255,7 @@ fn step(question: &Question, from: &Candidate, fine: bool, rng: &mut ChaCha8Rng)
             s = moved(s, from.s_cell, sigma * s, rng);
         }
         if kind >= 0.25 {
-            j = moved(j, from.j_cell, 4.0 * sigma * s, rng);
+            j = moved(j, from.j_cell, 4.0 * sigma * s.max(j), rng);
         }
         if uniform(rng) < 0.15 {
             // The cost has kinks at whole lags.
@@ -268,7 +269,7 @@ fn step(question: &Question, from: &Candidate, fine: bool, rng: &mut ChaCha8Rng)
         // Along the ridge: an earlier slip and a longer lag look alike.
         lag = 3.0 * uniform(rng) * normal(rng);
         s -= lag * question.rate;
-        j = ridge_jumps([from.s, from.j], s)[(4.0 * uniform(rng)) as usize];
+        j = ridge_jumps([from.s, from.j], s, question.landing)[(4.0 * uniform(rng)) as usize];
         if uniform(rng) < 0.5 {
             // All slips come earlier, the first one too.
             start = question.moved_start(start, -lag);
@@ -290,15 +291,16 @@ fn step(question: &Question, from: &Candidate, fine: bool, rng: &mut ChaCha8Rng)
     } else {
         start.place = uniform(rng);
     }
-    let [s, j] = on_triangle([s, j]);
+    let s = s.clamp(0.0, 1.0);
+    let j = question.landing.keep(s, j);
     Step { s, j, start, lag }
 }
 
 /// Jumps that may go with another s on the ridge where an earlier slip and a longer lag look alike: the same, the same
 /// share of s, the same fd, and the same fs (the stem then stands farther from where OP turns by as much).
-pub(super) fn ridge_jumps([from_s, from_j]: [f64; 2], s: f64) -> [f64; 4] {
+pub(super) fn ridge_jumps([from_s, from_j]: [f64; 2], s: f64, landing: Landing) -> [f64; 4] {
     let moved = s - from_s;
-    [from_j, from_j / from_s * s, from_j + moved, from_j - moved].map(|j| j.clamp(0.0, s.max(0.0)))
+    [from_j, from_j / from_s * s, from_j + moved, from_j - moved].map(|j| landing.keep(s, j))
 }
 
 /// A value just across an edge of its cell (30 %), else a normal step.

@@ -1,6 +1,6 @@
 //! A gain that grows or falls with time: by the same amount in every hour (fouling), or by the same share (wear, decay).
 
-use super::{Effect, MARGIN, Param, Reach, Stage, Unit, Way, nothing};
+use super::{Effect, Param, Reach, Stage, Unit, WIDE_MARGIN, Way, nothing};
 use crate::gap::plan::Drift;
 
 /// As the catalogue has it.
@@ -15,7 +15,8 @@ pub const EFFECT: Effect = Effect {
     enter: |p, plan| plan.drift = Some(Drift { change: p[0], by_factor: p[1] > 0.5 }),
     starts: |_| [-0.4, 0.4].into_iter().flat_map(|c| [[c, 0.0, 0.0], [c, 1.0, 0.0]]).collect(),
     linear: nothing,
-    margin: MARGIN,
+    // Its level is free, so it imitates a ramp: it must not be preferred to one.
+    margin: WIDE_MARGIN,
     predictable: true,
     confused_with: &["static_nonlinearity", "dead_time_change"],
     separated_by: "the same step of OP early and late",

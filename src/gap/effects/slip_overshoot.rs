@@ -13,7 +13,7 @@ pub const EFFECT: Effect = Effect {
         plan.overshoot = true;
         plan.stroke.carried = p[0];
     },
-    starts: |_| vec![[0.0; 3], [0.5, 0.0, 0.0]],
+    starts: |_| vec![[0.0; 3], [0.3, 0.0, 0.0], [0.5, 0.0, 0.0], [0.7, 0.0, 0.0]],
     linear: nothing,
     margin: MARGIN,
     predictable: true,
