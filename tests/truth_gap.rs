@@ -195,6 +195,34 @@ fn a_heavy_stem_is_followed_by_its_own_law_and_not_without_its_mass() {
 }
 
 #[test]
+fn stems_that_no_pair_of_bands_imitates_are_found_from_nothing() {
+    let moves = |fd_over_fs: f64, stroke: Stroke, m: LoopModel| {
+        let fd = fd_over_fs * m.valve.fs;
+        LoopModel { valve: ValveModel { fd, stroke, ..m.valve }, ..m }
+    };
+    let uneven = |uneven: f64| Stroke { uneven, ..Stroke::FREE };
+    let heavy = |carried: f64| Stroke { carried, ..Stroke::FREE };
+    let cases = [
+        ("asymmetric_stiction", moves(0.5, uneven(0.35), plain(12))),
+        ("asymmetric_stiction", moves(0.4, uneven(-0.55), plain(13))),
+        ("slip_overshoot", moves(-0.4, heavy(0.6), plain(9))),
+        ("slip_overshoot", moves(-0.25, heavy(0.2), plain(14))),
+    ];
+    let mut right = 0;
+    for (seed, (id, model)) in cases.into_iter().enumerate() {
+        let noise = model.pv_noise_sd;
+        let found = told(model, 900, seed as u64 + 1);
+        let own = found.effects.iter().find(|e| e.id == id).and_then(|e| e.fit.as_ref()).unwrap();
+        println!(
+            "{id}: {:?}, base leaves {} of {noise}, with it {}",
+            found.cause, found.base.rmse_train, own.rmse_train
+        );
+        right += usize::from(found.cause.id == id && own.rmse_train < 1.15 * noise);
+    }
+    assert!(right >= 3, "{right} of 4");
+}
+
+#[test]
 fn answers_depend_on_the_work_and_not_on_who_does_it() {
     let loop_record = record(plain(7), 400, 7);
     let ask = Ask { budget_evaluations: 60_000, ..Ask::default() };

@@ -10,7 +10,6 @@ use super::plan::{Gene, MAX_PARAMS, Plan};
 use super::scene::Scene;
 use crate::ident::bank::{BINS, Bank, Glance, bin_edge};
 use crate::ident::candidate::{MIN_SLIPS, Question, freedom};
-use crate::ident::fit::Freedom;
 use crate::signal::detrend::{box_means, high_pass};
 use crate::sim::actuator::lag_path;
 use crate::sim::slips::{FirstSlip, Sequence};
@@ -18,9 +17,8 @@ use crate::sim::slips::{FirstSlip, Sequence};
 /// Sizes of s on a logarithmic scale from [`LEAST`] spans to one span.
 const SIZES: usize = 90;
 const LEAST: f64 = 0.02;
-/// j over s, of stems that stop short of OP and of those that jump beyond it.
+/// j over s, of stems that stop short of OP.
 const SHARES: [f64; 7] = [0.03, 0.1, 0.2, 0.35, 0.55, 0.75, 0.95];
-const BEYOND: [f64; 5] = [1.08, 1.3, 1.7, 2.4, 4.0];
 /// Turns of the stem below which several starts are looked at.
 const FEW_REVERSALS: usize = 10;
 /// Measures: PV, its differences, its fast part.
@@ -64,10 +62,9 @@ pub fn look(
     let mut count = 0;
     let mut before: Option<([[f64; 2]; 2], FirstSlip)> = None;
     let behind = plan.follows() || plan.bend != 0.0;
-    let shares: &[f64] = if plan.overshoot { &BEYOND } else { &SHARES };
     for size in 0..SIZES {
         let s = libm::pow(LEAST, 1.0 - size as f64 / (SIZES - 1) as f64);
-        for share in shares {
+        for share in SHARES {
             let j = share * s;
             let starts = question.starts(0.5 * (s + j), 3);
             for (which, start) in starts.into_iter().enumerate() {
@@ -82,7 +79,7 @@ pub fn look(
                 }
                 before = Some(([sequence.s_cell, sequence.j_cell], first));
                 count += 1;
-                let mut free = band(&sequence, plan, s, j, sign, &question);
+                let mut free = freedom(&sequence, [s, j], sign, question.limits, question.landing);
                 if behind {
                     put_behind(plan, &mut sequence, 0.5 * (s - j), points as f64);
                     free.fd = [0.0; 2];
@@ -133,14 +130,6 @@ pub fn led(scene: &Scene, plan: &Plan) -> Question {
         question.records = Question::records_of(&question.path);
     }
     question
-}
-
-fn band(sequence: &Sequence, plan: &Plan, s: f64, j: f64, sign: f64, question: &Question) -> Freedom {
-    if plan.overshoot {
-        let fd = 0.5 * (s - j);
-        return Freedom { fd: [1.3 * fd, 0.7 * fd], fd_default: fd, sign, limits: question.limits };
-    }
-    freedom(sequence, [s, j], sign, question.limits, question.landing)
 }
 
 fn seen(scene: &Scene, [s, j, fd]: [f64; 3], first: FirstSlip, glance: &Glance, p: [f64; MAX_PARAMS]) -> Option<Seen> {

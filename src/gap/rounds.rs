@@ -13,7 +13,7 @@ use super::kernel::{Kernel, Scored};
 use super::plan::{Gene, MAX_PARAMS, Plan, Recipe};
 use super::scene::{Scene, View};
 use super::search::{Effort, Lane, MIDDLE, NARROW, SMALL, WIDE, cross, frictionless, hunt};
-use super::slips::{right_slips, right_slips_of_starts};
+use super::slips::{FOLLOW, right_slips, right_slips_of_starts};
 use super::types::{Crew, Stage};
 use crate::ident::class::Class;
 use crate::ident::residual;
@@ -303,10 +303,11 @@ fn cross_pollinate(scene: &Scene, base: &mut Lane, lanes: &mut Vec<Lane>, work: 
 fn look_for_other_slips(scene: &Scene, lanes: &mut [Lane], floor: Option<f64>, work: &mut Work<'_>) {
     let at: Vec<usize> =
         (0..lanes.len()).filter(|i| plans_of(&lanes[*i]).any(|plan| makes_other_slips(&plan))).collect();
-    if at.is_empty() || !work.goes_on() || lanes.iter().any(|lane| is_at_floor(scene, lane, floor)) {
+    let responses = work.part(OF_OTHER_SLIPS) / at.len().max(1) as u64;
+    let is_explained = || lanes.iter().any(|lane| is_at_floor(scene, lane, floor));
+    if at.is_empty() || responses < FOLLOW / 2 || !work.goes_on() || is_explained() {
         return;
     }
-    let responses = work.part(OF_OTHER_SLIPS) / at.len() as u64;
     let (allowed, seed) = (work.allowed(at.len()), work.seed);
     let made = work.all(at.len(), |i| {
         let mut lane = Lane { allowed, ..lanes[at[i]].clone() };

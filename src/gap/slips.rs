@@ -1,6 +1,6 @@
 //! The search for the right slips that `analyze` makes, for the base and for every effect that leaves more than noise.
 //!
-//! It knows the two laws, uneven bands, stops of the stem and a lag before it. What an effect does behind the stem is
+//! It knows the two laws, uneven bands, jumps beyond OP, stops of the stem and a lag before it. What an effect does behind the stem is
 //! taken out of PV as the lane has it so far, so that slips and effect are found in turn.
 
 use core::cell::RefCell;
@@ -21,7 +21,7 @@ use crate::sim::slips::Law;
 /// Starts of an effect that are followed to the end at most, of those that look best.
 const FOLLOWED: u64 = 4;
 /// Responses that following one to the end and climbing from there computes, about.
-const FOLLOW: u64 = 45_000;
+pub const FOLLOW: u64 = 45_000;
 
 /// Places for a lane with the parameters that belong to them, where other slips than its best ones may fit better, and
 /// the responses computed for it; nothing for a stem that knows no friction. With the parameters of the lane's best place,

@@ -327,3 +327,32 @@ impl Bank {
         (rest, system, [power(0), power(2)])
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ident::quantify::Options;
+    use crate::record::Record;
+
+    #[test]
+    fn products_with_pv_follow_from_lag_to_lag() {
+        let op: Vec<f64> =
+            (0..700).map(|k| libm::sin(f64::from(k) * 0.07) + 0.3 * libm::sin(f64::from(k) * 0.023)).collect();
+        let pv: Vec<f64> = op.iter().map(|x| 0.4 * x * x + x).collect();
+        let record = Record::uniform(1.0, op, pv);
+        let question = crate::ident::pose::pose(&record, &Options::default(), 2.0, 1.0);
+        for per_period in [20.0, 40.0] {
+            let mut bank = Bank::new(&question, per_period);
+            let at = box_means(&question.mean, bank.points);
+            let direction: Vec<f64> = at.iter().map(|x| x.signum()).collect();
+            bank.respond(&at, &direction);
+            bank.correlate(&at, &direction);
+            for (lag, found) in (bank.lags[0]..=bank.lags[1] + 1).zip(&bank.with_pv) {
+                let direct = bank.products_with(lag, &bank.pv[bank.from..]);
+                for (a, b) in direct.iter().flatten().zip(found.iter().flatten()) {
+                    assert!((a - b).abs() < 1e-9 * (1.0 + a.abs()), "{lag}: {a} {b}");
+                }
+            }
+        }
+    }
+}

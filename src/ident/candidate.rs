@@ -356,3 +356,33 @@ pub fn freedom(sequence: &Sequence, [s, j]: [f64; 2], sign: f64, limits: Limits,
     let high = (0.5 * (s_high - j_low)).max(low);
     Freedom { fd: [low, high], fd_default: (0.5 * (s - j)).clamp(low, high), sign, limits }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_landing_keeps_jumps_on_its_side_and_reaches_all_of_them() {
+        for (s, j) in [(0.4, 0.1), (0.4, 0.4), (0.02, 0.005)] {
+            assert_eq!(Landing::Short.jump(s, j), j);
+            let beyond = Landing::Beyond.jump(s, j);
+            assert!(beyond >= s && (Landing::Beyond.jump(s, beyond) - j).abs() < 1e-12);
+            assert_eq!(Landing::Beyond.keep(s, beyond), beyond);
+        }
+        assert_eq!(Landing::Short.keep(0.3, 0.5), 0.3);
+        assert_eq!(Landing::Beyond.keep(0.3, 0.1), 0.3);
+    }
+
+    #[test]
+    fn slips_beyond_op_leave_a_band_below_zero_open() {
+        let path: Vec<f64> = (0..600).map(|k| libm::sin(f64::from(k) * 0.05)).collect();
+        let mut sequence = Sequence::default();
+        let (s, j) = (0.3, 0.7);
+        sequence.run(Law::He, &path, 1, s, j, FirstSlip { direction: 1.0, threshold: 0.2 });
+        let limits = Limits { tau: [0.3, 500.0], lag: [0.0, 25.0] };
+        let open = freedom(&sequence, [s, j], 1.0, limits, Landing::Beyond);
+        assert!(open.fd[0] < -0.2 && open.fd[0] <= open.fd_default && open.fd_default <= open.fd[1], "{open:?}");
+        let short = freedom(&sequence, [s, 0.1], 1.0, limits, Landing::Short);
+        assert!(short.fd[0] >= 0.0);
+    }
+}
