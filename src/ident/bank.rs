@@ -197,8 +197,8 @@ impl Bank {
             if lag < greatest {
                 let own = [at, direction].map(|v| stats::dot(&v[self.from - lag..self.n - lag], y));
                 for (sums, own) in last.iter_mut().zip(own) {
-                    for lane in 0..LANES {
-                        sums[lane] = self.poles[lane] * sums[lane] + (1.0 - self.poles[lane]) * own;
+                    for (sum, pole) in sums.iter_mut().zip(self.poles) {
+                        *sum = pole * *sum + (1.0 - pole) * own;
                     }
                 }
             }
