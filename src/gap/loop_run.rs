@@ -92,8 +92,8 @@ fn cycle(op: &[f64], pv: &[f64], point_s: f64) -> Cycle {
     }
 }
 
-/// What a model's effects make of the stem, for a simulation in scans of `ts_s`; the id of the first effect that acts elsewhere than
-/// in the stem's motion, or in time constants that the model itself has.
+/// What a model's effects make of the stem, for a simulation in scans of `ts_s`; the id of the first effect that acts
+/// elsewhere than in the stem's motion, or in time constants that the model itself has.
 ///
 /// # Errors
 /// The id of an effect that has no place there.

@@ -1,7 +1,7 @@
 //! The search for the right slips that `analyze` makes, for the base and for every effect that leaves more than noise.
 //!
-//! It knows the two laws, uneven bands, jumps beyond OP, stops of the stem and a lag before it. What an effect does behind the stem is
-//! taken out of PV as the lane has it so far, so that slips and effect are found in turn.
+//! It knows the two laws, uneven bands, jumps beyond OP, stops of the stem and a lag before it. What an effect does behind
+//! the stem is taken out of PV as the lane has it so far, so that slips and effect are found in turn.
 
 use core::cell::RefCell;
 
