@@ -4,7 +4,7 @@ use super::answer::INTEGRATOR_SCALE;
 use super::kernel::{Kernel, Scored};
 use super::model::{Added, Model, Process, SCHEMA, Valve};
 use super::noise;
-use super::plan::Recipe;
+use super::plan::{Gene, Recipe};
 use super::scene::Scene;
 use super::search::Lane;
 use super::types::{Fit, Parameter, Slip};
@@ -14,6 +14,8 @@ use crate::sim::slips::Law;
 
 /// Training error over the floor up to which a fit counts as having reached it.
 const AT_FLOOR: f64 = 1.05;
+/// Steps from the fitted fd to that of the slips.
+const STEPS: i32 = 8;
 
 /// Root of the mean of `residual` squared over stretches.
 #[must_use]
@@ -40,6 +42,29 @@ fn bands(of: &Scored) -> [f64; 2] {
     [s - fd, fd]
 }
 
+/// fs and fd in spans of a stem whose slips hang on both bands at once, so that no rectangle of s and j gives the same:
+/// of places between the slips found and the fd fitted, the one whose model, where `j = s - 2 fd`, leaves least.
+fn tied_bands(scene: &Scene, recipe: &Recipe, of: &Scored) -> [f64; 2] {
+    let mut kernel = Kernel::new(scene, of.linear.gain.signum());
+    let slips_fd = 0.5 * (of.gene.s - of.gene.j);
+    let [fs, fd] = bands(of);
+    let mut places = vec![[fs + fd, fd]];
+    for k in 0..=STEPS {
+        let fd = of.gene.fd + (slips_fd - of.gene.fd) * f64::from(k) / f64::from(STEPS);
+        let by_j = of.gene.j + 2.0 * fd;
+        places.extend([of.gene.s, by_j, 0.5 * (of.gene.s + by_j)].map(|s| [s, fd]));
+    }
+    let mut best = (f64::INFINITY, [fs, fd]);
+    for [s, fd] in places {
+        let gene = Gene { s, j: s - 2.0 * fd, fd, ..of.gene };
+        let left = kernel.held(recipe, &gene, of.linear.gain).map_or(f64::INFINITY, |held| held.sse);
+        if left < best.0 {
+            best = (left, [s - fd, fd]);
+        }
+    }
+    best.1
+}
+
 /// The model of a place.
 #[must_use]
 pub fn model(scene: &Scene, recipe: &Recipe, of: &Scored) -> Model {
@@ -56,7 +81,12 @@ pub fn model(scene: &Scene, recipe: &Recipe, of: &Scored) -> Model {
         }
         (false, false) => vec![tau],
     };
-    let [fs, fd] = if plan.law.is_some() { bands(of) } else { [0.0; 2] };
+    let is_tied = plan.stroke.uneven != 0.0 || plan.stroke.carried != 0.0;
+    let [fs, fd] = match plan.law {
+        None => [0.0; 2],
+        Some(_) if is_tied => tied_bands(scene, recipe, of),
+        Some(_) => bands(of),
+    };
     let law = match plan.law {
         None => "none",
         Some(Law::He) => "he",
