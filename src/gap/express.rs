@@ -55,7 +55,7 @@ fn tied_bands(scene: &Scene, recipe: &Recipe, of: &Scored) -> [f64; 2] {
         places.extend([of.gene.s, by_j, 0.5 * (of.gene.s + by_j)].map(|s| [s, fd]));
     }
     let mut best = (f64::INFINITY, [fs, fd]);
-    for [s, fd] in places {
+    for [s, fd] in places.into_iter().filter(|[s, fd]| *s > 0.0 && *s >= 2.0 * fd) {
         let gene = Gene { s, j: s - 2.0 * fd, fd, ..of.gene };
         let left = kernel.held(recipe, &gene, of.linear.gain).map_or(f64::INFINITY, |held| held.sse);
         if left < best.0 {

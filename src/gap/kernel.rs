@@ -8,7 +8,7 @@ use super::answer::Process;
 use super::moves::{From, clamped, movable};
 use super::plan::{Gene, MAX_PARAMS, Plan, Recipe};
 use super::scene::{Scene, View};
-use crate::ident::candidate::{Landing, MIN_SLIPS, freedom};
+use crate::ident::candidate::{MIN_SLIPS, freedom};
 use crate::ident::fit::{Freedom, best_band};
 use crate::ident::least_squares::Gram;
 use crate::sim::actuator::lag_path;
@@ -253,8 +253,7 @@ impl<'a> Kernel<'a> {
 
     /// The values of fd that the slips at hand leave open.
     fn band_of(&self, plan: &Plan, gene: &Gene) -> Freedom {
-        let landing = if plan.overshoot { Landing::Beyond } else { Landing::Short };
-        freedom(&self.sequence, [gene.s, gene.j], self.sign, self.scene.question.limits, landing)
+        freedom(&self.sequence, [gene.s, gene.j], self.sign, self.scene.question.limits, plan.landing())
     }
 
     /// The best linear part at one place; `None` where the stem hardly moves, no gain of the sign helps, or the limit is

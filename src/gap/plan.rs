@@ -5,6 +5,7 @@
 //! and what disturbs PV. A [`Plan`] says which blocks are there; every block left at its neutral value is the base.
 
 use super::effects::{Effect, Unit};
+use crate::ident::candidate::Landing;
 use crate::ident::class::Class;
 use crate::sim::actuator::{play_step, rate_step, stop_step};
 use crate::sim::slips::{FirstSlip, Law, Stroke};
@@ -73,6 +74,12 @@ pub struct Plan {
 }
 
 impl Plan {
+    /// Where its slips end.
+    #[must_use]
+    pub const fn landing(&self) -> Landing {
+        if self.overshoot { Landing::Beyond } else { Landing::Short }
+    }
+
     /// The base with a valve law, or without friction.
     #[must_use]
     pub const fn base(law: Option<Law>) -> Self {

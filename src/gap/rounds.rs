@@ -146,7 +146,7 @@ pub fn base(scene: &Scene, law: Option<Law>, floor: Option<f64>, work: &mut Work
             break;
         }
         let seed = work.seed.wrapping_add(round << 32);
-        let looked = work.all(1, |_| right_slips(scene, &base, &[0.0; MAX_PARAMS], seed));
+        let looked = work.all(1, |_| right_slips(scene, &base, seed));
         let Some((places, count)) = looked.into_iter().next() else { break };
         work.done += count;
         let allowed = work.allowed(1);
@@ -200,19 +200,15 @@ fn base_once(scene: &Scene, law: Option<Law>, work: &mut Work<'_>) -> Option<(La
 /// Whether a lane is at the floor and leaves white noise that does not follow OP.
 #[must_use]
 pub fn is_calm(scene: &Scene, lane: &Lane, floor: Option<f64>) -> bool {
-    if !is_at_floor(scene, lane, floor) {
-        return false;
-    }
-    let Some(left) = residual_of(scene, lane) else { return false };
+    let Some(left) = residual_of(scene, lane).filter(|left| reaches(scene, left, floor)) else { return false };
     let from = scene.blocks.from;
     let whiteness = residual::whiteness(&left[from..], &scene.question.mean[from..]);
     whiteness.white && !whiteness.follows_op
 }
 
-/// Whether a lane's error is at the floor, whatever it leaves there.
-fn is_at_floor(scene: &Scene, lane: &Lane, floor: Option<f64>) -> bool {
-    let (Some(floor), Some(left)) = (floor, residual_of(scene, lane)) else { return false };
-    rms(&left, &scene.train) * scene.deviation <= CALM * floor
+/// Whether what is left is at the floor, white or not.
+fn reaches(scene: &Scene, left: &[f64], floor: Option<f64>) -> bool {
+    floor.is_some_and(|floor| rms(left, &scene.train) * scene.deviation <= CALM * floor)
 }
 
 /// What a lane's best place leaves of PV at each point, deviations.
@@ -304,22 +300,34 @@ fn look_for_other_slips(scene: &Scene, lanes: &mut [Lane], floor: Option<f64>, w
     let at: Vec<usize> =
         (0..lanes.len()).filter(|i| plans_of(&lanes[*i]).any(|plan| makes_other_slips(&plan))).collect();
     let responses = work.part(OF_OTHER_SLIPS) / at.len().max(1) as u64;
-    let is_explained = || lanes.iter().any(|lane| is_at_floor(scene, lane, floor));
-    if at.is_empty() || responses < FOLLOW / 2 || !work.goes_on() || is_explained() {
+    let explains = |lane: &Lane| residual_of(scene, lane).is_some_and(|left| reaches(scene, &left, floor));
+    if at.is_empty() || responses < FOLLOW / 2 || !work.goes_on() || lanes.iter().any(explains) {
         return;
     }
-    let (allowed, seed) = (work.allowed(at.len()), work.seed);
+    let seed = work.seed;
+    go_on(lanes, &at, work, &|lane| {
+        let (genes, count) = right_slips_of_starts(scene, lane, responses, seed);
+        hunt(scene, lane, &[], &genes, &MIDDLE, seed);
+        lane.evaluations += count;
+    });
+}
+
+/// More work for the lanes at these places. Says whether one of them gained from it.
+fn go_on(lanes: &mut [Lane], at: &[usize], work: &mut Work<'_>, job: &(dyn Fn(&mut Lane) + Sync)) -> bool {
+    let allowed = work.allowed(at.len());
     let made = work.all(at.len(), |i| {
         let mut lane = Lane { allowed, ..lanes[at[i]].clone() };
-        let (genes, count) = right_slips_of_starts(scene, &lane, responses, seed);
-        hunt(scene, &mut lane, &[], &genes, &MIDDLE, seed);
-        lane.evaluations += count;
+        job(&mut lane);
         lane
     });
-    for (at, lane) in at.into_iter().zip(made) {
-        work.done += lane.evaluations - lanes[at].evaluations;
-        lanes[at] = lane;
+    let mut gains = false;
+    for (at, lane) in at.iter().zip(made) {
+        let before = &mut lanes[*at];
+        work.done += lane.evaluations - before.evaluations;
+        gains |= lane.sse() < (1.0 - NO_GAIN) * before.sse();
+        *before = lane;
     }
+    gains
 }
 
 /// The plans of all starts of a lane.
@@ -336,21 +344,12 @@ fn look_again(scene: &Scene, lanes: &mut [Lane], floor: Option<f64>, round: u64,
     if order.first().is_none_or(|best| is_calm(scene, &lanes[*best], floor)) || !work.goes_on() {
         return false;
     }
-    let (allowed, seed) = (work.allowed(order.len()), work.seed.wrapping_add((AGAIN + round) << 32));
-    let made = work.all(order.len(), |i| {
-        let mut lane = Lane { allowed, ..lanes[order[i]].clone() };
-        let (places, count) = right_slips(scene, &lane, &[0.0; MAX_PARAMS], seed);
-        hunt(scene, &mut lane, &places, &places, &WIDE, seed);
+    let seed = work.seed.wrapping_add((AGAIN + round) << 32);
+    go_on(lanes, &order, work, &|lane| {
+        let (places, count) = right_slips(scene, lane, seed);
+        hunt(scene, lane, &places, &places, &WIDE, seed);
         lane.evaluations += count;
-        lane
-    });
-    let mut gains = false;
-    for (at, lane) in order.into_iter().zip(made) {
-        work.done += lane.evaluations - lanes[at].evaluations;
-        gains |= lane.sse() < (1.0 - NO_GAIN) * lanes[at].sse();
-        lanes[at] = lane;
-    }
-    gains
+    })
 }
 
 /// Places of the base's first look with what a load's own clues say of the residual there: the residual of the wrong
@@ -402,7 +401,7 @@ fn own_look(scene: &Scene, lane: &Lane, looked: &[Gene], most: usize, seed: u64)
         }
         if plan.class() != Class::First {
             // Another process is looked for by the search that knows it, once.
-            let (found, n) = if i == 0 && most > 1 { right_slips(scene, lane, p, seed) } else { (Vec::new(), 0) };
+            let (found, n) = if i == 0 && most > 1 { right_slips(scene, lane, seed) } else { (Vec::new(), 0) };
             genes.extend(found);
             count += n;
             continue;

@@ -10,7 +10,7 @@ use super::kernel::Kernel;
 use super::plan::{Gene, MAX_PARAMS};
 use super::scene::Scene;
 use super::search::{Lane, MIDDLE, hunt};
-use crate::ident::candidate::{Candidate, Landing, Question};
+use crate::ident::candidate::{Candidate, Question};
 use crate::ident::class::Class;
 use crate::ident::fit::Target;
 use crate::ident::hunt::{Ground, Rival, Scouted, hunt as follow, scout};
@@ -25,10 +25,11 @@ pub const FOLLOW: u64 = 45_000;
 
 /// Places for a lane with the parameters that belong to them, where other slips than its best ones may fit better, and
 /// the responses computed for it; nothing for a stem that knows no friction. With the parameters of the lane's best place,
-/// or those of `start` before it has one.
+/// or of its first start before it has one.
 #[must_use]
-pub fn right_slips(scene: &Scene, lane: &Lane, start: &[f64; MAX_PARAMS], seed: u64) -> (Vec<Gene>, u64) {
-    let Some(posed) = posed(scene, lane, start) else { return (Vec::new(), 0) };
+pub fn right_slips(scene: &Scene, lane: &Lane, seed: u64) -> (Vec<Gene>, u64) {
+    let p = lane.best.first().map(|b| &b.gene.p).or(lane.starts.first());
+    let Some(posed) = p.and_then(|p| posed(scene, lane, p)) else { return (Vec::new(), 0) };
     let signs = [lane.sign];
     posed.follow(&posed.scout(&signs, seed), seed)
 }
@@ -64,24 +65,22 @@ struct Posed {
     p: [f64; MAX_PARAMS],
 }
 
-fn posed(scene: &Scene, lane: &Lane, start: &[f64; MAX_PARAMS]) -> Option<Posed> {
-    let best = lane.best.first();
-    let p = best.map_or(*start, |b| b.gene.p);
-    let plan = lane.recipe.plan_of(&p);
+fn posed(scene: &Scene, lane: &Lane, p: &[f64; MAX_PARAMS]) -> Option<Posed> {
+    let plan = lane.recipe.plan_of(p);
     let law = plan.law?;
-    let added = match best {
+    let added = match lane.best.first() {
         Some(best) => Kernel::new(scene, lane.sign).added(&lane.recipe, best)?,
         None => Vec::new(),
     };
     let mut question = led(scene, &plan);
     question.stroke = plan.stroke;
-    question.landing = if plan.overshoot { Landing::Beyond } else { Landing::Short };
+    question.landing = plan.landing();
     for (y, a) in question.pv.iter_mut().zip(&added) {
         *y -= a;
     }
     let mean = stats::mean(&question.pv);
     question.pv.iter_mut().for_each(|y| *y -= mean);
-    Some(Posed { question, law, class: plan.class(), p })
+    Some(Posed { question, law, class: plan.class(), p: *p })
 }
 
 impl Posed {
