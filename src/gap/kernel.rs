@@ -527,4 +527,4 @@ fn course(out: &mut Vec<f64>, n: usize, from: usize, a: f64) {
 }
 
 #[cfg(test)]
-mod tests;
+pub mod tests;

@@ -3,7 +3,7 @@
 use super::effects::Reach;
 use super::plan::{Gene, MAX_PARAMS, Plan, Recipe};
 use super::scene::Scene;
-use crate::ident::candidate::MOST_OVERSHOOT;
+use crate::ident::candidate::{Landing, MOST_OVERSHOOT};
 
 /// Longest step in the logarithm of a time constant.
 const LOG_STEP: f64 = 0.7;
@@ -100,14 +100,16 @@ pub fn clamped(recipe: &Recipe, mut gene: Gene, scene: &Scene) -> Gene {
         let [low, high] = param.bounds(scene);
         *value = value.clamp(low, high);
     }
-    let overshoot = recipe.each().any(|e| e.id == "slip_overshoot");
     gene.s = gene.s.clamp(1e-4, 1.5);
-    if overshoot {
-        gene.j = gene.j.clamp(0.0, 39.0 * gene.s);
-        gene.fd = gene.fd.clamp(-MOST_OVERSHOOT * 0.5 * (gene.s + gene.j), 0.5 * gene.s);
-    } else {
-        gene.j = gene.j.clamp(0.0, gene.s);
-        gene.fd = gene.fd.clamp(0.0, 0.5 * gene.s);
+    match recipe.plan(&gene).landing() {
+        Landing::Beyond => {
+            gene.j = gene.j.clamp(0.0, 39.0 * gene.s);
+            gene.fd = gene.fd.clamp(-MOST_OVERSHOOT * 0.5 * (gene.s + gene.j), 0.5 * gene.s);
+        }
+        Landing::Short => {
+            gene.j = gene.j.clamp(0.0, gene.s);
+            gene.fd = gene.fd.clamp(0.0, 0.5 * gene.s);
+        }
     }
     gene
 }

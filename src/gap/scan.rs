@@ -22,9 +22,6 @@ pub fn scan(kernel: &mut Kernel<'_>, recipe: &Recipe, from: &Scored, rng: &mut C
     let mut out = Vec::new();
     for (i, param) in recipe.params().enumerate() {
         if param.unit == Unit::Choice {
-            let mut gene = from.gene;
-            gene.p[i] = 1.0 - gene.p[i].round();
-            out.push(gene);
             continue;
         }
         let [low, high] = param.bounds(kernel.scene);
@@ -50,4 +47,29 @@ pub fn scan(kernel: &mut Kernel<'_>, recipe: &Recipe, from: &Scored, rng: &mut C
         }
     }
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gap::effects;
+    use crate::gap::kernel::tests::made_by;
+    use crate::ident::search::generator;
+    use crate::sim::slips::Law;
+
+    #[test]
+    fn play_far_from_where_the_search_stands_is_seen() {
+        let recipe = Recipe::with(Some(Law::He), effects::by_id("backlash").unwrap());
+        let (scene, truth) = made_by(&recipe, [0.15, 0.0, 0.0, 0.0, 0.0, 0.0]);
+        let mut kernel = Kernel::new(&scene, 1.0);
+        // Most of the play taken for dead band.
+        let mut gene = truth;
+        gene.p[0] = 0.02;
+        recipe.trade(&mut gene, 0, gene.p[0] - truth.p[0], scene.question.rate);
+        let from = kernel.evaluate(&recipe, &gene, View::Plain).unwrap();
+        let found = scan(&mut kernel, &recipe, &from, &mut generator(1, 1));
+        let best = found.iter().filter_map(|g| kernel.evaluate(&recipe, g, View::Plain));
+        let best = best.min_by(|a, b| a.sse.total_cmp(&b.sse)).unwrap();
+        assert!((best.gene.p[0] - 0.15).abs() < 0.02 && best.sse < 0.2 * from.sse, "{best:?} {from:?}");
+    }
 }

@@ -199,24 +199,50 @@ impl Scene {
     fn fast(&self, x: &[f64], out: &mut Vec<f64>) {
         let n = x.len();
         let half = ((0.5 * self.period) as usize).clamp(1, n / 2);
-        let (mut low, mut high, mut sum) = (0, 0, 0.0);
-        for [from, to] in &self.train {
-            for k in *from..*to {
-                let (first, last) = (k.saturating_sub(half), (k + half + 1).min(n));
-                if first >= high {
-                    (low, high, sum) = (first, first, 0.0);
-                }
-                while high < last {
-                    sum += x[high];
-                    high += 1;
-                }
-                while low < first {
-                    sum -= x[low];
-                    low += 1;
-                }
-                out.push(x[k] - sum / (high - low) as f64);
+        let mut window = Window::default();
+        for &[from, to] in &self.train {
+            // Between the record's ends the window only moves on, a point at a time.
+            let first = (from + 1).max(half + 1).min(to);
+            let last = (n - half).clamp(first, to);
+            out.extend((from..first).map(|k| x[k] - window.mean(x, k, half)));
+            if first < last {
+                let (ahead, behind) = (&x[first + half..last + half], &x[first - 1 - half..last - 1 - half]);
+                let (mut sum, count) = (window.sum, (2 * half + 1) as f64);
+                out.extend(x[first..last].iter().zip(ahead).zip(behind).map(|((x, new), old)| {
+                    sum += new;
+                    sum -= old;
+                    x - sum / count
+                }));
+                window = Window { low: last - 1 - half, high: last + half, sum };
             }
+            out.extend((last..to).map(|k| x[k] - window.mean(x, k, half)));
         }
+    }
+}
+
+/// A sum over a window that moves on.
+#[derive(Default)]
+struct Window {
+    low: usize,
+    high: usize,
+    sum: f64,
+}
+
+impl Window {
+    /// The mean of `half` values to either side of value `k`, of what there is of them; later than the last time's.
+    fn mean(&mut self, x: &[f64], k: usize, half: usize) -> f64 {
+        let (first, last) = (k.saturating_sub(half), (k + half + 1).min(x.len()));
+        if first >= self.high {
+            *self = Self { low: first, high: first, sum: 0.0 };
+        }
+        for new in &x[self.high..last] {
+            self.sum += new;
+        }
+        for old in &x[self.low..first] {
+            self.sum -= old;
+        }
+        (self.low, self.high) = (first, last);
+        self.sum / (last - first) as f64
     }
 }
 
@@ -249,5 +275,23 @@ mod tests {
         assert_eq!(scene.target(View::Plain).len(), train);
         assert!(scene.train.iter().chain(&scene.test).all(|[a, b]| *b <= 300 || *a > 300));
         assert!((scene.period - 62.8).abs() < 1.0 && scene.oscillates);
+    }
+
+    #[test]
+    fn the_fast_part_is_what_a_period_around_each_point_does_not_have() {
+        let op: Vec<f64> = (0..900).map(|k| libm::sin(f64::from(k) * 0.1) + 0.01 * f64::from(k % 7)).collect();
+        let pv: Vec<f64> = op.iter().map(|u| u * u).collect();
+        let mut masked = vec![false; 900];
+        masked[450] = true;
+        let scene = Scene::new(&Record::uniform(1.0, op.clone(), pv), None, 1, masked);
+        let half = (0.5 * scene.period) as usize;
+        let mut fast = Vec::new();
+        scene.gather(&op, View::Fast, &mut fast);
+        let points = scene.train.iter().flat_map(|[a, b]| *a..*b);
+        assert_eq!(fast.len(), points.clone().count());
+        for (k, found) in points.zip(fast) {
+            let around = &op[k.saturating_sub(half)..(k + half + 1).min(900)];
+            assert!((found - (op[k] - stats::mean(around))).abs() < 1e-12, "at {k}");
+        }
     }
 }

@@ -5,12 +5,13 @@
 
 use rand_chacha::ChaCha8Rng;
 
+use super::effects::Unit;
 use super::kernel::{Kernel, Scored};
 use super::moves::clamped;
 use super::plan::{Gene, MAX_PARAMS, Recipe};
 use super::scan::scan;
 use super::scene::{Scene, View};
-use crate::ident::candidate::Question;
+use crate::ident::candidate::{Landing, Question};
 use crate::ident::search::{generator, moved, normal, uniform};
 use crate::sim::slips::FirstSlip;
 
@@ -88,23 +89,71 @@ pub const NARROW: Effort = Effort { views: [(2, 30), (1, 60)], plain: [(4, 50), 
 /// From what the other lanes have found.
 pub const SMALL: Effort = Effort { views: [(2, 20), (1, 30)], plain: [(3, 30), (1, 100), (1, 100)], scans: 0 };
 
-/// Looks at all genes with all of the lane's starts, and at `own` as they are, then improves the best.
+/// Looks at all genes with all of the lane's starts, and at `own` as they are, then improves the best; each way in which
+/// the effect may enter by itself, since the steps of one lead nowhere in another.
 pub fn hunt(scene: &Scene, lane: &mut Lane, genes: &[Gene], own: &[Gene], effort: &Effort, seed: u64) {
-    let mut kernel = Kernel::new(scene, lane.sign);
-    kernel.limit = lane.allowed;
     lane.stream += 1;
-    let mut rng = generator(seed, 100 + lane.stream);
-    let recipe = lane.recipe;
+    let mut forms: Vec<Form> = Vec::new();
+    let found_before = lane.best.iter().map(|b| &b.gene);
+    for p in lane.starts.iter().chain(found_before.chain(own).map(|gene| &gene.p)) {
+        let form = form_of(&lane.recipe, p);
+        if !forms.contains(&form) {
+            forms.push(form);
+        }
+    }
+    let mut held: Vec<Scored> = Vec::new();
+    let mut firsts: Vec<Scored> = Vec::new();
+    for (i, form) in forms.iter().enumerate() {
+        let mut kernel = Kernel::new(scene, lane.sign);
+        kernel.limit = lane.allowed / forms.len().max(1) as u64;
+        let mut rng = generator(seed, 100 + lane.stream + 500 * i as u64);
+        let of_form = |p: &[f64; MAX_PARAMS]| form_of(&lane.recipe, p) == *form;
+        let before: Vec<Scored> = lane.best.iter().filter(|b| of_form(&b.gene.p)).copied().collect();
+        let mut starts: Vec<[f64; MAX_PARAMS]> = lane.starts.iter().copied().filter(of_form).collect();
+        starts.extend(before.iter().take(2).map(|b| b.gene.p));
+        let own = own.iter().filter(|gene| of_form(&gene.p));
+        let with_starts = genes.iter().flat_map(|gene| starts.iter().map(|p| Gene { p: *p, ..*gene }));
+        let from: Vec<Gene> = with_starts.chain(own.copied()).collect();
+        let found = hunt_form(&mut kernel, &lane.recipe, &from, &before, effort, &mut rng);
+        lane.evaluations += kernel.evaluations;
+        firsts.extend(found.first());
+        held.extend(found);
+    }
+    // The best of each form stays, for the rounds to come.
+    lane.best = apart(held, KEPT);
+    for first in firsts {
+        let form = form_of(&lane.recipe, &first.gene.p);
+        if !lane.best.iter().any(|b| form_of(&lane.recipe, &b.gene.p) == form) {
+            lane.best.push(first);
+        }
+    }
+}
+
+/// Which of its alternatives an effect enters by, parameter by parameter.
+type Form = [bool; MAX_PARAMS];
+
+/// Which of the alternatives that a recipe knows these parameters choose.
+fn form_of(recipe: &Recipe, p: &[f64; MAX_PARAMS]) -> Form {
+    let mut form = [false; MAX_PARAMS];
+    for ((slot, param), value) in form.iter_mut().zip(recipe.params()).zip(p) {
+        *slot = param.unit == Unit::Choice && *value > 0.5;
+    }
+    form
+}
+
+/// The search for one form: the best places, best first.
+fn hunt_form(
+    kernel: &mut Kernel<'_>,
+    recipe: &Recipe,
+    from: &[Gene],
+    before: &[Scored],
+    effort: &Effort,
+    rng: &mut ChaCha8Rng,
+) -> Vec<Scored> {
     let mut pools: [Vec<Scored>; 3] = [Vec::new(), Vec::new(), Vec::new()];
-    let mut starts = lane.starts.clone();
-    starts.extend(lane.best.iter().take(2).map(|b| b.gene.p));
-    let with_starts = genes.iter().flat_map(|gene| starts.iter().map(move |p| (gene, *p)));
-    for (gene, p) in with_starts.chain(own.iter().map(|gene| (gene, gene.p))) {
-        let gene = Gene { p, ..*gene };
-        for gene in fitted_to(&recipe, gene, scene) {
-            for (pool, view) in pools.iter_mut().zip(View::ALL) {
-                pool.extend(kernel.evaluate(&recipe, &gene, view));
-            }
+    for gene in from.iter().flat_map(|gene| fitted_to(recipe, *gene, kernel.scene)) {
+        for (pool, view) in pools.iter_mut().zip(View::ALL) {
+            pool.extend(kernel.evaluate(recipe, &gene, view));
         }
     }
     let [plain, moves, fast] = pools;
@@ -112,32 +161,31 @@ pub fn hunt(scene: &Scene, lane: &mut Lane, genes: &[Gene], own: &[Gene], effort
     let [(wide, few), (narrow, some)] = effort.views;
     for (pool, view) in [(moves, View::Moves), (fast, View::Fast)] {
         let chosen = of_every_size(pool, wide);
-        let mut found: Vec<Scored> = chosen.into_iter().map(|c| kernel.improve(&recipe, c, view, 3)).collect();
+        let mut found: Vec<Scored> = chosen.into_iter().map(|c| kernel.improve(recipe, c, view, 3)).collect();
         for (count, steps) in [(wide, few), (narrow, some)] {
-            found = climbs(&mut kernel, &recipe, apart(found, count), view, steps, &mut rng);
+            found = climbs(kernel, recipe, apart(found, count), view, steps, rng);
         }
-        held.extend(found.iter().filter_map(|c| kernel.evaluate(&recipe, &c.gene, View::Plain)));
+        held.extend(found.iter().filter_map(|c| kernel.evaluate(recipe, &c.gene, View::Plain)));
     }
     held.extend(of_every_size(plain, effort.plain[0].0));
-    held = held.into_iter().map(|c| kernel.improve(&recipe, c, View::Plain, 3)).collect();
-    held.extend(lane.best.iter().copied());
+    held = held.into_iter().map(|c| kernel.improve(recipe, c, View::Plain, 3)).collect();
+    held.extend(before);
     for (round, (count, steps)) in effort.plain.into_iter().enumerate() {
         if round == 1 {
-            let far = scans(&mut kernel, &recipe, &held[..effort.scans.min(held.len())], &mut rng);
+            let far = scans(kernel, recipe, &held[..effort.scans.min(held.len())], rng);
             held.extend(far);
         }
-        held = climbs(&mut kernel, &recipe, apart(held.clone(), count), View::Plain, steps, &mut rng)
+        held = climbs(kernel, recipe, apart(held.clone(), count), View::Plain, steps, rng)
             .into_iter()
             .chain(held)
             .collect();
         held = apart(held, KEPT.max(count));
     }
     if let Some(first) = held.first().copied() {
-        let settled = settle(&mut kernel, &recipe, first);
+        let settled = settle(kernel, recipe, first);
         held.insert(0, settled);
     }
-    lane.best = apart(held, KEPT);
-    lane.evaluations += kernel.evaluations;
+    apart(held, KEPT)
 }
 
 /// Places from looks along every parameter, climbed by differences and then by the error.
@@ -179,7 +227,7 @@ fn of_every_size(pool: Vec<Scored>, wanted: usize) -> Vec<Scored> {
 
 /// A gene moved to where its recipe may stand; for a stem that may overshoot also the same way back and as far beyond.
 fn fitted_to(recipe: &Recipe, mut gene: Gene, scene: &Scene) -> Vec<Gene> {
-    if recipe.each().any(|e| e.id == "slip_overshoot") {
+    if recipe.plan(&gene).landing() == Landing::Beyond {
         // The base is among its models: it must never do worse.
         let mut out = vec![clamped(recipe, gene, scene)];
         if gene.j < gene.s {
@@ -318,12 +366,10 @@ fn step(scene: &Scene, recipe: &Recipe, from: &Scored, rng: &mut ChaCha8Rng) -> 
     let alone = kind >= 0.72;
     if params > 0 && (alone || uniform(rng) < 0.2) {
         let which = ((params as f64) * uniform(rng)) as usize;
-        if let Some(param) = recipe.params().nth(which) {
+        if let Some(param) = recipe.params().nth(which).filter(|p| p.unit != Unit::Choice) {
             let [low, high] = param.bounds(scene);
             let value = &mut gene.p[which];
-            if param.unit == super::effects::Unit::Choice {
-                *value = if *value > 0.5 { 0.0 } else { 1.0 };
-            } else if uniform(rng) < 0.08 {
+            if uniform(rng) < 0.08 {
                 *value = low + (high - low) * uniform(rng);
             } else {
                 *value += 0.25 * (high - low) * heavy(rng) * normal(rng);

@@ -1,5 +1,9 @@
 //! Location, spread and noise of a signal, plain and robust.
 
+/// Deviations from which on [`clipped_sd`] leaves a value out, and the variance of a unit normal cut there.
+const CLIP: f64 = 2.75;
+const LEFT_BY_CLIP: f64 = 0.949_685_6;
+
 /// Arithmetic mean; 0 for an empty slice.
 #[must_use]
 pub fn mean(x: &[f64]) -> f64 {
@@ -126,6 +130,24 @@ pub fn noise_sd(x: &[f64]) -> f64 {
     1.4826 * mad(&second) / 6.0_f64.sqrt()
 }
 
+/// Standard deviation of the normal part of `x` around zero, units of `x`: values beyond [`CLIP`] deviations are left out
+/// until none is left, starting from the median's. It varies a quarter less from record to record than 1.4826 MAD, and
+/// rare values many times as large pull less at it. 0 where the MAD is.
+#[must_use]
+pub fn clipped_sd(x: &[f64]) -> f64 {
+    const ROUNDS: usize = 10;
+    let mut sd = 1.4826 * mad(x);
+    for _ in 0..ROUNDS {
+        let (count, sum) =
+            x.iter().filter(|v| v.abs() <= CLIP * sd).fold((0_usize, 0.0), |(count, sum), v| (count + 1, sum + v * v));
+        if count == 0 {
+            break;
+        }
+        sd = (sum / count as f64 / LEFT_BY_CLIP).sqrt();
+    }
+    sd
+}
+
 /// Share of values that equal the one before, 0..1.
 #[must_use]
 pub fn repeat_share(x: &[f64]) -> f64 {
@@ -166,6 +188,17 @@ mod tests {
         assert_eq!(quantile(&x, 1.0), 4.0);
         assert_eq!(median(&[]), 0.0);
         assert_eq!(mad(&[1.0, 2.0, 3.0, 4.0, 100.0]), 1.0);
+    }
+
+    #[test]
+    fn a_clipped_deviation_is_that_of_the_normal_part() {
+        let mut noise = crate::sim::noise::Noise::new(3, 0);
+        let mut x: Vec<f64> = (0..20_000).map(|_| 0.7 * noise.gaussian()).collect();
+        assert!((clipped_sd(&x) / 0.7 - 1.0).abs() < 0.02, "{}", clipped_sd(&x));
+        x.iter_mut().step_by(50).for_each(|v| *v = 30.0);
+        assert!((clipped_sd(&x) / 0.7 - 1.0).abs() < 0.03, "{}", clipped_sd(&x));
+        assert_eq!(clipped_sd(&[0.0, 0.0, 0.0, 0.0, 5.0]), 0.0);
+        assert_eq!(clipped_sd(&[]), 0.0);
     }
 
     #[test]

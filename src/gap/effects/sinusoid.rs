@@ -1,5 +1,7 @@
 //! A sinusoid from outside, at a period of its own.
 
+use core::f64::consts::TAU;
+
 use super::{Clues, Effect, Param, Reach, Stage, Start, Unit, WIDE_MARGIN, Way};
 use crate::gap::kernel::Scored;
 use crate::gap::scene::Scene;
@@ -14,7 +16,8 @@ pub const EFFECT: Effect = Effect {
         name: "period",
         unit: Unit::Period,
         reach: Reach::Process,
-        limits: |s| [3.0 / s.n() as f64, 1.5],
+        // A whole period at least: less of one is a drift.
+        limits: |s| [TAU / s.n() as f64, 1.5],
     }],
     enter: |p, plan| plan.omega = Some(p[0]),
     starts,

@@ -8,16 +8,21 @@ use crate::sim::slips::{FirstSlip, Law};
 
 /// A record made by the base, and the gene that made it.
 fn made() -> (Scene, Gene) {
+    made_by(&Recipe::base(Some(Law::He)), [0.0; MAX_PARAMS])
+}
+
+/// A record made by a recipe without linear parts of its own, and the gene that made it.
+pub fn made_by(recipe: &Recipe, p: [f64; MAX_PARAMS]) -> (Scene, Gene) {
     let mut noise = Noise::new(1, 0);
     let op: Vec<f64> =
         (0..700).map(|k| 50.0 + 5.0 * libm::sin(f64::from(k) * 0.09) + 2.0 * libm::sin(f64::from(k) * 0.031)).collect();
     let pv: Vec<f64> = (0..700).map(|_| noise.gaussian()).collect();
     let scene = Scene::new(&Record::uniform(1.0, op.clone(), pv), None, 1, vec![false; 700]);
     let first = FirstSlip { direction: 1.0, threshold: scene.question.path[0] + 0.05 };
-    let gene = Gene { s: 0.3, j: 0.1, first, fd: 0.1, log_tau: libm::log(9.0), lag: 4.3, p: [0.0; MAX_PARAMS] };
+    let gene = Gene { s: 0.3, j: 0.1, first, fd: 0.1, log_tau: libm::log(9.0), lag: 4.3, p };
     let linear = Linear { others: [0.0; MAX_COLUMNS], count: 2, gain: 2.0 };
     let of = Scored { gene, sse: 0.0, cells: [[0.0; 2]; 2], slips: 9, linear };
-    let (course, _) = Kernel::new(&scene, 1.0).simulate(&Recipe::base(Some(Law::He)), &of).unwrap();
+    let (course, _) = Kernel::new(&scene, 1.0).simulate(recipe, &of).unwrap();
     let pv = course.iter().map(|x| 3.0 * x + 0.01 * noise.gaussian()).collect();
     (Scene::new(&Record::uniform(1.0, op, pv), None, 1, vec![false; 700]), gene)
 }
