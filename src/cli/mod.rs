@@ -126,10 +126,19 @@ pub fn main() -> ExitCode {
         if pipe.into_iter().any(|e| e.kind() == std::io::ErrorKind::BrokenPipe) {
             return Outcome::Done;
         }
-        let _ = writeln!(std::io::stderr(), "stictiond: {error:#}");
+        let _ = writeln!(std::io::stderr(), "stictiond: {}", told_once(&error));
         if error.is::<UsageError>() { Outcome::Usage } else { Outcome::Failed }
     });
     ExitCode::from(outcome.code())
+}
+
+/// An error with its causes, each said once: some name theirs themselves.
+fn told_once(error: &anyhow::Error) -> String {
+    error.chain().map(ToString::to_string).fold(String::new(), |told, cause| match told.as_str() {
+        "" => cause,
+        _ if told.contains(&cause) => told,
+        _ => format!("{told}: {cause}"),
+    })
 }
 
 fn dispatch(cli: Cli) -> anyhow::Result<Outcome> {

@@ -15,7 +15,7 @@ use crate::daemon::to_json;
 use crate::engine::{Engine, Event, RecordedInput, SkipReason};
 use crate::files::RecordingFile;
 use crate::gap::Serial;
-use crate::gap::loop_run::stroke;
+use crate::gap::loop_run::{Parts, parts};
 use crate::record::Record;
 use crate::sim::closed_loop::ValveLaw;
 use crate::sim::scenario::{ProcessSpec, Scenario};
@@ -115,10 +115,13 @@ fn put_model(scenario: &mut Scenario, path: &Path, name: Option<&str>) -> anyhow
     let spec = &mut scenario.loops[at];
     let rest = Record::uniform(scenario.run.ts_s, vec![spec.operating_point.op], vec![spec.operating_point.pv]);
     let model = model_file(path)?.on(&rest);
-    spec.valve.stroke = match stroke(&model, scenario.run.ts_s) {
-        Ok(stroke) => stroke,
-        Err(id) => bail!("{}: {id:?} has no place in a scenario's valve or process", path.display()),
+    let Parts { stroke, around, load, on_pv } = match parts(&model, scenario.run.ts_s) {
+        Ok(parts) => parts,
+        Err(id) => bail!("{}: {id:?} has no place in a scenario: it acts inside the process", path.display()),
     };
+    (spec.valve.stroke, spec.valve.around) = (stroke, around);
+    spec.disturbance.load.extend(load);
+    spec.disturbance.pv.extend(on_pv);
     spec.valve.law = match model.valve.law.as_str() {
         "he" => ValveLaw::He,
         "tracking" => ValveLaw::Tracking,

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use super::gaps::{GapReason, GapRefusal, GapRequest, GapWatch, PublishedGap};
 use super::windowing::choose_record;
-use super::{Checkpoint, Event, LoopFigures, LoopId, LoopSettings, Request, StateDocument, StreamState};
+use super::{Checkpoint, Event, LoopFigures, LoopId, LoopSettings, Request, SkipReason, StateDocument, StreamState};
 use crate::alarm::{Alarm, AlarmDocument, Command, CommandError, State};
 use crate::gap::MIN_POINTS;
 use crate::gap::model::Model;
@@ -27,6 +27,8 @@ struct Waiting {
 #[derive(Debug)]
 struct WaitingGap {
     number: u64,
+    /// Whether a person asked for it.
+    by_person: bool,
     answer: Option<Option<PublishedGap>>,
 }
 
@@ -180,7 +182,7 @@ impl Loop {
     ) -> u64 {
         let number = self.gaps;
         self.gaps += 1;
-        self.gaps_waiting.push_back(WaitingGap { number, answer: None });
+        self.gaps_waiting.push_back(WaitingGap { number, by_person: reason == GapReason::Operator, answer: None });
         out.push(Event::GapRequest(Box::new(GapRequest {
             id,
             number,
@@ -203,6 +205,15 @@ impl Loop {
             let document = self.gaps_waiting.pop_front().and_then(|w| w.answer).flatten();
             out.extend(document.map(|document| Event::Gap(id, Box::new(document))));
         }
+    }
+
+    /// Gives a diagnosis up. One that nobody asked for and that found no place is asked again by the next departing window.
+    pub fn skip_gap(&mut self, id: LoopId, number: u64, reason: SkipReason, out: &mut Vec<Event>) {
+        let own = self.gaps_waiting.iter().any(|w| w.number == number && !w.by_person);
+        if own && reason == SkipReason::QueueFull {
+            self.gap.gave_up();
+        }
+        self.resolve_gap(id, number, None, out);
     }
 
     pub fn gaps_waiting(&self) -> impl Iterator<Item = u64> + '_ {

@@ -277,10 +277,7 @@ impl Engine {
     /// Gives a diagnosis up; the recording must hold the skip as an input. One that found no place is asked again by
     /// the loop's next departing window.
     pub fn skip_gap(&mut self, id: LoopId, number: u64, reason: SkipReason, out: &mut Vec<Event>) {
-        if reason == SkipReason::QueueFull {
-            self.loops[id.index()].gap.gave_up();
-        }
-        self.loops[id.index()].resolve_gap(id, number, None, out);
+        self.loops[id.index()].skip_gap(id, number, reason, out);
     }
 
     /// Diagnoses of a loop that wait for their answers, oldest first.

@@ -20,7 +20,7 @@ const INDEPENDENT: f64 = 0.1;
 const FIRST_ORDER: f64 = 0.1;
 const MORE: f64 = 0.05;
 /// Traces whose samples are left out of every fit.
-const MASKED: [&str; 2] = ["outliers", "frozen_sensor"];
+pub const MASKED: [&str; 2] = ["outliers", "frozen_sensor"];
 /// Error over the floor up to which a record is explained.
 const EXPLAINED: f64 = 1.2;
 /// Share of the log error above the floor that an effect behind the recorded valve position has to take.
@@ -68,7 +68,10 @@ pub fn decide(evidence: &Evidence, without: &[&str], calibration: &Calibration) 
     let answer = |id: &str, probability: f64, by: By| {
         let stage = match id {
             NONE => Stage::None,
-            _ => effects::by_id(id).map_or(Stage::CannotTell, |e| e.stage),
+            _ => {
+                let weighed = evidence.contenders.iter().find(|c| c.id == id).map(|c| c.stage);
+                weighed.or_else(|| effects::by_id(id).map(|e| e.stage)).unwrap_or(Stage::CannotTell)
+            }
         };
         let confirmed = by != By::Choice || id == NONE;
         let cause = Cause { id: id.to_owned(), probability, confirmed, stage };

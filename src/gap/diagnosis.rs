@@ -63,8 +63,8 @@ pub fn diagnose(record: &Record, ask: &Ask, crew: &dyn Crew) -> Result<Diagnosis
     let mut floor = noise::floor(&record.pv, straight);
     let law = if ask.base == Base::Linear { None } else { Some(Law::He) };
     let budget = ask.budget_evaluations;
-    let mut work = Work { crew, budget, done: 0, stopped: false, spent: false, seed: ask.seed };
-    let found = rounds::run(&scene, law, &ask.without, floor.noise_floor, &mut work)
+    let mut work = Work { crew, budget, done: 0, stopped: false, spent: false, seed: ask.seed, asked: None };
+    let mut found = rounds::run(&scene, law, &ask.without, floor.noise_floor, &mut work)
         .ok_or(GapError::NoBase { points: record.len(), evaluations: work.done })?;
     let no_base = GapError::NoBase { points: record.len(), evaluations: work.done };
     let base = fit(&scene, &found.base, floor.noise_floor, &|_| {}).ok_or(no_base)?;
@@ -105,12 +105,14 @@ pub fn diagnose(record: &Record, ask: &Ask, crew: &dyn Crew) -> Result<Diagnosis
         next_test: None,
         basis,
     };
+    let mut pair_lanes = Vec::new();
     if ask.pairs {
         work.begin(budget);
         let scales = scales(&scene, &found, &made.base, &traces, &made.floor, ask.seed);
-        made.pairs = pairs::run(&scene, &found, &scales, &mut work);
+        (made.pairs, pair_lanes) = pairs::run(&scene, &found, &scales, &mut work);
     }
     made.settle(&[]);
+    found.lanes.extend(pair_lanes);
     made.forward = run_forward(&scene, &found, &made, &mut work);
     made.confirm();
     made.next_test = next_test(&scene, &found, &made);
@@ -245,13 +247,12 @@ impl Diagnosis {
 
     /// Decides, and lets everything that follows from the cause follow it.
     fn settle(&mut self, without: &[&str]) {
-        let decision = decide::decide(&self.evidence(), without, Calibration::shipped());
-        (self.cause, self.alternatives, self.features) = (decision.cause, decision.alternatives, decision.features);
+        // The best pair stands for election too where it beats every single effect.
         let has = |id: &str| !id.split('+').any(|part| without.contains(&part));
-        if let Some(pair) = self.pairs.iter().find(|p| has(&p.id) && pairs::beats(p, &self.effects, without)) {
-            self.cause.id = pair.id.clone();
-            self.cause.stage = pair.stage;
-        }
+        let pair = self.pairs.iter().find(|p| has(&p.id) && pairs::beats(p, &self.effects, without));
+        let evidence = Evidence::new(&self.basis, self.effects.iter().chain(pair), self.floor.noise_floor);
+        let decision = decide::decide(&evidence, without, Calibration::shipped());
+        (self.cause, self.alternatives, self.features) = (decision.cause, decision.alternatives, decision.features);
         let after = self.named().and_then(|e| e.fit.clone());
         let from = self.blocks.from;
         let run = |f: &Fit, masked: &[bool]| -> Vec<Option<f64>> {

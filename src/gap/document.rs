@@ -339,7 +339,7 @@ impl EffectNote {
             lead: effect.lead,
             confusable_with: effect.confusable_with.iter().map(|id| (*id).to_owned()).collect(),
             separated_by: effect.separated_by.to_owned(),
-            at_floor: effect.fit.as_ref().map(|f| f.at_floor),
+            at_floor: effect.fit.as_ref().filter(|_| effect.simulated).map(|f| f.at_floor),
         }
     }
 }

@@ -100,11 +100,11 @@ pub struct Evidence {
 }
 
 impl Evidence {
-    /// Of the weighed effects; `floor` in PV units.
+    /// Of the weighed effects, those that are simulated; `floor` in PV units.
     #[must_use]
-    pub fn new(basis: &Basis, effects: &[EffectResult], floor: Option<f64>) -> Self {
+    pub fn new<'e>(basis: &Basis, effects: impl IntoIterator<Item = &'e EffectResult>, floor: Option<f64>) -> Self {
         let contender = |e: &EffectResult| {
-            let fit = e.fit.as_ref()?;
+            let fit = e.fit.as_ref().filter(|_| e.simulated)?;
             Some(Contender {
                 id: e.id.clone(),
                 stage: e.stage,
@@ -117,6 +117,6 @@ impl Evidence {
                 left: Left::of(fit, floor),
             })
         };
-        Self { basis: basis.clone(), contenders: effects.iter().filter_map(contender).collect() }
+        Self { basis: basis.clone(), contenders: effects.into_iter().filter_map(contender).collect() }
     }
 }

@@ -126,12 +126,13 @@ pub fn model(scene: &Scene, recipe: &Recipe, of: &Scored) -> Model {
 
 /// The parameters of one of a recipe's effects, in recorded units.
 fn parameters_of(scene: &Scene, recipe: &Recipe, of: &Scored, id: &str) -> Vec<Parameter> {
+    let plan = recipe.plan(&of.gene);
     let mut at = 0;
     for effect in recipe.each() {
         let values = &of.gene.p[at..];
         if effect.id == id {
             let own = effect.params.iter().zip(values).filter_map(|(p, v)| p.recorded(*v, scene));
-            return own.chain((effect.linear)(values, of, scene)).collect();
+            return own.chain((effect.linear)(values, &plan, of, scene)).collect();
         }
         at += effect.params.len();
     }

@@ -5,7 +5,7 @@ use super::answer::INTEGRATOR_SCALE;
 use super::effects::{self, Effect, Param, Unit};
 use super::express::{Errors, above_floor, slips};
 use super::kernel::{Kernel, Scored};
-use super::model::{Model, ModelError};
+use super::model::{Added, Model, ModelError};
 use super::plan::{Gene, MAX_PARAMS, Recipe};
 use super::scene::Scene;
 use super::types::Fit;
@@ -102,7 +102,8 @@ fn recipe(model: &Model) -> Result<Recipe, ModelError> {
 
 /// The time constant that is not the stated lag: they stand in the model by size, whichever was called the lag.
 fn own_time_constant(model: &Model) -> f64 {
-    let lag = model.effects.iter().find_map(|a| a.parameters.get("lag"));
+    let second = |a: &&Added| a.id == "extra_lag" || a.id == "inverse_response";
+    let lag = model.effects.iter().find(second).and_then(|a| a.parameters.get("lag"));
     match (lag, model.process.time_constants_s.as_slice()) {
         (Some(lag), [a, b]) if (a - lag).abs() < (b - lag).abs() => *b,
         (_, [first, ..]) => *first,

@@ -11,8 +11,10 @@ use crate::detect::oscillation;
 use crate::ident::controller::{self, Reading};
 use crate::record::Record;
 use crate::signal::stats;
+use crate::sim::actuator::Around;
 use crate::sim::closed_loop::{ClosedLoop, LoopModel, ValveLaw, ValveModel};
 use crate::sim::controller::{Action, PidSettings};
+use crate::sim::disturbance::Disturbance;
 use crate::sim::process::ProcessModel;
 use crate::sim::slips::Stroke;
 
@@ -20,6 +22,8 @@ use crate::sim::slips::Stroke;
 const MAX_SCANS: usize = 60_000;
 /// Room for OP on both sides of what was recorded, spans.
 const WIDE: f64 = 10.0;
+/// Duration of a ramp that does not end, s.
+const FOR_GOOD_S: f64 = 1e9;
 /// A start off the resting place, bands.
 const START_BANDS: f64 = 1.5;
 
@@ -92,16 +96,30 @@ fn cycle(op: &[f64], pv: &[f64], point_s: f64) -> Cycle {
     }
 }
 
-/// What a model's effects make of the stem, for a simulation in scans of `ts_s`; the id of the first effect that acts
-/// elsewhere than in the stem's motion, or in time constants that the model itself has.
+/// What a model's effects are in a closed loop's simulation, beside what its law, process and time constants say.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Parts {
+    /// Of the stem's own motion.
+    pub stroke: Stroke,
+    /// Around the stem.
+    pub around: Around,
+    /// At the process' input, OP units; times count from the record's start.
+    pub load: Vec<Disturbance>,
+    /// On PV, PV units.
+    pub on_pv: Vec<Disturbance>,
+}
+
+/// The parts of a model for a simulation in scans of `ts_s`.
 ///
 /// # Errors
-/// The id of an effect that has no place there.
-pub fn stroke(model: &Model, ts_s: f64) -> Result<Stroke, &str> {
-    let mut stroke = Stroke::FREE;
+/// The id of the first effect that has no place there: it acts inside the process, or says too little to be run alone.
+pub fn parts(model: &Model, ts_s: f64) -> Result<Parts, &str> {
+    let mut parts = Parts { stroke: Stroke::FREE, around: Around::NONE, load: vec![], on_pv: vec![] };
+    let Parts { stroke, around, load, on_pv } = &mut parts;
+    let process = &model.process;
     for effect in &model.effects {
         let number = |name: &str| effect.parameters.get(name).copied().unwrap_or(0.0);
-        let of_stem = number("of_stem") > 0.5;
+        let is = |name: &str| number(name) > 0.5;
         match effect.id.as_str() {
             "extra_lag" | "integrating" | "stiction" => {}
             "slip_overshoot" => stroke.carried = number("carried"),
@@ -110,16 +128,42 @@ pub fn stroke(model: &Model, ts_s: f64) -> Result<Stroke, &str> {
                 stroke.slowest = number("slowest") * ts_s;
             }
             "asymmetric_stiction" => stroke.uneven = number("alpha"),
-            "rate_limit" if of_stem => stroke.rate = number("rate") * ts_s,
-            "travel_limit" if of_stem => {
-                let end = usize::from(number("upper") > 0.5);
-                let stop = number("stop");
-                stroke.ends[end] = if end == 1 { stop + model.valve.fd } else { stop - model.valve.fd };
+            "rate_limit" if is("of_stem") => stroke.rate = number("rate") * ts_s,
+            "rate_limit" => around.rate = number("rate") * ts_s,
+            "travel_limit" => {
+                let (end, stop) = (usize::from(is("upper")), number("stop"));
+                if is("of_stem") {
+                    stroke.ends[end] = if end == 1 { stop + model.valve.fd } else { stop - model.valve.fd };
+                } else {
+                    around.stops[end] = stop;
+                }
+            }
+            "backlash" => around.play = number("play"),
+            "positioner_lag" => around.pilot = number("lag") / ts_s,
+            "static_nonlinearity" if !is("by_level") => {
+                (around.bend, around.middle) = (number("gain_change_per_op"), process.op);
+            }
+            "sinusoid" => {
+                let (amplitude, period_s) = (number("amplitude"), number("period"));
+                on_pv.push(Disturbance::Sine { amplitude, period_s, phase_deg: 0.0 });
+            }
+            "ramp" => {
+                let (size, from_s) = (number("slope") * FOR_GOOD_S, number("from"));
+                on_pv.push(Disturbance::Ramp { size, from_s, over_s: FOR_GOOD_S });
+            }
+            "step_load" if is("straight") || process.integrating => {
+                on_pv.push(Disturbance::Step { size: number("size"), at_s: number("at") });
+            }
+            "step_load" => {
+                let (size, at_s) = (number("size") / process.gain, number("at") - process.dead_time_s);
+                load.push(Disturbance::Step { size, at_s });
             }
             other => return Err(other),
         }
     }
-    Ok(stroke)
+    // A stem with a motion of its own is run in scans, what drives it in parts of them.
+    let clash = parts.around.pilot > 0.0 && parts.stroke != Stroke::FREE;
+    if clash { Err("positioner_lag") } else { Ok(parts) }
 }
 
 /// The loop as the simulator takes it, off its resting place by a band and a half.
@@ -131,7 +175,7 @@ fn loop_model(model: &Model, reading: &Reading, sp: f64, limits: [f64; 2], noise
         "none" => ValveLaw::None,
         _ => return None,
     };
-    let stroke = stroke(model, *ts_s).ok()?;
+    let Parts { stroke, around, load, on_pv } = parts(model, *ts_s).ok()?;
     let mut taus = process.time_constants_s.iter().map(|tau| tau / ts_s);
     let (op, pv) = (process.op, process.pv);
     let rest = if process.integrating { op } else { op + (sp - pv) / process.gain };
@@ -166,11 +210,12 @@ fn loop_model(model: &Model, reading: &Reading, sp: f64, limits: [f64; 2], noise
             travel_min: limits[0],
             travel_max: limits[1],
             stroke,
+            around,
             ..ValveModel::HEALTHY
         },
         pv_noise_sd: noise_sd,
-        load: vec![],
-        pv_disturbance: vec![],
+        load,
+        pv_disturbance: on_pv,
     })
 }
 
@@ -186,7 +231,8 @@ fn run(model: &Model, reading: &Reading, record: &Record, noise_sd: f64) -> Opti
     let loop_model = loop_model(model, reading, first, [low - room, high + room], noise_sd)?;
     let scans = (record.end_ns - record.start_ns) as f64 / 1e9 / loop_model.ts_s;
     let scans = (scans.max(0.0) as usize + 1).min(MAX_SCANS / 2);
-    let mut closed = ClosedLoop::new(loop_model, 0.0, first, 1);
+    // It swings in for as long as the record, before its start.
+    let mut closed = ClosedLoop::new(loop_model, -(scans as f64) * model.ts_s, first, 1);
     for _ in 0..scans {
         closed.step(first);
     }
@@ -210,7 +256,7 @@ mod tests {
         let with = |id: &str, numbers: &[(&str, f64)]| {
             let model = Model { ts_s: 7.0, ..Model::example(Some((id, numbers))) };
             // The scans that count are those of the simulation, not of the record that the model was fitted to.
-            stroke(&model, 2.0).map_err(str::to_owned)
+            parts(&model, 2.0).map(|p| p.stroke).map_err(str::to_owned)
         };
         assert_eq!(with("extra_lag", &[("lag", 3.0)]), Ok(Stroke::FREE));
         assert_eq!(with("slip_overshoot", &[("carried", 0.4)]), Ok(Stroke { carried: 0.4, ..Stroke::FREE }));
@@ -221,8 +267,29 @@ mod tests {
         // A stem at its upper stop was pushed there by an OP that stands fd above it.
         let stopped = Stroke { ends: [f64::NEG_INFINITY, 61.0], ..Stroke::FREE };
         assert_eq!(with("travel_limit", &[("stop", 60.0), ("upper", 1.0), ("of_stem", 1.0)]), Ok(stopped));
-        for elsewhere in ["rate_limit", "travel_limit", "backlash", "gain_drift"] {
-            assert_eq!(with(elsewhere, &[("rate", 0.3), ("stop", 60.0)]), Err(elsewhere.to_owned()));
+        for inside in ["gain_drift", "dead_time_change", "inverse_response"] {
+            assert_eq!(with(inside, &[("at", 3.0)]), Err(inside.to_owned()));
         }
+    }
+
+    #[test]
+    fn what_stands_around_the_stem_and_loads_have_their_place() {
+        let with = |id: &str, numbers: &[(&str, f64)]| {
+            let model = Model { ts_s: 7.0, ..Model::example(Some((id, numbers))) };
+            (parts(&model, 2.0).unwrap(), model.process)
+        };
+        let around = |id: &str, numbers: &[(&str, f64)]| with(id, numbers).0.around;
+        assert_eq!(around("rate_limit", &[("rate", 0.3)]), Around { rate: 0.6, ..Around::NONE });
+        let stops = [f64::NEG_INFINITY, 60.0];
+        assert_eq!(around("travel_limit", &[("stop", 60.0), ("upper", 1.0)]), Around { stops, ..Around::NONE });
+        assert_eq!(around("backlash", &[("play", 1.5)]), Around { play: 1.5, ..Around::NONE });
+        assert_eq!(around("positioner_lag", &[("lag", 5.0)]), Around { pilot: 2.5, ..Around::NONE });
+        let (bent, process) = with("static_nonlinearity", &[("gain_change_per_op", 0.02)]);
+        assert_eq!(bent.around, Around { bend: 0.02, middle: process.op, ..Around::NONE });
+        let (step, process) = with("step_load", &[("size", 3.0), ("at", 100.0)]);
+        let at_input = Disturbance::Step { size: 3.0 / process.gain, at_s: 100.0 - process.dead_time_s };
+        assert_eq!((step.load, step.on_pv), (vec![at_input], vec![]));
+        let (ramp, _) = with("ramp", &[("slope", 1e-3), ("from", 50.0)]);
+        assert_eq!(ramp.on_pv, [Disturbance::Ramp { size: 1e6, from_s: 50.0, over_s: FOR_GOOD_S }]);
     }
 }

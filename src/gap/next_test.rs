@@ -12,21 +12,25 @@ use crate::sim::slips::FirstSlip;
 const WANTED: f64 = 0.95;
 /// Sizes that are tried, in bands s (or tenths of the span where nothing sticks).
 const SIZES: [f64; 8] = [1.1, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0];
+/// Largest bump that is proposed, spans of OP in the record.
+const MOST: f64 = 2.0;
 
-/// The test for the cause and its best simulated rival; `None` where there is none or no bump tells them apart.
+/// The test for the two likeliest answers that can be simulated, named or not; `None` where there are no two, or no bump
+/// within what OP may be asked tells them apart.
 #[must_use]
 pub fn next_test(scene: &Scene, found: &Found, made: &Diagnosis) -> Option<NextTest> {
     let lane_of = |id: &str| {
         if id == NONE { Some(&found.base) } else { found.lanes.iter().find(|l| l.recipe.id() == id) }
     };
-    let first = lane_of(&made.cause.id)?;
-    let (rival, second) = made.alternatives.iter().find_map(|a| Some((a.id.clone(), lane_of(&a.id)?)))?;
+    let ids = core::iter::once(&made.cause.id).chain(made.alternatives.iter().map(|a| &a.id));
+    let mut known = ids.filter_map(|id| Some((id, lane_of(id)?)));
+    let ((name, first), (rival, second)) = (known.next()?, known.next()?);
     let best = first.best.first()?;
     let noise = made.floor.noise_floor.unwrap_or(made.base.rmse) / scene.deviation;
     let settles = best.gene.lag + 3.0 * libm::exp(best.gene.log_tau).min(scene.period);
     let hold = settles.ceil() as usize + 2;
     let unit = if best.gene.s > 0.0 { best.gene.s } else { 0.1 };
-    for size in SIZES.map(|s| s * unit) {
+    for size in SIZES.map(|s| s * unit).into_iter().filter(|size| *size <= MOST) {
         let answers = [first, second].map(|lane| answer(scene, lane, size, hold));
         let [Some(a), Some(b)] = answers else { continue };
         let apart: Vec<f64> = a.iter().zip(&b).map(|(x, y)| x - y).collect();
@@ -37,7 +41,7 @@ pub fn next_test(scene: &Scene, found: &Found, made: &Diagnosis) -> Option<NextT
                 signal: "op",
                 size: size * scene.span,
                 duration_s: hold as f64 * scene.point_s,
-                separates: [made.cause.id.clone(), rival],
+                separates: [name.clone(), rival.clone()],
                 p,
             });
         }

@@ -12,8 +12,8 @@ use super::weigh::Scales;
 const SINGLES: usize = 6;
 const ROUNDS: usize = 2;
 
-/// Pairs of the best single effects, best first.
-pub fn run(scene: &Scene, found: &Found, scales: &Scales<'_>, work: &mut Work<'_>) -> Vec<EffectResult> {
+/// Pairs of the best single effects, best first, and their lanes.
+pub fn run(scene: &Scene, found: &Found, scales: &Scales<'_>, work: &mut Work<'_>) -> (Vec<EffectResult>, Vec<Lane>) {
     let mut singles: Vec<&Lane> = found.lanes.iter().filter(|l| !l.best.is_empty()).collect();
     singles.sort_by(|a, b| a.sse().total_cmp(&b.sse()));
     singles.truncate(SINGLES);
@@ -36,7 +36,7 @@ pub fn run(scene: &Scene, found: &Found, scales: &Scales<'_>, work: &mut Work<'_
     }
     let mut out: Vec<EffectResult> = lanes.iter().filter_map(|lane| scales.weigh(lane)).collect();
     out.sort_by(|a, b| b.lead.total_cmp(&a.lead));
-    out
+    (out, lanes)
 }
 
 /// The two effects in alphabetical order, starting from what each found alone.

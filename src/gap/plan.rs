@@ -34,6 +34,17 @@ impl Drift {
     }
 }
 
+/// A part that is added to PV with linear coefficients of its own.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Part {
+    /// Sine and cosine.
+    Waves,
+    /// A ramp.
+    Ramp,
+    /// A step.
+    Step,
+}
+
 /// Which blocks stand in the simulator.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Plan {
@@ -167,6 +178,21 @@ impl Plan {
     #[must_use]
     pub fn is_linear_in_fd(&self) -> bool {
         self.law.is_some() && !self.follows() && self.level == 0.0 && self.bend == 0.0 && !self.zero
+    }
+
+    /// Where the linear coefficients of a part stand among those of the other columns, which the kernel makes in this
+    /// order: the constant, the memories (or an integrator's slope), then the parts.
+    #[must_use]
+    pub fn column(&self, part: Part) -> usize {
+        let lags = if !self.integrating && self.tau2 > 0.0 { 2 } else { 1 };
+        let waves = if self.omega.is_some() { 2 } else { 0 };
+        let [ramp, drift] = [self.ramp.is_some(), self.drift.is_some()].map(usize::from);
+        let before = match part {
+            Part::Waves => 0,
+            Part::Ramp => waves,
+            Part::Step => waves + ramp + drift,
+        };
+        1 + lags + before
     }
 
     /// Linear coefficients beside gain, fd, constant and memory.

@@ -63,6 +63,9 @@ pub struct Work<'c> {
     pub spent: bool,
     /// Seed.
     pub seed: u64,
+    /// Evaluations at which the crew was asked last: it is asked once, for a search that is ended there by its count
+    /// must end at the same round.
+    pub asked: Option<u64>,
 }
 
 impl Work<'_> {
@@ -95,7 +98,10 @@ impl Work<'_> {
 
     /// Whether another round may begin.
     pub fn goes_on(&mut self) -> bool {
-        self.stopped |= !self.crew.tick(self.done);
+        if self.asked != Some(self.done) {
+            self.stopped |= !self.crew.tick(self.done);
+            self.asked = Some(self.done);
+        }
         let spent = self.done >= self.budget;
         self.spent |= spent;
         !self.stopped && !spent

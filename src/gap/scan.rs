@@ -65,7 +65,8 @@ mod tests {
         // Most of the play taken for dead band.
         let mut gene = truth;
         gene.p[0] = 0.02;
-        recipe.trade(&mut gene, 0, gene.p[0] - truth.p[0], scene.question.rate);
+        let by = gene.p[0] - truth.p[0];
+        recipe.trade(&mut gene, 0, by, scene.question.rate);
         let from = kernel.evaluate(&recipe, &gene, View::Plain).unwrap();
         let found = scan(&mut kernel, &recipe, &from, &mut generator(1, 1));
         let best = found.iter().filter_map(|g| kernel.evaluate(&recipe, g, View::Plain));

@@ -27,8 +27,6 @@ pub struct Traces {
     pub signatures: Vec<Signature>,
     /// Points left out of every fit.
     pub masked: Vec<bool>,
-    /// Wild samples.
-    wild: Vec<bool>,
     /// First and last point of the longest stretch that stands still.
     still: [usize; 2],
     ends: [f64; 2],
@@ -96,7 +94,7 @@ pub fn traces(record: &Record, period: f64, without: &[String]) -> Traces {
     if masked.iter().filter(|m| **m).count() as f64 > MOST_MASKED * n {
         masked.fill(false);
     }
-    Traces { signatures, masked, wild, still, ends, pv: pv.clone() }
+    Traces { signatures, masked, still, ends, pv: pv.clone() }
 }
 
 impl Traces {
@@ -120,14 +118,6 @@ impl Traces {
             "clipping" if end(0) > end(1) => prediction.iter_mut().for_each(|p| *p = p.max(self.ends[0])),
             "clipping" => prediction.iter_mut().for_each(|p| *p = p.min(self.ends[1])),
             "swinging_door" => between_knots(pv, prediction),
-            "outliers" => {
-                // What the sensor made up is known only from PV itself.
-                for (p, (v, wild)) in prediction.iter_mut().zip(pv.iter().zip(&self.wild)) {
-                    if *wild {
-                        *p = *v;
-                    }
-                }
-            }
             _ => {}
         }
     }

@@ -266,6 +266,8 @@ pub struct EffectResult {
     pub id: String,
     /// Where it acts.
     pub stage: Stage,
+    /// Whether it was added to the simulation, and not read from PV.
+    pub simulated: bool,
     /// Its parameters.
     pub parameters: Vec<Parameter>,
     /// Gap of the base on held-out blocks, PV units.

@@ -2,7 +2,7 @@
 
 use super::decide;
 use super::effects::{self, Effect, Way};
-use super::express::{above_floor, fit, parameters, rms};
+use super::express::{above_floor, fit, parameters};
 use super::plan::Recipe;
 use super::scene::{Scene, View};
 use super::search::Lane;
@@ -65,6 +65,7 @@ impl Scales<'_> {
         Some(EffectResult {
             id: recipe.id(),
             stage,
+            simulated: true,
             parameters,
             gap_before: self.base.gap,
             gap_after: made.gap,
@@ -80,85 +81,77 @@ impl Scales<'_> {
         })
     }
 
-    /// One effect of the recording, seen in PV.
+    /// One effect of the recording, seen in PV. What it does is measured where it is met and a free run can follow it.
     #[must_use]
     pub fn recorded(&self, effect: &'static Effect, floor_after: Option<f64>) -> EffectResult {
-        let found = self.traces.signatures.iter().find(|s| s.id == effect.id);
-        let met = found.is_some_and(|s| s.met);
+        let met = self.traces.signatures.iter().any(|s| s.id == effect.id && s.met);
         let made = if met && effect.way == Way::Signature && effect.predictable {
             fit(self.scene, self.lane, self.floor.noise_floor, &|p| self.traces.apply(effect.id, p))
         } else {
             None
         };
-        // Masked points count here: they are what the effect is about.
-        let all = |f: &Fit| -> Vec<f64> { self.pv().zip(&f.prediction).map(|(y, p)| y - p).collect() };
-        let held_out: Vec<[usize; 2]> = (self.scene.blocks.from..self.scene.n())
-            .filter(|k| self.scene.blocks.held_out[*k])
-            .map(|k| [k, k + 1])
-            .collect();
-        let floor = self.floor.noise_floor;
-        let before = above_floor(rms(&all(self.base), &held_out), floor);
-        let after = made.as_ref().map_or(before, |f| above_floor(rms(&all(f), &held_out), floor));
-        let closed =
-            if met && effect.predictable && before > 0.0 { Some(100.0 * (1.0 - after / before)) } else { None };
+        // Points that are masked for an effect's sake are what it is about.
+        let of_masked = made.is_some() && decide::MASKED.contains(&effect.id);
+        let blocks = self.blocks(made.as_ref().unwrap_or(self.base), of_masked);
+        let [before, after] = self.gaps(&blocks);
+        let (closed_pct, closed_interval) = made.as_ref().map_or((None, None), |_| self.closed_in(&blocks));
         EffectResult {
             id: effect.id.to_owned(),
             stage: effect.stage,
-            parameters: found.filter(|s| s.met).map(|s| s.parameters.clone()).unwrap_or_default(),
+            simulated: false,
+            parameters: Vec::new(),
             gap_before: before,
             gap_after: after,
             floor_after,
-            closed_pct: closed,
-            closed_interval: None,
+            closed_pct,
+            closed_interval,
             raw_gain: 0.0,
             evidence: 0.0,
             lead: if met { 0.0 } else { -effects::MARGIN },
             confusable_with: effect.confused_with.to_vec(),
             separated_by: effect.separated_by,
-            fit: None,
+            fit: made,
         }
     }
 
     /// Per cent closed on held-out blocks and its interval; nothing where the base has no gap.
     fn closed(&self, after: &Fit) -> (Option<f64>, Option<[f64; 2]>) {
+        self.closed_in(&self.blocks(after, false))
+    }
+
+    /// Gaps before and after over blocks.
+    fn gaps(&self, blocks: &[[f64; 3]]) -> [f64; 2] {
+        let [n, before, after] = summed(blocks.iter());
+        [before, after].map(|sse| above_floor((sse / n.max(1.0)).sqrt(), self.floor.noise_floor))
+    }
+
+    fn closed_in(&self, blocks: &[[f64; 3]]) -> (Option<f64>, Option<[f64; 2]>) {
         let floor = self.floor.noise_floor;
-        let at_floor = floor.is_some_and(|f| self.base.rmse < NOTHING_LEFT * f);
-        if at_floor || self.base.gap <= 0.0 {
-            return (None, None);
-        }
-        let share = |before: f64, after: f64| 100.0 * (1.0 - after / before);
-        let blocks = self.blocks(after);
+        let [n, sse, _] = summed(blocks.iter());
+        let at_floor = floor.is_some_and(|f| (sse / n.max(1.0)).sqrt() < NOTHING_LEFT * f);
+        let share = |[before, after]: [f64; 2]| (before > 0.0).then(|| 100.0 * (1.0 - after / before));
+        let Some(closed) = share(self.gaps(blocks)).filter(|_| !at_floor) else { return (None, None) };
         if blocks.len() < 3 {
-            return (Some(share(self.base.gap, after.gap)), None);
+            return (Some(closed), None);
         }
         let mut rng = Noise::new(self.seed, 31);
         let mut drawn: Vec<f64> = Vec::with_capacity(RESAMPLES);
         for _ in 0..RESAMPLES {
-            let mut sums = [0.0; 3];
-            for _ in 0..blocks.len() {
-                let block = blocks[rng.below(blocks.len() as u64) as usize];
-                for (sum, value) in sums.iter_mut().zip(block) {
-                    *sum += value;
-                }
-            }
-            let gap = |sse: f64| above_floor((sse / sums[0]).sqrt(), floor);
-            let (before, after) = (gap(sums[1]), gap(sums[2]));
-            if before > 0.0 {
-                drawn.push(share(before, after));
-            }
+            let some: Vec<[f64; 3]> = blocks.iter().map(|_| blocks[rng.below(blocks.len() as u64) as usize]).collect();
+            drawn.extend(share(self.gaps(&some)));
         }
         let tail = 0.5 * (1.0 - LEVEL);
         let interval =
             (drawn.len() > RESAMPLES / 2).then(|| [stats::quantile(&drawn, tail), stats::quantile(&drawn, 1.0 - tail)]);
-        (Some(share(self.base.gap, after.gap)), interval)
+        (Some(closed), interval)
     }
 
-    /// Points, squared error before and after, of every held-out block.
-    fn blocks(&self, after: &Fit) -> Vec<[f64; 3]> {
+    /// Points, squared error before and after, of every held-out block, points that are masked counted or not.
+    fn blocks(&self, after: &Fit, of_masked: bool) -> Vec<[f64; 3]> {
         let blocks = &self.scene.blocks;
         let mut out = vec![[0.0; 3]; blocks.number.last().map_or(0, |n| n + 1)];
         for (k, y) in self.pv().enumerate() {
-            if k >= blocks.from && blocks.held_out[k] && !blocks.masked[k] {
+            if k >= blocks.from && blocks.held_out[k] && (of_masked || !blocks.masked[k]) {
                 let (b, a) = (y - self.base.prediction[k], y - after.prediction[k]);
                 let sums = &mut out[blocks.number[k]];
                 *sums = [sums[0] + 1.0, sums[1] + b * b, sums[2] + a * a];
@@ -167,4 +160,8 @@ impl Scales<'_> {
         out.retain(|b| b[0] > 0.0);
         out
     }
+}
+
+fn summed<'b>(blocks: impl Iterator<Item = &'b [f64; 3]>) -> [f64; 3] {
+    blocks.fold([0.0; 3], |s, b| [s[0] + b[0], s[1] + b[1], s[2] + b[2]])
 }

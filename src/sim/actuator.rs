@@ -4,6 +4,58 @@
 /// Values a point has at least behind a lag.
 const PARTS: usize = 5;
 
+/// All that stands around a stem and its friction, value by value.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Around {
+    /// Time constant of what drives the stem, values; 0 for none.
+    pub pilot: f64,
+    /// Fastest move of what follows the stem, OP units a value.
+    pub rate: f64,
+    /// Ends of what passes it, OP units.
+    pub stops: [f64; 2],
+    /// Play behind it, OP units.
+    pub play: f64,
+    /// Share by which the slope of its characteristic grows with each OP unit, and where that slope is 1.
+    pub bend: f64,
+    /// See `bend`.
+    pub middle: f64,
+}
+
+impl Around {
+    /// Nothing.
+    pub const NONE: Self = Self {
+        pilot: 0.0,
+        rate: f64::INFINITY,
+        stops: [f64::NEG_INFINITY, f64::INFINITY],
+        play: 0.0,
+        bend: 0.0,
+        middle: 0.0,
+    };
+
+    /// What drives the stem in the parts of a value for which OP is held, and the drive at its end.
+    #[must_use]
+    pub fn drives(&self, drive: f64, op: f64) -> ([f64; PARTS], f64) {
+        let step = 1.0 / (self.pilot * PARTS as f64).max(1e-3);
+        let after = |parts: f64| op + (drive - op) * libm::exp(-step * parts);
+        (core::array::from_fn(|i| after(i as f64 + 0.5)), after(PARTS as f64))
+    }
+
+    /// What flows for a stem at `position`, with the memory of what follows it.
+    #[must_use]
+    pub fn flow(&self, position: f64, [slow, far]: &mut [f64; 2]) -> f64 {
+        *slow = if self.rate < f64::INFINITY { rate_step(*slow, position, self.rate) } else { position };
+        let open = stop_step(*slow, self.stops);
+        *far = if self.play > 0.0 { play_step(*far, open, self.play) } else { open };
+        if self.bend == 0.0 { *far } else { self.middle + libm::expm1(self.bend * (*far - self.middle)) / self.bend }
+    }
+}
+
+impl Default for Around {
+    fn default() -> Self {
+        Self::NONE
+    }
+}
+
 /// Play of `width` behind the stem (backlash): the far side stands still until the stem has crossed it.
 #[must_use]
 pub fn play_step(far: f64, stem: f64, width: f64) -> f64 {
@@ -60,6 +112,30 @@ mod tests {
         }
         // A point that already has many values gets no more.
         assert_eq!((lag_path(&op, 8, 2.5, &mut path), path.len()), (8, op.len()));
+    }
+
+    #[test]
+    fn what_stands_around_a_stem_acts_in_its_order() {
+        let around = Around { rate: 2.0, stops: [0.0, 5.0], play: 1.0, bend: 0.1, middle: 3.0, ..Around::NONE };
+        let mut memory = [1.0, 1.0];
+        // Up by 2 to 3, then by 2 to the stop at 5, each time half the play behind.
+        let flows = [9.0, 9.0, 9.0].map(|x| around.flow(x, &mut memory));
+        let bent = |v: f64| 3.0 + libm::expm1(0.1 * (v - 3.0)) / 0.1;
+        assert_eq!(flows, [bent(2.5), bent(4.5), bent(4.5)]);
+        assert_eq!(Around::NONE.flow(7.25, &mut [0.0; 2]), 7.25);
+    }
+
+    #[test]
+    fn a_drive_is_the_lagged_path_value_by_value() {
+        let op: Vec<f64> = (0..30).map(|k| libm::sin(f64::from(k) * 0.3)).collect();
+        let mut path = Vec::new();
+        lag_path(&op, 1, 4.0, &mut path);
+        let (around, mut drive) = (Around { pilot: 4.0, ..Around::NONE }, op[0]);
+        for (op, path) in op.iter().zip(path.chunks_exact(PARTS)) {
+            let (drives, next) = around.drives(drive, *op);
+            assert!(drives.iter().zip(path).all(|(a, b)| (a - b).abs() < 1e-12));
+            drive = next;
+        }
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! One whole control loop, scan by scan: PV is measured, the controller answers with OP, the valve follows as its
 //! friction lets it, and the process answers the valve until the next scan.
 
+use super::actuator::Around;
 use super::controller::{Pid, PidSettings};
 use super::disturbance::{Disturbance, DisturbanceState};
 use super::friction::{Friction, FrictionState};
@@ -40,6 +41,8 @@ pub struct ValveModel {
     pub travel_max: f64,
     /// What the stem has beside its law.
     pub stroke: Stroke,
+    /// What stands around it.
+    pub around: Around,
     /// Friction of the physical valve; the laws do without.
     pub friction: Friction,
 }
@@ -53,13 +56,26 @@ pub struct Stem {
     inner: FrictionState,
     /// Its memory where it has more than a law.
     moving: Option<slips::Stem>,
+    /// What flows behind it until the next scan, as OP units.
+    flow: f64,
+    /// The memory of what drives it and of what follows it.
+    drive: f64,
+    follows: [f64; 2],
 }
 
 impl Stem {
     /// A stem that rests at `position`.
     #[must_use]
     pub const fn at_rest(position: f64) -> Self {
-        Self { position, direction: 0, inner: FrictionState::at_rest(position), moving: None }
+        Self {
+            position,
+            direction: 0,
+            inner: FrictionState::at_rest(position),
+            moving: None,
+            flow: position,
+            drive: position,
+            follows: [position; 2],
+        }
     }
 }
 
@@ -72,13 +88,31 @@ impl ValveModel {
         travel_min: 0.0,
         travel_max: 100.0,
         stroke: Stroke::FREE,
+        around: Around::NONE,
         friction: Friction::NONE,
     };
 
-    /// Next state of the stem for `op`.
+    /// Next state of the stem for `op`, and of all around it.
     #[must_use]
     pub fn step(&self, stem: Stem, op: f64) -> Stem {
         let op = op.clamp(self.travel_min, self.travel_max);
+        if self.around.pilot == 0.0 {
+            let mut next = self.move_stem(stem, op);
+            next.flow = self.around.flow(next.position, &mut next.follows);
+            return next;
+        }
+        // What drives the stem moves on between two scans; the mean over the scan flows.
+        let (drives, drive) = self.around.drives(stem.drive, op);
+        let (mut next, mut mean) = (Stem { drive, ..stem }, 0.0);
+        for op in drives {
+            next = self.move_stem(next, op);
+            mean += next.position / drives.len() as f64;
+        }
+        next.flow = self.around.flow(mean, &mut next.follows);
+        next
+    }
+
+    fn move_stem(&self, stem: Stem, op: f64) -> Stem {
         match self.law {
             ValveLaw::None => Stem { position: op, ..stem },
             ValveLaw::He if self.stroke != Stroke::FREE => self.move_on(Law::He, stem, op),
@@ -213,7 +247,7 @@ impl ClosedLoop {
     /// the next scan (OP units), which may hang on the valve position: so a valve gets a curved characteristic.
     pub fn step_with(&mut self, sp: f64, on_pv: f64, more_load: impl FnOnce(f64) -> f64) -> Scan {
         let model = &self.model;
-        let input = self.stem.position - model.rest_op + self.held_load;
+        let input = self.stem.flow - model.rest_op + self.held_load;
         let mut pv = model.rest_pv + self.process.step(input, 0.0) + on_pv;
         for disturbance in &mut self.pv_disturbance {
             pv += disturbance.at(self.t_s);

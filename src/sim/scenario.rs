@@ -25,6 +25,7 @@
 use serde::Deserialize;
 use thiserror::Error;
 
+use super::actuator::Around;
 use super::closed_loop::{LoopModel, ValveLaw, ValveModel};
 use super::controller::{Action, PidSettings};
 use super::disturbance::Disturbance;
@@ -251,11 +252,14 @@ pub struct ValveSpec {
     /// What the stem has beside its law; only a model's file says.
     #[serde(skip)]
     pub stroke: Stroke,
+    /// What stands around the stem; only a model's file says.
+    #[serde(skip)]
+    pub around: Around,
 }
 
 impl Default for ValveSpec {
     fn default() -> Self {
-        Self { law: ValveLaw::None, fs: 0.0, fd: 0.0, stroke: Stroke::FREE }
+        Self { law: ValveLaw::None, fs: 0.0, fd: 0.0, stroke: Stroke::FREE, around: Around::NONE }
     }
 }
 
@@ -444,6 +448,7 @@ impl LoopSpec {
                 travel_min: op_min.min(0.0),
                 travel_max: op_max.max(100.0),
                 stroke: self.valve.stroke,
+                around: self.valve.around,
                 ..ValveModel::HEALTHY
             },
             pv_noise_sd: self.noise.pv_sd,

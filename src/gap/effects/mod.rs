@@ -162,7 +162,7 @@ pub struct Effect {
     /// Parameter values at which a search begins.
     pub starts: fn(&Clues<'_>) -> Vec<Start>,
     /// What the linear coefficients and fd say in recorded units, of an effect with these parameters.
-    pub linear: fn(&[f64], &Scored, &Scene) -> Vec<Parameter>,
+    pub linear: fn(&[f64], &Plan, &Scored, &Scene) -> Vec<Parameter>,
     /// Training log mean squared error by which it must beat the base: more for what bends to anything.
     pub margin: f64,
     /// Whether free run can predict it.
@@ -261,7 +261,7 @@ fn once(_clues: &Clues<'_>) -> Vec<Start> {
 }
 
 /// For effects without linear coefficients of their own.
-fn nothing(_p: &[f64], _of: &Scored, _scene: &Scene) -> Vec<Parameter> {
+fn nothing(_p: &[f64], _plan: &Plan, _of: &Scored, _scene: &Scene) -> Vec<Parameter> {
     Vec::new()
 }
 

@@ -5,7 +5,8 @@ use super::{Effect, Stage, Way};
 /// As the catalogue has it.
 pub const EFFECT: Effect = Effect {
     stage: Stage::Measurement,
-    predictable: true,
+    // What the sensor made up is known only from PV itself.
+    predictable: false,
     confused_with: &["coloured_noise"],
     separated_by: "the transmitter's diagnostics",
     ..Effect::unsimulated("outliers", Way::Signature)

@@ -2,6 +2,7 @@
 
 use super::{Clues, Effect, Param, Reach, Stage, Start, Unit, WIDE_MARGIN, Way};
 use crate::gap::kernel::Scored;
+use crate::gap::plan::{Part, Plan};
 use crate::gap::scene::Scene;
 use crate::gap::types::Parameter;
 
@@ -31,16 +32,14 @@ fn starts(clues: &Clues<'_>) -> Vec<Start> {
     out
 }
 
-fn rate(_p: &[f64], of: &Scored, scene: &Scene) -> Vec<Parameter> {
-    // Constant and memory stand before it.
-    let whole = scene.n() as f64 * scene.point_s;
-    vec![Parameter { name: "slope", value: of.linear.others[2] * scene.deviation / whole, unit: "PV/s" }]
+fn rate(_p: &[f64], plan: &Plan, of: &Scored, scene: &Scene) -> Vec<Parameter> {
+    let (rise, whole) = (of.linear.others[plan.column(Part::Ramp)], scene.n() as f64 * scene.point_s);
+    vec![Parameter { name: "slope", value: rise * scene.deviation / whole, unit: "PV/s" }]
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gap::plan::Plan;
     use crate::sim::slips::Law;
 
     #[test]

@@ -4,6 +4,7 @@ use core::f64::consts::TAU;
 
 use super::{Clues, Effect, Param, Reach, Stage, Start, Unit, WIDE_MARGIN, Way};
 use crate::gap::kernel::Scored;
+use crate::gap::plan::{Part, Plan};
 use crate::gap::scene::Scene;
 use crate::gap::types::Parameter;
 
@@ -33,16 +34,15 @@ fn starts(clues: &Clues<'_>) -> Vec<Start> {
 }
 
 /// Half of the way from trough to crest.
-fn amplitude(_p: &[f64], of: &Scored, scene: &Scene) -> Vec<Parameter> {
-    // Constant and memory stand before sine and cosine.
-    let [a, b] = [of.linear.others[2], of.linear.others[3]];
+fn amplitude(_p: &[f64], plan: &Plan, of: &Scored, scene: &Scene) -> Vec<Parameter> {
+    let at = plan.column(Part::Waves);
+    let [a, b] = [of.linear.others[at], of.linear.others[at + 1]];
     vec![Parameter { name: "amplitude", value: (a * a + b * b).sqrt() * scene.deviation, unit: "PV" }]
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gap::plan::Plan;
     use crate::sim::slips::Law;
 
     #[test]

@@ -2,6 +2,7 @@
 
 use super::{Clues, Effect, Param, Reach, Stage, Start, Unit, WIDE_MARGIN, Way};
 use crate::gap::kernel::Scored;
+use crate::gap::plan::{Part, Plan};
 use crate::gap::scene::Scene;
 use crate::gap::types::Parameter;
 
@@ -32,15 +33,14 @@ fn starts(clues: &Clues<'_>) -> Vec<Start> {
     clues.steps(4).into_iter().flat_map(|t| [[t, 0.0, 0.0], [t, 1.0, 0.0]]).collect()
 }
 
-fn size(_p: &[f64], of: &Scored, scene: &Scene) -> Vec<Parameter> {
-    // Constant and memory stand before it.
-    vec![Parameter { name: "size", value: of.linear.others[2] * scene.deviation, unit: "PV" }]
+fn size(_p: &[f64], plan: &Plan, of: &Scored, scene: &Scene) -> Vec<Parameter> {
+    let size = of.linear.others[plan.column(Part::Step)];
+    vec![Parameter { name: "size", value: size * scene.deviation, unit: "PV" }]
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gap::plan::Plan;
     use crate::sim::slips::Law;
 
     #[test]

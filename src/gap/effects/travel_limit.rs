@@ -2,6 +2,7 @@
 
 use super::{Clues, Effect, MARGIN, Param, Reach, Stage, Start, Unit, Way};
 use crate::gap::kernel::Scored;
+use crate::gap::plan::Plan;
 use crate::gap::scene::Scene;
 use crate::gap::types::Parameter;
 
@@ -49,7 +50,7 @@ pub fn above_stop(p: &[f64], fd: f64) -> f64 {
     }
 }
 
-fn stop(p: &[f64], of: &Scored, scene: &Scene) -> Vec<Parameter> {
+fn stop(p: &[f64], _plan: &Plan, of: &Scored, scene: &Scene) -> Vec<Parameter> {
     let place = p[0] - above_stop(p, of.gene.fd);
     vec![Parameter { name: "stop", value: place * scene.span + scene.op_middle, unit: "OP" }]
 }
@@ -57,7 +58,6 @@ fn stop(p: &[f64], of: &Scored, scene: &Scene) -> Vec<Parameter> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gap::plan::Plan;
     use crate::sim::slips::Law;
 
     #[test]

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::gap::effects::{self, Way};
+use crate::gap::express::parameters;
 use crate::record::Record;
 use crate::sim::noise::Noise;
 use crate::sim::slips::{FirstSlip, Law};
@@ -81,4 +82,38 @@ fn what_an_effect_adds_is_the_run_with_it_less_the_run_without() {
     scored.linear.others[2] = 0.7;
     let added = kernel.added(&recipe("step_load"), &scored).unwrap();
     assert!(added[..300].iter().all(|x| x.abs() < 1e-9) && added[301..].iter().all(|x| (x - 0.7).abs() < 1e-9));
+}
+
+#[test]
+fn loads_say_their_own_size_beside_any_other_part() {
+    let (scene, gene) = made();
+    let n = scene.n();
+    let size_of = |ids: [&str; 2], p: [f64; MAX_PARAMS], load: &dyn Fn(usize) -> f64, name: &str| {
+        let (question, deviation) = (&scene.question, scene.deviation);
+        let op = question.path.iter().map(|u| u * scene.span + scene.op_middle).collect();
+        let pv = question.pv.iter().enumerate().map(|(k, y)| (y + load(k)) * deviation).collect();
+        let loaded = Scene::new(&Record::uniform(1.0, op, pv), None, 1, vec![false; n]);
+        let recipe = Recipe { law: Some(Law::He), effects: ids.map(effects::by_id) };
+        let found = Kernel::new(&loaded, 1.0).evaluate(&recipe, &Gene { p, ..gene }, View::Plain).unwrap();
+        let all = parameters(&loaded, &recipe, &found);
+        all.into_iter().find(|q| q.name == name).unwrap().value / deviation
+    };
+    let step = |k: usize| if k >= 300 { 0.7 } else { 0.0 };
+    let at = |p: [f64; 4]| [p[0], p[1], p[2], p[3], 0.0, 0.0];
+    for (partner, p) in [
+        ("sinusoid", at([0.5, 300.0, 1.0, 0.0])),
+        ("ramp", at([100.0, 300.0, 1.0, 0.0])),
+        ("gain_drift", at([0.01, 0.0, 300.0, 1.0])),
+        ("extra_lag", at([libm::log(0.5), 300.0, 1.0, 0.0])),
+        ("inverse_response", at([libm::log(2.0), 300.0, 1.0, 0.0])),
+    ] {
+        let size = size_of([partner, "step_load"], p, &step, "size");
+        assert!((size - 0.7).abs() < 0.03, "{partner}: {size}");
+    }
+    let ramp = |k: usize| 0.9 * k.saturating_sub(100) as f64 / n as f64;
+    let slope = size_of(["ramp", "sinusoid"], at([100.0, 0.5, 0.0, 0.0]), &ramp, "slope");
+    assert!((slope * n as f64 * scene.point_s - 0.9).abs() < 0.03, "{slope}");
+    let wave = |k: usize| 0.4 * libm::sin(0.5 * k as f64);
+    let amplitude = size_of(["extra_lag", "sinusoid"], at([libm::log(0.5), 0.5, 0.0, 0.0]), &wave, "amplitude");
+    assert!((amplitude - 0.4).abs() < 0.03, "{amplitude}");
 }
