@@ -278,7 +278,9 @@ impl Points {
         if outside > 0 {
             tracing::warn!(name, outside, "the section has gaps: its longest stretch is analysed, the rest left out");
         }
-        let record = record.ok_or_else(|| anyhow!("{name}: no samples with both OP and PV in this section"))?;
+        let record = record.ok_or_else(|| {
+            anyhow!("{name}: no samples with both OP and PV in this section; see that both columns hold numbers there")
+        })?;
         if part != Section::Whole && record.raw_samples < MIN_SAMPLES {
             let there = record.raw_samples;
             bail!("{name}: {there} samples in one piece in this section, at least {MIN_SAMPLES} are needed");

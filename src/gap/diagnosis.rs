@@ -56,6 +56,9 @@ pub(super) fn check(record: &Record, ask: &Ask) -> Result<(), GapError> {
 /// Where the record is too short, a signal never moves, an id is unknown or a given model cannot be simulated.
 pub fn diagnose(record: &Record, ask: &Ask, crew: &dyn Crew) -> Result<Diagnosis, GapError> {
     check(record, ask)?;
+    if let Base::Given(model) = &ask.base {
+        given::check(model)?;
+    }
     let period = ask.period_points.unwrap_or_else(|| period_of(record).0);
     let traces = signatures::traces(record, period, &ask.without);
     let scene = Scene::new(record, Some(period), ask.seed, traces.masked.clone());

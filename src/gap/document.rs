@@ -1,5 +1,7 @@
 //! The published diagnosis, `stictiond.gap.v1`.
 
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
 
 use super::locate::Location;
@@ -73,7 +75,7 @@ pub struct EffectNote {
     /// Where it acts.
     pub stage: String,
     /// Its parameters as fitted.
-    pub parameters: std::collections::BTreeMap<String, Quantity>,
+    pub parameters: BTreeMap<String, Quantity>,
     /// Gap of the base, PV units.
     pub gap_before: f64,
     /// Gap with the effect.
@@ -325,11 +327,18 @@ impl BaseNote {
 
 impl EffectNote {
     fn of(effect: &EffectResult) -> Self {
-        let quantity = |p: &Parameter| (p.name.to_owned(), Quantity { value: p.value, unit: p.unit.to_owned() });
+        let mut parameters = BTreeMap::new();
+        for Parameter { name, value, unit } in &effect.parameters {
+            // Both effects of a pair may have one of this name: the second's says whose it is.
+            let second = effect.id.rsplit('+').next().unwrap_or_default();
+            let taken = parameters.contains_key(*name);
+            let name = if taken { format!("{second}.{name}") } else { (*name).to_owned() };
+            parameters.insert(name, Quantity { value: *value, unit: (*unit).to_owned() });
+        }
         Self {
             id: effect.id.clone(),
             stage: effect.stage.name().to_owned(),
-            parameters: effect.parameters.iter().map(quantity).collect(),
+            parameters,
             gap_before: effect.gap_before,
             gap_after: effect.gap_after,
             floor_after: effect.floor_after,

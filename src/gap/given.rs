@@ -18,6 +18,15 @@ const STARTS: usize = 9;
 /// switched and a stem may overshoot without mass or drag. What is not said to be so is not so.
 const BARE: [&str; 3] = ["extra_lag", "sliding_valve", "slip_overshoot"];
 
+/// Whether a model can be simulated at all, before anything is searched.
+///
+/// # Errors
+/// Where a number or word of the model is out of range.
+pub fn check(model: &Model) -> Result<(), ModelError> {
+    model.check()?;
+    recipe(model).map(|_| ())
+}
+
 /// The model's free run and what it leaves.
 ///
 /// # Errors

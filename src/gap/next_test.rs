@@ -4,7 +4,7 @@ use super::kernel::{Kernel, Linear, Scored};
 use super::rounds::Found;
 use super::scene::Scene;
 use super::search::Lane;
-use super::types::{Diagnosis, NONE, NextTest};
+use super::types::{Diagnosis, NONE, NextTest, UNKNOWN};
 use crate::signal::stats;
 use crate::sim::slips::FirstSlip;
 
@@ -22,6 +22,10 @@ pub fn next_test(scene: &Scene, found: &Found, made: &Diagnosis) -> Option<NextT
     let lane_of = |id: &str| {
         if id == NONE { Some(&found.base) } else { found.lanes.iter().find(|l| l.recipe.id() == id) }
     };
+    // What the recorder or the noise did is settled elsewhere.
+    if made.cause.id != UNKNOWN && lane_of(&made.cause.id).is_none() {
+        return None;
+    }
     let ids = core::iter::once(&made.cause.id).chain(made.alternatives.iter().map(|a| &a.id));
     let mut known = ids.filter_map(|id| Some((id, lane_of(id)?)));
     let ((name, first), (rival, second)) = (known.next()?, known.next()?);

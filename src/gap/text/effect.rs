@@ -82,7 +82,7 @@ pub(super) fn phrase(e: &EffectNote) -> String {
             .map(|(d, t)| format!("a dead time that changes by {d} s, {t} s after the start")),
         "sinusoid" => said("period")
             .zip(said("amplitude"))
-            .map(|(p, a)| format!("a sinusoid from outside, period {p} s and amplitude {a} PV units,")),
+            .map(|(p, a)| format!("a sinusoid from outside, period {p} s and amplitude {a} PV units")),
         "ramp" => said("slope")
             .zip(said("from"))
             .map(|(s, t)| format!("a ramp from outside of {s} PV units a second from {t} s after the start on")),
