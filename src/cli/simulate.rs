@@ -15,6 +15,7 @@ use crate::daemon::to_json;
 use crate::engine::{Engine, Event, RecordedInput, SkipReason};
 use crate::files::RecordingFile;
 use crate::gap::Serial;
+use crate::gap::check_model;
 use crate::gap::loop_run::{Parts, parts};
 use crate::record::Record;
 use crate::sim::closed_loop::ValveLaw;
@@ -36,7 +37,8 @@ pub struct Args {
     #[arg(long)]
     pub config: Option<PathBuf>,
     /// Valve and process of a model from elsewhere instead of the scenario's: an estimate, a gap document's model, or a
-    /// plain one (JSON). Controller, set point, noise and disturbances stay the scenario's.
+    /// plain one (JSON). Controller, set point and noise stay the scenario's, and so do
+    /// its disturbances, to which the model's loads are added.
     #[arg(long, value_name = "FILE.json")]
     pub model: Option<PathBuf>,
     /// Which of the scenario's loops the model is for, where it has several.
@@ -115,10 +117,12 @@ fn put_model(scenario: &mut Scenario, path: &Path, name: Option<&str>) -> anyhow
     let spec = &mut scenario.loops[at];
     let rest = Record::uniform(scenario.run.ts_s, vec![spec.operating_point.op], vec![spec.operating_point.pv]);
     let model = model_file(path)?.on(&rest);
-    let Parts { stroke, around, load, on_pv } = match parts(&model, scenario.run.ts_s) {
-        Ok(parts) => parts,
-        Err(id) => bail!("{}: {id:?} has no place in a scenario: it acts inside the process", path.display()),
-    };
+    let wrong = || path.display().to_string();
+    check_model(&model).with_context(wrong)?;
+    let Parts { stroke, mut around, load, on_pv } = parts(&model, scenario.run.ts_s).with_context(wrong)?;
+    // The same characteristic, counted from where the scenario's process rests.
+    let bent = libm::exp(around.bend * (spec.operating_point.op - around.middle));
+    around.middle = spec.operating_point.op;
     (spec.valve.stroke, spec.valve.around) = (stroke, around);
     spec.disturbance.load.extend(load);
     spec.disturbance.pv.extend(on_pv);
@@ -129,7 +133,7 @@ fn put_model(scenario: &mut Scenario, path: &Path, name: Option<&str>) -> anyhow
     };
     (spec.valve.fs, spec.valve.fd) = (model.valve.fs, model.valve.fd);
     spec.process = ProcessSpec {
-        gain: model.process.gain,
+        gain: model.process.gain * bent,
         time_constants_s: model.process.time_constants_s,
         dead_time_s: model.process.dead_time_s,
         integrating: model.process.integrating,

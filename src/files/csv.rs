@@ -202,9 +202,9 @@ impl Rows {
         } else {
             let text = String::from_utf8_lossy(cell);
             match (text.parse::<f64>(), signal) {
-                (Ok(number), _) if number.is_finite() => Value::number(number),
+                (Ok(number), _) => Value::number(number),
                 (Err(_), Signal::Mode) => Value::Mode(Mode::from_word(&text)),
-                _ => {
+                (Err(_), _) => {
                     self.texts += 1;
                     self.first_text.get_or_insert_with(|| (line, text.chars().take(40).collect()));
                     Value::Missing

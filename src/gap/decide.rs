@@ -190,7 +190,7 @@ fn alternatives(
 #[must_use]
 pub fn confirmed(effect: &EffectResult, forward: Option<[f64; 2]>) -> bool {
     let closes = closes(effect.closed_pct) || effect.gap_after < 0.9 * effect.gap_before;
-    let local = LOCAL.contains(&effect.id.as_str());
+    let local = effect.id.split('+').any(|id| LOCAL.contains(&id));
     closes && (local || forward.is_none_or(|[before, after]| after < before))
 }
 

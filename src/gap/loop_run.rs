@@ -109,61 +109,95 @@ pub struct Parts {
     pub on_pv: Vec<Disturbance>,
 }
 
+/// Why an effect of a model has no place in a closed loop's simulation.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum NoPlace {
+    /// It is not in the stem, around it, or a load.
+    #[error("{0:?} acts inside the process or the recorder: a simulation has no such part; leave it out of the model")]
+    Inside(String),
+    /// A number that it needs is missing or out of range.
+    #[error("{effect:?} needs {parameter} as a number{want} to be simulated")]
+    Number {
+        /// The effect.
+        effect: String,
+        /// Its parameter.
+        parameter: &'static str,
+        /// What it may be.
+        want: &'static str,
+    },
+    /// What drives the stem is run in parts of a scan, a stem with a motion of its own in scans.
+    #[error(
+        "\"positioner_lag\" cannot be simulated beside an effect of the stem's own motion: leave one out of the model"
+    )]
+    Clash,
+}
+
 /// The parts of a model for a simulation in scans of `ts_s`.
 ///
 /// # Errors
-/// The id of the first effect that has no place there: it acts inside the process, or says too little to be run alone.
-pub fn parts(model: &Model, ts_s: f64) -> Result<Parts, &str> {
+/// [`NoPlace`] of the first effect that cannot be simulated.
+pub fn parts(model: &Model, ts_s: f64) -> Result<Parts, NoPlace> {
     let mut parts = Parts { stroke: Stroke::FREE, around: Around::NONE, load: vec![], on_pv: vec![] };
     let Parts { stroke, around, load, on_pv } = &mut parts;
     let process = &model.process;
     for effect in &model.effects {
-        let number = |name: &str| effect.parameters.get(name).copied().unwrap_or(0.0);
-        let is = |name: &str| number(name) > 0.5;
+        let stated = |name: &str| effect.parameters.get(name).copied().filter(|x| x.is_finite());
+        let wrong = |parameter, want| NoPlace::Number { effect: effect.id.clone(), parameter, want };
+        let number = |name: &'static str| stated(name).ok_or_else(|| wrong(name, ""));
+        let above_zero = |name: &'static str| stated(name).filter(|x| *x > 0.0).ok_or_else(|| wrong(name, " above 0"));
+        // Mass and drag may be left out; what is not said to be so is not so.
+        let or_zero = |name: &str| stated(name).unwrap_or(0.0);
+        let is = |name: &str| or_zero(name) > 0.5;
         match effect.id.as_str() {
             "extra_lag" | "integrating" | "stiction" => {}
-            "slip_overshoot" => stroke.carried = number("carried"),
+            "slip_overshoot" => stroke.carried = or_zero("carried"),
             "sliding_valve" => {
-                stroke.drag = number("drag") / ts_s;
-                stroke.slowest = number("slowest") * ts_s;
+                stroke.drag = or_zero("drag").max(0.0) / ts_s;
+                stroke.slowest = or_zero("slowest").max(0.0) * ts_s;
             }
-            "asymmetric_stiction" => stroke.uneven = number("alpha"),
-            "rate_limit" if is("of_stem") => stroke.rate = number("rate") * ts_s,
-            "rate_limit" => around.rate = number("rate") * ts_s,
+            "asymmetric_stiction" => stroke.uneven = number("alpha")?,
+            "rate_limit" if is("of_stem") => stroke.rate = above_zero("rate")? * ts_s,
+            "rate_limit" => around.rate = above_zero("rate")? * ts_s,
             "travel_limit" => {
-                let (end, stop) = (usize::from(is("upper")), number("stop"));
-                if is("of_stem") {
-                    stroke.ends[end] = if end == 1 { stop + model.valve.fd } else { stop - model.valve.fd };
+                let (end, stop) = (usize::from(is("upper")), number("stop")?);
+                let ends = if is("of_stem") { &mut stroke.ends } else { &mut around.stops };
+                let above = if !is("of_stem") {
+                    0.0
+                } else if end == 1 {
+                    model.valve.fd
                 } else {
-                    around.stops[end] = stop;
+                    -model.valve.fd
+                };
+                ends[end] = stop + above;
+                if ends[0] > ends[1] {
+                    return Err(wrong("stop", " that leaves the stem room"));
                 }
             }
-            "backlash" => around.play = number("play"),
-            "positioner_lag" => around.pilot = number("lag") / ts_s,
+            "backlash" => around.play = number("width")?.max(0.0),
+            "positioner_lag" => around.pilot = above_zero("lag")? / ts_s,
             "static_nonlinearity" if !is("by_level") => {
-                (around.bend, around.middle) = (number("gain_change_per_op"), process.op);
+                (around.bend, around.middle) = (number("gain_change_per_op")?, process.op);
             }
             "sinusoid" => {
-                let (amplitude, period_s) = (number("amplitude"), number("period"));
+                let (amplitude, period_s) = (number("amplitude")?, above_zero("period")?);
                 on_pv.push(Disturbance::Sine { amplitude, period_s, phase_deg: 0.0 });
             }
             "ramp" => {
-                let (size, from_s) = (number("slope") * FOR_GOOD_S, number("from"));
+                let (size, from_s) = (number("slope")? * FOR_GOOD_S, number("from")?);
                 on_pv.push(Disturbance::Ramp { size, from_s, over_s: FOR_GOOD_S });
             }
             "step_load" if is("straight") || process.integrating => {
-                on_pv.push(Disturbance::Step { size: number("size"), at_s: number("at") });
+                on_pv.push(Disturbance::Step { size: number("size")?, at_s: number("at")? });
             }
             "step_load" => {
-                let (size, at_s) = (number("size") / process.gain, number("at") - process.dead_time_s);
+                let (size, at_s) = (number("size")? / process.gain, number("at")? - process.dead_time_s);
                 load.push(Disturbance::Step { size, at_s });
             }
-            other => return Err(other),
+            _ => return Err(NoPlace::Inside(effect.id.clone())),
         }
     }
-    // A stem with a motion of its own is run in scans, what drives it in parts of them.
     let clash = parts.around.pilot > 0.0 && parts.stroke != Stroke::FREE;
-    if clash { Err("positioner_lag") } else { Ok(parts) }
+    if clash { Err(NoPlace::Clash) } else { Ok(parts) }
 }
 
 /// The loop as the simulator takes it, off its resting place by a band and a half.
@@ -256,7 +290,7 @@ mod tests {
         let with = |id: &str, numbers: &[(&str, f64)]| {
             let model = Model { ts_s: 7.0, ..Model::example(Some((id, numbers))) };
             // The scans that count are those of the simulation, not of the record that the model was fitted to.
-            parts(&model, 2.0).map(|p| p.stroke).map_err(str::to_owned)
+            parts(&model, 2.0).map(|p| p.stroke)
         };
         assert_eq!(with("extra_lag", &[("lag", 3.0)]), Ok(Stroke::FREE));
         assert_eq!(with("slip_overshoot", &[("carried", 0.4)]), Ok(Stroke { carried: 0.4, ..Stroke::FREE }));
@@ -268,7 +302,7 @@ mod tests {
         let stopped = Stroke { ends: [f64::NEG_INFINITY, 61.0], ..Stroke::FREE };
         assert_eq!(with("travel_limit", &[("stop", 60.0), ("upper", 1.0), ("of_stem", 1.0)]), Ok(stopped));
         for inside in ["gain_drift", "dead_time_change", "inverse_response"] {
-            assert_eq!(with(inside, &[("at", 3.0)]), Err(inside.to_owned()));
+            assert_eq!(with(inside, &[("at", 3.0)]), Err(NoPlace::Inside(inside.to_owned())));
         }
     }
 
@@ -282,13 +316,16 @@ mod tests {
         assert_eq!(around("rate_limit", &[("rate", 0.3)]), Around { rate: 0.6, ..Around::NONE });
         let stops = [f64::NEG_INFINITY, 60.0];
         assert_eq!(around("travel_limit", &[("stop", 60.0), ("upper", 1.0)]), Around { stops, ..Around::NONE });
-        assert_eq!(around("backlash", &[("play", 1.5)]), Around { play: 1.5, ..Around::NONE });
+        assert_eq!(around("backlash", &[("width", 1.5)]), Around { play: 1.5, ..Around::NONE });
         assert_eq!(around("positioner_lag", &[("lag", 5.0)]), Around { pilot: 2.5, ..Around::NONE });
         let (bent, process) = with("static_nonlinearity", &[("gain_change_per_op", 0.02)]);
         assert_eq!(bent.around, Around { bend: 0.02, middle: process.op, ..Around::NONE });
         let (step, process) = with("step_load", &[("size", 3.0), ("at", 100.0)]);
         let at_input = Disturbance::Step { size: 3.0 / process.gain, at_s: 100.0 - process.dead_time_s };
         assert_eq!((step.load, step.on_pv), (vec![at_input], vec![]));
+        let refused = |id: &str, numbers: &[(&str, f64)]| parts(&Model::example(Some((id, numbers))), 2.0).is_err();
+        assert!(refused("rate_limit", &[("rate", -0.5)]) && refused("sinusoid", &[("amplitude", 1.0)]));
+        assert!(refused("step_load", &[("at", 5.0)]) && refused("backlash", &[("play", 1.0)]));
         let (ramp, _) = with("ramp", &[("slope", 1e-3), ("from", 50.0)]);
         assert_eq!(ramp.on_pv, [Disturbance::Ramp { size: 1e6, from_s: 50.0, over_s: FOR_GOOD_S }]);
     }

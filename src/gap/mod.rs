@@ -38,6 +38,7 @@ mod weigh;
 
 pub use decide::{By, Decision, decide, holds_out};
 pub use diagnosis::{MIN_POINTS, diagnose};
+pub use given::check as check_model;
 pub use types::*;
 
 /// Model responses of a default search: two seconds on two cores where the base explains all, some ten where nothing does.

@@ -1,10 +1,11 @@
 //! Two effects at once, on demand: built from the best single ones.
 
 use super::effects;
+use super::kernel::Scored;
 use super::plan::{MAX_PARAMS, Recipe};
 use super::rounds::{Found, Work, share};
 use super::scene::Scene;
-use super::search::{Lane, NARROW, cross};
+use super::search::{Lane, NARROW, cross, form_of};
 use super::types::EffectResult;
 use super::weigh::Scales;
 
@@ -52,8 +53,8 @@ fn paired(a: &Lane, b: &Lane, stream: u64) -> Option<Lane> {
         return None;
     }
     let mut starts = Vec::new();
-    for x in a.best.iter().take(2) {
-        for y in b.best.iter().take(2) {
+    for x in starts_of(a) {
+        for y in starts_of(b) {
             let mut p = [0.0; MAX_PARAMS];
             let (left, right) = p.split_at_mut(first.params.len());
             left.copy_from_slice(&x.gene.p[..first.params.len()]);
@@ -63,6 +64,13 @@ fn paired(a: &Lane, b: &Lane, stream: u64) -> Option<Lane> {
     }
     let recipe = Recipe { law: a.recipe.law, effects: [Some(first), Some(second)] };
     Some(Lane { recipe, starts, best: Vec::new(), evaluations: 0, stream: 1000 * stream, ..a.clone() })
+}
+
+/// Two best places of a lane, and the best of every other form of its effect.
+fn starts_of(lane: &Lane) -> impl Iterator<Item = &Scored> {
+    let form = |s: &Scored| form_of(&lane.recipe, &s.gene.p);
+    let new = move |i: usize| lane.best[..i].iter().all(|before| form(before) != form(&lane.best[i]));
+    lane.best.iter().enumerate().filter(move |(i, _)| *i < 2 || new(*i)).map(|(_, place)| place)
 }
 
 /// Whether a pair beats every single effect by the margin and closes more on held-out blocks.

@@ -130,10 +130,11 @@ pub fn hunt(scene: &Scene, lane: &mut Lane, genes: &[Gene], own: &[Gene], effort
 }
 
 /// Which of its alternatives an effect enters by, parameter by parameter.
-type Form = [bool; MAX_PARAMS];
+pub type Form = [bool; MAX_PARAMS];
 
 /// Which of the alternatives that a recipe knows these parameters choose.
-fn form_of(recipe: &Recipe, p: &[f64; MAX_PARAMS]) -> Form {
+#[must_use]
+pub fn form_of(recipe: &Recipe, p: &[f64; MAX_PARAMS]) -> Form {
     let mut form = [false; MAX_PARAMS];
     for ((slot, param), value) in form.iter_mut().zip(recipe.params()).zip(p) {
         *slot = param.unit == Unit::Choice && *value > 0.5;

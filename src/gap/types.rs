@@ -290,7 +290,8 @@ pub struct EffectResult {
     pub confusable_with: Vec<EffectId>,
     /// The measurement that would settle it.
     pub separated_by: &'static str,
-    /// The refitted model; `None` for effects that are seen in the data and not simulated.
+    /// The refitted model; for an effect that is seen in PV the base with what the recorder did to it, where it is met and
+    /// a free run can follow it.
     pub fit: Option<Fit>,
 }
 

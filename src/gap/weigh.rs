@@ -84,7 +84,8 @@ impl Scales<'_> {
     /// One effect of the recording, seen in PV. What it does is measured where it is met and a free run can follow it.
     #[must_use]
     pub fn recorded(&self, effect: &'static Effect, floor_after: Option<f64>) -> EffectResult {
-        let met = self.traces.signatures.iter().any(|s| s.id == effect.id && s.met);
+        let found = self.traces.signatures.iter().find(|s| s.id == effect.id && s.met);
+        let met = found.is_some();
         let made = if met && effect.way == Way::Signature && effect.predictable {
             fit(self.scene, self.lane, self.floor.noise_floor, &|p| self.traces.apply(effect.id, p))
         } else {
@@ -99,7 +100,7 @@ impl Scales<'_> {
             id: effect.id.to_owned(),
             stage: effect.stage,
             simulated: false,
-            parameters: Vec::new(),
+            parameters: found.map(|s| s.parameters.clone()).unwrap_or_default(),
             gap_before: before,
             gap_after: after,
             floor_after,

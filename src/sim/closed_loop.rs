@@ -50,13 +50,15 @@ pub struct ValveModel {
 /// Memory of a valve.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Stem {
-    /// Position that acts until the next scan (its mean where it creeps in between), OP units.
+    /// Position until the next scan (its mean where it creeps in between, the last one where it is driven in parts), OP
+    /// units.
     pub position: f64,
     direction: i8,
     inner: FrictionState,
     /// Its memory where it has more than a law.
     moving: Option<slips::Stem>,
-    /// What flows behind it until the next scan, as OP units.
+    /// Its mean until the next scan, and what flows behind it, as OP units.
+    mean: f64,
     flow: f64,
     /// The memory of what drives it and of what follows it.
     drive: f64,
@@ -72,6 +74,7 @@ impl Stem {
             direction: 0,
             inner: FrictionState::at_rest(position),
             moving: None,
+            mean: position,
             flow: position,
             drive: position,
             follows: [position; 2],
@@ -98,17 +101,18 @@ impl ValveModel {
         let op = op.clamp(self.travel_min, self.travel_max);
         if self.around.pilot == 0.0 {
             let mut next = self.move_stem(stem, op);
-            next.flow = self.around.flow(next.position, &mut next.follows);
+            next.mean = next.position;
+            next.flow = self.around.flow(next.mean, &mut next.follows);
             return next;
         }
         // What drives the stem moves on between two scans; the mean over the scan flows.
         let (drives, drive) = self.around.drives(stem.drive, op);
-        let (mut next, mut mean) = (Stem { drive, ..stem }, 0.0);
+        let mut next = Stem { drive, mean: 0.0, ..stem };
         for op in drives {
             next = self.move_stem(next, op);
-            mean += next.position / drives.len() as f64;
+            next.mean += next.position / drives.len() as f64;
         }
-        next.flow = self.around.flow(mean, &mut next.follows);
+        next.flow = self.around.flow(next.mean, &mut next.follows);
         next
     }
 
@@ -257,10 +261,10 @@ impl ClosedLoop {
         let op = self.pid.step(sp, pv, model.ts_s);
         self.stem = model.valve.step(self.stem, op);
         self.held_load = self.load.iter_mut().map(|disturbance| disturbance.at(self.t_s)).sum();
-        self.held_load += more_load(self.stem.position);
+        self.held_load += more_load(self.stem.mean);
         self.scans += 1;
         self.t_s = self.start_s + self.scans as f64 * model.ts_s;
-        Scan { op, pv, sp, mv: self.stem.position, manual: self.pid.is_manual() }
+        Scan { op, pv, sp, mv: self.stem.mean, manual: self.pid.is_manual() }
     }
 
     /// The next `n` scans at a constant set point as a [`Record`] with set point and valve position, unquantised.

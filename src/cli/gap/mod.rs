@@ -78,7 +78,7 @@ pub struct Diagnose {
     /// Also try two effects at once.
     #[arg(long)]
     pub pairs: bool,
-    /// Time for the search, a loop; without it some 8 s of two cores, less where the base explains all.
+    /// Time for the search, a loop; without it some 10 s of two cores at most, 2 where the base explains all.
     #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
     pub budget: Option<f64>,
     /// Write measured and simulated PV, from which every figure can be computed again.
