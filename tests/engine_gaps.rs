@@ -150,6 +150,22 @@ fn what_found_no_place_is_asked_again_and_what_had_no_answer_is_not() {
 }
 
 #[test]
+fn a_persons_wish_that_finds_no_place_does_not_free_the_loops_day() {
+    let mut rig = hours(15, config(3600.0), Then::Nothing, falls_to(60.0));
+    let unasked = |reasons: Vec<(usize, GapReason)>| reasons.iter().filter(|(_, r)| *r != GapReason::Operator).count();
+    assert_eq!(unasked(rig.asked()), 1);
+    let mut events = Vec::new();
+    let number = rig.engine.run_gap(rig.id, Some("ann"), &mut events).unwrap();
+    rig.engine.skip_gap(rig.id, number, SkipReason::QueueFull, &mut events);
+    rig.handle(events);
+    for k in 15 * 60..20 * 60 {
+        let x = libm::sin(k as f64 * 0.05);
+        rig.push(HOUR / 2 + k * 60 * SECOND, 50.0 + x, 20.0 - x);
+    }
+    assert_eq!(unasked(rig.asked()), 1, "the row went on, but the day is not over");
+}
+
+#[test]
 fn what_becomes_of_diagnoses_changes_nothing_else() {
     let estimates = |rig: &[String]| rig.iter().filter(|d| d.contains("estimate.v1")).cloned().collect::<Vec<_>>();
     let nothing = hours(40, config(3600.0), Then::Nothing, falls_to(60.0));

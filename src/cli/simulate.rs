@@ -37,8 +37,7 @@ pub struct Args {
     #[arg(long)]
     pub config: Option<PathBuf>,
     /// Valve and process of a model from elsewhere instead of the scenario's: an estimate, a gap document's model, or a
-    /// plain one (JSON). Controller, set point and noise stay the scenario's, and so do
-    /// its disturbances, to which the model's loads are added.
+    /// plain one (JSON). Controller, set point, noise and disturbances stay the scenario's; the model's loads are added.
     #[arg(long, value_name = "FILE.json")]
     pub model: Option<PathBuf>,
     /// Which of the scenario's loops the model is for, where it has several.
@@ -119,10 +118,9 @@ fn put_model(scenario: &mut Scenario, path: &Path, name: Option<&str>) -> anyhow
     let model = model_file(path)?.on(&rest);
     let wrong = || path.display().to_string();
     check_model(&model).with_context(wrong)?;
-    let Parts { stroke, mut around, load, on_pv } = parts(&model, scenario.run.ts_s).with_context(wrong)?;
-    // The same characteristic, counted from where the scenario's process rests.
-    let bent = libm::exp(around.bend * (spec.operating_point.op - around.middle));
-    around.middle = spec.operating_point.op;
+    let Parts { stroke, around, load, on_pv } = parts(&model, scenario.run.ts_s).with_context(wrong)?;
+    // The scenario's process rests elsewhere than the model's.
+    let (around, slope) = around.counted_from(spec.operating_point.op);
     (spec.valve.stroke, spec.valve.around) = (stroke, around);
     spec.disturbance.load.extend(load);
     spec.disturbance.pv.extend(on_pv);
@@ -133,7 +131,7 @@ fn put_model(scenario: &mut Scenario, path: &Path, name: Option<&str>) -> anyhow
     };
     (spec.valve.fs, spec.valve.fd) = (model.valve.fs, model.valve.fd);
     spec.process = ProcessSpec {
-        gain: model.process.gain * bent,
+        gain: model.process.gain * slope,
         time_constants_s: model.process.time_constants_s,
         dead_time_s: model.process.dead_time_s,
         integrating: model.process.integrating,

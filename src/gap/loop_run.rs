@@ -5,6 +5,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::effects::above_stop;
 use super::model::Model;
 use super::types::Diagnosis;
 use crate::detect::oscillation;
@@ -159,16 +160,10 @@ pub fn parts(model: &Model, ts_s: f64) -> Result<Parts, NoPlace> {
             "rate_limit" if is("of_stem") => stroke.rate = above_zero("rate")? * ts_s,
             "rate_limit" => around.rate = above_zero("rate")? * ts_s,
             "travel_limit" => {
-                let (end, stop) = (usize::from(is("upper")), number("stop")?);
+                let stop = number("stop")?;
                 let ends = if is("of_stem") { &mut stroke.ends } else { &mut around.stops };
-                let above = if !is("of_stem") {
-                    0.0
-                } else if end == 1 {
-                    model.valve.fd
-                } else {
-                    -model.valve.fd
-                };
-                ends[end] = stop + above;
+                let above = above_stop(&[stop, or_zero("upper"), or_zero("of_stem")], model.valve.fd);
+                ends[usize::from(is("upper"))] = stop + above;
                 if ends[0] > ends[1] {
                     return Err(wrong("stop", " that leaves the stem room"));
                 }

@@ -33,7 +33,8 @@ pub fn quantum(x: &[f64]) -> Option<f64> {
 pub fn floor(pv: &[f64], straight: bool) -> Floor {
     let quantum = quantum(pv);
     let held = quantum.is_none() && stats::repeat_share(pv) > HELD;
-    let noise_sd = if held || straight { None } else { Some(white_sd(&second_differences(pv).collect::<Vec<_>>())) };
+    let noise_sd =
+        if held || straight { None } else { Some(white_sd(&stats::second_differences(pv).collect::<Vec<_>>())) };
     let grid = quantum.unwrap_or(0.0) / 12.0_f64.sqrt();
     // Rounding shows in the second differences too where it is finer than the noise.
     let noise_floor = noise_sd.map(|sd| if sd > 2.0 * grid { sd } else { sd + grid });
@@ -43,12 +44,8 @@ pub fn floor(pv: &[f64], straight: bool) -> Floor {
 /// Standard deviation of a residual's white part from its second differences, over the given stretches.
 #[must_use]
 pub fn high_band(residual: &[f64], stretches: &[[usize; 2]]) -> Option<f64> {
-    let second: Vec<f64> = stretches.iter().flat_map(|[a, b]| second_differences(&residual[*a..*b])).collect();
+    let second: Vec<f64> = stretches.iter().flat_map(|[a, b]| stats::second_differences(&residual[*a..*b])).collect();
     (second.len() > 20).then(|| white_sd(&second))
-}
-
-fn second_differences(x: &[f64]) -> impl Iterator<Item = f64> {
-    x.windows(3).map(|w| w[2] - 2.0 * w[1] + w[0])
 }
 
 /// Deviation of the white part that second differences show: smooth courses they leave out, slips the clipping.

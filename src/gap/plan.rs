@@ -7,7 +7,7 @@
 use super::effects::{Effect, Unit};
 use crate::ident::candidate::Landing;
 use crate::ident::class::Class;
-use crate::sim::actuator::{play_step, rate_step, stop_step};
+use crate::sim::actuator::{bent, play_step, rate_step, stop_step};
 use crate::sim::slips::{FirstSlip, Law, Stroke};
 
 /// Most parameters that a recipe's effects have together.
@@ -161,7 +161,7 @@ impl Plan {
     /// The valve's characteristic at `v`.
     #[must_use]
     pub fn bent(&self, v: f64) -> f64 {
-        if self.bend == 0.0 { v } else { libm::expm1(self.bend * v) / self.bend }
+        bent(v, self.bend)
     }
 
     /// The class of process that the search of [`crate::ident`] knows it by.

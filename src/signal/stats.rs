@@ -126,8 +126,13 @@ pub fn span(x: &[f64]) -> f64 {
 /// courses and rare jumps leave alone. 0 for under 3 values, and on held or coarsely rounded signals.
 #[must_use]
 pub fn noise_sd(x: &[f64]) -> f64 {
-    let second: Vec<f64> = x.windows(3).map(|w| w[2] - 2.0 * w[1] + w[0]).collect();
+    let second: Vec<f64> = second_differences(x).collect();
     1.4826 * mad(&second) / 6.0_f64.sqrt()
+}
+
+/// `x[k + 1] - 2 x[k] + x[k - 1]`, units of `x`; of white noise they have sqrt(6) times its deviation.
+pub fn second_differences(x: &[f64]) -> impl Iterator<Item = f64> {
+    x.windows(3).map(|w| w[2] - 2.0 * w[1] + w[0])
 }
 
 /// Standard deviation of the normal part of `x` around zero, units of `x`: values beyond [`CLIP`] deviations are left out

@@ -46,7 +46,13 @@ impl Around {
         *slow = if self.rate < f64::INFINITY { rate_step(*slow, position, self.rate) } else { position };
         let open = stop_step(*slow, self.stops);
         *far = if self.play > 0.0 { play_step(*far, open, self.play) } else { open };
-        if self.bend == 0.0 { *far } else { self.middle + libm::expm1(self.bend * (*far - self.middle)) / self.bend }
+        if self.bend == 0.0 { *far } else { self.middle + bent(*far - self.middle, self.bend) }
+    }
+
+    /// The same characteristic counted from another OP value, and the factor that the gain behind it takes.
+    #[must_use]
+    pub fn counted_from(self, middle: f64) -> (Self, f64) {
+        (Self { middle, ..self }, libm::exp(self.bend * (middle - self.middle)))
     }
 }
 
@@ -54,6 +60,12 @@ impl Default for Around {
     fn default() -> Self {
         Self::NONE
     }
+}
+
+/// A characteristic at `v` whose slope, 1 at 0, grows by the share `bend` with each unit.
+#[must_use]
+pub fn bent(v: f64, bend: f64) -> f64 {
+    if bend == 0.0 { v } else { libm::expm1(bend * v) / bend }
 }
 
 /// Play of `width` behind the stem (backlash): the far side stands still until the stem has crossed it.
@@ -120,8 +132,12 @@ mod tests {
         let mut memory = [1.0, 1.0];
         // Up by 2 to 3, then by 2 to the stop at 5, each time half the play behind.
         let flows = [9.0, 9.0, 9.0].map(|x| around.flow(x, &mut memory));
-        let bent = |v: f64| 3.0 + libm::expm1(0.1 * (v - 3.0)) / 0.1;
-        assert_eq!(flows, [bent(2.5), bent(4.5), bent(4.5)]);
+        let flow = |v: f64| 3.0 + libm::expm1(0.1 * (v - 3.0)) / 0.1;
+        assert_eq!(flows, [flow(2.5), flow(4.5), flow(4.5)]);
+        // Counted from elsewhere it is the same curve, but for its gain and a constant.
+        let (other, gain) = Around { bend: 0.1, middle: 3.0, ..Around::NONE }.counted_from(7.0);
+        let way = |a: Around| a.flow(9.0, &mut [9.0; 2]) - a.flow(4.0, &mut [4.0; 2]);
+        assert!((gain * way(other) - way(Around { bend: 0.1, middle: 3.0, ..Around::NONE })).abs() < 1e-12);
         assert_eq!(Around::NONE.flow(7.25, &mut [0.0; 2]), 7.25);
     }
 

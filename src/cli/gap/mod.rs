@@ -28,7 +28,7 @@ use crew::Team;
 /// Most points of a simulation: sections with more samples are averaged in boxes.
 const MAX_POINTS: usize = 8_192;
 /// Seconds that the default number of evaluations takes on two cores, about.
-const DEFAULT_SECONDS: f64 = 8.0;
+const DEFAULT_SECONDS: f64 = 10.0;
 
 /// Diagnose the gap between a loop's model and its record: where it lies, which unmodelled effect causes it, and how
 /// far it shrinks once that effect is added.
