@@ -31,7 +31,7 @@ pub struct Limits {
 }
 
 /// Points by which an integrator's gain is scaled, so that its course is of the size of its input.
-const INTEGRATOR_SCALE: f64 = 50.0;
+pub(super) const INTEGRATOR_SCALE: f64 = 50.0;
 
 /// Buffers for one response.
 #[derive(Debug, Clone, Default)]

@@ -10,6 +10,7 @@ pub(crate) mod candidate;
 mod choice;
 pub mod class;
 pub mod controller;
+pub mod evaluator;
 pub(crate) mod fit;
 pub mod foresee;
 mod frictionless;

@@ -11,5 +11,6 @@ pub mod process;
 pub mod scenario;
 mod scenario_check;
 pub mod slips;
+pub mod steps;
 pub mod truth;
 pub mod valve;

@@ -160,6 +160,51 @@ impl Stem {
         stem
     }
 
+    /// Before the first slip, with bands `[s, j]` and `per_point` OP values a point.
+    #[must_use]
+    pub fn before(first: FirstSlip, [s, j]: [f64; 2], stroke: Stroke, per_point: usize) -> Self {
+        Self::new(first, s, Uneven { uneven: stroke.uneven, j }, stroke, per_point)
+    }
+
+    /// Takes the next OP value with bands `[s, j]`.
+    #[inline]
+    pub fn meet(&mut self, law: Law, op: f64, [s, j]: [f64; 2], stroke: Stroke) {
+        self.take(law, op, s, j, Uneven { uneven: stroke.uneven, j });
+    }
+
+    /// Level and direction of the stem, `level - fd (direction + uneven)`, averaged since the OP value before.
+    #[inline]
+    #[must_use]
+    pub fn signal(&self) -> (f64, f64) {
+        (self.at - self.behind, self.direction)
+    }
+
+    /// Moves so far.
+    #[inline]
+    #[must_use]
+    pub const fn slips(&self) -> usize {
+        self.slips
+    }
+
+    /// Moves so far against the move before.
+    #[must_use]
+    pub const fn reversals(&self) -> usize {
+        self.reversals
+    }
+
+    /// Whether the next OP value may move it without a slip.
+    #[inline]
+    #[must_use]
+    pub const fn is_moving(&self) -> bool {
+        self.moving
+    }
+
+    /// Values of s, then of j, that give the same moves so far.
+    #[must_use]
+    pub const fn cells(&self) -> [[f64; 2]; 2] {
+        [self.s_cell, self.j_cell]
+    }
+
     /// Takes the next OP value with bands `[fs, fd]` and answers the mean position until the next one.
     pub fn follow(&mut self, law: Law, op: f64, [fs, fd]: [f64; 2], uneven: f64) -> f64 {
         self.take(law, op, fs + fd, fs - fd, Uneven { uneven, j: fs - fd });
@@ -201,10 +246,15 @@ impl Stem {
     /// and nothing taken, where it may not.
     #[inline]
     fn rest(&mut self, ops: &[f64], s: f64, j: f64) -> bool {
+        self.rests_between(extremes(ops), [s, j])
+    }
+
+    /// As above for values of which only the least and the greatest are told.
+    #[inline]
+    pub fn rests_between(&mut self, [low, high]: [f64; 2], [s, j]: [f64; 2]) -> bool {
         if self.moving {
             return false;
         }
-        let [low, high] = extremes(ops);
         let (far, near) = if self.direction > 0.0 { (high, low) } else { (low, high) };
         let (most, least) = (self.direction * (far - self.at), self.direction * (near - self.at));
         let (on, back) = (most * self.on, self.back - least);

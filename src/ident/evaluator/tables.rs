@@ -1,0 +1,251 @@
+//! PV as an error sees it, and the tables that products of step responses with it come from.
+
+use std::collections::HashMap;
+use std::rc::Rc;
+
+/// Distance of two neighbouring time constants on the lattice, in logarithm.
+pub const LATTICE_STEP: f64 = 0.04;
+/// Power of a decay below which it counts as nothing: what is smaller turns into denormal numbers, which are slow.
+const NOTHING: f64 = 1e-150;
+
+/// Time constant of a place on the lattice, points.
+#[must_use]
+pub fn lattice_tau(index: i32) -> f64 {
+    libm::exp(LATTICE_STEP * f64::from(index))
+}
+
+/// Place on the lattice nearest to a time constant (points, > 0).
+#[must_use]
+pub fn lattice_index(tau: f64) -> i32 {
+    (libm::log(tau) / LATTICE_STEP).round() as i32
+}
+
+/// One signal on the points that count, with the products that do not depend on a time constant.
+#[derive(Debug, Clone)]
+struct Column {
+    /// Filtered; 0 where it does not count.
+    values: Vec<f64>,
+    /// Products with the filtered answer of a level, and of a ramp of slope 1, to a unit step at each point.
+    with_level: Vec<f64>,
+    with_ramp: Vec<f64>,
+    /// Products with 1 and with the points since the first one that counts.
+    with_one: f64,
+    with_time: f64,
+}
+
+/// PV behind the filter `1 - rho q^-1`, on the points that count, and other signals that are fitted beside the process'
+/// answer (loads).
+#[derive(Debug, Clone)]
+pub struct View {
+    rho: f64,
+    from: usize,
+    points: usize,
+    counted: Vec<[usize; 2]>,
+    columns: Vec<Column>,
+    /// Products of the columns with each other.
+    products: Vec<Vec<f64>>,
+    /// Points that count, sum of their distances from the first, and of the squares.
+    moments: [f64; 3],
+    lattice: HashMap<i32, Rc<Table>>,
+}
+
+/// What a view knows for one time constant.
+#[derive(Debug, Clone)]
+pub struct Table {
+    /// Time constant, points.
+    pub tau: f64,
+    /// What is left of a decay after a point.
+    pub a: f64,
+    /// Powers of it.
+    pub powers: Vec<f64>,
+    /// `1 / (1 - a)` and `1 / (1 - a^2)`.
+    pub inverse: [f64; 2],
+    /// For each column, products with the level and the decay of a step at each point.
+    pub steps: Vec<Vec<[f64; 2]>>,
+    /// For each column, products with the decay from the first point that counts on.
+    pub with_memory: Vec<f64>,
+    /// Products of that decay with itself, with 1 and with the points since its start.
+    pub memory: [f64; 3],
+}
+
+impl View {
+    /// `pv` with all points from `from` (at least 1) on.
+    #[must_use]
+    pub fn new(pv: &[f64], rho: f64, from: usize) -> Self {
+        Self::of_stretches(pv, &[], rho, from, &[[from.max(1), pv.len()]])
+    }
+
+    /// `pv` and `loads` (of its length) on the stretches `counted`, in order and none of them before `from`.
+    #[must_use]
+    pub fn of_stretches(pv: &[f64], loads: &[&[f64]], rho: f64, from: usize, counted: &[[usize; 2]]) -> Self {
+        let (from, points) = (from.max(1), pv.len());
+        let within = |[a, b]: &[usize; 2]| [(*a).max(from), (*b).min(points)];
+        let counted: Vec<[usize; 2]> = counted.iter().map(within).filter(|[a, b]| a < b).collect();
+        let columns: Vec<Column> = [pv].iter().chain(loads).map(|x| Column::new(x, rho, from, &counted)).collect();
+        let product = |a: &Column, b: &Column| a.values.iter().zip(&b.values).map(|(x, y)| x * y).sum::<f64>();
+        let products = columns.iter().map(|a| columns.iter().map(|b| product(a, b)).collect()).collect();
+        let mut moments = [0.0; 3];
+        for k in counted.iter().flat_map(|[a, b]| *a..*b) {
+            let late = (k - from) as f64;
+            moments[0] += 1.0;
+            moments[1] += late;
+            moments[2] += late * late;
+        }
+        Self { rho, from, points, counted, columns, products, moments, lattice: HashMap::new() }
+    }
+
+    /// Filter of the error, `1 - rho q^-1`.
+    #[must_use]
+    pub const fn rho(&self) -> f64 {
+        self.rho
+    }
+
+    /// First point that may count.
+    #[must_use]
+    pub const fn from(&self) -> usize {
+        self.from
+    }
+
+    /// Points, those that do not count included.
+    #[must_use]
+    pub const fn points(&self) -> usize {
+        self.points
+    }
+
+    /// Stretches of points that count.
+    #[must_use]
+    pub fn counted(&self) -> &[[usize; 2]] {
+        &self.counted
+    }
+
+    /// Points that count.
+    #[must_use]
+    pub const fn count(&self) -> f64 {
+        self.moments[0]
+    }
+
+    /// Sum of the squares of filtered PV less its mean: what no model at all leaves.
+    #[must_use]
+    pub fn nothing(&self) -> f64 {
+        let sum = self.columns[0].with_one;
+        self.products[0][0] - sum * sum / self.moments[0].max(1.0)
+    }
+
+    /// Loads that are fitted beside the process' answer.
+    #[must_use]
+    pub const fn loads(&self) -> usize {
+        self.columns.len() - 1
+    }
+
+    pub(super) fn product(&self, i: usize, k: usize) -> f64 {
+        self.products[i][k]
+    }
+
+    pub(super) const fn moments(&self) -> [f64; 3] {
+        self.moments
+    }
+
+    pub(super) fn with_one(&self, column: usize) -> f64 {
+        self.columns[column].with_one
+    }
+
+    pub(super) fn with_time(&self, column: usize) -> f64 {
+        self.columns[column].with_time
+    }
+
+    pub(super) fn with_level(&self, column: usize, point: usize) -> f64 {
+        self.columns[column].with_level[point]
+    }
+
+    pub(super) fn with_ramp(&self, column: usize, point: usize) -> f64 {
+        self.columns[column].with_ramp[point]
+    }
+
+    /// The table of a place on the lattice, made when it is first asked for.
+    pub fn on_lattice(&mut self, index: i32) -> Rc<Table> {
+        if let Some(table) = self.lattice.get(&index) {
+            return Rc::clone(table);
+        }
+        let table = Rc::new(self.table(lattice_tau(index)));
+        self.lattice.insert(index, Rc::clone(&table));
+        table
+    }
+
+    /// The table of any time constant (points, > 0).
+    #[must_use]
+    pub fn table(&self, tau: f64) -> Table {
+        let a = libm::exp(-1.0 / tau);
+        let powers = powers(a, self.points + 1);
+        let inverse = [1.0 / (1.0 - a), 1.0 / (1.0 - a * a)];
+        let (mut steps, mut with_memory) = (Vec::new(), Vec::new());
+        for column in &self.columns {
+            let (of, memory) = column.steps(a, self.rho, self.from);
+            steps.push(of);
+            with_memory.push(memory);
+        }
+        let mut memory = [0.0; 3];
+        for [start, end] in &self.counted {
+            let [first, last] = [powers[start - self.from], powers[end - self.from]];
+            let (late, long) = ((start - self.from) as f64, (end - start) as f64);
+            let rest = powers[end - start];
+            let sum = (1.0 - rest) * inverse[0];
+            let along = (a - long * rest + (long - 1.0) * rest * a) * inverse[0] * inverse[0];
+            memory[0] += (first * first - last * last) * inverse[1];
+            memory[1] += first * sum;
+            memory[2] += first * (late * sum + along);
+        }
+        Table { tau, a, powers, inverse, steps, with_memory, memory }
+    }
+}
+
+impl Column {
+    fn new(x: &[f64], rho: f64, from: usize, counted: &[[usize; 2]]) -> Self {
+        let n = x.len();
+        let mut values = vec![0.0; n];
+        for k in counted.iter().flat_map(|[a, b]| *a..*b) {
+            values[k] = x[k] - rho * x[k - 1];
+        }
+        let (mut with_level, mut with_ramp) = (vec![0.0; n + 1], vec![0.0; n + 1]);
+        let (mut sum, mut sum_of_sums, mut with_one, mut with_time) = (0.0, 0.0, 0.0, 0.0);
+        for k in (0..n).rev() {
+            // Sum of (i - k) values[i] over i >= k.
+            sum_of_sums += sum;
+            with_ramp[k] = (1.0 - rho) * sum_of_sums + rho * sum;
+            sum += values[k];
+            with_level[k] = (1.0 - rho) * sum + rho * values[k];
+            if k == from {
+                (with_one, with_time) = (sum, sum_of_sums);
+            }
+        }
+        Self { values, with_level, with_ramp, with_one, with_time }
+    }
+
+    /// Products with the level and the decay of a step at each point, and with the decay from `from` on.
+    fn steps(&self, a: f64, rho: f64, from: usize) -> (Vec<[f64; 2]>, f64) {
+        let n = self.values.len();
+        let mut out = vec![[0.0; 2]; n + 1];
+        let (later, own) = (1.0 - rho / a, rho / a);
+        let mut decay = 0.0;
+        for k in (from.min(n)..n).rev() {
+            decay = self.values[k] + a * decay;
+            out[k] = [self.with_level[k], later * decay + own * self.values[k]];
+        }
+        (out, decay)
+    }
+}
+
+/// `a^0 .. a^(count - 1)`, eight chains side by side.
+fn powers(a: f64, count: usize) -> Vec<f64> {
+    const CHAINS: usize = 8;
+    let mut out = vec![0.0; count];
+    let mut value = 1.0;
+    for slot in out.iter_mut().take(CHAINS) {
+        *slot = value;
+        value *= a;
+    }
+    for k in CHAINS..count {
+        let next = out[k - CHAINS] * value;
+        out[k] = if next > NOTHING { next } else { 0.0 };
+    }
+    out
+}

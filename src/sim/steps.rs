@@ -1,0 +1,292 @@
+//! A valve signal as the steps it makes, found in less time than one look at every sample.
+//!
+//! Between two slips the stem rests, so its signal is a staircase: some hundred steps stand for thousands of samples, and
+//! [`crate::ident`] computes a free run from them in time proportional to their number. A stem that slides makes a step
+//! at every sample on which it moves. The signal is the one that [`super::slips::Sequence`] holds sample by sample.
+
+use super::slips::{FirstSlip, Law, Stem, Stroke};
+
+/// OP values whose extremes are kept together.
+const BLOCK: usize = 16;
+
+/// OP on its way, prepared for [`Steps::run`].
+#[derive(Debug, Clone, Default)]
+pub struct Path {
+    values: Vec<f64>,
+    /// Least and greatest value from each one to the end of its block.
+    ahead: Vec<[f64; 2]>,
+    per_point: usize,
+}
+
+impl Path {
+    /// `values` holds `per_point` (at least 1) OP values for every point.
+    #[must_use]
+    pub fn new(values: Vec<f64>, per_point: usize) -> Self {
+        let mut ahead = vec![[0.0; 2]; values.len()];
+        for (block, out) in values.chunks(BLOCK).zip(ahead.chunks_mut(BLOCK)) {
+            let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
+            for (value, slot) in block.iter().zip(out).rev() {
+                (low, high) = (low.min(*value), high.max(*value));
+                *slot = [low, high];
+            }
+        }
+        Self { values, ahead, per_point: per_point.max(1) }
+    }
+
+    /// OP values, in order.
+    #[must_use]
+    pub fn values(&self) -> &[f64] {
+        &self.values
+    }
+
+    /// OP values a point.
+    #[must_use]
+    pub const fn per_point(&self) -> usize {
+        self.per_point
+    }
+
+    /// Points.
+    #[must_use]
+    pub const fn points(&self) -> usize {
+        self.values.len() / self.per_point
+    }
+}
+
+/// One step of a valve signal `level - fd direction`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Step {
+    /// Point from which on it counts.
+    pub point: u32,
+    /// Change of the level.
+    pub level: f64,
+    /// Change of the direction.
+    pub direction: f64,
+}
+
+/// The steps that a law makes of an OP path, in the order of their points, at most one a point.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Steps {
+    /// The steps.
+    pub list: Vec<Step>,
+    /// All s from the first to below the second give the same steps.
+    pub s_cell: [f64; 2],
+    /// The same for j.
+    pub j_cell: [f64; 2],
+    /// Moves of the stem.
+    pub slips: usize,
+    /// Moves against the move before.
+    pub reversals: usize,
+}
+
+impl Steps {
+    /// Runs a law with bands `[s, j]` over the first `points` points of a path.
+    pub fn run(&mut self, path: &Path, points: usize, stroke: Stroke, law: Law, [s, j]: [f64; 2], first: FirstSlip) {
+        let m = path.per_point;
+        let values = &path.values[..(points * m).min(path.values.len())];
+        let mut stem = Stem::before(first, [s, j], stroke, m);
+        let mut collector = Collector::new(core::mem::take(&mut self.list), m, values.len() / m);
+        let mut last = stem.signal();
+        let mut k = 0;
+        while k < values.len() {
+            let end = (k / BLOCK + 1) * BLOCK;
+            // Extremes reach to the end of a block, which may lie beyond the values that are asked for.
+            if end <= values.len() && stem.rests_between(path.ahead[k], [s, j]) {
+                last = put(&mut collector, k, last, stem.signal());
+                k = end;
+                continue;
+            }
+            let slips = stem.slips();
+            while k < values.len() {
+                stem.meet(law, values[k], [s, j], stroke);
+                last = put(&mut collector, k, last, stem.signal());
+                k += 1;
+                if stem.slips() != slips && !stem.is_moving() || k % BLOCK == 0 && !stem.is_moving() {
+                    break;
+                }
+            }
+        }
+        self.list = collector.finish();
+        [self.s_cell, self.j_cell] = stem.cells();
+        (self.slips, self.reversals) = (stem.slips(), stem.reversals());
+    }
+
+    /// The steps of a signal that is given point by point, `direction` of the same length or empty; cells and counts are
+    /// left as they are.
+    pub fn of_signal(&mut self, level: &[f64], direction: &[f64]) {
+        self.list.clear();
+        for k in 1..level.len() {
+            let turn = if direction.is_empty() { 0.0 } else { direction[k] - direction[k - 1] };
+            let step = Step { point: k as u32, level: level[k] - level[k - 1], direction: turn };
+            if step.level != 0.0 || turn != 0.0 {
+                self.list.push(step);
+            }
+        }
+    }
+
+    /// Replaces the signal by `map` of `level - fd direction`, of a stem that starts at `start`; no direction is left.
+    pub fn map_signal(&mut self, start: f64, fd: f64, mut map: impl FnMut(f64) -> f64) {
+        let (mut stem, mut last) = (start, map(start));
+        for step in &mut self.list {
+            stem += step.level - fd * step.direction;
+            let now = map(stem);
+            (step.level, step.direction) = (now - last, 0.0);
+            last = now;
+        }
+    }
+}
+
+/// Puts down what changed at an OP value; the signal from there on.
+#[inline]
+fn put(collector: &mut Collector, value: usize, last: (f64, f64), now: (f64, f64)) -> (f64, f64) {
+    if now != last {
+        collector.step(value, [now.0 - last.0, now.1 - last.1]);
+    }
+    now
+}
+
+/// Steps at OP values put together into steps at points: one within a point counts there by the share of the point that is
+/// left, and by the rest from the next point on.
+struct Collector {
+    list: Vec<Step>,
+    per_point: usize,
+    points: usize,
+    /// The point at hand, what steps there, and what it leaves to the next point.
+    point: usize,
+    here: [f64; 2],
+    next: [f64; 2],
+}
+
+impl Collector {
+    fn new(mut list: Vec<Step>, per_point: usize, points: usize) -> Self {
+        list.clear();
+        Self { list, per_point, points, point: 0, here: [0.0; 2], next: [0.0; 2] }
+    }
+
+    fn step(&mut self, value: usize, by: [f64; 2]) {
+        if self.per_point == 1 {
+            self.list.push(Step { point: value as u32, level: by[0], direction: by[1] });
+            return;
+        }
+        let (point, within) = (value / self.per_point, value % self.per_point);
+        self.go_to(point);
+        let late = within as f64 / self.per_point as f64;
+        for i in 0..2 {
+            self.here[i] += (1.0 - late) * by[i];
+            self.next[i] += late * by[i];
+        }
+    }
+
+    fn go_to(&mut self, point: usize) {
+        while self.point < point {
+            if self.here == [0.0; 2] && self.next == [0.0; 2] {
+                self.point = point;
+                return;
+            }
+            self.put();
+        }
+    }
+
+    /// Ends the point at hand.
+    fn put(&mut self) {
+        if self.here != [0.0; 2] && self.point < self.points {
+            self.list.push(Step { point: self.point as u32, level: self.here[0], direction: self.here[1] });
+        }
+        (self.here, self.next) = (self.next, [0.0; 2]);
+        self.point += 1;
+    }
+
+    fn finish(mut self) -> Vec<Step> {
+        if self.per_point > 1 {
+            self.put();
+            self.put();
+        }
+        self.list
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sim::slips::Sequence;
+
+    fn path(seed: u64, n: usize) -> Vec<f64> {
+        let (mut state, mut slow) = (seed, 0.0);
+        (0..n)
+            .map(|k| {
+                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+                slow += ((state >> 40) as f64 / f64::from(1 << 24) - 0.5) * 0.5;
+                slow + 6.0 * libm::sin(k as f64 * 0.05)
+            })
+            .collect()
+    }
+
+    /// The signal, sample by sample, from the level and direction before the first step.
+    fn signal(steps: &Steps, n: usize, mut level: f64, mut direction: f64) -> Vec<[f64; 2]> {
+        let mut list = steps.list.iter().peekable();
+        (0..n)
+            .map(|k| {
+                while let Some(step) = list.next_if(|s| s.point as usize == k) {
+                    level += step.level;
+                    direction += step.direction;
+                }
+                [level, direction]
+            })
+            .collect()
+    }
+
+    #[test]
+    fn steps_put_together_are_the_signal_of_every_law_and_stroke() {
+        let strokes = [
+            Stroke::FREE,
+            Stroke { uneven: 0.3, ..Stroke::FREE },
+            Stroke { ends: [-3.0, 2.5], ..Stroke::FREE },
+            Stroke { carried: 0.4, ..Stroke::FREE },
+            Stroke { rate: 0.05, ..Stroke::FREE },
+            Stroke { drag: 4.0, slowest: 0.01, ..Stroke::FREE },
+        ];
+        for (stroke, law) in strokes.into_iter().flat_map(|s| [(s, Law::He), (s, Law::Tracking)]) {
+            for (m, [s, j]) in [(1, [4.0, 2.0]), (1, [0.3, 0.1]), (4, [5.0, 5.0]), (5, [2.0, 0.4])] {
+                let op = path(7 + m as u64, 2003 / m * m);
+                let first = FirstSlip { direction: -1.0, threshold: op[0] - 0.6 };
+                let mut sequence = Sequence::default();
+                sequence.run_in(stroke, law, &op, m, [s, j], first);
+                let mut steps = Steps::default();
+                let n = op.len() / m;
+                let path = Path::new(op, m);
+                steps.run(&path, n, stroke, law, [s, j], first);
+                let stem = Stem::before(first, [s, j], stroke, m).signal();
+                for (k, [level, direction]) in signal(&steps, n, stem.0, stem.1).into_iter().enumerate() {
+                    assert!(
+                        (level - sequence.at[k]).abs() < 1e-9 && (direction - sequence.direction[k]).abs() < 1e-9,
+                        "{law:?} {stroke:?} {m} at {k}: {level} {}",
+                        sequence.at[k]
+                    );
+                }
+                assert_eq!((steps.s_cell, steps.j_cell), (sequence.s_cell, sequence.j_cell), "{law:?} {stroke:?}");
+                assert_eq!((steps.slips, steps.reversals), (sequence.slips, sequence.reversals));
+            }
+        }
+    }
+
+    #[test]
+    fn the_beginning_of_a_record_has_the_beginning_of_its_steps() {
+        let path = Path::new(path(3, 1500), 1);
+        let first = FirstSlip { direction: 1.0, threshold: path.values()[0] + 0.3 };
+        let (mut whole, mut part) = (Steps::default(), Steps::default());
+        whole.run(&path, 1500, Stroke::FREE, Law::He, [2.0, 0.7], first);
+        part.run(&path, 701, Stroke::FREE, Law::He, [2.0, 0.7], first);
+        let before: Vec<Step> = whole.list.iter().copied().filter(|s| s.point < 701).collect();
+        assert_eq!(part.list, before);
+        assert!(part.s_cell[0] <= whole.s_cell[0] && part.s_cell[1] >= whole.s_cell[1]);
+    }
+
+    #[test]
+    fn a_signal_given_point_by_point_steps_where_it_changes() {
+        let mut steps = Steps::default();
+        steps.of_signal(&[1.0, 1.0, 3.0, 3.0, 2.5], &[-1.0, -1.0, 1.0, 1.0, 1.0]);
+        let points: Vec<u32> = steps.list.iter().map(|s| s.point).collect();
+        assert_eq!(points, [2, 4]);
+        steps.map_signal(1.0, 0.5, |v| 2.0 * v);
+        assert_eq!(steps.list[0], Step { point: 2, level: 2.0, direction: 0.0 });
+    }
+}
