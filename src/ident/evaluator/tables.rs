@@ -60,8 +60,10 @@ pub struct Table {
     pub powers: Vec<f64>,
     /// `1 / (1 - a)` and `1 / (1 - a^2)`.
     pub inverse: [f64; 2],
-    /// For each column, products with the level and the decay of a step at each point.
-    pub steps: Vec<Vec<[f64; 2]>>,
+    /// Products of PV, and of each load, with the level and the decay of a step at each point.
+    pub with_pv: Vec<[f64; 2]>,
+    /// See `with_pv`.
+    pub with_loads: Vec<Vec<[f64; 2]>>,
     /// For each column, products with the decay from the first point that counts on.
     pub with_memory: Vec<f64>,
     /// Products of that decay with itself, with 1 and with the points since its start.
@@ -153,12 +155,10 @@ impl View {
         self.columns[column].with_time
     }
 
-    pub(super) fn with_level(&self, column: usize, point: usize) -> f64 {
-        self.columns[column].with_level[point]
-    }
-
-    pub(super) fn with_ramp(&self, column: usize, point: usize) -> f64 {
-        self.columns[column].with_ramp[point]
+    /// Products of a column with the level and with the ramp of a step at each point.
+    pub(super) fn with_step(&self, column: usize) -> [&[f64]; 2] {
+        let column = &self.columns[column];
+        [&column.with_level, &column.with_ramp]
     }
 
     /// The table of a place on the lattice, made when it is first asked for.
@@ -177,10 +177,11 @@ impl View {
         let a = libm::exp(-1.0 / tau);
         let powers = powers(a, self.points + 1);
         let inverse = [1.0 / (1.0 - a), 1.0 / (1.0 - a * a)];
-        let (mut steps, mut with_memory) = (Vec::new(), Vec::new());
-        for column in &self.columns {
+        let (with_pv, memory) = self.columns[0].steps(a, self.rho, self.from);
+        let (mut with_loads, mut with_memory) = (Vec::new(), vec![memory]);
+        for column in &self.columns[1..] {
             let (of, memory) = column.steps(a, self.rho, self.from);
-            steps.push(of);
+            with_loads.push(of);
             with_memory.push(memory);
         }
         let mut memory = [0.0; 3];
@@ -194,7 +195,7 @@ impl View {
             memory[1] += first * sum;
             memory[2] += first * (late * sum + along);
         }
-        Table { tau, a, powers, inverse, steps, with_memory, memory }
+        Table { tau, a, powers, inverse, with_pv, with_loads, with_memory, memory }
     }
 }
 
