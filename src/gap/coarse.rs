@@ -6,8 +6,8 @@
 //!
 //! The look sees the whole record; it only says where the fits to the training blocks begin.
 
-use super::plan::{Gene, MAX_PARAMS, Plan};
-use super::scene::Scene;
+use super::problem::Problem;
+use super::structure::{MAX_PARAMS, Parameters, Plan};
 use crate::ident::bank::{BINS, Bank, Glance, bin_edge};
 use crate::ident::candidate::{MIN_SLIPS, Question, freedom};
 use crate::signal::detrend::{box_means, high_pass};
@@ -34,7 +34,7 @@ pub const ROUGH: f64 = 16.0;
 /// One sequence with the process that the bank liked best.
 #[derive(Debug, Clone, Copy)]
 struct Seen {
-    gene: Gene,
+    theta: Parameters,
     share: f64,
 }
 
@@ -42,15 +42,15 @@ struct Seen {
 /// `each` are kept of every measure overall, and one of every size and kind of dead time.
 #[must_use]
 pub fn look(
-    scene: &Scene,
+    problem: &Problem,
     plan: &Plan,
     p: [f64; MAX_PARAMS],
     sign: f64,
     (each, per_period): (usize, f64),
-) -> (Vec<Gene>, u64) {
+) -> (Vec<Parameters>, u64) {
     let Some(law) = plan.law else { return (Vec::new(), 0) };
-    let question = led(scene, plan);
-    let width = scene.period.round() as usize;
+    let question = led(problem, plan);
+    let width = problem.period.round() as usize;
     let fast = Question { pv: high_pass(&question.pv, width), ..question.clone() };
     let (mut plain_bank, mut fast_bank) = (Bank::new(&question, per_period), Bank::new(&fast, per_period));
     let points = plain_bank.points;
@@ -94,13 +94,13 @@ pub fn look(
                     let (short, long) = glances.split_at(SHORT);
                     for glances in [short, long] {
                         let best = glances.iter().min_by(|a, b| a.share.total_cmp(&b.share));
-                        pool.extend(best.and_then(|g| seen(scene, [s, j, free.fd_default], first, g, p)));
+                        pool.extend(best.and_then(|g| seen(problem, [s, j, free.fd_default], first, g, p)));
                     }
                 }
             }
         }
     }
-    let mut out: Vec<Gene> = Vec::new();
+    let mut out: Vec<Parameters> = Vec::new();
     let [least, most] = question.limits.lag;
     let long_from = least + bin_edge(SHORT.min(BINS)) * (most - least);
     for pool in &mut pools {
@@ -121,10 +121,10 @@ fn put_behind(plan: &Plan, sequence: &mut Sequence, fd: f64, points: f64) {
 
 /// The record behind the plan's positioner.
 #[must_use]
-pub fn led(scene: &Scene, plan: &Plan) -> Question {
-    let mut question = scene.question.clone();
+pub fn led(problem: &Problem, plan: &Plan) -> Question {
+    let mut question = problem.question.clone();
     if plan.positioner > 0.0 {
-        let plain = &scene.question;
+        let plain = &problem.question;
         question.per_point = lag_path(&plain.path, plain.per_point, plan.positioner, &mut question.path);
         question.mean = box_means(&question.path, question.per_point);
         question.records = Question::records_of(&question.path);
@@ -132,28 +132,35 @@ pub fn led(scene: &Scene, plan: &Plan) -> Question {
     question
 }
 
-fn seen(scene: &Scene, [s, j, fd]: [f64; 3], first: FirstSlip, glance: &Glance, p: [f64; MAX_PARAMS]) -> Option<Seen> {
-    let limits = scene.question.limits;
+fn seen(
+    problem: &Problem,
+    [s, j, fd]: [f64; 3],
+    first: FirstSlip,
+    glance: &Glance,
+    p: [f64; MAX_PARAMS],
+) -> Option<Seen> {
+    let limits = problem.question.limits;
     let log_tau = libm::log(glance.tau.clamp(limits.tau[0], limits.tau[1]));
     let lag = glance.lag.clamp(limits.lag[0], limits.lag[1]);
-    (glance.share < 1.0).then_some(Seen { gene: Gene { s, j, first, fd, log_tau, lag, p }, share: glance.share })
+    (glance.share < 1.0).then_some(Seen { theta: Parameters { s, j, first, fd, log_tau, lag, p }, share: glance.share })
 }
 
 /// Keeps the best `each` overall and one of every class of size, apart from each other.
-fn keep(pool: &mut [Seen], each: usize, long_from: f64, out: &mut Vec<Gene>) {
+fn keep(pool: &mut [Seen], each: usize, long_from: f64, out: &mut Vec<Parameters>) {
     pool.sort_by(|a, b| a.share.total_cmp(&b.share));
-    let class = |g: &Gene| {
+    let class = |g: &Parameters| {
         let place = 1.0 - libm::log(g.s) / libm::log(LEAST);
         let size = ((place * CLASSES as f64) as usize).min(CLASSES - 1);
         2 * size + usize::from(g.lag >= long_from)
     };
-    let mut held: Vec<Gene> = Vec::new();
+    let mut held: Vec<Parameters> = Vec::new();
     let mut of_class = [0; 2 * CLASSES];
     let mut overall = 0;
     for seen in pool.iter() {
-        let g = seen.gene;
-        let near =
-            |o: &Gene| (o.s / g.s - 1.0).abs() < 0.04 && (o.j - g.j).abs() < 0.15 * g.s && (o.lag - g.lag).abs() < 3.0;
+        let g = seen.theta;
+        let near = |o: &Parameters| {
+            (o.s / g.s - 1.0).abs() < 0.04 && (o.j - g.j).abs() < 0.15 * g.s && (o.lag - g.lag).abs() < 3.0
+        };
         if held.iter().any(near) {
             continue;
         }
@@ -173,19 +180,19 @@ mod tests {
     use crate::record::Record;
     use crate::sim::slips::Law;
 
-    fn scene() -> Scene {
+    fn problem() -> Problem {
         let op: Vec<f64> = (0..400).map(|k| 50.0 + 5.0 * libm::sin(f64::from(k) * 0.09)).collect();
         let pv: Vec<f64> = (0..400).map(|k| libm::sin(f64::from(k) * 0.09 - 1.0)).collect();
-        Scene::new(&Record::uniform(1.0, op, pv), None, 1, vec![false; 400])
+        Problem::new(&Record::uniform(1.0, op, pv), None, 1, vec![false; 400])
     }
 
     #[test]
     fn what_follows_the_stem_is_looked_at_behind_it() {
-        let scene = scene();
-        let first = FirstSlip { direction: 1.0, threshold: scene.question.path[0] + 0.02 };
+        let problem = problem();
+        let first = FirstSlip { direction: 1.0, threshold: problem.question.path[0] + 0.02 };
         let run = || {
             let mut sequence = Sequence::default();
-            sequence.run(Law::He, &scene.question.path, 1, 0.3, 0.1, first);
+            sequence.run(Law::He, &problem.question.path, 1, 0.3, 0.1, first);
             sequence
         };
         let plain = run();

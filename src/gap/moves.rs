@@ -1,8 +1,8 @@
-//! What Gauss-Newton may move, by how much, and the bounds of every gene.
+//! What Gauss-Newton may move, by how much, and the bounds of every theta.
 
 use super::effects::Reach;
-use super::plan::{Gene, MAX_PARAMS, Plan, Recipe};
-use super::scene::Scene;
+use super::problem::Problem;
+use super::structure::{MAX_PARAMS, Parameters, Plan, Structure};
 use crate::ident::candidate::{Landing, MOST_OVERSHOOT};
 
 /// Longest step in the logarithm of a time constant.
@@ -40,33 +40,33 @@ enum Slot {
 }
 
 impl Movable {
-    fn entry<'g>(&self, gene: &'g mut Gene) -> &'g mut f64 {
+    fn entry<'g>(&self, theta: &'g mut Parameters) -> &'g mut f64 {
         match self.slot {
-            Slot::Fd => &mut gene.fd,
-            Slot::LogTau => &mut gene.log_tau,
-            Slot::Lag => &mut gene.lag,
-            Slot::Param(i) => &mut gene.p[i],
+            Slot::Fd => &mut theta.fd,
+            Slot::LogTau => &mut theta.log_tau,
+            Slot::Lag => &mut theta.lag,
+            Slot::Param(i) => &mut theta.p[i],
         }
     }
 
     /// Shifts it by `share` of its scale, and says by how much.
-    pub fn shift(&self, gene: &mut Gene, share: f64) -> f64 {
+    pub fn shift(&self, theta: &mut Parameters, share: f64) -> f64 {
         let delta = share * self.scale;
-        *self.entry(gene) += delta;
+        *self.entry(theta) += delta;
         delta
     }
 
     /// Moves it by `by`, at most by its longest step.
-    pub fn step(&self, gene: &mut Gene, by: f64) {
+    pub fn step(&self, theta: &mut Parameters, by: f64) {
         if by.is_finite() {
-            *self.entry(gene) += by.clamp(-self.most, self.most);
+            *self.entry(theta) += by.clamp(-self.most, self.most);
         }
     }
 }
 
-/// What a recipe lets Gauss-Newton move.
+/// What a structure lets Gauss-Newton move.
 #[must_use]
-pub fn movable(recipe: &Recipe, plan: &Plan, scene: &Scene) -> Vec<Movable> {
+pub fn movable(structure: &Structure, plan: &Plan, problem: &Problem) -> Vec<Movable> {
     let mut out = Vec::with_capacity(MAX_PARAMS + 3);
     if plan.law.is_some() && !plan.is_linear_in_fd() {
         out.push(Movable { slot: Slot::Fd, from: From::Stem, most: 0.1, scale: 0.1 });
@@ -74,15 +74,15 @@ pub fn movable(recipe: &Recipe, plan: &Plan, scene: &Scene) -> Vec<Movable> {
     if !plan.integrating {
         out.push(Movable { slot: Slot::LogTau, from: From::Process, most: LOG_STEP, scale: 0.1 });
     }
-    out.push(Movable { slot: Slot::Lag, from: From::Process, most: 2.5_f64.max(0.02 * scene.period), scale: 0.1 });
-    for (i, param) in recipe.params().enumerate() {
+    out.push(Movable { slot: Slot::Lag, from: From::Process, most: 2.5_f64.max(0.02 * problem.period), scale: 0.1 });
+    for (i, param) in structure.params().enumerate() {
         if let Some(from) = match param.reach {
             Reach::Process => Some(From::Process),
             Reach::Stem => Some(From::Stem),
             Reach::Path => Some(From::Path),
             Reach::Jumps => None,
         } {
-            let [low, high] = param.bounds(scene);
+            let [low, high] = param.bounds(problem);
             let width = high - low;
             out.push(Movable { slot: Slot::Param(i), from, most: 0.2 * width, scale: 0.01 * width });
         }
@@ -90,26 +90,26 @@ pub fn movable(recipe: &Recipe, plan: &Plan, scene: &Scene) -> Vec<Movable> {
     out
 }
 
-/// The gene inside its bounds.
+/// The theta inside its bounds.
 #[must_use]
-pub fn clamped(recipe: &Recipe, mut gene: Gene, scene: &Scene) -> Gene {
-    let limits = scene.question.limits;
-    gene.log_tau = gene.log_tau.clamp(libm::log(limits.tau[0]), libm::log(limits.tau[1]));
-    gene.lag = gene.lag.clamp(limits.lag[0], limits.lag[1]);
-    for (value, param) in gene.p.iter_mut().zip(recipe.params()) {
-        let [low, high] = param.bounds(scene);
+pub fn clamped(structure: &Structure, mut theta: Parameters, problem: &Problem) -> Parameters {
+    let limits = problem.question.limits;
+    theta.log_tau = theta.log_tau.clamp(libm::log(limits.tau[0]), libm::log(limits.tau[1]));
+    theta.lag = theta.lag.clamp(limits.lag[0], limits.lag[1]);
+    for (value, param) in theta.p.iter_mut().zip(structure.params()) {
+        let [low, high] = param.bounds(problem);
         *value = value.clamp(low, high);
     }
-    gene.s = gene.s.clamp(1e-4, 1.5);
-    match recipe.plan(&gene).landing() {
+    theta.s = theta.s.clamp(1e-4, 1.5);
+    match structure.plan(&theta).landing() {
         Landing::Beyond => {
-            gene.j = gene.j.clamp(0.0, 39.0 * gene.s);
-            gene.fd = gene.fd.clamp(-MOST_OVERSHOOT * 0.5 * (gene.s + gene.j), 0.5 * gene.s);
+            theta.j = theta.j.clamp(0.0, 39.0 * theta.s);
+            theta.fd = theta.fd.clamp(-MOST_OVERSHOOT * 0.5 * (theta.s + theta.j), 0.5 * theta.s);
         }
         Landing::Short => {
-            gene.j = gene.j.clamp(0.0, gene.s);
-            gene.fd = gene.fd.clamp(0.0, 0.5 * gene.s);
+            theta.j = theta.j.clamp(0.0, theta.s);
+            theta.fd = theta.fd.clamp(0.0, 0.5 * theta.s);
         }
     }
-    gene
+    theta
 }

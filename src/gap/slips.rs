@@ -1,16 +1,16 @@
 //! The search for the right slips that `analyze` makes, for the base and for every effect that leaves more than noise.
 //!
 //! It knows the two laws, uneven bands, jumps beyond OP, stops of the stem and a lag before it. What an effect does behind
-//! the stem is taken out of PV as the lane has it so far, so that slips and effect are found in turn.
+//! the stem is taken out of PV as the search has it so far, so that slips and effect are found in turn.
 
 use core::cell::RefCell;
 
 use super::coarse::led;
-use super::kernel::Kernel;
-use super::plan::{Gene, MAX_PARAMS};
-use super::scene::Scene;
-use super::search::{Lane, MIDDLE, hunt};
-use crate::ident::candidate::{Candidate, Question};
+use super::evaluator::Evaluator;
+use super::problem::Problem;
+use super::search::{MIDDLE, Search, hunt};
+use super::structure::{MAX_PARAMS, Parameters};
+use crate::ident::candidate::{Candidate as SlipCandidate, Question};
 use crate::ident::class::Class;
 use crate::ident::fit::Target;
 use crate::ident::hunt::{Ground, Rival, Scouted, hunt as follow, scout};
@@ -23,24 +23,24 @@ const FOLLOWED: u64 = 4;
 /// Responses that following one to the end and climbing from there computes, about.
 pub const FOLLOW: u64 = 45_000;
 
-/// Places for a lane with the parameters that belong to them, where other slips than its best ones may fit better, and
-/// the responses computed for it; nothing for a stem that knows no friction. With the parameters of the lane's best place,
+/// Places for a search with the parameters that belong to them, where other slips than its best ones may fit better, and
+/// the responses computed for it; nothing for a stem that knows no friction. With the parameters of the search's best place,
 /// or of its first start before it has one.
 #[must_use]
-pub fn right_slips(scene: &Scene, lane: &Lane, seed: u64) -> (Vec<Gene>, u64) {
-    let p = lane.best.first().map(|b| &b.gene.p).or(lane.starts.first());
-    let Some(posed) = p.and_then(|p| posed(scene, lane, p)) else { return (Vec::new(), 0) };
-    let signs = [lane.sign];
+pub fn right_slips(problem: &Problem, search: &Search, seed: u64) -> (Vec<Parameters>, u64) {
+    let p = search.best.first().map(|b| &b.theta.p).or(search.starts.first());
+    let Some(posed) = p.and_then(|p| posed(problem, search, p)) else { return (Vec::new(), 0) };
+    let signs = [search.sign];
     posed.follow(&posed.scout(&signs, seed), seed)
 }
 
-/// The same for all starts of a lane, whatever it has found: each is looked at, the best are followed and climbed
+/// The same for all starts of a search, whatever it has found: each is looked at, the best are followed and climbed
 /// with all that the effect has, so that they can be compared; how many, about so many `responses` say.
 #[must_use]
-pub fn right_slips_of_starts(scene: &Scene, lane: &Lane, responses: u64, seed: u64) -> (Vec<Gene>, u64) {
-    let signs = [lane.sign];
-    let lane = &Lane { best: Vec::new(), ..lane.clone() };
-    let posed: Vec<Posed> = lane.starts.iter().filter_map(|start| posed(scene, lane, start)).collect();
+pub fn right_slips_of_starts(problem: &Problem, search: &Search, responses: u64, seed: u64) -> (Vec<Parameters>, u64) {
+    let signs = [search.sign];
+    let search = &Search { best: Vec::new(), ..search.clone() };
+    let posed: Vec<Posed> = search.starts.iter().filter_map(|start| posed(problem, search, start)).collect();
     let mut seen: Vec<(&Posed, Scouted<'_>)> = posed.iter().map(|p| (p, p.scout(&signs, seed))).collect();
     seen.sort_by(|a, b| a.1.share().total_cmp(&b.1.share()));
     let looked: u64 = seen.iter().map(|(_, s)| s.looked()).sum();
@@ -49,10 +49,10 @@ pub fn right_slips_of_starts(scene: &Scene, lane: &Lane, responses: u64, seed: u
     let mut out = Vec::new();
     for (posed, seen) in seen.iter().take(followed) {
         let (places, n) = posed.follow(seen, seed);
-        let mut own = Lane { starts: Vec::new(), evaluations: n, ..lane.clone() };
-        hunt(scene, &mut own, &[], &places, &MIDDLE, seed);
+        let mut own = Search { starts: Vec::new(), evaluations: n, ..search.clone() };
+        hunt(problem, &mut own, &[], &places, &MIDDLE, seed);
         count += own.evaluations;
-        out.extend(own.best.iter().map(|b| b.gene));
+        out.extend(own.best.iter().map(|b| b.theta));
     }
     (out, count)
 }
@@ -65,14 +65,14 @@ struct Posed {
     p: [f64; MAX_PARAMS],
 }
 
-fn posed(scene: &Scene, lane: &Lane, p: &[f64; MAX_PARAMS]) -> Option<Posed> {
-    let plan = lane.recipe.plan_of(p);
+fn posed(problem: &Problem, search: &Search, p: &[f64; MAX_PARAMS]) -> Option<Posed> {
+    let plan = search.structure.plan_of(p);
     let law = plan.law?;
-    let added = match lane.best.first() {
-        Some(best) => Kernel::new(scene, lane.sign).added(&lane.recipe, best)?,
+    let added = match search.best.first() {
+        Some(best) => Evaluator::new(problem, search.sign).added(&search.structure, best)?,
         None => Vec::new(),
     };
-    let mut question = led(scene, &plan);
+    let mut question = led(problem, &plan);
     question.stroke = plan.stroke;
     question.landing = plan.landing();
     for (y, a) in question.pv.iter_mut().zip(&added) {
@@ -98,21 +98,21 @@ impl Posed {
     }
 
     /// From what was seen to the best places, and the responses computed, those of the look included.
-    fn follow(&self, seen: &Scouted<'_>, seed: u64) -> (Vec<Gene>, u64) {
+    fn follow(&self, seen: &Scouted<'_>, seed: u64) -> (Vec<Parameters>, u64) {
         let found = self.on_ground(seed, |ground| follow(ground, seen, Rival::NONE));
         let count = found.iter().map(|f| f.evaluations).sum();
         let of_class = found.iter().filter(|f| f.class == self.class);
-        let places = of_class.flat_map(|f| &f.finalists).map(|c| self.gene(c));
+        let places = of_class.flat_map(|f| &f.finalists).map(|c| self.theta(c));
         (places.collect(), count)
     }
 
-    fn gene(&self, c: &Candidate) -> Gene {
+    fn theta(&self, c: &SlipCandidate) -> Parameters {
         let (question, class, mut p) = (&self.question, self.class, self.p);
         if class == Class::Second {
             // The second lag is the first parameter of the one effect that has it.
             p[0] = c.fit.shape[1];
         }
-        Gene {
+        Parameters {
             s: c.s,
             j: c.j,
             first: question.first_slip(c.start),

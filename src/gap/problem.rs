@@ -28,7 +28,7 @@ pub enum View {
 
 /// One record, posed.
 #[derive(Debug, Clone)]
-pub struct Scene {
+pub struct Problem {
     /// The record in normalised form.
     pub question: Question,
     /// What counts for what.
@@ -85,7 +85,7 @@ pub fn period_of(record: &Record) -> (f64, bool) {
     (period.clamp(8.0, n / 4.0), regular)
 }
 
-impl Scene {
+impl Problem {
     /// Poses a record; `masked` points count for nothing.
     #[must_use]
     pub fn new(record: &Record, period: Option<f64>, seed: u64, masked: Vec<bool>) -> Self {
@@ -95,7 +95,7 @@ impl Scene {
         let question = pose(record, &options(seed, period), span, deviation);
         let blocks = divide(record.len(), question.from, period, masked);
         let sign = sign::of_gain(&question.mean, &question.pv);
-        let mut scene = Self {
+        let mut problem = Self {
             question,
             train: Vec::new(),
             test: Vec::new(),
@@ -111,18 +111,18 @@ impl Scene {
             point_s: record.point_s(),
             box_samples: record.box_samples as f64,
         };
-        let held_out = scene.blocks.held_out.clone();
-        scene.divide_by(&held_out);
-        scene
+        let held_out = problem.blocks.held_out.clone();
+        problem.divide_by(&held_out);
+        problem
     }
 
-    /// The same scene with other points held out.
+    /// The same problem with other points held out.
     #[must_use]
     pub fn held_out_by(&self, held_out: &[bool]) -> Self {
-        let mut scene = self.clone();
-        scene.blocks.held_out = held_out.to_vec();
-        scene.divide_by(held_out);
-        scene
+        let mut problem = self.clone();
+        problem.blocks.held_out = held_out.to_vec();
+        problem.divide_by(held_out);
+        problem
     }
 
     fn divide_by(&mut self, held_out: &[bool]) {
@@ -154,12 +154,12 @@ impl Scene {
         &self.targets[view as usize]
     }
 
-    /// The same scene for running a model over all of it.
+    /// The same problem for running a model over all of it.
     #[must_use]
     pub fn whole(&self) -> Self {
-        let mut scene = self.clone();
-        scene.train = vec![[0, self.n()]];
-        scene
+        let mut problem = self.clone();
+        problem.train = vec![[0, self.n()]];
+        problem
     }
 
     /// Points in the record.
@@ -180,7 +180,7 @@ impl View {
     pub const ALL: [Self; 3] = [Self::Plain, Self::Moves, Self::Fast];
 }
 
-impl Scene {
+impl Problem {
     /// A signal on the fitted stretches, as a view sees it.
     pub fn gather(&self, x: &[f64], view: View, out: &mut Vec<f64>) {
         out.clear();
@@ -267,14 +267,14 @@ mod tests {
         let pv: Vec<f64> = (0..600).map(|k| libm::sin(f64::from(k) * 0.1 - 0.5)).collect();
         let mut masked = vec![false; 600];
         masked[300] = true;
-        let scene = Scene::new(&Record::uniform(1.0, op, pv), None, 1, masked);
+        let problem = Problem::new(&Record::uniform(1.0, op, pv), None, 1, masked);
         let count = |x: &[[usize; 2]]| x.iter().map(|[a, b]| b - a).sum::<usize>();
-        let (train, test) = (count(&scene.train), count(&scene.test));
-        assert_eq!(train + test + 1 + scene.blocks.from, 600);
+        let (train, test) = (count(&problem.train), count(&problem.test));
+        assert_eq!(train + test + 1 + problem.blocks.from, 600);
         assert!(test * 3 > train && train * 3 > test);
-        assert_eq!(scene.target(View::Plain).len(), train);
-        assert!(scene.train.iter().chain(&scene.test).all(|[a, b]| *b <= 300 || *a > 300));
-        assert!((scene.period - 62.8).abs() < 1.0 && scene.oscillates);
+        assert_eq!(problem.target(View::Plain).len(), train);
+        assert!(problem.train.iter().chain(&problem.test).all(|[a, b]| *b <= 300 || *a > 300));
+        assert!((problem.period - 62.8).abs() < 1.0 && problem.oscillates);
     }
 
     #[test]
@@ -283,11 +283,11 @@ mod tests {
         let pv: Vec<f64> = op.iter().map(|u| u * u).collect();
         let mut masked = vec![false; 900];
         masked[450] = true;
-        let scene = Scene::new(&Record::uniform(1.0, op.clone(), pv), None, 1, masked);
-        let half = (0.5 * scene.period) as usize;
+        let problem = Problem::new(&Record::uniform(1.0, op.clone(), pv), None, 1, masked);
+        let half = (0.5 * problem.period) as usize;
         let mut fast = Vec::new();
-        scene.gather(&op, View::Fast, &mut fast);
-        let points = scene.train.iter().flat_map(|[a, b]| *a..*b);
+        problem.gather(&op, View::Fast, &mut fast);
+        let points = problem.train.iter().flat_map(|[a, b]| *a..*b);
         assert_eq!(fast.len(), points.clone().count());
         for (k, found) in points.zip(fast) {
             let around = &op[k.saturating_sub(half)..(k + half + 1).min(900)];

@@ -6,8 +6,8 @@
 
 use super::answer::Process;
 use super::moves::{From, clamped, movable};
-use super::plan::{Gene, MAX_PARAMS, Plan, Recipe};
-use super::scene::{Scene, View};
+use super::problem::{Problem, View};
+use super::structure::{MAX_PARAMS, Parameters, Plan, Structure};
 use crate::ident::candidate::{MIN_SLIPS, freedom};
 use crate::ident::fit::{Freedom, best_band};
 use crate::ident::least_squares::Gram;
@@ -34,11 +34,11 @@ pub struct Linear {
     pub gain: f64,
 }
 
-/// A gene and how well it fits.
+/// A theta and how well it fits.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Scored {
+pub struct Candidate {
     /// Where.
-    pub gene: Gene,
+    pub theta: Parameters,
     /// Squared error on the fitted blocks, in the view that was asked.
     pub sse: f64,
     /// Values of s and j that give the same slips.
@@ -49,23 +49,23 @@ pub struct Scored {
     pub linear: Linear,
 }
 
-impl Scored {
+impl Candidate {
     /// Whether another place with the same parameters has the same slips.
     #[must_use]
-    pub fn covers(&self, gene: &Gene) -> bool {
+    pub fn covers(&self, theta: &Parameters) -> bool {
         let within = |[low, high]: [f64; 2], x: f64| low <= x && x < high;
-        gene.first == self.gene.first
-            && gene.p == self.gene.p
-            && within(self.cells[0], gene.s)
-            && within(self.cells[1], gene.j)
+        theta.first == self.theta.first
+            && theta.p == self.theta.p
+            && within(self.cells[0], theta.s)
+            && within(self.cells[1], theta.j)
     }
 }
 
-/// Evaluates genes of one scene, with its own buffers.
+/// Evaluates thetas of one problem, with its own buffers.
 #[derive(Debug)]
-pub struct Kernel<'a> {
+pub struct Evaluator<'a> {
     /// The record.
-    pub scene: &'a Scene,
+    pub problem: &'a Problem,
     /// Sign of the gain.
     pub sign: f64,
     /// Responses computed.
@@ -86,12 +86,12 @@ pub struct Kernel<'a> {
     response: Vec<f64>,
 }
 
-impl<'a> Kernel<'a> {
-    /// A kernel for one scene and sign of the gain.
+impl<'a> Evaluator<'a> {
+    /// A evaluator for one problem and sign of the gain.
     #[must_use]
-    pub fn new(scene: &'a Scene, sign: f64) -> Self {
+    pub fn new(problem: &'a Problem, sign: f64) -> Self {
         Self {
-            scene,
+            problem,
             sign,
             evaluations: 0,
             limit: u64::MAX,
@@ -111,8 +111,8 @@ impl<'a> Kernel<'a> {
     }
 
     /// Runs the valve from the given stage on; false where the stem hardly moves.
-    fn run_valve(&mut self, plan: &Plan, gene: &mut Gene, from: From) -> bool {
-        let q = &self.scene.question;
+    fn run_valve(&mut self, plan: &Plan, theta: &mut Parameters, from: From) -> bool {
+        let q = &self.problem.question;
         if from == From::Path {
             let (path, per_point) = if plan.positioner > 0.0 {
                 let per_point = lag_path(&q.path, q.per_point, plan.positioner, &mut self.path);
@@ -122,8 +122,8 @@ impl<'a> Kernel<'a> {
             };
             match plan.law {
                 Some(law) => {
-                    let bands = [gene.s, gene.j];
-                    self.sequence.run_in(plan.stroke, law, path, per_point, bands, gene.first);
+                    let bands = [theta.s, theta.j];
+                    self.sequence.run_in(plan.stroke, law, path, per_point, bands, theta.first);
                     if self.sequence.slips < MIN_SLIPS {
                         return false;
                     }
@@ -139,10 +139,10 @@ impl<'a> Kernel<'a> {
         }
         if from != From::Process && !plan.is_linear_in_fd() {
             if plan.law.is_some() {
-                let [low, high] = self.band_of(plan, gene).fd;
-                gene.fd = gene.fd.clamp(low, high);
+                let [low, high] = self.band_of(plan, theta).fd;
+                theta.fd = theta.fd.clamp(low, high);
             }
-            self.assemble(plan, gene.fd);
+            self.assemble(plan, theta.fd);
         }
         true
     }
@@ -156,17 +156,17 @@ impl<'a> Kernel<'a> {
     }
 
     /// Makes the compact columns of a plan: others first, then one or two for the valve. Returns how many others.
-    fn make_columns(&mut self, plan: &Plan, gene: &Gene, view: View) -> usize {
-        let scene = self.scene;
-        let n = scene.n();
-        let from = scene.blocks.from;
-        let [tau1, tau2] = time_constants(plan, gene);
-        let tau = libm::exp(gene.log_tau);
-        let lag = gene.lag.floor().max(0.0);
-        let (whole, fraction) = (lag as usize, gene.lag.max(0.0) - lag);
+    fn make_columns(&mut self, plan: &Plan, theta: &Parameters, view: View) -> usize {
+        let problem = self.problem;
+        let n = problem.n();
+        let from = problem.blocks.from;
+        let [tau1, tau2] = time_constants(plan, theta);
+        let tau = libm::exp(theta.log_tau);
+        let lag = theta.lag.floor().max(0.0);
+        let (whole, fraction) = (lag as usize, theta.lag.max(0.0) - lag);
         let mut count = 0;
         let mut put = |columns: &mut Vec<Vec<f64>>, long: &[f64]| {
-            scene.gather(long, view, &mut columns[count]);
+            problem.gather(long, view, &mut columns[count]);
             count += 1;
         };
         // What does not depend on the valve.
@@ -245,31 +245,31 @@ impl<'a> Kernel<'a> {
                 None => signal,
             };
             main.respond(signal, &mut self.long, &mut self.longer);
-            scene.gather(&self.long, view, &mut self.columns[others + i]);
+            problem.gather(&self.long, view, &mut self.columns[others + i]);
         }
         self.bent = bent;
         others
     }
 
     /// The values of fd that the slips at hand leave open.
-    fn band_of(&self, plan: &Plan, gene: &Gene) -> Freedom {
-        freedom(&self.sequence, [gene.s, gene.j], self.sign, self.scene.question.limits, plan.landing())
+    fn band_of(&self, plan: &Plan, theta: &Parameters) -> Freedom {
+        freedom(&self.sequence, [theta.s, theta.j], self.sign, self.problem.question.limits, plan.landing())
     }
 
     /// The best linear part at one place; `None` where the stem hardly moves, no gain of the sign helps, or the limit is
     /// reached.
-    pub fn evaluate(&mut self, recipe: &Recipe, gene: &Gene, view: View) -> Option<Scored> {
+    pub fn evaluate(&mut self, structure: &Structure, theta: &Parameters, view: View) -> Option<Candidate> {
         if self.evaluations >= self.limit {
             return None;
         }
         self.evaluations += 1;
-        let plan = recipe.plan(gene);
-        let mut gene = *gene;
-        if !self.run_valve(&plan, &mut gene, From::Path) {
+        let plan = structure.plan(theta);
+        let mut theta = *theta;
+        if !self.run_valve(&plan, &mut theta, From::Path) {
             return None;
         }
-        let others = self.make_columns(&plan, &gene, view);
-        let target = self.scene.target(view);
+        let others = self.make_columns(&plan, &theta, view);
+        let target = self.problem.target(view);
         let two = plan.is_linear_in_fd();
         let mains = if two { 2 } else { 1 };
         let mut columns: [&[f64]; MAX_COLUMNS] = [&[]; MAX_COLUMNS];
@@ -285,9 +285,9 @@ impl<'a> Kernel<'a> {
         let (gain, known, explained) = if two {
             let at = |i: usize, k: usize| gram.at(others + i, others + k);
             let system = [at(0, 0), at(0, 1), at(1, 1), at(0, 2), at(1, 2)];
-            let freedom = self.band_of(&plan, &gene);
+            let freedom = self.band_of(&plan, &theta);
             let (gain, fd, explained) = best_band(system, [whole, whole_direction], &freedom);
-            gene.fd = fd;
+            theta.fd = fd;
             (gain, [gain, -gain * fd], explained)
         } else {
             let (power, along) = (gram.at(others, others), gram.at(others, last));
@@ -301,23 +301,23 @@ impl<'a> Kernel<'a> {
         if gain == 0.0 || total * self.sign <= 0.0 {
             return None;
         }
-        if plan.zero && reads_controller(time_constants(&plan, &gene), [gain, total - gain]) {
+        if plan.zero && reads_controller(time_constants(&plan, &theta), [gain, total - gain]) {
             return None;
         }
         let sse = (gram.at(last, last) - explained).max(0.0);
         let cells = [self.sequence.s_cell, self.sequence.j_cell];
-        Some(Scored { gene, sse, cells, slips: self.sequence.slips, linear })
+        Some(Candidate { theta, sse, cells, slips: self.sequence.slips, linear })
     }
 
-    /// As [`Kernel::evaluate`] by the plain error with fd and the gain held: only the other columns are fitted.
-    pub fn held(&mut self, recipe: &Recipe, gene: &Gene, gain: f64) -> Option<Scored> {
+    /// As [`Evaluator::evaluate`] by the plain error with fd and the gain held: only the other columns are fitted.
+    pub fn held(&mut self, structure: &Structure, theta: &Parameters, gain: f64) -> Option<Candidate> {
         self.evaluations += 1;
-        let plan = recipe.plan(gene);
-        let (mut moved, fd) = (*gene, gene.fd);
+        let plan = structure.plan(theta);
+        let (mut moved, fd) = (*theta, theta.fd);
         if !self.run_valve(&plan, &mut moved, From::Path) {
             return None;
         }
-        let others = self.make_columns(&plan, gene, View::Plain);
+        let others = self.make_columns(&plan, theta, View::Plain);
         let only = Linear { others: [0.0; MAX_COLUMNS], count: 0, gain };
         let mut left = Vec::new();
         let main = self.columns[others].clone();
@@ -327,7 +327,7 @@ impl<'a> Kernel<'a> {
         } else {
             left.extend(main.iter().map(|a| -gain * a));
         }
-        for (l, y) in left.iter_mut().zip(self.scene.target(View::Plain)) {
+        for (l, y) in left.iter_mut().zip(self.problem.target(View::Plain)) {
             *l += y;
         }
         let mut columns: Vec<&[f64]> = self.columns[..others].iter().map(Vec::as_slice).collect();
@@ -339,14 +339,14 @@ impl<'a> Kernel<'a> {
         linear.others[..others].copy_from_slice(&all[..others]);
         let cells = [self.sequence.s_cell, self.sequence.j_cell];
         let sse = gram.at(others, others).max(0.0);
-        Some(Scored { gene: *gene, sse, cells, slips: self.sequence.slips, linear })
+        Some(Candidate { theta: *theta, sse, cells, slips: self.sequence.slips, linear })
     }
 
     /// The model's course on the fitted stretches with its coefficients held, into `out`.
-    fn course_of(&mut self, plan: &Plan, gene: &Gene, linear: &Linear, view: View, slot: usize) {
-        let others = self.make_columns(plan, gene, view);
+    fn course_of(&mut self, plan: &Plan, theta: &Parameters, linear: &Linear, view: View, slot: usize) {
+        let others = self.make_columns(plan, theta, view);
         let mut out = core::mem::take(&mut self.slopes[slot]);
-        self.combine(plan, others, gene.fd, linear, &mut out);
+        self.combine(plan, others, theta.fd, linear, &mut out);
         self.slopes[slot] = out;
     }
 
@@ -366,12 +366,12 @@ impl<'a> Kernel<'a> {
     }
 
     /// Up to `steps` Gauss-Newton steps.
-    pub fn improve(&mut self, recipe: &Recipe, start: Scored, view: View, steps: usize) -> Scored {
+    pub fn improve(&mut self, structure: &Structure, start: Candidate, view: View, steps: usize) -> Candidate {
         let mut best = start;
         for _ in 0..steps {
-            let Some(again) = self.evaluate(recipe, &best.gene, view) else { break };
+            let Some(again) = self.evaluate(structure, &best.theta, view) else { break };
             best = again;
-            let Some(next) = self.descend(recipe, &best, view) else { break };
+            let Some(next) = self.descend(structure, &best, view) else { break };
             let gained = (best.sse - next.sse) / best.sse;
             best = next;
             if gained < 1e-4 {
@@ -382,43 +382,43 @@ impl<'a> Kernel<'a> {
     }
 
     /// One Gauss-Newton step from the place that was evaluated last, in the same view.
-    pub fn improve_fresh(&mut self, recipe: &Recipe, start: Scored, view: View) -> Scored {
-        self.descend(recipe, &start, view).unwrap_or(start)
+    pub fn improve_fresh(&mut self, structure: &Structure, start: Candidate, view: View) -> Candidate {
+        self.descend(structure, &start, view).unwrap_or(start)
     }
 
     /// One step, shortened until it helps; `None` when none does. The buffers hold the columns of `best`.
-    fn descend(&mut self, recipe: &Recipe, best: &Scored, view: View) -> Option<Scored> {
-        let plan = recipe.plan(&best.gene);
+    fn descend(&mut self, structure: &Structure, best: &Candidate, view: View) -> Option<Candidate> {
+        let plan = structure.plan(&best.theta);
         let others = best.linear.count;
         let mut response = core::mem::take(&mut self.response);
-        self.combine(&plan, others, best.gene.fd, &best.linear, &mut response);
-        let target = self.scene.target(view);
+        self.combine(&plan, others, best.theta.fd, &best.linear, &mut response);
+        let target = self.problem.target(view);
         self.residual.clear();
         self.residual.extend(target.iter().zip(&response).map(|(y, x)| y - x));
         // The response alone, whose gain stays free.
         let mut unit = Vec::with_capacity(response.len());
         if plan.is_linear_in_fd() {
             let (at, direction) = (&self.columns[others], &self.columns[others + 1]);
-            unit.extend(at.iter().zip(direction).map(|(a, d)| a - best.gene.fd * d));
+            unit.extend(at.iter().zip(direction).map(|(a, d)| a - best.theta.fd * d));
         } else {
             unit.extend_from_slice(&self.columns[others]);
         }
         let kept: Vec<Vec<f64>> = self.columns[..others].to_vec();
-        let moves = movable(recipe, &plan, self.scene);
+        let moves = movable(structure, &plan, self.problem);
         for (slot, m) in moves.iter().enumerate() {
-            let mut gene = best.gene;
-            let delta = m.shift(&mut gene, 1e-4);
-            let moved = recipe.plan(&gene);
+            let mut theta = best.theta;
+            let delta = m.shift(&mut theta, 1e-4);
+            let moved = structure.plan(&theta);
             if m.from != From::Process {
-                self.run_valve(&moved, &mut gene, m.from);
+                self.run_valve(&moved, &mut theta, m.from);
             }
             self.evaluations += 1;
-            self.course_of(&moved, &gene, &best.linear, view, slot);
+            self.course_of(&moved, &theta, &best.linear, view, slot);
             for (s, r) in self.slopes[slot].iter_mut().zip(&response) {
                 *s = (*s - r) / delta;
             }
             if m.from != From::Process {
-                self.run_valve(&plan, &mut best.gene.clone(), m.from);
+                self.run_valve(&plan, &mut best.theta.clone(), m.from);
             }
         }
         let mut columns: Vec<&[f64]> = kept.iter().map(Vec::as_slice).collect();
@@ -432,13 +432,13 @@ impl<'a> Kernel<'a> {
         self.response = response;
         let mut scale = 1.0;
         for _ in 0..3 {
-            let mut gene = best.gene;
+            let mut theta = best.theta;
             for (m, step) in moves.iter().zip(&all[head..]) {
-                m.step(&mut gene, scale * step);
+                m.step(&mut theta, scale * step);
             }
-            gene = clamped(recipe, gene, self.scene);
-            if gene != best.gene {
-                let found = self.evaluate(recipe, &gene, view).filter(|f| f.sse < best.sse);
+            theta = clamped(structure, theta, self.problem);
+            if theta != best.theta {
+                let found = self.evaluate(structure, &theta, view).filter(|f| f.sse < best.sse);
                 if found.is_some() {
                     return found;
                 }
@@ -449,18 +449,18 @@ impl<'a> Kernel<'a> {
     }
 
     /// Free run over the whole record, normalised PV units, the valve signal (spans) and moves of the stem as
-    /// (point, size); `None` as for [`Kernel::evaluate`].
-    pub fn simulate(&mut self, recipe: &Recipe, of: &Scored) -> Option<(Vec<f64>, Vec<f64>)> {
-        self.run_plan(&recipe.plan(&of.gene), of, of.linear)
+    /// (point, size); `None` as for [`Evaluator::evaluate`].
+    pub fn simulate(&mut self, structure: &Structure, of: &Candidate) -> Option<(Vec<f64>, Vec<f64>)> {
+        self.run_plan(&structure.plan(&of.theta), of, of.linear)
     }
 
-    /// What a recipe's effect adds to the free run of the same slips through the same process, the stem's law apart;
+    /// What a structure's effect adds to the free run of the same slips through the same process, the stem's law apart;
     /// zeros where it acts on that law alone.
-    pub fn added(&mut self, recipe: &Recipe, of: &Scored) -> Option<Vec<f64>> {
-        let plan = recipe.plan(&of.gene);
+    pub fn added(&mut self, structure: &Structure, of: &Candidate) -> Option<Vec<f64>> {
+        let plan = structure.plan(&of.theta);
         let plain = plan.valve_alone();
         if plan == plain {
-            return Some(vec![0.0; self.scene.n()]);
+            return Some(vec![0.0; self.problem.n()]);
         }
         let mut linear = of.linear;
         if plan.zero {
@@ -471,24 +471,24 @@ impl<'a> Kernel<'a> {
         Some(with.iter().zip(&without).map(|(a, b)| a - b).collect())
     }
 
-    fn run_plan(&self, plan: &Plan, of: &Scored, linear: Linear) -> Option<(Vec<f64>, Vec<f64>)> {
-        let whole = self.scene.whole();
-        let mut kernel = Kernel::new(&whole, self.sign);
-        let mut gene = of.gene;
-        if !kernel.run_valve(plan, &mut gene, From::Path) {
+    fn run_plan(&self, plan: &Plan, of: &Candidate, linear: Linear) -> Option<(Vec<f64>, Vec<f64>)> {
+        let whole = self.problem.whole();
+        let mut evaluator = Evaluator::new(&whole, self.sign);
+        let mut theta = of.theta;
+        if !evaluator.run_valve(plan, &mut theta, From::Path) {
             return None;
         }
-        let others = kernel.make_columns(plan, &gene, View::Plain);
+        let others = evaluator.make_columns(plan, &theta, View::Plain);
         let mut out = Vec::new();
-        kernel.combine(plan, others, gene.fd, &linear, &mut out);
-        kernel.assemble(plan, gene.fd);
-        Some((out, kernel.valve))
+        evaluator.combine(plan, others, theta.fd, &linear, &mut out);
+        evaluator.assemble(plan, theta.fd);
+        Some((out, evaluator.valve))
     }
 }
 
 /// Both time constants, points; the second 0 for none.
-fn time_constants(plan: &Plan, gene: &Gene) -> [f64; 2] {
-    let tau = libm::exp(gene.log_tau);
+fn time_constants(plan: &Plan, theta: &Parameters) -> [f64; 2] {
+    let tau = libm::exp(theta.log_tau);
     if plan.tau2 > 0.0 { separated(tau, plan.tau2).into() } else { [tau, 0.0] }
 }
 
