@@ -1,93 +1,111 @@
-//! One evaluation: a place in the search, the free run that it makes, and the best linear part for the fitted blocks.
+//! The objective of one model structure: the least squared free-run error on the training blocks that a parameter vector
+//! leaves, from the steps of its valve signal ([`crate::ident::evaluator`]).
 //!
-//! Gain, bias, initial state and everything additive are solved exactly (variable projection, Golub and Pereyra 1973),
-//! and so is fd where the valve signal is linear in it; time constants, dead time and the effects' parameters are
-//! improved by Gauss-Newton steps on finite differences.
+//! Gain, kinetic band, bias, initial state, loads and the dead time within a sample come in closed form; time constants
+//! stand on a lattice whose tables are made once for a record. A process whose rate goes with its level has no such form
+//! and takes the plain pass over samples.
 
-use super::answer::Process;
-use super::moves::{From, clamped, movable};
+use std::sync::Arc;
+
+use super::plain::{Linear, MAX_COLUMNS, PlainPass, loads, reads_controller};
 use super::problem::{Problem, View};
-use super::structure::{MAX_PARAMS, Parameters, Plan, Structure};
-use crate::ident::candidate::{MIN_SLIPS, freedom};
-use crate::ident::fit::{Freedom, best_band};
-use crate::ident::least_squares::Gram;
-use crate::sim::actuator::lag_path;
+use super::structure::{Parameters, Plan, Structure};
+use super::valve_signal::ValveSignal;
+use crate::ident::class::Class;
+use crate::ident::evaluator::{self as sums, Best, Table, lattice_index, lattice_tau, reduce};
+use crate::ident::fit::Freedom;
 use crate::sim::process::separated;
-use crate::sim::slips::Sequence;
 
-/// Columns of a model, right-hand side included, at most.
-const MAX_COLUMNS: usize = 11;
+pub use super::plain::Candidate;
 
-/// Initial slope of a pair of lags, that of the quicker one alone being 1, from which it counts as leading.
-const LEADS: f64 = 0.5;
-/// What such a pair leaves in the end, over its larger part, below which it comes back.
-const COMES_BACK: f64 = 0.05;
+/// Sets of loads whose tables are kept: a local search comes back to those it started from.
+const LOAD_SETS: usize = 6;
 
-/// Linear coefficients of a model: those of the other columns first, then that of the response.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Linear {
-    /// In the order in which the columns are made.
-    pub others: [f64; MAX_COLUMNS],
-    /// How many of them.
-    pub count: usize,
-    /// Of the response to the valve signal.
-    pub gain: f64,
-}
-
-/// A theta and how well it fits.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Candidate {
-    /// Where.
-    pub theta: Parameters,
-    /// Squared error on the fitted blocks, in the view that was asked.
-    pub sse: f64,
-    /// Values of s and j that give the same slips.
-    pub cells: [[f64; 2]; 2],
-    /// Moves of the stem.
-    pub slips: usize,
-    /// The linear part.
-    pub linear: Linear,
-}
-
-impl Candidate {
-    /// Whether another place with the same parameters has the same slips.
-    #[must_use]
-    pub fn covers(&self, theta: &Parameters) -> bool {
-        let within = |[low, high]: [f64; 2], x: f64| low <= x && x < high;
-        theta.first == self.theta.first
-            && theta.p == self.theta.p
-            && within(self.cells[0], theta.s)
-            && within(self.cells[1], theta.j)
-    }
-}
-
-/// Evaluates thetas of one problem, with its own buffers.
+/// Evaluates parameter vectors of one problem, with its own buffers.
 #[derive(Debug)]
 pub struct Evaluator<'a> {
     /// The record.
     pub problem: &'a Problem,
     /// Sign of the gain.
     pub sign: f64,
-    /// Responses computed.
+    /// Model responses computed.
     pub evaluations: u64,
     /// Responses that may be computed: from there on nothing is found any more.
     pub limit: u64,
-    sequence: Sequence,
-    path: Vec<f64>,
-    valve: Vec<f64>,
-    other: Vec<f64>,
-    drift: Vec<f64>,
-    bent: Vec<f64>,
-    long: Vec<f64>,
-    longer: Vec<f64>,
-    columns: Vec<Vec<f64>>,
-    slopes: Vec<Vec<f64>>,
-    residual: Vec<f64>,
-    response: Vec<f64>,
+    signal: ValveSignal,
+    plain: PlainPass<'a>,
+    load_sets: Vec<LoadSet>,
+}
+
+/// Loads with the tables of the time constants they were asked with.
+#[derive(Debug)]
+struct LoadSet {
+    key: [u64; 6],
+    view: View,
+    with: sums::View,
+    tables: Vec<(i32, Arc<Table>)>,
+}
+
+/// A valve signal that has been made, for evaluations with different processes behind it.
+#[derive(Debug, Clone, Copy)]
+pub struct Prepared {
+    plan: Plan,
+    theta: Parameters,
+    freedom: Freedom,
+    cells: [[f64; 2]; 2],
+    slips: usize,
+    reversals: usize,
+}
+
+/// Time constants on the lattice and whole points of dead time.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Place {
+    /// Places of the time constants; the second equals the first where there is one.
+    pub tau: [i32; 2],
+    /// Whole points.
+    pub delay: i32,
+}
+
+impl Prepared {
+    /// Whether two time constants are fitted.
+    #[must_use]
+    pub fn has_two_lags(&self) -> bool {
+        self.plan.tau2 > 0.0 && !self.plan.integrating
+    }
+
+    /// Whether a time constant is fitted at all.
+    #[must_use]
+    pub const fn has_lag(&self) -> bool {
+        !self.plan.integrating
+    }
+
+    /// Whether only the plain pass can tell the error.
+    #[must_use]
+    pub fn is_plain(&self) -> bool {
+        self.plan.level != 0.0 && !self.plan.integrating
+    }
+
+    /// Moves of the stem.
+    #[must_use]
+    pub const fn slips(&self) -> usize {
+        self.slips
+    }
+
+    /// Moves of the stem against the move before.
+    #[must_use]
+    pub const fn reversals(&self) -> usize {
+        self.reversals
+    }
+
+    /// The parameter vector, its fd within the band of its slips.
+    #[must_use]
+    pub const fn theta(&self) -> &Parameters {
+        &self.theta
+    }
 }
 
 impl<'a> Evaluator<'a> {
-    /// A evaluator for one problem and sign of the gain.
+    /// An evaluator for one problem and sign of the gain.
     #[must_use]
     pub fn new(problem: &'a Problem, sign: f64) -> Self {
         Self {
@@ -95,436 +113,188 @@ impl<'a> Evaluator<'a> {
             sign,
             evaluations: 0,
             limit: u64::MAX,
-            sequence: Sequence::default(),
-            path: Vec::new(),
-            valve: Vec::new(),
-            other: Vec::new(),
-            drift: Vec::new(),
-            bent: Vec::new(),
-            long: Vec::new(),
-            longer: Vec::new(),
-            columns: vec![Vec::new(); MAX_COLUMNS],
-            slopes: vec![Vec::new(); MAX_PARAMS + 3],
-            residual: Vec::new(),
-            response: Vec::new(),
+            signal: ValveSignal::default(),
+            plain: PlainPass::new(problem, sign),
+            load_sets: Vec::new(),
         }
     }
 
-    /// Runs the valve from the given stage on; false where the stem hardly moves.
-    fn run_valve(&mut self, plan: &Plan, theta: &mut Parameters, from: From) -> bool {
-        let q = &self.problem.question;
-        if from == From::Path {
-            let (path, per_point) = if plan.positioner > 0.0 {
-                let per_point = lag_path(&q.path, q.per_point, plan.positioner, &mut self.path);
-                (&self.path, per_point)
-            } else {
-                (&q.path, q.per_point)
-            };
-            match plan.law {
-                Some(law) => {
-                    let bands = [theta.s, theta.j];
-                    self.sequence.run_in(plan.stroke, law, path, per_point, bands, theta.first);
-                    if self.sequence.slips < MIN_SLIPS {
-                        return false;
-                    }
-                }
-                None => {
-                    let m = per_point as f64;
-                    self.sequence.at.clear();
-                    self.sequence.at.extend(path.chunks_exact(per_point).map(|p| p.iter().sum::<f64>() / m));
-                    self.sequence.direction.clear();
-                    self.sequence.direction.resize(self.sequence.at.len(), 0.0);
-                }
-            }
-        }
-        if from != From::Process && !plan.is_linear_in_fd() {
-            if plan.law.is_some() {
-                let [low, high] = self.band_of(plan, theta).fd;
-                theta.fd = theta.fd.clamp(low, high);
-            }
-            self.assemble(plan, theta.fd);
-        }
-        true
-    }
-
-    /// The valve signal behind everything that follows the stem.
-    fn assemble(&mut self, plan: &Plan, fd: f64) {
-        let Sequence { at, direction, .. } = &self.sequence;
-        self.valve.clear();
-        self.valve.extend(at.iter().zip(direction).map(|(a, d)| a - fd * d));
-        plan.follow(&mut self.valve, 1.0);
-    }
-
-    /// Makes the compact columns of a plan: others first, then one or two for the valve. Returns how many others.
-    fn make_columns(&mut self, plan: &Plan, theta: &Parameters, view: View) -> usize {
-        let problem = self.problem;
-        let n = problem.n();
-        let from = problem.blocks.from;
-        let [tau1, tau2] = time_constants(plan, theta);
-        let tau = libm::exp(theta.log_tau);
-        let lag = theta.lag.floor().max(0.0);
-        let (whole, fraction) = (lag as usize, theta.lag.max(0.0) - lag);
-        let mut count = 0;
-        let mut put = |columns: &mut Vec<Vec<f64>>, long: &[f64]| {
-            problem.gather(long, view, &mut columns[count]);
-            count += 1;
-        };
-        // What does not depend on the valve.
-        self.long.clear();
-        self.long.resize(n, 1.0);
-        put(&mut self.columns, &self.long);
-        let memories: &[f64] = if plan.integrating { &[] } else { &[tau1, tau2] };
-        for tau in memories.iter().filter(|t| **t > 0.0) {
-            course(&mut self.long, n, from, libm::exp(-1.0 / tau));
-            put(&mut self.columns, &self.long);
-        }
-        if plan.integrating {
-            self.long.clear();
-            self.long.extend((0..n).map(|k| (k as f64 - from as f64) / n as f64));
-            put(&mut self.columns, &self.long);
-        }
-        if let Some(omega) = plan.omega {
-            let turn = [libm::sin(omega), libm::cos(omega)];
-            for start in [[0.0, 1.0], [1.0, 0.0]] {
-                waves(&mut self.long, n, start, turn);
-                put(&mut self.columns, &self.long);
-            }
-        }
-        if let Some(start) = plan.ramp {
-            self.long.clear();
-            self.long.extend((0..n).map(|k| (k as f64 - start).max(0.0) / n as f64));
-            put(&mut self.columns, &self.long);
-        }
-        // A gain that drifts also drifts PV's level, since the process need not rest at the middle of the stem's range.
-        self.drift.clear();
-        if let Some(drift) = plan.drift {
-            self.drift.extend(drift.course(n));
-            put(&mut self.columns, &self.drift);
-        }
-        if let Some((start, straight)) = plan.step {
-            let after = (start.ceil().max(0.0) as usize).min(n);
-            let decay = if straight || plan.integrating { 0.0 } else { libm::exp(-1.0 / tau) };
-            let mut left = if decay > 0.0 { libm::exp((start - after as f64) / tau) } else { 0.0 };
-            self.long.clear();
-            self.long.resize(after, 0.0);
-            self.long.resize_with(n, || {
-                let value = 1.0 - left;
-                left *= decay;
-                value
-            });
-            put(&mut self.columns, &self.long);
-        }
-        // What does.
-        let linear_in_fd = plan.is_linear_in_fd();
-        let mut bent = core::mem::take(&mut self.bent);
-        let signal = if plan.bend != 0.0 {
-            bent.clear();
-            bent.extend(self.valve.iter().map(|v| plan.bent(*v)));
-            &bent
-        } else if linear_in_fd {
-            &self.sequence.at
-        } else {
-            &self.valve
-        };
-        let process = Process { plan, tau: [tau1, tau2], whole, fraction, n };
-        if plan.zero {
-            let second = Process { tau: [tau2, 0.0], ..process };
-            second.respond(signal, &mut self.long, &mut self.longer);
-            put(&mut self.columns, &self.long);
-        }
-        let others = count;
-        let main = if plan.zero { Process { tau: [tau1, 0.0], ..process } } else { process };
-        let mains = [signal, &self.sequence.direction];
-        for (i, signal) in mains.into_iter().take(if linear_in_fd { 2 } else { 1 }).enumerate() {
-            let signal = match plan.drift {
-                Some(drift) => {
-                    self.other.clear();
-                    self.other.extend(signal.iter().zip(&self.drift).map(|(v, x)| v * (1.0 + drift.change * x)));
-                    &self.other
-                }
-                None => signal,
-            };
-            main.respond(signal, &mut self.long, &mut self.longer);
-            problem.gather(&self.long, view, &mut self.columns[others + i]);
-        }
-        self.bent = bent;
-        others
-    }
-
-    /// The values of fd that the slips at hand leave open.
-    fn band_of(&self, plan: &Plan, theta: &Parameters) -> Freedom {
-        freedom(&self.sequence, [theta.s, theta.j], self.sign, self.problem.question.limits, plan.landing())
-    }
-
-    /// The best linear part at one place; `None` where the stem hardly moves, no gain of the sign helps, or the limit is
-    /// reached.
-    pub fn evaluate(&mut self, structure: &Structure, theta: &Parameters, view: View) -> Option<Candidate> {
+    /// Makes the valve signal of a parameter vector; `None` where the stem hardly moves or the budget is spent.
+    pub fn prepare(&mut self, structure: &Structure, theta: &Parameters) -> Option<Prepared> {
         if self.evaluations >= self.limit {
             return None;
         }
-        self.evaluations += 1;
         let plan = structure.plan(theta);
         let mut theta = *theta;
-        if !self.run_valve(&plan, &mut theta, From::Path) {
-            return None;
-        }
-        let others = self.make_columns(&plan, &theta, view);
-        let target = self.problem.target(view);
-        let two = plan.is_linear_in_fd();
-        let mains = if two { 2 } else { 1 };
-        let mut columns: [&[f64]; MAX_COLUMNS] = [&[]; MAX_COLUMNS];
-        for (slot, column) in columns.iter_mut().zip(&self.columns[..others + mains]) {
-            *slot = column;
-        }
-        columns[others + mains] = target;
-        let mut gram = Gram::of(&columns[..=others + mains]);
-        let whole = gram.at(others, others);
-        let whole_direction = if two { gram.at(others + 1, others + 1) } else { 0.0 };
-        gram.eliminate(others);
-        let last = others + mains;
-        let (gain, known, explained) = if two {
-            let at = |i: usize, k: usize| gram.at(others + i, others + k);
-            let system = [at(0, 0), at(0, 1), at(1, 1), at(0, 2), at(1, 2)];
-            let freedom = self.band_of(&plan, &theta);
-            let (gain, fd, explained) = best_band(system, [whole, whole_direction], &freedom);
-            theta.fd = fd;
-            (gain, [gain, -gain * fd], explained)
-        } else {
-            let (power, along) = (gram.at(others, others), gram.at(others, last));
-            let gain = if power > 1e-11 * whole { along / power } else { 0.0 };
-            (gain, [gain, 0.0], gain * along)
-        };
-        let all = gram.back(others, &known[..mains]);
-        let mut linear = Linear { others: [0.0; MAX_COLUMNS], count: others, gain };
-        linear.others[..others].copy_from_slice(&all[..others]);
-        let total = if plan.zero { gain + linear.others[others - 1] } else { gain };
-        if gain == 0.0 || total * self.sign <= 0.0 {
-            return None;
-        }
-        if plan.zero && reads_controller(time_constants(&plan, &theta), [gain, total - gain]) {
-            return None;
-        }
-        let sse = (gram.at(last, last) - explained).max(0.0);
-        let cells = [self.sequence.s_cell, self.sequence.j_cell];
-        Some(Candidate { theta, sse, cells, slips: self.sequence.slips, linear })
+        let freedom = self.signal.make(self.problem, &plan, &mut theta, self.sign)?;
+        let steps = &self.signal.steps;
+        Some(Prepared { plan, theta, freedom, cells: [steps.s_cell, steps.j_cell], slips: steps.slips, reversals: steps.reversals })
     }
 
-    /// As [`Evaluator::evaluate`] by the plain error with fd and the gain held: only the other columns are fitted.
-    pub fn held(&mut self, structure: &Structure, theta: &Parameters, gain: f64) -> Option<Candidate> {
+    /// Where a parameter vector stands on the lattice.
+    #[must_use]
+    pub fn place_of(&self, prepared: &Prepared) -> Place {
+        let limits = self.problem.question.limits;
+        let within = |tau: f64| lattice_index(tau.clamp(limits.tau[0], limits.tau[1]));
+        let first = within(libm::exp(prepared.theta.log_tau));
+        let mut second = first;
+        if prepared.has_two_lags() {
+            second = within(prepared.plan.tau2);
+            // Two equal lags have no form of their own.
+            if second == first {
+                second -= 1;
+            }
+        }
+        let delay = prepared.theta.lag.clamp(limits.lag[0], limits.lag[1]).floor() as i32;
+        Place { tau: [first, second], delay }
+    }
+
+    /// The best of all dead times within a whole point at one place of the lattice; `None` where no gain of the sign helps.
+    /// The signal must be the one prepared last.
+    pub fn at(&mut self, structure: &Structure, prepared: &Prepared, place: Place, view: View) -> Option<Candidate> {
+        let mut theta = prepared.theta;
+        let tau = place.tau.map(lattice_tau);
+        if prepared.has_lag() {
+            theta.log_tau = libm::log(tau[0]);
+        }
+        let mut plan = prepared.plan;
+        if prepared.has_two_lags() {
+            structure.set_second_lag(&mut theta, libm::log(tau[1]));
+            plan.tau2 = tau[1];
+        }
+        if prepared.is_plain() {
+            let limits = self.problem.question.limits.lag;
+            theta.lag = theta.lag.clamp(f64::from(place.delay), f64::from(place.delay + 1)).clamp(limits[0], limits[1]);
+            return self.plain_pass(structure, &theta, view);
+        }
         self.evaluations += 1;
-        let plan = structure.plan(theta);
-        let (mut moved, fd) = (*theta, theta.fd);
-        if !self.run_valve(&plan, &mut moved, From::Path) {
+        let problem = self.problem;
+        let own = problem.view(view);
+        let best = match self.load_set(&plan, tau[0], view) {
+            None => self.best(prepared, &plan, own, place.tau.map(|index| own.on_lattice(index)), place.delay),
+            Some(set) => {
+                let tables = place.tau.map(|index| self.load_sets[set].table(index, own));
+                self.best(prepared, &plan, &self.load_sets[set].with, tables, place.delay)
+            }
+        };
+        Some(candidate(prepared, theta, best?, place.delay))
+    }
+
+    /// The same at any time constants, `theta`'s own; for the last refinement.
+    pub fn off_lattice(
+        &mut self,
+        structure: &Structure,
+        theta: &Parameters,
+        delay: i32,
+        view: View,
+    ) -> Option<Candidate> {
+        let prepared = self.prepare(structure, theta)?;
+        if prepared.is_plain() {
+            return self.plain_pass(structure, theta, view);
+        }
+        self.evaluations += 1;
+        let plan = prepared.plan;
+        let mut tau = [libm::exp(theta.log_tau); 2];
+        if prepared.has_two_lags() {
+            tau = separated(tau[0], plan.tau2).into();
+        }
+        let own = Arc::clone(self.problem.view(view));
+        let signals = loads(&plan, tau[0], self.problem.n());
+        let with;
+        let view = if signals.is_empty() {
+            &*own
+        } else {
+            let signals: Vec<&[f64]> = signals.iter().map(Vec::as_slice).collect();
+            with = own.beside(&signals);
+            &with
+        };
+        let first = Arc::new(view.table(tau[0]));
+        let second = if prepared.has_two_lags() { Arc::new(view.table(tau[1])) } else { Arc::clone(&first) };
+        let best = self.best(&prepared, &plan, view, [first, second], delay)?;
+        Some(candidate(&prepared, prepared.theta, best, delay))
+    }
+
+    /// As it is, by the plain pass: with the coefficients of everything linear.
+    pub fn plain_pass(&mut self, structure: &Structure, theta: &Parameters, view: View) -> Option<Candidate> {
+        self.evaluations += 1;
+        self.plain.evaluate(structure, theta, view)
+    }
+
+    fn best(
+        &self,
+        prepared: &Prepared,
+        plan: &Plan,
+        view: &sums::View,
+        tables: [Arc<Table>; 2],
+        delay: i32,
+    ) -> Option<Best> {
+        let limits = self.problem.question.limits.lag;
+        let fraction = |lag: f64| (lag - f64::from(delay)).clamp(0.0, 1.0);
+        let fractions = limits.map(fraction);
+        let class = match (plan.integrating, prepared.has_two_lags()) {
+            (true, _) => Class::Integrating,
+            (false, true) => Class::Second,
+            (false, false) => Class::First,
+        };
+        let steps = &self.signal.steps.list;
+        let reduced = reduce(class, view, [&tables[0], &tables[1]], steps, delay.max(0) as usize);
+        let best = if plan.zero {
+            let tau = [tables[0].tau, tables[1].tau];
+            reduced.best_side_by_side(&prepared.freedom, fractions, |gains| !reads_controller(tau, gains))
+        } else {
+            reduced.best(&prepared.freedom, fractions)
+        };
+        (best.gain * self.sign > 0.0).then_some(best)
+    }
+
+    /// Makes the loads of a plan, where it has some, and says where they are kept.
+    fn load_set(&mut self, plan: &Plan, tau: f64, view: View) -> Option<usize> {
+        let through_lag = plan.step.is_some_and(|(_, straight)| !straight) && !plan.integrating;
+        let key = [
+            plan.omega.map_or(0, f64::to_bits),
+            plan.ramp.map_or(0, f64::to_bits),
+            plan.drift.map_or(0, |d| if d.by_factor { d.change.to_bits() } else { 1 }),
+            plan.step.map_or(0, |(start, _)| start.to_bits() | 1),
+            if through_lag { tau.to_bits() } else { 0 },
+            u64::from(plan.step.is_some_and(|(_, straight)| straight)),
+        ];
+        if key[..4] == [0; 4] {
             return None;
         }
-        let others = self.make_columns(&plan, theta, View::Plain);
-        let only = Linear { others: [0.0; MAX_COLUMNS], count: 0, gain };
-        let mut left = Vec::new();
-        let main = self.columns[others].clone();
-        if plan.is_linear_in_fd() {
-            let direction = &self.columns[others + 1];
-            left.extend(main.iter().zip(direction).map(|(a, d)| -gain * (a - fd * d)));
-        } else {
-            left.extend(main.iter().map(|a| -gain * a));
+        if let Some(found) = self.load_sets.iter().position(|s| s.key == key && s.view == view) {
+            return Some(found);
         }
-        for (l, y) in left.iter_mut().zip(self.problem.target(View::Plain)) {
-            *l += y;
+        if self.load_sets.len() == LOAD_SETS {
+            self.load_sets.remove(0);
         }
-        let mut columns: Vec<&[f64]> = self.columns[..others].iter().map(Vec::as_slice).collect();
-        columns.push(&left);
-        let mut gram = Gram::of(&columns);
-        gram.eliminate(others);
-        let all = gram.back(others, &[]);
-        let mut linear = Linear { count: others, ..only };
-        linear.others[..others].copy_from_slice(&all[..others]);
-        let cells = [self.sequence.s_cell, self.sequence.j_cell];
-        let sse = gram.at(others, others).max(0.0);
-        Some(Candidate { theta: *theta, sse, cells, slips: self.sequence.slips, linear })
-    }
-
-    /// The model's course on the fitted stretches with its coefficients held, into `out`.
-    fn course_of(&mut self, plan: &Plan, theta: &Parameters, linear: &Linear, view: View, slot: usize) {
-        let others = self.make_columns(plan, theta, view);
-        let mut out = core::mem::take(&mut self.slopes[slot]);
-        self.combine(plan, others, theta.fd, linear, &mut out);
-        self.slopes[slot] = out;
-    }
-
-    fn combine(&self, plan: &Plan, others: usize, fd: f64, linear: &Linear, out: &mut Vec<f64>) {
-        out.clear();
-        if plan.is_linear_in_fd() {
-            let (at, direction) = (&self.columns[others], &self.columns[others + 1]);
-            out.extend(at.iter().zip(direction).map(|(a, d)| linear.gain * (a - fd * d)));
-        } else {
-            out.extend(self.columns[others].iter().map(|x| linear.gain * x));
-        }
-        for (column, c) in self.columns[..others].iter().zip(linear.others) {
-            for (o, x) in out.iter_mut().zip(column) {
-                *o += c * x;
-            }
-        }
-    }
-
-    /// Up to `steps` Gauss-Newton steps.
-    pub fn improve(&mut self, structure: &Structure, start: Candidate, view: View, steps: usize) -> Candidate {
-        let mut best = start;
-        for _ in 0..steps {
-            let Some(again) = self.evaluate(structure, &best.theta, view) else { break };
-            best = again;
-            let Some(next) = self.descend(structure, &best, view) else { break };
-            let gained = (best.sse - next.sse) / best.sse;
-            best = next;
-            if gained < 1e-4 {
-                break;
-            }
-        }
-        best
-    }
-
-    /// One Gauss-Newton step from the place that was evaluated last, in the same view.
-    pub fn improve_fresh(&mut self, structure: &Structure, start: Candidate, view: View) -> Candidate {
-        self.descend(structure, &start, view).unwrap_or(start)
-    }
-
-    /// One step, shortened until it helps; `None` when none does. The buffers hold the columns of `best`.
-    fn descend(&mut self, structure: &Structure, best: &Candidate, view: View) -> Option<Candidate> {
-        let plan = structure.plan(&best.theta);
-        let others = best.linear.count;
-        let mut response = core::mem::take(&mut self.response);
-        self.combine(&plan, others, best.theta.fd, &best.linear, &mut response);
-        let target = self.problem.target(view);
-        self.residual.clear();
-        self.residual.extend(target.iter().zip(&response).map(|(y, x)| y - x));
-        // The response alone, whose gain stays free.
-        let mut unit = Vec::with_capacity(response.len());
-        if plan.is_linear_in_fd() {
-            let (at, direction) = (&self.columns[others], &self.columns[others + 1]);
-            unit.extend(at.iter().zip(direction).map(|(a, d)| a - best.theta.fd * d));
-        } else {
-            unit.extend_from_slice(&self.columns[others]);
-        }
-        let kept: Vec<Vec<f64>> = self.columns[..others].to_vec();
-        let moves = movable(structure, &plan, self.problem);
-        for (slot, m) in moves.iter().enumerate() {
-            let mut theta = best.theta;
-            let delta = m.shift(&mut theta, 1e-4);
-            let moved = structure.plan(&theta);
-            if m.from != From::Process {
-                self.run_valve(&moved, &mut theta, m.from);
-            }
-            self.evaluations += 1;
-            self.course_of(&moved, &theta, &best.linear, view, slot);
-            for (s, r) in self.slopes[slot].iter_mut().zip(&response) {
-                *s = (*s - r) / delta;
-            }
-            if m.from != From::Process {
-                self.run_valve(&plan, &mut best.theta.clone(), m.from);
-            }
-        }
-        let mut columns: Vec<&[f64]> = kept.iter().map(Vec::as_slice).collect();
-        columns.push(&unit);
-        columns.extend(self.slopes[..moves.len()].iter().map(Vec::as_slice));
-        columns.push(&self.residual);
-        let head = others + 1;
-        let mut gram = Gram::of(&columns);
-        gram.eliminate(head + moves.len());
-        let all = gram.back(head + moves.len(), &[]);
-        self.response = response;
-        let mut scale = 1.0;
-        for _ in 0..3 {
-            let mut theta = best.theta;
-            for (m, step) in moves.iter().zip(&all[head..]) {
-                m.step(&mut theta, scale * step);
-            }
-            theta = clamped(structure, theta, self.problem);
-            if theta != best.theta {
-                let found = self.evaluate(structure, &theta, view).filter(|f| f.sse < best.sse);
-                if found.is_some() {
-                    return found;
-                }
-            }
-            scale *= 0.3;
-        }
-        None
-    }
-
-    /// Free run over the whole record, normalised PV units, the valve signal (spans) and moves of the stem as
-    /// (point, size); `None` as for [`Evaluator::evaluate`].
-    pub fn simulate(&mut self, structure: &Structure, of: &Candidate) -> Option<(Vec<f64>, Vec<f64>)> {
-        self.run_plan(&structure.plan(&of.theta), of, of.linear)
-    }
-
-    /// What a structure's effect adds to the free run of the same slips through the same process, the stem's law apart;
-    /// zeros where it acts on that law alone.
-    pub fn added(&mut self, structure: &Structure, of: &Candidate) -> Option<Vec<f64>> {
-        let plan = structure.plan(&of.theta);
-        let plain = plan.valve_alone();
-        if plan == plain {
-            return Some(vec![0.0; self.problem.n()]);
-        }
-        let mut linear = of.linear;
-        if plan.zero {
-            linear.gain += linear.others[linear.count - 1];
-        }
-        let (with, _) = self.run_plan(&plan, of, of.linear)?;
-        let (without, _) = self.run_plan(&plain, of, linear)?;
-        Some(with.iter().zip(&without).map(|(a, b)| a - b).collect())
-    }
-
-    fn run_plan(&self, plan: &Plan, of: &Candidate, linear: Linear) -> Option<(Vec<f64>, Vec<f64>)> {
-        let whole = self.problem.whole();
-        let mut evaluator = Evaluator::new(&whole, self.sign);
-        let mut theta = of.theta;
-        if !evaluator.run_valve(plan, &mut theta, From::Path) {
-            return None;
-        }
-        let others = evaluator.make_columns(plan, &theta, View::Plain);
-        let mut out = Vec::new();
-        evaluator.combine(plan, others, theta.fd, &linear, &mut out);
-        evaluator.assemble(plan, theta.fd);
-        Some((out, evaluator.valve))
+        let signals = loads(plan, tau, self.problem.n());
+        let signals: Vec<&[f64]> = signals.iter().map(Vec::as_slice).collect();
+        let with = self.problem.view(view).beside(&signals);
+        self.load_sets.push(LoadSet { key, view, with, tables: Vec::new() });
+        Some(self.load_sets.len() - 1)
     }
 }
 
-/// Both time constants, points; the second 0 for none.
-fn time_constants(plan: &Plan, theta: &Parameters) -> [f64; 2] {
-    let tau = libm::exp(theta.log_tau);
-    if plan.tau2 > 0.0 { separated(tau, plan.tau2).into() } else { [tau, 0.0] }
-}
-
-/// Whether two lags side by side are not the process but the closed loop's controller read backwards, which gives PV's
-/// moves from OP's and no level: the pair begins faster than half of what one lag would, or comes back to where it was.
-fn reads_controller(tau: [f64; 2], gain: [f64; 2]) -> bool {
-    let total = gain[0] + gain[1];
-    let slope = gain[0] / tau[0] + gain[1] / tau[1];
-    slope * tau[0].min(tau[1]) / total > LEADS || total.abs() < COMES_BACK * gain[0].abs().max(gain[1].abs())
-}
-
-/// One of sine and cosine over the record by turning `[sin, cos]` from `start` (its first entry is kept).
-fn waves(out: &mut Vec<f64>, n: usize, start: [f64; 2], turn: [f64; 2]) {
-    let [mut a, mut b] = start;
-    let [sin, cos] = turn;
-    out.clear();
-    out.resize_with(n, || {
-        let value = a;
-        (a, b) = (a * cos + b * sin, b * cos - a * sin);
-        value
-    });
-}
-
-/// The decay `a^(k - from)`, 1 before.
-fn course(out: &mut Vec<f64>, n: usize, from: usize, a: f64) {
-    out.clear();
-    out.resize(from.min(n), 1.0);
-    let mut value = 1.0;
-    while out.len() < n {
-        out.push(value);
-        value *= a;
-        if value < 1e-14 {
-            out.resize(n, 0.0);
+impl LoadSet {
+    fn table(&mut self, index: i32, own: &sums::View) -> Arc<Table> {
+        if let Some((_, table)) = self.tables.iter().find(|(i, _)| *i == index) {
+            return Arc::clone(table);
         }
+        let table = Arc::new(self.with.extended(&own.on_lattice(index)));
+        self.tables.push((index, Arc::clone(&table)));
+        table
     }
+}
+
+/// The candidate of the best dead time; the coefficients of everything linear are left to the plain pass.
+fn candidate(prepared: &Prepared, mut theta: Parameters, best: Best, delay: i32) -> Candidate {
+    theta.lag = f64::from(delay) + best.fraction;
+    if prepared.plan.is_linear_in_fd() || prepared.plan.zero && prepared.freedom.fd != [0.0; 2] {
+        theta.fd = best.fd;
+    }
+    let linear = Linear { others: [0.0; MAX_COLUMNS], count: 0, gain: best.gain };
+    Candidate { theta, sse: best.sse, cells: prepared.cells, slips: prepared.slips, linear }
 }
 
 #[cfg(test)]
-pub mod tests;
+mod tests;

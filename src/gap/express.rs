@@ -1,7 +1,7 @@
 //! From the search's normalised places to models and fits in recorded units.
 
 use super::answer::INTEGRATOR_SCALE;
-use super::evaluator::{Candidate, Evaluator};
+use super::plain::{Candidate, PlainPass};
 use super::model::{Added, Model, Process, SCHEMA, Valve};
 use super::noise;
 use super::problem::Problem;
@@ -45,7 +45,7 @@ fn bands(of: &Candidate) -> [f64; 2] {
 /// fs and fd in spans of a stem whose slips hang on both bands at once, so that no rectangle of s and j gives the same:
 /// of places between the slips found and the fd fitted, the one whose model, where `j = s - 2 fd`, leaves least.
 fn tied_bands(problem: &Problem, structure: &Structure, of: &Candidate) -> [f64; 2] {
-    let mut evaluator = Evaluator::new(problem, of.linear.gain.signum());
+    let mut pass = PlainPass::new(problem, of.linear.gain.signum());
     let slips_fd = 0.5 * (of.theta.s - of.theta.j);
     let [fs, fd] = bands(of);
     let mut places = vec![[fs + fd, fd]];
@@ -57,7 +57,7 @@ fn tied_bands(problem: &Problem, structure: &Structure, of: &Candidate) -> [f64;
     let mut best = (f64::INFINITY, [fs, fd]);
     for [s, fd] in places.into_iter().filter(|[s, fd]| *s > 0.0 && *s >= 2.0 * fd) {
         let theta = Parameters { s, j: s - 2.0 * fd, fd, ..of.theta };
-        let left = evaluator.held(structure, &theta, of.linear.gain).map_or(f64::INFINITY, |held| held.sse);
+        let left = pass.held(structure, &theta, of.linear.gain).map_or(f64::INFINITY, |held| held.sse);
         if left < best.0 {
             best = (left, [s - fd, fd]);
         }
@@ -149,8 +149,8 @@ pub fn parameters(problem: &Problem, structure: &Structure, of: &Candidate) -> V
 #[must_use]
 pub fn fit(problem: &Problem, search: &Search, floor: Option<f64>, after: &dyn Fn(&mut [f64])) -> Option<Fit> {
     let best = search.best.first()?;
-    let mut evaluator = Evaluator::new(problem, search.sign);
-    let (mut prediction, valve) = evaluator.simulate(&search.structure, best)?;
+    let mut pass = PlainPass::new(problem, search.sign);
+    let (mut prediction, valve) = pass.simulate(&search.structure, best)?;
     for p in &mut prediction {
         *p = *p * problem.deviation + problem.pv_mean;
     }

@@ -3,7 +3,7 @@
 use super::express::{above_floor, fit};
 use super::problem::Problem;
 use super::schedule::Work;
-use super::search::{NARROW, Search, hunt};
+use super::search::{NARROW, Search, local_search};
 use super::structure::Parameters;
 use super::types::Forward;
 
@@ -33,7 +33,7 @@ pub fn forward(
         let thetas: Vec<Parameters> = source.best.iter().map(|b| b.theta).collect();
         let starts = source.best.iter().take(2).map(|b| b.theta.p).collect();
         let mut search = Search { best: Vec::new(), evaluations: 0, allowed: u64::MAX, starts, ..source.clone() };
-        hunt(&part, &mut search, &thetas, &[], &NARROW, seed);
+        local_search(&part, &mut search, &thetas, &[], &NARROW, seed);
         search
     });
     work.done += searches.iter().map(|l| l.evaluations).sum::<u64>();

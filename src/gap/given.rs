@@ -3,7 +3,7 @@
 
 use super::answer::INTEGRATOR_SCALE;
 use super::effects::{self, Effect, Param, Unit};
-use super::evaluator::{Candidate, Evaluator};
+use super::plain::{Candidate, PlainPass};
 use super::express::{Errors, above_floor, slips};
 use super::model::{Added, Model, ModelError};
 use super::problem::Problem;
@@ -37,17 +37,17 @@ pub fn simulate(problem: &Problem, model: &Model, floor: Option<f64>) -> Result<
     let theta = theta(problem, model, &structure);
     let integrating = if model.process.integrating { INTEGRATOR_SCALE * problem.point_s } else { 1.0 };
     let gain = model.process.gain * problem.span / problem.deviation * integrating;
-    let mut evaluator = Evaluator::new(problem, gain.signum());
+    let mut pass = PlainPass::new(problem, gain.signum());
     let mut best: Option<Candidate> = None;
     for first in firsts(problem, model, &theta) {
         let mut place = theta;
         place.first = first;
-        let held = evaluator.held(&structure, &place, gain);
+        let held = pass.held(&structure, &place, gain);
         best = held.filter(|h| best.is_none_or(|b| h.sse < b.sse)).or(best);
     }
     let stuck = ModelError::Range { name: "fs", value: model.valve.fs, want: "small enough for OP to move the stem" };
     let best = best.ok_or(stuck.clone())?;
-    let (prediction, valve) = evaluator.simulate(&structure, &best).ok_or(stuck)?;
+    let (prediction, valve) = pass.simulate(&structure, &best).ok_or(stuck)?;
     let prediction: Vec<f64> = prediction.iter().map(|p| p * problem.deviation + problem.pv_mean).collect();
     let residual: Vec<f64> =
         problem.question.pv.iter().zip(&prediction).map(|(y, p)| y * problem.deviation + problem.pv_mean - p).collect();
@@ -65,7 +65,7 @@ pub fn simulate(problem: &Problem, model: &Model, floor: Option<f64>) -> Result<
         rmse: errors.test,
         gap: above_floor(errors.test, floor),
         parameters: 0,
-        evaluations: evaluator.evaluations,
+        evaluations: pass.evaluations,
         at_floor: errors.at_floor(floor),
         colour: errors.colour,
         with_op: errors.with_op,

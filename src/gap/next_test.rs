@@ -1,6 +1,6 @@
 //! The next test: the smallest bump of OP that tells the two best answers apart, found by simulating both.
 
-use super::evaluator::{Candidate, Evaluator, Linear};
+use super::plain::{Candidate, Linear, PlainPass};
 use super::problem::Problem;
 use super::schedule::Found;
 use super::search::Search;
@@ -73,7 +73,7 @@ fn answer(problem: &Problem, search: &Search, size: f64, hold: usize) -> Option<
     let own = usize::from(plan.zero);
     let Linear { others, count, .. } = &mut place.linear;
     others[..count.saturating_sub(own)].fill(0.0);
-    let (course, _) = Evaluator::new(&test, search.sign).simulate(&search.structure, &place)?;
+    let (course, _) = PlainPass::new(&test, search.sign).simulate(&search.structure, &place)?;
     let rest = course[lead - 1];
     Some(course[lead..].iter().map(|x| x - rest).collect())
 }

@@ -4,7 +4,7 @@ use super::effects;
 use super::evaluator::Candidate;
 use super::problem::Problem;
 use super::schedule::{Found, Work, share};
-use super::search::{NARROW, Search, cross, form_of};
+use super::search::{NARROW, Search, exchange, form_of};
 use super::structure::{MAX_PARAMS, Structure};
 use super::types::EffectResult;
 use super::weigh::Scales;
@@ -37,7 +37,7 @@ pub fn run(
         }
         let mut from = all.clone();
         from.extend(searches.iter().cloned());
-        let thetas = cross(&from, 2);
+        let thetas = exchange(&from, 2);
         share(problem, &mut searches, &NARROW, work, &|_| thetas.clone(), &|_| &[]);
     }
     let mut out: Vec<EffectResult> = searches.iter().filter_map(|search| scales.weigh(search)).collect();

@@ -6,27 +6,26 @@
 
 use std::sync::Mutex;
 
-use super::coarse;
 use super::effects::{ALL, Clues, Effect, Start, Way};
 use super::evaluator::{Candidate, Evaluator};
 use super::express::rms;
+use super::plain::PlainPass;
 use super::problem::{Problem, View};
-use super::search::{Effort, MIDDLE, NARROW, SMALL, Search, WIDE, cross, frictionless, hunt};
-use super::slips::{FOLLOW, right_slips, right_slips_of_starts};
+use super::settle::NEAR;
+use super::search::{Effort, MIDDLE, NARROW, SMALL, Search, WIDE, exchange, local_search};
+use super::scan::{self, coarse_scan, frictionless};
 use super::structure::{MAX_PARAMS, Parameters, Plan, Structure};
 use super::types::{Executor, Stage};
-use crate::ident::class::Class;
 use crate::ident::residual;
 use crate::sim::slips::Law;
 
 /// Rounds in which findings are shared.
 const SHARED_ROUNDS: usize = 4;
-/// Places kept of each measure of the first look, for the base and for an effect's own look.
-const KEPT: usize = 14;
-const OWN_KEPT: usize = 6;
 /// Places of the first look, of each of two measures, at which a load's own clues are read, and starts taken from each.
 const PLACES: usize = 10;
 const STARTS: usize = 3;
+/// Shares of the record that further coarse scans see: shorter ones know fewer slips and have wider cells.
+const PARTS: [f64; 2] = [0.45, 0.7];
 /// Relative gain in squared error below which a search has not improved.
 const NO_GAIN: f64 = 0.003;
 /// Responses that a search for the base is given at least: without a base nothing can be said.
@@ -38,10 +37,8 @@ const AGAIN: u64 = 2;
 /// Shares of the budget that the base has at most, and of what it leaves that the effects' own first looks have.
 const OF_BASE: f64 = 0.4;
 const OF_LOOKS: f64 = 0.5;
-/// Responses that one such look computes, about.
-const LOOK: f64 = 2_500.0;
-/// Share of what the first round leaves that the search for slips of another kind has.
-const OF_OTHER_SLIPS: f64 = 0.6;
+/// Responses that one such scan computes, about.
+const LOOK: f64 = 15_000.0;
 /// Effects for which that is worth its while.
 const LIKELY: usize = 4;
 /// Responses that the search for the right slips of one effect computes, about.
@@ -139,10 +136,10 @@ fn search(structure: Structure, sign: f64, starts: Vec<[f64; MAX_PARAMS]>, strea
     Search { structure, sign, starts, best: Vec::new(), evaluations: 0, allowed: u64::MAX, stream: 1000 * stream }
 }
 
-/// The base, fitted, and the places of its first look; `None` where nothing in PV follows OP.
+/// The base, fitted, and the starts of its coarse scan; `None` where nothing in PV follows OP.
 ///
-/// While it leaves more than noise, the search for the right slips that `analyze` makes says where to begin again, up to
-/// [`AGAIN`] times with other chance: every effect starts from the base's slips.
+/// While it leaves more than noise, a scan of another part of the record with other chance says where to begin again, up
+/// to [`AGAIN`] times: every effect starts from the base's slips.
 #[must_use]
 pub fn base(
     problem: &Problem,
@@ -156,14 +153,15 @@ pub fn base(
         if law.is_none() || is_calm(problem, &base, floor) || work.done >= enough || !work.goes_on() {
             break;
         }
-        let seed = work.seed.wrapping_add(round << 32);
-        let looked = work.all(1, |_| right_slips(problem, &base, seed));
-        let Some((places, count)) = looked.into_iter().next() else { break };
-        work.done += count;
+        let seed = work.seed.wrapping_add((1 + round) << 32);
+        let part = problem.first_part(PARTS[round as usize % PARTS.len()]);
         let allowed = work.allowed(1);
         let found = work.all(1, |_| {
             let mut search = Search { allowed, ..base.clone() };
-            hunt(problem, &mut search, &places, &[], &NARROW, seed);
+            let structure = search.structure;
+            let (places, count) = coarse_scan(&part, &structure, [0.0; MAX_PARAMS], search.sign, scan::FINE, seed);
+            search.evaluations += count;
+            local_search(problem, &mut search, &places, &[], &WIDE, seed);
             search
         });
         let Some(better) = found.into_iter().next() else { break };
@@ -177,20 +175,22 @@ pub fn base(
 fn base_once(problem: &Problem, law: Option<Law>, work: &mut Work<'_>) -> Option<(Search, Vec<Parameters>)> {
     let signs: Vec<f64> = problem.sign.map_or_else(|| vec![1.0, -1.0], |s| vec![s]);
     let seed = work.seed;
-    let looked = work.all(signs.len(), |i| match law {
-        Some(_) => coarse::look(problem, &Plan::base(law), [0.0; MAX_PARAMS], signs[i], (KEPT, coarse::FINE)),
+    let undivided = problem.undivided();
+    let structure = Structure::base(law);
+    let scanned = work.all(signs.len(), |i| match law {
+        Some(_) => coarse_scan(&undivided, &structure, [0.0; MAX_PARAMS], signs[i], scan::FINE, seed),
         None => (frictionless(problem), 0),
     });
-    work.done += looked.iter().map(|(_, n)| n).sum::<u64>();
+    work.done += scanned.iter().map(|(_, n)| n).sum::<u64>();
     // Twice with other chance: the base must not lose by bad luck.
     let jobs = 2 * signs.len();
     let allowed = work.part(OF_BASE).div_ceil(jobs as u64).max(BASE_AT_LEAST);
     let searches = work.all(jobs, |i| {
         let sign = i / 2;
-        let mut search = search(Structure::base(law), signs[sign], vec![[0.0; MAX_PARAMS]], 1 + i as u64);
+        let mut search = search(structure, signs[sign], vec![[0.0; MAX_PARAMS]], 1 + i as u64);
         search.allowed = allowed;
-        if let Some((thetas, _)) = looked.get(sign) {
-            hunt(problem, &mut search, thetas, &[], &WIDE, seed);
+        if let Some((thetas, _)) = scanned.get(sign) {
+            local_search(problem, &mut search, thetas, &[], &WIDE, seed);
         }
         search
     });
@@ -204,7 +204,7 @@ fn base_once(problem: &Problem, law: Option<Law>, work: &mut Work<'_>) -> Option
         base.best.extend(other.best.iter().take(3).copied());
     }
     base.best.sort_by(|a, b| a.sse.total_cmp(&b.sse));
-    let thetas = looked.into_iter().zip(&signs).find(|(_, s)| **s == base.sign).map(|((g, _), _)| g)?;
+    let thetas = scanned.into_iter().zip(&signs).find(|(_, s)| **s == base.sign).map(|((g, _), _)| g)?;
     Some((base, thetas))
 }
 
@@ -222,19 +222,25 @@ fn reaches(problem: &Problem, left: &[f64], floor: Option<f64>) -> bool {
     floor.is_some_and(|floor| rms(left, &problem.train) * problem.deviation <= CALM * floor)
 }
 
-/// What a search's best place leaves of PV at each point, deviations.
+/// What a search's best candidate leaves of PV at each point, deviations.
 #[must_use]
 pub fn residual_of(problem: &Problem, search: &Search) -> Option<Vec<f64>> {
-    let mut evaluator = Evaluator::new(problem, search.sign);
-    let (prediction, _) = evaluator.simulate(&search.structure, search.best.first()?)?;
+    let (prediction, _) = PlainPass::new(problem, search.sign).simulate(&search.structure, search.best.first()?)?;
     Some(problem.question.pv.iter().zip(&prediction).map(|(y, p)| y - p).collect())
+}
+
+/// The free run of a parameter vector, and its valve signal.
+fn free_run(problem: &Problem, sign: f64, structure: &Structure, theta: &Parameters) -> Option<(Vec<f64>, Vec<f64>)> {
+    let mut pass = PlainPass::new(problem, sign);
+    let candidate = pass.evaluate(structure, theta, View::Plain)?;
+    pass.simulate(structure, &candidate)
 }
 
 /// The starts of every effect's search.
 fn lanes_of(problem: &Problem, base: &Search, effects: &[&'static Effect]) -> Vec<Search> {
-    let mut evaluator = Evaluator::new(problem, base.sign);
     let Some(best) = base.best.first() else { return Vec::new() };
-    let Some((prediction, valve)) = evaluator.simulate(&base.structure, best) else { return Vec::new() };
+    let run = PlainPass::new(problem, base.sign).simulate(&base.structure, best);
+    let Some((prediction, valve)) = run else { return Vec::new() };
     let own = |e: &Effect| starts_at(problem, e, best, &prediction, &valve);
     let structure = |e: &'static Effect| Structure::with(base.structure.law, e);
     effects.iter().enumerate().map(|(i, e)| search(structure(e), base.sign, own(e), 10 + i as u64)).collect()
@@ -263,22 +269,20 @@ pub fn run(
             Search { sign: found.sign, best: found.best, evaluations: found.evaluations, ..searches[at].clone() };
     }
     if work.goes_on() {
-        let mut from = cross(core::slice::from_ref(&base), 4);
+        let mut from = exchange(core::slice::from_ref(&base), 4);
         if !calm {
             from.extend(&thetas);
         }
         let seed = work.seed;
         let looking = searches.iter().filter(|l| plans_of(l).any(|plan| looks(&plan, &l.structure))).count();
         let each = (work.part(OF_LOOKS) as f64 / LOOK / looking.max(1) as f64).max(1.0) as usize;
+        let undivided = problem.undivided();
         let own =
-            work.all(searches.len(), |i| own_look(problem, &searches[i], &thetas, if calm { 0 } else { each }, seed));
+            work.all(searches.len(), |i| own_look([problem, &undivided], &searches[i], &thetas, if calm { 0 } else { each }, seed));
         work.done += own.iter().map(|(_, n)| n).sum::<u64>();
         let effort = if calm { &NARROW } else { &MIDDLE };
         let own = |i: usize| own.get(i).map_or(&[][..], |(thetas, _)| thetas);
         share(problem, &mut searches, effort, work, &|_| from.clone(), &own);
-    }
-    if !calm {
-        look_for_other_slips(problem, &mut searches, floor, work);
     }
     for round in 0..SHARED_ROUNDS as u64 {
         if calm || !work.goes_on() {
@@ -299,30 +303,12 @@ fn cross_pollinate(problem: &Problem, base: &mut Search, searches: &mut Vec<Sear
     let mut all = vec![base.clone()];
     all.extend(near);
     let before: Vec<f64> = all.iter().map(Search::sse).collect();
-    let thetas = cross(&all, 2);
+    let thetas = exchange(&all, 2);
     share(problem, &mut all, &SMALL, work, &|_| thetas.clone(), &|_| &[]);
     let gains = before.iter().zip(&all).any(|(b, a)| a.sse() < (1.0 - NO_GAIN) * b);
     *base = all.remove(0);
     searches.extend(all.into_iter().chain(far));
     gains
-}
-
-/// The search for the right slips of every stem that makes others than the base can, from all of its starts: much work,
-/// done where nothing explains everything yet.
-fn look_for_other_slips(problem: &Problem, searches: &mut [Search], floor: Option<f64>, work: &mut Work<'_>) {
-    let at: Vec<usize> =
-        (0..searches.len()).filter(|i| plans_of(&searches[*i]).any(|plan| makes_other_slips(&plan))).collect();
-    let responses = work.part(OF_OTHER_SLIPS) / at.len().max(1) as u64;
-    let explains = |search: &Search| residual_of(problem, search).is_some_and(|left| reaches(problem, &left, floor));
-    if at.is_empty() || responses < FOLLOW / 2 || !work.goes_on() || searches.iter().any(explains) {
-        return;
-    }
-    let seed = work.seed;
-    go_on(searches, &at, work, &|search| {
-        let (thetas, count) = right_slips_of_starts(problem, search, responses, seed);
-        hunt(problem, search, &[], &thetas, &MIDDLE, seed);
-        search.evaluations += count;
-    });
 }
 
 /// More work for the searches at these places. Says whether one of them gained from it.
@@ -348,8 +334,8 @@ fn plans_of(search: &Search) -> impl Iterator<Item = Plan> {
     search.starts.iter().map(|p| search.structure.plan_of(p))
 }
 
-/// The search for the right slips, made for each of the most likely effects while none of them explains everything.
-/// Says whether one of them gained from it.
+/// Another coarse scan with the parameters found so far, made for each of the most likely effects while none of them
+/// explains everything. Says whether one of them gained from it.
 fn look_again(problem: &Problem, searches: &mut [Search], floor: Option<f64>, round: u64, work: &mut Work<'_>) -> bool {
     let mut order: Vec<usize> = (0..searches.len()).collect();
     order.sort_by(|a, b| searches[*a].sse().total_cmp(&searches[*b].sse()));
@@ -357,10 +343,12 @@ fn look_again(problem: &Problem, searches: &mut [Search], floor: Option<f64>, ro
     if order.first().is_none_or(|best| is_calm(problem, &searches[*best], floor)) || !work.goes_on() {
         return false;
     }
-    let seed = work.seed.wrapping_add((AGAIN + round) << 32);
+    let seed = work.seed.wrapping_add((AGAIN + 1 + round) << 32);
+    let part = problem.first_part(PARTS[round as usize % PARTS.len()]);
     go_on(searches, &order, work, &|search| {
-        let (places, count) = right_slips(problem, search, seed);
-        hunt(problem, search, &places, &places, &WIDE, seed);
+        let Some(p) = search.best.first().map(|b| b.theta.p).or(search.starts.first().copied()) else { return };
+        let (places, count) = coarse_scan(&part, &search.structure, p, search.sign, scan::FINE, seed);
+        local_search(problem, search, &[], &places, &WIDE, seed);
         search.evaluations += count;
     })
 }
@@ -372,12 +360,12 @@ fn with_own_clues(problem: &Problem, search: &Search, thetas: &[Parameters]) -> 
     let base = Structure::base(search.structure.law);
     let mut evaluator = Evaluator::new(problem, search.sign);
     let mut out = Vec::new();
-    for view in [View::Moves, View::Fast] {
-        let mut seen: Vec<_> = thetas.iter().filter_map(|g| evaluator.evaluate(&base, g, view)).collect();
+    for view in View::ALL {
+        let mut seen: Vec<_> = thetas.iter().filter_map(|g| evaluator.fit(&base, g, view, NEAR)).collect();
         seen.sort_by(|a, b| a.sse.total_cmp(&b.sse));
         for place in seen.iter().take(PLACES) {
-            let Some(place) = evaluator.evaluate(&base, &place.theta, View::Plain) else { continue };
-            let Some((prediction, valve)) = evaluator.simulate(&base, &place) else { continue };
+            let Some(place) = evaluator.fit(&base, &place.theta, View::Plain, NEAR) else { continue };
+            let Some((prediction, valve)) = free_run(problem, search.sign, &base, &place.theta) else { continue };
             let starts = starts_at(problem, effect, &place, &prediction, &valve);
             out.extend(starts.into_iter().take(STARTS).map(|p| Parameters { p, ..place.theta }));
         }
@@ -404,7 +392,7 @@ fn starts_at(
 /// A look of its own for an effect that makes other slips of the same OP, or whose traces the wrong slips hide; `looked`
 /// are the places of the base's, `most` the starts from which is looked.
 fn own_look(
-    problem: &Problem,
+    [problem, undivided]: [&Problem; 2],
     search: &Search,
     looked: &[Parameters],
     most: usize,
@@ -424,14 +412,7 @@ fn own_look(
         if !looks(&plan, &search.structure) {
             continue;
         }
-        if plan.class() != Class::First {
-            // Another process is looked for by the search that knows it, once.
-            let (found, n) = if i == 0 && most > 1 { right_slips(problem, search, seed) } else { (Vec::new(), 0) };
-            thetas.extend(found);
-            count += n;
-            continue;
-        }
-        let (found, n) = coarse::look(problem, &plan, *p, search.sign, (OWN_KEPT, coarse::ROUGH));
+        let (found, n) = coarse_scan(undivided, &search.structure, *p, search.sign, scan::ROUGH, seed + i as u64);
         thetas.extend(found);
         count += n;
     }
@@ -446,7 +427,7 @@ fn makes_other_slips(plan: &Plan) -> bool {
 /// Whether a plan makes other slips than the base, or another signal of the same slips.
 fn looks(plan: &Plan, structure: &Structure) -> bool {
     let same_slips = plan.valve_alone() == Plan::base(structure.law);
-    structure.law.is_some() && !makes_other_slips(plan) && (!same_slips || plan.follows() || plan.bend != 0.0)
+    structure.law.is_some() && (makes_other_slips(plan) || !same_slips || plan.follows() || plan.bend != 0.0)
 }
 
 /// One round for every search.
@@ -463,7 +444,7 @@ pub fn share<'g>(
     let made = work.all(searches.len(), |i| {
         let mut search = Search { allowed, ..searches[i].clone() };
         let thetas = thetas(&search);
-        hunt(problem, &mut search, &thetas, own(i), effort, seed);
+        local_search(problem, &mut search, &thetas, own(i), effort, seed);
         search
     });
     if made.len() == searches.len() {

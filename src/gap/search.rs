@@ -1,37 +1,43 @@
-//! The search for one structure: many places looked at once, the best improved by random steps to neighbouring cells of
-//! slip sequences, first by differences of the free run's error, then by the error itself.
+//! The local search for one model structure: starts evaluated side by side, the best improved by random steps to
+//! neighbouring cells of slip sequences, first by differences of the free run's error, then by the error itself.
 //!
-//! All structures get the same work; what one finds, every other one tries with its own parameters ([`cross`]).
+//! All structures get the same work; what one finds, every other one tries with its own parameters ([`exchange`]).
 
 use rand_chacha::ChaCha8Rng;
 
 use super::effects::Unit;
 use super::evaluator::{Candidate, Evaluator};
-use super::moves::clamped;
 use super::problem::{Problem, View};
-use super::scan::scan;
+use super::scan::fitted_to;
+use super::settle::{FAR, LAST, NEAR, clamped};
 use super::structure::{MAX_PARAMS, Parameters, Structure};
-use crate::ident::candidate::{Landing, Question};
+use crate::ident::candidate::Question;
 use crate::ident::search::{generator, moved, normal, uniform};
 use crate::sim::slips::FirstSlip;
 
-/// Cost over the best one from which a step is not worth refining.
-const HOPELESS: f64 = 2.5;
-/// Random steps from a place that a look along a parameter found, of each view.
-const SCAN_STEPS: usize = 40;
-/// Places that a search keeps.
+/// Cost over the best one from which a step's process is not settled.
+const HOPELESS: f64 = 1.03;
+/// Candidates that a search keeps.
 const KEPT: usize = 6;
+/// Cells beside the best one that are asked, over each edge, and how far beyond an edge, as a share of s.
+const CELLS: usize = 4;
+const OVER: f64 = 1e-7;
+/// Rounds of them at most.
+const CELL_ROUNDS: usize = 6;
+/// Rounds of parabolas along each parameter, between climbs and at the end.
+const PARABOLAS: usize = 2;
+const LAST_PARABOLAS: usize = 6;
 
-/// What a structure's search has found so far.
+/// What the search for a structure has found so far.
 #[derive(Debug, Clone)]
 pub struct Search {
     /// The structure.
     pub structure: Structure,
     /// Sign of the gain.
     pub sign: f64,
-    /// Parameter values worth a look.
+    /// Parameter values from which it begins.
     pub starts: Vec<[f64; MAX_PARAMS]>,
-    /// The best places by the plain error, best first.
+    /// The best candidates by the plain error, best first.
     pub best: Vec<Candidate>,
     /// Responses computed.
     pub evaluations: u64,
@@ -49,49 +55,29 @@ impl Search {
     }
 }
 
-/// Genes for a base that has no friction: an even look at time constants and lags.
-#[must_use]
-pub fn frictionless(problem: &Problem) -> Vec<Parameters> {
-    let mut out = Vec::new();
-    for tau in [0.01, 0.05, 0.2, 1.0] {
-        for lag in [0.01, 0.05, 0.12, 0.25] {
-            out.push(Parameters {
-                s: 0.0,
-                j: 0.0,
-                first: FirstSlip { direction: 1.0, threshold: 0.0 },
-                fd: 0.0,
-                log_tau: libm::log((tau * problem.period).max(0.3)),
-                lag: problem.question.limits.lag[0] + lag * problem.period,
-                p: [0.0; MAX_PARAMS],
-            });
-        }
-    }
-    out
-}
-
-/// How much work a round is: how many places and steps for each, view by view.
+/// How much work a round is: how many candidates and steps for each, view by view.
 #[derive(Debug, Clone, Copy)]
 pub struct Effort {
-    /// By differences, then by the fast part: places and steps, first and later.
-    pub views: [(usize, usize); 2],
+    /// By differences: candidates and steps, first and later.
+    pub moves: [(usize, usize); 2],
     /// By the error itself.
     pub plain: [(usize, usize); 3],
-    /// Places from which each parameter is looked along.
+    /// Candidates from which each parameter is scanned over its range.
     pub scans: usize,
 }
 
 /// For the base, and for an effect that may be the cause.
-pub const WIDE: Effort = Effort { views: [(9, 40), (3, 100)], plain: [(12, 40), (5, 120), (2, 350)], scans: 2 };
+pub const WIDE: Effort = Effort { moves: [(12, 60), (4, 160)], plain: [(14, 60), (6, 160), (3, 400)], scans: 2 };
 /// Every effect's first.
-pub const MIDDLE: Effort = Effort { views: [(5, 30), (2, 60)], plain: [(8, 40), (3, 120), (1, 200)], scans: 2 };
-/// From places that another search has found.
-pub const NARROW: Effort = Effort { views: [(2, 30), (1, 60)], plain: [(4, 50), (2, 150), (1, 200)], scans: 0 };
+pub const MIDDLE: Effort = Effort { moves: [(6, 40), (2, 80)], plain: [(8, 50), (3, 120), (1, 240)], scans: 2 };
+/// From candidates that another search has found.
+pub const NARROW: Effort = Effort { moves: [(2, 30), (1, 60)], plain: [(4, 50), (2, 120), (1, 200)], scans: 0 };
 /// From what the other searches have found.
-pub const SMALL: Effort = Effort { views: [(2, 20), (1, 30)], plain: [(3, 30), (1, 100), (1, 100)], scans: 0 };
+pub const SMALL: Effort = Effort { moves: [(2, 20), (1, 30)], plain: [(3, 40), (1, 100), (1, 100)], scans: 0 };
 
-/// Looks at all thetas with all of the search's starts, and at `own` as they are, then improves the best; each way in which
-/// the effect may enter by itself, since the steps of one lead nowhere in another.
-pub fn hunt(
+/// Evaluates all of `thetas` with all starts of a search, and `own` as they are, then improves the best; each way in which
+/// the effect may act by itself, since the steps of one lead nowhere in another.
+pub fn local_search(
     problem: &Problem,
     search: &mut Search,
     thetas: &[Parameters],
@@ -121,7 +107,7 @@ pub fn hunt(
         let own = own.iter().filter(|theta| of_form(&theta.p));
         let with_starts = thetas.iter().flat_map(|theta| starts.iter().map(|p| Parameters { p: *p, ..*theta }));
         let from: Vec<Parameters> = with_starts.chain(own.copied()).collect();
-        let found = hunt_form(&mut evaluator, &search.structure, &from, &before, effort, &mut rng);
+        let found = search_form(&mut evaluator, &search.structure, &from, &before, effort, &mut rng);
         search.evaluations += evaluator.evaluations;
         firsts.extend(found.first());
         held.extend(found);
@@ -136,7 +122,7 @@ pub fn hunt(
     }
 }
 
-/// Which of its alternatives an effect enters by, parameter by parameter.
+/// Which of its alternatives an effect acts by, parameter by parameter.
 pub type Form = [bool; MAX_PARAMS];
 
 /// Which of the alternatives that a structure knows these parameters choose.
@@ -149,8 +135,8 @@ pub fn form_of(structure: &Structure, p: &[f64; MAX_PARAMS]) -> Form {
     form
 }
 
-/// The search for one form: the best places, best first.
-fn hunt_form(
+/// The search for one form: the best candidates, best first.
+fn search_form(
     evaluator: &mut Evaluator<'_>,
     structure: &Structure,
     from: &[Parameters],
@@ -158,25 +144,24 @@ fn hunt_form(
     effort: &Effort,
     rng: &mut ChaCha8Rng,
 ) -> Vec<Candidate> {
-    let mut pools: [Vec<Candidate>; 3] = [Vec::new(), Vec::new(), Vec::new()];
+    let mut pools: [Vec<Candidate>; 2] = [Vec::new(), Vec::new()];
     for theta in from.iter().flat_map(|theta| fitted_to(structure, *theta, evaluator.problem)) {
         for (pool, view) in pools.iter_mut().zip(View::ALL) {
-            pool.extend(evaluator.evaluate(structure, &theta, view));
+            pool.extend(evaluator.fit(structure, &theta, view, NEAR));
         }
     }
-    let [plain, moves, fast] = pools;
+    let [plain, moves] = pools;
+    let [(wide, few), (narrow, some)] = effort.moves;
+    let chosen = of_every_size(moves, wide);
+    let mut found: Vec<Candidate> =
+        chosen.into_iter().filter_map(|c| evaluator.fit(structure, &c.theta, View::Moves, FAR)).collect();
+    for (count, steps) in [(wide, few), (narrow, some)] {
+        found = climbs(evaluator, structure, apart(found, count), View::Moves, steps, rng);
+    }
     let mut held: Vec<Candidate> = Vec::new();
-    let [(wide, few), (narrow, some)] = effort.views;
-    for (pool, view) in [(moves, View::Moves), (fast, View::Fast)] {
-        let chosen = of_every_size(pool, wide);
-        let mut found: Vec<Candidate> = chosen.into_iter().map(|c| evaluator.improve(structure, c, view, 3)).collect();
-        for (count, steps) in [(wide, few), (narrow, some)] {
-            found = climbs(evaluator, structure, apart(found, count), view, steps, rng);
-        }
-        held.extend(found.iter().filter_map(|c| evaluator.evaluate(structure, &c.theta, View::Plain)));
-    }
-    held.extend(of_every_size(plain, effort.plain[0].0));
-    held = held.into_iter().map(|c| evaluator.improve(structure, c, View::Plain, 3)).collect();
+    held.extend(found.iter().filter_map(|c| evaluator.fit(structure, &c.theta, View::Plain, NEAR)));
+    let chosen = of_every_size(plain, effort.plain[0].0);
+    held.extend(chosen.into_iter().filter_map(|c| evaluator.fit(structure, &c.theta, View::Plain, FAR)));
     held.extend(before);
     for (round, (count, steps)) in effort.plain.into_iter().enumerate() {
         if round == 1 {
@@ -190,28 +175,135 @@ fn hunt_form(
         held = apart(held, KEPT.max(count));
     }
     if let Some(first) = held.first().copied() {
-        let settled = settle(evaluator, structure, first);
+        let settled = settled(evaluator, structure, first);
         held.insert(0, settled);
     }
-    apart(held, KEPT)
+    // The coefficients of everything linear, as documents have them.
+    let complete = apart(held, KEPT);
+    complete.into_iter().filter_map(|c| evaluator.plain_pass(structure, &c.theta, View::Plain)).collect()
 }
 
-/// Places from looks along every parameter, climbed by differences and then by the error.
+/// The best of the neighbouring cells, its parameters settled and taken off the lattice.
+fn settled(evaluator: &mut Evaluator<'_>, structure: &Structure, from: Candidate) -> Candidate {
+    let mut best = evaluator.settle_parameters(structure, from, View::Plain, LAST_PARABOLAS);
+    best = cells(evaluator, structure, best);
+    best = evaluator.settle_parameters(structure, best, View::Plain, LAST_PARABOLAS);
+    evaluator.refine(structure, best)
+}
+
+/// The best of the cells of (s, j) and of the first slips beside a candidate, until none is better.
+fn cells(evaluator: &mut Evaluator<'_>, structure: &Structure, from: Candidate) -> Candidate {
+    let mut best = from;
+    if best.slips == 0 {
+        return best;
+    }
+    for _ in 0..CELL_ROUNDS {
+        let before = best.sse;
+        for [up_s, up_j] in [[1, 0], [-1, 0], [0, 1], [0, -1], [1, 1], [-1, -1], [1, -1], [-1, 1]] {
+            let mut at = best;
+            for _ in 0..CELLS {
+                let s = over(at.cells[0], up_s, at.theta.s);
+                let j = over(at.cells[1], up_j, at.theta.j);
+                let (Some(s), Some(j)) = (s, j) else { break };
+                let fd = at.theta.fd + 0.5 * (s - at.theta.s - j + at.theta.j);
+                let theta = clamped(structure, Parameters { s, j, fd, ..at.theta }, evaluator.problem);
+                let Some(next) = evaluator.fit(structure, &theta, View::Plain, &[]) else { break };
+                at = next;
+                best = taken(evaluator, structure, best, next);
+            }
+        }
+        for first in nearby_starts(&evaluator.problem.question, best.theta.first) {
+            let theta = Parameters { first, ..best.theta };
+            if let Some(next) = evaluator.fit(structure, &theta, View::Plain, &[]) {
+                best = taken(evaluator, structure, best, next);
+            }
+        }
+        if before - best.sse <= 1e-6 * before {
+            break;
+        }
+    }
+    best
+}
+
+/// The better of a candidate and another one whose process is settled if that may help.
+fn taken(evaluator: &mut Evaluator<'_>, structure: &Structure, best: Candidate, next: Candidate) -> Candidate {
+    let mut next = next;
+    if next.sse < HOPELESS * best.sse {
+        next = evaluator.fit(structure, &next.theta, View::Plain, LAST).unwrap_or(next);
+    }
+    if next.sse < best.sse { next } else { best }
+}
+
+/// Just over an edge of a cell; `None` where it has none on that side.
+fn over([low, high]: [f64; 2], up: i32, now: f64) -> Option<f64> {
+    match up {
+        0 => Some(now),
+        1 => Some(high * (1.0 + OVER) + 1e-12).filter(|v| v.is_finite()),
+        _ => Some(low * (1.0 - OVER) - 1e-12).filter(|v| *v > 0.0),
+    }
+}
+
+/// First slips at the records of OP beside the one at hand.
+fn nearby_starts(question: &Question, first: FirstSlip) -> Vec<FirstSlip> {
+    let direction = first.direction;
+    let list = &question.records[usize::from(direction < 0.0)];
+    let here = list.iter().take_while(|r| direction * (first.threshold - **r) >= 0.0).count();
+    let at = |record: usize| {
+        let threshold = match record {
+            0 => list[0] - direction * 1e-9,
+            r => 0.5 * (list[r - 1] + list[r]),
+        };
+        FirstSlip { direction, threshold }
+    };
+    let places = [here.checked_sub(1), Some(here + 1), here.checked_sub(2), Some(here + 2), here.checked_sub(4), Some(here + 4)];
+    places.into_iter().flatten().filter(|r| *r < list.len()).map(at).collect()
+}
+
+/// Scans along every parameter over its whole range, climbed by differences and then by the error: what else the model
+/// trades for it goes along, so that the scan stays in the valley.
 fn scans(
     evaluator: &mut Evaluator<'_>,
     structure: &Structure,
     from: &[Candidate],
     rng: &mut ChaCha8Rng,
 ) -> Vec<Candidate> {
-    let thetas: Vec<Parameters> = from.iter().flat_map(|place| scan(evaluator, structure, place, rng)).collect();
+    /// Points along one parameter; the bands are shaken by so much at every other one, as a share: slips are right
+    /// within less than a hundredth only.
+    const POINTS: usize = 60;
+    const SHAKEN: f64 = 0.01;
+    /// Random steps from a place that was found.
+    const STEPS: usize = 40;
+    let mut found = Vec::new();
+    for place in from {
+        for (i, param) in structure.params().enumerate().filter(|(_, p)| p.unit != Unit::Choice) {
+            let [low, high] = param.bounds(evaluator.problem);
+            let mut seen: [Vec<Candidate>; 2] = [Vec::new(), Vec::new()];
+            for k in 0..POINTS {
+                let mut theta = place.theta;
+                theta.p[i] = low + (high - low) * (k as f64 + 0.5) / POINTS as f64;
+                let by = theta.p[i] - place.theta.p[i];
+                structure.trade(&mut theta, i, by, evaluator.problem.question.rate);
+                if k % 2 == 1 {
+                    theta.s *= 1.0 + SHAKEN * normal(rng);
+                }
+                let theta = clamped(structure, theta, evaluator.problem);
+                for (seen, view) in seen.iter_mut().zip(View::ALL) {
+                    seen.extend(evaluator.fit(structure, &theta, view, LAST));
+                }
+            }
+            for mut seen in seen {
+                seen.sort_by(|a, b| a.sse.total_cmp(&b.sse));
+                let far = |s: &&Candidate| (s.theta.p[i] - place.theta.p[i]).abs() > 0.02 * (high - low);
+                found.extend(seen.iter().filter(far).take(1).copied());
+            }
+        }
+    }
     let mut out = Vec::new();
-    for theta in thetas {
-        let Some(seen) = evaluator.evaluate(structure, &theta, View::Moves) else { continue };
-        let seen = evaluator.improve(structure, seen, View::Moves, 2);
-        let climbed = climb(evaluator, structure, seen, View::Moves, SCAN_STEPS, rng);
-        let Some(seen) = evaluator.evaluate(structure, &climbed.theta, View::Plain) else { continue };
-        let seen = evaluator.improve(structure, seen, View::Plain, 3);
-        out.push(climb(evaluator, structure, seen, View::Plain, SCAN_STEPS, rng));
+    for place in found {
+        let Some(seen) = evaluator.fit(structure, &place.theta, View::Moves, NEAR) else { continue };
+        let climbed = climb(evaluator, structure, seen, View::Moves, STEPS, rng);
+        let Some(seen) = evaluator.fit(structure, &climbed.theta, View::Plain, NEAR) else { continue };
+        out.push(climb(evaluator, structure, seen, View::Plain, STEPS, rng));
     }
     out
 }
@@ -238,27 +330,7 @@ fn of_every_size(pool: Vec<Candidate>, wanted: usize) -> Vec<Candidate> {
     chosen
 }
 
-/// A theta moved to where its structure may stand; for a stem that may overshoot also the same way back and as far beyond.
-fn fitted_to(structure: &Structure, mut theta: Parameters, problem: &Problem) -> Vec<Parameters> {
-    if structure.plan(&theta).landing() == Landing::Beyond {
-        // The base is among its models: it must never do worse.
-        let mut out = vec![clamped(structure, theta, problem)];
-        if theta.j < theta.s {
-            // The slips stay: fd turns.
-            theta.j = theta.s * (1.0 + 0.5 * (1.0 - theta.j / theta.s.max(1e-9)));
-            theta.fd = 0.5 * (theta.s - theta.j);
-            out.push(clamped(structure, theta, problem));
-        }
-        return out;
-    }
-    if theta.j > theta.s {
-        theta.j = theta.s;
-        theta.fd = 0.0;
-    }
-    vec![clamped(structure, theta, problem)]
-}
-
-/// The best places that stand apart, best first.
+/// The best candidates that stand apart, best first.
 fn apart(mut pool: Vec<Candidate>, wanted: usize) -> Vec<Candidate> {
     pool.sort_by(|a, b| a.sse.total_cmp(&b.sse));
     let mut chosen: Vec<Candidate> = Vec::new();
@@ -267,8 +339,7 @@ fn apart(mut pool: Vec<Candidate>, wanted: usize) -> Vec<Candidate> {
             break;
         }
         let near = |o: &Candidate| {
-            let same =
-                (o.theta.s / c.theta.s - 1.0).abs() <= 0.012 && (o.theta.j - c.theta.j).abs() <= 0.05 * c.theta.s;
+            let same = (o.theta.s / c.theta.s - 1.0).abs() <= 0.012 && (o.theta.j - c.theta.j).abs() <= 0.05 * c.theta.s;
             let p = o.theta.p.iter().zip(&c.theta.p).all(|(a, b)| (a - b).abs() <= 0.05 * (a.abs() + b.abs()));
             (same || c.theta.s == 0.0) && p && (o.theta.lag - c.theta.lag).abs() < 1.0
         };
@@ -287,10 +358,15 @@ fn climbs(
     steps: usize,
     rng: &mut ChaCha8Rng,
 ) -> Vec<Candidate> {
-    from.into_iter().map(|c| climb(evaluator, structure, c, view, steps, rng)).collect()
+    from.into_iter()
+        .map(|c| {
+            let climbed = climb(evaluator, structure, c, view, steps, rng);
+            evaluator.settle_parameters(structure, climbed, view, PARABOLAS)
+        })
+        .collect()
 }
 
-/// Random steps, never to a worse place.
+/// Random steps, never to a worse candidate.
 fn climb(
     evaluator: &mut Evaluator<'_>,
     structure: &Structure,
@@ -306,33 +382,15 @@ fn climb(
         if same_process && best.covers(&theta) {
             continue;
         }
-        let Some(mut found) = evaluator.evaluate(structure, &theta, view) else { continue };
+        let Some(prepared) = evaluator.prepare(structure, &theta) else { continue };
+        let place = evaluator.place_of(&prepared);
+        let Some(mut found) = evaluator.at(structure, &prepared, place, view) else { continue };
         if found.sse < HOPELESS * best.sse {
-            found = evaluator.improve_fresh(structure, found, view);
+            let settled = evaluator.settle_process(structure, &prepared, (place, Some(found)), view, LAST);
+            found = settled.unwrap_or(found);
         }
         if found.sse <= best.sse {
             best = found;
-        }
-    }
-    best
-}
-
-/// Gauss-Newton until nothing helps any more, the lag hopping over the kinks at whole points.
-fn settle(evaluator: &mut Evaluator<'_>, structure: &Structure, from: Candidate) -> Candidate {
-    let mut best = evaluator.improve(structure, from, View::Plain, 10);
-    for _ in 0..3 {
-        let before = best.sse;
-        for hop in [-0.6, 0.6, -1.4, 1.4, -3.0, 3.0] {
-            let theta = clamped(structure, Parameters { lag: best.theta.lag + hop, ..best.theta }, evaluator.problem);
-            if let Some(found) = evaluator.evaluate(structure, &theta, View::Plain).filter(|f| f.sse < 1.3 * best.sse) {
-                let found = evaluator.improve(structure, found, View::Plain, 5);
-                if found.sse < best.sse {
-                    best = found;
-                }
-            }
-        }
-        if before - best.sse <= 1e-4 * before {
-            break;
         }
     }
     best
@@ -423,9 +481,9 @@ fn another_start(question: &Question, first: FirstSlip, rng: &mut ChaCha8Rng) ->
     FirstSlip { direction, threshold }
 }
 
-/// Every search's best places, for every other search to try with its own parameters.
+/// Every search's best candidates, for every other search to try with its own parameters.
 #[must_use]
-pub fn cross(searches: &[Search], each: usize) -> Vec<Parameters> {
+pub fn exchange(searches: &[Search], each: usize) -> Vec<Parameters> {
     let mut out: Vec<Parameters> = Vec::new();
     for search in searches {
         for candidate in search.best.iter().take(each) {

@@ -4,7 +4,7 @@
 //! OP → positioner lag → friction → rate limit → stops → play → characteristic → dead time → lag → second lag → zero,
 //! and what disturbs PV. A [`Plan`] says which blocks are there; every block left at its neutral value is the base.
 
-use super::effects::{Effect, Unit};
+use super::effects::{Effect, Reach, Unit};
 use crate::ident::candidate::Landing;
 use crate::ident::class::Class;
 use crate::sim::actuator::{bent, play_step, rate_step, stop_step};
@@ -276,6 +276,13 @@ impl Structure {
             at = end;
         }
         plan
+    }
+
+    /// Sets the parameter that is the logarithm of the second lag, where there is one.
+    pub fn set_second_lag(&self, theta: &mut Parameters, log: f64) {
+        if let Some(at) = self.params().position(|p| p.reach == Reach::SecondLag) {
+            theta.p[at] = log;
+        }
     }
 
     /// Free parameters of a model: bands, first slip, process, effects, linear ones.

@@ -7,7 +7,7 @@ pub const EFFECT: Effect = Effect {
     id: "inverse_response",
     stage: Stage::Process,
     way: Way::Simulated,
-    params: &[lag::<60>(Reach::Process)],
+    params: &[lag::<60>(Reach::SecondLag)],
     enter: |p, plan| {
         plan.tau2 = libm::exp(p[0]);
         plan.zero = true;

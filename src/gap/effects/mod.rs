@@ -60,6 +60,8 @@ pub enum Reach {
     Stem,
     /// The process and what is added to PV.
     Process,
+    /// The second time constant, a logarithm.
+    SecondLag,
     /// The cost jumps along it: random steps only.
     Jumps,
 }
