@@ -1,17 +1,20 @@
-//! The coarse scan: very many slip sequences, each against a grid of time constants and dead times, by two measures.
+//! The coarse scan: very many slip sequences, each against a bank of time constants and all dead times at once, by two
+//! measures.
 //!
 //! By PV itself and by its differences, in which a wrong slip and a slow disturbance weigh little. The best of each
 //! measure are kept, and the best of every size of the bands and of short and long dead times, since a model that lacks
-//! an effect often prefers slips of quite another size than the right ones. The scan sees all points that count; it only
-//! says where the fits to the training blocks begin.
+//! an effect often prefers slips of quite another size than the right ones. The scan sees all points of its part of the
+//! record; it only says where the fits to the training blocks begin.
 
-use super::evaluator::{Candidate, Evaluator, Place};
-use super::problem::{Problem, View};
-use super::structure::{MAX_PARAMS, Parameters, Structure};
-use crate::ident::candidate::{Landing, MIN_SLIPS};
-use crate::ident::evaluator::lattice_index;
+use super::problem::Problem;
+use super::settle::clamped;
+use super::structure::{MAX_PARAMS, Parameters, Plan, Structure};
+use crate::ident::bank::{BINS, Bank, Glance, bin_edge};
+use crate::ident::candidate::{Landing, MIN_SLIPS, Question, freedom};
 use crate::ident::search::{generator, uniform};
-use crate::sim::slips::FirstSlip;
+use crate::signal::detrend::box_means;
+use crate::sim::actuator::lag_path;
+use crate::sim::slips::{FirstSlip, Sequence};
 
 /// Settings of the coarse scan.
 #[derive(Debug, Clone, Copy)]
@@ -20,30 +23,38 @@ pub struct Settings {
     pub sizes: usize,
     /// Shares j / s at each size.
     pub shares: usize,
+    /// Boxes of the bank in a period.
+    pub boxes: f64,
     /// Candidates of each measure that are kept overall.
     pub kept: usize,
+    /// Share of the record that is seen: a shorter one knows fewer slips and has wider cells.
+    pub part: f64,
 }
 
 /// For the base, whose slips all others start from.
-pub const FINE: Settings = Settings { sizes: 90, shares: 7, kept: 14 };
+pub const FINE: Settings = Settings { sizes: 80, shares: 7, boxes: 24.0, kept: 14, part: 1.0 };
 /// For one set of an effect's parameters.
-pub const ROUGH: Settings = Settings { sizes: 40, shares: 5, kept: 6 };
+pub const ROUGH: Settings = Settings { sizes: 40, shares: 5, boxes: 16.0, kept: 5, part: 1.0 };
 
 /// Least s, spans of OP.
 const LEAST: f64 = 0.02;
 /// Turns of the stem below which several positions before the record are tried, and how many.
 const FEW_REVERSALS: usize = 10;
 const STARTS: usize = 3;
-/// Time constants of the grid, periods, and dead times, shares of their range.
-const TAUS: [f64; 5] = [0.012, 0.05, 0.15, 0.5, 2.0];
-const DELAYS: [f64; 6] = [0.0, 0.06, 0.15, 0.3, 0.5, 0.8];
-/// Steps from the best place of the grid, along the lattice.
-const STEPS: [i32; 3] = [12, 6, 3];
-/// Classes of size of which the best are kept, for short and for long dead times, and where long ones begin.
+/// Classes of size of which the best are kept, for short and for long dead times, and ranges of dead time that count as
+/// short.
 const CLASSES: usize = 8;
-const LONG: f64 = 0.25;
+const SHORT: usize = 3;
 
-/// Parameter vectors worth a fit, and model responses computed, for valves of this structure with parameters `p`.
+/// One sequence with the process that the bank liked best.
+#[derive(Debug, Clone, Copy)]
+struct Seen {
+    theta: Parameters,
+    share: f64,
+}
+
+/// Parameter vectors worth a fit (all but the process), and sequences tried, for valves of this structure with
+/// parameters `p`.
 #[must_use]
 pub fn coarse_scan(
     problem: &Problem,
@@ -54,15 +65,18 @@ pub fn coarse_scan(
     seed: u64,
 ) -> (Vec<Parameters>, u64) {
     let plan = structure.plan_of(&p);
-    if plan.law.is_none() {
-        return (Vec::new(), 0);
-    }
-    let question = &problem.question;
-    let mut evaluator = Evaluator::new(problem, sign);
+    let Some(law) = plan.law else { return (Vec::new(), 0) };
+    let question = part_of(behind_positioner(problem, &plan), settings.part);
+    let mut bank = Bank::new(&question, settings.boxes);
+    let whole = question.mean.len() / bank.points * bank.points;
+    let path = &question.path[..whole * question.per_point];
+    let per_box = question.per_point * bank.points;
     let mut rng = generator(seed, 7);
     let (shift, turn) = (uniform(&mut rng), uniform(&mut rng));
-    let mut pools: [Vec<Candidate>; 2] = [Vec::new(), Vec::new()];
-    let mut before: Option<Candidate> = None;
+    let mut sequence = Sequence::default();
+    let mut pools: [Vec<Seen>; 2] = [Vec::new(), Vec::new()];
+    let mut count = 0;
+    let mut before: Option<([[f64; 2]; 2], FirstSlip)> = None;
     for size in 0..settings.sizes {
         let s = libm::pow(LEAST, 1.0 - (size as f64 + shift) / settings.sizes as f64);
         for share in 0..settings.shares {
@@ -70,65 +84,85 @@ pub fn coarse_scan(
             let j = plan.landing().jump(s, share * s);
             for (which, start) in question.starts(0.5 * (s + j), STARTS).into_iter().enumerate() {
                 let first = question.first_slip(start);
-                let theta = blank(s, j, first, p);
-                if before.is_some_and(|c| c.covers(&theta)) {
+                let same = |[sc, jc]: [[f64; 2]; 2]| sc[0] <= s && s < sc[1] && jc[0] <= j && j < jc[1];
+                if before.is_some_and(|(cells, at)| at == first && same(cells)) {
                     continue;
                 }
-                let Some(prepared) = evaluator.prepare(structure, &theta) else { continue };
-                if prepared.slips() < MIN_SLIPS || which > 0 && prepared.reversals() >= FEW_REVERSALS {
+                sequence.run_in(plan.stroke, law, path, per_box, [s, j], first);
+                if sequence.slips < MIN_SLIPS || which > 0 && sequence.reversals >= FEW_REVERSALS {
                     continue;
                 }
-                for (pool, view) in pools.iter_mut().zip(View::ALL) {
-                    let found = best_of_grid(&mut evaluator, structure, &prepared, view);
-                    before = found.or(before);
-                    pool.extend(found);
+                before = Some(([sequence.s_cell, sequence.j_cell], first));
+                count += 1;
+                let mut free = freedom(&sequence, [s, j], sign, question.limits, plan.landing());
+                if plan.follows() || plan.bend != 0.0 {
+                    put_behind(&plan, &mut sequence, 0.5 * (s - j), bank.points as f64);
+                    free.fd = [0.0; 2];
+                }
+                let glances = bank.look(&sequence.at, &sequence.direction, &free, &[sign]);
+                let Some(views) = glances.first() else { continue };
+                for (pool, bins) in pools.iter_mut().zip(views) {
+                    // Short and long dead times apart: the wrong slips often go with a long one.
+                    let (short, long) = bins.split_at(SHORT);
+                    for bins in [short, long] {
+                        let best = bins.iter().min_by(|a, b| a.share.total_cmp(&b.share));
+                        pool.extend(best.and_then(|g| seen(problem, [s, j, free.fd_default], first, g, p)));
+                    }
                 }
             }
         }
     }
-    let [least, most] = question.limits.lag;
     let mut out: Vec<Parameters> = Vec::new();
+    let [least, most] = question.limits.lag;
+    let long_from = least + bin_edge(SHORT.min(BINS)) * (most - least);
     for pool in &mut pools {
-        keep(pool, settings.kept, least + LONG * (most - least), &mut out);
+        keep(pool, settings.kept, long_from, &mut out);
     }
-    (out, evaluator.evaluations)
+    (out, count)
 }
 
-fn blank(s: f64, j: f64, first: FirstSlip, p: [f64; MAX_PARAMS]) -> Parameters {
-    Parameters { s, j, first, fd: 0.5 * (s - j), log_tau: 0.0, lag: 0.0, p }
+/// The stem's signal behind what follows it, with this fd; no direction is left in it.
+fn put_behind(plan: &Plan, sequence: &mut Sequence, fd: f64, points: f64) {
+    for (at, direction) in sequence.at.iter_mut().zip(&mut sequence.direction) {
+        *at -= fd * *direction;
+        *direction = 0.0;
+    }
+    plan.follow(&mut sequence.at, points);
+    sequence.at.iter_mut().for_each(|v| *v = plan.bent(*v));
 }
 
-/// The best process behind a valve signal: on the grid, then by steps along the lattice.
-fn best_of_grid(
-    evaluator: &mut Evaluator<'_>,
-    structure: &Structure,
-    prepared: &super::evaluator::Prepared,
-    view: View,
-) -> Option<Candidate> {
-    let problem = evaluator.problem;
+/// The record behind the plan's positioner.
+fn behind_positioner(problem: &Problem, plan: &Plan) -> Question {
+    let mut question = problem.question.clone();
+    if plan.positioner > 0.0 {
+        let plain = &problem.question;
+        question.per_point = lag_path(&plain.path, plain.per_point, plan.positioner, &mut question.path);
+        question.mean = box_means(&question.path, question.per_point);
+        question.records = Question::records_of(&question.path);
+    }
+    question
+}
+
+/// The first part of a record.
+fn part_of(mut question: Question, part: f64) -> Question {
+    let end = ((part * question.pv.len() as f64) as usize).clamp(1, question.pv.len());
+    question.path.truncate(end * question.per_point);
+    question.mean.truncate(end);
+    question.still.truncate(end);
+    question.pv.truncate(end);
+    question
+}
+
+fn seen(problem: &Problem, [s, j, fd]: [f64; 3], first: FirstSlip, glance: &Glance, p: [f64; MAX_PARAMS]) -> Option<Seen> {
     let limits = problem.question.limits;
-    let mut best: Option<(Place, Candidate)> = None;
-    let taus: &[f64] = if prepared.has_lag() { &TAUS } else { &TAUS[..1] };
-    let second = evaluator.place_of(prepared).tau[1];
-    for tau in taus {
-        let first = lattice_index((tau * problem.period).clamp(limits.tau[0], limits.tau[1]));
-        for share in DELAYS {
-            let delay = (limits.lag[0] + share * (limits.lag[1] - limits.lag[0])).floor() as i32;
-            let other = if prepared.has_two_lags() { second - i32::from(second == first) } else { first };
-            let place = Place { tau: [first, other], delay };
-            let Some(found) = evaluator.at(structure, prepared, place, view) else { continue };
-            if best.is_none_or(|(_, b)| found.sse < b.sse) {
-                best = Some((place, found));
-            }
-        }
-    }
-    let (place, found) = best?;
-    evaluator.settle_process(structure, prepared, (place, Some(found)), view, &STEPS)
+    let log_tau = libm::log(glance.tau.clamp(limits.tau[0], limits.tau[1]));
+    let lag = glance.lag.clamp(limits.lag[0], limits.lag[1]);
+    (glance.share < 1.0).then_some(Seen { theta: Parameters { s, j, first, fd, log_tau, lag, p }, share: glance.share })
 }
 
 /// Keeps the best `each` overall and one of every class of size and kind of dead time, apart from each other.
-fn keep(pool: &mut [Candidate], each: usize, long_from: f64, out: &mut Vec<Parameters>) {
-    pool.sort_by(|a, b| a.sse.total_cmp(&b.sse));
+fn keep(pool: &mut [Seen], each: usize, long_from: f64, out: &mut Vec<Parameters>) {
+    pool.sort_by(|a, b| a.share.total_cmp(&b.share));
     let class = |g: &Parameters| {
         let place = 1.0 - libm::log(g.s) / libm::log(LEAST);
         let size = ((place * CLASSES as f64) as usize).min(CLASSES - 1);
@@ -137,8 +171,8 @@ fn keep(pool: &mut [Candidate], each: usize, long_from: f64, out: &mut Vec<Param
     let mut held: Vec<Parameters> = Vec::new();
     let mut of_class = [0; 2 * CLASSES];
     let mut overall = 0;
-    for candidate in pool.iter() {
-        let g = candidate.theta;
+    for seen in pool.iter() {
+        let g = seen.theta;
         let near =
             |o: &Parameters| (o.s / g.s - 1.0).abs() < 0.03 && (o.j - g.j).abs() < 0.1 * g.s && (o.lag - g.lag).abs() < 3.0;
         if held.iter().any(near) {
@@ -178,7 +212,6 @@ pub fn frictionless(problem: &Problem) -> Vec<Parameters> {
 /// beyond.
 #[must_use]
 pub fn fitted_to(structure: &Structure, mut theta: Parameters, problem: &Problem) -> Vec<Parameters> {
-    use super::settle::clamped;
     if structure.plan(&theta).landing() == Landing::Beyond {
         // The base is among its models: it must never do worse.
         let mut out = vec![clamped(structure, theta, problem)];

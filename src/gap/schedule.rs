@@ -38,7 +38,7 @@ const AGAIN: u64 = 2;
 const OF_BASE: f64 = 0.4;
 const OF_LOOKS: f64 = 0.5;
 /// Responses that one such scan computes, about.
-const LOOK: f64 = 15_000.0;
+const LOOK: f64 = 500.0;
 /// Effects for which that is worth its while.
 const LIKELY: usize = 4;
 /// Responses that the search for the right slips of one effect computes, about.
@@ -154,12 +154,12 @@ pub fn base(
             break;
         }
         let seed = work.seed.wrapping_add((1 + round) << 32);
-        let part = problem.first_part(PARTS[round as usize % PARTS.len()]);
+        let settings = scan::Settings { part: PARTS[round as usize % PARTS.len()], ..scan::FINE };
         let allowed = work.allowed(1);
         let found = work.all(1, |_| {
             let mut search = Search { allowed, ..base.clone() };
             let structure = search.structure;
-            let (places, count) = coarse_scan(&part, &structure, [0.0; MAX_PARAMS], search.sign, scan::FINE, seed);
+            let (places, count) = coarse_scan(problem, &structure, [0.0; MAX_PARAMS], search.sign, settings, seed);
             search.evaluations += count;
             local_search(problem, &mut search, &places, &[], &WIDE, seed);
             search
@@ -175,10 +175,9 @@ pub fn base(
 fn base_once(problem: &Problem, law: Option<Law>, work: &mut Work<'_>) -> Option<(Search, Vec<Parameters>)> {
     let signs: Vec<f64> = problem.sign.map_or_else(|| vec![1.0, -1.0], |s| vec![s]);
     let seed = work.seed;
-    let undivided = problem.undivided();
     let structure = Structure::base(law);
     let scanned = work.all(signs.len(), |i| match law {
-        Some(_) => coarse_scan(&undivided, &structure, [0.0; MAX_PARAMS], signs[i], scan::FINE, seed),
+        Some(_) => coarse_scan(problem, &structure, [0.0; MAX_PARAMS], signs[i], scan::FINE, seed),
         None => (frictionless(problem), 0),
     });
     work.done += scanned.iter().map(|(_, n)| n).sum::<u64>();
@@ -276,9 +275,8 @@ pub fn run(
         let seed = work.seed;
         let looking = searches.iter().filter(|l| plans_of(l).any(|plan| looks(&plan, &l.structure))).count();
         let each = (work.part(OF_LOOKS) as f64 / LOOK / looking.max(1) as f64).max(1.0) as usize;
-        let undivided = problem.undivided();
         let own =
-            work.all(searches.len(), |i| own_look([problem, &undivided], &searches[i], &thetas, if calm { 0 } else { each }, seed));
+            work.all(searches.len(), |i| own_look(problem, &searches[i], &thetas, if calm { 0 } else { each }, seed));
         work.done += own.iter().map(|(_, n)| n).sum::<u64>();
         let effort = if calm { &NARROW } else { &MIDDLE };
         let own = |i: usize| own.get(i).map_or(&[][..], |(thetas, _)| thetas);
@@ -344,10 +342,10 @@ fn look_again(problem: &Problem, searches: &mut [Search], floor: Option<f64>, ro
         return false;
     }
     let seed = work.seed.wrapping_add((AGAIN + 1 + round) << 32);
-    let part = problem.first_part(PARTS[round as usize % PARTS.len()]);
+    let settings = scan::Settings { part: PARTS[round as usize % PARTS.len()], ..scan::FINE };
     go_on(searches, &order, work, &|search| {
         let Some(p) = search.best.first().map(|b| b.theta.p).or(search.starts.first().copied()) else { return };
-        let (places, count) = coarse_scan(&part, &search.structure, p, search.sign, scan::FINE, seed);
+        let (places, count) = coarse_scan(problem, &search.structure, p, search.sign, settings, seed);
         local_search(problem, search, &[], &places, &WIDE, seed);
         search.evaluations += count;
     })
@@ -392,7 +390,7 @@ fn starts_at(
 /// A look of its own for an effect that makes other slips of the same OP, or whose traces the wrong slips hide; `looked`
 /// are the places of the base's, `most` the starts from which is looked.
 fn own_look(
-    [problem, undivided]: [&Problem; 2],
+    problem: &Problem,
     search: &Search,
     looked: &[Parameters],
     most: usize,
@@ -412,7 +410,7 @@ fn own_look(
         if !looks(&plan, &search.structure) {
             continue;
         }
-        let (found, n) = coarse_scan(undivided, &search.structure, *p, search.sign, scan::ROUGH, seed + i as u64);
+        let (found, n) = coarse_scan(problem, &search.structure, *p, search.sign, scan::ROUGH, seed + i as u64);
         thetas.extend(found);
         count += n;
     }
@@ -452,3 +450,4 @@ pub fn share<'g>(
     }
     work.done += searches.iter().map(|l| l.evaluations).sum::<u64>() - before;
 }
+

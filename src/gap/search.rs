@@ -16,7 +16,7 @@ use crate::ident::search::{generator, moved, normal, uniform};
 use crate::sim::slips::FirstSlip;
 
 /// Cost over the best one from which a step's process is not settled.
-const HOPELESS: f64 = 1.03;
+const HOPELESS: f64 = 1.005;
 /// Candidates that a search keeps.
 const KEPT: usize = 6;
 /// Cells beside the best one that are asked, over each edge, and how far beyond an edge, as a share of s.
@@ -147,7 +147,7 @@ fn search_form(
     let mut pools: [Vec<Candidate>; 2] = [Vec::new(), Vec::new()];
     for theta in from.iter().flat_map(|theta| fitted_to(structure, *theta, evaluator.problem)) {
         for (pool, view) in pools.iter_mut().zip(View::ALL) {
-            pool.extend(evaluator.fit(structure, &theta, view, NEAR));
+            pool.extend(evaluator.fit(structure, &theta, view, &[]));
         }
     }
     let [plain, moves] = pools;
