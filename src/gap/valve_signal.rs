@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use super::problem::Problem;
 use super::structure::{Drift, Parameters, Plan};
-use crate::ident::candidate::{MIN_SLIPS, cell_freedom};
+use crate::ident::candidate::{MIN_SLIPS, band_freedom};
 use crate::ident::fit::Freedom;
 use crate::sim::actuator::{lag_path, play_step, rate_step, stop_step};
 use crate::sim::slips::Stem;
@@ -49,7 +49,7 @@ impl ValveSignal {
                 let (level, direction) = Stem::before(theta.first, bands, plan.stroke, path.per_point()).signal();
                 start = [level, direction];
                 let cells = [self.steps.s_cell, self.steps.j_cell];
-                freedom = cell_freedom(cells, bands, sign, limits, plan.landing());
+                freedom = band_freedom(cells, bands, sign, limits, plan.landing());
             }
             None => self.follow_op(&path, &mut start),
         }

@@ -5,29 +5,30 @@
 //! solved exactly. Everything is seeded, bounded in work and scale-free.
 
 mod again;
-pub(crate) mod bank;
-pub(crate) mod candidate;
+pub mod bank;
+pub mod candidate;
 mod choice;
 pub mod class;
 pub mod controller;
 pub mod evaluator;
-pub(crate) mod fit;
+pub mod fit;
 pub mod foresee;
 mod frictionless;
-pub(crate) mod hunt;
+pub mod hunt;
 pub mod imagine;
 mod interval;
-pub(crate) mod least_squares;
+pub mod least_squares;
 pub mod one_step;
 mod order;
 pub mod portrait;
-pub(crate) mod pose;
+pub mod pose;
 mod quantify;
 pub mod region;
 pub mod residual;
 mod review;
 mod robust;
-pub(crate) mod search;
+pub mod slip_search;
+pub mod search;
 pub mod sign;
 pub mod surface;
 pub mod width;

@@ -44,6 +44,10 @@ const fn parts(class: usize) -> usize {
     if class == FIRST || class == INTEGRATING { 2 } else { 3 }
 }
 
+const fn pairs(class: usize) -> usize {
+    parts(class) * (parts(class) + 1) / 2
+}
+
 /// Sums over the samples of one stretch between two steps: of 1, q, q^2, decays and their products, q counted from its
 /// start.
 struct Stretch {
@@ -146,11 +150,16 @@ impl Sizes {
 /// constants (the same table twice where there is one).
 #[must_use]
 pub fn reduce(class: Class, view: &View, tables: [&Table; 2], steps: &[Step], delay: usize) -> Reduced {
-    match class {
-        Class::First => walk::<FIRST>(class, view, tables, steps, delay),
-        Class::Second => walk::<SECOND>(class, view, tables, steps, delay),
-        Class::Integrating => walk::<INTEGRATING>(class, view, tables, steps, delay),
-        Class::LagIntegrating => walk::<LAG_INTEGRATING>(class, view, tables, steps, delay),
+    let whole = view.loads() == 0 && view.counted() == [[view.from(), view.points()]];
+    match (class, whole) {
+        (Class::First, true) => walk::<FIRST, true>(class, view, tables, steps, delay),
+        (Class::Second, true) => walk::<SECOND, true>(class, view, tables, steps, delay),
+        (Class::Integrating, true) => walk::<INTEGRATING, true>(class, view, tables, steps, delay),
+        (Class::LagIntegrating, true) => walk::<LAG_INTEGRATING, true>(class, view, tables, steps, delay),
+        (Class::First, false) => walk::<FIRST, false>(class, view, tables, steps, delay),
+        (Class::Second, false) => walk::<SECOND, false>(class, view, tables, steps, delay),
+        (Class::Integrating, false) => walk::<INTEGRATING, false>(class, view, tables, steps, delay),
+        (Class::LagIntegrating, false) => walk::<LAG_INTEGRATING, false>(class, view, tables, steps, delay),
     }
 }
 
@@ -167,7 +176,8 @@ impl Gathered {
     /// Adds the products of one sample's values.
     #[inline(always)]
     fn sample<const CLASS: usize>(&mut self, x: &[[f64; 2]; PARTS], memories: [f64; 2]) {
-        for (slot, (a, b)) in PAIRS.into_iter().enumerate().take(parts(CLASS) * (parts(CLASS) + 1) / 2) {
+        for slot in 0..pairs(CLASS) {
+            let (a, b) = PAIRS[slot];
             self.products[0][slot] += x[a][0] * x[b][0];
             self.products[2][slot] += x[a][1] * x[b][1];
             self.products[1][slot] += if a == b { x[a][0] * x[a][1] } else { x[a][0] * x[b][1] + x[b][0] * x[a][1] };
@@ -186,7 +196,8 @@ impl Gathered {
     /// Adds the products of a stretch of samples.
     #[inline(always)]
     fn stretch<const CLASS: usize>(&mut self, sizes: &Sizes, s: &Stretch, late: f64, decays: [f64; 2]) {
-        for (slot, (a, b)) in PAIRS.into_iter().enumerate().take(parts(CLASS) * (parts(CLASS) + 1) / 2) {
+        for slot in 0..pairs(CLASS) {
+            let (a, b) = PAIRS[slot];
             let (x, y) = (part(CLASS, a), part(CLASS, b));
             self.products[0][slot] += sizes.product(s, (x, 0), (y, 0));
             self.products[2][slot] += sizes.product(s, (x, 1), (y, 1));
@@ -225,14 +236,22 @@ struct State {
     ramp: [f64; 2],
 }
 
-fn walk<const CLASS: usize>(class: Class, view: &View, tables: [&Table; 2], steps: &[Step], delay: usize) -> Reduced {
+/// The walk; `WHOLE`: every point from the first on counts, and nothing is fitted beside the answer.
+fn walk<const CLASS: usize, const WHOLE: bool>(
+    class: Class,
+    view: &View,
+    tables: [&Table; 2],
+    steps: &[Step],
+    delay: usize,
+) -> Reduced {
     let (from, n, rho) = (view.from(), view.points(), view.rho());
     let level_share = 1.0 - rho;
     let a = [tables[0].a, tables[1].a];
     let (own, later) = ([rho / a[0], rho / a[1]], [a[0] - rho, a[1] - rho]);
     let cross = if CLASS == SECOND { 1.0 / (1.0 - a[0] * a[1]) } else { 0.0 };
     let scale = 1.0 / INTEGRATOR_SCALE;
-    let loads = view.loads().min(MOST_LOADS);
+    let loads = if WHOLE { 0 } else { view.loads().min(MOST_LOADS) };
+    let powers = [&tables[0].powers[..=n], &tables[1].powers[..=n]];
     let mut sums = Gathered {
         products: [[0.0; 6]; 3],
         with_pv: [[0.0; 2]; PARTS],
@@ -242,86 +261,62 @@ fn walk<const CLASS: usize>(class: Class, view: &View, tables: [&Table; 2], step
     let mut state = State::default();
     // A step before the first point that counts leaves a level and a memory only, and those are fitted anyway.
     let first = steps.partition_point(|s| (s.point as usize + delay) < from);
+    let last = steps.partition_point(|s| (s.point as usize + delay) < n);
     let counted = view.counted();
     let mut at = 0;
-    for (m, step) in steps.iter().enumerate().skip(first) {
+    for (m, step) in steps[..last].iter().enumerate().skip(first) {
         let i = step.point as usize + delay;
-        if i >= n {
-            break;
-        }
         let next = steps.get(m + 1).map_or(n, |s| (s.point as usize + delay).min(n));
         let by = [step.level, step.direction];
-        for (column, into) in core::iter::once(&mut sums.with_pv).chain(&mut sums.with_loads[..loads]).enumerate() {
-            with_signal::<CLASS>(view, tables, column, i, by, into);
+        with_signal::<CLASS>(view, tables, 0, i, by, &mut sums.with_pv);
+        for load in 0..loads {
+            with_signal::<CLASS>(view, tables, 1 + load, i, by, &mut sums.with_loads[load]);
         }
-        let mut x = [[0.0; 2]; PARTS];
-        for h in 0..2 {
-            x[0][h] = level_share * state.level[h] + by[h];
-            if CLASS == INTEGRATING || CLASS == LAG_INTEGRATING {
-                x[1][h] = scale * (level_share * state.ramp[h] + rho * state.level[h]);
-            } else {
-                x[1][h] = state.decay[0][h] + by[h] - own[0] * state.decay[0][h];
+        let x = state.step::<CLASS>(by, [level_share, rho, scale], own);
+        let beside = |late: usize| match CLASS {
+            INTEGRATING => [late as f64, 0.0],
+            LAG_INTEGRATING => [late as f64, powers[0][late]],
+            SECOND => [powers[0][late], powers[1][late]],
+            _ => [powers[0][late], 0.0],
+        };
+        let decays = |late: usize| match CLASS {
+            INTEGRATING => [0.0; 2],
+            SECOND => [powers[0][late], powers[1][late]],
+            _ => [powers[0][late], 0.0],
+        };
+        if WHOLE {
+            sums.sample::<CLASS>(&x, beside(i - from));
+            if next > i + 1 {
+                let sizes = state.sizes::<CLASS>([level_share, scale], later, [1.0; 2], 0.0);
+                let stretch = Stretch::of::<CLASS>(tables, cross, next - i - 1);
+                let late = i + 1 - from;
+                sums.stretch::<CLASS>(&sizes, &stretch, late as f64, decays(late));
             }
-            if CLASS == SECOND {
-                x[2][h] = state.decay[1][h] + by[h] - own[1] * state.decay[1][h];
+        } else {
+            while at < counted.len() && counted[at][1] <= i {
+                at += 1;
             }
-            if CLASS == LAG_INTEGRATING {
-                x[2][h] = state.decay[0][h] + by[h] - own[0] * state.decay[0][h];
+            if at < counted.len() && counted[at][0] <= i {
+                sums.sample::<CLASS>(&x, beside(i - from));
             }
-            state.level[h] += by[h];
-            state.decay[0][h] += by[h];
-            state.decay[1][h] += by[h];
-        }
-        while at < counted.len() && counted[at][1] <= i {
-            at += 1;
-        }
-        let counts = at < counted.len() && counted[at][0] <= i;
-        if counts {
-            let late = i - from;
-            let memories = match CLASS {
-                INTEGRATING => [late as f64, 0.0],
-                LAG_INTEGRATING => [late as f64, tables[0].powers[late]],
-                SECOND => [tables[0].powers[late], tables[1].powers[late]],
-                _ => [tables[0].powers[late], 0.0],
-            };
-            sums.sample::<CLASS>(&x, memories);
-        }
-        for [start, end] in counted[at..].iter().take_while(|c| c[0] < next) {
-            let (start, end) = ((*start).max(i + 1), (*end).min(next));
-            if start >= end {
-                continue;
-            }
-            let (gone, late) = (start - i - 1, start - from);
-            let mut sizes = Sizes::default();
-            for h in 0..2 {
-                sizes.level[h] = level_share * state.level[h];
-                if CLASS != INTEGRATING {
-                    sizes.decay[0][h] = later[0] * state.decay[0][h] * tables[0].powers[gone];
-                }
-                if CLASS == SECOND {
-                    sizes.decay[1][h] = later[1] * state.decay[1][h] * tables[1].powers[gone];
-                }
-                if CLASS == INTEGRATING || CLASS == LAG_INTEGRATING {
-                    sizes.slope[h] = scale * level_share * state.level[h];
-                    sizes.ramp[h] =
-                        scale * (level_share * state.ramp[h] + state.level[h]) + sizes.slope[h] * gone as f64;
+            for [start, end] in counted[at..].iter().take_while(|c| c[0] < next) {
+                let (start, end) = ((*start).max(i + 1), (*end).min(next));
+                if start < end {
+                    let (gone, late) = (start - i - 1, start - from);
+                    let left = [powers[0][gone], powers[1][gone]];
+                    let sizes = state.sizes::<CLASS>([level_share, scale], later, left, gone as f64);
+                    let stretch = Stretch::of::<CLASS>(tables, cross, end - start);
+                    sums.stretch::<CLASS>(&sizes, &stretch, late as f64, decays(late));
                 }
             }
-            let decays = match CLASS {
-                INTEGRATING => [0.0; 2],
-                SECOND => [tables[0].powers[late], tables[1].powers[late]],
-                _ => [tables[0].powers[late], 0.0],
-            };
-            let stretch = Stretch::of::<CLASS>(tables, cross, end - start);
-            sums.stretch::<CLASS>(&sizes, &stretch, late as f64, decays);
         }
         let length = next - i;
         for h in 0..2 {
             if CLASS != INTEGRATING {
-                state.decay[0][h] *= tables[0].powers[length];
+                state.decay[0][h] *= powers[0][length];
             }
             if CLASS == SECOND {
-                state.decay[1][h] *= tables[1].powers[length];
+                state.decay[1][h] *= powers[1][length];
             }
             if CLASS == INTEGRATING || CLASS == LAG_INTEGRATING {
                 state.ramp[h] += state.level[h] * length as f64;
@@ -329,6 +324,63 @@ fn walk<const CLASS: usize>(class: Class, view: &View, tables: [&Table; 2], step
         }
     }
     sums.take_out::<CLASS>(class, view, tables, cross)
+}
+
+impl State {
+    /// Takes a step; the parts' filtered values at its sample.
+    #[inline(always)]
+    fn step<const CLASS: usize>(
+        &mut self,
+        by: [f64; 2],
+        [level_share, rho, scale]: [f64; 3],
+        own: [f64; 2],
+    ) -> [[f64; 2]; PARTS] {
+        let mut x = [[0.0; 2]; PARTS];
+        for h in 0..2 {
+            x[0][h] = level_share * self.level[h] + by[h];
+            if CLASS == INTEGRATING || CLASS == LAG_INTEGRATING {
+                x[1][h] = scale * (level_share * self.ramp[h] + rho * self.level[h]);
+            } else {
+                x[1][h] = self.decay[0][h] + by[h] - own[0] * self.decay[0][h];
+            }
+            if CLASS == SECOND {
+                x[2][h] = self.decay[1][h] + by[h] - own[1] * self.decay[1][h];
+            }
+            if CLASS == LAG_INTEGRATING {
+                x[2][h] = self.decay[0][h] + by[h] - own[0] * self.decay[0][h];
+            }
+            self.level[h] += by[h];
+            self.decay[0][h] += by[h];
+            self.decay[1][h] += by[h];
+        }
+        x
+    }
+
+    /// The parts' filtered sizes `gone` samples after the one behind a step, `left` of the decays then being left.
+    #[inline(always)]
+    fn sizes<const CLASS: usize>(
+        &self,
+        [level_share, scale]: [f64; 2],
+        later: [f64; 2],
+        left: [f64; 2],
+        gone: f64,
+    ) -> Sizes {
+        let mut sizes = Sizes::default();
+        for h in 0..2 {
+            sizes.level[h] = level_share * self.level[h];
+            if CLASS != INTEGRATING {
+                sizes.decay[0][h] = later[0] * self.decay[0][h] * left[0];
+            }
+            if CLASS == SECOND {
+                sizes.decay[1][h] = later[1] * self.decay[1][h] * left[1];
+            }
+            if CLASS == INTEGRATING || CLASS == LAG_INTEGRATING {
+                sizes.slope[h] = scale * level_share * self.level[h];
+                sizes.ramp[h] = scale * (level_share * self.ramp[h] + self.level[h]) + sizes.slope[h] * gone;
+            }
+        }
+        sizes
+    }
 }
 
 /// Adds the products of one step's answers with a signal.
@@ -433,7 +485,7 @@ impl Gathered {
                 }
             }
             let row = rows[r];
-            for (slot, (a, b)) in PAIRS.into_iter().enumerate().take(used * (used + 1) / 2) {
+            for (slot, (a, b)) in PAIRS.into_iter().enumerate().take(pairs(CLASS)) {
                 products[0][slot] -= row[a][0] * row[b][0] * pivot;
                 products[2][slot] -= row[a][1] * row[b][1] * pivot;
                 let both = if a == b { row[a][0] * row[a][1] } else { row[a][0] * row[b][1] + row[b][0] * row[a][1] };
