@@ -16,7 +16,6 @@ pub mod foresee;
 mod frictionless;
 pub mod hunt;
 pub mod imagine;
-mod interval;
 pub mod least_squares;
 pub mod one_step;
 mod order;

@@ -4,6 +4,7 @@
 use rand_chacha::ChaCha8Rng;
 
 use super::candidate::{Candidate, LatticeFit, apart};
+use super::coarse_scan::CoarseScan;
 use super::evaluator::{Evaluator, Polished};
 use super::local_search::{along_ridge, neighbours, random_steps};
 use super::problem::Problem;
@@ -513,10 +514,10 @@ impl<'s, 'a> Search<'s, 'a> {
     pub fn without(&mut self, class: Class) -> f64 {
         let known = self.without[index_of(class)];
         known.unwrap_or_else(|| {
-            let found = frictionless(&mut self.whole, &mut self.plain, class).map_or(f64::INFINITY, |f| f.sse);
-            let found = found.min(self.plain.nothing());
-            self.without[index_of(class)] = Some(found);
-            found
+            let found = frictionless(&mut self.whole, &mut self.plain, class);
+            let sse = found.map_or(f64::INFINITY, |f| f.sse).min(self.plain.nothing());
+            self.without[index_of(class)] = Some(sse);
+            sse
         })
     }
 }
@@ -530,29 +531,31 @@ fn tests(problem: &Problem<'_>, view: &View, left: &[f64]) -> Option<Whiteness> 
     Some(residual::whiteness(left, &problem.question.mean[from..]))
 }
 
-/// The best process of a class that takes OP as it is, from an even look at time constants and lags.
+/// The best process of a class that takes OP as it is, from the best of many time constants and dead times of a single lag.
 pub fn frictionless(evaluator: &mut Evaluator<'_>, view: &mut View, class: Class) -> Option<LatticeFit> {
     let problem = evaluator.problem;
-    let (question, sign) = (problem.question, problem.sign);
+    let question = problem.question;
     evaluator.class = class;
     evaluator.follow_op();
-    let freedom = Freedom { fd: [0.0; 2], fd_default: 0.0, sign, limits: question.limits };
-    let mut fits: Vec<LatticeFit> = Vec::new();
-    for tau in [0.01, 0.05, 0.2, 1.0] {
-        for lag in [0.01, 0.05, 0.12, 0.25] {
-            let lag = question.limits.lag[0] + lag * question.period;
-            let [main, second] = match class {
-                Class::LagIntegrating => [0.1 * tau, 0.0],
-                _ => [tau, 0.25 * tau],
-            };
-            let places = [main, second].map(|t| lattice_index((t * question.period).max(0.3)));
-            let start = LatticeFit { sse: 0.0, gain: 0.0, fd: 0.0, places, delay: lag as usize, fraction: lag.fract() };
-            fits.push(evaluator.quick(view, &start, &freedom));
-        }
-    }
-    fits.sort_by(|a, b| a.sse.total_cmp(&b.sse));
-    let settled = fits.iter().take(2).map(|f| evaluator.settle_fit(view, f, &freedom));
-    settled.reduce(|a, b| if b.sse < a.sse { b } else { a })
+    let freedom = Freedom { fd: [0.0; 2], fd_default: 0.0, sign: problem.sign, limits: question.limits };
+    let scans = CoarseScan::of(problem, view.rho(), evaluator.points);
+    let seen = scans.iter().map(|scan| scan.look(&evaluator.steps().list, &freedom));
+    let seen = seen.min_by(|a, b| a.share.total_cmp(&b.share))?;
+    let starts = match class {
+        Class::First | Class::Integrating => [Some(([seen.tau; 2], seen.lag)), None],
+        Class::Second => [
+            Some(([seen.tau, 0.3 * seen.tau], seen.lag - 0.2 * seen.tau.min(seen.lag))),
+            Some(([seen.tau, 0.25 * seen.lag.max(1.0)], 0.75 * seen.lag)),
+        ],
+        Class::LagIntegrating => [Some(([0.5 * seen.lag.max(1.0); 2], 0.6 * seen.lag)), None],
+    };
+    let fits = starts.into_iter().flatten().map(|(taus, lag)| {
+        let lag = lag.max(question.limits.lag[0]);
+        let places = taus.map(|t| lattice_index(t.max(0.3)));
+        let start = LatticeFit { sse: 0.0, gain: 0.0, fd: 0.0, places, delay: lag as usize, fraction: lag.fract() };
+        evaluator.settle_fit(view, &start, &freedom)
+    });
+    fits.reduce(|a, b| if b.sse < a.sse { b } else { a })
 }
 
 /// What a round holds of one law while it searches a part of the record.
