@@ -15,8 +15,8 @@ impl Detector for Jumps {
     }
 
     fn score(&self, view: &View) -> Option<f64> {
-        let width = ((view.period / 16.0) as usize).max(1);
-        let (op, pv) = (moves(&view.op, width), moves(&view.pv, width));
+        let width = ((view.output.period / 16.0) as usize).max(1);
+        let (op, pv) = (moves(&view.output.op, width), moves(&view.pv, width));
         let jumps = concentration(&pv)? - concentration(&op)?;
         let turns = match (concentration(&moves(&pv, width)), concentration(&moves(&op, width))) {
             (Some(pv), Some(op)) => pv - op,

@@ -8,7 +8,7 @@ use super::judge::{grade, judge};
 use super::params::AssessParams;
 use super::rule::{self, Features, Rule};
 use crate::detect::oscillation::{self, Oscillates};
-use crate::detect::{self, Witness};
+use crate::detect::{self, View, Witness};
 use crate::ident::controller::{self, Reading};
 use crate::ident::region::{region, severity, strength};
 use crate::ident::width::Settings;
@@ -38,9 +38,11 @@ pub fn assess(record: &Record, params: &AssessParams) -> Assessment {
         fill(&mut out, e, record, params);
     }
     decide(&mut out, evidence, record, seen.found.as_ref());
-    let sticks = out.stiction == Some(true);
-    out.s_detectable = evidence.estimate.as_ref().and_then(|e| {
-        detectable::smallest(record, &options(params, seen.found.as_ref()), e, sticks, is_interpolated(record))
+    // Where it sticks the question does not arise.
+    let open = evidence.estimate.as_ref().filter(|_| out.stiction != Some(true));
+    out.s_detectable = open.and_then(|e| {
+        let options = options(params, seen.found.as_ref());
+        detectable::smallest(record, &evidence.view, &options, e, is_interpolated(record))
     });
     out
 }
@@ -67,6 +69,8 @@ struct Seen {
 struct Evidence {
     /// `None` where nothing was fitted.
     estimate: Option<Estimate>,
+    /// The record as the detectors look at it.
+    view: View,
     figures: Features,
 }
 
@@ -81,8 +85,9 @@ impl Seen {
                 || found.is_some_and(|o| o.oscillating && o.periods >= params.min_periods)
                 || reversals(&op) as f64 >= params.min_periods;
             let estimate = if worth_it { quantify(record, &options(params, found.as_ref())) } else { None };
-            let figures = rule::figures(estimate.as_ref(), record, &detect::ALL, is_interpolated(record));
-            seen.evidence = Some(Evidence { estimate, figures });
+            let view = View::new(record);
+            let figures = rule::figures(estimate.as_ref(), record, &view, &detect::ALL, is_interpolated(record));
+            seen.evidence = Some(Evidence { estimate, view, figures });
         }
         seen
     }
