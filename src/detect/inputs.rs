@@ -51,8 +51,10 @@ pub(super) struct Piece {
 /// An input in boxes, less its first value.
 #[derive(Debug, Clone)]
 pub(super) struct Input {
-    pub values: Vec<f64>,
     pub pieces: Vec<Piece>,
+    /// Its values before the first box that is predicted, and its last ones, latest first.
+    pub head: Vec<f64>,
+    pub tail: Vec<f64>,
     /// Its power over the boxes that are predicted, and its product with itself a box later, at lags 1, 2, ...
     pub power: Vec<f64>,
     pub neighbours: Vec<f64>,
@@ -79,6 +81,8 @@ pub(super) struct Boxes {
     /// OP's mean in each box, and the same less its first value.
     pub op: Vec<f64>,
     pub follow: Vec<f64>,
+    /// Sums of `follow`, of its squares, and of its products with the box before, up to each box.
+    sums: Vec<[f64; 3]>,
     ranges: Vec<Range>,
     /// Least and greatest OP value up to each one.
     records: Vec<[f64; 2]>,
@@ -112,11 +116,13 @@ impl Boxes {
         let op = detrend::box_means(path, width);
         let delays = (DELAY * period / k as f64).clamp(DELAYS[0], DELAYS[1]) as usize;
         let order = ORDER.min(count / BOXES_PER_TERM);
+        let follow: Vec<f64> = op.iter().map(|u| u - path[0]).collect();
         Some(Self {
             points: k,
             width,
             span,
-            follow: op.iter().map(|u| u - path[0]).collect(),
+            sums: sums(&follow),
+            follow,
             op,
             ranges: ranges(path, width),
             records: records(path),
@@ -207,7 +213,7 @@ impl Boxes {
     fn sliding(&self, from: f64, fs: f64, fd: f64) -> Option<Input> {
         let zero = he_step(from, self.first(), fs, fd);
         let (mut state, mut slips) = (Tracking { position: from, direction: 0 }, 0);
-        let mut pieces = Vec::with_capacity(self.op.len());
+        let mut pieces: Vec<Piece> = Vec::with_capacity(self.op.len());
         for (index, range) in self.ranges.iter().enumerate() {
             let d = f64::from(state.direction);
             let slides = (d > 0.0 && range.rises) || (d < 0.0 && range.falls);
@@ -235,7 +241,7 @@ impl Boxes {
 
     /// Puts pieces together, of which later ones rule where several start at one box.
     fn input(&self, parts: impl Iterator<Item = Piece>) -> Input {
-        let mut pieces: Vec<Piece> = Vec::new();
+        let mut pieces: Vec<Piece> = Vec::with_capacity(64);
         for part in parts {
             match pieces.last_mut() {
                 Some(last) if last.from == part.from => *last = part,
@@ -243,39 +249,95 @@ impl Boxes {
                 _ => pieces.push(part),
             }
         }
-        let mut values = Vec::with_capacity(self.follow.len());
+        let n = self.follow.len();
+        let mut head = Vec::with_capacity(self.from);
         for (index, piece) in pieces.iter().enumerate() {
-            let end = pieces.get(index + 1).map_or(self.follow.len(), |next| next.from);
-            let stretch = self.follow[piece.from..end].iter();
-            if piece.follows > 0.0 {
-                values.extend(stretch.map(|u| u + piece.offset));
-            } else {
-                values.resize(end, piece.offset);
+            let end = pieces.get(index + 1).map_or(n, |next| next.from).min(self.from);
+            head.extend((piece.from..end).map(|at| self.value(piece, at)));
+            if end == self.from {
+                break;
             }
         }
-        let [power, neighbours] = self.products(&values);
-        Input { values, pieces, power, neighbours }
+        let mut tail = Vec::with_capacity(self.lags + 2);
+        for piece in pieces.iter().rev() {
+            while tail.len() < self.lags + 2 && n - 1 - tail.len() >= piece.from {
+                tail.push(self.value(piece, n - 1 - tail.len()));
+            }
+        }
+        let [power, neighbours] = self.products(&pieces, &head, &tail);
+        Input { pieces, head, tail, power, neighbours }
+    }
+
+    fn value(&self, piece: &Piece, at: usize) -> f64 {
+        piece.follows * self.follow[at] + piece.offset
     }
 
     /// Power and product with the neighbour at every lag: each from the one before, by what enters and what leaves.
-    fn products(&self, u: &[f64]) -> [Vec<f64>; 2] {
-        let (from, n) = (self.from, u.len());
-        let (now, before) = (&u[from - 1..n - 1], &u[from - 2..n - 2]);
-        let (mut power, mut neighbour) = (stats::dot(now, now), stats::dot(now, before));
+    fn products(&self, pieces: &[Piece], head: &[f64], tail: &[f64]) -> [Vec<f64>; 2] {
+        let (mut power, mut neighbour) = self.products_at_one(pieces);
         let mut out = [Vec::with_capacity(self.lags), Vec::with_capacity(self.lags)];
         for lag in 1..=self.lags {
             out[0].push(power.max(0.0));
             out[1].push(neighbour);
             if lag < self.lags {
-                let (enters, leaves) = (u[from - lag - 1], u[n - 1 - lag]);
+                let (enters, leaves) = (head[self.from - lag - 1], tail[lag]);
                 power += enters * enters - leaves * leaves;
                 // The last product is not asked for: it would reach before the record.
-                let earlier = if from >= lag + 2 { u[from - lag - 2] } else { 0.0 };
-                neighbour += enters * earlier - leaves * u[n - 2 - lag];
+                let earlier = if self.from >= lag + 2 { head[self.from - lag - 2] } else { 0.0 };
+                neighbour += enters * earlier - leaves * tail[lag + 1];
             }
         }
         out
     }
+
+    /// The same at a lag of one: over the boxes from the last before the first that is predicted to the last but one.
+    fn products_at_one(&self, pieces: &[Piece]) -> (f64, f64) {
+        let [first, end] = [self.from - 1, self.follow.len() - 1];
+        let (mut power, mut neighbour, mut last) = (0.0, 0.0, 0.0);
+        for (index, piece) in pieces.iter().enumerate() {
+            let next = pieces.get(index + 1).map_or(end, |next| next.from.min(end));
+            if next < first {
+                continue;
+            }
+            // A box before the range counts as the neighbour of its first.
+            let from = piece.from.max(first - 1);
+            let own = from.max(first);
+            if own < next {
+                if from == piece.from && index > 0 && own == from {
+                    neighbour += last * self.value(piece, from);
+                }
+                let inner = (own.max(from + 1)).min(next);
+                if piece.follows > 0.0 {
+                    let sum = |k: usize, a: usize, b: usize| self.sums[b][k] - self.sums[a][k];
+                    let (o, count) = (piece.offset, (next - own) as f64);
+                    power += sum(1, own, next) + o * (2.0 * sum(0, own, next) + o * count);
+                    let both = sum(0, inner, next) + sum(0, inner - 1, next - 1);
+                    neighbour += sum(2, inner, next) + o * (both + o * (next - inner) as f64);
+                } else {
+                    let square = piece.offset * piece.offset;
+                    power += square * (next - own) as f64;
+                    neighbour += square * (next - inner) as f64;
+                }
+            }
+            if next > piece.from {
+                last = self.value(piece, next - 1);
+            }
+        }
+        (power, neighbour)
+    }
+}
+
+/// Sums of values, squares and products with the value before, up to each place.
+fn sums(x: &[f64]) -> Vec<[f64; 3]> {
+    let mut out = Vec::with_capacity(x.len() + 1);
+    let (mut sum, mut before) = ([0.0; 3], 0.0);
+    out.push(sum);
+    for v in x {
+        sum = [sum[0] + v, sum[1] + v * v, sum[2] + v * before];
+        before = *v;
+        out.push(sum);
+    }
+    out
 }
 
 fn ranges(path: &[f64], width: usize) -> Vec<Range> {

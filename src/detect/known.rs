@@ -302,15 +302,17 @@ impl Sums {
             }
             (follows, offset) = (piece.follows, piece.offset);
         }
-        add(&self.plain, input.values.len(), offset);
-        add(&self.with_op, input.values.len(), follows);
-        self.spread(&input.values, work);
+        let n = self.known.pv.len();
+        add(&self.plain, n, offset);
+        add(&self.with_op, n, follows);
+        self.spread(input, work);
     }
 
     /// From one product a column to one at every lag.
-    fn spread(&self, u: &[f64], work: &mut Work) {
+    fn spread(&self, input: &Input, work: &mut Work) {
         let known = &self.known;
-        let (n, from, lags, order) = (u.len(), known.from, self.lags, known.order);
+        let (n, from, lags, order) = (known.pv.len(), known.from, self.lags, known.order);
+        let (head, tail) = (&input.head, &input.tail);
         let differences = lags + order - 1;
         work.shares.resize(known.count().max(1) * lags, 0.0);
         for (source, out) in known.sources.iter().zip(work.shares.chunks_exact_mut(lags)) {
@@ -321,7 +323,7 @@ impl Sums {
                         *slot = sum;
                         let lag = index + 1;
                         if lag < lags {
-                            sum += u[from - lag - 1] - u[n - 1 - lag];
+                            sum += head[from - lag - 1] - tail[lag];
                         }
                     }
                 }
@@ -334,7 +336,7 @@ impl Sums {
                         for at in first..lag {
                             let place = at + own - lag;
                             sum +=
-                                u[from - at - 1] * known.pv[from - place - 1] - u[n - 1 - at] * known.pv[n - 1 - place];
+                                head[from - at - 1] * known.pv[from - place - 1] - tail[at] * known.pv[n - 1 - place];
                         }
                         *slot = sum;
                     }
@@ -347,7 +349,7 @@ impl Sums {
                         *slot = sum[part];
                         let lag = index + 1;
                         if lag < lags {
-                            sum = self.ends[*line].turned(sum, u[from - lag - 1], u[n - 1 - lag]);
+                            sum = self.ends[*line].turned(sum, head[from - lag - 1], tail[lag]);
                         }
                     }
                 }

@@ -4,7 +4,8 @@
 //! standard deviation of the intervals between them; above 1 the loop oscillates. The autocorrelation spreads the
 //! noise over all lags, so the crossings stand where the oscillation puts them.
 
-use crate::signal::{detrend, spectrum, stats};
+use crate::signal::spectrum::{self, Autocorrelation};
+use crate::signal::{detrend, stats};
 
 /// What oscillates.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -28,6 +29,8 @@ pub struct Oscillates {
 const MAX_POINTS: usize = 2048;
 /// Intervals between crossings that are judged.
 const INTERVALS: usize = 10;
+/// Intervals that a typical period is made of.
+const TYPICAL: usize = 8;
 /// Persistence below which crossings are chance.
 const MIN_PERSISTENCE: f64 = 0.2;
 
@@ -72,9 +75,11 @@ pub fn typical_period(x: &[f64]) -> Option<f64> {
     let x = detrend::remove_line(&detrend::box_means(x, factor));
     let n = x.len();
     let x = detrend::remove_mean(&detrend::high_pass(&x, n / 3));
-    let acf = spectrum::autocorrelation(&x, 3 * n / 5);
-    let places = spectrum::zero_crossings(&acf, 0.0);
-    let gaps: Vec<f64> = places.windows(2).take(8).map(|w| w[1] - w[0]).collect();
+    let mut acf = Autocorrelation::new(&x, 3 * n / 5);
+    let crossings = |acf: &[f64]| spectrum::zero_crossings(acf, 0.0);
+    acf.reach_until(|acf| crossings(acf).len() > TYPICAL);
+    let places = crossings(acf.known());
+    let gaps: Vec<f64> = places.windows(2).take(TYPICAL).map(|w| w[1] - w[0]).collect();
     let period = if gaps.is_empty() { return None } else { 2.0 * stats::mean(&gaps) };
     Some((period * factor as f64).clamp(2.0, 0.5 * (n * factor) as f64))
 }
@@ -82,11 +87,10 @@ pub fn typical_period(x: &[f64]) -> Option<f64> {
 /// The oscillation of a detrended signal whose points are `factor` points of the record.
 fn judge(x: &[f64], factor: usize) -> Option<Oscillates> {
     let n = x.len();
-    let acf = spectrum::autocorrelation(x, 3 * n / 5);
-    if acf.is_empty() {
-        return None;
-    }
-    let places = spectrum::zero_crossings(&acf, (1.5 / (n as f64).sqrt()).max(0.02));
+    let mut acf = Autocorrelation::new(x, 3 * n / 5);
+    let crossings = |acf: &[f64]| spectrum::zero_crossings(acf, (1.5 / (n as f64).sqrt()).max(0.02));
+    acf.reach_until(|acf| crossings(acf).len() > INTERVALS);
+    let places = crossings(acf.known());
     let gaps: Vec<f64> = places.windows(2).take(INTERVALS).map(|w| w[1] - w[0]).collect();
     if gaps.len() < 3 {
         return None;
@@ -95,6 +99,9 @@ fn judge(x: &[f64], factor: usize) -> Option<Oscillates> {
     // Spread of the intervals as a sample's, not a population's: few of them must not look regular by chance.
     let spread = (stats::variance(&gaps) * gaps.len() as f64 / (gaps.len() - 1) as f64).sqrt();
     let regularity = if spread > 0.0 { (period / 2.0 / (3.0 * spread)).min(100.0) } else { 100.0 };
+    // As far as the peaks reach that are looked at.
+    acf.reach((3.2 * period) as usize + 2);
+    let acf = acf.known();
     // The peak near a whole number of periods, as if every lag overlapped fully.
     let peak = |count: f64| {
         let (from, to) = ((count - 0.2) * period, (count + 0.2) * period);

@@ -42,6 +42,8 @@ const MIN_R2: f64 = 0.9;
 const LEAD: f64 = 1.5;
 /// What is more to fit must leave at most this share of the unexplained variance.
 const EARNS: f64 = 0.7;
+/// Share of it that must go at the best plain lag for other lags to be looked at.
+const HELPS: f64 = 0.97;
 /// Share unexplained that counts as none.
 const EXACT: f64 = 1e-9;
 /// Ways of reading that are looked at closely, and steps of golden section towards the best filter.
@@ -73,7 +75,13 @@ pub fn read_within(record: &Record, lags: [isize; 2]) -> Option<Reading> {
     for form in signals.forms() {
         for width in WIDTHS {
             let shape = Shape { form, width, extra: Extra::None };
-            plain.push((shape, signals.all_lags(&signals.columns(shape))));
+            let fits = signals.all_lags(&signals.columns(shape));
+            // Nothing can explain more than all of it.
+            let exact = (least(&fits) < EXACT).then(|| signals.report(shape, &fits)).flatten();
+            if let Some((_, reading)) = exact.filter(|(lead, r)| *lead >= LEAD && r.unexplained == 0.0) {
+                return Some(reading);
+            }
+            plain.push((shape, fits));
         }
     }
     // The few best ways of reading get a derivative or a filter where it earns its place.
@@ -206,10 +214,13 @@ impl Signals {
             // The best lag may be another one once the extra part is there.
             let near = (lag - 2).max(self.lags[0])..=(lag + 2).min(self.lags[1]);
             let with = |filter: f64| self.columns(Shape { extra: make(filter), ..plain });
-            let all = FILTERS.into_iter().flat_map(|filter| {
-                let columns = with(filter);
-                near.clone().map(move |lag| (self.error(&columns, lag), lag, filter))
-            });
+            let tried = FILTERS.map(|filter| (filter, with(filter)));
+            // What helps not at all at this lag is not looked for at the lags beside it.
+            if tried.iter().all(|(_, columns)| self.error(columns, lag) > HELPS * error) {
+                continue;
+            }
+            let at = |(filter, columns): &(f64, Columns), lag: isize| (self.error(columns, lag), lag, *filter);
+            let all = tried.iter().flat_map(|one| near.clone().map(move |lag| at(one, lag)));
             let Some((found, lag, filter)) = all.min_by(|a, b| a.0.total_cmp(&b.0)) else { continue };
             if found >= EARNS * error {
                 continue;

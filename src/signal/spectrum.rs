@@ -8,27 +8,65 @@ use super::stats::{dot, dot3};
 /// the signal is constant.
 #[must_use]
 pub fn autocorrelation(x: &[f64], max_lag: usize) -> Vec<f64> {
-    let power = dot(x, x);
-    if power.is_nan() || power <= 0.0 {
-        return Vec::new();
+    let mut all = Autocorrelation::new(x, max_lag);
+    all.reach(max_lag);
+    all.acf
+}
+
+/// An autocorrelation that grows as far as it is asked for.
+#[derive(Debug, Clone)]
+pub struct Autocorrelation<'a> {
+    x: &'a [f64],
+    power: f64,
+    last: usize,
+    acf: Vec<f64>,
+}
+
+impl<'a> Autocorrelation<'a> {
+    /// Of a zero-mean signal, for lags up to `max_lag`; for none where it is constant.
+    #[must_use]
+    pub fn new(x: &'a [f64], max_lag: usize) -> Self {
+        Self { x, power: dot(x, x), last: max_lag.min(x.len().saturating_sub(1)), acf: Vec::new() }
     }
-    let last = max_lag.min(x.len() - 1);
-    let mut acf = Vec::with_capacity(last + 3);
-    let mut lag = 0;
-    while lag <= last {
-        // Three lags at once over what they share, then the one or two products more of the shorter lags.
-        let shared = x.len().saturating_sub(lag + 2);
-        let later = |by: usize| &x[(lag + by).min(x.len())..];
-        let sums = dot3(&x[..shared], [later(0), later(1), later(2)]);
-        for (by, sum) in sums.into_iter().enumerate() {
-            let rest = &x[shared..];
-            let moved = later(by).get(shared..).unwrap_or(&[]);
-            acf.push((sum + dot(rest, moved)) / power);
+
+    /// Makes it known up to `lag` at least, as far as there are lags.
+    pub fn reach(&mut self, lag: usize) {
+        if self.power.is_nan() || self.power <= 0.0 {
+            return;
         }
-        lag += 3;
+        let x = self.x;
+        while self.acf.len() <= lag.min(self.last) {
+            // Three lags at once over what they share, then the one or two products more of the shorter lags.
+            let from = self.acf.len();
+            let shared = x.len().saturating_sub(from + 2);
+            let later = |by: usize| &x[(from + by).min(x.len())..];
+            let sums = dot3(&x[..shared], [later(0), later(1), later(2)]);
+            for (by, sum) in sums.into_iter().enumerate().take(self.last + 1 - from) {
+                let rest = &x[shared..];
+                let moved = later(by).get(shared..).unwrap_or(&[]);
+                self.acf.push((sum + dot(rest, moved)) / self.power);
+            }
+        }
     }
-    acf.truncate(last + 1);
-    acf
+
+    /// Makes it known until `enough` holds of what is known, or to its end.
+    pub fn reach_until(&mut self, mut enough: impl FnMut(&[f64]) -> bool) {
+        let step = (self.last / 12).max(24);
+        let mut lag = 0;
+        loop {
+            lag += step;
+            self.reach(lag);
+            if lag >= self.last || self.acf.is_empty() || enough(&self.acf) {
+                return;
+            }
+        }
+    }
+
+    /// What is known of it, from lag 0 on.
+    #[must_use]
+    pub fn known(&self) -> &[f64] {
+        &self.acf
+    }
 }
 
 /// Places (fractions of a sample) where `x` changes sign, counting a change only once `x` has left a band of

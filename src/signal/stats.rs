@@ -201,15 +201,17 @@ pub fn repeat_share(x: &[f64]) -> f64 {
 /// Number of different values, up to `limit`.
 #[must_use]
 pub fn levels(x: &[f64], limit: usize) -> usize {
-    let s = sorted(x);
-    let mut count = usize::from(!s.is_empty());
-    for w in s.windows(2) {
-        count += usize::from(w[0] != w[1]);
-        if count >= limit {
-            break;
-        }
-    }
-    count
+    // Most signals show many values soon.
+    let soon = x.len().min(limit.saturating_mul(2));
+    let count = different(&x[..soon], limit);
+    if count >= limit || soon == x.len() { count } else { different(x, limit) }
+}
+
+fn different(x: &[f64], limit: usize) -> usize {
+    let mut s = x.to_vec();
+    s.sort_unstable_by(f64::total_cmp);
+    let count = usize::from(!s.is_empty()) + s.windows(2).filter(|w| w[0] != w[1]).count();
+    count.min(limit)
 }
 
 /// Autocorrelation of a zero-mean signal at a lag of one, -1..1; 0 for nothing.
