@@ -15,15 +15,19 @@ pub(super) struct Grain {
     pub per_period: f64,
     /// Boxes that a record of few periods is to have.
     pub enough: usize,
+    /// Most boxes.
+    pub most: usize,
     /// Whether lines that keep their phase are among what is known already.
     pub periodic: bool,
 }
 
 /// The views: where there are few periods the fine one sees the slips, the coarse one the slow answer of the process.
-pub(super) const GRAINS: [Grain; 2] =
-    [Grain { per_period: 30.0, enough: 240, periodic: true }, Grain { per_period: 20.0, enough: 40, periodic: false }];
-/// Fewest and most boxes.
-const BOXES: [usize; 2] = [40, 1400];
+pub(super) const GRAINS: [Grain; 2] = [
+    Grain { per_period: 30.0, enough: 240, most: 1400, periodic: true },
+    Grain { per_period: 20.0, enough: 40, most: 1400, periodic: false },
+];
+/// Fewest boxes.
+const LEAST_BOXES: usize = 40;
 /// Order of the autoregressive part, and boxes a term of it.
 const ORDER: usize = 7;
 const BOXES_PER_TERM: usize = 12;
@@ -106,11 +110,11 @@ impl Boxes {
     /// Boxes of an OP path with `per_point` values a point, for PV of `points` points; `period` is OP's typical one, points.
     pub fn of(op_path: &[f64], per_point: usize, points: usize, period: f64, grain: Grain) -> Option<Self> {
         let k = ((period / grain.per_period).round() as usize).min(points / grain.enough).max(1);
-        let count = (points / k).min(BOXES[1]);
+        let count = (points / k).min(grain.most);
         let width = k * per_point;
         let path = op_path.get(..count * width)?;
         let span = stats::span(path);
-        if count < BOXES[0] || !span.is_normal() {
+        if count < LEAST_BOXES || !span.is_normal() {
             return None;
         }
         let op = detrend::box_means(path, width);
@@ -161,6 +165,19 @@ impl Boxes {
             }
         }
         out
+    }
+
+    /// OP as it is, and stems that start at OP's first value: `shares` of OP's span for s, and j over s under He's and under
+    /// the tracking law.
+    pub fn few(&self, shares: &[f64], [he, tracking]: [[f64; 2]; 2]) -> (Input, Vec<Input>) {
+        let (mut steps, first) = (Steps::default(), self.first());
+        let mut stems = Vec::with_capacity(4 * shares.len());
+        for s in shares.iter().map(|share| share * self.span) {
+            stems.extend(he.iter().filter_map(|jump| self.staircase(&mut steps, first, [s, jump * s])));
+            let halves = tracking.map(|jump| [0.5 * s * (1.0 + jump), 0.5 * s * (1.0 - jump)]);
+            stems.extend(halves.iter().filter_map(|[fs, fd]| self.sliding(first, *fs, *fd)));
+        }
+        (self.clipped(f64::NEG_INFINITY, f64::INFINITY), stems)
     }
 
     fn values(&self, index: usize) -> &[f64] {

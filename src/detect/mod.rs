@@ -1,5 +1,6 @@
 //! Detection: does the loop oscillate, and which signs in the record speak for the valve.
 
+pub mod calm;
 mod cross_correlation;
 mod inputs;
 mod jumps;
@@ -87,12 +88,11 @@ const POINTS_PER_PERIOD: f64 = 80.0;
 const MAX_POINTS: usize = 1400;
 
 impl OpSide {
-    /// Prepares a record's OP.
+    /// Prepares a record's OP, whose typical period is `period` points where it has one.
     #[must_use]
-    pub fn new(record: &Record) -> Self {
-        let n = record.len() as f64;
+    pub fn new(record: &Record, period: Option<f64>) -> Self {
         let op = record.op();
-        let period = oscillation::typical_period(&op).unwrap_or(0.25 * n).max(2.0);
+        let period = usable(period, record.len());
         let box_points = ((period / POINTS_PER_PERIOD) as usize).max(1);
         let of = |grain| one_step::Inputs::of(&record.op_path, record.path_per_point(), record.len(), period, grain);
         let inputs = inputs::GRAINS.map(of);
@@ -107,7 +107,13 @@ impl View {
     /// Prepares a record.
     #[must_use]
     pub fn new(record: &Record) -> Self {
-        Self::beside(&Arc::new(OpSide::new(record)), &record.pv, None)
+        Self::with_period(record, oscillation::typical_period(&record.op()))
+    }
+
+    /// The same where OP's typical period is known, points.
+    #[must_use]
+    pub fn with_period(record: &Record, period: Option<f64>) -> Self {
+        Self::beside(&Arc::new(OpSide::new(record, period)), &record.pv, None)
     }
 
     /// Prepares a PV, a value for each point of the record that `output` was made of. `near` is a band, spans of OP, next
@@ -125,6 +131,11 @@ impl View {
     fn predictions(&self) -> impl Iterator<Item = (&one_step::Inputs, &one_step::Prediction)> {
         self.output.inputs.iter().zip(&self.predictions).filter_map(|(i, p)| Some((i.as_ref()?, p.as_ref()?)))
     }
+}
+
+/// The period that views are cut by: a quarter of the record where none shows.
+fn usable(period: Option<f64>, points: usize) -> f64 {
+    period.unwrap_or(0.25 * points as f64).max(2.0)
 }
 
 fn boxed(x: &[f64], points: usize) -> Vec<f64> {
