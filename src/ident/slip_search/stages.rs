@@ -35,6 +35,8 @@ const INTEGRATOR: [f64; 2] = [1.005, 1.01];
 const PROMISE: [f64; 2] = [0.002, 0.02];
 /// How far along the ridge (share of s), and in how many steps to a side, where another class was taken.
 const FAR_ALONG: (f64, usize) = (0.3, 40);
+/// Part that is searched first where the process integrates: what wrong slips leave adds up there.
+const SHORT_PART: [f64; 3] = [0.1, 3.0, 12.0];
 /// Candidates by which the class is judged, and those that go there with them.
 const JUDGES: usize = 2;
 const FOLLOWERS: usize = 8;
@@ -214,7 +216,8 @@ impl<'s, 'a> Search<'s, 'a> {
     fn round(&mut self, number: usize, round: &RoundSettings) -> Option<Ended> {
         for (which, &law) in self.request.laws.iter().enumerate() {
             let other = self.law_best[usize::from(law == Law::He)];
-            if number > 0 && self.law_best[law as usize] > self.settings.behind[1] * other {
+            // One round of a law may miss what it can.
+            if number > 1 && self.law_best[law as usize] > self.settings.behind[1] * other {
                 continue;
             }
             match self.round_of(law, number, round) {
@@ -239,12 +242,18 @@ impl<'s, 'a> Search<'s, 'a> {
     /// Points of the record that a round searches first.
     fn part(&self, round: &RoundSettings) -> usize {
         let (n, period) = (self.problem.points(), self.problem.question.period);
-        let [share, least, most] = round.part;
+        let [share, least, most] = if self.integrates() { SHORT_PART } else { round.part };
         let from = self.problem.question.from;
         let longest = self.problem.question.limits.lag[1].min(20.0);
         let part = (share * n as f64).max(least * period).min(most * period).max(from as f64 + 8.0 * longest);
-        let start = if round.from_far { self.problem.first_far(0.35) } else { 0 };
+        let start = if round.from_far || self.integrates() { self.problem.first_far(0.35) } else { 0 };
         (part as usize + start).min(n)
+    }
+
+    /// Whether the best so far integrates, by its class or by a lag longer than the record.
+    fn integrates(&self) -> bool {
+        let slow = |c: Candidate| !c.class.integrates() && c.taus()[0] > self.problem.points() as f64;
+        self.best().is_some_and(|c| c.class.integrates() || slow(c))
     }
 
     fn round_of(&mut self, law: Law, number: usize, round: &RoundSettings) -> RoundEnd {
@@ -256,13 +265,36 @@ impl<'s, 'a> Search<'s, 'a> {
         let mut scan = Scan::new(&mut evaluator, round.rho, view.nothing());
         let _ = scan.run(self.request.solver, self.request.fineness_pct, seed, &round.scan, &mut rng);
         let (seen, looks) = (scan.best(&round.scan), scan.looks);
-        let refitted = seen.iter().filter_map(|c| evaluator.settle(&mut view, c)).collect::<Vec<_>>();
+        let mut refitted = seen.iter().filter_map(|c| evaluator.settle(&mut view, c)).collect::<Vec<_>>();
+        refitted.extend(self.from_other_law(&mut evaluator, &mut view, law, &mut rng));
         let mut part = Part { points, head: None, view, evaluator, held: apart(&refitted, usize::MAX, 0) };
         let mut law_found = LawRound { finals: Vec::new(), tested: Vec::new(), faint: false, stale: 0 };
         let is_noise = self.stages(round, &mut part, &mut law_found, &mut rng);
         let end = self.finish(round, &mut part, law_found, is_noise, &mut rng);
         self.found.evaluations += looks + part.evaluator.evaluations;
         end
+    }
+
+    /// What another law found, under this one: slips of nearly the right bands are the right ones for either.
+    fn from_other_law(
+        &self,
+        evaluator: &mut Evaluator<'a>,
+        view: &mut View,
+        law: Law,
+        rng: &mut ChaCha8Rng,
+    ) -> Vec<Candidate> {
+        let near = self.settings.near;
+        let mut out = Vec::new();
+        for other in self.found.best.iter().filter(|c| c.law != law) {
+            let moved = Candidate { law, ..*other };
+            let Some(found) = evaluator.in_class(view, &moved, Class::First).filter(|c| c.fit.gain != 0.0) else {
+                continue;
+            };
+            let found = random_steps(evaluator, view, found, CARRIED, near, rng);
+            out.push(neighbours(evaluator, view, found, 2, near));
+        }
+        evaluator.class = Class::First;
+        out
     }
 
     /// The local search on the part, its best tested on the whole record after every stage; whether one leaves only noise.
