@@ -12,15 +12,16 @@ use super::express::rms;
 use super::plain::PlainPass;
 use super::problem::{Problem, View};
 use super::settle::NEAR;
-use super::search::{Effort, MIDDLE, NARROW, SMALL, Search, WIDE, exchange, local_search};
+use super::search::{Effort, FIRST, MIDDLE, NARROW, SMALL, Search, WIDE, exchange, local_search};
 use super::scan::{self, coarse_scan, frictionless};
 use super::structure::{MAX_PARAMS, Parameters, Plan, Structure};
 use super::types::{Executor, Stage};
+use crate::ident::class::Class;
 use crate::ident::residual;
 use crate::sim::slips::Law;
 
 /// Rounds in which findings are shared.
-const SHARED_ROUNDS: usize = 4;
+const SHARED_ROUNDS: usize = 2;
 /// Places of the first look, of each of two measures, at which a load's own clues are read, and starts taken from each.
 const PLACES: usize = 10;
 const STARTS: usize = 3;
@@ -37,10 +38,14 @@ const AGAIN: u64 = 2;
 /// Shares of the budget that the base has at most, and of what it leaves that the effects' own first looks have.
 const OF_BASE: f64 = 0.4;
 const OF_LOOKS: f64 = 0.5;
+/// Coarse scans of its own that an effect gets at most.
+const OWN_SCANS: usize = 7;
 /// Responses that one such scan computes, about.
 const LOOK: f64 = 500.0;
 /// Effects for which that is worth its while.
-const LIKELY: usize = 4;
+const LIKELY: usize = 3;
+/// Times that these are searched again while one of them gains.
+const MOST_AGAIN: u64 = 4;
 /// Responses that the search for the right slips of one effect computes, about.
 const LOOK_AGAIN: u64 = 30_000;
 /// Error over the floor at which a white base is the answer and the effects need only a glance.
@@ -278,16 +283,20 @@ pub fn run(
         let own =
             work.all(searches.len(), |i| own_look(problem, &searches[i], &thetas, if calm { 0 } else { each }, seed));
         work.done += own.iter().map(|(_, n)| n).sum::<u64>();
-        let effort = if calm { &NARROW } else { &MIDDLE };
+        let effort = if calm { &NARROW } else { &FIRST };
         let own = |i: usize| own.get(i).map_or(&[][..], |(thetas, _)| thetas);
         share(problem, &mut searches, effort, work, &|_| from.clone(), &own);
     }
-    for round in 0..SHARED_ROUNDS as u64 {
-        if calm || !work.goes_on() {
-            break;
+    for round in 0..if calm { 0 } else { SHARED_ROUNDS as u64 } {
+        let mut gains = false;
+        for again in 0..MOST_AGAIN {
+            let found = work.goes_on() && look_again(problem, &mut searches, floor, MOST_AGAIN * round + again, work);
+            gains |= found;
+            if !found {
+                break;
+            }
         }
-        let found = round < AGAIN && look_again(problem, &mut searches, floor, round, work);
-        if !cross_pollinate(problem, &mut base, &mut searches, work) && !found {
+        if !work.goes_on() || round > 0 && !gains || !cross_pollinate(problem, &mut base, &mut searches, work) && !gains {
             break;
         }
     }
@@ -346,7 +355,7 @@ fn look_again(problem: &Problem, searches: &mut [Search], floor: Option<f64>, ro
     go_on(searches, &order, work, &|search| {
         let Some(p) = search.best.first().map(|b| b.theta.p).or(search.starts.first().copied()) else { return };
         let (places, count) = coarse_scan(problem, &search.structure, p, search.sign, settings, seed);
-        local_search(problem, search, &[], &places, &WIDE, seed);
+        local_search(problem, search, &[], &places, &MIDDLE, seed);
         search.evaluations += count;
     })
 }
@@ -404,10 +413,10 @@ fn own_look(
         return with_own_clues(problem, search, looked);
     }
     // Evenly from all of them, where there is no time for each.
-    let every = search.starts.len().div_ceil(most);
+    let every = search.starts.len().div_ceil(most.min(OWN_SCANS));
     for (i, p) in search.starts.iter().enumerate().step_by(every.max(1)) {
         let plan = search.structure.plan_of(p);
-        if !looks(&plan, &search.structure) {
+        if !looks(&plan, &search.structure) || plan.class() != Class::First {
             continue;
         }
         let (found, n) = coarse_scan(problem, &search.structure, *p, search.sign, scan::ROUGH, seed + i as u64);
