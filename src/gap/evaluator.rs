@@ -128,7 +128,14 @@ impl<'a> Evaluator<'a> {
         let mut theta = *theta;
         let freedom = self.signal.make(self.problem, &plan, &mut theta, self.sign)?;
         let steps = &self.signal.steps;
-        Some(Prepared { plan, theta, freedom, cells: [steps.s_cell, steps.j_cell], slips: steps.slips, reversals: steps.reversals })
+        Some(Prepared {
+            plan,
+            theta,
+            freedom,
+            cells: [steps.s_cell, steps.j_cell],
+            slips: steps.slips,
+            reversals: steps.reversals,
+        })
     }
 
     /// Where a parameter vector stands on the lattice.

@@ -1,9 +1,9 @@
 //! From the search's normalised places to models and fits in recorded units.
 
 use super::answer::INTEGRATOR_SCALE;
-use super::plain::{Candidate, PlainPass};
 use super::model::{Added, Model, Process, SCHEMA, Valve};
 use super::noise;
+use super::plain::{Candidate, PlainPass};
 use super::problem::Problem;
 use super::search::Search;
 use super::structure::{Parameters, Structure};

@@ -3,9 +3,9 @@
 
 use super::answer::INTEGRATOR_SCALE;
 use super::effects::{self, Effect, Param, Unit};
-use super::plain::{Candidate, PlainPass};
 use super::express::{Errors, above_floor, slips};
 use super::model::{Added, Model, ModelError};
+use super::plain::{Candidate, PlainPass};
 use super::problem::Problem;
 use super::structure::{MAX_PARAMS, Parameters, Structure};
 use super::types::Fit;

@@ -153,7 +153,13 @@ fn part_of(mut question: Question, part: f64) -> Question {
     question
 }
 
-fn seen(problem: &Problem, [s, j, fd]: [f64; 3], first: FirstSlip, glance: &Glance, p: [f64; MAX_PARAMS]) -> Option<Seen> {
+fn seen(
+    problem: &Problem,
+    [s, j, fd]: [f64; 3],
+    first: FirstSlip,
+    glance: &Glance,
+    p: [f64; MAX_PARAMS],
+) -> Option<Seen> {
     let limits = problem.question.limits;
     let log_tau = libm::log(glance.tau.clamp(limits.tau[0], limits.tau[1]));
     let lag = glance.lag.clamp(limits.lag[0], limits.lag[1]);
@@ -173,8 +179,9 @@ fn keep(pool: &mut [Seen], each: usize, long_from: f64, out: &mut Vec<Parameters
     let mut overall = 0;
     for seen in pool.iter() {
         let g = seen.theta;
-        let near =
-            |o: &Parameters| (o.s / g.s - 1.0).abs() < 0.03 && (o.j - g.j).abs() < 0.1 * g.s && (o.lag - g.lag).abs() < 3.0;
+        let near = |o: &Parameters| {
+            (o.s / g.s - 1.0).abs() < 0.03 && (o.j - g.j).abs() < 0.1 * g.s && (o.lag - g.lag).abs() < 3.0
+        };
         if held.iter().any(near) {
             continue;
         }

@@ -11,9 +11,9 @@ use super::evaluator::{Candidate, Evaluator};
 use super::express::rms;
 use super::plain::PlainPass;
 use super::problem::{Problem, View};
-use super::settle::NEAR;
-use super::search::{Effort, FIRST, MIDDLE, NARROW, SMALL, Search, WIDE, exchange, local_search};
 use super::scan::{self, coarse_scan, frictionless};
+use super::search::{Effort, FIRST, MIDDLE, NARROW, SMALL, Search, WIDE, exchange, local_search};
+use super::settle::NEAR;
 use super::structure::{MAX_PARAMS, Parameters, Plan, Structure};
 use super::types::{Executor, Stage};
 use crate::ident::class::Class;
@@ -296,7 +296,8 @@ pub fn run(
                 break;
             }
         }
-        if !work.goes_on() || round > 0 && !gains || !cross_pollinate(problem, &mut base, &mut searches, work) && !gains {
+        if !work.goes_on() || round > 0 && !gains || !cross_pollinate(problem, &mut base, &mut searches, work) && !gains
+        {
             break;
         }
     }
@@ -459,4 +460,3 @@ pub fn share<'g>(
     }
     work.done += searches.iter().map(|l| l.evaluations).sum::<u64>() - before;
 }
-

@@ -260,7 +260,8 @@ fn nearby_starts(question: &Question, first: FirstSlip) -> Vec<FirstSlip> {
         };
         FirstSlip { direction, threshold }
     };
-    let places = [here.checked_sub(1), Some(here + 1), here.checked_sub(2), Some(here + 2), here.checked_sub(4), Some(here + 4)];
+    let places =
+        [here.checked_sub(1), Some(here + 1), here.checked_sub(2), Some(here + 2), here.checked_sub(4), Some(here + 4)];
     places.into_iter().flatten().filter(|r| *r < list.len()).map(at).collect()
 }
 
@@ -344,7 +345,8 @@ fn apart(mut pool: Vec<Candidate>, wanted: usize) -> Vec<Candidate> {
             break;
         }
         let near = |o: &Candidate| {
-            let same = (o.theta.s / c.theta.s - 1.0).abs() <= 0.012 && (o.theta.j - c.theta.j).abs() <= 0.05 * c.theta.s;
+            let same =
+                (o.theta.s / c.theta.s - 1.0).abs() <= 0.012 && (o.theta.j - c.theta.j).abs() <= 0.05 * c.theta.s;
             let p = o.theta.p.iter().zip(&c.theta.p).all(|(a, b)| (a - b).abs() <= 0.05 * (a.abs() + b.abs()));
             (same || c.theta.s == 0.0) && p && (o.theta.lag - c.theta.lag).abs() < 1.0
         };

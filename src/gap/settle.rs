@@ -26,16 +26,8 @@ struct Settings {
     rounds: usize,
 }
 
-const SETTINGS: Settings = Settings {
-    moves: 12,
-    edge: 2e-3,
-    first: 0.03,
-    grow: 2.0,
-    shrink: 0.3,
-    last: 5e-4,
-    difference: 0.01,
-    rounds: 3,
-};
+const SETTINGS: Settings =
+    Settings { moves: 12, edge: 2e-3, first: 0.03, grow: 2.0, shrink: 0.3, last: 5e-4, difference: 0.01, rounds: 3 };
 
 /// Steps along the lattice for a place that is far off, for one near by, and for one that is nearly right.
 pub const FAR: &[i32] = &[8, 3, 1];
@@ -68,13 +60,7 @@ pub fn clamped(structure: &Structure, mut theta: Parameters, problem: &super::pr
 
 impl Evaluator<'_> {
     /// The candidate of a parameter vector, its process settled by steps of these sizes along the lattice.
-    pub fn fit(
-        &mut self,
-        structure: &Structure,
-        theta: &Parameters,
-        view: View,
-        sizes: &[i32],
-    ) -> Option<Candidate> {
+    pub fn fit(&mut self, structure: &Structure, theta: &Parameters, view: View, sizes: &[i32]) -> Option<Candidate> {
         let prepared = self.prepare(structure, theta)?;
         let place = self.place_of(&prepared);
         let start = self.at(structure, &prepared, place, view);

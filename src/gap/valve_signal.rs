@@ -27,13 +27,7 @@ pub struct ValveSignal {
 impl ValveSignal {
     /// Makes the signal of a plan with these parameters, whose fd is moved into the band of its slips where the signal is
     /// not linear in it; `None` where the stem hardly moves.
-    pub fn make(
-        &mut self,
-        problem: &Problem,
-        plan: &Plan,
-        theta: &mut Parameters,
-        sign: f64,
-    ) -> Option<Freedom> {
+    pub fn make(&mut self, problem: &Problem, plan: &Plan, theta: &mut Parameters, sign: f64) -> Option<Freedom> {
         let limits = problem.question.limits;
         let path = self.path(problem, plan);
         let n = problem.n();

@@ -27,9 +27,9 @@ pub mod region;
 pub mod residual;
 mod review;
 mod robust;
-pub mod slip_search;
 pub mod search;
 pub mod sign;
+pub mod slip_search;
 pub mod surface;
 pub mod width;
 

@@ -258,6 +258,7 @@ fn walk<const CLASS: usize, const WHOLE: bool>(
         with_loads: [[[0.0; 2]; PARTS]; MOST_LOADS],
         with_beside: [[[0.0; 2]; PARTS]; 3],
     };
+    let with_pv = With::new(view, tables, 0);
     let mut state = State::default();
     // A step before the first point that counts leaves a level and a memory only, and those are fitted anyway.
     let first = steps.partition_point(|s| (s.point as usize + delay) < from);
@@ -268,9 +269,9 @@ fn walk<const CLASS: usize, const WHOLE: bool>(
         let i = step.point as usize + delay;
         let next = steps.get(m + 1).map_or(n, |s| (s.point as usize + delay).min(n));
         let by = [step.level, step.direction];
-        with_signal::<CLASS>(view, tables, 0, i, by, &mut sums.with_pv);
+        with_pv.add::<CLASS>(i, by, &mut sums.with_pv);
         for load in 0..loads {
-            with_signal::<CLASS>(view, tables, 1 + load, i, by, &mut sums.with_loads[load]);
+            With::new(view, tables, 1 + load).add::<CLASS>(i, by, &mut sums.with_loads[load]);
         }
         let x = state.step::<CLASS>(by, [level_share, rho, scale], own);
         let beside = |late: usize| match CLASS {
@@ -383,30 +384,40 @@ impl State {
     }
 }
 
-/// Adds the products of one step's answers with a signal.
-#[inline(always)]
-fn with_signal<const CLASS: usize>(
-    view: &View,
-    tables: [&Table; 2],
-    column: usize,
-    i: usize,
-    by: [f64; 2],
-    into: &mut [[f64; 2]; PARTS],
-) {
-    let level = if CLASS == INTEGRATING { [view.with_level(column, i), 0.0] } else { tables[0].steps[column][i] };
-    let ramp = |with: f64| with / INTEGRATOR_SCALE;
-    for h in 0..2 {
-        into[0][h] += by[h] * level[0];
-        match CLASS {
-            FIRST => into[1][h] += by[h] * level[1],
-            SECOND => {
-                into[1][h] += by[h] * level[1];
-                into[2][h] += by[h] * tables[1].steps[column][i][1];
-            }
-            INTEGRATING => into[1][h] += by[h] * ramp(view.with_ramp(column, i)),
-            _ => {
-                into[1][h] += by[h] * ramp(view.with_ramp(column, i));
-                into[2][h] += by[h] * level[1];
+/// Where the products of one signal with a step's answers stand.
+struct With<'t> {
+    /// Level and first decay.
+    first: &'t [[f64; 2]],
+    /// Second decay, after the level again.
+    second: &'t [[f64; 2]],
+    /// Level and ramp, by the view.
+    plain: [&'t [f64]; 2],
+}
+
+impl<'t> With<'t> {
+    fn new(view: &'t View, tables: [&'t Table; 2], column: usize) -> Self {
+        let [first, second] = tables.map(|t| &t.steps[column][..]);
+        Self { first, second, plain: view.with_step(column) }
+    }
+
+    /// Adds the products of one step's answers.
+    #[inline(always)]
+    fn add<const CLASS: usize>(&self, i: usize, by: [f64; 2], into: &mut [[f64; 2]; PARTS]) {
+        let level = if CLASS == INTEGRATING { [self.plain[0][i], 0.0] } else { self.first[i] };
+        let second = match CLASS {
+            FIRST | SECOND => level[1],
+            _ => self.plain[1][i] / INTEGRATOR_SCALE,
+        };
+        let third = match CLASS {
+            SECOND => self.second[i][1],
+            LAG_INTEGRATING => level[1],
+            _ => 0.0,
+        };
+        for h in 0..2 {
+            into[0][h] += by[h] * level[0];
+            into[1][h] += by[h] * second;
+            if CLASS == SECOND || CLASS == LAG_INTEGRATING {
+                into[2][h] += by[h] * third;
             }
         }
     }

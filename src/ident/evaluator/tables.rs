@@ -161,12 +161,10 @@ impl View {
         self.columns[column].with_time
     }
 
-    pub(super) fn with_level(&self, column: usize, point: usize) -> f64 {
-        self.columns[column].with_level[point]
-    }
-
-    pub(super) fn with_ramp(&self, column: usize, point: usize) -> f64 {
-        self.columns[column].with_ramp[point]
+    /// Products of a column with the level and with the ramp of a step at each point.
+    pub(super) fn with_step(&self, column: usize) -> [&[f64]; 2] {
+        let column = &self.columns[column];
+        [&column.with_level, &column.with_ramp]
     }
 
     /// The table of a place on the lattice, made when it is first asked for.

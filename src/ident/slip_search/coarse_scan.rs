@@ -139,8 +139,7 @@ impl CoarseScan {
                     let tail = own.level[half] * beyond - own.decay[half][l] * self.with_decay[stop][l];
                     tables - tail - own.sum[half][l] * sum * one - own.memory[half][l] * memory * own.pivot[l]
                 };
-                let system =
-                    [own.power[0][l], own.power[1][l], own.power[2][l], with(level[l], 0), with(turn[l], 1)];
+                let system = [own.power[0][l], own.power[1][l], own.power[2][l], with(level[l], 0), with(turn[l], 1)];
                 let (_, _, explained) = best_band(system, [own.power[0][l], own.power[2][l]], freedom);
                 let share = (rest - explained) / total;
                 if share < best.share {
@@ -237,7 +236,8 @@ mod tests {
     fn every_share_is_that_of_columns_of_samples() {
         let op: Vec<f64> =
             (0..500).map(|k| libm::sin(f64::from(k) * 0.07) + 0.3 * libm::sin(f64::from(k) * 0.023)).collect();
-        let pv: Vec<f64> = op.iter().enumerate().map(|(k, x)| 0.4 * x * x + x + 0.1 * f64::from(k as u32 % 7)).collect();
+        let pv: Vec<f64> =
+            op.iter().enumerate().map(|(k, x)| 0.4 * x * x + x + 0.1 * f64::from(k as u32 % 7)).collect();
         let record = Record::uniform(1.0, op, pv);
         let question = pose(&record, &Options { period_points: Some(90.0), ..Options::default() }, 2.0, 1.0);
         let problem = Problem::new(&question, 1.0);

@@ -22,14 +22,39 @@ const REACH: [f64; 2] = [0.05, 0.15];
 const NO_GAIN: f64 = 1e-4;
 /// Error over the best one up to which places on the ridge are kept.
 const ON_RIDGE: f64 = 2.5;
+/// The same up to which their processes are refined.
+const ON_RIDGE_REFINED: f64 = 1.2;
 
-/// How near to the best one an error must lie for a process to be refined: random steps, then neighbouring cells.
+/// How near to the best one an error must lie for a process to be refined.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Nearness {
-    /// Of random steps.
-    pub steps: f64,
-    /// Of neighbouring cells.
+    /// Least and most relative distance, of random steps.
+    pub within: [f64; 2],
+    /// The same times the share of PV that the best one leaves: where it leaves much, errors differ little from cell to
+    /// cell, and all would be refined.
+    pub at_share: f64,
+    /// Factor for neighbouring cells.
     pub cells: f64,
+}
+
+impl Nearness {
+    /// As the daemon searches.
+    pub const USUAL: Self = Self { within: [1e-3, 0.01], at_share: 3e-4, cells: 2.0 };
+
+    /// Error up to which a random step from a candidate is refined.
+    fn of_step(&self, best: &Candidate, view: &View) -> f64 {
+        best.sse() * (1.0 + self.distance(best, view))
+    }
+
+    /// The same for a neighbouring cell.
+    fn of_cell(&self, best: &Candidate, view: &View) -> f64 {
+        best.sse() * (1.0 + self.cells * self.distance(best, view))
+    }
+
+    fn distance(&self, best: &Candidate, view: &View) -> f64 {
+        let share = best.sse() / view.nothing().max(1e-300);
+        (self.at_share / share.max(1e-300)).clamp(self.within[0], self.within[1])
+    }
 }
 
 /// A value just across an edge of a cell.
@@ -66,7 +91,8 @@ pub fn random_steps(
         if best.covers(s, j, start) {
             continue;
         }
-        let found = evaluator.fit(view, [s, j], start, &later(&best.fit, lag), near.steps * best.sse());
+        let enough = near.of_step(&best, view);
+        let found = evaluator.fit(view, [s, j], start, &later(&best.fit, lag), enough);
         if let Some(found) = found.filter(|f| f.sse() <= best.sse() && f.fit.gain != 0.0) {
             best = found;
         }
@@ -130,14 +156,15 @@ fn another_start(evaluator: &Evaluator<'_>, from: Start, rng: &mut ChaCha8Rng) -
 struct Neighbours<'e, 'a, 'v> {
     evaluator: &'e mut Evaluator<'a>,
     view: &'v mut View,
-    near: f64,
+    near: Nearness,
     best: Candidate,
 }
 
 impl Neighbours<'_, '_, '_> {
     fn look(&mut self, s: f64, j: f64, start: Start, fit: LatticeFit) -> Option<Candidate> {
         let bands = kept(self.evaluator, s, j)?;
-        let found = self.evaluator.fit(self.view, bands, start, &fit, self.near * self.best.sse())?;
+        let enough = self.near.of_cell(&self.best, self.view);
+        let found = self.evaluator.fit(self.view, bands, start, &fit, enough)?;
         if found.sse() < self.best.sse() && found.fit.gain != 0.0 {
             self.best = found;
         }
@@ -184,7 +211,11 @@ impl Neighbours<'_, '_, '_> {
             self.look(s, home.j + s - home.s, home.start, later(&home.fit, lag));
         }
         for by in [1, 2, 4] {
-            let record = if up { (home.start.record + by).min(records.max(1) - 1) } else { home.start.record.saturating_sub(by) };
+            let record = if up {
+                (home.start.record + by).min(records.max(1) - 1)
+            } else {
+                home.start.record.saturating_sub(by)
+            };
             if record != home.start.record {
                 self.look(home.s, home.j, Start { record, ..home.start }, home.fit);
             }
@@ -216,7 +247,7 @@ pub fn neighbours(
     near: Nearness,
 ) -> Candidate {
     (evaluator.class, evaluator.law) = (from.class, from.law);
-    let mut walk = Neighbours { evaluator, view, near: near.cells, best: from };
+    let mut walk = Neighbours { evaluator, view, near, best: from };
     for _ in 0..rounds {
         let home = walk.best;
         for up in [false, true] {
@@ -241,7 +272,7 @@ pub fn along_ridge(
 ) -> Vec<Candidate> {
     (evaluator.class, evaluator.law) = (around.class, around.law);
     let (rate, landing) = (evaluator.problem.question.rate.max(1e-6), evaluator.problem.question.landing);
-    let mut pool = vec![*around];
+    let (mut pool, mut least_of_all) = (vec![*around], around.sse());
     for side in [-1.0, 1.0] {
         let (mut last, mut fit) = (around.s, around.fit);
         for k in 1..=steps {
@@ -250,7 +281,11 @@ pub fn along_ridge(
             let mut least = ON_RIDGE * around.sse();
             for j in ridge_jumps([around.s, around.j], s, landing).into_iter().take(3) {
                 let Some([s, j]) = kept(evaluator, s, j) else { continue };
-                let Some(found) = evaluator.fit(view, [s, j], around.start, &guess, 2.0 * around.sse()) else { continue };
+                let Some(found) = evaluator.fit(view, [s, j], around.start, &guess, ON_RIDGE_REFINED * least_of_all)
+                else {
+                    continue;
+                };
+                least_of_all = least_of_all.min(found.sse());
                 if found.sse() < least {
                     (least, last, fit) = (found.sse(), s, found.fit);
                 }

@@ -5,9 +5,11 @@
 //! finds where to begin; a [`local_search`] goes from cell to cell of equal slips; the best is carried to the whole record
 //! and tested there ([`stages`]).
 
+pub mod answer;
 pub mod candidate;
 pub mod coarse_scan;
 pub mod evaluator;
+pub mod interval;
 pub mod local_search;
 pub mod problem;
 pub mod scan;

@@ -27,7 +27,7 @@ pub struct Problem<'a> {
 /// Fewest moves of the stem from which a model is fitted.
 const LEAST_MOVES: usize = 3;
 /// Most moves in a period: a stem that follows every sample is no valve that sticks.
-const MOST_MOVES: usize = 60;
+const MOST_MOVES: usize = 120;
 /// Longest lag before an integrator, periods and shares of the record.
 const LAG_PERIODS: f64 = 4.0;
 const LAG_SHARE: f64 = 0.5;
@@ -133,7 +133,8 @@ mod tests {
 
     #[test]
     fn starts_are_those_that_a_walk_along_op_finds() {
-        let op: Vec<f64> = (0..700).map(|k| libm::sin(f64::from(k) * 0.05) + 0.4 * libm::sin(f64::from(k) * 0.31)).collect();
+        let op: Vec<f64> =
+            (0..700).map(|k| libm::sin(f64::from(k) * 0.05) + 0.4 * libm::sin(f64::from(k) * 0.31)).collect();
         let pv: Vec<f64> = op.iter().map(|u| 2.0 * u).collect();
         let question = pose(&Record::uniform(1.0, op, pv), &Options::default(), 2.0, 1.0);
         let problem = Problem::new(&question, 1.0);

@@ -43,6 +43,9 @@ pub struct SearchSettings {
     pub rounds: Vec<RoundSettings>,
     /// When processes are refined.
     pub near: Nearness,
+    /// Share of PV that the best leaves below which every test asks for the class again: the right slips may have been kept in
+    /// a wrong one.
+    pub closely: f64,
     /// Error over another law's from which a law is out of the running, in a round and for the next one.
     pub behind: [f64; 2],
     /// Error over the frictionless one's from which further stages are not worth it.
@@ -51,6 +54,8 @@ pub struct SearchSettings {
     pub worth_a_round: f64,
     /// Share of the error that a round must gain for rounds not to agree.
     pub gain: f64,
+    /// Share of the frictionless error from which on one round without gain ends a search.
+    pub much: f64,
     /// Rounds without gain, one after the other, that end a search.
     pub agreeing: usize,
 }
@@ -86,11 +91,13 @@ impl SearchSettings {
         ];
         Self {
             rounds,
-            near: Nearness { steps: 1.01, cells: 1.02 },
+            near: Nearness::USUAL,
+            closely: 0.03,
             behind: [1.5, 1.15],
             no_friction: 0.9,
-            worth_a_round: 0.3,
+            worth_a_round: 0.15,
             gain: 0.01,
+            much: 0.1,
             agreeing: 2,
         }
     }

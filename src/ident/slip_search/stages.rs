@@ -25,7 +25,9 @@ const COLOURED: f64 = 0.12;
 /// Random steps on the whole record for what the part found.
 const CARRIED: usize = 60;
 /// Share of the error that a second lag must remove to be taken in the search.
-const SECOND_LAG: f64 = 0.02;
+const SECOND_LAG: f64 = 0.03;
+/// The same for another class of no more lags.
+const ANOTHER: f64 = 0.03;
 /// Relative errors up to which an integrator takes the place of a lag, by the filtered and by the plain error.
 const INTEGRATOR: [f64; 2] = [1.005, 1.01];
 /// Shares of the filtered and of the plain error that a second lag must remove to be searched with.
@@ -184,17 +186,19 @@ impl<'s, 'a> Search<'s, 'a> {
             }
             let best = self.best_sse();
             let nothing = self.without(Class::First).min(self.best().map_or(f64::INFINITY, |c| self.without(c.class)));
-            if best > (1.0 - self.settings.worth_a_round) * nothing {
+            // One view of the error may miss what another one shows.
+            if number >= 1 && best > (1.0 - self.settings.worth_a_round) * nothing {
                 self.found.ended = Ended::NoFriction;
                 break;
             }
             agreeing = if best > (1.0 - self.settings.gain) * before { agreeing + 1 } else { 0 };
-            if agreeing == self.settings.agreeing {
+            // Where much is left the law does not fit, and another round finds no other.
+            let enough = if best > self.settings.much * nothing { 1 } else { self.settings.agreeing };
+            if agreeing >= enough {
                 self.found.ended = Ended::Agreement;
                 break;
             }
         }
-        self.found.evaluations += self.whole.evaluations;
         let mut found = self.found.clone();
         found.best.sort_by(|a, b| a.sse().total_cmp(&b.sse()));
         (found, self)
@@ -218,7 +222,10 @@ impl<'s, 'a> Search<'s, 'a> {
                     return Some(Ended::Noise);
                 }
                 // The laws are alike enough that where one sees no friction the other need not be asked.
-                RoundEnd::NoFriction if which == 0 && number == 0 => return Some(Ended::NoFriction),
+                RoundEnd::NoFriction if which == 0 && number == 0 => return None,
+                RoundEnd::NoFriction if which == 0 && number == 1 && self.found.best.len() < 2 => {
+                    return Some(Ended::NoFriction);
+                }
                 _ => {}
             }
             if self.best_sse() > self.request.rival {
@@ -258,13 +265,7 @@ impl<'s, 'a> Search<'s, 'a> {
     }
 
     /// The local search on the part, its best tested on the whole record after every stage; whether one leaves only noise.
-    fn stages(
-        &mut self,
-        round: &RoundSettings,
-        part: &mut Part<'a>,
-        law: &mut LawRound,
-        rng: &mut ChaCha8Rng,
-    ) -> bool {
+    fn stages(&mut self, round: &RoundSettings, part: &mut Part<'a>, law: &mut LawRound, rng: &mut ChaCha8Rng) -> bool {
         for (stage, (count, steps)) in round.stages.into_iter().enumerate() {
             part.held.sort_by(|a, b| a.sse().total_cmp(&b.sse()));
             // The second stage goes on with those that the first one left.
@@ -330,8 +331,8 @@ impl<'s, 'a> Search<'s, 'a> {
             found = neighbours(&mut self.whole, &mut self.plain, found, 4, near);
             is_noise = self.is_noise(&found);
         }
-        if !is_noise {
-            // The right slips may have been kept in a wrong class.
+        let closely = found.sse() < self.settings.closely * self.plain.nothing();
+        if !is_noise && (law.tested.len() == 1 || closely) {
             let other = self.suited(found);
             if other.class != found.class {
                 found = neighbours(&mut self.whole, &mut self.plain, other, 4, near);
@@ -382,7 +383,7 @@ impl<'s, 'a> Search<'s, 'a> {
                 continue;
             }
             let Some(other) = self.whole.in_class(&mut self.plain, &own, class) else { continue };
-            let must = if class.order() > own.class.order() { 1.0 - SECOND_LAG } else { 1.0 };
+            let must = if class.order() > own.class.order() { 1.0 - SECOND_LAG } else { 1.0 - ANOTHER };
             if other.fit.gain != 0.0 && other.sse() < must * best.sse() {
                 best = other;
             }
@@ -410,8 +411,7 @@ impl<'s, 'a> Search<'s, 'a> {
             if b[0] <= INTEGRATOR[0] * a[0] && b[1] <= INTEGRATOR[1] * a[1] { integrator } else { lag }
         };
         let (one, two) = (family(Class::First, Class::Integrating), family(Class::Second, Class::LagIntegrating));
-        let promising =
-            (0..2).any(|i| scores[index_of(two)][i] < (1.0 - PROMISE[i]) * scores[index_of(one)][i]);
+        let promising = (0..2).any(|i| scores[index_of(two)][i] < (1.0 - PROMISE[i]) * scores[index_of(one)][i]);
         let class = self.allowed(if promising { two } else { one });
         if class != Class::First {
             let mut next: Vec<Candidate> = part
@@ -424,8 +424,8 @@ impl<'s, 'a> Search<'s, 'a> {
             next.sort_by(|a, b| a.sse().total_cmp(&b.sse()));
             for c in next.iter_mut().take(JUDGES) {
                 // What stood for the second lag was a wrong s: the right one lies along the ridge.
-                let (reach, steps) = FAR_ALONG;
-                let found = along_ridge(&mut part.evaluator, &mut part.view, c, reach, steps);
+                let (reach, places) = FAR_ALONG;
+                let found = along_ridge(&mut part.evaluator, &mut part.view, c, reach, places);
                 *c = found.first().copied().unwrap_or(*c);
                 *c = random_steps(&mut part.evaluator, &mut part.view, *c, steps, self.settings.near, rng);
             }
@@ -546,8 +546,7 @@ pub fn frictionless(evaluator: &mut Evaluator<'_>, view: &mut View, class: Class
                 _ => [tau, 0.25 * tau],
             };
             let places = [main, second].map(|t| lattice_index((t * question.period).max(0.3)));
-            let start =
-                LatticeFit { sse: 0.0, gain: 0.0, fd: 0.0, places, delay: lag as usize, fraction: lag.fract() };
+            let start = LatticeFit { sse: 0.0, gain: 0.0, fd: 0.0, places, delay: lag as usize, fraction: lag.fract() };
             fits.push(evaluator.quick(view, &start, &freedom));
         }
     }
