@@ -132,7 +132,7 @@ fn put_behind(plan: &Plan, sequence: &mut Sequence, fd: f64, points: f64) {
 }
 
 /// The record behind the plan's positioner.
-fn behind_positioner(problem: &Problem, plan: &Plan) -> Question {
+pub fn behind_positioner(problem: &Problem, plan: &Plan) -> Question {
     let mut question = problem.question.clone();
     if plan.positioner > 0.0 {
         let plain = &problem.question;

@@ -14,6 +14,7 @@ use super::problem::{Problem, View};
 use super::scan::{self, coarse_scan, frictionless};
 use super::search::{Effort, FIRST, MIDDLE, NARROW, SMALL, Search, WIDE, exchange, local_search};
 use super::settle::NEAR;
+use super::slips::search_slips;
 use super::structure::{MAX_PARAMS, Parameters, Plan, Structure};
 use super::types::{Executor, Stage};
 use crate::ident::class::Class;
@@ -25,6 +26,8 @@ const SHARED_ROUNDS: usize = 2;
 /// Places of the first look, of each of two measures, at which a load's own clues are read, and starts taken from each.
 const PLACES: usize = 10;
 const STARTS: usize = 3;
+/// Rounds of the estimate's search that are asked for.
+const SLIP_ROUNDS: usize = 3;
 /// Shares of the record that further coarse scans see: shorter ones know fewer slips and have wider cells.
 const PARTS: [f64; 2] = [0.45, 0.7];
 /// Relative gain in squared error below which a search has not improved.
@@ -159,14 +162,16 @@ pub fn base(
             break;
         }
         let seed = work.seed.wrapping_add((1 + round) << 32);
-        let settings = scan::Settings { part: PARTS[round as usize % PARTS.len()], ..scan::FINE };
         let allowed = work.allowed(1);
         let found = work.all(1, |_| {
             let mut search = Search { allowed, ..base.clone() };
-            let structure = search.structure;
-            let (places, count) = coarse_scan(problem, &structure, [0.0; MAX_PARAMS], search.sign, settings, seed);
+            let (mut places, mut count) = search_slips(problem, &search, SLIP_ROUNDS, seed);
+            let settings = scan::Settings { part: PARTS[round as usize % PARTS.len()], ..scan::FINE };
+            let (more, n) = coarse_scan(problem, &search.structure, [0.0; MAX_PARAMS], search.sign, settings, seed);
+            places.extend(more);
+            count += n;
+            local_search(problem, &mut search, &places, &[], &MIDDLE, seed);
             search.evaluations += count;
-            local_search(problem, &mut search, &places, &[], &WIDE, seed);
             search
         });
         let Some(better) = found.into_iter().next() else { break };
@@ -194,7 +199,13 @@ fn base_once(problem: &Problem, law: Option<Law>, work: &mut Work<'_>) -> Option
         let mut search = search(structure, signs[sign], vec![[0.0; MAX_PARAMS]], 1 + i as u64);
         search.allowed = allowed;
         if let Some((thetas, _)) = scanned.get(sign) {
-            local_search(problem, &mut search, thetas, &[], &WIDE, seed);
+            // The one begins where the search of the estimate ends, the other where the coarse scan does.
+            let from_slips = i % 2 == 0 && law.is_some();
+            let (own, count) =
+                if from_slips { search_slips(problem, &search, SLIP_ROUNDS, seed) } else { (Vec::new(), 0) };
+            let effort = if from_slips { &NARROW } else { &WIDE };
+            local_search(problem, &mut search, if from_slips { &own } else { thetas }, &[], effort, seed);
+            search.evaluations += count;
         }
         search
     });
@@ -355,9 +366,11 @@ fn look_again(problem: &Problem, searches: &mut [Search], floor: Option<f64>, ro
     let settings = scan::Settings { part: PARTS[round as usize % PARTS.len()], ..scan::FINE };
     go_on(searches, &order, work, &|search| {
         let Some(p) = search.best.first().map(|b| b.theta.p).or(search.starts.first().copied()) else { return };
-        let (places, count) = coarse_scan(problem, &search.structure, p, search.sign, settings, seed);
+        let (mut places, count) = coarse_scan(problem, &search.structure, p, search.sign, settings, seed);
+        let (more, n) = search_slips(problem, search, SLIP_ROUNDS, seed);
+        places.extend(more);
         local_search(problem, search, &[], &places, &MIDDLE, seed);
-        search.evaluations += count;
+        search.evaluations += count + n;
     })
 }
 
@@ -417,6 +430,12 @@ fn own_look(
     let every = search.starts.len().div_ceil(most.min(OWN_SCANS));
     for (i, p) in search.starts.iter().enumerate().step_by(every.max(1)) {
         let plan = search.structure.plan_of(p);
+        if plan.class() != Class::First && i == 0 {
+            // Another process is looked for by the search that knows it, once.
+            let (found, n) = search_slips(problem, search, SLIP_ROUNDS, seed);
+            thetas.extend(found);
+            count += n;
+        }
         if !looks(&plan, &search.structure) || plan.class() != Class::First {
             continue;
         }
