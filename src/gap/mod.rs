@@ -29,6 +29,7 @@ pub mod score;
 mod search;
 mod settle;
 mod signatures;
+mod slips;
 mod stages;
 mod structure;
 pub mod text;

@@ -34,7 +34,7 @@ pub struct Settings {
 /// For the base, whose slips all others start from.
 pub const FINE: Settings = Settings { sizes: 80, shares: 7, boxes: 24.0, kept: 14, part: 1.0 };
 /// For one set of an effect's parameters.
-pub const ROUGH: Settings = Settings { sizes: 40, shares: 5, boxes: 16.0, kept: 5, part: 1.0 };
+pub const ROUGH: Settings = Settings { sizes: 30, shares: 4, boxes: 16.0, kept: 5, part: 0.7 };
 
 /// Least s, spans of OP.
 const LEAST: f64 = 0.02;
@@ -132,7 +132,7 @@ fn put_behind(plan: &Plan, sequence: &mut Sequence, fd: f64, points: f64) {
 }
 
 /// The record behind the plan's positioner.
-fn behind_positioner(problem: &Problem, plan: &Plan) -> Question {
+pub fn behind_positioner(problem: &Problem, plan: &Plan) -> Question {
     let mut question = problem.question.clone();
     if plan.positioner > 0.0 {
         let plain = &problem.question;

@@ -12,18 +12,22 @@ use super::express::rms;
 use super::plain::PlainPass;
 use super::problem::{Problem, View};
 use super::scan::{self, coarse_scan, frictionless};
-use super::search::{Effort, MIDDLE, NARROW, SMALL, Search, WIDE, exchange, local_search};
+use super::search::{Effort, FIRST, MIDDLE, NARROW, SMALL, Search, WIDE, exchange, local_search};
 use super::settle::NEAR;
+use super::slips::search_slips;
 use super::structure::{MAX_PARAMS, Parameters, Plan, Structure};
 use super::types::{Executor, Stage};
+use crate::ident::class::Class;
 use crate::ident::residual;
 use crate::sim::slips::Law;
 
 /// Rounds in which findings are shared.
-const SHARED_ROUNDS: usize = 4;
+const SHARED_ROUNDS: usize = 2;
 /// Places of the first look, of each of two measures, at which a load's own clues are read, and starts taken from each.
 const PLACES: usize = 10;
 const STARTS: usize = 3;
+/// Rounds of the estimate's search that are asked for.
+const SLIP_ROUNDS: usize = 3;
 /// Shares of the record that further coarse scans see: shorter ones know fewer slips and have wider cells.
 const PARTS: [f64; 2] = [0.45, 0.7];
 /// Relative gain in squared error below which a search has not improved.
@@ -37,10 +41,14 @@ const AGAIN: u64 = 2;
 /// Shares of the budget that the base has at most, and of what it leaves that the effects' own first looks have.
 const OF_BASE: f64 = 0.4;
 const OF_LOOKS: f64 = 0.5;
+/// Coarse scans of its own that an effect gets at most.
+const OWN_SCANS: usize = 7;
 /// Responses that one such scan computes, about.
 const LOOK: f64 = 500.0;
 /// Effects for which that is worth its while.
-const LIKELY: usize = 4;
+const LIKELY: usize = 3;
+/// Times that these are searched again while one of them gains.
+const MOST_AGAIN: u64 = 4;
 /// Responses that the search for the right slips of one effect computes, about.
 const LOOK_AGAIN: u64 = 30_000;
 /// Error over the floor at which a white base is the answer and the effects need only a glance.
@@ -154,14 +162,16 @@ pub fn base(
             break;
         }
         let seed = work.seed.wrapping_add((1 + round) << 32);
-        let settings = scan::Settings { part: PARTS[round as usize % PARTS.len()], ..scan::FINE };
         let allowed = work.allowed(1);
         let found = work.all(1, |_| {
             let mut search = Search { allowed, ..base.clone() };
-            let structure = search.structure;
-            let (places, count) = coarse_scan(problem, &structure, [0.0; MAX_PARAMS], search.sign, settings, seed);
+            let (mut places, mut count) = search_slips(problem, &search, SLIP_ROUNDS, seed);
+            let settings = scan::Settings { part: PARTS[round as usize % PARTS.len()], ..scan::FINE };
+            let (more, n) = coarse_scan(problem, &search.structure, [0.0; MAX_PARAMS], search.sign, settings, seed);
+            places.extend(more);
+            count += n;
+            local_search(problem, &mut search, &places, &[], &MIDDLE, seed);
             search.evaluations += count;
-            local_search(problem, &mut search, &places, &[], &WIDE, seed);
             search
         });
         let Some(better) = found.into_iter().next() else { break };
@@ -189,7 +199,13 @@ fn base_once(problem: &Problem, law: Option<Law>, work: &mut Work<'_>) -> Option
         let mut search = search(structure, signs[sign], vec![[0.0; MAX_PARAMS]], 1 + i as u64);
         search.allowed = allowed;
         if let Some((thetas, _)) = scanned.get(sign) {
-            local_search(problem, &mut search, thetas, &[], &WIDE, seed);
+            // The one begins where the search of the estimate ends, the other where the coarse scan does.
+            let from_slips = i % 2 == 0 && law.is_some();
+            let (own, count) =
+                if from_slips { search_slips(problem, &search, SLIP_ROUNDS, seed) } else { (Vec::new(), 0) };
+            let effort = if from_slips { &NARROW } else { &WIDE };
+            local_search(problem, &mut search, if from_slips { &own } else { thetas }, &[], effort, seed);
+            search.evaluations += count;
         }
         search
     });
@@ -278,16 +294,21 @@ pub fn run(
         let own =
             work.all(searches.len(), |i| own_look(problem, &searches[i], &thetas, if calm { 0 } else { each }, seed));
         work.done += own.iter().map(|(_, n)| n).sum::<u64>();
-        let effort = if calm { &NARROW } else { &MIDDLE };
+        let effort = if calm { &NARROW } else { &FIRST };
         let own = |i: usize| own.get(i).map_or(&[][..], |(thetas, _)| thetas);
         share(problem, &mut searches, effort, work, &|_| from.clone(), &own);
     }
-    for round in 0..SHARED_ROUNDS as u64 {
-        if calm || !work.goes_on() {
-            break;
+    for round in 0..if calm { 0 } else { SHARED_ROUNDS as u64 } {
+        let mut gains = false;
+        for again in 0..MOST_AGAIN {
+            let found = work.goes_on() && look_again(problem, &mut searches, floor, MOST_AGAIN * round + again, work);
+            gains |= found;
+            if !found {
+                break;
+            }
         }
-        let found = round < AGAIN && look_again(problem, &mut searches, floor, round, work);
-        if !cross_pollinate(problem, &mut base, &mut searches, work) && !found {
+        if !work.goes_on() || round > 0 && !gains || !cross_pollinate(problem, &mut base, &mut searches, work) && !gains
+        {
             break;
         }
     }
@@ -345,9 +366,11 @@ fn look_again(problem: &Problem, searches: &mut [Search], floor: Option<f64>, ro
     let settings = scan::Settings { part: PARTS[round as usize % PARTS.len()], ..scan::FINE };
     go_on(searches, &order, work, &|search| {
         let Some(p) = search.best.first().map(|b| b.theta.p).or(search.starts.first().copied()) else { return };
-        let (places, count) = coarse_scan(problem, &search.structure, p, search.sign, settings, seed);
-        local_search(problem, search, &[], &places, &WIDE, seed);
-        search.evaluations += count;
+        let (mut places, count) = coarse_scan(problem, &search.structure, p, search.sign, settings, seed);
+        let (more, n) = search_slips(problem, search, SLIP_ROUNDS, seed);
+        places.extend(more);
+        local_search(problem, search, &[], &places, &MIDDLE, seed);
+        search.evaluations += count + n;
     })
 }
 
@@ -404,10 +427,16 @@ fn own_look(
         return with_own_clues(problem, search, looked);
     }
     // Evenly from all of them, where there is no time for each.
-    let every = search.starts.len().div_ceil(most);
+    let every = search.starts.len().div_ceil(most.min(OWN_SCANS));
     for (i, p) in search.starts.iter().enumerate().step_by(every.max(1)) {
         let plan = search.structure.plan_of(p);
-        if !looks(&plan, &search.structure) {
+        if plan.class() != Class::First && i == 0 {
+            // Another process is looked for by the search that knows it, once.
+            let (found, n) = search_slips(problem, search, SLIP_ROUNDS, seed);
+            thetas.extend(found);
+            count += n;
+        }
+        if !looks(&plan, &search.structure) || plan.class() != Class::First {
             continue;
         }
         let (found, n) = coarse_scan(problem, &search.structure, *p, search.sign, scan::ROUGH, seed + i as u64);

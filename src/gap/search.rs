@@ -66,14 +66,16 @@ pub struct Effort {
     pub scans: usize,
 }
 
-/// For the base, and for an effect that may be the cause.
-pub const WIDE: Effort = Effort { moves: [(12, 60), (4, 160)], plain: [(14, 60), (6, 160), (3, 400)], scans: 2 };
+/// For the base.
+pub const WIDE: Effort = Effort { moves: [(12, 60), (4, 160)], plain: [(14, 60), (6, 160), (3, 400)], scans: 0 };
+/// For an effect that may be the cause.
+pub const MIDDLE: Effort = Effort { moves: [(8, 40), (3, 100)], plain: [(8, 50), (4, 120), (2, 240)], scans: 1 };
 /// Every effect's first.
-pub const MIDDLE: Effort = Effort { moves: [(6, 40), (2, 80)], plain: [(8, 50), (3, 120), (1, 240)], scans: 2 };
+pub const FIRST: Effort = Effort { moves: [(5, 30), (2, 50)], plain: [(6, 30), (2, 80), (1, 120)], scans: 1 };
 /// From candidates that another search has found.
-pub const NARROW: Effort = Effort { moves: [(2, 30), (1, 60)], plain: [(4, 50), (2, 120), (1, 200)], scans: 0 };
+pub const NARROW: Effort = Effort { moves: [(2, 30), (1, 60)], plain: [(4, 40), (2, 100), (1, 150)], scans: 0 };
 /// From what the other searches have found.
-pub const SMALL: Effort = Effort { moves: [(2, 20), (1, 30)], plain: [(3, 40), (1, 100), (1, 100)], scans: 0 };
+pub const SMALL: Effort = Effort { moves: [(2, 20), (1, 30)], plain: [(3, 30), (1, 60), (1, 80)], scans: 0 };
 
 /// Evaluates all of `thetas` with all starts of a search, and `own` as they are, then improves the best; each way in which
 /// the effect may act by itself, since the steps of one lead nowhere in another.
@@ -144,6 +146,9 @@ fn search_form(
     effort: &Effort,
     rng: &mut ChaCha8Rng,
 ) -> Vec<Candidate> {
+    // The plain pass costs ten times as much.
+    let plain = from.first().is_some_and(|theta| structure.plan(theta).level != 0.0);
+    let share = |steps: usize| if plain { steps / 3 } else { steps };
     let mut pools: [Vec<Candidate>; 2] = [Vec::new(), Vec::new()];
     for theta in from.iter().flat_map(|theta| fitted_to(structure, *theta, evaluator.problem)) {
         for (pool, view) in pools.iter_mut().zip(View::ALL) {
@@ -156,7 +161,7 @@ fn search_form(
     let mut found: Vec<Candidate> =
         chosen.into_iter().filter_map(|c| evaluator.fit(structure, &c.theta, View::Moves, FAR)).collect();
     for (count, steps) in [(wide, few), (narrow, some)] {
-        found = climbs(evaluator, structure, apart(found, count), View::Moves, steps, rng);
+        found = climbs(evaluator, structure, apart(found, count), View::Moves, share(steps), rng);
     }
     let mut held: Vec<Candidate> = Vec::new();
     held.extend(found.iter().filter_map(|c| evaluator.fit(structure, &c.theta, View::Plain, NEAR)));
@@ -168,7 +173,7 @@ fn search_form(
             let far = scans(evaluator, structure, &held[..effort.scans.min(held.len())], rng);
             held.extend(far);
         }
-        held = climbs(evaluator, structure, apart(held.clone(), count), View::Plain, steps, rng)
+        held = climbs(evaluator, structure, apart(held.clone(), count), View::Plain, share(steps), rng)
             .into_iter()
             .chain(held)
             .collect();

@@ -13,6 +13,9 @@ use crate::sim::slips::{FirstSlip, Law, Stroke};
 /// Most parameters that a structure's effects have together.
 pub const MAX_PARAMS: usize = 6;
 
+/// Stairs of a drifting gain: so few steps make a valve signal of it, and each is a small share of what any noise hides.
+const STAIRS: usize = 500;
+
 /// A gain that goes from one value to another over the record.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Drift {
@@ -23,12 +26,15 @@ pub struct Drift {
 }
 
 impl Drift {
-    /// At each of `n` points the gain over that in the middle, less 1, over the change: from about -1/2 to 1/2.
+    /// At each of `n` points the gain over that in the middle, less 1, over the change: from about -1/2 to 1/2, held for a
+    /// [`STAIRS`]th of the record.
     pub fn course(self, n: usize) -> impl Iterator<Item = f64> {
         let by_factor = self.by_factor && self.change.abs() > 1e-6;
         let exponent = 2.0 * libm::asinh(0.5 * self.change);
+        let stair = n.div_ceil(STAIRS).max(1);
         (0..n).map(move |k| {
-            let late = k as f64 / n as f64 - 0.5;
+            let middle = (k / stair * stair) as f64 + 0.5 * (stair - 1) as f64;
+            let late = middle / n as f64 - 0.5;
             if by_factor { libm::expm1(exponent * late) / self.change } else { late }
         })
     }

@@ -9,7 +9,7 @@ pub const EFFECT: Effect = Effect {
     way: Way::Simulated,
     params: &[Param { name: "alpha", unit: Unit::One, reach: Reach::Jumps, limits: |_| [-0.7, 0.7] }],
     enter: |p, plan| plan.stroke.uneven = p[0],
-    starts: |_| [0.1, 0.2, 0.3, 0.4, 0.5, 0.6].into_iter().flat_map(|a| [[a, 0.0, 0.0], [-a, 0.0, 0.0]]).collect(),
+    starts: |_| [0.0, 0.12, -0.12, 0.28, -0.28, 0.5, -0.5].map(|a| [a, 0.0, 0.0]).to_vec(),
     linear: nothing,
     margin: MARGIN,
     predictable: true,

@@ -35,9 +35,9 @@ mod tests {
             (EFFECT.enter)(&[0.6, by_factor], &mut plan);
             let drift = plan.drift.unwrap();
             let gain: Vec<f64> = drift.course(1000).map(|x| 1.0 + drift.change * x).collect();
-            assert!((gain[999] - gain[0] - 0.6).abs() < 2e-3 && (gain[500] - 1.0).abs() < 1e-12);
+            assert!((gain[999] - gain[0] - 0.6).abs() < 2e-3 && (gain[500] - 1.0).abs() < 2e-3);
             let [first, second] = [gain[500] / gain[100], gain[900] / gain[500]];
-            assert_eq!((first - second).abs() < 1e-9, by_factor > 0.5);
+            assert_eq!((first - second).abs() < 1e-6, by_factor > 0.5);
             assert!(plan.extras() == 1 && plan.is_linear_in_fd());
         }
     }

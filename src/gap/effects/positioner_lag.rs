@@ -9,7 +9,7 @@ pub const EFFECT: Effect = Effect {
     way: Way::Simulated,
     params: &[lag::<40>(Reach::Path)],
     enter: |p, plan| plan.positioner = libm::exp(p[0]),
-    starts: |clues| lags(clues, &[0.015, 0.04, 0.1, 0.25]),
+    starts: |clues| lags(clues, &[0.003, 0.02, 0.05, 0.11, 0.25]),
     linear: nothing,
     margin: MARGIN,
     predictable: true,
