@@ -255,6 +255,39 @@ impl<'a> Evaluator<'a> {
         Some(self.candidate([s, j], start, fit))
     }
 
+    /// Bands and first slip of the valve signal at hand with the best process, whose start is that of a single lag and whose
+    /// kinetic band `freedom` says.
+    pub fn at_bands(
+        &mut self,
+        view: &mut View,
+        bands: [f64; 2],
+        start: Start,
+        single: &LatticeFit,
+        freedom: &Freedom,
+    ) -> Option<Candidate> {
+        let fit = if self.class == Class::First {
+            let fit = self.at(view, single.places, single.delay, freedom, f64::INFINITY);
+            self.walk(view, fit, freedom, 2, false)
+        } else {
+            let taus = single.places.map(lattice_tau);
+            let starts = self.starts_in(Class::First, self.class, taus, single.lag());
+            let fits = starts.map(|(taus, lag)| {
+                let places = taus.map(|t| lattice_index(t.max(lattice_tau(LEAST_PLACE))));
+                let fit = self.at(view, places, lag.max(0.0) as usize, freedom, f64::INFINITY);
+                self.walk(view, fit, freedom, 4, true)
+            });
+            fits.into_iter().reduce(|a, b| if b.sse < a.sse { b } else { a })?
+        };
+        Some(self.candidate(bands, start, fit))
+    }
+
+    /// Given bands and first slip with the best process near `from`.
+    pub fn met(&mut self, view: &mut View, [s, j]: [f64; 2], start: Start, from: &LatticeFit) -> Option<Candidate> {
+        let freedom = self.slip(s, j, start)?;
+        let fit = self.settle_fit(view, from, &freedom);
+        Some(self.candidate([s, j], start, fit))
+    }
+
     /// A candidate of this class fitted until no step on the lattice helps.
     pub fn settle(&mut self, view: &mut View, from: &Candidate) -> Option<Candidate> {
         self.law = from.law;

@@ -6,7 +6,7 @@ use super::evaluator::Evaluator;
 use super::local_search::LEAST_S;
 use super::settings::ScanSettings;
 use crate::ident::candidate::Start;
-use crate::ident::search::uniform;
+use crate::ident::random::uniform;
 use crate::optim::{Objective, Outcome, Settings, Solver};
 use crate::sim::slips::Law;
 use crate::sim::steps::Step;

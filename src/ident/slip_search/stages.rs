@@ -14,8 +14,8 @@ use crate::ident::choice::ModelChoice;
 use crate::ident::class::Class;
 use crate::ident::evaluator::{View, lattice_index};
 use crate::ident::fit::Freedom;
+use crate::ident::random::generator;
 use crate::ident::residual::{self, Whiteness};
-use crate::ident::search::generator;
 use crate::optim::Solver;
 use crate::sim::slips::Law;
 
