@@ -1,10 +1,9 @@
 //! Screening never changes a verdict: what the gate for calm loops lets go, the whole assessment calls `no_oscillation`.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-mod common;
-
-use common::Draw;
-use common::healthy::{drawn, healthy, settled};
+use crate::common;
+use crate::common::Draw;
+use crate::common::healthy::{drawn, healthy, settled};
 use stictiond::record::Record;
 use stictiond::sim::closed_loop::{ValveLaw, ValveModel};
 use stictiond::sim::disturbance::Disturbance;
