@@ -12,7 +12,7 @@ use std::time::Duration;
 use crossbeam_channel::{Receiver, Sender};
 
 use crate::engine::{GapRequest, LoopId, PublishedGap, SkipReason};
-use crate::gap::Crew;
+use crate::gap::Executor;
 
 /// Requests that may wait; beyond that a person is refused and the daemon's own are skipped.
 pub const QUEUE: usize = 64;
@@ -142,7 +142,7 @@ impl<'a> Gate<'a> {
     }
 }
 
-impl Crew for Gate<'_> {
+impl Executor for Gate<'_> {
     fn run(&self, jobs: usize, job: &(dyn Fn(usize) + Sync)) {
         (0..jobs).for_each(job);
     }
@@ -160,7 +160,7 @@ impl Crew for Gate<'_> {
 #[derive(Debug, Clone, Copy)]
 pub struct Until(pub Option<u64>);
 
-impl Crew for Until {
+impl Executor for Until {
     fn run(&self, jobs: usize, job: &(dyn Fn(usize) + Sync)) {
         (0..jobs).for_each(job);
     }
@@ -192,12 +192,12 @@ mod tests {
         let (busy_from, ticks, stop) = (3, AtomicU32::new(0), AtomicBool::new(false));
         let busy = || ticks.load(Ordering::Relaxed) >= busy_from;
         let gate = Gate::new(&busy, || {}, &stop, 10);
-        let search = |crew: &dyn Crew| {
+        let search = |executor: &dyn Executor| {
             let mut done = 0;
             while done < 1000 {
                 ticks.fetch_add(1, Ordering::Relaxed);
                 done += 100;
-                if !crew.tick(done) {
+                if !executor.tick(done) {
                     break;
                 }
             }

@@ -20,7 +20,7 @@ use crate::detect::oscillation;
 use crate::gap::document::GapDocument;
 use crate::gap::locate::{Subject, locate};
 use crate::gap::model::{self, Model};
-use crate::gap::{self, Ask, Base, Crew, GapError};
+use crate::gap::{self, Ask, Base, Executor, GapError};
 use crate::ident::free_run::{Fixed, free_run};
 use crate::record::Record;
 use crate::signal::stats;
@@ -215,15 +215,15 @@ pub struct GapRequest {
 }
 
 impl GapRequest {
-    /// Computes the answer. Depends on the request and on the evaluations at which `crew` ends it, if it does.
+    /// Computes the answer. Depends on the request and on the evaluations at which `executor` ends it, if it does.
     ///
     /// # Errors
     /// Where the record cannot be diagnosed.
-    pub fn compute(&self, crew: &dyn Crew) -> Result<PublishedGap, GapError> {
+    pub fn compute(&self, executor: &dyn Executor) -> Result<PublishedGap, GapError> {
         let base = self.model.clone().map_or(Base::Refit, |model| Base::Given(Box::new(model)));
         let period_points = oscillation::detect(&self.record.op(), &self.record.pv).map(|o| o.period_points);
         let ask = Ask { base, period_points, budget_evaluations: self.budget_evaluations, ..Ask::default() };
-        let diagnosis = gap::diagnose(&self.record, &ask, crew)?;
+        let diagnosis = gap::diagnose(&self.record, &ask, executor)?;
         let location = locate(&self.record, &Subject::of(&diagnosis, period_points, ask.seed));
         Ok(PublishedGap {
             document: GapDocument::new(&self.loop_name, &self.record, &ask.base, &diagnosis, location),

@@ -1,6 +1,6 @@
 //! The process' answer to a valve signal: lag, second lag or integrator, with a dead time that may change.
 
-use super::plan::Plan;
+use super::structure::Plan;
 use crate::sim::process::{Pole, run_one, series_weights};
 
 /// Points by which an integrator's answer is scaled down, so that it is of the size of its input.
@@ -28,18 +28,6 @@ impl Process<'_> {
     /// Its answer to `v` from rest at its first value.
     pub fn respond(&self, v: &[f64], out: &mut Vec<f64>, work: &mut Vec<f64>) {
         self.at_lag(v, self.whole, self.fraction, out, work);
-        let Some([time, more]) = self.plan.switch else { return };
-        let lag = (self.whole as f64 + self.fraction + more).max(0.0);
-        let mut after = Vec::with_capacity(self.n);
-        self.at_lag(v, lag.floor() as usize, lag - lag.floor(), &mut after, work);
-        // From the change on, the state at the change runs down in the process' own time.
-        let at = (time.max(0.0) as usize).min(self.n.saturating_sub(1));
-        let mut left = out[at] - after[at];
-        let decay = if self.plan.integrating { 1.0 } else { libm::exp(-1.0 / self.tau[0]) };
-        for (o, a) in out[at..].iter_mut().zip(&after[at..]) {
-            *o = a + left;
-            left *= decay;
-        }
     }
 
     /// The process whose gain and time constant grow with its input, `tau dx/dt = -(1 - c v) x + v`, solved exactly over

@@ -11,12 +11,12 @@ use super::next_test::next_test;
 use super::noise;
 use super::pairs;
 use super::probability::Calibration;
-use super::rounds::{self, Found, Work, residual_of};
-use super::scene::{Scene, period_of};
+use super::problem::{Problem, period_of};
+use super::schedule::{self, Found, Work, residual_of};
 use super::signatures::{self, Traces};
 use super::stages;
 use super::types::{
-    Ask, Base, Crew, Diagnosis, EffectResult, Fit, Floor, Forward, GapError, NONE, Predictions, UNKNOWN,
+    Ask, Base, Diagnosis, EffectResult, Executor, Fit, Floor, Forward, GapError, NONE, Predictions, UNKNOWN,
 };
 use super::weigh::Scales;
 use crate::ident::controller;
@@ -54,40 +54,40 @@ pub(super) fn check(record: &Record, ask: &Ask) -> Result<(), GapError> {
 ///
 /// # Errors
 /// Where the record is too short, a signal never moves, an id is unknown or a given model cannot be simulated.
-pub fn diagnose(record: &Record, ask: &Ask, crew: &dyn Crew) -> Result<Diagnosis, GapError> {
+pub fn diagnose(record: &Record, ask: &Ask, executor: &dyn Executor) -> Result<Diagnosis, GapError> {
     check(record, ask)?;
     if let Base::Given(model) = &ask.base {
         given::check(model)?;
     }
     let period = ask.period_points.unwrap_or_else(|| period_of(record).0);
     let traces = signatures::traces(record, period, &ask.without);
-    let scene = Scene::new(record, Some(period), ask.seed, traces.masked.clone());
+    let problem = Problem::new(record, Some(period), ask.seed, traces.masked.clone());
     let straight = traces.signatures.iter().any(|s| s.id == "swinging_door" && s.met);
     let mut floor = noise::floor(&record.pv, straight);
     let law = if ask.base == Base::Linear { None } else { Some(Law::He) };
     let budget = ask.budget_evaluations;
-    let mut work = Work { crew, budget, done: 0, stopped: false, spent: false, seed: ask.seed, asked: None };
-    let mut found = rounds::run(&scene, law, &ask.without, floor.noise_floor, &mut work)
+    let mut work = Work { executor, budget, done: 0, stopped: false, spent: false, seed: ask.seed, asked: None };
+    let mut found = schedule::run(&problem, law, &ask.without, floor.noise_floor, &mut work)
         .ok_or(GapError::NoBase { points: record.len(), evaluations: work.done })?;
     let no_base = GapError::NoBase { points: record.len(), evaluations: work.done };
-    let base = fit(&scene, &found.base, floor.noise_floor, &|_| {}).ok_or(no_base)?;
-    check_floor(&scene, &found, &mut floor);
+    let base = fit(&problem, &found.base, floor.noise_floor, &|_| {}).ok_or(no_base)?;
+    check_floor(&problem, &found, &mut floor);
     let given = match &ask.base {
-        Base::Given(model) => Some(given::simulate(&scene, model, floor.noise_floor)?),
+        Base::Given(model) => Some(given::simulate(&problem, model, floor.noise_floor)?),
         _ => None,
     };
     work.begin(budget);
-    let seen = stages::look(record, &scene, base.rmse_train, &ask.without, &mut work);
-    let effects = weigh(&scene, &found, &base, &traces, &floor, ask);
-    let basis = basis(record, &scene, &found, &base, &traces, &seen, &floor, ask);
+    let seen = stages::look(record, &problem, base.rmse_train, &ask.without, &mut work);
+    let effects = weigh(&problem, &found, &base, &traces, &floor, ask);
+    let basis = basis(record, &problem, &found, &base, &traces, &seen, &floor, ask);
     let nothing = decide::decide(&Evidence::new(&basis, &[], None), &[], Calibration::shipped());
     let mut made = Diagnosis {
-        relative_gap: base.gap / scene.deviation,
+        relative_gap: base.gap / problem.deviation,
         predictions: Predictions {
             pv_base: Vec::new(),
             pv_after: Vec::new(),
-            held_out: scene.blocks.held_out.clone(),
-            masked: scene.blocks.masked.clone(),
+            held_out: problem.blocks.held_out.clone(),
+            masked: problem.blocks.masked.clone(),
         },
         model_after: base.model.clone(),
         base,
@@ -101,7 +101,7 @@ pub fn diagnose(record: &Record, ask: &Ask, crew: &dyn Crew) -> Result<Diagnosis
         evaluations: 0,
         stopped_early: false,
         floor,
-        blocks: scene.blocks.clone(),
+        blocks: problem.blocks.clone(),
         signatures: traces.signatures.clone(),
         noise_models: basis.noise,
         stages: seen.map(|s| s.stages),
@@ -111,44 +111,45 @@ pub fn diagnose(record: &Record, ask: &Ask, crew: &dyn Crew) -> Result<Diagnosis
     let mut pair_lanes = Vec::new();
     if ask.pairs {
         work.begin(budget);
-        let scales = scales(&scene, &found, &made.base, &traces, &made.floor, ask.seed);
-        (made.pairs, pair_lanes) = pairs::run(&scene, &found, &scales, &mut work);
+        let scales = scales(&problem, &found, &made.base, &traces, &made.floor, ask.seed);
+        (made.pairs, pair_lanes) = pairs::run(&problem, &found, &scales, &mut work);
     }
     made.settle(&[]);
-    found.lanes.extend(pair_lanes);
-    made.forward = run_forward(&scene, &found, &made, &mut work);
+    found.searches.extend(pair_lanes);
+    made.forward = run_forward(&problem, &found, &made, &mut work);
     made.confirm();
-    made.next_test = next_test(&scene, &found, &made);
+    made.next_test = next_test(&problem, &found, &made);
     made.evaluations = work.done;
     made.stopped_early = work.stopped || work.spent;
     Ok(made)
 }
 
 fn scales<'a>(
-    scene: &'a Scene,
+    problem: &'a Problem,
     found: &'a Found,
     base: &'a Fit,
     traces: &'a Traces,
     floor: &'a Floor,
     seed: u64,
 ) -> Scales<'a> {
-    Scales { scene, floor, base, lane: &found.base, traces, seed }
+    Scales { problem, floor, base, search: &found.base, traces, seed }
 }
 
 /// The best residual's high band beside the floor that was read from PV alone.
-fn check_floor(scene: &Scene, found: &Found, floor: &mut Floor) {
-    let best = found.lanes.iter().chain([&found.base]).min_by(|a, b| a.sse().total_cmp(&b.sse()));
-    let left = best.and_then(|lane| residual_of(scene, lane));
-    let sd = left.and_then(|r| noise::high_band(&r, &scene.train));
-    floor.high_band_sd = sd.map(|s| s * scene.deviation);
+fn check_floor(problem: &Problem, found: &Found, floor: &mut Floor) {
+    let best = found.searches.iter().chain([&found.base]).min_by(|a, b| a.sse().total_cmp(&b.sse()));
+    let left = best.and_then(|search| residual_of(problem, search));
+    let sd = left.and_then(|r| noise::high_band(&r, &problem.train));
+    floor.high_band_sd = sd.map(|s| s * problem.deviation);
 }
 
 /// Every effect of the catalogue, weighed.
-fn weigh(scene: &Scene, found: &Found, base: &Fit, traces: &Traces, floor: &Floor, ask: &Ask) -> Vec<EffectResult> {
-    let scales = scales(scene, found, base, traces, floor, ask.seed);
-    let mut out: Vec<EffectResult> = found.lanes.iter().filter_map(|lane| scales.weigh(lane)).collect();
-    let left = residual_of(scene, &found.base);
-    let one_step = left.and_then(|r| noise::autoregression(&r, &scene.train)).map(|a| a.mse.sqrt() * scene.deviation);
+fn weigh(problem: &Problem, found: &Found, base: &Fit, traces: &Traces, floor: &Floor, ask: &Ask) -> Vec<EffectResult> {
+    let scales = scales(problem, found, base, traces, floor, ask.seed);
+    let mut out: Vec<EffectResult> = found.searches.iter().filter_map(|search| scales.weigh(search)).collect();
+    let left = residual_of(problem, &found.base);
+    let one_step =
+        left.and_then(|r| noise::autoregression(&r, &problem.train)).map(|a| a.mse.sqrt() * problem.deviation);
     let asked = |e: &&effects::Effect| !ask.without.iter().any(|w| w == e.id);
     for effect in effects::ALL.into_iter().filter(asked) {
         let floor_after = match effect.id {
@@ -168,7 +169,7 @@ fn weigh(scene: &Scene, found: &Found, base: &Fit, traces: &Traces, floor: &Floo
 #[allow(clippy::too_many_arguments)] // everything that was found
 fn basis(
     record: &Record,
-    scene: &Scene,
+    problem: &Problem,
     found: &Found,
     base: &Fit,
     traces: &Traces,
@@ -176,20 +177,20 @@ fn basis(
     floor: &Floor,
     ask: &Ask,
 ) -> Basis {
-    let nothing = || vec![0.0; scene.n()];
-    let of_base = residual_of(scene, &found.base).unwrap_or_else(nothing);
-    let best = found.lanes.iter().min_by(|a, b| a.sse().total_cmp(&b.sse()));
-    let of_best = best.and_then(|lane| residual_of(scene, lane)).unwrap_or_else(nothing);
-    let after = (base.dead_time_s + base.time_constants_s.first().copied().unwrap_or(0.0)) / scene.point_s;
-    let mut slipped = vec![false; scene.n()];
+    let nothing = || vec![0.0; problem.n()];
+    let of_base = residual_of(problem, &found.base).unwrap_or_else(nothing);
+    let best = found.searches.iter().min_by(|a, b| a.sse().total_cmp(&b.sse()));
+    let of_best = best.and_then(|search| residual_of(problem, search)).unwrap_or_else(nothing);
+    let after = (base.dead_time_s + base.time_constants_s.first().copied().unwrap_or(0.0)) / problem.point_s;
+    let mut slipped = vec![false; problem.n()];
     for slip in &base.slips {
-        let end = (slip.point + after.ceil() as usize + 1).min(scene.n());
+        let end = (slip.point + after.ceil() as usize + 1).min(problem.n());
         slipped[slip.point..end].fill(true);
     }
     let mut strongest: Vec<_> = traces.signatures.iter().filter(|s| s.met).collect();
     strongest.sort_by(|a, b| (b.value / b.threshold).total_cmp(&(a.value / a.threshold)));
     let reading = controller::read_within(record, LAGS);
-    let skew = reading.map(|r| r.lag_samples / scene.box_samples).filter(|l| {
+    let skew = reading.map(|r| r.lag_samples / problem.box_samples).filter(|l| {
         let [low, high] = USUAL_LAGS;
         *l < low || *l > high
     });
@@ -197,28 +198,28 @@ fn basis(
     Basis {
         traces: strongest.iter().filter(|s| !left_out(s.id)).map(|s| s.id.to_owned()).collect(),
         skew: skew.filter(|_| !left_out("time_skew")),
-        noise: noise::judge(scene, &of_base, &of_best, &slipped, ask.seed),
+        noise: noise::judge(problem, &of_base, &of_best, &slipped, ask.seed),
         coloured_noise: !left_out("coloured_noise"),
         by_mv: seen.as_ref().map(|s| s.stages.stage).filter(|_| !base.at_floor),
         on_mv: seen.as_ref().map(|s| s.ranked.clone()).unwrap_or_default(),
         base_at_floor: base.at_floor,
         base: Left::of(base, floor.noise_floor),
-        excited: excited(record, scene),
+        excited: excited(record, problem),
         linear: ask.base == Base::Linear,
     }
 }
 
 /// Whether the record holds more than one repeated swing: the set point moves, or OP's turns differ in size.
-fn excited(record: &Record, scene: &Scene) -> bool {
-    let moves = record.sp.as_ref().is_some_and(|sp| stats::std_dev(sp) > 0.05 * scene.deviation);
-    moves || !scene.oscillates
+fn excited(record: &Record, problem: &Problem) -> bool {
+    let moves = record.sp.as_ref().is_some_and(|sp| stats::std_dev(sp) > 0.05 * problem.deviation);
+    moves || !problem.oscillates
 }
 
 /// Base and cause fitted to the first part alone.
-fn run_forward(scene: &Scene, found: &Found, made: &Diagnosis, work: &mut Work<'_>) -> Option<Forward> {
-    let lane = found.lanes.iter().find(|l| l.recipe.id() == made.cause.id);
-    let (Some(lane), false) = (lane, work.stopped) else { return None };
-    forward(scene, &found.base, lane, made.floor.noise_floor, work)
+fn run_forward(problem: &Problem, found: &Found, made: &Diagnosis, work: &mut Work<'_>) -> Option<Forward> {
+    let search = found.searches.iter().find(|l| l.structure.id() == made.cause.id);
+    let (Some(search), false) = (search, work.stopped) else { return None };
+    forward(problem, &found.base, search, made.floor.noise_floor, work)
 }
 
 impl Diagnosis {

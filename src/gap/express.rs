@@ -1,12 +1,12 @@
 //! From the search's normalised places to models and fits in recorded units.
 
 use super::answer::INTEGRATOR_SCALE;
-use super::kernel::{Kernel, Scored};
 use super::model::{Added, Model, Process, SCHEMA, Valve};
 use super::noise;
-use super::plan::{Gene, Recipe};
-use super::scene::Scene;
-use super::search::Lane;
+use super::plain::{Candidate, PlainPass};
+use super::problem::Problem;
+use super::search::Search;
+use super::structure::{Parameters, Structure};
 use super::types::{Fit, Parameter, Slip};
 use crate::ident::residual::whiteness;
 use crate::sim::process::separated;
@@ -33,31 +33,31 @@ pub fn above_floor(rmse: f64, floor: Option<f64>) -> f64 {
 }
 
 /// fs and fd in spans: bands in the middle of what the slips and the fitted fd leave open.
-fn bands(of: &Scored) -> [f64; 2] {
-    let (fd, [s_cell, j_cell]) = (of.gene.fd, of.cells);
-    let high_s = s_cell[1].min(of.gene.s.max(1.0));
+fn bands(of: &Candidate) -> [f64; 2] {
+    let (fd, [s_cell, j_cell]) = (of.theta.fd, of.cells);
+    let high_s = s_cell[1].min(of.theta.s.max(1.0));
     let low = s_cell[0].max(j_cell[0] + 2.0 * fd);
     let high = high_s.min(j_cell[1] + 2.0 * fd);
-    let s = if low <= high { 0.5 * (low + high) } else { of.gene.s };
+    let s = if low <= high { 0.5 * (low + high) } else { of.theta.s };
     [s - fd, fd]
 }
 
 /// fs and fd in spans of a stem whose slips hang on both bands at once, so that no rectangle of s and j gives the same:
 /// of places between the slips found and the fd fitted, the one whose model, where `j = s - 2 fd`, leaves least.
-fn tied_bands(scene: &Scene, recipe: &Recipe, of: &Scored) -> [f64; 2] {
-    let mut kernel = Kernel::new(scene, of.linear.gain.signum());
-    let slips_fd = 0.5 * (of.gene.s - of.gene.j);
+fn tied_bands(problem: &Problem, structure: &Structure, of: &Candidate) -> [f64; 2] {
+    let mut pass = PlainPass::new(problem, of.linear.gain.signum());
+    let slips_fd = 0.5 * (of.theta.s - of.theta.j);
     let [fs, fd] = bands(of);
     let mut places = vec![[fs + fd, fd]];
     for k in 0..=STEPS {
-        let fd = of.gene.fd + (slips_fd - of.gene.fd) * f64::from(k) / f64::from(STEPS);
-        let by_j = of.gene.j + 2.0 * fd;
-        places.extend([of.gene.s, by_j, 0.5 * (of.gene.s + by_j)].map(|s| [s, fd]));
+        let fd = of.theta.fd + (slips_fd - of.theta.fd) * f64::from(k) / f64::from(STEPS);
+        let by_j = of.theta.j + 2.0 * fd;
+        places.extend([of.theta.s, by_j, 0.5 * (of.theta.s + by_j)].map(|s| [s, fd]));
     }
     let mut best = (f64::INFINITY, [fs, fd]);
     for [s, fd] in places.into_iter().filter(|[s, fd]| *s > 0.0 && *s >= 2.0 * fd) {
-        let gene = Gene { s, j: s - 2.0 * fd, fd, ..of.gene };
-        let left = kernel.held(recipe, &gene, of.linear.gain).map_or(f64::INFINITY, |held| held.sse);
+        let theta = Parameters { s, j: s - 2.0 * fd, fd, ..of.theta };
+        let left = pass.held(structure, &theta, of.linear.gain).map_or(f64::INFINITY, |held| held.sse);
         if left < best.0 {
             best = (left, [s - fd, fd]);
         }
@@ -67,12 +67,12 @@ fn tied_bands(scene: &Scene, recipe: &Recipe, of: &Scored) -> [f64; 2] {
 
 /// The model of a place.
 #[must_use]
-pub fn model(scene: &Scene, recipe: &Recipe, of: &Scored) -> Model {
-    let plan = recipe.plan(&of.gene);
-    let per_op = scene.deviation / scene.span;
+pub fn model(problem: &Problem, structure: &Structure, of: &Candidate) -> Model {
+    let plan = structure.plan(&of.theta);
+    let per_op = problem.deviation / problem.span;
     let total = if plan.zero { of.linear.gain + of.linear.others[of.linear.count - 1] } else { of.linear.gain };
-    let gain = if plan.integrating { total * per_op / INTEGRATOR_SCALE / scene.point_s } else { total * per_op };
-    let tau = libm::exp(of.gene.log_tau);
+    let gain = if plan.integrating { total * per_op / INTEGRATOR_SCALE / problem.point_s } else { total * per_op };
+    let tau = libm::exp(of.theta.log_tau);
     let time_constants = match (plan.integrating, plan.tau2 > 0.0) {
         (true, _) => vec![],
         (false, true) => {
@@ -84,7 +84,7 @@ pub fn model(scene: &Scene, recipe: &Recipe, of: &Scored) -> Model {
     let is_tied = plan.stroke.uneven != 0.0 || plan.stroke.carried != 0.0;
     let [fs, fd] = match plan.law {
         None => [0.0; 2],
-        Some(_) if is_tied => tied_bands(scene, recipe, of),
+        Some(_) if is_tied => tied_bands(problem, structure, of),
         Some(_) => bands(of),
     };
     let law = match plan.law {
@@ -92,30 +92,30 @@ pub fn model(scene: &Scene, recipe: &Recipe, of: &Scored) -> Model {
         Some(Law::He) => "he",
         Some(Law::Tracking) => "tracking",
     };
-    let stem0 = of.gene.first.threshold - of.gene.first.direction * fs;
-    let ts_s = scene.point_s / scene.box_samples;
+    let stem0 = of.theta.first.threshold - of.theta.first.direction * fs;
+    let ts_s = problem.point_s / problem.box_samples;
     Model {
         schema: SCHEMA.to_owned(),
         ts_s,
         valve: Valve {
             law: law.to_owned(),
-            fs: fs * scene.span,
-            fd: fd * scene.span,
-            stem0: plan.law.map(|_| stem0 * scene.span + scene.op_middle),
+            fs: fs * problem.span,
+            fd: fd * problem.span,
+            stem0: plan.law.map(|_| stem0 * problem.span + problem.op_middle),
         },
         process: Process {
             gain,
-            time_constants_s: time_constants.iter().map(|t| t * scene.point_s).collect(),
-            dead_time_s: (of.gene.lag * scene.box_samples - 1.0).max(0.0) * ts_s,
+            time_constants_s: time_constants.iter().map(|t| t * problem.point_s).collect(),
+            dead_time_s: (of.theta.lag * problem.box_samples - 1.0).max(0.0) * ts_s,
             integrating: plan.integrating,
-            op: scene.op_middle,
-            pv: scene.pv_mean + of.linear.others[0] * scene.deviation,
+            op: problem.op_middle,
+            pv: problem.pv_mean + of.linear.others[0] * problem.deviation,
         },
-        effects: recipe
+        effects: structure
             .each()
             .map(|e| Added {
                 id: e.id.to_owned(),
-                parameters: parameters_of(scene, recipe, of, e.id)
+                parameters: parameters_of(problem, structure, of, e.id)
                     .into_iter()
                     .map(|p| (p.name.to_owned(), p.value))
                     .collect(),
@@ -124,46 +124,46 @@ pub fn model(scene: &Scene, recipe: &Recipe, of: &Scored) -> Model {
     }
 }
 
-/// The parameters of one of a recipe's effects, in recorded units.
-fn parameters_of(scene: &Scene, recipe: &Recipe, of: &Scored, id: &str) -> Vec<Parameter> {
-    let plan = recipe.plan(&of.gene);
+/// The parameters of one of a structure's effects, in recorded units.
+fn parameters_of(problem: &Problem, structure: &Structure, of: &Candidate, id: &str) -> Vec<Parameter> {
+    let plan = structure.plan(&of.theta);
     let mut at = 0;
-    for effect in recipe.each() {
-        let values = &of.gene.p[at..];
+    for effect in structure.each() {
+        let values = &of.theta.p[at..];
         if effect.id == id {
-            let own = effect.params.iter().zip(values).filter_map(|(p, v)| p.recorded(*v, scene));
-            return own.chain((effect.linear)(values, &plan, of, scene)).collect();
+            let own = effect.params.iter().zip(values).filter_map(|(p, v)| p.recorded(*v, problem));
+            return own.chain((effect.linear)(values, &plan, of, problem)).collect();
         }
         at += effect.params.len();
     }
     Vec::new()
 }
 
-/// The parameters of all of a recipe's effects.
+/// The parameters of all of a structure's effects.
 #[must_use]
-pub fn parameters(scene: &Scene, recipe: &Recipe, of: &Scored) -> Vec<Parameter> {
-    recipe.each().flat_map(|e| parameters_of(scene, recipe, of, e.id)).collect()
+pub fn parameters(problem: &Problem, structure: &Structure, of: &Candidate) -> Vec<Parameter> {
+    structure.each().flat_map(|e| parameters_of(problem, structure, of, e.id)).collect()
 }
 
-/// The fit of a lane's best place; `after` is applied to the prediction (what a recorder does to PV).
+/// The fit of a search's best place; `after` is applied to the prediction (what a recorder does to PV).
 #[must_use]
-pub fn fit(scene: &Scene, lane: &Lane, floor: Option<f64>, after: &dyn Fn(&mut [f64])) -> Option<Fit> {
-    let best = lane.best.first()?;
-    let mut kernel = Kernel::new(scene, lane.sign);
-    let (mut prediction, valve) = kernel.simulate(&lane.recipe, best)?;
+pub fn fit(problem: &Problem, search: &Search, floor: Option<f64>, after: &dyn Fn(&mut [f64])) -> Option<Fit> {
+    let best = search.best.first()?;
+    let mut pass = PlainPass::new(problem, search.sign);
+    let (mut prediction, valve) = pass.simulate(&search.structure, best)?;
     for p in &mut prediction {
-        *p = *p * scene.deviation + scene.pv_mean;
+        *p = *p * problem.deviation + problem.pv_mean;
     }
     after(&mut prediction);
     let residual: Vec<f64> =
-        prediction.iter().zip(&scene.question.pv).map(|(p, y)| y * scene.deviation + scene.pv_mean - p).collect();
-    let errors = Errors::of(scene, &residual);
-    let model = model(scene, &lane.recipe, best);
-    let valve: Vec<f64> = valve.iter().map(|v| v * scene.span + scene.op_middle).collect();
-    let plan = lane.recipe.plan(&best.gene);
+        prediction.iter().zip(&problem.question.pv).map(|(p, y)| y * problem.deviation + problem.pv_mean - p).collect();
+    let errors = Errors::of(problem, &residual);
+    let model = model(problem, &search.structure, best);
+    let valve: Vec<f64> = valve.iter().map(|v| v * problem.span + problem.op_middle).collect();
+    let plan = search.structure.plan(&best.theta);
     Some(Fit {
-        id: lane.recipe.id(),
-        slips: if plan.law.is_some() { slips(&valve, 1e-6 * scene.span) } else { Vec::new() },
+        id: search.structure.id(),
+        slips: if plan.law.is_some() { slips(&valve, 1e-6 * problem.span) } else { Vec::new() },
         dead_time_s: model.process.dead_time_s,
         time_constants_s: model.process.time_constants_s.clone(),
         model,
@@ -172,8 +172,8 @@ pub fn fit(scene: &Scene, lane: &Lane, floor: Option<f64>, after: &dyn Fn(&mut [
         rmse_train: errors.train,
         rmse: errors.test,
         gap: above_floor(errors.test, floor),
-        parameters: lane.recipe.freedom(&plan),
-        evaluations: lane.evaluations,
+        parameters: search.structure.freedom(&plan),
+        evaluations: search.evaluations,
         at_floor: errors.at_floor(floor),
         colour: errors.colour,
         with_op: errors.with_op,
@@ -196,15 +196,15 @@ pub struct Errors {
 impl Errors {
     /// Of a residual over the whole record, PV units.
     #[must_use]
-    pub fn of(scene: &Scene, residual: &[f64]) -> Self {
-        let train = rms(residual, &scene.train);
-        let one_step = noise::autoregression(residual, &scene.train).map_or(train * train, |a| a.mse);
-        let from = scene.blocks.from;
+    pub fn of(problem: &Problem, residual: &[f64]) -> Self {
+        let train = rms(residual, &problem.train);
+        let one_step = noise::autoregression(residual, &problem.train).map_or(train * train, |a| a.mse);
+        let from = problem.blocks.from;
         Self {
             train,
-            test: rms(residual, &scene.test),
+            test: rms(residual, &problem.test),
             colour: libm::log((train * train).max(1e-300)) - libm::log(one_step.max(1e-300)),
-            with_op: whiteness(&residual[from..], &scene.question.mean[from..]).cross,
+            with_op: whiteness(&residual[from..], &problem.question.mean[from..]).cross,
         }
     }
 

@@ -4,10 +4,10 @@
 use super::answer::INTEGRATOR_SCALE;
 use super::effects::{self, Effect, Param, Unit};
 use super::express::{Errors, above_floor, slips};
-use super::kernel::{Kernel, Scored};
 use super::model::{Added, Model, ModelError};
-use super::plan::{Gene, MAX_PARAMS, Recipe};
-use super::scene::Scene;
+use super::plain::{Candidate, PlainPass};
+use super::problem::Problem;
+use super::structure::{MAX_PARAMS, Parameters, Structure};
 use super::types::Fit;
 use crate::sim::slips::{FirstSlip, Law};
 
@@ -24,39 +24,39 @@ const BARE: [&str; 3] = ["extra_lag", "sliding_valve", "slip_overshoot"];
 /// Where a number or word of the model is out of range.
 pub fn check(model: &Model) -> Result<(), ModelError> {
     model.check()?;
-    recipe(model).map(|_| ())
+    structure(model).map(|_| ())
 }
 
 /// The model's free run and what it leaves.
 ///
 /// # Errors
 /// Where a number or word of the model is out of range, or nothing moves its stem.
-pub fn simulate(scene: &Scene, model: &Model, floor: Option<f64>) -> Result<Fit, ModelError> {
+pub fn simulate(problem: &Problem, model: &Model, floor: Option<f64>) -> Result<Fit, ModelError> {
     model.check()?;
-    let recipe = recipe(model)?;
-    let gene = gene(scene, model, &recipe);
-    let integrating = if model.process.integrating { INTEGRATOR_SCALE * scene.point_s } else { 1.0 };
-    let gain = model.process.gain * scene.span / scene.deviation * integrating;
-    let mut kernel = Kernel::new(scene, gain.signum());
-    let mut best: Option<Scored> = None;
-    for first in firsts(scene, model, &gene) {
-        let mut place = gene;
+    let structure = structure(model)?;
+    let theta = theta(problem, model, &structure);
+    let integrating = if model.process.integrating { INTEGRATOR_SCALE * problem.point_s } else { 1.0 };
+    let gain = model.process.gain * problem.span / problem.deviation * integrating;
+    let mut pass = PlainPass::new(problem, gain.signum());
+    let mut best: Option<Candidate> = None;
+    for first in firsts(problem, model, &theta) {
+        let mut place = theta;
         place.first = first;
-        let held = kernel.held(&recipe, &place, gain);
+        let held = pass.held(&structure, &place, gain);
         best = held.filter(|h| best.is_none_or(|b| h.sse < b.sse)).or(best);
     }
     let stuck = ModelError::Range { name: "fs", value: model.valve.fs, want: "small enough for OP to move the stem" };
     let best = best.ok_or(stuck.clone())?;
-    let (prediction, valve) = kernel.simulate(&recipe, &best).ok_or(stuck)?;
-    let prediction: Vec<f64> = prediction.iter().map(|p| p * scene.deviation + scene.pv_mean).collect();
+    let (prediction, valve) = pass.simulate(&structure, &best).ok_or(stuck)?;
+    let prediction: Vec<f64> = prediction.iter().map(|p| p * problem.deviation + problem.pv_mean).collect();
     let residual: Vec<f64> =
-        scene.question.pv.iter().zip(&prediction).map(|(y, p)| y * scene.deviation + scene.pv_mean - p).collect();
-    let errors = Errors::of(scene, &residual);
-    let valve: Vec<f64> = valve.iter().map(|v| v * scene.span + scene.op_middle).collect();
+        problem.question.pv.iter().zip(&prediction).map(|(y, p)| y * problem.deviation + problem.pv_mean - p).collect();
+    let errors = Errors::of(problem, &residual);
+    let valve: Vec<f64> = valve.iter().map(|v| v * problem.span + problem.op_middle).collect();
     Ok(Fit {
         id: "given".to_owned(),
         model: model.clone(),
-        slips: if recipe.law.is_some() { slips(&valve, 1e-6 * scene.span) } else { Vec::new() },
+        slips: if structure.law.is_some() { slips(&valve, 1e-6 * problem.span) } else { Vec::new() },
         valve,
         prediction,
         dead_time_s: model.process.dead_time_s,
@@ -65,15 +65,15 @@ pub fn simulate(scene: &Scene, model: &Model, floor: Option<f64>) -> Result<Fit,
         rmse: errors.test,
         gap: above_floor(errors.test, floor),
         parameters: 0,
-        evaluations: kernel.evaluations,
+        evaluations: pass.evaluations,
         at_floor: errors.at_floor(floor),
         colour: errors.colour,
         with_op: errors.with_op,
     })
 }
 
-/// The recipe whose blocks a model has.
-fn recipe(model: &Model) -> Result<Recipe, ModelError> {
+/// The structure whose blocks a model has.
+fn structure(model: &Model) -> Result<Structure, ModelError> {
     let law = match model.valve.law.as_str() {
         "none" => None,
         "tracking" => Some(Law::Tracking),
@@ -106,7 +106,7 @@ fn recipe(model: &Model) -> Result<Recipe, ModelError> {
         let value = wanted.len() as f64;
         return Err(ModelError::Range { name: "effects", value, want: "at most 2, a second lag counted" });
     }
-    Ok(Recipe { law, effects: [wanted.first().copied(), wanted.get(1).copied()] })
+    Ok(Structure { law, effects: [wanted.first().copied(), wanted.get(1).copied()] })
 }
 
 /// The time constant that is not the stated lag: they stand in the model by size, whichever was called the lag.
@@ -120,19 +120,19 @@ fn own_time_constant(model: &Model) -> f64 {
     }
 }
 
-fn gene(scene: &Scene, model: &Model, recipe: &Recipe) -> Gene {
-    let (fs, fd) = (model.valve.fs / scene.span, model.valve.fd / scene.span);
-    let tau = |i: usize| model.process.time_constants_s.get(i).map_or(1.0, |t| t / scene.point_s);
+fn theta(problem: &Problem, model: &Model, structure: &Structure) -> Parameters {
+    let (fs, fd) = (model.valve.fs / problem.span, model.valve.fd / problem.span);
+    let tau = |i: usize| model.process.time_constants_s.get(i).map_or(1.0, |t| t / problem.point_s);
     let mut p = [0.0; MAX_PARAMS];
     let mut at = 0;
-    for effect in recipe.each() {
+    for effect in structure.each() {
         let added = model.effects.iter().find(|a| a.id == effect.id);
         for param in effect.params {
             let stated = added.and_then(|a| a.parameters.get(param.name)).copied();
             p[at] = match (stated, effect.id) {
-                (Some(value), _) => param.posed(value, scene),
+                (Some(value), _) => param.posed(value, problem),
                 (None, "extra_lag") => libm::log(tau(1).max(1e-3)),
-                (None, _) => param.posed(0.0, scene),
+                (None, _) => param.posed(0.0, problem),
             };
             at += 1;
         }
@@ -141,31 +141,31 @@ fn gene(scene: &Scene, model: &Model, recipe: &Recipe) -> Gene {
             own[0] += effects::above_stop(own, fd);
         }
     }
-    let ts_s = scene.point_s / scene.box_samples;
-    Gene {
+    let ts_s = problem.point_s / problem.box_samples;
+    Parameters {
         s: fs + fd,
         j: fs - fd,
         first: FirstSlip { direction: 1.0, threshold: 0.0 },
         fd,
-        log_tau: libm::log((own_time_constant(model) / scene.point_s).max(1e-3)),
-        lag: (model.process.dead_time_s / ts_s + 1.0) / scene.box_samples,
+        log_tau: libm::log((own_time_constant(model) / problem.point_s).max(1e-3)),
+        lag: (model.process.dead_time_s / ts_s + 1.0) / problem.box_samples,
         p,
     }
 }
 
 /// First slips to try: from the position that the model states, and from an even look.
-fn firsts(scene: &Scene, model: &Model, gene: &Gene) -> Vec<FirstSlip> {
-    let fs = 0.5 * (gene.s + gene.j);
-    let question = &scene.question;
+fn firsts(problem: &Problem, model: &Model, theta: &Parameters) -> Vec<FirstSlip> {
+    let fs = 0.5 * (theta.s + theta.j);
+    let question = &problem.question;
     let mut out: Vec<FirstSlip> =
         question.starts(fs, STARTS).into_iter().map(|start| question.first_slip(start)).collect();
     if let Some(stem0) = model.valve.stem0 {
-        let position = (stem0 - scene.op_middle) / scene.span;
+        let position = (stem0 - problem.op_middle) / problem.span;
         out.push(FirstSlip { direction: 1.0, threshold: position + fs });
         out.push(FirstSlip { direction: -1.0, threshold: position - fs });
     }
     if out.is_empty() {
-        out.push(gene.first);
+        out.push(theta.first);
     }
     out
 }
@@ -176,7 +176,7 @@ mod tests {
 
     #[test]
     fn an_effect_without_its_number_is_refused_by_name() {
-        let with = |id: &str, numbers: &[(&str, f64)]| recipe(&Model::example(Some((id, numbers)))).map(|r| r.id());
+        let with = |id: &str, numbers: &[(&str, f64)]| structure(&Model::example(Some((id, numbers)))).map(|r| r.id());
         let error = with("static_nonlinearity", &[]).unwrap_err().to_string();
         assert_eq!(error, "the effect static_nonlinearity has no gain_change_per_op among its parameters");
         // Which end and whose it is are no where they are not said.

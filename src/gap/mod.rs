@@ -4,36 +4,36 @@
 //! with each effect of the [`effects::ALL`] catalogue, and judges on what it was not fitted to.
 
 mod answer;
-mod coarse;
 mod decide;
 mod diagnosis;
 pub mod document;
 pub mod effects;
+mod evaluator;
 pub mod evidence;
 mod express;
 mod forward;
 mod given;
-mod kernel;
 pub mod locate;
 pub mod loop_run;
 pub mod model;
 pub mod model_file;
-mod moves;
 mod next_test;
 mod noise;
 mod pairs;
-mod plan;
+mod plain;
 pub mod probability;
-mod rounds;
+mod problem;
 mod scan;
-mod scene;
+mod schedule;
 pub mod score;
 mod search;
+mod settle;
 mod signatures;
-mod slips;
 mod stages;
+mod structure;
 pub mod text;
 pub mod types;
+mod valve_signal;
 mod weigh;
 
 pub use decide::{By, Decision, decide, holds_out};

@@ -1,9 +1,9 @@
 //! The next test: the smallest bump of OP that tells the two best answers apart, found by simulating both.
 
-use super::kernel::{Kernel, Linear, Scored};
-use super::rounds::Found;
-use super::scene::Scene;
-use super::search::Lane;
+use super::plain::{Candidate, Linear, PlainPass};
+use super::problem::Problem;
+use super::schedule::Found;
+use super::search::Search;
 use super::types::{Diagnosis, NONE, NextTest, UNKNOWN};
 use crate::signal::stats;
 use crate::sim::slips::FirstSlip;
@@ -18,9 +18,9 @@ const MOST: f64 = 2.0;
 /// The test for the two likeliest answers that can be simulated, named or not; `None` where there are no two, or no bump
 /// within what OP may be asked tells them apart.
 #[must_use]
-pub fn next_test(scene: &Scene, found: &Found, made: &Diagnosis) -> Option<NextTest> {
+pub fn next_test(problem: &Problem, found: &Found, made: &Diagnosis) -> Option<NextTest> {
     let lane_of = |id: &str| {
-        if id == NONE { Some(&found.base) } else { found.lanes.iter().find(|l| l.recipe.id() == id) }
+        if id == NONE { Some(&found.base) } else { found.searches.iter().find(|l| l.structure.id() == id) }
     };
     // What the recorder or the noise did is settled elsewhere.
     if made.cause.id != UNKNOWN && lane_of(&made.cause.id).is_none() {
@@ -30,12 +30,12 @@ pub fn next_test(scene: &Scene, found: &Found, made: &Diagnosis) -> Option<NextT
     let mut known = ids.filter_map(|id| Some((id, lane_of(id)?)));
     let ((name, first), (rival, second)) = (known.next()?, known.next()?);
     let best = first.best.first()?;
-    let noise = made.floor.noise_floor.unwrap_or(made.base.rmse) / scene.deviation;
-    let settles = best.gene.lag + 3.0 * libm::exp(best.gene.log_tau).min(scene.period);
+    let noise = made.floor.noise_floor.unwrap_or(made.base.rmse) / problem.deviation;
+    let settles = best.theta.lag + 3.0 * libm::exp(best.theta.log_tau).min(problem.period);
     let hold = settles.ceil() as usize + 2;
-    let unit = if best.gene.s > 0.0 { best.gene.s } else { 0.1 };
+    let unit = if best.theta.s > 0.0 { best.theta.s } else { 0.1 };
     for size in SIZES.map(|s| s * unit).into_iter().filter(|size| *size <= MOST) {
-        let answers = [first, second].map(|lane| answer(scene, lane, size, hold));
+        let answers = [first, second].map(|search| answer(problem, search, size, hold));
         let [Some(a), Some(b)] = answers else { continue };
         let apart: Vec<f64> = a.iter().zip(&b).map(|(x, y)| x - y).collect();
         // The better of two known courses in white noise (matched filter).
@@ -43,8 +43,8 @@ pub fn next_test(scene: &Scene, found: &Found, made: &Diagnosis) -> Option<NextT
         if p >= WANTED {
             return Some(NextTest {
                 signal: "op",
-                size: size * scene.span,
-                duration_s: hold as f64 * scene.point_s,
+                size: size * problem.span,
+                duration_s: hold as f64 * problem.point_s,
                 separates: [name.clone(), rival.clone()],
                 p,
             });
@@ -54,10 +54,10 @@ pub fn next_test(scene: &Scene, found: &Found, made: &Diagnosis) -> Option<NextT
 }
 
 /// PV's answer to OP up, back, down and back, `hold` points each, from rest with the stem in the middle of its band.
-fn answer(scene: &Scene, lane: &Lane, size: f64, hold: usize) -> Option<Vec<f64>> {
-    let best = lane.best.first()?;
-    let mut test = scene.clone();
-    let lead = scene.blocks.from.max(1);
+fn answer(problem: &Problem, search: &Search, size: f64, hold: usize) -> Option<Vec<f64>> {
+    let best = search.best.first()?;
+    let mut test = problem.clone();
+    let lead = problem.blocks.from.max(1);
     test.question.path = vec![0.0; lead];
     for level in [size, 0.0, -size, 0.0] {
         test.question.path.extend(core::iter::repeat_n(level, hold));
@@ -65,15 +65,15 @@ fn answer(scene: &Scene, lane: &Lane, size: f64, hold: usize) -> Option<Vec<f64>
     test.question.per_point = 1;
     let n = test.question.path.len();
     test.question.pv = vec![0.0; n];
-    let fs = 0.5 * (best.gene.s + best.gene.j);
-    let plan = lane.recipe.plan(&best.gene);
-    let mut place: Scored = *best;
-    place.gene.first = FirstSlip { direction: 1.0, threshold: fs };
+    let fs = 0.5 * (best.theta.s + best.theta.j);
+    let plan = search.structure.plan(&best.theta);
+    let mut place: Candidate = *best;
+    place.theta.first = FirstSlip { direction: 1.0, threshold: fs };
     // Loads and the record's own start have no part in the test.
     let own = usize::from(plan.zero);
     let Linear { others, count, .. } = &mut place.linear;
     others[..count.saturating_sub(own)].fill(0.0);
-    let (course, _) = Kernel::new(&test, lane.sign).simulate(&lane.recipe, &place)?;
+    let (course, _) = PlainPass::new(&test, search.sign).simulate(&search.structure, &place)?;
     let rest = course[lead - 1];
     Some(course[lead..].iter().map(|x| x - rest).collect())
 }

@@ -1,6 +1,6 @@
 //! The noise that no free run explains: its floor, and what a noise model makes of a residual one step ahead.
 
-use super::scene::Scene;
+use super::problem::Problem;
 use super::types::{Floor, NoiseModels};
 use crate::ident::least_squares::Gram;
 use crate::ident::residual;
@@ -98,41 +98,41 @@ fn of_order(residual: &[f64], stretches: &[[usize; 2]], order: usize) -> Option<
 
 /// What noise models say: `base` and `best` are free-run residuals over the whole record.
 #[must_use]
-pub fn judge(scene: &Scene, base: &[f64], best: &[f64], slipped: &[bool], seed: u64) -> NoiseModels {
+pub fn judge(problem: &Problem, base: &[f64], best: &[f64], slipped: &[bool], seed: u64) -> NoiseModels {
     let nothing =
         NoiseModels { over_base: 0.0, over_best: 0.0, independence_p: 1.0, whitens: false, beyond_first: 0.0 };
-    let Some(found) = autoregression(base, &scene.train) else { return nothing };
+    let Some(found) = autoregression(base, &problem.train) else { return nothing };
     let mse = |r: &[f64]| {
-        let n = scene.train.iter().map(|[a, b]| b - a).sum::<usize>().max(1);
-        scene.train.iter().flat_map(|[a, b]| &r[*a..*b]).map(|e| e * e).sum::<f64>() / n as f64
+        let n = problem.train.iter().map(|[a, b]| b - a).sum::<usize>().max(1);
+        problem.train.iter().flat_map(|[a, b]| &r[*a..*b]).map(|e| e * e).sum::<f64>() / n as f64
     };
     let log = |x: f64| libm::log(x.max(1e-30));
     let e: Vec<f64> = found.innovations.iter().map(|(_, e)| *e).collect();
-    let op: Vec<f64> = found.innovations.iter().map(|(k, _)| scene.question.mean[*k]).collect();
+    let op: Vec<f64> = found.innovations.iter().map(|(k, _)| problem.question.mean[*k]).collect();
     NoiseModels {
         over_base: log(mse(base)) - log(found.mse),
         over_best: log(mse(best)) - log(found.mse),
-        independence_p: independence(scene, &found, slipped, seed),
+        independence_p: independence(problem, &found, slipped, seed),
         whitens: residual::whiteness(&e, &op).white,
-        beyond_first: of_order(base, &scene.train, 1).map_or(0.0, |first| log(first.mse) - log(found.mse)),
+        beyond_first: of_order(base, &problem.train, 1).map_or(0.0, |first| log(first.mse) - log(found.mse)),
     }
 }
 
 /// Smallest p of the innovations' independence from what OP did before, from slips and from the level, by circular
 /// shifts. Innovations, because under feedback OP carries the residual's own past.
-fn independence(scene: &Scene, found: &Autoregression, slipped: &[bool], seed: u64) -> f64 {
-    let op = &scene.question.mean;
+fn independence(problem: &Problem, found: &Autoregression, slipped: &[bool], seed: u64) -> f64 {
+    let op = &problem.question.mean;
     let places: Vec<usize> = found.innovations.iter().map(|(k, _)| *k).collect();
     let e: Vec<f64> = found.innovations.iter().map(|(_, e)| *e).collect();
     let n = e.len();
-    let stride = ((scene.longest_lag() / LAGS as f64).ceil() as usize).max(1);
+    let stride = ((problem.longest_lag() / LAGS as f64).ceil() as usize).max(1);
     let mut series: Vec<Vec<f64>> = Vec::new();
     for lag in (1..=LAGS).map(|l| l * stride) {
         let back = |k: usize, more: usize| op[k.saturating_sub(lag + more)];
         series.push(places.iter().map(|k| back(*k, 0)).collect());
         series.push(places.iter().map(|k| back(*k, 0) - back(*k, stride)).collect());
     }
-    let levels: Vec<f64> = places.iter().map(|k| scene.question.pv[k.saturating_sub(1)]).collect();
+    let levels: Vec<f64> = places.iter().map(|k| problem.question.pv[k.saturating_sub(1)]).collect();
     series.push(levels.iter().map(|l| l * l).collect());
     series.push(levels);
     let after: Vec<f64> = places.iter().map(|k| f64::from(u8::from(slipped[*k]))).collect();

@@ -3,7 +3,7 @@
 use super::diagnosis::check;
 use super::given;
 use super::model::Model;
-use super::scene::Scene;
+use super::problem::Problem;
 use super::types::{Ask, GapError};
 use crate::record::Record;
 use crate::signal::stats;
@@ -26,9 +26,9 @@ pub struct Score {
 /// Where the record is too short, a signal never moves, or the model cannot be simulated.
 pub fn score(record: &Record, model: &Model, ask: &Ask) -> Result<Score, GapError> {
     check(record, ask)?;
-    let scene = Scene::new(record, ask.period_points, ask.seed, vec![false; record.len()]);
-    let fit = given::simulate(&scene, model, None)?;
-    let from = scene.blocks.from.min(record.len());
+    let problem = Problem::new(record, ask.period_points, ask.seed, vec![false; record.len()]);
+    let fit = given::simulate(&problem, model, None)?;
+    let from = problem.blocks.from.min(record.len());
     let errors: Vec<f64> =
         record.pv[from..].iter().zip(&fit.prediction[from..]).map(|(y, p)| (y - p) * (y - p)).collect();
     let mse = stats::mean(&errors);
@@ -68,8 +68,8 @@ mod tests {
         };
         let valve = Valve { law: "he".to_owned(), fs: 1.5, fd: 0.5, stem0: None };
         let right = Model { schema: SCHEMA.to_owned(), ts_s, valve, process, effects: Vec::new() };
-        let scored = score(&record, &right, &Ask::default()).unwrap();
-        assert!(scored.fit_pct > 99.0 && scored.mse.sqrt() < 0.03, "{} {}", scored.fit_pct, scored.mse);
+        let candidate = score(&record, &right, &Ask::default()).unwrap();
+        assert!(candidate.fit_pct > 99.0 && candidate.mse.sqrt() < 0.03, "{} {}", candidate.fit_pct, candidate.mse);
         let mut wrong = right.clone();
         wrong.process.gain = 1.0;
         wrong.valve.fs = 3.0;

@@ -1,38 +1,44 @@
-//! The search for one recipe: many places looked at once, the best improved by random steps to neighbouring cells of
-//! slip sequences, first by differences of the free run's error, then by the error itself.
+//! The local search for one model structure: starts evaluated side by side, the best improved by random steps to
+//! neighbouring cells of slip sequences, first by differences of the free run's error, then by the error itself.
 //!
-//! All recipes get the same work; what one finds, every other one tries with its own parameters ([`cross`]).
+//! All structures get the same work; what one finds, every other one tries with its own parameters ([`exchange`]).
 
 use rand_chacha::ChaCha8Rng;
 
 use super::effects::Unit;
-use super::kernel::{Kernel, Scored};
-use super::moves::clamped;
-use super::plan::{Gene, MAX_PARAMS, Recipe};
-use super::scan::scan;
-use super::scene::{Scene, View};
-use crate::ident::candidate::{Landing, Question};
+use super::evaluator::{Candidate, Evaluator};
+use super::problem::{Problem, View};
+use super::scan::fitted_to;
+use super::settle::{FAR, LAST, NEAR, clamped};
+use super::structure::{MAX_PARAMS, Parameters, Structure};
+use crate::ident::candidate::Question;
 use crate::ident::search::{generator, moved, normal, uniform};
 use crate::sim::slips::FirstSlip;
 
-/// Cost over the best one from which a step is not worth refining.
-const HOPELESS: f64 = 2.5;
-/// Random steps from a place that a look along a parameter found, of each view.
-const SCAN_STEPS: usize = 40;
-/// Places that a lane keeps.
+/// Cost over the best one from which a step's process is not settled.
+const HOPELESS: f64 = 1.005;
+/// Candidates that a search keeps.
 const KEPT: usize = 6;
+/// Cells beside the best one that are asked, over each edge, and how far beyond an edge, as a share of s.
+const CELLS: usize = 4;
+const OVER: f64 = 1e-7;
+/// Rounds of them at most.
+const CELL_ROUNDS: usize = 6;
+/// Rounds of parabolas along each parameter, between climbs and at the end.
+const PARABOLAS: usize = 2;
+const LAST_PARABOLAS: usize = 6;
 
-/// What a recipe's search has found so far.
+/// What the search for a structure has found so far.
 #[derive(Debug, Clone)]
-pub struct Lane {
-    /// The recipe.
-    pub recipe: Recipe,
+pub struct Search {
+    /// The structure.
+    pub structure: Structure,
     /// Sign of the gain.
     pub sign: f64,
-    /// Parameter values worth a look.
+    /// Parameter values from which it begins.
     pub starts: Vec<[f64; MAX_PARAMS]>,
-    /// The best places by the plain error, best first.
-    pub best: Vec<Scored>,
+    /// The best candidates by the plain error, best first.
+    pub best: Vec<Candidate>,
     /// Responses computed.
     pub evaluations: u64,
     /// Responses that its next round may compute.
@@ -41,7 +47,7 @@ pub struct Lane {
     pub stream: u64,
 }
 
-impl Lane {
+impl Search {
     /// Least squared error on the fitted blocks.
     #[must_use]
     pub fn sse(&self) -> f64 {
@@ -49,165 +55,264 @@ impl Lane {
     }
 }
 
-/// Genes for a base that has no friction: an even look at time constants and lags.
-#[must_use]
-pub fn frictionless(scene: &Scene) -> Vec<Gene> {
-    let mut out = Vec::new();
-    for tau in [0.01, 0.05, 0.2, 1.0] {
-        for lag in [0.01, 0.05, 0.12, 0.25] {
-            out.push(Gene {
-                s: 0.0,
-                j: 0.0,
-                first: FirstSlip { direction: 1.0, threshold: 0.0 },
-                fd: 0.0,
-                log_tau: libm::log((tau * scene.period).max(0.3)),
-                lag: scene.question.limits.lag[0] + lag * scene.period,
-                p: [0.0; MAX_PARAMS],
-            });
-        }
-    }
-    out
-}
-
-/// How much work a round is: how many places and steps for each, view by view.
+/// How much work a round is: how many candidates and steps for each, view by view.
 #[derive(Debug, Clone, Copy)]
 pub struct Effort {
-    /// By differences, then by the fast part: places and steps, first and later.
-    pub views: [(usize, usize); 2],
+    /// By differences: candidates and steps, first and later.
+    pub moves: [(usize, usize); 2],
     /// By the error itself.
     pub plain: [(usize, usize); 3],
-    /// Places from which each parameter is looked along.
+    /// Candidates from which each parameter is scanned over its range.
     pub scans: usize,
 }
 
 /// For the base, and for an effect that may be the cause.
-pub const WIDE: Effort = Effort { views: [(9, 40), (3, 100)], plain: [(12, 40), (5, 120), (2, 350)], scans: 2 };
+pub const WIDE: Effort = Effort { moves: [(12, 60), (4, 160)], plain: [(14, 60), (6, 160), (3, 400)], scans: 2 };
 /// Every effect's first.
-pub const MIDDLE: Effort = Effort { views: [(5, 30), (2, 60)], plain: [(8, 40), (3, 120), (1, 200)], scans: 2 };
-/// From places that another search has found.
-pub const NARROW: Effort = Effort { views: [(2, 30), (1, 60)], plain: [(4, 50), (2, 150), (1, 200)], scans: 0 };
-/// From what the other lanes have found.
-pub const SMALL: Effort = Effort { views: [(2, 20), (1, 30)], plain: [(3, 30), (1, 100), (1, 100)], scans: 0 };
+pub const MIDDLE: Effort = Effort { moves: [(6, 40), (2, 80)], plain: [(8, 50), (3, 120), (1, 240)], scans: 2 };
+/// From candidates that another search has found.
+pub const NARROW: Effort = Effort { moves: [(2, 30), (1, 60)], plain: [(4, 50), (2, 120), (1, 200)], scans: 0 };
+/// From what the other searches have found.
+pub const SMALL: Effort = Effort { moves: [(2, 20), (1, 30)], plain: [(3, 40), (1, 100), (1, 100)], scans: 0 };
 
-/// Looks at all genes with all of the lane's starts, and at `own` as they are, then improves the best; each way in which
-/// the effect may enter by itself, since the steps of one lead nowhere in another.
-pub fn hunt(scene: &Scene, lane: &mut Lane, genes: &[Gene], own: &[Gene], effort: &Effort, seed: u64) {
-    lane.stream += 1;
+/// Evaluates all of `thetas` with all starts of a search, and `own` as they are, then improves the best; each way in which
+/// the effect may act by itself, since the steps of one lead nowhere in another.
+pub fn local_search(
+    problem: &Problem,
+    search: &mut Search,
+    thetas: &[Parameters],
+    own: &[Parameters],
+    effort: &Effort,
+    seed: u64,
+) {
+    search.stream += 1;
     let mut forms: Vec<Form> = Vec::new();
-    let found_before = lane.best.iter().map(|b| &b.gene);
-    for p in lane.starts.iter().chain(found_before.chain(own).map(|gene| &gene.p)) {
-        let form = form_of(&lane.recipe, p);
+    let found_before = search.best.iter().map(|b| &b.theta);
+    for p in search.starts.iter().chain(found_before.chain(own).map(|theta| &theta.p)) {
+        let form = form_of(&search.structure, p);
         if !forms.contains(&form) {
             forms.push(form);
         }
     }
-    let mut held: Vec<Scored> = Vec::new();
-    let mut firsts: Vec<Scored> = Vec::new();
+    let mut held: Vec<Candidate> = Vec::new();
+    let mut firsts: Vec<Candidate> = Vec::new();
     for (i, form) in forms.iter().enumerate() {
-        let mut kernel = Kernel::new(scene, lane.sign);
-        kernel.limit = lane.allowed / forms.len().max(1) as u64;
-        let mut rng = generator(seed, 100 + lane.stream + 500 * i as u64);
-        let of_form = |p: &[f64; MAX_PARAMS]| form_of(&lane.recipe, p) == *form;
-        let before: Vec<Scored> = lane.best.iter().filter(|b| of_form(&b.gene.p)).copied().collect();
-        let mut starts: Vec<[f64; MAX_PARAMS]> = lane.starts.iter().copied().filter(of_form).collect();
-        starts.extend(before.iter().take(2).map(|b| b.gene.p));
-        let own = own.iter().filter(|gene| of_form(&gene.p));
-        let with_starts = genes.iter().flat_map(|gene| starts.iter().map(|p| Gene { p: *p, ..*gene }));
-        let from: Vec<Gene> = with_starts.chain(own.copied()).collect();
-        let found = hunt_form(&mut kernel, &lane.recipe, &from, &before, effort, &mut rng);
-        lane.evaluations += kernel.evaluations;
+        let mut evaluator = Evaluator::new(problem, search.sign);
+        evaluator.limit = search.allowed / forms.len().max(1) as u64;
+        let mut rng = generator(seed, 100 + search.stream + 500 * i as u64);
+        let of_form = |p: &[f64; MAX_PARAMS]| form_of(&search.structure, p) == *form;
+        let before: Vec<Candidate> = search.best.iter().filter(|b| of_form(&b.theta.p)).copied().collect();
+        let mut starts: Vec<[f64; MAX_PARAMS]> = search.starts.iter().copied().filter(of_form).collect();
+        starts.extend(before.iter().take(2).map(|b| b.theta.p));
+        let own = own.iter().filter(|theta| of_form(&theta.p));
+        let with_starts = thetas.iter().flat_map(|theta| starts.iter().map(|p| Parameters { p: *p, ..*theta }));
+        let from: Vec<Parameters> = with_starts.chain(own.copied()).collect();
+        let found = search_form(&mut evaluator, &search.structure, &from, &before, effort, &mut rng);
+        search.evaluations += evaluator.evaluations;
         firsts.extend(found.first());
         held.extend(found);
     }
     // The best of each form stays, for the rounds to come.
-    lane.best = apart(held, KEPT);
+    search.best = apart(held, KEPT);
     for first in firsts {
-        let form = form_of(&lane.recipe, &first.gene.p);
-        if !lane.best.iter().any(|b| form_of(&lane.recipe, &b.gene.p) == form) {
-            lane.best.push(first);
+        let form = form_of(&search.structure, &first.theta.p);
+        if !search.best.iter().any(|b| form_of(&search.structure, &b.theta.p) == form) {
+            search.best.push(first);
         }
     }
 }
 
-/// Which of its alternatives an effect enters by, parameter by parameter.
+/// Which of its alternatives an effect acts by, parameter by parameter.
 pub type Form = [bool; MAX_PARAMS];
 
-/// Which of the alternatives that a recipe knows these parameters choose.
+/// Which of the alternatives that a structure knows these parameters choose.
 #[must_use]
-pub fn form_of(recipe: &Recipe, p: &[f64; MAX_PARAMS]) -> Form {
+pub fn form_of(structure: &Structure, p: &[f64; MAX_PARAMS]) -> Form {
     let mut form = [false; MAX_PARAMS];
-    for ((slot, param), value) in form.iter_mut().zip(recipe.params()).zip(p) {
+    for ((slot, param), value) in form.iter_mut().zip(structure.params()).zip(p) {
         *slot = param.unit == Unit::Choice && *value > 0.5;
     }
     form
 }
 
-/// The search for one form: the best places, best first.
-fn hunt_form(
-    kernel: &mut Kernel<'_>,
-    recipe: &Recipe,
-    from: &[Gene],
-    before: &[Scored],
+/// The search for one form: the best candidates, best first.
+fn search_form(
+    evaluator: &mut Evaluator<'_>,
+    structure: &Structure,
+    from: &[Parameters],
+    before: &[Candidate],
     effort: &Effort,
     rng: &mut ChaCha8Rng,
-) -> Vec<Scored> {
-    let mut pools: [Vec<Scored>; 3] = [Vec::new(), Vec::new(), Vec::new()];
-    for gene in from.iter().flat_map(|gene| fitted_to(recipe, *gene, kernel.scene)) {
+) -> Vec<Candidate> {
+    let mut pools: [Vec<Candidate>; 2] = [Vec::new(), Vec::new()];
+    for theta in from.iter().flat_map(|theta| fitted_to(structure, *theta, evaluator.problem)) {
         for (pool, view) in pools.iter_mut().zip(View::ALL) {
-            pool.extend(kernel.evaluate(recipe, &gene, view));
+            pool.extend(evaluator.fit(structure, &theta, view, &[]));
         }
     }
-    let [plain, moves, fast] = pools;
-    let mut held: Vec<Scored> = Vec::new();
-    let [(wide, few), (narrow, some)] = effort.views;
-    for (pool, view) in [(moves, View::Moves), (fast, View::Fast)] {
-        let chosen = of_every_size(pool, wide);
-        let mut found: Vec<Scored> = chosen.into_iter().map(|c| kernel.improve(recipe, c, view, 3)).collect();
-        for (count, steps) in [(wide, few), (narrow, some)] {
-            found = climbs(kernel, recipe, apart(found, count), view, steps, rng);
-        }
-        held.extend(found.iter().filter_map(|c| kernel.evaluate(recipe, &c.gene, View::Plain)));
+    let [plain, moves] = pools;
+    let [(wide, few), (narrow, some)] = effort.moves;
+    let chosen = of_every_size(moves, wide);
+    let mut found: Vec<Candidate> =
+        chosen.into_iter().filter_map(|c| evaluator.fit(structure, &c.theta, View::Moves, FAR)).collect();
+    for (count, steps) in [(wide, few), (narrow, some)] {
+        found = climbs(evaluator, structure, apart(found, count), View::Moves, steps, rng);
     }
-    held.extend(of_every_size(plain, effort.plain[0].0));
-    held = held.into_iter().map(|c| kernel.improve(recipe, c, View::Plain, 3)).collect();
+    let mut held: Vec<Candidate> = Vec::new();
+    held.extend(found.iter().filter_map(|c| evaluator.fit(structure, &c.theta, View::Plain, NEAR)));
+    let chosen = of_every_size(plain, effort.plain[0].0);
+    held.extend(chosen.into_iter().filter_map(|c| evaluator.fit(structure, &c.theta, View::Plain, FAR)));
     held.extend(before);
     for (round, (count, steps)) in effort.plain.into_iter().enumerate() {
         if round == 1 {
-            let far = scans(kernel, recipe, &held[..effort.scans.min(held.len())], rng);
+            let far = scans(evaluator, structure, &held[..effort.scans.min(held.len())], rng);
             held.extend(far);
         }
-        held = climbs(kernel, recipe, apart(held.clone(), count), View::Plain, steps, rng)
+        held = climbs(evaluator, structure, apart(held.clone(), count), View::Plain, steps, rng)
             .into_iter()
             .chain(held)
             .collect();
         held = apart(held, KEPT.max(count));
     }
     if let Some(first) = held.first().copied() {
-        let settled = settle(kernel, recipe, first);
+        let settled = settled(evaluator, structure, first);
         held.insert(0, settled);
     }
-    apart(held, KEPT)
+    // The coefficients of everything linear, as documents have them.
+    let complete = apart(held, KEPT);
+    complete.into_iter().filter_map(|c| evaluator.plain_pass(structure, &c.theta, View::Plain)).collect()
 }
 
-/// Places from looks along every parameter, climbed by differences and then by the error.
-fn scans(kernel: &mut Kernel<'_>, recipe: &Recipe, from: &[Scored], rng: &mut ChaCha8Rng) -> Vec<Scored> {
-    let genes: Vec<Gene> = from.iter().flat_map(|place| scan(kernel, recipe, place, rng)).collect();
+/// The best of the neighbouring cells, its parameters settled and taken off the lattice.
+fn settled(evaluator: &mut Evaluator<'_>, structure: &Structure, from: Candidate) -> Candidate {
+    let mut best = evaluator.settle_parameters(structure, from, View::Plain, LAST_PARABOLAS);
+    best = cells(evaluator, structure, best);
+    best = evaluator.settle_parameters(structure, best, View::Plain, LAST_PARABOLAS);
+    evaluator.refine(structure, best)
+}
+
+/// The best of the cells of (s, j) and of the first slips beside a candidate, until none is better.
+fn cells(evaluator: &mut Evaluator<'_>, structure: &Structure, from: Candidate) -> Candidate {
+    let mut best = from;
+    if best.slips == 0 {
+        return best;
+    }
+    for _ in 0..CELL_ROUNDS {
+        let before = best.sse;
+        for [up_s, up_j] in [[1, 0], [-1, 0], [0, 1], [0, -1], [1, 1], [-1, -1], [1, -1], [-1, 1]] {
+            let mut at = best;
+            for _ in 0..CELLS {
+                let s = over(at.cells[0], up_s, at.theta.s);
+                let j = over(at.cells[1], up_j, at.theta.j);
+                let (Some(s), Some(j)) = (s, j) else { break };
+                let fd = at.theta.fd + 0.5 * (s - at.theta.s - j + at.theta.j);
+                let theta = clamped(structure, Parameters { s, j, fd, ..at.theta }, evaluator.problem);
+                let Some(next) = evaluator.fit(structure, &theta, View::Plain, &[]) else { break };
+                at = next;
+                best = taken(evaluator, structure, best, next);
+            }
+        }
+        for first in nearby_starts(&evaluator.problem.question, best.theta.first) {
+            let theta = Parameters { first, ..best.theta };
+            if let Some(next) = evaluator.fit(structure, &theta, View::Plain, &[]) {
+                best = taken(evaluator, structure, best, next);
+            }
+        }
+        if before - best.sse <= 1e-6 * before {
+            break;
+        }
+    }
+    best
+}
+
+/// The better of a candidate and another one whose process is settled if that may help.
+fn taken(evaluator: &mut Evaluator<'_>, structure: &Structure, best: Candidate, next: Candidate) -> Candidate {
+    let mut next = next;
+    if next.sse < HOPELESS * best.sse {
+        next = evaluator.fit(structure, &next.theta, View::Plain, LAST).unwrap_or(next);
+    }
+    if next.sse < best.sse { next } else { best }
+}
+
+/// Just over an edge of a cell; `None` where it has none on that side.
+fn over([low, high]: [f64; 2], up: i32, now: f64) -> Option<f64> {
+    match up {
+        0 => Some(now),
+        1 => Some(high * (1.0 + OVER) + 1e-12).filter(|v| v.is_finite()),
+        _ => Some(low * (1.0 - OVER) - 1e-12).filter(|v| *v > 0.0),
+    }
+}
+
+/// First slips at the records of OP beside the one at hand.
+fn nearby_starts(question: &Question, first: FirstSlip) -> Vec<FirstSlip> {
+    let direction = first.direction;
+    let list = &question.records[usize::from(direction < 0.0)];
+    let here = list.iter().take_while(|r| direction * (first.threshold - **r) >= 0.0).count();
+    let at = |record: usize| {
+        let threshold = match record {
+            0 => list[0] - direction * 1e-9,
+            r => 0.5 * (list[r - 1] + list[r]),
+        };
+        FirstSlip { direction, threshold }
+    };
+    let places =
+        [here.checked_sub(1), Some(here + 1), here.checked_sub(2), Some(here + 2), here.checked_sub(4), Some(here + 4)];
+    places.into_iter().flatten().filter(|r| *r < list.len()).map(at).collect()
+}
+
+/// Scans along every parameter over its whole range, climbed by differences and then by the error: what else the model
+/// trades for it goes along, so that the scan stays in the valley.
+fn scans(
+    evaluator: &mut Evaluator<'_>,
+    structure: &Structure,
+    from: &[Candidate],
+    rng: &mut ChaCha8Rng,
+) -> Vec<Candidate> {
+    /// Points along one parameter; the bands are shaken by so much at every other one, as a share: slips are right
+    /// within less than a hundredth only.
+    const POINTS: usize = 60;
+    const SHAKEN: f64 = 0.01;
+    /// Random steps from a place that was found.
+    const STEPS: usize = 40;
+    let mut found = Vec::new();
+    for place in from {
+        for (i, param) in structure.params().enumerate().filter(|(_, p)| p.unit != Unit::Choice) {
+            let [low, high] = param.bounds(evaluator.problem);
+            let mut seen: [Vec<Candidate>; 2] = [Vec::new(), Vec::new()];
+            for k in 0..POINTS {
+                let mut theta = place.theta;
+                theta.p[i] = low + (high - low) * (k as f64 + 0.5) / POINTS as f64;
+                let by = theta.p[i] - place.theta.p[i];
+                structure.trade(&mut theta, i, by, evaluator.problem.question.rate);
+                if k % 2 == 1 {
+                    theta.s *= 1.0 + SHAKEN * normal(rng);
+                }
+                let theta = clamped(structure, theta, evaluator.problem);
+                for (seen, view) in seen.iter_mut().zip(View::ALL) {
+                    seen.extend(evaluator.fit(structure, &theta, view, LAST));
+                }
+            }
+            for mut seen in seen {
+                seen.sort_by(|a, b| a.sse.total_cmp(&b.sse));
+                let far = |s: &&Candidate| (s.theta.p[i] - place.theta.p[i]).abs() > 0.02 * (high - low);
+                found.extend(seen.iter().filter(far).take(1).copied());
+            }
+        }
+    }
     let mut out = Vec::new();
-    for gene in genes {
-        let Some(seen) = kernel.evaluate(recipe, &gene, View::Moves) else { continue };
-        let seen = kernel.improve(recipe, seen, View::Moves, 2);
-        let climbed = climb(kernel, recipe, seen, View::Moves, SCAN_STEPS, rng);
-        let Some(seen) = kernel.evaluate(recipe, &climbed.gene, View::Plain) else { continue };
-        let seen = kernel.improve(recipe, seen, View::Plain, 3);
-        out.push(climb(kernel, recipe, seen, View::Plain, SCAN_STEPS, rng));
+    for place in found {
+        let Some(seen) = evaluator.fit(structure, &place.theta, View::Moves, NEAR) else { continue };
+        let climbed = climb(evaluator, structure, seen, View::Moves, STEPS, rng);
+        let Some(seen) = evaluator.fit(structure, &climbed.theta, View::Plain, NEAR) else { continue };
+        out.push(climb(evaluator, structure, seen, View::Plain, STEPS, rng));
     }
     out
 }
 
 /// The best half overall, the rest from all sizes of s in turn: the right size may begin badly.
-fn of_every_size(pool: Vec<Scored>, wanted: usize) -> Vec<Scored> {
+fn of_every_size(pool: Vec<Candidate>, wanted: usize) -> Vec<Candidate> {
     let mut chosen = apart(pool.clone(), wanted / 2);
-    let class = |c: &Scored| (-2.0 * libm::log(c.gene.s.max(1e-3))).floor() as i64;
+    let class = |c: &Candidate| (-2.0 * libm::log(c.theta.s.max(1e-3))).floor() as i64;
     let mut rest = apart(pool, usize::MAX);
     while chosen.len() < wanted && !rest.is_empty() {
         let mut taken: Vec<i64> = Vec::new();
@@ -226,38 +331,19 @@ fn of_every_size(pool: Vec<Scored>, wanted: usize) -> Vec<Scored> {
     chosen
 }
 
-/// A gene moved to where its recipe may stand; for a stem that may overshoot also the same way back and as far beyond.
-fn fitted_to(recipe: &Recipe, mut gene: Gene, scene: &Scene) -> Vec<Gene> {
-    if recipe.plan(&gene).landing() == Landing::Beyond {
-        // The base is among its models: it must never do worse.
-        let mut out = vec![clamped(recipe, gene, scene)];
-        if gene.j < gene.s {
-            // The slips stay: fd turns.
-            gene.j = gene.s * (1.0 + 0.5 * (1.0 - gene.j / gene.s.max(1e-9)));
-            gene.fd = 0.5 * (gene.s - gene.j);
-            out.push(clamped(recipe, gene, scene));
-        }
-        return out;
-    }
-    if gene.j > gene.s {
-        gene.j = gene.s;
-        gene.fd = 0.0;
-    }
-    vec![clamped(recipe, gene, scene)]
-}
-
-/// The best places that stand apart, best first.
-fn apart(mut pool: Vec<Scored>, wanted: usize) -> Vec<Scored> {
+/// The best candidates that stand apart, best first.
+fn apart(mut pool: Vec<Candidate>, wanted: usize) -> Vec<Candidate> {
     pool.sort_by(|a, b| a.sse.total_cmp(&b.sse));
-    let mut chosen: Vec<Scored> = Vec::new();
+    let mut chosen: Vec<Candidate> = Vec::new();
     for c in pool {
         if chosen.len() == wanted {
             break;
         }
-        let near = |o: &Scored| {
-            let same = (o.gene.s / c.gene.s - 1.0).abs() <= 0.012 && (o.gene.j - c.gene.j).abs() <= 0.05 * c.gene.s;
-            let p = o.gene.p.iter().zip(&c.gene.p).all(|(a, b)| (a - b).abs() <= 0.05 * (a.abs() + b.abs()));
-            (same || c.gene.s == 0.0) && p && (o.gene.lag - c.gene.lag).abs() < 1.0
+        let near = |o: &Candidate| {
+            let same =
+                (o.theta.s / c.theta.s - 1.0).abs() <= 0.012 && (o.theta.j - c.theta.j).abs() <= 0.05 * c.theta.s;
+            let p = o.theta.p.iter().zip(&c.theta.p).all(|(a, b)| (a - b).abs() <= 0.05 * (a.abs() + b.abs()));
+            (same || c.theta.s == 0.0) && p && (o.theta.lag - c.theta.lag).abs() < 1.0
         };
         if !chosen.iter().any(near) {
             chosen.push(c);
@@ -267,35 +353,43 @@ fn apart(mut pool: Vec<Scored>, wanted: usize) -> Vec<Scored> {
 }
 
 fn climbs(
-    kernel: &mut Kernel<'_>,
-    recipe: &Recipe,
-    from: Vec<Scored>,
+    evaluator: &mut Evaluator<'_>,
+    structure: &Structure,
+    from: Vec<Candidate>,
     view: View,
     steps: usize,
     rng: &mut ChaCha8Rng,
-) -> Vec<Scored> {
-    from.into_iter().map(|c| climb(kernel, recipe, c, view, steps, rng)).collect()
+) -> Vec<Candidate> {
+    from.into_iter()
+        .map(|c| {
+            let climbed = climb(evaluator, structure, c, view, steps, rng);
+            evaluator.settle_parameters(structure, climbed, view, PARABOLAS)
+        })
+        .collect()
 }
 
-/// Random steps, never to a worse place.
+/// Random steps, never to a worse candidate.
 fn climb(
-    kernel: &mut Kernel<'_>,
-    recipe: &Recipe,
-    start: Scored,
+    evaluator: &mut Evaluator<'_>,
+    structure: &Structure,
+    start: Candidate,
     view: View,
     steps: usize,
     rng: &mut ChaCha8Rng,
-) -> Scored {
+) -> Candidate {
     let mut best = start;
     for _ in 0..steps {
-        let gene = clamped(recipe, step(kernel.scene, recipe, &best, rng), kernel.scene);
-        let same_process = gene.lag == best.gene.lag && gene.log_tau == best.gene.log_tau;
-        if same_process && best.covers(&gene) {
+        let theta = clamped(structure, step(evaluator.problem, structure, &best, rng), evaluator.problem);
+        let same_process = theta.lag == best.theta.lag && theta.log_tau == best.theta.log_tau;
+        if same_process && best.covers(&theta) {
             continue;
         }
-        let Some(mut found) = kernel.evaluate(recipe, &gene, view) else { continue };
+        let Some(prepared) = evaluator.prepare(structure, &theta) else { continue };
+        let place = evaluator.place_of(&prepared);
+        let Some(mut found) = evaluator.at(structure, &prepared, place, view) else { continue };
         if found.sse < HOPELESS * best.sse {
-            found = kernel.improve_fresh(recipe, found, view);
+            let settled = evaluator.settle_process(structure, &prepared, (place, Some(found)), view, LAST);
+            found = settled.unwrap_or(found);
         }
         if found.sse <= best.sse {
             best = found;
@@ -304,72 +398,51 @@ fn climb(
     best
 }
 
-/// Gauss-Newton until nothing helps any more, the lag hopping over the kinks at whole points.
-fn settle(kernel: &mut Kernel<'_>, recipe: &Recipe, from: Scored) -> Scored {
-    let mut best = kernel.improve(recipe, from, View::Plain, 10);
-    for _ in 0..3 {
-        let before = best.sse;
-        for hop in [-0.6, 0.6, -1.4, 1.4, -3.0, 3.0] {
-            let gene = clamped(recipe, Gene { lag: best.gene.lag + hop, ..best.gene }, kernel.scene);
-            if let Some(found) = kernel.evaluate(recipe, &gene, View::Plain).filter(|f| f.sse < 1.3 * best.sse) {
-                let found = kernel.improve(recipe, found, View::Plain, 5);
-                if found.sse < best.sse {
-                    best = found;
-                }
-            }
-        }
-        if before - best.sse <= 1e-4 * before {
-            break;
-        }
-    }
-    best
-}
-
 /// Where the next random step goes.
-fn step(scene: &Scene, recipe: &Recipe, from: &Scored, rng: &mut ChaCha8Rng) -> Gene {
-    let question = &scene.question;
-    let mut gene = from.gene;
+fn step(problem: &Problem, structure: &Structure, from: &Candidate, rng: &mut ChaCha8Rng) -> Parameters {
+    let question = &problem.question;
+    let mut theta = from.theta;
     let has_friction = from.slips > 0;
-    let params = recipe.params().count();
+    let params = structure.params().count();
     let kind = if has_friction { uniform(rng) } else { 1.0 };
     let heavy = |rng: &mut ChaCha8Rng| libm::pow(10.0, -2.3 * uniform(rng));
     if kind < 0.45 {
         let sigma = 0.1 * heavy(rng);
-        let (s, j) = (gene.s, gene.j);
+        let (s, j) = (theta.s, theta.j);
         let pick = uniform(rng);
         if pick < 0.7 {
-            gene.s = moved(s, from.cells[0], sigma * s, rng);
+            theta.s = moved(s, from.cells[0], sigma * s, rng);
         }
         if pick > 0.4 {
-            gene.j = moved(j, from.cells[1], 4.0 * sigma * s, rng);
+            theta.j = moved(j, from.cells[1], 4.0 * sigma * s, rng);
         }
         if uniform(rng) < 0.06 {
-            gene.j *= [0.5, 2.0, 2.0 / 3.0, 1.5][(4.0 * uniform(rng)) as usize];
+            theta.j *= [0.5, 2.0, 2.0 / 3.0, 1.5][(4.0 * uniform(rng)) as usize];
         }
-        gene.fd += 0.5 * (gene.s - s - gene.j + j);
+        theta.fd += 0.5 * (theta.s - s - theta.j + j);
         if uniform(rng) < 0.15 {
-            gene.lag += normal(rng);
+            theta.lag += normal(rng);
         }
     } else if kind < 0.6 {
         // An earlier slip and a longer lag look alike.
         let more = 3.0 * uniform(rng) * normal(rng);
-        let s = gene.s - more * question.rate;
+        let s = theta.s - more * question.rate;
         if uniform(rng) < 0.5 {
-            gene.j = gene.j / gene.s * s;
+            theta.j = theta.j / theta.s * s;
         }
-        (gene.s, gene.lag) = (s, gene.lag + more);
+        (theta.s, theta.lag) = (s, theta.lag + more);
     } else if kind < 0.72 {
-        gene.first = another_start(question, gene.first, rng);
+        theta.first = another_start(question, theta.first, rng);
         if uniform(rng) < 0.4 {
-            gene.s = moved(gene.s, from.cells[0], 0.01 * gene.s, rng);
+            theta.s = moved(theta.s, from.cells[0], 0.01 * theta.s, rng);
         }
     }
     let alone = kind >= 0.72;
     if params > 0 && (alone || uniform(rng) < 0.2) {
         let which = ((params as f64) * uniform(rng)) as usize;
-        if let Some(param) = recipe.params().nth(which).filter(|p| p.unit != Unit::Choice) {
-            let [low, high] = param.bounds(scene);
-            let value = &mut gene.p[which];
+        if let Some(param) = structure.params().nth(which).filter(|p| p.unit != Unit::Choice) {
+            let [low, high] = param.bounds(problem);
+            let value = &mut theta.p[which];
             if uniform(rng) < 0.08 {
                 *value = low + (high - low) * uniform(rng);
             } else {
@@ -377,10 +450,10 @@ fn step(scene: &Scene, recipe: &Recipe, from: &Scored, rng: &mut ChaCha8Rng) -> 
             }
         }
     } else if alone {
-        gene.lag += 2.0 * heavy(rng) * normal(rng) * (1.0 + 0.02 * scene.period);
-        gene.log_tau += heavy(rng) * normal(rng);
+        theta.lag += 2.0 * heavy(rng) * normal(rng) * (1.0 + 0.02 * problem.period);
+        theta.log_tau += heavy(rng) * normal(rng);
     }
-    gene
+    theta
 }
 
 /// The first slip at a neighbouring record of OP, or anywhere.
@@ -410,20 +483,20 @@ fn another_start(question: &Question, first: FirstSlip, rng: &mut ChaCha8Rng) ->
     FirstSlip { direction, threshold }
 }
 
-/// Every lane's best places, for every other lane to try with its own parameters.
+/// Every search's best candidates, for every other search to try with its own parameters.
 #[must_use]
-pub fn cross(lanes: &[Lane], each: usize) -> Vec<Gene> {
-    let mut out: Vec<Gene> = Vec::new();
-    for lane in lanes {
-        for scored in lane.best.iter().take(each) {
-            let gene = Gene { p: [0.0; MAX_PARAMS], ..scored.gene };
-            let near = |o: &Gene| {
-                (o.s / gene.s - 1.0).abs() < 1e-3
-                    && (o.j - gene.j).abs() < 1e-3 * gene.s
-                    && (o.lag - gene.lag).abs() < 0.3
+pub fn exchange(searches: &[Search], each: usize) -> Vec<Parameters> {
+    let mut out: Vec<Parameters> = Vec::new();
+    for search in searches {
+        for candidate in search.best.iter().take(each) {
+            let theta = Parameters { p: [0.0; MAX_PARAMS], ..candidate.theta };
+            let near = |o: &Parameters| {
+                (o.s / theta.s - 1.0).abs() < 1e-3
+                    && (o.j - theta.j).abs() < 1e-3 * theta.s
+                    && (o.lag - theta.lag).abs() < 0.3
             };
             if !out.iter().any(near) {
-                out.push(gene);
+                out.push(theta);
             }
         }
     }

@@ -2,13 +2,13 @@
 //! everything behind it makes.
 
 use super::effects::{self, Way};
+use super::evaluator::Candidate;
 use super::evidence::OnMv;
 use super::express::{fit, rms};
-use super::kernel::Scored;
 use super::noise;
-use super::rounds::{self, Work, is_calm, residual_of};
-use super::scene::{Scene, View};
-use super::search::Lane;
+use super::problem::{Problem, View};
+use super::schedule::{self, Work, is_calm, residual_of};
+use super::search::Search;
 use super::types::{Stage, Stages};
 use crate::record::Record;
 use crate::signal::stats;
@@ -37,34 +37,35 @@ fn driven_by(record: &Record, mv: &[f64]) -> Record {
 }
 
 /// Looks at MV, where it is recorded and moves; `from_op` is the base's training error, PV units.
-pub fn look(record: &Record, scene: &Scene, from_op: f64, without: &[String], work: &mut Work<'_>) -> Option<Seen> {
+pub fn look(record: &Record, problem: &Problem, from_op: f64, without: &[String], work: &mut Work<'_>) -> Option<Seen> {
     if work.stopped {
         return None;
     }
     let mv = record.mv.as_ref().filter(|mv| mv.len() == record.len() && stats::span(mv).is_normal())?;
     let behind = driven_by(record, mv);
-    let masked = scene.blocks.masked.clone();
+    let masked = problem.blocks.masked.clone();
     // A transmitter may be reversed, and the controller answers PV by OP, not by MV: both signs are tried.
-    let mut from_mv = Scene::new(&behind, Some(scene.period), work.seed, masked.clone());
+    let mut from_mv = Problem::new(&behind, Some(problem.period), work.seed, masked.clone());
     from_mv.sign = None;
     let floor = noise::floor(&record.pv, false).noise_floor;
     let not_behind = effects::ALL.into_iter().filter(|e| !e.is_behind_stem() || e.way != Way::Simulated);
     let mut left_out: Vec<String> = not_behind.map(|e| e.id.to_owned()).collect();
     left_out.extend(without.iter().cloned());
-    let found = rounds::run(&from_mv, None, &left_out, floor, work)?;
+    let found = schedule::run(&from_mv, None, &left_out, floor, work)?;
     let base = fit(&from_mv, &found.base, floor, &|_| {})?;
     let calm = is_calm(&from_mv, &found.base, floor);
     let stage =
         if calm { Stage::Valve } else { floor.map_or(Stage::Process, |f| pointed(base.rmse_train / f, from_op / f)) };
     let before = Record { pv: mv.clone(), mv: None, ..record.clone() };
-    let mut to_mv = Scene::new(&before, Some(scene.period), work.seed, masked);
+    let mut to_mv = Problem::new(&before, Some(problem.period), work.seed, masked);
     to_mv.sign = None;
     let mv_floor = noise::floor(mv, false).noise_floor;
-    let valve = rounds::base(&to_mv, Some(Law::He), mv_floor, work).and_then(|(lane, _)| residual_of(&to_mv, &lane));
+    let valve =
+        schedule::base(&to_mv, Some(Law::He), mv_floor, work).and_then(|(search, _)| residual_of(&to_mv, &search));
     let op_to_mv = valve.map_or(1.0, |left| rms(&left, &to_mv.test));
     Some(Seen {
         stages: Stages { op_to_mv: 100.0 * op_to_mv * op_to_mv, mv_to_pv: base.gap, stage },
-        ranked: ranked(&from_mv, &found.base, &found.lanes, floor),
+        ranked: ranked(&from_mv, &found.base, &found.searches, floor),
     })
 }
 
@@ -78,20 +79,20 @@ fn pointed(from_mv: f64, from_op: f64) -> Stage {
     }
 }
 
-fn ranked(scene: &Scene, base: &Lane, lanes: &[Lane], floor: Option<f64>) -> Vec<OnMv> {
-    let n = scene.target(View::Plain).len().max(2) as f64;
-    let freedom = |lane: &Lane, of: &Scored| lane.recipe.freedom(&lane.recipe.plan(&of.gene)) as f64;
-    let score = |lane: &Lane| {
-        let best = lane.best.first()?;
-        Some(libm::log((best.sse / n).max(1e-30)) + freedom(lane, best) * libm::log(n) / n)
+fn ranked(problem: &Problem, base: &Search, searches: &[Search], floor: Option<f64>) -> Vec<OnMv> {
+    let n = problem.target(View::Plain).len().max(2) as f64;
+    let freedom = |search: &Search, of: &Candidate| search.structure.freedom(&search.structure.plan(&of.theta)) as f64;
+    let score = |search: &Search| {
+        let best = search.best.first()?;
+        Some(libm::log((best.sse / n).max(1e-30)) + freedom(search, best) * libm::log(n) / n)
     };
     let Some(own) = score(base) else { return Vec::new() };
-    let mut out: Vec<OnMv> = lanes
+    let mut out: Vec<OnMv> = searches
         .iter()
-        .filter_map(|lane| {
-            let effect = lane.recipe.each().next()?;
-            let evidence = own - score(lane)? - effect.margin + effects::MARGIN;
-            let error = (lane.sse() / n).sqrt() * scene.deviation;
+        .filter_map(|search| {
+            let effect = search.structure.each().next()?;
+            let evidence = own - score(search)? - effect.margin + effects::MARGIN;
+            let error = (search.sse() / n).sqrt() * problem.deviation;
             Some(OnMv { id: effect.id.to_owned(), evidence, over_floor: floor.map(|f| error / f) })
         })
         .collect();

@@ -58,7 +58,7 @@ impl Default for Ask {
 }
 
 /// Who does the work: the shell brings threads and a clock, results depend on neither.
-pub trait Crew: Sync {
+pub trait Executor: Sync {
     /// Runs `job(0)` to `job(jobs - 1)`, in any order, and returns when all are done.
     fn run(&self, jobs: usize, job: &(dyn Fn(usize) + Sync));
     /// Told how many evaluations are done between rounds; false ends the search with what is known.
@@ -69,7 +69,7 @@ pub trait Crew: Sync {
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Serial;
 
-impl Crew for Serial {
+impl Executor for Serial {
     fn run(&self, jobs: usize, job: &(dyn Fn(usize) + Sync)) {
         (0..jobs).for_each(job);
     }
@@ -404,7 +404,7 @@ pub struct Diagnosis {
     pub pairs: Vec<EffectResult>,
     /// Model responses computed.
     pub evaluations: u64,
-    /// Whether crew or budget ended the search before its time.
+    /// Whether executor or budget ended the search before its time.
     pub stopped_early: bool,
     /// The noise floor.
     pub floor: Floor,

@@ -3,10 +3,10 @@
 use super::decide;
 use super::effects::{self, Effect, Way};
 use super::express::{above_floor, fit, parameters};
-use super::plan::Recipe;
-use super::scene::{Scene, View};
-use super::search::Lane;
+use super::problem::{Problem, View};
+use super::search::Search;
 use super::signatures::Traces;
+use super::structure::Structure;
 use super::types::{EffectResult, Fit, Floor, Stage};
 use crate::signal::stats;
 use crate::sim::noise::Noise;
@@ -17,17 +17,17 @@ const LEVEL: f64 = 0.9;
 /// Error of the base over the floor below which there is nothing to close.
 const NOTHING_LEFT: f64 = 1.05;
 
-/// What the weighing needs beside the lanes.
+/// What the weighing needs beside the searches.
 #[derive(Debug)]
 pub struct Scales<'a> {
     /// The record.
-    pub scene: &'a Scene,
+    pub problem: &'a Problem,
     /// Its floor.
     pub floor: &'a Floor,
     /// The base.
     pub base: &'a Fit,
-    /// The base's lane.
-    pub lane: &'a Lane,
+    /// The base's search.
+    pub search: &'a Search,
     /// Traces in PV.
     pub traces: &'a Traces,
     /// Seed of the resamples.
@@ -37,33 +37,33 @@ pub struct Scales<'a> {
 impl Scales<'_> {
     /// PV as recorded.
     fn pv(&self) -> impl Iterator<Item = f64> + '_ {
-        self.scene.question.pv.iter().map(|y| y * self.scene.deviation + self.scene.pv_mean)
+        self.problem.question.pv.iter().map(|y| y * self.problem.deviation + self.problem.pv_mean)
     }
 
     /// Log mean squared training error after BIC, of a squared error and a number of parameters.
     fn score(&self, sse: f64, parameters: usize) -> f64 {
-        let n = self.scene.target(View::Plain).len().max(1) as f64;
+        let n = self.problem.target(View::Plain).len().max(1) as f64;
         libm::log((sse / n).max(1e-30)) + parameters as f64 * libm::log(n) / n
     }
 
     /// One simulated effect, or pair, weighed against the base.
-    pub fn weigh(&self, lane: &Lane) -> Option<EffectResult> {
-        let best = lane.best.first()?;
-        let made = fit(self.scene, lane, self.floor.noise_floor, &|_| {})?;
-        let recipe = lane.recipe;
-        let first = recipe.each().next()?;
-        let base_sse = self.lane.sse();
-        let freedom = |r: &Recipe, l: &Lane| l.best.first().map_or(0, |b| r.freedom(&r.plan(&b.gene)));
-        let base_score = self.score(base_sse, freedom(&self.lane.recipe, self.lane));
-        let evidence = base_score - self.score(best.sse, freedom(&recipe, lane));
-        let margin = recipe.each().map(|e| e.margin).fold(0.0, f64::max);
-        let stages: Vec<Stage> = recipe.each().map(|e| e.stage).collect();
+    pub fn weigh(&self, search: &Search) -> Option<EffectResult> {
+        let best = search.best.first()?;
+        let made = fit(self.problem, search, self.floor.noise_floor, &|_| {})?;
+        let structure = search.structure;
+        let first = structure.each().next()?;
+        let base_sse = self.search.sse();
+        let freedom = |r: &Structure, l: &Search| l.best.first().map_or(0, |b| r.freedom(&r.plan(&b.theta)));
+        let base_score = self.score(base_sse, freedom(&self.search.structure, self.search));
+        let evidence = base_score - self.score(best.sse, freedom(&structure, search));
+        let margin = structure.each().map(|e| e.margin).fold(0.0, f64::max);
+        let stages: Vec<Stage> = structure.each().map(|e| e.stage).collect();
         let stage = if stages.iter().all(|s| *s == first.stage) { first.stage } else { Stage::CannotTell };
-        let predictable = decide::predictable(&recipe.id());
-        let parameters = parameters(self.scene, &recipe, best);
+        let predictable = decide::predictable(&structure.id());
+        let parameters = parameters(self.problem, &structure, best);
         let (closed_pct, closed_interval) = if predictable { self.closed(&made) } else { (None, None) };
         Some(EffectResult {
-            id: recipe.id(),
+            id: structure.id(),
             stage,
             simulated: true,
             parameters,
@@ -87,7 +87,7 @@ impl Scales<'_> {
         let found = self.traces.signatures.iter().find(|s| s.id == effect.id && s.met);
         let met = found.is_some();
         let made = if met && effect.way == Way::Signature && effect.predictable {
-            fit(self.scene, self.lane, self.floor.noise_floor, &|p| self.traces.apply(effect.id, p))
+            fit(self.problem, self.search, self.floor.noise_floor, &|p| self.traces.apply(effect.id, p))
         } else {
             None
         };
@@ -149,7 +149,7 @@ impl Scales<'_> {
 
     /// Points, squared error before and after, of every held-out block, points that are masked counted or not.
     fn blocks(&self, after: &Fit, of_masked: bool) -> Vec<[f64; 3]> {
-        let blocks = &self.scene.blocks;
+        let blocks = &self.problem.blocks;
         let mut out = vec![[0.0; 3]; blocks.number.last().map_or(0, |n| n + 1)];
         for (k, y) in self.pv().enumerate() {
             if k >= blocks.from && blocks.held_out[k] && (of_masked || !blocks.masked[k]) {

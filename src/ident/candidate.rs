@@ -342,9 +342,14 @@ impl<'a> Bench<'a> {
 
 /// The bands fd that the slips of `sequence` leave open to (s, j).
 #[must_use]
-pub fn freedom(sequence: &Sequence, [s, j]: [f64; 2], sign: f64, limits: Limits, landing: Landing) -> Freedom {
-    let [s_low, s_high] = sequence.s_cell;
-    let [j_low, j_high] = sequence.j_cell;
+pub fn freedom(sequence: &Sequence, bands: [f64; 2], sign: f64, limits: Limits, landing: Landing) -> Freedom {
+    band_freedom([sequence.s_cell, sequence.j_cell], bands, sign, limits, landing)
+}
+
+/// The bands fd that slips with these cells of s and j leave open to (s, j).
+#[must_use]
+pub fn band_freedom(cells: [[f64; 2]; 2], [s, j]: [f64; 2], sign: f64, limits: Limits, landing: Landing) -> Freedom {
+    let [[s_low, s_high], [j_low, j_high]] = cells;
     let s_high = if s_high.is_finite() { s_high } else { s.max(1.0) };
     let low = match landing {
         Landing::Short => (0.5 * (s_low - j_high.min(s_high))).max(0.0),

@@ -62,6 +62,12 @@ impl Class {
         }
     }
 
+    /// Time constants in the model.
+    #[must_use]
+    pub const fn lags(self) -> usize {
+        self.shape_len() - 1
+    }
+
     /// Lags in the model: its order as reported.
     #[must_use]
     pub const fn order(self) -> u8 {

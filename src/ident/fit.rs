@@ -435,12 +435,32 @@ pub struct BandProfile {
 }
 
 impl BandProfile {
+    /// From products as [`best_band`] takes them and the squares that gain and band explain a part of.
+    #[must_use]
+    pub const fn new([uu, ud, dd, uy, dy]: [f64; 5], yy: f64) -> Self {
+        Self { uu, ud, dd, uy, dy, yy }
+    }
+
     /// Squared error with the best gain for this fd.
     #[must_use]
     pub fn sse(&self, fd: f64) -> f64 {
         let power = self.uu - 2.0 * fd * self.ud + fd * fd * self.dd;
         let along = self.uy - fd * self.dy;
         if power > 1e-12 * (self.uu + fd * fd * self.dd) { self.yy - along * along / power } else { self.yy }
+    }
+
+    /// Standard error of fd next to a free gain, for white residuals of this variance; infinite where the data cannot tell fd
+    /// from the gain.
+    #[must_use]
+    pub fn error(&self, fd: f64, variance: f64, gain: f64) -> f64 {
+        let power = self.uu - 2.0 * fd * self.ud + fd * fd * self.dd;
+        let along = self.ud - fd * self.dd;
+        let own = self.dd - along * along / power;
+        if own.is_nan() || own <= 1e-6 * self.dd || gain == 0.0 {
+            f64::INFINITY
+        } else {
+            (variance / own).sqrt() / gain.abs()
+        }
     }
 
     /// Whether fd only changes the size of the response, so that the gain makes up for it.

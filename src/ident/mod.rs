@@ -5,8 +5,8 @@
 //! solved exactly. Everything is seeded, bounded in work and scale-free.
 
 mod again;
-pub(crate) mod bank;
-pub(crate) mod candidate;
+pub mod bank;
+pub mod candidate;
 mod choice;
 pub mod class;
 pub mod controller;
@@ -16,19 +16,19 @@ pub mod free_run;
 mod frictionless;
 pub(crate) mod hunt;
 pub mod hypothetical;
-mod interval;
 pub(crate) mod least_squares;
 pub mod one_step;
 mod order;
 pub mod portrait;
-pub(crate) mod pose;
+pub mod pose;
 mod quantify;
 pub mod region;
 pub mod residual;
 mod review;
 mod robust;
-pub(crate) mod search;
+pub mod search;
 pub mod sign;
+pub mod slip_search;
 pub mod surface;
 pub mod width;
 

@@ -1,16 +1,18 @@
 //! From a record to the bands: normalise, search, refine, compare with no stiction at all.
 
-use core::cell::RefCell;
-
+use super::candidate::Question;
 use super::choice::{DelayChoice, ModelChoice, ValveChoice};
 use super::class::Class;
-use super::fit::Target;
-use super::hunt::{Answer, Found, Ground, Rival, Scouted, hunt, scout};
-use super::interval;
 use super::pose::pose;
 use super::sign;
+use super::slip_search::answer::{Answer, improvement, view_of};
+use super::slip_search::candidate::{Candidate, apart};
+use super::slip_search::interval;
+use super::slip_search::problem::Problem;
+use super::slip_search::settings::SearchSettings;
+use super::slip_search::stages::{Ended, Found, Request, Search};
 use super::width::Spread;
-use crate::optim::{self, Termination};
+use crate::optim;
 use crate::record::Record;
 use crate::signal::stats;
 use crate::sim::slips::Law;
@@ -86,24 +88,24 @@ pub struct Estimate {
     pub s_cell: [f64; 2],
     /// What else explains the record nearly as well, OP units.
     pub spread: Spread,
-    /// Model responses computed.
+    /// Error models computed.
     pub evaluations: u64,
     /// The global solver's name.
     pub solver: &'static str,
-    /// Why it stopped.
-    pub stopped: Termination,
+    /// Rounds of the search, over all signs of the gain.
+    pub rounds: usize,
+    /// Why the search for the answer ended.
+    pub ended: Ended,
 }
 
 /// Share of PV's variance left unexplained from which the sign that was read is doubted.
 const DOUBTFUL: f64 = 0.3;
-/// Stiction index, plain and of differences, below which a law sees no friction.
-const NO_FRICTION: f64 = 0.05;
-/// Searches with other chance at most, while the best leaves more than noise: in the rugged error a search finds the
-/// right slips by luck too. And the stiction index below which they are not worth it.
-const ROUNDS: u64 = 3;
-const WORTH_ANOTHER: f64 = 0.3;
+/// What the other sign must leave of the error to be believed, and its stiction index.
+const AGAINST: [f64; 2] = [0.5, 0.5];
 /// Share of the error that does not tell one law from the other.
 const HARDLY_WORSE: f64 = 0.01;
+/// Rivals that the interval visits.
+const RIVALS: usize = 24;
 
 /// The best valve law and process model of a record, or `None` where a signal does not move or nothing moves the stem.
 #[must_use]
@@ -114,126 +116,125 @@ pub fn quantify(record: &Record, options: &Options) -> Option<Estimate> {
         return None;
     }
     let question = pose(record, options, span, deviation);
-    let plain = Target::new(&question.pv, 0.0, question.from);
-    let moves = Ground::moves_of(&question);
-    let ground = Ground { question: &question, plain: &plain, moves: &moves, options, known: RefCell::default() };
-    let read = sign::of_gain(&question.mean, &question.pv);
     let laws: &[Law] = match options.valve {
         ValveChoice::He => &[Law::He],
         ValveChoice::Tracking => &[Law::Tracking],
         ValveChoice::Auto => &[Law::He, Law::Tracking],
     };
-    let signs: &[f64] = match read {
-        Some(1.0) => &[1.0],
-        Some(_) => &[-1.0],
-        None => &[1.0, -1.0],
+    let scale = Scale { record, span, deviation };
+    let of_sign = |sign: f64, rival: f64| {
+        let problem = Problem::new(&question, sign);
+        estimate(&problem, options, laws, rival, &scale)
     };
-    let (mut all, mut evaluations) = search(&ground, laws, signs, read, Rival::NONE);
-    for round in 1..ROUNDS {
-        all.sort_by(|a, b| a.sse().total_cmp(&b.sse()));
-        let Some(best) = all.first().filter(|best| !best.done && best.index() > WORTH_ANOTHER) else { break };
-        let rival = Rival { sse: best.sse(), ..Rival::NONE };
-        let options = Options { seed: options.seed.wrapping_add(round << 32), ..*options };
-        let again = Ground { options: &options, known: ground.known.clone(), ..ground };
-        let (more, spent) = search(&again, laws, signs, read, rival);
-        evaluations += spent;
-        all.extend(more);
+    let Some(read) = sign::of_gain(&question.mean, &question.pv) else {
+        let both = [1.0, -1.0].map(|sign| of_sign(sign, f64::INFINITY));
+        let rounds = both.iter().flatten().map(|e| e.rounds).sum();
+        let evaluations = both.iter().flatten().map(|e| e.evaluations).sum();
+        let best = both.into_iter().flatten().min_by(|a, b| a.mse.total_cmp(&b.mse))?;
+        return Some(Estimate { rounds, evaluations, ..best });
+    };
+    let found = of_sign(read, f64::INFINITY)?;
+    if found.mse <= DOUBTFUL * deviation * deviation {
+        return Some(found);
     }
-    all.sort_by(|a, b| a.sse().total_cmp(&b.sse()));
-    let best = all.first()?;
-    let mut estimate = report(record, &ground, best, evaluations, span, deviation)?;
-    let other_law = all.iter().find(|f| f.law != best.law);
-    if let Some(rival) = other_law.filter(|r| r.sse() < (1.0 + HARDLY_WORSE) * best.sse()) {
-        let other = report(record, &ground, rival, 0, span, deviation);
-        if let Some(other) = other {
-            estimate.spread = estimate.spread.or(&other.spread);
-        }
-    }
-    Some(estimate)
+    // Against the sign read only a valve speaks: a model of the controller backwards needs no friction.
+    let rival = AGAINST[0] * found.mse;
+    let other = of_sign(-read, rival / (deviation * deviation) * scale.count(&question));
+    let evaluations = found.evaluations + other.as_ref().map_or(0, |o| o.evaluations);
+    let believed = other.filter(|o| o.mse < rival && o.index > AGAINST[1]).unwrap_or(found);
+    Some(Estimate { evaluations, ..believed })
 }
 
-/// The best of each law, for the signs of the gain that may be, and the responses computed.
-fn search(ground: &Ground<'_>, laws: &[Law], signs: &[f64], read: Option<f64>, known: Rival) -> (Vec<Found>, u64) {
-    let nothing = ground.plain.y.len() as f64 * stats::variance(&ground.plain.y);
-    let mut seen: Vec<Scouted<'_>> = laws.iter().map(|law| scout(ground, *law, signs)).collect();
-    // The law that looks better comes first, so that the other one can be told to be far behind.
-    seen.sort_by(|a, b| a.share().total_cmp(&b.share()));
-    let (mut all, mut evaluations): (Vec<Found>, u64) = (Vec::new(), 0);
-    for scouted in &seen {
-        let rival = all.first().map_or(known, |f| Rival { sse: f.sse(), done: f.done, class: Some(f.class) });
-        let mut found = hunt(ground, scouted, rival);
-        evaluations += found.iter().map(|f| f.evaluations).sum::<u64>();
-        if let (Some(_), Some(first)) = (read, found.first()) {
-            // Against the sign read only a valve speaks: a model of the controller backwards needs no friction.
-            let least = 0.5 * first.sse();
-            if first.sse() > DOUBTFUL * nothing {
-                let against: &[f64] = if signs == [1.0] { &[-1.0] } else { &[1.0] };
-                let other = hunt(ground, &scout(ground, scouted.law, against), Rival { sse: least, ..Rival::NONE });
-                evaluations += other.iter().map(|o| o.evaluations).sum::<u64>();
-                found.extend(other.into_iter().filter(|o| o.index() > 0.5 && o.sse() < least));
-            }
-        }
-        all.extend(found.into_iter().min_by(|a, b| a.sse().total_cmp(&b.sse())));
-        // The laws are alike enough that where one sees no friction at all, the other need not be asked.
-        let sees = |f: &Found| f.index().max(f.index_moves) >= NO_FRICTION;
-        if !all.iter().any(sees) {
-            break;
-        }
+/// Recorded units.
+struct Scale<'r> {
+    record: &'r Record,
+    span: f64,
+    deviation: f64,
+}
+
+impl Scale<'_> {
+    /// Points whose error counts.
+    fn count(&self, question: &Question) -> f64 {
+        self.record.len().saturating_sub(question.from).max(1) as f64
     }
-    (all, evaluations)
+}
+
+/// The estimate for one sign of the gain; an error above `rival` is given up.
+fn estimate(problem: &Problem<'_>, options: &Options, laws: &[Law], rival: f64, scale: &Scale<'_>) -> Option<Estimate> {
+    let solver = optim::by_name(options.solver).unwrap_or(optim::ALL[0]);
+    let request =
+        Request { laws, model: options.model, solver, fineness_pct: options.fineness_pct, seed: options.seed, rival };
+    let settings = SearchSettings::usual();
+    let (found, mut search) = Search::new(problem, &request, &settings).run();
+    let best = *found.best.first()?;
+    let answer = search.answer(best, &found, options.model, options.seed)?;
+    let mut made = report(&mut search, &answer, &found, options, scale)?;
+    let other_law = found.best.get(1).filter(|c| c.sse() < (1.0 + HARDLY_WORSE) * best.sse());
+    if let Some(other) = other_law.copied()
+        && let Some(answer) = search.answer(other, &found, options.model, options.seed)
+        && let Some(other) = report(&mut search, &answer, &found, options, scale)
+    {
+        made.spread = made.spread.or(&other.spread);
+    }
+    made.evaluations = found.evaluations + search.whole().0.evaluations;
+    Some(made)
 }
 
 /// The estimate in recorded units.
 fn report(
-    record: &Record,
-    ground: &Ground<'_>,
+    search: &mut Search<'_, '_>,
+    answer: &Answer,
     found: &Found,
-    evaluations: u64,
-    span: f64,
-    deviation: f64,
+    options: &Options,
+    scale: &Scale<'_>,
 ) -> Option<Estimate> {
-    let Answer { candidate, rho, plain_sse } = found.answer?;
-    let target = Target::new(&ground.question.pv, rho, ground.question.from);
-    let count = ground.plain.y.len() as f64;
-    let scale = deviation * deviation / count;
-    let mut bench = ground.bench(found.law, found.class, &target, found.sign);
-    let without = if rho == 0.0 { found.without[0] } else { found.without_of(&target, ground) };
-    let met = interval::spread(&mut bench, &candidate, without, ground.options.seed);
-    let (spread, c) = (met.spread, met.best);
+    let mut view = view_of(search, answer);
+    let Scale { record, span, deviation } = *scale;
+    let count = view.count();
+    let (evaluator, plain) = search.whole();
+    let class = answer.candidate.class;
+    let rivals: Vec<Candidate> = apart(&found.seen, RIVALS, 0);
+    let of_view = |sse: f64| improvement(sse, answer.without);
+    let index = if answer.rho == 0.0 { of_view(answer.plain.sse) } else { of_view(answer.plain_sse) };
+    let met = interval::spread(evaluator, &mut view, &answer.candidate, &rivals, index, options.seed)?;
+    let best = met.best;
     // A better candidate met on the way of the interval is the answer.
-    let plain_sse = if rho == 0.0 {
-        c.fit.sse
-    } else if c == candidate {
-        plain_sse
+    let same = best.covers(answer.candidate.s, answer.candidate.j, answer.candidate.start);
+    let plain_sse = if answer.rho == 0.0 {
+        met.process.sse
+    } else if same {
+        answer.plain_sse
     } else {
-        let mut plain = ground.bench(found.law, found.class, ground.plain, found.sign);
-        plain.settle(&c).map_or(plain_sse, |c| c.fit.sse)
+        let again = evaluator.in_class(plain, &best, class).and_then(|c| evaluator.polish(plain, &c));
+        again.map_or(answer.plain_sse, |p| p.sse)
     };
-    let [s, j] = c.centred();
-    let band_error = bench.band_error(&c);
+    let [s, j] = interval::centred(&best);
     let point_s = record.point_s();
-    let gain = found.class.gain(c.fit.gain) * deviation / span;
-    let raw_lag = found.class.lag(&c.fit.shape) * record.box_samples as f64;
+    let gain = class.gain(met.process.gain) * deviation / span;
+    let taus = &met.process.taus[..class.lags()];
+    let raw_lag = met.process.lag * record.box_samples as f64;
+    let to_mse = deviation * deviation / count;
     Some(Estimate {
         s: s * span,
         j: j * span,
         span,
-        index: found.index(),
-        index_moves: found.index_moves,
-        law: found.law,
-        class: found.class,
-        gain: if found.class.integrates() { gain / point_s } else { gain },
-        time_constants_s: found.class.time_constants(&c.fit.shape).iter().map(|t| t * point_s).collect(),
+        index: improvement(plain_sse.min(answer.plain.sse), answer.without),
+        index_moves: answer.index_moves,
+        law: best.law,
+        class,
+        gain: if class.integrates() { gain / point_s } else { gain },
+        time_constants_s: taus.iter().map(|t| t * point_s).collect(),
         dead_time_s: (raw_lag - 1.0).max(0.0) * record.ts_s,
-        mse: plain_sse * scale,
-        mse_without: found.without[0] * scale,
-        slips: c.slips,
-        reversals: c.reversals,
-        j_error: 2.0 * band_error * span,
-        s_cell: c.s_cell.map(|v| v * span),
-        spread: spread.scaled(span),
-        evaluations: evaluations + bench.fitter.evaluations,
-        solver: optim::by_name(ground.options.solver).unwrap_or(optim::ALL[0]).name(),
-        stopped: found.outcome.stopped,
+        mse: plain_sse * to_mse,
+        mse_without: answer.without * to_mse,
+        slips: best.slips,
+        reversals: best.reversals,
+        j_error: 2.0 * met.band_error * span,
+        s_cell: best.cells[0].map(|v| v * span),
+        spread: met.spread.scaled(span),
+        evaluations: 0,
+        solver: optim::by_name(options.solver).unwrap_or(optim::ALL[0]).name(),
+        rounds: found.rounds,
+        ended: found.ended,
     })
 }

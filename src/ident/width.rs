@@ -273,7 +273,7 @@ impl Settings {
 }
 
 /// The smallest interval around two.
-pub(super) const fn hull(a: [f64; 2], b: [f64; 2]) -> [f64; 2] {
+pub const fn hull(a: [f64; 2], b: [f64; 2]) -> [f64; 2] {
     [a[0].min(b[0]), a[1].max(b[1])]
 }
 

@@ -75,6 +75,14 @@ impl Stroke {
     };
 }
 
+impl Stroke {
+    /// Whether there is nothing beside the law.
+    #[must_use]
+    pub fn is_plain(&self) -> bool {
+        *self == Self::FREE
+    }
+}
+
 impl Default for Stroke {
     fn default() -> Self {
         Self::FREE

@@ -87,6 +87,10 @@ impl Steps {
         let mut collector = Collector::new(core::mem::take(&mut self.list), m, values.len() / m);
         let mut last = stem.signal();
         let mut k = 0;
+        if stroke.is_plain() {
+            self.list = collector.list;
+            return self.run_plain(path, values.len(), law, [s, j], stem);
+        }
         while k < values.len() {
             let end = (k / BLOCK + 1) * BLOCK;
             // Extremes reach to the end of a block, which may lie beyond the values that are asked for.
@@ -108,6 +112,72 @@ impl Steps {
         self.list = collector.finish();
         [self.s_cell, self.j_cell] = stem.cells();
         (self.slips, self.reversals) = (stem.slips(), stem.reversals());
+    }
+
+    /// The same for even bands and a stem without mass, stops or delay, by thresholds: most of a search is this.
+    fn run_plain(&mut self, path: &Path, count: usize, law: Law, [s, j]: [f64; 2], stem: Stem) {
+        let m = path.per_point;
+        let (values, ahead) = (&path.values[..count], &path.ahead[..count]);
+        let mut collector = Collector::new(core::mem::take(&mut self.list), m, count / m);
+        let (mut at, mut direction) = stem.signal();
+        let (mut s_cell, mut j_cell) = ([0.0_f64, f64::INFINITY], [0.0_f64, f64::INFINITY]);
+        let (mut slips, mut reversals, mut k) = (0, 0, 0);
+        loop {
+            let up = direction > 0.0;
+            let [low, high] = if up { [at - s, at + j] } else { [at - j, at + s] };
+            let (mut least, mut most) = (at, at);
+            let mut value = None;
+            while k < count {
+                let end = (k / BLOCK + 1) * BLOCK;
+                let [l, h] = ahead[k];
+                if l >= low && h <= high && end <= count {
+                    (least, most) = (least.min(l), most.max(h));
+                    k = end;
+                    continue;
+                }
+                let stop = end.min(count);
+                while k < stop && values[k] >= low && values[k] <= high {
+                    (least, most) = (least.min(values[k]), most.max(values[k]));
+                    k += 1;
+                }
+                if k < stop {
+                    value = Some(values[k]);
+                    break;
+                }
+            }
+            if slips > 0 {
+                let [on, back] = if up { [most - at, at - least] } else { [at - least, most - at] };
+                j_cell[0] = j_cell[0].max(on);
+                s_cell[0] = s_cell[0].max(back);
+            }
+            let Some(op) = value else { break };
+            let way = (op - at).abs();
+            let turns = (op > at) != up;
+            if turns {
+                if slips > 0 {
+                    s_cell[1] = s_cell[1].min(way);
+                    reversals += 1;
+                }
+                direction = -direction;
+            } else {
+                j_cell[1] = j_cell[1].min(way);
+            }
+            slips += 1;
+            collector.step(k, [op - at, if turns { 2.0 * direction } else { 0.0 }]);
+            at = op;
+            k += 1;
+            if law == Law::Tracking {
+                while k < count && direction * (values[k] - at) >= 0.0 {
+                    if values[k] != at {
+                        collector.step(k, [values[k] - at, 0.0]);
+                        at = values[k];
+                    }
+                    k += 1;
+                }
+            }
+        }
+        self.list = collector.finish();
+        (self.s_cell, self.j_cell, self.slips, self.reversals) = (s_cell, j_cell, slips, reversals);
     }
 
     /// The steps of a signal that is given point by point, `direction` of the same length or empty; cells and counts are

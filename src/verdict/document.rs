@@ -309,9 +309,12 @@ impl Assessment {
 pub struct Search {
     /// Name of the solver.
     pub solver: &'static str,
-    /// Candidate models simulated.
+    /// Error models computed.
     pub evaluations: u64,
-    /// Why it stopped.
+    /// Rounds made.
+    pub rounds: usize,
+    /// Why it ended: `noise` (nothing but noise is left), `agreement` (another round gained next to nothing),
+    /// `no_friction` (none shows), `behind` (another explanation is far better), `complete` (all rounds made).
     pub stopped: &'static str,
 }
 

@@ -12,8 +12,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::detect::{Detector, View};
 use crate::ident::Estimate;
-use crate::ident::hunt::FULL_WEIGHT;
 use crate::ident::residual::{PORTMANTEAU, Whiteness};
+use crate::ident::slip_search::answer::FULL_WEIGHT;
 use crate::record::Record;
 use crate::signal::stats;
 

@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use crate::common::Draw;
 use stictiond::gap::model::{Added, Model, Process, SCHEMA, Valve};
-use stictiond::gap::{Ask, Base, Crew, Diagnosis, GapError, Serial, diagnose};
+use stictiond::gap::{Ask, Base, Diagnosis, Executor, GapError, Serial, diagnose};
 use stictiond::record::Record;
 use stictiond::sim::closed_loop::{ClosedLoop, LoopModel, ValveLaw, ValveModel};
 use stictiond::sim::controller::{Action, PidSettings};
@@ -60,7 +60,7 @@ fn record(model: LoopModel, n: usize, seed: u64) -> Record {
 /// Two threads that take jobs as they come.
 struct Two;
 
-impl Crew for Two {
+impl Executor for Two {
     fn run(&self, jobs: usize, job: &(dyn Fn(usize) + Sync)) {
         let next = AtomicUsize::new(0);
         std::thread::scope(|scope| {
@@ -86,7 +86,7 @@ impl Crew for Two {
 /// One after the other, ended when so many evaluations are done.
 struct Until(u64);
 
-impl Crew for Until {
+impl Executor for Until {
     fn run(&self, jobs: usize, job: &(dyn Fn(usize) + Sync)) {
         (0..jobs).for_each(job);
     }

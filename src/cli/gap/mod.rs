@@ -1,7 +1,7 @@
 //! `stictiond gap`: where the simulation departs from the plant, which effect causes it, how far adding it closes the gap.
 
 mod base;
-mod crew;
+mod executor;
 mod predictions;
 
 use std::path::{Path, PathBuf};
@@ -23,7 +23,7 @@ use crate::gap::{self, Ask, GapError, effects, locate, text};
 use crate::report::{GapLoop, GapReport, gap_page};
 use base::BaseArg;
 pub(super) use base::model_file;
-use crew::Team;
+use executor::Team;
 
 /// Most points of a simulation: sections with more samples are averaged in boxes.
 const MAX_POINTS: usize = 8_192;

@@ -1,12 +1,12 @@
 //! Where to begin looking for an effect: what the base leaves, and how its valve moves.
 
-use crate::gap::scene::Scene;
+use crate::gap::problem::Problem;
 
 /// The base's best fit as the effects' starts see it.
 #[derive(Debug)]
 pub struct Clues<'a> {
     /// The record.
-    pub scene: &'a Scene,
+    pub problem: &'a Problem,
     /// What the base leaves of PV at each point, deviations.
     pub residual: &'a [f64],
     /// Lowest and highest place of the stem, spans.
@@ -19,7 +19,7 @@ impl Clues<'_> {
     /// Share of the residual's fitted part that columns made by `shape` explain, each with a constant.
     fn explained(&self, shape: &dyn Fn(f64) -> [f64; 2]) -> f64 {
         let (mut n, mut sums) = (0.0, [0.0; 3]);
-        let points = || self.scene.train.iter().flat_map(|[a, b]| *a..*b);
+        let points = || self.problem.train.iter().flat_map(|[a, b]| *a..*b);
         for k in points() {
             let x = shape(k as f64);
             n += 1.0;
@@ -52,7 +52,7 @@ impl Clues<'_> {
     #[must_use]
     pub fn frequencies(&self, wanted: usize) -> Vec<f64> {
         const STEPS: usize = 240;
-        let n = self.scene.n() as f64;
+        let n = self.problem.n() as f64;
         let (low, high) = (2.0 * core::f64::consts::PI / n, 1.2_f64);
         // Finer than a period in the record between steps at the low end, coarser at the high one.
         let grid: Vec<f64> = (0..STEPS).map(|i| low * libm::pow(high / low, i as f64 / (STEPS - 1) as f64)).collect();
@@ -74,7 +74,7 @@ impl Clues<'_> {
 
     fn scan(&self, wanted: usize, shape: &dyn Fn(f64, f64) -> f64) -> Vec<f64> {
         const STEPS: usize = 60;
-        let (from, to) = (self.scene.blocks.from as f64, self.scene.n() as f64);
+        let (from, to) = (self.problem.blocks.from as f64, self.problem.n() as f64);
         let grid: Vec<f64> = (0..STEPS).map(|i| from + (to - from) * (i as f64 + 0.5) / STEPS as f64).collect();
         let power: Vec<f64> = grid.iter().map(|t| self.explained(&|k| [shape(k, *t), 0.0])).collect();
         self.peaks(&grid, &power, wanted)

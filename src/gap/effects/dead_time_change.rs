@@ -31,7 +31,7 @@ pub const EFFECT: Effect = Effect {
 };
 
 fn starts(clues: &Clues<'_>) -> Vec<Start> {
-    let (n, lag) = (clues.scene.n() as f64, clues.lag);
+    let (n, lag) = (clues.problem.n() as f64, clues.lag);
     let mut out = Vec::new();
     for at in [0.3, 0.45, 0.6, 0.75] {
         for added in [-0.6 * lag, 0.5 * lag, 1.5 * lag] {
@@ -44,7 +44,7 @@ fn starts(clues: &Clues<'_>) -> Vec<Start> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gap::plan::Plan;
+    use crate::gap::structure::Plan;
     use crate::sim::slips::Law;
 
     #[test]

@@ -7,7 +7,7 @@ pub const EFFECT: Effect = Effect {
     id: "extra_lag",
     stage: Stage::Process,
     way: Way::Simulated,
-    params: &[lag::<60>(Reach::Process)],
+    params: &[lag::<60>(Reach::SecondLag)],
     enter: |p, plan| plan.tau2 = libm::exp(p[0]),
     starts: |clues| lags(clues, &[0.01, 0.04, 0.12, 0.3]),
     linear: nothing,
@@ -20,7 +20,7 @@ pub const EFFECT: Effect = Effect {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gap::plan::Plan;
+    use crate::gap::structure::Plan;
     use crate::sim::slips::Law;
 
     #[test]

@@ -1,7 +1,7 @@
 //! A gain that grows or falls with time: by the same amount in every hour (fouling), or by the same share (wear, decay).
 
 use super::{Effect, Param, Reach, Stage, Unit, WIDE_MARGIN, Way, nothing};
-use crate::gap::plan::Drift;
+use crate::gap::structure::Drift;
 
 /// As the catalogue has it.
 pub const EFFECT: Effect = Effect {
@@ -25,7 +25,7 @@ pub const EFFECT: Effect = Effect {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gap::plan::Plan;
+    use crate::gap::structure::Plan;
     use crate::sim::slips::Law;
 
     #[test]

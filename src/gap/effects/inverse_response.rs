@@ -7,7 +7,7 @@ pub const EFFECT: Effect = Effect {
     id: "inverse_response",
     stage: Stage::Process,
     way: Way::Simulated,
-    params: &[lag::<60>(Reach::Process)],
+    params: &[lag::<60>(Reach::SecondLag)],
     enter: |p, plan| {
         plan.tau2 = libm::exp(p[0]);
         plan.zero = true;
@@ -23,7 +23,7 @@ pub const EFFECT: Effect = Effect {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gap::plan::Plan;
+    use crate::gap::structure::Plan;
     use crate::sim::slips::Law;
 
     #[test]

@@ -31,9 +31,9 @@ mod travel_limit;
 pub use clues::Clues;
 pub use travel_limit::above_stop;
 
-use super::kernel::Scored;
-use super::plan::Plan;
-use super::scene::Scene;
+use super::evaluator::Candidate;
+use super::problem::Problem;
+use super::structure::Plan;
 use super::types::{EffectId, Parameter, Stage};
 
 /// How an effect is found.
@@ -60,6 +60,8 @@ pub enum Reach {
     Stem,
     /// The process and what is added to PV.
     Process,
+    /// The second time constant, a logarithm.
+    SecondLag,
     /// The cost jumps along it: random steps only.
     Jumps,
 }
@@ -99,29 +101,29 @@ pub struct Param {
     /// What it moves.
     pub reach: Reach,
     /// Bounds in the units of the search.
-    pub limits: fn(&Scene) -> [f64; 2],
+    pub limits: fn(&Problem) -> [f64; 2],
 }
 
 impl Param {
     /// Bounds in the units of the search, low below high.
     #[must_use]
-    pub fn bounds(&self, scene: &Scene) -> [f64; 2] {
-        let [low, high] = (self.limits)(scene);
+    pub fn bounds(&self, problem: &Problem) -> [f64; 2] {
+        let [low, high] = (self.limits)(problem);
         [low, high.max(low + 1e-9)]
     }
 
     /// The value in recorded units, with their name.
     #[must_use]
-    pub fn recorded(&self, value: f64, scene: &Scene) -> Option<Parameter> {
+    pub fn recorded(&self, value: f64, problem: &Problem) -> Option<Parameter> {
         let (value, unit) = match self.unit {
             Unit::One => (value, "1"),
-            Unit::LogTime => (libm::exp(value) * scene.point_s, "s"),
-            Unit::Time | Unit::Instant => (value * scene.point_s, "s"),
-            Unit::Op => (value * scene.span, "OP"),
-            Unit::LogRate => (libm::exp(value) * scene.span / scene.point_s, "OP/s"),
-            Unit::Period => (2.0 * core::f64::consts::PI / value.max(1e-9) * scene.point_s, "s"),
+            Unit::LogTime => (libm::exp(value) * problem.point_s, "s"),
+            Unit::Time | Unit::Instant => (value * problem.point_s, "s"),
+            Unit::Op => (value * problem.span, "OP"),
+            Unit::LogRate => (libm::exp(value) * problem.span / problem.point_s, "OP/s"),
+            Unit::Period => (2.0 * core::f64::consts::PI / value.max(1e-9) * problem.point_s, "s"),
             Unit::Choice => (if value > 0.5 { 1.0 } else { 0.0 }, "1"),
-            Unit::PerOp => (value / scene.span, "1/OP"),
+            Unit::PerOp => (value / problem.span, "1/OP"),
             Unit::StemEnd => return None,
         };
         Some(Parameter { name: self.name, value, unit })
@@ -129,16 +131,16 @@ impl Param {
 
     /// The inverse of [`Param::recorded`].
     #[must_use]
-    pub fn posed(&self, value: f64, scene: &Scene) -> f64 {
+    pub fn posed(&self, value: f64, problem: &Problem) -> f64 {
         match self.unit {
             Unit::One | Unit::Choice => value,
-            Unit::LogTime => libm::log((value / scene.point_s).max(1e-9)),
-            Unit::Time | Unit::Instant => value / scene.point_s,
-            Unit::Op => value / scene.span,
-            Unit::LogRate => libm::log((value * scene.point_s / scene.span).max(1e-12)),
-            Unit::PerOp => value * scene.span,
-            Unit::StemEnd => (value - scene.op_middle) / scene.span,
-            Unit::Period => 2.0 * core::f64::consts::PI * scene.point_s / value.max(1e-9),
+            Unit::LogTime => libm::log((value / problem.point_s).max(1e-9)),
+            Unit::Time | Unit::Instant => value / problem.point_s,
+            Unit::Op => value / problem.span,
+            Unit::LogRate => libm::log((value * problem.point_s / problem.span).max(1e-12)),
+            Unit::PerOp => value * problem.span,
+            Unit::StemEnd => (value - problem.op_middle) / problem.span,
+            Unit::Period => 2.0 * core::f64::consts::PI * problem.point_s / value.max(1e-9),
         }
     }
 }
@@ -162,7 +164,7 @@ pub struct Effect {
     /// Parameter values at which a search begins.
     pub starts: fn(&Clues<'_>) -> Vec<Start>,
     /// What the linear coefficients and fd say in recorded units, of an effect with these parameters.
-    pub linear: fn(&[f64], &Plan, &Scored, &Scene) -> Vec<Parameter>,
+    pub linear: fn(&[f64], &Plan, &Candidate, &Problem) -> Vec<Parameter>,
     /// Training log mean squared error by which it must beat the base: more for what bends to anything.
     pub margin: f64,
     /// Whether free run can predict it.
@@ -246,13 +248,13 @@ const fn lag<const MOST: u32>(reach: Reach) -> Param {
     Param { name: "lag", unit: Unit::LogTime, reach, limits: lag_limits::<MOST> }
 }
 
-fn lag_limits<const MOST: u32>(scene: &Scene) -> [f64; 2] {
-    [0.3, f64::from(MOST)].map(|samples| libm::log(samples / scene.box_samples))
+fn lag_limits<const MOST: u32>(problem: &Problem) -> [f64; 2] {
+    [0.3, f64::from(MOST)].map(|samples| libm::log(samples / problem.box_samples))
 }
 
 /// Lags of these shares of a period.
 fn lags(clues: &Clues<'_>, shares: &[f64]) -> Vec<Start> {
-    shares.iter().map(|t| [libm::log(t * clues.scene.period), 0.0, 0.0]).collect()
+    shares.iter().map(|t| [libm::log(t * clues.problem.period), 0.0, 0.0]).collect()
 }
 
 /// For effects without nonlinear parameters: one start.
@@ -261,7 +263,7 @@ fn once(_clues: &Clues<'_>) -> Vec<Start> {
 }
 
 /// For effects without linear coefficients of their own.
-fn nothing(_p: &[f64], _plan: &Plan, _of: &Scored, _scene: &Scene) -> Vec<Parameter> {
+fn nothing(_p: &[f64], _plan: &Plan, _of: &Candidate, _scene: &Problem) -> Vec<Parameter> {
     Vec::new()
 }
 
@@ -271,7 +273,7 @@ fn outside(_p: &[f64], _plan: &mut Plan) {}
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gap::plan::MAX_PARAMS;
+    use crate::gap::structure::MAX_PARAMS;
 
     #[test]
     fn ids_are_unique_and_what_is_confused_exists() {

@@ -1,9 +1,9 @@
 //! A load that grows evenly from some instant on.
 
 use super::{Clues, Effect, Param, Reach, Stage, Start, Unit, WIDE_MARGIN, Way};
-use crate::gap::kernel::Scored;
-use crate::gap::plan::{Part, Plan};
-use crate::gap::scene::Scene;
+use crate::gap::evaluator::Candidate;
+use crate::gap::problem::Problem;
+use crate::gap::structure::{Part, Plan};
 use crate::gap::types::Parameter;
 
 /// As the catalogue has it.
@@ -32,9 +32,9 @@ fn starts(clues: &Clues<'_>) -> Vec<Start> {
     out
 }
 
-fn rate(_p: &[f64], plan: &Plan, of: &Scored, scene: &Scene) -> Vec<Parameter> {
-    let (rise, whole) = (of.linear.others[plan.column(Part::Ramp)], scene.n() as f64 * scene.point_s);
-    vec![Parameter { name: "slope", value: rise * scene.deviation / whole, unit: "PV/s" }]
+fn rate(_p: &[f64], plan: &Plan, of: &Candidate, problem: &Problem) -> Vec<Parameter> {
+    let (rise, whole) = (of.linear.others[plan.column(Part::Ramp)], problem.n() as f64 * problem.point_s);
+    vec![Parameter { name: "slope", value: rise * problem.deviation / whole, unit: "PV/s" }]
 }
 
 #[cfg(test)]

@@ -22,14 +22,14 @@ pub const EFFECT: Effect = Effect {
 
 fn starts(clues: &Clues<'_>) -> Vec<Start> {
     let travel = (clues.stem[1] - clues.stem[0]).max(0.05);
-    let rate = |r: f64| libm::log(r * travel / clues.scene.period);
+    let rate = |r: f64| libm::log(r * travel / clues.problem.period);
     [3.0, 8.0, 25.0, 80.0].into_iter().flat_map(|r| [[rate(r), 0.0, 0.0], [rate(r), 1.0, 0.0]]).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gap::plan::Plan;
+    use crate::gap::structure::Plan;
     use crate::sim::slips::Law;
 
     #[test]

@@ -3,9 +3,9 @@
 use core::f64::consts::TAU;
 
 use super::{Clues, Effect, Param, Reach, Stage, Start, Unit, WIDE_MARGIN, Way};
-use crate::gap::kernel::Scored;
-use crate::gap::plan::{Part, Plan};
-use crate::gap::scene::Scene;
+use crate::gap::evaluator::Candidate;
+use crate::gap::problem::Problem;
+use crate::gap::structure::{Part, Plan};
 use crate::gap::types::Parameter;
 
 /// As the catalogue has it.
@@ -34,10 +34,10 @@ fn starts(clues: &Clues<'_>) -> Vec<Start> {
 }
 
 /// Half of the way from trough to crest.
-fn amplitude(_p: &[f64], plan: &Plan, of: &Scored, scene: &Scene) -> Vec<Parameter> {
+fn amplitude(_p: &[f64], plan: &Plan, of: &Candidate, problem: &Problem) -> Vec<Parameter> {
     let at = plan.column(Part::Waves);
     let [a, b] = [of.linear.others[at], of.linear.others[at + 1]];
-    vec![Parameter { name: "amplitude", value: (a * a + b * b).sqrt() * scene.deviation, unit: "PV" }]
+    vec![Parameter { name: "amplitude", value: (a * a + b * b).sqrt() * problem.deviation, unit: "PV" }]
 }
 
 #[cfg(test)]

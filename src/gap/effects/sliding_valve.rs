@@ -2,7 +2,7 @@
 //! instead of sticking again at each scan.
 
 use super::{Effect, MARGIN, Param, Reach, Stage, Unit, Way, nothing};
-use crate::gap::scene::Scene;
+use crate::gap::problem::Problem;
 use crate::sim::slips::Law;
 
 /// Drag of none to speak of, and the most, raw samples.
@@ -11,8 +11,8 @@ const MOST_DRAG: f64 = 5.0;
 /// Speed at which it sticks again, spans a point.
 const SLOWEST: [f64; 2] = [1e-6, 0.1];
 
-fn drag(scene: &Scene) -> [f64; 2] {
-    [LEAST_DRAG, MOST_DRAG].map(|samples| libm::log(samples / scene.box_samples))
+fn drag(problem: &Problem) -> [f64; 2] {
+    [LEAST_DRAG, MOST_DRAG].map(|samples| libm::log(samples / problem.box_samples))
 }
 
 /// As the catalogue has it.
@@ -29,7 +29,7 @@ pub const EFFECT: Effect = Effect {
         (plan.stroke.drag, plan.stroke.slowest) = (libm::exp(p[0]), libm::exp(p[1]));
     },
     starts: |clues| {
-        let at = |samples: f64| libm::log(samples / clues.scene.box_samples);
+        let at = |samples: f64| libm::log(samples / clues.problem.box_samples);
         let slow = libm::log(SLOWEST[0]);
         vec![[at(LEAST_DRAG), slow, 0.0], [at(0.4), slow, 0.0]]
     },
@@ -43,7 +43,7 @@ pub const EFFECT: Effect = Effect {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gap::plan::Plan;
+    use crate::gap::structure::Plan;
 
     #[test]
     fn the_law_is_switched_and_the_stem_dragged() {

@@ -1,9 +1,9 @@
 //! A load that steps at some instant, before the process or straight into PV.
 
 use super::{Clues, Effect, Param, Reach, Stage, Start, Unit, WIDE_MARGIN, Way};
-use crate::gap::kernel::Scored;
-use crate::gap::plan::{Part, Plan};
-use crate::gap::scene::Scene;
+use crate::gap::evaluator::Candidate;
+use crate::gap::problem::Problem;
+use crate::gap::structure::{Part, Plan};
 use crate::gap::types::Parameter;
 
 /// As the catalogue has it.
@@ -33,9 +33,9 @@ fn starts(clues: &Clues<'_>) -> Vec<Start> {
     clues.steps(4).into_iter().flat_map(|t| [[t, 0.0, 0.0], [t, 1.0, 0.0]]).collect()
 }
 
-fn size(_p: &[f64], plan: &Plan, of: &Scored, scene: &Scene) -> Vec<Parameter> {
+fn size(_p: &[f64], plan: &Plan, of: &Candidate, problem: &Problem) -> Vec<Parameter> {
     let size = of.linear.others[plan.column(Part::Step)];
-    vec![Parameter { name: "size", value: size * scene.deviation, unit: "PV" }]
+    vec![Parameter { name: "size", value: size * problem.deviation, unit: "PV" }]
 }
 
 #[cfg(test)]

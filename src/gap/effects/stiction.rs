@@ -21,7 +21,7 @@ pub const EFFECT: Effect = Effect {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gap::plan::Plan;
+    use crate::gap::structure::Plan;
 
     #[test]
     fn friction_is_added_to_a_valve_without() {

@@ -1,9 +1,9 @@
 //! A stop, low or high, that the stem meets inside the range of OP, or an end of what flows behind a free stem.
 
 use super::{Clues, Effect, MARGIN, Param, Reach, Stage, Start, Unit, Way};
-use crate::gap::kernel::Scored;
-use crate::gap::plan::Plan;
-use crate::gap::scene::Scene;
+use crate::gap::evaluator::Candidate;
+use crate::gap::problem::Problem;
+use crate::gap::structure::Plan;
 use crate::gap::types::Parameter;
 
 /// As the catalogue has it.
@@ -50,9 +50,9 @@ pub fn above_stop(p: &[f64], fd: f64) -> f64 {
     }
 }
 
-fn stop(p: &[f64], _plan: &Plan, of: &Scored, scene: &Scene) -> Vec<Parameter> {
-    let place = p[0] - above_stop(p, of.gene.fd);
-    vec![Parameter { name: "stop", value: place * scene.span + scene.op_middle, unit: "OP" }]
+fn stop(p: &[f64], _plan: &Plan, of: &Candidate, problem: &Problem) -> Vec<Parameter> {
+    let place = p[0] - above_stop(p, of.theta.fd);
+    vec![Parameter { name: "stop", value: place * problem.span + problem.op_middle, unit: "OP" }]
 }
 
 #[cfg(test)]

@@ -7,10 +7,12 @@
 //! for every dead time within a sample, gain and kinetic band. The plain pass over samples, [`super::fit`], computes the
 //! same and is held against it by tests.
 
+mod reduced;
 mod sums;
 mod tables;
 
-pub use sums::{Best, Reduced, reduce};
+pub use reduced::{Best, Reduced};
+pub use sums::reduce;
 pub use tables::{LATTICE_STEP, Table, View, lattice_index, lattice_tau};
 
 #[cfg(test)]

@@ -1,24 +1,20 @@
 //! The products that a fit needs, gathered step by step.
 
+use super::reduced::Reduced;
 use super::tables::{Table, View};
 use crate::ident::class::{Class, INTEGRATOR_SCALE};
-use crate::ident::fit::{Freedom, best_band};
 use crate::sim::steps::Step;
 
 /// Columns that a step response is made of, at most: level, and ramp or decays.
-const PARTS: usize = 3;
+pub(super) const PARTS: usize = 3;
 /// Pairs of them: 00 01 11 02 12 22.
-const PAIRS: [(usize, usize); 6] = [(0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)];
+pub(super) const PAIRS: [(usize, usize); 6] = [(0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)];
 /// Columns beside the answer, at most: constant, two memories, loads.
 const BESIDE: usize = 3 + MOST_LOADS;
 /// Most loads of a view.
 const MOST_LOADS: usize = 5;
 /// Share of its own square below which a column depends on those before it.
-const DEPENDENT: f64 = 1e-9;
-/// Places of the dead time within a sample that are tried beyond the first three.
-const REFINEMENTS: usize = 4;
-/// Change of that place from which another one is tried.
-const SAME_PLACE: f64 = 1e-3;
+pub(super) const DEPENDENT: f64 = 1e-9;
 
 const FIRST: usize = 0;
 const SECOND: usize = 1;
@@ -46,6 +42,10 @@ const fn part(class: usize, index: usize) -> Part {
 
 const fn parts(class: usize) -> usize {
     if class == FIRST || class == INTEGRATING { 2 } else { 3 }
+}
+
+const fn pairs(class: usize) -> usize {
+    parts(class) * (parts(class) + 1) / 2
 }
 
 /// Sums over the samples of one stretch between two steps: of 1, q, q^2, decays and their products, q counted from its
@@ -146,44 +146,20 @@ impl Sizes {
     }
 }
 
-/// Products of the parts of a step response with each other and with PV, whatever else is linear taken out: the error of
-/// every dead time within a sample, gain and kinetic band.
-#[derive(Debug, Clone, Copy)]
-pub struct Reduced {
-    class: Class,
-    tau: [f64; 2],
-    /// Level half with itself, with the direction half (both orders added off the diagonal), direction half with itself.
-    products: [[f64; 6]; 3],
-    /// Both halves with PV.
-    with_pv: [[f64; PARTS]; 2],
-    /// Squares of the two halves' levels before anything was taken out.
-    whole: [f64; 2],
-    /// Sum of squares that constant, memory and loads leave of PV.
-    pub rest: f64,
-}
-
-/// The best of all dead times within a sample.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Best {
-    /// Squared error.
-    pub sse: f64,
-    /// Coefficient of the unit response; 0 where no gain of the asked sign helps.
-    pub gain: f64,
-    /// Kinetic band.
-    pub fd: f64,
-    /// Dead time beyond the whole samples, 0..1.
-    pub fraction: f64,
-}
-
 /// Walks the steps of a valve signal, their answer `delay` whole points late, through a process with one or two time
 /// constants (the same table twice where there is one).
 #[must_use]
 pub fn reduce(class: Class, view: &View, tables: [&Table; 2], steps: &[Step], delay: usize) -> Reduced {
-    match class {
-        Class::First => walk::<FIRST>(class, view, tables, steps, delay),
-        Class::Second => walk::<SECOND>(class, view, tables, steps, delay),
-        Class::Integrating => walk::<INTEGRATING>(class, view, tables, steps, delay),
-        Class::LagIntegrating => walk::<LAG_INTEGRATING>(class, view, tables, steps, delay),
+    let whole = view.loads() == 0 && view.counted() == [[view.from(), view.points()]];
+    match (class, whole) {
+        (Class::First, true) => walk::<FIRST, true>(class, view, tables, steps, delay),
+        (Class::Second, true) => walk::<SECOND, true>(class, view, tables, steps, delay),
+        (Class::Integrating, true) => walk::<INTEGRATING, true>(class, view, tables, steps, delay),
+        (Class::LagIntegrating, true) => walk::<LAG_INTEGRATING, true>(class, view, tables, steps, delay),
+        (Class::First, false) => walk::<FIRST, false>(class, view, tables, steps, delay),
+        (Class::Second, false) => walk::<SECOND, false>(class, view, tables, steps, delay),
+        (Class::Integrating, false) => walk::<INTEGRATING, false>(class, view, tables, steps, delay),
+        (Class::LagIntegrating, false) => walk::<LAG_INTEGRATING, false>(class, view, tables, steps, delay),
     }
 }
 
@@ -200,7 +176,8 @@ impl Gathered {
     /// Adds the products of one sample's values.
     #[inline(always)]
     fn sample<const CLASS: usize>(&mut self, x: &[[f64; 2]; PARTS], memories: [f64; 2]) {
-        for (slot, (a, b)) in PAIRS.into_iter().enumerate().take(parts(CLASS) * (parts(CLASS) + 1) / 2) {
+        for slot in 0..pairs(CLASS) {
+            let (a, b) = PAIRS[slot];
             self.products[0][slot] += x[a][0] * x[b][0];
             self.products[2][slot] += x[a][1] * x[b][1];
             self.products[1][slot] += if a == b { x[a][0] * x[a][1] } else { x[a][0] * x[b][1] + x[b][0] * x[a][1] };
@@ -219,7 +196,8 @@ impl Gathered {
     /// Adds the products of a stretch of samples.
     #[inline(always)]
     fn stretch<const CLASS: usize>(&mut self, sizes: &Sizes, s: &Stretch, late: f64, decays: [f64; 2]) {
-        for (slot, (a, b)) in PAIRS.into_iter().enumerate().take(parts(CLASS) * (parts(CLASS) + 1) / 2) {
+        for slot in 0..pairs(CLASS) {
+            let (a, b) = PAIRS[slot];
             let (x, y) = (part(CLASS, a), part(CLASS, b));
             self.products[0][slot] += sizes.product(s, (x, 0), (y, 0));
             self.products[2][slot] += sizes.product(s, (x, 1), (y, 1));
@@ -258,103 +236,88 @@ struct State {
     ramp: [f64; 2],
 }
 
-fn walk<const CLASS: usize>(class: Class, view: &View, tables: [&Table; 2], steps: &[Step], delay: usize) -> Reduced {
+/// The walk; `WHOLE`: every point from the first on counts, and nothing is fitted beside the answer.
+fn walk<const CLASS: usize, const WHOLE: bool>(
+    class: Class,
+    view: &View,
+    tables: [&Table; 2],
+    steps: &[Step],
+    delay: usize,
+) -> Reduced {
     let (from, n, rho) = (view.from(), view.points(), view.rho());
     let level_share = 1.0 - rho;
     let a = [tables[0].a, tables[1].a];
     let (own, later) = ([rho / a[0], rho / a[1]], [a[0] - rho, a[1] - rho]);
     let cross = if CLASS == SECOND { 1.0 / (1.0 - a[0] * a[1]) } else { 0.0 };
     let scale = 1.0 / INTEGRATOR_SCALE;
-    let loads = view.loads().min(MOST_LOADS);
+    let loads = if WHOLE { 0 } else { view.loads().min(MOST_LOADS) };
+    let powers = [&tables[0].powers[..=n], &tables[1].powers[..=n]];
     let mut sums = Gathered {
         products: [[0.0; 6]; 3],
         with_pv: [[0.0; 2]; PARTS],
         with_loads: [[[0.0; 2]; PARTS]; MOST_LOADS],
         with_beside: [[[0.0; 2]; PARTS]; 3],
     };
+    let with_pv = With::new(view, tables, 0);
     let mut state = State::default();
     // A step before the first point that counts leaves a level and a memory only, and those are fitted anyway.
     let first = steps.partition_point(|s| (s.point as usize + delay) < from);
+    let last = steps.partition_point(|s| (s.point as usize + delay) < n);
     let counted = view.counted();
     let mut at = 0;
-    for (m, step) in steps.iter().enumerate().skip(first) {
+    for (m, step) in steps[..last].iter().enumerate().skip(first) {
         let i = step.point as usize + delay;
-        if i >= n {
-            break;
-        }
         let next = steps.get(m + 1).map_or(n, |s| (s.point as usize + delay).min(n));
         let by = [step.level, step.direction];
-        for (column, into) in core::iter::once(&mut sums.with_pv).chain(&mut sums.with_loads[..loads]).enumerate() {
-            with_signal::<CLASS>(view, tables, column, i, by, into);
+        with_pv.add::<CLASS>(i, by, &mut sums.with_pv);
+        for load in 0..loads {
+            With::new(view, tables, 1 + load).add::<CLASS>(i, by, &mut sums.with_loads[load]);
         }
-        let mut x = [[0.0; 2]; PARTS];
-        for h in 0..2 {
-            x[0][h] = level_share * state.level[h] + by[h];
-            if CLASS == INTEGRATING || CLASS == LAG_INTEGRATING {
-                x[1][h] = scale * (level_share * state.ramp[h] + rho * state.level[h]);
-            } else {
-                x[1][h] = state.decay[0][h] + by[h] - own[0] * state.decay[0][h];
+        let x = state.step::<CLASS>(by, [level_share, rho, scale], own);
+        let beside = |late: usize| match CLASS {
+            INTEGRATING => [late as f64, 0.0],
+            LAG_INTEGRATING => [late as f64, powers[0][late]],
+            SECOND => [powers[0][late], powers[1][late]],
+            _ => [powers[0][late], 0.0],
+        };
+        let decays = |late: usize| match CLASS {
+            INTEGRATING => [0.0; 2],
+            SECOND => [powers[0][late], powers[1][late]],
+            _ => [powers[0][late], 0.0],
+        };
+        if WHOLE {
+            sums.sample::<CLASS>(&x, beside(i - from));
+            if next > i + 1 {
+                let sizes = state.sizes::<CLASS>([level_share, scale], later, [1.0; 2], 0.0);
+                let stretch = Stretch::of::<CLASS>(tables, cross, next - i - 1);
+                let late = i + 1 - from;
+                sums.stretch::<CLASS>(&sizes, &stretch, late as f64, decays(late));
             }
-            if CLASS == SECOND {
-                x[2][h] = state.decay[1][h] + by[h] - own[1] * state.decay[1][h];
+        } else {
+            while at < counted.len() && counted[at][1] <= i {
+                at += 1;
             }
-            if CLASS == LAG_INTEGRATING {
-                x[2][h] = state.decay[0][h] + by[h] - own[0] * state.decay[0][h];
+            if at < counted.len() && counted[at][0] <= i {
+                sums.sample::<CLASS>(&x, beside(i - from));
             }
-            state.level[h] += by[h];
-            state.decay[0][h] += by[h];
-            state.decay[1][h] += by[h];
-        }
-        while at < counted.len() && counted[at][1] <= i {
-            at += 1;
-        }
-        let counts = at < counted.len() && counted[at][0] <= i;
-        if counts {
-            let late = i - from;
-            let memories = match CLASS {
-                INTEGRATING => [late as f64, 0.0],
-                LAG_INTEGRATING => [late as f64, tables[0].powers[late]],
-                SECOND => [tables[0].powers[late], tables[1].powers[late]],
-                _ => [tables[0].powers[late], 0.0],
-            };
-            sums.sample::<CLASS>(&x, memories);
-        }
-        for [start, end] in counted[at..].iter().take_while(|c| c[0] < next) {
-            let (start, end) = ((*start).max(i + 1), (*end).min(next));
-            if start >= end {
-                continue;
-            }
-            let (gone, late) = (start - i - 1, start - from);
-            let mut sizes = Sizes::default();
-            for h in 0..2 {
-                sizes.level[h] = level_share * state.level[h];
-                if CLASS != INTEGRATING {
-                    sizes.decay[0][h] = later[0] * state.decay[0][h] * tables[0].powers[gone];
-                }
-                if CLASS == SECOND {
-                    sizes.decay[1][h] = later[1] * state.decay[1][h] * tables[1].powers[gone];
-                }
-                if CLASS == INTEGRATING || CLASS == LAG_INTEGRATING {
-                    sizes.slope[h] = scale * level_share * state.level[h];
-                    sizes.ramp[h] =
-                        scale * (level_share * state.ramp[h] + state.level[h]) + sizes.slope[h] * gone as f64;
+            for [start, end] in counted[at..].iter().take_while(|c| c[0] < next) {
+                let (start, end) = ((*start).max(i + 1), (*end).min(next));
+                if start < end {
+                    let (gone, late) = (start - i - 1, start - from);
+                    let left = [powers[0][gone], powers[1][gone]];
+                    let sizes = state.sizes::<CLASS>([level_share, scale], later, left, gone as f64);
+                    let stretch = Stretch::of::<CLASS>(tables, cross, end - start);
+                    sums.stretch::<CLASS>(&sizes, &stretch, late as f64, decays(late));
                 }
             }
-            let decays = match CLASS {
-                INTEGRATING => [0.0; 2],
-                SECOND => [tables[0].powers[late], tables[1].powers[late]],
-                _ => [tables[0].powers[late], 0.0],
-            };
-            let stretch = Stretch::of::<CLASS>(tables, cross, end - start);
-            sums.stretch::<CLASS>(&sizes, &stretch, late as f64, decays);
         }
         let length = next - i;
         for h in 0..2 {
             if CLASS != INTEGRATING {
-                state.decay[0][h] *= tables[0].powers[length];
+                state.decay[0][h] *= powers[0][length];
             }
             if CLASS == SECOND {
-                state.decay[1][h] *= tables[1].powers[length];
+                state.decay[1][h] *= powers[1][length];
             }
             if CLASS == INTEGRATING || CLASS == LAG_INTEGRATING {
                 state.ramp[h] += state.level[h] * length as f64;
@@ -364,30 +327,97 @@ fn walk<const CLASS: usize>(class: Class, view: &View, tables: [&Table; 2], step
     sums.take_out::<CLASS>(class, view, tables, cross)
 }
 
-/// Adds the products of one step's answers with a signal.
-#[inline(always)]
-fn with_signal<const CLASS: usize>(
-    view: &View,
-    tables: [&Table; 2],
-    column: usize,
-    i: usize,
-    by: [f64; 2],
-    into: &mut [[f64; 2]; PARTS],
-) {
-    let level = if CLASS == INTEGRATING { [view.with_level(column, i), 0.0] } else { tables[0].steps[column][i] };
-    let ramp = |with: f64| with / INTEGRATOR_SCALE;
-    for h in 0..2 {
-        into[0][h] += by[h] * level[0];
-        match CLASS {
-            FIRST => into[1][h] += by[h] * level[1],
-            SECOND => {
-                into[1][h] += by[h] * level[1];
-                into[2][h] += by[h] * tables[1].steps[column][i][1];
+impl State {
+    /// Takes a step; the parts' filtered values at its sample.
+    #[inline(always)]
+    fn step<const CLASS: usize>(
+        &mut self,
+        by: [f64; 2],
+        [level_share, rho, scale]: [f64; 3],
+        own: [f64; 2],
+    ) -> [[f64; 2]; PARTS] {
+        let mut x = [[0.0; 2]; PARTS];
+        for h in 0..2 {
+            x[0][h] = level_share * self.level[h] + by[h];
+            if CLASS == INTEGRATING || CLASS == LAG_INTEGRATING {
+                x[1][h] = scale * (level_share * self.ramp[h] + rho * self.level[h]);
+            } else {
+                x[1][h] = self.decay[0][h] + by[h] - own[0] * self.decay[0][h];
             }
-            INTEGRATING => into[1][h] += by[h] * ramp(view.with_ramp(column, i)),
-            _ => {
-                into[1][h] += by[h] * ramp(view.with_ramp(column, i));
-                into[2][h] += by[h] * level[1];
+            if CLASS == SECOND {
+                x[2][h] = self.decay[1][h] + by[h] - own[1] * self.decay[1][h];
+            }
+            if CLASS == LAG_INTEGRATING {
+                x[2][h] = self.decay[0][h] + by[h] - own[0] * self.decay[0][h];
+            }
+            self.level[h] += by[h];
+            self.decay[0][h] += by[h];
+            self.decay[1][h] += by[h];
+        }
+        x
+    }
+
+    /// The parts' filtered sizes `gone` samples after the one behind a step, `left` of the decays then being left.
+    #[inline(always)]
+    fn sizes<const CLASS: usize>(
+        &self,
+        [level_share, scale]: [f64; 2],
+        later: [f64; 2],
+        left: [f64; 2],
+        gone: f64,
+    ) -> Sizes {
+        let mut sizes = Sizes::default();
+        for h in 0..2 {
+            sizes.level[h] = level_share * self.level[h];
+            if CLASS != INTEGRATING {
+                sizes.decay[0][h] = later[0] * self.decay[0][h] * left[0];
+            }
+            if CLASS == SECOND {
+                sizes.decay[1][h] = later[1] * self.decay[1][h] * left[1];
+            }
+            if CLASS == INTEGRATING || CLASS == LAG_INTEGRATING {
+                sizes.slope[h] = scale * level_share * self.level[h];
+                sizes.ramp[h] = scale * (level_share * self.ramp[h] + self.level[h]) + sizes.slope[h] * gone;
+            }
+        }
+        sizes
+    }
+}
+
+/// Where the products of one signal with a step's answers stand.
+struct With<'t> {
+    /// Level and first decay.
+    first: &'t [[f64; 2]],
+    /// Second decay, after the level again.
+    second: &'t [[f64; 2]],
+    /// Level and ramp, by the view.
+    plain: [&'t [f64]; 2],
+}
+
+impl<'t> With<'t> {
+    fn new(view: &'t View, tables: [&'t Table; 2], column: usize) -> Self {
+        let [first, second] = tables.map(|t| &t.steps[column][..]);
+        Self { first, second, plain: view.with_step(column) }
+    }
+
+    /// Adds the products of one step's answers.
+    #[inline(always)]
+    fn add<const CLASS: usize>(&self, i: usize, by: [f64; 2], into: &mut [[f64; 2]; PARTS]) {
+        let level = if CLASS == INTEGRATING { [self.plain[0][i], 0.0] } else { self.first[i] };
+        let second = match CLASS {
+            FIRST | SECOND => level[1],
+            _ => self.plain[1][i] / INTEGRATOR_SCALE,
+        };
+        let third = match CLASS {
+            SECOND => self.second[i][1],
+            LAG_INTEGRATING => level[1],
+            _ => 0.0,
+        };
+        for h in 0..2 {
+            into[0][h] += by[h] * level[0];
+            into[1][h] += by[h] * second;
+            if CLASS == SECOND || CLASS == LAG_INTEGRATING {
+                into[2][h] += by[h] * third;
             }
         }
     }
@@ -466,7 +496,7 @@ impl Gathered {
                 }
             }
             let row = rows[r];
-            for (slot, (a, b)) in PAIRS.into_iter().enumerate().take(used * (used + 1) / 2) {
+            for (slot, (a, b)) in PAIRS.into_iter().enumerate().take(pairs(CLASS)) {
                 products[0][slot] -= row[a][0] * row[b][0] * pivot;
                 products[2][slot] -= row[a][1] * row[b][1] * pivot;
                 let both = if a == b { row[a][0] * row[a][1] } else { row[a][0] * row[b][1] + row[b][0] * row[a][1] };
@@ -481,105 +511,4 @@ impl Gathered {
         }
         Reduced { class, tau: [tables[0].tau, tables[1].tau], products, with_pv: halves, whole, rest }
     }
-}
-
-impl Reduced {
-    /// How the parts make up the answer to a unit step whose dead time is `fraction` of a sample longer.
-    fn weights(&self, fraction: f64) -> [f64; PARTS] {
-        let early = 1.0 - fraction;
-        let [t1, t2] = self.tau;
-        match self.class {
-            Class::First => [1.0, -libm::exp(-early / t1), 0.0],
-            Class::Second => {
-                let inverse = 1.0 / (t1 - t2);
-                [1.0, -t1 * inverse * libm::exp(-early / t1), t2 * inverse * libm::exp(-early / t2)]
-            }
-            Class::Integrating => [early / INTEGRATOR_SCALE, 1.0, 0.0],
-            Class::LagIntegrating => {
-                [(early - t1) / INTEGRATOR_SCALE, 1.0, t1 * libm::exp(-early / t1) / INTEGRATOR_SCALE]
-            }
-        }
-    }
-
-    /// Products of the two halves' answers, as [`best_band`] takes them.
-    #[must_use]
-    pub fn system(&self, fraction: f64) -> [f64; 5] {
-        let w = self.weights(fraction);
-        let square = |m: &[f64; 6], twice: f64| {
-            w[0] * w[0] * m[0]
-                + w[1] * w[1] * m[2]
-                + w[2] * w[2] * m[5]
-                + twice * (w[0] * w[1] * m[1] + w[0] * w[2] * m[3] + w[1] * w[2] * m[4])
-        };
-        let with = |x: &[f64; PARTS]| w[0] * x[0] + w[1] * x[1] + w[2] * x[2];
-        [
-            square(&self.products[0], 2.0),
-            square(&self.products[1], 1.0),
-            square(&self.products[2], 2.0),
-            with(&self.with_pv[0]),
-            with(&self.with_pv[1]),
-        ]
-    }
-
-    /// Gain, kinetic band and the squares they explain at one dead time.
-    #[must_use]
-    pub fn at(&self, fraction: f64, freedom: &Freedom) -> (f64, f64, f64) {
-        let scale = if self.class.integrates() { 1.0 / (INTEGRATOR_SCALE * INTEGRATOR_SCALE) } else { 1.0 };
-        best_band(self.system(fraction), self.whole.map(|w| w * scale), freedom)
-    }
-
-    /// The best dead time from `fractions[0]` to `fractions[1]` of a sample, by parabolas through what is explained.
-    #[must_use]
-    pub fn best(&self, freedom: &Freedom, fractions: [f64; 2]) -> Best {
-        let place = |fraction: f64| {
-            let (gain, fd, explained) = self.at(fraction, freedom);
-            Best { sse: (self.rest - explained).max(0.0), gain, fd, fraction }
-        };
-        let [low, high] = fractions;
-        if high - low < SAME_PLACE {
-            return place(low);
-        }
-        let mut three = [place(low), place(0.5 * (low + high)), place(high)];
-        for _ in 0..REFINEMENTS {
-            let Some(next) = next_place(&three) else { break };
-            let found = place(next);
-            let after = if next < three[1].fraction { 1 } else { 2 };
-            let mut four = [three[0], three[1], three[2], three[2]];
-            if after == 1 {
-                four[2] = three[1];
-            }
-            four[after] = found;
-            let top = (1..4).fold(0, |m, i| if four[i].sse < four[m].sse { i } else { m });
-            let from = usize::from(top >= 2);
-            three = [four[from], four[from + 1], four[from + 2]];
-        }
-        three.into_iter().reduce(|a, b| if b.sse < a.sse { b } else { a }).unwrap_or(three[0])
-    }
-}
-
-/// Where a parabola through three places has its least error, or half way towards the best end; `None` where that is the
-/// middle one already.
-fn next_place(three: &[Best; 3]) -> Option<f64> {
-    let [x0, x1, x2] = three.map(|p| p.fraction);
-    let [e0, e1, e2] = three.map(|p| p.sse);
-    let (d0, d2) = (x0 - x1, x2 - x1);
-    let (r0, r2) = (e0 - e1, e2 - e1);
-    let best = if e0 < e1 && e0 <= e2 {
-        0
-    } else if e2 < e1 {
-        2
-    } else {
-        1
-    };
-    let curvature = (r0 * d2 - r2 * d0) / (d0 * d2 * (d0 - d2));
-    let mut x = if curvature > 0.0 {
-        x1 + 0.5 * (r0 * d2 * d2 - r2 * d0 * d0) / (r0 * d2 - r2 * d0)
-    } else {
-        three[best].fraction
-    };
-    // Towards an end of the range it is gone half the way each time: stopping there would leave whole samples.
-    if !(x > x0 && x < x2) {
-        x = if best == 1 { 0.5 * (x1 + x0) } else { 0.5 * (x1 + three[best].fraction) };
-    }
-    ((x - x1).abs() >= SAME_PLACE).then_some(x)
 }

@@ -1,10 +1,11 @@
 //! PV as an error sees it, and the tables that products of step responses with it come from.
 
-use std::collections::HashMap;
-use std::rc::Rc;
+use std::sync::{Arc, OnceLock};
 
 /// Distance of two neighbouring time constants on the lattice, in logarithm.
 pub const LATTICE_STEP: f64 = 0.04;
+/// Places of the lattice: time constants from a twelfth of a point to 10 million of them.
+const PLACES: [i32; 2] = [-62, 403];
 /// Power of a decay below which it counts as nothing: what is smaller turns into denormal numbers, which are slow.
 const NOTHING: f64 = 1e-150;
 
@@ -41,12 +42,12 @@ pub struct View {
     from: usize,
     points: usize,
     counted: Vec<[usize; 2]>,
-    columns: Vec<Column>,
+    columns: Vec<Arc<Column>>,
     /// Products of the columns with each other.
     products: Vec<Vec<f64>>,
     /// Points that count, sum of their distances from the first, and of the squares.
     moments: [f64; 3],
-    lattice: HashMap<i32, Rc<Table>>,
+    lattice: Vec<OnceLock<Arc<Table>>>,
 }
 
 /// What a view knows for one time constant.
@@ -57,11 +58,11 @@ pub struct Table {
     /// What is left of a decay after a point.
     pub a: f64,
     /// Powers of it.
-    pub powers: Vec<f64>,
+    pub powers: Arc<Vec<f64>>,
     /// `1 / (1 - a)` and `1 / (1 - a^2)`.
     pub inverse: [f64; 2],
     /// For each column, products with the level and the decay of a step at each point.
-    pub steps: Vec<Vec<[f64; 2]>>,
+    pub steps: Vec<Arc<Vec<[f64; 2]>>>,
     /// For each column, products with the decay from the first point that counts on.
     pub with_memory: Vec<f64>,
     /// Products of that decay with itself, with 1 and with the points since its start.
@@ -81,9 +82,8 @@ impl View {
         let (from, points) = (from.max(1), pv.len());
         let within = |[a, b]: &[usize; 2]| [(*a).max(from), (*b).min(points)];
         let counted: Vec<[usize; 2]> = counted.iter().map(within).filter(|[a, b]| a < b).collect();
-        let columns: Vec<Column> = [pv].iter().chain(loads).map(|x| Column::new(x, rho, from, &counted)).collect();
-        let product = |a: &Column, b: &Column| a.values.iter().zip(&b.values).map(|(x, y)| x * y).sum::<f64>();
-        let products = columns.iter().map(|a| columns.iter().map(|b| product(a, b)).collect()).collect();
+        let columns: Vec<Arc<Column>> =
+            [pv].iter().chain(loads).map(|x| Arc::new(Column::new(x, rho, from, &counted))).collect();
         let mut moments = [0.0; 3];
         for k in counted.iter().flat_map(|[a, b]| *a..*b) {
             let late = (k - from) as f64;
@@ -91,7 +91,15 @@ impl View {
             moments[1] += late;
             moments[2] += late * late;
         }
-        Self { rho, from, points, counted, columns, products, moments, lattice: HashMap::new() }
+        Self { rho, from, points, counted, products: products(&columns), columns, moments, lattice: empty_lattice() }
+    }
+
+    /// The same view of PV beside these loads (of its length) in place of its own; tables of PV are made once for both.
+    #[must_use]
+    pub fn beside(&self, loads: &[&[f64]]) -> Self {
+        let column = |x: &&[f64]| Arc::new(Column::new(x, self.rho, self.from, &self.counted));
+        let columns: Vec<Arc<Column>> = self.columns.iter().take(1).cloned().chain(loads.iter().map(column)).collect();
+        Self { counted: self.counted.clone(), products: products(&columns), columns, lattice: empty_lattice(), ..*self }
     }
 
     /// Filter of the error, `1 - rho q^-1`.
@@ -153,21 +161,30 @@ impl View {
         self.columns[column].with_time
     }
 
-    pub(super) fn with_level(&self, column: usize, point: usize) -> f64 {
-        self.columns[column].with_level[point]
-    }
-
-    pub(super) fn with_ramp(&self, column: usize, point: usize) -> f64 {
-        self.columns[column].with_ramp[point]
+    /// Products of a column with the level and with the ramp of a step at each point.
+    pub(super) fn with_step(&self, column: usize) -> [&[f64]; 2] {
+        let column = &self.columns[column];
+        [&column.with_level, &column.with_ramp]
     }
 
     /// The table of a place on the lattice, made when it is first asked for.
-    pub fn on_lattice(&mut self, index: i32) -> Rc<Table> {
-        if let Some(table) = self.lattice.get(&index) {
-            return Rc::clone(table);
+    pub fn on_lattice(&self, index: i32) -> Arc<Table> {
+        let index = index.clamp(PLACES[0], PLACES[1]);
+        let slot = &self.lattice[(index - PLACES[0]) as usize];
+        Arc::clone(slot.get_or_init(|| Arc::new(self.table(lattice_tau(index)))))
+    }
+
+    /// The table of a view beside loads, from that of the same PV without them.
+    #[must_use]
+    pub fn extended(&self, of_pv: &Table) -> Table {
+        let mut table = of_pv.clone();
+        table.steps.truncate(1);
+        table.with_memory.truncate(1);
+        for column in &self.columns[1..] {
+            let (of, memory) = column.steps(table.a, self.rho, self.from);
+            table.steps.push(Arc::new(of));
+            table.with_memory.push(memory);
         }
-        let table = Rc::new(self.table(lattice_tau(index)));
-        self.lattice.insert(index, Rc::clone(&table));
         table
     }
 
@@ -180,7 +197,7 @@ impl View {
         let (mut steps, mut with_memory) = (Vec::new(), Vec::new());
         for column in &self.columns {
             let (of, memory) = column.steps(a, self.rho, self.from);
-            steps.push(of);
+            steps.push(Arc::new(of));
             with_memory.push(memory);
         }
         let mut memory = [0.0; 3];
@@ -194,8 +211,18 @@ impl View {
             memory[1] += first * sum;
             memory[2] += first * (late * sum + along);
         }
-        Table { tau, a, powers, inverse, steps, with_memory, memory }
+        Table { tau, a, powers: Arc::new(powers), inverse, steps, with_memory, memory }
     }
+}
+
+/// Products of the columns with each other.
+fn products(columns: &[Arc<Column>]) -> Vec<Vec<f64>> {
+    let product = |a: &Column, b: &Column| a.values.iter().zip(&b.values).map(|(x, y)| x * y).sum::<f64>();
+    columns.iter().map(|a| columns.iter().map(|b| product(a, b)).collect()).collect()
+}
+
+fn empty_lattice() -> Vec<OnceLock<Arc<Table>>> {
+    vec![OnceLock::new(); (PLACES[1] - PLACES[0] + 1) as usize]
 }
 
 impl Column {

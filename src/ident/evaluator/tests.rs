@@ -143,7 +143,7 @@ fn the_best_dead_time_within_a_sample_is_found() {
         let taus = [12.0, 5.0];
         let (mut x, mut other, mut work) = (Vec::new(), Vec::new(), crate::ident::class::Scratch::default());
         class.respond_pair(&shape_of(class, taus, lag), [&valve, &valve], &mut work, [&mut x, &mut other]);
-        let mut view = View::new(&x, 0.0, from);
+        let view = View::new(&x, 0.0, from);
         let tables = taus.map(|tau| view.table(tau));
         let reduced = reduce(class, &view, [&tables[0], &tables[1]], &steps.list, lag as usize);
         let best = reduced.best(&freedom, [0.0, 1.0]);

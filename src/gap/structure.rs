@@ -4,13 +4,13 @@
 //! OP → positioner lag → friction → rate limit → stops → play → characteristic → dead time → lag → second lag → zero,
 //! and what disturbs PV. A [`Plan`] says which blocks are there; every block left at its neutral value is the base.
 
-use super::effects::{Effect, Unit};
+use super::effects::{Effect, Reach, Unit};
 use crate::ident::candidate::Landing;
 use crate::ident::class::Class;
 use crate::sim::actuator::{bent, play_step, rate_step, stop_step};
 use crate::sim::slips::{FirstSlip, Law, Stroke};
 
-/// Most parameters that a recipe's effects have together.
+/// Most parameters that a structure's effects have together.
 pub const MAX_PARAMS: usize = 6;
 
 /// A gain that goes from one value to another over the record.
@@ -180,7 +180,7 @@ impl Plan {
         self.law.is_some() && !self.follows() && self.level == 0.0 && self.bend == 0.0 && !self.zero
     }
 
-    /// Where the linear coefficients of a part stand among those of the other columns, which the kernel makes in this
+    /// Where the linear coefficients of a part stand among those of the other columns, which the evaluator makes in this
     /// order: the constant, the memories (or an integrator's slope), then the parts.
     #[must_use]
     pub fn column(&self, part: Part) -> usize {
@@ -206,14 +206,14 @@ impl Plan {
 
 /// Base and the effects added to it.
 #[derive(Debug, Clone, Copy)]
-pub struct Recipe {
+pub struct Structure {
     /// Law of the base.
     pub law: Option<Law>,
     /// Up to two effects.
     pub effects: [Option<&'static Effect>; 2],
 }
 
-impl Recipe {
+impl Structure {
     /// The base alone.
     #[must_use]
     pub const fn base(law: Option<Law>) -> Self {
@@ -238,31 +238,31 @@ impl Recipe {
         if ids.is_empty() { "base".to_owned() } else { ids.join("+") }
     }
 
-    /// All parameters, in the order of [`Gene::p`].
+    /// All parameters, in the order of [`Parameters::p`].
     pub fn params(&self) -> impl Iterator<Item = &'static super::effects::Param> + '_ {
         self.each().flat_map(|e| e.params.iter()).take(MAX_PARAMS)
     }
 
-    /// Lets the rest of a gene give way to a change `by` of its parameter `at`, as far as a model trades one for the other:
+    /// Lets the rest of a theta give way to a change `by` of its parameter `at`, as far as a model trades one for the other:
     /// play for the kinetic band, a lag or a later dead time for dead time, what is carried on for the band.
-    pub fn trade(&self, gene: &mut Gene, at: usize, by: f64, op_rate: f64) {
+    pub fn trade(&self, theta: &mut Parameters, at: usize, by: f64, op_rate: f64) {
         match self.params().nth(at).map(|p| (p.unit, p.name)) {
             // OP is ahead by half of what it moves between two points when a slip comes.
-            Some((_, "carried")) => gene.s -= 0.5 * op_rate * by,
+            Some((_, "carried")) => theta.s -= 0.5 * op_rate * by,
             Some((Unit::Op, _)) => {
-                gene.s -= by;
-                gene.fd -= 0.5 * by;
+                theta.s -= by;
+                theta.fd -= 0.5 * by;
             }
-            Some((Unit::LogTime, _)) => gene.lag -= libm::exp(gene.p[at]) - libm::exp(gene.p[at] - by),
-            Some((Unit::Time, _)) => gene.lag -= 0.5 * by,
+            Some((Unit::LogTime, _)) => theta.lag -= libm::exp(theta.p[at]) - libm::exp(theta.p[at] - by),
+            Some((Unit::Time, _)) => theta.lag -= 0.5 * by,
             _ => {}
         }
     }
 
-    /// The plan that a gene's parameters make.
+    /// The plan that a theta's parameters make.
     #[must_use]
-    pub fn plan(&self, gene: &Gene) -> Plan {
-        self.plan_of(&gene.p)
+    pub fn plan(&self, theta: &Parameters) -> Plan {
+        self.plan_of(&theta.p)
     }
 
     /// The plan that these parameters make.
@@ -278,6 +278,13 @@ impl Recipe {
         plan
     }
 
+    /// Sets the parameter that is the logarithm of the second lag, where there is one.
+    pub fn set_second_lag(&self, theta: &mut Parameters, log: f64) {
+        if let Some(at) = self.params().position(|p| p.reach == Reach::SecondLag) {
+            theta.p[at] = log;
+        }
+    }
+
     /// Free parameters of a model: bands, first slip, process, effects, linear ones.
     #[must_use]
     pub fn freedom(&self, plan: &Plan) -> usize {
@@ -291,7 +298,7 @@ impl Recipe {
 
 /// A place in the search.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Gene {
+pub struct Parameters {
     /// Dead band plus stick band.
     pub s: f64,
     /// Slip jump.

@@ -1,12 +1,16 @@
 //! The record as the search sees it: normalised, divided into blocks that are fitted and blocks that are held out.
 
+use std::sync::Arc;
+
 use super::types::Blocks;
 use crate::detect::oscillation;
 use crate::ident::candidate::Question;
+use crate::ident::evaluator;
 use crate::ident::pose::pose;
 use crate::ident::{DelayChoice, ModelChoice, Options, ValveChoice, sign};
 use crate::record::Record;
 use crate::signal::stats;
+use crate::sim::steps::Path;
 
 /// Filter of the view in which wrong slips and slow disturbances weigh little: `1 - rho q^-1`.
 pub const MOVES_RHO: f64 = 0.95;
@@ -20,15 +24,13 @@ const BLOCKS: [usize; 2] = [6, 60];
 pub enum View {
     /// The error itself.
     Plain,
-    /// Filtered differences.
+    /// Filtered differences: a wrong slip and a slow disturbance weigh little.
     Moves,
-    /// What is faster than a period.
-    Fast,
 }
 
 /// One record, posed.
 #[derive(Debug, Clone)]
-pub struct Scene {
+pub struct Problem {
     /// The record in normalised form.
     pub question: Question,
     /// What counts for what.
@@ -38,7 +40,11 @@ pub struct Scene {
     /// Stretches that are held out.
     pub test: Vec<[usize; 2]>,
     /// PV on the fitted stretches, one after the other, plain and filtered.
-    targets: [Vec<f64>; 3],
+    targets: [Vec<f64>; 2],
+    /// The same for the evaluator.
+    views: [Arc<evaluator::View>; 2],
+    /// OP on its way to the stem.
+    pub path: Arc<Path>,
     /// Sign of the gain, where it could be read.
     pub sign: Option<f64>,
     /// Typical period, points.
@@ -85,7 +91,7 @@ pub fn period_of(record: &Record) -> (f64, bool) {
     (period.clamp(8.0, n / 4.0), regular)
 }
 
-impl Scene {
+impl Problem {
     /// Poses a record; `masked` points count for nothing.
     #[must_use]
     pub fn new(record: &Record, period: Option<f64>, seed: u64, masked: Vec<bool>) -> Self {
@@ -95,11 +101,14 @@ impl Scene {
         let question = pose(record, &options(seed, period), span, deviation);
         let blocks = divide(record.len(), question.from, period, masked);
         let sign = sign::of_gain(&question.mean, &question.pv);
-        let mut scene = Self {
-            question,
+        let nothing = Arc::new(evaluator::View::new(&[], 0.0, 1));
+        let mut problem = Self {
             train: Vec::new(),
             test: Vec::new(),
-            targets: [Vec::new(), Vec::new(), Vec::new()],
+            targets: [Vec::new(), Vec::new()],
+            views: [Arc::clone(&nothing), nothing],
+            path: Arc::new(Path::new(question.path.clone(), question.per_point)),
+            question,
             blocks,
             sign,
             period,
@@ -111,18 +120,32 @@ impl Scene {
             point_s: record.point_s(),
             box_samples: record.box_samples as f64,
         };
-        let held_out = scene.blocks.held_out.clone();
-        scene.divide_by(&held_out);
-        scene
+        let held_out = problem.blocks.held_out.clone();
+        problem.divide_by(&held_out);
+        problem
     }
 
-    /// The same scene with other points held out.
+    /// The same problem with other points held out.
     #[must_use]
     pub fn held_out_by(&self, held_out: &[bool]) -> Self {
-        let mut scene = self.clone();
-        scene.blocks.held_out = held_out.to_vec();
-        scene.divide_by(held_out);
-        scene
+        let mut problem = self.clone();
+        problem.blocks.held_out = held_out.to_vec();
+        problem.divide_by(held_out);
+        problem
+    }
+
+    /// The same problem with all points for training.
+    #[must_use]
+    pub fn undivided(&self) -> Self {
+        self.held_out_by(&vec![false; self.n()])
+    }
+
+    /// The same problem with the points up to a share of the record for training.
+    #[must_use]
+    pub fn first_part(&self, share: f64) -> Self {
+        let from = self.blocks.from;
+        let end = from + (share * (self.n() - from) as f64) as usize;
+        self.held_out_by(&(0..self.n()).map(|k| k >= end).collect::<Vec<bool>>())
     }
 
     fn divide_by(&mut self, held_out: &[bool]) {
@@ -141,11 +164,20 @@ impl Scene {
             out
         };
         (self.train, self.test) = (stretches(false), stretches(true));
-        let mut targets = [Vec::new(), Vec::new(), Vec::new()];
+        let mut targets = [Vec::new(), Vec::new()];
         for (target, view) in targets.iter_mut().zip(View::ALL) {
             self.gather(&self.question.pv, view, target);
         }
         self.targets = targets;
+        let from = self.blocks.from.max(1);
+        self.views = [0.0, MOVES_RHO]
+            .map(|rho| Arc::new(evaluator::View::of_stretches(&self.question.pv, &[], rho, from, &self.train)));
+    }
+
+    /// PV on the fitted stretches as the evaluator takes it.
+    #[must_use]
+    pub fn view(&self, view: View) -> &Arc<evaluator::View> {
+        &self.views[view as usize]
     }
 
     /// PV on the fitted stretches.
@@ -154,12 +186,12 @@ impl Scene {
         &self.targets[view as usize]
     }
 
-    /// The same scene for running a model over all of it.
+    /// The same problem for running a model over all of it.
     #[must_use]
     pub fn whole(&self) -> Self {
-        let mut scene = self.clone();
-        scene.train = vec![[0, self.n()]];
-        scene
+        let mut problem = self.clone();
+        problem.train = vec![[0, self.n()]];
+        problem
     }
 
     /// Points in the record.
@@ -177,10 +209,10 @@ impl Scene {
 
 impl View {
     /// All, in the order of their targets.
-    pub const ALL: [Self; 3] = [Self::Plain, Self::Moves, Self::Fast];
+    pub const ALL: [Self; 2] = [Self::Plain, Self::Moves];
 }
 
-impl Scene {
+impl Problem {
     /// A signal on the fitted stretches, as a view sees it.
     pub fn gather(&self, x: &[f64], view: View, out: &mut Vec<f64>) {
         out.clear();
@@ -191,58 +223,7 @@ impl Scene {
                     out.extend(x[from.max(&1) - 1..*to].windows(2).map(|w| w[1] - MOVES_RHO * w[0]));
                 }
             }
-            View::Fast => self.fast(x, out),
         }
-    }
-
-    /// The signal less its mean over a period around each point (over what there is of it at the ends).
-    fn fast(&self, x: &[f64], out: &mut Vec<f64>) {
-        let n = x.len();
-        let half = ((0.5 * self.period) as usize).clamp(1, n / 2);
-        let mut window = Window::default();
-        for &[from, to] in &self.train {
-            // Between the record's ends the window only moves on, a point at a time.
-            let first = (from + 1).max(half + 1).min(to);
-            let last = (n - half).clamp(first, to);
-            out.extend((from..first).map(|k| x[k] - window.mean(x, k, half)));
-            if first < last {
-                let (ahead, behind) = (&x[first + half..last + half], &x[first - 1 - half..last - 1 - half]);
-                let (mut sum, count) = (window.sum, (2 * half + 1) as f64);
-                out.extend(x[first..last].iter().zip(ahead).zip(behind).map(|((x, new), old)| {
-                    sum += new;
-                    sum -= old;
-                    x - sum / count
-                }));
-                window = Window { low: last - 1 - half, high: last + half, sum };
-            }
-            out.extend((last..to).map(|k| x[k] - window.mean(x, k, half)));
-        }
-    }
-}
-
-/// A sum over a window that moves on.
-#[derive(Default)]
-struct Window {
-    low: usize,
-    high: usize,
-    sum: f64,
-}
-
-impl Window {
-    /// The mean of `half` values to either side of value `k`, of what there is of them; later than the last time's.
-    fn mean(&mut self, x: &[f64], k: usize, half: usize) -> f64 {
-        let (first, last) = (k.saturating_sub(half), (k + half + 1).min(x.len()));
-        if first >= self.high {
-            *self = Self { low: first, high: first, sum: 0.0 };
-        }
-        for new in &x[self.high..last] {
-            self.sum += new;
-        }
-        for old in &x[self.low..first] {
-            self.sum -= old;
-        }
-        (self.low, self.high) = (first, last);
-        self.sum / (last - first) as f64
     }
 }
 
@@ -267,31 +248,13 @@ mod tests {
         let pv: Vec<f64> = (0..600).map(|k| libm::sin(f64::from(k) * 0.1 - 0.5)).collect();
         let mut masked = vec![false; 600];
         masked[300] = true;
-        let scene = Scene::new(&Record::uniform(1.0, op, pv), None, 1, masked);
+        let problem = Problem::new(&Record::uniform(1.0, op, pv), None, 1, masked);
         let count = |x: &[[usize; 2]]| x.iter().map(|[a, b]| b - a).sum::<usize>();
-        let (train, test) = (count(&scene.train), count(&scene.test));
-        assert_eq!(train + test + 1 + scene.blocks.from, 600);
+        let (train, test) = (count(&problem.train), count(&problem.test));
+        assert_eq!(train + test + 1 + problem.blocks.from, 600);
         assert!(test * 3 > train && train * 3 > test);
-        assert_eq!(scene.target(View::Plain).len(), train);
-        assert!(scene.train.iter().chain(&scene.test).all(|[a, b]| *b <= 300 || *a > 300));
-        assert!((scene.period - 62.8).abs() < 1.0 && scene.oscillates);
-    }
-
-    #[test]
-    fn the_fast_part_is_what_a_period_around_each_point_does_not_have() {
-        let op: Vec<f64> = (0..900).map(|k| libm::sin(f64::from(k) * 0.1) + 0.01 * f64::from(k % 7)).collect();
-        let pv: Vec<f64> = op.iter().map(|u| u * u).collect();
-        let mut masked = vec![false; 900];
-        masked[450] = true;
-        let scene = Scene::new(&Record::uniform(1.0, op.clone(), pv), None, 1, masked);
-        let half = (0.5 * scene.period) as usize;
-        let mut fast = Vec::new();
-        scene.gather(&op, View::Fast, &mut fast);
-        let points = scene.train.iter().flat_map(|[a, b]| *a..*b);
-        assert_eq!(fast.len(), points.clone().count());
-        for (k, found) in points.zip(fast) {
-            let around = &op[k.saturating_sub(half)..(k + half + 1).min(900)];
-            assert!((found - (op[k] - stats::mean(around))).abs() < 1e-12, "at {k}");
-        }
+        assert_eq!(problem.target(View::Plain).len(), train);
+        assert!(problem.train.iter().chain(&problem.test).all(|[a, b]| *b <= 300 || *a > 300));
+        assert!((problem.period - 62.8).abs() < 1.0 && problem.oscillates);
     }
 }

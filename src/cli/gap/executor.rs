@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-use crate::gap::{Ask, Crew};
+use crate::gap::{Ask, Executor};
 
 /// A team of threads; ends the search on request or when its time is up.
 pub(super) struct Team<'a> {
@@ -33,7 +33,7 @@ impl<'a> Team<'a> {
     }
 }
 
-impl Crew for Team<'_> {
+impl Executor for Team<'_> {
     fn run(&self, jobs: usize, job: &(dyn Fn(usize) + Sync)) {
         let next = AtomicUsize::new(0);
         let share = || {

@@ -1,16 +1,21 @@
 //! How well the bands are known: what other bands explain the record nearly as well.
 //!
 //! The plane of (s, j) is tiled by cells that give the same slips. From the best cell on, cells are walked edge to edge
-//! in s and in j, along the ridge where an earlier slip and a longer lag look alike, and at random. A cell counts by
-//! the likelihood of its fit, `exp(-(SSE - SSE*) / (2 sigma^2))`, spread over its rectangle by the squared error
-//! against fd; s is even inside a cell. Quantiles of this mixture are the likelihood's intervals. What the likelihood
-//! does not know, a valve or a disturbance unlike the model, shows in the residual, and sets a least width; the
-//! figures of that are measured on simulated loops, see [`super::width`].
+//! in s and in j, along the ridge where an earlier slip and a longer lag look alike, and at random; the cells of whatever
+//! else the search found begin walks of their own. A cell counts by the likelihood of its fit,
+//! `exp(-(SSE - SSE*) / (2 sigma^2))`, spread over its rectangle by the squared error against fd; s is even inside a cell.
+//! Quantiles of this mixture are the likelihood's intervals. What the likelihood does not know, a valve or a disturbance
+//! unlike the model, shows in the residual, and sets a least width; the figures of that are measured on simulated loops, see
+//! [`crate::ident::width`].
 
-use super::candidate::{Bench, Candidate, Effort, Start};
-use super::residual::{Whiteness, whiteness};
-use super::search::{generator, normal, uniform};
-use super::width::{Spread, hull};
+use super::candidate::Candidate;
+use super::evaluator::{Around, Evaluator, Polished};
+use super::local_search::across;
+use crate::ident::candidate::Start;
+use crate::ident::evaluator::View;
+use crate::ident::residual::{Whiteness, whiteness};
+use crate::ident::search::{generator, moved, normal, uniform};
+use crate::ident::width::{Spread, hull};
 use crate::optim::local::on_triangle;
 use crate::signal::stats;
 use rand_chacha::ChaCha8Rng;
@@ -25,8 +30,8 @@ const WALK_J: usize = 10;
 const LOST: usize = 4;
 /// Random moves.
 const MOVES: usize = 120;
-/// Cells whose process is fitted to its end.
-const POLISHED: usize = 40;
+/// Other candidates that are met.
+const RIVALS: usize = 12;
 /// Places in a cell, in s and in fd.
 const PLACES: [usize; 2] = [5, 25];
 /// Golden section: its multiples' fractions are even.
@@ -41,31 +46,42 @@ pub struct Found {
     pub spread: Spread,
     /// The best candidate met: the one asked about, or a better one.
     pub best: Candidate,
+    /// Its process.
+    pub process: Polished,
+    /// Standard error of its fd, spans, for white residuals; infinite where fd is not seen apart from the gain.
+    pub band_error: f64,
 }
 
-/// The likelihood's intervals around `best`, in spans of OP, and a better candidate if one is met on the way. `without`
-/// is the squared error without friction.
-pub fn spread(bench: &mut Bench<'_>, best: &Candidate, without: f64, seed: u64) -> Found {
-    let mut tests = test(bench, best);
-    let mut looking = Looking::new(bench, *best, tests.inflation);
+/// The likelihood's intervals around `best`, whose process is `process` in this view, and a better candidate if one is met
+/// on the way. `rivals` are other candidates of its law and class; `index` is the share of the error that goes with the
+/// friction.
+pub fn spread(
+    evaluator: &mut Evaluator<'_>,
+    view: &mut View,
+    best: &Candidate,
+    rivals: &[Candidate],
+    index: f64,
+    seed: u64,
+) -> Option<Found> {
+    let process = evaluator.polish(view, best)?;
+    let mut tests = test(evaluator, view, best, &process);
+    let mut looking = Looking::new(evaluator, view, *best, process, tests.inflation)?;
     looking.walk();
     looking.ridge();
+    looking.meet(rivals);
     looking.wander(&mut generator(seed, 2));
-    looking.polish();
-    let mut top = looking.top;
-    if top.fit.sse < best.fit.sse {
-        top = looking.bench.settle(&top).filter(|c| c.fit.sse <= top.fit.sse).unwrap_or(top);
-        tests = test(looking.bench, &top);
-        looking.accept(top, tests.inflation);
+    if looking.top.sse() < looking.first {
+        let top = looking.top;
+        let process = looking.evaluator.polish(looking.view, &top)?;
+        tests = test(looking.evaluator, looking.view, &top, &process);
+        looking.accept(top, process, tests.inflation)?;
         looking.walk();
-        looking.polish();
-        top = looking.top;
     }
+    let top = looking.top;
     let (mixture, flat) = looking.mixture();
-    let error = 2.0 * looking.bench.band_error(&top) * looking.stretch * tests.inflation.sqrt();
-    let index = if without > 0.0 { (1.0 - top.fit.sse / without).clamp(0.0, 1.0) } else { 0.0 };
-    let path = &looking.bench.question.path;
-    let [s, j] = top.centred();
+    let error = 2.0 * looking.band_error() * tests.inflation.sqrt();
+    let path = &looking.evaluator.problem.question.path;
+    let [s, j] = centred(&top);
     let of = |f: &dyn Fn(&Place) -> f64, value: f64| hull(mixture.interval(f), [value, value]);
     let spread = Spread {
         s: of(&|p| p.s, s),
@@ -77,13 +93,29 @@ pub fn spread(bench: &mut Bench<'_>, best: &Candidate, without: f64, seed: u64) 
         quantum: quantum(path),
         index,
     };
-    Found { spread, best: top }
+    Some(Found { spread, best: top, process: looking.process, band_error: looking.band_error() })
 }
 
-fn test(bench: &mut Bench<'_>, of: &Candidate) -> Whiteness {
-    let residual = bench.residual(of);
-    let from = bench.target.from.min(bench.question.mean.len());
-    whiteness(&residual, &bench.question.mean[from..])
+/// (s, j) in the middle of what the slips and the fitted fd leave open.
+#[must_use]
+pub fn centred(of: &Candidate) -> [f64; 2] {
+    let fd = of.fit.fd;
+    let [s_cell, j_cell] = of.cells;
+    let low = s_cell[0].max(j_cell[0] + 2.0 * fd);
+    let high = s_cell[1].min(of.s.max(1.0)).min(j_cell[1] + 2.0 * fd);
+    let s = if low <= high { 0.5 * (low + high) } else { of.s };
+    [s, (s - 2.0 * fd).clamp(0.0, s)]
+}
+
+fn test(evaluator: &mut Evaluator<'_>, view: &View, of: &Candidate, process: &Polished) -> Whiteness {
+    let left = evaluator.residual(view, of, process);
+    let rho = view.rho();
+    // As the view has it: filtered.
+    let filtered: Vec<f64> = core::iter::once(0.0).chain(left.windows(2).map(|w| w[1] - rho * w[0])).collect();
+    let left = if rho == 0.0 { left } else { filtered };
+    let mean = &evaluator.problem.question.mean;
+    let from = view.from().min(mean.len());
+    whiteness(&left, &mean[from..])
 }
 
 /// Step of the grid that values stand on, 0 where they are (nearly) all different.
@@ -96,33 +128,71 @@ fn quantum(path: &[f64]) -> f64 {
 
 /// The search of the surroundings.
 struct Looking<'b, 'a> {
-    bench: &'b mut Bench<'a>,
+    evaluator: &'b mut Evaluator<'a>,
+    view: &'b mut View,
+    /// Time constants at and around those of the best candidate.
+    around: Around,
     cells: Vec<Candidate>,
     top: Candidate,
+    process: Polished,
+    /// Error of the candidate that the search began with.
+    first: f64,
     /// Variance of the residual, per independent point.
     variance: f64,
     stretch: f64,
 }
 
 impl<'b, 'a> Looking<'b, 'a> {
-    fn new(bench: &'b mut Bench<'a>, best: Candidate, inflation: f64) -> Self {
-        let stretch = bench.band_stretch(&best).min(5.0);
-        let mut looking = Self { bench, cells: Vec::new(), top: best, variance: 0.0, stretch };
-        looking.accept(best, inflation);
-        looking
+    fn new(
+        evaluator: &'b mut Evaluator<'a>,
+        view: &'b mut View,
+        best: Candidate,
+        process: Polished,
+        inflation: f64,
+    ) -> Option<Self> {
+        let around = evaluator.around(view, &process);
+        let mut looking = Self {
+            evaluator,
+            view,
+            around,
+            cells: Vec::new(),
+            top: best,
+            process,
+            first: 0.0,
+            variance: 0.0,
+            stretch: 1.0,
+        };
+        looking.accept(best, process, inflation)?;
+        Some(looking)
     }
 
     /// Starts from a new best candidate.
-    fn accept(&mut self, best: Candidate, inflation: f64) {
+    fn accept(&mut self, best: Candidate, process: Polished, inflation: f64) -> Option<()> {
+        (self.evaluator.law, self.evaluator.class) = (best.law, best.class);
+        self.around = self.evaluator.around(self.view, &process);
+        let lag = process.lag;
+        let best =
+            self.evaluator.fit_around(self.view, &self.around, [best.s, best.j], best.start, lag, f64::INFINITY)?;
+        self.stretch = self.evaluator.band_stretch(self.view, &best, &process).min(5.0);
         self.cells.retain(|c| !c.covers(best.s, best.j, best.start));
         self.cells.push(best);
-        self.top = best;
-        let count = (self.bench.target.y.len() as f64 - 8.0).max(1.0);
-        self.variance = (best.fit.sse / count * inflation).max(1e-14);
+        (self.top, self.process, self.first) = (best, process, best.sse());
+        let count = (self.view.count() - 8.0).max(1.0);
+        self.variance = (best.sse() / count * inflation).max(1e-14);
+        Some(())
+    }
+
+    /// Standard error of fd, spans, for white residuals; infinite where the data cannot tell it from the gain.
+    fn band_error(&mut self) -> f64 {
+        let Some((profile, _)) = self.evaluator.profile(self.view, &self.around, &self.top) else {
+            return f64::INFINITY;
+        };
+        let count = (self.view.count() - 8.0).max(1.0);
+        self.stretch * profile.error(self.top.fit.fd, self.top.sse() / count, self.top.fit.gain)
     }
 
     fn weight(&self, sse: f64) -> f64 {
-        -(sse - self.top.fit.sse) / (2.0 * self.variance)
+        -(sse - self.top.sse()) / (2.0 * self.variance)
     }
 
     /// The candidate at a place, fitted from `shape` with the lag changed, or remembered.
@@ -137,18 +207,17 @@ impl<'b, 'a> Looking<'b, 'a> {
         {
             return Some(self.cells[at]);
         }
-        let mut shape = from.fit.shape;
-        shape[self.bench.class.shape_len() - 1] += lag;
-        let shape = self.bench.class.clamp(shape, &self.bench.question.limits);
-        let hopeless = (1.3 * self.top.fit.sse).max(self.top.fit.sse - 4.0 * NEGLIGIBLE * self.variance);
-        let wanted = self.top.fit.sse - 3.0 * NEGLIGIBLE * self.variance;
-        let effort = Effort { steps: 1, hopeless, wanted };
-        let found = self.bench.fit(s, j, start, &[shape], effort).filter(|c| c.fit.gain != 0.0)?;
-        if found.fit.sse < self.top.fit.sse {
+        let hopeless = (1.3 * self.top.sse()).max(self.top.sse() - 4.0 * NEGLIGIBLE * self.variance);
+        let lag = from.fit.lag() + lag;
+        let found = self.evaluator.fit_around(self.view, &self.around, [s, j], start, lag, hopeless)?;
+        if found.fit.gain == 0.0 {
+            return None;
+        }
+        if found.sse() < self.top.sse() {
             self.top = found;
         }
         match known {
-            Some(at) if found.fit.sse < self.cells[at].fit.sse => self.cells[at] = found,
+            Some(at) if found.sse() < self.cells[at].sse() => self.cells[at] = found,
             Some(_) => {}
             None => self.cells.push(found),
         }
@@ -158,32 +227,32 @@ impl<'b, 'a> Looking<'b, 'a> {
     /// From the best cell across the edges in s, to either side, then in j.
     fn walk(&mut self) {
         let home = self.top;
-        self.walk_edges(WALK_S, [1e-4, 3.0], |c| c.s_cell, |edge| [edge, home.j.min(edge)]);
+        self.walk_edges(home, WALK_S, [1e-4, 3.0], |c| c.cells[0], |edge| [edge, home.j.min(edge)]);
         let home = self.top;
-        self.walk_edges(WALK_J, [0.0, home.s], |c| c.j_cell, |edge| [home.s, edge]);
+        self.walk_edges(home, WALK_J, [0.0, home.s], |c| c.cells[1], |edge| [home.s, edge]);
     }
 
     /// From the best cell to either side, at most `most` cells, while their edges lie inside `range`; `place` is where
     /// an edge is looked at.
     fn walk_edges(
         &mut self,
+        home: Candidate,
         most: usize,
         range: [f64; 2],
         cell: impl Fn(&Candidate) -> [f64; 2],
         place: impl Fn(f64) -> [f64; 2],
     ) {
-        let home = self.top;
         for up in [false, true] {
             let (mut at, mut warm, mut lost) = (home, home, 0);
             for _ in 0..most {
                 let [low, high] = cell(&at);
-                let edge = if up { high * (1.0 + 1e-9) + 1e-12 } else { low * (1.0 - 1e-9) - 1e-12 };
+                let edge = across([low, high], up);
                 if !edge.is_finite() || edge <= range[0] || edge > range[1] {
                     break;
                 }
                 let [s, j] = place(edge);
                 let Some(next) = self.visit(s, j, home.start, &warm, 0.0) else { break };
-                if self.weight(next.fit.sse) > NEGLIGIBLE {
+                if self.weight(next.sse()) > NEGLIGIBLE {
                     (warm, lost) = (next, 0);
                 } else {
                     lost += 1;
@@ -202,10 +271,10 @@ impl<'b, 'a> Looking<'b, 'a> {
         for share in [0.005, 0.01, 0.02, 0.04, 0.08, 0.16] {
             for side in [-share, share] {
                 let s = home.s * (1.0 + side);
-                let lag = -(s - home.s) / self.bench.question.rate.max(1e-6);
+                let lag = -(s - home.s) / self.evaluator.problem.question.rate.max(1e-6);
                 let j = home.j / home.s * s;
                 let found = self.visit(s, home.j, home.start, &home, lag);
-                if found.is_some_and(|c| self.weight(c.fit.sse) > 4.0 * NEGLIGIBLE) {
+                if found.is_some_and(|c| self.weight(c.sse()) > 4.0 * NEGLIGIBLE) {
                     self.visit(s, j, home.start, &home, lag);
                 }
             }
@@ -221,16 +290,16 @@ impl<'b, 'a> Looking<'b, 'a> {
             let sigma = 0.05 * libm::pow(10.0, -2.0 * uniform(rng)) * at.s;
             if kind < 0.7 {
                 if kind < 0.45 {
-                    s = across(s, at.s_cell, sigma, rng);
+                    s = moved(s, at.cells[0], sigma, rng);
                 }
                 if kind > 0.25 {
-                    j = across(j, at.j_cell, 4.0 * sigma, rng);
+                    j = moved(j, at.cells[1], 4.0 * sigma, rng);
                 }
             } else if kind < 0.85 {
                 lag = 1.5 * normal(rng);
-                s -= lag * self.bench.question.rate;
+                s -= lag * self.evaluator.problem.question.rate;
             } else if kind < 0.95 {
-                let list = self.bench.question.records[usize::from(!start.up)].len();
+                let list = self.evaluator.problem.question.records[usize::from(!start.up)].len();
                 let by = 1 + (3.0 * uniform(rng) * uniform(rng)) as usize;
                 let up = uniform(rng) < 0.5;
                 start.record =
@@ -239,7 +308,7 @@ impl<'b, 'a> Looking<'b, 'a> {
                 start.place = uniform(rng);
             }
             let Some(next) = self.visit(s, j, start, &at, lag) else { continue };
-            let gain = self.weight(next.fit.sse) - self.weight(at.fit.sse);
+            let gain = self.weight(next.sse()) - self.weight(at.sse());
             if gain >= 0.0 || libm::log(uniform(rng).max(1e-300)) < gain {
                 at = next;
             }
@@ -248,29 +317,19 @@ impl<'b, 'a> Looking<'b, 'a> {
 
     /// Everything that the slips of cells that count allow j to be.
     fn allowed(&self, j: f64) -> [f64; 2] {
-        let count = self.cells.iter().filter(|c| self.weight(c.fit.sse) > NEGLIGIBLE / 4.0);
-        count.fold([j, j], |all, c| hull(all, [c.j_cell[0].min(j), c.j_cell[1].min(c.s_cell[1].min(c.s.max(1.0)))]))
+        let count = self.cells.iter().filter(|c| self.weight(c.sse()) > NEGLIGIBLE / 4.0);
+        count.fold([j, j], |all, c| {
+            hull(all, [c.cells[1][0].min(j), c.cells[1][1].min(c.cells[0][1].min(c.s.max(1.0)))])
+        })
     }
 
-    /// Fits the process to its end in the cells that may count most: a weight is that of the best process for the
-    /// slips.
-    fn polish(&mut self) {
-        let mut order: Vec<usize> = (0..self.cells.len()).collect();
-        order.sort_by(|a, b| self.cells[*a].fit.sse.total_cmp(&self.cells[*b].fit.sse));
-        for k in order.into_iter().take(POLISHED) {
-            let c = self.cells[k];
-            if self.weight(c.fit.sse) < 2.5 * NEGLIGIBLE || c.covers(self.top.s, self.top.j, self.top.start) {
-                continue;
-            }
-            let effort = Effort::of(4);
-            let shapes = [c.fit.shape, self.top.fit.shape];
-            let found = self.bench.fit(c.s, c.j, c.start, &shapes, effort).filter(|f| f.fit.gain != 0.0);
-            if let Some(found) = found.filter(|f| f.fit.sse < c.fit.sse) {
-                self.cells[k] = found;
-                if found.fit.sse < self.top.fit.sse {
-                    self.top = found;
-                }
-            }
+    /// Walks from the cells of other candidates that count.
+    fn meet(&mut self, rivals: &[Candidate]) {
+        let class = self.top.class;
+        for rival in rivals.iter().filter(|c| c.class == class).take(RIVALS) {
+            let found = self.visit(rival.s, rival.j, rival.start, rival, 0.0);
+            let Some(found) = found.filter(|c| self.weight(c.sse()) > NEGLIGIBLE) else { continue };
+            self.walk_edges(found, WALK_J, [1e-4, 3.0], |c| c.cells[0], |edge| [edge, found.j.min(edge)]);
         }
     }
 
@@ -278,8 +337,8 @@ impl<'b, 'a> Looking<'b, 'a> {
     fn mixture(&mut self) -> (Mixture, bool) {
         let (mut places, mut flat) = (Vec::new(), false);
         let mut order: Vec<Candidate> =
-            self.cells.iter().copied().filter(|c| self.weight(c.fit.sse) > NEGLIGIBLE).collect();
-        order.sort_by(|a, b| a.fit.sse.total_cmp(&b.fit.sse));
+            self.cells.iter().copied().filter(|c| self.weight(c.sse()) > NEGLIGIBLE).collect();
+        order.sort_by(|a, b| a.sse().total_cmp(&b.sse()));
         // One rectangle counts once, with the first slip that suits it best.
         let mut cells: Vec<Candidate> = Vec::new();
         for c in order {
@@ -288,16 +347,23 @@ impl<'b, 'a> Looking<'b, 'a> {
             }
         }
         for c in &cells {
-            let Some((profile, [fd_low, fd_high])) = self.bench.profile(c) else { continue };
+            let Some((profile, [fd_low, fd_high])) = self.evaluator.profile(self.view, &self.around, c) else {
+                continue;
+            };
+            let least = profile.sse(c.fit.fd);
             let even = profile.is_flat();
-            if c.fit.sse <= self.top.fit.sse {
+            if c.sse() <= self.top.sse() {
                 flat = even;
             }
-            let s_high = if c.s_cell[1].is_finite() { c.s_cell[1] } else { c.s.max(1.0) };
-            let s_width = s_high - c.s_cell[0];
+            let s_high = if c.cells[0][1].is_finite() { c.cells[0][1] } else { c.s.max(1.0) };
+            let s_width = s_high - c.cells[0][0];
             let stretch = self.stretch;
             let sse = |fd: f64| {
-                if even { c.fit.sse } else { profile.sse(c.fit.fd + (fd - c.fit.fd) / stretch).max(c.fit.sse) }
+                if even {
+                    c.sse()
+                } else {
+                    c.sse() + (profile.sse(c.fit.fd + (fd - c.fit.fd) / stretch) - least).max(0.0)
+                }
             };
             let band = self.band_that_counts(&sse, [fd_low, fd_high], c.fit.fd);
             let step = (band[1] - band[0]) / PLACES[1] as f64;
@@ -308,10 +374,10 @@ impl<'b, 'a> Looking<'b, 'a> {
                 // Rows are shifted against each other, so that s is even over the cell, not on a few values.
                 let shift = (m as f64 * GOLDEN).fract();
                 for k in 0..PLACES[0] {
-                    let s = c.s_cell[0] + s_width * (k as f64 + shift) / PLACES[0] as f64;
+                    let s = c.cells[0][0] + s_width * (k as f64 + shift) / PLACES[0] as f64;
                     let j = s - 2.0 * fd;
                     // The ends of a cell belong to it, and a point of it always does.
-                    if j >= c.j_cell[0] - 2.0 * step && j <= c.j_cell[1] + 2.0 * step && j <= s + 2.0 * step {
+                    if j >= c.cells[1][0] - 2.0 * step && j <= c.cells[1][1] + 2.0 * step && j <= s + 2.0 * step {
                         places.push(Place { s, j: j.max(0.0), weight });
                     }
                 }
@@ -335,17 +401,6 @@ impl<'b, 'a> Looking<'b, 'a> {
             outside
         })
     }
-}
-
-/// A value just across an edge of its cell (40 %), else a normal step.
-fn across(value: f64, cell: [f64; 2], sigma: f64, rng: &mut ChaCha8Rng) -> f64 {
-    if uniform(rng) < 0.4 {
-        let edge = if uniform(rng) < 0.5 { cell[0] * (1.0 - 1e-9) - 1e-12 } else { cell[1] * (1.0 + 1e-9) + 1e-12 };
-        if edge.is_finite() && edge > 0.0 {
-            return edge;
-        }
-    }
-    value + sigma * normal(rng)
 }
 
 /// One place in the plane of (s, j).

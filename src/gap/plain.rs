@@ -1,0 +1,461 @@
+//! The plain pass over samples: the free run of a parameter vector point by point, and the best linear part for the
+//! training blocks by columns as long as they are.
+//!
+//! It says the same as [`super::evaluator`], which is held against it by a property test, and does what that cannot: a
+//! process whose rate goes with its level, the coefficients of everything linear, and the free run itself. Gain, bias,
+//! initial state and everything additive are solved exactly (variable projection, Golub and Pereyra 1973), and so is fd
+//! where the valve signal is linear in it.
+
+use super::answer::Process;
+use super::problem::{Problem, View};
+use super::structure::{Parameters, Plan, Structure};
+use super::valve_signal::switch_of;
+use crate::ident::candidate::{MIN_SLIPS, freedom};
+use crate::ident::fit::{Freedom, best_band};
+use crate::ident::least_squares::Gram;
+use crate::sim::actuator::lag_path;
+use crate::sim::process::separated;
+use crate::sim::slips::Sequence;
+
+/// Columns of a model, right-hand side included, at most.
+pub const MAX_COLUMNS: usize = 11;
+
+/// Initial slope of a pair of lags, that of the quicker one alone being 1, from which it counts as leading.
+const LEADS: f64 = 0.5;
+/// What such a pair leaves in the end, over its larger part, below which it comes back.
+const COMES_BACK: f64 = 0.05;
+
+/// Linear coefficients of a model: those of the other columns first, then that of the response.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Linear {
+    /// In the order in which the columns are made.
+    pub others: [f64; MAX_COLUMNS],
+    /// How many of them.
+    pub count: usize,
+    /// Of the response to the valve signal.
+    pub gain: f64,
+}
+
+/// A theta and how well it fits.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Candidate {
+    /// Where.
+    pub theta: Parameters,
+    /// Squared error on the fitted blocks, in the view that was asked.
+    pub sse: f64,
+    /// Values of s and j that give the same slips.
+    pub cells: [[f64; 2]; 2],
+    /// Moves of the stem.
+    pub slips: usize,
+    /// The linear part.
+    pub linear: Linear,
+}
+
+impl Candidate {
+    /// Whether another place with the same parameters has the same slips.
+    #[must_use]
+    pub fn covers(&self, theta: &Parameters) -> bool {
+        let within = |[low, high]: [f64; 2], x: f64| low <= x && x < high;
+        theta.first == self.theta.first
+            && theta.p == self.theta.p
+            && within(self.cells[0], theta.s)
+            && within(self.cells[1], theta.j)
+    }
+}
+
+/// Evaluates parameter vectors of one problem sample by sample, with its own buffers.
+#[derive(Debug)]
+pub struct PlainPass<'a> {
+    /// The record.
+    pub problem: &'a Problem,
+    /// Sign of the gain.
+    pub sign: f64,
+    /// Responses computed.
+    pub evaluations: u64,
+    /// Responses that may be computed: from there on nothing is found any more.
+    pub limit: u64,
+    sequence: Sequence,
+    path: Vec<f64>,
+    valve: Vec<f64>,
+    other: Vec<f64>,
+    drift: Vec<f64>,
+    bent: Vec<f64>,
+    long: Vec<f64>,
+    longer: Vec<f64>,
+    columns: Vec<Vec<f64>>,
+    shifted: Vec<f64>,
+}
+
+impl<'a> PlainPass<'a> {
+    /// A pass for one problem and sign of the gain.
+    #[must_use]
+    pub fn new(problem: &'a Problem, sign: f64) -> Self {
+        Self {
+            problem,
+            sign,
+            evaluations: 0,
+            limit: u64::MAX,
+            sequence: Sequence::default(),
+            path: Vec::new(),
+            valve: Vec::new(),
+            other: Vec::new(),
+            drift: Vec::new(),
+            bent: Vec::new(),
+            long: Vec::new(),
+            longer: Vec::new(),
+            columns: vec![Vec::new(); MAX_COLUMNS],
+            shifted: Vec::new(),
+        }
+    }
+
+    /// Runs the valve; false where the stem hardly moves.
+    fn run_valve(&mut self, plan: &Plan, theta: &mut Parameters) -> bool {
+        let q = &self.problem.question;
+        let (path, per_point) = if plan.positioner > 0.0 {
+            let per_point = lag_path(&q.path, q.per_point, plan.positioner, &mut self.path);
+            (&self.path, per_point)
+        } else {
+            (&q.path, q.per_point)
+        };
+        match plan.law {
+            Some(law) => {
+                let bands = [theta.s, theta.j];
+                self.sequence.run_in(plan.stroke, law, path, per_point, bands, theta.first);
+                if self.sequence.slips < MIN_SLIPS {
+                    return false;
+                }
+            }
+            None => {
+                let m = per_point as f64;
+                self.sequence.at.clear();
+                self.sequence.at.extend(path.chunks_exact(per_point).map(|p| p.iter().sum::<f64>() / m));
+                self.sequence.direction.clear();
+                self.sequence.direction.resize(self.sequence.at.len(), 0.0);
+            }
+        }
+        if !plan.is_linear_in_fd() {
+            if plan.law.is_some() {
+                let [low, high] = self.band_of(plan, theta).fd;
+                theta.fd = theta.fd.clamp(low, high);
+            }
+            self.assemble(plan, theta.fd);
+        } else {
+            self.valve.clear();
+        }
+        if let Some([time, more]) = plan.switch {
+            let halves = [&mut self.sequence.at, &mut self.sequence.direction, &mut self.valve];
+            for half in halves.into_iter().filter(|half| !half.is_empty()) {
+                switched(half, time, more, &mut self.shifted);
+            }
+        }
+        true
+    }
+
+    /// The valve signal behind everything that follows the stem.
+    fn assemble(&mut self, plan: &Plan, fd: f64) {
+        let Sequence { at, direction, .. } = &self.sequence;
+        self.valve.clear();
+        self.valve.extend(at.iter().zip(direction).map(|(a, d)| a - fd * d));
+        plan.follow(&mut self.valve, 1.0);
+    }
+
+    /// Makes the compact columns of a plan: others first, then one or two for the valve. Returns how many others.
+    fn make_columns(&mut self, plan: &Plan, theta: &Parameters, view: View) -> usize {
+        let problem = self.problem;
+        let n = problem.n();
+        let from = problem.blocks.from;
+        let [tau1, tau2] = time_constants(plan, theta);
+        let tau = libm::exp(theta.log_tau);
+        let lag = theta.lag.floor().max(0.0);
+        let (whole, fraction) = (lag as usize, theta.lag.max(0.0) - lag);
+        let mut count = 0;
+        let mut put = |columns: &mut Vec<Vec<f64>>, long: &[f64]| {
+            problem.gather(long, view, &mut columns[count]);
+            count += 1;
+        };
+        // What does not depend on the valve.
+        self.long.clear();
+        self.long.resize(n, 1.0);
+        put(&mut self.columns, &self.long);
+        let memories: &[f64] = if plan.integrating { &[] } else { &[tau1, tau2] };
+        for tau in memories.iter().filter(|t| **t > 0.0) {
+            course(&mut self.long, n, from, libm::exp(-1.0 / tau));
+            put(&mut self.columns, &self.long);
+        }
+        if plan.integrating {
+            self.long.clear();
+            self.long.extend((0..n).map(|k| (k as f64 - from as f64) / n as f64));
+            put(&mut self.columns, &self.long);
+        }
+        self.drift.clear();
+        if let Some(drift) = plan.drift {
+            self.drift.extend(drift.course(n));
+        }
+        for load in loads(plan, tau, n) {
+            put(&mut self.columns, &load);
+        }
+        // What does.
+        let linear_in_fd = plan.is_linear_in_fd();
+        let mut bent = core::mem::take(&mut self.bent);
+        let signal = if plan.bend != 0.0 {
+            bent.clear();
+            bent.extend(self.valve.iter().map(|v| plan.bent(*v)));
+            &bent
+        } else if linear_in_fd {
+            &self.sequence.at
+        } else {
+            &self.valve
+        };
+        let process = Process { plan, tau: [tau1, tau2], whole, fraction, n };
+        let main = if plan.zero { Process { tau: [tau1, 0.0], ..process } } else { process };
+        let second = Process { tau: [tau2, 0.0], ..process };
+        let others = count + usize::from(plan.zero);
+        let halves = [(second, signal), (main, signal), (main, &self.sequence.direction)];
+        let used = if linear_in_fd { 3 } else { 2 };
+        for (i, (process, signal)) in halves.into_iter().enumerate().take(used).skip(usize::from(!plan.zero)) {
+            let signal = match plan.drift {
+                Some(drift) => {
+                    self.other.clear();
+                    self.other.extend(signal.iter().zip(&self.drift).map(|(v, x)| v * (1.0 + drift.change * x)));
+                    &self.other
+                }
+                None => signal,
+            };
+            process.respond(signal, &mut self.long, &mut self.longer);
+            problem.gather(&self.long, view, &mut self.columns[others + i - 1]);
+        }
+        self.bent = bent;
+        others
+    }
+
+    /// The values of fd that the slips at hand leave open.
+    fn band_of(&self, plan: &Plan, theta: &Parameters) -> Freedom {
+        freedom(&self.sequence, [theta.s, theta.j], self.sign, self.problem.question.limits, plan.landing())
+    }
+
+    /// The best linear part at one place; `None` where the stem hardly moves, no gain of the sign helps, or the limit is
+    /// reached.
+    pub fn evaluate(&mut self, structure: &Structure, theta: &Parameters, view: View) -> Option<Candidate> {
+        if self.evaluations >= self.limit {
+            return None;
+        }
+        self.evaluations += 1;
+        let plan = structure.plan(theta);
+        let mut theta = *theta;
+        if !self.run_valve(&plan, &mut theta) {
+            return None;
+        }
+        let others = self.make_columns(&plan, &theta, view);
+        let target = self.problem.target(view);
+        let two = plan.is_linear_in_fd();
+        let mains = if two { 2 } else { 1 };
+        let mut columns: [&[f64]; MAX_COLUMNS] = [&[]; MAX_COLUMNS];
+        for (slot, column) in columns.iter_mut().zip(&self.columns[..others + mains]) {
+            *slot = column;
+        }
+        columns[others + mains] = target;
+        let mut gram = Gram::of(&columns[..=others + mains]);
+        let whole = gram.at(others, others);
+        let whole_direction = if two { gram.at(others + 1, others + 1) } else { 0.0 };
+        gram.eliminate(others);
+        let last = others + mains;
+        let (gain, known, explained) = if two {
+            let at = |i: usize, k: usize| gram.at(others + i, others + k);
+            let system = [at(0, 0), at(0, 1), at(1, 1), at(0, 2), at(1, 2)];
+            let freedom = self.band_of(&plan, &theta);
+            let (gain, fd, explained) = best_band(system, [whole, whole_direction], &freedom);
+            theta.fd = fd;
+            (gain, [gain, -gain * fd], explained)
+        } else {
+            let (power, along) = (gram.at(others, others), gram.at(others, last));
+            let gain = if power > 1e-11 * whole { along / power } else { 0.0 };
+            (gain, [gain, 0.0], gain * along)
+        };
+        let all = gram.back(others, &known[..mains]);
+        let mut linear = Linear { others: [0.0; MAX_COLUMNS], count: others, gain };
+        linear.others[..others].copy_from_slice(&all[..others]);
+        let total = if plan.zero { gain + linear.others[others - 1] } else { gain };
+        if gain == 0.0 || total * self.sign <= 0.0 {
+            return None;
+        }
+        if plan.zero && reads_controller(time_constants(&plan, &theta), [gain, total - gain]) {
+            return None;
+        }
+        let sse = (gram.at(last, last) - explained).max(0.0);
+        let cells = [self.sequence.s_cell, self.sequence.j_cell];
+        Some(Candidate { theta, sse, cells, slips: self.sequence.slips, linear })
+    }
+
+    /// As [`PlainPass::evaluate`] by the plain error with fd and the gain held: only the other columns are fitted.
+    pub fn held(&mut self, structure: &Structure, theta: &Parameters, gain: f64) -> Option<Candidate> {
+        self.evaluations += 1;
+        let plan = structure.plan(theta);
+        let (mut moved, fd) = (*theta, theta.fd);
+        if !self.run_valve(&plan, &mut moved) {
+            return None;
+        }
+        let others = self.make_columns(&plan, theta, View::Plain);
+        let only = Linear { others: [0.0; MAX_COLUMNS], count: 0, gain };
+        let mut left = Vec::new();
+        let main = self.columns[others].clone();
+        if plan.is_linear_in_fd() {
+            let direction = &self.columns[others + 1];
+            left.extend(main.iter().zip(direction).map(|(a, d)| -gain * (a - fd * d)));
+        } else {
+            left.extend(main.iter().map(|a| -gain * a));
+        }
+        for (l, y) in left.iter_mut().zip(self.problem.target(View::Plain)) {
+            *l += y;
+        }
+        let mut columns: Vec<&[f64]> = self.columns[..others].iter().map(Vec::as_slice).collect();
+        columns.push(&left);
+        let mut gram = Gram::of(&columns);
+        gram.eliminate(others);
+        let all = gram.back(others, &[]);
+        let mut linear = Linear { count: others, ..only };
+        linear.others[..others].copy_from_slice(&all[..others]);
+        let cells = [self.sequence.s_cell, self.sequence.j_cell];
+        let sse = gram.at(others, others).max(0.0);
+        Some(Candidate { theta: *theta, sse, cells, slips: self.sequence.slips, linear })
+    }
+
+    fn combine(&self, plan: &Plan, others: usize, fd: f64, linear: &Linear, out: &mut Vec<f64>) {
+        out.clear();
+        if plan.is_linear_in_fd() {
+            let (at, direction) = (&self.columns[others], &self.columns[others + 1]);
+            out.extend(at.iter().zip(direction).map(|(a, d)| linear.gain * (a - fd * d)));
+        } else {
+            out.extend(self.columns[others].iter().map(|x| linear.gain * x));
+        }
+        for (column, c) in self.columns[..others].iter().zip(linear.others) {
+            for (o, x) in out.iter_mut().zip(column) {
+                *o += c * x;
+            }
+        }
+    }
+
+    /// Free run over the whole record, normalised PV units, the valve signal (spans) and moves of the stem as
+    /// (point, size); `None` as for [`PlainPass::evaluate`].
+    pub fn simulate(&mut self, structure: &Structure, of: &Candidate) -> Option<(Vec<f64>, Vec<f64>)> {
+        self.run_plan(&structure.plan(&of.theta), of, of.linear)
+    }
+
+    /// What a structure's effect adds to the free run of the same slips through the same process, the stem's law apart;
+    /// zeros where it acts on that law alone.
+    pub fn added(&mut self, structure: &Structure, of: &Candidate) -> Option<Vec<f64>> {
+        let plan = structure.plan(&of.theta);
+        let plain = plan.valve_alone();
+        if plan == plain {
+            return Some(vec![0.0; self.problem.n()]);
+        }
+        let mut linear = of.linear;
+        if plan.zero {
+            linear.gain += linear.others[linear.count - 1];
+        }
+        let (with, _) = self.run_plan(&plan, of, of.linear)?;
+        let (without, _) = self.run_plan(&plain, of, linear)?;
+        Some(with.iter().zip(&without).map(|(a, b)| a - b).collect())
+    }
+
+    fn run_plan(&self, plan: &Plan, of: &Candidate, linear: Linear) -> Option<(Vec<f64>, Vec<f64>)> {
+        let whole = self.problem.whole();
+        let mut pass = PlainPass::new(&whole, self.sign);
+        let mut theta = of.theta;
+        if !pass.run_valve(plan, &mut theta) {
+            return None;
+        }
+        let others = pass.make_columns(plan, &theta, View::Plain);
+        let mut out = Vec::new();
+        pass.combine(plan, others, theta.fd, &linear, &mut out);
+        pass.assemble(plan, theta.fd);
+        Some((out, pass.valve))
+    }
+}
+
+/// Lets a signal come `more` points later from point `time` on.
+fn switched(signal: &mut Vec<f64>, time: f64, more: f64, work: &mut Vec<f64>) {
+    let (at, whole, part) = switch_of(time, more, signal.len());
+    let last = signal.len() as i64 - 1;
+    work.clone_from(signal);
+    let value = |k: i64| work[k.clamp(0, last) as usize];
+    for k in at..=last {
+        signal[k as usize] = (1.0 - part) * value(k - whole) + part * value(k - whole - 1);
+    }
+}
+
+/// Both time constants, points; the second 0 for none.
+pub fn time_constants(plan: &Plan, theta: &Parameters) -> [f64; 2] {
+    let tau = libm::exp(theta.log_tau);
+    if plan.tau2 > 0.0 { separated(tau, plan.tau2).into() } else { [tau, 0.0] }
+}
+
+/// Whether two lags side by side are not the process but the closed loop's controller read backwards, which gives PV's
+/// moves from OP's and no level: the pair begins faster than half of what one lag would, or comes back to where it was.
+pub fn reads_controller(tau: [f64; 2], gain: [f64; 2]) -> bool {
+    let total = gain[0] + gain[1];
+    let slope = gain[0] / tau[0] + gain[1] / tau[1];
+    slope * tau[0].min(tau[1]) / total > LEADS || total.abs() < COMES_BACK * gain[0].abs().max(gain[1].abs())
+}
+
+/// Signals that are fitted beside the process' answer, one entry a point, in the order of [`Plan::column`]; `tau` is the
+/// lag through which a step comes.
+pub fn loads(plan: &Plan, tau: f64, n: usize) -> Vec<Vec<f64>> {
+    let mut out = Vec::new();
+    if let Some(omega) = plan.omega {
+        let turn = [libm::sin(omega), libm::cos(omega)];
+        out.extend([[0.0, 1.0], [1.0, 0.0]].map(|start| waves(n, start, turn)));
+    }
+    if let Some(start) = plan.ramp {
+        out.push((0..n).map(|k| (k as f64 - start).max(0.0) / n as f64).collect());
+    }
+    // A gain that drifts also drifts PV's level, since the process need not rest at the middle of the stem's range.
+    if let Some(drift) = plan.drift {
+        out.push(drift.course(n).collect());
+    }
+    if let Some((start, straight)) = plan.step {
+        let after = (start.ceil().max(0.0) as usize).min(n);
+        let decay = if straight || plan.integrating { 0.0 } else { libm::exp(-1.0 / tau) };
+        let mut left = if decay > 0.0 { libm::exp((start - after as f64) / tau) } else { 0.0 };
+        let mut step = vec![0.0; after];
+        step.resize_with(n, || {
+            let value = 1.0 - left;
+            left *= decay;
+            value
+        });
+        out.push(step);
+    }
+    out
+}
+
+/// One of sine and cosine over the record by turning `[sin, cos]` from `start` (its first entry is kept).
+fn waves(n: usize, start: [f64; 2], turn: [f64; 2]) -> Vec<f64> {
+    let [mut a, mut b] = start;
+    let [sin, cos] = turn;
+    (0..n)
+        .map(|_| {
+            let value = a;
+            (a, b) = (a * cos + b * sin, b * cos - a * sin);
+            value
+        })
+        .collect()
+}
+
+/// The decay `a^(k - from)` from the point before `from` on, 1 before that.
+fn course(out: &mut Vec<f64>, n: usize, from: usize, a: f64) {
+    out.clear();
+    out.resize(from.min(n), 1.0);
+    if let Some(before) = out.last_mut() {
+        *before = 1.0 / a.max(1e-12);
+    }
+    let mut value = 1.0;
+    while out.len() < n {
+        out.push(value);
+        value *= a;
+        if value < 1e-14 {
+            out.resize(n, 0.0);
+        }
+    }
+}
+
+#[cfg(test)]
+pub mod tests;

@@ -1,0 +1,452 @@
+//! The rounds of a diagnosis: the base first, then every effect with the same work, then the likely ones with more of it,
+//! and what each found for all that are not far behind.
+//!
+//! Between rounds the executor is asked whether to go on; a search that it ends early has done whole rounds only, so the
+//! evaluations it reports name it. What the budget leaves is shared evenly by the searches of a round.
+
+use std::sync::Mutex;
+
+use super::effects::{ALL, Clues, Effect, Start, Way};
+use super::evaluator::{Candidate, Evaluator};
+use super::express::rms;
+use super::plain::PlainPass;
+use super::problem::{Problem, View};
+use super::scan::{self, coarse_scan, frictionless};
+use super::search::{Effort, MIDDLE, NARROW, SMALL, Search, WIDE, exchange, local_search};
+use super::settle::NEAR;
+use super::structure::{MAX_PARAMS, Parameters, Plan, Structure};
+use super::types::{Executor, Stage};
+use crate::ident::residual;
+use crate::sim::slips::Law;
+
+/// Rounds in which findings are shared.
+const SHARED_ROUNDS: usize = 4;
+/// Places of the first look, of each of two measures, at which a load's own clues are read, and starts taken from each.
+const PLACES: usize = 10;
+const STARTS: usize = 3;
+/// Shares of the record that further coarse scans see: shorter ones know fewer slips and have wider cells.
+const PARTS: [f64; 2] = [0.45, 0.7];
+/// Relative gain in squared error below which a search has not improved.
+const NO_GAIN: f64 = 0.003;
+/// Responses that a search for the base is given at least: without a base nothing can be said.
+const BASE_AT_LEAST: u64 = 10_000;
+/// Squared error over the best one from which an effect is out of the running, so that it does not try what others find.
+const FAR_BEHIND: f64 = 9.0;
+/// Searches for the right slips at most beyond the first, of the base and of the effects.
+const AGAIN: u64 = 2;
+/// Shares of the budget that the base has at most, and of what it leaves that the effects' own first looks have.
+const OF_BASE: f64 = 0.4;
+const OF_LOOKS: f64 = 0.5;
+/// Responses that one such scan computes, about.
+const LOOK: f64 = 500.0;
+/// Effects for which that is worth its while.
+const LIKELY: usize = 4;
+/// Responses that the search for the right slips of one effect computes, about.
+const LOOK_AGAIN: u64 = 30_000;
+/// Error over the floor at which a white base is the answer and the effects need only a glance.
+const CALM: f64 = 1.04;
+
+/// Work done, and who does it.
+pub struct Work<'c> {
+    /// The executor.
+    pub executor: &'c dyn Executor,
+    /// Evaluations at which the search at hand ends.
+    pub budget: u64,
+    /// Evaluations done.
+    pub done: u64,
+    /// Whether the executor ended all work.
+    pub stopped: bool,
+    /// Whether a search ended because its budget was spent.
+    pub spent: bool,
+    /// Seed.
+    pub seed: u64,
+    /// Evaluations at which the executor was asked last: it is asked once, for a search that is ended there by its count
+    /// must end at the same round.
+    pub asked: Option<u64>,
+}
+
+impl Work<'_> {
+    /// Runs jobs and gives their results in order.
+    pub fn all<T: Send>(&self, jobs: usize, job: impl Fn(usize) -> T + Sync) -> Vec<T> {
+        let slots: Vec<Mutex<Option<T>>> = (0..jobs).map(|_| Mutex::new(None)).collect();
+        self.executor.run(jobs, &|i| {
+            let made = job(i);
+            if let Ok(mut slot) = slots[i].lock() {
+                *slot = Some(made);
+            }
+        });
+        slots.into_iter().filter_map(|slot| slot.into_inner().ok().flatten()).collect()
+    }
+
+    /// Responses that are left of the budget.
+    const fn left(&self) -> u64 {
+        self.budget.saturating_sub(self.done)
+    }
+
+    /// Responses that each of so many searches may compute, so that the budget is kept.
+    fn allowed(&self, searches: usize) -> u64 {
+        self.left().div_ceil(searches.max(1) as u64)
+    }
+
+    /// Responses that a share of what is left comes to.
+    fn part(&self, share: f64) -> u64 {
+        (share * self.left() as f64) as u64
+    }
+
+    /// Whether another round may begin.
+    pub fn goes_on(&mut self) -> bool {
+        if self.asked != Some(self.done) {
+            self.stopped |= !self.executor.tick(self.done);
+            self.asked = Some(self.done);
+        }
+        let spent = self.done >= self.budget;
+        self.spent |= spent;
+        !self.stopped && !spent
+    }
+
+    /// Gives another search as much as the first one had.
+    pub const fn begin(&mut self, budget: u64) {
+        self.budget = self.done.saturating_add(budget);
+    }
+}
+
+/// All that the rounds found.
+#[derive(Debug)]
+pub struct Found {
+    /// The base.
+    pub base: Search,
+    /// Base and one effect each.
+    pub searches: Vec<Search>,
+}
+
+/// Effects of the catalogue that are simulated against this base.
+#[must_use]
+pub fn simulated(linear_base: bool) -> Vec<&'static Effect> {
+    let wanted = |e: &&Effect| match e.way {
+        Way::Simulated => {
+            !linear_base || e.id != "slip_overshoot" && e.id != "sliding_valve" && e.id != "asymmetric_stiction"
+        }
+        Way::AgainstLinear => linear_base,
+        _ => false,
+    };
+    ALL.into_iter().filter(wanted).collect()
+}
+
+fn search(structure: Structure, sign: f64, starts: Vec<[f64; MAX_PARAMS]>, stream: u64) -> Search {
+    Search { structure, sign, starts, best: Vec::new(), evaluations: 0, allowed: u64::MAX, stream: 1000 * stream }
+}
+
+/// The base, fitted, and the starts of its coarse scan; `None` where nothing in PV follows OP.
+///
+/// While it leaves more than noise, a scan of another part of the record with other chance says where to begin again, up
+/// to [`AGAIN`] times: every effect starts from the base's slips.
+#[must_use]
+pub fn base(
+    problem: &Problem,
+    law: Option<Law>,
+    floor: Option<f64>,
+    work: &mut Work<'_>,
+) -> Option<(Search, Vec<Parameters>)> {
+    let enough = work.done.saturating_add(work.part(OF_BASE));
+    let (mut base, thetas) = base_once(problem, law, work)?;
+    for round in 0..AGAIN {
+        if law.is_none() || is_calm(problem, &base, floor) || work.done >= enough || !work.goes_on() {
+            break;
+        }
+        let seed = work.seed.wrapping_add((1 + round) << 32);
+        let settings = scan::Settings { part: PARTS[round as usize % PARTS.len()], ..scan::FINE };
+        let allowed = work.allowed(1);
+        let found = work.all(1, |_| {
+            let mut search = Search { allowed, ..base.clone() };
+            let structure = search.structure;
+            let (places, count) = coarse_scan(problem, &structure, [0.0; MAX_PARAMS], search.sign, settings, seed);
+            search.evaluations += count;
+            local_search(problem, &mut search, &places, &[], &WIDE, seed);
+            search
+        });
+        let Some(better) = found.into_iter().next() else { break };
+        work.done += better.evaluations - base.evaluations;
+        base = better;
+    }
+    Some((base, thetas))
+}
+
+/// One search for the base.
+fn base_once(problem: &Problem, law: Option<Law>, work: &mut Work<'_>) -> Option<(Search, Vec<Parameters>)> {
+    let signs: Vec<f64> = problem.sign.map_or_else(|| vec![1.0, -1.0], |s| vec![s]);
+    let seed = work.seed;
+    let structure = Structure::base(law);
+    let scanned = work.all(signs.len(), |i| match law {
+        Some(_) => coarse_scan(problem, &structure, [0.0; MAX_PARAMS], signs[i], scan::FINE, seed),
+        None => (frictionless(problem), 0),
+    });
+    work.done += scanned.iter().map(|(_, n)| n).sum::<u64>();
+    // Twice with other chance: the base must not lose by bad luck.
+    let jobs = 2 * signs.len();
+    let allowed = work.part(OF_BASE).div_ceil(jobs as u64).max(BASE_AT_LEAST);
+    let searches = work.all(jobs, |i| {
+        let sign = i / 2;
+        let mut search = search(structure, signs[sign], vec![[0.0; MAX_PARAMS]], 1 + i as u64);
+        search.allowed = allowed;
+        if let Some((thetas, _)) = scanned.get(sign) {
+            local_search(problem, &mut search, thetas, &[], &WIDE, seed);
+        }
+        search
+    });
+    work.done += searches.iter().map(|l| l.evaluations).sum::<u64>();
+    let best = searches.iter().min_by(|a, b| a.sse().total_cmp(&b.sse()))?.clone();
+    if best.best.is_empty() {
+        return None;
+    }
+    let mut base = Search { evaluations: searches.iter().map(|l| l.evaluations).sum(), ..best };
+    for other in searches.iter().filter(|l| l.sign == base.sign && l.stream != base.stream) {
+        base.best.extend(other.best.iter().take(3).copied());
+    }
+    base.best.sort_by(|a, b| a.sse.total_cmp(&b.sse));
+    let thetas = scanned.into_iter().zip(&signs).find(|(_, s)| **s == base.sign).map(|((g, _), _)| g)?;
+    Some((base, thetas))
+}
+
+/// Whether a search is at the floor and leaves white noise that does not follow OP.
+#[must_use]
+pub fn is_calm(problem: &Problem, search: &Search, floor: Option<f64>) -> bool {
+    let Some(left) = residual_of(problem, search).filter(|left| reaches(problem, left, floor)) else { return false };
+    let from = problem.blocks.from;
+    let whiteness = residual::whiteness(&left[from..], &problem.question.mean[from..]);
+    whiteness.white && !whiteness.follows_op
+}
+
+/// Whether what is left is at the floor, white or not.
+fn reaches(problem: &Problem, left: &[f64], floor: Option<f64>) -> bool {
+    floor.is_some_and(|floor| rms(left, &problem.train) * problem.deviation <= CALM * floor)
+}
+
+/// What a search's best candidate leaves of PV at each point, deviations.
+#[must_use]
+pub fn residual_of(problem: &Problem, search: &Search) -> Option<Vec<f64>> {
+    let (prediction, _) = PlainPass::new(problem, search.sign).simulate(&search.structure, search.best.first()?)?;
+    Some(problem.question.pv.iter().zip(&prediction).map(|(y, p)| y - p).collect())
+}
+
+/// The free run of a parameter vector, and its valve signal.
+fn free_run(problem: &Problem, sign: f64, structure: &Structure, theta: &Parameters) -> Option<(Vec<f64>, Vec<f64>)> {
+    let mut pass = PlainPass::new(problem, sign);
+    let candidate = pass.evaluate(structure, theta, View::Plain)?;
+    pass.simulate(structure, &candidate)
+}
+
+/// The starts of every effect's search.
+fn lanes_of(problem: &Problem, base: &Search, effects: &[&'static Effect]) -> Vec<Search> {
+    let Some(best) = base.best.first() else { return Vec::new() };
+    let run = PlainPass::new(problem, base.sign).simulate(&base.structure, best);
+    let Some((prediction, valve)) = run else { return Vec::new() };
+    let own = |e: &Effect| starts_at(problem, e, best, &prediction, &valve);
+    let structure = |e: &'static Effect| Structure::with(base.structure.law, e);
+    effects.iter().enumerate().map(|(i, e)| search(structure(e), base.sign, own(e), 10 + i as u64)).collect()
+}
+
+/// Base and effects, as far as the budget goes.
+#[must_use]
+pub fn run(
+    problem: &Problem,
+    base_law: Option<Law>,
+    without: &[String],
+    floor: Option<f64>,
+    work: &mut Work<'_>,
+) -> Option<Found> {
+    let (mut base, thetas) = base(problem, base_law, floor, work)?;
+    let calm = is_calm(problem, &base, floor);
+    let effects: Vec<&'static Effect> =
+        simulated(base_law.is_none()).into_iter().filter(|e| !without.iter().any(|w| w == e.id)).collect();
+    let mut searches = lanes_of(problem, &base, &effects);
+    // Against a base without friction nobody else looks for slips: the search for He's base is made for it.
+    let sticking = searches.iter().position(|l| l.structure.each().any(|e| e.way == Way::AgainstLinear));
+    if let (Some(at), true) = (sticking, work.goes_on())
+        && let Some((found, _)) = self::base(problem, Some(Law::He), floor, work)
+    {
+        searches[at] =
+            Search { sign: found.sign, best: found.best, evaluations: found.evaluations, ..searches[at].clone() };
+    }
+    if work.goes_on() {
+        let mut from = exchange(core::slice::from_ref(&base), 4);
+        if !calm {
+            from.extend(&thetas);
+        }
+        let seed = work.seed;
+        let looking = searches.iter().filter(|l| plans_of(l).any(|plan| looks(&plan, &l.structure))).count();
+        let each = (work.part(OF_LOOKS) as f64 / LOOK / looking.max(1) as f64).max(1.0) as usize;
+        let own =
+            work.all(searches.len(), |i| own_look(problem, &searches[i], &thetas, if calm { 0 } else { each }, seed));
+        work.done += own.iter().map(|(_, n)| n).sum::<u64>();
+        let effort = if calm { &NARROW } else { &MIDDLE };
+        let own = |i: usize| own.get(i).map_or(&[][..], |(thetas, _)| thetas);
+        share(problem, &mut searches, effort, work, &|_| from.clone(), &own);
+    }
+    for round in 0..SHARED_ROUNDS as u64 {
+        if calm || !work.goes_on() {
+            break;
+        }
+        let found = round < AGAIN && look_again(problem, &mut searches, floor, round, work);
+        if !cross_pollinate(problem, &mut base, &mut searches, work) && !found {
+            break;
+        }
+    }
+    Some(Found { base, searches })
+}
+
+/// A round in which the base and every search that is not far behind try what the others found. Says whether one gained.
+fn cross_pollinate(problem: &Problem, base: &mut Search, searches: &mut Vec<Search>, work: &mut Work<'_>) -> bool {
+    let best = searches.iter().map(Search::sse).fold(base.sse(), f64::min);
+    let (near, far): (Vec<Search>, Vec<Search>) = searches.drain(..).partition(|l| l.sse() <= FAR_BEHIND * best);
+    let mut all = vec![base.clone()];
+    all.extend(near);
+    let before: Vec<f64> = all.iter().map(Search::sse).collect();
+    let thetas = exchange(&all, 2);
+    share(problem, &mut all, &SMALL, work, &|_| thetas.clone(), &|_| &[]);
+    let gains = before.iter().zip(&all).any(|(b, a)| a.sse() < (1.0 - NO_GAIN) * b);
+    *base = all.remove(0);
+    searches.extend(all.into_iter().chain(far));
+    gains
+}
+
+/// More work for the searches at these places. Says whether one of them gained from it.
+fn go_on(searches: &mut [Search], at: &[usize], work: &mut Work<'_>, job: &(dyn Fn(&mut Search) + Sync)) -> bool {
+    let allowed = work.allowed(at.len());
+    let made = work.all(at.len(), |i| {
+        let mut search = Search { allowed, ..searches[at[i]].clone() };
+        job(&mut search);
+        search
+    });
+    let mut gains = false;
+    for (at, search) in at.iter().zip(made) {
+        let before = &mut searches[*at];
+        work.done += search.evaluations - before.evaluations;
+        gains |= search.sse() < (1.0 - NO_GAIN) * before.sse();
+        *before = search;
+    }
+    gains
+}
+
+/// The plans of all starts of a search.
+fn plans_of(search: &Search) -> impl Iterator<Item = Plan> {
+    search.starts.iter().map(|p| search.structure.plan_of(p))
+}
+
+/// Another coarse scan with the parameters found so far, made for each of the most likely effects while none of them
+/// explains everything. Says whether one of them gained from it.
+fn look_again(problem: &Problem, searches: &mut [Search], floor: Option<f64>, round: u64, work: &mut Work<'_>) -> bool {
+    let mut order: Vec<usize> = (0..searches.len()).collect();
+    order.sort_by(|a, b| searches[*a].sse().total_cmp(&searches[*b].sse()));
+    order.truncate(LIKELY.min((work.left() / LOOK_AGAIN) as usize));
+    if order.first().is_none_or(|best| is_calm(problem, &searches[*best], floor)) || !work.goes_on() {
+        return false;
+    }
+    let seed = work.seed.wrapping_add((AGAIN + 1 + round) << 32);
+    let settings = scan::Settings { part: PARTS[round as usize % PARTS.len()], ..scan::FINE };
+    go_on(searches, &order, work, &|search| {
+        let Some(p) = search.best.first().map(|b| b.theta.p).or(search.starts.first().copied()) else { return };
+        let (places, count) = coarse_scan(problem, &search.structure, p, search.sign, settings, seed);
+        local_search(problem, search, &[], &places, &WIDE, seed);
+        search.evaluations += count;
+    })
+}
+
+/// Places of the base's first look with what a load's own clues say of the residual there: the residual of the wrong
+/// slips hides it. The places are the best by what is fast and by differences, where a slow load weighs little.
+fn with_own_clues(problem: &Problem, search: &Search, thetas: &[Parameters]) -> (Vec<Parameters>, u64) {
+    let Some(effect) = search.structure.each().next() else { return (Vec::new(), 0) };
+    let base = Structure::base(search.structure.law);
+    let mut evaluator = Evaluator::new(problem, search.sign);
+    let mut out = Vec::new();
+    for view in View::ALL {
+        let mut seen: Vec<_> = thetas.iter().filter_map(|g| evaluator.fit(&base, g, view, NEAR)).collect();
+        seen.sort_by(|a, b| a.sse.total_cmp(&b.sse));
+        for place in seen.iter().take(PLACES) {
+            let Some(place) = evaluator.fit(&base, &place.theta, View::Plain, NEAR) else { continue };
+            let Some((prediction, valve)) = free_run(problem, search.sign, &base, &place.theta) else { continue };
+            let starts = starts_at(problem, effect, &place, &prediction, &valve);
+            out.extend(starts.into_iter().take(STARTS).map(|p| Parameters { p, ..place.theta }));
+        }
+    }
+    (out, evaluator.evaluations)
+}
+
+/// Where an effect's clues say that its parameters may lie, given the base's run at a place.
+fn starts_at(
+    problem: &Problem,
+    effect: &Effect,
+    at: &Candidate,
+    prediction: &[f64],
+    valve: &[f64],
+) -> Vec<[f64; MAX_PARAMS]> {
+    let residual: Vec<f64> = problem.question.pv.iter().zip(prediction).map(|(y, p)| y - p).collect();
+    let low = valve.iter().copied().fold(f64::INFINITY, f64::min);
+    let high = valve.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let clues = Clues { problem, residual: &residual, stem: [low, high], lag: at.theta.lag };
+    let padded = |p: Start| core::array::from_fn(|i| p.get(i).copied().unwrap_or(0.0));
+    (effect.starts)(&clues).into_iter().map(padded).collect()
+}
+
+/// A look of its own for an effect that makes other slips of the same OP, or whose traces the wrong slips hide; `looked`
+/// are the places of the base's, `most` the starts from which is looked.
+fn own_look(
+    problem: &Problem,
+    search: &Search,
+    looked: &[Parameters],
+    most: usize,
+    seed: u64,
+) -> (Vec<Parameters>, u64) {
+    let (mut thetas, mut count) = (Vec::new(), 0);
+    if most == 0 {
+        return (thetas, count);
+    }
+    if search.structure.each().any(|e| e.stage == Stage::Disturbance) {
+        return with_own_clues(problem, search, looked);
+    }
+    // Evenly from all of them, where there is no time for each.
+    let every = search.starts.len().div_ceil(most);
+    for (i, p) in search.starts.iter().enumerate().step_by(every.max(1)) {
+        let plan = search.structure.plan_of(p);
+        if !looks(&plan, &search.structure) {
+            continue;
+        }
+        let (found, n) = coarse_scan(problem, &search.structure, *p, search.sign, scan::ROUGH, seed + i as u64);
+        thetas.extend(found);
+        count += n;
+    }
+    (thetas, count)
+}
+
+/// Whether a stem answers OP with slips that no pair of bands gives, so that a look at the base's is of no use.
+fn makes_other_slips(plan: &Plan) -> bool {
+    plan.overshoot || plan.stroke.uneven != 0.0
+}
+
+/// Whether a plan makes other slips than the base, or another signal of the same slips.
+fn looks(plan: &Plan, structure: &Structure) -> bool {
+    let same_slips = plan.valve_alone() == Plan::base(structure.law);
+    structure.law.is_some() && (makes_other_slips(plan) || !same_slips || plan.follows() || plan.bend != 0.0)
+}
+
+/// One round for every search.
+pub fn share<'g>(
+    problem: &Problem,
+    searches: &mut Vec<Search>,
+    effort: &Effort,
+    work: &mut Work<'_>,
+    thetas: &(dyn Fn(&Search) -> Vec<Parameters> + Sync),
+    own: &(dyn Fn(usize) -> &'g [Parameters] + Sync),
+) {
+    let before: u64 = searches.iter().map(|l| l.evaluations).sum();
+    let (seed, allowed) = (work.seed, work.allowed(searches.len()));
+    let made = work.all(searches.len(), |i| {
+        let mut search = Search { allowed, ..searches[i].clone() };
+        let thetas = thetas(&search);
+        local_search(problem, &mut search, &thetas, own(i), effort, seed);
+        search
+    });
+    if made.len() == searches.len() {
+        *searches = made;
+    }
+    work.done += searches.iter().map(|l| l.evaluations).sum::<u64>() - before;
+}

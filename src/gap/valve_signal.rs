@@ -1,0 +1,204 @@
+//! The valve signal of a model structure as the list of its steps: friction, what follows the stem, and what changes
+//! with time.
+
+use std::sync::Arc;
+
+use super::problem::Problem;
+use super::structure::{Drift, Parameters, Plan};
+use crate::ident::candidate::{MIN_SLIPS, band_freedom};
+use crate::ident::fit::Freedom;
+use crate::sim::actuator::{lag_path, play_step, rate_step, stop_step};
+use crate::sim::slips::Stem;
+use crate::sim::steps::{Path, Step, Steps};
+
+/// Paths behind a positioner that are kept: a local search comes back to the lag it started from.
+const PATHS: usize = 4;
+
+/// Makes valve signals, with its own buffers.
+#[derive(Debug, Default)]
+pub struct ValveSignal {
+    /// The steps, and the cells of the bands that give the same.
+    pub steps: Steps,
+    work: Vec<Step>,
+    behind: Vec<(u64, Arc<Path>)>,
+    samples: [Vec<f64>; 2],
+}
+
+impl ValveSignal {
+    /// Makes the signal of a plan with these parameters, whose fd is moved into the band of its slips where the signal is
+    /// not linear in it; `None` where the stem hardly moves.
+    pub fn make(&mut self, problem: &Problem, plan: &Plan, theta: &mut Parameters, sign: f64) -> Option<Freedom> {
+        let limits = problem.question.limits;
+        let path = self.path(problem, plan);
+        let n = problem.n();
+        let mut freedom = Freedom { fd: [0.0; 2], fd_default: 0.0, sign, limits };
+        let mut start = [path.values().first().copied().unwrap_or(0.0), 0.0];
+        match plan.law {
+            Some(law) => {
+                let bands = [theta.s, theta.j];
+                self.steps.run(&path, n, plan.stroke, law, bands, theta.first);
+                if self.steps.slips < MIN_SLIPS {
+                    return None;
+                }
+                let (level, direction) = Stem::before(theta.first, bands, plan.stroke, path.per_point()).signal();
+                start = [level, direction];
+                let cells = [self.steps.s_cell, self.steps.j_cell];
+                freedom = band_freedom(cells, bands, sign, limits, plan.landing());
+            }
+            None => self.follow_op(&path, &mut start),
+        }
+        if !plan.is_linear_in_fd() {
+            let [low, high] = freedom.fd;
+            theta.fd = if plan.law.is_some() { theta.fd.clamp(low, high) } else { 0.0 };
+            // Side by side, two lags leave fd open: it is found with their gains.
+            if !plan.zero || plan.follows() || plan.bend != 0.0 {
+                self.follow(plan, start, theta.fd, n);
+                freedom.fd = [0.0; 2];
+                freedom.fd_default = 0.0;
+            }
+        }
+        if let Some([time, more]) = plan.switch {
+            self.switch(time, more, n);
+        }
+        if let Some(drift) = plan.drift {
+            self.drift(drift, start, n);
+        }
+        Some(freedom)
+    }
+
+    /// OP on its way to the stem.
+    fn path(&mut self, problem: &Problem, plan: &Plan) -> Arc<Path> {
+        if plan.positioner <= 0.0 {
+            return Arc::clone(&problem.path);
+        }
+        let key = plan.positioner.to_bits();
+        if let Some(at) = self.behind.iter().position(|(k, _)| *k == key) {
+            return Arc::clone(&self.behind[at].1);
+        }
+        let q = &problem.question;
+        let mut values = Vec::new();
+        let per_point = lag_path(&q.path, q.per_point, plan.positioner, &mut values);
+        let made = Arc::new(Path::new(values, per_point));
+        if self.behind.len() == PATHS {
+            self.behind.remove(0);
+        }
+        self.behind.push((key, Arc::clone(&made)));
+        made
+    }
+
+    /// A valve without friction: OP averaged over each point.
+    fn follow_op(&mut self, path: &Path, start: &mut [f64; 2]) {
+        let m = path.per_point();
+        let mean = &mut self.samples[0];
+        mean.clear();
+        mean.extend(path.values().chunks_exact(m).map(|p| p.iter().sum::<f64>() / m as f64));
+        *start = [mean.first().copied().unwrap_or(0.0), 0.0];
+        let none = [0.0, f64::INFINITY];
+        self.steps.of_signal(mean, &[]);
+        (self.steps.s_cell, self.steps.j_cell, self.steps.slips, self.steps.reversals) = (none, none, 0, 0);
+    }
+
+    /// Rate limit, stops, play and characteristic behind a stem that starts at `start`, in this order.
+    fn follow(&mut self, plan: &Plan, start: [f64; 2], fd: f64, n: usize) {
+        let mut stem = start[0] - fd * start[1];
+        let list = core::mem::replace(&mut self.steps.list, core::mem::take(&mut self.work));
+        let out = &mut self.steps.list;
+        out.clear();
+        // Where the stem stands at the first point, there is what follows it.
+        let first = list.partition_point(|s| s.point == 0);
+        stem += list[..first].iter().map(|s| s.level - fd * s.direction).sum::<f64>();
+        let (mut slow, mut far) = (stem, stem);
+        let flow = |slow: f64, far: &mut f64| {
+            let open = stop_step(slow, plan.stops);
+            *far = if plan.play > 0.0 { play_step(*far, open, plan.play) } else { open };
+            plan.bent(*far)
+        };
+        let mut last = flow(slow, &mut far);
+        for (m, step) in list.iter().enumerate().skip(first) {
+            stem += step.level - fd * step.direction;
+            let until = list.get(m + 1).map_or(n, |s| s.point as usize);
+            for k in step.point as usize..until {
+                slow = if plan.rate < f64::INFINITY { rate_step(slow, stem, plan.rate) } else { stem };
+                let now = flow(slow, &mut far);
+                if now != last {
+                    out.push(Step { point: k as u32, level: now - last, direction: 0.0 });
+                    last = now;
+                }
+                if slow == stem {
+                    break;
+                }
+            }
+        }
+        self.work = list;
+    }
+
+    /// From point `time` on the signal comes `more` points later.
+    fn switch(&mut self, time: f64, more: f64, n: usize) {
+        let list = core::mem::replace(&mut self.steps.list, core::mem::take(&mut self.work));
+        let (at, whole, part) = switch_of(time, more, n);
+        let out = &mut self.steps.list;
+        out.clear();
+        let mut put = |point: i64, level: f64, direction: f64| {
+            if point < 0 || point >= n as i64 || (level == 0.0 && direction == 0.0) {
+                return;
+            }
+            match out.last_mut() {
+                Some(last) if i64::from(last.point) == point => {
+                    last.level += level;
+                    last.direction += direction;
+                }
+                _ => out.push(Step { point: point as u32, level, direction }),
+            }
+        };
+        // What the later signal has gone through by then less what the earlier one has.
+        let mut jump = [0.0; 2];
+        for s in &list {
+            let point = i64::from(s.point);
+            if point < at {
+                put(point, s.level, s.direction);
+                jump = [jump[0] - s.level, jump[1] - s.direction];
+            }
+            for (place, share) in [(point + whole, 1.0 - part), (point + whole + 1, part)] {
+                if place <= at {
+                    jump = [jump[0] + share * s.level, jump[1] + share * s.direction];
+                }
+            }
+        }
+        put(at, jump[0], jump[1]);
+        for s in &list {
+            let point = i64::from(s.point);
+            for (place, share) in [(point + whole, 1.0 - part), (point + whole + 1, part)] {
+                if place > at {
+                    put(place, share * s.level, share * s.direction);
+                }
+            }
+        }
+        self.work = list;
+    }
+
+    /// A gain that drifts: the signal times its course.
+    fn drift(&mut self, drift: Drift, start: [f64; 2], n: usize) {
+        let [level, direction] = &mut self.samples;
+        let mut now = start;
+        let mut list = self.steps.list.iter().peekable();
+        level.clear();
+        direction.clear();
+        for (k, x) in drift.course(n).enumerate() {
+            while let Some(step) = list.next_if(|s| s.point as usize == k) {
+                now = [now[0] + step.level, now[1] + step.direction];
+            }
+            let gain = 1.0 + drift.change * x;
+            level.push(gain * now[0]);
+            direction.push(gain * now[1]);
+        }
+        self.steps.of_signal(level, direction);
+    }
+}
+
+/// Point at which a change of dead time happens, and by how much later the signal comes from then on, whole points and
+/// the rest.
+pub fn switch_of(time: f64, more: f64, n: usize) -> (i64, i64, f64) {
+    let at = time.clamp(0.0, n.saturating_sub(1) as f64) as i64;
+    let whole = more.floor();
+    (at, whole as i64, more - whole)
+}

@@ -1,0 +1,200 @@
+//! From what the search found to the candidate that is reported: the class that earns its lags, and the error whose residual
+//! is as white as a first-order filter makes it.
+
+use super::candidate::{Candidate, apart};
+use super::local_search::{Nearness, along_ridge, neighbours, random_steps};
+use super::stages::{Found, Search, classes_of, frictionless};
+use crate::ident::candidate::{Bench, Candidate as Plain};
+use crate::ident::choice::ModelChoice;
+use crate::ident::class::Class;
+use crate::ident::evaluator::View;
+use crate::ident::fit::{Fitted, Target};
+use crate::ident::order::{EARNED, FITTED_SHARE};
+use crate::ident::search::generator;
+use crate::ident::slip_search::evaluator::{Polished, shape_of};
+use crate::signal::stats;
+
+/// Lag-1 autocorrelation of a residual from which it is filtered, and the strongest filter.
+const COLOURED: f64 = 0.2;
+const MOST_RHO: f64 = 0.98;
+/// Change of the filter that the residual asks for after which the answer is looked for again.
+const OTHER_FILTER: f64 = 0.1;
+/// Candidates refitted to the filtered error, those that go on, random steps for the first of them and for the others.
+const REFITTED: usize = 12;
+const FOLLOWED: usize = 4;
+const STEPS: [usize; 2] = [60, 24];
+/// Filter of the view in which slow disturbances weigh little.
+const MOVES_RHO: f64 = 0.98;
+/// Candidates looked at in that view.
+const MOVES_CANDIDATES: usize = 6;
+/// s in spans of OP from which an index counts in full: smaller bands are within what noise and rounding imitate.
+pub const FULL_WEIGHT: f64 = 0.2;
+
+/// The candidate to report.
+#[derive(Debug, Clone)]
+pub struct Answer {
+    /// Fitted to the error behind `1 - rho q^-1`.
+    pub candidate: Candidate,
+    /// Filter of that error, 0 where the residual is white as it is.
+    pub rho: f64,
+    /// The best by the plain error, of the same law and class, polished.
+    pub plain: Polished,
+    /// The same slips' squared plain error.
+    pub plain_sse: f64,
+    /// Squared plain error without friction, same class.
+    pub without: f64,
+    /// Share of the error of differences that goes with the friction, less where s is small.
+    pub index_moves: f64,
+}
+
+/// Share of an error that goes with the friction, 0..1.
+#[must_use]
+pub fn improvement(with: f64, without: f64) -> f64 {
+    if without > 0.0 { (1.0 - with / without).clamp(0.0, 1.0) } else { 0.0 }
+}
+
+impl Answer {
+    /// Share of the plain error that goes with the friction.
+    #[must_use]
+    pub fn index(&self) -> f64 {
+        improvement(self.plain.sse, self.without)
+    }
+}
+
+impl Search<'_, '_> {
+    /// The answer for the best candidate of one law; `None` where it has no process.
+    pub fn answer(&mut self, best: Candidate, found: &Found, model: ModelChoice, seed: u64) -> Option<Answer> {
+        let best = self.earned(best, model)?;
+        let without = self.without(best.class);
+        let (evaluator, plain) = self.whole();
+        let process = evaluator.polish(plain, &best)?;
+        let mut answer =
+            Answer { candidate: best, rho: 0.0, plain: process, plain_sse: process.sse, without, index_moves: 0.0 };
+        let rivals: Vec<Candidate> = found.seen.iter().filter(|c| c.law == best.law).copied().collect();
+        answer.index_moves = self.index_moves(&best, &rivals);
+        if !found.is_noise && answer.index().max(answer.index_moves) > 0.1 {
+            self.whiten(&mut answer, &rivals, seed);
+        }
+        Some(answer)
+    }
+
+    /// The candidate without its second lag where that does not earn its place on data that it was not fitted to.
+    fn earned(&mut self, rich: Candidate, model: ModelChoice) -> Option<Candidate> {
+        let simpler = match (model, rich.class) {
+            (ModelChoice::Auto, Class::Second) => Class::First,
+            (ModelChoice::Auto, Class::LagIntegrating) => Class::Integrating,
+            _ => return Some(rich),
+        };
+        let (evaluator, plain) = self.whole();
+        let Some(poor) = evaluator.in_class(plain, &rich, simpler).filter(|c| c.fit.gain != 0.0) else {
+            return Some(rich);
+        };
+        // Neighbours may be the simpler model's own best slips.
+        let near = Nearness::USUAL;
+        let poor = neighbours(evaluator, plain, poor, 2, near);
+        let of_rich = self.held_out(&rich);
+        let of_poor = self.held_out(&poor);
+        Some(if of_rich > (1.0 - EARNED) * of_poor { poor } else { rich })
+    }
+
+    /// Mean squared error on what follows the first part of the record when the process is fitted to that part alone.
+    fn held_out(&mut self, of: &Candidate) -> f64 {
+        let (evaluator, plain) = self.whole();
+        let Some(process) = evaluator.polish(plain, of) else { return f64::INFINITY };
+        let question = evaluator.problem.question;
+        let target = Target::new(&question.pv, 0.0, question.from);
+        let mut bench = Bench::new(question, of.law, of.class, &target, evaluator.problem.sign);
+        bench.held_out(&as_plain(of, &process), FITTED_SHARE)
+    }
+
+    /// What a disturbance adds to PV stays in the residual from sample to sample; with the residual's own first-order filter
+    /// in front of the error (as in generalised least squares, Cochrane and Orcutt 1949) it weighs as noise does.
+    fn whiten(&mut self, answer: &mut Answer, rivals: &[Candidate], seed: u64) {
+        let near = Nearness::USUAL;
+        let mut rng = generator(seed, 5);
+        let best = answer.candidate;
+        let (evaluator, plain) = self.whole();
+        let mut rho = stats::autocorrelation_1(&evaluator.residual(plain, &best, &answer.plain));
+        for _ in 0..2 {
+            if rho < COLOURED {
+                return;
+            }
+            rho = rho.min(MOST_RHO);
+            let mut view = evaluator.problem.view(rho, evaluator.points);
+            let mut pool: Vec<Candidate> = apart(rivals, REFITTED, 0);
+            pool.push(answer.candidate);
+            pool.push(best);
+            let refitted = pool.iter().filter_map(|c| evaluator.in_class(&mut view, c, best.class));
+            let refitted: Vec<Candidate> = refitted.filter(|c| c.fit.gain != 0.0).collect();
+            let mut held = apart(&refitted, FOLLOWED, 0);
+            if let Some(first) = held.first().copied() {
+                held.extend(along_ridge(evaluator, &mut view, &first, 0.1, 20));
+                held = apart(&held, FOLLOWED, 0);
+            }
+            for (i, c) in held.iter_mut().enumerate() {
+                *c = random_steps(evaluator, &mut view, *c, STEPS[usize::from(i > 1)], near, &mut rng);
+            }
+            held.sort_by(|a, b| a.sse().total_cmp(&b.sse()));
+            let Some(found) = held.first() else { return };
+            let found = neighbours(evaluator, &mut view, *found, 4, near);
+            let again = evaluator.in_class(plain, &found, best.class);
+            let process = again.and_then(|c| evaluator.polish(plain, &c).map(|p| (c, p)));
+            let Some((again, process)) = process else { return };
+            (answer.candidate, answer.rho, answer.plain_sse) = (found, rho, process.sse);
+            if process.sse < answer.plain.sse {
+                answer.plain = process;
+            }
+            // The right slips leave another residual, which may ask for another filter.
+            let next = stats::autocorrelation_1(&evaluator.residual(plain, &again, &process));
+            if (next - rho).abs() <= OTHER_FILTER {
+                return;
+            }
+            rho = next;
+        }
+    }
+
+    /// The best share of the error of differences that a band takes away.
+    fn index_moves(&mut self, best: &Candidate, rivals: &[Candidate]) -> f64 {
+        let (evaluator, _) = self.whole();
+        let mut view = evaluator.problem.view(MOVES_RHO, evaluator.points);
+        let without = frictionless(evaluator, &mut view, best.class).map_or(f64::INFINITY, |f| f.sse);
+        let without = without.min(view.nothing());
+        let mut pool = apart(rivals, MOVES_CANDIDATES, 1);
+        pool.push(*best);
+        let shares = pool.iter().filter_map(|c| {
+            let found = evaluator.in_class(&mut view, c, best.class)?;
+            Some(improvement(found.sse(), without) * (found.s / FULL_WEIGHT).min(1.0))
+        });
+        shares.fold(0.0, f64::max)
+    }
+
+    /// Whether a class is one that the model may have.
+    #[must_use]
+    pub fn allows(model: ModelChoice, class: Class) -> bool {
+        classes_of(model).contains(&class)
+    }
+}
+
+/// A candidate as the plain pass over samples holds it.
+#[must_use]
+pub fn as_plain(of: &Candidate, process: &Polished) -> Plain {
+    let shape = shape_of(of.class, process.taus, process.lag);
+    let fit = Fitted { sse: process.sse, gain: process.gain, fd: process.fd, memory: [0.0; 3], shape };
+    Plain {
+        s: of.s,
+        j: of.j,
+        start: of.start,
+        s_cell: of.cells[0],
+        j_cell: of.cells[1],
+        slips: of.slips,
+        reversals: of.reversals,
+        fit,
+    }
+}
+
+/// The view that an answer was fitted to.
+#[must_use]
+pub fn view_of(search: &mut Search<'_, '_>, answer: &Answer) -> View {
+    let (evaluator, plain) = search.whole();
+    if answer.rho == 0.0 { plain.clone() } else { evaluator.problem.view(answer.rho, evaluator.points) }
+}

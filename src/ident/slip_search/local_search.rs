@@ -1,0 +1,297 @@
+//! From a candidate to better ones nearby.
+//!
+//! In (s, j) the plane is tiled by cells that give the same slips; inside one the error is constant once fd is fitted. The
+//! right cell may be a few tenths of a per cent wide, so steps go to just across the edges of the cell at hand, or are
+//! drawn from many sizes.
+
+use rand_chacha::ChaCha8Rng;
+
+use super::candidate::{Candidate, LatticeFit, apart};
+use super::evaluator::Evaluator;
+use crate::ident::candidate::Start;
+use crate::ident::evaluator::View;
+use crate::ident::search::{moved, normal, ridge_jumps, uniform};
+
+/// Smallest s that is looked at, spans.
+pub const LEAST_S: f64 = 1e-4;
+/// Cells to either side that a walk over neighbours meets.
+const CELLS: usize = 4;
+/// How far such a walk goes in s, share of s, and in j.
+const REACH: [f64; 2] = [0.05, 0.15];
+/// Relative gain below which neighbours have not helped.
+const NO_GAIN: f64 = 1e-4;
+/// Error over the best one up to which places on the ridge are kept.
+const ON_RIDGE: f64 = 2.5;
+/// The same up to which their processes are refined.
+const ON_RIDGE_REFINED: f64 = 1.2;
+
+/// How near to the best one an error must lie for a process to be refined.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Nearness {
+    /// Least and most relative distance, of random steps.
+    pub within: [f64; 2],
+    /// The same times the share of PV that the best one leaves: where it leaves much, errors differ little from cell to
+    /// cell, and all would be refined.
+    pub at_share: f64,
+    /// Factor for neighbouring cells.
+    pub cells: f64,
+}
+
+impl Nearness {
+    /// As the daemon searches.
+    pub const USUAL: Self = Self { within: [1e-3, 0.01], at_share: 3e-4, cells: 2.0 };
+
+    /// Error up to which a random step from a candidate is refined.
+    fn of_step(&self, best: &Candidate, view: &View) -> f64 {
+        best.sse() * (1.0 + self.distance(best, view))
+    }
+
+    /// The same for a neighbouring cell.
+    fn of_cell(&self, best: &Candidate, view: &View) -> f64 {
+        best.sse() * (1.0 + self.cells * self.distance(best, view))
+    }
+
+    fn distance(&self, best: &Candidate, view: &View) -> f64 {
+        let share = best.sse() / view.nothing().max(1e-300);
+        (self.at_share / share.max(1e-300)).clamp(self.within[0], self.within[1])
+    }
+}
+
+/// A value just across an edge of a cell.
+#[must_use]
+pub fn across(cell: [f64; 2], up: bool) -> f64 {
+    if up { cell[1] * (1.0 + 1e-9) + 1e-12 } else { cell[0] * (1.0 - 1e-9) - 1e-12 }
+}
+
+/// The bands as the valve may have them, or `None` where there is no friction left.
+fn kept(evaluator: &Evaluator<'_>, s: f64, j: f64) -> Option<[f64; 2]> {
+    let s = s.min(1.0);
+    (s.is_finite() && j.is_finite() && s >= LEAST_S).then(|| [s, evaluator.problem.question.landing.keep(s, j)])
+}
+
+/// The same process with its lag moved.
+fn later(fit: &LatticeFit, by: f64) -> LatticeFit {
+    LatticeFit { delay: (fit.lag() + by).max(0.0) as usize, ..*fit }
+}
+
+/// Random steps from a candidate, never to a worse one.
+pub fn random_steps(
+    evaluator: &mut Evaluator<'_>,
+    view: &mut View,
+    from: Candidate,
+    count: usize,
+    near: Nearness,
+    rng: &mut ChaCha8Rng,
+) -> Candidate {
+    (evaluator.class, evaluator.law) = (from.class, from.law);
+    let mut best = from;
+    for _ in 0..count {
+        let (s, j, start, lag) = random_step(evaluator, &best, rng);
+        let Some([s, j]) = kept(evaluator, s, j) else { continue };
+        if best.covers(s, j, start) {
+            continue;
+        }
+        let enough = near.of_step(&best, view);
+        let found = evaluator.fit(view, [s, j], start, &later(&best.fit, lag), enough);
+        if let Some(found) = found.filter(|f| f.sse() <= best.sse() && f.fit.gain != 0.0) {
+            best = found;
+        }
+    }
+    best
+}
+
+/// Where the next random step goes: bands, first slip, and by how much the lag moves with them.
+fn random_step(evaluator: &Evaluator<'_>, from: &Candidate, rng: &mut ChaCha8Rng) -> (f64, f64, Start, f64) {
+    let question = evaluator.problem.question;
+    let (mut s, mut j, mut start, mut lag) = (from.s, from.j, from.start, 0.0);
+    let kind = uniform(rng);
+    if kind < 0.65 {
+        let sigma = 0.1 * libm::pow(10.0, -2.2 * uniform(rng));
+        if !(0.25..0.43).contains(&kind) {
+            s = moved(s, from.cells[0], sigma * s, rng);
+        }
+        if kind >= 0.25 {
+            j = moved(j, from.cells[1], 4.0 * sigma * s.max(j), rng);
+        }
+        if uniform(rng) < 0.15 {
+            lag = normal(rng);
+        }
+        if uniform(rng) < 0.06 {
+            // A staircase of half or double steps meets the right one at every other step.
+            j *= [0.5, 2.0, 2.0 / 3.0, 1.5][(4.0 * uniform(rng)) as usize];
+        }
+    } else if kind < 0.78 {
+        // Along the ridge: an earlier slip and a longer lag look alike.
+        lag = 3.0 * uniform(rng) * normal(rng);
+        s -= lag * question.rate;
+        j = ridge_jumps([from.s, from.j], s, question.landing)[(4.0 * uniform(rng)) as usize];
+        if uniform(rng) < 0.5 {
+            start = question.moved_start(start, -lag);
+        }
+    } else if kind < 0.92 {
+        start = another_start(evaluator, start, rng);
+        if uniform(rng) < 0.5 {
+            s = moved(s, from.cells[0], 0.01 * s, rng);
+        }
+    } else {
+        start.place = uniform(rng);
+    }
+    (s, j, start, lag)
+}
+
+/// A first slip at a neighbouring record of OP, now and then anywhere on either side.
+fn another_start(evaluator: &Evaluator<'_>, from: Start, rng: &mut ChaCha8Rng) -> Start {
+    let records = |up: bool| evaluator.problem.question.records[usize::from(!up)].len();
+    let by = 1 + (3.0 * uniform(rng) * uniform(rng)) as usize;
+    let record = if uniform(rng) < 0.5 { from.record + by } else { from.record.saturating_sub(by) };
+    let record = record.min(records(from.up).max(1) - 1);
+    if uniform(rng) < 0.25 || record == from.record {
+        let up = uniform(rng) < 0.5;
+        return Start { up, record: (uniform(rng) * records(up) as f64) as usize, place: 0.5 };
+    }
+    Start { record, ..from }
+}
+
+/// A walk over neighbours that keeps the best one.
+struct Neighbours<'e, 'a, 'v> {
+    evaluator: &'e mut Evaluator<'a>,
+    view: &'v mut View,
+    near: Nearness,
+    best: Candidate,
+}
+
+impl Neighbours<'_, '_, '_> {
+    fn look(&mut self, s: f64, j: f64, start: Start, fit: LatticeFit) -> Option<Candidate> {
+        let bands = kept(self.evaluator, s, j)?;
+        let enough = self.near.of_cell(&self.best, self.view);
+        let found = self.evaluator.fit(self.view, bands, start, &fit, enough)?;
+        if found.sse() < self.best.sse() && found.fit.gain != 0.0 {
+            self.best = found;
+        }
+        Some(found)
+    }
+
+    /// The cells to one side in s, the jump held or moved along, then those in j.
+    fn cells(&mut self, home: &Candidate, up: bool) {
+        let (mut s, mut cell) = (home.s, home.cells[0]);
+        for _ in 0..CELLS {
+            let edge = across(cell, up);
+            if !edge.is_finite() || (edge - s).abs() > REACH[0] * s {
+                break;
+            }
+            s = edge;
+            let Some(found) = self.look(s, home.j, home.start, self.best.fit) else { break };
+            cell = found.cells[0];
+            self.look(s, home.j + s - home.s, home.start, self.best.fit);
+        }
+        let (mut j, mut cell) = (home.j, home.cells[1]);
+        for _ in 0..CELLS {
+            let edge = across(cell, up);
+            if !edge.is_finite() || (edge - j).abs() > REACH[1] * home.s {
+                break;
+            }
+            j = edge;
+            let Some(found) = self.look(home.s, j, home.start, self.best.fit) else { break };
+            cell = found.cells[1];
+        }
+        for up_in_j in [false, true] {
+            self.look(across(home.cells[0], up), across(home.cells[1], up_in_j), home.start, self.best.fit);
+        }
+    }
+
+    /// Along the ridge, and first slips before and after.
+    fn ridge_and_starts(&mut self, home: &Candidate, up: bool) {
+        let (rate, records) = {
+            let question = self.evaluator.problem.question;
+            (question.rate.max(1e-6), question.records[usize::from(!home.start.up)].len())
+        };
+        for lag in [0.3, 0.7, 1.5].map(|lag: f64| if up { lag } else { -lag }) {
+            let s = home.s - lag * rate;
+            self.look(s, home.j, home.start, later(&home.fit, lag));
+            self.look(s, home.j + s - home.s, home.start, later(&home.fit, lag));
+        }
+        for by in [1, 2, 4] {
+            let record = if up {
+                (home.start.record + by).min(records.max(1) - 1)
+            } else {
+                home.start.record.saturating_sub(by)
+            };
+            if record != home.start.record {
+                self.look(home.s, home.j, Start { record, ..home.start }, home.fit);
+            }
+        }
+    }
+
+    /// The threshold of the first slip, by a parabola through three places.
+    fn threshold(&mut self, home: &Candidate) {
+        let errors = [0.0, 0.5, 1.0].map(|place| {
+            let found = self.look(home.s, home.j, Start { place, ..home.start }, home.fit);
+            found.map_or(f64::INFINITY, |c| c.sse())
+        });
+        let bend = errors[0] - 2.0 * errors[1] + errors[2];
+        if bend > 1e-9 * errors[1] && bend.is_finite() {
+            let place = 0.5 + 0.25 * (errors[0] - errors[2]) / bend;
+            if (0.0..1.0).contains(&place) {
+                self.look(home.s, home.j, Start { place, ..home.start }, home.fit);
+            }
+        }
+    }
+}
+
+/// Neighbouring cells, first slips and thresholds, `rounds` times or until none is better.
+pub fn neighbours(
+    evaluator: &mut Evaluator<'_>,
+    view: &mut View,
+    from: Candidate,
+    rounds: usize,
+    near: Nearness,
+) -> Candidate {
+    (evaluator.class, evaluator.law) = (from.class, from.law);
+    let mut walk = Neighbours { evaluator, view, near, best: from };
+    for _ in 0..rounds {
+        let home = walk.best;
+        for up in [false, true] {
+            walk.cells(&home, up);
+            walk.ridge_and_starts(&home, up);
+        }
+        walk.threshold(&home);
+        if walk.best.sse() >= (1.0 - NO_GAIN) * home.sse() {
+            break;
+        }
+    }
+    walk.best
+}
+
+/// An even look along the ridge around a candidate, `reach` (a share of s) to either side: its best places.
+pub fn along_ridge(
+    evaluator: &mut Evaluator<'_>,
+    view: &mut View,
+    around: &Candidate,
+    reach: f64,
+    steps: usize,
+) -> Vec<Candidate> {
+    (evaluator.class, evaluator.law) = (around.class, around.law);
+    let (rate, landing) = (evaluator.problem.question.rate.max(1e-6), evaluator.problem.question.landing);
+    let (mut pool, mut least_of_all) = (vec![*around], around.sse());
+    for side in [-1.0, 1.0] {
+        let (mut last, mut fit) = (around.s, around.fit);
+        for k in 1..=steps {
+            let s = (around.s * (1.0 + side * reach * k as f64 / steps as f64)).min(1.0);
+            let guess = later(&fit, -(s - last) / rate);
+            let mut least = ON_RIDGE * around.sse();
+            for j in ridge_jumps([around.s, around.j], s, landing).into_iter().take(3) {
+                let Some([s, j]) = kept(evaluator, s, j) else { continue };
+                let Some(found) = evaluator.fit(view, [s, j], around.start, &guess, ON_RIDGE_REFINED * least_of_all)
+                else {
+                    continue;
+                };
+                least_of_all = least_of_all.min(found.sse());
+                if found.sse() < least {
+                    (least, last, fit) = (found.sse(), s, found.fit);
+                }
+                pool.push(found);
+            }
+        }
+    }
+    apart(&pool, 4, 0)
+}

@@ -1,0 +1,150 @@
+//! What a search is given: a normalised record, what of it counts, and the sign of the gain.
+
+use crate::ident::candidate::{Question, Start};
+use crate::ident::class::Class;
+use crate::ident::evaluator::{View, lattice_index};
+use crate::sim::steps::Path;
+
+/// One search problem.
+#[derive(Debug)]
+pub struct Problem<'a> {
+    /// The record; its stroke and landing are those of the valve that is looked for.
+    pub question: &'a Question,
+    /// Its OP, prepared.
+    pub path: Path,
+    /// Stretches of points that are fitted; all from the record's first point that counts where none are named.
+    pub counted: Vec<[usize; 2]>,
+    /// Signals fitted beside the process' answer, each as long as PV.
+    pub loads: Vec<Vec<f64>>,
+    /// Sign of the process gain.
+    pub sign: f64,
+    /// Fewest moves of the stem in the record, most in a period.
+    pub moves: [usize; 2],
+    /// Where OP's running maxima, then minima, stand among its values.
+    records: [Vec<u32>; 2],
+}
+
+/// Fewest moves of the stem from which a model is fitted.
+const LEAST_MOVES: usize = 3;
+/// Most moves in a period: a stem that follows every sample is no valve that sticks.
+const MOST_MOVES: usize = 120;
+/// Longest lag before an integrator, periods and shares of the record.
+const LAG_PERIODS: f64 = 4.0;
+const LAG_SHARE: f64 = 0.5;
+
+impl<'a> Problem<'a> {
+    /// All of a record.
+    #[must_use]
+    pub fn new(question: &'a Question, sign: f64) -> Self {
+        let path = Path::new(question.path.clone(), question.per_point);
+        let moves = [LEAST_MOVES, MOST_MOVES];
+        let records = places_of_records(&question.path);
+        Self { question, path, counted: Vec::new(), loads: Vec::new(), sign, moves, records }
+    }
+
+    /// Starts worth trying with the static band `fs`: the stem on OP's first value, and beside it by shares of the band.
+    #[must_use]
+    pub fn starts(&self, fs: f64, shares: &[f64]) -> Vec<Start> {
+        let mut out: Vec<Start> = Vec::with_capacity(shares.len());
+        let Some(first) = self.question.path.first() else { return out };
+        for share in shares {
+            out.extend(self.start_from(first + share * fs, fs).filter(|s| !out.contains(s)));
+        }
+        out
+    }
+
+    /// The start that a stem at `position` makes with the band `fs`, if OP ever moves it: whichever of its running maxima and
+    /// minima leaves the band first.
+    fn start_from(&self, position: f64, fs: f64) -> Option<Start> {
+        let [highs, lows] = &self.question.records;
+        let up = highs.partition_point(|r| r - position <= fs);
+        let down = lows.partition_point(|r| position - r <= fs);
+        let at = |records: &[u32], k: usize| records.get(k).copied().unwrap_or(u32::MAX);
+        let (high, low) = (at(&self.records[0], up), at(&self.records[1], down));
+        if high == u32::MAX && low == u32::MAX {
+            return None;
+        }
+        let is_up = high <= low;
+        Some(Start { up: is_up, record: if is_up { up } else { down }, place: 0.5 })
+    }
+
+    /// Points.
+    #[must_use]
+    pub fn points(&self) -> usize {
+        self.question.pv.len()
+    }
+
+    /// PV, deviations.
+    #[must_use]
+    pub fn pv(&self) -> &[f64] {
+        &self.question.pv
+    }
+
+    /// PV's first `points` behind the filter `1 - rho q^-1`.
+    #[must_use]
+    pub fn view(&self, rho: f64, points: usize) -> View {
+        let from = self.question.from;
+        let whole = [[from, points]];
+        let counted = if self.counted.is_empty() { &whole[..] } else { &self.counted };
+        let loads: Vec<&[f64]> = self.loads.iter().map(|l| &l[..points]).collect();
+        View::of_stretches(&self.pv()[..points], &loads, rho, from, counted)
+    }
+
+    /// First point of OP that lies so far from its first value, spans.
+    #[must_use]
+    pub fn first_far(&self, spans: f64) -> usize {
+        let path = &self.question.path;
+        let far = |first: &f64| path.iter().position(|u| (u - first).abs() > spans);
+        path.first().and_then(far).unwrap_or(0) / self.question.per_point
+    }
+
+    /// Greatest place of a time constant on the lattice.
+    #[must_use]
+    pub fn most_place(&self, class: Class) -> i32 {
+        let question = self.question;
+        let tau = if class.integrates() {
+            (LAG_PERIODS * question.period).min(LAG_SHARE * self.points() as f64).max(4.0)
+        } else {
+            question.limits.tau[1]
+        };
+        lattice_index(tau)
+    }
+}
+
+/// Where running maxima, then minima, stand, the first value included.
+fn places_of_records(path: &[f64]) -> [Vec<u32>; 2] {
+    let mut out = [vec![0], vec![0]];
+    for (k, value) in path.iter().enumerate() {
+        for (list, sign) in out.iter_mut().zip([1.0, -1.0]) {
+            if list.last().is_some_and(|last| sign * (value - path[*last as usize]) > 0.0) {
+                list.push(k as u32);
+            }
+        }
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ident::Options;
+    use crate::ident::pose::pose;
+    use crate::record::Record;
+
+    #[test]
+    fn starts_are_those_that_a_walk_along_op_finds() {
+        let op: Vec<f64> =
+            (0..700).map(|k| libm::sin(f64::from(k) * 0.05) + 0.4 * libm::sin(f64::from(k) * 0.31)).collect();
+        let pv: Vec<f64> = op.iter().map(|u| 2.0 * u).collect();
+        let question = pose(&Record::uniform(1.0, op, pv), &Options::default(), 2.0, 1.0);
+        let problem = Problem::new(&question, 1.0);
+        for fs in [0.02, 0.1, 0.3, 0.6, 0.9] {
+            let mut found = problem.starts(fs, &[-0.9, 0.0, 0.9]);
+            let mut walked = question.starts(fs, 3);
+            for list in [&mut found, &mut walked] {
+                list.sort_by_key(|s| (s.up, s.record));
+            }
+            assert_eq!(found, walked, "{fs}");
+        }
+    }
+}

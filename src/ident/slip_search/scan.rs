@@ -1,0 +1,167 @@
+//! The first stage: places of the whole plane of bands, looked at coarsely.
+
+use super::candidate::{Candidate, apart};
+use super::coarse_scan::CoarseScan;
+use super::evaluator::Evaluator;
+use super::local_search::LEAST_S;
+use super::settings::ScanSettings;
+use crate::ident::candidate::Start;
+use crate::ident::search::uniform;
+use crate::optim::{Objective, Outcome, Settings, Solver};
+use crate::sim::slips::Law;
+use crate::sim::steps::Step;
+use rand_chacha::ChaCha8Rng;
+
+/// Places of the stem before the record, shares of the static band from OP's first value.
+const STARTS: [f64; 17] =
+    [0.0, -0.9, 0.9, -0.45, 0.45, -0.7, 0.7, -0.2, 0.2, -0.97, 0.97, -0.8, 0.8, -0.6, 0.6, -0.3, 0.3];
+/// Starts that are looked at of a stem that turns at most so often: its place before the record matters the more, the fewer
+/// its turns.
+const STARTS_BY_REVERSALS: [(usize, usize); 3] = [(2, 17), (4, 5), (7, 3)];
+/// Moves of a stem that moves seldom; places looked through, steps in s (shares of it) to a side, and in j.
+const SELDOM: usize = 40;
+const STRAIGHT: usize = 4;
+const STEPS_IN_S: i32 = 24;
+const STEP_IN_S: f64 = 0.008;
+const STEPS_IN_J: i32 = 36;
+/// Stretches of a period over which a sliding stem's steps are put together.
+const LUMPS: f64 = 24.0;
+
+/// The scan under one law: an objective for any solver, which keeps all that it sees.
+#[derive(Debug)]
+pub struct Scan<'e, 'a> {
+    evaluator: &'e mut Evaluator<'a>,
+    scans: Vec<CoarseScan>,
+    /// Sum of squares that shares are taken of.
+    whole: f64,
+    lump: u32,
+    lumped: Vec<Step>,
+    /// Everything seen.
+    pub pool: Vec<Candidate>,
+    /// Valve signals looked at.
+    pub looks: u64,
+}
+
+impl<'e, 'a> Scan<'e, 'a> {
+    /// A scan of what the evaluator looks at, by the error behind `1 - rho q^-1`; `whole` is what no model leaves.
+    #[must_use]
+    pub fn new(evaluator: &'e mut Evaluator<'a>, rho: f64, whole: f64) -> Self {
+        let scans = CoarseScan::of(evaluator.problem, rho, evaluator.points);
+        let lump = ((evaluator.problem.question.period / LUMPS) as u32).max(1);
+        Self { evaluator, scans, whole, lump, lumped: Vec::new(), pool: Vec::new(), looks: 0 }
+    }
+
+    /// The solver's look, then an even one on a logarithmic scale of s, which no linear grid gives to small bands.
+    pub fn run(
+        &mut self,
+        solver: &dyn Solver,
+        fineness_pct: f64,
+        seed: u64,
+        settings: &ScanSettings,
+        rng: &mut ChaCha8Rng,
+    ) -> Outcome {
+        // A grid is looked at whole; what solvers refine is refined better later.
+        let steps = 100.0 / fineness_pct.clamp(0.2, 50.0);
+        let grid = 0.5 * steps * (steps + 3.0) + 12.0;
+        let asked = Settings { budget: settings.budget.max(grid as u64), fineness_pct, seed };
+        let outcome = solver.search(self, &asked);
+        // Another round sees other places.
+        let shift = [uniform(rng), 0.3 + 0.4 * uniform(rng)];
+        for a in 0..settings.sizes {
+            let along = (a as f64 + shift[0]) / settings.sizes as f64;
+            let s = libm::pow(settings.least_s, 1.0 - along);
+            for b in 0..settings.jumps {
+                self.cost([s, s * (b as f64 + shift[1]) / settings.jumps as f64]);
+            }
+        }
+        self.straight_looks();
+        outcome
+    }
+
+    /// Straight looks through the best places whose stem moves seldom: there the valleys are too narrow for an even look, and
+    /// looks are cheap.
+    fn straight_looks(&mut self) {
+        let seldom: Vec<Candidate> = self.pool.iter().copied().filter(|c| c.slips < SELDOM).collect();
+        let landing = self.evaluator.problem.question.landing;
+        for c in apart(&seldom, STRAIGHT, 0) {
+            for k in -STEPS_IN_S..=STEPS_IN_S {
+                let s = (c.s * (1.0 + STEP_IN_S * f64::from(k))).min(1.0);
+                for j in [c.j, c.j / c.s * s, c.j + s - c.s] {
+                    self.look(s, landing.keep(s, j), c.start);
+                }
+            }
+            for k in 0..STEPS_IN_J {
+                let j = c.s * libm::pow(0.03, f64::from(k) / f64::from(STEPS_IN_J));
+                self.look(c.s, landing.jump(c.s, j), c.start);
+            }
+            for by in [1, 2, 3, 5, 8, 13] {
+                for record in [c.start.record + by, c.start.record.saturating_sub(by)] {
+                    self.look(c.s, c.j, Start { record, ..c.start });
+                }
+            }
+        }
+    }
+
+    /// Candidates worth a fit, best first.
+    #[must_use]
+    pub fn best(&self, settings: &ScanSettings) -> Vec<Candidate> {
+        apart(&self.pool, settings.keep[0], settings.keep[1])
+    }
+
+    /// Puts the steps of a sliding stem together.
+    fn lump_steps(&mut self) {
+        self.lumped.clear();
+        let mut from = 0;
+        for step in &self.evaluator.steps().list {
+            match self.lumped.last_mut() {
+                Some(last) if step.direction == 0.0 && last.direction == 0.0 && step.point - from < self.lump => {
+                    last.level += step.level;
+                    last.point = from + (step.point - from).div_ceil(2);
+                }
+                _ => {
+                    self.lumped.push(*step);
+                    from = step.point;
+                }
+            }
+        }
+    }
+}
+
+impl Scan<'_, '_> {
+    /// The share that one valve signal leaves; kept in the pool.
+    fn look(&mut self, s: f64, j: f64, start: Start) -> f64 {
+        let Some(freedom) = self.evaluator.slip(s, j, start) else { return f64::INFINITY };
+        self.looks += 1;
+        let slides = self.evaluator.law == Law::Tracking && self.lump > 1;
+        if slides {
+            self.lump_steps();
+        }
+        let steps = if slides { &self.lumped } else { &self.evaluator.steps().list };
+        let seen = self.scans.iter().map(|scan| scan.look(steps, &freedom));
+        let Some(seen) = seen.min_by(|a, b| a.share.total_cmp(&b.share)) else { return f64::INFINITY };
+        if seen.share < 1.0 {
+            self.pool.push(self.evaluator.seen([s, j], start, seen.share * self.whole, seen.tau, seen.lag));
+        }
+        seen.share
+    }
+}
+
+impl Objective for Scan<'_, '_> {
+    fn cost(&mut self, [s, share]: [f64; 2]) -> f64 {
+        if s < LEAST_S {
+            return f64::INFINITY;
+        }
+        let problem = self.evaluator.problem;
+        let j = problem.question.landing.jump(s, share);
+        let mut least = f64::INFINITY;
+        for (which, start) in problem.starts(0.5 * (s + j), &STARTS).into_iter().enumerate() {
+            let reversals = self.evaluator.steps().reversals;
+            let wanted = STARTS_BY_REVERSALS.into_iter().find(|(most, _)| reversals <= *most).map_or(1, |(_, w)| w);
+            if which >= wanted && which > 0 {
+                break;
+            }
+            least = least.min(self.look(s, j, start));
+        }
+        least
+    }
+}

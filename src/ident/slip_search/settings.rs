@@ -1,0 +1,104 @@
+//! What the stages of a search may spend, and when they end. Every figure was chosen on simulated loops of one set and
+//! reported on another.
+
+use super::local_search::Nearness;
+
+/// The coarse scan of one round.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ScanSettings {
+    /// Places that a solver may ask for, more where its grid has more.
+    pub budget: u64,
+    /// Smallest s, spans.
+    pub least_s: f64,
+    /// Sizes of s on a logarithmic scale, and jumps for each.
+    pub sizes: usize,
+    /// See `sizes`.
+    pub jumps: usize,
+    /// Candidates kept: overall, and of every third of j / s.
+    pub keep: [usize; 2],
+}
+
+/// One round of a search.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RoundSettings {
+    /// Filter of the error that is searched by, `1 - rho q^-1`: differences forget a wrong slip, so the right one is found
+    /// from farther away.
+    pub rho: f64,
+    /// Share of the record that is searched first, least and greatest length of that part in periods.
+    pub part: [f64; 3],
+    /// The part is counted from where OP first goes far: integrators add up what a wrong slip leaves.
+    pub from_far: bool,
+    /// The coarse scan.
+    pub scan: ScanSettings,
+    /// Candidates, and random steps for each, of four stages of the local search.
+    pub stages: [(usize, usize); 4],
+    /// Random steps on the whole record at the end.
+    pub last: usize,
+}
+
+/// A whole search.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SearchSettings {
+    /// Rounds, in order.
+    pub rounds: Vec<RoundSettings>,
+    /// When processes are refined.
+    pub near: Nearness,
+    /// Share of PV that the best leaves below which every test asks for the class again: the right slips may have been kept in
+    /// a wrong one.
+    pub closely: f64,
+    /// Error over another law's from which a law is out of the running, in a round and for the next one.
+    pub behind: [f64; 2],
+    /// Error over the frictionless one's from which further stages are not worth it.
+    pub no_friction: f64,
+    /// Stiction index above which another round is worth it where rounds do not agree.
+    pub worth_a_round: f64,
+    /// Share of the error that a round must gain for rounds not to agree.
+    pub gain: f64,
+    /// Share of the frictionless error from which on one round without gain ends a search.
+    pub much: f64,
+    /// Rounds without gain, one after the other, that end a search.
+    pub agreeing: usize,
+}
+
+const SCAN: ScanSettings = ScanSettings { budget: 250, least_s: 0.04, sizes: 40, jumps: 6, keep: [14, 4] };
+const ROUND: RoundSettings = RoundSettings {
+    rho: 0.9,
+    part: [0.45, 3.0, 12.0],
+    from_far: false,
+    scan: SCAN,
+    stages: [(4, 24), (24, 24), (6, 50), (3, 80)],
+    last: 100,
+};
+
+impl SearchSettings {
+    /// As the daemon searches.
+    #[must_use]
+    pub fn usual() -> Self {
+        let wide = ScanSettings { sizes: 90, jumps: 8, keep: [24, 6], ..SCAN };
+        let rounds = vec![
+            ROUND,
+            RoundSettings { rho: 0.0, part: [0.45, 5.0, 12.0], ..ROUND },
+            RoundSettings { rho: 0.7, part: [0.1, 3.0, 12.0], from_far: true, ..ROUND },
+            RoundSettings { rho: 0.98, ..ROUND },
+            RoundSettings {
+                rho: 0.98,
+                part: [0.1, 3.0, 12.0],
+                from_far: true,
+                scan: wide,
+                stages: [(6, 40), (44, 40), (12, 100), (4, 200)],
+                last: 150,
+            },
+        ];
+        Self {
+            rounds,
+            near: Nearness::USUAL,
+            closely: 0.03,
+            behind: [1.5, 1.15],
+            no_friction: 0.9,
+            worth_a_round: 0.15,
+            gain: 0.01,
+            much: 0.1,
+            agreeing: 2,
+        }
+    }
+}

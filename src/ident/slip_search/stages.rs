@@ -1,0 +1,617 @@
+//! The stages of the search: coarse scan of a part of the record, local search there, the best carried to the whole record
+//! and tested, rounds with other chance while the test fails and they do not agree.
+
+use rand_chacha::ChaCha8Rng;
+
+use super::candidate::{Candidate, LatticeFit, apart};
+use super::coarse_scan::CoarseScan;
+use super::evaluator::{Evaluator, Polished};
+use super::local_search::{along_ridge, neighbours, random_steps};
+use super::problem::Problem;
+use super::scan::Scan;
+use super::settings::{RoundSettings, SearchSettings};
+use crate::ident::choice::ModelChoice;
+use crate::ident::class::Class;
+use crate::ident::evaluator::{View, lattice_index};
+use crate::ident::fit::Freedom;
+use crate::ident::residual::{self, Whiteness};
+use crate::ident::search::generator;
+use crate::optim::Solver;
+use crate::sim::slips::Law;
+
+/// Share of PV's variance below which what is left is rounding, whatever it looks like.
+const ROUNDING: f64 = 1e-9;
+/// Lag-1 autocorrelation from which no further test is needed to see that a residual is not white.
+const COLOURED: f64 = 0.12;
+/// Random steps on the whole record for what the part found.
+const CARRIED: usize = 60;
+/// Share of the error that a second lag must remove to be taken in the search.
+const SECOND_LAG: f64 = 0.03;
+/// The same for another class of no more lags.
+const ANOTHER: f64 = 0.03;
+/// Relative errors up to which an integrator takes the place of a lag, by the filtered and by the plain error.
+const INTEGRATOR: [f64; 2] = [1.005, 1.01];
+/// Shares of the filtered and of the plain error that a second lag must remove to be searched with.
+const PROMISE: [f64; 2] = [0.002, 0.02];
+/// How far along the ridge (share of s), and in how many steps to a side, where another class was taken.
+const FAR_ALONG: (f64, usize) = (0.3, 40);
+/// Candidates by which the class is judged, and those that go there with them.
+const JUDGES: usize = 2;
+const FOLLOWERS: usize = 8;
+
+/// What a search is told beside its problem.
+pub struct Request<'r> {
+    /// Laws, in the order in which they are searched.
+    pub laws: &'r [Law],
+    /// Classes of process that may be.
+    pub model: ModelChoice,
+    /// Solver of the coarse scan, and the step of its grid, % of OP's span.
+    pub solver: &'r dyn Solver,
+    /// See `solver`.
+    pub fineness_pct: f64,
+    /// Seed.
+    pub seed: u64,
+    /// Error of another explanation (the other sign of the gain) from which this one is given up.
+    pub rival: f64,
+}
+
+/// Why a search ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Ended {
+    /// The best model leaves nothing but noise.
+    Noise,
+    /// No friction shows.
+    NoFriction,
+    /// Rounds agree: another one gained next to nothing.
+    Agreement,
+    /// Another explanation is far better.
+    Behind,
+    /// All rounds were made.
+    Complete,
+}
+
+impl Ended {
+    /// Its word in documents.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Noise => "noise",
+            Self::NoFriction => "no_friction",
+            Self::Agreement => "agreement",
+            Self::Behind => "behind",
+            Self::Complete => "complete",
+        }
+    }
+}
+
+/// What a search found.
+#[derive(Debug, Clone)]
+pub struct Found {
+    /// The best candidate of each law that was searched, by the plain error on the whole record, best first.
+    pub best: Vec<Candidate>,
+    /// Other candidates that were met, by the plain error or that of a part: rivals of the best.
+    pub seen: Vec<Candidate>,
+    /// Whether the best leaves nothing but noise.
+    pub is_noise: bool,
+    /// Error models and valve signals computed.
+    pub evaluations: u64,
+    /// Rounds made.
+    pub rounds: usize,
+    /// Why it ended.
+    pub ended: Ended,
+}
+
+/// One search.
+pub struct Search<'s, 'a> {
+    problem: &'a Problem<'a>,
+    request: &'s Request<'s>,
+    settings: &'s SearchSettings,
+    plain: View,
+    whole: Evaluator<'a>,
+    without: [Option<f64>; 4],
+    found: Found,
+    law_best: [f64; 2],
+}
+
+/// How a law's round ended.
+enum RoundEnd {
+    Noise,
+    NoFriction,
+    Done,
+}
+
+const fn index_of(class: Class) -> usize {
+    match class {
+        Class::First => 0,
+        Class::Second => 1,
+        Class::Integrating => 2,
+        Class::LagIntegrating => 3,
+    }
+}
+
+/// Classes that a choice of model allows, the simplest first.
+#[must_use]
+pub const fn classes_of(model: ModelChoice) -> &'static [Class] {
+    match model {
+        ModelChoice::Fopdt => &[Class::First, Class::Integrating],
+        ModelChoice::Sopdt => &[Class::Second, Class::LagIntegrating],
+        ModelChoice::Auto => &[Class::First, Class::Integrating, Class::Second, Class::LagIntegrating],
+    }
+}
+
+impl<'s, 'a> Search<'s, 'a> {
+    /// A search that has found nothing yet.
+    #[must_use]
+    pub fn new(problem: &'a Problem<'a>, request: &'s Request<'s>, settings: &'s SearchSettings) -> Self {
+        let points = problem.points();
+        let found = Found {
+            best: Vec::new(),
+            seen: Vec::new(),
+            is_noise: false,
+            evaluations: 0,
+            rounds: 0,
+            ended: Ended::Complete,
+        };
+        Self {
+            problem,
+            request,
+            settings,
+            plain: problem.view(0.0, points),
+            whole: Evaluator::new(problem, Law::He, Class::First, points),
+            without: [None; 4],
+            found,
+            law_best: [f64::INFINITY; 2],
+        }
+    }
+
+    /// The plain view of the whole record, and the evaluator of it.
+    pub fn whole(&mut self) -> (&mut Evaluator<'a>, &mut View) {
+        (&mut self.whole, &mut self.plain)
+    }
+
+    /// Least error found so far.
+    fn best_sse(&self) -> f64 {
+        self.law_best.into_iter().fold(f64::INFINITY, f64::min)
+    }
+
+    /// Searches.
+    #[must_use]
+    pub fn run(mut self) -> (Found, Self) {
+        let mut agreeing = 0;
+        for (number, round) in self.settings.rounds.iter().enumerate() {
+            let before = self.best_sse();
+            self.found.rounds = number + 1;
+            if let Some(ended) = self.round(number, round) {
+                self.found.ended = ended;
+                break;
+            }
+            let best = self.best_sse();
+            let nothing = self.without(Class::First).min(self.best().map_or(f64::INFINITY, |c| self.without(c.class)));
+            // One view of the error may miss what another one shows.
+            if number >= 1 && best > (1.0 - self.settings.worth_a_round) * nothing {
+                self.found.ended = Ended::NoFriction;
+                break;
+            }
+            agreeing = if best > (1.0 - self.settings.gain) * before { agreeing + 1 } else { 0 };
+            // Where much is left the law does not fit, and another round finds no other.
+            let enough = if best > self.settings.much * nothing { 1 } else { self.settings.agreeing };
+            if agreeing >= enough {
+                self.found.ended = Ended::Agreement;
+                break;
+            }
+        }
+        let mut found = self.found.clone();
+        found.best.sort_by(|a, b| a.sse().total_cmp(&b.sse()));
+        (found, self)
+    }
+
+    /// The best candidate so far.
+    fn best(&self) -> Option<Candidate> {
+        self.found.best.iter().copied().min_by(|a, b| a.sse().total_cmp(&b.sse()))
+    }
+
+    /// One round of all laws that are worth it; says why the search ends, if it does.
+    fn round(&mut self, number: usize, round: &RoundSettings) -> Option<Ended> {
+        for (which, &law) in self.request.laws.iter().enumerate() {
+            let other = self.law_best[usize::from(law == Law::He)];
+            if number > 0 && self.law_best[law as usize] > self.settings.behind[1] * other {
+                continue;
+            }
+            match self.round_of(law, number, round) {
+                RoundEnd::Noise => {
+                    self.found.is_noise = true;
+                    return Some(Ended::Noise);
+                }
+                // The laws are alike enough that where one sees no friction the other need not be asked.
+                RoundEnd::NoFriction if which == 0 && number == 0 => return None,
+                RoundEnd::NoFriction if which == 0 && number == 1 && self.found.best.len() < 2 => {
+                    return Some(Ended::NoFriction);
+                }
+                _ => {}
+            }
+            if self.best_sse() > self.request.rival {
+                return Some(Ended::Behind);
+            }
+        }
+        None
+    }
+
+    /// Points of the record that a round searches first.
+    fn part(&self, round: &RoundSettings) -> usize {
+        let (n, period) = (self.problem.points(), self.problem.question.period);
+        let [share, least, most] = round.part;
+        let from = self.problem.question.from;
+        let longest = self.problem.question.limits.lag[1].min(20.0);
+        let part = (share * n as f64).max(least * period).min(most * period).max(from as f64 + 8.0 * longest);
+        let start = if round.from_far { self.problem.first_far(0.35) } else { 0 };
+        (part as usize + start).min(n)
+    }
+
+    fn round_of(&mut self, law: Law, number: usize, round: &RoundSettings) -> RoundEnd {
+        let points = self.part(round);
+        let mut rng = generator(self.request.seed, 10 + 2 * number as u64 + u64::from(law == Law::Tracking));
+        let mut view = self.problem.view(round.rho, points);
+        let mut evaluator = Evaluator::new(self.problem, law, Class::First, points);
+        let seed = self.request.seed.wrapping_add((number as u64) << 32);
+        let mut scan = Scan::new(&mut evaluator, round.rho, view.nothing());
+        let _ = scan.run(self.request.solver, self.request.fineness_pct, seed, &round.scan, &mut rng);
+        let (seen, looks) = (scan.best(&round.scan), scan.looks);
+        let refitted = seen.iter().filter_map(|c| evaluator.settle(&mut view, c)).collect::<Vec<_>>();
+        let mut part = Part { points, head: None, view, evaluator, held: apart(&refitted, usize::MAX, 0) };
+        let mut law_found = LawRound { finals: Vec::new(), tested: Vec::new(), faint: false, stale: 0 };
+        let is_noise = self.stages(round, &mut part, &mut law_found, &mut rng);
+        let end = self.finish(round, &mut part, law_found, is_noise, &mut rng);
+        self.found.evaluations += looks + part.evaluator.evaluations;
+        end
+    }
+
+    /// The local search on the part, its best tested on the whole record after every stage; whether one leaves only noise.
+    fn stages(&mut self, round: &RoundSettings, part: &mut Part<'a>, law: &mut LawRound, rng: &mut ChaCha8Rng) -> bool {
+        for (stage, (count, steps)) in round.stages.into_iter().enumerate() {
+            part.held.sort_by(|a, b| a.sse().total_cmp(&b.sse()));
+            // The second stage goes on with those that the first one left.
+            let skip = if stage == 1 { round.stages[0].0 } else { 0 };
+            if stage == 2 {
+                part.look_along_ridges();
+            }
+            if stage > 0 {
+                part.held.truncate(count);
+            }
+            let near = self.settings.near;
+            for c in part.held.iter_mut().skip(skip).take(count) {
+                *c = random_steps(&mut part.evaluator, &mut part.view, *c, steps, near, rng);
+            }
+            part.held = apart(&part.held, usize::MAX, 0);
+            let Some(best) = part.held.first().copied() else { return false };
+            if law.tested.iter().any(|t| t.law == best.law && t.covers(best.s, best.j, best.start)) {
+                law.stale += 1;
+                if law.stale > 1 && stage >= 2 {
+                    return false;
+                }
+                continue;
+            }
+            let old = law.least();
+            if self.test(part, law, best, rng) {
+                return true;
+            }
+            let low = law.least();
+            if stage >= 1 {
+                let other = self.law_best[usize::from(best.law == Law::He)];
+                let nothing = self.without(Class::First);
+                law.stale += usize::from(low > (1.0 - self.settings.gain) * old);
+                if low > self.settings.behind[0] * other || low > self.settings.no_friction * nothing {
+                    law.faint = low > self.settings.no_friction * nothing;
+                    return false;
+                }
+                if law.stale > 0 && self.is_real() {
+                    return false;
+                }
+            }
+            if stage == 0 && best.class == Class::First {
+                self.choose_class(part, rng, steps);
+            }
+        }
+        false
+    }
+
+    /// Whether rounds before this one have shown that no model leaves noise only.
+    const fn is_real(&self) -> bool {
+        self.found.rounds > 1
+    }
+
+    /// Carries a candidate from the part to the whole record; whether it leaves nothing but noise there.
+    fn test(&mut self, part: &mut Part<'a>, law: &mut LawRound, best: Candidate, rng: &mut ChaCha8Rng) -> bool {
+        let near = self.settings.near;
+        let best = neighbours(&mut part.evaluator, &mut part.view, best, 3, near);
+        law.tested.push(best);
+        let Some(mut found) = self.carried(part, best) else { return false };
+        let is_noise = self.is_noise(&found);
+        let mut is_noise = is_noise;
+        if !is_noise && part.points < self.problem.points() {
+            found = random_steps(&mut self.whole, &mut self.plain, found, CARRIED, near, rng);
+            found = neighbours(&mut self.whole, &mut self.plain, found, 4, near);
+            is_noise = self.is_noise(&found);
+        }
+        let closely = found.sse() < self.settings.closely * self.plain.nothing();
+        if !is_noise && (law.tested.len() == 1 || closely) {
+            let other = self.suited(found);
+            if other.class != found.class {
+                found = neighbours(&mut self.whole, &mut self.plain, other, 4, near);
+                is_noise = self.is_noise(&found);
+                if part.held.first().is_some_and(|c| c.class != found.class) {
+                    part.move_to(found.class, &found);
+                }
+            }
+        }
+        law.finals.push(found);
+        is_noise
+    }
+
+    /// From the part to the whole record, twice the length at a time.
+    fn carried(&mut self, part: &Part<'a>, best: Candidate) -> Option<Candidate> {
+        let n = self.problem.points();
+        let mut found = best;
+        let mut length = 2 * part.points;
+        while (length as f64) < 0.75 * n as f64 {
+            let mut view = self.problem.view(0.0, length);
+            let mut evaluator = Evaluator::new(self.problem, best.law, best.class, length);
+            found = evaluator.in_class(&mut view, &found, best.class)?;
+            found = neighbours(&mut evaluator, &mut view, found, 3, self.settings.near);
+            self.found.evaluations += evaluator.evaluations;
+            length *= 2;
+        }
+        let class = self.allowed(best.class);
+        let found = self.whole.in_class(&mut self.plain, &found, class)?;
+        Some(neighbours(&mut self.whole, &mut self.plain, found, 4, self.settings.near))
+    }
+
+    /// The class itself where the model allows it, else the one that takes its place.
+    fn allowed(&self, class: Class) -> Class {
+        match (self.request.model, class) {
+            (ModelChoice::Sopdt, Class::First) => Class::Second,
+            (ModelChoice::Sopdt, Class::Integrating) => Class::LagIntegrating,
+            (ModelChoice::Fopdt, Class::Second) => Class::First,
+            (ModelChoice::Fopdt, Class::LagIntegrating) => Class::Integrating,
+            _ => class,
+        }
+    }
+
+    /// The candidate in the class that suits its slips best on the whole record; its own unless another is clearly better.
+    fn suited(&mut self, own: Candidate) -> Candidate {
+        let mut best = own;
+        for &class in classes_of(self.request.model) {
+            if class == own.class {
+                continue;
+            }
+            let Some(other) = self.whole.in_class(&mut self.plain, &own, class) else { continue };
+            let must = if class.order() > own.class.order() { 1.0 - SECOND_LAG } else { 1.0 - ANOTHER };
+            if other.fit.gain != 0.0 && other.sse() < must * best.sse() {
+                best = other;
+            }
+        }
+        best
+    }
+
+    /// The class that the best of the part ask for, by filtered and by plain errors; the held candidates go there.
+    fn choose_class(&mut self, part: &mut Part<'a>, rng: &mut ChaCha8Rng, steps: usize) {
+        let judges: Vec<Candidate> = part.held.iter().take(JUDGES).copied().collect();
+        let mut scores = [[f64::INFINITY; 2]; 4];
+        for class in classes_of(ModelChoice::Auto) {
+            let score = &mut scores[index_of(*class)];
+            for c in &judges {
+                let Some(found) = part.evaluator.in_class(&mut part.view, c, *class) else { continue };
+                score[0] = score[0].min(found.sse());
+                let head = part.head.get_or_insert_with(|| self.problem.view(0.0, part.points));
+                if let Some(plain) = part.evaluator.settle(head, &found) {
+                    score[1] = score[1].min(plain.sse());
+                }
+            }
+        }
+        let family = |lag: Class, integrator: Class| {
+            let [a, b] = [scores[index_of(lag)], scores[index_of(integrator)]];
+            if b[0] <= INTEGRATOR[0] * a[0] && b[1] <= INTEGRATOR[1] * a[1] { integrator } else { lag }
+        };
+        let (one, two) = (family(Class::First, Class::Integrating), family(Class::Second, Class::LagIntegrating));
+        let promising = (0..2).any(|i| scores[index_of(two)][i] < (1.0 - PROMISE[i]) * scores[index_of(one)][i]);
+        let class = self.allowed(if promising { two } else { one });
+        if class != Class::First {
+            let mut next: Vec<Candidate> = part
+                .held
+                .iter()
+                .take(FOLLOWERS)
+                .filter_map(|c| part.evaluator.in_class(&mut part.view, c, class))
+                .filter(|c| c.fit.gain != 0.0)
+                .collect();
+            next.sort_by(|a, b| a.sse().total_cmp(&b.sse()));
+            for c in next.iter_mut().take(JUDGES) {
+                // What stood for the second lag was a wrong s: the right one lies along the ridge.
+                let (reach, places) = FAR_ALONG;
+                let found = along_ridge(&mut part.evaluator, &mut part.view, c, reach, places);
+                *c = found.first().copied().unwrap_or(*c);
+                *c = random_steps(&mut part.evaluator, &mut part.view, *c, steps, self.settings.near, rng);
+            }
+            part.held = apart(&next, usize::MAX, 0);
+        }
+    }
+
+    /// The last steps on the whole record, and what becomes of the round.
+    fn finish(
+        &mut self,
+        round: &RoundSettings,
+        part: &mut Part<'a>,
+        law: LawRound,
+        is_noise: bool,
+        rng: &mut ChaCha8Rng,
+    ) -> RoundEnd {
+        let near = self.settings.near;
+        let LawRound { mut finals, tested, faint, .. } = law;
+        self.found.seen.extend(tested.iter().chain(&finals).copied());
+        self.found.seen.extend(part.held.iter().take(6).copied());
+        let steps = if is_noise {
+            finals = finals.last().copied().into_iter().collect();
+            40
+        } else if faint {
+            finals = apart(&finals, 1, 0);
+            20
+        } else {
+            for c in part.held.iter().skip(1).take(2) {
+                let class = self.allowed(c.class);
+                finals.extend(self.whole.in_class(&mut self.plain, c, class));
+            }
+            finals = apart(&finals, 3, 0);
+            let Some(best) = finals.first().copied() else { return RoundEnd::Done };
+            let other = self.law_best[usize::from(best.law == Law::He)];
+            if best.sse() < 0.95 * self.without(Class::First) && best.sse() < 1.3 * other {
+                let (reach, steps) = if best.class.order() > 1 { FAR_ALONG } else { (0.05, 15) };
+                let mut more = along_ridge(&mut self.whole, &mut self.plain, &best, reach, steps);
+                more.retain(|c| c.sse() < 4.0 * best.sse());
+                finals.extend(more);
+                finals = apart(&finals, 2, 0);
+                round.last
+            } else {
+                finals.truncate(1);
+                20
+            }
+        };
+        for c in &mut finals {
+            *c = random_steps(&mut self.whole, &mut self.plain, *c, steps, near, rng);
+            *c = neighbours(&mut self.whole, &mut self.plain, *c, 6, near);
+        }
+        finals.sort_by(|a, b| a.sse().total_cmp(&b.sse()));
+        self.found.seen.extend(finals.iter().copied());
+        let Some(best) = finals.first().copied() else { return RoundEnd::Done };
+        self.keep(best);
+        if is_noise || self.is_noise(&best) {
+            RoundEnd::Noise
+        } else if faint {
+            RoundEnd::NoFriction
+        } else {
+            RoundEnd::Done
+        }
+    }
+
+    /// Keeps the best candidate of its law.
+    fn keep(&mut self, c: Candidate) {
+        let least = &mut self.law_best[c.law as usize];
+        if c.sse() < *least {
+            *least = c.sse();
+            self.found.best.retain(|b| b.law != c.law);
+            self.found.best.push(c);
+        }
+    }
+
+    /// Whether a candidate, fitted to the plain error of the whole record, leaves nothing but noise.
+    pub fn is_noise(&mut self, of: &Candidate) -> bool {
+        if of.sse() < ROUNDING * self.plain.count() {
+            return true;
+        }
+        let Some(process) = self.whole.polish(&self.plain, of) else { return false };
+        let left = self.whole.leftover(&self.plain, &process);
+        tests(self.problem, &self.plain, &left).is_some_and(|t| t.white && !t.follows_op)
+    }
+
+    /// Least plain error without friction in a class, computed once.
+    pub fn without(&mut self, class: Class) -> f64 {
+        let known = self.without[index_of(class)];
+        known.unwrap_or_else(|| {
+            let found = frictionless(&mut self.whole, &mut self.plain, class);
+            let sse = found.map_or(f64::INFINITY, |f| f.sse).min(self.plain.nothing());
+            self.without[index_of(class)] = Some(sse);
+            sse
+        })
+    }
+}
+
+/// Tests of a residual from the view's first point on; `None` where it is plainly coloured.
+fn tests(problem: &Problem<'_>, view: &View, left: &[f64]) -> Option<Whiteness> {
+    if crate::signal::stats::autocorrelation_1(left).abs() > COLOURED {
+        return None;
+    }
+    let from = view.from().min(problem.question.mean.len());
+    Some(residual::whiteness(left, &problem.question.mean[from..]))
+}
+
+/// The best process of a class that takes OP as it is, from the best of many time constants and dead times of a single lag.
+pub fn frictionless(evaluator: &mut Evaluator<'_>, view: &mut View, class: Class) -> Option<LatticeFit> {
+    let problem = evaluator.problem;
+    let question = problem.question;
+    evaluator.class = class;
+    evaluator.follow_op();
+    let freedom = Freedom { fd: [0.0; 2], fd_default: 0.0, sign: problem.sign, limits: question.limits };
+    let scans = CoarseScan::of(problem, view.rho(), evaluator.points);
+    let seen = scans.iter().map(|scan| scan.look(&evaluator.steps().list, &freedom));
+    let seen = seen.min_by(|a, b| a.share.total_cmp(&b.share))?;
+    let starts = match class {
+        Class::First | Class::Integrating => [Some(([seen.tau; 2], seen.lag)), None],
+        Class::Second => [
+            Some(([seen.tau, 0.3 * seen.tau], seen.lag - 0.2 * seen.tau.min(seen.lag))),
+            Some(([seen.tau, 0.25 * seen.lag.max(1.0)], 0.75 * seen.lag)),
+        ],
+        Class::LagIntegrating => [Some(([0.5 * seen.lag.max(1.0); 2], 0.6 * seen.lag)), None],
+    };
+    let fits = starts.into_iter().flatten().map(|(taus, lag)| {
+        let lag = lag.max(question.limits.lag[0]);
+        let places = taus.map(|t| lattice_index(t.max(0.3)));
+        let start = LatticeFit { sse: 0.0, gain: 0.0, fd: 0.0, places, delay: lag as usize, fraction: lag.fract() };
+        evaluator.settle_fit(view, &start, &freedom)
+    });
+    fits.reduce(|a, b| if b.sse < a.sse { b } else { a })
+}
+
+/// What a round holds of one law while it searches a part of the record.
+struct Part<'a> {
+    points: usize,
+    view: View,
+    /// The plain view of the same part.
+    head: Option<View>,
+    evaluator: Evaluator<'a>,
+    held: Vec<Candidate>,
+}
+
+/// Places of a part from which the ridge is looked along, how far (share of s) and in how many steps to a side.
+const ON_RIDGES: (usize, f64, usize) = (4, 0.12, 16);
+
+impl Part<'_> {
+    /// The best go to the best place along their ridges.
+    fn look_along_ridges(&mut self) {
+        let (count, reach, steps) = ON_RIDGES;
+        for c in self.held.iter_mut().take(count) {
+            let found = along_ridge(&mut self.evaluator, &mut self.view, c, reach, steps);
+            if let Some(best) = found.first() {
+                *c = *best;
+            }
+        }
+        self.held = apart(&self.held, usize::MAX, 0);
+    }
+
+    /// All go to another class, one more that was found there among them.
+    fn move_to(&mut self, class: Class, found: &Candidate) {
+        let from: Vec<Candidate> = self.held.iter().take(FOLLOWERS).copied().collect();
+        let moved = from.iter().chain([found]).filter_map(|c| self.evaluator.in_class(&mut self.view, c, class));
+        let moved: Vec<Candidate> = moved.filter(|c| c.fit.gain != 0.0).collect();
+        if !moved.is_empty() {
+            self.held = apart(&moved, usize::MAX, 0);
+        }
+    }
+}
+
+/// What a round has made of one law.
+struct LawRound {
+    finals: Vec<Candidate>,
+    tested: Vec<Candidate>,
+    faint: bool,
+    stale: usize,
+}
+
+impl LawRound {
+    fn least(&self) -> f64 {
+        self.finals.iter().map(Candidate::sse).fold(f64::INFINITY, f64::min)
+    }
+}
+
+/// A polished process as a quick fit holds it.
+#[must_use]
+pub fn on_lattice(p: &Polished) -> LatticeFit {
+    let places = p.taus.map(|t| lattice_index(t.max(0.3)));
+    LatticeFit { sse: p.sse, gain: p.gain, fd: p.fd, places, delay: p.lag as usize, fraction: p.lag.fract() }
+}
