@@ -16,7 +16,7 @@ use crate::signal::stats;
 /// `reason` of a window that was let go.
 pub const SCREENED: &str = "screened";
 /// Probability of sticking that the rule gives on average to loops that are let go; a test holds it.
-pub const P_CALM: f64 = 0.23;
+pub const P_CALM: f64 = 0.2;
 
 /// Gates behind which nothing is let go: a set point that moves excites the loop, and rounding hides what a stem does.
 const HIDES: [Gate; 2] = [Gate::SetpointSteps, Gate::Quantised];
