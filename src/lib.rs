@@ -2,7 +2,7 @@
 //!
 //! # The map
 //! One crate, a library and a binary. Each room imports only rooms that stand above it in this list;
-//! `tests/tidy.rs` holds the table.
+//! `tests/library/tidy.rs` holds the table.
 //!
 //! | layer | rooms |
 //! |---|---|

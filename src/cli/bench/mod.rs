@@ -1,8 +1,12 @@
 //! `stictiond bench`: what this machine does a second, and in how much memory.
 
+mod cpu;
+mod solving;
+
+use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, anyhow};
+use anyhow::anyhow;
 use serde_json::{Value as Json, json};
 use zenoh::Wait;
 use zenoh::bytes::Encoding;
@@ -14,19 +18,18 @@ use crate::codec::topic;
 use crate::config::Config;
 use crate::daemon::{self, RunOptions};
 use crate::engine::{Engine, Event};
-use crate::record::{Record, Sample, Signal, Value};
+use crate::record::{Sample, Signal, Value};
 use crate::sim::scenario::Scenario;
 use crate::units::NS_PER_S;
-use crate::verdict::{AssessParams, assess};
 
 /// The loops that kernels are timed on.
-const SCENARIO: &str = include_str!("../../recordings/scenarios/four-loops.toml");
+const SCENARIO: &str = include_str!("../../../recordings/scenarios/four-loops.toml");
 /// Prefix of the ingest test's keys.
 const PREFIX: &str = "bench";
 
-/// Measure this machine: one estimate, the engine's intake, and ingest over loopback with recording.
+/// Measure this machine: the solver, the engine's intake, and ingest over loopback with recording.
 ///
-/// Figures of one run; shared machines are noisy, so compare ratios within one table.
+/// Times of the solver are CPU time of one thread. Figures of one run: compare ratios within one table.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example: cargo run --release -- bench --for 30")]
 pub struct Args {
@@ -39,10 +42,16 @@ pub struct Args {
     /// Loops over loopback.
     #[arg(long, default_value_t = 1000)]
     pub loops: usize,
+    /// Only the solver: kernels, indicators, screening, estimates.
+    #[arg(long)]
+    pub solver_only: bool,
+    /// Index of labelled recordings to time estimates on, where it is.
+    #[arg(long, value_name = "INDEX.csv", default_value = "../shared/data/INDEX.csv")]
+    pub recordings: PathBuf,
 }
 
 struct Row {
-    name: &'static str,
+    name: String,
     value: f64,
     unit: &'static str,
 }
@@ -52,44 +61,26 @@ struct Row {
 /// # Errors
 /// No port is free, or the temporary folder cannot be written.
 pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
-    let mut rows = estimates()?;
-    rows.extend(intake()?);
-    rows.extend(ingest(args)?);
-    for Row { name, value, unit } in rows {
-        match format {
-            Format::Json => say(json!({"schema": "stictiond.bench.v1", "name": name, "value": value, "unit": unit}))?,
-            Format::Text => say(format!("{name:<52} {value:>12.1} {unit}"))?,
-        }
+    print(solving::rows(&args.recordings), format)?;
+    if !args.solver_only {
+        print(intake()?, format)?;
+        print(ingest(args)?, format)?;
     }
     Ok(Outcome::Done)
 }
 
-fn scenario() -> anyhow::Result<Scenario> {
-    Scenario::parse(SCENARIO).map_err(|e| anyhow!("the built-in scenario: {e}"))
+fn print(rows: Vec<Row>, format: Format) -> anyhow::Result<()> {
+    for Row { name, value, unit } in rows {
+        match format {
+            Format::Json => say(json!({"schema": "stictiond.bench.v1", "name": name, "value": value, "unit": unit}))?,
+            Format::Text => say(format!("{name:<68} {value:>12.2} {unit}"))?,
+        }
+    }
+    Ok(())
 }
 
-/// Time of one estimate, for a loop that sticks and one that does not.
-fn estimates() -> anyhow::Result<Vec<Row>> {
-    let scenario = scenario()?;
-    let time = |record: &Record| {
-        let mut times: Vec<f64> = (0..5)
-            .map(|_| {
-                let started = Instant::now();
-                let _ = assess(record, &AssessParams { always_fit: true, ..AssessParams::default() });
-                started.elapsed().as_secs_f64() * 1e3
-            })
-            .collect();
-        times.sort_by(f64::total_cmp);
-        times[2]
-    };
-    let mut rows = Vec::new();
-    for (index, name) in
-        [(0, "estimate, 1,800 samples, sticking (median of 5)"), (2, "estimate, 1,800 samples, healthy (median of 5)")]
-    {
-        let record = scenario.record(index).context("the built-in scenario has four loops")?;
-        rows.push(Row { name, value: time(&record), unit: "ms" });
-    }
-    Ok(rows)
+fn scenario() -> anyhow::Result<Scenario> {
+    Scenario::parse(SCENARIO).map_err(|e| anyhow!("the built-in scenario: {e}"))
 }
 
 /// Samples a second through decoding and the engine, fits left out.
@@ -126,8 +117,8 @@ fn intake() -> anyhow::Result<Vec<Row>> {
     }
     let pushed = samples.len() as f64 / pushing.elapsed().as_secs_f64();
     Ok(vec![
-        Row { name: "decode JSON objects", value: decoded / 1e3, unit: "thousand/s" },
-        Row { name: "engine intake (join, history, windows)", value: pushed / 1e3, unit: "thousand/s" },
+        Row { name: "decode JSON objects".into(), value: decoded / 1e3, unit: "thousand/s" },
+        Row { name: "engine intake (join, history, windows)".into(), value: pushed / 1e3, unit: "thousand/s" },
     ])
 }
 
@@ -157,13 +148,13 @@ fn ingest(args: &Args) -> anyhow::Result<Vec<Row>> {
     let (sent, health) = health?;
     let counter = |name: &str| health["counters"][name].as_f64().unwrap_or(f64::NAN);
     Ok(vec![
-        Row { name: "ingest over loopback: sent", value: sent, unit: "messages" },
-        Row { name: "  rate", value: args.rate / 1e3, unit: "thousand/s" },
-        Row { name: "  received", value: counter("messages"), unit: "messages" },
-        Row { name: "  dropped before the engine", value: counter("dropped_input"), unit: "messages" },
-        Row { name: "  recorded", value: counter("recorded"), unit: "messages" },
-        Row { name: "  not recorded", value: counter("recording_lost"), unit: "messages" },
-        Row { name: "resident memory after it", value: resident_mib(), unit: "MiB" },
+        Row { name: "ingest over loopback: sent".into(), value: sent, unit: "messages" },
+        Row { name: "  rate".into(), value: args.rate / 1e3, unit: "thousand/s" },
+        Row { name: "  received".into(), value: counter("messages"), unit: "messages" },
+        Row { name: "  dropped before the engine".into(), value: counter("dropped_input"), unit: "messages" },
+        Row { name: "  recorded".into(), value: counter("recorded"), unit: "messages" },
+        Row { name: "  not recorded".into(), value: counter("recording_lost"), unit: "messages" },
+        Row { name: "resident memory after it".into(), value: resident_mib(), unit: "MiB" },
     ])
 }
 

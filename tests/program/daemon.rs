@@ -1,9 +1,5 @@
 //! The daemon at its process boundary: played data in, recordings out, restarts, and ends in order.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-#![cfg(feature = "daemon")]
-
-#[path = "common/live.rs"]
-mod live;
 
 use std::fs;
 use std::io::Read;
@@ -12,7 +8,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
-use live::{Daemon, FAST, documents, files, ok, sticking, stictiond};
+use crate::common;
+use crate::live::{Daemon, FAST, documents, files, ok, sticking, stictiond};
 use serde_json::Value;
 use stictiond::codec::topic::Kind;
 use stictiond::files::RecordingReader;
@@ -21,7 +18,7 @@ use stictiond::files::RecordingReader;
 fn real_recordings_played_live_give_the_numbers_of_analyze_and_replay() {
     let data = Path::new("../shared/data");
     if !data.exists() {
-        eprintln!("SKIPPED: {} is not there, so nothing real was played", data.display());
+        common::skipped("real_recordings_played_live_give_the_numbers_of_analyze_and_replay", "no ../shared/data");
         return;
     }
     let dir = tempfile::tempdir().unwrap();

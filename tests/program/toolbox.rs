@@ -1,10 +1,7 @@
 //! What those who come from the toolbox do, at the process boundary: stores, sections, downsampling, solvers.
-#![cfg(feature = "daemon")]
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-mod common;
-
-use common::program;
+use crate::common::program;
 use serde_json::Value;
 use std::fs;
 use std::path::Path;

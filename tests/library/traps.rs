@@ -2,10 +2,8 @@
 //! where the answer is certain it is asserted whole. Six seeds each.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-mod common;
-
-use common::Draw;
-use common::healthy::{drawn, healthy, settled};
+use crate::common::Draw;
+use crate::common::healthy::{drawn, healthy, settled};
 use stictiond::record::Record;
 use stictiond::sim::closed_loop::{ClosedLoop, LoopModel};
 use stictiond::sim::disturbance::Disturbance;

@@ -5,9 +5,9 @@
 use std::collections::BTreeSet;
 use stictiond::config::Config;
 
-const MONITOR: &str = include_str!("../config/monitor.toml");
-const DEMO: &str = include_str!("../config/demo.toml");
-const BROKEN: &str = include_str!("../config/broken.toml");
+const MONITOR: &str = include_str!("../../config/monitor.toml");
+const DEMO: &str = include_str!("../../config/demo.toml");
+const BROKEN: &str = include_str!("../../config/broken.toml");
 
 /// The keys that the reader knows in a table: it lists them where it meets one that it does not.
 fn known_in(head: &str) -> BTreeSet<String> {

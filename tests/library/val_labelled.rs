@@ -3,8 +3,7 @@
 #![allow(missing_docs)]
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-mod common;
-
+use crate::common;
 use std::collections::BTreeMap;
 
 use stictiond::verdict::{AssessParams, assess};

@@ -1,16 +1,12 @@
 //! Gap diagnoses in the daemon, seen from the bus and from its recordings.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-#![cfg(feature = "daemon")]
-
-#[path = "common/live.rs"]
-mod live;
 
 use std::fs;
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use live::{Daemon, FAST, PREFIX, documents, files, ok, sticking, stictiond};
+use crate::live::{Daemon, FAST, PREFIX, documents, files, ok, sticking, stictiond};
 use serde_json::Value;
 use stictiond::codec::topic::Kind;
 use zenoh::Wait;

@@ -1,9 +1,8 @@
 //! The controller read from records of loops whose controller is known.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-mod common;
-
-use common::Draw;
+use crate::common;
+use crate::common::Draw;
 use stictiond::ident::controller::{Reading, read};
 use stictiond::record::Record;
 use stictiond::signal::stats;

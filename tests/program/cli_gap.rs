@@ -1,16 +1,13 @@
 //! `gap` at the process boundary: its document, the arithmetic that anyone can repeat, its outputs and its refusals.
 
-#![cfg(feature = "daemon")]
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-
-mod common;
 
 use std::fs;
 use std::path::PathBuf;
 use std::process::{Command, Output, Stdio};
 use std::sync::OnceLock;
 
-use common::Loop;
+use crate::common::Loop;
 use serde_json::Value;
 use stictiond::gap::document::GapDocument;
 

@@ -2,9 +2,8 @@
 #![allow(missing_docs)]
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-mod common;
-
-use common::{Loop, boxed};
+use crate::common;
+use crate::common::{Loop, boxed};
 use proptest::prelude::*;
 use stictiond::record::Record;
 use stictiond::signal::stats;
@@ -185,7 +184,7 @@ fn the_same_record_gives_the_same_numbers() {
 
 proptest! {
     #![proptest_config(ProptestConfig {
-        cases: 4, failure_persistence: None, rng_seed: proptest::test_runner::RngSeed::Fixed(11), ..ProptestConfig::default()
+        cases: 64, failure_persistence: None, rng_seed: proptest::test_runner::RngSeed::Fixed(11), ..ProptestConfig::default()
     })]
 
     #[test]

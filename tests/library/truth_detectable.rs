@@ -1,10 +1,8 @@
 //! The smallest band that a window would have shown, against valves that stick more and less than that.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-mod common;
-
-use common::Draw;
-use common::healthy::drawn;
+use crate::common::Draw;
+use crate::common::healthy::drawn;
 use stictiond::record::Record;
 use stictiond::signal::stats::span;
 use stictiond::sim::closed_loop::{ClosedLoop, ValveLaw, ValveModel};

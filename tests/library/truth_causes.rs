@@ -1,11 +1,9 @@
 //! Valve, tuning or disturbance: loops whose cause is known get its name.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-mod common;
-
 use std::collections::BTreeMap;
 
-use common::healthy::{healthy, plain, settled, shaken, ultimate};
+use crate::common::healthy::{healthy, plain, settled, shaken, ultimate};
 use stictiond::record::Record;
 use stictiond::sim::closed_loop::{LoopModel, ValveLaw, ValveModel};
 use stictiond::sim::disturbance::Disturbance;

@@ -1,15 +1,12 @@
 //! `convert` and `info` at the process boundary: exit codes, stdout, stderr, files.
 
-#![cfg(feature = "daemon")]
 #![allow(clippy::unwrap_used, clippy::panic)]
-
-mod common;
 
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use common::program::{expect, stderr, stdout};
+use crate::common::program::{expect, stderr, stdout};
 use stictiond::codec::topic::Kind;
 use stictiond::files::{RecordingFile, RecordingReader, load_samples};
 use stictiond::record::{Signal, Value};
@@ -301,7 +298,7 @@ fn calibrate_keeps_what_it_computed_and_writes_a_rule() {
 fn real_tables_survive() {
     let data = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data");
     let Ok(folders) = fs::read_dir(&data) else {
-        eprintln!("SKIPPED: no tables at {}", data.display());
+        crate::common::skipped("real_tables_survive", "no ../shared/data");
         return;
     };
     let folder = Folder::new();

@@ -1,12 +1,9 @@
 //! The recordings that are shipped: what this build makes of their scenarios, to the byte, and what is true of them.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-#![cfg(feature = "daemon")]
-
-mod common;
 
 use std::fs;
 
-use common::program::stictiond;
+use crate::common::program::stictiond;
 
 const SHIPPED: [&str; 3] = ["sticking", "four-loops", "awkward"];
 

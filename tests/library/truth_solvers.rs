@@ -2,9 +2,7 @@
 #![allow(missing_docs)]
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-mod common;
-
-use common::Loop;
+use crate::common::Loop;
 use stictiond::ident::class::Class;
 use stictiond::ident::surface::{Surface, solve};
 use stictiond::ident::{ModelChoice, Options, ValveChoice};

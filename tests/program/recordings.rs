@@ -1,6 +1,5 @@
 //! Recordings, whole and damaged: every message comes back, and no damage makes reading panic or invent data.
 
-#![cfg(feature = "daemon")]
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 use proptest::prelude::*;

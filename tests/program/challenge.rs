@@ -1,7 +1,6 @@
 //! The check of the gap diagnosis at the process boundary: what lies in the folder, what a changed truth brings, and
 //! that neither side can see the other.
 
-#![cfg(feature = "daemon")]
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 use std::collections::BTreeSet;

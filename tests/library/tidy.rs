@@ -241,7 +241,7 @@ fn rooms_use_only_rooms_above_them() {
         let room = source.room();
         seen.insert(room.to_owned());
         let Some((_, allowed)) = IMPORTS.iter().find(|(name, _)| *name == room) else {
-            faults.push(format!("src/{}: room {room} has no row in the table of tests/tidy.rs", source.path));
+            faults.push(format!("src/{}: room {room} has no row in the table of tests/library/tidy.rs", source.path));
             continue;
         };
         for (line, rest) in places(&source.code, "crate::").chain(places(&source.code, "stictiond::")) {
@@ -260,7 +260,7 @@ fn rooms_use_only_rooms_above_them() {
         }
     }
     for (room, _) in IMPORTS.iter().filter(|(room, _)| !seen.contains(*room)) {
-        faults.push(format!("room {room} is in the table of tests/tidy.rs but not in src"));
+        faults.push(format!("room {room} is in the table of tests/library/tidy.rs but not in src"));
     }
     fail_on(&faults);
 }

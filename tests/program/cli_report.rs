@@ -1,6 +1,5 @@
 //! `analyze --report` at the process boundary: pages and sheets, what is refused, what stays on stdout.
 
-#![cfg(feature = "daemon")]
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 use std::fs;

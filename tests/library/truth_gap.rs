@@ -1,11 +1,9 @@
 //! The gap diagnosis on simulated loops whose cause is known.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-mod common;
-
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use common::Draw;
+use crate::common::Draw;
 use stictiond::gap::model::{Added, Model, Process, SCHEMA, Valve};
 use stictiond::gap::{Ask, Base, Diagnosis, Executor, GapError, Serial, diagnose};
 use stictiond::record::Record;

@@ -13,8 +13,8 @@ use stictiond::signal::align::align_all;
 use stictiond::sim::scenario::Scenario;
 use stictiond::verdict::{Verdict, assess};
 
-const AWKWARD: &str = include_str!("../recordings/scenarios/awkward.toml");
-const FOUR: &str = include_str!("../recordings/scenarios/four-loops.toml");
+const AWKWARD: &str = include_str!("../../recordings/scenarios/awkward.toml");
+const FOUR: &str = include_str!("../../recordings/scenarios/four-loops.toml");
 
 fn config(hop_s: f64) -> Config {
     let mut config = Config::with_prefix("p");
@@ -207,7 +207,7 @@ fn any_stamp() -> impl Strategy<Value = i64> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 30, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: 64, ..ProptestConfig::default() })]
 
     #[test]
     fn no_stream_of_samples_makes_the_engine_panic(
