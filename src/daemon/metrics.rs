@@ -77,6 +77,10 @@ counters! {
     recording_lost: "Messages that could not be recorded",
     recording_files: "Recording files opened",
     recording_errors: "Errors of the recording disk",
+    states_stored: "Loop states stored beside the recordings",
+    state_errors: "Errors of the store of loop states",
+    states_damaged: "Stored loop states that were damaged at the start",
+    quarantined: "Files put aside at the start because they cannot be used",
 }
 
 impl Metrics {

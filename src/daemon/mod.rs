@@ -5,11 +5,13 @@
 //!                                                |    ^-------------(answers)----------------'
 //!                                                |--(gaps, refuses or skips + records)--> gap thread, last to get a core
 //!                                                |--(recorder, waits 2 s)--> recorder thread --> *.mcap
+//!                                                |--(newest state a loop)--> state thread --> state.redb
 //!                                                '--(publisher, alarms wait)--> publisher thread --> Zenoh, last values
 //! ```
 
 pub mod clock;
 mod core;
+pub mod faults;
 pub mod gaps;
 mod health;
 pub mod metrics;
@@ -18,7 +20,6 @@ pub mod restore;
 mod routes;
 mod worker;
 
-use std::collections::BTreeMap;
 use std::future::Future;
 use std::path::Path;
 use std::sync::{Arc, RwLock};
@@ -30,12 +31,15 @@ use anyhow::{Context, anyhow};
 pub use self::core::HealthSnapshot;
 pub(crate) use self::core::to_json;
 use self::core::{Core, Parts};
+use self::faults::Faults;
 use self::gaps::Diagnoser;
 pub use self::health::DaemonHealth;
 use self::metrics::Metrics;
+use self::restore::Restored;
 use crate::codec::topic;
 use crate::config::Config;
 use crate::engine::Engine;
+use crate::sink::keeper::Keeper;
 use crate::sink::recorder::{Recorder, RunInfo};
 use crate::sink::zenoh::Publisher;
 use crate::source;
@@ -64,11 +68,14 @@ pub async fn run(
 ) -> anyhow::Result<()> {
     let metrics = Arc::new(Metrics::default());
     let recordings = Path::new(&config.recording.dir).to_owned();
+    let faults = Arc::new(Faults::default());
     // A demonstration starts afresh.
-    let mut memories = match options.origin {
-        "run" => restore::memories_of_last_run(&recordings, &config.site.prefix),
-        _ => BTreeMap::new(),
+    let restored = match options.origin {
+        "run" => restore::restore(&recordings, &config.site.prefix, &faults, &metrics),
+        _ => Restored::default(),
     };
+    restore::tell_aside(&recordings, &faults);
+    let Restored { mut memories, store, run_number } = restored;
     memories.retain(|name, _| config.input.discover || config.loop_named(name).is_some());
     let starting = |id: &str| (Instant::now(), Arc::new(DaemonHealth::starting(id, &config.hash())));
     let snapshot = HealthSnapshot::new(RwLock::new(starting("")));
@@ -90,8 +97,16 @@ pub async fn run(
     let last = source::zenoh::LastValues::default();
     let (queue, incoming) = crossbeam_channel::bounded(config.input.queue);
     let (publisher, publishing) = Publisher::start(session.clone(), last.clone(), metrics.clone())?;
-    let run = run_info(&config, config_text, &options, &daemon_id);
-    let (recorder, recording) = Recorder::start(run, config.recording.clone(), metrics.clone())?;
+    let run = run_info(&config, config_text, &options, &daemon_id, run_number);
+    let (recorder, recording) = Recorder::start(run, config.recording.clone(), metrics.clone(), faults.clone())?;
+    let mut threads = vec![("recorder", recording), ("publisher", publishing)];
+    let mut keeper = None;
+    if options.origin == "run" {
+        let prefix = &config.site.prefix;
+        let (started, keeping) = Keeper::start(&recordings, prefix, store, faults.clone(), metrics.clone())?;
+        keeper = Some(started);
+        threads.push(("state", keeping));
+    }
     let workers = worker::start(options.workers)?;
     let waiting = workers.requests.clone();
     let diagnoser = Diagnoser::start(move || !waiting.is_empty())?;
@@ -104,8 +119,10 @@ pub async fn run(
         workers,
         diagnoser,
         recorder: Some(recorder),
+        keeper,
         publisher,
         metrics: metrics.clone(),
+        faults: faults.clone(),
         snapshot,
         daemon_id: daemon_id.clone(),
     };
@@ -135,8 +152,8 @@ pub async fn run(
     }
     let _ = token.undeclare().await;
     drop(stop_core);
-    let ended =
-        join_within(vec![("engine", core), ("recorder", recording), ("publisher", publishing)], STOP_WITHIN).await;
+    threads.insert(0, ("engine", core));
+    let ended = join_within(threads, STOP_WITHIN).await;
     for queryable in queryables {
         let _ = queryable.undeclare().await;
     }
@@ -146,7 +163,7 @@ pub async fn run(
     ended
 }
 
-fn run_info(config: &Config, config_text: String, options: &RunOptions, daemon_id: &str) -> RunInfo {
+fn run_info(config: &Config, config_text: String, options: &RunOptions, daemon_id: &str, run_number: u64) -> RunInfo {
     let started_ns = clock::now_ns();
     let seed = format!("{daemon_id} {started_ns}");
     let run_id = crate::config::short_hash(seed.as_bytes())[..8].to_owned();
@@ -154,6 +171,7 @@ fn run_info(config: &Config, config_text: String, options: &RunOptions, daemon_i
         prefix: config.site.prefix.clone(),
         run_id,
         started_ns,
+        run_number: (run_number > 0).then_some(run_number),
         origin: options.origin,
         config_text,
         config_hash: config.hash(),

@@ -206,6 +206,13 @@ impl RecordingFile {
         self.writer.is_none()
     }
 
+    /// Whether the folder still holds the file under its name: a removed one would be filled for nobody.
+    #[must_use]
+    pub fn is_linked(&self) -> bool {
+        let Ok(open) = self.file.metadata() else { return false };
+        fs::metadata(&self.part).is_ok_and(|there| same_file(&open, &there))
+    }
+
     /// The file while it is open.
     #[must_use]
     pub fn part_path(&self) -> &Path {
@@ -293,6 +300,17 @@ pub fn sync_folder(file: &Path) -> Result<(), WriteError> {
     };
     let synced = File::open(folder).and_then(|folder| folder.sync_all());
     synced.map_err(|source| WriteError::Io { path: folder.to_owned(), source })
+}
+
+#[cfg(unix)]
+fn same_file(a: &fs::Metadata, b: &fs::Metadata) -> bool {
+    use std::os::unix::fs::MetadataExt as _;
+    (a.dev(), a.ino()) == (b.dev(), b.ino())
+}
+
+#[cfg(not(unix))]
+fn same_file(a: &fs::Metadata, b: &fs::Metadata) -> bool {
+    a.len() == b.len()
 }
 
 /// MCAP's times are unsigned.

@@ -7,6 +7,7 @@ mod mcap_index;
 mod mcap_read;
 mod mcap_write;
 pub mod schemas;
+pub mod store;
 
 pub use mcap_read::{Channel, End, MAX_RECORD, Message, ReadError, RecordingReader};
 pub use mcap_write::{MAX_CHANNELS, RecordingFile, WriteError, sync_folder};

@@ -1,4 +1,5 @@
 //! Where results go: onto the bus, and into recordings.
 
+pub mod keeper;
 pub mod recorder;
 pub mod zenoh;

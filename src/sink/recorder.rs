@@ -16,6 +16,7 @@ use crate::codec::encode_recorded;
 use crate::codec::topic::{self, Kind};
 use crate::config::Recording;
 use crate::daemon::clock::now_ns;
+use crate::daemon::faults::Faults;
 use crate::daemon::metrics::Metrics;
 use crate::engine::LoopId;
 use crate::files::RecordingFile;
@@ -81,6 +82,8 @@ pub struct RunInfo {
     pub run_id: String,
     /// When it started, ns.
     pub started_ns: i64,
+    /// Which run of its folder, where that is counted.
+    pub run_number: Option<u64>,
     /// What made it: `run`, `demo`, `simulate`.
     pub origin: &'static str,
     /// The configuration's text.
@@ -95,7 +98,8 @@ impl RunInfo {
     /// The metadata of one file.
     #[must_use]
     pub fn metadata(&self, shard: usize, file_index: u32, previous: &str, lost: u64) -> BTreeMap<String, String> {
-        BTreeMap::from(
+        let number = self.run_number.map(|n| ("run_number".to_owned(), n.to_string()));
+        let mut metadata = BTreeMap::from(
             [
                 ("prefix", self.prefix.clone()),
                 ("version", crate::VERSION.to_owned()),
@@ -111,7 +115,9 @@ impl RunInfo {
                 ("lost_before", lost.to_string()),
             ]
             .map(|(k, v)| (k.to_owned(), v)),
-        )
+        );
+        metadata.extend(number);
+        metadata
     }
 
     /// The name of one file, without its ending.
@@ -139,7 +145,12 @@ impl Recorder {
     ///
     /// # Errors
     /// The system refuses a thread.
-    pub fn start(run: RunInfo, settings: Recording, metrics: Arc<Metrics>) -> std::io::Result<(Self, JoinHandle<()>)> {
+    pub fn start(
+        run: RunInfo,
+        settings: Recording,
+        metrics: Arc<Metrics>,
+        faults: Arc<Faults>,
+    ) -> std::io::Result<(Self, JoinHandle<()>)> {
         let (queue, items) = crossbeam_channel::bounded(QUEUE);
         let (wanted, rotations) = crossbeam_channel::unbounded();
         let mut writer = Writer {
@@ -150,6 +161,7 @@ impl Recorder {
             shards: Vec::new(),
             wanted,
             metrics: metrics.clone(),
+            faults,
             lost: 0,
             json: Vec::new(),
             last_arrival_ns: 0,
@@ -185,9 +197,16 @@ impl Recorder {
     }
 }
 
+/// The name of a shard's fault.
+fn fault_of(shard: usize) -> String {
+    format!("recording s{shard}")
+}
+
 /// One shard's open file.
 struct Shard {
     file: Option<RecordingFile>,
+    /// Messages in it.
+    messages: u64,
     index: u32,
     previous: String,
     opened: Instant,
@@ -205,6 +224,7 @@ struct Writer {
     shards: Vec<Shard>,
     wanted: Sender<usize>,
     metrics: Arc<Metrics>,
+    faults: Arc<Faults>,
     lost: u64,
     json: Vec<u8>,
     last_arrival_ns: i64,
@@ -269,6 +289,7 @@ impl Writer {
         });
         match file.write(topic, what.0, arrival_ns, event_ns, json) {
             Ok(()) => {
+                shard.messages += 1;
                 self.metrics.recorded.inc();
             }
             Err(error) => {
@@ -285,7 +306,8 @@ impl Writer {
 
     fn fail(&mut self, index: usize, why: &str) {
         self.metrics.recording_errors.inc();
-        tracing::error!(shard = index, why, "recording stopped; a new file is tried in {} s", RETRY.as_secs());
+        let retry_s = RETRY.as_secs();
+        self.faults.raise(&fault_of(index), format!("recording has stopped, tried again every {retry_s} s: {why}"));
         if let Some(shard) = self.shards.get_mut(index) {
             shard.file = None;
             shard.retry_at = Some(Instant::now() + RETRY);
@@ -296,6 +318,7 @@ impl Writer {
         while self.shards.len() <= index {
             self.shards.push(Shard {
                 file: None,
+                messages: 0,
                 index: 0,
                 previous: String::new(),
                 opened: Instant::now(),
@@ -312,6 +335,7 @@ impl Writer {
         match RecordingFile::create(&self.dir, &stem, &metadata) {
             Ok(file) => {
                 shard.file = Some(file);
+                shard.messages = 0;
                 shard.previous = format!("{stem}.mcap");
                 shard.index += 1;
                 shard.opened = Instant::now();
@@ -331,8 +355,9 @@ impl Writer {
         }
         // The states must outlive a crash in the first second, or the next start would find none.
         let flushed = self.shards[index].file.as_mut().map_or(Ok(()), RecordingFile::flush);
-        if let Err(error) = flushed {
-            self.fail(index, &error.to_string());
+        match flushed {
+            Ok(()) => self.faults.clear(&fault_of(index)),
+            Err(error) => self.fail(index, &error.to_string()),
         }
     }
 
@@ -349,11 +374,18 @@ impl Writer {
             let shard = &mut self.shards[index];
             let retry = shard.retry_at.is_some_and(|at| Instant::now() >= at);
             let mut failure = None;
+            let mut gone = 0;
             if let Some(file) = &mut shard.file {
-                failure = file.flush().err();
+                // A file that was removed while it is open takes bytes all the same, and they go nowhere.
+                if file.is_linked() {
+                    failure = file.flush().err().map(|error| error.to_string());
+                } else {
+                    gone = std::mem::take(&mut shard.messages);
+                    failure = Some(format!("{}: was removed with {gone} messages in it", file.part_path().display()));
+                }
                 let full = file.bytes_written() >= self.max_bytes || shard.opened.elapsed() >= self.max_age;
                 // Asked again after a while: the answer may have found no place in the queue.
-                if full && shard.asked.is_none_or(|at| at.elapsed() > RETRY) {
+                if full && failure.is_none() && shard.asked.is_none_or(|at| at.elapsed() > RETRY) {
                     shard.asked = Some(Instant::now());
                     let _ = self.wanted.send(index);
                 }
@@ -361,8 +393,13 @@ impl Writer {
                 shard.retry_at = Some(Instant::now() + RETRY);
                 let _ = self.wanted.send(index);
             }
-            if let Some(error) = failure {
-                self.fail(index, &error.to_string());
+            self.lose(gone);
+            if let Some(why) = failure {
+                self.fail(index, &why);
+            }
+            if gone > 0 {
+                // The disk is well: no need to wait.
+                self.shards[index].retry_at = Some(Instant::now());
             }
         }
     }
