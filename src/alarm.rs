@@ -137,6 +137,55 @@ pub enum CommandError {
     /// Not a loop.
     #[error("no loop {0:?} is monitored")]
     UnknownLoop(String),
+    /// Nobody says who asks.
+    #[error("nobody is named: a command says who asks, as in cmd=ack;by=NAME;why=TEXT")]
+    Nameless,
+    /// A text that is too long.
+    #[error("{what} has {bytes} bytes, at most {limit} are taken: say it in fewer words")]
+    TooLong {
+        /// Which text.
+        what: &'static str,
+        /// Its bytes.
+        bytes: usize,
+        /// What is taken.
+        limit: usize,
+    },
+    /// Characters that steer a terminal.
+    #[error("{0} holds control characters: write plain text")]
+    Control(&'static str),
+}
+
+/// Longest name, bytes.
+const NAME_BYTES: usize = 64;
+/// Longest reason, bytes.
+const WHY_BYTES: usize = 500;
+
+/// Checks who asks for something: commands need a name, of plain text and bounded length.
+///
+/// # Errors
+/// [`CommandError`] says what is missing or too much.
+pub fn check_name(by: Option<&str>) -> Result<(), CommandError> {
+    let name = by.map(str::trim).filter(|name| !name.is_empty()).ok_or(CommandError::Nameless)?;
+    check_text("by", name, NAME_BYTES)
+}
+
+fn check_text(what: &'static str, text: &str, limit: usize) -> Result<(), CommandError> {
+    if text.len() > limit {
+        return Err(CommandError::TooLong { what, bytes: text.len(), limit });
+    }
+    if text.chars().any(char::is_control) { Err(CommandError::Control(what)) } else { Ok(()) }
+}
+
+impl Command {
+    /// Checks a command before it is taken. What stands in a recording was taken, and is not checked again.
+    ///
+    /// # Errors
+    /// [`CommandError`] says what is missing or too much.
+    pub fn check(&self) -> Result<(), CommandError> {
+        check_text("cmd", &self.cmd, NAME_BYTES)?;
+        check_name(self.by.as_deref())?;
+        self.why.as_deref().map_or(Ok(()), |why| check_text("why", why, WHY_BYTES))
+    }
 }
 
 /// What people may ask of an alarm.
@@ -349,6 +398,25 @@ mod tests {
         assert!(matches!(alarm.command("L", &unknown, 5), Err(CommandError::Unknown(_))));
         assert!(run(&mut alarm, &[(Verdict::Stiction, 0.9); 10]).is_empty());
         assert_eq!(run(&mut alarm, &[(Verdict::Stiction, 0.7); 4]), [State::Normal]);
+    }
+
+    #[test]
+    fn a_command_needs_a_name_and_plain_words_of_some_length() {
+        let command = |by: Option<&str>, why: &str| Command {
+            cmd: "ack".into(),
+            by: by.map(str::to_owned),
+            why: Some(why.to_owned()),
+        };
+        assert_eq!(command(Some("ann"), "seen").check(), Ok(()));
+        for by in [None, Some(""), Some("  ")] {
+            assert_eq!(command(by, "seen").check(), Err(CommandError::Nameless));
+        }
+        assert_eq!(command(Some("a\u{1b}[2J"), "seen").check(), Err(CommandError::Control("by")));
+        assert_eq!(command(Some("ann"), "\u{9b}2J").check(), Err(CommandError::Control("why")));
+        assert!(matches!(command(Some(&"n".repeat(65)), "").check(), Err(CommandError::TooLong { limit: 64, .. })));
+        assert!(matches!(command(Some("ann"), &"w".repeat(60_000)).check(), Err(CommandError::TooLong { .. })));
+        let unknown = Command { cmd: "z".repeat(100_000), by: Some("ann".into()), why: None };
+        assert!(unknown.check().unwrap_err().to_string().len() < 200);
     }
 
     #[test]

@@ -134,7 +134,7 @@ fn a_diagnosis_under_way_at_the_end_is_a_recorded_skip() {
     play(&daemon, dir.path(), &header, &rows[..500]);
     daemon.wait_for_estimates(1);
     let asked = std::thread::spawn(move || {
-        let answer = ask(&bus, &format!("{}?run", plane("FIC101/gap")));
+        let answer = ask(&bus, &format!("{}?run;by=ann", plane("FIC101/gap")));
         bus.close().wait().unwrap();
         answer
     });

@@ -87,7 +87,7 @@ pub fn run(args: &InfoArgs, format: Format) -> anyhow::Result<Outcome> {
     };
     info.verified = args.verify;
     if let Some(reason) = &info.reason {
-        eprintln!("warning: {}: the file is {}: {reason}", args.file.display(), info.state);
+        super::warn(format_args!("{}: the file is {}: {reason}", args.file.display(), info.state));
     }
     let text = match format {
         Format::Json => serde_json::to_string(&info)? + "\n",
@@ -170,7 +170,7 @@ fn of_table(path: &Path, kind: InputKind) -> anyhow::Result<Info> {
     let mut info = Info::new(path, kind, std::fs::metadata(path)?.len());
     let loaded = load_samples(path)?;
     for warning in &loaded.warnings {
-        eprintln!("warning: {}: {warning}", path.display());
+        super::warn(format_args!("{}: {warning}", path.display()));
     }
     let mut sampling = Vec::new();
     for one in loaded.loops {

@@ -71,6 +71,7 @@ counters! {
     commands: "Commands carried out",
     commands_refused: "Commands refused",
     queries: "Queries received",
+    foreign_documents: "Documents under the daemon's keys that others published",
     published: "Documents published",
     dropped_output: "Documents that could not be published",
     recorded: "Messages recorded",

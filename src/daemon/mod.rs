@@ -1,7 +1,7 @@
 //! The whole daemon in one readable function: what runs where, and which queue lies between.
 //!
 //! ```text
-//! Zenoh callbacks --(input, drops + counts)--> engine thread --(fits, skips + records)--> workers
+//! Zenoh callbacks --(input, drops + counts)--> engine thread --(schedule, in turn; skips + records)--> workers
 //!                                                |    ^-------------(answers)----------------'
 //!                                                |--(gaps, refuses or skips + records)--> gap thread, last to get a core
 //!                                                |--(recorder, waits 2 s)--> recorder thread --> *.mcap
@@ -11,38 +11,47 @@
 
 pub mod clock;
 mod core;
+mod desk;
 pub mod faults;
 pub mod gaps;
 mod health;
 pub mod metrics;
+pub mod queue;
+mod reload;
 pub mod replay;
 pub mod restore;
 mod routes;
+mod schedule;
+mod signals;
 mod worker;
 
 use std::future::Future;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, RwLock};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, anyhow};
+use sd_notify::NotifyState;
 
 pub use self::core::HealthSnapshot;
 pub(crate) use self::core::to_json;
-use self::core::{Core, Parts};
+use self::core::{Core, Parts, tell_system};
 use self::faults::Faults;
 use self::gaps::Diagnoser;
 pub use self::health::DaemonHealth;
 use self::metrics::Metrics;
+use self::queue::Budget;
+use self::reload::Reload;
 use self::restore::Restored;
 use crate::codec::topic;
 use crate::config::Config;
 use crate::engine::Engine;
+use crate::files::lock::{FolderLock, LockError};
 use crate::sink::keeper::Keeper;
 use crate::sink::recorder::{Recorder, RunInfo};
 use crate::sink::zenoh::Publisher;
-use crate::source;
+use crate::source::{self, presence};
 
 /// How long the threads may take to end.
 const STOP_WITHIN: Duration = Duration::from_millis(3500);
@@ -54,6 +63,8 @@ pub struct RunOptions {
     pub origin: &'static str,
     /// Workers for fits; all cores but one if absent.
     pub workers: Option<usize>,
+    /// Where the configuration comes from, to be read again on SIGHUP.
+    pub config_path: Option<PathBuf>,
 }
 
 /// Runs the daemon until `stop` is ready, then ends in order.
@@ -69,6 +80,9 @@ pub async fn run(
     let metrics = Arc::new(Metrics::default());
     let recordings = Path::new(&config.recording.dir).to_owned();
     let faults = Arc::new(Faults::default());
+    signals::survive_file_size_limit();
+    let hangups = signals::hangups();
+    let lock = lock_folder(&recordings, &faults)?;
     // A demonstration starts afresh.
     let restored = match options.origin {
         "run" => restore::restore(&recordings, &config.site.prefix, &faults, &metrics),
@@ -96,6 +110,7 @@ pub async fn run(
 
     let last = source::zenoh::LastValues::default();
     let (queue, incoming) = crossbeam_channel::bounded(config.input.queue);
+    let budget = Budget::new(config.input.queue_bytes);
     let (publisher, publishing) = Publisher::start(session.clone(), last.clone(), metrics.clone())?;
     let run = run_info(&config, config_text, &options, &daemon_id, run_number);
     let (recorder, recording) = Recorder::start(run, config.recording.clone(), metrics.clone(), faults.clone())?;
@@ -116,6 +131,7 @@ pub async fn run(
     let engine = Engine::new(config.clone());
     let parts = Parts {
         engine,
+        budget: budget.clone(),
         workers,
         diagnoser,
         recorder: Some(recorder),
@@ -132,7 +148,11 @@ pub async fn run(
         core.restore(memories);
         core.run(&incoming, &stopping);
     })?;
-    let subscribers = source::zenoh::subscribe(&session, &config, queue, metrics.clone()).await?;
+    let control = queue.clone();
+    let mut subscribers = source::zenoh::subscribe(&session, &config, queue, budget, metrics.clone()).await?;
+    subscribers.push(presence::watch_own_keys(&session, &prefix, faults.clone(), metrics.clone()).await?);
+    let bus = source::zenoh::session_config(&config)?;
+    let watching = tokio::spawn(presence::watch(session.clone(), bus, prefix.clone(), faults.clone()));
     let token_key = topic::plane(&prefix, &format!("@daemon/{daemon_id}"));
     let token = session.liveliness().declare_token(&token_key).await.map_err(|e| anyhow!("{token_key}: {e}"))?;
     tracing::info!(
@@ -145,8 +165,13 @@ pub async fn run(
         "watching"
     );
 
-    stop.await;
+    tell_system(&[NotifyState::Ready]);
+    let reload = options.config_path.map(|path| Reload::new(path, config));
+    signals::serve_until(stop, hangups, reload, &control, &faults).await;
     tracing::info!("stopping");
+    tell_system(&[NotifyState::Stopping]);
+    watching.abort();
+    drop(control);
     for subscriber in subscribers {
         let _ = subscriber.undeclare().await;
     }
@@ -160,7 +185,22 @@ pub async fn run(
     web.stop();
     // Closing may hang when the network loses packets.
     let _ = tokio::time::timeout(Duration::from_secs(1), session.close()).await;
+    drop(lock);
     ended
+}
+
+/// Makes the folder and locks it against a second daemon. Where the disk refuses, the daemon goes on without.
+fn lock_folder(dir: &Path, faults: &Faults) -> anyhow::Result<Option<FolderLock>> {
+    let made = std::fs::create_dir_all(dir);
+    match FolderLock::take(dir) {
+        Ok(lock) => Ok(Some(lock)),
+        Err(held @ LockError::Held { .. }) => Err(held.into()),
+        Err(error) => {
+            let why = made.err().map_or_else(|| error.to_string(), |e| format!("{}: {e}", dir.display()));
+            faults.raise("lock", why);
+            Ok(None)
+        }
+    }
 }
 
 fn run_info(config: &Config, config_text: String, options: &RunOptions, daemon_id: &str, run_number: u64) -> RunInfo {

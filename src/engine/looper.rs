@@ -237,6 +237,7 @@ impl Loop {
             next_end_ns: self.next_end_ns,
             windows: self.windows,
             gaps: self.gaps,
+            waiting: self.waiting.len() as u64,
         };
         Checkpoint { alarm: self.alarm.clone(), gap: self.gap.clone(), stream: Some(stream) }
     }

@@ -4,6 +4,7 @@
 //! crash loses at most what came since. [`RecordingFile::finish`] writes the index, syncs, renames to `NAME.mcap` and
 //! syncs the folder. An MCAP file cannot be reopened: rotate instead.
 
+use super::mcap_roster::Roster;
 use super::schemas;
 use crate::codec::topic::Kind;
 use mcap::records::{MessageHeader, Metadata};
@@ -21,6 +22,9 @@ pub const MAX_CHANNELS: usize = 10_000;
 
 /// Uncompressed size at which a chunk is closed, bytes.
 const CHUNK_BYTES: u64 = 1 << 20;
+
+/// Bytes after which the list of all channels is written again, so that no place in the file is far from one.
+const ROSTER_EVERY: u64 = 8 << 20;
 
 /// What stops a recording.
 #[derive(Debug, Error)]
@@ -74,6 +78,11 @@ pub struct RecordingFile {
     written: Arc<AtomicU64>,
     schemas: HashMap<Kind, u16>,
     channels: HashMap<String, Channel>,
+    /// Every channel, and those that no list in the file names yet.
+    roster: Roster,
+    unlisted: Roster,
+    /// Size of the file when all channels were listed last.
+    listed_at: u64,
     dirty: bool,
 }
 
@@ -131,6 +140,9 @@ impl RecordingFile {
             written,
             schemas: HashMap::new(),
             channels: HashMap::new(),
+            roster: Roster::default(),
+            unlisted: Roster::default(),
+            listed_at: 0,
             dirty: true,
         };
         let metadata = Metadata { name: super::METADATA_NAME.to_owned(), metadata: metadata.clone() };
@@ -177,9 +189,26 @@ impl RecordingFile {
         if !self.dirty {
             return if self.writer.is_some() { Ok(()) } else { Err(self.refused()) };
         }
+        self.list_channels()?;
         self.with_writer(Writer::flush)?;
         self.dirty = false;
         self.file.sync_data().map_err(|source| self.fail(source))
+    }
+
+    /// Lists new channels outside the chunks, and from time to time all: a chunk holds only those that it is the first to
+    /// use, and would take them along if it were damaged.
+    fn list_channels(&mut self) -> Result<(), WriteError> {
+        let written = self.bytes_written();
+        let all = written.saturating_sub(self.listed_at) >= ROSTER_EVERY && !self.roster.is_empty();
+        if self.unlisted.is_empty() && !all {
+            return Ok(());
+        }
+        let listed = std::mem::take(&mut self.unlisted);
+        if all {
+            self.listed_at = written;
+        }
+        let record = (if all { &self.roster } else { &listed }).metadata();
+        self.with_writer(|writer| writer.write_metadata(&record))
     }
 
     /// Bytes handed to the file; the open chunk counts once it is closed.
@@ -210,7 +239,7 @@ impl RecordingFile {
     #[must_use]
     pub fn is_linked(&self) -> bool {
         let Ok(open) = self.file.metadata() else { return false };
-        fs::metadata(&self.part).is_ok_and(|there| same_file(&open, &there))
+        fs::metadata(&self.part).is_ok_and(|there| super::same_file(&open, &there))
     }
 
     /// The file while it is open.
@@ -257,6 +286,8 @@ impl RecordingFile {
         };
         let id = self.with_writer(|writer| writer.add_channel(schema, topic, "json", &BTreeMap::new()))?;
         self.channels.insert(topic.to_owned(), Channel { id, sequence: 0 });
+        self.roster.add(id, kind, topic);
+        self.unlisted.add(id, kind, topic);
         Ok(())
     }
 
@@ -300,17 +331,6 @@ pub fn sync_folder(file: &Path) -> Result<(), WriteError> {
     };
     let synced = File::open(folder).and_then(|folder| folder.sync_all());
     synced.map_err(|source| WriteError::Io { path: folder.to_owned(), source })
-}
-
-#[cfg(unix)]
-fn same_file(a: &fs::Metadata, b: &fs::Metadata) -> bool {
-    use std::os::unix::fs::MetadataExt as _;
-    (a.dev(), a.ino()) == (b.dev(), b.ino())
-}
-
-#[cfg(not(unix))]
-fn same_file(a: &fs::Metadata, b: &fs::Metadata) -> bool {
-    a.len() == b.len()
 }
 
 /// MCAP's times are unsigned.

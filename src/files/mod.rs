@@ -2,9 +2,11 @@
 
 pub mod compact;
 pub mod csv;
+pub mod lock;
 pub mod mat;
 mod mcap_index;
 mod mcap_read;
+mod mcap_roster;
 mod mcap_write;
 pub mod schemas;
 pub mod store;
@@ -76,7 +78,7 @@ impl InputKind {
             (b"\x1f\x8b", "compressed by gzip; unpack it"),
             (b"\xff\xfe", "UTF-16 text; save it as UTF-8"),
         ];
-        if head.starts_with(mcap::MAGIC) {
+        if mcap_read::begins_as_recording(head) {
             return Ok(Self::Mcap);
         }
         if let Some((_, what)) = unsupported.iter().find(|(mark, _)| head.starts_with(mark)) {
@@ -321,6 +323,18 @@ impl LoopTable {
         self.by_channel.insert(message.channel_id, place);
         place
     }
+}
+
+/// Whether two looks were at the same file, whatever its name.
+#[cfg(unix)]
+fn same_file(a: &std::fs::Metadata, b: &std::fs::Metadata) -> bool {
+    use std::os::unix::fs::MetadataExt as _;
+    (a.dev(), a.ino()) == (b.dev(), b.ino())
+}
+
+#[cfg(not(unix))]
+fn same_file(a: &std::fs::Metadata, b: &std::fs::Metadata) -> bool {
+    a.len() == b.len()
 }
 
 #[cfg(test)]

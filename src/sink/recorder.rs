@@ -18,12 +18,17 @@ use crate::config::Recording;
 use crate::daemon::clock::now_ns;
 use crate::daemon::faults::Faults;
 use crate::daemon::metrics::Metrics;
+use crate::daemon::queue::{Budget, Room};
 use crate::engine::LoopId;
 use crate::files::RecordingFile;
 use crate::record::{Sample, Signal};
 
 /// Messages that may wait for the disk.
 pub const QUEUE: usize = 65_536;
+/// Bytes that may wait for it.
+pub const QUEUE_BYTES: usize = 256 << 20;
+/// Pause before it is looked again whether there is room.
+const LOOK_AGAIN: Duration = Duration::from_millis(5);
 /// Loops in one file: with at most ten channels a loop this stays within what a file may hold.
 pub const LOOPS_PER_FILE: usize = 1000;
 /// How long the engine waits for a place in the queue before it goes on without.
@@ -40,6 +45,13 @@ pub enum Item {
         shard: usize,
         /// Loop names and state documents.
         states: Vec<(Arc<str>, Vec<u8>)>,
+    },
+    /// New limits of a file.
+    Limits {
+        /// Size at which it is closed.
+        max_bytes: u64,
+        /// Age at which it is closed.
+        max_age: Duration,
     },
     /// A sample as it was taken.
     Raw {
@@ -65,6 +77,18 @@ pub enum Item {
         /// Event time, ns.
         event_ns: i64,
     },
+}
+
+impl Item {
+    /// What it takes of the memory while it waits.
+    fn bytes(&self) -> usize {
+        let held = match self {
+            Self::Open { states, .. } => states.iter().map(|(_, json)| json.len()).sum(),
+            Self::Raw { .. } | Self::Limits { .. } => 0,
+            Self::Document { json, .. } => json.len(),
+        };
+        size_of::<Self>() + held
+    }
 }
 
 /// Which file a loop is recorded in.
@@ -132,7 +156,8 @@ impl RunInfo {
 
 /// The engine's end of the recorder.
 pub struct Recorder {
-    queue: Sender<Item>,
+    queue: Sender<(Item, Room)>,
+    budget: Budget,
     /// Shards that want a new file.
     pub rotations: Receiver<usize>,
     metrics: Arc<Metrics>,
@@ -169,16 +194,20 @@ impl Recorder {
         let flush = Duration::from_secs_f64(settings.flush_s);
         let thread =
             std::thread::Builder::new().name("record".into()).spawn(move || writer.run_until_closed(&items, flush))?;
-        Ok((Self { queue, rotations, metrics, overrun: false }, thread))
+        let budget = Budget::new(QUEUE_BYTES);
+        Ok((Self { queue, budget, rotations, metrics, overrun: false }, thread))
     }
 
     /// Hands one item over, waiting a little for a place.
     pub fn record(&mut self, item: Item) {
-        let lost = if self.overrun {
-            self.queue.try_send(item).is_err()
-        } else {
-            self.queue.send_timeout(item, PATIENCE).is_err()
-        };
+        let until = Instant::now() + if self.overrun { Duration::ZERO } else { PATIENCE };
+        let bytes = item.bytes();
+        let mut room = self.budget.take(bytes);
+        while room.is_none() && Instant::now() < until {
+            std::thread::sleep(LOOK_AGAIN);
+            room = self.budget.take(bytes);
+        }
+        let lost = room.is_none_or(|room| self.queue.send_deadline((item, room), until).is_err());
         if lost {
             if !self.overrun {
                 tracing::error!("the recorder cannot keep up: recordings miss data until the disk answers again");
@@ -194,6 +223,12 @@ impl Recorder {
     #[must_use]
     pub fn waiting(&self) -> usize {
         self.queue.len()
+    }
+
+    /// Bytes that wait, and that may.
+    #[must_use]
+    pub fn bytes(&self) -> [usize; 2] {
+        [self.budget.used(), self.budget.limit()]
     }
 }
 
@@ -231,12 +266,15 @@ struct Writer {
 }
 
 impl Writer {
-    fn run_until_closed(&mut self, items: &Receiver<Item>, flush: Duration) {
+    fn run_until_closed(&mut self, items: &Receiver<(Item, Room)>, flush: Duration) {
         let mut flushed = Instant::now();
         loop {
             let wait = flush.saturating_sub(flushed.elapsed());
             match items.recv_timeout(wait) {
-                Ok(item) => self.take(item),
+                Ok((item, room)) => {
+                    self.take(item);
+                    drop(room);
+                }
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => break,
             }
@@ -253,6 +291,7 @@ impl Writer {
     fn take(&mut self, item: Item) {
         match item {
             Item::Open { shard, states } => self.open(shard, &states),
+            Item::Limits { max_bytes, max_age } => (self.max_bytes, self.max_age) = (max_bytes, max_age),
             Item::Raw { id, name, sample, arrival_ns } => {
                 let mut json = std::mem::take(&mut self.json);
                 json.clear();

@@ -13,10 +13,13 @@ use zenoh::qos::{CongestionControl, Priority};
 
 use crate::codec::topic::Kind;
 use crate::daemon::metrics::Metrics;
+use crate::daemon::queue::{Budget, Room};
 use crate::source::zenoh::{LastValues, encoding_of};
 
 /// Documents that may wait for the bus.
 pub const QUEUE: usize = 16_384;
+/// Bytes that may wait for it.
+pub const QUEUE_BYTES: usize = 128 << 20;
 /// How long an alarm waits for a place in the queue.
 const ALARM_PATIENCE: Duration = Duration::from_secs(2);
 
@@ -34,7 +37,8 @@ pub struct Publication {
 /// The way to the publisher's thread.
 #[derive(Clone)]
 pub struct Publisher {
-    queue: Sender<Publication>,
+    queue: Sender<(Publication, Option<Room>)>,
+    budget: Budget,
     metrics: Arc<Metrics>,
 }
 
@@ -54,16 +58,17 @@ impl Publisher {
             let metrics = metrics.clone();
             move || publish_all(&session, &waiting, &last, &metrics)
         })?;
-        Ok((Self { queue, metrics }, handle))
+        Ok((Self { queue, budget: Budget::new(QUEUE_BYTES), metrics }, handle))
     }
 
     /// Hands a document over.
     pub fn publish(&self, publication: Publication) {
-        let lost = if publication.kind == Kind::Alarm {
-            self.queue.send_timeout(publication, ALARM_PATIENCE).is_err()
-        } else {
-            self.queue.try_send(publication).is_err()
-        };
+        let bytes = size_of::<Publication>() + publication.key.len() + publication.document.len();
+        let patience = if publication.kind == Kind::Alarm { ALARM_PATIENCE } else { Duration::ZERO };
+        let room = self.budget.take(bytes);
+        // An alarm is small, and goes out whatever else waits.
+        let lost = (room.is_none() && publication.kind != Kind::Alarm)
+            || self.queue.send_timeout((publication, room), patience).is_err();
         if lost {
             self.metrics.dropped_output.inc();
         }
@@ -74,10 +79,21 @@ impl Publisher {
     pub fn waiting(&self) -> usize {
         self.queue.len()
     }
+
+    /// Bytes that wait, and that may.
+    #[must_use]
+    pub fn bytes(&self) -> [usize; 2] {
+        [self.budget.used(), self.budget.limit()]
+    }
 }
 
-fn publish_all(session: &zenoh::Session, waiting: &Receiver<Publication>, last: &LastValues, metrics: &Metrics) {
-    for publication in waiting {
+fn publish_all(
+    session: &zenoh::Session,
+    waiting: &Receiver<(Publication, Option<Room>)>,
+    last: &LastValues,
+    metrics: &Metrics,
+) {
+    for (publication, _room) in waiting {
         let Publication { key, kind, document } = publication;
         let shared: Arc<[u8]> = document.as_slice().into();
         last.write().unwrap_or_else(PoisonError::into_inner).insert(key.clone(), shared);

@@ -21,6 +21,11 @@ use crate::codec::topic::{self, Kind, Leaf, Topic};
 use crate::config::Config;
 use crate::daemon::clock::now_ns;
 use crate::daemon::metrics::Metrics;
+use crate::daemon::queue::Budget;
+
+/// Largest message that Zenoh puts together from its pieces, bytes: what is larger never takes memory. Well above what a
+/// payload may have, so that payloads a little too large are still seen and counted.
+const MAX_MESSAGE: usize = 4 << 20;
 
 /// Last document by key. Written by the publisher alone; never touched by the engine.
 pub type LastValues = Arc<RwLock<BTreeMap<String, Arc<[u8]>>>>;
@@ -52,7 +57,7 @@ pub fn session_config(config: &Config) -> anyhow::Result<zenoh::Config> {
             set("listen/endpoints", serde_json::to_string(&z.listen)?)?;
         }
         // What the file does not state is set as without one: Zenoh's own defaults scout and give up.
-        let stated = std::fs::read_to_string(&z.config_file).unwrap_or_default();
+        let stated = stated_in(&z.config_file);
         if !stated.contains("scouting") {
             set("scouting/multicast/enabled", z.multicast.to_string())?;
         }
@@ -63,10 +68,23 @@ pub fn session_config(config: &Config) -> anyhow::Result<zenoh::Config> {
             set("connect/exit_on_failure", "false".into())?;
         }
     }
+    let stated = stated_in(&z.config_file);
+    if !stated.contains("max_message_size") {
+        set("transport/link/rx/max_message_size", MAX_MESSAGE.to_string())?;
+    }
     if !z.connect.is_empty() {
         set("connect/endpoints", serde_json::to_string(&z.connect)?)?;
     }
     Ok(session)
+}
+
+/// What the user's Zenoh file says, without its comments; empty where there is none.
+fn stated_in(path: &str) -> String {
+    if path.is_empty() {
+        return String::new();
+    }
+    let text = std::fs::read_to_string(path).unwrap_or_default();
+    text.lines().filter(|line| !line.trim_start().starts_with("//")).collect::<Vec<_>>().join("\n")
 }
 
 /// Opens the session. A listening port that is taken is an error; a router that is not there yet is not.
@@ -99,14 +117,15 @@ pub async fn subscribe(
     session: &zenoh::Session,
     config: &Config,
     queue: Sender<Incoming>,
+    budget: Budget,
     metrics: Arc<Metrics>,
 ) -> anyhow::Result<Vec<zenoh::pubsub::Subscriber<()>>> {
     let mut subscribers = Vec::new();
     for key in subscriptions(config) {
-        let (queue, metrics) = (queue.clone(), metrics.clone());
+        let (queue, budget, metrics) = (queue.clone(), budget.clone(), metrics.clone());
         let subscriber = session
             .declare_subscriber(key.clone())
-            .callback(move |sample| enqueue(&sample, &queue, &metrics))
+            .callback(move |sample| enqueue(&sample, &queue, &budget, &metrics))
             .await
             .map_err(|e| anyhow!("cannot subscribe to {key:?}: {e}"))?;
         subscribers.push(subscriber);
@@ -114,7 +133,7 @@ pub async fn subscribe(
     Ok(subscribers)
 }
 
-fn enqueue(sample: &BusSample, queue: &Sender<Incoming>, metrics: &Metrics) {
+fn enqueue(sample: &BusSample, queue: &Sender<Incoming>, budget: &Budget, metrics: &Metrics) {
     if sample.kind() == SampleKind::Delete {
         metrics.deletes.inc();
         return;
@@ -124,6 +143,11 @@ fn enqueue(sample: &BusSample, queue: &Sender<Incoming>, metrics: &Metrics) {
         metrics.undecodable.inc();
         return;
     }
+    let bytes = size_of::<Incoming>() + sample.key_expr().as_str().len() + sample.payload().len();
+    let Some(room) = budget.take(bytes) else {
+        metrics.dropped_input.inc();
+        return;
+    };
     let encoding = (*sample.encoding() != Encoding::default()).then(|| sample.encoding().to_string().into());
     let message = Message {
         key: sample.key_expr().as_str().into(),
@@ -131,6 +155,7 @@ fn enqueue(sample: &BusSample, queue: &Sender<Incoming>, metrics: &Metrics) {
         encoding,
         bus_ns: sample.timestamp().map(|t| t.get_time().to_duration().as_nanos() as i64),
         arrival_ns: now_ns(),
+        room,
     };
     match queue.try_send(Incoming::Message(message)) {
         Ok(()) => {}

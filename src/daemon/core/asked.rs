@@ -10,11 +10,14 @@ use crate::source::Answer;
 impl Core {
     /// Carries a command out. The answer says that its effect is on the disk: a crash after it changes nothing.
     pub(super) fn take_command(&mut self, loop_name: &str, command: &Command, answer: Answer) {
-        let (id, document) = match self.command(loop_name, command) {
+        let allowed = self.desk.command(self.started.elapsed(), command);
+        let done = allowed.and_then(|()| self.command(loop_name, command).map_err(|e| e.to_string()));
+        let (id, document) = match done {
             Ok(done) => done,
-            Err(error) => {
+            Err(why) => {
                 self.metrics.commands_refused.inc();
-                return answer(Err(error.to_string()));
+                self.desk.log_refusal(self.started.elapsed(), &command.cmd, loop_name, command.by.as_deref(), &why);
+                return answer(Err(why));
             }
         };
         self.metrics.commands.inc();
@@ -48,18 +51,39 @@ impl Core {
 
     /// A person asks for a diagnosis. Who asks while one is under way is answered with that one.
     pub(super) fn run_gap(&mut self, loop_name: &str, by: Option<String>, answer: Answer) {
+        if let Err(why) = self.desk.name(by.as_deref()) {
+            return self.refuse_gap(answer, loop_name, by.as_deref(), &why);
+        }
         let Some(id) = self.engine.find(loop_name) else {
-            return self.refuse_gap(answer, &GapRefusal::UnknownLoop(loop_name.to_owned()).to_string());
+            return self.refuse_gap(
+                answer,
+                loop_name,
+                by.as_deref(),
+                &GapRefusal::UnknownLoop(loop_name.to_owned()).to_string(),
+            );
         };
         if let Some(number) = self.engine.gaps_waiting(id).last() {
             let asking = self.asking.entry((id, number)).or_default();
             if asking.len() < gaps::QUEUE {
                 return asking.push(answer);
             }
-            return self.refuse_gap(answer, &format!("{} wait for this diagnosis already", gaps::QUEUE));
+            return self.refuse_gap(
+                answer,
+                loop_name,
+                by.as_deref(),
+                &format!("{} wait for this diagnosis already", gaps::QUEUE),
+            );
+        }
+        if let Err(why) = self.desk.run(self.started.elapsed()) {
+            return self.refuse_gap(answer, loop_name, by.as_deref(), &why);
         }
         if self.diagnoser.requests.is_full() {
-            return self.refuse_gap(answer, &format!("{} diagnoses wait already: try again later", gaps::QUEUE));
+            return self.refuse_gap(
+                answer,
+                loop_name,
+                by.as_deref(),
+                &format!("{} diagnoses wait already: try again later", gaps::QUEUE),
+            );
         }
         match self.engine.run_gap(id, by.as_deref(), &mut self.events) {
             Ok(number) => {
@@ -68,12 +92,13 @@ impl Core {
                 self.asking.entry((id, number)).or_default().push(answer);
                 self.handle_events();
             }
-            Err(refusal) => self.refuse_gap(answer, &refusal.to_string()),
+            Err(refusal) => self.refuse_gap(answer, loop_name, None, &refusal.to_string()),
         }
     }
 
-    fn refuse_gap(&self, answer: Answer, why: &str) {
+    fn refuse_gap(&mut self, answer: Answer, loop_name: &str, by: Option<&str>, why: &str) {
         self.metrics.gaps_skipped.inc();
+        self.desk.log_refusal(self.started.elapsed(), "run", loop_name, by, why);
         answer(Err(why.to_owned()));
     }
 

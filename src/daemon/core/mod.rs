@@ -11,16 +11,21 @@ use std::sync::{Arc, RwLock};
 use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, never, select, tick};
+use sd_notify::NotifyState;
 
+use super::desk::Desk;
 use super::faults::Faults;
 use super::gaps::Diagnoser;
 use super::health::DaemonHealth;
 use super::metrics::{Label, Metrics};
+use super::queue::Budget;
 use super::routes::{Route, Routes};
+use super::schedule::Schedule;
 use super::worker::{Answered, Workers};
 use crate::alarm::AlarmDocument;
 use crate::codec;
 use crate::codec::topic::{self, Kind};
+use crate::config::Config;
 use crate::engine::{Checkpoint, Engine, Event, LoopId, RecordedInput, Request, SkipReason, StateDocument};
 use crate::record::Sample;
 use crate::sink::keeper::Keeper;
@@ -30,6 +35,8 @@ use crate::source::{Answer, Incoming, Message};
 
 /// Messages taken before the other channels are looked at again.
 const BATCH: usize = 256;
+/// How long that may take: a message may hold a hundred thousand samples.
+const BATCH_WITHIN: Duration = Duration::from_millis(20);
 /// How often the daemon's health is published.
 const HEALTH_EVERY: Duration = Duration::from_secs(5);
 /// How long a stopping daemon still takes what had already arrived.
@@ -44,6 +51,8 @@ pub struct Core {
     engine: Engine,
     routes: Routes,
     workers: Workers,
+    /// Windows that wait for a worker.
+    schedule: Schedule<Request>,
     diagnoser: Diagnoser,
     /// People who wait for a diagnosis, by loop and number.
     asking: HashMap<(LoopId, u64), Vec<Answer>>,
@@ -60,7 +69,9 @@ pub struct Core {
     opened_shards: usize,
     codec: String,
     input_limit: usize,
+    budget: Budget,
     warned_quality: bool,
+    desk: Desk,
     events: Vec<Event>,
     samples: Vec<Sample>,
 }
@@ -69,6 +80,8 @@ pub struct Core {
 pub struct Parts {
     /// The engine.
     pub engine: Engine,
+    /// Bytes that wait for the engine.
+    pub budget: Budget,
     /// The workers.
     pub workers: Workers,
     /// The gap's thread.
@@ -94,12 +107,15 @@ impl Core {
     #[must_use]
     pub fn new(parts: Parts) -> Self {
         let config = parts.engine.config();
+        let desk = Desk::new(&config.commands);
         Self {
             routes: Routes::new(config),
             codec: config.input.codec.clone(),
             input_limit: config.input.queue,
             engine: parts.engine,
             workers: parts.workers,
+            schedule: Schedule::default(),
+            budget: parts.budget,
             diagnoser: parts.diagnoser,
             asking: HashMap::new(),
             recorder: parts.recorder,
@@ -114,6 +130,7 @@ impl Core {
             losses: [0; 4],
             opened_shards: 0,
             warned_quality: false,
+            desk,
             events: Vec::new(),
             samples: Vec::new(),
         }
@@ -135,8 +152,11 @@ impl Core {
         let ticker = tick(HEALTH_EVERY);
         let answers = self.workers.answers.clone();
         let diagnoses = self.diagnoser.answers.clone();
+        // A watchdog is fed from here, so that an engine that stands still starves it.
+        let watchdog = sd_notify::watchdog_enabled().map_or_else(never, |period| tick(period / 2));
         let rotations = self.recorder.as_ref().map_or_else(never, |r| r.rotations.clone());
         self.open_shards();
+        self.report(incoming.len());
         loop {
             select! {
                 recv(incoming) -> message => match message {
@@ -147,6 +167,7 @@ impl Core {
                 recv(diagnoses) -> diagnosed => if let Ok(diagnosed) = diagnosed { self.diagnosed(diagnosed) },
                 recv(rotations) -> shard => if let Ok(shard) = shard { self.open_shard(shard) },
                 recv(ticker) -> _ => self.report(incoming.len()),
+                recv(watchdog) -> _ => tell_system(&[NotifyState::Watchdog]),
                 recv(stop) -> _ => break,
             }
         }
@@ -183,8 +204,12 @@ impl Core {
     }
 
     fn take_batch(&mut self, first: Incoming, incoming: &Receiver<Incoming>) {
+        let until = Instant::now() + BATCH_WITHIN;
         self.take(first);
         for _ in 1..BATCH {
+            if Instant::now() >= until {
+                return;
+            }
             let Ok(next) = incoming.try_recv() else { return };
             self.take(next);
         }
@@ -195,7 +220,18 @@ impl Core {
             Incoming::Message(message) => self.take_message(&message),
             Incoming::Command { loop_name, command, answer } => self.take_command(&loop_name, &command, answer),
             Incoming::GapRun { loop_name, by, answer } => self.run_gap(&loop_name, by, answer),
+            Incoming::Settings(config) => self.settings(&config),
         }
+    }
+
+    /// New settings: they hold from here on, and every open recording is finished and followed by a new one.
+    fn settings(&mut self, config: &Config) {
+        self.desk = Desk::new(&config.commands);
+        let (max_bytes, max_age) = (config.recording.max_bytes, Duration::from_secs_f64(config.recording.max_s));
+        if let Some(recorder) = &mut self.recorder {
+            recorder.record(Item::Limits { max_bytes, max_age });
+        }
+        (0..self.opened_shards).for_each(|shard| self.open_shard(shard));
     }
 
     fn take_message(&mut self, m: &Message) {
@@ -253,6 +289,7 @@ impl Core {
             None => self.skip(answered.id, answered.seq, answered.end_ns, SkipReason::Failed),
         }
         self.handle_events();
+        self.employ();
     }
 
     fn handle_events(&mut self) {
@@ -289,11 +326,25 @@ impl Core {
         }
     }
 
+    /// A window came due: it takes its place in the row, and whoever must make room is skipped.
     fn request(&mut self, request: Request) {
         self.metrics.windows.inc();
-        let (id, seq, end_ns) = (request.id, request.seq, request.end_ns);
-        if self.workers.requests.try_send(request).is_err() {
+        let bytes = bytes_of(&request);
+        let given_up = self.schedule.push(request.id.index(), self.engine.name(request.id), bytes, request);
+        for Request { id, seq, end_ns, .. } in given_up {
             self.skip(id, seq, end_ns, SkipReason::QueueFull);
+        }
+        self.employ();
+    }
+
+    /// Gives idle workers what is next.
+    fn employ(&mut self) {
+        while !self.workers.requests.is_full() {
+            let Some(request) = self.schedule.pop() else { return };
+            let (id, seq, end_ns) = (request.id, request.seq, request.end_ns);
+            if self.workers.requests.try_send(request).is_err() {
+                self.skip(id, seq, end_ns, SkipReason::Failed);
+            }
         }
     }
 
@@ -343,6 +394,21 @@ impl Core {
         let states = states.collect();
         recorder.record(Item::Open { shard, states });
     }
+}
+
+/// Tells systemd, where it listens; elsewhere nothing.
+pub(super) fn tell_system(state: &[NotifyState<'_>]) {
+    if let Err(error) = sd_notify::notify(state) {
+        tracing::debug!(%error, "systemd could not be told");
+    }
+}
+
+/// What a waiting request holds of the memory, bytes.
+fn bytes_of(request: &Request) -> usize {
+    let r = &request.record;
+    let signals = [Some(&r.op_path), Some(&r.pv), r.sp.as_ref(), r.mv.as_ref()];
+    let points: usize = signals.into_iter().flatten().map(Vec::len).sum();
+    size_of::<Request>() + points * size_of::<f64>()
 }
 
 /// A document's JSON. Our documents hold no map with keys that are not text, so this cannot fail.

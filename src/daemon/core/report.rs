@@ -7,7 +7,8 @@ use super::super::clock::now_ns;
 use super::super::gaps;
 use super::super::health::{DaemonHealth, LoopHealth, QueueHealth};
 use super::super::metrics::Label;
-use super::super::worker;
+use super::super::queue::Budget;
+use super::super::schedule::{LIMIT, LIMIT_BYTES};
 use super::{Core, to_json};
 use crate::codec::topic::{self, Kind};
 use crate::engine::StateDocument;
@@ -82,7 +83,18 @@ impl Core {
     fn health(&self, loops: usize, input_waiting: usize) -> DaemonHealth {
         let m = &self.metrics;
         let recorder_waiting = self.recorder.as_ref().map_or(0, Recorder::waiting);
-        let queue = |name, length, limit, dropped| QueueHealth { name, length, limit, dropped };
+        let queue = |name, [length, limit]: [usize; 2], [bytes, limit_bytes]: [usize; 2], dropped| QueueHealth {
+            name,
+            length,
+            limit,
+            bytes,
+            limit_bytes,
+            dropped,
+        };
+        let recorder_bytes = self.recorder.as_ref().map_or([0, 0], Recorder::bytes);
+        let published = self.publisher.bytes();
+        let of = |budget: &Budget| [budget.used(), budget.limit()];
+        let fits = self.schedule.waiting() + self.workers.requests.len();
         DaemonHealth {
             schema: Kind::Health.schema(),
             daemon: self.daemon_id.clone(),
@@ -92,11 +104,11 @@ impl Core {
             loops,
             counters: m.counters(),
             queues: vec![
-                queue("input", input_waiting, self.input_limit, m.dropped_input.get()),
-                queue("fits", self.workers.requests.len(), worker::QUEUE, m.fits_skipped.get()),
-                queue("gaps", self.diagnoser.requests.len(), gaps::QUEUE, m.gaps_skipped.get()),
-                queue("recorder", recorder_waiting, recorder::QUEUE, m.recording_lost.get()),
-                queue("publisher", self.publisher.waiting(), bus::QUEUE, m.dropped_output.get()),
+                queue("input", [input_waiting, self.input_limit], of(&self.budget), m.dropped_input.get()),
+                queue("fits", [fits, LIMIT], [self.schedule.bytes(), LIMIT_BYTES], m.fits_skipped.get()),
+                queue("gaps", [self.diagnoser.requests.len(), gaps::QUEUE], [0, 0], m.gaps_skipped.get()),
+                queue("recorder", [recorder_waiting, recorder::QUEUE], recorder_bytes, m.recording_lost.get()),
+                queue("publisher", [self.publisher.waiting(), bus::QUEUE], published, m.dropped_output.get()),
             ],
             faults: self.faults.list(),
         }
