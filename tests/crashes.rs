@@ -21,6 +21,95 @@ fn alarmed(dir: &Path) -> Daemon {
     daemon
 }
 
+/// Documents of all kinds and raw samples in a file.
+fn contents(file: &Path) -> (usize, usize) {
+    let info = live::ok(&["info", file.to_str().unwrap(), "--verify", "--format", "json"]);
+    let info: serde_json::Value = serde_json::from_str(&info).unwrap();
+    let results: u64 = info["results"].as_object().unwrap().values().map(|n| n.as_u64().unwrap()).sum();
+    (usize::try_from(results).unwrap(), raw_samples(file))
+}
+
+#[test]
+fn retention_takes_samples_out_keeps_results_and_never_touches_what_is_in_use() {
+    let dir = tempfile::tempdir().unwrap();
+    let daemon = alarmed(dir.path());
+    let done = files(&daemon.stop()).pop().unwrap();
+    let before = contents(&done);
+    assert!(before.0 > 6 && before.1 > 1000, "{before:?}");
+    let daemon = Daemon::start(dir.path(), &format!("{FAST}[retention]\nraw_bytes = 1\n"));
+    wait_for("the retention", || (daemon.counter("recordings_thinned") == 1).then_some(()));
+    assert_eq!(contents(&done), (before.0, 0), "results stay, samples go");
+    daemon.wait_for_log("retention: samples taken out");
+    let bus = daemon.session();
+    assert_eq!(alarm_state(&bus), "unack");
+    bus.close().wait().unwrap();
+    let replayed = live::stictiond(&["replay", done.to_str().unwrap(), "--verify"]);
+    assert_eq!(replayed.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&replayed.stderr).contains("[retention]"));
+    // The file in use is still there, and becomes whole.
+    assert_eq!(files(&daemon.stop()).iter().filter(|f| f.extension().unwrap() == "mcap").count(), 2);
+    let daemon = Daemon::start(dir.path(), &format!("{FAST}[retention]\nraw_bytes = 1\nresults_bytes = 1\n"));
+    wait_for("the removal", || (daemon.counter("recordings_removed") >= 1).then_some(()));
+    assert!(!done.exists());
+    daemon.stop();
+}
+
+#[test]
+fn damaged_recordings_are_named_until_they_are_gone_and_recover_saves_what_can_be_read() {
+    let dir = tempfile::tempdir().unwrap();
+    let done = files(&alarmed(dir.path()).stop()).pop().unwrap();
+    let whole = fs::read(&done).unwrap();
+    let rec = dir.path().join("rec");
+    for k in 0..3 {
+        let mut hurt = whole.clone();
+        hurt[whole.len() / 2 + k * 100] ^= 4;
+        fs::write(rec.join(format!("hurt{k}.mcap")), &hurt).unwrap();
+        fs::write(rec.join(format!("junk{k}.mcap")), vec![k as u8 + 1; 500]).unwrap();
+        fs::write(rec.join(format!("cut{k}.mcap")), &whole[..whole.len() / (k + 2)]).unwrap();
+    }
+    let daemon = Daemon::start(dir.path(), FAST);
+    let faults = wait_for("the faults", || {
+        Some(daemon.faults()).filter(|f| f.iter().any(|f| f.contains("6 recordings are damaged")))
+    });
+    assert!(faults.iter().any(|f| f.contains("3 broken files lie aside")), "{faults:?}");
+    assert_eq!(daemon.counter("quarantined"), 3);
+    // Rescued into another folder: what was damaged gives what it can, what was whole is copied to the byte.
+    let out = dir.path().join("rescued");
+    let status = live::stictiond(&["recover", rec.to_str().unwrap(), "--out", out.to_str().unwrap()]).status;
+    assert_eq!(status.code(), Some(3));
+    assert_eq!(fs::read(out.join(done.file_name().unwrap())).unwrap(), whole);
+    assert!(contents(&out.join("hurt0.mcap")).1 > 1000);
+    assert!(!out.join("junk0.mcap").exists());
+    for entry in fs::read_dir(&rec).unwrap().flatten() {
+        let name = entry.file_name().to_string_lossy().into_owned();
+        if ["hurt", "junk", "cut"].iter().any(|start| name.starts_with(start)) {
+            fs::remove_file(entry.path()).unwrap();
+        }
+    }
+    wait_for("no fault", || daemon.faults().is_empty().then_some(()));
+    daemon.stop();
+}
+
+#[test]
+fn what_people_put_aside_stays_there_over_a_crash() {
+    let dir = tempfile::tempdir().unwrap();
+    let daemon = alarmed(dir.path());
+    let bus = daemon.session();
+    let asked = |parameters: &str| ask(&bus, &plane(&format!("FIC101/alarm?{parameters}")));
+    let shelved = asked("cmd=shelve;by=ann;why=overhaul;for_s=7200").unwrap();
+    assert_eq!((&shelved["state"], &shelved["active"]), (&"shelved".into(), &true.into()));
+    assert!(asked("cmd=shelve;by=ann;for_s=x").unwrap_err().contains("whole number"));
+    assert!(asked("cmd=shelve;by=ann").unwrap_err().contains("unshelve"));
+    daemon.kill();
+    assert_eq!(state_after_restart(dir.path()), "shelved");
+    let daemon = Daemon::start(dir.path(), FAST);
+    let bus = daemon.session();
+    let back = ask(&bus, &plane("FIC101/alarm?cmd=unshelve;by=bob")).unwrap();
+    assert_eq!((&back["state"], &back["by"]), (&"unack".into(), &"bob".into()));
+    bus.close().wait().unwrap();
+    daemon.stop();
+}
+
 /// The alarm's state after one more start.
 fn state_after_restart(dir: &Path) -> String {
     let daemon = Daemon::start(dir, FAST);

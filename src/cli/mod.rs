@@ -16,6 +16,7 @@ pub mod gap;
 pub mod info;
 pub mod manual;
 pub mod play;
+pub mod recover;
 pub mod replay;
 pub mod run;
 pub mod selection;
@@ -103,6 +104,7 @@ enum CommandArgs {
     Convert(convert::ConvertArgs),
     Check(check::Args),
     Info(info::InfoArgs),
+    Recover(recover::Args),
     Bench(bench::Args),
     Manual(manual::Args),
     Completions(completions::Args),
@@ -157,6 +159,7 @@ fn dispatch(cli: Cli) -> anyhow::Result<Outcome> {
         CommandArgs::Convert(args) => convert::run(&args, format),
         CommandArgs::Check(args) => check::run(&args, format),
         CommandArgs::Info(args) => info::run(&args, format),
+        CommandArgs::Recover(args) => recover::run(&args, format),
         CommandArgs::Bench(args) => bench::run(&args, format),
         CommandArgs::Manual(args) => manual::run(&args, format),
         CommandArgs::Completions(args) => completions::run(&args),

@@ -81,7 +81,7 @@ mod tests {
 
     #[test]
     fn names_rates_and_the_switch_are_held() {
-        let ack = |by: &str| Command { cmd: "ack".into(), by: Some(by.into()), why: None };
+        let ack = |by: &str| Command { cmd: "ack".into(), by: Some(by.into()), why: None, for_s: None };
         let mut desk = Desk::new(&Commands { per_minute: 60, runs_per_hour: 5, ..Commands::default() });
         let taken = |desk: &mut Desk, at_s: u64| desk.command(Duration::from_secs(at_s), &ack("ann")).is_ok();
         assert_eq!((0..100).filter(|_| taken(&mut desk, 0)).count(), 30);

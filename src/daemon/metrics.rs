@@ -32,6 +32,8 @@ macro_rules! counters {
             pub codecs: Family<Label, Counter>,
             /// Loops that have appeared.
             pub loops: Gauge,
+            /// Finished recordings that were found damaged.
+            pub recordings_damaged: Gauge,
             /// Queue lengths by name.
             pub queues: Family<Label, Gauge>,
             /// What the aligners dropped or put in, all loops together.
@@ -77,6 +79,8 @@ counters! {
     recorded: "Messages recorded",
     recording_lost: "Messages that could not be recorded",
     recording_files: "Recording files opened",
+    recordings_thinned: "Recordings whose samples the retention took out",
+    recordings_removed: "Recordings that the retention removed",
     recording_errors: "Errors of the recording disk",
     states_stored: "Loop states stored beside the recordings",
     state_errors: "Errors of the store of loop states",
@@ -93,6 +97,7 @@ impl Metrics {
         registry.register("verdict", "Estimates by verdict", self.verdicts.clone());
         registry.register("gate", "Gates by name", self.gates.clone());
         registry.register("codec", "Payloads by codec", self.codecs.clone());
+        registry.register("recordings_damaged", "Finished recordings found damaged", self.recordings_damaged.clone());
         registry.register("loops", "Loops that have appeared", self.loops.clone());
         registry.register("queue_length", "Messages waiting", self.queues.clone());
         registry.register("aligner", "Samples dropped or put in by the aligners", self.aligned.clone());

@@ -15,6 +15,7 @@ mod desk;
 pub mod faults;
 pub mod gaps;
 mod health;
+mod housekeeping;
 pub mod metrics;
 pub mod queue;
 mod reload;
@@ -27,7 +28,7 @@ mod worker;
 
 use std::future::Future;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, RwLock};
+use std::sync::{Arc, Mutex, RwLock};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -40,6 +41,7 @@ use self::core::{Core, Parts, tell_system};
 use self::faults::Faults;
 use self::gaps::Diagnoser;
 pub use self::health::DaemonHealth;
+use self::housekeeping::House;
 use self::metrics::Metrics;
 use self::queue::Budget;
 use self::reload::Reload;
@@ -113,8 +115,20 @@ pub async fn run(
     let budget = Budget::new(config.input.queue_bytes);
     let (publisher, publishing) = Publisher::start(session.clone(), last.clone(), metrics.clone())?;
     let run = run_info(&config, config_text, &options, &daemon_id, run_number);
+    let retention = Arc::new(Mutex::new(config.retention));
+    let house = House {
+        dir: recordings.clone(),
+        prefix: config.site.prefix.clone(),
+        run_id: run.run_id.clone(),
+        retention: retention.clone(),
+        lock,
+        metrics: metrics.clone(),
+        faults: faults.clone(),
+    };
     let (recorder, recording) = Recorder::start(run, config.recording.clone(), metrics.clone(), faults.clone())?;
-    let mut threads = vec![("recorder", recording), ("publisher", publishing)];
+    let (stop_house, house_stops) = crossbeam_channel::bounded::<()>(0);
+    let housekeeping = housekeeping::start(house, house_stops)?;
+    let mut threads = vec![("recorder", recording), ("publisher", publishing), ("house", housekeeping)];
     let mut keeper = None;
     if options.origin == "run" {
         let prefix = &config.site.prefix;
@@ -166,7 +180,7 @@ pub async fn run(
     );
 
     tell_system(&[NotifyState::Ready]);
-    let reload = options.config_path.map(|path| Reload::new(path, config));
+    let reload = options.config_path.map(|path| Reload::new(path, config, retention));
     signals::serve_until(stop, hangups, reload, &control, &faults).await;
     tracing::info!("stopping");
     tell_system(&[NotifyState::Stopping]);
@@ -176,7 +190,7 @@ pub async fn run(
         let _ = subscriber.undeclare().await;
     }
     let _ = token.undeclare().await;
-    drop(stop_core);
+    drop((stop_core, stop_house));
     threads.insert(0, ("engine", core));
     let ended = join_within(threads, STOP_WITHIN).await;
     for queryable in queryables {
@@ -185,7 +199,6 @@ pub async fn run(
     web.stop();
     // Closing may hang when the network loses packets.
     let _ = tokio::time::timeout(Duration::from_secs(1), session.close()).await;
-    drop(lock);
     ended
 }
 

@@ -2,11 +2,12 @@
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use serde_json::Value;
 
 use super::faults::Faults;
-use crate::config::Config;
+use crate::config::{Config, Retention};
 
 /// Settings that take effect at once; all others do at the next start.
 const AT_ONCE: [&str; 4] = ["commands", "retention", "recording.max_bytes", "recording.max_s"];
@@ -17,13 +18,14 @@ const FAULT: &str = "config";
 pub struct Reload {
     path: PathBuf,
     current: Config,
+    retention: Arc<Mutex<Retention>>,
 }
 
 impl Reload {
-    /// The file, and what was read from it at the start.
+    /// The file, what was read from it at the start, and where the housekeeper looks.
     #[must_use]
-    pub const fn new(path: PathBuf, current: Config) -> Self {
-        Self { path, current }
+    pub const fn new(path: PathBuf, current: Config, retention: Arc<Mutex<Retention>>) -> Self {
+        Self { path, current, retention }
     }
 
     /// Reads the file again. Gives the configuration whose changeable settings hold from now on; says which cannot
@@ -47,6 +49,7 @@ impl Reload {
                 tracing::info!(settings = now.join(", "), "configuration read again; these hold from now on");
                 self.current.commands = config.commands.clone();
                 self.current.retention = config.retention;
+                *self.retention.lock().unwrap_or_else(PoisonError::into_inner) = config.retention;
                 self.current.recording.max_bytes = config.recording.max_bytes;
                 self.current.recording.max_s = config.recording.max_s;
                 Some(self.current.clone())
@@ -104,7 +107,7 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("c.toml");
         let first = "[site]\nprefix = \"p\"\n";
-        let mut reload = Reload::new(path.clone(), Config::parse(first).unwrap());
+        let mut reload = Reload::new(path.clone(), Config::parse(first).unwrap(), Arc::default());
         let faults = Faults::default();
         let changed = format!("{first}[window]\nhop_s = 60\n[commands]\nper_minute = 7\n[recording]\nmax_s = 9\n");
         let new = Config::parse(&changed).unwrap();

@@ -17,6 +17,7 @@ use crate::codec::decode_recorded;
 use crate::codec::topic::{Kind, Leaf, Topic};
 use crate::config::Config;
 use crate::engine::{Engine, Event, GapRequest, LoopId, RecordedInput, Request, SkipReason, StateDocument};
+use crate::files::rescue::{REMOVED, SAMPLES_KEY};
 use crate::files::{End, RecordingReader};
 
 /// A document that replay made.
@@ -243,6 +244,12 @@ impl RunMetadata {
         let Some(prefix) = metadata.get("prefix").cloned() else {
             bail!("{}: holds no metadata of ours, so nothing tells how to re-run it; use analyze", path.display());
         };
+        if metadata.get(SAMPLES_KEY).is_some_and(|word| word == REMOVED) {
+            bail!(
+                "{}: its samples are older than [retention] keeps; its results can be read, not re-run",
+                path.display()
+            );
+        }
         let text = get("config");
         let config = if text.is_empty() {
             Config::with_prefix(&prefix)

@@ -251,7 +251,7 @@ impl Loop {
             self.windows = stream.windows;
             self.gaps = stream.gaps;
         }
-        (self.alarm.state != State::Normal).then(|| self.alarm.restored(&self.name))
+        (self.alarm.shown() != State::Normal).then(|| self.alarm.restored(&self.name))
     }
 
     pub fn figures(&self) -> LoopFigures {

@@ -105,7 +105,7 @@ impl Index {
             let last = if ended { window.len() } else { window.len().saturating_sub(OVERLAP) };
             for at in 0..last {
                 match window[at] {
-                    op::CHUNK if is_chunk(&window[at..], size - start - at as u64) => {
+                    op::CHUNK if is_chunk(&window[at..], size.saturating_sub(start + at as u64)) => {
                         self.chunk_starts.push(start + at as u64);
                     }
                     op::METADATA if is_roster(&window[at..]) => {

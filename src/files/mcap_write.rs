@@ -166,8 +166,24 @@ impl RecordingFile {
         publish_time_ns: i64,
         payload: &[u8],
     ) -> Result<(), WriteError> {
+        self.copy(topic, Some(kind), "json", log_time_ns, publish_time_ns, payload)
+    }
+
+    /// Appends a message of whatever kind, as it was read from another file.
+    ///
+    /// # Errors
+    /// As [`RecordingFile::write`].
+    pub fn copy(
+        &mut self,
+        topic: &str,
+        kind: Option<Kind>,
+        encoding: &str,
+        log_time_ns: i64,
+        publish_time_ns: i64,
+        payload: &[u8],
+    ) -> Result<(), WriteError> {
         if !self.channels.contains_key(topic) {
-            self.register(topic, kind)?;
+            self.register(topic, kind, encoding)?;
         }
         let Some(channel) = self.channels.get_mut(topic) else { return Err(self.refused()) };
         let header = MessageHeader {
@@ -270,24 +286,28 @@ impl RecordingFile {
         Ok(self.target.clone())
     }
 
-    fn register(&mut self, topic: &str, kind: Kind) -> Result<(), WriteError> {
+    fn register(&mut self, topic: &str, kind: Option<Kind>, encoding: &str) -> Result<(), WriteError> {
         if self.channels.len() >= MAX_CHANNELS {
             let (path, topic) = (self.part.clone(), topic.to_owned());
             return Err(WriteError::Full { path, limit: MAX_CHANNELS, topic });
         }
-        let schema = match self.schemas.get(&kind) {
-            Some(id) => *id,
-            None => {
+        let schema = match kind.map(|kind| (kind, self.schemas.get(&kind))) {
+            // A schema that is not ours is not known: number 0 is none.
+            None => 0,
+            Some((_, Some(id))) => *id,
+            Some((kind, None)) => {
                 let text = schemas::json_schema(kind).to_string();
                 let id = self.with_writer(|w| w.add_schema(&schemas::name(kind), "jsonschema", text.as_bytes()))?;
                 self.schemas.insert(kind, id);
                 id
             }
         };
-        let id = self.with_writer(|writer| writer.add_channel(schema, topic, "json", &BTreeMap::new()))?;
+        let id = self.with_writer(|writer| writer.add_channel(schema, topic, encoding, &BTreeMap::new()))?;
         self.channels.insert(topic.to_owned(), Channel { id, sequence: 0 });
-        self.roster.add(id, kind, topic);
-        self.unlisted.add(id, kind, topic);
+        if let Some(kind) = kind {
+            self.roster.add(id, kind, topic);
+            self.unlisted.add(id, kind, topic);
+        }
         Ok(())
     }
 

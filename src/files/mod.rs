@@ -8,6 +8,7 @@ mod mcap_index;
 mod mcap_read;
 mod mcap_roster;
 mod mcap_write;
+pub mod rescue;
 pub mod schemas;
 pub mod store;
 

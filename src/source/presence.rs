@@ -8,6 +8,7 @@ use zenoh::Wait;
 use zenoh::sample::Locality;
 
 use crate::codec::topic;
+use crate::daemon::clock::now_ns;
 use crate::daemon::faults::Faults;
 use crate::daemon::metrics::Metrics;
 
@@ -49,8 +50,13 @@ pub async fn watch(session: zenoh::Session, config: zenoh::Config, prefix: Strin
 /// Whether somebody else on the bus lives under this id: asked by a session with another one.
 async fn taken(config: &zenoh::Config, prefix: &str, id: &str) -> bool {
     let mut config = config.clone();
-    let _ = config.remove("id");
-    let set = [("listen/endpoints", "[]"), ("connect/timeout_ms", "2000"), ("connect/exit_on_failure", "true")];
+    let other = format!("{:?}", format!("{:x}", now_ns().max(1)));
+    let set = [
+        ("id", other.as_str()),
+        ("listen/endpoints", "[]"),
+        ("connect/timeout_ms", "2000"),
+        ("connect/exit_on_failure", "true"),
+    ];
     if set.into_iter().any(|(key, value)| config.insert_json5(key, value).is_err()) {
         return false;
     }

@@ -257,7 +257,12 @@ fn forward_command(prefix: &str, cmd: String, query: Query, queue: &Sender<Incom
         return refuse(&query, &format!("commands go to one loop's alarm key, such as {example}"));
     };
     let parameter = |name: &str| query.parameters().get(name).map(str::to_owned);
-    let command = Command { cmd, by: parameter("by"), why: parameter("why") };
+    let for_s = match parameter("for_s").map(|text| text.parse::<u64>()) {
+        None => None,
+        Some(Ok(for_s)) => Some(for_s),
+        Some(Err(_)) => return refuse(&query, "for_s is a whole number of seconds, such as for_s=3600"),
+    };
+    let command = Command { cmd, by: parameter("by"), why: parameter("why"), for_s };
     let answer = answer_with(query.clone(), Kind::Alarm);
     if queue.try_send(Incoming::Command { loop_name, command, answer }).is_err() {
         refuse(&query, "the daemon is too busy for commands: try again");
