@@ -261,3 +261,24 @@ fn a_cut_at_every_byte_costs_no_more_than_the_chunk_in_hand() {
     }
     assert_eq!(before, 150);
 }
+
+#[test]
+fn a_seal_holds_until_any_byte_before_it_is_changed() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = record(dir.path(), 3, 5).finish().unwrap();
+    let seal = |path: &Path| {
+        let mut reader = RecordingReader::open(path).unwrap();
+        while reader.next_message().unwrap().is_some() {}
+        reader.seal().cloned().unwrap()
+    };
+    let sealed = seal(&path);
+    assert!(sealed.holds(&path).unwrap() && sealed.bytes > 1000);
+    let bytes = fs::read(&path).unwrap();
+    for at in (0..usize::try_from(sealed.bytes).unwrap()).step_by(97) {
+        let mut hurt = bytes.clone();
+        hurt[at] ^= 1;
+        let copy = dir.path().join("copy.mcap");
+        fs::write(&copy, &hurt).unwrap();
+        assert!(!sealed.holds(&copy).unwrap(), "byte {at}");
+    }
+}

@@ -6,8 +6,10 @@
 mod live;
 
 use std::fs;
+use std::os::unix::net::UnixDatagram;
 use std::path::Path;
 use std::process::{Command, Stdio};
+use std::time::Duration;
 
 use live::{Daemon, configure, files, free_port, ok, stictiond, wait_for};
 use zenoh::Wait;
@@ -41,6 +43,33 @@ fn sighup_reads_the_configuration_again_and_begins_new_recordings() {
     wait_for("no fault", || daemon.faults().is_empty().then_some(()));
     assert!(daemon.alive());
     daemon.stop();
+}
+
+#[test]
+fn systemd_is_told_and_the_engine_feeds_its_watchdog() {
+    let dir = tempfile::tempdir().unwrap();
+    let place = dir.path().join("notify");
+    let socket = UnixDatagram::bind(&place).unwrap();
+    socket.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
+    let address = format!("NOTIFY_SOCKET={}", place.to_str().unwrap());
+    let daemon = Daemon::start_by(&["env", &address, "WATCHDOG_USEC=400000"], dir.path(), "");
+    let heard = |wanted: &str| {
+        let mut buffer = [0_u8; 4096];
+        loop {
+            let length = socket.recv(&mut buffer).unwrap_or_else(|e| panic!("waited for {wanted}: {e}"));
+            let text = String::from_utf8_lossy(&buffer[..length]).into_owned();
+            if text.lines().any(|line| line.starts_with(wanted)) {
+                return text;
+            }
+        }
+    };
+    heard("READY=1");
+    (0..3).for_each(|_| drop(heard("WATCHDOG=1")));
+    daemon.signal("HUP");
+    assert!(heard("RELOADING=1").contains("MONOTONIC_USEC="));
+    heard("READY=1");
+    daemon.signal("TERM");
+    heard("STOPPING=1");
 }
 
 #[test]

@@ -7,6 +7,7 @@ use serde_json::json;
 
 use super::{Format, Outcome, say};
 use crate::config::{Config, Fault};
+use crate::sink::signing::Signer;
 use crate::source::zenoh::session_config;
 
 /// Check a configuration and list every fault with its line and what to write instead, the Zenoh file that it names and
@@ -58,6 +59,11 @@ fn faults_outside(text: &str, config: &Config) -> Vec<Fault> {
     if let Err(error) = session_config(config) {
         let key = if config.zenoh.config_file.is_empty() { "connect" } else { "config_file" };
         refuse("zenoh", key, error.to_string(), "name a Zenoh configuration (JSON5) that exists and can be read");
+    }
+    if !config.signing.key_file.is_empty()
+        && let Err(error) = Signer::read(Path::new(&config.signing.key_file))
+    {
+        refuse("signing", "key_file", format!("{error:#}"), "name a private key, or leave it out");
     }
     if let Err(why) = can_be_written(Path::new(&config.recording.dir)) {
         refuse("recording", "dir", why, "name a folder that this user may write, or may make");

@@ -9,7 +9,7 @@ use toml::de::DeTable;
 
 pub use reader::Fault;
 use reader::{TableReader, line_of, subtable, subtables};
-pub use service::{Commands, Retention};
+pub use service::{Commands, Retention, Signing};
 
 use crate::record::{Mode, Signal};
 use crate::units::is_loop_name;
@@ -39,6 +39,9 @@ pub struct Config {
     /// What people may ask for.
     #[serde(skip_serializing_if = "Commands::is_default")]
     pub commands: Commands,
+    /// Signatures on documents.
+    #[serde(skip_serializing_if = "Signing::is_default")]
+    pub signing: Signing,
     /// Metrics and health over HTTP.
     pub web: Web,
     /// Loops that are mapped or have settings of their own.
@@ -226,8 +229,20 @@ impl Config {
 
     fn read(text: &str, root: &DeTable<'_>, faults: &mut Vec<Fault>) -> Self {
         let mut open = |key: &str| subtable(text, root, key, faults);
-        let keys = ["site", "zenoh", "input", "window", "alarm", "gap", "recording", "retention", "commands", "web"];
-        let [site, zenoh, input, window, alarm, gap, recording, retention, commands, web] =
+        let keys = [
+            "site",
+            "zenoh",
+            "input",
+            "window",
+            "alarm",
+            "gap",
+            "recording",
+            "retention",
+            "commands",
+            "signing",
+            "web",
+        ];
+        let [site, zenoh, input, window, alarm, gap, recording, retention, commands, signing, web] =
             keys.map(|key| (key, open(key)));
         macro_rules! read {
             ($entry:expr, $read:expr) => {{
@@ -246,9 +261,10 @@ impl Config {
         let recording = read!(recording, read_recording);
         let retention = read!(retention, service::read_retention);
         let commands = read!(commands, service::read_commands);
+        let signing = read!(signing, service::read_signing);
         let web = read!(web, read_web);
         let loops = read_loops(text, root, window, alarm, faults);
-        Self { site, zenoh, input, window, alarm, gap, recording, retention, commands, web, loops }
+        Self { site, zenoh, input, window, alarm, gap, recording, retention, commands, signing, web, loops }
     }
 
     /// A configuration with every default, for a prefix that is known to be sound.
@@ -287,8 +303,20 @@ fn syntax_fault(text: &str, error: &toml::de::Error) -> Fault {
 }
 
 fn refuse_unknown_tables(text: &str, root: &DeTable<'_>, faults: &mut Vec<Fault>) {
-    const KNOWN: [&str; 11] =
-        ["site", "zenoh", "input", "window", "alarm", "gap", "recording", "retention", "commands", "web", "loop"];
+    const KNOWN: [&str; 12] = [
+        "site",
+        "zenoh",
+        "input",
+        "window",
+        "alarm",
+        "gap",
+        "recording",
+        "retention",
+        "commands",
+        "signing",
+        "web",
+        "loop",
+    ];
     for (key, _) in root.iter().filter(|(k, _)| !KNOWN.iter().any(|known| known == k.get_ref())) {
         faults.push(Fault {
             line: line_of(text, key.span().start),

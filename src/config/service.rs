@@ -28,6 +28,13 @@ pub struct Commands {
     pub runs_per_hour: u32,
 }
 
+/// `[signing]`.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
+pub struct Signing {
+    /// File of the private key; empty: documents are not signed.
+    pub key_file: String,
+}
+
 impl Default for Retention {
     fn default() -> Self {
         Self { raw_days: 60.0, raw_bytes: 100 << 30, results_days: 3660.0, results_bytes: 20 << 30 }
@@ -50,6 +57,16 @@ impl Commands {
     pub(super) fn is_default(&self) -> bool {
         *self == Self::default()
     }
+}
+
+impl Signing {
+    pub(super) fn is_default(&self) -> bool {
+        self.key_file.is_empty()
+    }
+}
+
+pub(super) fn read_signing(r: &mut TableReader<'_, '_>) -> Signing {
+    Signing { key_file: r.text("key_file").map(|(t, _)| t).unwrap_or_default() }
 }
 
 pub(super) fn read_retention(r: &mut TableReader<'_, '_>) -> Retention {

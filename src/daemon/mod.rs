@@ -52,6 +52,7 @@ use crate::engine::Engine;
 use crate::files::lock::{FolderLock, LockError};
 use crate::sink::keeper::Keeper;
 use crate::sink::recorder::{Recorder, RunInfo};
+use crate::sink::signing::Signer;
 use crate::sink::zenoh::Publisher;
 use crate::source::{self, presence};
 
@@ -82,6 +83,7 @@ pub async fn run(
     let metrics = Arc::new(Metrics::default());
     let recordings = Path::new(&config.recording.dir).to_owned();
     let faults = Arc::new(Faults::default());
+    let signer = signer_of(&config)?;
     signals::survive_file_size_limit();
     let hangups = signals::hangups();
     let lock = lock_folder(&recordings, &faults)?;
@@ -113,7 +115,7 @@ pub async fn run(
     let last = source::zenoh::LastValues::default();
     let (queue, incoming) = crossbeam_channel::bounded(config.input.queue);
     let budget = Budget::new(config.input.queue_bytes);
-    let (publisher, publishing) = Publisher::start(session.clone(), last.clone(), metrics.clone())?;
+    let (publisher, publishing) = Publisher::start(session.clone(), last.clone(), signer.clone(), metrics.clone())?;
     let run = run_info(&config, config_text, &options, &daemon_id, run_number);
     let retention = Arc::new(Mutex::new(config.retention));
     let house = House {
@@ -141,7 +143,11 @@ pub async fn run(
     let diagnoser = Diagnoser::start(move || !waiting.is_empty())?;
 
     let prefix = config.site.prefix.clone();
-    let queryables = source::zenoh::answer_queries(&session, &prefix, queue.clone(), last, metrics.clone()).await?;
+    let sign = signer.map(|signer| -> source::zenoh::Sign {
+        Arc::new(move |key: &str, document: &[u8]| signer.attachment(key, document))
+    });
+    let queryables =
+        source::zenoh::answer_queries(&session, &prefix, queue.clone(), last, sign, metrics.clone()).await?;
     let engine = Engine::new(config.clone());
     let parts = Parts {
         engine,
@@ -200,6 +206,16 @@ pub async fn run(
     // Closing may hang when the network loses packets.
     let _ = tokio::time::timeout(Duration::from_secs(1), session.close()).await;
     ended
+}
+
+/// What signs documents, where the configuration names a key.
+fn signer_of(config: &Config) -> anyhow::Result<Option<Arc<Signer>>> {
+    if config.signing.key_file.is_empty() {
+        return Ok(None);
+    }
+    let signer = Signer::read(Path::new(&config.signing.key_file)).context("[signing] key_file")?;
+    tracing::info!(public_key = signer.public_key(), "documents are signed");
+    Ok(Some(Arc::new(signer)))
 }
 
 /// Makes the folder and locks it against a second daemon. Where the disk refuses, the daemon goes on without.

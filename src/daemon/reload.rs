@@ -76,6 +76,7 @@ fn settings(config: &Config) -> BTreeMap<String, Value> {
     let mut root = serde_json::to_value(config).unwrap_or_default();
     for (key, table) in [
         ("commands", serde_json::to_value(&config.commands)),
+        ("signing", serde_json::to_value(&config.signing)),
         ("retention", serde_json::to_value(config.retention)),
         ("gap", serde_json::to_value(config.gap)),
     ] {

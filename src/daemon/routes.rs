@@ -59,7 +59,7 @@ impl Routes {
         };
         let route = match meant.or_else(raw) {
             None => Route::Foreign,
-            Some((name, _)) if !self.configured.contains(name) && !(self.discover && is_sound(name)) => Route::Refused,
+            Some((name, _)) if !(self.configured.contains(name) || self.discover && is_sound(name)) => Route::Refused,
             Some((name, signal)) => engine.appear(name).map_or(Route::Refused, |id| Route::To(id, signal)),
         };
         if matches!(route, Route::To(..)) {

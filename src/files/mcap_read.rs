@@ -7,6 +7,7 @@
 use super::mcap_index::Index;
 use super::mcap_roster::{self, Roster};
 use super::schemas;
+use super::seal::{self, Seal};
 use crate::codec::topic::Kind;
 use mcap::records::{Record, op};
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
@@ -142,6 +143,7 @@ struct Contents {
     channels: BTreeMap<u16, Arc<Channel>>,
     metadata: BTreeMap<String, String>,
     library: String,
+    seal: Option<Seal>,
     entries: Vec<Entry>,
     buffer: Vec<u8>,
     unresolved: u64,
@@ -253,6 +255,12 @@ impl RecordingReader {
     #[must_use]
     pub fn library(&self) -> &str {
         &self.contents.library
+    }
+
+    /// The SHA-256 at the file's end, once that has been read.
+    #[must_use]
+    pub fn seal(&self) -> Option<&Seal> {
+        self.contents.seal.as_ref()
     }
 
     /// Size of the file when it was opened, bytes.
@@ -521,6 +529,7 @@ impl Contents {
             Record::Metadata(metadata) if metadata.name == super::METADATA_NAME => {
                 self.metadata.extend(metadata.metadata);
             }
+            Record::Metadata(metadata) if metadata.name == seal::NAME => self.seal = Seal::of(&metadata.metadata),
             Record::Metadata(metadata) if metadata.name == mcap_roster::NAME => {
                 Roster::of(&metadata.metadata).iter().for_each(|roster| self.take_roster(roster));
             }

@@ -6,6 +6,7 @@
 
 use super::mcap_roster::Roster;
 use super::schemas;
+use super::seal::Sum;
 use crate::codec::topic::Kind;
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{Compression, McapError, WriteOptions, Writer};
@@ -13,8 +14,8 @@ use std::collections::{BTreeMap, HashMap};
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, BufWriter, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use thiserror::Error;
 
 /// Most channels in one file: every file repeats its channels, and indexes grow with them.
@@ -76,6 +77,7 @@ pub struct RecordingFile {
     part: PathBuf,
     target: PathBuf,
     written: Arc<AtomicU64>,
+    sum: Arc<Mutex<Sum>>,
     schemas: HashMap<Kind, u16>,
     channels: HashMap<String, Channel>,
     /// Every channel, and those that no list in the file names yet.
@@ -84,6 +86,8 @@ pub struct RecordingFile {
     /// Size of the file when all channels were listed last.
     listed_at: u64,
     dirty: bool,
+    /// Whether the file ends with a SHA-256 of what stands before.
+    sealed: bool,
 }
 
 impl RecordingFile {
@@ -99,7 +103,13 @@ impl RecordingFile {
             let source = io::Error::new(io::ErrorKind::AlreadyExists, "this recording exists already");
             return Err(WriteError::Io { path: target, source });
         }
-        Self::create_at(dir.join(format!("{stem}.mcap.part")), target, metadata)
+        Ok(Self::create_at(dir.join(format!("{stem}.mcap.part")), target, metadata)?.sealed())
+    }
+
+    /// The same file, to end with a SHA-256 of all that stands before it.
+    #[must_use]
+    pub fn sealed(self) -> Self {
+        Self { sealed: true, ..self }
     }
 
     /// Opens `part`, which must not exist; [`RecordingFile::finish`] renames it to `target` and replaces what is there.
@@ -123,7 +133,9 @@ impl RecordingFile {
     ) -> Result<Self, WriteError> {
         let handle = file.try_clone().map_err(|source| WriteError::Io { path: part.clone(), source })?;
         let written = Arc::new(AtomicU64::new(0));
-        let sink = Counted { inner: BufWriter::with_capacity(1 << 16, file), written: Arc::clone(&written) };
+        let sum = Arc::new(Mutex::new(Sum::default()));
+        let inner = BufWriter::with_capacity(1 << 16, file);
+        let sink = Counted { inner, written: Arc::clone(&written), sum: Arc::clone(&sum) };
         // Whole chunks reach the file at once (no seeking back), so a reader of the open file meets none half written.
         let options = WriteOptions::new()
             .library(format!("stictiond {}", crate::VERSION))
@@ -138,12 +150,14 @@ impl RecordingFile {
             part,
             target,
             written,
+            sum,
             schemas: HashMap::new(),
             channels: HashMap::new(),
             roster: Roster::default(),
             unlisted: Roster::default(),
             listed_at: 0,
             dirty: true,
+            sealed: false,
         };
         let metadata = Metadata { name: super::METADATA_NAME.to_owned(), metadata: metadata.clone() };
         recording.with_writer(|writer| writer.write_metadata(&metadata))?;
@@ -275,6 +289,12 @@ impl RecordingFile {
     /// # Errors
     /// [`WriteError`]; the `.part` file stays and is readable up to its last flush at least.
     pub fn finish(mut self) -> Result<PathBuf, WriteError> {
+        if self.sealed {
+            // The open chunk goes into the file first, so that the sum is over everything before the seal.
+            self.with_writer(Writer::flush)?;
+            let seal = self.sum.lock().unwrap_or_else(PoisonError::into_inner).seal();
+            self.with_writer(|writer| writer.write_metadata(&seal))?;
+        }
         self.with_writer(|writer| writer.finish().map(|_| ()))?;
         if let Some(writer) = self.writer.take() {
             let buffered = writer.into_inner().inner;
@@ -358,16 +378,18 @@ fn mcap_time(ns: i64) -> u64 {
     u64::try_from(ns).unwrap_or(0)
 }
 
-/// Counts what goes into the file.
+/// Counts and sums up what goes into the file.
 struct Counted<W> {
     inner: W,
     written: Arc<AtomicU64>,
+    sum: Arc<Mutex<Sum>>,
 }
 
 impl<W: Write> Write for Counted<W> {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         let written = self.inner.write(bytes)?;
         self.written.fetch_add(written as u64, Ordering::Relaxed);
+        self.sum.lock().unwrap_or_else(PoisonError::into_inner).take(&bytes[..written]);
         Ok(written)
     }
 

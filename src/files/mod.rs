@@ -10,6 +10,7 @@ mod mcap_roster;
 mod mcap_write;
 pub mod rescue;
 pub mod schemas;
+pub mod seal;
 pub mod store;
 
 pub use mcap_read::{Channel, End, MAX_RECORD, Message, ReadError, RecordingReader};

@@ -101,7 +101,7 @@ fn write(
     metadata: &std::collections::BTreeMap<String, String>,
     results_only: bool,
 ) -> Result<u64, RescueError> {
-    let mut file = RecordingFile::create_at(part.to_owned(), out.to_owned(), metadata)?;
+    let mut file = RecordingFile::create_at(part.to_owned(), out.to_owned(), metadata)?.sealed();
     let mut messages = 0;
     while let Some(m) = reader.next_message()? {
         if results_only && matches!(m.channel.kind, Some(Kind::Sample | Kind::Mode)) {

@@ -2,4 +2,5 @@
 
 pub mod keeper;
 pub mod recorder;
+pub mod signing;
 pub mod zenoh;

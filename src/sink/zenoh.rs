@@ -14,7 +14,8 @@ use zenoh::qos::{CongestionControl, Priority};
 use crate::codec::topic::Kind;
 use crate::daemon::metrics::Metrics;
 use crate::daemon::queue::{Budget, Room};
-use crate::source::zenoh::{LastValues, encoding_of};
+use crate::sink::signing::Signer;
+use crate::source::zenoh::{LastValue, LastValues, encoding_of};
 
 /// Documents that may wait for the bus.
 pub const QUEUE: usize = 16_384;
@@ -50,13 +51,14 @@ impl Publisher {
     pub fn start(
         session: zenoh::Session,
         last: LastValues,
+        signer: Option<Arc<Signer>>,
         metrics: Arc<Metrics>,
     ) -> std::io::Result<(Self, JoinHandle<()>)> {
         let (queue, waiting) = crossbeam_channel::bounded(QUEUE);
         let thread = std::thread::Builder::new().name("publish".into());
         let handle = thread.spawn({
             let metrics = metrics.clone();
-            move || publish_all(&session, &waiting, &last, &metrics)
+            move || publish_all(&session, &waiting, &last, signer.as_deref(), &metrics)
         })?;
         Ok((Self { queue, budget: Budget::new(QUEUE_BYTES), metrics }, handle))
     }
@@ -91,18 +93,21 @@ fn publish_all(
     session: &zenoh::Session,
     waiting: &Receiver<(Publication, Option<Room>)>,
     last: &LastValues,
+    signer: Option<&Signer>,
     metrics: &Metrics,
 ) {
     for (publication, _room) in waiting {
         let Publication { key, kind, document } = publication;
-        let shared: Arc<[u8]> = document.as_slice().into();
+        let attachment: Option<Arc<[u8]>> = signer.map(|signer| signer.attachment(&key, &document).into());
+        let shared = LastValue { document: document.as_slice().into(), attachment: attachment.clone() };
         last.write().unwrap_or_else(PoisonError::into_inner).insert(key.clone(), shared);
         let (priority, congestion) = match kind {
             Kind::Alarm => (Priority::InteractiveHigh, CongestionControl::Block),
             Kind::Health => (Priority::Background, CongestionControl::Drop),
             _ => (Priority::Data, CongestionControl::Block),
         };
-        let put = session.put(&key, document).encoding(encoding_of(kind.name()));
+        let attachment = attachment.map(|bytes| bytes.to_vec());
+        let put = session.put(&key, document).encoding(encoding_of(kind.name())).attachment(attachment);
         match put.priority(priority).congestion_control(congestion).wait() {
             Ok(()) => {
                 metrics.published.inc();
