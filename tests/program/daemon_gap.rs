@@ -6,32 +6,12 @@ use std::path::Path;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use crate::live::{Daemon, FAST, PREFIX, documents, files, ok, sticking, stictiond};
+use crate::live::{Daemon, FAST, ask, documents, files, ok, plane, sticking, stictiond};
 use serde_json::Value;
 use stictiond::codec::topic::Kind;
 use zenoh::Wait;
 
 const SMALL: &str = "[gap]\nbudget_evaluations = 3000\n";
-
-fn plane(rest: &str) -> String {
-    format!("{PREFIX}/@stiction/v1/{rest}")
-}
-
-fn session(daemon: &Daemon) -> zenoh::Session {
-    let mut config = zenoh::Config::default();
-    config.insert_json5("connect/endpoints", &format!("[{:?}]", daemon.endpoint)).unwrap();
-    config.insert_json5("scouting/multicast/enabled", "false").unwrap();
-    zenoh::open(config).wait().unwrap()
-}
-
-/// The first answer to a query, or the first error.
-fn ask(bus: &zenoh::Session, selector: &str) -> Result<Value, String> {
-    let replies = bus.get(selector).timeout(Duration::from_secs(300)).wait().unwrap();
-    match replies.recv().expect("no answer").into_result() {
-        Ok(sample) => Ok(serde_json::from_slice(&sample.payload().to_bytes()).unwrap()),
-        Err(error) => Err(String::from_utf8(error.payload().to_bytes().to_vec()).unwrap()),
-    }
-}
 
 /// Samples as CSV, header first.
 fn rows(dir: &Path) -> (String, Vec<String>) {
@@ -53,7 +33,7 @@ fn a_person_is_answered_and_every_file_replays_to_the_byte() {
     let dir = tempfile::tempdir().unwrap();
     let settings = format!("{FAST}max_bytes = 15000\n{SMALL}");
     let daemon = Daemon::start(dir.path(), &settings);
-    let bus = session(&daemon);
+    let bus = daemon.session();
     let heard: Arc<Mutex<Vec<Value>>> = Arc::default();
     let taking = heard.clone();
     let subscriber = bus
@@ -145,12 +125,12 @@ fn a_diagnosis_under_way_at_the_end_is_a_recorded_skip() {
     let dir = tempfile::tempdir().unwrap();
     let endless = "[gap]\nenabled = false\nbudget_evaluations = 100000000\n";
     let daemon = Daemon::start(dir.path(), &format!("{FAST}{endless}"));
-    let bus = session(&daemon);
+    let bus = daemon.session();
     let (header, rows) = rows(dir.path());
     play(&daemon, dir.path(), &header, &rows[..500]);
     daemon.wait_for_estimates(1);
     let asked = std::thread::spawn(move || {
-        let answer = ask(&bus, &format!("{}?run", plane("FIC101/gap")));
+        let answer = ask(&bus, &format!("{}?run;by=ann", plane("FIC101/gap")));
         bus.close().wait().unwrap();
         answer
     });

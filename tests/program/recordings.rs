@@ -11,6 +11,11 @@ use stictiond::codec::topic::Kind;
 use stictiond::files::{End, METADATA_PREFIX, RecordingFile, RecordingReader, load_samples};
 use stictiond::record::{Mode, Sample, Signal, Value};
 
+/// Flips of the long tests; set higher by whoever has the time.
+fn flips(few: usize) -> usize {
+    std::env::var("STICTIOND_FLIPS").ok().and_then(|n| n.parse().ok()).unwrap_or(few)
+}
+
 type Seen = Vec<(String, Option<Kind>, i64, i64, Vec<u8>)>;
 
 fn metadata() -> BTreeMap<String, String> {
@@ -195,5 +200,84 @@ proptest! {
         fs::write(&path, &bytes).unwrap();
         let loaded = load_samples(&path).unwrap();
         prop_assert!(loaded.data_loss);
+    }
+}
+
+/// What could be read of a file, if anything could.
+fn rescued(path: &Path) -> Seen {
+    let Ok(mut reader) = RecordingReader::open(path) else { return Vec::new() };
+    let mut seen = Vec::new();
+    while let Some(m) = reader.next_message().unwrap() {
+        seen.push((m.topic().to_owned(), m.channel.kind, m.log_time_ns, m.publish_time_ns, m.data.to_vec()));
+    }
+    assert!(reader.end().is_some());
+    seen
+}
+
+#[test]
+fn a_flipped_bit_costs_no_more_than_its_chunk_in_an_open_file_and_in_a_whole_one() {
+    let dir = tempfile::tempdir().unwrap();
+    let (chunks, each) = (9, 8);
+    // Scans of two loops with three signals, and an estimate.
+    let per_chunk = usize::try_from(each).unwrap() * 6 + 1;
+    let file = record(dir.path(), chunks, each);
+    let open = fs::read(file.part_path()).unwrap();
+    let whole = fs::read(file.finish().unwrap()).unwrap();
+    for (what, bytes) in [("open", open), ("whole", whole)] {
+        let path = dir.path().join("flipped.mcap.part");
+        fs::write(&path, &bytes).unwrap();
+        let all = rescued(&path);
+        assert_eq!(all.len(), per_chunk * usize::try_from(chunks).unwrap());
+        let count = flips(120);
+        for k in 0..count {
+            let bit = (k * 8 * bytes.len() / count + k % 8) % (8 * bytes.len());
+            let mut hurt = bytes.clone();
+            hurt[bit / 8] ^= 1 << (bit % 8);
+            fs::write(&path, &hurt).unwrap();
+            let left = rescued(&path);
+            assert!(left.len() + per_chunk >= all.len(), "{what}, bit {bit}: {} of {} left", left.len(), all.len());
+            // What is left is what was written, in its order.
+            let mut rest = all.iter();
+            assert!(left.iter().all(|m| rest.any(|w| w.0 == m.0 && w.4 == m.4)), "{what}, bit {bit}: invented");
+        }
+    }
+}
+
+#[test]
+fn a_cut_at_every_byte_costs_no_more_than_the_chunk_in_hand() {
+    let dir = tempfile::tempdir().unwrap();
+    let file = record(dir.path(), 6, 4);
+    let bytes = fs::read(file.part_path()).unwrap();
+    let path = dir.path().join("cut.mcap.part");
+    let mut before = 0;
+    // All of them where flips are asked for too.
+    let step = if flips(0) > 0 { 1 } else { 7 };
+    for length in (0..bytes.len()).step_by(step).chain([bytes.len()]) {
+        fs::write(&path, &bytes[..length]).unwrap();
+        let left = rescued(&path).len();
+        assert!(left >= before && left % 25 == 0, "{length} bytes: {left} messages after {before}");
+        before = left;
+    }
+    assert_eq!(before, 150);
+}
+
+#[test]
+fn a_seal_holds_until_any_byte_before_it_is_changed() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = record(dir.path(), 3, 5).finish().unwrap();
+    let seal = |path: &Path| {
+        let mut reader = RecordingReader::open(path).unwrap();
+        while reader.next_message().unwrap().is_some() {}
+        reader.seal().cloned().unwrap()
+    };
+    let sealed = seal(&path);
+    assert!(sealed.holds(&path).unwrap() && sealed.bytes > 1000);
+    let bytes = fs::read(&path).unwrap();
+    for at in (0..usize::try_from(sealed.bytes).unwrap()).step_by(97) {
+        let mut hurt = bytes.clone();
+        hurt[at] ^= 1;
+        let copy = dir.path().join("copy.mcap");
+        fs::write(&copy, &hurt).unwrap();
+        assert!(!sealed.holds(&copy).unwrap(), "byte {at}");
     }
 }

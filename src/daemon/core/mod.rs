@@ -3,36 +3,42 @@
 //! What it takes it records first; what the engine puts out goes to workers, recorder and publisher. It never waits
 //! for a fit and never for the bus; for the recorder it waits a little (see [`crate::sink::recorder`]).
 
+mod asked;
+mod report;
+
 use std::collections::{BTreeMap, HashMap};
 use std::sync::{Arc, RwLock};
 use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, never, select, tick};
+use sd_notify::NotifyState;
 
-use super::clock::now_ns;
-use super::gaps::{self, Diagnosed, Diagnoser, Outcome};
-use super::health::{DaemonHealth, LoopHealth, QueueHealth};
+use super::desk::Desk;
+use super::faults::Faults;
+use super::gaps::Diagnoser;
+use super::health::DaemonHealth;
 use super::metrics::{Label, Metrics};
+use super::queue::Budget;
 use super::routes::{Route, Routes};
-use super::worker::{self, Answered, Workers};
-use crate::alarm::{AlarmDocument, Command, CommandError};
+use super::schedule::Schedule;
+use super::worker::{Answered, Workers};
+use crate::alarm::AlarmDocument;
 use crate::codec;
 use crate::codec::topic::{self, Kind};
-use crate::engine::{
-    Checkpoint, Engine, Event, GapRefusal, GapRequest, LoopId, RecordedInput, Request, SkipReason, StateDocument,
-};
+use crate::config::Config;
+use crate::engine::{Checkpoint, Engine, Event, LoopId, RecordedInput, Request, SkipReason, StateDocument};
 use crate::record::Sample;
-use crate::signal::align::AlignCounts;
-use crate::sink::recorder::{self, Item, LOOPS_PER_FILE, Recorder, shard_of};
-use crate::sink::zenoh::{self as bus, Publication, Publisher};
+use crate::sink::keeper::Keeper;
+use crate::sink::recorder::{Item, LOOPS_PER_FILE, Recorder, shard_of};
+use crate::sink::zenoh::{Publication, Publisher};
 use crate::source::{Answer, Incoming, Message};
 
 /// Messages taken before the other channels are looked at again.
 const BATCH: usize = 256;
+/// How long that may take: a message may hold a hundred thousand samples.
+const BATCH_WITHIN: Duration = Duration::from_millis(20);
 /// How often the daemon's health is published.
 const HEALTH_EVERY: Duration = Duration::from_secs(5);
-/// Reports over which the loops' own health is spread: each loop's comes once a minute.
-const LOOP_HEALTH_SLICES: usize = 12;
 /// How long a stopping daemon still takes what had already arrived.
 const DRAIN: Duration = Duration::from_secs(1);
 
@@ -45,12 +51,16 @@ pub struct Core {
     engine: Engine,
     routes: Routes,
     workers: Workers,
+    /// Windows that wait for a worker.
+    schedule: Schedule<Request>,
     diagnoser: Diagnoser,
     /// People who wait for a diagnosis, by loop and number.
     asking: HashMap<(LoopId, u64), Vec<Answer>>,
     recorder: Option<Recorder>,
+    keeper: Option<Keeper>,
     publisher: Publisher,
     metrics: Arc<Metrics>,
+    faults: Arc<Faults>,
     snapshot: HealthSnapshot,
     daemon_id: String,
     started: Instant,
@@ -59,7 +69,9 @@ pub struct Core {
     opened_shards: usize,
     codec: String,
     input_limit: usize,
+    budget: Budget,
     warned_quality: bool,
+    desk: Desk,
     events: Vec<Event>,
     samples: Vec<Sample>,
 }
@@ -68,16 +80,22 @@ pub struct Core {
 pub struct Parts {
     /// The engine.
     pub engine: Engine,
+    /// Bytes that wait for the engine.
+    pub budget: Budget,
     /// The workers.
     pub workers: Workers,
     /// The gap's thread.
     pub diagnoser: Diagnoser,
     /// The recorder.
     pub recorder: Option<Recorder>,
+    /// Keeps the loops' memory; none in a demonstration.
+    pub keeper: Option<Keeper>,
     /// The publisher.
     pub publisher: Publisher,
     /// The counters.
     pub metrics: Arc<Metrics>,
+    /// The faults.
+    pub faults: Arc<Faults>,
     /// Where the health goes.
     pub snapshot: HealthSnapshot,
     /// The daemon's id.
@@ -89,17 +107,22 @@ impl Core {
     #[must_use]
     pub fn new(parts: Parts) -> Self {
         let config = parts.engine.config();
+        let desk = Desk::new(&config.commands);
         Self {
             routes: Routes::new(config),
             codec: config.input.codec.clone(),
             input_limit: config.input.queue,
             engine: parts.engine,
             workers: parts.workers,
+            schedule: Schedule::default(),
+            budget: parts.budget,
             diagnoser: parts.diagnoser,
             asking: HashMap::new(),
             recorder: parts.recorder,
+            keeper: parts.keeper,
             publisher: parts.publisher,
             metrics: parts.metrics,
+            faults: parts.faults,
             snapshot: parts.snapshot,
             daemon_id: parts.daemon_id,
             started: Instant::now(),
@@ -107,6 +130,7 @@ impl Core {
             losses: [0; 4],
             opened_shards: 0,
             warned_quality: false,
+            desk,
             events: Vec::new(),
             samples: Vec::new(),
         }
@@ -128,8 +152,11 @@ impl Core {
         let ticker = tick(HEALTH_EVERY);
         let answers = self.workers.answers.clone();
         let diagnoses = self.diagnoser.answers.clone();
+        // A watchdog is fed from here, so that an engine that stands still starves it.
+        let watchdog = sd_notify::watchdog_enabled().map_or_else(never, |period| tick(period / 2));
         let rotations = self.recorder.as_ref().map_or_else(never, |r| r.rotations.clone());
         self.open_shards();
+        self.report(incoming.len());
         loop {
             select! {
                 recv(incoming) -> message => match message {
@@ -140,6 +167,7 @@ impl Core {
                 recv(diagnoses) -> diagnosed => if let Ok(diagnosed) = diagnosed { self.diagnosed(diagnosed) },
                 recv(rotations) -> shard => if let Ok(shard) = shard { self.open_shard(shard) },
                 recv(ticker) -> _ => self.report(incoming.len()),
+                recv(watchdog) -> _ => tell_system(&[NotifyState::Watchdog]),
                 recv(stop) -> _ => break,
             }
         }
@@ -176,8 +204,12 @@ impl Core {
     }
 
     fn take_batch(&mut self, first: Incoming, incoming: &Receiver<Incoming>) {
+        let until = Instant::now() + BATCH_WITHIN;
         self.take(first);
         for _ in 1..BATCH {
+            if Instant::now() >= until {
+                return;
+            }
             let Ok(next) = incoming.try_recv() else { return };
             self.take(next);
         }
@@ -186,16 +218,20 @@ impl Core {
     fn take(&mut self, incoming: Incoming) {
         match incoming {
             Incoming::Message(message) => self.take_message(&message),
-            Incoming::Command { loop_name, command, answer } => {
-                let result = self.command(&loop_name, &command);
-                match &result {
-                    Ok(_) => self.metrics.commands.inc(),
-                    Err(_) => self.metrics.commands_refused.inc(),
-                };
-                answer(result.map(|document| to_json(&document)).map_err(|e| e.to_string()));
-            }
+            Incoming::Command { loop_name, command, answer } => self.take_command(&loop_name, &command, answer),
             Incoming::GapRun { loop_name, by, answer } => self.run_gap(&loop_name, by, answer),
+            Incoming::Settings(config) => self.settings(&config),
         }
+    }
+
+    /// New settings: they hold from here on, and every open recording is finished and followed by a new one.
+    fn settings(&mut self, config: &Config) {
+        self.desk = Desk::new(&config.commands);
+        let (max_bytes, max_age) = (config.recording.max_bytes, Duration::from_secs_f64(config.recording.max_s));
+        if let Some(recorder) = &mut self.recorder {
+            recorder.record(Item::Limits { max_bytes, max_age });
+        }
+        (0..self.opened_shards).for_each(|shard| self.open_shard(shard));
     }
 
     fn take_message(&mut self, m: &Message) {
@@ -247,20 +283,13 @@ impl Core {
         self.handle_events();
     }
 
-    fn command(&mut self, loop_name: &str, command: &Command) -> Result<AlarmDocument, CommandError> {
-        let id = self.engine.find(loop_name).ok_or_else(|| CommandError::UnknownLoop(loop_name.to_owned()))?;
-        let document = self.engine.command(id, command)?;
-        self.record(id, Kind::Input, &RecordedInput::Command(command.clone()), document.changed_ns);
-        self.alarm_changed(id, &document);
-        Ok(document)
-    }
-
     fn answered(&mut self, answered: Answered) {
         match answered.assessment {
             Some(assessment) => self.engine.complete(answered.id, answered.seq, assessment, &mut self.events),
             None => self.skip(answered.id, answered.seq, answered.end_ns, SkipReason::Failed),
         }
         self.handle_events();
+        self.employ();
     }
 
     fn handle_events(&mut self) {
@@ -288,17 +317,34 @@ impl Core {
                     Event::State(id, document) => {
                         let at_ns = document.window_end_ns.unwrap_or(0);
                         self.record(id, Kind::State, &document, at_ns);
+                        if let Some(keeper) = &self.keeper {
+                            keeper.keep(self.engine.name(id), to_json(&document));
+                        }
                     }
                 }
             }
         }
     }
 
+    /// A window came due: it takes its place in the row, and whoever must make room is skipped.
     fn request(&mut self, request: Request) {
         self.metrics.windows.inc();
-        let (id, seq, end_ns) = (request.id, request.seq, request.end_ns);
-        if self.workers.requests.try_send(request).is_err() {
+        let bytes = bytes_of(&request);
+        let given_up = self.schedule.push(request.id.index(), self.engine.name(request.id), bytes, request);
+        for Request { id, seq, end_ns, .. } in given_up {
             self.skip(id, seq, end_ns, SkipReason::QueueFull);
+        }
+        self.employ();
+    }
+
+    /// Gives idle workers what is next.
+    fn employ(&mut self) {
+        while !self.workers.requests.is_full() {
+            let Some(request) = self.schedule.pop() else { return };
+            let (id, seq, end_ns) = (request.id, request.seq, request.end_ns);
+            if self.workers.requests.try_send(request).is_err() {
+                self.skip(id, seq, end_ns, SkipReason::Failed);
+            }
         }
     }
 
@@ -306,76 +352,6 @@ impl Core {
         self.metrics.fits_skipped.inc();
         self.record(id, Kind::Input, &RecordedInput::Skip { window_end_ns, seq, reason }, window_end_ns);
         self.engine.skip(id, seq, &mut self.events);
-    }
-
-    /// A person asks for a diagnosis. Who asks while one is under way is answered with that one.
-    fn run_gap(&mut self, loop_name: &str, by: Option<String>, answer: Answer) {
-        let Some(id) = self.engine.find(loop_name) else {
-            return self.refuse_gap(answer, &GapRefusal::UnknownLoop(loop_name.to_owned()).to_string());
-        };
-        if let Some(number) = self.engine.gaps_waiting(id).last() {
-            let asking = self.asking.entry((id, number)).or_default();
-            if asking.len() < gaps::QUEUE {
-                return asking.push(answer);
-            }
-            return self.refuse_gap(answer, &format!("{} wait for this diagnosis already", gaps::QUEUE));
-        }
-        if self.diagnoser.requests.is_full() {
-            return self.refuse_gap(answer, &format!("{} diagnoses wait already: try again later", gaps::QUEUE));
-        }
-        match self.engine.run_gap(id, by.as_deref(), &mut self.events) {
-            Ok(number) => {
-                let at_ns = self.engine.figures(id).greatest_ns.unwrap_or(0);
-                self.record(id, Kind::Input, &RecordedInput::GapRun { number, by }, at_ns);
-                self.asking.entry((id, number)).or_default().push(answer);
-                self.handle_events();
-            }
-            Err(refusal) => self.refuse_gap(answer, &refusal.to_string()),
-        }
-    }
-
-    fn refuse_gap(&self, answer: Answer, why: &str) {
-        self.metrics.gaps_skipped.inc();
-        answer(Err(why.to_owned()));
-    }
-
-    fn request_gap(&mut self, request: GapRequest) {
-        let (id, number) = (request.id, request.number);
-        if self.diagnoser.requests.try_send(request).is_err() {
-            self.skip_gap(id, number, SkipReason::QueueFull, "too many diagnoses wait already");
-        }
-    }
-
-    fn diagnosed(&mut self, diagnosed: Diagnosed) {
-        let Diagnosed { id, number, outcome } = diagnosed;
-        match outcome {
-            Outcome::Skipped(reason, why) => self.skip_gap(id, number, reason, &why),
-            Outcome::Done(document, cut) => {
-                if let Some(evaluations) = cut {
-                    self.metrics.gaps_cut.inc();
-                    let input = RecordedInput::GapCut { number, evaluations };
-                    self.record(id, Kind::Input, &input, document.end_ns());
-                }
-                let json = to_json(&document);
-                self.engine.complete_gap(id, number, *document, &mut self.events);
-                self.handle_events();
-                for answer in self.asking.remove(&(id, number)).into_iter().flatten() {
-                    answer(Ok(json.clone()));
-                }
-            }
-        }
-        self.handle_events();
-    }
-
-    fn skip_gap(&mut self, id: LoopId, number: u64, reason: SkipReason, why: &str) {
-        self.metrics.gaps_skipped.inc();
-        tracing::info!(name = %self.engine.name(id), why, "a gap diagnosis was not made");
-        let at_ns = self.engine.figures(id).greatest_ns.unwrap_or(0);
-        self.record(id, Kind::Input, &RecordedInput::GapSkip { number, reason }, at_ns);
-        self.engine.skip_gap(id, number, reason, &mut self.events);
-        for answer in self.asking.remove(&(id, number)).into_iter().flatten() {
-            answer(Err(why.to_owned()));
-        }
     }
 
     fn alarm_changed(&mut self, id: LoopId, document: &AlarmDocument) {
@@ -418,81 +394,21 @@ impl Core {
         let states = states.collect();
         recorder.record(Item::Open { shard, states });
     }
+}
 
-    /// Publishes the health of the daemon, and from time to time of every loop.
-    fn report(&mut self, input_waiting: usize) {
-        let loops = self.engine.ids().len();
-        self.metrics.loops.set(loops as i64);
-        self.report_losses();
-        let now = now_ns();
-        // A slice of the loops at each call, so that thousands of documents never stand before an estimate.
-        let slice = loops.div_ceil(LOOP_HEALTH_SLICES).max(1);
-        let from = self.next_loop_health;
-        self.next_loop_health = if from + slice >= loops { 0 } else { from + slice };
-        let mut sum = AlignCounts::default();
-        for id in self.engine.ids() {
-            let figures = self.engine.figures(id);
-            sum.add(&figures.counts);
-            if (from..from + slice).contains(&id.index()) {
-                self.publish(id, Kind::Health, to_json(&LoopHealth::new(self.engine.name(id), &figures, now)));
-            }
-        }
-        self.metrics.show_aligned(&sum);
-        let health = self.health(loops, input_waiting);
-        for queue in &health.queues {
-            self.metrics.queues.get_or_create(&Label { name: queue.name.into() }).set(queue.length as i64);
-        }
-        let key = topic::plane(&self.engine.config().site.prefix, &format!("@daemon/{}/health", self.daemon_id));
-        self.publisher.publish(Publication { key, kind: Kind::Health, document: to_json(&health) });
-        if let Ok(mut snapshot) = self.snapshot.write() {
-            *snapshot = (Instant::now(), Arc::new(health));
-        }
+/// Tells systemd, where it listens; elsewhere nothing.
+pub(super) fn tell_system(state: &[NotifyState<'_>]) {
+    if let Err(error) = sd_notify::notify(state) {
+        tracing::debug!(%error, "systemd could not be told");
     }
+}
 
-    /// One line for what was lost since the last report: ERROR where data are gone, WARN where only a fit is.
-    fn report_losses(&mut self) {
-        let m = &self.metrics;
-        let now = [m.dropped_input.get(), m.dropped_output.get(), m.recording_lost.get(), m.fits_skipped.get()];
-        let [input, output, recording, fits] = std::array::from_fn(|i| now[i] - self.losses[i]);
-        self.losses = now;
-        if input + output + recording > 0 {
-            tracing::error!(input, output, recording, "messages were lost since the last report");
-        }
-        if fits > 0 {
-            tracing::warn!(
-                fits,
-                "windows got no fit since the last report: the machine was too busy or a fit broke off"
-            );
-        }
-    }
-
-    fn health(&self, loops: usize, input_waiting: usize) -> DaemonHealth {
-        let m = &self.metrics;
-        let recorder_waiting = self.recorder.as_ref().map_or(0, Recorder::waiting);
-        let queue = |name, length, limit, dropped| QueueHealth { name, length, limit, dropped };
-        let faults = [
-            (m.recording_lost.get(), "messages could not be recorded: see the recording disk"),
-            (m.dropped_input.get(), "messages were dropped because they came faster than they can be taken"),
-            (m.fits_skipped.get(), "windows got no fit because the machine was too busy"),
-        ];
-        DaemonHealth {
-            schema: Kind::Health.schema(),
-            daemon: self.daemon_id.clone(),
-            version: crate::VERSION,
-            config_hash: self.engine.config_hash().to_owned(),
-            uptime_s: self.started.elapsed().as_secs_f64(),
-            loops,
-            counters: m.counters(),
-            queues: vec![
-                queue("input", input_waiting, self.input_limit, m.dropped_input.get()),
-                queue("fits", self.workers.requests.len(), worker::QUEUE, m.fits_skipped.get()),
-                queue("gaps", self.diagnoser.requests.len(), gaps::QUEUE, m.gaps_skipped.get()),
-                queue("recorder", recorder_waiting, recorder::QUEUE, m.recording_lost.get()),
-                queue("publisher", self.publisher.waiting(), bus::QUEUE, m.dropped_output.get()),
-            ],
-            faults: faults.into_iter().filter(|(n, _)| *n > 0).map(|(n, what)| format!("{n} {what}")).collect(),
-        }
-    }
+/// What a waiting request holds of the memory, bytes.
+fn bytes_of(request: &Request) -> usize {
+    let r = &request.record;
+    let signals = [Some(&r.op_path), Some(&r.pv), r.sp.as_ref(), r.mv.as_ref()];
+    let points: usize = signals.into_iter().flatten().map(Vec::len).sum();
+    size_of::<Request>() + points * size_of::<f64>()
 }
 
 /// A document's JSON. Our documents hold no map with keys that are not text, so this cannot fail.
