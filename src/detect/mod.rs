@@ -1,12 +1,18 @@
 //! Detection: does the loop oscillate, and which signs in the record speak for the valve.
 
-mod foresight;
+pub mod calm;
+mod cross_correlation;
+mod inputs;
 mod jumps;
-mod oddness;
+mod known;
+mod lines;
+mod one_step;
 pub mod oscillation;
 pub mod ringing;
 mod sine;
 mod travel;
+
+use std::sync::Arc;
 
 use serde::Serialize;
 
@@ -35,54 +41,116 @@ pub trait Detector: Sync {
 }
 
 /// Every detector.
-pub const ALL: [&dyn Detector; 6] =
-    [&oddness::Oddness, &jumps::Jumps, &sine::Sine, &travel::Travel, &foresight::Foresight, &foresight::Clock];
+pub const ALL: [&dyn Detector; 6] = [
+    &cross_correlation::CrossCorrelation,
+    &jumps::Jumps,
+    &sine::Sine,
+    &travel::Travel,
+    &one_step::OneStep,
+    &one_step::Periodicity,
+];
+
+/// OP as the detectors look at it, and all that follows from it alone: made once for every PV that is looked at beside it.
+#[derive(Debug)]
+pub struct OpSide {
+    /// OP, boxed and smoothed over a sixteenth of a period.
+    pub op: Vec<f64>,
+    /// OP less its moving average over a period.
+    pub op_fast: Vec<f64>,
+    /// Its typical period, points of the view.
+    pub period: f64,
+    /// Record points a point of the view.
+    box_points: usize,
+    /// What OP offers to predict PV by, in fine and in coarse boxes; `None` where the record is too short or OP does not
+    /// move.
+    inputs: [Option<one_step::Inputs>; 2],
+}
 
 /// A record as the detectors look at it: at most about 80 points a period.
 #[derive(Debug, Clone)]
 pub struct View {
-    /// OP, boxed and smoothed over a sixteenth of a period.
-    pub op: Vec<f64>,
-    /// PV, likewise.
+    /// OP.
+    pub output: Arc<OpSide>,
+    /// PV, boxed and smoothed over a sixteenth of OP's typical period.
     pub pv: Vec<f64>,
-    /// OP less its moving average over a period.
-    pub op_fast: Vec<f64>,
-    /// PV, likewise.
+    /// PV less its moving average over a period.
     pub pv_fast: Vec<f64>,
     /// Deviation of PV's white noise before smoothing.
     pub pv_noise: f64,
-    /// Period, points of this view.
-    pub period: f64,
-    /// Views in which PV is foretold; `None` where the record is too short or a signal does not move.
-    grounds: [Option<foresight::Ground>; 2],
+    /// PV as it is predicted from its past, beside the inputs; `None` also where PV does not move.
+    predictions: [Option<one_step::Prediction>; 2],
+    /// Band, spans of OP, next to which stems are asked whether they predict PV; `None` for all.
+    near: Option<f64>,
 }
 
 /// Points a period that a view keeps, and points that it looks at.
 const POINTS_PER_PERIOD: f64 = 80.0;
 const MAX_POINTS: usize = 1400;
 
+impl OpSide {
+    /// Prepares a record's OP, whose typical period is `period` points where it has one.
+    #[must_use]
+    pub fn new(record: &Record, period: Option<f64>) -> Self {
+        let op = record.op();
+        let period = usable(period, record.len());
+        let box_points = ((period / POINTS_PER_PERIOD) as usize).max(1);
+        let of = |grain| one_step::Inputs::of(&record.op_path, record.path_per_point(), record.len(), period, grain);
+        let inputs = inputs::GRAINS.map(of);
+        let period = period / box_points as f64;
+        let op = detrend::hann_smooth(&boxed(&op, box_points), smoothing(period));
+        let op_fast = detrend::high_pass(&op, slow(period));
+        Self { op, op_fast, period, box_points, inputs }
+    }
+}
+
 impl View {
-    /// Prepares a record; its period is OP's typical one.
+    /// Prepares a record.
     #[must_use]
     pub fn new(record: &Record) -> Self {
-        let n = record.len() as f64;
-        let period = oscillation::typical_period(&record.op()).unwrap_or(0.25 * n).max(2.0);
-        let k = ((period / POINTS_PER_PERIOD) as usize).max(1);
-        let take = |x: &[f64]| {
-            let mut boxed = detrend::box_means(x, k);
-            boxed.truncate(MAX_POINTS);
-            boxed
-        };
-        let (op, pv) = (take(&record.op()), take(&record.pv));
-        let grounds = foresight::GRAINS.map(|grain| foresight::Ground::of(record, period, grain));
-        let period = period / k as f64;
-        let pv_noise = stats::noise_sd(&pv);
-        let width = (period / 16.0) as usize;
-        let (op, pv) = (detrend::hann_smooth(&op, width), detrend::hann_smooth(&pv, width));
-        let slow = (period as usize).max(2);
-        let (op_fast, pv_fast) = (detrend::high_pass(&op, slow), detrend::high_pass(&pv, slow));
-        Self { op, pv, op_fast, pv_fast, pv_noise, period, grounds }
+        Self::with_period(record, oscillation::typical_period(&record.op()))
     }
+
+    /// The same where OP's typical period is known, points.
+    #[must_use]
+    pub fn with_period(record: &Record, period: Option<f64>) -> Self {
+        Self::beside(&Arc::new(OpSide::new(record, period)), &record.pv, None)
+    }
+
+    /// Prepares a PV, a value for each point of the record that `output` was made of. `near` is a band, spans of OP, next
+    /// to which stems are asked whether they predict PV.
+    #[must_use]
+    pub fn beside(output: &Arc<OpSide>, pv: &[f64], near: Option<f64>) -> Self {
+        let predictions = [0, 1].map(|grain| one_step::Prediction::of(output.inputs[grain].as_ref()?, pv));
+        let pv = boxed(pv, output.box_points);
+        let pv_noise = stats::noise_sd(&pv);
+        let pv = detrend::hann_smooth(&pv, smoothing(output.period));
+        let pv_fast = detrend::high_pass(&pv, slow(output.period));
+        Self { output: Arc::clone(output), pv, pv_fast, pv_noise, predictions, near }
+    }
+
+    fn predictions(&self) -> impl Iterator<Item = (&one_step::Inputs, &one_step::Prediction)> {
+        self.output.inputs.iter().zip(&self.predictions).filter_map(|(i, p)| Some((i.as_ref()?, p.as_ref()?)))
+    }
+}
+
+/// The period that views are cut by: a quarter of the record where none shows.
+fn usable(period: Option<f64>, points: usize) -> f64 {
+    period.unwrap_or(0.25 * points as f64).max(2.0)
+}
+
+fn boxed(x: &[f64], points: usize) -> Vec<f64> {
+    let mut boxed = detrend::box_means(x, points);
+    boxed.truncate(MAX_POINTS);
+    boxed
+}
+
+/// Width of the smoothing, and of the moving average that is taken off, points of the view.
+fn smoothing(period: f64) -> usize {
+    (period / 16.0) as usize
+}
+
+fn slow(period: f64) -> usize {
+    (period as usize).max(2)
 }
 
 /// White noise between -0.5 and 0.5 for the detectors' tests.

@@ -28,39 +28,57 @@ pub struct Oscillates {
 const MAX_POINTS: usize = 2048;
 /// Intervals between crossings that are judged.
 const INTERVALS: usize = 10;
+/// Intervals that a typical period is made of.
+const TYPICAL: usize = 8;
 /// Persistence below which crossings are chance.
 const MIN_PERSISTENCE: f64 = 0.2;
 
-/// Looks for an oscillation in the controller output and the process variable, each `n` points long.
-///
-/// OP is asked first (the controller's integral action smooths it); PV decides where OP shows no regular oscillation
-/// and PV does. `None` when neither crosses zero often enough to speak of a period (four half periods).
+/// What a loop's signals show of oscillations.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Looks {
+    /// The controller output alone.
+    pub op: Option<Oscillates>,
+    /// The process variable alone.
+    pub pv: Option<Oscillates>,
+    /// See [`typical_period`], of the controller output.
+    pub typical_period: Option<f64>,
+}
+
+impl Looks {
+    /// Looks at the controller output and the process variable, each `n` points long.
+    #[must_use]
+    pub fn of(op: &[f64], pv: &[f64]) -> Self {
+        let output = Signal::of(op);
+        Self {
+            op: output.as_ref().and_then(Signal::oscillates),
+            pv: detect_one(pv),
+            typical_period: output.as_ref().and_then(Signal::typical_period),
+        }
+    }
+
+    /// The loop's oscillation: OP is asked first (the controller's integral action smooths it); PV decides where OP shows no
+    /// regular oscillation and PV does. `None` when neither crosses zero often enough to speak of a period (four half
+    /// periods).
+    #[must_use]
+    pub fn together(&self) -> Option<Oscillates> {
+        match (self.op, self.pv) {
+            (Some(a), Some(b)) => Some(if b.oscillating && !a.oscillating { b } else { a }),
+            (a, b) => a.or(b),
+        }
+    }
+}
+
+/// Looks for an oscillation in the controller output and the process variable, each `n` points long; see
+/// [`Looks::together`].
 #[must_use]
 pub fn detect(op: &[f64], pv: &[f64]) -> Option<Oscillates> {
-    let (of_op, of_pv) = (detect_one(op), detect_one(pv));
-    match (of_op, of_pv) {
-        (Some(a), Some(b)) => Some(if b.oscillating && !a.oscillating { b } else { a }),
-        (a, b) => a.or(b),
-    }
+    Looks { op: detect_one(op), pv: detect_one(pv), typical_period: None }.together()
 }
 
 /// Looks for an oscillation in one signal: once as it stands, once without what is slower than a third of it.
 #[must_use]
 pub fn detect_one(x: &[f64]) -> Option<Oscillates> {
-    if x.len() < 16 || x.iter().any(|v| !v.is_finite()) {
-        return None;
-    }
-    let factor = x.len().div_ceil(MAX_POINTS);
-    let x = detrend::remove_line(&detrend::box_means(x, factor));
-    let whole = judge(&x, factor);
-    if whole.is_some_and(|o| o.oscillating) {
-        return whole;
-    }
-    let faster = judge(&detrend::remove_mean(&detrend::high_pass(&x, x.len() / 3)), factor);
-    match (whole, faster) {
-        (Some(a), Some(b)) => Some(if b.oscillating || b.regularity > a.regularity { b } else { a }),
-        (a, b) => a.or(b),
-    }
+    Signal::of(x)?.oscillates()
 }
 
 /// A typical period of a signal, points, whether or not it oscillates: twice the mean of the first eight intervals
@@ -68,25 +86,56 @@ pub fn detect_one(x: &[f64]) -> Option<Oscillates> {
 /// Between 2 and half the record; `None` for a constant.
 #[must_use]
 pub fn typical_period(x: &[f64]) -> Option<f64> {
-    let factor = x.len().div_ceil(MAX_POINTS).max(1);
-    let x = detrend::remove_line(&detrend::box_means(x, factor));
-    let n = x.len();
-    let x = detrend::remove_mean(&detrend::high_pass(&x, n / 3));
-    let acf = spectrum::autocorrelation(&x, 3 * n / 5);
-    let places = spectrum::zero_crossings(&acf, 0.0);
-    let gaps: Vec<f64> = places.windows(2).take(8).map(|w| w[1] - w[0]).collect();
-    let period = if gaps.is_empty() { return None } else { 2.0 * stats::mean(&gaps) };
-    Some((period * factor as f64).clamp(2.0, 0.5 * (n * factor) as f64))
+    Signal::of(x)?.typical_period()
 }
 
-/// The oscillation of a detrended signal whose points are `factor` points of the record.
-fn judge(x: &[f64], factor: usize) -> Option<Oscillates> {
-    let n = x.len();
-    let acf = spectrum::autocorrelation(x, 3 * n / 5);
-    if acf.is_empty() {
-        return None;
+/// A signal in at most [`MAX_POINTS`] boxes, as its autocorrelation.
+struct Signal {
+    /// Points a box.
+    factor: usize,
+    boxes: usize,
+    /// Of the signal less its line.
+    whole: Vec<f64>,
+    /// Of the same less what is slower than a third of it.
+    faster: Vec<f64>,
+}
+
+impl Signal {
+    fn of(x: &[f64]) -> Option<Self> {
+        if x.len() < 16 || x.iter().any(|v| !v.is_finite()) {
+            return None;
+        }
+        let factor = x.len().div_ceil(MAX_POINTS);
+        let x = detrend::remove_line(&detrend::box_means(x, factor));
+        let boxes = x.len();
+        let less = detrend::remove_mean(&detrend::high_pass(&x, boxes / 3));
+        let [whole, faster] = spectrum::autocorrelations([&x, &less], 3 * boxes / 5);
+        Some(Self { factor, boxes, whole, faster })
     }
-    let places = spectrum::zero_crossings(&acf, (1.5 / (n as f64).sqrt()).max(0.02));
+
+    fn oscillates(&self) -> Option<Oscillates> {
+        let whole = judge(&self.whole, self.boxes, self.factor);
+        if whole.is_some_and(|o| o.oscillating) {
+            return whole;
+        }
+        match (whole, judge(&self.faster, self.boxes, self.factor)) {
+            (Some(a), Some(b)) => Some(if b.oscillating || b.regularity > a.regularity { b } else { a }),
+            (a, b) => a.or(b),
+        }
+    }
+
+    fn typical_period(&self) -> Option<f64> {
+        let places = spectrum::zero_crossings(&self.faster, 0.0);
+        let gaps: Vec<f64> = places.windows(2).take(TYPICAL).map(|w| w[1] - w[0]).collect();
+        let period = if gaps.is_empty() { return None } else { 2.0 * stats::mean(&gaps) };
+        Some((period * self.factor as f64).clamp(2.0, 0.5 * (self.boxes * self.factor) as f64))
+    }
+}
+
+/// The oscillation of a detrended signal of `n` boxes, whose boxes are `factor` points of the record, by its
+/// autocorrelation.
+fn judge(acf: &[f64], n: usize, factor: usize) -> Option<Oscillates> {
+    let places = spectrum::zero_crossings(acf, (1.5 / (n as f64).sqrt()).max(0.02));
     let gaps: Vec<f64> = places.windows(2).take(INTERVALS).map(|w| w[1] - w[0]).collect();
     if gaps.len() < 3 {
         return None;

@@ -57,7 +57,7 @@ const POINTS_PER_PERIOD: f64 = 12.0;
 /// Fewest periods for lines, and for modes.
 const MIN_PERIODS: [f64; 2] = [4.0, 8.0];
 /// Harmonics taken out.
-const HARMONICS: usize = 5;
+pub(super) const HARMONICS: usize = 5;
 /// Highest order of the model.
 const MAX_ORDER: usize = 20;
 /// Frequencies around the lines, relative, at which a mode counts as theirs.
@@ -159,15 +159,42 @@ fn line_power(x: &[f64], f: f64) -> f64 {
     x.iter().rev().fold(Complex::new(0.0, 0.0), |sum, v| sum * turn + v).norm_sqr()
 }
 
+/// Frequencies that are looked at side by side.
+const LANES: usize = 8;
+
+/// Squared sums of `x` against lines of several frequencies.
+fn line_powers(x: &[f64], f: [f64; LANES]) -> [f64; LANES] {
+    let (turn_re, turn_im) = (f.map(|f| libm::cos(2.0 * PI * f)), f.map(|f| libm::sin(2.0 * PI * f)));
+    let (mut re, mut im) = ([0.0; LANES], [0.0; LANES]);
+    for v in x.iter().rev() {
+        for lane in 0..LANES {
+            let (a, b) = (re[lane], im[lane]);
+            re[lane] = a * turn_re[lane] - b * turn_im[lane] + v;
+            im[lane] = a * turn_im[lane] + b * turn_re[lane];
+        }
+    }
+    core::array::from_fn(|lane| re[lane] * re[lane] + im[lane] * im[lane])
+}
+
 /// Frequency of the strongest line in a range, to a fortieth of a bin.
 pub(super) fn strongest(x: &[f64], range: [f64; 2]) -> f64 {
     let n = x.len() as f64;
     let look = |from: f64, to: f64, steps: i32| {
-        let places = (0..=steps).map(|k| from + (to - from) * f64::from(k) / f64::from(steps));
-        places.map(|f| (line_power(x, f), f)).max_by(|a, b| a.0.total_cmp(&b.0)).map_or(from, |best| best.1)
+        let place = |k: i32| from + (to - from) * f64::from(k.min(steps)) / f64::from(steps);
+        let groups = (0..=steps).step_by(LANES).map(|first| {
+            let at: [f64; LANES] = core::array::from_fn(|lane| place(first + lane as i32));
+            let powers = line_powers(x, at);
+            (0..LANES).map(|lane| (powers[lane], at[lane])).fold((f64::NEG_INFINITY, from), stronger)
+        });
+        groups.fold((f64::NEG_INFINITY, from), stronger).1
     };
     let coarse = look(range[0], range[1], ((3.0 * (range[1] - range[0]) * n) as i32).clamp(4, 2000));
     look(coarse - 0.4 / n, coarse + 0.4 / n, 32)
+}
+
+/// The stronger of two lines (power, frequency); of equals the first.
+fn stronger(a: (f64, f64), b: (f64, f64)) -> (f64, f64) {
+    if b.0 > a.0 { b } else { a }
 }
 
 /// `x` less its least-squares lines, each fitted in turn to what the others leave.

@@ -17,8 +17,8 @@ impl Detector for Sine {
     }
 
     fn score(&self, view: &View) -> Option<f64> {
-        let of = |x: &[f64]| index(x, view.period).unwrap_or(0.5);
-        Some(of(&view.op_fast).max(of(&view.pv_fast)).clamp(0.3, 0.65))
+        let of = |x: &[f64]| index(x, view.output.period).unwrap_or(0.5);
+        Some(of(&view.output.op_fast).max(of(&view.pv_fast)).clamp(0.3, 0.65))
     }
 }
 

@@ -15,8 +15,8 @@ impl Detector for Travel {
     fn score(&self, view: &View) -> Option<f64> {
         let sorted = stats::sorted(&view.pv);
         let wide = stats::quantile_sorted(&sorted, 0.98) - stats::quantile_sorted(&sorted, 0.02);
-        let band = (6.0 * view.pv_noise / (view.period / 32.0).max(1.0).sqrt()).max(0.12 * wide);
-        let span = stats::span(&view.op);
+        let band = (6.0 * view.pv_noise / (view.output.period / 32.0).max(1.0).sqrt()).max(0.12 * wide);
+        let span = stats::span(&view.output.op);
         if span.is_nan() || span <= 0.0 {
             return None;
         }
@@ -25,7 +25,7 @@ impl Detector for Travel {
         while from < view.pv.len() {
             let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
             let (mut op_low, mut op_high) = (f64::INFINITY, f64::NEG_INFINITY);
-            for (pv, op) in view.pv[from..].iter().zip(&view.op[from..]) {
+            for (pv, op) in view.pv[from..].iter().zip(&view.output.op[from..]) {
                 (low, high) = (low.min(*pv), high.max(*pv));
                 if high - low > band {
                     break;

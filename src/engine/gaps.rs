@@ -21,7 +21,7 @@ use crate::gap::document::GapDocument;
 use crate::gap::locate::{Subject, locate};
 use crate::gap::model::{self, Model};
 use crate::gap::{self, Ask, Base, Executor, GapError};
-use crate::ident::foresee::{self, Fixed};
+use crate::ident::free_run::{Fixed, free_run};
 use crate::record::Record;
 use crate::signal::stats;
 use crate::sim::slips::Law;
@@ -161,7 +161,7 @@ fn relative_gap(record: &Record, model: &Model, made_ns: i64) -> Option<f64> {
     if made_ns.saturating_sub(record.start_ns) > length_ns / 2 {
         return None;
     }
-    let run = foresee::free_run(record, &fixed(model), made_ns)?;
+    let run = free_run(record, &fixed(model), made_ns)?;
     let noise = stats::noise_sd(&record.pv);
     let gap = (run.rmse * run.rmse - noise * noise).max(0.0).sqrt() / stats::std_dev(&record.pv);
     gap.is_finite().then_some(gap)
@@ -184,7 +184,7 @@ fn model_of(assessment: &Assessment, record: &Record) -> Option<Model> {
         },
         effects: Vec::new(),
     };
-    let run = foresee::free_run(record, &fixed(&model), record.start_ns)?;
+    let run = free_run(record, &fixed(&model), record.start_ns)?;
     (model.process.op, model.process.pv) = (run.rest_op, run.rest_pv);
     let process = &model.process;
     let numbers = [fs, fd, process.gain, process.dead_time_s, process.op, process.pv];

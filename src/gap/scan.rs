@@ -11,7 +11,7 @@ use super::settle::clamped;
 use super::structure::{MAX_PARAMS, Parameters, Plan, Structure};
 use crate::ident::bank::{BINS, Bank, Glance, bin_edge};
 use crate::ident::candidate::{Landing, MIN_SLIPS, Question, freedom};
-use crate::ident::search::{generator, uniform};
+use crate::ident::random::{generator, uniform};
 use crate::signal::detrend::box_means;
 use crate::sim::actuator::lag_path;
 use crate::sim::slips::{FirstSlip, Sequence};

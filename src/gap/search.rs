@@ -12,7 +12,7 @@ use super::scan::fitted_to;
 use super::settle::{FAR, LAST, NEAR, clamped};
 use super::structure::{MAX_PARAMS, Parameters, Structure};
 use crate::ident::candidate::Question;
-use crate::ident::search::{generator, moved, normal, uniform};
+use crate::ident::random::{generator, moved, normal, uniform};
 use crate::sim::slips::FirstSlip;
 
 /// Cost over the best one from which a step's process is not settled.

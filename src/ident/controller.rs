@@ -6,7 +6,9 @@
 //! does, so robust least squares finds them. PV may be stamped before or after the OP that was computed from it: every
 //! lag is tried, and the controller counts as read only where one lag leads clearly.
 
-use super::robust::{Regression, regress, residual};
+use core::cell::RefCell;
+
+use super::robust::{Regression, Regressor};
 use crate::record::Record;
 use crate::signal::stats;
 
@@ -40,6 +42,8 @@ const MIN_R2: f64 = 0.9;
 const LEAD: f64 = 1.5;
 /// What is more to fit must leave at most this share of the unexplained variance.
 const EARNS: f64 = 0.7;
+/// Share of it that must go at the best plain lag for other lags to be looked at.
+const HELPS: f64 = 0.97;
 /// Share unexplained that counts as none.
 const EXACT: f64 = 1e-9;
 /// Ways of reading that are looked at closely, and steps of golden section towards the best filter.
@@ -71,7 +75,13 @@ pub fn read_within(record: &Record, lags: [isize; 2]) -> Option<Reading> {
     for form in signals.forms() {
         for width in WIDTHS {
             let shape = Shape { form, width, extra: Extra::None };
-            plain.push((shape, signals.all_lags(shape)));
+            let fits = signals.all_lags(&signals.columns(shape));
+            // Nothing can explain more than all of it.
+            let exact = (least(&fits) < EXACT).then(|| signals.report(shape, &fits)).flatten();
+            if let Some((_, reading)) = exact.filter(|(lead, r)| *lead >= LEAD && r.unexplained == 0.0) {
+                return Some(reading);
+            }
+            plain.push((shape, fits));
         }
     }
     // The few best ways of reading get a derivative or a filter where it earns its place.
@@ -137,6 +147,24 @@ struct Signals {
     boxed: bool,
     box_samples: f64,
     point_s: f64,
+    work: RefCell<Work>,
+}
+
+/// Memory that is used again for every fit.
+#[derive(Debug, Default)]
+struct Work {
+    regressor: Regressor,
+    used: Vec<bool>,
+}
+
+/// What is regressed in one way of reading, by the point at which a move ends: slices of it serve every lag.
+struct Columns {
+    shape: Shape,
+    op: Vec<f64>,
+    /// Moves of the proportional, integral and derivative parts; the last one empty without a derivative.
+    parts: [Vec<f64>; 3],
+    /// Which moves have OP off its limits all the way; empty where all have.
+    free: Vec<bool>,
 }
 
 impl Signals {
@@ -162,6 +190,7 @@ impl Signals {
             boxed,
             box_samples: record.box_samples as f64,
             point_s: record.point_s(),
+            work: RefCell::default(),
         })
     }
 
@@ -183,27 +212,35 @@ impl Signals {
                 break;
             }
             // The best lag may be another one once the extra part is there.
-            let at = |lag: isize, filter: f64| {
-                let fit = self.fit(Shape { extra: make(filter), ..plain }, lag);
-                fit.map_or(f64::INFINITY, |f| 1.0 - f.regression.r2)
-            };
             let near = (lag - 2).max(self.lags[0])..=(lag + 2).min(self.lags[1]);
-            let all = near.flat_map(|lag| FILTERS.map(|filter| (at(lag, filter), lag, filter)));
+            let with = |filter: f64| self.columns(Shape { extra: make(filter), ..plain });
+            let tried = FILTERS.map(|filter| (filter, with(filter)));
+            // What helps not at all at this lag is not looked for at the lags beside it.
+            if tried.iter().all(|(_, columns)| self.error(columns, lag) > HELPS * error) {
+                continue;
+            }
+            let at = |(filter, columns): &(f64, Columns), lag: isize| (self.error(columns, lag), lag, *filter);
+            let all = tried.iter().flat_map(|one| near.clone().map(move |lag| at(one, lag)));
             let Some((found, lag, filter)) = all.min_by(|a, b| a.0.total_cmp(&b.0)) else { continue };
             if found >= EARNS * error {
                 continue;
             }
-            let next = Shape { extra: make(finest(filter, |filter| at(lag, filter))), ..plain };
-            let others = self.all_lags(next);
-            if self.report(next, &others).is_some() {
-                (shape, error, fits) = (next, least(&others), others);
+            let next = with(finest(filter, |filter| self.error(&with(filter), lag)));
+            let others = self.all_lags(&next);
+            if self.report(next.shape, &others).is_some() {
+                (shape, error, fits) = (next.shape, least(&others), others);
             }
         }
         self.report(shape, &fits)
     }
 
-    fn all_lags(&self, shape: Shape) -> Vec<Fit> {
-        (self.lags[0]..=self.lags[1]).filter_map(|lag| self.fit(shape, lag)).collect()
+    fn all_lags(&self, columns: &Columns) -> Vec<Fit> {
+        (self.lags[0]..=self.lags[1]).filter_map(|lag| self.fit(columns, lag)).collect()
+    }
+
+    /// Share of OP's moves that a fit leaves unexplained; infinite where there is none.
+    fn error(&self, columns: &Columns, lag: isize) -> f64 {
+        self.fit(columns, lag).map_or(f64::INFINITY, |fit| 1.0 - fit.regression.r2)
     }
 
     fn report(&self, shape: Shape, fits: &[Fit]) -> Option<(f64, Reading)> {
@@ -237,46 +274,41 @@ impl Signals {
     }
 
     /// OP's moves regressed at one lag; once more without the stretches that the first fit leaves unexplained.
-    fn fit(&self, shape: Shape, lag: isize) -> Option<Fit> {
-        let [y, p, i, d] = self.columns(shape, lag);
-        let free = self.free(shape, lag);
-        let columns: &[&[f64]] = if d.is_empty() { &[&p, &i] } else { &[&p, &i, &d] };
-        if free.iter().filter(|f| **f).count() < MIN_POINTS / 2 {
+    fn fit(&self, columns: &Columns, lag: isize) -> Option<Fit> {
+        let [from, to] = self.range(columns.shape, lag);
+        let y = columns.op.get(from..to)?;
+        let moved = |at: usize| (at as isize - lag) as usize;
+        let [p, i, d] = [0, 1, 2].map(|part| columns.parts[part].get(moved(from)..moved(to)).unwrap_or(&[]));
+        let parts: &[&[f64]] = if d.is_empty() { &[p, i] } else { &[p, i, d] };
+        let free = (!columns.free.is_empty()).then(|| &columns.free[from..to]);
+        let count = free.map_or(y.len(), |free| free.iter().filter(|f| **f).count());
+        if count < MIN_POINTS / 2 {
             return None;
         }
-        let mut regression = regress(&y, columns, Some(&free))?;
+        let work = &mut *self.work.borrow_mut();
+        let mut regression = work.regressor.regress(y, parts, free)?;
         let mut unexplained = 0.0;
         for _ in 0..2 {
-            let left = residual(&y, columns, &regression.coefficients);
-            let used = explained(&y, &left, &free);
-            unexplained = used.iter().filter(|u| !**u).count() as f64 / used.len().max(1) as f64;
-            if unexplained == 0.0 || unexplained > MOST_UNEXPLAINED {
+            let lost = explained(y, work.regressor.left(), free, &mut work.used);
+            unexplained = lost as f64 / y.len().max(1) as f64;
+            if lost == 0 || unexplained > MOST_UNEXPLAINED {
                 break;
             }
-            let both: Vec<bool> = used.iter().zip(&free).map(|(u, f)| *u && *f).collect();
-            regression = regress(&y, columns, Some(&both))?;
+            regression = work.regressor.regress(y, parts, Some(&work.used))?;
         }
         Some(Fit { lag, regression, unexplained })
     }
 
     /// First and last point whose moves can be regressed.
     fn range(&self, shape: Shape, lag: isize) -> [usize; 2] {
+        let twice = usize::from(shape.form == Form::Unseen);
         let from = (shape.width as isize + 1 + lag.max(0)) as usize;
-        [from, ((self.op.len() as isize + lag.min(0)) as usize).max(from)]
+        let to = ((self.op.len() as isize + lag.min(0)) as usize).max(from);
+        [(from + twice).min(to), to]
     }
 
-    /// Which of the moves have OP off its limits all the way.
-    fn free(&self, shape: Shape, lag: isize) -> Vec<bool> {
-        let [from, to] = self.range(shape, lag);
-        let once = |k: usize| (k - shape.width..=k).all(|i| !self.limited[i]);
-        match shape.form {
-            Form::Unseen => (from + 1..to).map(|k| once(k) && once(k - 1)).collect(),
-            _ => (from..to).map(once).collect(),
-        }
-    }
-
-    /// OP's moves, and those of the proportional, integral and derivative parts `lag` points before.
-    fn columns(&self, shape: Shape, lag: isize) -> [Vec<f64>; 4] {
+    /// OP's moves, and those of the proportional, integral and derivative parts, of one way of reading.
+    fn columns(&self, shape: Shape) -> Columns {
         let n = self.op.len();
         let pv = lagged(&self.pv, if let Extra::Filter(tau) = shape.extra { tau } else { 0.0 });
         let sp = self.sp.as_deref();
@@ -284,10 +316,9 @@ impl Signals {
         let middle = stats::mean(&pv) - sp.map_or(0.0, stats::mean);
         // Boxes: PV's means stand for the middle of a box, OP's last value for its end.
         let end = |x: &[f64], k: usize| if self.boxed { 0.5 * (x[k] + x[(k + 1).min(n - 1)]) } else { x[k] };
-        let minus: Vec<f64> = (0..n).map(|k| -end(&pv, k)).collect();
         let proportional: Vec<f64> = match (shape.form, sp) {
-            (Form::Error, Some(sp)) => (0..n).map(|k| end(sp, k) + minus[k]).collect(),
-            _ => minus,
+            (Form::Error, Some(sp)) => (0..n).map(|k| end(sp, k) - end(&pv, k)).collect(),
+            _ => (0..n).map(|k| -end(&pv, k)).collect(),
         };
         let sum = (0..n).scan(0.0, |sum, k| {
             *sum += match shape.form {
@@ -304,24 +335,31 @@ impl Signals {
             }
             _ => Vec::new(),
         };
-        let w = shape.width;
-        let [from, to] = self.range(shape, lag);
-        let moves = |x: &[f64], lag: isize| -> Vec<f64> {
-            if x.is_empty() || to <= from {
-                return Vec::new();
-            }
-            let at = |k: usize| x[(k as isize - lag) as usize];
-            let once = (from..to).map(|k| at(k) - at(k - w));
-            match shape.form {
-                Form::Unseen => {
-                    let once: Vec<f64> = once.collect();
-                    once.windows(2).map(|v| v[1] - v[0]).collect()
-                }
-                _ => once.collect(),
-            }
-        };
-        [moves(&self.op, 0), moves(&proportional, lag), moves(&sum, lag), moves(&derivative, lag)]
+        let twice = shape.form == Form::Unseen;
+        let of = |x: &[f64]| moves(x, shape.width, twice);
+        let limited = self.limited.iter().any(|l| *l);
+        let free = if limited { self.free(shape.width, twice) } else { Vec::new() };
+        Columns { shape, op: of(&self.op), parts: [of(&proportional), of(&sum), of(&derivative)], free }
     }
+
+    /// Which moves over `width` points have OP off its limits all the way, and the move before where they count `twice`.
+    fn free(&self, width: usize, twice: bool) -> Vec<bool> {
+        let once = |k: usize| k >= width && (k - width..=k).all(|i| !self.limited[i]);
+        (0..self.op.len()).map(|k| once(k) && (!twice || (k > 0 && once(k - 1)))).collect()
+    }
+}
+
+/// Moves over `width` points by the point at which they end, 0 where they would begin before the first; `twice`: less
+/// the move that ends a point before.
+fn moves(x: &[f64], width: usize, twice: bool) -> Vec<f64> {
+    let mut out = vec![0.0; width.min(x.len())];
+    out.extend(x.iter().skip(width).zip(x).map(|(now, before)| now - before));
+    if twice {
+        for k in (1..out.len()).rev() {
+            out[k] -= out[k - 1];
+        }
+    }
+    out
 }
 
 /// Least share unexplained.
@@ -376,22 +414,36 @@ fn limited(op: &[f64]) -> Vec<bool> {
     op.iter().map(|u| (at_high && *u == high) || (at_low && *u == low)).collect()
 }
 
-/// Which samples lie in stretches that a fit explains as well as usual, or nearly as well as the moves there allow;
-/// samples that are not free do not count.
-fn explained(y: &[f64], left: &[f64], free: &[bool]) -> Vec<bool> {
-    let power = |x: &[f64]| stats::dot(x, x) / x.len().max(1) as f64;
+/// Puts down which samples lie in stretches that a fit explains as well as usual, or nearly as well as the moves there
+/// allow, and are free; counts those in other stretches. Samples that are not free do not count for a stretch.
+fn explained(y: &[f64], left: &[f64], free: Option<&[bool]>, used: &mut Vec<bool>) -> usize {
     let of = |from: usize| {
-        let place = from..(from + STRETCH).min(y.len());
-        let pick = |x: &[f64]| -> Vec<f64> { place.clone().filter(|k| free[*k]).map(|k| x[k]).collect() };
-        let (y, r) = (pick(y), pick(left));
-        let fitted: Vec<f64> = y.iter().zip(&r).map(|(y, r)| y - r).collect();
-        (!y.is_empty()).then(|| (power(&r), power(&y).max(power(&fitted))))
+        let (mut count, mut powers) = (0, [0.0; 3]);
+        for k in (from..(from + STRETCH).min(y.len())).filter(|k| free.is_none_or(|free| free[*k])) {
+            let fitted = y[k] - left[k];
+            count += 1;
+            for (power, x) in powers.iter_mut().zip([left[k], y[k], fitted]) {
+                *power += x * x;
+            }
+        }
+        let [r, y, fitted] = powers.map(|power| power / f64::from(count));
+        (count > 0).then(|| (r, y.max(fitted)))
     };
     let stretches: Vec<Option<(f64, f64)>> = (0..y.len()).step_by(STRETCH).map(of).collect();
     let usual = stats::median(&stretches.iter().flatten().map(|s| s.0).collect::<Vec<_>>());
     let fine = |s: &Option<(f64, f64)>| s.is_none_or(|(r, y)| r <= UNUSUAL * usual || r <= POOR * y);
-    let used: Vec<bool> = stretches.iter().map(fine).collect();
-    (0..y.len()).map(|k| used[k / STRETCH]).collect()
+    used.clear();
+    let mut lost = 0;
+    for (index, stretch) in stretches.iter().enumerate() {
+        let count = STRETCH.min(y.len() - index * STRETCH);
+        let is_fine = fine(stretch);
+        lost += if is_fine { 0 } else { count };
+        used.resize(used.len() + count, is_fine);
+    }
+    if let Some(free) = free {
+        used.iter_mut().zip(free).for_each(|(used, free)| *used &= free);
+    }
+    lost
 }
 
 #[cfg(test)]

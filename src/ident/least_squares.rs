@@ -34,6 +34,24 @@ impl Gram {
         Self { n, m, live: [false; MAX] }
     }
 
+    /// Inner products of each of `left` with those of `right` from its own place on: `right` under weights.
+    #[must_use]
+    pub fn of_weighted(left: &[&[f64]], right: &[&[f64]]) -> Self {
+        let n = left.len().min(right.len()).min(MAX);
+        let mut m = [[0.0; MAX]; MAX];
+        for (i, (row, own)) in m.iter_mut().zip(left).take(n).enumerate() {
+            let mut k = i;
+            while k + 3 <= n {
+                row[k..k + 3].copy_from_slice(&dot3(own, [right[k], right[k + 1], right[k + 2]]));
+                k += 3;
+            }
+            for k in k..n {
+                row[k] = dot(own, right[k]);
+            }
+        }
+        Self { n, m, live: [false; MAX] }
+    }
+
     /// As [`Gram::of`] with a constant column of `count` times `level` in front, sums in place of its products. A
     /// column that is shorter than `count` is 0 from its end on.
     #[must_use]

@@ -3,7 +3,7 @@
 //! A loop that works has negative feedback, so the process gain has the sign of the controller's. Fitting the wrong
 //! sign would model the controller backwards instead of the process.
 
-use super::robust;
+use super::robust::Regressor;
 use crate::signal::detrend::moving_average;
 use crate::signal::stats;
 
@@ -14,11 +14,14 @@ use crate::signal::stats;
 #[must_use]
 pub fn of_gain(op: &[f64], pv: &[f64]) -> Option<f64> {
     let mut best: Option<Answer> = None;
+    let mut work = Regressor::default();
     for width in [1, 3, 7] {
         let (u, e) = (moving_average(op, width), moving_average(pv, width));
         for lag in [0, 1] {
             // Once more on first differences, in which a set point that steps leaves single outliers only.
-            for found in [regress(&u, &e, lag), regress(&moves(&u), &moves(&e), lag)].into_iter().flatten() {
+            for found in
+                [regress(&u, &e, lag, &mut work), regress(&moves(&u), &moves(&e), lag, &mut work)].into_iter().flatten()
+            {
                 if best.as_ref().is_none_or(|b| found.r2 > b.r2 + 0.02) {
                     best = Some(found);
                 }
@@ -49,7 +52,7 @@ struct Answer {
     r2: f64,
 }
 
-fn regress(op: &[f64], pv: &[f64], lag: usize) -> Option<Answer> {
+fn regress(op: &[f64], pv: &[f64], lag: usize, work: &mut Regressor) -> Option<Answer> {
     let n = op.len().min(pv.len());
     if n < lag + 20 {
         return None;
@@ -59,7 +62,7 @@ fn regress(op: &[f64], pv: &[f64], lag: usize) -> Option<Answer> {
     let moves: Vec<f64> = (from..n).map(|k| op[k] - op[k - 1]).collect();
     let de: Vec<f64> = (from..n).map(|k| pv[k - lag - 1] - pv[k - lag]).collect();
     let e: Vec<f64> = (from..n).map(|k| middle - pv[k - lag]).collect();
-    let found = robust::regress(&moves, &[&de, &e], None)?;
+    let found = work.regress(&moves, &[&de, &e], None)?;
     Some(Answer {
         proportional: found.coefficients[0] * stats::std_dev(&de),
         integral: found.coefficients[1] * stats::std_dev(&e),

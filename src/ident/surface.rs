@@ -24,25 +24,27 @@
 //! [`super::quantify`] searches otherwise (whole cells of equal slips at once, fd solved, several views of the error);
 //! this surface is what a general solver can be set on, and what an error map shows.
 
-use super::bank::Bank;
-use super::candidate::{MIN_SLIPS, Question};
-use super::class::{Class, Shape};
-use super::fit::{Fitted, Fitter, Freedom, Target};
-use super::frictionless;
+use super::candidate::{Question, Start};
+use super::class::Class;
+use super::evaluator::{View, lattice_index, lattice_tau};
 use super::pose::pose;
 use super::quantify::Options;
-use super::search::FINE;
 use super::sign;
+use super::slip_search::candidate::{Candidate, LatticeFit};
+use super::slip_search::coarse_scan::CoarseScan;
+use super::slip_search::evaluator::Evaluator;
+use super::slip_search::problem::Problem;
+use super::slip_search::stages::frictionless;
 use crate::optim::{Objective, Outcome, Settings, Solver};
 use crate::record::Record;
 use crate::signal::stats;
-use crate::sim::slips::{Law, Sequence};
+use crate::sim::slips::Law;
 
 /// Evaluations that a solver may spend unless told otherwise: the toolbox's own limit.
 pub const BUDGET: u64 = 10_000;
-/// Gauss-Newton steps for each point, from the best of the bank.
-const STEPS: usize = 3;
-/// Turns of the stem below which several positions before the record are looked at.
+/// Places of the stem before the record that are looked at, shares of the static band from OP's first value; the first one
+/// alone of a stem that turns more often than that.
+const STARTS: [f64; 3] = [0.0, -0.9, 0.9];
 const FEW_REVERSALS: usize = 8;
 /// s in spans below which there is no friction.
 const NOTHING: f64 = 1e-4;
@@ -68,19 +70,23 @@ pub struct Point {
 #[derive(Debug)]
 pub struct Surface {
     question: Question,
-    target: Target,
     law: Law,
     class: Class,
-    signs: Vec<f64>,
-    bank: Bank,
-    sequence: Sequence,
-    fitter: Fitter,
+    sides: Vec<Side>,
     span: f64,
     deviation: f64,
     ts_s: f64,
     box_samples: f64,
-    without: Option<Fitted>,
     evaluations: u64,
+}
+
+/// One sign of the gain.
+#[derive(Debug)]
+struct Side {
+    sign: f64,
+    scans: Vec<CoarseScan>,
+    view: View,
+    without: Option<LatticeFit>,
 }
 
 impl Surface {
@@ -93,13 +99,17 @@ impl Surface {
             return None;
         }
         let question = pose(record, options, span, deviation);
-        let target = Target::new(&question.pv, 0.0, question.from);
         let signs = sign::of_gain(&question.mean, &question.pv).map_or(vec![1.0, -1.0], |s| vec![s]);
-        let bank = Bank::new(&question, FINE);
+        let side = |sign: f64| {
+            let problem = Problem::new(&question, sign);
+            let points = problem.points();
+            let mut view = problem.view(0.0, points);
+            let mut evaluator = Evaluator::new(&problem, law, class, points);
+            let without = frictionless(&mut evaluator, &mut view, class).filter(|f| f.gain != 0.0);
+            Side { sign, scans: CoarseScan::of(&problem, 0.0, points), view, without }
+        };
         Some(Self {
-            bank,
-            signs,
-            target,
+            sides: signs.into_iter().map(side).collect(),
             question,
             law,
             class,
@@ -107,9 +117,6 @@ impl Surface {
             deviation,
             ts_s: record.ts_s,
             box_samples: record.box_samples as f64,
-            sequence: Sequence::default(),
-            fitter: Fitter::default(),
-            without: None,
             evaluations: 0,
         })
     }
@@ -143,96 +150,72 @@ impl Surface {
         let fit = self.fit(fs, fd)?;
         let gain = self.class.gain(fit.gain) * self.deviation / self.span;
         let point_s = self.ts_s * self.box_samples;
+        let taus = fit.places.map(lattice_tau);
         Some(Point {
             fs,
             fd,
             mse: fit.sse * self.scale(),
             gain: if self.class.integrates() { gain / point_s } else { gain },
-            time_constants_s: self.class.time_constants(&fit.shape).iter().map(|t| t * point_s).collect(),
-            dead_time_s: (self.class.lag(&fit.shape) * self.box_samples - 1.0).max(0.0) * self.ts_s,
+            time_constants_s: taus[..self.class.lags()].iter().map(|t| t * point_s).collect(),
+            dead_time_s: (fit.lag() * self.box_samples - 1.0).max(0.0) * self.ts_s,
         })
     }
 
     /// Squared normalised error to mean squared error in PV units.
     fn scale(&self) -> f64 {
-        self.deviation * self.deviation / self.target.y.len().max(1) as f64
+        let count = self.sides.first().map_or(1.0, |side| side.view.count());
+        self.deviation * self.deviation / count.max(1.0)
     }
 
-    fn fit(&mut self, fs: f64, fd: f64) -> Option<Fitted> {
+    fn fit(&mut self, fs: f64, fd: f64) -> Option<LatticeFit> {
         self.evaluations += 1;
         let [s, j] = [(fs + fd) / self.span, (fs - fd) / self.span];
         let inside = fd >= 0.0 && fd <= fs && s <= 1.0 + 1e-9;
         if !inside {
             return None;
         }
-        if s < NOTHING {
-            return self.without();
-        }
-        let first = self.best_of_starts(s, j, 1);
-        if self.sequence.reversals >= FEW_REVERSALS { first } else { better(first, self.best_of_starts(s, j, 3)) }
+        let (question, law, class) = (&self.question, self.law, self.class);
+        let fits = self
+            .sides
+            .iter_mut()
+            .map(|side| if s < NOTHING { side.without } else { side.fit(question, law, class, [s, j]).map(|c| c.fit) });
+        fits.flatten().reduce(|a, b| if b.sse < a.sse { b } else { a })
     }
+}
 
-    /// The best process without friction.
-    fn without(&mut self) -> Option<Fitted> {
-        if self.without.is_none() {
-            let of = |sign: &f64| frictionless::best(&self.question, &self.target, self.class, *sign, 2);
-            self.without = self.signs.iter().map(of).fold(None, better);
-        }
-        self.without
-    }
-
-    /// The best fit over `wanted` positions of the stem before the record.
-    fn best_of_starts(&mut self, s: f64, j: f64, wanted: usize) -> Option<Fitted> {
-        let starts = self.question.starts(0.5 * (s + j), wanted);
-        let mut best = None;
-        for start in starts {
-            let q = &self.question;
-            self.sequence.run(self.law, &q.path, q.per_point, s, j, q.first_slip(start));
-            if self.sequence.slips >= MIN_SLIPS {
-                best = better(best, self.process(0.5 * (s - j)));
+impl Side {
+    /// The best process for one pair of bands, taken at its word, over first positions of the stem.
+    fn fit(&mut self, question: &Question, law: Law, class: Class, [s, j]: [f64; 2]) -> Option<Candidate> {
+        let problem = Problem::new(question, self.sign);
+        let mut evaluator = Evaluator::new(&problem, law, class, problem.points());
+        let mut best: Option<Candidate> = None;
+        for (which, start) in problem.starts(0.5 * (s + j), &STARTS).into_iter().enumerate() {
+            if which > 0 && evaluator.steps().reversals >= FEW_REVERSALS {
+                break;
             }
+            let found = self.process(&mut evaluator, [s, j], start).filter(|c| c.fit.gain != 0.0);
+            best = found.filter(|f| best.is_none_or(|b| f.sse() < b.sse())).or(best);
         }
         best
     }
 
-    /// The best process behind the valve signal at hand: the bank's best place, then a few steps.
-    fn process(&mut self, fd: f64) -> Option<Fitted> {
-        let q = &self.question;
-        let mut freedom = Freedom { fd: [fd, fd], fd_default: fd, sign: 1.0, limits: q.limits };
-        let points = self.bank.points;
-        let per_box = |x: &[f64]| crate::signal::detrend::box_means(x, points);
-        let boxed = [per_box(&self.sequence.at), per_box(&self.sequence.direction)];
-        let glances = self.bank.look(&boxed[0], &boxed[1], &freedom, &self.signs);
-        let plain = self.signs.iter().zip(glances).flat_map(|(sign, [plain, _])| plain.map(|glance| (sign, glance)));
-        let (sign, glance) = plain.min_by(|a, b| a.1.share.total_cmp(&b.1.share))?;
-        freedom.sign = *sign;
-        let signal = [&self.sequence.at[..], &self.sequence.direction[..]];
-        let first = Class::First.clamp([libm::log(glance.tau), glance.lag, 0.0], &q.limits);
-        let mut best: Option<Fitted> = None;
-        for shape in starts_of(self.class, &first) {
-            let shape = self.class.clamp(shape, &q.limits);
-            best = better(best, Some(self.fitter.linear(self.class, &shape, signal, &self.target, &freedom)));
-        }
-        let best = best?;
-        let at = self.fitter.linear(self.class, &best.shape, signal, &self.target, &freedom);
-        let fit = self.fitter.improve(self.class, at, signal, &self.target, &freedom, STEPS, [1e-4, f64::INFINITY]);
-        (fit.gain != 0.0).then_some(fit)
-    }
-}
-
-/// Shapes of a class to start from, given the best single lag.
-fn starts_of(class: Class, first: &Shape) -> Vec<Shape> {
-    let (tau, lag) = (libm::exp(first[0]), first[1]);
-    match class {
-        Class::First => vec![*first],
-        _ => vec![class.start(tau, lag), class.start(0.7 * tau, 0.6 * lag)],
-    }
-}
-
-fn better(a: Option<Fitted>, b: Option<Fitted>) -> Option<Fitted> {
-    match (a, b) {
-        (Some(x), Some(y)) => Some(if y.sse < x.sse { y } else { x }),
-        (x, y) => x.or(y),
+    /// The best process behind one valve signal: from the best place of the coarse scan.
+    fn process(&mut self, evaluator: &mut Evaluator<'_>, [s, j]: [f64; 2], start: Start) -> Option<Candidate> {
+        let fd = 0.5 * (s - j);
+        let freedom = evaluator.slip(s, j, start)?;
+        let freedom = super::fit::Freedom { fd: [fd; 2], fd_default: fd, ..freedom };
+        let seen = self.scans.iter().map(|scan| scan.look(&evaluator.steps().list, &freedom));
+        let seen = seen.min_by(|a, b| a.share.total_cmp(&b.share))?;
+        let place = lattice_index(seen.tau);
+        let near = LatticeFit {
+            sse: 0.0,
+            gain: 0.0,
+            fd,
+            places: [place; 2],
+            delay: seen.lag as usize,
+            fraction: seen.lag.fract(),
+        };
+        evaluator.at_bands(&mut self.view, [s, j], start, &near, &freedom)
     }
 }
 

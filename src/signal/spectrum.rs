@@ -1,34 +1,96 @@
 //! Second-order structure of a signal: autocorrelation and where it crosses zero.
 
-use super::stats::{dot, dot3};
+use std::sync::{Arc, LazyLock};
 
-/// Autocorrelation of a zero-mean signal at lags `0..=max_lag`, biased (divided by n), 1 at lag 0.
-///
-/// Direct sums: for the sizes here they cost less than a transform and come out the same on every machine. Empty when
-/// the signal is constant.
+use super::stats::dot;
+
+/// Autocorrelation of a zero-mean signal at lags `0..=max_lag`, biased (divided by n), 1 at lag 0; empty where the signal
+/// is constant.
 #[must_use]
 pub fn autocorrelation(x: &[f64], max_lag: usize) -> Vec<f64> {
-    let power = dot(x, x);
-    if power.is_nan() || power <= 0.0 {
-        return Vec::new();
+    let [found, _] = autocorrelations([x, &[]], max_lag);
+    found
+}
+
+/// The same of two signals in one transform (Cooley and Tukey 1965), which comes out the same on every machine: its turns
+/// are made here and its sums stand in a fixed order.
+#[must_use]
+pub fn autocorrelations(x: [&[f64]; 2], max_lag: usize) -> [Vec<f64>; 2] {
+    let longest = x[0].len().max(x[1].len());
+    let lags = max_lag.min(longest.saturating_sub(1)) + 1;
+    // Behind the signals there are as many zeros as there are lags, so that none meets its own beginning.
+    let size = (longest + lags).next_power_of_two().max(2);
+    let part = |x: &[f64]| {
+        let mut part = x.to_vec();
+        part.resize(size, 0.0);
+        part
+    };
+    let (mut re, mut im) = (part(x[0]), part(x[1]));
+    transform(&mut re, &mut im);
+    // The first signal's power as real part and the second's as imaginary one: both are even, so their transforms are real.
+    for k in 0..=size / 2 {
+        let back = (size - k) % size;
+        let (a, b) = ([re[k] + re[back], im[k] - im[back]], [im[k] + im[back], re[back] - re[k]]);
+        let power = |z: [f64; 2]| 0.25 * (z[0] * z[0] + z[1] * z[1]);
+        (re[k], im[k]) = (power(a), power(b));
+        (re[back], im[back]) = (re[k], im[k]);
     }
-    let last = max_lag.min(x.len() - 1);
-    let mut acf = Vec::with_capacity(last + 3);
-    let mut lag = 0;
-    while lag <= last {
-        // Three lags at once over what they share, then the one or two products more of the shorter lags.
-        let shared = x.len().saturating_sub(lag + 2);
-        let later = |by: usize| &x[(lag + by).min(x.len())..];
-        let sums = dot3(&x[..shared], [later(0), later(1), later(2)]);
-        for (by, sum) in sums.into_iter().enumerate() {
-            let rest = &x[shared..];
-            let moved = later(by).get(shared..).unwrap_or(&[]);
-            acf.push((sum + dot(rest, moved)) / power);
+    transform(&mut re, &mut im);
+    let of = |sums: &[f64], x: &[f64]| match dot(x, x) > 0.0 {
+        true => sums[..lags.min(x.len())].iter().map(|sum| sum / sums[0]).collect(),
+        false => Vec::new(),
+    };
+    [of(&re, x[0]), of(&im, x[1])]
+}
+
+/// Turns of every stage of a transform: those of a stage of `2 h` values stand from `h` to `2 h`.
+fn turns(size: usize) -> Arc<[Vec<f64>; 2]> {
+    static SHORT: LazyLock<Arc<[Vec<f64>; 2]>> = LazyLock::new(|| Arc::new(made(SHORT_SIZE)));
+    if size <= SHORT_SIZE { Arc::clone(&SHORT) } else { Arc::new(made(size)) }
+}
+
+/// Largest size whose turns are kept.
+const SHORT_SIZE: usize = 4096;
+
+fn made(size: usize) -> [Vec<f64>; 2] {
+    let (mut cosine, mut sine) = (vec![1.0; size], vec![0.0; size]);
+    let mut half = 1;
+    while half < size {
+        for j in 0..half {
+            let angle = -core::f64::consts::PI * j as f64 / half as f64;
+            (cosine[half + j], sine[half + j]) = (libm::cos(angle), libm::sin(angle));
         }
-        lag += 3;
+        half *= 2;
     }
-    acf.truncate(last + 1);
-    acf
+    [cosine, sine]
+}
+
+/// Discrete Fourier transform in place; the length is a power of two.
+fn transform(re: &mut [f64], im: &mut [f64]) {
+    let size = re.len();
+    let turns = turns(size);
+    let bits = size.trailing_zeros();
+    for k in 1..size {
+        let other = k.reverse_bits() >> (usize::BITS - bits);
+        if k < other {
+            re.swap(k, other);
+            im.swap(k, other);
+        }
+    }
+    let mut half = 1;
+    while half < size {
+        let (cosine, sine) = (&turns[0][half..2 * half], &turns[1][half..2 * half]);
+        for (re, im) in re.chunks_exact_mut(2 * half).zip(im.chunks_exact_mut(2 * half)) {
+            let ((re_a, re_b), (im_a, im_b)) = (re.split_at_mut(half), im.split_at_mut(half));
+            let both = re_a.iter_mut().zip(re_b).zip(im_a.iter_mut().zip(im_b));
+            for (((ra, rb), (ia, ib)), (c, s)) in both.zip(cosine.iter().zip(sine)) {
+                let (r, i) = (*rb * c - *ib * s, *rb * s + *ib * c);
+                (*rb, *ib) = (*ra - r, *ia - i);
+                (*ra, *ia) = (*ra + r, *ia + i);
+            }
+        }
+        half *= 2;
+    }
 }
 
 /// Places (fractions of a sample) where `x` changes sign, counting a change only once `x` has left a band of
@@ -97,6 +159,8 @@ mod tests {
         let x = [1.0, -2.0, 4.0, 3.0];
         let plain: Vec<f64> = (0..4).map(|l| (l..4).map(|k| x[k] * x[k - l]).sum::<f64>() / 30.0).collect();
         let found = autocorrelation(&x, 9);
+        let both = autocorrelations([&x, &sine(9, 3.0)], 9);
+        assert!(both[0] == found && both[1].len() == 9, "{both:?}");
         assert!(found.len() == 4 && found.iter().zip(plain).all(|(a, b)| (a - b).abs() < 1e-15), "{found:?}");
     }
 

@@ -96,10 +96,49 @@ pub fn sorted(x: &[f64]) -> Vec<f64> {
     copy
 }
 
-/// Quantile `q` (0..1) of values in any order.
+/// Quantile `q` (0..1) of values in any order, as [`quantile_sorted`] gives it.
 #[must_use]
 pub fn quantile(x: &[f64], q: f64) -> f64 {
-    quantile_sorted(&sorted(x), q)
+    let Some(last) = x.len().checked_sub(1) else { return 0.0 };
+    let place = q.clamp(0.0, 1.0) * last as f64;
+    let below = place.floor() as usize;
+    let (mut work, share) = (Vec::new(), place - below as f64);
+    let low = nth(x, below, &mut work);
+    if below == last { low } else { low + share * (nth(x, below + 1, &mut work) - low) }
+}
+
+/// The value that would stand at `place` (from 0, below the number of values) were they in rising order; `work` is memory.
+///
+/// Values at even distances say between which bounds it lies, and only what lies there is put in order.
+#[must_use]
+pub fn nth(x: &[f64], place: usize, work: &mut Vec<f64>) -> f64 {
+    const SAMPLE: usize = 64;
+    const TO_EITHER_SIDE: usize = 8;
+    work.clear();
+    if x.len() < 4 * SAMPLE {
+        work.extend_from_slice(x);
+        return *work.select_nth_unstable_by(place, f64::total_cmp).1;
+    }
+    work.extend(x.iter().step_by(x.len() / SAMPLE));
+    work.sort_unstable_by(f64::total_cmp);
+    let near = place * work.len() / x.len();
+    let low = near.checked_sub(TO_EITHER_SIDE).map_or(f64::NEG_INFINITY, |at| work[at]);
+    let high = work.get(near + TO_EITHER_SIDE).copied().unwrap_or(f64::INFINITY);
+    work.clear();
+    work.resize(x.len(), 0.0);
+    let (mut below, mut between) = (0, 0);
+    for v in x {
+        work[between] = *v;
+        between += usize::from(*v >= low && *v <= high);
+        below += usize::from(*v < low);
+    }
+    work.truncate(between);
+    if place < below || place - below >= between {
+        work.clear();
+        work.extend_from_slice(x);
+        below = 0;
+    }
+    *work.select_nth_unstable_by(place - below, f64::total_cmp).1
 }
 
 /// Median; 0 for an empty slice.
@@ -118,8 +157,7 @@ pub fn mad(x: &[f64]) -> f64 {
 /// Robust span: from the 0.5 to the 99.5 percentile, units of `x`.
 #[must_use]
 pub fn span(x: &[f64]) -> f64 {
-    let s = sorted(x);
-    quantile_sorted(&s, 0.995) - quantile_sorted(&s, 0.005)
+    quantile(x, 0.995) - quantile(x, 0.005)
 }
 
 /// Standard deviation of the white part of a signal: 1.4826 MAD of its second differences over sqrt(6), which smooth
@@ -163,15 +201,17 @@ pub fn repeat_share(x: &[f64]) -> f64 {
 /// Number of different values, up to `limit`.
 #[must_use]
 pub fn levels(x: &[f64], limit: usize) -> usize {
-    let s = sorted(x);
-    let mut count = usize::from(!s.is_empty());
-    for w in s.windows(2) {
-        count += usize::from(w[0] != w[1]);
-        if count >= limit {
-            break;
-        }
-    }
-    count
+    // Most signals show many values soon.
+    let soon = x.len().min(limit.saturating_mul(2));
+    let count = different(&x[..soon], limit);
+    if count >= limit || soon == x.len() { count } else { different(x, limit) }
+}
+
+fn different(x: &[f64], limit: usize) -> usize {
+    let mut s = x.to_vec();
+    s.sort_unstable_by(f64::total_cmp);
+    let count = usize::from(!s.is_empty()) + s.windows(2).filter(|w| w[0] != w[1]).count();
+    count.min(limit)
 }
 
 /// Autocorrelation of a zero-mean signal at a lag of one, -1..1; 0 for nothing.
@@ -193,6 +233,28 @@ mod tests {
         assert_eq!(quantile(&x, 1.0), 4.0);
         assert_eq!(median(&[]), 0.0);
         assert_eq!(mad(&[1.0, 2.0, 3.0, 4.0, 100.0]), 1.0);
+    }
+
+    #[test]
+    fn the_nth_value_is_found_without_sorting() {
+        for seed in 0..40_u64 {
+            let mut noise = crate::sim::noise::Noise::new(seed, 0);
+            let step = f64::from(seed as u8 % 4);
+            let x: Vec<f64> =
+                (0..400 + 13 * seed as usize)
+                    .map(|k| {
+                        if step > 0.0 { (noise.gaussian() * step).round() } else { noise.gaussian() + (k / 300) as f64 }
+                    })
+                    .collect();
+            let s = sorted(&x);
+            let mut work = Vec::new();
+            for place in (0..x.len()).step_by(7).chain([x.len() - 1]) {
+                assert_eq!(nth(&x, place, &mut work), s[place]);
+            }
+            for q in [0.0, 0.005, 0.3, 0.5, 0.995, 1.0] {
+                assert_eq!(quantile(&x, q), quantile_sorted(&s, q));
+            }
+        }
     }
 
     #[test]

@@ -7,8 +7,9 @@ use super::gates::{gates, is_interpolated};
 use super::judge::{grade, judge};
 use super::params::AssessParams;
 use super::rule::{self, Features, Rule};
-use crate::detect::oscillation::{self, Oscillates};
-use crate::detect::{self, Witness};
+use super::screen;
+use crate::detect::oscillation::{Looks, Oscillates};
+use crate::detect::{self, View, Witness};
 use crate::ident::controller::{self, Reading};
 use crate::ident::region::{region, severity, strength};
 use crate::ident::width::Settings;
@@ -27,20 +28,27 @@ const INTERVAL_LEVEL: f64 = 0.9;
 #[must_use]
 pub fn assess(record: &Record, params: &AssessParams) -> Assessment {
     let seen = Seen::of(record, params);
-    let window = Window::of(record);
-    let empty = Assessment::empty(window, describe(seen.found.as_ref(), record));
+    let empty = Assessment::empty(Window::of(record), describe(seen.found().as_ref(), record));
     let mut out = Assessment { gates: seen.gates.clone(), interval_level: Some(INTERVAL_LEVEL), ..empty };
-    let Some(evidence) = &seen.evidence else {
-        out.reason = seen.blocked().map(Gate::name);
+    if let Some(gate) = seen.blocked() {
+        out.reason = Some(gate.name());
         return out;
-    };
+    }
+    if params.screening && !params.always_fit && screen::lets_go(record, &seen.looks, &seen.gates) {
+        screen::answer(&mut out);
+        return out;
+    }
+    let found = seen.found();
+    let evidence = &Evidence::of(record, params, &seen);
     if let Some(e) = &evidence.estimate {
         fill(&mut out, e, record, params);
     }
-    decide(&mut out, evidence, record, seen.found.as_ref());
-    let sticks = out.stiction == Some(true);
-    out.s_detectable = evidence.estimate.as_ref().and_then(|e| {
-        detectable::smallest(record, &options(params, seen.found.as_ref()), e, sticks, is_interpolated(record))
+    decide(&mut out, evidence, record, found.as_ref());
+    // Where it sticks the question does not arise.
+    let open = evidence.estimate.as_ref().filter(|_| out.stiction != Some(true));
+    out.s_detectable = open.and_then(|e| {
+        let options = options(params, found.as_ref());
+        detectable::smallest(record, &evidence.view, &options, e, is_interpolated(record))
     });
     out
 }
@@ -51,44 +59,60 @@ pub fn assess(record: &Record, params: &AssessParams) -> Assessment {
 /// The first blocking gate.
 pub fn figures(record: &Record, params: &AssessParams) -> Result<Features, Gate> {
     let seen = Seen::of(record, params);
-    let blocked = seen.blocked().unwrap_or(Gate::Skipped);
-    seen.evidence.map(|e| e.figures).ok_or(blocked)
+    match seen.blocked() {
+        Some(gate) => Err(gate),
+        None => Ok(Evidence::of(record, params, &seen).figures),
+    }
 }
 
-/// What a record shows, before anything is made of it.
+/// Whether [`assess`] with these parameters lets the record go as that of a calm loop; their `screening` aside.
+#[must_use]
+pub fn lets_go(record: &Record, params: &AssessParams) -> bool {
+    let seen = Seen::of(record, params);
+    seen.blocked().is_none() && screen::lets_go(record, &seen.looks, &seen.gates)
+}
+
+/// What a record shows at once.
 struct Seen {
-    found: Option<Oscillates>,
+    looks: Looks,
     gates: Vec<Gate>,
-    /// `None` behind a blocking gate.
-    evidence: Option<Evidence>,
+}
+
+impl Seen {
+    fn of(record: &Record, params: &AssessParams) -> Self {
+        let looks = Looks::of(&record.op(), &record.pv);
+        let gates = gates(record, &describe(looks.together().as_ref(), record), params);
+        Self { looks, gates }
+    }
+
+    fn found(&self) -> Option<Oscillates> {
+        self.looks.together()
+    }
+
+    fn blocked(&self) -> Option<Gate> {
+        self.gates.iter().copied().find(|g| g.blocks())
+    }
 }
 
 /// What the verdict stands on.
 struct Evidence {
     /// `None` where nothing was fitted.
     estimate: Option<Estimate>,
+    /// The record as the detectors look at it.
+    view: View,
     figures: Features,
 }
 
-impl Seen {
-    fn of(record: &Record, params: &AssessParams) -> Self {
-        let op = record.op();
-        let found = oscillation::detect(&op, &record.pv);
-        let gates = gates(record, &describe(found.as_ref(), record), params);
-        let mut seen = Self { found, gates, evidence: None };
-        if seen.blocked().is_none() {
-            let worth_it = params.always_fit
-                || found.is_some_and(|o| o.oscillating && o.periods >= params.min_periods)
-                || reversals(&op) as f64 >= params.min_periods;
-            let estimate = if worth_it { quantify(record, &options(params, found.as_ref())) } else { None };
-            let figures = rule::figures(estimate.as_ref(), record, &detect::ALL, is_interpolated(record));
-            seen.evidence = Some(Evidence { estimate, figures });
-        }
-        seen
-    }
-
-    fn blocked(&self) -> Option<Gate> {
-        self.gates.iter().copied().find(|g| g.blocks())
+impl Evidence {
+    fn of(record: &Record, params: &AssessParams, seen: &Seen) -> Self {
+        let found = seen.found();
+        let worth_it = params.always_fit
+            || found.is_some_and(|o| o.oscillating && o.periods >= params.min_periods)
+            || reversals(&record.op()) as f64 >= params.min_periods;
+        let estimate = if worth_it { quantify(record, &options(params, found.as_ref())) } else { None };
+        let view = View::with_period(record, seen.looks.typical_period);
+        let figures = rule::figures(estimate.as_ref(), record, &view, &detect::ALL, is_interpolated(record));
+        Self { estimate, view, figures }
     }
 }
 

@@ -228,7 +228,8 @@ pub struct Assessment {
     pub verdict: Verdict,
     pub contributing: Vec<Verdict>,
     pub stiction: Option<bool>,
-    /// Why there is no answer: the first blocking gate, `undecided` (the evidence is a coin toss) or `not_fitted`.
+    /// Why there is no answer: the first blocking gate, `undecided` (the evidence is a coin toss) or `not_fitted`; or why
+    /// there is nothing beside the answer: `screened` (a calm loop, of which nothing more was computed).
     pub reason: Option<&'static str>,
     pub p_stiction: Option<f64>,
     pub confidence: Option<f64>,

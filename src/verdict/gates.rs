@@ -85,6 +85,11 @@ fn has_steps(sp: &[f64], pv: &[f64]) -> bool {
 
 /// Stands on few levels, or on a grid that is coarse against its own movement.
 fn is_coarse(x: &[f64]) -> bool {
+    // Most signals show many different values soon, and then neither can be.
+    let many = (x.len() / 4 + 1).max(FEW_LEVELS + 1);
+    if stats::levels(&x[..x.len().min(2 * many)], many + 1) > many {
+        return false;
+    }
     if stats::levels(x, FEW_LEVELS + 1) <= FEW_LEVELS {
         return true;
     }

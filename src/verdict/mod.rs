@@ -10,12 +10,14 @@ mod gates;
 mod judge;
 mod params;
 pub mod rule;
+mod screen;
 pub mod tally;
 
 pub use crate::detect::Witness;
 pub use crate::ident::{DelayChoice, ModelChoice, ValveChoice};
-pub use assess::{assess, figures};
+pub use assess::{assess, figures, lets_go};
 pub use document::{
     Assessment, Controller, ESTIMATE_SCHEMA, EstimateDocument, Gate, Oscillation, Process, Search, Verdict, Window,
 };
 pub use params::AssessParams;
+pub use screen::{P_CALM, SCREENED};

@@ -25,6 +25,8 @@ pub struct AssessParams {
     pub seed: u64,
     /// Fit whatever is there, as `analyze` does; the daemon waits for `min_periods` or as many reversals.
     pub always_fit: bool,
+    /// Let calm loops go at once, unless `always_fit`: see `screened` among the reasons of documents.
+    pub screening: bool,
 }
 
 impl Default for AssessParams {
@@ -40,6 +42,7 @@ impl Default for AssessParams {
             fineness_pct: 5.0,
             seed: 1,
             always_fit: false,
+            screening: true,
         }
     }
 }

@@ -171,6 +171,20 @@ pub fn of_fit(index: f64, s_over_span: f64, reversals: usize, left: &Whiteness, 
 pub fn figures(
     estimate: Option<&Estimate>,
     record: &Record,
+    view: &View,
+    detectors: &[&dyn Detector],
+    interpolated: bool,
+) -> Features {
+    figures_of(estimate, record, &record.pv, view, detectors, interpolated)
+}
+
+/// As [`figures`], with another PV than the record's, which `view` was made of too.
+#[must_use]
+pub fn figures_of(
+    estimate: Option<&Estimate>,
+    record: &Record,
+    pv: &[f64],
+    view: &View,
     detectors: &[&dyn Detector],
     interpolated: bool,
 ) -> Features {
@@ -179,13 +193,12 @@ pub fn figures(
         out.extend(of_fit(e.index, e.s / e.span, e.reversals, &e.spread.whiteness, record.len()));
         out.insert("index_moves".to_owned(), e.index_moves);
     }
-    let moved = record.sp.as_deref().map_or(0.0, stats::std_dev) / stats::std_dev(&record.pv);
+    let moved = record.sp.as_deref().map_or(0.0, stats::std_dev) / stats::std_dev(pv);
     if moved.is_finite() {
         out.insert("setpoint_share".to_owned(), moved.min(2.0));
     }
-    let view = View::new(record);
     let heard = detectors.iter().filter(|d| !(interpolated && d.name() == "jumps"));
-    out.extend(heard.filter_map(|d| Some((d.name().to_owned(), d.score(&view)?))));
+    out.extend(heard.filter_map(|d| Some((d.name().to_owned(), d.score(view)?))));
     out
 }
 

@@ -195,6 +195,25 @@ pub fn labelled(folder: &str) -> Vec<Labelled> {
         .collect()
 }
 
+/// Where the labelled recordings of real loops are, which are no part of the project.
+pub const RECORDINGS: &str = "../shared/data";
+
+/// The same, or a loud word that `test` was skipped for want of them.
+pub fn labelled_or_skip(test: &str) -> Option<Vec<Labelled>> {
+    let all = labelled(RECORDINGS);
+    if all.is_empty() {
+        skipped(test, "no labelled recordings in ../shared/data");
+    }
+    (!all.is_empty()).then_some(all)
+}
+
+/// Says that a test was skipped, past the harness, which keeps what passing tests print to itself; `tests/run.sh` counts
+/// these lines.
+pub fn skipped(test: &str, why: &str) {
+    use std::io::Write;
+    let _ = std::io::stderr().lock().write_all(format!("\nSKIPPED: {test}: {why}\n").as_bytes());
+}
+
 /// Reads `t,op,pv[,sp]`, drops rows that are not finite or do not advance, and boxes what is longer than 2000 samples.
 fn read(path: &std::path::Path, _ts: Option<f64>) -> Option<Record> {
     let text = std::fs::read_to_string(path).ok()?;

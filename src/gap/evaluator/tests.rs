@@ -7,7 +7,7 @@ use crate::gap::effects::{self, Effect, Unit, Way};
 use crate::gap::plain::tests::made_by;
 use crate::gap::settle::{FAR, clamped};
 use crate::gap::structure::MAX_PARAMS;
-use crate::ident::search::{generator, uniform};
+use crate::ident::random::{generator, uniform};
 use crate::sim::slips::Law;
 
 /// Effects that are simulated.

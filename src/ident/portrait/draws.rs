@@ -1,11 +1,18 @@
 //! Where searches with other seeds end, and where the bands would have come out under other draws of the noise.
 
-use super::super::candidate::Candidate;
+use rand_chacha::ChaCha8Rng;
+
+use super::super::candidate::Question;
 use super::super::choice::ValveChoice;
-use super::super::fit::Target;
+use super::super::class::Class;
+use super::super::evaluator::lattice_index;
 use super::super::quantify::{Options, quantify};
-use super::super::search::{climb, generator, uniform};
-use super::{Bench, Portrait};
+use super::super::random::{generator, uniform};
+use super::super::slip_search::candidate::{Candidate as Found, LatticeFit};
+use super::super::slip_search::evaluator::Evaluator;
+use super::super::slip_search::local_search::{Nearness, random_steps};
+use super::super::slip_search::problem::Problem;
+use super::Portrait;
 use crate::sim::slips::Law;
 
 /// Where one search ended.
@@ -30,8 +37,8 @@ const SHORTEST_BLOCK: usize = 10;
 
 impl Portrait<'_> {
     /// Bands of a candidate: all s of its cell give the same slips, so `place` (0..1) takes one of them.
-    fn optimum(&self, c: &Candidate, place: f64) -> Optimum {
-        let [low, high] = [c.s_cell[0], c.s_cell[1].min(c.s.max(1.0))];
+    fn optimum(&self, c: &Found, place: f64) -> Optimum {
+        let [low, high] = [c.cells[0][0], c.cells[0][1].min(c.s.max(1.0))];
         let fd = c.fit.fd;
         let s = (low + place * (high - low)).max(2.0 * fd);
         Optimum { fs: (s - fd) * self.span, fd: fd * self.span, rms: self.rms(c.fit.sse) }
@@ -58,20 +65,43 @@ impl Portrait<'_> {
         let residual = self.bench(self.class).residual(&self.candidate);
         let n = residual.len();
         let block = (self.question.period.round() as usize).clamp(SHORTEST_BLOCK.min(n), (n / 4).max(1));
+        let from = self.question.from.min(self.question.pv.len());
         let mut out = Vec::with_capacity(count);
         for _ in 0..count {
             let drawn = blocks(&residual, block, &mut || uniform(&mut rng));
-            let y = self.target.y.iter().zip(&residual).zip(&drawn).map(|((y, old), new)| y - old + new).collect();
-            let target = Target { y, ..self.target };
-            let mut bench = Bench::new(&self.question, self.law, self.class, &target, self.sign);
-            let Some(first) = bench.settle(&self.candidate) else { continue };
-            let best = climb(&mut bench, first, FINE_STEPS, true, &mut rng);
-            if let Some(end) = bench.settle(&best) {
-                let place = uniform(&mut rng);
-                out.push(self.optimum(&end, place));
+            let mut question = self.question.clone();
+            for ((y, old), new) in question.pv[from..].iter_mut().zip(&residual).zip(&drawn) {
+                *y += new - old;
             }
+            let place = uniform(&mut rng);
+            out.extend(self.found_again(&question, &mut rng).map(|c| self.optimum(&c, place)));
         }
         out
+    }
+
+    /// The answer after a few steps from where it is on another draw of the record.
+    fn found_again(&self, question: &Question, rng: &mut ChaCha8Rng) -> Option<Found> {
+        let problem = Problem::new(question, self.sign);
+        let points = problem.points();
+        let mut view = problem.view(0.0, points);
+        let mut evaluator = Evaluator::new(&problem, self.law, self.class, points);
+        let first =
+            evaluator.met(&mut view, [self.candidate.s, self.candidate.j], self.candidate.start, &self.fit())?;
+        let found = random_steps(&mut evaluator, &mut view, first, FINE_STEPS, Nearness::USUAL, rng);
+        evaluator.settle(&mut view, &found)
+    }
+
+    /// The process of the answer, on the lattice.
+    fn fit(&self) -> LatticeFit {
+        let shape = &self.candidate.fit.shape;
+        let tau = |slot: usize| lattice_index(libm::exp(shape[slot]));
+        let places = match self.class {
+            Class::Integrating => [0; 2],
+            Class::Second => [tau(0), tau(1)],
+            Class::First | Class::LagIntegrating => [tau(0); 2],
+        };
+        let (fit, lag) = (&self.candidate.fit, self.class.lag(shape));
+        LatticeFit { sse: fit.sse, gain: fit.gain, fd: fit.fd, places, delay: lag as usize, fraction: lag.fract() }
     }
 }
 

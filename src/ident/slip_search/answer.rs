@@ -10,7 +10,7 @@ use crate::ident::class::Class;
 use crate::ident::evaluator::View;
 use crate::ident::fit::{Fitted, Target};
 use crate::ident::order::{EARNED, FITTED_SHARE};
-use crate::ident::search::generator;
+use crate::ident::random::generator;
 use crate::ident::slip_search::evaluator::{Polished, shape_of};
 use crate::signal::stats;
 

@@ -12,6 +12,10 @@ use crate::sim::steps::Steps;
 
 /// Whole points that the lag goes on from where it was asked for, at most.
 const HOPS: usize = 12;
+/// Walks over the lattice that go on at the same width.
+const SAME_WIDTH: usize = 3;
+/// Most by which a lag gives way to time constants in one step, points.
+const MOST_TRADED: f64 = 3.0;
 /// Least place of a time constant on the lattice: 0.3 points.
 const LEAST_PLACE: i32 = -30;
 /// Step of finite differences off the lattice, in lattice steps, and Newton's longest step.
@@ -154,50 +158,71 @@ impl<'a> Evaluator<'a> {
         best
     }
 
-    /// Walks the lattice from a fit by steps of `first`, then smaller ones, while the error falls; with `trade` a slower lag
-    /// is also tried with a shorter delay.
-    fn walk(&mut self, view: &mut View, from: LatticeFit, freedom: &Freedom, first: i32, trade: bool) -> LatticeFit {
-        const ONE: [[i32; 2]; 2] = [[1, 0], [-1, 0]];
-        const TWO: [[i32; 2]; 6] = [[1, 0], [-1, 0], [0, 1], [0, -1], [1, -1], [-1, 1]];
+    /// Goes on from a fit over the lattice: by a quadratic model of the error through places `width` apart, then ever closer
+    /// ones, the lag moving against the time constants.
+    fn walk(&mut self, view: &mut View, from: LatticeFit, freedom: &Freedom, width: i32, trade: bool) -> LatticeFit {
         if self.class == Class::Integrating {
             return if trade { self.hop(view, from, freedom) } else { from };
         }
-        let ways: &[[i32; 2]] = if self.class == Class::Second { &TWO } else { &ONE };
-        let (mut best, mut step) = (from, first);
-        while step >= 1 {
-            let mut moved = false;
-            for way in ways {
-                let places = [best.places[0] + way[0] * step, best.places[1] + way[1] * step];
-                if self.class == Class::Second && places[1] >= places[0] || self.clamp(places)[0] != places[0] {
-                    continue;
-                }
-                let mut found = self.at(view, places, best.delay, freedom, f64::INFINITY);
-                if (trade || self.class == Class::Second) && found.sse >= best.sse {
-                    let grown: f64 = lattice_tau(places[0]) - lattice_tau(best.places[0])
-                        + if self.class == Class::Second {
-                            lattice_tau(places[1]) - lattice_tau(best.places[1])
-                        } else {
-                            0.0
-                        };
-                    let share = if self.class == Class::First { 0.5 } else { 1.0 };
-                    let delay = (best.delay as f64 - (share * grown).round()).max(0.0) as usize;
-                    if delay != best.delay {
-                        let other = self.at(view, places, delay, freedom, f64::INFINITY);
-                        if other.sse < found.sse {
-                            found = other;
-                        }
-                    }
-                }
-                if found.sse < best.sse {
-                    (best, moved) = (found, true);
-                    break;
-                }
+        let count = if self.class == Class::Second { 2 } else { 1 };
+        let (mut best, mut width, mut again) = (from, width, SAME_WIDTH);
+        while width >= 1 {
+            let home = best;
+            let (mut slope, mut curve, mut cross, mut corner) = ([0.0; 2], [0.0; 2], 0.0, 0.0);
+            for i in 0..count {
+                let mut by = [0; 2];
+                by[i] = width;
+                let up = self.beside(view, &home, by, freedom, &mut best);
+                by[i] = -width;
+                let down = self.beside(view, &home, by, freedom, &mut best);
+                slope[i] = 0.5 * (up - down);
+                curve[i] = up - 2.0 * home.sse + down;
+                corner += up - home.sse;
             }
-            if !moved {
-                step /= 2;
+            if count == 2 {
+                cross = self.beside(view, &home, [width; 2], freedom, &mut best) - home.sse - corner;
+            }
+            let step = newton(slope, curve, cross, count).map(|x| (x * f64::from(width)).round() as i32);
+            if step.iter().any(|x| x.abs() > width) || step != [0; 2] && count == 2 {
+                self.beside(view, &home, step, freedom, &mut best);
+            }
+            let far = (0..count).any(|i| (best.places[i] - home.places[i]).abs() > width);
+            if best.sse < home.sse && (far || width == 1) && again > 0 {
+                again -= 1;
+            } else {
+                width /= if width > 2 { 4 } else { 2 };
+                again = SAME_WIDTH;
             }
         }
         best
+    }
+
+    /// The error `by` places beside a fit, the lag moved against the time constants; the best so far is kept.
+    fn beside(
+        &mut self,
+        view: &mut View,
+        home: &LatticeFit,
+        by: [i32; 2],
+        freedom: &Freedom,
+        best: &mut LatticeFit,
+    ) -> f64 {
+        let places = self.clamp([home.places[0] + by[0], home.places[1] + by[1]]);
+        if places == home.places {
+            return home.sse;
+        }
+        let grown = |i: usize| lattice_tau(places[i]) - lattice_tau(home.places[i]);
+        let later = match self.class {
+            Class::First => 0.5 * grown(0),
+            Class::Second => grown(0) + grown(1),
+            _ => 0.0,
+        };
+        // A much slower lag shows in the dead time by a few points at most.
+        let delay = (home.lag() - later.clamp(-MOST_TRADED, MOST_TRADED)).max(0.0) as usize;
+        let found = self.at(view, places, delay, freedom, f64::INFINITY);
+        if found.sse < best.sse {
+            *best = found;
+        }
+        found.sse
     }
 
     /// The same time constants with other lags: the error has kinks at whole points.
@@ -225,8 +250,41 @@ impl<'a> Evaluator<'a> {
         let freedom = self.slip(s, j, start)?;
         let mut fit = self.at(view, near.places, near.delay, &freedom, enough);
         if fit.sse < enough {
-            fit = self.walk(view, fit, &freedom, 2, false);
+            fit = self.walk(view, fit, &freedom, 1, false);
         }
+        Some(self.candidate([s, j], start, fit))
+    }
+
+    /// Bands and first slip of the valve signal at hand with the best process, whose start is that of a single lag and whose
+    /// kinetic band `freedom` says.
+    pub fn at_bands(
+        &mut self,
+        view: &mut View,
+        bands: [f64; 2],
+        start: Start,
+        single: &LatticeFit,
+        freedom: &Freedom,
+    ) -> Option<Candidate> {
+        let fit = if self.class == Class::First {
+            let fit = self.at(view, single.places, single.delay, freedom, f64::INFINITY);
+            self.walk(view, fit, freedom, 2, false)
+        } else {
+            let taus = single.places.map(lattice_tau);
+            let starts = self.starts_in(Class::First, self.class, taus, single.lag());
+            let fits = starts.map(|(taus, lag)| {
+                let places = taus.map(|t| lattice_index(t.max(lattice_tau(LEAST_PLACE))));
+                let fit = self.at(view, places, lag.max(0.0) as usize, freedom, f64::INFINITY);
+                self.walk(view, fit, freedom, 4, true)
+            });
+            fits.into_iter().reduce(|a, b| if b.sse < a.sse { b } else { a })?
+        };
+        Some(self.candidate(bands, start, fit))
+    }
+
+    /// Given bands and first slip with the best process near `from`.
+    pub fn met(&mut self, view: &mut View, [s, j]: [f64; 2], start: Start, from: &LatticeFit) -> Option<Candidate> {
+        let freedom = self.slip(s, j, start)?;
+        let fit = self.settle_fit(view, from, &freedom);
         Some(self.candidate([s, j], start, fit))
     }
 
@@ -251,7 +309,7 @@ impl<'a> Evaluator<'a> {
             let delay = best.delay.saturating_add_signed(by);
             let near = self.at(view, best.places, delay, freedom, f64::INFINITY);
             if near.sse < 1.5 * best.sse {
-                let near = self.walk(view, near, freedom, 2, false);
+                let near = self.walk(view, near, freedom, 1, false);
                 if near.sse < best.sse {
                     best = near;
                 }

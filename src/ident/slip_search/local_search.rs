@@ -8,9 +8,10 @@ use rand_chacha::ChaCha8Rng;
 
 use super::candidate::{Candidate, LatticeFit, apart};
 use super::evaluator::Evaluator;
+use crate::ident::candidate::Landing;
 use crate::ident::candidate::Start;
 use crate::ident::evaluator::View;
-use crate::ident::search::{moved, normal, ridge_jumps, uniform};
+use crate::ident::random::{moved, normal, uniform};
 
 /// Smallest s that is looked at, spans.
 pub const LEAST_S: f64 = 1e-4;
@@ -67,6 +68,13 @@ pub fn across(cell: [f64; 2], up: bool) -> f64 {
 fn kept(evaluator: &Evaluator<'_>, s: f64, j: f64) -> Option<[f64; 2]> {
     let s = s.min(1.0);
     (s.is_finite() && j.is_finite() && s >= LEAST_S).then(|| [s, evaluator.problem.question.landing.keep(s, j)])
+}
+
+/// Jumps that may go with another s on the ridge where an earlier slip and a longer lag look alike: the same, the same
+/// share of s, the same fd, and the same fs (the stem then stands farther from where OP turns by as much).
+fn ridge_jumps([from_s, from_j]: [f64; 2], s: f64, landing: Landing) -> [f64; 4] {
+    let moved = s - from_s;
+    [from_j, from_j / from_s * s, from_j + moved, from_j - moved].map(|j| landing.keep(s, j))
 }
 
 /// The same process with its lag moved.

@@ -6,7 +6,7 @@ use super::evaluator::Evaluator;
 use super::local_search::LEAST_S;
 use super::settings::ScanSettings;
 use crate::ident::candidate::Start;
-use crate::ident::search::uniform;
+use crate::ident::random::uniform;
 use crate::optim::{Objective, Outcome, Settings, Solver};
 use crate::sim::slips::Law;
 use crate::sim::steps::Step;
@@ -60,7 +60,10 @@ impl<'e, 'a> Scan<'e, 'a> {
         settings: &ScanSettings,
         rng: &mut ChaCha8Rng,
     ) -> Outcome {
-        let asked = Settings { budget: settings.budget, fineness_pct, seed };
+        // A grid is looked at whole; what solvers refine is refined better later.
+        let steps = 100.0 / fineness_pct.clamp(0.2, 50.0);
+        let grid = 0.5 * steps * (steps + 3.0) + 12.0;
+        let asked = Settings { budget: settings.budget.max(grid as u64), fineness_pct, seed };
         let outcome = solver.search(self, &asked);
         // Another round sees other places.
         let shift = [uniform(rng), 0.3 + 0.4 * uniform(rng)];

@@ -6,7 +6,7 @@ use super::local_search::Nearness;
 /// The coarse scan of one round.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ScanSettings {
-    /// Places that a solver may ask for.
+    /// Places that a solver may ask for, more where its grid has more.
     pub budget: u64,
     /// Smallest s, spans.
     pub least_s: f64,
@@ -60,7 +60,7 @@ pub struct SearchSettings {
     pub agreeing: usize,
 }
 
-const SCAN: ScanSettings = ScanSettings { budget: 20_000, least_s: 0.04, sizes: 44, jumps: 6, keep: [14, 4] };
+const SCAN: ScanSettings = ScanSettings { budget: 250, least_s: 0.04, sizes: 40, jumps: 6, keep: [14, 4] };
 const ROUND: RoundSettings = RoundSettings {
     rho: 0.9,
     part: [0.45, 3.0, 12.0],
@@ -95,9 +95,9 @@ impl SearchSettings {
             closely: 0.03,
             behind: [1.5, 1.15],
             no_friction: 0.9,
-            worth_a_round: 0.15,
+            worth_a_round: 0.2,
             gain: 0.01,
-            much: 0.1,
+            much: 0.7,
             agreeing: 2,
         }
     }

@@ -4,6 +4,7 @@
 use rand_chacha::ChaCha8Rng;
 
 use super::candidate::{Candidate, LatticeFit, apart};
+use super::coarse_scan::CoarseScan;
 use super::evaluator::{Evaluator, Polished};
 use super::local_search::{along_ridge, neighbours, random_steps};
 use super::problem::Problem;
@@ -13,8 +14,8 @@ use crate::ident::choice::ModelChoice;
 use crate::ident::class::Class;
 use crate::ident::evaluator::{View, lattice_index};
 use crate::ident::fit::Freedom;
+use crate::ident::random::generator;
 use crate::ident::residual::{self, Whiteness};
-use crate::ident::search::generator;
 use crate::optim::Solver;
 use crate::sim::slips::Law;
 
@@ -34,6 +35,8 @@ const INTEGRATOR: [f64; 2] = [1.005, 1.01];
 const PROMISE: [f64; 2] = [0.002, 0.02];
 /// How far along the ridge (share of s), and in how many steps to a side, where another class was taken.
 const FAR_ALONG: (f64, usize) = (0.3, 40);
+/// Part that is searched first where the process integrates: what wrong slips leave adds up there.
+const SHORT_PART: [f64; 3] = [0.1, 3.0, 12.0];
 /// Candidates by which the class is judged, and those that go there with them.
 const JUDGES: usize = 2;
 const FOLLOWERS: usize = 8;
@@ -213,7 +216,8 @@ impl<'s, 'a> Search<'s, 'a> {
     fn round(&mut self, number: usize, round: &RoundSettings) -> Option<Ended> {
         for (which, &law) in self.request.laws.iter().enumerate() {
             let other = self.law_best[usize::from(law == Law::He)];
-            if number > 0 && self.law_best[law as usize] > self.settings.behind[1] * other {
+            // One round of a law may miss what it can.
+            if number > 1 && self.law_best[law as usize] > self.settings.behind[1] * other {
                 continue;
             }
             match self.round_of(law, number, round) {
@@ -238,12 +242,18 @@ impl<'s, 'a> Search<'s, 'a> {
     /// Points of the record that a round searches first.
     fn part(&self, round: &RoundSettings) -> usize {
         let (n, period) = (self.problem.points(), self.problem.question.period);
-        let [share, least, most] = round.part;
+        let [share, least, most] = if self.integrates() { SHORT_PART } else { round.part };
         let from = self.problem.question.from;
         let longest = self.problem.question.limits.lag[1].min(20.0);
         let part = (share * n as f64).max(least * period).min(most * period).max(from as f64 + 8.0 * longest);
-        let start = if round.from_far { self.problem.first_far(0.35) } else { 0 };
+        let start = if round.from_far || self.integrates() { self.problem.first_far(0.35) } else { 0 };
         (part as usize + start).min(n)
+    }
+
+    /// Whether the best so far integrates, by its class or by a lag longer than the record.
+    fn integrates(&self) -> bool {
+        let slow = |c: Candidate| !c.class.integrates() && c.taus()[0] > self.problem.points() as f64;
+        self.best().is_some_and(|c| c.class.integrates() || slow(c))
     }
 
     fn round_of(&mut self, law: Law, number: usize, round: &RoundSettings) -> RoundEnd {
@@ -255,13 +265,36 @@ impl<'s, 'a> Search<'s, 'a> {
         let mut scan = Scan::new(&mut evaluator, round.rho, view.nothing());
         let _ = scan.run(self.request.solver, self.request.fineness_pct, seed, &round.scan, &mut rng);
         let (seen, looks) = (scan.best(&round.scan), scan.looks);
-        let refitted = seen.iter().filter_map(|c| evaluator.settle(&mut view, c)).collect::<Vec<_>>();
+        let mut refitted = seen.iter().filter_map(|c| evaluator.settle(&mut view, c)).collect::<Vec<_>>();
+        refitted.extend(self.from_other_law(&mut evaluator, &mut view, law, &mut rng));
         let mut part = Part { points, head: None, view, evaluator, held: apart(&refitted, usize::MAX, 0) };
         let mut law_found = LawRound { finals: Vec::new(), tested: Vec::new(), faint: false, stale: 0 };
         let is_noise = self.stages(round, &mut part, &mut law_found, &mut rng);
         let end = self.finish(round, &mut part, law_found, is_noise, &mut rng);
         self.found.evaluations += looks + part.evaluator.evaluations;
         end
+    }
+
+    /// What another law found, under this one: slips of nearly the right bands are the right ones for either.
+    fn from_other_law(
+        &self,
+        evaluator: &mut Evaluator<'a>,
+        view: &mut View,
+        law: Law,
+        rng: &mut ChaCha8Rng,
+    ) -> Vec<Candidate> {
+        let near = self.settings.near;
+        let mut out = Vec::new();
+        for other in self.found.best.iter().filter(|c| c.law != law) {
+            let moved = Candidate { law, ..*other };
+            let Some(found) = evaluator.in_class(view, &moved, Class::First).filter(|c| c.fit.gain != 0.0) else {
+                continue;
+            };
+            let found = random_steps(evaluator, view, found, CARRIED, near, rng);
+            out.push(neighbours(evaluator, view, found, 2, near));
+        }
+        evaluator.class = Class::First;
+        out
     }
 
     /// The local search on the part, its best tested on the whole record after every stage; whether one leaves only noise.
@@ -513,10 +546,10 @@ impl<'s, 'a> Search<'s, 'a> {
     pub fn without(&mut self, class: Class) -> f64 {
         let known = self.without[index_of(class)];
         known.unwrap_or_else(|| {
-            let found = frictionless(&mut self.whole, &mut self.plain, class).map_or(f64::INFINITY, |f| f.sse);
-            let found = found.min(self.plain.nothing());
-            self.without[index_of(class)] = Some(found);
-            found
+            let found = frictionless(&mut self.whole, &mut self.plain, class);
+            let sse = found.map_or(f64::INFINITY, |f| f.sse).min(self.plain.nothing());
+            self.without[index_of(class)] = Some(sse);
+            sse
         })
     }
 }
@@ -530,29 +563,31 @@ fn tests(problem: &Problem<'_>, view: &View, left: &[f64]) -> Option<Whiteness> 
     Some(residual::whiteness(left, &problem.question.mean[from..]))
 }
 
-/// The best process of a class that takes OP as it is, from an even look at time constants and lags.
+/// The best process of a class that takes OP as it is, from the best of many time constants and dead times of a single lag.
 pub fn frictionless(evaluator: &mut Evaluator<'_>, view: &mut View, class: Class) -> Option<LatticeFit> {
     let problem = evaluator.problem;
-    let (question, sign) = (problem.question, problem.sign);
+    let question = problem.question;
     evaluator.class = class;
     evaluator.follow_op();
-    let freedom = Freedom { fd: [0.0; 2], fd_default: 0.0, sign, limits: question.limits };
-    let mut fits: Vec<LatticeFit> = Vec::new();
-    for tau in [0.01, 0.05, 0.2, 1.0] {
-        for lag in [0.01, 0.05, 0.12, 0.25] {
-            let lag = question.limits.lag[0] + lag * question.period;
-            let [main, second] = match class {
-                Class::LagIntegrating => [0.1 * tau, 0.0],
-                _ => [tau, 0.25 * tau],
-            };
-            let places = [main, second].map(|t| lattice_index((t * question.period).max(0.3)));
-            let start = LatticeFit { sse: 0.0, gain: 0.0, fd: 0.0, places, delay: lag as usize, fraction: lag.fract() };
-            fits.push(evaluator.quick(view, &start, &freedom));
-        }
-    }
-    fits.sort_by(|a, b| a.sse.total_cmp(&b.sse));
-    let settled = fits.iter().take(2).map(|f| evaluator.settle_fit(view, f, &freedom));
-    settled.reduce(|a, b| if b.sse < a.sse { b } else { a })
+    let freedom = Freedom { fd: [0.0; 2], fd_default: 0.0, sign: problem.sign, limits: question.limits };
+    let scans = CoarseScan::of(problem, view.rho(), evaluator.points);
+    let seen = scans.iter().map(|scan| scan.look(&evaluator.steps().list, &freedom));
+    let seen = seen.min_by(|a, b| a.share.total_cmp(&b.share))?;
+    let starts = match class {
+        Class::First | Class::Integrating => [Some(([seen.tau; 2], seen.lag)), None],
+        Class::Second => [
+            Some(([seen.tau, 0.3 * seen.tau], seen.lag - 0.2 * seen.tau.min(seen.lag))),
+            Some(([seen.tau, 0.25 * seen.lag.max(1.0)], 0.75 * seen.lag)),
+        ],
+        Class::LagIntegrating => [Some(([0.5 * seen.lag.max(1.0); 2], 0.6 * seen.lag)), None],
+    };
+    let fits = starts.into_iter().flatten().map(|(taus, lag)| {
+        let lag = lag.max(question.limits.lag[0]);
+        let places = taus.map(|t| lattice_index(t.max(0.3)));
+        let start = LatticeFit { sse: 0.0, gain: 0.0, fd: 0.0, places, delay: lag as usize, fraction: lag.fract() };
+        evaluator.settle_fit(view, &start, &freedom)
+    });
+    fits.reduce(|a, b| if b.sse < a.sse { b } else { a })
 }
 
 /// What a round holds of one law while it searches a part of the record.

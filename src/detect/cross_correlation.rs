@@ -1,4 +1,4 @@
-//! Horch's sign: with a sticking valve and an integrating controller, OP and PV are a quarter period apart.
+//! Horch's cross-correlation: with a sticking valve and an integrating controller, OP and PV are a quarter period apart.
 
 use super::{Detector, View};
 use crate::signal::stats::dot;
@@ -6,20 +6,20 @@ use crate::signal::stats::dot;
 /// Share of the odd part in the energy of the cross-correlation of OP and PV, 0..1 (after Horch 1999, who looks at
 /// the correlation's zero crossings). Near 0 for a loop whose OP is an image of PV, as an oscillating disturbance or
 /// tight proportional control make it. High alone proves nothing: noise is half odd.
-pub(super) struct Oddness;
+pub(super) struct CrossCorrelation;
 
-impl Detector for Oddness {
+impl Detector for CrossCorrelation {
     fn name(&self) -> &'static str {
         "horch"
     }
 
     fn score(&self, view: &View) -> Option<f64> {
-        let n = view.op_fast.len();
-        let most = (view.period as usize).min(n.saturating_sub(1));
+        let n = view.output.op_fast.len();
+        let most = (view.output.period as usize).min(n.saturating_sub(1));
         let (mut odd, mut all) = (0.0, 0.0);
         for lag in 0..=most {
-            let ahead = dot(&view.op_fast[lag..], &view.pv_fast);
-            let behind = dot(&view.op_fast, &view.pv_fast[lag..]);
+            let ahead = dot(&view.output.op_fast[lag..], &view.pv_fast);
+            let behind = dot(&view.output.op_fast, &view.pv_fast[lag..]);
             let weight = if lag == 0 { 0.5 } else { 1.0 };
             odd += weight * 0.5 * (ahead - behind) * (ahead - behind);
             all += weight * (ahead * ahead + behind * behind);

@@ -1,4 +1,4 @@
-//! A model that was made elsewhere, run freely over a record: how well it foresees what it was not fitted to.
+//! A model that was made elsewhere, run freely over a record: how well it predicts what it was not fitted to.
 //!
 //! Valve and process stay as they are. Only what no earlier record can know is found anew: the level (for an integrating
 //! process its drift as well), the process' own memory of what went before, and where the stem stood at the start.

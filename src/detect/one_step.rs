@@ -1,0 +1,196 @@
+//! What a sticking stem predicts of PV, and OP does not.
+//!
+//! Direct identification in closed loop (Ljung 1999, ch. 13.4): one-step prediction errors compare two inputs of the
+//! process fairly although OP answers PV, whatever disturbs the loop, if the model of what disturbs is rich enough. Here
+//! it is a sum of PV's own past (an autoregressive part) and of a line with its harmonics, which take up a load
+//! that repeats itself on its own account. What is left to explain is offered to OP and to the stems that He's and the
+//! tracking law make of OP.
+
+use super::inputs::{Boxes, Grain, Input, StemInput};
+use super::known::{Known, Sums, Work};
+use super::lines;
+use super::{Detector, View};
+use crate::ident::sign;
+use crate::signal::{detrend, stats};
+use crate::sim::slips::Law;
+
+/// By how much better the best stem predicts PV than OP does, OP's ends cut off where that helps it: the logarithm of
+/// the ratio of the squared prediction errors times the number of boxes (twice the logarithm of the likelihoods' ratio),
+/// less what the best of many stems gains by chance, as `sign(x) ln(1 + |x| / 10)`: 0 for a tie, above 2.5 where friction
+/// is beyond doubt. The mean of a fine view with the lines and a coarse one without them, of those that have 40 boxes.
+pub(super) struct OneStep;
+
+/// What the best of the stems gains by chance, and the unit of the score.
+const CHANCE: f64 = 15.0;
+const UNIT: f64 = 10.0;
+
+impl Detector for OneStep {
+    fn name(&self) -> &'static str {
+        "foresight"
+    }
+
+    fn score(&self, view: &View) -> Option<f64> {
+        let scores: Vec<f64> = view.predictions().map(|(inputs, p)| p.score(inputs, view.near)).collect();
+        (!scores.is_empty()).then(|| stats::mean(&scores))
+    }
+}
+
+/// How much of what PV's past does not predict repeats itself and keeps its phase: logarithm of the ratio of the squared
+/// prediction errors without and with a line and its harmonics, less what lines gain by chance, 0..3. Large for a load
+/// that a machine or a cycle elsewhere makes; a limit cycle of the loop's own drifts with noise and load.
+pub(super) struct Periodicity;
+
+/// Largest score.
+const CERTAIN: f64 = 3.0;
+
+impl Detector for Periodicity {
+    fn name(&self) -> &'static str {
+        "clock"
+    }
+
+    fn score(&self, view: &View) -> Option<f64> {
+        view.predictions().find_map(|(_, prediction)| prediction.periodicity).map(|c| c.clamp(0.0, CERTAIN))
+    }
+}
+
+/// What OP offers in one grain, made once for every PV that is looked at beside it.
+#[derive(Debug, Clone)]
+pub(super) struct Inputs {
+    boxes: Boxes,
+    periodic: bool,
+    /// Frequency of OP's strongest line, cycles a box, where lines are asked for.
+    line: f64,
+    cut: Vec<Input>,
+    stems: Vec<StemInput>,
+}
+
+impl Inputs {
+    /// See [`Boxes::of`].
+    pub fn of(op_path: &[f64], per_point: usize, points: usize, period: f64, grain: Grain) -> Option<Self> {
+        let boxes = Boxes::of(op_path, per_point, points, period, grain)?;
+        let line = if grain.periodic { lines::around(&boxes.op) } else { 0.0 };
+        Some(Self { periodic: grain.periodic, line, cut: boxes.cut(), stems: boxes.stems(), boxes })
+    }
+}
+
+/// PV in the boxes of one grain, with all that is known of it before OP is asked.
+#[derive(Debug, Clone)]
+pub(super) struct Prediction {
+    sums: Sums,
+    sign: Option<f64>,
+    /// Gain of the lines, where they were asked for.
+    periodicity: Option<f64>,
+}
+
+impl Prediction {
+    /// `None` where PV does not move.
+    pub fn of(inputs: &Inputs, pv: &[f64]) -> Option<Self> {
+        let boxes = &inputs.boxes;
+        let pv = detrend::box_means(&pv[..boxes.op.len() * boxes.points], boxes.points);
+        let (level, spread) = (stats::mean(&pv), stats::std_dev(&pv));
+        if !spread.is_normal() {
+            return None;
+        }
+        let pv: Vec<f64> = pv.iter().map(|y| (y - level) / spread).collect();
+        let sign = sign::of_gain(&boxes.op, &pv);
+        let near = if inputs.periodic { [lines::around(&pv), inputs.line] } else { [0.0; 2] };
+        let mut known = Known::past(pv, boxes.from, boxes.order);
+        let mut periodicity = None;
+        if inputs.periodic {
+            let before = [known.error(), known.count() as f64];
+            known = lines::with_best(known, near);
+            periodicity = Some(lines::gain(&before, &known));
+        }
+        Some(Self { sums: Sums::new(known, &boxes.follow, boxes.lags), sign, periodicity })
+    }
+
+    /// What [`OneStep`] says of this view; of the stems, only those with a band near `near` spans of OP where that is given.
+    fn score(&self, inputs: &Inputs, near: Option<f64>) -> f64 {
+        let mut work = Work::default();
+        let mut least = |least: f64, input: &Input| least.min(self.sums.error(input, self.sign, &mut work));
+        let without = inputs.cut.iter().fold(f64::INFINITY, &mut least);
+        let asked = inputs.stems.iter().filter(|stem| near.is_none_or(|share| is_near(stem, share)));
+        let with = asked.fold(f64::INFINITY, |error, stem| least(error, &stem.input));
+        let with = if with.is_finite() { with } else { self.sums.without() };
+        let gained = self.sums.count() as f64 * log_ratio(without, with) - CHANCE;
+        gained.signum() * libm::log(1.0 + gained.abs() / UNIT)
+    }
+}
+
+/// Whether a stem is of He's law and its band next to one of `share` spans.
+fn is_near(stem: &StemInput, share: f64) -> bool {
+    const NEXT: f64 = 1.45;
+    stem.law == Law::He && stem.share < NEXT * share && share < NEXT * stem.share
+}
+
+/// Logarithm of the ratio of two squared errors of normalised signals, of which rounding alone may be left.
+pub(super) fn log_ratio(without: f64, with: f64) -> f64 {
+    const LEAST: f64 = 1e-9;
+    libm::log(without.max(LEAST) / with.max(LEAST))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::noise;
+    use super::*;
+    use crate::record::Record;
+    use crate::sim::process::Pole;
+    use crate::sim::valve::he_step;
+
+    const N: usize = 1200;
+
+    /// Scores of a PI loop on a first-order process whose valve has the bands `fs`, `fd`, under white noise and a load.
+    fn scores(fs: f64, fd: f64, seed: u64, load: impl Fn(usize) -> f64) -> [f64; 2] {
+        let (mut op, mut pv, mut stem) = (Vec::new(), Vec::new(), vec![0.0; 3]);
+        let (mut position, mut integral, mut state) = (0.0, 0.0, 0.0);
+        let pole = Pole::lag(10.0, 0.0);
+        for (k, e) in noise(N, seed).iter().enumerate() {
+            state = pole.a * state + (pole.b0 + pole.b1) * (stem[k] + load(k));
+            let y = state + 0.2 * e;
+            integral -= 0.06 * y;
+            op.push(integral - 0.6 * y);
+            pv.push(y);
+            position = he_step(position, op[k], fs, fd);
+            stem.push(position);
+        }
+        let view = View::new(&Record::uniform(1.0, op, pv));
+        [OneStep.score(&view).unwrap(), Periodicity.score(&view).unwrap()]
+    }
+
+    fn triangle(k: usize) -> f64 {
+        (8.0 * (k as f64 / 83.0).fract() - 4.0).abs() - 2.0
+    }
+
+    #[test]
+    fn a_stem_predicts_what_op_does_not_only_where_the_valve_sticks() {
+        for seed in 1..6 {
+            let [sticking, healthy] = [scores(2.0, 1.0, seed, |_| 0.5), scores(0.0, 0.0, seed, |_| 0.5)];
+            assert!(sticking[0] > 1.2 && healthy[0] < 0.8, "{sticking:?} {healthy:?}");
+        }
+    }
+
+    #[test]
+    fn a_load_that_keeps_its_phase_is_seen() {
+        for seed in 1..6 {
+            let [score, clock] = scores(0.0, 0.0, seed, triangle);
+            assert!(score < 1.5 && clock > 0.05, "{score} {clock}");
+            let [_, idle] = scores(0.0, 0.0, seed, |_| 0.5);
+            assert!(idle < clock, "{idle} {clock}");
+        }
+    }
+
+    #[test]
+    fn offsets_scales_and_signs_do_not_matter() {
+        let op: Vec<f64> = (0..600).map(|k| libm::sin(f64::from(k) * 0.1)).collect();
+        let pv: Vec<f64> = op.iter().zip(noise(600, 3)).map(|(u, e)| (4.0 * u).round() + e).collect();
+        let of = |a: f64, b: f64| {
+            let scaled = |x: &[f64], c: f64| x.iter().map(|v| c * v + b).collect::<Vec<_>>();
+            let view = View::new(&Record::uniform(1.0, scaled(&op, a), scaled(&pv, a)));
+            [OneStep.score(&view).unwrap(), Periodicity.score(&view).unwrap()]
+        };
+        let plain = of(1.0, 0.0);
+        for other in [of(8.0, 0.0), of(-3.0, 70.0), of(0.25, -5.0)] {
+            assert!((0..2).all(|i| (plain[i] - other[i]).abs() < 1e-6), "{plain:?} {other:?}");
+        }
+    }
+}

@@ -1,0 +1,62 @@
+//! Screening: a loop of which nothing is expected is let go before anything is fitted.
+//!
+//! Most windows of most plants are of loops that do not oscillate and whose set point rests. Where besides PV's moves do
+//! not come in jumps and no stem predicts PV better than OP does, the whole assessment would end at `no_oscillation`, for
+//! some hundred times the work. Such a window gets that verdict at once; what was not computed is null, `reason` says
+//! `screened`, and the probability is what the rule gives such loops on average.
+
+use super::document::{Assessment, Gate, Verdict};
+use super::judge::grade;
+use super::rule;
+use crate::detect::oscillation::{Looks, Oscillates};
+use crate::detect::{self, Witness, calm};
+use crate::record::Record;
+use crate::signal::stats;
+
+/// `reason` of a window that was let go.
+pub const SCREENED: &str = "screened";
+/// Probability of sticking that the rule gives on average to loops that are let go; a test holds it.
+pub const P_CALM: f64 = 0.23;
+
+/// Spread of the set point over PV's up to which it rests.
+const RESTS: f64 = 0.02;
+/// Regularity and persistence of a signal from which both together may be an oscillation: the latter half of what makes
+/// one.
+const REGULAR: f64 = 1.0;
+const PERSISTENT: f64 = 0.1;
+/// Largest signs of a sticking valve, see [`calm::Signs`]: of 347 simulated and real loops that do not oscillate, those that
+/// the rule does not call healthy show jumps above 0.055 or a stem above 3.3; noise alone shows stems up to 6.
+const JUMPS: f64 = 0.05;
+const STEM: f64 = 2.5;
+
+/// Whether a record without a blocking gate can be let go.
+#[must_use]
+pub fn lets_go(record: &Record, looks: &Looks, gates: &[Gate]) -> bool {
+    !looks.together().is_some_and(|o| o.oscillating)
+        && !gates.contains(&Gate::SetpointSteps)
+        && rests(record)
+        && !may_oscillate(looks.op)
+        && !may_oscillate(looks.pv)
+        && calm::signs(record, looks.typical_period).is_some_and(|s| s.jumps <= JUMPS && s.stem <= STEM)
+}
+
+fn rests(record: &Record) -> bool {
+    let moved = record.sp.as_deref().map_or(0.0, stats::std_dev);
+    moved <= RESTS * stats::std_dev(&record.pv)
+}
+
+fn may_oscillate(of: Option<Oscillates>) -> bool {
+    of.is_some_and(|o| o.regularity > REGULAR && o.persistence > PERSISTENT)
+}
+
+/// What the document of such a window says.
+pub fn answer(out: &mut Assessment) {
+    out.verdict = Verdict::NoOscillation;
+    out.stiction = out.verdict.stiction();
+    out.p_stiction = Some(P_CALM);
+    out.confidence = Some(P_CALM.max(1.0 - P_CALM));
+    out.reason = Some(SCREENED);
+    out.grade = Some(grade(out.confidence, !out.gates.is_empty(), None));
+    let names = rule::OF_THE_FIT.into_iter().chain(detect::ALL.iter().map(|d| d.name()));
+    out.witnesses = names.map(|name| Witness { name, score: None, vote: None, contribution: 0.0 }).collect();
+}
