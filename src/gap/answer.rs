@@ -20,8 +20,6 @@ pub struct Process<'p> {
     pub whole: usize,
     /// See `whole`.
     pub fraction: f64,
-    /// Points in the record.
-    pub n: usize,
 }
 
 impl Process<'_> {
@@ -107,7 +105,7 @@ mod tests {
         let v: Vec<f64> = (0..120).map(|k| if k % 40 < 17 { 0.35 } else { -0.3 }).collect();
         for (level, fraction) in [(0.8, 0.3), (-1.2, 0.0), (0.0, 0.6)] {
             let plan = Plan { level, ..Plan::base(None) };
-            let process = Process { plan: &plan, tau: [7.0, 0.0], whole: 3, fraction, n: v.len() };
+            let process = Process { plan: &plan, tau: [7.0, 0.0], whole: 3, fraction };
             let (mut out, mut work) = (Vec::new(), Vec::new());
             process.respond(&v, &mut out, &mut work);
             for (x, y) in out.iter().zip(by_small_steps(&v, 3.0 + fraction, 7.0, level)) {

@@ -19,14 +19,10 @@ const NEAR: usize = 4;
 const INDEPENDENT: f64 = 0.1;
 const FIRST_ORDER: f64 = 0.1;
 const MORE: f64 = 0.05;
-/// Traces whose samples are left out of every fit.
-pub const MASKED: [&str; 2] = ["outliers", "frozen_sensor"];
 /// Error over the floor up to which a record is explained.
 const EXPLAINED: f64 = 1.2;
 /// Share of the log error above the floor that an effect behind the recorded valve position has to take.
 const MOST: f64 = 0.6;
-/// Effects that act at one time of the record: forward in time says nothing about them.
-const LOCAL: [&str; 6] = ["step_load", "dead_time_change", "ramp", "frozen_sensor", "outliers", "clipping"];
 
 /// How an answer was come by.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -78,15 +74,17 @@ pub fn decide(evidence: &Evidence, without: &[&str], calibration: &Calibration) 
         let alternatives = alternatives(&ranked, &cause, &outcomes, calibration);
         Decision { cause, alternatives, by, best: best.clone(), features, outcomes }
     };
-    let coloured = basis.coloured_noise && has("coloured_noise") && is_plain(basis);
-    let unnamed = if coloured { "coloured_noise" } else { UNKNOWN };
+    let noise = effects::coloured_noise::EFFECT.id;
+    let coloured = basis.coloured_noise && has(noise) && is_plain(basis);
+    let unnamed = if coloured { noise } else { UNKNOWN };
     // Single wild samples are the whole story only where the rest is explained.
-    let explained = |t: &str| t != "outliers" || basis.base.over_floor.is_none_or(|o| o < EXPLAINED);
+    let explained = |t: &str| t != effects::outliers::EFFECT.id || basis.base.over_floor.is_none_or(|o| o < EXPLAINED);
     if let Some(trace) = basis.traces.iter().find(|t| has(t) && explained(t)) {
         return answer(trace, calibration.trace, By::Trace);
     }
-    if basis.skew.is_some() && has("time_skew") {
-        return answer("time_skew", calibration.trace, By::Trace);
+    let skew = effects::time_skew::EFFECT.id;
+    if basis.skew.is_some() && has(skew) {
+        return answer(skew, calibration.trace, By::Trace);
     }
     if let Some(first) = basis.on_mv.iter().find(|e| has(&e.id)) {
         // Behind a measured valve the process stands alone: its own ranking counts, and the right effect explains all.
@@ -100,7 +98,7 @@ pub fn decide(evidence: &Evidence, without: &[&str], calibration: &Calibration) 
         }
     }
     // Of samples that would have been masked, nothing is known.
-    let hidden = basis.traces.iter().any(|t| !has(t) && MASKED.contains(&t.as_str()));
+    let hidden = basis.traces.iter().any(|t| !has(t) && effects::by_id(t).is_some_and(|e| e.masks));
     match ranked.first() {
         Some(best) if best.lead > 0.0 && outcomes.right >= calibration.name_from && !hidden => {
             answer(&best.id, outcomes.right, By::Choice)
@@ -140,7 +138,7 @@ fn allowed(basis: &Basis, effect: &Contender) -> bool {
     match basis.by_mv {
         Some(Stage::Valve) => effect.stage == Stage::Valve,
         Some(Stage::Process) => {
-            let behind = effect.id.split('+').all(|id| effects::by_id(id).is_none_or(|e| e.is_behind_stem()));
+            let behind = effect.id.split('+').all(|id| effects::by_id(id).is_none_or(|e| e.behind_stem));
             behind || explains_more(basis, effect)
         }
         _ => true,
@@ -190,7 +188,7 @@ fn alternatives(
 #[must_use]
 pub fn confirmed(effect: &EffectResult, forward: Option<[f64; 2]>) -> bool {
     let closes = closes(effect.closed_pct) || effect.gap_after < 0.9 * effect.gap_before;
-    let local = effect.id.split('+').any(|id| LOCAL.contains(&id));
+    let local = effect.id.split('+').any(|id| effects::by_id(id).is_some_and(|e| e.local));
     closes && (local || forward.is_none_or(|[before, after]| after < before))
 }
 

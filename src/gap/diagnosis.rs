@@ -62,7 +62,7 @@ pub fn diagnose(record: &Record, ask: &Ask, executor: &dyn Executor) -> Result<D
     let period = ask.period_points.unwrap_or_else(|| period_of(record).0);
     let traces = signatures::traces(record, period, &ask.without);
     let problem = Problem::new(record, Some(period), ask.seed, traces.masked.clone());
-    let straight = traces.signatures.iter().any(|s| s.id == "swinging_door" && s.met);
+    let straight = traces.signatures.iter().any(|s| s.id == effects::swinging_door::EFFECT.id && s.met);
     let mut floor = noise::floor(&record.pv, straight);
     let law = if ask.base == Base::Linear { None } else { Some(Law::He) };
     let budget = ask.budget_evaluations;
@@ -152,9 +152,9 @@ fn weigh(problem: &Problem, found: &Found, base: &Fit, traces: &Traces, floor: &
         left.and_then(|r| noise::autoregression(&r, &problem.train)).map(|a| a.mse.sqrt() * problem.deviation);
     let asked = |e: &&effects::Effect| !ask.without.iter().any(|w| w == e.id);
     for effect in effects::ALL.into_iter().filter(asked) {
-        let floor_after = match effect.id {
-            "coloured_noise" => one_step,
-            "quantisation" => floor.noise_floor,
+        let floor_after = match effect.way {
+            Way::Noise => one_step,
+            _ if effect.id == effects::quantisation::EFFECT.id => floor.noise_floor,
             _ => None,
         };
         if !matches!(effect.way, Way::Simulated | Way::AgainstLinear) {
@@ -197,9 +197,9 @@ fn basis(
     let left_out = |id: &str| ask.without.iter().any(|w| w == id);
     Basis {
         traces: strongest.iter().filter(|s| !left_out(s.id)).map(|s| s.id.to_owned()).collect(),
-        skew: skew.filter(|_| !left_out("time_skew")),
+        skew: skew.filter(|_| !left_out(effects::time_skew::EFFECT.id)),
         noise: noise::judge(problem, &of_base, &of_best, &slipped, ask.seed),
-        coloured_noise: !left_out("coloured_noise"),
+        coloured_noise: !left_out(effects::coloured_noise::EFFECT.id),
         by_mv: seen.as_ref().map(|s| s.stages.stage).filter(|_| !base.at_floor),
         on_mv: seen.as_ref().map(|s| s.ranked.clone()).unwrap_or_default(),
         base_at_floor: base.at_floor,
@@ -278,7 +278,7 @@ impl Diagnosis {
         let forward = self.forward.map(|f| [f.gap_before, f.gap_after]);
         let trace = self.signatures.iter().any(|s| s.met && s.id == self.cause.id);
         let own = self.named().is_some_and(|e| decide::confirmed(e, forward));
-        self.cause.confirmed = trace || own || (self.cause.id == "time_skew");
+        self.cause.confirmed = trace || own || (self.cause.id == effects::time_skew::EFFECT.id);
     }
 
     /// Root mean squared held-out error of a free run, PV units, for whoever recomputes a gap.

@@ -54,7 +54,6 @@ pub struct Prepared {
     freedom: Freedom,
     cells: [[f64; 2]; 2],
     slips: usize,
-    reversals: usize,
 }
 
 /// Time constants on the lattice and whole points of dead time.
@@ -84,24 +83,6 @@ impl Prepared {
     pub fn is_plain(&self) -> bool {
         self.plan.level != 0.0 && !self.plan.integrating
     }
-
-    /// Moves of the stem.
-    #[must_use]
-    pub const fn slips(&self) -> usize {
-        self.slips
-    }
-
-    /// Moves of the stem against the move before.
-    #[must_use]
-    pub const fn reversals(&self) -> usize {
-        self.reversals
-    }
-
-    /// The parameter vector, its fd within the band of its slips.
-    #[must_use]
-    pub const fn theta(&self) -> &Parameters {
-        &self.theta
-    }
 }
 
 impl<'a> Evaluator<'a> {
@@ -128,14 +109,7 @@ impl<'a> Evaluator<'a> {
         let mut theta = *theta;
         let freedom = self.signal.make(self.problem, &plan, &mut theta, self.sign)?;
         let steps = &self.signal.steps;
-        Some(Prepared {
-            plan,
-            theta,
-            freedom,
-            cells: [steps.s_cell, steps.j_cell],
-            slips: steps.slips,
-            reversals: steps.reversals,
-        })
+        Some(Prepared { plan, theta, freedom, cells: [steps.s_cell, steps.j_cell], slips: steps.slips })
     }
 
     /// Where a parameter vector stands on the lattice.

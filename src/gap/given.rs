@@ -2,7 +2,7 @@
 //! it, PV's level, the process' state, and loads that the model names without their size).
 
 use super::answer::INTEGRATOR_SCALE;
-use super::effects::{self, Effect, Param, Unit};
+use super::effects::{self, Effect, Param, Reach, Unit, Way};
 use super::express::{Errors, above_floor, slips};
 use super::model::{Added, Model, ModelError};
 use super::plain::{Candidate, PlainPass};
@@ -13,10 +13,6 @@ use crate::sim::slips::{FirstSlip, Law};
 
 /// Places of the stem before the record that are tried.
 const STARTS: usize = 9;
-
-/// Effects that are whole without their numbers: a second lag may stand among the time constants alone, a law may be
-/// switched and a stem may overshoot without mass or drag. What is not said to be so is not so.
-const BARE: [&str; 3] = ["extra_lag", "sliding_valve", "slip_overshoot"];
 
 /// Whether a model can be simulated at all, before anything is searched.
 ///
@@ -86,22 +82,23 @@ fn structure(model: &Model) -> Result<Structure, ModelError> {
             value: added.id.clone(),
             want: "the catalogue's ids",
         })?;
-        let needed = |p: &&Param| !BARE.contains(&effect.id) && p.unit != Unit::Choice;
+        let needed = |p: &&Param| !effect.bare && p.unit != Unit::Choice;
         let missing = effect.params.iter().filter(needed).find(|p| !added.parameters.contains_key(p.name));
         if let Some(Param { name, .. }) = missing {
             return Err(ModelError::Missing { effect: added.id.clone(), name });
         }
         wanted.push(effect);
     }
-    let mut also = |id: &str, rivals: &[&str], needed: bool| {
-        if needed && !wanted.iter().any(|e| e.id == id || rivals.contains(&e.id)) {
-            wanted.extend(effects::by_id(id));
-        }
-    };
-    also("extra_lag", &["inverse_response"], model.process.time_constants_s.len() > 1 && !model.process.integrating);
-    also("integrating", &[], model.process.integrating);
+    let second = |e: &&Effect| e.params.iter().any(|p| p.reach == Reach::SecondLag);
+    if model.process.time_constants_s.len() > 1 && !model.process.integrating && !wanted.iter().any(second) {
+        wanted.push(&effects::extra_lag::EFFECT);
+    }
+    let integrating = &effects::integrating::EFFECT;
+    if model.process.integrating && !wanted.iter().any(|e| e.id == integrating.id) {
+        wanted.push(integrating);
+    }
     // The law itself says this.
-    wanted.retain(|e| e.id != "stiction");
+    wanted.retain(|e| e.way != Way::AgainstLinear);
     if wanted.len() > 2 {
         let value = wanted.len() as f64;
         return Err(ModelError::Range { name: "effects", value, want: "at most 2, a second lag counted" });
@@ -111,7 +108,8 @@ fn structure(model: &Model) -> Result<Structure, ModelError> {
 
 /// The time constant that is not the stated lag: they stand in the model by size, whichever was called the lag.
 fn own_time_constant(model: &Model) -> f64 {
-    let second = |a: &&Added| a.id == "extra_lag" || a.id == "inverse_response";
+    let has_second = |e: &Effect| e.params.iter().any(|p| p.reach == Reach::SecondLag);
+    let second = |a: &&Added| effects::by_id(&a.id).is_some_and(has_second);
     let lag = model.effects.iter().find(second).and_then(|a| a.parameters.get("lag"));
     match (lag, model.process.time_constants_s.as_slice()) {
         (Some(lag), [a, b]) if (a - lag).abs() < (b - lag).abs() => *b,
@@ -123,34 +121,34 @@ fn own_time_constant(model: &Model) -> f64 {
 fn theta(problem: &Problem, model: &Model, structure: &Structure) -> Parameters {
     let (fs, fd) = (model.valve.fs / problem.span, model.valve.fd / problem.span);
     let tau = |i: usize| model.process.time_constants_s.get(i).map_or(1.0, |t| t / problem.point_s);
-    let mut p = [0.0; MAX_PARAMS];
-    let mut at = 0;
-    for effect in structure.each() {
-        let added = model.effects.iter().find(|a| a.id == effect.id);
-        for param in effect.params {
-            let stated = added.and_then(|a| a.parameters.get(param.name)).copied();
-            p[at] = match (stated, effect.id) {
-                (Some(value), _) => param.posed(value, problem),
-                (None, "extra_lag") => libm::log(tau(1).max(1e-3)),
-                (None, _) => param.posed(0.0, problem),
-            };
-            at += 1;
-        }
-        if effect.id == "travel_limit" {
-            let own = &mut p[at - effect.params.len()..at];
-            own[0] += effects::above_stop(own, fd);
-        }
-    }
     let ts_s = problem.point_s / problem.box_samples;
-    Parameters {
+    let mut theta = Parameters {
         s: fs + fd,
         j: fs - fd,
         first: FirstSlip { direction: 1.0, threshold: 0.0 },
         fd,
         log_tau: libm::log((own_time_constant(model) / problem.point_s).max(1e-3)),
         lag: (model.process.dead_time_s / ts_s + 1.0) / problem.box_samples,
-        p,
+        p: [0.0; MAX_PARAMS],
+    };
+    let mut at = 0;
+    for effect in structure.each() {
+        let added = model.effects.iter().find(|a| a.id == effect.id);
+        let mut own = [0.0; MAX_PARAMS];
+        for (value, param) in own.iter_mut().zip(effect.params) {
+            let stated = added.and_then(|a| a.parameters.get(param.name)).copied();
+            *value = match stated {
+                Some(value) => param.posed(value, problem),
+                None if param.reach == Reach::SecondLag => libm::log(tau(1).max(1e-3)),
+                None => param.posed(0.0, problem),
+            };
+        }
+        (effect.from_model)(&mut own, &theta);
+        let end = (at + effect.params.len()).min(MAX_PARAMS);
+        theta.p[at..end].copy_from_slice(&own[..end - at]);
+        at = end;
     }
+    theta
 }
 
 /// First slips to try: from the position that the model states, and from an even look.

@@ -5,8 +5,8 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::effects::above_stop;
-use super::model::Model;
+use super::effects;
+use super::model::{Added, Model};
 use super::types::Diagnosis;
 use crate::detect::oscillation;
 use crate::ident::controller::{self, Reading};
@@ -23,8 +23,6 @@ use crate::sim::slips::Stroke;
 const MAX_SCANS: usize = 60_000;
 /// Room for OP on both sides of what was recorded, spans.
 const WIDE: f64 = 10.0;
-/// Duration of a ramp that does not end, s.
-const FOR_GOOD_S: f64 = 1e9;
 /// A start off the resting place, bands.
 const START_BANDS: f64 = 1.5;
 
@@ -128,9 +126,66 @@ pub enum NoPlace {
     },
     /// What drives the stem is run in parts of a scan, a stem with a motion of its own in scans.
     #[error(
-        "\"positioner_lag\" cannot be simulated beside an effect of the stem's own motion: leave one out of the model"
+        "a lag in front of the stem cannot be simulated beside an effect of the stem's own motion: leave one out of the model"
     )]
     Clash,
+}
+
+/// An effect of a model with its numbers as stated, for a simulation in scans of `ts_s`.
+#[derive(Debug)]
+pub struct Stated<'m> {
+    /// The model.
+    pub model: &'m Model,
+    /// The effect.
+    added: &'m Added,
+    /// Duration of a scan, s.
+    pub ts_s: f64,
+}
+
+impl Stated<'_> {
+    /// The effect's id.
+    #[must_use]
+    pub fn id(&self) -> &str {
+        &self.added.id
+    }
+
+    fn stated(&self, name: &str) -> Option<f64> {
+        self.added.parameters.get(name).copied().filter(|x| x.is_finite())
+    }
+
+    /// What to say of a number that is missing or out of range.
+    #[must_use]
+    pub fn wrong(&self, parameter: &'static str, want: &'static str) -> NoPlace {
+        NoPlace::Number { effect: self.added.id.clone(), parameter, want }
+    }
+
+    /// A number.
+    ///
+    /// # Errors
+    /// Where it is missing.
+    pub fn number(&self, name: &'static str) -> Result<f64, NoPlace> {
+        self.stated(name).ok_or_else(|| self.wrong(name, ""))
+    }
+
+    /// A number above 0.
+    ///
+    /// # Errors
+    /// Where it is missing or not above 0.
+    pub fn above_zero(&self, name: &'static str) -> Result<f64, NoPlace> {
+        self.stated(name).filter(|x| *x > 0.0).ok_or_else(|| self.wrong(name, " above 0"))
+    }
+
+    /// A number that may be left out: mass and drag are, where there is none.
+    #[must_use]
+    pub fn or_zero(&self, name: &str) -> f64 {
+        self.stated(name).unwrap_or(0.0)
+    }
+
+    /// Whether it is said to be so: what is not said to be so is not so.
+    #[must_use]
+    pub fn is(&self, name: &str) -> bool {
+        self.or_zero(name) > 0.5
+    }
 }
 
 /// The parts of a model for a simulation in scans of `ts_s`.
@@ -139,57 +194,9 @@ pub enum NoPlace {
 /// [`NoPlace`] of the first effect that cannot be simulated.
 pub fn parts(model: &Model, ts_s: f64) -> Result<Parts, NoPlace> {
     let mut parts = Parts { stroke: Stroke::FREE, around: Around::NONE, load: vec![], on_pv: vec![] };
-    let Parts { stroke, around, load, on_pv } = &mut parts;
-    let process = &model.process;
-    for effect in &model.effects {
-        let stated = |name: &str| effect.parameters.get(name).copied().filter(|x| x.is_finite());
-        let wrong = |parameter, want| NoPlace::Number { effect: effect.id.clone(), parameter, want };
-        let number = |name: &'static str| stated(name).ok_or_else(|| wrong(name, ""));
-        let above_zero = |name: &'static str| stated(name).filter(|x| *x > 0.0).ok_or_else(|| wrong(name, " above 0"));
-        // Mass and drag may be left out; what is not said to be so is not so.
-        let or_zero = |name: &str| stated(name).unwrap_or(0.0);
-        let is = |name: &str| or_zero(name) > 0.5;
-        match effect.id.as_str() {
-            "extra_lag" | "integrating" | "stiction" => {}
-            "slip_overshoot" => stroke.carried = or_zero("carried"),
-            "sliding_valve" => {
-                stroke.drag = or_zero("drag").max(0.0) / ts_s;
-                stroke.slowest = or_zero("slowest").max(0.0) * ts_s;
-            }
-            "asymmetric_stiction" => stroke.uneven = number("alpha")?,
-            "rate_limit" if is("of_stem") => stroke.rate = above_zero("rate")? * ts_s,
-            "rate_limit" => around.rate = above_zero("rate")? * ts_s,
-            "travel_limit" => {
-                let stop = number("stop")?;
-                let ends = if is("of_stem") { &mut stroke.ends } else { &mut around.stops };
-                let above = above_stop(&[stop, or_zero("upper"), or_zero("of_stem")], model.valve.fd);
-                ends[usize::from(is("upper"))] = stop + above;
-                if ends[0] > ends[1] {
-                    return Err(wrong("stop", " that leaves the stem room"));
-                }
-            }
-            "backlash" => around.play = number("width")?.max(0.0),
-            "positioner_lag" => around.pilot = above_zero("lag")? / ts_s,
-            "static_nonlinearity" if !is("by_level") => {
-                (around.bend, around.middle) = (number("gain_change_per_op")?, process.op);
-            }
-            "sinusoid" => {
-                let (amplitude, period_s) = (number("amplitude")?, above_zero("period")?);
-                on_pv.push(Disturbance::Sine { amplitude, period_s, phase_deg: 0.0 });
-            }
-            "ramp" => {
-                let (size, from_s) = (number("slope")? * FOR_GOOD_S, number("from")?);
-                on_pv.push(Disturbance::Ramp { size, from_s, over_s: FOR_GOOD_S });
-            }
-            "step_load" if is("straight") || process.integrating => {
-                on_pv.push(Disturbance::Step { size: number("size")?, at_s: number("at")? });
-            }
-            "step_load" => {
-                let (size, at_s) = (number("size")? / process.gain, number("at")? - process.dead_time_s);
-                load.push(Disturbance::Step { size, at_s });
-            }
-            _ => return Err(NoPlace::Inside(effect.id.clone())),
-        }
+    for added in &model.effects {
+        let Some(effect) = effects::by_id(&added.id) else { return Err(NoPlace::Inside(added.id.clone())) };
+        (effect.in_loop)(&Stated { model, added, ts_s }, &mut parts)?;
     }
     let clash = parts.around.pilot > 0.0 && parts.stroke != Stroke::FREE;
     if clash { Err(NoPlace::Clash) } else { Ok(parts) }
@@ -322,6 +329,6 @@ mod tests {
         assert!(refused("rate_limit", &[("rate", -0.5)]) && refused("sinusoid", &[("amplitude", 1.0)]));
         assert!(refused("step_load", &[("at", 5.0)]) && refused("backlash", &[("play", 1.0)]));
         let (ramp, _) = with("ramp", &[("slope", 1e-3), ("from", 50.0)]);
-        assert_eq!(ramp.on_pv, [Disturbance::Ramp { size: 1e6, from_s: 50.0, over_s: FOR_GOOD_S }]);
+        assert_eq!(ramp.on_pv, [Disturbance::Ramp { size: 1e6, from_s: 50.0, over_s: 1e9 }]);
     }
 }

@@ -52,9 +52,7 @@ fn paired(a: &Search, b: &Search, stream: u64) -> Option<Search> {
     if first.params.len() + second.params.len() > MAX_PARAMS {
         return None;
     }
-    // Both switch the law, or both take the second lag: one would undo the other.
-    let clash = |x: &str, y: &str| [x, y].contains(&first.id) && [x, y].contains(&second.id);
-    if clash("extra_lag", "inverse_response") || clash("sliding_valve", "slip_overshoot") {
+    if first.clashes.contains(&second.id) {
         return None;
     }
     let mut starts = Vec::new();

@@ -142,8 +142,12 @@ impl<'a> PlainPass<'a> {
         } else {
             self.valve.clear();
         }
+        self.bent.clear();
+        if plan.bend != 0.0 {
+            self.bent.extend(self.valve.iter().map(|v| plan.bent(*v)));
+        }
         if let Some([time, more]) = plan.switch {
-            let halves = [&mut self.sequence.at, &mut self.sequence.direction, &mut self.valve];
+            let halves = [&mut self.sequence.at, &mut self.sequence.direction, &mut self.valve, &mut self.bent];
             for half in halves.into_iter().filter(|half| !half.is_empty()) {
                 switched(half, time, more, &mut self.shifted);
             }
@@ -196,17 +200,14 @@ impl<'a> PlainPass<'a> {
         }
         // What does.
         let linear_in_fd = plan.is_linear_in_fd();
-        let mut bent = core::mem::take(&mut self.bent);
         let signal = if plan.bend != 0.0 {
-            bent.clear();
-            bent.extend(self.valve.iter().map(|v| plan.bent(*v)));
-            &bent
+            &self.bent
         } else if linear_in_fd {
             &self.sequence.at
         } else {
             &self.valve
         };
-        let process = Process { plan, tau: [tau1, tau2], whole, fraction, n };
+        let process = Process { plan, tau: [tau1, tau2], whole, fraction };
         let main = if plan.zero { Process { tau: [tau1, 0.0], ..process } } else { process };
         let second = Process { tau: [tau2, 0.0], ..process };
         let others = count + usize::from(plan.zero);
@@ -224,7 +225,6 @@ impl<'a> PlainPass<'a> {
             process.respond(signal, &mut self.long, &mut self.longer);
             problem.gather(&self.long, view, &mut self.columns[others + i - 1]);
         }
-        self.bent = bent;
         others
     }
 

@@ -8,6 +8,7 @@ use std::sync::OnceLock;
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
+use super::effects;
 use super::evidence::{Basis, Contender};
 
 /// What an answer's probability is made of, in this order; the first is a constant.
@@ -37,9 +38,6 @@ pub const NAMES: [&str; 24] = [
     "nothing_ranked",
     "valve",
 ];
-
-/// Effects that bend to nearly anything.
-const BENDING: [&str; 5] = ["sinusoid", "step_load", "ramp", "dead_time_change", "inverse_response"];
 
 /// The features of one decision, bounded, in the order of [`NAMES`].
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -87,7 +85,7 @@ impl Features {
             basis.noise.beyond_first.clamp(0.0, 1.0),
             flag(base.over_floor.is_none()),
             flag(basis.excited),
-            flag(best.is_some_and(|b| BENDING.contains(&b.id.as_str()))),
+            flag(best.is_some_and(|b| effects::by_id(&b.id).is_some_and(|e| e.bends))),
             flag(best.is_none_or(|b| b.lead <= 0.0)),
             flag(best.is_some_and(|b| b.stage == super::types::Stage::Valve)),
         ])

@@ -131,9 +131,7 @@ pub struct Found {
 #[must_use]
 pub fn simulated(linear_base: bool) -> Vec<&'static Effect> {
     let wanted = |e: &&Effect| match e.way {
-        Way::Simulated => {
-            !linear_base || e.id != "slip_overshoot" && e.id != "sliding_valve" && e.id != "asymmetric_stiction"
-        }
+        Way::Simulated => !linear_base || !e.needs_friction,
         Way::AgainstLinear => linear_base,
         _ => false,
     };
@@ -252,7 +250,7 @@ fn free_run(problem: &Problem, sign: f64, structure: &Structure, theta: &Paramet
 }
 
 /// The starts of every effect's search.
-fn lanes_of(problem: &Problem, base: &Search, effects: &[&'static Effect]) -> Vec<Search> {
+fn searches_of(problem: &Problem, base: &Search, effects: &[&'static Effect]) -> Vec<Search> {
     let Some(best) = base.best.first() else { return Vec::new() };
     let run = PlainPass::new(problem, base.sign).simulate(&base.structure, best);
     let Some((prediction, valve)) = run else { return Vec::new() };
@@ -274,7 +272,7 @@ pub fn run(
     let calm = is_calm(problem, &base, floor);
     let effects: Vec<&'static Effect> =
         simulated(base_law.is_none()).into_iter().filter(|e| !without.iter().any(|w| w == e.id)).collect();
-    let mut searches = lanes_of(problem, &base, &effects);
+    let mut searches = searches_of(problem, &base, &effects);
     // Against a base without friction nobody else looks for slips: the search for He's base is made for it.
     let sticking = searches.iter().position(|l| l.structure.each().any(|e| e.way == Way::AgainstLinear));
     if let (Some(at), true) = (sticking, work.goes_on())
@@ -289,10 +287,10 @@ pub fn run(
             from.extend(&thetas);
         }
         let seed = work.seed;
-        let looking = searches.iter().filter(|l| plans_of(l).any(|plan| looks(&plan, &l.structure))).count();
+        let looking = searches.iter().filter(|l| plans_of(l).any(|plan| has_own_scan(&plan, &l.structure))).count();
         let each = (work.part(OF_LOOKS) as f64 / LOOK / looking.max(1) as f64).max(1.0) as usize;
         let own =
-            work.all(searches.len(), |i| own_look(problem, &searches[i], &thetas, if calm { 0 } else { each }, seed));
+            work.all(searches.len(), |i| own_scans(problem, &searches[i], &thetas, if calm { 0 } else { each }, seed));
         work.done += own.iter().map(|(_, n)| n).sum::<u64>();
         let effort = if calm { &NARROW } else { &FIRST };
         let own = |i: usize| own.get(i).map_or(&[][..], |(thetas, _)| thetas);
@@ -301,13 +299,13 @@ pub fn run(
     for round in 0..if calm { 0 } else { SHARED_ROUNDS as u64 } {
         let mut gains = false;
         for again in 0..MOST_AGAIN {
-            let found = work.goes_on() && look_again(problem, &mut searches, floor, MOST_AGAIN * round + again, work);
+            let found = work.goes_on() && search_again(problem, &mut searches, floor, MOST_AGAIN * round + again, work);
             gains |= found;
             if !found {
                 break;
             }
         }
-        if !work.goes_on() || round > 0 && !gains || !cross_pollinate(problem, &mut base, &mut searches, work) && !gains
+        if !work.goes_on() || round > 0 && !gains || !exchange_round(problem, &mut base, &mut searches, work) && !gains
         {
             break;
         }
@@ -316,7 +314,7 @@ pub fn run(
 }
 
 /// A round in which the base and every search that is not far behind try what the others found. Says whether one gained.
-fn cross_pollinate(problem: &Problem, base: &mut Search, searches: &mut Vec<Search>, work: &mut Work<'_>) -> bool {
+fn exchange_round(problem: &Problem, base: &mut Search, searches: &mut Vec<Search>, work: &mut Work<'_>) -> bool {
     let best = searches.iter().map(Search::sse).fold(base.sse(), f64::min);
     let (near, far): (Vec<Search>, Vec<Search>) = searches.drain(..).partition(|l| l.sse() <= FAR_BEHIND * best);
     let mut all = vec![base.clone()];
@@ -355,7 +353,13 @@ fn plans_of(search: &Search) -> impl Iterator<Item = Plan> {
 
 /// Another coarse scan with the parameters found so far, made for each of the most likely effects while none of them
 /// explains everything. Says whether one of them gained from it.
-fn look_again(problem: &Problem, searches: &mut [Search], floor: Option<f64>, round: u64, work: &mut Work<'_>) -> bool {
+fn search_again(
+    problem: &Problem,
+    searches: &mut [Search],
+    floor: Option<f64>,
+    round: u64,
+    work: &mut Work<'_>,
+) -> bool {
     let mut order: Vec<usize> = (0..searches.len()).collect();
     order.sort_by(|a, b| searches[*a].sse().total_cmp(&searches[*b].sse()));
     order.truncate(LIKELY.min((work.left() / LOOK_AGAIN) as usize));
@@ -412,7 +416,7 @@ fn starts_at(
 
 /// A look of its own for an effect that makes other slips of the same OP, or whose traces the wrong slips hide; `looked`
 /// are the places of the base's, `most` the starts from which is looked.
-fn own_look(
+fn own_scans(
     problem: &Problem,
     search: &Search,
     looked: &[Parameters],
@@ -436,7 +440,7 @@ fn own_look(
             thetas.extend(found);
             count += n;
         }
-        if !looks(&plan, &search.structure) || plan.class() != Class::First {
+        if !has_own_scan(&plan, &search.structure) || plan.class() != Class::First {
             continue;
         }
         let (found, n) = coarse_scan(problem, &search.structure, *p, search.sign, scan::ROUGH, seed + i as u64);
@@ -452,7 +456,7 @@ fn makes_other_slips(plan: &Plan) -> bool {
 }
 
 /// Whether a plan makes other slips than the base, or another signal of the same slips.
-fn looks(plan: &Plan, structure: &Structure) -> bool {
+fn has_own_scan(plan: &Plan, structure: &Structure) -> bool {
     let same_slips = plan.valve_alone() == Plan::base(structure.law);
     structure.law.is_some() && (makes_other_slips(plan) || !same_slips || plan.follows() || plan.bend != 0.0)
 }

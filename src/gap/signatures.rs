@@ -1,6 +1,7 @@
 //! Traces that a transmitter or recorder leaves in PV itself: steps of a grid, held values, straight lines, cut ends,
 //! single wild samples, a stretch that stands still.
 
+use super::effects;
 use super::noise::quantum;
 use super::types::{Parameter, Signature};
 use crate::record::Record;
@@ -76,19 +77,31 @@ pub fn traces(record: &Record, period: f64, without: &[String]) -> Traces {
         parameters,
     };
     let signatures = vec![
-        signature("quantisation", coarse, COARSE, true, number("quantum", grid.unwrap_or(0.0), "PV")),
-        signature("hold_compression", held, RECORDED, !frozen, number("held", held, "1")),
-        signature("swinging_door", straight, RECORDED, grid.is_none(), number("straight", straight, "1")),
-        signature("clipping", cut.1, least_cut, !is_grid && !frozen, number("end", cut.0, "PV")),
-        signature("outliers", wild_share, WILD_SHARE, true, number("per_thousand", wild_share, "1")),
-        signature("frozen_sensor", length, still_from, frozen, number("still", length * record.point_s(), "s")),
+        signature(effects::quantisation::EFFECT.id, coarse, COARSE, true, number("quantum", grid.unwrap_or(0.0), "PV")),
+        signature(effects::hold_compression::EFFECT.id, held, RECORDED, !frozen, number("held", held, "1")),
+        signature(
+            effects::swinging_door::EFFECT.id,
+            straight,
+            RECORDED,
+            grid.is_none(),
+            number("straight", straight, "1"),
+        ),
+        signature(effects::clipping::EFFECT.id, cut.1, least_cut, !is_grid && !frozen, number("end", cut.0, "PV")),
+        signature(effects::outliers::EFFECT.id, wild_share, WILD_SHARE, true, number("per_thousand", wild_share, "1")),
+        signature(
+            effects::frozen_sensor::EFFECT.id,
+            length,
+            still_from,
+            frozen,
+            number("still", length * record.point_s(), "s"),
+        ),
     ];
     let met = |id: &str| signatures.iter().any(|s| s.id == id && s.met) && !without.iter().any(|w| w == id);
     let mut masked = vec![false; pv.len()];
-    if met("outliers") {
+    if met(effects::outliers::EFFECT.id) {
         masked.clone_from(&wild);
     }
-    if met("frozen_sensor") {
+    if met(effects::frozen_sensor::EFFECT.id) {
         masked[still[0] + 1..=still[1]].fill(true);
     }
     if masked.iter().filter(|m| **m).count() as f64 > MOST_MASKED * n {
@@ -98,28 +111,34 @@ pub fn traces(record: &Record, period: f64, without: &[String]) -> Traces {
 }
 
 impl Traces {
-    /// Does to a prediction what the recorder of effect `id` did to PV.
-    pub fn apply(&self, id: &str, prediction: &mut [f64]) {
-        let pv = &self.pv;
-        let end = |at: usize| pv.iter().filter(|v| **v == self.ends[at]).count();
-        match id {
-            "hold_compression" => {
-                for k in 1..prediction.len() {
-                    if pv[k] == pv[k - 1] {
-                        prediction[k] = prediction[k - 1];
-                    }
-                }
+    /// Holds a prediction where PV is held.
+    pub fn hold(&self, prediction: &mut [f64]) {
+        for k in 1..prediction.len() {
+            if self.pv[k] == self.pv[k - 1] {
+                prediction[k] = prediction[k - 1];
             }
-            "frozen_sensor" => {
-                let [from, to] = self.still;
-                let held = prediction[from];
-                prediction[from..=to].fill(held);
-            }
-            "clipping" if end(0) > end(1) => prediction.iter_mut().for_each(|p| *p = p.max(self.ends[0])),
-            "clipping" => prediction.iter_mut().for_each(|p| *p = p.min(self.ends[1])),
-            "swinging_door" => between_knots(pv, prediction),
-            _ => {}
         }
+    }
+
+    /// Holds it where PV stands still.
+    pub fn freeze(&self, prediction: &mut [f64]) {
+        let [from, to] = self.still;
+        let held = prediction[from];
+        prediction[from..=to].fill(held);
+    }
+
+    /// Cuts it off at the end of PV's range that holds more samples.
+    pub fn clip(&self, prediction: &mut [f64]) {
+        let end = |at: usize| self.pv.iter().filter(|v| **v == self.ends[at]).count();
+        let low = end(0) > end(1);
+        for p in prediction {
+            *p = if low { p.max(self.ends[0]) } else { p.min(self.ends[1]) };
+        }
+    }
+
+    /// Draws it straight between the knots of PV.
+    pub fn straighten(&self, prediction: &mut [f64]) {
+        between_knots(&self.pv, prediction);
     }
 }
 
@@ -226,7 +245,7 @@ mod tests {
         let held: Vec<f64> = (0..900).map(|k| pv[k - k % 4]).collect();
         let record = Record::uniform(1.0, pv.clone(), held.clone());
         let mut again = pv.clone();
-        traces(&record, 70.0, &[]).apply("hold_compression", &mut again);
+        traces(&record, 70.0, &[]).hold(&mut again);
         assert_eq!(again, held);
     }
 }

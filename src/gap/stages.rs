@@ -48,7 +48,7 @@ pub fn look(record: &Record, problem: &Problem, from_op: f64, without: &[String]
     let mut from_mv = Problem::new(&behind, Some(problem.period), work.seed, masked.clone());
     from_mv.sign = None;
     let floor = noise::floor(&record.pv, false).noise_floor;
-    let not_behind = effects::ALL.into_iter().filter(|e| !e.is_behind_stem() || e.way != Way::Simulated);
+    let not_behind = effects::ALL.into_iter().filter(|e| !e.behind_stem || e.way != Way::Simulated);
     let mut left_out: Vec<String> = not_behind.map(|e| e.id.to_owned()).collect();
     left_out.extend(without.iter().cloned());
     let found = schedule::run(&from_mv, None, &left_out, floor, work)?;

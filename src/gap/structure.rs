@@ -4,7 +4,7 @@
 //! OP → positioner lag → friction → rate limit → stops → play → characteristic → dead time → lag → second lag → zero,
 //! and what disturbs PV. A [`Plan`] says which blocks are there; every block left at its neutral value is the base.
 
-use super::effects::{Effect, Reach, Unit};
+use super::effects::{Effect, Reach};
 use crate::ident::candidate::Landing;
 use crate::ident::class::Class;
 use crate::sim::actuator::{bent, play_step, rate_step, stop_step};
@@ -249,19 +249,11 @@ impl Structure {
         self.each().flat_map(|e| e.params.iter()).take(MAX_PARAMS)
     }
 
-    /// Lets the rest of a theta give way to a change `by` of its parameter `at`, as far as a model trades one for the other:
-    /// play for the kinetic band, a lag or a later dead time for dead time, what is carried on for the band.
+    /// Lets the rest of a parameter vector give way to a change `by` of its parameter `at`, as far as a model trades one
+    /// for the other.
     pub fn trade(&self, theta: &mut Parameters, at: usize, by: f64, op_rate: f64) {
-        match self.params().nth(at).map(|p| (p.unit, p.name)) {
-            // OP is ahead by half of what it moves between two points when a slip comes.
-            Some((_, "carried")) => theta.s -= 0.5 * op_rate * by,
-            Some((Unit::Op, _)) => {
-                theta.s -= by;
-                theta.fd -= 0.5 * by;
-            }
-            Some((Unit::LogTime, _)) => theta.lag -= libm::exp(theta.p[at]) - libm::exp(theta.p[at] - by),
-            Some((Unit::Time, _)) => theta.lag -= 0.5 * by,
-            _ => {}
+        if let Some(param) = self.params().nth(at) {
+            (param.trade)(theta, at, by, op_rate);
         }
     }
 
@@ -278,7 +270,7 @@ impl Structure {
         let mut at = 0;
         for effect in self.each() {
             let end = (at + effect.params.len()).min(MAX_PARAMS);
-            (effect.enter)(&p[at..end], &mut plan);
+            (effect.apply)(&p[at..end], &mut plan);
             at = end;
         }
         plan

@@ -1,6 +1,8 @@
 //! A diagnosis in words that can be read aloud.
 
 mod effect;
+
+pub use effect::Sizes;
 mod place;
 
 use super::document::{EffectNote, GapDocument};

@@ -52,7 +52,7 @@ impl ValveSignal {
             theta.fd = if plan.law.is_some() { theta.fd.clamp(low, high) } else { 0.0 };
             // Side by side, two lags leave fd open: it is found with their gains.
             if !plan.zero || plan.follows() || plan.bend != 0.0 {
-                self.follow(plan, start, theta.fd, n);
+                start = [self.follow(plan, start, theta.fd, n), 0.0];
                 freedom.fd = [0.0; 2];
                 freedom.fd_default = 0.0;
             }
@@ -98,8 +98,9 @@ impl ValveSignal {
         (self.steps.s_cell, self.steps.j_cell, self.steps.slips, self.steps.reversals) = (none, none, 0, 0);
     }
 
-    /// Rate limit, stops, play and characteristic behind a stem that starts at `start`, in this order.
-    fn follow(&mut self, plan: &Plan, start: [f64; 2], fd: f64, n: usize) {
+    /// Rate limit, stops, play and characteristic behind a stem that starts at `start`, in this order; the signal at the
+    /// first point.
+    fn follow(&mut self, plan: &Plan, start: [f64; 2], fd: f64, n: usize) -> f64 {
         let mut stem = start[0] - fd * start[1];
         let list = core::mem::replace(&mut self.steps.list, core::mem::take(&mut self.work));
         let out = &mut self.steps.list;
@@ -113,7 +114,8 @@ impl ValveSignal {
             *far = if plan.play > 0.0 { play_step(*far, open, plan.play) } else { open };
             plan.bent(*far)
         };
-        let mut last = flow(slow, &mut far);
+        let at_first = flow(slow, &mut far);
+        let mut last = at_first;
         for (m, step) in list.iter().enumerate().skip(first) {
             stem += step.level - fd * step.direction;
             let until = list.get(m + 1).map_or(n, |s| s.point as usize);
@@ -130,6 +132,7 @@ impl ValveSignal {
             }
         }
         self.work = list;
+        at_first
     }
 
     /// From point `time` on the signal comes `more` points later.

@@ -1,7 +1,7 @@
 //! How far each effect closes the gap: held-out free run before and after, with an interval from its blocks.
 
 use super::decide;
-use super::effects::{self, Effect, Way};
+use super::effects::{self, Effect};
 use super::express::{above_floor, fit, parameters};
 use super::problem::{Problem, View};
 use super::search::Search;
@@ -86,13 +86,12 @@ impl Scales<'_> {
     pub fn recorded(&self, effect: &'static Effect, floor_after: Option<f64>) -> EffectResult {
         let found = self.traces.signatures.iter().find(|s| s.id == effect.id && s.met);
         let met = found.is_some();
-        let made = if met && effect.way == Way::Signature && effect.predictable {
-            fit(self.problem, self.search, self.floor.noise_floor, &|p| self.traces.apply(effect.id, p))
-        } else {
-            None
-        };
+        let made = effect
+            .recorder
+            .filter(|_| met)
+            .and_then(|recorder| fit(self.problem, self.search, self.floor.noise_floor, &|p| recorder(self.traces, p)));
         // Points that are masked for an effect's sake are what it is about.
-        let of_masked = made.is_some() && decide::MASKED.contains(&effect.id);
+        let of_masked = made.is_some() && effect.masks;
         let blocks = self.blocks(made.as_ref().unwrap_or(self.base), of_masked);
         let [before, after] = self.gaps(&blocks);
         let (closed_pct, closed_interval) = made.as_ref().map_or((None, None), |_| self.closed_in(&blocks));

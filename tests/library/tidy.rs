@@ -396,3 +396,34 @@ fn the_readme_lists_every_command() {
         .collect();
     assert_eq!(readme_column("command"), commands);
 }
+
+/// What is known of an effect stands in its file: no other file of the gap names one.
+#[test]
+fn no_effect_is_named_outside_its_own_file() {
+    let mut folders = vec![Path::new(env!("CARGO_MANIFEST_DIR")).join("src/gap")];
+    let mut seen = 0;
+    while let Some(folder) = folders.pop() {
+        for path in fs::read_dir(&folder).unwrap().flatten().map(|entry| entry.path()) {
+            let name = path.file_stem().unwrap().to_string_lossy().into_owned();
+            if path.is_dir() {
+                if name != "effects" {
+                    folders.push(path);
+                }
+                continue;
+            }
+            if path.extension().is_none_or(|e| e != "rs") || name == "tests" {
+                continue;
+            }
+            let text = fs::read_to_string(&path).unwrap();
+            let code = text.split("#[cfg(test)]").next().unwrap();
+            let code: String = code.lines().filter(|l| !l.trim_start().starts_with("//")).collect();
+            seen += 1;
+            for effect in stictiond::gap::effects::ALL {
+                // A process' own flag in a model file has the name of the effect.
+                let flag = name == "model_file" && code.contains(&format!("flag(\"{}\")", effect.id));
+                assert!(flag || !code.contains(&format!("\"{}\"", effect.id)), "{} in {}", effect.id, path.display());
+            }
+        }
+    }
+    assert!(seen > 30, "only {seen} files were found");
+}

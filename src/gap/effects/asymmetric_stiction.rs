@@ -1,20 +1,26 @@
 //! Bands that differ with the direction: fs and fd times `1 + alpha` upwards, `1 - alpha` downwards.
 
-use super::{Effect, MARGIN, Param, Reach, Stage, Unit, Way, nothing};
+use super::{Effect, Param, Reach, Stage, Unit, kept};
 
 /// As the catalogue has it.
 pub const EFFECT: Effect = Effect {
-    id: "asymmetric_stiction",
-    stage: Stage::Valve,
-    way: Way::Simulated,
-    params: &[Param { name: "alpha", unit: Unit::One, reach: Reach::Jumps, limits: |_| [-0.7, 0.7] }],
-    enter: |p, plan| plan.stroke.uneven = p[0],
+    params: &[Param { name: "alpha", unit: Unit::One, reach: Reach::Jumps, limits: |_| [-0.7, 0.7], trade: kept }],
+    apply: |p, plan| plan.stroke.uneven = p[0],
     starts: |_| [0.0, 0.12, -0.12, 0.28, -0.28, 0.5, -0.5].map(|a| [a, 0.0, 0.0]).to_vec(),
-    linear: nothing,
-    margin: MARGIN,
-    predictable: true,
     confused_with: &["slip_overshoot", "static_nonlinearity"],
     separated_by: "the valve position, or OP stepped up and down by the same amount",
+    noun: "uneven friction",
+    needs_friction: true,
+    phrase: |sizes| {
+        let alpha = sizes.value("alpha")?;
+        let side = if alpha > 0.0 { "upwards" } else { "downwards" };
+        Some(format!("friction that is {} larger {side} than its mean", sizes.percent(alpha)))
+    },
+    in_loop: |stated, parts| {
+        parts.stroke.uneven = stated.number("alpha")?;
+        Ok(())
+    },
+    ..Effect::simulated("asymmetric_stiction", Stage::Valve)
 };
 
 #[cfg(test)]
@@ -26,9 +32,9 @@ mod tests {
     #[test]
     fn alpha_makes_the_bands_uneven_and_zero_is_the_base() {
         let mut plan = Plan::base(Some(Law::He));
-        (EFFECT.enter)(&[0.3], &mut plan);
+        (EFFECT.apply)(&[0.3], &mut plan);
         assert_eq!(plan.stroke.uneven, 0.3);
-        (EFFECT.enter)(&[0.0], &mut plan);
+        (EFFECT.apply)(&[0.0], &mut plan);
         assert_eq!(plan, Plan::base(Some(Law::He)));
     }
 }

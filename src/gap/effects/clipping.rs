@@ -1,12 +1,14 @@
 //! PV cut off at the end of the transmitter's range.
 
 use super::{Effect, Stage, Way};
+use crate::gap::signatures::Traces;
 
 /// As the catalogue has it.
 pub const EFFECT: Effect = Effect {
-    stage: Stage::Measurement,
-    predictable: true,
     confused_with: &["travel_limit"],
     separated_by: "the transmitter's range",
-    ..Effect::unsimulated("clipping", Way::Signature)
+    noun: "a transmitter at the end of its range",
+    local: true,
+    recorder: Some(Traces::clip),
+    ..Effect::unsimulated("clipping", Stage::Measurement, Way::Signature)
 };

@@ -4,9 +4,10 @@ use super::{Effect, Stage, Way};
 
 /// As the catalogue has it.
 pub const EFFECT: Effect = Effect {
-    stage: Stage::Disturbance,
     predictable: false,
     confused_with: &["sinusoid", "ramp", "step_load"],
     separated_by: "the disturbance itself, or PV with OP held",
-    ..Effect::unsimulated("coloured_noise", Way::Noise)
+    noun: "a slow random disturbance",
+    twin: Some("a random walk"),
+    ..Effect::unsimulated("coloured_noise", Stage::Disturbance, Way::Noise)
 };

@@ -1,33 +1,44 @@
 //! From some instant on, another dead time.
 
-use super::{Clues, Effect, Param, Reach, Stage, Start, Unit, WIDE_MARGIN, Way, nothing};
+use super::{Clues, Effect, Param, Reach, Stage, Start, Unit, WIDE_MARGIN, kept};
+use crate::gap::plain::Candidate;
+use crate::gap::problem::Problem;
+use crate::gap::structure::Plan;
+use crate::gap::types::Parameter;
 
 /// As the catalogue has it.
 pub const EFFECT: Effect = Effect {
-    id: "dead_time_change",
-    stage: Stage::Process,
-    way: Way::Simulated,
     params: &[
         Param {
             name: "at",
-            unit: Unit::Instant,
+            unit: Unit::OwnInstant,
             reach: Reach::Jumps,
             limits: |s| [s.blocks.from as f64, s.n() as f64 - 2.0],
+            trade: kept,
         },
         Param {
             name: "added",
             unit: Unit::Time,
             reach: Reach::Process,
             limits: |s| [-s.longest_lag(), s.longest_lag()],
+            trade: |theta, _, by, _| theta.lag -= 0.5 * by,
         },
     ],
-    enter: |p, plan| plan.switch = Some([p[0], p[1]]),
+    apply: |p, plan| plan.switch = Some([p[0], p[1]]),
     starts,
-    linear: nothing,
+    linear: at,
     margin: WIDE_MARGIN,
-    predictable: true,
     confused_with: &["gain_drift", "time_skew"],
     separated_by: "flow or speed that sets the transport time",
+    noun: "a changed dead time",
+    from_model: |p, theta| p[0] -= theta.lag.floor(),
+    bends: true,
+    local: true,
+    phrase: |sizes| {
+        let (added, at) = (sizes.said("added")?, sizes.said("at")?);
+        Some(format!("a dead time that changes by {added} s, {at} s after the start"))
+    },
+    ..Effect::simulated("dead_time_change", Stage::Process)
 };
 
 fn starts(clues: &Clues<'_>) -> Vec<Start> {
@@ -41,16 +52,20 @@ fn starts(clues: &Clues<'_>) -> Vec<Start> {
     out
 }
 
+/// The change is found at the valve; PV shows it the dead time later.
+fn at(p: &[f64], _plan: &Plan, of: &Candidate, problem: &Problem) -> Vec<Parameter> {
+    vec![Parameter { name: "at", value: (p[0] + of.theta.lag.floor()) * problem.point_s, unit: "s" }]
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gap::structure::Plan;
     use crate::sim::slips::Law;
 
     #[test]
     fn nothing_added_is_the_base() {
         let mut plan = Plan::base(Some(Law::He));
-        (EFFECT.enter)(&[100.0, 3.0], &mut plan);
+        (EFFECT.apply)(&[100.0, 3.0], &mut plan);
         assert_eq!(plan.switch, Some([100.0, 3.0]));
         assert!(plan.is_linear_in_fd());
     }

@@ -1,20 +1,21 @@
 //! A second lag behind the friction: in the process, or in the sensor and its filter. OP and PV cannot tell which.
 
-use super::{Effect, MARGIN, Reach, Stage, Way, lag, lags, nothing};
+use super::{Effect, Reach, Stage, lag, lags, said_already};
 
 /// As the catalogue has it.
 pub const EFFECT: Effect = Effect {
-    id: "extra_lag",
-    stage: Stage::Process,
-    way: Way::Simulated,
     params: &[lag::<60>(Reach::SecondLag)],
-    enter: |p, plan| plan.tau2 = libm::exp(p[0]),
+    apply: |p, plan| plan.tau2 = libm::exp(p[0]),
     starts: |clues| lags(clues, &[0.01, 0.04, 0.12, 0.3]),
-    linear: nothing,
-    margin: MARGIN,
-    predictable: true,
     confused_with: &["positioner_lag", "inverse_response"],
     separated_by: "a second sensor, or the filter setting of the transmitter",
+    noun: "a lag behind the valve",
+    bare: true,
+    clashes: &["inverse_response"],
+    twin: Some("a sensor filter"),
+    phrase: |sizes| Some(format!("an extra lag of {} s", sizes.said("lag")?)),
+    in_loop: said_already,
+    ..Effect::simulated("extra_lag", Stage::Process)
 };
 
 #[cfg(test)]
@@ -26,7 +27,7 @@ mod tests {
     #[test]
     fn the_lag_is_a_logarithm() {
         let mut plan = Plan::base(Some(Law::He));
-        (EFFECT.enter)(&[libm::log(4.0)], &mut plan);
+        (EFFECT.apply)(&[libm::log(4.0)], &mut plan);
         assert!((plan.tau2 - 4.0).abs() < 1e-12 && plan.is_linear_in_fd() && plan.extras() == 0);
     }
 }

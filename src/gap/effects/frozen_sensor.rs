@@ -1,12 +1,15 @@
 //! PV stands still for a while, and then goes on.
 
 use super::{Effect, Stage, Way};
+use crate::gap::signatures::Traces;
 
 /// As the catalogue has it.
 pub const EFFECT: Effect = Effect {
-    stage: Stage::Measurement,
-    predictable: true,
     confused_with: &["hold_compression"],
     separated_by: "a second sensor",
-    ..Effect::unsimulated("frozen_sensor", Way::Signature)
+    noun: "a frozen sensor",
+    local: true,
+    masks: true,
+    recorder: Some(Traces::freeze),
+    ..Effect::unsimulated("frozen_sensor", Stage::Measurement, Way::Signature)
 };

@@ -1,25 +1,32 @@
 //! A gain that grows or falls with time: by the same amount in every hour (fouling), or by the same share (wear, decay).
 
-use super::{Effect, Param, Reach, Stage, Unit, WIDE_MARGIN, Way, nothing};
+use super::{Effect, Param, Reach, Stage, Unit, WIDE_MARGIN, grows, kept};
 use crate::gap::structure::Drift;
 
 /// As the catalogue has it.
 pub const EFFECT: Effect = Effect {
-    id: "gain_drift",
-    stage: Stage::Process,
-    way: Way::Simulated,
     params: &[
-        Param { name: "gain_change_over_record", unit: Unit::One, reach: Reach::Process, limits: |_| [-1.9, 1.9] },
-        Param { name: "by_factor", unit: Unit::Choice, reach: Reach::Jumps, limits: |_| [0.0, 1.0] },
+        Param {
+            name: "gain_change_over_record",
+            unit: Unit::One,
+            reach: Reach::Process,
+            limits: |_| [-1.9, 1.9],
+            trade: kept,
+        },
+        Param { name: "by_factor", unit: Unit::Choice, reach: Reach::Jumps, limits: |_| [0.0, 1.0], trade: kept },
     ],
-    enter: |p, plan| plan.drift = Some(Drift { change: p[0], by_factor: p[1] > 0.5 }),
+    apply: |p, plan| plan.drift = Some(Drift { change: p[0], by_factor: p[1] > 0.5 }),
     starts: |_| [-0.4, 0.4].into_iter().flat_map(|c| [[c, 0.0, 0.0], [c, 1.0, 0.0]]).collect(),
-    linear: nothing,
     // Its level is free, so it imitates a ramp: it must not be preferred to one.
     margin: WIDE_MARGIN,
-    predictable: true,
     confused_with: &["static_nonlinearity", "dead_time_change"],
     separated_by: "the same step of OP early and late",
+    noun: "a drifting gain",
+    phrase: |sizes| {
+        let change = sizes.value("gain_change_over_record")?;
+        Some(format!("a gain that {} by {} over the record", grows(change), sizes.percent(change)))
+    },
+    ..Effect::simulated("gain_drift", Stage::Process)
 };
 
 #[cfg(test)]
@@ -32,7 +39,7 @@ mod tests {
     fn the_gain_changes_by_so_much_of_its_middle_either_way() {
         for by_factor in [0.0, 1.0] {
             let mut plan = Plan::base(Some(Law::He));
-            (EFFECT.enter)(&[0.6, by_factor], &mut plan);
+            (EFFECT.apply)(&[0.6, by_factor], &mut plan);
             let drift = plan.drift.unwrap();
             let gain: Vec<f64> = drift.course(1000).map(|x| 1.0 + drift.change * x).collect();
             assert!((gain[999] - gain[0] - 0.6).abs() < 2e-3 && (gain[500] - 1.0).abs() < 2e-3);

@@ -1,20 +1,15 @@
 //! PV integrates the valve signal instead of settling.
 
-use super::{Effect, MARGIN, Stage, Way, nothing, once};
+use super::{Effect, Stage, said_already};
 
 /// As the catalogue has it.
 pub const EFFECT: Effect = Effect {
-    id: "integrating",
-    stage: Stage::Process,
-    way: Way::Simulated,
-    params: &[],
-    enter: |_, plan| plan.integrating = true,
-    starts: once,
-    linear: nothing,
-    margin: MARGIN,
-    predictable: true,
+    apply: |_, plan| plan.integrating = true,
     confused_with: &["extra_lag", "ramp"],
     separated_by: "one open-loop step of OP, watched until PV settles or runs away",
+    noun: "an integrating process",
+    in_loop: said_already,
+    ..Effect::simulated("integrating", Stage::Process)
 };
 
 #[cfg(test)]
@@ -26,7 +21,7 @@ mod tests {
     #[test]
     fn the_process_is_switched() {
         let mut plan = Plan::base(Some(Law::He));
-        (EFFECT.enter)(&[], &mut plan);
+        (EFFECT.apply)(&[], &mut plan);
         assert!(plan.integrating && plan.is_linear_in_fd());
     }
 }

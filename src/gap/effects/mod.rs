@@ -3,19 +3,19 @@
 
 mod asymmetric_stiction;
 mod backlash;
-mod clipping;
+pub mod clipping;
 mod clues;
-mod coloured_noise;
+pub mod coloured_noise;
 mod dead_time_change;
-mod extra_lag;
-mod frozen_sensor;
+pub mod extra_lag;
+pub mod frozen_sensor;
 mod gain_drift;
-mod hold_compression;
-mod integrating;
+pub mod hold_compression;
+pub mod integrating;
 mod inverse_response;
-mod outliers;
+pub mod outliers;
 mod positioner_lag;
-mod quantisation;
+pub mod quantisation;
 mod ramp;
 mod rate_limit;
 mod sinusoid;
@@ -23,17 +23,19 @@ mod sliding_valve;
 mod slip_overshoot;
 mod static_nonlinearity;
 mod step_load;
-mod stiction;
-mod swinging_door;
-mod time_skew;
+pub mod stiction;
+pub mod swinging_door;
+pub mod time_skew;
 mod travel_limit;
 
 pub use clues::Clues;
-pub use travel_limit::above_stop;
 
-use super::evaluator::Candidate;
+use super::loop_run::{NoPlace, Parts, Stated};
+use super::plain::Candidate;
 use super::problem::Problem;
-use super::structure::Plan;
+use super::signatures::Traces;
+use super::structure::{Parameters, Plan};
+use super::text::Sizes;
 use super::types::{EffectId, Parameter, Stage};
 
 /// How an effect is found.
@@ -77,6 +79,8 @@ pub enum Unit {
     Time,
     /// Point of the record to seconds from its start.
     Instant,
+    /// The same; told by the effect's own function, since the lag belongs to it.
+    OwnInstant,
     /// Spans to OP units.
     Op,
     /// Spans a point to OP units a second, from its logarithm.
@@ -91,6 +95,10 @@ pub enum Unit {
     StemEnd,
 }
 
+/// What the rest of a parameter vector gives way by when a parameter has changed: the vector after the change, the
+/// parameter's place in it, the change, and how fast OP usually moves (spans a point).
+pub type Trade = fn(&mut Parameters, usize, f64, f64);
+
 /// One nonlinear parameter.
 #[derive(Debug)]
 pub struct Param {
@@ -102,6 +110,16 @@ pub struct Param {
     pub reach: Reach,
     /// Bounds in the units of the search.
     pub limits: fn(&Problem) -> [f64; 2],
+    /// What a model trades it for.
+    pub trade: Trade,
+}
+
+/// For a parameter that the model trades for nothing.
+fn kept(_theta: &mut Parameters, _at: usize, _by: f64, _op_rate: f64) {}
+
+/// For a lag by its logarithm: the dead time gives way.
+fn for_dead_time(theta: &mut Parameters, at: usize, by: f64, _op_rate: f64) {
+    theta.lag -= libm::exp(theta.p[at]) - libm::exp(theta.p[at] - by);
 }
 
 impl Param {
@@ -124,7 +142,7 @@ impl Param {
             Unit::Period => (2.0 * core::f64::consts::PI / value.max(1e-9) * problem.point_s, "s"),
             Unit::Choice => (if value > 0.5 { 1.0 } else { 0.0 }, "1"),
             Unit::PerOp => (value / problem.span, "1/OP"),
-            Unit::StemEnd => return None,
+            Unit::StemEnd | Unit::OwnInstant => return None,
         };
         Some(Parameter { name: self.name, value, unit })
     }
@@ -135,7 +153,7 @@ impl Param {
         match self.unit {
             Unit::One | Unit::Choice => value,
             Unit::LogTime => libm::log((value / problem.point_s).max(1e-9)),
-            Unit::Time | Unit::Instant => value / problem.point_s,
+            Unit::Time | Unit::Instant | Unit::OwnInstant => value / problem.point_s,
             Unit::Op => value / problem.span,
             Unit::LogRate => libm::log((value * problem.point_s / problem.span).max(1e-12)),
             Unit::PerOp => value * problem.span,
@@ -148,7 +166,7 @@ impl Param {
 /// Parameter values at which a search begins; an effect has up to three.
 pub type Start = [f64; 3];
 
-/// One effect that the base leaves out.
+/// One effect that the base leaves out: all that is known of it stands in its file.
 #[derive(Debug)]
 pub struct Effect {
     /// Id in documents.
@@ -159,16 +177,42 @@ pub struct Effect {
     pub way: Way,
     /// Its nonlinear parameters.
     pub params: &'static [Param],
-    /// Puts it into the simulator.
-    pub enter: fn(&[f64], &mut Plan),
+    /// Puts it into the model structure.
+    pub apply: fn(&[f64], &mut Plan),
     /// Parameter values at which a search begins.
     pub starts: fn(&Clues<'_>) -> Vec<Start>,
     /// What the linear coefficients and fd say in recorded units, of an effect with these parameters.
     pub linear: fn(&[f64], &Plan, &Candidate, &Problem) -> Vec<Parameter>,
+    /// Makes parameters read from a model those of the search, where fd or the lag belongs to them.
+    pub from_model: fn(&mut [f64], &Parameters),
+    /// Its part in a closed loop's simulation.
+    pub in_loop: fn(&Stated<'_>, &mut Parts) -> Result<(), NoPlace>,
+    /// What its recorder does to a prediction, where a free run can follow it.
+    pub recorder: Option<fn(&Traces, &mut [f64])>,
     /// Training log mean squared error by which it must beat the base: more for what bends to anything.
     pub margin: f64,
     /// Whether free run can predict it.
     pub predictable: bool,
+    /// Whether it acts behind a stem whose position is recorded, or may.
+    pub behind_stem: bool,
+    /// Whether it is whole without its numbers in a model that is given.
+    pub bare: bool,
+    /// Whether it changes friction, so that a base without knows nothing of it.
+    pub needs_friction: bool,
+    /// Whether it bends to nearly anything.
+    pub bends: bool,
+    /// Whether it acts at one time of the record: forward in time says nothing about it.
+    pub local: bool,
+    /// Whether samples that show it are left out of every fit.
+    pub masks: bool,
+    /// Effects that it cannot stand beside: one would undo the other.
+    pub clashes: &'static [EffectId],
+    /// What it is called among others.
+    pub noun: &'static str,
+    /// What no record of OP and PV can tell from it, by its plant name.
+    pub twin: Option<&'static str>,
+    /// It with its sizes in words; `None` where they are listed.
+    pub phrase: fn(&Sizes<'_>) -> Option<String>,
     /// Effects that look alike on OP and PV.
     pub confused_with: &'static [EffectId],
     /// The measurement that would tell.
@@ -176,27 +220,39 @@ pub struct Effect {
 }
 
 impl Effect {
-    /// Whether it acts behind a stem whose position is recorded.
-    #[must_use]
-    pub fn is_behind_stem(&self) -> bool {
-        self.stage != Stage::Valve || BEHIND_STEM.contains(&self.id)
-    }
-
-    /// An effect that no search fits: it is seen in the recording.
-    const fn unsimulated(id: EffectId, way: Way) -> Self {
+    /// One that is simulated, bound to the valve signal and without parameters.
+    const fn simulated(id: EffectId, stage: Stage) -> Self {
         Self {
             id,
-            stage: Stage::Measurement,
-            way,
+            stage,
+            way: Way::Simulated,
             params: &[],
-            enter: outside,
+            apply: outside,
             starts: once,
             linear: nothing,
+            from_model: as_it_is,
+            in_loop: inside,
+            recorder: None,
             margin: MARGIN,
             predictable: true,
+            behind_stem: !matches!(stage, Stage::Valve),
+            bare: false,
+            needs_friction: false,
+            bends: false,
+            local: false,
+            masks: false,
+            clashes: &[],
+            noun: "",
+            twin: None,
+            phrase: listed,
             confused_with: &[],
             separated_by: "",
         }
+    }
+
+    /// One that no search fits: it is seen in the recording.
+    const fn unsimulated(id: EffectId, stage: Stage, way: Way) -> Self {
+        Self { way, ..Self::simulated(id, stage) }
     }
 }
 
@@ -204,9 +260,6 @@ impl Effect {
 pub const MARGIN: f64 = 0.10;
 /// Margin of one that is not, or that bends further.
 pub const WIDE_MARGIN: f64 = 0.15;
-
-/// Effects of the valve that a recorded stem position does not show, or not always.
-const BEHIND_STEM: [EffectId; 3] = ["backlash", "travel_limit", "rate_limit"];
 
 /// Every effect.
 pub const ALL: [&Effect; 25] = [
@@ -245,7 +298,7 @@ pub fn by_id(id: &str) -> Option<&'static Effect> {
 
 /// A lag of up to `MOST` raw samples that acts where `reach` says.
 const fn lag<const MOST: u32>(reach: Reach) -> Param {
-    Param { name: "lag", unit: Unit::LogTime, reach, limits: lag_limits::<MOST> }
+    Param { name: "lag", unit: Unit::LogTime, reach, limits: lag_limits::<MOST>, trade: for_dead_time }
 }
 
 fn lag_limits<const MOST: u32>(problem: &Problem) -> [f64; 2] {
@@ -267,8 +320,31 @@ fn nothing(_p: &[f64], _plan: &Plan, _of: &Candidate, _scene: &Problem) -> Vec<P
     Vec::new()
 }
 
-/// For effects that do not enter the simulator.
+/// For effects that are not simulated.
 fn outside(_p: &[f64], _plan: &mut Plan) {}
+
+/// For parameters that a model states as the search has them.
+fn as_it_is(_p: &mut [f64], _theta: &Parameters) {}
+
+/// For effects that have no part in a closed loop's simulation.
+fn inside(stated: &Stated<'_>, _parts: &mut Parts) -> Result<(), NoPlace> {
+    Err(NoPlace::Inside(stated.id().to_owned()))
+}
+
+/// For effects that law, process and time constants of a model say already.
+fn said_already(_stated: &Stated<'_>, _parts: &mut Parts) -> Result<(), NoPlace> {
+    Ok(())
+}
+
+/// For effects whose sizes are listed.
+fn listed(_sizes: &Sizes<'_>) -> Option<String> {
+    None
+}
+
+/// Which way a change goes.
+const fn grows(change: f64) -> &'static str {
+    if change > 0.0 { "grows" } else { "shrinks" }
+}
 
 #[cfg(test)]
 mod tests {
@@ -280,10 +356,15 @@ mod tests {
         for (i, effect) in ALL.iter().enumerate() {
             assert!(ALL[i + 1..].iter().all(|e| e.id != effect.id), "{} twice", effect.id);
             assert_eq!(by_id(effect.id).map(|e| e.id), Some(effect.id));
+            for clash in effect.clashes {
+                assert!(by_id(clash).is_some_and(|o| o.clashes.contains(&effect.id)), "{}: {clash}", effect.id);
+            }
             for other in effect.confused_with {
                 assert!(by_id(other).is_some_and(|o| o.id != effect.id), "{}: {other}", effect.id);
             }
-            assert!(!effect.separated_by.is_empty() && 2 * effect.params.len() <= MAX_PARAMS);
+            assert!(
+                !effect.separated_by.is_empty() && !effect.noun.is_empty() && 2 * effect.params.len() <= MAX_PARAMS
+            );
         }
         assert!(by_id("none").is_none());
     }

@@ -4,10 +4,12 @@ use super::{Effect, Stage, Way};
 
 /// As the catalogue has it.
 pub const EFFECT: Effect = Effect {
-    stage: Stage::Measurement,
     // What the sensor made up is known only from PV itself.
     predictable: false,
     confused_with: &["coloured_noise"],
     separated_by: "the transmitter's diagnostics",
-    ..Effect::unsimulated("outliers", Way::Signature)
+    noun: "single wild values",
+    local: true,
+    masks: true,
+    ..Effect::unsimulated("outliers", Stage::Measurement, Way::Signature)
 };

@@ -1,20 +1,21 @@
 //! A lag before the friction: positioner or current-to-pressure converter. It moves the slips, and not only what follows them.
 
-use super::{Effect, MARGIN, Reach, Stage, Way, lag, lags, nothing};
+use super::{Effect, Reach, Stage, lag, lags};
 
 /// As the catalogue has it.
 pub const EFFECT: Effect = Effect {
-    id: "positioner_lag",
-    stage: Stage::Valve,
-    way: Way::Simulated,
     params: &[lag::<40>(Reach::Path)],
-    enter: |p, plan| plan.positioner = libm::exp(p[0]),
+    apply: |p, plan| plan.positioner = libm::exp(p[0]),
     starts: |clues| lags(clues, &[0.003, 0.02, 0.05, 0.11, 0.25]),
-    linear: nothing,
-    margin: MARGIN,
-    predictable: true,
     confused_with: &["extra_lag", "rate_limit"],
     separated_by: "the pressure on the actuator, or the valve position",
+    noun: "a slow positioner",
+    phrase: |sizes| Some(format!("a positioner lag of {} s", sizes.said("lag")?)),
+    in_loop: |stated, parts| {
+        parts.around.pilot = stated.above_zero("lag")? / stated.ts_s;
+        Ok(())
+    },
+    ..Effect::simulated("positioner_lag", Stage::Valve)
 };
 
 #[cfg(test)]
@@ -26,7 +27,7 @@ mod tests {
     #[test]
     fn the_lag_is_a_logarithm() {
         let mut plan = Plan::base(Some(Law::He));
-        (EFFECT.enter)(&[libm::log(4.0)], &mut plan);
+        (EFFECT.apply)(&[libm::log(4.0)], &mut plan);
         assert!((plan.positioner - 4.0).abs() < 1e-12 && plan.is_linear_in_fd());
     }
 }

@@ -4,9 +4,9 @@ use super::{Effect, Stage, Way};
 
 /// As the catalogue has it.
 pub const EFFECT: Effect = Effect {
-    stage: Stage::Measurement,
     predictable: false,
     confused_with: &["hold_compression"],
     separated_by: "the transmitter's resolution",
-    ..Effect::unsimulated("quantisation", Way::Signature)
+    noun: "a coarse grid of PV",
+    ..Effect::unsimulated("quantisation", Stage::Measurement, Way::Signature)
 };

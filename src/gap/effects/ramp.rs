@@ -1,29 +1,43 @@
 //! A load that grows evenly from some instant on.
 
-use super::{Clues, Effect, Param, Reach, Stage, Start, Unit, WIDE_MARGIN, Way};
+use super::{Clues, Effect, Param, Reach, Stage, Start, Unit, WIDE_MARGIN, kept};
 use crate::gap::evaluator::Candidate;
 use crate::gap::problem::Problem;
 use crate::gap::structure::{Part, Plan};
 use crate::gap::types::Parameter;
+use crate::sim::disturbance::Disturbance;
+
+/// Duration of a ramp that does not end, s.
+const FOR_GOOD_S: f64 = 1e9;
 
 /// As the catalogue has it.
 pub const EFFECT: Effect = Effect {
-    id: "ramp",
-    stage: Stage::Disturbance,
-    way: Way::Simulated,
     params: &[Param {
         name: "from",
         unit: Unit::Instant,
         reach: Reach::Process,
         limits: |s| [0.0, 0.8 * s.n() as f64],
+        trade: kept,
     }],
-    enter: |p, plan| plan.ramp = Some(p[0]),
+    apply: |p, plan| plan.ramp = Some(p[0]),
     starts,
     linear: rate,
     margin: WIDE_MARGIN,
-    predictable: true,
     confused_with: &["step_load", "coloured_noise", "integrating"],
     separated_by: "the load itself, or PV with OP held",
+    noun: "a ramp from outside",
+    bends: true,
+    local: true,
+    phrase: |sizes| {
+        let (slope, from) = (sizes.said("slope")?, sizes.said("from")?);
+        Some(format!("a ramp from outside of {slope} PV units a second from {from} s after the start on"))
+    },
+    in_loop: |stated, parts| {
+        let (size, from_s) = (stated.number("slope")? * FOR_GOOD_S, stated.number("from")?);
+        parts.on_pv.push(Disturbance::Ramp { size, from_s, over_s: FOR_GOOD_S });
+        Ok(())
+    },
+    ..Effect::simulated("ramp", Stage::Disturbance)
 };
 
 fn starts(clues: &Clues<'_>) -> Vec<Start> {
@@ -45,7 +59,7 @@ mod tests {
     #[test]
     fn one_coefficient_is_its_slope() {
         let mut plan = Plan::base(Some(Law::He));
-        (EFFECT.enter)(&[50.0], &mut plan);
+        (EFFECT.apply)(&[50.0], &mut plan);
         assert!(plan.ramp == Some(50.0) && plan.extras() == 1);
     }
 }

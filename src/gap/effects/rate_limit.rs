@@ -1,23 +1,35 @@
 //! An actuator that moves no faster than so much a second.
 
-use super::{Clues, Effect, MARGIN, Param, Reach, Stage, Start, Unit, Way, nothing};
+use super::{Clues, Effect, Param, Reach, Stage, Start, Unit, kept};
 
 /// As the catalogue has it.
 pub const EFFECT: Effect = Effect {
-    id: "rate_limit",
-    stage: Stage::Valve,
-    way: Way::Simulated,
     params: &[
-        Param { name: "rate", unit: Unit::LogRate, reach: Reach::Path, limits: |_| [libm::log(0.002), libm::log(2.0)] },
-        Param { name: "of_stem", unit: Unit::Choice, reach: Reach::Jumps, limits: |_| [0.0, 1.0] },
+        Param {
+            name: "rate",
+            unit: Unit::LogRate,
+            reach: Reach::Path,
+            limits: |_| [libm::log(0.002), libm::log(2.0)],
+            trade: kept,
+        },
+        Param { name: "of_stem", unit: Unit::Choice, reach: Reach::Jumps, limits: |_| [0.0, 1.0], trade: kept },
     ],
-    enter: |p, plan| *(if p[1] > 0.5 { &mut plan.stroke.rate } else { &mut plan.rate }) = libm::exp(p[0]),
+    apply: |p, plan| *(if p[1] > 0.5 { &mut plan.stroke.rate } else { &mut plan.rate }) = libm::exp(p[0]),
     starts,
-    linear: nothing,
-    margin: MARGIN,
-    predictable: true,
     confused_with: &["extra_lag", "positioner_lag"],
     separated_by: "the valve position after a large step of OP",
+    noun: "a slow stem",
+    behind_stem: true,
+    phrase: |sizes| {
+        let what = if sizes.value("of_stem") == Some(1.0) { "a stem" } else { "a valve behind its stem" };
+        Some(format!("{what} that moves no faster than {} OP units a second", sizes.said("rate")?))
+    },
+    in_loop: |stated, parts| {
+        let rate = stated.above_zero("rate")? * stated.ts_s;
+        *(if stated.is("of_stem") { &mut parts.stroke.rate } else { &mut parts.around.rate }) = rate;
+        Ok(())
+    },
+    ..Effect::simulated("rate_limit", Stage::Valve)
 };
 
 fn starts(clues: &Clues<'_>) -> Vec<Start> {
@@ -35,10 +47,10 @@ mod tests {
     #[test]
     fn the_rate_is_a_logarithm_of_the_stem_or_of_what_follows_it() {
         let mut plan = Plan::base(Some(Law::He));
-        (EFFECT.enter)(&[libm::log(0.05), 0.0], &mut plan);
+        (EFFECT.apply)(&[libm::log(0.05), 0.0], &mut plan);
         assert!((plan.rate - 0.05).abs() < 1e-12 && !plan.is_linear_in_fd());
         let mut plan = Plan::base(Some(Law::He));
-        (EFFECT.enter)(&[libm::log(0.05), 1.0], &mut plan);
+        (EFFECT.apply)(&[libm::log(0.05), 1.0], &mut plan);
         assert!((plan.stroke.rate - 0.05).abs() < 1e-12 && plan.is_linear_in_fd());
     }
 }

@@ -2,31 +2,41 @@
 
 use core::f64::consts::TAU;
 
-use super::{Clues, Effect, Param, Reach, Stage, Start, Unit, WIDE_MARGIN, Way};
+use super::{Clues, Effect, Param, Reach, Stage, Start, Unit, WIDE_MARGIN, kept};
 use crate::gap::evaluator::Candidate;
 use crate::gap::problem::Problem;
 use crate::gap::structure::{Part, Plan};
 use crate::gap::types::Parameter;
+use crate::sim::disturbance::Disturbance;
 
 /// As the catalogue has it.
 pub const EFFECT: Effect = Effect {
-    id: "sinusoid",
-    stage: Stage::Disturbance,
-    way: Way::Simulated,
     params: &[Param {
         name: "period",
         unit: Unit::Period,
         reach: Reach::Process,
         // A whole period at least: less of one is a drift.
         limits: |s| [TAU / s.n() as f64, 1.5],
+        trade: kept,
     }],
-    enter: |p, plan| plan.omega = Some(p[0]),
+    apply: |p, plan| plan.omega = Some(p[0]),
     starts,
     linear: amplitude,
     margin: WIDE_MARGIN,
-    predictable: true,
     confused_with: &["coloured_noise"],
     separated_by: "the suspected source beside PV; OP held for some periods",
+    noun: "a sinusoid from outside",
+    bends: true,
+    phrase: |sizes| {
+        let (period, amplitude) = (sizes.said("period")?, sizes.said("amplitude")?);
+        Some(format!("a sinusoid from outside, period {period} s and amplitude {amplitude} PV units"))
+    },
+    in_loop: |stated, parts| {
+        let (amplitude, period_s) = (stated.number("amplitude")?, stated.above_zero("period")?);
+        parts.on_pv.push(Disturbance::Sine { amplitude, period_s, phase_deg: 0.0 });
+        Ok(())
+    },
+    ..Effect::simulated("sinusoid", Stage::Disturbance)
 };
 
 fn starts(clues: &Clues<'_>) -> Vec<Start> {
@@ -48,7 +58,7 @@ mod tests {
     #[test]
     fn two_coefficients_are_its_amplitude_and_phase() {
         let mut plan = Plan::base(Some(Law::He));
-        (EFFECT.enter)(&[0.2], &mut plan);
+        (EFFECT.apply)(&[0.2], &mut plan);
         assert!(plan.omega == Some(0.2) && plan.extras() == 2);
     }
 }

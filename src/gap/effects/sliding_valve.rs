@@ -1,7 +1,7 @@
 //! A valve that slides once it has broken away, until OP turns (Kano 2004, Choudhury 2005) or it gets slow, with a drag,
 //! instead of sticking again at each scan.
 
-use super::{Effect, MARGIN, Param, Reach, Stage, Unit, Way, nothing};
+use super::{Effect, Param, Reach, Stage, Unit, for_dead_time, kept};
 use crate::gap::problem::Problem;
 use crate::sim::slips::Law;
 
@@ -17,14 +17,17 @@ fn drag(problem: &Problem) -> [f64; 2] {
 
 /// As the catalogue has it.
 pub const EFFECT: Effect = Effect {
-    id: "sliding_valve",
-    stage: Stage::Valve,
-    way: Way::Simulated,
     params: &[
-        Param { name: "drag", unit: Unit::LogTime, reach: Reach::Path, limits: drag },
-        Param { name: "slowest", unit: Unit::LogRate, reach: Reach::Path, limits: |_| SLOWEST.map(libm::log) },
+        Param { name: "drag", unit: Unit::LogTime, reach: Reach::Path, limits: drag, trade: for_dead_time },
+        Param {
+            name: "slowest",
+            unit: Unit::LogRate,
+            reach: Reach::Path,
+            limits: |_| SLOWEST.map(libm::log),
+            trade: kept,
+        },
     ],
-    enter: |p, plan| {
+    apply: |p, plan| {
         plan.law = Some(Law::Tracking);
         (plan.stroke.drag, plan.stroke.slowest) = (libm::exp(p[0]), libm::exp(p[1]));
     },
@@ -33,11 +36,18 @@ pub const EFFECT: Effect = Effect {
         let slow = libm::log(SLOWEST[0]);
         vec![[at(LEAST_DRAG), slow, 0.0], [at(0.4), slow, 0.0]]
     },
-    linear: nothing,
-    margin: MARGIN,
-    predictable: true,
     confused_with: &["extra_lag", "slip_overshoot"],
     separated_by: "the valve position during one slow ramp of OP",
+    noun: "a stem that slides on after a slip",
+    bare: true,
+    needs_friction: true,
+    clashes: &["slip_overshoot"],
+    in_loop: |stated, parts| {
+        parts.stroke.drag = stated.or_zero("drag").max(0.0) / stated.ts_s;
+        parts.stroke.slowest = stated.or_zero("slowest").max(0.0) * stated.ts_s;
+        Ok(())
+    },
+    ..Effect::simulated("sliding_valve", Stage::Valve)
 };
 
 #[cfg(test)]
@@ -48,7 +58,7 @@ mod tests {
     #[test]
     fn the_law_is_switched_and_the_stem_dragged() {
         let mut plan = Plan::base(Some(Law::He));
-        (EFFECT.enter)(&[libm::log(0.3), libm::log(0.01)], &mut plan);
+        (EFFECT.apply)(&[libm::log(0.3), libm::log(0.01)], &mut plan);
         assert!((plan.stroke.drag - 0.3).abs() < 1e-12 && (plan.stroke.slowest - 0.01).abs() < 1e-12);
         (plan.stroke.drag, plan.stroke.slowest) = (0.0, 0.0);
         assert_eq!(plan, Plan::base(Some(Law::Tracking)));

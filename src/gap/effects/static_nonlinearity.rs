@@ -5,25 +5,39 @@
 //! grow together; from whatever level y and v are counted, the form stays the same. One or the other is fitted: both at
 //! once would also imitate a time constant that changes alone.
 
-use super::{Effect, MARGIN, Param, Reach, Stage, Unit, Way, nothing};
+use super::{Effect, NoPlace, Param, Reach, Stage, Unit, grows, kept};
 
 /// As the catalogue has it.
 pub const EFFECT: Effect = Effect {
-    id: "static_nonlinearity",
-    stage: Stage::Process,
-    way: Way::Simulated,
     params: &[
-        Param { name: "gain_change_per_op", unit: Unit::PerOp, reach: Reach::Process, limits: |_| [-6.0, 6.0] },
-        Param { name: "by_level", unit: Unit::Choice, reach: Reach::Jumps, limits: |_| [0.0, 1.0] },
+        Param {
+            name: "gain_change_per_op",
+            unit: Unit::PerOp,
+            reach: Reach::Process,
+            limits: |_| [-6.0, 6.0],
+            trade: kept,
+        },
+        Param { name: "by_level", unit: Unit::Choice, reach: Reach::Jumps, limits: |_| [0.0, 1.0], trade: kept },
     ],
     // At OP's middle the slope of `v / (1 - c v)`, where a process comes to rest, grows by 2 c with each span.
-    enter: |p, plan| *(if p[1] > 0.5 { &mut plan.level } else { &mut plan.bend }) = p[0] / (1.0 + p[1].round()),
+    apply: |p, plan| *(if p[1] > 0.5 { &mut plan.level } else { &mut plan.bend }) = p[0] / (1.0 + p[1].round()),
     starts: |_| [-2.0, 2.0].into_iter().flat_map(|c| [[c, 0.0, 0.0], [c, 1.0, 0.0]]).collect(),
-    linear: nothing,
-    margin: MARGIN,
-    predictable: true,
     confused_with: &["travel_limit", "gain_drift", "asymmetric_stiction"],
     separated_by: "the flow, or steps of OP at two levels",
+    noun: "a gain that changes with level",
+    twin: Some("a valve characteristic"),
+    phrase: |sizes| {
+        let change = sizes.value("gain_change_per_op")?;
+        Some(format!("a gain that {} by {} with each OP unit", grows(change), sizes.percent(change)))
+    },
+    in_loop: |stated, parts| {
+        if stated.is("by_level") {
+            return Err(NoPlace::Inside(stated.id().to_owned()));
+        }
+        (parts.around.bend, parts.around.middle) = (stated.number("gain_change_per_op")?, stated.model.process.op);
+        Ok(())
+    },
+    ..Effect::simulated("static_nonlinearity", Stage::Process)
 };
 
 #[cfg(test)]
@@ -37,7 +51,7 @@ mod tests {
         let base = Plan::base(Some(Law::He));
         let entered = |p: [f64; 2]| {
             let mut plan = base;
-            (EFFECT.enter)(&p, &mut plan);
+            (EFFECT.apply)(&p, &mut plan);
             plan
         };
         assert_eq!([entered([0.4, 0.0]).bend, entered([0.4, 0.0]).level], [0.4, 0.0]);

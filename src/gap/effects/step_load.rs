@@ -1,32 +1,48 @@
 //! A load that steps at some instant, before the process or straight into PV.
 
-use super::{Clues, Effect, Param, Reach, Stage, Start, Unit, WIDE_MARGIN, Way};
+use super::{Clues, Effect, Param, Reach, Stage, Start, Unit, WIDE_MARGIN, kept};
 use crate::gap::evaluator::Candidate;
 use crate::gap::problem::Problem;
 use crate::gap::structure::{Part, Plan};
 use crate::gap::types::Parameter;
+use crate::sim::disturbance::Disturbance;
 
 /// As the catalogue has it.
 pub const EFFECT: Effect = Effect {
-    id: "step_load",
-    stage: Stage::Disturbance,
-    way: Way::Simulated,
     params: &[
         Param {
             name: "at",
             unit: Unit::Instant,
             reach: Reach::Process,
             limits: |s| [s.blocks.from as f64, s.n() as f64 - 3.0],
+            trade: kept,
         },
-        Param { name: "straight", unit: Unit::Choice, reach: Reach::Jumps, limits: |_| [0.0, 1.0] },
+        Param { name: "straight", unit: Unit::Choice, reach: Reach::Jumps, limits: |_| [0.0, 1.0], trade: kept },
     ],
-    enter: |p, plan| plan.step = Some((p[0], p[1] > 0.5)),
+    apply: |p, plan| plan.step = Some((p[0], p[1] > 0.5)),
     starts,
     linear: size,
     margin: WIDE_MARGIN,
-    predictable: true,
     confused_with: &["ramp", "coloured_noise"],
     separated_by: "the load itself",
+    noun: "a step of load",
+    bends: true,
+    local: true,
+    phrase: |sizes| {
+        let (size, at) = (sizes.said("size")?, sizes.said("at")?);
+        Some(format!("a load step of {size} PV units {at} s after the start"))
+    },
+    in_loop: |stated, parts| {
+        let (process, size, at_s) = (&stated.model.process, stated.number("size")?, stated.number("at")?);
+        if stated.is("straight") || process.integrating {
+            parts.on_pv.push(Disturbance::Step { size, at_s });
+        } else {
+            let (size, at_s) = (size / process.gain, at_s - process.dead_time_s);
+            parts.load.push(Disturbance::Step { size, at_s });
+        }
+        Ok(())
+    },
+    ..Effect::simulated("step_load", Stage::Disturbance)
 };
 
 fn starts(clues: &Clues<'_>) -> Vec<Start> {
@@ -46,7 +62,7 @@ mod tests {
     #[test]
     fn one_coefficient_is_its_size() {
         let mut plan = Plan::base(Some(Law::He));
-        (EFFECT.enter)(&[50.0, 1.0], &mut plan);
+        (EFFECT.apply)(&[50.0, 1.0], &mut plan);
         assert!(plan.step == Some((50.0, true)) && plan.extras() == 1);
     }
 }

@@ -1,21 +1,17 @@
 //! A valve that sticks, against the base that follows OP.
 
-use super::{Effect, MARGIN, Stage, Way, nothing, once};
+use super::{Effect, Stage, Way, said_already};
 use crate::sim::slips::Law;
 
 /// As the catalogue has it.
 pub const EFFECT: Effect = Effect {
-    id: "stiction",
-    stage: Stage::Valve,
     way: Way::AgainstLinear,
-    params: &[],
-    enter: |_, plan| plan.law = Some(Law::He),
-    starts: once,
-    linear: nothing,
-    margin: MARGIN,
-    predictable: true,
+    apply: |_, plan| plan.law = Some(Law::He),
     confused_with: &["backlash", "sliding_valve"],
     separated_by: "the valve position",
+    noun: "stiction",
+    in_loop: said_already,
+    ..Effect::simulated("stiction", Stage::Valve)
 };
 
 #[cfg(test)]
@@ -26,7 +22,7 @@ mod tests {
     #[test]
     fn friction_is_added_to_a_valve_without() {
         let mut plan = Plan::base(None);
-        (EFFECT.enter)(&[], &mut plan);
+        (EFFECT.apply)(&[], &mut plan);
         assert_eq!(plan, Plan::base(Some(Law::He)));
     }
 }

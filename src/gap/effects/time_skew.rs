@@ -4,9 +4,8 @@ use super::{Effect, Stage, Way};
 
 /// As the catalogue has it.
 pub const EFFECT: Effect = Effect {
-    stage: Stage::Measurement,
-    predictable: true,
     confused_with: &["dead_time_change"],
     separated_by: "stamps from the controller itself",
-    ..Effect::unsimulated("time_skew", Way::Controller)
+    noun: "stamps of OP and PV that lie apart",
+    ..Effect::unsimulated("time_skew", Stage::Measurement, Way::Controller)
 };

@@ -1,6 +1,6 @@
 //! A stop, low or high, that the stem meets inside the range of OP, or an end of what flows behind a free stem.
 
-use super::{Clues, Effect, MARGIN, Param, Reach, Stage, Start, Unit, Way};
+use super::{Clues, Effect, Param, Reach, Stage, Start, Unit, kept};
 use crate::gap::evaluator::Candidate;
 use crate::gap::problem::Problem;
 use crate::gap::structure::Plan;
@@ -8,24 +8,34 @@ use crate::gap::types::Parameter;
 
 /// As the catalogue has it.
 pub const EFFECT: Effect = Effect {
-    id: "travel_limit",
-    stage: Stage::Valve,
-    way: Way::Simulated,
     params: &[
-        Param { name: "stop", unit: Unit::StemEnd, reach: Reach::Path, limits: |_| [-2.0, 2.0] },
-        Param { name: "upper", unit: Unit::Choice, reach: Reach::Jumps, limits: |_| [0.0, 1.0] },
-        Param { name: "of_stem", unit: Unit::Choice, reach: Reach::Jumps, limits: |_| [0.0, 1.0] },
+        Param { name: "stop", unit: Unit::StemEnd, reach: Reach::Path, limits: |_| [-2.0, 2.0], trade: kept },
+        Param { name: "upper", unit: Unit::Choice, reach: Reach::Jumps, limits: |_| [0.0, 1.0], trade: kept },
+        Param { name: "of_stem", unit: Unit::Choice, reach: Reach::Jumps, limits: |_| [0.0, 1.0], trade: kept },
     ],
-    enter: |p, plan| {
+    apply: |p, plan| {
         let ends = if p[2] > 0.5 { &mut plan.stroke.ends } else { &mut plan.stops };
         ends[usize::from(p[1] > 0.5)] = p[0];
     },
     starts,
     linear: stop,
-    margin: MARGIN,
-    predictable: true,
     confused_with: &["static_nonlinearity", "clipping"],
     separated_by: "the valve position, or OP moved slowly to the suspected stop and back",
+    noun: "a stop of the stem",
+    behind_stem: true,
+    from_model: |p, theta| p[0] += above_stop(p, theta.fd),
+    phrase: |sizes| {
+        let what = if sizes.value("of_stem") == Some(0.0) { "an end of the flow" } else { "a stop of the stem" };
+        Some(format!("{what} at OP {}", sizes.said("stop")?))
+    },
+    in_loop: |stated, parts| {
+        let stop = stated.number("stop")?;
+        let ends = if stated.is("of_stem") { &mut parts.stroke.ends } else { &mut parts.around.stops };
+        let above = above_stop(&[stop, stated.or_zero("upper"), stated.or_zero("of_stem")], stated.model.valve.fd);
+        ends[usize::from(stated.is("upper"))] = stop + above;
+        if ends[0] > ends[1] { Err(stated.wrong("stop", " that leaves the stem room")) } else { Ok(()) }
+    },
+    ..Effect::simulated("travel_limit", Stage::Valve)
 };
 
 fn starts(clues: &Clues<'_>) -> Vec<Start> {
@@ -37,7 +47,7 @@ fn starts(clues: &Clues<'_>) -> Vec<Start> {
 
 /// What an end of the stem stands above its stop: the first parameter is the OP value of a slip that ends there.
 #[must_use]
-pub fn above_stop(p: &[f64], fd: f64) -> f64 {
+fn above_stop(p: &[f64], fd: f64) -> f64 {
     match p {
         [_, upper, of_stem, ..] if *of_stem > 0.5 => {
             if *upper > 0.5 {
@@ -63,12 +73,12 @@ mod tests {
     #[test]
     fn either_end_can_be_the_stop_of_stem_or_flow_and_far_away_it_is_none() {
         let mut plan = Plan::base(Some(Law::He));
-        (EFFECT.enter)(&[0.3, 1.0, 0.0], &mut plan);
+        (EFFECT.apply)(&[0.3, 1.0, 0.0], &mut plan);
         assert_eq!(plan.stops, [f64::NEG_INFINITY, 0.3]);
-        (EFFECT.enter)(&[-0.3, 0.0, 0.0], &mut plan);
+        (EFFECT.apply)(&[-0.3, 0.0, 0.0], &mut plan);
         assert_eq!(plan.stops, [-0.3, 0.3]);
         let mut plan = Plan::base(Some(Law::He));
-        (EFFECT.enter)(&[0.3, 1.0, 1.0], &mut plan);
+        (EFFECT.apply)(&[0.3, 1.0, 1.0], &mut plan);
         assert!(plan.stroke.ends == [f64::NEG_INFINITY, 0.3] && plan.is_linear_in_fd());
         assert_eq!([above_stop(&[0.3, 1.0, 1.0], 0.1), above_stop(&[0.3, 0.0, 1.0], 0.1)], [0.1, -0.1]);
         assert_eq!(above_stop(&[0.3, 1.0, 0.0], 0.1), 0.0);
