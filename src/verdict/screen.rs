@@ -30,7 +30,7 @@ const PERSISTENT: f64 = 0.1;
 /// the rule does not call healthy show less than 0.055 and 3.3, none of them less than 0.005 and 1.6; noise alone shows
 /// stems up to 6.
 const JUMPS: f64 = 0.04;
-const STEM: f64 = 2.5;
+const STEM: f64 = 1.0;
 
 /// Whether a record without a blocking gate can be let go.
 #[must_use]
