@@ -61,7 +61,7 @@ struct Row {
 /// # Errors
 /// No port is free, or the temporary folder cannot be written.
 pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
-    print(solving::rows(&args.recordings), format)?;
+    solving::rows(&args.recordings, |rows| print(rows, format))?;
     if !args.solver_only {
         print(intake()?, format)?;
         print(ingest(args)?, format)?;

@@ -21,16 +21,17 @@ const ROUNDS: usize = 9;
 /// Simulated loops a regime that whole estimates are timed on.
 const LOOPS: u64 = 2;
 
-/// Every row.
-pub fn rows(recordings: &Path) -> Vec<Row> {
-    let found = accuracy(Half::Report, Regime::HeStart, 1);
-    let mut rows = kernels(&found);
-    rows.extend(indicators());
-    rows.extend(calm());
-    rows.extend(estimates());
-    rows.extend(solver());
-    rows.extend(labelled(recordings));
-    rows
+/// Every row, handed out as it is known.
+///
+/// # Errors
+/// Those of `out`.
+pub fn rows(recordings: &Path, mut out: impl FnMut(Vec<Row>) -> anyhow::Result<()>) -> anyhow::Result<()> {
+    out(kernels(&accuracy(Half::Report, Regime::HeStart, 1)))?;
+    out(indicators())?;
+    out(calm())?;
+    out(estimates())?;
+    out(solver())?;
+    out(labelled(recordings))
 }
 
 fn us(name: impl Into<String>, ms: f64) -> Row {
