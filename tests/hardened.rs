@@ -107,6 +107,8 @@ fn each_party_has_its_own_keys_and_a_forbidden_put_is_refused() {
     let (taking, forged) = (heard.clone(), plane("FIC101/alarm"));
     let listening = operator
         .declare_subscriber(&forged)
+        // What a session says to itself no router sees.
+        .allowed_origin(zenoh::sample::Locality::Remote)
         .callback(move |s| taking.lock().unwrap().push(s.payload().to_bytes().to_vec()))
         .wait()
         .unwrap();

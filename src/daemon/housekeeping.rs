@@ -214,7 +214,9 @@ fn fault_of(path: &Path, stop: &Receiver<()>) -> Option<String> {
     for count in 0_u64.. {
         match reader.next_message() {
             // A large file must not hold up the end of the daemon.
-            Ok(Some(_)) if count % 4096 == 0 && stop.try_recv() == Err(TryRecvError::Disconnected) => return None,
+            Ok(Some(_)) if count.is_multiple_of(4096) && stop.try_recv() == Err(TryRecvError::Disconnected) => {
+                return None;
+            }
             Ok(Some(_)) => {}
             Ok(None) => break,
             Err(error) => return Some(error.to_string()),

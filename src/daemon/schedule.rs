@@ -218,7 +218,8 @@ mod tests {
             while schedule.pop().is_some() {}
         }
         let (least, most) = (passed.iter().min().unwrap(), passed.iter().max().unwrap());
-        assert!(most - least <= 1, "{least} to {most}");
+        // A loop that is new counts as just passed over, so the first round is not quite even.
+        assert!(most - least <= 2, "{least} to {most}");
     }
 
     #[test]

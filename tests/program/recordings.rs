@@ -255,7 +255,7 @@ fn a_cut_at_every_byte_costs_no_more_than_the_chunk_in_hand() {
     for length in (0..bytes.len()).step_by(step).chain([bytes.len()]) {
         fs::write(&path, &bytes[..length]).unwrap();
         let left = rescued(&path).len();
-        assert!(left >= before && left % 25 == 0, "{length} bytes: {left} messages after {before}");
+        assert!(left >= before && left.is_multiple_of(25), "{length} bytes: {left} messages after {before}");
         before = left;
     }
     assert_eq!(before, 150);
