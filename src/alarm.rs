@@ -132,29 +132,123 @@ pub enum CommandError {
         state: &'static str,
     },
     /// Not a command.
-    #[error("unknown command {0:?}: use cmd=ack;by=NAME;why=TEXT")]
+    #[error("unknown command {0:?}: use cmd=ack;by=NAME;why=TEXT, or one of {COMMANDS}")]
     Unknown(String),
     /// Not a loop.
     #[error("no loop {0:?} is monitored")]
     UnknownLoop(String),
+    /// It does not fit the state.
+    #[error("the alarm of {loop_name} is {state}: {why}")]
+    Unfit {
+        /// The loop.
+        loop_name: String,
+        /// Its alarm's state.
+        state: &'static str,
+        /// What would fit.
+        why: &'static str,
+    },
+    /// Shelved for too long, or for no time.
+    #[error("for_s = {0} is not a time to shelve: write 1 to {MAX_SHELVE_S} s")]
+    ShelveTime(u64),
+    /// Nobody says who asks.
+    #[error("nobody is named: a command says who asks, as in cmd=ack;by=NAME;why=TEXT")]
+    Nameless,
+    /// A text that is too long.
+    #[error("{what} has {bytes} bytes, at most {limit} are taken: say it in fewer words")]
+    TooLong {
+        /// Which text.
+        what: &'static str,
+        /// Its bytes.
+        bytes: usize,
+        /// What is taken.
+        limit: usize,
+    },
+    /// Characters that steer a terminal.
+    #[error("{0} holds control characters: write plain text")]
+    Control(&'static str),
+}
+
+/// Longest name, bytes.
+const NAME_BYTES: usize = 64;
+/// Longest reason, bytes.
+const WHY_BYTES: usize = 500;
+
+/// Checks who asks for something: commands need a name, of plain text and bounded length.
+///
+/// # Errors
+/// [`CommandError`] says what is missing or too much.
+pub fn check_name(by: Option<&str>) -> Result<(), CommandError> {
+    let name = by.map(str::trim).filter(|name| !name.is_empty()).ok_or(CommandError::Nameless)?;
+    check_text("by", name, NAME_BYTES)
+}
+
+fn check_text(what: &'static str, text: &str, limit: usize) -> Result<(), CommandError> {
+    if text.len() > limit {
+        return Err(CommandError::TooLong { what, bytes: text.len(), limit });
+    }
+    if text.chars().any(char::is_control) { Err(CommandError::Control(what)) } else { Ok(()) }
+}
+
+impl Command {
+    /// Checks a command before it is taken. What stands in a recording was taken, and is not checked again.
+    ///
+    /// # Errors
+    /// [`CommandError`] says what is missing or too much.
+    pub fn check(&self) -> Result<(), CommandError> {
+        check_text("cmd", &self.cmd, NAME_BYTES)?;
+        check_name(self.by.as_deref())?;
+        self.why.as_deref().map_or(Ok(()), |why| check_text("why", why, WHY_BYTES))
+    }
 }
 
 /// What people may ask of an alarm.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Command {
-    /// `ack`.
+    /// `ack`, `shelve`, `unshelve`, `suppress`, `unsuppress`, `out_of_service` or `in_service`.
     pub cmd: String,
     /// Who asks.
     pub by: Option<String>,
     /// Why.
     pub why: Option<String>,
+    /// For how long, s of the loop's own time: `shelve` alone. Default [`SHELVE_S`].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub for_s: Option<u64>,
+}
+
+/// Commands beside `ack`, as errors list them.
+const COMMANDS: &str = "shelve;for_s=SECONDS, unshelve, suppress, unsuppress, out_of_service, in_service";
+/// How long an alarm is shelved where nothing is said: a shift, s.
+pub const SHELVE_S: u64 = 8 * 3600;
+/// How long it may be shelved: a month, s.
+pub const MAX_SHELVE_S: u64 = 31 * 86_400;
+
+/// Where an alarm was put by people; it goes on as ever behind it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Aside {
+    /// Put aside by a person until then, event time, ns.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub shelved_until_ns: Option<i64>,
+    /// Put aside by design, as while a unit stands still.
+    pub suppressed: bool,
+    /// Taken out of service, as while the valve is repaired.
+    pub out_of_service: bool,
+}
+
+impl Aside {
+    fn is_nowhere(&self) -> bool {
+        *self == Self::default()
+    }
 }
 
 /// One loop's alarm, with the memory that m of n needs. Written into every recording, so that a restart keeps it.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Alarm {
-    /// Its state.
+    /// Its state but for where it was put: `normal`, `unack`, `acked` or `rtn_unack`. See [`Alarm::shown`].
     pub state: State,
+    /// Where it was put.
+    #[serde(default, skip_serializing_if = "Aside::is_nowhere")]
+    pub aside: Aside,
     /// Whether the condition holds.
     pub active: bool,
     /// The last informative windows, newest in bit 0: evidence for.
@@ -168,6 +262,22 @@ pub struct Alarm {
     window_end_ns: Option<i64>,
 }
 
+/// Why a document stands that the shelf's time brought.
+const SHELF_OVER: &str = "the time on the shelf is over";
+
+/// What a command did, where nobody says why.
+fn done_by(cmd: &str) -> &'static str {
+    match cmd {
+        "shelve" => "shelved",
+        "unshelve" => "taken off the shelf",
+        "suppress" => "suppressed",
+        "unsuppress" => "no longer suppressed",
+        "out_of_service" => "taken out of service",
+        "in_service" => "back in service",
+        _ => "acknowledged",
+    }
+}
+
 /// Rank of a class, 0 for none.
 fn rank(class: Option<&str>) -> u8 {
     match class {
@@ -179,10 +289,37 @@ fn rank(class: Option<&str>) -> u8 {
 }
 
 impl Alarm {
+    /// The state as people see it: out of service before suppressed before shelved before the rest.
+    #[must_use]
+    pub const fn shown(&self) -> State {
+        match self.aside {
+            Aside { out_of_service: true, .. } => State::OutOfService,
+            Aside { suppressed: true, .. } => State::Suppressed,
+            Aside { shelved_until_ns: Some(_), .. } => State::Shelved,
+            _ => self.state,
+        }
+    }
+
     /// Takes the next window of the loop; gives out a document if the state changes.
     pub fn window(&mut self, loop_name: &str, a: &Assessment, params: &AlarmParams) -> Option<AlarmDocument> {
         let end_ns = a.window.end_ns;
         self.window_end_ns = Some(end_ns);
+        let over = self.aside.shelved_until_ns.is_some_and(|until_ns| end_ns >= until_ns);
+        if over {
+            self.aside.shelved_until_ns = None;
+        }
+        let changed = self.weigh(loop_name, a, params);
+        match changed {
+            Some(document) if over => {
+                Some(AlarmDocument { why: format!("{}; {SHELF_OVER}", document.why), ..document })
+            }
+            None if over => Some(self.document(loop_name, end_ns, None, SHELF_OVER.to_owned())),
+            changed => changed,
+        }
+    }
+
+    fn weigh(&mut self, loop_name: &str, a: &Assessment, params: &AlarmParams) -> Option<AlarmDocument> {
+        let end_ns = a.window.end_ns;
         let evidence = Evidence::of(a, params);
         if evidence == Evidence::None {
             return None;
@@ -240,19 +377,55 @@ impl Alarm {
     /// # Errors
     /// [`CommandError`] where the command is unknown or does not fit the state; nothing changes then.
     pub fn command(&mut self, loop_name: &str, c: &Command, at_ns: i64) -> Result<AlarmDocument, CommandError> {
-        if c.cmd != "ack" {
-            return Err(CommandError::Unknown(c.cmd.clone()));
+        let why = c.why.clone().unwrap_or_else(|| done_by(&c.cmd).to_owned());
+        match c.cmd.as_str() {
+            "ack" => self.acknowledge(loop_name)?,
+            "shelve" => self.shelve(loop_name, c.for_s.unwrap_or(SHELVE_S), at_ns)?,
+            "unshelve" => {
+                let shelved = self.aside.shelved_until_ns.take().is_some();
+                self.expect(loop_name, shelved, "it is not shelved")?;
+            }
+            "suppress" => self.put(loop_name, |aside| &mut aside.suppressed, true)?,
+            "unsuppress" => self.put(loop_name, |aside| &mut aside.suppressed, false)?,
+            "out_of_service" => self.put(loop_name, |aside| &mut aside.out_of_service, true)?,
+            "in_service" => self.put(loop_name, |aside| &mut aside.out_of_service, false)?,
+            other => return Err(CommandError::Unknown(other.to_owned())),
         }
+        Ok(self.document(loop_name, at_ns, c.by.clone(), why))
+    }
+
+    fn acknowledge(&mut self, loop_name: &str) -> Result<(), CommandError> {
         self.state = match self.state {
             State::Unack => State::Acked,
             State::RtnUnack => State::Normal,
-            other => {
-                let loop_name = loop_name.to_owned();
-                return Err(CommandError::NothingToAcknowledge { loop_name, state: other.name() });
+            _ => {
+                let (loop_name, state) = (loop_name.to_owned(), self.shown().name());
+                return Err(CommandError::NothingToAcknowledge { loop_name, state });
             }
         };
-        let why = c.why.clone().unwrap_or_else(|| "acknowledged".to_owned());
-        Ok(self.document(loop_name, at_ns, c.by.clone(), why))
+        Ok(())
+    }
+
+    fn shelve(&mut self, loop_name: &str, for_s: u64, at_ns: i64) -> Result<(), CommandError> {
+        if !(1..=MAX_SHELVE_S).contains(&for_s) {
+            return Err(CommandError::ShelveTime(for_s));
+        }
+        self.expect(loop_name, self.aside.shelved_until_ns.is_none(), "unshelve it first")?;
+        let for_ns = i64::try_from(for_s).unwrap_or(i64::MAX).saturating_mul(1_000_000_000);
+        self.aside.shelved_until_ns = Some(at_ns.saturating_add(for_ns));
+        Ok(())
+    }
+
+    fn put(&mut self, loop_name: &str, place: fn(&mut Aside) -> &mut bool, to: bool) -> Result<(), CommandError> {
+        let changes = std::mem::replace(place(&mut self.aside), to) != to;
+        self.expect(loop_name, changes, if to { "it is so already" } else { "it is not" })
+    }
+
+    fn expect(&self, loop_name: &str, fits: bool, why: &'static str) -> Result<(), CommandError> {
+        if fits {
+            return Ok(());
+        }
+        Err(CommandError::Unfit { loop_name: loop_name.to_owned(), state: self.shown().name(), why })
     }
 
     /// End of the last window that was taken.
@@ -273,7 +446,7 @@ impl Alarm {
             schema: ALARM_SCHEMA,
             loop_name: loop_name.to_owned(),
             alarm: "stiction",
-            state: self.state,
+            state: self.shown(),
             active: self.active,
             severity: self.class.clone(),
             ne107: if self.active { "M" } else { "ok" },
@@ -342,13 +515,33 @@ mod tests {
     fn it_is_acknowledged_once_and_clears_with_a_dead_band() {
         let mut alarm = Alarm::default();
         run(&mut alarm, &[YES; 3]);
-        let ack = Command { cmd: "ack".into(), by: Some("ann".into()), why: None };
+        let ack = Command { cmd: "ack".into(), by: Some("ann".into()), why: None, for_s: None };
         assert_eq!(alarm.command("L", &ack, 5).unwrap().state, State::Acked);
         assert!(matches!(alarm.command("L", &ack, 5), Err(CommandError::NothingToAcknowledge { .. })));
-        let unknown = Command { cmd: "explode".into(), by: None, why: None };
+        let unknown = Command { cmd: "explode".into(), by: None, why: None, for_s: None };
         assert!(matches!(alarm.command("L", &unknown, 5), Err(CommandError::Unknown(_))));
         assert!(run(&mut alarm, &[(Verdict::Stiction, 0.9); 10]).is_empty());
         assert_eq!(run(&mut alarm, &[(Verdict::Stiction, 0.7); 4]), [State::Normal]);
+    }
+
+    #[test]
+    fn a_command_needs_a_name_and_plain_words_of_some_length() {
+        let command = |by: Option<&str>, why: &str| Command {
+            cmd: "ack".into(),
+            by: by.map(str::to_owned),
+            why: Some(why.to_owned()),
+            for_s: None,
+        };
+        assert_eq!(command(Some("ann"), "seen").check(), Ok(()));
+        for by in [None, Some(""), Some("  ")] {
+            assert_eq!(command(by, "seen").check(), Err(CommandError::Nameless));
+        }
+        assert_eq!(command(Some("a\u{1b}[2J"), "seen").check(), Err(CommandError::Control("by")));
+        assert_eq!(command(Some("ann"), "\u{9b}2J").check(), Err(CommandError::Control("why")));
+        assert!(matches!(command(Some(&"n".repeat(65)), "").check(), Err(CommandError::TooLong { limit: 64, .. })));
+        assert!(matches!(command(Some("ann"), &"w".repeat(60_000)).check(), Err(CommandError::TooLong { .. })));
+        let unknown = Command { cmd: "z".repeat(100_000), by: Some("ann".into()), why: None, for_s: None };
+        assert!(unknown.check().unwrap_err().to_string().len() < 200);
     }
 
     #[test]
@@ -369,7 +562,7 @@ mod tests {
         let params = AlarmParams { raise: [1, 1], s_limit_op: 1.0 };
         let mut alarm = Alarm::default();
         alarm.window("L", &assessment(0, Verdict::Stiction, 2.0, "weak"), &params).unwrap();
-        let ack = Command { cmd: "ack".into(), by: None, why: None };
+        let ack = Command { cmd: "ack".into(), by: None, why: None, for_s: None };
         alarm.command("L", &ack, 5).unwrap();
         assert!(alarm.window("L", &assessment(1, Verdict::Stiction, 9.0, "strong"), &params).is_none());
         let again = alarm.window("L", &assessment(2, Verdict::Stiction, 9.0, "strong"), &params).unwrap();
@@ -384,7 +577,7 @@ mod tests {
             for (k, step) in steps.into_iter().enumerate() {
                 let verdict = [Verdict::Stiction, Verdict::Disturbance, Verdict::Inconclusive][usize::from(step % 3)];
                 if step == 5 {
-                    let _ = alarm.command("L", &Command { cmd: "ack".into(), by: None, why: None }, k as i64);
+                    let _ = alarm.command("L", &Command { cmd: "ack".into(), by: None, why: None, for_s: None }, k as i64);
                 } else {
                     alarm.window("L", &assessment(k as i64, verdict, f64::from(step), "weak"), &params);
                 }

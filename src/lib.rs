@@ -2,7 +2,7 @@
 //!
 //! # The map
 //! One crate, a library and a binary. Each room imports only rooms that stand above it in this list;
-//! `tests/tidy.rs` holds the table.
+//! `tests/library/tidy.rs` holds the table.
 //!
 //! | layer | rooms |
 //! |---|---|
@@ -12,7 +12,7 @@
 //! | 3 identification | [`ident`] quantification of stiction · [`detect`] oscillation, and one file per witness |
 //! | 4 judgement | [`verdict`] gates, verdict, the estimate's document · [`gap`] what the model leaves out · [`challenge`] its check on withheld causes · [`alarm`] ISA-18.2 states |
 //! | 5 engine | [`config`] text to settings · [`codec`] bytes to samples, topics · [`engine`] one state machine a loop |
-//! | 6 shell | `source` the bus · `sink` publisher, recorder · `files` CSV, MCAP, .mat · `report` pictures, pages · `daemon` wiring, replay · `web` · `cli` |
+//! | 6 shell | `source` the bus · `sink` publisher, recorder, keeper of states · `files` CSV, MCAP, .mat · `report` pictures, pages · `daemon` wiring, replay · `web` · `cli` |
 //!
 //! `alarm` and `engine` take their settings from [`config`], which knows none of them.
 //!
@@ -45,8 +45,8 @@
 //!
 //! # One sample's way
 //! `source::zenoh` (callback, bounded queue) → `daemon::core` (route, decode, record) → [`engine::Engine::push`] →
-//! [`signal::align`] (joined by source time) → [`signal::history`] (bounded memory) → a due window → `daemon::worker`
-//! → [`verdict::assess`] → [`alarm`] → `sink::zenoh` and `sink::recorder`.
+//! [`signal::align`] (joined by source time) → [`signal::history`] (bounded memory) → a due window → `daemon::schedule` (in turn) → `daemon::worker`
+//! → [`verdict::assess`] → [`alarm`] → `sink::zenoh`, `sink::recorder` and `sink::keeper`.
 //!
 //! # Where to add
 //! A solver: a file in `optim/` and a line in [`optim::ALL`]. A witness: `detect/` and [`detect::ALL`]. A payload

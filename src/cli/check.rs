@@ -1,14 +1,17 @@
 //! `stictiond check`: every fault of a configuration at once.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use serde_json::json;
 
 use super::{Format, Outcome, say};
-use crate::config::Config;
+use crate::config::{Config, Fault};
+use crate::sink::signing::Signer;
+use crate::source::zenoh::session_config;
 
-/// Check a configuration and list every fault with its line and what to write instead.
+/// Check a configuration and list every fault with its line and what to write instead, the Zenoh file that it names and
+/// the recording folder included.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example: stictiond check config/monitor.toml")]
 pub struct Args {
@@ -23,8 +26,11 @@ pub struct Args {
 pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     let text = std::fs::read_to_string(&args.config).with_context(|| args.config.display().to_string())?;
     let parsed = Config::parse(&text);
-    let faults = parsed.as_ref().err().map(Vec::as_slice).unwrap_or_default();
-    let hash = parsed.as_ref().ok().map(Config::hash);
+    let faults = match &parsed {
+        Ok(config) => faults_outside(&text, config),
+        Err(faults) => faults.clone(),
+    };
+    let hash = parsed.as_ref().ok().filter(|_| faults.is_empty()).map(Config::hash);
     let path = args.config.display().to_string();
     if format == Format::Json {
         let rows: Vec<_> = faults
@@ -36,9 +42,66 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     } else if let Some(hash) = hash {
         say(format!("{path}: no faults (config hash {hash})"))?;
     } else {
-        for fault in faults {
+        for fault in &faults {
             say(format!("{path}: {fault}"))?;
         }
     }
     Ok(if faults.is_empty() { Outcome::Done } else { Outcome::Failed })
+}
+
+/// What is wrong with the things that a sound configuration points at.
+fn faults_outside(text: &str, config: &Config) -> Vec<Fault> {
+    let mut faults = Vec::new();
+    let mut refuse = |section: &str, key: &str, message: String, remedy: &str| {
+        let (line, key) = (line_of(text, section, key), format!("{section}.{key}"));
+        faults.push(Fault { line, key, message, remedy: remedy.to_owned() });
+    };
+    if let Err(error) = session_config(config) {
+        let key = if config.zenoh.config_file.is_empty() { "connect" } else { "config_file" };
+        refuse("zenoh", key, error.to_string(), "name a Zenoh configuration (JSON5) that exists and can be read");
+    }
+    if !config.signing.key_file.is_empty()
+        && let Err(error) = Signer::read(Path::new(&config.signing.key_file))
+    {
+        refuse("signing", "key_file", format!("{error:#}"), "name a private key, or leave it out");
+    }
+    if let Err(why) = can_be_written(Path::new(&config.recording.dir)) {
+        refuse("recording", "dir", why, "name a folder that this user may write, or may make");
+    }
+    faults
+}
+
+/// The line of a key below its table's head, or of the head, or the first.
+fn line_of(text: &str, section: &str, key: &str) -> usize {
+    let (mut inside, mut head) = (false, 1);
+    for (at, line) in text.lines().map(str::trim_start).enumerate() {
+        if line.starts_with('[') {
+            inside = line.starts_with(&format!("[{section}]"));
+            head = if inside { at + 1 } else { head };
+        } else if inside && line.strip_prefix(key).is_some_and(|rest| rest.trim_start().starts_with('=')) {
+            return at + 1;
+        }
+    }
+    head
+}
+
+/// Whether a folder can be written, or made where it is not there yet; nothing is written to find out.
+fn can_be_written(dir: &Path) -> Result<(), String> {
+    let absolute = std::path::absolute(dir).map_err(|e| format!("{}: {e}", dir.display()))?;
+    let mut there = absolute.as_path();
+    loop {
+        match std::fs::metadata(there) {
+            Ok(found) if found.is_dir() => break,
+            Ok(_) => return Err(format!("{} is no folder", there.display())),
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => {}
+            Err(error) => return Err(format!("{}: {error}", there.display())),
+        }
+        let Some(parent) = there.parent() else { break };
+        there = parent;
+    }
+    #[cfg(target_os = "linux")]
+    if let Err(error) = rustix::fs::access(there, rustix::fs::Access::WRITE_OK | rustix::fs::Access::EXEC_OK) {
+        return Err(format!("{} cannot be written: {}", there.display(), std::io::Error::from(error)));
+    }
+    Ok(())
 }

@@ -74,7 +74,7 @@ pub fn run(args: &ConvertArgs, format: Format) -> anyhow::Result<Outcome> {
     }
     let mut loaded = files::load_samples(&args.input)?;
     for warning in &loaded.warnings {
-        eprintln!("warning: {}: {warning}", args.input.display());
+        super::warn(format_args!("{}: {warning}", args.input.display()));
     }
     select(&mut loaded, args.loop_name.as_deref(), &args.input)?;
     let written = match target {
@@ -238,7 +238,11 @@ fn to_mat(loaded: &Loaded, path: &Path) -> anyhow::Result<Written> {
             .map(Signal::name)
             .collect();
         if !lost.is_empty() {
-            eprintln!("warning: {}: a compact store holds OP and PV alone, left out: {}", one.name, lost.join(", "));
+            super::warn(format_args!(
+                "{}: a compact store holds OP and PV alone, left out: {}",
+                one.name,
+                lost.join(", ")
+            ));
         }
         stored.push(kept);
     }

@@ -73,10 +73,12 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     };
     let last = block_on(async {
         let (stop, stopped) = tokio::sync::oneshot::channel::<()>();
-        let daemon =
-            tokio::spawn(daemon::run(config.clone(), text, RunOptions { origin: "demo", workers: None }, async {
-                drop(stopped.await)
-            }));
+        let daemon = tokio::spawn(daemon::run(
+            config.clone(),
+            text,
+            RunOptions { origin: "demo", workers: None, config_path: None },
+            async { drop(stopped.await) },
+        ));
         let watched = watch(&scenario, &config, port, args.for_s, format).await;
         drop(stop);
         daemon.await??;

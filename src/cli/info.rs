@@ -25,7 +25,7 @@ pub struct InfoArgs {
     /// File to look at: .csv, .mcap or .mat
     #[arg(value_name = "FILE")]
     pub file: PathBuf,
-    /// Check every payload too, beside the checksums; exit code 3 if anything is damaged
+    /// Check every payload and the file's SHA-256 too, beside the checksums; exit code 3 if anything is damaged
     #[arg(long)]
     pub verify: bool,
 }
@@ -63,6 +63,9 @@ struct Info {
     state: &'static str,
     reason: Option<String>,
     verified: bool,
+    /// SHA-256 over the file up to its seal; `sha256_holds` says, where asked, whether it still is that.
+    sha256: Option<String>,
+    sha256_holds: Option<bool>,
     library: Option<String>,
     metadata: BTreeMap<String, String>,
     start_ns: Option<i64>,
@@ -87,7 +90,7 @@ pub fn run(args: &InfoArgs, format: Format) -> anyhow::Result<Outcome> {
     };
     info.verified = args.verify;
     if let Some(reason) = &info.reason {
-        eprintln!("warning: {}: the file is {}: {reason}", args.file.display(), info.state);
+        super::warn(format_args!("{}: the file is {}: {reason}", args.file.display(), info.state));
     }
     let text = match format {
         Format::Json => serde_json::to_string(&info)? + "\n",
@@ -108,6 +111,8 @@ impl Info {
             state: End::Clean.word(),
             reason: None,
             verified: false,
+            sha256: None,
+            sha256_holds: None,
             library: None,
             metadata: BTreeMap::new(),
             start_ns: None,
@@ -170,7 +175,7 @@ fn of_table(path: &Path, kind: InputKind) -> anyhow::Result<Info> {
     let mut info = Info::new(path, kind, std::fs::metadata(path)?.len());
     let loaded = load_samples(path)?;
     for warning in &loaded.warnings {
-        eprintln!("warning: {}: {warning}", path.display());
+        super::warn(format_args!("{}: {warning}", path.display()));
     }
     let mut sampling = Vec::new();
     for one in loaded.loops {
@@ -221,6 +226,13 @@ fn of_recording(path: &Path, verify: bool) -> anyhow::Result<Info> {
     info.state = end.word();
     info.reason = end.reason().map(str::to_owned);
     info.library = Some(reader.library().to_owned());
+    if let Some(seal) = reader.seal() {
+        info.sha256 = Some(seal.sha256.clone());
+        info.sha256_holds = if verify { Some(seal.holds(path)?) } else { None };
+        if info.sha256_holds == Some(false) && end.is_clean() {
+            (info.state, info.reason) = ("damaged", Some("its SHA-256 is not that of its bytes".to_owned()));
+        }
+    }
     info.metadata = reader.metadata().clone();
     info.close();
     Ok(info)
@@ -274,6 +286,11 @@ fn as_text(info: &Info) -> String {
     }
     if let Some(library) = info.library.as_ref().filter(|l| !l.is_empty()) {
         let _ = writeln!(text, "  written by  {library}");
+    }
+    if let Some(sum) = &info.sha256 {
+        let word =
+            info.sha256_holds.map_or("not checked: --verify does", |holds| if holds { "holds" } else { "WRONG" });
+        let _ = writeln!(text, "  sha256      {sum} ({word})");
     }
     for (key, value) in &info.metadata {
         let lines = value.lines().count();

@@ -16,6 +16,7 @@ pub mod gap;
 pub mod info;
 pub mod manual;
 pub mod play;
+pub mod recover;
 pub mod replay;
 pub mod run;
 pub mod selection;
@@ -103,6 +104,7 @@ enum CommandArgs {
     Convert(convert::ConvertArgs),
     Check(check::Args),
     Info(info::InfoArgs),
+    Recover(recover::Args),
     Bench(bench::Args),
     Manual(manual::Args),
     Completions(completions::Args),
@@ -126,7 +128,7 @@ pub fn main() -> ExitCode {
         if pipe.into_iter().any(|e| e.kind() == std::io::ErrorKind::BrokenPipe) {
             return Outcome::Done;
         }
-        let _ = writeln!(std::io::stderr(), "stictiond: {}", told_once(&error));
+        let _ = writeln!(std::io::stderr(), "stictiond: {}", plain(&told_once(&error)));
         if error.is::<UsageError>() { Outcome::Usage } else { Outcome::Failed }
     });
     ExitCode::from(outcome.code())
@@ -157,6 +159,7 @@ fn dispatch(cli: Cli) -> anyhow::Result<Outcome> {
         CommandArgs::Convert(args) => convert::run(&args, format),
         CommandArgs::Check(args) => check::run(&args, format),
         CommandArgs::Info(args) => info::run(&args, format),
+        CommandArgs::Recover(args) => recover::run(&args, format),
         CommandArgs::Bench(args) => bench::run(&args, format),
         CommandArgs::Manual(args) => manual::run(&args, format),
         CommandArgs::Completions(args) => completions::run(&args),
@@ -183,12 +186,36 @@ pub struct UsageError(pub String);
 /// Prints results as they are.
 pub(crate) fn print(text: &str) -> std::io::Result<()> {
     let mut out = std::io::stdout().lock();
-    out.write_all(text.as_bytes()).and_then(|()| out.flush())
+    out.write_all(plain(text).as_bytes()).and_then(|()| out.flush())
 }
 
 /// Prints one line of results.
 pub(crate) fn say(line: impl Display) -> std::io::Result<()> {
-    writeln!(std::io::stdout().lock(), "{line}")
+    writeln!(std::io::stdout().lock(), "{}", plain(&line.to_string()))
+}
+
+/// Tells one thing on stderr.
+pub(crate) fn warn(line: impl Display) {
+    // Where nobody listens any more nothing is to be told.
+    let _ = writeln!(std::io::stderr().lock(), "warning: {}", plain(&line.to_string()));
+}
+
+/// A text as a terminal may have it: control characters but the end of a line and a tab are written out, in a form that
+/// JSON reads back as the character.
+fn plain(text: &str) -> std::borrow::Cow<'_, str> {
+    let steers = |c: char| c.is_control() && c != '\n' && c != '\t';
+    if !text.contains(steers) {
+        return text.into();
+    }
+    let mut out = String::with_capacity(text.len() + 16);
+    for c in text.chars() {
+        if steers(c) {
+            out.push_str(&format!("\\u{:04x}", u32::from(c)));
+        } else {
+            out.push(c);
+        }
+    }
+    out.into()
 }
 
 /// Several faults, one a line.
@@ -284,4 +311,17 @@ pub(crate) async fn asked_to_stop() -> anyhow::Result<()> {
         _ = int.recv() => {}
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::plain;
+
+    #[test]
+    fn nothing_that_is_printed_steers_a_terminal() {
+        assert_eq!(plain("loop \u{1b}]0;x\u{7}: 5 %\n\ta\u{9b}2J"), "loop \\u001b]0;x\\u0007: 5 %\n\ta\\u009b2J");
+        assert_eq!(plain("Füllstand µ"), "Füllstand µ");
+        let json = serde_json::to_string("a\u{9b}\u{7f}b").unwrap();
+        assert_eq!(serde_json::from_str::<String>(&plain(&json)).unwrap(), "a\u{9b}\u{7f}b");
+    }
 }

@@ -9,6 +9,8 @@ use crate::config::Config;
 use crate::daemon::{self, RunOptions};
 
 /// Run the daemon: subscribe, estimate, publish, record, until SIGTERM or Ctrl-C.
+///
+/// SIGHUP reads the configuration again, says which of its settings wait for the next start, and begins new recordings.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example: stictiond run --config config/monitor.toml")]
 pub struct Args {
@@ -31,7 +33,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         Err(faults) => bail!("{} has faults:\n  {}", args.config.display(), list(&faults)),
     };
     block_on(async {
-        let options = RunOptions { origin: "run", workers: args.workers };
+        let options = RunOptions { origin: "run", workers: args.workers, config_path: Some(args.config.clone()) };
         let stop = async {
             if let Err(error) = asked_to_stop().await {
                 tracing::error!(%error, "signals cannot be watched");

@@ -80,6 +80,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
         // The same scenario and model give the same file, to the byte.
         run_id: short_hash(format!("{text}\n{config_text}{}", model_text(args)?).as_bytes())[..8].to_owned(),
         started_ns: scenario.start_ns(),
+        run_number: None,
         origin: if args.raw { "simulate_raw" } else { "simulate" },
         config_hash: config.hash(),
         loop_map: serde_json::to_string(&config.loops).unwrap_or_default(),

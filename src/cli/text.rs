@@ -42,7 +42,7 @@ pub(super) fn estimate(document: &EstimateDocument) -> String {
         row("sticking", format!("p {p:.2}: from {base:+.1} by {} (logits)", said.join(", ")));
     }
     if let Some(reason) = a.reason {
-        row("no answer", reason.to_owned());
+        row(if a.stiction.is_some() { "no more" } else { "no answer" }, reason.to_owned());
     }
     if a.stiction_index.is_some() {
         row("stiction", format!("fs {}  fd {}  (OP units)", number(a.fs), number(a.fd)));

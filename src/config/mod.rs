@@ -1,6 +1,7 @@
 //! The configuration: TOML text in, a [`Config`] or every fault at once out. Knows no file.
 
 mod reader;
+mod service;
 
 use serde::Serialize;
 use sha2::{Digest, Sha256};
@@ -8,6 +9,7 @@ use toml::de::DeTable;
 
 pub use reader::Fault;
 use reader::{TableReader, line_of, subtable, subtables};
+pub use service::{Commands, Retention, Signing};
 
 use crate::record::{Mode, Signal};
 use crate::units::is_loop_name;
@@ -31,6 +33,15 @@ pub struct Config {
     pub gap: GapParams,
     /// Where and how to record.
     pub recording: Recording,
+    /// How long recordings are kept. Like the next left out of [`Config::hash`] while nothing is set.
+    #[serde(skip_serializing_if = "Retention::is_default")]
+    pub retention: Retention,
+    /// What people may ask for.
+    #[serde(skip_serializing_if = "Commands::is_default")]
+    pub commands: Commands,
+    /// Signatures on documents.
+    #[serde(skip_serializing_if = "Signing::is_default")]
+    pub signing: Signing,
     /// Metrics and health over HTTP.
     pub web: Web,
     /// Loops that are mapped or have settings of their own.
@@ -60,6 +71,15 @@ pub struct Zenoh {
     pub config_file: String,
 }
 
+/// `[input] queue_bytes` where nothing is said.
+const QUEUE_BYTES: usize = 64 << 20;
+
+// Keys that came later are left out of the hash at their defaults: older recordings still read as recorded.
+#[allow(clippy::trivially_copy_pass_by_ref)] // as serde calls it
+const fn is_queue_bytes_default(bytes: &usize) -> bool {
+    *bytes == QUEUE_BYTES
+}
+
 /// `[input]`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Input {
@@ -69,6 +89,9 @@ pub struct Input {
     pub max_loops: usize,
     /// Messages that may wait for the engine.
     pub queue: usize,
+    /// Bytes of messages that may wait for the engine.
+    #[serde(skip_serializing_if = "is_queue_bytes_default")]
+    pub queue_bytes: usize,
     /// Payload codec: `auto` or one codec's name.
     pub codec: String,
     /// Convention of quality codes: `ua` or `classic`.
@@ -206,8 +229,21 @@ impl Config {
 
     fn read(text: &str, root: &DeTable<'_>, faults: &mut Vec<Fault>) -> Self {
         let mut open = |key: &str| subtable(text, root, key, faults);
-        let keys = ["site", "zenoh", "input", "window", "alarm", "gap", "recording", "web"];
-        let [site, zenoh, input, window, alarm, gap, recording, web] = keys.map(|key| (key, open(key)));
+        let keys = [
+            "site",
+            "zenoh",
+            "input",
+            "window",
+            "alarm",
+            "gap",
+            "recording",
+            "retention",
+            "commands",
+            "signing",
+            "web",
+        ];
+        let [site, zenoh, input, window, alarm, gap, recording, retention, commands, signing, web] =
+            keys.map(|key| (key, open(key)));
         macro_rules! read {
             ($entry:expr, $read:expr) => {{
                 let mut reader = TableReader::new(text, $entry.0, $entry.1.1, $entry.1.0, faults);
@@ -223,9 +259,12 @@ impl Config {
         let alarm = read!(alarm, |r: &mut TableReader<'_, '_>| read_alarm(r, AlarmParams::default()));
         let gap = read!(gap, read_gap);
         let recording = read!(recording, read_recording);
+        let retention = read!(retention, service::read_retention);
+        let commands = read!(commands, service::read_commands);
+        let signing = read!(signing, service::read_signing);
         let web = read!(web, read_web);
         let loops = read_loops(text, root, window, alarm, faults);
-        Self { site, zenoh, input, window, alarm, gap, recording, web, loops }
+        Self { site, zenoh, input, window, alarm, gap, recording, retention, commands, signing, web, loops }
     }
 
     /// A configuration with every default, for a prefix that is known to be sound.
@@ -264,7 +303,20 @@ fn syntax_fault(text: &str, error: &toml::de::Error) -> Fault {
 }
 
 fn refuse_unknown_tables(text: &str, root: &DeTable<'_>, faults: &mut Vec<Fault>) {
-    const KNOWN: [&str; 9] = ["site", "zenoh", "input", "window", "alarm", "gap", "recording", "web", "loop"];
+    const KNOWN: [&str; 12] = [
+        "site",
+        "zenoh",
+        "input",
+        "window",
+        "alarm",
+        "gap",
+        "recording",
+        "retention",
+        "commands",
+        "signing",
+        "web",
+        "loop",
+    ];
     for (key, _) in root.iter().filter(|(k, _)| !KNOWN.iter().any(|known| known == k.get_ref())) {
         faults.push(Fault {
             line: line_of(text, key.span().start),
@@ -331,6 +383,7 @@ fn read_input(r: &mut TableReader<'_, '_>) -> Input {
         discover: r.boolean("discover", true),
         max_loops: r.integer("max_loops", 100_000, 1, 1_000_000) as usize,
         queue: r.integer("queue", 65_536, 16, 16_777_216) as usize,
+        queue_bytes: r.integer("queue_bytes", QUEUE_BYTES as u64, 4_194_304, 1 << 40) as usize,
         codec: r.word("codec", "auto", &["auto", "json", "f64le"]),
         quality: r.word("quality", "ua", &["ua", "classic"]),
         modes,

@@ -82,7 +82,7 @@ impl Diagnoser {
 }
 
 /// Puts this thread behind all others of the system; without Linux it stays where it is.
-fn yield_to_all() {
+pub(super) fn yield_to_all() {
     #[cfg(target_os = "linux")]
     if let Err(error) = rustix::process::setpriority_process(Some(rustix::thread::gettid()), 19) {
         tracing::debug!(%error, "gap diagnoses run at the usual priority");

@@ -17,6 +17,10 @@ pub struct QueueHealth {
     pub length: usize,
     /// How much may wait.
     pub limit: usize,
+    /// Bytes that wait.
+    pub bytes: usize,
+    /// Bytes that may wait; 0 where messages are small and of one size.
+    pub limit_bytes: usize,
     /// What found no place.
     pub dropped: u64,
 }

@@ -32,6 +32,8 @@ macro_rules! counters {
             pub codecs: Family<Label, Counter>,
             /// Loops that have appeared.
             pub loops: Gauge,
+            /// Finished recordings that were found damaged.
+            pub recordings_damaged: Gauge,
             /// Queue lengths by name.
             pub queues: Family<Label, Gauge>,
             /// What the aligners dropped or put in, all loops together.
@@ -71,12 +73,19 @@ counters! {
     commands: "Commands carried out",
     commands_refused: "Commands refused",
     queries: "Queries received",
+    foreign_documents: "Documents under the daemon's keys that others published",
     published: "Documents published",
     dropped_output: "Documents that could not be published",
     recorded: "Messages recorded",
     recording_lost: "Messages that could not be recorded",
     recording_files: "Recording files opened",
+    recordings_thinned: "Recordings whose samples the retention took out",
+    recordings_removed: "Recordings that the retention removed",
     recording_errors: "Errors of the recording disk",
+    states_stored: "Loop states stored beside the recordings",
+    state_errors: "Errors of the store of loop states",
+    states_damaged: "Stored loop states that were damaged at the start",
+    quarantined: "Files put aside at the start because they cannot be used",
 }
 
 impl Metrics {
@@ -88,6 +97,7 @@ impl Metrics {
         registry.register("verdict", "Estimates by verdict", self.verdicts.clone());
         registry.register("gate", "Gates by name", self.gates.clone());
         registry.register("codec", "Payloads by codec", self.codecs.clone());
+        registry.register("recordings_damaged", "Finished recordings found damaged", self.recordings_damaged.clone());
         registry.register("loops", "Loops that have appeared", self.loops.clone());
         registry.register("queue_length", "Messages waiting", self.queues.clone());
         registry.register("aligner", "Samples dropped or put in by the aligners", self.aligned.clone());

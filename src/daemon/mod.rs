@@ -1,44 +1,60 @@
 //! The whole daemon in one readable function: what runs where, and which queue lies between.
 //!
 //! ```text
-//! Zenoh callbacks --(input, drops + counts)--> engine thread --(fits, skips + records)--> workers
+//! Zenoh callbacks --(input, drops + counts)--> engine thread --(schedule, in turn; skips + records)--> workers
 //!                                                |    ^-------------(answers)----------------'
 //!                                                |--(gaps, refuses or skips + records)--> gap thread, last to get a core
 //!                                                |--(recorder, waits 2 s)--> recorder thread --> *.mcap
+//!                                                |--(newest state a loop)--> state thread --> state.redb
 //!                                                '--(publisher, alarms wait)--> publisher thread --> Zenoh, last values
 //! ```
 
 pub mod clock;
 mod core;
+mod desk;
+pub mod faults;
 pub mod gaps;
 mod health;
+mod housekeeping;
 pub mod metrics;
+pub mod queue;
+mod reload;
 pub mod replay;
 pub mod restore;
 mod routes;
+mod schedule;
+mod signals;
 mod worker;
 
-use std::collections::BTreeMap;
 use std::future::Future;
-use std::path::Path;
-use std::sync::{Arc, RwLock};
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, RwLock};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, anyhow};
+use sd_notify::NotifyState;
 
 pub use self::core::HealthSnapshot;
 pub(crate) use self::core::to_json;
-use self::core::{Core, Parts};
+use self::core::{Core, Parts, tell_system};
+use self::faults::Faults;
 use self::gaps::Diagnoser;
 pub use self::health::DaemonHealth;
+use self::housekeeping::House;
 use self::metrics::Metrics;
+use self::queue::Budget;
+use self::reload::Reload;
+use self::restore::Restored;
 use crate::codec::topic;
 use crate::config::Config;
 use crate::engine::Engine;
+use crate::files::lock::{FolderLock, LockError};
+use crate::sink::keeper::Keeper;
 use crate::sink::recorder::{Recorder, RunInfo};
+use crate::sink::signing::Signer;
 use crate::sink::zenoh::Publisher;
-use crate::source;
+use crate::source::{self, presence};
 
 /// How long the threads may take to end.
 const STOP_WITHIN: Duration = Duration::from_millis(3500);
@@ -50,6 +66,8 @@ pub struct RunOptions {
     pub origin: &'static str,
     /// Workers for fits; all cores but one if absent.
     pub workers: Option<usize>,
+    /// Where the configuration comes from, to be read again on SIGHUP.
+    pub config_path: Option<PathBuf>,
 }
 
 /// Runs the daemon until `stop` is ready, then ends in order.
@@ -64,11 +82,18 @@ pub async fn run(
 ) -> anyhow::Result<()> {
     let metrics = Arc::new(Metrics::default());
     let recordings = Path::new(&config.recording.dir).to_owned();
+    let faults = Arc::new(Faults::default());
+    let signer = signer_of(&config)?;
+    signals::survive_file_size_limit();
+    let hangups = signals::hangups();
+    let lock = lock_folder(&recordings, &faults)?;
     // A demonstration starts afresh.
-    let mut memories = match options.origin {
-        "run" => restore::memories_of_last_run(&recordings, &config.site.prefix),
-        _ => BTreeMap::new(),
+    let restored = match options.origin {
+        "run" => restore::restore(&recordings, &config.site.prefix, &faults, &metrics),
+        _ => Restored::default(),
     };
+    restore::tell_aside(&recordings, &faults);
+    let Restored { mut memories, store, run_number } = restored;
     memories.retain(|name, _| config.input.discover || config.loop_named(name).is_some());
     let starting = |id: &str| (Instant::now(), Arc::new(DaemonHealth::starting(id, &config.hash())));
     let snapshot = HealthSnapshot::new(RwLock::new(starting("")));
@@ -89,23 +114,51 @@ pub async fn run(
 
     let last = source::zenoh::LastValues::default();
     let (queue, incoming) = crossbeam_channel::bounded(config.input.queue);
-    let (publisher, publishing) = Publisher::start(session.clone(), last.clone(), metrics.clone())?;
-    let run = run_info(&config, config_text, &options, &daemon_id);
-    let (recorder, recording) = Recorder::start(run, config.recording.clone(), metrics.clone())?;
+    let budget = Budget::new(config.input.queue_bytes);
+    let (publisher, publishing) = Publisher::start(session.clone(), last.clone(), signer.clone(), metrics.clone())?;
+    let run = run_info(&config, config_text, &options, &daemon_id, run_number);
+    let retention = Arc::new(Mutex::new(config.retention));
+    let house = House {
+        dir: recordings.clone(),
+        prefix: config.site.prefix.clone(),
+        run_id: run.run_id.clone(),
+        retention: retention.clone(),
+        lock,
+        metrics: metrics.clone(),
+        faults: faults.clone(),
+    };
+    let (recorder, recording) = Recorder::start(run, config.recording.clone(), metrics.clone(), faults.clone())?;
+    let (stop_house, house_stops) = crossbeam_channel::bounded::<()>(0);
+    let housekeeping = housekeeping::start(house, house_stops)?;
+    let mut threads = vec![("recorder", recording), ("publisher", publishing), ("house", housekeeping)];
+    let mut keeper = None;
+    if options.origin == "run" {
+        let prefix = &config.site.prefix;
+        let (started, keeping) = Keeper::start(&recordings, prefix, store, faults.clone(), metrics.clone())?;
+        keeper = Some(started);
+        threads.push(("state", keeping));
+    }
     let workers = worker::start(options.workers)?;
     let waiting = workers.requests.clone();
     let diagnoser = Diagnoser::start(move || !waiting.is_empty())?;
 
     let prefix = config.site.prefix.clone();
-    let queryables = source::zenoh::answer_queries(&session, &prefix, queue.clone(), last, metrics.clone()).await?;
+    let sign = signer.map(|signer| -> source::zenoh::Sign {
+        Arc::new(move |key: &str, document: &[u8]| signer.attachment(key, document))
+    });
+    let queryables =
+        source::zenoh::answer_queries(&session, &prefix, queue.clone(), last, sign, metrics.clone()).await?;
     let engine = Engine::new(config.clone());
     let parts = Parts {
         engine,
+        budget: budget.clone(),
         workers,
         diagnoser,
         recorder: Some(recorder),
+        keeper,
         publisher,
         metrics: metrics.clone(),
+        faults: faults.clone(),
         snapshot,
         daemon_id: daemon_id.clone(),
     };
@@ -115,7 +168,11 @@ pub async fn run(
         core.restore(memories);
         core.run(&incoming, &stopping);
     })?;
-    let subscribers = source::zenoh::subscribe(&session, &config, queue, metrics.clone()).await?;
+    let control = queue.clone();
+    let mut subscribers = source::zenoh::subscribe(&session, &config, queue, budget, metrics.clone()).await?;
+    subscribers.push(presence::watch_own_keys(&session, &prefix, faults.clone(), metrics.clone()).await?);
+    let bus = source::zenoh::session_config(&config)?;
+    let watching = tokio::spawn(presence::watch(session.clone(), bus, prefix.clone(), faults.clone()));
     let token_key = topic::plane(&prefix, &format!("@daemon/{daemon_id}"));
     let token = session.liveliness().declare_token(&token_key).await.map_err(|e| anyhow!("{token_key}: {e}"))?;
     tracing::info!(
@@ -128,15 +185,20 @@ pub async fn run(
         "watching"
     );
 
-    stop.await;
+    tell_system(&[NotifyState::Ready]);
+    let reload = options.config_path.map(|path| Reload::new(path, config, retention));
+    signals::serve_until(stop, hangups, reload, &control, &faults).await;
     tracing::info!("stopping");
+    tell_system(&[NotifyState::Stopping]);
+    watching.abort();
+    drop(control);
     for subscriber in subscribers {
         let _ = subscriber.undeclare().await;
     }
     let _ = token.undeclare().await;
-    drop(stop_core);
-    let ended =
-        join_within(vec![("engine", core), ("recorder", recording), ("publisher", publishing)], STOP_WITHIN).await;
+    drop((stop_core, stop_house));
+    threads.insert(0, ("engine", core));
+    let ended = join_within(threads, STOP_WITHIN).await;
     for queryable in queryables {
         let _ = queryable.undeclare().await;
     }
@@ -146,7 +208,31 @@ pub async fn run(
     ended
 }
 
-fn run_info(config: &Config, config_text: String, options: &RunOptions, daemon_id: &str) -> RunInfo {
+/// What signs documents, where the configuration names a key.
+fn signer_of(config: &Config) -> anyhow::Result<Option<Arc<Signer>>> {
+    if config.signing.key_file.is_empty() {
+        return Ok(None);
+    }
+    let signer = Signer::read(Path::new(&config.signing.key_file)).context("[signing] key_file")?;
+    tracing::info!(public_key = signer.public_key(), "documents are signed");
+    Ok(Some(Arc::new(signer)))
+}
+
+/// Makes the folder and locks it against a second daemon. Where the disk refuses, the daemon goes on without.
+fn lock_folder(dir: &Path, faults: &Faults) -> anyhow::Result<Option<FolderLock>> {
+    let made = std::fs::create_dir_all(dir);
+    match FolderLock::take(dir) {
+        Ok(lock) => Ok(Some(lock)),
+        Err(held @ LockError::Held { .. }) => Err(held.into()),
+        Err(error) => {
+            let why = made.err().map_or_else(|| error.to_string(), |e| format!("{}: {e}", dir.display()));
+            faults.raise("lock", why);
+            Ok(None)
+        }
+    }
+}
+
+fn run_info(config: &Config, config_text: String, options: &RunOptions, daemon_id: &str, run_number: u64) -> RunInfo {
     let started_ns = clock::now_ns();
     let seed = format!("{daemon_id} {started_ns}");
     let run_id = crate::config::short_hash(seed.as_bytes())[..8].to_owned();
@@ -154,6 +240,7 @@ fn run_info(config: &Config, config_text: String, options: &RunOptions, daemon_i
         prefix: config.site.prefix.clone(),
         run_id,
         started_ns,
+        run_number: (run_number > 0).then_some(run_number),
         origin: options.origin,
         config_text,
         config_hash: config.hash(),

@@ -4,7 +4,7 @@
 //! there. Skips and commands are obeyed where they stand. So whatever the workers' speed was, the engine sees the same
 //! inputs in the same order, and must say the same.
 
-use std::collections::{BTreeMap, HashMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow, bail};
@@ -17,6 +17,7 @@ use crate::codec::decode_recorded;
 use crate::codec::topic::{Kind, Leaf, Topic};
 use crate::config::Config;
 use crate::engine::{Engine, Event, GapRequest, LoopId, RecordedInput, Request, SkipReason, StateDocument};
+use crate::files::rescue::{REMOVED, SAMPLES_KEY};
 use crate::files::{End, RecordingReader};
 
 /// A document that replay made.
@@ -35,6 +36,8 @@ pub struct Replay {
     engine: Engine,
     /// Requests that wait for their place, per loop.
     waiting: HashMap<LoopId, VecDeque<Request>>,
+    /// Where each loop stands among its windows.
+    places: HashMap<LoopId, Place>,
     /// Diagnoses that wait for their place, per loop, and where their search was ended.
     gaps: HashMap<LoopId, VecDeque<(GapRequest, Option<u64>)>>,
     /// Whether diagnoses are made again. Nothing else hangs on them, so on the way to a file they need not be.
@@ -42,6 +45,18 @@ pub struct Replay {
     /// Compute each request at once: for recordings that hold no results of their own.
     at_once: bool,
     events: Vec<Event>,
+}
+
+/// Which window a recorded estimate is of. Their ends do not tell: history that is played twice has each twice. Estimates
+/// stand in the order of their windows, one for each, skipped or not.
+#[derive(Debug, Default)]
+struct Place {
+    /// The window of the next estimate.
+    next: u64,
+    /// Windows before this one came due before the replay began: nothing of them is here.
+    first: u64,
+    /// Windows that were skipped and whose estimates have not come yet.
+    skipped: BTreeSet<u64>,
 }
 
 /// The window of a recorded estimate or gap, all that replay needs of it.
@@ -60,8 +75,8 @@ impl Replay {
     #[must_use]
     pub fn new(config: Config, at_once: bool) -> Self {
         let engine = Engine::new(config);
-        let (waiting, gaps, events) = (HashMap::new(), HashMap::new(), Vec::new());
-        Self { engine, waiting, gaps, diagnose: true, at_once, events }
+        let (waiting, places) = (HashMap::new(), HashMap::new());
+        Self { engine, waiting, places, gaps: HashMap::new(), diagnose: true, at_once, events: Vec::new() }
     }
 
     /// Whether gap diagnoses are made again from here on, or only their places are kept.
@@ -99,6 +114,7 @@ impl Replay {
         match input {
             RecordedInput::Skip { seq, .. } => {
                 self.waiting.entry(id).or_default().retain(|r| r.seq != seq);
+                self.places.entry(id).or_default().skipped.insert(seq);
                 self.engine.skip(id, seq, &mut self.events);
             }
             RecordedInput::Command(command) => {
@@ -145,6 +161,9 @@ impl Replay {
         let state: StateDocument = serde_json::from_slice(data).context("a recorded state cannot be read")?;
         let Some(id) = self.engine.appear(&state.loop_name) else { return Ok(()) };
         if everything {
+            let (windows, waiting) = state.checkpoint.stream.as_ref().map_or((0, 0), |s| (s.windows(), s.waiting()));
+            let place = Place { next: windows.saturating_sub(waiting), first: windows, skipped: BTreeSet::new() };
+            self.places.insert(id, place);
             self.engine.restore(id, state.checkpoint);
         } else {
             self.engine.restore_memory(id, state.checkpoint);
@@ -152,11 +171,20 @@ impl Replay {
         Ok(())
     }
 
-    /// Computes the answer to the window that a recorded estimate names.
+    /// Computes the answer to the window that a recorded estimate is of.
     fn answer(&mut self, id: LoopId, end_ns: i64) {
+        let place = self.places.entry(id).or_default();
+        let seq = place.next;
+        place.next += 1;
+        if place.skipped.remove(&seq) || seq < place.first {
+            return;
+        }
         let Some(waiting) = self.waiting.get_mut(&id) else { return };
-        let Some(place) = waiting.iter().position(|r| r.end_ns == end_ns) else { return };
-        if let Some(request) = waiting.remove(place) {
+        let exact = waiting.iter().position(|r| r.seq == seq && r.end_ns == end_ns);
+        // Older recordings do not say how many windows had no answer yet when they begin.
+        let Some(at) = exact.or_else(|| waiting.iter().position(|r| r.end_ns == end_ns)) else { return };
+        if let Some(request) = waiting.remove(at) {
+            place.next = request.seq + 1;
             self.engine.complete(id, request.seq, request.compute(), &mut self.events);
         }
     }
@@ -216,6 +244,12 @@ impl RunMetadata {
         let Some(prefix) = metadata.get("prefix").cloned() else {
             bail!("{}: holds no metadata of ours, so nothing tells how to re-run it; use analyze", path.display());
         };
+        if metadata.get(SAMPLES_KEY).is_some_and(|word| word == REMOVED) {
+            bail!(
+                "{}: its samples are older than [retention] keeps; its results can be read, not re-run",
+                path.display()
+            );
+        }
         let text = get("config");
         let config = if text.is_empty() {
             Config::with_prefix(&prefix)

@@ -1,14 +1,14 @@
 //! Which loop and signal a key means: mapped keys first, then everything below the prefix.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 use crate::codec::topic::{Leaf, Topic};
 use crate::config::Config;
 use crate::engine::{Engine, LoopId};
 use crate::record::Signal;
 
-/// Keys that are remembered as meaning nothing; beyond that they are looked at anew each time.
-const IGNORED_LIMIT: usize = 100_000;
+/// Longest name of a loop that is discovered, bytes.
+const NAME_BYTES: usize = 256;
 
 /// What a key means.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -27,6 +27,9 @@ pub struct Routes {
     prefix: String,
     discover: bool,
     mapped: HashMap<String, (String, Signal)>,
+    /// Loops that the configuration names.
+    configured: HashSet<String>,
+    /// Keys that mean a signal; nothing is kept of others, however many come.
     known: HashMap<Box<str>, Route>,
 }
 
@@ -39,7 +42,9 @@ impl Routes {
             .iter()
             .flat_map(|l| l.keys.iter().map(|(signal, key)| (key.clone(), (l.name.clone(), *signal))))
             .collect();
-        Self { prefix: config.site.prefix.clone(), discover: config.input.discover, mapped, known: HashMap::new() }
+        let configured = config.loops.iter().map(|l| l.name.clone()).collect();
+        let (prefix, discover) = (config.site.prefix.clone(), config.input.discover);
+        Self { prefix, discover, mapped, configured, known: HashMap::new() }
     }
 
     /// The route of a key; a loop that is new appears.
@@ -54,14 +59,19 @@ impl Routes {
         };
         let route = match meant.or_else(raw) {
             None => Route::Foreign,
-            Some((name, _)) if !self.discover && engine.config().loop_named(name).is_none() => Route::Refused,
+            Some((name, _)) if !(self.configured.contains(name) || self.discover && is_sound(name)) => Route::Refused,
             Some((name, signal)) => engine.appear(name).map_or(Route::Refused, |id| Route::To(id, signal)),
         };
-        if matches!(route, Route::To(..)) || self.known.len() < IGNORED_LIMIT {
+        if matches!(route, Route::To(..)) {
             self.known.insert(key.into(), route);
         }
         route
     }
+}
+
+/// Whether a name may become a loop's: short, and nothing that steers a terminal.
+fn is_sound(name: &str) -> bool {
+    name.len() <= NAME_BYTES && !name.chars().any(char::is_control)
 }
 
 #[cfg(test)]
@@ -81,6 +91,21 @@ mod tests {
         assert_eq!(routes.of("p/A/pv", &mut engine), Route::To(id, Signal::Pv));
         assert_eq!(routes.of("p/A/temperature", &mut engine), Route::Foreign);
         assert_eq!(routes.of("p/B/op", &mut engine), Route::Refused);
+    }
+
+    #[test]
+    fn keys_that_mean_nothing_leave_nothing_behind() {
+        let (mut engine, mut routes) = setup("[site]\nprefix = \"p\"\n[input]\nmax_loops = 1\n");
+        assert!(matches!(routes.of("p/A/op", &mut engine), Route::To(..)));
+        for k in 0..1000 {
+            assert_eq!(routes.of(&format!("p/A/x{k}"), &mut engine), Route::Foreign);
+            assert_eq!(routes.of(&format!("p/L{k}/op"), &mut engine), Route::Refused);
+        }
+        assert_eq!((routes.known.len(), engine.ids().len()), (1, 1));
+        let (mut engine, mut routes) = setup("[site]\nprefix = \"p\"\n");
+        for name in ["\u{1b}[2J", "a\u{7}b", &"n".repeat(300)] {
+            assert_eq!(routes.of(&format!("p/{name}/op"), &mut engine), Route::Refused);
+        }
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! Fits off the engine's thread: a few workers, a bounded queue, answers by channel.
+//! Fits off the engine's thread: a few workers, which take what the schedule says is next, answers by channel.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
@@ -6,9 +6,6 @@ use crossbeam_channel::{Receiver, Sender};
 
 use crate::engine::{LoopId, Request};
 use crate::verdict::Assessment;
-
-/// Requests that may wait for a worker; beyond that windows are skipped, which is counted and recorded.
-pub const QUEUE: usize = 1024;
 
 /// An answer on its way back.
 #[derive(Debug)]
@@ -37,9 +34,11 @@ pub struct Workers {
 /// The system refuses a thread.
 pub fn start(count: Option<usize>) -> std::io::Result<Workers> {
     let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
-    let (requests, jobs) = crossbeam_channel::bounded::<Request>(QUEUE);
+    let count = count.unwrap_or(cores.saturating_sub(1)).max(1);
+    // One at hand for each: what is further down the row can still be overtaken.
+    let (requests, jobs) = crossbeam_channel::bounded::<Request>(count);
     let (finished, answers) = crossbeam_channel::unbounded();
-    for index in 0..count.unwrap_or(cores.saturating_sub(1)).max(1) {
+    for index in 0..count {
         let (jobs, finished) = (jobs.clone(), finished.clone());
         let thread = std::thread::Builder::new().name(format!("fit-{index}"));
         thread.spawn(move || {

@@ -237,6 +237,7 @@ impl Loop {
             next_end_ns: self.next_end_ns,
             windows: self.windows,
             gaps: self.gaps,
+            waiting: self.waiting.len() as u64,
         };
         Checkpoint { alarm: self.alarm.clone(), gap: self.gap.clone(), stream: Some(stream) }
     }
@@ -250,7 +251,7 @@ impl Loop {
             self.windows = stream.windows;
             self.gaps = stream.gaps;
         }
-        (self.alarm.state != State::Normal).then(|| self.alarm.restored(&self.name))
+        (self.alarm.shown() != State::Normal).then(|| self.alarm.restored(&self.name))
     }
 
     pub fn figures(&self) -> LoopFigures {

@@ -166,6 +166,14 @@ pub struct StreamState {
     windows: u64,
     #[serde(default)]
     gaps: u64,
+    /// Windows that had no answer yet.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    waiting: u64,
+}
+
+#[allow(clippy::trivially_copy_pass_by_ref)] // as serde calls it
+const fn is_zero(n: &u64) -> bool {
+    *n == 0
 }
 
 impl StreamState {
@@ -173,6 +181,18 @@ impl StreamState {
     #[must_use]
     pub const fn greatest_ns(&self) -> Option<i64> {
         self.aligner.greatest_ns()
+    }
+
+    /// Windows that had come due.
+    #[must_use]
+    pub const fn windows(&self) -> u64 {
+        self.windows
+    }
+
+    /// Those of them that had no answer yet.
+    #[must_use]
+    pub const fn waiting(&self) -> u64 {
+        self.waiting
     }
 }
 

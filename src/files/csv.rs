@@ -3,7 +3,8 @@
 //! An empty or non-finite cell of OP or PV is a missing sample. In the other columns an empty cell is no sample (set
 //! points and modes are often written when they change), and so it is in a table where OP and PV stand in rows of their
 //! own, as when both carry their own stamps. Writing joins samples of equal stamps into rows and changes nothing else,
-//! so a table that was read is written back with equal values.
+//! so a table that was read is written back with equal values. A table that stands newest first is put in order of time,
+//! and a warning says so.
 
 use super::FileError;
 use crate::record::{Mode, Sample, Signal, Value};
@@ -16,6 +17,9 @@ use thiserror::Error;
 
 /// Columns after `t`, in the order in which they are written.
 pub const COLUMNS: [Signal; 5] = [Signal::Op, Signal::Pv, Signal::Sp, Signal::Mv, Signal::Mode];
+
+/// Steps back from which a table stands newest first, if they outnumber the steps on.
+const NEWEST_FIRST: u64 = 3;
 
 /// A table that cannot be read.
 #[derive(Debug, Error)]
@@ -151,6 +155,10 @@ struct Rows {
     pv_only: u64,
     texts: u64,
     first_text: Option<(u64, String)>,
+    /// Time of the row before, and how often time went on or back from one row to the next.
+    last_ns: Option<i64>,
+    forward: u64,
+    backward: u64,
 }
 
 impl Rows {
@@ -164,6 +172,9 @@ impl Rows {
             pv_only: 0,
             texts: 0,
             first_text: None,
+            last_ns: None,
+            forward: 0,
+            backward: 0,
         }
     }
 
@@ -178,6 +189,10 @@ impl Rows {
         let time = String::from_utf8_lossy(row.get(self.layout.time).unwrap_or_default());
         let t_ns = parse_time(&time).map_err(|source| CsvError::Time { line, source })?;
         self.table.rows += 1;
+        if let Some(last_ns) = self.last_ns.replace(t_ns) {
+            self.forward += u64::from(t_ns > last_ns);
+            self.backward += u64::from(t_ns < last_ns);
+        }
         let (mut has_op, mut has_pv) = (false, false);
         for at in 0..self.layout.signals.len() {
             let (signal, column) = self.layout.signals[at];
@@ -233,7 +248,25 @@ impl Rows {
             ));
             self.drop_empty();
         }
+        self.order();
         self.table
+    }
+
+    /// Puts a table that stands newest first in order of time; rows of one time keep their order.
+    fn order(&mut self) {
+        let table = &mut self.table;
+        if self.backward >= NEWEST_FIRST && self.backward > self.forward {
+            let rows: Vec<&[Sample]> = table.samples.chunk_by(|a, b| a.t_ns == b.t_ns).rev().collect();
+            let mut turned = rows.concat();
+            turned.sort_by_key(|sample| sample.t_ns);
+            table.samples = turned;
+            table.warnings.push(format!("the {} rows stand newest first: read in order of time", table.rows));
+        } else if self.backward > 0 {
+            table.warnings.push(format!(
+                "time goes back {} times: rows that come later than the lateness allows are left out of windows",
+                self.backward
+            ));
+        }
     }
 
     fn drop_empty(&mut self) {
@@ -366,6 +399,19 @@ mod tests {
         assert_eq!(written(&late), "t,op,pv\n0.000000001,1,3\n0.000000002,2,\n");
     }
 
+    #[test]
+    fn a_table_that_stands_newest_first_is_read_in_order_of_time() {
+        let rows: Vec<String> = (0..600).map(|k| format!("{k},{},{}", k % 7, k % 5)).collect();
+        let forward = table(&format!("t,op,pv\n{}\n", rows.join("\n")));
+        let turned: Vec<&str> = rows.iter().rev().map(String::as_str).collect();
+        let back = table(&format!("t,op,pv\n{}\n", turned.join("\n")));
+        assert_eq!(back.samples, forward.samples);
+        assert!(forward.warnings.is_empty() && back.warnings[0].contains("newest first"), "{:?}", back.warnings);
+        // Now and then late is not newest first: it stands as it came, and is told.
+        let late = table("t,op,pv\n1,1,1\n3,1,1\n2,1,1\n4,1,1\n");
+        assert!(!late.samples.is_sorted_by_key(|s| s.t_ns) && late.warnings[0].contains("goes back 1 times"));
+    }
+
     proptest! {
         #[test]
         fn what_is_written_reads_back_equal(
@@ -384,8 +430,12 @@ mod tests {
             }
             let text = written(&samples);
             let back = table(&text);
+            if back.warnings.iter().any(|w| w.contains("newest first")) {
+                prop_assert!(back.samples.is_sorted_by_key(|s| s.t_ns));
+                return Ok(());
+            }
             prop_assert_eq!(written(&back.samples), text);
-            if back.warnings.is_empty() {
+            if back.warnings.iter().all(|w| w.contains("time goes back")) {
                 prop_assert_eq!(back.samples, samples);
             }
         }

@@ -1,6 +1,8 @@
-//! What the index at a file's end can give back when the data before it is damaged.
+//! What can be given back when a part of a file is damaged: by the index at its end, or without one by searching the
+//! file for the marks of chunks and lists of channels.
 
 use super::mcap_read::MAX_RECORD;
+use super::mcap_roster::{self, Roster};
 use mcap::parse_record;
 use mcap::records::{Record, op};
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
@@ -11,6 +13,50 @@ use std::path::Path;
 /// Footer record and end mark, bytes: opcode, length, two offsets, checksum, mark.
 const FOOTER_BYTES: usize = 1 + 8 + 20 + 8;
 
+/// Bytes searched at a time.
+const SEARCH_BYTES: u64 = 1 << 20;
+/// Bytes that a mark may need to be known as one.
+const OVERLAP: usize = 64;
+/// Bytes of a chunk record before the name of its compression: opcode, length, two times, size, checksum.
+const BEFORE_COMPRESSION: usize = 9 + 8 + 8 + 8 + 4;
+/// Largest list of channels that is read, bytes.
+const MAX_ROSTER: u64 = 16 << 20;
+
+fn u64_at(bytes: &[u8], at: usize) -> u64 {
+    let mut number = [0_u8; 8];
+    if let Some(found) = bytes.get(at..at + 8) {
+        number.copy_from_slice(found);
+    }
+    u64::from_le_bytes(number)
+}
+
+/// Whether these bytes begin as a chunk of ours does, and end before the file.
+fn is_chunk(bytes: &[u8], left: u64) -> bool {
+    const MARK: &[u8] = b"\x04\0\0\0zstd";
+    let (length, after) = (u64_at(bytes, 1), BEFORE_COMPRESSION + MARK.len());
+    let records = u64_at(bytes, after);
+    bytes.get(BEFORE_COMPRESSION..after) == Some(MARK)
+        && records.checked_add((after + 8 - 9) as u64) == Some(length)
+        && length.checked_add(9).is_some_and(|all| all <= left)
+}
+
+fn is_roster(bytes: &[u8]) -> bool {
+    let name = mcap_roster::NAME.as_bytes();
+    let length = (name.len() as u32).to_le_bytes();
+    u64_at(bytes, 1) <= MAX_ROSTER && bytes.get(9..13) == Some(&length) && bytes.get(13..13 + name.len()) == Some(name)
+}
+
+/// Reads the list of channels whose content begins at a place.
+fn roster_at(file: &mut File, at: u64, length: u64) -> io::Result<Option<Roster>> {
+    file.seek(SeekFrom::Start(at))?;
+    let mut data = Vec::new();
+    file.take(length.min(MAX_ROSTER)).read_to_end(&mut data)?;
+    match parse_record(op::METADATA, &data) {
+        Ok(Record::Metadata(metadata)) => Ok(Roster::of(&metadata.metadata)),
+        _ => Ok(None),
+    }
+}
+
 /// The records of the index that help.
 #[derive(Debug, Default)]
 pub(super) struct Index {
@@ -18,16 +64,64 @@ pub(super) struct Index {
     pub records: Vec<(u8, Vec<u8>)>,
     /// Where chunks begin, ascending.
     pub chunk_starts: Vec<u64>,
+    /// Lists of channels that stand between chunks.
+    pub rosters: Vec<Roster>,
+    /// Without an index: the place from which the file was searched.
+    searched_from: Option<u64>,
 }
 
 impl Index {
-    /// Reads the index at the end of a file; empty when there is none, as in a file that was cut off.
-    pub fn read(path: &Path) -> Self {
+    /// Reads the index at the end of a file; where there is none, as in a file that was cut off, searches the file from a
+    /// place on.
+    pub fn read(path: &Path, from: u64) -> Self {
         let mut index = Self::default();
         // Whatever stood before an error still helps.
         let _ = index.fill(path);
+        if index.chunk_starts.is_empty() {
+            index.searched_from = Some(from);
+            let _ = index.search(path, from);
+        }
         index.chunk_starts.sort_unstable();
         index
+    }
+
+    /// Whether it knows what stands after this place.
+    pub fn covers(&self, from: u64) -> bool {
+        self.searched_from.is_none_or(|searched| searched <= from)
+    }
+
+    /// Looks for the marks of chunks and of lists of channels; what looks like one is checked by its lengths, and a
+    /// chunk by its checksum when it is read.
+    fn search(&mut self, path: &Path, from: u64) -> io::Result<()> {
+        let mut file = File::open(path)?;
+        let size = file.metadata()?.len();
+        file.seek(SeekFrom::Start(from))?;
+        let (mut window, mut start) = (Vec::new(), from);
+        loop {
+            let before = window.len();
+            (&mut file).take(SEARCH_BYTES).read_to_end(&mut window)?;
+            let ended = window.len() == before;
+            // A mark near the end is looked at again with what follows it.
+            let last = if ended { window.len() } else { window.len().saturating_sub(OVERLAP) };
+            for at in 0..last {
+                match window[at] {
+                    op::CHUNK if is_chunk(&window[at..], size.saturating_sub(start + at as u64)) => {
+                        self.chunk_starts.push(start + at as u64);
+                    }
+                    op::METADATA if is_roster(&window[at..]) => {
+                        let length = u64_at(&window[at..], 1);
+                        self.rosters.extend(roster_at(&mut file, start + at as u64 + 9, length)?);
+                    }
+                    _ => {}
+                }
+            }
+            if ended {
+                return Ok(());
+            }
+            window.drain(..last);
+            start += last as u64;
+            file.seek(SeekFrom::Start(start + window.len() as u64))?;
+        }
     }
 
     /// The first chunk that begins after `offset`.

@@ -5,7 +5,9 @@
 //! ask [`RecordingReader::end`]. Memory holds one chunk, at most [`MAX_RECORD`] bytes, whatever a file claims.
 
 use super::mcap_index::Index;
+use super::mcap_roster::{self, Roster};
 use super::schemas;
+use super::seal::{self, Seal};
 use crate::codec::topic::Kind;
 use mcap::records::{Record, op};
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
@@ -141,6 +143,7 @@ struct Contents {
     channels: BTreeMap<u16, Arc<Channel>>,
     metadata: BTreeMap<String, String>,
     library: String,
+    seal: Option<Seal>,
     entries: Vec<Entry>,
     buffer: Vec<u8>,
     unresolved: u64,
@@ -174,6 +177,12 @@ fn outer_options() -> LinearReaderOptions {
         .with_record_length_limit(MAX_RECORD)
 }
 
+/// Whether a file begins as MCAP files do; a flipped bit or two make it damaged, not something else.
+pub(super) fn begins_as_recording(head: &[u8]) -> bool {
+    let differing = |head: &[u8]| head.iter().zip(mcap::MAGIC).filter(|(a, b)| a != b).count();
+    head.get(..mcap::MAGIC.len()).is_some_and(|head| differing(head) <= 1)
+}
+
 impl RecordingReader {
     /// Opens a file and reads up to its first message, so that [`RecordingReader::metadata`] is known.
     ///
@@ -184,15 +193,18 @@ impl RecordingReader {
         let mut file = File::open(path).map_err(failed)?;
         let file_bytes = file.metadata().map_err(failed)?.len();
         let mut magic = [0_u8; 8];
-        let begins = file.read_exact(&mut magic).is_ok() && magic == *mcap::MAGIC;
-        if !begins {
+        if file.read_exact(&mut magic).is_err() || !begins_as_recording(&magic) {
             return Err(ReadError::NotMcap { path: path.to_owned() });
         }
-        file.rewind().map_err(failed)?;
+        let whole = magic == *mcap::MAGIC;
+        if whole {
+            file.rewind().map_err(failed)?;
+        }
+        let options = outer_options().with_skip_start_magic(!whole).with_validate_data_section_crc(whole);
         let mut reader = Self {
             path: path.to_owned(),
             file,
-            linear: LinearReader::new_with_options(outer_options().with_validate_data_section_crc(true)),
+            linear: LinearReader::new_with_options(options),
             offset: 8,
             last_chunk: 0,
             file_bytes,
@@ -204,6 +216,9 @@ impl RecordingReader {
             index: None,
             end: None,
         };
+        if !whole {
+            reader.note("its first bytes are damaged".to_owned());
+        }
         reader.fill()?;
         Ok(reader)
     }
@@ -242,6 +257,12 @@ impl RecordingReader {
         &self.contents.library
     }
 
+    /// The SHA-256 at the file's end, once that has been read.
+    #[must_use]
+    pub fn seal(&self) -> Option<&Seal> {
+        self.contents.seal.as_ref()
+    }
+
     /// Size of the file when it was opened, bytes.
     #[must_use]
     pub fn file_bytes(&self) -> u64 {
@@ -276,7 +297,7 @@ impl RecordingReader {
 
     /// Finds the channels of messages whose channel record was lost; messages without one are left out.
     fn resolve(&mut self) {
-        self.use_index();
+        self.use_index(0);
         let Contents { entries, channels, orphans, unresolved, .. } = &mut self.contents;
         entries.retain_mut(|entry| {
             if entry.channel.is_none() {
@@ -337,7 +358,7 @@ impl RecordingReader {
         let last = self.last_chunk;
         let next = match error {
             BadDataCrc { .. } | BadSummaryCrc { .. } | BadMagic | BytesAfterEndMagic => None,
-            _ => self.use_index().chunk_after(last),
+            _ => self.use_index(last).chunk_after(last),
         };
         let Some(next) = next else {
             self.finish(Some(error));
@@ -350,7 +371,7 @@ impl RecordingReader {
     /// After a damaged record: a wrong length may have taken the next chunks for its own.
     fn reread_swallowed(&mut self) -> Result<(), ReadError> {
         let (last, offset) = (self.last_chunk, self.offset);
-        match self.use_index().chunk_after(last) {
+        match self.use_index(last).chunk_after(last) {
             Some(next) if next < offset => self.go_to(next),
             _ => Ok(()),
         }
@@ -366,17 +387,20 @@ impl RecordingReader {
         Ok(())
     }
 
-    /// Reads the index once; the channels it repeats replace those that stood in a damaged chunk.
-    fn use_index(&mut self) -> &Index {
+    /// Reads the index once, or searches the file from a place on; the channels they name replace those that stood in a
+    /// damaged chunk.
+    fn use_index(&mut self, from: u64) -> &Index {
         let (path, contents) = (&self.path, &mut self.contents);
-        self.index.get_or_insert_with(|| {
-            let index = Index::read(path);
+        let known = self.index.take().filter(|index| index.covers(from));
+        self.index.insert(known.unwrap_or_else(|| {
+            let index = Index::read(path, from);
             for (opcode, data) in &index.records {
                 // A copy that cannot be read helps nobody and harms nothing.
                 let _ = contents.take_record(*opcode, data);
             }
+            index.rosters.iter().for_each(|roster| contents.take_roster(roster));
             index
-        })
+        }))
     }
 
     fn note(&mut self, damage: String) {
@@ -454,6 +478,14 @@ impl Contents {
         first_error.map_or(Ok(()), Err)
     }
 
+    /// Channels whose own records may have been in a damaged chunk.
+    fn take_roster(&mut self, roster: &Roster) {
+        for (id, kind, topic) in roster.channels() {
+            let channel = || Channel { topic: topic.to_owned(), kind: Some(kind), encoding: "json".to_owned() };
+            self.channels.entry(id).or_insert_with(|| Arc::new(channel()));
+        }
+    }
+
     fn take_record(&mut self, opcode: u8, data: &[u8]) -> Result<(), McapError> {
         // Indexes and records that others invented are none of ours; parsing them would only cost.
         let ours = [op::HEADER, op::SCHEMA, op::CHANNEL, op::MESSAGE, op::METADATA, op::STATISTICS];
@@ -469,6 +501,8 @@ impl Contents {
                 let kind = self.schemas.get(&channel.schema_id).and_then(|name| schemas::kind_of(name));
                 let known = Channel { topic: channel.topic, kind, encoding: channel.message_encoding };
                 match self.channels.get(&channel.id) {
+                    // Its schema may have stood in a damaged chunk.
+                    Some(old) if known.kind.is_none() && old.topic == known.topic => {}
                     Some(old) if **old != known => return Err(McapError::ConflictingChannels(known.topic)),
                     Some(_) => {}
                     None => {
@@ -494,6 +528,10 @@ impl Contents {
             }
             Record::Metadata(metadata) if metadata.name == super::METADATA_NAME => {
                 self.metadata.extend(metadata.metadata);
+            }
+            Record::Metadata(metadata) if metadata.name == seal::NAME => self.seal = Seal::of(&metadata.metadata),
+            Record::Metadata(metadata) if metadata.name == mcap_roster::NAME => {
+                Roster::of(&metadata.metadata).iter().for_each(|roster| self.take_roster(roster));
             }
             Record::Statistics(statistics) => self.stated = Some(statistics.message_count),
             _ => {}

@@ -4,7 +4,9 @@
 //! crash loses at most what came since. [`RecordingFile::finish`] writes the index, syncs, renames to `NAME.mcap` and
 //! syncs the folder. An MCAP file cannot be reopened: rotate instead.
 
+use super::mcap_roster::Roster;
 use super::schemas;
+use super::seal::Sum;
 use crate::codec::topic::Kind;
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{Compression, McapError, WriteOptions, Writer};
@@ -12,8 +14,8 @@ use std::collections::{BTreeMap, HashMap};
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, BufWriter, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use thiserror::Error;
 
 /// Most channels in one file: every file repeats its channels, and indexes grow with them.
@@ -21,6 +23,9 @@ pub const MAX_CHANNELS: usize = 10_000;
 
 /// Uncompressed size at which a chunk is closed, bytes.
 const CHUNK_BYTES: u64 = 1 << 20;
+
+/// Bytes after which the list of all channels is written again, so that no place in the file is far from one.
+const ROSTER_EVERY: u64 = 8 << 20;
 
 /// What stops a recording.
 #[derive(Debug, Error)]
@@ -72,9 +77,17 @@ pub struct RecordingFile {
     part: PathBuf,
     target: PathBuf,
     written: Arc<AtomicU64>,
+    sum: Arc<Mutex<Sum>>,
     schemas: HashMap<Kind, u16>,
     channels: HashMap<String, Channel>,
+    /// Every channel, and those that no list in the file names yet.
+    roster: Roster,
+    unlisted: Roster,
+    /// Size of the file when all channels were listed last.
+    listed_at: u64,
     dirty: bool,
+    /// Whether the file ends with a SHA-256 of what stands before.
+    sealed: bool,
 }
 
 impl RecordingFile {
@@ -90,7 +103,13 @@ impl RecordingFile {
             let source = io::Error::new(io::ErrorKind::AlreadyExists, "this recording exists already");
             return Err(WriteError::Io { path: target, source });
         }
-        Self::create_at(dir.join(format!("{stem}.mcap.part")), target, metadata)
+        Ok(Self::create_at(dir.join(format!("{stem}.mcap.part")), target, metadata)?.sealed())
+    }
+
+    /// The same file, to end with a SHA-256 of all that stands before it.
+    #[must_use]
+    pub fn sealed(self) -> Self {
+        Self { sealed: true, ..self }
     }
 
     /// Opens `part`, which must not exist; [`RecordingFile::finish`] renames it to `target` and replaces what is there.
@@ -114,7 +133,9 @@ impl RecordingFile {
     ) -> Result<Self, WriteError> {
         let handle = file.try_clone().map_err(|source| WriteError::Io { path: part.clone(), source })?;
         let written = Arc::new(AtomicU64::new(0));
-        let sink = Counted { inner: BufWriter::with_capacity(1 << 16, file), written: Arc::clone(&written) };
+        let sum = Arc::new(Mutex::new(Sum::default()));
+        let inner = BufWriter::with_capacity(1 << 16, file);
+        let sink = Counted { inner, written: Arc::clone(&written), sum: Arc::clone(&sum) };
         // Whole chunks reach the file at once (no seeking back), so a reader of the open file meets none half written.
         let options = WriteOptions::new()
             .library(format!("stictiond {}", crate::VERSION))
@@ -129,9 +150,14 @@ impl RecordingFile {
             part,
             target,
             written,
+            sum,
             schemas: HashMap::new(),
             channels: HashMap::new(),
+            roster: Roster::default(),
+            unlisted: Roster::default(),
+            listed_at: 0,
             dirty: true,
+            sealed: false,
         };
         let metadata = Metadata { name: super::METADATA_NAME.to_owned(), metadata: metadata.clone() };
         recording.with_writer(|writer| writer.write_metadata(&metadata))?;
@@ -154,8 +180,24 @@ impl RecordingFile {
         publish_time_ns: i64,
         payload: &[u8],
     ) -> Result<(), WriteError> {
+        self.copy(topic, Some(kind), "json", log_time_ns, publish_time_ns, payload)
+    }
+
+    /// Appends a message of whatever kind, as it was read from another file.
+    ///
+    /// # Errors
+    /// As [`RecordingFile::write`].
+    pub fn copy(
+        &mut self,
+        topic: &str,
+        kind: Option<Kind>,
+        encoding: &str,
+        log_time_ns: i64,
+        publish_time_ns: i64,
+        payload: &[u8],
+    ) -> Result<(), WriteError> {
         if !self.channels.contains_key(topic) {
-            self.register(topic, kind)?;
+            self.register(topic, kind, encoding)?;
         }
         let Some(channel) = self.channels.get_mut(topic) else { return Err(self.refused()) };
         let header = MessageHeader {
@@ -177,9 +219,26 @@ impl RecordingFile {
         if !self.dirty {
             return if self.writer.is_some() { Ok(()) } else { Err(self.refused()) };
         }
+        self.list_channels()?;
         self.with_writer(Writer::flush)?;
         self.dirty = false;
         self.file.sync_data().map_err(|source| self.fail(source))
+    }
+
+    /// Lists new channels outside the chunks, and from time to time all: a chunk holds only those that it is the first to
+    /// use, and would take them along if it were damaged.
+    fn list_channels(&mut self) -> Result<(), WriteError> {
+        let written = self.bytes_written();
+        let all = written.saturating_sub(self.listed_at) >= ROSTER_EVERY && !self.roster.is_empty();
+        if self.unlisted.is_empty() && !all {
+            return Ok(());
+        }
+        let listed = std::mem::take(&mut self.unlisted);
+        if all {
+            self.listed_at = written;
+        }
+        let record = (if all { &self.roster } else { &listed }).metadata();
+        self.with_writer(|writer| writer.write_metadata(&record))
     }
 
     /// Bytes handed to the file; the open chunk counts once it is closed.
@@ -206,6 +265,13 @@ impl RecordingFile {
         self.writer.is_none()
     }
 
+    /// Whether the folder still holds the file under its name: a removed one would be filled for nobody.
+    #[must_use]
+    pub fn is_linked(&self) -> bool {
+        let Ok(open) = self.file.metadata() else { return false };
+        fs::metadata(&self.part).is_ok_and(|there| super::same_file(&open, &there))
+    }
+
     /// The file while it is open.
     #[must_use]
     pub fn part_path(&self) -> &Path {
@@ -223,6 +289,12 @@ impl RecordingFile {
     /// # Errors
     /// [`WriteError`]; the `.part` file stays and is readable up to its last flush at least.
     pub fn finish(mut self) -> Result<PathBuf, WriteError> {
+        if self.sealed {
+            // The open chunk goes into the file first, so that the sum is over everything before the seal.
+            self.with_writer(Writer::flush)?;
+            let seal = self.sum.lock().unwrap_or_else(PoisonError::into_inner).seal();
+            self.with_writer(|writer| writer.write_metadata(&seal))?;
+        }
         self.with_writer(|writer| writer.finish().map(|_| ()))?;
         if let Some(writer) = self.writer.take() {
             let buffered = writer.into_inner().inner;
@@ -234,22 +306,28 @@ impl RecordingFile {
         Ok(self.target.clone())
     }
 
-    fn register(&mut self, topic: &str, kind: Kind) -> Result<(), WriteError> {
+    fn register(&mut self, topic: &str, kind: Option<Kind>, encoding: &str) -> Result<(), WriteError> {
         if self.channels.len() >= MAX_CHANNELS {
             let (path, topic) = (self.part.clone(), topic.to_owned());
             return Err(WriteError::Full { path, limit: MAX_CHANNELS, topic });
         }
-        let schema = match self.schemas.get(&kind) {
-            Some(id) => *id,
-            None => {
+        let schema = match kind.map(|kind| (kind, self.schemas.get(&kind))) {
+            // A schema that is not ours is not known: number 0 is none.
+            None => 0,
+            Some((_, Some(id))) => *id,
+            Some((kind, None)) => {
                 let text = schemas::json_schema(kind).to_string();
                 let id = self.with_writer(|w| w.add_schema(&schemas::name(kind), "jsonschema", text.as_bytes()))?;
                 self.schemas.insert(kind, id);
                 id
             }
         };
-        let id = self.with_writer(|writer| writer.add_channel(schema, topic, "json", &BTreeMap::new()))?;
+        let id = self.with_writer(|writer| writer.add_channel(schema, topic, encoding, &BTreeMap::new()))?;
         self.channels.insert(topic.to_owned(), Channel { id, sequence: 0 });
+        if let Some(kind) = kind {
+            self.roster.add(id, kind, topic);
+            self.unlisted.add(id, kind, topic);
+        }
         Ok(())
     }
 
@@ -300,16 +378,18 @@ fn mcap_time(ns: i64) -> u64 {
     u64::try_from(ns).unwrap_or(0)
 }
 
-/// Counts what goes into the file.
+/// Counts and sums up what goes into the file.
 struct Counted<W> {
     inner: W,
     written: Arc<AtomicU64>,
+    sum: Arc<Mutex<Sum>>,
 }
 
 impl<W: Write> Write for Counted<W> {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         let written = self.inner.write(bytes)?;
         self.written.fetch_add(written as u64, Ordering::Relaxed);
+        self.sum.lock().unwrap_or_else(PoisonError::into_inner).take(&bytes[..written]);
         Ok(written)
     }
 

@@ -2,11 +2,16 @@
 
 pub mod compact;
 pub mod csv;
+pub mod lock;
 pub mod mat;
 mod mcap_index;
 mod mcap_read;
+mod mcap_roster;
 mod mcap_write;
+pub mod rescue;
 pub mod schemas;
+pub mod seal;
+pub mod store;
 
 pub use mcap_read::{Channel, End, MAX_RECORD, Message, ReadError, RecordingReader};
 pub use mcap_write::{MAX_CHANNELS, RecordingFile, WriteError, sync_folder};
@@ -75,7 +80,7 @@ impl InputKind {
             (b"\x1f\x8b", "compressed by gzip; unpack it"),
             (b"\xff\xfe", "UTF-16 text; save it as UTF-8"),
         ];
-        if head.starts_with(mcap::MAGIC) {
+        if mcap_read::begins_as_recording(head) {
             return Ok(Self::Mcap);
         }
         if let Some((_, what)) = unsupported.iter().find(|(mark, _)| head.starts_with(mark)) {
@@ -320,6 +325,18 @@ impl LoopTable {
         self.by_channel.insert(message.channel_id, place);
         place
     }
+}
+
+/// Whether two looks were at the same file, whatever its name.
+#[cfg(unix)]
+fn same_file(a: &std::fs::Metadata, b: &std::fs::Metadata) -> bool {
+    use std::os::unix::fs::MetadataExt as _;
+    (a.dev(), a.ino()) == (b.dev(), b.ino())
+}
+
+#[cfg(not(unix))]
+fn same_file(a: &std::fs::Metadata, b: &std::fs::Metadata) -> bool {
+    a.len() == b.len()
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! An estimate in words that a planner can act on.
 
-use crate::verdict::{Assessment, Gate, Verdict};
+use crate::verdict::{Assessment, Gate, SCREENED, Verdict};
 
 /// A number with as many digits as matter, for sentences and tables.
 #[must_use]
@@ -169,7 +169,10 @@ pub const fn gate(g: Gate) -> &'static str {
 #[must_use]
 pub fn unknowns(a: &Assessment, op_range: Option<[f64; 2]>) -> Vec<String> {
     let mut out: Vec<String> = a.gates.iter().map(|g| format!("{} ({})", gate(*g), g.name())).collect();
-    if a.s.is_none() {
+    let screened = a.reason == Some(SCREENED);
+    if screened {
+        out.push("all else: a calm loop, of which nothing more was computed (screened)".to_owned());
+    } else if a.s.is_none() {
         out.push("the size: no model was fitted".to_owned());
     } else if a.j_identifiable == Some(false) {
         out.push("the slip jump j: the stem slips too seldom to tell it from the process gain".to_owned());
@@ -186,7 +189,7 @@ pub fn unknowns(a: &Assessment, op_range: Option<[f64; 2]>) -> Vec<String> {
     }
     match a.s_detectable {
         Some(least) => out.push(format!("bands below s = {} OP units would not have been seen here", number(least))),
-        None if a.stiction == Some(false) => {
+        None if a.stiction == Some(false) && !screened => {
             out.push("how small a band would have been seen here: this record cannot tell".to_owned());
         }
         None => {}

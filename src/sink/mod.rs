@@ -1,4 +1,6 @@
 //! Where results go: onto the bus, and into recordings.
 
+pub mod keeper;
 pub mod recorder;
+pub mod signing;
 pub mod zenoh;

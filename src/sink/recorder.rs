@@ -16,13 +16,19 @@ use crate::codec::encode_recorded;
 use crate::codec::topic::{self, Kind};
 use crate::config::Recording;
 use crate::daemon::clock::now_ns;
+use crate::daemon::faults::Faults;
 use crate::daemon::metrics::Metrics;
+use crate::daemon::queue::{Budget, Room};
 use crate::engine::LoopId;
 use crate::files::RecordingFile;
 use crate::record::{Sample, Signal};
 
 /// Messages that may wait for the disk.
 pub const QUEUE: usize = 65_536;
+/// Bytes that may wait for it.
+pub const QUEUE_BYTES: usize = 256 << 20;
+/// Pause before it is looked again whether there is room.
+const LOOK_AGAIN: Duration = Duration::from_millis(5);
 /// Loops in one file: with at most ten channels a loop this stays within what a file may hold.
 pub const LOOPS_PER_FILE: usize = 1000;
 /// How long the engine waits for a place in the queue before it goes on without.
@@ -39,6 +45,13 @@ pub enum Item {
         shard: usize,
         /// Loop names and state documents.
         states: Vec<(Arc<str>, Vec<u8>)>,
+    },
+    /// New limits of a file.
+    Limits {
+        /// Size at which it is closed.
+        max_bytes: u64,
+        /// Age at which it is closed.
+        max_age: Duration,
     },
     /// A sample as it was taken.
     Raw {
@@ -66,6 +79,18 @@ pub enum Item {
     },
 }
 
+impl Item {
+    /// What it takes of the memory while it waits.
+    fn bytes(&self) -> usize {
+        let held = match self {
+            Self::Open { states, .. } => states.iter().map(|(_, json)| json.len()).sum(),
+            Self::Raw { .. } | Self::Limits { .. } => 0,
+            Self::Document { json, .. } => json.len(),
+        };
+        size_of::<Self>() + held
+    }
+}
+
 /// Which file a loop is recorded in.
 #[must_use]
 pub const fn shard_of(id: LoopId) -> usize {
@@ -81,6 +106,8 @@ pub struct RunInfo {
     pub run_id: String,
     /// When it started, ns.
     pub started_ns: i64,
+    /// Which run of its folder, where that is counted.
+    pub run_number: Option<u64>,
     /// What made it: `run`, `demo`, `simulate`.
     pub origin: &'static str,
     /// The configuration's text.
@@ -95,7 +122,8 @@ impl RunInfo {
     /// The metadata of one file.
     #[must_use]
     pub fn metadata(&self, shard: usize, file_index: u32, previous: &str, lost: u64) -> BTreeMap<String, String> {
-        BTreeMap::from(
+        let number = self.run_number.map(|n| ("run_number".to_owned(), n.to_string()));
+        let mut metadata = BTreeMap::from(
             [
                 ("prefix", self.prefix.clone()),
                 ("version", crate::VERSION.to_owned()),
@@ -111,7 +139,9 @@ impl RunInfo {
                 ("lost_before", lost.to_string()),
             ]
             .map(|(k, v)| (k.to_owned(), v)),
-        )
+        );
+        metadata.extend(number);
+        metadata
     }
 
     /// The name of one file, without its ending.
@@ -126,7 +156,8 @@ impl RunInfo {
 
 /// The engine's end of the recorder.
 pub struct Recorder {
-    queue: Sender<Item>,
+    queue: Sender<(Item, Room)>,
+    budget: Budget,
     /// Shards that want a new file.
     pub rotations: Receiver<usize>,
     metrics: Arc<Metrics>,
@@ -139,7 +170,12 @@ impl Recorder {
     ///
     /// # Errors
     /// The system refuses a thread.
-    pub fn start(run: RunInfo, settings: Recording, metrics: Arc<Metrics>) -> std::io::Result<(Self, JoinHandle<()>)> {
+    pub fn start(
+        run: RunInfo,
+        settings: Recording,
+        metrics: Arc<Metrics>,
+        faults: Arc<Faults>,
+    ) -> std::io::Result<(Self, JoinHandle<()>)> {
         let (queue, items) = crossbeam_channel::bounded(QUEUE);
         let (wanted, rotations) = crossbeam_channel::unbounded();
         let mut writer = Writer {
@@ -150,6 +186,7 @@ impl Recorder {
             shards: Vec::new(),
             wanted,
             metrics: metrics.clone(),
+            faults,
             lost: 0,
             json: Vec::new(),
             last_arrival_ns: 0,
@@ -157,16 +194,20 @@ impl Recorder {
         let flush = Duration::from_secs_f64(settings.flush_s);
         let thread =
             std::thread::Builder::new().name("record".into()).spawn(move || writer.run_until_closed(&items, flush))?;
-        Ok((Self { queue, rotations, metrics, overrun: false }, thread))
+        let budget = Budget::new(QUEUE_BYTES);
+        Ok((Self { queue, budget, rotations, metrics, overrun: false }, thread))
     }
 
     /// Hands one item over, waiting a little for a place.
     pub fn record(&mut self, item: Item) {
-        let lost = if self.overrun {
-            self.queue.try_send(item).is_err()
-        } else {
-            self.queue.send_timeout(item, PATIENCE).is_err()
-        };
+        let until = Instant::now() + if self.overrun { Duration::ZERO } else { PATIENCE };
+        let bytes = item.bytes();
+        let mut room = self.budget.take(bytes);
+        while room.is_none() && Instant::now() < until {
+            std::thread::sleep(LOOK_AGAIN);
+            room = self.budget.take(bytes);
+        }
+        let lost = room.is_none_or(|room| self.queue.send_deadline((item, room), until).is_err());
         if lost {
             if !self.overrun {
                 tracing::error!("the recorder cannot keep up: recordings miss data until the disk answers again");
@@ -183,11 +224,24 @@ impl Recorder {
     pub fn waiting(&self) -> usize {
         self.queue.len()
     }
+
+    /// Bytes that wait, and that may.
+    #[must_use]
+    pub fn bytes(&self) -> [usize; 2] {
+        [self.budget.used(), self.budget.limit()]
+    }
+}
+
+/// The name of a shard's fault.
+fn fault_of(shard: usize) -> String {
+    format!("recording s{shard}")
 }
 
 /// One shard's open file.
 struct Shard {
     file: Option<RecordingFile>,
+    /// Messages in it.
+    messages: u64,
     index: u32,
     previous: String,
     opened: Instant,
@@ -205,18 +259,22 @@ struct Writer {
     shards: Vec<Shard>,
     wanted: Sender<usize>,
     metrics: Arc<Metrics>,
+    faults: Arc<Faults>,
     lost: u64,
     json: Vec<u8>,
     last_arrival_ns: i64,
 }
 
 impl Writer {
-    fn run_until_closed(&mut self, items: &Receiver<Item>, flush: Duration) {
+    fn run_until_closed(&mut self, items: &Receiver<(Item, Room)>, flush: Duration) {
         let mut flushed = Instant::now();
         loop {
             let wait = flush.saturating_sub(flushed.elapsed());
             match items.recv_timeout(wait) {
-                Ok(item) => self.take(item),
+                Ok((item, room)) => {
+                    self.take(item);
+                    drop(room);
+                }
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => break,
             }
@@ -233,6 +291,7 @@ impl Writer {
     fn take(&mut self, item: Item) {
         match item {
             Item::Open { shard, states } => self.open(shard, &states),
+            Item::Limits { max_bytes, max_age } => (self.max_bytes, self.max_age) = (max_bytes, max_age),
             Item::Raw { id, name, sample, arrival_ns } => {
                 let mut json = std::mem::take(&mut self.json);
                 json.clear();
@@ -269,6 +328,7 @@ impl Writer {
         });
         match file.write(topic, what.0, arrival_ns, event_ns, json) {
             Ok(()) => {
+                shard.messages += 1;
                 self.metrics.recorded.inc();
             }
             Err(error) => {
@@ -285,7 +345,8 @@ impl Writer {
 
     fn fail(&mut self, index: usize, why: &str) {
         self.metrics.recording_errors.inc();
-        tracing::error!(shard = index, why, "recording stopped; a new file is tried in {} s", RETRY.as_secs());
+        let retry_s = RETRY.as_secs();
+        self.faults.raise(&fault_of(index), format!("recording has stopped, tried again every {retry_s} s: {why}"));
         if let Some(shard) = self.shards.get_mut(index) {
             shard.file = None;
             shard.retry_at = Some(Instant::now() + RETRY);
@@ -296,6 +357,7 @@ impl Writer {
         while self.shards.len() <= index {
             self.shards.push(Shard {
                 file: None,
+                messages: 0,
                 index: 0,
                 previous: String::new(),
                 opened: Instant::now(),
@@ -312,6 +374,7 @@ impl Writer {
         match RecordingFile::create(&self.dir, &stem, &metadata) {
             Ok(file) => {
                 shard.file = Some(file);
+                shard.messages = 0;
                 shard.previous = format!("{stem}.mcap");
                 shard.index += 1;
                 shard.opened = Instant::now();
@@ -331,8 +394,9 @@ impl Writer {
         }
         // The states must outlive a crash in the first second, or the next start would find none.
         let flushed = self.shards[index].file.as_mut().map_or(Ok(()), RecordingFile::flush);
-        if let Err(error) = flushed {
-            self.fail(index, &error.to_string());
+        match flushed {
+            Ok(()) => self.faults.clear(&fault_of(index)),
+            Err(error) => self.fail(index, &error.to_string()),
         }
     }
 
@@ -349,11 +413,18 @@ impl Writer {
             let shard = &mut self.shards[index];
             let retry = shard.retry_at.is_some_and(|at| Instant::now() >= at);
             let mut failure = None;
+            let mut gone = 0;
             if let Some(file) = &mut shard.file {
-                failure = file.flush().err();
+                // A file that was removed while it is open takes bytes all the same, and they go nowhere.
+                if file.is_linked() {
+                    failure = file.flush().err().map(|error| error.to_string());
+                } else {
+                    gone = std::mem::take(&mut shard.messages);
+                    failure = Some(format!("{}: was removed with {gone} messages in it", file.part_path().display()));
+                }
                 let full = file.bytes_written() >= self.max_bytes || shard.opened.elapsed() >= self.max_age;
                 // Asked again after a while: the answer may have found no place in the queue.
-                if full && shard.asked.is_none_or(|at| at.elapsed() > RETRY) {
+                if full && failure.is_none() && shard.asked.is_none_or(|at| at.elapsed() > RETRY) {
                     shard.asked = Some(Instant::now());
                     let _ = self.wanted.send(index);
                 }
@@ -361,8 +432,13 @@ impl Writer {
                 shard.retry_at = Some(Instant::now() + RETRY);
                 let _ = self.wanted.send(index);
             }
-            if let Some(error) = failure {
-                self.fail(index, &error.to_string());
+            self.lose(gone);
+            if let Some(why) = failure {
+                self.fail(index, &why);
+            }
+            if gone > 0 {
+                // The disk is well: no need to wait.
+                self.shards[index].retry_at = Some(Instant::now());
             }
         }
     }

@@ -13,10 +13,14 @@ use zenoh::qos::{CongestionControl, Priority};
 
 use crate::codec::topic::Kind;
 use crate::daemon::metrics::Metrics;
-use crate::source::zenoh::{LastValues, encoding_of};
+use crate::daemon::queue::{Budget, Room};
+use crate::sink::signing::Signer;
+use crate::source::zenoh::{LastValue, LastValues, encoding_of};
 
 /// Documents that may wait for the bus.
 pub const QUEUE: usize = 16_384;
+/// Bytes that may wait for it.
+pub const QUEUE_BYTES: usize = 128 << 20;
 /// How long an alarm waits for a place in the queue.
 const ALARM_PATIENCE: Duration = Duration::from_secs(2);
 
@@ -34,7 +38,8 @@ pub struct Publication {
 /// The way to the publisher's thread.
 #[derive(Clone)]
 pub struct Publisher {
-    queue: Sender<Publication>,
+    queue: Sender<(Publication, Option<Room>)>,
+    budget: Budget,
     metrics: Arc<Metrics>,
 }
 
@@ -46,24 +51,26 @@ impl Publisher {
     pub fn start(
         session: zenoh::Session,
         last: LastValues,
+        signer: Option<Arc<Signer>>,
         metrics: Arc<Metrics>,
     ) -> std::io::Result<(Self, JoinHandle<()>)> {
         let (queue, waiting) = crossbeam_channel::bounded(QUEUE);
         let thread = std::thread::Builder::new().name("publish".into());
         let handle = thread.spawn({
             let metrics = metrics.clone();
-            move || publish_all(&session, &waiting, &last, &metrics)
+            move || publish_all(&session, &waiting, &last, signer.as_deref(), &metrics)
         })?;
-        Ok((Self { queue, metrics }, handle))
+        Ok((Self { queue, budget: Budget::new(QUEUE_BYTES), metrics }, handle))
     }
 
     /// Hands a document over.
     pub fn publish(&self, publication: Publication) {
-        let lost = if publication.kind == Kind::Alarm {
-            self.queue.send_timeout(publication, ALARM_PATIENCE).is_err()
-        } else {
-            self.queue.try_send(publication).is_err()
-        };
+        let bytes = size_of::<Publication>() + publication.key.len() + publication.document.len();
+        let patience = if publication.kind == Kind::Alarm { ALARM_PATIENCE } else { Duration::ZERO };
+        let room = self.budget.take(bytes);
+        // An alarm is small, and goes out whatever else waits.
+        let lost = (room.is_none() && publication.kind != Kind::Alarm)
+            || self.queue.send_timeout((publication, room), patience).is_err();
         if lost {
             self.metrics.dropped_output.inc();
         }
@@ -74,19 +81,33 @@ impl Publisher {
     pub fn waiting(&self) -> usize {
         self.queue.len()
     }
+
+    /// Bytes that wait, and that may.
+    #[must_use]
+    pub fn bytes(&self) -> [usize; 2] {
+        [self.budget.used(), self.budget.limit()]
+    }
 }
 
-fn publish_all(session: &zenoh::Session, waiting: &Receiver<Publication>, last: &LastValues, metrics: &Metrics) {
-    for publication in waiting {
+fn publish_all(
+    session: &zenoh::Session,
+    waiting: &Receiver<(Publication, Option<Room>)>,
+    last: &LastValues,
+    signer: Option<&Signer>,
+    metrics: &Metrics,
+) {
+    for (publication, _room) in waiting {
         let Publication { key, kind, document } = publication;
-        let shared: Arc<[u8]> = document.as_slice().into();
+        let attachment: Option<Arc<[u8]>> = signer.map(|signer| signer.attachment(&key, &document).into());
+        let shared = LastValue { document: document.as_slice().into(), attachment: attachment.clone() };
         last.write().unwrap_or_else(PoisonError::into_inner).insert(key.clone(), shared);
         let (priority, congestion) = match kind {
             Kind::Alarm => (Priority::InteractiveHigh, CongestionControl::Block),
             Kind::Health => (Priority::Background, CongestionControl::Drop),
             _ => (Priority::Data, CongestionControl::Block),
         };
-        let put = session.put(&key, document).encoding(encoding_of(kind.name()));
+        let attachment = attachment.map(|bytes| bytes.to_vec());
+        let put = session.put(&key, document).encoding(encoding_of(kind.name())).attachment(attachment);
         match put.priority(priority).congestion_control(congestion).wait() {
             Ok(()) => {
                 metrics.published.inc();

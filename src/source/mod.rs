@@ -1,8 +1,11 @@
 //! Where samples come from: the bus, behind a bounded queue that the engine drains.
 
+pub mod presence;
 pub mod zenoh;
 
 use crate::alarm::Command;
+use crate::config::Config;
+use crate::daemon::queue::Room;
 
 /// One message as it arrived, before anything was read from it.
 #[derive(Debug)]
@@ -17,6 +20,8 @@ pub struct Message {
     pub bus_ns: Option<i64>,
     /// When it arrived, ns since 1970.
     pub arrival_ns: i64,
+    /// Its bytes of the queue's budget.
+    pub room: Room,
 }
 
 /// How a command is answered: the new document, or what is wrong with the command.
@@ -44,4 +49,6 @@ pub enum Incoming {
         /// Where the answer goes, once there is one.
         answer: Answer,
     },
+    /// Settings that hold from now on.
+    Settings(Box<Config>),
 }

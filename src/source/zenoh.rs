@@ -21,9 +21,26 @@ use crate::codec::topic::{self, Kind, Leaf, Topic};
 use crate::config::Config;
 use crate::daemon::clock::now_ns;
 use crate::daemon::metrics::Metrics;
+use crate::daemon::queue::Budget;
+
+/// Largest message that Zenoh puts together from its pieces, bytes: what is larger never takes memory. Well above what a
+/// payload may have, so that payloads a little too large are still seen and counted.
+const MAX_MESSAGE: usize = 4 << 20;
 
 /// Last document by key. Written by the publisher alone; never touched by the engine.
-pub type LastValues = Arc<RwLock<BTreeMap<String, Arc<[u8]>>>>;
+pub type LastValues = Arc<RwLock<BTreeMap<String, LastValue>>>;
+
+/// A document and its signature, if documents are signed.
+#[derive(Debug, Clone)]
+pub struct LastValue {
+    /// Its JSON.
+    pub document: Arc<[u8]>,
+    /// What goes along with it.
+    pub attachment: Option<Arc<[u8]>>,
+}
+
+/// What attaches a signature to a document under a key.
+pub type Sign = Arc<dyn Fn(&str, &[u8]) -> Vec<u8> + Send + Sync>;
 
 /// Makes the session's configuration from ours.
 ///
@@ -52,7 +69,7 @@ pub fn session_config(config: &Config) -> anyhow::Result<zenoh::Config> {
             set("listen/endpoints", serde_json::to_string(&z.listen)?)?;
         }
         // What the file does not state is set as without one: Zenoh's own defaults scout and give up.
-        let stated = std::fs::read_to_string(&z.config_file).unwrap_or_default();
+        let stated = stated_in(&z.config_file);
         if !stated.contains("scouting") {
             set("scouting/multicast/enabled", z.multicast.to_string())?;
         }
@@ -63,10 +80,23 @@ pub fn session_config(config: &Config) -> anyhow::Result<zenoh::Config> {
             set("connect/exit_on_failure", "false".into())?;
         }
     }
+    let stated = stated_in(&z.config_file);
+    if !stated.contains("max_message_size") {
+        set("transport/link/rx/max_message_size", MAX_MESSAGE.to_string())?;
+    }
     if !z.connect.is_empty() {
         set("connect/endpoints", serde_json::to_string(&z.connect)?)?;
     }
     Ok(session)
+}
+
+/// What the user's Zenoh file says, without its comments; empty where there is none.
+fn stated_in(path: &str) -> String {
+    if path.is_empty() {
+        return String::new();
+    }
+    let text = std::fs::read_to_string(path).unwrap_or_default();
+    text.lines().filter(|line| !line.trim_start().starts_with("//")).collect::<Vec<_>>().join("\n")
 }
 
 /// Opens the session. A listening port that is taken is an error; a router that is not there yet is not.
@@ -99,14 +129,15 @@ pub async fn subscribe(
     session: &zenoh::Session,
     config: &Config,
     queue: Sender<Incoming>,
+    budget: Budget,
     metrics: Arc<Metrics>,
 ) -> anyhow::Result<Vec<zenoh::pubsub::Subscriber<()>>> {
     let mut subscribers = Vec::new();
     for key in subscriptions(config) {
-        let (queue, metrics) = (queue.clone(), metrics.clone());
+        let (queue, budget, metrics) = (queue.clone(), budget.clone(), metrics.clone());
         let subscriber = session
             .declare_subscriber(key.clone())
-            .callback(move |sample| enqueue(&sample, &queue, &metrics))
+            .callback(move |sample| enqueue(&sample, &queue, &budget, &metrics))
             .await
             .map_err(|e| anyhow!("cannot subscribe to {key:?}: {e}"))?;
         subscribers.push(subscriber);
@@ -114,7 +145,7 @@ pub async fn subscribe(
     Ok(subscribers)
 }
 
-fn enqueue(sample: &BusSample, queue: &Sender<Incoming>, metrics: &Metrics) {
+fn enqueue(sample: &BusSample, queue: &Sender<Incoming>, budget: &Budget, metrics: &Metrics) {
     if sample.kind() == SampleKind::Delete {
         metrics.deletes.inc();
         return;
@@ -124,6 +155,11 @@ fn enqueue(sample: &BusSample, queue: &Sender<Incoming>, metrics: &Metrics) {
         metrics.undecodable.inc();
         return;
     }
+    let bytes = size_of::<Incoming>() + sample.key_expr().as_str().len() + sample.payload().len();
+    let Some(room) = budget.take(bytes) else {
+        metrics.dropped_input.inc();
+        return;
+    };
     let encoding = (*sample.encoding() != Encoding::default()).then(|| sample.encoding().to_string().into());
     let message = Message {
         key: sample.key_expr().as_str().into(),
@@ -131,6 +167,7 @@ fn enqueue(sample: &BusSample, queue: &Sender<Incoming>, metrics: &Metrics) {
         encoding,
         bus_ns: sample.timestamp().map(|t| t.get_time().to_duration().as_nanos() as i64),
         arrival_ns: now_ns(),
+        room,
     };
     match queue.try_send(Incoming::Message(message)) {
         Ok(()) => {}
@@ -149,6 +186,7 @@ pub async fn answer_queries(
     prefix: &str,
     queue: Sender<Incoming>,
     last: LastValues,
+    sign: Option<Sign>,
     metrics: Arc<Metrics>,
 ) -> anyhow::Result<Vec<zenoh::query::Queryable<()>>> {
     let mut queryables = Vec::new();
@@ -156,13 +194,13 @@ pub async fn answer_queries(
     let own = format!("@daemon/{}/**", session.zid());
     for key in [topic::plane(prefix, "**"), topic::plane(prefix, &own)] {
         let (prefix, queue) = (prefix.to_owned(), queue.clone());
-        let (last, metrics) = (last.clone(), metrics.clone());
+        let (last, sign, metrics) = (last.clone(), sign.clone(), metrics.clone());
         let answer = move |query: Query| {
             metrics.queries.inc();
             let parameters = query.parameters();
             match (parameters.get("cmd").map(str::to_owned), parameters.contains_key("run")) {
-                (Some(cmd), _) => forward_command(&prefix, cmd, query, &queue),
-                (None, true) => forward_run(&prefix, query, &queue),
+                (Some(cmd), _) => forward_command(&prefix, cmd, query, &queue, sign.clone()),
+                (None, true) => forward_run(&prefix, query, &queue, sign.clone()),
                 (None, false) => answer_last(&query, &last),
             }
         };
@@ -174,7 +212,7 @@ pub async fn answer_queries(
 
 fn answer_last(query: &Query, last: &LastValues) {
     let asked = query.key_expr();
-    let found: Vec<(String, Arc<[u8]>)> = {
+    let found: Vec<(String, LastValue)> = {
         let map = last.read().unwrap_or_else(PoisonError::into_inner);
         match map.get(asked.as_str()) {
             Some(value) => vec![(asked.as_str().to_owned(), value.clone())],
@@ -187,7 +225,9 @@ fn answer_last(query: &Query, last: &LastValues) {
     };
     for (key, value) in found {
         let encoding = encoding_of(topic::leaf(&key));
-        if let Err(error) = query.reply(key.as_str(), value.to_vec()).encoding(encoding).wait() {
+        let attachment = value.attachment.map(|bytes| bytes.to_vec());
+        let reply = query.reply(key.as_str(), value.document.to_vec()).encoding(encoding).attachment(attachment);
+        if let Err(error) = reply.wait() {
             tracing::debug!(%key, %error, "a reply could not be sent");
         }
     }
@@ -213,11 +253,14 @@ fn loop_asked(prefix: &str, query: &Query, kind: Kind) -> Option<String> {
 }
 
 /// Sends a document of this kind, or why there is none, in answer to a query.
-fn answer_with(query: Query, kind: Kind) -> Answer {
+fn answer_with(query: Query, kind: Kind, sign: Option<Sign>) -> Answer {
     Box::new(move |result: Result<Vec<u8>, String>| {
         let key = query.key_expr();
         let sent = match result {
-            Ok(document) => query.reply(key, document).encoding(encoding_of(kind.name())).wait(),
+            Ok(document) => {
+                let attachment = sign.map(|sign| sign(key.as_str(), &document));
+                query.reply(key, document).encoding(encoding_of(kind.name())).attachment(attachment).wait()
+            }
             Err(why) => query.reply_err(why).encoding(Encoding::TEXT_PLAIN).wait(),
         };
         if let Err(error) = sent {
@@ -226,26 +269,31 @@ fn answer_with(query: Query, kind: Kind) -> Answer {
     })
 }
 
-fn forward_command(prefix: &str, cmd: String, query: Query, queue: &Sender<Incoming>) {
+fn forward_command(prefix: &str, cmd: String, query: Query, queue: &Sender<Incoming>, sign: Option<Sign>) {
     let Some(loop_name) = loop_asked(prefix, &query, Kind::Alarm) else {
         let example = topic::plane(prefix, "LOOP/alarm");
         return refuse(&query, &format!("commands go to one loop's alarm key, such as {example}"));
     };
     let parameter = |name: &str| query.parameters().get(name).map(str::to_owned);
-    let command = Command { cmd, by: parameter("by"), why: parameter("why") };
-    let answer = answer_with(query.clone(), Kind::Alarm);
+    let for_s = match parameter("for_s").map(|text| text.parse::<u64>()) {
+        None => None,
+        Some(Ok(for_s)) => Some(for_s),
+        Some(Err(_)) => return refuse(&query, "for_s is a whole number of seconds, such as for_s=3600"),
+    };
+    let command = Command { cmd, by: parameter("by"), why: parameter("why"), for_s };
+    let answer = answer_with(query.clone(), Kind::Alarm, sign);
     if queue.try_send(Incoming::Command { loop_name, command, answer }).is_err() {
         refuse(&query, "the daemon is too busy for commands: try again");
     }
 }
 
-fn forward_run(prefix: &str, query: Query, queue: &Sender<Incoming>) {
+fn forward_run(prefix: &str, query: Query, queue: &Sender<Incoming>, sign: Option<Sign>) {
     let Some(loop_name) = loop_asked(prefix, &query, Kind::Gap) else {
         let example = topic::plane(prefix, "LOOP/gap");
         return refuse(&query, &format!("run goes to one loop's gap key, such as {example}?run"));
     };
     let by = query.parameters().get("by").filter(|by| !by.is_empty()).map(str::to_owned);
-    let answer = answer_with(query.clone(), Kind::Gap);
+    let answer = answer_with(query.clone(), Kind::Gap, sign);
     if queue.try_send(Incoming::GapRun { loop_name, by, answer }).is_err() {
         refuse(&query, "the daemon is too busy for a diagnosis: try again");
     }

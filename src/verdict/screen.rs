@@ -16,24 +16,27 @@ use crate::signal::stats;
 /// `reason` of a window that was let go.
 pub const SCREENED: &str = "screened";
 /// Probability of sticking that the rule gives on average to loops that are let go; a test holds it.
-pub const P_CALM: f64 = 0.23;
+pub const P_CALM: f64 = 0.2;
 
+/// Gates behind which nothing is let go: a set point that moves excites the loop, and rounding hides what a stem does.
+const HIDES: [Gate; 2] = [Gate::SetpointSteps, Gate::Quantised];
 /// Spread of the set point over PV's up to which it rests.
 const RESTS: f64 = 0.02;
 /// Regularity and persistence of a signal from which both together may be an oscillation: the latter half of what makes
 /// one.
 const REGULAR: f64 = 1.0;
 const PERSISTENT: f64 = 0.1;
-/// Largest signs of a sticking valve, see [`calm::Signs`]: of 347 simulated and real loops that do not oscillate, those that
-/// the rule does not call healthy show jumps above 0.055 or a stem above 3.3; noise alone shows stems up to 6.
-const JUMPS: f64 = 0.05;
-const STEM: f64 = 2.5;
+/// Largest signs of a sticking valve, see [`calm::Signs`]. Of 560 simulated and real loops that do not oscillate, three that
+/// the rule does not call healthy show less than 0.055 and 3.3, none of them less than 0.005 and 1.6; noise alone shows
+/// stems up to 6.
+const JUMPS: f64 = 0.04;
+const STEM: f64 = 1.0;
 
 /// Whether a record without a blocking gate can be let go.
 #[must_use]
 pub fn lets_go(record: &Record, looks: &Looks, gates: &[Gate]) -> bool {
     !looks.together().is_some_and(|o| o.oscillating)
-        && !gates.contains(&Gate::SetpointSteps)
+        && !gates.iter().any(|g| HIDES.contains(g))
         && rests(record)
         && !may_oscillate(looks.op)
         && !may_oscillate(looks.pv)

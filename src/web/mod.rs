@@ -1,4 +1,6 @@
 //! HTTP: `/metrics` for Prometheus and `/healthz` for whoever restarts us. Reads snapshots, never the hot path.
+//!
+//! Connections are bounded in number and in time, so that those that are never finished cost little and end.
 
 use std::net::SocketAddr;
 use std::sync::{Arc, PoisonError};
@@ -10,7 +12,12 @@ use axum::extract::State;
 use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
+use hyper::server::conn::http1;
+use hyper_util::rt::{TokioIo, TokioTimer};
+use hyper_util::service::TowerToHyperService;
 use prometheus_client::registry::Registry;
+use tokio::net::TcpListener;
+use tokio::sync::Semaphore;
 use tokio::task::JoinHandle;
 
 use crate::config::Web;
@@ -19,6 +26,17 @@ use crate::daemon::metrics::Metrics;
 
 /// Silence of the engine after which the daemon is called unhealthy.
 const STALLED_AFTER: Duration = Duration::from_secs(30);
+
+/// Connections at a time.
+const MAX_CONNECTIONS: usize = 64;
+/// How long a client may take for the head of a request.
+const HEADER_WITHIN: Duration = Duration::from_secs(5);
+/// How long a connection may last, however busy.
+const CONNECTION_WITHIN: Duration = Duration::from_secs(60);
+/// Largest head of a request, bytes.
+const MAX_HEADER_BYTES: usize = 16 << 10;
+/// Pause after a connection could not be taken.
+const ACCEPT_PAUSE: Duration = Duration::from_millis(200);
 
 /// A running server.
 pub struct Served {
@@ -50,18 +68,36 @@ pub async fn serve(settings: &Web, metrics: Arc<Metrics>, snapshot: HealthSnapsh
     if !settings.enabled {
         return Ok(Served { address: None, task: None });
     }
-    let listener = tokio::net::TcpListener::bind(&settings.listen)
+    let listener = TcpListener::bind(&settings.listen)
         .await
         .with_context(|| format!("[web] listen = {:?} cannot be used; port 0 takes any free one", settings.listen))?;
     let address = listener.local_addr()?;
     let shared = Shared { registry: Arc::new(metrics.registry()), snapshot };
     let router = Router::new().route("/metrics", get(metrics_text)).route("/healthz", get(healthz)).with_state(shared);
-    let task = tokio::spawn(async move {
-        if let Err(error) = axum::serve(listener, router).await {
-            tracing::error!(%error, "the web server ended");
-        }
-    });
+    let task = tokio::spawn(accept(listener, router));
     Ok(Served { address: Some(address), task: Some(task) })
+}
+
+/// Takes connections for ever. One too many is closed at once.
+async fn accept(listener: TcpListener, router: Router) {
+    let places = Arc::new(Semaphore::new(MAX_CONNECTIONS));
+    loop {
+        let Ok((stream, _)) = listener.accept().await else {
+            // No file descriptor is free, most likely: they come back.
+            tokio::time::sleep(ACCEPT_PAUSE).await;
+            continue;
+        };
+        let Ok(place) = places.clone().try_acquire_owned() else { continue };
+        let service = TowerToHyperService::new(router.clone());
+        tokio::spawn(async move {
+            let mut http = http1::Builder::new();
+            http.timer(TokioTimer::new()).header_read_timeout(HEADER_WITHIN).max_buf_size(MAX_HEADER_BYTES);
+            // What a client did wrong is its own affair.
+            let served = http.serve_connection(TokioIo::new(stream), service);
+            let _ = tokio::time::timeout(CONNECTION_WITHIN, served).await;
+            drop(place);
+        });
+    }
 }
 
 async fn metrics_text(State(shared): State<Shared>) -> Response {

@@ -2,15 +2,17 @@
 #![allow(dead_code)] // each test takes what it needs
 
 use std::fs;
-use std::io::{BufRead, BufReader};
-use std::net::TcpListener;
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::{TcpListener, TcpStream};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
 use stictiond::codec::topic::{Kind, Leaf, Topic};
 use stictiond::files::RecordingReader;
+use zenoh::Wait;
 
 pub const PREFIX: &str = "plant1/area1";
 
@@ -33,6 +35,9 @@ pub struct Daemon {
     child: Child,
     pub endpoint: String,
     pub recordings: PathBuf,
+    /// Where it serves /metrics and /healthz.
+    pub web: String,
+    log: Arc<Mutex<String>>,
 }
 
 impl Drop for Daemon {
@@ -44,31 +49,83 @@ impl Drop for Daemon {
 
 impl Daemon {
     pub fn start(dir: &Path, extra: &str) -> Self {
+        Self::start_by(&[], dir, extra)
+    }
+
+    /// Starts it by way of another program, such as a shell that sets limits.
+    pub fn start_by(by: &[&str], dir: &Path, extra: &str) -> Self {
         let endpoint = format!("tcp/127.0.0.1:{}", free_port());
-        let recordings = dir.join("rec");
-        let config = format!(
-            "[site]\nprefix = \"{PREFIX}\"\n[zenoh]\nlisten = [\"{endpoint}\"]\n[web]\nlisten = \"127.0.0.1:0\"\n{extra}"
-        );
-        let config = if extra.contains("[recording]") {
-            config.replace("[recording]", &format!("[recording]\ndir = {:?}", recordings.to_str().unwrap()))
-        } else {
-            format!("{config}\n[recording]\ndir = {:?}\n", recordings.to_str().unwrap())
-        };
-        let path = dir.join("config.toml");
-        fs::write(&path, config).unwrap();
-        let mut child = Command::new(env!("CARGO_BIN_EXE_stictiond"))
-            .args(["run", "--config", path.to_str().unwrap()])
-            .stderr(Stdio::piped())
-            .spawn()
-            .unwrap();
-        let mut log = BufReader::new(child.stderr.take().unwrap());
+        let path = configure(dir, &endpoint, extra);
+        let arguments = ["run", "--config", path.to_str().unwrap()];
+        let program = [by, &[env!("CARGO_BIN_EXE_stictiond")], &arguments].concat();
+        let mut child = Command::new(program[0]).args(&program[1..]).stderr(Stdio::piped()).spawn().unwrap();
+        let mut reader = BufReader::new(child.stderr.take().unwrap());
         let mut line = String::new();
+        let log = Arc::new(Mutex::new(String::new()));
         while !line.contains("watching") {
             line.clear();
-            assert!(log.read_line(&mut line).unwrap() > 0, "the daemon ended before it watched");
+            assert!(reader.read_line(&mut line).unwrap() > 0, "it ended early:\n{}", log.lock().unwrap());
+            log.lock().unwrap().push_str(&line);
         }
-        std::thread::spawn(move || std::io::copy(&mut log, &mut std::io::sink()));
-        Self { child, endpoint, recordings }
+        let web = line.split("web=\"").nth(1).and_then(|rest| rest.split('"').next()).unwrap_or_default().to_owned();
+        let keep = log.clone();
+        std::thread::spawn(move || {
+            let mut line = Vec::new();
+            while reader.read_until(b'\n', &mut line).is_ok_and(|n| n > 0) {
+                keep.lock().unwrap().push_str(&String::from_utf8_lossy(&line));
+                line.clear();
+            }
+        });
+        Self { child, endpoint, recordings: dir.join("rec"), web, log }
+    }
+
+    pub fn pid(&self) -> u32 {
+        self.child.id()
+    }
+
+    pub fn signal(&self, name: &str) {
+        let pid = self.pid().to_string();
+        assert!(Command::new("kill").args([&format!("-{name}"), &pid]).status().unwrap().success());
+    }
+
+    /// Whether it still runs.
+    pub fn alive(&mut self) -> bool {
+        self.child.try_wait().unwrap().is_none()
+    }
+
+    /// What it has logged so far.
+    pub fn logged(&self) -> String {
+        self.log.lock().unwrap().clone()
+    }
+
+    /// Waits for a line of the log.
+    #[track_caller]
+    pub fn wait_for_log(&self, part: &str) {
+        wait_for(part, || self.logged().contains(part).then_some(()));
+    }
+
+    /// The daemon's health, as the web server says it.
+    pub fn health(&self) -> Value {
+        serde_json::from_str(&http(&self.web, "/healthz")).unwrap()
+    }
+
+    pub fn counter(&self, name: &str) -> u64 {
+        let text = http(&self.web, "/metrics");
+        let row = format!("stictiond_{name}_total ");
+        text.lines().find_map(|l| l.strip_prefix(&row)).unwrap_or_else(|| panic!("no {name}")).parse().unwrap()
+    }
+
+    /// Faults of the health document.
+    pub fn faults(&self) -> Vec<String> {
+        let health = self.health();
+        health["faults"].as_array().unwrap().iter().map(|f| f.as_str().unwrap().to_owned()).collect()
+    }
+
+    pub fn session(&self) -> zenoh::Session {
+        let mut config = zenoh::Config::default();
+        config.insert_json5("connect/endpoints", &format!("[{:?}]", self.endpoint)).unwrap();
+        config.insert_json5("scouting/multicast/enabled", "false").unwrap();
+        zenoh::open(config).wait().unwrap()
     }
 
     pub fn play(&self, input: &str) {
@@ -104,6 +161,63 @@ impl Daemon {
         self.child.wait().unwrap();
         self.recordings.clone()
     }
+}
+
+/// Writes the configuration of a daemon that records into `rec` beside it.
+pub fn configure(dir: &Path, endpoint: &str, extra: &str) -> PathBuf {
+    let recordings = dir.join("rec");
+    let config = format!(
+        "[site]\nprefix = \"{PREFIX}\"\n[zenoh]\nlisten = [\"{endpoint}\"]\n[web]\nlisten = \"127.0.0.1:0\"\n{extra}"
+    );
+    let config = if extra.contains("[recording]") {
+        config.replace("[recording]", &format!("[recording]\ndir = {:?}", recordings.to_str().unwrap()))
+    } else {
+        format!("{config}\n[recording]\ndir = {:?}\n", recordings.to_str().unwrap())
+    };
+    let path = dir.join("config.toml");
+    fs::write(&path, config).unwrap();
+    path
+}
+
+pub fn plane(rest: &str) -> String {
+    format!("{PREFIX}/@stiction/v1/{rest}")
+}
+
+/// The first answer to a query, or the first error.
+pub fn ask(bus: &zenoh::Session, selector: &str) -> Result<Value, String> {
+    let replies = bus.get(selector).timeout(Duration::from_secs(300)).wait().unwrap();
+    match replies.recv().map_err(|_| "no answer".to_owned())?.into_result() {
+        Ok(sample) => Ok(serde_json::from_slice(&sample.payload().to_bytes()).unwrap()),
+        Err(error) => Err(String::from_utf8(error.payload().to_bytes().to_vec()).unwrap()),
+    }
+}
+
+/// The state of the alarm of FIC101, as queries say it.
+pub fn alarm_state(bus: &zenoh::Session) -> String {
+    ask(bus, &plane("FIC101/alarm")).map_or_else(|e| e, |d| d["state"].as_str().unwrap().to_owned())
+}
+
+/// Waits until something is there.
+#[track_caller]
+pub fn wait_for<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
+    let until = Instant::now() + Duration::from_secs(120);
+    loop {
+        if let Some(found) = look() {
+            return found;
+        }
+        assert!(Instant::now() < until, "waited in vain: {what}");
+        std::thread::sleep(Duration::from_millis(50));
+    }
+}
+
+/// The body of an answer.
+pub fn http(address: &str, path: &str) -> String {
+    let mut stream = TcpStream::connect(address).unwrap();
+    stream.set_read_timeout(Some(Duration::from_secs(30))).unwrap();
+    write!(stream, "GET {path} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n").unwrap();
+    let mut text = String::new();
+    stream.read_to_string(&mut text).unwrap();
+    text.split_once("\r\n\r\n").unwrap_or_else(|| panic!("no answer: {text}")).1.to_owned()
 }
 
 pub fn files(dir: &Path) -> Vec<PathBuf> {

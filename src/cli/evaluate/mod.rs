@@ -46,6 +46,15 @@ pub(super) fn record_of(base: &Path, case: &Case) -> anyhow::Result<(Record, Ass
     Ok((record, params))
 }
 
+/// Every case of an index that can be read.
+///
+/// # Errors
+/// The index cannot be read.
+pub(super) fn records(index: &Path) -> anyhow::Result<Vec<(Record, AssessParams)>> {
+    let base = index.parent().unwrap_or(Path::new(""));
+    Ok(index::read(index)?.iter().filter_map(|case| record_of(base, case).ok()).collect())
+}
+
 /// Runs the command. A case that cannot be read is an error line, not the end.
 ///
 /// # Errors

@@ -1,0 +1,104 @@
+//! `cargo bench`: what the solver is made of, on simulated loops whose truth is known.
+//!
+//! Wall-clock times, for changes on one quiet machine. `stictiond bench` measures CPU time and prints the table that stands
+//! in the README.
+#![allow(missing_docs, clippy::unwrap_used)]
+
+use divan::{Bencher, black_box};
+use stictiond::detect::{self, View};
+use stictiond::gap::{Ask, Serial, diagnose};
+use stictiond::ident::class::Class;
+use stictiond::ident::{Options, controller, evaluator, quantify};
+use stictiond::record::Record;
+use stictiond::signal::stats;
+use stictiond::sim::slips::{FirstSlip, Law, Stroke};
+use stictiond::sim::steps::{Path, Steps};
+use stictiond::sim::truth::{Half, Regime, TruthLoop, accuracy, verdict_case};
+use stictiond::verdict::{AssessParams, assess, lets_go};
+
+fn main() {
+    divan::main();
+}
+
+fn sticking() -> TruthLoop {
+    accuracy(Half::Report, Regime::HeStart, 1)
+}
+
+fn calm() -> Record {
+    let cases = (0..400).step_by(2).map(|seed| verdict_case(Half::Report, seed).record());
+    cases.into_iter().find(|r| r.len() >= 1_000 && lets_go(r, &AssessParams::default())).unwrap()
+}
+
+/// A valve law's path, bands and first slip, in spans of OP.
+fn law_of(found: &TruthLoop) -> (Path, [f64; 2], FirstSlip) {
+    let (span, middle) = (stats::span(&found.op), stats::mean(&found.op));
+    let path = Path::new(found.op.iter().map(|u| (u - middle) / span).collect(), 1);
+    let bands = [found.s.unwrap() / span, found.j.unwrap() / span];
+    let first = FirstSlip { direction: 1.0, threshold: path.values()[0] + 0.5 * bands[0] };
+    (path, bands, first)
+}
+
+#[divan::bench(args = [Law::He, Law::Tracking])]
+fn valve_law(bencher: Bencher, law: Law) {
+    let (path, bands, first) = law_of(&sticking());
+    let mut steps = Steps::default();
+    bencher.bench_local(|| steps.run(black_box(&path), path.points(), Stroke::FREE, law, bands, first));
+}
+
+#[divan::bench(args = [Class::First, Class::Second, Class::Integrating, Class::LagIntegrating])]
+fn evaluator_one_model(bencher: Bencher, class: Class) {
+    let found = sticking();
+    let (path, bands, first) = law_of(&found);
+    let mut steps = Steps::default();
+    steps.run(&path, path.points(), Stroke::FREE, Law::He, bands, first);
+    let view = evaluator::View::new(&found.pv, 0.0, 60);
+    let tables = [view.table(12.0), view.table(4.0)];
+    let both = if class == Class::Second { [&tables[0], &tables[1]] } else { [&tables[0], &tables[0]] };
+    bencher.bench_local(|| evaluator::reduce(class, &view, both, black_box(&steps.list), 4));
+}
+
+#[divan::bench]
+fn evaluator_tables(bencher: Bencher) {
+    let view = evaluator::View::new(&sticking().pv, 0.0, 60);
+    bencher.bench_local(|| view.table(black_box(12.0)));
+}
+
+#[divan::bench]
+fn indicators(bencher: Bencher) {
+    let record = sticking().record();
+    bencher.bench_local(|| {
+        let view = View::new(black_box(&record));
+        detect::ALL.map(|detector| detector.score(&view))
+    });
+}
+
+#[divan::bench]
+fn controller_reading(bencher: Bencher) {
+    let record = sticking().record();
+    bencher.bench_local(|| controller::read(black_box(&record)));
+}
+
+#[divan::bench]
+fn search(bencher: Bencher) {
+    let record = sticking().record();
+    bencher.bench_local(|| quantify(black_box(&record), &Options::default()));
+}
+
+#[divan::bench(args = [Regime::HeStart, Regime::TrackingSetPoint, Regime::HighNoise])]
+fn estimate(bencher: Bencher, regime: Regime) {
+    let record = accuracy(Half::Report, regime, 1).record();
+    let params = AssessParams { always_fit: true, ..AssessParams::default() };
+    bencher.bench_local(|| assess(black_box(&record), &params));
+}
+
+#[divan::bench]
+fn calm_loop_screened(bencher: Bencher) {
+    let record = calm();
+    bencher.bench_local(|| assess(black_box(&record), &AssessParams::default()));
+}
+
+#[divan::bench(sample_count = 3, sample_size = 1)]
+fn gap_diagnosis(bencher: Bencher) {
+    let record = sticking().record();
+    bencher.bench_local(|| diagnose(black_box(&record), &Ask::default(), &Serial).unwrap());
+}

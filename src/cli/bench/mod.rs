@@ -1,0 +1,200 @@
+//! `stictiond bench`: what this machine does a second, and in how much memory.
+
+mod cpu;
+mod solving;
+
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use anyhow::anyhow;
+use serde_json::{Value as Json, json};
+use zenoh::Wait;
+use zenoh::bytes::Encoding;
+use zenoh::qos::CongestionControl;
+
+use super::{Format, Outcome, block_on, demo, play, say};
+use crate::codec;
+use crate::codec::topic;
+use crate::config::Config;
+use crate::daemon::{self, RunOptions};
+use crate::engine::{Engine, Event};
+use crate::record::{Sample, Signal, Value};
+use crate::sim::scenario::Scenario;
+use crate::units::NS_PER_S;
+
+/// The loops that kernels are timed on.
+const SCENARIO: &str = include_str!("../../../recordings/scenarios/four-loops.toml");
+/// Prefix of the ingest test's keys.
+const PREFIX: &str = "bench";
+
+/// Measure this machine: the solver, the engine's intake, and ingest over loopback with recording.
+///
+/// Times of the solver are CPU time of one thread. Figures of one run: compare ratios within one table.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example: cargo run --release -- bench --for 30")]
+pub struct Args {
+    /// Seconds of ingest over loopback.
+    #[arg(long = "for", value_name = "SECONDS", default_value_t = 10.0)]
+    pub for_s: f64,
+    /// Messages a second over loopback.
+    #[arg(long, default_value_t = 20_000.0)]
+    pub rate: f64,
+    /// Loops over loopback.
+    #[arg(long, default_value_t = 1000)]
+    pub loops: usize,
+    /// Only the solver: kernels, indicators, screening, estimates.
+    #[arg(long)]
+    pub solver_only: bool,
+    /// Index of labelled recordings to time estimates on, where it is.
+    #[arg(long, value_name = "INDEX.csv", default_value = "../shared/data/INDEX.csv")]
+    pub recordings: PathBuf,
+}
+
+struct Row {
+    name: String,
+    value: f64,
+    unit: &'static str,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// No port is free, or the temporary folder cannot be written.
+pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
+    print(solving::rows(&args.recordings), format)?;
+    if !args.solver_only {
+        print(intake()?, format)?;
+        print(ingest(args)?, format)?;
+    }
+    Ok(Outcome::Done)
+}
+
+fn print(rows: Vec<Row>, format: Format) -> anyhow::Result<()> {
+    for Row { name, value, unit } in rows {
+        match format {
+            Format::Json => say(json!({"schema": "stictiond.bench.v1", "name": name, "value": value, "unit": unit}))?,
+            Format::Text => say(format!("{name:<68} {value:>12.2} {unit}"))?,
+        }
+    }
+    Ok(())
+}
+
+fn scenario() -> anyhow::Result<Scenario> {
+    Scenario::parse(SCENARIO).map_err(|e| anyhow!("the built-in scenario: {e}"))
+}
+
+/// Samples a second through decoding and the engine, fits left out.
+fn intake() -> anyhow::Result<Vec<Row>> {
+    let scenario = scenario()?;
+    let samples: Vec<(usize, Sample)> = scenario.stream().map(|s| (s.loop_index, s.sample)).collect();
+    let payloads: Vec<Vec<u8>> = samples
+        .iter()
+        .map(|(_, s)| {
+            let mut json = Vec::new();
+            codec::encode_recorded(s, &mut json);
+            json
+        })
+        .collect();
+    let mut out = Vec::new();
+    let decoding = Instant::now();
+    for ((_, sample), payload) in samples.iter().zip(&payloads) {
+        out.clear();
+        codec::decode(sample.signal, payload, None, None, 0, &mut out)?;
+    }
+    let decoded = samples.len() as f64 / decoding.elapsed().as_secs_f64();
+    let mut engine = Engine::new(Config::with_prefix(PREFIX));
+    let ids: Vec<_> = scenario.loop_names().filter_map(|name| engine.appear(name)).collect();
+    let mut events = Vec::new();
+    let pushing = Instant::now();
+    for (index, sample) in &samples {
+        engine.push(ids[*index], *sample, &mut events);
+        for event in std::mem::take(&mut events) {
+            if let Event::Request(r) = event {
+                engine.skip(r.id, r.seq, &mut events);
+            }
+        }
+        events.clear();
+    }
+    let pushed = samples.len() as f64 / pushing.elapsed().as_secs_f64();
+    Ok(vec![
+        Row { name: "decode JSON objects".into(), value: decoded / 1e3, unit: "thousand/s" },
+        Row { name: "engine intake (join, history, windows)".into(), value: pushed / 1e3, unit: "thousand/s" },
+    ])
+}
+
+/// A daemon in this process, recording, fed over loopback at a fixed rate.
+fn ingest(args: &Args) -> anyhow::Result<Vec<Row>> {
+    let dir = std::env::temp_dir().join(format!("stictiond-bench-{}", std::process::id()));
+    let port = demo::free_port(17_447)?;
+    let text = format!(
+        "[site]\nprefix = \"{PREFIX}\"\n[zenoh]\nlisten = [\"tcp/127.0.0.1:{port}\"]\n[recording]\ndir = {:?}\n[web]\nenabled = false\n",
+        dir.display().to_string()
+    );
+    let config = Config::parse(&text).map_err(|f| anyhow!("{}", super::list(&f)))?;
+    let health = block_on(async {
+        let (stop, stopped) = tokio::sync::oneshot::channel::<()>();
+        let options = RunOptions { origin: "bench", workers: None, config_path: None };
+        let daemon = tokio::spawn(daemon::run(config, text, options, async { drop(stopped.await) }));
+        let session = play::connect(&format!("tcp/127.0.0.1:{port}")).await?;
+        let sent = feed(&session, args).await?;
+        // The daemon's health is made every 5 s: wait for one that is younger than the last message.
+        tokio::time::sleep(Duration::from_secs(6)).await;
+        let health = last_health(&session)?;
+        drop(stop);
+        daemon.await??;
+        Ok((sent, health))
+    });
+    let _ = std::fs::remove_dir_all(&dir);
+    let (sent, health) = health?;
+    let counter = |name: &str| health["counters"][name].as_f64().unwrap_or(f64::NAN);
+    Ok(vec![
+        Row { name: "ingest over loopback: sent".into(), value: sent, unit: "messages" },
+        Row { name: "  rate".into(), value: args.rate / 1e3, unit: "thousand/s" },
+        Row { name: "  received".into(), value: counter("messages"), unit: "messages" },
+        Row { name: "  dropped before the engine".into(), value: counter("dropped_input"), unit: "messages" },
+        Row { name: "  recorded".into(), value: counter("recorded"), unit: "messages" },
+        Row { name: "  not recorded".into(), value: counter("recording_lost"), unit: "messages" },
+        Row { name: "resident memory after it".into(), value: resident_mib(), unit: "MiB" },
+    ])
+}
+
+async fn feed(session: &zenoh::Session, args: &Args) -> anyhow::Result<f64> {
+    let keys: Vec<[String; 2]> = (0..args.loops.max(1))
+        .map(|i| [Signal::Op, Signal::Pv].map(|s| topic::raw(PREFIX, &format!("L{i:05}"), s)))
+        .collect();
+    let started = Instant::now();
+    let total = (args.rate * args.for_s) as u64;
+    let mut json = Vec::new();
+    for sent in 0..total {
+        let (scan, place) = (sent / (2 * keys.len() as u64), sent % (2 * keys.len() as u64));
+        let (loop_index, signal) = ((place / 2) as usize, (place % 2) as usize);
+        let t_ns = 1_700_000_000 * NS_PER_S + scan as i64 * NS_PER_S;
+        let value = Value::number(50.0 + libm::sin(scan as f64 * 0.1 + loop_index as f64));
+        json.clear();
+        codec::encode_recorded(&Sample { signal: Signal::Op, t_ns, value, quality: None }, &mut json);
+        let key = &keys[loop_index][signal];
+        let put = session.put(key, json.clone()).encoding(Encoding::APPLICATION_JSON);
+        put.congestion_control(CongestionControl::Block).await.map_err(|e| anyhow!("{key}: {e}"))?;
+        if sent % 100 == 0 {
+            let due = Duration::from_secs_f64(sent as f64 / args.rate);
+            tokio::time::sleep(due.saturating_sub(started.elapsed())).await;
+        }
+    }
+    Ok(total as f64)
+}
+
+fn last_health(session: &zenoh::Session) -> anyhow::Result<Json> {
+    let key = topic::plane(PREFIX, "@daemon/*/health");
+    let replies = session.get(&key).wait().map_err(|e| anyhow!("{key}: {e}"))?;
+    let reply = replies.recv().map_err(|_| anyhow!("{key}: nobody answers"))?;
+    let sample = reply.into_result().map_err(|e| anyhow!("{key}: {e}"))?;
+    Ok(serde_json::from_slice(&sample.payload().to_bytes())?)
+}
+
+/// Resident memory of this process, publisher included.
+fn resident_mib() -> f64 {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let line = status.lines().find_map(|l| l.strip_prefix("VmRSS:"));
+    let kib = line.and_then(|l| l.trim().trim_end_matches(" kB").trim().parse::<f64>().ok());
+    kib.map_or(f64::NAN, |k| k / 1024.0)
+}

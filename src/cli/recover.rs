@@ -1,0 +1,94 @@
+//! `stictiond recover`: whole recordings from cut-off and damaged ones.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+use serde_json::json;
+
+use super::{Format, Outcome, say};
+use crate::files::rescue;
+
+/// Rescue what can be read of a cut-off or damaged recording, or of a folder of them.
+///
+/// Exit 0: it was whole, and was copied. Exit 3: what can be read was written. Exit 1: no recording; nothing is written.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:
+  stictiond recover plant.mcap.part --out plant.mcap
+  stictiond recover recordings --out rescued")]
+pub struct Args {
+    /// A recording, or a folder of recordings.
+    pub input: PathBuf,
+    /// The file to write, or the folder. Default: NAME.recovered.mcap beside the input.
+    #[arg(long)]
+    pub out: Option<PathBuf>,
+    /// Replace existing files.
+    #[arg(long)]
+    pub force: bool,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// No recording, an output that exists, a disk that refuses.
+pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
+    if !args.input.is_dir() {
+        let out = args.out.clone().unwrap_or_else(|| beside(&args.input));
+        return one(&args.input, &out, args.force, format);
+    }
+    let Some(folder) = &args.out else {
+        bail!("--out names the folder for what is rescued of {}", args.input.display())
+    };
+    std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
+    let entries = std::fs::read_dir(&args.input).with_context(|| args.input.display().to_string())?;
+    let mut files: Vec<PathBuf> = entries.flatten().map(|e| e.path()).filter(|p| p.is_file() && is_one(p)).collect();
+    files.sort();
+    if files.is_empty() {
+        bail!("{}: holds no recordings", args.input.display());
+    }
+    let mut worst = Outcome::Done;
+    for path in files {
+        match one(&path, &folder.join(name_of(&path)), args.force, format) {
+            Ok(Outcome::DataLoss) => worst = Outcome::DataLoss,
+            Ok(_) => {}
+            Err(error) => {
+                super::warn(format_args!("{}", super::told_once(&error)));
+                worst = Outcome::DataLoss;
+            }
+        }
+    }
+    Ok(worst)
+}
+
+fn one(path: &Path, out: &Path, force: bool, format: Format) -> anyhow::Result<Outcome> {
+    if out.exists() && !force {
+        bail!("{}: exists already; --force replaces it", out.display());
+    }
+    let rescued = rescue::recover(path, out)?;
+    let (messages, end) = (rescued.messages, rescued.end);
+    match format {
+        Format::Json => say(json!({"schema": "stictiond.recover.v1", "file": path, "out": out, "messages": messages,
+            "state": end.word(), "reason": end.reason()}))?,
+        Format::Text => {
+            let reason = end.reason().map(|r| format!(" ({r})")).unwrap_or_default();
+            say(format!("{}: was {}{reason}; {messages} messages in {}", path.display(), end.word(), out.display()))?;
+        }
+    }
+    Ok(if end.is_clean() { Outcome::Done } else { Outcome::DataLoss })
+}
+
+/// Whether a name is that of a recording, finished, open, or put aside.
+fn is_one(path: &Path) -> bool {
+    path.file_name().is_some_and(|name| name.to_string_lossy().contains(".mcap"))
+}
+
+/// The name of the whole file.
+fn name_of(path: &Path) -> String {
+    let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+    let stem = name.split(".mcap").next().unwrap_or(&name);
+    format!("{stem}.mcap")
+}
+
+fn beside(path: &Path) -> PathBuf {
+    let name = name_of(path);
+    path.with_file_name(format!("{}.recovered.mcap", name.trim_end_matches(".mcap")))
+}

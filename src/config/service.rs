@@ -1,0 +1,90 @@
+//! Settings of the daemon as a service: how long recordings are kept, and what people may ask for.
+
+use serde::Serialize;
+
+use super::reader::TableReader;
+
+/// `[retention]`: 0 is no limit.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Retention {
+    /// Days for which raw samples are kept.
+    pub raw_days: f64,
+    /// Bytes of recordings with raw samples.
+    pub raw_bytes: u64,
+    /// Days for which results are kept.
+    pub results_days: f64,
+    /// Bytes of recordings of results alone.
+    pub results_bytes: u64,
+}
+
+/// `[commands]`.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Commands {
+    /// Whether any is taken.
+    pub enabled: bool,
+    /// Commands on alarms a minute, of all loops together.
+    pub per_minute: u32,
+    /// Gap diagnoses an hour that people may ask for.
+    pub runs_per_hour: u32,
+}
+
+/// `[signing]`.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
+pub struct Signing {
+    /// File of the private key; empty: documents are not signed.
+    pub key_file: String,
+}
+
+impl Default for Retention {
+    fn default() -> Self {
+        Self { raw_days: 60.0, raw_bytes: 100 << 30, results_days: 3660.0, results_bytes: 20 << 30 }
+    }
+}
+
+impl Default for Commands {
+    fn default() -> Self {
+        Self { enabled: true, per_minute: 300, runs_per_hour: 60 }
+    }
+}
+
+impl Retention {
+    pub(super) fn is_default(&self) -> bool {
+        *self == Self::default()
+    }
+}
+
+impl Commands {
+    pub(super) fn is_default(&self) -> bool {
+        *self == Self::default()
+    }
+}
+
+impl Signing {
+    pub(super) fn is_default(&self) -> bool {
+        self.key_file.is_empty()
+    }
+}
+
+pub(super) fn read_signing(r: &mut TableReader<'_, '_>) -> Signing {
+    Signing { key_file: r.text("key_file").map(|(t, _)| t).unwrap_or_default() }
+}
+
+pub(super) fn read_retention(r: &mut TableReader<'_, '_>) -> Retention {
+    let d = Retention::default();
+    let (century_days, most) = (36_525.0, 1 << 50);
+    Retention {
+        raw_days: r.number("raw_days", d.raw_days, 0.0, century_days),
+        raw_bytes: r.integer("raw_bytes", d.raw_bytes, 0, most),
+        results_days: r.number("results_days", d.results_days, 0.0, century_days),
+        results_bytes: r.integer("results_bytes", d.results_bytes, 0, most),
+    }
+}
+
+pub(super) fn read_commands(r: &mut TableReader<'_, '_>) -> Commands {
+    let d = Commands::default();
+    Commands {
+        enabled: r.boolean("enabled", d.enabled),
+        per_minute: r.integer("per_minute", d.per_minute.into(), 1, 100_000) as u32,
+        runs_per_hour: r.integer("runs_per_hour", d.runs_per_hour.into(), 0, 100_000) as u32,
+    }
+}

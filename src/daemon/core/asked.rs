@@ -1,0 +1,143 @@
+//! What people ask of the engine: commands on alarms, and gap diagnoses with their answers.
+
+use super::super::gaps::{self, Diagnosed, Outcome};
+use super::{Core, to_json};
+use crate::alarm::{AlarmDocument, Command, CommandError};
+use crate::codec::topic::Kind;
+use crate::engine::{Checkpoint, GapRefusal, GapRequest, LoopId, RecordedInput, SkipReason, StateDocument};
+use crate::source::Answer;
+
+impl Core {
+    /// Carries a command out. The answer says that its effect is on the disk: a crash after it changes nothing.
+    pub(super) fn take_command(&mut self, loop_name: &str, command: &Command, answer: Answer) {
+        let allowed = self.desk.command(self.started.elapsed(), command);
+        let done = allowed.and_then(|()| self.command(loop_name, command).map_err(|e| e.to_string()));
+        let (id, document) = match done {
+            Ok(done) => done,
+            Err(why) => {
+                self.metrics.commands_refused.inc();
+                self.desk.log_refusal(self.started.elapsed(), &command.cmd, loop_name, command.by.as_deref(), &why);
+                return answer(Err(why));
+            }
+        };
+        self.metrics.commands.inc();
+        let at_ns = document.changed_ns;
+        let state = StateDocument::new(self.engine.name(id), Some(at_ns), self.memory(id));
+        self.record(id, Kind::State, &state, at_ns);
+        let Some(keeper) = &self.keeper else { return answer(Ok(to_json(&document))) };
+        let kept = move |kept: Result<(), String>| {
+            answer(match kept {
+                Ok(()) => Ok(to_json(&document)),
+                Err(why) => {
+                    Err(format!("carried out, but not stored: {why}. It is forgotten if the daemon ends before"))
+                }
+            });
+        };
+        keeper.keep_then(self.engine.name(id), to_json(&state), Box::new(kept));
+    }
+
+    fn command(&mut self, loop_name: &str, command: &Command) -> Result<(LoopId, AlarmDocument), CommandError> {
+        let id = self.engine.find(loop_name).ok_or_else(|| CommandError::UnknownLoop(loop_name.to_owned()))?;
+        let document = self.engine.command(id, command)?;
+        self.record(id, Kind::Input, &RecordedInput::Command(command.clone()), document.changed_ns);
+        self.alarm_changed(id, &document);
+        Ok((id, document))
+    }
+
+    /// What a loop remembers over a restart.
+    pub(super) fn memory(&self, id: LoopId) -> Checkpoint {
+        Checkpoint { stream: None, ..self.engine.checkpoint(id) }
+    }
+
+    /// A person asks for a diagnosis. Who asks while one is under way is answered with that one.
+    pub(super) fn run_gap(&mut self, loop_name: &str, by: Option<String>, answer: Answer) {
+        if let Err(why) = self.desk.name(by.as_deref()) {
+            return self.refuse_gap(answer, loop_name, by.as_deref(), &why);
+        }
+        let Some(id) = self.engine.find(loop_name) else {
+            return self.refuse_gap(
+                answer,
+                loop_name,
+                by.as_deref(),
+                &GapRefusal::UnknownLoop(loop_name.to_owned()).to_string(),
+            );
+        };
+        if let Some(number) = self.engine.gaps_waiting(id).last() {
+            let asking = self.asking.entry((id, number)).or_default();
+            if asking.len() < gaps::QUEUE {
+                return asking.push(answer);
+            }
+            return self.refuse_gap(
+                answer,
+                loop_name,
+                by.as_deref(),
+                &format!("{} wait for this diagnosis already", gaps::QUEUE),
+            );
+        }
+        if let Err(why) = self.desk.run(self.started.elapsed()) {
+            return self.refuse_gap(answer, loop_name, by.as_deref(), &why);
+        }
+        if self.diagnoser.requests.is_full() {
+            return self.refuse_gap(
+                answer,
+                loop_name,
+                by.as_deref(),
+                &format!("{} diagnoses wait already: try again later", gaps::QUEUE),
+            );
+        }
+        match self.engine.run_gap(id, by.as_deref(), &mut self.events) {
+            Ok(number) => {
+                let at_ns = self.engine.figures(id).greatest_ns.unwrap_or(0);
+                self.record(id, Kind::Input, &RecordedInput::GapRun { number, by }, at_ns);
+                self.asking.entry((id, number)).or_default().push(answer);
+                self.handle_events();
+            }
+            Err(refusal) => self.refuse_gap(answer, loop_name, None, &refusal.to_string()),
+        }
+    }
+
+    fn refuse_gap(&mut self, answer: Answer, loop_name: &str, by: Option<&str>, why: &str) {
+        self.metrics.gaps_skipped.inc();
+        self.desk.log_refusal(self.started.elapsed(), "run", loop_name, by, why);
+        answer(Err(why.to_owned()));
+    }
+
+    pub(super) fn request_gap(&mut self, request: GapRequest) {
+        let (id, number) = (request.id, request.number);
+        if self.diagnoser.requests.try_send(request).is_err() {
+            self.skip_gap(id, number, SkipReason::QueueFull, "too many diagnoses wait already");
+        }
+    }
+
+    pub(super) fn diagnosed(&mut self, diagnosed: Diagnosed) {
+        let Diagnosed { id, number, outcome } = diagnosed;
+        match outcome {
+            Outcome::Skipped(reason, why) => self.skip_gap(id, number, reason, &why),
+            Outcome::Done(document, cut) => {
+                if let Some(evaluations) = cut {
+                    self.metrics.gaps_cut.inc();
+                    let input = RecordedInput::GapCut { number, evaluations };
+                    self.record(id, Kind::Input, &input, document.end_ns());
+                }
+                let json = to_json(&document);
+                self.engine.complete_gap(id, number, *document, &mut self.events);
+                self.handle_events();
+                for answer in self.asking.remove(&(id, number)).into_iter().flatten() {
+                    answer(Ok(json.clone()));
+                }
+            }
+        }
+        self.handle_events();
+    }
+
+    pub(super) fn skip_gap(&mut self, id: LoopId, number: u64, reason: SkipReason, why: &str) {
+        self.metrics.gaps_skipped.inc();
+        tracing::info!(name = %self.engine.name(id), why, "a gap diagnosis was not made");
+        let at_ns = self.engine.figures(id).greatest_ns.unwrap_or(0);
+        self.record(id, Kind::Input, &RecordedInput::GapSkip { number, reason }, at_ns);
+        self.engine.skip_gap(id, number, reason, &mut self.events);
+        for answer in self.asking.remove(&(id, number)).into_iter().flatten() {
+            answer(Err(why.to_owned()));
+        }
+    }
+}

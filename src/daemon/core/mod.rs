@@ -1,0 +1,417 @@
+//! The engine's thread: takes what arrives in order, and is the only one that touches the engine.
+//!
+//! What it takes it records first; what the engine puts out goes to workers, recorder and publisher. It never waits
+//! for a fit and never for the bus; for the recorder it waits a little (see [`crate::sink::recorder`]).
+
+mod asked;
+mod report;
+
+use std::collections::{BTreeMap, HashMap};
+use std::sync::{Arc, RwLock};
+use std::time::{Duration, Instant};
+
+use crossbeam_channel::{Receiver, never, select, tick};
+use sd_notify::NotifyState;
+
+use super::desk::Desk;
+use super::faults::Faults;
+use super::gaps::Diagnoser;
+use super::health::DaemonHealth;
+use super::metrics::{Label, Metrics};
+use super::queue::Budget;
+use super::routes::{Route, Routes};
+use super::schedule::Schedule;
+use super::worker::{Answered, Workers};
+use crate::alarm::AlarmDocument;
+use crate::codec;
+use crate::codec::topic::{self, Kind};
+use crate::config::Config;
+use crate::engine::{Checkpoint, Engine, Event, LoopId, RecordedInput, Request, SkipReason, StateDocument};
+use crate::record::Sample;
+use crate::sink::keeper::Keeper;
+use crate::sink::recorder::{Item, LOOPS_PER_FILE, Recorder, shard_of};
+use crate::sink::zenoh::{Publication, Publisher};
+use crate::source::{Answer, Incoming, Message};
+
+/// Messages taken before the other channels are looked at again.
+const BATCH: usize = 256;
+/// How long that may take: a message may hold a hundred thousand samples.
+const BATCH_WITHIN: Duration = Duration::from_millis(20);
+/// How often the daemon's health is published.
+const HEALTH_EVERY: Duration = Duration::from_secs(5);
+/// How long a stopping daemon still takes what had already arrived.
+const DRAIN: Duration = Duration::from_secs(1);
+
+/// What the web server reads, and when it was made: replaced as a whole, never locked for longer than a copy of the
+/// pointer.
+pub type HealthSnapshot = Arc<RwLock<(Instant, Arc<DaemonHealth>)>>;
+
+/// Everything the engine's thread owns.
+pub struct Core {
+    engine: Engine,
+    routes: Routes,
+    workers: Workers,
+    /// Windows that wait for a worker.
+    schedule: Schedule<Request>,
+    diagnoser: Diagnoser,
+    /// People who wait for a diagnosis, by loop and number.
+    asking: HashMap<(LoopId, u64), Vec<Answer>>,
+    recorder: Option<Recorder>,
+    keeper: Option<Keeper>,
+    publisher: Publisher,
+    metrics: Arc<Metrics>,
+    faults: Arc<Faults>,
+    snapshot: HealthSnapshot,
+    daemon_id: String,
+    started: Instant,
+    next_loop_health: usize,
+    losses: [u64; 4],
+    opened_shards: usize,
+    codec: String,
+    input_limit: usize,
+    budget: Budget,
+    warned_quality: bool,
+    desk: Desk,
+    events: Vec<Event>,
+    samples: Vec<Sample>,
+}
+
+/// What a core is made of.
+pub struct Parts {
+    /// The engine.
+    pub engine: Engine,
+    /// Bytes that wait for the engine.
+    pub budget: Budget,
+    /// The workers.
+    pub workers: Workers,
+    /// The gap's thread.
+    pub diagnoser: Diagnoser,
+    /// The recorder.
+    pub recorder: Option<Recorder>,
+    /// Keeps the loops' memory; none in a demonstration.
+    pub keeper: Option<Keeper>,
+    /// The publisher.
+    pub publisher: Publisher,
+    /// The counters.
+    pub metrics: Arc<Metrics>,
+    /// The faults.
+    pub faults: Arc<Faults>,
+    /// Where the health goes.
+    pub snapshot: HealthSnapshot,
+    /// The daemon's id.
+    pub daemon_id: String,
+}
+
+impl Core {
+    /// Puts the parts together.
+    #[must_use]
+    pub fn new(parts: Parts) -> Self {
+        let config = parts.engine.config();
+        let desk = Desk::new(&config.commands);
+        Self {
+            routes: Routes::new(config),
+            codec: config.input.codec.clone(),
+            input_limit: config.input.queue,
+            engine: parts.engine,
+            workers: parts.workers,
+            schedule: Schedule::default(),
+            budget: parts.budget,
+            diagnoser: parts.diagnoser,
+            asking: HashMap::new(),
+            recorder: parts.recorder,
+            keeper: parts.keeper,
+            publisher: parts.publisher,
+            metrics: parts.metrics,
+            faults: parts.faults,
+            snapshot: parts.snapshot,
+            daemon_id: parts.daemon_id,
+            started: Instant::now(),
+            next_loop_health: 0,
+            losses: [0; 4],
+            opened_shards: 0,
+            warned_quality: false,
+            desk,
+            events: Vec::new(),
+            samples: Vec::new(),
+        }
+    }
+
+    /// Takes over what the run before remembered of its loops, and publishes the alarms that are not at rest.
+    pub fn restore(&mut self, memories: BTreeMap<String, Checkpoint>) {
+        for (name, memory) in memories {
+            let Some(id) = self.engine.appear(&name) else { continue };
+            if let Some(document) = self.engine.restore(id, memory) {
+                self.publish(id, Kind::Alarm, to_json(&document));
+            }
+        }
+    }
+
+    /// Works until `stop` is closed, then ends in order: what has arrived is taken, fits that are not done are skipped
+    /// and recorded as such, files are finished when the core is dropped.
+    pub fn run(mut self, incoming: &Receiver<Incoming>, stop: &Receiver<()>) {
+        let ticker = tick(HEALTH_EVERY);
+        let answers = self.workers.answers.clone();
+        let diagnoses = self.diagnoser.answers.clone();
+        // A watchdog is fed from here, so that an engine that stands still starves it.
+        let watchdog = sd_notify::watchdog_enabled().map_or_else(never, |period| tick(period / 2));
+        let rotations = self.recorder.as_ref().map_or_else(never, |r| r.rotations.clone());
+        self.open_shards();
+        self.report(incoming.len());
+        loop {
+            select! {
+                recv(incoming) -> message => match message {
+                    Ok(message) => self.take_batch(message, incoming),
+                    Err(_) => break,
+                },
+                recv(answers) -> answered => if let Ok(answered) = answered { self.answered(answered) },
+                recv(diagnoses) -> diagnosed => if let Ok(diagnosed) = diagnosed { self.diagnosed(diagnosed) },
+                recv(rotations) -> shard => if let Ok(shard) = shard { self.open_shard(shard) },
+                recv(ticker) -> _ => self.report(incoming.len()),
+                recv(watchdog) -> _ => tell_system(&[NotifyState::Watchdog]),
+                recv(stop) -> _ => break,
+            }
+        }
+        self.finish(incoming, &answers);
+    }
+
+    fn finish(&mut self, incoming: &Receiver<Incoming>, answers: &Receiver<Answered>) {
+        let until = Instant::now() + DRAIN;
+        while Instant::now() < until {
+            let Ok(message) = incoming.try_recv() else { break };
+            self.take(message);
+        }
+        self.metrics.dropped_input.inc_by(incoming.len() as u64);
+        while let Ok(answered) = answers.try_recv() {
+            self.answered(answered);
+        }
+        for id in self.engine.ids() {
+            let unfinished: Vec<(u64, i64)> = self.engine.waiting(id).collect();
+            for (seq, end_ns) in unfinished {
+                self.skip(id, seq, end_ns, SkipReason::Shutdown);
+                self.handle_events();
+            }
+        }
+        while let Ok(diagnosed) = self.diagnoser.answers.try_recv() {
+            self.diagnosed(diagnosed);
+        }
+        for id in self.engine.ids() {
+            for number in self.engine.gaps_waiting(id).collect::<Vec<u64>>() {
+                self.skip_gap(id, number, SkipReason::Shutdown, "the daemon stopped");
+                self.handle_events();
+            }
+        }
+        self.report(incoming.len());
+    }
+
+    fn take_batch(&mut self, first: Incoming, incoming: &Receiver<Incoming>) {
+        let until = Instant::now() + BATCH_WITHIN;
+        self.take(first);
+        for _ in 1..BATCH {
+            if Instant::now() >= until {
+                return;
+            }
+            let Ok(next) = incoming.try_recv() else { return };
+            self.take(next);
+        }
+    }
+
+    fn take(&mut self, incoming: Incoming) {
+        match incoming {
+            Incoming::Message(message) => self.take_message(&message),
+            Incoming::Command { loop_name, command, answer } => self.take_command(&loop_name, &command, answer),
+            Incoming::GapRun { loop_name, by, answer } => self.run_gap(&loop_name, by, answer),
+            Incoming::Settings(config) => self.settings(&config),
+        }
+    }
+
+    /// New settings: they hold from here on, and every open recording is finished and followed by a new one.
+    fn settings(&mut self, config: &Config) {
+        self.desk = Desk::new(&config.commands);
+        let (max_bytes, max_age) = (config.recording.max_bytes, Duration::from_secs_f64(config.recording.max_s));
+        if let Some(recorder) = &mut self.recorder {
+            recorder.record(Item::Limits { max_bytes, max_age });
+        }
+        (0..self.opened_shards).for_each(|shard| self.open_shard(shard));
+    }
+
+    fn take_message(&mut self, m: &Message) {
+        let (id, signal) = match self.routes.of(&m.key, &mut self.engine) {
+            Route::To(id, signal) => (id, signal),
+            Route::Foreign => {
+                self.metrics.foreign_keys.inc();
+                return;
+            }
+            Route::Refused => {
+                self.metrics.refused_loops.inc();
+                return;
+            }
+        };
+        self.open_shards();
+        let mut samples = std::mem::take(&mut self.samples);
+        samples.clear();
+        let fallback_ns = m.bus_ns.unwrap_or(m.arrival_ns);
+        match codec::decode(signal, &m.payload, m.encoding.as_deref(), Some(&self.codec), fallback_ns, &mut samples) {
+            Ok(name) => {
+                self.metrics.codecs.get_or_create(&Label { name: name.into() }).inc();
+            }
+            Err(error) => {
+                if self.metrics.undecodable.inc() == 0 {
+                    tracing::warn!(key = %m.key, %error, "a payload could not be read; further ones are only counted");
+                }
+            }
+        }
+        for sample in &samples {
+            self.take_sample(id, *sample, m.arrival_ns);
+        }
+        self.samples = samples;
+    }
+
+    fn take_sample(&mut self, id: LoopId, sample: Sample, arrival_ns: i64) {
+        self.metrics.samples.inc();
+        if sample.quality.is_some_and(|q| (1..=255).contains(&q)) && self.engine.config().input.quality == "ua" {
+            self.metrics.suspicious_quality.inc();
+            if !std::mem::replace(&mut self.warned_quality, true) {
+                let name = self.engine.name(id);
+                tracing::warn!(%name, quality = ?sample.quality, "this looks like a classic OPC quality: set [input] quality = \"classic\"");
+            }
+        }
+        if let Some(recorder) = &mut self.recorder {
+            let name = self.engine.name(id).clone();
+            recorder.record(Item::Raw { id, name, sample, arrival_ns });
+        }
+        self.engine.push(id, sample, &mut self.events);
+        self.handle_events();
+    }
+
+    fn answered(&mut self, answered: Answered) {
+        match answered.assessment {
+            Some(assessment) => self.engine.complete(answered.id, answered.seq, assessment, &mut self.events),
+            None => self.skip(answered.id, answered.seq, answered.end_ns, SkipReason::Failed),
+        }
+        self.handle_events();
+        self.employ();
+    }
+
+    fn handle_events(&mut self) {
+        while !self.events.is_empty() {
+            for event in std::mem::take(&mut self.events) {
+                match event {
+                    Event::Request(request) => self.request(*request),
+                    Event::GapRequest(request) => self.request_gap(*request),
+                    Event::Gap(id, document) => {
+                        self.metrics.gaps.inc();
+                        self.record(id, Kind::Gap, &document, document.end_ns());
+                        self.publish(id, Kind::Gap, to_json(&document));
+                    }
+                    Event::Estimate(id, document) => {
+                        self.metrics.estimates.inc();
+                        let a = &document.assessment;
+                        self.metrics.verdicts.get_or_create(&Label { name: a.verdict.name().into() }).inc();
+                        for gate in &a.gates {
+                            self.metrics.gates.get_or_create(&Label { name: gate.name().into() }).inc();
+                        }
+                        self.record(id, Kind::Estimate, &document, a.window.end_ns);
+                        self.publish(id, Kind::Estimate, to_json(&document));
+                    }
+                    Event::Alarm(id, document) => self.alarm_changed(id, &document),
+                    Event::State(id, document) => {
+                        let at_ns = document.window_end_ns.unwrap_or(0);
+                        self.record(id, Kind::State, &document, at_ns);
+                        if let Some(keeper) = &self.keeper {
+                            keeper.keep(self.engine.name(id), to_json(&document));
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    /// A window came due: it takes its place in the row, and whoever must make room is skipped.
+    fn request(&mut self, request: Request) {
+        self.metrics.windows.inc();
+        let bytes = bytes_of(&request);
+        let given_up = self.schedule.push(request.id.index(), self.engine.name(request.id), bytes, request);
+        for Request { id, seq, end_ns, .. } in given_up {
+            self.skip(id, seq, end_ns, SkipReason::QueueFull);
+        }
+        self.employ();
+    }
+
+    /// Gives idle workers what is next.
+    fn employ(&mut self) {
+        while !self.workers.requests.is_full() {
+            let Some(request) = self.schedule.pop() else { return };
+            let (id, seq, end_ns) = (request.id, request.seq, request.end_ns);
+            if self.workers.requests.try_send(request).is_err() {
+                self.skip(id, seq, end_ns, SkipReason::Failed);
+            }
+        }
+    }
+
+    fn skip(&mut self, id: LoopId, seq: u64, window_end_ns: i64, reason: SkipReason) {
+        self.metrics.fits_skipped.inc();
+        self.record(id, Kind::Input, &RecordedInput::Skip { window_end_ns, seq, reason }, window_end_ns);
+        self.engine.skip(id, seq, &mut self.events);
+    }
+
+    fn alarm_changed(&mut self, id: LoopId, document: &AlarmDocument) {
+        self.metrics.alarms.inc();
+        if document.active {
+            tracing::warn!(target: "stictiond::alarm", "{}", document.line());
+        } else {
+            tracing::info!(target: "stictiond::alarm", "{}", document.line());
+        }
+        self.record(id, Kind::Alarm, document, document.changed_ns);
+        self.publish(id, Kind::Alarm, to_json(document));
+    }
+
+    fn record(&mut self, id: LoopId, kind: Kind, document: &impl serde::Serialize, event_ns: i64) {
+        let Some(recorder) = &mut self.recorder else { return };
+        let name = self.engine.name(id).clone();
+        recorder.record(Item::Document { id, name, kind, json: to_json(document), event_ns });
+    }
+
+    fn publish(&self, id: LoopId, kind: Kind, document: Vec<u8>) {
+        let key = topic::result(&self.engine.config().site.prefix, self.engine.name(id), kind);
+        self.publisher.publish(Publication { key, kind, document });
+    }
+
+    /// Opens the files of shards that loops have reached since the last look.
+    fn open_shards(&mut self) {
+        let needed = self.engine.ids().len().div_ceil(LOOPS_PER_FILE).max(1);
+        while self.opened_shards < needed {
+            self.open_shard(self.opened_shards);
+            self.opened_shards += 1;
+        }
+    }
+
+    fn open_shard(&mut self, shard: usize) {
+        let Some(recorder) = &mut self.recorder else { return };
+        let states = self.engine.ids().filter(|id| shard_of(*id) == shard).map(|id| {
+            let name = self.engine.name(id);
+            (name.clone(), to_json(&StateDocument::new(name, None, self.engine.checkpoint(id))))
+        });
+        let states = states.collect();
+        recorder.record(Item::Open { shard, states });
+    }
+}
+
+/// Tells systemd, where it listens; elsewhere nothing.
+pub(super) fn tell_system(state: &[NotifyState<'_>]) {
+    if let Err(error) = sd_notify::notify(state) {
+        tracing::debug!(%error, "systemd could not be told");
+    }
+}
+
+/// What a waiting request holds of the memory, bytes.
+fn bytes_of(request: &Request) -> usize {
+    let r = &request.record;
+    let signals = [Some(&r.op_path), Some(&r.pv), r.sp.as_ref(), r.mv.as_ref()];
+    let points: usize = signals.into_iter().flatten().map(Vec::len).sum();
+    size_of::<Request>() + points * size_of::<f64>()
+}
+
+/// A document's JSON. Our documents hold no map with keys that are not text, so this cannot fail.
+pub(crate) fn to_json(document: &impl serde::Serialize) -> Vec<u8> {
+    serde_json::to_vec(document).unwrap_or_default()
+}

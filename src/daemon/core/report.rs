@@ -1,0 +1,116 @@
+//! What the daemon says of itself: health documents, faults, losses.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use super::super::clock::now_ns;
+use super::super::gaps;
+use super::super::health::{DaemonHealth, LoopHealth, QueueHealth};
+use super::super::metrics::Label;
+use super::super::queue::Budget;
+use super::super::schedule::{LIMIT, LIMIT_BYTES};
+use super::{Core, to_json};
+use crate::codec::topic::{self, Kind};
+use crate::engine::StateDocument;
+use crate::signal::align::AlignCounts;
+use crate::sink::recorder::{self, Recorder};
+use crate::sink::zenoh::{self as bus, Publication};
+
+/// Reports over which the loops' own health is spread: each loop's comes once a minute.
+const LOOP_HEALTH_SLICES: usize = 12;
+/// How long a loss stays among the faults after it has ended.
+const LOSS_SHOWN: Duration = Duration::from_secs(60);
+
+impl Core {
+    /// Publishes the health of the daemon, and from time to time of every loop.
+    pub(super) fn report(&mut self, input_waiting: usize) {
+        let loops = self.engine.ids().len();
+        self.metrics.loops.set(loops as i64);
+        self.report_losses();
+        self.keep_all_again();
+        let now = now_ns();
+        // A slice of the loops at each call, so that thousands of documents never stand before an estimate.
+        let slice = loops.div_ceil(LOOP_HEALTH_SLICES).max(1);
+        let from = self.next_loop_health;
+        self.next_loop_health = if from + slice >= loops { 0 } else { from + slice };
+        let mut sum = AlignCounts::default();
+        for id in self.engine.ids() {
+            let figures = self.engine.figures(id);
+            sum.add(&figures.counts);
+            if (from..from + slice).contains(&id.index()) {
+                self.publish(id, Kind::Health, to_json(&LoopHealth::new(self.engine.name(id), &figures, now)));
+            }
+        }
+        self.metrics.show_aligned(&sum);
+        let health = self.health(loops, input_waiting);
+        for queue in &health.queues {
+            self.metrics.queues.get_or_create(&Label { name: queue.name.into() }).set(queue.length as i64);
+        }
+        let key = topic::plane(&self.engine.config().site.prefix, &format!("@daemon/{}/health", self.daemon_id));
+        self.publisher.publish(Publication { key, kind: Kind::Health, document: to_json(&health) });
+        if let Ok(mut snapshot) = self.snapshot.write() {
+            *snapshot = (Instant::now(), Arc::new(health));
+        }
+    }
+
+    /// What was lost since the last report: a fault that is over a while after the last loss.
+    fn report_losses(&mut self) {
+        let m = &self.metrics;
+        let now = [m.dropped_input.get(), m.dropped_output.get(), m.recording_lost.get(), m.fits_skipped.get()];
+        let what = [
+            ("dropped input", "messages were dropped because they came faster than they can be taken"),
+            ("dropped output", "documents could not be published: see the bus"),
+            ("recording lost", "messages could not be recorded: see the recording disk"),
+            ("fits skipped", "windows got no fit because the machine was too busy or a fit broke off"),
+        ];
+        for ((key, text), (now, before)) in what.into_iter().zip(now.into_iter().zip(self.losses)) {
+            if now > before {
+                self.faults.raise_for(key, format!("{now} {text}"), LOSS_SHOWN);
+            }
+        }
+        self.losses = now;
+    }
+
+    /// Where the store was taken away under the daemon, every loop's memory goes into the new one.
+    fn keep_all_again(&self) {
+        let Some(keeper) = self.keeper.as_ref().filter(|k| k.wants_all()) else { return };
+        for id in self.engine.ids() {
+            let name = self.engine.name(id);
+            keeper.keep(name, to_json(&StateDocument::new(name, None, self.memory(id))));
+        }
+    }
+
+    fn health(&self, loops: usize, input_waiting: usize) -> DaemonHealth {
+        let m = &self.metrics;
+        let recorder_waiting = self.recorder.as_ref().map_or(0, Recorder::waiting);
+        let queue = |name, [length, limit]: [usize; 2], [bytes, limit_bytes]: [usize; 2], dropped| QueueHealth {
+            name,
+            length,
+            limit,
+            bytes,
+            limit_bytes,
+            dropped,
+        };
+        let recorder_bytes = self.recorder.as_ref().map_or([0, 0], Recorder::bytes);
+        let published = self.publisher.bytes();
+        let of = |budget: &Budget| [budget.used(), budget.limit()];
+        let fits = self.schedule.waiting() + self.workers.requests.len();
+        DaemonHealth {
+            schema: Kind::Health.schema(),
+            daemon: self.daemon_id.clone(),
+            version: crate::VERSION,
+            config_hash: self.engine.config_hash().to_owned(),
+            uptime_s: self.started.elapsed().as_secs_f64(),
+            loops,
+            counters: m.counters(),
+            queues: vec![
+                queue("input", [input_waiting, self.input_limit], of(&self.budget), m.dropped_input.get()),
+                queue("fits", [fits, LIMIT], [self.schedule.bytes(), LIMIT_BYTES], m.fits_skipped.get()),
+                queue("gaps", [self.diagnoser.requests.len(), gaps::QUEUE], [0, 0], m.gaps_skipped.get()),
+                queue("recorder", [recorder_waiting, recorder::QUEUE], recorder_bytes, m.recording_lost.get()),
+                queue("publisher", [self.publisher.waiting(), bus::QUEUE], published, m.dropped_output.get()),
+            ],
+            faults: self.faults.list(),
+        }
+    }
+}

@@ -1,0 +1,128 @@
+//! Settings that change while the daemon runs, and those that cannot.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use serde_json::Value;
+
+use super::faults::Faults;
+use crate::config::{Config, Retention};
+
+/// Settings that take effect at once; all others do at the next start.
+const AT_ONCE: [&str; 4] = ["commands", "retention", "recording.max_bytes", "recording.max_s"];
+/// Name of the fault while the file cannot be used.
+const FAULT: &str = "config";
+
+/// A configuration file that is read again when somebody asks for it.
+pub struct Reload {
+    path: PathBuf,
+    current: Config,
+    retention: Arc<Mutex<Retention>>,
+}
+
+impl Reload {
+    /// The file, what was read from it at the start, and where the housekeeper looks.
+    #[must_use]
+    pub const fn new(path: PathBuf, current: Config, retention: Arc<Mutex<Retention>>) -> Self {
+        Self { path, current, retention }
+    }
+
+    /// Reads the file again. Gives the configuration whose changeable settings hold from now on; says which cannot
+    /// change. A file with faults changes nothing, and is a fault until it is mended and read again.
+    pub fn read(&mut self, faults: &Faults) -> Option<Config> {
+        let path = self.path.display();
+        let text = std::fs::read_to_string(&self.path).map_err(|error| format!("{path}: {error}"));
+        let parsed = text.and_then(|text| {
+            Config::parse(&text).map_err(|faults| {
+                let list: Vec<String> = faults.iter().map(ToString::to_string).collect();
+                format!("{path}: {}", list.join("; "))
+            })
+        });
+        match parsed {
+            Ok(config) => {
+                faults.clear(FAULT);
+                let (now, later) = changes(&self.current, &config);
+                if !later.is_empty() {
+                    tracing::warn!(settings = later.join(", "), "changed in the file, but held until the next start");
+                }
+                tracing::info!(settings = now.join(", "), "configuration read again; these hold from now on");
+                self.current.commands = config.commands.clone();
+                self.current.retention = config.retention;
+                *self.retention.lock().unwrap_or_else(PoisonError::into_inner) = config.retention;
+                self.current.recording.max_bytes = config.recording.max_bytes;
+                self.current.recording.max_s = config.recording.max_s;
+                Some(self.current.clone())
+            }
+            Err(why) => {
+                faults.raise(FAULT, format!("the changed configuration is not used, the old one holds: {why}"));
+                None
+            }
+        }
+    }
+}
+
+/// What differs: settings that can change at once, and those that cannot.
+fn changes(old: &Config, new: &Config) -> (Vec<String>, Vec<String>) {
+    let (old, new) = (settings(old), settings(new));
+    let keys = old.keys().chain(new.keys().filter(|key| !old.contains_key(*key)));
+    let differing = keys.filter(|key| old.get(*key) != new.get(*key)).cloned();
+    let at_once = |key: &String| AT_ONCE.iter().any(|known| key == known || key.starts_with(&format!("{known}.")));
+    differing.partition(at_once)
+}
+
+/// Every setting by its dotted key. What is left out of the hash at its default stands here too.
+fn settings(config: &Config) -> BTreeMap<String, Value> {
+    let mut root = serde_json::to_value(config).unwrap_or_default();
+    for (key, table) in [
+        ("commands", serde_json::to_value(&config.commands)),
+        ("signing", serde_json::to_value(&config.signing)),
+        ("retention", serde_json::to_value(config.retention)),
+        ("gap", serde_json::to_value(config.gap)),
+    ] {
+        root[key] = table.unwrap_or_default();
+    }
+    root["input"]["queue_bytes"] = config.input.queue_bytes.into();
+    let mut flat = BTreeMap::new();
+    flatten("", &root, &mut flat);
+    flat
+}
+
+fn flatten(key: &str, value: &Value, out: &mut BTreeMap<String, Value>) {
+    let Value::Object(table) = value else {
+        out.insert(key.to_owned(), value.clone());
+        return;
+    };
+    for (name, value) in table {
+        let dotted = if key.is_empty() { name.clone() } else { format!("{key}.{name}") };
+        flatten(&dotted, value, out);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_changed_file_says_what_holds_now_and_a_broken_one_changes_nothing() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("c.toml");
+        let first = "[site]\nprefix = \"p\"\n";
+        let mut reload = Reload::new(path.clone(), Config::parse(first).unwrap(), Arc::default());
+        let faults = Faults::default();
+        let changed = format!("{first}[window]\nhop_s = 60\n[commands]\nper_minute = 7\n[recording]\nmax_s = 9\n");
+        let new = Config::parse(&changed).unwrap();
+        let (now, later) = changes(&reload.current, &new);
+        assert_eq!(now, ["commands.per_minute", "recording.max_s"]);
+        assert_eq!(later, ["window.hop_s"]);
+        std::fs::write(&path, changed).unwrap();
+        let held = reload.read(&faults).unwrap();
+        assert_eq!((held.commands.per_minute, held.recording.max_s, held.window.hop_s), (7, 9.0, 600.0));
+        std::fs::write(&path, "[site]\nprefx = 1\n").unwrap();
+        assert!(reload.read(&faults).is_none());
+        assert!(faults.list()[0].contains("the old one holds"), "{:?}", faults.list());
+        std::fs::write(&path, first).unwrap();
+        assert_eq!(reload.read(&faults).unwrap().commands.per_minute, 300);
+        assert!(faults.list().is_empty());
+    }
+}

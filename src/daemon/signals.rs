@@ -1,0 +1,63 @@
+//! Signals that a service gets besides the one that ends it.
+
+use std::future::Future;
+
+use crossbeam_channel::Sender;
+use sd_notify::NotifyState;
+use tokio::signal::unix::{Signal, SignalKind, signal};
+
+use super::core::tell_system;
+use super::faults::Faults;
+use super::reload::Reload;
+use crate::source::Incoming;
+
+/// A file that reaches the limit of the system (`ulimit -f`) is an error of that file, not the end of the process.
+pub fn survive_file_size_limit() {
+    #[cfg(target_os = "linux")]
+    if let Err(error) = signal(SignalKind::from_raw(rustix::process::Signal::XFSZ.as_raw())) {
+        tracing::debug!(%error, "SIGXFSZ cannot be taken");
+    }
+}
+
+/// SIGHUPs from now on: without this the first one would end the process.
+#[must_use]
+pub fn hangups() -> Option<Signal> {
+    signal(SignalKind::hangup()).inspect_err(|error| tracing::warn!(%error, "SIGHUP cannot be watched")).ok()
+}
+
+/// Waits for `stop`; until then SIGHUP reads the configuration again and begins new recordings.
+pub async fn serve_until(
+    mut stop: impl Future<Output = ()> + Unpin,
+    mut hangups: Option<Signal>,
+    mut reload: Option<Reload>,
+    control: &Sender<Incoming>,
+    faults: &Faults,
+) {
+    loop {
+        tokio::select! {
+            () = &mut stop => return,
+            () = next(&mut hangups) => {}
+        }
+        let Some(reload) = &mut reload else { continue };
+        match NotifyState::monotonic_usec_now() {
+            Ok(now) => tell_system(&[NotifyState::Reloading, now]),
+            Err(error) => tracing::debug!(%error, "systemd cannot be told"),
+        }
+        if let Some(config) = reload.read(faults)
+            && control.try_send(Incoming::Settings(Box::new(config))).is_err()
+        {
+            tracing::error!("the engine is too busy for new settings: send SIGHUP again");
+        }
+        tell_system(&[NotifyState::Ready]);
+    }
+}
+
+/// The next signal; never where it cannot be watched.
+async fn next(signals: &mut Option<Signal>) {
+    match signals {
+        Some(signals) => {
+            signals.recv().await;
+        }
+        None => std::future::pending().await,
+    }
+}

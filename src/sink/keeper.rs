@@ -1,0 +1,265 @@
+//! Keeps every loop's memory (alarm, acknowledgement, gap watch) in the store beside the recordings.
+//!
+//! A thread of its own. What waits for it is the newest state of each loop, so it never grows beyond the loops; states
+//! that come together are one transaction. An answer to a command waits for its transaction. While the disk refuses,
+//! states wait, commands are answered with that, and the fault says so; nothing else stops.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use crate::daemon::faults::Faults;
+use crate::daemon::metrics::Metrics;
+use crate::files::store::{STORE_NAME, StateStore};
+
+/// How long states of windows wait for others to go with them.
+const GATHER: Duration = Duration::from_millis(200);
+/// Pause after an error before the store is tried again.
+const RETRY: Duration = Duration::from_secs(2);
+/// Name of its fault.
+const FAULT: &str = "state";
+
+/// Told once the state is on the disk, or why it is not.
+pub type Kept = Box<dyn FnOnce(Result<(), String>) + Send>;
+
+#[derive(Default)]
+struct Pending {
+    /// Newest state by key.
+    states: BTreeMap<String, Vec<u8>>,
+    waiters: Vec<Kept>,
+    closed: bool,
+}
+
+#[derive(Default)]
+struct Shared {
+    pending: Mutex<Pending>,
+    wake: Condvar,
+    /// The store was taken away: what it held must come again.
+    wants_all: AtomicBool,
+}
+
+/// The engine's end.
+pub struct Keeper {
+    shared: Arc<Shared>,
+    prefix: String,
+}
+
+impl Drop for Keeper {
+    fn drop(&mut self) {
+        self.shared.pending.lock().unwrap_or_else(PoisonError::into_inner).closed = true;
+        self.shared.wake.notify_one();
+    }
+}
+
+/// The key of a loop's memory.
+#[must_use]
+pub fn key_of(prefix: &str, loop_name: &str) -> String {
+    format!("{prefix}\n{loop_name}")
+}
+
+/// The loop whose memory a key is of, under a prefix.
+#[must_use]
+pub fn loop_of<'k>(prefix: &str, key: &'k str) -> Option<&'k str> {
+    key.strip_prefix(prefix)?.strip_prefix('\n')
+}
+
+impl Keeper {
+    /// Starts the thread; `store` is the one that was open already, if it was. It ends when the `Keeper` is dropped and
+    /// all states are stored, or cannot be.
+    ///
+    /// # Errors
+    /// The system refuses a thread.
+    pub fn start(
+        dir: &Path,
+        prefix: &str,
+        store: Option<StateStore>,
+        faults: Arc<Faults>,
+        metrics: Arc<Metrics>,
+    ) -> std::io::Result<(Self, JoinHandle<()>)> {
+        let shared = Arc::new(Shared::default());
+        let mut worker = Worker { path: dir.join(STORE_NAME), store, shared: shared.clone(), faults, metrics };
+        let thread = std::thread::Builder::new().name("state".into()).spawn(move || worker.run())?;
+        Ok((Self { shared, prefix: prefix.to_owned() }, thread))
+    }
+
+    /// Keeps a loop's state soon.
+    pub fn keep(&self, loop_name: &str, json: Vec<u8>) {
+        self.put(loop_name, json, None);
+    }
+
+    /// Keeps it at once and tells when it is on the disk.
+    pub fn keep_then(&self, loop_name: &str, json: Vec<u8>, kept: Kept) {
+        self.put(loop_name, json, Some(kept));
+    }
+
+    /// Whether every loop's state must be kept again; says so once.
+    #[must_use]
+    pub fn wants_all(&self) -> bool {
+        self.shared.wants_all.swap(false, Ordering::Relaxed)
+    }
+
+    fn put(&self, loop_name: &str, json: Vec<u8>, kept: Option<Kept>) {
+        let mut pending = self.shared.pending.lock().unwrap_or_else(PoisonError::into_inner);
+        pending.states.insert(key_of(&self.prefix, loop_name), json);
+        let urgent = kept.is_some();
+        pending.waiters.extend(kept);
+        let first = pending.states.len() == 1;
+        drop(pending);
+        if urgent || first {
+            self.shared.wake.notify_one();
+        }
+    }
+}
+
+struct Worker {
+    path: PathBuf,
+    store: Option<StateStore>,
+    shared: Arc<Shared>,
+    faults: Arc<Faults>,
+    metrics: Arc<Metrics>,
+}
+
+impl Worker {
+    fn run(&mut self) {
+        loop {
+            let (states, waiters, closed) = self.next();
+            let saved = if states.is_empty() { Ok(()) } else { self.save(&states) };
+            match &saved {
+                Ok(()) => self.faults.clear(FAULT),
+                Err(why) => {
+                    self.metrics.state_errors.inc();
+                    self.faults.raise(FAULT, format!("alarm states cannot be stored: {why}"));
+                    self.put_back(states);
+                }
+            }
+            for kept in waiters {
+                kept(saved.clone());
+            }
+            if closed {
+                return;
+            }
+            if saved.is_err() {
+                self.pause();
+            }
+        }
+    }
+
+    /// Waits for states, then a little for more of them unless somebody waits for an answer.
+    fn next(&self) -> (BTreeMap<String, Vec<u8>>, Vec<Kept>, bool) {
+        let idle = |p: &mut Pending| p.states.is_empty() && !p.closed;
+        let pending = self.shared.pending.lock().unwrap_or_else(PoisonError::into_inner);
+        let pending = self.shared.wake.wait_while(pending, idle).unwrap_or_else(PoisonError::into_inner);
+        let gathering = |p: &mut Pending| p.waiters.is_empty() && !p.closed;
+        let (mut pending, _) =
+            self.shared.wake.wait_timeout_while(pending, GATHER, gathering).unwrap_or_else(PoisonError::into_inner);
+        (std::mem::take(&mut pending.states), std::mem::take(&mut pending.waiters), pending.closed)
+    }
+
+    fn save(&mut self, states: &BTreeMap<String, Vec<u8>>) -> Result<(), String> {
+        // A folder that was taken away takes the store along: what is written then goes nowhere.
+        if self.store.is_some() && !self.path.exists() {
+            self.store = None;
+            self.shared.wants_all.store(true, Ordering::Relaxed);
+        }
+        let store = match self.store.take() {
+            Some(store) => store,
+            None => {
+                if let Some(folder) = self.path.parent() {
+                    std::fs::create_dir_all(folder).map_err(|e| format!("{}: {e}", folder.display()))?;
+                }
+                StateStore::open(&self.path).map_err(|e| e.to_string())?
+            }
+        };
+        store.save(states.iter().map(|(k, v)| (k.as_str(), v.as_slice()))).map_err(|e| e.to_string())?;
+        self.metrics.states_stored.inc_by(states.len() as u64);
+        // After an error it is opened anew.
+        self.store = Some(store);
+        Ok(())
+    }
+
+    /// What could not be stored waits on, unless something newer has come.
+    fn put_back(&self, states: BTreeMap<String, Vec<u8>>) {
+        let mut pending = self.shared.pending.lock().unwrap_or_else(PoisonError::into_inner);
+        for (key, json) in states {
+            pending.states.entry(key).or_insert(json);
+        }
+    }
+
+    /// Waits before the next attempt; somebody who asks is told at once.
+    fn pause(&self) {
+        let calm = |p: &mut Pending| p.waiters.is_empty() && !p.closed;
+        let pending = self.shared.pending.lock().unwrap_or_else(PoisonError::into_inner);
+        drop(self.shared.wake.wait_timeout_while(pending, RETRY, calm));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn keeper(dir: &Path) -> (Keeper, JoinHandle<()>, Arc<Faults>) {
+        let faults = Arc::new(Faults::default());
+        let (keeper, thread) = Keeper::start(dir, "p", None, faults.clone(), Arc::default()).unwrap();
+        (keeper, thread, faults)
+    }
+
+    fn asked(keeper: &Keeper, json: &str) -> Result<(), String> {
+        let (tell, told) = std::sync::mpsc::channel();
+        keeper.keep_then("A", json.into(), Box::new(move |kept| tell.send(kept).unwrap()));
+        told.recv().unwrap()
+    }
+
+    #[test]
+    fn an_answer_means_that_it_is_on_the_disk_and_the_newest_state_stands() {
+        let dir = tempfile::tempdir().unwrap();
+        let (keeper, thread, faults) = keeper(dir.path());
+        keeper.keep("B", b"1".to_vec());
+        asked(&keeper, "1").unwrap();
+        asked(&keeper, "2").unwrap();
+        let copy = dir.path().join("copy");
+        std::fs::copy(dir.path().join(STORE_NAME), &copy).unwrap();
+        let stored = StateStore::open(&copy).unwrap().load().unwrap().values;
+        assert_eq!((stored["p\nA"].as_slice(), stored["p\nB"].as_slice()), (b"2".as_slice(), b"1".as_slice()));
+        assert!(faults.list().is_empty());
+        drop(keeper);
+        thread.join().unwrap();
+    }
+
+    #[test]
+    fn while_the_disk_refuses_people_are_told_and_nothing_is_forgotten() {
+        let dir = tempfile::tempdir().unwrap();
+        // A file where the folder should be.
+        let place = dir.path().join("rec");
+        std::fs::write(&place, b"").unwrap();
+        let (keeper, thread, faults) = keeper(&place);
+        assert!(asked(&keeper, "1").is_err());
+        assert_eq!(faults.list().len(), 1);
+        keeper.keep("B", b"7".to_vec());
+        std::fs::remove_file(&place).unwrap();
+        asked(&keeper, "2").unwrap();
+        drop(keeper);
+        thread.join().unwrap();
+        assert!(faults.list().is_empty());
+        let stored = StateStore::open(&place.join(STORE_NAME)).unwrap().load().unwrap().values;
+        assert_eq!((stored["p\nA"].as_slice(), stored["p\nB"].as_slice()), (b"2".as_slice(), b"7".as_slice()));
+    }
+
+    #[test]
+    fn a_folder_that_was_taken_away_is_made_again() {
+        let dir = tempfile::tempdir().unwrap();
+        let place = dir.path().join("rec");
+        let (keeper, thread, _) = keeper(&place);
+        asked(&keeper, "1").unwrap();
+        std::fs::remove_dir_all(&place).unwrap();
+        assert!(!keeper.wants_all());
+        asked(&keeper, "2").unwrap();
+        assert!(keeper.wants_all() && !keeper.wants_all());
+        drop(keeper);
+        thread.join().unwrap();
+        let stored = StateStore::open(&place.join(STORE_NAME)).unwrap().load().unwrap().values;
+        assert_eq!(stored["p\nA"], b"2");
+    }
+}

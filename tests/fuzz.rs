@@ -1,0 +1,189 @@
+//! Everything that comes from outside, fed with damaged and made-up bytes: nothing may panic, hang or grow without bound.
+//!
+//! Runs on the stable compiler, in this process. A second a target here; `STICTIOND_FUZZ_S=3600 cargo test --test fuzz --
+//! --nocapture` is an hour a target. Seeds are fixed: the same time finds the same inputs on the same machine, and a
+//! failure names the seed of its input.
+#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+#![cfg(feature = "daemon")]
+
+use std::fs;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::time::{Duration, Instant};
+
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
+use stictiond::alarm::{Alarm, Command};
+use stictiond::codec::topic::Topic;
+use stictiond::codec::{MAX_SAMPLES, decode};
+use stictiond::config::Config;
+use stictiond::files::{csv, load_samples};
+use stictiond::record::Signal;
+
+/// What mutations put in.
+const WORDS: [&[u8]; 24] = [
+    b"NaN",
+    b"1e999",
+    b"-0",
+    b"{",
+    b"}",
+    b"[",
+    b"]",
+    b"\"t\":",
+    b"\"v\":",
+    b",",
+    b"\n",
+    b"\xff\xff\xff\xff",
+    b"\0\0\0\0",
+    b"9223372036854775807",
+    b"2026-01-01T00:00:00Z",
+    b"[[loop]]",
+    b"=",
+    b"t,op,pv\n",
+    b"\x06",
+    b"zstd",
+    b"@stiction/v1",
+    b"\x1b[2J",
+    b"\xe2\x80\xae",
+    b"MATLAB 5.0",
+];
+
+/// A made-up or damaged input.
+fn mutated(random: &mut ChaCha8Rng, corpus: &[Vec<u8>]) -> Vec<u8> {
+    let mut below = |n: usize| (random.next_u32() as usize) % n.max(1);
+    let mut bytes = corpus[below(corpus.len())].clone();
+    for _ in 0..1 + below(6) {
+        let at = below(bytes.len() + 1);
+        match below(7) {
+            0 if !bytes.is_empty() => {
+                let at = below(bytes.len());
+                bytes[at] ^= 1 << below(8);
+            }
+            1 => bytes.truncate(at),
+            2 => drop(bytes.splice(at..at, WORDS[below(WORDS.len())].iter().copied())),
+            3 => {
+                let end = (at + below(64)).min(bytes.len());
+                bytes.drain(at..end);
+            }
+            4 => {
+                let piece: Vec<u8> = bytes[at..(at + below(200)).min(bytes.len())].to_vec();
+                let to = below(bytes.len() + 1);
+                bytes.splice(to..to, piece);
+            }
+            5 => {
+                let other = &corpus[below(corpus.len())];
+                let from = below(other.len() + 1);
+                bytes.truncate(at);
+                bytes.extend_from_slice(&other[from..]);
+            }
+            _ => drop(bytes.splice(at..at, (0..8).map(|k| (k * 37 + at) as u8))),
+        }
+    }
+    bytes.truncate(1 << 20);
+    bytes
+}
+
+/// Feeds one target for its time.
+fn fuzz(name: &str, corpus: &[Vec<u8>], target: impl Fn(&[u8])) {
+    let seconds = std::env::var("STICTIOND_FUZZ_S").ok().and_then(|s| s.parse().ok()).unwrap_or(1);
+    let until = Instant::now() + Duration::from_secs(seconds);
+    let mut runs = 0_u64;
+    // At least as many whatever the machine, at most as long as was asked for.
+    while runs < 50 || Instant::now() < until {
+        let input = mutated(&mut ChaCha8Rng::seed_from_u64(runs), corpus);
+        let started = Instant::now();
+        let outcome = catch_unwind(AssertUnwindSafe(|| target(&input)));
+        assert!(outcome.is_ok(), "{name}: seed {runs} panics on {} bytes", input.len());
+        let took = started.elapsed();
+        assert!(took < Duration::from_secs(60), "{name}: seed {runs} took {took:?}");
+        runs += 1;
+    }
+    println!("{name}: {runs} inputs in {seconds} s");
+}
+
+fn texts(all: &[&str]) -> Vec<Vec<u8>> {
+    all.iter().map(|text| text.as_bytes().to_vec()).collect()
+}
+
+#[test]
+fn payloads() {
+    let corpus = texts(&[
+        "1.5",
+        r#"{"t":1700000000000000000,"v":50.25,"q":192}"#,
+        r#"[{"t":"2026-01-01T00:00:00.5Z","v":1},{"t":2,"v":null},3,"auto"]"#,
+        "\u{0}\u{0}\u{0}\u{0}\u{0}\u{0}\u{8}@",
+    ]);
+    fuzz("payloads", &corpus, |bytes| {
+        for (signal, encoding, codec) in [
+            (Signal::Op, None, "auto"),
+            (Signal::Mode, Some("application/json"), "auto"),
+            (Signal::Pv, Some("\u{1b};;"), "f64le"),
+        ] {
+            let mut samples = Vec::new();
+            let _ = decode(signal, bytes, encoding, Some(codec), 7, &mut samples);
+            assert!(samples.len() <= MAX_SAMPLES);
+        }
+    });
+}
+
+#[test]
+fn recordings_tables_and_stores() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("input");
+    let read = |bytes: &[u8]| {
+        fs::write(&path, bytes).unwrap();
+        let _ = load_samples(&path);
+    };
+    let recording = fs::read("recordings/awkward.mcap").unwrap();
+    let cut = recording[..recording.len() / 3].to_vec();
+    fuzz("recordings", &[recording, cut], read);
+    let table = "t,op,pv,sp,mode\n0,50,20,20,auto\n2026-01-01T00:00:01Z,51,,20,manual\n2,NaN,1e400,,\n";
+    fuzz("tables", &texts(&[table, "PV;T;OP\n1;2;3\n", "\u{feff}t,pv,op\r\n\"1\",2,3\r\n"]), |bytes| {
+        let _ = csv::read_from(bytes);
+    });
+    let store = dir.path().join("s.mat");
+    let csv = dir.path().join("a.csv");
+    let rows: String = (0..60).map(|k| format!("{k},{},{}\n", k % 7, k % 5)).collect();
+    fs::write(&csv, format!("t,op,pv\n{rows}")).unwrap();
+    let made = std::process::Command::new(env!("CARGO_BIN_EXE_stictiond"))
+        .args(["convert", csv.to_str().unwrap(), store.to_str().unwrap()])
+        .output()
+        .unwrap();
+    assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
+    fuzz("stores", &[fs::read(&store).unwrap()], read);
+}
+
+#[test]
+fn configurations() {
+    let corpus = ["monitor", "demo", "broken"].map(|name| fs::read(format!("config/{name}.toml")).unwrap());
+    fuzz("configurations", &corpus, |bytes| {
+        if let Err(faults) = Config::parse(&String::from_utf8_lossy(bytes)) {
+            assert!(!faults.is_empty());
+        }
+    });
+}
+
+#[test]
+fn keys_and_commands() {
+    let keys = texts(&["plant1/area1/FIC101/op", "p/@stiction/v1/u1/FIC101/alarm", "p/@stiction/v1/@daemon/x/health"]);
+    fuzz("keys", &keys, |bytes| {
+        let text = String::from_utf8_lossy(bytes);
+        let _ = Topic::parse(Some("plant1/area1"), &text);
+        let _ = Topic::parse(None, &text);
+    });
+    let commands = texts(&["ack ann seen", "shelve bob 3600", "in_service \u{1b}[2J x"]);
+    fuzz("commands", &commands, |bytes| {
+        let text = String::from_utf8_lossy(bytes);
+        let mut words = text.splitn(3, ' ').map(str::to_owned);
+        let (cmd, by, why) = (words.next().unwrap_or_default(), words.next(), words.next());
+        let for_s = why.as_deref().and_then(|w| w.parse().ok());
+        let command = Command { cmd, by, why, for_s };
+        if command.check().is_ok() {
+            let mut alarm = Alarm::default();
+            if let Ok(document) = alarm.command("L", &command, i64::MAX) {
+                assert!(!document.line().contains('\u{1b}'));
+            }
+        } else {
+            assert!(command.check().unwrap_err().to_string().len() < 400);
+        }
+    });
+}

@@ -1,0 +1,149 @@
+//! Hostile publishers, strangers with commands, clients that never finish: bounded, answered, logged.
+#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+#![cfg(feature = "daemon")]
+
+#[path = "common/live.rs"]
+mod live;
+
+use std::io::{Read, Write};
+use std::net::TcpStream;
+use std::time::{Duration, Instant};
+
+use live::{Daemon, FAST, PREFIX, alarm_state, ask, http, plane, sticking, wait_for};
+use stictiond::sink::signing::{Signature, Signer};
+use zenoh::Wait;
+use zenoh::qos::CongestionControl;
+
+/// Largest resident memory so far, MB.
+fn peak_mb(pid: u32) -> u64 {
+    let status = std::fs::read_to_string(format!("/proc/{pid}/status")).unwrap();
+    let row = status.lines().find_map(|l| l.strip_prefix("VmHWM:")).unwrap();
+    row.trim().trim_end_matches(" kB").parse::<u64>().unwrap() / 1024
+}
+
+#[test]
+fn large_payloads_are_bounded_in_bytes_and_every_one_is_counted() {
+    let dir = tempfile::tempdir().unwrap();
+    let daemon = Daemon::start(dir.path(), "[input]\nqueue_bytes = 8388608\n");
+    let bus = daemon.session();
+    let before = peak_mb(daemon.pid());
+    // Whole batches of nearly 1 MiB, faster than they can be taken.
+    let batch = format!("[{}1]{}", "1,".repeat(9_999), " ".repeat((1 << 20) - 30_000));
+    let put = |payload: Vec<u8>| {
+        bus.put(format!("{PREFIX}/F/op"), payload).congestion_control(CongestionControl::Block).wait().unwrap();
+    };
+    for _ in 0..120 {
+        put(batch.clone().into_bytes());
+    }
+    wait_for("all messages", || (daemon.counter("messages") == 120).then_some(()));
+    // Nothing frozen: what was not taken is counted as dropped.
+    wait_for("all counted", || {
+        let (taken, dropped) = (daemon.counter("samples") / 10_000, daemon.counter("dropped_input"));
+        (taken + dropped == 120).then_some(())
+    });
+    // Payloads that are too large are refused; far too large ones are never even put together.
+    put(vec![b'1'; 2 << 20]);
+    wait_for("the refusal", || (daemon.counter("undecodable") == 1).then_some(()));
+    put(vec![b'1'; 200 << 20]);
+    put(b"7".to_vec());
+    let samples = daemon.counter("samples");
+    wait_for("a sample after it", || {
+        (daemon.counter("samples") > samples || daemon.counter("messages") >= 122).then_some(())
+    });
+    let grown = peak_mb(daemon.pid()) - before;
+    assert!(grown < 150, "{grown} MB more");
+    bus.close().wait().unwrap();
+    daemon.stop();
+}
+
+#[test]
+fn strangers_are_answered_logged_and_bounded() {
+    let dir = tempfile::tempdir().unwrap();
+    let daemon =
+        Daemon::start(dir.path(), &format!("{FAST}[gap]\nbudget_evaluations = 3000\n[commands]\nruns_per_hour = 3\n"));
+    daemon.play(&sticking(dir.path()));
+    daemon.wait_for_estimates(6);
+    let bus = daemon.session();
+    assert_eq!(alarm_state(&bus), "unack");
+    let refused = |parameters: &str| ask(&bus, &plane(&format!("FIC101/alarm?{parameters}"))).unwrap_err();
+    assert!(refused("cmd=ack").contains("nobody is named"));
+    assert!(refused("cmd=ack;by=").contains("nobody is named"));
+    assert!(refused(&format!("cmd=ack;by=ann;why={}", "w".repeat(60_000))).contains("at most 500"));
+    assert!(refused("cmd=ack;by=boss\u{1b}]0;pwned\u{7}").contains("control characters"));
+    assert!(refused(&format!("cmd={};by=ann", "z".repeat(100_000))).len() < 300);
+    assert_eq!(alarm_state(&bus), "unack");
+    // Diagnoses: named, and no more than are allowed.
+    let runs: Vec<Result<_, String>> = (0..6).map(|k| ask(&bus, &plane(&format!("FIC101/gap?run;by=p{k}")))).collect();
+    assert_eq!(runs.iter().filter(|r| r.is_ok()).count(), 3, "{runs:?}");
+    assert!(runs.last().unwrap().as_ref().unwrap_err().contains("diagnoses an hour"));
+    assert!(ask(&bus, &plane("FIC101/gap?run")).unwrap_err().contains("nobody is named"));
+    // Loops whose names steer terminals do not appear.
+    let loops = daemon.health()["loops"].as_u64().unwrap();
+    bus.put(format!("{PREFIX}/\u{1b}[2J/op"), "1").wait().unwrap();
+    wait_for("the refusal", || (daemon.counter("refused_loops") == 1).then_some(()));
+    assert_eq!(daemon.health()["loops"].as_u64().unwrap(), loops);
+    // A forged document is noticed.
+    let forged = r#"{"schema":"stictiond.alarm.v1","loop":"FIC101","state":"normal","active":false}"#;
+    bus.put(plane("FIC101/alarm"), forged).wait().unwrap();
+    wait_for("the fault", || daemon.faults().iter().any(|f| f.contains("not ours")).then_some(()));
+    assert_eq!(alarm_state(&bus), "unack");
+    let log = daemon.logged();
+    assert!(log.contains("refused") && !log.contains('\u{1b}') && !log.contains('\u{7}'), "{log}");
+    bus.close().wait().unwrap();
+    daemon.stop();
+}
+
+#[test]
+fn a_consumer_can_tell_signed_documents_from_forged_ones() {
+    let dir = tempfile::tempdir().unwrap();
+    let key = dir.path().join("signing.der");
+    // PKCS#8 around a seed, as openssl writes it.
+    let head = [0x30, 0x2e, 2, 1, 0, 0x30, 5, 6, 3, 0x2b, 0x65, 0x70, 4, 0x22, 4, 0x20];
+    std::fs::write(&key, [&head[..], &[9; 32]].concat()).unwrap();
+    let public = Signer::read(&key).unwrap().public_key();
+    let extra = format!("{FAST}[signing]\nkey_file = {:?}\n", key.to_str().unwrap());
+    let daemon = Daemon::start(dir.path(), &extra);
+    assert!(daemon.logged().contains(&public));
+    daemon.play(&sticking(dir.path()));
+    daemon.wait_for_estimates(6);
+    let bus = daemon.session();
+    let signed = |selector: &str| {
+        let replies = bus.get(plane(selector)).wait().unwrap();
+        let sample = replies.recv().unwrap().into_result().unwrap();
+        let attachment = sample.attachment().expect("a signature").to_bytes().to_vec();
+        let signature: Signature = serde_json::from_slice(&attachment).unwrap();
+        let document = sample.payload().to_bytes().to_vec();
+        assert!(!signature.holds(&public, sample.key_expr().as_str(), b"{}"));
+        signature.holds(&public, sample.key_expr().as_str(), &document)
+    };
+    assert!(signed("FIC101/estimate") && signed("FIC101/alarm") && signed("FIC101/alarm?cmd=ack;by=ann"));
+    bus.close().wait().unwrap();
+    daemon.stop();
+}
+
+#[test]
+fn requests_that_are_never_finished_end_and_shut_nobody_out_for_long() {
+    let dir = tempfile::tempdir().unwrap();
+    let daemon = Daemon::start(dir.path(), "");
+    let mut open: Vec<TcpStream> = (0..300)
+        .filter_map(|_| {
+            let mut stream = TcpStream::connect(&daemon.web).ok()?;
+            stream.write_all(b"GET /metrics HTTP/1.1\r\nHost: x\r\nX: ").ok()?;
+            Some(stream)
+        })
+        .collect();
+    let held = std::fs::read_dir(format!("/proc/{}/fd", daemon.pid())).unwrap().count();
+    assert!(held < 200, "{held} descriptors");
+    let until = Instant::now() + Duration::from_secs(60);
+    for stream in &mut open {
+        stream
+            .set_read_timeout(Some(until.saturating_duration_since(Instant::now()) + Duration::from_secs(1)))
+            .unwrap();
+        let mut answer = Vec::new();
+        // Closed, or reset: either way it has ended. A read that times out would be neither.
+        let ended = stream.read_to_end(&mut answer);
+        assert!(ended.as_ref().err().is_none_or(|e| e.kind() != std::io::ErrorKind::WouldBlock), "{ended:?}");
+    }
+    assert!(http(&daemon.web, "/metrics").contains("stictiond_messages"));
+    daemon.stop();
+}

@@ -1,0 +1,24 @@
+//! The library, seen from outside: what it promises, held on simulated and recorded loops.
+//!
+//! One binary, so that what all tests share is compiled and linked once.
+#![allow(missing_docs)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+#[path = "../common/mod.rs"]
+mod common;
+
+mod config;
+mod engine;
+mod engine_gaps;
+mod screening;
+mod tidy;
+mod traps;
+mod truth_causes;
+mod truth_controller;
+mod truth_detectable;
+mod truth_gap;
+mod truth_intervals;
+mod truth_solvers;
+mod truth_stiction;
+mod val_labelled;
+mod val_stick_index;

@@ -1,0 +1,429 @@
+//! What must be absent, and what must agree: the walls between rooms, the purity of the pure half, the README's tables.
+//!
+//! `src/lib.rs` says what these tests hold. Test code (`#[cfg(test)]`) and comments may do as they like.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// Longest file in `src`, lines.
+const MAX_LINES: usize = 600;
+
+/// Which rooms each room may use, in the order of the map in `src/lib.rs`.
+const IMPORTS: [(&str, &[&str]); 22] = [
+    // Words.
+    ("units", &[]),
+    ("record", &["units"]),
+    // Tools.
+    ("signal", &["units", "record"]),
+    ("optim", &[]),
+    // Physics.
+    ("sim", &["units", "record", "signal"]),
+    // Identification.
+    ("ident", &["units", "record", "signal", "optim", "sim"]),
+    ("detect", &["units", "record", "signal", "optim", "sim", "ident"]),
+    // Settings: words only.
+    ("config", &["units", "record"]),
+    // Judgement.
+    ("verdict", &["units", "record", "signal", "optim", "sim", "ident", "detect"]),
+    ("gap", &["units", "record", "signal", "optim", "sim", "ident", "detect"]),
+    // Checks `gap` from outside: neither of the two may see the other.
+    ("challenge", &["units", "record", "signal", "sim", "verdict"]),
+    ("alarm", &["units", "record", "config", "verdict"]),
+    // Engine.
+    ("codec", &["units", "record"]),
+    ("engine", &["units", "record", "signal", "sim", "ident", "detect", "config", "verdict", "gap", "alarm"]),
+    // Shell: anything pure, and each other; nobody uses `cli`.
+    ("files", &["pure"]),
+    ("report", &["pure"]),
+    ("source", &["pure", "daemon"]),
+    ("sink", &["pure", "files", "source", "daemon"]),
+    ("web", &["pure", "daemon"]),
+    ("daemon", &["pure", "files", "source", "sink", "web"]),
+    ("cli", &["pure", "files", "report", "source", "sink", "web", "daemon"]),
+    ("main", &["cli"]),
+];
+
+/// Rooms of the shell, which the feature `daemon` switches on.
+const SHELL: [&str; 8] = ["files", "report", "source", "sink", "web", "daemon", "cli", "main"];
+
+/// What the pure half must not name, and why.
+const IMPURE: [(&str, &str); 13] = [
+    ("std::fs", "files belong to files/"),
+    ("std::net", "sockets belong to the shell"),
+    ("std::thread", "threads belong to daemon/"),
+    ("std::time", "the core is told the time"),
+    ("std::env", "settings come from the configuration"),
+    ("std::process", "the shell talks to the system"),
+    ("std::{", "one use a module, so that this test can see it"),
+    ("crate::{", "one use a room, so that this test can see it"),
+    ("tokio", "feature daemon"),
+    ("zenoh::", "feature daemon"),
+    ("mcap::", "feature daemon"),
+    ("axum", "feature daemon"),
+    ("thread_rng", "draws are seeded"),
+];
+
+/// Methods of `f64` whose last bit differs between systems; `libm` is the same everywhere.
+const UNPORTABLE: [&str; 26] = [
+    "exp", "exp2", "exp_m1", "ln", "ln_1p", "log", "log2", "log10", "sin", "cos", "tan", "sin_cos", "asin", "acos",
+    "atan", "atan2", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh", "powf", "powi", "cbrt", "hypot",
+];
+
+struct Source {
+    /// Path below `src`, with `/`.
+    path: String,
+    /// As it stands.
+    text: String,
+    /// Without comments, texts in quotes, and test items.
+    code: String,
+}
+
+impl Source {
+    fn room(&self) -> &str {
+        let first = self.path.split('/').next().unwrap();
+        first.strip_suffix(".rs").unwrap_or(first)
+    }
+
+    fn is_pure(&self) -> bool {
+        !SHELL.contains(&self.room())
+    }
+}
+
+fn root() -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR"))
+}
+
+fn files_below(folder: &Path, found: &mut Vec<PathBuf>) {
+    for entry in fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            files_below(&path, found);
+        } else if path.extension().is_some_and(|e| e == "rs") {
+            found.push(path);
+        }
+    }
+}
+
+/// Every file of `src` but those that are tests as a whole (`#[cfg(test)] mod name;`).
+fn sources() -> Vec<Source> {
+    let src = root().join("src");
+    let mut paths = Vec::new();
+    files_below(&src, &mut paths);
+    paths.sort();
+    let mut test_files = BTreeSet::new();
+    let mut all = Vec::new();
+    for path in paths {
+        let text = fs::read_to_string(&path).unwrap();
+        let bare = without_comments_and_texts(&text);
+        let (code, test_modules) = without_tests(&bare);
+        let folder = path.parent().unwrap();
+        let home = if path.file_name().unwrap() == "mod.rs" || folder == src {
+            folder.to_owned()
+        } else {
+            path.with_extension("")
+        };
+        test_files.extend(test_modules.iter().map(|m| home.join(format!("{m}.rs"))));
+        let relative = path.strip_prefix(&src).unwrap().to_str().unwrap().replace('\\', "/");
+        all.push((path, Source { path: relative, text, code }));
+    }
+    assert!(all.len() > 30, "src was not found");
+    all.into_iter().filter(|(path, _)| !test_files.contains(path)).map(|(_, source)| source).collect()
+}
+
+/// Blanks comments and the insides of texts, keeping line breaks.
+fn without_comments_and_texts(text: &str) -> String {
+    let chars: Vec<char> = text.chars().collect();
+    let mut out = String::with_capacity(text.len());
+    let mut at = 0;
+    let starts = |at: usize, with: &str| chars[at..].iter().take(with.len()).copied().eq(with.chars());
+    while at < chars.len() {
+        if starts(at, "//") {
+            while at < chars.len() && chars[at] != '\n' {
+                at += 1;
+            }
+        } else if starts(at, "/*") {
+            while at < chars.len() && !starts(at, "*/") {
+                if chars[at] == '\n' {
+                    out.push('\n');
+                }
+                at += 1;
+            }
+            at += 2;
+        } else if chars[at] == 'r' && (starts(at, "r\"") || starts(at, "r#")) && !is_word(chars.get(at.wrapping_sub(1)))
+        {
+            let hashes = chars[at + 1..].iter().take_while(|c| **c == '#').count();
+            if chars.get(at + 1 + hashes) != Some(&'"') {
+                out.push('r');
+                at += 1;
+                continue;
+            }
+            let end = format!("\"{}", "#".repeat(hashes));
+            at += 2 + hashes;
+            while at < chars.len() && !starts(at, &end) {
+                at += 1;
+            }
+            at += end.len();
+            out.push_str("\"\"");
+        } else if chars[at] == '"' {
+            at += 1;
+            while at < chars.len() && chars[at] != '"' {
+                at += if chars[at] == '\\' { 2 } else { 1 };
+            }
+            at += 1;
+            out.push_str("\"\"");
+        } else if starts(at, "'\\") || (chars[at] == '\'' && chars.get(at + 2) == Some(&'\'')) {
+            at += 2;
+            while at < chars.len() && chars[at] != '\'' {
+                at += 1;
+            }
+            at += 1;
+            out.push_str("' '");
+        } else {
+            out.push(chars[at]);
+            at += 1;
+        }
+    }
+    out
+}
+
+fn is_word(c: Option<&char>) -> bool {
+    c.is_some_and(|c| c.is_alphanumeric() || *c == '_')
+}
+
+/// Takes out items behind `#[cfg(test)]`; names the modules among them that are files of their own.
+fn without_tests(code: &str) -> (String, Vec<String>) {
+    const MARK: &str = "#[cfg(test)]";
+    let (mut out, mut modules) = (String::new(), Vec::new());
+    let mut rest = code;
+    while let Some(at) = rest.find(MARK) {
+        out.push_str(&rest[..at]);
+        let item = &rest[at + MARK.len()..];
+        let end = item.find(['{', ';']).unwrap();
+        if item[end..].starts_with(';') {
+            if let Some(name) = item[..end].trim().strip_prefix("mod ") {
+                modules.push(name.to_owned());
+            }
+            rest = &item[end + 1..];
+            continue;
+        }
+        let mut depth = 0;
+        let close = item.char_indices().skip_while(|(i, _)| *i < end).find(|(_, c)| {
+            depth += i32::from(*c == '{') - i32::from(*c == '}');
+            depth == 0
+        });
+        rest = &item[close.unwrap().0 + 1..];
+    }
+    out.push_str(rest);
+    (out, modules)
+}
+
+/// Places at which a text stands as a path of its own, not as the end of a longer word.
+fn places<'a>(code: &'a str, wanted: &'a str) -> impl Iterator<Item = (usize, &'a str)> + 'a {
+    code.match_indices(wanted).filter_map(move |(at, _)| {
+        let before = code[..at].chars().next_back();
+        let line = code[..at].matches('\n').count() + 1;
+        (!is_word(before.as_ref())).then_some((line, &code[at + wanted.len()..]))
+    })
+}
+
+fn fail_on(faults: &[String]) {
+    assert!(faults.is_empty(), "\n{}\n", faults.join("\n"));
+}
+
+#[test]
+fn rooms_use_only_rooms_above_them() {
+    let mut faults = Vec::new();
+    let mut seen = BTreeSet::new();
+    for source in sources().iter().filter(|s| s.path != "lib.rs") {
+        let room = source.room();
+        seen.insert(room.to_owned());
+        let Some((_, allowed)) = IMPORTS.iter().find(|(name, _)| *name == room) else {
+            faults.push(format!("src/{}: room {room} has no row in the table of tests/library/tidy.rs", source.path));
+            continue;
+        };
+        for (line, rest) in places(&source.code, "crate::").chain(places(&source.code, "stictiond::")) {
+            let name: String = rest.chars().take_while(|c| is_word(Some(c))).collect();
+            let constant = name.chars().all(|c| c.is_ascii_uppercase());
+            let pure = allowed.contains(&"pure") && !SHELL.contains(&name.as_str());
+            if name != room && !constant && !pure && !allowed.contains(&name.as_str()) {
+                faults.push(format!("src/{}: line {line}: {room} may not use {name}", source.path));
+            }
+        }
+        // `super` stays inside the room.
+        let depth = source.path.matches('/').count() - usize::from(source.path.ends_with("/mod.rs"));
+        let outside = "super::".repeat(depth + 1);
+        for (line, _) in places(&source.code, &outside) {
+            faults.push(format!("src/{}: line {line}: {outside} leaves the room", source.path));
+        }
+    }
+    for (room, _) in IMPORTS.iter().filter(|(room, _)| !seen.contains(*room)) {
+        faults.push(format!("room {room} is in the table of tests/library/tidy.rs but not in src"));
+    }
+    fail_on(&faults);
+}
+
+#[test]
+fn the_diagnosis_cannot_see_what_checks_it() {
+    let allowed = IMPORTS.iter().find(|(room, _)| *room == "gap").unwrap().1;
+    assert!(!allowed.contains(&"challenge"));
+    let seen = |room: &str| IMPORTS.iter().any(|(name, others)| *name == room && others.contains(&"challenge"));
+    // Nor by way of a room that it may use.
+    assert!(allowed.iter().all(|room| !seen(room)));
+    let hidden = ["challenge::", "truth::", "friction::", "Friction"];
+    let mut faults = Vec::new();
+    for source in sources().iter().filter(|s| s.room() == "gap") {
+        for wanted in hidden {
+            let found = places(&source.code, wanted);
+            faults.extend(found.map(|(line, _)| format!("src/{}: line {line}: {wanted}", source.path)));
+        }
+    }
+    let mut own = Vec::new();
+    for source in sources().iter().filter(|s| s.room() == "challenge") {
+        own.extend(places(&source.code, "gap::").map(|(line, _)| format!("src/{}: line {line}: gap::", source.path)));
+    }
+    assert!(sources().iter().any(|s| s.room() == "challenge"));
+    fail_on(&faults);
+    fail_on(&own);
+}
+
+#[test]
+fn the_map_names_every_room() {
+    let map = fs::read_to_string(root().join("src/lib.rs")).unwrap();
+    let table: String = map.lines().filter(|l| l.starts_with("//! |")).collect();
+    let missing: Vec<&str> = sources()
+        .iter()
+        .map(|s| s.room().to_owned())
+        .filter_map(|room| IMPORTS.iter().map(|(name, _)| *name).find(|name| *name == room))
+        .filter(|room| *room != "main" && !table.contains(&format!("`{room}`")))
+        .collect();
+    assert!(missing.is_empty(), "not in the map of src/lib.rs: {missing:?}");
+}
+
+#[test]
+fn the_pure_half_has_no_files_clocks_threads_or_chance() {
+    let mut faults = Vec::new();
+    for source in sources().iter().filter(|s| s.is_pure() && s.path != "lib.rs") {
+        for (wanted, why) in IMPURE {
+            let found = places(&source.code, wanted);
+            faults.extend(found.map(|(line, _)| format!("src/{}: line {line}: {wanted}: {why}", source.path)));
+        }
+    }
+    fail_on(&faults);
+}
+
+#[test]
+fn the_pure_half_computes_alike_on_every_machine() {
+    let mut faults = Vec::new();
+    for source in sources().iter().filter(|s| s.is_pure()) {
+        for name in UNPORTABLE {
+            for call in [format!(".{name}("), format!("f64::{name}(")] {
+                let at = source.code.match_indices(&call).map(|(at, _)| source.code[..at].matches('\n').count() + 1);
+                faults.extend(at.map(|line| format!("src/{}: line {line}: {call}…): use libm::", source.path)));
+            }
+        }
+    }
+    fail_on(&faults);
+}
+
+#[test]
+fn files_are_short_and_say_what_they_are_for() {
+    let mut paths = Vec::new();
+    files_below(&root().join("src"), &mut paths);
+    let mut faults = Vec::new();
+    for path in paths {
+        let text = fs::read_to_string(&path).unwrap();
+        let lines = text.lines().count();
+        if lines > MAX_LINES {
+            faults.push(format!("{}: {lines} lines, at most {MAX_LINES}: divide it", path.display()));
+        }
+        if !text.starts_with("//! ") {
+            faults.push(format!("{}: starts without //! and what it is for", path.display()));
+        }
+    }
+    fail_on(&faults);
+}
+
+#[test]
+fn nothing_is_left_open_and_no_machine_is_named() {
+    let machine = ["work", "root", "tmp", "home"].map(|folder| format!("/{folder}/"));
+    let open = ["TO-DO", "FIX-ME", "XX-X", "todo-!", "unimple-mented!"].map(|word| word.replace('-', ""));
+    let mut texts: Vec<(String, String)> = sources().into_iter().map(|s| (format!("src/{}", s.path), s.text)).collect();
+    for name in ["README.md", "CHANGELOG.md", "SECURITY.md", "config/monitor.toml", "recordings/README.md"] {
+        texts.push((name.to_owned(), fs::read_to_string(root().join(name)).unwrap()));
+    }
+    let mut faults = Vec::new();
+    for (name, text) in texts {
+        for word in machine.iter().chain(&open) {
+            let lines = text.lines().enumerate().filter(|(_, l)| l.contains(word.as_str()));
+            faults.extend(lines.map(|(at, _)| format!("{name}: line {}: {word}", at + 1)));
+        }
+    }
+    fail_on(&faults);
+}
+
+/// First cells, in code marks, of the README's table whose first heading is `heading`.
+fn readme_column(heading: &str) -> Vec<String> {
+    let readme = fs::read_to_string(root().join("README.md")).unwrap();
+    let head = format!("| {heading} |");
+    let mut lines = readme.lines().skip_while(|l| !l.starts_with(&head));
+    assert!(lines.next().is_some(), "README.md has no table that starts with {head}");
+    let rows = lines.skip(1).take_while(|l| l.starts_with('|'));
+    rows.map(|l| l.split('`').nth(1).unwrap_or_else(|| panic!("no `name` in {l}")).to_owned()).collect()
+}
+
+#[test]
+fn the_readme_lists_what_there_is() {
+    let names = |all: Vec<&'static str>| all.into_iter().map(str::to_owned).collect::<Vec<_>>();
+    assert_eq!(readme_column("solver"), names(stictiond::optim::ALL.iter().map(|s| s.name()).collect()));
+    assert_eq!(readme_column("format"), names(stictiond::codec::ALL.iter().map(|c| c.name()).collect()));
+    assert_eq!(readme_column("gate"), names(stictiond::verdict::Gate::ALL.iter().map(|g| g.name()).collect()));
+}
+
+#[cfg(feature = "daemon")]
+#[test]
+fn the_readme_lists_every_command() {
+    let output = std::process::Command::new(env!("CARGO_BIN_EXE_stictiond")).arg("--help").output().unwrap();
+    let help = String::from_utf8(output.stdout).unwrap();
+    let rows = help.lines().skip_while(|l| *l != "Commands:").skip(1).take_while(|l| !l.is_empty());
+    // A command stands two columns in, the rest of a long description further.
+    let commands: Vec<String> = rows
+        .filter(|l| l.starts_with("  ") && !l.starts_with("   "))
+        .map(|l| l.split_whitespace().next().unwrap().to_owned())
+        .filter(|name| name != "help")
+        .collect();
+    assert_eq!(readme_column("command"), commands);
+}
+
+/// What is known of an effect stands in its file: no other file of the gap names one.
+#[test]
+fn no_effect_is_named_outside_its_own_file() {
+    let mut folders = vec![Path::new(env!("CARGO_MANIFEST_DIR")).join("src/gap")];
+    let mut seen = 0;
+    while let Some(folder) = folders.pop() {
+        for path in fs::read_dir(&folder).unwrap().flatten().map(|entry| entry.path()) {
+            let name = path.file_stem().unwrap().to_string_lossy().into_owned();
+            if path.is_dir() {
+                if name != "effects" {
+                    folders.push(path);
+                }
+                continue;
+            }
+            if path.extension().is_none_or(|e| e != "rs") || name == "tests" {
+                continue;
+            }
+            let text = fs::read_to_string(&path).unwrap();
+            let code = text.split("#[cfg(test)]").next().unwrap();
+            let code: String = code.lines().filter(|l| !l.trim_start().starts_with("//")).collect();
+            seen += 1;
+            for effect in stictiond::gap::effects::ALL {
+                // A process' own flag in a model file has the name of the effect.
+                let flag = name == "model_file" && code.contains(&format!("flag(\"{}\")", effect.id));
+                assert!(flag || !code.contains(&format!("\"{}\"", effect.id)), "{} in {}", effect.id, path.display());
+            }
+        }
+    }
+    assert!(seen > 30, "only {seen} files were found");
+}

@@ -1,0 +1,22 @@
+//! The program at its process boundary: commands, files, daemons.
+//!
+//! One binary, so that what all tests share is compiled and linked once.
+#![cfg(feature = "daemon")]
+#![allow(missing_docs)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+#[path = "../common/mod.rs"]
+mod common;
+#[path = "../common/live.rs"]
+mod live;
+
+mod challenge;
+mod cli_files;
+mod cli_gap;
+mod cli_report;
+mod daemon;
+mod daemon_gap;
+mod golden;
+mod recordings;
+mod shipped;
+mod toolbox;

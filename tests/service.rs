@@ -1,0 +1,166 @@
+//! Life as a service: signals, locks, limits of the system, and what `check` finds before the start.
+#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+#![cfg(feature = "daemon")]
+
+#[path = "common/live.rs"]
+mod live;
+
+use std::fs;
+use std::os::unix::net::UnixDatagram;
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::Duration;
+
+use live::{Daemon, configure, files, free_port, ok, stictiond, wait_for};
+use zenoh::Wait;
+
+#[test]
+fn sighup_reads_the_configuration_again_and_begins_new_recordings() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut daemon = Daemon::start(dir.path(), "");
+    let first = wait_for("a file", || files(&daemon.recordings).pop());
+    let config = dir.path().join("config.toml");
+    let text = fs::read_to_string(&config).unwrap();
+    fs::write(&config, format!("{text}max_s = 77.0\n[commands]\nenabled = false\n[alarm]\ns_limit_op = 2.0\n"))
+        .unwrap();
+    daemon.signal("HUP");
+    daemon.wait_for_log("these hold from now on");
+    let log = daemon.logged();
+    let line = |part: &str| log.lines().find(|l| l.contains(part)).unwrap_or_default().to_owned();
+    assert!(line("hold from now on").contains("commands.enabled, recording.max_s"), "{log}");
+    assert!(line("until the next start").contains("alarm.s_limit_op"), "{log}");
+    // The file is finished, and another one is open.
+    let done = first.with_extension("");
+    wait_for("the finished file", || done.exists().then_some(()));
+    wait_for("a new file", || (files(&daemon.recordings).len() == 2).then_some(()));
+    ok(&["info", done.to_str().unwrap(), "--verify"]);
+    // Broken, it changes nothing and is a fault until it is mended.
+    fs::write(&config, "[site]\nprefx = 1\n").unwrap();
+    daemon.signal("HUP");
+    wait_for("the fault", || daemon.faults().iter().any(|f| f.contains("the old one holds")).then_some(()));
+    fs::write(&config, text).unwrap();
+    daemon.signal("HUP");
+    wait_for("no fault", || daemon.faults().is_empty().then_some(()));
+    assert!(daemon.alive());
+    daemon.stop();
+}
+
+#[test]
+fn systemd_is_told_and_the_engine_feeds_its_watchdog() {
+    let dir = tempfile::tempdir().unwrap();
+    let place = dir.path().join("notify");
+    let socket = UnixDatagram::bind(&place).unwrap();
+    socket.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
+    let address = format!("NOTIFY_SOCKET={}", place.to_str().unwrap());
+    let daemon = Daemon::start_by(&["env", &address, "WATCHDOG_USEC=400000"], dir.path(), "");
+    let heard = |wanted: &str| {
+        let mut buffer = [0_u8; 4096];
+        loop {
+            let length = socket.recv(&mut buffer).unwrap_or_else(|e| panic!("waited for {wanted}: {e}"));
+            let text = String::from_utf8_lossy(&buffer[..length]).into_owned();
+            if text.lines().any(|line| line.starts_with(wanted)) {
+                return text;
+            }
+        }
+    };
+    heard("READY=1");
+    (0..3).for_each(|_| drop(heard("WATCHDOG=1")));
+    daemon.signal("HUP");
+    assert!(heard("RELOADING=1").contains("MONOTONIC_USEC="));
+    heard("READY=1");
+    daemon.signal("TERM");
+    heard("STOPPING=1");
+}
+
+#[test]
+fn a_folder_belongs_to_one_daemon() {
+    let dir = tempfile::tempdir().unwrap();
+    let daemon = Daemon::start(dir.path(), "");
+    let path = configure(dir.path(), &format!("tcp/127.0.0.1:{}", free_port()), "");
+    let second = stictiond(&["run", "--config", path.to_str().unwrap()]);
+    assert_eq!(second.status.code(), Some(1));
+    let said = String::from_utf8_lossy(&second.stderr).into_owned();
+    assert!(said.contains("another daemon") && said.contains("[recording] dir"), "{said}");
+    daemon.kill();
+    Daemon::start(dir.path(), "").stop();
+}
+
+#[test]
+fn a_limit_on_file_size_costs_recordings_not_the_daemon() {
+    let dir = tempfile::tempdir().unwrap();
+    // 512-byte or 1 KiB blocks, as the shell has it: at most 256 KiB a file, less than the store and a recording need.
+    let mut daemon =
+        Daemon::start_by(&["sh", "-c", "ulimit -f 256; exec \"$@\"", "sh"], dir.path(), "[recording]\nflush_s = 0.1\n");
+    let bus = daemon.session();
+    let mut sent = 0_u64;
+    wait_for("the fault", || {
+        for _ in 0..2000 {
+            let (t_ns, value) = (1_700_000_000_000_000_000 + sent * 1_000_000_000, (sent as f64 * 0.7).sin() * 1e9);
+            bus.put("plant1/area1/A/op", format!("{{\"t\":{t_ns},\"v\":{value}}}")).wait().unwrap();
+            sent += 1;
+        }
+        daemon.faults().iter().any(|f| f.contains("recording has stopped") || f.contains("stored")).then_some(())
+    });
+    assert!(daemon.alive());
+    bus.close().wait().unwrap();
+    daemon.stop();
+}
+
+#[test]
+fn check_finds_a_missing_zenoh_file_and_a_folder_that_cannot_be_written() {
+    let dir = tempfile::tempdir().unwrap();
+    let check = |extra: &str| {
+        let path = dir.path().join("c.toml");
+        fs::write(&path, format!("[site]\nprefix = \"p\"\n{extra}")).unwrap();
+        let out = stictiond(&["check", path.to_str().unwrap()]);
+        (out.status.code().unwrap(), String::from_utf8(out.stdout).unwrap())
+    };
+    let place = dir.path().join("plain");
+    fs::write(&place, b"").unwrap();
+    let (code, said) = check("[zenoh]\nmode = \"peer\"\nconfig_file = \"nowhere.json5\"\n");
+    assert!(code == 1 && said.contains("line 5: zenoh.config_file") && said.contains("nowhere.json5"), "{said}");
+    let (code, said) = check(&format!("[recording]\ndir = {:?}\n", place.join("rec").to_str().unwrap()));
+    assert!(code == 1 && said.contains("line 4: recording.dir") && said.contains("plain"), "{said}");
+    let (code, said) = check(&format!("[recording]\ndir = {:?}\n", dir.path().join("new/rec").to_str().unwrap()));
+    assert_eq!(code, 0, "{said}");
+    assert!(!dir.path().join("new").exists(), "a check leaves nothing behind");
+}
+
+#[test]
+fn a_second_daemon_under_the_same_zenoh_id_says_that_it_is_blind() {
+    let dir = tempfile::tempdir().unwrap();
+    let port = free_port();
+    let zenoh_file = |name: &str, links: &str| {
+        let path = dir.path().join(name);
+        let text = format!("{{id:\"abcd1234\",mode:\"peer\",scouting:{{multicast:{{enabled:false}}}},{links}}}");
+        fs::write(&path, text).unwrap();
+        path
+    };
+    let first = zenoh_file("a.json5", &format!("listen:{{endpoints:[\"tcp/127.0.0.1:{port}\"]}}"));
+    let second =
+        zenoh_file("b.json5", &format!("connect:{{endpoints:[\"tcp/127.0.0.1:{port}\"]}},listen:{{endpoints:[]}}"));
+    let start = |name: &str, file: &Path| {
+        let path = dir.path().join(format!("{name}.toml"));
+        let rec = dir.path().join(name);
+        let text = format!(
+            "[site]\nprefix = \"p\"\n[zenoh]\nconfig_file = {:?}\n[web]\nenabled = false\n[recording]\ndir = {:?}\n",
+            file.to_str().unwrap(),
+            rec.to_str().unwrap()
+        );
+        fs::write(&path, text).unwrap();
+        let log = fs::File::create(dir.path().join(format!("{name}.log"))).unwrap();
+        let mut command = Command::new(env!("CARGO_BIN_EXE_stictiond"));
+        command.args(["run", "--config", path.to_str().unwrap()]).stderr(log).stdout(Stdio::null()).spawn().unwrap()
+    };
+    let said = |name: &str, part: &str| {
+        fs::read_to_string(dir.path().join(format!("{name}.log"))).unwrap().contains(part).then_some(())
+    };
+    let mut a = start("a", &first);
+    wait_for("the first", || said("a", "watching"));
+    let mut b = start("b", &second);
+    wait_for("the fault", || said("b", "another daemon uses the Zenoh id abcd1234"));
+    a.kill().unwrap();
+    b.kill().unwrap();
+    a.wait().unwrap();
+    b.wait().unwrap();
+}
