@@ -1,14 +1,11 @@
 //! Whole gap documents of simulated loops, held byte for byte.
 //!
-//! `REMAKE=1 cargo test --no-default-features --test gap_golden` writes them anew.
-#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-
-mod common;
+//! `REMAKE=1 cargo test --no-default-features --test library gap_golden` writes them anew.
 
 use std::fs;
 use std::path::Path;
 
-use common::Draw;
+use crate::common::Draw;
 use stictiond::detect::oscillation;
 use stictiond::gap::document::GapDocument;
 use stictiond::gap::locate::{Subject, locate};
