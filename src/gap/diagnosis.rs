@@ -16,7 +16,7 @@ use super::schedule::{self, Found, Work, residual_of};
 use super::signatures::{self, Traces};
 use super::stages;
 use super::types::{
-    Ask, Base, Diagnosis, EffectResult, Executor, Fit, Floor, Forward, GapError, NONE, Predictions, UNKNOWN,
+    Ask, Base, Diagnosis, EffectResult, Ended, Executor, Fit, Floor, Forward, GapError, NONE, Predictions, UNKNOWN,
 };
 use super::weigh::Scales;
 use crate::ident::controller;
@@ -99,6 +99,8 @@ pub fn diagnose(record: &Record, ask: &Ask, executor: &dyn Executor) -> Result<D
         forward: None,
         pairs: Vec::new(),
         evaluations: 0,
+        budget_evaluations: budget,
+        ended: found.ended,
         stopped_early: false,
         floor,
         blocks: problem.blocks.clone(),
@@ -121,6 +123,9 @@ pub fn diagnose(record: &Record, ask: &Ask, executor: &dyn Executor) -> Result<D
     made.next_test = next_test(&problem, &found, &made);
     made.evaluations = work.done;
     made.stopped_early = work.stopped || work.spent;
+    if work.stopped {
+        made.ended = Ended::Stopped;
+    }
     Ok(made)
 }
 

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::locate::Location;
 use super::loop_run::Cycles;
 use super::model::Model;
-use super::types::{Base, Diagnosis, EffectResult, Fit, Parameter};
+use super::types::{Base, Diagnosis, EffectResult, Ended, Fit, Parameter};
 use crate::record::Record;
 use crate::signal::stats;
 
@@ -27,6 +27,17 @@ pub struct Window {
     pub ts_s: f64,
     /// Raw samples in a point of the simulation (1: raw).
     pub box_samples: u64,
+}
+
+/// The record of the search.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct SearchNote {
+    /// Model responses computed by all searches: for base and effects, behind a recorded valve position, for pairs.
+    pub evaluations: u64,
+    /// Responses that each of them was allowed.
+    pub budget: u64,
+    /// Why the search for base and effects ended: `noise`, `explained`, `agreement`, `complete`, `budget` or `stopped`.
+    pub ended: Ended,
 }
 
 /// From which model the gap is measured.
@@ -210,6 +221,8 @@ pub struct GapDocument {
     pub next_test: Option<TestNote>,
     /// Model responses computed.
     pub evaluations: u64,
+    /// The search: what it spent, what it might, why it ended.
+    pub search: SearchNote,
     /// Whether the search was ended before it was done.
     pub stopped_early: bool,
     /// Pairs of effects, best first; empty unless asked for.
@@ -275,6 +288,11 @@ impl GapDocument {
                 p: t.p,
             }),
             evaluations: diagnosis.evaluations,
+            search: SearchNote {
+                evaluations: diagnosis.evaluations,
+                budget: diagnosis.budget_evaluations,
+                ended: diagnosis.ended,
+            },
             stopped_early: diagnosis.stopped_early,
             pairs: diagnosis.pairs.iter().map(EffectNote::of).collect(),
             noise_models: NoiseNote {

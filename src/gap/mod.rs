@@ -42,5 +42,6 @@ pub use diagnosis::{MIN_POINTS, diagnose};
 pub use given::check as check_model;
 pub use types::*;
 
-/// Model responses of a default search: two seconds on two cores where the base explains all, some ten where nothing does.
+/// Model responses of a default search: a third of a second of one core where the base explains all, some three where
+/// nothing does.
 pub const DEFAULT_EVALUATIONS: u64 = 1_000_000;

@@ -16,7 +16,7 @@ use super::search::{Effort, FIRST, MIDDLE, NARROW, SMALL, Search, WIDE, exchange
 use super::settle::NEAR;
 use super::slips::search_slips;
 use super::structure::{MAX_PARAMS, Parameters, Plan, Structure};
-use super::types::{Executor, Stage};
+use super::types::{Ended, Executor, Stage};
 use crate::ident::class::Class;
 use crate::ident::residual;
 use crate::sim::slips::Law;
@@ -125,6 +125,8 @@ pub struct Found {
     pub base: Search,
     /// Base and one effect each.
     pub searches: Vec<Search>,
+    /// Why the search ended.
+    pub ended: Ended,
 }
 
 /// Effects of the catalogue that are simulated against this base.
@@ -296,6 +298,7 @@ pub fn run(
         let own = |i: usize| own.get(i).map_or(&[][..], |(thetas, _)| thetas);
         share(problem, &mut searches, effort, work, &|_| from.clone(), &own);
     }
+    let mut last_gained = false;
     for round in 0..if calm { 0 } else { SHARED_ROUNDS as u64 } {
         let mut gains = false;
         for again in 0..MOST_AGAIN {
@@ -305,12 +308,28 @@ pub fn run(
                 break;
             }
         }
-        if !work.goes_on() || round > 0 && !gains || !exchange_round(problem, &mut base, &mut searches, work) && !gains
-        {
+        let exchanged =
+            work.goes_on() && (round == 0 || gains) && exchange_round(problem, &mut base, &mut searches, work);
+        last_gained = gains || exchanged;
+        if !last_gained {
             break;
         }
     }
-    Some(Found { base, searches })
+    let best = searches.iter().min_by(|a, b| a.sse().total_cmp(&b.sse()));
+    let ended = if work.stopped {
+        Ended::Stopped
+    } else if work.spent {
+        Ended::Budget
+    } else if is_calm(problem, &base, floor) {
+        Ended::Noise
+    } else if best.is_some_and(|search| is_calm(problem, search, floor)) {
+        Ended::Explained
+    } else if last_gained {
+        Ended::Complete
+    } else {
+        Ended::Agreement
+    };
+    Some(Found { base, searches, ended })
 }
 
 /// A round in which the base and every search that is not far behind try what the others found. Says whether one gained.

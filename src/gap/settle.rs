@@ -386,6 +386,7 @@ fn newton_step(curve: &[Vec<f64>], slope: &[f64]) -> Option<Vec<f64>> {
 }
 
 /// The solution of a symmetric system, where it is positive definite (Cholesky).
+#[allow(clippy::needless_range_loop)] // rows and columns of one array
 fn solved(mut a: Vec<Vec<f64>>, b: &[f64]) -> Option<Vec<f64>> {
     let n = b.len();
     for i in 0..n {

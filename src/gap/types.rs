@@ -79,6 +79,24 @@ impl Executor for Serial {
     }
 }
 
+/// Why a search ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Ended {
+    /// The base leaves nothing but noise.
+    Noise,
+    /// The base with an effect leaves nothing but noise.
+    Explained,
+    /// Another round gained next to nothing.
+    Agreement,
+    /// All rounds were made.
+    Complete,
+    /// The budget was spent.
+    Budget,
+    /// It was told to end.
+    Stopped,
+}
+
 /// Where an effect acts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -404,6 +422,10 @@ pub struct Diagnosis {
     pub pairs: Vec<EffectResult>,
     /// Model responses computed.
     pub evaluations: u64,
+    /// Responses that each search was allowed.
+    pub budget_evaluations: u64,
+    /// Why the search for base and effects ended.
+    pub ended: Ended,
     /// Whether executor or budget ended the search before its time.
     pub stopped_early: bool,
     /// The noise floor.

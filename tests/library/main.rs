@@ -10,6 +10,7 @@ mod common;
 mod config;
 mod engine;
 mod engine_gaps;
+mod gap_golden;
 mod screening;
 mod tidy;
 mod traps;

@@ -28,7 +28,7 @@ use executor::Team;
 /// Most points of a simulation: sections with more samples are averaged in boxes.
 const MAX_POINTS: usize = 8_192;
 /// Seconds that the default number of evaluations takes on two cores, about.
-const DEFAULT_SECONDS: f64 = 10.0;
+const DEFAULT_SECONDS: f64 = 3.0;
 
 /// Diagnose the gap between a loop's model and its record: where it lies, which unmodelled effect causes it, and how
 /// far it shrinks once that effect is added.
@@ -78,7 +78,7 @@ pub struct Diagnose {
     /// Also try two effects at once.
     #[arg(long)]
     pub pairs: bool,
-    /// Time for the search, a loop; without it some 10 s of two cores at most, 2 where the base explains all.
+    /// Time for the search, a loop; without it some 3 s of two cores at most, much less where the base explains all.
     #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
     pub budget: Option<f64>,
     /// Write measured and simulated PV, from which every figure can be computed again.
