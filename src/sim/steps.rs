@@ -240,10 +240,8 @@ impl Collector {
         let (point, within) = (value / self.per_point, value % self.per_point);
         self.go_to(point);
         let late = within as f64 / self.per_point as f64;
-        for i in 0..2 {
-            self.here[i] += (1.0 - late) * by[i];
-            self.next[i] += late * by[i];
-        }
+        self.here = [self.here[0] + (1.0 - late) * by[0], self.here[1] + (1.0 - late) * by[1]];
+        self.next = [self.next[0] + late * by[0], self.next[1] + late * by[1]];
     }
 
     fn go_to(&mut self, point: usize) {

@@ -1,5 +1,8 @@
 //! The products that a fit needs, gathered step by step.
 
+// Halves and parts are two and three places of several arrays at once, and the loops over them are unrolled by the compiler.
+#![allow(clippy::needless_range_loop)]
+
 use super::reduced::Reduced;
 use super::tables::{Table, View};
 use crate::ident::class::{Class, INTEGRATOR_SCALE};

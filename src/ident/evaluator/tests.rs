@@ -1,3 +1,5 @@
+//! The sums against the plain pass over samples.
+
 use proptest::prelude::*;
 
 use super::*;

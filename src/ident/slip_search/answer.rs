@@ -3,7 +3,8 @@
 
 use super::candidate::{Candidate, apart};
 use super::local_search::{Nearness, along_ridge, neighbours, random_steps};
-use super::stages::{Found, Search, classes_of, frictionless};
+use super::part::frictionless;
+use super::stages::{Found, Search, classes_of};
 use crate::ident::candidate::{Bench, Candidate as Plain};
 use crate::ident::choice::ModelChoice;
 use crate::ident::class::Class;

@@ -3,6 +3,9 @@
 //! The same stretch of OP is counted for every dead time, PV's slides past it: so the products of the answers with each
 //! other are gathered once, in a walk over the steps, and only those with PV change from one dead time to the next.
 
+// Lanes and halves are places of several arrays at once.
+#![allow(clippy::needless_range_loop)]
+
 use super::problem::Problem;
 use crate::ident::fit::{Freedom, best_band};
 use crate::sim::steps::Step;

@@ -8,8 +8,9 @@
 //! unlike the model, shows in the residual, and sets a least width; the figures of that are measured on simulated loops, see
 //! [`crate::ident::width`].
 
+use super::around::Around;
 use super::candidate::Candidate;
-use super::evaluator::{Around, Evaluator, Polished};
+use super::evaluator::{Evaluator, Polished};
 use super::local_search::across;
 use crate::ident::candidate::Start;
 use crate::ident::evaluator::View;

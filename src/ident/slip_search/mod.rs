@@ -6,11 +6,13 @@
 //! and tested there ([`stages`]).
 
 pub mod answer;
+mod around;
 pub mod candidate;
 pub mod coarse_scan;
 pub mod evaluator;
 pub mod interval;
 pub mod local_search;
+pub mod part;
 pub mod problem;
 pub mod scan;
 pub mod settings;

@@ -3,17 +3,16 @@
 
 use rand_chacha::ChaCha8Rng;
 
-use super::candidate::{Candidate, LatticeFit, apart};
-use super::coarse_scan::CoarseScan;
-use super::evaluator::{Evaluator, Polished};
+use super::candidate::{Candidate, apart};
+use super::evaluator::Evaluator;
 use super::local_search::{along_ridge, neighbours, random_steps};
+use super::part::{FOLLOWERS, LawRound, Part, frictionless};
 use super::problem::Problem;
 use super::scan::Scan;
 use super::settings::{RoundSettings, SearchSettings};
 use crate::ident::choice::ModelChoice;
 use crate::ident::class::Class;
-use crate::ident::evaluator::{View, lattice_index};
-use crate::ident::fit::Freedom;
+use crate::ident::evaluator::View;
 use crate::ident::random::generator;
 use crate::ident::residual::{self, Whiteness};
 use crate::optim::Solver;
@@ -37,9 +36,8 @@ const PROMISE: [f64; 2] = [0.002, 0.02];
 const FAR_ALONG: (f64, usize) = (0.3, 40);
 /// Part that is searched first where the process integrates: what wrong slips leave adds up there.
 const SHORT_PART: [f64; 3] = [0.1, 3.0, 12.0];
-/// Candidates by which the class is judged, and those that go there with them.
+/// Candidates by which the class is judged.
 const JUDGES: usize = 2;
-const FOLLOWERS: usize = 8;
 
 /// What a search is told beside its problem.
 pub struct Request<'r> {
@@ -266,7 +264,7 @@ impl<'s, 'a> Search<'s, 'a> {
         let _ = scan.run(self.request.solver, self.request.fineness_pct, seed, &round.scan, &mut rng);
         let (seen, looks) = (scan.best(&round.scan), scan.looks);
         let mut refitted = seen.iter().filter_map(|c| evaluator.settle(&mut view, c)).collect::<Vec<_>>();
-        refitted.extend(self.from_other_law(&mut evaluator, &mut view, law, &mut rng));
+        refitted.extend(self.seeds_of_other_law(&mut evaluator, &mut view, law, &mut rng));
         let mut part = Part { points, head: None, view, evaluator, held: apart(&refitted, usize::MAX, 0) };
         let mut law_found = LawRound { finals: Vec::new(), tested: Vec::new(), faint: false, stale: 0 };
         let is_noise = self.stages(round, &mut part, &mut law_found, &mut rng);
@@ -276,7 +274,7 @@ impl<'s, 'a> Search<'s, 'a> {
     }
 
     /// What another law found, under this one: slips of nearly the right bands are the right ones for either.
-    fn from_other_law(
+    fn seeds_of_other_law(
         &self,
         evaluator: &mut Evaluator<'a>,
         view: &mut View,
@@ -561,89 +559,4 @@ fn tests(problem: &Problem<'_>, view: &View, left: &[f64]) -> Option<Whiteness> 
     }
     let from = view.from().min(problem.question.mean.len());
     Some(residual::whiteness(left, &problem.question.mean[from..]))
-}
-
-/// The best process of a class that takes OP as it is, from the best of many time constants and dead times of a single lag.
-pub fn frictionless(evaluator: &mut Evaluator<'_>, view: &mut View, class: Class) -> Option<LatticeFit> {
-    let problem = evaluator.problem;
-    let question = problem.question;
-    evaluator.class = class;
-    evaluator.follow_op();
-    let freedom = Freedom { fd: [0.0; 2], fd_default: 0.0, sign: problem.sign, limits: question.limits };
-    let scans = CoarseScan::of(problem, view.rho(), evaluator.points);
-    let seen = scans.iter().map(|scan| scan.look(&evaluator.steps().list, &freedom));
-    let seen = seen.min_by(|a, b| a.share.total_cmp(&b.share))?;
-    let starts = match class {
-        Class::First | Class::Integrating => [Some(([seen.tau; 2], seen.lag)), None],
-        Class::Second => [
-            Some(([seen.tau, 0.3 * seen.tau], seen.lag - 0.2 * seen.tau.min(seen.lag))),
-            Some(([seen.tau, 0.25 * seen.lag.max(1.0)], 0.75 * seen.lag)),
-        ],
-        Class::LagIntegrating => [Some(([0.5 * seen.lag.max(1.0); 2], 0.6 * seen.lag)), None],
-    };
-    let fits = starts.into_iter().flatten().map(|(taus, lag)| {
-        let lag = lag.max(question.limits.lag[0]);
-        let places = taus.map(|t| lattice_index(t.max(0.3)));
-        let start = LatticeFit { sse: 0.0, gain: 0.0, fd: 0.0, places, delay: lag as usize, fraction: lag.fract() };
-        evaluator.settle_fit(view, &start, &freedom)
-    });
-    fits.reduce(|a, b| if b.sse < a.sse { b } else { a })
-}
-
-/// What a round holds of one law while it searches a part of the record.
-struct Part<'a> {
-    points: usize,
-    view: View,
-    /// The plain view of the same part.
-    head: Option<View>,
-    evaluator: Evaluator<'a>,
-    held: Vec<Candidate>,
-}
-
-/// Places of a part from which the ridge is looked along, how far (share of s) and in how many steps to a side.
-const ON_RIDGES: (usize, f64, usize) = (4, 0.12, 16);
-
-impl Part<'_> {
-    /// The best go to the best place along their ridges.
-    fn look_along_ridges(&mut self) {
-        let (count, reach, steps) = ON_RIDGES;
-        for c in self.held.iter_mut().take(count) {
-            let found = along_ridge(&mut self.evaluator, &mut self.view, c, reach, steps);
-            if let Some(best) = found.first() {
-                *c = *best;
-            }
-        }
-        self.held = apart(&self.held, usize::MAX, 0);
-    }
-
-    /// All go to another class, one more that was found there among them.
-    fn move_to(&mut self, class: Class, found: &Candidate) {
-        let from: Vec<Candidate> = self.held.iter().take(FOLLOWERS).copied().collect();
-        let moved = from.iter().chain([found]).filter_map(|c| self.evaluator.in_class(&mut self.view, c, class));
-        let moved: Vec<Candidate> = moved.filter(|c| c.fit.gain != 0.0).collect();
-        if !moved.is_empty() {
-            self.held = apart(&moved, usize::MAX, 0);
-        }
-    }
-}
-
-/// What a round has made of one law.
-struct LawRound {
-    finals: Vec<Candidate>,
-    tested: Vec<Candidate>,
-    faint: bool,
-    stale: usize,
-}
-
-impl LawRound {
-    fn least(&self) -> f64 {
-        self.finals.iter().map(Candidate::sse).fold(f64::INFINITY, f64::min)
-    }
-}
-
-/// A polished process as a quick fit holds it.
-#[must_use]
-pub fn on_lattice(p: &Polished) -> LatticeFit {
-    let places = p.taus.map(|t| lattice_index(t.max(0.3)));
-    LatticeFit { sse: p.sse, gain: p.gain, fd: p.fd, places, delay: p.lag as usize, fraction: p.lag.fract() }
 }
