@@ -160,7 +160,9 @@ mod tests {
         let plain: Vec<f64> = (0..4).map(|l| (l..4).map(|k| x[k] * x[k - l]).sum::<f64>() / 30.0).collect();
         let found = autocorrelation(&x, 9);
         let both = autocorrelations([&x, &sine(9, 3.0)], 9);
-        assert!(both[0] == found && both[1].len() == 9, "{both:?}");
+        // A longer partner makes the transform longer, and rounds otherwise.
+        let apart = both[0].iter().zip(&found).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        assert!(both[0].len() == found.len() && apart < 1e-12 && both[1].len() == 9, "{both:?}");
         assert!(found.len() == 4 && found.iter().zip(plain).all(|(a, b)| (a - b).abs() < 1e-15), "{found:?}");
     }
 

@@ -24,9 +24,10 @@ proptest! {
         tau in 0.5..60.0_f64, lag in 1.2..20.0_f64, fd in 0.0..0.5_f64, filtered: bool, frictionless: bool,
     ) {
         let all = simulated();
-        let pair = all.get(second).copied().filter(|e| e.id != all[first % all.len()].id);
+        let one = all[first % all.len()];
+        let pair = all.get(second).copied().filter(|e| e.id != one.id && !one.clashes.contains(&e.id));
         let law = if frictionless && second % 3 == 0 { None } else { Some(Law::He) };
-        let structure = Structure { law, effects: [Some(all[first % all.len()]), pair] };
+        let structure = Structure { law, effects: [Some(one), pair] };
         prop_assume!(structure.each().map(|e| e.params.len()).sum::<usize>() <= MAX_PARAMS);
         let (problem, truth) = made_by(&Structure::base(Some(Law::He)), [0.0; MAX_PARAMS]);
         let mut rng = generator(seed, 3);

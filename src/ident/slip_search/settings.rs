@@ -95,10 +95,10 @@ impl SearchSettings {
             closely: 0.03,
             behind: [1.5, 1.15],
             no_friction: 0.9,
-            worth_a_round: 0.2,
+            worth_a_round: 0.15,
             gain: 0.01,
             much: 0.7,
-            agreeing: 2,
+            agreeing: 3,
         }
     }
 }
