@@ -453,7 +453,8 @@ def test_the_gap_can_be_computed_from_the_predictions(folder):
     assert same(gap("pv_base"), document["gap"]["gap"])
     named = [e for e in document["effects"] if e["id"] == document["cause"]["id"]]
     if named:
-        assert same(gap("pv_after"), named[0]["gap_after"])
+        # At the floor a gap is a small difference of two squares, and the rows are rounded.
+        assert math.isclose(gap("pv_after"), named[0]["gap_after"], rel_tol=1e-6, abs_tol=1e-6 * floor + 1e-6)
         if named[0]["closed_pct"] is not None:
             assert same(100 * (1 - gap("pv_after") / gap("pv_base")), named[0]["closed_pct"])
     else:
