@@ -282,22 +282,29 @@ pub fn along_ridge(
     let (rate, landing) = (evaluator.problem.question.rate.max(1e-6), evaluator.problem.question.landing);
     let (mut pool, mut least_of_all) = (vec![*around], around.sse());
     for side in [-1.0, 1.0] {
-        let (mut last, mut fit) = (around.s, around.fit);
+        let mut last = *around;
         for k in 1..=steps {
             let s = (around.s * (1.0 + side * reach * k as f64 / steps as f64)).min(1.0);
-            let guess = later(&fit, -(s - last) / rate);
-            let mut least = ON_RIDGE * around.sse();
-            for j in ridge_jumps([around.s, around.j], s, landing).into_iter().take(3) {
-                let Some([s, j]) = kept(evaluator, s, j) else { continue };
-                let Some(found) = evaluator.fit(view, [s, j], around.start, &guess, ON_RIDGE_REFINED * least_of_all)
-                else {
-                    continue;
-                };
-                least_of_all = least_of_all.min(found.sse());
-                if found.sse() < least {
-                    (least, last, fit) = (found.sse(), s, found.fit);
+            let later_by = (s - last.s) / rate;
+            let guess = later(&last.fit, -later_by);
+            let moved = evaluator.problem.question.moved_start(last.start, later_by);
+            let mut best: Option<Candidate> = None;
+            let [same, share, with_s, _] = ridge_jumps([around.s, around.j], s, landing);
+            let near = ridge_jumps([last.s, last.j], s, landing)[0];
+            for j in [same, share, with_s, near] {
+                for start in [last.start, moved] {
+                    let Some([s, j]) = kept(evaluator, s, j) else { continue };
+                    let found = evaluator.fit(view, [s, j], start, &guess, ON_RIDGE_REFINED * least_of_all);
+                    let Some(found) = found else { continue };
+                    least_of_all = least_of_all.min(found.sse());
+                    pool.push(found);
+                    if best.is_none_or(|b| found.sse() < b.sse()) {
+                        best = Some(found);
+                    }
                 }
-                pool.push(found);
+            }
+            if let Some(best) = best.filter(|b| b.sse() < ON_RIDGE * around.sse()) {
+                last = best;
             }
         }
     }
