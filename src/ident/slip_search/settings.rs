@@ -63,8 +63,8 @@ pub struct SearchSettings {
 const SCAN: ScanSettings = ScanSettings { budget: 250, least_s: 0.04, sizes: 40, jumps: 6, keep: [14, 4] };
 const ROUND: RoundSettings = RoundSettings {
     rho: 0.9,
-    part: [0.45, 3.0, 12.0],
-    from_far: false,
+    part: [0.1, 3.0, 12.0],
+    from_far: true,
     scan: SCAN,
     stages: [(4, 24), (24, 24), (6, 50), (3, 80)],
     last: 100,
@@ -77,9 +77,9 @@ impl SearchSettings {
         let wide = ScanSettings { sizes: 90, jumps: 8, keep: [24, 6], ..SCAN };
         let rounds = vec![
             ROUND,
-            RoundSettings { rho: 0.0, part: [0.45, 5.0, 12.0], ..ROUND },
+            RoundSettings { rho: 0.0, part: [0.45, 5.0, 12.0], from_far: false, ..ROUND },
             RoundSettings { rho: 0.7, part: [0.1, 3.0, 12.0], from_far: true, ..ROUND },
-            RoundSettings { rho: 0.98, ..ROUND },
+            RoundSettings { rho: 0.98, part: [0.45, 3.0, 12.0], from_far: false, ..ROUND },
             RoundSettings {
                 rho: 0.98,
                 part: [0.1, 3.0, 12.0],

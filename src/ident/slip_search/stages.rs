@@ -24,6 +24,8 @@ const ROUNDING: f64 = 1e-9;
 const COLOURED: f64 = 0.12;
 /// Random steps on the whole record for what the part found.
 const CARRIED: usize = 60;
+/// Random steps on the way there, at each length.
+const ON_THE_WAY: usize = 24;
 /// Share of the error that a second lag must remove to be taken in the search.
 const SECOND_LAG: f64 = 0.03;
 /// The same for another class of no more lags.
@@ -354,7 +356,7 @@ impl<'s, 'a> Search<'s, 'a> {
         let near = self.settings.near;
         let best = neighbours(&mut part.evaluator, &mut part.view, best, 3, near);
         law.tested.push(best);
-        let Some(mut found) = self.carried(part, best) else { return false };
+        let Some(mut found) = self.carried(part, best, rng) else { return false };
         let is_noise = self.is_noise(&found);
         let mut is_noise = is_noise;
         if !is_noise && part.points < self.problem.points() {
@@ -377,22 +379,24 @@ impl<'s, 'a> Search<'s, 'a> {
         is_noise
     }
 
-    /// From the part to the whole record, twice the length at a time.
-    fn carried(&mut self, part: &Part<'a>, best: Candidate) -> Option<Candidate> {
-        let n = self.problem.points();
+    /// From the part to the whole record, twice the length at a time, by the error of the part: what a slip a little wrong
+    /// leaves adds up in the plain error behind an integrator.
+    fn carried(&mut self, part: &Part<'a>, best: Candidate, rng: &mut ChaCha8Rng) -> Option<Candidate> {
+        let (n, near) = (self.problem.points(), self.settings.near);
         let mut found = best;
-        let mut length = 2 * part.points;
-        while (length as f64) < 0.75 * n as f64 {
-            let mut view = self.problem.view(0.0, length);
+        let mut length = part.points;
+        while length < n {
+            length = if (2 * length) as f64 > 0.75 * n as f64 { n } else { 2 * length };
+            let mut view = self.problem.view(part.view.rho(), length);
             let mut evaluator = Evaluator::new(self.problem, best.law, best.class, length);
             found = evaluator.in_class(&mut view, &found, best.class)?;
-            found = neighbours(&mut evaluator, &mut view, found, 3, self.settings.near);
+            found = random_steps(&mut evaluator, &mut view, found, ON_THE_WAY, near, rng);
+            found = neighbours(&mut evaluator, &mut view, found, 3, near);
             self.found.evaluations += evaluator.evaluations;
-            length *= 2;
         }
         let class = self.allowed(best.class);
         let found = self.whole.in_class(&mut self.plain, &found, class)?;
-        Some(neighbours(&mut self.whole, &mut self.plain, found, 4, self.settings.near))
+        Some(neighbours(&mut self.whole, &mut self.plain, found, 4, near))
     }
 
     /// The class itself where the model allows it, else the one that takes its place.
