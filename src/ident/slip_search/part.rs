@@ -3,7 +3,9 @@
 use super::candidate::{Candidate, LatticeFit, apart};
 use super::coarse_scan::CoarseScan;
 use super::evaluator::Evaluator;
-use super::local_search::along_ridge;
+use rand_chacha::ChaCha8Rng;
+
+use super::local_search::{Nearness, along_ridge, random_steps};
 use crate::ident::class::Class;
 use crate::ident::evaluator::{View, lattice_index};
 use crate::ident::fit::Freedom;
@@ -76,15 +78,51 @@ impl Part<'_> {
 }
 
 /// What a round has made of one law.
-pub(super) struct LawRound {
+pub(super) struct LawRound<'a> {
+    pub part: Part<'a>,
+    pub rng: ChaCha8Rng,
+    /// Valve signals that the scan looked at.
+    pub looks: u64,
+    /// The next stage.
+    pub stage: usize,
+    /// Candidates on the whole record.
     pub finals: Vec<Candidate>,
+    /// Those of the part that were carried there.
     pub tested: Vec<Candidate>,
+    /// Whether more stages are worth it.
+    pub open: bool,
+    /// Whether the best leaves nothing but noise.
+    pub is_noise: bool,
+    /// Whether hardly any friction shows.
     pub faint: bool,
+    /// Stages without gain.
     pub stale: usize,
 }
 
-impl LawRound {
+impl<'a> LawRound<'a> {
+    pub fn new(part: Part<'a>, rng: ChaCha8Rng, looks: u64) -> Self {
+        let (finals, tested) = (Vec::new(), Vec::new());
+        Self { part, rng, looks, stage: 0, finals, tested, open: true, is_noise: false, faint: false, stale: 0 }
+    }
+
+    /// Least error on the whole record so far.
     pub fn least(&self) -> f64 {
         self.finals.iter().map(Candidate::sse).fold(f64::INFINITY, f64::min)
+    }
+
+    /// Random steps for the best of the part, `count` of them after the first `skip`.
+    pub fn refine(&mut self, stage: usize, [count, skip]: [usize; 2], steps: usize, near: Nearness) {
+        let part = &mut self.part;
+        part.held.sort_by(|a, b| a.sse().total_cmp(&b.sse()));
+        if stage == 2 {
+            part.look_along_ridges();
+        }
+        if stage > 0 {
+            part.held.truncate(count);
+        }
+        for c in part.held.iter_mut().skip(skip).take(count) {
+            *c = random_steps(&mut part.evaluator, &mut part.view, *c, steps, near, &mut self.rng);
+        }
+        part.held = apart(&part.held, usize::MAX, 0);
     }
 }

@@ -115,13 +115,6 @@ pub struct Search<'s, 'a> {
     law_best: [f64; 2],
 }
 
-/// How a law's round ended.
-enum RoundEnd {
-    Noise,
-    NoFriction,
-    Done,
-}
-
 const fn index_of(class: Class) -> usize {
     match class {
         Class::First => 0,
@@ -212,31 +205,64 @@ impl<'s, 'a> Search<'s, 'a> {
         self.found.best.iter().copied().min_by(|a, b| a.sse().total_cmp(&b.sse()))
     }
 
-    /// One round of all laws that are worth it; says why the search ends, if it does.
+    /// One round of all laws that are worth it, stage by stage, the better one first; says why the search ends, if it does.
     fn round(&mut self, number: usize, round: &RoundSettings) -> Option<Ended> {
-        for (which, &law) in self.request.laws.iter().enumerate() {
+        let points = self.part(round);
+        let mut runs: Vec<LawRound<'a>> = Vec::new();
+        for &law in self.request.laws {
             let other = self.law_best[usize::from(law == Law::He)];
             // One round of a law may miss what it can.
             if number > 1 && self.law_best[law as usize] > self.settings.behind[1] * other {
                 continue;
             }
-            match self.round_of(law, number, round) {
-                RoundEnd::Noise => {
-                    self.found.is_noise = true;
-                    return Some(Ended::Noise);
+            // The laws are alike enough that where one sees no friction the other need not be asked.
+            if let Some(first) = runs.first_mut()
+                && first.least() > self.settings.no_friction * self.without(Class::First)
+            {
+                self.stage(round, first, f64::INFINITY);
+                if first.faint {
+                    break;
                 }
-                // The laws are alike enough that where one sees no friction the other need not be asked.
-                RoundEnd::NoFriction if which == 0 && number == 0 => return None,
-                RoundEnd::NoFriction if which == 0 && number == 1 && self.found.best.len() < 2 => {
-                    return Some(Ended::NoFriction);
+            }
+            let mut run = self.begin(law, number, round, points);
+            self.stage(round, &mut run, f64::INFINITY);
+            runs.push(run);
+            if runs.iter().any(|r| r.is_noise) {
+                break;
+            }
+        }
+        while !runs.iter().any(|r| r.is_noise) && runs.iter().any(|r| r.open) {
+            runs.sort_by(|a, b| a.least().total_cmp(&b.least()));
+            for k in 0..runs.len() {
+                let other = runs.iter().enumerate().filter(|(o, _)| *o != k).map(|(_, r)| r.least());
+                let other = other.fold(f64::INFINITY, f64::min);
+                if runs[k].open {
+                    self.stage(round, &mut runs[k], other);
                 }
-                _ => {}
+                if runs[k].is_noise {
+                    break;
+                }
+            }
+        }
+        runs.sort_by(|a, b| b.is_noise.cmp(&a.is_noise).then(a.least().total_cmp(&b.least())));
+        self.end_of(number, round, runs)
+    }
+
+    /// What becomes of a round's laws, the best first.
+    fn end_of(&mut self, number: usize, round: &RoundSettings, runs: Vec<LawRound<'a>>) -> Option<Ended> {
+        let mut faint = true;
+        for run in runs {
+            faint &= run.faint;
+            self.found.evaluations += run.looks + run.part.evaluator.evaluations;
+            if self.finish(round, run) {
+                self.found.is_noise = true;
+                return Some(Ended::Noise);
             }
             if self.best_sse() > self.request.rival {
                 return Some(Ended::Behind);
             }
         }
-        None
+        (faint && number > 0).then_some(Ended::NoFriction)
     }
 
     /// Points of the record that a round searches first.
@@ -256,8 +282,8 @@ impl<'s, 'a> Search<'s, 'a> {
         self.best().is_some_and(|c| c.class.integrates() || slow(c))
     }
 
-    fn round_of(&mut self, law: Law, number: usize, round: &RoundSettings) -> RoundEnd {
-        let points = self.part(round);
+    /// A law's round: its coarse scan, what it liked refitted.
+    fn begin(&mut self, law: Law, number: usize, round: &RoundSettings, points: usize) -> LawRound<'a> {
         let mut rng = generator(self.request.seed, 10 + 2 * number as u64 + u64::from(law == Law::Tracking));
         let mut view = self.problem.view(round.rho, points);
         let mut evaluator = Evaluator::new(self.problem, law, Class::First, points);
@@ -267,12 +293,8 @@ impl<'s, 'a> Search<'s, 'a> {
         let (seen, looks) = (scan.best(&round.scan), scan.looks);
         let mut refitted = seen.iter().filter_map(|c| evaluator.settle(&mut view, c)).collect::<Vec<_>>();
         refitted.extend(self.seeds_of_other_law(&mut evaluator, &mut view, law, &mut rng));
-        let mut part = Part { points, head: None, view, evaluator, held: apart(&refitted, usize::MAX, 0) };
-        let mut law_found = LawRound { finals: Vec::new(), tested: Vec::new(), faint: false, stale: 0 };
-        let is_noise = self.stages(round, &mut part, &mut law_found, &mut rng);
-        let end = self.finish(round, &mut part, law_found, is_noise, &mut rng);
-        self.found.evaluations += looks + part.evaluator.evaluations;
-        end
+        let part = Part { points, head: None, view, evaluator, held: apart(&refitted, usize::MAX, 0) };
+        LawRound::new(part, rng, looks)
     }
 
     /// What another law found, under this one: slips of nearly the right bands are the right ones for either.
@@ -297,53 +319,40 @@ impl<'s, 'a> Search<'s, 'a> {
         out
     }
 
-    /// The local search on the part, its best tested on the whole record after every stage; whether one leaves only noise.
-    fn stages(&mut self, round: &RoundSettings, part: &mut Part<'a>, law: &mut LawRound, rng: &mut ChaCha8Rng) -> bool {
-        for (stage, (count, steps)) in round.stages.into_iter().enumerate() {
-            part.held.sort_by(|a, b| a.sse().total_cmp(&b.sse()));
-            // The second stage goes on with those that the first one left.
-            let skip = if stage == 1 { round.stages[0].0 } else { 0 };
-            if stage == 2 {
-                part.look_along_ridges();
-            }
-            if stage > 0 {
-                part.held.truncate(count);
-            }
-            let near = self.settings.near;
-            for c in part.held.iter_mut().skip(skip).take(count) {
-                *c = random_steps(&mut part.evaluator, &mut part.view, *c, steps, near, rng);
-            }
-            part.held = apart(&part.held, usize::MAX, 0);
-            let Some(best) = part.held.first().copied() else { return false };
-            if law.tested.iter().any(|t| t.law == best.law && t.covers(best.s, best.j, best.start)) {
-                law.stale += 1;
-                if law.stale > 1 && stage >= 2 {
-                    return false;
-                }
-                continue;
-            }
-            let old = law.least();
-            if self.test(part, law, best, rng) {
-                return true;
-            }
-            let low = law.least();
-            if stage >= 1 {
-                let other = self.law_best[usize::from(best.law == Law::He)];
-                let nothing = self.without(Class::First);
-                law.stale += usize::from(low > (1.0 - self.settings.gain) * old);
-                if low > self.settings.behind[0] * other || low > self.settings.no_friction * nothing {
-                    law.faint = low > self.settings.no_friction * nothing;
-                    return false;
-                }
-                if law.stale > 0 && self.is_real() {
-                    return false;
-                }
-            }
-            if stage == 0 && best.class == Class::First {
-                self.choose_class(part, rng, steps);
-            }
+    /// One more stage of a law's local search on the part, its best tested on the whole record; `other` is the least error of
+    /// other laws in this round.
+    fn stage(&mut self, round: &RoundSettings, run: &mut LawRound<'a>, other: f64) {
+        let Some((count, steps)) = round.stages.get(run.stage).copied() else {
+            run.open = false;
+            return;
+        };
+        let (stage, near) = (run.stage, self.settings.near);
+        run.stage += 1;
+        run.refine(stage, [count, if stage == 1 { round.stages[0].0 } else { 0 }], steps, near);
+        let Some(best) = run.part.held.first().copied() else {
+            run.open = false;
+            return;
+        };
+        if run.tested.iter().any(|t| t.law == best.law && t.covers(best.s, best.j, best.start)) {
+            run.stale += 1;
+            run.open &= run.stale < 2 || stage < 2;
+            return;
         }
-        false
+        let old = run.least();
+        run.is_noise = self.test(run, best);
+        let (low, nothing) = (run.least(), self.without(Class::First));
+        if run.is_noise {
+            run.open = false;
+        } else if stage == 0 {
+            if best.class == Class::First {
+                self.choose_class(run, steps);
+            }
+        } else {
+            run.stale += usize::from(low > (1.0 - self.settings.gain) * old);
+            run.faint = low > self.settings.no_friction * nothing;
+            let behind = low > self.settings.behind[0] * other.min(self.law_best[usize::from(best.law == Law::He)]);
+            run.open = !(run.faint || behind || run.stale > 0 && self.is_real());
+        }
     }
 
     /// Whether rounds before this one have shown that no model leaves noise only.
@@ -352,10 +361,11 @@ impl<'s, 'a> Search<'s, 'a> {
     }
 
     /// Carries a candidate from the part to the whole record; whether it leaves nothing but noise there.
-    fn test(&mut self, part: &mut Part<'a>, law: &mut LawRound, best: Candidate, rng: &mut ChaCha8Rng) -> bool {
+    fn test(&mut self, run: &mut LawRound<'a>, best: Candidate) -> bool {
         let near = self.settings.near;
+        let LawRound { part, tested, finals, rng, .. } = run;
         let best = neighbours(&mut part.evaluator, &mut part.view, best, 3, near);
-        law.tested.push(best);
+        tested.push(best);
         let Some(mut found) = self.carried(part, best, rng) else { return false };
         let is_noise = self.is_noise(&found);
         let mut is_noise = is_noise;
@@ -365,7 +375,7 @@ impl<'s, 'a> Search<'s, 'a> {
             is_noise = self.is_noise(&found);
         }
         let closely = found.sse() < self.settings.closely * self.plain.nothing();
-        if !is_noise && (law.tested.len() == 1 || closely) {
+        if !is_noise && (tested.len() == 1 || closely) {
             let other = self.suited(found);
             if other.class != found.class {
                 found = neighbours(&mut self.whole, &mut self.plain, other, 4, near);
@@ -375,7 +385,7 @@ impl<'s, 'a> Search<'s, 'a> {
                 }
             }
         }
-        law.finals.push(found);
+        finals.push(found);
         is_noise
     }
 
@@ -427,7 +437,8 @@ impl<'s, 'a> Search<'s, 'a> {
     }
 
     /// The class that the best of the part ask for, by filtered and by plain errors; the held candidates go there.
-    fn choose_class(&mut self, part: &mut Part<'a>, rng: &mut ChaCha8Rng, steps: usize) {
+    fn choose_class(&mut self, run: &mut LawRound<'a>, steps: usize) {
+        let LawRound { part, rng, .. } = run;
         let judges: Vec<Candidate> = part.held.iter().take(JUDGES).copied().collect();
         let mut scores = [[f64::INFINITY; 2]; 4];
         for class in classes_of(ModelChoice::Auto) {
@@ -468,17 +479,11 @@ impl<'s, 'a> Search<'s, 'a> {
         }
     }
 
-    /// The last steps on the whole record, and what becomes of the round.
-    fn finish(
-        &mut self,
-        round: &RoundSettings,
-        part: &mut Part<'a>,
-        law: LawRound,
-        is_noise: bool,
-        rng: &mut ChaCha8Rng,
-    ) -> RoundEnd {
+    /// The last steps on the whole record; whether what they lead to leaves only noise.
+    fn finish(&mut self, round: &RoundSettings, run: LawRound<'a>) -> bool {
         let near = self.settings.near;
-        let LawRound { mut finals, tested, faint, .. } = law;
+        let LawRound { part, mut finals, tested, faint, is_noise, mut rng, .. } = run;
+        let rng = &mut rng;
         self.found.seen.extend(tested.iter().chain(&finals).copied());
         self.found.seen.extend(part.held.iter().take(6).copied());
         let steps = if is_noise {
@@ -493,7 +498,7 @@ impl<'s, 'a> Search<'s, 'a> {
                 finals.extend(self.whole.in_class(&mut self.plain, c, class));
             }
             finals = apart(&finals, 3, 0);
-            let Some(best) = finals.first().copied() else { return RoundEnd::Done };
+            let Some(best) = finals.first().copied() else { return false };
             let other = self.law_best[usize::from(best.law == Law::He)];
             if best.sse() < 0.95 * self.without(Class::First) && best.sse() < 1.3 * other {
                 let (reach, steps) = if best.class.order() > 1 { FAR_ALONG } else { (0.05, 15) };
@@ -513,15 +518,9 @@ impl<'s, 'a> Search<'s, 'a> {
         }
         finals.sort_by(|a, b| a.sse().total_cmp(&b.sse()));
         self.found.seen.extend(finals.iter().copied());
-        let Some(best) = finals.first().copied() else { return RoundEnd::Done };
+        let Some(best) = finals.first().copied() else { return false };
         self.keep(best);
-        if is_noise || self.is_noise(&best) {
-            RoundEnd::Noise
-        } else if faint {
-            RoundEnd::NoFriction
-        } else {
-            RoundEnd::Done
-        }
+        is_noise || self.is_noise(&best)
     }
 
     /// Keeps the best candidate of its law.
