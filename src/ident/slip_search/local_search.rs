@@ -26,6 +26,20 @@ const ON_RIDGE: f64 = 2.5;
 /// The same up to which their processes are refined.
 const ON_RIDGE_REFINED: f64 = 1.2;
 
+/// Least s of a walk from cell to cell, share of the s it starts from.
+const LEAST_ALONG: f64 = 0.5;
+/// Error over the last place that was followed from which a cell is none to follow, and how far s goes (a share of it) until
+/// any is.
+const COMB: f64 = 1.5;
+const FOLLOWED_FOR: f64 = 0.02;
+/// Shares of fs between OP's first value and the stem before the record, and how far s goes (a share of it) until they are all
+/// tried again.
+const STEMS: [f64; 21] = [
+    -0.98, -0.88, -0.78, -0.69, -0.59, -0.49, -0.39, -0.29, -0.2, -0.1, 0.0, 0.1, 0.2, 0.29, 0.39, 0.49, 0.59, 0.69, 0.78,
+    0.88, 0.98,
+];
+const OTHER_STEMS: f64 = 0.01;
+
 /// How near to the best one an error must lie for a process to be refined.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Nearness {
@@ -289,9 +303,9 @@ pub fn along_ridge(
             let guess = later(&last.fit, -later_by);
             let moved = evaluator.problem.question.moved_start(last.start, later_by);
             let mut best: Option<Candidate> = None;
-            let [same, share, with_s, _] = ridge_jumps([around.s, around.j], s, landing);
+            let [same, share, with_s, against] = ridge_jumps([around.s, around.j], s, landing);
             let near = ridge_jumps([last.s, last.j], s, landing)[0];
-            for j in [same, share, with_s, near] {
+            for j in [same, share, with_s, against, near] {
                 for start in [last.start, moved] {
                     let Some([s, j]) = kept(evaluator, s, j) else { continue };
                     let found = evaluator.fit(view, [s, j], start, &guess, ON_RIDGE_REFINED * least_of_all);
@@ -309,4 +323,82 @@ pub fn along_ridge(
         }
     }
     apart(&pool, 4, 0)
+}
+
+/// A walk along the ridge from cell to cell of s, `most` of them to a side: its best places. Where a stem moves seldom the
+/// error is a comb of cells a fraction of a per cent wide, none of which shows in the error of the next.
+pub fn along_cells(evaluator: &mut Evaluator<'_>, view: &mut View, around: &Candidate, most: usize) -> Vec<Candidate> {
+    (evaluator.class, evaluator.law) = (around.class, around.law);
+    let mut pool = vec![*around];
+    for up in [false, true] {
+        let mut walk = CellWalk { evaluator, view, last: *around, asked: 0.0, least: around.sse() };
+        let mut cell = around.cells[0];
+        for _ in 0..most {
+            let s = across(cell, up);
+            if !(LEAST_ALONG * around.s..=1.0).contains(&s) {
+                break;
+            }
+            let Some(found) = walk.at(s) else { break };
+            cell = found.cells[0];
+            pool.push(found);
+        }
+    }
+    apart(&pool, 6, 0)
+}
+
+/// A walk along a ridge, cell by cell.
+struct CellWalk<'e, 'a, 'v> {
+    evaluator: &'e mut Evaluator<'a>,
+    view: &'v mut View,
+    /// The place that is followed.
+    last: Candidate,
+    /// s at which all starts were tried.
+    asked: f64,
+    /// Least error met.
+    least: f64,
+}
+
+impl CellWalk<'_, '_, '_> {
+    /// The best of a few jumps and first slips at another s.
+    fn at(&mut self, s: f64) -> Option<Candidate> {
+        let question = self.evaluator.problem.question;
+        let by = (s - self.last.s) / question.rate.max(1e-6);
+        let guess = later(&self.last.fit, -by);
+        let [same, share, _, against] = ridge_jumps([self.last.s, self.last.j], s, question.landing);
+        let moved = question.moved_start(self.last.start, by);
+        let beside = |by: isize| Start { record: moved.record.saturating_add_signed(by), ..moved };
+        let mut starts = vec![self.last.start, moved];
+        starts.extend([1, 2, -1, -2].map(beside));
+        if (s / self.asked - 1.0).abs() > OTHER_STEMS {
+            self.asked = s;
+            starts.extend(self.evaluator.problem.starts(0.5 * (s + same), &STEMS));
+        }
+        let mut best: Option<Candidate> = None;
+        let mut seen: Vec<Start> = Vec::with_capacity(starts.len());
+        for start in starts {
+            if !seen.contains(&start) {
+                seen.push(start);
+                self.look([s, same], start, &guess, &mut best);
+            }
+        }
+        let start = best?.start;
+        for j in [share, against] {
+            self.look([s, j], start, &guess, &mut best);
+        }
+        let found = best?;
+        // The comb is followed at its lower edge.
+        if found.sse() < COMB * self.last.sse() || (s / self.last.s - 1.0).abs() > FOLLOWED_FOR {
+            self.last = found;
+        }
+        Some(found)
+    }
+
+    fn look(&mut self, bands: [f64; 2], start: Start, guess: &LatticeFit, best: &mut Option<Candidate>) {
+        let found = self.evaluator.fit(self.view, bands, start, guess, ON_RIDGE_REFINED * self.least);
+        let Some(found) = found.filter(|f| f.fit.gain != 0.0) else { return };
+        self.least = self.least.min(found.sse());
+        if best.is_none_or(|b| found.sse() < b.sse()) {
+            *best = Some(found);
+        }
+    }
 }

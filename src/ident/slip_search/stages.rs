@@ -5,7 +5,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::candidate::{Candidate, apart};
 use super::evaluator::Evaluator;
-use super::local_search::{along_ridge, neighbours, random_steps};
+use super::local_search::{along_cells, along_ridge, neighbours, random_steps};
 use super::part::{FOLLOWERS, LawRound, Part, frictionless};
 use super::problem::Problem;
 use super::scan::Scan;
@@ -36,6 +36,9 @@ const INTEGRATOR: [f64; 2] = [1.005, 1.01];
 const PROMISE: [f64; 2] = [0.002, 0.02];
 /// How far along the ridge (share of s), and in how many steps to a side, where another class was taken.
 const FAR_ALONG: (f64, usize) = (0.3, 40);
+/// Moves of a stem that moves seldom, and cells to a side through which its ridge is walked.
+const SELDOM: usize = 40;
+const CELLS_ALONG: usize = 700;
 /// Part that is searched first where the process integrates: what wrong slips leave adds up there.
 const SHORT_PART: [f64; 3] = [0.1, 3.0, 12.0];
 /// Candidates by which the class is judged.
@@ -500,6 +503,13 @@ impl<'s, 'a> Search<'s, 'a> {
             finals = apart(&finals, 3, 0);
             let Some(best) = finals.first().copied() else { return false };
             let other = self.law_best[usize::from(best.law == Law::He)];
+            if best.slips < SELDOM && best.sse() < self.settings.closely * self.plain.nothing() {
+                for c in along_cells(&mut self.whole, &mut self.plain, &best, CELLS_ALONG) {
+                    let Some(c) = self.whole.settle(&mut self.plain, &c) else { continue };
+                    finals.push(neighbours(&mut self.whole, &mut self.plain, c, 3, near));
+                }
+                finals = apart(&finals, 3, 0);
+            }
             if best.sse() < 0.95 * self.without(Class::First) && best.sse() < 1.3 * other {
                 let (reach, steps) = if best.class.order() > 1 { FAR_ALONG } else { (0.05, 15) };
                 let mut more = along_ridge(&mut self.whole, &mut self.plain, &best, reach, steps);
