@@ -97,12 +97,15 @@ pub(super) struct LawRound<'a> {
     pub faint: bool,
     /// Stages without gain.
     pub stale: usize,
+    /// Error of the part without friction, where it was asked for.
+    pub without: Option<f64>,
 }
 
 impl<'a> LawRound<'a> {
     pub fn new(part: Part<'a>, rng: ChaCha8Rng, looks: u64) -> Self {
         let (finals, tested) = (Vec::new(), Vec::new());
-        Self { part, rng, looks, stage: 0, finals, tested, open: true, is_noise: false, faint: false, stale: 0 }
+        let (open, is_noise, faint) = (true, false, false);
+        Self { part, rng, looks, stage: 0, finals, tested, open, is_noise, faint, stale: 0, without: None }
     }
 
     /// Least error on the whole record so far.

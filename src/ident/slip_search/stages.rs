@@ -16,6 +16,7 @@ use crate::ident::evaluator::View;
 use crate::ident::random::generator;
 use crate::ident::residual::{self, Whiteness};
 use crate::optim::Solver;
+use crate::signal::stats;
 use crate::sim::slips::Law;
 
 /// Share of PV's variance below which what is left is rounding, whatever it looks like.
@@ -41,6 +42,11 @@ const SELDOM: usize = 40;
 const CELLS_ALONG: usize = 700;
 /// Part that is searched first where the process integrates: what wrong slips leave adds up there.
 const SHORT_PART: [f64; 3] = [0.1, 3.0, 12.0];
+/// Filters that take the place of one that leaves mostly noise, and the share of noise from which they do.
+const WEAKER: [f64; 3] = [0.9, 0.7, 0.4];
+const MOST_NOISE: f64 = 0.3;
+/// Share of the error without friction in the part from which on none shows there.
+const FAINT_IN_PART: f64 = 0.6;
 /// Candidates by which the class is judged.
 const JUDGES: usize = 2;
 
@@ -116,6 +122,10 @@ pub struct Search<'s, 'a> {
     without: [Option<f64>; 4],
     found: Found,
     law_best: [f64; 2],
+    /// Standard deviation of PV's white noise.
+    noise_sd: f64,
+    /// Whether the last round saw friction in the part where none shows on the whole record.
+    shows_in_part: bool,
 }
 
 const fn index_of(class: Class) -> usize {
@@ -159,6 +169,8 @@ impl<'s, 'a> Search<'s, 'a> {
             without: [None; 4],
             found,
             law_best: [f64::INFINITY; 2],
+            noise_sd: stats::noise_sd(problem.pv()),
+            shows_in_part: false,
         }
     }
 
@@ -186,13 +198,14 @@ impl<'s, 'a> Search<'s, 'a> {
             let best = self.best_sse();
             let nothing = self.without(Class::First).min(self.best().map_or(f64::INFINITY, |c| self.without(c.class)));
             // One view of the error may miss what another one shows.
-            if number >= 1 && best > (1.0 - self.settings.worth_a_round) * nothing {
+            if number >= 1 && best > (1.0 - self.settings.worth_a_round) * nothing && !self.shows_in_part {
                 self.found.ended = Ended::NoFriction;
                 break;
             }
             agreeing = if best > (1.0 - self.settings.gain) * before { agreeing + 1 } else { 0 };
             // Where much is left the law does not fit, and another round finds no other.
-            let enough = if best > self.settings.much * nothing { 1 } else { self.settings.agreeing };
+            let is_much = best > self.settings.much * nothing && !self.shows_in_part;
+            let enough = if is_much { 1 } else { self.settings.agreeing };
             if agreeing >= enough {
                 self.found.ended = Ended::Agreement;
                 break;
@@ -254,8 +267,11 @@ impl<'s, 'a> Search<'s, 'a> {
     /// What becomes of a round's laws, the best first.
     fn end_of(&mut self, number: usize, round: &RoundSettings, runs: Vec<LawRound<'a>>) -> Option<Ended> {
         let mut faint = true;
-        for run in runs {
+        self.shows_in_part = false;
+        for mut run in runs {
             faint &= run.faint;
+            let much = self.settings.much * self.without(Class::First);
+            self.shows_in_part |= !run.is_noise && run.least() > much && !self.is_faint_in_part(&mut run);
             self.found.evaluations += run.looks + run.part.evaluator.evaluations;
             if self.finish(round, run) {
                 self.found.is_noise = true;
@@ -288,16 +304,28 @@ impl<'s, 'a> Search<'s, 'a> {
     /// A law's round: its coarse scan, what it liked refitted.
     fn begin(&mut self, law: Law, number: usize, round: &RoundSettings, points: usize) -> LawRound<'a> {
         let mut rng = generator(self.request.seed, 10 + 2 * number as u64 + u64::from(law == Law::Tracking));
-        let mut view = self.problem.view(round.rho, points);
+        let mut view = self.view_of_part(round.rho, points);
+        let rho = view.rho();
         let mut evaluator = Evaluator::new(self.problem, law, Class::First, points);
         let seed = self.request.seed.wrapping_add((number as u64) << 32);
-        let mut scan = Scan::new(&mut evaluator, round.rho, view.nothing());
+        let mut scan = Scan::new(&mut evaluator, rho, view.nothing());
         let _ = scan.run(self.request.solver, self.request.fineness_pct, seed, &round.scan, &mut rng);
         let (seen, looks) = (scan.best(&round.scan), scan.looks);
         let mut refitted = seen.iter().filter_map(|c| evaluator.settle(&mut view, c)).collect::<Vec<_>>();
         refitted.extend(self.seeds_of_other_law(&mut evaluator, &mut view, law, &mut rng));
         let part = Part { points, head: None, view, evaluator, held: apart(&refitted, usize::MAX, 0) };
         LawRound::new(part, rng, looks)
+    }
+
+    /// A part behind the filter `1 - rho q^-1`, or behind a weaker one where noise would be most of what the filter leaves.
+    fn view_of_part(&self, rho: f64, points: usize) -> View {
+        let weaker = WEAKER.into_iter().filter(|w| *w < rho);
+        let views = [rho].into_iter().chain(weaker).map(|rho| self.problem.view(rho, points));
+        let mut views = views.filter(|v| {
+            let noise = (1.0 + v.rho() * v.rho()) * self.noise_sd * self.noise_sd * v.count();
+            noise <= MOST_NOISE * v.nothing()
+        });
+        views.next().unwrap_or_else(|| self.problem.view(0.0, points))
     }
 
     /// What another law found, under this one: slips of nearly the right bands are the right ones for either.
@@ -352,10 +380,22 @@ impl<'s, 'a> Search<'s, 'a> {
             }
         } else {
             run.stale += usize::from(low > (1.0 - self.settings.gain) * old);
-            run.faint = low > self.settings.no_friction * nothing;
+            run.faint = low > self.settings.no_friction * nothing && self.is_faint_in_part(run);
             let behind = low > self.settings.behind[0] * other.min(self.law_best[usize::from(best.law == Law::He)]);
             run.open = !(run.faint || behind || run.stale > 0 && self.is_real());
         }
+    }
+
+    /// Whether hardly any friction shows in the part, either: on the whole record it may not show yet.
+    fn is_faint_in_part(&self, run: &mut LawRound<'a>) -> bool {
+        let LawRound { part, without, .. } = run;
+        let class = part.evaluator.class;
+        let nothing = *without.get_or_insert_with(|| {
+            let found = frictionless(&mut part.evaluator, &mut part.view, Class::First);
+            found.map_or(f64::INFINITY, |f| f.sse).min(part.view.nothing())
+        });
+        part.evaluator.class = class;
+        part.held.first().is_none_or(|c| c.sse() > FAINT_IN_PART * nothing)
     }
 
     /// Whether rounds before this one have shown that no model leaves noise only.
@@ -567,7 +607,7 @@ impl<'s, 'a> Search<'s, 'a> {
 
 /// Tests of a residual from the view's first point on; `None` where it is plainly coloured.
 fn tests(problem: &Problem<'_>, view: &View, left: &[f64]) -> Option<Whiteness> {
-    if crate::signal::stats::autocorrelation_1(left).abs() > COLOURED {
+    if stats::autocorrelation_1(left).abs() > COLOURED {
         return None;
     }
     let from = view.from().min(problem.question.mean.len());
