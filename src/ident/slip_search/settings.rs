@@ -66,7 +66,7 @@ const ROUND: RoundSettings = RoundSettings {
     part: [0.1, 3.0, 12.0],
     from_far: true,
     scan: SCAN,
-    stages: [(4, 24), (24, 24), (6, 50), (3, 80)],
+    stages: [(4, 24), (12, 24), (6, 50), (3, 80)],
     last: 100,
 };
 
