@@ -77,8 +77,8 @@ impl SearchSettings {
         let wide = ScanSettings { sizes: 90, jumps: 8, keep: [24, 6], ..SCAN };
         let rounds = vec![
             ROUND,
-            RoundSettings { rho: 0.98, part: [0.45, 3.0, 12.0], from_far: false, ..ROUND },
             RoundSettings { rho: 0.0, part: [0.45, 5.0, 12.0], from_far: false, ..ROUND },
+            RoundSettings { rho: 0.98, part: [0.45, 3.0, 12.0], from_far: false, ..ROUND },
             RoundSettings { rho: 0.7, part: [0.1, 3.0, 12.0], from_far: true, ..ROUND },
             RoundSettings {
                 rho: 0.98,
