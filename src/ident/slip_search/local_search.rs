@@ -292,35 +292,23 @@ pub fn along_ridge(
     reach: f64,
     steps: usize,
 ) -> Vec<Candidate> {
-    (evaluator.class, evaluator.law) = (around.class, around.law);
-    let (rate, landing) = (evaluator.problem.question.rate.max(1e-6), evaluator.problem.question.landing);
-    let (mut pool, mut least_of_all) = (vec![*around], around.sse());
+    let landing = evaluator.problem.question.landing;
+    let mut pool = vec![*around];
+    let mut least = around.sse();
     for side in [-1.0, 1.0] {
-        let mut last = *around;
+        let mut walk = RidgeWalk::new(evaluator, view, around, least);
         for k in 1..=steps {
             let s = (around.s * (1.0 + side * reach * k as f64 / steps as f64)).min(1.0);
-            let later_by = (s - last.s) / rate;
-            let guess = later(&last.fit, -later_by);
-            let moved = evaluator.problem.question.moved_start(last.start, later_by);
-            let mut best: Option<Candidate> = None;
+            let Some([s, near]) = kept(walk.evaluator, s, walk.last.j) else { continue };
+            let starts = [walk.last.start, walk.moved_start(s)];
             let [same, share, with_s, against] = ridge_jumps([around.s, around.j], s, landing);
-            let near = ridge_jumps([last.s, last.j], s, landing)[0];
-            for j in [same, share, with_s, against, near] {
-                for start in [last.start, moved] {
-                    let Some([s, j]) = kept(evaluator, s, j) else { continue };
-                    let found = evaluator.fit(view, [s, j], start, &guess, ON_RIDGE_REFINED * least_of_all);
-                    let Some(found) = found else { continue };
-                    least_of_all = least_of_all.min(found.sse());
-                    pool.push(found);
-                    if best.is_none_or(|b| found.sse() < b.sse()) {
-                        best = Some(found);
-                    }
-                }
-            }
-            if let Some(best) = best.filter(|b| b.sse() < ON_RIDGE * around.sse()) {
-                last = best;
+            let found = walk.look(s, [same, near, share, with_s, against], &starts);
+            if let Some(best) = found.filter(|b| b.sse() < ON_RIDGE * around.sse()) {
+                walk.last = best;
             }
         }
+        least = walk.least;
+        pool.append(&mut walk.pool);
     }
     apart(&pool, 4, 0)
 }
@@ -328,73 +316,85 @@ pub fn along_ridge(
 /// A walk along the ridge from cell to cell of s, `most` of them to a side: its best places. Where a stem moves seldom the
 /// error is a comb of cells a fraction of a per cent wide, none of which shows in the error of the next.
 pub fn along_cells(evaluator: &mut Evaluator<'_>, view: &mut View, around: &Candidate, most: usize) -> Vec<Candidate> {
-    (evaluator.class, evaluator.law) = (around.class, around.law);
     let mut pool = vec![*around];
     for up in [false, true] {
-        let mut walk = CellWalk { evaluator, view, last: *around, asked: 0.0, least: around.sse() };
-        let mut cell = around.cells[0];
+        let mut walk = RidgeWalk::new(evaluator, view, around, around.sse());
+        let (mut cell, mut asked) = (around.cells[0], 0.0);
         for _ in 0..most {
             let s = across(cell, up);
             if !(LEAST_ALONG * around.s..=1.0).contains(&s) {
                 break;
             }
-            let Some(found) = walk.at(s) else { break };
+            let landing = walk.evaluator.problem.question.landing;
+            let [same, share, _, against] = ridge_jumps([walk.last.s, walk.last.j], s, landing);
+            let moved = walk.moved_start(s);
+            let beside = |by: isize| Start { record: moved.record.saturating_add_signed(by), ..moved };
+            let mut starts = vec![walk.last.start, moved];
+            starts.extend([1, 2, -1, -2].map(beside));
+            if (s / asked - 1.0).abs() > OTHER_STEMS {
+                asked = s;
+                starts.extend(walk.evaluator.problem.starts(0.5 * (s + same), &STEMS));
+            }
+            let Some(found) = walk.look(s, [same, share, against], &starts) else { break };
             cell = found.cells[0];
-            pool.push(found);
+            // The comb is followed at its lower edge.
+            if found.sse() < COMB * walk.last.sse() || (s / walk.last.s - 1.0).abs() > FOLLOWED_FOR {
+                walk.last = found;
+            }
         }
+        pool.append(&mut walk.pool);
     }
     apart(&pool, 6, 0)
 }
 
-/// A walk along a ridge, cell by cell.
-struct CellWalk<'e, 'a, 'v> {
+/// A walk along the ridge where an earlier slip and a longer lag look alike.
+struct RidgeWalk<'e, 'a, 'v> {
     evaluator: &'e mut Evaluator<'a>,
     view: &'v mut View,
     /// The place that is followed.
     last: Candidate,
-    /// s at which all starts were tried.
-    asked: f64,
     /// Least error met.
     least: f64,
+    pool: Vec<Candidate>,
 }
 
-impl CellWalk<'_, '_, '_> {
-    /// The best of a few jumps and first slips at another s.
-    fn at(&mut self, s: f64) -> Option<Candidate> {
-        let question = self.evaluator.problem.question;
-        let by = (s - self.last.s) / question.rate.max(1e-6);
-        let guess = later(&self.last.fit, -by);
-        let [same, share, _, against] = ridge_jumps([self.last.s, self.last.j], s, question.landing);
-        let moved = question.moved_start(self.last.start, by);
-        let beside = |by: isize| Start { record: moved.record.saturating_add_signed(by), ..moved };
-        let mut starts = vec![self.last.start, moved];
-        starts.extend([1, 2, -1, -2].map(beside));
-        if (s / self.asked - 1.0).abs() > OTHER_STEMS {
-            self.asked = s;
-            starts.extend(self.evaluator.problem.starts(0.5 * (s + same), &STEMS));
-        }
+impl<'e, 'a, 'v> RidgeWalk<'e, 'a, 'v> {
+    fn new(evaluator: &'e mut Evaluator<'a>, view: &'v mut View, from: &Candidate, least: f64) -> Self {
+        (evaluator.class, evaluator.law) = (from.class, from.law);
+        Self { evaluator, view, last: *from, least, pool: Vec::new() }
+    }
+
+    /// Points by which slips come later with another s than at the place that is followed.
+    fn later_by(&self, s: f64) -> f64 {
+        (s - self.last.s) / self.evaluator.problem.question.rate.max(1e-6)
+    }
+
+    /// The first slip that goes with another s.
+    fn moved_start(&self, s: f64) -> Start {
+        self.evaluator.problem.question.moved_start(self.last.start, self.later_by(s))
+    }
+
+    /// The best of some first slips with the first of some jumps, then of the other jumps.
+    fn look<const N: usize>(&mut self, s: f64, jumps: [f64; N], starts: &[Start]) -> Option<Candidate> {
+        let guess = later(&self.last.fit, -self.later_by(s));
         let mut best: Option<Candidate> = None;
-        let mut seen: Vec<Start> = Vec::with_capacity(starts.len());
-        for start in starts {
-            if !seen.contains(&start) {
-                seen.push(start);
-                self.look([s, same], start, &guess, &mut best);
+        for (k, start) in starts.iter().enumerate() {
+            if !starts[..k].contains(start) {
+                self.keep(s, jumps[0], *start, &guess, &mut best);
             }
         }
         let start = best?.start;
-        for j in [share, against] {
-            self.look([s, j], start, &guess, &mut best);
+        for (k, j) in jumps.iter().enumerate().skip(1) {
+            if !jumps[..k].contains(j) {
+                self.keep(s, *j, start, &guess, &mut best);
+            }
         }
-        let found = best?;
-        // The comb is followed at its lower edge.
-        if found.sse() < COMB * self.last.sse() || (s / self.last.s - 1.0).abs() > FOLLOWED_FOR {
-            self.last = found;
-        }
-        Some(found)
+        self.pool.extend(best);
+        best
     }
 
-    fn look(&mut self, bands: [f64; 2], start: Start, guess: &LatticeFit, best: &mut Option<Candidate>) {
-        let found = self.evaluator.fit(self.view, bands, start, guess, ON_RIDGE_REFINED * self.least);
+    fn keep(&mut self, s: f64, j: f64, start: Start, guess: &LatticeFit, best: &mut Option<Candidate>) {
+        let found = self.evaluator.fit(self.view, [s, j], start, guess, ON_RIDGE_REFINED * self.least);
         let Some(found) = found.filter(|f| f.fit.gain != 0.0) else { return };
         self.least = self.least.min(found.sse());
         if best.is_none_or(|b| found.sse() < b.sse()) {
