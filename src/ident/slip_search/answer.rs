@@ -12,7 +12,7 @@ use crate::ident::evaluator::View;
 use crate::ident::fit::{Fitted, Target};
 use crate::ident::order::{EARNED, FITTED_SHARE};
 use crate::ident::random::generator;
-use crate::ident::slip_search::evaluator::{Polished, shape_of};
+use crate::ident::slip_search::evaluator::{Evaluator, Polished, shape_of};
 use crate::signal::stats;
 
 /// Lag-1 autocorrelation of a residual from which it is filtered, and the strongest filter.
@@ -65,57 +65,65 @@ impl Answer {
 impl Search<'_, '_> {
     /// The answer for the best candidate of one law; `None` where it has no process.
     pub fn answer(&mut self, best: Candidate, found: &Found, model: ModelChoice, seed: u64) -> Option<Answer> {
-        let best = self.earned(best, model)?;
+        let rich = best;
+        let best = self.earned(rich, model, 0.0)?;
         let without = self.without(best.class);
         let (evaluator, plain) = self.whole();
         let process = evaluator.polish(plain, &best)?;
         let mut answer =
             Answer { candidate: best, rho: 0.0, plain: process, plain_sse: process.sse, without, index_moves: 0.0 };
-        let rivals: Vec<Candidate> = found.seen.iter().filter(|c| c.law == best.law).copied().collect();
-        answer.index_moves = self.index_moves(&best, &rivals);
+        let same_law: Vec<Candidate> = found.seen.iter().filter(|c| c.law == best.law).copied().collect();
+        answer.index_moves = self.index_moves(&best, &same_law);
         if !found.is_noise && answer.index().max(answer.index_moves) > 0.1 {
-            self.whiten(&mut answer, &rivals, seed);
+            let rho = {
+                let (evaluator, plain) = self.whole();
+                stats::autocorrelation_1(&evaluator.residual(plain, &best, &answer.plain)).min(MOST_RHO)
+            };
+            if rho >= COLOURED {
+                let best = self.earned(rich, model, rho)?;
+                if best.class != answer.candidate.class {
+                    answer.without = self.without(best.class);
+                    let (evaluator, plain) = self.whole();
+                    let plain_best = evaluator.in_class(plain, &best, best.class)?;
+                    answer.plain = evaluator.polish(plain, &plain_best)?;
+                    answer.plain_sse = answer.plain.sse;
+                }
+                self.whiten(&mut answer, best, &found.seen, rho, seed);
+            }
         }
         Some(answer)
     }
 
-    /// The candidate without its second lag where that does not earn its place on data that it was not fitted to.
-    fn earned(&mut self, rich: Candidate, model: ModelChoice) -> Option<Candidate> {
+    /// The candidate without its second lag where that does not earn its place on data that it was not fitted to, by the
+    /// error behind `1 - rho q^-1`.
+    fn earned(&mut self, rich: Candidate, model: ModelChoice, rho: f64) -> Option<Candidate> {
         let simpler = match (model, rich.class) {
             (ModelChoice::Auto, Class::Second) => Class::First,
             (ModelChoice::Auto, Class::LagIntegrating) => Class::Integrating,
             _ => return Some(rich),
         };
         let (evaluator, plain) = self.whole();
-        let Some(poor) = evaluator.in_class(plain, &rich, simpler).filter(|c| c.fit.gain != 0.0) else {
+        let mut view = if rho == 0.0 { plain.clone() } else { evaluator.problem.view(rho, evaluator.points) };
+        let rich = if rho == 0.0 { rich } else { evaluator.in_class(&mut view, &rich, rich.class)? };
+        let Some(poor) = evaluator.in_class(&mut view, &rich, simpler).filter(|c| c.fit.gain != 0.0) else {
             return Some(rich);
         };
         // Neighbours may be the simpler model's own best slips.
         let near = Nearness::USUAL;
-        let poor = neighbours(evaluator, plain, poor, 2, near);
-        let of_rich = self.held_out(&rich);
-        let of_poor = self.held_out(&poor);
+        let poor = neighbours(evaluator, &mut view, poor, 2, near);
+        let of_rich = held_out(evaluator, &view, &rich);
+        let of_poor = held_out(evaluator, &view, &poor);
         Some(if of_rich > (1.0 - EARNED) * of_poor { poor } else { rich })
-    }
-
-    /// Mean squared error on what follows the first part of the record when the process is fitted to that part alone.
-    fn held_out(&mut self, of: &Candidate) -> f64 {
-        let (evaluator, plain) = self.whole();
-        let Some(process) = evaluator.polish(plain, of) else { return f64::INFINITY };
-        let question = evaluator.problem.question;
-        let target = Target::new(&question.pv, 0.0, question.from);
-        let mut bench = Bench::new(question, of.law, of.class, &target, evaluator.problem.sign);
-        bench.held_out(&as_plain(of, &process), FITTED_SHARE)
     }
 
     /// What a disturbance adds to PV stays in the residual from sample to sample; with the residual's own first-order filter
     /// in front of the error (as in generalised least squares, Cochrane and Orcutt 1949) it weighs as noise does.
-    fn whiten(&mut self, answer: &mut Answer, rivals: &[Candidate], seed: u64) {
+    fn whiten(&mut self, answer: &mut Answer, best: Candidate, rivals: &[Candidate], rho: f64, seed: u64) {
         let near = Nearness::USUAL;
         let mut rng = generator(seed, 5);
-        let best = answer.candidate;
         let (evaluator, plain) = self.whole();
-        let mut rho = stats::autocorrelation_1(&evaluator.residual(plain, &best, &answer.plain));
+        let mut rho = rho;
+        answer.candidate = best;
         for _ in 0..2 {
             if rho < COLOURED {
                 return;
@@ -174,6 +182,15 @@ impl Search<'_, '_> {
     pub fn allows(model: ModelChoice, class: Class) -> bool {
         classes_of(model).contains(&class)
     }
+}
+
+/// Mean squared error on what follows the first part of the record when the process is fitted to that part alone.
+fn held_out(evaluator: &mut Evaluator<'_>, view: &View, of: &Candidate) -> f64 {
+    let Some(process) = evaluator.polish(view, of) else { return f64::INFINITY };
+    let question = evaluator.problem.question;
+    let target = Target::new(&question.pv, view.rho(), question.from);
+    let mut bench = Bench::new(question, of.law, of.class, &target, evaluator.problem.sign);
+    bench.held_out(&as_plain(of, &process), FITTED_SHARE)
 }
 
 /// A candidate as the plain pass over samples holds it.
