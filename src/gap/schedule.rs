@@ -45,6 +45,9 @@ const OF_LOOKS: f64 = 0.5;
 const OWN_SCANS: usize = 7;
 /// Responses that one such scan computes, about.
 const LOOK: f64 = 500.0;
+/// Rounds of the estimate's search for one start of a stem that makes other slips, and looks that must be allowed for it.
+const ROUNDS_OF_OWN: usize = 1;
+const SEARCHED: usize = 20;
 /// Effects for which that is worth its while.
 const LIKELY: usize = 3;
 /// Times that these are searched again while one of them gains.
@@ -460,6 +463,14 @@ fn own_scans(
             count += n;
         }
         if !has_own_scan(&plan, &search.structure) || plan.class() != Class::First {
+            continue;
+        }
+        if makes_other_slips(&plan) && most >= SEARCHED {
+            // No pair of bands imitates these slips: each start has a search of its own.
+            let alone = Search { starts: vec![*p], best: Vec::new(), ..search.clone() };
+            let (found, n) = search_slips(problem, &alone, ROUNDS_OF_OWN, seed + i as u64);
+            thetas.extend(found);
+            count += n;
             continue;
         }
         let (found, n) = coarse_scan(problem, &search.structure, *p, search.sign, scan::ROUGH, seed + i as u64);

@@ -87,16 +87,14 @@ fn batch(kind: u8, seeds: std::ops::Range<u64>) -> (f64, f64, f64) {
 #[test]
 fn noisy_first_order_loops_reach_the_noise_floor() {
     let (floor, error, sticking) = batch(0, 0..24);
-    // Three of 24 end in wrong slips: one of them nearly at the floor, one with the right s behind the other law.
-    assert!(floor >= 0.85 && error < 0.3 && sticking > 0.7);
+    assert!(floor >= 0.9 && error < 0.3 && sticking > 0.7);
 }
 
 #[test]
 fn noisy_second_order_loops_are_measured() {
     let (floor, error, sticking) = batch(1, 0..16);
     // A second lag that held-out data do not miss is taken for dead time, and s goes with it.
-    // Four of 15 miss the floor, two of those by under 12 %.
-    assert!(floor >= 0.7 && error < 8.0 && sticking > 0.35);
+    assert!(floor >= 0.75 && error < 8.0 && sticking > 0.35);
 }
 
 #[test]

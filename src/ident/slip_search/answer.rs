@@ -2,9 +2,10 @@
 //! is as white as a first-order filter makes it.
 
 use super::candidate::{Candidate, apart};
+use super::classes::classes_of;
 use super::local_search::{Nearness, along_ridge, neighbours, random_steps};
 use super::part::frictionless;
-use super::stages::{Found, Search, classes_of};
+use super::stages::{Found, Search};
 use crate::ident::candidate::{Bench, Candidate as Plain};
 use crate::ident::choice::ModelChoice;
 use crate::ident::class::Class;

@@ -8,6 +8,7 @@
 pub mod answer;
 mod around;
 pub mod candidate;
+mod classes;
 pub mod coarse_scan;
 pub mod evaluator;
 pub mod interval;

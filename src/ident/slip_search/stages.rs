@@ -4,9 +4,10 @@
 use rand_chacha::ChaCha8Rng;
 
 use super::candidate::{Candidate, apart};
+use super::classes::index_of;
 use super::evaluator::Evaluator;
 use super::local_search::{along_cells, along_ridge, neighbours, random_steps};
-use super::part::{FOLLOWERS, LawRound, Part, frictionless};
+use super::part::{LawRound, Part, frictionless};
 use super::problem::Problem;
 use super::scan::Scan;
 use super::settings::{RoundSettings, SearchSettings};
@@ -27,16 +28,8 @@ const COLOURED: f64 = 0.12;
 const CARRIED: usize = 60;
 /// Random steps on the way there, at each length.
 const ON_THE_WAY: usize = 24;
-/// Share of the error that a second lag must remove to be taken in the search.
-const SECOND_LAG: f64 = 0.03;
-/// The same for another class of no more lags.
-const ANOTHER: f64 = 0.03;
-/// Relative errors up to which an integrator takes the place of a lag, by the filtered and by the plain error.
-const INTEGRATOR: [f64; 2] = [1.005, 1.01];
-/// Shares of the filtered and of the plain error that a second lag must remove to be searched with.
-const PROMISE: [f64; 2] = [0.002, 0.02];
 /// How far along the ridge (share of s), and in how many steps to a side, where another class was taken.
-const FAR_ALONG: (f64, usize) = (0.3, 40);
+pub(super) const FAR_ALONG: (f64, usize) = (0.3, 40);
 /// Moves of a stem that moves seldom, and cells to a side through which its ridge is walked.
 const SELDOM: usize = 40;
 const CELLS_ALONG: usize = 700;
@@ -47,8 +40,6 @@ const WEAKER: [f64; 3] = [0.9, 0.7, 0.4];
 const MOST_NOISE: f64 = 0.3;
 /// Share of the error without friction in the part from which on none shows there.
 const FAINT_IN_PART: f64 = 0.6;
-/// Candidates by which the class is judged.
-const JUDGES: usize = 2;
 
 /// What a search is told beside its problem.
 pub struct Request<'r> {
@@ -114,11 +105,11 @@ pub struct Found {
 
 /// One search.
 pub struct Search<'s, 'a> {
-    problem: &'a Problem<'a>,
-    request: &'s Request<'s>,
-    settings: &'s SearchSettings,
-    plain: View,
-    whole: Evaluator<'a>,
+    pub(super) problem: &'a Problem<'a>,
+    pub(super) request: &'s Request<'s>,
+    pub(super) settings: &'s SearchSettings,
+    pub(super) plain: View,
+    pub(super) whole: Evaluator<'a>,
     without: [Option<f64>; 4],
     found: Found,
     law_best: [f64; 2],
@@ -126,25 +117,6 @@ pub struct Search<'s, 'a> {
     noise_sd: f64,
     /// Whether the last round saw friction in the part where none shows on the whole record.
     shows_in_part: bool,
-}
-
-const fn index_of(class: Class) -> usize {
-    match class {
-        Class::First => 0,
-        Class::Second => 1,
-        Class::Integrating => 2,
-        Class::LagIntegrating => 3,
-    }
-}
-
-/// Classes that a choice of model allows, the simplest first.
-#[must_use]
-pub const fn classes_of(model: ModelChoice) -> &'static [Class] {
-    match model {
-        ModelChoice::Fopdt => &[Class::First, Class::Integrating],
-        ModelChoice::Sopdt => &[Class::Second, Class::LagIntegrating],
-        ModelChoice::Auto => &[Class::First, Class::Integrating, Class::Second, Class::LagIntegrating],
-    }
 }
 
 impl<'s, 'a> Search<'s, 'a> {
@@ -450,76 +422,6 @@ impl<'s, 'a> Search<'s, 'a> {
         let class = self.allowed(best.class);
         let found = self.whole.in_class(&mut self.plain, &found, class)?;
         Some(neighbours(&mut self.whole, &mut self.plain, found, 4, near))
-    }
-
-    /// The class itself where the model allows it, else the one that takes its place.
-    fn allowed(&self, class: Class) -> Class {
-        match (self.request.model, class) {
-            (ModelChoice::Sopdt, Class::First) => Class::Second,
-            (ModelChoice::Sopdt, Class::Integrating) => Class::LagIntegrating,
-            (ModelChoice::Fopdt, Class::Second) => Class::First,
-            (ModelChoice::Fopdt, Class::LagIntegrating) => Class::Integrating,
-            _ => class,
-        }
-    }
-
-    /// The candidate in the class that suits its slips best on the whole record; its own unless another is clearly better.
-    fn suited(&mut self, own: Candidate) -> Candidate {
-        let mut best = own;
-        for &class in classes_of(self.request.model) {
-            if class == own.class {
-                continue;
-            }
-            let Some(other) = self.whole.in_class(&mut self.plain, &own, class) else { continue };
-            let must = if class.order() > own.class.order() { 1.0 - SECOND_LAG } else { 1.0 - ANOTHER };
-            if other.fit.gain != 0.0 && other.sse() < must * best.sse() {
-                best = other;
-            }
-        }
-        best
-    }
-
-    /// The class that the best of the part ask for, by filtered and by plain errors; the held candidates go there.
-    fn choose_class(&mut self, run: &mut LawRound<'a>, steps: usize) {
-        let LawRound { part, rng, .. } = run;
-        let judges: Vec<Candidate> = part.held.iter().take(JUDGES).copied().collect();
-        let mut scores = [[f64::INFINITY; 2]; 4];
-        for class in classes_of(ModelChoice::Auto) {
-            let score = &mut scores[index_of(*class)];
-            for c in &judges {
-                let Some(found) = part.evaluator.in_class(&mut part.view, c, *class) else { continue };
-                score[0] = score[0].min(found.sse());
-                let head = part.head.get_or_insert_with(|| self.problem.view(0.0, part.points));
-                if let Some(plain) = part.evaluator.settle(head, &found) {
-                    score[1] = score[1].min(plain.sse());
-                }
-            }
-        }
-        let family = |lag: Class, integrator: Class| {
-            let [a, b] = [scores[index_of(lag)], scores[index_of(integrator)]];
-            if b[0] <= INTEGRATOR[0] * a[0] && b[1] <= INTEGRATOR[1] * a[1] { integrator } else { lag }
-        };
-        let (one, two) = (family(Class::First, Class::Integrating), family(Class::Second, Class::LagIntegrating));
-        let promising = (0..2).any(|i| scores[index_of(two)][i] < (1.0 - PROMISE[i]) * scores[index_of(one)][i]);
-        let class = self.allowed(if promising { two } else { one });
-        if class != Class::First {
-            let mut next: Vec<Candidate> = part
-                .held
-                .iter()
-                .take(FOLLOWERS)
-                .filter_map(|c| part.evaluator.in_class(&mut part.view, c, class))
-                .filter(|c| c.fit.gain != 0.0)
-                .collect();
-            next.sort_by(|a, b| a.sse().total_cmp(&b.sse()));
-            for c in next.iter_mut().take(JUDGES) {
-                // What stood for the second lag was a wrong s: the right one lies along the ridge.
-                let (reach, places) = FAR_ALONG;
-                let found = along_ridge(&mut part.evaluator, &mut part.view, c, reach, places);
-                *c = found.first().copied().unwrap_or(*c);
-                *c = random_steps(&mut part.evaluator, &mut part.view, *c, steps, self.settings.near, rng);
-            }
-            part.held = apart(&next, usize::MAX, 0);
-        }
     }
 
     /// The last steps on the whole record; whether what they lead to leaves only noise.
