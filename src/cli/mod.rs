@@ -12,10 +12,12 @@ pub mod completions;
 pub mod convert;
 pub mod demo;
 pub mod evaluate;
+mod fleet;
 pub mod gap;
 pub mod info;
 pub mod manual;
 pub mod play;
+pub mod reading;
 pub mod recover;
 pub mod replay;
 pub mod run;
@@ -198,6 +200,11 @@ pub(crate) fn say(line: impl Display) -> std::io::Result<()> {
 pub(crate) fn warn(line: impl Display) {
     // Where nobody listens any more nothing is to be told.
     let _ = writeln!(std::io::stderr().lock(), "warning: {}", plain(&line.to_string()));
+}
+
+/// Says on stderr what was done, where that is no fault.
+pub(crate) fn note(line: impl Display) {
+    let _ = writeln!(std::io::stderr().lock(), "{}", plain(&line.to_string()));
 }
 
 /// A text as a terminal may have it: control characters but the end of a line and a tab are written out, in a form that
