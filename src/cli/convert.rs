@@ -5,6 +5,7 @@ use super::{Format, Outcome, UsageError};
 use crate::codec::encode_recorded;
 use crate::codec::topic::Kind;
 use crate::files::compact::{self, CompactLoop};
+use crate::files::even::even;
 use crate::files::{self, Loaded, LoadedLoop, METADATA_PREFIX, RecordingFile, csv};
 use crate::record::Signal;
 use crate::units::{is_loop_name, loop_name_from};
@@ -42,9 +43,17 @@ pub struct ConvertArgs {
     /// Take this loop only
     #[arg(long = "loop", value_name = "NAME")]
     pub loop_name: Option<String>,
+    /// Put samples at an even rate, one every so many seconds: OP, SP and MODE held, PV and MV straight between theirs
+    #[arg(long, value_name = "SECONDS", value_parser = resample)]
+    pub resample: Option<f64>,
     /// Replace what exists
     #[arg(long)]
     pub force: bool,
+}
+
+pub(super) fn resample(text: &str) -> Result<f64, String> {
+    let seconds: f64 = text.parse().map_err(|_| format!("{text:?} is not a number of seconds"))?;
+    compact::check_sampling_time(seconds)
 }
 
 /// What OUT asks for.
@@ -82,6 +91,11 @@ pub fn run(args: &ConvertArgs, format: Format) -> anyhow::Result<Outcome> {
         super::warn(format_args!("{place}: {warning}"));
     }
     select(&mut loaded, args.loop_name.as_deref(), &place)?;
+    if let Some(ts_s) = args.resample {
+        for one in &mut loaded.loops {
+            *one = even(one, ts_s).map_err(|fault| anyhow!("{place}: {}: {fault}", one.name))?;
+        }
+    }
     let written = match target {
         Target::Csv(path) => vec![to_csv(&loaded, &path)?],
         Target::Mcap(path) => vec![to_mcap(&loaded, inputs, &path)?],
@@ -232,8 +246,9 @@ fn to_mat(loaded: &Loaded, path: &Path) -> anyhow::Result<Written> {
     let mut stored = Vec::with_capacity(loaded.loops.len());
     for one in &loaded.loops {
         let ts_s = one.about.as_ref().map(|about| about.ts_s);
-        let mut kept = CompactLoop::from_samples(&one.name, &one.samples, ts_s)
-            .map_err(|fault| anyhow!("{}: {fault}; a compact store has one sampling time", one.name))?;
+        let mut kept = CompactLoop::from_samples(&one.name, &one.samples, ts_s).map_err(|fault| {
+            anyhow!("{}: {fault}; a compact store has one sampling time: --resample SECONDS makes one", one.name)
+        })?;
         if let Some(about) = &one.about {
             (kept.tags, kept.comment) = (about.tags.clone(), about.comment.clone());
         }

@@ -9,8 +9,8 @@ use super::export::{self, ReadOptions};
 use super::{FileError, InputKind, Loaded, load};
 
 /// Endings of files that are read from folders.
-const ENDINGS: [&str; 17] = [
-    "csv", "txt", "tsv", "tab", "dat", "asc", "xlsx", "xlsm", "xls", "parquet", "pq", "arrow", "feather", "ipc", "mat",
+const ENDINGS: [&str; 16] = [
+    "csv", "txt", "tsv", "tab", "dat", "asc", "xlsx", "xlsm", "parquet", "pq", "arrow", "feather", "ipc", "mat",
     "mcap", "part",
 ];
 /// Bytes from which a file of one signal is told.

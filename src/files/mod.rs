@@ -2,6 +2,7 @@
 
 pub mod compact;
 pub mod csv;
+pub mod even;
 pub mod export;
 pub mod inputs;
 pub mod lock;
@@ -87,14 +88,14 @@ impl InputKind {
 
     /// What begins like this; otherwise, what it seems to be and the remedy.
     fn of_content(head: &[u8]) -> Result<Self, &'static str> {
-        let marks: [(&[u8], Self); 5] = [
+        let marks: [(&[u8], Self); 4] = [
             (b"PK\x03\x04", Self::Xlsx),
-            (b"\xd0\xcf\x11\xe0", Self::Xlsx),
             (b"PAR1", Self::Parquet),
             (b"ARROW1", Self::Arrow),
             (b"\xff\xff\xff\xff", Self::Arrow),
         ];
-        let unsupported: [(&[u8], &str); 2] = [
+        let unsupported: [(&[u8], &str); 3] = [
+            (b"\xd0\xcf\x11\xe0", "an old workbook (.xls); save it as .xlsx or .csv"),
             (b"\x1f\x8b", "compressed by gzip; unpack it"),
             (b"FEA1", "Feather of version 1; write it as version 2, Parquet or .csv"),
         ];

@@ -349,7 +349,7 @@ impl Axis {
     }
 
     /// Every stamp as a clock reading or an instant.
-    fn clocks(&self, form: Option<&TimeFormat>) -> Result<Vec<(Stamp, Option<[u8; 5]>)>, ExportError> {
+    fn clocks(&self, form: Option<&TimeFormat>) -> Result<Vec<Clock>, ExportError> {
         let read = |row: usize, stamp: &Stamp| {
             let read = match (stamp, form) {
                 (Stamp::Number(n), Some(form)) => form.of_number(*n).map(|s| (s, None)),
@@ -373,7 +373,7 @@ impl Axis {
     }
 
     /// Instants of the rows of one clock.
-    fn group(&self, rows: &[u32], clocks: &[(Stamp, Option<[u8; 5]>)], asked: Asked<'_>) -> Result<Group, ExportError> {
+    fn group(&self, rows: &[u32], clocks: &[Clock], asked: Asked<'_>) -> Result<Group, ExportError> {
         let raw = |row: u32| match clocks[row as usize].0 {
             Stamp::Instant(ns) | Stamp::Local(ns) => ns,
             Stamp::Number(_) | Stamp::Civil(_) => 0,
@@ -408,7 +408,7 @@ impl Axis {
         Ok(Group { t_ns, forward, backward, twice, zoned: true })
     }
 
-    fn without_zone(&self, row: usize, clocks: &[(Stamp, Option<[u8; 5]>)]) -> ExportError {
+    fn without_zone(&self, row: usize, clocks: &[Clock]) -> ExportError {
         let (Stamp::Local(ns) | Stamp::Instant(ns), zone) = clocks[row] else {
             return self.fault(row, "a time that cannot be read".into(), "say its form by --time-format");
         };
@@ -446,6 +446,9 @@ impl Axis {
         })
     }
 }
+
+/// A clock reading or an instant, and letters such as CEST behind it.
+type Clock = (Stamp, Option<[u8; 5]>);
 
 struct Group {
     t_ns: Vec<i64>,

@@ -10,8 +10,8 @@ use arrow_schema::{ArrowError, DataType, SchemaRef, TimeUnit};
 use bytes::Bytes;
 use parquet::arrow::arrow_reader::ParquetRecordBatchReaderBuilder;
 
-use super::ExportError;
 use super::cell::{Cell, Rows, Table, Take};
+use super::{ExportError, guarded};
 use crate::files::InputKind;
 
 /// Rows of a batch.
@@ -33,12 +33,6 @@ pub(super) fn table(kind: InputKind, bytes: &[u8]) -> Result<Table<'static>, Exp
     let names = schema.fields().iter().map(|f| f.name().clone()).collect();
     let words = vec![if kind == InputKind::Parquet { "Parquet".to_owned() } else { "Arrow IPC".to_owned() }];
     Ok(Table { names, line: 0, rows: Box::new(rows), words })
-}
-
-/// The libraries check what they read, and panic on some of what is damaged; that is the file's fault, told as such.
-fn guarded<T>(work: impl FnOnce() -> Result<T, ExportError>) -> Result<T, ExportError> {
-    std::panic::catch_unwind(std::panic::AssertUnwindSafe(work))
-        .unwrap_or_else(|_| Err(ExportError::at(0, "the file is damaged", "export it again")))
 }
 
 struct Columns {

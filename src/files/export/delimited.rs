@@ -2,6 +2,7 @@
 
 use super::ExportError;
 use super::cell::{Cell, Rows, Table, Take};
+use super::names::is_time;
 use super::number::is_missing_word;
 use super::stamp::Stamp;
 
@@ -11,6 +12,10 @@ const LOOKED_AT: usize = 200;
 const DELIMITERS: [(u8, &str); 4] = [(b'\t', "tabs"), (b';', "semicolons"), (b'|', "bars"), (b',', "commas")];
 /// Rows between the names and the first row of values, at most: units, descriptions.
 const MOST_UNITS: usize = 4;
+
+/// What to do about numbers that fall apart.
+const BETWEEN_COMMAS: &str =
+    "numbers with a decimal comma between commas must stand in quotes; export with semicolons or tabs";
 
 /// A line of a text.
 #[derive(Clone, Copy)]
@@ -122,8 +127,7 @@ pub(super) fn table(text: &str, wanted: Option<u8>) -> Result<Table<'_>, ExportE
         .map(|l| (*l, cells(l.text, delimiter)))
         .collect();
     let remarks = lines.iter().filter(|l| remark(l) && !l.text.starts_with("sep=")).count();
-    let wide = |row: &[String]| row.len() + 1 >= usual && row.iter().filter(|c| !c.is_empty()).count() >= usual.min(2);
-    let first = kept.iter().position(|(_, row)| wide(row) && is_values(row)).ok_or_else(|| {
+    let first = kept.iter().position(|(_, row)| row.len() + 1 >= usual && is_values(row)).ok_or_else(|| {
         let line = kept.first().map_or(1, |(l, _)| l.number);
         ExportError::at(
             line,
@@ -131,9 +135,21 @@ pub(super) fn table(text: &str, wanted: Option<u8>) -> Result<Table<'_>, ExportE
             "export rows with a time and numbers",
         )
     })?;
+    // A header may lack what rows have at their end: a delimiter with nothing behind it.
+    let open_end = usize::from(kept[first].1.last().is_some_and(String::is_empty));
+    let wide =
+        |row: &[String]| row.len() + open_end >= usual && row.iter().filter(|c| !c.is_empty()).count() >= usual.min(2);
     let mut head = first;
     while head > 0 && first - head <= MOST_UNITS && wide(&kept[head - 1].1) {
         head -= 1;
+    }
+    if let Some((line, above)) = first.checked_sub(1).map(|at| &kept[at]).filter(|_| head == first)
+        && delimiter == b','
+        && is_time(&above[0])
+    {
+        let (cells, names) = (kept[first].1.len(), above.len());
+        let text = format!("{cells} cells, the header in line {} has {names}", line.number);
+        return Err(ExportError::at(kept[first].0.number, text, BETWEEN_COMMAS));
     }
     let titles = head;
     let (names, line) =
@@ -183,7 +199,7 @@ impl Rows for TextRows<'_> {
             if row.len() > self.columns && row.iter().skip(self.columns).any(|cell| !cell.is_empty()) {
                 let text = format!("{} cells, the lines before have {}", row.len(), self.columns);
                 let remedy = if self.delimiter == b',' {
-                    "numbers with a decimal comma between commas must stand in quotes; export with semicolons or tabs"
+                    BETWEEN_COMMAS
                 } else {
                     "remove what is too much, or put it in quotes"
                 };

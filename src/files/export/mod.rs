@@ -112,6 +112,26 @@ impl std::fmt::Display for Recognised {
     }
 }
 
+/// A moment that somebody wrote: seconds since 1970, or a date in any of the forms of exports.
+///
+/// # Errors
+/// A sentence that says what would settle it.
+pub fn moment(text: &str, options: &ReadOptions) -> Result<i64, String> {
+    if let Ok(t_ns) = parse_time(text) {
+        return Ok(t_ns);
+    }
+    let stamp = match &options.time_format {
+        Some(TimeFormat::Pattern(pattern)) => clock::by_pattern(pattern, text),
+        _ => stamp::Stamp::read(text),
+    };
+    let stamp = stamp.ok_or_else(|| format!("{text:?} is no time; write such as 2026-01-05T08:00:00Z"))?;
+    let mut axis = clock::Axis { name: text.to_owned(), ..clock::Axis::default() };
+    axis.push(stamp, 0);
+    let asked = clock::Asked { form: options.time_format.as_ref(), zone: options.zone.as_ref(), end_s: end_s() };
+    let times = axis.times(&[vec![0]], asked).map_err(|e| e.to_string())?;
+    times.t_ns.first().copied().ok_or_else(|| format!("{text:?} is no time"))
+}
+
 /// The loops of an export.
 #[derive(Debug, Default)]
 pub(super) struct Export {
@@ -253,6 +273,12 @@ pub(super) fn contents(
             contents_of(&table, &stem, options)
         }
     }
+}
+
+/// Libraries check what they read and panic on some of what is damaged: the file's fault, told as such.
+fn guarded<T>(work: impl FnOnce() -> Result<T, ExportError>) -> Result<T, ExportError> {
+    std::panic::catch_unwind(std::panic::AssertUnwindSafe(work))
+        .unwrap_or_else(|_| Err(ExportError::at(0, "the file is damaged", "export it again")))
 }
 
 fn contents_of(table: &Table<'_>, stem: &str, options: &ReadOptions) -> Result<Contents, ExportError> {

@@ -74,9 +74,9 @@ const MISSING: [&str; 45] = [
 /// Whether a text is one that systems write where they have no value.
 pub(super) fn is_missing_word(text: &str) -> bool {
     let lower = text.trim().to_lowercase();
-    let longer = |word: &&str| word.len() > 3 && lower.starts_with(*word);
+    let longer = |word: &str| word.len() > 3 && lower.starts_with(word);
     lower.is_empty()
-        || MISSING.iter().any(|word| lower == *word || longer(&word))
+        || MISSING.iter().any(|word| lower == *word || longer(word))
         || ["bad", "[-", "#n/"].iter().any(|word| lower.starts_with(word))
 }
 

@@ -82,7 +82,7 @@ pub(super) fn convention(
         Ok(Codes::Flag)
     } else if all(|c| (0..=255).contains(&c)) && any(|c| c >= 192) {
         Ok(Codes::Classic)
-    } else if all(|c| c == 0 || c < 0 || c >= 1 << 20) {
+    } else if all(|c| c <= 0 || c >= 1 << 20) {
         Ok(Codes::Ua)
     } else if all(|c| (0..=100).contains(&c)) && any(|c| c == 100) {
         Ok(Codes::Percent)

@@ -165,10 +165,9 @@ impl Stamp {
         }
         if let Some(number) = Number::read(text) {
             // yyyymmddhhmmss is no number of anything else since 1990.
-            if text.len() == 14 && text.bytes().all(|b| b.is_ascii_digit()) {
-                if let Some(civil) = compact(text) {
-                    return Some(Self::Civil(civil));
-                }
+            let figures = text.len() == 14 && text.bytes().all(|b| b.is_ascii_digit());
+            if let Some(civil) = figures.then(|| compact(text)).flatten() {
+                return Some(Self::Civil(civil));
             }
             return Some(Self::Number(number));
         }

@@ -2,22 +2,23 @@
 
 use std::io::Cursor;
 
-use calamine::{Data, ExcelDateTime, Reader as _, open_workbook_auto_from_rs};
+use calamine::{Data, ExcelDateTime, Reader as _, Xlsx, XlsxError};
 use jiff::tz::Offset;
 
 use super::cell::{Cell, Rows, Table, Take};
 use super::stamp::Stamp;
-use super::{Contents, ExportError, ReadOptions, contents_of};
+use super::{Contents, ExportError, ReadOptions, contents_of, guarded};
 
 /// Rows above a table, at most.
 const MOST_ABOVE: usize = 50;
+/// Cells of a sheet, empty ones before filled ones counted, at most: a few bytes can name a cell at the sheet's far end.
+const MOST_CELLS: usize = 50_000_000;
 
 struct Sheet {
-    rows: Vec<Vec<Data>>,
-    /// Row of the first values.
+    /// Numbers of rows, from 1, and their cells.
+    rows: Vec<(u64, Vec<Data>)>,
+    /// Place of the first row of values.
     first: usize,
-    /// Row of the sheet that `rows` begin with.
-    above: u64,
 }
 
 /// Reads the tables of a workbook.
@@ -25,10 +26,39 @@ struct Sheet {
 /// # Errors
 /// It is no workbook, the sheet is not there, or no sheet holds a table.
 pub(super) fn read(bytes: &[u8], stem: &str, options: &ReadOptions) -> Result<Contents, ExportError> {
-    let no_book = |e: calamine::Error| {
-        ExportError::at(0, format!("no workbook that can be read: {e}"), "save it as .xlsx or .csv")
-    };
-    let mut book = open_workbook_auto_from_rs(Cursor::new(bytes)).map_err(no_book)?;
+    guarded(|| sheets(bytes, stem, options))
+}
+
+fn no_book(error: impl std::fmt::Display) -> ExportError {
+    ExportError::at(0, format!("no workbook that can be read: {error}"), "save it as .xlsx or .csv")
+}
+
+/// The cells of a sheet, row by row.
+fn rows_of(book: &mut Xlsx<Cursor<&[u8]>>, name: &str) -> Result<Vec<(u64, Vec<Data>)>, ExportError> {
+    let mut cells = book.worksheet_cells_reader(name).map_err(no_book)?;
+    let mut rows: Vec<(u64, Vec<Data>)> = Vec::new();
+    let mut count = 0;
+    while let Some(cell) = cells.next_cell().map_err(|e: XlsxError| no_book(e))? {
+        let (row, column) = cell.get_position();
+        let (row, column) = (u64::from(row) + 1, column as usize);
+        if rows.last().is_none_or(|(last, _)| *last != row) {
+            rows.push((row, Vec::new()));
+        }
+        let Some((_, own)) = rows.last_mut() else { continue };
+        count += (column + 1).saturating_sub(own.len());
+        if count > MOST_CELLS {
+            return Err(ExportError::at(row, format!("sheet {name:?} has over {MOST_CELLS} cells"), "save it as .csv"));
+        }
+        if own.len() <= column {
+            own.resize(column + 1, Data::Empty);
+        }
+        own[column] = cell.get_value().clone().into();
+    }
+    Ok(rows)
+}
+
+fn sheets(bytes: &[u8], stem: &str, options: &ReadOptions) -> Result<Contents, ExportError> {
+    let mut book: Xlsx<Cursor<&[u8]>> = Xlsx::new(Cursor::new(bytes)).map_err(|e: XlsxError| no_book(e))?;
     let names = book.sheet_names();
     let wanted: Vec<String> = match &options.sheet {
         None => names,
@@ -42,16 +72,14 @@ pub(super) fn read(bytes: &[u8], stem: &str, options: &ReadOptions) -> Result<Co
     let (mut read, mut first_fault) = (0, None);
     let several = wanted.len() > 1;
     for name in &wanted {
-        let range = match book.worksheet_range(name) {
-            Ok(range) => range,
-            Err(error) => {
-                first_fault.get_or_insert(no_book(error));
+        let rows = match rows_of(&mut book, name) {
+            Ok(rows) => rows,
+            Err(fault) => {
+                first_fault.get_or_insert(fault);
                 continue;
             }
         };
-        let above = range.start().map_or(0, |(row, _)| u64::from(row));
-        let rows: Vec<Vec<Data>> = range.rows().map(<[Data]>::to_vec).collect();
-        let Some(sheet) = Sheet::of(rows, above) else { continue };
+        let Some(sheet) = Sheet::of(rows) else { continue };
         let table = sheet.table(name);
         match contents_of(&table, if several { name } else { stem }, options) {
             Ok(contents) => {
@@ -97,33 +125,33 @@ fn filled(row: &[Data]) -> usize {
 }
 
 impl Sheet {
-    fn of(rows: Vec<Vec<Data>>, above: u64) -> Option<Self> {
+    fn of(rows: Vec<(u64, Vec<Data>)>) -> Option<Self> {
         let value = |cell: &Data| match cell {
             Data::Int(_) | Data::Float(_) | Data::DateTime(_) | Data::DateTimeIso(_) => true,
             Data::String(text) => Stamp::read(text).is_some_and(Stamp::is_dated),
             _ => false,
         };
-        let is_values = |row: &Vec<Data>| filled(row) >= 2 && row.iter().any(value);
+        let is_values = |(_, row): &(u64, Vec<Data>)| filled(row) >= 2 && row.iter().any(value);
         let first = rows.iter().take(MOST_ABOVE).position(is_values)?;
-        Some(Self { rows, first, above })
+        Some(Self { rows, first })
     }
 
     fn table(&self, name: &str) -> Table<'_> {
         let mut head = self.first;
-        while head > 0 && filled(&self.rows[head - 1]) >= 2 {
+        while head > 0 && filled(&self.rows[head - 1].1) >= 2 {
             head -= 1;
         }
         let mut words = vec![format!("sheet {name:?}")];
         let names: Vec<String> = if head < self.first {
-            self.rows[head].iter().map(|c| c.to_string().trim().to_owned()).collect()
+            self.rows[head].1.iter().map(|c| c.to_string().trim().to_owned()).collect()
         } else {
             words.push("no header".to_owned());
             Vec::new()
         };
         if self.first > head + 1 {
-            words.push(format!("units in row {}", self.above + head as u64 + 2));
+            words.push(format!("units in row {}", self.rows[head + 1].0));
         }
-        Table { names, line: self.above + head as u64 + 1, rows: Box::new(SheetRows(self)), words }
+        Table { names, line: self.rows[head].0, rows: Box::new(SheetRows(self)), words }
     }
 }
 
@@ -131,11 +159,11 @@ struct SheetRows<'s>(&'s Sheet);
 
 impl Rows for SheetRows<'_> {
     fn each(&self, take: &mut Take<'_>) -> Result<(), ExportError> {
-        for (at, row) in self.0.rows.iter().enumerate().skip(self.0.first).filter(|(_, row)| filled(row) > 0) {
+        for (number, row) in self.0.rows.iter().skip(self.0.first).filter(|(_, row)| filled(row) > 0) {
             let errors: Vec<String> =
                 row.iter().map(|c| if let Data::Error(e) = c { e.to_string() } else { String::new() }).collect();
             let cells: Vec<Cell<'_>> = row.iter().zip(&errors).map(|(c, error)| cell(c, error)).collect();
-            if !take(self.0.above + at as u64 + 1, &cells)? {
+            if !take(*number, &cells)? {
                 break;
             }
         }
