@@ -21,6 +21,7 @@ pub mod reading;
 pub mod recover;
 pub mod replay;
 pub mod run;
+pub mod schema;
 pub mod selection;
 pub mod simulate;
 pub mod solving;
@@ -107,6 +108,7 @@ enum CommandArgs {
     Check(check::Args),
     Info(info::InfoArgs),
     Recover(recover::Args),
+    Schema(schema::Args),
     Bench(bench::Args),
     Manual(manual::Args),
     Completions(completions::Args),
@@ -162,6 +164,7 @@ fn dispatch(cli: Cli) -> anyhow::Result<Outcome> {
         CommandArgs::Check(args) => check::run(&args, format),
         CommandArgs::Info(args) => info::run(&args, format),
         CommandArgs::Recover(args) => recover::run(&args, format),
+        CommandArgs::Schema(args) => schema::run(&args),
         CommandArgs::Bench(args) => bench::run(&args, format),
         CommandArgs::Manual(args) => manual::run(&args, format),
         CommandArgs::Completions(args) => completions::run(&args),
