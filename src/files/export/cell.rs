@@ -16,6 +16,7 @@ pub(super) enum Cell<'r> {
     /// A clock reading without a zone, ns as if it were UTC.
     Local(i64),
     /// An instant, ns since 1970 UTC.
+    #[cfg_attr(not(feature = "parquet"), allow(dead_code))] // only typed files hold them
     Instant(i64),
 }
 
