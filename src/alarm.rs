@@ -18,6 +18,7 @@ const WORSE_WINDOWS: u8 = 2;
 
 /// Alarm states of ISA-18.2.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, Default)]
+#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum State {
     /// Not active, nothing to acknowledge.
@@ -82,6 +83,7 @@ impl Evidence {
 
 /// A change that is published, recorded and logged.
 #[derive(Debug, Clone, PartialEq, Serialize)]
+#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 pub struct AlarmDocument {
     /// [`ALARM_SCHEMA`].
     pub schema: &'static str,

@@ -149,6 +149,8 @@ pub struct Record {
     pub end_ns: i64,
     /// Mean time between raw samples, s.
     pub ts_s: f64,
+    /// Mean time between samples as they were recorded, s: `ts_s`, unless boxes hold no whole number of samples.
+    pub recorded_ts_s: f64,
     /// Raw samples in the record.
     pub raw_samples: usize,
     /// Raw samples in a point (a power of two in the daemon's memory).
@@ -177,6 +179,7 @@ impl Record {
             start_ns: 0,
             end_ns: crate::units::ns_from_s(ts_s * n.saturating_sub(1) as f64),
             ts_s,
+            recorded_ts_s: ts_s,
             raw_samples: n,
             box_samples: 1,
             facts: Facts { pv_repeats: repeats(&pv), op_repeats: repeats(&op), ..Facts::default() },

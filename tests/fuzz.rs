@@ -19,8 +19,22 @@ use stictiond::config::Config;
 use stictiond::files::{csv, load_samples};
 use stictiond::record::Signal;
 
+#[path = "program/exports/data.rs"]
+#[allow(dead_code)]
+mod data;
+
 /// What mutations put in.
-const WORDS: [&[u8]; 24] = [
+const WORDS: [&[u8]; 34] = [
+    b";",
+    b"\t",
+    b"1.234,5",
+    b"05/01/2026 08:00",
+    b"25.10.2026 02:30:00",
+    b"46027.5",
+    b"Bad Input",
+    b"sep=",
+    b"PAR1",
+    b"A.OP",
     b"NaN",
     b"1e999",
     b"-0",
@@ -150,6 +164,53 @@ fn recordings_tables_and_stores() {
         .unwrap();
     assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
     fuzz("stores", &[fs::read(&store).unwrap()], read);
+}
+
+/// Exports of other systems, as text, workbook, Parquet and Arrow: whatever is read lies in the years that are believed.
+#[test]
+fn exports() {
+    use stictiond::files::export::{ReadOptions, Zone};
+    use stictiond::files::load;
+
+    let dir = tempfile::tempdir().unwrap();
+    let options = ReadOptions { zone: Zone::parse("Europe/Berlin").ok(), ..ReadOptions::default() };
+    let (from, to) = (631_152_000_000_000_000, 4_102_444_800_000_000_000);
+    let target = |name: &'static str| {
+        let path = dir.path().join(name);
+        let options = &options;
+        move |bytes: &[u8]| {
+            fs::write(&path, bytes).unwrap();
+            if let Ok(loaded) = load(&path, options) {
+                let samples = loaded.loops.iter().flat_map(|one| &one.samples);
+                // Seconds may count from any start where their heading says that they are seconds.
+                let counted = loaded.recognised.is_none_or(|found| found.form.contains("since 1970"));
+                assert!(counted || samples.clone().all(|s| (from..to).contains(&s.t_ns)));
+            }
+        }
+    };
+    let german = |k: usize| data::local(k, "Europe/Berlin", "%d.%m.%Y %H:%M:%S");
+    let tags = ["Time", "41FIC101.OP", "41FIC101.PV"];
+    let table = data::Form::german(german).table(&tags);
+    let us = data::Form::with(|k| data::utc(k, "%-m/25/%Y %-I:%M:%S %p")).table(&tags);
+    let days = data::Form::with(|k| format!("{}", data::t_s(k) as f64 / 86_400.0 + 25_569.0)).table(&tags);
+    let long =
+        "tag;timestamp;value;quality\nA.OP;2026-01-05T08:00:00Z;1,5;192\nA.PV;2026-01-05T08:00:00Z;Bad Input;0\n";
+    let wide = "\u{feff}# r\nDate,Time,A.OP (%),A.PV [m3/h]\n,,%,m3/h\n2026-10-25,02:59:59,\"1,234.5\",2\n2026-10-25,02:00:00,1,2\n";
+    let mut corpus = texts(&[&table, &us, &days, long, wide, "sep=;\nt;op;pv\n1e9;NaN;1'000\n"]);
+    corpus.push(table.encode_utf16().flat_map(u16::to_le_bytes).collect());
+    fuzz("exports", &corpus, target("x.csv"));
+    let cell = |k: usize| {
+        use data::XlsxCell::{Date, Number};
+        vec![Date(data::t_s(k) as f64 / 86_400.0 + 25_569.0), Number(data::op(k)), Number(data::pv(k))]
+    };
+    let head = tags.map(|t| data::XlsxCell::Text(t.to_owned()));
+    let book = data::xlsx(&std::iter::once(Vec::from(head)).chain((0..data::ROWS).map(cell)).collect::<Vec<_>>());
+    fuzz("workbooks", &[book], target("x.xlsx"));
+    #[cfg(feature = "parquet")]
+    for (name, bytes) in [("x.parquet", data::parquet(&data::wide(true))), ("x.arrow", data::arrow(&data::wide(true)))]
+    {
+        fuzz(name, &[bytes], target(name));
+    }
 }
 
 #[test]

@@ -10,15 +10,19 @@ use indicatif::ProgressBar;
 use serde::Serialize;
 
 use super::analyze_report::{Maker, Subject};
+use super::fleet::{MANY, Summary};
 use super::gap::model_file;
+use super::reading::{ReadArgs, named};
 use super::selection::{MIN_SAMPLES, Points, Section, Selection, Taken, pair, usable};
 use super::solving::{self, SolverArgs, SolverDocument};
-use super::{Format, Outcome, UsageError, in_order_on_all_cores, say, stop, text};
+use super::{Format, Outcome, UsageError, in_order_on_all_cores, note, say, stop, text};
 use crate::config::Config;
 use crate::daemon::replay::RunMetadata;
 use crate::engine::LoopSettings;
 use crate::files::RecordingReader;
-use crate::files::{InputKind, LoadedLoop, load_samples};
+use crate::files::export::Recognised;
+use crate::files::inputs::Unit;
+use crate::files::{InputKind, Loaded, LoadedLoop};
 use crate::gap::Ask;
 use crate::gap::score::score;
 use crate::record::Record;
@@ -36,12 +40,19 @@ use crate::verdict::{AssessParams, DelayChoice, EstimateDocument, ModelChoice, V
   stictiond analyze loop4.csv --solver \"cmd:python3 examples/solver.py\"
   stictiond analyze plant.mcap --loop FIC101 --window 2026-01-05T08:00:00Z,2026-01-05T09:00:00Z --format json
   stictiond analyze plant.mcap --report plant.html
+  stictiond analyze exports/ --tz Europe/Berlin --report fleet.html
+  stictiond analyze june.csv --map op=41FY101,pv=41FI101 --time-format dmy --tz UTC
 
 Bands are sought with 0 <= fd <= fs and fs + fd <= S0, the span of OP. Ctrl-C ends after the loop under way; what is
 known by then has been printed, and the exit code is 1. At least 30 samples are needed, 50 a period are wanted.")]
 pub struct Args {
-    /// A .csv file (columns t,op,pv[,sp][,mv][,mode]), a recording (.mcap, .mcap.part) or a compact store (.mat).
-    pub input: PathBuf,
+    /// Tables (columns t,op,pv[,sp][,mv][,mode]), exports of other systems (.csv, .txt, .xlsx, .parquet, .arrow),
+    /// recordings (.mcap, .mcap.part), compact stores (.mat); folders and patterns of them too.
+    #[arg(required = true)]
+    pub input: Vec<PathBuf>,
+    /// How exports are read.
+    #[command(flatten)]
+    pub reading: ReadArgs,
     /// Loop, section, density.
     #[command(flatten)]
     pub selection: Selection,
@@ -154,9 +165,10 @@ pub(super) fn op_range(text: &str) -> Result<[f64; 2], String> {
     if range[1] > range[0] { Ok(range) } else { Err("the upper end must be above the lower".to_owned()) }
 }
 
-/// The configuration that a file was recorded under; the defaults for files of others.
-pub(super) fn config_of(path: &Path) -> anyhow::Result<Option<RunMetadata>> {
-    if InputKind::detect(path)? != InputKind::Mcap {
+/// The configuration that a file was recorded under; the defaults for files of others and for several files.
+pub(super) fn config_of(paths: &[PathBuf]) -> anyhow::Result<Option<RunMetadata>> {
+    let [path] = paths else { return Ok(None) };
+    if !path.is_file() || InputKind::detect(path)? != InputKind::Mcap {
         return Ok(None);
     }
     let reader = RecordingReader::open(path)?;
@@ -170,20 +182,79 @@ pub(super) fn config_of(path: &Path) -> anyhow::Result<Option<RunMetadata>> {
 /// Runs the command.
 ///
 /// # Errors
-/// The file cannot be read, the loop or section does not exist, or nothing in it can be analysed.
+/// The files cannot be read, the loop or section does not exist, or nothing in it can be analysed.
 pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
-    let mut report = match &args.report {
+    let report = match &args.report {
         Some(path) => Some(Maker::new(path, args.report_all, args.force)?),
         None => None,
     };
-    let loaded = load_samples(&args.input)?;
-    for warning in &loaded.warnings {
-        tracing::warn!("{warning}");
-        report.iter_mut().for_each(|r| r.warn(warning.clone()));
+    let units = args.reading.units(&args.input)?;
+    stop::watch();
+    let mut desk = Desk { format, report, summary: Summary::default(), table: true, done: 0 };
+    let data_loss = match &units[..] {
+        [one] => one_file(args, one, &mut desk)?,
+        _ => files(args, &units, &mut desk)?,
+    };
+    if desk.table && format == Format::Text {
+        say(desk.summary.table())?;
     }
-    let recorded = config_of(&args.input)?;
+    if let Some(report) = desk.report {
+        report.finish(Path::new(&named(&args.input)))?;
+    }
+    Ok(if data_loss { Outcome::DataLoss } else { Outcome::Done })
+}
+
+/// Where answers go.
+struct Desk {
+    format: Format,
+    report: Option<Maker>,
+    summary: Summary,
+    /// Whether one table stands for the loops' own pages of text.
+    table: bool,
+    done: usize,
+}
+
+impl Desk {
+    fn warn(&mut self, text: String) {
+        tracing::warn!("{text}");
+        self.report.iter_mut().for_each(|r| r.warn(text.clone()));
+    }
+
+    fn take(&mut self, answer: Answer) -> anyhow::Result<()> {
+        self.done += 1;
+        match self.format {
+            Format::Json => say(serde_json::to_string(&answer)?)?,
+            Format::Text if !self.table => say(text::answer(&answer))?,
+            Format::Text => {}
+        }
+        self.summary.add(&answer);
+        if let Some(report) = &mut self.report {
+            report.add(answer.document, answer.looked_at);
+        }
+        Ok(())
+    }
+
+    /// Takes what one of several loops gave.
+    fn take_one_of_many(&mut self, answer: anyhow::Result<Answer>) -> anyhow::Result<()> {
+        match answer {
+            Ok(answer) => self.take(answer),
+            Err(error) if error.is::<UsageError>() => Err(error),
+            Err(error) => {
+                self.summary.fail();
+                self.warn(format!("{error:#}"));
+                Ok(())
+            }
+        }
+    }
+}
+
+/// The loops of one file, side by side; whether data was lost.
+fn one_file(args: &Args, unit: &Unit, desk: &mut Desk) -> anyhow::Result<bool> {
+    let loaded = args.reading.load(unit)?;
+    loaded.warnings.iter().for_each(|warning| desk.warn(warning.clone()));
+    let recorded = config_of(&unit.paths)?;
     let config = recorded.map_or_else(|| Config::with_prefix("plant"), |r| r.config);
-    let place = args.input.display();
+    let place = unit.name();
     let chosen = args.selection.loops(&loaded.loops).map_err(|e| anyhow!("{place}: {e}"))?;
     if chosen.iter().all(|l| usable(l) < MIN_SAMPLES) {
         let most = chosen.iter().map(|l| usable(l)).max().unwrap_or(0);
@@ -192,45 +263,95 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
         );
     }
     let hash = config.hash();
-    stop::watch();
     let work = |one: &&LoadedLoop, bar: &ProgressBar| of_loop(args, one, &config, &hash, bar);
     let alone = chosen.len() == 1;
-    let (mut done, mut answered) = (0, 0);
+    desk.table = chosen.len() > MANY;
+    let mut answered = 0;
     in_order_on_all_cores(
         &chosen,
         |one| one.name.clone(),
         work,
         |answers| {
             answered += 1;
-            for answer in answers {
-                match answer {
-                    Ok(answer) => {
-                        done += 1;
-                        print(&answer, format)?;
-                        if let Some(report) = &mut report {
-                            report.add(answer.document, answer.looked_at);
-                        }
-                    }
-                    Err(error) if !alone && !error.is::<UsageError>() => {
-                        tracing::warn!("{error:#}");
-                        report.iter_mut().for_each(|r| r.warn(format!("{error:#}")));
-                    }
-                    Err(error) => return Err(error),
-                }
-            }
-            Ok(())
+            answers.into_iter().try_for_each(|answer| match answer {
+                Err(error) if alone => Err(error),
+                answer => desk.take_one_of_many(answer),
+            })
         },
     )?;
     if stop::asked() && answered < chosen.len() {
         bail!("{place}: stopped after {answered} of {} loops", chosen.len());
     }
-    if done == 0 {
+    if desk.done == 0 {
         bail!("{place}: no loop could be analysed");
     }
-    if let Some(report) = report {
-        report.finish(&args.input)?;
+    Ok(loaded.data_loss)
+}
+
+/// What one of several files gave.
+struct OfFile {
+    name: String,
+    recognised: Option<Recognised>,
+    warnings: Vec<String>,
+    data_loss: bool,
+    answers: Vec<anyhow::Result<Answer>>,
+}
+
+/// Files side by side, each let go before the next is read; whether data was lost.
+fn files(args: &Args, units: &[Unit], desk: &mut Desk) -> anyhow::Result<bool> {
+    let place = named(&args.input);
+    let (mut data_loss, mut answered) = (false, 0);
+    let mut forms: std::collections::BTreeMap<String, (usize, String)> = std::collections::BTreeMap::new();
+    let work = |unit: &Unit, bar: &ProgressBar| of_file(args, unit, bar);
+    in_order_on_all_cores(units, Unit::name, work, |read: anyhow::Result<OfFile>| {
+        answered += 1;
+        let file = match read {
+            Ok(file) => file,
+            Err(error) if error.is::<UsageError>() => return Err(error),
+            Err(error) => {
+                desk.summary.fail();
+                desk.warn(format!("{error:#}"));
+                return Ok(());
+            }
+        };
+        data_loss |= file.data_loss;
+        if let Some(found) = file.recognised {
+            found.counts.iter().for_each(|count| note(format_args!("{}: {count}", file.name)));
+            forms.entry(found.form).or_insert((0, file.name.clone())).0 += 1;
+        }
+        file.warnings.iter().for_each(|warning| desk.warn(format!("{}: {warning}", file.name)));
+        file.answers.into_iter().try_for_each(|answer| desk.take_one_of_many(answer))
+    })?;
+    for (form, (count, first)) in forms {
+        let others = if count > 1 { format!(" and {} more like it", count - 1) } else { String::new() };
+        note(format_args!("{first}{others}: read as {form}"));
     }
-    Ok(if loaded.data_loss { Outcome::DataLoss } else { Outcome::Done })
+    if stop::asked() && answered < units.len() {
+        bail!("{place}: stopped after {answered} of {} files", units.len());
+    }
+    if desk.done == 0 {
+        bail!("{place}: no loop could be analysed");
+    }
+    Ok(data_loss)
+}
+
+/// Every loop of one of several files; those of another name than was asked for are passed over.
+fn of_file(args: &Args, unit: &Unit, bar: &ProgressBar) -> anyhow::Result<OfFile> {
+    let loaded: Loaded = unit.load(&args.reading.options())?;
+    let config = config_of(&unit.paths)?.map_or_else(|| Config::with_prefix("plant"), |r| r.config);
+    let hash = config.hash();
+    let chosen: Vec<&LoadedLoop> = match &args.selection.loop_name {
+        Some(_) => args.selection.loops(&loaded.loops).unwrap_or_default(),
+        None => loaded.loops.iter().collect(),
+    };
+    let answers = chosen.into_iter().flat_map(|one| of_loop(args, one, &config, &hash, bar));
+    Ok(OfFile {
+        name: unit.name(),
+        answers: answers.collect(),
+        recognised: loaded.recognised,
+        warnings: loaded.warnings,
+        data_loss: loaded.data_loss,
+    })
 }
 
 /// Every section of one loop.
@@ -311,14 +432,6 @@ fn params(args: &Args, points: &Points, taken: &Taken) -> AssessParams {
         ValveArg::Auto => ValveChoice::Auto,
     };
     params
-}
-
-fn print(answer: &Answer, format: Format) -> anyhow::Result<()> {
-    match format {
-        Format::Json => say(serde_json::to_string(answer)?)?,
-        Format::Text => say(text::answer(answer))?,
-    }
-    Ok(())
 }
 
 /// The section of a whole recording that is longest without a gap, for commands that look at whole files.

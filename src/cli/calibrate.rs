@@ -8,6 +8,7 @@ use anyhow::{Context, bail};
 use serde_json::json;
 
 use super::evaluate::{index, record_of};
+use super::reading::ReadArgs;
 use super::{Format, Outcome, UsageError, on_all_cores, print, say};
 use crate::sim::truth::{Half, verdict_case};
 use crate::verdict::calibrate::{Example, Settings, ask, fit, leave_one_valve_out, weights};
@@ -178,7 +179,7 @@ fn look(base: &Path, source: &Source) -> anyhow::Result<Example> {
             (name.clone(), case.record(), params, case.kind.to_owned(), None, held, case.sticks)
         }
         Source::Recording(case) => {
-            let (record, params) = record_of(base, case)?;
+            let (record, params) = record_of(base, case, &ReadArgs::default())?;
             let truth = case.truth().unwrap_or_default();
             (case.group.clone(), record, params, case.source.clone(), Some(case.valve.clone()), false, truth)
         }

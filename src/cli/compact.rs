@@ -7,11 +7,14 @@ use anyhow::{Context, anyhow, bail};
 use clap::Subcommand;
 use serde_json::json;
 
-use super::convert::{refuse_existing, write_store};
+use super::convert::{refuse_existing, resample, write_store};
+use super::reading::ReadArgs;
 use super::{Format, Outcome, UsageError, print, say};
 use crate::files::compact::{CompactLoop, check_sampling_time, default_tags, read, rows_of};
-use crate::files::{FileError, InputKind, csv};
-use crate::units::{format_rfc3339, loop_name_from, parse_time};
+use crate::files::even::even;
+use crate::files::export::moment;
+use crate::files::{FileError, InputKind, LoadedLoop, choose_loop, csv};
+use crate::units::{format_rfc3339, loop_name_from};
 
 /// Most loops and values that are asked for one by one.
 const MOST_LOOPS: usize = 10_000;
@@ -22,6 +25,7 @@ const MOST_LOOPS: usize = 10_000;
   stictiond compact new                                     asks for everything, as the toolbox does
   stictiond compact new FIC101.csv TIC102.csv --out store.mat
   stictiond compact new op_pv.csv --ts 3 --start 2026-01-05T08:00:00Z --tag FIC101 --comment \"before the repair\"
+  stictiond compact new june.csv plant.mcap --tz Europe/Berlin --resample 1 --out store.mat
   stictiond compact show store.mat
   stictiond analyze store.mat --loop 1")]
 pub struct Args {
@@ -31,20 +35,21 @@ pub struct Args {
 
 #[derive(Debug, Subcommand)]
 enum CompactCommand {
-    New(NewArgs),
+    New(Box<NewArgs>),
     Show(ShowArgs),
 }
 
-/// Make a store: from CSV files, or by answering questions.
+/// Make a store: from files, or by answering questions.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "A CSV file holds t,op,pv, or with --ts just op,pv. Without files the program asks for the number of
-loops, then OP, PV (numbers such as 1 3 5 or [1;3;5]), sampling time and comment of each, then the
-file's name. Options that may be given once a file stand in the files' order; given once, --ts and
---start hold for all."
+    after_help = "A file is a table t,op,pv (with --ts just op,pv), an export, or a recording. Without files the program asks
+for the number of loops, then OP (numbers such as 1 3 5 or [1;3;5], or a file that holds the loop), PV,
+sampling time and comment of each, then the file's name. Options that may be given once a file stand
+in the files' order; given once, --ts and --start hold for all. Without files --tag, --ts, --start and
+--comment stand for the answers, in the loops' order."
 )]
 pub struct NewArgs {
-    /// Tables t,op,pv, one a loop.
+    /// Tables t,op,pv, exports or recordings; every loop of each is taken.
     pub tables: Vec<PathBuf>,
     /// The store to write (.mat).
     #[arg(long, value_name = "FILE.mat")]
@@ -59,8 +64,15 @@ pub struct NewArgs {
     #[arg(long, value_name = "TEXT")]
     pub comment: Vec<String>,
     /// Time of the first sample, seconds since 1970 or RFC 3339; otherwise the tables' own, or 1970.
-    #[arg(long, value_name = "TIME", allow_negative_numbers = true, value_parser = |text: &str| parse_time(text).map_err(|e| e.to_string()))]
-    pub start: Vec<i64>,
+    /// Without a zone it is read by --tz.
+    #[arg(long, value_name = "TIME", allow_negative_numbers = true)]
+    pub start: Vec<String>,
+    /// Put uneven samples at an even rate: OP held, PV straight between its values.
+    #[arg(long, value_name = "SECONDS", value_parser = resample)]
+    pub resample: Option<f64>,
+    /// How exports are read.
+    #[command(flatten)]
+    pub reading: ReadArgs,
     /// Write as save -v6 does, without compression.
     #[arg(long)]
     pub uncompressed: bool,
@@ -89,13 +101,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
 
 fn new(args: &NewArgs, format: Format) -> anyhow::Result<Outcome> {
     let (loops, out) = if args.tables.is_empty() {
-        let given = [!args.tag.is_empty(), !args.ts.is_empty(), !args.comment.is_empty(), !args.start.is_empty()];
-        if given.contains(&true) {
-            return Err(
-                UsageError("--tag, --ts, --comment and --start belong to CSV files, none is given".into()).into()
-            );
-        }
-        interview(&mut std::io::stdin().lock(), &mut std::io::stderr().lock(), args.out.as_deref(), args.force)?
+        interview(&mut std::io::stdin().lock(), &mut std::io::stderr().lock(), args)?
     } else {
         let out = args.out.clone().ok_or_else(|| UsageError("--out FILE.mat is missing".to_owned()))?;
         refuse_existing(&out, args.force)?;
@@ -137,43 +143,86 @@ fn from_tables(args: &NewArgs) -> anyhow::Result<Vec<CompactLoop>> {
         if let Some(ts_s) = ts_s {
             check_sampling_time(ts_s).map_err(|fault| UsageError(format!("--ts: {fault}")))?;
         }
-        let stem = path.file_stem().map_or_else(|| "loop".into(), |stem| stem.to_string_lossy());
-        let mut one = from_table(path, &loop_name_from(&stem), ts_s)?;
-        if let Some(start_ns) = given(&args.start, k, true) {
-            one.start_ns = Some(start_ns);
+        let mut of_file = from_file(args, path, ts_s)?;
+        let tag = given(&args.tag, k, files == 1);
+        if let (Some(tag), true) = (&tag, of_file.len() > 1) {
+            let count = of_file.len();
+            let text = format!("--tag {tag}: {} holds {count} loops; --map op=TAG,pv=TAG takes one", path.display());
+            return Err(UsageError(text).into());
         }
-        if let Some(tag) = given(&args.tag, k, files == 1) {
-            one.tags = match tag.split_once(',') {
-                Some((op, pv)) => [op.trim().to_owned(), pv.trim().to_owned()],
-                None => default_tags(&tag),
-            };
+        for one in &mut of_file {
+            said(args, k, files == 1, one)?;
         }
-        one.comment = given(&args.comment, k, files == 1).unwrap_or_default();
-        loops.push(one);
+        loops.append(&mut of_file);
     }
     Ok(loops)
 }
 
-fn from_table(path: &Path, name: &str, ts_s: Option<f64>) -> anyhow::Result<CompactLoop> {
-    let place = path.display();
-    match InputKind::detect(path)? {
-        InputKind::Csv => {}
-        other => {
-            let text = format!("{place}: a .{} file; convert it: stictiond convert {place} store.mat", other.name());
-            return Err(UsageError(text).into());
+/// Puts in what was said on the command line of the `k`-th file, or loop.
+fn said(args: &NewArgs, k: usize, alone: bool, one: &mut CompactLoop) -> anyhow::Result<()> {
+    if let Some(text) = given(&args.start, k, true) {
+        let start_ns =
+            moment(&text, &args.reading.options()).map_err(|fault| UsageError(format!("--start: {fault}")))?;
+        one.start_ns = Some(start_ns);
+    }
+    if let Some(tag) = given(&args.tag, k, alone) {
+        one.tags = match tag.split_once(',') {
+            Some((op, pv)) => [op.trim().to_owned(), pv.trim().to_owned()],
+            None => default_tags(&tag),
+        };
+    }
+    if let Some(comment) = given(&args.comment, k, alone) {
+        one.comment = comment;
+    }
+    Ok(())
+}
+
+/// The loops of a file.
+fn from_file(args: &NewArgs, path: &Path, ts_s: Option<f64>) -> anyhow::Result<Vec<CompactLoop>> {
+    let stem = path.file_stem().map_or_else(|| "loop".into(), |stem| stem.to_string_lossy());
+    let name = loop_name_from(&stem);
+    if InputKind::detect(path)? == InputKind::Csv {
+        match csv::read(path) {
+            // The table's own sampling is checked where no doubt can be about its times: with --ts they do not count.
+            Ok(table) if ts_s.is_some() => {
+                table.warnings.iter().for_each(|warning| tracing::warn!("{}: {warning}", path.display()));
+                return Ok(vec![stored(args, path, &LoadedLoop::new(name, table.samples), ts_s)?]);
+            }
+            Err(FileError::Csv { source: csv::CsvError::NoColumn { column: "t", .. }, .. }) if is_op_pv(path) => {
+                return match ts_s {
+                    Some(ts_s) => Ok(vec![columns(path, &name, ts_s)?]),
+                    None => bail!("{}: has no column t; say the sampling time by --ts", path.display()),
+                };
+            }
+            _ => {}
         }
     }
-    match csv::read(path) {
-        Ok(table) => {
-            table.warnings.iter().for_each(|warning| tracing::warn!("{place}: {warning}"));
-            CompactLoop::from_samples(name, &table.samples, ts_s).map_err(|fault| anyhow!("{place}: {fault}"))
-        }
-        Err(FileError::Csv { source: csv::CsvError::NoColumn { column: "t", .. }, .. }) => match ts_s {
-            Some(ts_s) => columns(path, name, ts_s),
-            None => bail!("{place}: has no column t; say the sampling time by --ts"),
-        },
-        Err(error) => Err(error.into()),
+    let loaded = args.reading.load_file(path)?;
+    loaded.warnings.iter().for_each(|warning| tracing::warn!("{}: {warning}", path.display()));
+    loaded.loops.iter().map(|one| stored(args, path, one, ts_s)).collect()
+}
+
+/// Whether a table's header is `op,pv` and no more.
+fn is_op_pv(path: &Path) -> bool {
+    let header = std::fs::read(path).ok().and_then(|bytes| bytes.split(|b| *b == b'\n').next().map(<[u8]>::to_vec));
+    let header = String::from_utf8_lossy(&header.unwrap_or_default()).trim_start_matches('\u{feff}').to_lowercase();
+    let names: Vec<&str> = header.split(',').map(str::trim).collect();
+    names.contains(&"op") && names.contains(&"pv")
+}
+
+fn stored(args: &NewArgs, path: &Path, one: &LoadedLoop, ts_s: Option<f64>) -> anyhow::Result<CompactLoop> {
+    let fault = |fault: String| anyhow!("{}: {}: {fault}", path.display(), one.name);
+    let known_s = ts_s.or_else(|| one.about.as_ref().map(|about| about.ts_s));
+    let kept = match args.resample {
+        Some(step_s) => CompactLoop::from_samples(&one.name, &even(one, step_s).map_err(fault)?.samples, Some(step_s)),
+        None => CompactLoop::from_samples(&one.name, &one.samples, known_s)
+            .map_err(|fault| format!("{fault}; --resample SECONDS puts them at an even rate")),
+    };
+    let mut kept = kept.map_err(fault)?;
+    if let Some(about) = &one.about {
+        (kept.tags, kept.comment) = (about.tags.clone(), about.comment.clone());
     }
+    Ok(kept)
 }
 
 /// A table of OP and PV alone.
@@ -204,33 +253,30 @@ fn columns(path: &Path, name: &str, ts_s: f64) -> anyhow::Result<CompactLoop> {
     Ok(CompactLoop { name: name.to_owned(), tags, ts_s, start_ns: Some(0), comment: String::new(), rows })
 }
 
-/// Asks for everything on `ask` and reads the answers from `answers`.
+/// What was answered to the question for OP.
+enum Answer {
+    Numbers(Vec<f64>),
+    Loop(Box<CompactLoop>),
+}
+
+/// Asks on `ask` for everything that the command line leaves open and reads the answers from `answers`.
 fn interview(
     answers: &mut impl BufRead,
     ask: &mut impl Write,
-    out: Option<&Path>,
-    force: bool,
+    args: &NewArgs,
 ) -> anyhow::Result<(Vec<CompactLoop>, PathBuf)> {
     let count = repeat(answers, ask, "How many loops? ", |text| match text.parse::<usize>() {
         Ok(n) if (1..=MOST_LOOPS).contains(&n) => Ok(n),
         _ => Err(format!("write a whole number from 1 to {MOST_LOOPS}")),
     })?;
     let mut loops = Vec::with_capacity(count);
-    for k in 1..=count {
-        let name = format!("loop{k}");
-        let rows = loop {
-            let op = repeat(answers, ask, &format!("OP of loop {k} (numbers): "), numbers)?;
-            let pv = repeat(answers, ask, &format!("PV of loop {k} (numbers): "), numbers)?;
-            match rows_of(&op, &pv) {
-                Ok(rows) => break rows,
-                Err(fault) => writeln!(ask, "{fault}; both once more")?,
-            }
-        };
-        let ts_s = repeat(answers, ask, &format!("Sampling time of loop {k}, s: "), |text| {
-            text.parse::<f64>().map_err(|_| "write seconds, such as 3".to_owned()).and_then(check_sampling_time)
-        })?;
-        let comment = repeat(answers, ask, &format!("Comment on loop {k}: "), |text| Ok(text.to_owned()))?;
-        loops.push(CompactLoop { tags: default_tags(&name), name, ts_s, start_ns: Some(0), comment, rows });
+    for k in 0..count {
+        let mut one = one_loop(answers, ask, args, k)?;
+        if given(&args.comment, k, count == 1).is_none() {
+            one.comment = repeat(answers, ask, &format!("Comment on loop {}: ", k + 1), |text| Ok(text.to_owned()))?;
+        }
+        said(args, k, count == 1, &mut one)?;
+        loops.push(one);
     }
     let free = |text: &str| {
         let path = PathBuf::from(text);
@@ -238,13 +284,64 @@ fn interview(
         if text.is_empty() {
             return Err("write a file's name".to_owned());
         }
-        refuse_existing(&path, force).map(|()| path).map_err(|e| format!("{e}, or choose another name"))
+        refuse_existing(&path, args.force).map(|()| path).map_err(|e| format!("{e}, or choose another name"))
     };
-    let out = match out {
-        Some(path) => path.to_owned(),
+    let out = match &args.out {
+        Some(path) => path.clone(),
         None => repeat(answers, ask, "File to write: ", free)?,
     };
     Ok((loops, out))
+}
+
+/// One loop: numbers by hand, or one of a file.
+fn one_loop(answers: &mut impl BufRead, ask: &mut impl Write, args: &NewArgs, k: usize) -> anyhow::Result<CompactLoop> {
+    let name = format!("loop{}", k + 1);
+    let number = k + 1;
+    let known_s = given(&args.ts, k, true);
+    let rows = loop {
+        let op = repeat(answers, ask, &format!("OP of loop {number} (numbers, or a file with the loop): "), |text| {
+            numbers(text).map(Answer::Numbers).or_else(|fault| of_answer(args, text, known_s).unwrap_or(Err(fault)))
+        })?;
+        let op = match op {
+            Answer::Loop(one) => return Ok(*one),
+            Answer::Numbers(op) => op,
+        };
+        let pv = repeat(answers, ask, &format!("PV of loop {number} (numbers): "), numbers)?;
+        match rows_of(&op, &pv) {
+            Ok(rows) => break rows,
+            Err(fault) => writeln!(ask, "{fault}; both once more")?,
+        }
+    };
+    let ts_s = match known_s {
+        Some(ts_s) => check_sampling_time(ts_s).map_err(|fault| UsageError(format!("--ts: {fault}")))?,
+        None => repeat(answers, ask, &format!("Sampling time of loop {number}, s: "), |text| {
+            text.parse::<f64>().map_err(|_| "write seconds, such as 3".to_owned()).and_then(check_sampling_time)
+        })?,
+    };
+    Ok(CompactLoop { tags: default_tags(&name), name, ts_s, start_ns: Some(0), comment: String::new(), rows })
+}
+
+/// The loop of a file that was named instead of numbers (`FILE`, or `FILE LOOP` where it holds several); `None` where
+/// there is no such file.
+fn of_answer(args: &NewArgs, text: &str, ts_s: Option<f64>) -> Option<Result<Answer, String>> {
+    let (path, wanted) =
+        if Path::new(text).is_file() { (text, None) } else { text.rsplit_once(' ').map(|(p, l)| (p, Some(l)))? };
+    if !Path::new(path).is_file() {
+        return None;
+    }
+    let chosen = || -> Result<CompactLoop, String> {
+        let loaded = args.reading.load_file(Path::new(path)).map_err(|e| e.to_string())?;
+        let one = match (wanted, &loaded.loops[..]) {
+            (Some(wanted), all) => choose_loop(all, wanted)?,
+            (None, [one]) => one,
+            (None, all) => {
+                let names: Vec<&str> = all.iter().take(20).map(|one| one.name.as_str()).collect();
+                return Err(format!("it holds {}; write {path} and the loop's name", names.join(", ")));
+            }
+        };
+        stored(args, Path::new(path), one, ts_s).map_err(|e| e.to_string())
+    };
+    Some(chosen().map(|one| Answer::Loop(Box::new(one))))
 }
 
 /// One question until its answer can be used; the end of the input is an error.
@@ -333,6 +430,42 @@ fn described(file: &Path, loops: &[CompactLoop]) -> String {
 mod tests {
     use super::*;
 
+    fn nothing_said() -> NewArgs {
+        NewArgs {
+            tables: Vec::new(),
+            out: None,
+            tag: Vec::new(),
+            ts: Vec::new(),
+            comment: Vec::new(),
+            start: Vec::new(),
+            resample: None,
+            reading: ReadArgs::default(),
+            uncompressed: false,
+            force: false,
+        }
+    }
+
+    #[test]
+    fn a_file_a_tag_and_a_start_answer_too() {
+        let folder = tempfile::tempdir().unwrap();
+        let table = folder.path().join("A.csv");
+        std::fs::write(&table, "t,op,pv\n100,1,2\n103,3,4\n106,5,6\n").unwrap();
+        let answers = format!("2\n{}\nfrom a file\n1 2\n3 4\nby hand\n", table.display());
+        let two = |text: &[&str]| text.iter().map(|t| (*t).to_owned()).collect::<Vec<_>>();
+        let args = NewArgs {
+            tag: two(&["41FIC101", "41LIC7.OUT,41LIC7.PV"]),
+            ts: vec![3.0, 5.0],
+            start: two(&["05.01.2026 09:00", "0"]),
+            out: Some(folder.path().join("s.mat")),
+            reading: ReadArgs { tz: crate::files::export::Zone::parse("Europe/Berlin").ok(), ..ReadArgs::default() },
+            ..nothing_said()
+        };
+        let (loops, _) = interview(&mut answers.as_bytes(), &mut Vec::new(), &args).unwrap();
+        assert_eq!((&loops[0].tags[0], &loops[1].tags[0]), (&"41FIC101.OP".to_owned(), &"41LIC7.OUT".to_owned()));
+        assert_eq!((loops[0].start_ns, loops[0].rows.len()), (Some(1_767_600_000_000_000_000), 3));
+        assert_eq!((loops[1].ts_s, loops[1].start_ns, loops[1].comment.as_str()), (5.0, Some(0), "by hand"));
+    }
+
     #[test]
     fn the_manuals_example_is_asked_for_and_answered() {
         let folder = tempfile::tempdir().unwrap();
@@ -345,7 +478,7 @@ mod tests {
             out.display()
         );
         let mut asked = Vec::new();
-        let (loops, path) = interview(&mut answers.as_bytes(), &mut asked, None, false).unwrap();
+        let (loops, path) = interview(&mut answers.as_bytes(), &mut asked, &nothing_said()).unwrap();
         let asked = String::from_utf8(asked).unwrap();
         for part in ["whole number", "OP has 3 values, PV 2", "0 s cannot be", "--force"] {
             assert!(asked.contains(part), "{part}: {asked}");
@@ -354,7 +487,7 @@ mod tests {
         assert_eq!(loops[1].rows, [[3.0, 2.0], [7.0, 6.0], [9.0, 8.0]]);
         assert_eq!((&loops[0].tags[0], &loops[1].tags[1]), (&"loop1.OP".to_owned(), &"loop2.PV".to_owned()));
         assert_eq!((loops[0].ts_s, loops[0].comment.as_str(), path), (3.0, "first", out.with_extension("mat")));
-        let ended = interview(&mut "1\n1 2\n".as_bytes(), &mut Vec::new(), None, false).unwrap_err();
+        let ended = interview(&mut "1\n1 2\n".as_bytes(), &mut Vec::new(), &nothing_said()).unwrap_err();
         assert!(ended.to_string().contains("the input ended"), "{ended}");
     }
 }

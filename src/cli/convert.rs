@@ -1,9 +1,11 @@
 //! `convert IN OUT`: between tables, recordings and compact stores, by OUT's extension.
 
+use super::reading::{ReadArgs, named};
 use super::{Format, Outcome, UsageError};
 use crate::codec::encode_recorded;
 use crate::codec::topic::Kind;
 use crate::files::compact::{self, CompactLoop};
+use crate::files::even::even;
 use crate::files::{self, Loaded, LoadedLoop, METADATA_PREFIX, RecordingFile, csv};
 use crate::record::Signal;
 use crate::units::{is_loop_name, loop_name_from};
@@ -20,28 +22,38 @@ const PREFIX: &str = "plant";
 /// Names listed in a message, at most.
 const NAMES_SHOWN: usize = 20;
 
-/// Converts between .csv, .mcap and .mat (compact store), by OUT's extension
+/// Converts exports, .csv, .mcap and .mat (compact store) to .csv, .mcap or .mat, by OUT's extension
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   stictiond convert plant.mcap loops/                       one .csv a loop
   stictiond convert plant.mcap FIC101.csv --loop FIC101
   stictiond convert store.mat store.mcap
   stictiond convert loops.mcap store.mat                    OP and PV, for the toolbox
+  stictiond convert exports/ june.mcap --tz Europe/Berlin   an historian's files
 
 A compact store holds OP and PV at one sampling time; the rest is left out and said.")]
 pub struct ConvertArgs {
-    /// File to read: .csv, .mcap or .mat; cut-off and .part recordings are read up to the cut
-    #[arg(value_name = "IN")]
-    pub input: PathBuf,
-    /// File to write: .csv, .mcap or .mat, or a folder for one .csv a loop
-    #[arg(value_name = "OUT")]
-    pub output: PathBuf,
+    /// Files to read (recordings, tables, exports, folders of them; cut-off recordings are read up to the cut), then
+    /// OUT, the file to write: .csv, .mcap or .mat, or a folder for one .csv a loop
+    #[arg(value_names = ["IN", "OUT"], num_args = 2.., required = true)]
+    pub paths: Vec<PathBuf>,
+    /// How exports are read
+    #[command(flatten)]
+    pub reading: ReadArgs,
     /// Take this loop only
     #[arg(long = "loop", value_name = "NAME")]
     pub loop_name: Option<String>,
+    /// Put samples at an even rate, one every so many seconds: OP, SP and MODE held, PV and MV straight between theirs
+    #[arg(long, value_name = "SECONDS", value_parser = resample)]
+    pub resample: Option<f64>,
     /// Replace what exists
     #[arg(long)]
     pub force: bool,
+}
+
+pub(super) fn resample(text: &str) -> Result<f64, String> {
+    let seconds: f64 = text.parse().map_err(|_| format!("{text:?} is not a number of seconds"))?;
+    compact::check_sampling_time(seconds)
 }
 
 /// What OUT asks for.
@@ -65,25 +77,32 @@ struct Written {
 /// # Errors
 /// What cannot be read or written, with its place; [`UsageError`] where the request must change.
 pub fn run(args: &ConvertArgs, format: Format) -> anyhow::Result<Outcome> {
-    let target = target_of(&args.output)?;
+    let [inputs @ .., output] = &args.paths[..] else { return Err(UsageError("OUT is missing".to_owned()).into()) };
+    let target = target_of(output)?;
     if let Target::Csv(path) | Target::Mcap(path) | Target::Mat(path) = &target {
         refuse_existing(path, args.force)?;
-        if same_file(&args.input, path) {
+        if inputs.iter().any(|input| same_file(input, path)) {
             return Err(UsageError(format!("{}: IN and OUT are the same file", path.display())).into());
         }
     }
-    let mut loaded = files::load_samples(&args.input)?;
+    let place = named(inputs);
+    let mut loaded = args.reading.load_all(inputs)?;
     for warning in &loaded.warnings {
-        super::warn(format_args!("{}: {warning}", args.input.display()));
+        super::warn(format_args!("{place}: {warning}"));
     }
-    select(&mut loaded, args.loop_name.as_deref(), &args.input)?;
+    select(&mut loaded, args.loop_name.as_deref(), &place)?;
+    if let Some(ts_s) = args.resample {
+        for one in &mut loaded.loops {
+            *one = even(one, ts_s).map_err(|fault| anyhow!("{place}: {}: {fault}", one.name))?;
+        }
+    }
     let written = match target {
         Target::Csv(path) => vec![to_csv(&loaded, &path)?],
-        Target::Mcap(path) => vec![to_mcap(&loaded, &args.input, &path)?],
+        Target::Mcap(path) => vec![to_mcap(&loaded, inputs, &path)?],
         Target::Mat(path) => vec![to_mat(&loaded, &path)?],
         Target::Folder(folder) => to_folder(&loaded, &folder, args.force)?,
     };
-    report(args, &loaded, &written, format)?;
+    report(&place, &loaded, &written, format)?;
     Ok(if loaded.data_loss { Outcome::DataLoss } else { Outcome::Done })
 }
 
@@ -116,8 +135,7 @@ fn same_file(a: &Path, b: &Path) -> bool {
 }
 
 /// Keeps the loop asked for.
-fn select(loaded: &mut Loaded, name: Option<&str>, input: &Path) -> anyhow::Result<()> {
-    let place = input.display();
+fn select(loaded: &mut Loaded, name: Option<&str>, place: &str) -> anyhow::Result<()> {
     if loaded.loops.is_empty() {
         bail!("{place}: holds no sample that can be read");
     }
@@ -196,9 +214,10 @@ fn file_stem(name: &str, taken: &mut HashSet<String>) -> String {
     unique
 }
 
-fn to_mcap(loaded: &Loaded, input: &Path, path: &Path) -> anyhow::Result<Written> {
+fn to_mcap(loaded: &Loaded, inputs: &[PathBuf], path: &Path) -> anyhow::Result<Written> {
     let prefix = loaded.metadata.get(METADATA_PREFIX).map_or(PREFIX, String::as_str);
-    let source = input.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
+    let names = inputs.iter().filter_map(|input| input.file_name()).map(|name| name.to_string_lossy().into_owned());
+    let source = names.collect::<Vec<_>>().join(", ");
     let metadata = BTreeMap::from(
         [("origin", "convert"), (METADATA_PREFIX, prefix), ("source", &source), ("version", crate::VERSION)]
             .map(|(key, value)| (key.to_owned(), value.to_owned())),
@@ -227,8 +246,9 @@ fn to_mat(loaded: &Loaded, path: &Path) -> anyhow::Result<Written> {
     let mut stored = Vec::with_capacity(loaded.loops.len());
     for one in &loaded.loops {
         let ts_s = one.about.as_ref().map(|about| about.ts_s);
-        let mut kept = CompactLoop::from_samples(&one.name, &one.samples, ts_s)
-            .map_err(|fault| anyhow!("{}: {fault}; a compact store has one sampling time", one.name))?;
+        let mut kept = CompactLoop::from_samples(&one.name, &one.samples, ts_s).map_err(|fault| {
+            anyhow!("{}: {fault}; a compact store has one sampling time: --resample SECONDS makes one", one.name)
+        })?;
         if let Some(about) = &one.about {
             (kept.tags, kept.comment) = (about.tags.clone(), about.comment.clone());
         }
@@ -288,13 +308,13 @@ impl Drop for Temporary {
     }
 }
 
-fn report(args: &ConvertArgs, loaded: &Loaded, written: &[Written], format: Format) -> anyhow::Result<()> {
+fn report(input: &str, loaded: &Loaded, written: &[Written], format: Format) -> anyhow::Result<()> {
     let mut text = String::new();
     for done in written {
         let place = done.path.display().to_string();
         if format == Format::Json {
             let document = json!({
-                "schema": "stictiond.convert.v1", "input": args.input.display().to_string(), "output": place,
+                "schema": "stictiond.convert.v1", "input": input, "output": place,
                 "loops": done.loops, "samples": done.samples, "rows": done.rows, "data_loss": loaded.data_loss,
             });
             text.push_str(&document.to_string());

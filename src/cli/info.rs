@@ -1,9 +1,11 @@
 //! `info FILE`: what a table, recording or compact store holds, and whether it is whole.
 
+use super::reading::ReadArgs;
 use super::{Format, Outcome};
 use crate::codec;
 use crate::codec::topic::{Leaf, Topic};
-use crate::files::{End, InputKind, METADATA_PREFIX, Message, RecordingReader, load_samples};
+use crate::files::inputs::Unit;
+use crate::files::{End, InputKind, METADATA_PREFIX, Message, RecordingReader};
 use crate::record::{Sample, Signal, Value};
 use crate::units::{format_rfc3339, s_from_ns};
 use serde::Serialize;
@@ -15,16 +17,20 @@ use std::path::{Path, PathBuf};
 /// Stamps from which the sampling time is taken, at most.
 const STAMPS: usize = 4096;
 
-/// Summarises a table, recording or compact store
+/// Summarises tables, exports, recordings and compact stores
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   stictiond info recordings/sticking.mcap
   stictiond info store.mat
+  stictiond info june.csv --tz Europe/Berlin
   stictiond info plant.mcap --verify --format json")]
 pub struct InfoArgs {
-    /// File to look at: .csv, .mcap or .mat
-    #[arg(value_name = "FILE")]
-    pub file: PathBuf,
+    /// Files to look at (.csv, .txt, .xlsx, .parquet, .arrow, .mcap, .mat), folders or patterns
+    #[arg(value_name = "FILE", required = true)]
+    pub files: Vec<PathBuf>,
+    /// How exports are read
+    #[command(flatten)]
+    pub reading: ReadArgs,
     /// Check every payload and the file's SHA-256 too, beside the checksums; exit code 3 if anything is damaged
     #[arg(long)]
     pub verify: bool,
@@ -59,6 +65,8 @@ struct Info {
     schema: &'static str,
     file: String,
     kind: &'static str,
+    /// What was recognised in an export.
+    recognised: Option<String>,
     bytes: u64,
     state: &'static str,
     reason: Option<String>,
@@ -83,14 +91,38 @@ struct Info {
 /// # Errors
 /// What cannot be read at all, with its place.
 pub fn run(args: &InfoArgs, format: Format) -> anyhow::Result<Outcome> {
-    let kind = InputKind::detect(&args.file)?;
+    let units = args.reading.units(&args.files)?;
+    let alone = units.len() == 1;
+    let (mut damaged, mut first_fault, mut shown) = (false, None, 0);
+    for unit in &units {
+        match show(args, unit, format) {
+            Ok(outcome) => {
+                damaged |= outcome == Outcome::DataLoss;
+                shown += 1;
+            }
+            Err(error) if alone => return Err(error),
+            Err(error) => {
+                super::warn(format_args!("{error:#}"));
+                first_fault.get_or_insert(error);
+            }
+        }
+    }
+    match first_fault {
+        Some(error) if shown == 0 => Err(error),
+        _ => Ok(if damaged { Outcome::DataLoss } else { Outcome::Done }),
+    }
+}
+
+fn show(args: &InfoArgs, unit: &Unit, format: Format) -> anyhow::Result<Outcome> {
+    let path = unit.paths.first().map_or(Path::new(""), PathBuf::as_path);
+    let kind = InputKind::detect(path)?;
     let mut info = match kind {
-        InputKind::Mcap => of_recording(&args.file, args.verify)?,
-        InputKind::Csv | InputKind::Mat => of_table(&args.file, kind)?,
+        InputKind::Mcap => of_recording(path, args.verify)?,
+        _ => of_table(args, unit, kind)?,
     };
     info.verified = args.verify;
     if let Some(reason) = &info.reason {
-        super::warn(format_args!("{}: the file is {}: {reason}", args.file.display(), info.state));
+        super::warn(format_args!("{}: the file is {}: {reason}", path.display(), info.state));
     }
     let text = match format {
         Format::Json => serde_json::to_string(&info)? + "\n",
@@ -107,6 +139,7 @@ impl Info {
             schema: "stictiond.info.v1",
             file: path.display().to_string(),
             kind: kind.name(),
+            recognised: None,
             bytes,
             state: End::Clean.word(),
             reason: None,
@@ -171,12 +204,15 @@ impl LoopInfo {
     }
 }
 
-fn of_table(path: &Path, kind: InputKind) -> anyhow::Result<Info> {
-    let mut info = Info::new(path, kind, std::fs::metadata(path)?.len());
-    let loaded = load_samples(path)?;
+fn of_table(args: &InfoArgs, unit: &Unit, kind: InputKind) -> anyhow::Result<Info> {
+    let name = unit.name();
+    let sizes: Vec<u64> = unit.paths.iter().map(|p| Ok(std::fs::metadata(p)?.len())).collect::<anyhow::Result<_>>()?;
+    let mut info = Info::new(Path::new(&name), kind, sizes.iter().sum());
+    let loaded = args.reading.load(unit)?;
     for warning in &loaded.warnings {
-        super::warn(format_args!("{}: {warning}", path.display()));
+        super::warn(format_args!("{name}: {warning}"));
     }
+    info.recognised = loaded.recognised.as_ref().map(ToString::to_string);
     let mut sampling = Vec::new();
     for one in loaded.loops {
         let mut summary = LoopInfo { name: one.name, ..LoopInfo::default() };

@@ -12,13 +12,16 @@ pub mod completions;
 pub mod convert;
 pub mod demo;
 pub mod evaluate;
+mod fleet;
 pub mod gap;
 pub mod info;
 pub mod manual;
 pub mod play;
+pub mod reading;
 pub mod recover;
 pub mod replay;
 pub mod run;
+pub mod schema;
 pub mod selection;
 pub mod simulate;
 pub mod solving;
@@ -105,6 +108,7 @@ enum CommandArgs {
     Check(check::Args),
     Info(info::InfoArgs),
     Recover(recover::Args),
+    Schema(schema::Args),
     Bench(bench::Args),
     Manual(manual::Args),
     Completions(completions::Args),
@@ -160,6 +164,7 @@ fn dispatch(cli: Cli) -> anyhow::Result<Outcome> {
         CommandArgs::Check(args) => check::run(&args, format),
         CommandArgs::Info(args) => info::run(&args, format),
         CommandArgs::Recover(args) => recover::run(&args, format),
+        CommandArgs::Schema(args) => schema::run(&args),
         CommandArgs::Bench(args) => bench::run(&args, format),
         CommandArgs::Manual(args) => manual::run(&args, format),
         CommandArgs::Completions(args) => completions::run(&args),
@@ -198,6 +203,11 @@ pub(crate) fn say(line: impl Display) -> std::io::Result<()> {
 pub(crate) fn warn(line: impl Display) {
     // Where nobody listens any more nothing is to be told.
     let _ = writeln!(std::io::stderr().lock(), "warning: {}", plain(&line.to_string()));
+}
+
+/// Says on stderr what was done, where that is no fault.
+pub(crate) fn note(line: impl Display) {
+    let _ = writeln!(std::io::stderr().lock(), "{}", plain(&line.to_string()));
 }
 
 /// A text as a terminal may have it: control characters but the end of a line and a tab are written out, in a form that

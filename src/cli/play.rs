@@ -9,10 +9,11 @@ use serde_json::json;
 use zenoh::bytes::Encoding;
 use zenoh::qos::CongestionControl;
 
+use super::reading::ReadArgs;
 use super::{Format, Outcome, asked_to_stop, block_on, say};
 use crate::codec::encode_recorded;
 use crate::codec::topic;
-use crate::files::{LoadedLoop, load_samples};
+use crate::files::LoadedLoop;
 use crate::record::Sample;
 use crate::units::s_from_ns;
 
@@ -23,14 +24,18 @@ const CONNECT_WITHIN: Duration = Duration::from_secs(10);
 /// Time for subscriptions to become known after the link stands.
 const SETTLE: Duration = Duration::from_millis(500);
 
-/// Publish the samples of a recording or CSV file onto Zenoh.
+/// Publish the samples of recordings, tables and exports onto Zenoh.
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Example: stictiond play recordings/sticking.mcap --connect tcp/127.0.0.1:7447 --prefix plant1/area1 --speed 60"
 )]
 pub struct Args {
-    /// A .csv file or a recording.
-    pub input: PathBuf,
+    /// Recordings, tables, exports, or a folder of them.
+    #[arg(required = true)]
+    pub input: Vec<PathBuf>,
+    /// How exports are read.
+    #[command(flatten)]
+    pub reading: ReadArgs,
     /// Endpoint of the daemon or router.
     #[arg(long)]
     pub connect: String,
@@ -123,13 +128,13 @@ impl<'l> Iterator for Merged<'l> {
 /// # Errors
 /// The file cannot be read, or nobody answers at the endpoint.
 pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
-    let loaded = load_samples(&args.input)?;
+    let loaded = args.reading.load_all(&args.input)?;
     for warning in &loaded.warnings {
         tracing::warn!("{warning}");
     }
     let total: usize = loaded.loops.iter().map(|l| l.samples.len()).sum();
     if total == 0 {
-        bail!("{}: holds no samples", args.input.display());
+        bail!("{}: holds no samples", super::reading::named(&args.input));
     }
     let sent = block_on(async {
         let session = connect(&args.connect).await?;

@@ -18,13 +18,13 @@ fn gates(a: &Assessment) -> String {
     a.gates.iter().map(|g| g.name()).collect::<Vec<_>>().join(", ")
 }
 
-/// Everything an estimate says.
-pub(super) fn estimate(document: &EstimateDocument) -> String {
+/// Everything an estimate says; boxes need not hold a whole number of samples.
+fn estimate(document: &EstimateDocument, box_samples: f64) -> String {
     let a = &document.assessment;
     let w = &a.window;
     let mut lines = vec![format!("{}: {} ({})", document.loop_name, a.verdict.name(), words::verdict(a.verdict))];
     let mut row = |name: &str, value: String| lines.push(format!("  {name:<12} {value}"));
-    let boxes = if w.box_samples > 1 { format!(", in boxes of {}", w.box_samples) } else { String::new() };
+    let boxes = if box_samples > 1.0 { format!(", in boxes of {box_samples}") } else { String::new() };
     let (start, end) = (format_rfc3339(w.start_ns), format_rfc3339(w.end_ns));
     row("window", format!("{start} to {end}, {} samples of {} s{boxes}", w.samples, number(Some(w.ts_s))));
     let o = &a.oscillation;
@@ -95,7 +95,9 @@ pub(super) fn estimate(document: &EstimateDocument) -> String {
 
 /// An estimate with what `analyze` adds: what was looked at, what was enforced, what the solver found.
 pub(super) fn answer(answer: &Answer) -> String {
-    let mut lines = vec![estimate(&answer.document)];
+    let averaged = answer.selection.downsample.filter(|d| !d.like_toolbox).map(|d| d.ratio);
+    let box_samples = averaged.unwrap_or(answer.document.assessment.window.box_samples as f64);
+    let mut lines = vec![estimate(&answer.document, box_samples)];
     let mut row = |name: &str, value: String| lines.push(format!("  {name:<12} {value}"));
     let taken = &answer.selection;
     let words = taken.section.words();

@@ -10,6 +10,7 @@ use crate::units::s_from_ns;
 
 /// One queue's state.
 #[derive(Debug, Clone, Serialize)]
+#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 pub struct QueueHealth {
     /// Its name.
     pub name: &'static str,
@@ -27,6 +28,7 @@ pub struct QueueHealth {
 
 /// `stictiond.health.v1` of the daemon.
 #[derive(Debug, Clone, Serialize)]
+#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 pub struct DaemonHealth {
     /// Schema name.
     pub schema: &'static str,
@@ -68,6 +70,7 @@ impl DaemonHealth {
 
 /// `stictiond.health.v1` of a loop.
 #[derive(Debug, Clone, Serialize)]
+#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 pub struct LoopHealth {
     /// Schema name.
     pub schema: &'static str,

@@ -7,6 +7,7 @@ use prometheus_client::encoding::EncodeLabelSet;
 use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::Gauge;
+use prometheus_client::metrics::info::Info;
 use prometheus_client::registry::Registry;
 
 use crate::signal::align::AlignCounts;
@@ -93,6 +94,8 @@ impl Metrics {
     #[must_use]
     pub fn registry(&self) -> Registry {
         let mut registry = Registry::with_prefix("stictiond");
+        let build = [("version", crate::VERSION)];
+        registry.register("build", "Version of the program", Info::new(build));
         self.register_counters(&mut registry);
         registry.register("verdict", "Estimates by verdict", self.verdicts.clone());
         registry.register("gate", "Gates by name", self.gates.clone());

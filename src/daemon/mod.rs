@@ -12,6 +12,7 @@
 pub mod clock;
 mod core;
 mod desk;
+pub mod documents;
 pub mod faults;
 pub mod gaps;
 mod health;

@@ -21,6 +21,7 @@ use crate::signal::{detrend, stats};
 
 /// One witness's say.
 #[derive(Debug, Clone, PartialEq, Serialize)]
+#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 pub struct Witness {
     /// Its name in the catalogue.
     pub name: &'static str,

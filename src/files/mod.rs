@@ -2,6 +2,9 @@
 
 pub mod compact;
 pub mod csv;
+pub mod even;
+pub mod export;
+pub mod inputs;
 pub mod lock;
 pub mod mat;
 mod mcap_index;
@@ -16,10 +19,11 @@ pub mod store;
 pub use mcap_read::{Channel, End, MAX_RECORD, Message, ReadError, RecordingReader};
 pub use mcap_write::{MAX_CHANNELS, RecordingFile, WriteError, sync_folder};
 
+pub use export::ReadOptions;
+
 use crate::codec;
 use crate::codec::topic::{Leaf, Topic};
 use crate::record::{Sample, Signal, Value};
-use crate::units::loop_name_from;
 use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
 use std::io::{self, Read};
@@ -37,20 +41,29 @@ pub const METADATA_PREFIX: &str = "prefix";
 pub enum InputKind {
     /// A recording.
     Mcap,
-    /// A table `t,op,pv…`.
+    /// A table as text: `t,op,pv…`, or an export.
     Csv,
     /// The toolbox's compact store, a MATLAB file of version 5.
     Mat,
+    /// A workbook.
+    Xlsx,
+    /// A Parquet file.
+    Parquet,
+    /// An Arrow IPC file or stream (Feather).
+    Arrow,
 }
 
 impl InputKind {
-    /// `mcap`, `csv` or `mat`.
+    /// `mcap`, `csv`, `mat`, `xlsx`, `parquet` or `arrow`.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Mcap => "mcap",
             Self::Csv => "csv",
             Self::Mat => "mat",
+            Self::Xlsx => "xlsx",
+            Self::Parquet => "parquet",
+            Self::Arrow => "arrow",
         }
     }
 
@@ -75,24 +88,36 @@ impl InputKind {
 
     /// What begins like this; otherwise, what it seems to be and the remedy.
     fn of_content(head: &[u8]) -> Result<Self, &'static str> {
+        let marks: [(&[u8], Self); 4] = [
+            (b"PK\x03\x04", Self::Xlsx),
+            (b"PAR1", Self::Parquet),
+            (b"ARROW1", Self::Arrow),
+            (b"\xff\xff\xff\xff", Self::Arrow),
+        ];
         let unsupported: [(&[u8], &str); 3] = [
-            (b"PK\x03\x04", "a workbook or zip archive; save the sheet as .csv, or unpack it"),
+            (b"\xd0\xcf\x11\xe0", "an old workbook (.xls); save it as .xlsx or .csv"),
             (b"\x1f\x8b", "compressed by gzip; unpack it"),
-            (b"\xff\xfe", "UTF-16 text; save it as UTF-8"),
+            (b"FEA1", "Feather of version 1; write it as version 2, Parquet or .csv"),
         ];
         if mcap_read::begins_as_recording(head) {
             return Ok(Self::Mcap);
         }
+        if let Some((_, kind)) = marks.iter().find(|(mark, _)| head.starts_with(mark)) {
+            return Ok(*kind);
+        }
         if let Some((_, what)) = unsupported.iter().find(|(mark, _)| head.starts_with(mark)) {
             return Err(what);
         }
+        if head.starts_with(b"\xff\xfe") || head.starts_with(b"\xfe\xff") || export::is_utf16(head) {
+            return Ok(Self::Csv);
+        }
         if head.iter().all(u8::is_ascii_whitespace) {
             return Err(
-                "empty; expected a recording (.mcap), a table with the header t,op,pv or a compact store (.mat)",
+                "empty; expected a recording (.mcap), a table (.csv, .xlsx, .parquet) or a compact store (.mat)",
             );
         }
         if head.contains(&0) {
-            return Err("neither a recording (.mcap), nor a compact store (.mat), nor text; expected one of these");
+            return Err("neither a recording (.mcap), nor a table (.csv, .xlsx, .parquet), nor a compact store (.mat)");
         }
         Ok(Self::Csv)
     }
@@ -128,6 +153,14 @@ pub enum FileError {
         /// Line and remedy.
         source: csv::CsvError,
     },
+    /// An export that cannot be recognised.
+    #[error("{}: {source}", path.display())]
+    Export {
+        /// The file.
+        path: PathBuf,
+        /// Line, what was seen, and the flag that settles it.
+        source: export::ExportError,
+    },
     /// A compact store that cannot be read.
     #[error("{}: {source}", path.display())]
     Compact {
@@ -136,6 +169,35 @@ pub enum FileError {
         /// Place and remedy.
         source: compact::CompactError,
     },
+}
+
+/// What is wrong inside a table, of whichever kind.
+#[derive(Debug)]
+enum FileFault {
+    Csv(csv::CsvError),
+    Export(export::ExportError),
+}
+
+impl From<csv::CsvError> for FileFault {
+    fn from(error: csv::CsvError) -> Self {
+        Self::Csv(error)
+    }
+}
+
+impl From<export::ExportError> for FileFault {
+    fn from(error: export::ExportError) -> Self {
+        Self::Export(error)
+    }
+}
+
+impl FileFault {
+    fn of(self, path: &Path) -> FileError {
+        let path = path.to_owned();
+        match self {
+            Self::Csv(source) => FileError::Csv { path, source },
+            Self::Export(source) => FileError::Export { path, source },
+        }
+    }
 }
 
 /// What a compact store knows of a loop besides its samples.
@@ -182,6 +244,8 @@ pub struct Loaded {
     pub kind: InputKind,
     /// Its loops, in the order in which they first appear.
     pub loops: Vec<LoadedLoop>,
+    /// What was recognised in an export; `None` for files of the program's own forms.
+    pub recognised: Option<export::Recognised>,
     /// What a person should know, one line each.
     pub warnings: Vec<String>,
     /// Whether the file is cut off or damaged: `loops` hold what could be read.
@@ -196,20 +260,30 @@ pub struct Loaded {
 /// # Errors
 /// [`FileError`] if the file is of no known kind, a table is malformed, or the system refuses.
 pub fn load_samples(path: &Path) -> Result<Loaded, FileError> {
+    load(path, &ReadOptions::default())
+}
+
+/// The same, told how an export is to be read.
+///
+/// # Errors
+/// As [`load_samples`].
+pub fn load(path: &Path, options: &ReadOptions) -> Result<Loaded, FileError> {
     match InputKind::detect(path)? {
         InputKind::Mcap => load_recording(path),
         InputKind::Mat => load_store(path),
-        InputKind::Csv => {
-            let table = csv::read(path).map_err(|error| named_mat(path, error))?;
-            let name = path.file_stem().map_or_else(|| "loop".into(), |stem| loop_name_from(&stem.to_string_lossy()));
-            Ok(Loaded {
-                kind: InputKind::Csv,
-                loops: vec![LoadedLoop::new(name, table.samples)],
-                warnings: table.warnings,
-                data_loss: false,
-                metadata: BTreeMap::new(),
-            })
+        kind => {
+            let bytes = std::fs::read(path).map_err(|source| FileError::Io { path: path.to_owned(), source })?;
+            let read = export::read(kind, path, &bytes, options);
+            let read = read.map_err(|fault| named_mat(path, fault.of(path)))?;
+            Ok(Loaded::of_export(kind, read))
         }
+    }
+}
+
+impl Loaded {
+    fn of_export(kind: InputKind, export: export::Export) -> Self {
+        let export::Export { loops, recognised, warnings } = export;
+        Self { kind, loops, recognised, warnings, data_loss: false, metadata: BTreeMap::new() }
     }
 }
 
@@ -217,7 +291,7 @@ pub fn load_samples(path: &Path) -> Result<Loaded, FileError> {
 fn named_mat(path: &Path, error: FileError) -> FileError {
     let named = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("mat"));
     match error {
-        FileError::Csv { .. } if named => FileError::Kind {
+        FileError::Csv { .. } | FileError::Export { .. } if named => FileError::Kind {
             path: path.to_owned(),
             what: "text although it is named .mat, and no table t,op,pv either; save it in MATLAB with save -v7",
         },
@@ -235,6 +309,7 @@ fn load_store(path: &Path) -> Result<Loaded, FileError> {
     Ok(Loaded {
         kind: InputKind::Mat,
         loops: loops.collect(),
+        recognised: None,
         warnings: store.warnings,
         data_loss: store.incomplete,
         metadata: BTreeMap::new(),
@@ -293,6 +368,7 @@ fn load_recording(path: &Path) -> Result<Loaded, FileError> {
     Ok(Loaded {
         kind: InputKind::Mcap,
         loops: loops.loops,
+        recognised: None,
         warnings,
         data_loss: !end.is_clean(),
         metadata: reader.metadata().clone(),
@@ -350,6 +426,8 @@ mod tests {
         assert!(mat::recognise(b"MATLAB 5.0 MAT-file, x").unwrap());
         assert!(InputKind::of_content(b" \r\n").unwrap_err().contains("empty"));
         assert!(InputKind::of_content(b"\x00\x01").is_err());
-        assert!(InputKind::of_content(b"PK\x03\x04").is_err());
+        assert_eq!(InputKind::of_content(b"PK\x03\x04"), Ok(InputKind::Xlsx));
+        assert_eq!(InputKind::of_content(b"t\0,\0o\0p\0,\0p\0v\0"), Ok(InputKind::Csv));
+        assert!(InputKind::of_content(b"\x1f\x8b").unwrap_err().contains("gzip"));
     }
 }

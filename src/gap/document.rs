@@ -16,6 +16,7 @@ pub const GAP_SCHEMA: &str = "stictiond.gap.v1";
 
 /// The stretch of time that was diagnosed.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 pub struct Window {
     /// Stamp of the first sample, ns since 1970.
     pub start_ns: i64,
@@ -31,6 +32,7 @@ pub struct Window {
 
 /// The record of the search.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 pub struct SearchNote {
     /// Model responses computed by all searches: for base and effects, behind a recorded valve position, for pairs.
     pub evaluations: u64,
@@ -42,6 +44,7 @@ pub struct SearchNote {
 
 /// From which model the gap is measured.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 pub struct BaseNote {
     /// `refit` (He's law, first order, fitted here), `linear` (without friction) or `given` (a model from elsewhere,
     /// with the refitted base beside it).
@@ -58,6 +61,7 @@ pub struct BaseNote {
 
 /// A gap on held-out data, free run, PV units.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 pub struct Figures {
     /// Root mean squared error.
     pub rmse: f64,
@@ -71,6 +75,7 @@ pub struct Figures {
 
 /// A number with its unit.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 pub struct Quantity {
     /// Its size.
     pub value: f64,
@@ -80,6 +85,7 @@ pub struct Quantity {
 
 /// One effect, added to the base.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 pub struct EffectNote {
     /// Its id, or two joined by `+`.
     pub id: String,
@@ -111,6 +117,7 @@ pub struct EffectNote {
 
 /// The answer.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 pub struct CauseNote {
     /// An effect's id, two joined by `+`, `none` or `unknown`.
     pub id: String,
@@ -122,6 +129,7 @@ pub struct CauseNote {
 
 /// Another answer.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 pub struct AlternativeNote {
     /// As [`CauseNote::id`].
     pub id: String,
@@ -131,6 +139,7 @@ pub struct AlternativeNote {
 
 /// Gaps of models fitted to the first part, over the rest.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 pub struct ForwardNote {
     /// The base's, PV units.
     pub gap_before: f64,
@@ -142,6 +151,7 @@ pub struct ForwardNote {
 
 /// The experiment that would tell the two best answers apart.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 pub struct TestNote {
     /// `op` or `sp`.
     pub signal: String,
@@ -157,6 +167,7 @@ pub struct TestNote {
 
 /// The model with the cause: what `simulate`, `analyze` and `gap --base` take, and the words of an estimate beside it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 pub struct ModelAfter {
     /// The model itself.
     #[serde(flatten)]
@@ -175,6 +186,7 @@ pub struct ModelAfter {
 
 /// What noise models make of the residual, as [`super::types::NoiseModels`].
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 pub struct NoiseNote {
     /// Gain of an autoregressive model of the best residual, log mean squared error.
     pub over_base: f64,
@@ -188,6 +200,7 @@ pub struct NoiseNote {
 
 /// The document.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 pub struct GapDocument {
     /// [`GAP_SCHEMA`].
     pub schema: String,
@@ -319,7 +332,7 @@ impl Window {
             start_ns: record.start_ns,
             end_ns: record.end_ns,
             samples: record.raw_samples as u64,
-            ts_s: record.ts_s,
+            ts_s: record.recorded_ts_s,
             box_samples: record.box_samples as u64,
         }
     }

@@ -28,6 +28,7 @@ const START_BANDS: f64 = 1.5;
 
 /// A loop's cycle.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 pub struct Cycle {
     /// Whether it oscillates regularly.
     pub oscillating: bool,
@@ -41,6 +42,7 @@ pub struct Cycle {
 
 /// The controller that closes the loop.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 pub struct ControllerNote {
     /// Proportional gain, OP units per PV unit of SP - PV.
     pub kc: f64,
@@ -54,6 +56,7 @@ pub struct ControllerNote {
 
 /// Cycles as recorded and as simulated.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 pub struct Cycles {
     /// As read from the record.
     pub controller: ControllerNote,

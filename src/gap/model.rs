@@ -7,6 +7,7 @@ pub const SCHEMA: &str = "stictiond.model.v1";
 
 /// The valve.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 pub struct Valve {
     /// `he`, `tracking` or `none`.
     pub law: String,
@@ -21,6 +22,7 @@ pub struct Valve {
 
 /// The process.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 pub struct Process {
     /// PV units an OP unit (and a second, when integrating).
     pub gain: f64,
@@ -39,6 +41,7 @@ pub struct Process {
 
 /// An effect beside valve and process.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 pub struct Added {
     /// Its id.
     pub id: String,
@@ -48,6 +51,7 @@ pub struct Added {
 
 /// A loop's model, in recorded units.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 pub struct Model {
     /// [`SCHEMA`].
     pub schema: String,

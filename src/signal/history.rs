@@ -266,10 +266,12 @@ impl History {
             facts.pv_repeats += pv_repeats;
             facts.op_repeats += op_repeats;
         }
+        let ts_s = s_from_ns(newest - first.t_ns) / (raw_samples.max(2) - 1) as f64;
         Some(Record {
             start_ns: first.t_ns,
             end_ns,
-            ts_s: s_from_ns(newest - first.t_ns) / (raw_samples.max(2) - 1) as f64,
+            ts_s,
+            recorded_ts_s: ts_s,
             raw_samples,
             box_samples: 1 << level,
             op_path: if level == 0 {

@@ -37,6 +37,7 @@ pub fn boxed(record: &Record, ratio: f64) -> Option<Record> {
         start_ns: record.start_ns,
         end_ns: record.end_ns,
         ts_s: record.ts_s * ratio / box_samples,
+        recorded_ts_s: record.recorded_ts_s,
         raw_samples: used,
         box_samples: box_samples as usize,
         op_path: (0..points * steps).map(|k| record.op_path[place(k, 0.0)]).collect(),
@@ -99,6 +100,7 @@ mod tests {
             let record = boxed(&ramp(200), ratio).unwrap();
             assert_eq!(record.len(), (200.0 / ratio) as usize);
             assert!((record.point_s() - 2.0 * ratio).abs() < 1e-9);
+            assert_eq!(record.recorded_ts_s, 2.0, "what was recorded stays");
             let steps: Vec<f64> = record.op_path.windows(2).map(|w| w[1] - w[0]).collect();
             assert!(steps.iter().all(|s| *s == 0.0 || *s == 1.0), "{ratio}");
             // A ramp stays one, a box's mean apart from the next by the ratio, give or take a step of the grid.

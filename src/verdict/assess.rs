@@ -166,8 +166,17 @@ fn describe(found: Option<&Oscillates>, record: &Record) -> Oscillation {
         oscillating: found.is_some_and(|o| o.oscillating),
         period_s: found.map(|o| o.period_points * record.point_s()),
         periods: found.map(|o| o.periods),
-        samples_per_period: found.map(|o| o.period_points * record.box_samples as f64),
+        samples_per_period: found.map(|o| o.period_points * recorded_per_point(record)),
         regularity: found.map(|o| o.regularity),
+    }
+}
+
+/// Samples, as they were recorded, in a point.
+fn recorded_per_point(record: &Record) -> f64 {
+    if record.recorded_ts_s == record.ts_s {
+        record.box_samples as f64
+    } else {
+        record.point_s() / record.recorded_ts_s
     }
 }
 

@@ -9,6 +9,7 @@ use crate::record::Record;
 
 /// What one window says about its loop.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize)]
+#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
     /// The valve sticks and slips.
@@ -55,6 +56,7 @@ impl Verdict {
 
 /// A named reason why a window says less, or nothing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize)]
+#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Gate {
     /// The controller was in manual.
@@ -141,6 +143,7 @@ impl Gate {
 
 /// The stretch of time an estimate is made from.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 pub struct Window {
     /// Stamp of the first sample, ns since 1970.
     pub start_ns: i64,
@@ -162,7 +165,7 @@ impl Window {
             start_ns: record.start_ns,
             end_ns: record.end_ns,
             samples: record.raw_samples,
-            ts_s: record.ts_s,
+            ts_s: record.recorded_ts_s,
             box_samples: record.box_samples,
         }
     }
@@ -170,6 +173,7 @@ impl Window {
 
 /// What oscillates, and how regularly.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 pub struct Oscillation {
     /// Whether it does.
     pub oscillating: bool,
@@ -185,6 +189,7 @@ pub struct Oscillation {
 
 /// The process model that goes with the stiction found.
 #[derive(Debug, Clone, PartialEq, Serialize)]
+#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 pub struct Process {
     /// 1 or 2.
     pub order: u8,
@@ -204,10 +209,12 @@ pub struct Process {
 
 /// The controller as read from the record.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 pub struct Controller {
     /// Proportional gain, OP units per PV unit of SP - PV: negative where OP rises with PV.
     pub kc: f64,
     /// Integral time, s; infinite, which is written as null, without integral action.
+    #[cfg_attr(feature = "daemon", schemars(with = "Option<f64>"))]
     pub ti_s: f64,
     /// Derivative time, s.
     pub td_s: f64,
@@ -221,6 +228,7 @@ pub struct Controller {
 
 /// Everything an estimate says that depends on its window alone. Field order is the document's.
 #[derive(Debug, Clone, PartialEq, Serialize)]
+#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 #[allow(missing_docs)] // each field is defined in the table of the README and by its type
 pub struct Assessment {
     pub window: Window,
@@ -306,6 +314,7 @@ impl Assessment {
 
 /// How the search for the best model went.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 pub struct Search {
     /// Name of the solver.
     pub solver: &'static str,
@@ -320,6 +329,7 @@ pub struct Search {
 
 /// The published document: an assessment with its loop and the build that made it.
 #[derive(Debug, Clone, PartialEq, Serialize)]
+#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 pub struct EstimateDocument {
     /// [`ESTIMATE_SCHEMA`].
     pub schema: &'static str,

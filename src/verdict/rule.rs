@@ -88,6 +88,7 @@ pub struct Voice {
 
 /// What the rule makes of a record.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 pub struct Opinion {
     /// Logit where every feature stands at its mean.
     pub base: f64,

@@ -2,6 +2,8 @@
 //!
 //! Connections are bounded in number and in time, so that those that are never finished cost little and end.
 
+mod exposition;
+
 use std::net::SocketAddr;
 use std::sync::{Arc, PoisonError};
 use std::time::Duration;
@@ -9,7 +11,7 @@ use std::time::Duration;
 use anyhow::Context;
 use axum::Router;
 use axum::extract::State;
-use axum::http::{StatusCode, header};
+use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use hyper::server::conn::http1;
@@ -100,12 +102,20 @@ async fn accept(listener: TcpListener, router: Router) {
     }
 }
 
-async fn metrics_text(State(shared): State<Shared>) -> Response {
+async fn metrics_text(State(shared): State<Shared>, headers: HeaderMap) -> Response {
     let mut text = String::new();
     if prometheus_client::encoding::text::encode(&mut text, &shared.registry).is_err() {
         return StatusCode::INTERNAL_SERVER_ERROR.into_response();
     }
-    ([(header::CONTENT_TYPE, "application/openmetrics-text; version=1.0.0; charset=utf-8")], text).into_response()
+    // The end's mark stays behind what is put in.
+    let end = text.find("# EOF").unwrap_or(text.len());
+    text.insert_str(end, &exposition::of_process());
+    let accept = headers.get(header::ACCEPT).and_then(|kinds| kinds.to_str().ok());
+    if exposition::wants_open_metrics(accept) {
+        ([(header::CONTENT_TYPE, exposition::OPEN_METRICS)], text).into_response()
+    } else {
+        ([(header::CONTENT_TYPE, exposition::PLAIN)], exposition::plain(&text)).into_response()
+    }
 }
 
 /// 200 with the daemon's health document; 503 where the engine has not reported for [`STALLED_AFTER`].

@@ -25,6 +25,7 @@ from compact_store import (  # noqa: F401, found by name below
     test_what_scipy_writes_is_read,
 )
 from daemon import ROOT, Daemon, close_sessions, eventually, free_port, session, stictiond
+from documents import check_document, test_documents_fit_their_schemas  # noqa: F401
 from plant import Loop
 
 PREFIX = "plant1/area1"
@@ -308,6 +309,10 @@ def test_live_recorded_replayed(folder):
         assert took < 5, f"{took:.1f} s to stop"
         bus.close()
     check_recording(daemon, sticking, heard, alarms_heard)
+    documents = [d for of_key in heard.by_key.values() for d in of_key]
+    assert {d["schema"] for d in documents} >= {f"stictiond.{kind}.v1" for kind in ("estimate", "alarm", "gap", "health")}
+    for document in documents:
+        check_document(document)
 
 
 def check_recording(daemon, sticking, heard, alarms_heard):
@@ -432,6 +437,7 @@ def test_the_gap_can_be_computed_from_the_predictions(folder):
     assert code == 0, err
     document = json.loads(out)
     check_fields(document, GAP, "the gap document")
+    check_document(document)
     check_fields(document["where"], WHERE, "where")
     with rows_file.open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))

@@ -16,6 +16,7 @@ mod cli_gap;
 mod cli_report;
 mod daemon;
 mod daemon_gap;
+mod exports;
 mod golden;
 mod recordings;
 mod shipped;

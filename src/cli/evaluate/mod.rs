@@ -8,9 +8,9 @@ use std::time::Instant;
 
 use anyhow::bail;
 
+use super::reading::ReadArgs;
 use super::{Format, Outcome, analyze, on_all_cores};
 use crate::config::Config;
-use crate::files::load_samples;
 use crate::record::Record;
 use crate::verdict::{AssessParams, Assessment, assess};
 use index::Case;
@@ -28,6 +28,9 @@ Example: stictiond evaluate labelled/INDEX.csv"
 pub struct Args {
     /// The index.
     pub index: PathBuf,
+    /// How the files of the index are read.
+    #[command(flatten)]
+    pub reading: ReadArgs,
 }
 
 /// A case with its answer.
@@ -38,8 +41,8 @@ struct Judged {
 }
 
 /// The first loop of a case's file, whole.
-pub(super) fn record_of(base: &Path, case: &Case) -> anyhow::Result<(Record, AssessParams)> {
-    let loaded = load_samples(&base.join(&case.file))?;
+pub(super) fn record_of(base: &Path, case: &Case, reading: &ReadArgs) -> anyhow::Result<(Record, AssessParams)> {
+    let loaded = reading.load_file(&base.join(&case.file))?;
     let Some(first) = loaded.loops.first() else { bail!("{}: holds no loop", case.file) };
     let (record, settings) = analyze::whole_record(first, &Config::with_prefix("plant"))?;
     let params = AssessParams { always_fit: true, ..settings.assess.clone() };
@@ -52,7 +55,8 @@ pub(super) fn record_of(base: &Path, case: &Case) -> anyhow::Result<(Record, Ass
 /// The index cannot be read.
 pub(super) fn records(index: &Path) -> anyhow::Result<Vec<(Record, AssessParams)>> {
     let base = index.parent().unwrap_or(Path::new(""));
-    Ok(index::read(index)?.iter().filter_map(|case| record_of(base, case).ok()).collect())
+    let reading = ReadArgs::default();
+    Ok(index::read(index)?.iter().filter_map(|case| record_of(base, case, &reading).ok()).collect())
 }
 
 /// Runs the command. A case that cannot be read is an error line, not the end.
@@ -64,7 +68,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     let base = args.index.parent().unwrap_or(Path::new(""));
     let judge = |case: &Case| {
         let started = Instant::now();
-        let result = record_of(base, case).map(|(record, params)| assess(&record, &params));
+        let result = record_of(base, case, &args.reading).map(|(record, params)| assess(&record, &params));
         (result, started.elapsed().as_secs_f64())
     };
     let results = on_all_cores(&cases, |case| case.file.clone(), judge);

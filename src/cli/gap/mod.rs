@@ -12,11 +12,12 @@ use anyhow::{Context, anyhow, bail};
 use super::analyze;
 use super::analyze_report::command_line;
 use super::challenge;
+use super::reading::{ReadArgs, named};
 use super::selection::{Points, Section, Selection};
 use super::{Format, Outcome, UsageError, say, stop};
 use crate::config::Config;
 use crate::detect::oscillation;
-use crate::files::{LoadedLoop, load_samples};
+use crate::files::LoadedLoop;
 use crate::gap::document::GapDocument;
 use crate::gap::locate::Subject;
 use crate::gap::{self, Ask, GapError, effects, locate, text};
@@ -61,10 +62,14 @@ pub enum Command {
 /// What to diagnose, and from where.
 #[derive(Debug, clap::Args)]
 pub struct Diagnose {
-    /// A .csv file (columns t,op,pv[,sp][,mv][,mode]), a recording (.mcap, .mcap.part) or a compact store (.mat).
+    /// Tables (columns t,op,pv[,sp][,mv][,mode]), exports, recordings (.mcap, .mcap.part), compact stores (.mat), or
+    /// folders of them.
     // Absent only where a subcommand is called; clap cannot leave out the whole group, since groups in it are flattened.
     #[arg(required = true)]
-    pub input: Option<PathBuf>,
+    pub input: Vec<PathBuf>,
+    /// How exports are read.
+    #[command(flatten)]
+    pub reading: ReadArgs,
     /// Loop, section, density.
     #[command(flatten)]
     pub selection: Selection,
@@ -112,8 +117,8 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
 }
 
 impl Diagnose {
-    fn input(&self) -> &Path {
-        self.input.as_deref().unwrap_or(Path::new(""))
+    fn input(&self) -> String {
+        named(&self.input)
     }
 }
 
@@ -124,12 +129,12 @@ impl Diagnose {
 fn diagnose_all(args: &Diagnose, format: Format) -> anyhow::Result<Outcome> {
     check(args)?;
     let base = args.base.as_deref().map(BaseArg::read).transpose()?;
-    let loaded = load_samples(args.input())?;
+    let loaded = args.reading.load_all(&args.input)?;
     for warning in &loaded.warnings {
         tracing::warn!("{warning}");
     }
-    let config = analyze::config_of(args.input())?.map_or_else(|| Config::with_prefix("plant"), |r| r.config);
-    let place = args.input().display();
+    let config = analyze::config_of(&args.input)?.map_or_else(|| Config::with_prefix("plant"), |r| r.config);
+    let place = args.input();
     let chosen = args.selection.loops(&loaded.loops).map_err(|e| anyhow!("{place}: {e}"))?;
     let sections = args.selection.sections();
     let wanted = chosen.len() * sections.len();
@@ -208,7 +213,7 @@ fn diagnose(
     let team = Team::new(&one.name, &ask, args.budget.map(Duration::from_secs_f64), &|| !stop::asked());
     let diagnosis = gap::diagnose(&record, &ask, &team);
     team.finish();
-    let diagnosis = diagnosis.with_context(|| format!("{}: loop {}", args.input().display(), one.name))?;
+    let diagnosis = diagnosis.with_context(|| format!("{}: loop {}", args.input(), one.name))?;
     let location = locate::locate(&record, &Subject::of(&diagnosis, period, args.seed));
     let document = GapDocument::new(&one.name, &record, &ask.base, &diagnosis, location);
     Ok(GapLoop { document, record, diagnosis })
@@ -230,12 +235,8 @@ fn write_predictions(args: &Diagnose, points: &Points, found: &GapLoop, section:
 }
 
 fn write_report(args: &Diagnose, path: &Path, warnings: &[String], loops: Vec<GapLoop>) -> anyhow::Result<()> {
-    let report = GapReport {
-        input: args.input().display().to_string(),
-        command: command_line(std::env::args()),
-        warnings: warnings.to_vec(),
-        loops,
-    };
+    let report =
+        GapReport { input: args.input(), command: command_line(std::env::args()), warnings: warnings.to_vec(), loops };
     let page = gap_page(&report)?;
     let mut part = path.to_owned().into_os_string();
     part.push(".part");

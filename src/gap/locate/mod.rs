@@ -22,6 +22,7 @@ use held::Held;
 
 /// A figure with the value that chance reaches once in twenty, and the probability that chance reaches it.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 pub struct Test {
     /// The figure.
     pub value: f64,
@@ -33,6 +34,7 @@ pub struct Test {
 
 /// A stretch of time.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 pub struct Segment {
     /// Its start, s from the record's first sample.
     pub from_s: f64,
@@ -46,6 +48,7 @@ pub struct Segment {
 
 /// Shares by what the stem did last.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 pub struct Phases {
     /// At rest for longer than dead time and time constant together.
     pub stuck: Option<f64>,
@@ -57,6 +60,7 @@ pub struct Phases {
 
 /// Shares by the direction of the stem's last move.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 pub struct Direction {
     /// Upwards.
     pub up: Option<f64>,
@@ -66,6 +70,7 @@ pub struct Direction {
 
 /// A band of frequencies.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 pub struct Band {
     /// Its lower edge, Hz.
     pub from_hz: f64,
@@ -79,6 +84,7 @@ pub struct Band {
 
 /// A range of OP.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 pub struct Level {
     /// Its lower end, OP units.
     pub from: f64,
@@ -94,6 +100,7 @@ pub struct Level {
 
 /// How much of the residual hangs on where the loop stands: R2 of means by bins.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 pub struct LevelR2 {
     /// By OP.
     pub op: Option<Test>,
@@ -105,6 +112,7 @@ pub struct LevelR2 {
 
 /// Slips that model and PV do not share.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 pub struct SlipCount {
     /// Seen in PV (or the valve position), not in the model.
     pub missed: Option<u64>,
@@ -114,6 +122,7 @@ pub struct SlipCount {
 
 /// Correlation of the residual with something earlier or simultaneous.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 pub struct Correlate {
     /// With what: `op`, `op_move`, `pv`, `op_abs`, `op_squared`, `op_move_sign`, or `squared_with_op_squared`.
     pub name: String,
@@ -129,6 +138,7 @@ pub struct Correlate {
 
 /// A trace of an effect in the data itself.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 pub struct Trace {
     /// The effect it speaks for.
     pub id: String,
@@ -142,6 +152,7 @@ pub struct Trace {
 
 /// What the record offers to learn from.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 pub struct Excitation {
     /// Different positions of the model's stem.
     pub levels: u64,
@@ -155,6 +166,7 @@ pub struct Excitation {
 
 /// OP to valve position, apart.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 pub struct OpToMv {
     /// What the base's valve (with free gain and offset) leaves of the position's variance, %.
     pub unexplained_pct: f64,
@@ -162,6 +174,7 @@ pub struct OpToMv {
 
 /// Valve position to PV, apart.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 pub struct MvToPv {
     /// Gap of the first-order process driven by the recorded position, PV units.
     pub gap: f64,
@@ -171,6 +184,7 @@ pub struct MvToPv {
 
 /// Whether lists are more uneven than chance makes them.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 pub struct Unevenness {
     /// Over the segments of time.
     pub segments: Option<Test>,
@@ -184,6 +198,7 @@ pub struct Unevenness {
 
 /// How the residual's power goes with time.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 pub struct Course {
     /// Where the power changed, s from the first sample; `None` where no change shows (p >= .05 or under twofold).
     pub onset_s: Option<f64>,
@@ -201,6 +216,7 @@ pub struct Course {
 
 /// The report on where the gap lies.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 pub struct Location {
     /// The cause's stage.
     pub stage: String,

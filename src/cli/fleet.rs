@@ -1,0 +1,91 @@
+//! Many loops at once: each by its line in one table, instead of a page of text.
+
+use super::analyze::Answer;
+use crate::units::format_rfc3339;
+use crate::verdict::Verdict;
+
+/// Loops from which text gives the table alone.
+pub(super) const MANY: usize = 12;
+
+/// One loop or section.
+#[derive(Debug, Clone)]
+struct Row {
+    name: String,
+    verdict: &'static str,
+    sticks: bool,
+    p: Option<f64>,
+    s: Option<f64>,
+    s_interval: Option<[f64; 2]>,
+    period_s: Option<f64>,
+    grade: String,
+    gates: String,
+    end: String,
+}
+
+/// What was found in many loops.
+#[derive(Debug, Default)]
+pub(super) struct Summary {
+    rows: Vec<Row>,
+    failed: usize,
+}
+
+impl Summary {
+    /// Takes one answer.
+    pub(super) fn add(&mut self, answer: &Answer) {
+        let a = &answer.document.assessment;
+        self.rows.push(Row {
+            name: answer.document.loop_name.clone(),
+            verdict: a.verdict.name(),
+            sticks: matches!(a.verdict, Verdict::Stiction | Verdict::Deadband),
+            p: a.p_stiction,
+            s: a.s,
+            s_interval: a.s_interval,
+            period_s: a.oscillation.period_s,
+            grade: a.grade.map_or_else(|| "-".to_owned(), |g| g.to_string()),
+            gates: a.gates.iter().map(|g| g.name()).collect::<Vec<_>>().join(" "),
+            end: format_rfc3339(a.window.end_ns),
+        });
+    }
+
+    /// Counts a loop or file that could not be analysed.
+    pub(super) fn fail(&mut self) {
+        self.failed += 1;
+    }
+
+    /// The table: most likely sticking first.
+    pub(super) fn table(&mut self) -> String {
+        self.rows.sort_by(|a, b| b.p.unwrap_or(-1.0).total_cmp(&a.p.unwrap_or(-1.0)));
+        let width = self.rows.iter().map(|r| r.name.chars().count()).max().unwrap_or(4).clamp(4, 40);
+        let number = |v: Option<f64>| match v {
+            Some(v) if v != 0.0 && !(1e-2..1e5).contains(&v.abs()) => format!("{v:.2e}"),
+            Some(v) => format!("{v:.2}"),
+            None => "-".to_owned(),
+        };
+        let head = ("loop", "verdict", "p", "s", "s 90 %", "period, s", "grade", "until");
+        let (name, verdict, p, s, range, period, grade, end) = head;
+        let mut lines = vec![format!(
+            "{name:width$}  {verdict:14}  {p:>5}  {s:>8}  {range:>16}  {period:>9}  {grade:5}  {end:20}  gates"
+        )];
+        for r in &self.rows {
+            let range = r
+                .s_interval
+                .map_or_else(|| "-".to_owned(), |[a, b]| format!("{} to {}", number(Some(a)), number(Some(b))));
+            let name: String = r.name.chars().take(width).collect();
+            let line = format!(
+                "{name:width$}  {:14}  {:>5}  {:>8}  {range:>16}  {:>9}  {:5}  {:20}  {}",
+                r.verdict,
+                number(r.p),
+                number(r.s),
+                number(r.period_s),
+                r.grade,
+                r.end,
+                r.gates
+            );
+            lines.push(line.trim_end().to_owned());
+        }
+        let sticking = self.rows.iter().filter(|r| r.sticks).count();
+        let failed = if self.failed > 0 { format!(", {} not analysed", self.failed) } else { String::new() };
+        lines.push(format!("{} loops, {sticking} sticking{failed}", self.rows.len()));
+        lines.join("\n")
+    }
+}

@@ -1,0 +1,91 @@
+//! JSON Schema 2020-12 of the published documents, made from their types.
+//!
+//! A document may hold more than its schema says, never less: fields are added within a version, and none is taken away,
+//! renamed or given another meaning or unit without a new one. A number that does not exist is null.
+
+use schemars::generate::SchemaSettings;
+use schemars::{JsonSchema, Schema};
+use serde_json::{Value, json};
+
+use super::health::{DaemonHealth, LoopHealth};
+use crate::alarm::{ALARM_SCHEMA, AlarmDocument};
+use crate::codec::topic::Kind;
+use crate::gap::document::{GAP_SCHEMA, GapDocument};
+use crate::verdict::{ESTIMATE_SCHEMA, EstimateDocument};
+
+/// The schema of a type, as it is written.
+fn written<T: JsonSchema>() -> Schema {
+    SchemaSettings::draft2020_12().for_serialize().into_generator().into_root_schema_for::<T>()
+}
+
+/// The same under a document's name, which the document carries.
+fn document<T: JsonSchema>(name: &str) -> Value {
+    let mut schema = written::<T>().to_value();
+    schema["$id"] = json!(format!("urn:stictiond:{name}"));
+    schema["title"] = json!(name);
+    schema["properties"]["schema"] = json!({"const": name});
+    schema
+}
+
+/// Names and schemas of every published document.
+#[must_use]
+pub fn schemas() -> Vec<(&'static str, Value)> {
+    let health = Kind::Health.schema();
+    let shapes = [document::<DaemonHealth>("daemon"), document::<LoopHealth>("loop")].map(|mut shape| {
+        shape["properties"]["schema"] = json!({"const": health});
+        shape["$id"] = json!(format!("urn:stictiond:{health}:{}", shape["title"].as_str().unwrap_or_default()));
+        shape
+    });
+    let health_schema = json!({
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "$id": format!("urn:stictiond:{health}"),
+        "title": health,
+        "description": "Health of the daemon, or of one loop.",
+        "anyOf": shapes,
+    });
+    vec![
+        (ESTIMATE_SCHEMA, document::<EstimateDocument>(ESTIMATE_SCHEMA)),
+        (ALARM_SCHEMA, document::<AlarmDocument>(ALARM_SCHEMA)),
+        (GAP_SCHEMA, document::<GapDocument>(GAP_SCHEMA)),
+        (health, health_schema),
+    ]
+}
+
+/// The schema of one document, as it stands in `docs/schemas`.
+#[must_use]
+pub fn text(schema: &Value) -> String {
+    serde_json::to_string_pretty(schema).unwrap_or_default() + "\n"
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_may_be_null_may_be_and_what_is_always_there_is_required() {
+        let all = schemas();
+        let estimate = &all[0].1;
+        let required: Vec<&str> = estimate["required"].as_array().unwrap().iter().filter_map(Value::as_str).collect();
+        for field in ["schema", "loop", "fs", "process", "version", "window"] {
+            assert!(required.contains(&field), "{field}: {required:?}");
+        }
+        assert_eq!(estimate["properties"]["fs"]["type"], json!(["number", "null"]));
+        assert_eq!(estimate["properties"]["s_interval"]["maxItems"], 2);
+        assert_eq!(estimate["properties"]["schema"]["const"], "stictiond.estimate.v1");
+    }
+
+    /// `docs/schemas` holds what this build makes; STICTIOND_GOLDEN=write makes it anew.
+    #[test]
+    fn the_kept_schemas_are_those_of_the_types() {
+        let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/schemas");
+        for (name, schema) in schemas() {
+            let path = folder.join(format!("{name}.json"));
+            if std::env::var("STICTIOND_GOLDEN").is_ok_and(|wish| wish == "write") {
+                std::fs::create_dir_all(&folder).unwrap();
+                std::fs::write(&path, text(&schema)).unwrap();
+            }
+            let kept = std::fs::read_to_string(&path).unwrap_or_default();
+            assert!(kept == text(&schema), "{}: STICTIOND_GOLDEN=write makes it anew", path.display());
+        }
+    }
+}

@@ -1,0 +1,528 @@
+//! What a whole column of times means: its form, told from all of its cells, and the instants it stands for.
+
+use jiff::civil::DateTime;
+use jiff::tz::Offset;
+
+use super::ExportError;
+use super::stamp::{Civil, HOUR_NS, Number, Order, Stamp};
+use super::zone::{Reading, Zone, letters};
+use crate::units::{NS_PER_S, format_rfc3339, ns_from_s, s_from_ns};
+
+/// First year that is believed without being asked for.
+const FIRST_YEAR: i64 = 1990;
+/// Seconds from 1970 to 1990.
+const FIRST_S: i64 = 631_152_000;
+/// Seconds in a day.
+const DAY_S: i64 = 86_400;
+/// Day numbers of 1970-01-01: Excel since 1900 and since 1904, MATLAB.
+const EXCEL_1970: i64 = 25_569;
+const EXCEL_1904_1970: i64 = 24_107;
+const DATENUM_1970: i64 = 719_529;
+/// Day numbers are fractions of a day: what is finer than this is their rounding.
+const DAYS_GRAIN_NS: i64 = 1_000_000;
+/// Shortest sampling that is believed without being asked for, s.
+const LEAST_SAMPLING_S: f64 = 1e-3;
+/// Steps of days' numbers longer than this, in days, are no sampling of a loop.
+const LONGEST_DAYS: f64 = 0.5;
+
+/// How a column writes times, as a flag or as found.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum TimeFormat {
+    /// Numbers of a unit of so many ns since 1970 UTC.
+    Epoch(i64),
+    /// Days since so many days before 1970, local time.
+    Days(i64),
+    /// Dates in this order of day, month and year.
+    Dated(Order),
+    /// A pattern of strftime's letters.
+    Pattern(String),
+}
+
+/// Every form of numbers, with its word.
+const NUMBERS: [(&str, TimeFormat); 7] = [
+    ("s", TimeFormat::Epoch(NS_PER_S)),
+    ("ms", TimeFormat::Epoch(1_000_000)),
+    ("us", TimeFormat::Epoch(1_000)),
+    ("ns", TimeFormat::Epoch(1)),
+    ("excel", TimeFormat::Days(EXCEL_1970)),
+    ("datenum", TimeFormat::Days(DATENUM_1970)),
+    ("excel1904", TimeFormat::Days(EXCEL_1904_1970)),
+];
+
+impl TimeFormat {
+    /// Reads the flag's value.
+    ///
+    /// # Errors
+    /// A sentence that lists what would be understood.
+    pub fn parse(text: &str) -> Result<Self, String> {
+        if let Some((_, form)) = NUMBERS.iter().find(|(word, _)| *word == text) {
+            return Ok(form.clone());
+        }
+        if let Some(order) = Order::ALL.into_iter().find(|o| o.word() == text) {
+            return Ok(Self::Dated(order));
+        }
+        if text == "iso" {
+            return Ok(Self::Dated(Order::Ymd));
+        }
+        if text.contains('%') {
+            return Ok(Self::Pattern(text.to_owned()));
+        }
+        let known = "s, ms, us, ns, excel, excel1904, datenum, ymd, dmy, mdy, or a pattern such as %d/%m/%Y %H:%M:%S";
+        Err(format!("{text:?} is no form of times: write {known}"))
+    }
+
+    /// In a few words.
+    fn words(&self) -> String {
+        match self {
+            Self::Epoch(unit) => {
+                let name = NUMBERS.iter().find(|(_, f)| *f == Self::Epoch(*unit)).map_or("", |(word, _)| word);
+                format!("{name} since 1970")
+            }
+            Self::Days(DATENUM_1970) => "MATLAB day numbers".to_owned(),
+            Self::Days(EXCEL_1904_1970) => "Excel day numbers since 1904".to_owned(),
+            Self::Days(_) => "Excel day numbers".to_owned(),
+            Self::Dated(Order::Ymd) => "year-month-day".to_owned(),
+            Self::Dated(Order::Dmy) => "day first".to_owned(),
+            Self::Dated(Order::Mdy) => "month first".to_owned(),
+            Self::Pattern(pattern) => format!("by {pattern}"),
+        }
+    }
+
+    /// A number under this form: clock reading or instant.
+    fn of_number(&self, number: Number) -> Option<Stamp> {
+        match self {
+            Self::Epoch(unit) => {
+                // Binary fractions of a second since 1970 are good to a quarter of a microsecond.
+                number.in_ns(*unit).map(Stamp::Instant)
+            }
+            Self::Days(of_1970) => {
+                let days = number.value - *of_1970 as f64;
+                let grains = (days * (DAY_S * NS_PER_S / DAYS_GRAIN_NS) as f64).round();
+                (grains.abs() < 9e12).then(|| Stamp::Local(grains as i64 * DAYS_GRAIN_NS))
+            }
+            Self::Dated(_) | Self::Pattern(_) => None,
+        }
+    }
+}
+
+/// A column's stamps with what else is known of them.
+#[derive(Debug, Default)]
+pub(super) struct Axis {
+    /// The column's name, for messages.
+    pub name: String,
+    /// Whether numbers may count from anywhere: the column is called `t` or names a unit of seconds.
+    pub from_anywhere: Option<TimeFormat>,
+    /// One a row.
+    pub stamps: Vec<Stamp>,
+    /// The rows' lines in the file.
+    pub lines: Vec<u64>,
+}
+
+/// What was asked for about times.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Asked<'o> {
+    /// The form.
+    pub form: Option<&'o TimeFormat>,
+    /// The zone of clock readings.
+    pub zone: Option<&'o Zone>,
+    /// First second that is not believed: the end of next year.
+    pub end_s: i64,
+}
+
+/// Instants of an axis, and how they were found.
+#[derive(Debug)]
+pub(super) struct Times {
+    /// ns since 1970 UTC, one a row.
+    pub t_ns: Vec<i64>,
+    /// What was recognised.
+    pub words: String,
+    /// Steps on and back from one row to the next.
+    pub forward: u64,
+    /// The same, back.
+    pub backward: u64,
+}
+
+/// The first second after next year.
+pub(super) fn end_of_next_year(now_s: i64) -> i64 {
+    let now = jiff::Timestamp::from_second(now_s).unwrap_or(jiff::Timestamp::UNIX_EPOCH);
+    let year = i64::from(Offset::UTC.to_datetime(now).year()) + 2;
+    jiff::civil::Date::new(i16::try_from(year).unwrap_or(i16::MAX), 1, 1)
+        .ok()
+        .and_then(|d| Offset::UTC.to_timestamp(d.to_datetime(jiff::civil::Time::midnight())).ok())
+        .map_or(i64::MAX / NS_PER_S, jiff::Timestamp::as_second)
+}
+
+impl Axis {
+    /// Adds a row and returns its place.
+    pub(super) fn push(&mut self, stamp: Stamp, line: u64) -> u32 {
+        self.stamps.push(stamp);
+        self.lines.push(line);
+        u32::try_from(self.stamps.len() - 1).unwrap_or(u32::MAX)
+    }
+
+    /// Finds what the column means. `groups` are rows that follow one clock each (all of them, or those of one tag).
+    pub(super) fn times(&self, groups: &[Vec<u32>], asked: Asked<'_>) -> Result<Times, ExportError> {
+        let (form, why) = self.form(asked)?;
+        let from_anywhere = self.from_anywhere.is_some() && self.stamps.first().is_some_and(|s| !s.is_dated());
+        let clocks = self.clocks(form.as_ref())?;
+        let mut t_ns = vec![0; clocks.len()];
+        let (mut forward, mut backward, mut twice, mut zoned) = (0, 0, 0, false);
+        for rows in groups {
+            let read = self.group(rows, &clocks, asked)?;
+            rows.iter().zip(&read.t_ns).for_each(|(row, ns)| t_ns[*row as usize] = *ns);
+            forward += read.forward;
+            backward += read.backward;
+            twice += read.twice;
+            zoned |= read.zoned;
+            if !from_anywhere && asked.form.is_none() {
+                self.check(rows, &t_ns, asked.end_s)?;
+            }
+            if asked.form.is_none() {
+                self.check_sampling(rows, &t_ns)?;
+            }
+        }
+        let mut words = form.map_or_else(|| "typed".to_owned(), |f| f.words()) + &why;
+        if let (true, Some(zone)) = (zoned, asked.zone) {
+            words += &format!(", {}", zone.name());
+            if twice > 0 {
+                words += &format!(
+                    " (the hour that comes twice is in it{})",
+                    if twice > groups.len() { " several times" } else { "" }
+                );
+            }
+        }
+        Ok(Times { t_ns, words, forward, backward })
+    }
+
+    fn fault(&self, row: usize, what: String, remedy: &str) -> ExportError {
+        ExportError::at(self.lines.get(row).copied().unwrap_or(0), what, remedy)
+    }
+
+    /// The form of all cells, with the reason where it is not plain.
+    fn form(&self, asked: Asked<'_>) -> Result<(Option<TimeFormat>, String), ExportError> {
+        if let Some(form) = asked.form {
+            return Ok((Some(form.clone()), String::new()));
+        }
+        let Some((at, first)) =
+            self.stamps.iter().enumerate().find(|(_, s)| matches!(s, Stamp::Number(_) | Stamp::Civil(_)))
+        else {
+            return Ok((None, String::new()));
+        };
+        match first {
+            Stamp::Number(_) => self.form_of_numbers(asked.end_s, at).map(|f| (Some(f), String::new())),
+            _ => self.form_of_dates(asked.end_s),
+        }
+    }
+
+    /// The unit under which every number lies between 1990 and the end of next year.
+    fn form_of_numbers(&self, end_s: i64, first: usize) -> Result<TimeFormat, ExportError> {
+        let plausible = |form: &TimeFormat, n: Number| match form.of_number(n) {
+            Some(Stamp::Instant(ns) | Stamp::Local(ns)) => (FIRST_S..end_s).contains(&ns.div_euclid(NS_PER_S)),
+            _ => false,
+        };
+        // Days since 1904 look like days since 1900 four years earlier: never guessed.
+        let mut left: Vec<&TimeFormat> = NUMBERS[..6].iter().map(|(_, form)| form).collect();
+        for (row, stamp) in self.stamps.iter().enumerate() {
+            let Stamp::Number(number) = stamp else {
+                return Err(self.mixed(row, first));
+            };
+            left.retain(|form| plausible(form, *number));
+            if left.is_empty() {
+                if let Some(form) = &self.from_anywhere {
+                    return Ok(form.clone());
+                }
+                let text = format!(
+                    "{:?} holds {}, which is no time from {FIRST_YEAR} to next year as seconds, ms, us, ns, Excel's or MATLAB's days",
+                    self.name, number.value
+                );
+                return Err(self.fault(
+                    row,
+                    text,
+                    "say what it is: --time-format s (from any start), ms, excel, datenum, or a pattern",
+                ));
+            }
+        }
+        let form = left[0].clone();
+        if let (TimeFormat::Days(_), Some(named)) = (&form, &self.from_anywhere) {
+            return self.seconds_or_days(&form, named);
+        }
+        Ok(form)
+    }
+
+    /// `t` from 46000 on may be seconds of a long record, or days of a spreadsheet.
+    fn seconds_or_days(&self, days: &TimeFormat, seconds: &TimeFormat) -> Result<TimeFormat, ExportError> {
+        let values = self.stamps.iter().filter_map(|s| if let Stamp::Number(n) = s { Some(n.value) } else { None });
+        let values: Vec<f64> = values.collect();
+        let mut steps: Vec<f64> = values.windows(2).map(|w| (w[1] - w[0]).abs()).filter(|s| *s > 0.0).collect();
+        if steps.is_empty() || *median(&mut steps) >= LONGEST_DAYS {
+            return Ok(seconds.clone());
+        }
+        let flag = NUMBERS.iter().find(|(_, form)| form == days).map_or("excel", |(word, _)| word);
+        let text = format!("{:?} holds {}, which may be seconds or {}", self.name, values[0], days.words());
+        Err(self.fault(0, text, &format!("say which: --time-format s, or --time-format {flag}")))
+    }
+
+    /// The order of day, month and year that all rows allow.
+    fn form_of_dates(&self, end_s: i64) -> Result<(Option<TimeFormat>, String), ExportError> {
+        let mut left: Vec<Order> = Order::ALL.to_vec();
+        let (mut why, mut first) = (String::new(), None);
+        for (row, stamp) in self.stamps.iter().enumerate() {
+            let civil = match stamp {
+                Stamp::Civil(civil) => *civil,
+                Stamp::Number(_) => return Err(self.mixed(row, first.unwrap_or(0))),
+                _ => continue,
+            };
+            let before = left.clone();
+            left.retain(|order| civil.date(*order).is_some());
+            let started = first.get_or_insert(row);
+            if left.is_empty() {
+                let text = if before.len() == 3 {
+                    "this date does not exist".to_owned()
+                } else {
+                    let words: Vec<&str> = before.iter().map(|o| o.word()).collect();
+                    format!(
+                        "this date cannot be {} like those from line {} on",
+                        words.join(" or "),
+                        self.lines[*started]
+                    )
+                };
+                return Err(self.fault(row, text, "correct it, or say the form by --time-format"));
+            }
+            if before.len() > 1 && left.len() == 1 && row > *started {
+                why = format!(" (line {} shows it)", self.lines[row]);
+            }
+        }
+        // The year tells where only one order lies in the years believed.
+        let believed = |order: &Order| {
+            self.stamps
+                .iter()
+                .filter_map(|s| civil_of(s)?.local_ns(*order))
+                .all(|ns| (FIRST_S..end_s).contains(&ns.div_euclid(NS_PER_S)))
+        };
+        if left.len() > 1 && left.iter().any(believed) {
+            left.retain(believed);
+        }
+        if left.len() > 1 {
+            let (order, reason) = self.settle(&left, first.unwrap_or(0))?;
+            return Ok((Some(TimeFormat::Dated(order)), reason));
+        }
+        let named = self.stamps.iter().filter_map(civil_of).any(Civil::has_named_month);
+        let why = if named { " with the month's name".to_owned() } else { why };
+        Ok((Some(TimeFormat::Dated(left[0])), why))
+    }
+
+    /// Two orders fit every row: what happens at midnight tells, or nothing does.
+    fn settle(&self, left: &[Order], first: usize) -> Result<(Order, String), ExportError> {
+        let civils: Vec<(usize, Civil)> =
+            self.stamps.iter().enumerate().filter_map(|(row, s)| civil_of(s).map(|c| (row, c))).collect();
+        let same = civils.iter().all(|(_, c)| left.iter().all(|o| c.local_ns(*o) == c.local_ns(left[0])));
+        if same {
+            return Ok((left[0], String::new()));
+        }
+        let mut told: Option<(Order, usize)> = None;
+        for pair in civils.windows(2).filter(|w| !w[0].1.same_date(w[1].1)) {
+            let step = |o: &Order| Some((pair[1].1.local_ns(*o)? - pair[0].1.local_ns(*o)?).abs());
+            let mut near = left.iter().filter(|o| step(o).is_some_and(|s| s <= HOUR_NS));
+            if let (Some(order), None) = (near.next(), near.next()) {
+                if told.is_some_and(|(other, _)| other != *order) {
+                    told = None;
+                    break;
+                }
+                told.get_or_insert((*order, pair[1].0));
+            }
+        }
+        if let Some((order, row)) = told {
+            return Ok((order, format!(" (midnight at line {} shows it)", self.lines[row])));
+        }
+        let readings: Vec<String> = left
+            .iter()
+            .filter_map(|o| civils[0].1.date(*o).map(|d| format!("{d} (--time-format {})", o.word())))
+            .collect();
+        let text = format!("this date may be {}, and no row of the file settles it", readings.join(" or "));
+        Err(self.fault(first, text, "say which by the flag"))
+    }
+
+    fn mixed(&self, row: usize, first: usize) -> ExportError {
+        let text =
+            format!("times are written in another way than in line {}", self.lines.get(first).copied().unwrap_or(0));
+        self.fault(row, text, "write all of them alike")
+    }
+
+    /// Every stamp as a clock reading or an instant.
+    fn clocks(&self, form: Option<&TimeFormat>) -> Result<Vec<Clock>, ExportError> {
+        let read = |row: usize, stamp: &Stamp| {
+            let read = match (stamp, form) {
+                (Stamp::Number(n), Some(form)) => form.of_number(*n).map(|s| (s, None)),
+                (Stamp::Civil(c), Some(TimeFormat::Dated(order))) => c.local_ns(*order).map(|ns| match c.offset_s {
+                    Some(offset) => (Stamp::Instant(ns.saturating_sub(i64::from(offset) * NS_PER_S)), None),
+                    None => (Stamp::Local(ns), c.zone),
+                }),
+                (typed @ (Stamp::Local(_) | Stamp::Instant(_)), _) => Some((*typed, None)),
+                _ => None,
+            };
+            read.ok_or_else(|| {
+                let form = form.map_or_else(String::new, TimeFormat::words);
+                self.fault(
+                    row,
+                    format!("this time cannot be read as {form}"),
+                    "say another --time-format, or leave it out",
+                )
+            })
+        };
+        self.stamps.iter().enumerate().map(|(row, stamp)| read(row, stamp)).collect()
+    }
+
+    /// Instants of the rows of one clock.
+    fn group(&self, rows: &[u32], clocks: &[Clock], asked: Asked<'_>) -> Result<Group, ExportError> {
+        let raw = |row: u32| match clocks[row as usize].0 {
+            Stamp::Instant(ns) | Stamp::Local(ns) => ns,
+            Stamp::Number(_) | Stamp::Civil(_) => 0,
+        };
+        let steps = |back: bool| {
+            rows.windows(2).filter(|w| if back { raw(w[1]) < raw(w[0]) } else { raw(w[1]) > raw(w[0]) }).count() as u64
+        };
+        let (forward, backward) = (steps(false), steps(true));
+        let Some(first) = rows.iter().find(|row| matches!(clocks[**row as usize].0, Stamp::Local(_))) else {
+            return Ok(Group {
+                t_ns: rows.iter().map(|row| raw(*row)).collect(),
+                forward,
+                backward,
+                twice: 0,
+                zoned: false,
+            });
+        };
+        let Some(zone) = asked.zone else { return Err(self.without_zone(*first as usize, clocks)) };
+        let mut ordered: Vec<u32> = rows.to_vec();
+        if backward > forward {
+            ordered.reverse();
+        }
+        let reading = |row: &u32| Reading {
+            local_ns: raw(*row),
+            letters: clocks[*row as usize].1,
+            line: self.lines[*row as usize],
+        };
+        let (mut t_ns, twice) = zone.instants(&ordered.iter().map(reading).collect::<Vec<_>>())?;
+        if backward > forward {
+            t_ns.reverse();
+        }
+        Ok(Group { t_ns, forward, backward, twice, zoned: true })
+    }
+
+    fn without_zone(&self, row: usize, clocks: &[Clock]) -> ExportError {
+        let (Stamp::Local(ns) | Stamp::Instant(ns), zone) = clocks[row] else {
+            return self.fault(row, "a time that cannot be read".into(), "say its form by --time-format");
+        };
+        let shown = format_rfc3339(ns).replace('Z', "").replace('T', " ");
+        let text = match zone {
+            Some(found) => format!(
+                "{:?} holds {shown} {}, and letters name a zone for one half of a year only",
+                self.name,
+                letters(found)
+            ),
+            None => format!("{:?} holds {shown} of no time zone", self.name),
+        };
+        self.fault(row, text, "say whose clock it is: --tz Europe/Berlin, or --tz UTC")
+    }
+
+    fn check(&self, rows: &[u32], t_ns: &[i64], end_s: i64) -> Result<(), ExportError> {
+        let odd = rows.iter().find(|row| !(FIRST_S..end_s).contains(&t_ns[**row as usize].div_euclid(NS_PER_S)));
+        odd.map_or(Ok(()), |row| {
+            let when = format_rfc3339(t_ns[*row as usize]);
+            let text = format!("{:?} gives {when}, outside {FIRST_YEAR} to next year", self.name);
+            Err(self.fault(
+                *row as usize,
+                text,
+                "if that is meant, say its form: --time-format s, ymd, dmy, mdy or a pattern",
+            ))
+        })
+    }
+
+    fn check_sampling(&self, rows: &[u32], t_ns: &[i64]) -> Result<(), ExportError> {
+        let mut ordered: Vec<i64> = rows.iter().map(|row| t_ns[*row as usize]).collect();
+        ordered.sort_unstable();
+        check_sampling(&ordered).map_err(|step_s| {
+            let text = format!("{:?} steps by {step_s:.3e} s, faster than loops are sampled", self.name);
+            self.fault(0, text, "say what its numbers are: --time-format s, ms, us, ns, excel or datenum")
+        })
+    }
+}
+
+/// A clock reading or an instant, and letters such as CEST behind it.
+type Clock = (Stamp, Option<[u8; 5]>);
+
+struct Group {
+    t_ns: Vec<i64>,
+    forward: u64,
+    backward: u64,
+    twice: usize,
+    zoned: bool,
+}
+
+fn civil_of(stamp: &Stamp) -> Option<Civil> {
+    if let Stamp::Civil(civil) = stamp { Some(*civil) } else { None }
+}
+
+fn median(values: &mut [f64]) -> &f64 {
+    let middle = values.len() / 2;
+    values.select_nth_unstable_by(middle, f64::total_cmp).1
+}
+
+/// Whether the usual step of stamps in order is at least a millisecond; else that step in s.
+pub(super) fn check_sampling(ordered_ns: &[i64]) -> Result<(), f64> {
+    let mut steps: Vec<f64> =
+        ordered_ns.windows(2).map(|w| s_from_ns(w[1].saturating_sub(w[0]))).filter(|s| *s > 0.0).collect();
+    if steps.is_empty() {
+        return Ok(());
+    }
+    let step_s = *median(&mut steps);
+    if step_s < LEAST_SAMPLING_S { Err(step_s) } else { Ok(()) }
+}
+
+/// Whether seconds of a table `t,op,pv` look like days of a spreadsheet, or lie where no plant's clock does; if so, why
+/// and what would settle it.
+pub(super) fn doubt_about_seconds(t_ns: &[i64], end_s: i64) -> Result<(), (String, &'static str)> {
+    let mut ordered = t_ns.to_vec();
+    ordered.sort_unstable();
+    let (Some(first), Some(last)) = (ordered.first(), ordered.last()) else { return Ok(()) };
+    if let Err(step_s) = check_sampling(&ordered) {
+        let text = format!("\"t\" steps by {step_s:.3e} s, faster than loops are sampled");
+        return Err((text, "say what it holds: --time-format s, excel, datenum, ms, us or ns"));
+    }
+    let mut steps: Vec<f64> =
+        ordered.windows(2).map(|w| s_from_ns(w[1].saturating_sub(w[0]))).filter(|s| *s > 0.0).collect();
+    let fine = !steps.is_empty() && *median(&mut steps) < LONGEST_DAYS;
+    for (of_1970, name) in [(EXCEL_1970, "--time-format excel"), (DATENUM_1970, "--time-format datenum")] {
+        let (from, to) = (FIRST_S / DAY_S + of_1970, end_s / DAY_S + of_1970);
+        let inside = |ns: i64| (ns_from_s(from as f64)..ns_from_s(to as f64)).contains(&ns);
+        if fine && inside(*first) && inside(*last) {
+            let text = format!("\"t\" holds {}, which may be seconds or a spreadsheet's days", s_from_ns(*first));
+            let remedy = if name.ends_with("excel") {
+                "say which: --time-format s, or --time-format excel"
+            } else {
+                "say which: --time-format s, or --time-format datenum"
+            };
+            return Err((text, remedy));
+        }
+    }
+    // Records that count from their own start are read as they stand; dates beyond next year are not.
+    if last.div_euclid(NS_PER_S) >= end_s {
+        let text = format!("\"t\" gives {}, later than next year", format_rfc3339(*last));
+        return Err((text, "say what it holds: --time-format s, ms, us or ns"));
+    }
+    Ok(())
+}
+
+/// A time by strftime's letters.
+pub(super) fn by_pattern(pattern: &str, text: &str) -> Option<Stamp> {
+    let parsed = jiff::fmt::strtime::parse(pattern, text).ok()?;
+    if parsed.offset().is_some() {
+        let ns = parsed.to_timestamp().ok()?.as_nanosecond();
+        return i64::try_from(ns).ok().map(Stamp::Instant);
+    }
+    let civil: DateTime = parsed
+        .to_datetime()
+        .or_else(|_| parsed.to_date().map(|d| d.to_datetime(jiff::civil::Time::midnight())))
+        .ok()?;
+    let ns = Offset::UTC.to_timestamp(civil).ok()?.as_nanosecond();
+    i64::try_from(ns).ok().map(Stamp::Local)
+}

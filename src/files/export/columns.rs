@@ -1,0 +1,292 @@
+//! Which column is what: times, values of tags, quality codes; wide tables, long ones, and those of one signal.
+
+use super::ExportError;
+use super::cell::{Cell, Table};
+use super::clock::TimeFormat;
+use super::map::{Map, Part, same};
+use super::names::{is_date, is_quality, is_tag, is_time, is_value, plain, unit};
+use super::stamp::Stamp;
+use crate::units::NS_PER_S;
+
+/// Rows that columns are told from.
+const LOOKED_AT: usize = 60;
+
+/// Where a row's time stands.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct TimeColumn {
+    /// The column.
+    pub at: usize,
+    /// The column of the time of day, where date and time stand apart.
+    pub clock_at: Option<usize>,
+    /// Its name, for messages.
+    pub name: String,
+    /// The unit, where numbers may count from any start.
+    pub from_anywhere: Option<TimeFormat>,
+    /// The zone in its name.
+    pub is_utc: bool,
+}
+
+/// A column of values in a wide table.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct ValueColumn {
+    /// The column.
+    pub at: usize,
+    /// Its time, as an index of [`Layout::times`].
+    pub time: usize,
+    /// Its quality codes, if it has any.
+    pub quality: Option<usize>,
+    /// The tag.
+    pub tag: String,
+}
+
+/// How a table is laid out.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) enum Shape {
+    /// A column for each tag.
+    Wide(Vec<ValueColumn>),
+    /// A row for each value.
+    Long { tag: usize, value: usize, quality: Option<usize> },
+}
+
+/// Times and values of a table.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct Layout {
+    /// Columns of times; more than one where signals have their own.
+    pub times: Vec<TimeColumn>,
+    /// The rest.
+    pub shape: Shape,
+}
+
+/// What the first rows hold, by column.
+struct Seen {
+    /// Cells that are dates in writing, or typed times.
+    dates: usize,
+    /// Cells that are times of day alone.
+    clocks: usize,
+    /// Cells that hold anything.
+    filled: usize,
+    /// Distinct texts that are no numbers.
+    texts: std::collections::BTreeSet<String>,
+}
+
+impl Seen {
+    fn is_dates(&self) -> bool {
+        self.filled > 0 && 5 * self.dates >= 4 * self.filled
+    }
+
+    fn is_clocks(&self) -> bool {
+        self.filled > 0 && 5 * self.clocks >= 4 * self.filled
+    }
+}
+
+fn is_clock_only(text: &str) -> bool {
+    let digits = |c: Option<char>| c.is_some_and(|c| c.is_ascii_digit());
+    text.contains(':')
+        && digits(text.chars().next())
+        && Stamp::read(text).is_none()
+        && Stamp::read(&format!("2000-01-01 {text}")).is_some()
+}
+
+fn look(table: &Table<'_>) -> Result<Vec<Seen>, ExportError> {
+    let mut seen: Vec<Seen> = Vec::new();
+    let mut rows = 0;
+    table.rows.each(&mut |_, cells| {
+        while seen.len() < cells.len() {
+            seen.push(Seen { dates: 0, clocks: 0, filled: 0, texts: std::collections::BTreeSet::new() });
+        }
+        for (column, cell) in seen.iter_mut().zip(cells) {
+            column.filled += usize::from(*cell != Cell::Empty);
+            match cell {
+                Cell::Local(_) | Cell::Instant(_) => column.dates += 1,
+                Cell::Text(text) => {
+                    let dated = Stamp::read(text).is_some_and(Stamp::is_dated);
+                    column.dates += usize::from(dated);
+                    column.clocks += usize::from(is_clock_only(text));
+                    if !dated && column.texts.len() < LOOKED_AT {
+                        column.texts.insert((*text).to_owned());
+                    }
+                }
+                _ => {}
+            }
+        }
+        rows += 1;
+        Ok(rows < LOOKED_AT)
+    })?;
+    Ok(seen)
+}
+
+/// A column that was said by name, or by number from 1.
+fn find(wanted: &str, table: &Table<'_>, columns: usize) -> Result<Option<usize>, ExportError> {
+    let found: Vec<usize> = (0..table.names.len()).filter(|at| same(wanted, &table.names[*at])).collect();
+    match found[..] {
+        [at] => return Ok(Some(at)),
+        [] => {}
+        _ => {
+            let text = format!("the header names {wanted:?} {} times", found.len());
+            return Err(ExportError::at(table.line, text, "say the column's number by --map, counted from 1"));
+        }
+    }
+    let number: Option<usize> = wanted.trim_start_matches('#').parse().ok();
+    Ok(number.filter(|n| (1..=columns).contains(n)).map(|n| n - 1))
+}
+
+/// Names of columns for a message.
+pub(super) fn listed(names: &[String]) -> String {
+    let shown: Vec<String> = names.iter().take(8).map(|n| format!("{n:?}")).collect();
+    let more = names.len().saturating_sub(8);
+    if more == 0 { shown.join(", ") } else { format!("{} and {more} more", shown.join(", ")) }
+}
+
+/// Tells what each column of a table is.
+///
+/// # Errors
+/// No column of times, or none of values; what `--map` asks for is not there.
+pub(super) fn layout(table: &Table<'_>, map: Option<&Map>) -> Result<Layout, ExportError> {
+    let seen = look(table)?;
+    let finder = Finder { table, map, seen: &seen };
+    let times = finder.times()?;
+    if let Some(shape) = finder.long(&times)? {
+        return Ok(Layout { times, shape });
+    }
+    let values = finder.wide(&times)?;
+    Ok(Layout { times, shape: Shape::Wide(values) })
+}
+
+struct Finder<'a, 'f> {
+    table: &'a Table<'f>,
+    map: Option<&'a Map>,
+    seen: &'a [Seen],
+}
+
+impl Finder<'_, '_> {
+    fn columns(&self) -> usize {
+        self.seen.len().max(self.table.names.len())
+    }
+
+    fn name(&self, at: usize) -> String {
+        self.table.names.get(at).filter(|n| !n.is_empty()).cloned().unwrap_or_else(|| format!("column {}", at + 1))
+    }
+
+    fn mapped(&self, part: Part) -> Result<Option<usize>, ExportError> {
+        let Some(wanted) = self.map.and_then(|m| m.of(part)) else { return Ok(None) };
+        match find(wanted, self.table, self.columns())? {
+            Some(at) => Ok(Some(at)),
+            None => {
+                let text = format!("--map names {wanted:?}, the columns are {}", listed(&self.table.names));
+                Err(ExportError::at(self.table.line, text, "write one of these, or the column's number from 1"))
+            }
+        }
+    }
+
+    fn time(&self, at: usize, clock_at: Option<usize>) -> TimeColumn {
+        let name = self.name(at);
+        let unit_of = |name: &str| match unit(name).unwrap_or_default().to_lowercase().as_str() {
+            "s" | "sec" | "second" | "seconds" => Some(TimeFormat::Epoch(NS_PER_S)),
+            "ms" | "msec" | "milliseconds" => Some(TimeFormat::Epoch(1_000_000)),
+            _ => None,
+        };
+        let own = name.trim().eq_ignore_ascii_case("t").then_some(TimeFormat::Epoch(NS_PER_S));
+        let is_utc = plain(&name.replace(['(', ')', '[', ']'], " ")).split(' ').any(|w| w == "utc" || w == "gmt");
+        TimeColumn { at, clock_at, from_anywhere: unit_of(&name).or(own), name, is_utc }
+    }
+
+    fn times(&self) -> Result<Vec<TimeColumn>, ExportError> {
+        if let Some(at) = self.mapped(Part::Time)? {
+            return Ok(vec![self.time(at, None)]);
+        }
+        let dates: Vec<usize> = (0..self.seen.len()).filter(|at| self.seen[*at].is_dates()).collect();
+        let clocks: Vec<usize> = (0..self.seen.len()).filter(|at| self.seen[*at].is_clocks()).collect();
+        if let (&[date], &[clock]) = (&dates[..], &clocks[..]) {
+            let named = self.table.names.get(date).is_none_or(|n| is_date(n) || is_time(n));
+            if named {
+                return Ok(vec![self.time(date, Some(clock))]);
+            }
+        }
+        let named: Vec<usize> = (0..self.table.names.len())
+            .filter(|at| is_time(&self.table.names[*at]) && self.seen.get(*at).is_some_and(|s| s.filled > 0))
+            .collect();
+        // Typed and written dates need no name; numbers do.
+        let mut found = if dates.is_empty() { named } else { dates };
+        if found.len() > 1 {
+            let by_source = |at: &&usize| plain(&self.name(**at)).contains("source");
+            if let Some(source) = found.iter().find(by_source) {
+                found = vec![*source];
+            } else if self.is_long_by_names() {
+                found.truncate(1);
+            }
+        }
+        if found.is_empty() && self.table.names.is_empty() && !self.seen.is_empty() {
+            // Without names the first column counts, as everywhere; its numbers are checked like others.
+            found.push(0);
+        }
+        if found.is_empty() {
+            let text = format!("no column of times among {}", listed(&self.table.names));
+            return Err(ExportError::at(self.table.line, text, "say which it is: --map t=COLUMN,op=…,pv=…"));
+        }
+        if let Some(pair) = found.windows(2).find(|w| w[1] == w[0] + 1) {
+            let text = format!("{:?} and {:?} both hold times", self.name(pair[0]), self.name(pair[1]));
+            return Err(ExportError::at(self.table.line, text, "say which counts: --map t=COLUMN,op=…,pv=…"));
+        }
+        Ok(found.into_iter().map(|at| self.time(at, None)).collect())
+    }
+
+    fn is_long_by_names(&self) -> bool {
+        let names = &self.table.names;
+        names.iter().any(|n| is_tag(n)) && names.iter().any(|n| is_value(n))
+    }
+
+    fn long(&self, times: &[TimeColumn]) -> Result<Option<Shape>, ExportError> {
+        let names = &self.table.names;
+        let is_time = |at: &usize| times.iter().any(|t| t.at == *at || t.clock_at == Some(*at));
+        let by = |is: fn(&str) -> bool| (0..names.len()).find(|at| is(&names[*at]) && !is_time(at));
+        let tag = self.mapped(Part::Tag)?.or_else(|| by(is_tag));
+        let value = self.mapped(Part::Value)?.or_else(|| by(is_value));
+        let quality = self.mapped(Part::Quality)?.or_else(|| by(is_quality));
+        match (tag, value) {
+            (Some(tag), Some(value)) if times.len() == 1 => {
+                Ok(Some(Shape::Long { tag, value, quality: quality.filter(|q| *q != tag && *q != value) }))
+            }
+            _ => Ok(None),
+        }
+    }
+
+    fn wide(&self, times: &[TimeColumn]) -> Result<Vec<ValueColumn>, ExportError> {
+        let is_time = |at: usize| times.iter().any(|t| t.at == at || t.clock_at == Some(at));
+        // A column's time stands before it; columns before the first time share that.
+        let time_of = |at: usize| times.iter().rposition(|t| t.at < at).unwrap_or(0);
+        let mut values: Vec<ValueColumn> = Vec::new();
+        let mapped: Vec<(usize, &str)> = match self.map.filter(|m| m.names_signals()) {
+            Some(map) => {
+                let found = map.signals().map(|(_, tag)| find(tag, self.table, self.columns()).map(|at| (at, tag)));
+                let found: Vec<(Option<usize>, &str)> = found.collect::<Result<_, _>>()?;
+                found.into_iter().filter_map(|(at, tag)| at.map(|at| (at, tag))).collect()
+            }
+            None => Vec::new(),
+        };
+        for at in (0..self.columns()).filter(|at| !is_time(*at)) {
+            let name = self.table.names.get(at).map_or("", String::as_str);
+            if is_quality(name) && values.last().is_some_and(|v| v.at + 1 == at) {
+                if let Some(last) = values.last_mut() {
+                    last.quality = Some(at);
+                }
+                continue;
+            }
+            let tag = match mapped.iter().find(|(column, _)| *column == at) {
+                Some((_, tag)) => (*tag).to_owned(),
+                None if name.is_empty() => continue,
+                None => name.to_owned(),
+            };
+            values.push(ValueColumn { at, time: time_of(at), quality: None, tag });
+        }
+        if values.is_empty() {
+            let text = if self.table.names.is_empty() {
+                "the file has no header".to_owned()
+            } else {
+                format!("no column of values among {}", listed(&self.table.names))
+            };
+            let remedy = "say the columns, counted from 1: --map t=1,op=2,pv=3";
+            return Err(ExportError::at(self.table.line, text, remedy));
+        }
+        Ok(values)
+    }
+}

@@ -1,0 +1,118 @@
+//! `--map`: which tags or columns are what, said by the person who knows.
+
+use std::fmt;
+
+use super::names::bare;
+use crate::record::Signal;
+
+/// What a column can be, beside a signal.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Part {
+    /// Times.
+    Time,
+    /// Tags of a long table.
+    Tag,
+    /// Values of a long table.
+    Value,
+    /// Quality codes of a long table.
+    Quality,
+    /// A signal of the one loop.
+    Signal(Signal),
+}
+
+/// `op=TAG,pv=TAG[,sp=TAG][,mv=TAG][,mode=TAG][,t=COLUMN][,tag=COLUMN][,value=COLUMN][,quality=COLUMN]`.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Map {
+    parts: Vec<(Part, String)>,
+}
+
+fn part(word: &str) -> Option<Part> {
+    match word.trim() {
+        "t" | "time" => Some(Part::Time),
+        "tag" => Some(Part::Tag),
+        "value" => Some(Part::Value),
+        "quality" => Some(Part::Quality),
+        other => Signal::from_name(other).map(Part::Signal),
+    }
+}
+
+impl Map {
+    /// Reads the flag's value. A tag may hold commas: a part begins only where a known word and `=` follow one.
+    ///
+    /// # Errors
+    /// A sentence that shows what would be understood.
+    pub fn parse(text: &str) -> Result<Self, String> {
+        let known = "write op=TAG,pv=TAG[,sp=TAG][,mv=TAG][,mode=TAG][,t=COLUMN], columns by name or counted from 1";
+        let mut parts: Vec<(Part, String)> = Vec::new();
+        for piece in text.split(',') {
+            match piece.split_once('=').and_then(|(word, tag)| part(word).map(|p| (p, tag.trim()))) {
+                Some((part, _)) if parts.iter().any(|(p, _)| *p == part) => {
+                    return Err(format!("{piece:?} says a second time what is said before; {known}"));
+                }
+                Some((part, tag)) if !tag.is_empty() => parts.push((part, tag.to_owned())),
+                _ => match parts.last_mut() {
+                    Some((_, tag)) => *tag = format!("{tag},{piece}"),
+                    None => return Err(format!("{piece:?} is not understood; {known}")),
+                },
+            }
+        }
+        Ok(Self { parts })
+    }
+
+    /// What was said of a part.
+    pub(super) fn of(&self, part: Part) -> Option<&str> {
+        self.parts.iter().find(|(p, _)| *p == part).map(|(_, tag)| tag.as_str())
+    }
+
+    /// Whether it names signals, not only columns of times, tags and values.
+    pub(super) fn names_signals(&self) -> bool {
+        self.parts.iter().any(|(p, _)| matches!(p, Part::Signal(_)))
+    }
+
+    /// Signals with their tags.
+    pub(super) fn signals(&self) -> impl Iterator<Item = (Signal, &str)> {
+        self.parts.iter().filter_map(|(p, tag)| if let Part::Signal(s) = p { Some((*s, tag.as_str())) } else { None })
+    }
+
+    /// The signal that a tag was said to be.
+    pub(super) fn signal_of(&self, tag: &str) -> Option<Signal> {
+        self.signals().find(|(_, wanted)| same(wanted, tag)).map(|(signal, _)| signal)
+    }
+}
+
+/// Whether two names mean the same, letter case and units in brackets apart.
+pub(super) fn same(wanted: &str, name: &str) -> bool {
+    wanted.eq_ignore_ascii_case(name.trim()) || bare(wanted).eq_ignore_ascii_case(bare(name))
+}
+
+impl fmt::Display for Map {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (at, (part, tag)) in self.parts.iter().enumerate() {
+            let word = match part {
+                Part::Time => "t",
+                Part::Tag => "tag",
+                Part::Value => "value",
+                Part::Quality => "quality",
+                Part::Signal(signal) => signal.name(),
+            };
+            write!(f, "{}{word}={tag}", if at > 0 { "," } else { "" })?;
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn maps_are_read_or_refused_with_what_would_do() {
+        let map = Map::parse("op=Valve, main,pv=41FI101,t=1").unwrap();
+        assert_eq!(map.of(Part::Signal(Signal::Op)), Some("Valve, main"));
+        assert_eq!((map.signal_of("41fi101 (m3/h)"), map.signal_of("t")), (Some(Signal::Pv), None));
+        assert_eq!(map.to_string(), "op=Valve, main,pv=41FI101,t=1");
+        for text in ["", "x", "op=", "op=1,op=2"] {
+            assert!(Map::parse(text).unwrap_err().contains("op=TAG"), "{text}");
+        }
+    }
+}

@@ -1,0 +1,287 @@
+//! Tables as historians, spreadsheets and data tools export them: bytes → text → table → columns → times → loops.
+//!
+//! | step | file |
+//! |---|---|
+//! | encoding | `text` |
+//! | delimiter, remarks, names, units | `delimited`; workbooks `workbook`; Parquet and Arrow `columnar` |
+//! | which column is what | `columns`, `names`, `map` |
+//! | numbers, words for nothing, quality codes | `number`, `quality` |
+//! | a time taken apart, a column of them understood, zones | `stamp`, `clock`, `zone` |
+//! | rows to series, series to loops | `gather`, `pair` |
+//!
+//! Nothing is guessed where two readings are possible: such a file is refused with the line, what was seen, and the flag
+//! that settles it.
+
+mod cell;
+mod clock;
+#[cfg(feature = "parquet")]
+mod columnar;
+mod columns;
+mod delimited;
+mod gather;
+mod map;
+mod names;
+mod number;
+mod pair;
+mod quality;
+mod stamp;
+mod text;
+mod workbook;
+mod zone;
+
+pub use clock::TimeFormat;
+pub use map::Map;
+pub use number::Decimal;
+pub use quality::Codes;
+pub use zone::Zone;
+
+use std::path::Path;
+use std::time::SystemTime;
+
+use encoding_rs::Encoding;
+use thiserror::Error;
+
+use super::{InputKind, LoadedLoop, csv};
+use crate::units::parse_time;
+use cell::Table;
+use gather::Series;
+
+/// What cannot be read, where, and what would settle it.
+#[derive(Debug, Clone, PartialEq, Eq, Error)]
+#[error("{}{what}; {remedy}", place(*line))]
+pub struct ExportError {
+    /// Line in the file (row in a sheet), from 1; 0 for none.
+    pub line: u64,
+    /// What was seen.
+    pub what: String,
+    /// The flag that settles it, or what to do.
+    pub remedy: String,
+}
+
+fn place(line: u64) -> String {
+    if line == 0 { String::new() } else { format!("line {line}: ") }
+}
+
+impl ExportError {
+    fn at(line: u64, what: impl Into<String>, remedy: impl Into<String>) -> Self {
+        Self { line, what: what.into(), remedy: remedy.into() }
+    }
+}
+
+/// What the reader of a file was told about it.
+#[derive(Debug, Clone, Default)]
+pub struct ReadOptions {
+    /// Which tags or columns are what.
+    pub map: Option<Map>,
+    /// How times are written.
+    pub time_format: Option<TimeFormat>,
+    /// Whose clock times without a zone are.
+    pub zone: Option<Zone>,
+    /// Decimal point or comma.
+    pub decimal: Option<Decimal>,
+    /// What parts cells.
+    pub delimiter: Option<u8>,
+    /// The text's encoding.
+    pub encoding: Option<&'static Encoding>,
+    /// The sheet of a workbook.
+    pub sheet: Option<String>,
+    /// What quality codes mean.
+    pub codes: Option<Codes>,
+}
+
+impl ReadOptions {
+    /// Whether a table `t,op,pv` is read otherwise than it says of itself.
+    fn overrules(&self) -> bool {
+        self.map.is_some() || self.time_format.is_some() || self.decimal.is_some() || self.delimiter.is_some()
+    }
+}
+
+/// What was recognised in an export.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Recognised {
+    /// Its form, in a few words with commas between: files of one system have it in common.
+    pub form: String,
+    /// What was counted in this file, such as words for missing values.
+    pub counts: Vec<String>,
+}
+
+impl std::fmt::Display for Recognised {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(&self.form)?;
+        self.counts.iter().try_for_each(|count| write!(f, "; {count}"))
+    }
+}
+
+/// A moment that somebody wrote: seconds since 1970, or a date in any of the forms of exports.
+///
+/// # Errors
+/// A sentence that says what would settle it.
+pub fn moment(text: &str, options: &ReadOptions) -> Result<i64, String> {
+    if let Ok(t_ns) = parse_time(text) {
+        return Ok(t_ns);
+    }
+    let stamp = match &options.time_format {
+        Some(TimeFormat::Pattern(pattern)) => clock::by_pattern(pattern, text),
+        _ => stamp::Stamp::read(text),
+    };
+    let stamp = stamp.ok_or_else(|| format!("{text:?} is no time; write such as 2026-01-05T08:00:00Z"))?;
+    let mut axis = clock::Axis { name: text.to_owned(), ..clock::Axis::default() };
+    axis.push(stamp, 0);
+    let asked = clock::Asked { form: options.time_format.as_ref(), zone: options.zone.as_ref(), end_s: end_s() };
+    let times = axis.times(&[vec![0]], asked).map_err(|e| e.to_string())?;
+    times.t_ns.first().copied().ok_or_else(|| format!("{text:?} is no time"))
+}
+
+/// The loops of an export.
+#[derive(Debug, Default)]
+pub(super) struct Export {
+    /// The loops, in the order of their first tags.
+    pub loops: Vec<LoadedLoop>,
+    /// What was recognised; `None` for the program's own tables.
+    pub recognised: Option<Recognised>,
+    /// What a person should know.
+    pub warnings: Vec<String>,
+}
+
+/// What one file holds, before tags are paired.
+#[derive(Debug, Default)]
+pub(super) struct Contents {
+    series: Vec<Series>,
+    words: Vec<String>,
+    counts: Vec<String>,
+    warnings: Vec<String>,
+    /// Names of columns that mean nothing here.
+    ignored: Vec<String>,
+}
+
+fn end_s() -> i64 {
+    let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).map_or(0, |d| d.as_secs());
+    clock::end_of_next_year(i64::try_from(now).unwrap_or(0))
+}
+
+/// Whether the bytes begin as text in UTF-16 without a mark.
+pub(super) fn is_utf16(head: &[u8]) -> bool {
+    let pairs = head.chunks_exact(2).count();
+    let plain = |at: usize| {
+        head.chunks_exact(2)
+            .filter(|p| p[1 - at] == 0 && (p[at].is_ascii_graphic() || p[at].is_ascii_whitespace()))
+            .count()
+    };
+    pairs >= 4 && (plain(0).max(plain(1))) * 10 >= pairs * 8
+}
+
+/// The program's own table: header `t,op,pv…` and a first row whose time it writes itself.
+fn is_own(bytes: &[u8]) -> bool {
+    let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
+    let head = String::from_utf8_lossy(&bytes[..bytes.len().min(1 << 14)]);
+    let mut lines = head.lines().filter(|l| !l.trim().is_empty());
+    let Some(header) = lines.next() else { return false };
+    let cell = |text: &str| text.trim().trim_matches('"').trim().to_lowercase();
+    let names: Vec<String> = header.split(',').map(cell).collect();
+    let Some(time) = names.iter().position(|n| n == "t") else { return false };
+    // Without OP or PV it is a table of another kind only where it has other columns.
+    let has = |wanted: &str| names.iter().any(|n| n == wanted);
+    let first = lines.next().map(|row| row.split(',').nth(time).map(cell).unwrap_or_default());
+    has("op") && has("pv") && first.is_none_or(|t| parse_time(&t).is_ok())
+}
+
+/// Reads a table of the program's own form, and doubts times that no plant has.
+fn read_own(bytes: &[u8], name: &str) -> Result<Export, super::FileFault> {
+    let table = csv::read_from(bytes)?;
+    let mut t_ns: Vec<i64> = table.samples.iter().map(|s| s.t_ns).collect();
+    t_ns.dedup();
+    clock::doubt_about_seconds(&t_ns, end_s()).map_err(|(what, remedy)| ExportError::at(2, what, remedy))?;
+    Ok(Export { loops: vec![LoadedLoop::new(name, table.samples)], recognised: None, warnings: table.warnings })
+}
+
+/// Reads an export whole.
+///
+/// # Errors
+/// What cannot be recognised, with its line and the flag that settles it.
+pub(super) fn read(
+    kind: InputKind,
+    path: &Path,
+    bytes: &[u8],
+    options: &ReadOptions,
+) -> Result<Export, super::FileFault> {
+    let stem = stem_of(path);
+    if kind == InputKind::Csv && !options.overrules() && is_own(bytes) {
+        return read_own(bytes, &crate::units::loop_name_from(&stem));
+    }
+    let contents = contents(kind, path, bytes, options)?;
+    Ok(pair::loops(vec![(stem, contents)], options)?)
+}
+
+/// Reads files that hold one signal each and make up loops together.
+///
+/// # Errors
+/// As [`read`].
+pub(super) fn read_parts(parts: Vec<(String, Contents)>, options: &ReadOptions) -> Result<Export, ExportError> {
+    pair::loops(parts, options)
+}
+
+/// A file's name without its ending.
+pub(super) fn stem_of(path: &Path) -> String {
+    path.file_stem().map_or_else(|| "loop".into(), |stem| stem.to_string_lossy().into_owned())
+}
+
+/// The one signal of a file of a signal: its loop's name in capitals; `None` for every other file.
+///
+/// Only the first rows are looked at.
+pub(super) fn only_signal(kind: InputKind, path: &Path, bytes: &[u8], options: &ReadOptions) -> Option<String> {
+    if kind == InputKind::Csv && is_own(bytes) {
+        return None;
+    }
+    let decoded = text::decode(bytes, options.encoding);
+    let table = match kind {
+        InputKind::Csv => delimited::table(&decoded.text, options.delimiter).ok()?,
+        _ => return None,
+    };
+    let map = options.map.as_ref();
+    let layout = columns::layout(&table, map.filter(|m| !m.names_signals())).ok()?;
+    gather::only_role(&layout, &stem_of(path), map).map(|role| role.loop_name.to_uppercase())
+}
+
+/// Series of a file.
+///
+/// # Errors
+/// As [`read`].
+pub(super) fn contents(
+    kind: InputKind,
+    path: &Path,
+    bytes: &[u8],
+    options: &ReadOptions,
+) -> Result<Contents, ExportError> {
+    let stem = stem_of(path);
+    match kind {
+        InputKind::Xlsx => workbook::read(bytes, &stem, options),
+        #[cfg(feature = "parquet")]
+        InputKind::Parquet | InputKind::Arrow => {
+            let table = columnar::table(kind, bytes)?;
+            contents_of(&table, &stem, options)
+        }
+        #[cfg(not(feature = "parquet"))]
+        InputKind::Parquet | InputKind::Arrow => Err(ExportError::at(
+            0,
+            "this build reads no Parquet and no Arrow",
+            "build with --features parquet, or export .csv",
+        )),
+        _ => {
+            let decoded = text::decode(bytes, options.encoding);
+            let mut table = delimited::table(&decoded.text, options.delimiter)?;
+            table.words.splice(0..0, decoded.encoding);
+            contents_of(&table, &stem, options)
+        }
+    }
+}
+
+/// Libraries check what they read and panic on some of what is damaged: the file's fault, told as such.
+fn guarded<T>(work: impl FnOnce() -> Result<T, ExportError>) -> Result<T, ExportError> {
+    std::panic::catch_unwind(std::panic::AssertUnwindSafe(work))
+        .unwrap_or_else(|_| Err(ExportError::at(0, "the file is damaged", "export it again")))
+}
+
+fn contents_of(table: &Table<'_>, stem: &str, options: &ReadOptions) -> Result<Contents, ExportError> {
+    let layout = columns::layout(table, options.map.as_ref())?;
+    gather::gather(table, &layout, stem, options, end_s())
+}

@@ -1,0 +1,307 @@
+//! Tags: which loop and which of its signals a column or tag is.
+
+use crate::record::Signal;
+use crate::units::loop_name_from;
+
+/// Ends of tags, the strongest of each signal first.
+const ENDS: [(&str, Signal); 47] = [
+    ("OP", Signal::Op),
+    ("OUT", Signal::Op),
+    ("CO", Signal::Op),
+    ("OUTPUT", Signal::Op),
+    ("CONTROLLER_OUTPUT", Signal::Op),
+    ("CONTROL_OUTPUT", Signal::Op),
+    ("CONTROLLER OUTPUT", Signal::Op),
+    ("LMN", Signal::Op),
+    // Yokogawa's and Honeywell's word for the controller output.
+    ("MV", Signal::Op),
+    ("PV", Signal::Pv),
+    ("PROCESS_VALUE", Signal::Pv),
+    ("PROCESSVALUE", Signal::Pv),
+    ("PROCESS VALUE", Signal::Pv),
+    ("PROCESS_VARIABLE", Signal::Pv),
+    ("PROCESS VARIABLE", Signal::Pv),
+    ("ACTUAL_VALUE", Signal::Pv),
+    ("ACTUAL", Signal::Pv),
+    ("MEAS", Signal::Pv),
+    ("MEASUREMENT", Signal::Pv),
+    ("PV_IN", Signal::Pv),
+    ("SP", Signal::Sp),
+    ("SETPOINT", Signal::Sp),
+    ("SET_POINT", Signal::Sp),
+    ("SET POINT", Signal::Sp),
+    ("SV", Signal::Sp),
+    ("WSP", Signal::Sp),
+    ("MODE", Signal::Mode),
+    ("MODE.ACTUAL", Signal::Mode),
+    ("MODE/ACTUAL", Signal::Mode),
+    ("MODE_ACTUAL", Signal::Mode),
+    ("MODE_ACT", Signal::Mode),
+    ("MD", Signal::Mode),
+    ("ZT", Signal::Mv),
+    ("ZI", Signal::Mv),
+    ("POS", Signal::Mv),
+    ("POSITION", Signal::Mv),
+    ("VALVE_POSITION", Signal::Mv),
+    ("VALVE POSITION", Signal::Mv),
+    ("STEM_POSITION", Signal::Mv),
+    ("POSITIONER", Signal::Mv),
+    ("POSITIONER_FEEDBACK", Signal::Mv),
+    ("POSITIONER FEEDBACK", Signal::Mv),
+    ("FEEDBACK", Signal::Mv),
+    ("FBK", Signal::Mv),
+    ("FB", Signal::Mv),
+    ("READBACK", Signal::Mv),
+    ("FINAL_POSITION_VALUE", Signal::Mv),
+];
+
+/// What may part a tag from its end.
+const SEPARATORS: &str = "._/|:-\\ ";
+
+/// Ends that say that a value follows, not which: DeltaV's `.CV`, attributes of other systems.
+const VALUES: [&str; 6] = ["CV", "F_CV", "VALUE", "VAL", "PRESENTVALUE", "READVALUE"];
+
+/// Blocks of a control module: the same loop, another block (Honeywell, DeltaV).
+const BLOCKS: [&str; 9] = ["DACA", "PIDA", "PID", "PID1", "AI1", "AO1", "FBPID", "REGCTLA", "DATAACQA"];
+
+/// What a tag is.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct Role {
+    /// The loop's name; empty where the tag names a signal alone.
+    pub loop_name: String,
+    /// The signal.
+    pub signal: Signal,
+    /// Place in the list of ends: less is stronger.
+    pub rank: usize,
+}
+
+/// A tag without its unit in brackets (Seeq's `41FIC101.OP (%)`), its server and its name space.
+pub(super) fn bare(tag: &str) -> &str {
+    let mut tag = tag.trim().trim_matches('"').trim();
+    for (open, close) in [('(', ')'), ('[', ']'), ('{', '}')] {
+        if let (true, Some(at)) = (tag.ends_with(close), tag.rfind(open)) {
+            tag = if at > 0 { tag[..at].trim_end() } else { tag };
+        }
+    }
+    if let Some((_, after)) = tag.rsplit_once(";s=") {
+        tag = after;
+    }
+    // \\server\tag of PI, \\AF\database\unit|loop|attribute of its asset framework.
+    if let (true, Some((_, last))) = (tag.starts_with("\\\\"), tag.rsplit_once('\\')) {
+        tag = last;
+    }
+    tag
+}
+
+/// The unit in brackets behind a name.
+pub(super) fn unit(name: &str) -> Option<&str> {
+    let name = name.trim();
+    [('(', ')'), ('[', ']')].into_iter().find_map(|(open, close)| {
+        let inside = name.strip_suffix(close)?;
+        inside.rfind(open).map(|at| inside[at + 1..].trim())
+    })
+}
+
+/// A text without an end, if it has it (letter case apart) and a separator stands before; all of it counts too.
+fn without<'t>(text: &'t str, end: &str) -> Option<&'t str> {
+    let at = text.len().checked_sub(end.len())?;
+    if !text.is_char_boundary(at) || !text[at..].eq_ignore_ascii_case(end) {
+        return None;
+    }
+    let stem = &text[..at];
+    if stem.is_empty() {
+        return Some("");
+    }
+    stem.strip_suffix(|c: char| SEPARATORS.contains(c))
+}
+
+/// Loop and signal of a tag; `None` where its end is not known.
+pub(super) fn role(tag: &str) -> Option<Role> {
+    let tag = bare(tag);
+    let plain = VALUES.iter().find_map(|end| without(tag, end).filter(|stem| !stem.is_empty()));
+    let found = longest_end(tag).or_else(|| longest_end(plain?))?;
+    let (stem, rank) = found;
+    let stem = BLOCKS.iter().find_map(|block| without(stem, block).filter(|s| !s.is_empty())).unwrap_or(stem);
+    let loop_name = if stem.is_empty() { String::new() } else { loop_name_from(stem) };
+    let signal = match ENDS[rank] {
+        // A column called mv alone is the program's own word for the valve's position.
+        ("MV", _) if stem.is_empty() => Signal::Mv,
+        (_, signal) => signal,
+    };
+    Some(Role { loop_name, signal, rank })
+}
+
+fn longest_end(tag: &str) -> Option<(&str, usize)> {
+    let fits = ENDS.iter().enumerate().filter_map(|(rank, (end, _))| Some((without(tag, end)?, rank, end.len())));
+    fits.max_by_key(|(_, _, length)| *length).map(|(stem, rank, _)| (stem, rank))
+}
+
+/// A heading in small letters without units and signs between its words.
+pub(super) fn plain(name: &str) -> String {
+    let words = bare(name).to_lowercase();
+    words.split(|c: char| !c.is_alphanumeric()).filter(|w| !w.is_empty()).collect::<Vec<_>>().join(" ")
+}
+
+/// Whether a heading is one of times.
+pub(super) fn is_time(name: &str) -> bool {
+    const TIMES: [&str; 41] = [
+        "t",
+        "ts",
+        "time",
+        "timestamp",
+        "time stamp",
+        "date",
+        "datetime",
+        "date time",
+        "zeit",
+        "zeitstempel",
+        "datum",
+        "datum zeit",
+        "datum uhrzeit",
+        "uhrzeit",
+        "horodatage",
+        "date heure",
+        "heure",
+        "fecha",
+        "fecha hora",
+        "hora",
+        "local time",
+        "localtime",
+        "utc",
+        "utc time",
+        "time utc",
+        "timestamp utc",
+        "event time",
+        "eventtime",
+        "source time",
+        "sourcetime",
+        "source timestamp",
+        "sourcetimestamp",
+        "sample time",
+        "log time",
+        "logtime",
+        "recorded time",
+        "t s",
+        "time s",
+        "index",
+        "tijd",
+        "tidpunkt",
+    ];
+    let name = plain(name);
+    TIMES.contains(&name.as_str()) || name.ends_with(" timestamp") || name.starts_with("timestamp ")
+}
+
+/// Whether a heading is one of dates without times of day.
+pub(super) fn is_date(name: &str) -> bool {
+    ["date", "datum", "fecha", "day", "tag"].contains(&plain(name).as_str())
+}
+
+/// Whether a heading is one of tags.
+pub(super) fn is_tag(name: &str) -> bool {
+    const TAGS: [&str; 19] = [
+        "tag",
+        "tagname",
+        "tag name",
+        "tag id",
+        "name",
+        "point",
+        "pointname",
+        "point name",
+        "point id",
+        "item",
+        "itemid",
+        "item id",
+        "item name",
+        "signal",
+        "signal name",
+        "variable",
+        "sensor",
+        "series",
+        "data point",
+    ];
+    TAGS.contains(&plain(name).as_str())
+}
+
+/// Whether a heading is one of values of any tag.
+pub(super) fn is_value(name: &str) -> bool {
+    const VALUES: [&str; 14] = [
+        "value",
+        "val",
+        "wert",
+        "valeur",
+        "valor",
+        "reading",
+        "numeric value",
+        "value num",
+        "value double",
+        "vvalue",
+        "pvalue",
+        "data",
+        "data value",
+        "messwert",
+    ];
+    VALUES.contains(&plain(name).as_str())
+}
+
+/// Whether a heading is one of quality codes; `FIC101.PV Status` is, for the column before it.
+pub(super) fn is_quality(name: &str) -> bool {
+    const WORDS: [&str; 11] = [
+        "quality",
+        "qual",
+        "status",
+        "confidence",
+        "qualität",
+        "statuscode",
+        "opcquality",
+        "isgood",
+        "qualité",
+        "calidad",
+        "questionable",
+    ];
+    let name = plain(name);
+    name == "quality code" || name == "status code" || WORDS.contains(&name.rsplit(' ').next().unwrap_or_default())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use Signal::{Mode, Mv, Op, Pv, Sp};
+
+    #[test]
+    fn tags_of_the_usual_systems_are_told() {
+        for (tag, name, signal) in [
+            ("41FIC101.OP", "41FIC101", Op),
+            ("41FIC101.PV (m³/h)", "41FIC101", Pv),
+            ("41FIC101.SP [%]", "41FIC101", Sp),
+            ("41fic101_out", "41fic101", Op),
+            ("41LIC7.MV", "41LIC7", Op),
+            ("41LIC7.PROCESS_VALUE", "41LIC7", Pv),
+            ("41LIC7.ACTUAL", "41LIC7", Pv),
+            ("41LIC7.SETPOINT", "41LIC7", Sp),
+            ("41LIC7.ZT", "41LIC7", Mv),
+            ("41LIC7 Positioner Feedback", "41LIC7", Mv),
+            (r"\\PISRV01\41FIC101.PV", "41FIC101", Pv),
+            (r"\\AF\Plant\Unit 41|41FIC101|OP", "Unit_41|41FIC101", Op),
+            ("FIC101/PID1/OUT.CV", "FIC101", Op),
+            ("FIC101/PID1/MODE.ACTUAL", "FIC101", Mode),
+            ("41FIC101.PIDA.OP", "41FIC101", Op),
+            ("41FIC101.DACA.PV", "41FIC101", Pv),
+            ("ns=2;s=Area1.FIC101.SP", "Area1.FIC101", Sp),
+            ("mv", "", Mv),
+            ("OP", "", Op),
+        ] {
+            let role = role(tag).unwrap_or_else(|| panic!("{tag}"));
+            assert_eq!((role.loop_name.as_str(), role.signal), (name, signal), "{tag}");
+        }
+        for tag in ["41TI5", "STOP", "comment", "41FIC101.MODE.TARGET", "", "SHOP"] {
+            assert!(role(tag).is_none(), "{tag}");
+        }
+    }
+
+    #[test]
+    fn headings_are_told() {
+        assert!(is_time("Time Stamp") && is_time("time [s]") && is_time("Date/Time") && !is_time("41FIC101.PV"));
+        assert!(is_tag("TagName") && is_value("Value") && is_quality("Quality") && is_quality("41FIC101.PV Status"));
+        assert_eq!(unit("t [s]"), Some("s"));
+    }
+}

@@ -1,0 +1,222 @@
+//! Numbers as exports write them: decimal points and commas, thousands, per cent, and words where a value is missing.
+
+use clap::ValueEnum;
+
+/// What parts a number's whole from its fraction.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Decimal {
+    /// `1.5`, and `1,234.5` with thousands.
+    Point,
+    /// `1,5`, and `1.234,5` with thousands.
+    Comma,
+}
+
+/// What one cell says about a file's decimals.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Hint {
+    /// Nothing: no separator, or no number.
+    None,
+    /// Surely this one.
+    Sure(Decimal),
+    /// `1,234` or `1.234`: decimals or thousands, by [`Decimal::Comma`] or [`Decimal::Point`] as the separator seen.
+    Either(Decimal),
+}
+
+/// Beginnings, in small letters, of what systems write instead of a value.
+const MISSING: [&str; 45] = [
+    "bad",
+    "i/o timeout",
+    "io timeout",
+    "no data",
+    "nodata",
+    "no good data",
+    "[-",
+    "n/a",
+    "#n/a",
+    "na",
+    "nan",
+    "null",
+    "<null>",
+    "none",
+    "-",
+    "--",
+    "---",
+    "?",
+    "pt created",
+    "point created",
+    "shutdown",
+    "comm fail",
+    "comm error",
+    "scan off",
+    "scan timeout",
+    "configure",
+    "intf shut",
+    "not connect",
+    "out of serv",
+    "over range",
+    "under range",
+    "arc off-line",
+    "calc failed",
+    "calc off",
+    "calc timeout",
+    "no result",
+    "no sample",
+    "invalid",
+    "missing",
+    "uncertain",
+    "error",
+    "#value",
+    "#div",
+    "snapfix",
+    "digital state",
+];
+
+/// Whether a text is one that systems write where they have no value.
+pub(super) fn is_missing_word(text: &str) -> bool {
+    let lower = text.trim().to_lowercase();
+    let longer = |word: &str| word.len() > 3 && lower.starts_with(word);
+    lower.is_empty()
+        || MISSING.iter().any(|word| lower == *word || longer(word))
+        || ["bad", "[-", "#n/"].iter().any(|word| lower.starts_with(word))
+}
+
+/// Without what stands around a number: spaces of all widths, apostrophes between thousands, a sign of per cent.
+fn bare(text: &str) -> Option<std::borrow::Cow<'_, str>> {
+    let text = text.trim().trim_end_matches('%').trim_end();
+    let first = text.trim_start_matches(['+', '-', '\u{2212}']).chars().next()?;
+    if !(first.is_ascii_digit() || first == '.' || first == ',') {
+        return None;
+    }
+    let grouping = |c: char| c == '\'' || c == '\u{2019}' || c.is_whitespace();
+    if !text.contains(|c: char| grouping(c) || c == '\u{2212}') {
+        return Some(text.into());
+    }
+    // A blank inside a number stands before three digits.
+    let chars: Vec<char> = text.chars().collect();
+    let fits = |at: usize| {
+        chars[at + 1..].iter().take_while(|c| c.is_ascii_digit()).count() == 3
+            && at > 0
+            && chars[at - 1].is_ascii_digit()
+    };
+    if chars.iter().enumerate().any(|(at, c)| grouping(*c) && !fits(at)) {
+        return None;
+    }
+    let kept = chars.into_iter().filter(|c| !grouping(*c)).map(|c| if c == '\u{2212}' { '-' } else { c });
+    Some(kept.collect::<String>().into())
+}
+
+/// Whether every group behind the first has three digits and the first has one to three.
+fn in_groups(whole: &str, separator: char) -> bool {
+    let mut groups = whole.trim_start_matches(['+', '-']).split(separator);
+    let digits = |g: &str| g.bytes().all(|b| b.is_ascii_digit());
+    groups.next().is_some_and(|g| (1..=3).contains(&g.len()) && digits(g)) && groups.all(|g| g.len() == 3 && digits(g))
+}
+
+/// What a cell says about the decimals of its file.
+pub(super) fn hint(text: &str) -> Hint {
+    let Some(text) = bare(text) else { return Hint::None };
+    let count = |c: char| text.matches(c).count();
+    let found = match (count(','), count('.')) {
+        (0, 0) => Hint::None,
+        (1, 0) | (0, 1) => {
+            let kind = if count(',') == 1 { Decimal::Comma } else { Decimal::Point };
+            let separator = if kind == Decimal::Comma { ',' } else { '.' };
+            let thousands = in_groups(&text, separator) && !text.trim_start_matches(['+', '-']).starts_with('0');
+            if thousands { Hint::Either(kind) } else { Hint::Sure(kind) }
+        }
+        (_, 0) => Hint::Sure(Decimal::Point),
+        (0, _) => Hint::Sure(Decimal::Comma),
+        (_, _) => {
+            let comma_last = text.rfind(',') > text.rfind('.');
+            Hint::Sure(if comma_last { Decimal::Comma } else { Decimal::Point })
+        }
+    };
+    match found {
+        // Only what is a number then counts.
+        Hint::Sure(kind) if number(&text, kind).is_none() => Hint::None,
+        other => other,
+    }
+}
+
+/// Reads a number; `None` where it is none, not finite, or written with the other kind of decimals.
+pub(super) fn number(text: &str, decimal: Decimal) -> Option<f64> {
+    let text = bare(text)?;
+    let (group, point) = if decimal == Decimal::Point { (',', '.') } else { ('.', ',') };
+    let whole = text.split([point, 'e', 'E']).next().unwrap_or_default();
+    if text.matches(group).count() != whole.matches(group).count() {
+        return None;
+    }
+    let plain = if whole.contains(group) {
+        if !in_groups(whole, group) {
+            return None;
+        }
+        text.replace(group, "").replace(point, ".")
+    } else if point == '.' {
+        return finite(&text);
+    } else {
+        text.replace(point, ".")
+    };
+    finite(&plain)
+}
+
+fn finite(text: &str) -> Option<f64> {
+    text.parse::<f64>().ok().filter(|v| v.is_finite())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn decimals_and_thousands_are_told_apart() {
+        use Decimal::{Comma, Point};
+        for (text, expected) in [
+            ("12", Hint::None),
+            ("1.5", Hint::Sure(Point)),
+            ("1,5", Hint::Sure(Comma)),
+            ("0,125", Hint::Sure(Comma)),
+            ("1,234", Hint::Either(Comma)),
+            ("1.234", Hint::Either(Point)),
+            ("1,234,567", Hint::Sure(Point)),
+            ("1.234,5", Hint::Sure(Comma)),
+            ("1,234.5", Hint::Sure(Point)),
+            ("1 234,5 %", Hint::Sure(Comma)),
+            ("Bad, very", Hint::None),
+            ("1,2,3", Hint::None),
+        ] {
+            assert_eq!(hint(text), expected, "{text}");
+        }
+        assert_eq!(number("1.234,5", Comma), Some(1234.5));
+        assert_eq!(number("1'234.5", Point), Some(1234.5));
+        assert_eq!(number("1\u{a0}234,5", Comma), Some(1234.5));
+        assert_eq!(number("-4,5E-3", Comma), Some(-4.5e-3));
+        assert_eq!(number("45.2 %", Point), Some(45.2));
+        for (text, decimal) in [("1,5", Point), ("1.5", Comma), ("12 5", Point), ("nan", Point), ("1e999", Point)] {
+            assert_eq!(number(text, decimal), None, "{text}");
+        }
+    }
+
+    #[test]
+    fn words_for_nothing_are_known() {
+        for word in ["Bad Input", "I/O Timeout", "No Data", "[-11059] No Good Data For Calculation", "-", "N/A", "NaN"]
+        {
+            assert!(is_missing_word(word), "{word}");
+        }
+        assert!(!is_missing_word("Auto") && !is_missing_word("name") && !is_missing_word("12"));
+    }
+
+    proptest! {
+        #[test]
+        fn numbers_read_back_in_both_ways(v in -1e12..1e12_f64) {
+            let point = format!("{v}");
+            prop_assert_eq!(number(&point, Decimal::Point), Some(v));
+            prop_assert_eq!(number(&point.replace('.', ","), Decimal::Comma), Some(v));
+        }
+
+        #[test]
+        fn no_text_panics(text in ".{0,20}") {
+            let _ = (hint(&text), number(&text, Decimal::Comma), is_missing_word(&text));
+        }
+    }
+}

@@ -1,0 +1,212 @@
+//! Workbooks: every sheet that holds a table, or the one that was asked for.
+
+use std::io::Cursor;
+
+use calamine::{Data, ExcelDateTime, Reader as _, Xlsx, XlsxError};
+use jiff::tz::Offset;
+
+use super::cell::{Cell, Rows, Table, Take};
+use super::stamp::Stamp;
+use super::{Contents, ExportError, ReadOptions, contents_of, guarded};
+
+/// Rows above a table, at most.
+const MOST_ABOVE: usize = 50;
+/// Cells of a sheet, empty ones before filled ones counted, at most: a few bytes can name a cell at the sheet's far end.
+const MOST_CELLS: usize = 50_000_000;
+
+struct Sheet {
+    /// Numbers of rows, from 1, and their cells.
+    rows: Vec<(u64, Vec<Data>)>,
+    /// Place of the first row of values.
+    first: usize,
+}
+
+/// Reads the tables of a workbook.
+///
+/// # Errors
+/// It is no workbook, the sheet is not there, or no sheet holds a table.
+pub(super) fn read(bytes: &[u8], stem: &str, options: &ReadOptions) -> Result<Contents, ExportError> {
+    guarded(|| sheets(bytes, stem, options))
+}
+
+fn no_book(error: impl std::fmt::Display) -> ExportError {
+    ExportError::at(0, format!("no workbook that can be read: {error}"), "save it as .xlsx or .csv")
+}
+
+/// The cells of a sheet, row by row.
+fn rows_of(book: &mut Xlsx<Cursor<&[u8]>>, name: &str) -> Result<Vec<(u64, Vec<Data>)>, ExportError> {
+    let mut cells = book.worksheet_cells_reader(name).map_err(no_book)?;
+    let mut rows: Vec<(u64, Vec<Data>)> = Vec::new();
+    let mut count = 0;
+    while let Some(cell) = cells.next_cell().map_err(|e: XlsxError| no_book(e))? {
+        let (row, column) = cell.get_position();
+        let (row, column) = (u64::from(row) + 1, column as usize);
+        if rows.last().is_none_or(|(last, _)| *last != row) {
+            rows.push((row, Vec::new()));
+        }
+        let Some((_, own)) = rows.last_mut() else { continue };
+        count += (column + 1).saturating_sub(own.len());
+        if count > MOST_CELLS {
+            return Err(ExportError::at(row, format!("sheet {name:?} has over {MOST_CELLS} cells"), "save it as .csv"));
+        }
+        if own.len() <= column {
+            own.resize(column + 1, Data::Empty);
+        }
+        own[column] = cell.get_value().clone().into();
+    }
+    Ok(rows)
+}
+
+fn sheets(bytes: &[u8], stem: &str, options: &ReadOptions) -> Result<Contents, ExportError> {
+    let mut book: Xlsx<Cursor<&[u8]>> = Xlsx::new(Cursor::new(bytes)).map_err(|e: XlsxError| no_book(e))?;
+    let names = book.sheet_names();
+    let wanted: Vec<String> = match &options.sheet {
+        None => names,
+        Some(one) if names.contains(one) => vec![one.clone()],
+        Some(one) => {
+            let text = format!("no sheet {one:?}; there are {}", super::columns::listed(&names));
+            return Err(ExportError::at(0, text, "say one of these by --sheet"));
+        }
+    };
+    let mut all = Contents::default();
+    let (mut read, mut first_fault) = (0, None);
+    let several = wanted.len() > 1;
+    for name in &wanted {
+        let rows = match rows_of(&mut book, name) {
+            Ok(rows) => rows,
+            Err(fault) => {
+                first_fault.get_or_insert(fault);
+                continue;
+            }
+        };
+        let Some(sheet) = Sheet::of(rows) else { continue };
+        let table = sheet.table(name);
+        match contents_of(&table, if several { name } else { stem }, options) {
+            Ok(contents) => {
+                read += 1;
+                all.add(contents, if several { name } else { stem });
+            }
+            Err(fault) => {
+                let what = format!("sheet {name:?}: {}", fault.what);
+                first_fault.get_or_insert(ExportError { what, ..fault });
+            }
+        }
+    }
+    match (read, first_fault) {
+        (0, Some(fault)) => Err(fault),
+        (0, None) => Err(ExportError::at(0, "no sheet holds rows with a time and numbers", "export such a table")),
+        (_, Some(fault)) if !several => Err(fault),
+        (_, Some(fault)) => {
+            all.warnings.push(format!("not read: {fault}"));
+            Ok(all)
+        }
+        _ => Ok(all),
+    }
+}
+
+impl Contents {
+    /// Takes in another sheet; its nameless loop is called after it.
+    fn add(&mut self, mut other: Self, sheet: &str) {
+        for series in other.series.iter_mut().filter(|s| s.role.loop_name.is_empty()) {
+            series.role.loop_name = crate::units::loop_name_from(sheet);
+        }
+        if self.words.is_empty() {
+            self.words = other.words;
+        }
+        self.counts.append(&mut other.counts);
+        self.series.append(&mut other.series);
+        self.warnings.append(&mut other.warnings);
+        self.ignored.append(&mut other.ignored);
+    }
+}
+
+fn filled(row: &[Data]) -> usize {
+    row.iter().filter(|c| !matches!(c, Data::Empty)).count()
+}
+
+impl Sheet {
+    fn of(rows: Vec<(u64, Vec<Data>)>) -> Option<Self> {
+        let value = |cell: &Data| match cell {
+            Data::Int(_) | Data::Float(_) | Data::DateTime(_) | Data::DateTimeIso(_) => true,
+            Data::String(text) => Stamp::read(text).is_some_and(Stamp::is_dated),
+            _ => false,
+        };
+        let is_values = |(_, row): &(u64, Vec<Data>)| filled(row) >= 2 && row.iter().any(value);
+        let first = rows.iter().take(MOST_ABOVE).position(is_values)?;
+        Some(Self { rows, first })
+    }
+
+    fn table(&self, name: &str) -> Table<'_> {
+        let mut head = self.first;
+        while head > 0 && filled(&self.rows[head - 1].1) >= 2 {
+            head -= 1;
+        }
+        let mut words = vec![format!("sheet {name:?}")];
+        let names: Vec<String> = if head < self.first {
+            self.rows[head].1.iter().map(|c| c.to_string().trim().to_owned()).collect()
+        } else {
+            words.push("no header".to_owned());
+            Vec::new()
+        };
+        if self.first > head + 1 {
+            words.push(format!("units in row {}", self.rows[head + 1].0));
+        }
+        Table { names, line: self.rows[head].0, rows: Box::new(SheetRows(self)), words }
+    }
+}
+
+struct SheetRows<'s>(&'s Sheet);
+
+impl Rows for SheetRows<'_> {
+    fn each(&self, take: &mut Take<'_>) -> Result<(), ExportError> {
+        for (number, row) in self.0.rows.iter().skip(self.0.first).filter(|(_, row)| filled(row) > 0) {
+            let errors: Vec<String> =
+                row.iter().map(|c| if let Data::Error(e) = c { e.to_string() } else { String::new() }).collect();
+            let cells: Vec<Cell<'_>> = row.iter().zip(&errors).map(|(c, error)| cell(c, error)).collect();
+            if !take(*number, &cells)? {
+                break;
+            }
+        }
+        Ok(())
+    }
+}
+
+fn cell<'c>(data: &'c Data, error: &'c str) -> Cell<'c> {
+    match data {
+        Data::Empty => Cell::Empty,
+        Data::Int(v) => Cell::Integer(*v),
+        Data::Float(v) => Cell::Number(*v),
+        Data::Bool(v) => Cell::Text(if *v { "true" } else { "false" }),
+        Data::DateTime(when) => local(when).map_or(Cell::Number(when.as_f64()), Cell::Local),
+        Data::Error(_) => Cell::Text(error),
+        other => match other.as_text() {
+            Some("") | None => Cell::Empty,
+            Some(text) => Cell::Text(text),
+        },
+    }
+}
+
+trait AsText {
+    fn as_text(&self) -> Option<&str>;
+}
+
+impl AsText for Data {
+    fn as_text(&self) -> Option<&str> {
+        match self {
+            Self::String(text) | Self::DateTimeIso(text) | Self::DurationIso(text) => Some(text.trim()),
+            _ => None,
+        }
+    }
+}
+
+/// A date of the sheet, ns as if it were UTC. Excel keeps milliseconds.
+fn local(when: &ExcelDateTime) -> Option<i64> {
+    if !when.is_datetime() {
+        return None;
+    }
+    let (year, month, day, hour, minute, second, milli) = when.to_ymd_hms_milli();
+    let signed = |v: u8| i8::try_from(v).ok();
+    let day = jiff::civil::Date::new(i16::try_from(year).ok()?, signed(month)?, signed(day)?).ok()?;
+    let stamp = day.at(signed(hour)?, signed(minute)?, signed(second)?, i32::from(milli) * 1_000_000);
+    i64::try_from(Offset::UTC.to_timestamp(stamp).ok()?.as_nanosecond()).ok()
+}

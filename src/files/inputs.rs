@@ -1,0 +1,176 @@
+//! What the words on a command line stand for: files, folders, patterns; and files of one signal each that belong to one loop.
+
+use std::collections::HashMap;
+use std::fs::File;
+use std::io::Read as _;
+use std::path::{Path, PathBuf};
+
+use super::export::{self, ReadOptions};
+use super::{FileError, InputKind, Loaded, load};
+
+/// Endings of files that are read from folders.
+const ENDINGS: [&str; 16] = [
+    "csv", "txt", "tsv", "tab", "dat", "asc", "xlsx", "xlsm", "parquet", "pq", "arrow", "feather", "ipc", "mat",
+    "mcap", "part",
+];
+/// Bytes from which a file of one signal is told.
+const HEAD: u64 = 1 << 16;
+/// Folders below the one that was given, at most.
+const DEPTH: usize = 8;
+
+/// Files that are read together.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Unit {
+    /// One file, or those of one loop's signals.
+    pub paths: Vec<PathBuf>,
+}
+
+impl Unit {
+    /// What it is called in messages.
+    #[must_use]
+    pub fn name(&self) -> String {
+        let first = self.paths.first().map(|p| p.display().to_string()).unwrap_or_default();
+        match self.paths.len() {
+            0 | 1 => first,
+            n => format!("{first} and {} more", n - 1),
+        }
+    }
+
+    /// Reads it.
+    ///
+    /// # Errors
+    /// As [`load`].
+    pub fn load(&self, options: &ReadOptions) -> Result<Loaded, FileError> {
+        if let [one] = &self.paths[..] {
+            return load(one, options);
+        }
+        let mut parts = Vec::with_capacity(self.paths.len());
+        for path in &self.paths {
+            let kind = InputKind::detect(path)?;
+            let bytes = std::fs::read(path).map_err(|source| FileError::Io { path: path.clone(), source })?;
+            let contents = export::contents(kind, path, &bytes, options);
+            let contents = contents.map_err(|source| FileError::Export { path: path.clone(), source })?;
+            parts.push((export::stem_of(path), contents));
+        }
+        let path = self.paths.first().cloned().unwrap_or_default();
+        let read = export::read_parts(parts, options).map_err(|source| FileError::Export { path, source })?;
+        Ok(Loaded::of_export(InputKind::Csv, read))
+    }
+}
+
+/// The units that words on a command line stand for, in order.
+///
+/// # Errors
+/// A word stands for nothing, or a folder cannot be read.
+pub fn units(words: &[PathBuf], options: &ReadOptions) -> Result<Vec<Unit>, FileError> {
+    let mut files = Vec::new();
+    for word in words {
+        expand(word, &mut files)?;
+    }
+    let whole = |path| Unit { paths: vec![path] };
+    if files.len() < 2 {
+        return Ok(files.into_iter().map(whole).collect());
+    }
+    let mut units: Vec<Unit> = Vec::new();
+    let mut by_loop: HashMap<(PathBuf, String), usize> = HashMap::new();
+    for path in files {
+        let Some(name) = signal_of(&path, options) else {
+            units.push(whole(path));
+            continue;
+        };
+        let folder = path.parent().map_or_else(PathBuf::new, Path::to_owned);
+        let at = *by_loop.entry((folder, name)).or_insert(units.len());
+        if at == units.len() {
+            units.push(whole(path));
+        } else {
+            units[at].paths.push(path);
+        }
+    }
+    Ok(units)
+}
+
+fn expand(word: &Path, files: &mut Vec<PathBuf>) -> Result<(), FileError> {
+    let nothing = |what| FileError::Kind { path: word.to_owned(), what };
+    if word.is_dir() {
+        let before = files.len();
+        walk(word, 0, files)?;
+        return if files.len() > before {
+            Ok(())
+        } else {
+            Err(nothing("a folder without a file that is read (.csv, .txt, .xlsx, .parquet, .arrow, .mat, .mcap)"))
+        };
+    }
+    let text = word.to_string_lossy();
+    if word.exists() || !text.contains(['*', '?', '[']) {
+        files.push(word.to_owned());
+        return Ok(());
+    }
+    let found = glob::glob(&text).map_err(|_| nothing("a pattern that is not understood: write * and ?"))?;
+    let mut found: Vec<PathBuf> = found.flatten().filter(|p| p.is_file()).collect();
+    if found.is_empty() {
+        return Err(nothing("a pattern that no file fits"));
+    }
+    found.sort();
+    files.append(&mut found);
+    Ok(())
+}
+
+fn walk(folder: &Path, depth: usize, files: &mut Vec<PathBuf>) -> Result<(), FileError> {
+    let failed = |source| FileError::Io { path: folder.to_owned(), source };
+    let mut entries: Vec<PathBuf> = Vec::new();
+    for entry in std::fs::read_dir(folder).map_err(failed)? {
+        entries.push(entry.map_err(failed)?.path());
+    }
+    entries.sort();
+    for path in entries {
+        let hidden = path.file_name().is_some_and(|n| n.to_string_lossy().starts_with(['.', '~']));
+        if hidden {
+            continue;
+        }
+        if path.is_dir() {
+            // A link to a folder may lead back here.
+            if depth < DEPTH && !path.is_symlink() {
+                walk(&path, depth + 1, files)?;
+            }
+        } else if path.extension().is_some_and(|e| ENDINGS.contains(&e.to_string_lossy().to_lowercase().as_str())) {
+            files.push(path);
+        }
+    }
+    Ok(())
+}
+
+/// The loop whose one signal a file holds, from its first rows; `None` for every other file.
+fn signal_of(path: &Path, options: &ReadOptions) -> Option<String> {
+    let kind = InputKind::detect(path).ok().filter(|kind| *kind == InputKind::Csv)?;
+    let mut head = Vec::new();
+    File::open(path).ok()?.take(HEAD).read_to_end(&mut head).ok()?;
+    export::only_signal(kind, path, &head, options)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn files_of_one_signal_are_read_together() {
+        let folder = tempfile::tempdir().unwrap();
+        let write = |name: &str, text: &str| std::fs::write(folder.path().join(name), text).unwrap();
+        let rows = "2026-01-05T08:00:00Z,1\n2026-01-05T08:00:01Z,2\n";
+        write("A.OP.csv", &format!("Timestamp,Value\n{rows}"));
+        write("A.PV.csv", &format!("Timestamp,Value\n{rows}"));
+        write("B.csv", "t,op,pv\n0,1,2\n");
+        write("notes.md", "no table");
+        std::fs::create_dir(folder.path().join("sub")).unwrap();
+        write("sub/C.csv", "t,op,pv\n0,1,2\n");
+        let options = ReadOptions::default();
+        let units = units(&[folder.path().to_owned()], &options).unwrap();
+        let counts: Vec<usize> = units.iter().map(|u| u.paths.len()).collect();
+        assert_eq!(counts, [2, 1, 1]);
+        let loaded = units[0].load(&options).unwrap();
+        assert_eq!((loaded.loops[0].name.as_str(), loaded.loops[0].samples.len()), ("A", 4));
+        let pattern = folder.path().join("*.csv");
+        assert_eq!(super::units(&[pattern], &options).unwrap().len(), 2);
+        let none = super::units(&[folder.path().join("*.xyz")], &options).unwrap_err().to_string();
+        assert!(none.contains("no file fits"), "{none}");
+    }
+}

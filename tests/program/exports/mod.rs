@@ -1,0 +1,184 @@
+//! Exports of other systems: every shape is read as it is, or refused with what settles it; the page of shapes says so.
+
+#![allow(clippy::unwrap_used, clippy::panic)]
+
+mod cli;
+mod data;
+mod shapes;
+
+use std::fmt::Write as _;
+use std::fs;
+use std::path::Path;
+
+use clap::Parser as _;
+use stictiond::cli::reading::ReadArgs;
+use stictiond::files::{FileError, Loaded};
+use stictiond::record::{Signal, Value};
+use stictiond::units::NS_PER_S;
+
+use data::{ROWS, op, pv, t_s};
+use shapes::{Must, Shape};
+
+#[derive(clap::Parser)]
+struct Flags {
+    #[command(flatten)]
+    reading: ReadArgs,
+}
+
+fn read(shape: &Shape, flags: &[&str]) -> Result<Loaded, FileError> {
+    let folder = tempfile::tempdir().unwrap();
+    for (name, bytes) in &shape.files {
+        fs::write(folder.path().join(name), bytes).unwrap();
+    }
+    let flags = Flags::try_parse_from([&["x"], flags].concat()).unwrap();
+    let place = match &shape.files[..] {
+        [(name, _)] => folder.path().join(name),
+        _ => folder.path().to_owned(),
+    };
+    let units = flags.reading.units(&[place]).unwrap();
+    assert_eq!(units.len(), 1, "{}", shape.name);
+    units[0].load(&flags.reading.options())
+}
+
+/// Every value at its time, in order, and nothing else.
+fn check(loaded: &Loaded, what: &str) -> Result<(), String> {
+    let (name, how) = what.split_once(' ').unwrap_or((what, ""));
+    let [one] = &loaded.loops[..] else { return Err(format!("{} loops", loaded.loops.len())) };
+    if one.name != name {
+        return Err(format!("loop {}", one.name));
+    }
+    let shift_s = match how {
+        "in May" => 120 * 86_400 - 3600,
+        "twenty days on" => 20 * 86_400,
+        "from 1970" => -t_s(0),
+        _ => 0,
+    };
+    let missing: &[usize] = if how == "with 4 missing" { &[50, 52, 54, 56] } else { &[] };
+    for (signal, of) in [(Signal::Op, op as fn(usize) -> f64), (Signal::Pv, pv)] {
+        let found: Vec<(i64, Value)> =
+            one.samples.iter().filter(|s| s.signal == signal).map(|s| (s.t_ns, s.value)).collect();
+        let value = |k: usize| if missing.contains(&k) { Value::Missing } else { Value::Number(of(k)) };
+        let expected: Vec<(i64, Value)> = (0..ROWS).map(|k| ((t_s(k) + shift_s) * NS_PER_S, value(k))).collect();
+        if found != expected {
+            let at = found.iter().zip(&expected).position(|(a, b)| a != b).unwrap_or(0);
+            return Err(format!("{} {at}: {:?} instead of {:?}", signal.name(), found.get(at), expected.get(at)));
+        }
+    }
+    if one.samples.len() != 2 * ROWS || !one.samples.is_sorted_by_key(|s| s.t_ns) {
+        return Err(format!("{} samples, or not in order", one.samples.len()));
+    }
+    Ok(())
+}
+
+/// An error without the path of the file.
+fn told(error: &FileError) -> String {
+    match error {
+        FileError::Export { source, .. } => source.to_string(),
+        FileError::Csv { source, .. } => source.to_string(),
+        other => panic!("{other}"),
+    }
+}
+
+fn said(loaded: &Loaded) -> String {
+    loaded.recognised.as_ref().map_or_else(|| "its own form: nothing to say".to_owned(), ToString::to_string)
+}
+
+/// The first lines of a text, or what else the file is.
+fn shown(shape: &Shape) -> String {
+    let (name, bytes) = &shape.files[0];
+    if name.ends_with(".csv") || name.ends_with(".txt") {
+        let text = if bytes.starts_with(b"\xff\xfe") {
+            String::from_utf16_lossy(
+                &bytes.chunks_exact(2).map(|p| u16::from_le_bytes([p[0], p[1]])).collect::<Vec<_>>(),
+            )
+        } else {
+            // What is no UTF-8 is Latin-1 here.
+            String::from_utf8(bytes.clone()).unwrap_or_else(|_| bytes.iter().map(|b| char::from(*b)).collect())
+        };
+        let lines: Vec<String> = text.lines().take(4).map(|l| l.replace('\t', "⇥").replace('|', "\\|")).collect();
+        return lines
+            .iter()
+            .map(|l| format!("`{}`", l.trim_start_matches('\u{feff}')))
+            .collect::<Vec<_>>()
+            .join("<br>");
+    }
+    format!("({name})")
+}
+
+#[test]
+fn every_shape_is_read_as_it_is_or_refused_with_what_settles_it() {
+    let shapes = shapes::all();
+    let mut page = String::from(
+        "# Exports that are read\n\n\
+         Made by `tests/program/exports`, which writes the same 60 rows of one loop in each shape and compares every value and\n\
+         every time that is read back. \"Asks\" is a refusal (exit 1) with its message; the flags behind it settle it. How files\n\
+         are read, and the flags: [exports.md](exports.md).\n\n\
+         | # | shape | first lines | flags | what is said |\n|---|---|---|---|---|\n",
+    );
+    let words = |flags: &[&str]| {
+        if flags.is_empty() { String::new() } else { format!("`{}`", flags.join(" ").replace('|', "\\|")) }
+    };
+    let mut row = |shape: &Shape, at: usize, flags: &[&str], text: String| {
+        let (number, name, lines) = if std::ptr::eq(flags, shape.flags) {
+            ((at + 1).to_string(), shape.name, shown(shape))
+        } else {
+            (String::new(), "", String::new())
+        };
+        writeln!(page, "| {number} | {name} | {lines} | {} | {} |", words(flags), text.replace('|', "\\|")).unwrap();
+    };
+    let mut faults: Vec<String> = Vec::new();
+    for (at, shape) in shapes.iter().enumerate() {
+        let found = read(shape, shape.flags);
+        match (&shape.must, found) {
+            (Must::Read(what), Ok(loaded)) => {
+                faults.extend(check(&loaded, what).err().map(|e| format!("{}: {e}", shape.name)));
+                row(shape, at, shape.flags, format!("reads: {}", said(&loaded)));
+            }
+            (Must::Ask(part, flags, what), Err(error)) => {
+                let text = told(&error);
+                row(shape, at, shape.flags, format!("asks: {text}"));
+                if !text.contains(part) {
+                    faults.push(format!("{}: {text}", shape.name));
+                }
+                match read(shape, flags) {
+                    Ok(loaded) => {
+                        faults.extend(check(&loaded, what).err().map(|e| format!("{}: {e}", shape.name)));
+                        row(shape, at, flags, format!("reads: {}", said(&loaded)));
+                    }
+                    Err(error) => faults.push(format!("{} {flags:?}: {error}", shape.name)),
+                }
+            }
+            (Must::Refuse(part), Err(error)) => {
+                let text = told(&error);
+                row(shape, at, shape.flags, format!("asks: {text}"));
+                if !text.contains(part) {
+                    faults.push(format!("{}: {text}", shape.name));
+                }
+            }
+            (_, Ok(loaded)) => faults.push(format!("{}: read as {}", shape.name, said(&loaded))),
+            (_, Err(error)) => faults.push(format!("{}: {error}", shape.name)),
+        }
+    }
+    assert!(faults.is_empty(), "{}", faults.join("\n"));
+    assert!(shapes.len() >= 40, "{}", shapes.len());
+    if cfg!(feature = "parquet") {
+        compare(&page);
+    }
+}
+
+/// The page says what was found just now.
+fn compare(page: &str) {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/export-shapes.md");
+    if std::env::var("STICTIOND_GOLDEN").is_ok_and(|wish| wish == "write") {
+        fs::write(&path, page).unwrap();
+    }
+    let kept = fs::read_to_string(&path).unwrap_or_default();
+    for (line, (kept, found)) in kept.lines().zip(page.lines()).enumerate() {
+        assert_eq!(kept, found, "docs/export-shapes.md, line {}: STICTIOND_GOLDEN=write makes it anew", line + 1);
+    }
+    assert_eq!(
+        kept.lines().count(),
+        page.lines().count(),
+        "docs/export-shapes.md: STICTIOND_GOLDEN=write makes it anew"
+    );
+}
