@@ -2,6 +2,7 @@
 
 pub mod compact;
 pub mod csv;
+pub mod disk;
 pub mod lock;
 pub mod mat;
 mod mcap_index;
