@@ -170,7 +170,7 @@ impl Worker {
 
     /// Stores states and tells whoever waits for them.
     fn settle(&mut self, states: BTreeMap<String, Vec<u8>>, waiters: Vec<Kept>) -> bool {
-        let saved = if states.is_empty() { Ok(()) } else { self.save(&states) };
+        let saved = if states.is_empty() { self.reopen() } else { self.save(&states) };
         match &saved {
             Ok(()) => self.faults.clear(FAULT),
             Err(why) => {
@@ -187,13 +187,39 @@ impl Worker {
 
     /// Waits for states, then a little for more of them unless somebody waits for an answer.
     fn next(&self) -> (BTreeMap<String, Vec<u8>>, Vec<Kept>, bool) {
-        let idle = |p: &mut Pending| p.states.is_empty() && !p.closed;
+        let idle_still = |p: &Pending| p.states.is_empty() && !p.closed;
+        let idle = |p: &mut Pending| idle_still(p);
         let pending = self.shared.pending.lock().unwrap_or_else(PoisonError::into_inner);
-        let pending = self.shared.wake.wait_while(pending, idle).unwrap_or_else(PoisonError::into_inner);
+        let pending = if self.store.is_some() {
+            self.shared.wake.wait_while(pending, idle).unwrap_or_else(PoisonError::into_inner)
+        } else {
+            // A store that could not be opened is tried again though nobody asks: else its fault would outlive its cause.
+            let waited = self.shared.wake.wait_timeout_while(pending, RETRY, idle);
+            waited.unwrap_or_else(PoisonError::into_inner).0
+        };
+        if idle_still(&pending) {
+            return (BTreeMap::new(), Vec::new(), false);
+        }
         let gathering = |p: &mut Pending| p.waiters.is_empty() && !p.closed;
         let (mut pending, _) =
             self.shared.wake.wait_timeout_while(pending, GATHER, gathering).unwrap_or_else(PoisonError::into_inner);
         (std::mem::take(&mut pending.states), std::mem::take(&mut pending.waiters), pending.closed)
+    }
+
+    /// Opens the store where it is not open; all states must come again then.
+    fn reopen(&mut self) -> Result<(), String> {
+        if self.store.is_none() {
+            self.store = Some(self.open()?);
+            self.shared.wants_all.store(true, Ordering::Relaxed);
+        }
+        Ok(())
+    }
+
+    fn open(&self) -> Result<StateStore, String> {
+        if let Some(folder) = self.path.parent() {
+            self.disk.create_folder(folder).map_err(|e| format!("{}: {e}", folder.display()))?;
+        }
+        StateStore::open_on(self.disk.as_ref(), &self.path).map_err(|e| e.to_string())
     }
 
     fn save(&mut self, states: &BTreeMap<String, Vec<u8>>) -> Result<(), String> {
@@ -204,12 +230,7 @@ impl Worker {
         }
         let store = match self.store.take() {
             Some(store) => store,
-            None => {
-                if let Some(folder) = self.path.parent() {
-                    self.disk.create_folder(folder).map_err(|e| format!("{}: {e}", folder.display()))?;
-                }
-                StateStore::open_on(self.disk.as_ref(), &self.path).map_err(|e| e.to_string())?
-            }
+            None => self.open()?,
         };
         store.save(states.iter().map(|(k, v)| (k.as_str(), v.as_slice()))).map_err(|e| e.to_string())?;
         self.metrics.states_stored.inc_by(states.len() as u64);
