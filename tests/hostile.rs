@@ -155,7 +155,7 @@ fn requests_that_are_never_finished_end_and_shut_nobody_out_for_long() {
 fn batch(loop_index: usize, signal: &str, seconds: std::ops::Range<i64>, step_s: i64) -> String {
     let value = |k: i64| {
         let (noise, swing) = ((k * k * 7919 + loop_index as i64) % 97, if k % 12 < 6 { 4.0 } else { -4.0 });
-        let swing = if loop_index % 10 == 0 { swing } else { 0.0 };
+        let swing = if loop_index.is_multiple_of(10) { swing } else { 0.0 };
         50.0 + noise as f64 / 97.0 + if signal == "op" { swing * ((k % 6) as f64 / 3.0 - 1.0) } else { swing }
     };
     let sample = |k: i64| format!("{{\"t\":{},\"v\":{:.3}}}", (1_700_000_040 + k * step_s) * 1_000_000_000, value(k));

@@ -76,7 +76,7 @@ impl Plant {
 
     fn send(&mut self, random: &mut ChaCha8Rng, index: usize, signal: usize, object: &str, out: &mut Vec<Sent>) {
         let key = format!("{}/{}/{}", self.prefix, Self::name(index), ["op", "pv"][signal]);
-        let (payload, samples) = if index % 2 == 0 {
+        let (payload, samples) = if index.is_multiple_of(2) {
             (object.to_owned(), 1)
         } else {
             let batch = &mut self.gathered[index][signal];
