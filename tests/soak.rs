@@ -57,7 +57,7 @@ impl Client {
         let (config, log, recordings) = (dir.join("c.toml"), dir.join("log"), dir.join("rec"));
         let text = format!(
             "[site]\nprefix = \"{PREFIX}\"\n[zenoh]\nmode = \"client\"\nconnect = [\"tcp/127.0.0.1:{port}\"]\n\
-             [web]\nlisten = \"127.0.0.1:0\"\n{extra}[recording]\ndir = {:?}\n",
+             [web]\nlisten = \"127.0.0.1:0\"\n{extra}dir = {:?}\n",
             recordings.to_str().unwrap()
         );
         fs::write(&config, text).unwrap();
@@ -108,7 +108,7 @@ fn a_router_that_is_restarted_again_and_again_is_found_again() {
     let dir = tempfile::tempdir().unwrap();
     let port = free_port();
     let mut router = session("router", true, port).unwrap();
-    let daemon = Client::start(dir.path(), port, "");
+    let daemon = Client::start(dir.path(), port, "[recording]\n");
     let plant = session("client", false, port).unwrap();
     let mut sent = 0_u64;
     let mut longest = Duration::ZERO;
@@ -154,8 +154,8 @@ fn soak_with_reconnects() {
     let dir = tempfile::tempdir().unwrap();
     let port = free_port();
     let mut router = session("router", true, port).unwrap();
-    // Rings and histories are full after two minutes, so that what grows after that grows for ever.
-    let window = "[window]\nhop_s = 60.0\nmax_window_s = 120.0\nmax_points = 128\n";
+    // Histories are full and recordings finished within two minutes, so that what grows after that grows for ever.
+    let window = "[window]\nhop_s = 60.0\nmax_window_s = 120.0\nmax_points = 128\n[recording]\nmax_s = 60.0\n";
     let daemon = Client::start(dir.path(), port, window);
     let plant = session("client", false, port).unwrap();
     let keys: Vec<[String; 2]> = (0..loops).map(|k| ["op", "pv"].map(|s| format!("{PREFIX}/L{k:05}/{s}"))).collect();
@@ -175,7 +175,7 @@ fn soak_with_reconnects() {
                 let phase = scan as f64 * 0.4 + (index + signal) as f64;
                 let value = 50.0 + 3.0 * phase.sin() + ((scan * 7919 + index as u64) % 89) as f64 / 89.0;
                 let put = plant.put(key, format!("{{\"t\":{t_ns},\"v\":{value:.3}}}"));
-                put.congestion_control(CongestionControl::Drop).wait().unwrap();
+                put.congestion_control(CongestionControl::Block).wait().unwrap();
                 sent += 1;
             }
         }

@@ -65,10 +65,15 @@ pub enum WriteError {
     },
 }
 
+/// What the open file's index keeps in memory of one channel in one chunk, bytes.
+const INDEX_ENTRY_BYTES: u64 = 40;
+
 /// One channel of the open file.
 struct Channel {
     id: u16,
     sequence: u32,
+    /// The flush after which it was used last.
+    flush: u64,
 }
 
 type Inner = Counted<BufWriter<Handle>>;
@@ -90,6 +95,9 @@ pub struct RecordingFile {
     /// Size of the file when all channels were listed last.
     listed_at: u64,
     dirty: bool,
+    /// Flushes so far, and channels that each of them closed a chunk of: what the index grows by.
+    flushes: u64,
+    indexed: u64,
     /// Whether the file ends with a SHA-256 of what stands before.
     sealed: bool,
 }
@@ -182,6 +190,8 @@ impl RecordingFile {
             unlisted: Roster::default(),
             listed_at: 0,
             dirty: true,
+            flushes: 1,
+            indexed: 0,
             sealed: false,
         };
         let metadata = Metadata { name: super::METADATA_NAME.to_owned(), metadata: metadata.clone() };
@@ -232,6 +242,9 @@ impl RecordingFile {
             publish_time: mcap_time(publish_time_ns),
         };
         channel.sequence = channel.sequence.wrapping_add(1);
+        if std::mem::replace(&mut channel.flush, self.flushes) != self.flushes {
+            self.indexed += 1;
+        }
         self.dirty = true;
         self.with_writer(|writer| writer.write_to_known_channel(&header, payload))
     }
@@ -247,6 +260,7 @@ impl RecordingFile {
         self.list_channels()?;
         self.with_writer(Writer::flush)?;
         self.dirty = false;
+        self.flushes += 1;
         self.file.sync(false).map_err(|source| self.fail(source))
     }
 
@@ -270,6 +284,13 @@ impl RecordingFile {
     #[must_use]
     pub fn bytes_written(&self) -> u64 {
         self.written.load(Ordering::Relaxed)
+    }
+
+    /// What the index takes of the memory until the file is finished, bytes: it grows with every flush by the channels
+    /// in it, however little was written.
+    #[must_use]
+    pub const fn index_bytes(&self) -> u64 {
+        self.indexed * INDEX_ENTRY_BYTES
     }
 
     /// Channels registered.
@@ -347,7 +368,7 @@ impl RecordingFile {
             }
         };
         let id = self.with_writer(|writer| writer.add_channel(schema, topic, encoding, &BTreeMap::new()))?;
-        self.channels.insert(topic.to_owned(), Channel { id, sequence: 0 });
+        self.channels.insert(topic.to_owned(), Channel { id, sequence: 0, flush: 0 });
         if let Some(kind) = kind {
             self.roster.add(id, kind, topic);
             self.unlisted.add(id, kind, topic);
@@ -460,6 +481,19 @@ mod tests {
         assert_eq!(file.finish().unwrap(), target);
         assert!(!part.exists() && target.exists());
         assert!(RecordingFile::create(&dir.path().join("new"), "a", &metadata()).is_err());
+    }
+
+    #[test]
+    fn the_index_grows_by_channels_a_flush_not_by_messages() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut file = RecordingFile::create(dir.path(), "a", &metadata()).unwrap();
+        for _ in 0..10 {
+            for topic in ["p/a/op", "p/b/op", "p/a/op"] {
+                file.write(topic, Kind::Sample, 0, 0, b"1").unwrap();
+            }
+            file.flush().unwrap();
+        }
+        assert_eq!(file.index_bytes(), 20 * INDEX_ENTRY_BYTES);
     }
 
     #[test]
