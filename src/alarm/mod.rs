@@ -102,7 +102,9 @@ pub struct AlarmDocument {
     pub active: bool,
     /// Class of the stiction while active.
     pub severity: Option<String>,
-    /// ISA-18.2 priority while active, of the class and the loop's criticality: see [`Priority::of`].
+    /// ISA-18.2 priority while active, of the class and the loop's criticality (see [`Priority::of`]); absent for loops
+    /// that the configuration says nothing of, as nobody has weighed them.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub priority: Option<Priority>,
     /// NE 107 signal: `M` (maintenance required) while active, else `ok`.
     pub ne107: &'static str,
@@ -118,14 +120,12 @@ pub struct AlarmDocument {
     pub window_end_ns: Option<i64>,
 }
 
-/// Criticality of a loop of which nothing is said.
-const CRITICALITY: u8 = 3;
-
 impl AlarmDocument {
     /// The same on a loop of this criticality.
     #[must_use]
-    pub fn with_criticality(self, criticality: u8) -> Self {
-        Self { priority: self.active.then(|| Priority::of(self.severity.as_deref(), criticality)), ..self }
+    pub fn with_criticality(self, criticality: Option<u8>) -> Self {
+        let weighed = criticality.filter(|_| self.active);
+        Self { priority: weighed.map(|c| Priority::of(self.severity.as_deref(), c)), ..self }
     }
 
     /// One line that an operator understands.
@@ -364,7 +364,7 @@ impl Alarm {
             state: self.shown(),
             active: self.active,
             severity: self.class.clone(),
-            priority: self.active.then(|| Priority::of(self.class.as_deref(), CRITICALITY)),
+            priority: None,
             ne107: if self.active { "M" } else { "ok" },
             raised_ns: self.raised_ns,
             changed_ns,
@@ -463,12 +463,10 @@ mod tests {
         assert!(alarm.window("L", &assessment(1, Verdict::Stiction, 9.0, "strong"), &params).is_none());
         let again = alarm.window("L", &assessment(2, Verdict::Stiction, 9.0, "strong"), &params).unwrap();
         assert_eq!((again.state, again.severity.as_deref()), (State::Unack, Some("strong")));
-        assert_eq!(
-            (again.priority, again.with_criticality(5).priority),
-            (Some(Priority::High), Some(Priority::Urgent))
-        );
+        let priority = |criticality| again.clone().with_criticality(criticality).priority;
+        assert_eq!([None, Some(3), Some(5)].map(priority), [None, Some(Priority::High), Some(Priority::Urgent)]);
         let over = alarm.window("L", &assessment(3, Verdict::Tuning, 0.0, "weak"), &params).unwrap();
-        assert_eq!(over.priority, None);
+        assert_eq!(over.with_criticality(Some(5)).priority, None);
     }
 
     proptest! {

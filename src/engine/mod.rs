@@ -28,9 +28,6 @@ pub use gaps::{GapReason, GapRefusal, GapRequest, GapWatch, PublishedGap};
 pub use input::{INPUT_SCHEMA, RecordedInput, STATE_SCHEMA, StateDocument};
 pub use windowing::section;
 
-/// Criticality of loops that have no entry of their own.
-const CRITICALITY: u8 = 3;
-
 /// Handle of a loop in one engine.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct LoopId(u32);
@@ -56,8 +53,8 @@ pub struct LoopSettings {
     pub assess: AssessParams,
     /// Its gap diagnoses.
     pub gap: GapParams,
-    /// How much it matters, 1 to 5.
-    pub criticality: u8,
+    /// How much it matters, 1 to 5, where the configuration says anything of the loop.
+    pub criticality: Option<u8>,
 }
 
 impl LoopSettings {
@@ -81,7 +78,7 @@ impl LoopSettings {
             window,
             alarm,
             gap: config.gap,
-            criticality: own.map_or(CRITICALITY, |l| l.criticality),
+            criticality: own.map(|l| l.criticality),
         }
     }
 }

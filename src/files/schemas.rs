@@ -46,7 +46,7 @@ fn fields(kind: Kind) -> Fields {
         },
         Kind::Alarm => Fields {
             integers: &["raised_ns", "changed_ns", "window_end_ns"],
-            texts: &["schema", "loop", "alarm", "state", "severity", "priority", "ne107", "by", "why"],
+            texts: &["schema", "loop", "alarm", "state", "severity", "ne107", "by", "why"],
             flags: &["active"],
             ..Fields::default()
         },
