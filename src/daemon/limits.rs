@@ -141,7 +141,7 @@ mod tests {
     fn a_stamp_ahead_of_clock_and_others_is_refused_and_a_plant_ahead_of_the_clock_is_not() {
         let (mut limits, id) = limits("");
         let mut taken = |t_ns: i64, wall_ns: i64, others: &[i64]| {
-            limits.look_in = 0;
+            (limits.look_in, limits.others_ns) = (0, None);
             limits.sample((id, &sample(t_ns), wall_ns), Duration::ZERO, || others.to_vec()).is_ok()
         };
         assert!(taken(5 * DAY_NS / 4, DAY_NS, &[DAY_NS; 3]), "hours ahead");
