@@ -11,6 +11,8 @@ use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use live::{Daemon, FAST, alarm_state, ask, configure, files, free_port, plane, sticking, wait_for};
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
 use zenoh::Wait;
 
 /// A daemon whose alarm on FIC101 is raised.
@@ -200,4 +202,89 @@ fn a_recording_folder_that_is_removed_is_counted_named_and_made_again() {
 fn raw_samples(file: &Path) -> usize {
     let loaded = stictiond::files::load_samples(file).unwrap();
     loaded.loops.iter().map(|l| l.samples.len()).sum()
+}
+
+/// What commands make of an alarm that holds: kept here as three flags.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Aside {
+    acked: bool,
+    shelved: bool,
+    suppressed: bool,
+}
+
+impl Aside {
+    fn shown(self) -> &'static str {
+        match (self.suppressed, self.shelved, self.acked) {
+            (true, _, _) => "suppressed",
+            (_, true, _) => "shelved",
+            (_, _, true) => "acked",
+            _ => "unack",
+        }
+    }
+
+    /// The alarm after a command, and the command's words.
+    fn asked(self, k: u64) -> (Self, &'static str) {
+        match k % 3 {
+            0 if !self.acked => (Self { acked: true, ..self }, "ack"),
+            1 if self.suppressed => (Self { suppressed: false, ..self }, "unsuppress"),
+            1 => (Self { suppressed: true, ..self }, "suppress"),
+            _ if self.shelved => (Self { shelved: false, ..self }, "unshelve"),
+            _ => (Self { shelved: true, ..self }, "shelve"),
+        }
+    }
+}
+
+#[test]
+fn commands_that_were_answered_outlive_kill_9_at_any_moment() {
+    let dir = tempfile::tempdir().unwrap();
+    alarmed(dir.path()).kill();
+    // Set higher for a long run.
+    let cycles = std::env::var("STICTIOND_CYCLES").ok().and_then(|n| n.parse().ok()).unwrap_or(12_u64);
+    let mut random = ChaCha8Rng::seed_from_u64(cycles);
+    let mut known = Aside { acked: false, shelved: false, suppressed: false };
+    let (mut answered, mut cut) = (0, 0);
+    for cycle in 0..cycles {
+        let daemon = Daemon::start(dir.path(), FAST);
+        let bus = daemon.session();
+        let state = wait_for("an alarm", || Some(alarm_state(&bus)).filter(|s| s != "no answer"));
+        assert_eq!(state, known.shown(), "cycle {cycle}: {known:?}");
+        // Some are answered and then it dies at once; one may be under way when it dies.
+        for k in 0..random.next_u32() % 3 {
+            let (next, cmd) = known.asked(u64::from(random.next_u32()));
+            ask(&bus, &plane(&format!("FIC101/alarm?cmd={cmd};by=ann")))
+                .unwrap_or_else(|e| panic!("{cycle}, {k}, {cmd}: {e}"));
+            (known, answered) = (next, answered + 1);
+        }
+        let (next, cmd) = known.asked(u64::from(random.next_u32()));
+        let under_way = bus.get(plane(&format!("FIC101/alarm?cmd={cmd};by=ann"))).wait().unwrap();
+        std::thread::sleep(Duration::from_micros(u64::from(random.next_u32() % 8000)));
+        daemon.kill();
+        let told = under_way.recv().is_ok_and(|reply| reply.into_result().is_ok());
+        let _ = bus.close().wait();
+        if told {
+            (known, answered) = (next, answered + 1);
+        } else {
+            // Nobody was told: either is right, and whichever it is stays.
+            cut += 1;
+            let state = state_after_restart(dir.path());
+            assert!([known.shown(), next.shown()].contains(&&*state), "cycle {cycle}: {state}, {known:?}, {next:?}");
+            known = settled(dir.path(), known, next);
+        }
+    }
+    println!("{cycles} cycles, {answered} commands answered, {cut} cut off: none lost");
+}
+
+/// Which of two states the store holds.
+fn settled(dir: &Path, before: Aside, after: Aside) -> Aside {
+    let store = stictiond::files::store::StateStore::open(&dir.join("rec/state.redb")).unwrap();
+    let stored = store.load().unwrap().values;
+    let state: serde_json::Value = serde_json::from_slice(&stored[&format!("{}\nFIC101", live::PREFIX)]).unwrap();
+    let (alarm, aside) = (&state["alarm"], &state["alarm"]["aside"]);
+    let found = Aside {
+        acked: alarm["state"] == "acked",
+        shelved: !aside["shelved_until_ns"].is_null(),
+        suppressed: aside["suppressed"] == true,
+    };
+    assert!([before, after].contains(&found), "{found:?} is neither {before:?} nor {after:?}");
+    found
 }

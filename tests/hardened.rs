@@ -141,3 +141,81 @@ fn each_party_has_its_own_keys_and_a_forbidden_put_is_refused() {
         party.close().wait().unwrap();
     }
 }
+
+#[test]
+fn a_peer_takes_commands_of_named_principals_alone() {
+    let dir = tempfile::tempdir().unwrap();
+    let (dir, port) = (dir.path(), free_port());
+    certificates(dir, &["stictiond", "operator", "stranger"]);
+    let here = dir.to_str().unwrap();
+    let links = |name: &str, listen: &str| {
+        format!(
+            "{{mode:\"peer\",{listen},scouting:{{multicast:{{enabled:false}},gossip:{{enabled:false}}}},transport:{{link:{{tls:{{\
+             root_ca_certificate:\"{here}/ca.pem\",enable_mtls:true,verify_name_on_connect:true,\
+             listen_certificate:\"{here}/{name}.pem\",listen_private_key:\"{here}/{name}.key\",\
+             connect_certificate:\"{here}/{name}.pem\",connect_private_key:\"{here}/{name}.key\"}}}}}}}}"
+        )
+    };
+    let listen = format!("listen:{{endpoints:[\"tls/127.0.0.1:{port}\"]}}");
+    fs::write(dir.join("daemon.json5"), links("stictiond", &listen)).unwrap();
+    let text = |principal: &str, zenoh: &str| {
+        format!(
+            "[site]\nprefix = \"{PREFIX}\"\n[zenoh]\n{zenoh}\n[commands]\nprincipals = [{principal:?}]\n\
+             [web]\nlisten = \"127.0.0.1:0\"\n[recording]\ndir = \"{here}/rec\"\n"
+        )
+    };
+    let file = format!("config_file = \"{here}/daemon.json5\"");
+    let config = dir.join("daemon.toml");
+    // `check` says where principals could not be told apart.
+    for (principal, zenoh, wanted) in [
+        ("cn:operator", "listen = [\"tcp/127.0.0.1:7447\"]", "enable_mtls"),
+        ("user:operator", file.as_str(), "dictionary_file"),
+        ("cn:operator", "mode = \"client\"\nconnect = [\"tcp/127.0.0.1:7447\"]", "its router alone"),
+        ("operator", file.as_str(), "is no principal"),
+    ] {
+        fs::write(&config, text(principal, zenoh)).unwrap();
+        let out = live::stictiond(&["check", config.to_str().unwrap()]);
+        let said = String::from_utf8_lossy(&out.stdout).into_owned();
+        assert!(
+            out.status.code() == Some(1) && said.contains("commands.principals") && said.contains(wanted),
+            "{said}"
+        );
+    }
+    fs::write(&config, text("cn:operator", &file)).unwrap();
+    live::ok(&["check", config.to_str().unwrap()]);
+    let log = dir.join("log");
+    let mut daemon = Command::new(env!("CARGO_BIN_EXE_stictiond"))
+        .args(["run", "--config", config.to_str().unwrap()])
+        .stderr(fs::File::create(&log).unwrap())
+        .stdout(Stdio::null())
+        .spawn()
+        .unwrap();
+    wait_for("the daemon", || fs::read_to_string(&log).unwrap().contains("watching").then_some(()));
+    let party = |name: &str| {
+        let path = dir.join(format!("{name}-peer.json5"));
+        let connect = format!("listen:{{endpoints:[]}},connect:{{endpoints:[\"tls/localhost:{port}\"]}}");
+        fs::write(&path, links(name, &connect)).unwrap();
+        zenoh::open(zenoh::Config::from_file(&path).unwrap()).wait().unwrap()
+    };
+    let (operator, stranger) = (party("operator"), party("stranger"));
+    // Both are heard, and both read what is published.
+    for (name, party) in [("A", &operator), ("B", &stranger)] {
+        wait_for("its loop", || {
+            party.put(format!("{PREFIX}/{name}/op"), "1").wait().unwrap();
+            let health = plane("@daemon/*/health");
+            ask(party, &health).ok().filter(|h| h["counters"]["samples"].as_u64() > Some(0))
+        });
+    }
+    let command = plane("A/alarm?cmd=suppress;by=ann");
+    assert_eq!(ask(&stranger, &command).unwrap_err(), "no answer");
+    assert_eq!(ask(&stranger, &plane("A/gap?run;by=ann")).unwrap_err(), "no answer");
+    assert_eq!(ask(&stranger, &plane("**?cmd=suppress;by=ann")).unwrap_err(), "no answer");
+    assert_eq!(ask(&operator, &command).unwrap()["state"], "suppressed");
+    assert_eq!(ask(&stranger, &plane("A/alarm?cmd=unsuppress;by=ann")).unwrap_err(), "no answer");
+    assert_eq!(ask(&operator, &plane("A/alarm")).unwrap()["state"], "suppressed");
+    daemon.kill().unwrap();
+    daemon.wait().unwrap();
+    for party in [operator, stranger] {
+        let _ = party.close().wait();
+    }
+}

@@ -5,11 +5,14 @@
 #[path = "common/live.rs"]
 mod live;
 
+use std::collections::BTreeMap;
 use std::io::{Read, Write};
 use std::net::TcpStream;
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use live::{Daemon, FAST, PREFIX, alarm_state, ask, http, plane, sticking, wait_for};
+use serde_json::Value;
 use stictiond::sink::signing::{Signature, Signer};
 use zenoh::Wait;
 use zenoh::qos::CongestionControl;
@@ -145,5 +148,110 @@ fn requests_that_are_never_finished_end_and_shut_nobody_out_for_long() {
         assert!(ended.as_ref().err().is_none_or(|e| e.kind() != std::io::ErrorKind::WouldBlock), "{ended:?}");
     }
     assert!(http(&daemon.web, "/metrics").contains("stictiond_messages"));
+    daemon.stop();
+}
+
+/// Samples of a loop from one second to another: calm, or swinging as a sticking valve makes it.
+fn batch(loop_index: usize, signal: &str, seconds: std::ops::Range<i64>, step_s: i64) -> String {
+    let value = |k: i64| {
+        let (noise, swing) = ((k * k * 7919 + loop_index as i64) % 97, if k % 12 < 6 { 4.0 } else { -4.0 });
+        let swing = if loop_index.is_multiple_of(10) { swing } else { 0.0 };
+        50.0 + noise as f64 / 97.0 + if signal == "op" { swing * ((k % 6) as f64 / 3.0 - 1.0) } else { swing }
+    };
+    let sample = |k: i64| format!("{{\"t\":{},\"v\":{:.3}}}", (1_700_000_040 + k * step_s) * 1_000_000_000, value(k));
+    format!("[{}]", seconds.map(sample).collect::<Vec<_>>().join(","))
+}
+
+#[test]
+fn windows_of_all_loops_at_once_and_racing_stamps_cost_no_honest_loop_its_turn() {
+    const LOOPS: usize = 300;
+    const WINDOWS: i64 = 3;
+    let dir = tempfile::tempdir().unwrap();
+    let daemon = Daemon::start(dir.path(), "[window]\nhop_s = 120.0\nmax_window_s = 120.0\n[gap]\nenabled = false\n");
+    let bus = daemon.session();
+    let seen: Arc<Mutex<BTreeMap<String, [u64; 2]>>> = Arc::default();
+    let taking = seen.clone();
+    let listening = bus.declare_subscriber(plane("*/estimate")).callback(move |sample| {
+        let document: Value = serde_json::from_slice(&sample.payload().to_bytes()).unwrap();
+        let skipped = document["gates"].as_array().unwrap().iter().any(|gate| gate == "skipped");
+        let mut seen = taking.lock().unwrap();
+        seen.entry(document["loop"].as_str().unwrap().to_owned()).or_default()[usize::from(skipped)] += 1;
+    });
+    let listening = listening.wait().unwrap();
+    let put = |name: &str, signal: &str, payload: String| {
+        let key = format!("{PREFIX}/{name}/{signal}");
+        bus.put(key, payload).congestion_control(CongestionControl::Block).wait().unwrap();
+    };
+    for window in 0..=WINDOWS {
+        let until = if window == WINDOWS { 20 } else { 120 };
+        for index in 0..LOOPS {
+            for signal in ["op", "pv"] {
+                put(&format!("L{index:04}"), signal, batch(index, signal, window * 120..window * 120 + until, 1));
+                // Twenty seconds a sample where the others have one: a window with every sixth.
+                put(
+                    "racing",
+                    signal,
+                    batch(0, signal, (window * 300 + index as i64) * 6..(window * 300 + index as i64 + 1) * 6, 20),
+                );
+            }
+        }
+        let honest =
+            || seen.lock().unwrap().iter().filter(|(name, _)| *name != "racing").map(|(_, n)| n[0] + n[1]).sum::<u64>();
+        wait_for("every honest window", || (honest() >= window as u64 * LOOPS as u64).then_some(()));
+    }
+    let seen = seen.lock().unwrap();
+    let short: Vec<_> = seen.iter().filter(|(name, n)| *name != "racing" && **n != [WINDOWS as u64, 0]).collect();
+    assert!(seen.len() > LOOPS && short.is_empty(), "{} loops, of which short: {short:?}", seen.len());
+    assert!(daemon.counter("windows") > 3 * LOOPS as u64 + 500, "the racing loop did race");
+    drop(seen);
+    listening.undeclare().wait().unwrap();
+    bus.close().wait().unwrap();
+    daemon.stop();
+}
+
+#[test]
+fn invented_loops_racing_clocks_and_floods_are_counted_named_and_take_nothing_from_others() {
+    let dir = tempfile::tempdir().unwrap();
+    let daemon = Daemon::start(
+        dir.path(),
+        "[input]\nmax_loops = 40\nmax_rate_hz = 1.0\n[[loop]]\nname = \"FIC101\"\n[[loop]]\nname = \"FIC102\"\n",
+    );
+    let bus = daemon.session();
+    let put = |key: &str, payload: &str| {
+        bus.put(format!("{PREFIX}/{key}"), payload).congestion_control(CongestionControl::Block).wait().unwrap();
+    };
+    let before = peak_mb(daemon.pid());
+    for k in 0..20_000 {
+        put(&format!("stranger{k}/op"), "1");
+    }
+    wait_for("all messages", || (daemon.counter("messages") == 20_000).then_some(()));
+    wait_for("all counted", || {
+        (daemon.counter("loops_over_limit") + daemon.counter("dropped_input") == 20_000 - 38).then_some(())
+    });
+    assert!(peak_mb(daemon.pid()) - before < 60, "{} MB more", peak_mb(daemon.pid()) - before);
+    // Those that are named find their places all the same.
+    let now_ns = stictiond::daemon::clock::now_ns();
+    let sample = |t_ns: i64| format!("{{\"t\":{t_ns},\"v\":1}}");
+    let samples = daemon.counter("samples");
+    for name in ["FIC101", "FIC102"] {
+        put(&format!("{name}/op"), &sample(now_ns));
+    }
+    wait_for("the named loops", || (daemon.counter("samples") == samples + 2).then_some(()));
+    // Ten years ahead of the clock and of the others: refused, and nobody moves.
+    for k in 0..5 {
+        put("FIC102/op", &sample(now_ns + 315_360_000_000_000_000 + k));
+    }
+    wait_for("the refusal", || (daemon.counter("stamps_ahead") == 5).then_some(()));
+    put("FIC102/op", &sample(now_ns + 1_000_000_000));
+    // More than its rate and its burst of a thousand seconds.
+    let flood = format!("[{}1]", "1,".repeat(1999));
+    put("FIC101/pv", &flood);
+    wait_for("the flood", || (daemon.counter("over_rate") > 900).then_some(()));
+    let faults = wait_for("the faults", || Some(daemon.faults()).filter(|f| f.len() >= 3));
+    for part in ["max_loops", "max_ahead_s; the last of FIC102, 3650 days", "max_rate_hz"] {
+        assert!(faults.iter().any(|f| f.contains(part)), "{part} in {faults:?}");
+    }
+    assert_eq!(daemon.health()["loops"], 40);
+    bus.close().wait().unwrap();
     daemon.stop();
 }

@@ -164,3 +164,163 @@ fn a_second_daemon_under_the_same_zenoh_id_says_that_it_is_blind() {
     a.wait().unwrap();
     b.wait().unwrap();
 }
+
+/// A daemon that need not get as far as watching: killed when dropped.
+struct Started(std::process::Child, std::path::PathBuf);
+
+impl Drop for Started {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+impl Started {
+    fn new(dir: &Path, zenoh: &str, web: u16) -> Self {
+        let (path, log) = (dir.join("c.toml"), dir.join("log"));
+        let rec = dir.join("rec");
+        let text = format!(
+            "[site]\nprefix = \"plant1/area1\"\n[zenoh]\n{zenoh}\n[web]\nlisten = \"127.0.0.1:{web}\"\n[recording]\ndir = {:?}\n",
+            rec.to_str().unwrap()
+        );
+        fs::write(&path, text).unwrap();
+        let mut command = Command::new(env!("CARGO_BIN_EXE_stictiond"));
+        let child = command.args(["run", "--config", path.to_str().unwrap()]).stdout(Stdio::null());
+        Self(child.stderr(fs::File::create(&log).unwrap()).spawn().unwrap(), log)
+    }
+
+    fn said(&self, part: &str) -> Option<()> {
+        fs::read_to_string(&self.1).unwrap().contains(part).then_some(())
+    }
+}
+
+/// Faults by way of the web server, once it answers.
+fn faults_at(web: u16) -> Option<String> {
+    std::net::TcpStream::connect(("127.0.0.1", web)).ok()?;
+    let health: serde_json::Value = serde_json::from_str(&live::http(&format!("127.0.0.1:{web}"), "/healthz")).ok()?;
+    Some(health["faults"].to_string())
+}
+
+#[test]
+fn taken_ports_are_faults_that_clear_and_loops_are_watched_meanwhile() {
+    let dir = tempfile::tempdir().unwrap();
+    let (on_web, on_bus) =
+        (std::net::TcpListener::bind("127.0.0.1:0").unwrap(), std::net::TcpListener::bind("127.0.0.1:0").unwrap());
+    let port = |of: &std::net::TcpListener| of.local_addr().unwrap().port();
+    let (web, bus) = (port(&on_web), port(&on_bus));
+    let daemon = Started::new(dir.path(), &format!("listen = [\"tcp/127.0.0.1:{bus}\"]"), web);
+    wait_for("the daemon", || daemon.said("watching"));
+    assert!(daemon.said("[web] listen").is_some() && daemon.said("cannot be listened to").is_some());
+    assert!(!files(&dir.path().join("rec")).is_empty(), "it records");
+    drop(on_web);
+    let faults = wait_for("the web server", || faults_at(web).filter(|f| f.contains("cannot be listened to")));
+    assert!(!faults.contains("[web]"), "{faults}");
+    drop(on_bus);
+    wait_for("no fault", || faults_at(web).filter(|f| f == "[]"));
+    drop(std::net::TcpStream::connect(("127.0.0.1", bus)).expect("it listens"));
+}
+
+#[test]
+fn a_router_that_is_not_there_is_a_fault_until_it_comes() {
+    let dir = tempfile::tempdir().unwrap();
+    let (web, port) = (free_port(), free_port());
+    let zenoh = format!("mode = \"client\"\nconnect = [\"tcp/127.0.0.1:{port}\"]");
+    let daemon = Started::new(dir.path(), &zenoh, web);
+    wait_for("the fault", || faults_at(web).filter(|f| f.contains("no router answers")));
+    assert!(daemon.said("watching").is_none());
+    let mut config = zenoh::Config::default();
+    for (key, value) in [
+        ("mode", "\"router\"".to_owned()),
+        ("listen/endpoints", format!("[\"tcp/127.0.0.1:{port}\"]")),
+        ("scouting/multicast/enabled", "false".to_owned()),
+    ] {
+        config.insert_json5(key, &value).unwrap();
+    }
+    let router = zenoh::open(config).wait().unwrap();
+    wait_for("the daemon", || daemon.said("watching"));
+    wait_for("no fault", || faults_at(web).filter(|f| f == "[]"));
+    drop(daemon);
+    router.close().wait().unwrap();
+}
+
+/// A folder on a disk of its own of 4 MiB, which only root can make; unmounted when dropped.
+struct SmallDisk(std::path::PathBuf);
+
+impl SmallDisk {
+    fn mount(dir: &Path, options: &str) -> Option<Self> {
+        fs::create_dir_all(dir).unwrap();
+        let out = Command::new("mount").args(["-t", "tmpfs", "-o", options, "tmpfs"]).arg(dir).output().ok()?;
+        out.status.success().then(|| Self(dir.to_owned()))
+    }
+
+    fn remount(&self, options: &str) {
+        let status = Command::new("mount").args(["-o", &format!("remount,{options}")]).arg(&self.0).status().unwrap();
+        assert!(status.success());
+    }
+}
+
+impl Drop for SmallDisk {
+    fn drop(&mut self) {
+        let _ = Command::new("umount").arg("-l").arg(&self.0).status();
+    }
+}
+
+/// Says that a test was skipped, past the harness; `tests/run.sh` counts these lines.
+fn skipped(test: &str, why: &str) {
+    use std::io::Write;
+    let _ = std::io::stderr().lock().write_all(format!("\nSKIPPED: {test}: {why}\n").as_bytes());
+}
+
+#[test]
+fn a_full_disk_and_a_read_only_one_are_faults_that_clear_and_every_sample_is_accounted_for() {
+    let dir = tempfile::tempdir().unwrap();
+    let rec = dir.path().join("rec");
+    let Some(disk) = SmallDisk::mount(&rec, "size=4m,ro") else {
+        return skipped("a_full_disk", "mounting a small disk takes root");
+    };
+    let mut daemon = Daemon::start(dir.path(), "[recording]\nflush_s = 0.1\n");
+    let bus = daemon.session();
+    let mut sent = 0_u64;
+    let mut feed = |daemon: &Daemon| {
+        for _ in 0..500 {
+            let t_ns = 1_700_000_000_000_000_000 + sent * 1_000_000_000;
+            bus.put("plant1/area1/A/op", format!("{{\"t\":{t_ns},\"v\":{}}}", sent % 977)).wait().unwrap();
+            sent += 1;
+        }
+        wait_for("the samples", || (daemon.counter("samples") == sent).then_some(()));
+        sent
+    };
+    let named = |daemon: &Daemon, part: &str| {
+        wait_for(part, || daemon.faults().iter().any(|f| f.contains(part)).then_some(()));
+    };
+    feed(&daemon);
+    named(&daemon, "recording has stopped");
+    disk.remount("rw,size=4m");
+    wait_for("a recording", || (daemon.counter("recording_files") > 0).then_some(()));
+    feed(&daemon);
+    wait_for("its samples", || (daemon.counter("recorded") >= 500).then_some(()));
+    // Somebody else fills the disk.
+    let filler = rec.join("filler");
+    let mut file = fs::File::create(&filler).unwrap();
+    while std::io::Write::write(&mut file, &[7; 4096]).is_ok_and(|n| n > 0) {}
+    drop(file);
+    feed(&daemon);
+    named(&daemon, "recording has stopped");
+    assert!(daemon.alive());
+    fs::remove_file(&filler).unwrap();
+    wait_for("another recording", || (daemon.counter("recording_files") > 1).then_some(()));
+    let sent = feed(&daemon);
+    wait_for("no standing fault", || {
+        (!daemon.faults().iter().any(|f| f.contains("stopped") || f.contains("stored"))).then_some(())
+    });
+    wait_for("all accounted for", || {
+        (daemon.counter("recorded") + daemon.counter("recording_lost") == sent).then_some(())
+    });
+    bus.close().wait().unwrap();
+    let (lost, recordings) = (daemon.counter("recording_lost"), daemon.stop());
+    let samples = |file: &std::path::PathBuf| -> usize {
+        stictiond::files::load_samples(file).unwrap().loops.iter().map(|l| l.samples.len()).sum()
+    };
+    let kept: usize = files(&recordings).iter().map(samples).sum();
+    assert!(lost > 500 && kept as u64 + lost >= sent, "{kept} kept and {lost} lost of {sent}");
+}

@@ -57,8 +57,13 @@ fn faults_outside(text: &str, config: &Config) -> Vec<Fault> {
         faults.push(Fault { line, key, message, remedy: remedy.to_owned() });
     };
     if let Err(error) = session_config(config) {
-        let key = if config.zenoh.config_file.is_empty() { "connect" } else { "config_file" };
-        refuse("zenoh", key, error.to_string(), "name a Zenoh configuration (JSON5) that exists and can be read");
+        let about = format!("{error:#}");
+        if about.contains("principals") {
+            refuse("commands", "principals", about, "see SECURITY.md, or leave the principals out");
+        } else {
+            let key = if config.zenoh.config_file.is_empty() { "connect" } else { "config_file" };
+            refuse("zenoh", key, error.to_string(), "name a Zenoh configuration (JSON5) that exists and can be read");
+        }
     }
     if !config.signing.key_file.is_empty()
         && let Err(error) = Signer::read(Path::new(&config.signing.key_file))

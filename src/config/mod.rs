@@ -1,5 +1,6 @@
 //! The configuration: TOML text in, a [`Config`] or every fault at once out. Knows no file.
 
+mod input;
 mod reader;
 mod service;
 
@@ -7,11 +8,12 @@ use serde::Serialize;
 use sha2::{Digest, Sha256};
 use toml::de::DeTable;
 
+pub use input::Input;
 pub use reader::Fault;
 use reader::{TableReader, line_of, subtable, subtables};
 pub use service::{Commands, Retention, Signing};
 
-use crate::record::{Mode, Signal};
+use crate::record::Signal;
 use crate::units::is_loop_name;
 
 /// Everything the daemon is told. Field names are the keys of the text.
@@ -69,35 +71,6 @@ pub struct Zenoh {
     pub multicast: bool,
     /// Path of a full Zenoh configuration; the keys above are put on top of it where they say something.
     pub config_file: String,
-}
-
-/// `[input] queue_bytes` where nothing is said.
-const QUEUE_BYTES: usize = 64 << 20;
-
-// Keys that came later are left out of the hash at their defaults: older recordings still read as recorded.
-#[allow(clippy::trivially_copy_pass_by_ref)] // as serde calls it
-const fn is_queue_bytes_default(bytes: &usize) -> bool {
-    *bytes == QUEUE_BYTES
-}
-
-/// `[input]`.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Input {
-    /// Monitor every loop that appears under the prefix.
-    pub discover: bool,
-    /// Loops beyond this many are counted and left alone.
-    pub max_loops: usize,
-    /// Messages that may wait for the engine.
-    pub queue: usize,
-    /// Bytes of messages that may wait for the engine.
-    #[serde(skip_serializing_if = "is_queue_bytes_default")]
-    pub queue_bytes: usize,
-    /// Payload codec: `auto` or one codec's name.
-    pub codec: String,
-    /// Convention of quality codes: `ua` or `classic`.
-    pub quality: String,
-    /// Numbers that stand for modes.
-    pub modes: Vec<(i64, Mode)>,
 }
 
 /// `[window]`; times in seconds.
@@ -254,7 +227,7 @@ impl Config {
         }
         let site = read!(site, read_site);
         let zenoh = read!(zenoh, read_zenoh);
-        let input = read!(input, read_input);
+        let input = read!(input, input::read_input);
         let window = read!(window, |r: &mut TableReader<'_, '_>| read_window(r, WindowParams::default()));
         let alarm = read!(alarm, |r: &mut TableReader<'_, '_>| read_alarm(r, AlarmParams::default()));
         let gap = read!(gap, read_gap);
@@ -264,6 +237,7 @@ impl Config {
         let signing = read!(signing, service::read_signing);
         let web = read!(web, read_web);
         let loops = read_loops(text, root, window, alarm, faults);
+        faults.extend(input::too_few_places(text, root, input.max_loops, loops.len()));
         Self { site, zenoh, input, window, alarm, gap, recording, retention, commands, signing, web, loops }
     }
 
@@ -364,30 +338,6 @@ fn read_zenoh(r: &mut TableReader<'_, '_>) -> Zenoh {
     }
     let [listen, connect] = [listen, connect].map(|l| l.into_iter().map(|(endpoint, _)| endpoint).collect());
     Zenoh { mode, listen, connect, multicast, config_file }
-}
-
-fn read_input(r: &mut TableReader<'_, '_>) -> Input {
-    let mut modes = Vec::new();
-    for (number, word, line) in r.text_map("modes") {
-        match (number.parse::<i64>(), Mode::from_word(&word)) {
-            (Ok(n), mode) if mode != Mode::Unknown || word == "unknown" => modes.push((n, mode)),
-            (Ok(_), _) => {
-                r.refuse(line, "modes", format!("{word:?} is not a mode"), "write auto, manual, cascade or unknown");
-            }
-            (Err(_), _) => {
-                r.refuse(line, "modes", format!("{number:?} is not a whole number"), "write 0 = \"manual\"");
-            }
-        }
-    }
-    Input {
-        discover: r.boolean("discover", true),
-        max_loops: r.integer("max_loops", 100_000, 1, 1_000_000) as usize,
-        queue: r.integer("queue", 65_536, 16, 16_777_216) as usize,
-        queue_bytes: r.integer("queue_bytes", QUEUE_BYTES as u64, 4_194_304, 1 << 40) as usize,
-        codec: r.word("codec", "auto", &["auto", "json", "f64le"]),
-        quality: r.word("quality", "ua", &["ua", "classic"]),
-        modes,
-    }
 }
 
 fn read_window(r: &mut TableReader<'_, '_>, d: WindowParams) -> WindowParams {

@@ -26,6 +26,8 @@ pub struct Commands {
     pub per_minute: u32,
     /// Gap diagnoses an hour that people may ask for.
     pub runs_per_hour: u32,
+    /// Who alone may send them, as `cn:NAME` of a certificate or `user:NAME`; empty: whoever reaches the daemon.
+    pub principals: Vec<String>,
 }
 
 /// `[signing]`.
@@ -43,7 +45,7 @@ impl Default for Retention {
 
 impl Default for Commands {
     fn default() -> Self {
-        Self { enabled: true, per_minute: 300, runs_per_hour: 60 }
+        Self { enabled: true, per_minute: 300, runs_per_hour: 60, principals: Vec::new() }
     }
 }
 
@@ -82,9 +84,18 @@ pub(super) fn read_retention(r: &mut TableReader<'_, '_>) -> Retention {
 
 pub(super) fn read_commands(r: &mut TableReader<'_, '_>) -> Commands {
     let d = Commands::default();
+    let principals = r.texts("principals");
+    for (name, line) in &principals {
+        let named = ["cn:", "user:"].iter().any(|kind| name.strip_prefix(kind).is_some_and(|n| !n.trim().is_empty()));
+        if !named {
+            let remedy = "write \"cn:NAME\" for a certificate's common name, or \"user:NAME\"";
+            r.refuse(*line, "principals", format!("{name:?} is no principal"), remedy);
+        }
+    }
     Commands {
         enabled: r.boolean("enabled", d.enabled),
         per_minute: r.integer("per_minute", d.per_minute.into(), 1, 100_000) as u32,
         runs_per_hour: r.integer("runs_per_hour", d.runs_per_hour.into(), 0, 100_000) as u32,
+        principals: principals.into_iter().map(|(name, _)| name).collect(),
     }
 }

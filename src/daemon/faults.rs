@@ -4,6 +4,8 @@ use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
+use super::clock::Clock;
+
 /// One fault.
 #[derive(Debug)]
 struct Fault {
@@ -16,9 +18,16 @@ struct Fault {
 #[derive(Debug, Default)]
 pub struct Faults {
     active: Mutex<BTreeMap<String, Fault>>,
+    clock: Clock,
 }
 
 impl Faults {
+    /// None yet, by this clock.
+    #[must_use]
+    pub fn new(clock: Clock) -> Self {
+        Self { active: Mutex::default(), clock }
+    }
+
     /// A fault that lasts until it is cleared. Logged when it is new; its text may change.
     pub fn raise(&self, key: &str, text: impl Into<String>) {
         self.put(key, text.into(), None);
@@ -26,7 +35,7 @@ impl Faults {
 
     /// A fault that is over after a while, unless it is raised again.
     pub fn raise_for(&self, key: &str, text: impl Into<String>, lasting: Duration) {
-        self.put(key, text.into(), Some(Instant::now() + lasting));
+        self.put(key, text.into(), Some(self.clock.now() + lasting));
     }
 
     fn put(&self, key: &str, text: String, until: Option<Instant>) {
@@ -50,7 +59,7 @@ impl Faults {
     /// What holds now, in words.
     #[must_use]
     pub fn list(&self) -> Vec<String> {
-        let now = Instant::now();
+        let now = self.clock.now();
         let mut active = self.active.lock().unwrap_or_else(PoisonError::into_inner);
         active.retain(|_, fault| fault.until.is_none_or(|until| now < until));
         active.values().map(|fault| fault.text.clone()).collect()

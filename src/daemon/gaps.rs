@@ -62,10 +62,8 @@ impl Diagnoser {
     /// # Errors
     /// The system refuses a thread.
     pub fn start(busy: impl Fn() -> bool + Send + Sync + 'static) -> std::io::Result<Self> {
-        let (requests, jobs) = crossbeam_channel::bounded::<GapRequest>(QUEUE);
-        let (finished, answers) = crossbeam_channel::unbounded();
-        let stop = Arc::new(AtomicBool::new(false));
-        let stopped = stop.clone();
+        let (diagnoser, jobs, finished) = Self::ends();
+        let stopped = diagnoser.stop.clone();
         std::thread::Builder::new().name("gap".into()).spawn(move || {
             yield_to_all();
             for request in jobs {
@@ -77,7 +75,15 @@ impl Diagnoser {
                 }
             }
         })?;
-        Ok(Self { requests, answers, stop })
+        Ok(diagnoser)
+    }
+
+    /// This end, and the two that a thread would hold: where requests come out and answers go in.
+    #[must_use]
+    pub fn ends() -> (Self, Receiver<GapRequest>, Sender<Diagnosed>) {
+        let (requests, jobs) = crossbeam_channel::bounded::<GapRequest>(QUEUE);
+        let (finished, answers) = crossbeam_channel::unbounded();
+        (Self { requests, answers, stop: Arc::default() }, jobs, finished)
     }
 }
 

@@ -17,6 +17,7 @@ pub mod faults;
 pub mod gaps;
 mod health;
 mod housekeeping;
+mod limits;
 pub mod metrics;
 pub mod queue;
 mod reload;
@@ -25,6 +26,7 @@ pub mod restore;
 mod routes;
 mod schedule;
 mod signals;
+pub mod stage;
 mod worker;
 
 use std::future::Future;
@@ -36,6 +38,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, anyhow};
 use sd_notify::NotifyState;
 
+use self::clock::Clock;
 pub use self::core::HealthSnapshot;
 pub(crate) use self::core::to_json;
 use self::core::{Core, Parts, tell_system};
@@ -50,13 +53,20 @@ use self::restore::Restored;
 use crate::codec::topic;
 use crate::config::Config;
 use crate::engine::Engine;
+use crate::files::disk::SystemDisk;
 use crate::files::lock::{FolderLock, LockError};
 use crate::sink::keeper::Keeper;
 use crate::sink::recorder::{Recorder, RunInfo};
 use crate::sink::signing::Signer;
 use crate::sink::zenoh::Publisher;
-use crate::source::{self, presence};
+use crate::source::shares::Shares;
+use crate::source::{self, Intake, presence};
 
+/// How long a router may take to answer before that is a fault.
+const ROUTER_WITHIN: Duration = Duration::from_secs(5);
+/// Name of the housekeeper's thread, and how long it may take to end.
+const HOUSE: &str = "house";
+const HOUSE_WITHIN: Duration = Duration::from_millis(300);
 /// How long the threads may take to end.
 const STOP_WITHIN: Duration = Duration::from_millis(3500);
 
@@ -74,7 +84,7 @@ pub struct RunOptions {
 /// Runs the daemon until `stop` is ready, then ends in order.
 ///
 /// # Errors
-/// Zenoh cannot start (a port is taken, a setting is refused), or the system refuses a thread or a port.
+/// Zenoh cannot start (a setting is refused), or the system refuses a thread.
 pub async fn run(
     config: Config,
     config_text: String,
@@ -90,7 +100,7 @@ pub async fn run(
     let lock = lock_folder(&recordings, &faults)?;
     // A demonstration starts afresh.
     let restored = match options.origin {
-        "run" => restore::restore(&recordings, &config.site.prefix, &faults, &metrics),
+        "run" => restore::restore(&SystemDisk, &recordings, &config.site.prefix, &faults, &metrics),
         _ => Restored::default(),
     };
     restore::tell_aside(&recordings, &faults);
@@ -98,16 +108,18 @@ pub async fn run(
     memories.retain(|name, _| config.input.discover || config.loop_named(name).is_some());
     let starting = |id: &str| (Instant::now(), Arc::new(DaemonHealth::starting(id, &config.hash())));
     let snapshot = HealthSnapshot::new(RwLock::new(starting("")));
-    let web = crate::web::serve(&config.web, metrics.clone(), snapshot.clone()).await?;
+    let web = crate::web::serve(&config.web, &metrics, snapshot.clone(), faults.clone()).await;
     tokio::pin!(stop);
     // A client's session opens once its router is there, which may be never.
-    let session = tokio::select! {
+    let (session, deaf) = tokio::select! {
         opened = source::zenoh::open(&config) => opened?,
+        () = wait_for_router(&faults, &snapshot) => return Ok(()),
         () = &mut stop => {
             web.stop();
             return Ok(());
         }
     };
+    faults.clear("bus");
     let daemon_id = session.zid().to_string();
     if let Ok(mut snapshot) = snapshot.write() {
         *snapshot = starting(&daemon_id);
@@ -115,7 +127,7 @@ pub async fn run(
 
     let last = source::zenoh::LastValues::default();
     let (queue, incoming) = crossbeam_channel::bounded(config.input.queue);
-    let budget = Budget::new(config.input.queue_bytes);
+    let (budget, shares) = (Budget::new(config.input.queue_bytes), Shares::default());
     let (publisher, publishing) = Publisher::start(session.clone(), last.clone(), signer.clone(), metrics.clone())?;
     let run = run_info(&config, config_text, &options, &daemon_id, run_number);
     let retention = Arc::new(Mutex::new(config.retention));
@@ -131,7 +143,7 @@ pub async fn run(
     let (recorder, recording) = Recorder::start(run, config.recording.clone(), metrics.clone(), faults.clone())?;
     let (stop_house, house_stops) = crossbeam_channel::bounded::<()>(0);
     let housekeeping = housekeeping::start(house, house_stops)?;
-    let mut threads = vec![("recorder", recording), ("publisher", publishing), ("house", housekeeping)];
+    let mut threads = vec![("recorder", recording), ("publisher", publishing), (HOUSE, housekeeping)];
     let mut keeper = None;
     if options.origin == "run" {
         let prefix = &config.site.prefix;
@@ -152,7 +164,7 @@ pub async fn run(
     let engine = Engine::new(config.clone());
     let parts = Parts {
         engine,
-        budget: budget.clone(),
+        input: (budget.clone(), shares.clone()),
         workers,
         diagnoser,
         recorder: Some(recorder),
@@ -162,6 +174,7 @@ pub async fn run(
         faults: faults.clone(),
         snapshot,
         daemon_id: daemon_id.clone(),
+        clock: Clock::system(),
     };
     let (stop_core, stopping) = crossbeam_channel::bounded::<()>(0);
     let core = std::thread::Builder::new().name("engine".into()).spawn(move || {
@@ -170,9 +183,14 @@ pub async fn run(
         core.run(&incoming, &stopping);
     })?;
     let control = queue.clone();
-    let mut subscribers = source::zenoh::subscribe(&session, &config, queue, budget, metrics.clone()).await?;
+    let intake = Intake::new(queue, (budget, shares), metrics.clone(), Clock::system());
+    let mut subscribers = source::zenoh::subscribe(&session, &config, &intake).await?;
     subscribers.push(presence::watch_own_keys(&session, &prefix, faults.clone(), metrics.clone()).await?);
     let bus = source::zenoh::session_config(&config)?;
+    if let Some(why) = deaf {
+        faults.raise(presence::LISTENING, format!("the bus cannot be listened to, tried for ever: {why}"));
+        tokio::spawn(presence::watch_listening(session.clone(), bus.clone(), faults.clone()));
+    }
     let watching = tokio::spawn(presence::watch(session.clone(), bus, prefix.clone(), faults.clone()));
     let token_key = topic::plane(&prefix, &format!("@daemon/{daemon_id}"));
     let token = session.liveliness().declare_token(&token_key).await.map_err(|e| anyhow!("{token_key}: {e}"))?;
@@ -207,6 +225,23 @@ pub async fn run(
     // Closing may hang when the network loses packets.
     let _ = tokio::time::timeout(Duration::from_secs(1), session.close()).await;
     ended
+}
+
+/// While a client waits for its router, which may be for ever: says so among the faults and to the system, whose watchdog
+/// would else end a daemon that has nothing to do. Never ends.
+async fn wait_for_router(faults: &Faults, snapshot: &HealthSnapshot) {
+    tokio::time::sleep(ROUTER_WITHIN).await;
+    faults.raise("bus", "not connected to the bus: no router answers; it is tried for ever");
+    tell_system(&[NotifyState::Ready, NotifyState::Status("waits for the router")]);
+    let pause = sd_notify::watchdog_enabled().map_or(ROUTER_WITHIN, |period| period / 2);
+    loop {
+        if let Ok(mut snapshot) = snapshot.write() {
+            let health = DaemonHealth { faults: faults.list(), ..(*snapshot.1).clone() };
+            *snapshot = (Instant::now(), Arc::new(health));
+        }
+        tell_system(&[NotifyState::Watchdog]);
+        tokio::time::sleep(pause).await;
+    }
 }
 
 /// What signs documents, where the configuration names a key.
@@ -253,7 +288,12 @@ fn run_info(config: &Config, config_text: String, options: &RunOptions, daemon_i
 async fn join_within(threads: Vec<(&'static str, JoinHandle<()>)>, limit: Duration) -> anyhow::Result<()> {
     let until = Instant::now() + limit;
     for (name, thread) in threads {
+        // The housekeeper holds nothing that a crash could harm, and on a busy machine it is the last to get a core.
+        let until = if name == HOUSE { until.min(Instant::now() + HOUSE_WITHIN) } else { until };
         while !thread.is_finished() {
+            if Instant::now() >= until && name == HOUSE {
+                break;
+            }
             if Instant::now() >= until {
                 tracing::error!(
                     thread = name,
@@ -262,6 +302,9 @@ async fn join_within(threads: Vec<(&'static str, JoinHandle<()>)>, limit: Durati
                 return Ok(());
             }
             tokio::time::sleep(Duration::from_millis(5)).await;
+        }
+        if !thread.is_finished() {
+            continue;
         }
         thread.join().map_err(|_| anyhow!("the {name} thread panicked")).context("the daemon ended in disorder")?;
     }

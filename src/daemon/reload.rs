@@ -10,7 +10,14 @@ use super::faults::Faults;
 use crate::config::{Config, Retention};
 
 /// Settings that take effect at once; all others do at the next start.
-const AT_ONCE: [&str; 4] = ["commands", "retention", "recording.max_bytes", "recording.max_s"];
+const AT_ONCE: [&str; 6] = [
+    "commands.enabled",
+    "commands.per_minute",
+    "commands.runs_per_hour",
+    "retention",
+    "recording.max_bytes",
+    "recording.max_s",
+];
 /// Name of the fault while the file cannot be used.
 const FAULT: &str = "config";
 
@@ -83,6 +90,9 @@ fn settings(config: &Config) -> BTreeMap<String, Value> {
         root[key] = table.unwrap_or_default();
     }
     root["input"]["queue_bytes"] = config.input.queue_bytes.into();
+    root["input"]["new_loops_per_hour"] = config.input.new_loops_per_hour.into();
+    root["input"]["max_rate_hz"] = config.input.max_rate_hz.into();
+    root["input"]["max_ahead_s"] = config.input.max_ahead_s.into();
     let mut flat = BTreeMap::new();
     flatten("", &root, &mut flat);
     flat

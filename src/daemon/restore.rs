@@ -13,6 +13,7 @@ use super::metrics::Metrics;
 use super::to_json;
 use crate::codec::topic::{Kind, Leaf, Topic};
 use crate::engine::{Checkpoint, StateDocument};
+use crate::files::disk::Disk;
 use crate::files::store::{STORE_NAME, StateStore, StoreError};
 use crate::files::{ReadError, RecordingReader};
 use crate::sink::keeper::{key_of, loop_of};
@@ -78,9 +79,9 @@ pub struct Restored {
 /// What earlier runs under this prefix remembered. Never fails: what cannot be read becomes a fault. All of it is in
 /// the store before this returns, so that a crash right after costs nothing.
 #[must_use]
-pub fn restore(dir: &Path, prefix: &str, faults: &Faults, metrics: &Metrics) -> Restored {
+pub fn restore(disk: &dyn Disk, dir: &Path, prefix: &str, faults: &Faults, metrics: &Metrics) -> Restored {
     let files = recordings_in(dir, prefix, metrics);
-    let store = open_store(dir, faults, metrics);
+    let store = open_store(disk, dir, faults, metrics);
     let stored = store.as_ref().map(StateStore::load).and_then(|loaded| match loaded {
         Ok(stored) => Some(stored),
         Err(error) => {
@@ -168,18 +169,18 @@ fn recordings_in(dir: &Path, prefix: &str, metrics: &Metrics) -> Vec<RunFile> {
     files
 }
 
-fn open_store(dir: &Path, faults: &Faults, metrics: &Metrics) -> Option<StateStore> {
+fn open_store(disk: &dyn Disk, dir: &Path, faults: &Faults, metrics: &Metrics) -> Option<StateStore> {
     let path = dir.join(STORE_NAME);
-    let open = || match StateStore::open(&path) {
+    let open = || match StateStore::open_on(disk, &path) {
         Err(error @ StoreError::Broken { .. }) => {
             put_aside(&path, metrics);
             let text = format!("{error}; it was put aside, and states were taken from the recordings");
             faults.raise_for("store broken", text, LOSS_SHOWN);
-            StateStore::open(&path).map_err(|e| e.to_string())
+            StateStore::open_on(disk, &path).map_err(|e| e.to_string())
         }
         opened => opened.map_err(|e| e.to_string()),
     };
-    let opened = fs::create_dir_all(dir).map_err(|e| format!("{}: {e}", dir.display())).and_then(|()| open());
+    let opened = disk.create_folder(dir).map_err(|e| format!("{}: {e}", dir.display())).and_then(|()| open());
     opened.inspect_err(|why| faults.raise("state", format!("alarm states cannot be stored: {why}"))).ok()
 }
 
@@ -251,6 +252,7 @@ mod tests {
     use super::*;
     use crate::codec::topic;
     use crate::files::RecordingFile;
+    use crate::files::disk::SystemDisk;
 
     fn state(name: &str, raised: bool) -> Vec<u8> {
         let text = if raised { r#""unack","active":true"# } else { r#""normal","active":false"# };
@@ -284,7 +286,7 @@ mod tests {
     }
 
     fn start(dir: &Path) -> Restored {
-        restore(dir, "p", &Faults::default(), &Metrics::default())
+        restore(&SystemDisk, dir, "p", &Faults::default(), &Metrics::default())
     }
 
     #[test]
@@ -319,7 +321,7 @@ mod tests {
         fs::write(dir.path().join(STORE_NAME), vec![7_u8; 5000]).unwrap();
         fs::write(dir.path().join("x.mcap"), b"no recording").unwrap();
         let (faults, metrics) = (Faults::default(), Metrics::default());
-        let restored = restore(dir.path(), "p", &faults, &metrics);
+        let restored = restore(&SystemDisk, dir.path(), "p", &faults, &metrics);
         assert!(restored.store.is_some());
         assert_eq!((raised(&restored), metrics.quarantined.get()), (vec!["A"], 2));
         tell_aside(dir.path(), &faults);

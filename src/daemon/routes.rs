@@ -6,6 +6,7 @@ use crate::codec::topic::{Leaf, Topic};
 use crate::config::Config;
 use crate::engine::{Engine, LoopId};
 use crate::record::Signal;
+use crate::source::shares::Shares;
 
 /// Longest name of a loop that is discovered, bytes.
 const NAME_BYTES: usize = 256;
@@ -17,8 +18,10 @@ pub enum Route {
     To(LoopId, Signal),
     /// No signal.
     Foreign,
-    /// A loop that is not configured, or one too many.
+    /// A loop that is not configured, or whose name cannot be one.
     Refused,
+    /// A new loop beyond what may be.
+    Full,
 }
 
 /// The table of keys, learnt as they appear.
@@ -31,12 +34,14 @@ pub struct Routes {
     configured: HashSet<String>,
     /// Keys that mean a signal; nothing is kept of others, however many come.
     known: HashMap<Box<str>, Route>,
+    /// Told of each of them.
+    shares: Shares,
 }
 
 impl Routes {
     /// The routes that a configuration fixes.
     #[must_use]
-    pub fn new(config: &Config) -> Self {
+    pub fn new(config: &Config, shares: Shares) -> Self {
         let mapped = config
             .loops
             .iter()
@@ -44,11 +49,11 @@ impl Routes {
             .collect();
         let configured = config.loops.iter().map(|l| l.name.clone()).collect();
         let (prefix, discover) = (config.site.prefix.clone(), config.input.discover);
-        Self { prefix, discover, mapped, configured, known: HashMap::new() }
+        Self { prefix, discover, mapped, configured, known: HashMap::new(), shares }
     }
 
-    /// The route of a key; a loop that is new appears.
-    pub fn of(&mut self, key: &str, engine: &mut Engine) -> Route {
+    /// The route of a key; a loop that is new appears, a discovered one where `may_appear` agrees.
+    pub fn of(&mut self, key: &str, engine: &mut Engine, may_appear: impl FnOnce() -> bool) -> Route {
         if let Some(route) = self.known.get(key) {
             return *route;
         }
@@ -60,10 +65,15 @@ impl Routes {
         let route = match meant.or_else(raw) {
             None => Route::Foreign,
             Some((name, _)) if !(self.configured.contains(name) || self.discover && is_sound(name)) => Route::Refused,
-            Some((name, signal)) => engine.appear(name).map_or(Route::Refused, |id| Route::To(id, signal)),
+            Some((name, signal)) => {
+                let known = self.configured.contains(name) || engine.find(name).is_some();
+                let appeared = (known || engine.has_room() && may_appear()).then(|| engine.appear(name)).flatten();
+                appeared.map_or(Route::Full, |id| Route::To(id, signal))
+            }
         };
         if matches!(route, Route::To(..)) {
             self.known.insert(key.into(), route);
+            self.shares.learn(key);
         }
         route
     }
@@ -80,31 +90,42 @@ mod tests {
 
     fn setup(text: &str) -> (Engine, Routes) {
         let config = Config::parse(text).unwrap();
-        let routes = Routes::new(&config);
+        let routes = Routes::new(&config, Shares::default());
         (Engine::new(config), routes)
     }
 
     #[test]
     fn loops_are_discovered_below_the_prefix() {
         let (mut engine, mut routes) = setup("[site]\nprefix = \"p\"\n[input]\nmax_loops = 1\n");
-        let Route::To(id, Signal::Op) = routes.of("p/A/op", &mut engine) else { panic!() };
-        assert_eq!(routes.of("p/A/pv", &mut engine), Route::To(id, Signal::Pv));
-        assert_eq!(routes.of("p/A/temperature", &mut engine), Route::Foreign);
-        assert_eq!(routes.of("p/B/op", &mut engine), Route::Refused);
+        let Route::To(id, Signal::Op) = routes.of("p/A/op", &mut engine, || true) else { panic!() };
+        assert_eq!(routes.of("p/A/pv", &mut engine, || true), Route::To(id, Signal::Pv));
+        assert_eq!(routes.of("p/A/temperature", &mut engine, || true), Route::Foreign);
+        assert_eq!(routes.of("p/B/op", &mut engine, || true), Route::Full);
+    }
+
+    #[test]
+    fn loops_that_are_named_find_their_place_whoever_came_before() {
+        let text = "[site]\nprefix = \"p\"\n[input]\nmax_loops = 3\n[[loop]]\nname = \"A\"\n";
+        let (mut engine, mut routes) = setup(text);
+        let strangers =
+            (0..100_000).filter(|k| matches!(routes.of(&format!("p/x{k}/op"), &mut engine, || true), Route::To(..)));
+        assert_eq!(strangers.count(), 2);
+        assert!(matches!(routes.of("p/A/op", &mut engine, || false), Route::To(..)));
+        assert_eq!((routes.known.len(), engine.ids().len()), (3, 3));
     }
 
     #[test]
     fn keys_that_mean_nothing_leave_nothing_behind() {
         let (mut engine, mut routes) = setup("[site]\nprefix = \"p\"\n[input]\nmax_loops = 1\n");
-        assert!(matches!(routes.of("p/A/op", &mut engine), Route::To(..)));
+        assert!(matches!(routes.of("p/A/op", &mut engine, || true), Route::To(..)));
         for k in 0..1000 {
-            assert_eq!(routes.of(&format!("p/A/x{k}"), &mut engine), Route::Foreign);
-            assert_eq!(routes.of(&format!("p/L{k}/op"), &mut engine), Route::Refused);
+            assert_eq!(routes.of(&format!("p/A/x{k}"), &mut engine, || true), Route::Foreign);
+            assert_eq!(routes.of(&format!("p/L{k}/op"), &mut engine, || true), Route::Full);
         }
         assert_eq!((routes.known.len(), engine.ids().len()), (1, 1));
         let (mut engine, mut routes) = setup("[site]\nprefix = \"p\"\n");
         for name in ["\u{1b}[2J", "a\u{7}b", &"n".repeat(300)] {
-            assert_eq!(routes.of(&format!("p/{name}/op"), &mut engine), Route::Refused);
+            assert_eq!(routes.of(&format!("p/{name}/op"), &mut engine, || true), Route::Refused);
         }
     }
 
@@ -112,8 +133,8 @@ mod tests {
     fn foreign_keys_are_mapped_and_nothing_else_is_taken_without_discovery() {
         let text = "[site]\nprefix = \"p\"\n[input]\ndiscover = false\n[[loop]]\nname = \"A\"\nop = \"gw/A.MV\"\n";
         let (mut engine, mut routes) = setup(text);
-        assert!(matches!(routes.of("gw/A.MV", &mut engine), Route::To(_, Signal::Op)));
-        assert!(matches!(routes.of("p/A/pv", &mut engine), Route::To(_, Signal::Pv)));
-        assert_eq!(routes.of("p/B/pv", &mut engine), Route::Refused);
+        assert!(matches!(routes.of("gw/A.MV", &mut engine, || true), Route::To(_, Signal::Op)));
+        assert!(matches!(routes.of("p/A/pv", &mut engine, || true), Route::To(_, Signal::Pv)));
+        assert_eq!(routes.of("p/B/pv", &mut engine, || true), Route::Refused);
     }
 }

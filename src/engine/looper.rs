@@ -144,7 +144,7 @@ impl Loop {
         let end_ns = assessment.window.end_ns;
         out.push(Event::Estimate(id, Box::new(EstimateDocument::new(&self.name, hash, assessment))));
         if let Some(document) = change {
-            out.push(Event::Alarm(id, document));
+            out.push(Event::Alarm(id, document.with_criticality(self.settings.criticality)));
         }
         let checkpoint = Checkpoint { alarm: self.alarm.clone(), gap: self.gap.clone(), stream: None };
         out.push(Event::State(id, Box::new(StateDocument::new(&self.name, Some(end_ns), checkpoint))));
@@ -227,7 +227,8 @@ impl Loop {
     pub fn command(&mut self, command: &Command) -> Result<AlarmDocument, CommandError> {
         let clock = self.aligner.event_time_ns(&self.settings.align);
         let at_ns = clock.or(self.alarm.window_end_ns()).unwrap_or(0);
-        self.alarm.command(&self.name, command, at_ns)
+        let document = self.alarm.command(&self.name, command, at_ns)?;
+        Ok(document.with_criticality(self.settings.criticality))
     }
 
     pub fn checkpoint(&self) -> Checkpoint {
@@ -251,7 +252,8 @@ impl Loop {
             self.windows = stream.windows;
             self.gaps = stream.gaps;
         }
-        (self.alarm.shown() != State::Normal).then(|| self.alarm.restored(&self.name))
+        let restored = || self.alarm.restored(&self.name).with_criticality(self.settings.criticality);
+        (self.alarm.shown() != State::Normal).then(restored)
     }
 
     pub fn figures(&self) -> LoopFigures {

@@ -11,7 +11,7 @@ mod input;
 mod looper;
 mod windowing;
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
@@ -53,6 +53,8 @@ pub struct LoopSettings {
     pub assess: AssessParams,
     /// Its gap diagnoses.
     pub gap: GapParams,
+    /// How much it matters, 1 to 5, where the configuration says anything of the loop.
+    pub criticality: Option<u8>,
 }
 
 impl LoopSettings {
@@ -76,6 +78,7 @@ impl LoopSettings {
             window,
             alarm,
             gap: config.gap,
+            criticality: own.map(|l| l.criticality),
         }
     }
 }
@@ -204,6 +207,8 @@ pub struct Engine {
     common: Arc<LoopSettings>,
     loops: Vec<Loop>,
     by_name: HashMap<Arc<str>, LoopId>,
+    /// Loops that the configuration names and that have not appeared: their places are kept.
+    expected: HashSet<String>,
 }
 
 impl Engine {
@@ -212,7 +217,8 @@ impl Engine {
     pub fn new(config: Config) -> Self {
         let common = Arc::new(LoopSettings::of(&config, None));
         let config_hash = config.hash().into();
-        Self { config: Arc::new(config), config_hash, common, loops: Vec::new(), by_name: HashMap::new() }
+        let expected = config.loops.iter().map(|l| l.name.clone()).collect();
+        Self { config: Arc::new(config), config_hash, common, loops: Vec::new(), by_name: HashMap::new(), expected }
     }
 
     /// The configuration that it runs under.
@@ -244,21 +250,29 @@ impl Engine {
         self.by_name.get(name).copied()
     }
 
-    /// The handle of a loop, which appears now if it is new; `None` beyond `max_loops`.
+    /// The handle of a loop, which appears now if it is new; `None` beyond `max_loops`. Loops that the configuration
+    /// names always have their place, whoever came before them.
     pub fn appear(&mut self, name: &str) -> Option<LoopId> {
         if let Some(id) = self.find(name) {
             return Some(id);
         }
-        if self.loops.len() >= self.config.input.max_loops {
+        let kept = if self.expected.contains(name) { 0 } else { self.expected.len() };
+        if self.loops.len() + kept >= self.config.input.max_loops {
             return None;
         }
-        let own = self.config.loop_named(name);
+        let own = self.expected.remove(name).then(|| self.config.loop_named(name)).flatten();
         let settings = own.map_or_else(|| self.common.clone(), |l| Arc::new(LoopSettings::of(&self.config, Some(l))));
         let id = LoopId(self.loops.len() as u32);
         let name: Arc<str> = name.into();
         self.loops.push(Loop::new(name.clone(), settings));
         self.by_name.insert(name, id);
         Some(id)
+    }
+
+    /// Whether a loop that the configuration does not name may still appear.
+    #[must_use]
+    pub fn has_room(&self) -> bool {
+        self.loops.len() + self.expected.len() < self.config.input.max_loops
     }
 
     /// Takes one sample of a loop.

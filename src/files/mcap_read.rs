@@ -327,6 +327,11 @@ impl RecordingReader {
                 }
                 let outcome = match opcode {
                     op::CHUNK => self.contents.take_chunk(data),
+                    // Files have their messages in chunks or not at all: a bit makes an index of a chunk into a message.
+                    op::MESSAGE if self.last_chunk > 0 => {
+                        self.note(format!("record at byte {start}: a message outside the chunks"));
+                        Ok(())
+                    }
                     // After the data come copies and indexes; only the count of messages is of use.
                     _ if self.saw_data_end && opcode != op::STATISTICS => Ok(()),
                     _ => self.contents.take_record(opcode, data),
@@ -354,12 +359,9 @@ impl RecordingReader {
     /// Goes on at the next chunk that the index knows, or ends. What stands between two chunks is of no use, and a
     /// wrong length there may have hidden whole chunks, so the place is counted from the last chunk read.
     fn resume_after(&mut self, error: &McapError) -> Result<(), ReadError> {
-        use McapError::{BadDataCrc, BadMagic, BadSummaryCrc, BytesAfterEndMagic};
+        // Also after what reads as the end of the data or of the file: a bit makes an index of a chunk into one.
         let last = self.last_chunk;
-        let next = match error {
-            BadDataCrc { .. } | BadSummaryCrc { .. } | BadMagic | BytesAfterEndMagic => None,
-            _ => self.use_index(last).chunk_after(last),
-        };
+        let next = self.use_index(last).chunk_after(last);
         let Some(next) = next else {
             self.finish(Some(error));
             return Ok(());
@@ -382,6 +384,7 @@ impl RecordingReader {
         sought.map_err(|source| ReadError::Io { path: self.path.clone(), source })?;
         self.linear = LinearReader::new_with_options(outer_options().with_skip_start_magic(true));
         self.offset = offset;
+        self.saw_data_end = false;
         // Whatever stands there, the next attempt is a later one.
         self.last_chunk = offset;
         Ok(())

@@ -4,6 +4,7 @@
 //! crash loses at most what came since. [`RecordingFile::finish`] writes the index, syncs, renames to `NAME.mcap` and
 //! syncs the folder. An MCAP file cannot be reopened: rotate instead.
 
+use super::disk::{Disk, DiskFile, Handle, SystemDisk};
 use super::mcap_roster::Roster;
 use super::schemas;
 use super::seal::Sum;
@@ -11,7 +12,7 @@ use crate::codec::topic::Kind;
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{Compression, McapError, WriteOptions, Writer};
 use std::collections::{BTreeMap, HashMap};
-use std::fs::{self, File, OpenOptions};
+use std::fs::{self, File};
 use std::io::{self, BufWriter, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -64,16 +65,24 @@ pub enum WriteError {
     },
 }
 
+/// What the open file's index keeps in memory of one channel in one chunk, bytes.
+const INDEX_ENTRY_BYTES: u64 = 40;
+
 /// One channel of the open file.
 struct Channel {
     id: u16,
     sequence: u32,
+    /// The flush after which it was used last.
+    flush: u64,
 }
+
+type Inner = Counted<BufWriter<Handle>>;
 
 /// One recording while it is written. Dropping it without [`RecordingFile::finish`] leaves the `.part` file.
 pub struct RecordingFile {
-    writer: Option<Writer<Counted<BufWriter<File>>>>,
-    file: File,
+    writer: Option<Writer<Inner>>,
+    file: Arc<dyn DiskFile>,
+    disk: Arc<dyn Disk>,
     part: PathBuf,
     target: PathBuf,
     written: Arc<AtomicU64>,
@@ -86,6 +95,9 @@ pub struct RecordingFile {
     /// Size of the file when all channels were listed last.
     listed_at: u64,
     dirty: bool,
+    /// Flushes so far, and channels that each of them closed a chunk of: what the index grows by.
+    flushes: u64,
+    indexed: u64,
     /// Whether the file ends with a SHA-256 of what stands before.
     sealed: bool,
 }
@@ -97,13 +109,26 @@ impl RecordingFile {
     /// # Errors
     /// [`WriteError::Io`] also when a file of that name exists already, open or whole.
     pub fn create(dir: &Path, stem: &str, metadata: &BTreeMap<String, String>) -> Result<Self, WriteError> {
-        fs::create_dir_all(dir).map_err(|source| WriteError::Io { path: dir.to_owned(), source })?;
+        Self::create_on(&(Arc::new(SystemDisk) as Arc<dyn Disk>), dir, stem, metadata)
+    }
+
+    /// The same on a disk of one's own.
+    ///
+    /// # Errors
+    /// As [`RecordingFile::create`].
+    pub fn create_on(
+        disk: &Arc<dyn Disk>,
+        dir: &Path,
+        stem: &str,
+        metadata: &BTreeMap<String, String>,
+    ) -> Result<Self, WriteError> {
+        disk.create_folder(dir).map_err(|source| WriteError::Io { path: dir.to_owned(), source })?;
         let target = dir.join(format!("{stem}.mcap"));
         if target.exists() {
             let source = io::Error::new(io::ErrorKind::AlreadyExists, "this recording exists already");
             return Err(WriteError::Io { path: target, source });
         }
-        Ok(Self::create_at(dir.join(format!("{stem}.mcap.part")), target, metadata)?.sealed())
+        Ok(Self::begin(disk, dir.join(format!("{stem}.mcap.part")), target, metadata)?.sealed())
     }
 
     /// The same file, to end with a SHA-256 of all that stands before it.
@@ -117,24 +142,31 @@ impl RecordingFile {
     /// # Errors
     /// [`WriteError`] if the file cannot be made or written.
     pub fn create_at(part: PathBuf, target: PathBuf, metadata: &BTreeMap<String, String>) -> Result<Self, WriteError> {
-        let failed = |source| WriteError::Io { path: part.clone(), source };
-        let file = OpenOptions::new().write(true).create_new(true).open(&part).map_err(failed)?;
-        Self::start(file, part.clone(), target, metadata).inspect_err(|_| {
+        Self::begin(&(Arc::new(SystemDisk) as Arc<dyn Disk>), part, target, metadata)
+    }
+
+    fn begin(
+        disk: &Arc<dyn Disk>,
+        part: PathBuf,
+        target: PathBuf,
+        metadata: &BTreeMap<String, String>,
+    ) -> Result<Self, WriteError> {
+        let file = disk.create_new(&part).map_err(|source| WriteError::Io { path: part.clone(), source })?;
+        Self::start(disk.clone(), file, (part.clone(), target), metadata).inspect_err(|_| {
             // An empty file under this name would stand in the way of the next attempt.
             let _ = fs::remove_file(&part);
         })
     }
 
     fn start(
-        file: File,
-        part: PathBuf,
-        target: PathBuf,
+        disk: Arc<dyn Disk>,
+        file: Arc<dyn DiskFile>,
+        (part, target): (PathBuf, PathBuf),
         metadata: &BTreeMap<String, String>,
     ) -> Result<Self, WriteError> {
-        let handle = file.try_clone().map_err(|source| WriteError::Io { path: part.clone(), source })?;
         let written = Arc::new(AtomicU64::new(0));
         let sum = Arc::new(Mutex::new(Sum::default()));
-        let inner = BufWriter::with_capacity(1 << 16, file);
+        let inner = BufWriter::with_capacity(1 << 16, Handle(file.clone()));
         let sink = Counted { inner, written: Arc::clone(&written), sum: Arc::clone(&sum) };
         // Whole chunks reach the file at once (no seeking back), so a reader of the open file meets none half written.
         let options = WriteOptions::new()
@@ -146,7 +178,8 @@ impl RecordingFile {
         let writer = options.create(sink).map_err(|source| WriteError::Mcap { path: part.clone(), source })?;
         let mut recording = Self {
             writer: Some(writer),
-            file: handle,
+            file,
+            disk,
             part,
             target,
             written,
@@ -157,6 +190,8 @@ impl RecordingFile {
             unlisted: Roster::default(),
             listed_at: 0,
             dirty: true,
+            flushes: 1,
+            indexed: 0,
             sealed: false,
         };
         let metadata = Metadata { name: super::METADATA_NAME.to_owned(), metadata: metadata.clone() };
@@ -207,6 +242,9 @@ impl RecordingFile {
             publish_time: mcap_time(publish_time_ns),
         };
         channel.sequence = channel.sequence.wrapping_add(1);
+        if std::mem::replace(&mut channel.flush, self.flushes) != self.flushes {
+            self.indexed += 1;
+        }
         self.dirty = true;
         self.with_writer(|writer| writer.write_to_known_channel(&header, payload))
     }
@@ -222,7 +260,8 @@ impl RecordingFile {
         self.list_channels()?;
         self.with_writer(Writer::flush)?;
         self.dirty = false;
-        self.file.sync_data().map_err(|source| self.fail(source))
+        self.flushes += 1;
+        self.file.sync(false).map_err(|source| self.fail(source))
     }
 
     /// Lists new channels outside the chunks, and from time to time all: a chunk holds only those that it is the first to
@@ -247,6 +286,13 @@ impl RecordingFile {
         self.written.load(Ordering::Relaxed)
     }
 
+    /// What the index takes of the memory until the file is finished, bytes: it grows with every flush by the channels
+    /// in it, however little was written.
+    #[must_use]
+    pub const fn index_bytes(&self) -> u64 {
+        self.indexed * INDEX_ENTRY_BYTES
+    }
+
     /// Channels registered.
     #[must_use]
     pub fn channels(&self) -> usize {
@@ -268,8 +314,7 @@ impl RecordingFile {
     /// Whether the folder still holds the file under its name: a removed one would be filled for nobody.
     #[must_use]
     pub fn is_linked(&self) -> bool {
-        let Ok(open) = self.file.metadata() else { return false };
-        fs::metadata(&self.part).is_ok_and(|there| super::same_file(&open, &there))
+        self.file.is_at(&self.part)
     }
 
     /// The file while it is open.
@@ -300,8 +345,8 @@ impl RecordingFile {
             let buffered = writer.into_inner().inner;
             buffered.into_inner().map_err(|error| self.fail(error.into_error()))?;
         }
-        self.file.sync_all().map_err(|source| self.fail(source))?;
-        fs::rename(&self.part, &self.target).map_err(|source| self.fail(source))?;
+        self.file.sync(true).map_err(|source| self.fail(source))?;
+        self.disk.rename(&self.part, &self.target).map_err(|source| self.fail(source))?;
         sync_folder(&self.target)?;
         Ok(self.target.clone())
     }
@@ -323,7 +368,7 @@ impl RecordingFile {
             }
         };
         let id = self.with_writer(|writer| writer.add_channel(schema, topic, encoding, &BTreeMap::new()))?;
-        self.channels.insert(topic.to_owned(), Channel { id, sequence: 0 });
+        self.channels.insert(topic.to_owned(), Channel { id, sequence: 0, flush: 0 });
         if let Some(kind) = kind {
             self.roster.add(id, kind, topic);
             self.unlisted.add(id, kind, topic);
@@ -334,7 +379,7 @@ impl RecordingFile {
     /// Runs one call on the writer; an error closes the file for good.
     fn with_writer<T>(
         &mut self,
-        call: impl FnOnce(&mut Writer<Counted<BufWriter<File>>>) -> Result<T, McapError>,
+        call: impl FnOnce(&mut Writer<Inner>) -> Result<T, McapError>,
     ) -> Result<T, WriteError> {
         let Some(writer) = self.writer.as_mut() else { return Err(self.refused()) };
         call(writer).map_err(|source| {
@@ -398,9 +443,12 @@ impl<W: Write> Write for Counted<W> {
     }
 }
 
-impl<W: Seek> Seek for Counted<W> {
+// The writer asks where it is and never goes elsewhere.
+impl<W> Seek for Counted<W> {
     fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
-        self.inner.seek(to)
+        let here = self.written.load(Ordering::Relaxed);
+        let stays = matches!(to, SeekFrom::Current(0)) || to == SeekFrom::Start(here);
+        if stays { Ok(here) } else { Err(io::ErrorKind::Unsupported.into()) }
     }
 }
 
@@ -436,6 +484,19 @@ mod tests {
     }
 
     #[test]
+    fn the_index_grows_by_channels_a_flush_not_by_messages() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut file = RecordingFile::create(dir.path(), "a", &metadata()).unwrap();
+        for _ in 0..10 {
+            for topic in ["p/a/op", "p/b/op", "p/a/op"] {
+                file.write(topic, Kind::Sample, 0, 0, b"1").unwrap();
+            }
+            file.flush().unwrap();
+        }
+        assert_eq!(file.index_bytes(), 20 * INDEX_ENTRY_BYTES);
+    }
+
+    #[test]
     fn channels_are_bounded_and_the_file_stays_usable() {
         let dir = tempfile::tempdir().unwrap();
         let mut file = RecordingFile::create(dir.path(), "a", &metadata()).unwrap();
@@ -466,8 +527,9 @@ mod tests {
 
     #[test]
     fn a_full_disk_is_an_error() {
-        let Ok(full) = OpenOptions::new().write(true).open("/dev/full") else { return };
-        let started = RecordingFile::start(full, "/dev/full".into(), "/dev/none".into(), &metadata());
+        let Ok(full) = File::options().write(true).open("/dev/full") else { return };
+        let places = ("/dev/full".into(), "/dev/none".into());
+        let started = RecordingFile::start(Arc::new(SystemDisk), Arc::new(full), places, &metadata());
         assert!(matches!(started, Err(WriteError::Mcap { .. })));
     }
 }

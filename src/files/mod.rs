@@ -2,6 +2,7 @@
 
 pub mod compact;
 pub mod csv;
+pub mod disk;
 pub mod even;
 pub mod export;
 pub mod inputs;

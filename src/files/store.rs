@@ -11,6 +11,8 @@ use redb::{Builder, Database, ReadableDatabase, ReadableTable, TableDefinition};
 use sha2::{Digest, Sha256};
 use thiserror::Error;
 
+use super::disk::{Disk, SystemDisk};
+
 /// Name of the store's file, beside the recordings.
 pub const STORE_NAME: &str = "state.redb";
 
@@ -64,10 +66,18 @@ impl StateStore {
     /// [`StoreError::Broken`] where the file is no store any more; it should be put aside. [`StoreError::Failed`] where
     /// the system refuses.
     pub fn open(path: &Path) -> Result<Self, StoreError> {
+        Self::open_on(&SystemDisk, path)
+    }
+
+    /// The same on a disk of one's own.
+    ///
+    /// # Errors
+    /// As [`StateStore::open`].
+    pub fn open_on(disk: &dyn Disk, path: &Path) -> Result<Self, StoreError> {
         let opened = guarded(path, || {
             let mut builder = Builder::new();
             builder.set_cache_size(CACHE_BYTES).set_check_integrity_on_open(true);
-            builder.create(path).map_err(redb::Error::from)
+            disk.open_store(&builder, path)
         })?;
         Ok(Self { database: opened, path: path.to_owned() })
     }

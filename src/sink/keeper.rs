@@ -13,6 +13,7 @@ use std::time::Duration;
 
 use crate::daemon::faults::Faults;
 use crate::daemon::metrics::Metrics;
+use crate::files::disk::{Disk, SystemDisk};
 use crate::files::store::{STORE_NAME, StateStore};
 
 /// How long states of windows wait for others to go with them.
@@ -79,10 +80,24 @@ impl Keeper {
         faults: Arc<Faults>,
         metrics: Arc<Metrics>,
     ) -> std::io::Result<(Self, JoinHandle<()>)> {
-        let shared = Arc::new(Shared::default());
-        let mut worker = Worker { path: dir.join(STORE_NAME), store, shared: shared.clone(), faults, metrics };
+        let (keeper, mut worker) = Self::pair(dir, prefix, store, Arc::new(SystemDisk), faults, metrics);
         let thread = std::thread::Builder::new().name("state".into()).spawn(move || worker.run())?;
-        Ok((Self { shared, prefix: prefix.to_owned() }, thread))
+        Ok((keeper, thread))
+    }
+
+    /// Both ends without a thread: whoever holds the other one decides when it works.
+    #[must_use]
+    pub fn pair(
+        dir: &Path,
+        prefix: &str,
+        store: Option<StateStore>,
+        disk: Arc<dyn Disk>,
+        faults: Arc<Faults>,
+        metrics: Arc<Metrics>,
+    ) -> (Self, Worker) {
+        let shared = Arc::new(Shared::default());
+        let worker = Worker { path: dir.join(STORE_NAME), store, disk, shared: shared.clone(), faults, metrics };
+        (Self { shared, prefix: prefix.to_owned() }, worker)
     }
 
     /// Keeps a loop's state soon.
@@ -114,9 +129,11 @@ impl Keeper {
     }
 }
 
-struct Worker {
+/// The end that writes.
+pub struct Worker {
     path: PathBuf,
     store: Option<StateStore>,
+    disk: Arc<dyn Disk>,
     shared: Arc<Shared>,
     faults: Arc<Faults>,
     metrics: Arc<Metrics>,
@@ -126,36 +143,83 @@ impl Worker {
     fn run(&mut self) {
         loop {
             let (states, waiters, closed) = self.next();
-            let saved = if states.is_empty() { Ok(()) } else { self.save(&states) };
-            match &saved {
-                Ok(()) => self.faults.clear(FAULT),
-                Err(why) => {
-                    self.metrics.state_errors.inc();
-                    self.faults.raise(FAULT, format!("alarm states cannot be stored: {why}"));
-                    self.put_back(states);
-                }
-            }
-            for kept in waiters {
-                kept(saved.clone());
-            }
+            let saved = self.settle(states, waiters);
             if closed {
                 return;
             }
-            if saved.is_err() {
+            if !saved {
                 self.pause();
             }
         }
     }
 
+    /// Stores what waits now, without waiting for more; says whether it could.
+    pub fn turn(&mut self) -> bool {
+        let (states, waiters) = {
+            let mut pending = self.shared.pending.lock().unwrap_or_else(PoisonError::into_inner);
+            (std::mem::take(&mut pending.states), std::mem::take(&mut pending.waiters))
+        };
+        self.settle(states, waiters)
+    }
+
+    /// States that wait.
+    #[must_use]
+    pub fn waiting(&self) -> usize {
+        self.shared.pending.lock().unwrap_or_else(PoisonError::into_inner).states.len()
+    }
+
+    /// Stores states and tells whoever waits for them.
+    fn settle(&mut self, states: BTreeMap<String, Vec<u8>>, waiters: Vec<Kept>) -> bool {
+        let saved = if states.is_empty() { self.reopen() } else { self.save(&states) };
+        match &saved {
+            Ok(()) => self.faults.clear(FAULT),
+            Err(why) => {
+                self.metrics.state_errors.inc();
+                self.faults.raise(FAULT, format!("alarm states cannot be stored: {why}"));
+                self.put_back(states);
+            }
+        }
+        for kept in waiters {
+            kept(saved.clone());
+        }
+        saved.is_ok()
+    }
+
     /// Waits for states, then a little for more of them unless somebody waits for an answer.
     fn next(&self) -> (BTreeMap<String, Vec<u8>>, Vec<Kept>, bool) {
-        let idle = |p: &mut Pending| p.states.is_empty() && !p.closed;
+        let idle_still = |p: &Pending| p.states.is_empty() && !p.closed;
+        let idle = |p: &mut Pending| idle_still(p);
         let pending = self.shared.pending.lock().unwrap_or_else(PoisonError::into_inner);
-        let pending = self.shared.wake.wait_while(pending, idle).unwrap_or_else(PoisonError::into_inner);
+        let pending = if self.store.is_some() {
+            self.shared.wake.wait_while(pending, idle).unwrap_or_else(PoisonError::into_inner)
+        } else {
+            // A store that could not be opened is tried again though nobody asks: else its fault would outlive its cause.
+            let waited = self.shared.wake.wait_timeout_while(pending, RETRY, idle);
+            waited.unwrap_or_else(PoisonError::into_inner).0
+        };
+        if idle_still(&pending) {
+            return (BTreeMap::new(), Vec::new(), false);
+        }
         let gathering = |p: &mut Pending| p.waiters.is_empty() && !p.closed;
         let (mut pending, _) =
             self.shared.wake.wait_timeout_while(pending, GATHER, gathering).unwrap_or_else(PoisonError::into_inner);
         (std::mem::take(&mut pending.states), std::mem::take(&mut pending.waiters), pending.closed)
+    }
+
+    /// Opens the store where it is not open; all states must come again then.
+    fn reopen(&mut self) -> Result<(), String> {
+        if self.store.is_none() {
+            self.store = Some(self.open()?);
+            self.shared.wants_all.store(true, Ordering::Relaxed);
+        }
+        Ok(())
+    }
+
+    fn open(&self) -> Result<StateStore, String> {
+        if let Some(folder) = self.path.parent() {
+            self.disk.create_folder(folder).map_err(|e| format!("{}: {e}", folder.display()))?;
+        }
+        StateStore::open_on(self.disk.as_ref(), &self.path).map_err(|e| e.to_string())
     }
 
     fn save(&mut self, states: &BTreeMap<String, Vec<u8>>) -> Result<(), String> {
@@ -166,12 +230,7 @@ impl Worker {
         }
         let store = match self.store.take() {
             Some(store) => store,
-            None => {
-                if let Some(folder) = self.path.parent() {
-                    std::fs::create_dir_all(folder).map_err(|e| format!("{}: {e}", folder.display()))?;
-                }
-                StateStore::open(&self.path).map_err(|e| e.to_string())?
-            }
+            None => self.open()?,
         };
         store.save(states.iter().map(|(k, v)| (k.as_str(), v.as_slice()))).map_err(|e| e.to_string())?;
         self.metrics.states_stored.inc_by(states.len() as u64);

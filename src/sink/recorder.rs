@@ -10,17 +10,18 @@ use std::sync::Arc;
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
+use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, TrySendError};
 
 use crate::codec::encode_recorded;
 use crate::codec::topic::{self, Kind};
 use crate::config::Recording;
-use crate::daemon::clock::now_ns;
+use crate::daemon::clock::Clock;
 use crate::daemon::faults::Faults;
 use crate::daemon::metrics::Metrics;
 use crate::daemon::queue::{Budget, Room};
 use crate::engine::LoopId;
 use crate::files::RecordingFile;
+use crate::files::disk::{Disk, SystemDisk};
 use crate::record::{Sample, Signal};
 
 /// Messages that may wait for the disk.
@@ -35,6 +36,10 @@ pub const LOOPS_PER_FILE: usize = 1000;
 const PATIENCE: Duration = Duration::from_secs(2);
 /// Pause after an error of the disk before the next file is tried.
 const RETRY: Duration = Duration::from_secs(5);
+
+/// Memory of an open file's index at which the next one is begun: with a thousand loops at 1 Hz that is a quarter of an
+/// hour, and without it an open file grew by some 200 MB an hour.
+const MAX_INDEX_BYTES: u64 = 64 << 20;
 
 /// What the engine hands to the recorder.
 #[derive(Debug)]
@@ -161,6 +166,7 @@ pub struct Recorder {
     /// Shards that want a new file.
     pub rotations: Receiver<usize>,
     metrics: Arc<Metrics>,
+    clock: Clock,
     /// The queue was full for long: nothing waits until it has drained.
     overrun: bool,
 }
@@ -176,9 +182,29 @@ impl Recorder {
         metrics: Arc<Metrics>,
         faults: Arc<Faults>,
     ) -> std::io::Result<(Self, JoinHandle<()>)> {
+        let place = (Arc::new(SystemDisk) as Arc<dyn Disk>, Clock::system());
+        let (recorder, mut writer) = Self::pair(run, settings, place, metrics, faults);
+        let thread = std::thread::Builder::new().name("record".into()).spawn(move || writer.run_until_closed())?;
+        Ok((recorder, thread))
+    }
+
+    /// Both ends without a thread: whoever holds the other one decides when it works.
+    #[must_use]
+    pub fn pair(
+        run: RunInfo,
+        settings: Recording,
+        (disk, clock): (Arc<dyn Disk>, Clock),
+        metrics: Arc<Metrics>,
+        faults: Arc<Faults>,
+    ) -> (Self, Writer) {
         let (queue, items) = crossbeam_channel::bounded(QUEUE);
         let (wanted, rotations) = crossbeam_channel::unbounded();
-        let mut writer = Writer {
+        let writer = Writer {
+            items,
+            flush: Duration::from_secs_f64(settings.flush_s),
+            flushed: clock.now(),
+            disk,
+            clock: clock.clone(),
             run,
             dir: PathBuf::from(&settings.dir),
             max_bytes: settings.max_bytes,
@@ -191,24 +217,19 @@ impl Recorder {
             json: Vec::new(),
             last_arrival_ns: 0,
         };
-        let flush = Duration::from_secs_f64(settings.flush_s);
-        let thread =
-            std::thread::Builder::new().name("record".into()).spawn(move || writer.run_until_closed(&items, flush))?;
         let budget = Budget::new(QUEUE_BYTES);
-        Ok((Self { queue, budget, rotations, metrics, overrun: false }, thread))
+        (Self { queue, budget, rotations, metrics, clock, overrun: false }, writer)
     }
 
     /// Hands one item over, waiting a little for a place.
     pub fn record(&mut self, item: Item) {
-        let until = Instant::now() + if self.overrun { Duration::ZERO } else { PATIENCE };
-        let bytes = item.bytes();
-        let mut room = self.budget.take(bytes);
-        while room.is_none() && Instant::now() < until {
-            std::thread::sleep(LOOK_AGAIN);
-            room = self.budget.take(bytes);
+        let until = self.clock.now() + if self.overrun { Duration::ZERO } else { PATIENCE };
+        let mut left = self.put(item);
+        while let Some(item) = left.take_if(|_| self.clock.now() < until) {
+            self.clock.sleep(LOOK_AGAIN);
+            left = self.put(item);
         }
-        let lost = room.is_none_or(|room| self.queue.send_deadline((item, room), until).is_err());
-        if lost {
+        if left.is_some() {
             if !self.overrun {
                 tracing::error!("the recorder cannot keep up: recordings miss data until the disk answers again");
             }
@@ -216,6 +237,15 @@ impl Recorder {
             self.metrics.recording_lost.inc();
         } else if self.overrun && self.queue.len() < QUEUE / 2 {
             self.overrun = false;
+        }
+    }
+
+    /// Gives the item back where there is no room for it.
+    fn put(&self, item: Item) -> Option<Item> {
+        let Some(room) = self.budget.take(item.bytes()) else { return Some(item) };
+        match self.queue.try_send((item, room)) {
+            Ok(()) => None,
+            Err(TrySendError::Full((item, _)) | TrySendError::Disconnected((item, _))) => Some(item),
         }
     }
 
@@ -242,6 +272,8 @@ struct Shard {
     file: Option<RecordingFile>,
     /// Messages in it.
     messages: u64,
+    /// Those of them that are not on the disk yet.
+    unflushed: u64,
     index: u32,
     previous: String,
     opened: Instant,
@@ -251,7 +283,13 @@ struct Shard {
     topics: BTreeMap<(u32, Kind, Option<Signal>), String>,
 }
 
-struct Writer {
+/// The end that writes.
+pub struct Writer {
+    items: Receiver<(Item, Room)>,
+    flush: Duration,
+    flushed: Instant,
+    disk: Arc<dyn Disk>,
+    clock: Clock,
     run: RunInfo,
     dir: PathBuf,
     max_bytes: u64,
@@ -266,11 +304,10 @@ struct Writer {
 }
 
 impl Writer {
-    fn run_until_closed(&mut self, items: &Receiver<(Item, Room)>, flush: Duration) {
-        let mut flushed = Instant::now();
+    fn run_until_closed(&mut self) {
         loop {
-            let wait = flush.saturating_sub(flushed.elapsed());
-            match items.recv_timeout(wait) {
+            let wait = self.flush.saturating_sub(self.clock.since(self.flushed));
+            match self.items.recv_timeout(wait) {
                 Ok((item, room)) => {
                     self.take(item);
                     drop(room);
@@ -278,11 +315,28 @@ impl Writer {
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => break,
             }
-            if flushed.elapsed() >= flush {
-                self.tend();
-                flushed = Instant::now();
-            }
+            self.tend_in_time();
         }
+        self.finish();
+    }
+
+    /// Writes what waits now, and flushes where it is time to.
+    pub fn turn(&mut self) {
+        while let Ok((item, _room)) = self.items.try_recv() {
+            self.take(item);
+        }
+        self.tend_in_time();
+    }
+
+    fn tend_in_time(&mut self) {
+        if self.clock.since(self.flushed) >= self.flush {
+            self.tend();
+            self.flushed = self.clock.now();
+        }
+    }
+
+    /// Finishes the open files.
+    pub fn finish(&mut self) {
         for shard in 0..self.shards.len() {
             self.close(shard);
         }
@@ -329,7 +383,7 @@ impl Writer {
         match file.write(topic, what.0, arrival_ns, event_ns, json) {
             Ok(()) => {
                 shard.messages += 1;
-                self.metrics.recorded.inc();
+                shard.unflushed += 1;
             }
             Err(error) => {
                 self.lose(1);
@@ -347,9 +401,18 @@ impl Writer {
         self.metrics.recording_errors.inc();
         let retry_s = RETRY.as_secs();
         self.faults.raise(&fault_of(index), format!("recording has stopped, tried again every {retry_s} s: {why}"));
+        let Some(shard) = self.shards.get_mut(index) else { return };
+        shard.file = None;
+        shard.retry_at = Some(self.clock.now() + RETRY);
+        // What the open chunk held never reached the disk.
+        let unflushed = std::mem::take(&mut shard.unflushed);
+        self.lose(unflushed);
+    }
+
+    /// What was written since the last time is on the disk.
+    fn flushed(&mut self, index: usize) {
         if let Some(shard) = self.shards.get_mut(index) {
-            shard.file = None;
-            shard.retry_at = Some(Instant::now() + RETRY);
+            self.metrics.recorded.inc_by(std::mem::take(&mut shard.unflushed));
         }
     }
 
@@ -358,9 +421,10 @@ impl Writer {
             self.shards.push(Shard {
                 file: None,
                 messages: 0,
+                unflushed: 0,
                 index: 0,
                 previous: String::new(),
-                opened: Instant::now(),
+                opened: self.clock.now(),
                 asked: None,
                 retry_at: None,
                 topics: BTreeMap::new(),
@@ -371,20 +435,21 @@ impl Writer {
         let shard = &mut self.shards[index];
         let metadata = self.run.metadata(index, shard.index, &shard.previous, lost);
         let stem = self.run.stem(index, shard.index);
-        match RecordingFile::create(&self.dir, &stem, &metadata) {
+        match RecordingFile::create_on(&self.disk, &self.dir, &stem, &metadata) {
             Ok(file) => {
                 shard.file = Some(file);
                 shard.messages = 0;
+                shard.unflushed = 0;
                 shard.previous = format!("{stem}.mcap");
                 shard.index += 1;
-                shard.opened = Instant::now();
+                shard.opened = self.clock.now();
                 shard.asked = None;
                 shard.retry_at = None;
                 self.metrics.recording_files.inc();
             }
             Err(error) => return self.fail(index, &error.to_string()),
         }
-        let at_ns = if self.last_arrival_ns == 0 { now_ns() } else { self.last_arrival_ns };
+        let at_ns = if self.last_arrival_ns == 0 { self.clock.now_ns() } else { self.last_arrival_ns };
         for (name, json) in states {
             let topic = topic::result(&self.run.prefix, name, Kind::State);
             let Some(file) = &mut self.shards[index].file else { return };
@@ -402,8 +467,9 @@ impl Writer {
 
     fn close(&mut self, index: usize) {
         let Some(file) = self.shards.get_mut(index).and_then(|s| s.file.take()) else { return };
-        if let Err(error) = file.finish() {
-            self.fail(index, &error.to_string());
+        match file.finish() {
+            Ok(_) => self.flushed(index),
+            Err(error) => self.fail(index, &error.to_string()),
         }
     }
 
@@ -411,25 +477,33 @@ impl Writer {
     fn tend(&mut self) {
         for index in 0..self.shards.len() {
             let shard = &mut self.shards[index];
-            let retry = shard.retry_at.is_some_and(|at| Instant::now() >= at);
+            let retry = shard.retry_at.is_some_and(|at| self.clock.now() >= at);
             let mut failure = None;
             let mut gone = 0;
             if let Some(file) = &mut shard.file {
                 // A file that was removed while it is open takes bytes all the same, and they go nowhere.
                 if file.is_linked() {
-                    failure = file.flush().err().map(|error| error.to_string());
+                    match file.flush() {
+                        Ok(()) => {
+                            self.metrics.recorded.inc_by(std::mem::take(&mut shard.unflushed));
+                        }
+                        Err(error) => failure = Some(error.to_string()),
+                    }
                 } else {
-                    gone = std::mem::take(&mut shard.messages);
-                    failure = Some(format!("{}: was removed with {gone} messages in it", file.part_path().display()));
+                    // Those that were flushed count again: they were recorded, and are lost all the same.
+                    gone = std::mem::take(&mut shard.messages) - shard.unflushed;
+                    let all = gone + shard.unflushed;
+                    failure = Some(format!("{}: was removed with {all} messages in it", file.part_path().display()));
                 }
-                let full = file.bytes_written() >= self.max_bytes || shard.opened.elapsed() >= self.max_age;
+                let large = file.bytes_written() >= self.max_bytes || file.index_bytes() >= MAX_INDEX_BYTES;
+                let full = large || self.clock.since(shard.opened) >= self.max_age;
                 // Asked again after a while: the answer may have found no place in the queue.
-                if full && failure.is_none() && shard.asked.is_none_or(|at| at.elapsed() > RETRY) {
-                    shard.asked = Some(Instant::now());
+                if full && failure.is_none() && shard.asked.is_none_or(|at| self.clock.since(at) > RETRY) {
+                    shard.asked = Some(self.clock.now());
                     let _ = self.wanted.send(index);
                 }
             } else if retry {
-                shard.retry_at = Some(Instant::now() + RETRY);
+                shard.retry_at = Some(self.clock.now() + RETRY);
                 let _ = self.wanted.send(index);
             }
             self.lose(gone);
@@ -438,7 +512,7 @@ impl Writer {
             }
             if gone > 0 {
                 // The disk is well: no need to wait.
-                self.shards[index].retry_at = Some(Instant::now());
+                self.shards[index].retry_at = Some(self.clock.now());
             }
         }
     }

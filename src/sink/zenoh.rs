@@ -54,13 +54,17 @@ impl Publisher {
         signer: Option<Arc<Signer>>,
         metrics: Arc<Metrics>,
     ) -> std::io::Result<(Self, JoinHandle<()>)> {
-        let (queue, waiting) = crossbeam_channel::bounded(QUEUE);
+        let (publisher, waiting) = Self::pair(metrics.clone());
         let thread = std::thread::Builder::new().name("publish".into());
-        let handle = thread.spawn({
-            let metrics = metrics.clone();
-            move || publish_all(&session, &waiting, &last, signer.as_deref(), &metrics)
-        })?;
-        Ok((Self { queue, budget: Budget::new(QUEUE_BYTES), metrics }, handle))
+        let handle = thread.spawn(move || publish_all(&session, &waiting, &last, signer.as_deref(), &metrics))?;
+        Ok((publisher, handle))
+    }
+
+    /// Both ends without a thread or a session.
+    #[must_use]
+    pub fn pair(metrics: Arc<Metrics>) -> (Self, Receiver<(Publication, Option<Room>)>) {
+        let (queue, waiting) = crossbeam_channel::bounded(QUEUE);
+        (Self { queue, budget: Budget::new(QUEUE_BYTES), metrics }, waiting)
     }
 
     /// Hands a document over.

@@ -1,11 +1,21 @@
 //! Where samples come from: the bus, behind a bounded queue that the engine drains.
 
 pub mod presence;
+pub mod principals;
+pub mod shares;
 pub mod zenoh;
 
+use std::sync::Arc;
+
+use crossbeam_channel::Sender;
+
 use crate::alarm::Command;
+use crate::codec::MAX_PAYLOAD;
 use crate::config::Config;
-use crate::daemon::queue::Room;
+use crate::daemon::clock::Clock;
+use crate::daemon::metrics::Metrics;
+use crate::daemon::queue::{Budget, Room};
+use shares::{Share, Shares};
 
 /// One message as it arrived, before anything was read from it.
 #[derive(Debug)]
@@ -22,6 +32,8 @@ pub struct Message {
     pub arrival_ns: i64,
     /// Its bytes of the queue's budget.
     pub room: Room,
+    /// Its part of what its key may hold of the queue.
+    pub share: Share,
 }
 
 /// How a command is answered: the new document, or what is wrong with the command.
@@ -51,4 +63,78 @@ pub enum Incoming {
     },
     /// Settings that hold from now on.
     Settings(Box<Config>),
+}
+
+/// The way into the engine's queue: bounded, never waits, counts what finds no place.
+#[derive(Clone)]
+pub struct Intake {
+    queue: Sender<Incoming>,
+    budget: Budget,
+    shares: Shares,
+    metrics: Arc<Metrics>,
+    clock: Clock,
+}
+
+/// A message as the bus hands it over.
+#[derive(Debug, Clone, Copy)]
+pub struct Envelope<'a> {
+    /// Its key.
+    pub key: &'a str,
+    /// The encoding that it says it has, if it says one.
+    pub encoding: Option<&'a str>,
+    /// The bus's time stamp, ns since 1970.
+    pub bus_ns: Option<i64>,
+}
+
+impl Intake {
+    /// Into this queue, within this budget and these shares of it.
+    #[must_use]
+    pub fn new(
+        queue: Sender<Incoming>,
+        (budget, shares): (Budget, Shares),
+        metrics: Arc<Metrics>,
+        clock: Clock,
+    ) -> Self {
+        Self { queue, budget, shares, metrics, clock }
+    }
+
+    /// A deletion: the plant has none that mean anything.
+    pub fn delete(&self) {
+        self.metrics.deletes.inc();
+    }
+
+    /// Takes a message of so many bytes; the payload is asked for only where there is room for it.
+    pub fn take(&self, envelope: &Envelope<'_>, bytes: usize, payload: impl FnOnce() -> Vec<u8>) {
+        self.metrics.messages.inc();
+        if bytes > MAX_PAYLOAD {
+            self.metrics.undecodable.inc();
+            return;
+        }
+        let held = size_of::<Incoming>() + envelope.key.len() + bytes;
+        let Some(room) = self.budget.take(held) else {
+            self.metrics.dropped_input.inc();
+            return;
+        };
+        let free = [
+            self.queue.capacity().unwrap_or(usize::MAX).saturating_sub(self.queue.len()),
+            self.budget.limit().saturating_sub(self.budget.used()),
+        ];
+        let Some(share) = self.shares.take(envelope.key, held, free) else {
+            self.metrics.dropped_input.inc();
+            self.metrics.over_share.inc();
+            return;
+        };
+        let message = Message {
+            key: envelope.key.into(),
+            payload: payload(),
+            encoding: envelope.encoding.map(Into::into),
+            bus_ns: envelope.bus_ns,
+            arrival_ns: self.clock.now_ns(),
+            room,
+            share,
+        };
+        if self.queue.try_send(Incoming::Message(message)).is_err() {
+            self.metrics.dropped_input.inc();
+        }
+    }
 }

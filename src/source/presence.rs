@@ -12,6 +12,8 @@ use crate::daemon::clock::now_ns;
 use crate::daemon::faults::Faults;
 use crate::daemon::metrics::Metrics;
 
+/// Name of the fault while the session cannot listen.
+pub const LISTENING: &str = "listening";
 /// How often it is looked.
 const EVERY: Duration = Duration::from_secs(5);
 /// How long a second session may look for the id.
@@ -45,6 +47,24 @@ pub async fn watch(session: zenoh::Session, config: zenoh::Config, prefix: Strin
             faults.raise("bus", "not connected to the bus: no router or peer answers; it is tried for ever");
         }
     }
+}
+
+/// Watches a session that could not listen until it can. The ports are tried by the session itself.
+pub async fn watch_listening(session: zenoh::Session, config: zenoh::Config, faults: Arc<Faults>) {
+    let wanted: Vec<String> = config.get_json("listen/endpoints").map(|text| ports_of(&text)).unwrap_or_default();
+    loop {
+        tokio::time::sleep(EVERY).await;
+        let there: Vec<String> = session.info().locators().await.iter().map(ToString::to_string).collect();
+        if wanted.iter().all(|port| there.iter().any(|locator| locator.contains(port.as_str()))) {
+            return faults.clear(LISTENING);
+        }
+    }
+}
+
+/// What the endpoints in a text end with: `:PORT`, or the path of a socket.
+fn ports_of(text: &str) -> Vec<String> {
+    let endpoints = text.split('"').filter(|part| part.contains('/'));
+    endpoints.map(|e| e.rfind(':').map_or_else(|| e.to_owned(), |at| e[at..].to_owned())).collect()
 }
 
 /// Whether somebody else on the bus lives under this id: asked by a session with another one.

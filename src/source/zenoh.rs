@@ -7,21 +7,18 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, PoisonError, RwLock};
 
 use anyhow::{Context, anyhow};
-use crossbeam_channel::{Sender, TrySendError};
+use crossbeam_channel::Sender;
 use zenoh::Wait;
 use zenoh::bytes::Encoding;
 use zenoh::key_expr::KeyExpr;
 use zenoh::query::Query;
 use zenoh::sample::{Sample as BusSample, SampleKind};
 
-use super::{Answer, Incoming, Message};
+use super::{Answer, Envelope, Incoming, Intake, principals};
 use crate::alarm::Command;
-use crate::codec::MAX_PAYLOAD;
 use crate::codec::topic::{self, Kind, Leaf, Topic};
 use crate::config::Config;
-use crate::daemon::clock::now_ns;
 use crate::daemon::metrics::Metrics;
-use crate::daemon::queue::Budget;
 
 /// Largest message that Zenoh puts together from its pieces, bytes: what is larger never takes memory. Well above what a
 /// payload may have, so that payloads a little too large are still seen and counted.
@@ -87,6 +84,8 @@ pub fn session_config(config: &Config) -> anyhow::Result<zenoh::Config> {
     if !z.connect.is_empty() {
         set("connect/endpoints", serde_json::to_string(&z.connect)?)?;
     }
+    principals::limit(&mut session, &config.site.prefix, &config.commands.principals)
+        .context("[commands] principals")?;
     Ok(session)
 }
 
@@ -99,17 +98,27 @@ fn stated_in(path: &str) -> String {
     text.lines().filter(|line| !line.trim_start().starts_with("//")).collect::<Vec<_>>().join("\n")
 }
 
-/// Opens the session. A listening port that is taken is an error; a router that is not there yet is not.
+/// Opens the session, and says why not where it could not listen: it then goes on without, and tries for ever. A router
+/// that is not there yet is waited for.
 ///
 /// # Errors
 /// With the endpoints in the message.
-pub async fn open(config: &Config) -> anyhow::Result<zenoh::Session> {
-    let session = session_config(config)?;
+pub async fn open(config: &Config) -> anyhow::Result<(zenoh::Session, Option<String>)> {
+    let strict = session_config(config)?;
+    let mut patient = strict.clone();
     // Opening blocks until a client's router is there: on a thread of its own it can be given up.
-    let opened = tokio::task::spawn_blocking(|| zenoh::open(session).wait()).await?;
-    opened.map_err(|e| anyhow!("{e}")).with_context(|| {
-        format!("Zenoh cannot start (listen {:?}, connect {:?})", config.zenoh.listen, config.zenoh.connect)
-    })
+    let why = match tokio::task::spawn_blocking(|| zenoh::open(strict).wait()).await? {
+        Ok(session) => return Ok((session, None)),
+        Err(error) => error.to_string(),
+    };
+    let endpoints =
+        || format!("Zenoh cannot start (listen {:?}, connect {:?})", config.zenoh.listen, config.zenoh.connect);
+    for (key, value) in [("listen/timeout_ms", "-1"), ("listen/exit_on_failure", "false")] {
+        patient.insert_json5(key, value).map_err(|e| anyhow!("Zenoh refuses {key} = {value}: {e}"))?;
+    }
+    let opened = tokio::task::spawn_blocking(|| zenoh::open(patient).wait()).await?;
+    let session = opened.map_err(|_| anyhow!("{why}")).with_context(endpoints)?;
+    Ok((session, Some(why)))
 }
 
 /// The keys that a daemon subscribes to: everything under its prefix, and each foreign key that is mapped.
@@ -128,16 +137,14 @@ fn subscriptions(config: &Config) -> Vec<String> {
 pub async fn subscribe(
     session: &zenoh::Session,
     config: &Config,
-    queue: Sender<Incoming>,
-    budget: Budget,
-    metrics: Arc<Metrics>,
+    intake: &Intake,
 ) -> anyhow::Result<Vec<zenoh::pubsub::Subscriber<()>>> {
     let mut subscribers = Vec::new();
     for key in subscriptions(config) {
-        let (queue, budget, metrics) = (queue.clone(), budget.clone(), metrics.clone());
+        let intake = intake.clone();
         let subscriber = session
             .declare_subscriber(key.clone())
-            .callback(move |sample| enqueue(&sample, &queue, &budget, &metrics))
+            .callback(move |sample| enqueue(&sample, &intake))
             .await
             .map_err(|e| anyhow!("cannot subscribe to {key:?}: {e}"))?;
         subscribers.push(subscriber);
@@ -145,36 +152,17 @@ pub async fn subscribe(
     Ok(subscribers)
 }
 
-fn enqueue(sample: &BusSample, queue: &Sender<Incoming>, budget: &Budget, metrics: &Metrics) {
+fn enqueue(sample: &BusSample, intake: &Intake) {
     if sample.kind() == SampleKind::Delete {
-        metrics.deletes.inc();
-        return;
+        return intake.delete();
     }
-    metrics.messages.inc();
-    if sample.payload().len() > MAX_PAYLOAD {
-        metrics.undecodable.inc();
-        return;
-    }
-    let bytes = size_of::<Incoming>() + sample.key_expr().as_str().len() + sample.payload().len();
-    let Some(room) = budget.take(bytes) else {
-        metrics.dropped_input.inc();
-        return;
-    };
-    let encoding = (*sample.encoding() != Encoding::default()).then(|| sample.encoding().to_string().into());
-    let message = Message {
-        key: sample.key_expr().as_str().into(),
-        payload: sample.payload().to_bytes().into_owned(),
-        encoding,
+    let encoding = (*sample.encoding() != Encoding::default()).then(|| sample.encoding().to_string());
+    let envelope = Envelope {
+        key: sample.key_expr().as_str(),
+        encoding: encoding.as_deref(),
         bus_ns: sample.timestamp().map(|t| t.get_time().to_duration().as_nanos() as i64),
-        arrival_ns: now_ns(),
-        room,
     };
-    match queue.try_send(Incoming::Message(message)) {
-        Ok(()) => {}
-        Err(TrySendError::Full(_) | TrySendError::Disconnected(_)) => {
-            metrics.dropped_input.inc();
-        }
-    }
+    intake.take(&envelope, sample.payload().len(), || sample.payload().to_bytes().into_owned());
 }
 
 /// Answers queries: last documents from memory, commands by way of the engine.

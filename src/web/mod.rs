@@ -8,7 +8,6 @@ use std::net::SocketAddr;
 use std::sync::{Arc, PoisonError};
 use std::time::Duration;
 
-use anyhow::Context;
 use axum::Router;
 use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode, header};
@@ -24,6 +23,7 @@ use tokio::task::JoinHandle;
 
 use crate::config::Web;
 use crate::daemon::HealthSnapshot;
+use crate::daemon::faults::Faults;
 use crate::daemon::metrics::Metrics;
 
 /// Silence of the engine after which the daemon is called unhealthy.
@@ -37,12 +37,16 @@ const HEADER_WITHIN: Duration = Duration::from_secs(5);
 const CONNECTION_WITHIN: Duration = Duration::from_secs(60);
 /// Largest head of a request, bytes.
 const MAX_HEADER_BYTES: usize = 16 << 10;
+/// Pause before an address that cannot be used is tried again.
+const BIND_AGAIN: Duration = Duration::from_secs(5);
+/// Name of the fault while the server is not there.
+const FAULT: &str = "web";
 /// Pause after a connection could not be taken.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(200);
 
 /// A running server.
 pub struct Served {
-    /// Where it listens; `None` if it is switched off.
+    /// Where it listens; `None` if it is switched off, or its address cannot be used yet.
     pub address: Option<SocketAddr>,
     task: Option<JoinHandle<()>>,
 }
@@ -62,22 +66,37 @@ struct Shared {
     snapshot: HealthSnapshot,
 }
 
-/// Starts the server as configured.
-///
-/// # Errors
-/// The address is taken or not ours.
-pub async fn serve(settings: &Web, metrics: Arc<Metrics>, snapshot: HealthSnapshot) -> anyhow::Result<Served> {
+/// Starts the server as configured. Loops are watched without it too: an address that cannot be used is a fault, and is
+/// tried again until it can.
+pub async fn serve(settings: &Web, metrics: &Metrics, snapshot: HealthSnapshot, faults: Arc<Faults>) -> Served {
     if !settings.enabled {
-        return Ok(Served { address: None, task: None });
+        return Served { address: None, task: None };
     }
-    let listener = TcpListener::bind(&settings.listen)
-        .await
-        .with_context(|| format!("[web] listen = {:?} cannot be used; port 0 takes any free one", settings.listen))?;
-    let address = listener.local_addr()?;
     let shared = Shared { registry: Arc::new(metrics.registry()), snapshot };
     let router = Router::new().route("/metrics", get(metrics_text)).route("/healthz", get(healthz)).with_state(shared);
-    let task = tokio::spawn(accept(listener, router));
-    Ok(Served { address: Some(address), task: Some(task) })
+    match TcpListener::bind(&settings.listen).await {
+        Ok(listener) => {
+            let address = listener.local_addr().ok();
+            Served { address, task: Some(tokio::spawn(accept(listener, router))) }
+        }
+        Err(error) => {
+            let (again, remedy) = (BIND_AGAIN.as_secs(), "port 0 takes any free one");
+            let what = format!("[web] listen = {:?} cannot be used, tried again every {again} s", settings.listen);
+            faults.raise(FAULT, format!("{what}: {error}; {remedy}"));
+            let listen = settings.listen.clone();
+            Served { address: None, task: Some(tokio::spawn(accept_later(listen, router, faults))) }
+        }
+    }
+}
+
+async fn accept_later(listen: String, router: Router, faults: Arc<Faults>) {
+    loop {
+        tokio::time::sleep(BIND_AGAIN).await;
+        if let Ok(listener) = TcpListener::bind(&listen).await {
+            faults.clear(FAULT);
+            return accept(listener, router).await;
+        }
+    }
 }
 
 /// Takes connections for ever. One too many is closed at once.

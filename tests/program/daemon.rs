@@ -3,7 +3,6 @@
 
 use std::fs;
 use std::io::Read;
-use std::net::TcpListener;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::Duration;
@@ -185,15 +184,9 @@ fn a_changed_recording_fails_verification_and_another_version_is_refused() {
 }
 
 #[test]
-fn a_taken_port_and_a_faulty_configuration_end_with_exit_1_and_a_remedy() {
+fn a_faulty_configuration_ends_with_exit_1_and_a_remedy() {
     let dir = tempfile::tempdir().unwrap();
-    let taken = TcpListener::bind("127.0.0.1:0").unwrap();
-    let port = taken.local_addr().unwrap().port();
     let config = dir.path().join("c.toml");
-    fs::write(&config, format!("[site]\nprefix = \"p\"\n[web]\nlisten = \"127.0.0.1:{port}\"\n")).unwrap();
-    let out = stictiond(&["run", "--config", config.to_str().unwrap()]);
-    assert_eq!(out.status.code(), Some(1));
-    assert!(String::from_utf8_lossy(&out.stderr).contains("port 0"));
     fs::write(&config, "[site]\nprefx = 1\n").unwrap();
     let out = stictiond(&["run", "--config", config.to_str().unwrap()]);
     assert_eq!(out.status.code(), Some(1));

@@ -10,13 +10,19 @@ use crate::source::Answer;
 impl Core {
     /// Carries a command out. The answer says that its effect is on the disk: a crash after it changes nothing.
     pub(super) fn take_command(&mut self, loop_name: &str, command: &Command, answer: Answer) {
-        let allowed = self.desk.command(self.started.elapsed(), command);
+        let allowed = self.desk.command(self.clock.since(self.started), command);
         let done = allowed.and_then(|()| self.command(loop_name, command).map_err(|e| e.to_string()));
         let (id, document) = match done {
             Ok(done) => done,
             Err(why) => {
                 self.metrics.commands_refused.inc();
-                self.desk.log_refusal(self.started.elapsed(), &command.cmd, loop_name, command.by.as_deref(), &why);
+                self.desk.log_refusal(
+                    self.clock.since(self.started),
+                    &command.cmd,
+                    loop_name,
+                    command.by.as_deref(),
+                    &why,
+                );
                 return answer(Err(why));
             }
         };
@@ -74,7 +80,7 @@ impl Core {
                 &format!("{} wait for this diagnosis already", gaps::QUEUE),
             );
         }
-        if let Err(why) = self.desk.run(self.started.elapsed()) {
+        if let Err(why) = self.desk.run(self.clock.since(self.started)) {
             return self.refuse_gap(answer, loop_name, by.as_deref(), &why);
         }
         if self.diagnoser.requests.is_full() {
@@ -98,7 +104,7 @@ impl Core {
 
     fn refuse_gap(&mut self, answer: Answer, loop_name: &str, by: Option<&str>, why: &str) {
         self.metrics.gaps_skipped.inc();
-        self.desk.log_refusal(self.started.elapsed(), "run", loop_name, by, why);
+        self.desk.log_refusal(self.clock.since(self.started), "run", loop_name, by, why);
         answer(Err(why.to_owned()));
     }
 

@@ -13,10 +13,12 @@ use std::time::{Duration, Instant};
 use crossbeam_channel::{Receiver, never, select, tick};
 use sd_notify::NotifyState;
 
+use super::clock::Clock;
 use super::desk::Desk;
 use super::faults::Faults;
 use super::gaps::Diagnoser;
 use super::health::DaemonHealth;
+use super::limits::{Limits, Refused};
 use super::metrics::{Label, Metrics};
 use super::queue::Budget;
 use super::routes::{Route, Routes};
@@ -31,6 +33,7 @@ use crate::record::Sample;
 use crate::sink::keeper::Keeper;
 use crate::sink::recorder::{Item, LOOPS_PER_FILE, Recorder, shard_of};
 use crate::sink::zenoh::{Publication, Publisher};
+use crate::source::shares::Shares;
 use crate::source::{Answer, Incoming, Message};
 
 /// Messages taken before the other channels are looked at again.
@@ -63,9 +66,13 @@ pub struct Core {
     faults: Arc<Faults>,
     snapshot: HealthSnapshot,
     daemon_id: String,
+    clock: Clock,
     started: Instant,
     next_loop_health: usize,
-    losses: [u64; 4],
+    losses: [u64; 7],
+    limits: Limits,
+    /// The loop whose stamp was refused last for being ahead, and by how much it was, ns.
+    ahead: Option<(LoopId, i64)>,
     opened_shards: usize,
     codec: String,
     input_limit: usize,
@@ -80,8 +87,8 @@ pub struct Core {
 pub struct Parts {
     /// The engine.
     pub engine: Engine,
-    /// Bytes that wait for the engine.
-    pub budget: Budget,
+    /// Bytes that wait for the engine, and what each key may hold of its queue.
+    pub input: (Budget, Shares),
     /// The workers.
     pub workers: Workers,
     /// The gap's thread.
@@ -100,6 +107,8 @@ pub struct Parts {
     pub snapshot: HealthSnapshot,
     /// The daemon's id.
     pub daemon_id: String,
+    /// The time.
+    pub clock: Clock,
 }
 
 impl Core {
@@ -107,15 +116,16 @@ impl Core {
     #[must_use]
     pub fn new(parts: Parts) -> Self {
         let config = parts.engine.config();
-        let desk = Desk::new(&config.commands);
+        let (desk, limits) = (Desk::new(&config.commands), Limits::new(&config.input));
+        let (budget, shares) = parts.input;
         Self {
-            routes: Routes::new(config),
+            routes: Routes::new(config, shares),
             codec: config.input.codec.clone(),
             input_limit: config.input.queue,
             engine: parts.engine,
             workers: parts.workers,
             schedule: Schedule::default(),
-            budget: parts.budget,
+            budget,
             diagnoser: parts.diagnoser,
             asking: HashMap::new(),
             recorder: parts.recorder,
@@ -125,9 +135,12 @@ impl Core {
             faults: parts.faults,
             snapshot: parts.snapshot,
             daemon_id: parts.daemon_id,
-            started: Instant::now(),
+            started: parts.clock.now(),
+            clock: parts.clock,
             next_loop_health: 0,
-            losses: [0; 4],
+            losses: [0; 7],
+            limits,
+            ahead: None,
             opened_shards: 0,
             warned_quality: false,
             desk,
@@ -155,8 +168,7 @@ impl Core {
         // A watchdog is fed from here, so that an engine that stands still starves it.
         let watchdog = sd_notify::watchdog_enabled().map_or_else(never, |period| tick(period / 2));
         let rotations = self.recorder.as_ref().map_or_else(never, |r| r.rotations.clone());
-        self.open_shards();
-        self.report(incoming.len());
+        self.begin(incoming.len());
         loop {
             select! {
                 recv(incoming) -> message => match message {
@@ -174,9 +186,40 @@ impl Core {
         self.finish(incoming, &answers);
     }
 
-    fn finish(&mut self, incoming: &Receiver<Incoming>, answers: &Receiver<Answered>) {
-        let until = Instant::now() + DRAIN;
-        while Instant::now() < until {
+    /// What comes before anything is taken: the files, and a first word.
+    pub fn begin(&mut self, input_waiting: usize) {
+        self.open_shards();
+        self.report(input_waiting);
+    }
+
+    /// Takes all that waits, in a fixed order: for whoever drives the core without threads.
+    pub fn turn(&mut self, incoming: &Receiver<Incoming>) {
+        let answers = self.workers.answers.clone();
+        while let Ok(answered) = answers.try_recv() {
+            self.answered(answered);
+        }
+        let diagnoses = self.diagnoser.answers.clone();
+        while let Ok(diagnosed) = diagnoses.try_recv() {
+            self.diagnosed(diagnosed);
+        }
+        let rotations = self.recorder.as_ref().map_or_else(never, |r| r.rotations.clone());
+        while let Ok(shard) = rotations.try_recv() {
+            self.open_shard(shard);
+        }
+        while let Ok(incoming) = incoming.try_recv() {
+            self.take(incoming);
+        }
+    }
+
+    /// The loops.
+    pub const fn engine(&self) -> &Engine {
+        &self.engine
+    }
+
+    /// Ends in order: what has arrived is taken, what is not done is skipped and recorded as such.
+    pub fn finish(&mut self, incoming: &Receiver<Incoming>, answers: &Receiver<Answered>) {
+        let until = self.clock.now() + DRAIN;
+        while self.clock.now() < until {
             let Ok(message) = incoming.try_recv() else { break };
             self.take(message);
         }
@@ -204,10 +247,10 @@ impl Core {
     }
 
     fn take_batch(&mut self, first: Incoming, incoming: &Receiver<Incoming>) {
-        let until = Instant::now() + BATCH_WITHIN;
+        let until = self.clock.now() + BATCH_WITHIN;
         self.take(first);
         for _ in 1..BATCH {
-            if Instant::now() >= until {
+            if self.clock.now() >= until {
                 return;
             }
             let Ok(next) = incoming.try_recv() else { return };
@@ -235,8 +278,14 @@ impl Core {
     }
 
     fn take_message(&mut self, m: &Message) {
-        let (id, signal) = match self.routes.of(&m.key, &mut self.engine) {
+        let now = self.clock.since(self.started);
+        let (id, signal) = match self.routes.of(&m.key, &mut self.engine, || self.limits.new_loop(now)) {
             Route::To(id, signal) => (id, signal),
+            Route::Full => {
+                self.metrics.refused_loops.inc();
+                self.metrics.loops_over_limit.inc();
+                return;
+            }
             Route::Foreign => {
                 self.metrics.foreign_keys.inc();
                 return;
@@ -268,6 +317,9 @@ impl Core {
 
     fn take_sample(&mut self, id: LoopId, sample: Sample, arrival_ns: i64) {
         self.metrics.samples.inc();
+        if !self.is_within_limits(id, &sample, arrival_ns) {
+            return;
+        }
         if sample.quality.is_some_and(|q| (1..=255).contains(&q)) && self.engine.config().input.quality == "ua" {
             self.metrics.suspicious_quality.inc();
             if !std::mem::replace(&mut self.warned_quality, true) {
@@ -281,6 +333,20 @@ impl Core {
         }
         self.engine.push(id, sample, &mut self.events);
         self.handle_events();
+    }
+
+    fn is_within_limits(&mut self, id: LoopId, sample: &Sample, arrival_ns: i64) -> bool {
+        let (engine, now) = (&self.engine, self.clock.since(self.started));
+        let greatest = || engine.ids().filter_map(|id| engine.figures(id).greatest_ns).collect();
+        match self.limits.sample((id, sample, arrival_ns), now, greatest) {
+            Ok(()) => return true,
+            Err(Refused::OverRate) => self.metrics.over_rate.inc(),
+            Err(Refused::Ahead) => {
+                self.ahead = Some((id, sample.t_ns.saturating_sub(arrival_ns)));
+                self.metrics.stamps_ahead.inc()
+            }
+        };
+        false
     }
 
     fn answered(&mut self, answered: Answered) {

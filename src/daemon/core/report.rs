@@ -1,9 +1,10 @@
 //! What the daemon says of itself: health documents, faults, losses.
 
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
-use super::super::clock::now_ns;
+use prometheus_client::metrics::counter::Counter;
+
 use super::super::gaps;
 use super::super::health::{DaemonHealth, LoopHealth, QueueHealth};
 use super::super::metrics::Label;
@@ -15,6 +16,7 @@ use crate::engine::StateDocument;
 use crate::signal::align::AlignCounts;
 use crate::sink::recorder::{self, Recorder};
 use crate::sink::zenoh::{self as bus, Publication};
+use crate::units::s_from_ns;
 
 /// Reports over which the loops' own health is spread: each loop's comes once a minute.
 const LOOP_HEALTH_SLICES: usize = 12;
@@ -23,12 +25,12 @@ const LOSS_SHOWN: Duration = Duration::from_secs(60);
 
 impl Core {
     /// Publishes the health of the daemon, and from time to time of every loop.
-    pub(super) fn report(&mut self, input_waiting: usize) {
+    pub fn report(&mut self, input_waiting: usize) {
         let loops = self.engine.ids().len();
         self.metrics.loops.set(loops as i64);
         self.report_losses();
         self.keep_all_again();
-        let now = now_ns();
+        let now = self.clock.now_ns();
         // A slice of the loops at each call, so that thousands of documents never stand before an estimate.
         let slice = loops.div_ceil(LOOP_HEALTH_SLICES).max(1);
         let from = self.next_loop_health;
@@ -49,19 +51,36 @@ impl Core {
         let key = topic::plane(&self.engine.config().site.prefix, &format!("@daemon/{}/health", self.daemon_id));
         self.publisher.publish(Publication { key, kind: Kind::Health, document: to_json(&health) });
         if let Ok(mut snapshot) = self.snapshot.write() {
-            *snapshot = (Instant::now(), Arc::new(health));
+            *snapshot = (self.clock.now(), Arc::new(health));
         }
     }
 
     /// What was lost since the last report: a fault that is over a while after the last loss.
     fn report_losses(&mut self) {
         let m = &self.metrics;
-        let now = [m.dropped_input.get(), m.dropped_output.get(), m.recording_lost.get(), m.fits_skipped.get()];
+        let now = [
+            &m.dropped_input,
+            &m.dropped_output,
+            &m.recording_lost,
+            &m.fits_skipped,
+            &m.loops_over_limit,
+            &m.over_rate,
+            &m.stamps_ahead,
+        ]
+        .map(Counter::get);
+        let ahead = self.ahead.map_or_else(String::new, |(id, by_ns)| {
+            let (name, days) = (self.engine.name(id), s_from_ns(by_ns) / 86_400.0);
+            format!("; the last of {}, {days:.0} days ahead of this clock", name.escape_debug())
+        });
+        let stamps = format!("samples were refused whose stamps are beyond [input] max_ahead_s{ahead}");
         let what = [
             ("dropped input", "messages were dropped because they came faster than they can be taken"),
             ("dropped output", "documents could not be published: see the bus"),
             ("recording lost", "messages could not be recorded: see the recording disk"),
             ("fits skipped", "windows got no fit because the machine was too busy or a fit broke off"),
+            ("loops over limit", "messages of new loops were refused: beyond [input] max_loops or new_loops_per_hour"),
+            ("over rate", "samples were refused because their key sends more than [input] max_rate_hz"),
+            ("stamps ahead", stamps.as_str()),
         ];
         for ((key, text), (now, before)) in what.into_iter().zip(now.into_iter().zip(self.losses)) {
             if now > before {
@@ -100,7 +119,7 @@ impl Core {
             daemon: self.daemon_id.clone(),
             version: crate::VERSION,
             config_hash: self.engine.config_hash().to_owned(),
-            uptime_s: self.started.elapsed().as_secs_f64(),
+            uptime_s: self.clock.since(self.started).as_secs_f64(),
             loops,
             counters: m.counters(),
             queues: vec![

@@ -3,7 +3,13 @@
 //!
 //! It is a maintenance alert. Everything here depends on the order of the windows and on event time, never on a clock.
 
+mod command;
+mod priority;
+
 use serde::{Deserialize, Serialize};
+
+pub use command::{Command, CommandError, MAX_SHELVE_S, SHELVE_S, check_name};
+pub use priority::Priority;
 
 use crate::config::AlarmParams;
 use crate::units::format_rfc3339;
@@ -98,6 +104,10 @@ pub struct AlarmDocument {
     pub active: bool,
     /// Class of the stiction while active.
     pub severity: Option<String>,
+    /// ISA-18.2 priority while active, of the class and the loop's criticality (see [`Priority::of`]); absent for loops
+    /// that the configuration says nothing of, as nobody has weighed them.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub priority: Option<Priority>,
     /// NE 107 signal: `M` (maintenance required) while active, else `ok`.
     pub ne107: &'static str,
     /// When the condition was raised, event time, ns.
@@ -113,6 +123,13 @@ pub struct AlarmDocument {
 }
 
 impl AlarmDocument {
+    /// The same on a loop of this criticality.
+    #[must_use]
+    pub fn with_criticality(self, criticality: Option<u8>) -> Self {
+        let weighed = criticality.filter(|_| self.active);
+        Self { priority: weighed.map(|c| Priority::of(self.severity.as_deref(), c)), ..self }
+    }
+
     /// One line that an operator understands.
     #[must_use]
     pub fn line(&self) -> String {
@@ -121,108 +138,6 @@ impl AlarmDocument {
         format!("{}: stiction alarm {}{by} at {when}: {}", self.loop_name, self.state.name(), self.why)
     }
 }
-
-/// Why a command was refused.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum CommandError {
-    /// Nothing waits for acknowledgement.
-    #[error("nothing to acknowledge: the alarm of {loop_name} is {state}")]
-    NothingToAcknowledge {
-        /// The loop.
-        loop_name: String,
-        /// Its alarm's state.
-        state: &'static str,
-    },
-    /// Not a command.
-    #[error("unknown command {0:?}: use cmd=ack;by=NAME;why=TEXT, or one of {COMMANDS}")]
-    Unknown(String),
-    /// Not a loop.
-    #[error("no loop {0:?} is monitored")]
-    UnknownLoop(String),
-    /// It does not fit the state.
-    #[error("the alarm of {loop_name} is {state}: {why}")]
-    Unfit {
-        /// The loop.
-        loop_name: String,
-        /// Its alarm's state.
-        state: &'static str,
-        /// What would fit.
-        why: &'static str,
-    },
-    /// Shelved for too long, or for no time.
-    #[error("for_s = {0} is not a time to shelve: write 1 to {MAX_SHELVE_S} s")]
-    ShelveTime(u64),
-    /// Nobody says who asks.
-    #[error("nobody is named: a command says who asks, as in cmd=ack;by=NAME;why=TEXT")]
-    Nameless,
-    /// A text that is too long.
-    #[error("{what} has {bytes} bytes, at most {limit} are taken: say it in fewer words")]
-    TooLong {
-        /// Which text.
-        what: &'static str,
-        /// Its bytes.
-        bytes: usize,
-        /// What is taken.
-        limit: usize,
-    },
-    /// Characters that steer a terminal.
-    #[error("{0} holds control characters: write plain text")]
-    Control(&'static str),
-}
-
-/// Longest name, bytes.
-const NAME_BYTES: usize = 64;
-/// Longest reason, bytes.
-const WHY_BYTES: usize = 500;
-
-/// Checks who asks for something: commands need a name, of plain text and bounded length.
-///
-/// # Errors
-/// [`CommandError`] says what is missing or too much.
-pub fn check_name(by: Option<&str>) -> Result<(), CommandError> {
-    let name = by.map(str::trim).filter(|name| !name.is_empty()).ok_or(CommandError::Nameless)?;
-    check_text("by", name, NAME_BYTES)
-}
-
-fn check_text(what: &'static str, text: &str, limit: usize) -> Result<(), CommandError> {
-    if text.len() > limit {
-        return Err(CommandError::TooLong { what, bytes: text.len(), limit });
-    }
-    if text.chars().any(char::is_control) { Err(CommandError::Control(what)) } else { Ok(()) }
-}
-
-impl Command {
-    /// Checks a command before it is taken. What stands in a recording was taken, and is not checked again.
-    ///
-    /// # Errors
-    /// [`CommandError`] says what is missing or too much.
-    pub fn check(&self) -> Result<(), CommandError> {
-        check_text("cmd", &self.cmd, NAME_BYTES)?;
-        check_name(self.by.as_deref())?;
-        self.why.as_deref().map_or(Ok(()), |why| check_text("why", why, WHY_BYTES))
-    }
-}
-
-/// What people may ask of an alarm.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Command {
-    /// `ack`, `shelve`, `unshelve`, `suppress`, `unsuppress`, `out_of_service` or `in_service`.
-    pub cmd: String,
-    /// Who asks.
-    pub by: Option<String>,
-    /// Why.
-    pub why: Option<String>,
-    /// For how long, s of the loop's own time: `shelve` alone. Default [`SHELVE_S`].
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub for_s: Option<u64>,
-}
-
-/// Commands beside `ack`, as errors list them.
-const COMMANDS: &str = "shelve;for_s=SECONDS, unshelve, suppress, unsuppress, out_of_service, in_service";
-/// How long an alarm is shelved where nothing is said: a shift, s.
-pub const SHELVE_S: u64 = 8 * 3600;
-/// How long it may be shelved: a month, s.
-pub const MAX_SHELVE_S: u64 = 31 * 86_400;
 
 /// Where an alarm was put by people; it goes on as ever behind it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -451,6 +366,7 @@ impl Alarm {
             state: self.shown(),
             active: self.active,
             severity: self.class.clone(),
+            priority: None,
             ne107: if self.active { "M" } else { "ok" },
             raised_ns: self.raised_ns,
             changed_ns,
@@ -527,26 +443,6 @@ mod tests {
     }
 
     #[test]
-    fn a_command_needs_a_name_and_plain_words_of_some_length() {
-        let command = |by: Option<&str>, why: &str| Command {
-            cmd: "ack".into(),
-            by: by.map(str::to_owned),
-            why: Some(why.to_owned()),
-            for_s: None,
-        };
-        assert_eq!(command(Some("ann"), "seen").check(), Ok(()));
-        for by in [None, Some(""), Some("  ")] {
-            assert_eq!(command(by, "seen").check(), Err(CommandError::Nameless));
-        }
-        assert_eq!(command(Some("a\u{1b}[2J"), "seen").check(), Err(CommandError::Control("by")));
-        assert_eq!(command(Some("ann"), "\u{9b}2J").check(), Err(CommandError::Control("why")));
-        assert!(matches!(command(Some(&"n".repeat(65)), "").check(), Err(CommandError::TooLong { limit: 64, .. })));
-        assert!(matches!(command(Some("ann"), &"w".repeat(60_000)).check(), Err(CommandError::TooLong { .. })));
-        let unknown = Command { cmd: "z".repeat(100_000), by: Some("ann".into()), why: None, for_s: None };
-        assert!(unknown.check().unwrap_err().to_string().len() < 200);
-    }
-
-    #[test]
     fn one_of_three_does_not_flap() {
         let params = AlarmParams { raise: [1, 3], s_limit_op: 1.0 };
         let mut alarm = Alarm::default();
@@ -569,6 +465,10 @@ mod tests {
         assert!(alarm.window("L", &assessment(1, Verdict::Stiction, 9.0, "strong"), &params).is_none());
         let again = alarm.window("L", &assessment(2, Verdict::Stiction, 9.0, "strong"), &params).unwrap();
         assert_eq!((again.state, again.severity.as_deref()), (State::Unack, Some("strong")));
+        let priority = |criticality| again.clone().with_criticality(criticality).priority;
+        assert_eq!([None, Some(3), Some(5)].map(priority), [None, Some(Priority::High), Some(Priority::Urgent)]);
+        let over = alarm.window("L", &assessment(3, Verdict::Tuning, 0.0, "weak"), &params).unwrap();
+        assert_eq!(over.with_criticality(Some(5)).priority, None);
     }
 
     proptest! {

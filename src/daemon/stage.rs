@@ -1,0 +1,223 @@
+//! A daemon without threads, bus and time of its own: queues, engine, schedule, recorder, store of states and restore are
+//! those of [`super::run`]; whoever holds it delivers messages, moves the clock, does the fits and says when the disk is
+//! written. So a simulation decides on every order and every fault, and the same seed gives the same run.
+//!
+//! Dropping it is what kill -9 does: nothing is finished.
+
+use std::path::Path;
+use std::sync::{Arc, RwLock};
+
+use crossbeam_channel::{Receiver, Sender};
+
+use super::clock::Clock;
+use super::core::{Core, HealthSnapshot, Parts};
+use super::faults::Faults;
+use super::gaps::{Diagnosed, Diagnoser};
+use super::health::DaemonHealth;
+use super::metrics::Metrics;
+use super::queue::{Budget, Room};
+use super::restore::{self, Restored};
+use super::worker::{Answered, Workers};
+use crate::alarm::Command;
+use crate::config::Config;
+use crate::engine::{Engine, GapRequest, Request};
+use crate::files::disk::Disk;
+use crate::sink::keeper::{self, Keeper};
+use crate::sink::recorder::{Recorder, RunInfo, Writer};
+use crate::sink::zenoh::{Publication, Publisher};
+use crate::source::shares::Shares;
+use crate::source::{Answer, Envelope, Incoming, Intake};
+use crate::verdict::Assessment;
+
+/// Windows handed to the stage's holder ahead of their fits: as with one worker.
+const AT_HAND: usize = 1;
+/// Name under which it publishes its health.
+const DAEMON_ID: &str = "stage";
+
+/// The parts, and the far ends of their queues.
+pub struct Stage {
+    core: Core,
+    intake: Intake,
+    control: Sender<Incoming>,
+    incoming: Receiver<Incoming>,
+    requests: Receiver<Request>,
+    answers: Sender<Answered>,
+    answered: Receiver<Answered>,
+    /// Held open; diagnoses of their own are the engine's tests' affair.
+    _diagnoses: (Receiver<GapRequest>, Sender<Diagnosed>),
+    publications: Receiver<(Publication, Option<Room>)>,
+    writer: Writer,
+    keeping: keeper::Worker,
+    budget: Budget,
+    metrics: Arc<Metrics>,
+    faults: Arc<Faults>,
+    snapshot: HealthSnapshot,
+    run_id: String,
+}
+
+impl Stage {
+    /// Starts a run in the configured folder, with what earlier runs left there.
+    #[must_use]
+    pub fn start(config: Config, config_text: &str, clock: &Clock, disk: &Arc<dyn Disk>) -> Self {
+        let (metrics, faults) = (Arc::new(Metrics::default()), Arc::new(Faults::new(clock.clone())));
+        let dir = Path::new(&config.recording.dir).to_owned();
+        let prefix = config.site.prefix.clone();
+        let Restored { memories, store, run_number } =
+            restore::restore(disk.as_ref(), &dir, &prefix, &faults, &metrics);
+        restore::tell_aside(&dir, &faults);
+        let run = run_of(&config, config_text, clock, run_number);
+        let run_id = run.run_id.clone();
+        let place = (disk.clone(), clock.clone());
+        let (recorder, writer) = Recorder::pair(run, config.recording.clone(), place, metrics.clone(), faults.clone());
+        let (keeper, keeping) = Keeper::pair(&dir, &prefix, store, disk.clone(), faults.clone(), metrics.clone());
+        let (publisher, publications) = Publisher::pair(metrics.clone());
+        let (control, incoming) = crossbeam_channel::bounded(config.input.queue);
+        let (budget, shares) = (Budget::new(config.input.queue_bytes), Shares::default());
+        let way_in = (budget.clone(), shares.clone());
+        let intake = Intake::new(control.clone(), way_in, metrics.clone(), clock.clone());
+        let (to_worker, requests) = crossbeam_channel::bounded(AT_HAND);
+        let (answers, answered) = crossbeam_channel::unbounded();
+        let (diagnoser, jobs, finished) = Diagnoser::ends();
+        let starting = DaemonHealth::starting(DAEMON_ID, &config.hash());
+        let snapshot = HealthSnapshot::new(RwLock::new((clock.now(), Arc::new(starting))));
+        let mut core = Core::new(Parts {
+            engine: Engine::new(config),
+            input: (budget.clone(), shares),
+            workers: Workers { requests: to_worker, answers: answered.clone() },
+            diagnoser,
+            recorder: Some(recorder),
+            keeper: Some(keeper),
+            publisher,
+            metrics: metrics.clone(),
+            faults: faults.clone(),
+            snapshot: snapshot.clone(),
+            daemon_id: DAEMON_ID.to_owned(),
+            clock: clock.clone(),
+        });
+        core.restore(memories);
+        core.begin(0);
+        let _diagnoses = (jobs, finished);
+        Self {
+            core,
+            intake,
+            control,
+            incoming,
+            requests,
+            answers,
+            answered,
+            _diagnoses,
+            publications,
+            writer,
+            keeping,
+            budget,
+            metrics,
+            faults,
+            snapshot,
+            run_id,
+        }
+    }
+
+    /// A message arrives from the bus.
+    pub fn deliver(&self, key: &str, payload: &[u8]) {
+        let envelope = Envelope { key, encoding: None, bus_ns: None };
+        self.intake.take(&envelope, payload.len(), || payload.to_vec());
+    }
+
+    /// A person's command arrives; false where the daemon is too busy for it.
+    pub fn command(&self, loop_name: &str, command: Command, answer: Answer) -> bool {
+        let loop_name = loop_name.to_owned();
+        self.control.try_send(Incoming::Command { loop_name, command, answer }).is_ok()
+    }
+
+    /// The engine takes all that waits for it.
+    pub fn turn(&mut self) {
+        self.core.turn(&self.incoming);
+    }
+
+    /// The worker does up to so many fits, each given by `fit`; says how many it did.
+    pub fn work(&mut self, most: usize, mut fit: impl FnMut(&str, &Request) -> Option<Assessment>) -> usize {
+        for done in 0..most {
+            let Ok(request) = self.requests.try_recv() else { return done };
+            let assessment = fit(self.core.engine().name(request.id), &request);
+            let answer = Answered { id: request.id, seq: request.seq, end_ns: request.end_ns, assessment };
+            let _ = self.answers.send(answer);
+            // The answer makes room for the next one in the schedule.
+            self.core.turn(&self.incoming);
+        }
+        most
+    }
+
+    /// The recorder writes what waits for it.
+    pub fn record(&mut self) {
+        self.writer.turn();
+    }
+
+    /// The store of states writes what waits for it; says whether it could.
+    pub fn keep(&mut self) -> bool {
+        self.keeping.turn()
+    }
+
+    /// What has gone out since the last time.
+    pub fn published(&self) -> impl Iterator<Item = Publication> + '_ {
+        self.publications.try_iter().map(|(publication, _room)| publication)
+    }
+
+    /// Health as it is now.
+    pub fn health(&mut self) -> Arc<DaemonHealth> {
+        self.core.report(self.incoming.len());
+        self.snapshot.read().unwrap_or_else(std::sync::PoisonError::into_inner).1.clone()
+    }
+
+    /// The loops.
+    #[must_use]
+    pub const fn engine(&self) -> &Engine {
+        self.core.engine()
+    }
+
+    /// The counters.
+    #[must_use]
+    pub fn metrics(&self) -> &Metrics {
+        &self.metrics
+    }
+
+    /// What a person should look at.
+    #[must_use]
+    pub fn faults(&self) -> Vec<String> {
+        self.faults.list()
+    }
+
+    /// Bytes of messages that wait, states that wait for the store.
+    #[must_use]
+    pub fn waiting(&self) -> (usize, usize) {
+        (self.budget.used(), self.keeping.waiting())
+    }
+
+    /// Names this run in its recordings.
+    #[must_use]
+    pub fn run_id(&self) -> &str {
+        &self.run_id
+    }
+
+    /// Ends in order, as SIGTERM does. Gives what still went out.
+    pub fn finish(&mut self) -> Vec<Publication> {
+        self.core.finish(&self.incoming, &self.answered);
+        self.writer.turn();
+        self.writer.finish();
+        self.keeping.turn();
+        self.published().collect()
+    }
+}
+
+fn run_of(config: &Config, config_text: &str, clock: &Clock, run_number: u64) -> RunInfo {
+    let started_ns = clock.now_ns();
+    RunInfo {
+        prefix: config.site.prefix.clone(),
+        run_id: crate::config::short_hash(format!("{started_ns} {run_number}").as_bytes())[..8].to_owned(),
+        started_ns,
+        run_number: (run_number > 0).then_some(run_number),
+        origin: "stage",
+        config_text: config_text.to_owned(),
+        config_hash: config.hash(),
+        loop_map: String::new(),
+    }
+}

@@ -1,0 +1,446 @@
+//! Thirty days of a hundred loops under faults, from a seed: queues, engine, schedule, recorder, store and restore are the
+//! daemon's own, on a clock, a disk and a bus that the seed moves, fills, breaks and floods.
+//!
+//! `STICTIOND_SEED=N` runs one seed (a failure names its own), `STICTIOND_SEEDS=N` so many, `STICTIOND_SIM_DAYS=N` so long.
+#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+#![cfg(feature = "daemon")]
+
+mod disk;
+#[path = "../common/isa.rs"]
+mod isa;
+mod oracle;
+mod plant;
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use disk::{FaultyDisk, Mode};
+use oracle::{Asked, Oracle};
+use plant::{Plant, STEP_NS, below, one_in};
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use stictiond::alarm::Command;
+use stictiond::codec::topic::{Kind, Leaf, Topic};
+use stictiond::config::{Config, short_hash};
+use stictiond::daemon::clock::Clock;
+use stictiond::daemon::stage::Stage;
+use stictiond::engine::Request;
+use stictiond::files::RecordingReader;
+use stictiond::files::disk::Disk;
+use stictiond::source::Incoming;
+use stictiond::verdict::{Assessment, Oscillation, Verdict, Window};
+
+const PREFIX: &str = "plant/a";
+const LOOPS: usize = 100;
+const MAX_LOOPS: usize = 110;
+const QUEUE: usize = 3000;
+const QUEUE_BYTES: usize = 4_194_304;
+const DAY_STEPS: i64 = 144;
+/// A start that is no whole hour, day or hop.
+const START_NS: i64 = 1_700_000_123_000_000_000;
+const CLASSES: [&str; 3] = ["weak", "moderate", "strong"];
+
+fn number(name: &str) -> Option<u64> {
+    std::env::var(name).ok().and_then(|text| text.parse().ok())
+}
+
+/// Names the seed where a run fails.
+struct Named(u64);
+
+impl Drop for Named {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            let seed = self.0;
+            eprintln!("\nseed {seed} failed; again: STICTIOND_SEED={seed} cargo test --test simulation days\n");
+        }
+    }
+}
+
+/// What a fit of this window says: of one loop in ten that it sticks for days, of the others that they do not.
+fn scripted(seed: u64, name: &str, request: &Request) -> Assessment {
+    let draw = |what: &str| {
+        let hash = short_hash(format!("{seed} {name} {what}").as_bytes());
+        u64::from_str_radix(&hash[..12], 16).unwrap() % 100
+    };
+    let (index, spell) = (name[1..].parse::<u64>().unwrap_or(1), request.end_ns / (5 * DAY_STEPS * STEP_NS));
+    let sticks = index % 10 == 0 && draw(&format!("spell {spell}")) < 60;
+    let chance = draw(&format!("window {}", request.end_ns));
+    let (verdict, s) = match (sticks, chance) {
+        (_, 90..) => (Verdict::Inconclusive, 0.0),
+        (true, 10..) => (Verdict::Stiction, 2.0),
+        (true, _) => (Verdict::Stiction, 0.9),
+        (false, _) => (Verdict::Tuning, 0.0),
+    };
+    let (start_ns, end_ns) = (request.record.start_ns, request.end_ns);
+    let window = Window { start_ns, end_ns, samples: 100, ts_s: 600.0, box_samples: 1 };
+    let (period_s, periods, samples_per_period, regularity) = (None, None, None, None);
+    let oscillation = Oscillation { oscillating: sticks, period_s, periods, samples_per_period, regularity };
+    let mut a = Assessment::empty(window, oscillation);
+    (a.verdict, a.stiction, a.s) = (verdict, verdict.stiction(), Some(s));
+    a.strength = Some(CLASSES[(draw(&format!("class {}", request.end_ns)) % 3) as usize]);
+    a
+}
+
+/// Figures of a whole simulation, printed at its end.
+#[derive(Debug, Default, Clone, PartialEq)]
+struct Figures {
+    messages: u64,
+    samples: u64,
+    dropped: u64,
+    windows: u64,
+    recorded: u64,
+    lost: u64,
+    ahead: u64,
+    over_limit: u64,
+    over_share: u64,
+    restarts: u64,
+    power_cuts: u64,
+    disk_faults: u64,
+    clock_jumps: u64,
+    acknowledged: u64,
+    refused: u64,
+    not_stored: u64,
+    alarms: u64,
+    skipped: u64,
+    digest: u64,
+}
+
+type Answers = Arc<Mutex<Vec<(Asked, Result<Vec<u8>, String>)>>>;
+
+/// What this run of the daemon must have counted.
+#[derive(Default)]
+struct Run {
+    messages: u64,
+    dropped: u64,
+    samples_at_most: u64,
+    waiting: (usize, usize),
+    /// Messages and bytes that wait by flow, keys whose loop is known, and those that may become so.
+    flows: BTreeMap<String, (usize, usize)>,
+    known: BTreeSet<String>,
+    new_keys: Vec<String>,
+}
+
+impl Run {
+    /// The engine has taken all: keys of loops that it has are known from now on.
+    fn taken(&mut self, stage: &Stage) {
+        self.waiting = (0, 0);
+        self.flows.clear();
+        let loop_of = |key: &str| key.strip_prefix(PREFIX)?.strip_prefix('/')?.split('/').next().map(str::to_owned);
+        for key in std::mem::take(&mut self.new_keys) {
+            let signal = key.ends_with("/op") || key.ends_with("/pv");
+            if signal && loop_of(&key).is_some_and(|name| stage.engine().find(&name).is_some()) {
+                self.known.insert(key);
+            }
+        }
+    }
+}
+
+struct Simulation {
+    seed: u64,
+    random: ChaCha8Rng,
+    config: Config,
+    text: String,
+    clock: Clock,
+    disk: FaultyDisk,
+    plant: Plant,
+    oracle: Oracle,
+    stage: Stage,
+    run: Run,
+    answers: Answers,
+    disk_well_again: i64,
+    worker_stalls: i64,
+    figures: Figures,
+}
+
+impl Simulation {
+    fn new(seed: u64, dir: &Path) -> Self {
+        let text = format!(
+            "[site]\nprefix = \"{PREFIX}\"\n[input]\nmax_loops = {MAX_LOOPS}\nqueue = {QUEUE}\nqueue_bytes = {QUEUE_BYTES}\n\
+             [window]\nhop_s = 43200.0\nmax_window_s = 172800.0\nmax_points = 128\nlateness_s = 1800.0\n\
+             [alarm]\nraise = [2, 3]\n[gap]\nenabled = false\n[recording]\ndir = {:?}\nmax_s = 86400.0\n",
+            dir.to_str().unwrap()
+        );
+        let config = Config::parse(&text).unwrap();
+        let (clock, disk) = (Clock::standing(START_NS), FaultyDisk::new(seed));
+        let stage = Stage::start(config.clone(), &text, &clock, &(Arc::new(disk.clone()) as Arc<dyn Disk>));
+        Self {
+            seed,
+            random: ChaCha8Rng::seed_from_u64(seed),
+            config,
+            text,
+            clock,
+            disk,
+            plant: Plant::new(PREFIX, LOOPS),
+            oracle: Oracle::default(),
+            stage,
+            run: Run::default(),
+            answers: Answers::default(),
+            disk_well_again: 0,
+            worker_stalls: 0,
+            figures: Figures::default(),
+        }
+    }
+
+    fn chance(&mut self, n: u32) -> bool {
+        one_in(&mut self.random, n)
+    }
+
+    /// A message into the queue, and what must become of it.
+    fn deliver(&mut self, key: &str, payload: &[u8], samples: u64) {
+        let bytes = size_of::<Incoming>() + key.len() + payload.len();
+        let run = &mut self.run;
+        let (length, held) = run.waiting;
+        // The rule of shares in its own words: a key may hold four times what is free, strangers together as one.
+        let flow = if run.known.contains(key) { key } else { "" };
+        let of = run.flows.entry(flow.to_owned()).or_default();
+        let room = QUEUE_BYTES.checked_sub(held + bytes);
+        let fits = |room: usize| of.0 <= 4 * (QUEUE - length) && of.1 <= 4 * room;
+        run.messages += 1;
+        if length == QUEUE || !room.is_some_and(fits) {
+            run.dropped += 1;
+        } else {
+            *of = (of.0 + 1, of.1 + bytes);
+            run.waiting = (length + 1, held + bytes);
+            run.samples_at_most += samples;
+            run.new_keys.push(key.to_owned());
+        }
+        self.stage.deliver(key, payload);
+    }
+
+    fn step(&mut self, step: i64) {
+        self.faults(step);
+        for sent in self.plant.step(&mut self.random, step, START_NS) {
+            self.deliver(&sent.key, &sent.payload, sent.samples);
+        }
+        if self.chance(200) {
+            // Ten times the rate and more, of one key.
+            let key = format!("{PREFIX}/{}/op", Plant::name(7));
+            let size = if self.chance(2) { 3000 } else { 3 };
+            let payload = format!("{}1{}", " ".repeat(size), " ".repeat(size));
+            (0..2 * QUEUE).for_each(|_| self.deliver(&key, payload.as_bytes(), 1));
+        }
+        if self.chance(6) {
+            self.ask();
+        }
+        assert!(self.stage.waiting().0 <= QUEUE_BYTES);
+        self.stage.turn();
+        self.run.taken(&self.stage);
+        self.oracle.follow(self.stage.published());
+        // Refusals come at once, and are judged by the state of this moment.
+        self.answered(true);
+        let fits = if step < self.worker_stalls { 0 } else { 2 * LOOPS };
+        let seed = self.seed;
+        // One fit in three hundred breaks off.
+        self.stage.work(fits, |name, r| (r.seq % 300 != 7).then(|| scripted(seed, name, r)));
+        self.oracle.follow(self.stage.published());
+        self.clock.advance(Duration::from_nanos(STEP_NS as u64));
+        self.stage.record();
+        let stored = self.stage.keep();
+        let alive = !self.disk.is_off();
+        if stored && alive {
+            self.oracle.stored();
+        }
+        self.answered(alive);
+        assert!(self.oracle.asked.is_empty(), "without an answer: {:?}", self.oracle.asked);
+        self.check(step);
+        if !alive {
+            self.end_life(true);
+        } else if self.chance(150) {
+            let power = self.chance(2);
+            self.end_life(power);
+        } else if self.chance(500) {
+            self.restart_in_order();
+        }
+    }
+
+    fn faults(&mut self, step: i64) {
+        if step >= self.disk_well_again {
+            self.disk.set(Mode::Well);
+            if self.chance(250) {
+                let mode = [Mode::Full, Mode::Broken, Mode::ReadOnly][below(&mut self.random, 3) as usize];
+                self.disk.set(mode);
+                self.disk_well_again = step + 1 + i64::from(below(&mut self.random, 20));
+                self.figures.disk_faults += 1;
+            }
+        }
+        if self.chance(300) {
+            self.disk.cut_after(1 + u64::from(below(&mut self.random, 30)));
+        }
+        if self.chance(400) {
+            let years = i64::from(below(&mut self.random, 21)) - 10;
+            self.clock.set_wall(START_NS + step * STEP_NS + years * 365 * DAY_STEPS * STEP_NS);
+            self.figures.clock_jumps += 1;
+        }
+        if self.chance(300) || self.plant.races() && self.chance(8) {
+            self.worker_stalls = step + 30;
+        }
+    }
+
+    /// A person's command, of which no two wait for one loop.
+    fn ask(&mut self) {
+        const ALL: [&str; 9] =
+            ["ack", "ack", "ack", "shelve", "unshelve", "suppress", "unsuppress", "out_of_service", "in_service"];
+        let index =
+            if self.chance(2) { 10 * below(&mut self.random, 10) } else { below(&mut self.random, LOOPS as u32) };
+        let loop_name = Plant::name(index as usize);
+        let cmd = ALL[below(&mut self.random, 9) as usize];
+        let for_s = [None, Some(0), Some(90_000), Some(400_000)][below(&mut self.random, 4) as usize];
+        let asked = Asked { loop_name: loop_name.clone(), cmd, for_s };
+        let command = Command { cmd: cmd.into(), by: Some("ann".into()), why: None, for_s };
+        let (answers, about) = (self.answers.clone(), asked.clone());
+        let answer = Box::new(move |result| answers.lock().unwrap().push((about, result)));
+        if self.stage.command(&loop_name, command, answer) {
+            self.oracle.asked.push(asked);
+        }
+    }
+
+    /// What is answered is on the disk, or says that it is not; who died in between answered nobody.
+    fn answered(&mut self, alive: bool) {
+        for (asked, result) in std::mem::take(&mut *self.answers.lock().unwrap()) {
+            match result {
+                Ok(_) => self.figures.acknowledged += 1,
+                Err(why) if why.contains("not stored") => {
+                    assert!(!alive || self.disk.mode() != Mode::Well, "the disk is well, and yet: {why}");
+                    self.figures.not_stored += 1;
+                }
+                Err(why) => {
+                    self.oracle.refused(&asked, &why);
+                    self.figures.refused += 1;
+                }
+            }
+        }
+    }
+
+    fn check(&mut self, step: i64) {
+        let m = self.stage.metrics();
+        assert_eq!((m.messages.get(), m.dropped_input.get()), (self.run.messages, self.run.dropped), "step {step}");
+        assert!(m.samples.get() <= self.run.samples_at_most, "step {step}");
+        assert!(self.stage.engine().ids().len() <= MAX_LOOPS);
+        assert!(self.stage.waiting().1 <= MAX_LOOPS, "one state a loop waits at most");
+        // Everything that was handed to the recorder is on the disk, lost and counted, or in the open chunk.
+        let taken = m.samples.get() - m.over_rate.get() - m.stamps_ahead.get();
+        let handed = taken + 2 * m.estimates.get() + m.alarms.get() + m.fits_skipped.get() + 2 * m.commands.get();
+        let kept = m.recorded.get() + m.recording_lost.get();
+        assert_eq!(kept, handed, "step {step}: recorded {} and lost {}", m.recorded.get(), m.recording_lost.get());
+        if step % 16 == 0 {
+            self.oracle.compare(&self.stage);
+            for queue in &self.stage.health().queues {
+                assert!(queue.length <= queue.limit && (queue.limit_bytes == 0 || queue.bytes <= queue.limit_bytes));
+            }
+        }
+        let faults = self.stage.faults();
+        let well = self.disk.mode() == Mode::Well && !self.disk.is_off();
+        assert!(well || !faults.is_empty() || self.stage.metrics().samples.get() == 0, "a fault that nobody names");
+    }
+
+    fn sum_up(&mut self) {
+        let (m, f) = (self.stage.metrics(), &mut self.figures);
+        f.messages += m.messages.get();
+        f.samples += m.samples.get();
+        f.dropped += m.dropped_input.get();
+        f.windows += m.windows.get();
+        f.recorded += m.recorded.get();
+        f.lost += m.recording_lost.get();
+        f.ahead += m.stamps_ahead.get();
+        f.over_limit += m.loops_over_limit.get();
+        f.over_share += m.over_share.get();
+    }
+
+    /// What a run has recorded by its own count is in its files.
+    fn look_into(&self, run_id: &str, recorded: u64) {
+        let mut found = 0;
+        for entry in std::fs::read_dir(&self.config.recording.dir).unwrap().flatten() {
+            if !entry.file_name().to_string_lossy().contains(run_id) {
+                continue;
+            }
+            let mut reader = RecordingReader::open(&entry.path()).unwrap();
+            while let Some(message) = reader.next_message().unwrap() {
+                let topic = Topic::parse(Some(PREFIX), message.topic()).expect("a topic of ours");
+                let at_open = topic.leaf == Leaf::Document(Kind::State)
+                    && serde_json::from_slice::<serde_json::Value>(message.data).unwrap()["window_end_ns"].is_null();
+                found += u64::from(!at_open);
+            }
+        }
+        assert!(found >= recorded, "run {run_id} recorded {recorded} messages, {found} can be read");
+    }
+
+    /// kill -9, or the power goes; then it starts again.
+    fn end_life(&mut self, power: bool) {
+        self.sum_up();
+        self.figures.power_cuts += u64::from(power);
+        let (run_id, recorded) = (self.stage.run_id().to_owned(), self.stage.metrics().recorded.get());
+        self.disk.end(power);
+        self.start();
+        self.look_into(&run_id, recorded);
+    }
+
+    fn restart_in_order(&mut self) {
+        let well = self.disk.mode() == Mode::Well;
+        // Windows without a fit say so at the end.
+        let published = self.stage.finish();
+        self.oracle.follow(published.into_iter());
+        self.sum_up();
+        let (run_id, recorded) = (self.stage.run_id().to_owned(), self.stage.metrics().recorded.get());
+        if well {
+            self.oracle.stored();
+        }
+        self.disk.end(false);
+        self.start();
+        self.look_into(&run_id, recorded);
+    }
+
+    fn start(&mut self) {
+        // A machine that comes up again with a disk that is well: else nothing could be compared.
+        self.disk.set(Mode::Well);
+        self.disk_well_again = 0;
+        self.figures.restarts += 1;
+        self.answers.lock().unwrap().clear();
+        let disk = Arc::new(self.disk.clone()) as Arc<dyn Disk>;
+        self.stage = Stage::start(self.config.clone(), &self.text, &self.clock, &disk);
+        self.run = Run::default();
+        self.oracle.restarted(&self.stage);
+        assert!(!self.stage.faults().iter().any(|f| f.contains("cannot be stored")), "{:?}", self.stage.faults());
+    }
+}
+
+fn simulate(seed: u64, days: i64) -> Figures {
+    let _named = Named(seed);
+    let dir = tempfile::tempdir().unwrap();
+    let mut simulation = Simulation::new(seed, &dir.path().join("rec"));
+    for step in 0..days * DAY_STEPS {
+        simulation.step(step);
+    }
+    simulation.sum_up();
+    let Simulation { figures, oracle, .. } = simulation;
+    Figures { alarms: oracle.raised, skipped: oracle.skipped, digest: oracle.digest, ..figures }
+}
+
+#[test]
+fn thirty_days_of_a_hundred_loops_under_faults() {
+    let days = number("STICTIOND_SIM_DAYS").unwrap_or(30) as i64;
+    let seeds: Vec<u64> = match (number("STICTIOND_SEED"), number("STICTIOND_SEEDS")) {
+        (Some(seed), _) => vec![seed],
+        (None, Some(n)) => (1..=n).collect(),
+        (None, None) => vec![1],
+    };
+    for seed in seeds {
+        let started = Instant::now();
+        let figures = simulate(seed, days);
+        println!("seed {seed}, {days} days in {:.1} s: {figures:?}", started.elapsed().as_secs_f64());
+        // The faults were there: a simulation in which nothing happens proves nothing.
+        if days >= 30 && seed == 1 {
+            assert!(figures.restarts > 5 && figures.power_cuts > 2 && figures.disk_faults > 2 && figures.alarms > 0);
+            assert!(figures.acknowledged > 20 && figures.dropped > 0 && figures.skipped > 0 && figures.lost > 0);
+            assert!(figures.ahead > 0 && figures.over_limit > 0 && figures.over_share > 0, "limits were met");
+            assert!(figures.recorded > 4 * figures.lost, "most of it is recorded all the same");
+        }
+    }
+}
+
+#[test]
+fn a_seed_gives_the_same_run_again_to_the_byte() {
+    let run = || simulate(7, 3);
+    assert_eq!(run(), run());
+}

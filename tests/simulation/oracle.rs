@@ -1,0 +1,193 @@
+//! What must hold, kept by other means than the daemon's: alarms by the model, messages by counting.
+
+use std::collections::BTreeMap;
+
+use serde_json::Value;
+use stictiond::alarm::Alarm;
+use stictiond::codec::topic::Kind;
+use stictiond::daemon::stage::Stage;
+use stictiond::sink::zenoh::Publication;
+
+use crate::isa::Model;
+
+pub const RAISE: [usize; 2] = [2, 3];
+const CLASSES: [&str; 3] = ["weak", "moderate", "strong"];
+
+/// A command that was sent and not answered yet.
+#[derive(Debug, Clone)]
+pub struct Asked {
+    pub loop_name: String,
+    pub cmd: &'static str,
+    pub for_s: Option<u64>,
+}
+
+/// One loop: every state since the last one that is known to be on the disk, oldest first.
+#[derive(Debug, Default)]
+struct Known {
+    states: Vec<Model>,
+    /// The window asks for a word of the alarm, which must come next.
+    owed: bool,
+}
+
+impl Known {
+    fn now(&self) -> Model {
+        self.states.last().cloned().unwrap_or_default()
+    }
+}
+
+#[derive(Default)]
+pub struct Oracle {
+    loops: BTreeMap<String, Known>,
+    /// Commands under way, in the order in which they were sent.
+    pub asked: Vec<Asked>,
+    /// What went out, summed up: the same for the same seed.
+    pub digest: u64,
+    pub raised: u64,
+    pub skipped: u64,
+}
+
+/// What a window says by its published document, by the rule of the configuration.
+fn vote_of(document: &Value) -> (Option<char>, usize) {
+    let class = document["severity"].as_str().or(document["strength"].as_str()).unwrap_or("none");
+    let class = CLASSES.iter().position(|c| *c == class).map_or(0, |at| at + 1);
+    let coarse = document["gates"].as_array().unwrap().iter().any(|gate| gate == "too_coarse");
+    let vote = match (document["stiction"].as_bool(), document["s"].as_f64()) {
+        (None, _) => None,
+        (Some(true), _) if coarse => None,
+        (Some(true), Some(s)) if s >= 1.0 => Some('f'),
+        (Some(true), Some(s)) if s >= 0.8 => Some('-'),
+        _ => Some('a'),
+    };
+    (vote, class)
+}
+
+/// Whether a stored alarm is the model's, memory of its windows included.
+fn agrees(model: &Model, alarm: &Alarm) -> bool {
+    let json = serde_json::to_value(alarm).unwrap();
+    let bits = |kind: char| {
+        let votes = model.informative.iter().rev().take(RAISE[1]).enumerate();
+        votes.filter(|(_, vote)| **vote == kind).fold(0_u64, |bits, (place, _)| bits | 1 << place)
+    };
+    let aside = |place: &str| json["aside"][place].as_bool().unwrap_or(false);
+    // What stands behind the place where people put it.
+    let behind = Model { shelf_ends_ns: None, suppressed: false, out_of_service: false, ..model.clone() };
+    let class = if model.active { model.class.checked_sub(1).map(|at| CLASSES[at]) } else { None };
+    model.shown() == alarm.shown().name()
+        && json["state"] == behind.shown()
+        && model.active == alarm.active
+        && json["class"].as_str() == class
+        && json["aside"]["shelved_until_ns"].as_i64() == model.shelf_ends_ns
+        && aside("suppressed") == model.suppressed
+        && aside("out_of_service") == model.out_of_service
+        && json["history_for"].as_u64() == Some(bits('f'))
+        && json["history_against"].as_u64() == Some(bits('a'))
+        && json["worse_windows"].as_u64() == Some(model.worse as u64)
+}
+
+impl Oracle {
+    /// Follows what went out.
+    pub fn follow(&mut self, publications: impl Iterator<Item = Publication>) {
+        for publication in publications {
+            let mut document: Value = serde_json::from_slice(&publication.document).unwrap();
+            // It hangs on the folder's name.
+            document.as_object_mut().unwrap().remove("config_hash");
+            if matches!(publication.kind, Kind::Estimate | Kind::Alarm) {
+                let text = format!("{}{document}", publication.key);
+                self.digest =
+                    text.bytes().fold(self.digest ^ 0x9e37, |h, b| (h ^ u64::from(b)).wrapping_mul(0x100_0000_01b3));
+            }
+            match publication.kind {
+                Kind::Estimate => self.estimate(&document),
+                Kind::Alarm => self.alarm(&document),
+                _ => {}
+            }
+        }
+        let owing = self.loops.iter().find(|(_, known)| known.owed);
+        assert!(owing.is_none(), "an alarm changed and nothing said so: {owing:?}");
+    }
+
+    fn estimate(&mut self, document: &Value) {
+        let known = self.loops.entry(document["loop"].as_str().unwrap().to_owned()).or_default();
+        assert!(!known.owed, "an alarm changed and nothing said so: {document}");
+        let (vote, class) = vote_of(document);
+        let mut model = known.now();
+        let end_ns = document["window"]["end_ns"].as_i64().unwrap();
+        known.owed = model.window(end_ns, vote, class, RAISE);
+        known.states.push(model);
+        self.skipped += u64::from(document["gates"].as_array().unwrap().iter().any(|gate| gate == "skipped"));
+    }
+
+    fn alarm(&mut self, document: &Value) {
+        let name = document["loop"].as_str().unwrap();
+        let known = self.loops.entry(name.to_owned()).or_default();
+        let mut model = known.now();
+        if document["by"].is_null() {
+            assert!(known.owed, "an alarm spoke up unasked: {document}");
+            known.owed = false;
+            self.raised += u64::from(document["active"] == true && document["raised_ns"] == document["window_end_ns"]);
+        } else {
+            assert!(!known.owed, "a command came between a window and its alarm: {document}");
+            let place = self.asked.iter().position(|a| a.loop_name == name).expect("a command nobody sent");
+            let asked = self.asked.remove(place);
+            let taken = model.command(asked.cmd, asked.for_s, document["changed_ns"].as_i64().unwrap());
+            assert!(taken, "{asked:?} was taken: {document}\n{model:?}");
+            known.states.push(model.clone());
+        }
+        assert_eq!(document["state"], model.shown(), "{document}\n{model:?}");
+        assert_eq!(document["active"], model.active, "{document}");
+    }
+
+    /// A command was refused: the model must refuse it too, unless the alarm's state is not why.
+    pub fn refused(&mut self, asked: &Asked, why: &str) {
+        if let Some(place) = self.asked.iter().position(|a| a.loop_name == asked.loop_name) {
+            self.asked.remove(place);
+        }
+        let fits =
+            self.loops.get(&asked.loop_name).map(Known::now).unwrap_or_default().command(asked.cmd, asked.for_s, 0);
+        assert!(!fits || why.contains("no loop"), "{asked:?} was refused: {why}");
+    }
+
+    /// All is on the disk: no crash may take it back.
+    pub fn stored(&mut self) {
+        for known in self.loops.values_mut() {
+            known.states.drain(..known.states.len().saturating_sub(1));
+        }
+    }
+
+    /// Whether each loop's alarm stands where the model has it.
+    pub fn compare(&self, stage: &Stage) {
+        for id in stage.engine().ids() {
+            let name = stage.engine().name(id);
+            let model = self.loops.get(&**name).map(Known::now).unwrap_or_default();
+            let alarm = stage.engine().checkpoint(id).alarm;
+            assert!(agrees(&model, &alarm), "{name}: {model:?}\n{alarm:?}");
+        }
+    }
+
+    /// After a restart: each loop is where it was when all was stored last, or later; never before.
+    pub fn restarted(&mut self, stage: &Stage) {
+        self.asked.clear();
+        for (name, known) in &mut self.loops {
+            known.owed = false;
+            let alarm = stage.engine().find(name).map(|id| stage.engine().checkpoint(id).alarm).unwrap_or_default();
+            let place = known.states.iter().rposition(|model| agrees(model, &alarm));
+            let first = known.states.first().cloned().unwrap_or_default();
+            let Some(place) = place else {
+                // Nothing was stored yet: it may begin anew.
+                let unborn = first.informative.len() <= 1 && agrees(&Model::default(), &alarm);
+                assert!(unborn, "{name} is where it never was since it was stored: {:?}\n{alarm:?}", known.states);
+                known.states.clear();
+                continue;
+            };
+            known.states.truncate(place + 1);
+        }
+        // What is restored is in the store before the run begins.
+        for publication in stage.published() {
+            if publication.kind == Kind::Alarm {
+                let document: Value = serde_json::from_slice(&publication.document).unwrap();
+                let model = self.loops[document["loop"].as_str().unwrap()].now();
+                assert_eq!(document["state"], model.shown(), "{document}");
+            }
+        }
+    }
+}
