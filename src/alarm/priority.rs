@@ -6,6 +6,7 @@ use super::rank;
 
 /// Priority of an alarm (ISA-18.2: what to look at first).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Priority {
     /// When there is time.
