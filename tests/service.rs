@@ -299,6 +299,8 @@ fn a_full_disk_and_a_read_only_one_are_faults_that_clear_and_every_sample_is_acc
     wait_for("a recording", || (daemon.counter("recording_files") > 0).then_some(()));
     feed(&daemon);
     wait_for("its samples", || (daemon.counter("recorded") >= 500).then_some(()));
+    let stopped = || daemon.faults().iter().any(|f| f.contains("recording has stopped"));
+    wait_for("the fault's end", || (!stopped()).then_some(()));
     // Somebody else fills the disk.
     let filler = rec.join("filler");
     let mut file = fs::File::create(&filler).unwrap();
