@@ -11,7 +11,7 @@ use super::settle::clamped;
 use super::structure::{MAX_PARAMS, Parameters, Plan, Structure};
 use crate::ident::bank::{BINS, Bank, Glance, bin_edge};
 use crate::ident::candidate::{Landing, MIN_SLIPS, Question, freedom};
-use crate::ident::random::{generator, uniform};
+use crate::ident::random::{seeded_rng, uniform};
 use crate::signal::detrend::box_means;
 use crate::sim::actuator::lag_path;
 use crate::sim::slips::{FirstSlip, Sequence};
@@ -71,7 +71,7 @@ pub fn coarse_scan(
     let whole = question.mean.len() / bank.points * bank.points;
     let path = &question.path[..whole * question.per_point];
     let per_box = question.per_point * bank.points;
-    let mut rng = generator(seed, 7);
+    let mut rng = seeded_rng(seed, 7);
     let (shift, turn) = (uniform(&mut rng), uniform(&mut rng));
     let mut sequence = Sequence::default();
     let mut pools: [Vec<Seen>; 2] = [Vec::new(), Vec::new()];

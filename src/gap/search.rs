@@ -12,7 +12,7 @@ use super::scan::fitted_to;
 use super::settle::{FAR, LAST, NEAR, clamped};
 use super::structure::{MAX_PARAMS, Parameters, Structure};
 use crate::ident::candidate::Question;
-use crate::ident::random::{generator, moved, normal, uniform};
+use crate::ident::random::{moved, normal, seeded_rng, uniform};
 use crate::sim::slips::FirstSlip;
 
 /// Cost over the best one from which a step's process is not settled.
@@ -101,7 +101,7 @@ pub fn local_search(
     for (i, form) in forms.iter().enumerate() {
         let mut evaluator = Evaluator::new(problem, search.sign);
         evaluator.limit = search.allowed / forms.len().max(1) as u64;
-        let mut rng = generator(seed, 100 + search.stream + 500 * i as u64);
+        let mut rng = seeded_rng(seed, 100 + search.stream + 500 * i as u64);
         let of_form = |p: &[f64; MAX_PARAMS]| form_of(&search.structure, p) == *form;
         let before: Vec<Candidate> = search.best.iter().filter(|b| of_form(&b.theta.p)).copied().collect();
         let mut starts: Vec<[f64; MAX_PARAMS]> = search.starts.iter().copied().filter(of_form).collect();

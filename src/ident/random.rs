@@ -27,7 +27,7 @@ pub fn moved(value: f64, cell: [f64; 2], sigma: f64, rng: &mut ChaCha8Rng) -> f6
 
 /// A generator for one purpose of one search.
 #[must_use]
-pub fn generator(seed: u64, purpose: u64) -> ChaCha8Rng {
+pub fn seeded_rng(seed: u64, purpose: u64) -> ChaCha8Rng {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     rng.set_stream(purpose);
     rng

@@ -273,7 +273,7 @@ impl Simulation {
             self.clock.set_wall(START_NS + step * STEP_NS + years * 365 * DAY_STEPS * STEP_NS);
             self.figures.clock_jumps += 1;
         }
-        if self.chance(300) || self.plant.races() && self.chance(8) {
+        if self.chance(300) || self.plant.has_racing_stamps() && self.chance(8) {
             self.worker_stalls = step + 30;
         }
     }

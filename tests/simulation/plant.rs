@@ -62,7 +62,7 @@ impl Plant {
                 self.send(random, index, signal, &format!("{{\"t\":{t_ns},\"v\":{value:.4}}}"), &mut out);
             }
         }
-        self.race(random, step, start_ns, &mut out);
+        self.put_racing_stamps(random, step, start_ns, &mut out);
         strangers(random, self.prefix, &mut out);
         if one_in(random, 3) {
             // Disorder on the way.
@@ -101,12 +101,12 @@ impl Plant {
     }
 
     /// Whether the first loop's stamps race now.
-    pub const fn races(&self) -> bool {
+    pub const fn has_racing_stamps(&self) -> bool {
         self.racing.0 > 0
     }
 
     /// Now and then the first loop's stamps race: from years ago, twelve hours a sample.
-    fn race(&mut self, random: &mut ChaCha8Rng, step: i64, start_ns: i64, out: &mut Vec<Sent>) {
+    fn put_racing_stamps(&mut self, random: &mut ChaCha8Rng, step: i64, start_ns: i64, out: &mut Vec<Sent>) {
         if self.racing.0 == 0 {
             if one_in(random, 300) {
                 self.racing = (12, start_ns + step * STEP_NS - 3650 * DAY_NS);

@@ -7,7 +7,7 @@ use crate::gap::effects::{self, Effect, Unit, Way};
 use crate::gap::plain::tests::made_by;
 use crate::gap::settle::{FAR, clamped};
 use crate::gap::structure::MAX_PARAMS;
-use crate::ident::random::{generator, uniform};
+use crate::ident::random::{seeded_rng, uniform};
 use crate::sim::slips::Law;
 
 /// Effects that are simulated.
@@ -30,7 +30,7 @@ proptest! {
         let structure = Structure { law, effects: [Some(one), pair] };
         prop_assume!(structure.each().map(|e| e.params.len()).sum::<usize>() <= MAX_PARAMS);
         let (problem, truth) = made_by(&Structure::base(Some(Law::He)), [0.0; MAX_PARAMS]);
-        let mut rng = generator(seed, 3);
+        let mut rng = seeded_rng(seed, 3);
         let mut p = [0.0; MAX_PARAMS];
         for (value, param) in p.iter_mut().zip(structure.params()) {
             let [low, high] = param.bounds(&problem);

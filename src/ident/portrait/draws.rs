@@ -7,7 +7,7 @@ use super::super::choice::ValveChoice;
 use super::super::class::Class;
 use super::super::evaluator::lattice_index;
 use super::super::quantify::{Options, quantify};
-use super::super::random::{generator, uniform};
+use super::super::random::{seeded_rng, uniform};
 use super::super::slip_search::candidate::{Candidate as Found, LatticeFit};
 use super::super::slip_search::evaluator::Evaluator;
 use super::super::slip_search::local_search::{Nearness, random_steps};
@@ -61,7 +61,7 @@ impl Portrait<'_> {
     /// spread is that of noise and disturbance near this answer, not of other answers.
     #[must_use]
     pub fn bootstrap(&self, count: usize, seed: u64) -> Vec<Optimum> {
-        let mut rng = generator(seed, 12);
+        let mut rng = seeded_rng(seed, 12);
         let residual = self.bench(self.class).residual(&self.candidate);
         let n = residual.len();
         let block = (self.question.period.round() as usize).clamp(SHORTEST_BLOCK.min(n), (n / 4).max(1));
@@ -123,7 +123,7 @@ mod tests {
     #[test]
     fn blocks_keep_neighbours_and_length() {
         let x: Vec<f64> = (0..100).map(f64::from).collect();
-        let mut rng = generator(3, 1);
+        let mut rng = seeded_rng(3, 1);
         let y = blocks(&x, 20, &mut || uniform(&mut rng));
         assert_eq!(y.len(), 100);
         assert!(y.chunks(20).all(|b| b.windows(2).all(|w| w[1] - w[0] == 1.0)));

@@ -12,7 +12,7 @@ use crate::ident::class::Class;
 use crate::ident::evaluator::View;
 use crate::ident::fit::{Fitted, Target};
 use crate::ident::order::{EARNED, FITTED_SHARE};
-use crate::ident::random::generator;
+use crate::ident::random::seeded_rng;
 use crate::ident::slip_search::evaluator::{Evaluator, Polished, shape_of};
 use crate::signal::stats;
 
@@ -121,7 +121,7 @@ impl Search<'_, '_> {
     /// in front of the error (as in generalised least squares, Cochrane and Orcutt 1949) it weighs as noise does.
     fn whiten(&mut self, answer: &mut Answer, best: Candidate, rivals: &[Candidate], rho: f64, seed: u64) {
         let near = Nearness::USUAL;
-        let mut rng = generator(seed, 5);
+        let mut rng = seeded_rng(seed, 5);
         let (evaluator, plain) = self.whole();
         let mut rho = rho;
         answer.candidate = best;

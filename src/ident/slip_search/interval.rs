@@ -14,7 +14,7 @@ use super::evaluator::{Evaluator, Polished};
 use super::local_search::across;
 use crate::ident::candidate::Start;
 use crate::ident::evaluator::View;
-use crate::ident::random::{generator, moved, normal, uniform};
+use crate::ident::random::{moved, normal, seeded_rng, uniform};
 use crate::ident::residual::{Whiteness, whiteness};
 use crate::ident::width::{Spread, hull};
 use crate::optim::local::on_triangle;
@@ -70,7 +70,7 @@ pub fn spread(
     looking.walk();
     looking.ridge();
     looking.meet(rivals);
-    looking.wander(&mut generator(seed, 2));
+    looking.wander(&mut seeded_rng(seed, 2));
     if looking.top.sse() < looking.first {
         let top = looking.top;
         let process = looking.evaluator.polish(looking.view, &top)?;

@@ -14,7 +14,7 @@ use super::settings::{RoundSettings, SearchSettings};
 use crate::ident::choice::ModelChoice;
 use crate::ident::class::Class;
 use crate::ident::evaluator::View;
-use crate::ident::random::generator;
+use crate::ident::random::seeded_rng;
 use crate::ident::residual::{self, Whiteness};
 use crate::optim::Solver;
 use crate::signal::stats;
@@ -275,7 +275,7 @@ impl<'s, 'a> Search<'s, 'a> {
 
     /// A law's round: its coarse scan, what it liked refitted.
     fn begin(&mut self, law: Law, number: usize, round: &RoundSettings, points: usize) -> LawRound<'a> {
-        let mut rng = generator(self.request.seed, 10 + 2 * number as u64 + u64::from(law == Law::Tracking));
+        let mut rng = seeded_rng(self.request.seed, 10 + 2 * number as u64 + u64::from(law == Law::Tracking));
         let mut view = self.view_of_part(round.rho, points);
         let rho = view.rho();
         let mut evaluator = Evaluator::new(self.problem, law, Class::First, points);
