@@ -138,9 +138,9 @@ fn theta(problem: &Problem, model: &Model, structure: &Structure) -> Parameters 
         for (value, param) in own.iter_mut().zip(effect.params) {
             let stated = added.and_then(|a| a.parameters.get(param.name)).copied();
             *value = match stated {
-                Some(value) => param.posed(value, problem),
+                Some(value) => param.normalised(value, problem),
                 None if param.reach == Reach::SecondLag => libm::log(tau(1).max(1e-3)),
-                None => param.posed(0.0, problem),
+                None => param.normalised(0.0, problem),
             };
         }
         (effect.from_model)(&mut own, &theta);

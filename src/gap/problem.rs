@@ -6,7 +6,7 @@ use super::types::Blocks;
 use crate::detect::oscillation;
 use crate::ident::candidate::Question;
 use crate::ident::evaluator;
-use crate::ident::pose::pose;
+use crate::ident::normalise::normalise;
 use crate::ident::{DelayChoice, ModelChoice, Options, ValveChoice, sign};
 use crate::record::Record;
 use crate::signal::stats;
@@ -28,7 +28,7 @@ pub enum View {
     Moves,
 }
 
-/// One record, posed.
+/// One record, normalised.
 #[derive(Debug, Clone)]
 pub struct Problem {
     /// The record in normalised form.
@@ -98,7 +98,7 @@ impl Problem {
         let (span, deviation) = (stats::span(&record.op_path), stats::std_dev(&record.pv));
         let (seen, oscillates) = period_of(record);
         let period = period.unwrap_or(seen).clamp(8.0, record.len() as f64 / 4.0);
-        let question = pose(record, &options(seed, period), span, deviation);
+        let question = normalise(record, &options(seed, period), span, deviation);
         let blocks = divide(record.len(), question.from, period, masked);
         let sign = sign::of_gain(&question.mean, &question.pv);
         let nothing = Arc::new(evaluator::View::new(&[], 0.0, 1));

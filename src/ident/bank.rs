@@ -340,7 +340,7 @@ mod tests {
             (0..700).map(|k| libm::sin(f64::from(k) * 0.07) + 0.3 * libm::sin(f64::from(k) * 0.023)).collect();
         let pv: Vec<f64> = op.iter().map(|x| 0.4 * x * x + x).collect();
         let record = Record::uniform(1.0, op, pv);
-        let question = crate::ident::pose::pose(&record, &Options::default(), 2.0, 1.0);
+        let question = crate::ident::normalise::normalise(&record, &Options::default(), 2.0, 1.0);
         for per_period in [20.0, 40.0] {
             let mut bank = Bank::new(&question, per_period);
             let at = box_means(&question.mean, bank.points);

@@ -6,7 +6,7 @@
 use super::candidate::{Question, Start};
 use super::class::{Class, Limits, Scratch, Shape};
 use super::least_squares::Gram;
-use super::pose::pose;
+use super::normalise::normalise;
 use super::quantify::Options;
 use super::{DelayChoice, ModelChoice, ValveChoice};
 use crate::record::Record;
@@ -58,7 +58,7 @@ pub fn free_run(record: &Record, model: &Fixed<'_>, after_ns: i64) -> Option<Fre
     if record.len() < LEAST || !span.is_normal() || !deviation.is_normal() {
         return None;
     }
-    let question = pose(record, &OPTIONS, span, deviation);
+    let question = normalise(record, &OPTIONS, span, deviation);
     let (class, shape) = shaped(model, record, &question)?;
     let counted_ns = after_ns.saturating_sub(record.start_ns).max(0);
     let new = ((counted_ns as f64 * 1e-9 / record.point_s()).floor() as usize).saturating_add(1);

@@ -9,7 +9,7 @@ use super::candidate::{Bench, Effort, MIN_SLIPS, Question, Start};
 use super::class::{Class, Scratch};
 use super::fit::{Fitted, Target};
 use super::frictionless;
-use super::pose::pose;
+use super::normalise::normalise;
 use super::quantify::{Estimate, Options};
 use super::slip_search::answer::improvement;
 use crate::record::Record;
@@ -55,7 +55,7 @@ impl<'a> Hypothetical<'a> {
         if record.len() < 30 || !span.is_normal() || !deviation.is_normal() {
             return None;
         }
-        let question = pose(record, options, span, deviation);
+        let question = normalise(record, options, span, deviation);
         let target = Target::new(&question.pv, 0.0, question.from);
         let (class, sign) = (estimate.class, estimate.gain.signum());
         let process = frictionless::best(&question, &target, class, sign, 1)?;

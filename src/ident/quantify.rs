@@ -3,7 +3,7 @@
 use super::candidate::Question;
 use super::choice::{DelayChoice, ModelChoice, ValveChoice};
 use super::class::Class;
-use super::pose::pose;
+use super::normalise::normalise;
 use super::sign;
 use super::slip_search::answer::{Answer, improvement, view_of};
 use super::slip_search::candidate::{Candidate, apart};
@@ -115,7 +115,7 @@ pub fn quantify(record: &Record, options: &Options) -> Option<Estimate> {
     if record.len() < 30 || !span.is_normal() || !deviation.is_normal() {
         return None;
     }
-    let question = pose(record, options, span, deviation);
+    let question = normalise(record, options, span, deviation);
     let laws: &[Law] = match options.valve {
         ValveChoice::He => &[Law::He],
         ValveChoice::Tracking => &[Law::Tracking],

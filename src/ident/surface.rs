@@ -27,7 +27,7 @@
 use super::candidate::{Question, Start};
 use super::class::Class;
 use super::evaluator::{View, lattice_index, lattice_tau};
-use super::pose::pose;
+use super::normalise::normalise;
 use super::quantify::Options;
 use super::sign;
 use super::slip_search::candidate::{Candidate, LatticeFit};
@@ -98,7 +98,7 @@ impl Surface {
         if record.len() < 30 || !span.is_normal() || !deviation.is_normal() {
             return None;
         }
-        let question = pose(record, options, span, deviation);
+        let question = normalise(record, options, span, deviation);
         let signs = sign::of_gain(&question.mean, &question.pv).map_or(vec![1.0, -1.0], |s| vec![s]);
         let side = |sign: f64| {
             let problem = Problem::new(&question, sign);

@@ -149,7 +149,7 @@ impl Param {
 
     /// The inverse of [`Param::recorded`].
     #[must_use]
-    pub fn posed(&self, value: f64, problem: &Problem) -> f64 {
+    pub fn normalised(&self, value: f64, problem: &Problem) -> f64 {
         match self.unit {
             Unit::One | Unit::Choice => value,
             Unit::LogTime => libm::log((value / problem.point_s).max(1e-9)),

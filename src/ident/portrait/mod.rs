@@ -15,8 +15,8 @@ use super::candidate::{Bench, Candidate, Question};
 use super::class::{Class, Shape};
 use super::fit::Target;
 use super::frictionless;
+use super::normalise::normalise;
 use super::order::{EARNED, FITTED_SHARE, reduced};
-use super::pose::pose;
 use super::quantify::{Estimate, Options};
 use crate::record::Record;
 use crate::signal::stats;
@@ -140,7 +140,7 @@ impl<'a> Portrait<'a> {
         if record.len() < 30 || !span.is_normal() || !deviation.is_normal() || model.s.is_nan() || model.s <= 0.0 {
             return None;
         }
-        let question = pose(record, options, span, deviation);
+        let question = normalise(record, options, span, deviation);
         let target = Target::new(&question.pv, 0.0, question.from);
         let class = class_of(model.order, model.integrating);
         let (law, sign) = (model.law, if model.gain < 0.0 { -1.0 } else { 1.0 });

@@ -230,7 +230,7 @@ mod tests {
     use crate::ident::Options;
     use crate::ident::class::{Class, Scratch};
     use crate::ident::least_squares::Gram;
-    use crate::ident::pose::pose;
+    use crate::ident::normalise::normalise;
     use crate::record::Record;
     use crate::sim::slips::{FirstSlip, Law, Stroke};
     use crate::sim::steps::Steps;
@@ -242,7 +242,7 @@ mod tests {
         let pv: Vec<f64> =
             op.iter().enumerate().map(|(k, x)| 0.4 * x * x + x + 0.1 * f64::from(k as u32 % 7)).collect();
         let record = Record::uniform(1.0, op, pv);
-        let question = pose(&record, &Options { period_points: Some(90.0), ..Options::default() }, 2.0, 1.0);
+        let question = normalise(&record, &Options { period_points: Some(90.0), ..Options::default() }, 2.0, 1.0);
         let problem = Problem::new(&question, 1.0);
         let fd = 0.04;
         let mut steps = Steps::default();

@@ -128,7 +128,7 @@ fn places_of_records(path: &[f64]) -> [Vec<u32>; 2] {
 mod tests {
     use super::*;
     use crate::ident::Options;
-    use crate::ident::pose::pose;
+    use crate::ident::normalise::normalise;
     use crate::record::Record;
 
     #[test]
@@ -136,7 +136,7 @@ mod tests {
         let op: Vec<f64> =
             (0..700).map(|k| libm::sin(f64::from(k) * 0.05) + 0.4 * libm::sin(f64::from(k) * 0.31)).collect();
         let pv: Vec<f64> = op.iter().map(|u| 2.0 * u).collect();
-        let question = pose(&Record::uniform(1.0, op, pv), &Options::default(), 2.0, 1.0);
+        let question = normalise(&Record::uniform(1.0, op, pv), &Options::default(), 2.0, 1.0);
         let problem = Problem::new(&question, 1.0);
         for fs in [0.02, 0.1, 0.3, 0.6, 0.9] {
             let mut found = problem.starts(fs, &[-0.9, 0.0, 0.9]);
