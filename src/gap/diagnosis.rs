@@ -61,7 +61,10 @@ pub fn diagnose(record: &Record, ask: &Ask, executor: &dyn Executor) -> Result<D
     }
     let period = ask.period_points.unwrap_or_else(|| period_of(record).0);
     let traces = signatures::traces(record, period, &ask.without);
-    let problem = Problem::new(record, Some(period), ask.seed, traces.masked.clone());
+    let mut problem = Problem::new(record, Some(period), ask.seed, traces.masked.clone());
+    if let Base::Given(model) = &ask.base {
+        problem.stated = given::base_places(&problem, model)?;
+    }
     let straight = traces.signatures.iter().any(|s| s.id == effects::swinging_door::EFFECT.id && s.met);
     let mut floor = noise::floor(&record.pv, straight);
     let law = if ask.base == Base::Linear { None } else { Some(Law::He) };

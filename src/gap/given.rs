@@ -68,6 +68,26 @@ pub fn simulate(problem: &Problem, model: &Model, floor: Option<f64>) -> Result<
     })
 }
 
+/// The base's parameters as the model states them, one for each first slip that may be meant; none where it is another
+/// structure.
+///
+/// # Errors
+/// Where a number or word of the model is out of range.
+pub fn base_places(problem: &Problem, model: &Model) -> Result<Vec<Parameters>, ModelError> {
+    let structure = structure(model)?;
+    if structure.law != Some(Law::He) || structure.each().next().is_some() {
+        return Ok(Vec::new());
+    }
+    let theta = theta(problem, model, &structure);
+    let mut places = Vec::new();
+    for first in firsts(problem, model, &theta) {
+        let mut place = theta;
+        place.first = first;
+        places.push(place);
+    }
+    Ok(places)
+}
+
 /// The structure whose blocks a model has.
 fn structure(model: &Model) -> Result<Structure, ModelError> {
     let law = match model.valve.law.as_str() {

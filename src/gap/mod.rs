@@ -23,7 +23,6 @@ mod pairs;
 mod plain;
 pub mod probability;
 mod problem;
-mod scan;
 mod schedule;
 pub mod score;
 mod search;

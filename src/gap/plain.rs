@@ -340,11 +340,11 @@ impl<'a> PlainPass<'a> {
         self.run_plan(&structure.plan(&of.theta), of, of.linear)
     }
 
-    /// What a structure's effect adds to the free run of the same slips through the same process, the stem's law apart;
-    /// zeros where it acts on that law alone.
+    /// What a structure's effect adds to the free run of the same slips beside what the search of the slips knows itself
+    /// ([`Plan::searchable`]); zeros where it knows all.
     pub fn added(&mut self, structure: &Structure, of: &Candidate) -> Option<Vec<f64>> {
         let plan = structure.plan(&of.theta);
-        let plain = plan.valve_alone();
+        let plain = plan.searchable();
         if plan == plain {
             return Some(vec![0.0; self.problem.n()]);
         }

@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use super::structure::Parameters;
 use super::types::Blocks;
 use crate::detect::oscillation;
 use crate::ident::candidate::Question;
@@ -63,6 +64,8 @@ pub struct Problem {
     pub point_s: f64,
     /// Raw samples in a point.
     pub box_samples: f64,
+    /// Where a model that was given has the base's parameters: its search begins there, too.
+    pub stated: Vec<Parameters>,
 }
 
 /// What the base of every fit is told.
@@ -119,6 +122,7 @@ impl Problem {
             pv_mean: stats::mean(&record.pv),
             point_s: record.point_s(),
             box_samples: record.box_samples as f64,
+            stated: Vec::new(),
         };
         let held_out = problem.blocks.held_out.clone();
         problem.divide_by(&held_out);

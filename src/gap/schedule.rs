@@ -11,10 +11,9 @@ use super::evaluator::{Candidate, Evaluator};
 use super::express::rms;
 use super::plain::PlainPass;
 use super::problem::{Problem, View};
-use super::scan::{self, coarse_scan, frictionless};
-use super::search::{Effort, FIRST, MIDDLE, NARROW, SMALL, Search, WIDE, exchange, local_search};
+use super::search::{Effort, FIRST, MIDDLE, NARROW, SMALL, Search, WIDE, exchange, local_search, of_every_size};
 use super::settle::NEAR;
-use super::slips::search_slips;
+use super::slips::{Length, Places, frictionless, search_slips};
 use super::structure::{MAX_PARAMS, Parameters, Plan, Structure};
 use super::types::{Ended, Executor, Stage};
 use crate::ident::class::Class;
@@ -27,9 +26,7 @@ const SHARED_ROUNDS: usize = 2;
 const PLACES: usize = 10;
 const STARTS: usize = 3;
 /// Rounds of the estimate's search that are asked for.
-const SLIP_ROUNDS: usize = 3;
-/// Shares of the record that further coarse scans see: shorter ones know fewer slips and have wider cells.
-const PARTS: [f64; 2] = [0.45, 0.7];
+const SLIP_ROUNDS: Length = Length::Rounds(3);
 /// Relative gain in squared error below which a search has not improved.
 const NO_GAIN: f64 = 0.003;
 /// Responses that a search for the base is given at least: without a base nothing can be said.
@@ -37,17 +34,14 @@ const BASE_AT_LEAST: u64 = 10_000;
 /// Squared error over the best one from which an effect is out of the running, so that it does not try what others find.
 const FAR_BEHIND: f64 = 9.0;
 /// Searches for the right slips at most beyond the first, of the base and of the effects.
-const AGAIN: u64 = 2;
+const AGAIN: u64 = 1;
 /// Shares of the budget that the base has at most, and of what it leaves that the effects' own first looks have.
 const OF_BASE: f64 = 0.4;
 const OF_LOOKS: f64 = 0.5;
-/// Coarse scans of its own that an effect gets at most.
-const OWN_SCANS: usize = 7;
-/// Responses that one such scan computes, about.
-const LOOK: f64 = 500.0;
-/// Rounds of the estimate's search for one start of a stem that makes other slips, and looks that must be allowed for it.
-const ROUNDS_OF_OWN: usize = 1;
-const SEARCHED: usize = 20;
+/// Searches for slips of its own that an effect gets at most.
+const OWN_SEARCHES: usize = 7;
+/// Responses that one such search computes, about.
+const OWN_SEARCH: f64 = 3000.0;
 /// Effects for which that is worth its while.
 const LIKELY: usize = 3;
 /// Times that these are searched again while one of them gains.
@@ -56,6 +50,8 @@ const MOST_AGAIN: u64 = 4;
 const LOOK_AGAIN: u64 = 30_000;
 /// Error over the floor at which a white base is the answer and the effects need only a glance.
 const CALM: f64 = 1.04;
+/// The same whatever colour the rest has.
+const SETTLED: f64 = 1.02;
 
 /// Work done, and who does it.
 pub struct Work<'c> {
@@ -147,7 +143,7 @@ fn search(structure: Structure, sign: f64, starts: Vec<[f64; MAX_PARAMS]>, strea
     Search { structure, sign, starts, best: Vec::new(), evaluations: 0, allowed: u64::MAX, stream: 1000 * stream }
 }
 
-/// The base, fitted, and the starts of its coarse scan; `None` where nothing in PV follows OP.
+/// The base, fitted, and all that its search for slips met; `None` where nothing in PV follows OP.
 ///
 /// While it leaves more than noise, a scan of another part of the record with other chance says where to begin again, up
 /// to [`AGAIN`] times: every effect starts from the base's slips.
@@ -161,20 +157,14 @@ pub fn base(
     let enough = work.done.saturating_add(work.part(OF_BASE));
     let (mut base, thetas) = base_once(problem, law, work)?;
     for round in 0..AGAIN {
-        if law.is_none() || is_calm(problem, &base, floor) || work.done >= enough || !work.goes_on() {
+        if law.is_none() || is_settled(problem, &base, floor) || work.done >= enough || !work.goes_on() {
             break;
         }
         let seed = work.seed.wrapping_add((1 + round) << 32);
         let allowed = work.allowed(1);
         let found = work.all(1, |_| {
             let mut search = Search { allowed, ..base.clone() };
-            let (mut places, mut count) = search_slips(problem, &search, SLIP_ROUNDS, seed);
-            let settings = scan::Settings { part: PARTS[round as usize % PARTS.len()], ..scan::FINE };
-            let (more, n) = coarse_scan(problem, &search.structure, [0.0; MAX_PARAMS], search.sign, settings, seed);
-            places.extend(more);
-            count += n;
-            local_search(problem, &mut search, &places, &[], &MIDDLE, seed);
-            search.evaluations += count;
+            look_again(problem, &mut search, seed);
             search
         });
         let Some(better) = found.into_iter().next() else { break };
@@ -189,26 +179,24 @@ fn base_once(problem: &Problem, law: Option<Law>, work: &mut Work<'_>) -> Option
     let signs: Vec<f64> = problem.sign.map_or_else(|| vec![1.0, -1.0], |s| vec![s]);
     let seed = work.seed;
     let structure = Structure::base(law);
-    let scanned = work.all(signs.len(), |i| match law {
-        Some(_) => coarse_scan(problem, &structure, [0.0; MAX_PARAMS], signs[i], scan::FINE, seed),
-        None => (frictionless(problem), 0),
+    let nowhere = vec![[0.0; MAX_PARAMS]];
+    let places = work.all(signs.len(), |i| match law {
+        Some(_) => search_slips(problem, &search(structure, signs[i], nowhere.clone(), 0), SLIP_ROUNDS, seed),
+        None => Places { scanned: frictionless(problem), ..Places::default() },
     });
-    work.done += scanned.iter().map(|(_, n)| n).sum::<u64>();
+    work.done += places.iter().map(|p| p.evaluations).sum::<u64>();
     // Twice with other chance: the base must not lose by bad luck.
     let jobs = 2 * signs.len();
     let allowed = work.part(OF_BASE).div_ceil(jobs as u64).max(BASE_AT_LEAST);
     let searches = work.all(jobs, |i| {
         let sign = i / 2;
-        let mut search = search(structure, signs[sign], vec![[0.0; MAX_PARAMS]], 1 + i as u64);
+        let mut search = search(structure, signs[sign], nowhere.clone(), 1 + i as u64);
         search.allowed = allowed;
-        if let Some((thetas, _)) = scanned.get(sign) {
-            // The one begins where the search of the estimate ends, the other where the coarse scan does.
+        if let Some(places) = places.get(sign) {
+            // The one begins where the search for slips ends, the other where its coarse scans do.
             let from_slips = i % 2 == 0 && law.is_some();
-            let (own, count) =
-                if from_slips { search_slips(problem, &search, SLIP_ROUNDS, seed) } else { (Vec::new(), 0) };
-            let effort = if from_slips { &NARROW } else { &WIDE };
-            local_search(problem, &mut search, if from_slips { &own } else { thetas }, &[], effort, seed);
-            search.evaluations += count;
+            let (from, effort) = if from_slips { (&places.found, &NARROW) } else { (&places.scanned, &WIDE) };
+            local_search(problem, &mut search, from, &problem.stated, effort, seed);
         }
         search
     });
@@ -222,22 +210,32 @@ fn base_once(problem: &Problem, law: Option<Law>, work: &mut Work<'_>) -> Option
         base.best.extend(other.best.iter().take(3).copied());
     }
     base.best.sort_by(|a, b| a.sse.total_cmp(&b.sse));
-    let thetas = scanned.into_iter().zip(&signs).find(|(_, s)| **s == base.sign).map(|((g, _), _)| g)?;
-    Some((base, thetas))
+    let places = places.into_iter().zip(&signs).find(|(_, s)| **s == base.sign).map(|(p, _)| p)?;
+    // Under a load the right slips may be those of a part of the record, or only have been looked at.
+    Some((base, places.found.into_iter().chain(places.scanned).collect()))
 }
 
 /// Whether a search is at the floor and leaves white noise that does not follow OP.
 #[must_use]
 pub fn is_calm(problem: &Problem, search: &Search, floor: Option<f64>) -> bool {
-    let Some(left) = residual_of(problem, search).filter(|left| reaches(problem, left, floor)) else { return false };
+    let Some(left) = residual_of(problem, search).filter(|left| reaches(problem, left, floor, CALM)) else {
+        return false;
+    };
     let from = problem.blocks.from;
     let whiteness = residual::whiteness(&left[from..], &problem.question.mean[from..]);
     whiteness.white && !whiteness.follows_op
 }
 
-/// Whether what is left is at the floor, white or not.
-fn reaches(problem: &Problem, left: &[f64], floor: Option<f64>) -> bool {
-    floor.is_some_and(|floor| rms(left, &problem.train) * problem.deviation <= CALM * floor)
+/// Whether nothing is left to be found: white noise at the floor, or so little above it that no effect gains what its
+/// margin asks for, whatever colour it has.
+fn is_settled(problem: &Problem, search: &Search, floor: Option<f64>) -> bool {
+    let left = residual_of(problem, search);
+    left.is_some_and(|left| reaches(problem, &left, floor, SETTLED)) || is_calm(problem, search, floor)
+}
+
+/// Whether what is left is within a factor of the floor, white or not.
+fn reaches(problem: &Problem, left: &[f64], floor: Option<f64>, within: f64) -> bool {
+    floor.is_some_and(|floor| rms(left, &problem.train) * problem.deviation <= within * floor)
 }
 
 /// What a search's best candidate leaves of PV at each point, deviations.
@@ -274,7 +272,7 @@ pub fn run(
     work: &mut Work<'_>,
 ) -> Option<Found> {
     let (mut base, thetas) = base(problem, base_law, floor, work)?;
-    let calm = is_calm(problem, &base, floor);
+    let calm = is_settled(problem, &base, floor);
     let effects: Vec<&'static Effect> =
         simulated(base_law.is_none()).into_iter().filter(|e| !without.iter().any(|w| w == e.id)).collect();
     let mut searches = searches_of(problem, &base, &effects);
@@ -292,10 +290,10 @@ pub fn run(
             from.extend(&thetas);
         }
         let seed = work.seed;
-        let looking = searches.iter().filter(|l| plans_of(l).any(|plan| has_own_scan(&plan, &l.structure))).count();
-        let each = (work.part(OF_LOOKS) as f64 / LOOK / looking.max(1) as f64).max(1.0) as usize;
-        let own =
-            work.all(searches.len(), |i| own_scans(problem, &searches[i], &thetas, if calm { 0 } else { each }, seed));
+        let looking = searches.iter().filter(|l| plans_of(l).any(|plan| has_own_search(&plan, &l.structure))).count();
+        let each = (work.part(OF_LOOKS) as f64 / OWN_SEARCH / looking.max(1) as f64).max(1.0) as usize;
+        let own = work
+            .all(searches.len(), |i| own_searches(problem, &searches[i], &thetas, if calm { 0 } else { each }, seed));
         work.done += own.iter().map(|(_, n)| n).sum::<u64>();
         let effort = if calm { &NARROW } else { &FIRST };
         let own = |i: usize| own.get(i).map_or(&[][..], |(thetas, _)| thetas);
@@ -373,7 +371,7 @@ fn plans_of(search: &Search) -> impl Iterator<Item = Plan> {
     search.starts.iter().map(|p| search.structure.plan_of(p))
 }
 
-/// Another coarse scan with the parameters found so far, made for each of the most likely effects while none of them
+/// Another search for slips with the parameters found so far, made for each of the most likely effects while none of them
 /// explains everything. Says whether one of them gained from it.
 fn search_again(
     problem: &Problem,
@@ -385,19 +383,19 @@ fn search_again(
     let mut order: Vec<usize> = (0..searches.len()).collect();
     order.sort_by(|a, b| searches[*a].sse().total_cmp(&searches[*b].sse()));
     order.truncate(LIKELY.min((work.left() / LOOK_AGAIN) as usize));
-    if order.first().is_none_or(|best| is_calm(problem, &searches[*best], floor)) || !work.goes_on() {
+    if order.first().is_none_or(|best| is_settled(problem, &searches[*best], floor)) || !work.goes_on() {
         return false;
     }
     let seed = work.seed.wrapping_add((AGAIN + 1 + round) << 32);
-    let settings = scan::Settings { part: PARTS[round as usize % PARTS.len()], ..scan::FINE };
-    go_on(searches, &order, work, &|search| {
-        let Some(p) = search.best.first().map(|b| b.theta.p).or(search.starts.first().copied()) else { return };
-        let (mut places, count) = coarse_scan(problem, &search.structure, p, search.sign, settings, seed);
-        let (more, n) = search_slips(problem, search, SLIP_ROUNDS, seed);
-        places.extend(more);
-        local_search(problem, search, &[], &places, &MIDDLE, seed);
-        search.evaluations += count + n;
-    })
+    go_on(searches, &order, work, &|search| look_again(problem, search, seed))
+}
+
+/// Another search for slips with other chance and the parameters found so far, and a local search from where it leads.
+fn look_again(problem: &Problem, search: &mut Search, seed: u64) {
+    let Places { mut found, scanned, evaluations } = search_slips(problem, search, SLIP_ROUNDS, seed);
+    found.extend(scanned);
+    local_search(problem, search, &[], &found, &MIDDLE, seed);
+    search.evaluations += evaluations;
 }
 
 /// Places of the base's first look with what a load's own clues say of the residual there: the residual of the wrong
@@ -408,9 +406,8 @@ fn with_own_clues(problem: &Problem, search: &Search, thetas: &[Parameters]) -> 
     let mut evaluator = Evaluator::new(problem, search.sign);
     let mut out = Vec::new();
     for view in View::ALL {
-        let mut seen: Vec<_> = thetas.iter().filter_map(|g| evaluator.fit(&base, g, view, NEAR)).collect();
-        seen.sort_by(|a, b| a.sse.total_cmp(&b.sse));
-        for place in seen.iter().take(PLACES) {
+        let seen: Vec<_> = thetas.iter().filter_map(|g| evaluator.fit(&base, g, view, NEAR)).collect();
+        for place in of_every_size(seen, PLACES) {
             let Some(place) = evaluator.fit(&base, &place.theta, View::Plain, NEAR) else { continue };
             let Some((prediction, valve)) = free_run(problem, search.sign, &base, &place.theta) else { continue };
             let starts = starts_at(problem, effect, &place, &prediction, &valve);
@@ -438,7 +435,7 @@ fn starts_at(
 
 /// A look of its own for an effect that makes other slips of the same OP, or whose traces the wrong slips hide; `looked`
 /// are the places of the base's, `most` the starts from which is looked.
-fn own_scans(
+fn own_searches(
     problem: &Problem,
     search: &Search,
     looked: &[Parameters],
@@ -453,42 +450,32 @@ fn own_scans(
         return with_own_clues(problem, search, looked);
     }
     // Evenly from all of them, where there is no time for each.
-    let every = search.starts.len().div_ceil(most.min(OWN_SCANS));
+    let every = search.starts.len().div_ceil(most.min(OWN_SEARCHES));
     for (i, p) in search.starts.iter().enumerate().step_by(every.max(1)) {
         let plan = search.structure.plan_of(p);
-        if plan.class() != Class::First && i == 0 {
-            // Another process is looked for by the search that knows it, once.
-            let (found, n) = search_slips(problem, search, SLIP_ROUNDS, seed);
-            thetas.extend(found);
-            count += n;
-        }
-        if !has_own_scan(&plan, &search.structure) || plan.class() != Class::First {
+        // Another process is looked for by the search that knows it, once.
+        let is_other_process = plan.class() != Class::First;
+        if is_other_process && i > 0 || !has_own_search(&plan, &search.structure) {
             continue;
         }
-        if makes_other_slips(&plan) && most >= SEARCHED {
-            // No pair of bands imitates these slips: each start has a search of its own.
-            let alone = Search { starts: vec![*p], best: Vec::new(), ..search.clone() };
-            let (found, n) = search_slips(problem, &alone, ROUNDS_OF_OWN, seed + i as u64);
-            thetas.extend(found);
-            count += n;
-            continue;
-        }
-        let (found, n) = coarse_scan(problem, &search.structure, *p, search.sign, scan::ROUGH, seed + i as u64);
-        thetas.extend(found);
-        count += n;
+        let alone = Search { starts: vec![*p], best: Vec::new(), ..search.clone() };
+        let length = if makes_other_slips(&plan) { Length::Rounds(1) } else { Length::Brief };
+        let places = search_slips(problem, &alone, length, seed + i as u64);
+        thetas.extend(places.found);
+        thetas.extend(places.scanned);
+        count += places.evaluations;
     }
     (thetas, count)
 }
 
-/// Whether a stem answers OP with slips that no pair of bands gives, so that a look at the base's is of no use.
+/// Whether a stem answers OP with slips that no pair of bands gives, so that what the base's search met is of no use.
 fn makes_other_slips(plan: &Plan) -> bool {
     plan.overshoot || plan.stroke.uneven != 0.0
 }
 
 /// Whether a plan makes other slips than the base, or another signal of the same slips.
-fn has_own_scan(plan: &Plan, structure: &Structure) -> bool {
-    let same_slips = plan.valve_alone() == Plan::base(structure.law);
-    structure.law.is_some() && (makes_other_slips(plan) || !same_slips || plan.follows() || plan.bend != 0.0)
+fn has_own_search(plan: &Plan, structure: &Structure) -> bool {
+    structure.law.is_some() && plan.searchable() != Plan::base(structure.law)
 }
 
 /// One round for every search.

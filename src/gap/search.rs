@@ -8,8 +8,8 @@ use rand_chacha::ChaCha8Rng;
 use super::effects::Unit;
 use super::evaluator::{Candidate, Evaluator};
 use super::problem::{Problem, View};
-use super::scan::fitted_to;
 use super::settle::{FAR, LAST, NEAR, clamped};
+use super::slips::fitted_to;
 use super::structure::{MAX_PARAMS, Parameters, Structure};
 use crate::ident::candidate::Question;
 use crate::ident::random::{moved, normal, seeded_rng, uniform};
@@ -315,7 +315,7 @@ fn scans(
 }
 
 /// The best half overall, the rest from all sizes of s in turn: the right size may begin badly.
-fn of_every_size(pool: Vec<Candidate>, wanted: usize) -> Vec<Candidate> {
+pub fn of_every_size(pool: Vec<Candidate>, wanted: usize) -> Vec<Candidate> {
     let mut chosen = apart(pool.clone(), wanted / 2);
     let class = |c: &Candidate| (-2.0 * libm::log(c.theta.s.max(1e-3))).floor() as i64;
     let mut rest = apart(pool, usize::MAX);

@@ -1,93 +1,192 @@
-//! The search of [`crate::ident`] for slips and process, asked for the base and for every effect that leaves more than
-//! noise.
+//! The search of [`crate::ident`] for slips and process, asked for the base and for every effect.
 //!
-//! It knows both laws, uneven bands, jumps beyond OP, stops of the stem and a lag before it, and all classes of process.
-//! What an effect does behind the stem is taken out of PV as its search has it so far, so that slips and effect are found
-//! in turn. It sees the whole record; what it finds are starts for the fits to the training blocks.
+//! An effect's parameters are held meanwhile, its loads are free columns; a process whose gain goes with its level, or
+//! which has a zero, it does not know: what these do is taken out of PV as the effect's search has it so far, so that slips
+//! and effect are found in turn. It sees the whole record; what it finds are starts for the fits to the training blocks.
 
-use super::plain::PlainPass;
+use super::plain::{PlainPass, loads};
 use super::problem::Problem;
-use super::scan::behind_positioner;
 use super::search::Search;
-use super::structure::{MAX_PARAMS, Parameters};
+use super::settle::clamped;
+use super::structure::{MAX_PARAMS, Parameters, Plan, Structure};
+use super::valve_signal::HeldPlan;
 use crate::ident::ModelChoice;
+use crate::ident::candidate::{Landing, Question};
 use crate::ident::class::Class;
 use crate::ident::slip_search::candidate::Candidate;
-use crate::ident::slip_search::problem::Problem as SlipProblem;
+use crate::ident::slip_search::problem::{BehindStem, Problem as SlipProblem};
 use crate::ident::slip_search::settings::SearchSettings;
-use crate::ident::slip_search::stages::{Request, Search as SlipSearch};
+use crate::ident::slip_search::stages::{Found, Request, Search as SlipSearch};
 use crate::optim;
+use crate::signal::detrend::box_means;
 use crate::signal::stats;
+use crate::sim::actuator::lag_path;
+use crate::sim::slips::FirstSlip;
 
 /// Candidates taken from one search.
 const TAKEN: usize = 8;
-/// Step of its coarse scan's grid, % of OP's span.
-const FINENESS_PCT: f64 = 5.0;
+/// Step of its coarse scan's grid, % of OP's span: as usual, and of a brief search.
+const FINENESS_PCT: [f64; 2] = [5.0, 10.0];
+/// Time constant through which a load comes whose process is not known yet, periods.
+const LOAD_TAU: f64 = 0.2;
 
-/// Starts for a search, with the parameters that belong to them, and evaluations made; nothing for a stem that knows no
-/// friction. With the parameters of its best candidate, or of its first start before it has one.
+/// How long is searched.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Length {
+    /// So many rounds of the estimate's search.
+    Rounds(usize),
+    /// One round with less of everything.
+    Brief,
+}
+
+/// Where a search for slips leads.
+#[derive(Debug, Default)]
+pub struct Places {
+    /// What it found, best first.
+    pub found: Vec<Parameters>,
+    /// What it met on the way: the right slips may be among them where the model lacks too much to find them.
+    pub scanned: Vec<Parameters>,
+    /// Error models and valve signals computed.
+    pub evaluations: u64,
+}
+
+/// Places for a structure's search with its best candidate's parameters, or its first start's before it has one; nothing for
+/// a stem that knows no friction.
 #[must_use]
-pub fn search_slips(problem: &Problem, search: &Search, rounds: usize, seed: u64) -> (Vec<Parameters>, u64) {
-    let nothing = (Vec::new(), 0);
-    let Some(p) = search.best.first().map(|b| b.theta.p).or(search.starts.first().copied()) else { return nothing };
+pub fn search_slips(problem: &Problem, search: &Search, length: Length, seed: u64) -> Places {
+    let Some(p) = search.best.first().map(|b| b.theta.p).or(search.starts.first().copied()) else {
+        return Places::default();
+    };
     let plan = search.structure.plan_of(&p);
-    let Some(law) = plan.law else { return nothing };
-    let mut question = behind_positioner(problem, &plan);
-    question.stroke = plan.stroke;
-    question.landing = plan.landing();
-    if let Some(best) = search.best.first() {
-        let Some(added) = PlainPass::new(problem, search.sign).added(&search.structure, best) else { return nothing };
-        question.pv.iter_mut().zip(&added).for_each(|(y, a)| *y -= a);
-    }
-    let mean = stats::mean(&question.pv);
-    question.pv.iter_mut().for_each(|y| *y -= mean);
+    let (Some(law), Some(solver)) = (plan.law, optim::by_name("contour")) else { return Places::default() };
+    let Some(question) = question_of(problem, search, &plan) else { return Places::default() };
+    let held = HeldPlan { plan: plan.searchable(), points: problem.n() };
+    let mut slip_problem = SlipProblem::new(&question, search.sign);
+    slip_problem.behind = plan.shapes_signal().then_some(&held as &dyn BehindStem);
+    let tau = search.best.first().map_or(LOAD_TAU * problem.period, |b| libm::exp(b.theta.log_tau));
+    slip_problem.loads = loads(&plan, tau, problem.n());
     let class = plan.class();
-    let Some(solver) = optim::by_name("contour") else { return nothing };
     let request = Request {
         laws: &[law],
         model: if class == Class::Second { ModelChoice::Sopdt } else { ModelChoice::Fopdt },
         solver,
-        fineness_pct: FINENESS_PCT,
+        fineness_pct: FINENESS_PCT[usize::from(length == Length::Brief)],
         seed,
         rival: f64::INFINITY,
     };
-    let mut settings = SearchSettings::usual();
-    settings.rounds.truncate(rounds);
-    let slip_problem = SlipProblem::new(&question, search.sign);
+    let settings = match length {
+        Length::Brief => SearchSettings::brief(),
+        Length::Rounds(rounds) => {
+            let mut settings = SearchSettings::usual();
+            settings.rounds.truncate(rounds);
+            settings
+        }
+    };
     let (found, _) = SlipSearch::new(&slip_problem, &request, &settings).run();
-    let mut all: Vec<&Candidate> = found.best.iter().chain(&found.seen).filter(|c| c.class == class).collect();
+    places(problem, &search.structure, &question, &found, p)
+}
+
+/// The record as the search for a plan's slips sees it; `None` where the search's best has no free run.
+fn question_of(problem: &Problem, search: &Search, plan: &Plan) -> Option<Question> {
+    let mut question = problem.question.clone();
+    if plan.positioner > 0.0 {
+        let plain = &problem.question;
+        question.per_point = lag_path(&plain.path, plain.per_point, plan.positioner, &mut question.path);
+        question.mean = box_means(&question.path, question.per_point);
+        question.records = Question::records_of(&question.path);
+    }
+    question.stroke = plan.stroke;
+    question.landing = plan.landing();
+    if let Some(best) = search.best.first() {
+        let added = PlainPass::new(problem, search.sign).added(&search.structure, best)?;
+        question.pv.iter_mut().zip(&added).for_each(|(y, a)| *y -= a);
+    }
+    let mean = stats::mean(&question.pv);
+    question.pv.iter_mut().for_each(|y| *y -= mean);
+    Some(question)
+}
+
+/// The parameter vectors of what a search found, an effect's own as they were held.
+fn places(
+    problem: &Problem,
+    structure: &Structure,
+    question: &Question,
+    found: &Found,
+    p: [f64; MAX_PARAMS],
+) -> Places {
+    let class = structure.plan_of(&p).class();
+    let at = |c: &Candidate| clamped(structure, parameters(structure, question, c, p), problem);
+    let mut all: Vec<&Candidate> = found.seen.iter().filter(|c| c.class == class).collect();
     all.sort_by(|a, b| a.sse().total_cmp(&b.sse()));
     // The best of each law first, whatever part of the record the others were fitted to.
-    let mut starts: Vec<Parameters> =
-        found.best.iter().filter(|c| c.class == class).map(|c| at(search, &question, c, p)).collect();
-    for candidate in all {
-        let theta = at(search, &question, candidate, p);
-        if starts.len() < TAKEN && !starts.contains(&theta) {
-            starts.push(theta);
+    let mut out = Places { evaluations: found.evaluations, ..Places::default() };
+    for candidate in found.best.iter().filter(|c| c.class == class).chain(all) {
+        let theta = at(candidate);
+        if out.found.len() < TAKEN && !out.found.contains(&theta) {
+            out.found.push(theta);
         }
     }
-    (starts, found.evaluations)
+    out.scanned = found.scanned.iter().map(at).collect();
+    out
 }
 
 /// The parameter vector of a candidate.
-fn at(
-    search: &Search,
-    question: &crate::ident::candidate::Question,
-    c: &Candidate,
-    p: [f64; MAX_PARAMS],
-) -> Parameters {
+fn parameters(structure: &Structure, question: &Question, c: &Candidate, p: [f64; MAX_PARAMS]) -> Parameters {
     let taus = c.taus();
+    let is_linear_in_fd = structure.plan_of(&p).searchable().is_linear_in_fd();
     let mut theta = Parameters {
         s: c.s,
         j: c.j,
         first: question.first_slip(c.start),
-        fd: c.fit.fd,
+        fd: if is_linear_in_fd { c.fit.fd } else { 0.5 * (c.s - c.j) },
         log_tau: if c.class.integrates() { 0.0 } else { libm::log(taus[0]) },
         lag: c.fit.lag().max(question.limits.lag[0]),
         p,
     };
     if c.class == Class::Second {
-        search.structure.set_second_lag(&mut theta, libm::log(taus[1]));
+        structure.set_second_lag(&mut theta, libm::log(taus[1]));
     }
     theta
+}
+
+/// Starts for a model without friction: an even look at time constants and lags.
+#[must_use]
+pub fn frictionless(problem: &Problem) -> Vec<Parameters> {
+    let mut out = Vec::new();
+    for tau in [0.01, 0.05, 0.2, 1.0] {
+        for lag in [0.01, 0.05, 0.12, 0.25] {
+            out.push(Parameters {
+                s: 0.0,
+                j: 0.0,
+                first: FirstSlip { direction: 1.0, threshold: 0.0 },
+                fd: 0.0,
+                log_tau: libm::log((tau * problem.period).max(0.3)),
+                lag: problem.question.limits.lag[0] + lag * problem.period,
+                p: [0.0; MAX_PARAMS],
+            });
+        }
+    }
+    out
+}
+
+/// The parameter vector where its structure may stand; for a stem that may overshoot also the same way back and as far
+/// beyond.
+#[must_use]
+pub fn fitted_to(structure: &Structure, mut theta: Parameters, problem: &Problem) -> Vec<Parameters> {
+    if structure.plan(&theta).landing() == Landing::Beyond {
+        // The base is among its models: it must never do worse.
+        let mut out = vec![clamped(structure, theta, problem)];
+        if theta.j < theta.s {
+            // The slips stay: fd turns.
+            theta.j = theta.s * (1.0 + 0.5 * (1.0 - theta.j / theta.s.max(1e-9)));
+            theta.fd = 0.5 * (theta.s - theta.j);
+            out.push(clamped(structure, theta, problem));
+        }
+        return out;
+    }
+    if theta.j > theta.s {
+        theta.j = theta.s;
+        theta.fd = 0.0;
+    }
+    vec![clamped(structure, theta, problem)]
 }

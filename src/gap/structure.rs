@@ -121,17 +121,18 @@ impl Plan {
         }
     }
 
-    /// Only what decides when the stem slips, in front of a plain process of the same kind and order.
+    /// What the search of the slips knows of it: all but a process that goes with its level or has a zero. Loads are free
+    /// columns there.
     #[must_use]
-    pub const fn valve_alone(&self) -> Self {
-        Self {
-            overshoot: self.overshoot,
-            stroke: self.stroke,
-            positioner: self.positioner,
-            tau2: if self.zero { 0.0 } else { self.tau2 },
-            integrating: self.integrating,
-            ..Self::base(self.law)
-        }
+    pub const fn searchable(&self) -> Self {
+        let tau2 = if self.zero { 0.0 } else { self.tau2 };
+        Self { level: 0.0, zero: false, tau2, omega: None, ramp: None, step: None, ..*self }
+    }
+
+    /// Whether something stands behind the stem that changes its signal.
+    #[must_use]
+    pub fn shapes_signal(&self) -> bool {
+        self.follows() || self.bend != 0.0 || self.switch.is_some() || self.drift.is_some()
     }
 
     /// Whether something follows the stem that changes its signal.

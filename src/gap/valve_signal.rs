@@ -7,6 +7,7 @@ use super::problem::Problem;
 use super::structure::{Drift, Parameters, Plan};
 use crate::ident::candidate::{MIN_SLIPS, band_freedom};
 use crate::ident::fit::Freedom;
+use crate::ident::slip_search::problem::BehindStem;
 use crate::sim::actuator::{lag_path, play_step, rate_step, stop_step};
 use crate::sim::slips::Stem;
 use crate::sim::steps::{Path, Step, Steps};
@@ -19,9 +20,9 @@ const PATHS: usize = 4;
 pub struct ValveSignal {
     /// The steps, and the cells of the bands that give the same.
     pub steps: Steps,
-    work: Vec<Step>,
-    behind: Vec<(u64, Arc<Path>)>,
-    samples: [Vec<f64>; 2],
+    mean: Vec<f64>,
+    paths: Vec<(u64, Arc<Path>)>,
+    behind: Behind,
 }
 
 impl ValveSignal {
@@ -47,22 +48,11 @@ impl ValveSignal {
             }
             None => self.follow_op(&path, &mut start),
         }
+        let fd = theta.fd.clamp(freedom.fd[0], freedom.fd[1]);
         if !plan.is_linear_in_fd() {
-            let [low, high] = freedom.fd;
-            theta.fd = if plan.law.is_some() { theta.fd.clamp(low, high) } else { 0.0 };
-            // Side by side, two lags leave fd open: it is found with their gains.
-            if !plan.zero || plan.follows() || plan.bend != 0.0 {
-                start = [self.follow(plan, start, theta.fd, n), 0.0];
-                freedom.fd = [0.0; 2];
-                freedom.fd_default = 0.0;
-            }
+            theta.fd = fd;
         }
-        if let Some([time, more]) = plan.switch {
-            self.switch(time, more, n);
-        }
-        if let Some(drift) = plan.drift {
-            self.drift(drift, start, n);
-        }
+        self.behind.shape(plan, &mut self.steps, start, fd, &mut freedom, [n, n]);
         Some(freedom)
     }
 
@@ -72,24 +62,24 @@ impl ValveSignal {
             return Arc::clone(&problem.path);
         }
         let key = plan.positioner.to_bits();
-        if let Some(at) = self.behind.iter().position(|(k, _)| *k == key) {
-            return Arc::clone(&self.behind[at].1);
+        if let Some(at) = self.paths.iter().position(|(k, _)| *k == key) {
+            return Arc::clone(&self.paths[at].1);
         }
         let q = &problem.question;
         let mut values = Vec::new();
         let per_point = lag_path(&q.path, q.per_point, plan.positioner, &mut values);
         let made = Arc::new(Path::new(values, per_point));
-        if self.behind.len() == PATHS {
-            self.behind.remove(0);
+        if self.paths.len() == PATHS {
+            self.paths.remove(0);
         }
-        self.behind.push((key, Arc::clone(&made)));
+        self.paths.push((key, Arc::clone(&made)));
         made
     }
 
     /// A valve without friction: OP averaged over each point.
     fn follow_op(&mut self, path: &Path, start: &mut [f64; 2]) {
         let m = path.per_point();
-        let mean = &mut self.samples[0];
+        let mean = &mut self.mean;
         mean.clear();
         mean.extend(path.values().chunks_exact(m).map(|p| p.iter().sum::<f64>() / m as f64));
         *start = [mean.first().copied().unwrap_or(0.0), 0.0];
@@ -97,13 +87,48 @@ impl ValveSignal {
         self.steps.of_signal(mean, &[]);
         (self.steps.s_cell, self.steps.j_cell, self.steps.slips, self.steps.reversals) = (none, none, 0, 0);
     }
+}
+
+/// What stands between the stem and the process, with its own buffers.
+#[derive(Debug, Default)]
+struct Behind {
+    work: Vec<Step>,
+    samples: [Vec<f64>; 2],
+}
+
+impl Behind {
+    /// Turns the steps of a stem that begins at `start` into those of the signal that the process gets, with this fd where
+    /// the signal is not linear in it; `points` of the `whole` record are wanted.
+    fn shape(
+        &mut self,
+        plan: &Plan,
+        steps: &mut Steps,
+        start: [f64; 2],
+        fd: f64,
+        freedom: &mut Freedom,
+        [points, whole]: [usize; 2],
+    ) {
+        let mut start = start;
+        // Side by side, two lags leave fd open: it is found with their gains.
+        if !plan.is_linear_in_fd() && (!plan.zero || plan.follows() || plan.bend != 0.0) {
+            start = [self.follow(plan, steps, start, fd, points), 0.0];
+            freedom.fd = [0.0; 2];
+            freedom.fd_default = 0.0;
+        }
+        if let Some([time, more]) = plan.switch {
+            self.switch(steps, time, more, points);
+        }
+        if let Some(drift) = plan.drift {
+            self.drift(drift, steps, start, [points, whole]);
+        }
+    }
 
     /// Rate limit, stops, play and characteristic behind a stem that starts at `start`, in this order; the signal at the
     /// first point.
-    fn follow(&mut self, plan: &Plan, start: [f64; 2], fd: f64, n: usize) -> f64 {
+    fn follow(&mut self, plan: &Plan, steps: &mut Steps, start: [f64; 2], fd: f64, n: usize) -> f64 {
         let mut stem = start[0] - fd * start[1];
-        let list = core::mem::replace(&mut self.steps.list, core::mem::take(&mut self.work));
-        let out = &mut self.steps.list;
+        let list = core::mem::replace(&mut steps.list, core::mem::take(&mut self.work));
+        let out = &mut steps.list;
         out.clear();
         // Where the stem stands at the first point, there is what follows it.
         let first = list.partition_point(|s| s.point == 0);
@@ -136,10 +161,10 @@ impl ValveSignal {
     }
 
     /// From point `time` on the signal comes `more` points later.
-    fn switch(&mut self, time: f64, more: f64, n: usize) {
-        let list = core::mem::replace(&mut self.steps.list, core::mem::take(&mut self.work));
+    fn switch(&mut self, steps: &mut Steps, time: f64, more: f64, n: usize) {
+        let list = core::mem::replace(&mut steps.list, core::mem::take(&mut self.work));
         let (at, whole, part) = switch_of(time, more, n);
-        let out = &mut self.steps.list;
+        let out = &mut steps.list;
         out.clear();
         let mut put = |point: i64, level: f64, direction: f64| {
             if point < 0 || point >= n as i64 || (level == 0.0 && direction == 0.0) {
@@ -180,13 +205,13 @@ impl ValveSignal {
     }
 
     /// A gain that drifts: the signal times its course.
-    fn drift(&mut self, drift: Drift, start: [f64; 2], n: usize) {
+    fn drift(&mut self, drift: Drift, steps: &mut Steps, start: [f64; 2], [points, whole]: [usize; 2]) {
         let [level, direction] = &mut self.samples;
         let mut now = start;
-        let mut list = self.steps.list.iter().peekable();
+        let mut list = steps.list.iter().peekable();
         level.clear();
         direction.clear();
-        for (k, x) in drift.course(n).enumerate() {
+        for (k, x) in drift.course(whole).take(points).enumerate() {
             while let Some(step) = list.next_if(|s| s.point as usize == k) {
                 now = [now[0] + step.level, now[1] + step.direction];
             }
@@ -194,7 +219,24 @@ impl ValveSignal {
             level.push(gain * now[0]);
             direction.push(gain * now[1]);
         }
-        self.steps.of_signal(level, direction);
+        steps.of_signal(level, direction);
+    }
+}
+
+/// What a plan has behind the stem, for the search of slips over a record of so many points; it holds fd where a pair of
+/// bands puts it.
+#[derive(Debug)]
+pub struct HeldPlan {
+    /// The plan.
+    pub plan: Plan,
+    /// Points of the record.
+    pub points: usize,
+}
+
+impl BehindStem for HeldPlan {
+    fn shape(&self, steps: &mut Steps, start: [f64; 2], freedom: &mut Freedom, points: usize) {
+        let fd = freedom.fd_default;
+        Behind::default().shape(&self.plan, steps, start, fd, freedom, [points, self.points]);
     }
 }
 

@@ -5,7 +5,6 @@
 //! solved exactly. Everything is seeded, bounded in work and scale-free.
 
 mod again;
-pub mod bank;
 pub mod candidate;
 mod choice;
 pub mod class;

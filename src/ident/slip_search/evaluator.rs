@@ -7,7 +7,7 @@ use crate::ident::class::{Class, Scratch, Shape};
 use crate::ident::evaluator::{Table, View, lattice_index, lattice_tau, reduce};
 use crate::ident::fit::Freedom;
 use crate::ident::least_squares::Gram;
-use crate::sim::slips::Law;
+use crate::sim::slips::{Law, Stem};
 use crate::sim::steps::Steps;
 
 /// Whole points that the lag goes on from where it was asked for, at most.
@@ -74,7 +74,12 @@ impl<'a> Evaluator<'a> {
             return None;
         }
         let cells = [self.steps.s_cell, self.steps.j_cell];
-        Some(band_freedom(cells, [s, j], self.problem.sign, question.limits, question.landing))
+        let mut freedom = band_freedom(cells, [s, j], self.problem.sign, question.limits, question.landing);
+        if let Some(behind) = self.problem.behind {
+            let before = Stem::before(first, [s, j], question.stroke, question.per_point).signal();
+            behind.shape(&mut self.steps, before.into(), &mut freedom, self.points);
+        }
+        Some(freedom)
     }
 
     /// The valve signal at hand.

@@ -3,7 +3,15 @@
 use crate::ident::candidate::{Question, Start};
 use crate::ident::class::Class;
 use crate::ident::evaluator::{View, lattice_index};
-use crate::sim::steps::Path;
+use crate::ident::fit::Freedom;
+use crate::sim::steps::{Path, Steps};
+
+/// What stands between the stem and the process of a model structure, its parameters held: a rate limit, a characteristic.
+pub trait BehindStem: core::fmt::Debug + Sync {
+    /// Turns the steps of a stem that begins at `start` (level, direction) into those of the signal that the process gets,
+    /// over `points`; fd is no longer free where the signal is not linear in it.
+    fn shape(&self, steps: &mut Steps, start: [f64; 2], freedom: &mut Freedom, points: usize);
+}
 
 /// One search problem.
 #[derive(Debug)]
@@ -14,6 +22,8 @@ pub struct Problem<'a> {
     pub path: Path,
     /// Stretches of points that are fitted; all from the record's first point that counts where none are named.
     pub counted: Vec<[usize; 2]>,
+    /// What stands behind the stem, where something does.
+    pub behind: Option<&'a dyn BehindStem>,
     /// Signals fitted beside the process' answer, each as long as PV.
     pub loads: Vec<Vec<f64>>,
     /// Sign of the process gain.
@@ -39,7 +49,7 @@ impl<'a> Problem<'a> {
         let path = Path::new(question.path.clone(), question.per_point);
         let moves = [LEAST_MOVES, MOST_MOVES];
         let records = places_of_records(&question.path);
-        Self { question, path, counted: Vec::new(), loads: Vec::new(), sign, moves, records }
+        Self { question, path, counted: Vec::new(), behind: None, loads: Vec::new(), sign, moves, records }
     }
 
     /// Starts worth trying with the static band `fs`: the stem on OP's first value, and beside it by shares of the band.

@@ -11,6 +11,7 @@ use crate::optim::{Objective, Outcome, Settings, Solver};
 use crate::sim::slips::Law;
 use crate::sim::steps::Step;
 use rand_chacha::ChaCha8Rng;
+use std::collections::BTreeMap;
 
 /// Places of the stem before the record, shares of the static band from OP's first value.
 const STARTS: [f64; 17] =
@@ -106,6 +107,22 @@ impl<'e, 'a> Scan<'e, 'a> {
     #[must_use]
     pub fn best(&self, settings: &ScanSettings) -> Vec<Candidate> {
         apart(&self.pool, settings.keep[0], settings.keep[1])
+    }
+
+    /// The best of every half octave of s, short and long dead times apart: a model that lacks an effect often prefers slips of
+    /// quite another size than the right ones.
+    #[must_use]
+    pub fn of_every_size(&self) -> Vec<Candidate> {
+        let short = 0.25 * self.evaluator.problem.question.limits.lag[1];
+        let class = |c: &Candidate| ((2.0 * libm::log2(c.s)).floor() as i32, c.fit.lag() < short);
+        let mut best: BTreeMap<(i32, bool), Candidate> = BTreeMap::new();
+        for c in &self.pool {
+            let slot = best.entry(class(c)).or_insert(*c);
+            if c.sse() < slot.sse() {
+                *slot = *c;
+            }
+        }
+        best.into_values().collect()
     }
 
     /// Puts the steps of a sliding stem together.

@@ -30,8 +30,8 @@ pub struct RoundSettings {
     pub from_far: bool,
     /// The coarse scan.
     pub scan: ScanSettings,
-    /// Candidates, and random steps for each, of four stages of the local search.
-    pub stages: [(usize, usize); 4],
+    /// Candidates, and random steps for each, of the stages of the local search.
+    pub stages: &'static [(usize, usize)],
     /// Random steps on the whole record at the end.
     pub last: usize,
 }
@@ -58,6 +58,8 @@ pub struct SearchSettings {
     pub much: f64,
     /// Rounds without gain, one after the other, that end a search.
     pub agreeing: usize,
+    /// Cells to a side through which the ridge of a stem that moves seldom is walked.
+    pub cells_along: usize,
 }
 
 const SCAN: ScanSettings = ScanSettings { budget: 250, least_s: 0.04, sizes: 40, jumps: 6, keep: [14, 4] };
@@ -66,7 +68,7 @@ const ROUND: RoundSettings = RoundSettings {
     part: [0.1, 3.0, 12.0],
     from_far: true,
     scan: SCAN,
-    stages: [(4, 24), (12, 24), (6, 50), (3, 80)],
+    stages: &[(4, 24), (12, 24), (6, 50), (3, 80)],
     last: 100,
 };
 
@@ -85,7 +87,7 @@ impl SearchSettings {
                 part: [0.1, 3.0, 12.0],
                 from_far: true,
                 scan: wide,
-                stages: [(6, 40), (44, 40), (12, 100), (4, 200)],
+                stages: &[(6, 40), (44, 40), (12, 100), (4, 200)],
                 last: 150,
             },
         ];
@@ -99,6 +101,16 @@ impl SearchSettings {
             gain: 0.01,
             much: 0.7,
             agreeing: 3,
+            cells_along: 700,
         }
+    }
+
+    /// One round with less of everything, for one of many structures that are held against each other: the likely ones are
+    /// searched as usual afterwards.
+    #[must_use]
+    pub fn brief() -> Self {
+        let scan = ScanSettings { budget: 60, sizes: 24, jumps: 4, keep: [8, 2], ..SCAN };
+        let round = RoundSettings { scan, stages: &[(3, 16), (4, 24)], last: 20, ..ROUND };
+        Self { rounds: vec![round], cells_along: 0, ..Self::usual() }
     }
 }

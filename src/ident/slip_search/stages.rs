@@ -30,9 +30,8 @@ const CARRIED: usize = 60;
 const ON_THE_WAY: usize = 24;
 /// How far along the ridge (share of s), and in how many steps to a side, where another class was taken.
 pub(super) const FAR_ALONG: (f64, usize) = (0.3, 40);
-/// Moves of a stem that moves seldom, and cells to a side through which its ridge is walked.
+/// Moves of a stem that moves seldom.
 const SELDOM: usize = 40;
-const CELLS_ALONG: usize = 700;
 /// Part that is searched first where the process integrates: what wrong slips leave adds up there.
 const SHORT_PART: [f64; 3] = [0.1, 3.0, 12.0];
 /// Filters that take the place of one that leaves mostly noise, and the share of noise from which they do.
@@ -93,6 +92,9 @@ pub struct Found {
     pub best: Vec<Candidate>,
     /// Other candidates that were met, by the plain error or that of a part: rivals of the best.
     pub seen: Vec<Candidate>,
+    /// What the coarse scans liked, before any local search: the right slips may be among them where the error prefers
+    /// others.
+    pub scanned: Vec<Candidate>,
     /// Whether the best leaves nothing but noise.
     pub is_noise: bool,
     /// Error models and valve signals computed.
@@ -127,6 +129,7 @@ impl<'s, 'a> Search<'s, 'a> {
         let found = Found {
             best: Vec::new(),
             seen: Vec::new(),
+            scanned: Vec::new(),
             is_noise: false,
             evaluations: 0,
             rounds: 0,
@@ -282,8 +285,10 @@ impl<'s, 'a> Search<'s, 'a> {
         let seed = self.request.seed.wrapping_add((number as u64) << 32);
         let mut scan = Scan::new(&mut evaluator, rho, view.nothing());
         let _ = scan.run(self.request.solver, self.request.fineness_pct, seed, &round.scan, &mut rng);
+        self.found.scanned.extend(scan.of_every_size());
         let (seen, looks) = (scan.best(&round.scan), scan.looks);
         let mut refitted = seen.iter().filter_map(|c| evaluator.settle(&mut view, c)).collect::<Vec<_>>();
+        self.found.scanned.extend(seen);
         refitted.extend(self.seeds_of_other_law(&mut evaluator, &mut view, law, &mut rng));
         let part = Part { points, head: None, view, evaluator, held: apart(&refitted, usize::MAX, 0) };
         LawRound::new(part, rng, looks)
@@ -446,7 +451,7 @@ impl<'s, 'a> Search<'s, 'a> {
             let Some(best) = finals.first().copied() else { return false };
             let other = self.law_best[usize::from(best.law == Law::He)];
             if best.slips < SELDOM && best.sse() < self.settings.closely * self.plain.nothing() {
-                for c in along_cells(&mut self.whole, &mut self.plain, &best, CELLS_ALONG) {
+                for c in along_cells(&mut self.whole, &mut self.plain, &best, self.settings.cells_along) {
                     let Some(c) = self.whole.settle(&mut self.plain, &c) else { continue };
                     finals.push(neighbours(&mut self.whole, &mut self.plain, c, 3, near));
                 }
