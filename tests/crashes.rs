@@ -10,18 +10,13 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
-use live::{Daemon, FAST, alarm_state, ask, configure, files, free_port, plane, sticking, wait_for};
+use live::{
+    Daemon, FAST, alarm_state, alarmed, ask, configure, files, free_port, plane, raw_samples, state_after_restart,
+    wait_for,
+};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use zenoh::Wait;
-
-/// A daemon whose alarm on FIC101 is raised.
-fn alarmed(dir: &Path) -> Daemon {
-    let daemon = Daemon::start(dir, FAST);
-    daemon.play(&sticking(dir));
-    daemon.wait_for_estimates(6);
-    daemon
-}
 
 /// Documents of all kinds and raw samples in a file.
 fn contents(file: &Path) -> (usize, usize) {
@@ -81,6 +76,13 @@ fn damaged_recordings_are_named_until_they_are_gone_and_recover_saves_what_can_b
     assert_eq!(status.code(), Some(3));
     assert_eq!(fs::read(out.join(done.file_name().unwrap())).unwrap(), whole);
     assert!(contents(&out.join("hurt0.mcap")).1 > 1000);
+    // Never onto itself, asked for by name or by folder.
+    let again = out.join(done.file_name().unwrap());
+    for onto in [&again, &out] {
+        let said = live::stictiond(&["recover", onto.to_str().unwrap(), "--out", onto.to_str().unwrap(), "--force"]);
+        assert!(!said.status.success() && String::from_utf8_lossy(&said.stderr).contains("the recording itself"));
+    }
+    assert_eq!(fs::read(&again).unwrap(), whole);
     assert!(!out.join("junk0.mcap").exists());
     for entry in fs::read_dir(&rec).unwrap().flatten() {
         let name = entry.file_name().to_string_lossy().into_owned();
@@ -110,16 +112,6 @@ fn what_people_put_aside_stays_there_over_a_crash() {
     assert_eq!((&back["state"], &back["by"]), (&"unack".into(), &"bob".into()));
     bus.close().wait().unwrap();
     daemon.stop();
-}
-
-/// The alarm's state after one more start.
-fn state_after_restart(dir: &Path) -> String {
-    let daemon = Daemon::start(dir, FAST);
-    let bus = daemon.session();
-    let state = wait_for("an alarm", || Some(alarm_state(&bus)).filter(|s| s != "no answer"));
-    bus.close().wait().unwrap();
-    daemon.stop();
-    state
 }
 
 #[test]
@@ -154,7 +146,7 @@ fn kills_just_after_a_start_cost_no_alarm() {
         if cycle % 2 == 1 {
             let _ = fs::remove_file(dir.path().join("rec/state.redb"));
         }
-        let mut child = Command::new(env!("CARGO_BIN_EXE_stictiond"))
+        let mut child = Command::new(live::program())
             .args(["run", "--config", path.to_str().unwrap()])
             .stderr(Stdio::null())
             .spawn()
@@ -197,11 +189,6 @@ fn a_recording_folder_that_is_removed_is_counted_named_and_made_again() {
     let recordings = daemon.stop();
     let kept: usize = files(&recordings).iter().map(|f| raw_samples(f)).sum();
     assert_eq!(kept as u64 + lost, 80, "every sample is recorded or counted as lost");
-}
-
-fn raw_samples(file: &Path) -> usize {
-    let loaded = stictiond::files::load_samples(file).unwrap();
-    loaded.loops.iter().map(|l| l.samples.len()).sum()
 }
 
 /// What commands make of an alarm that holds: kept here as three flags.

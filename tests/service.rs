@@ -11,7 +11,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
-use live::{Daemon, configure, files, free_port, ok, stictiond, wait_for};
+use live::{Daemon, configure, files, free_port, ok, skipped, stictiond, wait_for};
 use zenoh::Wait;
 
 #[test]
@@ -149,7 +149,7 @@ fn a_second_daemon_under_the_same_zenoh_id_says_that_it_is_blind() {
         );
         fs::write(&path, text).unwrap();
         let log = fs::File::create(dir.path().join(format!("{name}.log"))).unwrap();
-        let mut command = Command::new(env!("CARGO_BIN_EXE_stictiond"));
+        let mut command = Command::new(live::program());
         command.args(["run", "--config", path.to_str().unwrap()]).stderr(log).stdout(Stdio::null()).spawn().unwrap()
     };
     let said = |name: &str, part: &str| {
@@ -184,7 +184,7 @@ impl Started {
             rec.to_str().unwrap()
         );
         fs::write(&path, text).unwrap();
-        let mut command = Command::new(env!("CARGO_BIN_EXE_stictiond"));
+        let mut command = Command::new(live::program());
         let child = command.args(["run", "--config", path.to_str().unwrap()]).stdout(Stdio::null());
         Self(child.stderr(fs::File::create(&log).unwrap()).spawn().unwrap(), log)
     }
@@ -263,12 +263,6 @@ impl Drop for SmallDisk {
     fn drop(&mut self) {
         let _ = Command::new("umount").arg("-l").arg(&self.0).status();
     }
-}
-
-/// Says that a test was skipped, past the harness; `tests/run.sh` counts these lines.
-fn skipped(test: &str, why: &str) {
-    use std::io::Write;
-    let _ = std::io::stderr().lock().write_all(format!("\nSKIPPED: {test}: {why}\n").as_bytes());
 }
 
 #[test]

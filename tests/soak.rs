@@ -61,7 +61,7 @@ impl Client {
             recordings.to_str().unwrap()
         );
         fs::write(&config, text).unwrap();
-        let child = Command::new(env!("CARGO_BIN_EXE_stictiond"))
+        let child = Command::new(live::program())
             .args(["run", "--config", config.to_str().unwrap()])
             .stdout(Stdio::null())
             .stderr(fs::File::create(&log).unwrap())

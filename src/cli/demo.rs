@@ -119,14 +119,14 @@ async fn watch(
         }
     };
     tokio::pin!(plant, limit);
-    let stopping = asked_to_stop();
+    let stopping = asked_to_stop()?;
     tokio::pin!(stopping);
     let mut last = BTreeMap::new();
     loop {
         tokio::select! {
             ended = &mut plant => { ended?; }
             () = &mut limit => break,
-            asked = &mut stopping => { asked?; break; }
+            () = &mut stopping => break,
             finding = findings.recv() => {
                 let Some((leaf, json)) = finding else { break };
                 print(&leaf, &json, format, &mut last)?;

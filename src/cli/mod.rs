@@ -311,16 +311,20 @@ pub(crate) fn block_on<T>(future: impl Future<Output = anyhow::Result<T>>) -> an
     result
 }
 
-/// Ready when the process is asked to end (SIGINT or SIGTERM).
-pub(crate) async fn asked_to_stop() -> anyhow::Result<()> {
+/// Ready when the process is asked to end (SIGINT or SIGTERM), at any time after the call.
+///
+/// # Errors
+/// The system refuses to tell of signals.
+pub(crate) fn asked_to_stop() -> anyhow::Result<impl Future<Output = ()>> {
     use tokio::signal::unix::{SignalKind, signal};
     let mut term = signal(SignalKind::terminate()).context("SIGTERM cannot be watched")?;
     let mut int = signal(SignalKind::interrupt()).context("SIGINT cannot be watched")?;
-    tokio::select! {
-        _ = term.recv() => {}
-        _ = int.recv() => {}
-    }
-    Ok(())
+    Ok(async move {
+        tokio::select! {
+            _ = term.recv() => {}
+            _ = int.recv() => {}
+        }
+    })
 }
 
 #[cfg(test)]

@@ -137,11 +137,12 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
         bail!("{}: holds no samples", super::reading::named(&args.input));
     }
     let sent = block_on(async {
+        let stop = asked_to_stop()?;
         let session = connect(&args.connect).await?;
         let bar = ProgressBar::new(total as u64);
         let sent = tokio::select! {
             sent = publish(&session, args, &loaded.loops, &bar) => sent,
-            stopped = asked_to_stop() => stopped.map(|()| bar.position()),
+            () = stop => Ok(bar.position()),
         };
         bar.finish_and_clear();
         let _ = tokio::time::timeout(Duration::from_secs(2), session.close()).await;

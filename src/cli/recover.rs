@@ -1,5 +1,6 @@
 //! `stictiond recover`: whole recordings from cut-off and damaged ones.
 
+use std::collections::HashSet;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
@@ -45,9 +46,10 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     if files.is_empty() {
         bail!("{}: holds no recordings", args.input.display());
     }
-    let mut worst = Outcome::Done;
+    let (mut worst, mut taken) = (Outcome::Done, HashSet::new());
     for path in files {
-        match one(&path, &folder.join(name_of(&path)), args.force, format) {
+        let out = folder.join(name_among(&path, &mut taken));
+        match one(&path, &out, args.force, format) {
             Ok(Outcome::DataLoss) => worst = Outcome::DataLoss,
             Ok(_) => {}
             Err(error) => {
@@ -60,6 +62,12 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
 }
 
 fn one(path: &Path, out: &Path, force: bool, format: Format) -> anyhow::Result<Outcome> {
+    // Written over while it is read, a recording would be lost to the command that is to save it.
+    if let (Ok(read), Ok(written)) = (std::fs::canonicalize(path), std::fs::canonicalize(out))
+        && read == written
+    {
+        bail!("{}: is the recording itself; --out names another file or folder", out.display());
+    }
     if out.exists() && !force {
         bail!("{}: exists already; --force replaces it", out.display());
     }
@@ -88,7 +96,29 @@ fn name_of(path: &Path) -> String {
     format!("{stem}.mcap")
 }
 
+/// The name of the whole file among those of one folder: an open and a finished file of one name are two.
+fn name_among(path: &Path, taken: &mut HashSet<String>) -> String {
+    let name = name_of(path);
+    let stem = name.trim_end_matches(".mcap");
+    let others = (2..).map(|number| format!("{stem}.{number}.mcap"));
+    let free = std::iter::once(name.clone()).chain(others).find(|name| taken.insert(name.clone()));
+    free.unwrap_or(name)
+}
+
 fn beside(path: &Path) -> PathBuf {
     let name = name_of(path);
     path.with_file_name(format!("{}.recovered.mcap", name.trim_end_matches(".mcap")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn files_of_one_stem_do_not_overwrite_each_other() {
+        let mut taken = HashSet::new();
+        let names =
+            ["a.mcap", "a.mcap.broken", "a.mcap.part", "b.mcap.part"].map(|n| name_among(Path::new(n), &mut taken));
+        assert_eq!(names, ["a.mcap", "a.2.mcap", "a.3.mcap", "b.mcap"]);
+    }
 }

@@ -34,11 +34,8 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     };
     block_on(async {
         let options = RunOptions { origin: "run", workers: args.workers, config_path: Some(args.config.clone()) };
-        let stop = async {
-            if let Err(error) = asked_to_stop().await {
-                tracing::error!(%error, "signals cannot be watched");
-            }
-        };
+        // Before anything else: a daemon that is asked to stop while it starts ends in order too.
+        let stop = asked_to_stop()?;
         daemon::run(config, text, options, stop).await
     })?;
     Ok(Outcome::Done)

@@ -17,7 +17,8 @@ pub(super) fn watch() {
     std::thread::spawn(|| {
         let Ok(runtime) = tokio::runtime::Builder::new_current_thread().enable_all().build() else { return };
         runtime.block_on(async {
-            while super::asked_to_stop().await.is_ok() {
+            while let Ok(asked) = super::asked_to_stop() {
+                asked.await;
                 if ASKED.swap(true, Ordering::Relaxed) {
                     std::process::exit(ENDED);
                 }

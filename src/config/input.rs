@@ -3,7 +3,7 @@
 use serde::Serialize;
 use toml::de::DeTable;
 
-use super::reader::{Fault, TableReader, line_of};
+use super::reader::{Fault, Lines, TableReader};
 use crate::record::Mode;
 
 /// `[input] queue_bytes` where nothing is said.
@@ -93,10 +93,10 @@ pub(super) fn read_input(r: &mut TableReader<'_, '_>) -> Input {
 }
 
 /// A fault where the loops that are named do not all find a place.
-pub(super) fn too_few_places(text: &str, root: &DeTable<'_>, max_loops: usize, named: usize) -> Option<Fault> {
+pub(super) fn too_few_places(lines: &Lines, root: &DeTable<'_>, max_loops: usize, named: usize) -> Option<Fault> {
     let head = root.iter().find(|(key, _)| key.get_ref() == "input").map_or(0, |(key, _)| key.span().start);
     (named > max_loops).then(|| Fault {
-        line: line_of(text, head),
+        line: lines.of(head),
         key: "input.max_loops".to_owned(),
         message: format!("{max_loops} is below the {named} loops that are named"),
         remedy: format!("write at least {named}"),

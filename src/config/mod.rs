@@ -4,13 +4,15 @@ mod input;
 mod reader;
 mod service;
 
+use std::collections::{HashMap, HashSet};
+
 use serde::Serialize;
 use sha2::{Digest, Sha256};
 use toml::de::DeTable;
 
 pub use input::Input;
 pub use reader::Fault;
-use reader::{TableReader, line_of, subtable, subtables};
+use reader::{Lines, TableReader, subtable, subtables};
 pub use service::{Commands, Retention, Signing};
 
 use crate::record::Signal;
@@ -191,17 +193,18 @@ impl Config {
     /// Every fault of syntax, type, range and meaning at once, in the order of the text.
     pub fn parse(text: &str) -> Result<Self, Vec<Fault>> {
         let (root, syntax) = DeTable::parse_recoverable(text);
-        let mut faults: Vec<Fault> = syntax.iter().map(|e| syntax_fault(text, e)).collect();
+        let lines = &Lines::new(text);
+        let mut faults: Vec<Fault> = syntax.iter().map(|e| syntax_fault(lines, e)).collect();
         let root = root.get_ref();
-        let config = Self::read(text, root, &mut faults);
-        refuse_unknown_tables(text, root, &mut faults);
+        let config = Self::read(lines, root, &mut faults);
+        refuse_unknown_tables(lines, root, &mut faults);
         faults.sort_by_key(|f| f.line);
         faults.dedup();
         if faults.is_empty() { Ok(config) } else { Err(faults) }
     }
 
-    fn read(text: &str, root: &DeTable<'_>, faults: &mut Vec<Fault>) -> Self {
-        let mut open = |key: &str| subtable(text, root, key, faults);
+    fn read(lines: &Lines, root: &DeTable<'_>, faults: &mut Vec<Fault>) -> Self {
+        let mut open = |key: &str| subtable(lines, root, key, faults);
         let keys = [
             "site",
             "zenoh",
@@ -219,7 +222,7 @@ impl Config {
             keys.map(|key| (key, open(key)));
         macro_rules! read {
             ($entry:expr, $read:expr) => {{
-                let mut reader = TableReader::new(text, $entry.0, $entry.1.1, $entry.1.0, faults);
+                let mut reader = TableReader::new(lines, $entry.0, $entry.1.1, $entry.1.0, faults);
                 let value = $read(&mut reader);
                 reader.close();
                 value
@@ -236,8 +239,8 @@ impl Config {
         let commands = read!(commands, service::read_commands);
         let signing = read!(signing, service::read_signing);
         let web = read!(web, read_web);
-        let loops = read_loops(text, root, window, alarm, faults);
-        faults.extend(input::too_few_places(text, root, input.max_loops, loops.len()));
+        let loops = read_loops(lines, root, window, alarm, faults);
+        faults.extend(input::too_few_places(lines, root, input.max_loops, loops.len()));
         Self { site, zenoh, input, window, alarm, gap, recording, retention, commands, signing, web, loops }
     }
 
@@ -246,7 +249,7 @@ impl Config {
     pub fn with_prefix(prefix: &str) -> Self {
         let mut faults = Vec::new();
         let (root, _) = DeTable::parse_recoverable("");
-        let mut config = Self::read("", root.get_ref(), &mut faults);
+        let mut config = Self::read(&Lines::new(""), root.get_ref(), &mut faults);
         config.site.prefix = prefix.to_owned();
         config
     }
@@ -271,12 +274,12 @@ pub fn short_hash(bytes: &[u8]) -> String {
     Sha256::digest(bytes).iter().take(8).map(|b| format!("{b:02x}")).collect()
 }
 
-fn syntax_fault(text: &str, error: &toml::de::Error) -> Fault {
-    let line = error.span().map_or(1, |s| line_of(text, s.start));
+fn syntax_fault(lines: &Lines, error: &toml::de::Error) -> Fault {
+    let line = error.span().map_or(1, |s| lines.of(s.start));
     Fault { line, key: String::new(), message: error.message().trim().replace('\n', ", "), remedy: String::new() }
 }
 
-fn refuse_unknown_tables(text: &str, root: &DeTable<'_>, faults: &mut Vec<Fault>) {
+fn refuse_unknown_tables(lines: &Lines, root: &DeTable<'_>, faults: &mut Vec<Fault>) {
     const KNOWN: [&str; 12] = [
         "site",
         "zenoh",
@@ -293,7 +296,7 @@ fn refuse_unknown_tables(text: &str, root: &DeTable<'_>, faults: &mut Vec<Fault>
     ];
     for (key, _) in root.iter().filter(|(k, _)| !KNOWN.iter().any(|known| known == k.get_ref())) {
         faults.push(Fault {
-            line: line_of(text, key.span().start),
+            line: lines.of(key.span().start),
             key: key.get_ref().to_string(),
             message: "unknown table or key".to_owned(),
             remedy: format!("known here: {}", KNOWN.join(", ")),
@@ -412,31 +415,36 @@ fn read_web(r: &mut TableReader<'_, '_>) -> Web {
 }
 
 fn read_loops(
-    text: &str,
+    lines: &Lines,
     root: &DeTable<'_>,
     window: WindowParams,
     alarm: AlarmParams,
     faults: &mut Vec<Fault>,
 ) -> Vec<LoopConfig> {
     let mut loops: Vec<LoopConfig> = Vec::new();
-    for (index, (table, line)) in subtables(text, root, "loop", faults).into_iter().enumerate() {
-        let mut r = TableReader::new(text, &format!("loop[{index}]"), line, Some(table), faults);
+    // A site may list a hundred thousand loops: what was seen is looked up, not searched for.
+    let (mut names, mut owners) = (HashSet::new(), HashMap::new());
+    for (index, (table, line)) in subtables(lines, root, "loop", faults).into_iter().enumerate() {
+        let mut r = TableReader::new(lines, &format!("loop[{index}]"), line, Some(table), faults);
         let entry = read_loop(&mut r, window, alarm);
-        if loops.iter().any(|l| l.name == entry.name) {
+        if !names.insert(entry.name.clone()) {
             r.refuse(line, "name", format!("{:?} stands twice", entry.name), "give each loop a name of its own");
         }
-        for (index, (signal, key)) in entry.keys.iter().enumerate() {
+        for (signal, key) in &entry.keys {
             let chunks = key.split('/').all(|chunk| !chunk.is_empty());
             if !chunks || key.contains(['*', '$', '?', '#']) {
                 let remedy = "write one whole key, such as gateway/opc/FIC101.PV";
                 r.refuse(line, signal.name(), format!("{key:?} is no key: empty chunk or wildcard"), remedy);
             }
-            if entry.keys[..index].iter().any(|(_, other)| other == key) {
-                r.refuse(line, signal.name(), format!("{key:?} stands twice in this loop"), "map each key once");
-            }
-            if let Some(other) = loops.iter().find(|l| l.keys.iter().any(|(_, k)| k == key)) {
-                let message = format!("{key:?} is already mapped for loop {:?}", other.name);
-                r.refuse(line, signal.name(), message, "map each key once");
+            match owners.insert(key.clone(), index) {
+                None => {}
+                Some(owner) if owner == index => {
+                    r.refuse(line, signal.name(), format!("{key:?} stands twice in this loop"), "map each key once");
+                }
+                Some(owner) => {
+                    let message = format!("{key:?} is already mapped for loop {:?}", loops[owner].name);
+                    r.refuse(line, signal.name(), message, "map each key once");
+                }
             }
         }
         r.close();

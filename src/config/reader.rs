@@ -29,14 +29,24 @@ impl fmt::Display for Fault {
     }
 }
 
-/// Line (from 1) of a byte offset.
-pub(super) fn line_of(text: &str, offset: usize) -> usize {
-    text.as_bytes().iter().take(offset).filter(|b| **b == b'\n').count() + 1
+/// Where the lines of a text begin: a configuration may hold a hundred thousand tables, and each asks for its line.
+pub(super) struct Lines(Vec<usize>);
+
+impl Lines {
+    /// The lines of a text.
+    pub fn new(text: &str) -> Self {
+        Self(text.bytes().enumerate().filter(|(_, byte)| *byte == b'\n').map(|(at, _)| at).collect())
+    }
+
+    /// Line (from 1) of a byte offset.
+    pub fn of(&self, offset: usize) -> usize {
+        self.0.partition_point(|end| *end < offset) + 1
+    }
 }
 
 /// One table being read: each key asked for is known, every other is a fault when the table is closed.
 pub(super) struct TableReader<'a, 'i> {
-    text: &'a str,
+    lines: &'a Lines,
     section: String,
     line: usize,
     table: Option<&'a DeTable<'i>>,
@@ -47,13 +57,13 @@ pub(super) struct TableReader<'a, 'i> {
 impl<'a, 'i> TableReader<'a, 'i> {
     /// Opens a table; `None` reads every default.
     pub fn new(
-        text: &'a str,
+        lines: &'a Lines,
         section: &str,
         line: usize,
         table: Option<&'a DeTable<'i>>,
         faults: &'a mut Vec<Fault>,
     ) -> Self {
-        Self { text, section: section.to_owned(), line, table, known: Vec::new(), faults }
+        Self { lines, section: section.to_owned(), line, table, known: Vec::new(), faults }
     }
 
     fn dotted(&self, key: &str) -> String {
@@ -69,7 +79,7 @@ impl<'a, 'i> TableReader<'a, 'i> {
         self.known.push(key);
         let table = self.table?;
         let (_, value) = table.iter().find(|(k, _)| k.get_ref() == key)?;
-        Some((value.get_ref(), line_of(self.text, value.span().start)))
+        Some((value.get_ref(), self.lines.of(value.span().start)))
     }
 
     fn wrong_type(&mut self, line: usize, key: &str, found: &DeValue<'_>, wanted: &str) {
@@ -151,8 +161,8 @@ impl<'a, 'i> TableReader<'a, 'i> {
     /// A list of texts, each with its line.
     pub fn texts(&mut self, key: &'static str) -> Vec<(String, usize)> {
         let Some((value, line)) = self.get(key) else { return Vec::new() };
-        let text = self.text;
-        let entry = |v: &Spanned<DeValue<'i>>| Some((v.get_ref().as_str()?.to_owned(), line_of(text, v.span().start)));
+        let lines = self.lines;
+        let entry = |v: &Spanned<DeValue<'i>>| Some((v.get_ref().as_str()?.to_owned(), lines.of(v.span().start)));
         let list: Option<Vec<(String, usize)>> = value.as_array().and_then(|a| a.iter().map(entry).collect());
         list.unwrap_or_else(|| {
             self.wrong_type(line, key, value, "a list of texts, such as [\"tcp/127.0.0.1:7447\"]");
@@ -181,7 +191,7 @@ impl<'a, 'i> TableReader<'a, 'i> {
         };
         let mut pairs = Vec::new();
         for (name, entry) in table.iter() {
-            let line = line_of(self.text, entry.span().start);
+            let line = self.lines.of(entry.span().start);
             if let Some(text) = entry.get_ref().as_str() {
                 pairs.push((name.get_ref().to_string(), text.to_owned(), line));
             } else {
@@ -207,7 +217,7 @@ impl<'a, 'i> TableReader<'a, 'i> {
         let unknown: Vec<(String, usize)> = table
             .iter()
             .filter(|(k, _)| !self.known.iter().any(|known| known == k.get_ref()))
-            .map(|(k, _)| (k.get_ref().to_string(), line_of(self.text, k.span().start)))
+            .map(|(k, _)| (k.get_ref().to_string(), self.lines.of(k.span().start)))
             .collect();
         for (key, line) in unknown {
             let nearest = nearest(&key, &self.known);
@@ -222,13 +232,13 @@ impl<'a, 'i> TableReader<'a, 'i> {
 
 /// The table under a key, with the line of its value; a fault where the key holds something else.
 pub(super) fn subtable<'a, 'i>(
-    text: &str,
+    lines: &Lines,
     root: &'a DeTable<'i>,
     key: &str,
     faults: &mut Vec<Fault>,
 ) -> (Option<&'a DeTable<'i>>, usize) {
     let Some((_, value)) = root.iter().find(|(k, _)| k.get_ref() == key) else { return (None, 0) };
-    let line = line_of(text, value.span().start);
+    let line = lines.of(value.span().start);
     let table = value.get_ref().as_table();
     if table.is_none() {
         faults.push(Fault {
@@ -243,7 +253,7 @@ pub(super) fn subtable<'a, 'i>(
 
 /// The tables of an array `[[key]]`, with their lines.
 pub(super) fn subtables<'a, 'i>(
-    text: &str,
+    lines: &Lines,
     root: &'a DeTable<'i>,
     key: &str,
     faults: &mut Vec<Fault>,
@@ -253,11 +263,11 @@ pub(super) fn subtables<'a, 'i>(
     let entries: &[Spanned<DeValue<'i>>] = value.get_ref().as_array().map_or(&[], |a| a.as_ref());
     for entry in entries {
         if let Some(table) = entry.get_ref().as_table() {
-            tables.push((table, line_of(text, entry.span().start)));
+            tables.push((table, lines.of(entry.span().start)));
         }
     }
     if tables.len() != entries.len() || tables.is_empty() {
-        let line = line_of(text, value.span().start);
+        let line = lines.of(value.span().start);
         let (message, remedy) = ("is not a list of tables".to_owned(), format!("write [[{key}]] for each"));
         faults.push(Fault { line, key: key.to_owned(), message, remedy });
     }

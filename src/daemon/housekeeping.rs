@@ -4,6 +4,7 @@
 
 use std::collections::{BTreeMap, HashMap};
 use std::fs;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
@@ -31,6 +32,10 @@ const JUMP_NS: i64 = DAY_NS;
 /// How long nothing is removed by age then.
 const WAIT: Duration = Duration::from_secs(86_400);
 const DAY_NS: i64 = 86_400_000_000_000;
+/// Room on the disk below which that is a fault, if it is also less than this part of the disk: about a day of samples of
+/// a thousand loops.
+const MIN_FREE_BYTES: u64 = 10_000_000_000;
+const MIN_FREE_PART: u64 = 20;
 
 /// What the housekeeper is told.
 pub struct House {
@@ -75,9 +80,19 @@ pub fn start(house: House, stop: Receiver<()>) -> std::io::Result<JoinHandle<()>
     };
     std::thread::Builder::new().name("house".into()).spawn(move || {
         super::gaps::yield_to_all();
+        let faults = keeper.house.faults.clone();
         loop {
-            keeper.look();
-            if keeper.check(&stop) || stop.recv_timeout(EVERY) != Err(RecvTimeoutError::Timeout) {
+            // Whatever a file makes it stumble over, the others are still to be looked after.
+            let done = catch_unwind(AssertUnwindSafe(|| {
+                keeper.look();
+                keeper.check(&stop)
+            }));
+            match done {
+                Ok(true) => return,
+                Ok(false) => faults.clear("house"),
+                Err(_) => faults.raise("house", "recordings cannot be looked after: the log says where it broke off"),
+            }
+            if stop.recv_timeout(EVERY) != Err(RecvTimeoutError::Timeout) {
                 return;
             }
         }
@@ -105,6 +120,7 @@ impl Housekeeper {
         }
         tell_aside(&self.house.dir, &self.house.faults);
         let files = self.files();
+        tell_room(&self.house.dir, files.iter().map(|k| k.bytes).sum(), &self.house.faults);
         let retention = *self.house.retention.lock().unwrap_or_else(PoisonError::into_inner);
         let newest_before = files.iter().filter(|k| k.file.run_id != self.house.run_id).map(|k| k.modified_ns).max();
         let sure = self.doubt.look(now_ns(), Instant::now(), newest_before);
@@ -202,6 +218,32 @@ impl Housekeeper {
             }
         }
     }
+}
+
+/// Names a disk that will be full soon, while there is time to do something about it.
+#[cfg(target_os = "linux")]
+fn tell_room(dir: &Path, recordings: u64, faults: &Faults) {
+    let Ok(disk) = rustix::fs::statvfs(dir) else { return };
+    let [free, all] = [disk.f_bavail, disk.f_blocks].map(|blocks| blocks.saturating_mul(disk.f_frsize));
+    match nearly_full(free, all, recordings) {
+        Some(why) => faults.raise("room", format!("{}: {why}", dir.display())),
+        None => faults.clear("room"),
+    }
+}
+
+#[cfg(not(target_os = "linux"))]
+fn tell_room(_dir: &Path, _recordings: u64, _faults: &Faults) {}
+
+/// What to say of a disk with so many bytes free of all, beside so many of recordings.
+fn nearly_full(free: u64, all: u64, recordings: u64) -> Option<String> {
+    let [free_gb, recordings_gb] = [free, recordings].map(|bytes| bytes as f64 / 1e9);
+    let is_short = free < MIN_FREE_BYTES && free < all / MIN_FREE_PART;
+    is_short.then(|| {
+        format!(
+            "the disk is nearly full: {free_gb:.1} GB are free, recordings take {recordings_gb:.1} GB; recording stops when \
+             it is full: make room, or lower [retention] raw_bytes"
+        )
+    })
 }
 
 /// What is wrong with a finished file. One that a crash cut off is as whole as it can be.
@@ -353,6 +395,16 @@ mod tests {
         assert_eq!(names(&plan(&files, &Retention { raw_days: 1.0, raw_bytes: 0, ..strict }, None)).len(), 2);
         let unlimited = Retention { raw_days: 0.0, raw_bytes: 0, results_days: 0.0, results_bytes: 0 };
         assert!(plan(&files, &unlimited, Some(0)).is_empty());
+    }
+
+    #[test]
+    fn a_disk_is_nearly_full_where_both_part_and_bytes_are_few() {
+        let gb = 1_000_000_000;
+        assert_eq!(nearly_full(50 * gb, 2000 * gb, 0), None, "room for days");
+        assert_eq!(nearly_full(2 * gb, 20 * gb, 0), None, "a small disk, and a tenth of it");
+        let said = nearly_full(4 * gb, 100 * gb, 80 * gb).unwrap();
+        assert!(said.contains("4.0 GB are free, recordings take 80.0 GB"), "{said}");
+        assert!(nearly_full(0, 0, 0).is_none(), "no disk that tells its size");
     }
 
     #[test]

@@ -29,6 +29,7 @@ mod signals;
 pub mod stage;
 mod worker;
 
+use std::collections::HashSet;
 use std::future::Future;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, RwLock};
@@ -64,9 +65,13 @@ use crate::source::{self, Intake, presence};
 
 /// How long a router may take to answer before that is a fault.
 const ROUTER_WITHIN: Duration = Duration::from_secs(5);
+/// How often a long start says that it goes on.
+const STARTING_TOLD: Duration = Duration::from_secs(5);
 /// Name of the housekeeper's thread, and how long it may take to end.
 const HOUSE: &str = "house";
 const HOUSE_WITHIN: Duration = Duration::from_millis(300);
+/// How often it is looked whether the threads still run.
+const THREADS_EVERY: Duration = Duration::from_secs(1);
 /// How long the threads may take to end.
 const STOP_WITHIN: Duration = Duration::from_millis(3500);
 
@@ -98,18 +103,27 @@ pub async fn run(
     signals::survive_file_size_limit();
     let hangups = signals::hangups();
     let lock = lock_folder(&recordings, &faults)?;
-    // A demonstration starts afresh.
-    let restored = match options.origin {
-        "run" => restore::restore(&SystemDisk, &recordings, &config.site.prefix, &faults, &metrics),
-        _ => Restored::default(),
-    };
-    restore::tell_aside(&recordings, &faults);
-    let Restored { mut memories, store, run_number } = restored;
-    memories.retain(|name, _| config.input.discover || config.loop_named(name).is_some());
     let starting = |id: &str| (Instant::now(), Arc::new(DaemonHealth::starting(id, &config.hash())));
     let snapshot = HealthSnapshot::new(RwLock::new(starting("")));
     let web = crate::web::serve(&config.web, &metrics, snapshot.clone(), faults.clone()).await;
     tokio::pin!(stop);
+    // A demonstration starts afresh.
+    let restored = if options.origin == "run" {
+        tokio::select! {
+            restored = restore_in_background(&config, &faults, &metrics) => restored,
+            () = ask_for_patience(&faults, &snapshot) => return Ok(()),
+            () = &mut stop => {
+                web.stop();
+                return Ok(());
+            }
+        }
+    } else {
+        Restored::default()
+    };
+    restore::tell_aside(&recordings, &faults);
+    let Restored { mut memories, store, run_number } = restored;
+    let named: HashSet<&str> = config.loops.iter().map(|l| l.name.as_str()).collect();
+    memories.retain(|name, _| config.input.discover || named.contains(name.as_str()));
     // A client's session opens once its router is there, which may be never.
     let (session, deaf) = tokio::select! {
         opened = source::zenoh::open(&config) => opened?,
@@ -206,8 +220,13 @@ pub async fn run(
 
     tell_system(&[NotifyState::Ready]);
     let reload = options.config_path.map(|path| Reload::new(path, config, retention));
-    signals::serve_until(stop, hangups, reload, &control, &faults).await;
-    tracing::info!("stopping");
+    threads.insert(0, ("engine", core));
+    tokio::select! {
+        () = signals::serve_until(stop, hangups, reload, &control, &faults) => tracing::info!("stopping"),
+        name = unasked_end(&threads) => {
+            tracing::error!(thread = name, "ended unasked: the daemon ends too, to be started again");
+        }
+    }
     tell_system(&[NotifyState::Stopping]);
     watching.abort();
     drop(control);
@@ -216,7 +235,6 @@ pub async fn run(
     }
     let _ = token.undeclare().await;
     drop((stop_core, stop_house));
-    threads.insert(0, ("engine", core));
     let ended = join_within(threads, STOP_WITHIN).await;
     for queryable in queryables {
         let _ = queryable.undeclare().await;
@@ -227,6 +245,40 @@ pub async fn run(
     ended
 }
 
+/// What earlier runs remembered, read on a thread of its own: it may take minutes where the store is gone and recordings
+/// are large, and the daemon must hear signals meanwhile. Given up half way it leaves nothing half done, and whatever it
+/// stumbles over, the daemon starts.
+async fn restore_in_background(config: &Config, faults: &Arc<Faults>, metrics: &Arc<Metrics>) -> Restored {
+    let (dir, prefix) = (PathBuf::from(&config.recording.dir), config.site.prefix.clone());
+    let (faults, metrics) = (faults.clone(), metrics.clone());
+    let named = faults.clone();
+    let read = move || restore::restore(&SystemDisk, &dir, &prefix, &faults, &metrics);
+    tokio::task::spawn_blocking(read).await.unwrap_or_else(|error| {
+        named.raise("restore", format!("earlier runs' alarm states could not be read, the log says where: {error}"));
+        Restored::default()
+    })
+}
+
+/// While earlier runs are read: says so in the health document, and keeps the system from taking the start for one that
+/// hangs. Never ends.
+async fn ask_for_patience(faults: &Faults, snapshot: &HealthSnapshot) {
+    let until_next = u32::try_from((3 * STARTING_TOLD).as_micros()).unwrap_or(u32::MAX);
+    loop {
+        tokio::time::sleep(STARTING_TOLD).await;
+        faults.raise_for("starting", "starting: what earlier runs remembered is being read", 2 * STARTING_TOLD);
+        show_faults(faults, snapshot);
+        tell_system(&[NotifyState::ExtendTimeoutUsec(until_next), NotifyState::Status("reads what earlier runs left")]);
+    }
+}
+
+/// Puts the faults of a daemon whose engine does not run yet into its health document.
+fn show_faults(faults: &Faults, snapshot: &HealthSnapshot) {
+    if let Ok(mut snapshot) = snapshot.write() {
+        let health = DaemonHealth { faults: faults.list(), ..(*snapshot.1).clone() };
+        *snapshot = (Instant::now(), Arc::new(health));
+    }
+}
+
 /// While a client waits for its router, which may be for ever: says so among the faults and to the system, whose watchdog
 /// would else end a daemon that has nothing to do. Never ends.
 async fn wait_for_router(faults: &Faults, snapshot: &HealthSnapshot) {
@@ -235,10 +287,7 @@ async fn wait_for_router(faults: &Faults, snapshot: &HealthSnapshot) {
     tell_system(&[NotifyState::Ready, NotifyState::Status("waits for the router")]);
     let pause = sd_notify::watchdog_enabled().map_or(ROUTER_WITHIN, |period| period / 2);
     loop {
-        if let Ok(mut snapshot) = snapshot.write() {
-            let health = DaemonHealth { faults: faults.list(), ..(*snapshot.1).clone() };
-            *snapshot = (Instant::now(), Arc::new(health));
-        }
+        show_faults(faults, snapshot);
         tell_system(&[NotifyState::Watchdog]);
         tokio::time::sleep(pause).await;
     }
@@ -281,6 +330,16 @@ fn run_info(config: &Config, config_text: String, options: &RunOptions, daemon_i
         config_text,
         config_hash: config.hash(),
         loop_map: serde_json::to_string(&config.loops).unwrap_or_default(),
+    }
+}
+
+/// Ready when a thread has ended though nobody asked it to: half a daemon would look alive to whoever could start it again.
+async fn unasked_end(threads: &[(&'static str, JoinHandle<()>)]) -> &'static str {
+    loop {
+        if let Some((name, _)) = threads.iter().find(|(_, thread)| thread.is_finished()) {
+            return name;
+        }
+        tokio::time::sleep(THREADS_EVERY).await;
     }
 }
 

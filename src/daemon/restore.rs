@@ -14,7 +14,7 @@ use super::to_json;
 use crate::codec::topic::{Kind, Leaf, Topic};
 use crate::engine::{Checkpoint, StateDocument};
 use crate::files::disk::Disk;
-use crate::files::store::{STORE_NAME, StateStore, StoreError};
+use crate::files::store::{STORE_NAME, StateStore, StoreError, Stored};
 use crate::files::{ReadError, RecordingReader};
 use crate::sink::keeper::{key_of, loop_of};
 
@@ -81,15 +81,13 @@ pub struct Restored {
 #[must_use]
 pub fn restore(disk: &dyn Disk, dir: &Path, prefix: &str, faults: &Faults, metrics: &Metrics) -> Restored {
     let files = recordings_in(dir, prefix, metrics);
-    let store = open_store(disk, dir, faults, metrics);
-    let stored = store.as_ref().map(StateStore::load).and_then(|loaded| match loaded {
-        Ok(stored) => Some(stored),
-        Err(error) => {
-            faults.raise("store", format!("stored alarm states cannot be read: {error}"));
-            None
+    let (store, stored) = match open_store(disk, dir, faults, metrics) {
+        Ok((store, stored)) => (Some(store), stored),
+        Err(why) => {
+            faults.raise("state", format!("alarm states cannot be stored: {why}"));
+            (None, Stored::default())
         }
-    });
-    let stored = stored.unwrap_or_default();
+    };
     let mut memories = BTreeMap::new();
     let mut lost = stored.damaged;
     for (key, json) in &stored.values {
@@ -102,7 +100,9 @@ pub fn restore(disk: &dyn Disk, dir: &Path, prefix: &str, faults: &Faults, metri
         }
     }
     let from_store = memories.len();
-    if from_store == 0 || lost > 0 {
+    // A store that was begun anew under a run holds what has changed since; one that a start has sealed holds all.
+    let is_sealed = stored.values.contains_key(prefix);
+    if from_store == 0 || !is_sealed || lost > 0 {
         for (name, memory) in memories_in_recordings(&files, prefix) {
             memories.entry(name).or_insert(memory);
         }
@@ -169,19 +169,29 @@ fn recordings_in(dir: &Path, prefix: &str, metrics: &Metrics) -> Vec<RunFile> {
     files
 }
 
-fn open_store(disk: &dyn Disk, dir: &Path, faults: &Faults, metrics: &Metrics) -> Option<StateStore> {
+/// Opens the store of a folder and reads it. One that cannot be used is put aside, named, and begun anew.
+///
+/// # Errors
+/// Why there is none now; another attempt may find one.
+pub fn open_store(
+    disk: &dyn Disk,
+    dir: &Path,
+    faults: &Faults,
+    metrics: &Metrics,
+) -> Result<(StateStore, Stored), String> {
+    disk.create_folder(dir).map_err(|e| format!("{}: {e}", dir.display()))?;
     let path = dir.join(STORE_NAME);
-    let open = || match StateStore::open_on(disk, &path) {
-        Err(error @ StoreError::Broken { .. }) => {
-            put_aside(&path, metrics);
-            let text = format!("{error}; it was put aside, and states were taken from the recordings");
-            faults.raise_for("store broken", text, LOSS_SHOWN);
-            StateStore::open_on(disk, &path).map_err(|e| e.to_string())
+    let open = || StateStore::open_on(disk, &path).and_then(|store| store.load().map(|stored| (store, stored)));
+    let opened = open().or_else(|error| {
+        if matches!(error, StoreError::Failed { .. }) {
+            return Err(error);
         }
-        opened => opened.map_err(|e| e.to_string()),
-    };
-    let opened = disk.create_folder(dir).map_err(|e| format!("{}: {e}", dir.display())).and_then(|()| open());
-    opened.inspect_err(|why| faults.raise("state", format!("alarm states cannot be stored: {why}"))).ok()
+        put_aside(&path, metrics);
+        let text = format!("{error}; it was put aside, and states come from the recordings or from memory");
+        faults.raise_for("store broken", text, LOSS_SHOWN);
+        open()
+    });
+    opened.map_err(|e| e.to_string())
 }
 
 /// The newest memory of every loop in the latest runs.
@@ -307,11 +317,47 @@ mod tests {
     }
 
     #[test]
+    fn a_store_that_was_begun_anew_under_a_run_hides_nothing_of_the_recordings() {
+        let dir = tempfile::tempdir().unwrap();
+        record(dir.path(), 1, 100, &[("A", true), ("B", true)]);
+        let (store, _) = open_store(&SystemDisk, dir.path(), &Faults::default(), &Metrics::default()).unwrap();
+        store.save([(key_of("p", "B").as_str(), state("B", false).as_slice())]).unwrap();
+        drop(store);
+        assert_eq!(raised(&start(dir.path())), ["A"], "B's is newer in the store");
+    }
+
+    #[test]
     fn a_run_under_a_clock_that_was_ahead_is_not_the_newest_for_ever() {
         let dir = tempfile::tempdir().unwrap();
         record(dir.path(), 1, 9_000, &[("A", false)]);
         record(dir.path(), 2, 100, &[("A", true)]);
         assert_eq!(raised(&start(dir.path())), ["A"]);
+    }
+
+    #[test]
+    fn a_store_that_was_cut_or_flipped_anywhere_is_read_or_begun_anew_and_takes_states_again() {
+        let dir = tempfile::tempdir().unwrap();
+        record(dir.path(), 1, 100, &[("A", true), ("B", true)]);
+        drop(start(dir.path()));
+        let path = dir.path().join(STORE_NAME);
+        let whole = fs::read(&path).unwrap();
+        for k in 0..160_usize {
+            let mut bytes = whole.clone();
+            if k % 4 == 0 {
+                bytes.truncate(whole.len() * k / 160);
+            } else {
+                // Most of the file is room: three of four flips hit its first pages, where it is not.
+                let span = if k % 4 == 1 { whole.len() } else { 32_768.min(whole.len()) };
+                let bit = k.wrapping_mul(7_919_113) % (8 * span);
+                bytes[bit / 8] ^= 1 << (bit % 8);
+            }
+            fs::write(&path, &bytes).unwrap();
+            let restored = start(dir.path());
+            assert_eq!(raised(&restored), ["A", "B"], "{k}");
+            restored.store.expect("a store").save([("p\nC", b"1".as_slice())]).unwrap();
+            let again = StateStore::open(&path).unwrap().load().unwrap();
+            assert!(again.values.contains_key("p\nC"), "{k}");
+        }
     }
 
     #[test]

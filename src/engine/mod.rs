@@ -11,7 +11,7 @@ mod input;
 mod looper;
 mod windowing;
 
-use std::collections::{HashMap, HashSet};
+use std::collections::HashMap;
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
@@ -207,8 +207,8 @@ pub struct Engine {
     common: Arc<LoopSettings>,
     loops: Vec<Loop>,
     by_name: HashMap<Arc<str>, LoopId>,
-    /// Loops that the configuration names and that have not appeared: their places are kept.
-    expected: HashSet<String>,
+    /// Loops that the configuration names and that have not appeared, with their place there: their places are kept.
+    expected: HashMap<String, usize>,
 }
 
 impl Engine {
@@ -217,7 +217,7 @@ impl Engine {
     pub fn new(config: Config) -> Self {
         let common = Arc::new(LoopSettings::of(&config, None));
         let config_hash = config.hash().into();
-        let expected = config.loops.iter().map(|l| l.name.clone()).collect();
+        let expected = config.loops.iter().enumerate().map(|(at, l)| (l.name.clone(), at)).collect();
         Self { config: Arc::new(config), config_hash, common, loops: Vec::new(), by_name: HashMap::new(), expected }
     }
 
@@ -256,11 +256,11 @@ impl Engine {
         if let Some(id) = self.find(name) {
             return Some(id);
         }
-        let kept = if self.expected.contains(name) { 0 } else { self.expected.len() };
+        let kept = if self.expected.contains_key(name) { 0 } else { self.expected.len() };
         if self.loops.len() + kept >= self.config.input.max_loops {
             return None;
         }
-        let own = self.expected.remove(name).then(|| self.config.loop_named(name)).flatten();
+        let own = self.expected.remove(name).and_then(|at| self.config.loops.get(at));
         let settings = own.map_or_else(|| self.common.clone(), |l| Arc::new(LoopSettings::of(&self.config, Some(l))));
         let id = LoopId(self.loops.len() as u32);
         let name: Arc<str> = name.into();

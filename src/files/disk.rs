@@ -58,7 +58,10 @@ pub struct SystemDisk;
 
 impl Disk for SystemDisk {
     fn create_new(&self, path: &Path) -> io::Result<Arc<dyn DiskFile>> {
-        Ok(Arc::new(OpenOptions::new().write(true).create_new(true).open(path)?))
+        let file = OpenOptions::new().write(true).create_new(true).open(path)?;
+        // A file that nobody gets must not stand in the way of the next attempt.
+        sync_folder_of(path).inspect_err(|_| drop(fs::remove_file(path)))?;
+        Ok(Arc::new(file))
     }
 
     fn create_folder(&self, path: &Path) -> io::Result<()> {
@@ -70,7 +73,24 @@ impl Disk for SystemDisk {
     }
 
     fn open_store(&self, builder: &Builder, path: &Path) -> Result<Database, redb::Error> {
-        Ok(builder.create(path)?)
+        let is_new = !path.exists();
+        let store = builder.create(path)?;
+        if is_new {
+            sync_folder_of(path)?;
+        }
+        Ok(store)
+    }
+}
+
+/// Makes a file's name durable: without it a power cut may take away a file whose content was synced.
+///
+/// # Errors
+/// What the disk says; not where the file system syncs no folders, as those of networks: there is nothing to be done.
+pub(super) fn sync_folder_of(path: &Path) -> io::Result<()> {
+    let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or_else(|| Path::new("."));
+    match File::open(parent).and_then(|folder| folder.sync_all()) {
+        Err(error) if matches!(error.kind(), io::ErrorKind::InvalidInput | io::ErrorKind::Unsupported) => Ok(()),
+        synced => synced,
     }
 }
 

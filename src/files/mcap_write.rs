@@ -12,7 +12,7 @@ use crate::codec::topic::Kind;
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{Compression, McapError, WriteOptions, Writer};
 use std::collections::{BTreeMap, HashMap};
-use std::fs::{self, File};
+use std::fs;
 use std::io::{self, BufWriter, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -410,12 +410,7 @@ impl RecordingFile {
 /// # Errors
 /// [`WriteError::Io`] if the folder cannot be opened or synced.
 pub fn sync_folder(file: &Path) -> Result<(), WriteError> {
-    let folder = match file.parent() {
-        Some(parent) if !parent.as_os_str().is_empty() => parent,
-        _ => Path::new("."),
-    };
-    let synced = File::open(folder).and_then(|folder| folder.sync_all());
-    synced.map_err(|source| WriteError::Io { path: folder.to_owned(), source })
+    super::disk::sync_folder_of(file).map_err(|source| WriteError::Io { path: file.to_owned(), source })
 }
 
 /// MCAP's times are unsigned.
@@ -527,7 +522,7 @@ mod tests {
 
     #[test]
     fn a_full_disk_is_an_error() {
-        let Ok(full) = File::options().write(true).open("/dev/full") else { return };
+        let Ok(full) = fs::File::options().write(true).open("/dev/full") else { return };
         let places = ("/dev/full".into(), "/dev/none".into());
         let started = RecordingFile::start(Arc::new(SystemDisk), Arc::new(full), places, &metadata());
         assert!(matches!(started, Err(WriteError::Mcap { .. })));

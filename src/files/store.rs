@@ -146,7 +146,10 @@ fn guarded<T>(path: &Path, call: impl FnOnce() -> Result<T, redb::Error>) -> Res
         Ok(Ok(value)) => Ok(value),
         Ok(Err(redb::Error::Corrupted(why))) => Err(broken(why)),
         Ok(Err(error @ redb::Error::UpgradeRequired(_))) => Err(broken(error.to_string())),
-        Ok(Err(redb::Error::Io(error))) if error.kind() == std::io::ErrorKind::InvalidData => {
+        // A file that ends too early was cut: no second attempt will find more in it.
+        Ok(Err(redb::Error::Io(error)))
+            if matches!(error.kind(), std::io::ErrorKind::InvalidData | std::io::ErrorKind::UnexpectedEof) =>
+        {
             Err(broken(error.to_string()))
         }
         Ok(Err(error)) => Err(StoreError::Failed { path: path.to_owned(), source: Box::new(error) }),

