@@ -23,8 +23,8 @@ pub(super) struct Grain {
 
 /// The views: where there are few periods the fine one sees the slips, the coarse one the slow answer of the process.
 pub(super) const GRAINS: [Grain; 2] = [
-    Grain { per_period: 30.0, enough: 240, most: 1400, periodic: true },
-    Grain { per_period: 20.0, enough: 40, most: 1400, periodic: false },
+    Grain { per_period: 30.0, enough: 240, most: 2048, periodic: true },
+    Grain { per_period: 20.0, enough: 40, most: 2048, periodic: false },
 ];
 /// Fewest boxes.
 const LEAST_BOXES: usize = 40;
@@ -69,8 +69,18 @@ pub(super) struct Input {
 pub(super) struct StemInput {
     /// s over OP's span.
     pub share: f64,
+    /// First position less OP's first value, over fs.
+    pub start: f64,
     pub law: Law,
     pub input: Input,
+}
+
+impl StemInput {
+    /// Whether it is of He's law and its band next to one of `share` spans.
+    pub fn is_near(&self, share: f64) -> bool {
+        const NEXT: f64 = 1.45;
+        self.law == Law::He && self.share < NEXT * share && share < NEXT * self.share
+    }
 }
 
 /// OP in boxes of one grain.
@@ -159,7 +169,9 @@ impl Boxes {
                         (Law::Tracking, self.sliding(from, fs, fd)),
                     ];
                     out.extend(
-                        found.into_iter().filter_map(|(law, input)| Some(StemInput { share, law, input: input? })),
+                        found
+                            .into_iter()
+                            .filter_map(|(law, input)| Some(StemInput { share, start, law, input: input? })),
                     );
                 }
             }
@@ -283,6 +295,15 @@ impl Boxes {
         }
         let [power, neighbours] = self.products(&pieces, &head, &tail);
         Input { pieces, head, tail, power, neighbours }
+    }
+
+    /// An input's value in each box.
+    pub fn expand(&self, input: &Input, out: &mut Vec<f64>) {
+        out.clear();
+        for (index, piece) in input.pieces.iter().enumerate() {
+            let end = input.pieces.get(index + 1).map_or(self.follow.len(), |next| next.from);
+            out.extend((piece.from..end).map(|at| self.value(piece, at)));
+        }
     }
 
     fn value(&self, piece: &Piece, at: usize) -> f64 {

@@ -1,14 +1,19 @@
 //! One record in, one assessment out.
 
+use std::borrow::Cow;
+
 use super::cause;
 use super::detectable;
-use super::document::{Assessment, Controller, Gate, Oscillation, Process, Search, Window};
+use super::document::{Assessment, Controller, Gate, Oscillation, Process, Search, Verdict, Window};
+use super::excursion;
+use super::fast;
 use super::gates::{gates, is_interpolated};
 use super::judge::{grade, judge};
 use super::params::AssessParams;
-use super::rule::{self, Features, Rule};
+use super::plausible::implausible;
+use super::rule::{self, Features, Look, Looks, Opinion, Rule};
 use super::screen;
-use crate::detect::oscillation::{Looks, Oscillates};
+use crate::detect::oscillation::{Looks as Signals, Oscillates};
 use crate::detect::{self, View, Witness};
 use crate::ident::controller::{self, Reading};
 use crate::ident::region::{region, severity, strength};
@@ -18,6 +23,17 @@ use crate::record::Record;
 use crate::signal::stats;
 use crate::sim::slips::Law;
 
+/// Reasons for no answer beside the gates and what is implausible in a record.
+const STUCK_SIGNAL: &str = "stuck_signal";
+const IMPLAUSIBLE_MODEL: &str = "implausible_model";
+const OP_IS_HELD: &str = "op_held";
+/// Share of OP samples equal to the one before from which its store is asked about, the samples a period that make that a
+/// matter of the store, and the moves a period below which a cycle of the valve's signal is not seen.
+const OP_HELD: f64 = 0.8;
+const DENSE: f64 = 50.0;
+const FEW_MOVES: f64 = 12.0;
+/// Gates that do not make a fit worse by themselves: a set point that steps excites, an excursion is cut out.
+const EXPLAINED: [Gate; 2] = [Gate::SetpointSteps, Gate::Excursion];
 /// Level of the intervals in every document.
 const INTERVAL_LEVEL: f64 = 0.9;
 
@@ -27,41 +43,73 @@ const INTERVAL_LEVEL: f64 = 0.9;
 /// leaves every number out; values that are not finite are answered by the gates of frozen signals.
 #[must_use]
 pub fn assess(record: &Record, params: &AssessParams) -> Assessment {
-    let seen = Seen::of(record, params);
-    let empty = Assessment::empty(Window::of(record), describe(seen.found().as_ref(), record));
+    assess_in_windows(record, &[], params)
+}
+
+/// The same for a record too long to be judged at once: gates, oscillation and size are those of the whole, the
+/// probability is that of the window with the median logit. Where the whole is held in boxes only, the sizes are that
+/// window's, too.
+#[must_use]
+pub fn assess_in_windows(record: &Record, windows: &[Record], params: &AssessParams) -> Assessment {
+    let whole = Window::of(record);
+    let calm = excursion::without(record).filter(|_| windows.is_empty()).map(|[from, to]| record.part(from, to));
+    let cut = calm.is_some();
+    let record = calm.as_ref().unwrap_or(record);
+    let mut seen = Seen::of(record, params);
+    if cut {
+        seen.gates.push(Gate::Excursion);
+    }
+    let empty = Assessment::empty(whole, describe(seen.found().as_ref(), record));
     let mut out = Assessment { gates: seen.gates.clone(), interval_level: Some(INTERVAL_LEVEL), ..empty };
     if let Some(gate) = seen.blocked() {
-        out.reason = Some(gate.name());
+        let stuck = gate == Gate::FrozenPv && !seen.gates.contains(&Gate::FrozenOp);
+        out.reason = Some(if stuck { STUCK_SIGNAL } else { gate.name() });
         return out;
     }
     if params.screening && !params.always_fit && screen::lets_go(record, &seen.looks, &seen.gates) {
         screen::answer(&mut out);
         return out;
     }
-    let found = seen.found();
-    let evidence = &Evidence::of(record, params, &seen);
-    if let Some(e) = &evidence.estimate {
-        fill(&mut out, e, record, params);
+    let sights = Sights::of(record, windows, params, seen);
+    let Some((look, opinion)) = Rule::shipped().answer(&sights.figures()) else { return out };
+    let (heard, sized) = sights.chosen(look, params);
+    out.pv_span = Some(stats::span(&record.pv)).filter(|span| span.is_finite());
+    if let Some(e) = &sized.evidence.estimate {
+        fill(&mut out, e, &sized.record, params);
     }
-    decide(&mut out, evidence, record, found.as_ref());
+    if look == Look::Fast {
+        out.oscillation = describe(sized.seen.found().as_ref(), &sized.record);
+    }
+    decide(&mut out, opinion, &heard, &sized);
+    out.implausible = implausible(&sized.record, &out.oscillation, out.process.as_ref(), params.kind);
+    if !out.implausible.is_empty() {
+        disbelieve(&mut out, &heard);
+    }
+    if out.stiction == Some(false) {
+        bound(&mut out);
+        hold_back(&mut out, &sized.record);
+    }
+    let width = out.s_interval.zip(out.s).map(|([low, high], s)| (high - low) / s);
+    out.grade = Some(grade(out.confidence, !out.gates.is_empty(), width));
     // Where it sticks the question does not arise.
-    let open = evidence.estimate.as_ref().filter(|_| out.stiction != Some(true));
+    let open = sized.evidence.estimate.as_ref().filter(|_| out.stiction == Some(false) && out.process.is_some());
     out.s_detectable = open.and_then(|e| {
-        let options = options(params, found.as_ref());
-        detectable::smallest(record, &evidence.view, &options, e, is_interpolated(record))
+        let options = options(params, sized.seen.found().as_ref());
+        let interpolated = is_interpolated(&sized.record);
+        detectable::smallest(&sized.record, &sized.evidence.view, &options, e, interpolated)
     });
     out
 }
 
-/// The figures that the rule asks for, or the blocking gate that leaves the record without an answer.
+/// The figures that the rule asks for, of every look at the record, or the blocking gate that leaves it without an answer.
 ///
 /// # Errors
 /// The first blocking gate.
-pub fn figures(record: &Record, params: &AssessParams) -> Result<Features, Gate> {
+pub fn figures(record: &Record, windows: &[Record], params: &AssessParams) -> Result<Looks, Gate> {
     let seen = Seen::of(record, params);
     match seen.blocked() {
         Some(gate) => Err(gate),
-        None => Ok(Evidence::of(record, params, &seen).figures),
+        None => Ok(Sights::of(record, windows, params, seen).figures()),
     }
 }
 
@@ -74,13 +122,13 @@ pub fn lets_go(record: &Record, params: &AssessParams) -> bool {
 
 /// What a record shows at once.
 struct Seen {
-    looks: Looks,
+    looks: Signals,
     gates: Vec<Gate>,
 }
 
 impl Seen {
     fn of(record: &Record, params: &AssessParams) -> Self {
-        let looks = Looks::of(&record.op(), &record.pv);
+        let looks = Signals::of(&record.op(), &record.pv);
         let gates = gates(record, &describe(looks.together().as_ref(), record), params);
         Self { looks, gates }
     }
@@ -116,24 +164,85 @@ impl Evidence {
     }
 }
 
-/// Asks the rule and says what it answers, and why.
-fn decide(out: &mut Assessment, evidence: &Evidence, record: &Record, found: Option<&Oscillates>) {
+/// A record with what it shows.
+struct Sight<'r> {
+    record: Cow<'r, Record>,
+    seen: Seen,
+    evidence: Evidence,
+}
+
+impl<'r> Sight<'r> {
+    fn of(record: Cow<'r, Record>, params: &AssessParams, seen: Seen) -> Self {
+        let evidence = Evidence::of(&record, params, &seen);
+        Self { record, seen, evidence }
+    }
+}
+
+/// Every look at a record.
+struct Sights<'r> {
+    /// The record itself, not looked at yet where windows stand for it.
+    whole: &'r Record,
+    windows: Vec<Sight<'r>>,
+    fast: Option<Sight<'r>>,
+}
+
+impl<'r> Sights<'r> {
+    fn of(whole: &'r Record, windows: &'r [Record], params: &AssessParams, seen: Seen) -> Self {
+        let open = |record: &'r Record| {
+            let seen = Seen::of(record, params);
+            seen.blocked().is_none().then(|| Sight::of(Cow::Borrowed(record), params, seen))
+        };
+        let mut windows: Vec<Sight<'r>> = windows.iter().filter_map(open).collect();
+        if windows.is_empty() {
+            windows.push(Sight::of(Cow::Borrowed(whole), params, seen));
+        }
+        let middle = &windows[windows.len() / 2].record;
+        let fast = fast::cycle(if whole.box_samples == 1 { whole } else { middle });
+        let fast = fast.map(|record| {
+            let seen = Seen::of(&record, params);
+            Sight::of(Cow::Owned(record), params, seen)
+        });
+        Self { whole, windows, fast }
+    }
+
+    fn figures(&self) -> Looks {
+        let of = |sight: &Sight<'_>| sight.evidence.figures.clone();
+        Looks { windows: self.windows.iter().map(of).collect(), fast: self.fast.as_ref().map(of) }
+    }
+
+    /// The features that the answering look is judged by, and the look that sizes are taken from.
+    fn chosen(mut self, look: Look, params: &AssessParams) -> (Features, Sight<'r>) {
+        let sized = match (look, self.fast) {
+            (Look::Fast, Some(fast)) => fast,
+            (Look::Window(at), _) => self.windows.swap_remove(at),
+            (Look::Fast, None) => self.windows.swap_remove(0),
+        };
+        let heard = rule::features(sized.evidence.figures.clone());
+        let part = !core::ptr::eq(&*sized.record, self.whole) && look != Look::Fast;
+        if part && self.whole.box_samples == 1 {
+            let seen = Seen::of(self.whole, params);
+            return (heard, Sight::of(Cow::Borrowed(self.whole), params, seen));
+        }
+        (heard, sized)
+    }
+}
+
+/// Says what the rule answers, and why.
+fn decide(out: &mut Assessment, opinion: Opinion, heard: &Features, sized: &Sight<'_>) {
+    let (record, estimate, found) = (&*sized.record, sized.evidence.estimate.as_ref(), sized.seen.found());
     let rule = Rule::shipped();
-    let estimate = evidence.estimate.as_ref();
-    let features = rule::features(evidence.figures.clone());
-    let opinion = rule.opinion(&features);
     let names = rule::OF_THE_FIT.into_iter().chain(detect::ALL.iter().map(|d| d.name()));
     let witness = |name| {
-        let voice = rule.voice(name, &features);
+        let voice = rule.voice(name, heard);
         let vote = (voice.contribution != 0.0).then_some(voice.contribution > 0.0);
         Witness { name, score: voice.score, vote, contribution: voice.contribution }
     };
     out.witnesses = names.map(witness).collect();
     let reading = controller::read(record);
     out.controller = reading.as_ref().map(as_document);
-    let ringing = cause::ringing(record, found);
+    let ringing = cause::ringing(record, found.as_ref());
     let damping = cause::moved_damping(estimate, reading.as_ref(), record);
-    let otherwise = || cause::cause(found, ringing.as_ref(), damping);
+    let otherwise = || cause::cause(found.as_ref(), ringing.as_ref(), damping);
     let beside = |e: &Estimate| cause::beside_sticking(e, reading.as_ref(), record, ringing.as_ref());
     (out.verdict, out.contributing) = judge(estimate, &opinion, otherwise, beside);
     out.stiction = out.verdict.stiction();
@@ -141,9 +250,46 @@ fn decide(out: &mut Assessment, evidence: &Evidence, record: &Record, found: Opt
     out.p_stiction = Some(p);
     out.explanation = Some(opinion);
     out.confidence = out.stiction.map(|_| p.max(1.0 - p));
-    out.reason = out.stiction.is_none().then_some(if opinion.sticks().is_none() { "undecided" } else { "not_fitted" });
-    let width = out.s_interval.zip(out.s).map(|([low, high], s)| (high - low) / s);
-    out.grade = Some(grade(out.confidence, !out.gates.is_empty(), width));
+    out.reason = out.stiction.is_none().then_some("not_fitted");
+}
+
+/// Takes away the numbers of a model that no plant has. A verdict that stands without the model's say stays; one that
+/// stands on the model alone, or on a record that shows no cycle of a valve, becomes an open question.
+fn disbelieve(out: &mut Assessment, heard: &Features) {
+    let of_the_record = out.implausible.iter().find(|i| i.is_of_the_record());
+    let mut without = heard.clone();
+    without.retain(|name, _| !rule::OF_THE_FIT.contains(&name.as_str()));
+    let stands = of_the_record.is_none() && Rule::shipped().opinion(&without).sticks();
+    if out.stiction == Some(true) && !stands {
+        (out.verdict, out.stiction, out.confidence) = (Verdict::Inconclusive, None, None);
+        out.contributing.clear();
+        out.reason = Some(of_the_record.map_or(IMPLAUSIBLE_MODEL, |i| i.name()));
+    } else if out.stiction == Some(true) {
+        // Without bands a dead band is not told from stick and slip.
+        out.verdict = Verdict::Stiction;
+    }
+    (out.fs, out.fd, out.s, out.j) = (None, None, None, None);
+    (out.fs_interval, out.fd_interval, out.s_interval, out.j_interval) = (None, None, None, None);
+    (out.s_over_span, out.region, out.strength, out.severity, out.j_identifiable) = (None, None, None, None, None);
+    (out.process, out.valve_model) = (None, None);
+}
+
+/// Where no stiction is seen the bands may be anything from none up to where the record would contradict them.
+fn bound(out: &mut Assessment) {
+    for interval in [&mut out.fs_interval, &mut out.fd_interval, &mut out.s_interval, &mut out.j_interval] {
+        *interval = interval.map(|[_, high]| [0.0, high]);
+    }
+}
+
+/// Where the store held OP through most of a cycle, what the valve was sent between is not known, and a no is none.
+fn hold_back(out: &mut Assessment, record: &Record) {
+    let moves = record.raw_samples.saturating_sub(record.facts.op_repeats as usize) as f64;
+    let (Some(periods), Some(density)) = (out.oscillation.periods, out.oscillation.samples_per_period) else { return };
+    let held = f64::from(record.facts.op_repeats) > OP_HELD * record.raw_samples as f64;
+    if held && density >= DENSE && moves < FEW_MOVES * periods {
+        (out.verdict, out.stiction, out.confidence, out.reason) = (Verdict::Inconclusive, None, None, Some(OP_IS_HELD));
+        out.contributing.clear();
+    }
 }
 
 const fn as_document(r: &Reading) -> Controller {
@@ -207,8 +353,7 @@ fn fill(out: &mut Assessment, e: &Estimate, record: &Record, params: &AssessPara
     out.strength = Some(strength(e.s, e.span));
     out.severity = params.op_range.and_then(|range| severity(e.s, range));
     out.j_identifiable = Some(e.spread.j_identifiable);
-    // The set point's steps do not make a fit worse by themselves.
-    let limiting = out.gates.iter().filter(|g| !g.blocks() && **g != Gate::SetpointSteps).count();
+    let limiting = out.gates.iter().filter(|g| !g.blocks() && !EXPLAINED.contains(g)).count();
     let settings = Settings::shipped();
     let times = (0..limiting).fold(1.0, |times, _| times * settings.gate);
     let told = e.spread.told(e.s, e.j, settings.of(e.spread.trust(e.s)), times).within(e.span, e.s, e.j);
