@@ -17,7 +17,7 @@ use crate::signal::align::Point;
 use crate::sim::truth::{Half, verdict_case};
 use crate::units::ns_from_s;
 use crate::verdict::calibrate::{Example, Settings, ask, fit, leave_one_valve_out, weights};
-use crate::verdict::rule::{Cuts, Logistic, Looks, Rule};
+use crate::verdict::rule::{Cuts, Logistic, Rule};
 use crate::verdict::tally::{self, Scored, Tally};
 use crate::verdict::{AssessParams, figures};
 
@@ -196,11 +196,11 @@ fn look(base: &Path, source: &Source) -> anyhow::Result<Example> {
             (case.group.clone(), judged, case.source.clone(), Some(case.valve.clone()), false, truth)
         }
     };
-    let (gate, looks) = match figures(&judged.record, &judged.windows, &judged.params) {
-        Ok(looks) => (None, looks),
-        Err(gate) => (Some(gate.name().to_owned()), Looks::default()),
+    let (gate, windows) = match figures(&judged.record, &judged.windows, &judged.params) {
+        Ok(windows) => (None, windows),
+        Err(gate) => (Some(gate.name().to_owned()), Vec::new()),
     };
-    Ok(Example { name, source: kind, valve, group, held, truth, gate, looks })
+    Ok(Example { name, source: kind, valve, group, held, truth, gate, windows })
 }
 
 /// The samples of a simulated record.
@@ -324,7 +324,7 @@ fn say_text(rule: &Rule, real: &[(&Example, Scored)], held: &[(&Example, Scored)
 }
 
 fn said(rule: &Rule, example: &Example) -> String {
-    let figures = example.looks.windows.first().cloned().unwrap_or_default();
+    let figures = example.windows.first().cloned().unwrap_or_default();
     let features = crate::verdict::rule::features(figures);
     let one = |name: &str| features.get(name).map_or(format!("{name} -"), |x| format!("{name} {x:.2}"));
     rule.names().map(one).collect::<Vec<_>>().join(", ")

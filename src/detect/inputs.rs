@@ -69,18 +69,8 @@ pub(super) struct Input {
 pub(super) struct StemInput {
     /// s over OP's span.
     pub share: f64,
-    /// First position less OP's first value, over fs.
-    pub start: f64,
     pub law: Law,
     pub input: Input,
-}
-
-impl StemInput {
-    /// Whether it is of He's law and its band next to one of `share` spans.
-    pub fn is_near(&self, share: f64) -> bool {
-        const NEXT: f64 = 1.45;
-        self.law == Law::He && self.share < NEXT * share && share < NEXT * self.share
-    }
 }
 
 /// OP in boxes of one grain.
@@ -169,9 +159,7 @@ impl Boxes {
                         (Law::Tracking, self.sliding(from, fs, fd)),
                     ];
                     out.extend(
-                        found
-                            .into_iter()
-                            .filter_map(|(law, input)| Some(StemInput { share, start, law, input: input? })),
+                        found.into_iter().filter_map(|(law, input)| Some(StemInput { share, law, input: input? })),
                     );
                 }
             }
@@ -295,15 +283,6 @@ impl Boxes {
         }
         let [power, neighbours] = self.products(&pieces, &head, &tail);
         Input { pieces, head, tail, power, neighbours }
-    }
-
-    /// An input's value in each box.
-    pub fn expand(&self, input: &Input, out: &mut Vec<f64>) {
-        out.clear();
-        for (index, piece) in input.pieces.iter().enumerate() {
-            let end = input.pieces.get(index + 1).map_or(self.follow.len(), |next| next.from);
-            out.extend((piece.from..end).map(|at| self.value(piece, at)));
-        }
     }
 
     fn value(&self, piece: &Piece, at: usize) -> f64 {

@@ -10,7 +10,6 @@ mod one_step;
 pub mod oscillation;
 pub mod ringing;
 mod sine;
-mod three_views;
 mod travel;
 
 use std::sync::Arc;
@@ -43,12 +42,11 @@ pub trait Detector: Sync {
 }
 
 /// Every detector.
-pub const ALL: [&dyn Detector; 7] = [
+pub const ALL: [&dyn Detector; 6] = [
     &cross_correlation::CrossCorrelation,
     &jumps::Jumps,
     &sine::Sine,
     &travel::Travel,
-    &three_views::ThreeViews,
     &one_step::OneStep,
     &one_step::Periodicity,
 ];

@@ -12,6 +12,7 @@ use super::lines;
 use super::{Detector, View};
 use crate::ident::sign;
 use crate::signal::{detrend, stats};
+use crate::sim::slips::Law;
 
 /// By how much better the best stem predicts PV than OP does, OP's ends cut off where that helps it: the logarithm of
 /// the ratio of the squared prediction errors times the number of boxes (twice the logarithm of the likelihoods' ratio),
@@ -70,28 +71,11 @@ impl Inputs {
         let line = if grain.periodic { lines::around(&boxes.op) } else { 0.0 };
         Some(Self { periodic: grain.periodic, line, cut: boxes.cut(), stems: boxes.stems(), boxes })
     }
-
-    /// How the record is cut.
-    pub const fn boxes(&self) -> &Boxes {
-        &self.boxes
-    }
-
-    /// OP itself, its ends not cut off.
-    pub fn free(&self) -> &Input {
-        &self.cut[0]
-    }
-
-    /// Stems that start in the middle of their band.
-    pub fn middle_stems(&self) -> impl Iterator<Item = &StemInput> {
-        self.stems.iter().filter(|stem| stem.start == 0.0)
-    }
 }
 
 /// PV in the boxes of one grain, with all that is known of it before OP is asked.
 #[derive(Debug, Clone)]
 pub(super) struct Prediction {
-    /// PV in boxes, mean 0, deviation 1.
-    values: Vec<f64>,
     sums: Sums,
     sign: Option<f64>,
     /// Gain of the lines, where they were asked for.
@@ -112,24 +96,14 @@ impl Prediction {
         let sp: Option<Vec<f64>> = sp.map(|sp| boxed(sp).iter().map(|v| (v - level) / spread).collect());
         let sign = sign::of_gain_with_sp(&boxes.op, &pv, sp.as_deref());
         let near = if inputs.periodic { [lines::around(&pv), inputs.line] } else { [0.0; 2] };
-        let mut known = Known::past(pv.clone(), boxes.from, boxes.order);
+        let mut known = Known::past(pv, boxes.from, boxes.order);
         let mut periodicity = None;
         if inputs.periodic {
             let before = [known.error(), known.count() as f64];
             known = lines::with_best(known, near);
             periodicity = Some(lines::gain(&before, &known));
         }
-        Some(Self { values: pv, sums: Sums::new(known, &boxes.follow, boxes.lags), sign, periodicity })
-    }
-
-    /// PV in boxes, mean 0, deviation 1.
-    pub fn values(&self) -> &[f64] {
-        &self.values
-    }
-
-    /// Sign of the process gain, where the record shows it.
-    pub const fn sign(&self) -> Option<f64> {
-        self.sign
+        Some(Self { sums: Sums::new(known, &boxes.follow, boxes.lags), sign, periodicity })
     }
 
     /// What [`OneStep`] says of this view; of the stems, only those with a band near `near` spans of OP where that is given.
@@ -137,12 +111,18 @@ impl Prediction {
         let mut work = Work::default();
         let mut least = |least: f64, input: &Input| least.min(self.sums.error(input, self.sign, &mut work));
         let without = inputs.cut.iter().fold(f64::INFINITY, &mut least);
-        let asked = inputs.stems.iter().filter(|stem| near.is_none_or(|share| stem.is_near(share)));
+        let asked = inputs.stems.iter().filter(|stem| near.is_none_or(|share| is_near(stem, share)));
         let with = asked.fold(f64::INFINITY, |error, stem| least(error, &stem.input));
         let with = if with.is_finite() { with } else { self.sums.without() };
         let gained = self.sums.count() as f64 * log_ratio(without, with) - CHANCE;
         gained.signum() * libm::log(1.0 + gained.abs() / UNIT)
     }
+}
+
+/// Whether a stem is of He's law and its band next to one of `share` spans.
+fn is_near(stem: &StemInput, share: f64) -> bool {
+    const NEXT: f64 = 1.45;
+    stem.law == Law::He && stem.share < NEXT * share && share < NEXT * stem.share
 }
 
 /// Logarithm of the ratio of two squared errors of normalised signals, of which rounding alone may be left.

@@ -186,7 +186,6 @@ fn looks_at(name: &str) -> &'static str {
         "jumps" => "whether PV moves in jumps while OP moves steadily",
         "curve_fit" => "whether half cycles are triangles rather than sinusoids",
         "travel" => "how far OP goes while PV stands",
-        "three_views" => "the gain of a coarser fit, averaged with and without PV's trend and for its changes",
         "foresight" => "how much better a sticking stem foretells PV's next step than OP does",
         "clock" => "how much of PV's movement keeps time on its own account, as a load from outside does",
         _ => UNNAMED,

@@ -1,19 +1,17 @@
 //! One record in, one assessment out.
 
-use std::borrow::Cow;
-
 use super::cause;
 use super::detectable;
 use super::document::{Assessment, Controller, Gate, Oscillation, Process, Search, Verdict, Window};
 use super::excursion;
-use super::fast;
 use super::gates::{gates, is_interpolated};
 use super::judge::{grade, judge};
 use super::params::AssessParams;
 use super::plausible::implausible;
-use super::rule::{self, Features, Look, Looks, Opinion, Rule};
+use super::rule::{self, Features, Opinion, Rule};
 use super::screen;
-use crate::detect::oscillation::{Looks as Signals, Oscillates};
+use super::start;
+use crate::detect::oscillation::{Looks, Oscillates};
 use crate::detect::{self, View, Witness};
 use crate::ident::controller::{self, Reading};
 use crate::ident::region::{region, severity, strength};
@@ -71,23 +69,20 @@ pub fn assess_in_windows(record: &Record, windows: &[Record], params: &AssessPar
         return out;
     }
     let sights = Sights::of(record, windows, params, seen);
-    let Some((look, opinion)) = Rule::shipped().answer(&sights.figures()) else { return out };
-    let (heard, sized) = sights.chosen(look, params);
+    let Some((window, opinion)) = Rule::shipped().answer(&sights.figures()) else { return out };
+    let (heard, sized) = sights.chosen(window, params);
     out.pv_span = Some(stats::span(&record.pv)).filter(|span| span.is_finite());
     if let Some(e) = &sized.evidence.estimate {
-        fill(&mut out, e, &sized.record, params);
-    }
-    if look == Look::Fast {
-        out.oscillation = describe(sized.seen.found().as_ref(), &sized.record);
+        fill(&mut out, e, sized.record, params);
     }
     decide(&mut out, opinion, &heard, &sized);
-    out.implausible = implausible(&sized.record, &out.oscillation, out.process.as_ref(), params.kind);
+    out.implausible = implausible(sized.record, &out.oscillation, out.process.as_ref(), params.kind);
     if !out.implausible.is_empty() {
         disbelieve(&mut out, &heard);
     }
     if out.stiction == Some(false) {
         bound(&mut out);
-        hold_back(&mut out, &sized.record);
+        hold_back(&mut out, sized.record);
     }
     let width = out.s_interval.zip(out.s).map(|([low, high], s)| (high - low) / s);
     out.grade = Some(grade(out.confidence, !out.gates.is_empty(), width));
@@ -95,17 +90,17 @@ pub fn assess_in_windows(record: &Record, windows: &[Record], params: &AssessPar
     let open = sized.evidence.estimate.as_ref().filter(|_| out.stiction == Some(false) && out.process.is_some());
     out.s_detectable = open.and_then(|e| {
         let options = options(params, sized.seen.found().as_ref());
-        let interpolated = is_interpolated(&sized.record);
-        detectable::smallest(&sized.record, &sized.evidence.view, &options, e, interpolated)
+        let interpolated = is_interpolated(sized.record);
+        detectable::smallest(sized.record, &sized.evidence.view, &options, e, interpolated)
     });
     out
 }
 
-/// The figures that the rule asks for, of every look at the record, or the blocking gate that leaves it without an answer.
+/// The figures that the rule asks for, of every window of the record, or the blocking gate that leaves it without an answer.
 ///
 /// # Errors
 /// The first blocking gate.
-pub fn figures(record: &Record, windows: &[Record], params: &AssessParams) -> Result<Looks, Gate> {
+pub fn figures(record: &Record, windows: &[Record], params: &AssessParams) -> Result<Vec<Features>, Gate> {
     let seen = Seen::of(record, params);
     match seen.blocked() {
         Some(gate) => Err(gate),
@@ -122,13 +117,13 @@ pub fn lets_go(record: &Record, params: &AssessParams) -> bool {
 
 /// What a record shows at once.
 struct Seen {
-    looks: Signals,
+    looks: Looks,
     gates: Vec<Gate>,
 }
 
 impl Seen {
     fn of(record: &Record, params: &AssessParams) -> Self {
-        let looks = Signals::of(&record.op(), &record.pv);
+        let looks = Looks::of(&record.op(), &record.pv);
         let gates = gates(record, &describe(looks.together().as_ref(), record), params);
         Self { looks, gates }
     }
@@ -157,7 +152,9 @@ impl Evidence {
         let worth_it = params.always_fit
             || found.is_some_and(|o| o.oscillating && o.periods >= params.min_periods)
             || reversals(&record.op()) as f64 >= params.min_periods;
-        let estimate = if worth_it { quantify(record, &options(params, found.as_ref())) } else { None };
+        let options = options(params, found.as_ref());
+        let estimate = if worth_it { quantify(record, &options) } else { None };
+        let estimate = estimate.map(|e| start::without(record, &e, &options).unwrap_or(e));
         let view = View::with_period(record, seen.looks.typical_period);
         let figures = rule::figures(estimate.as_ref(), record, &view, &detect::ALL, is_interpolated(record));
         Self { estimate, view, figures }
@@ -166,70 +163,57 @@ impl Evidence {
 
 /// A record with what it shows.
 struct Sight<'r> {
-    record: Cow<'r, Record>,
+    record: &'r Record,
     seen: Seen,
     evidence: Evidence,
 }
 
 impl<'r> Sight<'r> {
-    fn of(record: Cow<'r, Record>, params: &AssessParams, seen: Seen) -> Self {
-        let evidence = Evidence::of(&record, params, &seen);
+    fn of(record: &'r Record, params: &AssessParams, seen: Seen) -> Self {
+        let evidence = Evidence::of(record, params, &seen);
         Self { record, seen, evidence }
     }
 }
 
-/// Every look at a record.
+/// Every window that a record is judged in.
 struct Sights<'r> {
-    /// The record itself, not looked at yet where windows stand for it.
     whole: &'r Record,
+    /// What stands for it: windows, or the record itself.
     windows: Vec<Sight<'r>>,
-    fast: Option<Sight<'r>>,
 }
 
 impl<'r> Sights<'r> {
     fn of(whole: &'r Record, windows: &'r [Record], params: &AssessParams, seen: Seen) -> Self {
         let open = |record: &'r Record| {
             let seen = Seen::of(record, params);
-            seen.blocked().is_none().then(|| Sight::of(Cow::Borrowed(record), params, seen))
+            seen.blocked().is_none().then(|| Sight::of(record, params, seen))
         };
         let mut windows: Vec<Sight<'r>> = windows.iter().filter_map(open).collect();
         if windows.is_empty() {
-            windows.push(Sight::of(Cow::Borrowed(whole), params, seen));
+            windows.push(Sight::of(whole, params, seen));
         }
-        let middle = &windows[windows.len() / 2].record;
-        let fast = fast::cycle(if whole.box_samples == 1 { whole } else { middle });
-        let fast = fast.map(|record| {
-            let seen = Seen::of(&record, params);
-            Sight::of(Cow::Owned(record), params, seen)
-        });
-        Self { whole, windows, fast }
+        Self { whole, windows }
     }
 
-    fn figures(&self) -> Looks {
-        let of = |sight: &Sight<'_>| sight.evidence.figures.clone();
-        Looks { windows: self.windows.iter().map(of).collect(), fast: self.fast.as_ref().map(of) }
+    fn figures(&self) -> Vec<Features> {
+        self.windows.iter().map(|sight| sight.evidence.figures.clone()).collect()
     }
 
-    /// The features that the answering look is judged by, and the look that sizes are taken from.
-    fn chosen(mut self, look: Look, params: &AssessParams) -> (Features, Sight<'r>) {
-        let sized = match (look, self.fast) {
-            (Look::Fast, Some(fast)) => fast,
-            (Look::Window(at), _) => self.windows.swap_remove(at),
-            (Look::Fast, None) => self.windows.swap_remove(0),
-        };
+    /// The features that the answering window is judged by, and the sight that sizes are taken from: the whole, where it
+    /// is held as recorded.
+    fn chosen(mut self, window: usize, params: &AssessParams) -> (Features, Sight<'r>) {
+        let sized = self.windows.swap_remove(window);
         let heard = rule::features(sized.evidence.figures.clone());
-        let part = !core::ptr::eq(&*sized.record, self.whole) && look != Look::Fast;
-        if part && self.whole.box_samples == 1 {
-            let seen = Seen::of(self.whole, params);
-            return (heard, Sight::of(Cow::Borrowed(self.whole), params, seen));
+        if core::ptr::eq(sized.record, self.whole) || self.whole.box_samples > 1 {
+            return (heard, sized);
         }
-        (heard, sized)
+        (heard, Sight::of(self.whole, params, Seen::of(self.whole, params)))
     }
 }
 
 /// Says what the rule answers, and why.
 fn decide(out: &mut Assessment, opinion: Opinion, heard: &Features, sized: &Sight<'_>) {
-    let (record, estimate, found) = (&*sized.record, sized.evidence.estimate.as_ref(), sized.seen.found());
+    let (record, estimate, found) = (sized.record, sized.evidence.estimate.as_ref(), sized.seen.found());
     let rule = Rule::shipped();
     let names = rule::OF_THE_FIT.into_iter().chain(detect::ALL.iter().map(|d| d.name()));
     let witness = |name| {

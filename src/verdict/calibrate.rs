@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
-use super::rule::{Cuts, Features, Logistic, Look, Looks, Made, Rule, Weight, logistic};
+use super::rule::{Cuts, Features, Logistic, Made, Rule, Weight, logistic};
 use super::tally::Scored;
 
 /// One case with a known truth, as it is kept between fits.
@@ -25,8 +25,8 @@ pub struct Example {
     pub truth: bool,
     /// The blocking gate that leaves it without an answer.
     pub gate: Option<String>,
-    /// The figures of every look at it, see [`super::figures`].
-    pub looks: Looks,
+    /// The figures of every window that it is judged in, see [`super::figures`].
+    pub windows: Vec<Features>,
 }
 
 /// How a rule is fitted.
@@ -83,9 +83,9 @@ fn rows(examples: &[Example], given: &[f64]) -> Vec<Row> {
     let used = examples.iter().zip(given).filter(|(_, w)| **w > 0.0);
     let of = |(e, w): (&Example, &f64)| {
         let (truth, simulated) = (f64::from(u8::from(e.truth)), e.valve.is_none());
-        let weight = w / e.looks.windows.len().max(1) as f64;
+        let weight = w / e.windows.len().max(1) as f64;
         let row = move |f: &Features| Row { features: super::rule::features(f.clone()), truth, weight, simulated };
-        e.looks.windows.iter().map(row).collect::<Vec<_>>()
+        e.windows.iter().map(row).collect::<Vec<_>>()
     };
     used.flat_map(of).collect()
 }
@@ -204,14 +204,10 @@ pub fn ask(rule: &Rule, example: &Example, weight: f64) -> Scored {
     if example.gate.is_some() {
         return Scored { truth: example.truth, answer: None, p: None, weight };
     }
-    let Some((look, opinion)) = rule.answer(&example.looks) else {
+    let Some((window, opinion)) = rule.answer(&example.windows) else {
         return Scored { truth: example.truth, answer: None, p: None, weight };
     };
-    let heard = match look {
-        Look::Window(at) => example.looks.windows.get(at),
-        Look::Fast => example.looks.fast.as_ref(),
-    };
-    let fitted = heard.is_some_and(|f| f.contains_key("stiction_index"));
+    let fitted = example.windows[window].contains_key("stiction_index");
     let answer = (fitted || !opinion.sticks()).then_some(opinion.sticks());
     Scored { truth: example.truth, answer, p: Some(opinion.p()), weight }
 }
@@ -273,7 +269,7 @@ mod tests {
                     held: k % 2 == 1,
                     truth: draw() < logistic(-3.0 + 6.0 * travel),
                     gate: None,
-                    looks: Looks { windows: vec![figures], fast: None },
+                    windows: vec![figures],
                 }
             })
             .collect()

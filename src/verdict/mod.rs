@@ -7,13 +7,13 @@ mod cause;
 mod detectable;
 mod document;
 mod excursion;
-mod fast;
 mod gates;
 mod judge;
 mod params;
 pub mod plausible;
 pub mod rule;
 mod screen;
+mod start;
 pub mod tally;
 
 pub use crate::detect::Witness;

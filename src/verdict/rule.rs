@@ -1,13 +1,12 @@
-//! From signs to a probability: the mean of two logistic rules, their weights in a file beside it.
+//! From signs to a probability: a logistic rule, its weights in a file beside it.
 //!
-//! Each says `logit p = constant + sum of weight * feature`, and the logits' mean is the answer: two rules that look at
-//! different features err on different records. A feature is a figure of the fit or a witness, found by its name. One
+//! `logit p = constant + sum of weight * feature`. Where the file holds several such rules, which then look at different
+//! features and err on different records, the mean of their logits is the answer. A feature is a figure of the fit or a witness, found by its name. One
 //! that a record does not show counts as its mean over the cases that the rule was fitted to, so it says nothing. What
 //! each says is its weight times its distance from that mean; together with `base`, the logit where every feature
 //! stands at its mean, they add up to the logit.
 //!
-//! A long record is looked at in windows, of which the one with the median logit answers. A record whose cycle is hidden
-//! by a slower drift is looked at once more without the drift; that look counts only where it would raise an alarm.
+//! A long record is looked at in windows, of which the one with the median logit answers.
 
 use std::collections::BTreeMap;
 use std::sync::LazyLock;
@@ -99,24 +98,6 @@ pub struct Rule {
     pub made: Made,
 }
 
-/// The figures of every look at a record.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-pub struct Looks {
-    /// Of the record, or of windows of it.
-    pub windows: Vec<Features>,
-    /// Of the record without what is slower than four periods of the fast cycle that a drift hides.
-    pub fast: Option<Features>,
-}
-
-/// The look that answers.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Look {
-    /// A window, by its place.
-    Window(usize),
-    /// The fast cycle.
-    Fast,
-}
-
 /// The rule that this build judges by.
 static SHIPPED: LazyLock<Rule> = LazyLock::new(|| {
     // A test reads the file; an empty rule would leave everything undecided.
@@ -205,15 +186,13 @@ impl Rule {
         Voice { score, contribution: score.map_or(0.0, |x| self.mean(|part| part.says(name, x))) }
     }
 
-    /// The look that answers for a record, and what it says; `None` without a look.
+    /// The place of the window that answers for a record, and what the rule makes of it; `None` without a window.
     #[must_use]
-    pub fn answer(&self, looks: &Looks) -> Option<(Look, Opinion)> {
+    pub fn answer(&self, windows: &[Features]) -> Option<(usize, Opinion)> {
         let of = |figures: &Features| self.opinion(&features(figures.clone()));
-        let mut told: Vec<(usize, Opinion)> = looks.windows.iter().map(of).enumerate().collect();
+        let mut told: Vec<(usize, Opinion)> = windows.iter().map(of).enumerate().collect();
         told.sort_by(|a, b| a.1.logit.total_cmp(&b.1.logit));
-        let (window, usual) = *told.get(told.len().saturating_sub(1) / 2)?;
-        let fast = looks.fast.as_ref().map(of).filter(|fast| fast.alarms() && fast.logit > usual.logit);
-        Some(fast.map_or((Look::Window(window), usual), |fast| (Look::Fast, fast)))
+        told.get(told.len().saturating_sub(1) / 2).copied()
     }
 
     fn mean(&self, of: impl Fn(&Logistic) -> f64) -> f64 {
@@ -289,7 +268,6 @@ pub fn figures_of(
 pub fn features(mut figures: Features) -> Features {
     let of = |name: &str| figures.get(name).copied().unwrap_or(0.0);
     if of(INTERPOLATED) > 0.0 {
-        figures.retain(|name, _| !OF_MODELS.contains(&name.as_str()));
         return figures;
     }
     let index = of("stiction_index") * (of("s_over_span") / FULL_WEIGHT).min(1.0);
@@ -307,8 +285,6 @@ pub fn features(mut figures: Features) -> Features {
 
 /// Figure of a PV that lies on straight lines between stored values, 0 or 1.
 const INTERPOLATED: &str = "interpolated";
-/// Detectors that stand on a model, too.
-const OF_MODELS: [&str; 1] = ["three_views"];
 
 /// Names of the features that are made of the fit, in the order of documents.
 pub const OF_THE_FIT: [&str; 3] = ["likelihood", "confirmed", "moves"];
@@ -350,17 +326,13 @@ mod tests {
         assert!((logistic(0.0) - 0.5).abs() < 1e-15 && logistic(-800.0) == 0.0);
     }
     #[test]
-    fn the_median_window_answers_unless_a_hidden_cycle_would_raise_an_alarm() {
+    fn the_median_window_answers() {
         let weights = vec![Weight { feature: "travel".to_owned(), weight: 1.0, mean: 0.0 }];
         let cuts = Cuts { called: 0.5, alarm: 0.7 };
         let rule = Rule { parts: vec![Logistic { constant: 0.0, weights }], cuts, made: Made::default() };
         let of = |x: f64| Features::from([("travel".to_owned(), x)]);
-        let mut looks = Looks { windows: [3.0, -2.0, -1.0].map(of).to_vec(), fast: None };
-        assert_eq!(rule.answer(&looks).unwrap().0, Look::Window(2));
-        for (fast, look) in [(0.5, Look::Window(2)), (1.0, Look::Fast)] {
-            looks.fast = Some(of(fast));
-            assert_eq!(rule.answer(&looks).unwrap().0, look);
-        }
-        assert_eq!(rule.answer(&Looks::default()), None);
+        assert_eq!(rule.answer(&[3.0, -2.0, -1.0].map(of)).unwrap().0, 2);
+        assert_eq!(rule.answer(&[of(1.0)]).unwrap().1.logit, 1.0);
+        assert_eq!(rule.answer(&[]), None);
     }
 }
