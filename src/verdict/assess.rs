@@ -32,6 +32,8 @@ const DENSE: f64 = 50.0;
 const FEW_MOVES: f64 = 12.0;
 /// Gates that do not make a fit worse by themselves: a set point that steps excites, an excursion is cut out.
 const EXPLAINED: [Gate; 2] = [Gate::SetpointSteps, Gate::Excursion];
+/// Share of OP's span from which on a band is as wide as OP ever went.
+const WHOLE_SWING: f64 = 0.999;
 /// Level of the intervals in every document.
 const INTERVAL_LEVEL: f64 = 0.9;
 
@@ -84,7 +86,10 @@ pub fn assess_in_windows(record: &Record, windows: &[Record], params: &AssessPar
         bound(&mut out);
         hold_back(&mut out, sized.record);
     }
-    let width = out.s_interval.zip(out.s).map(|([low, high], s)| (high - low) / s);
+    // An interval that ends where OP's swing does was not measured there.
+    let swing = out.s.zip(out.s_over_span).map_or(f64::INFINITY, |(s, share)| s / share);
+    let measured = out.s_interval.filter(|[_, high]| *high < WHOLE_SWING * swing);
+    let width = measured.zip(out.s).map(|([low, high], s)| (high - low) / s);
     out.grade = Some(grade(out.confidence, !out.gates.is_empty(), width));
     // Where it sticks the question does not arise.
     let open = sized.evidence.estimate.as_ref().filter(|_| out.stiction == Some(false) && out.process.is_some());

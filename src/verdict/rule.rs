@@ -100,7 +100,7 @@ pub struct Rule {
 
 /// The rule that this build judges by.
 static SHIPPED: LazyLock<Rule> = LazyLock::new(|| {
-    // A test reads the file; an empty rule would leave everything undecided.
+    // A test reads the file; an empty rule calls nothing.
     let nothing = Rule { parts: Vec::new(), cuts: Cuts { called: 1.0, alarm: 1.0 }, made: Made::default() };
     serde_json::from_str(include_str!("rule.json")).unwrap_or(nothing)
 });
