@@ -84,7 +84,7 @@ pub fn assess_in_windows(record: &Record, windows: &[Record], params: &AssessPar
     }
     if out.stiction == Some(false) {
         bound(&mut out);
-        hold_back(&mut out, sized.record);
+        hold_back(&mut out, sized.record, params);
     }
     // An interval that ends where OP's swing does was not measured there.
     let swing = out.s.zip(out.s_over_span).map_or(f64::INFINITY, |(s, share)| s / share);
@@ -270,12 +270,13 @@ fn bound(out: &mut Assessment) {
     }
 }
 
-/// Where the store held OP through most of a cycle, what the valve was sent between is not known, and a no is none.
-fn hold_back(out: &mut Assessment, record: &Record) {
-    let moves = record.raw_samples.saturating_sub(record.facts.op_repeats as usize) as f64;
-    let (Some(periods), Some(density)) = (out.oscillation.periods, out.oscillation.samples_per_period) else { return };
-    let held = f64::from(record.facts.op_repeats) > OP_HELD * record.raw_samples as f64;
-    if held && density >= DENSE && moves < FEW_MOVES * periods {
+/// Where the store held OP through most of a cycle, what the valve was sent between is not known, and a no is none. Where
+/// no cycle shows, as many as a verdict wants are taken for granted.
+fn hold_back(out: &mut Assessment, record: &Record, params: &AssessParams) {
+    let raw = record.raw_samples as f64;
+    let repeats = f64::from(record.facts.op_repeats);
+    let periods = out.oscillation.periods.unwrap_or(params.min_periods);
+    if repeats > OP_HELD * raw && raw >= DENSE * periods && raw - repeats < FEW_MOVES * periods {
         (out.verdict, out.stiction, out.confidence, out.reason) = (Verdict::Inconclusive, None, None, Some(OP_IS_HELD));
         out.contributing.clear();
     }
@@ -368,6 +369,7 @@ fn fill(out: &mut Assessment, e: &Estimate, record: &Record, params: &AssessPara
 
 #[cfg(test)]
 mod tests {
+    use super::super::plausible::Implausible;
     use super::*;
 
     #[test]
@@ -376,5 +378,58 @@ mod tests {
         assert_eq!(reversals(&op), 12);
         assert_eq!(reversals(&[]), 0);
         assert_eq!(reversals(&[1.0; 50]), 0);
+    }
+
+    fn wave(n: usize, period: f64) -> Vec<f64> {
+        (0..n).map(|k| 50.0 + 3.0 * libm::sin(2.0 * core::f64::consts::PI * k as f64 / period)).collect()
+    }
+
+    #[test]
+    fn a_signal_that_stands_still_while_op_travels_is_said_in_words() {
+        let found = assess(&Record::uniform(1.0, wave(500, 61.3), vec![1.0; 500]), &AssessParams::default());
+        assert_eq!((found.reason, found.stiction, found.p_stiction), (Some(STUCK_SIGNAL), None, None));
+        let both = assess(&Record::uniform(1.0, vec![2.0; 500], vec![1.0; 500]), &AssessParams::default());
+        assert_eq!(both.reason, Some(Gate::FrozenPv.name()));
+    }
+
+    /// An assessment with the numbers of a fit.
+    fn told(stiction: bool) -> Assessment {
+        let record = Record::uniform(1.0, wave(500, 61.3), wave(500, 61.3));
+        let mut out = Assessment::empty(Window::of(&record), describe(None, &record));
+        out.verdict = if stiction { Verdict::Deadband } else { Verdict::NoStiction };
+        (out.stiction, out.confidence) = (Some(stiction), Some(0.9));
+        (out.s, out.s_interval, out.j_interval) = (Some(2.0), Some([1.5, 2.5]), Some([0.5, 0.7]));
+        out
+    }
+
+    #[test]
+    fn a_model_that_no_plant_has_takes_its_numbers_with_it() {
+        let mut alone = told(true);
+        alone.implausible = vec![Implausible::DeadTime];
+        // Indicators that stand without a model: PV jumps.
+        let jumps = Features::from([("jumps".to_owned(), 0.6), ("confirmed".to_owned(), 0.9)]);
+        let mut backed = alone.clone();
+        disbelieve(&mut backed, &jumps);
+        assert_eq!((backed.verdict, backed.stiction, backed.s), (Verdict::Stiction, Some(true), None));
+        let fit = Features::from([("jumps".to_owned(), 0.0), ("confirmed".to_owned(), 0.9)]);
+        disbelieve(&mut alone, &fit);
+        assert_eq!((alone.verdict, alone.reason), (Verdict::Inconclusive, Some(IMPLAUSIBLE_MODEL)));
+        let mut daily = told(true);
+        daily.implausible = vec![Implausible::DailyCycle];
+        disbelieve(&mut daily, &jumps);
+        assert_eq!((daily.stiction, daily.reason), (None, Some("daily_cycle")));
+    }
+
+    #[test]
+    fn a_no_carries_a_bound_and_is_none_where_op_was_not_stored() {
+        let mut no = told(false);
+        bound(&mut no);
+        assert_eq!((no.s_interval, no.j_interval, no.fs_interval), (Some([0.0, 2.5]), Some([0.0, 0.7]), None));
+        let moving = Record::uniform(1.0, wave(500, 61.3), wave(500, 61.3));
+        hold_back(&mut no, &moving, &AssessParams::default());
+        assert_eq!(no.stiction, Some(false));
+        let steps = (0..500).map(|k| f64::from(k / 25 % 3)).collect();
+        hold_back(&mut no, &Record::uniform(1.0, steps, wave(500, 61.3)), &AssessParams::default());
+        assert_eq!((no.stiction, no.reason), (None, Some(OP_IS_HELD)));
     }
 }

@@ -7,7 +7,7 @@ use crate::signal::stats;
 /// sinusoid within .8, Gaussian noise within 3.
 const OUTSIDE: f64 = 4.0;
 /// Largest share of the record that is an excursion; more is another state of the plant.
-const SHARE: f64 = 0.25;
+const SHARE: f64 = 0.15;
 /// Fewest points: less is a spike, which fits and figures bear.
 const LEAST: usize = 3;
 /// Share of the record that must be left on one side of it.
