@@ -10,7 +10,6 @@ use super::params::AssessParams;
 use super::plausible::implausible;
 use super::rule::{self, Features, Opinion, Rule};
 use super::screen;
-use super::start;
 use crate::detect::oscillation::{Looks, Oscillates};
 use crate::detect::{self, View, Witness};
 use crate::ident::controller::{self, Reading};
@@ -159,7 +158,6 @@ impl Evidence {
             || reversals(&record.op()) as f64 >= params.min_periods;
         let options = options(params, found.as_ref());
         let estimate = if worth_it { quantify(record, &options) } else { None };
-        let estimate = estimate.map(|e| start::without(record, &e, &options).unwrap_or(e));
         let view = View::with_period(record, seen.looks.typical_period);
         let figures = rule::figures(estimate.as_ref(), record, &view, &detect::ALL, is_interpolated(record));
         Self { estimate, view, figures }

@@ -13,7 +13,6 @@ mod params;
 pub mod plausible;
 pub mod rule;
 mod screen;
-mod start;
 pub mod tally;
 
 pub use crate::detect::Witness;
