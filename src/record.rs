@@ -191,6 +191,37 @@ impl Record {
         }
     }
 
+    /// The points from `from` up to `to`. The counts of [`Facts`] are taken in proportion: where in the record they stand
+    /// is not kept.
+    #[must_use]
+    pub fn part(&self, from: usize, to: usize) -> Self {
+        let (to, m) = (to.min(self.len()), self.path_per_point());
+        let from = from.min(to);
+        let cut = |x: &Vec<f64>| x.get(from..to).map(<[f64]>::to_vec);
+        let share = (to - from) as f64 / self.len().max(1) as f64;
+        let count = |n: u32| (f64::from(n) * share).round() as u32;
+        let stamp = |point: usize| self.start_ns + crate::units::ns_from_s(point as f64 * self.point_s());
+        let f = self.facts;
+        let facts = Facts {
+            manual: count(f.manual),
+            filled: count(f.filled),
+            bad: count(f.bad),
+            pv_repeats: count(f.pv_repeats),
+            op_repeats: count(f.op_repeats),
+        };
+        Self {
+            start_ns: stamp(from),
+            end_ns: stamp(to.saturating_sub(1)),
+            raw_samples: (to - from) * self.box_samples,
+            op_path: self.op_path[from * m..to * m].to_vec(),
+            pv: self.pv[from..to].to_vec(),
+            sp: self.sp.as_ref().and_then(cut),
+            mv: self.mv.as_ref().and_then(cut),
+            facts,
+            ..*self
+        }
+    }
+
     /// Points in the record.
     #[must_use]
     pub fn len(&self) -> usize {

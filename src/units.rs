@@ -118,6 +118,77 @@ pub fn loop_name_from(text: &str) -> String {
     if cleaned.is_empty() { "loop".to_owned() } else { cleaned }
 }
 
+/// What a loop controls, by the first letter of its tag (ISA 5.1).
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum LoopKind {
+    /// F.
+    Flow,
+    /// L.
+    Level,
+    /// P.
+    Pressure,
+    /// T.
+    Temperature,
+    /// A: concentration, pH, any analyser.
+    Analysis,
+    /// Not known.
+    #[default]
+    Other,
+}
+
+impl LoopKind {
+    /// Every kind.
+    pub const ALL: [Self; 6] =
+        [Self::Flow, Self::Level, Self::Pressure, Self::Temperature, Self::Analysis, Self::Other];
+
+    /// The kind's word in configurations.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Flow => "flow",
+            Self::Level => "level",
+            Self::Pressure => "pressure",
+            Self::Temperature => "temperature",
+            Self::Analysis => "analysis",
+            Self::Other => "other",
+        }
+    }
+
+    /// The kind of a word.
+    #[must_use]
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|kind| kind.name() == name)
+    }
+
+    /// The kind that a tag's letters name: the first group of letters that reads like a controller's, such as the FIC of
+    /// `10FIC2101`, the LC of `area_3LC` or the PDIC of `PDIC-7`.
+    #[must_use]
+    pub fn of_tag(tag: &str) -> Self {
+        let groups = tag.split(|c: char| !c.is_ascii_alphabetic());
+        groups
+            .map(|letters| Self::of_letters(&letters.to_ascii_uppercase()))
+            .find(|k| *k != Self::Other)
+            .unwrap_or_default()
+    }
+
+    fn of_letters(letters: &str) -> Self {
+        let mut rest = letters.chars();
+        let kind = match rest.next() {
+            Some('F') => Self::Flow,
+            Some('L') => Self::Level,
+            Some('P') => Self::Pressure,
+            Some('T') => Self::Temperature,
+            Some('A') => Self::Analysis,
+            _ => Self::Other,
+        };
+        // A modifier (difference, ratio, total), indicator or recorder, then the controller.
+        let rest = rest.as_str();
+        let rest = rest.strip_prefix(['D', 'F', 'Q']).unwrap_or(rest);
+        let rest = rest.strip_prefix(['I', 'R']).unwrap_or(rest);
+        if matches!(rest, "C" | "CA" | "CV" | "CS") { kind } else { Self::Other }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -153,6 +224,24 @@ mod tests {
         fn any_text_is_answered(text in ".{0,40}") {
             let _ = parse_time(&text);
             prop_assert!(is_loop_name(&loop_name_from(&text)));
+        }
+    }
+
+    #[test]
+    fn a_tag_names_what_its_loop_controls() {
+        for (tag, kind) in [
+            ("FIC101", LoopKind::Flow),
+            ("10FIC2101_0001", LoopKind::Flow),
+            ("AREA.70-3_LIC11502", LoopKind::Level),
+            ("PDIC-7", LoopKind::Pressure),
+            ("tc1", LoopKind::Temperature),
+            ("AIC3", LoopKind::Analysis),
+            ("PAPER1", LoopKind::Other),
+            ("LIFT", LoopKind::Other),
+            ("loop4", LoopKind::Other),
+        ] {
+            assert_eq!(LoopKind::of_tag(tag), kind, "{tag}");
+            assert_eq!(LoopKind::from_name(kind.name()), Some(kind));
         }
     }
 }

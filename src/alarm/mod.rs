@@ -80,6 +80,9 @@ impl Evidence {
         match (assessment.stiction, assessment.s) {
             (None, _) => Self::None,
             (Some(true), _) if assessment.gates.contains(&Gate::TooCoarse) => Self::None,
+            // Called, but not surely enough to raise anything; or without a size that could be held against the limit.
+            (Some(true), _) if assessment.explanation.is_some_and(|e| !e.alarms()) => Self::None,
+            (Some(true), None) => Self::None,
             (Some(true), Some(s)) if s >= params.s_limit_op => Self::For,
             (Some(true), Some(s)) if s >= CLEAR_SHARE * params.s_limit_op => Self::Between,
             _ => Self::Against,

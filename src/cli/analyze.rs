@@ -27,7 +27,7 @@ use crate::gap::Ask;
 use crate::gap::score::score;
 use crate::record::Record;
 use crate::signal::stats;
-use crate::verdict::{AssessParams, DelayChoice, EstimateDocument, ModelChoice, ValveChoice, assess};
+use crate::verdict::{AssessParams, DelayChoice, EstimateDocument, ModelChoice, ValveChoice, assess_in_windows};
 
 /// Estimate stiction once per loop of a file: the whole section that is given, however short.
 #[derive(Debug, clap::Args)]
@@ -378,7 +378,10 @@ fn estimate(
     let started = Instant::now();
     let (record, mut selection) = args.selection.record(points, &one.name, section)?;
     let params = params(args, points, &selection);
-    let mut assessment = assess(&record, &params);
+    // What was asked to be looked at in another density or without its trend is taken as it then stands.
+    let plain = args.selection.downsample.is_none() && args.selection.detrend.is_none();
+    let windows = if plain { points.windows(&one.name, section)? } else { Vec::new() };
+    let mut assessment = assess_in_windows(&record, &windows, &params);
     assessment.elapsed_ms = Some(started.elapsed().as_secs_f64() * 1e3);
     let period_s = assessment.oscillation.period_s;
     if let Some(left) = &mut selection.downsample {
@@ -434,10 +437,22 @@ fn params(args: &Args, points: &Points, taken: &Taken) -> AssessParams {
     params
 }
 
+/// A whole recording as it is judged.
+pub(super) struct Whole {
+    /// Its longest section without a gap.
+    pub record: Record,
+    /// The windows that it is judged in where it is long.
+    pub windows: Vec<Record>,
+    /// Its loop's settings.
+    pub settings: Arc<LoopSettings>,
+}
+
 /// The section of a whole recording that is longest without a gap, for commands that look at whole files.
-pub(super) fn whole_record(loaded: &LoadedLoop, config: &Config) -> anyhow::Result<(Record, Arc<LoopSettings>)> {
+pub(super) fn whole_record(loaded: &LoadedLoop, config: &Config) -> anyhow::Result<Whole> {
     let points = Points::of(loaded, config);
-    Ok((points.record(&loaded.name, Section::Whole, points.settings.window.max_points)?, points.settings))
+    let record = points.record(&loaded.name, Section::Whole, points.settings.window.max_points)?;
+    let windows = points.windows(&loaded.name, Section::Whole)?;
+    Ok(Whole { record, windows, settings: points.settings })
 }
 
 #[cfg(test)]

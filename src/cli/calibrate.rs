@@ -7,12 +7,17 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 use serde_json::json;
 
-use super::evaluate::{index, record_of};
+use super::evaluate::{Judgeable, index, record_of};
 use super::reading::ReadArgs;
 use super::{Format, Outcome, UsageError, on_all_cores, print, say};
+use crate::config::WindowParams;
+use crate::engine::windows;
+use crate::record::Record;
+use crate::signal::align::Point;
 use crate::sim::truth::{Half, verdict_case};
+use crate::units::ns_from_s;
 use crate::verdict::calibrate::{Example, Settings, ask, fit, leave_one_valve_out, weights};
-use crate::verdict::rule::Rule;
+use crate::verdict::rule::{Cuts, Logistic, Rule};
 use crate::verdict::tally::{self, Scored, Tally};
 use crate::verdict::{AssessParams, figures};
 
@@ -36,8 +41,8 @@ pub struct Args {
     /// Keeps the figures of what was computed, a line each, and takes from there what it holds.
     #[arg(long, value_name = "FILE.jsonl")]
     pub features: Option<PathBuf>,
-    /// Features of the rule; those of the rule in use if none are named.
-    #[arg(long = "use", value_name = "NAME,NAME", value_delimiter = ',')]
+    /// Features of a rule; repeat it for each rule whose logits are averaged. Those of the rules in use if none are named.
+    #[arg(long = "use", value_name = "NAME,NAME")]
     pub names: Vec<String>,
     /// Penalty on the squared weights of standardised features.
     #[arg(long, default_value_t = 1.0)]
@@ -45,9 +50,10 @@ pub struct Args {
     /// Valves that all simulated loops together weigh as much as.
     #[arg(long, default_value_t = 40.0)]
     pub weight: f64,
-    /// Probabilities between which the verdict stays open; those of the rule in use if none are given.
-    #[arg(long, value_name = "LO,HI", value_parser = super::analyze::op_range)]
-    pub undecided: Option<[f64; 2]>,
+    /// Probabilities from which on a valve is said to stick and a window counts towards an alarm; those of the rule in
+    /// use if none are given.
+    #[arg(long, value_name = "CALLED,ALARM", value_parser = super::analyze::op_range)]
+    pub cuts: Option<[f64; 2]>,
     /// Instead of the rule, measures how wide intervals of s, j, fs and fd have to be, on so many loops of each regime.
     #[arg(long, value_name = "LOOPS", conflicts_with_all = ["labelled", "features", "names"])]
     pub intervals: Option<u64>,
@@ -90,12 +96,16 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     }
     let shipped = Rule::shipped();
     let examples = gather(args)?;
-    let named = shipped.weights.iter().map(|w| w.feature.clone());
+    let of_part = |part: &Logistic| part.weights.iter().map(|w| w.feature.clone()).collect();
+    let named = |list: &String| list.split(',').map(|name| name.trim().to_owned()).collect();
     let settings = Settings {
-        features: if args.names.is_empty() { named.collect() } else { args.names.clone() },
+        features: match &args.names[..] {
+            [] => shipped.parts.iter().map(of_part).collect(),
+            lists => lists.iter().map(named).collect(),
+        },
         ridge: args.ridge,
         simulated_weight: args.weight,
-        undecided: args.undecided.unwrap_or(shipped.undecided),
+        cuts: args.cuts.map_or(shipped.cuts, |[called, alarm]| Cuts { called, alarm }),
         seed: args.seed,
     };
     let rule = fit(&examples, &weights(&examples, args.weight), &settings).context("nothing to fit: no example")?;
@@ -171,24 +181,41 @@ fn read_features(path: &Path) -> anyhow::Result<BTreeMap<String, Example>> {
 
 fn look(base: &Path, source: &Source) -> anyhow::Result<Example> {
     let name = source.name();
-    let (group, record, params, kind, valve, held, truth) = match source {
+    let (group, judged, kind, valve, held, truth) = match source {
         Source::Loop(half, seed) => {
             let case = verdict_case(*half, *seed);
             let held = matches!(half, Half::Report);
             let params = AssessParams { always_fit: true, ..AssessParams::default() };
-            (name.clone(), case.record(), params, case.kind.to_owned(), None, held, case.sticks)
+            let record = case.record();
+            let windows = windows(&points_of(&record), &WindowParams::default());
+            (name.clone(), Judgeable { record, windows, params }, case.kind.to_owned(), None, held, case.sticks)
         }
         Source::Recording(case) => {
-            let (record, params) = record_of(base, case, &ReadArgs::default())?;
+            let judged = record_of(base, case, &ReadArgs::default())?;
             let truth = case.truth().unwrap_or_default();
-            (case.group.clone(), record, params, case.source.clone(), Some(case.valve.clone()), false, truth)
+            (case.group.clone(), judged, case.source.clone(), Some(case.valve.clone()), false, truth)
         }
     };
-    let (gate, figures) = match figures(&record, &params) {
-        Ok(figures) => (None, figures),
-        Err(gate) => (Some(gate.name().to_owned()), BTreeMap::new()),
+    let (gate, windows) = match figures(&judged.record, &judged.windows, &judged.params) {
+        Ok(windows) => (None, windows),
+        Err(gate) => (Some(gate.name().to_owned()), Vec::new()),
     };
-    Ok(Example { name, source: kind, valve, group, held, truth, gate, figures })
+    Ok(Example { name, source: kind, valve, group, held, truth, gate, windows })
+}
+
+/// The samples of a simulated record.
+fn points_of(record: &Record) -> Vec<Point> {
+    let point = |k: usize| Point {
+        t_ns: record.start_ns + ns_from_s(k as f64 * record.ts_s),
+        op: record.op_path[k],
+        pv: record.pv[k],
+        sp: record.sp.as_ref().map(|sp| sp[k]),
+        mv: None,
+        manual: false,
+        filled: false,
+        bad: 0,
+    };
+    (0..record.len()).map(point).collect()
 }
 
 /// Counts by source.
@@ -236,6 +263,11 @@ fn rates(cases: &[Scored]) -> (Option<f64>, Option<f64>) {
     (share(true, t.found), share(false, t.false_alarms))
 }
 
+/// The same answer from another probability on.
+fn at_cut(scored: &Scored, cut: f64) -> Scored {
+    Scored { answer: scored.answer.zip(scored.p).map(|(answer, p)| answer && p >= cut), ..*scored }
+}
+
 /// Sticking loops found and healthy ones accused of one kind.
 fn kind_line(kind: &str, cases: &[Scored]) -> String {
     let t = Tally::of(cases);
@@ -279,6 +311,8 @@ fn say_text(rule: &Rule, real: &[(&Example, Scored)], held: &[(&Example, Scored)
     }
     let all = only(held);
     say(kind_line("all", &all))?;
+    let sure: Vec<Scored> = all.iter().map(|one| at_cut(one, rule.cuts.alarm)).collect();
+    say(kind_line("all, alarm's cut", &sure))?;
     let bins = tally::reliability_equal(&all, 10);
     say("reliability, bins of equally many:")?;
     for b in &bins {
@@ -290,9 +324,10 @@ fn say_text(rule: &Rule, real: &[(&Example, Scored)], held: &[(&Example, Scored)
 }
 
 fn said(rule: &Rule, example: &Example) -> String {
-    let features = crate::verdict::rule::features(example.figures.clone());
+    let figures = example.windows.first().cloned().unwrap_or_default();
+    let features = crate::verdict::rule::features(figures);
     let one = |name: &str| features.get(name).map_or(format!("{name} -"), |x| format!("{name} {x:.2}"));
-    rule.weights.iter().map(|w| one(&w.feature)).collect::<Vec<_>>().join(", ")
+    rule.names().map(one).collect::<Vec<_>>().join(", ")
 }
 
 fn say_json(rule: &Rule, real: &[(&Example, Scored)], held: &[(&Example, Scored)]) -> anyhow::Result<()> {

@@ -38,7 +38,7 @@ impl Summary {
             verdict: a.verdict.name(),
             sticks: matches!(a.verdict, Verdict::Stiction | Verdict::Deadband),
             p: a.p_stiction,
-            s: a.s,
+            s: a.s.filter(|_| a.stiction != Some(false)),
             s_interval: a.s_interval,
             period_s: a.oscillation.period_s,
             grade: a.grade.map_or_else(|| "-".to_owned(), |g| g.to_string()),

@@ -8,14 +8,14 @@ use serde::Serialize;
 
 use super::UsageError;
 use crate::config::Config;
-use crate::engine::{LoopSettings, section};
+use crate::engine::{LoopSettings, longest, section, windows};
 use crate::files::LoadedLoop;
 use crate::record::{Record, Signal, Value};
 use crate::signal::align::{Point, align_all};
 use crate::signal::detrend::remove_line;
 use crate::signal::resample::{boxed, decimated};
 use crate::signal::stats;
-use crate::units::{format_rfc3339, parse_time};
+use crate::units::{LoopKind, format_rfc3339, parse_time};
 
 /// Usable samples, and points after downsampling, that a fit must have at least.
 pub const MIN_SAMPLES: usize = 30;
@@ -254,7 +254,8 @@ impl Points {
     /// Joins a loop's samples under the configuration that they were recorded with.
     #[must_use]
     pub fn of(loaded: &LoadedLoop, config: &Config) -> Self {
-        let settings = Arc::new(LoopSettings::of(config, config.loop_named(&loaded.name)));
+        let settings =
+            Arc::new(LoopSettings::of(config, config.loop_named(&loaded.name), LoopKind::of_tag(&loaded.name)));
         let (stretches, counts) = align_all(&loaded.samples, &settings.align);
         if counts.late + counts.stamp_outliers > 0 {
             tracing::warn!(
@@ -286,6 +287,15 @@ impl Points {
             bail!("{name}: {there} samples in one piece in this section, at least {MIN_SAMPLES} are needed");
         }
         Ok(record)
+    }
+
+    /// The windows that a section is judged in where it is long, see [`windows`].
+    ///
+    /// # Errors
+    /// The section lies outside the samples.
+    pub fn windows(&self, name: &str, part: Section) -> anyhow::Result<Vec<Record>> {
+        let (from_ns, to_ns) = self.bounds(name, part)?;
+        Ok(windows(longest(&self.stretches, from_ns, to_ns).0, &self.settings.window))
     }
 
     /// Every joined sample of a section, those behind gaps too.

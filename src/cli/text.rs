@@ -42,9 +42,15 @@ fn estimate(document: &EstimateDocument, box_samples: f64) -> String {
         row("sticking", format!("p {p:.2}: from {base:+.1} by {} (logits)", said.join(", ")));
     }
     if let Some(reason) = a.reason {
-        row(if a.stiction.is_some() { "no more" } else { "no answer" }, reason.to_owned());
+        let row_name = if a.stiction.is_some() { "no more" } else { "no answer" };
+        row(row_name, format!("{reason}: {}", words::reason(reason)));
     }
-    if a.stiction_index.is_some() {
+    if let Some(why) = words::disbelief(a) {
+        row("no size", why);
+    }
+    if let (Some(false), Some([_, high])) = (a.stiction, a.s_interval) {
+        row("stiction", format!("s at most {} (OP units)", number(Some(high))));
+    } else if a.s.is_some() {
         row("stiction", format!("fs {}  fd {}  (OP units)", number(a.fs), number(a.fd)));
         row("", format!("s {}  j {}  s/span {}", number(a.s), number(a.j), number(a.s_over_span)));
         for (name, interval) in [("s", a.s_interval), ("j", a.j_interval), ("fs", a.fs_interval), ("fd", a.fd_interval)]
@@ -55,9 +61,11 @@ fn estimate(document: &EstimateDocument, box_samples: f64) -> String {
                 row("90 %", format!("{name} {} to {}{seen}", number(Some(low)), number(Some(high))));
             }
         }
-        row("index", number(a.stiction_index));
         let words: Vec<&str> = [a.strength, a.region, a.severity].into_iter().flatten().collect();
         row("class", words.join(", "));
+    }
+    if let Some(index) = a.stiction_index {
+        row("index", number(Some(index)));
     }
     if let Some(p) = &a.process {
         let taus: Vec<String> = p.time_constants_s.iter().map(|t| number(Some(*t))).collect();
@@ -75,7 +83,7 @@ fn estimate(document: &EstimateDocument, box_samples: f64) -> String {
         );
     }
     if let Some(least) = a.s_detectable {
-        row("detectable", format!("s from {} on", number(Some(least))));
+        row("detectable", format!("s from {} on would have been seen", number(Some(least))));
     }
     if let Some(c) = &a.controller {
         let (kc, ti, td) = (number(Some(c.kc)), number(Some(c.ti_s)), number(Some(c.td_s)));

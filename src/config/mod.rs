@@ -16,7 +16,7 @@ use reader::{Lines, TableReader, subtable, subtables};
 pub use service::{Commands, Retention, Signing};
 
 use crate::record::Signal;
-use crate::units::is_loop_name;
+use crate::units::{LoopKind, is_loop_name};
 
 /// Everything the daemon is told. Field names are the keys of the text.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -145,6 +145,9 @@ pub struct LoopConfig {
     pub keys: Vec<(Signal, String)>,
     /// Range of OP, so that sizes can be given in % of travel.
     pub op_range: Option<[f64; 2]>,
+    /// What it controls, where the first letters of its name do not say so.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub kind: Option<&'static str>,
     /// How much the loop matters, 1 to 5.
     pub criticality: u8,
     /// Its windows.
@@ -471,10 +474,24 @@ fn read_loop(r: &mut TableReader<'_, '_>, window: WindowParams, alarm: AlarmPara
         r.refuse(line, "op_range", format!("[{}, {}] is empty", range[0], range[1]), "write [LOW, HIGH]");
         None
     });
+    let kind = r.text("kind").and_then(|(word, line)| {
+        let found = LoopKind::from_name(&word);
+        if found.is_none() {
+            let known: Vec<&str> = LoopKind::ALL.map(LoopKind::name).to_vec();
+            r.refuse(
+                line,
+                "kind",
+                format!("{word:?} is no kind of loop"),
+                format!("write one of {}", known.join(", ")),
+            );
+        }
+        found.map(LoopKind::name)
+    });
     LoopConfig {
         name: name.map(|(n, _)| n).unwrap_or_default(),
         keys,
         op_range,
+        kind,
         criticality: r.integer("criticality", 3, 1, 5) as u8,
         window: read_window(r, window),
         alarm: read_alarm(r, alarm),

@@ -23,8 +23,8 @@ pub(super) struct Grain {
 
 /// The views: where there are few periods the fine one sees the slips, the coarse one the slow answer of the process.
 pub(super) const GRAINS: [Grain; 2] = [
-    Grain { per_period: 30.0, enough: 240, most: 1400, periodic: true },
-    Grain { per_period: 20.0, enough: 40, most: 1400, periodic: false },
+    Grain { per_period: 30.0, enough: 240, most: 2048, periodic: true },
+    Grain { per_period: 20.0, enough: 40, most: 2048, periodic: false },
 ];
 /// Fewest boxes.
 const LEAST_BOXES: usize = 40;

@@ -51,7 +51,7 @@ pub const ALL: [&dyn Detector; 6] = [
     &one_step::Periodicity,
 ];
 
-/// OP as the detectors look at it, and all that follows from it alone: made once for every PV that is looked at beside it.
+/// OP (and the set point) as the detectors look at it, and all that follows from it alone: made once for every PV that is looked at beside it.
 #[derive(Debug)]
 pub struct OpSide {
     /// OP, boxed and smoothed over a sixteenth of a period.
@@ -62,6 +62,8 @@ pub struct OpSide {
     pub period: f64,
     /// Record points a point of the view.
     box_points: usize,
+    /// The set point at the record's points.
+    sp: Option<Vec<f64>>,
     /// What OP offers to predict PV by, in fine and in coarse boxes; `None` where the record is too short or OP does not
     /// move.
     inputs: [Option<one_step::Inputs>; 2],
@@ -86,7 +88,7 @@ pub struct View {
 
 /// Points a period that a view keeps, and points that it looks at.
 const POINTS_PER_PERIOD: f64 = 80.0;
-const MAX_POINTS: usize = 1400;
+const MAX_POINTS: usize = 2048;
 
 impl OpSide {
     /// Prepares a record's OP, whose typical period is `period` points where it has one.
@@ -100,7 +102,8 @@ impl OpSide {
         let period = period / box_points as f64;
         let op = detrend::hann_smooth(&boxed(&op, box_points), smoothing(period));
         let op_fast = detrend::high_pass(&op, slow(period));
-        Self { op, op_fast, period, box_points, inputs }
+        let sp = record.sp.clone().filter(|sp| sp.len() == record.len());
+        Self { op, op_fast, period, box_points, sp, inputs }
     }
 }
 
@@ -121,7 +124,8 @@ impl View {
     /// to which stems are asked whether they predict PV.
     #[must_use]
     pub fn beside(output: &Arc<OpSide>, pv: &[f64], near: Option<f64>) -> Self {
-        let predictions = [0, 1].map(|grain| one_step::Prediction::of(output.inputs[grain].as_ref()?, pv));
+        let predictions =
+            [0, 1].map(|grain| one_step::Prediction::of(output.inputs[grain].as_ref()?, pv, output.sp.as_deref()));
         let pv = boxed(pv, output.box_points);
         let pv_noise = stats::noise_sd(&pv);
         let pv = detrend::hann_smooth(&pv, smoothing(output.period));

@@ -83,16 +83,18 @@ pub(super) struct Prediction {
 }
 
 impl Prediction {
-    /// `None` where PV does not move.
-    pub fn of(inputs: &Inputs, pv: &[f64]) -> Option<Self> {
+    /// `None` where PV does not move; `sp` is the set point at PV's points, where one is known.
+    pub fn of(inputs: &Inputs, pv: &[f64], sp: Option<&[f64]>) -> Option<Self> {
         let boxes = &inputs.boxes;
-        let pv = detrend::box_means(&pv[..boxes.op.len() * boxes.points], boxes.points);
+        let boxed = |x: &[f64]| detrend::box_means(&x[..boxes.op.len() * boxes.points], boxes.points);
+        let pv = boxed(pv);
         let (level, spread) = (stats::mean(&pv), stats::std_dev(&pv));
         if !spread.is_normal() {
             return None;
         }
         let pv: Vec<f64> = pv.iter().map(|y| (y - level) / spread).collect();
-        let sign = sign::of_gain(&boxes.op, &pv);
+        let sp: Option<Vec<f64>> = sp.map(|sp| boxed(sp).iter().map(|v| (v - level) / spread).collect());
+        let sign = sign::of_gain_with_sp(&boxes.op, &pv, sp.as_deref());
         let near = if inputs.periodic { [lines::around(&pv), inputs.line] } else { [0.0; 2] };
         let mut known = Known::past(pv, boxes.from, boxes.order);
         let mut periodicity = None;

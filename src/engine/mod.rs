@@ -20,13 +20,13 @@ use crate::alarm::{Alarm, AlarmDocument, Command, CommandError};
 use crate::config::{AlarmParams, Config, GapParams, LoopConfig, WindowParams};
 use crate::record::{Record, Sample};
 use crate::signal::align::{AlignCounts, AlignParams, Aligner, Quality};
-use crate::units::ns_from_s;
+use crate::units::{LoopKind, ns_from_s};
 use crate::verdict::{AssessParams, Assessment, EstimateDocument, assess};
 use looper::Loop;
 
 pub use gaps::{GapReason, GapRefusal, GapRequest, GapWatch, PublishedGap};
 pub use input::{INPUT_SCHEMA, RecordedInput, STATE_SCHEMA, StateDocument};
-pub use windowing::section;
+pub use windowing::{longest, section, windows};
 
 /// Handle of a loop in one engine.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -58,9 +58,9 @@ pub struct LoopSettings {
 }
 
 impl LoopSettings {
-    /// The settings that a configuration gives to a loop.
+    /// The settings that a configuration gives to a loop; `kind` is what its tag says, over which the configuration rules.
     #[must_use]
-    pub fn of(config: &Config, own: Option<&LoopConfig>) -> Self {
+    pub fn of(config: &Config, own: Option<&LoopConfig>, kind: LoopKind) -> Self {
         let (window, alarm) = own.map_or((config.window, config.alarm), |l| (l.window, l.alarm));
         Self {
             align: AlignParams {
@@ -73,6 +73,7 @@ impl LoopSettings {
                 min_periods: window.min_periods,
                 min_samples_per_period: window.min_samples_per_period,
                 op_range: own.and_then(|l| l.op_range),
+                kind: own.and_then(|l| l.kind).and_then(LoopKind::from_name).unwrap_or(kind),
                 ..AssessParams::default()
             },
             window,
@@ -204,7 +205,8 @@ impl StreamState {
 pub struct Engine {
     config: Arc<Config>,
     config_hash: Arc<str>,
-    common: Arc<LoopSettings>,
+    /// Settings of loops that the configuration does not name, by what their tags say they control.
+    common: [Arc<LoopSettings>; LoopKind::ALL.len()],
     loops: Vec<Loop>,
     by_name: HashMap<Arc<str>, LoopId>,
     /// Loops that the configuration names and that have not appeared, with their place there: their places are kept.
@@ -215,7 +217,7 @@ impl Engine {
     /// An engine without loops; the configured ones appear with their first sample, as discovered ones do.
     #[must_use]
     pub fn new(config: Config) -> Self {
-        let common = Arc::new(LoopSettings::of(&config, None));
+        let common = LoopKind::ALL.map(|kind| Arc::new(LoopSettings::of(&config, None, kind)));
         let config_hash = config.hash().into();
         let expected = config.loops.iter().enumerate().map(|(at, l)| (l.name.clone(), at)).collect();
         Self { config: Arc::new(config), config_hash, common, loops: Vec::new(), by_name: HashMap::new(), expected }
@@ -261,7 +263,9 @@ impl Engine {
             return None;
         }
         let own = self.expected.remove(name).and_then(|at| self.config.loops.get(at));
-        let settings = own.map_or_else(|| self.common.clone(), |l| Arc::new(LoopSettings::of(&self.config, Some(l))));
+        let kind = LoopKind::of_tag(name);
+        let common = || self.common[kind as usize].clone();
+        let settings = own.map_or_else(common, |l| Arc::new(LoopSettings::of(&self.config, Some(l), kind)));
         let id = LoopId(self.loops.len() as u32);
         let name: Arc<str> = name.into();
         self.loops.push(Loop::new(name.clone(), settings));

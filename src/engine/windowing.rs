@@ -38,6 +38,46 @@ pub(super) fn choose_record(history: &History, params: &WindowParams, end_ns: i6
     history.record(from_ns, end_ns)
 }
 
+/// Windows that a long record is judged in, and the length from which on it is, both in windows.
+const WINDOWS: [usize; 2] = [3, 5];
+const LONG: f64 = 1.6;
+
+/// The windows that a stretch is judged in where it is longer than 1.6 windows (32 periods where a window has 20):
+/// `max_periods` periods each of the fastest regular oscillation that its middle shows, three of them or, where it has
+/// room for them side by side, five, evenly spread. Empty for a shorter stretch and where nothing oscillates.
+#[must_use]
+pub fn windows(stretch: &[Point], params: &WindowParams) -> Vec<Record> {
+    let Some(period) = fastest_period(stretch, params) else { return Vec::new() };
+    let length = params.max_periods * period;
+    if (stretch.len() as f64) < LONG * length {
+        return Vec::new();
+    }
+    let (length, [few, many]) = (length as usize, WINDOWS);
+    let count = if stretch.len() >= many * length { many } else { few };
+    let place = |k: usize| k * (stretch.len() - length) / (count - 1);
+    (0..count).filter_map(|k| record_of(&stretch[place(k)..place(k) + length], params.max_points)).collect()
+}
+
+/// Period, samples, of the fastest regular oscillation in the middle of a stretch: in raw samples first, then in ever
+/// larger boxes.
+fn fastest_period(stretch: &[Point], params: &WindowParams) -> Option<f64> {
+    for level in (0..MAX_LEVELS).step_by(LEVEL_STEP) {
+        let length = stretch.len().min(params.max_points << level);
+        let from = (stretch.len() - length) / 2;
+        let record = record_of(&stretch[from..from + length], params.max_points)?;
+        if let Some(found) = oscillation::detect(&record.op(), &record.pv)
+            && found.oscillating
+            && found.periods >= params.min_periods
+        {
+            return Some(found.period_points * record.box_samples as f64);
+        }
+        if length == stretch.len() {
+            break;
+        }
+    }
+    None
+}
+
 /// The record of a section that a person chose: the longest stretch without a gap between two stamps (ends included),
 /// named by `end_ns`, boxed as the daemon would box it. Also says how many points of the section stand outside it.
 #[must_use]
@@ -48,19 +88,60 @@ pub fn section(
     end_ns: Option<i64>,
     max_points: usize,
 ) -> (Option<Record>, usize) {
-    let inside = |stretch: &'_ [Point]| {
-        let from = stretch.partition_point(|p| p.t_ns < from_ns);
-        let to = stretch.partition_point(|p| p.t_ns <= to_ns);
-        (from, to.max(from))
-    };
-    let spans: Vec<(&[Point], (usize, usize))> = stretches.iter().map(|s| (s.as_slice(), inside(s))).collect();
-    let total: usize = spans.iter().map(|(_, (from, to))| to - from).sum();
-    let Some((stretch, (from, to))) = spans.into_iter().max_by_key(|(_, (from, to))| to - from) else {
-        return (None, 0);
-    };
-    let record = record_of(&stretch[from..to], max_points).map(|mut record| {
+    let (longest, total) = longest(stretches, from_ns, to_ns);
+    let record = record_of(longest, max_points).map(|mut record| {
         record.end_ns = end_ns.unwrap_or(record.end_ns);
         record
     });
-    (record, total - (to - from))
+    (record, total - longest.len())
+}
+
+/// The longest stretch without a gap between two stamps (ends included), and how many points there are between them.
+#[must_use]
+pub fn longest(stretches: &[Vec<Point>], from_ns: i64, to_ns: i64) -> (&[Point], usize) {
+    let inside = |stretch: &'_ Vec<Point>| {
+        let from = stretch.partition_point(|p| p.t_ns < from_ns);
+        let to = stretch.partition_point(|p| p.t_ns <= to_ns);
+        from..to.max(from)
+    };
+    let parts: Vec<&[Point]> = stretches.iter().map(|s| &s[inside(s)]).collect();
+    let total = parts.iter().map(|part| part.len()).sum();
+    (parts.into_iter().max_by_key(|part| part.len()).unwrap_or(&[]), total)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::units::ns_from_s;
+
+    fn stretch(n: usize, period: f64) -> Vec<Point> {
+        let wave = |k: usize, phase: f64| libm::sin(2.0 * core::f64::consts::PI * (k as f64 / period + phase));
+        let point = |k: usize| Point {
+            t_ns: ns_from_s(k as f64),
+            op: wave(k, 0.0),
+            pv: wave(k, 0.2),
+            sp: None,
+            mv: None,
+            manual: false,
+            filled: false,
+            bad: 0,
+        };
+        (0..n).map(point).collect()
+    }
+
+    #[test]
+    fn long_stretches_are_cut_into_an_odd_number_of_windows() {
+        let params = WindowParams::default();
+        for (n, period, count, length) in
+            [(1000, 40.0, 0, 0), (1300, 40.0, 3, 800), (9000, 40.0, 5, 800), (60_000, 400.0, 5, 8000)]
+        {
+            let found = windows(&stretch(n, period), &params);
+            assert_eq!(found.len(), count, "{n} {period}");
+            assert!(found.iter().all(|r| r.raw_samples.abs_diff(length) * 50 <= length.max(1)), "{n} {period}");
+            if let (Some(first), Some(last)) = (found.first(), found.last()) {
+                assert_eq!(first.start_ns, 0);
+                assert!(last.end_ns >= ns_from_s(n as f64 - 10.0));
+            }
+        }
+    }
 }

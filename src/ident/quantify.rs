@@ -126,7 +126,10 @@ pub fn quantify(record: &Record, options: &Options) -> Option<Estimate> {
         let problem = Problem::new(&question, sign);
         estimate(&problem, options, laws, rival, &scale)
     };
-    let Some(read) = sign::of_gain(&question.mean, &question.pv) else {
+    let sp = record.sp.as_ref().filter(|sp| sp.len() == record.len());
+    let level = stats::mean(&record.pv);
+    let sp: Option<Vec<f64>> = sp.map(|sp| sp.iter().map(|v| (v - level) / deviation).collect());
+    let Some(read) = sign::of_gain_with_sp(&question.mean, &question.pv, sp.as_deref()) else {
         let both = [1.0, -1.0].map(|sign| of_sign(sign, f64::INFINITY));
         let rounds = both.iter().flatten().map(|e| e.rounds).sum();
         let evaluations = both.iter().flatten().map(|e| e.evaluations).sum();

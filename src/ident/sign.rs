@@ -4,8 +4,12 @@
 //! sign would model the controller backwards instead of the process.
 
 use super::robust::Regressor;
-use crate::signal::detrend::moving_average;
+use crate::signal::detrend::{moving_average, remove_mean};
 use crate::signal::stats;
+
+/// Spread of the set point over PV's from which it moves, and its correlation with PV from which PV follows it.
+const SP_MOVES: f64 = 0.02;
+const PV_FOLLOWS: f64 = 0.2;
 
 /// Sign of the process gain (+1 or -1), or `None` where the record does not show the controller clearly.
 ///
@@ -13,7 +17,29 @@ use crate::signal::stats;
 /// reweighted least squares, for OP and PV smoothed over 1, 3 or 7 points and PV up to a point earlier.
 #[must_use]
 pub fn of_gain(op: &[f64], pv: &[f64]) -> Option<f64> {
-    let mut best: Option<Answer> = None;
+    decided(best_of(op, pv, None)?)
+}
+
+/// The same where the set point is known, in PV's units: where it moves and PV follows it, SP - PV is tried beside -PV. A
+/// controller whose set point moves answers the error, and PV alone may even run with OP.
+#[must_use]
+pub fn of_gain_with_sp(op: &[f64], pv: &[f64], sp: Option<&[f64]>) -> Option<f64> {
+    let mut best = best_of(op, pv, None);
+    if let Some(sp) = sp.filter(|sp| sp.len() == pv.len() && follows(pv, sp)) {
+        let behind: Vec<f64> = pv.iter().zip(sp).map(|(pv, sp)| pv - sp).collect();
+        best = best_of(op, &behind, best);
+    }
+    decided(best?)
+}
+
+fn follows(pv: &[f64], sp: &[f64]) -> bool {
+    let (moved, spread) = (stats::std_dev(sp), stats::std_dev(pv));
+    let together = stats::dot(&remove_mean(sp), &remove_mean(pv)) / pv.len() as f64;
+    moved > SP_MOVES * spread && together > PV_FOLLOWS * moved * spread
+}
+
+/// The clearest answer of the controller; a later one must be clearer by 2 % of OP's moves.
+fn best_of(op: &[f64], pv: &[f64], mut best: Option<Answer>) -> Option<Answer> {
     let mut work = Regressor::default();
     for width in [1, 3, 7] {
         let (u, e) = (moving_average(op, width), moving_average(pv, width));
@@ -28,7 +54,10 @@ pub fn of_gain(op: &[f64], pv: &[f64]) -> Option<f64> {
             }
         }
     }
-    let found = best?;
+    best
+}
+
+fn decided(found: Answer) -> Option<f64> {
     let agree = found.proportional * found.integral > 0.0;
     if found.r2 > 0.6 || (found.r2 > 0.3 && agree) {
         let stronger =
@@ -92,5 +121,25 @@ mod tests {
         let unrelated: Vec<f64> = (0_u64..300).map(|k| ((k * k * 7919) % 1013) as f64).collect();
         assert_eq!(of_gain(&unrelated, &pv), None);
         assert_eq!(of_gain(&[], &[]), None);
+    }
+
+    #[test]
+    fn a_set_point_that_pv_follows_shows_the_sign_that_pv_hides() {
+        let n = 500;
+        let sp: Vec<f64> = (0..n).map(|k| 3.0 * libm::sin(k as f64 * 0.05) + libm::sin(k as f64 * 0.21)).collect();
+        let (mut pv, mut op, mut y, mut integral) = (Vec::new(), Vec::new(), 0.0, 0.0);
+        for target in &sp {
+            let error = target - y;
+            integral += 0.05 * error;
+            let u = 0.5 * error + integral;
+            op.push(u);
+            pv.push(y);
+            y += 0.4 * (2.0 * u - y);
+        }
+        assert_eq!(of_gain_with_sp(&op, &pv, Some(&sp)), Some(1.0));
+        let reversed: Vec<f64> = op.iter().map(|u| -u).collect();
+        assert_eq!(of_gain_with_sp(&reversed, &pv, Some(&sp)), Some(-1.0));
+        let still = vec![0.0; n];
+        assert_eq!(of_gain_with_sp(&op, &pv, Some(&still)), of_gain(&op, &pv));
     }
 }

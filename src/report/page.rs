@@ -175,12 +175,12 @@ fn summary(one: &LoopReport, a: &Assessment) -> Markup {
     let w = &a.window;
     let evidence = words::evidence(a);
     let unknown = words::unknowns(a, one.op_range);
-    let bump = words::bump_test(a).zip(a.s).filter(|_| a.stiction != Some(false));
+    let bump = words::proposal(a).filter(|_| a.stiction == Some(true));
     html! {
         section.card {
             p.headline { (badge(a.verdict)) " " (capital(words::verdict(a.verdict))) "." }
             dl {
-                @if let Some(size) = words::size(a, one.op_range).filter(|_| a.stiction != Some(false)) {
+                @if let Some(size) = words::size(a, one.op_range).filter(|_| a.stiction.is_some()) {
                     dt { "Size" } dd { (size) "." }
                 }
                 dt { "How sure" } dd { (words::sureness(a)) }
@@ -190,7 +190,7 @@ fn summary(one: &LoopReport, a: &Assessment) -> Markup {
                         " Besides: " (a.contributing.iter().map(|v| words::beside(*v)).collect::<Vec<_>>().join("; ")) "."
                     }
                 }
-                @if let Some((test, s)) = bump { dt { "Bump test" } dd { (words::bump_words(&test, s)) } }
+                @if let Some(test) = bump { dt { "Bump test" } dd { (test) } }
                 @if !evidence.is_empty() {
                     dt { "Evidence" } dd { ul { @for (text, logits) in &evidence {
                         li { (text) span.soft { " (" (format!("{logits:+.1}")) ")" } }

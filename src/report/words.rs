@@ -1,5 +1,6 @@
 //! An estimate in words that a planner can act on.
 
+use crate::verdict::plausible::Implausible;
 use crate::verdict::{Assessment, Gate, SCREENED, Verdict};
 
 /// A number with as many digits as matter, for sentences and tables.
@@ -57,10 +58,8 @@ pub const fn beside(v: Verdict) -> &'static str {
 #[must_use]
 pub const fn advice(v: Verdict) -> &'static str {
     match v {
-        Verdict::Stiction => "Confirm with the bump test below, then have packing, actuator and positioner looked at.",
-        Verdict::Deadband => {
-            "Confirm with the bump test below, then have linkage, gears and positioner looked at for play."
-        }
+        Verdict::Stiction => "Confirm with a bump test, then have packing, actuator and positioner looked at.",
+        Verdict::Deadband => "Confirm with a bump test, then have linkage, gears and positioner looked at for play.",
         Verdict::Disturbance => "Look upstream: another loop or load drives this one. The valve can stay in service.",
         Verdict::Tuning => "Have the tuning looked at: the loop swings by itself. The valve can stay in service.",
         Verdict::NoOscillation | Verdict::NoStiction => "Nothing to be done about this valve on this record.",
@@ -72,8 +71,14 @@ pub const fn advice(v: Verdict) -> &'static str {
 #[must_use]
 pub fn sureness(a: &Assessment) -> String {
     let Some(p) = a.p_stiction else {
-        return "Nothing can be said: a gate blocks the answer.".to_owned();
+        return match a.reason.map(reason) {
+            Some(why) => format!("Nothing can be said: {why}."),
+            None => "Nothing can be said: a gate blocks the answer.".to_owned(),
+        };
     };
+    if let (None, Some(why)) = (a.stiction, a.reason) {
+        return format!("No answer: {}. The indicators alone would give the valve {p:.2}; grade D.", reason(why));
+    }
     let odds = match p {
         p if p >= 0.99 => "hardly any doubt that the valve sticks",
         p if p >= 0.9 => "very likely the valve sticks",
@@ -92,10 +97,61 @@ pub fn sureness(a: &Assessment) -> String {
     format!("Probability of sticking {p:.2}: {odds}; {grade}.")
 }
 
-/// The size, in OP units and in % of travel where the range is known.
+/// A reason for no answer, or for nothing beside it, in words; a gate's are the gate's.
+#[must_use]
+pub fn reason(name: &str) -> String {
+    let known = match name {
+        "stuck_signal" => {
+            "PV stands still while OP travels: a dead transmitter, a closed block valve, or a valve that does not move at \
+             all; look at the transmitter and the valve before anything else"
+        }
+        "implausible_model" => "only a model that no such loop has would explain this record",
+        "daily_cycle" => {
+            "the cycle takes a day: weather, shifts or load make it, and nothing is seen of the valve beside it"
+        }
+        "trend" => "PV is little more than a straight line here; there is no cycle to judge the valve by",
+        "op_held" => "OP is stored too seldom within a cycle to show what the valve was sent",
+        "not_fitted" => "no model could be fitted",
+        "screened" => "a calm loop, of which nothing more was computed",
+        _ => "",
+    };
+    if !known.is_empty() {
+        return known.to_owned();
+    }
+    Gate::ALL.into_iter().find(|g| g.name() == name).map_or_else(|| name.replace('_', " "), |g| gate(g).to_owned())
+}
+
+/// What is not believed of a model or its record.
+#[must_use]
+pub const fn implausible(what: Implausible) -> &'static str {
+    match what {
+        Implausible::DailyCycle => "the cycle takes a day",
+        Implausible::Trend => "PV is little more than a straight line",
+        Implausible::DeadTime => "the dead time is longer than such a loop, or its own period, allows",
+        Implausible::TimeConstant => "a time constant is longer than such a loop has, or than the window",
+        Implausible::Gain => "the gain would take PV far beyond where it was",
+        Implausible::Integrating => "such a loop does not integrate",
+        Implausible::Fit => "it follows PV hardly better than PV's mean does",
+    }
+}
+
+/// Why no size and no model are given, where none was believed.
+#[must_use]
+pub fn disbelief(a: &Assessment) -> Option<String> {
+    let said: Vec<&str> = a.implausible.iter().map(|what| implausible(*what)).collect();
+    (!said.is_empty()).then(|| format!("no size and no process model are given: {}", said.join("; ")))
+}
+
+/// The size, in OP units and in % of travel where the range is known; an upper bound where no stiction is seen.
 #[must_use]
 pub fn size(a: &Assessment, op_range: Option<[f64; 2]>) -> Option<String> {
     let s = a.s?;
+    if a.stiction == Some(false) {
+        let [_, high] = a.s_interval?;
+        let of_travel =
+            op_range.map(|[low, top]| format!(" ({} % of travel)", number(100.0 * high / (top - low).abs())));
+        return Some(format!("at most {} OP units{}", number(high), of_travel.unwrap_or_default()));
+    }
     let of_travel = |v: f64| op_range.map(|[low, high]| 100.0 * v / (high - low).abs());
     let mut text = match of_travel(s) {
         Some(percent) => format!("{} % of travel ({} OP units)", number(percent), number(s)),
@@ -162,6 +218,7 @@ pub const fn gate(g: Gate) -> &'static str {
         Gate::Quantised => "OP or PV stands on a coarse grid",
         Gate::Compressed => "the history was compressed: corners of PV are the recorder's",
         Gate::Irregular => "the sampling time is not constant",
+        Gate::Excursion => "something that happened once, such as a trip or a start-up, was cut out of the fit",
     }
 }
 
@@ -172,6 +229,8 @@ pub fn unknowns(a: &Assessment, op_range: Option<[f64; 2]>) -> Vec<String> {
     let screened = a.reason == Some(SCREENED);
     if screened {
         out.push("all else: a calm loop, of which nothing more was computed (screened)".to_owned());
+    } else if let Some(why) = disbelief(a) {
+        out.push(why);
     } else if a.s.is_none() {
         out.push("the size: no model was fitted".to_owned());
     } else if a.j_identifiable == Some(false) {
@@ -214,44 +273,67 @@ pub struct BumpTest {
     pub pv_move: f64,
 }
 
+/// The longest that a test may take, s: operations give a loop away for a shift at most.
+const SHIFT_S: f64 = 8.0 * 3_600.0;
+/// Steps back.
+const STEPS: u32 = 6;
+/// First move, bands: usual, and the least that still takes up the slack.
+const FIRST_MOVE: [f64; 2] = [1.5, 1.2];
+
 /// The bump test for an estimate with a fit: a first move of 1.5 s takes up the slack, then steps of a quarter of s go
 /// back until PV follows, held for the dead time and three of the largest time constant (a quarter of the period where
-/// the process integrates). PV that first follows after n steps shows a band of about n s / 4.
+/// the process integrates). PV that first follows after n steps shows a band of about n s / 4. The first move, or the
+/// holds of an integrating process, are made smaller where PV would else go further than it did in the record; `None`
+/// where that leaves no test, or one that takes longer than a shift.
 #[must_use]
 pub fn bump_test(a: &Assessment) -> Option<BumpTest> {
     let (s, process) = (a.s.filter(|s| *s > 0.0)?, a.process.as_ref()?);
-    let settle = if process.integrating {
-        0.25 * a.oscillation.period_s.unwrap_or(4.0 * process.dead_time_s)
+    let gain = process.gain.abs();
+    let room = a.pv_span.unwrap_or(f64::INFINITY);
+    let shortest = process.dead_time_s.max(2.0 * a.window.ts_s);
+    let [mut first_op, least_op] = FIRST_MOVE.map(|bands| bands * s);
+    let (hold_s, pv_move) = if process.integrating {
+        let usual = process.dead_time_s + 0.25 * a.oscillation.period_s.unwrap_or(4.0 * process.dead_time_s);
+        let hold_s = usual.min(room / (gain * first_op)).max(shortest);
+        (hold_s, gain * first_op * hold_s)
     } else {
-        3.0 * process.time_constants_s.first().copied().unwrap_or(0.0)
+        let settle = 3.0 * process.time_constants_s.first().copied().unwrap_or(0.0);
+        first_op = first_op.min(room / gain).max(least_op);
+        ((process.dead_time_s + settle).max(shortest), gain * first_op)
     };
-    let hold_s = (process.dead_time_s + settle).max(2.0 * a.window.ts_s);
-    let steps = 6;
-    let travel = process.gain.abs() * 1.5 * s;
-    Some(BumpTest {
-        first_op: 1.5 * s,
-        step_op: 0.25 * s,
-        steps,
-        hold_s,
-        total_s: hold_s * f64::from(steps + 1),
-        pv_move: if process.integrating { travel * hold_s } else { travel },
-    })
+    let total_s = hold_s * f64::from(STEPS + 1);
+    let fits = pv_move <= room * (1.0 + 1e-9) && total_s <= SHIFT_S;
+    fits.then_some(BumpTest { first_op, step_op: 0.25 * s, steps: STEPS, hold_s, total_s, pv_move })
+}
+
+/// The test as an instruction, or why none is proposed; `None` without a size.
+#[must_use]
+pub fn proposal(a: &Assessment) -> Option<String> {
+    let s = a.s.filter(|s| *s > 0.0)?;
+    Some(bump_test(a).map_or_else(
+        || {
+            "None is proposed: it would take longer than a shift, or move PV further than it went in this record. Ask \
+             operations for a stroke test with the loop out of service instead."
+                .to_owned()
+        },
+        |test| bump_words(&test, s),
+    ))
 }
 
 /// The bump test as an instruction.
 #[must_use]
 pub fn bump_words(t: &BumpTest, s: f64) -> String {
     format!(
-        "With the operators' consent, controller in manual: move OP by {} in one direction, wait {}. Then move it back in \
-         steps of {}, waiting {} after each, up to {} steps ({} in all; PV may move by up to {} PV units). A sound valve \
+        "Ask operations for the loop in manual, for {} in all, with PV free to move by {} PV units. Move OP by {} in one \
+         direction, wait {}. Then move it back in steps of {}, waiting {} after each, up to {} steps. A sound valve \
          moves PV at the first step back; with the band found here ({}) PV follows only after about {} steps.",
+        duration(t.total_s),
+        number(t.pv_move),
         number(t.first_op),
         duration(t.hold_s),
         number(t.step_op),
         duration(t.hold_s),
         t.steps,
-        duration(t.total_s),
-        number(t.pv_move),
         number(s),
         (s / t.step_op).ceil()
     )
@@ -302,6 +384,14 @@ mod tests {
         let t = bump_test(&a).unwrap();
         assert_eq!((t.first_op, t.step_op, t.hold_s, t.total_s, t.pv_move), (12.0, 2.0, 66.0, 462.0, 24.0));
         assert!(bump_words(&t, 8.0).contains("about 4 steps"));
+        // Kept within what PV did, or not proposed.
+        a.pv_span = Some(20.0);
+        assert_eq!(bump_test(&a).map(|t| (t.first_op, t.pv_move)), Some((10.0, 20.0)));
+        a.pv_span = Some(10.0);
+        assert!(bump_test(&a).is_none() && proposal(&a).unwrap().contains("None is proposed"));
+        a.pv_span = None;
+        a.process.iter_mut().for_each(|p| p.time_constants_s = vec![2_000.0]);
+        assert!(bump_test(&a).is_none());
         assert!(f64::from(t.steps) * t.step_op > 8.0, "the steps must pass the band");
     }
 
@@ -317,10 +407,14 @@ mod tests {
         let mut a = empty();
         assert!(unknowns(&a, None).iter().any(|u| u.contains("no model")) && evidence(&a).is_empty());
         assert!(sureness(&a).contains("blocks"));
+        a.reason = Some("stuck_signal");
+        assert!(sureness(&a).contains("dead transmitter"));
         a.s = Some(2.0);
         a.s_interval = Some([1.0, 4.0]);
         assert_eq!(size(&a, Some([0.0, 200.0])).unwrap(), "1 % of travel (2 OP units), 90 % interval 0.5 to 2 %");
         assert_eq!(size(&a, None).unwrap(), "2 OP units, 90 % interval 1 to 4");
         assert!(unknowns(&a, None).iter().any(|u| u.contains("--op-range")));
+        a.stiction = Some(false);
+        assert_eq!(size(&a, Some([0.0, 200.0])).unwrap(), "at most 4 OP units (2 % of travel)");
     }
 }

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 
-use super::rule::{Features, Made, Rule, Weight, logistic};
+use super::rule::{Cuts, Features, Logistic, Made, Rule, Weight, logistic};
 use super::tally::Scored;
 
 /// One case with a known truth, as it is kept between fits.
@@ -25,21 +25,21 @@ pub struct Example {
     pub truth: bool,
     /// The blocking gate that leaves it without an answer.
     pub gate: Option<String>,
-    /// Its figures, see [`super::rule::figures`].
-    pub figures: Features,
+    /// The figures of every window that it is judged in, see [`super::figures`].
+    pub windows: Vec<Features>,
 }
 
 /// How a rule is fitted.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Settings {
-    /// Names of the features that count.
-    pub features: Vec<String>,
+    /// Names of the features that count, a list for each rule whose logits are averaged.
+    pub features: Vec<Vec<String>>,
     /// Penalty on the squared weights of standardised features.
     pub ridge: f64,
     /// Real valves that weigh as much as all simulated loops together.
     pub simulated_weight: f64,
-    /// Probabilities between which nothing is decided.
-    pub undecided: [f64; 2],
+    /// What follows from a probability.
+    pub cuts: Cuts,
     /// Seed of the first simulated loop, for the record.
     pub seed: u64,
 }
@@ -70,48 +70,71 @@ pub fn weights(examples: &[Example], simulated_weight: f64) -> Vec<f64> {
     examples.iter().map(of).collect()
 }
 
-/// Fits the rule by L2-penalised logistic regression (iteratively reweighted least squares) to the examples with a
+/// One row of a fit: features, truth, weight, whether it is of a simulated loop.
+struct Row {
+    features: Features,
+    truth: f64,
+    weight: f64,
+    simulated: bool,
+}
+
+/// The windows of the examples with a weight, which they share.
+fn rows(examples: &[Example], given: &[f64]) -> Vec<Row> {
+    let used = examples.iter().zip(given).filter(|(_, w)| **w > 0.0);
+    let of = |(e, w): (&Example, &f64)| {
+        let (truth, simulated) = (f64::from(u8::from(e.truth)), e.valve.is_none());
+        let weight = w / e.windows.len().max(1) as f64;
+        let row = move |f: &Features| Row { features: super::rule::features(f.clone()), truth, weight, simulated };
+        e.windows.iter().map(row).collect::<Vec<_>>()
+    };
+    used.flat_map(of).collect()
+}
+
+/// Fits the rules by L2-penalised logistic regression (iteratively reweighted least squares) to the examples with a
 /// weight; a feature that an example lacks counts as its mean. `None` where no example weighs anything.
 #[must_use]
 pub fn fit(examples: &[Example], given: &[f64], settings: &Settings) -> Option<Rule> {
-    let made: Vec<(Features, f64, f64)> = examples
-        .iter()
-        .zip(given)
-        .filter(|(_, w)| **w > 0.0)
-        .map(|(e, w)| (super::rule::features(e.figures.clone()), f64::from(u8::from(e.truth)), *w))
-        .collect();
-    let (n, k) = (made.len(), settings.features.len());
-    if n == 0 {
+    let rows = rows(examples, given);
+    if rows.is_empty() {
         return None;
     }
-    let mut means = Vec::with_capacity(k);
-    let mut scales = Vec::with_capacity(k);
-    for name in &settings.features {
-        let known = || made.iter().filter_map(|(f, _, w)| Some((*f.get(name)?, *w)));
+    let parts: Option<Vec<Logistic>> =
+        settings.features.iter().map(|names| fit_one(&rows, names, settings.ridge)).collect();
+    let mut rule = Rule { parts: parts?, cuts: settings.cuts, made: made_of(examples, given, settings) };
+    let (offset, slope) = rescale(&rows, &rule).unwrap_or((0.0, 1.0));
+    for part in &mut rule.parts {
+        part.constant = rounded(slope * part.constant + offset);
+        part.weights.iter_mut().for_each(|w| w.weight = rounded(slope * w.weight));
+    }
+    Some(rule)
+}
+
+fn rounded(v: f64) -> f64 {
+    (v * DIGITS).round() / DIGITS
+}
+
+fn fit_one(rows: &[Row], names: &[String], ridge: f64) -> Option<Logistic> {
+    let k = names.len();
+    let (mut means, mut scales) = (Vec::with_capacity(k), Vec::with_capacity(k));
+    for name in names {
+        let known = || rows.iter().filter_map(|r| Some((*r.features.get(name)?, r.weight)));
         let total: f64 = known().map(|(_, w)| w).sum();
         let mean = if total > 0.0 { known().map(|(x, w)| x * w).sum::<f64>() / total } else { 0.0 };
         let squares: f64 = known().map(|(x, w)| w * (x - mean) * (x - mean)).sum();
-        means.push(mean);
+        means.push(rounded(mean));
         scales.push(if squares > 0.0 { (squares / total).sqrt() } else { 1.0 });
     }
     let cell = |row: usize, column: usize| match column {
         0 => 1.0,
-        c => made[row].0.get(&settings.features[c - 1]).map_or(0.0, |x| (x - means[c - 1]) / scales[c - 1]),
+        c => rows[row].features.get(&names[c - 1]).map_or(0.0, |x| (x - means[c - 1]) / scales[c - 1]),
     };
-    let x = DMatrix::from_fn(n, k + 1, cell);
-    let solution = regress(&x, &made, settings.ridge)?;
-    let rounded = |v: f64| (v * DIGITS).round() / DIGITS;
-    let (offset, slope) = rescale(&x, &solution, examples, given).unwrap_or((0.0, 1.0));
-    let weights: Vec<Weight> = (0..k)
-        .map(|i| Weight {
-            feature: settings.features[i].clone(),
-            weight: rounded(slope * solution[i + 1] / scales[i]),
-            mean: rounded(means[i]),
-        })
-        .collect();
-    let shift: f64 = (0..k).map(|i| solution[i + 1] / scales[i] * means[i]).sum();
-    let constant = rounded(slope * (solution[0] - shift) + offset);
-    Some(Rule { constant, weights, undecided: settings.undecided, made: made_of(examples, given, settings) })
+    let x = DMatrix::from_fn(rows.len(), k + 1, cell);
+    let made: Vec<[f64; 2]> = rows.iter().map(|r| [r.truth, r.weight]).collect();
+    let solution = regress(&x, &made, ridge)?;
+    let of = |i: usize| Weight { feature: names[i].clone(), weight: solution[i + 1] / scales[i], mean: means[i] };
+    let weights: Vec<Weight> = (0..k).map(of).collect();
+    let shift: f64 = weights.iter().map(|w| w.weight * w.mean).sum();
+    Some(Logistic { constant: solution[0] - shift, weights })
 }
 
 fn made_of(examples: &[Example], weights: &[f64], settings: &Settings) -> Made {
@@ -131,25 +154,20 @@ fn made_of(examples: &[Example], weights: &[f64], settings: &Settings) -> Made {
 
 /// Offset and slope that turn the logits into probabilities that hold for the simulated loops (Platt 1999), of which
 /// there are enough to tell: real recordings help to choose the weights, but too few to count rates.
-fn rescale(x: &DMatrix<f64>, b: &DVector<f64>, examples: &[Example], given: &[f64]) -> Option<(f64, f64)> {
-    let logits = x * b;
-    let used = examples.iter().zip(given).filter(|(_, w)| **w > 0.0).map(|(e, _)| e);
-    let simulated: Vec<(f64, f64)> = used
-        .zip(logits.iter())
-        .filter(|(e, _)| e.valve.is_none())
-        .map(|(e, z)| (*z, f64::from(u8::from(e.truth))))
-        .collect();
+fn rescale(rows: &[Row], rule: &Rule) -> Option<(f64, f64)> {
+    let simulated: Vec<&Row> = rows.iter().filter(|r| r.simulated).collect();
     if simulated.len() < ENOUGH {
         return None;
     }
-    let columns = DMatrix::from_fn(simulated.len(), 2, |row, column| if column == 0 { 1.0 } else { simulated[row].0 });
-    let made: Vec<(Features, f64, f64)> = simulated.iter().map(|(_, truth)| (Features::new(), *truth, 1.0)).collect();
+    let logits: Vec<f64> = simulated.iter().map(|r| rule.opinion(&r.features).logit).collect();
+    let columns = DMatrix::from_fn(logits.len(), 2, |row, column| if column == 0 { 1.0 } else { logits[row] });
+    let made: Vec<[f64; 2]> = simulated.iter().map(|r| [r.truth, 1.0]).collect();
     let found = regress(&columns, &made, 0.0)?;
     (found[1] > 0.0).then_some((found[0], found[1]))
 }
 
-/// Weights of the columns of `x` (the first is the constant, which is not penalised).
-fn regress(x: &DMatrix<f64>, made: &[(Features, f64, f64)], ridge: f64) -> Option<DVector<f64>> {
+/// Weights of the columns of `x` (the first is the constant, which is not penalised); `made` holds truth and weight.
+fn regress(x: &DMatrix<f64>, made: &[[f64; 2]], ridge: f64) -> Option<DVector<f64>> {
     let (n, k) = x.shape();
     let mut b = DVector::<f64>::zeros(k);
     for _ in 0..ROUNDS {
@@ -157,7 +175,7 @@ fn regress(x: &DMatrix<f64>, made: &[(Features, f64, f64)], ridge: f64) -> Optio
         let mut gradient = DVector::<f64>::zeros(k);
         let mut hessian = DMatrix::<f64>::zeros(k, k);
         for row in 0..n {
-            let (_, truth, weight) = &made[row];
+            let [truth, weight] = made[row];
             let p = logistic(z[row]);
             let (pull, curve) = (weight * (p - truth), (weight * p * (1.0 - p)).max(1e-12));
             for i in 0..k {
@@ -186,9 +204,11 @@ pub fn ask(rule: &Rule, example: &Example, weight: f64) -> Scored {
     if example.gate.is_some() {
         return Scored { truth: example.truth, answer: None, p: None, weight };
     }
-    let opinion = rule.opinion(&super::rule::features(example.figures.clone()));
-    let fitted = example.figures.contains_key("stiction_index");
-    let answer = opinion.sticks().filter(|sticks| fitted || !*sticks);
+    let Some((window, opinion)) = rule.answer(&example.windows) else {
+        return Scored { truth: example.truth, answer: None, p: None, weight };
+    };
+    let fitted = example.windows[window].contains_key("stiction_index");
+    let answer = (fitted || !opinion.sticks()).then_some(opinion.sticks());
     Scored { truth: example.truth, answer, p: Some(opinion.p()), weight }
 }
 
@@ -218,10 +238,10 @@ mod tests {
 
     fn settings(features: &[&str]) -> Settings {
         Settings {
-            features: features.iter().map(|f| (*f).to_owned()).collect(),
+            features: vec![features.iter().map(|f| (*f).to_owned()).collect()],
             ridge: 1e-6,
             simulated_weight: 1000.0,
-            undecided: [0.5, 0.5],
+            cuts: Cuts { called: 0.5, alarm: 0.7 },
             seed: 1,
         }
     }
@@ -249,7 +269,7 @@ mod tests {
                     held: k % 2 == 1,
                     truth: draw() < logistic(-3.0 + 6.0 * travel),
                     gate: None,
-                    figures,
+                    windows: vec![figures],
                 }
             })
             .collect()
@@ -260,9 +280,9 @@ mod tests {
         let examples = loops(8000);
         let settings = settings(&["travel", "horch"]);
         let rule = fit(&examples, &weights(&examples, 1000.0), &settings).unwrap();
-        assert!((rule.weights[0].weight - 6.0).abs() < 0.5, "{rule:?}");
-        assert!(rule.weights[1].weight.abs() < 0.3, "{rule:?}");
-        assert!((rule.constant + 3.0).abs() < 0.4, "{rule:?}");
+        assert!((rule.parts[0].weights[0].weight - 6.0).abs() < 0.5, "{rule:?}");
+        assert!(rule.parts[0].weights[1].weight.abs() < 0.3, "{rule:?}");
+        assert!((rule.parts[0].constant + 3.0).abs() < 0.4, "{rule:?}");
         assert_eq!(rule.made.sticking_loops + rule.made.healthy_loops, 4000);
         let told: Vec<Scored> = examples.iter().filter(|e| e.held).map(|e| ask(&rule, e, 1.0)).collect();
         assert!(miscalibration(&reliability_equal(&told, 10)).unwrap() < 0.03);

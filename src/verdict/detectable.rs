@@ -74,7 +74,7 @@ impl<'a> Window<'a> {
     ) -> Option<Self> {
         let hypothetical = Hypothetical::new(record, options, estimate)?;
         // What has no weight need not be asked.
-        let counts = |d: &&dyn Detector| Rule::shipped().weights.iter().any(|w| w.feature == d.name());
+        let counts = |d: &&dyn Detector| Rule::shipped().names().any(|name| name == d.name());
         let detectors = detect::ALL.into_iter().filter(counts).collect();
         Some(Self { record, view, estimate, hypothetical, detectors, interpolated })
     }

@@ -2,6 +2,7 @@
 
 use serde::Serialize;
 
+use super::plausible::Implausible;
 use super::rule::Opinion;
 use crate::detect::Witness;
 pub use crate::ident::ESTIMATE_SCHEMA;
@@ -85,11 +86,13 @@ pub enum Gate {
     Compressed,
     /// The sampling time is not constant.
     Irregular,
+    /// Something that happened once, such as a trip or a start-up, was cut out.
+    Excursion,
 }
 
 impl Gate {
     /// Every gate, blocking ones first.
-    pub const ALL: [Self; 13] = [
+    pub const ALL: [Self; 14] = [
         Self::Manual,
         Self::BadQuality,
         Self::FrozenPv,
@@ -103,6 +106,7 @@ impl Gate {
         Self::Quantised,
         Self::Compressed,
         Self::Irregular,
+        Self::Excursion,
     ];
 
     /// Whether the gate takes every number away.
@@ -137,6 +141,7 @@ impl Gate {
             Self::Quantised => "quantised",
             Self::Compressed => "compressed",
             Self::Irregular => "irregular",
+            Self::Excursion => "excursion",
         }
     }
 }
@@ -236,12 +241,16 @@ pub struct Assessment {
     pub verdict: Verdict,
     pub contributing: Vec<Verdict>,
     pub stiction: Option<bool>,
-    /// Why there is no answer: the first blocking gate, `undecided` (the evidence is a coin toss) or `not_fitted`; or why
-    /// there is nothing beside the answer: `screened` (a calm loop, of which nothing more was computed).
+    /// Why there is no answer: the first blocking gate, `stuck_signal` (PV stands still while OP travels), `not_fitted`,
+    /// `implausible_model` (no model that could be believed), `daily_cycle`, `trend` or `op_held` (OP is stored too seldom
+    /// to show what the valve was sent); or why there is nothing beside the answer: `screened` (a calm loop, of which
+    /// nothing more was computed).
     pub reason: Option<&'static str>,
     pub p_stiction: Option<f64>,
     pub confidence: Option<f64>,
     pub gates: Vec<Gate>,
+    /// What of the model or the cycle no plant has; then the model's numbers are not given.
+    pub implausible: Vec<Implausible>,
     pub grade: Option<char>,
     pub fs: Option<f64>,
     pub fd: Option<f64>,
@@ -261,6 +270,8 @@ pub struct Assessment {
     pub severity: Option<&'static str>,
     pub valve_model: Option<&'static str>,
     pub process: Option<Process>,
+    /// Span of PV in the window (0.5 to 99.5 percentile), PV units.
+    pub pv_span: Option<f64>,
     pub controller: Option<Controller>,
     pub witnesses: Vec<Witness>,
     /// What the witnesses' contributions add up to, in logits.
@@ -284,6 +295,7 @@ impl Assessment {
             p_stiction: None,
             confidence: None,
             gates: Vec::new(),
+            implausible: Vec::new(),
             grade: Some('D'),
             fs: None,
             fd: None,
@@ -303,6 +315,7 @@ impl Assessment {
             severity: None,
             valve_model: None,
             process: None,
+            pv_span: None,
             controller: None,
             witnesses: Vec::new(),
             explanation: None,

@@ -46,6 +46,8 @@ pub fn gates(record: &Record, oscillation: &Oscillation, params: &AssessParams) 
         Gate::Quantised => quantised,
         Gate::Compressed => is_compressed(record, quantised),
         Gate::Irregular => record.irregularity > IRREGULAR,
+        // Met by whoever cuts it out.
+        Gate::Excursion => false,
     };
     Gate::ALL.into_iter().filter(|g| met(*g)).collect()
 }

@@ -15,15 +15,15 @@ pub fn judge(
     beside: impl FnOnce(&Estimate) -> Vec<Verdict>,
 ) -> (Verdict, Vec<Verdict>) {
     match (opinion.sticks(), estimate) {
-        (Some(true), Some(e)) => {
+        (true, Some(e)) => {
             let word = match region::region(e.s, e.j, e.span) {
                 "deadband" => Verdict::Deadband,
                 _ => Verdict::Stiction,
             };
             (word, beside(e))
         }
-        (None, _) | (Some(true), None) => (Verdict::Inconclusive, Vec::new()),
-        (Some(false), _) => otherwise(),
+        (true, None) => (Verdict::Inconclusive, Vec::new()),
+        (false, _) => otherwise(),
     }
 }
 
@@ -42,10 +42,11 @@ pub fn grade(confidence: Option<f64>, gated: bool, width: Option<f64>) -> char {
 
 #[cfg(test)]
 mod tests {
+    use super::super::rule::Cuts;
     use super::*;
 
     fn opinion(logit: f64) -> Opinion {
-        Opinion { base: 0.0, logit, undecided: [0.4, 0.6] }
+        Opinion { base: 0.0, logit, cuts: Cuts { called: 0.5, alarm: 0.7 } }
     }
 
     #[test]
@@ -53,7 +54,7 @@ mod tests {
         let of = |logit| judge(None, &opinion(logit), || (Verdict::Disturbance, vec![]), |_| vec![Verdict::Tuning]).0;
         assert_eq!(of(-3.0), Verdict::Disturbance);
         assert_eq!(of(3.0), Verdict::Inconclusive);
-        assert_eq!(of(0.0), Verdict::Inconclusive);
+        assert_eq!(of(0.1), Verdict::Inconclusive);
     }
 
     #[test]

@@ -6,16 +6,18 @@ pub mod calibrate_intervals;
 mod cause;
 mod detectable;
 mod document;
+mod excursion;
 mod gates;
 mod judge;
 mod params;
+pub mod plausible;
 pub mod rule;
 mod screen;
 pub mod tally;
 
 pub use crate::detect::Witness;
 pub use crate::ident::{DelayChoice, ModelChoice, ValveChoice};
-pub use assess::{assess, figures, lets_go};
+pub use assess::{assess, assess_in_windows, figures, lets_go};
 pub use document::{
     Assessment, Controller, ESTIMATE_SCHEMA, EstimateDocument, Gate, Oscillation, Process, Search, Verdict, Window,
 };

@@ -1,6 +1,7 @@
 //! What an assessment can be told.
 
 use crate::ident::{DelayChoice, ModelChoice, Options, ValveChoice};
+use crate::units::LoopKind;
 
 /// Everything that [`super::assess`] may be told. The defaults are the daemon's.
 #[derive(Debug, Clone, PartialEq)]
@@ -11,6 +12,8 @@ pub struct AssessParams {
     pub min_samples_per_period: f64,
     /// OP's range, so that sizes can be given in % of travel.
     pub op_range: Option<[f64; 2]>,
+    /// What the loop controls.
+    pub kind: LoopKind,
     /// Process order.
     pub model: ModelChoice,
     /// Dead time.
@@ -35,6 +38,7 @@ impl Default for AssessParams {
             min_periods: 5.0,
             min_samples_per_period: 50.0,
             op_range: None,
+            kind: LoopKind::Other,
             model: ModelChoice::Auto,
             delay: DelayChoice::Auto,
             valve: ValveChoice::default(),

@@ -162,6 +162,8 @@ pub fn boxed(ts_s: f64, op: &[f64], pv: &[f64], k: usize) -> Record {
 pub struct Labelled {
     pub file: String,
     pub label: String,
+    /// What the loop controls, as the index words it.
+    pub kind: String,
     pub record: Record,
 }
 
@@ -186,11 +188,13 @@ pub fn labelled(folder: &str) -> Vec<Labelled> {
     let header: Vec<&str> = lines.next().unwrap().split(',').collect();
     let place = |name: &str| header.iter().position(|h| *h == name).unwrap();
     let (file, label, ts) = (place("file"), place("label"), place("sample_time_s"));
+    let kind = place("loop_type");
     lines
         .filter_map(|line| {
             let cells: Vec<&str> = line.split(',').collect();
             let record = read(&root.join(cells[file]), cells[ts].parse().ok())?;
-            Some(Labelled { file: cells[file].to_owned(), label: cells[label].to_owned(), record })
+            let [file, label, kind] = [file, label, kind].map(|at| cells[at].to_owned());
+            Some(Labelled { file, label, kind, record })
         })
         .collect()
 }

@@ -11,6 +11,7 @@ use stictiond::engine::{Engine, Event, LoopSettings, Request, SkipReason, sectio
 use stictiond::record::{Mode, Sample, Signal, Value};
 use stictiond::signal::align::align_all;
 use stictiond::sim::scenario::Scenario;
+use stictiond::units::LoopKind;
 use stictiond::verdict::{Verdict, assess};
 
 const AWKWARD: &str = include_str!("../../recordings/scenarios/awkward.toml");
@@ -124,7 +125,7 @@ fn a_live_window_and_the_same_section_of_the_recording_give_the_same_numbers() {
         engine.push(id, *sample, &mut events);
         for event in std::mem::take(&mut events) {
             let Event::Request(request) = event else { continue };
-            let settings = LoopSettings::of(&config, None);
+            let settings = LoopSettings::of(&config, None, LoopKind::Other);
             let own: Vec<Sample> = samples.iter().filter(|(n, _)| n == name).map(|(_, s)| *s).collect();
             let (stretches, _) = align_all(&own, &settings.align);
             let (start, end) = (request.record.start_ns, request.end_ns);

@@ -22,4 +22,6 @@ mod truth_intervals;
 mod truth_solvers;
 mod truth_stiction;
 mod val_labelled;
+#[cfg(feature = "daemon")]
+mod val_plausible;
 mod val_stick_index;

@@ -226,7 +226,7 @@ fn name_of(path: &Path) -> String {
 fn record_of(path: &Path) -> anyhow::Result<Record> {
     let loaded = load_samples(path)?;
     let Some(first) = loaded.loops.first() else { bail!("{}: holds no loop", path.display()) };
-    Ok(analyze::whole_record(first, &Config::with_prefix("plant"))?.0)
+    Ok(analyze::whole_record(first, &Config::with_prefix("plant"))?.record)
 }
 
 /// Answers that are there already, by recording; a line that was cut off is left out.

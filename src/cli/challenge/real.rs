@@ -71,7 +71,7 @@ fn record_of(base: &Path, case: &Case) -> anyhow::Result<Record> {
     if let Some(last) = last {
         first.samples.retain(|s| s.t_ns < last);
     }
-    Ok(analyze::whole_record(&first, &Config::with_prefix("plant"))?.0)
+    Ok(analyze::whole_record(&first, &Config::with_prefix("plant"))?.record)
 }
 
 /// Every recording once, in the index's order.

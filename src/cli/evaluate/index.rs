@@ -4,6 +4,8 @@ use std::path::Path;
 
 use anyhow::{Context, bail};
 
+use crate::units::LoopKind;
+
 /// One line of an index.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Case {
@@ -17,6 +19,10 @@ pub struct Case {
     pub valve: String,
     /// What is recorded once only, with its source: the `same_data_group`, else the file.
     pub group: String,
+    /// What the loop controls: the column `loop_type`, else the letters of the loop's tag.
+    pub kind: LoopKind,
+    /// The label is not believed: the column `doubt` says so.
+    pub doubtful: bool,
 }
 
 impl Case {
@@ -65,6 +71,7 @@ pub fn read(path: &Path) -> anyhow::Result<Vec<Case>> {
     };
     let (file, label) = (column("file")?, column("label")?);
     let (valve, loop_name, group) = (optional("valve"), optional("loop"), optional("same_data_group"));
+    let (kind, doubt) = (optional("loop_type"), optional("doubt"));
     let mut cases = Vec::new();
     for row in reader.records() {
         let row = row.with_context(|| path.display().to_string())?;
@@ -76,10 +83,15 @@ pub fn read(path: &Path) -> anyhow::Result<Vec<Case>> {
         }
         let source = file.split_once('/').map_or("", |(folder, _)| folder).to_owned();
         let stem = Path::new(&file).file_stem().map_or_else(String::new, |s| s.to_string_lossy().into_owned());
-        let valve = given(valve).unwrap_or_else(|| valve_of(given(loop_name).as_deref().unwrap_or(&stem)).to_owned());
+        let tag = given(loop_name).unwrap_or(stem);
+        let kind = given(kind).and_then(|word| LoopKind::from_name(word.split(' ').next()?));
+        let kind = kind.unwrap_or_else(|| LoopKind::of_tag(&tag));
+        let doubtful = given(doubt).is_some();
+        let valve = given(valve).unwrap_or_else(|| valve_of(&tag).to_owned());
         let group = given(group).unwrap_or_else(|| file.clone());
         let within = |name: String| format!("{source}/{name}");
-        cases.push(Case { label: cell(label), valve: within(valve), group: within(group), source, file });
+        let (label, valve, group) = (cell(label), within(valve), within(group));
+        cases.push(Case { label, valve, group, kind, doubtful, source, file });
     }
     if cases.is_empty() {
         bail!("{}: names no file", path.display());

@@ -12,7 +12,8 @@ use super::reading::ReadArgs;
 use super::{Format, Outcome, analyze, on_all_cores};
 use crate::config::Config;
 use crate::record::Record;
-use crate::verdict::{AssessParams, Assessment, assess};
+use crate::verdict::{AssessParams, Assessment, assess_in_windows};
+use analyze::Whole;
 use index::Case;
 
 /// Judge a labelled set of recordings and print how often the verdict is right, wrong cases included.
@@ -28,6 +29,9 @@ Example: stictiond evaluate labelled/INDEX.csv"
 pub struct Args {
     /// The index.
     pub index: PathBuf,
+    /// Loops or files (their names' stems) whose label is not believed: marked, and counted apart too.
+    #[arg(long, value_name = "NAME,NAME", value_delimiter = ',')]
+    pub doubtful: Vec<String>,
     /// How the files of the index are read.
     #[command(flatten)]
     pub reading: ReadArgs,
@@ -40,13 +44,21 @@ struct Judged {
     elapsed_s: f64,
 }
 
+/// A recording as it is judged.
+pub(super) struct Judgeable {
+    pub record: Record,
+    /// The windows that it is judged in where it is long.
+    pub windows: Vec<Record>,
+    pub params: AssessParams,
+}
+
 /// The first loop of a case's file, whole.
-pub(super) fn record_of(base: &Path, case: &Case, reading: &ReadArgs) -> anyhow::Result<(Record, AssessParams)> {
+pub(super) fn record_of(base: &Path, case: &Case, reading: &ReadArgs) -> anyhow::Result<Judgeable> {
     let loaded = reading.load_file(&base.join(&case.file))?;
     let Some(first) = loaded.loops.first() else { bail!("{}: holds no loop", case.file) };
-    let (record, settings) = analyze::whole_record(first, &Config::with_prefix("plant"))?;
-    let params = AssessParams { always_fit: true, ..settings.assess.clone() };
-    Ok((record, params))
+    let Whole { record, windows, settings } = analyze::whole_record(first, &Config::with_prefix("plant"))?;
+    let params = AssessParams { always_fit: true, kind: case.kind, ..settings.assess.clone() };
+    Ok(Judgeable { record, windows, params })
 }
 
 /// Every case of an index that can be read.
@@ -56,7 +68,8 @@ pub(super) fn record_of(base: &Path, case: &Case, reading: &ReadArgs) -> anyhow:
 pub(super) fn records(index: &Path) -> anyhow::Result<Vec<(Record, AssessParams)>> {
     let base = index.parent().unwrap_or(Path::new(""));
     let reading = ReadArgs::default();
-    Ok(index::read(index)?.iter().filter_map(|case| record_of(base, case, &reading).ok()).collect())
+    let read = |case: &Case| record_of(base, case, &reading).ok().map(|one| (one.record, one.params));
+    Ok(index::read(index)?.iter().filter_map(read).collect())
 }
 
 /// Runs the command. A case that cannot be read is an error line, not the end.
@@ -64,11 +77,16 @@ pub(super) fn records(index: &Path) -> anyhow::Result<Vec<(Record, AssessParams)
 /// # Errors
 /// The index cannot be read.
 pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
-    let cases = index::read(&args.index)?;
+    let mut cases = index::read(&args.index)?;
+    for case in &mut cases {
+        let stem = Path::new(&case.file).file_stem().unwrap_or_default();
+        case.doubtful |= args.doubtful.iter().any(|name| stem == name.as_str());
+    }
     let base = args.index.parent().unwrap_or(Path::new(""));
     let judge = |case: &Case| {
         let started = Instant::now();
-        let result = record_of(base, case, &args.reading).map(|(record, params)| assess(&record, &params));
+        let result =
+            record_of(base, case, &args.reading).map(|one| assess_in_windows(&one.record, &one.windows, &one.params));
         (result, started.elapsed().as_secs_f64())
     };
     let results = on_all_cores(&cases, |case| case.file.clone(), judge);

@@ -24,8 +24,8 @@ struct Count {
 }
 
 impl Count {
-    fn new(name: &'static str, says: &'static str, judged: &[Judged], key: fn(&Judged) -> &str) -> Self {
-        let scored: Vec<&Judged> = judged.iter().filter(|j| j.case.truth().is_some()).collect();
+    fn new(name: &'static str, says: &'static str, judged: &[&Judged], key: fn(&Judged) -> &str) -> Self {
+        let scored: Vec<&Judged> = judged.iter().copied().filter(|j| j.case.truth().is_some()).collect();
         let keys: Vec<&str> = scored.iter().map(|j| key(j)).collect();
         let mut cases: Vec<Scored> = scored.iter().filter_map(|j| score(j)).collect();
         tally::share_by(&mut cases, &keys);
@@ -54,8 +54,18 @@ impl Count {
         }
     }
 
-    fn of(judged: &[Judged]) -> [Self; 3] {
-        [
+    fn of(judged: &[Judged]) -> Vec<Self> {
+        let believed: Vec<&Judged> = judged.iter().filter(|j| !j.case.doubtful).collect();
+        let mut out = Self::usual(&judged.iter().collect::<Vec<_>>());
+        if believed.len() < judged.len() {
+            let says = "records of the same data counted once, without labels that are not believed";
+            out.push(Self::new("believed", says, &believed, |j| &j.case.group));
+        }
+        out
+    }
+
+    fn usual(judged: &[&Judged]) -> Vec<Self> {
+        vec![
             Self::new("records", "every record counted once", judged, |j| &j.case.file),
             Self::new("distinct", "records of the same data counted once", judged, |j| &j.case.group),
             Self::new("valves", "every valve counted once, by its share", judged, |j| &j.case.valve),
@@ -108,7 +118,7 @@ fn print_json(judged: &[Judged]) -> anyhow::Result<()> {
                 "scored": case.truth().is_some(), "right": case.truth().map(|t| a.stiction == Some(t)),
                 "verdict": a.verdict, "stiction": a.stiction, "p_stiction": a.p_stiction, "s": a.s, "j": a.j,
                 "stiction_index": a.stiction_index, "s_over_span": a.s_over_span, "gates": a.gates,
-                "reason": a.reason, "witnesses": a.witnesses, "explanation": a.explanation}))?,
+                "reason": a.reason, "implausible": a.implausible, "doubtful": case.doubtful, "witnesses": a.witnesses, "explanation": a.explanation}))?,
             Err(error) => say(json!({"schema": "stictiond.case.v1", "file": case.file, "label": case.label,
                 "error": format!("{error:#}")}))?,
         }
@@ -223,7 +233,8 @@ fn say_case(one: &Judged, reasons: bool) -> anyhow::Result<()> {
     let (file, label) = (&one.case.file, &one.case.label);
     match &one.result {
         Ok(a) => {
-            say(format!("  {file:<50} {label:<12} {}", brief(a)))?;
+            let doubt = if one.case.doubtful { " (label not believed)" } else { "" };
+            say(format!("  {file:<50} {label:<12} {}{doubt}", brief(a)))?;
             if reasons && !a.witnesses.is_empty() {
                 let said = a.witnesses.iter().map(|w| format!("{} {}", w.name, number(w.score)));
                 say(format!("    {}", said.collect::<Vec<_>>().join(", ")))?;
