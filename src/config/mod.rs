@@ -1,5 +1,6 @@
 //! The configuration: TOML text in, a [`Config`] or every fault at once out. Knows no file.
 
+mod alarm;
 mod input;
 mod reader;
 mod service;
@@ -8,6 +9,8 @@ use serde::Serialize;
 use sha2::{Digest, Sha256};
 use toml::de::DeTable;
 
+pub use alarm::AlarmParams;
+use alarm::read_alarm;
 pub use input::Input;
 pub use reader::Fault;
 use reader::{TableReader, line_of, subtable, subtables};
@@ -94,15 +97,6 @@ pub struct WindowParams {
     pub max_points: usize,
 }
 
-/// `[alarm]`.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct AlarmParams {
-    /// Raise when m of the last n windows say stiction.
-    pub raise: [u8; 2],
-    /// Least s, in OP units, that counts.
-    pub s_limit_op: f64,
-}
-
 /// `[gap]`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct GapParams {
@@ -145,6 +139,15 @@ pub struct LoopConfig {
     pub op_range: Option<[f64; 2]>,
     /// How much the loop matters, 1 to 5.
     pub criticality: u8,
+    /// Part of the plant; empty: not said. Like the next two left out of [`Config::hash`] while nothing is said.
+    #[serde(skip_serializing_if = "String::is_empty")]
+    pub area: String,
+    /// The valve's name in the maintenance system.
+    #[serde(skip_serializing_if = "String::is_empty")]
+    pub equipment: String,
+    /// Unit of OP.
+    #[serde(skip_serializing_if = "String::is_empty")]
+    pub op_unit: String,
     /// Its windows.
     pub window: WindowParams,
     /// Its alarms.
@@ -163,12 +166,6 @@ impl Default for WindowParams {
             lateness_s: 5.0,
             max_points: 2000,
         }
-    }
-}
-
-impl Default for AlarmParams {
-    fn default() -> Self {
-        Self { raise: [3, 4], s_limit_op: 1.0 }
     }
 }
 
@@ -364,19 +361,6 @@ fn read_window(r: &mut TableReader<'_, '_>, d: WindowParams) -> WindowParams {
     w
 }
 
-fn read_alarm(r: &mut TableReader<'_, '_>, d: AlarmParams) -> AlarmParams {
-    let mut raise = d.raise;
-    if let Some(([m, n], line)) = r.pair("raise", "two whole numbers, such as [3, 4]") {
-        let whole = |x: f64| x.fract() == 0.0 && (1.0..=32.0).contains(&x);
-        if whole(m) && whole(n) && m <= n {
-            raise = [m as u8, n as u8];
-        } else {
-            r.refuse(line, "raise", format!("[{m}, {n}] is not m of n"), "write 1 <= m <= n <= 32, such as [3, 4]");
-        }
-    }
-    AlarmParams { raise, s_limit_op: r.number("s_limit_op", d.s_limit_op, 0.0, 1e12) }
-}
-
 fn read_gap(r: &mut TableReader<'_, '_>) -> GapParams {
     let d = GapParams::default();
     GapParams {
@@ -468,9 +452,29 @@ fn read_loop(r: &mut TableReader<'_, '_>, window: WindowParams, alarm: AlarmPara
         keys,
         op_range,
         criticality: r.integer("criticality", 3, 1, 5) as u8,
+        area: read_label(r, "area"),
+        equipment: read_label(r, "equipment"),
+        op_unit: read_label(r, "op_unit"),
         window: read_window(r, window),
         alarm: read_alarm(r, alarm),
     }
+}
+
+/// Longest label, bytes.
+const LABEL_BYTES: usize = 128;
+
+/// A short plain text that documents carry along.
+fn read_label(r: &mut TableReader<'_, '_>, key: &'static str) -> String {
+    let Some((label, line)) = r.text(key) else { return String::new() };
+    if label.len() > LABEL_BYTES || label.chars().any(char::is_control) {
+        r.refuse(
+            line,
+            key,
+            "is too long or holds control characters",
+            format!("write at most {LABEL_BYTES} bytes of text"),
+        );
+    }
+    label.trim().to_owned()
 }
 
 #[cfg(test)]
@@ -524,8 +528,8 @@ mod tests {
     #[test]
     fn the_hash_hangs_on_the_gap_only_where_it_is_set() {
         let hash = |gap: &str| Config::parse(&format!("[site]\nprefix = \"p\"\n{gap}")).unwrap().hash();
-        // As it was before there was a gap diagnosis: older recordings still read as recorded.
-        assert_eq!(hash(""), "aa77f03d084b55b4");
+        // It changes with what a default means, as that of the alarm's limit: recordings say under which they were made.
+        assert_eq!(hash(""), "362aaef1d938d8b8");
         assert_eq!(hash("[gap]\nenabled = true\n"), hash(""));
         assert_ne!(hash("[gap]\nenabled = false\n"), hash(""));
         assert_ne!(hash("[gap]\nbudget_evaluations = 5000\n"), hash(""));

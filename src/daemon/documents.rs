@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 
 use super::health::{DaemonHealth, LoopHealth};
 use crate::alarm::{ALARM_SCHEMA, AlarmDocument};
-use crate::codec::topic::Kind;
+use crate::codec::topic::{DAEMON_HEALTH_SCHEMA, LOOP_HEALTH_SCHEMA};
 use crate::gap::document::{GAP_SCHEMA, GapDocument};
 use crate::verdict::{ESTIMATE_SCHEMA, EstimateDocument};
 
@@ -30,24 +30,12 @@ fn document<T: JsonSchema>(name: &str) -> Value {
 /// Names and schemas of every published document.
 #[must_use]
 pub fn schemas() -> Vec<(&'static str, Value)> {
-    let health = Kind::Health.schema();
-    let shapes = [document::<DaemonHealth>("daemon"), document::<LoopHealth>("loop")].map(|mut shape| {
-        shape["properties"]["schema"] = json!({"const": health});
-        shape["$id"] = json!(format!("urn:stictiond:{health}:{}", shape["title"].as_str().unwrap_or_default()));
-        shape
-    });
-    let health_schema = json!({
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
-        "$id": format!("urn:stictiond:{health}"),
-        "title": health,
-        "description": "Health of the daemon, or of one loop.",
-        "anyOf": shapes,
-    });
     vec![
         (ESTIMATE_SCHEMA, document::<EstimateDocument>(ESTIMATE_SCHEMA)),
         (ALARM_SCHEMA, document::<AlarmDocument>(ALARM_SCHEMA)),
         (GAP_SCHEMA, document::<GapDocument>(GAP_SCHEMA)),
-        (health, health_schema),
+        (LOOP_HEALTH_SCHEMA, document::<LoopHealth>(LOOP_HEALTH_SCHEMA)),
+        (DAEMON_HEALTH_SCHEMA, document::<DaemonHealth>(DAEMON_HEALTH_SCHEMA)),
     ]
 }
 
@@ -60,6 +48,7 @@ pub fn text(schema: &Value) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::codec::topic::Kind;
 
     #[test]
     fn what_may_be_null_may_be_and_what_is_always_there_is_required() {
@@ -72,6 +61,13 @@ mod tests {
         assert_eq!(estimate["properties"]["fs"]["type"], json!(["number", "null"]));
         assert_eq!(estimate["properties"]["s_interval"]["maxItems"], 2);
         assert_eq!(estimate["properties"]["schema"]["const"], "stictiond.estimate.v1");
+    }
+
+    #[test]
+    fn topics_and_documents_call_them_alike() {
+        assert_eq!(Kind::Alarm.schema(), ALARM_SCHEMA);
+        assert_eq!((Kind::Estimate.schema(), Kind::Gap.schema()), (ESTIMATE_SCHEMA, GAP_SCHEMA));
+        assert!(schemas().iter().all(|(name, schema)| schema["properties"]["schema"]["const"] == *name));
     }
 
     /// `docs/schemas` holds what this build makes; STICTIOND_GOLDEN=write makes it anew.

@@ -115,7 +115,7 @@ impl Core {
         let of = |budget: &Budget| [budget.used(), budget.limit()];
         let fits = self.schedule.waiting() + self.workers.requests.len();
         DaemonHealth {
-            schema: Kind::Health.schema(),
+            schema: topic::DAEMON_HEALTH_SCHEMA,
             daemon: self.daemon_id.clone(),
             version: crate::VERSION,
             config_hash: self.engine.config_hash().to_owned(),
