@@ -1,6 +1,7 @@
 //! The configuration: TOML text in, a [`Config`] or every fault at once out. Knows no file.
 
 mod alarm;
+mod deliver;
 mod input;
 mod reader;
 mod service;
@@ -11,6 +12,7 @@ use toml::de::DeTable;
 
 pub use alarm::AlarmParams;
 use alarm::read_alarm;
+pub use deliver::{Address, Deliver, Protocol};
 pub use input::Input;
 pub use reader::Fault;
 use reader::{TableReader, line_of, subtable, subtables};
@@ -49,6 +51,9 @@ pub struct Config {
     pub signing: Signing,
     /// Metrics and health over HTTP.
     pub web: Web,
+    /// Receivers outside the bus. Not part of [`Config::hash`]: where documents go changes none of them.
+    #[serde(skip_serializing)]
+    pub deliver: Vec<Deliver>,
     /// Loops that are mapped or have settings of their own.
     #[serde(rename = "loop")]
     pub loops: Vec<LoopConfig>,
@@ -126,6 +131,12 @@ pub struct Web {
     pub enabled: bool,
     /// Address and port; port 0 takes any free one.
     pub listen: String,
+    /// Whether `/metrics` has series of every loop. Like the next not part of [`Config::hash`].
+    #[serde(skip_serializing)]
+    pub loop_series: bool,
+    /// Loops that have series at most.
+    #[serde(skip_serializing)]
+    pub max_loop_series: usize,
 }
 
 /// `[[loop]]`.
@@ -234,8 +245,9 @@ impl Config {
         let signing = read!(signing, service::read_signing);
         let web = read!(web, read_web);
         let loops = read_loops(text, root, window, alarm, faults);
+        let deliver = deliver::read_delivers(text, root, faults);
         faults.extend(input::too_few_places(text, root, input.max_loops, loops.len()));
-        Self { site, zenoh, input, window, alarm, gap, recording, retention, commands, signing, web, loops }
+        Self { site, zenoh, input, window, alarm, gap, recording, retention, commands, signing, web, deliver, loops }
     }
 
     /// A configuration with every default, for a prefix that is known to be sound.
@@ -274,7 +286,7 @@ fn syntax_fault(text: &str, error: &toml::de::Error) -> Fault {
 }
 
 fn refuse_unknown_tables(text: &str, root: &DeTable<'_>, faults: &mut Vec<Fault>) {
-    const KNOWN: [&str; 12] = [
+    const KNOWN: [&str; 13] = [
         "site",
         "zenoh",
         "input",
@@ -286,6 +298,7 @@ fn refuse_unknown_tables(text: &str, root: &DeTable<'_>, faults: &mut Vec<Fault>
         "commands",
         "signing",
         "web",
+        "deliver",
         "loop",
     ];
     for (key, _) in root.iter().filter(|(k, _)| !KNOWN.iter().any(|known| known == k.get_ref())) {
@@ -378,6 +391,9 @@ fn read_recording(r: &mut TableReader<'_, '_>) -> Recording {
     }
 }
 
+/// `[web] max_loop_series` where nothing is said: some eight series each, what a collector takes in one scrape at ease.
+const MAX_LOOP_SERIES: u64 = 1000;
+
 fn read_web(r: &mut TableReader<'_, '_>) -> Web {
     let enabled = r.boolean("enabled", true);
     let mut listen = "127.0.0.1:8080".to_owned();
@@ -392,7 +408,9 @@ fn read_web(r: &mut TableReader<'_, '_>) -> Web {
         }
         listen = text;
     }
-    Web { enabled, listen }
+    let loop_series = r.boolean("loop_series", true);
+    let max_loop_series = r.integer("max_loop_series", MAX_LOOP_SERIES, 1, 1_000_000) as usize;
+    Web { enabled, listen, loop_series, max_loop_series }
 }
 
 fn read_loops(
