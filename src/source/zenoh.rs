@@ -18,11 +18,15 @@ use super::{Answer, Envelope, Incoming, Intake, principals};
 use crate::alarm::Command;
 use crate::codec::topic::{self, Kind, Leaf, Topic};
 use crate::config::Config;
+use crate::daemon::documents;
 use crate::daemon::metrics::Metrics;
 
 /// Largest message that Zenoh puts together from its pieces, bytes: what is larger never takes memory. Well above what a
 /// payload may have, so that payloads a little too large are still seen and counted.
 const MAX_MESSAGE: usize = 4 << 20;
+
+/// What the encoding of a schema names as its own.
+const SCHEMA: &str = "https://json-schema.org/draft/2020-12/schema";
 
 /// Last document by key. Written by the publisher alone; never touched by the engine.
 pub type LastValues = Arc<RwLock<BTreeMap<String, LastValue>>>;
@@ -195,7 +199,34 @@ pub async fn answer_queries(
         let queryable = session.declare_queryable(key.clone()).callback(answer).await;
         queryables.push(queryable.map_err(|e| anyhow!("cannot answer queries on {key:?}: {e}"))?);
     }
+    queryables.push(answer_schemas(session, prefix, metrics).await?);
     Ok(queryables)
+}
+
+/// Answers `@schema/NAME`, and `@schema/*` with all of them: the schemas of what this daemon publishes, whatever its version.
+async fn answer_schemas(
+    session: &zenoh::Session,
+    prefix: &str,
+    metrics: Arc<Metrics>,
+) -> anyhow::Result<zenoh::query::Queryable<()>> {
+    let keyed =
+        |(name, schema): (&str, _)| (topic::plane(prefix, &format!("@schema/{name}")), documents::text(&schema));
+    let all: Vec<(String, String)> = documents::schemas().into_iter().map(keyed).collect();
+    let answer = move |query: Query| {
+        metrics.queries.inc();
+        let asked = query.key_expr();
+        for (key, text) in all.iter().filter(|(key, _)| KeyExpr::new(key.as_str()).is_ok_and(|k| asked.intersects(&k)))
+        {
+            let reply =
+                query.reply(key.as_str(), text.as_str()).encoding(Encoding::APPLICATION_JSON.with_schema(SCHEMA));
+            if let Err(error) = reply.wait() {
+                tracing::debug!(%key, %error, "a schema could not be sent");
+            }
+        }
+    };
+    let key = topic::plane(prefix, "@schema/*");
+    let queryable = session.declare_queryable(key.clone()).callback(answer).await;
+    queryable.map_err(|e| anyhow!("cannot answer queries on {key:?}: {e}"))
 }
 
 fn answer_last(query: &Query, last: &LastValues) {

@@ -297,6 +297,12 @@ def test_live_recorded_replayed(folder):
         assert ask(bus, f"{PLANE}/FIC999/estimate") == ({}, [])
         assert ask(bus, f"{PREFIX}/**") == ({}, [])  # plant wildcards never meet the daemon's plane
 
+        # Schemas, as the program prints them.
+        good, bad = ask(bus, f"{PLANE}/@schema/*")
+        names = stictiond("schema")[1].split()
+        assert not bad and set(good) == {f"{PLANE}/@schema/{name}" for name in names}, (set(good), bad)
+        assert good[f"{PLANE}/@schema/stictiond.alarm.v2"] == json.loads(stictiond("schema", "stictiond.alarm.v2")[1])
+
         # Health and liveliness.
         tokens = [str(r.ok.key_expr) for r in bus.liveliness().get(f"{PLANE}/@daemon/*", timeout=5)]
         assert len(tokens) == 1, tokens
