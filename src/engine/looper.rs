@@ -144,7 +144,7 @@ impl Loop {
         let end_ns = assessment.window.end_ns;
         out.push(Event::Estimate(id, Box::new(EstimateDocument::new(&self.name, hash, assessment))));
         if let Some(document) = change {
-            out.push(Event::Alarm(id, document.at(&self.settings.place)));
+            out.push(Event::Alarm(id, Box::new(document.at(&self.settings.place))));
         }
         let checkpoint = Checkpoint { alarm: self.alarm.clone(), gap: self.gap.clone(), stream: None };
         out.push(Event::State(id, Box::new(StateDocument::new(&self.name, Some(end_ns), checkpoint))));

@@ -127,7 +127,7 @@ pub enum Event {
     /// An estimate to publish and record.
     Estimate(LoopId, Box<EstimateDocument>),
     /// A change of an alarm to publish, record and log.
-    Alarm(LoopId, AlarmDocument),
+    Alarm(LoopId, Box<AlarmDocument>),
     /// The loop's memory after a window, to record.
     State(LoopId, Box<StateDocument>),
     /// Compute this when nothing else waits, and hand the answer back.
