@@ -36,7 +36,7 @@ fn follow(seed: u64) {
     let mut below = |n: u32| random.next_u32() % n;
     let n = 1 + below(6) as u8;
     let m = 1 + below(u32::from(n)) as u8;
-    let params = AlarmParams { raise: [m, n], s_limit_op: 1.0 };
+    let params = AlarmParams { raise: [m, n], s_limit_op: 1.0, s_limit_span: 0.0 };
     let (mut alarm, mut model) = (Alarm::default(), Model::default());
     let mut at_ns = 0;
     for step in 0..1 + below(64) {

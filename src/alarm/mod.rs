@@ -4,19 +4,20 @@
 //! It is a maintenance alert. Everything here depends on the order of the windows and on event time, never on a clock.
 
 mod command;
+mod document;
 mod priority;
 
 use serde::{Deserialize, Serialize};
 
 pub use command::{Command, CommandError, MAX_SHELVE_S, SHELVE_S, check_name};
+pub use document::{ALARM_SCHEMA, AlarmDocument, AlarmWindow, Event, Figures, Mark, Marks, Place};
 pub use priority::Priority;
 
 use crate::config::AlarmParams;
 use crate::units::format_rfc3339;
 use crate::verdict::{Assessment, Gate};
+use document::{Occurrence, event_id, occurrence_id};
 
-/// Schema name of an alarm.
-pub const ALARM_SCHEMA: &str = "stictiond.alarm.v1";
 /// Share of the limit below which s counts for clearing.
 const CLEAR_SHARE: f64 = 0.8;
 /// Windows in a row with a worse class before the alarm is raised again.
@@ -77,69 +78,26 @@ impl Evidence {
     /// Reads an assessment.
     #[must_use]
     pub fn of(assessment: &Assessment, params: &AlarmParams) -> Self {
+        let limit = s_limit(assessment, params).unwrap_or(0.0);
         match (assessment.stiction, assessment.s) {
             (None, _) => Self::None,
             (Some(true), _) if assessment.gates.contains(&Gate::TooCoarse) => Self::None,
             // Called, but not surely enough to raise anything; or without a size that could be held against the limit.
             (Some(true), _) if assessment.explanation.is_some_and(|e| !e.alarms()) => Self::None,
             (Some(true), None) => Self::None,
-            (Some(true), Some(s)) if s >= params.s_limit_op => Self::For,
-            (Some(true), Some(s)) if s >= CLEAR_SHARE * params.s_limit_op => Self::Between,
+            (Some(true), Some(s)) if s >= limit => Self::For,
+            (Some(true), Some(s)) if s >= CLEAR_SHARE * limit => Self::Between,
             _ => Self::Against,
         }
     }
 }
 
-/// A change that is published, recorded and logged.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
-pub struct AlarmDocument {
-    /// [`ALARM_SCHEMA`].
-    pub schema: &'static str,
-    /// The loop's name.
-    #[serde(rename = "loop")]
-    pub loop_name: String,
-    /// Which alarm: `stiction`.
-    pub alarm: &'static str,
-    /// State after the change.
-    pub state: State,
-    /// Whether the condition holds.
-    pub active: bool,
-    /// Class of the stiction while active.
-    pub severity: Option<String>,
-    /// ISA-18.2 priority while active, of the class and the loop's criticality (see [`Priority::of`]); absent for loops
-    /// that the configuration says nothing of, as nobody has weighed them.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub priority: Option<Priority>,
-    /// NE 107 signal: `M` (maintenance required) while active, else `ok`.
-    pub ne107: &'static str,
-    /// When the condition was raised, event time, ns.
-    pub raised_ns: Option<i64>,
-    /// When the state changed, event time, ns.
-    pub changed_ns: i64,
-    /// Who changed it; null for the daemon itself.
-    pub by: Option<String>,
-    /// Why.
-    pub why: String,
-    /// End of the window that changed it, or of the last one.
-    pub window_end_ns: Option<i64>,
-}
-
-impl AlarmDocument {
-    /// The same on a loop of this criticality.
-    #[must_use]
-    pub fn with_criticality(self, criticality: Option<u8>) -> Self {
-        let weighed = criticality.filter(|_| self.active);
-        Self { priority: weighed.map(|c| Priority::of(self.severity.as_deref(), c)), ..self }
-    }
-
-    /// One line that an operator understands.
-    #[must_use]
-    pub fn line(&self) -> String {
-        let by = self.by.as_ref().map(|b| format!(" by {b}")).unwrap_or_default();
-        let when = format_rfc3339(self.changed_ns);
-        format!("{}: stiction alarm {}{by} at {when}: {}", self.loop_name, self.state.name(), self.why)
-    }
+/// The s from which on a window counts, OP units: the lesser of the limits that are set; none where neither is.
+fn s_limit(a: &Assessment, params: &AlarmParams) -> Option<f64> {
+    let span = a.s.zip(a.s_over_span).map(|(s, share)| s / share).filter(|span| span.is_finite() && *span > 0.0);
+    let by_span = span.filter(|_| params.s_limit_span > 0.0).map(|span| params.s_limit_span * span);
+    let by_op = (params.s_limit_op > 0.0).then_some(params.s_limit_op);
+    [by_op, by_span].into_iter().flatten().reduce(f64::min)
 }
 
 /// Where an alarm was put by people; it goes on as ever behind it.
@@ -178,22 +136,38 @@ pub struct Alarm {
     /// Worst class since the alarm was raised.
     class: Option<String>,
     worse_windows: u8,
-    raised_ns: Option<i64>,
     window_end_ns: Option<i64>,
+    /// From when it is raised until it is at rest again.
+    #[serde(default)]
+    occurrence: Option<Occurrence>,
+    /// When it was raised, in the memory of builds that kept nothing else of it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    raised_ns: Option<i64>,
+    /// Of the newest window that could answer.
+    #[serde(default)]
+    figures: Figures,
+    /// What people did to it.
+    #[serde(default)]
+    marks: Marks,
+    /// Changes so far, and the identity of the last one.
+    #[serde(default)]
+    changes: u64,
+    #[serde(default)]
+    event_id: String,
 }
 
 /// Why a document stands that the shelf's time brought.
 const SHELF_OVER: &str = "the time on the shelf is over";
 
 /// What a command did, where nobody says why.
-fn done_by(cmd: &str) -> &'static str {
-    match cmd {
-        "shelve" => "shelved",
-        "unshelve" => "taken off the shelf",
-        "suppress" => "suppressed",
-        "unsuppress" => "no longer suppressed",
-        "out_of_service" => "taken out of service",
-        "in_service" => "back in service",
+const fn done_by(event: Event) -> &'static str {
+    match event {
+        Event::Shelved => "shelved",
+        Event::Unshelved => "taken off the shelf",
+        Event::Suppressed => "suppressed",
+        Event::Unsuppressed => "no longer suppressed",
+        Event::OutOfService => "taken out of service",
+        Event::InService => "back in service",
         _ => "acknowledged",
     }
 }
@@ -227,23 +201,24 @@ impl Alarm {
         let over = self.aside.shelved_until_ns.is_some_and(|until_ns| end_ns >= until_ns);
         if over {
             self.aside.shelved_until_ns = None;
+            self.marks.shelved = None;
         }
-        let changed = self.weigh(loop_name, a, params);
-        match changed {
-            Some(document) if over => {
-                Some(AlarmDocument { why: format!("{}; {SHELF_OVER}", document.why), ..document })
-            }
-            None if over => Some(self.document(loop_name, end_ns, None, SHELF_OVER.to_owned())),
-            changed => changed,
-        }
+        let (event, detail) = match (self.weigh(a, params), over) {
+            (Some((event, detail)), true) => (event, format!("{detail}; {SHELF_OVER}")),
+            (None, true) => (Event::ShelfEnded, SHELF_OVER.to_owned()),
+            (Some(changed), false) => changed,
+            (None, false) => return None,
+        };
+        Some(self.changed(loop_name, end_ns, event, None, detail))
     }
 
-    fn weigh(&mut self, loop_name: &str, a: &Assessment, params: &AlarmParams) -> Option<AlarmDocument> {
-        let end_ns = a.window.end_ns;
+    /// What a window changes, and why.
+    fn weigh(&mut self, a: &Assessment, params: &AlarmParams) -> Option<(Event, String)> {
         let evidence = Evidence::of(a, params);
         if evidence == Evidence::None {
             return None;
         }
+        self.figures = Figures::of(a, s_limit(a, params));
         let [m, n] = params.raise.map(u32::from);
         let mask = u32::MAX >> (32 - n.clamp(1, 32));
         self.history_for = (self.history_for << 1 | u32::from(evidence == Evidence::For)) & mask;
@@ -254,32 +229,24 @@ impl Alarm {
             self.history_against = 0;
             self.state = State::Unack;
             self.class = class.map(str::to_owned);
-            self.raised_ns = Some(end_ns);
             self.worse_windows = 0;
+            self.marks.acknowledged = None;
             let why = format!("{} of the last {n} windows show stiction; {}", self.history_for.count_ones(), size(a));
-            return Some(self.document(loop_name, end_ns, None, why));
+            self.occurrence = Some(Occurrence { since_ns: a.window.end_ns, why: why.clone() });
+            return Some((Event::Raised, why));
         }
         if self.active && self.history_against.count_ones() >= m {
             self.active = false;
             self.history_for = 0;
             self.state = if self.state == State::Unack { State::RtnUnack } else { State::Normal };
-            let why = format!("{} of the last {n} windows show no stiction", self.history_against.count_ones());
-            let document = self.document(loop_name, end_ns, None, why);
-            self.class = None;
-            self.raised_ns = None;
-            return Some(document);
+            let shown = self.history_against.count_ones();
+            return Some((Event::Cleared, format!("{shown} of the last {n} windows show no stiction")));
         }
-        self.worsened(loop_name, a, class, evidence)
+        self.worsened(a, class, evidence)
     }
 
     /// Raises an active alarm again when its class gets worse and stays so.
-    fn worsened(
-        &mut self,
-        loop_name: &str,
-        a: &Assessment,
-        class: Option<&'static str>,
-        evidence: Evidence,
-    ) -> Option<AlarmDocument> {
+    fn worsened(&mut self, a: &Assessment, class: Option<&'static str>, evidence: Evidence) -> Option<(Event, String)> {
         let worse = self.active && evidence == Evidence::For && rank(class) > rank(self.class.as_deref());
         self.worse_windows = if worse { self.worse_windows + 1 } else { 0 };
         if self.worse_windows < WORSE_WINDOWS {
@@ -288,30 +255,54 @@ impl Alarm {
         self.worse_windows = 0;
         let before = self.class.replace(class.unwrap_or_default().to_owned()).unwrap_or_else(|| "none".to_owned());
         self.state = State::Unack;
+        self.marks.acknowledged = None;
         let why = format!("worse than before: {before} has become {}; {}", class.unwrap_or("none"), size(a));
-        Some(self.document(loop_name, a.window.end_ns, None, why))
+        if let Some(occurrence) = &mut self.occurrence {
+            occurrence.why.clone_from(&why);
+        }
+        Some((Event::Worse, why))
     }
 
     /// Carries out a person's command at the loop's event time.
     ///
     /// # Errors
-    /// [`CommandError`] where the command is unknown or does not fit the state; nothing changes then.
+    /// [`CommandError`] where nobody is named, the command is unknown or does not fit the state; nothing changes then.
     pub fn command(&mut self, loop_name: &str, c: &Command, at_ns: i64) -> Result<AlarmDocument, CommandError> {
-        let why = c.why.clone().unwrap_or_else(|| done_by(&c.cmd).to_owned());
-        match c.cmd.as_str() {
-            "ack" => self.acknowledge(loop_name)?,
-            "shelve" => self.shelve(loop_name, c.for_s.unwrap_or(SHELVE_S), at_ns)?,
+        let by = c.by.as_deref().filter(|by| !by.trim().is_empty()).ok_or(CommandError::Nameless)?;
+        let mark = |until_ns| Some(Mark::new(by, c.why.as_ref(), at_ns, until_ns));
+        let event = match c.cmd.as_str() {
+            "ack" => {
+                self.acknowledge(loop_name)?;
+                self.marks.acknowledged = mark(None);
+                Event::Acknowledged
+            }
+            "shelve" => {
+                self.shelve(loop_name, c.for_s.unwrap_or(SHELVE_S), at_ns)?;
+                self.marks.shelved = mark(self.aside.shelved_until_ns);
+                Event::Shelved
+            }
             "unshelve" => {
                 let shelved = self.aside.shelved_until_ns.take().is_some();
                 self.expect(loop_name, shelved, "it is not shelved")?;
+                self.marks.shelved = None;
+                Event::Unshelved
             }
-            "suppress" => self.put(loop_name, |aside| &mut aside.suppressed, true)?,
-            "unsuppress" => self.put(loop_name, |aside| &mut aside.suppressed, false)?,
-            "out_of_service" => self.put(loop_name, |aside| &mut aside.out_of_service, true)?,
-            "in_service" => self.put(loop_name, |aside| &mut aside.out_of_service, false)?,
+            "suppress" | "unsuppress" => {
+                let on = c.cmd == "suppress";
+                self.put(loop_name, |aside| &mut aside.suppressed, on)?;
+                self.marks.suppressed = mark(None).filter(|_| on);
+                if on { Event::Suppressed } else { Event::Unsuppressed }
+            }
+            "out_of_service" | "in_service" => {
+                let out = c.cmd == "out_of_service";
+                self.put(loop_name, |aside| &mut aside.out_of_service, out)?;
+                self.marks.out_of_service = mark(None).filter(|_| out);
+                if out { Event::OutOfService } else { Event::InService }
+            }
             other => return Err(CommandError::Unknown(other.to_owned())),
-        }
-        Ok(self.document(loop_name, at_ns, c.by.clone(), why))
+        };
+        let detail = c.why.clone().unwrap_or_else(|| done_by(event).to_owned());
+        Ok(self.changed(loop_name, at_ns, event, Some(by.to_owned()), detail))
     }
 
     fn acknowledge(&mut self, loop_name: &str) -> Result<(), CommandError> {
@@ -358,24 +349,76 @@ impl Alarm {
     #[must_use]
     pub fn restored(&self, loop_name: &str) -> AlarmDocument {
         let at_ns = self.window_end_ns.unwrap_or(0);
-        self.document(loop_name, at_ns, None, "carried over from the run before".to_owned())
+        self.document(loop_name, at_ns, Event::Restored, None, "carried over from the run before".to_owned())
     }
 
-    fn document(&self, loop_name: &str, changed_ns: i64, by: Option<String>, why: String) -> AlarmDocument {
-        AlarmDocument {
+    /// The document of a change, which thereby has happened.
+    fn changed(
+        &mut self,
+        loop_name: &str,
+        changed_ns: i64,
+        event: Event,
+        by: Option<String>,
+        detail: String,
+    ) -> AlarmDocument {
+        self.changes += 1;
+        self.event_id = event_id(loop_name, self.changes, changed_ns, event);
+        let document = self.document(loop_name, changed_ns, event, by, detail);
+        if !self.active {
+            self.class = None;
+            if self.state == State::Normal {
+                (self.occurrence, self.raised_ns) = (None, None);
+                self.marks.acknowledged = None;
+            }
+        }
+        document
+    }
+
+    fn document(
+        &self,
+        loop_name: &str,
+        changed_ns: i64,
+        event: Event,
+        by: Option<String>,
+        detail: String,
+    ) -> AlarmDocument {
+        let since_ns = self.occurrence.as_ref().map(|o| o.since_ns).or(self.raised_ns);
+        let document = AlarmDocument {
             schema: ALARM_SCHEMA,
             loop_name: loop_name.to_owned(),
             alarm: "stiction",
+            event_id: self.event_id.clone(),
+            occurrence_id: since_ns.map(|since_ns| occurrence_id(loop_name, since_ns)),
+            event,
             state: self.shown(),
             active: self.active,
-            severity: self.class.clone(),
             priority: None,
-            ne107: if self.active { "M" } else { "ok" },
-            raised_ns: self.raised_ns,
+            criticality: None,
+            area: None,
+            equipment: None,
+            ne107: self.ne107(),
+            class: self.class.clone().filter(|_| self.active),
+            unit: String::new(),
+            figures: self.figures.clone(),
+            why: self.occurrence.as_ref().map(|o| o.why.clone()),
+            what_to_do: None,
+            since_ns,
+            since: since_ns.map(format_rfc3339),
             changed_ns,
+            changed: format_rfc3339(changed_ns),
             by,
-            why,
-            window_end_ns: self.window_end_ns,
+            detail,
+            marks: self.marks.clone(),
+        };
+        document.at(&Place::default())
+    }
+
+    /// The category of NE 107: work on the device goes before what it shows meanwhile.
+    const fn ne107(&self) -> &'static str {
+        match (self.aside.out_of_service, self.active) {
+            (true, _) => "C",
+            (false, true) => "M",
+            (false, false) => "ok",
         }
     }
 }
@@ -388,108 +431,4 @@ fn size(a: &Assessment) -> String {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::verdict::{Oscillation, Verdict, Window};
-    use proptest::prelude::*;
-
-    fn assessment(k: i64, verdict: Verdict, s: f64, strength: &'static str) -> Assessment {
-        let window = Window { start_ns: k * 10, end_ns: (k + 1) * 10, samples: 100, ts_s: 1.0, box_samples: 1 };
-        let oscillation = Oscillation {
-            oscillating: true,
-            period_s: None,
-            periods: None,
-            samples_per_period: None,
-            regularity: None,
-        };
-        let mut a = Assessment::empty(window, oscillation);
-        a.verdict = verdict;
-        a.stiction = verdict.stiction();
-        a.s = Some(s);
-        a.strength = Some(strength);
-        a
-    }
-
-    fn run(alarm: &mut Alarm, verdicts: &[(Verdict, f64)]) -> Vec<State> {
-        let params = AlarmParams { raise: [3, 4], s_limit_op: 1.0 };
-        let each = verdicts.iter().enumerate();
-        each.filter_map(|(k, (v, s))| alarm.window("L", &assessment(k as i64, *v, *s, "weak"), &params))
-            .map(|d| d.state)
-            .collect()
-    }
-
-    const YES: (Verdict, f64) = (Verdict::Stiction, 2.0);
-    const NO: (Verdict, f64) = (Verdict::Disturbance, 0.0);
-    const SILENT: (Verdict, f64) = (Verdict::Inconclusive, 0.0);
-
-    #[test]
-    fn it_takes_m_of_n_windows_and_silence_holds() {
-        let mut alarm = Alarm::default();
-        assert!(run(&mut alarm, &[YES, YES, SILENT, NO]).is_empty());
-        assert_eq!(run(&mut alarm, &[SILENT, SILENT, YES]), [State::Unack]);
-        assert!(run(&mut alarm, &[SILENT; 50]).is_empty());
-        assert!(alarm.active);
-        assert_eq!(run(&mut alarm, &[NO, NO, NO]), [State::RtnUnack]);
-    }
-
-    #[test]
-    fn it_is_acknowledged_once_and_clears_with_a_dead_band() {
-        let mut alarm = Alarm::default();
-        run(&mut alarm, &[YES; 3]);
-        let ack = Command { cmd: "ack".into(), by: Some("ann".into()), why: None, for_s: None };
-        assert_eq!(alarm.command("L", &ack, 5).unwrap().state, State::Acked);
-        assert!(matches!(alarm.command("L", &ack, 5), Err(CommandError::NothingToAcknowledge { .. })));
-        let unknown = Command { cmd: "explode".into(), by: None, why: None, for_s: None };
-        assert!(matches!(alarm.command("L", &unknown, 5), Err(CommandError::Unknown(_))));
-        assert!(run(&mut alarm, &[(Verdict::Stiction, 0.9); 10]).is_empty());
-        assert_eq!(run(&mut alarm, &[(Verdict::Stiction, 0.7); 4]), [State::Normal]);
-    }
-
-    #[test]
-    fn one_of_three_does_not_flap() {
-        let params = AlarmParams { raise: [1, 3], s_limit_op: 1.0 };
-        let mut alarm = Alarm::default();
-        let mut changes = Vec::new();
-        for (k, verdict) in
-            [Verdict::Stiction, Verdict::Tuning, Verdict::Tuning, Verdict::Tuning].into_iter().enumerate()
-        {
-            changes.extend(alarm.window("L", &assessment(k as i64, verdict, 2.0, "weak"), &params).map(|d| d.state));
-        }
-        assert_eq!(changes, [State::Unack, State::RtnUnack]);
-    }
-
-    #[test]
-    fn it_is_raised_again_when_it_gets_worse() {
-        let params = AlarmParams { raise: [1, 1], s_limit_op: 1.0 };
-        let mut alarm = Alarm::default();
-        alarm.window("L", &assessment(0, Verdict::Stiction, 2.0, "weak"), &params).unwrap();
-        let ack = Command { cmd: "ack".into(), by: None, why: None, for_s: None };
-        alarm.command("L", &ack, 5).unwrap();
-        assert!(alarm.window("L", &assessment(1, Verdict::Stiction, 9.0, "strong"), &params).is_none());
-        let again = alarm.window("L", &assessment(2, Verdict::Stiction, 9.0, "strong"), &params).unwrap();
-        assert_eq!((again.state, again.severity.as_deref()), (State::Unack, Some("strong")));
-        let priority = |criticality| again.clone().with_criticality(criticality).priority;
-        assert_eq!([None, Some(3), Some(5)].map(priority), [None, Some(Priority::High), Some(Priority::Urgent)]);
-        let over = alarm.window("L", &assessment(3, Verdict::Tuning, 0.0, "weak"), &params).unwrap();
-        assert_eq!(over.with_criticality(Some(5)).priority, None);
-    }
-
-    proptest! {
-        #[test]
-        fn states_and_activity_agree_in_any_order(steps in proptest::collection::vec(0_u8..6, 0..64)) {
-            let params = AlarmParams { raise: [2, 3], s_limit_op: 1.0 };
-            let mut alarm = Alarm::default();
-            for (k, step) in steps.into_iter().enumerate() {
-                let verdict = [Verdict::Stiction, Verdict::Disturbance, Verdict::Inconclusive][usize::from(step % 3)];
-                if step == 5 {
-                    let _ = alarm.command("L", &Command { cmd: "ack".into(), by: None, why: None, for_s: None }, k as i64);
-                } else {
-                    alarm.window("L", &assessment(k as i64, verdict, f64::from(step), "weak"), &params);
-                }
-                prop_assert_eq!(alarm.active, matches!(alarm.state, State::Unack | State::Acked));
-                let text = serde_json::to_string(&alarm).unwrap();
-                prop_assert_eq!(serde_json::from_str::<Alarm>(&text).unwrap(), alarm.clone());
-            }
-        }
-    }
-}
+mod tests;

@@ -20,6 +20,9 @@ pub enum Priority {
 }
 
 impl Priority {
+    /// Criticality of loops that nobody has weighed.
+    pub const CRITICALITY: u8 = 3;
+
     /// The priority of a class of stiction on a loop of this criticality (1 to 5, 3 where nothing is said). At 3 weak is
     /// low, moderate medium, strong high; two steps of criticality move it by one.
     #[must_use]

@@ -7,6 +7,7 @@ use serde_json::json;
 
 use super::{Format, Outcome, say};
 use crate::config::{Config, Fault};
+use crate::sink::deliver;
 use crate::sink::signing::Signer;
 use crate::source::zenoh::session_config;
 
@@ -73,7 +74,20 @@ fn faults_outside(text: &str, config: &Config) -> Vec<Fault> {
     if let Err(why) = can_be_written(Path::new(&config.recording.dir)) {
         refuse("recording", "dir", why, "name a folder that this user may write, or may make");
     }
+    for d in &config.deliver {
+        if let Err(error) = deliver::check(d) {
+            let (line, key) = (line_of_name(text, &d.name), format!("deliver.{}", d.name));
+            let remedy = "name a file that exists and can be read".to_owned();
+            faults.push(Fault { line, key, message: format!("{error:#}"), remedy });
+        }
+    }
     faults
+}
+
+/// The line where a table is named, or the first.
+fn line_of_name(text: &str, name: &str) -> usize {
+    let named = |line: &str| line.trim_start().starts_with("name") && line.contains(&format!("\"{name}\""));
+    text.lines().position(named).map_or(1, |at| at + 1)
 }
 
 /// The line of a key below its table's head, or of the head, or the first.

@@ -172,7 +172,7 @@ fn print(leaf: &str, json: &[u8], format: Format, last: &mut BTreeMap<String, Js
     let name = d["loop"].as_str().unwrap_or("?").to_owned();
     let number = |v: &Json| v.as_f64().map_or("    -".to_owned(), |x| format!("{x:5.2}"));
     if kind == Some(Kind::Alarm) {
-        say(format!("ALARM {name}: {} - {}", d["state"].as_str().unwrap_or("?"), d["why"].as_str().unwrap_or("")))?;
+        say(format!("ALARM {name}: {} - {}", d["state"].as_str().unwrap_or("?"), d["detail"].as_str().unwrap_or("")))?;
         return Ok(());
     }
     let when = format_rfc3339(d["window"]["end_ns"].as_i64().unwrap_or(0));

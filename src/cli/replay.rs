@@ -151,7 +151,9 @@ fn print(format: Format, output: &Output) -> anyhow::Result<()> {
     let name = &output.loop_name;
     let line = match output.kind {
         Kind::Alarm => {
-            format!("{}  {name:<12} alarm {}: {}", time(&d["changed_ns"]), text(&d["state"]), text(&d["why"]))
+            // Recordings of earlier builds say it in `why`.
+            let detail = if d["detail"].is_string() { &d["detail"] } else { &d["why"] };
+            format!("{}  {name:<12} alarm {}: {}", time(&d["changed_ns"]), text(&d["state"]), text(detail))
         }
         Kind::Gap => format!(
             "{}  {name:<12} gap {} ({}, p {})",
@@ -216,7 +218,7 @@ impl Publisher {
         use zenoh::Wait;
         let Some(session) = &self.0 else { return Ok(()) };
         let key = topic::result(prefix, &output.loop_name, output.kind);
-        let encoding = bus::encoding_of(output.kind.name());
+        let encoding = bus::encoding_of(&key);
         match session.put(&key, output.json).encoding(encoding).wait() {
             Ok(()) => Ok(()),
             Err(error) => bail!("{key}: cannot be published: {error}"),

@@ -10,6 +10,11 @@ use std::fmt;
 /// The chunks under which the daemon publishes.
 pub const OUTPUT_CHUNKS: &str = "@stiction/v1";
 
+/// Schema name of a loop's health.
+pub const LOOP_HEALTH_SCHEMA: &str = "stictiond.loop_health.v1";
+/// Schema name of the daemon's own health.
+pub const DAEMON_HEALTH_SCHEMA: &str = "stictiond.daemon_health.v1";
+
 /// What a message holds; each kind has its own schema in a recording.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Kind {
@@ -58,9 +63,9 @@ impl Kind {
             Self::Sample => "stictiond.sample.v1",
             Self::Mode => "stictiond.mode.v1",
             Self::Estimate => "stictiond.estimate.v1",
-            Self::Alarm => "stictiond.alarm.v1",
+            Self::Alarm => "stictiond.alarm.v2",
             Self::Gap => "stictiond.gap.v1",
-            Self::Health => "stictiond.health.v1",
+            Self::Health => LOOP_HEALTH_SCHEMA,
             Self::State => "stictiond.state.v1",
             Self::Input => "stictiond.input.v1",
         }
@@ -164,6 +169,14 @@ pub fn leaf(topic: &str) -> &str {
     topic.rsplit('/').next().unwrap_or(topic)
 }
 
+/// The schema of the document that stands under a topic.
+#[must_use]
+pub fn schema_of(topic: &str) -> Option<&'static str> {
+    let kind = Kind::of_document(leaf(topic))?;
+    let own = kind == Kind::Health && topic.contains("/@daemon/");
+    Some(if own { DAEMON_HEALTH_SCHEMA } else { kind.schema() })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -184,6 +197,14 @@ mod tests {
             assert_eq!((topic.loop_name, topic.leaf), (loop_name, leaf), "{text}");
             assert_eq!(topic.to_string(), text);
         }
+    }
+
+    #[test]
+    fn each_topic_has_one_schema() {
+        assert_eq!(schema_of("p/@stiction/v1/u1/FIC101/alarm"), Some("stictiond.alarm.v2"));
+        assert_eq!(schema_of("p/@stiction/v1/A/health"), Some("stictiond.loop_health.v1"));
+        assert_eq!(schema_of("p/@stiction/v1/@daemon/d1/health"), Some("stictiond.daemon_health.v1"));
+        assert_eq!(schema_of("p/FIC101/op"), None);
     }
 
     #[test]

@@ -1,5 +1,7 @@
 //! The configuration: TOML text in, a [`Config`] or every fault at once out. Knows no file.
 
+mod alarm;
+mod deliver;
 mod input;
 mod reader;
 mod service;
@@ -10,6 +12,9 @@ use serde::Serialize;
 use sha2::{Digest, Sha256};
 use toml::de::DeTable;
 
+pub use alarm::AlarmParams;
+use alarm::read_alarm;
+pub use deliver::{Address, Deliver, Protocol};
 pub use input::Input;
 pub use reader::Fault;
 use reader::{Lines, TableReader, subtable, subtables};
@@ -48,6 +53,9 @@ pub struct Config {
     pub signing: Signing,
     /// Metrics and health over HTTP.
     pub web: Web,
+    /// Receivers outside the bus. Not part of [`Config::hash`]: where documents go changes none of them.
+    #[serde(skip_serializing)]
+    pub deliver: Vec<Deliver>,
     /// Loops that are mapped or have settings of their own.
     #[serde(rename = "loop")]
     pub loops: Vec<LoopConfig>,
@@ -96,15 +104,6 @@ pub struct WindowParams {
     pub max_points: usize,
 }
 
-/// `[alarm]`.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct AlarmParams {
-    /// Raise when m of the last n windows say stiction.
-    pub raise: [u8; 2],
-    /// Least s, in OP units, that counts.
-    pub s_limit_op: f64,
-}
-
 /// `[gap]`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct GapParams {
@@ -134,6 +133,12 @@ pub struct Web {
     pub enabled: bool,
     /// Address and port; port 0 takes any free one.
     pub listen: String,
+    /// Whether `/metrics` has series of every loop. Like the next not part of [`Config::hash`].
+    #[serde(skip_serializing)]
+    pub loop_series: bool,
+    /// Loops that have series at most.
+    #[serde(skip_serializing)]
+    pub max_loop_series: usize,
 }
 
 /// `[[loop]]`.
@@ -150,6 +155,15 @@ pub struct LoopConfig {
     pub kind: Option<&'static str>,
     /// How much the loop matters, 1 to 5.
     pub criticality: u8,
+    /// Part of the plant; empty: not said. Like the next two left out of [`Config::hash`] while nothing is said.
+    #[serde(skip_serializing_if = "String::is_empty")]
+    pub area: String,
+    /// The valve's name in the maintenance system.
+    #[serde(skip_serializing_if = "String::is_empty")]
+    pub equipment: String,
+    /// Unit of OP.
+    #[serde(skip_serializing_if = "String::is_empty")]
+    pub op_unit: String,
     /// Its windows.
     pub window: WindowParams,
     /// Its alarms.
@@ -168,12 +182,6 @@ impl Default for WindowParams {
             lateness_s: 5.0,
             max_points: 2000,
         }
-    }
-}
-
-impl Default for AlarmParams {
-    fn default() -> Self {
-        Self { raise: [3, 4], s_limit_op: 1.0 }
     }
 }
 
@@ -243,8 +251,9 @@ impl Config {
         let signing = read!(signing, service::read_signing);
         let web = read!(web, read_web);
         let loops = read_loops(lines, root, window, alarm, faults);
+        let deliver = deliver::read_delivers(lines, root, faults);
         faults.extend(input::too_few_places(lines, root, input.max_loops, loops.len()));
-        Self { site, zenoh, input, window, alarm, gap, recording, retention, commands, signing, web, loops }
+        Self { site, zenoh, input, window, alarm, gap, recording, retention, commands, signing, web, deliver, loops }
     }
 
     /// A configuration with every default, for a prefix that is known to be sound.
@@ -283,7 +292,7 @@ fn syntax_fault(lines: &Lines, error: &toml::de::Error) -> Fault {
 }
 
 fn refuse_unknown_tables(lines: &Lines, root: &DeTable<'_>, faults: &mut Vec<Fault>) {
-    const KNOWN: [&str; 12] = [
+    const KNOWN: [&str; 13] = [
         "site",
         "zenoh",
         "input",
@@ -295,6 +304,7 @@ fn refuse_unknown_tables(lines: &Lines, root: &DeTable<'_>, faults: &mut Vec<Fau
         "commands",
         "signing",
         "web",
+        "deliver",
         "loop",
     ];
     for (key, _) in root.iter().filter(|(k, _)| !KNOWN.iter().any(|known| known == k.get_ref())) {
@@ -370,19 +380,6 @@ fn read_window(r: &mut TableReader<'_, '_>, d: WindowParams) -> WindowParams {
     w
 }
 
-fn read_alarm(r: &mut TableReader<'_, '_>, d: AlarmParams) -> AlarmParams {
-    let mut raise = d.raise;
-    if let Some(([m, n], line)) = r.pair("raise", "two whole numbers, such as [3, 4]") {
-        let whole = |x: f64| x.fract() == 0.0 && (1.0..=32.0).contains(&x);
-        if whole(m) && whole(n) && m <= n {
-            raise = [m as u8, n as u8];
-        } else {
-            r.refuse(line, "raise", format!("[{m}, {n}] is not m of n"), "write 1 <= m <= n <= 32, such as [3, 4]");
-        }
-    }
-    AlarmParams { raise, s_limit_op: r.number("s_limit_op", d.s_limit_op, 0.0, 1e12) }
-}
-
 fn read_gap(r: &mut TableReader<'_, '_>) -> GapParams {
     let d = GapParams::default();
     GapParams {
@@ -400,6 +397,9 @@ fn read_recording(r: &mut TableReader<'_, '_>) -> Recording {
     }
 }
 
+/// `[web] max_loop_series` where nothing is said: some eight series each, what a collector takes in one scrape at ease.
+const MAX_LOOP_SERIES: u64 = 1000;
+
 fn read_web(r: &mut TableReader<'_, '_>) -> Web {
     let enabled = r.boolean("enabled", true);
     let mut listen = "127.0.0.1:8080".to_owned();
@@ -414,7 +414,9 @@ fn read_web(r: &mut TableReader<'_, '_>) -> Web {
         }
         listen = text;
     }
-    Web { enabled, listen }
+    let loop_series = r.boolean("loop_series", true);
+    let max_loop_series = r.integer("max_loop_series", MAX_LOOP_SERIES, 1, 1_000_000) as usize;
+    Web { enabled, listen, loop_series, max_loop_series }
 }
 
 fn read_loops(
@@ -493,9 +495,29 @@ fn read_loop(r: &mut TableReader<'_, '_>, window: WindowParams, alarm: AlarmPara
         op_range,
         kind,
         criticality: r.integer("criticality", 3, 1, 5) as u8,
+        area: read_label(r, "area"),
+        equipment: read_label(r, "equipment"),
+        op_unit: read_label(r, "op_unit"),
         window: read_window(r, window),
         alarm: read_alarm(r, alarm),
     }
+}
+
+/// Longest label, bytes.
+const LABEL_BYTES: usize = 128;
+
+/// A short plain text that documents carry along.
+fn read_label(r: &mut TableReader<'_, '_>, key: &'static str) -> String {
+    let Some((label, line)) = r.text(key) else { return String::new() };
+    if label.len() > LABEL_BYTES || label.chars().any(char::is_control) {
+        r.refuse(
+            line,
+            key,
+            "is too long or holds control characters",
+            format!("write at most {LABEL_BYTES} bytes of text"),
+        );
+    }
+    label.trim().to_owned()
 }
 
 #[cfg(test)]
@@ -549,8 +571,8 @@ mod tests {
     #[test]
     fn the_hash_hangs_on_the_gap_only_where_it_is_set() {
         let hash = |gap: &str| Config::parse(&format!("[site]\nprefix = \"p\"\n{gap}")).unwrap().hash();
-        // As it was before there was a gap diagnosis: older recordings still read as recorded.
-        assert_eq!(hash(""), "aa77f03d084b55b4");
+        // It changes with what a default means, as that of the alarm's limit: recordings say under which they were made.
+        assert_eq!(hash(""), "362aaef1d938d8b8");
         assert_eq!(hash("[gap]\nenabled = true\n"), hash(""));
         assert_ne!(hash("[gap]\nenabled = false\n"), hash(""));
         assert_ne!(hash("[gap]\nbudget_evaluations = 5000\n"), hash(""));

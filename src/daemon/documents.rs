@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 
 use super::health::{DaemonHealth, LoopHealth};
 use crate::alarm::{ALARM_SCHEMA, AlarmDocument};
-use crate::codec::topic::Kind;
+use crate::codec::topic::{DAEMON_HEALTH_SCHEMA, LOOP_HEALTH_SCHEMA};
 use crate::gap::document::{GAP_SCHEMA, GapDocument};
 use crate::verdict::{ESTIMATE_SCHEMA, EstimateDocument};
 
@@ -30,24 +30,12 @@ fn document<T: JsonSchema>(name: &str) -> Value {
 /// Names and schemas of every published document.
 #[must_use]
 pub fn schemas() -> Vec<(&'static str, Value)> {
-    let health = Kind::Health.schema();
-    let shapes = [document::<DaemonHealth>("daemon"), document::<LoopHealth>("loop")].map(|mut shape| {
-        shape["properties"]["schema"] = json!({"const": health});
-        shape["$id"] = json!(format!("urn:stictiond:{health}:{}", shape["title"].as_str().unwrap_or_default()));
-        shape
-    });
-    let health_schema = json!({
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
-        "$id": format!("urn:stictiond:{health}"),
-        "title": health,
-        "description": "Health of the daemon, or of one loop.",
-        "anyOf": shapes,
-    });
     vec![
         (ESTIMATE_SCHEMA, document::<EstimateDocument>(ESTIMATE_SCHEMA)),
         (ALARM_SCHEMA, document::<AlarmDocument>(ALARM_SCHEMA)),
         (GAP_SCHEMA, document::<GapDocument>(GAP_SCHEMA)),
-        (health, health_schema),
+        (LOOP_HEALTH_SCHEMA, document::<LoopHealth>(LOOP_HEALTH_SCHEMA)),
+        (DAEMON_HEALTH_SCHEMA, document::<DaemonHealth>(DAEMON_HEALTH_SCHEMA)),
     ]
 }
 
@@ -60,6 +48,7 @@ pub fn text(schema: &Value) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::codec::topic::Kind;
 
     #[test]
     fn what_may_be_null_may_be_and_what_is_always_there_is_required() {
@@ -72,6 +61,50 @@ mod tests {
         assert_eq!(estimate["properties"]["fs"]["type"], json!(["number", "null"]));
         assert_eq!(estimate["properties"]["s_interval"]["maxItems"], 2);
         assert_eq!(estimate["properties"]["schema"]["const"], "stictiond.estimate.v1");
+    }
+
+    #[test]
+    fn topics_and_documents_call_them_alike() {
+        assert_eq!(Kind::Alarm.schema(), ALARM_SCHEMA);
+        assert_eq!((Kind::Estimate.schema(), Kind::Gap.schema()), (ESTIMATE_SCHEMA, GAP_SCHEMA));
+        assert!(schemas().iter().all(|(name, schema)| schema["properties"]["schema"]["const"] == *name));
+    }
+
+    /// `docs/asyncapi.json` names every document once, by a schema that is kept.
+    #[test]
+    fn the_asyncapi_document_has_every_document_and_refers_to_what_is_there() {
+        let docs = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("docs");
+        let text = std::fs::read_to_string(docs.join("asyncapi.json")).unwrap();
+        let whole: Value = serde_json::from_str(&text).unwrap();
+        let names: Vec<String> = whole["components"]["messages"].as_object().unwrap().keys().cloned().collect();
+        let mut known: Vec<String> = schemas().iter().map(|(name, _)| (*name).to_owned()).collect();
+        known.sort();
+        assert_eq!(names, known);
+        let mut open = vec![&whole];
+        let mut references = 0;
+        while let Some(value) = open.pop() {
+            match value {
+                Value::Object(fields) => {
+                    if let Some(place) = fields.get("$ref").and_then(Value::as_str) {
+                        references += 1;
+                        let there = match place.strip_prefix('#') {
+                            Some(pointer) => whole.pointer(pointer).is_some(),
+                            None => docs.join(place).is_file(),
+                        };
+                        assert!(there, "{place}");
+                    }
+                    open.extend(fields.values());
+                }
+                Value::Array(values) => open.extend(values),
+                _ => {}
+            }
+        }
+        assert!(references > 20, "{references}");
+        for (_, channel) in whole["channels"].as_object().unwrap() {
+            let address = channel["address"].as_str().unwrap().replace("{prefix}", "p").replace("{loop}", "A");
+            let schema = crate::codec::topic::schema_of(&address).unwrap();
+            assert!(channel["messages"].get(schema).is_some(), "{address}");
+        }
     }
 
     /// `docs/schemas` holds what this build makes; STICTIOND_GOLDEN=write makes it anew.

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::Serialize;
 
-use crate::codec::topic::Kind;
+use crate::codec::topic::{DAEMON_HEALTH_SCHEMA, LOOP_HEALTH_SCHEMA};
 use crate::engine::LoopFigures;
 use crate::units::s_from_ns;
 
@@ -26,7 +26,7 @@ pub struct QueueHealth {
     pub dropped: u64,
 }
 
-/// `stictiond.health.v1` of the daemon.
+/// `stictiond.daemon_health.v1`.
 #[derive(Debug, Clone, Serialize)]
 #[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 pub struct DaemonHealth {
@@ -55,7 +55,7 @@ impl DaemonHealth {
     #[must_use]
     pub fn starting(daemon: &str, config_hash: &str) -> Self {
         Self {
-            schema: Kind::Health.schema(),
+            schema: DAEMON_HEALTH_SCHEMA,
             daemon: daemon.to_owned(),
             version: crate::VERSION,
             config_hash: config_hash.to_owned(),
@@ -68,7 +68,7 @@ impl DaemonHealth {
     }
 }
 
-/// `stictiond.health.v1` of a loop.
+/// `stictiond.loop_health.v1`.
 #[derive(Debug, Clone, Serialize)]
 #[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
 pub struct LoopHealth {
@@ -99,7 +99,7 @@ impl LoopHealth {
     pub fn new(loop_name: &str, figures: &LoopFigures, now_ns: i64) -> Self {
         let c = &figures.counts;
         Self {
-            schema: Kind::Health.schema(),
+            schema: LOOP_HEALTH_SCHEMA,
             loop_name: loop_name.to_owned(),
             data_age_s: figures.greatest_ns.map(|t| s_from_ns(now_ns.saturating_sub(t))),
             gaps: c.gaps,

@@ -7,9 +7,11 @@ use prometheus_client::encoding::EncodeLabelSet;
 use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::Gauge;
+use prometheus_client::metrics::histogram::{Histogram, exponential_buckets};
 use prometheus_client::metrics::info::Info;
 use prometheus_client::registry::Registry;
 
+use super::series::LoopSeries;
 use crate::signal::align::AlignCounts;
 
 /// One label.
@@ -17,6 +19,16 @@ use crate::signal::align::AlignCounts;
 pub struct Label {
     /// Its value.
     pub name: String,
+}
+
+/// How long something takes: a millisecond to half a minute, each bucket twice the one before.
+#[derive(Debug, Clone)]
+pub struct Seconds(pub Histogram);
+
+impl Default for Seconds {
+    fn default() -> Self {
+        Self(Histogram::new(exponential_buckets(0.001, 2.0, 16)))
+    }
 }
 
 macro_rules! counters {
@@ -31,6 +43,14 @@ macro_rules! counters {
             pub gates: Family<Label, Counter>,
             /// Payloads by codec.
             pub codecs: Family<Label, Counter>,
+            /// Documents that wait for receivers, by receiver.
+            pub delivery_waiting: Family<Label, Gauge>,
+            /// Time that fits take.
+            pub fit: Seconds,
+            /// Time from the arrival of the sample that closes a window to its estimate.
+            pub lag: Seconds,
+            /// Series of every loop.
+            pub series: LoopSeries,
             /// Loops that have appeared.
             pub loops: Gauge,
             /// Finished recordings that were found damaged.
@@ -81,6 +101,10 @@ counters! {
     foreign_documents: "Documents under the daemon's keys that others published",
     published: "Documents published",
     dropped_output: "Documents that could not be published",
+    delivered: "Documents that receivers outside the bus have taken",
+    delivery_failed: "Attempts of delivery that failed and are made again",
+    delivery_refused: "Documents that a receiver refused for good",
+    delivery_dropped: "Documents given up because too many waited for a receiver",
     recorded: "Messages recorded",
     recording_lost: "Messages that could not be recorded",
     recording_files: "Recording files opened",
@@ -104,6 +128,11 @@ impl Metrics {
         registry.register("verdict", "Estimates by verdict", self.verdicts.clone());
         registry.register("gate", "Gates by name", self.gates.clone());
         registry.register("codec", "Payloads by codec", self.codecs.clone());
+        registry.register("delivery_waiting", "Documents that wait for receivers", self.delivery_waiting.clone());
+        registry.register("fit_seconds", "Time that a fit takes in seconds", self.fit.0.clone());
+        let help = "Time from the arrival of the sample that closes a window to its estimate in seconds";
+        registry.register("estimate_lag_seconds", help, self.lag.0.clone());
+        self.series.register(&mut registry);
         registry.register("recordings_damaged", "Finished recordings found damaged", self.recordings_damaged.clone());
         registry.register("loops", "Loops that have appeared", self.loops.clone());
         registry.register("queue_length", "Messages waiting", self.queues.clone());

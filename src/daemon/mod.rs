@@ -6,6 +6,7 @@
 //!                                                |--(gaps, refuses or skips + records)--> gap thread, last to get a core
 //!                                                |--(recorder, waits 2 s)--> recorder thread --> *.mcap
 //!                                                |--(newest state a loop)--> state thread --> state.redb
+//!                                                |--(outbox, 4,096; drops + counts)--> outbox thread --> outbox.redb, then a thread a receiver
 //!                                                '--(publisher, alarms wait)--> publisher thread --> Zenoh, last values
 //! ```
 
@@ -25,6 +26,7 @@ pub mod replay;
 pub mod restore;
 mod routes;
 mod schedule;
+pub mod series;
 mod signals;
 pub mod stage;
 mod worker;
@@ -56,6 +58,7 @@ use crate::config::Config;
 use crate::engine::Engine;
 use crate::files::disk::SystemDisk;
 use crate::files::lock::{FolderLock, LockError};
+use crate::sink::deliver::Outbox;
 use crate::sink::keeper::Keeper;
 use crate::sink::recorder::{Recorder, RunInfo};
 use crate::sink::signing::Signer;
@@ -165,6 +168,11 @@ pub async fn run(
         keeper = Some(started);
         threads.push(("state", keeping));
     }
+    let mut outbox = None;
+    if let Some((started, keeping)) = Outbox::start(&config, &recordings, &faults, &metrics)? {
+        outbox = Some(started);
+        threads.push(("outbox", keeping));
+    }
     let workers = worker::start(options.workers)?;
     let waiting = workers.requests.clone();
     let diagnoser = Diagnoser::start(move || !waiting.is_empty())?;
@@ -184,6 +192,7 @@ pub async fn run(
         recorder: Some(recorder),
         keeper,
         publisher,
+        outbox,
         metrics: metrics.clone(),
         faults: faults.clone(),
         snapshot,

@@ -86,9 +86,12 @@ fn settings(config: &Config) -> BTreeMap<String, Value> {
         ("signing", serde_json::to_value(&config.signing)),
         ("retention", serde_json::to_value(config.retention)),
         ("gap", serde_json::to_value(config.gap)),
+        ("deliver", serde_json::to_value(&config.deliver)),
     ] {
         root[key] = table.unwrap_or_default();
     }
+    root["web"]["loop_series"] = config.web.loop_series.into();
+    root["web"]["max_loop_series"] = config.web.max_loop_series.into();
     root["input"]["queue_bytes"] = config.input.queue_bytes.into();
     root["input"]["new_loops_per_hour"] = config.input.new_loops_per_hour.into();
     root["input"]["max_rate_hz"] = config.input.max_rate_hz.into();

@@ -6,6 +6,7 @@
 
 use std::path::Path;
 use std::sync::{Arc, RwLock};
+use std::time::Duration;
 
 use crossbeam_channel::{Receiver, Sender};
 
@@ -88,6 +89,7 @@ impl Stage {
             recorder: Some(recorder),
             keeper: Some(keeper),
             publisher,
+            outbox: None,
             metrics: metrics.clone(),
             faults: faults.clone(),
             snapshot: snapshot.clone(),
@@ -139,7 +141,8 @@ impl Stage {
         for done in 0..most {
             let Ok(request) = self.requests.try_recv() else { return done };
             let assessment = fit(self.core.engine().name(request.id), &request);
-            let answer = Answered { id: request.id, seq: request.seq, end_ns: request.end_ns, assessment };
+            let (id, seq, end_ns, took) = (request.id, request.seq, request.end_ns, Duration::ZERO);
+            let answer = Answered { id, seq, end_ns, took, assessment };
             let _ = self.answers.send(answer);
             // The answer makes room for the next one in the schedule.
             self.core.turn(&self.incoming);

@@ -1,6 +1,7 @@
 //! Fits off the engine's thread: a few workers, which take what the schedule says is next, answers by channel.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, Sender};
 
@@ -16,6 +17,8 @@ pub struct Answered {
     pub seq: u64,
     /// The window's name, ns.
     pub end_ns: i64,
+    /// How long the fit took.
+    pub took: Duration,
     /// What the window says; `None` where the fit broke off.
     pub assessment: Option<Assessment>,
 }
@@ -44,8 +47,10 @@ pub fn start(count: Option<usize>) -> std::io::Result<Workers> {
         thread.spawn(move || {
             for request in jobs {
                 // A fit that breaks off must cost its window, not the worker and every later window of the loop.
+                let began = Instant::now();
                 let assessment = catch_unwind(AssertUnwindSafe(|| request.compute())).ok();
-                let answer = Answered { id: request.id, seq: request.seq, end_ns: request.end_ns, assessment };
+                let (id, seq, end_ns, took) = (request.id, request.seq, request.end_ns, began.elapsed());
+                let answer = Answered { id, seq, end_ns, took, assessment };
                 if finished.send(answer).is_err() {
                     return;
                 }

@@ -144,7 +144,7 @@ impl Loop {
         let end_ns = assessment.window.end_ns;
         out.push(Event::Estimate(id, Box::new(EstimateDocument::new(&self.name, hash, assessment))));
         if let Some(document) = change {
-            out.push(Event::Alarm(id, document.with_criticality(self.settings.criticality)));
+            out.push(Event::Alarm(id, Box::new(document.at(&self.settings.place))));
         }
         let checkpoint = Checkpoint { alarm: self.alarm.clone(), gap: self.gap.clone(), stream: None };
         out.push(Event::State(id, Box::new(StateDocument::new(&self.name, Some(end_ns), checkpoint))));
@@ -228,7 +228,7 @@ impl Loop {
         let clock = self.aligner.event_time_ns(&self.settings.align);
         let at_ns = clock.or(self.alarm.window_end_ns()).unwrap_or(0);
         let document = self.alarm.command(&self.name, command, at_ns)?;
-        Ok(document.with_criticality(self.settings.criticality))
+        Ok(document.at(&self.settings.place))
     }
 
     pub fn checkpoint(&self) -> Checkpoint {
@@ -252,7 +252,7 @@ impl Loop {
             self.windows = stream.windows;
             self.gaps = stream.gaps;
         }
-        let restored = || self.alarm.restored(&self.name).with_criticality(self.settings.criticality);
+        let restored = || self.alarm.restored(&self.name).at(&self.settings.place);
         (self.alarm.shown() != State::Normal).then(restored)
     }
 

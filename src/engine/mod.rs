@@ -16,7 +16,7 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use crate::alarm::{Alarm, AlarmDocument, Command, CommandError};
+use crate::alarm::{Alarm, AlarmDocument, Command, CommandError, Place};
 use crate::config::{AlarmParams, Config, GapParams, LoopConfig, WindowParams};
 use crate::record::{Record, Sample};
 use crate::signal::align::{AlignCounts, AlignParams, Aligner, Quality};
@@ -53,8 +53,8 @@ pub struct LoopSettings {
     pub assess: AssessParams,
     /// Its gap diagnoses.
     pub gap: GapParams,
-    /// How much it matters, 1 to 5, where the configuration says anything of the loop.
-    pub criticality: Option<u8>,
+    /// Where it belongs and what it is worth.
+    pub place: Place,
 }
 
 impl LoopSettings {
@@ -79,8 +79,21 @@ impl LoopSettings {
             window,
             alarm,
             gap: config.gap,
-            criticality: own.map(|l| l.criticality),
+            place: own.map(place_of).unwrap_or_default(),
         }
+    }
+}
+
+/// What the configuration says of a loop's place.
+fn place_of(own: &LoopConfig) -> Place {
+    let said = |text: &String| Some(text.clone()).filter(|text| !text.is_empty());
+    // OP that runs from 0 to 100 is in %, whoever wrote the range.
+    let percent = (own.op_range == Some([0.0, 100.0])).then(|| "%".to_owned());
+    Place {
+        criticality: Some(own.criticality),
+        area: said(&own.area),
+        equipment: said(&own.equipment),
+        op_unit: said(&own.op_unit).or(percent),
     }
 }
 
@@ -115,7 +128,7 @@ pub enum Event {
     /// An estimate to publish and record.
     Estimate(LoopId, Box<EstimateDocument>),
     /// A change of an alarm to publish, record and log.
-    Alarm(LoopId, AlarmDocument),
+    Alarm(LoopId, Box<AlarmDocument>),
     /// The loop's memory after a window, to record.
     State(LoopId, Box<StateDocument>),
     /// Compute this when nothing else waits, and hand the answer back.

@@ -45,10 +45,28 @@ fn fields(kind: Kind) -> Fields {
             ..Fields::default()
         },
         Kind::Alarm => Fields {
-            integers: &["raised_ns", "changed_ns", "window_end_ns"],
-            texts: &["schema", "loop", "alarm", "state", "severity", "ne107", "by", "why"],
+            integers: &["since_ns", "changed_ns", "criticality"],
+            numbers: &["s", "s_limit", "p", "stiction_index"],
+            texts: &[
+                "schema",
+                "loop",
+                "alarm",
+                "event_id",
+                "event",
+                "state",
+                "priority",
+                "area",
+                "equipment",
+                "ne107",
+                "class",
+                "unit",
+                "verdict",
+                "why",
+                "by",
+                "detail",
+            ],
             flags: &["active"],
-            ..Fields::default()
+            objects: &[("window", &["start_ns", "end_ns"])],
         },
         Kind::Gap => Fields {
             integers: &["evaluations"],
@@ -81,11 +99,12 @@ pub fn name(kind: Kind) -> String {
     kind.schema().to_owned()
 }
 
-/// The kind whose schema has this name.
+/// The kind whose schema has this name, of whatever version: recordings of earlier builds hold earlier ones.
 #[must_use]
 pub fn kind_of(schema_name: &str) -> Option<Kind> {
-    let word = schema_name.strip_prefix("stictiond.")?.strip_suffix(".v1")?;
-    Kind::ALL.into_iter().find(|kind| kind.name() == word)
+    let (document, version) = schema_name.rsplit_once(".v")?;
+    version.parse::<u32>().ok()?;
+    Kind::ALL.into_iter().find(|kind| kind.schema().rsplit_once(".v").is_some_and(|(own, _)| own == document))
 }
 
 /// A kind's JSON schema.
@@ -120,6 +139,8 @@ mod tests {
                 assert!(["integer", "number", "string", "boolean", "object"].contains(&word), "{kind:?} {field}");
             }
         }
+        assert_eq!(kind_of("stictiond.alarm.v1"), Some(Kind::Alarm));
         assert_eq!(kind_of("foxglove.Grid"), None);
+        assert_eq!(kind_of("stictiond.alarm.vx"), None);
     }
 }

@@ -15,6 +15,8 @@ use super::disk::{Disk, SystemDisk};
 
 /// Name of the store's file, beside the recordings.
 pub const STORE_NAME: &str = "state.redb";
+/// Name of the store of documents that wait for receivers, in the same folder.
+pub const OUTBOX_NAME: &str = "outbox.redb";
 
 /// Memory that the store may keep of its own file, bytes.
 const CACHE_BYTES: usize = 8 << 20;
@@ -113,6 +115,18 @@ impl StateStore {
     /// # Errors
     /// [`StoreError`]; nothing has changed then, and the store should be opened anew.
     pub fn save<'v>(&self, values: impl IntoIterator<Item = (&'v str, &'v [u8])>) -> Result<(), StoreError> {
+        self.change(values, [])
+    }
+
+    /// Puts values in and takes others out, all in one transaction, which is on the disk when this returns.
+    ///
+    /// # Errors
+    /// As [`StateStore::save`].
+    pub fn change<'v>(
+        &self,
+        values: impl IntoIterator<Item = (&'v str, &'v [u8])>,
+        gone: impl IntoIterator<Item = &'v str>,
+    ) -> Result<(), StoreError> {
         guarded(&self.path, || {
             let transaction = self.database.begin_write()?;
             {
@@ -121,6 +135,9 @@ impl StateStore {
                     let mut sealed = check_of(key, value).to_vec();
                     sealed.extend_from_slice(value);
                     table.insert(key, sealed.as_slice())?;
+                }
+                for key in gone {
+                    table.remove(key)?;
                 }
             }
             transaction.commit()?;
@@ -176,14 +193,15 @@ mod tests {
         let path = dir.path().join(STORE_NAME);
         let store = StateStore::open(&path).unwrap();
         store.save([("a", b"one".as_slice()), ("b", b"two")]).unwrap();
-        store.save([("a", b"three".as_slice())]).unwrap();
+        store.change([("a", b"three".as_slice()), ("c", b"gone")], []).unwrap();
+        store.change([], ["c", "never there"]).unwrap();
         // As kill -9 leaves it: the file as it stands, never closed.
         let copy = dir.path().join("copy.redb");
         fs::copy(&path, &copy).unwrap();
         let stored = StateStore::open(&copy).unwrap().load().unwrap();
         assert_eq!(stored.damaged, 0);
         assert_eq!(stored.values["a"], b"three");
-        assert_eq!(stored.values["b"], b"two");
+        assert_eq!((stored.values["b"].as_slice(), stored.values.len()), (b"two".as_slice(), 2));
         assert!(StateStore::open(&path).is_err(), "one process at a time");
     }
 

@@ -1,5 +1,6 @@
-//! Where results go: onto the bus, and into recordings.
+//! Where results go: onto the bus, into recordings, and to receivers elsewhere.
 
+pub mod deliver;
 pub mod keeper;
 pub mod recorder;
 pub mod signing;

@@ -111,7 +111,7 @@ fn publish_all(
             _ => (Priority::Data, CongestionControl::Block),
         };
         let attachment = attachment.map(|bytes| bytes.to_vec());
-        let put = session.put(&key, document).encoding(encoding_of(kind.name())).attachment(attachment);
+        let put = session.put(&key, document).encoding(encoding_of(&key)).attachment(attachment);
         match put.priority(priority).congestion_control(congestion).wait() {
             Ok(()) => {
                 metrics.published.inc();

@@ -18,11 +18,15 @@ use super::{Answer, Envelope, Incoming, Intake, principals};
 use crate::alarm::Command;
 use crate::codec::topic::{self, Kind, Leaf, Topic};
 use crate::config::Config;
+use crate::daemon::documents;
 use crate::daemon::metrics::Metrics;
 
 /// Largest message that Zenoh puts together from its pieces, bytes: what is larger never takes memory. Well above what a
 /// payload may have, so that payloads a little too large are still seen and counted.
 const MAX_MESSAGE: usize = 4 << 20;
+
+/// What the encoding of a schema names as its own.
+const SCHEMA: &str = "https://json-schema.org/draft/2020-12/schema";
 
 /// Last document by key. Written by the publisher alone; never touched by the engine.
 pub type LastValues = Arc<RwLock<BTreeMap<String, LastValue>>>;
@@ -195,7 +199,34 @@ pub async fn answer_queries(
         let queryable = session.declare_queryable(key.clone()).callback(answer).await;
         queryables.push(queryable.map_err(|e| anyhow!("cannot answer queries on {key:?}: {e}"))?);
     }
+    queryables.push(answer_schemas(session, prefix, metrics).await?);
     Ok(queryables)
+}
+
+/// Answers `@schema/NAME`, and `@schema/*` with all of them: the schemas of what this daemon publishes, whatever its version.
+async fn answer_schemas(
+    session: &zenoh::Session,
+    prefix: &str,
+    metrics: Arc<Metrics>,
+) -> anyhow::Result<zenoh::query::Queryable<()>> {
+    let keyed =
+        |(name, schema): (&str, _)| (topic::plane(prefix, &format!("@schema/{name}")), documents::text(&schema));
+    let all: Vec<(String, String)> = documents::schemas().into_iter().map(keyed).collect();
+    let answer = move |query: Query| {
+        metrics.queries.inc();
+        let asked = query.key_expr();
+        for (key, text) in all.iter().filter(|(key, _)| KeyExpr::new(key.as_str()).is_ok_and(|k| asked.intersects(&k)))
+        {
+            let reply =
+                query.reply(key.as_str(), text.as_str()).encoding(Encoding::APPLICATION_JSON.with_schema(SCHEMA));
+            if let Err(error) = reply.wait() {
+                tracing::debug!(%key, %error, "a schema could not be sent");
+            }
+        }
+    };
+    let key = topic::plane(prefix, "@schema/*");
+    let queryable = session.declare_queryable(key.clone()).callback(answer).await;
+    queryable.map_err(|e| anyhow!("cannot answer queries on {key:?}: {e}"))
 }
 
 fn answer_last(query: &Query, last: &LastValues) {
@@ -212,7 +243,7 @@ fn answer_last(query: &Query, last: &LastValues) {
         }
     };
     for (key, value) in found {
-        let encoding = encoding_of(topic::leaf(&key));
+        let encoding = encoding_of(&key);
         let attachment = value.attachment.map(|bytes| bytes.to_vec());
         let reply = query.reply(key.as_str(), value.document.to_vec()).encoding(encoding).attachment(attachment);
         if let Err(error) = reply.wait() {
@@ -221,11 +252,11 @@ fn answer_last(query: &Query, last: &LastValues) {
     }
 }
 
-/// The encoding of a document, with its schema's name.
+/// The encoding of a document under a key of the daemon, with its schema's name.
 #[must_use]
-pub fn encoding_of(leaf: &str) -> Encoding {
-    match Kind::of_document(leaf) {
-        Some(kind) => Encoding::APPLICATION_JSON.with_schema(kind.schema()),
+pub fn encoding_of(key: &str) -> Encoding {
+    match topic::schema_of(key) {
+        Some(schema) => Encoding::APPLICATION_JSON.with_schema(schema),
         None => Encoding::APPLICATION_JSON,
     }
 }
@@ -240,14 +271,15 @@ fn loop_asked(prefix: &str, query: &Query, kind: Kind) -> Option<String> {
     Some(parsed.loop_name.to_owned()).filter(|name| !name.contains('*'))
 }
 
-/// Sends a document of this kind, or why there is none, in answer to a query.
-fn answer_with(query: Query, kind: Kind, sign: Option<Sign>) -> Answer {
+/// Sends a document, or why there is none, in answer to a query.
+fn answer_with(query: Query, sign: Option<Sign>) -> Answer {
     Box::new(move |result: Result<Vec<u8>, String>| {
         let key = query.key_expr();
         let sent = match result {
             Ok(document) => {
                 let attachment = sign.map(|sign| sign(key.as_str(), &document));
-                query.reply(key, document).encoding(encoding_of(kind.name())).attachment(attachment).wait()
+                let encoding = encoding_of(key.as_str());
+                query.reply(key, document).encoding(encoding).attachment(attachment).wait()
             }
             Err(why) => query.reply_err(why).encoding(Encoding::TEXT_PLAIN).wait(),
         };
@@ -269,7 +301,7 @@ fn forward_command(prefix: &str, cmd: String, query: Query, queue: &Sender<Incom
         Some(Err(_)) => return refuse(&query, "for_s is a whole number of seconds, such as for_s=3600"),
     };
     let command = Command { cmd, by: parameter("by"), why: parameter("why"), for_s };
-    let answer = answer_with(query.clone(), Kind::Alarm, sign);
+    let answer = answer_with(query.clone(), sign);
     if queue.try_send(Incoming::Command { loop_name, command, answer }).is_err() {
         refuse(&query, "the daemon is too busy for commands: try again");
     }
@@ -281,7 +313,7 @@ fn forward_run(prefix: &str, query: Query, queue: &Sender<Incoming>, sign: Optio
         return refuse(&query, &format!("run goes to one loop's gap key, such as {example}?run"));
     };
     let by = query.parameters().get("by").filter(|by| !by.is_empty()).map(str::to_owned);
-    let answer = answer_with(query.clone(), Kind::Gap, sign);
+    let answer = answer_with(query.clone(), sign);
     if queue.try_send(Incoming::GapRun { loop_name, by, answer }).is_err() {
         refuse(&query, "the daemon is too busy for a diagnosis: try again");
     }

@@ -7,9 +7,47 @@ pub(super) const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0
 /// The form that Prometheus had before, and that `promtool check metrics` reads.
 pub(super) const PLAIN: &str = "text/plain; version=0.0.4; charset=utf-8";
 
-/// Whether a request wants OpenMetrics: it says so, or says nothing.
-pub(super) fn wants_open_metrics(accept: Option<&str>) -> bool {
-    accept.is_none_or(|kinds| kinds.contains("application/openmetrics-text"))
+/// What a request may be answered with.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Form {
+    /// OpenMetrics.
+    Open,
+    /// The older form.
+    Plain,
+    /// It wants neither.
+    Neither,
+}
+
+/// The form that a request likes best (RFC 9110, 12.5.1). Who says nothing gets OpenMetrics; who takes anything gets the older
+/// form, which every tool reads.
+pub(super) fn form(accept: Option<&str>) -> Form {
+    let Some(accept) = accept.filter(|a| !a.trim().is_empty()) else { return Form::Open };
+    let [open, plain] = [["application", "openmetrics-text"], ["text", "plain"]].map(|kind| weight(accept, kind));
+    match (open, plain) {
+        (o, p) if o <= 0.0 && p <= 0.0 => Form::Neither,
+        (o, p) if o > p || (o >= p && accept.contains("openmetrics-text")) => Form::Open,
+        _ => Form::Plain,
+    }
+}
+
+/// How much a request likes a media type: what the most telling range says, 0 for never.
+fn weight(accept: &str, [kind, subtype]: [&str; 2]) -> f64 {
+    let mut best = (0, 0.0);
+    for range in accept.split(',') {
+        let mut parts = range.split(';').map(str::trim);
+        let (name, rest) = (parts.next().unwrap_or_default().to_ascii_lowercase(), parts);
+        let telling = match name.split_once('/') {
+            Some((k, s)) if k == kind && s == subtype => 3,
+            Some((k, "*")) if k == kind => 2,
+            Some(("*", "*")) => 1,
+            _ => continue,
+        };
+        let q = rest.filter_map(|p| p.strip_prefix("q=")?.trim().parse::<f64>().ok()).next().unwrap_or(1.0);
+        if telling > best.0 || (telling == best.0 && q > best.1) {
+            best = (telling, q);
+        }
+    }
+    best.1
 }
 
 /// OpenMetrics in the older form: there a counter is described under the name that its samples have.
@@ -103,10 +141,20 @@ mod tests {
             "{told}"
         );
         assert!(!told.contains("EOF") && !told.contains("UNIT"), "{told}");
-        assert!(
-            wants_open_metrics(None) && !wants_open_metrics(Some("*/*")) && !wants_open_metrics(Some("text/plain"))
-        );
-        assert!(wants_open_metrics(Some("application/openmetrics-text;version=1.0.0,text/plain;q=0.5")));
+        for (accept, wanted) in [
+            (None, Form::Open),
+            (Some(""), Form::Open),
+            (Some("*/*"), Form::Plain),
+            (Some("text/plain"), Form::Plain),
+            (Some("text/html,application/xml;q=0.9,*/*;q=0.8"), Form::Plain),
+            (Some("application/openmetrics-text;version=1.0.0,text/plain;q=0.5"), Form::Open),
+            (Some("application/openmetrics-text; version=1.0.0"), Form::Open),
+            (Some("application/openmetrics-text;q=0.3, text/plain;version=0.0.4;q=0.4"), Form::Plain),
+            (Some("application/openmetrics-text;q=0,*/*"), Form::Plain),
+            (Some("application/json"), Form::Neither),
+        ] {
+            assert_eq!(form(accept), wanted, "{accept:?}");
+        }
     }
 
     #[cfg(target_os = "linux")]

@@ -25,6 +25,7 @@ use crate::config::Web;
 use crate::daemon::HealthSnapshot;
 use crate::daemon::faults::Faults;
 use crate::daemon::metrics::Metrics;
+use exposition::Form;
 
 /// Silence of the engine after which the daemon is called unhealthy.
 const STALLED_AFTER: Duration = Duration::from_secs(30);
@@ -130,10 +131,13 @@ async fn metrics_text(State(shared): State<Shared>, headers: HeaderMap) -> Respo
     let end = text.find("# EOF").unwrap_or(text.len());
     text.insert_str(end, &exposition::of_process());
     let accept = headers.get(header::ACCEPT).and_then(|kinds| kinds.to_str().ok());
-    if exposition::wants_open_metrics(accept) {
-        ([(header::CONTENT_TYPE, exposition::OPEN_METRICS)], text).into_response()
-    } else {
-        ([(header::CONTENT_TYPE, exposition::PLAIN)], exposition::plain(&text)).into_response()
+    match exposition::form(accept) {
+        Form::Open => ([(header::CONTENT_TYPE, exposition::OPEN_METRICS)], text).into_response(),
+        Form::Plain => ([(header::CONTENT_TYPE, exposition::PLAIN)], exposition::plain(&text)).into_response(),
+        Form::Neither => {
+            let offered = format!("/metrics is {} or {}\n", exposition::OPEN_METRICS, exposition::PLAIN);
+            (StatusCode::NOT_ACCEPTABLE, offered).into_response()
+        }
     }
 }
 

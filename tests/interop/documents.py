@@ -38,7 +38,9 @@ def test_documents_fit_their_schemas(folder):
     code, out, err = stictiond("schema")
     assert code == 0, err
     names = out.split()
-    assert {"stictiond.estimate.v1", "stictiond.alarm.v1", "stictiond.gap.v1", "stictiond.health.v1"} <= set(names)
+    assert {
+        f"stictiond.{name}" for name in ("estimate.v1", "alarm.v2", "gap.v1", "loop_health.v1", "daemon_health.v1")
+    } == set(names)
     code, out, err = stictiond("analyze", "recordings/four-loops.mcap", "--format", "json")
     assert code == 0, err
     estimates = [parsed(line) for line in out.splitlines()]

@@ -27,6 +27,7 @@ from compact_store import (  # noqa: F401, found by name below
 from daemon import ROOT, Daemon, close_sessions, eventually, free_port, session, stictiond
 from documents import check_document, test_documents_fit_their_schemas  # noqa: F401
 from plant import Loop
+from receivers import test_an_alarm_arrives_where_operators_look  # noqa: F401
 
 PREFIX = "plant1/area1"
 PLANE = f"{PREFIX}/@stiction/v1"
@@ -48,6 +49,8 @@ raise = [2, 3]
 [[loop]]
 name = "FIC101"
 op_range = [0, 100]
+area = "Area 1"
+equipment = "FV-101"
 [[loop]]
 name = "PIC103"
 op = "gateway/opc/PIC103.MV"
@@ -75,8 +78,13 @@ PROCESS = {
     "fit_pct": float,
 }
 ALARM = {
-    "schema": str, "loop": str, "alarm": str, "state": str, "active": bool, "severity": (str, None), "ne107": str,
-    "raised_ns": (int, None), "changed_ns": int, "by": (str, None), "why": str, "window_end_ns": (int, None),
+    "schema": str, "loop": str, "alarm": str, "event_id": str, "occurrence_id": (str, None), "event": str, "state": str,
+    "active": bool, "priority": (str, None), "criticality": (int, None), "area": (str, None), "equipment": (str, None),
+    "ne107": str, "class": (str, None), "unit": str, "verdict": (str, None), "s": (float, None),
+    "s_interval": (list, None), "s_limit": (float, None), "p": (float, None), "stiction_index": (float, None),
+    "window": (dict, None), "why": (str, None), "what_to_do": (str, None), "since_ns": (int, None),
+    "since": (str, None), "changed_ns": int, "changed": str, "by": (str, None), "detail": str,
+    "acknowledged": (dict, None), "shelved": (dict, None), "suppressed": (dict, None), "out_of_service": (dict, None),
 }
 VERDICTS = {"stiction", "deadband", "disturbance", "tuning", "no_oscillation", "no_stiction", "inconclusive"}
 
@@ -239,18 +247,24 @@ def test_live_recorded_replayed(folder):
             assert heard.estimates(loop)[-1]["stiction"] is False, heard.estimates(loop)[-1]
         assert verdicts["FIC106"] == "inconclusive" and "bad_quality" in heard.estimates("FIC106")[-1]["gates"]
         assert set(heard.encodings) == {
-            f"application/json;stictiond.{kind}.v1" for kind in ("estimate", "alarm", "health")
+            f"application/json;stictiond.{name}"
+            for name in ("estimate.v1", "alarm.v2", "loop_health.v1", "daemon_health.v1")
         }, heard.encodings
 
         # The alarm, its acknowledgement, and commands that are refused.
         key = f"{PLANE}/FIC101/alarm"
         raised = eventually("an alarm", lambda: heard.by_key[key])[0]
         check_fields(raised, ALARM, key)
-        assert (raised["schema"], raised["state"], raised["active"]) == ("stictiond.alarm.v1", "unack", True), raised
-        assert raised["ne107"] == "M" and raised["by"] is None and raised["raised_ns"] % (HOP_S * 10**9) == 0
+        assert (raised["schema"], raised["state"], raised["active"]) == ("stictiond.alarm.v2", "unack", True), raised
+        assert raised["ne107"] == "M" and raised["by"] is None and raised["since_ns"] % (HOP_S * 10**9) == 0
+        assert datetime.fromisoformat(raised["since"]).timestamp() == raised["since_ns"] / 10**9, raised["since"]
+        assert (raised["unit"], raised["area"], raised["equipment"]) == ("%", "Area 1", "FV-101"), raised
+        assert raised["s"] >= raised["s_limit"] > 0 and 0.5 < raised["p"] <= 1, raised
         good, bad = ask(bus, f"{key}?cmd=ack;by=ann;why=seen")
         assert not bad and good[key]["state"] == "acked" and good[key]["active"] is True, (good, bad)
-        assert (good[key]["by"], good[key]["why"]) == ("ann", "seen")
+        assert (good[key]["by"], good[key]["detail"], good[key]["why"]) == ("ann", "seen", raised["why"])
+        assert (good[key]["acknowledged"]["by"], good[key]["acknowledged"]["why"]) == ("ann", "seen")
+        assert good[key]["occurrence_id"] == raised["occurrence_id"] and good[key]["event_id"] != raised["event_id"]
         eventually("the acknowledgement on the bus", lambda: heard.by_key[key][-1]["state"] == "acked")
         for selector in (
             f"{key}?cmd=ack;by=ann", f"{key}?cmd=explode", f"{PLANE}/FIC999/alarm?cmd=ack",
@@ -283,6 +297,12 @@ def test_live_recorded_replayed(folder):
         assert ask(bus, f"{PLANE}/FIC999/estimate") == ({}, [])
         assert ask(bus, f"{PREFIX}/**") == ({}, [])  # plant wildcards never meet the daemon's plane
 
+        # Schemas, as the program prints them.
+        good, bad = ask(bus, f"{PLANE}/@schema/*")
+        names = stictiond("schema")[1].split()
+        assert not bad and set(good) == {f"{PLANE}/@schema/{name}" for name in names}, (set(good), bad)
+        assert good[f"{PLANE}/@schema/stictiond.alarm.v2"] == json.loads(stictiond("schema", "stictiond.alarm.v2")[1])
+
         # Health and liveliness.
         tokens = [str(r.ok.key_expr) for r in bus.liveliness().get(f"{PLANE}/@daemon/*", timeout=5)]
         assert len(tokens) == 1, tokens
@@ -290,7 +310,7 @@ def test_live_recorded_replayed(folder):
         eventually("health with everything counted", lambda: heard.by_key[health_key]
                    and heard.by_key[health_key][-1]["counters"]["undecodable"] == 1, 20)
         health = heard.by_key[health_key][-1]
-        assert health["schema"] == "stictiond.health.v1" and health["loops"] == len(loops) + 1, health
+        assert health["schema"] == "stictiond.daemon_health.v1" and health["loops"] == len(loops) + 1, health
         assert health["counters"]["foreign_keys"] == 1 and health["counters"]["dropped_input"] == 0, health
         assert health["faults"] == [] and {q["name"] for q in health["queues"]} >= {"input", "recorder"}, health
         good, _ = ask(bus, health_key)
@@ -310,7 +330,9 @@ def test_live_recorded_replayed(folder):
         bus.close()
     check_recording(daemon, sticking, heard, alarms_heard)
     documents = [d for of_key in heard.by_key.values() for d in of_key]
-    assert {d["schema"] for d in documents} >= {f"stictiond.{kind}.v1" for kind in ("estimate", "alarm", "gap", "health")}
+    assert {d["schema"] for d in documents} >= {
+        f"stictiond.{name}" for name in ("estimate.v1", "alarm.v2", "gap.v1", "loop_health.v1", "daemon_health.v1")
+    }
     for document in documents:
         check_document(document)
 

@@ -159,7 +159,7 @@ impl Simulation {
         let text = format!(
             "[site]\nprefix = \"{PREFIX}\"\n[input]\nmax_loops = {MAX_LOOPS}\nqueue = {QUEUE}\nqueue_bytes = {QUEUE_BYTES}\n\
              [window]\nhop_s = 43200.0\nmax_window_s = 172800.0\nmax_points = 128\nlateness_s = 1800.0\n\
-             [alarm]\nraise = [2, 3]\n[gap]\nenabled = false\n[recording]\ndir = {:?}\nmax_s = 86400.0\n",
+             [alarm]\nraise = [2, 3]\ns_limit_op = 1.0\n[gap]\nenabled = false\n[recording]\ndir = {:?}\nmax_s = 86400.0\n",
             dir.to_str().unwrap()
         );
         let config = Config::parse(&text).unwrap();

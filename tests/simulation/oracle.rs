@@ -124,7 +124,7 @@ impl Oracle {
         if document["by"].is_null() {
             assert!(known.owed, "an alarm spoke up unasked: {document}");
             known.owed = false;
-            self.raised += u64::from(document["active"] == true && document["raised_ns"] == document["window_end_ns"]);
+            self.raised += u64::from(document["active"] == true && document["event"] == "raised");
         } else {
             assert!(!known.owed, "a command came between a window and its alarm: {document}");
             let place = self.asked.iter().position(|a| a.loop_name == name).expect("a command nobody sent");

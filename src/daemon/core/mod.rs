@@ -23,6 +23,7 @@ use super::metrics::{Label, Metrics};
 use super::queue::Budget;
 use super::routes::{Route, Routes};
 use super::schedule::Schedule;
+use super::series::Board;
 use super::worker::{Answered, Workers};
 use crate::alarm::AlarmDocument;
 use crate::codec;
@@ -30,11 +31,13 @@ use crate::codec::topic::{self, Kind};
 use crate::config::Config;
 use crate::engine::{Checkpoint, Engine, Event, LoopId, RecordedInput, Request, SkipReason, StateDocument};
 use crate::record::Sample;
+use crate::sink::deliver::{Item as Outgoing, Outbox};
 use crate::sink::keeper::Keeper;
 use crate::sink::recorder::{Item, LOOPS_PER_FILE, Recorder, shard_of};
 use crate::sink::zenoh::{Publication, Publisher};
 use crate::source::shares::Shares;
 use crate::source::{Answer, Incoming, Message};
+use crate::units::s_from_ns;
 
 /// Messages taken before the other channels are looked at again.
 const BATCH: usize = 256;
@@ -62,6 +65,13 @@ pub struct Core {
     recorder: Option<Recorder>,
     keeper: Option<Keeper>,
     publisher: Publisher,
+    outbox: Option<Outbox>,
+    /// Which loops have series in the metrics; none where they have none.
+    board: Option<Board>,
+    /// When the samples of windows arrived that wait for their fits, ns.
+    due: HashMap<(LoopId, u64), i64>,
+    /// When the sample arrived that is being taken, ns.
+    arrival_ns: i64,
     metrics: Arc<Metrics>,
     faults: Arc<Faults>,
     snapshot: HealthSnapshot,
@@ -69,7 +79,7 @@ pub struct Core {
     clock: Clock,
     started: Instant,
     next_loop_health: usize,
-    losses: [u64; 7],
+    losses: [u64; 8],
     limits: Limits,
     /// The loop whose stamp was refused last for being ahead, and by how much it was, ns.
     ahead: Option<(LoopId, i64)>,
@@ -99,6 +109,8 @@ pub struct Parts {
     pub keeper: Option<Keeper>,
     /// The publisher.
     pub publisher: Publisher,
+    /// The way to receivers outside the bus; none where there are none.
+    pub outbox: Option<Outbox>,
     /// The counters.
     pub metrics: Arc<Metrics>,
     /// The faults.
@@ -117,6 +129,7 @@ impl Core {
     pub fn new(parts: Parts) -> Self {
         let config = parts.engine.config();
         let (desk, limits) = (Desk::new(&config.commands), Limits::new(&config.input));
+        let board = Board::new(config);
         let (budget, shares) = parts.input;
         Self {
             routes: Routes::new(config, shares),
@@ -131,6 +144,10 @@ impl Core {
             recorder: parts.recorder,
             keeper: parts.keeper,
             publisher: parts.publisher,
+            outbox: parts.outbox,
+            board,
+            due: HashMap::new(),
+            arrival_ns: 0,
             metrics: parts.metrics,
             faults: parts.faults,
             snapshot: parts.snapshot,
@@ -138,7 +155,7 @@ impl Core {
             started: parts.clock.now(),
             clock: parts.clock,
             next_loop_health: 0,
-            losses: [0; 7],
+            losses: [0; 8],
             limits,
             ahead: None,
             opened_shards: 0,
@@ -154,6 +171,7 @@ impl Core {
         for (name, memory) in memories {
             let Some(id) = self.engine.appear(&name) else { continue };
             if let Some(document) = self.engine.restore(id, memory) {
+                self.show_alarm(id, &document);
                 self.publish(id, Kind::Alarm, to_json(&document));
             }
         }
@@ -331,6 +349,7 @@ impl Core {
             let name = self.engine.name(id).clone();
             recorder.record(Item::Raw { id, name, sample, arrival_ns });
         }
+        self.arrival_ns = arrival_ns;
         self.engine.push(id, sample, &mut self.events);
         self.handle_events();
     }
@@ -350,6 +369,11 @@ impl Core {
     }
 
     fn answered(&mut self, answered: Answered) {
+        self.metrics.fit.0.observe(answered.took.as_secs_f64());
+        if let Some(arrival_ns) = self.due.remove(&(answered.id, answered.seq)) {
+            let lag_ns = self.clock.now_ns().saturating_sub(arrival_ns).max(0);
+            self.metrics.lag.0.observe(s_from_ns(lag_ns));
+        }
         match answered.assessment {
             Some(assessment) => self.engine.complete(answered.id, answered.seq, assessment, &mut self.events),
             None => self.skip(answered.id, answered.seq, answered.end_ns, SkipReason::Failed),
@@ -367,7 +391,7 @@ impl Core {
                     Event::Gap(id, document) => {
                         self.metrics.gaps.inc();
                         self.record(id, Kind::Gap, &document, document.end_ns());
-                        self.publish(id, Kind::Gap, to_json(&document));
+                        self.publish_result(id, Kind::Gap, document.end_ns(), to_json(&document));
                     }
                     Event::Estimate(id, document) => {
                         self.metrics.estimates.inc();
@@ -376,8 +400,12 @@ impl Core {
                         for gate in &a.gates {
                             self.metrics.gates.get_or_create(&Label { name: gate.name().into() }).inc();
                         }
+                        if let Some(board) = &mut self.board {
+                            let (name, place) = (self.engine.name(id), &self.engine.settings(id).place);
+                            board.estimate(&self.metrics.series, name, place, a);
+                        }
                         self.record(id, Kind::Estimate, &document, a.window.end_ns);
-                        self.publish(id, Kind::Estimate, to_json(&document));
+                        self.publish_result(id, Kind::Estimate, a.window.end_ns, to_json(&document));
                     }
                     Event::Alarm(id, document) => self.alarm_changed(id, &document),
                     Event::State(id, document) => {
@@ -395,6 +423,7 @@ impl Core {
     /// A window came due: it takes its place in the row, and whoever must make room is skipped.
     fn request(&mut self, request: Request) {
         self.metrics.windows.inc();
+        self.due.insert((request.id, request.seq), self.arrival_ns);
         let bytes = bytes_of(&request);
         let given_up = self.schedule.push(request.id.index(), self.engine.name(request.id), bytes, request);
         for Request { id, seq, end_ns, .. } in given_up {
@@ -416,6 +445,7 @@ impl Core {
 
     fn skip(&mut self, id: LoopId, seq: u64, window_end_ns: i64, reason: SkipReason) {
         self.metrics.fits_skipped.inc();
+        self.due.remove(&(id, seq));
         self.record(id, Kind::Input, &RecordedInput::Skip { window_end_ns, seq, reason }, window_end_ns);
         self.engine.skip(id, seq, &mut self.events);
     }
@@ -427,8 +457,33 @@ impl Core {
         } else {
             tracing::info!(target: "stictiond::alarm", "{}", document.line());
         }
+        self.show_alarm(id, document);
         self.record(id, Kind::Alarm, document, document.changed_ns);
-        self.publish(id, Kind::Alarm, to_json(document));
+        let json = to_json(document);
+        if let Some(outbox) = self.outbox.as_ref().filter(|outbox| outbox.wants(Kind::Alarm)) {
+            outbox.offer(Outgoing::alarm(&self.engine.config().site.prefix, document, &json));
+        }
+        self.publish(id, Kind::Alarm, json);
+    }
+
+    fn show_alarm(&mut self, id: LoopId, document: &AlarmDocument) {
+        let Some(board) = &mut self.board else { return };
+        let (name, place) = (self.engine.name(id), &self.engine.settings(id).place);
+        board.alarm(&self.metrics.series, name, place, document);
+    }
+
+    /// Publishes what a window gave, to receivers outside the bus too.
+    fn publish_result(&self, id: LoopId, kind: Kind, end_ns: i64, json: Vec<u8>) {
+        if let Some(outbox) = self.outbox.as_ref().filter(|outbox| outbox.wants(kind)) {
+            outbox.offer(Outgoing::result(
+                &self.engine.config().site.prefix,
+                self.engine.name(id),
+                kind,
+                end_ns,
+                &json,
+            ));
+        }
+        self.publish(id, kind, json);
     }
 
     fn record(&mut self, id: LoopId, kind: Kind, document: &impl serde::Serialize, event_ns: i64) {

@@ -39,6 +39,11 @@ impl Core {
         for id in self.engine.ids() {
             let figures = self.engine.figures(id);
             sum.add(&figures.counts);
+            if let Some(board) = &mut self.board {
+                let (name, place) = (self.engine.name(id), &self.engine.settings(id).place);
+                let age_s = figures.greatest_ns.map(|t| s_from_ns(now.saturating_sub(t)));
+                board.age(&self.metrics.series, name, place, age_s);
+            }
             if (from..from + slice).contains(&id.index()) {
                 self.publish(id, Kind::Health, to_json(&LoopHealth::new(self.engine.name(id), &figures, now)));
             }
@@ -66,6 +71,7 @@ impl Core {
             &m.loops_over_limit,
             &m.over_rate,
             &m.stamps_ahead,
+            &m.delivery_dropped,
         ]
         .map(Counter::get);
         let ahead = self.ahead.map_or_else(String::new, |(id, by_ns)| {
@@ -81,6 +87,7 @@ impl Core {
             ("loops over limit", "messages of new loops were refused: beyond [input] max_loops or new_loops_per_hour"),
             ("over rate", "samples were refused because their key sends more than [input] max_rate_hz"),
             ("stamps ahead", stamps.as_str()),
+            ("delivery dropped", "documents were given up: too many waited for a receiver outside the bus"),
         ];
         for ((key, text), (now, before)) in what.into_iter().zip(now.into_iter().zip(self.losses)) {
             if now > before {
@@ -115,7 +122,7 @@ impl Core {
         let of = |budget: &Budget| [budget.used(), budget.limit()];
         let fits = self.schedule.waiting() + self.workers.requests.len();
         DaemonHealth {
-            schema: Kind::Health.schema(),
+            schema: topic::DAEMON_HEALTH_SCHEMA,
             daemon: self.daemon_id.clone(),
             version: crate::VERSION,
             config_hash: self.engine.config_hash().to_owned(),

@@ -1,0 +1,313 @@
+//! Documents to receivers outside the bus: each has a queue of its own, is sent one document after the other in order, and
+//! is tried again until it takes it. What waits is in a store beside the recordings, so a restart loses nothing and may send
+//! a document twice: its identity tells.
+//!
+//! The engine's thread only hands documents over. One thread writes them to the store, before any receiver sees them; each
+//! receiver has a thread that may wait for it as long as it takes.
+
+mod keep;
+#[cfg(feature = "deliver")]
+mod mqtt;
+mod queue;
+mod syslog;
+#[cfg(feature = "deliver")]
+mod webhook;
+
+use std::path::Path;
+use std::sync::Arc;
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use anyhow::{Context, anyhow};
+use crossbeam_channel::{Receiver, Sender};
+use serde::{Deserialize, Serialize};
+
+use crate::alarm::{AlarmDocument, Priority};
+use crate::codec::topic::Kind;
+use crate::config::{Config, Deliver, Protocol, short_hash};
+use crate::daemon::faults::Faults;
+use crate::daemon::metrics::Metrics;
+use keep::{Change, Keep};
+use queue::{Next, Queue};
+
+/// Documents that the engine may hand over before the store has taken the first of them.
+const HANDED: usize = 4096;
+/// Pauses after a failure: the first, and what they double up to.
+const FIRST_PAUSE: Duration = Duration::from_secs(1);
+const LONGEST_PAUSE: Duration = Duration::from_secs(60);
+/// How long a receiver may take for one document.
+const SEND_WITHIN: Duration = Duration::from_secs(10);
+/// Silence after which a connection is let go.
+const IDLE: Duration = Duration::from_secs(20);
+/// How long a loss stays among the faults.
+const LOSS_SHOWN: Duration = Duration::from_secs(3600);
+
+/// A document on its way to receivers.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Item {
+    /// Its identity: whoever has seen it may drop it.
+    pub id: String,
+    /// What it is: `alarm`, `estimate` or `gap`.
+    pub kind: String,
+    /// Its schema's name.
+    pub schema: String,
+    /// Its loop.
+    pub loop_name: String,
+    /// The site's prefix.
+    pub prefix: String,
+    /// When it happened, RFC 3339, plant time.
+    pub time: String,
+    /// How much it presses, as a severity of syslog: 2 critical to 6 informational.
+    pub level: u8,
+    /// Fields that stand beside the line in syslog.
+    pub fields: Vec<(String, String)>,
+    /// One line for people.
+    pub line: String,
+    /// The document, JSON.
+    pub document: String,
+}
+
+impl Item {
+    /// A change of an alarm.
+    #[must_use]
+    pub fn alarm(prefix: &str, a: &AlarmDocument, json: &[u8]) -> Self {
+        let level = match a.priority.filter(|_| a.state == crate::alarm::State::Unack) {
+            Some(Priority::Urgent) => 2,
+            Some(Priority::High) => 3,
+            Some(Priority::Medium | Priority::Low) => 4,
+            None => 5,
+        };
+        let text = |name: &str, value: Option<String>| Some((name.to_owned(), value?));
+        let number = |x: Option<f64>| x.map(|x| format!("{x:.4}"));
+        let word = a.priority.and_then(|p| serde_json::to_value(p).ok()?.as_str().map(str::to_owned));
+        let fields = [
+            text("loop", Some(a.loop_name.clone())),
+            text("event", Some(a.event.name().to_owned())),
+            text("event_id", Some(a.event_id.clone())),
+            text("state", Some(a.state.name().to_owned())),
+            text("active", Some(a.active.to_string())),
+            text("priority", word),
+            text("area", a.area.clone()),
+            text("equipment", a.equipment.clone()),
+            text("s", number(a.figures.s)),
+            text("s_limit", number(a.figures.s_limit)),
+            text("unit", Some(a.unit.clone())),
+            text("p", number(a.figures.p)),
+        ];
+        Self {
+            id: a.event_id.clone(),
+            kind: Kind::Alarm.name().to_owned(),
+            schema: a.schema.to_owned(),
+            loop_name: a.loop_name.clone(),
+            prefix: prefix.to_owned(),
+            time: a.changed.clone(),
+            level,
+            fields: fields.into_iter().flatten().collect(),
+            line: a.line(),
+            document: String::from_utf8_lossy(json).into_owned(),
+        }
+    }
+
+    /// An estimate or a gap diagnosis, of a window that ended at this time.
+    #[must_use]
+    pub fn result(prefix: &str, loop_name: &str, kind: Kind, end_ns: i64, json: &[u8]) -> Self {
+        let time = crate::units::format_rfc3339(end_ns);
+        Self {
+            id: short_hash(&[prefix.as_bytes(), b"\n", loop_name.as_bytes(), b"\n", json].concat()),
+            kind: kind.name().to_owned(),
+            schema: kind.schema().to_owned(),
+            loop_name: loop_name.to_owned(),
+            prefix: prefix.to_owned(),
+            line: format!("{loop_name}: {} of the window that ended at {time}", kind.name()),
+            time,
+            level: 6,
+            fields: vec![("loop".to_owned(), loop_name.to_owned())],
+            document: String::from_utf8_lossy(json).into_owned(),
+        }
+    }
+}
+
+/// Why a receiver did not take a document.
+enum Failure {
+    /// Not now: it is tried again, after this time where the receiver says one.
+    Later(String, Option<Duration>),
+    /// It never will.
+    Refused(String),
+}
+
+/// What hands documents to one receiver.
+trait Target: Send {
+    /// Hands one over; returns once the receiver has it, as far as its protocol can tell.
+    fn send(&mut self, item: &Item) -> Result<(), Failure>;
+
+    /// Nothing is to be sent for a while: a connection may be let go.
+    fn rest(&mut self) {}
+}
+
+/// Makes what sends to a receiver; nothing is connected yet.
+fn target(d: &Deliver, prefix: &str) -> anyhow::Result<Box<dyn Target>> {
+    match d.address.protocol {
+        Protocol::SyslogUdp | Protocol::SyslogTcp => Ok(Box::new(syslog::Syslog::new(&d.address))),
+        #[cfg(feature = "deliver")]
+        Protocol::Webhook => Ok(Box::new(webhook::Webhook::new(d)?)),
+        #[cfg(feature = "deliver")]
+        Protocol::Mqtt => Ok(Box::new(mqtt::Mqtt::new(d, prefix)?)),
+        #[cfg(not(feature = "deliver"))]
+        Protocol::Webhook | Protocol::Mqtt => {
+            let _ = prefix;
+            Err(anyhow!("this build sends neither webhooks nor MQTT: build it with the feature `deliver`"))
+        }
+    }
+}
+
+/// Whether a receiver can be sent to, as far as files and the build tell.
+///
+/// # Errors
+/// A file cannot be read or holds something else.
+pub fn check(d: &Deliver) -> anyhow::Result<()> {
+    target(d, "").map(drop)
+}
+
+/// The text of a secret's file, without the line's end.
+#[cfg(feature = "deliver")]
+fn secret(path: &str) -> anyhow::Result<Option<String>> {
+    if path.is_empty() {
+        return Ok(None);
+    }
+    let text = std::fs::read_to_string(path).with_context(|| format!("secret_file {path}"))?;
+    Ok(Some(text.trim_end_matches(['\r', '\n']).to_owned()))
+}
+
+/// The bytes of a PEM file.
+#[cfg(feature = "deliver")]
+fn pem(key: &str, path: &str) -> anyhow::Result<Option<Vec<u8>>> {
+    if path.is_empty() {
+        return Ok(None);
+    }
+    std::fs::read(path).map(Some).with_context(|| format!("{key} {path}"))
+}
+
+/// The engine's end.
+pub struct Outbox {
+    handed: Sender<Arc<Item>>,
+    wanted: Vec<String>,
+    metrics: Arc<Metrics>,
+}
+
+impl Outbox {
+    /// Starts the threads; none where the configuration names no receiver. The one that keeps the store ends when the
+    /// `Outbox` is dropped; the others end with it, or with the process where a receiver holds them up.
+    ///
+    /// # Errors
+    /// A receiver's file cannot be used, or the system refuses a thread.
+    pub fn start(
+        config: &Config,
+        dir: &Path,
+        faults: &Arc<Faults>,
+        metrics: &Arc<Metrics>,
+    ) -> anyhow::Result<Option<(Self, JoinHandle<()>)>> {
+        if config.deliver.is_empty() {
+            return Ok(None);
+        }
+        let (handed, incoming) = crossbeam_channel::bounded(HANDED);
+        let (changes, done) = crossbeam_channel::unbounded();
+        let mut queues = Vec::new();
+        for d in &config.deliver {
+            let target = target(d, &config.site.prefix).with_context(|| format!("[[deliver]] {}", d.name))?;
+            let queue = Arc::new(Queue::new(d, metrics));
+            queues.push(queue.clone());
+            let worker = Worker { queue, changes: changes.clone(), faults: faults.clone(), metrics: metrics.clone() };
+            let thread = std::thread::Builder::new().name(format!("to-{}", d.name));
+            thread.spawn(move || worker.run(target))?;
+        }
+        let mut wanted: Vec<String> = config.deliver.iter().flat_map(|d| d.documents.clone()).collect();
+        wanted.sort();
+        wanted.dedup();
+        let mut keep = Keep::open(dir, queues, faults.clone(), metrics.clone());
+        let thread = std::thread::Builder::new().name("outbox".into());
+        let handle = thread.spawn(move || keep.run((&incoming, &done))).map_err(|e| anyhow!(e))?;
+        Ok(Some((Self { handed, wanted, metrics: metrics.clone() }, handle)))
+    }
+
+    /// Whether any receiver wants documents of this kind.
+    #[must_use]
+    pub fn wants(&self, kind: Kind) -> bool {
+        self.wanted.iter().any(|wanted| wanted == kind.name())
+    }
+
+    /// Hands a document over.
+    pub fn offer(&self, item: Item) {
+        if self.handed.try_send(Arc::new(item)).is_err() {
+            self.metrics.delivery_dropped.inc();
+        }
+    }
+}
+
+/// One receiver's thread.
+struct Worker {
+    queue: Arc<Queue>,
+    changes: Sender<Change>,
+    faults: Arc<Faults>,
+    metrics: Arc<Metrics>,
+}
+
+impl Worker {
+    fn run(self, mut target: Box<dyn Target>) {
+        let mut pause = FIRST_PAUSE;
+        loop {
+            let (seq, item) = match self.queue.next(IDLE) {
+                Next::Closed => return,
+                Next::Nothing => {
+                    target.rest();
+                    continue;
+                }
+                Next::Send(seq, item) => (seq, item),
+            };
+            match target.send(&item) {
+                Ok(()) => {
+                    pause = FIRST_PAUSE;
+                    self.metrics.delivered.inc();
+                    self.faults.clear(&self.fault());
+                    self.settled(seq);
+                }
+                Err(Failure::Refused(why)) => {
+                    self.metrics.delivery_refused.inc();
+                    let name = &self.queue.name;
+                    let text = format!("{name} refused {} {} for good: {why}", item.kind, item.id);
+                    self.faults.raise_for(&format!("refused by {name}"), text, LOSS_SHOWN);
+                    self.settled(seq);
+                }
+                Err(Failure::Later(why, after)) => {
+                    self.metrics.delivery_failed.inc();
+                    self.faults.raise(&self.fault(), self.cannot(&why));
+                    if self.queue.pause(after.unwrap_or(pause).min(LONGEST_PAUSE)) {
+                        return;
+                    }
+                    pause = (2 * pause).min(LONGEST_PAUSE);
+                }
+            }
+        }
+    }
+
+    fn cannot(&self, why: &str) -> String {
+        let (name, waiting) = (&self.queue.name, self.queue.len());
+        format!("{name} cannot be delivered to, {waiting} documents wait, tried for ever: {why}")
+    }
+
+    fn fault(&self) -> String {
+        format!("deliver {}", self.queue.name)
+    }
+
+    /// It has been taken, or given up: it waits no longer.
+    fn settled(&self, seq: u64) {
+        if self.queue.settle(seq) {
+            let _ = self.changes.send(Change { queue: self.queue.name.clone(), seq });
+        }
+    }
+}
+
+/// What is handed over and what is done, for whoever keeps the store.
+type Inputs<'r> = (&'r Receiver<Arc<Item>>, &'r Receiver<Change>);
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,280 @@
+//! Receivers that fail, come back and are never there, over restarts; each protocol against a receiver of its own.
+
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::{TcpListener, UdpSocket};
+use std::sync::Mutex;
+use std::time::Instant;
+
+use super::*;
+use crate::alarm::{Alarm, Place};
+
+/// Waits until something is so.
+fn wait_for<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
+    let until = Instant::now() + Duration::from_secs(30);
+    loop {
+        if let Some(found) = look() {
+            return found;
+        }
+        assert!(Instant::now() < until, "{what} did not come");
+        std::thread::sleep(Duration::from_millis(10));
+    }
+}
+
+fn config(receivers: &str) -> Config {
+    Config::parse(&format!("[site]\nprefix = \"plant 1/a\"\n{receivers}")).unwrap()
+}
+
+fn item(k: usize) -> Item {
+    let mut document =
+        Alarm::default().restored("FIC101").at(&Place { area: Some("A \"1\"".into()), ..Place::default() });
+    (document.event_id, document.changed) = (format!("e{k}"), "2026-01-05T08:15:00Z".to_owned());
+    let json = serde_json::to_vec(&document).unwrap();
+    Item::alarm("plant 1/a", &document, &json)
+}
+
+struct Running {
+    outbox: Option<Outbox>,
+    keeping: Option<JoinHandle<()>>,
+    faults: Arc<Faults>,
+    metrics: Arc<Metrics>,
+}
+
+impl Running {
+    fn start(dir: &Path, receivers: &str) -> Self {
+        let (faults, metrics) = (Arc::new(Faults::default()), Arc::new(Metrics::default()));
+        let (outbox, keeping) = Outbox::start(&config(receivers), dir, &faults, &metrics).unwrap().unwrap();
+        Self { outbox: Some(outbox), keeping: Some(keeping), faults, metrics }
+    }
+
+    fn offer(&self, numbers: std::ops::Range<usize>) {
+        numbers.for_each(|k| self.outbox.as_ref().unwrap().offer(item(k)));
+    }
+
+    fn stop(mut self) {
+        drop(self.outbox.take());
+        self.keeping.take().unwrap().join().unwrap();
+    }
+}
+
+/// One request of a webhook: its head, and its body.
+type Request = (String, serde_json::Value);
+
+/// An HTTP server that gives these answers in turn, the last one for ever; none: it hangs up.
+fn web_server(listener: TcpListener, answers: Vec<Option<&'static str>>) -> Arc<Mutex<Vec<Request>>> {
+    let seen: Arc<Mutex<Vec<Request>>> = Arc::default();
+    let taken = seen.clone();
+    std::thread::spawn(move || {
+        let mut turn = 0;
+        for stream in listener.incoming() {
+            let mut reader = BufReader::new(stream.unwrap());
+            loop {
+                let (mut head, mut line) = (String::new(), String::new());
+                while reader.read_line(&mut line).unwrap_or(0) > 2 {
+                    head.push_str(&line.to_ascii_lowercase());
+                    line.clear();
+                }
+                let Some(length) = head.lines().find_map(|l| l.strip_prefix("content-length: ")) else { break };
+                let mut body = vec![0; length.trim().parse().unwrap()];
+                reader.read_exact(&mut body).unwrap();
+                let answer = answers[turn.min(answers.len() - 1)];
+                turn += 1;
+                let Some(answer) = answer else { break };
+                taken.lock().unwrap().push((head + answer, serde_json::from_slice(&body).unwrap()));
+                let said = format!("HTTP/1.1 {answer}\r\ncontent-length: 0\r\n\r\n");
+                reader.get_mut().write_all(said.as_bytes()).unwrap();
+            }
+        }
+    });
+    seen
+}
+
+fn taken(seen: &Mutex<Vec<Request>>) -> Vec<String> {
+    let seen = seen.lock().unwrap();
+    seen.iter()
+        .filter(|(head, _)| head.ends_with("204 ok"))
+        .map(|(_, e)| e["id"].as_str().unwrap().to_owned())
+        .collect()
+}
+
+#[cfg(feature = "deliver")]
+#[test]
+fn a_webhook_gets_everything_in_order_although_it_fails_and_is_away_over_a_restart() {
+    let dir = tempfile::tempdir().unwrap();
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap();
+    let token = dir.path().join("token");
+    std::fs::write(&token, "s3cret\n").unwrap();
+    let receiver = format!("[[deliver]]\nname = \"cmms\"\nto = \"http://{address}/hook\"\nsecret_file = {token:?}\n");
+    // Nobody answers.
+    drop(listener);
+    let first = Running::start(dir.path(), &receiver);
+    first.offer(0..5);
+    wait_for("a fault", || first.faults.list().iter().find(|f| f.contains("cmms cannot be delivered to")).cloned());
+    wait_for("all of them waiting", || {
+        let waiting =
+            first.metrics.delivery_waiting.get_or_create(&crate::daemon::metrics::Label { name: "cmms".into() });
+        (waiting.get() == 5).then_some(())
+    });
+    first.stop();
+    let second = Running::start(dir.path(), &receiver);
+    second.offer(5..8);
+    let answers = vec![None, Some("503 busy\r\nretry-after: 0"), Some("404 not there yet"), Some("204 ok")];
+    let seen = web_server(TcpListener::bind(address).unwrap(), answers);
+    wait_for("all of them", || (taken(&seen).len() == 8).then_some(()));
+    assert_eq!(taken(&seen), (0..8).map(|k| format!("e{k}")).collect::<Vec<_>>());
+    wait_for("the fault's end", || second.faults.list().is_empty().then_some(()));
+    {
+        let seen = seen.lock().unwrap();
+        let (head, event) = seen.last().unwrap();
+        assert!(
+            head.contains("content-type: application/cloudevents+json") && head.contains("bearer s3cret"),
+            "{head}"
+        );
+        assert_eq!((event["specversion"].as_str(), event["type"].as_str()), (Some("1.0"), Some("stictiond.alarm.v2")));
+        assert_eq!(event["source"], "urn:stictiond:site:plant%201/a");
+        assert_eq!((event["subject"].as_str(), event["data"]["loop"].as_str()), (Some("FIC101"), Some("FIC101")));
+        assert_eq!(event["time"], "2026-01-05T08:15:00Z");
+    }
+    second.stop();
+    // Nothing is left, and nothing comes twice.
+    let third = Running::start(dir.path(), &receiver);
+    third.offer(8..9);
+    wait_for("one more", || (taken(&seen).len() == 9).then_some(()));
+    assert_eq!(taken(&seen).last().unwrap(), "e8");
+    third.stop();
+}
+
+#[cfg(feature = "deliver")]
+#[test]
+fn what_is_refused_for_good_holds_up_nobody() {
+    let dir = tempfile::tempdir().unwrap();
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let receiver = format!("[[deliver]]\nname = \"a\"\nto = \"http://{}/\"\n", listener.local_addr().unwrap());
+    let seen = web_server(listener, vec![Some("422 no"), Some("204 ok")]);
+    let running = Running::start(dir.path(), &receiver);
+    running.offer(0..2);
+    wait_for("the second", || (taken(&seen) == ["e1"]).then_some(()));
+    assert_eq!(running.metrics.delivery_refused.get(), 1);
+    assert!(running.faults.list()[0].contains("a refused alarm e0 for good"), "{:?}", running.faults.list());
+    running.stop();
+}
+
+#[test]
+fn too_many_cost_the_oldest_and_receivers_that_are_gone_leave_nothing() {
+    let dir = tempfile::tempdir().unwrap();
+    let away = "[[deliver]]\nname = \"a\"\nto = \"syslog+tcp://127.0.0.1:1\"\nqueue = 10\n";
+    let running = Running::start(dir.path(), away);
+    running.offer(0..15);
+    wait_for("five to be given up", || (running.metrics.delivery_dropped.get() == 5).then_some(()));
+    running.stop();
+    let stored = |path: &str| crate::files::store::StateStore::open(&dir.path().join(path)).unwrap().load().unwrap();
+    let waiting = stored(crate::files::store::OUTBOX_NAME).values;
+    let oldest: Item = serde_json::from_slice(waiting.values().next().unwrap()).unwrap();
+    assert_eq!((waiting.len(), oldest.id.as_str()), (10, "e5"));
+    let other = Running::start(dir.path(), "[[deliver]]\nname = \"b\"\nto = \"syslog+udp://127.0.0.1:1\"\n");
+    assert_eq!(other.metrics.delivery_dropped.get(), 10);
+    other.offer(0..1);
+    wait_for("its delivery", || (other.metrics.delivered.get() == 1).then_some(()));
+    other.stop();
+    assert!(stored(crate::files::store::OUTBOX_NAME).values.is_empty());
+}
+
+#[test]
+fn a_broken_store_is_put_aside() {
+    let dir = tempfile::tempdir().unwrap();
+    std::fs::write(dir.path().join(crate::files::store::OUTBOX_NAME), vec![7; 9000]).unwrap();
+    let running = Running::start(dir.path(), "[[deliver]]\nname = \"a\"\nto = \"syslog+udp://127.0.0.1:1\"\n");
+    assert!(running.faults.list()[0].contains("put aside"), "{:?}", running.faults.list());
+    running.stop();
+    assert!(dir.path().join("outbox.redb.broken").exists());
+}
+
+#[test]
+fn syslog_arrives_by_udp_and_by_tcp_and_comes_back() {
+    let dir = tempfile::tempdir().unwrap();
+    let udp = UdpSocket::bind("127.0.0.1:0").unwrap();
+    udp.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
+    let tcp = TcpListener::bind("127.0.0.1:0").unwrap();
+    let receivers = format!(
+        "[[deliver]]\nname = \"u\"\nto = \"syslog+udp://{}\"\n[[deliver]]\nname = \"t\"\nto = \"syslog+tcp://{}\"\n",
+        udp.local_addr().unwrap(),
+        tcp.local_addr().unwrap()
+    );
+    let running = Running::start(dir.path(), &receivers);
+    running.offer(0..1);
+    let mut datagram = [0; 4096];
+    let length = udp.recv(&mut datagram).unwrap();
+    let by_udp = String::from_utf8(datagram[..length].to_vec()).unwrap();
+    assert!(
+        by_udp.starts_with("<133>1 2026-01-05T08:15:00Z ") && by_udp.contains(" area=\"A \\\"1\\\"\" "),
+        "{by_udp}"
+    );
+    let one = |stream: std::net::TcpStream| {
+        let mut reader = BufReader::new(stream);
+        let mut length = Vec::new();
+        reader.read_until(b' ', &mut length).unwrap();
+        let mut message = vec![0; String::from_utf8(length).unwrap().trim().parse().unwrap()];
+        reader.read_exact(&mut message).unwrap();
+        String::from_utf8(message).unwrap()
+    };
+    assert_eq!(one(tcp.accept().unwrap().0), by_udp);
+    // The receiver has closed: the next one comes by a new connection.
+    running.offer(1..2);
+    assert!(one(tcp.accept().unwrap().0).contains("event_id=\"e1\""));
+    running.stop();
+}
+
+#[cfg(feature = "deliver")]
+#[test]
+fn mqtt_is_confirmed_retained_and_tried_again() {
+    use rumqttc::mqttbytes::v5::{ConnAck, ConnectReturnCode, Packet, PubAck};
+    let dir = tempfile::tempdir().unwrap();
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let receiver = format!("[[deliver]]\nname = \"m\"\nto = \"mqtt://{}/plant\"\n", listener.local_addr().unwrap());
+    let (tell, told) = std::sync::mpsc::channel();
+    // The first connection breaks off before it confirms.
+    std::thread::spawn(move || {
+        for (connection, stream) in listener.incoming().enumerate() {
+            let mut stream = stream.unwrap();
+            let (mut bytes, mut some) = (bytes::BytesMut::new(), [0; 4096]);
+            let answer = |stream: &mut std::net::TcpStream, packet: Packet| {
+                let mut out = bytes::BytesMut::new();
+                packet.write(&mut out, None).unwrap();
+                stream.write_all(&out).unwrap();
+            };
+            while let Ok(length @ 1..) = stream.read(&mut some) {
+                bytes.extend_from_slice(&some[..length]);
+                while let Ok(packet) = Packet::read(&mut bytes, None) {
+                    match packet {
+                        Packet::Connect(..) => {
+                            let code = ConnectReturnCode::Success;
+                            let ack = ConnAck { session_present: false, code, properties: None };
+                            answer(&mut stream, Packet::ConnAck(ack));
+                        }
+                        Packet::Publish(publish) if connection > 0 => {
+                            answer(&mut stream, Packet::PubAck(PubAck::new(publish.pkid, None)));
+                            tell.send(publish).unwrap();
+                        }
+                        _ => {}
+                    }
+                }
+                if connection == 0 && length > 100 {
+                    break;
+                }
+            }
+        }
+    });
+    let running = Running::start(dir.path(), &receiver);
+    running.offer(0..3);
+    for k in 0..3 {
+        let publish = told.recv_timeout(Duration::from_secs(30)).unwrap();
+        assert_eq!((publish.topic.as_ref(), publish.retain), (b"plant/FIC101/alarm".as_slice(), true));
+        let document: serde_json::Value = serde_json::from_slice(&publish.payload).unwrap();
+        assert_eq!(document["event_id"], format!("e{k}"));
+        let properties = publish.properties.unwrap();
+        assert_eq!(properties.content_type.as_deref(), Some("application/json;stictiond.alarm.v2"));
+    }
+    wait_for("the confirmations", || (running.metrics.delivered.get() == 3).then_some(()));
+    assert!(running.metrics.delivery_failed.get() >= 1);
+    running.stop();
+}
