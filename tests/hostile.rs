@@ -86,7 +86,7 @@ fn strangers_are_answered_logged_and_bounded() {
     wait_for("the refusal", || (daemon.counter("refused_loops") == 1).then_some(()));
     assert_eq!(daemon.health()["loops"].as_u64().unwrap(), loops);
     // A forged document is noticed.
-    let forged = r#"{"schema":"stictiond.alarm.v1","loop":"FIC101","state":"normal","active":false}"#;
+    let forged = r#"{"schema":"stictiond.alarm.v2","loop":"FIC101","state":"normal","active":false}"#;
     bus.put(plane("FIC101/alarm"), forged).wait().unwrap();
     wait_for("the fault", || daemon.faults().iter().any(|f| f.contains("not ours")).then_some(()));
     assert_eq!(alarm_state(&bus), "unack");

@@ -159,7 +159,7 @@ fn every_due_window_gets_a_document_and_hops_without_samples_none() {
 #[test]
 fn the_sticking_loop_raises_an_alarm_and_the_others_do_not() {
     let documents = run(&samples_of(FOUR), config(300.0), Answers::AtOnce);
-    let alarmed = |name: &str| documents[name].iter().any(|d| d.contains("\"schema\":\"stictiond.alarm.v1\""));
+    let alarmed = |name: &str| documents[name].iter().any(|d| d.contains("\"schema\":\"stictiond.alarm.v2\""));
     assert!(alarmed("FIC201"));
     assert!(!alarmed("PIC203") && !alarmed("TIC204"));
     assert!(documents["FIC201"].iter().any(|d| d.contains(&format!("\"verdict\":\"{}\"", Verdict::Stiction.name()))));

@@ -12,7 +12,7 @@ use stictiond::verdict::{AssessParams, Assessment, Gate, Verdict, assess};
 /// Shares of the ultimate gain at which a loop is sane.
 const SANE: [f64; 2] = [0.2, 0.5];
 
-/// Assesses six seeds; shows the words and counts those that accuse the valve.
+/// Assesses six seeds; shows the words and counts those that accuse the valve surely enough for an alarm.
 fn accused(name: &str, make: impl Fn(u64) -> Record) -> (usize, Vec<Assessment>) {
     let params = AssessParams { always_fit: true, ..AssessParams::default() };
     let all: Vec<Assessment> = (0..6).map(|seed| assess(&make(seed), &params)).collect();
@@ -27,8 +27,10 @@ fn accused(name: &str, make: impl Fn(u64) -> Record) -> (usize, Vec<Assessment>)
             )
         })
         .collect();
-    let count = all.iter().filter(|a| a.stiction == Some(true)).count();
-    println!("{name}: {count} accused: {}", words.join(" "));
+    let is_sure = |a: &&Assessment| a.stiction == Some(true) && a.explanation.is_some_and(|e| e.alarms());
+    let count = all.iter().filter(is_sure).count();
+    let called = all.iter().filter(|a| a.stiction == Some(true)).count();
+    println!("{name}: {called} called, {count} accused: {}", words.join(" "));
     (count, all)
 }
 

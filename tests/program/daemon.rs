@@ -211,7 +211,7 @@ fn the_demo_finds_the_sticking_valve_and_leaves_a_recording_that_verifies() {
     let documents: Vec<Value> = text.lines().map(|l| serde_json::from_str(l).unwrap()).collect();
     let sticking: Vec<&Value> = documents.iter().filter(|d| d["stiction"] == true).collect();
     assert!(!sticking.is_empty() && sticking.iter().all(|d| d["loop"] == "FIC101"), "{text}");
-    assert!(documents.iter().any(|d| d["schema"] == "stictiond.alarm.v1" && d["state"] == "unack"));
+    assert!(documents.iter().any(|d| d["schema"] == "stictiond.alarm.v2" && d["state"] == "unack"));
     let recordings = dir.path().join("recordings/demo");
     assert!(files(&recordings).iter().all(|f| f.extension().unwrap() == "mcap"));
     ok(&["replay", recordings.to_str().unwrap(), "--verify"]);
