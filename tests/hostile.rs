@@ -158,7 +158,8 @@ fn batch(loop_index: usize, signal: &str, seconds: std::ops::Range<i64>, step_s:
         let swing = if loop_index.is_multiple_of(10) { swing } else { 0.0 };
         50.0 + noise as f64 / 97.0 + if signal == "op" { swing * ((k % 6) as f64 / 3.0 - 1.0) } else { swing }
     };
-    let sample = |k: i64| format!("{{\"t\":{},\"v\":{:.3}}}", (1_700_000_040 + k * step_s) * 1_000_000_000, value(k));
+    // The first second of a window; the one before it would be a window of its own.
+    let sample = |k: i64| format!("{{\"t\":{},\"v\":{:.3}}}", (1_700_000_041 + k * step_s) * 1_000_000_000, value(k));
     format!("[{}]", seconds.map(sample).collect::<Vec<_>>().join(","))
 }
 

@@ -232,12 +232,21 @@ fn decide(out: &mut Assessment, opinion: Opinion, heard: &Features, sized: &Sigh
     let otherwise = || cause::cause(found.as_ref(), ringing.as_ref(), damping);
     let beside = |e: &Estimate| cause::beside_sticking(e, reading.as_ref(), record, ringing.as_ref());
     (out.verdict, out.contributing) = judge(estimate, &opinion, otherwise, beside);
+    // Where the periods are too few, or sampled too coarsely to show a slip, sticking is said only as surely as an
+    // alarm would say it.
+    let unsure = out.verdict.stiction() == Some(true) && !opinion.alarms();
+    let thin = |gate: &&Gate| unsure && matches!(gate, Gate::TooCoarse | Gate::TooFewPeriods);
+    let doubt = out.gates.iter().find(thin).map(|gate| gate.name());
+    if doubt.is_some() {
+        out.verdict = Verdict::Inconclusive;
+        out.contributing.clear();
+    }
     out.stiction = out.verdict.stiction();
     let p = opinion.p();
     out.p_stiction = Some(p);
     out.explanation = Some(opinion);
     out.confidence = out.stiction.map(|_| p.max(1.0 - p));
-    out.reason = out.stiction.is_none().then_some("not_fitted");
+    out.reason = out.stiction.is_none().then_some(doubt.unwrap_or("not_fitted"));
 }
 
 /// Takes away the numbers of a model that no plant has. A verdict that stands without the model's say stays; one that

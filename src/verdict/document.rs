@@ -241,7 +241,8 @@ pub struct Assessment {
     pub verdict: Verdict,
     pub contributing: Vec<Verdict>,
     pub stiction: Option<bool>,
-    /// Why there is no answer: the first blocking gate, `stuck_signal` (PV stands still while OP travels), `not_fitted`,
+    /// Why there is no answer: the first blocking gate, `too_coarse` or `too_few_periods` (sticking is likely, but not so
+    /// much that an alarm would say it), `stuck_signal` (PV stands still while OP travels), `not_fitted`,
     /// `implausible_model` (no model that could be believed), `daily_cycle`, `trend` or `op_held` (OP is stored too seldom
     /// to show what the valve was sent); or why there is nothing beside the answer: `screened` (a calm loop, of which
     /// nothing more was computed).

@@ -297,9 +297,11 @@ fn square_load() {
     let all = none_accused("square load", |seed| {
         healthy(seed, SANE, |amplitude, period_s| vec![Disturbance::Square { amplitude, period_s }])
     });
-    let named = all.iter().filter(|a| a.verdict == Verdict::Disturbance).count();
-    // The others stay open: what a square load does to PV is close to what a slipping stem does.
-    assert!(named >= 4, "{named} of 6");
+    let count = |verdict| all.iter().filter(|a| a.verdict == verdict).count();
+    let (named, called) = (count(Verdict::Disturbance), count(Verdict::Stiction));
+    // What a square load does to PV is close to what a slipping stem does: some stay open, and a call below the alarm's
+    // cut is wrong now and then.
+    assert!(named >= 3 && called <= 1, "{named} of 6, {called} called");
 }
 
 #[test]
