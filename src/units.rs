@@ -1,4 +1,4 @@
-//! Time and names, the two things every room shares.
+//! Times, names and numbers, which every room shares.
 //!
 //! Time is `i64` nanoseconds since 1970 UTC, the plant's own source time. Text times are read without passing
 //! through floating point, so a stamp that is written reads back equal.
@@ -98,6 +98,56 @@ pub fn format_rfc3339(ns: i64) -> String {
         .ok()
         .and_then(|t| t.format(&Rfc3339).ok())
         .unwrap_or_else(|| format!("{} s", format_seconds(ns)))
+}
+
+/// A number as a person writes it: three significant digits, and all that stand left of the point.
+#[must_use]
+pub fn number(value: f64) -> String {
+    significant(value, 3)
+}
+
+/// A number with so many significant digits, without zeros at its end; with an exponent below 1e-4 and from 1e6 on.
+#[must_use]
+pub fn significant(value: f64, digits: usize) -> String {
+    let size = value.abs();
+    if !value.is_finite() {
+        return "unknown".to_owned();
+    }
+    if size != 0.0 && !(1e-4..1e6).contains(&size) {
+        return format!("{value:.*e}", digits.saturating_sub(1));
+    }
+    let mut decimals = digits.saturating_sub(1);
+    let mut rest = size;
+    while rest >= 10.0 && decimals > 0 {
+        (rest, decimals) = (rest / 10.0, decimals - 1);
+    }
+    while rest < 1.0 && rest > 0.0 {
+        (rest, decimals) = (rest * 10.0, decimals + 1);
+    }
+    let text = format!("{value:.decimals$}");
+    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
+}
+
+/// From when to when: stamps, and how long that is. A clock that starts at zero, as many exports have it, gets no date.
+#[must_use]
+pub fn from_to(start_ns: i64, end_ns: i64) -> String {
+    const YEAR_S: f64 = 365.0 * 86_400.0;
+    let [start_s, end_s] = [start_ns, end_ns].map(s_from_ns);
+    if start_s.abs() < YEAR_S && end_s.abs() < YEAR_S {
+        return format!("{} to {} on the record's own clock", duration(start_s), duration(end_s));
+    }
+    format!("{} to {} ({})", format_rfc3339(start_ns), format_rfc3339(end_ns), duration(end_s - start_s))
+}
+
+/// A time as people say it.
+#[must_use]
+pub fn duration(seconds: f64) -> String {
+    match seconds.abs() {
+        s if s < 120.0 => format!("{} s", number(seconds)),
+        s if s < 7_200.0 => format!("{} min", number(seconds / 60.0)),
+        s if s < 172_800.0 => format!("{} h", number(seconds / 3_600.0)),
+        _ => format!("{} days", number(seconds / 86_400.0)),
+    }
 }
 
 /// Whether a loop's name can stand in a key: non-empty chunks, none of `* $ ? #`, no chunk that starts with `@`.
@@ -205,6 +255,19 @@ mod tests {
         for bad in ["", "-", "abc", "1.2.3", "nan", "2020-13-01T00:00:00Z", "99999999999999999999"] {
             assert!(parse_time(bad).is_err(), "{bad}");
         }
+    }
+
+    #[test]
+    fn numbers_read_as_people_write_them() {
+        let said = [8.0052, 0.0, 123.4, 12.34, 0.5, -2.5, 0.001_234_5, 1234.5, 1e-9].map(number).join(" ");
+        assert_eq!(said, "8.01 0 123 12.3 0.5 -2.5 0.00123 1234 1.00e-9");
+        assert_eq!([1895.31, 0.031_175_2, 1.0].map(|v| significant(v, 5)).join(" "), "1895.3 0.031175 1");
+        assert_eq!([12.0, 600.0, 7_200.0, 200_000.0].map(duration).join(", "), "12 s, 10 min, 2 h, 2.31 days");
+        assert_eq!(number(f64::NAN), "unknown");
+        assert_eq!(from_to(0, 7_200 * NS_PER_S), "0 s to 2 h on the record's own clock");
+        let start_ns = 1_767_225_600 * NS_PER_S;
+        let said = from_to(start_ns, start_ns + 90 * NS_PER_S);
+        assert_eq!(said, "2026-01-01T00:00:00Z to 2026-01-01T00:01:30Z (90 s)");
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! Many loops at once: each by its line in one table, instead of a page of text.
 
 use super::analyze::Answer;
-use crate::units::format_rfc3339;
+use crate::units::{self, duration, format_rfc3339};
 use crate::verdict::Verdict;
 
 /// Loops from which text gives the table alone.
@@ -56,12 +56,8 @@ impl Summary {
     pub(super) fn table(&mut self) -> String {
         self.rows.sort_by(|a, b| b.p.unwrap_or(-1.0).total_cmp(&a.p.unwrap_or(-1.0)));
         let width = self.rows.iter().map(|r| r.name.chars().count()).max().unwrap_or(4).clamp(4, 40);
-        let number = |v: Option<f64>| match v {
-            Some(v) if v != 0.0 && !(1e-2..1e5).contains(&v.abs()) => format!("{v:.2e}"),
-            Some(v) => format!("{v:.2}"),
-            None => "-".to_owned(),
-        };
-        let head = ("loop", "verdict", "p", "s", "s 90 %", "period, s", "grade", "until");
+        let number = |v: Option<f64>| v.map_or_else(|| "-".to_owned(), units::number);
+        let head = ("loop", "verdict", "p", "s", "s 90 %", "period", "grade", "until");
         let (name, verdict, p, s, range, period, grade, end) = head;
         let mut lines = vec![format!(
             "{name:width$}  {verdict:14}  {p:>5}  {s:>8}  {range:>16}  {period:>9}  {grade:5}  {end:20}  gates"
@@ -74,9 +70,9 @@ impl Summary {
             let line = format!(
                 "{name:width$}  {:14}  {:>5}  {:>8}  {range:>16}  {:>9}  {:5}  {:20}  {}",
                 r.verdict,
-                number(r.p),
+                r.p.map_or_else(|| "-".to_owned(), |p| format!("{p:.2}")),
                 number(r.s),
-                number(r.period_s),
+                r.period_s.map_or_else(|| "-".to_owned(), duration),
                 r.grade,
                 r.end,
                 r.gates

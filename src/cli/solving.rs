@@ -17,6 +17,7 @@ use crate::ident::surface::{BUDGET, Solved, Surface};
 use crate::optim::{self, Objective, Outcome, Settings, Termination};
 use crate::record::Record;
 use crate::sim::slips::Law;
+use crate::units::significant;
 use crate::verdict::Assessment;
 
 /// `--solver` and what goes with it.
@@ -211,7 +212,12 @@ impl Objective for Watched<'_> {
         self.least = self.least.min(cost);
         let done = self.surface.evaluations();
         if done.is_multiple_of(50) {
-            self.bar.set_message(format!("{} {done} of {}, least MSE {:.4e}", self.name, self.limit, self.least));
+            self.bar.set_message(format!(
+                "{} {done} of {}, least MSE {}",
+                self.name,
+                self.limit,
+                significant(self.least, 5)
+            ));
         }
         cost
     }

@@ -2,16 +2,11 @@
 
 use super::analyze::Answer;
 use crate::report::words;
-use crate::units::format_rfc3339;
+use crate::units::{self, duration, significant};
 use crate::verdict::{Assessment, EstimateDocument};
 
-/// A number with a sensible count of digits, or a dash.
 fn number(value: Option<f64>) -> String {
-    match value {
-        None => "-".to_owned(),
-        Some(v) if v == 0.0 || (0.01..1e5).contains(&v.abs()) => format!("{v:.3}"),
-        Some(v) => format!("{v:.3e}"),
-    }
+    value.map_or_else(|| "-".to_owned(), units::number)
 }
 
 fn gates(a: &Assessment) -> String {
@@ -22,17 +17,17 @@ fn gates(a: &Assessment) -> String {
 fn estimate(document: &EstimateDocument, box_samples: f64) -> String {
     let a = &document.assessment;
     let w = &a.window;
-    let mut lines = vec![format!("{}: {} ({})", document.loop_name, a.verdict.name(), words::verdict(a.verdict))];
+    let mut lines = vec![format!("{}: {} ({})", document.loop_name, a.verdict.name(), words::headline(a))];
     let mut row = |name: &str, value: String| lines.push(format!("  {name:<12} {value}"));
     let boxes = if box_samples > 1.0 { format!(", in boxes of {box_samples}") } else { String::new() };
-    let (start, end) = (format_rfc3339(w.start_ns), format_rfc3339(w.end_ns));
-    row("window", format!("{start} to {end}, {} samples of {} s{boxes}", w.samples, number(Some(w.ts_s))));
+    let (stretch, ts) = (units::from_to(w.start_ns, w.end_ns), units::number(w.ts_s));
+    row("window", format!("{stretch}, {} samples of {ts} s{boxes}", w.samples));
     let o = &a.oscillation;
     if let (Some(period), Some(periods), Some(density)) = (o.period_s, o.periods, o.samples_per_period) {
         let kind = if o.oscillating { "regular" } else { "not regular" };
         row(
             "oscillation",
-            format!("{kind}: period {} s, {periods:.1} periods, {density:.0} samples each", number(Some(period))),
+            format!("{kind}: period {}, {periods:.1} periods, {density:.0} samples each", duration(period)),
         );
     }
     if let Some(p) = a.p_stiction {
@@ -68,16 +63,20 @@ fn estimate(document: &EstimateDocument, box_samples: f64) -> String {
         row("index", number(Some(index)));
     }
     if let Some(p) = &a.process {
-        let taus: Vec<String> = p.time_constants_s.iter().map(|t| number(Some(*t))).collect();
+        let lags: Vec<String> = p.time_constants_s.iter().map(|t| duration(*t)).collect();
+        let lags = match lags.len() {
+            0 => "no time constant".to_owned(),
+            1 => format!("time constant {}", lags[0]),
+            _ => format!("time constants {}", lags.join(" and ")),
+        };
         let kind = if p.integrating { "integrating" } else { "self-regulating" };
         row(
             "process",
             format!(
-                "order {} {kind}: gain {}, time constants [{}] s, dead time {} s, fit {:.1} %",
+                "order {} {kind}: gain {}, {lags}, dead time {}, fit {:.1} %",
                 p.order,
-                number(Some(p.gain)),
-                taus.join(", "),
-                number(Some(p.dead_time_s)),
+                units::number(p.gain),
+                duration(p.dead_time_s),
                 p.fit_pct
             ),
         );
@@ -86,8 +85,8 @@ fn estimate(document: &EstimateDocument, box_samples: f64) -> String {
         row("detectable", format!("s from {} on would have been seen", number(Some(least))));
     }
     if let Some(c) = &a.controller {
-        let (kc, ti, td) = (number(Some(c.kc)), number(Some(c.ti_s)), number(Some(c.td_s)));
-        row("controller", format!("Kc {kc}, Ti {ti} s, Td {td} s, R2 {:.3}", c.r2));
+        let action = if c.td_s > 0.0 { format!(", Td {}", duration(c.td_s)) } else { String::new() };
+        row("controller", format!("Kc {}, Ti {}{action}, R2 {:.3}", units::number(c.kc), duration(c.ti_s), c.r2));
     }
     if !a.contributing.is_empty() {
         row("besides", a.contributing.iter().map(|v| v.name()).collect::<Vec<_>>().join(", "));
@@ -128,13 +127,22 @@ pub(super) fn answer(answer: &Answer) -> String {
         row("constraint", format!("fs + fd <= S0 = {}", number(Some(s0))));
     }
     if let Some(mse) = answer.document.assessment.process.as_ref().map(|p| p.mse) {
-        row("least MSE", format!("{mse:.4e} (PV units squared)"));
+        row("least MSE", format!("{} (PV units squared)", mean_square(mse)));
     }
     if let Some(s) = &answer.scored {
-        row("given model", format!("{}: fit {:.1} %, MSE {}", s.model.display(), s.fit_pct, exponent(Some(s.mse))));
+        row("given model", format!("{}: fit {:.1} %, MSE {}", s.model.display(), s.fit_pct, mean_square(s.mse)));
     }
     if let Some(s) = &answer.solver {
-        row("solver", format!("{}: fs {}  fd {}  MSE {}", s.name, number(s.fs), number(s.fd), exponent(s.mse)));
+        row(
+            "solver",
+            format!(
+                "{}: fs {}  fd {}  MSE {}",
+                s.name,
+                number(s.fs),
+                number(s.fd),
+                s.mse.map_or("-".to_owned(), mean_square)
+            ),
+        );
         let stopped = format!(
             "{} of {} models tried in {:.1} s, {}",
             s.evaluations,
@@ -142,10 +150,14 @@ pub(super) fn answer(answer: &Answer) -> String {
             s.elapsed_ms / 1e3,
             s.stopped
         );
-        let bound =
-            s.lower_bound_mse.map_or(String::new(), |b| format!("; believed bound {b:.4e} (heuristic, no proof)"));
+        let bound = s
+            .lower_bound_mse
+            .map_or(String::new(), |b| format!("; believed bound {} (heuristic, no proof)", mean_square(b)));
         row("", stopped + &bound);
-        row("", format!("the estimate's own bands have MSE {} there", exponent(s.estimate_mse)));
+        row(
+            "",
+            format!("the estimate's own bands have MSE {} there", s.estimate_mse.map_or("-".to_owned(), mean_square)),
+        );
     }
     if let Some(ms) = answer.document.assessment.elapsed_ms {
         row("run time", format!("{:.2} s", ms / 1e3));
@@ -153,6 +165,7 @@ pub(super) fn answer(answer: &Answer) -> String {
     lines.join("\n")
 }
 
-fn exponent(value: Option<f64>) -> String {
-    value.map_or_else(|| "-".to_owned(), |v| format!("{v:.4e}"))
+/// A mean squared error with digits enough to compare two models.
+fn mean_square(value: f64) -> String {
+    significant(value, 5)
 }

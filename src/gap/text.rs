@@ -7,26 +7,7 @@ mod place;
 
 use super::document::{EffectNote, GapDocument};
 use super::types::{NONE, UNKNOWN};
-
-/// Three digits, as a person would write them.
-#[must_use]
-pub fn figure(value: f64) -> String {
-    let size = value.abs();
-    if size != 0.0 && !(1e-3..1e5).contains(&size) {
-        return format!("{value:.2e}");
-    }
-    let digits = if size >= 100.0 {
-        0
-    } else if size >= 10.0 {
-        1
-    } else if size >= 1.0 {
-        2
-    } else {
-        3
-    };
-    let text = format!("{value:.digits$}");
-    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
-}
+use crate::units::number as figure;
 
 fn percent(value: f64) -> String {
     format!("{value:.0} %")
@@ -230,17 +211,4 @@ pub fn report(d: &GapDocument) -> String {
     let cut = if d.stopped_early { ", cut short" } else { "" };
     row("search", format!("{} model responses{cut}", d.evaluations));
     lines.join("\n")
-}
-
-#[cfg(test)]
-mod tests {
-    use super::figure;
-
-    #[test]
-    fn figures_have_three_digits() {
-        let cases = [(0.0, "0"), (18.04, "18"), (1.234, "1.23"), (0.01234, "0.012"), (123.6, "124"), (1e-7, "1.00e-7")];
-        for (value, text) in cases {
-            assert_eq!(figure(value), text);
-        }
-    }
 }

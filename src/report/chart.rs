@@ -8,7 +8,7 @@ use super::plot::{
     Area, Drawn, FINE, LEGEND, Mark, Picture, PlotError, Series, curve, draw, frame, legend, note_axes, range,
     shortened, text_width, tick, ticks, words, write_legend,
 };
-use super::words::number;
+use crate::units::number;
 
 /// Counts of values over one axis.
 #[derive(Debug, Clone)]

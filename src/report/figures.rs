@@ -11,7 +11,7 @@ use super::detail::Detail;
 use super::diagram::{Tags, loop_diagram};
 use super::ink::Ink;
 use super::plot::{Mark, Panel, Picture, Plane, PlotError, Series, scatter, trend};
-use super::words::number;
+use crate::units::number;
 
 /// A picture with its caption.
 #[derive(Debug, Clone, PartialEq)]

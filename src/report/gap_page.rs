@@ -5,12 +5,11 @@ use maud::{Markup, html};
 use super::gap_figures::figures;
 use super::page::{flatten, optional, picture, whole};
 use super::plot::PlotError;
-use super::words::number;
 use crate::gap::Diagnosis;
 use crate::gap::document::GapDocument;
 use crate::gap::text;
 use crate::record::Record;
-use crate::units::format_rfc3339;
+use crate::units::{from_to, number};
 
 /// One loop's part of the report.
 #[derive(Debug, Clone)]
@@ -92,7 +91,6 @@ fn overview(report: &GapReport) -> Markup {
 fn section(one: &GapLoop, k: usize, open: bool) -> Result<Markup, PlotError> {
     let d = &one.document;
     let pictures = figures(one)?;
-    let (start, end) = (format_rfc3339(d.window.start_ns), format_rfc3339(d.window.end_ns));
     let floor = d.gap.noise_floor.map_or_else(|| "not known".to_owned(), number);
     let document = serde_json::to_value(d).unwrap_or(serde_json::Value::Null);
     let mut rows = Vec::new();
@@ -129,7 +127,7 @@ fn section(one: &GapLoop, k: usize, open: bool) -> Result<Markup, PlotError> {
                         }
                         @if let Some(cycles) = &d.closed_loop { dt { "Closed loop" } dd { (text::cycles(cycles)) "." } }
                         dt { "Record" } dd {
-                            (start) " to " (end) ", " (d.window.samples) " samples of " (number(d.window.ts_s)) " s, "
+                            (from_to(d.window.start_ns, d.window.end_ns)) ", " (d.window.samples) " samples of " (number(d.window.ts_s)) " s, "
                             (d.evaluations) " model responses" @if d.stopped_early { ", search cut short" } "."
                         }
                     }

@@ -9,9 +9,9 @@ use serde_json::Value;
 use super::figures::{Figure, Subject, brief, detailed};
 use super::ink;
 use super::plot::PlotError;
-use super::words::{self, number};
+use super::words;
 use super::{LoopReport, Report};
-use crate::units::format_rfc3339;
+use crate::units::{duration, from_to, number};
 use crate::verdict::{Assessment, Verdict};
 
 /// The whole page.
@@ -178,7 +178,7 @@ fn summary(one: &LoopReport, a: &Assessment) -> Markup {
     let bump = words::proposal(a).filter(|_| a.stiction == Some(true));
     html! {
         section.card {
-            p.headline { (badge(a.verdict)) " " (capital(words::verdict(a.verdict))) "." }
+            p.headline { (badge(a.verdict)) " " (capital(&words::headline(a))) "." }
             dl {
                 @if let Some(size) = words::size(a, one.op_range).filter(|_| a.stiction.is_some()) {
                     dt { "Size" } dd { (size) "." }
@@ -200,10 +200,10 @@ fn summary(one: &LoopReport, a: &Assessment) -> Markup {
                     dt { "Not known" } dd { ul { @for text in &unknown { li { (text) } } } }
                 }
                 dt { "Record" } dd {
-                    (format_rfc3339(w.start_ns)) " to " (format_rfc3339(w.end_ns)) ", " (w.samples) " samples of "
+                    (from_to(w.start_ns, w.end_ns)) ", " (w.samples) " samples of "
                     (number(w.ts_s)) " s"
                     @if let (Some(period), Some(periods)) = (a.oscillation.period_s, a.oscillation.periods) {
-                        ", " (number(periods)) " periods of " (words::duration(period))
+                        ", " (number(periods)) " periods of " (duration(period))
                     }
                     "."
                     @if let Some(comment) = &one.comment { " " (comment) }

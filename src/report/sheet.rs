@@ -34,7 +34,7 @@ pub fn sheet(report: &Report) -> Result<String, PlotError> {
         };
         let in_full = report.loops.len() == 1 || one.detail.is_some() || one.full;
         let figures = if in_full { detailed(&subject)? } else { brief(&subject)? };
-        let heading = format!("{}: {}", one.document.loop_name, words::verdict(a.verdict));
+        let heading = format!("{}: {}", one.document.loop_name, words::headline(a));
         text(&mut body, y + 22, 18, &super::plot::shortened(&heading, 100));
         y += HEADING;
         place(&mut body, &mut y, &figures);

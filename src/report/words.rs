@@ -1,34 +1,8 @@
 //! An estimate in words that a planner can act on.
 
+use crate::units::{duration, number};
 use crate::verdict::plausible::Implausible;
 use crate::verdict::{Assessment, Gate, SCREENED, Verdict};
-
-/// A number with as many digits as matter, for sentences and tables.
-#[must_use]
-pub fn number(value: f64) -> String {
-    let size = value.abs();
-    let text = match size {
-        _ if !value.is_finite() => return "unknown".to_owned(),
-        0.0 => return "0".to_owned(),
-        s if !(1e-3..1e6).contains(&s) => return format!("{value:.2e}"),
-        s if s >= 100.0 => return format!("{value:.0}"),
-        s if s >= 10.0 => format!("{value:.1}"),
-        s if s >= 1.0 => format!("{value:.2}"),
-        _ => format!("{value:.3}"),
-    };
-    text.trim_end_matches('0').trim_end_matches('.').to_owned()
-}
-
-/// A time as people say it.
-#[must_use]
-pub fn duration(seconds: f64) -> String {
-    match seconds {
-        s if s < 120.0 => format!("{} s", number(s)),
-        s if s < 7_200.0 => format!("{} min", number(s / 60.0)),
-        s if s < 172_800.0 => format!("{} h", number(s / 3_600.0)),
-        s => format!("{} days", number(s / 86_400.0)),
-    }
-}
 
 /// The verdict in a sentence.
 #[must_use]
@@ -38,10 +12,17 @@ pub const fn verdict(v: Verdict) -> &'static str {
         Verdict::Deadband => "the valve has a dead band",
         Verdict::Disturbance => "the loop oscillates, most likely from outside; the valve follows its signal",
         Verdict::Tuning => "the loop oscillates, most likely by its own tuning; the valve follows its signal",
-        Verdict::NoOscillation => "no oscillation, and no stiction seen",
+        Verdict::NoOscillation => "no regular oscillation, and no stiction seen",
         Verdict::NoStiction => "no stiction seen",
         Verdict::Inconclusive => "this window cannot answer",
     }
+}
+
+/// The verdict of a record in a sentence; only suspected where the probability would not raise an alarm.
+#[must_use]
+pub fn headline(a: &Assessment) -> String {
+    let suspected = a.stiction == Some(true) && a.explanation.is_some_and(|opinion| !opinion.alarms());
+    format!("{}{}", if suspected { "suspected, not sure: " } else { "" }, verdict(a.verdict))
 }
 
 /// A further cause beside the verdict.
@@ -111,6 +92,8 @@ pub fn reason(name: &str) -> String {
         }
         "trend" => "PV is little more than a straight line here; there is no cycle to judge the valve by",
         "op_held" => "OP is stored too seldom within a cycle to show what the valve was sent",
+        "too_coarse" => "sticking is likely, but a period has too few samples to show how the stem moves",
+        "too_few_periods" => "sticking is likely, but the periods are too few to be sure",
         "not_fitted" => "no model could be fitted",
         "screened" => "a calm loop, of which nothing more was computed",
         _ => "",
@@ -283,8 +266,8 @@ const FIRST_MOVE: [f64; 2] = [1.5, 1.2];
 /// The bump test for an estimate with a fit: a first move of 1.5 s takes up the slack, then steps of a quarter of s go
 /// back until PV follows, held for the dead time and three of the largest time constant (a quarter of the period where
 /// the process integrates). PV that first follows after n steps shows a band of about n s / 4. The first move, or the
-/// holds of an integrating process, are made smaller where PV would else go further than it did in the record; `None`
-/// where that leaves no test, or one that takes longer than a shift.
+/// holds of an integrating process, are made smaller where PV would else go further than it did in the record; see
+/// [`too_much`].
 #[must_use]
 pub fn bump_test(a: &Assessment) -> Option<BumpTest> {
     let (s, process) = (a.s.filter(|s| *s > 0.0)?, a.process.as_ref()?);
@@ -302,21 +285,39 @@ pub fn bump_test(a: &Assessment) -> Option<BumpTest> {
         ((process.dead_time_s + settle).max(shortest), gain * first_op)
     };
     let total_s = hold_s * f64::from(STEPS + 1);
-    let fits = pv_move <= room * (1.0 + 1e-9) && total_s <= SHIFT_S;
-    fits.then_some(BumpTest { first_op, step_op: 0.25 * s, steps: STEPS, hold_s, total_s, pv_move })
+    Some(BumpTest { first_op, step_op: 0.25 * s, steps: STEPS, hold_s, total_s, pv_move })
 }
 
-/// The test as an instruction, or why none is proposed; `None` without a size.
+/// Why operations would not give the loop away for a test: it takes longer than a shift, or moves PV further than it went
+/// in the record.
+#[must_use]
+pub fn too_much(a: &Assessment, test: &BumpTest) -> Option<String> {
+    let room = a.pv_span.unwrap_or(f64::INFINITY);
+    let mut said = Vec::new();
+    if test.total_s > SHIFT_S {
+        said.push(format!("take {}, more than a shift", duration(test.total_s)));
+    }
+    if test.pv_move > room * (1.0 + 1e-9) {
+        said.push(format!(
+            "move PV by {}, when it went no further than {} in this record",
+            number(test.pv_move),
+            number(room)
+        ));
+    }
+    (!said.is_empty()).then(|| said.join(" and "))
+}
+
+/// The test as an instruction, or why none is proposed; `None` without a size and a process.
 #[must_use]
 pub fn proposal(a: &Assessment) -> Option<String> {
-    let s = a.s.filter(|s| *s > 0.0)?;
-    Some(bump_test(a).map_or_else(
-        || {
-            "None is proposed: it would take longer than a shift, or move PV further than it went in this record. Ask \
-             operations for a stroke test with the loop out of service instead."
-                .to_owned()
+    let (s, test) = (a.s?, bump_test(a)?);
+    Some(too_much(a, &test).map_or_else(
+        || bump_words(&test, s),
+        |why| {
+            format!(
+                "None is proposed: it would {why}. Ask operations for a stroke test with the loop out of service instead."
+            )
         },
-        |test| bump_words(&test, s),
     ))
 }
 
@@ -358,16 +359,6 @@ mod tests {
     }
 
     #[test]
-    fn numbers_read_as_people_write_them() {
-        assert_eq!(
-            [8.0052, 0.0, 123.4, 12.34, 0.5, -2.5, 1e-9].map(number).join(" "),
-            "8.01 0 123 12.3 0.5 -2.5 1.00e-9"
-        );
-        assert_eq!([12.0, 600.0, 7_200.0, 200_000.0].map(duration).join(", "), "12 s, 10 min, 2 h, 2.31 days");
-        assert_eq!(number(f64::NAN), "unknown");
-    }
-
-    #[test]
     fn a_bump_test_follows_from_s_and_the_process() {
         let mut a = empty();
         assert_eq!((bump_test(&a), size(&a, None)), (None, None));
@@ -387,11 +378,13 @@ mod tests {
         // Kept within what PV did, or not proposed.
         a.pv_span = Some(20.0);
         assert_eq!(bump_test(&a).map(|t| (t.first_op, t.pv_move)), Some((10.0, 20.0)));
+        assert!(proposal(&a).unwrap().contains("in all, with PV free to move by 20"));
         a.pv_span = Some(10.0);
-        assert!(bump_test(&a).is_none() && proposal(&a).unwrap().contains("None is proposed"));
+        let said = proposal(&a).unwrap();
+        assert!(said.contains("None is proposed: it would move PV by 19.2, when it went no further than 10"), "{said}");
         a.pv_span = None;
         a.process.iter_mut().for_each(|p| p.time_constants_s = vec![2_000.0]);
-        assert!(bump_test(&a).is_none());
+        assert!(proposal(&a).unwrap().contains("it would take 11.7 h, more than a shift"));
         assert!(f64::from(t.steps) * t.step_op > 8.0, "the steps must pass the band");
     }
 

@@ -35,7 +35,7 @@ fn nonsense(a: &Assessment, record: &Record, kind: &str) -> Vec<String> {
     add(a.s.is_some_and(|s| s > 1.001 * op_span), format!("s {:?} of a span of {op_span}", a.s));
     let day = a.oscillation.period_s.is_some_and(|p| (0.9..1.1).contains(&(p / 86_400.0)));
     add(a.stiction == Some(true) && day, "a valve with a daily cycle".to_owned());
-    if let Some(t) = words::bump_test(a) {
+    if let Some(t) = words::bump_test(a).filter(|t| words::too_much(a, t).is_none()) {
         add(t.total_s > 8.0 * 3_600.0, format!("a test of {} s", t.total_s));
         add(t.pv_move > 1.001 * pv_span, format!("a test that moves PV by {}", t.pv_move));
     }

@@ -78,6 +78,16 @@ impl<'a> Problem<'a> {
         Some(Start { up: is_up, record: if is_up { up } else { down }, place: 0.5 })
     }
 
+    /// Starts whose first slip goes up, or down, within so many of OP's running extremes of a point.
+    #[must_use]
+    pub fn starts_near(&self, point: f64, up: bool, within: usize) -> Vec<Start> {
+        let places = &self.records[usize::from(!up)];
+        let at = (point.max(0.0) * self.question.per_point as f64) as u32;
+        let middle = places.partition_point(|place| *place < at);
+        let last = (middle + within).min(places.len().saturating_sub(1));
+        (middle.saturating_sub(within)..=last).map(|record| Start { up, record, place: 0.5 }).collect()
+    }
+
     /// Points.
     #[must_use]
     pub fn points(&self) -> usize {

@@ -4,9 +4,10 @@ use super::candidate::{Candidate, apart};
 use super::coarse_scan::CoarseScan;
 use super::evaluator::Evaluator;
 use super::local_search::LEAST_S;
+use super::read::Reading;
 use super::settings::ScanSettings;
 use crate::ident::candidate::Start;
-use crate::ident::random::uniform;
+use crate::ident::random::{normal, uniform};
 use crate::optim::{Objective, Outcome, Settings, Solver};
 use crate::sim::slips::Law;
 use crate::sim::steps::Step;
@@ -25,6 +26,12 @@ const STRAIGHT: usize = 4;
 const STEPS_IN_S: i32 = 24;
 const STEP_IN_S: f64 = 0.008;
 const STEPS_IN_J: i32 = 36;
+/// Places read from PV that are looked around, ever closer (shares of s, half as far again in j), looks at each distance.
+const LOOKED_AROUND: usize = 14;
+const CLOSER: [f64; 4] = [0.02, 0.01, 0.005, 0.0025];
+const LOOKS: usize = 10;
+/// OP's running extremes to either side of the first slip that may have been what moved the stem.
+const RECORDS: usize = 4;
 /// Stretches of a period over which a sliding stem's steps are put together.
 const LUMPS: f64 = 24.0;
 
@@ -77,6 +84,42 @@ impl<'e, 'a> Scan<'e, 'a> {
         }
         self.straight_looks();
         outcome
+    }
+
+    /// Looks at what was read from PV and ever closer around it: the best place of each reading, best first.
+    pub fn near(&mut self, readings: &[Reading], rng: &mut ChaCha8Rng) -> Vec<Candidate> {
+        let problem = self.evaluator.problem;
+        let seen_before = std::mem::take(&mut self.pool);
+        let mut found: Vec<Candidate> = Vec::new();
+        for Reading { bands: [s, j], first: (point, up) } in readings {
+            let mut starts = problem.starts_near(*point, *up, RECORDS);
+            starts.extend(problem.starts(0.5 * (s + j), &STARTS[..1]));
+            for start in starts {
+                self.look(*s, *j, start);
+            }
+            found.extend(self.best_of_pool());
+        }
+        found.sort_by(|a, b| a.sse().total_cmp(&b.sse()));
+        found.truncate(LOOKED_AROUND);
+        for place in &mut found {
+            for reach in CLOSER {
+                let (s, j, start) = (place.s, place.j, place.start);
+                for _ in 0..LOOKS {
+                    let s_there = (s * (1.0 + reach * normal(rng))).min(1.0);
+                    self.look(s_there, (j + 1.5 * reach * s * normal(rng)).clamp(0.0, s_there), start);
+                }
+                if let Some(better) = self.best_of_pool().filter(|c| c.sse() < place.sse()) {
+                    *place = better;
+                }
+            }
+        }
+        self.pool = seen_before;
+        apart(&found, usize::MAX, 0)
+    }
+
+    /// The best of the pool, which is empty then.
+    fn best_of_pool(&mut self) -> Option<Candidate> {
+        self.pool.drain(..).min_by(|a, b| a.sse().total_cmp(&b.sse()))
     }
 
     /// Straight looks through the best places whose stem moves seldom: there the valleys are too narrow for an even look, and
@@ -145,6 +188,20 @@ impl<'e, 'a> Scan<'e, 'a> {
 }
 
 impl Scan<'_, '_> {
+    /// The least share over the starts that such bands need.
+    fn cost_of(&mut self, s: f64, j: f64) -> f64 {
+        let mut least = f64::INFINITY;
+        for (which, start) in self.evaluator.problem.starts(0.5 * (s + j), &STARTS).into_iter().enumerate() {
+            let reversals = self.evaluator.steps().reversals;
+            let wanted = STARTS_BY_REVERSALS.into_iter().find(|(most, _)| reversals <= *most).map_or(1, |(_, w)| w);
+            if which >= wanted && which > 0 {
+                break;
+            }
+            least = least.min(self.look(s, j, start));
+        }
+        least
+    }
+
     /// The share that one valve signal leaves; kept in the pool.
     fn look(&mut self, s: f64, j: f64, start: Start) -> f64 {
         let Some(freedom) = self.evaluator.slip(s, j, start) else { return f64::INFINITY };
@@ -168,17 +225,6 @@ impl Objective for Scan<'_, '_> {
         if s < LEAST_S {
             return f64::INFINITY;
         }
-        let problem = self.evaluator.problem;
-        let j = problem.question.landing.jump(s, share);
-        let mut least = f64::INFINITY;
-        for (which, start) in problem.starts(0.5 * (s + j), &STARTS).into_iter().enumerate() {
-            let reversals = self.evaluator.steps().reversals;
-            let wanted = STARTS_BY_REVERSALS.into_iter().find(|(most, _)| reversals <= *most).map_or(1, |(_, w)| w);
-            if which >= wanted && which > 0 {
-                break;
-            }
-            least = least.min(self.look(s, j, start));
-        }
-        least
+        self.cost_of(s, self.evaluator.problem.question.landing.jump(s, share))
     }
 }

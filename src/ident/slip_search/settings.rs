@@ -60,6 +60,8 @@ pub struct SearchSettings {
     pub agreeing: usize,
     /// Cells to a side through which the ridge of a stem that moves seldom is walked.
     pub cells_along: usize,
+    /// Whether bands read from PV's kinks are looked at, too.
+    pub reads_pv: bool,
 }
 
 const SCAN: ScanSettings = ScanSettings { budget: 250, least_s: 0.04, sizes: 40, jumps: 6, keep: [14, 4] };
@@ -102,6 +104,7 @@ impl SearchSettings {
             much: 0.7,
             agreeing: 3,
             cells_along: 700,
+            reads_pv: true,
         }
     }
 
@@ -111,6 +114,6 @@ impl SearchSettings {
     pub fn brief() -> Self {
         let scan = ScanSettings { budget: 60, sizes: 24, jumps: 4, keep: [8, 2], ..SCAN };
         let round = RoundSettings { scan, stages: &[(3, 16), (4, 24)], last: 20, ..ROUND };
-        Self { rounds: vec![round], cells_along: 0, ..Self::usual() }
+        Self { rounds: vec![round], cells_along: 0, reads_pv: false, ..Self::usual() }
     }
 }

@@ -9,6 +9,7 @@ use super::evaluator::Evaluator;
 use super::local_search::{along_cells, along_ridge, neighbours, random_steps};
 use super::part::{LawRound, Part, frictionless};
 use super::problem::Problem;
+use super::read::{self, Reading};
 use super::scan::Scan;
 use super::settings::{RoundSettings, SearchSettings};
 use crate::ident::choice::ModelChoice;
@@ -119,6 +120,8 @@ pub struct Search<'s, 'a> {
     noise_sd: f64,
     /// Whether the last round saw friction in the part where none shows on the whole record.
     shows_in_part: bool,
+    /// What PV's kinks suggest, once that was asked for.
+    readings: Option<Vec<Reading>>,
 }
 
 impl<'s, 'a> Search<'s, 'a> {
@@ -146,6 +149,7 @@ impl<'s, 'a> Search<'s, 'a> {
             law_best: [f64::INFINITY; 2],
             noise_sd: stats::noise_sd(problem.pv()),
             shows_in_part: false,
+            readings: None,
         }
     }
 
@@ -286,7 +290,12 @@ impl<'s, 'a> Search<'s, 'a> {
         let mut scan = Scan::new(&mut evaluator, rho, view.nothing());
         let _ = scan.run(self.request.solver, self.request.fineness_pct, seed, &round.scan, &mut rng);
         self.found.scanned.extend(scan.of_every_size());
-        let (seen, looks) = (scan.best(&round.scan), scan.looks);
+        let mut seen = scan.best(&round.scan);
+        if law == Law::He && self.settings.reads_pv && self.problem.behind.is_none() {
+            let readings = self.readings.get_or_insert_with(|| read::readings(self.problem));
+            seen.extend(scan.near(readings, &mut rng));
+        }
+        let looks = scan.looks;
         let mut refitted = seen.iter().filter_map(|c| evaluator.settle(&mut view, c)).collect::<Vec<_>>();
         self.found.scanned.extend(seen);
         refitted.extend(self.seeds_of_other_law(&mut evaluator, &mut view, law, &mut rng));
