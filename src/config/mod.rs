@@ -1,6 +1,7 @@
 //! The configuration: TOML text in, a [`Config`] or every fault at once out. Knows no file.
 
 mod alarm;
+mod bundle;
 mod deliver;
 mod input;
 mod reader;
@@ -14,6 +15,7 @@ use toml::de::DeTable;
 
 pub use alarm::AlarmParams;
 use alarm::read_alarm;
+pub use bundle::{BundleKey, NAME_MARK};
 pub use deliver::{Address, Deliver, Protocol};
 pub use input::Input;
 pub use reader::Fault;
@@ -56,6 +58,9 @@ pub struct Config {
     /// Receivers outside the bus. Not part of [`Config::hash`]: where documents go changes none of them.
     #[serde(skip_serializing)]
     pub deliver: Vec<Deliver>,
+    /// Keys whose payloads hold several signals. Left out of [`Config::hash`] while there are none.
+    #[serde(rename = "bundle", skip_serializing_if = "Vec::is_empty")]
+    pub bundles: Vec<BundleKey>,
     /// Loops that are mapped or have settings of their own.
     #[serde(rename = "loop")]
     pub loops: Vec<LoopConfig>,
@@ -252,8 +257,24 @@ impl Config {
         let web = read!(web, read_web);
         let loops = read_loops(lines, root, window, alarm, faults);
         let deliver = deliver::read_delivers(lines, root, faults);
+        let bundles = bundle::read_bundles(lines, root, faults);
         faults.extend(input::too_few_places(lines, root, input.max_loops, loops.len()));
-        Self { site, zenoh, input, window, alarm, gap, recording, retention, commands, signing, web, deliver, loops }
+        Self {
+            site,
+            zenoh,
+            input,
+            window,
+            alarm,
+            gap,
+            recording,
+            retention,
+            commands,
+            signing,
+            web,
+            deliver,
+            bundles,
+            loops,
+        }
     }
 
     /// A configuration with every default, for a prefix that is known to be sound.
@@ -292,7 +313,7 @@ fn syntax_fault(lines: &Lines, error: &toml::de::Error) -> Fault {
 }
 
 fn refuse_unknown_tables(lines: &Lines, root: &DeTable<'_>, faults: &mut Vec<Fault>) {
-    const KNOWN: [&str; 13] = [
+    const KNOWN: [&str; 14] = [
         "site",
         "zenoh",
         "input",
@@ -305,6 +326,7 @@ fn refuse_unknown_tables(lines: &Lines, root: &DeTable<'_>, faults: &mut Vec<Fau
         "signing",
         "web",
         "deliver",
+        "bundle",
         "loop",
     ];
     for (key, _) in root.iter().filter(|(k, _)| !KNOWN.iter().any(|known| known == k.get_ref())) {
@@ -436,10 +458,17 @@ fn read_loops(
             r.refuse(line, "name", format!("{:?} stands twice", entry.name), "give each loop a name of its own");
         }
         for (signal, key) in &entry.keys {
-            let chunks = key.split('/').all(|chunk| !chunk.is_empty());
-            if !chunks || key.contains(['*', '$', '?', '#']) {
-                let remedy = "write one whole key, such as gateway/opc/FIC101.PV";
-                r.refuse(line, signal.name(), format!("{key:?} is no key: empty chunk or wildcard"), remedy);
+            let (place, name) = key.split_once(NAME_MARK).unwrap_or((key, "all"));
+            let chunks = place.split('/').all(|chunk| !chunk.is_empty());
+            if !chunks || place.contains(['*', '$', '?']) || name.is_empty() {
+                let remedy =
+                    "write one whole key, such as gateway/opc/FIC101.PV, or KEY#NAME for one value of a payload";
+                r.refuse(
+                    line,
+                    signal.name(),
+                    format!("{key:?} is no key: empty chunk, empty name or wildcard"),
+                    remedy,
+                );
             }
             match owners.insert(key.clone(), index) {
                 None => {}
