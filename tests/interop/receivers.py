@@ -20,6 +20,12 @@ from documents import check_document
 from plant import Loop
 
 TOOLS = PROGRAM.parents[1] / "tools"
+# Debian's packages, with the libraries that a small machine lacks.
+MOSQUITTO = [
+    "mosquitto", "mosquitto-clients", "libmosquitto1", "libcjson1", "libdlt2", "libwebsockets17", "libev4", "libwrap0",
+    "libnsl2", "libtirpc3", "libuv1",
+]
+PROMETHEUS = ["prometheus"]
 PREFIX = "plant1/area1"
 START_NS = 1_546_300_800 * 10**9
 
@@ -89,11 +95,7 @@ class Broker:
 
     def __init__(self, folder):
         self.lines, self.processes, self.port = [], [], free_port()
-        packages = [
-            "mosquitto", "mosquitto-clients", "libmosquitto1", "libcjson1", "libdlt2", "libwebsockets17", "libev4",
-            "libwrap0", "libnsl2", "libtirpc3", "libuv1",
-        ]
-        broker, listener = tool("mosquitto", packages), tool("mosquitto_sub", packages)
+        broker, listener = tool("mosquitto", MOSQUITTO), tool("mosquitto_sub", MOSQUITTO)
         self.there = bool(broker and listener)
         if not self.there:
             return
@@ -157,7 +159,7 @@ def check_monitoring(daemon, folder, alarm):
     for name in set(re.findall(r"\b(?:stictiond|process)_[a-z_]+", " ".join(queries) + rules)):
         bare = re.sub(r"_bucket$", "", name)
         assert bare in known | unseen, f"{name} is in a query, and nowhere in /metrics"
-    promtool, prometheus = tool("promtool", ["prometheus"]), tool("prometheus", ["prometheus"])
+    promtool, prometheus = tool("promtool", PROMETHEUS), tool("prometheus", PROMETHEUS)
     if not (promtool and prometheus):
         return
     done = subprocess.run([promtool, "check", "metrics"], input=text, capture_output=True, text=True)
@@ -247,3 +249,8 @@ to = "syslog+udp://127.0.0.1:{log.getsockname()[1]}"
         eventually("no fault", lambda: daemon.healthz()["faults"] == [], 60)
         check_monitoring(daemon, folder, alarm)
         assert daemon.stop() < 5
+
+
+if __name__ == "__main__":
+    tool("mosquitto", MOSQUITTO)
+    tool("prometheus", PROMETHEUS)

@@ -1,10 +1,10 @@
 #!/usr/bin/env bash
 # The program seen from outside: Python's Zenoh and MCAP libraries against target/debug/stictiond.
-# Usage: tests/interop/run.sh [NAME OF A TEST]. Python packages go into a folder below the target folder, once.
+# Usage: tests/interop/run.sh [--fetch | NAME OF A TEST]. Python packages and tools go below the target folder, once;
+# --fetch does no more than that.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 target=${CARGO_TARGET_DIR:-target}
-[ -x "$target/debug/stictiond" ] || cargo build --locked --quiet
 python=""
 for candidate in "${PYTHON:-}" python3.11 python3; do
     if [ -n "$candidate" ] && command -v "$candidate" >/dev/null \
@@ -38,4 +38,6 @@ if [ -x "$venv/bin/python" ]; then
 else
     export PYTHONPATH=$venv/packages
 fi
+[ "${1:-}" != --fetch ] || exec "$python" tests/interop/receivers.py
+[ -x "$target/debug/stictiond" ] || cargo build --locked --quiet
 exec "$python" tests/interop/test_interop.py "$@"

@@ -1,10 +1,10 @@
 #!/usr/bin/env bash
 # Reports in a real browser: target/debug/stictiond writes them, Debian's Chromium shows them at desktop and phone width,
-# light and dark. Usage: tests/report/run.sh [FOLDER FOR SCREENSHOTS]. Says loudly when no browser can be had.
+# light and dark. Usage: tests/report/run.sh [--fetch | FOLDER FOR SCREENSHOTS]. Says loudly when no browser can be had;
+# --fetch only gets what is needed.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 target=${CARGO_TARGET_DIR:-target}
-[ -x "$target/debug/stictiond" ] || cargo build --locked --quiet
 
 skip() {
     printf '\n!! SKIPPED: reports were not looked at in a browser: %s\n\n' "$*" >&2
@@ -27,4 +27,6 @@ if [ ! -e "$stamp" ]; then
         || skip "playwright cannot be had from PyPI"
     touch "$stamp"
 fi
+[ "${1:-}" != --fetch ] || exit 0
+[ -x "$target/debug/stictiond" ] || cargo build --locked --quiet
 exec "$venv/bin/python" tests/report/look.py "$target/debug/stictiond" "$browser" "$@"
