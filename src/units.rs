@@ -3,6 +3,7 @@
 //! Time is `i64` nanoseconds since 1970 UTC, the plant's own source time. Text times are read without passing
 //! through floating point, so a stamp that is written reads back equal.
 
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use thiserror::Error;
 use time::{OffsetDateTime, format_description::well_known::Rfc3339};
 
@@ -147,6 +148,24 @@ pub fn duration(seconds: f64) -> String {
         s if s < 7_200.0 => format!("{} min", number(seconds / 60.0)),
         s if s < 172_800.0 => format!("{} h", number(seconds / 3_600.0)),
         _ => format!("{} days", number(seconds / 86_400.0)),
+    }
+}
+
+/// A moment, ns since 1970, that documents write as RFC 3339: the integer beside it loses its last digits where numbers are
+/// f64, as in JavaScript.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Moment(pub i64);
+
+impl Serialize for Moment {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(&format_rfc3339(self.0))
+    }
+}
+
+impl<'de> Deserialize<'de> for Moment {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let text = String::deserialize(deserializer)?;
+        parse_time(&text).map(Self).map_err(serde::de::Error::custom)
     }
 }
 

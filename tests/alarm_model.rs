@@ -9,13 +9,22 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use stictiond::alarm::{Alarm, Command, MAX_SHELVE_S};
 use stictiond::config::AlarmParams;
+use stictiond::units::Moment;
 use stictiond::verdict::{Assessment, Oscillation, Verdict, Window};
 
 const STEP_NS: i64 = 600_000_000_000;
 const CLASSES: [&str; 3] = ["weak", "moderate", "strong"];
 
 fn window(end_ns: i64, vote: Option<char>, class: usize) -> Assessment {
-    let window = Window { start_ns: end_ns - STEP_NS, end_ns, samples: 100, ts_s: 1.0, box_samples: 1 };
+    let window = Window {
+        start_ns: end_ns - STEP_NS,
+        end_ns,
+        start: Moment(end_ns - STEP_NS),
+        end: Moment(end_ns),
+        samples: 100,
+        ts_s: 1.0,
+        box_samples: 1,
+    };
     let oscillation =
         Oscillation { oscillating: true, period_s: None, periods: None, samples_per_period: None, regularity: None };
     let mut a = Assessment::empty(window, oscillation);

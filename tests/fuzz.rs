@@ -14,7 +14,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use stictiond::alarm::{Alarm, Command};
 use stictiond::codec::topic::Topic;
-use stictiond::codec::{MAX_SAMPLES, decode};
+use stictiond::codec::{Bundle, MAX_SAMPLES, Memory, decode, decode_fields};
 use stictiond::config::Config;
 use stictiond::files::{csv, load_samples};
 use stictiond::record::Signal;
@@ -137,6 +137,40 @@ fn payloads() {
             assert!(samples.len() <= MAX_SAMPLES);
         }
     });
+}
+
+/// Every format of the list, with the example of the page and others: named values within bounds, and the same payload under a
+/// key of one signal.
+#[test]
+fn payloads_of_every_format() {
+    let page = fs::read_to_string("docs/live-formats.md").unwrap();
+    for codec in stictiond::codec::ALL {
+        let name = codec.name();
+        let example = page
+            .split_once(&format!("\n### {name}\n"))
+            .map_or("1.5", |(_, after)| after.split_once("```payload\n").unwrap().1.split_once("\n```").unwrap().0);
+        let hex: Option<Vec<u8>> = example
+            .split_whitespace()
+            .map(|w| (w.len() == 2).then(|| u8::from_str_radix(w, 16).ok()).flatten())
+            .collect();
+        let mut corpus =
+            texts(&[example, r#"[{"name":"a","v":[1]},{"Payload":{"x":{"Value":{}}}}]"#, "m,t=\\ x f=\"\\\"\" 9"]);
+        corpus.extend(hex);
+        corpus.push(b"\x9f\xa1\x61v\xfb\x7f\xf8\0\0\0\0\0\0\xff".to_vec());
+        fuzz(name, &corpus, |bytes| {
+            let (mut memory, mut fields) = (Memory::default(), Vec::new());
+            for key in ["p/spBv1.0/g/NBIRTH/n", "p/spBv1.0/g/NDATA/n", "p/x"] {
+                let bundle = Bundle { key, payload: bytes, fallback_t_ns: 7 };
+                let read = decode_fields(&bundle, None, Some(name), &mut memory, &mut fields);
+                assert!(read.is_ok() || fields.is_empty());
+                assert!(fields.len() <= MAX_SAMPLES);
+                fields.clear();
+            }
+            let mut samples = Vec::new();
+            let _ = decode(Signal::Op, bytes, None, Some(name), 7, &mut samples);
+            assert!(samples.iter().all(|s| s.value.as_number().is_none_or(f64::is_finite)));
+        });
+    }
 }
 
 #[test]

@@ -1,12 +1,15 @@
 //! The alarm, step by step and in any order.
 
 use super::*;
+use crate::units::Moment;
 use crate::verdict::{Oscillation, Verdict, Window};
 use Priority::{High, Urgent};
 use proptest::prelude::*;
 
 fn assessment(k: i64, verdict: Verdict, s: f64, strength: &'static str) -> Assessment {
-    let window = Window { start_ns: k * 10, end_ns: (k + 1) * 10, samples: 100, ts_s: 1.0, box_samples: 1 };
+    let (start_ns, end_ns) = (k * 10, (k + 1) * 10);
+    let (start, end) = (Moment(start_ns), Moment(end_ns));
+    let window = Window { start_ns, end_ns, start, end, samples: 100, ts_s: 1.0, box_samples: 1 };
     let oscillation =
         Oscillation { oscillating: true, period_s: None, periods: None, samples_per_period: None, regularity: None };
     let mut a = Assessment::empty(window, oscillation);

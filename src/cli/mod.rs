@@ -3,6 +3,8 @@
 pub mod analyze;
 mod analyze_report;
 pub mod bench;
+#[cfg(feature = "bridge-mqtt")]
+pub mod bridge;
 pub mod calibrate;
 mod calibrate_intervals;
 pub mod challenge;
@@ -11,6 +13,7 @@ pub mod compact;
 pub mod completions;
 pub mod convert;
 pub mod demo;
+pub mod discover;
 pub mod evaluate;
 mod fleet;
 pub mod gap;
@@ -106,6 +109,9 @@ enum CommandArgs {
     Compact(compact::Args),
     Convert(convert::ConvertArgs),
     Check(check::Args),
+    Discover(discover::Args),
+    #[cfg(feature = "bridge-mqtt")]
+    Bridge(bridge::Args),
     Info(info::InfoArgs),
     Recover(recover::Args),
     Schema(schema::Args),
@@ -162,6 +168,9 @@ fn dispatch(cli: Cli) -> anyhow::Result<Outcome> {
         CommandArgs::Compact(args) => compact::run(&args, format),
         CommandArgs::Convert(args) => convert::run(&args, format),
         CommandArgs::Check(args) => check::run(&args, format),
+        CommandArgs::Discover(args) => discover::run(&args, format),
+        #[cfg(feature = "bridge-mqtt")]
+        CommandArgs::Bridge(args) => bridge::run(&args, format),
         CommandArgs::Info(args) => info::run(&args, format),
         CommandArgs::Recover(args) => recover::run(&args, format),
         CommandArgs::Schema(args) => schema::run(&args),

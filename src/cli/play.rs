@@ -56,7 +56,7 @@ pub enum Speed {
     Max,
 }
 
-fn prefix(text: &str) -> Result<String, String> {
+pub(super) fn prefix(text: &str) -> Result<String, String> {
     if crate::units::is_loop_name(text) { Ok(text.to_owned()) } else { Err("write chunks such as plant1/area1".into()) }
 }
 

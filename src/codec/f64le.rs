@@ -1,6 +1,6 @@
 //! A raw little-endian f64: 8 bytes, no time, no quality.
 
-use super::{Codec, CodecError};
+use super::{Bundle, Codec, CodecError, Field, Memory};
 use crate::record::{Sample, Signal, Value};
 
 /// The format `f64le`.
@@ -36,5 +36,9 @@ impl Codec for F64Le {
         let value = Value::number(f64::from_le_bytes(bytes));
         out.push(Sample { signal, t_ns: fallback_t_ns, value, quality: None });
         Ok(())
+    }
+
+    fn fields(&self, _: &Bundle<'_>, _: &mut Memory, _: &mut Vec<Field>) -> Result<(), CodecError> {
+        Err(CodecError::NoNames)
     }
 }

@@ -4,7 +4,7 @@
 //! `Infinity` or numbers beyond f64, which JSON does not know, mean a missing value too. `t` is whole nanoseconds since
 //! 1970 or RFC 3339; `q` an integer.
 
-use super::{Codec, CodecError, MAX_SAMPLES};
+use super::{Bundle, Codec, CodecError, Field, MAX_SAMPLES, Memory, named};
 use crate::record::{Mode, Sample, Signal, Value};
 use crate::units::parse_time;
 use serde::de::{DeserializeSeed, Deserializer, Error, IgnoredAny, MapAccess, SeqAccess, Visitor};
@@ -45,13 +45,26 @@ impl Codec for Json {
         }
         Err(error)
     }
+
+    fn fields(&self, bundle: &Bundle<'_>, _: &mut Memory, out: &mut Vec<Field>) -> Result<(), CodecError> {
+        named::read(&tree(bundle.payload)?, bundle.fallback_t_ns, out).map_err(CodecError::Json)
+    }
+}
+
+/// A payload as a tree of values; what stands for no finite number is read as a text.
+pub(super) fn tree(payload: &[u8]) -> Result<serde_json::Value, CodecError> {
+    let error = match serde_json::from_slice(payload) {
+        Ok(tree) => return Ok(tree),
+        Err(error) => CodecError::Json(error.to_string()),
+    };
+    quote_non_finite(payload).and_then(|quoted| serde_json::from_slice(&quoted).ok()).ok_or(error)
 }
 
 fn parse(signal: Signal, payload: &[u8], fallback_t_ns: i64, out: &mut Vec<Sample>) -> Result<(), CodecError> {
     let mut crowded = false;
-    let top = Top { signal, fallback_t_ns, out, nested: false, crowded: &mut crowded };
     let mut json = serde_json::Deserializer::from_slice(payload);
-    let result = top.deserialize(&mut json).and_then(|()| json.end());
+    let read = read_samples(&mut json, signal, fallback_t_ns, out, &mut crowded);
+    let result = read.and_then(|()| json.end());
     match result {
         Err(_) if crowded => Err(CodecError::TooMany { limit: MAX_SAMPLES }),
         other => other.map_err(|error| CodecError::Json(error.to_string())),
@@ -105,6 +118,17 @@ fn string_end(payload: &[u8], start: usize) -> usize {
     payload.len()
 }
 
+/// Reads one payload of samples from any self-describing form; `crowded` says where it holds too many.
+pub(super) fn read_samples<'de, D: Deserializer<'de>>(
+    deserializer: D,
+    signal: Signal,
+    fallback_t_ns: i64,
+    out: &mut Vec<Sample>,
+    crowded: &mut bool,
+) -> Result<(), D::Error> {
+    Top { signal, fallback_t_ns, out, nested: false, crowded }.deserialize(deserializer)
+}
+
 /// A whole payload, or one element of its array.
 struct Top<'a> {
     signal: Signal,
@@ -151,6 +175,10 @@ impl<'de> Visitor<'de> for Top<'_> {
 
     fn visit_f64<E: Error>(self, v: f64) -> Result<(), E> {
         self.push(Value::number(v))
+    }
+
+    fn visit_none<E: Error>(self) -> Result<(), E> {
+        self.visit_unit()
     }
 
     fn visit_unit<E: Error>(self) -> Result<(), E> {
@@ -247,7 +275,7 @@ impl Visitor<'_> for KeySeed {
     }
 }
 
-struct TimeSeed;
+pub(super) struct TimeSeed;
 
 impl<'de> DeserializeSeed<'de> for TimeSeed {
     type Value = Option<i64>;
@@ -279,6 +307,10 @@ impl Visitor<'_> for TimeSeed {
             return Ok(Some(v as i64));
         }
         Err(E::custom(format!("t = {v} is not whole nanoseconds since 1970")))
+    }
+
+    fn visit_none<E: Error>(self) -> Result<Option<i64>, E> {
+        self.visit_unit()
     }
 
     fn visit_unit<E: Error>(self) -> Result<Option<i64>, E> {
@@ -328,6 +360,10 @@ impl Visitor<'_> for ValueSeed {
         Ok(Value::number(v))
     }
 
+    fn visit_none<E: Error>(self) -> Result<Value, E> {
+        self.visit_unit()
+    }
+
     fn visit_unit<E: Error>(self) -> Result<Value, E> {
         Ok(Value::Missing)
     }
@@ -337,7 +373,7 @@ impl Visitor<'_> for ValueSeed {
     }
 }
 
-struct QualitySeed;
+pub(super) struct QualitySeed;
 
 impl<'de> DeserializeSeed<'de> for QualitySeed {
     type Value = Option<u32>;
@@ -369,6 +405,10 @@ impl Visitor<'_> for QualitySeed {
             return Ok(Some(v as u32));
         }
         Err(E::custom(format!("q = {v} is not an integer of 32 bits")))
+    }
+
+    fn visit_none<E: Error>(self) -> Result<Option<u32>, E> {
+        self.visit_unit()
     }
 
     fn visit_unit<E: Error>(self) -> Result<Option<u32>, E> {

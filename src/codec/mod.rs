@@ -1,17 +1,29 @@
 //! Outside bytes to samples, and samples to the bytes that recordings hold.
 //!
 //! Each wire format is one file and one line in [`ALL`]. [`decode`] picks the format: the encoding that came with the
-//! message decides if it names one, then the configured name, then the bytes themselves. No payload can make decoding
-//! panic, and [`MAX_PAYLOAD`] and [`MAX_SAMPLES`] bound what one payload can cost.
+//! message decides if it names one, then the configured name, then the bytes themselves. [`decode_fields`] does the same for
+//! payloads that hold several signals under names. No payload can make decoding panic, and [`MAX_PAYLOAD`] and
+//! [`MAX_SAMPLES`] bound what one payload can cost.
 
+mod cbor;
 mod f64le;
+mod fields;
 mod json;
+mod named;
+mod pubsub;
 mod recorded;
+mod sparkplug;
+mod telegraf;
 pub mod topic;
 
+pub use cbor::Cbor;
 pub use f64le::F64Le;
+pub use fields::{Bundle, Field, Memory, Scalar};
 pub use json::Json;
+pub use pubsub::PubSub;
 pub use recorded::{decode_recorded, encode_recorded};
+pub use sparkplug::Sparkplug;
+pub use telegraf::{LineProtocol, TelegrafJson};
 
 use crate::record::{Sample, Signal};
 use thiserror::Error;
@@ -46,11 +58,27 @@ pub trait Codec: Sync {
         payload: &[u8],
         fallback_t_ns: i64,
         out: &mut Vec<Sample>,
-    ) -> Result<(), CodecError>;
+    ) -> Result<(), CodecError> {
+        let mut fields = Vec::new();
+        self.fields(&Bundle { key: "", payload, fallback_t_ns }, &mut Memory::default(), &mut fields)?;
+        fields::as_one_signal(&fields, signal, out)
+    }
+
+    /// Appends every named value of a payload that may hold several signals.
+    ///
+    /// # Errors
+    /// [`CodecError`] as [`Codec::decode`]; a format without names says so.
+    fn fields(&self, bundle: &Bundle<'_>, memory: &mut Memory, out: &mut Vec<Field>) -> Result<(), CodecError>;
 }
 
-/// Every format, in the order in which bytes are sniffed.
-pub static ALL: [&dyn Codec; 2] = [&F64Le, &Json];
+/// Every format, in the order in which bytes are sniffed: those with marks of their own first.
+pub static ALL: [&dyn Codec; 7] = [&Cbor, &F64Le, &PubSub, &TelegrafJson, &LineProtocol, &Json, &Sparkplug];
+
+/// The names of every format, for texts.
+#[must_use]
+pub fn names() -> Vec<&'static str> {
+    ALL.iter().map(|codec| codec.name()).collect()
+}
 
 /// A payload that gives no sample.
 #[derive(Debug, Error, Clone, PartialEq, Eq)]
@@ -81,13 +109,33 @@ pub enum CodecError {
         /// Its size.
         bytes: usize,
     },
+    /// A payload of another format than JSON that cannot be read; the text says where and what.
+    #[error("not {format}: {why}")]
+    Format {
+        /// The format, in words.
+        format: &'static str,
+        /// What is wrong.
+        why: String,
+    },
+    /// Several names under a key that means one signal.
+    #[error(
+        "the payload holds several values ({first:?}, {other:?}), the key means one signal: \
+         give the key a [[bundle]], or map KEY#{first} in [[loop]]"
+    )]
+    Several {
+        /// The first name.
+        first: String,
+        /// One that differs.
+        other: String,
+    },
+    /// Values without names where names are needed.
+    #[error("the values have no names: a [[bundle]] needs a format with names, such as {{\"FIC101.OP\": 42.5}}")]
+    NoNames,
     /// The configuration names no format.
-    #[error("{0:?} is not a format: use json, f64le or auto")]
+    #[error("{0:?} is not a format: use auto or one of {all}", all = names().join(", "))]
     UnknownCodec(String),
     /// No format recognises the bytes.
-    #[error(
-        "the {bytes} bytes are neither JSON nor a raw f64 (first byte 0x{first:02x}): set the format in the config"
-    )]
+    #[error("the {bytes} bytes look like no known format (first byte 0x{first:02x}): set the format in the config")]
     Unrecognised {
         /// Size of the payload.
         bytes: usize,
@@ -128,18 +176,7 @@ pub fn decode(
     fallback_t_ns: i64,
     out: &mut Vec<Sample>,
 ) -> Result<&'static str, CodecError> {
-    let Some(&first) = payload.first() else { return Err(CodecError::Empty) };
-    if payload.len() > MAX_PAYLOAD {
-        return Err(CodecError::TooLarge { bytes: payload.len(), limit: MAX_PAYLOAD });
-    }
-    let codec = match (encoding.and_then(by_encoding), configured) {
-        (Some(codec), _) => codec,
-        (None, Some(name)) if name != AUTO => by_name(name).ok_or_else(|| CodecError::UnknownCodec(name.to_owned()))?,
-        _ => ALL
-            .into_iter()
-            .find(|codec| codec.sniff(payload))
-            .ok_or(CodecError::Unrecognised { bytes: payload.len(), first })?,
-    };
+    let codec = choose(payload, encoding, configured)?;
     let before = out.len();
     match codec.decode(signal, payload, fallback_t_ns, out) {
         Ok(()) => Ok(codec.name()),
@@ -147,6 +184,45 @@ pub fn decode(
             out.truncate(before);
             Err(error)
         }
+    }
+}
+
+/// Appends the named values of one payload to `out` and names the format used; the format is chosen as in [`decode`].
+///
+/// # Errors
+/// [`CodecError`]; `out` is then as it was before.
+pub fn decode_fields(
+    bundle: &Bundle<'_>,
+    encoding: Option<&str>,
+    configured: Option<&str>,
+    memory: &mut Memory,
+    out: &mut Vec<Field>,
+) -> Result<&'static str, CodecError> {
+    let codec = choose(bundle.payload, encoding, configured)?;
+    let before = out.len();
+    let read = codec.fields(bundle, memory, out).and_then(|()| match out.len() - before {
+        count if count > MAX_SAMPLES => Err(CodecError::TooMany { limit: MAX_SAMPLES }),
+        _ => Ok(codec.name()),
+    });
+    if read.is_err() {
+        out.truncate(before);
+    }
+    read
+}
+
+/// The format of a payload.
+fn choose(payload: &[u8], encoding: Option<&str>, configured: Option<&str>) -> Result<&'static dyn Codec, CodecError> {
+    let Some(&first) = payload.first() else { return Err(CodecError::Empty) };
+    if payload.len() > MAX_PAYLOAD {
+        return Err(CodecError::TooLarge { bytes: payload.len(), limit: MAX_PAYLOAD });
+    }
+    match (encoding.and_then(by_encoding), configured) {
+        (Some(codec), _) => Ok(codec),
+        (None, Some(name)) if name != AUTO => by_name(name).ok_or_else(|| CodecError::UnknownCodec(name.to_owned())),
+        _ => ALL
+            .into_iter()
+            .find(|codec| codec.sniff(payload))
+            .ok_or(CodecError::Unrecognised { bytes: payload.len(), first }),
     }
 }
 
@@ -189,7 +265,7 @@ mod tests {
         assert_eq!(refuse(b"", None, None), CodecError::Empty);
         assert_eq!(refuse(b"\x01\x02", None, None), CodecError::Unrecognised { bytes: 2, first: 1 });
         assert_eq!(refuse(b"\x01\x02", None, Some("f64le")), CodecError::Length { bytes: 2 });
-        assert_eq!(refuse(b"1", None, Some("cbor")), CodecError::UnknownCodec("cbor".into()));
+        assert_eq!(refuse(b"1", None, Some("xml")), CodecError::UnknownCodec("xml".into()));
         assert!(matches!(refuse(&vec![b' '; MAX_PAYLOAD + 1], None, None), CodecError::TooLarge { .. }));
         let crowd = format!("[{}1]", "1,".repeat(MAX_SAMPLES));
         assert_eq!(refuse(crowd.as_bytes(), None, None), CodecError::TooMany { limit: MAX_SAMPLES });
@@ -206,11 +282,14 @@ mod tests {
 
     proptest! {
         #[test]
-        fn no_bytes_panic(payload in proptest::collection::vec(any::<u8>(), 0..200), pick in 0..4_usize) {
-            let configured = [None, Some("json"), Some("f64le"), Some("auto")][pick];
+        fn no_bytes_panic(payload in proptest::collection::vec(any::<u8>(), 0..200), pick in 0..ALL.len() + 1) {
+            let configured = Some(ALL.get(pick).map_or(AUTO, |codec| codec.name()));
             let mut out = Vec::new();
             let result = decode(Signal::Mode, &payload, None, configured, 0, &mut out);
             prop_assert!(result.is_ok() || out.is_empty());
+            let (mut fields, bundle) = (Vec::new(), Bundle { key: "k", payload: &payload, fallback_t_ns: 0 });
+            let result = decode_fields(&bundle, None, configured, &mut Memory::default(), &mut fields);
+            prop_assert!(result.is_ok() || fields.is_empty());
         }
 
         #[test]

@@ -3,7 +3,9 @@
 use serde::Serialize;
 use toml::de::DeTable;
 
+use super::bundle::codec_words;
 use super::reader::{Fault, Lines, TableReader};
+use crate::codec::AUTO;
 use crate::record::Mode;
 
 /// `[input] queue_bytes` where nothing is said.
@@ -86,7 +88,7 @@ pub(super) fn read_input(r: &mut TableReader<'_, '_>) -> Input {
         max_ahead_s: r.number("max_ahead_s", MAX_AHEAD_S, 0.0, 1e10),
         queue: r.integer("queue", 65_536, 16, 16_777_216) as usize,
         queue_bytes: r.integer("queue_bytes", QUEUE_BYTES as u64, 4_194_304, 1 << 40) as usize,
-        codec: r.word("codec", "auto", &["auto", "json", "f64le"]),
+        codec: r.word("codec", AUTO, &codec_words()),
         quality: r.word("quality", "ua", &["ua", "classic"]),
         modes,
     }

@@ -1,12 +1,12 @@
 //! The configuration: TOML text in, a [`Config`] or every fault at once out. Knows no file.
 
 mod alarm;
+mod bundle;
 mod deliver;
 mod input;
+mod loops;
 mod reader;
 mod service;
-
-use std::collections::{HashMap, HashSet};
 
 use serde::Serialize;
 use sha2::{Digest, Sha256};
@@ -14,14 +14,15 @@ use toml::de::DeTable;
 
 pub use alarm::AlarmParams;
 use alarm::read_alarm;
+pub use bundle::{BundleKey, NAME_MARK};
 pub use deliver::{Address, Deliver, Protocol};
 pub use input::Input;
 pub use reader::Fault;
-use reader::{Lines, TableReader, subtable, subtables};
+use reader::{Lines, TableReader, subtable};
 pub use service::{Commands, Retention, Signing};
 
 use crate::record::Signal;
-use crate::units::{LoopKind, is_loop_name};
+use crate::units::is_loop_name;
 
 /// Everything the daemon is told. Field names are the keys of the text.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -56,6 +57,9 @@ pub struct Config {
     /// Receivers outside the bus. Not part of [`Config::hash`]: where documents go changes none of them.
     #[serde(skip_serializing)]
     pub deliver: Vec<Deliver>,
+    /// Keys whose payloads hold several signals. Left out of [`Config::hash`] while there are none.
+    #[serde(rename = "bundle", skip_serializing_if = "Vec::is_empty")]
+    pub bundles: Vec<BundleKey>,
     /// Loops that are mapped or have settings of their own.
     #[serde(rename = "loop")]
     pub loops: Vec<LoopConfig>,
@@ -250,10 +254,26 @@ impl Config {
         let commands = read!(commands, service::read_commands);
         let signing = read!(signing, service::read_signing);
         let web = read!(web, read_web);
-        let loops = read_loops(lines, root, window, alarm, faults);
+        let loops = loops::read_loops(lines, root, window, alarm, faults);
         let deliver = deliver::read_delivers(lines, root, faults);
+        let bundles = bundle::read_bundles(lines, root, faults);
         faults.extend(input::too_few_places(lines, root, input.max_loops, loops.len()));
-        Self { site, zenoh, input, window, alarm, gap, recording, retention, commands, signing, web, deliver, loops }
+        Self {
+            site,
+            zenoh,
+            input,
+            window,
+            alarm,
+            gap,
+            recording,
+            retention,
+            commands,
+            signing,
+            web,
+            deliver,
+            bundles,
+            loops,
+        }
     }
 
     /// A configuration with every default, for a prefix that is known to be sound.
@@ -292,7 +312,7 @@ fn syntax_fault(lines: &Lines, error: &toml::de::Error) -> Fault {
 }
 
 fn refuse_unknown_tables(lines: &Lines, root: &DeTable<'_>, faults: &mut Vec<Fault>) {
-    const KNOWN: [&str; 13] = [
+    const KNOWN: [&str; 14] = [
         "site",
         "zenoh",
         "input",
@@ -305,6 +325,7 @@ fn refuse_unknown_tables(lines: &Lines, root: &DeTable<'_>, faults: &mut Vec<Fau
         "signing",
         "web",
         "deliver",
+        "bundle",
         "loop",
     ];
     for (key, _) in root.iter().filter(|(k, _)| !KNOWN.iter().any(|known| known == k.get_ref())) {
@@ -417,107 +438,6 @@ fn read_web(r: &mut TableReader<'_, '_>) -> Web {
     let loop_series = r.boolean("loop_series", true);
     let max_loop_series = r.integer("max_loop_series", MAX_LOOP_SERIES, 1, 1_000_000) as usize;
     Web { enabled, listen, loop_series, max_loop_series }
-}
-
-fn read_loops(
-    lines: &Lines,
-    root: &DeTable<'_>,
-    window: WindowParams,
-    alarm: AlarmParams,
-    faults: &mut Vec<Fault>,
-) -> Vec<LoopConfig> {
-    let mut loops: Vec<LoopConfig> = Vec::new();
-    // A site may list a hundred thousand loops: what was seen is looked up, not searched for.
-    let (mut names, mut owners) = (HashSet::new(), HashMap::new());
-    for (index, (table, line)) in subtables(lines, root, "loop", faults).into_iter().enumerate() {
-        let mut r = TableReader::new(lines, &format!("loop[{index}]"), line, Some(table), faults);
-        let entry = read_loop(&mut r, window, alarm);
-        if !names.insert(entry.name.clone()) {
-            r.refuse(line, "name", format!("{:?} stands twice", entry.name), "give each loop a name of its own");
-        }
-        for (signal, key) in &entry.keys {
-            let chunks = key.split('/').all(|chunk| !chunk.is_empty());
-            if !chunks || key.contains(['*', '$', '?', '#']) {
-                let remedy = "write one whole key, such as gateway/opc/FIC101.PV";
-                r.refuse(line, signal.name(), format!("{key:?} is no key: empty chunk or wildcard"), remedy);
-            }
-            match owners.insert(key.clone(), index) {
-                None => {}
-                Some(owner) if owner == index => {
-                    r.refuse(line, signal.name(), format!("{key:?} stands twice in this loop"), "map each key once");
-                }
-                Some(owner) => {
-                    let message = format!("{key:?} is already mapped for loop {:?}", loops[owner].name);
-                    r.refuse(line, signal.name(), message, "map each key once");
-                }
-            }
-        }
-        r.close();
-        loops.push(entry);
-    }
-    loops
-}
-
-fn read_loop(r: &mut TableReader<'_, '_>, window: WindowParams, alarm: AlarmParams) -> LoopConfig {
-    let line = r.line();
-    let name = r.text("name");
-    match &name {
-        Some((name, line)) if !is_loop_name(name) => {
-            r.refuse(*line, "name", format!("{name:?} cannot stand in a key"), "leave out * $ ? # @ and empty chunks");
-        }
-        None => r.refuse(line, "name", "is missing", "write name = \"FIC101\""),
-        Some(_) => {}
-    }
-    let keys = Signal::ALL.into_iter().filter_map(|s| r.text(s.name()).map(|(key, _)| (s, key))).collect();
-    let op_range = r.pair("op_range", "two numbers, such as [0.0, 100.0]").and_then(|(range, line)| {
-        if range[1] > range[0] {
-            return Some(range);
-        }
-        r.refuse(line, "op_range", format!("[{}, {}] is empty", range[0], range[1]), "write [LOW, HIGH]");
-        None
-    });
-    let kind = r.text("kind").and_then(|(word, line)| {
-        let found = LoopKind::from_name(&word);
-        if found.is_none() {
-            let known: Vec<&str> = LoopKind::ALL.map(LoopKind::name).to_vec();
-            r.refuse(
-                line,
-                "kind",
-                format!("{word:?} is no kind of loop"),
-                format!("write one of {}", known.join(", ")),
-            );
-        }
-        found.map(LoopKind::name)
-    });
-    LoopConfig {
-        name: name.map(|(n, _)| n).unwrap_or_default(),
-        keys,
-        op_range,
-        kind,
-        criticality: r.integer("criticality", 3, 1, 5) as u8,
-        area: read_label(r, "area"),
-        equipment: read_label(r, "equipment"),
-        op_unit: read_label(r, "op_unit"),
-        window: read_window(r, window),
-        alarm: read_alarm(r, alarm),
-    }
-}
-
-/// Longest label, bytes.
-const LABEL_BYTES: usize = 128;
-
-/// A short plain text that documents carry along.
-fn read_label(r: &mut TableReader<'_, '_>, key: &'static str) -> String {
-    let Some((label, line)) = r.text(key) else { return String::new() };
-    if label.len() > LABEL_BYTES || label.chars().any(char::is_control) {
-        r.refuse(
-            line,
-            key,
-            "is too long or holds control characters",
-            format!("write at most {LABEL_BYTES} bytes of text"),
-        );
-    }
-    label.trim().to_owned()
 }
 
 #[cfg(test)]

@@ -82,6 +82,7 @@ counters! {
     dropped_input: "Messages dropped because the engine's queue was full",
     over_share: "Those of them whose key, or whose unknown keys together, held most of the queue",
     undecodable: "Messages whose payload could not be read",
+    unmapped_values: "Values of bundles that are no signal of a loop, or of one that another name feeds",
     foreign_keys: "Messages under the prefix whose key names no signal",
     refused_loops: "Messages of loops that are not configured, or one too many",
     loops_over_limit: "Messages of new loops beyond max_loops or new_loops_per_hour",

@@ -10,6 +10,7 @@
 //!                                                '--(publisher, alarms wait)--> publisher thread --> Zenoh, last values
 //! ```
 
+mod bundles;
 pub mod clock;
 mod core;
 mod desk;

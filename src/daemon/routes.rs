@@ -64,12 +64,7 @@ impl Routes {
         };
         let route = match meant.or_else(raw) {
             None => Route::Foreign,
-            Some((name, _)) if !(self.configured.contains(name) || self.discover && is_sound(name)) => Route::Refused,
-            Some((name, signal)) => {
-                let known = self.configured.contains(name) || engine.find(name).is_some();
-                let appeared = (known || engine.has_room() && may_appear()).then(|| engine.appear(name)).flatten();
-                appeared.map_or(Route::Full, |id| Route::To(id, signal))
-            }
+            Some((name, signal)) => self.to_loop(name, signal, engine, may_appear),
         };
         if matches!(route, Route::To(..)) {
             self.known.insert(key.into(), route);
@@ -77,11 +72,26 @@ impl Routes {
         }
         route
     }
+
+    /// The route of a loop's signal, which came under a name in a payload or under a key.
+    pub fn to_loop(&self, name: &str, signal: Signal, engine: &mut Engine, may_appear: impl FnOnce() -> bool) -> Route {
+        if !(self.configured.contains(name) || self.discover && is_sound(name)) {
+            return Route::Refused;
+        }
+        let known = self.configured.contains(name) || engine.find(name).is_some();
+        let appeared = (known || engine.has_room() && may_appear()).then(|| engine.appear(name)).flatten();
+        appeared.map_or(Route::Full, |id| Route::To(id, signal))
+    }
+
+    /// Gives a key its own share of the queue.
+    pub fn learn(&self, key: &str) {
+        self.shares.learn(key);
+    }
 }
 
 /// Whether a name may become a loop's: short, and nothing that steers a terminal.
 fn is_sound(name: &str) -> bool {
-    name.len() <= NAME_BYTES && !name.chars().any(char::is_control)
+    !name.is_empty() && name.len() <= NAME_BYTES && !name.chars().any(char::is_control)
 }
 
 #[cfg(test)]

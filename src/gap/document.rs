@@ -10,6 +10,7 @@ use super::model::Model;
 use super::types::{Base, Diagnosis, EffectResult, Ended, Fit, Parameter};
 use crate::record::Record;
 use crate::signal::stats;
+use crate::units::Moment;
 
 /// Schema name of a diagnosis.
 pub const GAP_SCHEMA: &str = "stictiond.gap.v1";
@@ -22,6 +23,14 @@ pub struct Window {
     pub start_ns: i64,
     /// Stamp of the last sample.
     pub end_ns: i64,
+    /// The start, RFC 3339.
+    #[serde(default)]
+    #[cfg_attr(feature = "daemon", schemars(with = "String"))]
+    pub start: Moment,
+    /// The end, RFC 3339.
+    #[serde(default)]
+    #[cfg_attr(feature = "daemon", schemars(with = "String"))]
+    pub end: Moment,
     /// Raw samples.
     pub samples: u64,
     /// Mean sampling time, s.
@@ -331,6 +340,8 @@ impl Window {
         Self {
             start_ns: record.start_ns,
             end_ns: record.end_ns,
+            start: Moment(record.start_ns),
+            end: Moment(record.end_ns),
             samples: record.raw_samples as u64,
             ts_s: record.recorded_ts_s,
             box_samples: record.box_samples as u64,

@@ -3,21 +3,21 @@
 //! The subscriber's callback runs on the bus's own threads, so it only puts the message into the engine's queue; a full
 //! queue drops the message and counts it.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, PoisonError, RwLock};
 
 use anyhow::{Context, anyhow};
 use crossbeam_channel::Sender;
 use zenoh::Wait;
 use zenoh::bytes::Encoding;
-use zenoh::key_expr::KeyExpr;
+use zenoh::key_expr::{KeyExpr, keyexpr};
 use zenoh::query::Query;
 use zenoh::sample::{Sample as BusSample, SampleKind};
 
 use super::{Answer, Envelope, Incoming, Intake, principals};
 use crate::alarm::Command;
 use crate::codec::topic::{self, Kind, Leaf, Topic};
-use crate::config::Config;
+use crate::config::{Config, NAME_MARK};
 use crate::daemon::documents;
 use crate::daemon::metrics::Metrics;
 
@@ -127,10 +127,22 @@ pub async fn open(config: &Config) -> anyhow::Result<(zenoh::Session, Option<Str
 
 /// The keys that a daemon subscribes to: everything under its prefix, and each foreign key that is mapped.
 fn subscriptions(config: &Config) -> Vec<String> {
-    let prefix = &config.site.prefix;
-    let mut keys = vec![format!("{prefix}/**")];
-    let foreign = config.loops.iter().flat_map(|l| l.keys.iter().map(|(_, key)| key.clone()));
-    keys.extend(foreign.filter(|key| !key.starts_with(&format!("{prefix}/"))));
+    let mut keys = vec![format!("{}/**", config.site.prefix)];
+    // What another subscription brings already would come twice.
+    let brought = |keys: &[String], key: &str| {
+        let includes = |wide: &String| keyexpr::new(wide).is_ok_and(|w| keyexpr::new(key).is_ok_and(|k| w.includes(k)));
+        keys.iter().any(includes)
+    };
+    for bundle in &config.bundles {
+        if !brought(&keys, &bundle.key) {
+            keys.retain(|key| !brought(std::slice::from_ref(&bundle.key), key));
+            keys.push(bundle.key.clone());
+        }
+    }
+    let wide = keys.clone();
+    let mapped = config.loops.iter().flat_map(|l| l.keys.iter().map(|(_, key)| key));
+    let single: BTreeSet<&str> = mapped.filter_map(|key| key.split(NAME_MARK).next()).collect();
+    keys.extend(single.into_iter().filter(|key| !brought(&wide, key)).map(str::to_owned));
     keys
 }
 
@@ -316,5 +328,17 @@ fn forward_run(prefix: &str, query: Query, queue: &Sender<Incoming>, sign: Optio
     let answer = answer_with(query.clone(), sign);
     if queue.try_send(Incoming::GapRun { loop_name, by, answer }).is_err() {
         refuse(&query, "the daemon is too busy for a diagnosis: try again");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nothing_is_subscribed_to_twice() {
+        let text = "[site]\nprefix = \"p\"\n[[bundle]]\nkey = \"gw/a/**\"\n[[bundle]]\nkey = \"gw/**\"\n[[bundle]]\nkey = \"p/x\"\n\
+                    [[loop]]\nname = \"A\"\nop = \"plc#A.OP\"\npv = \"plc#A.PV\"\nsp = \"gw/sp\"\n";
+        assert_eq!(subscriptions(&Config::parse(text).unwrap()), ["p/**", "gw/**", "plc"]);
     }
 }

@@ -7,6 +7,7 @@ use super::rule::Opinion;
 use crate::detect::Witness;
 pub use crate::ident::ESTIMATE_SCHEMA;
 use crate::record::Record;
+use crate::units::Moment;
 
 /// What one window says about its loop.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize)]
@@ -154,6 +155,12 @@ pub struct Window {
     pub start_ns: i64,
     /// The window's name: its end, ns since 1970.
     pub end_ns: i64,
+    /// The start, RFC 3339.
+    #[cfg_attr(feature = "daemon", schemars(with = "String"))]
+    pub start: Moment,
+    /// The end, RFC 3339.
+    #[cfg_attr(feature = "daemon", schemars(with = "String"))]
+    pub end: Moment,
     /// Raw samples.
     pub samples: usize,
     /// Mean sampling time, s.
@@ -169,6 +176,8 @@ impl Window {
         Self {
             start_ns: record.start_ns,
             end_ns: record.end_ns,
+            start: Moment(record.start_ns),
+            end: Moment(record.end_ns),
             samples: record.raw_samples,
             ts_s: record.recorded_ts_s,
             box_samples: record.box_samples,

@@ -10,6 +10,7 @@ mod common;
 mod config;
 mod engine;
 mod engine_gaps;
+mod formats;
 mod gap_golden;
 mod screening;
 mod tidy;

@@ -24,8 +24,8 @@ const IMPORTS: [(&str, &[&str]); 22] = [
     // Identification.
     ("ident", &["units", "record", "signal", "optim", "sim"]),
     ("detect", &["units", "record", "signal", "optim", "sim", "ident"]),
-    // Settings: words only.
-    ("config", &["units", "record"]),
+    // Settings: words, and which formats there are.
+    ("config", &["units", "record", "codec"]),
     // Judgement.
     ("verdict", &["units", "record", "signal", "optim", "sim", "ident", "detect"]),
     ("gap", &["units", "record", "signal", "optim", "sim", "ident", "detect"]),

@@ -30,6 +30,7 @@ use stictiond::engine::Request;
 use stictiond::files::RecordingReader;
 use stictiond::files::disk::Disk;
 use stictiond::source::Incoming;
+use stictiond::units::Moment;
 use stictiond::verdict::{Assessment, Oscillation, Verdict, Window};
 
 const PREFIX: &str = "plant/a";
@@ -74,7 +75,15 @@ fn scripted(seed: u64, name: &str, request: &Request) -> Assessment {
         (false, _) => (Verdict::Tuning, 0.0),
     };
     let (start_ns, end_ns) = (request.record.start_ns, request.end_ns);
-    let window = Window { start_ns, end_ns, samples: 100, ts_s: 600.0, box_samples: 1 };
+    let window = Window {
+        start_ns,
+        end_ns,
+        start: Moment(start_ns),
+        end: Moment(end_ns),
+        samples: 100,
+        ts_s: 600.0,
+        box_samples: 1,
+    };
     let (period_s, periods, samples_per_period, regularity) = (None, None, None, None);
     let oscillation = Oscillation { oscillating: sticks, period_s, periods, samples_per_period, regularity };
     let mut a = Assessment::empty(window, oscillation);

@@ -4,6 +4,7 @@
 //! for a fit and never for the bus; for the recorder it waits a little (see [`crate::sink::recorder`]).
 
 mod asked;
+mod messages;
 mod report;
 
 use std::collections::{BTreeMap, HashMap};
@@ -13,6 +14,7 @@ use std::time::{Duration, Instant};
 use crossbeam_channel::{Receiver, never, select, tick};
 use sd_notify::NotifyState;
 
+use super::bundles::Bundles;
 use super::clock::Clock;
 use super::desk::Desk;
 use super::faults::Faults;
@@ -21,12 +23,11 @@ use super::health::DaemonHealth;
 use super::limits::{Limits, Refused};
 use super::metrics::{Label, Metrics};
 use super::queue::Budget;
-use super::routes::{Route, Routes};
+use super::routes::Routes;
 use super::schedule::Schedule;
 use super::series::Board;
 use super::worker::{Answered, Workers};
 use crate::alarm::AlarmDocument;
-use crate::codec;
 use crate::codec::topic::{self, Kind};
 use crate::config::Config;
 use crate::engine::{Checkpoint, Engine, Event, LoopId, RecordedInput, Request, SkipReason, StateDocument};
@@ -36,7 +37,7 @@ use crate::sink::keeper::Keeper;
 use crate::sink::recorder::{Item, LOOPS_PER_FILE, Recorder, shard_of};
 use crate::sink::zenoh::{Publication, Publisher};
 use crate::source::shares::Shares;
-use crate::source::{Answer, Incoming, Message};
+use crate::source::{Answer, Incoming};
 use crate::units::s_from_ns;
 
 /// Messages taken before the other channels are looked at again.
@@ -56,6 +57,7 @@ pub type HealthSnapshot = Arc<RwLock<(Instant, Arc<DaemonHealth>)>>;
 pub struct Core {
     engine: Engine,
     routes: Routes,
+    bundles: Bundles,
     workers: Workers,
     /// Windows that wait for a worker.
     schedule: Schedule<Request>,
@@ -133,6 +135,7 @@ impl Core {
         let (budget, shares) = parts.input;
         Self {
             routes: Routes::new(config, shares),
+            bundles: Bundles::new(config),
             codec: config.input.codec.clone(),
             input_limit: config.input.queue,
             engine: parts.engine,
@@ -293,44 +296,6 @@ impl Core {
             recorder.record(Item::Limits { max_bytes, max_age });
         }
         (0..self.opened_shards).for_each(|shard| self.open_shard(shard));
-    }
-
-    fn take_message(&mut self, m: &Message) {
-        let now = self.clock.since(self.started);
-        let (id, signal) = match self.routes.of(&m.key, &mut self.engine, || self.limits.new_loop(now)) {
-            Route::To(id, signal) => (id, signal),
-            Route::Full => {
-                self.metrics.refused_loops.inc();
-                self.metrics.loops_over_limit.inc();
-                return;
-            }
-            Route::Foreign => {
-                self.metrics.foreign_keys.inc();
-                return;
-            }
-            Route::Refused => {
-                self.metrics.refused_loops.inc();
-                return;
-            }
-        };
-        self.open_shards();
-        let mut samples = std::mem::take(&mut self.samples);
-        samples.clear();
-        let fallback_ns = m.bus_ns.unwrap_or(m.arrival_ns);
-        match codec::decode(signal, &m.payload, m.encoding.as_deref(), Some(&self.codec), fallback_ns, &mut samples) {
-            Ok(name) => {
-                self.metrics.codecs.get_or_create(&Label { name: name.into() }).inc();
-            }
-            Err(error) => {
-                if self.metrics.undecodable.inc() == 0 {
-                    tracing::warn!(key = %m.key, %error, "a payload could not be read; further ones are only counted");
-                }
-            }
-        }
-        for sample in &samples {
-            self.take_sample(id, *sample, m.arrival_ns);
-        }
-        self.samples = samples;
     }
 
     fn take_sample(&mut self, id: LoopId, sample: Sample, arrival_ns: i64) {

@@ -20,7 +20,7 @@ mod columns;
 mod delimited;
 mod gather;
 mod map;
-mod names;
+pub(crate) mod names;
 mod number;
 mod pair;
 mod quality;

@@ -28,6 +28,8 @@ use crate::config::{Config, Deliver, Protocol, short_hash};
 use crate::daemon::faults::Faults;
 use crate::daemon::metrics::Metrics;
 use keep::{Change, Keep};
+#[cfg(feature = "bridge-mqtt")]
+pub(crate) use mqtt::tls_of;
 use queue::{Next, Queue};
 
 /// Documents that the engine may hand over before the store has taken the first of them.
@@ -170,7 +172,7 @@ pub fn check(d: &Deliver) -> anyhow::Result<()> {
 
 /// The text of a secret's file, without the line's end.
 #[cfg(feature = "deliver")]
-fn secret(path: &str) -> anyhow::Result<Option<String>> {
+pub(crate) fn secret(path: &str) -> anyhow::Result<Option<String>> {
     if path.is_empty() {
         return Ok(None);
     }

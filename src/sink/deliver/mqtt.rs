@@ -38,7 +38,7 @@ impl Mqtt {
             options.set_credentials(d.user.clone(), secret(&d.secret_file)?.unwrap_or_default());
         }
         if d.address.tls {
-            options.set_transport(Transport::tls_with_config(tls(d)?));
+            options.set_transport(Transport::tls_with_config(tls_of(&d.ca_file, &d.cert_file, &d.key_file)?));
         }
         let runtime = Builder::new_current_thread().enable_all().build()?;
         Ok(Self { runtime, options, head: d.address.path.clone(), place: d.to.clone(), open: None })
@@ -53,11 +53,12 @@ impl Mqtt {
     }
 }
 
-fn tls(d: &Deliver) -> anyhow::Result<TlsConfiguration> {
-    let Some(ca) = pem("ca_file", &d.ca_file)? else {
+/// TLS that trusts these certificates, or the system's; with a certificate of our own where one is named.
+pub(crate) fn tls_of(ca_file: &str, cert_file: &str, key_file: &str) -> anyhow::Result<TlsConfiguration> {
+    let Some(ca) = pem("ca_file", ca_file)? else {
         return TlsConfiguration::try_default_rustls().map_err(|e| anyhow!("this system's certificates: {e}"));
     };
-    let own = pem("cert_file", &d.cert_file)?.zip(pem("key_file", &d.key_file)?);
+    let own = pem("cert_file", cert_file)?.zip(pem("key_file", key_file)?);
     Ok(TlsConfiguration::Simple { ca, alpn: None, client_auth: own })
 }
 

@@ -1,0 +1,375 @@
+//! `stictiond bridge mqtt`: a broker's messages onto Zenoh, payloads as they are.
+//!
+//! The broker keeps what the bridge has not confirmed (a persistent session, QoS 1), and the bridge confirms a message only
+//! when it is on the bus and somebody there listens. So neither an outage of the broker, nor one of the bus, nor a restart of the
+//! bridge loses a message that the broker had taken; some come twice, which the daemon drops by their stamps.
+
+use std::collections::HashMap;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, anyhow};
+use rumqttc::mqttbytes::v5::{Packet, Publish, RetainForwardRule, SubscribeFilter};
+use rumqttc::{
+    AckMode, AsyncClient, BrokerSessionResumePolicy, Event, EventLoop, MqttOptions, QoS, SessionMode, Transport,
+};
+use sd_notify::NotifyState;
+use serde_json::json;
+use zenoh::qos::CongestionControl;
+
+use crate::cli::play::{connect, prefix};
+use crate::cli::{Format, Outcome, asked_to_stop, block_on, say};
+use crate::codec::MAX_PAYLOAD;
+use crate::config::{Address, Protocol, short_hash};
+use crate::sink::deliver::{secret, tls_of};
+
+/// Messages that the broker sends before the first of them is confirmed.
+const UNCONFIRMED: u16 = 1000;
+/// Requests that may wait for the connection: more than can be unconfirmed, so a confirmation always finds its place.
+const REQUESTS: usize = 4 * UNCONFIRMED as usize;
+/// Pause between attempts to reach the broker.
+const PAUSE: Duration = Duration::from_secs(1);
+/// How often it is looked whether somebody listens, while nobody does.
+const LISTENED_EVERY: Duration = Duration::from_millis(200);
+/// How often figures are told.
+const TOLD_EVERY: Duration = Duration::from_secs(60);
+/// How long the broker may take to say goodbye.
+const GOODBYE: Duration = Duration::from_millis(500);
+
+/// Bring an MQTT broker's messages onto Zenoh: each topic below --prefix, or where --map says; payloads as they are.
+///
+/// What the broker took and the bus has not got yet stays with the broker (persistent session, QoS 1), also while nobody
+/// listens on the bus. Retained messages are not asked for: they would be old values with new stamps.
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Example: stictiond bridge mqtt --from mqtts://broker.plant --user stiction --secret-file pw \\\n           \
+                        --topic 'spBv1.0/plant/#' --connect tcp/127.0.0.1:7447 --prefix plant1/mqtt"
+)]
+pub struct Args {
+    /// The broker: mqtt://HOST[:PORT] or mqtts://HOST[:PORT].
+    #[arg(long, value_parser = broker)]
+    pub from: Address,
+    /// Topics to subscribe to; + and # as MQTT has them; repeatable.
+    #[arg(long = "topic", required = true, value_name = "FILTER")]
+    pub topics: Vec<String>,
+    /// Endpoint of the daemon or router on the bus.
+    #[arg(long)]
+    pub connect: String,
+    /// First chunks of the keys: a topic T becomes PREFIX/T.
+    #[arg(long, value_parser = prefix)]
+    pub prefix: String,
+    /// The key of one topic, repeatable.
+    #[arg(long, value_name = "TOPIC=KEY", value_parser = mapping)]
+    pub map: Vec<(String, String)>,
+    /// User at the broker.
+    #[arg(long, default_value = "")]
+    pub user: String,
+    /// File with the user's password.
+    #[arg(long, default_value = "", value_name = "FILE")]
+    pub secret_file: String,
+    /// Certificates (PEM) that TLS trusts; the system's if not given.
+    #[arg(long, default_value = "", value_name = "FILE")]
+    pub ca_file: String,
+    /// Own certificate (PEM).
+    #[arg(long, default_value = "", value_name = "FILE", requires = "key_file")]
+    pub cert_file: String,
+    /// Its private key (PEM).
+    #[arg(long, default_value = "", value_name = "FILE", requires = "cert_file")]
+    pub key_file: String,
+    /// Identity at the broker, under which it keeps the session; made from broker, topics and prefix if not given.
+    #[arg(long)]
+    pub id: Option<String>,
+    /// How long the broker keeps the session while the bridge is away, s.
+    #[arg(long, default_value_t = 86_400)]
+    pub session_s: u32,
+    /// Confirm messages although nobody listens on the bus.
+    #[arg(long)]
+    pub no_hold: bool,
+    /// Write the figures into a file as well, once a minute and at the end.
+    #[arg(long, value_name = "FILE")]
+    pub figures: Option<PathBuf>,
+}
+
+fn broker(text: &str) -> Result<Address, String> {
+    Address::parse(text)
+        .ok()
+        .filter(|address| address.protocol == Protocol::Mqtt && address.path.is_empty())
+        .ok_or_else(|| "write mqtt://HOST[:PORT] or mqtts://HOST[:PORT]".to_owned())
+}
+
+fn mapping(text: &str) -> Result<(String, String), String> {
+    let (topic, key) = text.split_once('=').ok_or("write TOPIC=KEY")?;
+    if !is_key(key) {
+        return Err(format!("{key:?} is no key: empty chunk, wildcard or @"));
+    }
+    Ok((topic.to_owned(), key.to_owned()))
+}
+
+/// Whether a text may be published under: a key without wildcards, outside of what daemons say.
+fn is_key(key: &str) -> bool {
+    let sound = |chunk: &str| !chunk.is_empty() && !chunk.starts_with('@');
+    key.split('/').all(sound) && !key.contains(['*', '$', '?', '#']) && !key.chars().any(char::is_control)
+}
+
+/// What came and what became of it.
+#[derive(Debug, Default, Clone, PartialEq, Eq, serde::Serialize)]
+struct Figures {
+    /// From the broker, those that came again included.
+    received: u64,
+    /// Those of them that the broker marked as sent before.
+    again: u64,
+    /// Put onto the bus.
+    published: u64,
+    /// Confirmed to the broker.
+    confirmed: u64,
+    /// Too large, or of a topic that can be no key.
+    refused: u64,
+    /// Connections to the broker.
+    connections: u64,
+    /// Those of them for which the broker had kept the session.
+    resumed: u64,
+    /// Connections that ended.
+    lost_connections: u64,
+}
+
+/// Runs the command until SIGTERM or Ctrl-C.
+///
+/// # Errors
+/// Nobody answers on the bus, a file cannot be read. A broker that does not answer is tried for ever.
+pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
+    let options = options(args)?;
+    let figures = block_on(async {
+        let stop = asked_to_stop()?;
+        let session = connect(&args.connect).await?;
+        let listened = watch_listeners(&session, args).await?;
+        let (client, events) = AsyncClient::builder(options).capacity(REQUESTS).build();
+        let keys = args.map.iter().cloned().collect();
+        let mut bridge =
+            Bridge { args, keys, session, client, listened, figures: Figures::default(), told: Instant::now() };
+        let figures = bridge.serve(events, stop).await;
+        let _ = tokio::time::timeout(Duration::from_secs(2), bridge.session.close()).await;
+        figures
+    })?;
+    match format {
+        Format::Json => say(document(&figures))?,
+        Format::Text => say(line(&figures))?,
+    }
+    Ok(Outcome::Done)
+}
+
+fn document(figures: &Figures) -> serde_json::Value {
+    json!({"schema": "stictiond.bridge.v1", "bridge": "mqtt", "figures": figures})
+}
+
+fn line(f: &Figures) -> String {
+    format!(
+        "{} received ({} again), {} published, {} confirmed, {} refused; {} connections, {} resumed",
+        f.received, f.again, f.published, f.confirmed, f.refused, f.connections, f.resumed
+    )
+}
+
+fn options(args: &Args) -> anyhow::Result<MqttOptions> {
+    let own = format!("{} {:?} {}", args.from.host, args.topics, args.prefix);
+    let id = args.id.clone().unwrap_or_else(|| format!("stictiond-bridge-{}", &short_hash(own.as_bytes())[..12]));
+    let mut options = MqttOptions::new(id, (args.from.host.clone(), args.from.port));
+    options.set_keep_alive(15);
+    options.set_session_mode(SessionMode::Persistent);
+    options.set_session_expiry_interval(Some(args.session_s));
+    options.set_receive_maximum(Some(UNCONFIRMED));
+    options.set_ack_mode(AckMode::Manual);
+    // A restarted bridge has no state of its own that could contradict the broker's: it only receives.
+    options.set_broker_session_resume_policy(BrokerSessionResumePolicy::AllowBrokerOnly);
+    if !args.user.is_empty() {
+        options.set_credentials(args.user.clone(), secret(&args.secret_file)?.unwrap_or_default());
+    }
+    if args.from.tls {
+        options.set_transport(Transport::tls_with_config(tls_of(&args.ca_file, &args.cert_file, &args.key_file)?));
+    }
+    Ok(options)
+}
+
+/// Whether anybody on the bus listens to what the bridge would publish.
+async fn watch_listeners(session: &zenoh::Session, args: &Args) -> anyhow::Result<Arc<AtomicBool>> {
+    let listened = Arc::new(AtomicBool::new(args.no_hold));
+    if args.no_hold {
+        return Ok(listened);
+    }
+    let key = format!("{}/**", args.prefix);
+    let publisher = session.declare_publisher(key.clone()).await.map_err(|e| anyhow!("{key}: {e}"))?;
+    let told = listened.clone();
+    tokio::spawn(async move {
+        loop {
+            let matching = publisher.matching_status().await.is_ok_and(|status| status.matching());
+            told.store(matching, Ordering::Relaxed);
+            tokio::time::sleep(LISTENED_EVERY).await;
+        }
+    });
+    Ok(listened)
+}
+
+struct Bridge<'a> {
+    args: &'a Args,
+    keys: HashMap<String, String>,
+    session: zenoh::Session,
+    client: AsyncClient,
+    listened: Arc<AtomicBool>,
+    figures: Figures,
+    told: Instant,
+}
+
+impl Bridge<'_> {
+    async fn serve(&mut self, mut events: EventLoop, stop: impl Future<Output = ()>) -> anyhow::Result<Figures> {
+        tokio::pin!(stop);
+        let mut outage: Option<String> = None;
+        loop {
+            self.tell(false)?;
+            let event = tokio::select! {
+                event = events.poll() => event,
+                () = tokio::time::sleep(TOLD_EVERY) => continue,
+                () = &mut stop => break,
+            };
+            match event {
+                Ok(Event::Incoming(Packet::ConnAck(ack))) => {
+                    tracing::info!(resumed = ack.session_present, "connected to the broker");
+                    outage = None;
+                    self.connected(ack.session_present)?;
+                }
+                Ok(Event::Incoming(Packet::Publish(message))) => {
+                    tokio::select! {
+                        taken = self.take(&message) => taken?,
+                        () = &mut stop => break,
+                    }
+                }
+                Ok(_) => {}
+                Err(error) => {
+                    // Told once an outage, not once a second.
+                    let text = error.to_string();
+                    if outage.as_ref() != Some(&text) {
+                        tracing::warn!(broker = %self.args.from.host, error = %text, "no connection to the broker; it is tried every second");
+                    }
+                    self.figures.lost_connections += u64::from(outage.is_none());
+                    outage = Some(text);
+                    tokio::select! {
+                        () = tokio::time::sleep(PAUSE) => {}
+                        () = &mut stop => break,
+                    }
+                }
+            }
+        }
+        let goodbye = async {
+            if self.client.disconnect().await.is_ok() {
+                while events.poll().await.is_ok() {}
+            }
+        };
+        let _ = tokio::time::timeout(GOODBYE, goodbye).await;
+        self.tell(true)?;
+        Ok(self.figures.clone())
+    }
+
+    /// A new connection: subscribes, unless the broker has kept the session.
+    fn connected(&mut self, resumed: bool) -> anyhow::Result<()> {
+        self.figures.connections += 1;
+        self.figures.resumed += u64::from(resumed);
+        let filters = self.args.topics.iter().map(|topic| SubscribeFilter {
+            retain_forward_rule: RetainForwardRule::Never,
+            ..SubscribeFilter::new(topic.clone(), QoS::AtLeastOnce)
+        });
+        // Again even where it has: the topics may be others than last time.
+        self.client.try_subscribe_many(filters).context("the broker's connection takes no subscription")?;
+        let _ = sd_notify::notify(&[NotifyState::Ready]);
+        Ok(())
+    }
+
+    /// Puts one message onto the bus, once somebody listens there, and confirms it then.
+    async fn take(&mut self, message: &Publish) -> anyhow::Result<()> {
+        self.figures.received += 1;
+        self.figures.again += u64::from(message.dup);
+        match self.key_of(&message.topic).filter(|_| message.payload.len() <= MAX_PAYLOAD) {
+            None => {
+                if self.figures.refused == 0 {
+                    let topic = String::from_utf8_lossy(&message.topic).escape_debug().to_string();
+                    tracing::warn!(
+                        topic,
+                        bytes = message.payload.len(),
+                        "a message can be no key, or is too large; further ones are only counted"
+                    );
+                }
+                self.figures.refused += 1;
+            }
+            Some(key) => {
+                while !self.listened.load(Ordering::Relaxed) {
+                    tokio::time::sleep(LISTENED_EVERY).await;
+                }
+                self.put(&key, message).await?;
+            }
+        }
+        if let Some(ack) = self.client.prepare_ack(message)
+            && self.client.try_manual_ack(ack).is_ok()
+        {
+            self.figures.confirmed += 1;
+        }
+        Ok(())
+    }
+
+    async fn put(&mut self, key: &str, message: &Publish) -> anyhow::Result<()> {
+        let mut put = self
+            .session
+            .put(key, message.payload.to_vec())
+            .congestion_control(CongestionControl::Block)
+            .timestamp(self.session.new_timestamp());
+        if let Some(encoding) = encoding_of(message) {
+            put = put.encoding(encoding);
+        }
+        put.await.map_err(|e| anyhow!("{key}: {e}"))?;
+        self.figures.published += 1;
+        Ok(())
+    }
+
+    fn key_of(&self, topic: &[u8]) -> Option<String> {
+        let topic = std::str::from_utf8(topic).ok()?;
+        let key = || format!("{}/{}", self.args.prefix, topic.trim_matches('/'));
+        Some(self.keys.get(topic).cloned().unwrap_or_else(key)).filter(|key| is_key(key))
+    }
+
+    fn tell(&mut self, at_the_end: bool) -> anyhow::Result<()> {
+        if !at_the_end && self.told.elapsed() < TOLD_EVERY {
+            return Ok(());
+        }
+        self.told = Instant::now();
+        tracing::info!("{}", line(&self.figures));
+        if let Some(path) = &self.args.figures {
+            std::fs::write(path, document(&self.figures).to_string()).with_context(|| path.display().to_string())?;
+        }
+        Ok(())
+    }
+}
+
+/// What the sender says of the payload; Sparkplug B is known by its topic.
+fn encoding_of(message: &Publish) -> Option<String> {
+    let said = message.properties.as_ref().and_then(|p| p.content_type.clone());
+    let sparkplug = message.topic.starts_with(b"spBv1.0/") && !message.topic.starts_with(b"spBv1.0/STATE/");
+    said.or_else(|| sparkplug.then(|| "application/vnd.sparkplug-b".to_owned()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn topics_become_keys_outside_of_what_daemons_say() {
+        assert!(is_key("p/spBv1.0/g/DDATA/n/d") && is_key("gw/FIC101.OP"));
+        for bad in ["p//x", "p/@stiction/v1/A/alarm", "p/a*", "p/x#y", "p/\u{7}", ""] {
+            assert!(!is_key(bad), "{bad}");
+        }
+        assert!(mapping("a/b=p/@stiction/v1/A/alarm").is_err() && mapping("a/b").is_err());
+        assert_eq!(mapping("a/b=p/FIC101/op"), Ok(("a/b".to_owned(), "p/FIC101/op".to_owned())));
+    }
+
+    #[test]
+    fn brokers_are_mqtt_alone() {
+        assert_eq!(broker("mqtts://b").map(|a| (a.tls, a.port)), Ok((true, 8883)));
+        assert!(["https://b", "mqtt://b/x", "b"].into_iter().all(|text| broker(text).is_err()));
+    }
+}

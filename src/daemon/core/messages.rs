@@ -1,0 +1,83 @@
+//! What is taken out of messages: one signal under its key, or several under names.
+
+use super::Core;
+use crate::codec::{self, Bundle, CodecError};
+use crate::daemon::metrics::Label;
+use crate::daemon::routes::Route;
+use crate::engine::LoopId;
+use crate::record::Signal;
+use crate::source::Message;
+
+impl Core {
+    pub(super) fn take_message(&mut self, m: &Message) {
+        if let Some(codec) = self.bundles.codec_of(&m.key).map(str::to_owned) {
+            return self.take_bundle(m, &codec);
+        }
+        let now = self.clock.since(self.started);
+        let route = self.routes.of(&m.key, &mut self.engine, || self.limits.new_loop(now));
+        let Some((id, signal)) = self.admitted(route) else { return };
+        self.open_shards();
+        let mut samples = std::mem::take(&mut self.samples);
+        samples.clear();
+        let fallback_ns = m.bus_ns.unwrap_or(m.arrival_ns);
+        match codec::decode(signal, &m.payload, m.encoding.as_deref(), Some(&self.codec), fallback_ns, &mut samples) {
+            Ok(name) => self.count_codec(name),
+            Err(error) => self.count_undecodable(m, &error),
+        }
+        for sample in &samples {
+            self.take_sample(id, *sample, m.arrival_ns);
+        }
+        self.samples = samples;
+    }
+
+    /// A payload with several signals.
+    fn take_bundle(&mut self, m: &Message, codec: &str) {
+        let fallback_t_ns = m.bus_ns.unwrap_or(m.arrival_ns);
+        let bundle = Bundle { key: &m.key, payload: &m.payload, fallback_t_ns };
+        let (meant, name, left) = match self.bundles.read(&bundle, m.encoding.as_deref(), codec) {
+            Ok(read) => read,
+            Err(error) => return self.count_undecodable(m, &error),
+        };
+        self.count_codec(name);
+        self.metrics.unmapped_values.inc_by(left);
+        if !meant.is_empty() && self.bundles.is_new_carrier(&m.key) {
+            self.routes.learn(&m.key);
+        }
+        let now = self.clock.since(self.started);
+        for one in meant {
+            let signal = one.sample.signal;
+            let route = self.routes.to_loop(&one.loop_name, signal, &mut self.engine, || self.limits.new_loop(now));
+            let Some((id, signal)) = self.admitted(route) else { continue };
+            if !self.bundles.feeds(id, signal, &one.source) {
+                self.metrics.unmapped_values.inc();
+                continue;
+            }
+            self.open_shards();
+            self.take_sample(id, one.sample, m.arrival_ns);
+        }
+    }
+
+    /// Where a route leads; what leads nowhere is counted.
+    fn admitted(&self, route: Route) -> Option<(LoopId, Signal)> {
+        match route {
+            Route::To(id, signal) => return Some((id, signal)),
+            Route::Full => {
+                self.metrics.refused_loops.inc();
+                self.metrics.loops_over_limit.inc();
+            }
+            Route::Foreign => drop(self.metrics.foreign_keys.inc()),
+            Route::Refused => drop(self.metrics.refused_loops.inc()),
+        }
+        None
+    }
+
+    fn count_codec(&self, name: &str) {
+        self.metrics.codecs.get_or_create(&Label { name: name.into() }).inc();
+    }
+
+    fn count_undecodable(&self, m: &Message, error: &CodecError) {
+        if self.metrics.undecodable.inc() == 0 {
+            tracing::warn!(key = %m.key, %error, "a payload could not be read; further ones are only counted");
+        }
+    }
+}
