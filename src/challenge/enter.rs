@@ -304,6 +304,12 @@ impl Made {
         }
         let sd = scale.pv_sd;
         match kind {
+            Kind::SensorFilter => {
+                let lag = 0.8 * size * self.plant.process.tau;
+                self.note("lag", lag, "samples");
+                self.plant.pv_filter = lag;
+                self.plant.retuned_at = 0.0;
+            }
             Kind::Quantisation => {
                 self.note("quantum", 0.9 * size * sd, "pv");
                 self.artefacts.push(Artefact::Rounding(0.9 * size * sd));

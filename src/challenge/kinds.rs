@@ -77,6 +77,8 @@ pub enum Kind {
     FrozenSensor,
     /// PV recorded some samples apart from OP.
     TimeSkew,
+    /// PV and its noise filtered in the transmitter or the PV block.
+    SensorFilter,
     /// A second loop acts on this one and feels it.
     InteractingLoop,
     /// Stiction grows or falls over the record.
@@ -96,7 +98,7 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// Effects that the catalogue promises.
+    /// Effects that the catalogue promises and that two at once are drawn from.
     pub const CATALOGUE: [Self; 24] = [
         Self::AsymmetricStiction,
         Self::SlipOvershoot,
@@ -123,6 +125,9 @@ impl Kind {
         Self::FrozenSensor,
         Self::TimeSkew,
     ];
+
+    /// One more that the catalogue promises. It has a stream of its own, so that the other cases of a seed stay as they are.
+    pub const FILTER: Self = Self::SensorFilter;
 
     /// Effects that no catalogue has.
     pub const FOREIGN: [Self; 8] = [
@@ -164,6 +169,7 @@ impl Kind {
             Self::Outliers => "outliers",
             Self::FrozenSensor => "frozen_sensor",
             Self::TimeSkew => "time_skew",
+            Self::SensorFilter => "sensor_filter",
             Self::InteractingLoop => "interacting_loop",
             Self::ChangingStiction => "changing_stiction",
             Self::RetunedFilter => "retuned_filter",
@@ -209,6 +215,7 @@ impl Kind {
             | Self::Outliers
             | Self::FrozenSensor
             | Self::TimeSkew
+            | Self::SensorFilter
             | Self::RetunedFilter
             | Self::ClockJitter => Stage::Measurement,
         }
@@ -217,7 +224,7 @@ impl Kind {
     /// Whether the catalogue has it.
     #[must_use]
     pub fn is_in_catalogue(self) -> bool {
-        Self::CATALOGUE.contains(&self)
+        self == Self::FILTER || Self::CATALOGUE.contains(&self)
     }
 
     /// Whether a free run cannot predict it even when it is known: what it leaves counts as floor.

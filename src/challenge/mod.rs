@@ -109,6 +109,9 @@ impl Deck {
             let now = turn(&mut shuffle);
             (0..cases).for_each(|i| order(vec![kind], kind.id(), i, now, shuffle.chance(0.25)));
         }
+        let mut own = Draw::new(seed, &format!("challenge/{}/filter", split.name()));
+        let now = turn(&mut own);
+        (0..cases).for_each(|i| order(vec![Kind::FILTER], Kind::FILTER.id(), i, now, own.chance(0.25)));
         let singles = cases * (Kind::CATALOGUE.len() + Kind::FOREIGN.len());
         for i in 0..singles.div_ceil(9) {
             let pair = two(&mut shuffle);

@@ -36,8 +36,8 @@ fn equal_seeds_give_equal_bits_and_splits_have_nothing_in_common() {
 fn a_deck_has_what_the_table_says_and_its_order_tells_nothing() {
     let deck = Deck::new(7, Split::A, 4);
     let count = |wanted: usize| deck.orders.iter().filter(|o| o.kinds.len() == wanted).count();
-    assert_eq!((count(0), count(1), count(2)), (40, 128, 15));
-    for kind in Kind::CATALOGUE {
+    assert_eq!((count(0), count(1), count(2)), (40, 132, 15));
+    for kind in Kind::CATALOGUE.into_iter().chain([Kind::FILTER]) {
         let its: Vec<&Order> = deck.orders.iter().filter(|o| o.kinds == [kind]).collect();
         assert_eq!(its.iter().filter(|o| o.setpoint_moves).count(), 2, "{kind:?}");
         assert_eq!(its.iter().filter(|o| o.transient).count(), 2, "{kind:?}");
@@ -85,7 +85,7 @@ fn loop_and_scale() -> (Made, Scale) {
 fn an_effect_of_size_nothing_is_no_effect() {
     let (none, scale) = loop_and_scale();
     let plain = none.plant.run(&none.drive);
-    for kind in Kind::CATALOGUE.into_iter().chain(Kind::FOREIGN) {
+    for kind in Kind::CATALOGUE.into_iter().chain([Kind::FILTER]).chain(Kind::FOREIGN) {
         let mut made = none.clone();
         made.enter(kind, 0.0, &scale, &mut Draw::new(3, "neutral"));
         let run = made.plant.run(&made.drive);

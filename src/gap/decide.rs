@@ -19,6 +19,9 @@ const NEAR: usize = 4;
 const INDEPENDENT: f64 = 0.1;
 const FIRST_ORDER: f64 = 0.1;
 const MORE: f64 = 0.05;
+/// Per cent of the gap from which an effect makes much of it, and below which next to nothing.
+const HALF: f64 = 50.0;
+const LITTLE: f64 = 10.0;
 /// Error over the floor up to which a record is explained.
 const EXPLAINED: f64 = 1.2;
 /// Share of the log error above the floor that an effect behind the recorded valve position has to take.
@@ -77,28 +80,39 @@ pub fn decide(evidence: &Evidence, without: &[&str], calibration: &Calibration) 
     let noise = effects::coloured_noise::EFFECT.id;
     let coloured = basis.coloured_noise && has(noise) && is_plain(basis);
     let unnamed = if coloured { noise } else { UNKNOWN };
+    // A trace that makes next to nothing of the gap gives way to an effect that makes half of it.
+    let rival = ranked.first().filter(|b| b.lead > 0.0 && outcomes.right >= calibration.name_from);
+    let gives_way = |t: &String| {
+        let makes_it = rival.is_some_and(|b| b.closed_pct.is_some_and(|c| c >= HALF));
+        makes_it && basis.traces_close.get(t).is_some_and(|c| *c < LITTLE)
+    };
     // Single wild samples are the whole story only where the rest is explained.
     let explained = |t: &str| t != effects::outliers::EFFECT.id || basis.base.over_floor.is_none_or(|o| o < EXPLAINED);
-    if let Some(trace) = basis.traces.iter().find(|t| has(t) && explained(t)) {
+    if let Some(trace) = basis.traces.iter().find(|t| has(t) && explained(t) && !gives_way(t)) {
         return answer(trace, calibration.trace, By::Trace);
     }
     let skew = effects::time_skew::EFFECT.id;
     if basis.skew.is_some() && has(skew) {
         return answer(skew, calibration.trace, By::Trace);
     }
+    let filter = effects::sensor_filter::EFFECT.id;
+    if basis.filter && has(filter) {
+        return answer(filter, calibration.trace, By::Trace);
+    }
     if let Some(first) = basis.on_mv.iter().find(|e| has(&e.id)) {
         // Behind a measured valve the process stands alone: its own ranking counts, and the right effect explains all.
-        // What held-out data speak against is not named for its rank.
+        // What closes next to nothing of the gap is not named for its rank.
         let own = evidence.contenders.iter().find(|c| c.id == first.id);
-        let refuted = own.is_some_and(|c| c.closed_pct.is_some_and(|closed| closed < 0.0));
+        let refuted = own.is_some_and(|c| c.closed_pct.is_some_and(|closed| closed < LITTLE));
         let ranks = basis.by_mv == Some(Stage::Process) && first.evidence > effects::MARGIN;
         if ranks && !basis.base_at_floor && !refuted {
             let id = if explains(first) { &first.id } else { unnamed };
             return answer(id, calibration.by_mv, By::Mv);
         }
     }
-    // Of samples that would have been masked, nothing is known.
-    let hidden = basis.traces.iter().any(|t| !has(t) && effects::by_id(t).is_some_and(|e| e.masks));
+    // Of samples that would have been left out of the fits, nothing is known.
+    let hidden =
+        basis.traces.iter().any(|t| !has(t) && effects::by_id(t).is_some_and(|e| e.masks || e.recorder.is_some()));
     match ranked.first() {
         Some(best) if best.lead > 0.0 && outcomes.right >= calibration.name_from && !hidden => {
             answer(&best.id, outcomes.right, By::Choice)

@@ -4,6 +4,7 @@ use super::decide;
 use super::effects::{self, Way};
 use super::evidence::{Basis, Evidence, Left};
 use super::express::{fit, rms};
+use super::filter::{self, Filtered};
 use super::forward::forward;
 use super::given;
 use super::model::Model;
@@ -61,28 +62,38 @@ pub fn diagnose(record: &Record, ask: &Ask, executor: &dyn Executor) -> Result<D
     }
     let period = ask.period_points.unwrap_or_else(|| period_of(record).0);
     let traces = signatures::traces(record, period, &ask.without);
-    let mut problem = Problem::new(record, Some(period), ask.seed, traces.masked.clone());
+    let mut problem =
+        Problem::new(record, Some(period), ask.seed, traces.masked.clone()).fitted_where(&traces.measured);
     if let Base::Given(model) = &ask.base {
         problem.stated = given::base_places(&problem, model)?;
     }
     let straight = traces.signatures.iter().any(|s| s.id == effects::swinging_door::EFFECT.id && s.met);
-    let mut floor = noise::floor(&record.pv, straight);
+    let mut floor = noise::floor(&record.pv, &traces.measured, straight);
     let law = if ask.base == Base::Linear { None } else { Some(Law::He) };
     let budget = ask.budget_evaluations;
     let mut work = Work { executor, budget, done: 0, stopped: false, spent: false, seed: ask.seed, asked: None };
     let mut found = schedule::run(&problem, law, &ask.without, floor.noise_floor, &mut work)
         .ok_or(GapError::NoBase { points: record.len(), evaluations: work.done })?;
     let no_base = GapError::NoBase { points: record.len(), evaluations: work.done };
+    check_floor(&problem, &found, &traces, &mut floor);
+    work.begin(budget);
+    let wanted = !ask.without.iter().any(|w| w == effects::sensor_filter::EFFECT.id);
+    let filtered =
+        if wanted { filter::look(record, &problem, &found, &traces, floor.noise_floor, &mut work) } else { None };
+    if let Some(filtered) = &filtered {
+        (floor.noise_sd, floor.noise_floor) = (Some(filtered.noise_sd), Some(filtered.noise_sd));
+    }
     let base = fit(&problem, &found.base, floor.noise_floor, &|_| {}).ok_or(no_base)?;
-    check_floor(&problem, &found, &mut floor);
     let given = match &ask.base {
         Base::Given(model) => Some(given::simulate(&problem, model, floor.noise_floor)?),
         _ => None,
     };
     work.begin(budget);
-    let seen = stages::look(record, &problem, base.rmse_train, &ask.without, &mut work);
-    let effects = weigh(&problem, &found, &base, &traces, &floor, ask);
-    let basis = basis(record, &problem, &found, &base, &traces, &seen, &floor, ask);
+    let against = (base.rmse_train, floor.noise_floor);
+    let seen = stages::look(record, &problem, &traces, against, &ask.without, &mut work);
+    let weighed = scales(&problem, &found, &base, &traces, &floor, ask.seed);
+    let effects = weigh(&weighed, &found, filtered.as_ref(), ask);
+    let basis = basis(record, &problem, &found, &base, &traces, &effects, &seen, &floor, ask);
     let nothing = decide::decide(&Evidence::new(&basis, &[], None), &[], Calibration::shipped());
     let mut made = Diagnosis {
         relative_gap: base.gap / problem.deviation,
@@ -143,17 +154,23 @@ fn scales<'a>(
     Scales { problem, floor, base, search: &found.base, traces, seed }
 }
 
-/// The best residual's high band beside the floor that was read from PV alone.
-fn check_floor(problem: &Problem, found: &Found, floor: &mut Floor) {
+/// The best residual's high band beside the floor that was read from PV alone; where a recorder thinned PV, the floor is
+/// what this residual shows at the values that were stored.
+fn check_floor(problem: &Problem, found: &Found, traces: &Traces, floor: &mut Floor) {
     let best = found.searches.iter().chain([&found.base]).min_by(|a, b| a.sse().total_cmp(&b.sse()));
     let left = best.and_then(|search| residual_of(problem, search));
+    if let (true, Some(left)) = (traces.thinned, &left) {
+        let sd = noise::of_measured(left, &traces.measured, problem.blocks.from).map(|s| s * problem.deviation);
+        floor.noise_sd = sd;
+        floor.noise_floor = sd.filter(|s| *s > 0.0);
+    }
     let sd = left.and_then(|r| noise::high_band(&r, &problem.train));
     floor.high_band_sd = sd.map(|s| s * problem.deviation);
 }
 
 /// Every effect of the catalogue, weighed.
-fn weigh(problem: &Problem, found: &Found, base: &Fit, traces: &Traces, floor: &Floor, ask: &Ask) -> Vec<EffectResult> {
-    let scales = scales(problem, found, base, traces, floor, ask.seed);
+fn weigh(scales: &Scales<'_>, found: &Found, filtered: Option<&Filtered>, ask: &Ask) -> Vec<EffectResult> {
+    let (problem, floor) = (scales.problem, scales.floor);
     let mut out: Vec<EffectResult> = found.searches.iter().filter_map(|search| scales.weigh(search)).collect();
     let left = residual_of(problem, &found.base);
     let one_step =
@@ -165,8 +182,10 @@ fn weigh(problem: &Problem, found: &Found, base: &Fit, traces: &Traces, floor: &
             _ if effect.id == effects::quantisation::EFFECT.id => floor.noise_floor,
             _ => None,
         };
-        if !matches!(effect.way, Way::Simulated | Way::AgainstLinear) {
-            out.push(scales.recorded(effect, floor_after));
+        match (effect.way, filtered) {
+            (Way::Simulated | Way::AgainstLinear, _) => {}
+            (Way::Filter, Some(filtered)) => out.push(scales.filtered(effect, filtered)),
+            _ => out.push(scales.recorded(effect, floor_after)),
         }
     }
     out.sort_by(|a, b| b.lead.total_cmp(&a.lead));
@@ -181,6 +200,7 @@ fn basis(
     found: &Found,
     base: &Fit,
     traces: &Traces,
+    weighed: &[EffectResult],
     seen: &Option<stages::Seen>,
     floor: &Floor,
     ask: &Ask,
@@ -205,6 +225,12 @@ fn basis(
     let left_out = |id: &str| ask.without.iter().any(|w| w == id);
     Basis {
         traces: strongest.iter().filter(|s| !left_out(s.id)).map(|s| s.id.to_owned()).collect(),
+        traces_close: weighed
+            .iter()
+            .filter(|e| !e.simulated)
+            .filter_map(|e| Some((e.id.clone(), e.closed_pct?)))
+            .collect(),
+        filter: weighed.iter().any(|e| e.simulated && e.id == effects::sensor_filter::EFFECT.id),
         skew: skew.filter(|_| !left_out(effects::time_skew::EFFECT.id)),
         noise: noise::judge(problem, &of_base, &of_best, &slipped, ask.seed),
         coloured_noise: !left_out(effects::coloured_noise::EFFECT.id),
@@ -284,7 +310,9 @@ impl Diagnosis {
             return;
         }
         let forward = self.forward.map(|f| [f.gap_before, f.gap_after]);
-        let trace = self.signatures.iter().any(|s| s.met && s.id == self.cause.id);
+        // A trace is there; whether it makes the gap, is for held-out blocks to say where a free run can follow it.
+        let closes = self.named().and_then(|e| e.closed_pct).is_none_or(|closed| closed > 0.0);
+        let trace = closes && self.signatures.iter().any(|s| s.met && s.id == self.cause.id);
         let own = self.named().is_some_and(|e| decide::confirmed(e, forward));
         self.cause.confirmed = trace || own || (self.cause.id == effects::time_skew::EFFECT.id);
     }

@@ -74,7 +74,7 @@ pub struct BaseNote {
 pub struct Figures {
     /// Root mean squared error.
     pub rmse: f64,
-    /// What no model gets below; `None` on held or compressed PV.
+    /// What no model gets below; on held or compressed PV as the stored values show it, `None` where they are too few.
     pub noise_floor: Option<f64>,
     /// What is left above the floor: `sqrt(max(rmse^2 - noise_floor^2, 0))`, the error itself without a floor.
     pub gap: f64,

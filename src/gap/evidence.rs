@@ -1,6 +1,8 @@
 //! What a decision is made from, without the fits: diagnosing is dear and deciding is cheap, so answers to a challenge
 //! keep this, and a calibration decides on it again.
 
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
 
 use super::types::{EffectResult, Fit, NoiseModels, Stage};
@@ -21,6 +23,12 @@ pub struct OnMv {
 pub struct Basis {
     /// Ids whose trace stands in PV, strongest first.
     pub traces: Vec<String>,
+    /// Per cent of the gap that those close which a free run can follow.
+    #[serde(default)]
+    pub traces_close: BTreeMap<String, f64>,
+    /// Whether PV's noise shares a lag of its signal.
+    #[serde(default)]
+    pub filter: bool,
     /// Points by which the recorded OP is off the PV that it answers, where the controller says so.
     pub skew: Option<f64>,
     /// Noise models of the residual.

@@ -11,6 +11,7 @@ pub mod effects;
 mod evaluator;
 pub mod evidence;
 mod express;
+mod filter;
 mod forward;
 mod given;
 pub mod locate;

@@ -28,17 +28,26 @@ pub fn quantum(x: &[f64]) -> Option<f64> {
     (few && !gaps.is_empty() && gaps.iter().filter(on_grid).count() == gaps.len()).then_some(least)
 }
 
-/// The noise floor of PV, without any model of valve or process.
+/// The noise floor of PV, without any model of valve or process, from stretches in which it was `measured` at every point;
+/// nothing of PV on `straight` lines.
 #[must_use]
-pub fn floor(pv: &[f64], straight: bool) -> Floor {
+pub fn floor(pv: &[f64], measured: &[bool], straight: bool) -> Floor {
     let quantum = quantum(pv);
     let held = quantum.is_none() && stats::repeat_share(pv) > HELD;
-    let noise_sd =
-        if held || straight { None } else { Some(white_sd(&stats::second_differences(pv).collect::<Vec<_>>())) };
+    let noise_sd = if held || straight { None } else { Some(white_sd(&second_where(pv, measured))) };
     let grid = quantum.unwrap_or(0.0) / 12.0_f64.sqrt();
     // Rounding shows in the second differences too where it is finer than the noise.
     let noise_floor = noise_sd.map(|sd| if sd > 2.0 * grid { sd } else { sd + grid });
     Floor { noise_sd, quantum, noise_floor: noise_floor.filter(|f| *f > 0.0), high_band_sd: None }
+}
+
+/// Standard deviation of the white part of what a model leaves at the points that were `measured`, where a recorder kept
+/// too few of them for differences of PV: from the differences between one and the next.
+#[must_use]
+pub fn of_measured(residual: &[f64], measured: &[bool], from: usize) -> Option<f64> {
+    let kept: Vec<f64> = (from..residual.len()).filter(|k| measured[*k]).map(|k| residual[k]).collect();
+    let first: Vec<f64> = kept.windows(2).map(|w| w[1] - w[0]).collect();
+    (first.len() > 20).then(|| stats::clipped_sd(&first) / core::f64::consts::SQRT_2)
 }
 
 /// Standard deviation of a residual's white part from its second differences, over the given stretches.
@@ -46,6 +55,12 @@ pub fn floor(pv: &[f64], straight: bool) -> Floor {
 pub fn high_band(residual: &[f64], stretches: &[[usize; 2]]) -> Option<f64> {
     let second: Vec<f64> = stretches.iter().flat_map(|[a, b]| stats::second_differences(&residual[*a..*b])).collect();
     (second.len() > 20).then(|| white_sd(&second))
+}
+
+/// Second differences of points that were all measured.
+fn second_where(x: &[f64], measured: &[bool]) -> Vec<f64> {
+    let all = stats::second_differences(x).zip(measured.windows(3));
+    all.filter(|(_, around)| around.iter().all(|m| *m)).map(|(second, _)| second).collect()
 }
 
 /// Deviation of the white part that second differences show: smooth courses they leave out, slips the clipping.
@@ -66,6 +81,16 @@ pub struct Autoregression {
 #[must_use]
 pub fn autoregression(residual: &[f64], stretches: &[[usize; 2]]) -> Option<Autoregression> {
     of_order(residual, stretches, ORDER)
+}
+
+/// Mean squared error one step ahead of noise with a memory of first order, and its pole.
+#[must_use]
+pub fn first_order(residual: &[f64], stretches: &[[usize; 2]]) -> Option<(f64, f64)> {
+    let pairs = || stretches.iter().flat_map(|[a, b]| residual[*a..*b].windows(2));
+    let sums = pairs().fold([0.0; 3], |s, w| [s[0] + w[0] * w[0], s[1] + w[0] * w[1], s[2] + 1.0]);
+    let pole = (sums[0] > 0.0).then(|| sums[1] / sums[0])?;
+    let sse: f64 = pairs().map(|w| (w[1] - pole * w[0]) * (w[1] - pole * w[0])).sum();
+    Some((sse / sums[2], pole))
 }
 
 fn of_order(residual: &[f64], stretches: &[[usize; 2]], order: usize) -> Option<Autoregression> {
@@ -181,12 +206,12 @@ mod tests {
     fn the_floor_is_the_noise_and_the_grid() {
         let slow: Vec<f64> =
             noise(2000).iter().enumerate().map(|(k, e)| 0.1 * e + 3.0 * libm::sin(k as f64 * 0.05)).collect();
-        let found = floor(&slow, false);
+        let found = floor(&slow, &[true; 2000], false);
         assert!((found.noise_floor.unwrap() / 0.1 - 1.0).abs() < 0.08 && found.quantum.is_none());
         let rounded: Vec<f64> = slow.iter().map(|x| crate::sim::noise::quantise(*x, 0.5)).collect();
-        assert!((floor(&rounded, false).quantum.unwrap() - 0.5).abs() < 1e-9);
+        assert!((floor(&rounded, &[true; 2000], false).quantum.unwrap() - 0.5).abs() < 1e-9);
         let held: Vec<f64> = (0..2000).map(|k| slow[k - k % 5]).collect();
-        assert_eq!(floor(&held, false).noise_floor, None);
+        assert_eq!(floor(&held, &[true; 2000], false).noise_floor, None);
     }
 
     #[test]

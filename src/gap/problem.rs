@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use super::signatures::between;
 use super::structure::Parameters;
 use super::types::Blocks;
 use crate::detect::oscillation;
@@ -36,6 +37,10 @@ pub struct Problem {
     pub question: Question,
     /// What counts for what.
     pub blocks: Blocks,
+    /// PV as it is fitted, where a recorder put something of its own between what was measured: straight lines there.
+    drawn: Option<Vec<f64>>,
+    /// Points at which PV was measured.
+    measured: Vec<bool>,
     /// Stretches that are fitted, points.
     pub train: Vec<[usize; 2]>,
     /// Stretches that are held out.
@@ -111,6 +116,8 @@ impl Problem {
             targets: [Vec::new(), Vec::new()],
             views: [Arc::clone(&nothing), nothing],
             path: Arc::new(Path::new(question.path.clone(), question.per_point)),
+            drawn: None,
+            measured: vec![true; record.len()],
             question,
             blocks,
             sign,
@@ -127,6 +134,32 @@ impl Problem {
         let held_out = problem.blocks.held_out.clone();
         problem.divide_by(&held_out);
         problem
+    }
+
+    /// The same problem fitted only where PV was `measured`; errors on held-out stretches count everywhere.
+    #[must_use]
+    pub fn fitted_where(mut self, measured: &[bool]) -> Self {
+        if measured.len() == self.n() && !measured.iter().all(|m| *m) {
+            let mut drawn = self.question.pv.clone();
+            between(measured, &mut drawn);
+            self.drawn = Some(drawn);
+            self.measured = measured.to_vec();
+            let held_out = self.blocks.held_out.clone();
+            self.divide_by(&held_out);
+        }
+        self
+    }
+
+    /// PV as it is fitted, deviations.
+    #[must_use]
+    pub fn fitted_pv(&self) -> &[f64] {
+        self.drawn.as_deref().unwrap_or(&self.question.pv)
+    }
+
+    /// Whether PV was measured at a point.
+    #[must_use]
+    pub fn is_measured(&self, k: usize) -> bool {
+        self.measured[k]
     }
 
     /// The same problem with other points held out.
@@ -157,7 +190,8 @@ impl Problem {
         let stretches = |wanted: bool| {
             let mut out: Vec<[usize; 2]> = Vec::new();
             for (k, held) in held_out.iter().enumerate().skip(from) {
-                if *held != wanted || self.blocks.masked[k] {
+                let fitted = wanted || self.measured[k];
+                if *held != wanted || self.blocks.masked[k] || !fitted {
                     continue;
                 }
                 match out.last_mut() {
@@ -170,12 +204,12 @@ impl Problem {
         (self.train, self.test) = (stretches(false), stretches(true));
         let mut targets = [Vec::new(), Vec::new()];
         for (target, view) in targets.iter_mut().zip(View::ALL) {
-            self.gather(&self.question.pv, view, target);
+            self.gather(self.fitted_pv(), view, target);
         }
         self.targets = targets;
         let from = self.blocks.from.max(1);
         self.views = [0.0, MOVES_RHO]
-            .map(|rho| Arc::new(evaluator::View::of_stretches(&self.question.pv, &[], rho, from, &self.train)));
+            .map(|rho| Arc::new(evaluator::View::of_stretches(self.fitted_pv(), &[], rho, from, &self.train)));
     }
 
     /// PV on the fitted stretches as the evaluator takes it.

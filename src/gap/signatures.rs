@@ -20,14 +20,21 @@ const WILD: f64 = 8.0;
 const WILD_SHARE: f64 = 2.0;
 /// Most of the record that may be masked.
 const MOST_MASKED: f64 = 0.05;
+/// Fewest measured points to which a model is fitted; with less all that was recorded counts.
+const FEWEST_MEASURED: usize = 40;
 
 /// What a record's PV shows.
 #[derive(Debug, Clone)]
 pub struct Traces {
     /// Every test, met or not.
     pub signatures: Vec<Signature>,
-    /// Points left out of every fit.
+    /// Points left out of every fit and every figure.
     pub masked: Vec<bool>,
+    /// Points at which PV is what the sensor measured, and not what a recorder put between two stored values, the end of
+    /// a range or the last value of a sensor that stands still: models are fitted to these.
+    pub measured: Vec<bool>,
+    /// Whether a recorder thinned PV, so that its noise shows in the stored values only.
+    pub thinned: bool,
     /// First and last point of the longest stretch that stands still.
     still: [usize; 2],
     ends: [f64; 2],
@@ -76,6 +83,9 @@ pub fn traces(record: &Record, period: f64, without: &[String]) -> Traces {
         met: value > threshold && also,
         parameters,
     };
+    // A recorder holds the farthest value once; an end of the range is met again and again.
+    let visits = pv.windows(2).filter(|w| w[0] != w[1] && w[1] == cut.0).count();
+    let is_cut = !is_grid && !frozen && (held <= RECORDED || visits > 1);
     let signatures = vec![
         signature(effects::quantisation::EFFECT.id, coarse, COARSE, true, number("quantum", grid.unwrap_or(0.0), "PV")),
         signature(effects::hold_compression::EFFECT.id, held, RECORDED, !frozen, number("held", held, "1")),
@@ -86,7 +96,7 @@ pub fn traces(record: &Record, period: f64, without: &[String]) -> Traces {
             grid.is_none(),
             number("straight", straight, "1"),
         ),
-        signature(effects::clipping::EFFECT.id, cut.1, least_cut, !is_grid && !frozen, number("end", cut.0, "PV")),
+        signature(effects::clipping::EFFECT.id, cut.1, least_cut, is_cut, number("end", cut.0, "PV")),
         signature(effects::outliers::EFFECT.id, wild_share, WILD_SHARE, true, number("per_thousand", wild_share, "1")),
         signature(
             effects::frozen_sensor::EFFECT.id,
@@ -107,7 +117,24 @@ pub fn traces(record: &Record, period: f64, without: &[String]) -> Traces {
     if masked.iter().filter(|m| **m).count() as f64 > MOST_MASKED * n {
         masked.fill(false);
     }
-    Traces { signatures, masked, still, ends, pv: pv.clone() }
+    let at_the_end = met(effects::clipping::EFFECT.id).then_some(cut.0);
+    let stands_still = met(effects::frozen_sensor::EFFECT.id).then_some(still);
+    // The mean over a box of samples does not tell which of them were stored.
+    let raw = record.box_samples == 1;
+    let holds = raw && met(effects::hold_compression::EFFECT.id);
+    let draws = raw && met(effects::swinging_door::EFFECT.id);
+    let knots = if draws { knots(pv) } else { Vec::new() };
+    let is_measured = |k: usize| {
+        let stored = !(holds && k > 0 && pv[k] == pv[k - 1]) && (!draws || knots[k]);
+        let moves = stands_still.is_none_or(|[from, to]| k <= from || k > to);
+        stored && moves && at_the_end != Some(pv[k])
+    };
+    let mut measured: Vec<bool> = (0..pv.len()).map(is_measured).collect();
+    let enough = measured.iter().filter(|m| **m).count() >= FEWEST_MEASURED;
+    if !enough {
+        measured.fill(true);
+    }
+    Traces { signatures, masked, measured, thinned: enough && (holds || draws), still, ends, pv: pv.clone() }
 }
 
 impl Traces {
@@ -138,7 +165,7 @@ impl Traces {
 
     /// Draws it straight between the knots of PV.
     pub fn straighten(&self, prediction: &mut [f64]) {
-        between_knots(&self.pv, prediction);
+        between(&knots(&self.pv), prediction);
     }
 }
 
@@ -181,21 +208,27 @@ fn wild_samples(pv: &[f64], noise: f64) -> Vec<bool> {
     wild
 }
 
-/// Puts the prediction on straight lines between the points at which PV turns.
-fn between_knots(pv: &[f64], prediction: &mut [f64]) {
-    let n = pv.len().min(prediction.len());
+/// Points at which PV turns from one straight line to the next, its ends included.
+fn knots(pv: &[f64]) -> Vec<bool> {
     let scale = 1e-6 * stats::std_dev(pv);
-    let mut last = 0;
-    for k in 1..n {
-        let knot = k + 1 == n || (pv[k + 1] - 2.0 * pv[k] + pv[k - 1]).abs() >= scale;
-        if knot {
-            let (a, b) = (prediction[last], prediction[k]);
-            for (i, p) in prediction[last..k].iter_mut().enumerate().skip(1) {
-                *p = a + (b - a) * i as f64 / (k - last) as f64;
-            }
-            last = k;
+    let turns = |k: usize| (pv[k + 1] - 2.0 * pv[k] + pv[k - 1]).abs() >= scale;
+    (0..pv.len()).map(|k| k == 0 || k + 1 == pv.len() || turns(k)).collect()
+}
+
+/// Draws a signal straight between the points that are `kept`; before the first and behind the last it is held.
+pub fn between(kept: &[bool], x: &mut [f64]) {
+    let places: Vec<usize> = (0..x.len().min(kept.len())).filter(|k| kept[*k]).collect();
+    let (Some(first), Some(last)) = (places.first().copied(), places.last().copied()) else { return };
+    for pair in places.windows(2) {
+        let (a, b) = (x[pair[0]], x[pair[1]]);
+        let length = (pair[1] - pair[0]) as f64;
+        for (i, value) in x[pair[0]..pair[1]].iter_mut().enumerate().skip(1) {
+            *value = a + (b - a) * i as f64 / length;
         }
     }
+    let (held, after) = (x[first], x[last]);
+    x[..first].fill(held);
+    x[last + 1..].fill(after);
 }
 
 #[cfg(test)]
@@ -237,6 +270,24 @@ mod tests {
                 (0..880).map(|k| pv[k - k % 9] + (pv[k - k % 9 + 9] - pv[k - k % 9]) * (k % 9) as f64 / 9.0).collect();
             assert_eq!(met(lines), ["swinging_door"]);
         }
+    }
+
+    #[test]
+    fn what_a_recorder_put_between_stored_values_was_not_measured() {
+        let pv = plain(2);
+        let looked = |pv: Vec<f64>| traces(&Record::uniform(1.0, pv.clone(), pv), 70.0, &[]);
+        assert!(looked(pv.clone()).measured.iter().all(|m| *m));
+        let held = looked((0..900).map(|k| pv[k - k % 4]).collect());
+        assert!(held.thinned && (0..900).all(|k| held.measured[k] == (k % 4 == 0)));
+        let drawn = looked(
+            (0..880).map(|k| pv[k - k % 9] + (pv[k - k % 9 + 9] - pv[k - k % 9]) * (k % 9) as f64 / 9.0).collect(),
+        );
+        assert!(drawn.thinned && (0..879).all(|k| drawn.measured[k] == (k % 9 == 0)));
+        let cut = looked(pv.iter().map(|v| v.min(2.0)).collect());
+        assert!(!cut.thinned && (0..900).all(|k| cut.measured[k] == (pv[k] < 2.0)));
+        let mut x = vec![7.0, 0.0, 9.0, 1.0, 7.0];
+        between(&[false, true, false, true, false], &mut x);
+        assert_eq!(x, [0.0, 0.0, 0.5, 1.0, 1.0]);
     }
 
     #[test]

@@ -97,6 +97,7 @@ fn question_of(problem: &Problem, search: &Search, plan: &Plan) -> Option<Questi
     }
     question.stroke = plan.stroke;
     question.landing = plan.landing();
+    question.pv.copy_from_slice(problem.fitted_pv());
     if let Some(best) = search.best.first() {
         let added = PlainPass::new(problem, search.sign).added(&search.structure, best)?;
         question.pv.iter_mut().zip(&added).for_each(|(y, a)| *y -= a);

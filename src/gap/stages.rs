@@ -9,6 +9,7 @@ use super::noise;
 use super::problem::{Problem, View};
 use super::schedule::{self, Work, is_calm, residual_of};
 use super::search::Search;
+use super::signatures::Traces;
 use super::types::{Stage, Stages};
 use crate::record::Record;
 use crate::signal::stats;
@@ -36,8 +37,15 @@ fn driven_by(record: &Record, mv: &[f64]) -> Record {
     Record { op_path, mv: None, ..record.clone() }
 }
 
-/// Looks at MV, where it is recorded and moves; `from_op` is the base's training error, PV units.
-pub fn look(record: &Record, problem: &Problem, from_op: f64, without: &[String], work: &mut Work<'_>) -> Option<Seen> {
+/// Looks at MV, where it is recorded and moves; `from_op` is the base's training error, PV units, beside PV's floor.
+pub fn look(
+    record: &Record,
+    problem: &Problem,
+    traces: &Traces,
+    (from_op, floor): (f64, Option<f64>),
+    without: &[String],
+    work: &mut Work<'_>,
+) -> Option<Seen> {
     if work.stopped {
         return None;
     }
@@ -45,9 +53,9 @@ pub fn look(record: &Record, problem: &Problem, from_op: f64, without: &[String]
     let behind = driven_by(record, mv);
     let masked = problem.blocks.masked.clone();
     // A transmitter may be reversed, and the controller answers PV by OP, not by MV: both signs are tried.
-    let mut from_mv = Problem::new(&behind, Some(problem.period), work.seed, masked.clone());
+    let mut from_mv =
+        Problem::new(&behind, Some(problem.period), work.seed, masked.clone()).fitted_where(&traces.measured);
     from_mv.sign = None;
-    let floor = noise::floor(&record.pv, false).noise_floor;
     let not_behind = effects::ALL.into_iter().filter(|e| !e.behind_stem || e.way != Way::Simulated);
     let mut left_out: Vec<String> = not_behind.map(|e| e.id.to_owned()).collect();
     left_out.extend(without.iter().cloned());
@@ -59,7 +67,7 @@ pub fn look(record: &Record, problem: &Problem, from_op: f64, without: &[String]
     let before = Record { pv: mv.clone(), mv: None, ..record.clone() };
     let mut to_mv = Problem::new(&before, Some(problem.period), work.seed, masked);
     to_mv.sign = None;
-    let mv_floor = noise::floor(mv, false).noise_floor;
+    let mv_floor = noise::floor(mv, &vec![true; mv.len()], false).noise_floor;
     let valve =
         schedule::base(&to_mv, Some(Law::He), mv_floor, work).and_then(|(search, _)| residual_of(&to_mv, &search));
     let op_to_mv = valve.map_or(1.0, |left| rms(&left, &to_mv.test));

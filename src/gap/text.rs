@@ -1,5 +1,6 @@
 //! A diagnosis in words that can be read aloud.
 
+mod claim;
 mod effect;
 
 pub use effect::Sizes;
@@ -7,7 +8,8 @@ mod place;
 
 use super::document::{EffectNote, GapDocument};
 use super::types::{NONE, UNKNOWN};
-use crate::units::number as figure;
+use crate::units::number;
+use claim::Claim;
 
 fn percent(value: f64) -> String {
     format!("{value:.0} %")
@@ -27,9 +29,9 @@ pub fn paragraph(d: &GapDocument) -> String {
         let [a, b] = &test.separates;
         parts.push(format!(
             "a bump of {} {} units for {} s would tell {} from {} (p {:.2})",
-            figure(test.size),
+            number(test.size),
             test.signal.to_uppercase(),
-            figure(test.duration_s),
+            number(test.duration_s),
             effect::noun(a),
             effect::noun(b),
             test.p
@@ -55,7 +57,7 @@ fn split_of_given(d: &GapDocument) -> Option<String> {
         return Some("the given model leaves nothing above the noise".to_owned());
     }
     let share = 100.0 * parametric / given.gap;
-    let left = figure(given.gap);
+    let left = number(given.gap);
     Some(if share < 5.0 {
         format!("the given model leaves a gap of {left} PV units, and refitting it gains next to nothing")
     } else if share > 95.0 {
@@ -88,53 +90,66 @@ fn share_of_pv(d: &GapDocument) -> String {
 
 fn nothing(d: &GapDocument) -> String {
     let left = match d.gap.noise_floor {
-        Some(floor) if d.gap.rmse < 1.05 * floor => format!("what is left is noise ({} PV units)", figure(d.gap.rmse)),
-        Some(_) => format!("{} PV units are left above the noise{}", figure(d.gap.gap), share_of_pv(d)),
+        Some(_) if claim::nothing_left(d) => format!("what is left is noise ({} PV units)", number(d.gap.rmse)),
+        Some(_) => format!("{} PV units are left above the noise{}", number(d.gap.gap), share_of_pv(d)),
         None => {
-            format!("{} PV units are left{}, and PV shows no noise to compare with", figure(d.gap.gap), share_of_pv(d))
+            format!("{} PV units are left{}, and PV shows no noise to compare with", number(d.gap.gap), share_of_pv(d))
         }
     };
     let p = d.cause.probability;
-    format!("{} explains this record: {left}; no unmodelled effect shows (p {p:.2})", base_of(d))
+    format!("{} {}: {left}; no unmodelled effect shows (p {p:.2})", base_of(d), claim::of_base(d))
 }
 
 fn not_in_the_catalogue(d: &GapDocument) -> String {
     let best = d.effects.iter().filter(|e| e.closed_pct.is_some()).max_by(|a, b| a.evidence.total_cmp(&b.evidence));
-    let best = best.map_or_else(String::new, |e| {
-        let closed = e.closed_pct.filter(|c| *c >= 0.5).map_or_else(|| "nothing".to_owned(), percent);
-        format!("; the best of them, {}, closes {closed} on data it was not fitted to", effect::noun(&e.id))
-    });
-    format!(
-        "{}; something departs from the model ({} PV units above the noise{}) that none of the {} effects asked explains \
-         (p {:.2}){best}",
-        place::headline(d),
-        figure(d.gap.gap),
-        share_of_pv(d),
-        d.effects.len(),
-        d.cause.probability
-    )
+    let (asked, p) = (d.effects.len(), d.cause.probability);
+    let unexplained = match best {
+        Some(e) if claim::explains(e) => format!(
+            "that none of the {asked} effects asked is sure to explain (p {p:.2}); the best of them, {}, closes {} on data \
+             it was not fitted to, and so might others",
+            effect::noun(&e.id),
+            claim::closed(e.closed_pct.unwrap_or(0.0))
+        ),
+        Some(e) => format!(
+            "that none of the {asked} effects asked explains (p {p:.2}); the best of them, {}, closes {} on data it was not \
+             fitted to",
+            effect::noun(&e.id),
+            claim::closed(e.closed_pct.unwrap_or(0.0))
+        ),
+        None => format!("that none of the {asked} effects asked explains (p {p:.2})"),
+    };
+    let size = if claim::nothing_left(d) {
+        "more by its course than by its size, which is the noise's".to_owned()
+    } else {
+        format!("{} PV units above the noise{}", number(d.gap.gap), share_of_pv(d))
+    };
+    format!("{}; something departs from the model ({size}) {unexplained}", place::headline(d))
 }
 
 fn named(d: &GapDocument, e: &EffectNote) -> String {
     let what = effect::phrase(e);
-    let doubt = if d.cause.confirmed { "explains it" } else { "is suspected, not confirmed" };
-    let mut text = format!("{}; {what} {doubt} (p {:.2})", place::headline(d), d.cause.probability);
+    let claim = Claim::of(d, e);
+    let mut text = format!("{}; {what} {}", place::headline(d), claim.words(d.cause.probability));
     match (e.closed_pct, e.floor_after) {
         (Some(pct), _) => {
-            text.push_str(&format!("; adding it closes {}", percent(pct)));
-            if let Some([low, high]) = e.closed_interval {
+            text.push_str(&format!("; adding it closes {}", claim::closed(pct)));
+            if let Some([low, high]) = e.closed_interval.filter(|[_, high]| *high > 0.0) {
                 text.push_str(&format!(" ({low:.0} to {high:.0})"));
             }
             text.push_str(" on data it was not fitted to");
-            if let Some(pct) = d.forward.and_then(|f| f.closed_pct) {
-                text.push_str(&format!(", {} forward in time", percent(pct)));
+            if let Some(pct) = claim::closed_forward(d).filter(|_| claim != Claim::Hardly) {
+                text.push_str(&format!(", {} forward in time", claim::closed(pct)));
             }
         }
         (None, Some(floor)) => text.push_str(&format!(
             "; no simulation can close it, because it raises what can be predicted at best to {} PV units",
-            figure(floor)
+            number(floor)
         )),
         (None, None) => {}
+    }
+    if claim == Claim::Hardly {
+        // What it cannot be told from would make as little of the gap.
+        return text;
     }
     let twins = effect::twins(e);
     if !twins.is_empty() {
@@ -144,7 +159,7 @@ fn named(d: &GapDocument, e: &EffectNote) -> String {
         .alternatives
         .iter()
         .take(2)
-        .filter(|a| a.probability >= 0.05)
+        .filter(|a| a.probability >= 0.05 && !e.confusable_with.contains(&a.id))
         .map(|a| format!("{} (p {:.2})", effect::noun(&a.id), a.probability))
         .collect();
     if !rivals.is_empty() {
@@ -156,11 +171,16 @@ fn named(d: &GapDocument, e: &EffectNote) -> String {
     text
 }
 
-/// The answer in a word or two: `extra_lag, suspected`.
+/// The answer in a few words: `extra_lag, suspected`.
 #[must_use]
 pub fn answer(d: &GapDocument) -> String {
-    let open = d.cause.confirmed || [NONE, UNKNOWN].contains(&d.cause.id.as_str());
-    if open { d.cause.id.clone() } else { format!("{}, suspected", d.cause.id) }
+    let id = &d.cause.id;
+    match d.named().map(|e| Claim::of(d, e)) {
+        Some(Claim::Suspected) => format!("{id}, suspected"),
+        Some(Claim::Hardly) => format!("{id}, next to nothing of the gap"),
+        None if !d.cause.confirmed && ![NONE, UNKNOWN].contains(&id.as_str()) => format!("{id}, suspected"),
+        _ => id.clone(),
+    }
 }
 
 /// The cycle as measured and as the closed loop makes it.
@@ -175,35 +195,37 @@ pub fn report(d: &GapDocument) -> String {
     let mut lines = vec![format!("{}: {} (p {:.2})", d.loop_name, answer(d), d.cause.probability)];
     lines.push(format!("  {}", paragraph(d)));
     let mut row = |name: &str, value: String| lines.push(format!("  {name:<12} {value}"));
-    let floor = d.gap.noise_floor.map_or("unknown".to_owned(), figure);
+    let floor = d.gap.noise_floor.map_or("unknown".to_owned(), number);
     row(
         "gap",
         format!(
             "{} PV units{} (rms error {}, noise floor {floor})",
-            figure(d.gap.gap),
+            number(d.gap.gap),
             share_of_pv(d),
-            figure(d.gap.rmse)
+            number(d.gap.rmse)
         ),
     );
     if let Some(given) = d.given {
-        row("given model", format!("gap {} PV units (rms error {})", figure(given.gap), figure(given.rmse)));
+        row("given model", format!("gap {} PV units (rms error {})", number(given.gap), number(given.rmse)));
     }
     if let Some(mv) = &d.location.mv_to_pv {
         let of_mv = d.location.op_to_mv.map_or(0.0, |o| o.unexplained_pct);
-        row("with MV", format!("OP to MV: {of_mv:.1} % unexplained; MV to PV: gap {} PV units", figure(mv.gap)));
+        row("with MV", format!("OP to MV: {of_mv:.1} % unexplained; MV to PV: gap {} PV units", number(mv.gap)));
     }
     place::rows(d, &mut row);
     for (rank, e) in d.effects.iter().chain(&d.pairs).filter(|e| e.evidence > 0.0).take(5).enumerate() {
         let closed = match (e.closed_pct, e.closed_interval) {
-            (Some(pct), Some([low, high])) => format!("closes {} ({low:.0} to {high:.0})", percent(pct)),
-            (Some(pct), None) => format!("closes {}", percent(pct)),
+            (Some(pct), Some([low, high])) if high > 0.0 => {
+                format!("closes {} ({low:.0} to {high:.0})", claim::closed(pct))
+            }
+            (Some(pct), _) => format!("closes {}", claim::closed(pct)),
             (None, _) => "free run cannot show it".to_owned(),
         };
         let name = if rank == 0 { "effects" } else { "" };
         row(name, format!("{:<20} evidence {:+.2}, {closed}: {}", e.id, e.evidence, effect::phrase(e)));
     }
     if let Some(f) = d.forward {
-        row("forward", format!("gap {} before, {} after", figure(f.gap_before), figure(f.gap_after)));
+        row("forward", format!("gap {} before, {} after", number(f.gap_before), number(f.gap_after)));
     }
     if let Some(cycles) = &d.closed_loop {
         row("closed loop", place::cycles(cycles));
@@ -212,3 +234,6 @@ pub fn report(d: &GapDocument) -> String {
     row("search", format!("{} model responses{cut}", d.evaluations));
     lines.join("\n")
 }
+
+#[cfg(test)]
+mod tests;

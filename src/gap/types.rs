@@ -238,7 +238,8 @@ pub struct Fit {
 /// The noise that no model explains.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Floor {
-    /// Standard deviation of PV's white noise, PV units; `None` on held or compressed PV.
+    /// Standard deviation of PV's noise, PV units: of its white part, of the stored values where a recorder thinned PV, or
+    /// behind a filter; `None` on held or compressed PV with too few of them.
     pub noise_sd: Option<f64>,
     /// Quantum of PV, PV units; `None` where it is not on a grid.
     pub quantum: Option<f64>,

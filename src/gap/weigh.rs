@@ -3,6 +3,7 @@
 use super::decide;
 use super::effects::{self, Effect};
 use super::express::{above_floor, fit, parameters};
+use super::filter::Filtered;
 use super::problem::{Problem, View};
 use super::search::Search;
 use super::signatures::Traces;
@@ -81,6 +82,28 @@ impl Scales<'_> {
         })
     }
 
+    /// A filter in the measurement.
+    #[must_use]
+    pub fn filtered(&self, effect: &'static Effect, filtered: &Filtered) -> EffectResult {
+        let made = filtered.fit.clone();
+        let sse = |rmse: f64| rmse * rmse * self.problem.target(View::Plain).len() as f64;
+        let [before, after] = [self.base, &made].map(|f| (sse(f.rmse_train), f.parameters));
+        let evidence = self.score(before.0, before.1) - self.score(after.0, after.1);
+        let (closed_pct, closed_interval) = self.closed(&made);
+        EffectResult {
+            simulated: true,
+            parameters: filtered.parameters(),
+            gap_after: made.gap,
+            closed_pct,
+            closed_interval,
+            raw_gain: libm::log(before.0.max(1e-30)) - libm::log(after.0.max(1e-30)),
+            evidence,
+            lead: evidence - effect.margin,
+            fit: Some(made),
+            ..self.recorded(effect, None)
+        }
+    }
+
     /// One effect of the recording, seen in PV. What it does is measured where it is met and a free run can follow it.
     #[must_use]
     pub fn recorded(&self, effect: &'static Effect, floor_after: Option<f64>) -> EffectResult {
@@ -90,9 +113,9 @@ impl Scales<'_> {
             .recorder
             .filter(|_| met)
             .and_then(|recorder| fit(self.problem, self.search, self.floor.noise_floor, &|p| recorder(self.traces, p)));
-        // Points that are masked for an effect's sake are what it is about.
-        let of_masked = made.is_some() && effect.masks;
-        let blocks = self.blocks(made.as_ref().unwrap_or(self.base), of_masked);
+        // Points that are left out of the fits for a passing effect's sake are what it is about, wherever they stand.
+        let of_its_own = made.is_some() && effect.local;
+        let blocks = self.blocks(made.as_ref().unwrap_or(self.base), of_its_own);
         let [before, after] = self.gaps(&blocks);
         let (closed_pct, closed_interval) = made.as_ref().map_or((None, None), |_| self.closed_in(&blocks));
         EffectResult {
@@ -146,12 +169,15 @@ impl Scales<'_> {
         (Some(closed), interval)
     }
 
-    /// Points, squared error before and after, of every held-out block, points that are masked counted or not.
-    fn blocks(&self, after: &Fit, of_masked: bool) -> Vec<[f64; 3]> {
+    /// Points, squared error before and after, of every held-out block; with points that are left out of all fits, masked
+    /// or not measured, or without.
+    fn blocks(&self, after: &Fit, with_unfitted: bool) -> Vec<[f64; 3]> {
         let blocks = &self.problem.blocks;
         let mut out = vec![[0.0; 3]; blocks.number.last().map_or(0, |n| n + 1)];
         for (k, y) in self.pv().enumerate() {
-            if k >= blocks.from && blocks.held_out[k] && (of_masked || !blocks.masked[k]) {
+            let fitted = !blocks.masked[k] && self.problem.is_measured(k);
+            let counts = blocks.held_out[k] && !blocks.masked[k] || with_unfitted && !fitted;
+            if k >= blocks.from && counts {
                 let (b, a) = (y - self.base.prediction[k], y - after.prediction[k]);
                 let sums = &mut out[blocks.number[k]];
                 *sums = [sums[0] + 1.0, sums[1] + b * b, sums[2] + a * a];

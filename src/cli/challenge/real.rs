@@ -1,4 +1,6 @@
-//! `stictiond gap challenge real`: real recordings whose truth is made, hidden or labelled.
+//! `stictiond gap challenge real`: real recordings whose truth is made, hidden or labelled, and what of each is explained.
+
+mod explained;
 
 use std::path::{Path, PathBuf};
 
@@ -46,6 +48,8 @@ enum Part {
     Hidden,
     /// Stiction itself is withheld: it is named on sticking loops and not on others.
     Linear,
+    /// What the base explains of every recording with a regular cycle, and what the best effect adds.
+    Explained,
 }
 
 /// One diagnosis that is to be made.
@@ -53,12 +57,13 @@ enum Task {
     Spoil(Case),
     Hide(Case),
     Linear(Case),
+    Explain(Case),
 }
 
 impl Task {
     const fn case(&self) -> &Case {
         match self {
-            Self::Spoil(case) | Self::Hide(case) | Self::Linear(case) => case,
+            Self::Spoil(case) | Self::Hide(case) | Self::Linear(case) | Self::Explain(case) => case,
         }
     }
 }
@@ -107,6 +112,9 @@ fn tasks(args: &Args, cases: &[Case], base: &Path) -> Vec<Task> {
         let labelled: Vec<Case> = cases.iter().filter(|case| case.truth().is_some()).cloned().collect();
         out.extend(spread(&labelled, args.first).into_iter().map(Task::Linear));
     }
+    if wanted(Part::Explained) {
+        out.extend(spread(cases, args.first).into_iter().map(Task::Explain));
+    }
     out
 }
 
@@ -124,6 +132,7 @@ pub(super) fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
             Task::Spoil(_) => spoil(&record, &ask, args.seed),
             Task::Hide(_) => hide(&record, &ask),
             Task::Linear(case) => linear(&record, &ask, case),
+            Task::Explain(_) => explained::of(&record, &ask),
         });
         let found = found.with_context(|| task.case().file.clone());
         let mut line = found.unwrap_or_else(|error| json!({ "error": format!("{error:#}") }));
@@ -179,7 +188,7 @@ fn text(value: &Value) -> &str {
     value.as_str().unwrap_or("-")
 }
 
-/// Three tables and their sums.
+/// The parts' tables and their sums.
 fn table(lines: &[Value]) -> anyhow::Result<()> {
     let of = |part: &'static str| lines.iter().filter(move |l| l["part"] == part);
     for line in lines.iter().filter(|l| l["error"].is_string()) {
@@ -234,5 +243,5 @@ fn table(lines: &[Value]) -> anyhow::Result<()> {
         };
         say(format!("stiction withheld: named on {} sticking loops and on {} others", named(true), named(false)))?;
     }
-    Ok(())
+    explained::table(&of("explained").collect::<Vec<_>>())
 }

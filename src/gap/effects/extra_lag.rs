@@ -1,4 +1,4 @@
-//! A second lag behind the friction: in the process, or in the sensor and its filter. OP and PV cannot tell which.
+//! A second lag behind the friction: in the process, or in the sensor before its noise comes in. OP and PV cannot tell which.
 
 use super::{Effect, Reach, Stage, lag, lags, said_already};
 
@@ -8,11 +8,11 @@ pub const EFFECT: Effect = Effect {
     apply: |p, plan| plan.tau2 = libm::exp(p[0]),
     starts: |clues| lags(clues, &[0.01, 0.04, 0.12, 0.3]),
     confused_with: &["positioner_lag", "inverse_response"],
-    separated_by: "a second sensor, or the filter setting of the transmitter",
+    separated_by: "a second sensor",
     noun: "a lag behind the valve",
     bare: true,
     clashes: &["inverse_response"],
-    twin: Some("a sensor filter"),
+    twin: Some("a slow sensor"),
     phrase: |sizes| Some(format!("an extra lag of {} s", sizes.said("lag")?)),
     in_loop: said_already,
     ..Effect::simulated("extra_lag", Stage::Process)

@@ -18,6 +18,7 @@ mod positioner_lag;
 pub mod quantisation;
 mod ramp;
 mod rate_limit;
+pub mod sensor_filter;
 mod sinusoid;
 mod sliding_valve;
 mod slip_overshoot;
@@ -51,6 +52,8 @@ pub enum Way {
     Signature,
     /// By the controller's lag.
     Controller,
+    /// By a lag of PV that its noise shares.
+    Filter,
 }
 
 /// Which part of the simulator a parameter moves.
@@ -262,7 +265,7 @@ pub const MARGIN: f64 = 0.10;
 pub const WIDE_MARGIN: f64 = 0.15;
 
 /// Every effect.
-pub const ALL: [&Effect; 25] = [
+pub const ALL: [&Effect; 26] = [
     &asymmetric_stiction::EFFECT,
     &slip_overshoot::EFFECT,
     &sliding_valve::EFFECT,
@@ -280,6 +283,7 @@ pub const ALL: [&Effect; 25] = [
     &ramp::EFFECT,
     &step_load::EFFECT,
     &coloured_noise::EFFECT,
+    &sensor_filter::EFFECT,
     &quantisation::EFFECT,
     &hold_compression::EFFECT,
     &swinging_door::EFFECT,

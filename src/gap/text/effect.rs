@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use super::super::document::{EffectNote, Quantity};
 use super::super::effects;
 use super::super::types::{NONE, UNKNOWN};
-use super::{figure, percent};
+use super::{number, percent};
 
 /// What an effect is called among others.
 pub(super) fn noun(id: &str) -> String {
@@ -34,7 +34,7 @@ impl Sizes<'_> {
     /// A size in figures.
     #[must_use]
     pub fn said(&self, name: &str) -> Option<String> {
-        self.value(name).map(figure)
+        self.value(name).map(number)
     }
 
     /// The amount of a change as per cent.
@@ -65,9 +65,9 @@ pub(super) fn phrase(e: &EffectNote) -> String {
 
 fn sized(value: f64, unit: &str) -> String {
     match unit {
-        "1" => figure(value),
-        "OP" | "PV" => format!("{} {unit} units", figure(value)),
-        unit => format!("{} {unit}", figure(value)),
+        "1" => number(value),
+        "OP" | "PV" => format!("{} {unit} units", number(value)),
+        unit => format!("{} {unit}", number(value)),
     }
 }
 

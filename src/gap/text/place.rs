@@ -3,7 +3,8 @@
 use super::super::document::GapDocument;
 use super::super::locate::Location;
 use super::super::loop_run::{Cycle, Cycles};
-use super::{figure, percent};
+use super::claim::nothing_left;
+use super::{number, percent};
 
 /// p up to which a place is told.
 const TOLD_P: f64 = 0.05;
@@ -15,12 +16,17 @@ const BAND_LIFT: f64 = 0.4;
 /// A place that holds more than its part.
 struct Candidate {
     share: f64,
+    /// Its part of the points, where that is the measure.
+    part: Option<f64>,
     lift: f64,
     words: String,
 }
 
-/// `62 % of the gap sits in the 40 s after each slip`.
+/// `62 % of the gap sits in the 40 s after each slip, 20 % of the points`.
 pub(super) fn headline(d: &GapDocument) -> String {
+    if nothing_left(d) {
+        return "on held-out data simulation and record agree to the noise".to_owned();
+    }
     let l = &d.location;
     let mut all = by_phase(l);
     all.extend(by_direction(l));
@@ -28,8 +34,12 @@ pub(super) fn headline(d: &GapDocument) -> String {
     all.extend(by_level(l));
     all.extend(by_band(l));
     match all.into_iter().max_by(|a, b| a.lift.total_cmp(&b.lift)) {
-        Some(best) => format!("{} of the gap sits {}", percent(100.0 * best.share), best.words),
-        None => "the gap is spread evenly over time, cycle and level".to_owned(),
+        Some(best) => {
+            let part = best.part.map_or_else(String::new, |p| format!(", {} of the points", percent(100.0 * p)));
+            format!("{} of the gap sits {}{part}", percent(100.0 * best.share), best.words)
+        }
+        None => "no stretch, phase or level of the record holds clearly more of the gap than its part of the points"
+            .to_owned(),
     }
 }
 
@@ -37,13 +47,13 @@ pub(super) fn headline(d: &GapDocument) -> String {
 fn place(share: Option<f64>, expected: f64, told: bool, words: impl FnOnce() -> String) -> Option<Candidate> {
     let share = share?;
     let lift = share - expected;
-    (told && lift >= TOLD_LIFT).then(|| Candidate { share, lift, words: words() })
+    (told && lift >= TOLD_LIFT).then(|| Candidate { share, part: Some(expected), lift, words: words() })
 }
 
 fn by_phase(l: &Location) -> Vec<Candidate> {
     let told = l.uneven.phases.is_some_and(|t| t.p <= TOLD_P);
     let (p, e) = (l.phases, l.phases_expected);
-    let window = figure(l.slip_window_s);
+    let window = number(l.slip_window_s);
     let stuck = || format!("where the stem has rested for more than {window} s");
     [
         place(p.slip, e.slip.unwrap_or(0.0), told, || format!("in the {window} s after each slip")),
@@ -78,7 +88,7 @@ fn by_time(l: &Location) -> Vec<Candidate> {
         let inside: Vec<_> = l.segments.iter().filter(side).collect();
         let share: f64 = inside.iter().filter_map(|s| s.share).sum();
         let part: f64 = inside.iter().map(|s| s.expected).sum();
-        let since = place(Some(share), part, ratio > 1.0, || format!("behind {} s after the start", figure(onset)));
+        let since = place(Some(share), part, ratio > 1.0, || format!("behind {} s after the start", number(onset)));
         if since.is_some() {
             return since.into_iter().collect();
         }
@@ -87,7 +97,7 @@ fn by_time(l: &Location) -> Vec<Candidate> {
     let most = most.max_by(|a, b| a.share.unwrap_or(0.0).total_cmp(&b.share.unwrap_or(0.0)));
     let most = most.and_then(|s| {
         place(s.share, s.expected, told, || {
-            format!("between {} and {} s after the start", figure(s.from_s), figure(s.to_s))
+            format!("between {} and {} s after the start", number(s.from_s), number(s.to_s))
         })
     });
     most.into_iter().collect()
@@ -101,7 +111,7 @@ fn by_level(l: &Location) -> Vec<Candidate> {
     };
     let Some(middle) = l.level.get(half) else { return Vec::new() };
     let ((low, low_part), (high, high_part)) = (sum(&l.level[..half]), sum(&l.level[half..]));
-    let at = figure(middle.from);
+    let at = number(middle.from);
     [
         place(Some(low), low_part, told, || format!("where OP is below {at}")),
         place(Some(high), high_part, told, || format!("where OP is above {at}")),
@@ -125,7 +135,7 @@ fn by_band(l: &Location) -> Vec<Candidate> {
         let share = b.share?;
         let lift = share - b.expected;
         // Half as telling as a tested place: slow parts are common.
-        (lift >= BAND_LIFT).then(|| Candidate { share, lift: 0.5 * lift, words: name.to_owned() })
+        (lift >= BAND_LIFT).then(|| Candidate { share, part: None, lift: 0.5 * lift, words: name.to_owned() })
     };
     l.bands.iter().zip(names).filter_map(of).collect()
 }
@@ -134,14 +144,20 @@ fn by_band(l: &Location) -> Vec<Candidate> {
 pub(super) fn rows(d: &GapDocument, row: &mut dyn FnMut(&str, String)) {
     let l = &d.location;
     let share = |x: Option<f64>| x.map_or("-".to_owned(), |x| percent(100.0 * x));
+    // Beside a share of the gap that of the points: a phase that lasts long holds much of anything.
+    let of = |x: Option<f64>, points: Option<f64>| match points {
+        Some(points) if x.is_some() => format!("{} (of {} of the points)", share(x), share(Some(points))),
+        _ => share(x),
+    };
+    let (p, e) = (l.phases, l.phases_expected);
     row(
         "phase",
         format!(
             "at rest {}, within {} s of a slip {}, moving {}",
-            share(l.phases.stuck),
-            figure(l.slip_window_s),
-            share(l.phases.slip),
-            share(l.phases.moving)
+            of(p.stuck, e.stuck),
+            number(l.slip_window_s),
+            of(p.slip, e.slip),
+            of(p.moving, e.moving)
         ),
     );
     row("direction", format!("after moves up {}, down {}", share(l.direction.up), share(l.direction.down)));
@@ -151,7 +167,7 @@ pub(super) fn rows(d: &GapDocument, row: &mut dyn FnMut(&str, String)) {
         row("level", format!("OP explains {} of it (p {:.3})", percent(100.0 * r2.value), r2.p));
     }
     if let (Some(onset), Some(ratio)) = (l.onset_s, l.trend.onset_ratio) {
-        row("onset", format!("{} s after the start, power times {}", figure(onset), figure(ratio)));
+        row("onset", format!("{} s after the start, power times {}", number(onset), number(ratio)));
     }
     if let (Some(missed), Some(extra)) = (l.slips.missed, l.slips.extra) {
         row("slips", format!("{missed} missed by the model, {extra} that only the model made"));
@@ -161,7 +177,7 @@ pub(super) fn rows(d: &GapDocument, row: &mut dyn FnMut(&str, String)) {
         .iter()
         .filter(|c| c.p <= TOLD_P)
         .take(3)
-        .map(|c| format!("{} {:+.2} {} s later", c.name, c.value, figure(c.lag_s)))
+        .map(|c| format!("{} {:+.2} {} s later", c.name, c.value, number(c.lag_s)))
         .collect();
     if !strong.is_empty() {
         row("goes with", strong.join(", "));
@@ -171,7 +187,7 @@ pub(super) fn rows(d: &GapDocument, row: &mut dyn FnMut(&str, String)) {
         row("traces", met.join(", "));
     }
     let e = &l.excitation;
-    let jumps = e.jumps_per_half_cycle.map_or(String::new(), |j| format!(", {} slips a half cycle", figure(j)));
+    let jumps = e.jumps_per_half_cycle.map_or(String::new(), |j| format!(", {} slips a half cycle", number(j)));
     let moves = e.setpoint_moves.map_or(String::new(), |m| format!(", {m} moves of the set point"));
     row("excitation", format!("{} positions of the stem{jumps}{moves}", e.levels));
 }
@@ -179,8 +195,8 @@ pub(super) fn rows(d: &GapDocument, row: &mut dyn FnMut(&str, String)) {
 /// The cycle as measured and as the closed loop makes it.
 pub(super) fn cycles(c: &Cycles) -> String {
     let of = |c: &Cycle| match c.period_s.filter(|_| c.oscillating) {
-        Some(p) => format!("period {} s, PV +-{}", figure(p), figure(c.amplitude_pv)),
-        None => format!("no regular cycle, PV +-{}", figure(c.amplitude_pv)),
+        Some(p) => format!("period {} s, PV +-{}", number(p), number(c.amplitude_pv)),
+        None => format!("no regular cycle, PV +-{}", number(c.amplitude_pv)),
     };
     let mut text = format!("measured {}", of(&c.measured));
     for (name, cycle) in [("base", &c.before), ("with the cause", &c.after)] {

@@ -1,0 +1,127 @@
+//! Sentences that are made from the same numbers do not contradict each other.
+
+use super::super::document::GapDocument;
+use super::{number, paragraph, report};
+
+#[test]
+fn figures_have_three_digits() {
+    let cases = [(0.0, "0"), (18.04, "18"), (1.234, "1.23"), (0.01234, "0.012"), (123.6, "124"), (1e-7, "1.00e-7")];
+    for (value, text) in cases {
+        assert_eq!(number(value), text);
+    }
+}
+
+/// Words that no answer may hold together.
+const APART: [[&str; 2]; 16] = [
+    ["next to nothing of the gap", "forward in time"],
+    ["explains it (", "adding it closes nothing"],
+    ["explains it (", "nothing forward in time"],
+    ["explains it (", "is suspected"],
+    ["explains it (", "effects asked explains"],
+    ["explains it (", "makes next to nothing"],
+    ["explains it (", "explains this record"],
+    ["a part of it", "adding it closes nothing"],
+    ["may explain it", "adding it closes nothing"],
+    ["holds clearly more of the gap", "of the gap sits"],
+    ["agree to the noise", "of the gap sits"],
+    ["agree to the noise", "holds clearly more"],
+    ["agree to the noise", "PV units above the noise"],
+    ["what is left is noise", "left above the noise"],
+    ["explains this record", "explains most of this record"],
+    ["is as much as can be said", "what is left is noise"],
+];
+
+/// A document with other numbers.
+struct Varied {
+    cause: &'static str,
+    confirmed: bool,
+    closed: Option<f64>,
+    interval: Option<[f64; 2]>,
+    forward: f64,
+    left: f64,
+    even: bool,
+}
+
+impl Varied {
+    fn document(&self) -> GapDocument {
+        let mut d: GapDocument = serde_json::from_str(include_str!("../../../tests/golden/gap-backlash.json")).unwrap();
+        self.cause.clone_into(&mut d.cause.id);
+        d.cause.confirmed = self.confirmed;
+        let floor = d.gap.noise_floor.unwrap();
+        let sd = d.gap.gap / d.gap.relative.unwrap();
+        d.gap.gap = self.left * sd;
+        d.gap.rmse = (d.gap.gap * d.gap.gap + floor * floor).sqrt();
+        d.gap.relative = Some(self.left);
+        for e in &mut d.effects {
+            if e.id == self.cause || self.cause == "unknown" {
+                (e.closed_pct, e.closed_interval) = (self.closed, self.interval);
+            }
+        }
+        if let Some(forward) = &mut d.forward {
+            forward.closed_pct = Some(self.forward);
+        }
+        if self.even {
+            let told = &mut d.location.uneven;
+            for test in
+                [&mut told.phases, &mut told.direction, &mut told.segments, &mut told.level].into_iter().flatten()
+            {
+                test.p = 0.9;
+            }
+            d.location.trend.onset_ratio = None;
+            d.location.bands.iter_mut().for_each(|b| b.share = Some(b.expected));
+        }
+        d
+    }
+}
+
+fn every() -> Vec<Varied> {
+    let mut out = Vec::new();
+    for cause in ["backlash", "hold_compression", "frozen_sensor", "coloured_noise", "none", "unknown"] {
+        for closed in [None, Some(-40.0), Some(0.3), Some(7.0), Some(12.0), Some(49.0), Some(60.0), Some(98.0)] {
+            for spread in [None, Some(60.0), Some(3.0)] {
+                for (left, even) in [(0.0, false), (0.04, true), (0.3, false), (0.9, true)] {
+                    for (confirmed, forward) in [(true, 80.0), (false, -20.0), (false, 70.0)] {
+                        let interval = closed.zip(spread).map(|(c, s): (f64, f64)| [c - s, (c + s).min(100.0)]);
+                        out.push(Varied { cause, confirmed, closed, interval, forward, left, even });
+                    }
+                }
+            }
+        }
+    }
+    out
+}
+
+#[test]
+fn no_two_sentences_of_an_answer_contradict_each_other() {
+    for varied in every() {
+        let d = varied.document();
+        let text = paragraph(&d).to_lowercase();
+        for [one, other] in APART {
+            assert!(!(text.contains(one) && text.contains(other)), "{one:?} beside {other:?}: {text}");
+        }
+        assert!(!text.contains("closes -") && !text.contains(", -"), "{text}");
+    }
+}
+
+#[test]
+fn words_agree_with_the_figures_beside_them() {
+    for varied in every() {
+        let d = varied.document();
+        let text = paragraph(&d);
+        let closes = varied.closed.filter(|_| !["none", "unknown"].contains(&varied.cause));
+        if text.contains("explains it (") {
+            assert!(closes.is_some_and(|c| c >= 50.0) && varied.confirmed, "{text}");
+            assert!(varied.interval.is_none_or(|[low, _]| low > 0.0), "{text}");
+        }
+        if text.contains("effects asked explains") {
+            assert!(varied.closed.is_none_or(|c| c < 50.0), "{text}");
+        }
+        if text.contains("explains this record") {
+            assert!(varied.left <= 0.1, "{text}");
+        }
+        if text.contains("makes next to nothing") {
+            assert!(closes.is_some_and(|c| c < 10.0), "{text}");
+        }
+        assert!(report(&d).lines().count() > 5);
+    }
+}
