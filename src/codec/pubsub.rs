@@ -158,7 +158,9 @@ fn time_of(object: &Map<String, Json>, key: &str) -> Result<Option<i64>, CodecEr
 mod tests {
     use super::*;
 
-    fn read(text: &str) -> Result<Vec<(String, i64, Scalar, Option<u32>)>, CodecError> {
+    type Read = (String, i64, Scalar, Option<u32>);
+
+    fn read(text: &str) -> Result<Vec<Read>, CodecError> {
         let mut out = Vec::new();
         let bundle = Bundle { key: "k", payload: text.as_bytes(), fallback_t_ns: 7 };
         PubSub.fields(&bundle, &mut Memory::default(), &mut out)?;

@@ -5,7 +5,8 @@ use std::collections::BTreeMap;
 use super::super::document::{EffectNote, Quantity};
 use super::super::effects;
 use super::super::types::{NONE, UNKNOWN};
-use super::{number, percent};
+use super::percent;
+use crate::units::number;
 
 /// What an effect is called among others.
 pub(super) fn noun(id: &str) -> String {

@@ -4,7 +4,8 @@ use super::super::document::GapDocument;
 use super::super::locate::Location;
 use super::super::loop_run::{Cycle, Cycles};
 use super::claim::nothing_left;
-use super::{number, percent};
+use super::percent;
+use crate::units::number;
 
 /// p up to which a place is told.
 const TOLD_P: f64 = 0.05;
