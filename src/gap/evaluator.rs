@@ -115,7 +115,7 @@ impl<'a> Evaluator<'a> {
     /// Where a parameter vector stands on the lattice.
     #[must_use]
     pub fn place_of(&self, prepared: &Prepared) -> Place {
-        let limits = self.problem.question.limits;
+        let limits = self.problem.normalised.limits;
         let within = |tau: f64| lattice_index(tau.clamp(limits.tau[0], limits.tau[1]));
         let first = within(libm::exp(prepared.theta.log_tau));
         let mut second = first;
@@ -144,7 +144,7 @@ impl<'a> Evaluator<'a> {
             plan.tau2 = tau[1];
         }
         if prepared.is_plain() {
-            let limits = self.problem.question.limits.lag;
+            let limits = self.problem.normalised.limits.lag;
             theta.lag = theta.lag.clamp(f64::from(place.delay), f64::from(place.delay + 1)).clamp(limits[0], limits[1]);
             return self.plain_pass(structure, &theta, view);
         }
@@ -209,7 +209,7 @@ impl<'a> Evaluator<'a> {
         tables: [Arc<Table>; 2],
         delay: i32,
     ) -> Option<Best> {
-        let limits = self.problem.question.limits.lag;
+        let limits = self.problem.normalised.limits.lag;
         let fraction = |lag: f64| (lag - f64::from(delay)).clamp(0.0, 1.0);
         let fractions = limits.map(fraction);
         let class = match (plan.integrating, prepared.has_two_lags()) {

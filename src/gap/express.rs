@@ -155,8 +155,11 @@ pub fn fit(problem: &Problem, search: &Search, floor: Option<f64>, after: &dyn F
         *p = *p * problem.deviation + problem.pv_mean;
     }
     after(&mut prediction);
-    let residual: Vec<f64> =
-        prediction.iter().zip(&problem.question.pv).map(|(p, y)| y * problem.deviation + problem.pv_mean - p).collect();
+    let residual: Vec<f64> = prediction
+        .iter()
+        .zip(&problem.normalised.pv)
+        .map(|(p, y)| y * problem.deviation + problem.pv_mean - p)
+        .collect();
     let errors = Errors::of(problem, &residual);
     let model = model(problem, &search.structure, best);
     let valve: Vec<f64> = valve.iter().map(|v| v * problem.span + problem.op_middle).collect();
@@ -204,7 +207,7 @@ impl Errors {
             train,
             test: rms(residual, &problem.test),
             colour: libm::log((train * train).max(1e-300)) - libm::log(one_step.max(1e-300)),
-            with_op: whiteness(&residual[from..], &problem.question.mean[from..]).cross,
+            with_op: whiteness(&residual[from..], &problem.normalised.mean[from..]).cross,
         }
     }
 

@@ -45,8 +45,13 @@ pub fn simulate(problem: &Problem, model: &Model, floor: Option<f64>) -> Result<
     let best = best.ok_or(stuck.clone())?;
     let (prediction, valve) = pass.simulate(&structure, &best).ok_or(stuck)?;
     let prediction: Vec<f64> = prediction.iter().map(|p| p * problem.deviation + problem.pv_mean).collect();
-    let residual: Vec<f64> =
-        problem.question.pv.iter().zip(&prediction).map(|(y, p)| y * problem.deviation + problem.pv_mean - p).collect();
+    let residual: Vec<f64> = problem
+        .normalised
+        .pv
+        .iter()
+        .zip(&prediction)
+        .map(|(y, p)| y * problem.deviation + problem.pv_mean - p)
+        .collect();
     let errors = Errors::of(problem, &residual);
     let valve: Vec<f64> = valve.iter().map(|v| v * problem.span + problem.op_middle).collect();
     Ok(Fit {
@@ -174,9 +179,9 @@ fn theta(problem: &Problem, model: &Model, structure: &Structure) -> Parameters 
 /// First slips to try: from the position that the model states, and from an even look.
 fn firsts(problem: &Problem, model: &Model, theta: &Parameters) -> Vec<FirstSlip> {
     let fs = 0.5 * (theta.s + theta.j);
-    let question = &problem.question;
+    let normalised = &problem.normalised;
     let mut out: Vec<FirstSlip> =
-        question.starts(fs, STARTS).into_iter().map(|start| question.first_slip(start)).collect();
+        normalised.starts(fs, STARTS).into_iter().map(|start| normalised.first_slip(start)).collect();
     if let Some(stem0) = model.valve.stem0 {
         let position = (stem0 - problem.op_middle) / problem.span;
         out.push(FirstSlip { direction: 1.0, threshold: position + fs });

@@ -58,13 +58,13 @@ fn answer(problem: &Problem, search: &Search, size: f64, hold: usize) -> Option<
     let best = search.best.first()?;
     let mut test = problem.clone();
     let lead = problem.blocks.from.max(1);
-    test.question.path = vec![0.0; lead];
+    test.normalised.path = vec![0.0; lead];
     for level in [size, 0.0, -size, 0.0] {
-        test.question.path.extend(core::iter::repeat_n(level, hold));
+        test.normalised.path.extend(core::iter::repeat_n(level, hold));
     }
-    test.question.per_point = 1;
-    let n = test.question.path.len();
-    test.question.pv = vec![0.0; n];
+    test.normalised.per_point = 1;
+    let n = test.normalised.path.len();
+    test.normalised.pv = vec![0.0; n];
     let fs = 0.5 * (best.theta.s + best.theta.j);
     let plan = search.structure.plan(&best.theta);
     let mut place: Candidate = *best;

@@ -133,7 +133,7 @@ pub fn judge(problem: &Problem, base: &[f64], best: &[f64], slipped: &[bool], se
     };
     let log = |x: f64| libm::log(x.max(1e-30));
     let e: Vec<f64> = found.innovations.iter().map(|(_, e)| *e).collect();
-    let op: Vec<f64> = found.innovations.iter().map(|(k, _)| problem.question.mean[*k]).collect();
+    let op: Vec<f64> = found.innovations.iter().map(|(k, _)| problem.normalised.mean[*k]).collect();
     NoiseModels {
         over_base: log(mse(base)) - log(found.mse),
         over_best: log(mse(best)) - log(found.mse),
@@ -146,7 +146,7 @@ pub fn judge(problem: &Problem, base: &[f64], best: &[f64], slipped: &[bool], se
 /// Smallest p of the innovations' independence from what OP did before, from slips and from the level, by circular
 /// shifts. Innovations, because under feedback OP carries the residual's own past.
 fn independence(problem: &Problem, found: &Autoregression, slipped: &[bool], seed: u64) -> f64 {
-    let op = &problem.question.mean;
+    let op = &problem.normalised.mean;
     let places: Vec<usize> = found.innovations.iter().map(|(k, _)| *k).collect();
     let e: Vec<f64> = found.innovations.iter().map(|(_, e)| *e).collect();
     let n = e.len();
@@ -157,7 +157,7 @@ fn independence(problem: &Problem, found: &Autoregression, slipped: &[bool], see
         series.push(places.iter().map(|k| back(*k, 0)).collect());
         series.push(places.iter().map(|k| back(*k, 0) - back(*k, stride)).collect());
     }
-    let levels: Vec<f64> = places.iter().map(|k| problem.question.pv[k.saturating_sub(1)]).collect();
+    let levels: Vec<f64> = places.iter().map(|k| problem.normalised.pv[k.saturating_sub(1)]).collect();
     series.push(levels.iter().map(|l| l * l).collect());
     series.push(levels);
     let after: Vec<f64> = places.iter().map(|k| f64::from(u8::from(slipped[*k]))).collect();

@@ -110,7 +110,7 @@ impl<'a> PlainPass<'a> {
 
     /// Runs the valve; false where the stem hardly moves.
     fn run_valve(&mut self, plan: &Plan, theta: &mut Parameters) -> bool {
-        let q = &self.problem.question;
+        let q = &self.problem.normalised;
         let (path, per_point) = if plan.positioner > 0.0 {
             let per_point = lag_path(&q.path, q.per_point, plan.positioner, &mut self.path);
             (&self.path, per_point)
@@ -230,7 +230,7 @@ impl<'a> PlainPass<'a> {
 
     /// The values of fd that the slips at hand leave open.
     fn band_of(&self, plan: &Plan, theta: &Parameters) -> Freedom {
-        freedom(&self.sequence, [theta.s, theta.j], self.sign, self.problem.question.limits, plan.landing())
+        freedom(&self.sequence, [theta.s, theta.j], self.sign, self.problem.normalised.limits, plan.slip_end())
     }
 
     /// The best linear part at one place; `None` where the stem hardly moves, no gain of the sign helps, or the limit is

@@ -6,7 +6,7 @@ use super::signatures::between;
 use super::structure::Parameters;
 use super::types::Blocks;
 use crate::detect::oscillation;
-use crate::ident::candidate::Question;
+use crate::ident::candidate::NormalisedRecord;
 use crate::ident::evaluator;
 use crate::ident::normalise::normalise;
 use crate::ident::{DelayChoice, ModelChoice, Options, ValveChoice, sign};
@@ -34,7 +34,7 @@ pub enum View {
 #[derive(Debug, Clone)]
 pub struct Problem {
     /// The record in normalised form.
-    pub question: Question,
+    pub normalised: NormalisedRecord,
     /// What counts for what.
     pub blocks: Blocks,
     /// PV as it is fitted, where a recorder put something of its own between what was measured: straight lines there.
@@ -106,19 +106,19 @@ impl Problem {
         let (span, deviation) = (stats::span(&record.op_path), stats::std_dev(&record.pv));
         let (seen, oscillates) = period_of(record);
         let period = period.unwrap_or(seen).clamp(8.0, record.len() as f64 / 4.0);
-        let question = normalise(record, &options(seed, period), span, deviation);
-        let blocks = divide(record.len(), question.from, period, masked);
-        let sign = sign::of_gain(&question.mean, &question.pv);
+        let normalised = normalise(record, &options(seed, period), span, deviation);
+        let blocks = divide(record.len(), normalised.from, period, masked);
+        let sign = sign::of_gain(&normalised.mean, &normalised.pv);
         let nothing = Arc::new(evaluator::View::new(&[], 0.0, 1));
         let mut problem = Self {
             train: Vec::new(),
             test: Vec::new(),
             targets: [Vec::new(), Vec::new()],
             views: [Arc::clone(&nothing), nothing],
-            path: Arc::new(Path::new(question.path.clone(), question.per_point)),
+            path: Arc::new(Path::new(normalised.path.clone(), normalised.per_point)),
             drawn: None,
             measured: vec![true; record.len()],
-            question,
+            normalised,
             blocks,
             sign,
             period,
@@ -140,7 +140,7 @@ impl Problem {
     #[must_use]
     pub fn fitted_where(mut self, measured: &[bool]) -> Self {
         if measured.len() == self.n() && !measured.iter().all(|m| *m) {
-            let mut drawn = self.question.pv.clone();
+            let mut drawn = self.normalised.pv.clone();
             between(measured, &mut drawn);
             self.drawn = Some(drawn);
             self.measured = measured.to_vec();
@@ -153,7 +153,7 @@ impl Problem {
     /// PV as it is fitted, deviations.
     #[must_use]
     pub fn fitted_pv(&self) -> &[f64] {
-        self.drawn.as_deref().unwrap_or(&self.question.pv)
+        self.drawn.as_deref().unwrap_or(&self.normalised.pv)
     }
 
     /// Whether PV was measured at a point.
@@ -235,13 +235,13 @@ impl Problem {
     /// Points in the record.
     #[must_use]
     pub fn n(&self) -> usize {
-        self.question.pv.len()
+        self.normalised.pv.len()
     }
 
     /// Longest lag, points.
     #[must_use]
     pub fn longest_lag(&self) -> f64 {
-        self.question.limits.lag[1]
+        self.normalised.limits.lag[1]
     }
 }
 

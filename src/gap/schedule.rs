@@ -222,7 +222,7 @@ pub fn is_calm(problem: &Problem, search: &Search, floor: Option<f64>) -> bool {
         return false;
     };
     let from = problem.blocks.from;
-    let whiteness = residual::whiteness(&left[from..], &problem.question.mean[from..]);
+    let whiteness = residual::whiteness(&left[from..], &problem.normalised.mean[from..]);
     whiteness.white && !whiteness.follows_op
 }
 
@@ -242,7 +242,7 @@ fn reaches(problem: &Problem, left: &[f64], floor: Option<f64>, within: f64) -> 
 #[must_use]
 pub fn residual_of(problem: &Problem, search: &Search) -> Option<Vec<f64>> {
     let (prediction, _) = PlainPass::new(problem, search.sign).simulate(&search.structure, search.best.first()?)?;
-    Some(problem.question.pv.iter().zip(&prediction).map(|(y, p)| y - p).collect())
+    Some(problem.normalised.pv.iter().zip(&prediction).map(|(y, p)| y - p).collect())
 }
 
 /// The free run of a parameter vector, and its valve signal.
@@ -425,7 +425,7 @@ fn starts_at(
     prediction: &[f64],
     valve: &[f64],
 ) -> Vec<[f64; MAX_PARAMS]> {
-    let residual: Vec<f64> = problem.question.pv.iter().zip(prediction).map(|(y, p)| y - p).collect();
+    let residual: Vec<f64> = problem.normalised.pv.iter().zip(prediction).map(|(y, p)| y - p).collect();
     let low = valve.iter().copied().fold(f64::INFINITY, f64::min);
     let high = valve.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     let clues = Clues { problem, residual: &residual, stem: [low, high], lag: at.theta.lag };

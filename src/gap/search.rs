@@ -11,7 +11,7 @@ use super::problem::{Problem, View};
 use super::settle::{FAR, LAST, NEAR, clamped};
 use super::slips::fitted_to;
 use super::structure::{MAX_PARAMS, Parameters, Structure};
-use crate::ident::candidate::Question;
+use crate::ident::candidate::NormalisedRecord;
 use crate::ident::random::{moved, normal, seeded_rng, uniform};
 use crate::sim::slips::FirstSlip;
 
@@ -217,7 +217,7 @@ fn cells(evaluator: &mut Evaluator<'_>, structure: &Structure, from: Candidate) 
                 best = taken(evaluator, structure, best, next);
             }
         }
-        for first in nearby_starts(&evaluator.problem.question, best.theta.first) {
+        for first in nearby_starts(&evaluator.problem.normalised, best.theta.first) {
             let theta = Parameters { first, ..best.theta };
             if let Some(next) = evaluator.fit(structure, &theta, View::Plain, &[]) {
                 best = taken(evaluator, structure, best, next);
@@ -249,9 +249,9 @@ fn over([low, high]: [f64; 2], up: i32, now: f64) -> Option<f64> {
 }
 
 /// First slips at the records of OP beside the one at hand.
-fn nearby_starts(question: &Question, first: FirstSlip) -> Vec<FirstSlip> {
+fn nearby_starts(normalised: &NormalisedRecord, first: FirstSlip) -> Vec<FirstSlip> {
     let direction = first.direction;
-    let list = &question.records[usize::from(direction < 0.0)];
+    let list = &normalised.records[usize::from(direction < 0.0)];
     let here = list.iter().take_while(|r| direction * (first.threshold - **r) >= 0.0).count();
     let at = |record: usize| {
         let threshold = match record {
@@ -288,7 +288,7 @@ fn scans(
                 let mut theta = place.theta;
                 theta.p[i] = low + (high - low) * (k as f64 + 0.5) / POINTS as f64;
                 let by = theta.p[i] - place.theta.p[i];
-                structure.trade(&mut theta, i, by, evaluator.problem.question.rate);
+                structure.trade(&mut theta, i, by, evaluator.problem.normalised.rate);
                 if k % 2 == 1 {
                     theta.s *= 1.0 + SHAKEN * normal(rng);
                 }
@@ -405,7 +405,7 @@ fn climb(
 
 /// Where the next random step goes.
 fn step(problem: &Problem, structure: &Structure, from: &Candidate, rng: &mut ChaCha8Rng) -> Parameters {
-    let question = &problem.question;
+    let normalised = &problem.normalised;
     let mut theta = from.theta;
     let has_friction = from.slips > 0;
     let params = structure.params().count();
@@ -431,13 +431,13 @@ fn step(problem: &Problem, structure: &Structure, from: &Candidate, rng: &mut Ch
     } else if kind < 0.6 {
         // An earlier slip and a longer lag look alike.
         let more = 3.0 * uniform(rng) * normal(rng);
-        let s = theta.s - more * question.rate;
+        let s = theta.s - more * normalised.rate;
         if uniform(rng) < 0.5 {
             theta.j = theta.j / theta.s * s;
         }
         (theta.s, theta.lag) = (s, theta.lag + more);
     } else if kind < 0.72 {
-        theta.first = another_start(question, theta.first, rng);
+        theta.first = another_start(normalised, theta.first, rng);
         if uniform(rng) < 0.4 {
             theta.s = moved(theta.s, from.cells[0], 0.01 * theta.s, rng);
         }
@@ -462,13 +462,13 @@ fn step(problem: &Problem, structure: &Structure, from: &Candidate, rng: &mut Ch
 }
 
 /// The first slip at a neighbouring record of OP, or anywhere.
-fn another_start(question: &Question, first: FirstSlip, rng: &mut ChaCha8Rng) -> FirstSlip {
+fn another_start(normalised: &NormalisedRecord, first: FirstSlip, rng: &mut ChaCha8Rng) -> FirstSlip {
     let mut direction = first.direction;
     let anywhere = uniform(rng) < 0.15;
     if anywhere {
         direction = if uniform(rng) < 0.5 { 1.0 } else { -1.0 };
     }
-    let list = &question.records[usize::from(direction < 0.0)];
+    let list = &normalised.records[usize::from(direction < 0.0)];
     let here = list.iter().take_while(|r| direction * (first.threshold - **r) >= 0.0).count();
     let by = 1 + (3.0 * uniform(rng) * uniform(rng)) as usize;
     let at = if anywhere {

@@ -5,7 +5,7 @@ use super::effects::{Reach, Unit};
 use super::evaluator::{Candidate, Evaluator, Place, Prepared};
 use super::problem::View;
 use super::structure::{MAX_PARAMS, Parameters, Structure};
-use crate::ident::candidate::{Landing, MOST_OVERSHOOT};
+use crate::ident::candidate::{MOST_OVERSHOOT, SlipEnd};
 use crate::ident::evaluator::{LATTICE_STEP, lattice_tau};
 
 /// Settings of the local search in what is continuous.
@@ -37,7 +37,7 @@ pub const LAST: &[i32] = &[1];
 /// The parameter vector inside its bounds.
 #[must_use]
 pub fn clamped(structure: &Structure, mut theta: Parameters, problem: &super::problem::Problem) -> Parameters {
-    let limits = problem.question.limits;
+    let limits = problem.normalised.limits;
     theta.log_tau = theta.log_tau.clamp(libm::log(limits.tau[0]), libm::log(limits.tau[1]));
     theta.lag = theta.lag.clamp(limits.lag[0], limits.lag[1]);
     for (value, param) in theta.p.iter_mut().zip(structure.params()) {
@@ -45,12 +45,12 @@ pub fn clamped(structure: &Structure, mut theta: Parameters, problem: &super::pr
         *value = value.clamp(low, high);
     }
     theta.s = theta.s.clamp(1e-4, 1.5);
-    match structure.plan(&theta).landing() {
-        Landing::Beyond => {
+    match structure.plan(&theta).slip_end() {
+        SlipEnd::Beyond => {
             theta.j = theta.j.clamp(0.0, 39.0 * theta.s);
             theta.fd = theta.fd.clamp(-MOST_OVERSHOOT * 0.5 * (theta.s + theta.j), 0.5 * theta.s);
         }
-        Landing::Short => {
+        SlipEnd::Short => {
             theta.j = theta.j.clamp(0.0, theta.s);
             theta.fd = theta.fd.clamp(0.0, 0.5 * theta.s);
         }
@@ -97,7 +97,7 @@ impl Evaluator<'_> {
     /// Places beside one on the lattice: the dead time's next whole point where it stands at an end of its own, and each
     /// time constant to either side, with the dead time that keeps their sum and with the same.
     fn neighbours(&self, prepared: &Prepared, place: Place, at: &Candidate, size: i32) -> Vec<Place> {
-        let limits = self.problem.question.limits;
+        let limits = self.problem.normalised.limits;
         let fraction = at.theta.lag - f64::from(place.delay);
         let mut out = Vec::with_capacity(12);
         let mut put = |tau: [i32; 2], delay: i32| {
@@ -234,7 +234,7 @@ impl Evaluator<'_> {
         }
         let alone = clamped(structure, theta, self.problem);
         if let Slot::Param(i) = slot {
-            structure.trade(&mut theta, i, by, self.problem.question.rate);
+            structure.trade(&mut theta, i, by, self.problem.normalised.rate);
         }
         let traded = clamped(structure, theta, self.problem);
         let first = if alone == from.theta { None } else { self.fit(structure, &alone, view, LAST) };
@@ -334,11 +334,11 @@ impl Evaluator<'_> {
                 Slot::Tau => theta.log_tau += by,
                 Slot::Param(i) => {
                     theta.p[*i] += by;
-                    structure.trade(&mut theta, *i, by, self.problem.question.rate);
+                    structure.trade(&mut theta, *i, by, self.problem.normalised.rate);
                 }
             }
         }
-        theta.log_tau = theta.log_tau.min(libm::log(self.problem.question.limits.tau[1]));
+        theta.log_tau = theta.log_tau.min(libm::log(self.problem.normalised.limits.tau[1]));
         let theta = clamped(structure, theta, self.problem);
         let delay = theta.lag.floor() as i32;
         let mut best = self.off_lattice(structure, &theta, delay, View::Plain)?;

@@ -11,7 +11,7 @@ use super::settle::clamped;
 use super::structure::{MAX_PARAMS, Parameters, Plan, Structure};
 use super::valve_signal::HeldPlan;
 use crate::ident::ModelChoice;
-use crate::ident::candidate::{Landing, Question};
+use crate::ident::candidate::{NormalisedRecord, SlipEnd};
 use crate::ident::class::Class;
 use crate::ident::slip_search::candidate::Candidate;
 use crate::ident::slip_search::problem::{BehindStem, Problem as SlipProblem};
@@ -59,9 +59,9 @@ pub fn search_slips(problem: &Problem, search: &Search, length: Length, seed: u6
     };
     let plan = search.structure.plan_of(&p);
     let (Some(law), Some(solver)) = (plan.law, optim::by_name("contour")) else { return Places::default() };
-    let Some(question) = question_of(problem, search, &plan) else { return Places::default() };
+    let Some(normalised) = normalised_of(problem, search, &plan) else { return Places::default() };
     let held = HeldPlan { plan: plan.searchable(), points: problem.n() };
-    let mut slip_problem = SlipProblem::new(&question, search.sign);
+    let mut slip_problem = SlipProblem::new(&normalised, search.sign);
     slip_problem.behind = plan.shapes_signal().then_some(&held as &dyn BehindStem);
     let tau = search.best.first().map_or(LOAD_TAU * problem.period, |b| libm::exp(b.theta.log_tau));
     slip_problem.loads = loads(&plan, tau, problem.n());
@@ -83,40 +83,40 @@ pub fn search_slips(problem: &Problem, search: &Search, length: Length, seed: u6
         }
     };
     let (found, _) = SlipSearch::new(&slip_problem, &request, &settings).run();
-    places(problem, &search.structure, &question, &found, p)
+    places(problem, &search.structure, &normalised, &found, p)
 }
 
 /// The record as the search for a plan's slips sees it; `None` where the search's best has no free run.
-fn question_of(problem: &Problem, search: &Search, plan: &Plan) -> Option<Question> {
-    let mut question = problem.question.clone();
+fn normalised_of(problem: &Problem, search: &Search, plan: &Plan) -> Option<NormalisedRecord> {
+    let mut normalised = problem.normalised.clone();
     if plan.positioner > 0.0 {
-        let plain = &problem.question;
-        question.per_point = lag_path(&plain.path, plain.per_point, plan.positioner, &mut question.path);
-        question.mean = box_means(&question.path, question.per_point);
-        question.records = Question::records_of(&question.path);
+        let plain = &problem.normalised;
+        normalised.per_point = lag_path(&plain.path, plain.per_point, plan.positioner, &mut normalised.path);
+        normalised.mean = box_means(&normalised.path, normalised.per_point);
+        normalised.records = NormalisedRecord::records_of(&normalised.path);
     }
-    question.stroke = plan.stroke;
-    question.landing = plan.landing();
-    question.pv.copy_from_slice(problem.fitted_pv());
+    normalised.stroke = plan.stroke;
+    normalised.slip_end = plan.slip_end();
+    normalised.pv.copy_from_slice(problem.fitted_pv());
     if let Some(best) = search.best.first() {
         let added = PlainPass::new(problem, search.sign).added(&search.structure, best)?;
-        question.pv.iter_mut().zip(&added).for_each(|(y, a)| *y -= a);
+        normalised.pv.iter_mut().zip(&added).for_each(|(y, a)| *y -= a);
     }
-    let mean = stats::mean(&question.pv);
-    question.pv.iter_mut().for_each(|y| *y -= mean);
-    Some(question)
+    let mean = stats::mean(&normalised.pv);
+    normalised.pv.iter_mut().for_each(|y| *y -= mean);
+    Some(normalised)
 }
 
 /// The parameter vectors of what a search found, an effect's own as they were held.
 fn places(
     problem: &Problem,
     structure: &Structure,
-    question: &Question,
+    normalised: &NormalisedRecord,
     found: &Found,
     p: [f64; MAX_PARAMS],
 ) -> Places {
     let class = structure.plan_of(&p).class();
-    let at = |c: &Candidate| clamped(structure, parameters(structure, question, c, p), problem);
+    let at = |c: &Candidate| clamped(structure, parameters(structure, normalised, c, p), problem);
     let mut all: Vec<&Candidate> = found.seen.iter().filter(|c| c.class == class).collect();
     all.sort_by(|a, b| a.sse().total_cmp(&b.sse()));
     // The best of each law first, whatever part of the record the others were fitted to.
@@ -132,16 +132,16 @@ fn places(
 }
 
 /// The parameter vector of a candidate.
-fn parameters(structure: &Structure, question: &Question, c: &Candidate, p: [f64; MAX_PARAMS]) -> Parameters {
+fn parameters(structure: &Structure, normalised: &NormalisedRecord, c: &Candidate, p: [f64; MAX_PARAMS]) -> Parameters {
     let taus = c.taus();
     let is_linear_in_fd = structure.plan_of(&p).searchable().is_linear_in_fd();
     let mut theta = Parameters {
         s: c.s,
         j: c.j,
-        first: question.first_slip(c.start),
+        first: normalised.first_slip(c.start),
         fd: if is_linear_in_fd { c.fit.fd } else { 0.5 * (c.s - c.j) },
         log_tau: if c.class.integrates() { 0.0 } else { libm::log(taus[0]) },
-        lag: c.fit.lag().max(question.limits.lag[0]),
+        lag: c.fit.lag().max(normalised.limits.lag[0]),
         p,
     };
     if c.class == Class::Second {
@@ -162,7 +162,7 @@ pub fn frictionless(problem: &Problem) -> Vec<Parameters> {
                 first: FirstSlip { direction: 1.0, threshold: 0.0 },
                 fd: 0.0,
                 log_tau: libm::log((tau * problem.period).max(0.3)),
-                lag: problem.question.limits.lag[0] + lag * problem.period,
+                lag: problem.normalised.limits.lag[0] + lag * problem.period,
                 p: [0.0; MAX_PARAMS],
             });
         }
@@ -174,7 +174,7 @@ pub fn frictionless(problem: &Problem) -> Vec<Parameters> {
 /// beyond.
 #[must_use]
 pub fn fitted_to(structure: &Structure, mut theta: Parameters, problem: &Problem) -> Vec<Parameters> {
-    if structure.plan(&theta).landing() == Landing::Beyond {
+    if structure.plan(&theta).slip_end() == SlipEnd::Beyond {
         // The base is among its models: it must never do worse.
         let mut out = vec![clamped(structure, theta, problem)];
         if theta.j < theta.s {

@@ -5,7 +5,7 @@
 //! and what disturbs PV. A [`Plan`] says which blocks are there; every block left at its neutral value is the base.
 
 use super::effects::{Effect, Reach};
-use crate::ident::candidate::Landing;
+use crate::ident::candidate::SlipEnd;
 use crate::ident::class::Class;
 use crate::sim::actuator::{bent, play_step, rate_step, stop_step};
 use crate::sim::slips::{FirstSlip, Law, Stroke};
@@ -93,8 +93,8 @@ pub struct Plan {
 impl Plan {
     /// Where its slips end.
     #[must_use]
-    pub const fn landing(&self) -> Landing {
-        if self.overshoot { Landing::Beyond } else { Landing::Short }
+    pub const fn slip_end(&self) -> SlipEnd {
+        if self.overshoot { SlipEnd::Beyond } else { SlipEnd::Short }
     }
 
     /// The base with a valve law, or without friction.

@@ -29,7 +29,7 @@ impl ValveSignal {
     /// Makes the signal of a plan with these parameters, whose fd is moved into the band of its slips where the signal is
     /// not linear in it; `None` where the stem hardly moves.
     pub fn make(&mut self, problem: &Problem, plan: &Plan, theta: &mut Parameters, sign: f64) -> Option<Freedom> {
-        let limits = problem.question.limits;
+        let limits = problem.normalised.limits;
         let path = self.path(problem, plan);
         let n = problem.n();
         let mut freedom = Freedom { fd: [0.0; 2], fd_default: 0.0, sign, limits };
@@ -44,7 +44,7 @@ impl ValveSignal {
                 let (level, direction) = Stem::before(theta.first, bands, plan.stroke, path.per_point()).signal();
                 start = [level, direction];
                 let cells = [self.steps.s_cell, self.steps.j_cell];
-                freedom = band_freedom(cells, bands, sign, limits, plan.landing());
+                freedom = band_freedom(cells, bands, sign, limits, plan.slip_end());
             }
             None => self.follow_op(&path, &mut start),
         }
@@ -65,7 +65,7 @@ impl ValveSignal {
         if let Some(at) = self.paths.iter().position(|(k, _)| *k == key) {
             return Arc::clone(&self.paths[at].1);
         }
-        let q = &problem.question;
+        let q = &problem.normalised;
         let mut values = Vec::new();
         let per_point = lag_path(&q.path, q.per_point, plan.positioner, &mut values);
         let made = Arc::new(Path::new(values, per_point));

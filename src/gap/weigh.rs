@@ -38,7 +38,7 @@ pub struct Scales<'a> {
 impl Scales<'_> {
     /// PV as recorded.
     fn pv(&self) -> impl Iterator<Item = f64> + '_ {
-        self.problem.question.pv.iter().map(|y| y * self.problem.deviation + self.problem.pv_mean)
+        self.problem.normalised.pv.iter().map(|y| y * self.problem.deviation + self.problem.pv_mean)
     }
 
     /// Log mean squared training error after BIC, of a squared error and a number of parameters.

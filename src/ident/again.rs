@@ -1,7 +1,7 @@
 //! A model that is known, met again on its record: bands and law are given, the stem's first slip and the process are
 //! looked for anew.
 
-use super::candidate::{Bench, Candidate, Effort};
+use super::candidate::{Candidate, CandidateFitter, Effort};
 use super::class::Shape;
 
 /// Gauss-Newton steps for each first position of the stem.
@@ -10,14 +10,14 @@ const STEPS: usize = 6;
 const STARTS: usize = 9;
 
 /// The best candidate with the bands (s, j), spans of OP, its process fitted from the best of `shapes`.
-pub fn again(bench: &mut Bench<'_>, [s, j]: [f64; 2], shapes: &[Shape]) -> Option<Candidate> {
+pub fn again(fits: &mut CandidateFitter<'_>, [s, j]: [f64; 2], shapes: &[Shape]) -> Option<Candidate> {
     let effort = Effort::of(STEPS);
     let mut best: Option<Candidate> = None;
-    for start in bench.question.starts(0.5 * (s + j), STARTS) {
-        let fitted = bench.fit(s, j, start, shapes, effort);
+    for start in fits.normalised.starts(0.5 * (s + j), STARTS) {
+        let fitted = fits.fit(s, j, start, shapes, effort);
         if let Some(fitted) = fitted.filter(|f| best.is_none_or(|b| f.fit.sse < b.fit.sse)) {
             best = Some(fitted);
         }
     }
-    bench.settle(&best?)
+    fits.settle(&best?)
 }

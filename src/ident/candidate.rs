@@ -6,7 +6,7 @@ use crate::sim::slips::{FirstSlip, Law, Sequence, Stroke};
 
 /// A record in normalised form: OP in spans, PV in standard deviations.
 #[derive(Debug, Clone)]
-pub struct Question {
+pub struct NormalisedRecord {
     /// OP on its way, `n * per_point` values, centred, in units of its robust span.
     pub path: Vec<f64>,
     /// OP values a point.
@@ -30,12 +30,12 @@ pub struct Question {
     /// What the valve has beside its law.
     pub stroke: Stroke,
     /// Where its slips end.
-    pub landing: Landing,
+    pub slip_end: SlipEnd,
 }
 
 /// Where a slip ends, so on which side of s the jump j lies.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum Landing {
+pub enum SlipEnd {
     /// Short of OP or on it: fd >= 0, j <= s.
     #[default]
     Short,
@@ -46,8 +46,8 @@ pub enum Landing {
 /// Largest fd over fs, in size, of a stem that lands beyond OP.
 pub const MOST_OVERSHOOT: f64 = 0.95;
 
-impl Landing {
-    /// The jump of this landing for one of the other triangle, 0 < j <= s, which searches are made for.
+impl SlipEnd {
+    /// The jump of this side for one of the other triangle, 0 < j <= s, which searches are made for.
     #[must_use]
     pub fn jump(self, s: f64, j: f64) -> f64 {
         match self {
@@ -66,7 +66,7 @@ impl Landing {
     }
 }
 
-impl Question {
+impl NormalisedRecord {
     /// The signal without friction.
     #[must_use]
     pub fn frictionless(&self) -> [&[f64]; 2] {
@@ -197,9 +197,9 @@ pub const MIN_SLIPS: usize = 3;
 
 /// Turns (s, j, start) into fitted candidates.
 #[derive(Debug)]
-pub struct Bench<'a> {
+pub struct CandidateFitter<'a> {
     /// The record.
-    pub question: &'a Question,
+    pub normalised: &'a NormalisedRecord,
     /// The valve law.
     pub law: Law,
     /// The class of process.
@@ -221,11 +221,11 @@ impl Effort {
     }
 }
 
-impl<'a> Bench<'a> {
-    /// A bench for one record, law, class, target and sign.
+impl<'a> CandidateFitter<'a> {
+    /// Fits for one record, law, class, target and sign.
     #[must_use]
-    pub fn new(question: &'a Question, law: Law, class: Class, target: &'a Target, sign: f64) -> Self {
-        Self { question, law, class, target, sign, fitter: Fitter::default(), sequence: Sequence::default() }
+    pub fn new(normalised: &'a NormalisedRecord, law: Law, class: Class, target: &'a Target, sign: f64) -> Self {
+        Self { normalised, law, class, target, sign, fitter: Fitter::default(), sequence: Sequence::default() }
     }
 
     /// Fits the process from the best of the `shapes`; `None` where the stem hardly moves.
@@ -330,30 +330,30 @@ impl<'a> Bench<'a> {
 
     /// Runs the valve and tells which fd its slips allow.
     fn slip(&mut self, s: f64, j: f64, start: Start) -> Option<Freedom> {
-        let question = self.question;
-        let first = question.first_slip(start);
-        self.sequence.run_in(question.stroke, self.law, &question.path, question.per_point, [s, j], first);
+        let normalised = self.normalised;
+        let first = normalised.first_slip(start);
+        self.sequence.run_in(normalised.stroke, self.law, &normalised.path, normalised.per_point, [s, j], first);
         if self.sequence.slips < MIN_SLIPS {
             return None;
         }
-        Some(freedom(&self.sequence, [s, j], self.sign, question.limits, question.landing))
+        Some(freedom(&self.sequence, [s, j], self.sign, normalised.limits, normalised.slip_end))
     }
 }
 
 /// The bands fd that the slips of `sequence` leave open to (s, j).
 #[must_use]
-pub fn freedom(sequence: &Sequence, bands: [f64; 2], sign: f64, limits: Limits, landing: Landing) -> Freedom {
-    band_freedom([sequence.s_cell, sequence.j_cell], bands, sign, limits, landing)
+pub fn freedom(sequence: &Sequence, bands: [f64; 2], sign: f64, limits: Limits, slip_end: SlipEnd) -> Freedom {
+    band_freedom([sequence.s_cell, sequence.j_cell], bands, sign, limits, slip_end)
 }
 
 /// The bands fd that slips with these cells of s and j leave open to (s, j).
 #[must_use]
-pub fn band_freedom(cells: [[f64; 2]; 2], [s, j]: [f64; 2], sign: f64, limits: Limits, landing: Landing) -> Freedom {
+pub fn band_freedom(cells: [[f64; 2]; 2], [s, j]: [f64; 2], sign: f64, limits: Limits, slip_end: SlipEnd) -> Freedom {
     let [[s_low, s_high], [j_low, j_high]] = cells;
     let s_high = if s_high.is_finite() { s_high } else { s.max(1.0) };
-    let low = match landing {
-        Landing::Short => (0.5 * (s_low - j_high.min(s_high))).max(0.0),
-        Landing::Beyond => {
+    let low = match slip_end {
+        SlipEnd::Short => (0.5 * (s_low - j_high.min(s_high))).max(0.0),
+        SlipEnd::Beyond => {
             let j_high = if j_high.is_finite() { j_high } else { j.max(3.0 * s) };
             (0.5 * (s_low - j_high)).max(-MOST_OVERSHOOT * 0.5 * (s + j))
         }
@@ -367,15 +367,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_landing_keeps_jumps_on_its_side_and_reaches_all_of_them() {
+    fn a_slip_end_keeps_jumps_on_its_side_and_reaches_all_of_them() {
         for (s, j) in [(0.4, 0.1), (0.4, 0.4), (0.02, 0.005)] {
-            assert_eq!(Landing::Short.jump(s, j), j);
-            let beyond = Landing::Beyond.jump(s, j);
-            assert!(beyond >= s && (Landing::Beyond.jump(s, beyond) - j).abs() < 1e-12);
-            assert_eq!(Landing::Beyond.keep(s, beyond), beyond);
+            assert_eq!(SlipEnd::Short.jump(s, j), j);
+            let beyond = SlipEnd::Beyond.jump(s, j);
+            assert!(beyond >= s && (SlipEnd::Beyond.jump(s, beyond) - j).abs() < 1e-12);
+            assert_eq!(SlipEnd::Beyond.keep(s, beyond), beyond);
         }
-        assert_eq!(Landing::Short.keep(0.3, 0.5), 0.3);
-        assert_eq!(Landing::Beyond.keep(0.3, 0.1), 0.3);
+        assert_eq!(SlipEnd::Short.keep(0.3, 0.5), 0.3);
+        assert_eq!(SlipEnd::Beyond.keep(0.3, 0.1), 0.3);
     }
 
     #[test]
@@ -385,9 +385,9 @@ mod tests {
         let (s, j) = (0.3, 0.7);
         sequence.run(Law::He, &path, 1, s, j, FirstSlip { direction: 1.0, threshold: 0.2 });
         let limits = Limits { tau: [0.3, 500.0], lag: [0.0, 25.0] };
-        let open = freedom(&sequence, [s, j], 1.0, limits, Landing::Beyond);
+        let open = freedom(&sequence, [s, j], 1.0, limits, SlipEnd::Beyond);
         assert!(open.fd[0] < -0.2 && open.fd[0] <= open.fd_default && open.fd_default <= open.fd[1], "{open:?}");
-        let short = freedom(&sequence, [s, 0.1], 1.0, limits, Landing::Short);
+        let short = freedom(&sequence, [s, 0.1], 1.0, limits, SlipEnd::Short);
         assert!(short.fd[0] >= 0.0);
     }
 }

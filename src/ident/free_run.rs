@@ -3,7 +3,7 @@
 //! Valve and process stay as they are. Only what no earlier record can know is found anew: the level (for an integrating
 //! process its drift as well), the process' own memory of what went before, and where the stem stood at the start.
 
-use super::candidate::{Question, Start};
+use super::candidate::{NormalisedRecord, Start};
 use super::class::{Class, Limits, Scratch, Shape};
 use super::least_squares::Gram;
 use super::normalise::normalise;
@@ -58,18 +58,18 @@ pub fn free_run(record: &Record, model: &Fixed<'_>, after_ns: i64) -> Option<Fre
     if record.len() < LEAST || !span.is_normal() || !deviation.is_normal() {
         return None;
     }
-    let question = normalise(record, &OPTIONS, span, deviation);
-    let (class, shape) = shaped(model, record, &question)?;
+    let normalised = normalise(record, &OPTIONS, span, deviation);
+    let (class, shape) = shaped(model, record, &normalised)?;
     let counted_ns = after_ns.saturating_sub(record.start_ns).max(0);
     let new = ((counted_ns as f64 * 1e-9 / record.point_s()).floor() as usize).saturating_add(1);
     let new = if counted_ns == 0 { 0 } else { new };
-    let from = question.from.max(class.lag(&shape).ceil() as usize + 1).max(new);
+    let from = normalised.from.max(class.lag(&shape).ceil() as usize + 1).max(new);
     let point_gain = if model.integrating { model.gain * record.point_s() } else { model.gain };
     let coefficient = point_gain * span / deviation / class.gain(1.0);
     if from + LEAST > record.len() || !coefficient.is_finite() {
         return None;
     }
-    let mut run = Run { question: &question, class, shape, coefficient, from, work: Scratch::default() };
+    let mut run = Run { normalised: &normalised, class, shape, coefficient, from, work: Scratch::default() };
     let found = run.best(model.law, model.fs / span, model.fd / span)?;
     let rest = if class.integrates() { -found.drift / class.gain(coefficient) } else { found.stem };
     let level = if class.integrates() { 0.0 } else { found.level + coefficient * found.stem };
@@ -91,7 +91,7 @@ const OPTIONS: Options = Options {
 };
 
 /// The model's class and shape, in points.
-fn shaped(model: &Fixed<'_>, record: &Record, question: &Question) -> Option<(Class, Shape)> {
+fn shaped(model: &Fixed<'_>, record: &Record, normalised: &NormalisedRecord) -> Option<(Class, Shape)> {
     let lag = (model.dead_time_s / record.ts_s + 1.0) / record.box_samples as f64;
     let tau = |index: usize| libm::log(model.time_constants_s[index] / record.point_s());
     let (class, shape) = match (model.integrating, model.time_constants_s.len()) {
@@ -101,12 +101,12 @@ fn shaped(model: &Fixed<'_>, record: &Record, question: &Question) -> Option<(Cl
         (true, 1) => (Class::LagIntegrating, [tau(0), lag, 0.0]),
         _ => return None,
     };
-    let limits = Limits { tau: question.limits.tau, lag: [0.0, 0.5 * record.len() as f64] };
+    let limits = Limits { tau: normalised.limits.tau, lag: [0.0, 0.5 * record.len() as f64] };
     shape.iter().all(|s| s.is_finite()).then(|| (class, class.clamp(shape, &limits)))
 }
 
 struct Run<'a> {
-    question: &'a Question,
+    normalised: &'a NormalisedRecord,
     class: Class,
     shape: Shape,
     coefficient: f64,
@@ -126,14 +126,14 @@ struct Found {
 impl Run<'_> {
     fn best(&mut self, law: Law, fs: f64, fd: f64) -> Option<Found> {
         let stems: Vec<Vec<f64>> = if fs == 0.0 {
-            vec![self.question.mean.clone()]
+            vec![self.normalised.mean.clone()]
         } else {
             let starts = self.starts(fs);
             let mut sequence = Sequence::default();
             let stem = |start| {
-                let question = self.question;
-                let first = question.first_slip(start);
-                sequence.run(law, &question.path, question.per_point, fs + fd, fs - fd, first);
+                let normalised = self.normalised;
+                let first = normalised.first_slip(start);
+                sequence.run(law, &normalised.path, normalised.per_point, fs + fd, fs - fd, first);
                 sequence.at.iter().zip(&sequence.direction).map(|(at, direction)| at - fd * direction).collect()
             };
             starts.into_iter().map(stem).collect()
@@ -156,7 +156,7 @@ impl Run<'_> {
     /// Every first slip that a stem within the band can make: each new record of OP up to two bands away.
     fn starts(&self, fs: f64) -> Vec<Start> {
         let mut starts = Vec::new();
-        for (list, up) in self.question.records.iter().zip([true, false]) {
+        for (list, up) in self.normalised.records.iter().zip([true, false]) {
             let near = |r: &&f64| (**r - list[0]).abs() <= 2.0 * fs;
             let count = list.iter().take_while(near).count();
             let every = count.div_ceil(STARTS).max(1);
@@ -168,7 +168,7 @@ impl Run<'_> {
     /// What is left behind the best level, drift and memory.
     fn levelled(&self, stem: &[f64], response: &[f64]) -> Found {
         let n = stem.len() - self.from;
-        let left = self.question.pv.iter().zip(response).skip(self.from);
+        let left = self.normalised.pv.iter().zip(response).skip(self.from);
         let left: Vec<f64> = left.map(|(pv, r)| pv - self.coefficient * r).collect();
         let count = self.class.memory_len();
         let mut columns = vec![Vec::new(); count];

@@ -5,7 +5,7 @@
 //! stay as they were. OP stays too, although the controller would have answered: it would have gone farther until the
 //! stem moved, so a large band looks larger and moves the stem less often here than it would have done.
 
-use super::candidate::{Bench, Effort, MIN_SLIPS, Question, Start};
+use super::candidate::{CandidateFitter, Effort, MIN_SLIPS, NormalisedRecord, Start};
 use super::class::{Class, Scratch};
 use super::fit::{Fitted, Target};
 use super::frictionless;
@@ -20,7 +20,7 @@ use crate::sim::slips::{Law, Sequence};
 #[derive(Debug)]
 pub struct Hypothetical<'a> {
     record: &'a Record,
-    question: Question,
+    normalised: NormalisedRecord,
     class: Class,
     sign: f64,
     process: Fitted,
@@ -55,11 +55,11 @@ impl<'a> Hypothetical<'a> {
         if record.len() < 30 || !span.is_normal() || !deviation.is_normal() {
             return None;
         }
-        let question = normalise(record, options, span, deviation);
-        let target = Target::new(&question.pv, 0.0, question.from);
+        let normalised = normalise(record, options, span, deviation);
+        let target = Target::new(&normalised.pv, 0.0, normalised.from);
         let (class, sign) = (estimate.class, estimate.gain.signum());
-        let process = frictionless::best(&question, &target, class, sign, 1)?;
-        (process.gain != 0.0).then_some(Self { record, question, class, sign, process, span, deviation })
+        let process = frictionless::best(&normalised, &target, class, sign, 1)?;
+        (process.gain != 0.0).then_some(Self { record, normalised, class, sign, process, span, deviation })
     }
 
     /// Span of OP, OP units, that `s_over_span` is a share of.
@@ -73,16 +73,16 @@ impl<'a> Hypothetical<'a> {
     #[must_use]
     pub fn valve(&self, s: f64, j: f64) -> Option<HypotheticalValve> {
         let (s, j) = (s / self.span, j / self.span);
-        let question = &self.question;
-        let start = question.starts(0.5 * (s + j), 1).first().copied()?;
+        let normalised = &self.normalised;
+        let start = normalised.starts(0.5 * (s + j), 1).first().copied()?;
         let mut sequence = Sequence::default();
-        sequence.run(Law::He, &question.path, question.per_point, s, j, question.first_slip(start));
+        sequence.run(Law::He, &normalised.path, normalised.per_point, s, j, normalised.first_slip(start));
         if sequence.slips < MIN_SLIPS {
             return None;
         }
         let fd = 0.5 * (s - j);
         let stem = sequence.at.iter().zip(&sequence.direction).map(|(at, direction)| at - fd * direction);
-        let mut moved: Vec<f64> = stem.zip(&question.mean).map(|(stem, op)| stem - op).collect();
+        let mut moved: Vec<f64> = stem.zip(&normalised.mean).map(|(stem, op)| stem - op).collect();
         if self.class.integrates() {
             // The controller would have held the level: no offset for good.
             let offset = stats::mean(&moved);
@@ -92,14 +92,14 @@ impl<'a> Hypothetical<'a> {
         let mut work = Scratch::default();
         self.class.respond_pair(&self.process.shape, [&moved, &moved], &mut work, [&mut answer, &mut unused]);
         answer.iter_mut().for_each(|a| *a *= self.process.gain);
-        let behind_it: Vec<f64> = question.pv.iter().zip(&answer).map(|(pv, a)| pv + a).collect();
+        let behind_it: Vec<f64> = normalised.pv.iter().zip(&answer).map(|(pv, a)| pv + a).collect();
         Some(HypotheticalValve {
             pv: self.record.pv.iter().zip(&answer).map(|(pv, a)| pv + self.deviation * a).collect(),
             s_over_span: s,
             reversals: sequence.reversals,
             bands: [s, j],
             start,
-            target: Target::new(&behind_it, 0.0, question.from),
+            target: Target::new(&behind_it, 0.0, normalised.from),
         })
     }
 
@@ -107,10 +107,10 @@ impl<'a> Hypothetical<'a> {
     #[must_use]
     pub fn index(&self, of: &HypotheticalValve) -> f64 {
         let [s, j] = of.bands;
-        let mut bench = Bench::new(&self.question, Law::He, self.class, &of.target, self.sign);
+        let mut fits = CandidateFitter::new(&self.normalised, Law::He, self.class, &of.target, self.sign);
         let effort = Effort::of(STEPS);
-        let with = bench.fit(s, j, of.start, &[self.process.shape], effort);
-        let without = frictionless::best(&self.question, &of.target, self.class, self.sign, 1);
+        let with = fits.fit(s, j, of.start, &[self.process.shape], effort);
+        let without = frictionless::best(&self.normalised, &of.target, self.class, self.sign, 1);
         with.zip(without).map_or(0.0, |(with, without)| improvement(with.fit.sse, without.sse))
     }
 }

@@ -1,6 +1,6 @@
 //! A record in the form that every fit works on: OP in spans, PV in deviations, times in points.
 
-use super::candidate::{Landing, Question};
+use super::candidate::{NormalisedRecord, SlipEnd};
 use super::choice::DelayChoice;
 use super::class::Limits;
 use super::quantify::Options;
@@ -16,7 +16,7 @@ fn on_grid(x: f64) -> f64 {
 }
 
 /// The record in normalised form.
-pub fn normalise(record: &Record, options: &Options, span: f64, deviation: f64) -> Question {
+pub fn normalise(record: &Record, options: &Options, span: f64, deviation: f64) -> NormalisedRecord {
     let (n, m) = (record.len(), record.path_per_point());
     let middle = stats::mean(&record.op_path);
     let path: Vec<f64> = record.op_path.iter().map(|u| on_grid((u - middle) / span)).collect();
@@ -35,12 +35,12 @@ pub fn normalise(record: &Record, options: &Options, span: f64, deviation: f64) 
     let lag = lag.map(|l| l.min(0.5 * n as f64));
     let from = (lag[1].ceil() as usize + 1).min(n / 2);
     let limits = Limits { tau: [0.3, (3.0 * n as f64).max(500.0)], lag };
-    let records = Question::records_of(&path);
+    let records = NormalisedRecord::records_of(&path);
     let still = vec![0.0; n];
     let width = ((period / 32.0) as usize).max(1);
     let travel: Vec<f64> = mean.windows(width + 1).map(|w| (w[width] - w[0]).abs() / width as f64).collect();
     let rate = stats::median(&travel);
-    Question {
+    NormalisedRecord {
         path,
         per_point: m,
         mean,
@@ -52,6 +52,6 @@ pub fn normalise(record: &Record, options: &Options, span: f64, deviation: f64) 
         rate,
         records,
         stroke: Stroke::FREE,
-        landing: Landing::Short,
+        slip_end: SlipEnd::Short,
     }
 }

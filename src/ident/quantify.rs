@@ -1,6 +1,6 @@
 //! From a record to the bands: normalise, search, refine, compare with no stiction at all.
 
-use super::candidate::Question;
+use super::candidate::NormalisedRecord;
 use super::choice::{DelayChoice, ModelChoice, ValveChoice};
 use super::class::Class;
 use super::normalise::normalise;
@@ -115,7 +115,7 @@ pub fn quantify(record: &Record, options: &Options) -> Option<Estimate> {
     if record.len() < 30 || !span.is_normal() || !deviation.is_normal() {
         return None;
     }
-    let question = normalise(record, options, span, deviation);
+    let normalised = normalise(record, options, span, deviation);
     let laws: &[Law] = match options.valve {
         ValveChoice::He => &[Law::He],
         ValveChoice::Tracking => &[Law::Tracking],
@@ -123,13 +123,13 @@ pub fn quantify(record: &Record, options: &Options) -> Option<Estimate> {
     };
     let scale = Scale { record, span, deviation };
     let of_sign = |sign: f64, rival: f64| {
-        let problem = Problem::new(&question, sign);
+        let problem = Problem::new(&normalised, sign);
         estimate(&problem, options, laws, rival, &scale)
     };
     let sp = record.sp.as_ref().filter(|sp| sp.len() == record.len());
     let level = stats::mean(&record.pv);
     let sp: Option<Vec<f64>> = sp.map(|sp| sp.iter().map(|v| (v - level) / deviation).collect());
-    let Some(read) = sign::of_gain_with_sp(&question.mean, &question.pv, sp.as_deref()) else {
+    let Some(read) = sign::of_gain_with_sp(&normalised.mean, &normalised.pv, sp.as_deref()) else {
         let both = [1.0, -1.0].map(|sign| of_sign(sign, f64::INFINITY));
         let rounds = both.iter().flatten().map(|e| e.rounds).sum();
         let evaluations = both.iter().flatten().map(|e| e.evaluations).sum();
@@ -142,7 +142,7 @@ pub fn quantify(record: &Record, options: &Options) -> Option<Estimate> {
     }
     // Against the sign read only a valve speaks: a model of the controller backwards needs no friction.
     let rival = AGAINST[0] * found.mse;
-    let other = of_sign(-read, rival / (deviation * deviation) * scale.count(&question));
+    let other = of_sign(-read, rival / (deviation * deviation) * scale.count(&normalised));
     let evaluations = found.evaluations + other.as_ref().map_or(0, |o| o.evaluations);
     let believed = other.filter(|o| o.mse < rival && o.index > AGAINST[1]).unwrap_or(found);
     Some(Estimate { evaluations, ..believed })
@@ -157,8 +157,8 @@ struct Scale<'r> {
 
 impl Scale<'_> {
     /// Points whose error counts.
-    fn count(&self, question: &Question) -> f64 {
-        self.record.len().saturating_sub(question.from).max(1) as f64
+    fn count(&self, normalised: &NormalisedRecord) -> f64 {
+        self.record.len().saturating_sub(normalised.from).max(1) as f64
     }
 }
 

@@ -24,7 +24,7 @@
 //! [`super::quantify`] searches otherwise (whole cells of equal slips at once, fd solved, several views of the error);
 //! this surface is what a general solver can be set on, and what an error map shows.
 
-use super::candidate::{Question, Start};
+use super::candidate::{NormalisedRecord, Start};
 use super::class::Class;
 use super::evaluator::{View, lattice_index, lattice_tau};
 use super::normalise::normalise;
@@ -69,7 +69,7 @@ pub struct Point {
 /// The error surface of one record, valve law and class of process.
 #[derive(Debug)]
 pub struct Surface {
-    question: Question,
+    normalised: NormalisedRecord,
     law: Law,
     class: Class,
     sides: Vec<Side>,
@@ -98,10 +98,10 @@ impl Surface {
         if record.len() < 30 || !span.is_normal() || !deviation.is_normal() {
             return None;
         }
-        let question = normalise(record, options, span, deviation);
-        let signs = sign::of_gain(&question.mean, &question.pv).map_or(vec![1.0, -1.0], |s| vec![s]);
+        let normalised = normalise(record, options, span, deviation);
+        let signs = sign::of_gain(&normalised.mean, &normalised.pv).map_or(vec![1.0, -1.0], |s| vec![s]);
         let side = |sign: f64| {
-            let problem = Problem::new(&question, sign);
+            let problem = Problem::new(&normalised, sign);
             let points = problem.points();
             let mut view = problem.view(0.0, points);
             let mut evaluator = Evaluator::new(&problem, law, class, points);
@@ -110,7 +110,7 @@ impl Surface {
         };
         Some(Self {
             sides: signs.into_iter().map(side).collect(),
-            question,
+            normalised,
             law,
             class,
             span,
@@ -174,19 +174,18 @@ impl Surface {
         if !inside {
             return None;
         }
-        let (question, law, class) = (&self.question, self.law, self.class);
-        let fits = self
-            .sides
-            .iter_mut()
-            .map(|side| if s < NOTHING { side.without } else { side.fit(question, law, class, [s, j]).map(|c| c.fit) });
+        let (normalised, law, class) = (&self.normalised, self.law, self.class);
+        let fits = self.sides.iter_mut().map(|side| {
+            if s < NOTHING { side.without } else { side.fit(normalised, law, class, [s, j]).map(|c| c.fit) }
+        });
         fits.flatten().reduce(|a, b| if b.sse < a.sse { b } else { a })
     }
 }
 
 impl Side {
     /// The best process for one pair of bands, taken at its word, over first positions of the stem.
-    fn fit(&mut self, question: &Question, law: Law, class: Class, [s, j]: [f64; 2]) -> Option<Candidate> {
-        let problem = Problem::new(question, self.sign);
+    fn fit(&mut self, normalised: &NormalisedRecord, law: Law, class: Class, [s, j]: [f64; 2]) -> Option<Candidate> {
+        let problem = Problem::new(normalised, self.sign);
         let mut evaluator = Evaluator::new(&problem, law, class, problem.points());
         let mut best: Option<Candidate> = None;
         for (which, start) in problem.starts(0.5 * (s + j), &STARTS).into_iter().enumerate() {

@@ -1,7 +1,7 @@
 //! The computations behind a loop's pictures, in the order of their cost.
 
-use crate::ident::portrait::{ErrorMap, FreeRun, Model, Optimum, OrderChart, Portrait, RESAMPLES, RESTARTS};
-use crate::ident::{Options, portrait};
+use crate::ident::fit_plots::{ErrorMap, FitPlots, FreeRun, Model, Optimum, OrderChart, RESAMPLES, RESTARTS};
+use crate::ident::{Options, fit_plots};
 use crate::record::Record;
 use crate::sim::slips::Law;
 use crate::verdict::{AssessParams, Assessment};
@@ -56,21 +56,21 @@ impl Detail {
             seed: params.seed,
             period_points: a.oscillation.period_s.map(|p| p / record.point_s()),
         };
-        let portrait = Portrait::new(record, &options, &model)?;
+        let plots = FitPlots::new(record, &options, &model)?;
         let other = |k: usize| params.seed.wrapping_add(1_000 + k as u64);
         Some(Self {
-            span: portrait.span(),
-            run: portrait.free_run(),
-            maps: [1, 2].into_iter().filter_map(|order| portrait.error_map(order, MAP_STEP)).collect(),
-            orders: portrait.orders(),
-            restarts: (0..RESTARTS).filter_map(|k| portrait.restart(other(k))).collect(),
-            bootstrap: portrait.bootstrap(RESAMPLES, params.seed),
+            span: plots.span(),
+            run: plots.free_run(),
+            maps: [1, 2].into_iter().filter_map(|order| plots.error_map(order, MAP_STEP)).collect(),
+            orders: plots.orders(),
+            restarts: (0..RESTARTS).filter_map(|k| plots.restart(other(k))).collect(),
+            bootstrap: plots.bootstrap(RESAMPLES, params.seed),
         })
     }
 
     /// The map of an order.
     #[must_use]
-    pub fn map(&self, order: u8) -> Option<&portrait::ErrorMap> {
+    pub fn map(&self, order: u8) -> Option<&fit_plots::ErrorMap> {
         self.maps.iter().find(|m| m.order == order)
     }
 }

@@ -1,6 +1,6 @@
 //! One loop's pictures, from its record and what was computed of it.
 
-use crate::ident::portrait::{ErrorMap, Optimum};
+use crate::ident::fit_plots::{ErrorMap, Optimum};
 use crate::ident::region::{BOUNDS, STRENGTHS};
 use crate::record::Record;
 use crate::signal::{lag, stats};

@@ -6,7 +6,7 @@ use super::classes::classes_of;
 use super::local_search::{Nearness, along_ridge, neighbours, random_steps};
 use super::part::frictionless;
 use super::stages::{Found, Search};
-use crate::ident::candidate::{Bench, Candidate as Plain};
+use crate::ident::candidate::{Candidate as Plain, CandidateFitter};
 use crate::ident::choice::ModelChoice;
 use crate::ident::class::Class;
 use crate::ident::evaluator::View;
@@ -188,10 +188,10 @@ impl Search<'_, '_> {
 /// Mean squared error on what follows the first part of the record when the process is fitted to that part alone.
 fn held_out(evaluator: &mut Evaluator<'_>, view: &View, of: &Candidate) -> f64 {
     let Some(process) = evaluator.polish(view, of) else { return f64::INFINITY };
-    let question = evaluator.problem.question;
-    let target = Target::new(&question.pv, view.rho(), question.from);
-    let mut bench = Bench::new(question, of.law, of.class, &target, evaluator.problem.sign);
-    bench.held_out(&as_plain(of, &process), FITTED_SHARE)
+    let normalised = evaluator.problem.normalised;
+    let target = Target::new(&normalised.pv, view.rho(), normalised.from);
+    let mut fits = CandidateFitter::new(normalised, of.law, of.class, &target, evaluator.problem.sign);
+    fits.held_out(&as_plain(of, &process), FITTED_SHARE)
 }
 
 /// A candidate as the plain pass over samples holds it.

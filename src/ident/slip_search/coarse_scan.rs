@@ -68,7 +68,7 @@ impl CoarseScan {
     /// they would leave little of a record that is counted for all alike.
     #[must_use]
     pub fn of(problem: &Problem<'_>, rho: f64, points: usize) -> Vec<Self> {
-        let all = delays(problem.question.limits.lag);
+        let all = delays(problem.normalised.limits.lag);
         let most = all.last().copied().unwrap_or(0);
         let cut = all.partition_point(|d| *d <= most / 4);
         let halves = if most > 30 { vec![&all[..cut], &all[cut..]] } else { vec![&all[..]] };
@@ -78,8 +78,8 @@ impl CoarseScan {
     fn new(problem: &Problem<'_>, rho: f64, points: usize, delays: Vec<usize>) -> Self {
         let (from, most) = (1, delays.iter().copied().max().unwrap_or(0));
         let length = points.saturating_sub(from + most).max(1);
-        let slowest = problem.question.limits.tau[1];
-        let taus = TAUS.map(|t| (t * problem.question.period).clamp(0.3, slowest));
+        let slowest = problem.normalised.limits.tau[1];
+        let taus = TAUS.map(|t| (t * problem.normalised.period).clamp(0.3, slowest));
         let a = taus.map(|t| libm::exp(-1.0 / t));
         let late = taus.map(|t| libm::exp(-0.5 / t));
         let mut powers = vec![[0.0; LANES]; points + 1];
@@ -242,13 +242,13 @@ mod tests {
         let pv: Vec<f64> =
             op.iter().enumerate().map(|(k, x)| 0.4 * x * x + x + 0.1 * f64::from(k as u32 % 7)).collect();
         let record = Record::uniform(1.0, op, pv);
-        let question = normalise(&record, &Options { period_points: Some(90.0), ..Options::default() }, 2.0, 1.0);
-        let problem = Problem::new(&question, 1.0);
+        let normalised = normalise(&record, &Options { period_points: Some(90.0), ..Options::default() }, 2.0, 1.0);
+        let problem = Problem::new(&normalised, 1.0);
         let fd = 0.04;
         let mut steps = Steps::default();
-        let first = FirstSlip { direction: 1.0, threshold: question.path[0] + 0.05 };
+        let first = FirstSlip { direction: 1.0, threshold: normalised.path[0] + 0.05 };
         steps.run(&problem.path, 500, Stroke::FREE, Law::He, [0.2, 0.1], first);
-        let freedom = Freedom { fd: [fd; 2], fd_default: fd, sign: 1.0, limits: question.limits };
+        let freedom = Freedom { fd: [fd; 2], fd_default: fd, sign: 1.0, limits: normalised.limits };
         for rho in [0.0, 0.9] {
             let scan = CoarseScan::new(&problem, rho, 500, vec![3, 9, 20]);
             let seen = scan.look(&steps.list, &freedom);
@@ -263,7 +263,7 @@ mod tests {
             let counted = start..start + scan.length;
             let filtered = |x: &[f64]| -> Vec<f64> { counted.clone().map(|k| x[k] - rho * x[k - 1]).collect() };
             let memory = counted.clone().map(|k| libm::exp(-((k - start) as f64) / seen.tau)).collect();
-            let columns = [vec![1.0; scan.length], memory, filtered(&x), filtered(&question.pv)];
+            let columns = [vec![1.0; scan.length], memory, filtered(&x), filtered(&normalised.pv)];
             let slices: Vec<&[f64]> = columns.iter().map(Vec::as_slice).collect();
             let mut gram = Gram::of(&slices);
             gram.eliminate(1);

@@ -64,19 +64,19 @@ impl<'a> Evaluator<'a> {
 
     /// Runs the valve; the kinetic bands that its slips leave open, or `None` where it moves too seldom or too often.
     pub fn slip(&mut self, s: f64, j: f64, start: Start) -> Option<Freedom> {
-        let question = self.problem.question;
+        let normalised = self.problem.normalised;
         self.signals += 1;
-        let first = question.first_slip(start);
-        self.steps.run(&self.problem.path, self.points, question.stroke, self.law, [s, j], first);
+        let first = normalised.first_slip(start);
+        self.steps.run(&self.problem.path, self.points, normalised.stroke, self.law, [s, j], first);
         let [least, most] = self.problem.moves;
-        let most = (most as f64 * self.points as f64 / question.period) as usize + 30;
+        let most = (most as f64 * self.points as f64 / normalised.period) as usize + 30;
         if self.steps.slips < least || self.steps.slips > most {
             return None;
         }
         let cells = [self.steps.s_cell, self.steps.j_cell];
-        let mut freedom = band_freedom(cells, [s, j], self.problem.sign, question.limits, question.landing);
+        let mut freedom = band_freedom(cells, [s, j], self.problem.sign, normalised.limits, normalised.slip_end);
         if let Some(behind) = self.problem.behind {
-            let before = Stem::before(first, [s, j], question.stroke, question.per_point).signal();
+            let before = Stem::before(first, [s, j], normalised.stroke, normalised.per_point).signal();
             behind.shape(&mut self.steps, before.into(), &mut freedom, self.points);
         }
         Some(freedom)
@@ -90,18 +90,18 @@ impl<'a> Evaluator<'a> {
 
     /// OP itself in the place of the valve signal.
     pub fn follow_op(&mut self) {
-        self.steps.of_signal(&self.problem.question.mean, &[]);
+        self.steps.of_signal(&self.problem.normalised.mean, &[]);
         self.steps.list.retain(|s| (s.point as usize) < self.points);
     }
 
     /// Whole points of the lag that are allowed.
     fn delays(&self) -> [usize; 2] {
-        self.problem.question.limits.lag.map(|l| l.max(0.0) as usize)
+        self.problem.normalised.limits.lag.map(|l| l.max(0.0) as usize)
     }
 
     /// Parts of a point that a lag of so many whole ones may have.
     fn fractions(&self, delay: usize) -> [f64; 2] {
-        self.problem.question.limits.lag.map(|l| (l - delay as f64).clamp(0.0, 1.0))
+        self.problem.normalised.limits.lag.map(|l| (l - delay as f64).clamp(0.0, 1.0))
     }
 
     /// Places on the lattice as the class allows them.
@@ -343,7 +343,7 @@ impl<'a> Evaluator<'a> {
     /// Two places from which a process of another class is looked for: a second lag that takes what the first or the dead
     /// time gives up, a lost one that goes back there.
     fn starts_in(&self, from: Class, to: Class, taus: [f64; 2], lag: f64) -> [([f64; 2], f64); 2] {
-        let period = self.problem.question.period;
+        let period = self.problem.normalised.period;
         // An integrator has no lag of its own: as slow as the record is long.
         let slow = lattice_tau(self.problem.most_place(Class::First));
         let [main, lost] = match from {

@@ -81,7 +81,7 @@ pub fn spread(
     let top = looking.top;
     let (mixture, flat) = looking.mixture();
     let error = 2.0 * looking.band_error() * tests.inflation.sqrt();
-    let path = &looking.evaluator.problem.question.path;
+    let path = &looking.evaluator.problem.normalised.path;
     let [s, j] = centred(&top);
     let of = |f: &dyn Fn(&Place) -> f64, value: f64| hull(mixture.interval(f), [value, value]);
     let spread = Spread {
@@ -114,7 +114,7 @@ fn test(evaluator: &mut Evaluator<'_>, view: &View, of: &Candidate, process: &Po
     // As the view has it: filtered.
     let filtered: Vec<f64> = core::iter::once(0.0).chain(left.windows(2).map(|w| w[1] - rho * w[0])).collect();
     let left = if rho == 0.0 { left } else { filtered };
-    let mean = &evaluator.problem.question.mean;
+    let mean = &evaluator.problem.normalised.mean;
     let from = view.from().min(mean.len());
     whiteness(&left, &mean[from..])
 }
@@ -272,7 +272,7 @@ impl<'b, 'a> Looking<'b, 'a> {
         for share in [0.005, 0.01, 0.02, 0.04, 0.08, 0.16] {
             for side in [-share, share] {
                 let s = home.s * (1.0 + side);
-                let lag = -(s - home.s) / self.evaluator.problem.question.rate.max(1e-6);
+                let lag = -(s - home.s) / self.evaluator.problem.normalised.rate.max(1e-6);
                 let j = home.j / home.s * s;
                 let found = self.visit(s, home.j, home.start, &home, lag);
                 if found.is_some_and(|c| self.weight(c.sse()) > 4.0 * NEGLIGIBLE) {
@@ -298,9 +298,9 @@ impl<'b, 'a> Looking<'b, 'a> {
                 }
             } else if kind < 0.85 {
                 lag = 1.5 * normal(rng);
-                s -= lag * self.evaluator.problem.question.rate;
+                s -= lag * self.evaluator.problem.normalised.rate;
             } else if kind < 0.95 {
-                let list = self.evaluator.problem.question.records[usize::from(!start.up)].len();
+                let list = self.evaluator.problem.normalised.records[usize::from(!start.up)].len();
                 let by = 1 + (3.0 * uniform(rng) * uniform(rng)) as usize;
                 let up = uniform(rng) < 0.5;
                 start.record =

@@ -8,7 +8,7 @@ use rand_chacha::ChaCha8Rng;
 
 use super::candidate::{Candidate, LatticeFit, apart};
 use super::evaluator::Evaluator;
-use crate::ident::candidate::Landing;
+use crate::ident::candidate::SlipEnd;
 use crate::ident::candidate::Start;
 use crate::ident::evaluator::View;
 use crate::ident::random::{moved, normal, uniform};
@@ -81,14 +81,14 @@ pub fn across(cell: [f64; 2], up: bool) -> f64 {
 /// The bands as the valve may have them, or `None` where there is no friction left.
 fn kept(evaluator: &Evaluator<'_>, s: f64, j: f64) -> Option<[f64; 2]> {
     let s = s.min(1.0);
-    (s.is_finite() && j.is_finite() && s >= LEAST_S).then(|| [s, evaluator.problem.question.landing.keep(s, j)])
+    (s.is_finite() && j.is_finite() && s >= LEAST_S).then(|| [s, evaluator.problem.normalised.slip_end.keep(s, j)])
 }
 
 /// Jumps that may go with another s on the ridge where an earlier slip and a longer lag look alike: the same, the same
 /// share of s, the same fd, and the same fs (the stem then stands farther from where OP turns by as much).
-fn ridge_jumps([from_s, from_j]: [f64; 2], s: f64, landing: Landing) -> [f64; 4] {
+fn ridge_jumps([from_s, from_j]: [f64; 2], s: f64, slip_end: SlipEnd) -> [f64; 4] {
     let moved = s - from_s;
-    [from_j, from_j / from_s * s, from_j + moved, from_j - moved].map(|j| landing.keep(s, j))
+    [from_j, from_j / from_s * s, from_j + moved, from_j - moved].map(|j| slip_end.keep(s, j))
 }
 
 /// The same process with its lag moved.
@@ -124,7 +124,7 @@ pub fn random_steps(
 
 /// Where the next random step goes: bands, first slip, and by how much the lag moves with them.
 fn random_step(evaluator: &Evaluator<'_>, from: &Candidate, rng: &mut ChaCha8Rng) -> (f64, f64, Start, f64) {
-    let question = evaluator.problem.question;
+    let normalised = evaluator.problem.normalised;
     let (mut s, mut j, mut start, mut lag) = (from.s, from.j, from.start, 0.0);
     let kind = uniform(rng);
     if kind < 0.65 {
@@ -145,10 +145,10 @@ fn random_step(evaluator: &Evaluator<'_>, from: &Candidate, rng: &mut ChaCha8Rng
     } else if kind < 0.78 {
         // Along the ridge: an earlier slip and a longer lag look alike.
         lag = 3.0 * uniform(rng) * normal(rng);
-        s -= lag * question.rate;
-        j = ridge_jumps([from.s, from.j], s, question.landing)[(4.0 * uniform(rng)) as usize];
+        s -= lag * normalised.rate;
+        j = ridge_jumps([from.s, from.j], s, normalised.slip_end)[(4.0 * uniform(rng)) as usize];
         if uniform(rng) < 0.5 {
-            start = question.moved_start(start, -lag);
+            start = normalised.moved_start(start, -lag);
         }
     } else if kind < 0.92 {
         start = another_start(evaluator, start, rng);
@@ -163,7 +163,7 @@ fn random_step(evaluator: &Evaluator<'_>, from: &Candidate, rng: &mut ChaCha8Rng
 
 /// A first slip at a neighbouring record of OP, now and then anywhere on either side.
 fn another_start(evaluator: &Evaluator<'_>, from: Start, rng: &mut ChaCha8Rng) -> Start {
-    let records = |up: bool| evaluator.problem.question.records[usize::from(!up)].len();
+    let records = |up: bool| evaluator.problem.normalised.records[usize::from(!up)].len();
     let by = 1 + (3.0 * uniform(rng) * uniform(rng)) as usize;
     let record = if uniform(rng) < 0.5 { from.record + by } else { from.record.saturating_sub(by) };
     let record = record.min(records(from.up).max(1) - 1);
@@ -224,8 +224,8 @@ impl Neighbours<'_, '_, '_> {
     /// Along the ridge, and first slips before and after.
     fn ridge_and_starts(&mut self, home: &Candidate, up: bool) {
         let (rate, records) = {
-            let question = self.evaluator.problem.question;
-            (question.rate.max(1e-6), question.records[usize::from(!home.start.up)].len())
+            let normalised = self.evaluator.problem.normalised;
+            (normalised.rate.max(1e-6), normalised.records[usize::from(!home.start.up)].len())
         };
         for lag in [0.3, 0.7, 1.5].map(|lag: f64| if up { lag } else { -lag }) {
             let s = home.s - lag * rate;
@@ -292,7 +292,7 @@ pub fn along_ridge(
     reach: f64,
     steps: usize,
 ) -> Vec<Candidate> {
-    let landing = evaluator.problem.question.landing;
+    let slip_end = evaluator.problem.normalised.slip_end;
     let mut pool = vec![*around];
     let mut least = around.sse();
     for side in [-1.0, 1.0] {
@@ -301,7 +301,7 @@ pub fn along_ridge(
             let s = (around.s * (1.0 + side * reach * k as f64 / steps as f64)).min(1.0);
             let Some([s, near]) = kept(walk.evaluator, s, walk.last.j) else { continue };
             let starts = [walk.last.start, walk.moved_start(s)];
-            let [same, share, with_s, against] = ridge_jumps([around.s, around.j], s, landing);
+            let [same, share, with_s, against] = ridge_jumps([around.s, around.j], s, slip_end);
             let found = walk.look(s, [same, near, share, with_s, against], &starts);
             if let Some(best) = found.filter(|b| b.sse() < ON_RIDGE * around.sse()) {
                 walk.last = best;
@@ -325,8 +325,8 @@ pub fn along_cells(evaluator: &mut Evaluator<'_>, view: &mut View, around: &Cand
             if !(LEAST_ALONG * around.s..=1.0).contains(&s) {
                 break;
             }
-            let landing = walk.evaluator.problem.question.landing;
-            let [same, share, _, against] = ridge_jumps([walk.last.s, walk.last.j], s, landing);
+            let slip_end = walk.evaluator.problem.normalised.slip_end;
+            let [same, share, _, against] = ridge_jumps([walk.last.s, walk.last.j], s, slip_end);
             let moved = walk.moved_start(s);
             let beside = |by: isize| Start { record: moved.record.saturating_add_signed(by), ..moved };
             let mut starts = vec![walk.last.start, moved];
@@ -366,12 +366,12 @@ impl<'e, 'a, 'v> RidgeWalk<'e, 'a, 'v> {
 
     /// Points by which slips come later with another s than at the place that is followed.
     fn later_by(&self, s: f64) -> f64 {
-        (s - self.last.s) / self.evaluator.problem.question.rate.max(1e-6)
+        (s - self.last.s) / self.evaluator.problem.normalised.rate.max(1e-6)
     }
 
     /// The first slip that goes with another s.
     fn moved_start(&self, s: f64) -> Start {
-        self.evaluator.problem.question.moved_start(self.last.start, self.later_by(s))
+        self.evaluator.problem.normalised.moved_start(self.last.start, self.later_by(s))
     }
 
     /// The best of some first slips with the first of some jumps, then of the other jumps.

@@ -16,10 +16,10 @@ pub(super) const FOLLOWERS: usize = 8;
 /// The best process of a class that takes OP as it is, from the best of many time constants and dead times of a single lag.
 pub fn frictionless(evaluator: &mut Evaluator<'_>, view: &mut View, class: Class) -> Option<LatticeFit> {
     let problem = evaluator.problem;
-    let question = problem.question;
+    let normalised = problem.normalised;
     evaluator.class = class;
     evaluator.follow_op();
-    let freedom = Freedom { fd: [0.0; 2], fd_default: 0.0, sign: problem.sign, limits: question.limits };
+    let freedom = Freedom { fd: [0.0; 2], fd_default: 0.0, sign: problem.sign, limits: normalised.limits };
     let scans = CoarseScan::of(problem, view.rho(), evaluator.points);
     let seen = scans.iter().map(|scan| scan.look(&evaluator.steps().list, &freedom));
     let seen = seen.min_by(|a, b| a.share.total_cmp(&b.share))?;
@@ -32,7 +32,7 @@ pub fn frictionless(evaluator: &mut Evaluator<'_>, view: &mut View, class: Class
         Class::LagIntegrating => [Some(([0.5 * seen.lag.max(1.0); 2], 0.6 * seen.lag)), None],
     };
     let fits = starts.into_iter().flatten().map(|(taus, lag)| {
-        let lag = lag.max(question.limits.lag[0]);
+        let lag = lag.max(normalised.limits.lag[0]);
         let places = taus.map(|t| lattice_index(t.max(0.3)));
         let start = LatticeFit { sse: 0.0, gain: 0.0, fd: 0.0, places, delay: lag as usize, fraction: lag.fract() };
         evaluator.settle_fit(view, &start, &freedom)

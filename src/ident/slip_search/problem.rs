@@ -1,6 +1,6 @@
 //! What a search is given: a normalised record, what of it counts, and the sign of the gain.
 
-use crate::ident::candidate::{Question, Start};
+use crate::ident::candidate::{NormalisedRecord, Start};
 use crate::ident::class::Class;
 use crate::ident::evaluator::{View, lattice_index};
 use crate::ident::fit::Freedom;
@@ -16,8 +16,8 @@ pub trait BehindStem: core::fmt::Debug + Sync {
 /// One search problem.
 #[derive(Debug)]
 pub struct Problem<'a> {
-    /// The record; its stroke and landing are those of the valve that is looked for.
-    pub question: &'a Question,
+    /// The record; its stroke and slip end are those of the valve that is looked for.
+    pub normalised: &'a NormalisedRecord,
     /// Its OP, prepared.
     pub path: Path,
     /// Stretches of points that are fitted; all from the record's first point that counts where none are named.
@@ -45,18 +45,18 @@ const LAG_SHARE: f64 = 0.5;
 impl<'a> Problem<'a> {
     /// All of a record.
     #[must_use]
-    pub fn new(question: &'a Question, sign: f64) -> Self {
-        let path = Path::new(question.path.clone(), question.per_point);
+    pub fn new(normalised: &'a NormalisedRecord, sign: f64) -> Self {
+        let path = Path::new(normalised.path.clone(), normalised.per_point);
         let moves = [LEAST_MOVES, MOST_MOVES];
-        let records = places_of_records(&question.path);
-        Self { question, path, counted: Vec::new(), behind: None, loads: Vec::new(), sign, moves, records }
+        let records = places_of_records(&normalised.path);
+        Self { normalised, path, counted: Vec::new(), behind: None, loads: Vec::new(), sign, moves, records }
     }
 
     /// Starts worth trying with the static band `fs`: the stem on OP's first value, and beside it by shares of the band.
     #[must_use]
     pub fn starts(&self, fs: f64, shares: &[f64]) -> Vec<Start> {
         let mut out: Vec<Start> = Vec::with_capacity(shares.len());
-        let Some(first) = self.question.path.first() else { return out };
+        let Some(first) = self.normalised.path.first() else { return out };
         for share in shares {
             out.extend(self.start_from(first + share * fs, fs).filter(|s| !out.contains(s)));
         }
@@ -66,7 +66,7 @@ impl<'a> Problem<'a> {
     /// The start that a stem at `position` makes with the band `fs`, if OP ever moves it: whichever of its running maxima and
     /// minima leaves the band first.
     fn start_from(&self, position: f64, fs: f64) -> Option<Start> {
-        let [highs, lows] = &self.question.records;
+        let [highs, lows] = &self.normalised.records;
         let up = highs.partition_point(|r| r - position <= fs);
         let down = lows.partition_point(|r| position - r <= fs);
         let at = |records: &[u32], k: usize| records.get(k).copied().unwrap_or(u32::MAX);
@@ -82,7 +82,7 @@ impl<'a> Problem<'a> {
     #[must_use]
     pub fn starts_near(&self, point: f64, up: bool, within: usize) -> Vec<Start> {
         let places = &self.records[usize::from(!up)];
-        let at = (point.max(0.0) * self.question.per_point as f64) as u32;
+        let at = (point.max(0.0) * self.normalised.per_point as f64) as u32;
         let middle = places.partition_point(|place| *place < at);
         let last = (middle + within).min(places.len().saturating_sub(1));
         (middle.saturating_sub(within)..=last).map(|record| Start { up, record, place: 0.5 }).collect()
@@ -91,19 +91,19 @@ impl<'a> Problem<'a> {
     /// Points.
     #[must_use]
     pub fn points(&self) -> usize {
-        self.question.pv.len()
+        self.normalised.pv.len()
     }
 
     /// PV, deviations.
     #[must_use]
     pub fn pv(&self) -> &[f64] {
-        &self.question.pv
+        &self.normalised.pv
     }
 
     /// PV's first `points` behind the filter `1 - rho q^-1`.
     #[must_use]
     pub fn view(&self, rho: f64, points: usize) -> View {
-        let from = self.question.from;
+        let from = self.normalised.from;
         let whole = [[from, points]];
         let counted = if self.counted.is_empty() { &whole[..] } else { &self.counted };
         let loads: Vec<&[f64]> = self.loads.iter().map(|l| &l[..points]).collect();
@@ -113,19 +113,19 @@ impl<'a> Problem<'a> {
     /// First point of OP that lies so far from its first value, spans.
     #[must_use]
     pub fn first_far(&self, spans: f64) -> usize {
-        let path = &self.question.path;
+        let path = &self.normalised.path;
         let far = |first: &f64| path.iter().position(|u| (u - first).abs() > spans);
-        path.first().and_then(far).unwrap_or(0) / self.question.per_point
+        path.first().and_then(far).unwrap_or(0) / self.normalised.per_point
     }
 
     /// Greatest place of a time constant on the lattice.
     #[must_use]
     pub fn most_place(&self, class: Class) -> i32 {
-        let question = self.question;
+        let normalised = self.normalised;
         let tau = if class.integrates() {
-            (LAG_PERIODS * question.period).min(LAG_SHARE * self.points() as f64).max(4.0)
+            (LAG_PERIODS * normalised.period).min(LAG_SHARE * self.points() as f64).max(4.0)
         } else {
-            question.limits.tau[1]
+            normalised.limits.tau[1]
         };
         lattice_index(tau)
     }
@@ -156,11 +156,11 @@ mod tests {
         let op: Vec<f64> =
             (0..700).map(|k| libm::sin(f64::from(k) * 0.05) + 0.4 * libm::sin(f64::from(k) * 0.31)).collect();
         let pv: Vec<f64> = op.iter().map(|u| 2.0 * u).collect();
-        let question = normalise(&Record::uniform(1.0, op, pv), &Options::default(), 2.0, 1.0);
-        let problem = Problem::new(&question, 1.0);
+        let normalised = normalise(&Record::uniform(1.0, op, pv), &Options::default(), 2.0, 1.0);
+        let problem = Problem::new(&normalised, 1.0);
         for fs in [0.02, 0.1, 0.3, 0.6, 0.9] {
             let mut found = problem.starts(fs, &[-0.9, 0.0, 0.9]);
-            let mut walked = question.starts(fs, 3);
+            let mut walked = normalised.starts(fs, 3);
             for list in [&mut found, &mut walked] {
                 list.sort_by_key(|s| (s.up, s.record));
             }

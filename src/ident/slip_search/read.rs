@@ -44,20 +44,20 @@ pub struct Reading {
 /// What PV's kinks suggest, most consistent first; empty where it shows none.
 #[must_use]
 pub fn readings(problem: &Problem<'_>) -> Vec<Reading> {
-    let question = problem.question;
+    let normalised = problem.normalised;
     let points = problem.points().min(MOST_POINTS);
-    let (op, pv) = (&question.mean[..points], &problem.pv()[..points]);
+    let (op, pv) = (&normalised.mean[..points], &problem.pv()[..points]);
     let noise = stats::noise_sd(pv).max(LEAST_NOISE);
-    let longest = ((LONGEST_PIECE * question.period) as usize).max(4);
+    let longest = ((LONGEST_PIECE * normalised.period) as usize).max(4);
     let step = stats::median(&op.windows(2).map(|w| (w[1] - w[0]).abs()).collect::<Vec<_>>());
     let mut read: Vec<(f64, Reading)> = Vec::new();
     for share in TIME_CONSTANTS {
-        let decay = libm::exp(-1.0 / (share * question.period));
+        let decay = libm::exp(-1.0 / (share * normalised.period));
         let kinks = kinks(pv, &cuts(pv, decay, PIECE_COSTS * noise * noise, longest), decay, problem.sign);
         if kinks.len() < FEWEST[0] {
             continue;
         }
-        let lags = (question.limits.lag[1] / LAG_STEP) as usize;
+        let lags = (normalised.limits.lag[1] / LAG_STEP) as usize;
         for lag in (0..=lags).map(|k| LAG_STEP * k as f64) {
             let first = (kinks[0].0 as f64 - lag, kinks[0].1 > 0.0);
             read.extend(
@@ -239,11 +239,11 @@ mod tests {
             let made = accuracy(Half::Calibration, Regime::Integrating, seed);
             let record = made.record();
             let (span, deviation) = (stats::span(&record.op_path), stats::std_dev(&record.pv));
-            let question = normalise(&record, &Options::default(), span, deviation);
-            let gain = sign::of_gain(&question.mean, &question.pv).unwrap_or(1.0);
+            let normalised = normalise(&record, &Options::default(), span, deviation);
+            let gain = sign::of_gain(&normalised.mean, &normalised.pv).unwrap_or(1.0);
             let truth = [made.s.unwrap() / span, made.j.unwrap() / span];
             let near = |r: &Reading| (0..2).all(|k| (r.bands[k] - truth[k]).abs() < 0.1 * truth[0]);
-            (made.law == "he").then(|| readings(&Problem::new(&question, gain)).iter().any(near))
+            (made.law == "he").then(|| readings(&Problem::new(&normalised, gain)).iter().any(near))
         };
         let read: Vec<bool> = (1..=16).filter_map(is_read).collect();
         let right = read.iter().filter(|r| **r).count();
@@ -273,8 +273,8 @@ mod tests {
         ) {
             let (op, pv): (Vec<f64>, Vec<f64>) = signals.into_iter().unzip();
             let (span, deviation) = (stats::span(&op).max(1e-9), stats::std_dev(&pv).max(1e-9));
-            let question = normalise(&Record::uniform(1.0, op, pv), &Options::default(), span, deviation);
-            for reading in readings(&Problem::new(&question, 1.0)) {
+            let normalised = normalise(&Record::uniform(1.0, op, pv), &Options::default(), span, deviation);
+            for reading in readings(&Problem::new(&normalised, 1.0)) {
                 let [s, j] = reading.bands;
                 prop_assert!(0.0 < s && s <= 1.0 && (0.0..=s).contains(&j), "{s} {j}");
             }

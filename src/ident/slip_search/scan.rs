@@ -55,7 +55,7 @@ impl<'e, 'a> Scan<'e, 'a> {
     #[must_use]
     pub fn new(evaluator: &'e mut Evaluator<'a>, rho: f64, whole: f64) -> Self {
         let scans = CoarseScan::of(evaluator.problem, rho, evaluator.points);
-        let lump = ((evaluator.problem.question.period / LUMPS) as u32).max(1);
+        let lump = ((evaluator.problem.normalised.period / LUMPS) as u32).max(1);
         Self { evaluator, scans, whole, lump, lumped: Vec::new(), pool: Vec::new(), looks: 0 }
     }
 
@@ -126,17 +126,17 @@ impl<'e, 'a> Scan<'e, 'a> {
     /// looks are cheap.
     fn straight_looks(&mut self) {
         let seldom: Vec<Candidate> = self.pool.iter().copied().filter(|c| c.slips < SELDOM).collect();
-        let landing = self.evaluator.problem.question.landing;
+        let slip_end = self.evaluator.problem.normalised.slip_end;
         for c in apart(&seldom, STRAIGHT, 0) {
             for k in -STEPS_IN_S..=STEPS_IN_S {
                 let s = (c.s * (1.0 + STEP_IN_S * f64::from(k))).min(1.0);
                 for j in [c.j, c.j / c.s * s, c.j + s - c.s] {
-                    self.look(s, landing.keep(s, j), c.start);
+                    self.look(s, slip_end.keep(s, j), c.start);
                 }
             }
             for k in 0..STEPS_IN_J {
                 let j = c.s * libm::pow(0.03, f64::from(k) / f64::from(STEPS_IN_J));
-                self.look(c.s, landing.jump(c.s, j), c.start);
+                self.look(c.s, slip_end.jump(c.s, j), c.start);
             }
             for by in [1, 2, 3, 5, 8, 13] {
                 for record in [c.start.record + by, c.start.record.saturating_sub(by)] {
@@ -156,7 +156,7 @@ impl<'e, 'a> Scan<'e, 'a> {
     /// quite another size than the right ones.
     #[must_use]
     pub fn of_every_size(&self) -> Vec<Candidate> {
-        let short = 0.25 * self.evaluator.problem.question.limits.lag[1];
+        let short = 0.25 * self.evaluator.problem.normalised.limits.lag[1];
         let class = |c: &Candidate| ((2.0 * libm::log2(c.s)).floor() as i32, c.fit.lag() < short);
         let mut best: BTreeMap<(i32, bool), Candidate> = BTreeMap::new();
         for c in &self.pool {
@@ -225,6 +225,6 @@ impl Objective for Scan<'_, '_> {
         if s < LEAST_S {
             return f64::INFINITY;
         }
-        self.cost_of(s, self.evaluator.problem.question.landing.jump(s, share))
+        self.cost_of(s, self.evaluator.problem.normalised.slip_end.jump(s, share))
     }
 }

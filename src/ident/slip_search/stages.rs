@@ -265,10 +265,10 @@ impl<'s, 'a> Search<'s, 'a> {
 
     /// Points of the record that a round searches first.
     fn part(&self, round: &RoundSettings) -> usize {
-        let (n, period) = (self.problem.points(), self.problem.question.period);
+        let (n, period) = (self.problem.points(), self.problem.normalised.period);
         let [share, least, most] = if self.integrates() { SHORT_PART } else { round.part };
-        let from = self.problem.question.from;
-        let longest = self.problem.question.limits.lag[1].min(20.0);
+        let from = self.problem.normalised.from;
+        let longest = self.problem.normalised.limits.lag[1].min(20.0);
         let part = (share * n as f64).max(least * period).min(most * period).max(from as f64 + 8.0 * longest);
         let start = if round.from_far || self.integrates() { self.problem.first_far(0.35) } else { 0 };
         (part as usize + start).min(n)
@@ -526,6 +526,6 @@ fn tests(problem: &Problem<'_>, view: &View, left: &[f64]) -> Option<Whiteness> 
     if stats::autocorrelation_1(left).abs() > COLOURED {
         return None;
     }
-    let from = view.from().min(problem.question.mean.len());
-    Some(residual::whiteness(left, &problem.question.mean[from..]))
+    let from = view.from().min(problem.normalised.mean.len());
+    Some(residual::whiteness(left, &problem.normalised.mean[from..]))
 }

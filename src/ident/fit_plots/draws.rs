@@ -2,7 +2,7 @@
 
 use rand_chacha::ChaCha8Rng;
 
-use super::super::candidate::Question;
+use super::super::candidate::NormalisedRecord;
 use super::super::choice::ValveChoice;
 use super::super::class::Class;
 use super::super::evaluator::lattice_index;
@@ -12,7 +12,7 @@ use super::super::slip_search::candidate::{Candidate as Found, LatticeFit};
 use super::super::slip_search::evaluator::Evaluator;
 use super::super::slip_search::local_search::{Nearness, random_steps};
 use super::super::slip_search::problem::Problem;
-use super::Portrait;
+use super::FitPlots;
 use crate::sim::slips::Law;
 
 /// Where one search ended.
@@ -35,7 +35,7 @@ const FINE_STEPS: usize = 25;
 /// Fewest points in a block of the residual.
 const SHORTEST_BLOCK: usize = 10;
 
-impl Portrait<'_> {
+impl FitPlots<'_> {
     /// Bands of a candidate: all s of its cell give the same slips, so `place` (0..1) takes one of them.
     fn optimum(&self, c: &Found, place: f64) -> Optimum {
         let [low, high] = [c.cells[0][0], c.cells[0][1].min(c.s.max(1.0))];
@@ -62,26 +62,26 @@ impl Portrait<'_> {
     #[must_use]
     pub fn bootstrap(&self, count: usize, seed: u64) -> Vec<Optimum> {
         let mut rng = seeded_rng(seed, 12);
-        let residual = self.bench(self.class).residual(&self.candidate);
+        let residual = self.fits(self.class).residual(&self.candidate);
         let n = residual.len();
-        let block = (self.question.period.round() as usize).clamp(SHORTEST_BLOCK.min(n), (n / 4).max(1));
-        let from = self.question.from.min(self.question.pv.len());
+        let block = (self.normalised.period.round() as usize).clamp(SHORTEST_BLOCK.min(n), (n / 4).max(1));
+        let from = self.normalised.from.min(self.normalised.pv.len());
         let mut out = Vec::with_capacity(count);
         for _ in 0..count {
             let drawn = blocks(&residual, block, &mut || uniform(&mut rng));
-            let mut question = self.question.clone();
-            for ((y, old), new) in question.pv[from..].iter_mut().zip(&residual).zip(&drawn) {
+            let mut normalised = self.normalised.clone();
+            for ((y, old), new) in normalised.pv[from..].iter_mut().zip(&residual).zip(&drawn) {
                 *y += new - old;
             }
             let place = uniform(&mut rng);
-            out.extend(self.found_again(&question, &mut rng).map(|c| self.optimum(&c, place)));
+            out.extend(self.found_again(&normalised, &mut rng).map(|c| self.optimum(&c, place)));
         }
         out
     }
 
     /// The answer after a few steps from where it is on another draw of the record.
-    fn found_again(&self, question: &Question, rng: &mut ChaCha8Rng) -> Option<Found> {
-        let problem = Problem::new(question, self.sign);
+    fn found_again(&self, normalised: &NormalisedRecord, rng: &mut ChaCha8Rng) -> Option<Found> {
+        let problem = Problem::new(normalised, self.sign);
         let points = problem.points();
         let mut view = problem.view(0.0, points);
         let mut evaluator = Evaluator::new(&problem, self.law, self.class, points);

@@ -56,8 +56,8 @@ fn truth(order: u8, time_constants_s: &[f64], dead_time_s: f64) -> Model {
 #[test]
 fn the_models_curves_are_the_plants_but_for_noise() {
     let (record, stem) = record(Class::First, [libm::log(9.0), 3.0, 0.0]);
-    let portrait = Portrait::new(&record, &options(), &truth(1, &[18.0], 4.0)).unwrap();
-    let run = portrait.free_run();
+    let plots = FitPlots::new(&record, &options(), &truth(1, &[18.0], 4.0)).unwrap();
+    let run = plots.free_run();
     assert_eq!((run.valve.len(), run.pv.len(), run.residual.len()), (600, 600 - run.from, 600 - run.from));
     let rms = stats::std_dev(&run.residual);
     assert!((rms / NOISE - 1.0).abs() < 0.15, "{rms}");
@@ -71,10 +71,10 @@ fn the_models_curves_are_the_plants_but_for_noise() {
 #[test]
 fn the_map_is_least_near_the_truth_and_stays_on_the_triangle() {
     let (record, _) = record(Class::First, [libm::log(9.0), 3.0, 0.0]);
-    let portrait = Portrait::new(&record, &options(), &truth(1, &[18.0], 4.0)).unwrap();
-    let span = portrait.span();
+    let plots = FitPlots::new(&record, &options(), &truth(1, &[18.0], 4.0)).unwrap();
+    let span = plots.span();
     for order in [1, 2] {
-        let map = portrait.error_map(order, 0.05).unwrap();
+        let map = plots.error_map(order, 0.05).unwrap();
         assert!(
             (map.best.fs - FS).abs() <= 1.5 * map.step && (map.best.fd - FD).abs() <= 2.0 * map.step,
             "{:?}",
@@ -95,7 +95,7 @@ fn held_out_figures_tell_the_order() {
     let (one, _) = record(Class::First, [libm::log(9.0), 3.0, 0.0]);
     let (two, _) = record(Class::Second, [libm::log(14.0), libm::log(8.0), 3.0]);
     let gain = |record: &Record, model: &Model| {
-        let chart = Portrait::new(record, &options(), model).unwrap().orders();
+        let chart = FitPlots::new(record, &options(), model).unwrap().orders();
         assert_eq!(chart.figures.iter().map(|f| f.order).collect::<Vec<_>>(), [1, 2]);
         chart.figures[0].held_out_rms / chart.figures[1].held_out_rms
     };
@@ -107,17 +107,17 @@ fn held_out_figures_tell_the_order() {
 #[test]
 fn draws_repeat_with_their_seed_and_lie_around_the_truth() {
     let (record, _) = record(Class::First, [libm::log(9.0), 3.0, 0.0]);
-    let portrait = Portrait::new(&record, &options(), &truth(1, &[18.0], 4.0)).unwrap();
-    let drawn = portrait.bootstrap(12, 5);
-    assert_eq!(drawn, portrait.bootstrap(12, 5));
-    assert_ne!(drawn, portrait.bootstrap(12, 6));
+    let plots = FitPlots::new(&record, &options(), &truth(1, &[18.0], 4.0)).unwrap();
+    let drawn = plots.bootstrap(12, 5);
+    assert_eq!(drawn, plots.bootstrap(12, 5));
+    assert_ne!(drawn, plots.bootstrap(12, 6));
     assert_eq!(drawn.len(), 12);
     let fs = stats::mean(&drawn.iter().map(|o| o.fs).collect::<Vec<_>>());
     let fd = stats::mean(&drawn.iter().map(|o| o.fd).collect::<Vec<_>>());
     assert!((fs - FS).abs() < 0.1 * FS && (fd - FD).abs() < 0.15 * FS, "{fs} {fd}");
-    let end = portrait.restart(5).unwrap();
-    assert_eq!(Some(end), portrait.restart(5));
-    let plain = portrait.error_map(1, 0.25).unwrap().cells[0].rms.unwrap();
+    let end = plots.restart(5).unwrap();
+    assert_eq!(Some(end), plots.restart(5));
+    let plain = plots.error_map(1, 0.25).unwrap().cells[0].rms.unwrap();
     assert!(end.rms < plain && 0.0 <= end.fd && end.fd <= end.fs, "{end:?}");
 }
 
@@ -125,9 +125,9 @@ fn draws_repeat_with_their_seed_and_lie_around_the_truth() {
 fn what_cannot_be_fitted_has_no_portrait() {
     let (record, _) = record(Class::First, [libm::log(9.0), 3.0, 0.0]);
     let still = Record::uniform(1.0, vec![1.0; 100], vec![2.0; 100]);
-    assert!(Portrait::new(&still, &options(), &truth(1, &[18.0], 4.0)).is_none());
+    assert!(FitPlots::new(&still, &options(), &truth(1, &[18.0], 4.0)).is_none());
     let huge = Model { s: 100.0, j: 100.0, ..truth(1, &[18.0], 4.0) };
-    assert!(Portrait::new(&record, &options(), &huge).is_none());
+    assert!(FitPlots::new(&record, &options(), &huge).is_none());
     let odd = Model { s: f64::NAN, ..truth(1, &[18.0], 4.0) };
-    assert!(Portrait::new(&record, &options(), &odd).is_none());
+    assert!(FitPlots::new(&record, &options(), &odd).is_none());
 }

@@ -3,7 +3,7 @@
 use super::super::candidate::{Candidate, Effort};
 use super::super::class::Shape;
 use super::super::frictionless;
-use super::{Portrait, class_of};
+use super::{FitPlots, class_of};
 
 /// One cell of an [`ErrorMap`].
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -46,18 +46,18 @@ fn around([s, j]: [f64; 2], step: f64) -> Vec<[f64; 2]> {
     all.into_iter().filter(|[s, j]| 0.0 <= *j && j <= s && *s <= 1.0).collect()
 }
 
-impl Portrait<'_> {
+impl FitPlots<'_> {
     /// The error of each cell of a grid of `step`, a share of OP's span, for one order of the process. `None` where no
     /// cell has an error.
     #[must_use]
     pub fn error_map(&self, order: u8, step: f64) -> Option<ErrorMap> {
         let class = class_of(order, self.class.integrates());
-        let mut bench = self.bench(class);
-        let own = class.clamp(self.shape_in(class), &self.question.limits);
+        let mut fits = self.fits(class);
+        let own = class.clamp(self.shape_in(class), &self.normalised.limits);
         let [c_s, c_j] = self.candidate.centred();
         let slot = class.shape_len() - 1;
         let mut cells = Vec::new();
-        let plain = frictionless::best(&self.question, &self.target, class, self.sign, 1)?;
+        let plain = frictionless::best(&self.normalised, &self.target, class, self.sign, 1)?;
         let zero = Cell { fs: 0.0, fd: 0.0, rms: Some(self.rms(plain.sse)) };
         cells.push(zero);
         let count = (1.0 / step.max(1e-3) + 1e-9).floor() as u32;
@@ -69,14 +69,14 @@ impl Portrait<'_> {
                 let (s, j) = (fs + fd, fs - fd);
                 // The ridge: a later slip with a shorter lag looks alike.
                 let mut ridge = own;
-                ridge[slot] -= (s - c_s) / self.question.rate.max(1e-6);
-                let mut shapes = vec![own, class.clamp(ridge, &self.question.limits), plain.shape];
+                ridge[slot] -= (s - c_s) / self.normalised.rate.max(1e-6);
+                let mut shapes = vec![own, class.clamp(ridge, &self.normalised.limits), plain.shape];
                 shapes.extend(column.last().into_iter().chain(near.get(b as usize)));
                 let mut best: Option<Candidate> = None;
                 let effort = Effort::of(STEPS);
-                let starts = self.question.starts(fs, STARTS).into_iter().chain([self.candidate.start]);
+                let starts = self.normalised.starts(fs, STARTS).into_iter().chain([self.candidate.start]);
                 for start in starts {
-                    let found = bench.fit_exactly([s, j], start, &shapes, effort);
+                    let found = fits.fit_exactly([s, j], start, &shapes, effort);
                     best = found.filter(|f| best.is_none_or(|b| f.fit.sse < b.fit.sse)).or(best);
                 }
                 // Valleys are narrower than cells: a cell is worth its best place.
@@ -86,7 +86,7 @@ impl Portrait<'_> {
                     for [s, j] in around([s, j], step).into_iter().chain(own_place) {
                         let shapes = [middle.fit.shape, own];
                         let effort = Effort { hopeless: 4.0 * middle.fit.sse, ..Effort::of(STEPS / 2) };
-                        let found = bench.fit_exactly([s, j], middle.start, &shapes, effort);
+                        let found = fits.fit_exactly([s, j], middle.start, &shapes, effort);
                         best = found.filter(|f| best.is_none_or(|b| f.fit.sse < b.fit.sse)).or(best);
                     }
                 }

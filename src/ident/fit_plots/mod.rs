@@ -11,7 +11,7 @@ pub use draws::{Optimum, RESAMPLES, RESTARTS};
 pub use map::{Cell, ErrorMap};
 
 use super::again::again;
-use super::candidate::{Bench, Candidate, Question};
+use super::candidate::{Candidate, CandidateFitter, NormalisedRecord};
 use super::class::{Class, Shape};
 use super::fit::Target;
 use super::frictionless;
@@ -83,10 +83,10 @@ impl Model {
 
 /// A model met again on its record.
 #[derive(Debug)]
-pub struct Portrait<'a> {
+pub struct FitPlots<'a> {
     record: &'a Record,
     options: Options,
-    question: Question,
+    normalised: NormalisedRecord,
     target: Target,
     candidate: Candidate,
     law: Law,
@@ -131,7 +131,7 @@ pub struct OrderChart {
     pub must_remove: f64,
 }
 
-impl<'a> Portrait<'a> {
+impl<'a> FitPlots<'a> {
     /// Meets `model` again on its record; `options` are those that the estimate was made with. `None` where a signal
     /// does not move or the stem never slips.
     #[must_use]
@@ -140,19 +140,20 @@ impl<'a> Portrait<'a> {
         if record.len() < 30 || !span.is_normal() || !deviation.is_normal() || model.s.is_nan() || model.s <= 0.0 {
             return None;
         }
-        let question = normalise(record, options, span, deviation);
-        let target = Target::new(&question.pv, 0.0, question.from);
+        let normalised = normalise(record, options, span, deviation);
+        let target = Target::new(&normalised.pv, 0.0, normalised.from);
         let class = class_of(model.order, model.integrating);
         let (law, sign) = (model.law, if model.gain < 0.0 { -1.0 } else { 1.0 });
-        let told = class.clamp(model.shape(record), &question.limits);
-        let plain = frictionless::best(&question, &target, class, sign, 1).map_or(told, |f| f.shape);
+        let told = class.clamp(model.shape(record), &normalised.limits);
+        let plain = frictionless::best(&normalised, &target, class, sign, 1).map_or(told, |f| f.shape);
         let bands = [model.s / span, model.j.clamp(0.0, model.s) / span];
-        let candidate = again(&mut Bench::new(&question, law, class, &target, sign), bands, &[told, plain])?;
-        Some(Self { record, options: *options, question, target, candidate, law, class, sign, span, deviation })
+        let candidate =
+            again(&mut CandidateFitter::new(&normalised, law, class, &target, sign), bands, &[told, plain])?;
+        Some(Self { record, options: *options, normalised, target, candidate, law, class, sign, span, deviation })
     }
 
-    fn bench(&self, class: Class) -> Bench<'_> {
-        Bench::new(&self.question, self.law, class, &self.target, self.sign)
+    fn fits(&self, class: Class) -> CandidateFitter<'_> {
+        CandidateFitter::new(&self.normalised, self.law, class, &self.target, self.sign)
     }
 
     /// Span of OP, OP units: no bands with fs + fd above it can be seen.
@@ -175,9 +176,9 @@ impl<'a> Portrait<'a> {
     #[must_use]
     pub fn free_run(&self) -> FreeRun {
         let c = &self.candidate;
-        let residual = self.bench(self.class).residual(c);
+        let residual = self.fits(self.class).residual(c);
         let mut sequence = Sequence::default();
-        let q = &self.question;
+        let q = &self.normalised;
         sequence.run(self.law, &q.path, q.per_point, c.s, c.j, q.first_slip(c.start));
         let middle = stats::mean(&self.record.op_path);
         let stem = sequence.at.iter().zip(&sequence.direction).map(|(at, direction)| at - c.fit.fd * direction);
@@ -194,17 +195,17 @@ impl<'a> Portrait<'a> {
     /// The candidate in another order, fitted.
     fn in_order(&self, order: u8) -> Option<Candidate> {
         let class = class_of(order, self.class.integrates());
-        let mut bench = self.bench(class);
+        let mut fits = self.fits(class);
         let mut shapes = vec![self.shape_in(class)];
         if class == Class::Second && self.class == Class::First {
             // The first order itself, with a second lag too short to matter.
             let shape = &self.candidate.fit.shape;
-            shapes.push([shape[0], libm::log(self.question.limits.tau[0]), shape[1] - self.question.limits.tau[0]]);
+            shapes.push([shape[0], libm::log(self.normalised.limits.tau[0]), shape[1] - self.normalised.limits.tau[0]]);
         }
         let settled = shapes.into_iter().filter_map(|shape| {
             let mut start = self.candidate;
-            start.fit.shape = class.clamp(shape, &self.question.limits);
-            bench.settle(&start)
+            start.fit.shape = class.clamp(shape, &self.normalised.limits);
+            fits.settle(&start)
         });
         settled.min_by(|a, b| a.fit.sse.total_cmp(&b.fit.sse))
     }
@@ -213,7 +214,7 @@ impl<'a> Portrait<'a> {
     fn shape_in(&self, class: Class) -> Shape {
         let shape = &self.candidate.fit.shape;
         match (self.class.order(), class.order()) {
-            (1, 2) if self.class.integrates() => class.start(self.question.period, self.class.lag(shape)),
+            (1, 2) if self.class.integrates() => class.start(self.normalised.period, self.class.lag(shape)),
             (1, 2) => class.start(libm::exp(shape[0]), self.class.lag(shape)),
             (2, 1) => reduced(self.class, class, shape),
             _ => *shape,
@@ -225,8 +226,8 @@ impl<'a> Portrait<'a> {
     pub fn orders(&self) -> OrderChart {
         let figures = [1, 2].into_iter().filter_map(|order| {
             let fitted = self.in_order(order)?;
-            let mut bench = self.bench(class_of(order, self.class.integrates()));
-            let held_out = bench.held_out(&fitted, FITTED_SHARE);
+            let mut fits = self.fits(class_of(order, self.class.integrates()));
+            let held_out = fits.held_out(&fitted, FITTED_SHARE);
             let held_out_rms = held_out.sqrt() * self.deviation;
             held_out_rms.is_finite().then_some(OrderFigures {
                 order,
