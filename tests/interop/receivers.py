@@ -148,6 +148,8 @@ def board_queries():
 
 
 def check_monitoring(daemon, folder, alarm):
+    # The age of a loop's data is first told by the health document, some seconds after the start.
+    eventually("health in /metrics", lambda: "stictiond_loop_data_age_seconds{" in metrics_of(daemon)[0], 60)
     text, kind = metrics_of(daemon, "text/plain")
     assert kind.startswith("text/plain"), kind
     assert metrics_of(daemon)[1].startswith("application/openmetrics-text")
