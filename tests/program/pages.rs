@@ -245,9 +245,11 @@ fn the_five_minutes_work_as_pasted() {
         } else if line.starts_with("curl ") {
             let words = words(&line);
             let (address, path) = words[2].trim_start_matches("http://").split_once('/').unwrap();
-            // Estimates take a moment after the last sample.
-            let metrics = || Some(http(address, &format!("/{path}"))).filter(|m| missing(&step.shown, m).is_none());
-            wait_for(&step.line, metrics);
+            // Estimates take a moment after the last sample; series of one name come in any order.
+            wait_for(&step.line, || {
+                let metrics = http(address, &format!("/{path}"));
+                step.shown.iter().all(|shown| metrics.lines().any(|line| line == shown)).then_some(())
+            });
         } else {
             assert!(NOT_RUN.iter().any(|known| line.starts_with(known)), "line {}: {line}", step.number);
             continue;
