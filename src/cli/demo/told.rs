@@ -107,9 +107,7 @@ fn agrees(spec: &LoopSpec, found: Option<&str>) -> &'static str {
         (Some(label), found) if label.name() == found => "yes",
         (Some(Label::NoStiction), "no_oscillation") => "yes: nothing oscillates, so nothing is asked of the valve",
         (_, "inconclusive") => "no answer: this window could not tell",
-        _ if healthy && found != "stiction" && found != "deadband" => {
-            "about the valve, yes; about the cause, no"
-        }
+        _ if healthy && found != "stiction" && found != "deadband" => "about the valve, yes; about the cause, no",
         _ => "NO",
     }
 }
