@@ -201,7 +201,9 @@ def main():
     assert CONFIG.read_text() == mine and recordings() == kept
 
     dpkg("--purge", "stictiond")
-    assert uid() is None and not STATE.exists()
+    assert not STATE.exists()
+    for accounts in ("passwd", "group", "shadow", "gshadow"):
+        assert "stictiond" not in (ROOT / "etc" / accounts).read_text(), accounts
     after = everything()
     left = {path: after[path] for path in after if before.get(path) != after[path]}
     gone = before.keys() - after.keys()
