@@ -5,7 +5,8 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 started=$SECONDS
 log=$(mktemp)
-trap 'rm -f "$log"' EXIT
+beside=$(mktemp)
+trap 'rm -f "$log" "$beside"' EXIT
 
 step() {
     printf '\n== %s (%d s)\n' "$*" "$((SECONDS - started))"
@@ -26,12 +27,30 @@ cargo check --locked --quiet --no-default-features --lib
 step "building the tests"
 cargo test --no-run --locked --quiet
 
-step "tests"
-noted cargo test --no-fail-fast --locked --quiet
+# Some tests mostly wait: for a daemon that is killed, a disk that fills, a broker that comes back. They run beside those
+# that compute; what they print follows when both have ended.
+waiting=(crashes faults hardened hostile service soak twice)
+computing=()
+for path in tests/*.rs tests/*/main.rs; do
+    name=$(basename "${path%/main.rs}" .rs)
+    [[ " ${waiting[*]} " == *" $name "* ]] || computing+=("$name")
+done
 
-step "tests from outside"
+step "tests that compute: units, ${computing[*]}; beside them those that wait: ${waiting[*]}, and those from outside"
 wait "$fetching" || true
-noted bash tests/interop/run.sh
+{
+    cargo test --no-fail-fast --locked --quiet "${waiting[@]/#/--test=}"
+    bash tests/interop/run.sh
+} >"$beside" 2>&1 &
+others=$!
+failed=0
+noted cargo test --no-fail-fast --locked --quiet --lib --bins "${computing[@]/#/--test=}" || failed=1
+noted cargo test --locked --quiet --doc || failed=1
+
+step "tests that wait, and those from outside: what they said"
+wait "$others" || failed=1
+noted cat "$beside"
+[ "$failed" = 0 ]
 
 step "reports in a browser"
 noted bash tests/report/run.sh

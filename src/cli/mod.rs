@@ -131,7 +131,7 @@ pub fn main() -> ExitCode {
             return ExitCode::from(if asked { Outcome::Done } else { Outcome::Usage }.code());
         }
     };
-    start_log(cli.log);
+    start_log(cli.log, cli.default_filter());
     let outcome = dispatch(cli).unwrap_or_else(|error| {
         // A reader that closes our output early (`| head`) is no failure.
         let pipe = error.chain().filter_map(|e| e.downcast_ref::<std::io::Error>());
@@ -180,8 +180,18 @@ fn dispatch(cli: Cli) -> anyhow::Result<Outcome> {
     }
 }
 
-fn start_log(form: Format) {
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info,zenoh=warn"));
+impl Cli {
+    /// What is logged where `RUST_LOG` says nothing. The demo tells alarms and its plant's doings in its own lines.
+    const fn default_filter(&self) -> &'static str {
+        match (&self.command, self.format) {
+            (CommandArgs::Demo(_), Format::Text) => "warn,zenoh=error,stictiond::alarm=off",
+            _ => "info,zenoh=warn",
+        }
+    }
+}
+
+fn start_log(form: Format, default_filter: &str) {
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(default_filter));
     let colours = std::io::stderr().is_terminal();
     let builder = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).with_ansi(colours);
     let started = match form {
