@@ -27,21 +27,28 @@ if [ "${1:-}" = --boot ]; then
     packages=adduser,systemd,systemd-sysv,dbus
 fi
 root=$target/package/$suite-$packages.tar
+mkdir -p "$target/package"
+# Whoever comes while it is being fetched waits.
+exec 9>"$target/package/lock"
+flock 9
 if [ ! -e "$root" ]; then
     if ! command -v debootstrap >/dev/null && command -v apt-get >/dev/null; then
         { apt-get update && apt-get install -y --no-install-recommends debootstrap; } >/dev/null 2>&1 || true
     fi
     command -v debootstrap >/dev/null || skip "no debootstrap (apt-get install debootstrap)"
-    mkdir -p "$target/package"
     fresh=$(mktemp -d "$target/package/root.XXXXXX")
     trap 'rm -rf "$fresh"' EXIT
+    # What is the root's / must be open to its users, as mktemp's folders are not.
+    chmod 755 "$fresh"
     # debootstrap takes its usual mirror, or DEBIAN_MIRROR.
     debootstrap --variant=minbase --include="$packages" "$suite" "$fresh" ${DEBIAN_MIRROR:+"$DEBIAN_MIRROR"} \
         >"$target/package/debootstrap.log" 2>&1 || skip "debootstrap fails (target/package/debootstrap.log)"
     rm -rf "$fresh"/var/cache/apt/archives/*.deb "$fresh"/var/lib/apt/lists/*
     tar -C "$fresh" -cf "$root.part" .
     mv "$root.part" "$root"
+    rm -rf "$fresh"
 fi
+exec 9>&-
 [ "${1:-}" != --fetch ] || exit 0
 
 [ -x "$target/debug/stictiond" ] || cargo build --locked --quiet
