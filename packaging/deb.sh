@@ -4,6 +4,7 @@
 # Prints the package's path. The same program, sources and SOURCE_DATE_EPOCH (default: the last commit) give the same bytes.
 # DEBFULLNAME and DEBEMAIL name who answers for the package, DEB_REVISION counts packages of one version.
 set -euo pipefail
+caller=$PWD
 cd "$(dirname "$0")/.."
 target=${CARGO_TARGET_DIR:-target}
 binary=$target/release/stictiond
@@ -13,11 +14,14 @@ fail() {
     printf 'packaging/deb.sh: %s\n' "$*" >&2
     exit 1
 }
+from_caller() {
+    cd "$caller" && realpath -m -- "$1"
+}
 
 while [ $# -gt 0 ]; do
     case $1 in
-        --binary) binary=${2:?--binary needs a path}; shift 2 ;;
-        --out) out=${2:?--out needs a folder}; shift 2 ;;
+        --binary) binary=$(from_caller "${2:?--binary needs a path}"); shift 2 ;;
+        --out) out=$(from_caller "${2:?--out needs a folder}"); shift 2 ;;
         *) fail "unknown argument $1; see the head of this script" ;;
     esac
 done

@@ -91,7 +91,10 @@ class Service:
         self.path = ROOT / "run/told"
         self.path.unlink(missing_ok=True)
         self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-        self.socket.bind(str(self.path))
+        # A socket's path has 107 bytes at most, however deep the root lies.
+        folder = os.open(self.path.parent, os.O_RDONLY)
+        self.socket.bind(f"/proc/self/fd/{folder}/{self.path.name}")
+        os.close(folder)
         self.socket.setblocking(False)
         self.path.chmod(0o666)
         user = settings["User"]
