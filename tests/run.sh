@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # Every test: the library and the program, the program seen from outside by Python (tests/interop), and its reports in a
-# browser (tests/report). What was skipped for want of something is said and counted at the end.
+# browser (tests/report), its package on a clean Debian root (tests/package). What was skipped for want of something is said
+# and counted at the end.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 started=$SECONDS
@@ -17,8 +18,9 @@ noted() {
     "$@" > >(tee -a "$log") 2> >(tee -a "$log" >&2)
 }
 
-# Browser, broker and Python packages are fetched while the compiler works. What fails here is said where it is needed.
-{ bash tests/interop/run.sh --fetch && bash tests/report/run.sh --fetch; } >/dev/null 2>&1 &
+# Browser, broker and Python packages are fetched while the compiler works. What fails here is said where it is needed. A
+# Debian root comes behind them (as apt-get runs once at a time) and is not waited for here.
+{ bash tests/interop/run.sh --fetch && bash tests/report/run.sh --fetch; bash tests/package/run.sh --fetch & } >/dev/null 2>&1 &
 fetching=$!
 
 step "the pure half builds alone"
@@ -54,6 +56,9 @@ noted cat "$beside"
 
 step "reports in a browser"
 noted bash tests/report/run.sh
+
+step "the package on a clean Debian root"
+noted bash tests/package/run.sh
 
 skipped=$(grep -c '^\(!! \)\?SKIPPED: ' "$log" || true)
 if [ "$skipped" -gt 0 ]; then
