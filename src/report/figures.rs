@@ -379,6 +379,7 @@ fn witnesses(a: &Assessment) -> Result<Figure, PlotError> {
     });
     let rows: Vec<Bar<'_>> = base.into_iter().chain(said).chain(sum).collect();
     let picture = bars("Witnesses", HALF, "logits: right for sticking, left against", &rows)?;
-    let caption = "What each witness adds; together they are the logit of the probability. README, \"The rule\".";
+    let caption =
+        "What each witness adds; together they are the logit of the probability. docs/method.md, \"The rule\".";
     Ok(Figure { picture, caption: caption.to_owned(), wide: false })
 }

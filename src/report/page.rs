@@ -34,7 +34,7 @@ pub fn page(report: &Report) -> Result<String, PlotError> {
         @for warning in &report.warnings { p.warning { (warning) } }
         @for part in sections { (part) }
     };
-    let remark = "The same file, options and build give the same numbers. Fields are explained in the README of stictiond. \
+    let remark = "The same file, options and build give the same numbers. Fields are explained in docs/verdicts.md of stictiond. \
                   Pictures are drawn from the points that were analysed; curves keep the extremes of each pixel column.";
     Ok(whole(&title, [&report.input, &report.command], &body, remark))
 }

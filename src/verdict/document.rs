@@ -243,7 +243,7 @@ pub struct Controller {
 /// Everything an estimate says that depends on its window alone. Field order is the document's.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
-#[allow(missing_docs)] // each field is defined in the table of the README and by its type
+#[allow(missing_docs)] // each field is defined in the table of docs/verdicts.md and by its type
 pub struct Assessment {
     pub window: Window,
     pub oscillation: Oscillation,

@@ -12,6 +12,7 @@ mod engine;
 mod engine_gaps;
 mod formats;
 mod gap_golden;
+mod pages;
 mod screening;
 mod tidy;
 mod traps;

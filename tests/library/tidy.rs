@@ -1,4 +1,4 @@
-//! What must be absent, and what must agree: the walls between rooms, the purity of the pure half, the README's tables.
+//! What must be absent, and what must agree: the walls between rooms, the purity of the pure half, open ends.
 //!
 //! `src/lib.rs` says what these tests hold. Test code (`#[cfg(test)]`) and comments may do as they like.
 
@@ -351,9 +351,10 @@ fn nothing_is_left_open_and_no_machine_is_named() {
     let machine = ["work", "root", "tmp", "home"].map(|folder| format!("/{folder}/"));
     let open = ["TO-DO", "FIX-ME", "XX-X", "todo-!", "unimple-mented!"].map(|word| word.replace('-', ""));
     let mut texts: Vec<(String, String)> = sources().into_iter().map(|s| (format!("src/{}", s.path), s.text)).collect();
-    for name in ["README.md", "CHANGELOG.md", "SECURITY.md", "config/monitor.toml", "recordings/README.md"] {
+    for name in ["CHANGELOG.md", "SECURITY.md", "config/monitor.toml", "recordings/README.md"] {
         texts.push((name.to_owned(), fs::read_to_string(root().join(name)).unwrap()));
     }
+    texts.extend(crate::pages::all());
     let mut faults = Vec::new();
     for (name, text) in texts {
         for word in machine.iter().chain(&open) {
@@ -362,39 +363,6 @@ fn nothing_is_left_open_and_no_machine_is_named() {
         }
     }
     fail_on(&faults);
-}
-
-/// First cells, in code marks, of the README's table whose first heading is `heading`.
-fn readme_column(heading: &str) -> Vec<String> {
-    let readme = fs::read_to_string(root().join("README.md")).unwrap();
-    let head = format!("| {heading} |");
-    let mut lines = readme.lines().skip_while(|l| !l.starts_with(&head));
-    assert!(lines.next().is_some(), "README.md has no table that starts with {head}");
-    let rows = lines.skip(1).take_while(|l| l.starts_with('|'));
-    rows.map(|l| l.split('`').nth(1).unwrap_or_else(|| panic!("no `name` in {l}")).to_owned()).collect()
-}
-
-#[test]
-fn the_readme_lists_what_there_is() {
-    let names = |all: Vec<&'static str>| all.into_iter().map(str::to_owned).collect::<Vec<_>>();
-    assert_eq!(readme_column("solver"), names(stictiond::optim::ALL.iter().map(|s| s.name()).collect()));
-    assert_eq!(readme_column("format"), names(stictiond::codec::ALL.iter().map(|c| c.name()).collect()));
-    assert_eq!(readme_column("gate"), names(stictiond::verdict::Gate::ALL.iter().map(|g| g.name()).collect()));
-}
-
-#[cfg(feature = "daemon")]
-#[test]
-fn the_readme_lists_every_command() {
-    let output = std::process::Command::new(env!("CARGO_BIN_EXE_stictiond")).arg("--help").output().unwrap();
-    let help = String::from_utf8(output.stdout).unwrap();
-    let rows = help.lines().skip_while(|l| *l != "Commands:").skip(1).take_while(|l| !l.is_empty());
-    // A command stands two columns in, the rest of a long description further.
-    let commands: Vec<String> = rows
-        .filter(|l| l.starts_with("  ") && !l.starts_with("   "))
-        .map(|l| l.split_whitespace().next().unwrap().to_owned())
-        .filter(|name| name != "help")
-        .collect();
-    assert_eq!(readme_column("command"), commands);
 }
 
 /// What is known of an effect stands in its file: no other file of the gap names one.

@@ -18,6 +18,7 @@ mod daemon;
 mod daemon_gap;
 mod exports;
 mod golden;
+mod pages;
 mod recordings;
 mod shipped;
 mod toolbox;

@@ -1,0 +1,197 @@
+//! The pages: README.md, CONTRIBUTING.md and docs. Their links lead somewhere, their tables list what there is, and the
+//! README stays a page that is read to its end. `tests/program/pages.rs` holds the command lines.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// Longest README, bytes.
+const MAX_README: usize = 14_000;
+
+fn root() -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR"))
+}
+
+fn read(name: &str) -> String {
+    fs::read_to_string(root().join(name)).unwrap_or_else(|e| panic!("{name}: {e}"))
+}
+
+/// Every page with its text, by its path from the root.
+pub fn all() -> Vec<(String, String)> {
+    let mut names = vec!["README.md".to_owned(), "CONTRIBUTING.md".to_owned()];
+    for entry in fs::read_dir(root().join("docs")).unwrap() {
+        let name = entry.unwrap().file_name().into_string().unwrap();
+        if Path::new(&name).extension().is_some_and(|e| e == "md") {
+            names.push(format!("docs/{name}"));
+        }
+    }
+    assert!(names.len() > 20, "docs was not found");
+    names.sort();
+    names.into_iter().map(|name| (name.clone(), read(&name))).collect()
+}
+
+/// The lines outside of fenced blocks, with their numbers.
+fn prose(text: &str) -> Vec<(usize, &str)> {
+    let mut fenced = false;
+    let mut out = Vec::new();
+    for (at, line) in text.lines().enumerate() {
+        if line.starts_with("```") {
+            fenced = !fenced;
+        } else if !fenced {
+            out.push((at + 1, line));
+        }
+    }
+    out
+}
+
+/// The lines of all fenced blocks of a language below a heading.
+fn fenced<'t>(text: &'t str, heading: &str, language: &str) -> Vec<&'t str> {
+    let (open, mut inside, mut out) = (format!("```{language}"), false, Vec::new());
+    let below = text.lines().skip_while(|l| *l != heading).skip(1);
+    for line in below.take_while(|l| !l.starts_with("## ")) {
+        if line.starts_with("```") {
+            inside = line == open;
+        } else if inside {
+            out.push(line);
+        }
+    }
+    out
+}
+
+/// A heading's anchor, as GitHub makes it: lower case, blanks as hyphens, nothing but letters, digits, `-` and `_`.
+fn anchor(heading: &str) -> String {
+    let kept = heading.chars().filter(|c| c.is_alphanumeric() || [' ', '-', '_'].contains(c));
+    kept.map(|c| if c == ' ' { '-' } else { c }).collect::<String>().to_lowercase()
+}
+
+/// The anchors of a page; a heading that comes again gets a number.
+fn anchors(text: &str) -> Vec<String> {
+    let mut seen = BTreeMap::new();
+    let headings = prose(text).into_iter().filter(|(_, l)| l.starts_with('#')).map(|(_, l)| l.trim_start_matches('#'));
+    headings
+        .map(|heading| {
+            let name = anchor(heading.trim());
+            let times = seen.entry(name.clone()).or_insert(0);
+            *times += 1;
+            if *times == 1 { name } else { format!("{name}-{}", *times - 1) }
+        })
+        .collect()
+}
+
+/// Targets of a line's links, code in backticks left out.
+fn links(line: &str) -> Vec<&str> {
+    let prose = line.split('`').enumerate().filter(|(at, _)| at % 2 == 0).map(|(_, part)| part);
+    let targets = |part: &'_ str| part.match_indices("](").map(|(at, _)| at + 2).collect::<Vec<_>>();
+    prose.flat_map(|part| targets(part).into_iter().filter_map(|at| part[at..].split(')').next())).collect()
+}
+
+#[test]
+fn every_link_leads_to_a_file_and_a_heading() {
+    let (mut faults, mut seen) = (Vec::new(), 0);
+    let more = ["CHANGELOG.md", "SECURITY.md", "recordings/README.md"].map(|name| (name.to_owned(), read(name)));
+    for (name, text) in all().into_iter().chain(more) {
+        for (at, line) in prose(&text) {
+            for link in links(line).into_iter().filter(|l| !l.starts_with("http")) {
+                seen += 1;
+                let (path, heading) = link.split_once('#').map_or((link, None), |(path, h)| (path, Some(h)));
+                let home = root().join(&name);
+                let target = if path.is_empty() { home } else { home.parent().unwrap().join(path) };
+                if !target.exists() {
+                    faults.push(format!("{name}: line {at}: {link}: no such file"));
+                } else if let Some(heading) = heading
+                    && !anchors(&fs::read_to_string(&target).unwrap_or_default()).contains(&heading.to_owned())
+                {
+                    faults.push(format!("{name}: line {at}: {link}: no such heading"));
+                }
+            }
+        }
+    }
+    assert!(seen > 100, "only {seen} links were found");
+    assert!(faults.is_empty(), "\n{}\n", faults.join("\n"));
+}
+
+#[test]
+fn links_and_headings_are_read_as_they_are_shown() {
+    assert_eq!(links("see [a](b.md#c), `[x](y)` and [`d`](../e)"), ["b.md#c", "../e"]);
+    assert_eq!(anchors("# A\n```\n# no\n```\n## B, and `c_d`\n## A"), ["a", "b-and-c_d", "a-1"]);
+    assert_eq!(anchor("The engine's contract"), "the-engines-contract");
+}
+
+#[test]
+fn the_readme_is_read_to_its_end() {
+    let bytes = read("README.md").len();
+    assert!(bytes <= MAX_README, "README.md has {bytes} bytes, at most {MAX_README}: move something into docs");
+    // Programs that try this repository look for these two.
+    let two = fenced(&read("README.md"), "## Two commands", "sh");
+    assert_eq!(two, ["cargo run --release -- demo", "bash tests/run.sh"]);
+}
+
+#[test]
+fn the_list_of_pages_is_whole() {
+    let list = read("docs/README.md");
+    for (name, _) in all() {
+        let page = name.strip_prefix("docs/").unwrap_or(&name);
+        assert!(page == "README.md" || list.contains(&format!("[{page}](")), "docs/README.md does not list {page}");
+    }
+}
+
+/// Figures stand in one place; the README quotes them line by line.
+#[test]
+fn figures_of_the_readme_stand_in_the_evaluation() {
+    let readme = read("README.md");
+    let sources = ["docs/evaluation.md", "docs/gap-evaluation.md", "docs/speed.md"].map(read);
+    let quoted = fenced(&readme, "## How good it is", "text");
+    assert!(quoted.len() >= 10, "{quoted:?}");
+    for line in quoted {
+        assert!(sources.iter().any(|s| s.lines().any(|l| l == line)), "no page has this figure any more: {line}");
+    }
+}
+
+/// First cells, in code marks, of a page's table whose first heading is `heading`.
+fn column(page: &str, heading: &str) -> Vec<String> {
+    let text = read(page);
+    let head = format!("| {heading} |");
+    let mut lines = text.lines().skip_while(|l| !l.starts_with(&head));
+    assert!(lines.next().is_some(), "{page} has no table that starts with {head}");
+    let rows = lines.skip(1).take_while(|l| l.starts_with('|'));
+    rows.map(|l| l.split('`').nth(1).unwrap_or_else(|| panic!("no `name` in {l}")).to_owned()).collect()
+}
+
+fn sorted(mut names: Vec<String>) -> Vec<String> {
+    names.sort();
+    names
+}
+
+#[test]
+fn tables_list_what_there_is() {
+    let names = |all: Vec<&'static str>| all.into_iter().map(str::to_owned).collect::<Vec<_>>();
+    let solvers = names(stictiond::optim::ALL.iter().map(|s| s.name()).collect());
+    assert_eq!(column("docs/commands.md", "solver"), solvers);
+    let formats = names(stictiond::codec::ALL.iter().map(|c| c.name()).collect());
+    assert_eq!(column("docs/live-formats.md", "format"), formats);
+    let gates = names(stictiond::verdict::Gate::ALL.iter().map(|g| g.name()).collect());
+    assert_eq!(column("docs/verdicts.md", "gate"), gates);
+    let effects = names(stictiond::gap::effects::ALL.iter().map(|e| e.id).collect());
+    assert_eq!(column("docs/gap.md", "effect"), effects);
+    // Those that are made of the fit stand among the others.
+    let mut witnesses = names(stictiond::detect::ALL.iter().map(|d| d.name()).collect());
+    witnesses.extend(["likelihood", "confirmed", "moves"].map(str::to_owned));
+    assert_eq!(sorted(column("docs/method.md", "witness")), sorted(witnesses));
+}
+
+#[cfg(feature = "daemon")]
+#[test]
+fn every_command_is_listed() {
+    let output = std::process::Command::new(env!("CARGO_BIN_EXE_stictiond")).arg("--help").output().unwrap();
+    let help = String::from_utf8(output.stdout).unwrap();
+    let rows = help.lines().skip_while(|l| *l != "Commands:").skip(1).take_while(|l| !l.is_empty());
+    // A command stands two columns in, the rest of a long description further.
+    let commands: Vec<String> = rows
+        .filter(|l| l.starts_with("  ") && !l.starts_with("   "))
+        .map(|l| l.split_whitespace().next().unwrap().to_owned())
+        .filter(|name| name != "help")
+        .collect();
+    assert_eq!(column("docs/commands.md", "command"), commands);
+}

@@ -1,0 +1,270 @@
+//! What the pages tell people to type: every command line is accepted, and those of the README's five minutes work in
+//! order, with the output that is shown.
+//!
+//! A fenced block marked `console` shows real output of a shipped recording: where a change means to alter it, run the
+//! command and paste what it prints. `...` stands for lines that are left out. Blocks of other marks are not compared.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use std::fs;
+use std::io::{BufRead, BufReader, Read};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+
+use crate::live::{free_port, http, program, stictiond, wait_for};
+
+/// Steps of the five minutes that fetch or build something, or only set the shell up.
+const NOT_RUN: [&str; 5] =
+    ["cargo build", "export PATH=", "python3 -m venv", "target/venv/bin/pip", "target/venv/bin/python"];
+
+/// One line to type, and the lines that are shown below it.
+struct Step {
+    page: String,
+    number: usize,
+    line: String,
+    shown: Vec<String>,
+}
+
+fn pages() -> Vec<(String, String)> {
+    let mut names = vec!["README.md".to_owned(), "CONTRIBUTING.md".to_owned()];
+    let docs = fs::read_dir("docs").unwrap().map(|e| e.unwrap().file_name().into_string().unwrap());
+    names.extend(docs.filter(|name| name.ends_with(".md")).map(|name| format!("docs/{name}")));
+    names.sort();
+    names.into_iter().map(|name| (name.clone(), fs::read_to_string(name).unwrap())).collect()
+}
+
+/// Every line of a page's fenced blocks that is typed, continued lines joined; blocks marked `marks`, all if empty.
+fn steps(page: &str, text: &str, marks: &[&str]) -> Vec<Step> {
+    let mut steps: Vec<Step> = Vec::new();
+    let (mut block, mut continued) = (None, false);
+    for (at, line) in text.lines().enumerate() {
+        if let Some(mark) = line.strip_prefix("```") {
+            block = if block.is_some() { None } else { Some(mark) };
+            continue;
+        }
+        let Some(mark) = block.filter(|mark| marks.is_empty() || marks.contains(mark)) else { continue };
+        let prompt = line.strip_prefix("$ ");
+        if continued {
+            let last = &mut steps.last_mut().unwrap().line;
+            last.push_str(line.trim_end_matches('\\'));
+        } else if let Some(typed) = prompt.or((mark == "sh" && !line.is_empty()).then_some(line)) {
+            let line = typed.trim_end_matches('\\').to_owned();
+            steps.push(Step { page: page.to_owned(), number: at + 1, line, shown: Vec::new() });
+        } else if let Some(last) = steps.last_mut().filter(|_| mark == "console") {
+            last.shown.push(line.to_owned());
+        }
+        continued = line.ends_with('\\') && (continued || prompt.is_some() || mark == "sh");
+    }
+    steps
+}
+
+/// The words of a line as a shell has them, up to a comment, pipe or redirection.
+fn words(line: &str) -> Vec<String> {
+    let (mut words, mut word, mut quote) = (Vec::new(), None::<String>, None);
+    for c in line.chars() {
+        match quote {
+            Some(q) if q == c => quote = None,
+            None if c == '\'' || c == '"' => {
+                quote = Some(c);
+                word.get_or_insert_default();
+            }
+            None if c == ' ' => words.extend(word.take()),
+            _ => word.get_or_insert_default().push(c),
+        }
+    }
+    words.extend(word);
+    words.into_iter().take_while(|w| !["#", "|", ">"].contains(&w.as_str())).collect()
+}
+
+/// The arguments of a line that calls the program; `None` for other lines.
+fn arguments(line: &str) -> Option<Vec<String>> {
+    let words = words(line);
+    match words.first()?.as_str() {
+        "stictiond" => Some(words[1..].to_vec()),
+        "cargo" if words.get(1).is_some_and(|w| w == "run") => {
+            words.iter().position(|w| w == "--").map(|at| words[at + 1..].to_vec())
+        }
+        _ => None,
+    }
+}
+
+/// What a reader puts something in place of: capitals alone, such as SECONDS.
+fn is_placeholder(word: &str) -> bool {
+    word.len() > 1 && word.chars().all(|c| c.is_ascii_uppercase() || c == '_')
+}
+
+/// `--help` at the end ends the parse before anything is run, and after every word before it was read.
+fn fault_of(arguments: &[String]) -> Option<String> {
+    let mut said: Vec<&str> = Vec::new();
+    for word in arguments {
+        // A placeholder stands for a value that this test does not know: its flag is looked up in the help below.
+        let value = is_placeholder(word) && said.last().is_some_and(|last| last.starts_with("--"));
+        if value {
+            said.pop();
+        } else {
+            said.push(word);
+        }
+    }
+    said.push("--help");
+    let output = stictiond(&said);
+    let help = String::from_utf8(output.stdout).unwrap();
+    if !output.status.success() {
+        let text = String::from_utf8(output.stderr).unwrap();
+        return Some(text.lines().next().unwrap_or_default().to_owned());
+    }
+    let known = |flag: &str| help.split_whitespace().any(|w| w == flag);
+    let flags = arguments.iter().filter(|w| w.starts_with("--"));
+    flags.map(|f| f.split('=').next().unwrap()).find(|f| !known(f)).map(|f| format!("{f} is not in the help"))
+}
+
+#[test]
+fn every_command_line_is_accepted() {
+    let (mut faults, mut seen) = (Vec::new(), 0);
+    for (page, text) in pages() {
+        for step in steps(&page, &text, &[]) {
+            let Some(arguments) = arguments(&step.line) else { continue };
+            seen += 1;
+            let fault = fault_of(&arguments).map(|why| format!("{page}: line {}: {}: {why}", step.number, step.line));
+            faults.extend(fault);
+        }
+    }
+    assert!(seen > 30, "only {seen} command lines were found");
+    assert!(faults.is_empty(), "\n{}\n", faults.join("\n"));
+}
+
+#[test]
+fn a_wrong_command_line_is_not_accepted() {
+    let fault = |line: &str| fault_of(&arguments(line).unwrap());
+    for wrong in ["stictiond analyse x.csv", "stictiond gap x.csv --base", "stictiond demo --for ever"] {
+        assert!(fault(wrong).is_some(), "{wrong}");
+    }
+    for wrong in ["stictiond analyze x.csv --fast", "stictiond replay x.mcap --seed SEED", "stictiond check --speed 3"]
+    {
+        assert!(fault(wrong).is_some(), "{wrong}");
+    }
+    for right in ["stictiond demo --for SECONDS  # so long", "cargo run --release -- bench --rate 5 | head"] {
+        assert_eq!(fault(right), None, "{right}");
+    }
+}
+
+/// A daemon that the five minutes start, ended as they say.
+struct Running(Child);
+
+impl Running {
+    fn start(folder: &Path, arguments: &[String]) -> Self {
+        let mut command = Command::new(program());
+        let mut child = command.args(arguments).current_dir(folder).stderr(Stdio::piped()).spawn().unwrap();
+        let mut log = BufReader::new(child.stderr.take().unwrap());
+        let (mut line, mut before) = (String::new(), String::new());
+        while !line.contains("watching") {
+            before.push_str(&line);
+            line.clear();
+            assert!(log.read_line(&mut line).unwrap() > 0, "it ended early:\n{before}");
+        }
+        // Nobody waits for what it logs later, but its pipe must not fill up.
+        std::thread::spawn(move || log.read_to_end(&mut Vec::new()));
+        Self(child)
+    }
+
+    /// Ctrl-C.
+    fn stop(mut self) {
+        let pid = self.0.id().to_string();
+        assert!(Command::new("kill").args(["-INT", &pid]).status().unwrap().success());
+        assert!(self.0.wait().unwrap().success());
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// Copies what the steps read, one folder deep.
+fn copied(names: &[&str], to: &Path) {
+    for name in names {
+        fs::create_dir_all(to.join(name)).unwrap();
+        for entry in fs::read_dir(name).unwrap().map(Result::unwrap).filter(|e| e.path().is_file()) {
+            fs::copy(entry.path(), to.join(name).join(entry.file_name())).unwrap();
+        }
+    }
+}
+
+/// The first line that is shown and was not printed, in the order in which lines are shown.
+fn missing(shown: &[String], printed: &str) -> Option<String> {
+    let mut printed = printed.lines();
+    shown.iter().filter(|line| line.trim() != "...").find(|line| !printed.any(|p| p == **line)).cloned()
+}
+
+#[track_caller]
+fn compare(step: &Step, printed: &str) {
+    if let Some(line) = missing(&step.shown, printed) {
+        panic!("{}: line {}: {}\nshows\n{line}\nand this build prints\n{printed}", step.page, step.number, step.line);
+    }
+}
+
+/// Runs one line in a folder; the ports are the test's.
+#[track_caller]
+fn run(step: &Step, arguments: &[String], folder: &Path) {
+    let output = Command::new(program()).args(arguments).current_dir(folder).output().unwrap();
+    let (printed, told) = (String::from_utf8(output.stdout).unwrap(), String::from_utf8(output.stderr).unwrap());
+    assert!(output.status.success(), "{}: line {}: {}\n{told}", step.page, step.number, step.line);
+    compare(step, &printed);
+}
+
+#[test]
+fn the_five_minutes_work_as_pasted() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    copied(&["recordings", "config", "examples"], folder);
+    // The usual ports may be taken on the machine that runs the tests.
+    let (bus, web) = (free_port().to_string(), free_port().to_string());
+    let moved = |text: &str| text.replace("7447", &bus).replace("8080", &web);
+    let config = folder.join("config/demo.toml");
+    fs::write(&config, moved(&fs::read_to_string(&config).unwrap())).unwrap();
+
+    let readme = fs::read_to_string("README.md").unwrap();
+    let end = readme.find("## For a plant").expect("the section after the five minutes");
+    let mut daemon = None;
+    let mut done = 0;
+    for step in steps("README.md", &readme[..end], &["sh", "console"]) {
+        let line = moved(&step.line);
+        if ["cargo run --release -- demo", "bash tests/run.sh"].contains(&step.line.as_str()) {
+            continue;
+        }
+        if let Some(arguments) = arguments(&line) {
+            if arguments[0] == "run" {
+                daemon = Some(Running::start(folder, &arguments));
+            } else {
+                if line.contains("replay recordings/demo") {
+                    daemon.take().expect("a daemon to end").stop();
+                }
+                run(&step, &arguments, folder);
+            }
+        } else if line.starts_with("curl ") {
+            let words = words(&line);
+            let (address, path) = words[2].trim_start_matches("http://").split_once('/').unwrap();
+            // Estimates take a moment after the last sample.
+            let metrics = || Some(http(address, &format!("/{path}"))).filter(|m| missing(&step.shown, m).is_none());
+            wait_for(&step.line, metrics);
+        } else {
+            assert!(NOT_RUN.iter().any(|known| line.starts_with(known)), "line {}: {line}", step.number);
+            continue;
+        }
+        done += 1;
+    }
+    assert!(done >= 10 && daemon.is_none(), "only {done} steps");
+}
+
+#[test]
+fn outputs_on_the_other_pages_are_those_of_this_build() {
+    let mut done = 0;
+    for (page, text) in pages().into_iter().filter(|(page, _)| page != "README.md") {
+        for step in steps(&page, &text, &["console"]) {
+            run(&step, &arguments(&step.line).unwrap(), Path::new("."));
+            done += 1;
+        }
+    }
+    assert!(done >= 2, "{done}");
+}
