@@ -5,7 +5,6 @@ use std::ops::Range;
 use plotters::coord::ranged1d::{DefaultFormatting, KeyPointHint, Ranged};
 use plotters::coord::types::RangedCoordf64;
 
-use super::plot::{tick, ticks};
 use crate::units::{format_rfc3339, is_date, ns_from_s};
 
 /// Pixels that a label needs: a number or a time, and a day with its time.
@@ -122,6 +121,27 @@ fn clock_step_s(x: [f64; 2], labels: u32) -> f64 {
     STEPS_S.into_iter().find(|step| *step >= least).unwrap_or_else(|| (least / DAY_S).ceil() * DAY_S)
 }
 
+/// Round values within a range, about `count` of them.
+pub(super) fn ticks(x: [f64; 2], count: usize) -> Vec<f64> {
+    let raw = (x[1] - x[0]) / count.max(1) as f64;
+    let scale = 10.0_f64.powf(raw.log10().floor());
+    let step = [1.0, 2.0, 5.0, 10.0].into_iter().map(|k| k * scale).find(|s| *s >= raw * 0.999).unwrap_or(raw);
+    let first = (x[0] / step - 1e-9).ceil() as i64;
+    (first..).map(|k| k as f64 * step).take_while(|v| *v <= x[1] + 1e-9 * step).take(50).collect()
+}
+
+/// A number for a tick of an axis that spans `width`: as many digits as tell ticks apart.
+pub(super) fn tick(value: f64, width: f64) -> String {
+    let size = value.abs();
+    if value != 0.0 && (size >= 1e6 || (size < 1e-4 && width < 1e-4)) {
+        return format!("{value:.1e}");
+    }
+    let digits = (1.3 - width.max(1e-12).log10()).ceil().clamp(0.0, 9.0) as usize;
+    let text = format!("{value:.digits$}");
+    let text = if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.') } else { &text };
+    if text == "-0" { "0".to_owned() } else { text.replace('-', "\u{2212}") }
+}
+
 /// A horizontal scale with its labels and lines where [`Across`] puts them.
 #[derive(Clone)]
 pub(super) struct Ticked {
@@ -155,6 +175,17 @@ impl Ranged for Ticked {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn ticks_can_be_told_apart() {
+        assert_eq!(
+            (tick(0.5, 2.0), tick(-0.05, 0.2), tick(100.0, 400.0)),
+            ("0.5".into(), "\u{2212}0.05".into(), "100".into())
+        );
+        assert_eq!(ticks([-0.3, 5.8], 5), [0.0, 2.0, 4.0]);
+        assert_ne!(tick(1.001, 0.004), tick(1.002, 0.004));
+        assert_eq!(tick(-1e-17, 1.0), "0");
+    }
 
     #[test]
     fn a_clock_is_labelled_at_whole_steps_of_its_own() {

@@ -3,11 +3,11 @@
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, VPos};
 
-use super::across::Across;
+use super::across::{Across, tick, ticks};
 use super::ink::Ink;
 use super::plot::{
     Area, Drawn, FINE, LEGEND, Mark, Picture, PlotError, Series, curve, draw, frame, legend, note_axes, range,
-    shortened, text_width, tick, ticks, words, write_legend,
+    shortened, text_width, words, write_legend,
 };
 use crate::units::number;
 

@@ -14,7 +14,7 @@ use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 use thiserror::Error;
 
-use super::across::{Across, Ticked};
+use super::across::{Across, Ticked, tick};
 use super::ink::Ink;
 
 /// Why a picture could not be drawn.
@@ -263,27 +263,6 @@ pub(super) fn range(values: impl Iterator<Item = f64>, margin: f64) -> [f64; 2] 
     let least = 1e-9_f64.max(1e-6 * low.abs().max(high.abs()));
     let pad = (margin * (high - low)).max(if high - low < least { least } else { 0.0 });
     [low - pad, high + pad]
-}
-
-/// Round values within a range, about `count` of them.
-pub(super) fn ticks(x: [f64; 2], count: usize) -> Vec<f64> {
-    let raw = (x[1] - x[0]) / count.max(1) as f64;
-    let scale = 10.0_f64.powf(raw.log10().floor());
-    let step = [1.0, 2.0, 5.0, 10.0].into_iter().map(|k| k * scale).find(|s| *s >= raw * 0.999).unwrap_or(raw);
-    let first = (x[0] / step - 1e-9).ceil() as i64;
-    (first..).map(|k| k as f64 * step).take_while(|v| *v <= x[1] + 1e-9 * step).take(50).collect()
-}
-
-/// A number for a tick of an axis that spans `width`: as many digits as tell ticks apart.
-pub(super) fn tick(value: f64, width: f64) -> String {
-    let size = value.abs();
-    if value != 0.0 && (size >= 1e6 || (size < 1e-4 && width < 1e-4)) {
-        return format!("{value:.1e}");
-    }
-    let digits = (1.3 - width.max(1e-12).log10()).ceil().clamp(0.0, 9.0) as usize;
-    let text = format!("{value:.digits$}");
-    let text = if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.') } else { &text };
-    if text == "-0" { "0".to_owned() } else { text.replace('-', "\u{2212}") }
 }
 
 /// Text of a size in drawing units.
@@ -548,18 +527,11 @@ mod tests {
     }
 
     #[test]
-    fn ranges_are_never_empty_and_ticks_can_be_told_apart() {
+    fn ranges_are_never_empty() {
         for values in [vec![], vec![3.0], vec![0.0, 0.0], vec![1e12, 1e12], vec![f64::NAN, 2.0], vec![-1e-20, 1e-20]] {
             let [low, high] = range(values.iter().copied(), 0.1);
             assert!(low < high && low.is_finite() && high.is_finite(), "{values:?}");
         }
-        assert_eq!(
-            (tick(0.5, 2.0), tick(-0.05, 0.2), tick(100.0, 400.0)),
-            ("0.5".into(), "\u{2212}0.05".into(), "100".into())
-        );
-        assert_eq!(ticks([-0.3, 5.8], 5), [0.0, 2.0, 4.0]);
-        assert_ne!(tick(1.001, 0.004), tick(1.002, 0.004));
-        assert_eq!(tick(-1e-17, 1.0), "0");
     }
 
     #[test]

@@ -124,7 +124,8 @@ fn the_readme_is_read_to_its_end() {
     let bytes = read("README.md").len();
     assert!(bytes <= MAX_README, "README.md has {bytes} bytes, at most {MAX_README}: move something into docs");
     // Programs that try this repository look for these two.
-    let two = fenced(&read("README.md"), "## Two commands", "sh");
+    let page = read("README.md");
+    let two = fenced(&page, "## Two commands", "sh");
     assert_eq!(two, ["cargo run --release -- demo", "bash tests/run.sh"]);
 }
 
