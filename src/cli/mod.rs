@@ -3,7 +3,6 @@
 pub mod analyze;
 mod analyze_report;
 pub mod bench;
-#[cfg(feature = "bridge-mqtt")]
 pub mod bridge;
 pub mod calibrate;
 mod calibrate_intervals;
@@ -110,7 +109,6 @@ enum CommandArgs {
     Convert(convert::ConvertArgs),
     Check(check::Args),
     Discover(discover::Args),
-    #[cfg(feature = "bridge-mqtt")]
     Bridge(bridge::Args),
     Info(info::InfoArgs),
     Recover(recover::Args),
@@ -169,7 +167,6 @@ fn dispatch(cli: Cli) -> anyhow::Result<Outcome> {
         CommandArgs::Convert(args) => convert::run(&args, format),
         CommandArgs::Check(args) => check::run(&args, format),
         CommandArgs::Discover(args) => discover::run(&args, format),
-        #[cfg(feature = "bridge-mqtt")]
         CommandArgs::Bridge(args) => bridge::run(&args, format),
         CommandArgs::Info(args) => info::run(&args, format),
         CommandArgs::Recover(args) => recover::run(&args, format),
@@ -181,7 +178,8 @@ fn dispatch(cli: Cli) -> anyhow::Result<Outcome> {
 }
 
 fn start_log(form: Format) {
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info,zenoh=warn"));
+    // The OPC UA client tells of every attempt; the bridge tells of outages itself.
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info,zenoh=warn,opcua=off"));
     let colours = std::io::stderr().is_terminal();
     let builder = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).with_ansi(colours);
     let started = match form {
