@@ -64,3 +64,24 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
         BridgeCommand::Opcua(absent) => absent.refuse("OPC UA bridge", "bridge-opcua"),
     }
 }
+
+#[cfg(all(test, not(feature = "bridge-opcua")))]
+mod tests {
+    use clap::Parser;
+
+    use super::*;
+
+    #[derive(Parser)]
+    struct Line {
+        #[command(flatten)]
+        args: Args,
+    }
+
+    #[test]
+    fn a_bridge_that_was_left_out_says_how_it_is_had() {
+        for words in [&["x", "opcua"][..], &["x", "opcua", "--from", "opc.tcp://plc", "--nodes", "n"]] {
+            let error = run(&Line::parse_from(words).args, Format::Text).unwrap_err();
+            assert!(error.is::<UsageError>() && error.to_string().contains("--features bridge-opcua"), "{error}");
+        }
+    }
+}

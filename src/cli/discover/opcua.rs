@@ -18,7 +18,7 @@ use crate::cli::play::prefix;
 const SESSION_WITHIN: Duration = Duration::from_secs(20);
 const GOODBYE: Duration = Duration::from_secs(2);
 
-/// Look at an OPC UA server's address space: the list of nodes for `bridge opcua`, and [[loop]] entries for what it brings.
+/// Look at an OPC UA server's address space: the list of nodes for `bridge opcua`, and [[loop]] entries for their keys.
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Example: stictiond discover opcua --from opc.tcp://plc:4840 --browse /Objects/Plant \\\n           \

@@ -102,12 +102,14 @@ pub struct Presence {
     heard_ns: i64,
     newest_ns: Option<i64>,
     away: bool,
+    /// What was told of the present outage.
+    told: BTreeSet<String>,
 }
 
 impl Presence {
     /// Nothing was heard yet: away, though nothing was lost of that.
     pub fn new(now_ns: i64) -> Self {
-        Self { heard: Instant::now(), heard_ns: now_ns, newest_ns: None, away: false }
+        Self { heard: Instant::now(), heard_ns: now_ns, newest_ns: None, away: false, told: BTreeSet::new() }
     }
 
     /// The server has said something.
@@ -130,10 +132,11 @@ impl Presence {
         self.away
     }
 
-    /// The session is gone, or cannot be had; gives whether that is new.
+    /// The session is gone, or cannot be had; gives whether that was not told of this outage yet.
     pub fn gone(&mut self, figures: &mut Figures, why: &str) -> bool {
+        let new = self.told.insert(why.to_owned());
         if self.away {
-            return false;
+            return new;
         }
         self.away = true;
         // Before the first subscription there is nothing to lose.
@@ -150,7 +153,7 @@ impl Presence {
                 why: why.to_owned(),
             });
         }
-        true
+        new
     }
 
     /// The nodes are subscribed to; gives how long they were not, s.
@@ -162,6 +165,7 @@ impl Presence {
         }
         figures.subscribed_ns.get_or_insert(now_ns);
         self.away = false;
+        self.told.clear();
         self.heard(now_ns);
         away_s
     }
@@ -175,7 +179,8 @@ pub struct Sequence {
 }
 
 impl Sequence {
-    /// Takes a message; gives the numbers before it that have not come. One without data names the number that will be next.
+    /// Takes a message; gives the numbers before it that have not come. One without data names the number that will be
+    /// next.
     pub fn take(&mut self, number: u32, has_data: bool) -> Range<u32> {
         let next = self.next.unwrap_or(number);
         if number < next {
@@ -228,6 +233,7 @@ mod tests {
         presence.stamped(19);
         presence.stamped(18);
         assert!(presence.gone(&mut figures, "lost") && presence.is_away());
+        assert!(presence.gone(&mut figures, "not trusted") && !presence.gone(&mut figures, "lost"));
         presence.back(&mut figures, 30, true);
         let listed =
             Outage { start_ns: 20, end_ns: Some(30), last_stamp_ns: Some(19), resumed: true, why: "lost".into() };

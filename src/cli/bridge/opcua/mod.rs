@@ -1,9 +1,9 @@
-//! `stictiond bridge opcua`: a server's values onto Zenoh, one key a node. It subscribes and browses; it never writes and calls
-//! no method.
+//! `stictiond bridge opcua`: a server's values onto Zenoh, one key a node. It subscribes and browses; it never writes
+//! and calls no method.
 //!
-//! The server's queues hold what a short loss of the network keeps back: the session is taken up again, and messages that were
-//! on the way are asked for again by their numbers. What a server made while there was no session cannot be had afterwards:
-//! every such stretch is told with start and end.
+//! The server's queues hold what a short loss of the network keeps back: the session is taken up again, and messages
+//! that were on the way are asked for again by their numbers. What a server made while there was no session cannot be
+//! had afterwards: every such stretch is told with start and end.
 
 #[cfg(feature = "bridge-opcua")]
 pub(crate) mod browse;
@@ -37,19 +37,19 @@ mod with {
     use crate::cli::bridge::bus::{BusArgs, document};
     use crate::cli::{Format, Outcome, UsageError, asked_to_stop, block_on, list, say};
 
-    /// Seconds of values for which the server's queues are asked for where nothing is said, beside the publishing interval.
+    /// How long the server's queues last where nothing is said, beside the publishing interval, ms.
     const QUEUE_MS: u32 = 10_000;
 
-    /// Bring an OPC UA server's values onto Zenoh: each node of a list, or each variable below a node, under a key of its own.
+    /// Bring an OPC UA server's values onto Zenoh: nodes of a list, or the variables below a node, under keys of their own.
     ///
-    /// Reads only. Values keep the source's stamp and their status code; what is bad goes as missing. Stretches without a
-    /// session are told with start and end: what the server made in them cannot be had by a subscription.
+    /// Reads only. Values keep the source's stamp and their status code; what is bad goes as missing. Stretches without
+    /// a session are told with start and end: what the server made in them cannot be had by a subscription.
     #[derive(Debug, clap::Args)]
     #[command(
         after_help = "Examples: stictiond bridge opcua --from opc.tcp://plc:4840 --nodes nodes.txt \\\n            \
                         --connect tcp/127.0.0.1:7447 --prefix plant1/area1/opcua\n          \
-                        stictiond bridge opcua --from opc.tcp://plc:4840/ua --cert-file own.pem --key-file own.key \\\n            \
-                        --trust servers/ --browse /Objects/Plant --connect tcp/127.0.0.1:7447 --prefix plant1/opcua"
+                        stictiond bridge opcua --from opc.tcp://plc:4840 --cert-file own.pem \\\n            \
+                        --key-file own.key --trust servers/ --browse /Objects/Plant --connect tcp/127.0.0.1:7447 --prefix plant1"
     )]
     pub struct Args {
         /// The server.
@@ -58,7 +58,7 @@ mod with {
         /// File of nodes, one a line: NODEID [KEY below the prefix].
         #[arg(long, value_name = "FILE", required_unless_present = "browse", conflicts_with = "browse")]
         pub nodes: Option<PathBuf>,
-        /// Node or path of names, such as /Objects/Plant, below which all variables are taken; looked at once, at the start.
+        /// Node or path of names, such as /Objects/Plant, below which all variables are taken; looked at once.
         #[arg(long, value_name = "NODEID|PATH")]
         pub browse: Option<String>,
         /// How often the server looks at each node, ms.

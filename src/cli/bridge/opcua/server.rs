@@ -125,7 +125,7 @@ impl ServerArgs {
         let own = certificate(cert)?;
         if own.is_application_uri_valid(&self.application_uri).is_err() {
             bail!(
-                "{} does not name {}: give its URI by --application-uri, or make a certificate with subjectAltName=URI:{0}",
+                "{} does not name {}: give its URI by --application-uri, or make one with subjectAltName=URI:…",
                 cert.display(),
                 self.application_uri
             );
@@ -179,7 +179,7 @@ impl ServerArgs {
             }
         }
         bail!(
-            "the server's certificate is not trusted ({}, SHA-1 {print}): compare that with the server's own, then {how}",
+            "the server's certificate is not trusted ({}, SHA-1 {print}): compare with the server's own, then {how}",
             shown.subject_name()
         )
     }

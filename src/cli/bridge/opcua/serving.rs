@@ -200,7 +200,8 @@ impl Bridge<'_> {
                 _ = second.tick() => {
                     self.tell_when_due()?;
                     let silent_s = self.presence.silent_s();
-                    if !self.presence.is_away() && silent_s > SILENCE_S.max(3e-3 * f64::from(self.args.publishing_ms())) {
+                    let longest_s = SILENCE_S.max(3e-3 * f64::from(self.args.publishing_ms()));
+                    if !self.presence.is_away() && silent_s > longest_s {
                         bail!("the subscription says nothing");
                     }
                     if self.presence.is_away() && silent_s > f64::from(SESSION_MS) / 1e3 {
@@ -229,7 +230,7 @@ impl Bridge<'_> {
         self.figures.on_change_only = subscription.on_change_only;
     }
 
-    /// Told once an outage, not once a second.
+    /// Every reason is told once an outage, not once a second.
     fn gone(&mut self, why: &str) -> anyhow::Result<()> {
         if self.presence.gone(&mut self.figures, why) {
             tracing::warn!(server = self.args.server.from, why, "no session at the server; it is tried every second");
@@ -300,13 +301,15 @@ impl Bridge<'_> {
         let status = data.status.map_or(0, |status| status.bits());
         if overflowed(status) {
             if figures.overflows == 0 {
-                tracing::warn!(key = %signal.key, "the server's queue was too short (--queue); further cases are only counted");
+                let key = &signal.key;
+                tracing::warn!(%key, "the server's queue is too short (--queue); further cases only count");
             }
             figures.overflows += 1;
         }
         let Ok(reading) = reading(data, now_ns()) else {
             if !signal.told {
-                tracing::warn!(key = %signal.key, "neither a number nor true or false; further values of it are only counted");
+                let key = &signal.key;
+                tracing::warn!(%key, "neither a number nor true or false; its further values only count");
                 signal.told = true;
             }
             figures.refused += 1;

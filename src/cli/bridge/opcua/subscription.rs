@@ -85,7 +85,7 @@ impl Subscription {
             }
         }
         for (place, status) in refused.iter().take(NAMED) {
-            tracing::warn!(node = nodes[*place].id, %status, "the server refuses a node; it is tried again every minute");
+            tracing::warn!(node = nodes[*place].id, %status, "refused by the server; tried again every minute");
         }
         if refused.len() > NAMED {
             tracing::warn!("and {} more nodes", refused.len() - NAMED);
