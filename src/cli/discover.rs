@@ -34,6 +34,7 @@ const TOLD: usize = 50;
 #[command(
     args_conflicts_with_subcommands = true,
     subcommand_negates_reqs = true,
+    disable_help_subcommand = true,
     after_help = "Examples: stictiond discover --connect tcp/127.0.0.1:7447 --key 'gateway/**' --for 30\n          \
                         stictiond discover exports/ --pattern 'gateway/{loop}.{SIGNAL}' --out loops.toml"
 )]

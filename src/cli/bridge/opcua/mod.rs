@@ -40,7 +40,7 @@ mod with {
     /// How long the server's queues last where nothing is said, beside the publishing interval, ms.
     const QUEUE_MS: u32 = 10_000;
 
-    /// Bring an OPC UA server's values onto Zenoh: nodes of a list, or the variables below a node, under keys of their own.
+    /// Bring an OPC UA server's values onto Zenoh: nodes of a list, or the variables below a node.
     ///
     /// Reads only. Values keep the source's stamp and their status code; what is bad goes as missing. Stretches without
     /// a session are told with start and end: what the server made in them cannot be had by a subscription.
@@ -49,7 +49,8 @@ mod with {
         after_help = "Examples: stictiond bridge opcua --from opc.tcp://plc:4840 --nodes nodes.txt \\\n            \
                         --connect tcp/127.0.0.1:7447 --prefix plant1/area1/opcua\n          \
                         stictiond bridge opcua --from opc.tcp://plc:4840 --cert-file own.pem \\\n            \
-                        --key-file own.key --trust servers/ --browse /Objects/Plant --connect tcp/127.0.0.1:7447 --prefix plant1"
+                        --key-file own.key --trust servers/ --browse /Objects/Plant \\\n            \
+                        --connect tcp/127.0.0.1:7447 --prefix plant1/opcua"
     )]
     pub struct Args {
         /// The server.
