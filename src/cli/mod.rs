@@ -3,7 +3,6 @@
 pub mod analyze;
 mod analyze_report;
 pub mod bench;
-#[cfg(feature = "bridge-mqtt")]
 pub mod bridge;
 pub mod calibrate;
 mod calibrate_intervals;
@@ -110,7 +109,6 @@ enum CommandArgs {
     Convert(convert::ConvertArgs),
     Check(check::Args),
     Discover(discover::Args),
-    #[cfg(feature = "bridge-mqtt")]
     Bridge(bridge::Args),
     Info(info::InfoArgs),
     Recover(recover::Args),
@@ -169,7 +167,6 @@ fn dispatch(cli: Cli) -> anyhow::Result<Outcome> {
         CommandArgs::Convert(args) => convert::run(&args, format),
         CommandArgs::Check(args) => check::run(&args, format),
         CommandArgs::Discover(args) => discover::run(&args, format),
-        #[cfg(feature = "bridge-mqtt")]
         CommandArgs::Bridge(args) => bridge::run(&args, format),
         CommandArgs::Info(args) => info::run(&args, format),
         CommandArgs::Recover(args) => recover::run(&args, format),
@@ -181,11 +178,12 @@ fn dispatch(cli: Cli) -> anyhow::Result<Outcome> {
 }
 
 impl Cli {
-    /// What is logged where `RUST_LOG` says nothing. The demo tells alarms and its plant's doings in its own lines.
+    /// What is logged where `RUST_LOG` says nothing. The demo tells alarms and its plant's doings in its own lines; the
+    /// OPC UA client would tell of every attempt, the bridge tells of outages itself.
     const fn default_filter(&self) -> &'static str {
         match (&self.command, self.format) {
             (CommandArgs::Demo(_), Format::Text) => "warn,zenoh=error,stictiond::alarm=off",
-            _ => "info,zenoh=warn",
+            _ => "info,zenoh=warn,opcua=off",
         }
     }
 }
