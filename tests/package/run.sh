@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# The Debian package of target/debug/stictiond on a clean Debian root: installed, run, upgraded, removed and purged.
+# The Debian package of target/debug/stictiond, or of STICTIOND_BIN, on a clean Debian root: installed, run, upgraded, removed
+# and purged.
 # Usage: tests/package/run.sh [--fetch | --boot]. Needs root and debootstrap; says loudly when they cannot be had. The root is
 # kept as target/package/*.tar, once; --fetch does no more than that. --boot is for the hand: it boots a root with systemd in
 # systemd-nspawn and tries the unit itself there.
@@ -51,12 +52,13 @@ fi
 exec 9>&-
 [ "${1:-}" != --fetch ] || exit 0
 
-[ -x "$target/debug/stictiond" ] || cargo build --locked --quiet
+binary=${STICTIOND_BIN:-$target/debug/stictiond}
+[ -x "$binary" ] || cargo build --locked --quiet
 work=$(mktemp -d "$target/package/work.XXXXXX")
 trap 'rm -rf "$work"' EXIT
 # Compression is most of the time and nothing of what is tested.
 export DPKG_DEB_COMPRESSOR_TYPE=none
-strip -o "$work/stictiond" "$target/debug/stictiond"
+strip -o "$work/stictiond" "$binary"
 build() {
     DEB_REVISION=$1 packaging/deb.sh --binary "$work/stictiond" --out "$2"
 }
