@@ -57,8 +57,9 @@ fn node(line: &str) -> Result<Option<Node>, String> {
     if let Some(more) = words.next() {
         return Err(format!("{more:?} follows NODEID and KEY: a name with spaces stands in \"…\""));
     }
-    if !is_key(&key) {
-        return Err(format!("{key:?} is no key: empty chunk, wildcard or @"));
+    // A quote is what a name with spaces loses when it stands without quotes of its own.
+    if !is_key(&key) || key.contains('"') {
+        return Err(format!("{key:?} is no key: empty chunk, wildcard, quote or @"));
     }
     Ok(Some(Node { id, key }))
 }
