@@ -30,7 +30,8 @@ async def make(port, loops, folder):
     await server.init()
     server.set_endpoint(f"opc.tcp://127.0.0.1:{port}/plant")
     await server.set_application_uri("urn:test:server")
-    server.set_security_policy([ua.SecurityPolicyType.Basic256Sha256_SignAndEncrypt], permission_ruleset=SimpleRoleRuleset())
+    policies = [ua.SecurityPolicyType.NoSecurity, ua.SecurityPolicyType.Basic256Sha256_SignAndEncrypt]
+    server.set_security_policy(policies, permission_ruleset=SimpleRoleRuleset())
     await server.load_certificate(folder / "server.der")
     await server.load_private_key(folder / "server.key", format="pem")
     space = await server.register_namespace("urn:test:plant")

@@ -97,6 +97,12 @@ impl ServerArgs {
         self.security.unwrap_or(given)
     }
 
+    /// How long the server is asked to keep a session without a connection, ms. The client cannot take up one that is
+    /// signed: it signs with the new channel's nonce, not the session's. Such ones would only use up what servers allow.
+    pub fn session_ms(&self) -> u32 {
+        if self.security() == Security::None { 300_000 } else { 30_000 }
+    }
+
     fn policy(&self) -> SecurityPolicy {
         match (self.security(), self.policy) {
             (Security::None, _) => SecurityPolicy::None,
@@ -299,7 +305,7 @@ fn client(args: &ServerArgs, store: &Path) -> anyhow::Result<Client> {
         .session_retry_limit(-1)
         .session_retry_initial(PAUSE)
         .session_retry_max(PAUSE)
-        .session_timeout(SESSION_MS)
+        .session_timeout(args.session_ms())
         .keep_alive_interval(KEEP_ALIVE)
         .max_failed_keep_alive_count(KEEP_ALIVES)
         .request_timeout(ANSWER)
@@ -315,9 +321,6 @@ fn client(args: &ServerArgs, store: &Path) -> anyhow::Result<Client> {
     }
     builder.client().map_err(|faults| anyhow!(faults.join("; ")))
 }
-
-/// How long a session may be asked to be kept, ms: the server decides.
-pub const SESSION_MS: u32 = 300_000;
 
 async fn tell(
     events: impl futures_util::Stream<Item = Result<SessionPollResult, StatusCode>>,

@@ -15,7 +15,7 @@ use super::browse;
 use super::figures::{Figures, Presence, Sequence};
 use super::hold::Hold;
 use super::nodes::Node;
-use super::server::{Event, Link, SESSION_MS, open};
+use super::server::{Event, Link, open};
 use super::subscription::Subscription;
 use super::values::{ENCODING, Trust, overflowed, payload, reading, trust};
 use super::with::Args;
@@ -191,7 +191,11 @@ impl Bridge<'_> {
                 event = events.recv() => match event {
                     Some(Event::Published) => self.presence.heard(now_ns()),
                     Some(Event::Lost(why)) => self.gone(&why)?,
-                    Some(Event::Resumed) => self.back(true)?,
+                    Some(Event::Resumed) => {
+                        // The client asks for messages of new subscriptions, not of those that it has kept.
+                        session.trigger_publish_now();
+                        self.back(true)?;
+                    }
                     Some(Event::New) => bail!("the server has not kept the session"),
                     Some(Event::NoSubscription) => bail!("the server has not kept the subscription"),
                     Some(Event::Ended(why)) => bail!("{why}"),
@@ -204,7 +208,7 @@ impl Bridge<'_> {
                     if !self.presence.is_away() && silent_s > longest_s {
                         bail!("the subscription says nothing");
                     }
-                    if self.presence.is_away() && silent_s > f64::from(SESSION_MS) / 1e3 {
+                    if self.presence.is_away() && silent_s > f64::from(self.args.server.session_ms()) / 1e3 {
                         bail!("the server cannot have kept the session");
                     }
                     let retry = !self.presence.is_away() && tried.elapsed() > RETRIED_EVERY;

@@ -13,7 +13,6 @@ use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
 
 use super::browse::node_id;
 use super::nodes::Node;
-use super::server::SESSION_MS;
 use super::with::Args;
 
 /// Items in a request: servers bound what they take at once.
@@ -53,7 +52,7 @@ impl Subscription {
     pub async fn make(session: &Arc<Session>, args: &Args, nodes: &[Node]) -> anyhow::Result<Self> {
         let every_ms = args.publishing_ms();
         let alive = (ALIVE_MS / every_ms).max(1);
-        let lifetime = (SESSION_MS / every_ms).max(3 * alive);
+        let lifetime = (args.server.session_ms() / every_ms).max(3 * alive);
         let (hand, messages) = unbounded_channel();
         let interval = Duration::from_millis(u64::from(every_ms));
         let id = session
