@@ -129,12 +129,18 @@ pub fn significant(value: f64, digits: usize) -> String {
     if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
 }
 
-/// From when to when: stamps, and how long that is. A clock that starts at zero, as many exports have it, gets no date.
+/// Whether a stamp is a date. A clock that starts at zero, as many exports have it, is the record's own.
+#[must_use]
+pub fn is_date(ns: i64) -> bool {
+    const YEAR_S: f64 = 365.0 * 86_400.0;
+    s_from_ns(ns).abs() >= YEAR_S
+}
+
+/// From when to when: stamps, and how long that is.
 #[must_use]
 pub fn from_to(start_ns: i64, end_ns: i64) -> String {
-    const YEAR_S: f64 = 365.0 * 86_400.0;
     let [start_s, end_s] = [start_ns, end_ns].map(s_from_ns);
-    if start_s.abs() < YEAR_S && end_s.abs() < YEAR_S {
+    if !is_date(start_ns) && !is_date(end_ns) {
         return format!("{} to {} on the record's own clock", duration(start_s), duration(end_s));
     }
     format!("{} to {} ({})", format_rfc3339(start_ns), format_rfc3339(end_ns), duration(end_s - start_s))

@@ -1,11 +1,13 @@
 #!/usr/bin/env bash
 # Every test: the library and the program, the program seen from outside by Python (tests/interop), and its reports in a
-# browser (tests/report). What was skipped for want of something is said and counted at the end.
+# browser (tests/report), its package on a clean Debian root (tests/package). What was skipped for want of something is said
+# and counted at the end.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 started=$SECONDS
 log=$(mktemp)
-trap 'rm -f "$log"' EXIT
+beside=$(mktemp)
+trap 'rm -f "$log" "$beside"' EXIT
 
 step() {
     printf '\n== %s (%d s)\n' "$*" "$((SECONDS - started))"
@@ -16,8 +18,9 @@ noted() {
     "$@" > >(tee -a "$log") 2> >(tee -a "$log" >&2)
 }
 
-# Browser, broker and Python packages are fetched while the compiler works. What fails here is said where it is needed.
-{ bash tests/interop/run.sh --fetch && bash tests/report/run.sh --fetch; } >/dev/null 2>&1 &
+# Browser, broker and Python packages are fetched while the compiler works. What fails here is said where it is needed. A
+# Debian root comes behind them (as apt-get runs once at a time) and is not waited for here.
+{ bash tests/interop/run.sh --fetch && bash tests/report/run.sh --fetch; bash tests/package/run.sh --fetch & } >/dev/null 2>&1 &
 fetching=$!
 
 step "the pure half builds alone"
@@ -26,15 +29,36 @@ cargo check --locked --quiet --no-default-features --lib
 step "building the tests"
 cargo test --no-run --locked --quiet
 
-step "tests"
-noted cargo test --no-fail-fast --locked --quiet
+# Some tests mostly wait: for a daemon that is killed, a disk that fills, a broker that comes back. They run beside those
+# that compute; what they print follows when both have ended.
+waiting=(crashes faults hardened hostile service soak twice)
+computing=()
+for path in tests/*.rs tests/*/main.rs; do
+    name=$(basename "${path%/main.rs}" .rs)
+    [[ " ${waiting[*]} " == *" $name "* ]] || computing+=("$name")
+done
 
-step "tests from outside"
+step "tests that compute: units, ${computing[*]}; beside them those that wait: ${waiting[*]}, and those from outside"
 wait "$fetching" || true
-noted bash tests/interop/run.sh
+{
+    cargo test --no-fail-fast --locked --quiet "${waiting[@]/#/--test=}"
+    bash tests/interop/run.sh
+} >"$beside" 2>&1 &
+others=$!
+failed=0
+noted cargo test --no-fail-fast --locked --quiet --lib --bins "${computing[@]/#/--test=}" || failed=1
+noted cargo test --locked --quiet --doc || failed=1
+
+step "tests that wait, and those from outside: what they said"
+wait "$others" || failed=1
+noted cat "$beside"
+[ "$failed" = 0 ]
 
 step "reports in a browser"
 noted bash tests/report/run.sh
+
+step "the package on a clean Debian root"
+noted bash tests/package/run.sh
 
 skipped=$(grep -c '^\(!! \)\?SKIPPED: ' "$log" || true)
 if [ "$skipped" -gt 0 ]; then

@@ -1,8 +1,11 @@
-//! `stictiond discover`: what is on a bus or in files, as `[[loop]]` entries.
+//! `stictiond discover`: what is on a bus, in files or in an OPC UA server, as `[[loop]]` entries.
+
+#[cfg(feature = "bridge-opcua")]
+pub mod opcua;
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::fmt::Write as _;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
@@ -29,10 +32,15 @@ const TOLD: usize = 50;
 /// several signals. What could not be paired stands in comments, and is counted on stderr.
 #[derive(Debug, clap::Args)]
 #[command(
+    args_conflicts_with_subcommands = true,
+    subcommand_negates_reqs = true,
+    disable_help_subcommand = true,
     after_help = "Examples: stictiond discover --connect tcp/127.0.0.1:7447 --key 'gateway/**' --for 30\n          \
                         stictiond discover exports/ --pattern 'gateway/{loop}.{SIGNAL}' --out loops.toml"
 )]
 pub struct Args {
+    #[command(subcommand)]
+    elsewhere: Option<Elsewhere>,
     /// Files, folders and patterns to look at.
     #[arg(required_unless_present = "connect", conflicts_with = "connect")]
     pub input: Vec<PathBuf>,
@@ -57,6 +65,14 @@ pub struct Args {
     /// How exports are read.
     #[command(flatten)]
     pub reading: ReadArgs,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum Elsewhere {
+    #[cfg(feature = "bridge-opcua")]
+    Opcua(Box<opcua::Args>),
+    #[cfg(not(feature = "bridge-opcua"))]
+    Opcua(super::bridge::Absent),
 }
 
 fn seconds(text: &str) -> Result<f64, String> {
@@ -88,6 +104,15 @@ impl Seen {
         }
     }
 
+    /// Takes a name of one signal; `own` is what stands below everything fixed.
+    fn name(&mut self, own: &str, source: String) -> bool {
+        match role(own).filter(|found| !found.loop_name.is_empty()) {
+            Some(found) => self.take(&found.loop_name, found.signal, found.rank, &source),
+            None => return false,
+        }
+        true
+    }
+
     /// Takes a message of a bus; `fixed` stands in front of every key.
     fn message(&mut self, key: &str, fixed: &str, encoding: Option<&str>, payload: &[u8]) {
         let times = self.looked.get(key).copied().unwrap_or(0);
@@ -96,8 +121,8 @@ impl Seen {
         }
         self.looked.insert(key.to_owned(), times + 1);
         let own = key.strip_prefix(fixed).unwrap_or(key);
-        if let Some(found) = role(own).filter(|found| !found.loop_name.is_empty()) {
-            return self.take(&found.loop_name, found.signal, found.rank, key);
+        if self.name(own, key.to_owned()) {
+            return;
         }
         let (mut fields, bundle) = (Vec::new(), Bundle { key, payload, fallback_t_ns: 0 });
         if codec::decode_fields(&bundle, encoding, None, &mut self.memory, &mut fields).is_err() || fields.is_empty() {
@@ -132,19 +157,47 @@ impl Seen {
 /// # Errors
 /// Nothing can be read, nobody answers at the endpoint, or no loop was found.
 pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
-    let (seen, what) = match &args.connect {
-        Some(endpoint) => (look_at_bus(endpoint, &args.key, args.for_s)?, format!("{} for {} s", args.key, args.for_s)),
-        None => (look_at_files(args)?, super::reading::named(&args.input)),
-    };
+    match &args.elsewhere {
+        #[cfg(feature = "bridge-opcua")]
+        Some(Elsewhere::Opcua(args)) => {
+            let (seen, what) = opcua::look(args)?;
+            tell(&Told { seen: &seen, keyed: true, what: &what, out: args.out.as_deref(), force: args.force }, format)
+        }
+        #[cfg(not(feature = "bridge-opcua"))]
+        Some(Elsewhere::Opcua(absent)) => absent.refuse("look at OPC UA servers", "bridge-opcua"),
+        None => {
+            let (seen, what) = match &args.connect {
+                Some(endpoint) => {
+                    (look_at_bus(endpoint, &args.key, args.for_s)?, format!("{} for {} s", args.key, args.for_s))
+                }
+                None => (look_at_files(args)?, super::reading::named(&args.input)),
+            };
+            let keyed = args.connect.is_some() || args.pattern.is_some();
+            tell(&Told { seen: &seen, keyed, what: &what, out: args.out.as_deref(), force: args.force }, format)
+        }
+    }
+}
+
+/// What is told, and where to.
+struct Told<'a> {
+    seen: &'a Seen,
+    /// Whether entries name their sources.
+    keyed: bool,
+    what: &'a str,
+    out: Option<&'a Path>,
+    force: bool,
+}
+
+fn tell(told: &Told<'_>, format: Format) -> anyhow::Result<Outcome> {
+    let Told { seen, keyed, what, out, force } = *told;
     let (whole, lacking) = seen.paired();
-    let keyed = args.connect.is_some() || args.pattern.is_some();
     let text = match format {
-        Format::Text => as_toml(&seen, &whole, &lacking, keyed, &what),
-        Format::Json => as_json(&seen, &whole, &lacking),
+        Format::Text => as_toml(seen, &whole, &lacking, keyed, what),
+        Format::Json => as_json(seen, &whole, &lacking),
     };
-    match &args.out {
+    match out {
         Some(path) => {
-            refuse_existing(path, args.force)?;
+            refuse_existing(path, force)?;
             std::fs::write(path, text).with_context(|| path.display().to_string())?;
         }
         None if format == Format::Json => say(text.trim_end())?,

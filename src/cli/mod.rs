@@ -3,7 +3,6 @@
 pub mod analyze;
 mod analyze_report;
 pub mod bench;
-#[cfg(feature = "bridge-mqtt")]
 pub mod bridge;
 pub mod calibrate;
 mod calibrate_intervals;
@@ -110,7 +109,6 @@ enum CommandArgs {
     Convert(convert::ConvertArgs),
     Check(check::Args),
     Discover(discover::Args),
-    #[cfg(feature = "bridge-mqtt")]
     Bridge(bridge::Args),
     Info(info::InfoArgs),
     Recover(recover::Args),
@@ -131,7 +129,7 @@ pub fn main() -> ExitCode {
             return ExitCode::from(if asked { Outcome::Done } else { Outcome::Usage }.code());
         }
     };
-    start_log(cli.log);
+    start_log(cli.log, cli.default_filter());
     let outcome = dispatch(cli).unwrap_or_else(|error| {
         // A reader that closes our output early (`| head`) is no failure.
         let pipe = error.chain().filter_map(|e| e.downcast_ref::<std::io::Error>());
@@ -169,7 +167,6 @@ fn dispatch(cli: Cli) -> anyhow::Result<Outcome> {
         CommandArgs::Convert(args) => convert::run(&args, format),
         CommandArgs::Check(args) => check::run(&args, format),
         CommandArgs::Discover(args) => discover::run(&args, format),
-        #[cfg(feature = "bridge-mqtt")]
         CommandArgs::Bridge(args) => bridge::run(&args, format),
         CommandArgs::Info(args) => info::run(&args, format),
         CommandArgs::Recover(args) => recover::run(&args, format),
@@ -180,8 +177,19 @@ fn dispatch(cli: Cli) -> anyhow::Result<Outcome> {
     }
 }
 
-fn start_log(form: Format) {
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info,zenoh=warn"));
+impl Cli {
+    /// What is logged where `RUST_LOG` says nothing. The demo tells alarms and its plant's doings in its own lines; the
+    /// OPC UA client would tell of every attempt, the bridge tells of outages itself.
+    const fn default_filter(&self) -> &'static str {
+        match (&self.command, self.format) {
+            (CommandArgs::Demo(_), Format::Text) => "warn,zenoh=error,stictiond::alarm=off",
+            _ => "info,zenoh=warn,opcua=off",
+        }
+    }
+}
+
+fn start_log(form: Format, default_filter: &str) {
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(default_filter));
     let colours = std::io::stderr().is_terminal();
     let builder = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).with_ansi(colours);
     let started = match form {

@@ -24,6 +24,8 @@ const HALF: f64 = 50.0;
 const LITTLE: f64 = 10.0;
 /// Error over the floor up to which a record is explained.
 const EXPLAINED: f64 = 1.2;
+/// Share of the best effect's gain that a filter has to have.
+const BESIDE_BEST: f64 = 0.6;
 /// Share of the log error above the floor that an effect behind the recorded valve position has to take.
 const MOST: f64 = 0.6;
 
@@ -91,13 +93,14 @@ pub fn decide(evidence: &Evidence, without: &[&str], calibration: &Calibration) 
     if let Some(trace) = basis.traces.iter().find(|t| has(t) && explained(t) && !gives_way(t)) {
         return answer(trace, calibration.trace, By::Trace);
     }
+    // A controller that reads a filtered PV seems to lag, too.
+    let filter = effects::sensor_filter::EFFECT.id;
+    if basis.filter && has(filter) && filter_explains(evidence, filter, ranked.first()) {
+        return answer(filter, calibration.trace, By::Trace);
+    }
     let skew = effects::time_skew::EFFECT.id;
     if basis.skew.is_some() && has(skew) {
         return answer(skew, calibration.trace, By::Trace);
-    }
-    let filter = effects::sensor_filter::EFFECT.id;
-    if basis.filter && has(filter) {
-        return answer(filter, calibration.trace, By::Trace);
     }
     if let Some(first) = basis.on_mv.iter().find(|e| has(&e.id)) {
         // Behind a measured valve the process stands alone: its own ranking counts, and the right effect explains all.
@@ -138,6 +141,14 @@ fn ranked<'e>(evidence: &'e Evidence, without: &[&str]) -> Vec<&'e Contender> {
 fn explains(effect: &OnMv) -> bool {
     let left = effect.over_floor.map_or(0.0, |o| 2.0 * libm::log(o.max(1.0)));
     left < 2.0 * libm::log(EXPLAINED) || effect.evidence >= MOST * (effect.evidence + left)
+}
+
+/// Whether a filter in the measurement gains about as much as any other effect: behind a wrong model, too, noise has a
+/// memory. What is held out does not ask: a filter is met by its noise, of which blocks hold little.
+fn filter_explains(evidence: &Evidence, filter: &str, best: Option<&&Contender>) -> bool {
+    let most = best.map_or(0.0, |b| b.lead.max(0.0));
+    let own = evidence.contenders.iter().find(|c| c.id == filter);
+    own.is_none_or(|c| c.lead >= BESIDE_BEST * most)
 }
 
 /// Whether what is left is noise with a memory and nothing else.

@@ -3,10 +3,11 @@
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, VPos};
 
+use super::across::{Across, tick, ticks};
 use super::ink::Ink;
 use super::plot::{
     Area, Drawn, FINE, LEGEND, Mark, Picture, PlotError, Series, curve, draw, frame, legend, note_axes, range,
-    shortened, text_width, tick, ticks, words, write_legend,
+    shortened, text_width, words, write_legend,
 };
 use crate::units::number;
 
@@ -47,7 +48,7 @@ pub fn histogram(h: &Histogram<'_>) -> Result<Picture, PlotError> {
     draw(h.title, h.size[0], h.size[1], |root, axes| {
         write_legend(root, &rows)?;
         let y = [0.0, f64::from(most) * 1.08];
-        let mut chart = frame(root, LEGEND * rows.len() as u32 + 2, x, y, Some(h.x_label))?;
+        let mut chart = frame(root, LEGEND * rows.len() as u32 + 2, x, y, &Across::value(h.x_label))?;
         note_axes(axes, &chart);
         let step = (x[1] - x[0]) / BINS as f64;
         for (set, counts) in h.sets.iter().zip(&counted) {
@@ -132,7 +133,7 @@ pub fn heat_map(map: &HeatMap<'_>) -> Result<Picture, PlotError> {
     let mut picture = draw(map.title, width, height, |root, axes| {
         write_legend(root, &rows)?;
         let (left, right) = root.split_horizontally((width - SCALE) * FINE);
-        let mut chart = frame(&left, top, map.x, map.y, Some(map.x_label))?;
+        let mut chart = frame(&left, top, map.x, map.y, &Across::value(map.x_label))?;
         note_axes(axes, &chart);
         chart.draw_series([Polygon::new(map.ground.clone(), RGBColor(0x80, 0x86, 0x90).filled())])?;
         let [half_x, half_y] = map.step.map(|s| 0.5 * s);

@@ -6,6 +6,7 @@ use crate::record::Record;
 use crate::signal::{lag, stats};
 use crate::verdict::Assessment;
 
+use super::across::Across;
 use super::chart::{Bar, HeatMap, Histogram, Overlay, bars, heat_map, histogram};
 use super::detail::Detail;
 use super::diagram::{Tags, loop_diagram};
@@ -43,6 +44,8 @@ const WIDE: u32 = 1080;
 const HALF: u32 = 520;
 /// Points of a curve in an overview picture.
 const FEW_POINTS: usize = 160;
+/// Points of a phase plot from which it shows how many lie where.
+const DENSE: usize = 2_500;
 
 type Figures = Result<Vec<Figure>, PlotError>;
 
@@ -138,7 +141,7 @@ fn trends(title: &str, record: &Record, width: u32) -> Result<Picture, PlotError
         let series = vec![line("MV", &t, mv, Ink::Mv, Mark::Line)];
         panels.push(Panel { y_label: "MV units", series, height: 110, shaded: &[] });
     }
-    trend(title, width, "time from the section's start, s", &panels)
+    trend(title, width, &Across::time_from(record.start_ns), &panels)
 }
 
 fn fit(of: &Subject<'_>, detail: &Detail) -> Result<Figure, PlotError> {
@@ -170,7 +173,7 @@ fn fit(of: &Subject<'_>, detail: &Detail) -> Result<Figure, PlotError> {
             shaded: &[],
         },
     ];
-    let picture = trend("Measured and fitted", WIDE, "time from the section's start, s", &panels)?;
+    let picture = trend("Measured and fitted", WIDE, &Across::time_from(of.record.start_ns), &panels)?;
     let explained = of.assessment.process.as_ref().map_or(0.0, |p| p.fit_pct);
     let caption = format!(
         "The model never sees PV on its way: valve law and process answer to OP alone. Fit {explained:.1} % (100 is \
@@ -185,7 +188,9 @@ fn phase(title: &str, record: &Record, shift: usize, valve: Option<&[f64]>) -> R
     let x = valve.unwrap_or(&op);
     let (x, y) = (&x[..n - shift.min(n)], &record.pv[shift.min(n)..]);
     let (label, ink) = if valve.is_some() { ("valve by the model, OP units", Ink::Mv) } else { ("OP units", Ink::Op) };
-    let series = vec![line("", x, y, ink, Mark::Thin)];
+    // Many turns over one another are a blot of ink.
+    let mark = if n > DENSE { Mark::Density } else { Mark::Thin };
+    let series = vec![line("", x, y, ink, mark)];
     scatter(&Plane { title, size: [HALF, 340], x_label: label, y_label: "PV units", series })
 }
 

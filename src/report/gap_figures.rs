@@ -1,5 +1,6 @@
 //! Pictures of a gap: simulation against plant before and after, and what is left by time, cycle, frequency and level.
 
+use super::across::Across;
 use super::chart::{Bar, bars};
 use super::figures::Figure;
 use super::gap_page::GapLoop;
@@ -126,7 +127,7 @@ fn runs(p: &Points<'_>) -> Made {
         Panel { y_label: "PV", series, height: 250, shaded: &p.held_out },
         Panel { y_label: "OP", series: below, height: 130, shaded: &p.held_out },
     ];
-    let picture = trend("Measured against simulated", WIDE, "time, s", &panels)?;
+    let picture = trend("Measured against simulated", WIDE, &Across::value("time, s"), &panels)?;
     let caption =
         "Free runs from OP as recorded. No model was fitted to the shaded stretches: the gap is measured there.";
     Ok(Figure { picture, caption: caption.to_owned(), wide: true })
@@ -139,7 +140,7 @@ fn residuals(p: &Points<'_>) -> Made {
         series.push(line("with the cause", &p.after, Ink::Fit));
     }
     let panels = [Panel { y_label: "PV less simulation", series, height: 170, shaded: &p.held_out }];
-    let picture = trend("What the simulation leaves, over time", WIDE, "time, s", &panels)?;
+    let picture = trend("What the simulation leaves, over time", WIDE, &Across::value("time, s"), &panels)?;
     let l = &p.of.document.location;
     let caption = match (l.onset_s, l.trend.onset_ratio) {
         (Some(at), Some(ratio)) => {

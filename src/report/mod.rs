@@ -4,6 +4,7 @@
 //! [`detail`] computes what a loop's pictures need, [`figures`] draws them, [`words`] puts the numbers into sentences.
 //! [`page`] is the HTML file, [`sheet`] the SVG file; [`gap_figures`] and [`gap_page`] do the same for a gap.
 
+pub mod across;
 pub mod chart;
 pub mod detail;
 pub mod diagram;

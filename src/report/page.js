@@ -66,6 +66,15 @@
   };
   addEventListener("hashchange", open);
   open();
+  // Paper holds every loop and number, also of those that are folded on the screen.
+  const folded = [];
+  addEventListener("beforeprint", () => {
+    folded.push(...document.querySelectorAll("details:not([open])"));
+    for (const details of folded) details.open = true;
+  });
+  addEventListener("afterprint", () => {
+    for (const details of folded.splice(0)) details.open = false;
+  });
   const rows = [...document.querySelectorAll(".overview tbody tr")];
   if (rows.length > 10) {
     const find = document.createElement("input");

@@ -4,6 +4,7 @@
 //! histograms, heat maps and bars. A [`Picture`] is readable without scripts; a page's script finds the axes' scales in
 //! `data-axes` and shows values under the pointer.
 
+use std::collections::BTreeMap;
 use std::fmt::Write;
 
 use plotters::chart::ChartContext;
@@ -13,6 +14,7 @@ use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 use thiserror::Error;
 
+use super::across::{Across, Ticked, tick};
 use super::ink::Ink;
 
 /// Why a picture could not be drawn.
@@ -109,6 +111,8 @@ pub enum Mark {
     Steps,
     /// A dot at each point.
     Dots,
+    /// How many points lie in each small square, where lines over one another would be a blot.
+    Density,
     /// A larger ring at each point.
     Rings,
 }
@@ -145,7 +149,7 @@ pub struct Panel<'a> {
 ///
 /// # Errors
 /// [`PlotError`], where the drawing library refuses.
-pub fn trend(title: &str, width: u32, x_label: &str, panels: &[Panel<'_>]) -> Result<Picture, PlotError> {
+pub fn trend(title: &str, width: u32, across: &Across, panels: &[Panel<'_>]) -> Result<Picture, PlotError> {
     let x = range(panels.iter().flat_map(|p| &p.series).flat_map(|s| s.x.iter().copied()), 0.0);
     let legends: Vec<Vec<Vec<Entry<'_>>>> = panels.iter().map(|p| legend(p.y_label, &p.series, width)).collect();
     let tops: Vec<u32> = legends.iter().map(|rows| LEGEND * rows.len() as u32 + 2).collect();
@@ -159,7 +163,8 @@ pub fn trend(title: &str, width: u32, x_label: &str, panels: &[Panel<'_>]) -> Re
             write_legend(&area, &legends[k])?;
             let y = range(panel.series.iter().flat_map(|s| s.y.iter().copied()), 0.06);
             let last = k + 1 == panels.len();
-            let mut chart = frame(&area, tops[k], x, y, if last { Some(x_label) } else { None })?;
+            let across = if last { across.clone() } else { across.without_labels() };
+            let mut chart = frame(&area, tops[k], x, y, &across)?;
             note_axes(axes, &chart);
             for [from, to] in panel.shaded {
                 let box_of = [(from.max(x[0]), y[0]), (to.min(x[1]), y[1])];
@@ -199,7 +204,7 @@ pub fn scatter(plane: &Plane<'_>) -> Result<Picture, PlotError> {
     let legend = legend(plane.y_label, &plane.series, width);
     draw(plane.title, width, height, |root, axes| {
         write_legend(root, &legend)?;
-        let mut chart = frame(root, LEGEND * legend.len() as u32 + 2, x, y, Some(plane.x_label))?;
+        let mut chart = frame(root, LEGEND * legend.len() as u32 + 2, x, y, &Across::value(plane.x_label))?;
         note_axes(axes, &chart);
         for series in &plane.series {
             curve(&mut chart, series, false)?;
@@ -209,7 +214,7 @@ pub fn scatter(plane: &Plane<'_>) -> Result<Picture, PlotError> {
 }
 
 pub(super) type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
-pub(super) type Chart<'a> = ChartContext<'a, SVGBackend<'a>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
+pub(super) type Chart<'a> = ChartContext<'a, SVGBackend<'a>, Cartesian2d<Ticked, RangedCoordf64>>;
 pub(super) type Drawn = Result<(), DrawingAreaErrorKind<std::io::Error>>;
 
 /// Height of a legend's row, of the labels below an axis, and width of those beside one, pixels.
@@ -260,27 +265,6 @@ pub(super) fn range(values: impl Iterator<Item = f64>, margin: f64) -> [f64; 2] 
     [low - pad, high + pad]
 }
 
-/// Round values within a range, about `count` of them.
-pub(super) fn ticks(x: [f64; 2], count: usize) -> Vec<f64> {
-    let raw = (x[1] - x[0]) / count.max(1) as f64;
-    let scale = 10.0_f64.powf(raw.log10().floor());
-    let step = [1.0, 2.0, 5.0, 10.0].into_iter().map(|k| k * scale).find(|s| *s >= raw * 0.999).unwrap_or(raw);
-    let first = (x[0] / step - 1e-9).ceil() as i64;
-    (first..).map(|k| k as f64 * step).take_while(|v| *v <= x[1] + 1e-9 * step).take(50).collect()
-}
-
-/// A number for a tick of an axis that spans `width`: as many digits as tell ticks apart.
-pub(super) fn tick(value: f64, width: f64) -> String {
-    let size = value.abs();
-    if value != 0.0 && (size >= 1e6 || (size < 1e-4 && width < 1e-4)) {
-        return format!("{value:.1e}");
-    }
-    let digits = (1.3 - width.max(1e-12).log10()).ceil().clamp(0.0, 9.0) as usize;
-    let text = format!("{value:.digits$}");
-    let text = if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.') } else { &text };
-    if text == "-0" { "0".to_owned() } else { text.replace('-', "\u{2212}") }
-}
-
 /// Text of a size in drawing units.
 pub(super) fn written(size: u32, ink: Ink) -> TextStyle<'static> {
     TextStyle { color: ink.colour().to_backend_color(), ..TextStyle::from(("sans-serif", size)) }
@@ -297,21 +281,22 @@ pub(super) fn frame<'a>(
     top: u32,
     x: [f64; 2],
     y: [f64; 2],
-    x_label: Option<&str>,
+    across: &Across,
 ) -> Result<Chart<'a>, DrawingAreaErrorKind<std::io::Error>> {
-    let below = if x_label.is_some() { X_LABELS } else { 4 };
+    let below = if across.labelled() { X_LABELS } else { 4 };
+    let plot_w = area.dim_in_pixel().0.saturating_sub((RIGHT + Y_LABELS) * FINE);
+    let ticks = across.ticks(x, plot_w / FINE);
     let mut chart = ChartBuilder::on(area)
         .margin_top(top * FINE)
         .margin_right(RIGHT * FINE)
         .x_label_area_size(below * FINE)
         .y_label_area_size(Y_LABELS * FINE)
-        .build_cartesian_2d(x[0]..x[1], y[0]..y[1])?;
-    let (wide, tall) = (x[1] - x[0], y[1] - y[0]);
-    let (x_text, y_text) = (move |v: &f64| tick(*v, wide), move |v: &f64| tick(*v, tall));
-    let (plot_w, plot_h) = chart.plotting_area().dim_in_pixel();
+        .build_cartesian_2d(Ticked::new(x, ticks), y[0]..y[1])?;
+    let tall = y[1] - y[0];
+    let (x_text, y_text) = (move |v: &f64| across.tick(*v, x), move |v: &f64| tick(*v, tall));
+    let (_, plot_h) = chart.plotting_area().dim_in_pixel();
     chart
         .configure_mesh()
-        .x_labels(if x_label.is_some() { (plot_w / (62 * FINE)).clamp(2, 14) as usize } else { 0 })
         .y_labels((plot_h / (26 * FINE)).clamp(2, 8) as usize)
         .max_light_lines(0)
         .bold_line_style(Ink::Faint.colour().stroke_width(FINE))
@@ -319,7 +304,7 @@ pub(super) fn frame<'a>(
         .label_style(written(TEXT - FINE, Ink::Soft))
         .axis_desc_style(written(TEXT - FINE, Ink::Soft))
         .set_all_tick_mark_size(4 * FINE)
-        .x_desc(x_label.unwrap_or_default())
+        .x_desc(across.title(x))
         .x_label_formatter(&x_text)
         .y_label_formatter(&y_text)
         .draw()?;
@@ -356,6 +341,16 @@ pub(super) fn curve(chart: &mut Chart<'_>, series: &Series<'_>, thin: bool) -> D
                 let dot = |p| Circle::new(p, FINE * 3 / 2, colour.mix(0.55).filled());
                 chart.draw_series(run.into_iter().map(dot))?;
             }
+            Mark::Density => {
+                let (_, down) = chart.plotting_area().get_pixel_range();
+                let y = chart.plotting_area().get_y_range();
+                let cells =
+                    [(across.end - across.start) / SQUARE, (down.end - down.start) / SQUARE].map(|n| n.max(1) as usize);
+                let squares = squares(&run, [[x.start, x.end], [y.start, y.end]], cells);
+                chart.draw_series(squares.into_iter().map(|(at, share)| {
+                    Rectangle::new(at, colour.mix(LEAST_INK + (1.0 - LEAST_INK) * share).filled())
+                }))?;
+            }
             Mark::Rings => {
                 chart.draw_series(run.into_iter().map(|p| Circle::new(p, 4 * FINE, colour.stroke_width(2 * FINE))))?;
             }
@@ -369,6 +364,28 @@ pub(super) fn curve(chart: &mut Chart<'_>, series: &Series<'_>, thin: bool) -> D
         }
     }
     Ok(())
+}
+
+/// Side of a square of [`Mark::Density`], drawing units, and the ink of one that holds a single point.
+const SQUARE: i32 = 4 * FINE as i32;
+const LEAST_INK: f64 = 0.15;
+
+/// The squares of a plane, so many across and up, that hold points: two corners, and the logarithm of how many over that of
+/// the fullest.
+fn squares(points: &[(f64, f64)], plane: [[f64; 2]; 2], cells: [usize; 2]) -> Vec<([(f64, f64); 2], f64)> {
+    let side = |k: usize| (plane[k][1] - plane[k][0]) / cells[k] as f64;
+    let place = |value: f64, k: usize| (((value - plane[k][0]) / side(k)) as usize).min(cells[k] - 1);
+    let mut counts: BTreeMap<[usize; 2], u32> = BTreeMap::new();
+    for (x, y) in points {
+        *counts.entry([place(*x, 0), place(*y, 1)]).or_default() += 1;
+    }
+    let log = |count: u32| f64::from(count).ln_1p();
+    let most = counts.values().copied().max().map_or(1.0, log);
+    let corner = |cell: [usize; 2]| {
+        let [x, y] = [0, 1].map(|k| plane[k][0] + cell[k] as f64 * side(k));
+        (x, y)
+    };
+    counts.into_iter().map(|(cell, n)| ([corner(cell), corner(cell.map(|i| i + 1))], log(n) / most)).collect()
 }
 
 /// Stretches of finite values.
@@ -510,18 +527,11 @@ mod tests {
     }
 
     #[test]
-    fn ranges_are_never_empty_and_ticks_can_be_told_apart() {
+    fn ranges_are_never_empty() {
         for values in [vec![], vec![3.0], vec![0.0, 0.0], vec![1e12, 1e12], vec![f64::NAN, 2.0], vec![-1e-20, 1e-20]] {
             let [low, high] = range(values.iter().copied(), 0.1);
             assert!(low < high && low.is_finite() && high.is_finite(), "{values:?}");
         }
-        assert_eq!(
-            (tick(0.5, 2.0), tick(-0.05, 0.2), tick(100.0, 400.0)),
-            ("0.5".into(), "\u{2212}0.05".into(), "100".into())
-        );
-        assert_eq!(ticks([-0.3, 5.8], 5), [0.0, 2.0, 4.0]);
-        assert_ne!(tick(1.001, 0.004), tick(1.002, 0.004));
-        assert_eq!(tick(-1e-17, 1.0), "0");
     }
 
     #[test]
@@ -531,10 +541,20 @@ mod tests {
         let evil = "<script>alert('x')</script>\"&";
         let series = vec![Series { name: evil, x: &x, y: &y, ink: Ink::Pv, mark: Mark::Line }];
         let panels = [Panel { y_label: evil, series, height: 100, shaded: &[[1.0, 2.0]] }];
-        let svg = trend(evil, 520, evil, &panels).unwrap().svg();
+        let svg = trend(evil, 520, &Across::value(evil), &panels).unwrap().svg();
         assert!(!svg.contains("<script") && svg.contains("&lt;script"), "{svg}");
         assert!(svg.matches("<polyline").count() > 3 && !svg.contains("NaN"));
         assert!(!svg.contains("http"));
+    }
+
+    #[test]
+    fn squares_hold_every_point_once_and_the_fullest_is_darkest() {
+        let points = [(0.1, 0.1), (0.2, 0.15), (0.15, 0.2), (1.0, 1.0)];
+        let found = squares(&points, [[0.0, 1.0], [0.0, 1.0]], [2, 2]);
+        assert_eq!(found.len(), 2);
+        assert_eq!(found[0], ([(0.0, 0.0), (0.5, 0.5)], 1.0));
+        assert_eq!(found[1].0, [(0.5, 0.5), (1.0, 1.0)]);
+        assert!((found[1].1 - 0.5).abs() < 1e-12);
     }
 
     #[test]
@@ -554,8 +574,8 @@ mod tests {
     #[test]
     fn every_picture_can_be_drawn_without_data() {
         let panels = [Panel { y_label: "y", series: Vec::new(), height: 60, shaded: &[] }];
-        assert!(trend("t", 300, "x", &panels).is_ok());
-        assert!(trend("t", 300, "x", &[]).is_ok());
+        assert!(trend("t", 300, &Across::value("x"), &panels).is_ok());
+        assert!(trend("t", 300, &Across::value("x"), &[]).is_ok());
         let plane = Plane { title: "p", size: [300, 200], x_label: "x", y_label: "y", series: Vec::new() };
         assert!(scatter(&plane).is_ok());
     }

@@ -276,8 +276,10 @@ pub fn features(mut figures: Features) -> Features {
     let moves = of("index_moves");
     let gain =
         -0.5 * libm::log((1.0 - of("stiction_index")).max(LEAST_ERROR)) * of("points") / of("inflation").max(1.0);
+    // Not gain.max(0.0): which zero that is of -0.0 depends on the build, and it is written into documents.
+    let gain = if gain > 0.0 { gain } else { 0.0 };
     let coloured = of("portmanteau") / PORTMANTEAU;
-    let likelihood = libm::log1p(gain.max(0.0)) / (1.0 + coloured * coloured);
+    let likelihood = libm::log1p(gain) / (1.0 + coloured * coloured);
     let made = [("likelihood", likelihood), ("confirmed", confirmed), ("moves", moves)];
     figures.extend(made.map(|(name, value)| (name.to_owned(), value)));
     figures

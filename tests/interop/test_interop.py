@@ -27,6 +27,10 @@ from compact_store import (  # noqa: F401, found by name below
 )
 from daemon import ROOT, Daemon, close_sessions, eventually, free_port, session, stictiond
 from documents import check_document, test_documents_fit_their_schemas  # noqa: F401
+from opcua import (  # noqa: F401
+    test_a_cut_of_the_network_costs_the_opcua_bridge_nothing,
+    test_the_opcua_bridge_accounts_for_every_value,
+)
 from plant import Loop
 from receivers import test_an_alarm_arrives_where_operators_look  # noqa: F401
 

@@ -121,11 +121,11 @@ fn links_and_headings_are_read_as_they_are_shown() {
 
 #[test]
 fn the_readme_is_read_to_its_end() {
-    let readme = read("README.md");
-    let bytes = readme.len();
+    let bytes = read("README.md").len();
     assert!(bytes <= MAX_README, "README.md has {bytes} bytes, at most {MAX_README}: move something into docs");
     // Programs that try this repository look for these two.
-    let two = fenced(&readme, "## Two commands", "sh");
+    let page = read("README.md");
+    let two = fenced(&page, "## Two commands", "sh");
     assert_eq!(two, ["cargo run --release -- demo", "bash tests/run.sh"]);
 }
 

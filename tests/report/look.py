@@ -123,6 +123,11 @@ def main():
                         elif report.stem == "long":
                             page.evaluate("document.querySelectorAll('details').forEach((d) => { d.open = true; })")
                             said += page.evaluate(LOOK)["faults"]
+                            # Paper has every loop, also what is folded on the screen.
+                            page.reload()
+                            sheets = page.pdf().count(b"/Type /Page\n") if (width, scheme) == (1280, "light") else 99
+                            if sheets < 8:
+                                said.append(f"printed, two loops are {sheets} pages")
                         elif found["plots"] < 10:
                             said.append(f"only {found['plots']} pictures")
                         paper = page.evaluate("getComputedStyle(document.body).backgroundColor")

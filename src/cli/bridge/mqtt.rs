@@ -5,21 +5,16 @@
 //! bridge loses a message that the broker had taken; some come twice, which the daemon drops by their stamps.
 
 use std::collections::HashMap;
-use std::path::PathBuf;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
-use anyhow::{Context, anyhow};
+use anyhow::Context;
 use rumqttc::mqttbytes::v5::{Packet, Publish, RetainForwardRule, SubscribeFilter};
 use rumqttc::{
     AckMode, AsyncClient, BrokerSessionResumePolicy, Event, EventLoop, MqttOptions, QoS, SessionMode, Transport,
 };
 use sd_notify::NotifyState;
-use serde_json::json;
-use zenoh::qos::CongestionControl;
 
-use crate::cli::play::{connect, prefix};
+use super::bus::{Bus, BusArgs, PAUSE, TOLD_EVERY, Teller, document, is_key};
 use crate::cli::{Format, Outcome, asked_to_stop, block_on, say};
 use crate::codec::MAX_PAYLOAD;
 use crate::config::{Address, Protocol, short_hash};
@@ -29,12 +24,6 @@ use crate::sink::deliver::{secret, tls_of};
 const UNCONFIRMED: u16 = 1000;
 /// Requests that may wait for the connection: more than can be unconfirmed, so a confirmation always finds its place.
 const REQUESTS: usize = 4 * UNCONFIRMED as usize;
-/// Pause between attempts to reach the broker.
-const PAUSE: Duration = Duration::from_secs(1);
-/// How often it is looked whether somebody listens, while nobody does.
-const LISTENED_EVERY: Duration = Duration::from_millis(200);
-/// How often figures are told.
-const TOLD_EVERY: Duration = Duration::from_secs(60);
 /// How long the broker may take to say goodbye.
 const GOODBYE: Duration = Duration::from_millis(500);
 
@@ -54,12 +43,6 @@ pub struct Args {
     /// Topics to subscribe to; + and # as MQTT has them; repeatable.
     #[arg(long = "topic", required = true, value_name = "FILTER")]
     pub topics: Vec<String>,
-    /// Endpoint of the daemon or router on the bus.
-    #[arg(long)]
-    pub connect: String,
-    /// First chunks of the keys: a topic T becomes PREFIX/T.
-    #[arg(long, value_parser = prefix)]
-    pub prefix: String,
     /// The key of one topic, repeatable.
     #[arg(long, value_name = "TOPIC=KEY", value_parser = mapping)]
     pub map: Vec<(String, String)>,
@@ -84,12 +67,9 @@ pub struct Args {
     /// How long the broker keeps the session while the bridge is away, s.
     #[arg(long, default_value_t = 86_400)]
     pub session_s: u32,
-    /// Confirm messages although nobody listens on the bus.
-    #[arg(long)]
-    pub no_hold: bool,
-    /// Write the figures into a file as well, once a minute and at the end.
-    #[arg(long, value_name = "FILE")]
-    pub figures: Option<PathBuf>,
+    /// Where to, and what is told.
+    #[command(flatten)]
+    pub bus: BusArgs,
 }
 
 fn broker(text: &str) -> Result<Address, String> {
@@ -105,12 +85,6 @@ fn mapping(text: &str) -> Result<(String, String), String> {
         return Err(format!("{key:?} is no key: empty chunk, wildcard or @"));
     }
     Ok((topic.to_owned(), key.to_owned()))
-}
-
-/// Whether a text may be published under: a key without wildcards, outside of what daemons say.
-fn is_key(key: &str) -> bool {
-    let sound = |chunk: &str| !chunk.is_empty() && !chunk.starts_with('@');
-    key.split('/').all(sound) && !key.contains(['*', '$', '?', '#']) && !key.chars().any(char::is_control)
 }
 
 /// What came and what became of it.
@@ -142,25 +116,20 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     let options = options(args)?;
     let figures = block_on(async {
         let stop = asked_to_stop()?;
-        let session = connect(&args.connect).await?;
-        let listened = watch_listeners(&session, args).await?;
+        let bus = Bus::open(&args.bus).await?;
         let (client, events) = AsyncClient::builder(options).capacity(REQUESTS).build();
         let keys = args.map.iter().cloned().collect();
         let mut bridge =
-            Bridge { args, keys, session, client, listened, figures: Figures::default(), told: Instant::now() };
+            Bridge { args, keys, bus, client, figures: Figures::default(), teller: Teller::new("mqtt", &args.bus) };
         let figures = bridge.serve(events, stop).await;
-        let _ = tokio::time::timeout(Duration::from_secs(2), bridge.session.close()).await;
+        bridge.bus.close().await;
         figures
     })?;
     match format {
-        Format::Json => say(document(&figures))?,
+        Format::Json => say(document("mqtt", &figures))?,
         Format::Text => say(line(&figures))?,
     }
     Ok(Outcome::Done)
-}
-
-fn document(figures: &Figures) -> serde_json::Value {
-    json!({"schema": "stictiond.bridge.v1", "bridge": "mqtt", "figures": figures})
 }
 
 fn line(f: &Figures) -> String {
@@ -171,7 +140,7 @@ fn line(f: &Figures) -> String {
 }
 
 fn options(args: &Args) -> anyhow::Result<MqttOptions> {
-    let own = format!("{} {:?} {}", args.from.host, args.topics, args.prefix);
+    let own = format!("{} {:?} {}", args.from.host, args.topics, args.bus.prefix);
     let id = args.id.clone().unwrap_or_else(|| format!("stictiond-bridge-{}", &short_hash(own.as_bytes())[..12]));
     let mut options = MqttOptions::new(id, (args.from.host.clone(), args.from.port));
     options.set_keep_alive(15);
@@ -190,33 +159,13 @@ fn options(args: &Args) -> anyhow::Result<MqttOptions> {
     Ok(options)
 }
 
-/// Whether anybody on the bus listens to what the bridge would publish.
-async fn watch_listeners(session: &zenoh::Session, args: &Args) -> anyhow::Result<Arc<AtomicBool>> {
-    let listened = Arc::new(AtomicBool::new(args.no_hold));
-    if args.no_hold {
-        return Ok(listened);
-    }
-    let key = format!("{}/**", args.prefix);
-    let publisher = session.declare_publisher(key.clone()).await.map_err(|e| anyhow!("{key}: {e}"))?;
-    let told = listened.clone();
-    tokio::spawn(async move {
-        loop {
-            let matching = publisher.matching_status().await.is_ok_and(|status| status.matching());
-            told.store(matching, Ordering::Relaxed);
-            tokio::time::sleep(LISTENED_EVERY).await;
-        }
-    });
-    Ok(listened)
-}
-
 struct Bridge<'a> {
     args: &'a Args,
     keys: HashMap<String, String>,
-    session: zenoh::Session,
+    bus: Bus,
     client: AsyncClient,
-    listened: Arc<AtomicBool>,
     figures: Figures,
-    told: Instant,
+    teller: Teller,
 }
 
 impl Bridge<'_> {
@@ -299,10 +248,9 @@ impl Bridge<'_> {
                 self.figures.refused += 1;
             }
             Some(key) => {
-                while !self.listened.load(Ordering::Relaxed) {
-                    tokio::time::sleep(LISTENED_EVERY).await;
-                }
-                self.put(&key, message).await?;
+                self.bus.until_listened().await;
+                self.bus.put(&key, message.payload.to_vec(), encoding_of(message)).await?;
+                self.figures.published += 1;
             }
         }
         if let Some(ack) = self.client.prepare_ack(message)
@@ -313,34 +261,15 @@ impl Bridge<'_> {
         Ok(())
     }
 
-    async fn put(&mut self, key: &str, message: &Publish) -> anyhow::Result<()> {
-        let mut put = self
-            .session
-            .put(key, message.payload.to_vec())
-            .congestion_control(CongestionControl::Block)
-            .timestamp(self.session.new_timestamp());
-        if let Some(encoding) = encoding_of(message) {
-            put = put.encoding(encoding);
-        }
-        put.await.map_err(|e| anyhow!("{key}: {e}"))?;
-        self.figures.published += 1;
-        Ok(())
-    }
-
     fn key_of(&self, topic: &[u8]) -> Option<String> {
         let topic = std::str::from_utf8(topic).ok()?;
-        let key = || format!("{}/{}", self.args.prefix, topic.trim_matches('/'));
+        let key = || format!("{}/{}", self.args.bus.prefix, topic.trim_matches('/'));
         Some(self.keys.get(topic).cloned().unwrap_or_else(key)).filter(|key| is_key(key))
     }
 
     fn tell(&mut self, at_the_end: bool) -> anyhow::Result<()> {
-        if !at_the_end && self.told.elapsed() < TOLD_EVERY {
-            return Ok(());
-        }
-        self.told = Instant::now();
-        tracing::info!("{}", line(&self.figures));
-        if let Some(path) = &self.args.figures {
-            std::fs::write(path, document(&self.figures).to_string()).with_context(|| path.display().to_string())?;
+        if at_the_end || self.teller.is_due() {
+            self.teller.tell(&line(&self.figures), &self.figures)?;
         }
         Ok(())
     }
@@ -358,11 +287,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn topics_become_keys_outside_of_what_daemons_say() {
-        assert!(is_key("p/spBv1.0/g/DDATA/n/d") && is_key("gw/FIC101.OP"));
-        for bad in ["p//x", "p/@stiction/v1/A/alarm", "p/a*", "p/x#y", "p/\u{7}", ""] {
-            assert!(!is_key(bad), "{bad}");
-        }
+    fn mappings_are_keys() {
         assert!(mapping("a/b=p/@stiction/v1/A/alarm").is_err() && mapping("a/b").is_err());
         assert_eq!(mapping("a/b=p/FIC101/op"), Ok(("a/b".to_owned(), "p/FIC101/op".to_owned())));
     }

@@ -171,7 +171,7 @@ pub fn check(d: &Deliver) -> anyhow::Result<()> {
 }
 
 /// The text of a secret's file, without the line's end.
-#[cfg(feature = "deliver")]
+#[cfg(any(feature = "deliver", feature = "bridge-opcua"))]
 pub(crate) fn secret(path: &str) -> anyhow::Result<Option<String>> {
     if path.is_empty() {
         return Ok(None);

@@ -1,5 +1,7 @@
 //! `stictiond demo`: a simulated plant on the bus and the daemon beside it, in one command.
 
+mod told;
+
 use std::collections::BTreeMap;
 use std::net::TcpListener;
 use std::time::{Duration, Instant};
@@ -9,19 +11,19 @@ use serde_json::Value as Json;
 use zenoh::bytes::Encoding;
 use zenoh::qos::CongestionControl;
 
-use super::{Format, Outcome, asked_to_stop, block_on, list, play, say};
+use super::{Format, Outcome, asked_to_stop, block_on, list, play};
 use crate::codec::encode_recorded;
-use crate::codec::topic::{self, Kind};
+use crate::codec::topic;
 use crate::config::Config;
 use crate::daemon::{self, RunOptions};
 use crate::sim::plant::SimulatedPlant;
 use crate::sim::scenario::Scenario;
-use crate::units::{NS_PER_S, format_rfc3339};
+use crate::units::NS_PER_S;
 
 /// The plant that is simulated.
-const SCENARIO: &str = include_str!("../../recordings/scenarios/demo.toml");
+const SCENARIO: &str = include_str!("../../../recordings/scenarios/demo.toml");
 /// The daemon's configuration.
-const CONFIG: &str = include_str!("../../config/demo.toml");
+const CONFIG: &str = include_str!("../../../config/demo.toml");
 /// How much faster than real the plant runs.
 const SPEED: f64 = 100.0;
 
@@ -71,6 +73,9 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
         Ok(config) => config,
         Err(faults) => bail!("the built-in configuration:\n  {}", list(&faults)),
     };
+    if format == Format::Text {
+        told::beginning(&scenario, &config, port, SPEED)?;
+    }
     let last = block_on(async {
         let (stop, stopped) = tokio::sync::oneshot::channel::<()>();
         let daemon = tokio::spawn(daemon::run(
@@ -85,8 +90,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
         watched
     })?;
     if format == Format::Text {
-        summary(&scenario, &last)?;
-        say(format!("recorded below {}; check it with: stictiond replay {0} --verify", config.recording.dir))?;
+        told::ending(&scenario, &last, &config.recording.dir)?;
     }
     Ok(Outcome::Done)
 }
@@ -129,7 +133,7 @@ async fn watch(
             () = &mut stopping => break,
             finding = findings.recv() => {
                 let Some((leaf, json)) = finding else { break };
-                print(&leaf, &json, format, &mut last)?;
+                told::finding(&leaf, &json, format, &mut last)?;
             }
         }
     }
@@ -157,40 +161,4 @@ async fn publish(session: &zenoh::Session, scenario: &Scenario, prefix: &str) ->
         let due = Duration::from_secs_f64(scans * scenario.run.ts_s / SPEED);
         tokio::time::sleep(due.saturating_sub(started.elapsed())).await;
     }
-}
-
-fn print(leaf: &str, json: &[u8], format: Format, last: &mut BTreeMap<String, Json>) -> anyhow::Result<()> {
-    let kind = Kind::of_document(leaf);
-    if !matches!(kind, Some(Kind::Estimate | Kind::Alarm)) {
-        return Ok(());
-    }
-    if format == Format::Json {
-        say(String::from_utf8_lossy(json))?;
-        return Ok(());
-    }
-    let d: Json = serde_json::from_slice(json)?;
-    let name = d["loop"].as_str().unwrap_or("?").to_owned();
-    let number = |v: &Json| v.as_f64().map_or("    -".to_owned(), |x| format!("{x:5.2}"));
-    if kind == Some(Kind::Alarm) {
-        say(format!("ALARM {name}: {} - {}", d["state"].as_str().unwrap_or("?"), d["detail"].as_str().unwrap_or("")))?;
-        return Ok(());
-    }
-    let when = format_rfc3339(d["window"]["end_ns"].as_i64().unwrap_or(0));
-    let verdict = d["verdict"].as_str().unwrap_or("?");
-    let sizes = format!("fs {} fd {} index {}", number(&d["fs"]), number(&d["fd"]), number(&d["stiction_index"]));
-    let gates: Vec<&str> = d["gates"].as_array().into_iter().flatten().filter_map(Json::as_str).collect();
-    say(format!("{when}  {name:<8} {verdict:<15} {sizes}  {}", gates.join(",")))?;
-    last.insert(name, d);
-    Ok(())
-}
-
-/// Truth beside findings.
-fn summary(scenario: &Scenario, last: &BTreeMap<String, Json>) -> anyhow::Result<()> {
-    say("\nloop      truth           found")?;
-    for spec in &scenario.loops {
-        let truth = spec.label.map_or("", |l| l.name());
-        let found = last.get(&spec.name).map_or("no window yet", |d| d["verdict"].as_str().unwrap_or("?"));
-        say(format!("{:<9} {truth:<15} {found}", spec.name))?;
-    }
-    Ok(())
 }

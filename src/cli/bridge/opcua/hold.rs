@@ -1,0 +1,73 @@
+//! What waits for the bus: in order, bounded, the oldest dropped first.
+
+use std::collections::VecDeque;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use tokio::sync::Notify;
+
+use super::values::Reading;
+
+/// A value and the key that it goes to.
+pub type Item = (Arc<str>, Reading);
+
+/// The queue between the server's side and the bus.
+pub struct Hold {
+    inner: Mutex<(VecDeque<Item>, u64)>,
+    filled: Notify,
+    limit: usize,
+}
+
+impl Hold {
+    /// One that takes so many values.
+    pub fn new(limit: usize) -> Self {
+        Self { inner: Mutex::default(), filled: Notify::new(), limit: limit.max(1) }
+    }
+
+    fn with<T>(&self, what: impl FnOnce(&mut (VecDeque<Item>, u64)) -> T) -> T {
+        what(&mut self.inner.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    /// Takes a value.
+    pub fn push(&self, item: Item) {
+        self.with(|(items, dropped)| {
+            if items.len() >= self.limit {
+                items.pop_front();
+                *dropped += 1;
+            }
+            items.push_back(item);
+        });
+        self.filled.notify_one();
+    }
+
+    /// The oldest value, once there is one.
+    pub async fn pop(&self) -> Item {
+        loop {
+            if let Some(item) = self.with(|(items, _)| items.pop_front()) {
+                return item;
+            }
+            self.filled.notified().await;
+        }
+    }
+
+    /// How many were dropped.
+    pub fn dropped(&self) -> u64 {
+        self.with(|(_, dropped)| *dropped)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_oldest_is_dropped_and_counted() {
+        let hold = Hold::new(3);
+        for t_ns in 0..5 {
+            hold.push((Arc::from("k"), Reading { t_ns, value: None, status: 0 }));
+        }
+        assert_eq!(hold.dropped(), 2);
+        let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
+        let left: Vec<i64> = (0..3).map(|_| runtime.block_on(hold.pop()).1.t_ns).collect();
+        assert_eq!(left, [2, 3, 4]);
+    }
+}

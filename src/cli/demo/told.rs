@@ -1,0 +1,113 @@
+//! What the demo says: what is simulated and where to look, a line a window, the truth beside the answers.
+
+use std::collections::BTreeMap;
+
+use serde_json::Value as Json;
+
+use crate::cli::{Format, say};
+use crate::codec::topic::{self, Kind};
+use crate::config::Config;
+use crate::sim::scenario::{Label, LoopSpec, Scenario};
+use crate::units::{duration, format_rfc3339, number};
+
+/// Says what runs, and where it can be looked at.
+pub(super) fn beginning(scenario: &Scenario, config: &Config, port: u16, speed: f64) -> anyhow::Result<()> {
+    let count = scenario.loops.len();
+    say(format!("A simulated plant of {count} loops, {} times faster than real, watched live:\n", number(speed)))?;
+    for spec in &scenario.loops {
+        say(format!("  {:<8} {}", spec.name, truth(spec)))?;
+    }
+    let plane = topic::plane(&config.site.prefix, "**");
+    say(format!(
+        "\n  results     Zenoh tcp/127.0.0.1:{port}, key {plane}\n  metrics     http://{web}/metrics, health at \
+         http://{web}/healthz\n  recordings  {dir}\n",
+        web = config.web.listen,
+        dir = config.recording.dir
+    ))?;
+    say(format!(
+        "Plant time starts now and runs ahead of the clock. Each loop is judged every {} of it; p is the probability \
+         that the valve sticks, fs and fd are the bands of He's valve model in OP units. Ctrl-C ends.\n",
+        duration(config.window.hop_s)
+    ))?;
+    say("plant time (UTC)      loop     verdict            p     fs     fd  period")?;
+    Ok(())
+}
+
+/// What is simulated, in words.
+fn truth(spec: &LoopSpec) -> String {
+    let bands = format!("fs {}, fd {}", number(spec.valve.fs), number(spec.valve.fd));
+    match spec.label {
+        Some(Label::Stiction | Label::Deadband) => format!("the valve sticks ({bands})"),
+        Some(Label::NoStiction) => "healthy and quiet".to_owned(),
+        Some(Label::Tuning) => "healthy valve, controller tuned too tight: it rings".to_owned(),
+        Some(Label::Disturbance) => "healthy valve, well tuned; a sine comes from upstream".to_owned(),
+        None => "not labelled".to_owned(),
+    }
+}
+
+/// Tells an estimate or an alarm, and keeps the newest estimate of each loop.
+pub(super) fn finding(
+    leaf: &str,
+    json: &[u8],
+    format: Format,
+    last: &mut BTreeMap<String, Json>,
+) -> anyhow::Result<()> {
+    let kind = Kind::of_document(leaf);
+    if !matches!(kind, Some(Kind::Estimate | Kind::Alarm)) {
+        return Ok(());
+    }
+    if format == Format::Json {
+        say(String::from_utf8_lossy(json))?;
+        return Ok(());
+    }
+    let d: Json = serde_json::from_slice(json)?;
+    let name = d["loop"].as_str().unwrap_or("?").to_owned();
+    if kind == Some(Kind::Alarm) {
+        let [changed, state, why, todo] =
+            ["changed", "state", "detail", "what_to_do"].map(|key| d[key].as_str().unwrap_or(""));
+        say(format!("{changed}  {name:<8} ALARM ({state}): {why}"))?;
+        if d["event"] == "raised" {
+            say(format!("{:31}{todo}", ""))?;
+        }
+        return Ok(());
+    }
+    let sticks = d["stiction"] == true;
+    let place = |v: &Json, digits: usize| v.as_f64().map_or("-".to_owned(), |x| format!("{x:.digits$}"));
+    let band = |v: &Json| if sticks { place(v, 2) } else { "-".to_owned() };
+    say(format!(
+        "{}  {name:<8} {:<15} {:>4} {:>6} {:>6}  {}",
+        format_rfc3339(d["window"]["end_ns"].as_i64().unwrap_or(0)),
+        d["verdict"].as_str().unwrap_or("?"),
+        place(&d["p_stiction"], 2),
+        band(&d["fs"]),
+        band(&d["fd"]),
+        d["oscillation"]["period_s"].as_f64().map_or("-".to_owned(), duration),
+    ))?;
+    last.insert(name, d);
+    Ok(())
+}
+
+/// Truth beside the last answers.
+pub(super) fn ending(scenario: &Scenario, last: &BTreeMap<String, Json>, dir: &str) -> anyhow::Result<()> {
+    say("\nloop     simulated         last answer       agrees")?;
+    for spec in &scenario.loops {
+        let truth = spec.label.map_or("-", Label::name);
+        let found = last.get(&spec.name).and_then(|d| d["verdict"].as_str());
+        say(format!("{:<8} {truth:<17} {:<17} {}", spec.name, found.unwrap_or("no window yet"), agrees(spec, found)))?;
+    }
+    say(format!("\nRecorded in {dir}. The same numbers again, from the recording: stictiond replay {dir} --verify"))?;
+    Ok(())
+}
+
+/// Whether an answer is right, and if it is not, why that may be.
+fn agrees(spec: &LoopSpec, found: Option<&str>) -> &'static str {
+    let Some(found) = found else { return "not yet: a window needs five periods" };
+    let healthy = matches!(spec.label, Some(Label::NoStiction | Label::Tuning | Label::Disturbance));
+    match (spec.label, found) {
+        (Some(label), found) if label.name() == found => "yes",
+        (Some(Label::NoStiction), "no_oscillation") => "yes: nothing oscillates, so nothing is asked of the valve",
+        (_, "inconclusive") => "no answer: this window could not tell",
+        _ if healthy && found != "stiction" && found != "deadband" => "about the valve, yes; about the cause, no",
+        _ => "NO",
+    }
+}
