@@ -21,7 +21,7 @@ pub struct Args {
 #[derive(Debug, clap::Subcommand)]
 enum BridgeCommand {
     #[cfg(feature = "bridge-mqtt")]
-    Mqtt(mqtt::Args),
+    Mqtt(Box<mqtt::Args>),
     #[cfg(not(feature = "bridge-mqtt"))]
     Mqtt(Absent),
     #[cfg(feature = "bridge-opcua")]
