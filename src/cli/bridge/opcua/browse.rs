@@ -67,7 +67,7 @@ async fn children_of(session: &Session, start: NodeId, deep: bool) -> anyhow::Re
     let next = move |item: &BrowseResultItem| {
         let mut next = if deep { filter.get_next(item) } else { Vec::new() };
         // What the server says of itself is no process data.
-        next.retain(|description| description.node_id != NodeId::from(ObjectId::Server));
+        next.retain(|description| description.node_id != ObjectId::Server);
         next
     };
     let mut items = std::pin::pin!(session.browser().handler(next).max_nodes_per_request(100).run(vec![first]));
@@ -115,7 +115,7 @@ fn walk(start: &NodeId, children: &Children) -> Found {
         for child in children.get(parent).into_iter().flatten() {
             let id = &child.node_id.node_id;
             // Properties such as ranges and units stand beside what is measured.
-            let property = child.type_definition.node_id == NodeId::from(VariableTypeId::PropertyType);
+            let property = child.type_definition.node_id == VariableTypeId::PropertyType;
             if property || !seen.insert(id.clone()) {
                 continue;
             }

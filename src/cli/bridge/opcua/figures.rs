@@ -238,6 +238,7 @@ mod tests {
         presence.back(&mut figures, 30, true);
         let listed =
             Outage { start_ns: 20, end_ns: Some(30), last_stamp_ns: Some(19), resumed: true, why: "lost".into() };
+        assert!(figures.line().contains("1 outages of "), "{}", figures.line());
         assert_eq!((figures.outages, figures.outage_list), (1, vec![listed]));
         assert!(!presence.is_away());
     }
