@@ -81,6 +81,12 @@ pub struct Args {
     /// Draw every loop of the report in full, not only the twelve that most likely stick.
     #[arg(long, requires = "report")]
     pub report_all: bool,
+    /// Unit of OP on the report's axes, such as `%`.
+    #[arg(long, value_name = "UNIT", requires = "report")]
+    pub op_unit: Option<String>,
+    /// Unit of PV on the report's axes, such as `m3/h`.
+    #[arg(long, value_name = "UNIT", requires = "report")]
+    pub pv_unit: Option<String>,
     /// Replace an existing report.
     #[arg(long, requires = "report")]
     pub force: bool,
@@ -185,7 +191,10 @@ pub(super) fn config_of(paths: &[PathBuf]) -> anyhow::Result<Option<RunMetadata>
 /// The files cannot be read, the loop or section does not exist, or nothing in it can be analysed.
 pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     let report = match &args.report {
-        Some(path) => Some(Maker::new(path, args.report_all, args.force)?),
+        Some(path) => {
+            let units = [args.op_unit.clone(), args.pv_unit.clone()];
+            Some(Maker::new(path, args.report_all, args.force, units)?)
+        }
         None => None,
     };
     let units = args.reading.units(&args.input)?;

@@ -38,13 +38,15 @@ pub(super) struct Maker {
     path: PathBuf,
     kind: Kind,
     all: bool,
+    /// Units of OP and PV, where they were said.
+    units: [Option<String>; 2],
     loops: Vec<(LoopReport, AssessParams)>,
     warnings: Vec<String>,
 }
 
 impl Maker {
     /// Checks where a report shall go before any work is done. `all` asks for every loop in full.
-    pub(super) fn new(path: &Path, all: bool, force: bool) -> anyhow::Result<Self> {
+    pub(super) fn new(path: &Path, all: bool, force: bool, units: [Option<String>; 2]) -> anyhow::Result<Self> {
         let kind = match path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase).as_deref() {
             Some("html" | "htm") => Kind::Html,
             Some("svg") => Kind::Svg,
@@ -56,7 +58,7 @@ impl Maker {
         if path.exists() && !force {
             bail!("{} exists; give another name or --force", path.display());
         }
-        Ok(Self { path: path.to_owned(), kind, all, loops: Vec::new(), warnings: Vec::new() })
+        Ok(Self { path: path.to_owned(), kind, all, units, loops: Vec::new(), warnings: Vec::new() })
     }
 
     /// Adds what was made of one loop or section.
@@ -67,6 +69,11 @@ impl Maker {
         if let Some(About { tags: [op, pv], comment: noted, .. }) = about {
             (tags.op, tags.pv) = (op, pv);
             comment = Some(noted).filter(|c| !c.trim().is_empty());
+        }
+        for (unit, said) in tags.units.iter_mut().zip(&self.units) {
+            if let Some(said) = said {
+                unit.clone_from(said);
+            }
         }
         let op_range = params.op_range;
         let one = LoopReport { op_range, document, record, original, tags, comment, full: self.all, detail: None };
@@ -80,7 +87,7 @@ impl Maker {
 
     /// Computes the detailed pictures and writes the file.
     pub(super) fn finish(self, input: &Path) -> anyhow::Result<()> {
-        let Self { path, kind, all, loops, warnings } = self;
+        let Self { path, kind, all, loops, warnings, .. } = self;
         let (loops, params): (Vec<LoopReport>, Vec<AssessParams>) = loops.into_iter().unzip();
         let mut report =
             Report { input: input.display().to_string(), command: command_line(std::env::args()), warnings, loops };
@@ -126,15 +133,19 @@ mod tests {
         assert_eq!(command_line(given.into_iter()), "stictiond analyze 'my file.csv' --loop 'it'\\''s' ''");
     }
 
+    const fn units() -> [Option<String>; 2] {
+        [None, None]
+    }
+
     #[test]
     fn reports_go_to_pages_or_pictures_that_are_not_there_yet() {
         let folder = tempfile::tempdir().unwrap();
-        assert!(Maker::new(&folder.path().join("a.pdf"), false, false).unwrap_err().is::<UsageError>());
+        assert!(Maker::new(&folder.path().join("a.pdf"), false, false, units()).unwrap_err().is::<UsageError>());
         let page = folder.path().join("a.HTML");
-        assert_eq!(Maker::new(&page, false, false).unwrap().kind, Kind::Html);
+        assert_eq!(Maker::new(&page, false, false, units()).unwrap().kind, Kind::Html);
         std::fs::write(&page, "mine").unwrap();
-        let refused = Maker::new(&page, false, false).unwrap_err().to_string();
+        let refused = Maker::new(&page, false, false, units()).unwrap_err().to_string();
         assert!(refused.contains("--force"), "{refused}");
-        assert!(Maker::new(&page, false, true).is_ok());
+        assert!(Maker::new(&page, false, true, units()).is_ok());
     }
 }

@@ -5,7 +5,7 @@ use maud::{PreEscaped, html};
 use super::ink::Ink;
 use super::plot::{FINE, Picture, shortened};
 
-/// Names of a loop's signals; `None` where a signal is not in the record.
+/// Names and units of a loop's signals; `None` where a signal is not in the record.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Tags {
     /// Set point.
@@ -16,6 +16,8 @@ pub struct Tags {
     pub mv: Option<String>,
     /// Process variable.
     pub pv: String,
+    /// Units of OP and PV, for axes.
+    pub units: [String; 2],
 }
 
 impl Tags {
@@ -23,7 +25,8 @@ impl Tags {
     #[must_use]
     pub fn of_loop(name: &str, sp: bool, mv: bool) -> Self {
         let tag = |signal: &str| format!("{name}.{signal}");
-        Self { sp: sp.then(|| tag("SP")), op: tag("OP"), mv: mv.then(|| tag("MV")), pv: tag("PV") }
+        let units = ["OP units", "PV units"].map(str::to_owned);
+        Self { sp: sp.then(|| tag("SP")), op: tag("OP"), mv: mv.then(|| tag("MV")), pv: tag("PV"), units }
     }
 }
 

@@ -62,7 +62,11 @@ pub fn detailed(of: &Subject<'_>) -> Figures {
         vec![Figure { picture: loop_diagram(of.tags), caption: "The loop and its tags.".to_owned(), wide: true }];
     if let Some(original) = of.original {
         let caption = format!("As recorded: {} samples of {} s.", original.raw_samples, number(original.ts_s));
-        out.push(Figure { picture: trends("Trends before downsampling", original, WIDE)?, caption, wide: true });
+        out.push(Figure {
+            picture: trends("Trends before downsampling", original, of.tags, WIDE)?,
+            caption,
+            wide: true,
+        });
     }
     let boxed = match of.record.box_samples {
         1 => String::new(),
@@ -70,12 +74,12 @@ pub fn detailed(of: &Subject<'_>) -> Figures {
     };
     let after = if of.original.is_some() { "After downsampling, as analysed: " } else { "As analysed: " };
     let caption = format!("{after}{} points, one every {} s.{boxed}", of.record.len(), number(of.record.point_s()));
-    out.push(Figure { picture: trends("Trends", of.record, WIDE)?, caption, wide: true });
+    out.push(Figure { picture: trends("Trends", of.record, of.tags, WIDE)?, caption, wide: true });
     if let Some(detail) = of.detail {
         out.push(fit(of, detail)?);
     }
     if let Some(original) = of.original {
-        let picture = phase("Phase plot before downsampling", original, 0, None)?;
+        let picture = phase("Phase plot before downsampling", of, original, 0, None)?;
         out.push(Figure { picture, caption: "PV over OP before downsampling.".to_owned(), wide: false });
     }
     out.extend(phases(of)?);
@@ -102,8 +106,8 @@ pub fn brief(of: &Subject<'_>) -> Figures {
     let caption = format!("{} points, drawn from every {step}.", of.record.len());
     let caption = if step == 1 { format!("{} points.", of.record.len()) } else { caption };
     Ok(vec![
-        Figure { picture: trends("Trends", &short, HALF)?, caption, wide: false },
-        Figure { picture: phase("Phase plot", &short, 0, None)?, caption: "PV over OP.".to_owned(), wide: false },
+        Figure { picture: trends("Trends", &short, of.tags, HALF)?, caption, wide: false },
+        Figure { picture: phase("Phase plot", of, &short, 0, None)?, caption: "PV over OP.".to_owned(), wide: false },
     ])
 }
 
@@ -126,16 +130,17 @@ fn line<'a>(name: &'a str, x: &'a [f64], y: &'a [f64], ink: Ink, mark: Mark) -> 
 }
 
 /// PV with SP over OP with MV.
-fn trends(title: &str, record: &Record, width: u32) -> Result<Picture, PlotError> {
+fn trends(title: &str, record: &Record, tags: &Tags, width: u32) -> Result<Picture, PlotError> {
     let (t, op) = (times(record), record.op());
+    let [op_unit, pv_unit] = &tags.units;
     let mut above = Vec::new();
     if let Some(sp) = &record.sp {
         above.push(line("SP", &t, sp, Ink::Sp, Mark::Steps));
     }
     above.push(line("PV", &t, &record.pv, Ink::Pv, Mark::Line));
     let mut panels = vec![
-        Panel { y_label: "PV units", series: above, height: 150, shaded: &[] },
-        Panel { y_label: "OP units", series: vec![line("OP", &t, &op, Ink::Op, Mark::Line)], height: 130, shaded: &[] },
+        Panel { y_label: pv_unit, series: above, height: 150, shaded: &[] },
+        Panel { y_label: op_unit, series: vec![line("OP", &t, &op, Ink::Op, Mark::Line)], height: 130, shaded: &[] },
     ];
     if let Some(mv) = &record.mv {
         let series = vec![line("MV", &t, mv, Ink::Mv, Mark::Line)];
@@ -146,10 +151,11 @@ fn trends(title: &str, record: &Record, width: u32) -> Result<Picture, PlotError
 
 fn fit(of: &Subject<'_>, detail: &Detail) -> Result<Figure, PlotError> {
     let (t, op, run) = (times(of.record), of.record.op(), &detail.run);
+    let [op_unit, pv_unit] = &of.tags.units;
     let late = &t[run.from.min(t.len())..];
     let panels = [
         Panel {
-            y_label: "PV units",
+            y_label: pv_unit,
             series: vec![
                 line("PV measured", &t, &of.record.pv, Ink::Pv, Mark::Line),
                 line("PV by the model, free run", late, &run.pv, Ink::Fit, Mark::Line),
@@ -158,7 +164,7 @@ fn fit(of: &Subject<'_>, detail: &Detail) -> Result<Figure, PlotError> {
             shaded: &[],
         },
         Panel {
-            y_label: "OP units",
+            y_label: op_unit,
             series: vec![
                 line("OP", &t, &op, Ink::Op, Mark::Line),
                 line("valve by the model", &t, &run.valve, Ink::Mv, Mark::Line),
@@ -167,7 +173,7 @@ fn fit(of: &Subject<'_>, detail: &Detail) -> Result<Figure, PlotError> {
             shaded: &[],
         },
         Panel {
-            y_label: "PV units",
+            y_label: pv_unit,
             series: vec![line("residual: measured less model", late, &run.residual, Ink::Error, Mark::Line)],
             height: 90,
             shaded: &[],
@@ -182,16 +188,26 @@ fn fit(of: &Subject<'_>, detail: &Detail) -> Result<Figure, PlotError> {
     Ok(Figure { picture, caption, wide: true })
 }
 
-fn phase(title: &str, record: &Record, shift: usize, valve: Option<&[f64]>) -> Result<Picture, PlotError> {
+fn phase(
+    title: &str,
+    of: &Subject<'_>,
+    record: &Record,
+    shift: usize,
+    valve: Option<&[f64]>,
+) -> Result<Picture, PlotError> {
     let op = record.op();
     let n = record.len();
     let x = valve.unwrap_or(&op);
     let (x, y) = (&x[..n - shift.min(n)], &record.pv[shift.min(n)..]);
-    let (label, ink) = if valve.is_some() { ("valve by the model, OP units", Ink::Mv) } else { ("OP units", Ink::Op) };
+    let [op_unit, pv_unit] = &of.tags.units;
+    let (label, ink) = match valve {
+        Some(_) => (format!("valve by the model, {op_unit}"), Ink::Mv),
+        None => (op_unit.clone(), Ink::Op),
+    };
     // Many turns over one another are a blot of ink.
     let mark = if n > DENSE { Mark::Density } else { Mark::Thin };
     let series = vec![line("", x, y, ink, mark)];
-    scatter(&Plane { title, size: [HALF, 340], x_label: label, y_label: "PV units", series })
+    scatter(&Plane { title, size: [HALF, 340], x_label: &label, y_label: pv_unit, series })
 }
 
 fn phases(of: &Subject<'_>) -> Figures {
@@ -200,12 +216,12 @@ fn phases(of: &Subject<'_>) -> Figures {
     let shift = lag::of_largest_correlation(&record.op(), &record.pv, most.min(record.len() / 3));
     let mut out = vec![
         Figure {
-            picture: phase("Phase plot", record, 0, None)?,
+            picture: phase("Phase plot", of, record, 0, None)?,
             caption: "PV over OP as recorded. A sticking valve leaves flanks where OP moves and PV stands.".to_owned(),
             wide: false,
         },
         Figure {
-            picture: phase("Phase plot, shifted", record, shift, None)?,
+            picture: phase("Phase plot, shifted", of, record, shift, None)?,
             caption: format!(
                 "PV {} s later over OP: the shift at which both go together best, so that dead time and lag do not \
                  open the loop by themselves.",
@@ -215,7 +231,7 @@ fn phases(of: &Subject<'_>) -> Figures {
         },
     ];
     if let Some(detail) = of.detail {
-        let picture = phase("Phase plot of the fitted valve", record, shift, Some(&detail.run.valve))?;
+        let picture = phase("Phase plot of the fitted valve", of, record, shift, Some(&detail.run.valve))?;
         let caption = "PV, shifted alike, over the valve signal of the fit: what is left open is the process' own lag.";
         out.push(Figure { picture, caption: caption.to_owned(), wide: false });
     }
@@ -262,11 +278,12 @@ fn error_map(of: &Subject<'_>, detail: &Detail, map: &ErrorMap) -> Result<Figure
     }
     let least = vec![(map.best.fs, map.best.fd)];
     overlays.push(Overlay { name: "least", points: least, mark: Mark::Dots, ink: Ink::Error });
+    let [op_unit, _] = &of.tags.units;
     let picture = heat_map(&HeatMap {
         title: &format!("Error map, order {}", map.order),
         size: [HALF, 400],
-        x_label: "fs, OP units",
-        y_label: "fd, OP units",
+        x_label: &format!("fs, {op_unit}"),
+        y_label: &format!("fd, {op_unit}"),
         z_label: "rms, % of std",
         cells: &cells,
         step: [map.step; 2],
@@ -311,7 +328,7 @@ fn draws(of: &Subject<'_>, detail: &Detail) -> Figures {
         let picture = histogram(&Histogram {
             title: &format!("Histogram of {name}"),
             size: [HALF, 240],
-            x_label: &format!("{name}, OP units"),
+            x_label: &format!("{name}, {}", of.tags.units[0]),
             sets: &[(&names[1], &drawn, Ink::Pv), (&names[0], &again, Ink::Op)],
             mark: value.map(|v| ("answer", v)),
         })?;
@@ -338,7 +355,7 @@ fn orders(of: &Subject<'_>, detail: &Detail) -> Result<Figure, PlotError> {
         .zip(values)
         .map(|(label, (v, ink))| Bar { label, value: Some(v), interval: None, ink, note: "" })
         .collect();
-    let picture = bars("Decision chart of the order", HALF, "rms error, PV units", &rows)?;
+    let picture = bars("Decision chart of the order", HALF, &format!("rms error, {}", of.tags.units[1]), &rows)?;
     let gained = match chart.figures.as_slice() {
         [one, two] if one.held_out_rms > 0.0 => {
             let ratio = two.held_out_rms / one.held_out_rms;

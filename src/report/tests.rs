@@ -41,6 +41,16 @@ fn names_from_outside_are_text_everywhere() {
 }
 
 #[test]
+fn axes_have_the_units_that_were_said() {
+    let mut report = report(&["FIC101"]);
+    assert!(page(&report).unwrap().contains(">PV units</text>"));
+    report.loops[0].tags.units = ["%", "m3/h <wet>"].map(str::to_owned);
+    let html = page(&report).unwrap();
+    assert!(html.contains(">%</text>") && html.contains(">m3/h &lt;wet&gt;</text>"));
+    assert!(!html.contains("PV units</text>") && !html.contains("OP units</text>"));
+}
+
+#[test]
 fn a_page_fetches_nothing() {
     let html = page(&report(&["FIC101", "TIC2"])).unwrap();
     for word in ["http://", "https://", "src=", "<link", "@import", "url("] {

@@ -73,7 +73,6 @@ pub struct Outage {
 
 impl Figures {
     /// In one line.
-    #[cfg(feature = "bridge-opcua")]
     pub fn line(&self) -> String {
         format!(
             "{} nodes; {} received ({} again, {} bad, {} uncertain, {} refused), {} published, {} dropped; \
