@@ -123,6 +123,10 @@ fn every_command_line_is_accepted() {
     for (page, text) in pages() {
         for step in steps(&page, &text, &[]) {
             let Some(arguments) = arguments(&step.line) else { continue };
+            // Off by default: the build that has it reads these lines, too.
+            if cfg!(not(feature = "bridge-opcua")) && arguments.get(1).is_some_and(|word| word == "opcua") {
+                continue;
+            }
             seen += 1;
             let fault = fault_of(&arguments).map(|why| format!("{page}: line {}: {}: {why}", step.number, step.line));
             faults.extend(fault);
