@@ -409,7 +409,7 @@ fn estimate(
         selection,
         solver,
         scored,
-        looked_at: Subject { record, original, about: one.about.clone(), params },
+        looked_at: Subject { record, original, about: one.about.clone(), units: one.units.clone(), params },
     })
 }
 

@@ -28,6 +28,8 @@ pub struct Subject {
     pub original: Option<Record>,
     /// What the file says of the loop.
     pub about: Option<About>,
+    /// Units of OP and PV, where the file says them.
+    pub units: [Option<String>; 2],
     /// What the fit was told.
     pub params: AssessParams,
 }
@@ -63,16 +65,16 @@ impl Maker {
 
     /// Adds what was made of one loop or section.
     pub(super) fn add(&mut self, document: EstimateDocument, subject: Subject) {
-        let Subject { record, original, about, params } = subject;
+        let Subject { record, original, about, units, params } = subject;
         let mut tags = Tags::of_loop(&document.loop_name, record.sp.is_some(), record.mv.is_some());
         let mut comment = None;
         if let Some(About { tags: [op, pv], comment: noted, .. }) = about {
             (tags.op, tags.pv) = (op, pv);
             comment = Some(noted).filter(|c| !c.trim().is_empty());
         }
-        for (unit, said) in tags.units.iter_mut().zip(&self.units) {
-            if let Some(said) = said {
-                unit.clone_from(said);
+        for ((unit, said), found) in tags.units.iter_mut().zip(&self.units).zip(&units) {
+            if let Some(known) = said.as_ref().or(found.as_ref()) {
+                unit.clone_from(known);
             }
         }
         let op_range = params.op_range;

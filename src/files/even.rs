@@ -50,7 +50,7 @@ pub fn even(one: &LoadedLoop, ts_s: f64) -> Result<LoadedLoop, String> {
     }
     samples.sort_by_key(|s| s.t_ns);
     let about = one.about.clone().map(|about| super::About { ts_s, ..about });
-    Ok(LoadedLoop { name: one.name.clone(), samples, about })
+    Ok(LoadedLoop { about, units: one.units.clone(), ..LoadedLoop::new(one.name.clone(), samples) })
 }
 
 fn median_step(own: &[(i64, Value)]) -> i64 {

@@ -221,13 +221,15 @@ pub struct LoadedLoop {
     pub samples: Vec<Sample>,
     /// Tags, sampling time and comment, from compact stores.
     pub about: Option<About>,
+    /// Units of OP and PV, from exports that say them.
+    pub units: [Option<String>; 2],
 }
 
 impl LoadedLoop {
     /// A loop of samples alone.
     #[must_use]
     pub fn new(name: impl Into<String>, samples: Vec<Sample>) -> Self {
-        Self { name: name.into(), samples, about: None }
+        Self { name: name.into(), samples, about: None, units: [None, None] }
     }
 
     /// Samples of a signal, and how many of them are missing values.
@@ -302,10 +304,10 @@ fn named_mat(path: &Path, error: FileError) -> FileError {
 
 fn load_store(path: &Path) -> Result<Loaded, FileError> {
     let store = compact::read(path).map_err(|source| FileError::Compact { path: path.to_owned(), source })?;
-    let loops = store.loops.into_iter().map(|one| LoadedLoop {
-        samples: one.samples(),
-        name: one.name,
-        about: Some(About { tags: one.tags, ts_s: one.ts_s, comment: one.comment }),
+    let loops = store.loops.into_iter().map(|one| {
+        let samples = one.samples();
+        let about = Some(About { tags: one.tags, ts_s: one.ts_s, comment: one.comment });
+        LoadedLoop { about, ..LoadedLoop::new(one.name, samples) }
     });
     Ok(Loaded {
         kind: InputKind::Mat,

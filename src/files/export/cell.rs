@@ -53,6 +53,42 @@ pub(super) struct Table<'f> {
     pub line: u64,
     /// The rows.
     pub rows: Box<dyn Rows + 'f>,
+    /// Units of the columns, where a row below the names has them.
+    pub units: Vec<String>,
     /// What was recognised.
     pub words: Vec<String>,
+}
+
+/// Letters of a unit at most: what is longer describes.
+const LONGEST_UNIT: usize = 12;
+
+impl Table<'_> {
+    /// The unit of a column: in square brackets behind its name, else in the row below the names.
+    pub fn unit_of(&self, column: usize) -> Option<String> {
+        let bracketed = self.names.get(column).and_then(|name| name.trim().strip_suffix(']')?.rsplit_once('['));
+        let unit = bracketed.map(|(_, unit)| unit).or_else(|| self.units.get(column).map(String::as_str))?.trim();
+        (!unit.is_empty() && unit.chars().count() <= LONGEST_UNIT).then(|| unit.to_owned())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::files::load_samples;
+
+    #[test]
+    fn units_stand_in_brackets_or_below_the_names() {
+        let folder = tempfile::tempdir().unwrap();
+        let row = |s: usize| format!("2026-01-05T08:00:{s:02}Z,{s},{}\n", 100 - s);
+        let rows: String = (0..30).map(row).collect();
+        let units = |head: &str| {
+            let path = folder.path().join("x.csv");
+            std::fs::write(&path, format!("{head}\n{rows}")).unwrap();
+            load_samples(&path).unwrap().loops.remove(0).units
+        };
+        let said = |op: &str, pv: &str| [Some(op.to_owned()), Some(pv.to_owned())];
+        assert_eq!(units("Timestamp,F1.OP,F1.PV\n,%,m3/h"), said("%", "m3/h"));
+        assert_eq!(units("Timestamp,F1.OP [%],F1.PV [bar]"), said("%", "bar"));
+        assert_eq!(units("Timestamp,F1.OP,F1.PV\n,output of the controller,"), [None, None]);
+        assert_eq!(units("Timestamp,F1.OP,F1.PV"), [None, None]);
+    }
 }

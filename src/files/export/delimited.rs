@@ -161,10 +161,12 @@ pub(super) fn table(text: &str, wanted: Option<u8>) -> Result<Table<'_>, ExportE
             n => words.push(format!("{n} {many}")),
         }
     }
+    let mut units = Vec::new();
     if names.is_empty() {
         words.push("no header".to_owned());
     } else if first > head + 1 {
         words.push(format!("units in line {}", kept[head + 1].0.number));
+        units.clone_from(&kept[head + 1].1);
     }
     let begin = kept[first].0;
     let columns = if names.is_empty() { usual } else { names.len() };
@@ -172,7 +174,7 @@ pub(super) fn table(text: &str, wanted: Option<u8>) -> Result<Table<'_>, ExportE
     if text[..text.len().min(1 << 16)].contains('"') {
         words.push("quotes".to_owned());
     }
-    Ok(Table { names, line, rows: Box::new(rows), words })
+    Ok(Table { names, line, rows: Box::new(rows), units, words })
 }
 
 struct TextRows<'t> {

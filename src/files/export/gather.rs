@@ -26,6 +26,8 @@ pub(super) struct Series {
     pub tag: String,
     /// Which loop and signal it is.
     pub role: Role,
+    /// Its unit, where the file says it.
+    pub unit: Option<String>,
     /// Times, values, and whether the cell was empty.
     pub samples: Vec<(i64, Value, bool)>,
 }
@@ -34,6 +36,7 @@ pub(super) struct Series {
 struct Open {
     tag: String,
     role: Role,
+    unit: Option<String>,
     axis: usize,
     rows: Vec<u32>,
     values: Vec<(Value, bool)>,
@@ -224,7 +227,17 @@ impl Gatherer<'_> {
         let at = role_of(tag, self.options.map.as_ref()).map(|role| {
             let tag = tag.to_owned();
             let texts = Texts::default();
-            self.open.push(Open { tag, role, axis, rows: Vec::new(), values: Vec::new(), marks: Vec::new(), texts });
+            let unit = None;
+            self.open.push(Open {
+                tag,
+                role,
+                unit,
+                axis,
+                rows: Vec::new(),
+                values: Vec::new(),
+                marks: Vec::new(),
+                texts,
+            });
             self.open.len() - 1
         });
         if at.is_none() {
@@ -244,6 +257,7 @@ impl Gatherer<'_> {
                 return Err(ExportError::at(table.line, text, "say the columns by their numbers: --map op=2,pv=3"));
             }
             if let Some(series) = self.series(&tag, column.time) {
+                self.open[series].unit = table.unit_of(column.at);
                 wanted.push((column.at, column.time, column.quality, series));
             }
         }
@@ -379,7 +393,7 @@ impl Gatherer<'_> {
                 open.rows.iter().zip(open.values).map(|(row, (value, empty))| (stamps[*row as usize], value, empty));
             let mut samples: Vec<(i64, Value, bool)> = samples.collect();
             samples.sort_by_key(|(t, _, _)| *t);
-            Series { tag: open.tag, role: open.role, samples }
+            Series { tag: open.tag, role: open.role, unit: open.unit, samples }
         });
         Ok(Contents { series: series.collect(), words, counts, warnings, ignored: self.ignored })
     }

@@ -134,6 +134,8 @@ fn close(group: Group, warnings: &mut Vec<String>) -> Result<LoadedLoop, Vec<Str
         return Err(tags);
     }
     let mut samples: Vec<Sample> = Vec::new();
+    let unit = |wanted| by_signal.iter().flatten().find(|s| s.role.signal == wanted).and_then(|s| s.unit.clone());
+    let units = [Signal::Op, Signal::Pv].map(unit);
     for (signal, series) in Signal::ALL.into_iter().zip(by_signal) {
         let Some(series) = series else { continue };
         let empty = series.samples.iter().filter(|(_, _, empty)| *empty).count();
@@ -144,5 +146,5 @@ fn close(group: Group, warnings: &mut Vec<String>) -> Result<LoadedLoop, Vec<Str
     }
     // Stable: signals of one time stay in the order of `Signal::ALL`.
     samples.sort_by_key(|s| s.t_ns);
-    Ok(LoadedLoop::new(group.name, samples))
+    Ok(LoadedLoop { units, ..LoadedLoop::new(group.name, samples) })
 }

@@ -148,10 +148,12 @@ impl Sheet {
             words.push("no header".to_owned());
             Vec::new()
         };
+        let mut units = Vec::new();
         if self.first > head + 1 {
             words.push(format!("units in row {}", self.rows[head + 1].0));
+            units.extend(self.rows[head + 1].1.iter().map(|c| c.to_string().trim().to_owned()));
         }
-        Table { names, line: self.rows[head].0, rows: Box::new(SheetRows(self)), words }
+        Table { names, line: self.rows[head].0, rows: Box::new(SheetRows(self)), units, words }
     }
 }
 
