@@ -5,16 +5,16 @@
 #![allow(missing_docs, clippy::unwrap_used)]
 
 use divan::{Bencher, black_box};
-use stictiond::detect::{self, View};
-use stictiond::gap::{Ask, Serial, diagnose};
-use stictiond::ident::class::Class;
-use stictiond::ident::{Options, controller, evaluator, quantify};
-use stictiond::record::Record;
-use stictiond::signal::stats;
-use stictiond::sim::slips::{FirstSlip, Law, Stroke};
-use stictiond::sim::steps::{Path, Steps};
-use stictiond::sim::truth::{Half, Regime, TruthLoop, accuracy, verdict_case};
-use stictiond::verdict::{AssessParams, assess, lets_go};
+use stiction::detect::{self, View};
+use stiction::gap::{Ask, Serial, diagnose};
+use stiction::ident::class::Class;
+use stiction::ident::{Options, controller, evaluator, quantify};
+use stiction::record::Record;
+use stiction::signal::stats;
+use stiction::sim::slips::{FirstSlip, Law, Stroke};
+use stiction::sim::steps::{Path, Steps};
+use stiction::verdict::{AssessParams, assess, lets_go};
+use stiction_lab::truth::{Half, Regime, TruthLoop, accuracy, verdict_case};
 
 fn main() {
     divan::main();

@@ -2,13 +2,13 @@
 //!
 //! `cargo run --release --no-default-features --example own_solver`
 
-use stictiond::ident::class::Class;
-use stictiond::ident::surface::{Surface, solve};
-use stictiond::ident::{ModelChoice, Options, ValveChoice};
-use stictiond::optim::{self, Objective, Outcome, Settings, Solver};
-use stictiond::record::Record;
-use stictiond::sim::slips::Law;
-use stictiond::sim::valve::he_step;
+use stiction::ident::class::Class;
+use stiction::ident::surface::{Surface, solve};
+use stiction::ident::{ModelChoice, Options, ValveChoice};
+use stiction::optim::{self, Objective, Outcome, Settings, Solver};
+use stiction::record::Record;
+use stiction::sim::slips::Law;
+use stiction::sim::valve::he_step;
 
 /// Walks down each row of a grid: no good solver, but a short one.
 struct Rows;

@@ -2,10 +2,10 @@
 //!
 //! `cargo run --no-default-features --example quantify`
 
-use stictiond::sim::closed_loop::{ClosedLoop, LoopModel, ValveLaw, ValveModel};
-use stictiond::sim::controller::{Action, PidSettings};
-use stictiond::sim::process::ProcessModel;
-use stictiond::verdict::{AssessParams, assess};
+use stiction::sim::closed_loop::{ClosedLoop, LoopModel, ValveLaw, ValveModel};
+use stiction::sim::controller::{Action, PidSettings};
+use stiction::sim::process::ProcessModel;
+use stiction::verdict::{AssessParams, assess};
 
 fn main() {
     let valve = ValveModel { law: ValveLaw::He, fs: 5.0, fd: 3.0, ..ValveModel::HEALTHY };

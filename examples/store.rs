@@ -5,11 +5,11 @@
 use std::error::Error;
 use std::fs::File;
 
+use stiction::verdict::{AssessParams, assess};
+use stiction_monitor::config::Config;
 use stictiond::cli::selection::{Points, Selection};
-use stictiond::config::Config;
 use stictiond::files::compact::{CompactLoop, write};
 use stictiond::files::load_samples;
-use stictiond::verdict::{AssessParams, assess};
 
 fn main() -> Result<(), Box<dyn Error>> {
     let samples = load_samples("recordings/sticking.mcap".as_ref())?.loops.remove(0).samples;

@@ -1,6 +1,5 @@
 //! Crashes, clocks and disks: what was acknowledged is never lost, and the daemon always starts.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-#![cfg(feature = "daemon")]
 
 #[path = "common/live.rs"]
 mod live;

@@ -4,7 +4,6 @@
 //! --nocapture` is an hour a target. Seeds are fixed: the same time finds the same inputs on the same machine, and a
 //! failure names the seed of its input.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-#![cfg(feature = "daemon")]
 
 use std::fs;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -12,12 +11,12 @@ use std::time::{Duration, Instant};
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
-use stictiond::alarm::{Alarm, Command};
-use stictiond::codec::topic::Topic;
-use stictiond::codec::{Bundle, MAX_SAMPLES, Memory, decode, decode_fields};
-use stictiond::config::Config;
+use stiction::record::Signal;
+use stiction_monitor::alarm::{Alarm, Command};
+use stiction_monitor::codec::topic::Topic;
+use stiction_monitor::codec::{Bundle, MAX_SAMPLES, Memory, decode, decode_fields};
+use stiction_monitor::config::Config;
 use stictiond::files::{csv, load_samples};
-use stictiond::record::Signal;
 
 #[path = "program/exports/data.rs"]
 #[allow(dead_code)]
@@ -144,7 +143,7 @@ fn payloads() {
 #[test]
 fn payloads_of_every_format() {
     let page = fs::read_to_string("docs/live-formats.md").unwrap();
-    for codec in stictiond::codec::ALL {
+    for codec in stiction_monitor::codec::ALL {
         let name = codec.name();
         let example = page
             .split_once(&format!("\n### {name}\n"))

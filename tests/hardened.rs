@@ -1,6 +1,5 @@
 //! The hardened configuration as it is shipped, with certificates made here: what is allowed works, the rest is refused.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-#![cfg(feature = "daemon")]
 
 #[path = "common/live.rs"]
 mod live;

@@ -1,6 +1,5 @@
 //! Hostile publishers, strangers with commands, clients that never finish: bounded, answered, logged.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-#![cfg(feature = "daemon")]
 
 #[path = "common/live.rs"]
 mod live;

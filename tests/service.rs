@@ -1,6 +1,5 @@
 //! Life as a service: signals, locks, limits of the system, and what `check` finds before the start.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-#![cfg(feature = "daemon")]
 
 #[path = "common/live.rs"]
 mod live;

@@ -3,7 +3,6 @@
 //! `cargo test --test soak -- --nocapture` takes seconds. `STICTIOND_SOAK_S=3600 cargo test --test soak -- --ignored
 //! --nocapture` is an hour of 1,000 loops at 1 Hz with two signals, the router restarted every `STICTIOND_ROUTER_S` (60).
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-#![cfg(feature = "daemon")]
 
 #[path = "common/live.rs"]
 mod live;

@@ -1,17 +1,16 @@
 //! History that comes twice has windows of equal ends: a recording tells them apart by their order.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-#![cfg(feature = "daemon")]
 
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use stictiond::codec::encode_recorded;
-use stictiond::codec::topic::{self, Kind};
-use stictiond::config::Config;
+use stiction::sim::scenario::Scenario;
+use stiction_monitor::codec::encode_recorded;
+use stiction_monitor::codec::topic::{self, Kind};
+use stiction_monitor::config::Config;
+use stiction_monitor::engine::{Engine, Event, RecordedInput, Request, SkipReason};
 use stictiond::daemon::replay::{Replay, replay_file};
-use stictiond::engine::{Engine, Event, RecordedInput, Request, SkipReason};
 use stictiond::files::RecordingFile;
-use stictiond::sim::scenario::Scenario;
 
 const SCENARIO: &str = include_str!("../recordings/scenarios/sticking.toml");
 const TEXT: &str = "[site]\nprefix = \"p\"\n[window]\nhop_s = 300.0\n[alarm]\nraise = [32, 32]\n";

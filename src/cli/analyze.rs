@@ -16,18 +16,18 @@ use super::reading::{ReadArgs, named};
 use super::selection::{MIN_SAMPLES, Points, Section, Selection, Taken, pair, usable};
 use super::solving::{self, SolverArgs, SolverDocument};
 use super::{Format, Outcome, UsageError, in_order_on_all_cores, note, say, stop, text};
-use crate::config::Config;
 use crate::daemon::replay::RunMetadata;
-use crate::engine::LoopSettings;
 use crate::files::RecordingReader;
 use crate::files::export::Recognised;
 use crate::files::inputs::Unit;
 use crate::files::{InputKind, Loaded, LoadedLoop};
-use crate::gap::Ask;
-use crate::gap::score::score;
-use crate::record::Record;
-use crate::signal::stats;
-use crate::verdict::{AssessParams, DelayChoice, EstimateDocument, ModelChoice, ValveChoice, assess_in_windows};
+use stiction::gap::Ask;
+use stiction::gap::score::score;
+use stiction::record::Record;
+use stiction::signal::stats;
+use stiction::verdict::{AssessParams, DelayChoice, EstimateDocument, ModelChoice, ValveChoice, assess_in_windows};
+use stiction_monitor::config::Config;
+use stiction_monitor::engine::LoopSettings;
 
 /// Estimate stiction once per loop of a file: the whole section that is given, however short.
 #[derive(Debug, clap::Args)]

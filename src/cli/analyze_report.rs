@@ -6,11 +6,11 @@ use anyhow::{Context, bail};
 
 use super::{UsageError, on_all_cores};
 use crate::files::About;
-use crate::record::Record;
 use crate::report::detail::Detail;
 use crate::report::diagram::Tags;
 use crate::report::{IN_FULL, LoopReport, Report, page, sheet};
-use crate::verdict::{AssessParams, EstimateDocument};
+use stiction::record::Record;
+use stiction::verdict::{AssessParams, EstimateDocument};
 
 /// The kinds of report, by the file's ending.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

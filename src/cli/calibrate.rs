@@ -10,16 +10,16 @@ use serde_json::json;
 use super::evaluate::{Judgeable, index, record_of};
 use super::reading::ReadArgs;
 use super::{Format, Outcome, UsageError, on_all_cores, print, say};
-use crate::config::WindowParams;
-use crate::engine::windows;
-use crate::record::Record;
-use crate::signal::align::Point;
-use crate::sim::truth::{Half, verdict_case};
-use crate::units::ns_from_s;
-use crate::verdict::calibrate::{Example, Settings, ask, fit, leave_one_valve_out, weights};
-use crate::verdict::rule::{Cuts, Logistic, Rule};
-use crate::verdict::tally::{self, Scored, Tally};
-use crate::verdict::{AssessParams, figures};
+use stiction::record::Record;
+use stiction::signal::align::Point;
+use stiction::units::ns_from_s;
+use stiction::verdict::rule::{Cuts, Logistic, Rule};
+use stiction::verdict::tally::{self, Scored, Tally};
+use stiction::verdict::{AssessParams, figures};
+use stiction_lab::calibrate::{Example, Settings, ask, fit, leave_one_valve_out, weights};
+use stiction_lab::truth::{Half, verdict_case};
+use stiction_monitor::config::WindowParams;
+use stiction_monitor::engine::windows;
 
 /// Fit the rule behind p_stiction to simulated loops and labelled recordings, and print how good it is on those that it was
 /// not fitted to: recordings valve by valve left out, simulated loops of the half that is kept for the report.
@@ -325,7 +325,7 @@ fn say_text(rule: &Rule, real: &[(&Example, Scored)], held: &[(&Example, Scored)
 
 fn said(rule: &Rule, example: &Example) -> String {
     let figures = example.windows.first().cloned().unwrap_or_default();
-    let features = crate::verdict::rule::features(figures);
+    let features = stiction::verdict::rule::features(figures);
     let one = |name: &str| features.get(name).map_or(format!("{name} -"), |x| format!("{name} {x:.2}"));
     rule.names().map(one).collect::<Vec<_>>().join(", ")
 }

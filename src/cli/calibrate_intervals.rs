@@ -7,9 +7,9 @@ use anyhow::Context;
 use serde_json::json;
 
 use super::{Format, Outcome, on_all_cores, print, say};
-use crate::ident::width::Settings;
-use crate::sim::truth::{Half, Regime};
-use crate::verdict::calibrate_intervals::{Coverage, Row, fit, look, table};
+use stiction::ident::width::Settings;
+use stiction_lab::calibrate_intervals::{Coverage, Row, fit, look, table};
+use stiction_lab::truth::{Half, Regime};
 
 /// Measures `loops` loops of every regime and half, from `seed` on; fits on one half, reports the other; writes what
 /// was fitted to `out`.

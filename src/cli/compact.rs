@@ -14,7 +14,7 @@ use crate::files::compact::{CompactLoop, check_sampling_time, default_tags, read
 use crate::files::even::even;
 use crate::files::export::moment;
 use crate::files::{FileError, InputKind, LoadedLoop, choose_loop, csv};
-use crate::units::{format_rfc3339, loop_name_from};
+use stiction::units::{format_rfc3339, loop_name_from};
 
 /// Most loops and values that are asked for one by one.
 const MOST_LOOPS: usize = 10_000;

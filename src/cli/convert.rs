@@ -2,19 +2,19 @@
 
 use super::reading::{ReadArgs, named};
 use super::{Format, Outcome, UsageError};
-use crate::codec::encode_recorded;
-use crate::codec::topic::Kind;
 use crate::files::compact::{self, CompactLoop};
 use crate::files::even::even;
 use crate::files::{self, Loaded, LoadedLoop, METADATA_PREFIX, RecordingFile, csv};
-use crate::record::Signal;
-use crate::units::{is_loop_name, loop_name_from};
 use anyhow::{Context, anyhow, bail};
 use serde_json::json;
 use std::collections::{BTreeMap, HashSet};
 use std::fs::{self, File};
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
+use stiction::record::Signal;
+use stiction::units::{is_loop_name, loop_name_from};
+use stiction_monitor::codec::encode_recorded;
+use stiction_monitor::codec::topic::Kind;
 
 /// Prefix of topics made from tables, which carry none.
 const PREFIX: &str = "plant";

@@ -15,11 +15,11 @@ use serde_json::json;
 use super::convert::refuse_existing;
 use super::reading::ReadArgs;
 use super::{Format, Outcome, asked_to_stop, block_on, note, play, print, say};
-use crate::codec::{self, Bundle, Memory};
-use crate::config::NAME_MARK;
 use crate::files::export::names::role;
-use crate::record::Signal;
-use crate::units::{is_loop_name, loop_name_from};
+use stiction::record::Signal;
+use stiction::units::{is_loop_name, loop_name_from};
+use stiction_monitor::codec::{self, Bundle, Memory};
+use stiction_monitor::config::NAME_MARK;
 
 /// Most keys and names that are looked at.
 const MAX_NAMES: usize = 1_000_000;
@@ -314,7 +314,7 @@ fn as_json(seen: &Seen, whole: &[&str], lacking: &[&str]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::Config;
+    use stiction_monitor::config::Config;
 
     #[test]
     fn loops_of_a_bus_are_paired_and_the_rest_is_said() {

@@ -1,8 +1,8 @@
 //! Many loops at once: each by its line in one table, instead of a page of text.
 
 use super::analyze::Answer;
-use crate::units::{self, duration, format_rfc3339};
-use crate::verdict::Verdict;
+use stiction::units::{self, duration, format_rfc3339};
+use stiction::verdict::Verdict;
 
 /// Loops from which text gives the table alone.
 pub(super) const MANY: usize = 12;

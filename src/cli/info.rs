@@ -2,17 +2,17 @@
 
 use super::reading::ReadArgs;
 use super::{Format, Outcome};
-use crate::codec;
-use crate::codec::topic::{Leaf, Topic};
 use crate::files::inputs::Unit;
 use crate::files::{End, InputKind, METADATA_PREFIX, Message, RecordingReader};
-use crate::record::{Sample, Signal, Value};
-use crate::units::{format_rfc3339, s_from_ns};
 use serde::Serialize;
 use serde::de::IgnoredAny;
 use std::collections::{BTreeMap, HashMap};
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
+use stiction::record::{Sample, Signal, Value};
+use stiction::units::{format_rfc3339, s_from_ns};
+use stiction_monitor::codec;
+use stiction_monitor::codec::topic::{Leaf, Topic};
 
 /// Stamps from which the sampling time is taken, at most.
 const STAMPS: usize = 4096;

@@ -182,7 +182,7 @@ impl Cli {
     /// OPC UA client would tell of every attempt, the bridge tells of outages itself.
     const fn default_filter(&self) -> &'static str {
         match (&self.command, self.format) {
-            (CommandArgs::Demo(_), Format::Text) => "warn,zenoh=error,stictiond::alarm=off",
+            (CommandArgs::Demo(_), Format::Text) => "warn,zenoh=error,stiction_monitor::alarm=off",
             _ => "info,zenoh=warn,opcua=off",
         }
     }

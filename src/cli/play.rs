@@ -11,11 +11,11 @@ use zenoh::qos::CongestionControl;
 
 use super::reading::ReadArgs;
 use super::{Format, Outcome, asked_to_stop, block_on, say};
-use crate::codec::encode_recorded;
-use crate::codec::topic;
 use crate::files::LoadedLoop;
-use crate::record::Sample;
-use crate::units::s_from_ns;
+use stiction::record::Sample;
+use stiction::units::s_from_ns;
+use stiction_monitor::codec::encode_recorded;
+use stiction_monitor::codec::topic;
 
 /// Messages a second at `--speed max`: what a daemon is sure to take without a loss.
 const MAX_RATE: f64 = 20_000.0;
@@ -57,7 +57,11 @@ pub enum Speed {
 }
 
 pub(super) fn prefix(text: &str) -> Result<String, String> {
-    if crate::units::is_loop_name(text) { Ok(text.to_owned()) } else { Err("write chunks such as plant1/area1".into()) }
+    if stiction::units::is_loop_name(text) {
+        Ok(text.to_owned())
+    } else {
+        Err("write chunks such as plant1/area1".into())
+    }
 }
 
 fn speed(text: &str) -> Result<Speed, String> {

@@ -6,10 +6,10 @@ use anyhow::{Context, bail};
 use serde_json::json;
 
 use super::{Format, Outcome, block_on, say};
-use crate::codec::topic::{self, Kind};
 use crate::daemon::replay::{FileReport, Output, Replay, RunMetadata, chains_of, files_needed, replay_file};
 use crate::files::RecordingReader;
 use crate::source::zenoh as bus;
+use stiction_monitor::codec::topic::{self, Kind};
 
 /// Re-run the engine on a recording or a folder of them.
 ///
@@ -145,7 +145,7 @@ fn print(format: Format, output: &Output) -> anyhow::Result<()> {
         return Ok(());
     }
     let d: serde_json::Value = serde_json::from_slice(&output.json)?;
-    let time = |v: &serde_json::Value| crate::units::format_rfc3339(v.as_i64().unwrap_or(0));
+    let time = |v: &serde_json::Value| stiction::units::format_rfc3339(v.as_i64().unwrap_or(0));
     let number = |v: &serde_json::Value| v.as_f64().map_or("-".to_owned(), |x| format!("{x:.3}"));
     let text = |v: &serde_json::Value| v.as_str().unwrap_or("?").to_owned();
     let name = &output.loop_name;

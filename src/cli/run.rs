@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use anyhow::{Context, bail};
 
 use super::{Outcome, asked_to_stop, block_on, list};
-use crate::config::Config;
 use crate::daemon::{self, RunOptions};
+use stiction_monitor::config::Config;
 
 /// Run the daemon: subscribe, estimate, publish, record, until SIGTERM or Ctrl-C.
 ///

@@ -7,15 +7,15 @@ use clap::ValueEnum;
 use serde::Serialize;
 
 use super::UsageError;
-use crate::config::Config;
-use crate::engine::{LoopSettings, longest, section, windows};
 use crate::files::LoadedLoop;
-use crate::record::{Record, Signal, Value};
-use crate::signal::align::{Point, align_all};
-use crate::signal::detrend::remove_line;
-use crate::signal::resample::{boxed, decimated};
-use crate::signal::stats;
-use crate::units::{LoopKind, format_rfc3339, parse_time};
+use stiction::record::{Record, Signal, Value};
+use stiction::signal::align::{Point, align_all};
+use stiction::signal::detrend::remove_line;
+use stiction::signal::resample::{boxed, decimated};
+use stiction::signal::stats;
+use stiction::units::{LoopKind, format_rfc3339, parse_time};
+use stiction_monitor::config::Config;
+use stiction_monitor::engine::{LoopSettings, longest, section, windows};
 
 /// Usable samples, and points after downsampling, that a fit must have at least.
 pub const MIN_SAMPLES: usize = 30;
@@ -327,8 +327,8 @@ impl Points {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::record::Sample;
-    use crate::units::ns_from_s;
+    use stiction::record::Sample;
+    use stiction::units::ns_from_s;
 
     #[test]
     fn sections_and_ratios_are_read_or_refused_with_a_reason() {

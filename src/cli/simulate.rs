@@ -8,19 +8,19 @@ use serde_json::json;
 
 use super::gap::model_file;
 use super::{Format, Outcome, list, say};
-use crate::codec::encode_recorded;
-use crate::codec::topic::{self, Kind};
-use crate::config::{Config, short_hash};
 use crate::daemon::to_json;
-use crate::engine::{Engine, Event, RecordedInput, SkipReason};
 use crate::files::RecordingFile;
-use crate::gap::Serial;
-use crate::gap::check_model;
-use crate::gap::loop_run::{Parts, parts};
-use crate::record::Record;
-use crate::sim::closed_loop::ValveLaw;
-use crate::sim::scenario::{ProcessSpec, Scenario};
 use crate::sink::recorder::RunInfo;
+use stiction::gap::Serial;
+use stiction::gap::check_model;
+use stiction::gap::loop_run::{Parts, parts};
+use stiction::record::Record;
+use stiction::sim::closed_loop::ValveLaw;
+use stiction::sim::scenario::{ProcessSpec, Scenario};
+use stiction_monitor::codec::encode_recorded;
+use stiction_monitor::codec::topic::{self, Kind};
+use stiction_monitor::config::{Config, short_hash};
+use stiction_monitor::engine::{Engine, Event, RecordedInput, SkipReason};
 
 /// Simulate a plant and write what a daemon beside it would have recorded: samples, estimates, alarms.
 #[derive(Debug, clap::Args)]

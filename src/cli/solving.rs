@@ -11,14 +11,14 @@ use serde::Serialize;
 use serde_json::json;
 
 use super::stop;
-use crate::ident::Options;
-use crate::ident::class::Class;
-use crate::ident::surface::{BUDGET, Solved, Surface};
-use crate::optim::{self, Objective, Outcome, Settings, Termination};
-use crate::record::Record;
-use crate::sim::slips::Law;
-use crate::units::significant;
-use crate::verdict::Assessment;
+use stiction::ident::Options;
+use stiction::ident::class::Class;
+use stiction::ident::surface::{BUDGET, Solved, Surface};
+use stiction::optim::{self, Objective, Outcome, Settings, Termination};
+use stiction::record::Record;
+use stiction::sim::slips::Law;
+use stiction::units::significant;
+use stiction::verdict::Assessment;
 
 /// `--solver` and what goes with it.
 #[derive(Debug, Clone, clap::Args)]

@@ -1,9 +1,9 @@
 //! Documents in words.
 
 use super::analyze::Answer;
-use crate::report::words;
-use crate::units::{self, duration, significant};
-use crate::verdict::{Assessment, EstimateDocument};
+use stiction::units::{self, duration, significant};
+use stiction::verdict::words;
+use stiction::verdict::{Assessment, EstimateDocument};
 
 fn number(value: Option<f64>) -> String {
     value.map_or_else(|| "-".to_owned(), units::number)

@@ -7,13 +7,13 @@ use std::collections::{HashMap, HashSet};
 
 use zenoh::key_expr::{KeyExpr, keyexpr};
 
-use crate::codec::topic::{Leaf, Topic};
-use crate::codec::{Bundle, CodecError, Field, Memory, decode_fields};
-use crate::config::{Config, NAME_MARK};
-use crate::engine::LoopId;
 use crate::files::export::names::role;
-use crate::record::{Sample, Signal};
-use crate::units::loop_name_from;
+use stiction::record::{Sample, Signal};
+use stiction::units::loop_name_from;
+use stiction_monitor::codec::topic::{Leaf, Topic};
+use stiction_monitor::codec::{Bundle, CodecError, Field, Memory, decode_fields};
+use stiction_monitor::config::{Config, NAME_MARK};
+use stiction_monitor::engine::LoopId;
 
 /// Most keys that are known to carry signals; more still do, without a share of the queue of their own.
 const MAX_KEYS: usize = 100_000;
@@ -79,7 +79,7 @@ impl Bundles {
             self.keys.iter().find(|(expression, _)| expression.intersects(key)).map(|(_, codec)| codec.as_str())
         };
         if self.mapped.contains_key(key) {
-            return Some(matching().unwrap_or(crate::codec::AUTO));
+            return Some(matching().unwrap_or(stiction_monitor::codec::AUTO));
         }
         let raw = Topic::parse(Some(&self.prefix), key).is_some_and(|t| matches!(t.leaf, Leaf::Raw(_)));
         if raw { None } else { matching() }
@@ -153,7 +153,7 @@ impl Bundles {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::record::Value;
+    use stiction::record::Value;
 
     fn bundles(text: &str) -> Bundles {
         Bundles::new(&Config::parse(&format!("[site]\nprefix = \"p\"\n{text}")).unwrap())
@@ -203,7 +203,7 @@ mod tests {
         let (found, left) = read(&mut all, "gw/x", r#"{"FIC101.MV": 1, "FIC101.OP": 2}"#);
         assert_eq!((found[0].2, found.len(), left), (Value::Number(2.0), 1, 1));
         let config = Config::with_prefix("p");
-        let id = crate::engine::Engine::new(config).appear("FIC101").unwrap();
+        let id = stiction_monitor::engine::Engine::new(config).appear("FIC101").unwrap();
         assert!(all.feeds(id, Signal::Op, "gw/x#FIC101.OP"));
         assert!(!all.feeds(id, Signal::Op, "gw/y#FIC101.OP"));
         assert!(all.is_new_carrier("gw/x") && !all.is_new_carrier("gw/x"));

@@ -3,8 +3,8 @@
 use std::time::Duration;
 
 use super::queue::Rate;
-use crate::alarm::{Command, check_name};
-use crate::config::Commands;
+use stiction_monitor::alarm::{Command, check_name};
+use stiction_monitor::config::Commands;
 
 /// Refusals that are logged a second; more are only counted.
 const LOGGED_PER_S: f64 = 1.0;

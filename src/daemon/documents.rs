@@ -8,10 +8,10 @@ use schemars::{JsonSchema, Schema};
 use serde_json::{Value, json};
 
 use super::health::{DaemonHealth, LoopHealth};
-use crate::alarm::{ALARM_SCHEMA, AlarmDocument};
-use crate::codec::topic::{DAEMON_HEALTH_SCHEMA, LOOP_HEALTH_SCHEMA};
-use crate::gap::document::{GAP_SCHEMA, GapDocument};
-use crate::verdict::{ESTIMATE_SCHEMA, EstimateDocument};
+use stiction::gap::document::{GAP_SCHEMA, GapDocument};
+use stiction::verdict::{ESTIMATE_SCHEMA, EstimateDocument};
+use stiction_monitor::alarm::{ALARM_SCHEMA, AlarmDocument};
+use stiction_monitor::codec::topic::{DAEMON_HEALTH_SCHEMA, LOOP_HEALTH_SCHEMA};
 
 /// The schema of a type, as it is written.
 fn written<T: JsonSchema>() -> Schema {
@@ -48,7 +48,7 @@ pub fn text(schema: &Value) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::codec::topic::Kind;
+    use stiction_monitor::codec::topic::Kind;
 
     #[test]
     fn what_may_be_null_may_be_and_what_is_always_there_is_required() {
@@ -102,7 +102,7 @@ mod tests {
         assert!(references > 20, "{references}");
         for (_, channel) in whole["channels"].as_object().unwrap() {
             let address = channel["address"].as_str().unwrap().replace("{prefix}", "p").replace("{loop}", "A");
-            let schema = crate::codec::topic::schema_of(&address).unwrap();
+            let schema = stiction_monitor::codec::topic::schema_of(&address).unwrap();
             assert!(channel["messages"].get(schema).is_some(), "{address}");
         }
     }

@@ -11,8 +11,8 @@ use std::time::Duration;
 
 use crossbeam_channel::{Receiver, Sender};
 
-use crate::engine::{GapRequest, LoopId, PublishedGap, SkipReason};
-use crate::gap::Executor;
+use stiction::gap::Executor;
+use stiction_monitor::engine::{GapRequest, LoopId, PublishedGap, SkipReason};
 
 /// Requests that may wait; beyond that a person is refused and the daemon's own are skipped.
 pub const QUEUE: usize = 64;

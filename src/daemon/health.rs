@@ -4,13 +4,12 @@ use std::collections::BTreeMap;
 
 use serde::Serialize;
 
-use crate::codec::topic::{DAEMON_HEALTH_SCHEMA, LOOP_HEALTH_SCHEMA};
-use crate::engine::LoopFigures;
-use crate::units::s_from_ns;
+use stiction::units::s_from_ns;
+use stiction_monitor::codec::topic::{DAEMON_HEALTH_SCHEMA, LOOP_HEALTH_SCHEMA};
+use stiction_monitor::engine::LoopFigures;
 
 /// One queue's state.
-#[derive(Debug, Clone, Serialize)]
-#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
+#[derive(Debug, Clone, Serialize, schemars::JsonSchema)]
 pub struct QueueHealth {
     /// Its name.
     pub name: &'static str,
@@ -27,8 +26,7 @@ pub struct QueueHealth {
 }
 
 /// `stictiond.daemon_health.v1`.
-#[derive(Debug, Clone, Serialize)]
-#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
+#[derive(Debug, Clone, Serialize, schemars::JsonSchema)]
 pub struct DaemonHealth {
     /// Schema name.
     pub schema: &'static str,
@@ -69,8 +67,7 @@ impl DaemonHealth {
 }
 
 /// `stictiond.loop_health.v1`.
-#[derive(Debug, Clone, Serialize)]
-#[cfg_attr(feature = "daemon", derive(schemars::JsonSchema))]
+#[derive(Debug, Clone, Serialize, schemars::JsonSchema)]
 pub struct LoopHealth {
     /// Schema name.
     pub schema: &'static str,

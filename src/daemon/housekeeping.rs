@@ -16,10 +16,10 @@ use super::clock::now_ns;
 use super::faults::Faults;
 use super::metrics::Metrics;
 use super::restore::{RunFile, is_recording, tell_aside};
-use crate::config::Retention;
 use crate::files::lock::FolderLock;
 use crate::files::rescue::{REMOVED, SAMPLES_KEY, take_samples_out, under_way};
 use crate::files::{End, RecordingReader};
+use stiction_monitor::config::Retention;
 
 /// Pause between two looks at the folder.
 const EVERY: Duration = Duration::from_secs(30);

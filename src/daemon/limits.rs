@@ -6,10 +6,10 @@
 use std::time::Duration;
 
 use super::queue::Rate;
-use crate::config::Input;
-use crate::engine::LoopId;
-use crate::record::{Sample, Signal};
-use crate::units::ns_from_s;
+use stiction::record::{Sample, Signal};
+use stiction::units::ns_from_s;
+use stiction_monitor::config::Input;
+use stiction_monitor::engine::LoopId;
 
 /// Seconds of the rate that may come at once: by default a million samples, or eleven days at one a second, played as
 /// fast as they can be.
@@ -109,9 +109,9 @@ impl Limits {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::Config;
-    use crate::engine::Engine;
-    use crate::record::Value;
+    use stiction::record::Value;
+    use stiction_monitor::config::Config;
+    use stiction_monitor::engine::Engine;
 
     const DAY_NS: i64 = 86_400_000_000_000;
 

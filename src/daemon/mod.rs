@@ -54,9 +54,6 @@ use self::metrics::Metrics;
 use self::queue::Budget;
 use self::reload::Reload;
 use self::restore::Restored;
-use crate::codec::topic;
-use crate::config::Config;
-use crate::engine::Engine;
 use crate::files::disk::SystemDisk;
 use crate::files::lock::{FolderLock, LockError};
 use crate::sink::deliver::Outbox;
@@ -66,6 +63,9 @@ use crate::sink::signing::Signer;
 use crate::sink::zenoh::Publisher;
 use crate::source::shares::Shares;
 use crate::source::{self, Intake, presence};
+use stiction_monitor::codec::topic;
+use stiction_monitor::config::Config;
+use stiction_monitor::engine::Engine;
 
 /// How long a router may take to answer before that is a fault.
 const ROUTER_WITHIN: Duration = Duration::from_secs(5);
@@ -330,7 +330,7 @@ fn lock_folder(dir: &Path, faults: &Faults) -> anyhow::Result<Option<FolderLock>
 fn run_info(config: &Config, config_text: String, options: &RunOptions, daemon_id: &str, run_number: u64) -> RunInfo {
     let started_ns = clock::now_ns();
     let seed = format!("{daemon_id} {started_ns}");
-    let run_id = crate::config::short_hash(seed.as_bytes())[..8].to_owned();
+    let run_id = stiction_monitor::config::short_hash(seed.as_bytes())[..8].to_owned();
     RunInfo {
         prefix: config.site.prefix.clone(),
         run_id,

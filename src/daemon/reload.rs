@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use serde_json::Value;
 
 use super::faults::Faults;
-use crate::config::{Config, Retention};
+use stiction_monitor::config::{Config, Retention};
 
 /// Settings that take effect at once; all others do at the next start.
 const AT_ONCE: [&str; 6] = [

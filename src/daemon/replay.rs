@@ -13,12 +13,12 @@ use serde::Deserialize;
 use super::gaps::Until;
 use super::restore::{RunFile, is_recording};
 use super::to_json;
-use crate::codec::decode_recorded;
-use crate::codec::topic::{Kind, Leaf, Topic};
-use crate::config::Config;
-use crate::engine::{Engine, Event, GapRequest, LoopId, RecordedInput, Request, SkipReason, StateDocument};
 use crate::files::rescue::{REMOVED, SAMPLES_KEY};
 use crate::files::{End, RecordingReader};
+use stiction_monitor::codec::decode_recorded;
+use stiction_monitor::codec::topic::{Kind, Leaf, Topic};
+use stiction_monitor::config::Config;
+use stiction_monitor::engine::{Engine, Event, GapRequest, LoopId, RecordedInput, Request, SkipReason, StateDocument};
 
 /// A document that replay made.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -348,7 +348,7 @@ pub fn files_needed(path: &Path, metadata: &RunMetadata) -> anyhow::Result<Vec<P
     }
     let windows = metadata.config.loops.iter().map(|l| l.window).chain([metadata.config.window]);
     let reach_s = windows.map(|w| 1.05 * w.max_window_s + 2.0 * w.hop_s + w.lateness_s).fold(0.0, f64::max);
-    let reach_ns = crate::units::ns_from_s(reach_s);
+    let reach_ns = stiction::units::ns_from_s(reach_s);
     let mut files = vec![path.to_owned()];
     let mut previous = metadata.previous.clone();
     while !previous.is_empty() {

@@ -11,12 +11,12 @@ use std::path::{Path, PathBuf};
 use super::faults::Faults;
 use super::metrics::Metrics;
 use super::to_json;
-use crate::codec::topic::{Kind, Leaf, Topic};
-use crate::engine::{Checkpoint, StateDocument};
 use crate::files::disk::Disk;
 use crate::files::store::{STORE_NAME, StateStore, StoreError, Stored};
 use crate::files::{ReadError, RecordingReader};
 use crate::sink::keeper::{key_of, loop_of};
+use stiction_monitor::codec::topic::{Kind, Leaf, Topic};
+use stiction_monitor::engine::{Checkpoint, StateDocument};
 
 /// Files of a run that are read per shard: the last one may have been cut before its first flush.
 const FILES_PER_SHARD: usize = 2;
@@ -260,9 +260,9 @@ pub fn tell_aside(dir: &Path, faults: &Faults) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::codec::topic;
     use crate::files::RecordingFile;
     use crate::files::disk::SystemDisk;
+    use stiction_monitor::codec::topic;
 
     fn state(name: &str, raised: bool) -> Vec<u8> {
         let text = if raised { r#""unack","active":true"# } else { r#""normal","active":false"# };

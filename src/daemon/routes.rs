@@ -2,11 +2,11 @@
 
 use std::collections::{HashMap, HashSet};
 
-use crate::codec::topic::{Leaf, Topic};
-use crate::config::Config;
-use crate::engine::{Engine, LoopId};
-use crate::record::Signal;
 use crate::source::shares::Shares;
+use stiction::record::Signal;
+use stiction_monitor::codec::topic::{Leaf, Topic};
+use stiction_monitor::config::Config;
+use stiction_monitor::engine::{Engine, LoopId};
 
 /// Longest name of a loop that is discovered, bytes.
 const NAME_BYTES: usize = 256;

@@ -8,9 +8,9 @@ use prometheus_client::metrics::family::Family;
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::registry::Registry;
 
-use crate::alarm::{AlarmDocument, Place, Priority, State};
-use crate::config::Config;
-use crate::verdict::Assessment;
+use stiction::verdict::Assessment;
+use stiction_monitor::alarm::{AlarmDocument, Place, Priority, State};
+use stiction_monitor::config::Config;
 
 /// The loop.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, EncodeLabelSet)]
@@ -164,7 +164,7 @@ const fn rank(priority: Option<Priority>) -> i64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::alarm::Alarm;
+    use stiction_monitor::alarm::Alarm;
 
     #[test]
     fn named_loops_have_their_series_and_the_others_as_far_as_there_is_room() {

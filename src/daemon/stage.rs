@@ -19,16 +19,16 @@ use super::metrics::Metrics;
 use super::queue::{Budget, Room};
 use super::restore::{self, Restored};
 use super::worker::{Answered, Workers};
-use crate::alarm::Command;
-use crate::config::Config;
-use crate::engine::{Engine, GapRequest, Request};
 use crate::files::disk::Disk;
 use crate::sink::keeper::{self, Keeper};
 use crate::sink::recorder::{Recorder, RunInfo, Writer};
 use crate::sink::zenoh::{Publication, Publisher};
 use crate::source::shares::Shares;
 use crate::source::{Answer, Envelope, Incoming, Intake};
-use crate::verdict::Assessment;
+use stiction::verdict::Assessment;
+use stiction_monitor::alarm::Command;
+use stiction_monitor::config::Config;
+use stiction_monitor::engine::{Engine, GapRequest, Request};
 
 /// Windows handed to the stage's holder ahead of their fits: as with one worker.
 const AT_HAND: usize = 1;
@@ -215,7 +215,7 @@ fn run_of(config: &Config, config_text: &str, clock: &Clock, run_number: u64) ->
     let started_ns = clock.now_ns();
     RunInfo {
         prefix: config.site.prefix.clone(),
-        run_id: crate::config::short_hash(format!("{started_ns} {run_number}").as_bytes())[..8].to_owned(),
+        run_id: stiction_monitor::config::short_hash(format!("{started_ns} {run_number}").as_bytes())[..8].to_owned(),
         started_ns,
         run_number: (run_number > 0).then_some(run_number),
         origin: "stage",

@@ -5,8 +5,8 @@ use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, Sender};
 
-use crate::engine::{LoopId, Request};
-use crate::verdict::Assessment;
+use stiction::verdict::Assessment;
+use stiction_monitor::engine::{LoopId, Request};
 
 /// An answer on its way back.
 #[derive(Debug)]

@@ -5,10 +5,10 @@
 //! The sampling time rules: sample k stands at the first stamp plus k sampling times, whatever the other stamps say.
 
 use super::mat::{self, Mat, MatError};
-use crate::record::{Sample, Signal, Value};
-use crate::units::{NS_PER_S, format_rfc3339, parse_time, s_from_ns};
 use std::io::Write;
 use std::path::Path;
+use stiction::record::{Sample, Signal, Value};
+use stiction::units::{NS_PER_S, format_rfc3339, parse_time, s_from_ns};
 use thiserror::Error;
 
 /// Variable that counts the loops.

@@ -7,12 +7,12 @@
 //! and a warning says so.
 
 use super::FileError;
-use crate::record::{Mode, Sample, Signal, Value};
-use crate::units::{TimeError, format_seconds, parse_time};
 use std::collections::HashMap;
 use std::fs::File;
 use std::io::{self, BufReader, Read, Write};
 use std::path::Path;
+use stiction::record::{Mode, Sample, Signal, Value};
+use stiction::units::{TimeError, format_seconds, parse_time};
 use thiserror::Error;
 
 /// Columns after `t`, in the order in which they are written.

@@ -1,8 +1,8 @@
 //! Samples at an even rate, from samples that came when they came.
 
 use super::LoadedLoop;
-use crate::record::{Sample, Signal, Value};
-use crate::units::{ns_from_s, s_from_ns};
+use stiction::record::{Sample, Signal, Value};
+use stiction::units::{ns_from_s, s_from_ns};
 
 /// Holes longer than so many steps, of the even rate or of the signal's own, stay holes.
 const LONGEST_STEPS: i64 = 5;

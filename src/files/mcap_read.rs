@@ -8,7 +8,6 @@ use super::mcap_index::Index;
 use super::mcap_roster::{self, Roster};
 use super::schemas;
 use super::seal::{self, Seal};
-use crate::codec::topic::Kind;
 use mcap::records::{Record, op};
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use mcap::{McapError, parse_record};
@@ -17,6 +16,7 @@ use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use stiction_monitor::codec::topic::Kind;
 use thiserror::Error;
 
 /// Largest record and largest uncompressed chunk that is read, bytes.

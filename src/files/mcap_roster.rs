@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 
 use mcap::records::Metadata;
 
-use crate::codec::topic::Kind;
-use crate::config::short_hash;
+use stiction_monitor::codec::topic::Kind;
+use stiction_monitor::config::short_hash;
 
 /// Name of the metadata records that hold it.
 pub(super) const NAME: &str = "stictiond.channels";

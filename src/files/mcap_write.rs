@@ -8,7 +8,6 @@ use super::disk::{Disk, DiskFile, Handle, SystemDisk};
 use super::mcap_roster::Roster;
 use super::schemas;
 use super::seal::Sum;
-use crate::codec::topic::Kind;
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{Compression, McapError, WriteOptions, Writer};
 use std::collections::{BTreeMap, HashMap};
@@ -17,6 +16,7 @@ use std::io::{self, BufWriter, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
+use stiction_monitor::codec::topic::Kind;
 use thiserror::Error;
 
 /// Most channels in one file: every file repeats its channels, and indexes grow with them.

@@ -22,13 +22,13 @@ pub use mcap_write::{MAX_CHANNELS, RecordingFile, WriteError, sync_folder};
 
 pub use export::ReadOptions;
 
-use crate::codec;
-use crate::codec::topic::{Leaf, Topic};
-use crate::record::{Sample, Signal, Value};
 use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
+use stiction::record::{Sample, Signal, Value};
+use stiction_monitor::codec;
+use stiction_monitor::codec::topic::{Leaf, Topic};
 use thiserror::Error;
 
 /// Name of the metadata record that our recordings carry.

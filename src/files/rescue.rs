@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use thiserror::Error;
 
 use super::{End, ReadError, RecordingFile, RecordingReader, WriteError};
-use crate::codec::topic::Kind;
+use stiction_monitor::codec::topic::Kind;
 
 /// Metadata key of a recording whose samples were taken out.
 pub const SAMPLES_KEY: &str = "samples";

@@ -3,8 +3,8 @@
 //! Viewers draw named scalar fields and accept one plain type a field; a field whose number does not exist is null in
 //! the data. Extra fields are allowed everywhere.
 
-use crate::codec::topic::Kind;
 use serde_json::{Map, Value, json};
+use stiction_monitor::codec::topic::Kind;
 
 const TIME: &[&str] = &["t"];
 

@@ -1,10 +1,10 @@
 //! The computations behind a loop's pictures, in the order of their cost.
 
-use crate::ident::fit_plots::{ErrorMap, FitPlots, FreeRun, Model, Optimum, OrderChart, RESAMPLES, RESTARTS};
-use crate::ident::{Options, fit_plots};
-use crate::record::Record;
-use crate::sim::slips::Law;
-use crate::verdict::{AssessParams, Assessment};
+use stiction::ident::fit_plots::{ErrorMap, FitPlots, FreeRun, Model, Optimum, OrderChart, RESAMPLES, RESTARTS};
+use stiction::ident::{Options, fit_plots};
+use stiction::record::Record;
+use stiction::sim::slips::Law;
+use stiction::verdict::{AssessParams, Assessment};
 
 /// Step of the error maps, share of OP's span.
 const MAP_STEP: f64 = 0.025;

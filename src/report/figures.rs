@@ -1,10 +1,10 @@
 //! One loop's pictures, from its record and what was computed of it.
 
-use crate::ident::fit_plots::{ErrorMap, Optimum};
-use crate::ident::region::{BOUNDS, STRENGTHS};
-use crate::record::Record;
-use crate::signal::{lag, stats};
-use crate::verdict::Assessment;
+use stiction::ident::fit_plots::{ErrorMap, Optimum};
+use stiction::ident::region::{BOUNDS, STRENGTHS};
+use stiction::record::Record;
+use stiction::signal::{lag, stats};
+use stiction::verdict::Assessment;
 
 use super::across::Across;
 use super::chart::{Bar, HeatMap, Histogram, Overlay, bars, heat_map, histogram};
@@ -12,7 +12,7 @@ use super::detail::Detail;
 use super::diagram::{Tags, loop_diagram};
 use super::ink::Ink;
 use super::plot::{Mark, Panel, Picture, Plane, PlotError, Series, scatter, trend};
-use crate::units::number;
+use stiction::units::number;
 
 /// A picture with its caption.
 #[derive(Debug, Clone, PartialEq)]

@@ -6,10 +6,10 @@ use super::figures::Figure;
 use super::gap_page::GapLoop;
 use super::ink::Ink;
 use super::plot::{Mark, Panel, Plane, PlotError, Series, scatter, trend};
-use crate::gap::document::EffectNote;
-use crate::gap::text;
-use crate::signal::stats;
-use crate::units::number;
+use stiction::gap::document::EffectNote;
+use stiction::gap::text;
+use stiction::signal::stats;
+use stiction::units::number;
 
 const WIDE: u32 = 1080;
 const HALF: u32 = 520;

@@ -5,11 +5,11 @@ use maud::{Markup, html};
 use super::gap_figures::figures;
 use super::page::{flatten, optional, picture, whole};
 use super::plot::PlotError;
-use crate::gap::Diagnosis;
-use crate::gap::document::GapDocument;
-use crate::gap::text;
-use crate::record::Record;
-use crate::units::{from_to, number};
+use stiction::gap::Diagnosis;
+use stiction::gap::document::GapDocument;
+use stiction::gap::text;
+use stiction::record::Record;
+use stiction::units::{from_to, number};
 
 /// One loop's part of the report.
 #[derive(Debug, Clone)]

@@ -15,16 +15,15 @@ pub mod ink;
 mod page;
 pub mod plot;
 mod sheet;
-pub mod words;
 
 pub use gap_page::{GapLoop, GapReport, gap_page};
 pub use page::page;
 pub use sheet::sheet;
 
-use crate::record::Record;
-use crate::verdict::{Assessment, EstimateDocument};
 use detail::Detail;
 use diagram::Tags;
+use stiction::record::Record;
+use stiction::verdict::{Assessment, EstimateDocument};
 
 /// Loops that are drawn in full unless all are asked for.
 pub const IN_FULL: usize = 12;

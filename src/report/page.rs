@@ -9,10 +9,10 @@ use serde_json::Value;
 use super::figures::{Figure, Subject, brief, detailed};
 use super::ink;
 use super::plot::PlotError;
-use super::words;
 use super::{LoopReport, Report};
-use crate::units::{duration, from_to, number};
-use crate::verdict::{Assessment, Verdict};
+use stiction::units::{duration, from_to, number};
+use stiction::verdict::words;
+use stiction::verdict::{Assessment, Verdict};
 
 /// The whole page.
 ///

@@ -12,17 +12,17 @@ use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, TrySendError};
 
-use crate::codec::encode_recorded;
-use crate::codec::topic::{self, Kind};
-use crate::config::Recording;
 use crate::daemon::clock::Clock;
 use crate::daemon::faults::Faults;
 use crate::daemon::metrics::Metrics;
 use crate::daemon::queue::{Budget, Room};
-use crate::engine::LoopId;
 use crate::files::RecordingFile;
 use crate::files::disk::{Disk, SystemDisk};
-use crate::record::{Sample, Signal};
+use stiction::record::{Sample, Signal};
+use stiction_monitor::codec::encode_recorded;
+use stiction_monitor::codec::topic::{self, Kind};
+use stiction_monitor::config::Recording;
+use stiction_monitor::engine::LoopId;
 
 /// Messages that may wait for the disk.
 pub const QUEUE: usize = 65_536;
@@ -153,7 +153,7 @@ impl RunInfo {
     #[must_use]
     pub fn stem(&self, shard: usize, file_index: u32) -> String {
         let stamp: String =
-            crate::units::format_rfc3339(self.started_ns).chars().filter(char::is_ascii_digit).collect();
+            stiction::units::format_rfc3339(self.started_ns).chars().filter(char::is_ascii_digit).collect();
         let stamp = &stamp[..stamp.len().min(14)];
         format!("{}-{stamp}-{}-s{shard}-{file_index:05}", self.prefix.replace('/', "_"), self.run_id)
     }

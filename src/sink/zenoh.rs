@@ -11,11 +11,11 @@ use crossbeam_channel::{Receiver, Sender};
 use zenoh::Wait;
 use zenoh::qos::{CongestionControl, Priority};
 
-use crate::codec::topic::Kind;
 use crate::daemon::metrics::Metrics;
 use crate::daemon::queue::{Budget, Room};
 use crate::sink::signing::Signer;
 use crate::source::zenoh::{LastValue, LastValues, encoding_of};
+use stiction_monitor::codec::topic::Kind;
 
 /// Documents that may wait for the bus.
 pub const QUEUE: usize = 16_384;

@@ -9,13 +9,13 @@ use std::sync::Arc;
 
 use crossbeam_channel::Sender;
 
-use crate::alarm::Command;
-use crate::codec::MAX_PAYLOAD;
-use crate::config::Config;
 use crate::daemon::clock::Clock;
 use crate::daemon::metrics::Metrics;
 use crate::daemon::queue::{Budget, Room};
 use shares::{Share, Shares};
+use stiction_monitor::alarm::Command;
+use stiction_monitor::codec::MAX_PAYLOAD;
+use stiction_monitor::config::Config;
 
 /// One message as it arrived, before anything was read from it.
 #[derive(Debug)]

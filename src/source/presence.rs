@@ -7,10 +7,10 @@ use anyhow::anyhow;
 use zenoh::Wait;
 use zenoh::sample::Locality;
 
-use crate::codec::topic;
 use crate::daemon::clock::now_ns;
 use crate::daemon::faults::Faults;
 use crate::daemon::metrics::Metrics;
+use stiction_monitor::codec::topic;
 
 /// Name of the fault while the session cannot listen.
 pub const LISTENING: &str = "listening";

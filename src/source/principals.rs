@@ -8,7 +8,7 @@
 use anyhow::{Context, anyhow, bail};
 use serde_json::json;
 
-use crate::codec::topic;
+use stiction_monitor::codec::topic;
 
 /// Everything but queries.
 const OTHER_MESSAGES: [&str; 8] = [

@@ -15,11 +15,11 @@ use zenoh::query::Query;
 use zenoh::sample::{Sample as BusSample, SampleKind};
 
 use super::{Answer, Envelope, Incoming, Intake, principals};
-use crate::alarm::Command;
-use crate::codec::topic::{self, Kind, Leaf, Topic};
-use crate::config::{Config, NAME_MARK};
 use crate::daemon::documents;
 use crate::daemon::metrics::Metrics;
+use stiction_monitor::alarm::Command;
+use stiction_monitor::codec::topic::{self, Kind, Leaf, Topic};
+use stiction_monitor::config::{Config, NAME_MARK};
 
 /// Largest message that Zenoh puts together from its pieces, bytes: what is larger never takes memory. Well above what a
 /// payload may have, so that payloads a little too large are still seen and counted.

@@ -21,11 +21,11 @@ use tokio::net::TcpListener;
 use tokio::sync::Semaphore;
 use tokio::task::JoinHandle;
 
-use crate::config::Web;
 use crate::daemon::HealthSnapshot;
 use crate::daemon::faults::Faults;
 use crate::daemon::metrics::Metrics;
 use exposition::Form;
+use stiction_monitor::config::Web;
 
 /// Silence of the engine after which the daemon is called unhealthy.
 const STALLED_AFTER: Duration = Duration::from_secs(30);

@@ -11,7 +11,7 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
-use stictiond::codec::topic::{Kind, Leaf, Topic};
+use stiction_monitor::codec::topic::{Kind, Leaf, Topic};
 use stictiond::files::RecordingReader;
 use zenoh::Wait;
 

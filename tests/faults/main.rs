@@ -1,6 +1,6 @@
 //! Faults of the machine around the daemon, one process each: disk, clock, start, configuration, links.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-#![cfg(all(feature = "daemon", target_os = "linux"))]
+#![cfg(target_os = "linux")]
 
 mod clock;
 mod disk;

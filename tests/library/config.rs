@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::collections::BTreeSet;
-use stictiond::config::Config;
+use stiction_monitor::config::Config;
 
 const MONITOR: &str = include_str!("../../config/monitor.toml");
 const DEMO: &str = include_str!("../../config/demo.toml");
@@ -79,7 +79,6 @@ fn every_fault_of_the_broken_example_is_found_where_it_stands() {
     assert!(faults.iter().all(|f| !f.remedy.is_empty()));
 }
 
-#[cfg(feature = "daemon")]
 #[test]
 fn check_lists_them_all_and_fails() {
     let run = |arguments: &[&str]| {

@@ -2,13 +2,13 @@
 //! same for the same windows, whatever becomes of the diagnoses.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use stictiond::config::Config;
-use stictiond::engine::{Engine, Event, GapReason, GapRequest, LoopId, Request, SkipReason};
-use stictiond::record::{Sample, Signal, Value};
-use stictiond::sim::closed_loop::{ClosedLoop, LoopModel, ValveLaw, ValveModel};
-use stictiond::sim::controller::{Action, PidSettings};
-use stictiond::sim::process::ProcessModel;
-use stictiond::verdict::{Assessment, Oscillation, Process, Window};
+use stiction::record::{Sample, Signal, Value};
+use stiction::sim::closed_loop::{ClosedLoop, LoopModel, ValveLaw, ValveModel};
+use stiction::sim::controller::{Action, PidSettings};
+use stiction::sim::process::ProcessModel;
+use stiction::verdict::{Assessment, Oscillation, Process, Window};
+use stiction_monitor::config::Config;
+use stiction_monitor::engine::{Engine, Event, GapReason, GapRequest, LoopId, Request, SkipReason};
 
 const SECOND: i64 = 1_000_000_000;
 const HOUR: i64 = 3600 * SECOND;
@@ -207,7 +207,7 @@ fn a_checkpoint_carries_the_row_and_the_day_over() {
     assert!(first.asked.is_empty());
     let checkpoint = serde_json::to_string(&first.engine.checkpoint(first.id)).unwrap();
     let mut second = hours(0, config(3600.0), Then::Nothing, |_| Some(60.0));
-    let mut checkpoint: stictiond::engine::Checkpoint = serde_json::from_str(&checkpoint).unwrap();
+    let mut checkpoint: stiction_monitor::engine::Checkpoint = serde_json::from_str(&checkpoint).unwrap();
     checkpoint.stream = None;
     second.engine.restore(second.id, checkpoint);
     for k in 12 * 60..20 * 60 {

@@ -2,8 +2,8 @@
 
 use std::fs;
 
-use stictiond::codec::{self, Bundle, Memory, Scalar};
-use stictiond::units::format_rfc3339;
+use stiction::units::format_rfc3339;
+use stiction_monitor::codec::{self, Bundle, Memory, Scalar};
 
 fn page() -> String {
     fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/docs/live-formats.md")).unwrap()

@@ -4,26 +4,9 @@
 #![allow(missing_docs)]
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-#[path = "../common/mod.rs"]
-mod common;
-
 mod config;
 mod engine;
 mod engine_gaps;
 mod formats;
-mod gap_golden;
 mod pages;
-mod screening;
 mod tidy;
-mod traps;
-mod truth_causes;
-mod truth_controller;
-mod truth_detectable;
-mod truth_gap;
-mod truth_intervals;
-mod truth_solvers;
-mod truth_stiction;
-mod val_labelled;
-#[cfg(feature = "daemon")]
-mod val_plausible;
-mod val_stick_index;

@@ -168,21 +168,20 @@ fn sorted(mut names: Vec<String>) -> Vec<String> {
 #[test]
 fn tables_list_what_there_is() {
     let names = |all: Vec<&'static str>| all.into_iter().map(str::to_owned).collect::<Vec<_>>();
-    let solvers = names(stictiond::optim::ALL.iter().map(|s| s.name()).collect());
+    let solvers = names(stiction::optim::ALL.iter().map(|s| s.name()).collect());
     assert_eq!(column("docs/commands.md", "solver"), solvers);
-    let formats = names(stictiond::codec::ALL.iter().map(|c| c.name()).collect());
+    let formats = names(stiction_monitor::codec::ALL.iter().map(|c| c.name()).collect());
     assert_eq!(column("docs/live-formats.md", "format"), formats);
-    let gates = names(stictiond::verdict::Gate::ALL.iter().map(|g| g.name()).collect());
+    let gates = names(stiction::verdict::Gate::ALL.iter().map(|g| g.name()).collect());
     assert_eq!(column("docs/verdicts.md", "gate"), gates);
-    let effects = names(stictiond::gap::effects::ALL.iter().map(|e| e.id).collect());
+    let effects = names(stiction::gap::effects::ALL.iter().map(|e| e.id).collect());
     assert_eq!(column("docs/gap.md", "effect"), effects);
     // Those that are made of the fit stand among the others.
-    let mut witnesses = names(stictiond::detect::ALL.iter().map(|d| d.name()).collect());
+    let mut witnesses = names(stiction::detect::ALL.iter().map(|d| d.name()).collect());
     witnesses.extend(["likelihood", "confirmed", "moves"].map(str::to_owned));
     assert_eq!(sorted(column("docs/method.md", "witness")), sorted(witnesses));
 }
 
-#[cfg(feature = "daemon")]
 #[test]
 fn every_command_is_listed() {
     let output = std::process::Command::new(env!("CARGO_BIN_EXE_stictiond")).arg("--help").output().unwrap();

@@ -1,6 +1,6 @@
 //! What must be absent, and what must agree: the walls between rooms, the purity of the pure half, open ends.
 //!
-//! `src/lib.rs` says what these tests hold. Test code (`#[cfg(test)]`) and comments may do as they like.
+//! The `lib.rs` of each crate says what these tests hold; that no crate uses one below it, the compiler holds. Test code (`#[cfg(test)]`) and comments may do as they like.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
@@ -8,11 +8,14 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Longest file in `src`, lines.
+/// The crates of the workspace; the first is the shell, the others are pure.
+const CRATES: [&str; 4] = ["src", "crates/stiction/src", "crates/stiction-monitor/src", "crates/stiction-lab/src"];
+
+/// Longest source file, lines.
 const MAX_LINES: usize = 600;
 
-/// Which rooms each room may use, in the order of the map in `src/lib.rs`.
-const IMPORTS: [(&str, &[&str]); 22] = [
+/// Which rooms each room may use.
+const IMPORTS: [(&str, &[&str]); 26] = [
     // Words.
     ("units", &[]),
     ("record", &["units"]),
@@ -29,8 +32,12 @@ const IMPORTS: [(&str, &[&str]); 22] = [
     // Judgement.
     ("verdict", &["units", "record", "signal", "optim", "sim", "ident", "detect"]),
     ("gap", &["units", "record", "signal", "optim", "sim", "ident", "detect"]),
-    // Checks `gap` from outside: neither of the two may see the other.
-    ("challenge", &["units", "record", "signal", "sim", "verdict"]),
+    // The lab. The challenge checks `gap` from outside: neither of the two may see the other.
+    ("fixture", &["record", "signal", "sim"]),
+    ("truth", &["units", "record", "signal", "sim"]),
+    ("challenge", &["units", "record", "signal", "sim", "verdict", "truth"]),
+    ("calibrate", &["verdict"]),
+    ("calibrate_intervals", &["ident", "verdict", "truth"]),
     ("alarm", &["units", "record", "config", "verdict"]),
     // Engine.
     ("codec", &["units", "record"]),
@@ -73,7 +80,9 @@ const UNPORTABLE: [&str; 26] = [
 ];
 
 struct Source {
-    /// Path below `src`, with `/`.
+    /// One of [`CRATES`].
+    home: &'static str,
+    /// Path below it, with `/`.
     path: String,
     /// As it stands.
     text: String,
@@ -88,7 +97,12 @@ impl Source {
     }
 
     fn is_pure(&self) -> bool {
-        !SHELL.contains(&self.room())
+        self.home != CRATES[0]
+    }
+
+    /// Path from the root.
+    fn place(&self) -> String {
+        format!("{}/{}", self.home, self.path)
     }
 }
 
@@ -107,9 +121,13 @@ fn files_below(folder: &Path, found: &mut Vec<PathBuf>) {
     }
 }
 
-/// Every file of `src` but those that are tests as a whole (`#[cfg(test)] mod name;`).
+/// Every source file but those that are tests as a whole (`#[cfg(test)] mod name;`).
 fn sources() -> Vec<Source> {
-    let src = root().join("src");
+    CRATES.into_iter().flat_map(sources_of).collect()
+}
+
+fn sources_of(home: &'static str) -> Vec<Source> {
+    let src = root().join(home);
     let mut paths = Vec::new();
     files_below(&src, &mut paths);
     paths.sort();
@@ -120,16 +138,16 @@ fn sources() -> Vec<Source> {
         let bare = without_comments_and_texts(&text);
         let (code, test_modules) = without_tests(&bare);
         let folder = path.parent().unwrap();
-        let home = if path.file_name().unwrap() == "mod.rs" || folder == src {
+        let own = if path.file_name().unwrap() == "mod.rs" || folder == src {
             folder.to_owned()
         } else {
             path.with_extension("")
         };
-        test_files.extend(test_modules.iter().map(|m| home.join(format!("{m}.rs"))));
+        test_files.extend(test_modules.iter().map(|m| own.join(format!("{m}.rs"))));
         let relative = path.strip_prefix(&src).unwrap().to_str().unwrap().replace('\\', "/");
-        all.push((path, Source { path: relative, text, code }));
+        all.push((path, Source { home, path: relative, text, code }));
     }
-    assert!(all.len() > 30, "src was not found");
+    assert!(all.len() > 5, "{home} was not found");
     all.into_iter().filter(|(path, _)| !test_files.contains(path)).map(|(_, source)| source).collect()
 }
 
@@ -241,22 +259,23 @@ fn rooms_use_only_rooms_above_them() {
         let room = source.room();
         seen.insert(room.to_owned());
         let Some((_, allowed)) = IMPORTS.iter().find(|(name, _)| *name == room) else {
-            faults.push(format!("src/{}: room {room} has no row in the table of tests/library/tidy.rs", source.path));
+            faults.push(format!("{}: room {room} has no row in the table of tests/library/tidy.rs", source.place()));
             continue;
         };
-        for (line, rest) in places(&source.code, "crate::").chain(places(&source.code, "stictiond::")) {
+        let paths = ["crate::", "stictiond::", "stiction::", "stiction_monitor::", "stiction_lab::"];
+        for (line, rest) in paths.iter().flat_map(|start| places(&source.code, start)) {
             let name: String = rest.chars().take_while(|c| is_word(Some(c))).collect();
             let constant = name.chars().all(|c| c.is_ascii_uppercase());
             let pure = allowed.contains(&"pure") && !SHELL.contains(&name.as_str());
             if name != room && !constant && !pure && !allowed.contains(&name.as_str()) {
-                faults.push(format!("src/{}: line {line}: {room} may not use {name}", source.path));
+                faults.push(format!("{}: line {line}: {room} may not use {name}", source.place()));
             }
         }
         // `super` stays inside the room.
         let depth = source.path.matches('/').count() - usize::from(source.path.ends_with("/mod.rs"));
         let outside = "super::".repeat(depth + 1);
         for (line, _) in places(&source.code, &outside) {
-            faults.push(format!("src/{}: line {line}: {outside} leaves the room", source.path));
+            faults.push(format!("{}: line {line}: {outside} leaves the room", source.place()));
         }
     }
     for (room, _) in IMPORTS.iter().filter(|(room, _)| !seen.contains(*room)) {
@@ -277,12 +296,12 @@ fn the_diagnosis_cannot_see_what_checks_it() {
     for source in sources().iter().filter(|s| s.room() == "gap") {
         for wanted in hidden {
             let found = places(&source.code, wanted);
-            faults.extend(found.map(|(line, _)| format!("src/{}: line {line}: {wanted}", source.path)));
+            faults.extend(found.map(|(line, _)| format!("{}: line {line}: {wanted}", source.place())));
         }
     }
     let mut own = Vec::new();
     for source in sources().iter().filter(|s| s.room() == "challenge") {
-        own.extend(places(&source.code, "gap::").map(|(line, _)| format!("src/{}: line {line}: gap::", source.path)));
+        own.extend(places(&source.code, "gap::").map(|(line, _)| format!("{}: line {line}: gap::", source.place())));
     }
     assert!(sources().iter().any(|s| s.room() == "challenge"));
     fail_on(&faults);
@@ -290,16 +309,17 @@ fn the_diagnosis_cannot_see_what_checks_it() {
 }
 
 #[test]
-fn the_map_names_every_room() {
-    let map = fs::read_to_string(root().join("src/lib.rs")).unwrap();
-    let table: String = map.lines().filter(|l| l.starts_with("//! |")).collect();
-    let missing: Vec<&str> = sources()
-        .iter()
-        .map(|s| s.room().to_owned())
-        .filter_map(|room| IMPORTS.iter().map(|(name, _)| *name).find(|name| *name == room))
-        .filter(|room| *room != "main" && !table.contains(&format!("`{room}`")))
-        .collect();
-    assert!(missing.is_empty(), "not in the map of src/lib.rs: {missing:?}");
+fn the_map_of_a_crate_names_its_every_room() {
+    let mut missing = Vec::new();
+    for home in CRATES {
+        let map = fs::read_to_string(root().join(home).join("lib.rs")).unwrap();
+        let table: String = map.lines().filter(|l| l.starts_with("//! |")).collect();
+        let rooms: BTreeSet<String> = sources_of(home).iter().map(|s| s.room().to_owned()).collect();
+        let unsaid =
+            rooms.iter().filter(|r| !["main", "lib"].contains(&r.as_str()) && !table.contains(&format!("`{r}`")));
+        missing.extend(unsaid.map(|room| format!("{home}/lib.rs: {room}")));
+    }
+    assert!(missing.is_empty(), "not in the map: {missing:?}");
 }
 
 #[test]
@@ -308,7 +328,7 @@ fn the_pure_half_has_no_files_clocks_threads_or_chance() {
     for source in sources().iter().filter(|s| s.is_pure() && s.path != "lib.rs") {
         for (wanted, why) in IMPURE {
             let found = places(&source.code, wanted);
-            faults.extend(found.map(|(line, _)| format!("src/{}: line {line}: {wanted}: {why}", source.path)));
+            faults.extend(found.map(|(line, _)| format!("{}: line {line}: {wanted}: {why}", source.place())));
         }
     }
     fail_on(&faults);
@@ -321,7 +341,7 @@ fn the_pure_half_computes_alike_on_every_machine() {
         for name in UNPORTABLE {
             for call in [format!(".{name}("), format!("f64::{name}(")] {
                 let at = source.code.match_indices(&call).map(|(at, _)| source.code[..at].matches('\n').count() + 1);
-                faults.extend(at.map(|line| format!("src/{}: line {line}: {call}…): use libm::", source.path)));
+                faults.extend(at.map(|line| format!("{}: line {line}: {call}…): use libm::", source.place())));
             }
         }
     }
@@ -331,7 +351,7 @@ fn the_pure_half_computes_alike_on_every_machine() {
 #[test]
 fn files_are_short_and_say_what_they_are_for() {
     let mut paths = Vec::new();
-    files_below(&root().join("src"), &mut paths);
+    CRATES.iter().for_each(|home| files_below(&root().join(home), &mut paths));
     let mut faults = Vec::new();
     for path in paths {
         let text = fs::read_to_string(&path).unwrap();
@@ -350,7 +370,7 @@ fn files_are_short_and_say_what_they_are_for() {
 fn nothing_is_left_open_and_no_machine_is_named() {
     let machine = ["work", "root", "tmp", "home"].map(|folder| format!("/{folder}/"));
     let open = ["TO-DO", "FIX-ME", "XX-X", "todo-!", "unimple-mented!"].map(|word| word.replace('-', ""));
-    let mut texts: Vec<(String, String)> = sources().into_iter().map(|s| (format!("src/{}", s.path), s.text)).collect();
+    let mut texts: Vec<(String, String)> = sources().into_iter().map(|s| (s.place(), s.text)).collect();
     for name in ["CHANGELOG.md", "SECURITY.md", "config/monitor.toml", "recordings/README.md"] {
         texts.push((name.to_owned(), fs::read_to_string(root().join(name)).unwrap()));
     }
@@ -368,7 +388,7 @@ fn nothing_is_left_open_and_no_machine_is_named() {
 /// What is known of an effect stands in its file: no other file of the gap names one.
 #[test]
 fn no_effect_is_named_outside_its_own_file() {
-    let mut folders = vec![Path::new(env!("CARGO_MANIFEST_DIR")).join("src/gap")];
+    let mut folders = vec![Path::new(env!("CARGO_MANIFEST_DIR")).join("crates/stiction/src/gap")];
     let mut seen = 0;
     while let Some(folder) = folders.pop() {
         for path in fs::read_dir(&folder).unwrap().flatten().map(|entry| entry.path()) {
@@ -386,7 +406,7 @@ fn no_effect_is_named_outside_its_own_file() {
             let code = text.split("#[cfg(test)]").next().unwrap();
             let code: String = code.lines().filter(|l| !l.trim_start().starts_with("//")).collect();
             seen += 1;
-            for effect in stictiond::gap::effects::ALL {
+            for effect in stiction::gap::effects::ALL {
                 // A process' own flag in a model file has the name of the effect.
                 let flag = name == "model_file" && code.contains(&format!("flag(\"{}\")", effect.id));
                 assert!(flag || !code.contains(&format!("\"{}\"", effect.id)), "{} in {}", effect.id, path.display());

@@ -8,8 +8,8 @@ use std::fs;
 use std::path::Path;
 use std::process::{Command, Output};
 
-use stictiond::challenge::Kind;
-use stictiond::gap::effects;
+use stiction::gap::effects;
+use stiction_lab::challenge::Kind;
 
 fn stictiond(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_stictiond")).args(arguments).output().unwrap()

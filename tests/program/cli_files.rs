@@ -7,9 +7,9 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use crate::common::program::{expect, stderr, stdout};
-use stictiond::codec::topic::Kind;
+use stiction::record::{Signal, Value};
+use stiction_monitor::codec::topic::Kind;
 use stictiond::files::{RecordingFile, RecordingReader, load_samples};
-use stictiond::record::{Signal, Value};
 
 struct Folder(tempfile::TempDir);
 

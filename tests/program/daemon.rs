@@ -10,7 +10,7 @@ use std::time::Duration;
 use crate::common;
 use crate::live::{Daemon, FAST, documents, files, ok, sticking, stictiond};
 use serde_json::Value;
-use stictiond::codec::topic::Kind;
+use stiction_monitor::codec::topic::Kind;
 use stictiond::files::RecordingReader;
 
 #[test]

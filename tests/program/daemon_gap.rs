@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use crate::live::{Daemon, FAST, ask, documents, files, ok, plane, sticking, stictiond};
 use serde_json::Value;
-use stictiond::codec::topic::Kind;
+use stiction_monitor::codec::topic::Kind;
 use zenoh::Wait;
 
 const SMALL: &str = "[gap]\nbudget_evaluations = 3000\n";

@@ -1,7 +1,6 @@
 //! The program at its process boundary: commands, files, daemons.
 //!
 //! One binary, so that what all tests share is compiled and linked once.
-#![cfg(feature = "daemon")]
 #![allow(missing_docs)]
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 

@@ -6,10 +6,10 @@ use proptest::prelude::*;
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
-use stictiond::codec::encode_recorded;
-use stictiond::codec::topic::Kind;
+use stiction::record::{Mode, Sample, Signal, Value};
+use stiction_monitor::codec::encode_recorded;
+use stiction_monitor::codec::topic::Kind;
 use stictiond::files::{End, METADATA_PREFIX, RecordingFile, RecordingReader, load_samples};
-use stictiond::record::{Mode, Sample, Signal, Value};
 
 /// Flips of the long tests; set higher by whoever has the time.
 fn flips(few: usize) -> usize {

@@ -3,7 +3,6 @@
 //!
 //! `STICTIOND_SEED=N` runs one seed (a failure names its own), `STICTIOND_SEEDS=N` so many, `STICTIOND_SIM_DAYS=N` so long.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-#![cfg(feature = "daemon")]
 
 mod disk;
 #[path = "../common/isa.rs"]
@@ -21,17 +20,17 @@ use oracle::{Asked, Oracle};
 use plant::{Plant, STEP_NS, below, one_in};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
-use stictiond::alarm::Command;
-use stictiond::codec::topic::{Kind, Leaf, Topic};
-use stictiond::config::{Config, short_hash};
+use stiction::units::Moment;
+use stiction::verdict::{Assessment, Oscillation, Verdict, Window};
+use stiction_monitor::alarm::Command;
+use stiction_monitor::codec::topic::{Kind, Leaf, Topic};
+use stiction_monitor::config::{Config, short_hash};
+use stiction_monitor::engine::Request;
 use stictiond::daemon::clock::Clock;
 use stictiond::daemon::stage::Stage;
-use stictiond::engine::Request;
 use stictiond::files::RecordingReader;
 use stictiond::files::disk::Disk;
 use stictiond::source::Incoming;
-use stictiond::units::Moment;
-use stictiond::verdict::{Assessment, Oscillation, Verdict, Window};
 
 const PREFIX: &str = "plant/a";
 const LOOPS: usize = 100;

@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 
 use serde_json::Value;
-use stictiond::alarm::Alarm;
-use stictiond::codec::topic::Kind;
+use stiction_monitor::alarm::Alarm;
+use stiction_monitor::codec::topic::Kind;
 use stictiond::daemon::stage::Stage;
 use stictiond::sink::zenoh::Publication;
 

@@ -13,14 +13,14 @@ use zenoh::bytes::Encoding;
 use zenoh::qos::CongestionControl;
 
 use super::{Format, Outcome, block_on, demo, play, say};
-use crate::codec;
-use crate::codec::topic;
-use crate::config::Config;
 use crate::daemon::{self, RunOptions};
-use crate::engine::{Engine, Event};
-use crate::record::{Sample, Signal, Value};
-use crate::sim::scenario::Scenario;
-use crate::units::NS_PER_S;
+use stiction::record::{Sample, Signal, Value};
+use stiction::sim::scenario::Scenario;
+use stiction::units::NS_PER_S;
+use stiction_monitor::codec;
+use stiction_monitor::codec::topic;
+use stiction_monitor::config::Config;
+use stiction_monitor::engine::{Engine, Event};
 
 /// The loops that kernels are timed on.
 const SCENARIO: &str = include_str!("../../../recordings/scenarios/four-loops.toml");

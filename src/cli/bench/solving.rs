@@ -4,17 +4,17 @@ use std::path::Path;
 
 use super::super::evaluate;
 use super::{Row, cpu};
-use crate::detect::{self, View};
-use crate::ident::class::Class;
-use crate::ident::surface::{BUDGET, Surface, solve};
-use crate::ident::{Options, controller, evaluator};
-use crate::optim::{self, Settings};
-use crate::record::Record;
-use crate::signal::stats;
-use crate::sim::slips::{FirstSlip, Law, Stroke};
-use crate::sim::steps::{Path as OpPath, Steps};
-use crate::sim::truth::{Half, Regime, TruthLoop, accuracy, verdict_case};
-use crate::verdict::{AssessParams, assess, lets_go};
+use stiction::detect::{self, View};
+use stiction::ident::class::Class;
+use stiction::ident::surface::{BUDGET, Surface, solve};
+use stiction::ident::{Options, controller, evaluator};
+use stiction::optim::{self, Settings};
+use stiction::record::Record;
+use stiction::signal::stats;
+use stiction::sim::slips::{FirstSlip, Law, Stroke};
+use stiction::sim::steps::{Path as OpPath, Steps};
+use stiction::verdict::{AssessParams, assess, lets_go};
+use stiction_lab::truth::{Half, Regime, TruthLoop, accuracy, verdict_case};
 
 /// Rounds of a kernel's measurement.
 const ROUNDS: usize = 9;

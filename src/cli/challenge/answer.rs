@@ -2,11 +2,11 @@
 
 use serde_json::{Value, json};
 
-use crate::detect::oscillation;
-use crate::gap::document::GapDocument;
-use crate::gap::locate::{Subject, locate};
-use crate::gap::{Ask, Cause, Diagnosis, Serial, diagnose, effects};
-use crate::record::Record;
+use stiction::detect::oscillation;
+use stiction::gap::document::GapDocument;
+use stiction::gap::locate::{Subject, locate};
+use stiction::gap::{Ask, Cause, Diagnosis, Serial, diagnose, effects};
+use stiction::record::Record;
 
 /// A record as `gap` itself diagnoses it, and its document.
 ///

@@ -8,12 +8,12 @@ use serde::Deserialize;
 use serde_json::json;
 
 use super::{ANSWERS, opened, read, write};
-use crate::challenge::score::{Alternative, Answer, Called, Figures, is_expressed, score};
-use crate::challenge::{Answer as Right, Split, Truth, TruthCase};
 use crate::cli::{Format, Outcome, print, say};
-use crate::gap::evidence::Evidence;
-use crate::gap::probability::{Calibration, Features, Outcome as Came, fit};
-use crate::gap::{By, Decision, NONE, UNKNOWN, decide, holds_out};
+use stiction::gap::evidence::Evidence;
+use stiction::gap::probability::{Calibration, Features, Outcome as Came, fit};
+use stiction::gap::{By, Decision, NONE, UNKNOWN, decide, holds_out};
+use stiction_lab::challenge::score::{Alternative, Answer, Called, Figures, is_expressed, score};
+use stiction_lab::challenge::{Answer as Right, Split, Truth, TruthCase};
 
 /// Thresholds that are tried.
 const STEP: f64 = 0.01;

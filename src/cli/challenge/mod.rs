@@ -16,13 +16,13 @@ use anyhow::{Context, bail};
 use serde_json::{Value, json};
 
 use super::{Format, Outcome, UsageError, analyze, on_all_cores, print, say};
-use crate::challenge::score::{Answer, Figures, score};
-use crate::challenge::{Deck, Split, Truth, TruthCase, seal};
-use crate::config::Config;
 use crate::files::{csv, load_samples};
-use crate::gap::{Ask, DEFAULT_EVALUATIONS};
-use crate::record::{Record, Sample, Signal};
-use crate::units::ns_from_s;
+use stiction::gap::{Ask, DEFAULT_EVALUATIONS};
+use stiction::record::{Record, Sample, Signal};
+use stiction::units::ns_from_s;
+use stiction_lab::challenge::score::{Answer, Figures, score};
+use stiction_lab::challenge::{Deck, Split, Truth, TruthCase, seal};
+use stiction_monitor::config::Config;
 
 /// Where a challenge's parts lie in its folder.
 const RECORDINGS: &str = "recordings";
@@ -149,7 +149,7 @@ fn samples_of(record: &Record) -> Vec<Sample> {
         let t_ns = ns_from_s(START_S + record.ts_s * k as f64);
         for (signal, values) in &columns {
             let Some(value) = values.and_then(|v| v.get(k)) else { continue };
-            out.push(Sample { signal: *signal, t_ns, value: crate::record::Value::number(*value), quality: None });
+            out.push(Sample { signal: *signal, t_ns, value: stiction::record::Value::number(*value), quality: None });
         }
     }
     out

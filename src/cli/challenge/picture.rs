@@ -2,8 +2,8 @@
 
 use anyhow::anyhow;
 
-use crate::challenge::score::Figures;
 use crate::report;
+use stiction_lab::challenge::score::Figures;
 
 /// Truths as rows, answers as columns, as a stand-alone SVG.
 ///

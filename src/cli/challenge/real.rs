@@ -7,13 +7,13 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 use serde_json::{Value, json};
 
-use crate::challenge::real::{Spoilt, spoilt};
 use crate::cli::evaluate::index::{self, Case};
 use crate::cli::{Format, Outcome, analyze, on_all_cores, say};
-use crate::config::Config;
 use crate::files::load_samples;
-use crate::gap::{Ask, Base, DEFAULT_EVALUATIONS, Diagnosis, Serial, diagnose};
-use crate::record::{Record, Signal};
+use stiction::gap::{Ask, Base, DEFAULT_EVALUATIONS, Diagnosis, Serial, diagnose};
+use stiction::record::{Record, Signal};
+use stiction_lab::challenge::real::{Spoilt, spoilt};
+use stiction_monitor::config::Config;
 
 /// Raw samples of a recording that are looked at: as many as stay raw.
 const SAMPLES: usize = 1_800;

@@ -12,13 +12,13 @@ use zenoh::bytes::Encoding;
 use zenoh::qos::CongestionControl;
 
 use super::{Format, Outcome, asked_to_stop, block_on, list, play};
-use crate::codec::encode_recorded;
-use crate::codec::topic;
-use crate::config::Config;
 use crate::daemon::{self, RunOptions};
-use crate::sim::plant::SimulatedPlant;
-use crate::sim::scenario::Scenario;
-use crate::units::NS_PER_S;
+use stiction::sim::plant::SimulatedPlant;
+use stiction::sim::scenario::Scenario;
+use stiction::units::NS_PER_S;
+use stiction_monitor::codec::encode_recorded;
+use stiction_monitor::codec::topic;
+use stiction_monitor::config::Config;
 
 /// The plant that is simulated.
 const SCENARIO: &str = include_str!("../../../recordings/scenarios/demo.toml");

@@ -5,10 +5,10 @@ use std::collections::BTreeMap;
 use serde_json::Value as Json;
 
 use crate::cli::{Format, say};
-use crate::codec::topic::{self, Kind};
-use crate::config::Config;
-use crate::sim::scenario::{Label, LoopSpec, Scenario};
-use crate::units::{duration, format_rfc3339, number};
+use stiction::sim::scenario::{Label, LoopSpec, Scenario};
+use stiction::units::{duration, format_rfc3339, number};
+use stiction_monitor::codec::topic::{self, Kind};
+use stiction_monitor::config::Config;
 
 /// Says what runs, and where it can be looked at.
 pub(super) fn beginning(scenario: &Scenario, config: &Config, port: u16, speed: f64) -> anyhow::Result<()> {

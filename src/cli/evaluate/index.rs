@@ -4,7 +4,7 @@ use std::path::Path;
 
 use anyhow::{Context, bail};
 
-use crate::units::LoopKind;
+use stiction::units::LoopKind;
 
 /// One line of an index.
 #[derive(Debug, Clone, PartialEq)]

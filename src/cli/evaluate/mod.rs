@@ -10,11 +10,11 @@ use anyhow::bail;
 
 use super::reading::ReadArgs;
 use super::{Format, Outcome, analyze, on_all_cores};
-use crate::config::Config;
-use crate::record::Record;
-use crate::verdict::{AssessParams, Assessment, assess_in_windows};
 use analyze::Whole;
 use index::Case;
+use stiction::record::Record;
+use stiction::verdict::{AssessParams, Assessment, assess_in_windows};
+use stiction_monitor::config::Config;
 
 /// Judge a labelled set of recordings and print how often the verdict is right, wrong cases included.
 #[derive(Debug, clap::Args)]

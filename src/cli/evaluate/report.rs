@@ -6,8 +6,8 @@ use serde_json::{Value, json};
 
 use super::Judged;
 use crate::cli::{Format, say};
-use crate::verdict::tally::{self, Scored, Tally};
-use crate::verdict::{Assessment, Verdict};
+use stiction::verdict::tally::{self, Scored, Tally};
+use stiction::verdict::{Assessment, Verdict};
 
 /// Bins of the reliability table.
 const BINS: usize = 5;

@@ -4,9 +4,9 @@ use std::path::Path;
 
 use anyhow::Context;
 
-use crate::gap::Base;
-use crate::gap::model_file::ModelFile;
-use crate::record::Record;
+use stiction::gap::Base;
+use stiction::gap::model_file::ModelFile;
+use stiction::record::Record;
 
 /// `--base`, read.
 pub(super) enum BaseArg {

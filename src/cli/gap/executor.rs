@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-use crate::gap::{Ask, Executor};
+use stiction::gap::{Ask, Executor};
 
 /// A team of threads; ends the search on request or when its time is up.
 pub(super) struct Team<'a> {

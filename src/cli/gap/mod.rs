@@ -15,16 +15,16 @@ use super::challenge;
 use super::reading::{ReadArgs, named};
 use super::selection::{Points, Section, Selection};
 use super::{Format, Outcome, UsageError, say, stop};
-use crate::config::Config;
-use crate::detect::oscillation;
 use crate::files::LoadedLoop;
-use crate::gap::document::GapDocument;
-use crate::gap::locate::Subject;
-use crate::gap::{self, Ask, GapError, effects, locate, text};
 use crate::report::{GapLoop, GapReport, gap_page};
 use base::BaseArg;
 pub(super) use base::model_file;
 use executor::Team;
+use stiction::detect::oscillation;
+use stiction::gap::document::GapDocument;
+use stiction::gap::locate::Subject;
+use stiction::gap::{self, Ask, GapError, effects, locate, text};
+use stiction_monitor::config::Config;
 
 /// Most points of a simulation: sections with more samples are averaged in boxes.
 const MAX_POINTS: usize = 8_192;

@@ -2,10 +2,10 @@
 
 use std::path::Path;
 
-use crate::gap::Diagnosis;
-use crate::record::Record;
-use crate::signal::align::Point;
-use crate::units::{format_seconds, ns_from_s};
+use stiction::gap::Diagnosis;
+use stiction::record::Record;
+use stiction::signal::align::Point;
+use stiction::units::{format_seconds, ns_from_s};
 
 /// One row of the table.
 #[derive(Debug, Clone, PartialEq)]

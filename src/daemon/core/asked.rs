@@ -2,10 +2,10 @@
 
 use super::super::gaps::{self, Diagnosed, Outcome};
 use super::{Core, to_json};
-use crate::alarm::{AlarmDocument, Command, CommandError};
-use crate::codec::topic::Kind;
-use crate::engine::{Checkpoint, GapRefusal, GapRequest, LoopId, RecordedInput, SkipReason, StateDocument};
 use crate::source::Answer;
+use stiction_monitor::alarm::{AlarmDocument, Command, CommandError};
+use stiction_monitor::codec::topic::Kind;
+use stiction_monitor::engine::{Checkpoint, GapRefusal, GapRequest, LoopId, RecordedInput, SkipReason, StateDocument};
 
 impl Core {
     /// Carries a command out. The answer says that its effect is on the disk: a crash after it changes nothing.

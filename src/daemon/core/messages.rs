@@ -1,12 +1,12 @@
 //! What is taken out of messages: one signal under its key, or several under names.
 
 use super::Core;
-use crate::codec::{self, Bundle, CodecError};
 use crate::daemon::metrics::Label;
 use crate::daemon::routes::Route;
-use crate::engine::LoopId;
-use crate::record::Signal;
 use crate::source::Message;
+use stiction::record::Signal;
+use stiction_monitor::codec::{self, Bundle, CodecError};
+use stiction_monitor::engine::LoopId;
 
 impl Core {
     pub(super) fn take_message(&mut self, m: &Message) {

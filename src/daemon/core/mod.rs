@@ -27,18 +27,18 @@ use super::routes::Routes;
 use super::schedule::Schedule;
 use super::series::Board;
 use super::worker::{Answered, Workers};
-use crate::alarm::AlarmDocument;
-use crate::codec::topic::{self, Kind};
-use crate::config::Config;
-use crate::engine::{Checkpoint, Engine, Event, LoopId, RecordedInput, Request, SkipReason, StateDocument};
-use crate::record::Sample;
 use crate::sink::deliver::{Item as Outgoing, Outbox};
 use crate::sink::keeper::Keeper;
 use crate::sink::recorder::{Item, LOOPS_PER_FILE, Recorder, shard_of};
 use crate::sink::zenoh::{Publication, Publisher};
 use crate::source::shares::Shares;
 use crate::source::{Answer, Incoming};
-use crate::units::s_from_ns;
+use stiction::record::Sample;
+use stiction::units::s_from_ns;
+use stiction_monitor::alarm::AlarmDocument;
+use stiction_monitor::codec::topic::{self, Kind};
+use stiction_monitor::config::Config;
+use stiction_monitor::engine::{Checkpoint, Engine, Event, LoopId, RecordedInput, Request, SkipReason, StateDocument};
 
 /// Messages taken before the other channels are looked at again.
 const BATCH: usize = 256;
@@ -418,9 +418,9 @@ impl Core {
     fn alarm_changed(&mut self, id: LoopId, document: &AlarmDocument) {
         self.metrics.alarms.inc();
         if document.active {
-            tracing::warn!(target: "stictiond::alarm", "{}", document.line());
+            tracing::warn!(target: "stiction_monitor::alarm", "{}", document.line());
         } else {
-            tracing::info!(target: "stictiond::alarm", "{}", document.line());
+            tracing::info!(target: "stiction_monitor::alarm", "{}", document.line());
         }
         self.show_alarm(id, document);
         self.record(id, Kind::Alarm, document, document.changed_ns);

@@ -11,12 +11,12 @@ use super::super::metrics::Label;
 use super::super::queue::Budget;
 use super::super::schedule::{LIMIT, LIMIT_BYTES};
 use super::{Core, to_json};
-use crate::codec::topic::{self, Kind};
-use crate::engine::StateDocument;
-use crate::signal::align::AlignCounts;
 use crate::sink::recorder::{self, Recorder};
 use crate::sink::zenoh::{self as bus, Publication};
-use crate::units::s_from_ns;
+use stiction::signal::align::AlignCounts;
+use stiction::units::s_from_ns;
+use stiction_monitor::codec::topic::{self, Kind};
+use stiction_monitor::engine::StateDocument;
 
 /// Reports over which the loops' own health is spread: each loop's comes once a minute.
 const LOOP_HEALTH_SLICES: usize = 12;

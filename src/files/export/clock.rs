@@ -6,7 +6,7 @@ use jiff::tz::Offset;
 use super::ExportError;
 use super::stamp::{Civil, HOUR_NS, Number, Order, Stamp};
 use super::zone::{Reading, Zone, letters};
-use crate::units::{NS_PER_S, format_rfc3339, ns_from_s, s_from_ns};
+use stiction::units::{NS_PER_S, format_rfc3339, ns_from_s, s_from_ns};
 
 /// First year that is believed without being asked for.
 const FIRST_YEAR: i64 = 1990;

@@ -137,11 +137,15 @@ pub(super) fn table(text: &str, wanted: Option<u8>) -> Result<Table<'_>, ExportE
     })?;
     // A header may lack what rows have at their end: a delimiter with nothing behind it.
     let open_end = usize::from(kept[first].1.last().is_some_and(String::is_empty));
-    let wide =
-        |row: &[String]| row.len() + open_end >= usual && row.iter().filter(|c| !c.is_empty()).count() >= usual.min(2);
+    let full = |row: &[String]| row.len() + open_end >= usual;
+    let named = |row: &[String]| row.iter().filter(|c| !c.is_empty()).count() >= usual.min(2);
     let mut head = first;
-    while head > 0 && first - head <= MOST_UNITS && wide(&kept[head - 1].1) {
+    while head > 0 && first - head <= MOST_UNITS && full(&kept[head - 1].1) {
         head -= 1;
+    }
+    // A title that fills its line with delimiters names no columns.
+    while head < first && !named(&kept[head].1) {
+        head += 1;
     }
     if let Some((line, above)) = first.checked_sub(1).map(|at| &kept[at]).filter(|_| head == first)
         && delimiter == b','

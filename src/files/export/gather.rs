@@ -12,7 +12,7 @@ use super::quality::{Codes, Mark, convention};
 use super::stamp::{Number, Stamp};
 use super::zone::Zone;
 use super::{Contents, ExportError, ReadOptions};
-use crate::record::{Mode, Signal, Value};
+use stiction::record::{Mode, Signal, Value};
 
 /// Rows after which decimals are looked for no further, once known or never seen.
 const ENOUGH_ROWS: u64 = 20_000;

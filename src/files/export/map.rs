@@ -3,7 +3,7 @@
 use std::fmt;
 
 use super::names::bare;
-use crate::record::Signal;
+use stiction::record::Signal;
 
 /// What a column can be, beside a signal.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -42,9 +42,9 @@ use encoding_rs::Encoding;
 use thiserror::Error;
 
 use super::{InputKind, LoadedLoop, csv};
-use crate::units::parse_time;
 use cell::Table;
 use gather::Series;
+use stiction::units::parse_time;
 
 /// What cannot be read, where, and what would settle it.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
@@ -206,7 +206,7 @@ pub(super) fn read(
 ) -> Result<Export, super::FileFault> {
     let stem = stem_of(path);
     if kind == InputKind::Csv && !options.overrules() && is_own(bytes) {
-        return read_own(bytes, &crate::units::loop_name_from(&stem));
+        return read_own(bytes, &stiction::units::loop_name_from(&stem));
     }
     let contents = contents(kind, path, bytes, options)?;
     Ok(pair::loops(vec![(stem, contents)], options)?)

@@ -1,7 +1,7 @@
 //! Tags: which loop and which of its signals a column or tag is.
 
-use crate::record::Signal;
-use crate::units::loop_name_from;
+use stiction::record::Signal;
+use stiction::units::loop_name_from;
 
 /// Ends of tags, the strongest of each signal first.
 const ENDS: [(&str, Signal); 47] = [

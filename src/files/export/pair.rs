@@ -7,8 +7,8 @@ use super::gather::Series;
 use super::map::{Map, Part};
 use super::{Contents, Export, ExportError, ReadOptions, Recognised};
 use crate::files::LoadedLoop;
-use crate::record::{Sample, Signal, Value};
-use crate::units::loop_name_from;
+use stiction::record::{Sample, Signal, Value};
+use stiction::units::loop_name_from;
 
 /// Tags named in a warning, at most.
 const SHOWN: usize = 8;

@@ -108,7 +108,7 @@ impl Contents {
     /// Takes in another sheet; its nameless loop is called after it.
     fn add(&mut self, mut other: Self, sheet: &str) {
         for series in other.series.iter_mut().filter(|s| s.role.loop_name.is_empty()) {
-            series.role.loop_name = crate::units::loop_name_from(sheet);
+            series.role.loop_name = stiction::units::loop_name_from(sheet);
         }
         if self.words.is_empty() {
             self.words = other.words;

@@ -5,7 +5,7 @@ use jiff::tz::{AmbiguousOffset, Offset, TimeZone};
 
 use super::ExportError;
 use super::stamp::HOUR_NS;
-use crate::units::format_rfc3339;
+use stiction::units::format_rfc3339;
 
 /// Half an hour: rows nearer than this belong together, the steps at a moved clock are longer.
 const NEAR_NS: i64 = HOUR_NS / 2;
@@ -194,7 +194,7 @@ pub(super) fn letters(letters: [u8; 5]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::units::{NS_PER_S, parse_time};
+    use stiction::units::{NS_PER_S, parse_time};
 
     fn readings(texts: &[&str]) -> Vec<Reading> {
         let reading = |text: &str| {

@@ -22,15 +22,15 @@ use anyhow::{Context, anyhow};
 use crossbeam_channel::{Receiver, Sender};
 use serde::{Deserialize, Serialize};
 
-use crate::alarm::{AlarmDocument, Priority};
-use crate::codec::topic::Kind;
-use crate::config::{Config, Deliver, Protocol, short_hash};
 use crate::daemon::faults::Faults;
 use crate::daemon::metrics::Metrics;
 use keep::{Change, Keep};
 #[cfg(feature = "bridge-mqtt")]
 pub(crate) use mqtt::tls_of;
 use queue::{Next, Queue};
+use stiction_monitor::alarm::{AlarmDocument, Priority};
+use stiction_monitor::codec::topic::Kind;
+use stiction_monitor::config::{Config, Deliver, Protocol, short_hash};
 
 /// Documents that the engine may hand over before the store has taken the first of them.
 const HANDED: usize = 4096;
@@ -73,7 +73,7 @@ impl Item {
     /// A change of an alarm.
     #[must_use]
     pub fn alarm(prefix: &str, a: &AlarmDocument, json: &[u8]) -> Self {
-        let level = match a.priority.filter(|_| a.state == crate::alarm::State::Unack) {
+        let level = match a.priority.filter(|_| a.state == stiction_monitor::alarm::State::Unack) {
             Some(Priority::Urgent) => 2,
             Some(Priority::High) => 3,
             Some(Priority::Medium | Priority::Low) => 4,
@@ -113,7 +113,7 @@ impl Item {
     /// An estimate or a gap diagnosis, of a window that ended at this time.
     #[must_use]
     pub fn result(prefix: &str, loop_name: &str, kind: Kind, end_ns: i64, json: &[u8]) -> Self {
-        let time = crate::units::format_rfc3339(end_ns);
+        let time = stiction::units::format_rfc3339(end_ns);
         Self {
             id: short_hash(&[prefix.as_bytes(), b"\n", loop_name.as_bytes(), b"\n", json].concat()),
             kind: kind.name().to_owned(),

@@ -12,8 +12,8 @@ use rumqttc::{AsyncClient, EventLoop, MqttOptions, PublishOptions, QoS, TlsConfi
 use tokio::runtime::{Builder, Runtime};
 
 use super::{Failure, Item, SEND_WITHIN, Target, pem, secret};
-use crate::codec::topic;
-use crate::config::{Deliver, short_hash};
+use stiction_monitor::codec::topic;
+use stiction_monitor::config::{Deliver, short_hash};
 
 /// Longer than a connection is held without anything to send: no ping is needed.
 const KEEP_ALIVE_S: u16 = 60;

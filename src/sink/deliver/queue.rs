@@ -5,8 +5,8 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use super::Item;
-use crate::config::Deliver;
 use crate::daemon::metrics::{Label, Metrics};
+use stiction_monitor::config::Deliver;
 
 /// What a receiver's thread does next.
 pub(super) enum Next {

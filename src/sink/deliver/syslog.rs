@@ -8,7 +8,7 @@ use std::io::{ErrorKind, Write as _};
 use std::net::{TcpStream, ToSocketAddrs, UdpSocket};
 
 use super::{Failure, Item, SEND_WITHIN, Target};
-use crate::config::{Address, Protocol};
+use stiction_monitor::config::{Address, Protocol};
 
 /// Facility `local0`.
 const FACILITY: u8 = 16;

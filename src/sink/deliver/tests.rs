@@ -6,7 +6,7 @@ use std::sync::Mutex;
 use std::time::Instant;
 
 use super::*;
-use crate::alarm::{Alarm, Place};
+use stiction_monitor::alarm::{Alarm, Place};
 
 /// Waits until something is so.
 fn wait_for<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {

@@ -8,7 +8,7 @@ use ureq::Agent;
 use ureq::tls::{Certificate, ClientCert, PemItem, PrivateKey, RootCerts, TlsConfig, parse_pem};
 
 use super::{Failure, Item, SEND_WITHIN, Target, pem, secret};
-use crate::config::Deliver;
+use stiction_monitor::config::Deliver;
 
 /// What a body is.
 const CONTENT_TYPE: &str = "application/cloudevents+json; charset=utf-8";

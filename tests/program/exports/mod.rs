@@ -11,10 +11,10 @@ use std::fs;
 use std::path::Path;
 
 use clap::Parser as _;
+use stiction::record::{Signal, Value};
+use stiction::units::NS_PER_S;
 use stictiond::cli::reading::ReadArgs;
 use stictiond::files::{FileError, Loaded};
-use stictiond::record::{Signal, Value};
-use stictiond::units::NS_PER_S;
 
 use data::{ROWS, op, pv, t_s};
 use shapes::{Must, Shape};

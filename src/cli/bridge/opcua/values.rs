@@ -2,7 +2,7 @@
 
 use serde_json::json;
 
-use crate::units::format_rfc3339;
+use stiction::units::format_rfc3339;
 
 /// What the payloads say of themselves.
 pub const ENCODING: &str = "application/opcua+uajson";
@@ -147,8 +147,8 @@ mod server {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::codec;
-    use crate::record::{Signal, Value};
+    use stiction::record::{Signal, Value};
+    use stiction_monitor::codec;
 
     #[test]
     fn status_codes_say_trust_and_overflow() {

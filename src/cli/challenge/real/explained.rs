@@ -5,10 +5,10 @@ use serde_json::{Value, json};
 
 use super::{called, text};
 use crate::cli::say;
-use crate::detect::oscillation;
-use crate::gap::{Ask, Diagnosis, Fit, Serial, UNKNOWN, diagnose};
-use crate::record::Record;
-use crate::signal::stats;
+use stiction::detect::oscillation;
+use stiction::gap::{Ask, Diagnosis, Fit, Serial, UNKNOWN, diagnose};
+use stiction::record::Record;
+use stiction::signal::stats;
 
 /// Share of PV's variance from which a base says something of a record.
 const FOLLOWS: f64 = 0.5;

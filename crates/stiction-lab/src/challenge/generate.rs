@@ -1,0 +1,294 @@
+//! One case: a loop is drawn, run as it would be without the effect, measured, given the effect and run again.
+//!
+//! A draw is thrown away when the loop does not swing, hits the ends of OP, or leaves what a record needs (55 to 250
+//! samples a period, 5 to 30 periods). A case with an effect is drawn again, up to [`TRIES`] times, until the effect
+//! shows: what a refitted first-order process with the loop's own valve leaves of PV is [`SHOWN`] times the noise.
+//! The last try is kept whatever it shows, and the truth says how much that is.
+
+use super::enter::{Made, Scale};
+use super::kinds::Kind;
+use super::plant::{Drive, Plant, ProcessSpec, Run};
+use super::valve::{Law, Packing, ValveSpec};
+use crate::truth::draw::Draw;
+use crate::truth::rig::{motions, tune, turns};
+use stiction::signal::stats::{mean, quantile, std_dev};
+use stiction::sim::controller::{Action, PidSettings};
+use stiction::sim::friction::SUB_STEPS;
+use stiction::sim::noise::Noise;
+use stiction::sim::process::{Pole, ProcessModel};
+
+/// Draws of a case before an effect that hardly shows is kept.
+const TRIES: u32 = 8;
+
+/// What is left over the noise from which on an effect counts as shown while cases are drawn.
+const SHOWN: f64 = 1.35;
+
+/// What is asked of a case.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Order {
+    /// Stream of its draws.
+    pub stream: String,
+    pub seed: u64,
+    /// None, one, or two effects.
+    pub kinds: Vec<Kind>,
+    /// 0 small, 1 middle, 2 large.
+    pub size: usize,
+    pub setpoint_moves: bool,
+    pub transient: bool,
+    pub mv: bool,
+}
+
+/// A case as it was made.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Case {
+    pub op: Vec<f64>,
+    pub pv: Vec<f64>,
+    pub sp: Vec<f64>,
+    pub mv: Vec<f64>,
+    pub ts_s: f64,
+    pub made: Made,
+    /// Size of each effect, about 0.3 to 1.
+    pub sizes: Vec<f64>,
+    pub noise_sd: f64,
+    pub pv_sd: f64,
+    pub period: f64,
+    /// `[fs, fd]` upwards and downwards as on the bench, with the effect.
+    pub bands: [[f64; 2]; 2],
+    /// Root mean square of what a refitted base with the true valve leaves, and the true form with the true sizes.
+    pub base_rmse: f64,
+    pub oracle_rmse: f64,
+}
+
+/// A loop before anything is wrong with it.
+struct Base {
+    plant: Plant,
+    drive: Drive,
+    scale: Scale,
+    noise_share: f64,
+    ts_s: f64,
+}
+
+/// Period, scans, for which a loop is drawn before it is stretched.
+const DRAWN_FOR: f64 = 100.0;
+
+fn packing(draw: &mut Draw) -> Packing {
+    let fs = draw.log_between(1.5, 6.0);
+    let fc = fs * draw.between(0.05, 0.75);
+    // The Stribeck speed stands above OP's pace (two bands in half a period), so that the stem sticks and slips; the
+    // drag is so little that it hardly creeps before (crest of the curve far below that pace) and slips at once.
+    let pace = 4.0 * fs / DRAWN_FOR;
+    let vs = pace * draw.log_between(1.5, 5.0);
+    let fv = draw.log_between(0.01, 0.04).min(0.02 * pace * (fs - fc) / (vs * vs));
+    Packing { fs, fc, vs, fv }
+}
+
+fn plant(draw: &mut Draw) -> Option<Plant> {
+    let gain = draw.sign() * draw.log_between(0.4, 3.0);
+    let dead_time = 20.0 * draw.log_between(0.1, 0.9);
+    let model = ProcessModel { gain, tau: 20.0, tau2: 0.0, dead_time, integrating: false };
+    let tight = draw.between(0.2, 0.55);
+    let (kc, ti, td, _) = tune(draw, &model, tight)?;
+    let packing = packing(draw);
+    let controller = PidSettings {
+        kc,
+        ti_s: ti,
+        td_s: td,
+        action: if gain > 0.0 { Action::Reverse } else { Action::Direct },
+        op_min: 0.0,
+        op_max: 100.0,
+        op_resolution: 0.0,
+    };
+    Some(Plant {
+        valve: ValveSpec::plain(packing),
+        process: ProcessSpec::plain(gain, 20.0, dead_time),
+        controller,
+        rest_op: draw.between(35.0, 65.0),
+        rest_pv: draw.between(20.0, 200.0),
+        strain: draw.between(-0.6, 0.6) * packing.fs,
+        retuned_at: 1.0,
+        retuned: 1.0,
+        pv_filter: 0.0,
+        neighbour: None,
+        seed: draw.seed(),
+    })
+}
+
+/// The loop of the period `now` made one of the period `wanted`, scans; forces stay, the packing's speed keeps its
+/// relation to OP's pace.
+fn stretched(mut plant: Plant, now: f64, wanted: f64) -> Plant {
+    let c = wanted / now;
+    plant.process.tau *= c;
+    plant.process.dead_time *= c;
+    plant.controller.ti_s *= c;
+    plant.controller.td_s *= c;
+    plant.valve.packing.vs *= DRAWN_FOR / wanted;
+    plant
+}
+
+/// Whether OP stays inside and everything is a number.
+fn is_sane(run: &Run, from: usize) -> bool {
+    run.pv.iter().all(|y| y.is_finite()) && run.op[from..].iter().all(|u| (1.0..99.0).contains(u))
+}
+
+impl Base {
+    fn draw(order: &Order, draw: &mut Draw) -> Option<Self> {
+        let mut plant = plant(draw)?;
+        let [fs, fd] = plant.valve.bench(1.0);
+        // A first run says how quick the limit cycle is; then the loop is stretched to the period wanted.
+        let mut kick = Drive::none(1_500);
+        kick.sp.fill(1.5 * fs * plant.process.gain);
+        let period = turns(&plant.run(&kick).mv, 2e-3 * fs).1?;
+        let wanted = draw.log_between(65.0, 200.0);
+        plant = stretched(plant, period, wanted);
+        let n = (wanted * draw.log_between(7.0, 20.0)).clamp(700.0, 1_900.0);
+        let from = if order.transient { 0.0 } else { wanted * draw.between(3.0, 5.0) };
+        let scans = (n + from) as usize;
+        let mut drive = Drive::none(scans);
+        // Moves of a few slips at PV.
+        let unit = (fs + fd).max(0.6 * fs) * plant.process.gain.abs();
+        let hold = wanted * draw.between(1.2, 2.5);
+        let moves = draw.steps(hold, scans);
+        let size = unit * draw.between(0.6, 1.6);
+        let start = unit * draw.between(1.0, 2.0) * draw.sign();
+        drive
+            .sp
+            .iter_mut()
+            .zip(moves)
+            .for_each(|(sp, step)| *sp = start + if order.setpoint_moves { size * step } else { 0.0 });
+        let run = plant.run(&drive);
+        let from = from as usize;
+        let stem = [quantile(&run.mv[from..], 0.01), quantile(&run.mv[from..], 0.99)];
+        let period = turns(&run.mv, 2e-3 * fs).1.unwrap_or(wanted);
+        let (pv_mean, pv_sd) = (mean(&run.pv[from..]), std_dev(&run.pv[from..]));
+        let scale = Scale { pv_mean, pv_sd, stem, jump: (fs - fd).max(0.1 * fs), period, scans, from };
+        let swings = motions(&run.mv[from..], 2e-3 * fs) >= 10 && scale.pv_sd > 1e-6 && stem[1] - stem[0] > 0.3 * fs;
+        let fits = (55.0..250.0).contains(&period) && (5.0..30.0).contains(&((scans - from) as f64 / period));
+        let noise_share = draw.log_between(0.005, 0.1);
+        let ts_s = draw.pick(&[1.0, 2.0, 5.0, 10.0], 1.0);
+        (swings && fits && is_sane(&run, from)).then_some(Self { plant, drive, scale, noise_share, ts_s })
+    }
+}
+
+/// What is recorded of a run: the part behind the start, PV late by chance, then what recording does.
+fn recorded(made: &Made, run: &Run, from: usize, noise: &mut Noise) -> [Vec<f64>; 4] {
+    let cut = |x: &[f64]| x[from..].to_vec();
+    let mut pv = cut(&run.pv);
+    if made.jitter > 0.0 {
+        for (k, y) in pv.iter_mut().enumerate() {
+            let late = made.jitter * noise.uniform();
+            let at = ((from + k) as f64 - late) * SUB_STEPS as f64;
+            // The measurement's own noise stays with the sample.
+            let own = made.drive.noise[from + k];
+            *y = run.fine[(at.max(0.0) as usize).min(run.fine.len() - 1)] + own;
+        }
+    }
+    made.artefacts.iter().for_each(|artefact| artefact.apply(&mut pv));
+    [cut(&run.op), pv, cut(&run.sp), cut(&run.mv)]
+}
+
+/// A case, drawn until it fits.
+pub(super) fn case(order: &Order) -> Case {
+    let (mut number, mut tries) = (0_u32, 0);
+    loop {
+        // This ends by success alone, as the loops of `sim::truth` do.
+        let mut draw = Draw::new(order.seed, &format!("{}/{number}", order.stream));
+        number += 1;
+        let Some(found) = attempt(order, &mut draw) else { continue };
+        tries += 1;
+        let shows = order.kinds.is_empty() || found.base_rmse >= SHOWN * found.noise_sd;
+        if shows || tries >= TRIES {
+            return found;
+        }
+    }
+}
+
+fn attempt(order: &Order, draw: &mut Draw) -> Option<Case> {
+    let base = Base::draw(order, draw)?;
+    let tier = [0.35, 0.65, 1.0][order.size.min(2)];
+    let sizes: Vec<f64> = order.kinds.iter().map(|_| tier * draw.between(0.85, 1.15)).collect();
+    let seeds = [draw.seed(), draw.seed(), draw.seed()];
+    let mut made = Made::new(base.plant.clone(), base.drive.clone());
+    for (kind, size) in order.kinds.iter().zip(&sizes) {
+        made.enter(*kind, *size, &base.scale, &mut Draw::new(seeds[0], kind.id()));
+    }
+    finish(&base, made, sizes, seeds)
+}
+
+/// Runs a loop with its effects, once for the size of its swing, once with noise.
+fn finish(base: &Base, mut made: Made, sizes: Vec<f64>, seeds: [u64; 3]) -> Option<Case> {
+    let from = base.scale.from;
+    let quiet = made.plant.run(&made.drive);
+    let pv_sd = std_dev(&quiet.pv[from..]);
+    if !is_sane(&quiet, from) || pv_sd > 8.0 * base.scale.pv_sd || pv_sd < 0.25 * base.scale.pv_sd {
+        return None;
+    }
+    let noise_sd = base.noise_share * pv_sd;
+    let mut noise = Noise::new(seeds[1], 0);
+    made.drive.noise.iter_mut().for_each(|x| *x = noise_sd * noise.gaussian());
+    let run = made.plant.run(&made.drive);
+    if !is_sane(&run, from) || motions(&run.mv[from..], 2e-3 * base.plant.valve.packing.fs) < 8 {
+        return None;
+    }
+    let bands = [made.plant.valve.bench(1.0), made.plant.valve.bench(-1.0)];
+    let [op, pv, sp, mv] = recorded(&made, &run, from, &mut Noise::new(seeds[2], 0));
+    let base_rmse = left_by_base(base, &run.op, &pv);
+    let oracle_rmse = left_by_truth(&made, bands, &run.op, from, &pv, seeds[2]);
+    let period = base.scale.period;
+    let ts_s = base.ts_s;
+    Some(Case { op, pv, sp, mv, ts_s, made, sizes, noise_sd, pv_sd, period, bands, base_rmse, oracle_rmse })
+}
+
+/// What the best first-order process behind the valve as it is without the effect leaves of the recorded PV.
+fn left_by_base(base: &Base, op: &[f64], pv: &[f64]) -> f64 {
+    let [up, down] = [base.plant.valve.bench(1.0), base.plant.valve.bench(-1.0)];
+    let mut plain = base.plant.clone();
+    plain.valve.law = Law::He([up, down]);
+    let stem = plain.free_run(&Drive::none(op.len()), op).mv;
+    let from = base.scale.from;
+    let process = base.plant.process;
+    let mut best = f64::INFINITY;
+    let mut x = Vec::new();
+    for slow in [0.4, 0.6, 0.8, 1.0, 1.25, 1.6, 2.2, 3.5] {
+        for more in [-0.2, -0.1, 0.0, 0.1, 0.2, 0.35, 0.5, 0.7] {
+            let tau = slow * process.tau;
+            let delay = (process.dead_time + more * process.tau).max(0.0) + 1.0;
+            Pole::lag(tau, delay - delay.floor()).run(delay as usize, &stem, stem[0], &mut x);
+            // What was before the record is forgotten after some time constants.
+            let skip = ((delay + 3.0 * tau) as usize).saturating_sub(from).min(pv.len() / 2);
+            best = best.min(residual_rms(&x[from + skip..], &pv[skip..]));
+        }
+    }
+    best
+}
+
+/// Root mean square of `y` less the best line in `x`.
+fn residual_rms(x: &[f64], y: &[f64]) -> f64 {
+    let n = y.len().max(1) as f64;
+    let mean = |v: &[f64]| v.iter().sum::<f64>() / n;
+    let (mx, my) = (mean(x), mean(y));
+    let cross: f64 = x.iter().zip(y).map(|(a, b)| (a - mx) * (b - my)).sum();
+    let (xx, yy) = (variation(x, mx), variation(y, my));
+    let left = if xx > 0.0 { yy - cross * cross / xx } else { yy };
+    (left.max(0.0) / n).sqrt()
+}
+
+fn variation(v: &[f64], mean: f64) -> f64 {
+    v.iter().map(|a| (a - mean) * (a - mean)).sum()
+}
+
+/// What the catalogue's form of the truth leaves: the valve laws with the bands of the bench in place of the forces,
+/// all other effects with their true sizes, gain and bias refitted, coloured noise and spikes unknown.
+fn left_by_truth(made: &Made, bands: [[f64; 2]; 2], op: &[f64], from: usize, pv: &[f64], seed: u64) -> f64 {
+    let mut known = made.clone();
+    let slides = known.plant.valve.packing.vs < 0.02 * known.plant.valve.packing.fs;
+    known.plant.valve.law = if slides { Law::Tracking(bands[0]) } else { Law::He(bands) };
+    known.drive.noise.iter_mut().for_each(|x| *x = 0.0);
+    if made.form == Some("random walk") || made.form == Some("first order") {
+        known.drive.on_pv.iter_mut().for_each(|x| *x = 0.0);
+    }
+    let run = known.plant.free_run(&known.drive, op);
+    let [_, model, _, _] = recorded(&known, &run, from, &mut Noise::new(seed, 0));
+    let skip = (4.0 * made.plant.process.tau) as usize;
+    let skip = skip.saturating_sub(from).min(pv.len() / 3);
+    residual_rms(&model[skip..], &pv[skip..])
+}

@@ -1,0 +1,213 @@
+//! The sealed truth: what was done to each recording, as a document whose SHA-256 is printed before the diagnosis.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+use thiserror::Error;
+
+use super::Split;
+use super::generate::{Case, Order};
+use super::kinds::Stage;
+
+/// Name of the document.
+pub const SCHEMA: &str = "stictiond.challenge.truth.v1";
+
+/// A number with its unit.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Quantity {
+    /// The number.
+    pub value: f64,
+    /// Its unit; empty for none.
+    pub unit: String,
+}
+
+/// What the right answer is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Answer {
+    /// Nothing is wrong.
+    None,
+    /// An effect of the catalogue.
+    Known,
+    /// An effect that no catalogue has.
+    Foreign,
+    /// Two effects of the catalogue.
+    Pair,
+}
+
+/// What is true of one recording.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct TruthCase {
+    /// The recording.
+    pub name: String,
+    /// What kind of answer is right.
+    pub answer: Answer,
+    /// The effect: an id, two joined by `+` (alphabetical), or `none`.
+    pub effect: String,
+    /// Its form where it has several (a lag of the process or of the sensor).
+    pub form: Option<String>,
+    /// Stages, one an effect.
+    pub stages: Vec<String>,
+    /// Whether free run cannot predict it even when it is known.
+    pub unpredictable: bool,
+    /// `small`, `middle` or `large`; none without an effect.
+    pub size: Option<String>,
+    /// True sizes.
+    pub parameters: BTreeMap<String, Quantity>,
+    /// Standard deviation of the white measurement noise, PV units.
+    pub noise_sd: f64,
+    /// Standard deviation of PV without noise, PV units.
+    pub pv_sd: f64,
+    /// Whether the set point moves.
+    pub setpoint_moves: bool,
+    /// Whether the record holds the start of the cycle.
+    pub transient: bool,
+    /// Whether the valve position is recorded.
+    pub mv: bool,
+    /// Period, samples.
+    pub period: f64,
+    /// Static and kinetic band as read on the bench with the effect, upwards, OP units.
+    pub fs: f64,
+    /// See `fs`.
+    pub fd: f64,
+    /// Gain (PV units per OP unit), time constant and dead time (samples) of the process.
+    pub gain: f64,
+    /// See `gain`.
+    pub tau: f64,
+    /// See `gain`.
+    pub dead_time: f64,
+    /// What a refitted first-order process behind the true base valve leaves of PV, root mean square, PV units.
+    pub base_rmse: f64,
+    /// What the catalogue's form of the truth leaves with the true sizes (gain and bias refitted), PV units; none where
+    /// no catalogue has a form of it.
+    pub oracle_rmse: Option<f64>,
+}
+
+const SIZES: [&str; 3] = ["small", "middle", "large"];
+
+impl TruthCase {
+    pub(super) fn of(name: &str, order: &Order, case: &Case) -> Self {
+        let ids: Vec<&str> = order.kinds.iter().map(|k| k.id()).collect();
+        let answer = match order.kinds.as_slice() {
+            [] => Answer::None,
+            [one] if one.is_in_catalogue() => Answer::Known,
+            [_] => Answer::Foreign,
+            _ => Answer::Pair,
+        };
+        let quantity = |(name, value, unit): &(&str, f64, &str)| {
+            ((*name).to_owned(), Quantity { value: *value, unit: (*unit).to_owned() })
+        };
+        let stages = if ids.is_empty() { vec!["none".to_owned()] } else { vec![] };
+        let [fs, fd] = case.bands[0];
+        Self {
+            name: name.to_owned(),
+            answer,
+            effect: if ids.is_empty() { "none".to_owned() } else { ids.join("+") },
+            form: case.made.form.map(str::to_owned),
+            stages: stages.into_iter().chain(order.kinds.iter().map(|k| Stage::name(k.stage()).to_owned())).collect(),
+            unpredictable: order.kinds.iter().any(|k| k.is_unpredictable()),
+            size: (!ids.is_empty()).then(|| SIZES[order.size.min(2)].to_owned()),
+            parameters: case.made.sizes.iter().map(quantity).collect(),
+            noise_sd: case.noise_sd,
+            pv_sd: case.pv_sd,
+            setpoint_moves: order.setpoint_moves,
+            transient: order.transient,
+            mv: order.mv,
+            period: case.period,
+            fs,
+            fd,
+            gain: case.made.plant.process.gain,
+            tau: case.made.plant.process.tau,
+            dead_time: case.made.plant.process.dead_time,
+            base_rmse: case.base_rmse,
+            oracle_rmse: (answer != Answer::Foreign).then_some(case.oracle_rmse),
+        }
+    }
+
+    /// Noise over PV's spread without noise.
+    #[must_use]
+    pub fn noise_share(&self) -> f64 {
+        self.noise_sd / self.pv_sd
+    }
+}
+
+/// The document.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Truth {
+    /// [`SCHEMA`].
+    pub schema: String,
+    /// Version of the generator.
+    pub version: String,
+    /// Seed of all draws.
+    pub seed: u64,
+    /// `A` or `B`.
+    pub split: String,
+    /// Cases an effect.
+    pub cases_per_effect: usize,
+    /// One a recording, in their order.
+    pub cases: Vec<TruthCase>,
+}
+
+/// A truth that cannot be opened.
+#[derive(Debug, Error)]
+pub enum Tampered {
+    /// Its digest is not the one that was printed.
+    #[error(
+        "the truth's SHA-256 is {found}, sealed was {sealed}: it was changed after the challenge was made; make a new one"
+    )]
+    Digest {
+        /// Of the file as it is.
+        found: String,
+        /// As sealed.
+        sealed: String,
+    },
+    /// It is not such a document.
+    #[error("the truth cannot be read: {0}; make the challenge again with this version")]
+    Unreadable(#[from] serde_json::Error),
+    /// A document of another kind or version.
+    #[error("the truth is a {found:?}, this version reads {SCHEMA:?}")]
+    Schema {
+        /// What it calls itself.
+        found: String,
+    },
+}
+
+/// SHA-256 of a truth's bytes, in hexadecimal.
+#[must_use]
+pub fn seal(bytes: &[u8]) -> String {
+    Sha256::digest(bytes).iter().map(|b| format!("{b:02x}")).collect()
+}
+
+impl Truth {
+    pub(super) fn new(seed: u64, split: Split, cases_per_effect: usize, cases: Vec<TruthCase>) -> Self {
+        let (schema, version) = (SCHEMA.to_owned(), stiction::VERSION.to_owned());
+        Self { schema, version, seed, split: split.name().to_owned(), cases_per_effect, cases }
+    }
+
+    /// Its bytes, as sealed.
+    ///
+    /// # Errors
+    /// A number that JSON does not have, which no case holds.
+    pub fn to_bytes(&self) -> Result<Vec<u8>, serde_json::Error> {
+        let mut bytes = serde_json::to_vec_pretty(self)?;
+        bytes.push(b'\n');
+        Ok(bytes)
+    }
+
+    /// Opens a truth if it is the one that was sealed.
+    ///
+    /// # Errors
+    /// [`Tampered`] names both digests, or what is wrong with the document.
+    pub fn open(bytes: &[u8], sealed: &str) -> Result<Self, Tampered> {
+        let (found, sealed) = (seal(bytes), sealed.trim().to_ascii_lowercase());
+        if found != sealed {
+            return Err(Tampered::Digest { found, sealed });
+        }
+        let truth: Self = serde_json::from_slice(bytes)?;
+        if truth.schema != SCHEMA {
+            return Err(Tampered::Schema { found: truth.schema });
+        }
+        Ok(truth)
+    }
+}

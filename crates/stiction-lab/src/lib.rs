@@ -1,0 +1,20 @@
+//! What proves [`stiction`]: loops whose truth is known, a sealed challenge for the gap diagnosis with its scorer, and
+//! the fits of the verdict's rule and of the intervals to what was simulated and labelled.
+//!
+//! The library cannot use any of this, as it does not depend on this crate.
+//!
+//! | room | |
+//! |---|---|
+//! | [`truth`] | closed loops of known truth, by the thousand |
+//! | [`fixture`] | loops that a test writes down |
+//! | [`challenge`] | recordings with one withheld cause each, their sealed truth, the scorer |
+//! | [`calibrate`] | the rule behind `p_stiction`, leaving out valve by valve |
+//! | [`calibrate_intervals`] | how wide intervals have to be |
+
+#![cfg_attr(test, allow(clippy::disallowed_methods, clippy::disallowed_types))]
+
+pub mod calibrate;
+pub mod calibrate_intervals;
+pub mod challenge;
+pub mod fixture;
+pub mod truth;

@@ -1,0 +1,99 @@
+//! The labelled recordings of real loops, read without the program's own readers.
+
+use stiction::record::Record;
+use stiction_lab::fixture::boxed;
+
+/// One labelled recording.
+pub struct Labelled {
+    pub file: String,
+    pub label: String,
+    /// What the loop controls, as the index words it.
+    pub kind: String,
+    pub record: Record,
+}
+
+/// Cells of a line of CSV, quotes taken off.
+pub fn cells(line: &str) -> Vec<String> {
+    let (mut out, mut quoted) = (vec![String::new()], false);
+    for c in line.chars() {
+        match c {
+            '"' => quoted = !quoted,
+            ',' if !quoted => out.push(String::new()),
+            c => out.last_mut().unwrap().push(c),
+        }
+    }
+    out
+}
+
+/// The recordings that the product may look at, or nothing where they are not there.
+pub fn labelled(folder: &str) -> Vec<Labelled> {
+    let root = std::path::Path::new(folder);
+    let Ok(index) = std::fs::read_to_string(root.join("INDEX.csv")) else { return Vec::new() };
+    let mut lines = index.lines();
+    let header: Vec<&str> = lines.next().unwrap().split(',').collect();
+    let place = |name: &str| header.iter().position(|h| *h == name).unwrap();
+    let (file, label, ts) = (place("file"), place("label"), place("sample_time_s"));
+    let kind = place("loop_type");
+    lines
+        .filter_map(|line| {
+            let cells: Vec<&str> = line.split(',').collect();
+            let record = read(&root.join(cells[file]), cells[ts].parse().ok())?;
+            let [file, label, kind] = [file, label, kind].map(|at| cells[at].to_owned());
+            Some(Labelled { file, label, kind, record })
+        })
+        .collect()
+}
+
+/// Where the labelled recordings of real loops are, which are no part of the project.
+pub const RECORDINGS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../shared/data");
+
+/// The same, or a loud word that `test` was skipped for want of them.
+pub fn labelled_or_skip(test: &str) -> Option<Vec<Labelled>> {
+    let all = labelled(RECORDINGS);
+    if all.is_empty() {
+        skipped(test, "no labelled recordings in ../shared/data");
+    }
+    (!all.is_empty()).then_some(all)
+}
+
+/// Says that a test was skipped, past the harness, which keeps what passing tests print to itself; `tests/run.sh` counts
+/// these lines.
+pub fn skipped(test: &str, why: &str) {
+    use std::io::Write;
+    let _ = std::io::stderr().lock().write_all(format!("\nSKIPPED: {test}: {why}\n").as_bytes());
+}
+
+/// Reads `t,op,pv[,sp]`, drops rows that are not finite or do not advance, and boxes what is longer than 2000 samples.
+fn read(path: &std::path::Path, _ts: Option<f64>) -> Option<Record> {
+    let text = std::fs::read_to_string(path).ok()?;
+    let mut lines = text.lines();
+    let header: Vec<&str> = lines.next()?.split(',').collect();
+    let place = |name: &str| header.iter().position(|h| h.trim() == name);
+    let (t, op, pv) = (place("t")?, place("op")?, place("pv")?);
+    let sp = place("sp");
+    let mut rows: Vec<[f64; 4]> = Vec::new();
+    for line in lines {
+        let cells: Vec<&str> = line.split(',').collect();
+        let number = |at: usize| cells.get(at).and_then(|c| c.trim().parse::<f64>().ok()).unwrap_or(f64::NAN);
+        let row = [number(t), number(op), number(pv), sp.map_or(0.0, number)];
+        if row.iter().all(|v| v.is_finite()) && rows.last().is_none_or(|r| r[0] < row[0]) {
+            rows.push(row);
+        }
+    }
+    if rows.len() < 2 {
+        return None;
+    }
+    let ts = (rows[rows.len() - 1][0] - rows[0][0]) / (rows.len() - 1) as f64;
+    let mut k = 1;
+    while rows.len().div_ceil(k) > 2000 {
+        k *= 2;
+    }
+    let column = |at: usize| rows.iter().map(|r| r[at]).collect::<Vec<f64>>();
+    let mut record = boxed(ts, &column(1), &column(2), k);
+    if sp.is_some() && column(3).iter().any(|v| *v != 0.0) {
+        record.sp = Some(column(3).chunks_exact(k).map(|c| c.iter().sum::<f64>() / k as f64).collect());
+    }
+    let steps: Vec<f64> = rows.windows(2).map(|w| w[1][0] - w[0][0]).collect();
+    record.irregularity = 1.4826 * stiction::signal::stats::mad(&steps) / ts;
+    Some(record)
+}

@@ -1,0 +1,20 @@
+//! The library, seen from outside: what it promises, held on simulated and recorded loops.
+//!
+//! One binary, so that what all tests share is compiled and linked once.
+#![allow(missing_docs)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, clippy::disallowed_methods, clippy::disallowed_types)]
+
+mod gap_golden;
+mod labelled;
+mod screening;
+mod traps;
+mod truth_causes;
+mod truth_controller;
+mod truth_detectable;
+mod truth_gap;
+mod truth_intervals;
+mod truth_solvers;
+mod truth_stiction;
+mod val_labelled;
+mod val_plausible;
+mod val_stick_index;

@@ -1,0 +1,107 @@
+//! Screening never changes a verdict: what the gate for calm loops lets go, the whole assessment calls `no_oscillation`.
+#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use crate::labelled;
+use stiction::record::Record;
+use stiction::sim::closed_loop::{ValveLaw, ValveModel};
+use stiction::sim::disturbance::Disturbance;
+use stiction::verdict::{AssessParams, Assessment, P_CALM, SCREENED, Verdict, assess, lets_go};
+use stiction_lab::fixture::Draw;
+use stiction_lab::fixture::healthy::{drawn, healthy, settled};
+use stiction_lab::truth::{Half, Regime, accuracy, verdict_case};
+
+fn params(screening: bool) -> AssessParams {
+    AssessParams { screening, ..AssessParams::default() }
+}
+
+/// The documents with and without screening, where that makes a difference; compares what both must say alike.
+fn both(name: &str, record: &Record) -> Option<[Assessment; 2]> {
+    if !lets_go(record, &params(true)) {
+        return None;
+    }
+    let [short, whole] = [true, false].map(|screening| assess(record, &params(screening)));
+    assert_eq!((short.verdict, short.stiction), (Verdict::NoOscillation, Some(false)), "{name}");
+    assert_eq!(short.verdict, whole.verdict, "{name}: p {:?} without screening", whole.p_stiction);
+    assert_eq!(
+        (short.window, short.oscillation, &short.gates),
+        (whole.window, whole.oscillation, &whole.gates),
+        "{name}"
+    );
+    assert_eq!((short.reason, short.p_stiction), (Some(SCREENED), Some(P_CALM)), "{name}");
+    let names = |a: &Assessment| a.witnesses.iter().map(|w| w.name).collect::<Vec<_>>();
+    assert_eq!(names(&short), names(&whole), "{name}");
+    assert!(short.witnesses.iter().all(|w| w.score.is_none() && w.vote.is_none()), "{name}");
+    assert!(short.s.is_none() && short.process.is_none() && short.controller.is_none(), "{name}");
+    Some([short, whole])
+}
+
+/// A loop under random load, with a valve that sticks a little, or more.
+fn under_load(seed: u64, law: ValveLaw) -> Record {
+    let mut model = drawn(seed + 400, [0.1, 0.5], |_, _| vec![]).0;
+    let s = Draw::new(seed + 9).between(0.2, 4.0);
+    model.valve = ValveModel { law, fs: 0.65 * s, fd: 0.35 * s, ..ValveModel::HEALTHY };
+    settled(model, seed, 80.0, 1200)
+}
+
+fn with_set_point(record: Record, sp: impl Fn(usize) -> f64) -> Record {
+    Record { sp: Some((0..record.len()).map(sp).collect()), ..record }
+}
+
+#[test]
+fn simulated_loops_get_the_verdict_that_they_would_have_got() {
+    let (mut calm, mut let_go, mut p) = (0, 0, Vec::new());
+    for seed in 0..240 {
+        let found = verdict_case(Half::Report, 60_000 + seed);
+        let name = format!("verdict case {} {} {}", found.seed, found.kind, found.record_kind);
+        let documents = both(&name, &found.record());
+        if matches!(found.kind, "noise only" | "coloured" | "random walk" | "slow drift") && !found.sticks {
+            (calm, let_go) = (calm + 1, let_go + usize::from(documents.is_some()));
+        }
+        p.extend(documents.and_then(|[_, whole]| whole.p_stiction));
+    }
+    for seed in 0..40 {
+        let _ = both(&format!("He {seed}"), &under_load(seed, ValveLaw::He));
+        let _ = both(&format!("tracking {seed}"), &under_load(seed, ValveLaw::Tracking));
+        let documents = both(&format!("healthy {seed}"), &healthy(seed + 70, [0.05, 0.4], |_, _| vec![]));
+        p.extend(documents.and_then(|[_, whole]| whole.p_stiction));
+    }
+    let mean = p.iter().sum::<f64>() / p.len() as f64;
+    println!("let go: {let_go} of {calm} calm loops; without screening p is {mean:.3} on average over {}", p.len());
+    assert!(4 * let_go >= calm && p.len() >= 8, "{let_go} of {calm}");
+    assert!((mean - P_CALM).abs() < 0.05, "{mean}");
+}
+
+#[test]
+fn limit_cycles_oscillations_and_set_points_that_move_are_looked_at_in_full() {
+    for regime in Regime::ALL {
+        for seed in 0..3 {
+            let found = accuracy(Half::Report, regime, seed);
+            assert!(both(regime.name(), &found.record()).is_none(), "{} {seed}", regime.name());
+        }
+    }
+    for seed in 0..12 {
+        let sine = |amplitude, period_s| vec![Disturbance::Sine { amplitude, period_s, phase_deg: 0.0 }];
+        assert!(!lets_go(&healthy(seed, [0.2, 0.5], sine), &params(true)), "sine {seed}");
+        let model = drawn(seed, [0.2, 0.5], |_, _| vec![]).0;
+        let moved = with_set_point(settled(model, seed, 80.0, 1200), |k| 80.0 + f64::from(u8::from(k > 600)));
+        assert!(!lets_go(&moved, &params(true)), "set point {seed}");
+    }
+}
+
+#[test]
+fn whoever_asks_for_a_fit_gets_one() {
+    let calm = (0..40).map(|seed| healthy(seed, [0.1, 0.3], |_, _| vec![])).find(|r| lets_go(r, &params(true)));
+    let found = assess(&calm.unwrap(), &AssessParams { always_fit: true, ..params(true) });
+    // Its numbers are withheld where no plant would have them; that it was made, its search says.
+    assert!(found.reason != Some(SCREENED) && found.search.is_some_and(|s| s.evaluations > 0));
+}
+
+#[test]
+fn labelled_recordings_get_the_verdict_that_they_would_have_got() {
+    let Some(all) = labelled::labelled_or_skip("labelled_recordings_get_the_verdict_that_they_would_have_got") else {
+        return;
+    };
+    let let_go = all.iter().filter(|item| both(&item.file, &item.record).is_some()).count();
+    println!("let go: {let_go} of {} recordings", all.len());
+    assert!(let_go >= 5, "{let_go}");
+}

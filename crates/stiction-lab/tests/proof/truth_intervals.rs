@@ -1,0 +1,77 @@
+//! Intervals against simulated truth of the half that their figures were not measured on.
+#![allow(missing_docs)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use stiction::ident::width::{Settings, Trust};
+use stiction::verdict::{AssessParams, Assessment, ValveChoice, assess};
+use stiction_lab::calibrate_intervals::{look, table};
+use stiction_lab::truth::{self, Half, Regime};
+
+const MATCHED: [Regime; 6] = [
+    Regime::HeStart,
+    Regime::HeSteady,
+    Regime::HeSetPoint,
+    Regime::TrackingStart,
+    Regime::TrackingSteady,
+    Regime::TrackingSetPoint,
+];
+
+#[test]
+fn intervals_hold_the_truth_as_often_as_they_say() {
+    let rows: Vec<_> =
+        (0..7).flat_map(|seed| MATCHED.map(|regime| look(Half::Report, regime, seed))).flatten().collect();
+    let settings = Settings::shipped();
+    let n = rows.len() as f64;
+    let mean = |i: usize| -> f64 {
+        let regimes = table(&rows, settings).into_iter().filter(|c| MATCHED.iter().any(|r| r.name() == c.name));
+        regimes.map(|c| c.held[i] * c.loops as f64).sum::<f64>() / n
+    };
+    let held: [f64; 4] = core::array::from_fn(mean);
+    eprintln!("{n} loops: s, j, fs, fd held in {held:?}");
+    assert!(n >= 40.0 && held.iter().all(|h| (0.75..=1.0).contains(h)), "{held:?}");
+    for row in &rows {
+        let [s, j] = row.found;
+        let told = row.spread.told(s, j, settings.of(row.spread.trust(s)), 1.0);
+        let inside = |x: [f64; 2], v: f64| x[0] >= 0.0 && x[0] <= v && v <= x[1] && x[1].is_finite();
+        assert!(told.s[0] > 0.0 && inside(told.s, s) && inside(told.j, j), "{row:?} {told:?}");
+        assert!(inside(told.fs, 0.5 * (s + j)) && inside(told.fd, 0.5 * (s - j)), "{row:?} {told:?}");
+    }
+    // What fits is told sharply.
+    let sharp = rows.iter().filter(|r| r.spread.trust(r.found[0]) == Trust::White);
+    let widths: Vec<f64> = sharp.map(|r| (r.spread.s[1] - r.spread.s[0]) / r.found[0]).collect();
+    assert!(widths.len() * 2 > rows.len() && widths.iter().filter(|w| **w < 0.02).count() * 10 > widths.len() * 8);
+}
+
+fn assessed(regime: Regime, seed: u64) -> Assessment {
+    let case = truth::accuracy(Half::Report, regime, seed);
+    let valve = if case.law == "he" { ValveChoice::He } else { ValveChoice::Tracking };
+    assess(&case.record(), &AssessParams { always_fit: true, valve, ..AssessParams::default() })
+}
+
+#[test]
+fn what_the_model_does_not_know_makes_an_interval_wide() {
+    // A model that no plant has gets no interval at all.
+    let all: Vec<Assessment> = (0..6).map(|seed| assessed(Regime::UnknownSine, seed)).collect();
+    let told: Vec<&Assessment> = all.iter().filter(|found| found.implausible.is_empty()).collect();
+    assert!(told.len() >= 4, "{} of {}", told.len(), all.len());
+    for found in told {
+        let ([low, high], s) = (found.s_interval.unwrap(), found.s.unwrap());
+        assert!(low > 0.0 && low < 0.95 * s && high > 1.05 * s, "{low} {s} {high}");
+        assert!(found.j_interval.unwrap()[1] - found.j_interval.unwrap()[0] > 0.05 * s);
+    }
+}
+
+#[test]
+fn every_assessment_with_bands_has_intervals_around_them() {
+    for (regime, seed) in [(Regime::HeSteady, 3), (Regime::RoundedOp, 1), (Regime::Decimated, 2)] {
+        let found = assessed(regime, seed);
+        let inside = |x: Option<[f64; 2]>, v: Option<f64>| {
+            let ([low, high], v) = (x.unwrap(), v.unwrap());
+            low <= v && v <= high && low >= 0.0
+        };
+        assert!(inside(found.s_interval, found.s) && inside(found.j_interval, found.j), "{found:?}");
+        assert!(inside(found.fs_interval, found.fs) && inside(found.fd_interval, found.fd), "{found:?}");
+        assert_eq!(found.interval_level, Some(0.9));
+        assert!(found.j_identifiable.is_some());
+    }
+}

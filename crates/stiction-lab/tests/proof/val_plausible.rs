@@ -1,0 +1,64 @@
+//! Every recording of real loops that there is: what is said of it could be said to a control engineer.
+#![allow(missing_docs)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use crate::labelled;
+
+use stiction::record::Record;
+use stiction::units::LoopKind;
+use stiction::verdict::words;
+use stiction::verdict::{AssessParams, Assessment, assess};
+
+/// What is wrong with an answer, by bounds that are wider than the program's own and know nothing of its table.
+fn nonsense(a: &Assessment, record: &Record, kind: &str) -> Vec<String> {
+    let [pv_span, op_span] = [&record.pv, &record.op_path].map(|x| {
+        let (low, high) = x.iter().fold((f64::MAX, f64::MIN), |(l, h), v| (l.min(*v), h.max(*v)));
+        high - low
+    });
+    let (window_s, floor) = (record.len() as f64 * record.point_s(), 3.0 * record.point_s());
+    let mut out = Vec::new();
+    let mut add = |met: bool, what: String| {
+        if met {
+            out.push(what);
+        }
+    };
+    if let Some(p) = &a.process {
+        let flow = kind == "flow";
+        let tau = p.time_constants_s.first().copied().unwrap_or(0.0);
+        let dead = p.dead_time_s;
+        add(dead > if flow { floor.max(60.0) } else { 7_200.0 }, format!("dead time {dead} s"));
+        add(tau > window_s || (flow && tau > floor.max(300.0)), format!("time constant {tau} s"));
+        add(flow && p.integrating, "a flow that integrates".to_owned());
+        add(!p.integrating && p.gain.abs() * op_span > 50.0 * pv_span, format!("gain {}", p.gain));
+        add(p.fit_pct < 0.0, format!("fit {} %", p.fit_pct));
+    }
+    add(a.s.is_some_and(|s| s > 1.001 * op_span), format!("s {:?} of a span of {op_span}", a.s));
+    let day = a.oscillation.period_s.is_some_and(|p| (0.9..1.1).contains(&(p / 86_400.0)));
+    add(a.stiction == Some(true) && day, "a valve with a daily cycle".to_owned());
+    if let Some(t) = words::bump_test(a).filter(|t| words::too_much(a, t).is_none()) {
+        add(t.total_s > 8.0 * 3_600.0, format!("a test of {} s", t.total_s));
+        add(t.pv_move > 1.001 * pv_span, format!("a test that moves PV by {}", t.pv_move));
+    }
+    if a.stiction == Some(false) {
+        for interval in [a.s_interval, a.fs_interval, a.fd_interval, a.j_interval].into_iter().flatten() {
+            add(interval[0] > 0.0, format!("no stiction, but an interval {interval:?}"));
+        }
+    }
+    out
+}
+
+#[test]
+fn no_model_that_no_plant_has_is_reported_on_any_recording() {
+    let test = "no_model_that_no_plant_has_is_reported_on_any_recording";
+    let Some(all) = labelled::labelled_or_skip(test) else { return };
+    assert!(all.len() >= 100, "{} recordings only", all.len());
+    let mut faults = Vec::new();
+    for item in &all {
+        let kind = LoopKind::from_name(item.kind.split(' ').next().unwrap_or_default()).unwrap_or_default();
+        let params = AssessParams { always_fit: true, kind, ..AssessParams::default() };
+        let found = assess(&item.record, &params);
+        let told = nonsense(&found, &item.record, &item.kind);
+        faults.extend(told.into_iter().map(|what| format!("{}: {} {what}", item.file, found.verdict.name())));
+    }
+    assert!(faults.is_empty(), "{} of {}:\n{}", faults.len(), all.len(), faults.join("\n"));
+}

@@ -1,0 +1,57 @@
+//! The published method's index against the one that an industrial implementation printed beside its plant windows.
+//! The recordings are not part of the project; without them the test is skipped, loudly.
+#![allow(missing_docs)]
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use crate::labelled;
+use std::collections::BTreeMap;
+
+use stiction::ident::one_step::{Search, toolbox_index};
+use stiction::signal::stats;
+
+const FOLDER: &str = labelled::RECORDINGS;
+/// Least correlation. The zero in front of the record matters: without it 0.969.
+const WANTED: f64 = 0.98;
+
+/// Index and search bound by file.
+fn printed() -> BTreeMap<String, [f64; 2]> {
+    let Ok(index) = std::fs::read_to_string(format!("{FOLDER}/INDEX.csv")) else { return BTreeMap::new() };
+    let rows: Vec<Vec<String>> = index.lines().map(labelled::cells).collect();
+    let place = |name: &str| rows[0].iter().position(|h| h == name).unwrap();
+    let (file, value, bound) = (place("file"), place("stick_index_plant"), place("fs_max_plant"));
+    let number = |row: &[String], at: usize| row[at].parse::<f64>().ok();
+    let found = rows[1..].iter().filter_map(|r| Some((r[file].clone(), [number(r, value)?, number(r, bound)?])));
+    found.collect()
+}
+
+fn correlation(a: &[f64], b: &[f64]) -> f64 {
+    let (a, b) = (stiction::signal::detrend::remove_mean(a), stiction::signal::detrend::remove_mean(b));
+    stats::dot(&a, &b) / (stats::dot(&a, &a) * stats::dot(&b, &b)).sqrt()
+}
+
+#[test]
+fn the_printed_index_is_reproduced() {
+    let printed = printed();
+    if printed.is_empty() {
+        labelled::skipped("the_printed_index_is_reproduced", "no plant windows in ../shared/data");
+        return;
+    }
+    let (mut ours, mut theirs) = (Vec::new(), Vec::new());
+    for item in labelled::labelled(FOLDER) {
+        let Some([value, bound]) = printed.get(&item.file) else { continue };
+        let (op, pv) = (item.record.op(), &item.record.pv);
+        // The implementation lets no gain be negative: it prints 0 for the windows of reverse processes.
+        let Some(found) = toolbox_index(&op, pv, &Search::published(*bound, 1.0)) else {
+            eprintln!("aside: {}: printed {value}, PV does not move", item.file);
+            continue;
+        };
+        eprintln!("{:<50} printed {value:.3} found {found:.3}", item.file);
+        ours.push(found);
+        theirs.push(*value);
+    }
+    let errors: Vec<f64> = ours.iter().zip(&theirs).map(|(a, b)| (a - b).abs()).collect();
+    let r = correlation(&ours, &theirs);
+    eprintln!("{} windows: correlation {r:.3}, mean error {:.3}", ours.len(), stats::mean(&errors));
+    assert!(ours.len() >= 45, "only {} windows", ours.len());
+    assert!(r >= WANTED, "correlation {r:.4} < {WANTED}");
+}

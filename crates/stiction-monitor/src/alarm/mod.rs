@@ -1,0 +1,433 @@
+//! The stiction alarm of one loop, after ISA-18.2: raised by m of n windows, held where a window says nothing, cleared
+//! with a dead band, acknowledged by a person, raised again when it gets worse.
+//!
+//! It is a maintenance alert. Everything here depends on the order of the windows and on event time, never on a clock.
+
+mod command;
+mod document;
+mod priority;
+
+use serde::{Deserialize, Serialize};
+
+pub use command::{Command, CommandError, MAX_SHELVE_S, SHELVE_S, check_name};
+pub use document::{ALARM_SCHEMA, AlarmDocument, AlarmWindow, Event, Figures, Mark, Marks, Place};
+pub use priority::Priority;
+
+use crate::config::AlarmParams;
+use document::{Occurrence, event_id, occurrence_id};
+use stiction::units::format_rfc3339;
+use stiction::verdict::{Assessment, Gate};
+
+/// Share of the limit below which s counts for clearing.
+const CLEAR_SHARE: f64 = 0.8;
+/// Windows in a row with a worse class before the alarm is raised again.
+const WORSE_WINDOWS: u8 = 2;
+
+/// Alarm states of ISA-18.2.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, Default, schemars::JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum State {
+    /// Not active, nothing to acknowledge.
+    #[default]
+    Normal,
+    /// Active, not acknowledged.
+    Unack,
+    /// Active, acknowledged.
+    Acked,
+    /// No longer active, not acknowledged.
+    RtnUnack,
+    /// Put aside by a person for a time.
+    Shelved,
+    /// Put aside by design.
+    Suppressed,
+    /// Taken out of service.
+    OutOfService,
+}
+
+impl State {
+    /// The state's word in documents.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Normal => "normal",
+            Self::Unack => "unack",
+            Self::Acked => "acked",
+            Self::RtnUnack => "rtn_unack",
+            Self::Shelved => "shelved",
+            Self::Suppressed => "suppressed",
+            Self::OutOfService => "out_of_service",
+        }
+    }
+}
+
+/// What one window says to the alarm.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Evidence {
+    /// Stiction of at least the limit.
+    For,
+    /// No stiction, or clearly below the limit.
+    Against,
+    /// Stiction a little below the limit: neither raises nor clears.
+    Between,
+    /// No information: the alarm stays as it is.
+    None,
+}
+
+impl Evidence {
+    /// Reads an assessment.
+    #[must_use]
+    pub fn of(assessment: &Assessment, params: &AlarmParams) -> Self {
+        let limit = s_limit(assessment, params).unwrap_or(0.0);
+        match (assessment.stiction, assessment.s) {
+            (None, _) => Self::None,
+            (Some(true), _) if assessment.gates.contains(&Gate::TooCoarse) => Self::None,
+            // Called, but not surely enough to raise anything; or without a size that could be held against the limit.
+            (Some(true), _) if assessment.explanation.is_some_and(|e| !e.alarms()) => Self::None,
+            (Some(true), None) => Self::None,
+            (Some(true), Some(s)) if s >= limit => Self::For,
+            (Some(true), Some(s)) if s >= CLEAR_SHARE * limit => Self::Between,
+            _ => Self::Against,
+        }
+    }
+}
+
+/// The s from which on a window counts, OP units: the lesser of the limits that are set; none where neither is.
+fn s_limit(a: &Assessment, params: &AlarmParams) -> Option<f64> {
+    let span = a.s.zip(a.s_over_span).map(|(s, share)| s / share).filter(|span| span.is_finite() && *span > 0.0);
+    let by_span = span.filter(|_| params.s_limit_span > 0.0).map(|span| params.s_limit_span * span);
+    let by_op = (params.s_limit_op > 0.0).then_some(params.s_limit_op);
+    [by_op, by_span].into_iter().flatten().reduce(f64::min)
+}
+
+/// Where an alarm was put by people; it goes on as ever behind it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Aside {
+    /// Put aside by a person until then, event time, ns.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub shelved_until_ns: Option<i64>,
+    /// Put aside by design, as while a unit stands still.
+    pub suppressed: bool,
+    /// Taken out of service, as while the valve is repaired.
+    pub out_of_service: bool,
+}
+
+impl Aside {
+    fn is_nowhere(&self) -> bool {
+        *self == Self::default()
+    }
+}
+
+/// One loop's alarm, with the memory that m of n needs. Written into every recording, so that a restart keeps it.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct Alarm {
+    /// Its state but for where it was put: `normal`, `unack`, `acked` or `rtn_unack`. See [`Alarm::shown`].
+    pub state: State,
+    /// Where it was put.
+    #[serde(default, skip_serializing_if = "Aside::is_nowhere")]
+    pub aside: Aside,
+    /// Whether the condition holds.
+    pub active: bool,
+    /// The last informative windows, newest in bit 0: evidence for.
+    history_for: u32,
+    /// The same: evidence against.
+    history_against: u32,
+    /// Worst class since the alarm was raised.
+    class: Option<String>,
+    worse_windows: u8,
+    window_end_ns: Option<i64>,
+    /// From when it is raised until it is at rest again.
+    #[serde(default)]
+    occurrence: Option<Occurrence>,
+    /// When it was raised, in the memory of builds that kept nothing else of it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    raised_ns: Option<i64>,
+    /// Of the newest window that could answer.
+    #[serde(default)]
+    figures: Figures,
+    /// What people did to it.
+    #[serde(default)]
+    marks: Marks,
+    /// Changes so far, and the identity of the last one.
+    #[serde(default)]
+    changes: u64,
+    #[serde(default)]
+    event_id: String,
+}
+
+/// Why a document stands that the shelf's time brought.
+const SHELF_OVER: &str = "the time on the shelf is over";
+
+/// What a command did, where nobody says why.
+const fn done_by(event: Event) -> &'static str {
+    match event {
+        Event::Shelved => "shelved",
+        Event::Unshelved => "taken off the shelf",
+        Event::Suppressed => "suppressed",
+        Event::Unsuppressed => "no longer suppressed",
+        Event::OutOfService => "taken out of service",
+        Event::InService => "back in service",
+        _ => "acknowledged",
+    }
+}
+
+/// Rank of a class, 0 for none.
+fn rank(class: Option<&str>) -> u8 {
+    match class {
+        Some("weak") => 1,
+        Some("moderate") => 2,
+        Some("strong") => 3,
+        _ => 0,
+    }
+}
+
+impl Alarm {
+    /// The state as people see it: out of service before suppressed before shelved before the rest.
+    #[must_use]
+    pub const fn shown(&self) -> State {
+        match self.aside {
+            Aside { out_of_service: true, .. } => State::OutOfService,
+            Aside { suppressed: true, .. } => State::Suppressed,
+            Aside { shelved_until_ns: Some(_), .. } => State::Shelved,
+            _ => self.state,
+        }
+    }
+
+    /// Takes the next window of the loop; gives out a document if the state changes.
+    pub fn window(&mut self, loop_name: &str, a: &Assessment, params: &AlarmParams) -> Option<AlarmDocument> {
+        let end_ns = a.window.end_ns;
+        self.window_end_ns = Some(end_ns);
+        let over = self.aside.shelved_until_ns.is_some_and(|until_ns| end_ns >= until_ns);
+        if over {
+            self.aside.shelved_until_ns = None;
+            self.marks.shelved = None;
+        }
+        let (event, detail) = match (self.weigh(a, params), over) {
+            (Some((event, detail)), true) => (event, format!("{detail}; {SHELF_OVER}")),
+            (None, true) => (Event::ShelfEnded, SHELF_OVER.to_owned()),
+            (Some(changed), false) => changed,
+            (None, false) => return None,
+        };
+        Some(self.changed(loop_name, end_ns, event, None, detail))
+    }
+
+    /// What a window changes, and why.
+    fn weigh(&mut self, a: &Assessment, params: &AlarmParams) -> Option<(Event, String)> {
+        let evidence = Evidence::of(a, params);
+        if evidence == Evidence::None {
+            return None;
+        }
+        self.figures = Figures::of(a, s_limit(a, params));
+        let [m, n] = params.raise.map(u32::from);
+        let mask = u32::MAX >> (32 - n.clamp(1, 32));
+        self.history_for = (self.history_for << 1 | u32::from(evidence == Evidence::For)) & mask;
+        self.history_against = (self.history_against << 1 | u32::from(evidence == Evidence::Against)) & mask;
+        let class = a.severity.or(a.strength);
+        if !self.active && evidence == Evidence::For && self.history_for.count_ones() >= m {
+            self.active = true;
+            self.history_against = 0;
+            self.state = State::Unack;
+            self.class = class.map(str::to_owned);
+            self.worse_windows = 0;
+            self.marks.acknowledged = None;
+            let why = format!("{} of the last {n} windows show stiction; {}", self.history_for.count_ones(), size(a));
+            self.occurrence = Some(Occurrence { since_ns: a.window.end_ns, why: why.clone() });
+            return Some((Event::Raised, why));
+        }
+        if self.active && self.history_against.count_ones() >= m {
+            self.active = false;
+            self.history_for = 0;
+            self.state = if self.state == State::Unack { State::RtnUnack } else { State::Normal };
+            let shown = self.history_against.count_ones();
+            return Some((Event::Cleared, format!("{shown} of the last {n} windows show no stiction")));
+        }
+        self.worsened(a, class, evidence)
+    }
+
+    /// Raises an active alarm again when its class gets worse and stays so.
+    fn worsened(&mut self, a: &Assessment, class: Option<&'static str>, evidence: Evidence) -> Option<(Event, String)> {
+        let worse = self.active && evidence == Evidence::For && rank(class) > rank(self.class.as_deref());
+        self.worse_windows = if worse { self.worse_windows + 1 } else { 0 };
+        if self.worse_windows < WORSE_WINDOWS {
+            return None;
+        }
+        self.worse_windows = 0;
+        let before = self.class.replace(class.unwrap_or_default().to_owned()).unwrap_or_else(|| "none".to_owned());
+        self.state = State::Unack;
+        self.marks.acknowledged = None;
+        let why = format!("worse than before: {before} has become {}; {}", class.unwrap_or("none"), size(a));
+        if let Some(occurrence) = &mut self.occurrence {
+            occurrence.why.clone_from(&why);
+        }
+        Some((Event::Worse, why))
+    }
+
+    /// Carries out a person's command at the loop's event time.
+    ///
+    /// # Errors
+    /// [`CommandError`] where nobody is named, the command is unknown or does not fit the state; nothing changes then.
+    pub fn command(&mut self, loop_name: &str, c: &Command, at_ns: i64) -> Result<AlarmDocument, CommandError> {
+        let by = c.by.as_deref().filter(|by| !by.trim().is_empty()).ok_or(CommandError::Nameless)?;
+        let mark = |until_ns| Some(Mark::new(by, c.why.as_ref(), at_ns, until_ns));
+        let event = match c.cmd.as_str() {
+            "ack" => {
+                self.acknowledge(loop_name)?;
+                self.marks.acknowledged = mark(None);
+                Event::Acknowledged
+            }
+            "shelve" => {
+                self.shelve(loop_name, c.for_s.unwrap_or(SHELVE_S), at_ns)?;
+                self.marks.shelved = mark(self.aside.shelved_until_ns);
+                Event::Shelved
+            }
+            "unshelve" => {
+                let shelved = self.aside.shelved_until_ns.take().is_some();
+                self.expect(loop_name, shelved, "it is not shelved")?;
+                self.marks.shelved = None;
+                Event::Unshelved
+            }
+            "suppress" | "unsuppress" => {
+                let on = c.cmd == "suppress";
+                self.put(loop_name, |aside| &mut aside.suppressed, on)?;
+                self.marks.suppressed = mark(None).filter(|_| on);
+                if on { Event::Suppressed } else { Event::Unsuppressed }
+            }
+            "out_of_service" | "in_service" => {
+                let out = c.cmd == "out_of_service";
+                self.put(loop_name, |aside| &mut aside.out_of_service, out)?;
+                self.marks.out_of_service = mark(None).filter(|_| out);
+                if out { Event::OutOfService } else { Event::InService }
+            }
+            other => return Err(CommandError::Unknown(other.to_owned())),
+        };
+        let detail = c.why.clone().unwrap_or_else(|| done_by(event).to_owned());
+        Ok(self.changed(loop_name, at_ns, event, Some(by.to_owned()), detail))
+    }
+
+    fn acknowledge(&mut self, loop_name: &str) -> Result<(), CommandError> {
+        self.state = match self.state {
+            State::Unack => State::Acked,
+            State::RtnUnack => State::Normal,
+            _ => {
+                let (loop_name, state) = (loop_name.to_owned(), self.shown().name());
+                return Err(CommandError::NothingToAcknowledge { loop_name, state });
+            }
+        };
+        Ok(())
+    }
+
+    fn shelve(&mut self, loop_name: &str, for_s: u64, at_ns: i64) -> Result<(), CommandError> {
+        if !(1..=MAX_SHELVE_S).contains(&for_s) {
+            return Err(CommandError::ShelveTime(for_s));
+        }
+        self.expect(loop_name, self.aside.shelved_until_ns.is_none(), "unshelve it first")?;
+        let for_ns = i64::try_from(for_s).unwrap_or(i64::MAX).saturating_mul(1_000_000_000);
+        self.aside.shelved_until_ns = Some(at_ns.saturating_add(for_ns));
+        Ok(())
+    }
+
+    fn put(&mut self, loop_name: &str, place: fn(&mut Aside) -> &mut bool, to: bool) -> Result<(), CommandError> {
+        let changes = std::mem::replace(place(&mut self.aside), to) != to;
+        self.expect(loop_name, changes, if to { "it is so already" } else { "it is not" })
+    }
+
+    fn expect(&self, loop_name: &str, fits: bool, why: &'static str) -> Result<(), CommandError> {
+        if fits {
+            return Ok(());
+        }
+        Err(CommandError::Unfit { loop_name: loop_name.to_owned(), state: self.shown().name(), why })
+    }
+
+    /// End of the last window that was taken.
+    #[must_use]
+    pub const fn window_end_ns(&self) -> Option<i64> {
+        self.window_end_ns
+    }
+
+    /// The alarm as it stands, after a restart.
+    #[must_use]
+    pub fn restored(&self, loop_name: &str) -> AlarmDocument {
+        let at_ns = self.window_end_ns.unwrap_or(0);
+        self.document(loop_name, at_ns, Event::Restored, None, "carried over from the run before".to_owned())
+    }
+
+    /// The document of a change, which thereby has happened.
+    fn changed(
+        &mut self,
+        loop_name: &str,
+        changed_ns: i64,
+        event: Event,
+        by: Option<String>,
+        detail: String,
+    ) -> AlarmDocument {
+        self.changes += 1;
+        self.event_id = event_id(loop_name, self.changes, changed_ns, event);
+        let document = self.document(loop_name, changed_ns, event, by, detail);
+        if !self.active {
+            self.class = None;
+            if self.state == State::Normal {
+                (self.occurrence, self.raised_ns) = (None, None);
+                self.marks.acknowledged = None;
+            }
+        }
+        document
+    }
+
+    fn document(
+        &self,
+        loop_name: &str,
+        changed_ns: i64,
+        event: Event,
+        by: Option<String>,
+        detail: String,
+    ) -> AlarmDocument {
+        let since_ns = self.occurrence.as_ref().map(|o| o.since_ns).or(self.raised_ns);
+        let document = AlarmDocument {
+            schema: ALARM_SCHEMA,
+            loop_name: loop_name.to_owned(),
+            alarm: "stiction",
+            event_id: self.event_id.clone(),
+            occurrence_id: since_ns.map(|since_ns| occurrence_id(loop_name, since_ns)),
+            event,
+            state: self.shown(),
+            active: self.active,
+            priority: None,
+            criticality: None,
+            area: None,
+            equipment: None,
+            ne107: self.ne107(),
+            class: self.class.clone().filter(|_| self.active),
+            unit: String::new(),
+            figures: self.figures.clone(),
+            why: self.occurrence.as_ref().map(|o| o.why.clone()),
+            what_to_do: None,
+            since_ns,
+            since: since_ns.map(format_rfc3339),
+            changed_ns,
+            changed: format_rfc3339(changed_ns),
+            by,
+            detail,
+            marks: self.marks.clone(),
+        };
+        document.at(&Place::default())
+    }
+
+    /// The category of NE 107: work on the device goes before what it shows meanwhile.
+    const fn ne107(&self) -> &'static str {
+        match (self.aside.out_of_service, self.active) {
+            (true, _) => "C",
+            (false, true) => "M",
+            (false, false) => "ok",
+        }
+    }
+}
+
+/// The size of the stiction in words.
+fn size(a: &Assessment) -> String {
+    let number = |x: Option<f64>| x.map_or_else(|| "?".to_owned(), |v| format!("{v:.2}"));
+    let class = a.severity.or(a.strength).unwrap_or("unclassed");
+    format!("s = {} in OP units ({class}), stiction index {}", number(a.s), number(a.stiction_index))
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,53 @@
+//! What to look at first.
+
+use serde::Serialize;
+
+use super::rank;
+
+/// Priority of an alarm (ISA-18.2: what to look at first).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, schemars::JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Priority {
+    /// When there is time.
+    Low,
+    /// At the next occasion.
+    Medium,
+    /// Before others.
+    High,
+    /// First of all.
+    Urgent,
+}
+
+impl Priority {
+    /// Criticality of loops that nobody has weighed.
+    pub const CRITICALITY: u8 = 3;
+
+    /// The priority of a class of stiction on a loop of this criticality (1 to 5, 3 where nothing is said). At 3 weak is
+    /// low, moderate medium, strong high; two steps of criticality move it by one.
+    #[must_use]
+    pub fn of(class: Option<&str>, criticality: u8) -> Self {
+        let doubled = 2 * i32::from(rank(class).max(1)) + i32::from(criticality) - 3;
+        match doubled {
+            ..4 => Self::Low,
+            4 | 5 => Self::Medium,
+            6 | 7 => Self::High,
+            _ => Self::Urgent,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn priority_grows_with_the_class_and_the_criticality() {
+        let row = |criticality| CLASSES.map(|class| Priority::of(Some(class), criticality));
+        assert_eq!(row(3), [Priority::Low, Priority::Medium, Priority::High]);
+        assert_eq!(row(1), [Priority::Low, Priority::Low, Priority::Medium]);
+        assert_eq!(row(5), [Priority::Medium, Priority::High, Priority::Urgent]);
+        assert!((1..5).all(|c| row(c) <= row(c + 1)) && row(4)[0] <= row(4)[1]);
+    }
+
+    const CLASSES: [&str; 3] = ["weak", "moderate", "strong"];
+}

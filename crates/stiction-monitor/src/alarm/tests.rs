@@ -1,0 +1,166 @@
+//! The alarm, step by step and in any order.
+
+use super::*;
+use Priority::{High, Urgent};
+use proptest::prelude::*;
+use stiction::units::Moment;
+use stiction::verdict::{Oscillation, Verdict, Window};
+
+fn assessment(k: i64, verdict: Verdict, s: f64, strength: &'static str) -> Assessment {
+    let (start_ns, end_ns) = (k * 10, (k + 1) * 10);
+    let (start, end) = (Moment(start_ns), Moment(end_ns));
+    let window = Window { start_ns, end_ns, start, end, samples: 100, ts_s: 1.0, box_samples: 1 };
+    let oscillation =
+        Oscillation { oscillating: true, period_s: None, periods: None, samples_per_period: None, regularity: None };
+    let mut a = Assessment::empty(window, oscillation);
+    a.verdict = verdict;
+    a.stiction = verdict.stiction();
+    a.s = Some(s);
+    a.strength = Some(strength);
+    a
+}
+
+fn run(alarm: &mut Alarm, verdicts: &[(Verdict, f64)]) -> Vec<State> {
+    let params = AlarmParams { raise: [3, 4], s_limit_op: 1.0, s_limit_span: 0.0 };
+    let each = verdicts.iter().enumerate();
+    each.filter_map(|(k, (v, s))| alarm.window("L", &assessment(k as i64, *v, *s, "weak"), &params))
+        .map(|d| d.state)
+        .collect()
+}
+
+const YES: (Verdict, f64) = (Verdict::Stiction, 2.0);
+const NO: (Verdict, f64) = (Verdict::Disturbance, 0.0);
+const SILENT: (Verdict, f64) = (Verdict::Inconclusive, 0.0);
+
+#[test]
+fn it_takes_m_of_n_windows_and_silence_holds() {
+    let mut alarm = Alarm::default();
+    assert!(run(&mut alarm, &[YES, YES, SILENT, NO]).is_empty());
+    assert_eq!(run(&mut alarm, &[SILENT, SILENT, YES]), [State::Unack]);
+    assert!(run(&mut alarm, &[SILENT; 50]).is_empty());
+    assert!(alarm.active);
+    assert_eq!(run(&mut alarm, &[NO, NO, NO]), [State::RtnUnack]);
+}
+
+#[test]
+fn it_is_acknowledged_once_and_clears_with_a_dead_band() {
+    let mut alarm = Alarm::default();
+    run(&mut alarm, &[YES; 3]);
+    let ack = Command { cmd: "ack".into(), by: Some("ann".into()), why: None, for_s: None };
+    assert_eq!(alarm.command("L", &ack, 5).unwrap().state, State::Acked);
+    assert!(matches!(alarm.command("L", &ack, 5), Err(CommandError::NothingToAcknowledge { .. })));
+    let unknown = Command { cmd: "explode".into(), by: Some("ann".into()), why: None, for_s: None };
+    assert!(matches!(alarm.command("L", &unknown, 5), Err(CommandError::Unknown(_))));
+    assert!(run(&mut alarm, &[(Verdict::Stiction, 0.9); 10]).is_empty());
+    assert_eq!(run(&mut alarm, &[(Verdict::Stiction, 0.7); 4]), [State::Normal]);
+}
+
+#[test]
+fn one_of_three_does_not_flap() {
+    let params = AlarmParams { raise: [1, 3], s_limit_op: 1.0, s_limit_span: 0.0 };
+    let mut alarm = Alarm::default();
+    let mut changes = Vec::new();
+    for (k, verdict) in [Verdict::Stiction, Verdict::Tuning, Verdict::Tuning, Verdict::Tuning].into_iter().enumerate() {
+        changes.extend(alarm.window("L", &assessment(k as i64, verdict, 2.0, "weak"), &params).map(|d| d.state));
+    }
+    assert_eq!(changes, [State::Unack, State::RtnUnack]);
+}
+
+#[test]
+fn it_is_raised_again_when_it_gets_worse() {
+    let params = AlarmParams { raise: [1, 1], s_limit_op: 1.0, s_limit_span: 0.0 };
+    let mut alarm = Alarm::default();
+    alarm.window("L", &assessment(0, Verdict::Stiction, 2.0, "weak"), &params).unwrap();
+    let ack = Command { cmd: "ack".into(), by: Some("ann".into()), why: None, for_s: None };
+    alarm.command("L", &ack, 5).unwrap();
+    assert!(alarm.window("L", &assessment(1, Verdict::Stiction, 9.0, "strong"), &params).is_none());
+    let again = alarm.window("L", &assessment(2, Verdict::Stiction, 9.0, "strong"), &params).unwrap();
+    assert_eq!((again.state, again.class.as_deref()), (State::Unack, Some("strong")));
+    assert_eq!((again.event, again.marks.acknowledged.clone()), (Event::Worse, None));
+    let priority = |criticality| again.clone().at(&Place { criticality, ..Place::default() }).priority;
+    assert_eq!([None, Some(3), Some(5)].map(priority), [High, High, Urgent].map(Some));
+    let over = alarm.window("L", &assessment(3, Verdict::Tuning, 0.0, "weak"), &params).unwrap();
+    assert_eq!(over.at(&Place { criticality: Some(5), ..Place::default() }).priority, None);
+}
+
+fn asks(cmd: &str, why: Option<&str>) -> Command {
+    Command { cmd: cmd.into(), by: Some("ann".into()), why: why.map(str::to_owned), for_s: Some(3600) }
+}
+
+#[test]
+fn what_people_do_stands_apart_from_what_raised_it() {
+    let mut alarm = Alarm::default();
+    let params = AlarmParams { raise: [1, 1], s_limit_op: 1.0, s_limit_span: 0.0 };
+    let raised = alarm.window("L", &assessment(0, Verdict::Stiction, 2.0, "weak"), &params).unwrap();
+    assert_eq!((raised.event, raised.since_ns, raised.by.as_deref()), (Event::Raised, Some(10), None));
+    assert_eq!((raised.figures.s, raised.figures.s_limit, raised.unit.as_str()), (Some(2.0), Some(1.0), "OP"));
+    assert!(raised.what_to_do.as_deref().unwrap().contains("0.50 OP"), "{raised:?}");
+    let acked = alarm.command("L", &asks("ack", Some("seen")), 20).unwrap();
+    assert_eq!((acked.why.as_deref(), acked.detail.as_str()), (raised.why.as_deref(), "seen"));
+    assert_eq!(acked.marks.acknowledged.as_ref().map(|m| (m.by.as_str(), m.at_ns)), Some(("ann", 20)));
+    assert_eq!(acked.occurrence_id, raised.occurrence_id);
+    assert_ne!(acked.event_id, raised.event_id);
+    let shelved = alarm.command("L", &asks("shelve", None), 20).unwrap();
+    let until_ns = 20 + 3_600_000_000_000;
+    assert_eq!(shelved.marks.shelved.as_ref().and_then(|m| m.until_ns), Some(until_ns));
+    assert_eq!(shelved.marks.shelved.and_then(|m| m.until).as_deref(), Some("1970-01-01T01:00:00.00000002Z"));
+    // Told again after a restart, it is the same event.
+    let restored = alarm.restored("L");
+    assert_eq!((restored.event, &restored.event_id), (Event::Restored, &shelved.event_id));
+    assert_eq!(alarm.command("L", &asks("out_of_service", None), 30).unwrap().ne107, "C");
+    assert_eq!(alarm.command("L", &asks("in_service", None), 31).unwrap().ne107, "M");
+    let over = alarm.window("L", &assessment(1, Verdict::Tuning, 0.0, "weak"), &params).unwrap();
+    assert_eq!((over.event, over.state, over.ne107), (Event::Cleared, State::Shelved, "ok"));
+    assert_eq!((&over.occurrence_id, over.since_ns, over.class), (&raised.occurrence_id, Some(10), None));
+    // At rest nothing of it is left but the shelf.
+    let taken = alarm.command("L", &asks("unshelve", None), 40).unwrap();
+    assert_eq!((taken.occurrence_id, taken.why, taken.marks), (None, None, Marks::default()));
+    let nobody = Command { by: None, ..asks("suppress", None) };
+    assert_eq!(alarm.command("L", &nobody, 50).unwrap_err(), CommandError::Nameless);
+}
+
+#[test]
+fn the_limit_fits_loops_of_every_size() {
+    let alarms = |s: f64, span: f64, params: &AlarmParams| {
+        let mut alarm = Alarm::default();
+        let window = |k| Assessment { s_over_span: Some(s / span), ..assessment(k, Verdict::Stiction, s, "weak") };
+        (0..10).any(|k| alarm.window("L", &window(k), params).is_some())
+    };
+    let default = AlarmParams::default();
+    // A small cycle in %, one of a loop whose OP runs from 0 to 1, and a valve of some size under wide moves of OP.
+    assert!(alarms(0.6, 1.2, &default) && alarms(0.006, 0.012, &default) && alarms(1.5, 60.0, &default));
+    assert!(!alarms(0.6, 20.0, &default));
+    let in_op = AlarmParams { s_limit_op: 2.0, s_limit_span: 0.0, ..default };
+    assert!(!alarms(0.6, 1.2, &in_op) && alarms(2.1, 60.0, &in_op));
+    let any = AlarmParams { s_limit_op: 0.0, s_limit_span: 0.0, ..default };
+    assert!(alarms(1e-6, 60.0, &any));
+}
+
+#[test]
+fn a_memory_of_an_earlier_build_is_taken_over() {
+    let earlier = r#"{"state":"acked","active":true,"history_for":7,"history_against":0,"class":"weak","worse_windows":0,
+        "raised_ns":10,"window_end_ns":10}"#;
+    let alarm: Alarm = serde_json::from_str(earlier).unwrap();
+    let restored = alarm.restored("L");
+    assert_eq!((restored.state, restored.active, restored.class.as_deref()), (State::Acked, true, Some("weak")));
+    assert_eq!(restored.since_ns, Some(10));
+}
+
+proptest! {
+    #[test]
+    fn states_and_activity_agree_in_any_order(steps in proptest::collection::vec(0_u8..6, 0..64)) {
+        let params = AlarmParams { raise: [2, 3], s_limit_op: 1.0, s_limit_span: 0.0 };
+        let mut alarm = Alarm::default();
+        for (k, step) in steps.into_iter().enumerate() {
+            let verdict = [Verdict::Stiction, Verdict::Disturbance, Verdict::Inconclusive][usize::from(step % 3)];
+            if step == 5 {
+                let _ = alarm.command("L", &Command { cmd: "ack".into(), by: Some("ann".into()), why: None, for_s: None }, k as i64);
+            } else {
+                alarm.window("L", &assessment(k as i64, verdict, f64::from(step), "weak"), &params);
+            }
+            prop_assert_eq!(alarm.active, matches!(alarm.state, State::Unack | State::Acked));
+            let text = serde_json::to_string(&alarm).unwrap();
+            prop_assert_eq!(serde_json::from_str::<Alarm>(&text).unwrap(), alarm.clone());
+        }
+    }
+}

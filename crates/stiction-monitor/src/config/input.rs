@@ -1,0 +1,106 @@
+//! `[input]`: what is taken in, and how much of it.
+
+use serde::Serialize;
+use toml::de::DeTable;
+
+use super::bundle::codec_words;
+use super::reader::{Fault, Lines, TableReader};
+use crate::codec::AUTO;
+use stiction::record::Mode;
+
+/// `[input] queue_bytes` where nothing is said.
+const QUEUE_BYTES: usize = 64 << 20;
+/// `[input] max_rate_hz` where nothing is said: a thousand times what a plant sends.
+const MAX_RATE_HZ: f64 = 1000.0;
+/// `[input] max_ahead_s` where nothing is said: a day.
+const MAX_AHEAD_S: f64 = 86_400.0;
+/// `[input] new_loops_per_hour` where nothing is said.
+const NEW_LOOPS_PER_HOUR: u32 = 20_000;
+
+// Keys that came later are left out of the hash at their defaults: older recordings still read as recorded.
+#[allow(clippy::trivially_copy_pass_by_ref)] // as serde calls it
+const fn is_queue_bytes_default(bytes: &usize) -> bool {
+    *bytes == QUEUE_BYTES
+}
+
+#[allow(clippy::trivially_copy_pass_by_ref)]
+fn is_rate_default(rate_hz: &f64) -> bool {
+    rate_hz.to_bits() == MAX_RATE_HZ.to_bits()
+}
+
+#[allow(clippy::trivially_copy_pass_by_ref)]
+fn is_ahead_default(ahead_s: &f64) -> bool {
+    ahead_s.to_bits() == MAX_AHEAD_S.to_bits()
+}
+
+#[allow(clippy::trivially_copy_pass_by_ref)]
+const fn is_new_loops_default(n: &u32) -> bool {
+    *n == NEW_LOOPS_PER_HOUR
+}
+
+/// `[input]`.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Input {
+    /// Monitor every loop that appears under the prefix.
+    pub discover: bool,
+    /// Loops beyond this many are counted and left alone. Those that the configuration names have their places.
+    pub max_loops: usize,
+    /// Loops that may be discovered in an hour, or at once after an hour without one.
+    #[serde(skip_serializing_if = "is_new_loops_default")]
+    pub new_loops_per_hour: u32,
+    /// Samples a second of one key in the long run; 0: no limit.
+    #[serde(skip_serializing_if = "is_rate_default")]
+    pub max_rate_hz: f64,
+    /// How far a stamp may be ahead of both the wall clock and the other loops, s; 0: no limit.
+    #[serde(skip_serializing_if = "is_ahead_default")]
+    pub max_ahead_s: f64,
+    /// Messages that may wait for the engine.
+    pub queue: usize,
+    /// Bytes of messages that may wait for the engine.
+    #[serde(skip_serializing_if = "is_queue_bytes_default")]
+    pub queue_bytes: usize,
+    /// Payload codec: `auto` or one codec's name.
+    pub codec: String,
+    /// Convention of quality codes: `ua` or `classic`.
+    pub quality: String,
+    /// Numbers that stand for modes.
+    pub modes: Vec<(i64, Mode)>,
+}
+
+pub(super) fn read_input(r: &mut TableReader<'_, '_>) -> Input {
+    let mut modes = Vec::new();
+    for (number, word, line) in r.text_map("modes") {
+        match (number.parse::<i64>(), Mode::from_word(&word)) {
+            (Ok(n), mode) if mode != Mode::Unknown || word == "unknown" => modes.push((n, mode)),
+            (Ok(_), _) => {
+                r.refuse(line, "modes", format!("{word:?} is not a mode"), "write auto, manual, cascade or unknown");
+            }
+            (Err(_), _) => {
+                r.refuse(line, "modes", format!("{number:?} is not a whole number"), "write 0 = \"manual\"");
+            }
+        }
+    }
+    Input {
+        discover: r.boolean("discover", true),
+        max_loops: r.integer("max_loops", 100_000, 1, 1_000_000) as usize,
+        new_loops_per_hour: r.integer("new_loops_per_hour", NEW_LOOPS_PER_HOUR.into(), 1, 1_000_000) as u32,
+        max_rate_hz: r.number("max_rate_hz", MAX_RATE_HZ, 0.0, 1e9),
+        max_ahead_s: r.number("max_ahead_s", MAX_AHEAD_S, 0.0, 1e10),
+        queue: r.integer("queue", 65_536, 16, 16_777_216) as usize,
+        queue_bytes: r.integer("queue_bytes", QUEUE_BYTES as u64, 4_194_304, 1 << 40) as usize,
+        codec: r.word("codec", AUTO, &codec_words()),
+        quality: r.word("quality", "ua", &["ua", "classic"]),
+        modes,
+    }
+}
+
+/// A fault where the loops that are named do not all find a place.
+pub(super) fn too_few_places(lines: &Lines, root: &DeTable<'_>, max_loops: usize, named: usize) -> Option<Fault> {
+    let head = root.iter().find(|(key, _)| key.get_ref() == "input").map_or(0, |(key, _)| key.span().start);
+    (named > max_loops).then(|| Fault {
+        line: lines.of(head),
+        key: "input.max_loops".to_owned(),
+        message: format!("{max_loops} is below the {named} loops that are named"),
+        remedy: format!("write at least {named}"),
+    })
+}

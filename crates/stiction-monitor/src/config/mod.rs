@@ -1,0 +1,507 @@
+//! The configuration: TOML text in, a [`Config`] or every fault at once out. Knows no file.
+
+mod alarm;
+mod bundle;
+mod deliver;
+mod input;
+mod loops;
+mod reader;
+mod service;
+
+use serde::Serialize;
+use sha2::{Digest, Sha256};
+use toml::de::DeTable;
+
+pub use alarm::AlarmParams;
+use alarm::read_alarm;
+pub use bundle::{BundleKey, NAME_MARK};
+pub use deliver::{Address, Deliver, Protocol};
+pub use input::Input;
+pub use reader::Fault;
+use reader::{Lines, TableReader, subtable};
+pub use service::{Commands, Retention, Signing};
+
+use stiction::record::Signal;
+use stiction::units::is_loop_name;
+
+/// Everything the daemon is told. Field names are the keys of the text.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Config {
+    /// Where the plant's keys live.
+    pub site: Site,
+    /// How to reach them.
+    pub zenoh: Zenoh,
+    /// What to take in.
+    pub input: Input,
+    /// Windows, for loops that say nothing else.
+    pub window: WindowParams,
+    /// Alarms, for loops that say nothing else.
+    pub alarm: AlarmParams,
+    /// The gap diagnosis. Left out of [`Config::hash`] while nothing is set, so that recordings from before it existed
+    /// still verify.
+    #[serde(skip_serializing_if = "GapParams::is_default")]
+    pub gap: GapParams,
+    /// Where and how to record.
+    pub recording: Recording,
+    /// How long recordings are kept. Like the next left out of [`Config::hash`] while nothing is set.
+    #[serde(skip_serializing_if = "Retention::is_default")]
+    pub retention: Retention,
+    /// What people may ask for.
+    #[serde(skip_serializing_if = "Commands::is_default")]
+    pub commands: Commands,
+    /// Signatures on documents.
+    #[serde(skip_serializing_if = "Signing::is_default")]
+    pub signing: Signing,
+    /// Metrics and health over HTTP.
+    pub web: Web,
+    /// Receivers outside the bus. Not part of [`Config::hash`]: where documents go changes none of them.
+    #[serde(skip_serializing)]
+    pub deliver: Vec<Deliver>,
+    /// Keys whose payloads hold several signals. Left out of [`Config::hash`] while there are none.
+    #[serde(rename = "bundle", skip_serializing_if = "Vec::is_empty")]
+    pub bundles: Vec<BundleKey>,
+    /// Loops that are mapped or have settings of their own.
+    #[serde(rename = "loop")]
+    pub loops: Vec<LoopConfig>,
+}
+
+/// `[site]`.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Site {
+    /// First chunks of every key.
+    pub prefix: String,
+}
+
+/// `[zenoh]`.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Zenoh {
+    /// `peer` or `client`.
+    pub mode: String,
+    /// Endpoints to listen on.
+    pub listen: Vec<String>,
+    /// Endpoints to connect to.
+    pub connect: Vec<String>,
+    /// Whether to look for peers by multicast.
+    pub multicast: bool,
+    /// Path of a full Zenoh configuration; the keys above are put on top of it where they say something.
+    pub config_file: String,
+}
+
+/// `[window]`; times in seconds.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct WindowParams {
+    /// Least periods for a fit.
+    pub min_periods: f64,
+    /// Most periods in a window.
+    pub max_periods: f64,
+    /// Raw samples a period below which an estimate is called coarse.
+    pub min_samples_per_period: f64,
+    /// Windows end at whole multiples of this.
+    pub hop_s: f64,
+    /// Longest window.
+    pub max_window_s: f64,
+    /// Longest hole that is filled; 0 means five sampling times.
+    pub max_gap_s: f64,
+    /// How late a sample may come.
+    pub lateness_s: f64,
+    /// Points of storage per loop before samples are boxed.
+    pub max_points: usize,
+}
+
+/// `[gap]`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct GapParams {
+    /// Whether a loop that departs from its model is diagnosed without being asked.
+    pub enabled: bool,
+    /// Model responses that one search may compute; a diagnosis with a recorded valve position makes two.
+    pub budget_evaluations: u64,
+}
+
+/// `[recording]`.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Recording {
+    /// Folder of the files.
+    pub dir: String,
+    /// Seconds between flushes to disk.
+    pub flush_s: f64,
+    /// Size at which a file is closed.
+    pub max_bytes: u64,
+    /// Age at which a file is closed, s.
+    pub max_s: f64,
+}
+
+/// `[web]`.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Web {
+    /// Whether to serve at all.
+    pub enabled: bool,
+    /// Address and port; port 0 takes any free one.
+    pub listen: String,
+    /// Whether `/metrics` has series of every loop. Like the next not part of [`Config::hash`].
+    #[serde(skip_serializing)]
+    pub loop_series: bool,
+    /// Loops that have series at most.
+    #[serde(skip_serializing)]
+    pub max_loop_series: usize,
+}
+
+/// `[[loop]]`.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct LoopConfig {
+    /// Name in every topic.
+    pub name: String,
+    /// Foreign keys by signal.
+    pub keys: Vec<(Signal, String)>,
+    /// Range of OP, so that sizes can be given in % of travel.
+    pub op_range: Option<[f64; 2]>,
+    /// What it controls, where the first letters of its name do not say so.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub kind: Option<&'static str>,
+    /// How much the loop matters, 1 to 5.
+    pub criticality: u8,
+    /// Part of the plant; empty: not said. Like the next two left out of [`Config::hash`] while nothing is said.
+    #[serde(skip_serializing_if = "String::is_empty")]
+    pub area: String,
+    /// The valve's name in the maintenance system.
+    #[serde(skip_serializing_if = "String::is_empty")]
+    pub equipment: String,
+    /// Unit of OP.
+    #[serde(skip_serializing_if = "String::is_empty")]
+    pub op_unit: String,
+    /// Its windows.
+    pub window: WindowParams,
+    /// Its alarms.
+    pub alarm: AlarmParams,
+}
+
+impl Default for WindowParams {
+    fn default() -> Self {
+        Self {
+            min_periods: 5.0,
+            max_periods: 20.0,
+            min_samples_per_period: 50.0,
+            hop_s: 600.0,
+            max_window_s: 604_800.0,
+            max_gap_s: 0.0,
+            lateness_s: 5.0,
+            max_points: 2000,
+        }
+    }
+}
+
+impl Default for GapParams {
+    fn default() -> Self {
+        Self { enabled: true, budget_evaluations: 400_000 }
+    }
+}
+
+impl GapParams {
+    fn is_default(&self) -> bool {
+        *self == Self::default()
+    }
+}
+
+impl Config {
+    /// Reads a configuration.
+    ///
+    /// # Errors
+    /// Every fault of syntax, type, range and meaning at once, in the order of the text.
+    pub fn parse(text: &str) -> Result<Self, Vec<Fault>> {
+        let (root, syntax) = DeTable::parse_recoverable(text);
+        let lines = &Lines::new(text);
+        let mut faults: Vec<Fault> = syntax.iter().map(|e| syntax_fault(lines, e)).collect();
+        let root = root.get_ref();
+        let config = Self::read(lines, root, &mut faults);
+        refuse_unknown_tables(lines, root, &mut faults);
+        faults.sort_by_key(|f| f.line);
+        faults.dedup();
+        if faults.is_empty() { Ok(config) } else { Err(faults) }
+    }
+
+    fn read(lines: &Lines, root: &DeTable<'_>, faults: &mut Vec<Fault>) -> Self {
+        let mut open = |key: &str| subtable(lines, root, key, faults);
+        let keys = [
+            "site",
+            "zenoh",
+            "input",
+            "window",
+            "alarm",
+            "gap",
+            "recording",
+            "retention",
+            "commands",
+            "signing",
+            "web",
+        ];
+        let [site, zenoh, input, window, alarm, gap, recording, retention, commands, signing, web] =
+            keys.map(|key| (key, open(key)));
+        macro_rules! read {
+            ($entry:expr, $read:expr) => {{
+                let mut reader = TableReader::new(lines, $entry.0, $entry.1.1, $entry.1.0, faults);
+                let value = $read(&mut reader);
+                reader.close();
+                value
+            }};
+        }
+        let site = read!(site, read_site);
+        let zenoh = read!(zenoh, read_zenoh);
+        let input = read!(input, input::read_input);
+        let window = read!(window, |r: &mut TableReader<'_, '_>| read_window(r, WindowParams::default()));
+        let alarm = read!(alarm, |r: &mut TableReader<'_, '_>| read_alarm(r, AlarmParams::default()));
+        let gap = read!(gap, read_gap);
+        let recording = read!(recording, read_recording);
+        let retention = read!(retention, service::read_retention);
+        let commands = read!(commands, service::read_commands);
+        let signing = read!(signing, service::read_signing);
+        let web = read!(web, read_web);
+        let loops = loops::read_loops(lines, root, window, alarm, faults);
+        let deliver = deliver::read_delivers(lines, root, faults);
+        let bundles = bundle::read_bundles(lines, root, faults);
+        faults.extend(input::too_few_places(lines, root, input.max_loops, loops.len()));
+        Self {
+            site,
+            zenoh,
+            input,
+            window,
+            alarm,
+            gap,
+            recording,
+            retention,
+            commands,
+            signing,
+            web,
+            deliver,
+            bundles,
+            loops,
+        }
+    }
+
+    /// A configuration with every default, for a prefix that is known to be sound.
+    #[must_use]
+    pub fn with_prefix(prefix: &str) -> Self {
+        let mut faults = Vec::new();
+        let (root, _) = DeTable::parse_recoverable("");
+        let mut config = Self::read(&Lines::new(""), root.get_ref(), &mut faults);
+        config.site.prefix = prefix.to_owned();
+        config
+    }
+
+    /// SHA-256 over every setting (not over comments or order of the text), 16 hex digits.
+    #[must_use]
+    pub fn hash(&self) -> String {
+        let canonical = serde_json::to_vec(self).unwrap_or_default();
+        short_hash(&canonical)
+    }
+
+    /// The settings of one loop by name.
+    #[must_use]
+    pub fn loop_named(&self, name: &str) -> Option<&LoopConfig> {
+        self.loops.iter().find(|l| l.name == name)
+    }
+}
+
+/// The first 8 bytes of a SHA-256, as 16 hex digits.
+#[must_use]
+pub fn short_hash(bytes: &[u8]) -> String {
+    Sha256::digest(bytes).iter().take(8).map(|b| format!("{b:02x}")).collect()
+}
+
+fn syntax_fault(lines: &Lines, error: &toml::de::Error) -> Fault {
+    let line = error.span().map_or(1, |s| lines.of(s.start));
+    Fault { line, key: String::new(), message: error.message().trim().replace('\n', ", "), remedy: String::new() }
+}
+
+fn refuse_unknown_tables(lines: &Lines, root: &DeTable<'_>, faults: &mut Vec<Fault>) {
+    const KNOWN: [&str; 14] = [
+        "site",
+        "zenoh",
+        "input",
+        "window",
+        "alarm",
+        "gap",
+        "recording",
+        "retention",
+        "commands",
+        "signing",
+        "web",
+        "deliver",
+        "bundle",
+        "loop",
+    ];
+    for (key, _) in root.iter().filter(|(k, _)| !KNOWN.iter().any(|known| known == k.get_ref())) {
+        faults.push(Fault {
+            line: lines.of(key.span().start),
+            key: key.get_ref().to_string(),
+            message: "unknown table or key".to_owned(),
+            remedy: format!("known here: {}", KNOWN.join(", ")),
+        });
+    }
+}
+
+fn read_site(r: &mut TableReader<'_, '_>) -> Site {
+    let line = r.line().max(1);
+    let prefix = match r.text("prefix") {
+        Some((prefix, line)) => {
+            if !is_loop_name(&prefix) {
+                r.refuse(line, "prefix", format!("{prefix:?} cannot start a key"), "write chunks such as plant1/area1");
+            }
+            prefix
+        }
+        None => {
+            r.refuse(line, "prefix", "is missing", "write prefix = \"plant1/area1\" below [site]");
+            String::new()
+        }
+    };
+    Site { prefix }
+}
+
+/// Starts of the endpoints that this build can open.
+const PROTOCOLS: [&str; 3] = ["tcp/", "tls/", "unixsock-stream/"];
+
+fn read_zenoh(r: &mut TableReader<'_, '_>) -> Zenoh {
+    let mode = r.word("mode", "peer", &["peer", "client"]);
+    let (listen, connect) = (r.texts("listen"), r.texts("connect"));
+    for (key, endpoints) in [("listen", &listen), ("connect", &connect)] {
+        for (endpoint, line) in endpoints.iter().filter(|(e, _)| !PROTOCOLS.iter().any(|p| e.starts_with(p))) {
+            let remedy = "write tcp/HOST:PORT, tls/HOST:PORT or unixsock-stream/PATH";
+            r.refuse(*line, key, format!("{endpoint:?} is not an endpoint"), remedy);
+        }
+    }
+    let multicast = r.boolean("multicast", false);
+    let config_file = r.text("config_file").map(|(t, _)| t).unwrap_or_default();
+    if mode == "client" && connect.is_empty() && config_file.is_empty() {
+        let line = r.line();
+        r.refuse(line, "connect", "a client needs a router", "write connect = [\"tcp/HOST:7447\"], or mode = \"peer\"");
+    }
+    let [listen, connect] = [listen, connect].map(|l| l.into_iter().map(|(endpoint, _)| endpoint).collect());
+    Zenoh { mode, listen, connect, multicast, config_file }
+}
+
+fn read_window(r: &mut TableReader<'_, '_>, d: WindowParams) -> WindowParams {
+    let year_s = 366.0 * 86_400.0;
+    let w = WindowParams {
+        min_periods: r.number("min_periods", d.min_periods, 2.0, 1000.0),
+        max_periods: r.number("max_periods", d.max_periods, 2.0, 10_000.0),
+        min_samples_per_period: r.number("min_samples_per_period", d.min_samples_per_period, 4.0, 10_000.0),
+        hop_s: r.number("hop_s", d.hop_s, 0.001, year_s),
+        max_window_s: r.number("max_window_s", d.max_window_s, 0.01, year_s),
+        max_gap_s: r.number("max_gap_s", d.max_gap_s, 0.0, year_s),
+        lateness_s: r.number("lateness_s", d.lateness_s, 0.0, 86_400.0),
+        max_points: r.integer("max_points", d.max_points as u64, 128, 1_000_000) as usize,
+    };
+    // What a loop only inherits was refused where it stands.
+    if w.max_periods < w.min_periods && (w.max_periods, w.min_periods) != (d.max_periods, d.min_periods) {
+        let line = r.line();
+        r.refuse(line, "max_periods", format!("{} is below min_periods {}", w.max_periods, w.min_periods), "raise it");
+    }
+    if w.max_window_s < w.hop_s && (w.max_window_s, w.hop_s) != (d.max_window_s, d.hop_s) {
+        let line = r.line();
+        r.refuse(line, "max_window_s", format!("{} is below hop_s {}", w.max_window_s, w.hop_s), "raise it");
+    }
+    w
+}
+
+fn read_gap(r: &mut TableReader<'_, '_>) -> GapParams {
+    let d = GapParams::default();
+    GapParams {
+        enabled: r.boolean("enabled", d.enabled),
+        budget_evaluations: r.integer("budget_evaluations", d.budget_evaluations, 1_000, 100_000_000),
+    }
+}
+
+fn read_recording(r: &mut TableReader<'_, '_>) -> Recording {
+    Recording {
+        dir: r.text("dir").map_or_else(|| "recordings".to_owned(), |(t, _)| t),
+        flush_s: r.number("flush_s", 1.0, 0.01, 3600.0),
+        max_bytes: r.integer("max_bytes", 104_857_600, 10_000, 1_000_000_000_000),
+        max_s: r.number("max_s", 3600.0, 0.1, 31_622_400.0),
+    }
+}
+
+/// `[web] max_loop_series` where nothing is said: some eight series each, what a collector takes in one scrape at ease.
+const MAX_LOOP_SERIES: u64 = 1000;
+
+fn read_web(r: &mut TableReader<'_, '_>) -> Web {
+    let enabled = r.boolean("enabled", true);
+    let mut listen = "127.0.0.1:8080".to_owned();
+    if let Some((text, line)) = r.text("listen") {
+        if text.parse::<core::net::SocketAddr>().is_err() {
+            r.refuse(
+                line,
+                "listen",
+                format!("{text:?} is not an address"),
+                "write ADDRESS:PORT, such as 127.0.0.1:8080",
+            );
+        }
+        listen = text;
+    }
+    let loop_series = r.boolean("loop_series", true);
+    let max_loop_series = r.integer("max_loop_series", MAX_LOOP_SERIES, 1, 1_000_000) as usize;
+    Web { enabled, listen, loop_series, max_loop_series }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn the_prefix_alone_is_enough() {
+        let config = Config::parse("[site]\nprefix = \"plant1/area1\"\n").unwrap();
+        assert_eq!(config, Config::with_prefix("plant1/area1"));
+        assert_eq!(config.window, WindowParams::default());
+        assert_eq!(config.hash().len(), 16);
+    }
+
+    #[test]
+    fn every_fault_is_told_at_once_with_line_and_remedy() {
+        let text = "[site]\nprefx = \"a\"\n[window]\nhop_s = \"x\"\nmin_periods = 1\n[alarm]\nraise = [5, 4]\n[nonsense]\n\
+                    [[loop]]\nname = \"A\"\nhop_s = 1\n[[loop]]\nname = \"A\"\nop_range = [5, 5]\n";
+        let faults = Config::parse(text).unwrap_err();
+        let seen: Vec<(usize, &str)> = faults.iter().map(|f| (f.line, f.key.as_str())).collect();
+        for wanted in [
+            (2, "site.prefx"),
+            (4, "window.hop_s"),
+            (5, "window.min_periods"),
+            (7, "alarm.raise"),
+            (8, "nonsense"),
+            (12, "loop[1].name"),
+            (14, "loop[1].op_range"),
+        ] {
+            assert!(seen.contains(&wanted), "{wanted:?} not in {seen:?}");
+        }
+        assert!(seen.iter().any(|(_, key)| *key == "site.prefix"));
+        assert!(faults.iter().filter(|f| !f.key.is_empty()).all(|f| !f.remedy.is_empty()));
+    }
+
+    #[test]
+    fn broken_syntax_is_told_with_its_line() {
+        let faults = Config::parse("[site]\nprefix = \"a\"\nx = = 3\n").unwrap_err();
+        assert!(faults.iter().any(|f| f.line == 3), "{faults:?}");
+    }
+
+    #[test]
+    fn a_loop_overrides_windows_and_alarms() {
+        let text = "[site]\nprefix = \"p\"\n[window]\nhop_s = 60\n[[loop]]\nname = \"A\"\nhop_s = 30\ns_limit_op = 2\n";
+        let config = Config::parse(text).unwrap();
+        let a = config.loop_named("A").unwrap();
+        assert_eq!((a.window.hop_s, a.alarm.s_limit_op, config.window.hop_s), (30.0, 2.0, 60.0));
+    }
+
+    #[test]
+    fn the_hash_hangs_on_the_gap_only_where_it_is_set() {
+        let hash = |gap: &str| Config::parse(&format!("[site]\nprefix = \"p\"\n{gap}")).unwrap().hash();
+        // It changes with what a default means, as that of the alarm's limit: recordings say under which they were made.
+        assert_eq!(hash(""), "362aaef1d938d8b8");
+        assert_eq!(hash("[gap]\nenabled = true\n"), hash(""));
+        assert_ne!(hash("[gap]\nenabled = false\n"), hash(""));
+        assert_ne!(hash("[gap]\nbudget_evaluations = 5000\n"), hash(""));
+    }
+
+    proptest! {
+        #[test]
+        fn any_text_is_answered(text in "[\\[\\]a-z_=\"0-9\\.\\n ,{}#-]{0,200}") {
+            let _ = Config::parse(&text);
+        }
+    }
+}

@@ -1,0 +1,274 @@
+//! One loop: aligner, history, due windows, answers in order, alarm.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+use super::gaps::{GapReason, GapRefusal, GapRequest, GapWatch, PublishedGap};
+use super::windowing::choose_record;
+use super::{Checkpoint, Event, LoopFigures, LoopId, LoopSettings, Request, SkipReason, StateDocument, StreamState};
+use crate::alarm::{Alarm, AlarmDocument, Command, CommandError, State};
+use stiction::gap::MIN_POINTS;
+use stiction::gap::model::Model;
+use stiction::record::{Record, Sample};
+use stiction::signal::align::{Aligned, Aligner};
+use stiction::signal::history::History;
+use stiction::units::ns_from_s;
+use stiction::verdict::{Assessment, EstimateDocument, Gate, Oscillation, Window};
+
+/// A window on its way: what its document needs even without an answer, and the answer once it came.
+#[derive(Debug)]
+struct Waiting {
+    seq: u64,
+    record: Arc<Record>,
+    answer: Option<Assessment>,
+}
+
+/// A diagnosis on its way; the answer once it came is none where it was given up.
+#[derive(Debug)]
+struct WaitingGap {
+    number: u64,
+    /// Whether a person asked for it.
+    by_person: bool,
+    answer: Option<Option<PublishedGap>>,
+}
+
+#[derive(Debug)]
+pub(super) struct Loop {
+    pub name: Arc<str>,
+    pub settings: Arc<LoopSettings>,
+    pub alarm: Alarm,
+    pub gap: GapWatch,
+    aligner: Aligner,
+    history: History,
+    /// End of the window under way: the first multiple of the hop at or after the last sample taken.
+    next_end_ns: Option<i64>,
+    windows: u64,
+    waiting: VecDeque<Waiting>,
+    gaps: u64,
+    gaps_waiting: VecDeque<WaitingGap>,
+}
+
+impl Loop {
+    pub fn new(name: Arc<str>, settings: Arc<LoopSettings>) -> Self {
+        Self {
+            name,
+            alarm: Alarm::default(),
+            gap: GapWatch::default(),
+            aligner: Aligner::new(),
+            history: History::new(settings.window.max_points),
+            next_end_ns: None,
+            windows: 0,
+            waiting: VecDeque::new(),
+            gaps: 0,
+            gaps_waiting: VecDeque::new(),
+            settings,
+        }
+    }
+
+    pub fn push(&mut self, id: LoopId, sample: Sample, out: &mut Vec<Event>) {
+        let settings = self.settings.clone();
+        self.aligner.push(sample, &settings.align);
+        let keep_ns = ns_from_s(settings.window.max_window_s);
+        while let Some(t_ns) = self.aligner.next_ready_ns(&settings.align) {
+            self.enter_hop(id, t_ns, out);
+            let history = &mut self.history;
+            self.aligner.take_next(&settings.align, &mut |aligned| match aligned {
+                Aligned::Point(point) => history.push(&point, point.t_ns.saturating_sub(keep_ns)),
+                Aligned::Break => history.clear(),
+            });
+        }
+        // The window is over once the loop's clock has passed its end and nothing of it waits for its place.
+        if let (Some(end_ns), Some(now_ns)) = (self.next_end_ns, self.aligner.event_time_ns(&settings.align))
+            && now_ns >= end_ns
+            && self.aligner.waiting_ns().is_none_or(|t| t > end_ns)
+        {
+            self.due(id, end_ns, out);
+            self.next_end_ns = None;
+        }
+    }
+
+    /// Closes the window that a sample leaves behind and opens the one it falls into. Hops without a sample have no
+    /// window: an outage of years would otherwise make thousands of empty documents.
+    fn enter_hop(&mut self, id: LoopId, t_ns: i64, out: &mut Vec<Event>) {
+        let hop_ns = ns_from_s(self.settings.window.hop_s).max(1);
+        if let Some(end_ns) = self.next_end_ns {
+            if t_ns > end_ns {
+                self.due(id, end_ns, out);
+                self.next_end_ns = None;
+            } else if t_ns <= end_ns.saturating_sub(hop_ns) {
+                // The clock was set back.
+                self.next_end_ns = None;
+            }
+        }
+        if self.next_end_ns.is_none() {
+            let end = t_ns.div_euclid(hop_ns).saturating_mul(hop_ns);
+            self.next_end_ns = Some(if end == t_ns { end } else { end.saturating_add(hop_ns) });
+        }
+    }
+
+    /// A window is due: its record leaves as a request.
+    fn due(&mut self, id: LoopId, end_ns: i64, out: &mut Vec<Event>) {
+        let mut record = choose_record(&self.history, &self.settings.window, end_ns).unwrap_or_else(|| Record {
+            start_ns: end_ns,
+            end_ns,
+            ..Record::uniform(self.aligner.sampling_time_s().unwrap_or(0.0), Vec::new(), Vec::new())
+        });
+        record.facts.bad += u32::from(self.aligner.bad_since_last_point());
+        let (seq, record) = (self.windows, Arc::new(record));
+        self.windows += 1;
+        self.waiting.push_back(Waiting { seq, record: record.clone(), answer: None });
+        out.push(Event::Request(Box::new(Request { id, seq, end_ns, record, settings: self.settings.clone() })));
+    }
+
+    /// Takes an answer (or none) and consumes all that are next in order.
+    pub fn resolve(&mut self, id: LoopId, seq: u64, answer: Option<Assessment>, hash: &Arc<str>, out: &mut Vec<Event>) {
+        let Some(waiting) = self.waiting.iter_mut().find(|w| w.seq == seq) else { return };
+        waiting.answer = Some(answer.unwrap_or_else(|| skipped(Window::of(&waiting.record))));
+        while self.waiting.front().is_some_and(|w| w.answer.is_some()) {
+            if let Some(Waiting { record, answer: Some(assessment), .. }) = self.waiting.pop_front() {
+                self.consume(id, &record, assessment, hash, out);
+            }
+        }
+    }
+
+    fn consume(
+        &mut self,
+        id: LoopId,
+        record: &Arc<Record>,
+        assessment: Assessment,
+        hash: &Arc<str>,
+        out: &mut Vec<Event>,
+    ) {
+        let change = self.alarm.window(&self.name, &assessment, &self.settings.alarm);
+        let departed = self.gap.window(&assessment, record, &self.settings.gap);
+        let end_ns = assessment.window.end_ns;
+        out.push(Event::Estimate(id, Box::new(EstimateDocument::new(&self.name, hash, assessment))));
+        if let Some(document) = change {
+            out.push(Event::Alarm(id, Box::new(document.at(&self.settings.place))));
+        }
+        let checkpoint = Checkpoint { alarm: self.alarm.clone(), gap: self.gap.clone(), stream: None };
+        out.push(Event::State(id, Box::new(StateDocument::new(&self.name, Some(end_ns), checkpoint))));
+        if let Some((reason, model)) = departed {
+            self.ask_gap(id, (reason, None), record.clone(), model, hash, out);
+        }
+    }
+
+    /// A person asks for a diagnosis of the latest data, cut as a window would be that ended now.
+    pub fn run_gap(
+        &mut self,
+        id: LoopId,
+        by: Option<&str>,
+        hash: &Arc<str>,
+        out: &mut Vec<Event>,
+    ) -> Result<u64, GapRefusal> {
+        let newest_ns = self.history.newest_ns();
+        let record = newest_ns.and_then(|end_ns| choose_record(&self.history, &self.settings.window, end_ns));
+        let points = record.as_ref().map_or(0, Record::len);
+        let Some(record) = record.filter(|_| points >= MIN_POINTS) else {
+            return Err(GapRefusal::TooShort { points, needed: MIN_POINTS });
+        };
+        let (asked, model) = ((GapReason::Operator, by.map(str::to_owned)), self.gap.model().cloned());
+        Ok(self.ask_gap(id, asked, Arc::new(record), model, hash, out))
+    }
+
+    fn ask_gap(
+        &mut self,
+        id: LoopId,
+        (reason, by): (GapReason, Option<String>),
+        record: Arc<Record>,
+        model: Option<Model>,
+        hash: &Arc<str>,
+        out: &mut Vec<Event>,
+    ) -> u64 {
+        let number = self.gaps;
+        self.gaps += 1;
+        self.gaps_waiting.push_back(WaitingGap { number, by_person: reason == GapReason::Operator, answer: None });
+        out.push(Event::GapRequest(Box::new(GapRequest {
+            id,
+            number,
+            loop_name: self.name.clone(),
+            reason,
+            by,
+            record,
+            model,
+            budget_evaluations: self.settings.gap.budget_evaluations,
+            config_hash: hash.clone(),
+        })));
+        number
+    }
+
+    /// Takes a diagnosis, or none, and puts out all that are next in order.
+    pub fn resolve_gap(&mut self, id: LoopId, number: u64, answer: Option<PublishedGap>, out: &mut Vec<Event>) {
+        let Some(waiting) = self.gaps_waiting.iter_mut().find(|w| w.number == number) else { return };
+        waiting.answer = Some(answer);
+        while self.gaps_waiting.front().is_some_and(|w| w.answer.is_some()) {
+            let document = self.gaps_waiting.pop_front().and_then(|w| w.answer).flatten();
+            out.extend(document.map(|document| Event::Gap(id, Box::new(document))));
+        }
+    }
+
+    /// Gives a diagnosis up. One that nobody asked for and that found no place is asked again by the next departing window.
+    pub fn skip_gap(&mut self, id: LoopId, number: u64, reason: SkipReason, out: &mut Vec<Event>) {
+        let own = self.gaps_waiting.iter().any(|w| w.number == number && !w.by_person);
+        if own && reason == SkipReason::QueueFull {
+            self.gap.gave_up();
+        }
+        self.resolve_gap(id, number, None, out);
+    }
+
+    pub fn gaps_waiting(&self) -> impl Iterator<Item = u64> + '_ {
+        self.gaps_waiting.iter().filter(|w| w.answer.is_none()).map(|w| w.number)
+    }
+
+    pub fn waiting(&self) -> impl Iterator<Item = (u64, i64)> + '_ {
+        self.waiting.iter().filter(|w| w.answer.is_none()).map(|w| (w.seq, w.record.end_ns))
+    }
+
+    pub fn command(&mut self, command: &Command) -> Result<AlarmDocument, CommandError> {
+        let clock = self.aligner.event_time_ns(&self.settings.align);
+        let at_ns = clock.or(self.alarm.window_end_ns()).unwrap_or(0);
+        let document = self.alarm.command(&self.name, command, at_ns)?;
+        Ok(document.at(&self.settings.place))
+    }
+
+    pub fn checkpoint(&self) -> Checkpoint {
+        let stream = StreamState {
+            aligner: self.aligner.clone(),
+            points: self.history.total(),
+            next_end_ns: self.next_end_ns,
+            windows: self.windows,
+            gaps: self.gaps,
+            waiting: self.waiting.len() as u64,
+        };
+        Checkpoint { alarm: self.alarm.clone(), gap: self.gap.clone(), stream: Some(stream) }
+    }
+
+    pub fn restore(&mut self, checkpoint: Checkpoint) -> Option<AlarmDocument> {
+        (self.alarm, self.gap) = (checkpoint.alarm, checkpoint.gap);
+        if let Some(stream) = checkpoint.stream {
+            self.history = History::resumed(self.settings.window.max_points, stream.points);
+            self.aligner = stream.aligner;
+            self.next_end_ns = stream.next_end_ns;
+            self.windows = stream.windows;
+            self.gaps = stream.gaps;
+        }
+        let restored = || self.alarm.restored(&self.name).at(&self.settings.place);
+        (self.alarm.shown() != State::Normal).then(restored)
+    }
+
+    pub fn figures(&self) -> LoopFigures {
+        LoopFigures {
+            counts: *self.aligner.counts(),
+            greatest_ns: self.aligner.greatest_ns(),
+            windows: self.windows,
+            waiting: self.waiting.len(),
+        }
+    }
+}
+
+/// The answer to a window whose fit was not done.
+fn skipped(window: Window) -> Assessment {
+    let oscillation =
+        Oscillation { oscillating: false, period_s: None, periods: None, samples_per_period: None, regularity: None };
+    Assessment { gates: vec![Gate::Skipped], ..Assessment::empty(window, oscillation) }
+}

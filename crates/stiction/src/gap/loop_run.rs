@@ -1,0 +1,337 @@
+//! The whole loop with the models: does it oscillate as the plant does?
+//!
+//! Free run takes OP as recorded. Where the controller can be read from the record, the loop can be closed over the
+//! model, and the cycle that comes out compared with the recorded one: period and size.
+
+use serde::{Deserialize, Serialize};
+
+use super::effects;
+use super::model::{Added, Model};
+use super::types::Diagnosis;
+use crate::detect::oscillation;
+use crate::ident::controller::{self, Reading};
+use crate::record::Record;
+use crate::signal::stats;
+use crate::sim::actuator::Around;
+use crate::sim::closed_loop::{ClosedLoop, LoopModel, ValveLaw, ValveModel};
+use crate::sim::controller::{Action, PidSettings};
+use crate::sim::disturbance::Disturbance;
+use crate::sim::process::ProcessModel;
+use crate::sim::slips::Stroke;
+
+/// Scans simulated at most.
+const MAX_SCANS: usize = 60_000;
+/// Room for OP on both sides of what was recorded, spans.
+const WIDE: f64 = 10.0;
+/// A start off the resting place, bands.
+const START_BANDS: f64 = 1.5;
+
+/// A loop's cycle.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct Cycle {
+    /// Whether it oscillates regularly.
+    pub oscillating: bool,
+    /// Its period, s; `None` where nothing repeats.
+    pub period_s: Option<f64>,
+    /// Half of PV's span, PV units.
+    pub amplitude_pv: f64,
+    /// Half of OP's span, OP units.
+    pub amplitude_op: f64,
+}
+
+/// The controller that closes the loop.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct ControllerNote {
+    /// Proportional gain, OP units per PV unit of SP - PV.
+    pub kc: f64,
+    /// Integral time, s; `None` without integral action.
+    pub ti_s: Option<f64>,
+    /// Derivative time, s.
+    pub td_s: f64,
+    /// Share of OP's moves that it explains.
+    pub r2: f64,
+}
+
+/// Cycles as recorded and as simulated.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct Cycles {
+    /// As read from the record.
+    pub controller: ControllerNote,
+    /// In the record.
+    pub measured: Cycle,
+    /// With the base.
+    pub before: Option<Cycle>,
+    /// With the cause added; `None` where it has no place in a closed loop's simulation, or nothing was added.
+    pub after: Option<Cycle>,
+}
+
+/// Closes the loop over base and model after; `None` where the controller cannot be read.
+#[must_use]
+pub fn cycles(record: &Record, diagnosis: &Diagnosis) -> Option<Cycles> {
+    let reading = controller::read(record)?;
+    let noise_sd = diagnosis.floor.noise_sd.unwrap_or(0.0);
+    let after = &diagnosis.model_after;
+    Some(Cycles {
+        controller: ControllerNote {
+            kc: reading.kc,
+            ti_s: reading.ti_s.is_finite().then_some(reading.ti_s),
+            td_s: reading.td_s,
+            r2: reading.r2,
+        },
+        measured: cycle(&record.op(), &record.pv, record.point_s()),
+        before: run(&diagnosis.base.model, &reading, record, noise_sd),
+        after: if after.effects.is_empty() { None } else { run(after, &reading, record, noise_sd) },
+    })
+}
+
+/// The cycle of two signals whose points stand `point_s` apart.
+fn cycle(op: &[f64], pv: &[f64], point_s: f64) -> Cycle {
+    let found = oscillation::detect(op, pv);
+    Cycle {
+        oscillating: found.is_some_and(|o| o.oscillating),
+        period_s: found.map(|o| o.period_points * point_s),
+        amplitude_pv: 0.5 * stats::span(pv),
+        amplitude_op: 0.5 * stats::span(op),
+    }
+}
+
+/// What a model's effects are in a closed loop's simulation, beside what its law, process and time constants say.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Parts {
+    /// Of the stem's own motion.
+    pub stroke: Stroke,
+    /// Around the stem.
+    pub around: Around,
+    /// At the process' input, OP units; times count from the record's start.
+    pub load: Vec<Disturbance>,
+    /// On PV, PV units.
+    pub on_pv: Vec<Disturbance>,
+}
+
+/// Why an effect of a model has no place in a closed loop's simulation.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum NoPlace {
+    /// It is not in the stem, around it, or a load.
+    #[error("{0:?} acts inside the process or the recorder: a simulation has no such part; leave it out of the model")]
+    Inside(String),
+    /// A number that it needs is missing or out of range.
+    #[error("{effect:?} needs {parameter} as a number{want} to be simulated")]
+    Number {
+        /// The effect.
+        effect: String,
+        /// Its parameter.
+        parameter: &'static str,
+        /// What it may be.
+        want: &'static str,
+    },
+    /// What drives the stem is run in parts of a scan, a stem with a motion of its own in scans.
+    #[error(
+        "a lag in front of the stem cannot be simulated beside an effect of the stem's own motion: leave one out of the model"
+    )]
+    Clash,
+}
+
+/// An effect of a model with its numbers as stated, for a simulation in scans of `ts_s`.
+#[derive(Debug)]
+pub struct Stated<'m> {
+    /// The model.
+    pub model: &'m Model,
+    /// The effect.
+    added: &'m Added,
+    /// Duration of a scan, s.
+    pub ts_s: f64,
+}
+
+impl Stated<'_> {
+    /// The effect's id.
+    #[must_use]
+    pub fn id(&self) -> &str {
+        &self.added.id
+    }
+
+    fn stated(&self, name: &str) -> Option<f64> {
+        self.added.parameters.get(name).copied().filter(|x| x.is_finite())
+    }
+
+    /// What to say of a number that is missing or out of range.
+    #[must_use]
+    pub fn wrong(&self, parameter: &'static str, want: &'static str) -> NoPlace {
+        NoPlace::Number { effect: self.added.id.clone(), parameter, want }
+    }
+
+    /// A number.
+    ///
+    /// # Errors
+    /// Where it is missing.
+    pub fn number(&self, name: &'static str) -> Result<f64, NoPlace> {
+        self.stated(name).ok_or_else(|| self.wrong(name, ""))
+    }
+
+    /// A number above 0.
+    ///
+    /// # Errors
+    /// Where it is missing or not above 0.
+    pub fn above_zero(&self, name: &'static str) -> Result<f64, NoPlace> {
+        self.stated(name).filter(|x| *x > 0.0).ok_or_else(|| self.wrong(name, " above 0"))
+    }
+
+    /// A number that may be left out: mass and drag are, where there is none.
+    #[must_use]
+    pub fn or_zero(&self, name: &str) -> f64 {
+        self.stated(name).unwrap_or(0.0)
+    }
+
+    /// Whether it is said to be so: what is not said to be so is not so.
+    #[must_use]
+    pub fn is(&self, name: &str) -> bool {
+        self.or_zero(name) > 0.5
+    }
+}
+
+/// The parts of a model for a simulation in scans of `ts_s`.
+///
+/// # Errors
+/// [`NoPlace`] of the first effect that cannot be simulated.
+pub fn parts(model: &Model, ts_s: f64) -> Result<Parts, NoPlace> {
+    let mut parts = Parts { stroke: Stroke::FREE, around: Around::NONE, load: vec![], on_pv: vec![] };
+    for added in &model.effects {
+        let Some(effect) = effects::by_id(&added.id) else { return Err(NoPlace::Inside(added.id.clone())) };
+        (effect.in_loop)(&Stated { model, added, ts_s }, &mut parts)?;
+    }
+    let clash = parts.around.pilot > 0.0 && parts.stroke != Stroke::FREE;
+    if clash { Err(NoPlace::Clash) } else { Ok(parts) }
+}
+
+/// The loop as the simulator takes it, off its resting place by a band and a half.
+fn loop_model(model: &Model, reading: &Reading, sp: f64, limits: [f64; 2], noise_sd: f64) -> Option<LoopModel> {
+    let Model { ts_s, valve, process, .. } = model;
+    let law = match valve.law.as_str() {
+        "he" => ValveLaw::He,
+        "tracking" => ValveLaw::Tracking,
+        "none" => ValveLaw::None,
+        _ => return None,
+    };
+    let Parts { stroke, around, load, on_pv } = parts(model, *ts_s).ok()?;
+    let mut taus = process.time_constants_s.iter().map(|tau| tau / ts_s);
+    let (op, pv) = (process.op, process.pv);
+    let rest = if process.integrating { op } else { op + (sp - pv) / process.gain };
+    let off = START_BANDS * (valve.fs + valve.fd.abs());
+    let rest_pv = if process.integrating { sp + off / reading.kc.abs() } else { sp + process.gain * off };
+    let whole = [*ts_s, process.gain, rest, rest_pv, reading.kc];
+    let usable = *ts_s > 0.0 && process.gain != 0.0 && reading.kc != 0.0 && whole.iter().all(|x| x.is_finite());
+    usable.then(|| LoopModel {
+        ts_s: *ts_s,
+        process: ProcessModel {
+            gain: if process.integrating { process.gain * ts_s } else { process.gain },
+            tau: taus.next().unwrap_or(0.0),
+            tau2: taus.next().unwrap_or(0.0),
+            dead_time: process.dead_time_s / ts_s + reading.lag_samples.max(0.0),
+            integrating: process.integrating,
+        },
+        rest_op: if process.integrating { rest } else { rest + off },
+        rest_pv,
+        controller: PidSettings {
+            kc: reading.kc.abs(),
+            ti_s: reading.ti_s,
+            td_s: reading.td_s,
+            action: if reading.kc > 0.0 { Action::Reverse } else { Action::Direct },
+            op_min: limits[0],
+            op_max: limits[1],
+            op_resolution: 0.0,
+        },
+        valve: ValveModel {
+            law,
+            fs: valve.fs,
+            fd: valve.fd,
+            travel_min: limits[0],
+            travel_max: limits[1],
+            stroke,
+            around,
+            ..ValveModel::HEALTHY
+        },
+        pv_noise_sd: noise_sd,
+        load,
+        pv_disturbance: on_pv,
+    })
+}
+
+/// Runs the loop for twice the record under its set point (its mean where none is recorded) and measures the second
+/// half.
+fn run(model: &Model, reading: &Reading, record: &Record, noise_sd: f64) -> Option<Cycle> {
+    let sp = record.sp.as_ref().filter(|sp| !sp.is_empty() && sp.iter().all(|v| v.is_finite()));
+    let first = sp.map_or_else(|| stats::mean(&record.pv), |sp| sp[0]);
+    // The controller's limits are not recorded: wide ones leave the cycle alone.
+    let op = stats::sorted(&record.op());
+    let (low, high) = (*op.first()?, *op.last()?);
+    let room = WIDE * (high - low);
+    let loop_model = loop_model(model, reading, first, [low - room, high + room], noise_sd)?;
+    let scans = (record.end_ns - record.start_ns) as f64 / 1e9 / loop_model.ts_s;
+    let scans = (scans.max(0.0) as usize + 1).min(MAX_SCANS / 2);
+    // It swings in for as long as the record, before its start.
+    let mut closed = ClosedLoop::new(loop_model, -(scans as f64) * model.ts_s, first, 1);
+    for _ in 0..scans {
+        closed.step(first);
+    }
+    let set_point = |k: usize| sp.map_or(first, |sp| sp[(k * sp.len() / scans.max(1)).min(sp.len() - 1)]);
+    let (mut op, mut pv) = (Vec::with_capacity(scans), Vec::with_capacity(scans));
+    for k in 0..scans {
+        let scan = closed.step(set_point(k));
+        op.push(scan.op);
+        pv.push(scan.pv);
+    }
+    let found = cycle(&op, &pv, model.ts_s);
+    (found.amplitude_pv.is_finite() && found.amplitude_op.is_finite()).then_some(found)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_moves_the_stem_is_taken_over_in_scans_and_anything_else_named() {
+        let with = |id: &str, numbers: &[(&str, f64)]| {
+            let model = Model { ts_s: 7.0, ..Model::example(Some((id, numbers))) };
+            // The scans that count are those of the simulation, not of the record that the model was fitted to.
+            parts(&model, 2.0).map(|p| p.stroke)
+        };
+        assert_eq!(with("extra_lag", &[("lag", 3.0)]), Ok(Stroke::FREE));
+        assert_eq!(with("slip_overshoot", &[("carried", 0.4)]), Ok(Stroke { carried: 0.4, ..Stroke::FREE }));
+        let slides = Stroke { drag: 0.5, slowest: 0.2, ..Stroke::FREE };
+        assert_eq!(with("sliding_valve", &[("drag", 1.0), ("slowest", 0.1)]), Ok(slides));
+        let slow = Stroke { rate: 0.6, ..Stroke::FREE };
+        assert_eq!(with("rate_limit", &[("rate", 0.3), ("of_stem", 1.0)]), Ok(slow));
+        // A stem at its upper stop was pushed there by an OP that stands fd above it.
+        let stopped = Stroke { ends: [f64::NEG_INFINITY, 61.0], ..Stroke::FREE };
+        assert_eq!(with("travel_limit", &[("stop", 60.0), ("upper", 1.0), ("of_stem", 1.0)]), Ok(stopped));
+        for inside in ["gain_drift", "dead_time_change", "inverse_response"] {
+            assert_eq!(with(inside, &[("at", 3.0)]), Err(NoPlace::Inside(inside.to_owned())));
+        }
+    }
+
+    #[test]
+    fn what_stands_around_the_stem_and_loads_have_their_place() {
+        let with = |id: &str, numbers: &[(&str, f64)]| {
+            let model = Model { ts_s: 7.0, ..Model::example(Some((id, numbers))) };
+            (parts(&model, 2.0).unwrap(), model.process)
+        };
+        let around = |id: &str, numbers: &[(&str, f64)]| with(id, numbers).0.around;
+        assert_eq!(around("rate_limit", &[("rate", 0.3)]), Around { rate: 0.6, ..Around::NONE });
+        let stops = [f64::NEG_INFINITY, 60.0];
+        assert_eq!(around("travel_limit", &[("stop", 60.0), ("upper", 1.0)]), Around { stops, ..Around::NONE });
+        assert_eq!(around("backlash", &[("width", 1.5)]), Around { play: 1.5, ..Around::NONE });
+        assert_eq!(around("positioner_lag", &[("lag", 5.0)]), Around { pilot: 2.5, ..Around::NONE });
+        let (bent, process) = with("static_nonlinearity", &[("gain_change_per_op", 0.02)]);
+        assert_eq!(bent.around, Around { bend: 0.02, middle: process.op, ..Around::NONE });
+        let (step, process) = with("step_load", &[("size", 3.0), ("at", 100.0)]);
+        let at_input = Disturbance::Step { size: 3.0 / process.gain, at_s: 100.0 - process.dead_time_s };
+        assert_eq!((step.load, step.on_pv), (vec![at_input], vec![]));
+        let refused = |id: &str, numbers: &[(&str, f64)]| parts(&Model::example(Some((id, numbers))), 2.0).is_err();
+        assert!(refused("rate_limit", &[("rate", -0.5)]) && refused("sinusoid", &[("amplitude", 1.0)]));
+        assert!(refused("step_load", &[("at", 5.0)]) && refused("backlash", &[("play", 1.0)]));
+        let (ramp, _) = with("ramp", &[("slope", 1e-3), ("from", 50.0)]);
+        assert_eq!(ramp.on_pv, [Disturbance::Ramp { size: 1e6, from_s: 50.0, over_s: 1e9 }]);
+    }
+}

@@ -1,0 +1,168 @@
+//! A model of a loop's valve and process that can be written down, read back and simulated.
+
+use serde::{Deserialize, Serialize};
+
+/// Schema of the document.
+pub const SCHEMA: &str = "stictiond.model.v1";
+
+/// The valve.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct Valve {
+    /// `he`, `tracking` or `none`.
+    pub law: String,
+    /// Static band, OP units.
+    pub fs: f64,
+    /// Kinetic band, OP units; negative where the stem overshoots.
+    pub fd: f64,
+    /// Stem position before the record, OP units; `None` where it is not known.
+    #[serde(default)]
+    pub stem0: Option<f64>,
+}
+
+/// The process.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct Process {
+    /// PV units an OP unit (and a second, when integrating).
+    pub gain: f64,
+    /// Time constants, s, largest first.
+    pub time_constants_s: Vec<f64>,
+    /// Dead time, s.
+    pub dead_time_s: f64,
+    /// Integrates instead of settling.
+    #[serde(default)]
+    pub integrating: bool,
+    /// OP (behind the valve) at which PV is `pv`.
+    pub op: f64,
+    /// PV at rest with the valve at `op`.
+    pub pv: f64,
+}
+
+/// An effect beside valve and process.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct Added {
+    /// Its id.
+    pub id: String,
+    /// Its parameters by name, in the units that the catalogue gives.
+    pub parameters: std::collections::BTreeMap<String, f64>,
+}
+
+/// A loop's model, in recorded units.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct Model {
+    /// [`SCHEMA`].
+    pub schema: String,
+    /// Sampling time it was fitted at, s.
+    pub ts_s: f64,
+    /// The valve.
+    pub valve: Valve,
+    /// The process.
+    pub process: Process,
+    /// Effects beside them.
+    #[serde(default)]
+    pub effects: Vec<Added>,
+}
+
+/// What is wrong with a model.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum ModelError {
+    /// A number out of its range.
+    #[error("{name} is {value}, but must be {want}")]
+    Range {
+        /// Which.
+        name: &'static str,
+        /// Its value.
+        value: f64,
+        /// What it must be.
+        want: &'static str,
+    },
+    /// An effect without one of its numbers.
+    #[error("the effect {effect} has no {name} among its parameters")]
+    Missing {
+        /// Its id.
+        effect: String,
+        /// The parameter.
+        name: &'static str,
+    },
+    /// A word that is none of those known.
+    #[error("{name} is {value:?}, but must be one of {want}")]
+    Word {
+        /// Which.
+        name: &'static str,
+        /// As given.
+        value: String,
+        /// The words.
+        want: &'static str,
+    },
+}
+
+impl Model {
+    /// Whether it can be simulated at all.
+    ///
+    /// # Errors
+    /// The first number or word that is out of range.
+    pub fn check(&self) -> Result<(), ModelError> {
+        let (valve, process) = (&self.valve, &self.process);
+        let mut numbers = vec![
+            ("fs", valve.fs, valve.fs >= 0.0, "0 or more"),
+            ("fd", valve.fd, valve.fd.abs() <= valve.fs, "at most fs in size"),
+            ("gain", process.gain, process.gain != 0.0, "a number other than 0"),
+            ("dead_time_s", process.dead_time_s, process.dead_time_s >= 0.0, "0 or more"),
+        ];
+        numbers.extend(process.time_constants_s.iter().map(|t| ("time_constants_s", *t, *t > 0.0, "greater than 0")));
+        if let Some((name, value, _, want)) = numbers.into_iter().find(|(_, v, ok, _)| !ok || !v.is_finite()) {
+            return Err(ModelError::Range { name, value, want });
+        }
+        if !process.integrating && process.time_constants_s.is_empty() {
+            return Err(ModelError::Range { name: "time_constants_s", value: 0.0, want: "one or two numbers" });
+        }
+        if !["he", "tracking", "none"].contains(&valve.law.as_str()) {
+            let value = valve.law.clone();
+            return Err(ModelError::Word { name: "law", value, want: "he, tracking, none" });
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+impl Model {
+    /// He's law before a first-order process with one effect, for tests.
+    pub(super) fn example(effect: Option<(&str, &[(&str, f64)])>) -> Self {
+        let process = Process {
+            gain: 1.5,
+            time_constants_s: vec![20.0],
+            dead_time_s: 4.5,
+            integrating: false,
+            op: 50.0,
+            pv: 10.0,
+        };
+        let valve = Valve { law: "he".to_owned(), fs: 3.0, fd: 1.0, stem0: None };
+        let added = |(id, numbers): (&str, &[(&str, f64)])| Added {
+            id: id.to_owned(),
+            parameters: numbers.iter().map(|(name, x)| ((*name).to_owned(), *x)).collect(),
+        };
+        Self { schema: SCHEMA.to_owned(), ts_s: 1.0, valve, process, effects: effect.map(added).into_iter().collect() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_model_reads_back_and_says_what_is_wrong_with_it() {
+        let good = Model::example(None);
+        assert_eq!(good.check(), Ok(()));
+        let text = serde_json::to_string(&good).unwrap();
+        assert_eq!(serde_json::from_str::<Model>(&text).unwrap(), good);
+        let mut bad = good.clone();
+        bad.valve.law = "kano".to_owned();
+        assert!(bad.check().unwrap_err().to_string().contains("kano"));
+        let mut bad = good;
+        bad.process.dead_time_s = -1.0;
+        assert_eq!(bad.check().unwrap_err().to_string(), "dead_time_s is -1, but must be 0 or more");
+    }
+}

@@ -1,0 +1,256 @@
+//! The error over the plane of friction bands, as the toolbox draws and searches it: for a pair (fs, fd) taken at its
+//! word, the mean squared free-run error of the best process of one class (Lee, Ren and Huang 2008, their error map).
+//!
+//! ```
+//! use stiction::ident::class::Class;
+//! use stiction::ident::surface::{Surface, solve};
+//! use stiction::ident::Options;
+//! use stiction::optim::{AdaptiveRandom, Settings};
+//! # use stiction::record::Record;
+//! # use stiction::sim::{slips::Law, valve::he_step};
+//! # let op: Vec<f64> = (0..300).map(|k| 6.0 * (f64::from(k) * 0.1).sin()).collect();
+//! # let (mut stem, mut level, mut pv) = (0.0, 0.0, Vec::new());
+//! # for &u in &op {
+//! #     pv.push(level);
+//! #     stem = he_step(stem, u, 2.5, 1.0);
+//! #     level += 0.1 * (1.5 * stem - level);
+//! # }
+//! # let record = Record::uniform(1.0, op, pv);
+//! let mut surface = Surface::new(&record, &Options::default(), Law::He, Class::First).expect("signals that move");
+//! let found = solve(&mut surface, &AdaptiveRandom, &Settings { budget: 500, fineness_pct: 5.0, seed: 1 });
+//! assert!(found.fs + found.fd <= found.s0 && found.mse < surface.mse(0.0, 0.0));
+//! ```
+//!
+//! [`super::quantify`] searches otherwise (whole cells of equal slips at once, fd solved, several views of the error);
+//! this surface is what a general solver can be set on, and what an error map shows.
+
+use super::candidate::{NormalisedRecord, Start};
+use super::class::Class;
+use super::evaluator::{View, lattice_index, lattice_tau};
+use super::normalise::normalise;
+use super::quantify::Options;
+use super::sign;
+use super::slip_search::candidate::{Candidate, LatticeFit};
+use super::slip_search::coarse_scan::CoarseScan;
+use super::slip_search::evaluator::Evaluator;
+use super::slip_search::part::frictionless;
+use super::slip_search::problem::Problem;
+use crate::optim::{Objective, Outcome, Settings, Solver};
+use crate::record::Record;
+use crate::signal::stats;
+use crate::sim::slips::Law;
+
+/// Evaluations that a solver may spend unless told otherwise: the toolbox's own limit.
+pub const BUDGET: u64 = 10_000;
+/// Places of the stem before the record that are looked at, shares of the static band from OP's first value; the first one
+/// alone of a stem that turns more often than that.
+const STARTS: [f64; 3] = [0.0, -0.9, 0.9];
+const FEW_REVERSALS: usize = 8;
+/// s in spans below which there is no friction.
+const NOTHING: f64 = 1e-4;
+
+/// What goes with one pair of bands.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Point {
+    /// Static band, OP units.
+    pub fs: f64,
+    /// Kinetic band, OP units.
+    pub fd: f64,
+    /// Mean squared free-run error, PV units squared; infinite where the stem hardly moves.
+    pub mse: f64,
+    /// Process gain, PV units per OP unit (per second too when integrating).
+    pub gain: f64,
+    /// Time constants, s, largest first.
+    pub time_constants_s: Vec<f64>,
+    /// Dead time, s.
+    pub dead_time_s: f64,
+}
+
+/// The error surface of one record, valve law and class of process.
+#[derive(Debug)]
+pub struct Surface {
+    normalised: NormalisedRecord,
+    law: Law,
+    class: Class,
+    sides: Vec<Side>,
+    span: f64,
+    deviation: f64,
+    ts_s: f64,
+    box_samples: f64,
+    evaluations: u64,
+}
+
+/// One sign of the gain.
+#[derive(Debug)]
+struct Side {
+    sign: f64,
+    scans: Vec<CoarseScan>,
+    view: View,
+    without: Option<LatticeFit>,
+}
+
+impl Surface {
+    /// The surface of a record; `None` where a signal does not move or under 30 points are there.
+    #[must_use]
+    pub fn new(record: &Record, options: &Options, law: Law, class: Class) -> Option<Self> {
+        let span = stats::span(&record.op_path);
+        let deviation = stats::std_dev(&record.pv);
+        if record.len() < 30 || !span.is_normal() || !deviation.is_normal() {
+            return None;
+        }
+        let normalised = normalise(record, options, span, deviation);
+        let signs = sign::of_gain(&normalised.mean, &normalised.pv).map_or(vec![1.0, -1.0], |s| vec![s]);
+        let side = |sign: f64| {
+            let problem = Problem::new(&normalised, sign);
+            let points = problem.points();
+            let mut view = problem.view(0.0, points);
+            let mut evaluator = Evaluator::new(&problem, law, class, points);
+            let without = frictionless(&mut evaluator, &mut view, class).filter(|f| f.gain != 0.0);
+            Side { sign, scans: CoarseScan::of(&problem, 0.0, points), view, without }
+        };
+        Some(Self {
+            sides: signs.into_iter().map(side).collect(),
+            normalised,
+            law,
+            class,
+            span,
+            deviation,
+            ts_s: record.ts_s,
+            box_samples: record.box_samples as f64,
+            evaluations: 0,
+        })
+    }
+
+    /// Span of OP: `fs + fd` stays at or below it.
+    #[must_use]
+    pub const fn s0(&self) -> f64 {
+        self.span
+    }
+
+    /// Class of the process.
+    #[must_use]
+    pub const fn class(&self) -> Class {
+        self.class
+    }
+
+    /// Pairs asked for so far.
+    #[must_use]
+    pub const fn evaluations(&self) -> u64 {
+        self.evaluations
+    }
+
+    /// Mean squared error of the best process for one pair of bands, PV units squared: infinite where the stem hardly
+    /// moves and outside `0 <= fd <= fs, fs + fd <= S0`.
+    pub fn mse(&mut self, fs: f64, fd: f64) -> f64 {
+        self.fit(fs, fd).map_or(f64::INFINITY, |f| f.sse * self.scale())
+    }
+
+    /// The same with the process itself.
+    pub fn point(&mut self, fs: f64, fd: f64) -> Option<Point> {
+        let fit = self.fit(fs, fd)?;
+        let gain = self.class.gain(fit.gain) * self.deviation / self.span;
+        let point_s = self.ts_s * self.box_samples;
+        let taus = fit.places.map(lattice_tau);
+        Some(Point {
+            fs,
+            fd,
+            mse: fit.sse * self.scale(),
+            gain: if self.class.integrates() { gain / point_s } else { gain },
+            time_constants_s: taus[..self.class.lags()].iter().map(|t| t * point_s).collect(),
+            dead_time_s: (fit.lag() * self.box_samples - 1.0).max(0.0) * self.ts_s,
+        })
+    }
+
+    /// Squared normalised error to mean squared error in PV units.
+    fn scale(&self) -> f64 {
+        let count = self.sides.first().map_or(1.0, |side| side.view.count());
+        self.deviation * self.deviation / count.max(1.0)
+    }
+
+    fn fit(&mut self, fs: f64, fd: f64) -> Option<LatticeFit> {
+        self.evaluations += 1;
+        let [s, j] = [(fs + fd) / self.span, (fs - fd) / self.span];
+        let inside = fd >= 0.0 && fd <= fs && s <= 1.0 + 1e-9;
+        if !inside {
+            return None;
+        }
+        let (normalised, law, class) = (&self.normalised, self.law, self.class);
+        let fits = self.sides.iter_mut().map(|side| {
+            if s < NOTHING { side.without } else { side.fit(normalised, law, class, [s, j]).map(|c| c.fit) }
+        });
+        fits.flatten().reduce(|a, b| if b.sse < a.sse { b } else { a })
+    }
+}
+
+impl Side {
+    /// The best process for one pair of bands, taken at its word, over first positions of the stem.
+    fn fit(&mut self, normalised: &NormalisedRecord, law: Law, class: Class, [s, j]: [f64; 2]) -> Option<Candidate> {
+        let problem = Problem::new(normalised, self.sign);
+        let mut evaluator = Evaluator::new(&problem, law, class, problem.points());
+        let mut best: Option<Candidate> = None;
+        for (which, start) in problem.starts(0.5 * (s + j), &STARTS).into_iter().enumerate() {
+            if which > 0 && evaluator.steps().reversals >= FEW_REVERSALS {
+                break;
+            }
+            let found = self.process(&mut evaluator, [s, j], start).filter(|c| c.fit.gain != 0.0);
+            best = found.filter(|f| best.is_none_or(|b| f.sse() < b.sse())).or(best);
+        }
+        best
+    }
+
+    /// The best process behind one valve signal: from the best place of the coarse scan.
+    fn process(&mut self, evaluator: &mut Evaluator<'_>, [s, j]: [f64; 2], start: Start) -> Option<Candidate> {
+        let fd = 0.5 * (s - j);
+        let freedom = evaluator.slip(s, j, start)?;
+        let freedom = super::fit::Freedom { fd: [fd; 2], fd_default: fd, ..freedom };
+        let seen = self.scans.iter().map(|scan| scan.look(&evaluator.steps().list, &freedom));
+        let seen = seen.min_by(|a, b| a.share.total_cmp(&b.share))?;
+        let place = lattice_index(seen.tau);
+        let near = LatticeFit {
+            sse: 0.0,
+            gain: 0.0,
+            fd,
+            places: [place; 2],
+            delay: seen.lag as usize,
+            fraction: seen.lag.fract(),
+        };
+        evaluator.at_bands(&mut self.view, [s, j], start, &near, &freedom)
+    }
+}
+
+impl Objective for Surface {
+    fn cost(&mut self, [s, j]: [f64; 2]) -> f64 {
+        let (fs, fd) = (0.5 * (s + j) * self.span, 0.5 * (s - j) * self.span);
+        self.mse(fs, fd.min(fs))
+    }
+}
+
+/// What a solver found on a surface, OP and PV units.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Solved {
+    /// Static band.
+    pub fs: f64,
+    /// Kinetic band.
+    pub fd: f64,
+    /// Smallest mean squared error, PV units squared; infinite where no model exists.
+    pub mse: f64,
+    /// Span of OP: `fs + fd <= s0` was enforced.
+    pub s0: f64,
+    /// How the search went.
+    pub outcome: Outcome,
+}
+
+impl Solved {
+    /// The outcome in OP units.
+    #[must_use]
+    pub fn of(outcome: Outcome, s0: f64) -> Self {
+        let [s, j] = outcome.best;
+        Self { fs: 0.5 * (s + j) * s0, fd: 0.5 * (s - j) * s0, mse: outcome.cost, s0, outcome }
+    }
+}
+
+/// Sets a solver on a surface.
+pub fn solve(surface: &mut Surface, solver: &dyn Solver, settings: &Settings) -> Solved {
+    let s0 = surface.s0();
+    Solved::of(solver.search(surface, settings), s0)
+}

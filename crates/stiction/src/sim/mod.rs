@@ -1,0 +1,15 @@
+//! Physics: valve laws, process models, controller, noise and the closed loop. The only copy of each formula.
+
+pub mod actuator;
+pub mod closed_loop;
+pub mod controller;
+pub mod disturbance;
+pub mod friction;
+pub mod noise;
+pub mod plant;
+pub mod process;
+pub mod scenario;
+mod scenario_check;
+pub mod slips;
+pub mod steps;
+pub mod valve;

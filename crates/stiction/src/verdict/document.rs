@@ -1,0 +1,383 @@
+//! The numbers and words of one estimate, as `stictiond.estimate.v1` carries them.
+
+use serde::Serialize;
+
+use super::plausible::Implausible;
+use super::rule::Opinion;
+use crate::detect::Witness;
+pub use crate::ident::ESTIMATE_SCHEMA;
+use crate::record::Record;
+use crate::units::Moment;
+
+/// What one window says about its loop.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum Verdict {
+    /// The valve sticks and slips.
+    Stiction,
+    /// The valve has a dead band without a slip jump.
+    Deadband,
+    /// Something outside makes the loop oscillate.
+    Disturbance,
+    /// The controller makes the loop oscillate.
+    Tuning,
+    /// The loop does not oscillate, and no stiction shows.
+    NoOscillation,
+    /// The loop oscillates; the valve follows its signal.
+    NoStiction,
+    /// The window cannot answer; the gates say why.
+    Inconclusive,
+}
+
+impl Verdict {
+    /// The verdict's word in documents.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Stiction => "stiction",
+            Self::Deadband => "deadband",
+            Self::Disturbance => "disturbance",
+            Self::Tuning => "tuning",
+            Self::NoOscillation => "no_oscillation",
+            Self::NoStiction => "no_stiction",
+            Self::Inconclusive => "inconclusive",
+        }
+    }
+
+    /// True for a sticking valve, false for another answer, `None` for no answer.
+    #[must_use]
+    pub const fn stiction(self) -> Option<bool> {
+        match self {
+            Self::Stiction | Self::Deadband => Some(true),
+            Self::Inconclusive => None,
+            _ => Some(false),
+        }
+    }
+}
+
+/// A named reason why a window says less, or nothing.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum Gate {
+    /// The controller was in manual.
+    Manual,
+    /// Too many values were missing or bad.
+    BadQuality,
+    /// PV never moved.
+    FrozenPv,
+    /// OP never moved.
+    FrozenOp,
+    /// OP stood at a limit.
+    Saturated,
+    /// Under 30 usable samples, or under 2 periods.
+    TooFewSamples,
+    /// The window's fit was not done: the machine was too busy, or the daemon stopped.
+    Skipped,
+    /// Fewer periods than asked for.
+    TooFewPeriods,
+    /// Fewer samples a period than asked for.
+    TooCoarse,
+    /// The set point moved in steps.
+    SetpointSteps,
+    /// OP or PV stands on a coarse grid.
+    Quantised,
+    /// The history was compressed: values repeat or lie on straight lines.
+    Compressed,
+    /// The sampling time is not constant.
+    Irregular,
+    /// Something that happened once, such as a trip or a start-up, was cut out.
+    Excursion,
+}
+
+impl Gate {
+    /// Every gate, blocking ones first.
+    pub const ALL: [Self; 14] = [
+        Self::Manual,
+        Self::BadQuality,
+        Self::FrozenPv,
+        Self::FrozenOp,
+        Self::Saturated,
+        Self::TooFewSamples,
+        Self::Skipped,
+        Self::TooFewPeriods,
+        Self::TooCoarse,
+        Self::SetpointSteps,
+        Self::Quantised,
+        Self::Compressed,
+        Self::Irregular,
+        Self::Excursion,
+    ];
+
+    /// Whether the gate takes every number away.
+    #[must_use]
+    pub const fn blocks(self) -> bool {
+        matches!(
+            self,
+            Self::Manual
+                | Self::BadQuality
+                | Self::FrozenPv
+                | Self::FrozenOp
+                | Self::Saturated
+                | Self::TooFewSamples
+                | Self::Skipped
+        )
+    }
+
+    /// The gate's word in documents.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Manual => "manual",
+            Self::BadQuality => "bad_quality",
+            Self::FrozenPv => "frozen_pv",
+            Self::FrozenOp => "frozen_op",
+            Self::Saturated => "saturated",
+            Self::TooFewSamples => "too_few_samples",
+            Self::Skipped => "skipped",
+            Self::TooFewPeriods => "too_few_periods",
+            Self::TooCoarse => "too_coarse",
+            Self::SetpointSteps => "setpoint_steps",
+            Self::Quantised => "quantised",
+            Self::Compressed => "compressed",
+            Self::Irregular => "irregular",
+            Self::Excursion => "excursion",
+        }
+    }
+}
+
+/// The stretch of time an estimate is made from.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct Window {
+    /// Stamp of the first sample, ns since 1970.
+    pub start_ns: i64,
+    /// The window's name: its end, ns since 1970.
+    pub end_ns: i64,
+    /// The start, RFC 3339.
+    #[cfg_attr(feature = "schema", schemars(with = "String"))]
+    pub start: Moment,
+    /// The end, RFC 3339.
+    #[cfg_attr(feature = "schema", schemars(with = "String"))]
+    pub end: Moment,
+    /// Raw samples.
+    pub samples: usize,
+    /// Mean sampling time, s.
+    pub ts_s: f64,
+    /// Raw samples in a point of the fit (1: raw).
+    pub box_samples: usize,
+}
+
+impl Window {
+    /// The window that a record is made from.
+    #[must_use]
+    pub const fn of(record: &Record) -> Self {
+        Self {
+            start_ns: record.start_ns,
+            end_ns: record.end_ns,
+            start: Moment(record.start_ns),
+            end: Moment(record.end_ns),
+            samples: record.raw_samples,
+            ts_s: record.recorded_ts_s,
+            box_samples: record.box_samples,
+        }
+    }
+}
+
+/// What oscillates, and how regularly.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct Oscillation {
+    /// Whether it does.
+    pub oscillating: bool,
+    /// Period, s.
+    pub period_s: Option<f64>,
+    /// Periods in the window.
+    pub periods: Option<f64>,
+    /// Raw samples a period.
+    pub samples_per_period: Option<f64>,
+    /// Thornhill's regularity: a third of mean over standard deviation of the intervals between zero crossings.
+    pub regularity: Option<f64>,
+}
+
+/// The process model that goes with the stiction found.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct Process {
+    /// 1 or 2.
+    pub order: u8,
+    /// PV units per OP unit; per second too when integrating.
+    pub gain: f64,
+    /// Time constants, s, largest first; empty for a pure integrator.
+    pub time_constants_s: Vec<f64>,
+    /// Dead time, s.
+    pub dead_time_s: f64,
+    /// Integrates instead of settling.
+    pub integrating: bool,
+    /// Mean squared free-run error, PV units squared.
+    pub mse: f64,
+    /// 100 (1 - rms error / std PV): 100 is perfect, 0 no better than the mean.
+    pub fit_pct: f64,
+}
+
+/// The controller as read from the record.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct Controller {
+    /// Proportional gain, OP units per PV unit of SP - PV: negative where OP rises with PV.
+    pub kc: f64,
+    /// Integral time, s; infinite, which is written as null, without integral action.
+    #[cfg_attr(feature = "schema", schemars(with = "Option<f64>"))]
+    pub ti_s: f64,
+    /// Derivative time, s.
+    pub td_s: f64,
+    /// Samples by which OP is recorded after the PV that it was computed from.
+    pub lag_samples: f64,
+    /// Share of OP's moves that it explains.
+    pub r2: f64,
+    /// Share of the window, 0..1, in stretches where it does not explain OP: another mode, or other settings.
+    pub unexplained: f64,
+}
+
+/// Everything an estimate says that depends on its window alone. Field order is the document's.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[allow(missing_docs)] // each field is defined in the table of docs/verdicts.md and by its type
+pub struct Assessment {
+    pub window: Window,
+    pub oscillation: Oscillation,
+    pub verdict: Verdict,
+    pub contributing: Vec<Verdict>,
+    pub stiction: Option<bool>,
+    /// Why there is no answer: the first blocking gate, `too_coarse` or `too_few_periods` (sticking is likely, but not so
+    /// much that an alarm would say it), `stuck_signal` (PV stands still while OP travels), `not_fitted`,
+    /// `implausible_model` (no model that could be believed), `daily_cycle`, `trend` or `op_held` (OP is stored too seldom
+    /// to show what the valve was sent); or why there is nothing beside the answer: `screened` (a calm loop, of which
+    /// nothing more was computed).
+    pub reason: Option<&'static str>,
+    pub p_stiction: Option<f64>,
+    pub confidence: Option<f64>,
+    pub gates: Vec<Gate>,
+    /// What of the model or the cycle no plant has; then the model's numbers are not given.
+    pub implausible: Vec<Implausible>,
+    pub grade: Option<char>,
+    pub fs: Option<f64>,
+    pub fd: Option<f64>,
+    pub s: Option<f64>,
+    pub j: Option<f64>,
+    pub fs_interval: Option<[f64; 2]>,
+    pub fd_interval: Option<[f64; 2]>,
+    pub s_interval: Option<[f64; 2]>,
+    pub j_interval: Option<[f64; 2]>,
+    pub interval_level: Option<f64>,
+    pub j_identifiable: Option<bool>,
+    pub s_detectable: Option<f64>,
+    pub stiction_index: Option<f64>,
+    pub s_over_span: Option<f64>,
+    pub region: Option<&'static str>,
+    pub strength: Option<&'static str>,
+    pub severity: Option<&'static str>,
+    pub valve_model: Option<&'static str>,
+    pub process: Option<Process>,
+    /// Span of PV in the window (0.5 to 99.5 percentile), PV units.
+    pub pv_span: Option<f64>,
+    pub controller: Option<Controller>,
+    pub witnesses: Vec<Witness>,
+    /// What the witnesses' contributions add up to, in logits.
+    pub explanation: Option<Opinion>,
+    /// Search figures: evaluations done, and why the search stopped.
+    pub search: Option<Search>,
+    pub elapsed_ms: Option<f64>,
+}
+
+impl Assessment {
+    /// An assessment that says nothing yet: `inconclusive`, every number absent.
+    #[must_use]
+    pub const fn empty(window: Window, oscillation: Oscillation) -> Self {
+        Self {
+            window,
+            oscillation,
+            verdict: Verdict::Inconclusive,
+            contributing: Vec::new(),
+            stiction: None,
+            reason: None,
+            p_stiction: None,
+            confidence: None,
+            gates: Vec::new(),
+            implausible: Vec::new(),
+            grade: Some('D'),
+            fs: None,
+            fd: None,
+            s: None,
+            j: None,
+            fs_interval: None,
+            fd_interval: None,
+            s_interval: None,
+            j_interval: None,
+            interval_level: None,
+            j_identifiable: None,
+            s_detectable: None,
+            stiction_index: None,
+            s_over_span: None,
+            region: None,
+            strength: None,
+            severity: None,
+            valve_model: None,
+            process: None,
+            pv_span: None,
+            controller: None,
+            witnesses: Vec::new(),
+            explanation: None,
+            search: None,
+            elapsed_ms: None,
+        }
+    }
+}
+
+/// How the search for the best model went.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct Search {
+    /// Name of the solver.
+    pub solver: &'static str,
+    /// Error models computed.
+    pub evaluations: u64,
+    /// Rounds made.
+    pub rounds: usize,
+    /// Why it ended: `noise` (nothing but noise is left), `agreement` (another round gained next to nothing),
+    /// `no_friction` (none shows), `behind` (another explanation is far better), `complete` (all rounds made).
+    pub stopped: &'static str,
+}
+
+/// The published document: an assessment with its loop and the build that made it.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct EstimateDocument {
+    /// [`ESTIMATE_SCHEMA`].
+    pub schema: &'static str,
+    /// The loop's name.
+    #[serde(rename = "loop")]
+    pub loop_name: String,
+    /// What the window says.
+    #[serde(flatten)]
+    pub assessment: Assessment,
+    /// Version of the program.
+    pub version: &'static str,
+    /// Hash of the configuration that it ran under.
+    pub config_hash: String,
+}
+
+impl EstimateDocument {
+    /// Wraps an assessment.
+    #[must_use]
+    pub fn new(loop_name: &str, config_hash: &str, assessment: Assessment) -> Self {
+        Self {
+            schema: ESTIMATE_SCHEMA,
+            loop_name: loop_name.to_owned(),
+            assessment,
+            version: crate::VERSION,
+            config_hash: config_hash.to_owned(),
+        }
+    }
+}

@@ -1,0 +1,24 @@
+//! Judgement on one window: gates, fit, verdict, grade.
+
+mod assess;
+mod cause;
+mod detectable;
+mod document;
+mod excursion;
+mod gates;
+mod judge;
+mod params;
+pub mod plausible;
+pub mod rule;
+mod screen;
+pub mod tally;
+pub mod words;
+
+pub use crate::detect::Witness;
+pub use crate::ident::{DelayChoice, ModelChoice, ValveChoice};
+pub use assess::{assess, assess_in_windows, figures, lets_go};
+pub use document::{
+    Assessment, Controller, ESTIMATE_SCHEMA, EstimateDocument, Gate, Oscillation, Process, Search, Verdict, Window,
+};
+pub use params::AssessParams;
+pub use screen::{P_CALM, SCREENED};

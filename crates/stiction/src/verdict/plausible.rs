@@ -1,0 +1,184 @@
+//! Whether a control engineer would believe a model.
+//!
+//! A fit finds the best numbers, not possible ones: a daily cycle of the load is explained by a time constant of weeks, a
+//! ramp by a gain of thousands. What no plant has is not reported.
+
+use serde::Serialize;
+
+use super::document::{Oscillation, Process};
+use crate::record::Record;
+use crate::signal::{detrend, stats};
+use crate::units::LoopKind;
+
+/// What is not to be believed in a model or its record.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum Implausible {
+    /// The cycle takes a day: sun, shifts or load, no valve.
+    DailyCycle,
+    /// PV is little more than a straight line.
+    Trend,
+    /// The dead time is longer than loops of this kind have, or than half of the loop's own period.
+    DeadTime,
+    /// A time constant is longer than loops of this kind have, or than the window.
+    TimeConstant,
+    /// The gain would take PV far beyond where it was.
+    Gain,
+    /// Loops of this kind do not integrate.
+    Integrating,
+    /// The model follows PV hardly better than its mean.
+    Fit,
+}
+
+impl Implausible {
+    /// Its word in documents.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::DailyCycle => "daily_cycle",
+            Self::Trend => "trend",
+            Self::DeadTime => "dead_time",
+            Self::TimeConstant => "time_constant",
+            Self::Gain => "gain",
+            Self::Integrating => "integrating",
+            Self::Fit => "fit",
+        }
+    }
+
+    /// Whether it is the record that shows nothing of a valve, rather than the model that is wrong.
+    #[must_use]
+    pub const fn is_of_the_record(self) -> bool {
+        matches!(self, Self::DailyCycle | Self::Trend)
+    }
+}
+
+/// What a kind of loop may have.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Range {
+    /// The kind.
+    pub kind: LoopKind,
+    /// Longest dead time, s.
+    pub dead_time_s: f64,
+    /// Longest time constant, s.
+    pub time_constant_s: f64,
+    /// Whether it may integrate.
+    pub integrates: bool,
+}
+
+const fn range(kind: LoopKind, dead_time_s: f64, time_constant_s: f64, integrates: bool) -> Range {
+    Range { kind, dead_time_s, time_constant_s, integrates }
+}
+
+/// Plausible ranges by kind of loop.
+///
+/// Textbooks give typical values: flow and liquid pressure answer within seconds, gas pressure and level within seconds to
+/// minutes, temperature within minutes to an hour, composition within minutes to hours (Shinskey, Process Control
+/// Systems, 4th ed. 1996, properties of common loops; Seborg, Edgar, Mellichamp and Doyle, Process Dynamics and Control,
+/// ch. 12, guidelines for common loops; Smith and Corripio, Principles and Practice of Automatic Process Control,
+/// ch. 6). Set about a decade beyond them, so that a damped transmitter, a long impulse line or a slow actuator pass. A
+/// flow of liquid or gas through a valve settles: nothing is stored.
+pub const RANGES: [Range; 6] = [
+    range(LoopKind::Flow, 60.0, 300.0, false),
+    range(LoopKind::Pressure, 120.0, 3_600.0, true),
+    range(LoopKind::Level, 600.0, 14_400.0, true),
+    range(LoopKind::Temperature, 1_800.0, 14_400.0, true),
+    range(LoopKind::Analysis, 7_200.0, 28_800.0, true),
+    range(LoopKind::Other, 7_200.0, 28_800.0, true),
+];
+
+/// Samples that a time may be long whatever the kind: finer than that the record does not tell.
+const SAMPLES: f64 = 3.0;
+/// Dead time over the period of the loop's own cycle: what comes back later than half a period later would not sustain it.
+const HALF_A_PERIOD: f64 = 0.5;
+/// Most that the gain times OP's span may be, spans of PV.
+const AMPLIFIES: f64 = 30.0;
+/// Least that a model must follow, % of PV's deviation.
+const LEAST_FIT_PCT: f64 = 10.0;
+/// A day, s, and how near to it a period counts as one.
+const DAY_S: f64 = 86_400.0;
+const NEAR: f64 = 0.15;
+/// Share of PV's variance in a straight line from which nothing else is seen.
+const TREND: f64 = 0.8;
+
+/// What a control engineer would not believe of a record's cycle and its model; empty where all is well.
+#[must_use]
+pub fn implausible(
+    record: &Record,
+    oscillation: &Oscillation,
+    process: Option<&Process>,
+    kind: LoopKind,
+) -> Vec<Implausible> {
+    let limits = RANGES.into_iter().find(|r| r.kind == kind).unwrap_or(RANGES[5]);
+    let mut out = Vec::new();
+    let mut add = |what, met: bool| {
+        if met {
+            out.push(what);
+        }
+    };
+    let daily = |period: f64| (period / DAY_S - 1.0).abs() < NEAR;
+    add(Implausible::DailyCycle, oscillation.period_s.is_some_and(daily));
+    let line = 1.0 - stats::variance(&detrend::remove_line(&record.pv)) / stats::variance(&record.pv);
+    add(Implausible::Trend, line > TREND);
+    let Some(process) = process else { return out };
+    let finest = SAMPLES * record.point_s();
+    let half = oscillation.period_s.filter(|_| oscillation.oscillating).map_or(f64::INFINITY, |p| HALF_A_PERIOD * p);
+    let dead = process.dead_time_s;
+    add(Implausible::DeadTime, dead > finest && (dead > limits.dead_time_s || dead > half));
+    let slowest = process.time_constants_s.first().copied().unwrap_or(0.0);
+    let window_s = record.len() as f64 * record.point_s();
+    add(Implausible::TimeConstant, slowest > finest && slowest > limits.time_constant_s.min(window_s));
+    let (op, pv) = (stats::span(&record.op_path), stats::span(&record.pv));
+    add(Implausible::Gain, !process.integrating && process.gain.abs() * op > AMPLIFIES * pv);
+    add(Implausible::Integrating, process.integrating && !limits.integrates);
+    add(Implausible::Fit, process.fit_pct < LEAST_FIT_PCT);
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn process() -> Process {
+        Process {
+            order: 1,
+            gain: 1.0,
+            time_constants_s: vec![5.0],
+            dead_time_s: 2.0,
+            integrating: false,
+            mse: 0.1,
+            fit_pct: 80.0,
+        }
+    }
+
+    fn judged(period_s: f64, process: &Process, kind: LoopKind) -> Vec<Implausible> {
+        let wave = |phase: f64| (0..1000).map(|k| libm::sin(k as f64 * 0.1 + phase)).collect();
+        let record = Record::uniform(1.0, wave(0.0), wave(1.0));
+        let (periods, samples_per_period) = (Some(10.0), Some(period_s));
+        let oscillation =
+            Oscillation { oscillating: true, period_s: Some(period_s), periods, samples_per_period, regularity: None };
+        implausible(&record, &oscillation, Some(process), kind)
+    }
+
+    #[test]
+    fn what_a_flow_loop_cannot_have_is_named() {
+        assert!(judged(62.8, &process(), LoopKind::Flow).is_empty());
+        let dead = Process { dead_time_s: 655.0, ..process() };
+        assert_eq!(judged(3_000.0, &dead, LoopKind::Flow), vec![Implausible::DeadTime]);
+        assert!(judged(3_000.0, &dead, LoopKind::Analysis).is_empty());
+        let tank = Process { integrating: true, ..process() };
+        assert_eq!(judged(62.8, &tank, LoopKind::Flow), vec![Implausible::Integrating]);
+        assert!(judged(62.8, &tank, LoopKind::Level).is_empty());
+    }
+
+    #[test]
+    fn what_no_loop_has_is_named_whatever_its_kind() {
+        let late = Process { dead_time_s: 40.0, ..process() };
+        assert_eq!(judged(62.8, &late, LoopKind::Other), vec![Implausible::DeadTime]);
+        let slow = Process { time_constants_s: vec![1.2e6], gain: -731.0, ..process() };
+        assert_eq!(judged(62.8, &slow, LoopKind::Other), vec![Implausible::TimeConstant, Implausible::Gain]);
+        assert_eq!(judged(86_000.0, &process(), LoopKind::Other), vec![Implausible::DailyCycle]);
+        let blind = Process { fit_pct: -3.0, ..process() };
+        assert_eq!(judged(62.8, &blind, LoopKind::Other), vec![Implausible::Fit]);
+    }
+}
