@@ -1,6 +1,6 @@
 //! A solver of your own on the error surface, beside those that are there.
 //!
-//! `cargo run --release --no-default-features --example own_solver`
+//! `cargo run --release --example own_solver`
 
 use stiction::ident::class::Class;
 use stiction::ident::surface::{Surface, solve};

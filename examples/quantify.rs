@@ -1,6 +1,6 @@
 //! How much does a valve stick? A loop is simulated, and its record of OP and PV assessed as the daemon would.
 //!
-//! `cargo run --no-default-features --example quantify`
+//! `cargo run --example quantify`
 
 use stiction::sim::closed_loop::{ClosedLoop, LoopModel, ValveLaw, ValveModel};
 use stiction::sim::controller::{Action, PidSettings};

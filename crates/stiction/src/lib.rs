@@ -59,3 +59,7 @@ pub mod verdict;
 
 /// Version of the library and of the program, as documents carry it.
 pub const VERSION: &str = env!("CARGO_PKG_VERSION");
+
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

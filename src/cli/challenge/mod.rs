@@ -41,7 +41,7 @@ const START_S: f64 = 1_700_000_000.0;
   stictiond gap challenge new --seed 2 --cases 4 --out check
   stictiond gap challenge run check
   stictiond gap challenge score check
-  stictiond gap challenge calibrate check-a --out src/gap/calibration.json --force
+  stictiond gap challenge calibrate check-a --out crates/stiction/src/gap/calibration.json --force
 Odd seeds are split A, for choosing thresholds; even seeds split B, for reporting.")]
 pub struct Args {
     #[command(subcommand)]
