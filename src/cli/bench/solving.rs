@@ -55,7 +55,9 @@ fn kernels(found: &TruthLoop) -> Vec<Row> {
     let tables = cpu::ms(ROUNDS, || view.table(12.0));
     let table = view.table(12.0);
     let both = [&table, &table];
-    let sums = cpu::ms(ROUNDS, || evaluator::reduce(Class::First, &view, both, &steps.list, 4));
+    let sums = cpu::ms(ROUNDS, || {
+        evaluator::reduce(Class::First, &view, both, &steps.list, 4, &mut evaluator::HeldSums::default())
+    });
     let of = format!("{n} samples, {} slips", steps.slips);
     vec![
         us(format!("valve law, {of}"), law),

@@ -33,6 +33,8 @@ pub struct Evaluator<'a> {
     /// Responses that may be computed: from there on nothing is found any more.
     pub limit: u64,
     signal: ValveSignal,
+    /// What the sums have of the signal at hand whatever the process is.
+    held: sums::HeldSums,
     plain: PlainPass<'a>,
     load_sets: Vec<LoadSet>,
 }
@@ -95,6 +97,7 @@ impl<'a> Evaluator<'a> {
             evaluations: 0,
             limit: u64::MAX,
             signal: ValveSignal::default(),
+            held: sums::HeldSums::default(),
             plain: PlainPass::new(problem, sign),
             load_sets: Vec::new(),
         }
@@ -107,6 +110,7 @@ impl<'a> Evaluator<'a> {
         }
         let plan = structure.plan(theta);
         let mut theta = *theta;
+        self.held.clear();
         let freedom = self.signal.make(self.problem, &plan, &mut theta, self.sign)?;
         let steps = &self.signal.steps;
         Some(Prepared { plan, theta, freedom, cells: [steps.s_cell, steps.j_cell], slips: steps.slips })
@@ -151,13 +155,18 @@ impl<'a> Evaluator<'a> {
         self.evaluations += 1;
         let problem = self.problem;
         let own = problem.view(view);
+        let mut held = core::mem::take(&mut self.held);
         let best = match self.load_set(&plan, tau[0], view) {
-            None => self.best(prepared, &plan, own, place.tau.map(|index| own.on_lattice(index)), place.delay),
+            None => {
+                let tables = place.tau.map(|index| own.on_lattice(index));
+                self.best(prepared, &plan, own, tables, place.delay, &mut held)
+            }
             Some(set) => {
                 let tables = place.tau.map(|index| self.load_sets[set].table(index, own));
-                self.best(prepared, &plan, &self.load_sets[set].with, tables, place.delay)
+                self.best(prepared, &plan, &self.load_sets[set].with, tables, place.delay, &mut held)
             }
         };
+        self.held = held;
         Some(candidate(prepared, theta, best?, place.delay))
     }
 
@@ -191,7 +200,7 @@ impl<'a> Evaluator<'a> {
         };
         let first = Arc::new(view.table(tau[0]));
         let second = if prepared.has_two_lags() { Arc::new(view.table(tau[1])) } else { Arc::clone(&first) };
-        let best = self.best(&prepared, &plan, view, [first, second], delay)?;
+        let best = self.best(&prepared, &plan, view, [first, second], delay, &mut sums::HeldSums::default())?;
         Some(candidate(&prepared, prepared.theta, best, delay))
     }
 
@@ -208,6 +217,7 @@ impl<'a> Evaluator<'a> {
         view: &sums::View,
         tables: [Arc<Table>; 2],
         delay: i32,
+        held: &mut sums::HeldSums,
     ) -> Option<Best> {
         let limits = self.problem.normalised.limits.lag;
         let fraction = |lag: f64| (lag - f64::from(delay)).clamp(0.0, 1.0);
@@ -218,7 +228,7 @@ impl<'a> Evaluator<'a> {
             (false, false) => Class::First,
         };
         let steps = &self.signal.steps.list;
-        let reduced = reduce(class, view, [&tables[0], &tables[1]], steps, delay.max(0) as usize);
+        let reduced = reduce(class, view, [&tables[0], &tables[1]], steps, delay.max(0) as usize, held);
         let best = if plan.zero {
             let tau = [tables[0].tau, tables[1].tau];
             reduced.best_side_by_side(&prepared.freedom, fractions, |gains| !reads_controller(tau, gains))

@@ -7,10 +7,15 @@
 //! for every dead time within a sample, gain and kinetic band. The plain pass over samples, [`super::fit`], computes the
 //! same and is held against it by tests.
 
+mod gathered;
+mod held;
 mod reduced;
+mod square;
 mod sums;
 mod tables;
+mod walk;
 
+pub use held::{Held, HeldSums};
 pub use reduced::{Best, Reduced};
 pub use sums::reduce;
 pub use tables::{LATTICE_STEP, Table, View, lattice_index, lattice_tau};

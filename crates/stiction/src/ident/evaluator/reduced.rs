@@ -1,6 +1,6 @@
 //! What the sums of a valve signal's steps say for every dead time within a sample, gain and kinetic band.
 
-use super::sums::{DEPENDENT, PAIRS, PARTS};
+use super::gathered::{DEPENDENT, PAIRS, PARTS};
 use crate::ident::class::{Class, INTEGRATOR_SCALE};
 use crate::ident::fit::{Freedom, best_band};
 

@@ -71,7 +71,7 @@ proptest! {
         steps.run(&Path::new(op, m), n, stroke, law, [s, share * s], first);
         let view = View::new(&pv, rho, from);
         let tables = taus.map(|tau| view.table(tau));
-        let reduced = reduce(class, &view, [&tables[0], &tables[1]], &steps.list, lag as usize);
+        let reduced = reduce(class, &view, [&tables[0], &tables[1]], &steps.list, lag as usize, &mut HeldSums::default());
         let (gain, fd, explained) = reduced.at(lag.fract(), &freedom);
         let whole = view.nothing().max(target.y.iter().map(|y| y * y).sum());
         prop_assert!((reduced.rest - explained - plain.sse).abs() < 1e-9 * whole, "{class:?} {rho}: {} {}", reduced.rest - explained, plain.sse);
@@ -100,7 +100,7 @@ proptest! {
         steps.run(&Path::new(op, 1), n, Stroke::FREE, Law::He, [s, 0.4 * s], first);
         let view = View::of_stretches(&pv, &[&wave], rho, from, &counted);
         let tables = taus.map(|tau| view.table(tau));
-        let reduced = reduce(class, &view, [&tables[0], &tables[1]], &steps.list, lag as usize);
+        let reduced = reduce(class, &view, [&tables[0], &tables[1]], &steps.list, lag as usize, &mut HeldSums::default());
         let (_, _, explained) = reduced.at(lag.fract(), &freedom);
         // The same by columns on the points that count.
         let valve: Vec<f64> = sequence.at.iter().zip(&sequence.direction).map(|(a, d)| a - fd * d).collect();
@@ -147,7 +147,8 @@ fn the_best_dead_time_within_a_sample_is_found() {
         class.respond_pair(&shape_of(class, taus, lag), [&valve, &valve], &mut work, [&mut x, &mut other]);
         let view = View::new(&x, 0.0, from);
         let tables = taus.map(|tau| view.table(tau));
-        let reduced = reduce(class, &view, [&tables[0], &tables[1]], &steps.list, lag as usize);
+        let reduced =
+            reduce(class, &view, [&tables[0], &tables[1]], &steps.list, lag as usize, &mut HeldSums::default());
         let best = reduced.best(&freedom, [0.0, 1.0]);
         assert!((best.fraction - lag.fract()).abs() < 2e-3 && best.sse < 1e-5 * view.nothing(), "{class:?}: {best:?}");
         assert_eq!(lattice_index(lattice_tau(17)), 17);

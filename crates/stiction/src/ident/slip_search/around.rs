@@ -4,7 +4,7 @@ use super::candidate::Candidate;
 use super::evaluator::{Evaluator, Polished};
 use crate::ident::candidate::Start;
 use crate::ident::class::Class;
-use crate::ident::evaluator::{LATTICE_STEP, Table, View, lattice_index, reduce};
+use crate::ident::evaluator::{LATTICE_STEP, Table, View, lattice_index};
 use crate::ident::fit::{BandProfile, Freedom};
 
 /// Tables of time constants at and a little beside those of a process, for many fits nearby.
@@ -44,11 +44,11 @@ impl Evaluator<'_> {
     ) -> Option<Candidate> {
         let freedom = self.slip(s, j, start)?;
         let delay = lag.max(0.0) as usize;
-        let mut fit = self.over_lags(view, around.pair([0, 0]), [0; 2], delay, &freedom, f64::INFINITY);
+        let mut fit = self.over_lags(view, around.pair([0, 0]), None, delay, &freedom, f64::INFINITY);
         fit.places = around.places();
         if fit.sse < enough && self.class != Class::Integrating {
             let is_second = self.class == Class::Second;
-            let mut error = |which| self.over_lags(view, around.pair(which), [0; 2], fit.delay, &freedom, enough).sse;
+            let mut error = |which| self.over_lags(view, around.pair(which), None, fit.delay, &freedom, enough).sse;
             let one = [error([1, 0]), error([2, 0])];
             let lower = if is_second {
                 let two = [error([0, 1]), error([0, 2])];
@@ -67,7 +67,7 @@ impl Evaluator<'_> {
     /// allow.
     pub fn profile(&mut self, view: &View, around: &Around, of: &Candidate) -> Option<(BandProfile, [f64; 2])> {
         let freedom = self.slip(of.s, of.j, of.start)?;
-        let reduced = reduce(self.class, view, around.pair([0, 0]), &self.steps().list, of.fit.delay);
+        let reduced = self.reduced(view, around.pair([0, 0]), of.fit.delay);
         Some((BandProfile::new(reduced.system(of.fit.fraction), reduced.rest), freedom.fd))
     }
 

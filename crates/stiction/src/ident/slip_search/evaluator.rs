@@ -4,7 +4,7 @@ use super::candidate::{Candidate, LatticeFit};
 use super::problem::Problem;
 use crate::ident::candidate::{Start, band_freedom};
 use crate::ident::class::{Class, Scratch, Shape};
-use crate::ident::evaluator::{Table, View, lattice_index, lattice_tau, reduce};
+use crate::ident::evaluator::{Best, HeldSums, Reduced, Table, View, lattice_index, lattice_tau, reduce};
 use crate::ident::fit::Freedom;
 use crate::ident::least_squares::Gram;
 use crate::sim::slips::{Law, Stem};
@@ -38,6 +38,20 @@ pub struct Evaluator<'a> {
     /// Valve signals computed.
     pub signals: u64,
     steps: Steps,
+    held: HeldSums,
+    /// Fits to the steps at hand on the lattice: walks come by the same places again.
+    known: Vec<(Known, Best)>,
+}
+
+/// What a fit on the lattice depends on beside the steps: places, dead time, view, kinetic bands.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Known {
+    class: Class,
+    places: [i32; 2],
+    delay: usize,
+    rho: f64,
+    points: usize,
+    fd: [f64; 2],
 }
 
 /// A process whose time constants are off the lattice.
@@ -59,13 +73,25 @@ impl<'a> Evaluator<'a> {
     /// An evaluator for the first `points` of a record.
     #[must_use]
     pub fn new(problem: &'a Problem<'a>, law: Law, class: Class, points: usize) -> Self {
-        Self { problem, law, class, points, evaluations: 0, signals: 0, steps: Steps::default() }
+        Self {
+            problem,
+            law,
+            class,
+            points,
+            evaluations: 0,
+            signals: 0,
+            steps: Steps::default(),
+            held: HeldSums::default(),
+            known: Vec::new(),
+        }
     }
 
     /// Runs the valve; the kinetic bands that its slips leave open, or `None` where it moves too seldom or too often.
     pub fn slip(&mut self, s: f64, j: f64, start: Start) -> Option<Freedom> {
         let normalised = self.problem.normalised;
         self.signals += 1;
+        self.held.clear();
+        self.known.clear();
         let first = normalised.first_slip(start);
         self.steps.run(&self.problem.path, self.points, normalised.stroke, self.law, [s, j], first);
         let [least, most] = self.problem.moves;
@@ -90,6 +116,8 @@ impl<'a> Evaluator<'a> {
 
     /// OP itself in the place of the valve signal.
     pub fn follow_op(&mut self) {
+        self.held.clear();
+        self.known.clear();
         self.steps.of_signal(&self.problem.normalised.mean, &[]);
         self.steps.list.retain(|s| (s.point as usize) < self.points);
     }
@@ -118,27 +146,47 @@ impl<'a> Evaluator<'a> {
         let places = self.clamp(places);
         let first = view.on_lattice(places[0]);
         let second = if places[1] == places[0] { first.clone() } else { view.on_lattice(places[1]) };
-        self.over_lags(view, [&first, &second], places, delay, freedom, enough)
+        self.over_lags(view, [&first, &second], Some(places), delay, freedom, enough)
+    }
+
+    /// The best dead time within a whole point, at `places` of the lattice or off it.
+    fn best_at(
+        &mut self,
+        view: &View,
+        tables: [&Table; 2],
+        places: Option<[i32; 2]>,
+        delay: usize,
+        freedom: &Freedom,
+    ) -> Best {
+        let (class, rho, points, fd) = (self.class, view.rho(), view.points(), freedom.fd);
+        let known = places.map(|places| Known { class, places, delay, rho, points, fd });
+        if let Some((_, best)) = known.and_then(|known| self.known.iter().find(|(k, _)| *k == known)) {
+            return *best;
+        }
+        self.evaluations += 1;
+        let best = self.reduced(view, tables, delay).best(freedom, self.fractions(delay));
+        self.known.extend(known.map(|known| (known, best)));
+        best
     }
 
     pub(super) fn over_lags(
         &mut self,
         view: &View,
         tables: [&Table; 2],
-        places: [i32; 2],
+        on_lattice: Option<[i32; 2]>,
         delay: usize,
         freedom: &Freedom,
         enough: f64,
     ) -> LatticeFit {
         let [least, most] = self.delays();
+        let places = on_lattice.unwrap_or_default();
         let mut delay = delay.clamp(least, most);
         let mut best =
             LatticeFit { sse: f64::INFINITY, gain: 0.0, fd: freedom.fd_default, places, delay, fraction: 0.0 };
         let mut last = 0;
         for _ in 0..HOPS {
-            self.evaluations += 1;
             let fractions = self.fractions(delay);
-            let found = reduce(self.class, view, tables, &self.steps.list, delay).best(freedom, fractions);
+            let found = self.best_at(view, tables, on_lattice, delay, freedom);
             if found.sse >= best.sse {
                 break;
             }
@@ -301,6 +349,11 @@ impl<'a> Evaluator<'a> {
         Some(self.candidate([from.s, from.j], from.start, fit))
     }
 
+    /// What the steps of the valve signal at hand say for these tables and a dead time of `delay` whole points.
+    pub(super) fn reduced(&mut self, view: &View, tables: [&Table; 2], delay: usize) -> Reduced {
+        reduce(self.class, view, tables, &self.steps.list, delay, &mut self.held)
+    }
+
     /// The best lag near `from`'s behind the valve signal at hand, its time constants held.
     pub fn quick(&mut self, view: &mut View, from: &LatticeFit, freedom: &Freedom) -> LatticeFit {
         self.at(view, from.places, from.delay, freedom, f64::INFINITY)
@@ -451,7 +504,7 @@ impl<'a> Evaluator<'a> {
         let first = view.table(taus[0]);
         let second = (self.class == Class::Second).then(|| view.table(taus[1]));
         let tables = [&first, second.as_ref().unwrap_or(&first)];
-        let fit = self.over_lags(view, tables, [0; 2], delay, freedom, f64::INFINITY);
+        let fit = self.over_lags(view, tables, None, delay, freedom, f64::INFINITY);
         Polished { sse: fit.sse, gain: fit.gain, fd: fit.fd, taus, lag: fit.lag() }
     }
 
