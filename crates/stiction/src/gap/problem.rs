@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
-use super::signatures::between;
-use super::structure::Parameters;
+use super::candidate::Parameters;
+use super::traces::between;
 use super::types::Blocks;
 use crate::detect::oscillation;
 use crate::ident::candidate::NormalisedRecord;

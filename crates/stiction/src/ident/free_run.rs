@@ -4,10 +4,10 @@
 //! process its drift as well), the process' own memory of what went before, and where the stem stood at the start.
 
 use super::candidate::{NormalisedRecord, Start};
+use super::choice::Options;
 use super::class::{Class, Limits, Scratch, Shape};
 use super::least_squares::Gram;
 use super::normalise::normalise;
-use super::quantify::Options;
 use super::{DelayChoice, ModelChoice, ValveChoice};
 use crate::record::Record;
 use crate::signal::stats;
