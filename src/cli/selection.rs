@@ -98,8 +98,16 @@ pub struct Downsampled {
     pub points_per_period: Option<f64>,
 }
 
-pub(super) fn pair(text: &str) -> Result<(&str, &str), String> {
+fn pair(text: &str) -> Result<(&str, &str), String> {
     text.split_once(',').ok_or_else(|| format!("{text:?} is not two values with a comma between"))
+}
+
+/// Two numbers, the lower one first.
+pub(super) fn rising(text: &str) -> Result<[f64; 2], String> {
+    let (low, high) = pair(text)?;
+    let number = |s: &str| s.trim().parse::<f64>().map_err(|_| format!("{s:?} is not a number"));
+    let range = [number(low)?, number(high)?];
+    if range[1] > range[0] { Ok(range) } else { Err("the upper end must be above the lower".to_owned()) }
 }
 
 fn samples_range(text: &str) -> Result<(usize, usize), String> {
@@ -324,6 +332,24 @@ impl Points {
     }
 }
 
+/// A whole recording as it is judged.
+pub(super) struct Whole {
+    /// Its longest section without a gap.
+    pub record: Record,
+    /// The windows that it is judged in where it is long.
+    pub windows: Vec<Record>,
+    /// Its loop's settings.
+    pub settings: Arc<LoopSettings>,
+}
+
+/// The section of a whole recording that is longest without a gap, for commands that look at whole files.
+pub(super) fn whole_record(loaded: &LoadedLoop, config: &Config) -> anyhow::Result<Whole> {
+    let points = Points::of(loaded, config);
+    let record = points.record(&loaded.name, Section::Whole, points.settings.window.max_points)?;
+    let windows = points.windows(&loaded.name, Section::Whole)?;
+    Ok(Whole { record, windows, settings: points.settings })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -339,6 +365,7 @@ mod tests {
         assert_eq!(time_range("1,2.5"), Ok((ns_from_s(1.0), ns_from_s(2.5))));
         assert_eq!(time_range("7ns,9ns"), Ok((7, 9)));
         assert!(time_range("2,1").is_err());
+        assert!(rising("0,100").is_ok() && rising("5,5").is_err());
         assert!(ratio("2.5").is_ok() && ratio("1").is_err() && ratio("inf").is_err() && ratio("two").is_err());
     }
 

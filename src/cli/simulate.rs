@@ -6,14 +6,15 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, anyhow, bail};
 use serde_json::json;
 
-use super::gap::model_file;
+use super::reading::model_file;
 use super::{Format, Outcome, list, say};
 use crate::daemon::to_json;
 use crate::files::RecordingFile;
 use crate::sink::recorder::RunInfo;
 use stiction::gap::Serial;
 use stiction::gap::check_model;
-use stiction::gap::loop_run::{Parts, parts};
+use stiction::gap::in_loop::Parts;
+use stiction::gap::loop_run::parts;
 use stiction::record::Record;
 use stiction::sim::closed_loop::ValveLaw;
 use stiction::sim::scenario::{ProcessSpec, Scenario};

@@ -17,7 +17,7 @@ mod desk;
 pub mod documents;
 pub mod faults;
 pub mod gaps;
-mod health;
+pub mod health;
 mod housekeeping;
 mod limits;
 pub mod metrics;
@@ -43,12 +43,12 @@ use anyhow::{Context, anyhow};
 use sd_notify::NotifyState;
 
 use self::clock::Clock;
-pub use self::core::HealthSnapshot;
 pub(crate) use self::core::to_json;
 use self::core::{Core, Parts, tell_system};
 use self::faults::Faults;
 use self::gaps::Diagnoser;
 pub use self::health::DaemonHealth;
+use self::health::HealthSnapshot;
 use self::housekeeping::House;
 use self::metrics::Metrics;
 use self::queue::Budget;
@@ -109,7 +109,7 @@ pub async fn run(
     let lock = lock_folder(&recordings, &faults)?;
     let starting = |id: &str| (Instant::now(), Arc::new(DaemonHealth::starting(id, &config.hash())));
     let snapshot = HealthSnapshot::new(RwLock::new(starting("")));
-    let web = crate::web::serve(&config.web, &metrics, snapshot.clone(), faults.clone()).await;
+    let web = crate::web::serve(&config.web, metrics.registry(), snapshot.clone(), faults.clone()).await;
     tokio::pin!(stop);
     // A demonstration starts afresh.
     let restored = if options.origin == "run" {

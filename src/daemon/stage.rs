@@ -11,10 +11,10 @@ use std::time::Duration;
 use crossbeam_channel::{Receiver, Sender};
 
 use super::clock::Clock;
-use super::core::{Core, HealthSnapshot, Parts};
+use super::core::{Core, Parts};
 use super::faults::Faults;
 use super::gaps::{Diagnosed, Diagnoser};
-use super::health::DaemonHealth;
+use super::health::{DaemonHealth, HealthSnapshot};
 use super::metrics::Metrics;
 use super::queue::{Budget, Room};
 use super::restore::{self, Restored};

@@ -8,7 +8,7 @@ mod messages;
 mod report;
 
 use std::collections::{BTreeMap, HashMap};
-use std::sync::{Arc, RwLock};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, never, select, tick};
@@ -19,7 +19,7 @@ use super::clock::Clock;
 use super::desk::Desk;
 use super::faults::Faults;
 use super::gaps::Diagnoser;
-use super::health::DaemonHealth;
+use super::health::HealthSnapshot;
 use super::limits::{Limits, Refused};
 use super::metrics::{Label, Metrics};
 use super::queue::Budget;
@@ -48,10 +48,6 @@ const BATCH_WITHIN: Duration = Duration::from_millis(20);
 const HEALTH_EVERY: Duration = Duration::from_secs(5);
 /// How long a stopping daemon still takes what had already arrived.
 const DRAIN: Duration = Duration::from_secs(1);
-
-/// What the web server reads, and when it was made: replaced as a whole, never locked for longer than a copy of the
-/// pointer.
-pub type HealthSnapshot = Arc<RwLock<(Instant, Arc<DaemonHealth>)>>;
 
 /// Everything the engine's thread owns.
 pub struct Core {
