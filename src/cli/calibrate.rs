@@ -18,7 +18,7 @@ use stiction::verdict::tally::{self, Scored, Tally};
 use stiction::verdict::{AssessParams, figures};
 use stiction_lab::calibrate::{Example, Settings, ask, fit, leave_one_valve_out, weights};
 use stiction_lab::truth::{Half, verdict_case};
-use stiction_monitor::config::WindowParams;
+use stiction_monitor::engine::WindowParams;
 use stiction_monitor::engine::windows;
 
 /// Fit the rule behind p_stiction to simulated loops and labelled recordings, and print how good it is on those that it was

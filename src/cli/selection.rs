@@ -13,7 +13,7 @@ use stiction::signal::align::{Point, align_all};
 use stiction::signal::detrend::remove_line;
 use stiction::signal::resample::{boxed, decimated};
 use stiction::signal::stats;
-use stiction::units::{LoopKind, format_rfc3339, parse_time};
+use stiction::units::{format_rfc3339, parse_time};
 use stiction_monitor::config::Config;
 use stiction_monitor::engine::{LoopSettings, longest, section, windows};
 
@@ -262,8 +262,7 @@ impl Points {
     /// Joins a loop's samples under the configuration that they were recorded with.
     #[must_use]
     pub fn of(loaded: &LoadedLoop, config: &Config) -> Self {
-        let settings =
-            Arc::new(LoopSettings::of(config, config.loop_named(&loaded.name), LoopKind::of_tag(&loaded.name)));
+        let settings = Arc::new(config.loop_settings(&loaded.name));
         let (stretches, counts) = align_all(&loaded.samples, &settings.align);
         if counts.late + counts.stamp_outliers > 0 {
             tracing::warn!(

@@ -20,8 +20,9 @@ use stiction::sim::closed_loop::ValveLaw;
 use stiction::sim::scenario::{ProcessSpec, Scenario};
 use stiction_monitor::codec::encode_recorded;
 use stiction_monitor::codec::topic::{self, Kind};
-use stiction_monitor::config::{Config, short_hash};
+use stiction_monitor::config::Config;
 use stiction_monitor::engine::{Engine, Event, RecordedInput, SkipReason};
+use stiction_monitor::short_hash;
 
 /// Simulate a plant and write what a daemon beside it would have recorded: samples, estimates, alarms.
 #[derive(Debug, clap::Args)]
@@ -151,7 +152,7 @@ fn write(args: &Args, scenario: &Scenario, config: Config, run: &RunInfo) -> any
     }
     let mut file = RecordingFile::create_at(part, args.out.clone(), &run.metadata(0, 0, "", 0))?;
     let mut counts: BTreeMap<Kind, u64> = BTreeMap::new();
-    let mut engine = Engine::new(config);
+    let mut engine = Engine::new(config.engine());
     let names: Vec<String> = scenario.loop_names().map(str::to_owned).collect();
     let mut events = Vec::new();
     let mut json = Vec::new();

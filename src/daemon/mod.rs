@@ -184,9 +184,9 @@ pub async fn run(
     });
     let queryables =
         source::zenoh::answer_queries(&session, &prefix, queue.clone(), last, sign, metrics.clone()).await?;
-    let engine = Engine::new(config.clone());
     let parts = Parts {
-        engine,
+        engine: Engine::new(config.engine()),
+        config: Arc::new(config.clone()),
         input: (budget.clone(), shares.clone()),
         workers,
         diagnoser,
@@ -330,7 +330,7 @@ fn lock_folder(dir: &Path, faults: &Faults) -> anyhow::Result<Option<FolderLock>
 fn run_info(config: &Config, config_text: String, options: &RunOptions, daemon_id: &str, run_number: u64) -> RunInfo {
     let started_ns = clock::now_ns();
     let seed = format!("{daemon_id} {started_ns}");
-    let run_id = stiction_monitor::config::short_hash(seed.as_bytes())[..8].to_owned();
+    let run_id = stiction_monitor::short_hash(seed.as_bytes())[..8].to_owned();
     RunInfo {
         prefix: config.site.prefix.clone(),
         run_id,
