@@ -370,19 +370,19 @@ fn params(args: &Args, points: &Points, taken: &Taken) -> AssessParams {
     let mut params = points.settings.assess.clone();
     params.always_fit = true;
     params.op_range = args.op_range.or(params.op_range);
-    params.fineness_pct = args.solver.fineness;
-    params.seed = args.solver.seed;
-    params.delay = match (args.delay.0, &taken.downsample) {
+    params.fit.fineness_pct = args.solver.fineness;
+    params.fit.seed = args.solver.seed;
+    params.fit.delay = match (args.delay.0, &taken.downsample) {
         // Samples are those of the file.
         (DelayChoice::Samples(count), Some(left)) => DelayChoice::Seconds(count * left.ts_s),
         (other, _) => other,
     };
-    params.model = match args.model {
+    params.fit.model = match args.model {
         ModelArg::Fopdt => ModelChoice::Fopdt,
         ModelArg::Sopdt => ModelChoice::Sopdt,
         ModelArg::Auto => ModelChoice::Auto,
     };
-    params.valve = match args.valve {
+    params.fit.valve = match args.valve {
         ValveArg::He => ValveChoice::He,
         ValveArg::Tracking => ValveChoice::Tracking,
         ValveArg::Auto => ValveChoice::Auto,
