@@ -9,8 +9,8 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use stiction::units::Moment;
 use stiction::verdict::{Assessment, Oscillation, Verdict, Window};
+use stiction_monitor::alarm::AlarmParams;
 use stiction_monitor::alarm::{Alarm, Command, MAX_SHELVE_S};
-use stiction_monitor::config::AlarmParams;
 
 const STEP_NS: i64 = 600_000_000_000;
 const CLASSES: [&str; 3] = ["weak", "moderate", "strong"];

@@ -20,7 +20,7 @@ fn record(path: &Path) -> usize {
     let metadata = [("prefix", "p"), ("config", TEXT)].map(|(k, v)| (k.to_owned(), v.to_owned()));
     let part = path.with_extension("part");
     let mut file = RecordingFile::create_at(part, path.to_owned(), &BTreeMap::from(metadata)).unwrap();
-    let mut engine = Engine::new(Config::parse(TEXT).unwrap());
+    let mut engine = Engine::new(Config::parse(TEXT).unwrap().engine());
     let id = engine.appear("A").unwrap();
     let (mut events, mut requests): (Vec<Event>, Vec<Request>) = Default::default();
     let scenario = Scenario::parse(SCENARIO).unwrap();

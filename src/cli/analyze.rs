@@ -1,33 +1,28 @@
 //! `stictiond analyze`: one estimate per loop of a file.
 
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::time::Instant;
 
 use anyhow::{Context, anyhow, bail};
 use clap::ValueEnum;
 use indicatif::ProgressBar;
-use serde::Serialize;
 
 use super::analyze_report::{Maker, Subject};
+use super::answer::{Answer, Scored};
 use super::fleet::{MANY, Summary};
-use super::gap::model_file;
-use super::reading::{ReadArgs, named};
-use super::selection::{MIN_SAMPLES, Points, Section, Selection, Taken, pair, usable};
-use super::solving::{self, SolverArgs, SolverDocument};
+use super::reading::{ReadArgs, config_of, model_file, named};
+use super::selection::{MIN_SAMPLES, Points, Section, Selection, Taken, rising, usable};
+use super::solving::{self, SolverArgs};
 use super::{Format, Outcome, UsageError, in_order_on_all_cores, note, say, stop, text};
-use crate::daemon::replay::RunMetadata;
-use crate::files::RecordingReader;
 use crate::files::export::Recognised;
 use crate::files::inputs::Unit;
-use crate::files::{InputKind, Loaded, LoadedLoop};
+use crate::files::{Loaded, LoadedLoop};
 use stiction::gap::Ask;
 use stiction::gap::score::score;
 use stiction::record::Record;
 use stiction::signal::stats;
 use stiction::verdict::{AssessParams, DelayChoice, EstimateDocument, ModelChoice, ValveChoice, assess_in_windows};
 use stiction_monitor::config::Config;
-use stiction_monitor::engine::LoopSettings;
 
 /// Estimate stiction once per loop of a file: the whole section that is given, however short.
 #[derive(Debug, clap::Args)]
@@ -66,7 +61,7 @@ pub struct Args {
     #[arg(long, value_enum, default_value = "auto", help_heading = "Model")]
     pub valve: ValveArg,
     /// Range of OP, so that sizes are given in % of travel.
-    #[arg(long, value_name = "LO,HI", value_parser = op_range, help_heading = "Model")]
+    #[arg(long, value_name = "LO,HI", value_parser = rising, help_heading = "Model")]
     pub op_range: Option<[f64; 2]>,
     /// Also run a model from elsewhere over the record and say how well it follows: an estimate, a gap document's
     /// model, or a plain one (JSON). It changes nothing else.
@@ -90,36 +85,6 @@ pub struct Args {
     /// Replace an existing report.
     #[arg(long, requires = "report")]
     pub force: bool,
-}
-
-/// How well a model from elsewhere follows the record, free run.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Scored {
-    /// Its file.
-    pub model: PathBuf,
-    /// Mean squared error, PV units squared.
-    pub mse: f64,
-    /// 100 (1 - rms error / std PV).
-    pub fit_pct: f64,
-}
-
-/// An estimate with what `analyze` adds to the published document.
-#[derive(Debug, Serialize)]
-pub struct Answer {
-    /// As the daemon would publish it.
-    #[serde(flatten)]
-    pub document: EstimateDocument,
-    /// Span of OP, which `fs + fd` was kept within; null where OP does not move.
-    pub s0: Option<f64>,
-    /// What of the file was looked at.
-    pub selection: Taken,
-    /// What the solver found that was asked for.
-    pub solver: Option<SolverDocument>,
-    /// How well the model follows that was given.
-    pub scored: Option<Scored>,
-    /// What the report draws.
-    #[serde(skip)]
-    pub looked_at: Subject,
 }
 
 /// `--model`.
@@ -162,27 +127,6 @@ fn delay(text: &str) -> Result<DelayChoiceArg, String> {
         None => DelayChoice::Samples(number(text)?),
     };
     Ok(DelayChoiceArg(choice))
-}
-
-pub(super) fn op_range(text: &str) -> Result<[f64; 2], String> {
-    let (low, high) = pair(text)?;
-    let number = |s: &str| s.trim().parse::<f64>().map_err(|_| format!("{s:?} is not a number"));
-    let range = [number(low)?, number(high)?];
-    if range[1] > range[0] { Ok(range) } else { Err("the upper end must be above the lower".to_owned()) }
-}
-
-/// The configuration that a file was recorded under; the defaults for files of others and for several files.
-pub(super) fn config_of(paths: &[PathBuf]) -> anyhow::Result<Option<RunMetadata>> {
-    let [path] = paths else { return Ok(None) };
-    if !path.is_file() || InputKind::detect(path)? != InputKind::Mcap {
-        return Ok(None);
-    }
-    let reader = RecordingReader::open(path)?;
-    if reader.metadata().contains_key("config") {
-        Ok(Some(RunMetadata::of(path, reader.metadata())?))
-    } else {
-        Ok(None)
-    }
 }
 
 /// Runs the command.
@@ -426,42 +370,24 @@ fn params(args: &Args, points: &Points, taken: &Taken) -> AssessParams {
     let mut params = points.settings.assess.clone();
     params.always_fit = true;
     params.op_range = args.op_range.or(params.op_range);
-    params.fineness_pct = args.solver.fineness;
-    params.seed = args.solver.seed;
-    params.delay = match (args.delay.0, &taken.downsample) {
+    params.fit.fineness_pct = args.solver.fineness;
+    params.fit.seed = args.solver.seed;
+    params.fit.delay = match (args.delay.0, &taken.downsample) {
         // Samples are those of the file.
         (DelayChoice::Samples(count), Some(left)) => DelayChoice::Seconds(count * left.ts_s),
         (other, _) => other,
     };
-    params.model = match args.model {
+    params.fit.model = match args.model {
         ModelArg::Fopdt => ModelChoice::Fopdt,
         ModelArg::Sopdt => ModelChoice::Sopdt,
         ModelArg::Auto => ModelChoice::Auto,
     };
-    params.valve = match args.valve {
+    params.fit.valve = match args.valve {
         ValveArg::He => ValveChoice::He,
         ValveArg::Tracking => ValveChoice::Tracking,
         ValveArg::Auto => ValveChoice::Auto,
     };
     params
-}
-
-/// A whole recording as it is judged.
-pub(super) struct Whole {
-    /// Its longest section without a gap.
-    pub record: Record,
-    /// The windows that it is judged in where it is long.
-    pub windows: Vec<Record>,
-    /// Its loop's settings.
-    pub settings: Arc<LoopSettings>,
-}
-
-/// The section of a whole recording that is longest without a gap, for commands that look at whole files.
-pub(super) fn whole_record(loaded: &LoadedLoop, config: &Config) -> anyhow::Result<Whole> {
-    let points = Points::of(loaded, config);
-    let record = points.record(&loaded.name, Section::Whole, points.settings.window.max_points)?;
-    let windows = points.windows(&loaded.name, Section::Whole)?;
-    Ok(Whole { record, windows, settings: points.settings })
 }
 
 #[cfg(test)]
@@ -473,6 +399,5 @@ mod tests {
         assert!(matches!(delay("12s").unwrap().0, DelayChoice::Seconds(x) if x == 12.0));
         assert!(matches!(delay("2.5").unwrap().0, DelayChoice::Samples(x) if x == 2.5));
         assert!(delay("-1").is_err() && delay("soon").is_err());
-        assert!(op_range("0,100").is_ok() && op_range("5,5").is_err());
     }
 }

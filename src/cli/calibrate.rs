@@ -18,7 +18,7 @@ use stiction::verdict::tally::{self, Scored, Tally};
 use stiction::verdict::{AssessParams, figures};
 use stiction_lab::calibrate::{Example, Settings, ask, fit, leave_one_valve_out, weights};
 use stiction_lab::truth::{Half, verdict_case};
-use stiction_monitor::config::WindowParams;
+use stiction_monitor::engine::WindowParams;
 use stiction_monitor::engine::windows;
 
 /// Fit the rule behind p_stiction to simulated loops and labelled recordings, and print how good it is on those that it was
@@ -52,7 +52,7 @@ pub struct Args {
     pub weight: f64,
     /// Probabilities from which on a valve is said to stick and a window counts towards an alarm; those of the rule in
     /// use if none are given.
-    #[arg(long, value_name = "CALLED,ALARM", value_parser = super::analyze::op_range)]
+    #[arg(long, value_name = "CALLED,ALARM", value_parser = super::selection::rising)]
     pub cuts: Option<[f64; 2]>,
     /// Instead of the rule, measures how wide intervals of s, j, fs and fd have to be, on so many loops of each regime.
     #[arg(long, value_name = "LOOPS", conflicts_with_all = ["labelled", "features", "names"])]

@@ -1,6 +1,6 @@
 //! Many loops at once: each by its line in one table, instead of a page of text.
 
-use super::analyze::Answer;
+use super::answer::Answer;
 use stiction::units::{self, duration, format_rfc3339};
 use stiction::verdict::Verdict;
 

@@ -2,6 +2,7 @@
 
 pub mod analyze;
 mod analyze_report;
+mod answer;
 pub mod bench;
 pub mod bridge;
 pub mod calibrate;

@@ -1,13 +1,16 @@
-//! How files of others are read: the same options for every command that takes a file, and one line on what was found.
+//! How files are read: the same options for every command that takes a file of others, one line on what was found, the
+//! configuration of a recording, a model's file.
 
 use std::path::{Path, PathBuf};
 
-use anyhow::anyhow;
+use anyhow::{Context, anyhow};
 
 use super::{note, on_all_cores};
+use crate::daemon::replay::RunMetadata;
 use crate::files::export::{Codes, Decimal, Map, TimeFormat, Zone};
 use crate::files::inputs::{Unit, units};
-use crate::files::{FileError, Loaded, ReadOptions};
+use crate::files::{FileError, InputKind, Loaded, ReadOptions, RecordingReader};
+use stiction::gap::model_file::ModelFile;
 
 /// Options for exports; everything that the files show needs none.
 #[derive(Debug, Clone, Default, clap::Args)]
@@ -124,6 +127,26 @@ impl ReadArgs {
         }
         all.ok_or_else(|| first.map_or_else(|| anyhow!("no file was given"), anyhow::Error::from))
     }
+}
+
+/// The configuration that a file was recorded under; the defaults for files of others and for several files.
+pub(super) fn config_of(paths: &[PathBuf]) -> anyhow::Result<Option<RunMetadata>> {
+    let [path] = paths else { return Ok(None) };
+    if !path.is_file() || InputKind::detect(path)? != InputKind::Mcap {
+        return Ok(None);
+    }
+    let reader = RecordingReader::open(path)?;
+    if reader.metadata().contains_key("config") {
+        Ok(Some(RunMetadata::of(path, reader.metadata())?))
+    } else {
+        Ok(None)
+    }
+}
+
+/// Reads a model's file.
+pub(super) fn model_file(path: &Path) -> anyhow::Result<ModelFile> {
+    let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
+    ModelFile::parse(&text).with_context(|| path.display().to_string())
 }
 
 /// What was given, in a few words.

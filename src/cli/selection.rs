@@ -13,7 +13,7 @@ use stiction::signal::align::{Point, align_all};
 use stiction::signal::detrend::remove_line;
 use stiction::signal::resample::{boxed, decimated};
 use stiction::signal::stats;
-use stiction::units::{LoopKind, format_rfc3339, parse_time};
+use stiction::units::{format_rfc3339, parse_time};
 use stiction_monitor::config::Config;
 use stiction_monitor::engine::{LoopSettings, longest, section, windows};
 
@@ -98,8 +98,16 @@ pub struct Downsampled {
     pub points_per_period: Option<f64>,
 }
 
-pub(super) fn pair(text: &str) -> Result<(&str, &str), String> {
+fn pair(text: &str) -> Result<(&str, &str), String> {
     text.split_once(',').ok_or_else(|| format!("{text:?} is not two values with a comma between"))
+}
+
+/// Two numbers, the lower one first.
+pub(super) fn rising(text: &str) -> Result<[f64; 2], String> {
+    let (low, high) = pair(text)?;
+    let number = |s: &str| s.trim().parse::<f64>().map_err(|_| format!("{s:?} is not a number"));
+    let range = [number(low)?, number(high)?];
+    if range[1] > range[0] { Ok(range) } else { Err("the upper end must be above the lower".to_owned()) }
 }
 
 fn samples_range(text: &str) -> Result<(usize, usize), String> {
@@ -254,8 +262,7 @@ impl Points {
     /// Joins a loop's samples under the configuration that they were recorded with.
     #[must_use]
     pub fn of(loaded: &LoadedLoop, config: &Config) -> Self {
-        let settings =
-            Arc::new(LoopSettings::of(config, config.loop_named(&loaded.name), LoopKind::of_tag(&loaded.name)));
+        let settings = Arc::new(config.loop_settings(&loaded.name));
         let (stretches, counts) = align_all(&loaded.samples, &settings.align);
         if counts.late + counts.stamp_outliers > 0 {
             tracing::warn!(
@@ -324,6 +331,24 @@ impl Points {
     }
 }
 
+/// A whole recording as it is judged.
+pub(super) struct Whole {
+    /// Its longest section without a gap.
+    pub record: Record,
+    /// The windows that it is judged in where it is long.
+    pub windows: Vec<Record>,
+    /// Its loop's settings.
+    pub settings: Arc<LoopSettings>,
+}
+
+/// The section of a whole recording that is longest without a gap, for commands that look at whole files.
+pub(super) fn whole_record(loaded: &LoadedLoop, config: &Config) -> anyhow::Result<Whole> {
+    let points = Points::of(loaded, config);
+    let record = points.record(&loaded.name, Section::Whole, points.settings.window.max_points)?;
+    let windows = points.windows(&loaded.name, Section::Whole)?;
+    Ok(Whole { record, windows, settings: points.settings })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -339,6 +364,7 @@ mod tests {
         assert_eq!(time_range("1,2.5"), Ok((ns_from_s(1.0), ns_from_s(2.5))));
         assert_eq!(time_range("7ns,9ns"), Ok((7, 9)));
         assert!(time_range("2,1").is_err());
+        assert!(rising("0,100").is_ok() && rising("5,5").is_err());
         assert!(ratio("2.5").is_ok() && ratio("1").is_err() && ratio("inf").is_err() && ratio("two").is_err());
     }
 

@@ -6,21 +6,23 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, anyhow, bail};
 use serde_json::json;
 
-use super::gap::model_file;
+use super::reading::model_file;
 use super::{Format, Outcome, list, say};
 use crate::daemon::to_json;
 use crate::files::RecordingFile;
 use crate::sink::recorder::RunInfo;
 use stiction::gap::Serial;
 use stiction::gap::check_model;
-use stiction::gap::loop_run::{Parts, parts};
+use stiction::gap::in_loop::Parts;
+use stiction::gap::loop_run::parts;
 use stiction::record::Record;
 use stiction::sim::closed_loop::ValveLaw;
 use stiction::sim::scenario::{ProcessSpec, Scenario};
 use stiction_monitor::codec::encode_recorded;
 use stiction_monitor::codec::topic::{self, Kind};
-use stiction_monitor::config::{Config, short_hash};
+use stiction_monitor::config::Config;
 use stiction_monitor::engine::{Engine, Event, RecordedInput, SkipReason};
+use stiction_monitor::short_hash;
 
 /// Simulate a plant and write what a daemon beside it would have recorded: samples, estimates, alarms.
 #[derive(Debug, clap::Args)]
@@ -150,7 +152,7 @@ fn write(args: &Args, scenario: &Scenario, config: Config, run: &RunInfo) -> any
     }
     let mut file = RecordingFile::create_at(part, args.out.clone(), &run.metadata(0, 0, "", 0))?;
     let mut counts: BTreeMap<Kind, u64> = BTreeMap::new();
-    let mut engine = Engine::new(config);
+    let mut engine = Engine::new(config.engine());
     let names: Vec<String> = scenario.loop_names().map(str::to_owned).collect();
     let mut events = Vec::new();
     let mut json = Vec::new();

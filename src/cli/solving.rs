@@ -28,7 +28,7 @@ pub struct SolverArgs {
     #[arg(long, value_parser = solver, help_heading = "Solver")]
     pub solver: Option<SolverChoice>,
     /// Step of the contour grid in % of OP's span S0, for --solver contour and for our own first look.
-    #[arg(long, value_name = "PCT", default_value_t = 5.0, value_parser = fineness, help_heading = "Solver")]
+    #[arg(long, value_name = "PCT", default_value_t = Options::default().fineness_pct, value_parser = fineness, help_heading = "Solver")]
     pub fineness: f64,
     /// Models that the solver may try.
     #[arg(long, value_name = "N", default_value_t = BUDGET, value_parser = clap::value_parser!(u64).range(1..=10_000_000),
@@ -38,7 +38,7 @@ pub struct SolverArgs {
     #[arg(long, value_name = "SECONDS", default_value_t = 60.0, value_parser = patience, help_heading = "Solver")]
     pub solver_patience: f64,
     /// Seed of every random choice.
-    #[arg(long, default_value_t = 1, help_heading = "Solver")]
+    #[arg(long, default_value_t = Options::default().seed, help_heading = "Solver")]
     pub seed: u64,
 }
 

@@ -1,6 +1,6 @@
 //! Documents in words.
 
-use super::analyze::Answer;
+use super::answer::Answer;
 use stiction::units::{self, duration, significant};
 use stiction::verdict::words;
 use stiction::verdict::{Assessment, EstimateDocument};

@@ -203,7 +203,7 @@ mod tests {
         let (found, left) = read(&mut all, "gw/x", r#"{"FIC101.MV": 1, "FIC101.OP": 2}"#);
         assert_eq!((found[0].2, found.len(), left), (Value::Number(2.0), 1, 1));
         let config = Config::with_prefix("p");
-        let id = stiction_monitor::engine::Engine::new(config).appear("FIC101").unwrap();
+        let id = stiction_monitor::engine::Engine::new(config.engine()).appear("FIC101").unwrap();
         assert!(all.feeds(id, Signal::Op, "gw/x#FIC101.OP"));
         assert!(!all.feeds(id, Signal::Op, "gw/y#FIC101.OP"));
         assert!(all.is_new_carrier("gw/x") && !all.is_new_carrier("gw/x"));

@@ -1,12 +1,18 @@
 //! Health documents: what the daemon and each loop say of themselves.
 
 use std::collections::BTreeMap;
+use std::sync::{Arc, RwLock};
+use std::time::Instant;
 
 use serde::Serialize;
 
 use stiction::units::s_from_ns;
 use stiction_monitor::codec::topic::{DAEMON_HEALTH_SCHEMA, LOOP_HEALTH_SCHEMA};
 use stiction_monitor::engine::LoopFigures;
+
+/// What the web server reads, and when it was made: replaced as a whole, never locked for longer than a copy of the
+/// pointer.
+pub type HealthSnapshot = Arc<RwLock<(Instant, Arc<DaemonHealth>)>>;
 
 /// One queue's state.
 #[derive(Debug, Clone, Serialize, schemars::JsonSchema)]

@@ -118,7 +118,7 @@ mod tests {
     fn limits(input: &str) -> (Limits, LoopId) {
         let config = Config::parse(&format!("[site]\nprefix = \"p\"\n[input]\n{input}")).unwrap();
         let limits = Limits::new(&config.input);
-        (limits, Engine::new(config).appear("A").unwrap())
+        (limits, Engine::new(config.engine()).appear("A").unwrap())
     }
 
     fn sample(t_ns: i64) -> Sample {

@@ -17,7 +17,7 @@ mod desk;
 pub mod documents;
 pub mod faults;
 pub mod gaps;
-mod health;
+pub mod health;
 mod housekeeping;
 mod limits;
 pub mod metrics;
@@ -43,12 +43,12 @@ use anyhow::{Context, anyhow};
 use sd_notify::NotifyState;
 
 use self::clock::Clock;
-pub use self::core::HealthSnapshot;
 pub(crate) use self::core::to_json;
 use self::core::{Core, Parts, tell_system};
 use self::faults::Faults;
 use self::gaps::Diagnoser;
 pub use self::health::DaemonHealth;
+use self::health::HealthSnapshot;
 use self::housekeeping::House;
 use self::metrics::Metrics;
 use self::queue::Budget;
@@ -109,7 +109,7 @@ pub async fn run(
     let lock = lock_folder(&recordings, &faults)?;
     let starting = |id: &str| (Instant::now(), Arc::new(DaemonHealth::starting(id, &config.hash())));
     let snapshot = HealthSnapshot::new(RwLock::new(starting("")));
-    let web = crate::web::serve(&config.web, &metrics, snapshot.clone(), faults.clone()).await;
+    let web = crate::web::serve(&config.web, metrics.registry(), snapshot.clone(), faults.clone()).await;
     tokio::pin!(stop);
     // A demonstration starts afresh.
     let restored = if options.origin == "run" {
@@ -184,9 +184,9 @@ pub async fn run(
     });
     let queryables =
         source::zenoh::answer_queries(&session, &prefix, queue.clone(), last, sign, metrics.clone()).await?;
-    let engine = Engine::new(config.clone());
     let parts = Parts {
-        engine,
+        engine: Engine::new(config.engine()),
+        config: Arc::new(config.clone()),
         input: (budget.clone(), shares.clone()),
         workers,
         diagnoser,
@@ -330,7 +330,7 @@ fn lock_folder(dir: &Path, faults: &Faults) -> anyhow::Result<Option<FolderLock>
 fn run_info(config: &Config, config_text: String, options: &RunOptions, daemon_id: &str, run_number: u64) -> RunInfo {
     let started_ns = clock::now_ns();
     let seed = format!("{daemon_id} {started_ns}");
-    let run_id = stiction_monitor::config::short_hash(seed.as_bytes())[..8].to_owned();
+    let run_id = stiction_monitor::short_hash(seed.as_bytes())[..8].to_owned();
     RunInfo {
         prefix: config.site.prefix.clone(),
         run_id,

@@ -74,7 +74,7 @@ impl Replay {
     /// A replay under a configuration. `at_once` is for recordings without results.
     #[must_use]
     pub fn new(config: Config, at_once: bool) -> Self {
-        let engine = Engine::new(config);
+        let engine = Engine::new(config.engine());
         let (waiting, places) = (HashMap::new(), HashMap::new());
         Self { engine, waiting, places, gaps: HashMap::new(), diagnose: true, at_once, events: Vec::new() }
     }

@@ -12,9 +12,8 @@ use super::faults::Faults;
 use super::metrics::Metrics;
 use super::to_json;
 use crate::files::disk::Disk;
-use crate::files::store::{STORE_NAME, StateStore, StoreError, Stored};
+use crate::files::store::{STORE_NAME, StateStore, StoreError, Stored, key_of, loop_of};
 use crate::files::{ReadError, RecordingReader};
-use crate::sink::keeper::{key_of, loop_of};
 use stiction_monitor::codec::topic::{Kind, Leaf, Topic};
 use stiction_monitor::engine::{Checkpoint, StateDocument};
 

@@ -101,7 +101,7 @@ mod tests {
     fn setup(text: &str) -> (Engine, Routes) {
         let config = Config::parse(text).unwrap();
         let routes = Routes::new(&config, Shares::default());
-        (Engine::new(config), routes)
+        (Engine::new(config.engine()), routes)
     }
 
     #[test]

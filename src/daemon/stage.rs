@@ -11,10 +11,10 @@ use std::time::Duration;
 use crossbeam_channel::{Receiver, Sender};
 
 use super::clock::Clock;
-use super::core::{Core, HealthSnapshot, Parts};
+use super::core::{Core, Parts};
 use super::faults::Faults;
 use super::gaps::{Diagnosed, Diagnoser};
-use super::health::DaemonHealth;
+use super::health::{DaemonHealth, HealthSnapshot};
 use super::metrics::Metrics;
 use super::queue::{Budget, Room};
 use super::restore::{self, Restored};
@@ -82,7 +82,8 @@ impl Stage {
         let starting = DaemonHealth::starting(DAEMON_ID, &config.hash());
         let snapshot = HealthSnapshot::new(RwLock::new((clock.now(), Arc::new(starting))));
         let mut core = Core::new(Parts {
-            engine: Engine::new(config),
+            engine: Engine::new(config.engine()),
+            config: Arc::new(config),
             input: (budget.clone(), shares),
             workers: Workers { requests: to_worker, answers: answered.clone() },
             diagnoser,
@@ -215,7 +216,7 @@ fn run_of(config: &Config, config_text: &str, clock: &Clock, run_number: u64) ->
     let started_ns = clock.now_ns();
     RunInfo {
         prefix: config.site.prefix.clone(),
-        run_id: stiction_monitor::config::short_hash(format!("{started_ns} {run_number}").as_bytes())[..8].to_owned(),
+        run_id: stiction_monitor::short_hash(format!("{started_ns} {run_number}").as_bytes())[..8].to_owned(),
         started_ns,
         run_number: (run_number > 0).then_some(run_number),
         origin: "stage",

@@ -1,7 +1,6 @@
 //! What can be given back when a part of a file is damaged: by the index at its end, or without one by searching the
 //! file for the marks of chunks and lists of channels.
 
-use super::mcap_read::MAX_RECORD;
 use super::mcap_roster::{self, Roster};
 use mcap::parse_record;
 use mcap::records::{Record, op};
@@ -9,6 +8,9 @@ use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
 use std::path::Path;
+
+/// Largest record and largest uncompressed chunk that is read, bytes.
+pub const MAX_RECORD: usize = 256 << 20;
 
 /// Footer record and end mark, bytes: opcode, length, two offsets, checksum, mark.
 const FOOTER_BYTES: usize = 1 + 8 + 20 + 8;

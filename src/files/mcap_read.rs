@@ -4,7 +4,7 @@
 //! chunk is left out and the chunks after it are still read. Only after the last message is it known how the file ended:
 //! ask [`RecordingReader::end`]. Memory holds one chunk, at most [`MAX_RECORD`] bytes, whatever a file claims.
 
-use super::mcap_index::Index;
+use super::mcap_index::{Index, MAX_RECORD};
 use super::mcap_roster::{self, Roster};
 use super::schemas;
 use super::seal::{self, Seal};
@@ -18,9 +18,6 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use stiction_monitor::codec::topic::Kind;
 use thiserror::Error;
-
-/// Largest record and largest uncompressed chunk that is read, bytes.
-pub const MAX_RECORD: usize = 256 << 20;
 
 /// Bytes asked of the file at a time, at most.
 const READ_BYTES: usize = 1 << 20;

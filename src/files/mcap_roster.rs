@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use mcap::records::Metadata;
 
 use stiction_monitor::codec::topic::Kind;
-use stiction_monitor::config::short_hash;
+use stiction_monitor::short_hash;
 
 /// Name of the metadata records that hold it.
 pub(super) const NAME: &str = "stictiond.channels";

@@ -17,7 +17,8 @@ pub mod schemas;
 pub mod seal;
 pub mod store;
 
-pub use mcap_read::{Channel, End, MAX_RECORD, Message, ReadError, RecordingReader};
+pub use mcap_index::MAX_RECORD;
+pub use mcap_read::{Channel, End, Message, ReadError, RecordingReader};
 pub use mcap_write::{MAX_CHANNELS, RecordingFile, WriteError, sync_folder};
 
 pub use export::ReadOptions;

@@ -25,6 +25,18 @@ const CHECK_BYTES: usize = 8;
 
 const TABLE: TableDefinition<'_, &str, &[u8]> = TableDefinition::new("state");
 
+/// The key of a loop's memory.
+#[must_use]
+pub fn key_of(prefix: &str, loop_name: &str) -> String {
+    format!("{prefix}\n{loop_name}")
+}
+
+/// The loop whose memory a key is of, under a prefix.
+#[must_use]
+pub fn loop_of<'k>(prefix: &str, key: &'k str) -> Option<&'k str> {
+    key.strip_prefix(prefix)?.strip_prefix('\n')
+}
+
 /// What goes wrong with a store.
 #[derive(Debug, Error)]
 pub enum StoreError {

@@ -1,7 +1,7 @@
 //! The computations behind a loop's pictures, in the order of their cost.
 
+use stiction::ident::fit_plots;
 use stiction::ident::fit_plots::{ErrorMap, FitPlots, FreeRun, Model, Optimum, OrderChart, RESAMPLES, RESTARTS};
-use stiction::ident::{Options, fit_plots};
 use stiction::record::Record;
 use stiction::sim::slips::Law;
 use stiction::verdict::{AssessParams, Assessment};
@@ -47,24 +47,16 @@ impl Detail {
     #[must_use]
     pub fn of(record: &Record, params: &AssessParams, a: &Assessment) -> Option<Self> {
         let model = model_of(a)?;
-        let options = Options {
-            model: params.model,
-            delay: params.delay,
-            valve: params.valve,
-            solver: params.solver,
-            fineness_pct: params.fineness_pct,
-            seed: params.seed,
-            period_points: a.oscillation.period_s.map(|p| p / record.point_s()),
-        };
+        let options = params.options(a.oscillation.period_s.map(|p| p / record.point_s()));
         let plots = FitPlots::new(record, &options, &model)?;
-        let other = |k: usize| params.seed.wrapping_add(1_000 + k as u64);
+        let other = |k: usize| options.seed.wrapping_add(1_000 + k as u64);
         Some(Self {
             span: plots.span(),
             run: plots.free_run(),
             maps: [1, 2].into_iter().filter_map(|order| plots.error_map(order, MAP_STEP)).collect(),
             orders: plots.orders(),
             restarts: (0..RESTARTS).filter_map(|k| plots.restart(other(k))).collect(),
-            bootstrap: plots.bootstrap(RESAMPLES, params.seed),
+            bootstrap: plots.bootstrap(RESAMPLES, options.seed),
         })
     }
 

@@ -3,13 +3,25 @@
 use super::across::Across;
 use super::chart::{Bar, bars};
 use super::figures::Figure;
-use super::gap_page::GapLoop;
 use super::ink::Ink;
 use super::plot::{Mark, Panel, Plane, PlotError, Series, scatter, trend};
-use stiction::gap::document::EffectNote;
+use stiction::gap::Diagnosis;
+use stiction::gap::document::{EffectNote, GapDocument};
 use stiction::gap::text;
+use stiction::record::Record;
 use stiction::signal::stats;
 use stiction::units::number;
+
+/// One loop's part of the report.
+#[derive(Debug, Clone)]
+pub struct GapLoop {
+    /// What was found.
+    pub document: GapDocument,
+    /// The record that was diagnosed.
+    pub record: Record,
+    /// The fits behind it.
+    pub diagnosis: Diagnosis,
+}
 
 const WIDE: u32 = 1080;
 const HALF: u32 = 520;

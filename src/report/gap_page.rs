@@ -2,25 +2,11 @@
 
 use maud::{Markup, html};
 
-use super::gap_figures::figures;
+use super::gap_figures::{GapLoop, figures};
 use super::page::{flatten, optional, picture, whole};
 use super::plot::PlotError;
-use stiction::gap::Diagnosis;
-use stiction::gap::document::GapDocument;
 use stiction::gap::text;
-use stiction::record::Record;
 use stiction::units::{from_to, number};
-
-/// One loop's part of the report.
-#[derive(Debug, Clone)]
-pub struct GapLoop {
-    /// What was found.
-    pub document: GapDocument,
-    /// The record that was diagnosed.
-    pub record: Record,
-    /// The fits behind it.
-    pub diagnosis: Diagnosis,
-}
 
 /// Everything that the report shows.
 #[derive(Debug, Clone)]

@@ -16,7 +16,8 @@ mod page;
 pub mod plot;
 mod sheet;
 
-pub use gap_page::{GapLoop, GapReport, gap_page};
+pub use gap_figures::GapLoop;
+pub use gap_page::{GapReport, gap_page};
 pub use page::page;
 pub use sheet::sheet;
 

@@ -15,7 +15,7 @@ use crate::daemon::faults::Faults;
 use crate::daemon::metrics::Metrics;
 use crate::daemon::restore::open_store;
 use crate::files::disk::{Disk, SystemDisk};
-use crate::files::store::{STORE_NAME, StateStore};
+use crate::files::store::{STORE_NAME, StateStore, key_of};
 
 /// How long states of windows wait for others to go with them.
 const GATHER: Duration = Duration::from_millis(200);
@@ -54,18 +54,6 @@ impl Drop for Keeper {
         self.shared.pending.lock().unwrap_or_else(PoisonError::into_inner).closed = true;
         self.shared.wake.notify_one();
     }
-}
-
-/// The key of a loop's memory.
-#[must_use]
-pub fn key_of(prefix: &str, loop_name: &str) -> String {
-    format!("{prefix}\n{loop_name}")
-}
-
-/// The loop whose memory a key is of, under a prefix.
-#[must_use]
-pub fn loop_of<'k>(prefix: &str, key: &'k str) -> Option<&'k str> {
-    key.strip_prefix(prefix)?.strip_prefix('\n')
 }
 
 impl Keeper {

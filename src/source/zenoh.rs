@@ -55,35 +55,30 @@ pub fn session_config(config: &Config) -> anyhow::Result<zenoh::Config> {
         zenoh::Config::from_file(&z.config_file)
             .map_err(|e| anyhow!("[zenoh] config_file {:?} cannot be used: {e}", z.config_file))?
     };
+    let plain = zenoh::Config::default();
+    // What the file states differs from what Zenoh takes where nothing is said; a limit that is Zenoh's own is none.
+    let said = |key: &str| session.get_json(key).ok() != plain.get_json(key).ok();
+    let own = z.config_file.is_empty();
+    let mut wanted = Vec::new();
+    if own {
+        wanted.push(("mode", format!("{:?}", z.mode)));
+    }
+    if own || !z.listen.is_empty() {
+        wanted.push(("listen/endpoints", serde_json::to_string(&z.listen)?));
+    }
+    // Zenoh's own defaults scout and give up. Keep trying for ever: the router may come up after us, and go and come again.
+    let unsaid = [
+        ("scouting/multicast/enabled", z.multicast.to_string()),
+        ("connect/timeout_ms", "-1".to_owned()),
+        ("connect/exit_on_failure", "false".to_owned()),
+        ("transport/link/rx/max_message_size", MAX_MESSAGE.to_string()),
+    ];
+    wanted.extend(unsaid.into_iter().filter(|(key, _)| !said(key)));
     let mut set = |key: &str, value: String| {
         session.insert_json5(key, &value).map_err(|e| anyhow!("Zenoh refuses {key} = {value}: {e}"))
     };
-    if z.config_file.is_empty() {
-        set("mode", format!("{:?}", z.mode))?;
-        set("scouting/multicast/enabled", z.multicast.to_string())?;
-        set("listen/endpoints", serde_json::to_string(&z.listen)?)?;
-        // Keep trying for ever: the router may come up after us, and go and come again.
-        set("connect/timeout_ms", "-1".into())?;
-        set("connect/exit_on_failure", "false".into())?;
-    } else {
-        if !z.listen.is_empty() {
-            set("listen/endpoints", serde_json::to_string(&z.listen)?)?;
-        }
-        // What the file does not state is set as without one: Zenoh's own defaults scout and give up.
-        let stated = stated_in(&z.config_file);
-        if !stated.contains("scouting") {
-            set("scouting/multicast/enabled", z.multicast.to_string())?;
-        }
-        if !stated.contains("timeout_ms") {
-            set("connect/timeout_ms", "-1".into())?;
-        }
-        if !stated.contains("exit_on_failure") {
-            set("connect/exit_on_failure", "false".into())?;
-        }
-    }
-    let stated = stated_in(&z.config_file);
-    if !stated.contains("max_message_size") {
-        set("transport/link/rx/max_message_size", MAX_MESSAGE.to_string())?;
+    for (key, value) in wanted {
+        set(key, value)?;
     }
     if !z.connect.is_empty() {
         set("connect/endpoints", serde_json::to_string(&z.connect)?)?;
@@ -91,15 +86,6 @@ pub fn session_config(config: &Config) -> anyhow::Result<zenoh::Config> {
     principals::limit(&mut session, &config.site.prefix, &config.commands.principals)
         .context("[commands] principals")?;
     Ok(session)
-}
-
-/// What the user's Zenoh file says, without its comments; empty where there is none.
-fn stated_in(path: &str) -> String {
-    if path.is_empty() {
-        return String::new();
-    }
-    let text = std::fs::read_to_string(path).unwrap_or_default();
-    text.lines().filter(|line| !line.trim_start().starts_with("//")).collect::<Vec<_>>().join("\n")
 }
 
 /// Opens the session, and says why not where it could not listen: it then goes on without, and tries for ever. A router
@@ -340,5 +326,24 @@ mod tests {
         let text = "[site]\nprefix = \"p\"\n[[bundle]]\nkey = \"gw/a/**\"\n[[bundle]]\nkey = \"gw/**\"\n[[bundle]]\nkey = \"p/x\"\n\
                     [[loop]]\nname = \"A\"\nop = \"plc#A.OP\"\npv = \"plc#A.PV\"\nsp = \"gw/sp\"\n";
         assert_eq!(subscriptions(&Config::parse(text).unwrap()), ["p/**", "gw/**", "plc"]);
+    }
+
+    #[test]
+    fn what_a_zenoh_file_states_is_kept_and_the_rest_is_set() {
+        let folder = tempfile::tempdir().unwrap();
+        let of = |text: &str| {
+            let path = folder.path().join("zenoh.json5");
+            std::fs::write(&path, text).unwrap();
+            let config = Config::parse(&format!("[site]\nprefix = \"p\"\n[zenoh]\nconfig_file = {path:?}\n")).unwrap();
+            let session = session_config(&config).unwrap();
+            let keys = ["scouting/multicast/enabled", "connect/timeout_ms", "transport/link/rx/max_message_size"];
+            keys.map(|key| session.get_json(key).unwrap())
+        };
+        // A word in a remark or under another key states nothing.
+        let elsewhere = "{ mode: 'peer', /* scouting */ listen: { timeout_ms: 5 } } // max_message_size";
+        assert_eq!(of(elsewhere), ["false", "-1", "4194304"]);
+        let stated = "{ scouting: { multicast: { enabled: true } }, connect: { timeout_ms: 7 }, \
+                      transport: { link: { rx: { max_message_size: 1000000 } } } }";
+        assert_eq!(of(stated), ["true", "7", "1000000"]);
     }
 }

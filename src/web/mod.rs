@@ -21,9 +21,8 @@ use tokio::net::TcpListener;
 use tokio::sync::Semaphore;
 use tokio::task::JoinHandle;
 
-use crate::daemon::HealthSnapshot;
 use crate::daemon::faults::Faults;
-use crate::daemon::metrics::Metrics;
+use crate::daemon::health::HealthSnapshot;
 use exposition::Form;
 use stiction_monitor::config::Web;
 
@@ -69,11 +68,11 @@ struct Shared {
 
 /// Starts the server as configured. Loops are watched without it too: an address that cannot be used is a fault, and is
 /// tried again until it can.
-pub async fn serve(settings: &Web, metrics: &Metrics, snapshot: HealthSnapshot, faults: Arc<Faults>) -> Served {
+pub async fn serve(settings: &Web, registry: Registry, snapshot: HealthSnapshot, faults: Arc<Faults>) -> Served {
     if !settings.enabled {
         return Served { address: None, task: None };
     }
-    let shared = Shared { registry: Arc::new(metrics.registry()), snapshot };
+    let shared = Shared { registry: Arc::new(registry), snapshot };
     let router = Router::new().route("/metrics", get(metrics_text)).route("/healthz", get(healthz)).with_state(shared);
     match TcpListener::bind(&settings.listen).await {
         Ok(listener) => {

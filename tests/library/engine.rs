@@ -9,10 +9,9 @@ use rand_chacha::rand_core::{Rng, SeedableRng};
 use stiction::record::{Mode, Sample, Signal, Value};
 use stiction::signal::align::align_all;
 use stiction::sim::scenario::Scenario;
-use stiction::units::LoopKind;
 use stiction::verdict::{Verdict, assess};
 use stiction_monitor::config::Config;
-use stiction_monitor::engine::{Engine, Event, LoopSettings, Request, SkipReason, section};
+use stiction_monitor::engine::{Engine, Event, Request, SkipReason, section};
 
 const AWKWARD: &str = include_str!("../../recordings/scenarios/awkward.toml");
 const FOUR: &str = include_str!("../../recordings/scenarios/four-loops.toml");
@@ -34,7 +33,7 @@ enum Answers {
 
 /// Every document by loop, as JSON, in the order in which the engine made them.
 fn run(samples: &[(String, Sample)], config: Config, answers: Answers) -> BTreeMap<String, Vec<String>> {
-    let mut engine = Engine::new(config);
+    let mut engine = Engine::new(config.engine());
     let mut documents: BTreeMap<String, Vec<String>> = BTreeMap::new();
     let mut waiting: Vec<Request> = Vec::new();
     let mut events = Vec::new();
@@ -117,7 +116,7 @@ fn loops_do_not_depend_on_each_other() {
 fn a_live_window_and_the_same_section_of_the_recording_give_the_same_numbers() {
     let samples = samples_of(FOUR);
     let config = config(300.0);
-    let mut engine = Engine::new(config.clone());
+    let mut engine = Engine::new(config.engine());
     let mut compared = 0;
     let mut events = Vec::new();
     for (name, sample) in &samples {
@@ -125,7 +124,7 @@ fn a_live_window_and_the_same_section_of_the_recording_give_the_same_numbers() {
         engine.push(id, *sample, &mut events);
         for event in std::mem::take(&mut events) {
             let Event::Request(request) = event else { continue };
-            let settings = LoopSettings::of(&config, None, LoopKind::Other);
+            let settings = config.loop_settings(name);
             let own: Vec<Sample> = samples.iter().filter(|(n, _)| n == name).map(|(_, s)| *s).collect();
             let (stretches, _) = align_all(&own, &settings.align);
             let (start, end) = (request.record.start_ns, request.end_ns);
@@ -168,7 +167,7 @@ fn the_sticking_loop_raises_an_alarm_and_the_others_do_not() {
 #[test]
 fn a_skipped_window_says_so_and_holds_the_alarm() {
     let samples = samples_of(FOUR);
-    let mut engine = Engine::new(config(300.0));
+    let mut engine = Engine::new(config(300.0).engine());
     let mut events = Vec::new();
     let mut gates = Vec::new();
     for (name, sample) in samples.iter().filter(|(n, _)| n == "FIC201") {

@@ -34,7 +34,7 @@ struct Rig<J> {
 
 impl<J: FnMut(usize, &Request) -> Assessment> Rig<J> {
     fn new(config: Config, then: Then, judge: J) -> Self {
-        let mut engine = Engine::new(config);
+        let mut engine = Engine::new(config.engine());
         let id = engine.appear("L").unwrap();
         Self { engine, id, judge, then, windows: 0, asked: Vec::new(), said: Vec::new() }
     }

@@ -9,13 +9,13 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// The crates of the workspace; the first is the shell, the others are pure.
-const CRATES: [&str; 4] = ["src", "crates/stiction/src", "crates/stiction-monitor/src", "crates/stiction-lab/src"];
+pub const CRATES: [&str; 4] = ["src", "crates/stiction/src", "crates/stiction-monitor/src", "crates/stiction-lab/src"];
 
 /// Longest source file, lines.
 const MAX_LINES: usize = 600;
 
 /// Which rooms each room may use.
-const IMPORTS: [(&str, &[&str]); 26] = [
+const IMPORTS: [(&str, &[&str]); 27] = [
     // Words.
     ("units", &[]),
     ("record", &["units"]),
@@ -27,8 +27,6 @@ const IMPORTS: [(&str, &[&str]); 26] = [
     // Identification.
     ("ident", &["units", "record", "signal", "optim", "sim"]),
     ("detect", &["units", "record", "signal", "optim", "sim", "ident"]),
-    // Settings: words, and which formats there are.
-    ("config", &["units", "record", "codec"]),
     // Judgement.
     ("verdict", &["units", "record", "signal", "optim", "sim", "ident", "detect"]),
     ("gap", &["units", "record", "signal", "optim", "sim", "ident", "detect"]),
@@ -38,10 +36,13 @@ const IMPORTS: [(&str, &[&str]); 26] = [
     ("challenge", &["units", "record", "signal", "sim", "verdict", "truth"]),
     ("calibrate", &["verdict"]),
     ("calibrate_intervals", &["signal", "ident", "detect", "verdict", "truth"]),
-    ("alarm", &["units", "record", "config", "verdict"]),
-    // Engine.
+    // Engine: neither it nor the alarm knows a configuration.
+    ("hash", &[]),
+    ("alarm", &["units", "record", "hash", "verdict"]),
     ("codec", &["units", "record"]),
-    ("engine", &["units", "record", "signal", "sim", "ident", "detect", "config", "verdict", "gap", "alarm"]),
+    ("engine", &["units", "record", "signal", "sim", "ident", "detect", "verdict", "gap", "alarm"]),
+    // Settings: words, which formats there are, and what alarm and engine are told.
+    ("config", &["units", "record", "signal", "codec", "hash", "verdict", "alarm", "engine"]),
     // Shell: anything pure, and each other; nobody uses `cli`.
     ("files", &["pure"]),
     ("report", &["pure"]),
@@ -79,15 +80,15 @@ const UNPORTABLE: [&str; 26] = [
     "atan", "atan2", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh", "powf", "powi", "cbrt", "hypot",
 ];
 
-struct Source {
+pub struct Source {
     /// One of [`CRATES`].
     home: &'static str,
     /// Path below it, with `/`.
-    path: String,
+    pub path: String,
     /// As it stands.
     text: String,
     /// Without comments, texts in quotes, and test items.
-    code: String,
+    pub code: String,
 }
 
 impl Source {
@@ -126,7 +127,7 @@ fn sources() -> Vec<Source> {
     CRATES.into_iter().flat_map(sources_of).collect()
 }
 
-fn sources_of(home: &'static str) -> Vec<Source> {
+pub fn sources_of(home: &'static str) -> Vec<Source> {
     let src = root().join(home);
     let mut paths = Vec::new();
     files_below(&src, &mut paths);

@@ -3,9 +3,10 @@
 //! | room | |
 //! |---|---|
 //! | [`codec`] | bytes to samples; topics |
-//! | [`config`] | text to settings; knows which formats there are, and nothing else |
+//! | `hash` | short names for what is the same |
 //! | [`alarm`] | ISA-18.2 states |
 //! | [`engine`] | one state machine a loop |
+//! | [`config`] | text to settings: its own, the engine's and the alarm's |
 //!
 //! [`engine::Engine`] is told the time (stamps on samples) and handed the data; a fit leaves it as a
 //! [`engine::Request`] and whoever drives it computes the answer. No file, socket, clock, thread, environment or
@@ -18,3 +19,6 @@ pub mod alarm;
 pub mod codec;
 pub mod config;
 pub mod engine;
+mod hash;
+
+pub use hash::short_hash;

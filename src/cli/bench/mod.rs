@@ -102,7 +102,7 @@ fn intake() -> anyhow::Result<Vec<Row>> {
         codec::decode(sample.signal, payload, None, None, 0, &mut out)?;
     }
     let decoded = samples.len() as f64 / decoding.elapsed().as_secs_f64();
-    let mut engine = Engine::new(Config::with_prefix(PREFIX));
+    let mut engine = Engine::new(Config::with_prefix(PREFIX).engine());
     let ids: Vec<_> = scenario.loop_names().filter_map(|name| engine.appear(name)).collect();
     let mut events = Vec::new();
     let pushing = Instant::now();

@@ -15,7 +15,8 @@ use std::sync::Mutex;
 use anyhow::{Context, bail};
 use serde_json::{Value, json};
 
-use super::{Format, Outcome, UsageError, analyze, on_all_cores, print, say};
+use super::selection::whole_record;
+use super::{Format, Outcome, UsageError, on_all_cores, print, say};
 use crate::files::{csv, load_samples};
 use stiction::gap::{Ask, DEFAULT_EVALUATIONS};
 use stiction::record::{Record, Sample, Signal};
@@ -226,7 +227,7 @@ fn name_of(path: &Path) -> String {
 fn record_of(path: &Path) -> anyhow::Result<Record> {
     let loaded = load_samples(path)?;
     let Some(first) = loaded.loops.first() else { bail!("{}: holds no loop", path.display()) };
-    Ok(analyze::whole_record(first, &Config::with_prefix("plant"))?.record)
+    Ok(whole_record(first, &Config::with_prefix("plant"))?.record)
 }
 
 /// Answers that are there already, by recording; a line that was cut off is left out.

@@ -8,7 +8,8 @@ use anyhow::{Context, bail};
 use serde_json::{Value, json};
 
 use crate::cli::evaluate::index::{self, Case};
-use crate::cli::{Format, Outcome, analyze, on_all_cores, say};
+use crate::cli::selection::whole_record;
+use crate::cli::{Format, Outcome, on_all_cores, say};
 use crate::files::load_samples;
 use stiction::gap::{Ask, Base, DEFAULT_EVALUATIONS, Diagnosis, Serial, diagnose};
 use stiction::record::{Record, Signal};
@@ -76,7 +77,7 @@ fn record_of(base: &Path, case: &Case) -> anyhow::Result<Record> {
     if let Some(last) = last {
         first.samples.retain(|s| s.t_ns < last);
     }
-    Ok(analyze::whole_record(&first, &Config::with_prefix("plant"))?.record)
+    Ok(whole_record(&first, &Config::with_prefix("plant"))?.record)
 }
 
 /// Every recording once, in the index's order.

@@ -9,8 +9,8 @@ use std::time::Instant;
 use anyhow::bail;
 
 use super::reading::ReadArgs;
-use super::{Format, Outcome, analyze, on_all_cores};
-use analyze::Whole;
+use super::selection::{Whole, whole_record};
+use super::{Format, Outcome, on_all_cores};
 use index::Case;
 use stiction::record::Record;
 use stiction::verdict::{AssessParams, Assessment, assess_in_windows};
@@ -56,7 +56,7 @@ pub(super) struct Judgeable {
 pub(super) fn record_of(base: &Path, case: &Case, reading: &ReadArgs) -> anyhow::Result<Judgeable> {
     let loaded = reading.load_file(&base.join(&case.file))?;
     let Some(first) = loaded.loops.first() else { bail!("{}: holds no loop", case.file) };
-    let Whole { record, windows, settings } = analyze::whole_record(first, &Config::with_prefix("plant"))?;
+    let Whole { record, windows, settings } = whole_record(first, &Config::with_prefix("plant"))?;
     let params = AssessParams { always_fit: true, kind: case.kind, ..settings.assess.clone() };
     Ok(Judgeable { record, windows, params })
 }

@@ -2,8 +2,7 @@
 
 use std::path::Path;
 
-use anyhow::Context;
-
+use crate::cli::reading::model_file;
 use stiction::gap::Base;
 use stiction::gap::model_file::ModelFile;
 use stiction::record::Record;
@@ -32,10 +31,4 @@ impl BaseArg {
             Self::File(file) => Base::Given(Box::new(file.on(record))),
         }
     }
-}
-
-/// Reads a model's file.
-pub(in crate::cli) fn model_file(path: &Path) -> anyhow::Result<ModelFile> {
-    let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
-    ModelFile::parse(&text).with_context(|| path.display().to_string())
 }

@@ -9,16 +9,14 @@ use std::time::Duration;
 
 use anyhow::{Context, anyhow, bail};
 
-use super::analyze;
 use super::analyze_report::command_line;
 use super::challenge;
-use super::reading::{ReadArgs, named};
+use super::reading::{ReadArgs, config_of, named};
 use super::selection::{Points, Section, Selection};
 use super::{Format, Outcome, UsageError, say, stop};
 use crate::files::LoadedLoop;
 use crate::report::{GapLoop, GapReport, gap_page};
 use base::BaseArg;
-pub(super) use base::model_file;
 use executor::Team;
 use stiction::detect::oscillation;
 use stiction::gap::document::GapDocument;
@@ -133,7 +131,7 @@ fn diagnose_all(args: &Diagnose, format: Format) -> anyhow::Result<Outcome> {
     for warning in &loaded.warnings {
         tracing::warn!("{warning}");
     }
-    let config = analyze::config_of(&args.input)?.map_or_else(|| Config::with_prefix("plant"), |r| r.config);
+    let config = config_of(&args.input)?.map_or_else(|| Config::with_prefix("plant"), |r| r.config);
     let place = args.input();
     let chosen = args.selection.loops(&loaded.loops).map_err(|e| anyhow!("{place}: {e}"))?;
     let sections = args.selection.sections();

@@ -8,7 +8,7 @@ mod messages;
 mod report;
 
 use std::collections::{BTreeMap, HashMap};
-use std::sync::{Arc, RwLock};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, never, select, tick};
@@ -19,7 +19,7 @@ use super::clock::Clock;
 use super::desk::Desk;
 use super::faults::Faults;
 use super::gaps::Diagnoser;
-use super::health::DaemonHealth;
+use super::health::HealthSnapshot;
 use super::limits::{Limits, Refused};
 use super::metrics::{Label, Metrics};
 use super::queue::Budget;
@@ -49,12 +49,9 @@ const HEALTH_EVERY: Duration = Duration::from_secs(5);
 /// How long a stopping daemon still takes what had already arrived.
 const DRAIN: Duration = Duration::from_secs(1);
 
-/// What the web server reads, and when it was made: replaced as a whole, never locked for longer than a copy of the
-/// pointer.
-pub type HealthSnapshot = Arc<RwLock<(Instant, Arc<DaemonHealth>)>>;
-
 /// Everything the engine's thread owns.
 pub struct Core {
+    config: Arc<Config>,
     engine: Engine,
     routes: Routes,
     bundles: Bundles,
@@ -97,7 +94,9 @@ pub struct Core {
 
 /// What a core is made of.
 pub struct Parts {
-    /// The engine.
+    /// The configuration.
+    pub config: Arc<Config>,
+    /// The engine, which runs under it.
     pub engine: Engine,
     /// Bytes that wait for the engine, and what each key may hold of its queue.
     pub input: (Budget, Shares),
@@ -129,7 +128,7 @@ impl Core {
     /// Puts the parts together.
     #[must_use]
     pub fn new(parts: Parts) -> Self {
-        let config = parts.engine.config();
+        let config = parts.config.as_ref();
         let (desk, limits) = (Desk::new(&config.commands), Limits::new(&config.input));
         let board = Board::new(config);
         let (budget, shares) = parts.input;
@@ -163,6 +162,7 @@ impl Core {
             ahead: None,
             opened_shards: 0,
             warned_quality: false,
+            config: parts.config,
             desk,
             events: Vec::new(),
             samples: Vec::new(),
@@ -303,7 +303,7 @@ impl Core {
         if !self.is_within_limits(id, &sample, arrival_ns) {
             return;
         }
-        if sample.quality.is_some_and(|q| (1..=255).contains(&q)) && self.engine.config().input.quality == "ua" {
+        if sample.quality.is_some_and(|q| (1..=255).contains(&q)) && self.config.input.quality == "ua" {
             self.metrics.suspicious_quality.inc();
             if !std::mem::replace(&mut self.warned_quality, true) {
                 let name = self.engine.name(id);
@@ -426,7 +426,7 @@ impl Core {
         self.record(id, Kind::Alarm, document, document.changed_ns);
         let json = to_json(document);
         if let Some(outbox) = self.outbox.as_ref().filter(|outbox| outbox.wants(Kind::Alarm)) {
-            outbox.offer(Outgoing::alarm(&self.engine.config().site.prefix, document, &json));
+            outbox.offer(Outgoing::alarm(&self.config.site.prefix, document, &json));
         }
         self.publish(id, Kind::Alarm, json);
     }
@@ -440,13 +440,7 @@ impl Core {
     /// Publishes what a window gave, to receivers outside the bus too.
     fn publish_result(&self, id: LoopId, kind: Kind, end_ns: i64, json: Vec<u8>) {
         if let Some(outbox) = self.outbox.as_ref().filter(|outbox| outbox.wants(kind)) {
-            outbox.offer(Outgoing::result(
-                &self.engine.config().site.prefix,
-                self.engine.name(id),
-                kind,
-                end_ns,
-                &json,
-            ));
+            outbox.offer(Outgoing::result(&self.config.site.prefix, self.engine.name(id), kind, end_ns, &json));
         }
         self.publish(id, kind, json);
     }
@@ -458,7 +452,7 @@ impl Core {
     }
 
     fn publish(&self, id: LoopId, kind: Kind, document: Vec<u8>) {
-        let key = topic::result(&self.engine.config().site.prefix, self.engine.name(id), kind);
+        let key = topic::result(&self.config.site.prefix, self.engine.name(id), kind);
         self.publisher.publish(Publication { key, kind, document });
     }
 

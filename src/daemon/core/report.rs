@@ -53,7 +53,7 @@ impl Core {
         for queue in &health.queues {
             self.metrics.queues.get_or_create(&Label { name: queue.name.into() }).set(queue.length as i64);
         }
-        let key = topic::plane(&self.engine.config().site.prefix, &format!("@daemon/{}/health", self.daemon_id));
+        let key = topic::plane(&self.config.site.prefix, &format!("@daemon/{}/health", self.daemon_id));
         self.publisher.publish(Publication { key, kind: Kind::Health, document: to_json(&health) });
         if let Ok(mut snapshot) = self.snapshot.write() {
             *snapshot = (self.clock.now(), Arc::new(health));

@@ -30,7 +30,8 @@ pub(crate) use mqtt::tls_of;
 use queue::{Next, Queue};
 use stiction_monitor::alarm::{AlarmDocument, Priority};
 use stiction_monitor::codec::topic::Kind;
-use stiction_monitor::config::{Config, Deliver, Protocol, short_hash};
+use stiction_monitor::config::{Config, Deliver, Protocol};
+use stiction_monitor::short_hash;
 
 /// Documents that the engine may hand over before the store has taken the first of them.
 const HANDED: usize = 4096;

@@ -13,7 +13,8 @@ use tokio::runtime::{Builder, Runtime};
 
 use super::{Failure, Item, SEND_WITHIN, Target, pem, secret};
 use stiction_monitor::codec::topic;
-use stiction_monitor::config::{Deliver, short_hash};
+use stiction_monitor::config::Deliver;
+use stiction_monitor::short_hash;
 
 /// Longer than a connection is held without anything to send: no ping is needed.
 const KEEP_ALIVE_S: u16 = 60;

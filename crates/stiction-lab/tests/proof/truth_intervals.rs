@@ -2,6 +2,7 @@
 #![allow(missing_docs)]
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+use stiction::ident::Options;
 use stiction::ident::width::{Settings, Trust};
 use stiction::verdict::{AssessParams, Assessment, ValveChoice, assess};
 use stiction_lab::calibrate_intervals::{look, table};
@@ -45,7 +46,10 @@ fn intervals_hold_the_truth_as_often_as_they_say() {
 fn assessed(regime: Regime, seed: u64) -> Assessment {
     let case = truth::accuracy(Half::Report, regime, seed);
     let valve = if case.law == "he" { ValveChoice::He } else { ValveChoice::Tracking };
-    assess(&case.record(), &AssessParams { always_fit: true, valve, ..AssessParams::default() })
+    assess(
+        &case.record(),
+        &AssessParams { always_fit: true, fit: Options { valve, ..Options::default() }, ..AssessParams::default() },
+    )
 }
 
 #[test]

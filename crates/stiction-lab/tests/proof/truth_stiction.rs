@@ -5,7 +5,7 @@
 use proptest::prelude::*;
 use stiction::record::Record;
 use stiction::signal::stats;
-use stiction::verdict::{AssessParams, Assessment, Gate, ValveChoice, Verdict, assess};
+use stiction::verdict::{AssessParams, Assessment, Gate, Verdict, assess};
 use stiction_lab::fixture::{Draw, Loop, boxed};
 
 fn params() -> AssessParams {
@@ -128,11 +128,11 @@ fn boxes_keep_the_bands() {
 #[test]
 fn the_tracking_law_is_told_from_the_staircase() {
     let case = Loop { tracking: true, noise: 0.02, ..staircase(1.3, &[12.0]) };
-    let found = assess(&case.run().record, &AssessParams { valve: ValveChoice::Auto, ..params() });
+    let found = assess(&case.run().record, &params());
     assert_eq!(found.valve_model, Some("tracking"), "{found:?}");
     assert!(near(found.s.unwrap(), case.fs + case.fd, 0.05), "{:?}", found.s);
     let case = staircase(1.3, &[12.0]);
-    let found = assess(&case.run().record, &AssessParams { valve: ValveChoice::Auto, ..params() });
+    let found = assess(&case.run().record, &params());
     assert_eq!(found.valve_model, Some("he"));
 }
 

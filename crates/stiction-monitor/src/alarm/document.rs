@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::{Priority, State};
-use crate::config::short_hash;
+use crate::hash::short_hash;
 use stiction::units::format_rfc3339;
 use stiction::verdict::{Assessment, Verdict};
 

@@ -5,15 +5,16 @@
 
 mod command;
 mod document;
+mod params;
 mod priority;
 
 use serde::{Deserialize, Serialize};
 
 pub use command::{Command, CommandError, MAX_SHELVE_S, SHELVE_S, check_name};
 pub use document::{ALARM_SCHEMA, AlarmDocument, AlarmWindow, Event, Figures, Mark, Marks, Place};
+pub use params::AlarmParams;
 pub use priority::Priority;
 
-use crate::config::AlarmParams;
 use document::{Occurrence, event_id, occurrence_id};
 use stiction::units::format_rfc3339;
 use stiction::verdict::{Assessment, Gate};

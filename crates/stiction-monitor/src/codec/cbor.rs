@@ -7,7 +7,7 @@ use serde::Deserialize;
 use serde::de::IgnoredAny;
 
 use super::fields::{Bundle, Field, Memory};
-use super::json::read_samples;
+use super::samples::read_samples;
 use super::{Codec, CodecError, MAX_SAMPLES, named};
 use stiction::record::{Sample, Signal};
 

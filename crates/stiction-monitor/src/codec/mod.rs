@@ -12,6 +12,7 @@ mod json;
 mod named;
 mod pubsub;
 mod recorded;
+mod samples;
 mod sparkplug;
 mod telegraf;
 pub mod topic;

@@ -9,7 +9,7 @@ use serde_json::{Map, Value as Json};
 
 use super::MAX_SAMPLES;
 use super::fields::{Field, Scalar};
-use super::json::{QualitySeed, TimeSeed};
+use super::samples::{QualitySeed, TimeSeed};
 
 /// How deep names may stand in names.
 const MAX_DEPTH: usize = 6;

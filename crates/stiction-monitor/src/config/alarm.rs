@@ -1,28 +1,7 @@
 //! `[alarm]`: how many windows raise an alarm, and from which size on a window counts.
 
-use serde::Serialize;
-
 use super::reader::TableReader;
-
-/// `[alarm]`. A window counts from the lesser of its two limits on; a limit of 0 is none.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct AlarmParams {
-    /// Raise when m of the last n windows say stiction.
-    pub raise: [u8; 2],
-    /// Least s that counts, OP units.
-    pub s_limit_op: f64,
-    /// Least s that counts, as a share of OP's span in the window.
-    pub s_limit_span: f64,
-}
-
-impl Default for AlarmParams {
-    /// A tenth of OP's span is half of what the verdict itself calls weak: whatever the loop's size, the controller then
-    /// spends a tenth or more of its effort on the valve. Where the span is wide for other reasons, as with set-point
-    /// moves, one unit of OP (1 % where OP is in %) counts by itself: from there on valves are repaired.
-    fn default() -> Self {
-        Self { raise: [3, 4], s_limit_op: 1.0, s_limit_span: 0.1 }
-    }
-}
+use crate::alarm::AlarmParams;
 
 /// Reads a table of alarm keys. Where it sets one limit or both, those hold alone: who asks for 2 OP units does not want a
 /// share of the span beside them.

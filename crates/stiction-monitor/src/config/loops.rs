@@ -4,10 +4,12 @@ use std::collections::{HashMap, HashSet};
 
 use toml::de::DeTable;
 
-use super::alarm::{AlarmParams, read_alarm};
+use super::alarm::read_alarm;
 use super::bundle::NAME_MARK;
 use super::reader::{Fault, Lines, TableReader, subtables};
-use super::{LoopConfig, WindowParams, read_window};
+use super::{LoopConfig, read_window};
+use crate::alarm::AlarmParams;
+use crate::engine::WindowParams;
 use stiction::record::Signal;
 use stiction::units::{LoopKind, is_loop_name};
 

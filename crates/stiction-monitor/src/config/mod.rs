@@ -3,16 +3,15 @@
 mod alarm;
 mod bundle;
 mod deliver;
+mod engine;
 mod input;
 mod loops;
 mod reader;
 mod service;
 
 use serde::Serialize;
-use sha2::{Digest, Sha256};
 use toml::de::DeTable;
 
-pub use alarm::AlarmParams;
 use alarm::read_alarm;
 pub use bundle::{BundleKey, NAME_MARK};
 pub use deliver::{Address, Deliver, Protocol};
@@ -21,8 +20,16 @@ pub use reader::Fault;
 use reader::{Lines, TableReader, subtable};
 pub use service::{Commands, Retention, Signing};
 
+use crate::alarm::AlarmParams;
+use crate::engine::{GapParams, WindowParams};
+use crate::hash::short_hash;
 use stiction::record::Signal;
 use stiction::units::is_loop_name;
+
+/// Whether nothing is set.
+fn is_default<T: Default + PartialEq>(settings: &T) -> bool {
+    *settings == T::default()
+}
 
 /// Everything the daemon is told. Field names are the keys of the text.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -39,18 +46,18 @@ pub struct Config {
     pub alarm: AlarmParams,
     /// The gap diagnosis. Left out of [`Config::hash`] while nothing is set, so that recordings from before it existed
     /// still verify.
-    #[serde(skip_serializing_if = "GapParams::is_default")]
+    #[serde(skip_serializing_if = "is_default")]
     pub gap: GapParams,
     /// Where and how to record.
     pub recording: Recording,
     /// How long recordings are kept. Like the next left out of [`Config::hash`] while nothing is set.
-    #[serde(skip_serializing_if = "Retention::is_default")]
+    #[serde(skip_serializing_if = "is_default")]
     pub retention: Retention,
     /// What people may ask for.
-    #[serde(skip_serializing_if = "Commands::is_default")]
+    #[serde(skip_serializing_if = "is_default")]
     pub commands: Commands,
     /// Signatures on documents.
-    #[serde(skip_serializing_if = "Signing::is_default")]
+    #[serde(skip_serializing_if = "is_default")]
     pub signing: Signing,
     /// Metrics and health over HTTP.
     pub web: Web,
@@ -85,36 +92,6 @@ pub struct Zenoh {
     pub multicast: bool,
     /// Path of a full Zenoh configuration; the keys above are put on top of it where they say something.
     pub config_file: String,
-}
-
-/// `[window]`; times in seconds.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct WindowParams {
-    /// Least periods for a fit.
-    pub min_periods: f64,
-    /// Most periods in a window.
-    pub max_periods: f64,
-    /// Raw samples a period below which an estimate is called coarse.
-    pub min_samples_per_period: f64,
-    /// Windows end at whole multiples of this.
-    pub hop_s: f64,
-    /// Longest window.
-    pub max_window_s: f64,
-    /// Longest hole that is filled; 0 means five sampling times.
-    pub max_gap_s: f64,
-    /// How late a sample may come.
-    pub lateness_s: f64,
-    /// Points of storage per loop before samples are boxed.
-    pub max_points: usize,
-}
-
-/// `[gap]`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-pub struct GapParams {
-    /// Whether a loop that departs from its model is diagnosed without being asked.
-    pub enabled: bool,
-    /// Model responses that one search may compute; a diagnosis with a recorded valve position makes two.
-    pub budget_evaluations: u64,
 }
 
 /// `[recording]`.
@@ -172,33 +149,6 @@ pub struct LoopConfig {
     pub window: WindowParams,
     /// Its alarms.
     pub alarm: AlarmParams,
-}
-
-impl Default for WindowParams {
-    fn default() -> Self {
-        Self {
-            min_periods: 5.0,
-            max_periods: 20.0,
-            min_samples_per_period: 50.0,
-            hop_s: 600.0,
-            max_window_s: 604_800.0,
-            max_gap_s: 0.0,
-            lateness_s: 5.0,
-            max_points: 2000,
-        }
-    }
-}
-
-impl Default for GapParams {
-    fn default() -> Self {
-        Self { enabled: true, budget_evaluations: 400_000 }
-    }
-}
-
-impl GapParams {
-    fn is_default(&self) -> bool {
-        *self == Self::default()
-    }
 }
 
 impl Config {
@@ -298,12 +248,6 @@ impl Config {
     pub fn loop_named(&self, name: &str) -> Option<&LoopConfig> {
         self.loops.iter().find(|l| l.name == name)
     }
-}
-
-/// The first 8 bytes of a SHA-256, as 16 hex digits.
-#[must_use]
-pub fn short_hash(bytes: &[u8]) -> String {
-    Sha256::digest(bytes).iter().take(8).map(|b| format!("{b:02x}")).collect()
 }
 
 fn syntax_fault(lines: &Lines, error: &toml::de::Error) -> Fault {

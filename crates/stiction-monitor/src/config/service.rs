@@ -49,24 +49,6 @@ impl Default for Commands {
     }
 }
 
-impl Retention {
-    pub(super) fn is_default(&self) -> bool {
-        *self == Self::default()
-    }
-}
-
-impl Commands {
-    pub(super) fn is_default(&self) -> bool {
-        *self == Self::default()
-    }
-}
-
-impl Signing {
-    pub(super) fn is_default(&self) -> bool {
-        self.key_file.is_empty()
-    }
-}
-
 pub(super) fn read_signing(r: &mut TableReader<'_, '_>) -> Signing {
     Signing { key_file: r.text("key_file").map(|(t, _)| t).unwrap_or_default() }
 }

@@ -9,6 +9,7 @@
 pub mod gaps;
 mod input;
 mod looper;
+mod settings;
 mod windowing;
 
 use std::collections::HashMap;
@@ -16,16 +17,16 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use crate::alarm::{Alarm, AlarmDocument, Command, CommandError, Place};
-use crate::config::{AlarmParams, Config, GapParams, LoopConfig, WindowParams};
+use crate::alarm::{Alarm, AlarmDocument, Command, CommandError};
 use looper::Loop;
 use stiction::record::{Record, Sample};
-use stiction::signal::align::{AlignCounts, AlignParams, Aligner, Quality};
-use stiction::units::{LoopKind, ns_from_s};
-use stiction::verdict::{AssessParams, Assessment, EstimateDocument, assess};
+use stiction::signal::align::{AlignCounts, Aligner};
+use stiction::units::LoopKind;
+use stiction::verdict::{Assessment, EstimateDocument, assess};
 
 pub use gaps::{GapReason, GapRefusal, GapRequest, GapWatch, PublishedGap};
 pub use input::{INPUT_SCHEMA, RecordedInput, STATE_SCHEMA, StateDocument};
+pub use settings::{EngineSettings, GapParams, LoopSettings, WindowParams};
 pub use windowing::{longest, section, windows};
 
 /// Handle of a loop in one engine.
@@ -37,63 +38,6 @@ impl LoopId {
     #[must_use]
     pub const fn index(self) -> usize {
         self.0 as usize
-    }
-}
-
-/// Settings of a loop, shared by all loops that say nothing of their own.
-#[derive(Debug, Clone, PartialEq)]
-pub struct LoopSettings {
-    /// How its signals are joined.
-    pub align: AlignParams,
-    /// Its windows.
-    pub window: WindowParams,
-    /// Its alarm.
-    pub alarm: AlarmParams,
-    /// Its estimates.
-    pub assess: AssessParams,
-    /// Its gap diagnoses.
-    pub gap: GapParams,
-    /// Where it belongs and what it is worth.
-    pub place: Place,
-}
-
-impl LoopSettings {
-    /// The settings that a configuration gives to a loop; `kind` is what its tag says, over which the configuration rules.
-    #[must_use]
-    pub fn of(config: &Config, own: Option<&LoopConfig>, kind: LoopKind) -> Self {
-        let (window, alarm) = own.map_or((config.window, config.alarm), |l| (l.window, l.alarm));
-        Self {
-            align: AlignParams {
-                lateness_ns: ns_from_s(window.lateness_s),
-                max_gap_s: window.max_gap_s,
-                quality: if config.input.quality == "classic" { Quality::Classic } else { Quality::Ua },
-                modes: config.input.modes.clone(),
-            },
-            assess: AssessParams {
-                min_periods: window.min_periods,
-                min_samples_per_period: window.min_samples_per_period,
-                op_range: own.and_then(|l| l.op_range),
-                kind: own.and_then(|l| l.kind).and_then(LoopKind::from_name).unwrap_or(kind),
-                ..AssessParams::default()
-            },
-            window,
-            alarm,
-            gap: config.gap,
-            place: own.map(place_of).unwrap_or_default(),
-        }
-    }
-}
-
-/// What the configuration says of a loop's place.
-fn place_of(own: &LoopConfig) -> Place {
-    let said = |text: &String| Some(text.clone()).filter(|text| !text.is_empty());
-    // OP that runs from 0 to 100 is in %, whoever wrote the range.
-    let percent = (own.op_range == Some([0.0, 100.0])).then(|| "%".to_owned());
-    Place {
-        criticality: Some(own.criticality),
-        area: said(&own.area),
-        equipment: said(&own.equipment),
-        op_unit: said(&own.op_unit).or(percent),
     }
 }
 
@@ -216,36 +160,23 @@ impl StreamState {
 /// All loops of a daemon.
 #[derive(Debug)]
 pub struct Engine {
-    config: Arc<Config>,
-    config_hash: Arc<str>,
-    /// Settings of loops that the configuration does not name, by what their tags say they control.
-    common: [Arc<LoopSettings>; LoopKind::ALL.len()],
+    /// Of loops with settings of their own, those that have not appeared: their places are kept.
+    settings: EngineSettings,
     loops: Vec<Loop>,
     by_name: HashMap<Arc<str>, LoopId>,
-    /// Loops that the configuration names and that have not appeared, with their place there: their places are kept.
-    expected: HashMap<String, usize>,
 }
 
 impl Engine {
-    /// An engine without loops; the configured ones appear with their first sample, as discovered ones do.
+    /// An engine without loops; those with settings of their own appear with their first sample, as others do.
     #[must_use]
-    pub fn new(config: Config) -> Self {
-        let common = LoopKind::ALL.map(|kind| Arc::new(LoopSettings::of(&config, None, kind)));
-        let config_hash = config.hash().into();
-        let expected = config.loops.iter().enumerate().map(|(at, l)| (l.name.clone(), at)).collect();
-        Self { config: Arc::new(config), config_hash, common, loops: Vec::new(), by_name: HashMap::new(), expected }
-    }
-
-    /// The configuration that it runs under.
-    #[must_use]
-    pub fn config(&self) -> &Config {
-        &self.config
+    pub fn new(settings: EngineSettings) -> Self {
+        Self { settings, loops: Vec::new(), by_name: HashMap::new() }
     }
 
     /// The configuration's hash, as documents carry it.
     #[must_use]
     pub fn config_hash(&self) -> &str {
-        &self.config_hash
+        &self.settings.config_hash
     }
 
     /// Every loop's handle, in order of appearance.
@@ -265,20 +196,18 @@ impl Engine {
         self.by_name.get(name).copied()
     }
 
-    /// The handle of a loop, which appears now if it is new; `None` beyond `max_loops`. Loops that the configuration
-    /// names always have their place, whoever came before them.
+    /// The handle of a loop, which appears now if it is new; `None` beyond `max_loops`. Loops with settings of their own
+    /// always have their place, whoever came before them.
     pub fn appear(&mut self, name: &str) -> Option<LoopId> {
         if let Some(id) = self.find(name) {
             return Some(id);
         }
-        let kept = if self.expected.contains_key(name) { 0 } else { self.expected.len() };
-        if self.loops.len() + kept >= self.config.input.max_loops {
+        let EngineSettings { own, common, max_loops, .. } = &mut self.settings;
+        let kept = if own.contains_key(name) { 0 } else { own.len() };
+        if self.loops.len() + kept >= *max_loops {
             return None;
         }
-        let own = self.expected.remove(name).and_then(|at| self.config.loops.get(at));
-        let kind = LoopKind::of_tag(name);
-        let common = || self.common[kind as usize].clone();
-        let settings = own.map_or_else(common, |l| Arc::new(LoopSettings::of(&self.config, Some(l), kind)));
+        let settings = own.remove(name).map_or_else(|| common[LoopKind::of_tag(name) as usize].clone(), Arc::new);
         let id = LoopId(self.loops.len() as u32);
         let name: Arc<str> = name.into();
         self.loops.push(Loop::new(name.clone(), settings));
@@ -286,10 +215,10 @@ impl Engine {
         Some(id)
     }
 
-    /// Whether a loop that the configuration does not name may still appear.
+    /// Whether a loop without settings of its own may still appear.
     #[must_use]
     pub fn has_room(&self) -> bool {
-        self.loops.len() + self.expected.len() < self.config.input.max_loops
+        self.loops.len() + self.settings.own.len() < self.settings.max_loops
     }
 
     /// Takes one sample of a loop.
@@ -299,12 +228,12 @@ impl Engine {
 
     /// Takes the answer to a request.
     pub fn complete(&mut self, id: LoopId, seq: u64, assessment: Assessment, out: &mut Vec<Event>) {
-        self.loops[id.index()].resolve(id, seq, Some(assessment), &self.config_hash, out);
+        self.loops[id.index()].resolve(id, seq, Some(assessment), &self.settings.config_hash, out);
     }
 
     /// Gives a due window up. Its document says so; the recording must hold the skip as an input.
     pub fn skip(&mut self, id: LoopId, seq: u64, out: &mut Vec<Event>) {
-        self.loops[id.index()].resolve(id, seq, None, &self.config_hash, out);
+        self.loops[id.index()].resolve(id, seq, None, &self.settings.config_hash, out);
     }
 
     /// Windows of a loop that wait for their answers, oldest first: place and name.
@@ -317,7 +246,7 @@ impl Engine {
     /// # Errors
     /// [`GapRefusal`] where too little is held of the loop.
     pub fn run_gap(&mut self, id: LoopId, by: Option<&str>, out: &mut Vec<Event>) -> Result<u64, GapRefusal> {
-        self.loops[id.index()].run_gap(id, by, &self.config_hash, out)
+        self.loops[id.index()].run_gap(id, by, &self.settings.config_hash, out)
     }
 
     /// Takes a diagnosis. It is put out once those asked before it are done.

@@ -1,6 +1,6 @@
 //! Which stretch of a loop's past a due window takes.
 
-use crate::config::WindowParams;
+use super::settings::WindowParams;
 use stiction::detect::oscillation;
 use stiction::record::Record;
 use stiction::signal::align::Point;

@@ -4,8 +4,8 @@
 //! Coarse forms of [`super::jumps`] and [`super::one_step`]: some hundred boxes, no lines, twenty stems.
 
 use super::inputs::{Boxes, Grain, Input};
-use super::known::{Known, Sums, Work};
-use super::{jumps, one_step, usable};
+use super::known::{Known, Sums, Work, log_ratio};
+use super::{jumps, usable};
 use crate::record::Record;
 use crate::signal::{detrend, stats};
 
@@ -43,6 +43,6 @@ pub fn signs(record: &Record, period: Option<f64>) -> Option<Signs> {
     let mut error = |input: &Input| sums.error(input, None, &mut work);
     let without = error(&op);
     let with = stems.iter().map(error).fold(f64::INFINITY, f64::min);
-    let stem = if with.is_finite() { sums.count() as f64 * one_step::log_ratio(without, with) } else { 0.0 };
+    let stem = if with.is_finite() { sums.count() as f64 * log_ratio(without, with) } else { 0.0 };
     Some(Signs { jumps: concentrated, stem })
 }

@@ -382,3 +382,9 @@ fn wave(f: f64, n: usize) -> (Vec<f64>, Vec<f64>) {
     }
     (cosine, sine)
 }
+
+/// Logarithm of the ratio of two squared errors of normalised signals, of which rounding alone may be left.
+pub(super) fn log_ratio(without: f64, with: f64) -> f64 {
+    const LEAST: f64 = 1e-9;
+    libm::log(without.max(LEAST) / with.max(LEAST))
+}

@@ -2,7 +2,7 @@
 
 use core::f64::consts::PI;
 
-use super::known::{Ends, Known, SAYS};
+use super::known::{Ends, Known, SAYS, log_ratio};
 use super::ringing::{HARMONICS, harmonics, strongest};
 use crate::signal::detrend;
 
@@ -160,7 +160,7 @@ fn transforms(f: f64, from: usize, [x, y]: [&[f64]; 2]) -> [[[f64; 2]; HARMONICS
 pub(super) fn gain(before: &[f64; 2], after: &Known) -> f64 {
     let [error, columns] = *before;
     let lines = after.count() as f64 - columns;
-    super::one_step::log_ratio(error, after.error()) - 2.0 * lines / after.left.len() as f64
+    log_ratio(error, after.error()) - 2.0 * lines / after.left.len() as f64
 }
 
 #[cfg(test)]

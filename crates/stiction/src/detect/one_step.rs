@@ -7,7 +7,7 @@
 //! tracking law make of OP.
 
 use super::inputs::{Boxes, Grain, Input, StemInput};
-use super::known::{Known, Sums, Work};
+use super::known::{Known, Sums, Work, log_ratio};
 use super::lines;
 use super::{Detector, View};
 use crate::ident::sign;
@@ -123,12 +123,6 @@ impl Prediction {
 fn is_near(stem: &StemInput, share: f64) -> bool {
     const NEXT: f64 = 1.45;
     stem.law == Law::He && stem.share < NEXT * share && share < NEXT * stem.share
-}
-
-/// Logarithm of the ratio of two squared errors of normalised signals, of which rounding alone may be left.
-pub(super) fn log_ratio(without: f64, with: f64) -> f64 {
-    const LEAST: f64 = 1e-9;
-    libm::log(without.max(LEAST) / with.max(LEAST))
 }
 
 #[cfg(test)]

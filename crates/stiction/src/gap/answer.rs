@@ -1,6 +1,6 @@
 //! The process' answer to a valve signal: lag, second lag or integrator, with a dead time that may change.
 
-use super::structure::Plan;
+use super::plan::Plan;
 use crate::sim::process::{Pole, run_one, series_weights};
 
 /// Points by which an integrator's answer is scaled down, so that it is of the size of its input.

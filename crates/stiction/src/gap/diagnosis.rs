@@ -3,22 +3,21 @@
 use super::decide;
 use super::effects::{self, Way};
 use super::evidence::{Basis, Evidence, Left};
-use super::express::{fit, rms};
+use super::express::fit;
 use super::filter::{self, Filtered};
 use super::forward::forward;
 use super::given;
-use super::model::Model;
+use super::judged::Diagnosis;
 use super::next_test::next_test;
 use super::noise;
 use super::pairs;
 use super::probability::Calibration;
 use super::problem::{Problem, period_of};
 use super::schedule::{self, Found, Work, residual_of};
-use super::signatures::{self, Traces};
+use super::signatures;
 use super::stages;
-use super::types::{
-    Ask, Base, Diagnosis, EffectResult, Ended, Executor, Fit, Floor, Forward, GapError, NONE, Predictions, UNKNOWN,
-};
+use super::traces::Traces;
+use super::types::{Ask, Base, EffectResult, Ended, Executor, Fit, Floor, Forward, GapError, Predictions};
 use super::weigh::Scales;
 use crate::ident::controller;
 use crate::record::Record;
@@ -254,74 +253,4 @@ fn run_forward(problem: &Problem, found: &Found, made: &Diagnosis, work: &mut Wo
     let search = found.searches.iter().find(|l| l.structure.id() == made.cause.id);
     let (Some(search), false) = (search, work.stopped) else { return None };
     forward(problem, &found.base, search, made.floor.noise_floor, work)
-}
-
-impl Diagnosis {
-    /// What the decision is made from.
-    #[must_use]
-    pub fn evidence(&self) -> Evidence {
-        Evidence::new(&self.basis, &self.effects, self.floor.noise_floor)
-    }
-
-    /// The same fits judged again as if the catalogue lacked `ids` as well.
-    #[must_use]
-    pub fn without(&self, ids: &[&str]) -> Self {
-        let mut again = self.clone();
-        again.settle(ids);
-        if again.cause.id != self.cause.id {
-            // The run forward in time was made for another cause.
-            again.forward = None;
-            again.next_test = None;
-        }
-        again.confirm();
-        again
-    }
-
-    /// The result of the named cause, single or pair.
-    #[must_use]
-    pub fn named(&self) -> Option<&EffectResult> {
-        self.effects.iter().chain(&self.pairs).find(|e| e.id == self.cause.id)
-    }
-
-    /// Decides, and lets everything that follows from the cause follow it.
-    fn settle(&mut self, without: &[&str]) {
-        // The best pair stands for election too where it beats every single effect.
-        let has = |id: &str| !id.split('+').any(|part| without.contains(&part));
-        let pair = self.pairs.iter().find(|p| has(&p.id) && pairs::beats(p, &self.effects, without));
-        let evidence = Evidence::new(&self.basis, self.effects.iter().chain(pair), self.floor.noise_floor);
-        let decision = decide::decide(&evidence, without, Calibration::shipped());
-        (self.cause, self.alternatives, self.features) = (decision.cause, decision.alternatives, decision.features);
-        let after = self.named().and_then(|e| e.fit.clone());
-        let from = self.blocks.from;
-        let run = |f: &Fit, masked: &[bool]| -> Vec<Option<f64>> {
-            let points = f.prediction.iter().enumerate();
-            points.map(|(k, p)| (k >= from && !masked[k]).then_some(*p)).collect()
-        };
-        let masked = &self.predictions.masked;
-        self.predictions.pv_base = run(&self.base, masked);
-        self.predictions.pv_after = run(after.as_ref().unwrap_or(&self.base), masked);
-        self.model_after = after.map_or_else(|| self.base.model.clone(), |f: Fit| -> Model { f.model });
-    }
-
-    /// Whether held-out blocks and the run forward bear the cause out.
-    fn confirm(&mut self) {
-        if self.cause.id == NONE || self.cause.id == UNKNOWN {
-            self.cause.confirmed = self.cause.id == NONE && self.base.at_floor;
-            return;
-        }
-        let forward = self.forward.map(|f| [f.gap_before, f.gap_after]);
-        // A trace is there; whether it makes the gap, is for held-out blocks to say where a free run can follow it.
-        let closes = self.named().and_then(|e| e.closed_pct).is_none_or(|closed| closed > 0.0);
-        let trace = closes && self.signatures.iter().any(|s| s.met && s.id == self.cause.id);
-        let own = self.named().is_some_and(|e| decide::confirmed(e, forward));
-        self.cause.confirmed = trace || own || (self.cause.id == effects::time_skew::EFFECT.id);
-    }
-
-    /// Root mean squared held-out error of a free run, PV units, for whoever recomputes a gap.
-    #[must_use]
-    pub fn held_out_rmse(&self, pv: &[f64], prediction: &[f64]) -> f64 {
-        let residual: Vec<f64> = pv.iter().zip(prediction).map(|(y, p)| y - p).collect();
-        let points = (self.blocks.from..pv.len()).filter(|k| self.blocks.held_out[*k] && !self.blocks.masked[*k]);
-        rms(&residual, &points.map(|k| [k, k + 1]).collect::<Vec<_>>())
-    }
 }

@@ -4,10 +4,12 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
+use super::judged::Diagnosis;
 use super::locate::Location;
 use super::loop_run::Cycles;
 use super::model::Model;
-use super::types::{Base, Diagnosis, EffectResult, Ended, Fit, Parameter};
+use super::sizes::Quantity;
+use super::types::{Base, EffectResult, Ended, Fit, Parameter};
 use crate::record::Record;
 use crate::signal::stats;
 use crate::units::Moment;
@@ -80,16 +82,6 @@ pub struct Figures {
     pub gap: f64,
     /// The gap over PV's standard deviation.
     pub relative: Option<f64>,
-}
-
-/// A number with its unit.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-pub struct Quantity {
-    /// Its size.
-    pub value: f64,
-    /// Its unit, as [`Parameter::unit`].
-    pub unit: String,
 }
 
 /// One effect, added to the base.

@@ -7,16 +7,16 @@
 
 use std::sync::Arc;
 
-use super::plain::{Linear, MAX_COLUMNS, PlainPass, loads, reads_controller};
+use super::candidate::{Candidate, Linear, MAX_COLUMNS, Parameters};
+use super::plain::{PlainPass, loads, reads_controller};
+use super::plan::Plan;
 use super::problem::{Problem, View};
-use super::structure::{Parameters, Plan, Structure};
+use super::structure::Structure;
 use super::valve_signal::ValveSignal;
 use crate::ident::class::Class;
 use crate::ident::evaluator::{self as sums, Best, Table, lattice_index, lattice_tau, reduce};
 use crate::ident::fit::Freedom;
 use crate::sim::process::separated;
-
-pub use super::plain::Candidate;
 
 /// Sets of loads whose tables are kept: a local search comes back to those it started from.
 const LOAD_SETS: usize = 6;

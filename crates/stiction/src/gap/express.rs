@@ -1,12 +1,13 @@
 //! From the search's normalised places to models and fits in recorded units.
 
 use super::answer::INTEGRATOR_SCALE;
+use super::candidate::{Candidate, Parameters};
 use super::model::{Added, Model, Process, SCHEMA, Valve};
 use super::noise;
-use super::plain::{Candidate, PlainPass};
+use super::plain::PlainPass;
 use super::problem::Problem;
 use super::search::Search;
-use super::structure::{Parameters, Structure};
+use super::structure::Structure;
 use super::types::{Fit, Parameter, Slip};
 use crate::ident::residual::whiteness;
 use crate::sim::process::separated;

@@ -10,7 +10,7 @@ use super::plain::time_constants;
 use super::problem::Problem;
 use super::schedule::{self, Found, Work, residual_of};
 use super::search::Search;
-use super::signatures::Traces;
+use super::traces::Traces;
 use super::types::{Fit, Parameter};
 use crate::record::Record;
 use crate::sim::process::separated;

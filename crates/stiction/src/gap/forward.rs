@@ -1,10 +1,10 @@
 //! Forward in time: fitted to the first part of a record, run freely over the rest.
 
+use super::candidate::Parameters;
 use super::express::{above_floor, fit};
 use super::problem::Problem;
 use super::schedule::Work;
 use super::search::{NARROW, Search, local_search};
-use super::structure::Parameters;
 use super::types::Forward;
 
 /// Share of the record that is fitted.

@@ -2,12 +2,13 @@
 //! it, PV's level, the process' state, and loads that the model names without their size).
 
 use super::answer::INTEGRATOR_SCALE;
+use super::candidate::{Candidate, MAX_PARAMS, Parameters};
 use super::effects::{self, Effect, Param, Reach, Unit, Way};
 use super::express::{Errors, above_floor, slips};
 use super::model::{Added, Model, ModelError};
-use super::plain::{Candidate, PlainPass};
+use super::plain::PlainPass;
 use super::problem::Problem;
-use super::structure::{MAX_PARAMS, Parameters, Structure};
+use super::structure::Structure;
 use super::types::Fit;
 use crate::sim::slips::{FirstSlip, Law};
 

@@ -4,6 +4,7 @@
 //! with each effect of the [`effects::ALL`] catalogue, and judges on what it was not fitted to.
 
 mod answer;
+mod candidate;
 mod decide;
 mod diagnosis;
 pub mod document;
@@ -14,6 +15,8 @@ mod express;
 mod filter;
 mod forward;
 mod given;
+pub mod in_loop;
+mod judged;
 pub mod locate;
 pub mod loop_run;
 pub mod model;
@@ -22,6 +25,7 @@ mod next_test;
 mod noise;
 mod pairs;
 mod plain;
+mod plan;
 pub mod probability;
 mod problem;
 mod schedule;
@@ -29,17 +33,23 @@ pub mod score;
 mod search;
 mod settle;
 mod signatures;
+mod sizes;
 mod slips;
 mod stages;
 mod structure;
 pub mod text;
+mod traces;
 pub mod types;
 mod valve_signal;
 mod weigh;
 
 pub use decide::{By, Decision, decide, holds_out};
 pub use diagnosis::{MIN_POINTS, diagnose};
+pub use evidence::{Basis, Evidence};
 pub use given::check as check_model;
+pub use judged::Diagnosis;
+pub use probability::Features;
+pub use sizes::Quantity;
 pub use types::*;
 
 /// Model responses of a default search: a third of a second of one core where the base explains all, some three where

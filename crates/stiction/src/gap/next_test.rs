@@ -1,10 +1,12 @@
 //! The next test: the smallest bump of OP that tells the two best answers apart, found by simulating both.
 
-use super::plain::{Candidate, Linear, PlainPass};
+use super::candidate::{Candidate, Linear};
+use super::judged::Diagnosis;
+use super::plain::PlainPass;
 use super::problem::Problem;
 use super::schedule::Found;
 use super::search::Search;
-use super::types::{Diagnosis, NONE, NextTest, UNKNOWN};
+use super::types::{NONE, NextTest, UNKNOWN};
 use crate::signal::stats;
 use crate::sim::slips::FirstSlip;
 

@@ -1,11 +1,11 @@
 //! Two effects at once, on demand: built from the best single ones.
 
+use super::candidate::{Candidate, MAX_PARAMS};
 use super::effects;
-use super::evaluator::Candidate;
 use super::problem::Problem;
 use super::schedule::{Found, Work, share};
 use super::search::{NARROW, Search, exchange, form_of};
-use super::structure::{MAX_PARAMS, Structure};
+use super::structure::Structure;
 use super::types::EffectResult;
 use super::weigh::Scales;
 

@@ -7,8 +7,10 @@
 //! where the valve signal is linear in it.
 
 use super::answer::Process;
+use super::candidate::{Candidate, Linear, MAX_COLUMNS, Parameters};
+use super::plan::Plan;
 use super::problem::{Problem, View};
-use super::structure::{Parameters, Plan, Structure};
+use super::structure::Structure;
 use super::valve_signal::switch_of;
 use crate::ident::candidate::{MIN_SLIPS, freedom};
 use crate::ident::fit::{Freedom, best_band};
@@ -17,51 +19,10 @@ use crate::sim::actuator::lag_path;
 use crate::sim::process::separated;
 use crate::sim::slips::Sequence;
 
-/// Columns of a model, right-hand side included, at most.
-pub const MAX_COLUMNS: usize = 11;
-
 /// Initial slope of a pair of lags, that of the quicker one alone being 1, from which it counts as leading.
 const LEADS: f64 = 0.5;
 /// What such a pair leaves in the end, over its larger part, below which it comes back.
 const COMES_BACK: f64 = 0.05;
-
-/// Linear coefficients of a model: those of the other columns first, then that of the response.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Linear {
-    /// In the order in which the columns are made.
-    pub others: [f64; MAX_COLUMNS],
-    /// How many of them.
-    pub count: usize,
-    /// Of the response to the valve signal.
-    pub gain: f64,
-}
-
-/// A theta and how well it fits.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Candidate {
-    /// Where.
-    pub theta: Parameters,
-    /// Squared error on the fitted blocks, in the view that was asked.
-    pub sse: f64,
-    /// Values of s and j that give the same slips.
-    pub cells: [[f64; 2]; 2],
-    /// Moves of the stem.
-    pub slips: usize,
-    /// The linear part.
-    pub linear: Linear,
-}
-
-impl Candidate {
-    /// Whether another place with the same parameters has the same slips.
-    #[must_use]
-    pub fn covers(&self, theta: &Parameters) -> bool {
-        let within = |[low, high]: [f64; 2], x: f64| low <= x && x < high;
-        theta.first == self.theta.first
-            && theta.p == self.theta.p
-            && within(self.cells[0], theta.s)
-            && within(self.cells[1], theta.j)
-    }
-}
 
 /// Evaluates parameter vectors of one problem sample by sample, with its own buffers.
 #[derive(Debug)]

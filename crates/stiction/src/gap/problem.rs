@@ -2,14 +2,14 @@
 
 use std::sync::Arc;
 
-use super::signatures::between;
-use super::structure::Parameters;
+use super::candidate::Parameters;
+use super::traces::between;
 use super::types::Blocks;
 use crate::detect::oscillation;
 use crate::ident::candidate::NormalisedRecord;
 use crate::ident::evaluator;
 use crate::ident::normalise::normalise;
-use crate::ident::{DelayChoice, ModelChoice, Options, ValveChoice, sign};
+use crate::ident::{ModelChoice, Options, ValveChoice, sign};
 use crate::record::Record;
 use crate::signal::stats;
 use crate::sim::steps::Path;
@@ -78,12 +78,10 @@ pub struct Problem {
 pub fn options(seed: u64, period: f64) -> Options {
     Options {
         model: ModelChoice::Fopdt,
-        delay: DelayChoice::Auto,
         valve: ValveChoice::He,
-        solver: "contour",
-        fineness_pct: 5.0,
         seed,
         period_points: Some(period),
+        ..Options::default()
     }
 }
 

@@ -6,15 +6,17 @@
 
 use std::sync::Mutex;
 
+use super::candidate::{Candidate, MAX_PARAMS, Parameters};
 use super::effects::{ALL, Clues, Effect, Start, Way};
-use super::evaluator::{Candidate, Evaluator};
+use super::evaluator::Evaluator;
 use super::express::rms;
 use super::plain::PlainPass;
+use super::plan::Plan;
 use super::problem::{Problem, View};
 use super::search::{Effort, FIRST, MIDDLE, NARROW, SMALL, Search, WIDE, exchange, local_search, of_every_size};
 use super::settle::NEAR;
 use super::slips::{Length, Places, frictionless, search_slips};
-use super::structure::{MAX_PARAMS, Parameters, Plan, Structure};
+use super::structure::Structure;
 use super::types::{Ended, Executor, Stage};
 use crate::ident::class::Class;
 use crate::ident::residual;

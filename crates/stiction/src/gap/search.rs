@@ -5,12 +5,12 @@
 
 use rand_chacha::ChaCha8Rng;
 
+use super::candidate::{Candidate, MAX_PARAMS, Parameters};
 use super::effects::Unit;
-use super::evaluator::{Candidate, Evaluator};
+use super::evaluator::Evaluator;
 use super::problem::{Problem, View};
-use super::settle::{FAR, LAST, NEAR, clamped};
-use super::slips::fitted_to;
-use super::structure::{MAX_PARAMS, Parameters, Structure};
+use super::settle::{FAR, LAST, NEAR, clamped, fitted_to};
+use super::structure::Structure;
 use crate::ident::candidate::NormalisedRecord;
 use crate::ident::random::{moved, normal, seeded_rng, uniform};
 use crate::sim::slips::FirstSlip;

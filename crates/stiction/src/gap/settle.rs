@@ -1,10 +1,11 @@
 //! Local search in what is continuous: time constants and dead time behind a valve signal that is held, parameters of
 //! effects, and at the end all of them off the lattice. Only costs are asked for, no slopes.
 
+use super::candidate::{Candidate, MAX_PARAMS, Parameters};
 use super::effects::{Reach, Unit};
-use super::evaluator::{Candidate, Evaluator, Place, Prepared};
-use super::problem::View;
-use super::structure::{MAX_PARAMS, Parameters, Structure};
+use super::evaluator::{Evaluator, Place, Prepared};
+use super::problem::{Problem, View};
+use super::structure::Structure;
 use crate::ident::candidate::{MOST_OVERSHOOT, SlipEnd};
 use crate::ident::evaluator::{LATTICE_STEP, lattice_tau};
 
@@ -36,7 +37,7 @@ pub const LAST: &[i32] = &[1];
 
 /// The parameter vector inside its bounds.
 #[must_use]
-pub fn clamped(structure: &Structure, mut theta: Parameters, problem: &super::problem::Problem) -> Parameters {
+pub fn clamped(structure: &Structure, mut theta: Parameters, problem: &Problem) -> Parameters {
     let limits = problem.normalised.limits;
     theta.log_tau = theta.log_tau.clamp(libm::log(limits.tau[0]), libm::log(limits.tau[1]));
     theta.lag = theta.lag.clamp(limits.lag[0], limits.lag[1]);
@@ -56,6 +57,28 @@ pub fn clamped(structure: &Structure, mut theta: Parameters, problem: &super::pr
         }
     }
     theta
+}
+
+/// The parameter vector where its structure may stand; for a stem that may overshoot also the same way back and as far
+/// beyond.
+#[must_use]
+pub fn fitted_to(structure: &Structure, mut theta: Parameters, problem: &Problem) -> Vec<Parameters> {
+    if structure.plan(&theta).slip_end() == SlipEnd::Beyond {
+        // The base is among its models: it must never do worse.
+        let mut out = vec![clamped(structure, theta, problem)];
+        if theta.j < theta.s {
+            // The slips stay: fd turns.
+            theta.j = theta.s * (1.0 + 0.5 * (1.0 - theta.j / theta.s.max(1e-9)));
+            theta.fd = 0.5 * (theta.s - theta.j);
+            out.push(clamped(structure, theta, problem));
+        }
+        return out;
+    }
+    if theta.j > theta.s {
+        theta.j = theta.s;
+        theta.fd = 0.0;
+    }
+    vec![clamped(structure, theta, problem)]
 }
 
 impl Evaluator<'_> {

@@ -3,6 +3,7 @@
 
 use super::effects;
 use super::noise::quantum;
+use super::traces::{Traces, knots};
 use super::types::{Parameter, Signature};
 use crate::record::Record;
 use crate::signal::stats;
@@ -22,25 +23,6 @@ const WILD_SHARE: f64 = 2.0;
 const MOST_MASKED: f64 = 0.05;
 /// Fewest measured points to which a model is fitted; with less all that was recorded counts.
 const FEWEST_MEASURED: usize = 40;
-
-/// What a record's PV shows.
-#[derive(Debug, Clone)]
-pub struct Traces {
-    /// Every test, met or not.
-    pub signatures: Vec<Signature>,
-    /// Points left out of every fit and every figure.
-    pub masked: Vec<bool>,
-    /// Points at which PV is what the sensor measured, and not what a recorder put between two stored values, the end of
-    /// a range or the last value of a sensor that stands still: models are fitted to these.
-    pub measured: Vec<bool>,
-    /// Whether a recorder thinned PV, so that its noise shows in the stored values only.
-    pub thinned: bool,
-    /// First and last point of the longest stretch that stands still.
-    still: [usize; 2],
-    ends: [f64; 2],
-    /// PV as recorded.
-    pv: Vec<f64>,
-}
 
 /// Looks for all of them; `period` in points. Points are masked for none of the effects in `without`.
 #[must_use]
@@ -137,38 +119,6 @@ pub fn traces(record: &Record, period: f64, without: &[String]) -> Traces {
     Traces { signatures, masked, measured, thinned: enough && (holds || draws), still, ends, pv: pv.clone() }
 }
 
-impl Traces {
-    /// Holds a prediction where PV is held.
-    pub fn hold(&self, prediction: &mut [f64]) {
-        for k in 1..prediction.len() {
-            if self.pv[k] == self.pv[k - 1] {
-                prediction[k] = prediction[k - 1];
-            }
-        }
-    }
-
-    /// Holds it where PV stands still.
-    pub fn freeze(&self, prediction: &mut [f64]) {
-        let [from, to] = self.still;
-        let held = prediction[from];
-        prediction[from..=to].fill(held);
-    }
-
-    /// Cuts it off at the end of PV's range that holds more samples.
-    pub fn clip(&self, prediction: &mut [f64]) {
-        let end = |at: usize| self.pv.iter().filter(|v| **v == self.ends[at]).count();
-        let low = end(0) > end(1);
-        for p in prediction {
-            *p = if low { p.max(self.ends[0]) } else { p.min(self.ends[1]) };
-        }
-    }
-
-    /// Draws it straight between the knots of PV.
-    pub fn straighten(&self, prediction: &mut [f64]) {
-        between(&knots(&self.pv), prediction);
-    }
-}
-
 /// Spread of what lies between the lines of a grid: at least what the grid itself adds.
 fn white_part(pv: &[f64], quantum: f64) -> f64 {
     // Noise under a coarse grid shows in how often PV toggles between neighbours.
@@ -208,32 +158,10 @@ fn wild_samples(pv: &[f64], noise: f64) -> Vec<bool> {
     wild
 }
 
-/// Points at which PV turns from one straight line to the next, its ends included.
-fn knots(pv: &[f64]) -> Vec<bool> {
-    let scale = 1e-6 * stats::std_dev(pv);
-    let turns = |k: usize| (pv[k + 1] - 2.0 * pv[k] + pv[k - 1]).abs() >= scale;
-    (0..pv.len()).map(|k| k == 0 || k + 1 == pv.len() || turns(k)).collect()
-}
-
-/// Draws a signal straight between the points that are `kept`; before the first and behind the last it is held.
-pub fn between(kept: &[bool], x: &mut [f64]) {
-    let places: Vec<usize> = (0..x.len().min(kept.len())).filter(|k| kept[*k]).collect();
-    let (Some(first), Some(last)) = (places.first().copied(), places.last().copied()) else { return };
-    for pair in places.windows(2) {
-        let (a, b) = (x[pair[0]], x[pair[1]]);
-        let length = (pair[1] - pair[0]) as f64;
-        for (i, value) in x[pair[0]..pair[1]].iter_mut().enumerate().skip(1) {
-            *value = a + (b - a) * i as f64 / length;
-        }
-    }
-    let (held, after) = (x[first], x[last]);
-    x[..first].fill(held);
-    x[last + 1..].fill(after);
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::gap::traces::between;
     use crate::sim::noise::{Noise, quantise};
 
     fn plain(seed: u64) -> Vec<f64> {

@@ -4,14 +4,16 @@
 //! which has a zero, it does not know: what these do is taken out of PV as the effect's search has it so far, so that slips
 //! and effect are found in turn. It sees the whole record; what it finds are starts for the fits to the training blocks.
 
+use super::candidate::{MAX_PARAMS, Parameters};
 use super::plain::{PlainPass, loads};
+use super::plan::Plan;
 use super::problem::Problem;
 use super::search::Search;
 use super::settle::clamped;
-use super::structure::{MAX_PARAMS, Parameters, Plan, Structure};
+use super::structure::Structure;
 use super::valve_signal::HeldPlan;
 use crate::ident::ModelChoice;
-use crate::ident::candidate::{NormalisedRecord, SlipEnd};
+use crate::ident::candidate::NormalisedRecord;
 use crate::ident::class::Class;
 use crate::ident::slip_search::candidate::Candidate;
 use crate::ident::slip_search::problem::{BehindStem, Problem as SlipProblem};
@@ -168,26 +170,4 @@ pub fn frictionless(problem: &Problem) -> Vec<Parameters> {
         }
     }
     out
-}
-
-/// The parameter vector where its structure may stand; for a stem that may overshoot also the same way back and as far
-/// beyond.
-#[must_use]
-pub fn fitted_to(structure: &Structure, mut theta: Parameters, problem: &Problem) -> Vec<Parameters> {
-    if structure.plan(&theta).slip_end() == SlipEnd::Beyond {
-        // The base is among its models: it must never do worse.
-        let mut out = vec![clamped(structure, theta, problem)];
-        if theta.j < theta.s {
-            // The slips stay: fd turns.
-            theta.j = theta.s * (1.0 + 0.5 * (1.0 - theta.j / theta.s.max(1e-9)));
-            theta.fd = 0.5 * (theta.s - theta.j);
-            out.push(clamped(structure, theta, problem));
-        }
-        return out;
-    }
-    if theta.j > theta.s {
-        theta.j = theta.s;
-        theta.fd = 0.0;
-    }
-    vec![clamped(structure, theta, problem)]
 }

@@ -1,15 +1,15 @@
 //! With the valve position recorded the gap falls in two: OP to MV, which only the valve makes, and MV to PV, which
 //! everything behind it makes.
 
+use super::candidate::Candidate;
 use super::effects::{self, Way};
-use super::evaluator::Candidate;
 use super::evidence::OnMv;
 use super::express::{fit, rms};
 use super::noise;
 use super::problem::{Problem, View};
 use super::schedule::{self, Work, is_calm, residual_of};
 use super::search::Search;
-use super::signatures::Traces;
+use super::traces::Traces;
 use super::types::{Stage, Stages};
 use crate::record::Record;
 use crate::signal::stats;

@@ -2,18 +2,14 @@
 
 mod claim;
 mod effect;
-
-pub use effect::Sizes;
 mod place;
 
 use super::document::{EffectNote, GapDocument};
+use super::loop_run::Cycles;
+use super::sizes::percent;
 use super::types::{NONE, UNKNOWN};
 use crate::units::number;
 use claim::Claim;
-
-fn percent(value: f64) -> String {
-    format!("{value:.0} %")
-}
 
 /// The answer as one paragraph: where, which, how far, what it cannot be told from, what would settle it.
 #[must_use]
@@ -185,7 +181,7 @@ pub fn answer(d: &GapDocument) -> String {
 
 /// The cycle as measured and as the closed loop makes it.
 #[must_use]
-pub fn cycles(c: &super::loop_run::Cycles) -> String {
+pub fn cycles(c: &Cycles) -> String {
     place::cycles(c)
 }
 

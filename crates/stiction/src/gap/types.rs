@@ -4,9 +4,6 @@ use serde::{Deserialize, Serialize};
 
 use super::model::Model;
 
-pub use super::evidence::{Basis, Evidence};
-pub use super::probability::Features;
-
 /// Id of an effect, as it stands in documents.
 pub type EffectId = &'static str;
 
@@ -399,53 +396,4 @@ pub struct Stages {
     pub mv_to_pv: f64,
     /// The stage that holds the gap.
     pub stage: Stage,
-}
-
-/// All that was found.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Diagnosis {
-    /// The base, refitted.
-    pub base: Fit,
-    /// The given model as it was given.
-    pub given: Option<Fit>,
-    /// Gap of the base over PV's standard deviation.
-    pub relative_gap: f64,
-    /// Every effect asked, best first.
-    pub effects: Vec<EffectResult>,
-    /// The answer.
-    pub cause: Cause,
-    /// Other answers, best first.
-    pub alternatives: Vec<Alternative>,
-    /// Forward in time; `None` where the parts are too short.
-    pub forward: Option<Forward>,
-    /// The base with the cause, or the base itself.
-    pub model_after: Model,
-    /// Effects asked in pairs, best first; empty unless asked for.
-    pub pairs: Vec<EffectResult>,
-    /// Model responses computed.
-    pub evaluations: u64,
-    /// Responses that each search was allowed.
-    pub budget_evaluations: u64,
-    /// Why the search for base and effects ended.
-    pub ended: Ended,
-    /// Whether executor or budget ended the search before its time.
-    pub stopped_early: bool,
-    /// The noise floor.
-    pub floor: Floor,
-    /// Which points count for what.
-    pub blocks: Blocks,
-    /// Free runs for the record's points.
-    pub predictions: Predictions,
-    /// Traces in the data itself.
-    pub signatures: Vec<Signature>,
-    /// Noise models of the residual.
-    pub noise_models: NoiseModels,
-    /// The gaps apart, where MV is recorded.
-    pub stages: Option<Stages>,
-    /// The next test, where two answers remain.
-    pub next_test: Option<NextTest>,
-    /// What else the decision was made from.
-    pub basis: Basis,
-    /// What the cause's probability was made of, for calibrations.
-    pub features: Features,
 }

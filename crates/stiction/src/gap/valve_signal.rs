@@ -3,8 +3,9 @@
 
 use std::sync::Arc;
 
+use super::candidate::Parameters;
+use super::plan::{Drift, Plan};
 use super::problem::Problem;
-use super::structure::{Drift, Parameters, Plan};
 use crate::ident::candidate::{MIN_SLIPS, band_freedom};
 use crate::ident::fit::Freedom;
 use crate::ident::slip_search::problem::BehindStem;

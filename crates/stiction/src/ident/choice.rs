@@ -35,3 +35,37 @@ pub enum ValveChoice {
     #[default]
     Auto,
 }
+
+/// What a fit is told.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Options {
+    /// Process order.
+    pub model: ModelChoice,
+    /// Dead time.
+    pub delay: DelayChoice,
+    /// Valve law.
+    pub valve: ValveChoice,
+    /// Name of the global solver; an unknown one falls back to the contour grid.
+    pub solver: &'static str,
+    /// Step of the contour grid, % of the span.
+    pub fineness_pct: f64,
+    /// Seed of every random choice.
+    pub seed: u64,
+    /// Period of the oscillation, points, where one is known.
+    pub period_points: Option<f64>,
+}
+
+impl Default for Options {
+    /// As the daemon asks, without a period.
+    fn default() -> Self {
+        Self {
+            model: ModelChoice::default(),
+            delay: DelayChoice::default(),
+            valve: ValveChoice::default(),
+            solver: "contour",
+            fineness_pct: 5.0,
+            seed: 1,
+            period_points: None,
+        }
+    }
+}

@@ -4,11 +4,10 @@
 //! process its drift as well), the process' own memory of what went before, and where the stem stood at the start.
 
 use super::candidate::{NormalisedRecord, Start};
+use super::choice::Options;
 use super::class::{Class, Limits, Scratch, Shape};
 use super::least_squares::Gram;
 use super::normalise::normalise;
-use super::quantify::Options;
-use super::{DelayChoice, ModelChoice, ValveChoice};
 use crate::record::Record;
 use crate::signal::stats;
 use crate::sim::slips::{Law, Sequence};
@@ -58,7 +57,7 @@ pub fn free_run(record: &Record, model: &Fixed<'_>, after_ns: i64) -> Option<Fre
     if record.len() < LEAST || !span.is_normal() || !deviation.is_normal() {
         return None;
     }
-    let normalised = normalise(record, &OPTIONS, span, deviation);
+    let normalised = normalise(record, &Options::default(), span, deviation);
     let (class, shape) = shaped(model, record, &normalised)?;
     let counted_ns = after_ns.saturating_sub(record.start_ns).max(0);
     let new = ((counted_ns as f64 * 1e-9 / record.point_s()).floor() as usize).saturating_add(1);
@@ -79,16 +78,6 @@ pub fn free_run(record: &Record, model: &Fixed<'_>, after_ns: i64) -> Option<Fre
         rest_pv: stats::mean(&record.pv) + deviation * level,
     })
 }
-
-const OPTIONS: Options = Options {
-    model: ModelChoice::Auto,
-    delay: DelayChoice::Auto,
-    valve: ValveChoice::Auto,
-    solver: "contour",
-    fineness_pct: 5.0,
-    seed: 0,
-    period_points: None,
-};
 
 /// The model's class and shape, in points.
 fn shaped(model: &Fixed<'_>, record: &Record, normalised: &NormalisedRecord) -> Option<(Class, Shape)> {

@@ -6,11 +6,12 @@
 //! stem moved, so a large band looks larger and moves the stem less often here than it would have done.
 
 use super::candidate::{CandidateFitter, Effort, MIN_SLIPS, NormalisedRecord, Start};
+use super::choice::Options;
 use super::class::{Class, Scratch};
 use super::fit::{Fitted, Target};
 use super::frictionless;
 use super::normalise::normalise;
-use super::quantify::{Estimate, Options};
+use super::quantify::Estimate;
 use super::slip_search::answer::improvement;
 use crate::record::Record;
 use crate::signal::stats;

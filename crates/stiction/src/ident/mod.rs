@@ -32,5 +32,5 @@ pub mod width;
 /// Schema name of the documents that hold an estimate, which others read models from.
 pub const ESTIMATE_SCHEMA: &str = "stictiond.estimate.v1";
 
-pub use choice::{DelayChoice, ModelChoice, ValveChoice};
-pub use quantify::{Estimate, Options, quantify};
+pub use choice::{DelayChoice, ModelChoice, Options, ValveChoice};
+pub use quantify::{Estimate, quantify};

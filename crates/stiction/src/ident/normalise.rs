@@ -1,9 +1,8 @@
 //! A record in the form that every fit works on: OP in spans, PV in deviations, times in points.
 
 use super::candidate::{NormalisedRecord, SlipEnd};
-use super::choice::DelayChoice;
+use super::choice::{DelayChoice, Options};
 use super::class::Limits;
-use super::quantify::Options;
 use crate::record::Record;
 use crate::signal::stats;
 use crate::sim::slips::Stroke;

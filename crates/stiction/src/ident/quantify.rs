@@ -1,7 +1,7 @@
 //! From a record to the bands: normalise, search, refine, compare with no stiction at all.
 
 use super::candidate::NormalisedRecord;
-use super::choice::{DelayChoice, ModelChoice, ValveChoice};
+use super::choice::{Options, ValveChoice};
 use super::class::Class;
 use super::normalise::normalise;
 use super::sign;
@@ -16,40 +16,6 @@ use crate::optim;
 use crate::record::Record;
 use crate::signal::stats;
 use crate::sim::slips::Law;
-
-/// What a fit is told.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Options {
-    /// Process order.
-    pub model: ModelChoice,
-    /// Dead time.
-    pub delay: DelayChoice,
-    /// Valve law.
-    pub valve: ValveChoice,
-    /// Name of the global solver; an unknown one falls back to the contour grid.
-    pub solver: &'static str,
-    /// Step of the contour grid, % of the span.
-    pub fineness_pct: f64,
-    /// Seed of every random choice.
-    pub seed: u64,
-    /// Period of the oscillation, points, where one is known.
-    pub period_points: Option<f64>,
-}
-
-impl Default for Options {
-    /// As the daemon asks, without a period.
-    fn default() -> Self {
-        Self {
-            model: ModelChoice::default(),
-            delay: DelayChoice::default(),
-            valve: ValveChoice::default(),
-            solver: "contour",
-            fineness_pct: 5.0,
-            seed: 1,
-            period_points: None,
-        }
-    }
-}
 
 /// What a fit found. Bands in OP units, gain in PV units per OP unit (per second too when integrating).
 #[derive(Debug, Clone, PartialEq)]

@@ -25,10 +25,10 @@
 //! this surface is what a general solver can be set on, and what an error map shows.
 
 use super::candidate::{NormalisedRecord, Start};
+use super::choice::Options;
 use super::class::Class;
 use super::evaluator::{View, lattice_index, lattice_tau};
 use super::normalise::normalise;
-use super::quantify::Options;
 use super::sign;
 use super::slip_search::candidate::{Candidate, LatticeFit};
 use super::slip_search::coarse_scan::CoarseScan;

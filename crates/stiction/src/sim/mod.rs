@@ -9,7 +9,7 @@ pub mod noise;
 pub mod plant;
 pub mod process;
 pub mod scenario;
-mod scenario_check;
+mod scenario_read;
 pub mod slips;
 pub mod steps;
 pub mod valve;

@@ -30,7 +30,6 @@ use super::closed_loop::{LoopModel, ValveLaw, ValveModel};
 use super::controller::{Action, PidSettings};
 use super::disturbance::Disturbance;
 use super::process::ProcessModel;
-use super::scenario_check;
 use super::slips::Stroke;
 use crate::record::Signal;
 use crate::units::{parse_time, s_from_ns};
@@ -364,18 +363,6 @@ pub struct ClockJumpSpec {
 }
 
 impl Scenario {
-    /// Reads and checks a scenario.
-    ///
-    /// # Errors
-    /// [`ScenarioError::Toml`] for the first key that cannot be read, [`ScenarioError::Invalid`] for all values that
-    /// make no plant; both with lines.
-    pub fn parse(text: &str) -> Result<Self, ScenarioError> {
-        let scenario: Self =
-            toml::from_str(text).map_err(|e| ScenarioError::Toml(e.to_string().trim_end().to_owned()))?;
-        let found = scenario_check::faults(&scenario, text);
-        if found.is_empty() { Ok(scenario) } else { Err(ScenarioError::Invalid(found)) }
-    }
-
     /// Stamp of the first recorded scan, ns since 1970.
     #[must_use]
     pub fn start_ns(&self) -> i64 {

@@ -376,7 +376,7 @@ fn fill(out: &mut Assessment, e: &Estimate, record: &Record, params: &AssessPara
 
 #[cfg(test)]
 mod tests {
-    use super::super::plausible::Implausible;
+    use super::super::document::Implausible;
     use super::*;
 
     #[test]

@@ -18,7 +18,8 @@ pub use crate::detect::Witness;
 pub use crate::ident::{DelayChoice, ModelChoice, ValveChoice};
 pub use assess::{assess, assess_in_windows, figures, lets_go};
 pub use document::{
-    Assessment, Controller, ESTIMATE_SCHEMA, EstimateDocument, Gate, Oscillation, Process, Search, Verdict, Window,
+    Assessment, Controller, ESTIMATE_SCHEMA, EstimateDocument, Gate, Implausible, Oscillation, Process, Search,
+    Verdict, Window,
 };
 pub use params::AssessParams;
 pub use screen::{P_CALM, SCREENED};

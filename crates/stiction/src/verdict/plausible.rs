@@ -3,55 +3,10 @@
 //! A fit finds the best numbers, not possible ones: a daily cycle of the load is explained by a time constant of weeks, a
 //! ramp by a gain of thousands. What no plant has is not reported.
 
-use serde::Serialize;
-
-use super::document::{Oscillation, Process};
+use super::document::{Implausible, Oscillation, Process};
 use crate::record::Record;
 use crate::signal::{detrend, stats};
 use crate::units::LoopKind;
-
-/// What is not to be believed in a model or its record.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-#[serde(rename_all = "snake_case")]
-pub enum Implausible {
-    /// The cycle takes a day: sun, shifts or load, no valve.
-    DailyCycle,
-    /// PV is little more than a straight line.
-    Trend,
-    /// The dead time is longer than loops of this kind have, or than half of the loop's own period.
-    DeadTime,
-    /// A time constant is longer than loops of this kind have, or than the window.
-    TimeConstant,
-    /// The gain would take PV far beyond where it was.
-    Gain,
-    /// Loops of this kind do not integrate.
-    Integrating,
-    /// The model follows PV hardly better than its mean.
-    Fit,
-}
-
-impl Implausible {
-    /// Its word in documents.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::DailyCycle => "daily_cycle",
-            Self::Trend => "trend",
-            Self::DeadTime => "dead_time",
-            Self::TimeConstant => "time_constant",
-            Self::Gain => "gain",
-            Self::Integrating => "integrating",
-            Self::Fit => "fit",
-        }
-    }
-
-    /// Whether it is the record that shows nothing of a valve, rather than the model that is wrong.
-    #[must_use]
-    pub const fn is_of_the_record(self) -> bool {
-        matches!(self, Self::DailyCycle | Self::Trend)
-    }
-}
 
 /// What a kind of loop may have.
 #[derive(Debug, Clone, Copy, PartialEq)]

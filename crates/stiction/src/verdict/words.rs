@@ -1,8 +1,7 @@
 //! An estimate in words that a planner can act on.
 
 use crate::units::{duration, number};
-use crate::verdict::plausible::Implausible;
-use crate::verdict::{Assessment, Gate, SCREENED, Verdict};
+use crate::verdict::{Assessment, Gate, Implausible, SCREENED, Verdict};
 
 /// The verdict in a sentence.
 #[must_use]

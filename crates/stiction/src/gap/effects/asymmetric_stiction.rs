@@ -1,6 +1,7 @@
 //! Bands that differ with the direction: fs and fd times `1 + alpha` upwards, `1 - alpha` downwards.
 
-use super::{Effect, Param, Reach, Stage, Unit, kept};
+use super::effect::{Effect, Param, Reach, Unit, kept};
+use crate::gap::types::Stage;
 
 /// As the catalogue has it.
 pub const EFFECT: Effect = Effect {
@@ -26,7 +27,7 @@ pub const EFFECT: Effect = Effect {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gap::structure::Plan;
+    use crate::gap::plan::Plan;
     use crate::sim::slips::Law;
 
     #[test]

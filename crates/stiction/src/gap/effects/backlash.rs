@@ -1,6 +1,8 @@
 //! Play between stem and plug or in the linkage: what follows stands still until the stem has crossed it.
 
-use super::{Effect, Param, Parameters, Reach, Stage, Unit};
+use super::effect::{Effect, Param, Reach, Unit};
+use crate::gap::candidate::Parameters;
+use crate::gap::types::Stage;
 
 /// As the catalogue has it.
 pub const EFFECT: Effect = Effect {
@@ -28,7 +30,7 @@ fn for_band(theta: &mut Parameters, _at: usize, by: f64, _op_rate: f64) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gap::structure::Plan;
+    use crate::gap::plan::Plan;
     use crate::sim::slips::Law;
 
     #[test]

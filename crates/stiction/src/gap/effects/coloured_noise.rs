@@ -1,6 +1,7 @@
 //! A disturbance without a shape: first-order autoregressive noise or a random walk. Free run cannot predict it; one step ahead it can.
 
-use super::{Effect, Stage, Way};
+use super::effect::{Effect, Way};
+use crate::gap::types::Stage;
 
 /// As the catalogue has it.
 pub const EFFECT: Effect = Effect {

@@ -1,10 +1,11 @@
 //! From some instant on, another dead time.
 
-use super::{Clues, Effect, Param, Reach, Stage, Start, Unit, WIDE_MARGIN, kept};
-use crate::gap::plain::Candidate;
+use super::clues::Clues;
+use super::effect::{Effect, Param, Reach, Start, Unit, WIDE_MARGIN, kept};
+use crate::gap::candidate::Candidate;
+use crate::gap::plan::Plan;
 use crate::gap::problem::Problem;
-use crate::gap::structure::Plan;
-use crate::gap::types::Parameter;
+use crate::gap::types::{Parameter, Stage};
 
 /// As the catalogue has it.
 pub const EFFECT: Effect = Effect {

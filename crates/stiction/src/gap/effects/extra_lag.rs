@@ -1,6 +1,7 @@
 //! A second lag behind the friction: in the process, or in the sensor before its noise comes in. OP and PV cannot tell which.
 
-use super::{Effect, Reach, Stage, lag, lags, said_already};
+use super::effect::{Effect, Reach, lag, lags, said_already};
+use crate::gap::types::Stage;
 
 /// As the catalogue has it.
 pub const EFFECT: Effect = Effect {
@@ -21,7 +22,7 @@ pub const EFFECT: Effect = Effect {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gap::structure::Plan;
+    use crate::gap::plan::Plan;
     use crate::sim::slips::Law;
 
     #[test]

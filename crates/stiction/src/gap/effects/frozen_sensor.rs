@@ -1,7 +1,8 @@
 //! PV stands still for a while, and then goes on.
 
-use super::{Effect, Stage, Way};
-use crate::gap::signatures::Traces;
+use super::effect::{Effect, Way};
+use crate::gap::traces::Traces;
+use crate::gap::types::Stage;
 
 /// As the catalogue has it.
 pub const EFFECT: Effect = Effect {

@@ -1,7 +1,8 @@
 //! A gain that grows or falls with time: by the same amount in every hour (fouling), or by the same share (wear, decay).
 
-use super::{Effect, Param, Reach, Stage, Unit, WIDE_MARGIN, grows, kept};
-use crate::gap::structure::Drift;
+use super::effect::{Effect, Param, Reach, Unit, WIDE_MARGIN, grows, kept};
+use crate::gap::plan::Drift;
+use crate::gap::types::Stage;
 
 /// As the catalogue has it.
 pub const EFFECT: Effect = Effect {
@@ -32,7 +33,7 @@ pub const EFFECT: Effect = Effect {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gap::structure::Plan;
+    use crate::gap::plan::Plan;
     use crate::sim::slips::Law;
 
     #[test]

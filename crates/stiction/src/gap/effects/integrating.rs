@@ -1,6 +1,7 @@
 //! PV integrates the valve signal instead of settling.
 
-use super::{Effect, Stage, said_already};
+use super::effect::{Effect, said_already};
+use crate::gap::types::Stage;
 
 /// As the catalogue has it.
 pub const EFFECT: Effect = Effect {
@@ -15,7 +16,7 @@ pub const EFFECT: Effect = Effect {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gap::structure::Plan;
+    use crate::gap::plan::Plan;
     use crate::sim::slips::Law;
 
     #[test]

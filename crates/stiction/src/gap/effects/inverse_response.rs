@@ -1,6 +1,7 @@
 //! PV first goes the wrong way: a zero in the right half plane beside a second lag.
 
-use super::{Effect, Reach, Stage, WIDE_MARGIN, lag, lags};
+use super::effect::{Effect, Reach, WIDE_MARGIN, lag, lags};
+use crate::gap::types::Stage;
 
 /// As the catalogue has it.
 pub const EFFECT: Effect = Effect {
@@ -23,7 +24,7 @@ pub const EFFECT: Effect = Effect {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gap::structure::Plan;
+    use crate::gap::plan::Plan;
     use crate::sim::slips::Law;
 
     #[test]

@@ -1,6 +1,7 @@
 //! Single samples far off.
 
-use super::{Effect, Stage, Way};
+use super::effect::{Effect, Way};
+use crate::gap::types::Stage;
 
 /// As the catalogue has it.
 pub const EFFECT: Effect = Effect {

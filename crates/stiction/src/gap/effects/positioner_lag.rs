@@ -1,6 +1,7 @@
 //! A lag before the friction: positioner or current-to-pressure converter. It moves the slips, and not only what follows them.
 
-use super::{Effect, Reach, Stage, lag, lags};
+use super::effect::{Effect, Reach, lag, lags};
+use crate::gap::types::Stage;
 
 /// As the catalogue has it.
 pub const EFFECT: Effect = Effect {
@@ -21,7 +22,7 @@ pub const EFFECT: Effect = Effect {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gap::structure::Plan;
+    use crate::gap::plan::Plan;
     use crate::sim::slips::Law;
 
     #[test]

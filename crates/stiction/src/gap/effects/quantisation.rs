@@ -1,6 +1,7 @@
 //! PV on a grid that is coarse against its noise.
 
-use super::{Effect, Stage, Way};
+use super::effect::{Effect, Way};
+use crate::gap::types::Stage;
 
 /// As the catalogue has it.
 pub const EFFECT: Effect = Effect {

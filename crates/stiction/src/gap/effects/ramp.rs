@@ -1,10 +1,11 @@
 //! A load that grows evenly from some instant on.
 
-use super::{Clues, Effect, Param, Reach, Stage, Start, Unit, WIDE_MARGIN, kept};
-use crate::gap::evaluator::Candidate;
+use super::clues::Clues;
+use super::effect::{Effect, Param, Reach, Start, Unit, WIDE_MARGIN, kept};
+use crate::gap::candidate::Candidate;
+use crate::gap::plan::{Part, Plan};
 use crate::gap::problem::Problem;
-use crate::gap::structure::{Part, Plan};
-use crate::gap::types::Parameter;
+use crate::gap::types::{Parameter, Stage};
 use crate::sim::disturbance::Disturbance;
 
 /// Duration of a ramp that does not end, s.

@@ -1,6 +1,8 @@
 //! An actuator that moves no faster than so much a second.
 
-use super::{Clues, Effect, Param, Reach, Stage, Start, Unit, kept};
+use super::clues::Clues;
+use super::effect::{Effect, Param, Reach, Start, Unit, kept};
+use crate::gap::types::Stage;
 
 /// As the catalogue has it.
 pub const EFFECT: Effect = Effect {
@@ -41,7 +43,7 @@ fn starts(clues: &Clues<'_>) -> Vec<Start> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gap::structure::Plan;
+    use crate::gap::plan::Plan;
     use crate::sim::slips::Law;
 
     #[test]

@@ -1,6 +1,7 @@
 //! A filter in the transmitter or in the PV block. It lags the noise as it lags the signal, which no lag of the process does.
 
-use super::{Effect, Stage, Way, said_already};
+use super::effect::{Effect, Way, said_already};
+use crate::gap::types::Stage;
 
 /// As the catalogue has it.
 pub const EFFECT: Effect = Effect {

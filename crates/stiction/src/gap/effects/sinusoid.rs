@@ -2,11 +2,12 @@
 
 use core::f64::consts::TAU;
 
-use super::{Clues, Effect, Param, Reach, Stage, Start, Unit, WIDE_MARGIN, kept};
-use crate::gap::evaluator::Candidate;
+use super::clues::Clues;
+use super::effect::{Effect, Param, Reach, Start, Unit, WIDE_MARGIN, kept};
+use crate::gap::candidate::Candidate;
+use crate::gap::plan::{Part, Plan};
 use crate::gap::problem::Problem;
-use crate::gap::structure::{Part, Plan};
-use crate::gap::types::Parameter;
+use crate::gap::types::{Parameter, Stage};
 use crate::sim::disturbance::Disturbance;
 
 /// As the catalogue has it.

@@ -1,8 +1,9 @@
 //! A valve that slides once it has broken away, until OP turns (Kano 2004, Choudhury 2005) or it gets slow, with a drag,
 //! instead of sticking again at each scan.
 
-use super::{Effect, Param, Reach, Stage, Unit, for_dead_time, kept};
+use super::effect::{Effect, Param, Reach, Unit, for_dead_time, kept};
 use crate::gap::problem::Problem;
+use crate::gap::types::Stage;
 use crate::sim::slips::Law;
 
 /// Drag of none to speak of, and the most, raw samples.
@@ -53,7 +54,7 @@ pub const EFFECT: Effect = Effect {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gap::structure::Plan;
+    use crate::gap::plan::Plan;
 
     #[test]
     fn the_law_is_switched_and_the_stem_dragged() {

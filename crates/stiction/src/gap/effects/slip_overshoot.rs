@@ -1,7 +1,9 @@
 //! A stem that jumps beyond OP when it breaks away: fd below zero, so j above s. A heavy one carries on by a share of
 //! what OP was ahead of the threshold.
 
-use super::{Effect, Param, Parameters, Reach, Stage, Unit};
+use super::effect::{Effect, Param, Reach, Unit};
+use crate::gap::candidate::Parameters;
+use crate::gap::types::Stage;
 
 /// As the catalogue has it.
 pub const EFFECT: Effect = Effect {
@@ -38,7 +40,7 @@ fn for_threshold(theta: &mut Parameters, _at: usize, by: f64, op_rate: f64) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gap::structure::Plan;
+    use crate::gap::plan::Plan;
     use crate::sim::slips::Law;
 
     #[test]

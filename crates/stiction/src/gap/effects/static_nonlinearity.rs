@@ -5,7 +5,9 @@
 //! grow together; from whatever level y and v are counted, the form stays the same. One or the other is fitted: both at
 //! once would also imitate a time constant that changes alone.
 
-use super::{Effect, NoPlace, Param, Reach, Stage, Unit, grows, kept};
+use super::effect::{Effect, Param, Reach, Unit, grows, kept};
+use crate::gap::in_loop::NoPlace;
+use crate::gap::types::Stage;
 
 /// As the catalogue has it.
 pub const EFFECT: Effect = Effect {
@@ -43,7 +45,7 @@ pub const EFFECT: Effect = Effect {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gap::structure::Plan;
+    use crate::gap::plan::Plan;
     use crate::sim::slips::Law;
 
     #[test]

@@ -1,6 +1,7 @@
 //! A valve that sticks, against the base that follows OP.
 
-use super::{Effect, Stage, Way, said_already};
+use super::effect::{Effect, Way, said_already};
+use crate::gap::types::Stage;
 use crate::sim::slips::Law;
 
 /// As the catalogue has it.
@@ -17,7 +18,7 @@ pub const EFFECT: Effect = Effect {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gap::structure::Plan;
+    use crate::gap::plan::Plan;
 
     #[test]
     fn friction_is_added_to_a_valve_without() {

@@ -1,7 +1,8 @@
 //! PV on straight lines between the values that a recorder kept (swinging door).
 
-use super::{Effect, Stage, Way};
-use crate::gap::signatures::Traces;
+use super::effect::{Effect, Way};
+use crate::gap::traces::Traces;
+use crate::gap::types::Stage;
 
 /// As the catalogue has it.
 pub const EFFECT: Effect = Effect {

@@ -1,6 +1,7 @@
 //! OP and PV recorded with different delays, read from the lag at which the controller answers.
 
-use super::{Effect, Stage, Way};
+use super::effect::{Effect, Way};
+use crate::gap::types::Stage;
 
 /// As the catalogue has it.
 pub const EFFECT: Effect = Effect {

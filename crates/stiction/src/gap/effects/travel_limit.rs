@@ -1,10 +1,11 @@
 //! A stop, low or high, that the stem meets inside the range of OP, or an end of what flows behind a free stem.
 
-use super::{Clues, Effect, Param, Reach, Stage, Start, Unit, kept};
-use crate::gap::evaluator::Candidate;
+use super::clues::Clues;
+use super::effect::{Effect, Param, Reach, Start, Unit, kept};
+use crate::gap::candidate::Candidate;
+use crate::gap::plan::Plan;
 use crate::gap::problem::Problem;
-use crate::gap::structure::Plan;
-use crate::gap::types::Parameter;
+use crate::gap::types::{Parameter, Stage};
 
 /// As the catalogue has it.
 pub const EFFECT: Effect = Effect {

@@ -3,10 +3,10 @@
 use proptest::prelude::*;
 
 use super::*;
+use crate::gap::candidate::MAX_PARAMS;
 use crate::gap::effects::{self, Effect, Unit, Way};
 use crate::gap::plain::tests::made_by;
 use crate::gap::settle::{FAR, clamped};
-use crate::gap::structure::MAX_PARAMS;
 use crate::ident::random::{seeded_rng, uniform};
 use crate::sim::slips::Law;
 

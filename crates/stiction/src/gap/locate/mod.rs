@@ -16,7 +16,8 @@ mod time;
 
 use serde::{Deserialize, Serialize};
 
-use super::types::{Blocks, Diagnosis, Fit, Signature, Stage, Stages};
+use super::judged::Diagnosis;
+use super::types::{Blocks, Fit, Signature, Stage, Stages};
 use crate::record::Record;
 use held::Held;
 

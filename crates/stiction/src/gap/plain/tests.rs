@@ -1,9 +1,9 @@
 //! The plain pass on a record that the base made.
 
 use super::*;
+use crate::gap::candidate::MAX_PARAMS;
 use crate::gap::effects::{self, Way};
 use crate::gap::express::parameters;
-use crate::gap::structure::MAX_PARAMS;
 use crate::record::Record;
 use crate::sim::noise::Noise;
 use crate::sim::slips::{FirstSlip, Law};

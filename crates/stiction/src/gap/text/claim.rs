@@ -2,7 +2,7 @@
 
 use super::super::document::{EffectNote, GapDocument};
 use super::super::effects;
-use super::percent;
+use super::super::sizes::percent;
 
 /// Per cent closed from which an effect explains a gap, and below which it makes next to nothing of it.
 const EXPLAINS: f64 = 50.0;

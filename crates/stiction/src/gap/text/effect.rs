@@ -1,11 +1,9 @@
 //! Effects in words.
 
-use std::collections::BTreeMap;
-
-use super::super::document::{EffectNote, Quantity};
+use super::super::document::EffectNote;
 use super::super::effects;
+use super::super::sizes::Sizes;
 use super::super::types::{NONE, UNKNOWN};
-use super::percent;
 use crate::units::number;
 
 /// What an effect is called among others.
@@ -18,30 +16,6 @@ fn word(id: &str) -> Option<&'static str> {
         NONE => Some("nothing at all"),
         UNKNOWN => Some("something else"),
         _ => effects::by_id(id).map(|e| e.noun),
-    }
-}
-
-/// An effect's sizes, for its words.
-#[derive(Debug)]
-pub struct Sizes<'n>(&'n BTreeMap<String, Quantity>);
-
-impl Sizes<'_> {
-    /// A size.
-    #[must_use]
-    pub fn value(&self, name: &str) -> Option<f64> {
-        self.0.get(name).map(|q| q.value)
-    }
-
-    /// A size in figures.
-    #[must_use]
-    pub fn said(&self, name: &str) -> Option<String> {
-        self.value(name).map(number)
-    }
-
-    /// The amount of a change as per cent.
-    #[must_use]
-    pub fn percent(&self, change: f64) -> String {
-        percent(100.0 * change.abs())
     }
 }
 

@@ -3,8 +3,8 @@
 use super::super::document::GapDocument;
 use super::super::locate::Location;
 use super::super::loop_run::{Cycle, Cycles};
+use super::super::sizes::percent;
 use super::claim::nothing_left;
-use super::percent;
 use crate::units::number;
 
 /// p up to which a place is told.

@@ -3,21 +3,15 @@
 // Halves and parts are two and three places of several arrays at once, and the loops over them are unrolled by the compiler.
 #![allow(clippy::needless_range_loop)]
 
-use super::reduced::Reduced;
+use super::reduced::{DEPENDENT, PAIRS, PARTS, Reduced};
 use super::square::Square;
 use super::tables::{Table, View};
 use crate::ident::class::{Class, INTEGRATOR_SCALE};
 
-/// Columns that a step response is made of, at most: level, and ramp or decays.
-pub(super) const PARTS: usize = 3;
-/// Pairs of them: 00 01 11 02 12 22.
-pub(super) const PAIRS: [(usize, usize); 6] = [(0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)];
 /// Columns beside the answer, at most: constant, two memories, loads.
 const BESIDE: usize = 3 + MOST_LOADS;
 /// Most loads of a view.
 pub(super) const MOST_LOADS: usize = 5;
-/// Share of its own square below which a column depends on those before it.
-pub(super) const DEPENDENT: f64 = 1e-9;
 
 pub(super) const FIRST: usize = 0;
 pub(super) const SECOND: usize = 1;

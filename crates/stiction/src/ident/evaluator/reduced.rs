@@ -1,9 +1,14 @@
 //! What the sums of a valve signal's steps say for every dead time within a sample, gain and kinetic band.
 
-use super::gathered::{DEPENDENT, PAIRS, PARTS};
 use crate::ident::class::{Class, INTEGRATOR_SCALE};
 use crate::ident::fit::{Freedom, best_band};
 
+/// Columns that a step response is made of, at most: level, and ramp or decays.
+pub(super) const PARTS: usize = 3;
+/// Pairs of them: 00 01 11 02 12 22.
+pub(super) const PAIRS: [(usize, usize); 6] = [(0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)];
+/// Share of its own square below which a column depends on those before it.
+pub(super) const DEPENDENT: f64 = 1e-9;
 /// Places of the dead time within a sample that are tried beyond the first three.
 const REFINEMENTS: usize = 4;
 /// Change of that place from which another one is tried.

@@ -3,11 +3,9 @@
 // Halves and parts are two and three places of several arrays at once, and the loops over them are unrolled by the compiler.
 #![allow(clippy::needless_range_loop)]
 
-use super::gathered::{
-    FIRST, Gathered, INTEGRATING, LAG_INTEGRATING, MOST_LOADS, PARTS, SECOND, With, decays, has_ramp,
-};
+use super::gathered::{FIRST, Gathered, INTEGRATING, LAG_INTEGRATING, MOST_LOADS, SECOND, With, decays, has_ramp};
 use super::held::{Held, HeldSums};
-use super::reduced::Reduced;
+use super::reduced::{PARTS, Reduced};
 use super::square::{Halves, Square, add, mixed, turned};
 use super::tables::{Table, View};
 use super::walk::{Visitor, heard, number, over};

@@ -3,10 +3,11 @@
 use rand_chacha::ChaCha8Rng;
 
 use super::super::candidate::NormalisedRecord;
+use super::super::choice::Options;
 use super::super::choice::ValveChoice;
 use super::super::class::Class;
 use super::super::evaluator::lattice_index;
-use super::super::quantify::{Options, quantify};
+use super::super::quantify::quantify;
 use super::super::random::{seeded_rng, uniform};
 use super::super::slip_search::candidate::{Candidate as Found, LatticeFit};
 use super::super::slip_search::evaluator::Evaluator;

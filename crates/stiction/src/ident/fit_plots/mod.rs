@@ -12,12 +12,13 @@ pub use map::{Cell, ErrorMap};
 
 use super::again::again;
 use super::candidate::{Candidate, CandidateFitter, NormalisedRecord};
+use super::choice::Options;
 use super::class::{Class, Shape};
 use super::fit::Target;
 use super::frictionless;
 use super::normalise::normalise;
 use super::order::{EARNED, FITTED_SHARE, reduced};
-use super::quantify::{Estimate, Options};
+use super::quantify::Estimate;
 use crate::record::Record;
 use crate::signal::stats;
 use crate::sim::slips::{Law, Sequence};

@@ -4,7 +4,7 @@
 use rand_chacha::ChaCha8Rng;
 
 use super::candidate::{Candidate, apart};
-use super::classes::index_of;
+use super::classes::{FAR_ALONG, allowed, choose_class, index_of, suited};
 use super::evaluator::Evaluator;
 use super::local_search::{along_cells, along_ridge, neighbours, random_steps};
 use super::part::{LawRound, Part, frictionless};
@@ -29,8 +29,6 @@ const COLOURED: f64 = 0.12;
 const CARRIED: usize = 60;
 /// Random steps on the way there, at each length.
 const ON_THE_WAY: usize = 24;
-/// How far along the ridge (share of s), and in how many steps to a side, where another class was taken.
-pub(super) const FAR_ALONG: (f64, usize) = (0.3, 40);
 /// Moves of a stem that moves seldom.
 const SELDOM: usize = 40;
 /// Part that is searched first where the process integrates: what wrong slips leave adds up there.
@@ -108,11 +106,11 @@ pub struct Found {
 
 /// One search.
 pub struct Search<'s, 'a> {
-    pub(super) problem: &'a Problem<'a>,
-    pub(super) request: &'s Request<'s>,
-    pub(super) settings: &'s SearchSettings,
-    pub(super) plain: View,
-    pub(super) whole: Evaluator<'a>,
+    problem: &'a Problem<'a>,
+    request: &'s Request<'s>,
+    settings: &'s SearchSettings,
+    plain: View,
+    whole: Evaluator<'a>,
     without: [Option<f64>; 4],
     found: Found,
     law_best: [f64; 2],
@@ -362,7 +360,7 @@ impl<'s, 'a> Search<'s, 'a> {
             run.open = false;
         } else if stage == 0 {
             if best.class == Class::First {
-                self.choose_class(run, steps);
+                choose_class(self.problem, self.request.model, run, steps, near);
             }
         } else {
             run.stale += usize::from(low > (1.0 - self.settings.gain) * old);
@@ -396,8 +394,7 @@ impl<'s, 'a> Search<'s, 'a> {
         let best = neighbours(&mut part.evaluator, &mut part.view, best, 3, near);
         tested.push(best);
         let Some(mut found) = self.carried(part, best, rng) else { return false };
-        let is_noise = self.is_noise(&found);
-        let mut is_noise = is_noise;
+        let mut is_noise = self.is_noise(&found);
         if !is_noise && part.points < self.problem.points() {
             found = random_steps(&mut self.whole, &mut self.plain, found, CARRIED, near, rng);
             found = neighbours(&mut self.whole, &mut self.plain, found, 4, near);
@@ -405,7 +402,7 @@ impl<'s, 'a> Search<'s, 'a> {
         }
         let closely = found.sse() < self.settings.closely * self.plain.nothing();
         if !is_noise && (tested.len() == 1 || closely) {
-            let other = self.suited(found);
+            let other = suited(self.request.model, &mut self.whole, &mut self.plain, found);
             if other.class != found.class {
                 found = neighbours(&mut self.whole, &mut self.plain, other, 4, near);
                 is_noise = self.is_noise(&found);
@@ -433,7 +430,7 @@ impl<'s, 'a> Search<'s, 'a> {
             found = neighbours(&mut evaluator, &mut view, found, 3, near);
             self.found.evaluations += evaluator.evaluations;
         }
-        let class = self.allowed(best.class);
+        let class = allowed(self.request.model, best.class);
         let found = self.whole.in_class(&mut self.plain, &found, class)?;
         Some(neighbours(&mut self.whole, &mut self.plain, found, 4, near))
     }
@@ -453,7 +450,7 @@ impl<'s, 'a> Search<'s, 'a> {
             20
         } else {
             for c in part.held.iter().skip(1).take(2) {
-                let class = self.allowed(c.class);
+                let class = allowed(self.request.model, c.class);
                 finals.extend(self.whole.in_class(&mut self.plain, c, class));
             }
             finals = apart(&finals, 3, 0);

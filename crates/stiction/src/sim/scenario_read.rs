@@ -1,4 +1,4 @@
-//! What makes a readable scenario impossible, with the line it stands on.
+//! Reads a scenario, and says what makes a readable one impossible, with the line it stands on.
 
 use std::collections::BTreeSet;
 
@@ -7,7 +7,7 @@ use serde::de::IgnoredAny;
 use toml::Spanned;
 
 use super::closed_loop::ValveLaw;
-use super::scenario::{LoopSpec, RecordingSpec, Scenario, Setpoint};
+use super::scenario::{LoopSpec, RecordingSpec, Scenario, ScenarioError, Setpoint};
 use crate::units::{is_loop_name, parse_time};
 
 /// Most scans a scenario may have; one a second for three years.
@@ -70,8 +70,22 @@ impl Report<'_> {
     }
 }
 
+impl Scenario {
+    /// Reads and checks a scenario.
+    ///
+    /// # Errors
+    /// [`ScenarioError::Toml`] for the first key that cannot be read, [`ScenarioError::Invalid`] for all values that
+    /// make no plant; both with lines.
+    pub fn parse(text: &str) -> Result<Self, ScenarioError> {
+        let scenario: Self =
+            toml::from_str(text).map_err(|e| ScenarioError::Toml(e.to_string().trim_end().to_owned()))?;
+        let found = faults(&scenario, text);
+        if found.is_empty() { Ok(scenario) } else { Err(ScenarioError::Invalid(found)) }
+    }
+}
+
 /// All faults of a scenario that was read from `text`.
-pub(super) fn faults(scenario: &Scenario, text: &str) -> Vec<String> {
+fn faults(scenario: &Scenario, text: &str) -> Vec<String> {
     let starts: Vec<usize> = toml::from_str::<Places>(text)
         .map(|places| places.loops.iter().map(|place| place.span().start).collect())
         .unwrap_or_default();

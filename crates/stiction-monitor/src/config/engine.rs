@@ -1,0 +1,67 @@
+//! What the settings say to an engine and to each of its loops.
+
+use std::sync::Arc;
+
+use super::{Config, LoopConfig};
+use crate::alarm::Place;
+use crate::engine::{EngineSettings, LoopSettings};
+use stiction::signal::align::{AlignParams, Quality};
+use stiction::units::{LoopKind, ns_from_s};
+use stiction::verdict::AssessParams;
+
+impl Config {
+    /// What an engine is told.
+    #[must_use]
+    pub fn engine(&self) -> EngineSettings {
+        let own = |l: &LoopConfig| (l.name.clone(), self.of_loop(Some(l), LoopKind::of_tag(&l.name)));
+        EngineSettings {
+            config_hash: self.hash().into(),
+            max_loops: self.input.max_loops,
+            common: LoopKind::ALL.map(|kind| Arc::new(self.of_loop(None, kind))),
+            own: self.loops.iter().map(own).collect(),
+        }
+    }
+
+    /// What a loop of a name is told.
+    #[must_use]
+    pub fn loop_settings(&self, name: &str) -> LoopSettings {
+        self.of_loop(self.loop_named(name), LoopKind::of_tag(name))
+    }
+
+    /// What a loop is told; `kind` is what its tag says, over which its own settings rule.
+    fn of_loop(&self, own: Option<&LoopConfig>, kind: LoopKind) -> LoopSettings {
+        let (window, alarm) = own.map_or((self.window, self.alarm), |l| (l.window, l.alarm));
+        LoopSettings {
+            align: AlignParams {
+                lateness_ns: ns_from_s(window.lateness_s),
+                max_gap_s: window.max_gap_s,
+                quality: if self.input.quality == "classic" { Quality::Classic } else { Quality::Ua },
+                modes: self.input.modes.clone(),
+            },
+            assess: AssessParams {
+                min_periods: window.min_periods,
+                min_samples_per_period: window.min_samples_per_period,
+                op_range: own.and_then(|l| l.op_range),
+                kind: own.and_then(|l| l.kind).and_then(LoopKind::from_name).unwrap_or(kind),
+                ..AssessParams::default()
+            },
+            window,
+            alarm,
+            gap: self.gap,
+            place: own.map(place_of).unwrap_or_default(),
+        }
+    }
+}
+
+/// What the configuration says of a loop's place.
+fn place_of(own: &LoopConfig) -> Place {
+    let said = |text: &String| Some(text.clone()).filter(|text| !text.is_empty());
+    // OP that runs from 0 to 100 is in %, whoever wrote the range.
+    let percent = (own.op_range == Some([0.0, 100.0])).then(|| "%".to_owned());
+    Place {
+        criticality: Some(own.criticality),
+        area: said(&own.area),
+        equipment: said(&own.equipment),
+        op_unit: said(&own.op_unit).or(percent),
+    }
+}

@@ -1,0 +1,93 @@
+//! What an engine and its loops are told.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use serde::Serialize;
+
+use crate::alarm::{AlarmParams, Place};
+use stiction::signal::align::AlignParams;
+use stiction::units::LoopKind;
+use stiction::verdict::AssessParams;
+
+/// When windows come due and how long they are; times in seconds.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct WindowParams {
+    /// Least periods for a fit.
+    pub min_periods: f64,
+    /// Most periods in a window.
+    pub max_periods: f64,
+    /// Raw samples a period below which an estimate is called coarse.
+    pub min_samples_per_period: f64,
+    /// Windows end at whole multiples of this.
+    pub hop_s: f64,
+    /// Longest window.
+    pub max_window_s: f64,
+    /// Longest hole that is filled; 0 means five sampling times.
+    pub max_gap_s: f64,
+    /// How late a sample may come.
+    pub lateness_s: f64,
+    /// Points of storage per loop before samples are boxed.
+    pub max_points: usize,
+}
+
+impl Default for WindowParams {
+    fn default() -> Self {
+        let AssessParams { min_periods, min_samples_per_period, .. } = AssessParams::default();
+        Self {
+            min_periods,
+            max_periods: 20.0,
+            min_samples_per_period,
+            hop_s: 600.0,
+            max_window_s: 604_800.0,
+            max_gap_s: 0.0,
+            lateness_s: 5.0,
+            max_points: 2000,
+        }
+    }
+}
+
+/// When gaps are diagnosed, and how long is searched.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct GapParams {
+    /// Whether a loop that departs from its model is diagnosed without being asked.
+    pub enabled: bool,
+    /// Model responses that one search may compute; a diagnosis with a recorded valve position makes two.
+    pub budget_evaluations: u64,
+}
+
+impl Default for GapParams {
+    fn default() -> Self {
+        Self { enabled: true, budget_evaluations: 400_000 }
+    }
+}
+
+/// Settings of a loop, shared by all loops that say nothing of their own.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LoopSettings {
+    /// How its signals are joined.
+    pub align: AlignParams,
+    /// Its windows.
+    pub window: WindowParams,
+    /// Its alarm.
+    pub alarm: AlarmParams,
+    /// Its estimates.
+    pub assess: AssessParams,
+    /// Its gap diagnoses.
+    pub gap: GapParams,
+    /// Where it belongs and what it is worth.
+    pub place: Place,
+}
+
+/// Settings of an engine.
+#[derive(Debug, Clone)]
+pub struct EngineSettings {
+    /// Hash of what all this was read from, as documents carry it.
+    pub config_hash: Arc<str>,
+    /// Loops beyond this many do not appear.
+    pub max_loops: usize,
+    /// Settings of loops that have none of their own, by what their tags say they control.
+    pub common: [Arc<LoopSettings>; LoopKind::ALL.len()],
+    /// Settings of loops that have their own, by name: their places are kept.
+    pub own: HashMap<String, LoopSettings>,
+}

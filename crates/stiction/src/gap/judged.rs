@@ -1,0 +1,132 @@
+//! All that a diagnosis found, and the decision that is made from it.
+
+use super::decide;
+use super::effects;
+use super::evidence::{Basis, Evidence};
+use super::express::rms;
+use super::model::Model;
+use super::pairs;
+use super::probability::{Calibration, Features};
+use super::types::{
+    Alternative, Blocks, Cause, EffectResult, Ended, Fit, Floor, Forward, NONE, NextTest, NoiseModels, Predictions,
+    Signature, Stages, UNKNOWN,
+};
+
+/// All that was found.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Diagnosis {
+    /// The base, refitted.
+    pub base: Fit,
+    /// The given model as it was given.
+    pub given: Option<Fit>,
+    /// Gap of the base over PV's standard deviation.
+    pub relative_gap: f64,
+    /// Every effect asked, best first.
+    pub effects: Vec<EffectResult>,
+    /// The answer.
+    pub cause: Cause,
+    /// Other answers, best first.
+    pub alternatives: Vec<Alternative>,
+    /// Forward in time; `None` where the parts are too short.
+    pub forward: Option<Forward>,
+    /// The base with the cause, or the base itself.
+    pub model_after: Model,
+    /// Effects asked in pairs, best first; empty unless asked for.
+    pub pairs: Vec<EffectResult>,
+    /// Model responses computed.
+    pub evaluations: u64,
+    /// Responses that each search was allowed.
+    pub budget_evaluations: u64,
+    /// Why the search for base and effects ended.
+    pub ended: Ended,
+    /// Whether executor or budget ended the search before its time.
+    pub stopped_early: bool,
+    /// The noise floor.
+    pub floor: Floor,
+    /// Which points count for what.
+    pub blocks: Blocks,
+    /// Free runs for the record's points.
+    pub predictions: Predictions,
+    /// Traces in the data itself.
+    pub signatures: Vec<Signature>,
+    /// Noise models of the residual.
+    pub noise_models: NoiseModels,
+    /// The gaps apart, where MV is recorded.
+    pub stages: Option<Stages>,
+    /// The next test, where two answers remain.
+    pub next_test: Option<NextTest>,
+    /// What else the decision was made from.
+    pub basis: Basis,
+    /// What the cause's probability was made of, for calibrations.
+    pub features: Features,
+}
+
+impl Diagnosis {
+    /// What the decision is made from.
+    #[must_use]
+    pub fn evidence(&self) -> Evidence {
+        Evidence::new(&self.basis, &self.effects, self.floor.noise_floor)
+    }
+
+    /// The same fits judged again as if the catalogue lacked `ids` as well.
+    #[must_use]
+    pub fn without(&self, ids: &[&str]) -> Self {
+        let mut again = self.clone();
+        again.settle(ids);
+        if again.cause.id != self.cause.id {
+            // The run forward in time was made for another cause.
+            again.forward = None;
+            again.next_test = None;
+        }
+        again.confirm();
+        again
+    }
+
+    /// The result of the named cause, single or pair.
+    #[must_use]
+    pub fn named(&self) -> Option<&EffectResult> {
+        self.effects.iter().chain(&self.pairs).find(|e| e.id == self.cause.id)
+    }
+
+    /// Decides, and lets everything that follows from the cause follow it.
+    pub(super) fn settle(&mut self, without: &[&str]) {
+        // The best pair stands for election too where it beats every single effect.
+        let has = |id: &str| !id.split('+').any(|part| without.contains(&part));
+        let pair = self.pairs.iter().find(|p| has(&p.id) && pairs::beats(p, &self.effects, without));
+        let evidence = Evidence::new(&self.basis, self.effects.iter().chain(pair), self.floor.noise_floor);
+        let decision = decide::decide(&evidence, without, Calibration::shipped());
+        (self.cause, self.alternatives, self.features) = (decision.cause, decision.alternatives, decision.features);
+        let after = self.named().and_then(|e| e.fit.clone());
+        let from = self.blocks.from;
+        let run = |f: &Fit, masked: &[bool]| -> Vec<Option<f64>> {
+            let points = f.prediction.iter().enumerate();
+            points.map(|(k, p)| (k >= from && !masked[k]).then_some(*p)).collect()
+        };
+        let masked = &self.predictions.masked;
+        self.predictions.pv_base = run(&self.base, masked);
+        self.predictions.pv_after = run(after.as_ref().unwrap_or(&self.base), masked);
+        self.model_after = after.map_or_else(|| self.base.model.clone(), |f: Fit| -> Model { f.model });
+    }
+
+    /// Whether held-out blocks and the run forward bear the cause out.
+    pub(super) fn confirm(&mut self) {
+        if self.cause.id == NONE || self.cause.id == UNKNOWN {
+            self.cause.confirmed = self.cause.id == NONE && self.base.at_floor;
+            return;
+        }
+        let forward = self.forward.map(|f| [f.gap_before, f.gap_after]);
+        // A trace is there; whether it makes the gap, is for held-out blocks to say where a free run can follow it.
+        let closes = self.named().and_then(|e| e.closed_pct).is_none_or(|closed| closed > 0.0);
+        let trace = closes && self.signatures.iter().any(|s| s.met && s.id == self.cause.id);
+        let own = self.named().is_some_and(|e| decide::confirmed(e, forward));
+        self.cause.confirmed = trace || own || (self.cause.id == effects::time_skew::EFFECT.id);
+    }
+
+    /// Root mean squared held-out error of a free run, PV units, for whoever recomputes a gap.
+    #[must_use]
+    pub fn held_out_rmse(&self, pv: &[f64], prediction: &[f64]) -> f64 {
+        let residual: Vec<f64> = pv.iter().zip(prediction).map(|(y, p)| y - p).collect();
+        let points = (self.blocks.from..pv.len()).filter(|k| self.blocks.held_out[*k] && !self.blocks.masked[*k]);
+        rms(&residual, &points.map(|k| [k, k + 1]).collect::<Vec<_>>())
+    }
+}
