@@ -28,7 +28,6 @@ pub mod selection;
 pub mod simulate;
 pub mod solving;
 mod stop;
-mod text;
 
 use std::fmt::Display;
 use std::future::Future;

@@ -15,7 +15,7 @@ const CRATES: [&str; 4] = ["src", "crates/stiction/src", "crates/stiction-monito
 const MAX_LINES: usize = 600;
 
 /// Which rooms each room may use.
-const IMPORTS: [(&str, &[&str]); 26] = [
+const IMPORTS: [(&str, &[&str]); 27] = [
     // Words.
     ("units", &[]),
     ("record", &["units"]),
@@ -42,6 +42,10 @@ const IMPORTS: [(&str, &[&str]); 26] = [
     // Engine.
     ("codec", &["units", "record"]),
     ("engine", &["units", "record", "signal", "sim", "ident", "detect", "config", "verdict", "gap", "alarm"]),
+    (
+        "analysis",
+        &["units", "record", "signal", "optim", "sim", "ident", "detect", "config", "verdict", "gap", "engine"],
+    ),
     // Shell: anything pure, and each other; nobody uses `cli`.
     ("files", &["pure"]),
     ("report", &["pure"]),
