@@ -22,7 +22,7 @@ use crate::files::inputs::Unit;
 use crate::files::{InputKind, Loaded, LoadedLoop};
 use stiction::record::Record;
 use stiction::verdict::{AssessParams, DelayChoice, ModelChoice, ValveChoice};
-use stiction_monitor::analysis::{self, Answer, MIN_SAMPLES, Points, Scored, Section, text, usable};
+use stiction_monitor::analysis::{self, Answer, MIN_SAMPLES, Points, Scored, Section, delay_choice, text, usable};
 use stiction_monitor::config::Config;
 use stiction_monitor::engine::LoopSettings;
 
@@ -122,19 +122,7 @@ pub enum ValveArg {
 pub struct DelayChoiceArg(DelayChoice);
 
 fn delay(text: &str) -> Result<DelayChoiceArg, String> {
-    let number = |s: &str| {
-        s.trim().parse::<f64>().ok().filter(|v| v.is_finite() && *v >= 0.0).ok_or_else(|| {
-            format!("{text:?} is no dead time: write auto, a number of samples such as 3, or seconds such as 12s")
-        })
-    };
-    if text == "auto" {
-        return Ok(DelayChoiceArg(DelayChoice::Auto));
-    }
-    let choice = match text.strip_suffix('s') {
-        Some(seconds) => DelayChoice::Seconds(number(seconds)?),
-        None => DelayChoice::Samples(number(text)?),
-    };
-    Ok(DelayChoiceArg(choice))
+    delay_choice(text).map(DelayChoiceArg)
 }
 
 pub(super) fn op_range(text: &str) -> Result<[f64; 2], String> {

@@ -51,6 +51,25 @@ pub struct Answer {
     pub scored: Option<Scored>,
 }
 
+/// Reads a dead time: `auto`, a number of samples such as `3`, or seconds such as `12s`; fractions too.
+///
+/// # Errors
+/// What would be right, in a sentence.
+pub fn delay_choice(text: &str) -> Result<DelayChoice, String> {
+    let number = |s: &str| {
+        s.trim().parse::<f64>().ok().filter(|v| v.is_finite() && *v >= 0.0).ok_or_else(|| {
+            format!("{text:?} is no dead time: write auto, a number of samples such as 3, or seconds such as 12s")
+        })
+    };
+    if text == "auto" {
+        return Ok(DelayChoice::Auto);
+    }
+    Ok(match text.strip_suffix('s') {
+        Some(seconds) => DelayChoice::Seconds(number(seconds)?),
+        None => DelayChoice::Samples(number(text)?),
+    })
+}
+
 /// A section judged.
 #[derive(Debug, Clone)]
 pub struct Estimated {
