@@ -7,7 +7,7 @@ use std::time::Instant;
 use pyo3::prelude::*;
 use serde_json::json;
 
-use crate::columns::{Columns, enough};
+use crate::columns::{Handed, enough};
 use crate::options::{Asked, Fit, Look, config};
 use crate::supervise::{on_threads, supervised, threads};
 use crate::{StictionError, refused};
@@ -43,11 +43,12 @@ fn params_of(name: &str, fit: &Fit) -> PyResult<AssessParams> {
 pub fn assess(
     py: Python<'_>,
     name: &str,
-    columns: Columns,
+    columns: Handed,
     look: Look,
     fit: Fit,
     score: Option<&str>,
 ) -> PyResult<Told> {
+    let columns = columns.read()?;
     let question = question(&look, &fit, score)?;
     let params = params_of(name, &fit)?;
     let name = name.to_owned();
@@ -107,12 +108,13 @@ pub fn assess_many(
     py: Python<'_>,
     names: Vec<String>,
     ends: Vec<usize>,
-    columns: Columns,
+    columns: Handed,
     look: Look,
     fit: Fit,
     threads_asked: Option<usize>,
     progress: Option<Py<PyAny>>,
 ) -> PyResult<Vec<(Option<Told>, Option<String>)>> {
+    let columns = columns.read()?;
     let question = question(&look, &fit, None)?;
     let params: Vec<AssessParams> = names.iter().map(|name| params_of(name, &fit)).collect::<PyResult<_>>()?;
     let work = move |watch: &crate::supervise::Watch| {
@@ -149,7 +151,8 @@ fn split(answer: Result<Told, String>) -> (Option<Told>, Option<String>) {
 
 /// Whether the daemon would let the record go as that of a calm loop.
 #[pyfunction]
-pub fn screen(py: Python<'_>, name: &str, columns: Columns, look: Look) -> PyResult<bool> {
+pub fn screen(py: Python<'_>, name: &str, columns: Handed, look: Look) -> PyResult<bool> {
+    let columns = columns.read()?;
     let (section, cut) = look.read()?;
     let name = name.to_owned();
     let work = move |_: &_| {

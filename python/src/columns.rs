@@ -26,9 +26,13 @@ impl<'py> FromPyObject<'_, 'py> for Numbers {
     }
 }
 
-/// Stamps, ns since 1970.
-#[derive(Debug, Clone)]
-pub struct Stamps(pub Vec<i64>);
+/// Stamps as they were handed over.
+pub enum Stamps {
+    /// Nanoseconds since 1970.
+    Ns(Vec<i64>),
+    /// Seconds since 1970.
+    Seconds(Vec<f64>),
+}
 
 impl<'py> FromPyObject<'_, 'py> for Stamps {
     type Error = PyErr;
@@ -36,35 +40,60 @@ impl<'py> FromPyObject<'_, 'py> for Stamps {
     fn extract(ob: Borrowed<'_, 'py, PyAny>) -> PyResult<Self> {
         let (unit, bytes): (String, Bound<'py, PyBytes>) = ob.extract()?;
         let words = words(bytes.as_bytes());
-        if unit == "ns" {
-            return Ok(Self(words.map(i64::from_le_bytes).collect()));
-        }
-        // By way of the shortest text, so that 0.1 is what a table's 0.1 is.
-        let stamp = |(row, word)| {
-            let seconds = f64::from_le_bytes(word);
+        Ok(match unit.as_str() {
+            "ns" => Self::Ns(words.map(i64::from_le_bytes).collect()),
+            _ => Self::Seconds(words.map(f64::from_le_bytes).collect()),
+        })
+    }
+}
+
+impl Stamps {
+    /// In ns since 1970. Seconds go by way of their shortest text, so that 0.1 is what a table's 0.1 is.
+    fn read(self) -> PyResult<Vec<i64>> {
+        let stamp = |(row, seconds): (usize, f64)| {
             let told = |e| refused("t", format!("row {row}: {e}; drop the row"));
             parse_time(&format!("{seconds}")).map_err(told)
         };
-        Ok(Self(words.enumerate().map(stamp).collect::<PyResult<_>>()?))
+        match self {
+            Self::Ns(stamps) => Ok(stamps),
+            Self::Seconds(seconds) => seconds.into_iter().enumerate().map(stamp).collect(),
+        }
     }
 }
 
 /// The columns of one loop, or of several one behind the other; all of one length.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
+pub struct Handed {
+    t: Stamps,
+    op: Numbers,
+    pv: Numbers,
+    sp: Option<Numbers>,
+    mv: Option<Numbers>,
+    mode: Option<Vec<Option<String>>>,
+}
+
+impl Handed {
+    /// The columns with their stamps read.
+    ///
+    /// # Errors
+    /// A stamp that is no time.
+    pub fn read(self) -> PyResult<Columns> {
+        let Self { t, op, pv, sp, mv, mode } = self;
+        Ok(Columns { t_ns: t.read()?, op, pv, sp, mv, mode })
+    }
+}
+
+/// The columns, ready for use.
 pub struct Columns {
-    /// Stamps.
-    pub t: Stamps,
-    /// Controller output.
-    pub op: Numbers,
-    /// Process variable.
-    pub pv: Numbers,
-    /// Set point.
-    pub sp: Option<Numbers>,
-    /// Valve position.
-    pub mv: Option<Numbers>,
-    /// Controller mode, a word or a number as text; `None` where nothing is said.
-    pub mode: Option<Vec<Option<String>>>,
+    /// Stamps, ns since 1970.
+    t_ns: Vec<i64>,
+    op: Numbers,
+    pv: Numbers,
+    sp: Option<Numbers>,
+    mv: Option<Numbers>,
+    /// A word or a number as text; `None` where nothing is said.
+    mode: Option<Vec<Option<String>>>,
 }
 
 impl Columns {
@@ -75,8 +104,8 @@ impl Columns {
             let value = column.0.get(row).copied().filter(|v| !v.is_nan());
             value.map(Value::number)
         };
-        for row in from..to.min(self.t.0.len()) {
-            rows.begin(self.t.0[row]);
+        for row in from..to.min(self.t_ns.len()) {
+            rows.begin(self.t_ns[row]);
             for signal in Signal::ALL {
                 let cell = match signal {
                     Signal::Op => number(&self.op, row),
@@ -95,7 +124,7 @@ impl Columns {
 
     /// All of them.
     pub fn all(&self) -> Joined {
-        self.samples(0, self.t.0.len())
+        self.samples(0, self.t_ns.len())
     }
 }
 

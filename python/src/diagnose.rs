@@ -6,7 +6,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 use serde_json::json;
 
-use crate::columns::{Columns, bytes_of, enough, stamps_of};
+use crate::columns::{Handed, bytes_of, enough, stamps_of};
 use crate::options::{Look, config};
 use crate::supervise::{Watch, on_threads, supervised, threads};
 use crate::{StictionError, refused};
@@ -78,11 +78,12 @@ type Told<'py> = (String, String, [Bound<'py, PyBytes>; 5]);
 pub fn diagnose<'py>(
     py: Python<'py>,
     name: &str,
-    columns: Columns,
+    columns: Handed,
     look: Look,
     asked: Asked,
     progress: Option<Py<PyAny>>,
 ) -> PyResult<Told<'py>> {
+    let columns = columns.read()?;
     let (section, cut) = look.read()?;
     let question = asked.read()?;
     let team = threads(asked.threads);

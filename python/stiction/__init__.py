@@ -97,11 +97,11 @@ def _fit(
         raise _arrays.refused("op_range", f"{op_range!r} is no pair of numbers; give (low, high)") from None
     return {
         "op_range": ends,
-        "kind": kind,
-        "model": model,
+        "kind": None if kind is None else str(kind),
+        "model": str(model),
         "delay": str(delay),
-        "valve": valve,
-        "solver": solver,
+        "valve": str(valve),
+        "solver": None if solver is None else str(solver),
         "fineness_pct": _arrays.positive("fineness_pct", fineness_pct),
         "evaluations": _arrays.whole("evaluations", evaluations, 1),
         "seed": _arrays.whole("seed", seed),

@@ -27,7 +27,7 @@ def refused(argument: str, why: str) -> StictionError:
 def _plain(values: Any) -> NDArray[Any]:
     """An array of whatever numpy, pandas, polars or Arrow hold; what is missing is NaN where numbers allow it."""
     if isinstance(values, np.ma.MaskedArray):
-        return np.asarray(values.astype(float).filled(np.nan))
+        return np.asarray(np.ma.filled(values.astype(float), np.nan))
     if hasattr(values, "to_numpy"):
         # Each library has words of its own for the same.
         kind = getattr(values, "dtype", None)
@@ -193,7 +193,7 @@ def look(
         "window": times,
         "downsample": None if downsample is None else positive("downsample", downsample),
         "downsample_like_toolbox": bool(downsample_like_toolbox),
-        "detrend": detrend,
+        "detrend": None if detrend is None else str(detrend),
     }
 
 
@@ -214,7 +214,7 @@ def open_table(table: Table) -> tuple[Table, list[str]]:
     names = _names(table)
     if not names and hasattr(table, "__arrow_c_stream__"):
         try:
-            import pyarrow
+            import pyarrow  # type: ignore[import-untyped,unused-ignore]
         except ImportError:
             raise refused("table", "is an Arrow stream, which pyarrow reads; install pyarrow") from None
         table = pyarrow.table(table)

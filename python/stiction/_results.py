@@ -138,10 +138,11 @@ def assessment_of(document: str, said: str) -> Assessment:
     plain = ("verdict", "stiction", "p_stiction", "confidence", "grade", "s", "j", "fs", "fd", "s_detectable")
     more = ("stiction_index", "severity", "valve_model", "s0", "reason")
     intervals = ("s_interval", "j_interval", "fs_interval", "fd_interval")
+    same: dict[str, Any] = {name: d[name] for name in plain + more}
+    same.update({name: _interval(d[name]) for name in intervals})
     return Assessment(
         loop=d["loop"],
-        **{name: d[name] for name in plain + more},
-        **{name: _interval(d[name]) for name in intervals},
+        **same,
         oscillating=d["oscillation"]["oscillating"],
         period_s=d["oscillation"]["period_s"],
         process=process,
