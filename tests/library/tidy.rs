@@ -37,7 +37,7 @@ const IMPORTS: [(&str, &[&str]); 27] = [
     ("truth", &["units", "record", "signal", "sim"]),
     ("challenge", &["units", "record", "signal", "sim", "verdict", "truth"]),
     ("calibrate", &["verdict"]),
-    ("calibrate_intervals", &["ident", "verdict", "truth"]),
+    ("calibrate_intervals", &["signal", "ident", "detect", "verdict", "truth"]),
     ("alarm", &["units", "record", "config", "verdict"]),
     // Engine.
     ("codec", &["units", "record"]),

@@ -149,7 +149,9 @@ fn sticking(seed: u64, share: f64) -> Record {
 
 /// The loop `name` of the scenario with four loops.
 fn of_four(name: &str) -> Verdict {
-    let text = std::fs::read_to_string("recordings/scenarios/four-loops.toml").unwrap();
+    let text =
+        std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/../../recordings/scenarios/four-loops.toml"))
+            .unwrap();
     let scenario = Scenario::parse(&text).unwrap();
     let place = scenario.loops.iter().position(|l| l.name == name).unwrap();
     assess(&scenario.record(place).unwrap(), &AssessParams { always_fit: true, ..AssessParams::default() }).verdict

@@ -292,7 +292,7 @@ fn a_linear_base_has_no_slips_to_miss() {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(40))]
+    #![proptest_config(ProptestConfig::with_cases(64))]
     #[test]
     fn nothing_panics_and_no_figure_is_infinite(
         n in 0_usize..300,

@@ -24,25 +24,6 @@ const SECOND: usize = 1;
 const INTEGRATING: usize = 2;
 const LAG_INTEGRATING: usize = 3;
 
-/// What a part of a step response is like from the sample after a step on.
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Part {
-    Level,
-    Decay1,
-    Decay2,
-    Ramp,
-}
-
-const fn part(class: usize, index: usize) -> Part {
-    match (class, index) {
-        (_, 0) => Part::Level,
-        (FIRST, _) | (SECOND, 1) => Part::Decay1,
-        (SECOND, _) => Part::Decay2,
-        (_, 1) => Part::Ramp,
-        _ => Part::Decay1,
-    }
-}
-
 const fn parts(class: usize) -> usize {
     if class == FIRST || class == INTEGRATING { 2 } else { 3 }
 }
@@ -51,339 +32,426 @@ const fn pairs(class: usize) -> usize {
     parts(class) * (parts(class) + 1) / 2
 }
 
-/// Sums over the samples of one stretch between two steps: of 1, q, q^2, decays and their products, q counted from its
-/// start.
-struct Stretch {
-    count: f64,
-    q: f64,
-    qq: f64,
-    decay: [f64; 2],
-    squares: [f64; 2],
-    cross: f64,
-    q_decay: f64,
-}
-
-impl Stretch {
-    #[inline(always)]
-    fn of<const CLASS: usize>(tables: [&Table; 2], cross: f64, length: usize) -> Self {
-        let l = length as f64;
-        let mut out = Self { count: l, q: 0.0, qq: 0.0, decay: [0.0; 2], squares: [0.0; 2], cross: 0.0, q_decay: 0.0 };
-        if CLASS == INTEGRATING || CLASS == LAG_INTEGRATING {
-            out.q = 0.5 * l * (l - 1.0);
-            out.qq = (l - 1.0) * l * (2.0 * l - 1.0) / 6.0;
-        }
-        if CLASS != INTEGRATING {
-            let ([one, two], p) = (tables[0].inverse, tables[0].powers[length]);
-            out.decay[0] = (1.0 - p) * one;
-            out.squares[0] = (1.0 - p * p) * two;
-            if CLASS == LAG_INTEGRATING {
-                let a = tables[0].a;
-                out.q_decay = (a - l * p + (l - 1.0) * p * a) * one * one;
-            }
-            if CLASS == SECOND {
-                let ([one, two], p2) = (tables[1].inverse, tables[1].powers[length]);
-                out.decay[1] = (1.0 - p2) * one;
-                out.squares[1] = (1.0 - p2 * p2) * two;
-                out.cross = (1.0 - p * p2) * cross;
-            }
-        }
-        out
+const fn decays(class: usize) -> usize {
+    match class {
+        INTEGRATING => 0,
+        SECOND => 2,
+        _ => 1,
     }
 }
 
-/// Sizes of the parts at the start of a stretch, for the level half of the valve signal and the direction half.
-#[derive(Clone, Copy, Default)]
-struct Sizes {
-    level: [f64; 2],
-    decay: [[f64; 2]; 2],
-    ramp: [f64; 2],
-    slope: [f64; 2],
-}
-
-impl Sizes {
-    /// Sum of the product of two parts over a stretch.
-    #[inline(always)]
-    fn product(&self, s: &Stretch, (x, h): (Part, usize), (y, z): (Part, usize)) -> f64 {
-        use Part::{Decay1, Decay2, Level, Ramp};
-        match (x, y) {
-            (Level, Level) => self.level[h] * self.level[z] * s.count,
-            (Level, Decay1) => self.level[h] * self.decay[0][z] * s.decay[0],
-            (Level, Decay2) => self.level[h] * self.decay[1][z] * s.decay[1],
-            (Decay1, Decay1) => self.decay[0][h] * self.decay[0][z] * s.squares[0],
-            (Decay2, Decay2) => self.decay[1][h] * self.decay[1][z] * s.squares[1],
-            (Decay1, Decay2) => self.decay[0][h] * self.decay[1][z] * s.cross,
-            (Level, Ramp) => self.level[h] * (self.ramp[z] * s.count + self.slope[z] * s.q),
-            (Ramp, Ramp) => {
-                self.ramp[h] * self.ramp[z] * s.count
-                    + (self.ramp[h] * self.slope[z] + self.slope[h] * self.ramp[z]) * s.q
-                    + self.slope[h] * self.slope[z] * s.qq
-            }
-            (Ramp, Decay1) => self.decay[0][z] * (self.ramp[h] * s.decay[0] + self.slope[h] * s.q_decay),
-            _ => self.product(s, (y, z), (x, h)),
-        }
-    }
-
-    /// Sums of a part times 1, times the points since `from` (the stretch starting `late` of them after it), and times the
-    /// decays.
-    #[inline(always)]
-    fn moments(&self, s: &Stretch, x: Part, h: usize, late: f64) -> [f64; 4] {
-        match x {
-            Part::Level => {
-                let c = self.level[h];
-                [c * s.count, c * (late * s.count + s.q), c * s.decay[0], c * s.decay[1]]
-            }
-            Part::Decay1 => {
-                let c = self.decay[0][h];
-                [c * s.decay[0], c * (late * s.decay[0] + s.q_decay), c * s.squares[0], c * s.cross]
-            }
-            Part::Decay2 => {
-                let c = self.decay[1][h];
-                [c * s.decay[1], 0.0, c * s.cross, c * s.squares[1]]
-            }
-            Part::Ramp => {
-                let (r, b) = (self.ramp[h], self.slope[h]);
-                let sum = r * s.count + b * s.q;
-                [sum, late * sum + r * s.q + b * s.qq, r * s.decay[0] + b * s.q_decay, 0.0]
-            }
-        }
-    }
+const fn has_ramp(class: usize) -> bool {
+    class == INTEGRATING || class == LAG_INTEGRATING
 }
 
 /// Walks the steps of a valve signal, their answer `delay` whole points late, through a process with one or two time
 /// constants (the same table twice where there is one).
 #[must_use]
 pub fn reduce(class: Class, view: &View, tables: [&Table; 2], steps: &[Step], delay: usize) -> Reduced {
-    let whole = view.loads() == 0 && view.counted() == [[view.from(), view.points()]];
-    match (class, whole) {
-        (Class::First, true) => walk::<FIRST, true>(class, view, tables, steps, delay),
-        (Class::Second, true) => walk::<SECOND, true>(class, view, tables, steps, delay),
-        (Class::Integrating, true) => walk::<INTEGRATING, true>(class, view, tables, steps, delay),
-        (Class::LagIntegrating, true) => walk::<LAG_INTEGRATING, true>(class, view, tables, steps, delay),
-        (Class::First, false) => walk::<FIRST, false>(class, view, tables, steps, delay),
-        (Class::Second, false) => walk::<SECOND, false>(class, view, tables, steps, delay),
-        (Class::Integrating, false) => walk::<INTEGRATING, false>(class, view, tables, steps, delay),
-        (Class::LagIntegrating, false) => walk::<LAG_INTEGRATING, false>(class, view, tables, steps, delay),
+    match class {
+        Class::First => walk::<FIRST>(class, view, tables, steps, delay),
+        Class::Second => walk::<SECOND>(class, view, tables, steps, delay),
+        Class::Integrating => walk::<INTEGRATING>(class, view, tables, steps, delay),
+        Class::LagIntegrating => walk::<LAG_INTEGRATING>(class, view, tables, steps, delay),
     }
 }
 
-/// What is gathered on the way.
-struct Gathered {
-    products: [[f64; 6]; 3],
-    with_pv: [[f64; 2]; PARTS],
-    with_loads: [[[f64; 2]; PARTS]; MOST_LOADS],
-    /// Of the constant and the memories with the parts.
-    with_beside: [[[f64; 2]; PARTS]; 3],
-}
+/// The level half and the direction half of the valve signal.
+type Halves = [f64; 2];
+/// Products of the halves of one thing with those of another.
+type Square = [Halves; 2];
 
-impl Gathered {
-    /// Adds the products of one sample's values.
-    #[inline(always)]
-    fn sample<const CLASS: usize>(&mut self, x: &[[f64; 2]; PARTS], memories: [f64; 2]) {
-        for slot in 0..pairs(CLASS) {
-            let (a, b) = PAIRS[slot];
-            self.products[0][slot] += x[a][0] * x[b][0];
-            self.products[2][slot] += x[a][1] * x[b][1];
-            self.products[1][slot] += if a == b { x[a][0] * x[a][1] } else { x[a][0] * x[b][1] + x[b][0] * x[a][1] };
-        }
-        for b in 0..parts(CLASS) {
-            for h in 0..2 {
-                self.with_beside[0][b][h] += x[b][h];
-                self.with_beside[1][b][h] += memories[0] * x[b][h];
-                if CLASS == SECOND || CLASS == LAG_INTEGRATING {
-                    self.with_beside[2][b][h] += memories[1] * x[b][h];
-                }
-            }
-        }
-    }
-
-    /// Adds the products of a stretch of samples.
-    #[inline(always)]
-    fn stretch<const CLASS: usize>(&mut self, sizes: &Sizes, s: &Stretch, late: f64, decays: [f64; 2]) {
-        for slot in 0..pairs(CLASS) {
-            let (a, b) = PAIRS[slot];
-            let (x, y) = (part(CLASS, a), part(CLASS, b));
-            self.products[0][slot] += sizes.product(s, (x, 0), (y, 0));
-            self.products[2][slot] += sizes.product(s, (x, 1), (y, 1));
-            self.products[1][slot] += if a == b {
-                sizes.product(s, (x, 0), (y, 1))
-            } else {
-                sizes.product(s, (x, 0), (y, 1)) + sizes.product(s, (x, 1), (y, 0))
-            };
-        }
-        for b in 0..parts(CLASS) {
-            for h in 0..2 {
-                let [one, time, first, second] = sizes.moments(s, part(CLASS, b), h, late);
-                self.with_beside[0][b][h] += one;
-                match CLASS {
-                    INTEGRATING => self.with_beside[1][b][h] += time,
-                    LAG_INTEGRATING => {
-                        self.with_beside[1][b][h] += time;
-                        self.with_beside[2][b][h] += decays[0] * first;
-                    }
-                    SECOND => {
-                        self.with_beside[1][b][h] += decays[0] * first;
-                        self.with_beside[2][b][h] += decays[1] * second;
-                    }
-                    _ => self.with_beside[1][b][h] += decays[0] * first,
-                }
-            }
+/// Adds the products of two things' halves.
+#[inline(always)]
+fn add(into: &mut Square, x: Halves, y: Halves) {
+    for h in 0..2 {
+        for g in 0..2 {
+            into[h][g] += x[h] * y[g];
         }
     }
 }
 
-/// Level, decays and ramp of the two halves' answers.
+/// Adds those of `square` with the first thing's halves in the second place.
+fn turned(square: &Square) -> Square {
+    [[square[0][0], square[1][0]], [square[0][1], square[1][1]]]
+}
+
+/// `sum of factor * square` over what is named.
+fn mixed<const N: usize>(of: [(f64, Square); N]) -> Square {
+    core::array::from_fn(|h| core::array::from_fn(|g| of.iter().map(|(factor, square)| factor * square[h][g]).sum()))
+}
+
+/// A part that shrinks to `a` of itself from sample to sample: a decay, or the level, whose `a` is 1. Its state at a sample
+/// is made of the steps before it.
+#[derive(Clone, Copy, Default)]
+struct Pole {
+    a: f64,
+    /// What the filter of the error makes of the state at a sample, `a - rho`; the sample's own step comes on top.
+    gamma: f64,
+    state: Halves,
+    /// State times step, over the samples with a step: `[half of the state][half of the step]`.
+    with_steps: Square,
+    /// Steps times the decay (the memory) that starts at the first point that counts.
+    memory: Halves,
+}
+
+/// Sums over the samples that count.
+///
+/// The state `c` of a pole follows `c' = a c + step`. So the products of two poles, summed over a stretch from `s` to `e`,
+/// follow from sums over the steps alone: `(1 - a b) sum(c d) = sum(a c step + b step d + step step) + c d (s) - c d (e)`,
+/// where the last two are the edges. The level with itself, and what a ramp is in, is summed from step to step instead.
 #[derive(Default)]
-struct State {
-    level: [f64; 2],
-    decay: [[f64; 2]; 2],
-    ramp: [f64; 2],
+struct Sums {
+    level: Pole,
+    decay: [Pole; 2],
+    /// The ramp's state, and its products with the steps at their samples.
+    ramp: Halves,
+    ramp_with_steps: Square,
+    /// Steps: products with each other, sum, sum of each times its points since the first that counts.
+    steps: Square,
+    total: Halves,
+    steps_time: Halves,
+    level_level: Square,
+    level_one: Halves,
+    level_time: Halves,
+    ramp_one: Halves,
+    ramp_time: Halves,
+    /// `[half of the ramp][half of the other]`.
+    ramp_level: Square,
+    ramp_ramp: Square,
+    ramp_decay: Square,
+    ramp_memory: Halves,
+    decay_time: Halves,
+    edges: Edges,
 }
 
-/// The walk; `WHOLE`: every point from the first on counts, and nothing is fitted beside the answer.
-fn walk<const CLASS: usize, const WHOLE: bool>(
+/// Products of states (and memories) at the starts of stretches less those at their ends.
+#[derive(Default)]
+struct Edges {
+    /// Level with decay, decay with itself, the two decays.
+    level_decay: [Square; 2],
+    decay_decay: [Square; 2],
+    cross: Square,
+    decay: [Halves; 2],
+    /// Memory with level; with each decay.
+    memory_level: [Halves; 2],
+    memory_decay: [[Halves; 2]; 2],
+}
+
+impl Sums {
+    fn new(rho: f64, tables: [&Table; 2]) -> Self {
+        let pole = |a: f64| Pole { a, gamma: a - rho, ..Pole::default() };
+        Self { level: pole(1.0), decay: tables.map(|t| pole(t.a)), ..Self::default() }
+    }
+
+    /// States after `length` samples without a step.
+    #[inline(always)]
+    fn pass<const CLASS: usize>(&mut self, powers: [&[f64]; 2], length: usize) {
+        for k in 0..decays(CLASS) {
+            let left = powers[k][length];
+            self.decay[k].state = self.decay[k].state.map(|c| c * left);
+        }
+        if has_ramp(CLASS) {
+            let l = length as f64;
+            for h in 0..2 {
+                self.ramp[h] += self.level.state[h] * l;
+            }
+        }
+    }
+
+    /// States after a sample with a step.
+    #[inline(always)]
+    fn step<const CLASS: usize>(&mut self, by: Halves) {
+        for h in 0..2 {
+            if has_ramp(CLASS) {
+                self.ramp[h] += self.level.state[h] + by[h];
+            }
+            self.level.state[h] += by[h];
+            for k in 0..decays(CLASS) {
+                self.decay[k].state[h] = self.decay[k].a * self.decay[k].state[h] + by[h];
+            }
+        }
+    }
+
+    /// Adds what `length` samples from the present one on make, up to the next step's, `late` points after the first.
+    #[inline(always)]
+    fn stretch<const CLASS: usize>(&mut self, tables: [&Table; 2], length: usize, late: usize) {
+        let (l, level) = (length as f64, self.level.state);
+        let held = level.map(|x| x * l);
+        add(&mut self.level_level, level, held);
+        for h in 0..2 {
+            self.level_one[h] += held[h];
+        }
+        if !has_ramp(CLASS) {
+            return;
+        }
+        let (q, qq, t) = (0.5 * l * (l - 1.0), (l - 1.0) * l * (2.0 * l - 1.0) / 6.0, late as f64);
+        let ramp = self.ramp;
+        let sum: Halves = core::array::from_fn(|h| ramp[h] * l + level[h] * q);
+        add(&mut self.ramp_level, sum, level);
+        for h in 0..2 {
+            self.level_time[h] += level[h] * (t * l + q);
+            self.ramp_one[h] += sum[h];
+            self.ramp_time[h] += t * sum[h] + ramp[h] * q + level[h] * qq;
+            for g in 0..2 {
+                self.ramp_ramp[h][g] += ramp[h] * sum[g] + level[h] * (ramp[g] * q + level[g] * qq);
+            }
+        }
+        if CLASS == LAG_INTEGRATING {
+            // A ramp times a decay: sums of the decay's powers, and of these times their places.
+            let (a, p, inverse) = (tables[0].a, tables[0].powers[length], tables[0].inverse[0]);
+            let one = (1.0 - p) * inverse;
+            let placed = (a - l * p + (l - 1.0) * p * a) * inverse * inverse;
+            let memory = tables[0].powers[late];
+            let of_ramp: Halves = core::array::from_fn(|h| ramp[h] * one + level[h] * placed);
+            add(&mut self.ramp_decay, of_ramp, self.decay[0].state);
+            for h in 0..2 {
+                self.ramp_memory[h] += memory * of_ramp[h];
+                self.decay_time[h] += self.decay[0].state[h] * (t * one + placed);
+            }
+        }
+    }
+
+    /// Adds what a step at the present sample makes, `late` points after the first.
+    #[inline(always)]
+    fn at_step<const CLASS: usize>(&mut self, powers: [&[f64]; 2], by: Halves, late: usize) {
+        add(&mut self.steps, by, by);
+        add(&mut self.level.with_steps, self.level.state, by);
+        for k in 0..decays(CLASS) {
+            let memory = powers[k][late];
+            let pole = &mut self.decay[k];
+            add(&mut pole.with_steps, pole.state, by);
+            for h in 0..2 {
+                pole.memory[h] += memory * by[h];
+            }
+        }
+        for h in 0..2 {
+            self.total[h] += by[h];
+        }
+        if has_ramp(CLASS) {
+            add(&mut self.ramp_with_steps, self.ramp, by);
+            for h in 0..2 {
+                self.steps_time[h] += late as f64 * by[h];
+            }
+        }
+    }
+
+    /// Adds the start of a stretch, or takes off its end.
+    fn edge<const CLASS: usize>(&mut self, powers: [&[f64]; 2], late: usize, sign: f64) {
+        let edges = &mut self.edges;
+        let level = self.level.state.map(|x| sign * x);
+        let state: [Halves; 2] = [self.decay[0].state, self.decay[1].state];
+        for k in 0..decays(CLASS) {
+            let own = state[k].map(|x| sign * x);
+            add(&mut edges.level_decay[k], level, state[k]);
+            add(&mut edges.decay_decay[k], own, state[k]);
+            let memory = powers[k][late];
+            for h in 0..2 {
+                edges.decay[k][h] += own[h];
+                edges.memory_level[k][h] += memory * level[h];
+                for j in 0..decays(CLASS) {
+                    edges.memory_decay[k][j][h] += sign * memory * state[j][h];
+                }
+            }
+        }
+        if CLASS == SECOND {
+            add(&mut edges.cross, state[0].map(|x| sign * x), state[1]);
+        }
+    }
+}
+
+fn walk<const CLASS: usize>(
     class: Class,
     view: &View,
     tables: [&Table; 2],
     steps: &[Step],
     delay: usize,
 ) -> Reduced {
-    let (from, n, rho) = (view.from(), view.points(), view.rho());
-    let level_share = 1.0 - rho;
-    let a = [tables[0].a, tables[1].a];
-    let (own, later) = ([rho / a[0], rho / a[1]], [a[0] - rho, a[1] - rho]);
-    let cross = if CLASS == SECOND { 1.0 / (1.0 - a[0] * a[1]) } else { 0.0 };
-    let scale = 1.0 / INTEGRATOR_SCALE;
-    let loads = if WHOLE { 0 } else { view.loads().min(MOST_LOADS) };
+    let (from, n) = (view.from(), view.points());
     let powers = [&tables[0].powers[..=n], &tables[1].powers[..=n]];
-    let mut sums = Gathered {
-        products: [[0.0; 6]; 3],
-        with_pv: [[0.0; 2]; PARTS],
-        with_loads: [[[0.0; 2]; PARTS]; MOST_LOADS],
-        with_beside: [[[0.0; 2]; PARTS]; 3],
-    };
-    let with_pv = With::new(view, tables, 0);
-    let mut state = State::default();
     // A step before the first point that counts leaves a level and a memory only, and those are fitted anyway.
     let first = steps.partition_point(|s| (s.point as usize + delay) < from);
     let last = steps.partition_point(|s| (s.point as usize + delay) < n);
-    let counted = view.counted();
-    let mut at = 0;
-    for (m, step) in steps[..last].iter().enumerate().skip(first) {
-        let i = step.point as usize + delay;
-        let next = steps.get(m + 1).map_or(n, |s| (s.point as usize + delay).min(n));
-        let by = [step.level, step.direction];
-        with_pv.add::<CLASS>(i, by, &mut sums.with_pv);
-        for load in 0..loads {
-            With::new(view, tables, 1 + load).add::<CLASS>(i, by, &mut sums.with_loads[load]);
+    let mut sums = Sums::new(view.rho(), tables);
+    let mut open = &steps[first..last];
+    let mut at = from;
+    for &[start, end] in view.counted() {
+        while let Some((step, rest)) = open.split_first().filter(|(s, _)| (s.point as usize + delay) < start) {
+            let i = step.point as usize + delay;
+            sums.pass::<CLASS>(powers, i - at);
+            sums.step::<CLASS>([step.level, step.direction]);
+            (at, open) = (i + 1, rest);
         }
-        let x = state.step::<CLASS>(by, [level_share, rho, scale], own);
-        let beside = |late: usize| match CLASS {
-            INTEGRATING => [late as f64, 0.0],
-            LAG_INTEGRATING => [late as f64, powers[0][late]],
-            SECOND => [powers[0][late], powers[1][late]],
-            _ => [powers[0][late], 0.0],
-        };
-        let decays = |late: usize| match CLASS {
-            INTEGRATING => [0.0; 2],
-            SECOND => [powers[0][late], powers[1][late]],
-            _ => [powers[0][late], 0.0],
-        };
-        if WHOLE {
-            sums.sample::<CLASS>(&x, beside(i - from));
-            if next > i + 1 {
-                let sizes = state.sizes::<CLASS>([level_share, scale], later, [1.0; 2], 0.0);
-                let stretch = Stretch::of::<CLASS>(tables, cross, next - i - 1);
-                let late = i + 1 - from;
-                sums.stretch::<CLASS>(&sizes, &stretch, late as f64, decays(late));
-            }
-        } else {
-            while at < counted.len() && counted[at][1] <= i {
-                at += 1;
-            }
-            if at < counted.len() && counted[at][0] <= i {
-                sums.sample::<CLASS>(&x, beside(i - from));
-            }
-            for [start, end] in counted[at..].iter().take_while(|c| c[0] < next) {
-                let (start, end) = ((*start).max(i + 1), (*end).min(next));
-                if start < end {
-                    let (gone, late) = (start - i - 1, start - from);
-                    let left = [powers[0][gone], powers[1][gone]];
-                    let sizes = state.sizes::<CLASS>([level_share, scale], later, left, gone as f64);
-                    let stretch = Stretch::of::<CLASS>(tables, cross, end - start);
-                    sums.stretch::<CLASS>(&sizes, &stretch, late as f64, decays(late));
-                }
-            }
+        sums.pass::<CLASS>(powers, start - at);
+        at = start;
+        sums.edge::<CLASS>(powers, at - from, 1.0);
+        while let Some((step, rest)) = open.split_first().filter(|(s, _)| (s.point as usize + delay) < end) {
+            let (i, by) = (step.point as usize + delay, [step.level, step.direction]);
+            sums.stretch::<CLASS>(tables, i + 1 - at, at - from);
+            sums.pass::<CLASS>(powers, i - at);
+            sums.at_step::<CLASS>(powers, by, i - from);
+            sums.step::<CLASS>(by);
+            (at, open) = (i + 1, rest);
         }
-        let length = next - i;
-        for h in 0..2 {
-            if CLASS != INTEGRATING {
-                state.decay[0][h] *= powers[0][length];
-            }
-            if CLASS == SECOND {
-                state.decay[1][h] *= powers[1][length];
-            }
-            if CLASS == INTEGRATING || CLASS == LAG_INTEGRATING {
-                state.ramp[h] += state.level[h] * length as f64;
-            }
+        if at < end {
+            sums.stretch::<CLASS>(tables, end - at, at - from);
+            sums.pass::<CLASS>(powers, end - at);
+            at = end;
+        }
+        sums.edge::<CLASS>(powers, at - from, -1.0);
+    }
+    let signals = 1 + view.loads().min(MOST_LOADS);
+    let mut with = [[[0.0; 2]; PARTS]; 1 + MOST_LOADS];
+    for (column, into) in with.iter_mut().enumerate().take(signals) {
+        let of = With::new(view, tables, column);
+        for step in &steps[first..last] {
+            of.add::<CLASS>(step.point as usize + delay, [step.level, step.direction], into);
         }
     }
-    sums.take_out::<CLASS>(class, view, tables, cross)
+    let cross = if CLASS == SECOND { 1.0 / (1.0 - tables[0].a * tables[1].a) } else { 0.0 };
+    sums.gathered::<CLASS>(view.rho(), tables, cross, with).take_out::<CLASS>(class, view, tables, cross)
 }
 
-impl State {
-    /// Takes a step; the parts' filtered values at its sample.
-    #[inline(always)]
-    fn step<const CLASS: usize>(
-        &mut self,
-        by: [f64; 2],
-        [level_share, rho, scale]: [f64; 3],
-        own: [f64; 2],
-    ) -> [[f64; 2]; PARTS] {
-        let mut x = [[0.0; 2]; PARTS];
-        for h in 0..2 {
-            x[0][h] = level_share * self.level[h] + by[h];
-            if CLASS == INTEGRATING || CLASS == LAG_INTEGRATING {
-                x[1][h] = scale * (level_share * self.ramp[h] + rho * self.level[h]);
-            } else {
-                x[1][h] = self.decay[0][h] + by[h] - own[0] * self.decay[0][h];
-            }
-            if CLASS == SECOND {
-                x[2][h] = self.decay[1][h] + by[h] - own[1] * self.decay[1][h];
-            }
-            if CLASS == LAG_INTEGRATING {
-                x[2][h] = self.decay[0][h] + by[h] - own[0] * self.decay[0][h];
-            }
-            self.level[h] += by[h];
-            self.decay[0][h] += by[h];
-            self.decay[1][h] += by[h];
+/// What the sums come to.
+struct Gathered {
+    products: [[f64; 6]; 3],
+    /// Of PV, then of each load, with the parts.
+    with: [[[f64; 2]; PARTS]; 1 + MOST_LOADS],
+    /// Of the constant and the memories with the parts.
+    with_beside: [[[f64; 2]; PARTS]; 3],
+}
+
+impl Gathered {
+    /// Takes the products of two parts: the halves' own, and both orders of the mixed ones.
+    fn put(&mut self, pair: (usize, usize), of: &Square) {
+        let slot = PAIRS.iter().position(|p| *p == pair).unwrap_or(0);
+        let mixed = if pair.0 == pair.1 { of[0][1] } else { of[0][1] + of[1][0] };
+        for (half, value) in [of[0][0], mixed, of[1][1]].into_iter().enumerate() {
+            self.products[half][slot] = value;
         }
-        x
+    }
+}
+
+impl Sums {
+    /// Products of the parts, as the filter of the error leaves them, with each other and with what is fitted beside them.
+    fn gathered<const CLASS: usize>(
+        &self,
+        rho: f64,
+        tables: [&Table; 2],
+        cross: f64,
+        with: [[[f64; 2]; PARTS]; 1 + MOST_LOADS],
+    ) -> Gathered {
+        let mut out = Gathered { products: [[0.0; 6]; 3], with, with_beside: [[[0.0; 2]; PARTS]; 3] };
+        let (level, steps) = (&self.level, self.steps);
+        let share = level.gamma;
+        let held = level.with_steps;
+        out.put((0, 0), &mixed([(share * share, self.level_level), (share, held), (share, turned(&held)), (1.0, steps)]));
+        out.with_beside[0][0] = core::array::from_fn(|h| share * self.level_one[h] + self.total[h]);
+        for k in 0..decays(CLASS) {
+            let part = if CLASS == LAG_INTEGRATING { 2 } else { 1 + k };
+            let level_decay = self.level_with_decay(k, tables);
+            let pole = &self.decay[k];
+            let (gamma, own) = (pole.gamma, pole.with_steps);
+            let of_level =
+                [(share * gamma, level_decay), (share, held), (gamma, turned(&own)), (1.0, steps)];
+            out.put((0, part), &mixed(of_level));
+            let [one, two] = tables[k].inverse;
+            let both = mixed([
+                (two * pole.a, own),
+                (two * pole.a, turned(&own)),
+                (two, steps),
+                (two, self.edges.decay_decay[k]),
+            ]);
+            out.put((part, part), &mixed([(gamma * gamma, both), (gamma, own), (gamma, turned(&own)), (1.0, steps)]));
+            out.with_beside[0][part] =
+                core::array::from_fn(|h| gamma * (self.total[h] + self.edges.decay[k][h]) * one + self.total[h]);
+            let memory = if CLASS == LAG_INTEGRATING { 2 } else { 1 + k };
+            for (j, other) in self.decay.iter().enumerate().take(decays(CLASS)) {
+                let inverse = if j == k { two } else { cross };
+                let place = if CLASS == LAG_INTEGRATING { 2 } else { 1 + j };
+                out.with_beside[memory][place] = core::array::from_fn(|h| {
+                    let sum = (pole.a * pole.memory[h] + self.edges.memory_decay[k][j][h]) * inverse;
+                    other.gamma * sum + pole.memory[h]
+                });
+            }
+            out.with_beside[memory][0] = core::array::from_fn(|h| share * self.memory_with_level(k, tables)[h] + pole.memory[h]);
+        }
+        if CLASS == SECOND {
+            let [one, two] = &self.decay;
+            let (first, second) = (one.with_steps, turned(&two.with_steps));
+            let both = mixed([
+                (cross * one.a, first),
+                (cross * two.a, second),
+                (cross, steps),
+                (cross, self.edges.cross),
+            ]);
+            let of = [(one.gamma * two.gamma, both), (one.gamma, first), (two.gamma, second), (1.0, steps)];
+            out.put((1, 2), &mixed(of));
+        }
+        if has_ramp(CLASS) {
+            self.ramps::<CLASS>(rho, tables, &mut out);
+        }
+        out
     }
 
-    /// The parts' filtered sizes `gone` samples after the one behind a step, `left` of the decays then being left.
-    #[inline(always)]
-    fn sizes<const CLASS: usize>(
-        &self,
-        [level_share, scale]: [f64; 2],
-        later: [f64; 2],
-        left: [f64; 2],
-        gone: f64,
-    ) -> Sizes {
-        let mut sizes = Sizes::default();
+    /// Sum of the level's state times a decay's.
+    fn level_with_decay(&self, k: usize, tables: [&Table; 2]) -> Square {
+        let (one, own) = (tables[k].inverse[0], turned(&self.decay[k].with_steps));
+        let of = [
+            (one, self.level.with_steps),
+            (one * self.decay[k].a, own),
+            (one, self.steps),
+            (one, self.edges.level_decay[k]),
+        ];
+        mixed(of)
+    }
+
+    /// Sum of a memory times the level's state.
+    fn memory_with_level(&self, k: usize, tables: [&Table; 2]) -> Halves {
+        let pole = &self.decay[k];
+        core::array::from_fn(|h| (pole.a * pole.memory[h] + self.edges.memory_level[k][h]) * tables[k].inverse[0])
+    }
+
+    /// The products that a ramp is in, and those with time.
+    fn ramps<const CLASS: usize>(&self, rho: f64, tables: [&Table; 2], out: &mut Gathered) {
+        let (share, scale) = (self.level.gamma, 1.0 / INTEGRATOR_SCALE);
+        let held = self.level.with_steps;
+        let level_ramp = turned(&self.ramp_level);
+        let of_level = [
+            (scale * share * share, level_ramp),
+            (scale * share * rho, self.level_level),
+            (scale * share, turned(&self.ramp_with_steps)),
+            (scale * rho, turned(&held)),
+        ];
+        out.put((0, 1), &mixed(of_level));
+        let square = scale * scale;
+        let own = [
+            (square * share * share, self.ramp_ramp),
+            (square * share * rho, self.ramp_level),
+            (square * share * rho, level_ramp),
+            (square * rho * rho, self.level_level),
+        ];
+        out.put((1, 1), &mixed(own));
         for h in 0..2 {
-            sizes.level[h] = level_share * self.level[h];
-            if CLASS != INTEGRATING {
-                sizes.decay[0][h] = later[0] * self.decay[0][h] * left[0];
-            }
-            if CLASS == SECOND {
-                sizes.decay[1][h] = later[1] * self.decay[1][h] * left[1];
-            }
-            if CLASS == INTEGRATING || CLASS == LAG_INTEGRATING {
-                sizes.slope[h] = scale * level_share * self.level[h];
-                sizes.ramp[h] = scale * (level_share * self.ramp[h] + self.level[h]) + sizes.slope[h] * gone;
+            out.with_beside[0][1][h] = scale * (share * self.ramp_one[h] + rho * self.level_one[h]);
+            out.with_beside[1][1][h] = scale * (share * self.ramp_time[h] + rho * self.level_time[h]);
+            out.with_beside[1][0][h] = share * self.level_time[h] + self.steps_time[h];
+        }
+        if CLASS == LAG_INTEGRATING {
+            let pole = &self.decay[0];
+            let of_decay = [
+                (scale * share * pole.gamma, self.ramp_decay),
+                (scale * share, self.ramp_with_steps),
+                (scale * rho * pole.gamma, self.level_with_decay(0, tables)),
+                (scale * rho, held),
+            ];
+            out.put((1, 2), &mixed(of_decay));
+            let with_level = self.memory_with_level(0, tables);
+            for h in 0..2 {
+                out.with_beside[1][2][h] = pole.gamma * self.decay_time[h] + self.steps_time[h];
+                out.with_beside[2][1][h] = scale * (share * self.ramp_memory[h] + rho * with_level[h]);
             }
         }
-        sizes
     }
 }
 
@@ -429,7 +497,7 @@ impl<'t> With<'t> {
 impl Gathered {
     /// Takes the constant, the process' own memory and the loads out of everything.
     fn take_out<const CLASS: usize>(self, class: Class, view: &View, tables: [&Table; 2], cross: f64) -> Reduced {
-        let Self { mut products, with_pv, with_loads, with_beside } = self;
+        let Self { mut products, with: [with_pv, with_loads @ ..], with_beside } = self;
         let whole = [products[0][0], products[2][0]];
         let own = class.memory_len();
         let loads = view.loads().min(MOST_LOADS);
