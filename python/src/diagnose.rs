@@ -35,7 +35,7 @@ impl Asked {
             "linear" => BaseChoice::Linear,
             model => BaseChoice::File(Box::new(ModelFile::parse(model).map_err(|e| refused("base", e))?)),
         };
-        for id in self.without.iter().filter(|id| !effects::ALL.iter().any(|e| e.id == id.as_str())) {
+        if let Some(id) = self.without.iter().find(|id| !effects::ALL.iter().any(|e| e.id == id.as_str())) {
             let known = effects::ALL.iter().map(|e| e.id).collect::<Vec<_>>().join(", ");
             return Err(refused("without", GapError::UnknownEffect { id: id.clone(), known }));
         }

@@ -260,13 +260,7 @@ impl Sums {
     }
 }
 
-fn walk<const CLASS: usize>(
-    class: Class,
-    view: &View,
-    tables: [&Table; 2],
-    steps: &[Step],
-    delay: usize,
-) -> Reduced {
+fn walk<const CLASS: usize>(class: Class, view: &View, tables: [&Table; 2], steps: &[Step], delay: usize) -> Reduced {
     let (from, n) = (view.from(), view.points());
     let powers = [&tables[0].powers[..=n], &tables[1].powers[..=n]];
     // A step before the first point that counts leaves a level and a memory only, and those are fitted anyway.
@@ -345,15 +339,17 @@ impl Sums {
         let (level, steps) = (&self.level, self.steps);
         let share = level.gamma;
         let held = level.with_steps;
-        out.put((0, 0), &mixed([(share * share, self.level_level), (share, held), (share, turned(&held)), (1.0, steps)]));
+        out.put(
+            (0, 0),
+            &mixed([(share * share, self.level_level), (share, held), (share, turned(&held)), (1.0, steps)]),
+        );
         out.with_beside[0][0] = core::array::from_fn(|h| share * self.level_one[h] + self.total[h]);
         for k in 0..decays(CLASS) {
             let part = if CLASS == LAG_INTEGRATING { 2 } else { 1 + k };
             let level_decay = self.level_with_decay(k, tables);
             let pole = &self.decay[k];
             let (gamma, own) = (pole.gamma, pole.with_steps);
-            let of_level =
-                [(share * gamma, level_decay), (share, held), (gamma, turned(&own)), (1.0, steps)];
+            let of_level = [(share * gamma, level_decay), (share, held), (gamma, turned(&own)), (1.0, steps)];
             out.put((0, part), &mixed(of_level));
             let [one, two] = tables[k].inverse;
             let both = mixed([
@@ -374,17 +370,14 @@ impl Sums {
                     other.gamma * sum + pole.memory[h]
                 });
             }
-            out.with_beside[memory][0] = core::array::from_fn(|h| share * self.memory_with_level(k, tables)[h] + pole.memory[h]);
+            out.with_beside[memory][0] =
+                core::array::from_fn(|h| share * self.memory_with_level(k, tables)[h] + pole.memory[h]);
         }
         if CLASS == SECOND {
             let [one, two] = &self.decay;
             let (first, second) = (one.with_steps, turned(&two.with_steps));
-            let both = mixed([
-                (cross * one.a, first),
-                (cross * two.a, second),
-                (cross, steps),
-                (cross, self.edges.cross),
-            ]);
+            let both =
+                mixed([(cross * one.a, first), (cross * two.a, second), (cross, steps), (cross, self.edges.cross)]);
             let of = [(one.gamma * two.gamma, both), (one.gamma, first), (two.gamma, second), (1.0, steps)];
             out.put((1, 2), &mixed(of));
         }
