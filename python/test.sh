@@ -43,14 +43,15 @@ fi
 [ "${1:-}" != --fetch ] || exit 0
 if [ -x "$venv/bin/python" ]; then
     python=$venv/bin/python
+    maturin=$venv/bin/maturin
 else
     export PYTHONPATH=$PWD/$packages
-    export PATH=$PWD/$packages/bin:$PATH
+    maturin=$packages/bin/maturin
 fi
 
 # The profile that the workspace's tests have built most of already.
 rm -rf "$work/dist"
-"$python" -m maturin build --quiet --locked --profile dev --manifest-path python/Cargo.toml --out "$work/dist" \
+"$maturin" build --quiet --locked --profile dev --manifest-path python/Cargo.toml --out "$work/dist" \
     --target-dir "$target" --compatibility linux
 wheel=$(ls "$work"/dist/*.whl)
 if [ -x "$venv/bin/python" ]; then

@@ -55,6 +55,12 @@ def columns(path: Path) -> dict[str, Any]:
     return {name: frame[name] for name in ("t", "op", "pv", "sp", "mv", "mode") if name in frame}
 
 
+def same(found: stiction.Assessment, told: dict[str, Any]) -> None:
+    """Whether a result is the command's document, to the bit."""
+    hint = f"; if only last digits differ, {BINARY} is of another build than the wheel"
+    assert timeless(found.to_dict()) == timeless(told), found.loop + hint
+
+
 def timeless(document: dict[str, Any]) -> str:
     """A document without what depends on the clock, as text, so that numbers are compared to the last bit."""
     document["elapsed_ms"] = None

@@ -9,12 +9,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from conftest import ROOT, Command, columns, timeless
+from conftest import ROOT, Command, columns, same
 
 import stiction
-
-LOOPS = ["sticking-FIC101", "four-loops-FIC201", "four-loops-TIC202"]
-
 
 def table(tables: dict[str, Path], name: str) -> Path:
     assert name in tables, f"{name} is not among {list(tables)}"
@@ -25,7 +22,7 @@ def test_every_loop_of_the_shipped_recordings(command: Command, tables: dict[str
     for name, path in tables.items():
         told = json.loads(command("analyze", path, "--format", "json"))
         found = stiction.assess(**columns(path), name=path.stem)
-        assert timeless(found.to_dict()) == timeless(told), name
+        same(found, told)
         assert found.p_stiction == told["p_stiction"] and found.verdict == told["verdict"]
 
 
@@ -54,7 +51,7 @@ def test_every_option(
     path = table(tables, "sticking-FIC101")
     told = json.loads(command("analyze", path, *flags, "--format", "json"))
     found = stiction.assess(**columns(path), name=path.stem, **arguments)
-    assert timeless(found.to_dict()) == timeless(told)
+    same(found, told)
 
 
 def test_the_page_of_text(command: Command, tables: dict[str, Path]) -> None:
@@ -116,7 +113,7 @@ def test_a_simulated_plant(command: Command, tmp_path: Path, sticking: stiction.
     np.testing.assert_array_equal(frame["t"].to_numpy() * 10**9, sticking.t.view("int64"))
     told = json.loads(command("analyze", path, "--format", "json"))
     found = stiction.assess(sticking.op, sticking.pv, t=sticking.t, sp=sticking.sp, name="FIC101")
-    assert timeless(found.to_dict()) == timeless(told)
+    same(found, told)
 
 
 def test_missing_values_and_fractions_of_a_second(
@@ -129,7 +126,7 @@ def test_missing_values_and_fractions_of_a_second(
     pd.DataFrame({"t": t, "op": sticking.op, "pv": pv, "sp": sp}).to_csv(path, index=False)
     told = json.loads(command("analyze", path, "--format", "json"))
     found = stiction.assess(sticking.op, pv, t=t, sp=sp, name="FIC7")
-    assert timeless(found.to_dict()) == timeless(told)
+    same(found, told)
     # Without OP and PV in one row, and newest first.
     path = tmp_path / "FIC8.csv"
     rows = pd.DataFrame({"t": t, "op": sticking.op, "pv": sticking.pv})
@@ -137,6 +134,6 @@ def test_missing_values_and_fractions_of_a_second(
     apart.to_csv(path, index=False)
     told = json.loads(command("analyze", path, "--format", "json"))
     found = stiction.assess(apart["op"], apart["pv"], t=apart["t"], name="FIC8")
-    assert timeless(found.to_dict()) == timeless(told)
+    same(found, told)
     assert any("rows of their own" in note for note in found.notes)
     assert any("newest first" in note for note in found.notes)
