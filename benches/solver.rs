@@ -54,7 +54,9 @@ fn evaluator_one_model(bencher: Bencher, class: Class) {
     let view = evaluator::View::new(&found.pv, 0.0, 60);
     let tables = [view.table(12.0), view.table(4.0)];
     let both = if class == Class::Second { [&tables[0], &tables[1]] } else { [&tables[0], &tables[0]] };
-    bencher.bench_local(|| evaluator::reduce(class, &view, both, black_box(&steps.list), 4));
+    bencher.bench_local(|| {
+        evaluator::reduce(class, &view, both, black_box(&steps.list), 4, &mut evaluator::HeldSums::default())
+    });
 }
 
 #[divan::bench]

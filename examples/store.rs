@@ -6,8 +6,8 @@ use std::error::Error;
 use std::fs::File;
 
 use stiction::verdict::{AssessParams, assess};
+use stiction_monitor::analysis::{Cut, Points, Section};
 use stiction_monitor::config::Config;
-use stictiond::cli::selection::{Points, Selection};
 use stictiond::files::compact::{CompactLoop, write};
 use stictiond::files::load_samples;
 
@@ -20,13 +20,12 @@ fn main() -> Result<(), Box<dyn Error>> {
     // The same call reads tables, recordings and stores.
     let loaded = load_samples(&path)?;
     for one in &loaded.loops {
-        let points = Points::of(one, &Config::with_prefix("plant"));
-        let selection = Selection { samples: vec![(50, 500)], downsample: Some(2.0), ..Selection::default() };
-        for section in selection.sections() {
-            let (record, taken) = selection.record(&points, &one.name, section)?;
-            let found = assess(&record, &AssessParams { always_fit: true, ..AssessParams::default() });
-            println!("{} {:?}: {} s {:?}", one.name, taken.section, found.verdict.name(), found.s);
-        }
+        let points = Points::of(&one.name, &one.samples, &Config::with_prefix("plant"));
+        let cut = Cut { downsample: Some(2.0), ..Cut::default() };
+        let most = points.settings.window.max_points;
+        let (record, taken, _) = cut.record(&points, Section::Samples(50, 500), most)?;
+        let found = assess(&record, &AssessParams { always_fit: true, ..AssessParams::default() });
+        println!("{} {:?}: {} s {:?}", one.name, taken.section, found.verdict.name(), found.s);
     }
     std::fs::remove_file(path)?;
     Ok(())

@@ -8,20 +8,17 @@ use clap::ValueEnum;
 use indicatif::ProgressBar;
 
 use super::analyze_report::{Maker, Subject};
-use super::answer::{Answer, Scored};
 use super::fleet::{MANY, Summary};
 use super::reading::{ReadArgs, config_of, model_file, named};
-use super::selection::{MIN_SAMPLES, Points, Section, Selection, Taken, rising, usable};
+use super::selection::{Selection, points, rising, told, warn};
 use super::solving::{self, SolverArgs};
-use super::{Format, Outcome, UsageError, in_order_on_all_cores, note, say, stop, text};
+use super::{Format, Outcome, UsageError, in_order_on_all_cores, note, say, stop};
 use crate::files::export::Recognised;
 use crate::files::inputs::Unit;
 use crate::files::{Loaded, LoadedLoop};
-use stiction::gap::Ask;
-use stiction::gap::score::score;
 use stiction::record::Record;
-use stiction::signal::stats;
-use stiction::verdict::{AssessParams, DelayChoice, EstimateDocument, ModelChoice, ValveChoice, assess_in_windows};
+use stiction::verdict::{AssessParams, DelayChoice, ModelChoice, ValveChoice};
+use stiction_monitor::analysis::{self, Answer, MIN_SAMPLES, Points, Scored, Section, delay_choice, text, usable};
 use stiction_monitor::config::Config;
 
 /// Estimate stiction once per loop of a file: the whole section that is given, however short.
@@ -87,6 +84,12 @@ pub struct Args {
     pub force: bool,
 }
 
+/// An answer, and what the report draws of it.
+struct Told {
+    answer: Answer,
+    looked_at: Subject,
+}
+
 /// `--model`.
 #[derive(Debug, Clone, Copy, ValueEnum)]
 pub enum ModelArg {
@@ -114,19 +117,7 @@ pub enum ValveArg {
 pub struct DelayChoiceArg(DelayChoice);
 
 fn delay(text: &str) -> Result<DelayChoiceArg, String> {
-    let number = |s: &str| {
-        s.trim().parse::<f64>().ok().filter(|v| v.is_finite() && *v >= 0.0).ok_or_else(|| {
-            format!("{text:?} is no dead time: write auto, a number of samples such as 3, or seconds such as 12s")
-        })
-    };
-    if text == "auto" {
-        return Ok(DelayChoiceArg(DelayChoice::Auto));
-    }
-    let choice = match text.strip_suffix('s') {
-        Some(seconds) => DelayChoice::Seconds(number(seconds)?),
-        None => DelayChoice::Samples(number(text)?),
-    };
-    Ok(DelayChoiceArg(choice))
+    delay_choice(text).map(DelayChoiceArg)
 }
 
 /// Runs the command.
@@ -173,7 +164,8 @@ impl Desk {
         self.report.iter_mut().for_each(|r| r.warn(text.clone()));
     }
 
-    fn take(&mut self, answer: Answer) -> anyhow::Result<()> {
+    fn take(&mut self, told: Told) -> anyhow::Result<()> {
+        let Told { answer, looked_at } = told;
         self.done += 1;
         match self.format {
             Format::Json => say(serde_json::to_string(&answer)?)?,
@@ -182,13 +174,13 @@ impl Desk {
         }
         self.summary.add(&answer);
         if let Some(report) = &mut self.report {
-            report.add(answer.document, answer.looked_at);
+            report.add(answer.document, looked_at);
         }
         Ok(())
     }
 
     /// Takes what one of several loops gave.
-    fn take_one_of_many(&mut self, answer: anyhow::Result<Answer>) -> anyhow::Result<()> {
+    fn take_one_of_many(&mut self, answer: anyhow::Result<Told>) -> anyhow::Result<()> {
         match answer {
             Ok(answer) => self.take(answer),
             Err(error) if error.is::<UsageError>() => Err(error),
@@ -209,8 +201,8 @@ fn one_file(args: &Args, unit: &Unit, desk: &mut Desk) -> anyhow::Result<bool> {
     let config = recorded.map_or_else(|| Config::with_prefix("plant"), |r| r.config);
     let place = unit.name();
     let chosen = args.selection.loops(&loaded.loops).map_err(|e| anyhow!("{place}: {e}"))?;
-    if chosen.iter().all(|l| usable(l) < MIN_SAMPLES) {
-        let most = chosen.iter().map(|l| usable(l)).max().unwrap_or(0);
+    if chosen.iter().all(|l| usable(&l.samples) < MIN_SAMPLES) {
+        let most = chosen.iter().map(|l| usable(&l.samples)).max().unwrap_or(0);
         bail!(
             "{place}: {most} usable samples at most, {MIN_SAMPLES} with both OP and PV are needed in at least one loop"
         );
@@ -247,7 +239,7 @@ struct OfFile {
     recognised: Option<Recognised>,
     warnings: Vec<String>,
     data_loss: bool,
-    answers: Vec<anyhow::Result<Answer>>,
+    answers: Vec<anyhow::Result<Told>>,
 }
 
 /// Files side by side, each let go before the next is read; whether data was lost.
@@ -308,14 +300,8 @@ fn of_file(args: &Args, unit: &Unit, bar: &ProgressBar) -> anyhow::Result<OfFile
 }
 
 /// Every section of one loop.
-fn of_loop(
-    args: &Args,
-    one: &LoadedLoop,
-    config: &Config,
-    hash: &str,
-    bar: &ProgressBar,
-) -> Vec<anyhow::Result<Answer>> {
-    let points = Points::of(one, config);
+fn of_loop(args: &Args, one: &LoadedLoop, config: &Config, hash: &str, bar: &ProgressBar) -> Vec<anyhow::Result<Told>> {
+    let points = points(one, config);
     let sections = args.selection.sections();
     sections.into_iter().map(|section| estimate(args, one, &points, section, hash, bar)).collect()
 }
@@ -327,56 +313,36 @@ fn estimate(
     section: Section,
     hash: &str,
     bar: &ProgressBar,
-) -> anyhow::Result<Answer> {
+) -> anyhow::Result<Told> {
     let started = Instant::now();
-    let (record, mut selection) = args.selection.record(points, &one.name, section)?;
-    let params = params(args, points, &selection);
-    // What was asked to be looked at in another density or without its trend is taken as it then stands.
-    let plain = args.selection.downsample.is_none() && args.selection.detrend.is_none();
-    let windows = if plain { points.windows(&one.name, section)? } else { Vec::new() };
-    let mut assessment = assess_in_windows(&record, &windows, &params);
-    assessment.elapsed_ms = Some(started.elapsed().as_secs_f64() * 1e3);
-    let period_s = assessment.oscillation.period_s;
-    if let Some(left) = &mut selection.downsample {
-        left.points_per_period = period_s.map(|period| period / record.point_s());
-    }
-    let options = params.options(period_s.map(|period| period / record.point_s()));
-    let solver = solving::run(&args.solver, &record, &options, &assessment, bar)?;
-    let span = stats::span(&record.op_path);
-    let asked = args.report.is_some() && selection.downsample.is_some();
-    let before = || points.record(&one.name, section, points.settings.window.max_points);
+    let cut = args.selection.cut();
+    let found = analysis::estimate(points, section, &cut, params(args, points)).map_err(told)?;
+    let elapsed_ms = started.elapsed().as_secs_f64() * 1e3;
+    warn(&one.name, &found.notes);
+    let solver = solving::run(&args.solver, &found.record, &found.options, &found.assessment, bar)?;
+    let asked = args.report.is_some() && cut.downsample.is_some();
+    let before = || points.record(section, points.settings.window.max_points).map(|(record, _)| record);
     let original = asked.then(before).transpose()?;
-    let scored = args.score.as_deref().map(|path| scored(path, &record, options.period_points)).transpose()?;
-    Ok(Answer {
-        document: EstimateDocument::new(&one.name, hash, assessment),
-        s0: (span.is_finite() && span > 0.0).then_some(span),
-        selection,
-        solver,
-        scored,
-        looked_at: Subject { record, original, about: one.about.clone(), units: one.units.clone(), params },
-    })
+    let scored = args.score.as_deref().map(|path| scored(path, &found.record, found.options.period_points));
+    let answer = found.answer(&one.name, hash, elapsed_ms, solver, scored.transpose()?);
+    let analysis::Estimated { record, params, .. } = found;
+    let looked_at = Subject { record, original, about: one.about.clone(), units: one.units.clone(), params };
+    Ok(Told { answer, looked_at })
 }
 
 /// Runs the model of a file over the record.
 fn scored(path: &Path, record: &Record, period_points: Option<f64>) -> anyhow::Result<Scored> {
-    let file = model_file(path)?;
-    let ask = Ask { period_points, ..Ask::default() };
-    let found = score(record, &file.on(record), &ask).with_context(|| path.display().to_string())?;
-    Ok(Scored { model: path.to_owned(), mse: found.mse, fit_pct: found.fit_pct })
+    let (file, name) = (model_file(path)?, path.display().to_string());
+    Scored::of(&name, &file, record, period_points).with_context(|| name.clone())
 }
 
 /// What the fit is told: the loop's settings, and the command line over them.
-fn params(args: &Args, points: &Points, taken: &Taken) -> AssessParams {
+fn params(args: &Args, points: &Points) -> AssessParams {
     let mut params = points.settings.assess.clone();
-    params.always_fit = true;
     params.op_range = args.op_range.or(params.op_range);
     params.fit.fineness_pct = args.solver.fineness;
     params.fit.seed = args.solver.seed;
-    params.fit.delay = match (args.delay.0, &taken.downsample) {
-        // Samples are those of the file.
-        (DelayChoice::Samples(count), Some(left)) => DelayChoice::Seconds(count * left.ts_s),
-        (other, _) => other,
-    };
+    params.fit.delay = args.delay.0;
     params.fit.model = match args.model {
         ModelArg::Fopdt => ModelChoice::Fopdt,
         ModelArg::Sopdt => ModelChoice::Sopdt,

@@ -1,8 +1,8 @@
 //! Many loops at once: each by its line in one table, instead of a page of text.
 
-use super::answer::Answer;
 use stiction::units::{self, duration, format_rfc3339};
 use stiction::verdict::Verdict;
+use stiction_monitor::analysis::Answer;
 
 /// Loops from which text gives the table alone.
 pub(super) const MANY: usize = 12;

@@ -2,7 +2,6 @@
 
 pub mod analyze;
 mod analyze_report;
-mod answer;
 pub mod bench;
 pub mod bridge;
 pub mod calibrate;
@@ -29,7 +28,6 @@ pub mod selection;
 pub mod simulate;
 pub mod solving;
 mod stop;
-mod text;
 
 use std::fmt::Display;
 use std::future::Future;

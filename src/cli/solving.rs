@@ -7,25 +7,23 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, bail};
 use crossbeam_channel::{Receiver, RecvTimeoutError, bounded};
 use indicatif::ProgressBar;
-use serde::Serialize;
 use serde_json::json;
 
 use super::stop;
 use stiction::ident::Options;
-use stiction::ident::class::Class;
 use stiction::ident::surface::{BUDGET, Solved, Surface};
 use stiction::optim::{self, Objective, Outcome, Settings, Termination};
 use stiction::record::Record;
-use stiction::sim::slips::Law;
 use stiction::units::significant;
 use stiction::verdict::Assessment;
+use stiction_monitor::analysis::solver::{self, SolverDocument};
 
 /// `--solver` and what goes with it.
 #[derive(Debug, Clone, clap::Args)]
 pub struct SolverArgs {
     /// Set this solver on the mean squared error over (fs, fd), as the toolbox does, and tell what it finds beside the
     /// estimate: contour, multistart, random, branch-bound, or cmd:PROGRAM (see examples/solver.py).
-    #[arg(long, value_parser = solver, help_heading = "Solver")]
+    #[arg(long, value_parser = choice, help_heading = "Solver")]
     pub solver: Option<SolverChoice>,
     /// Step of the contour grid in % of OP's span S0, for --solver contour and for our own first look.
     #[arg(long, value_name = "PCT", default_value_t = Options::default().fineness_pct, value_parser = fineness, help_heading = "Solver")]
@@ -51,7 +49,7 @@ pub enum SolverChoice {
     Program(String),
 }
 
-fn solver(text: &str) -> Result<SolverChoice, String> {
+fn choice(text: &str) -> Result<SolverChoice, String> {
     if let Some(program) = text.strip_prefix("cmd:") {
         let program = program.trim();
         return if program.is_empty() {
@@ -75,45 +73,6 @@ fn patience(text: &str) -> Result<f64, String> {
     if (0.1..=86_400.0).contains(&value) { Ok(value) } else { Err("write seconds from 0.1 to 86400".to_owned()) }
 }
 
-/// What a solver found, as documents carry it.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct SolverDocument {
-    /// Its name, or the program.
-    pub name: String,
-    /// Static band, OP units; null where no model exists anywhere.
-    pub fs: Option<f64>,
-    /// Kinetic band, OP units.
-    pub fd: Option<f64>,
-    /// Smallest mean squared error, PV units squared.
-    pub mse: Option<f64>,
-    /// Mean squared error of the estimate's own bands on the same surface.
-    pub estimate_mse: Option<f64>,
-    /// Order of the process behind the valve.
-    pub order: u8,
-    /// Process gain, PV units per OP unit (per second too when integrating).
-    pub gain: Option<f64>,
-    /// Time constants, s.
-    pub time_constants_s: Vec<f64>,
-    /// Dead time, s.
-    pub dead_time_s: Option<f64>,
-    /// Span of OP.
-    pub s0: f64,
-    /// What was enforced.
-    pub constraint: &'static str,
-    /// Models tried.
-    pub evaluations: u64,
-    /// Models allowed.
-    pub evaluations_limit: u64,
-    /// Why it stopped.
-    pub stopped: &'static str,
-    /// MSE below which the solver believes nothing lies.
-    pub lower_bound_mse: Option<f64>,
-    /// What that bound is worth.
-    pub bound: Option<&'static str>,
-    /// Run time.
-    pub elapsed_ms: f64,
-}
-
 /// Sets the solver on the surface that belongs to an assessment: its valve law and class of process. `None` where the
 /// record could not be fitted at all.
 ///
@@ -126,18 +85,11 @@ pub fn run(
     found: &Assessment,
     bar: &ProgressBar,
 ) -> anyhow::Result<Option<SolverDocument>> {
-    let (Some(choice), Some(process)) = (&args.solver, &found.process) else { return Ok(None) };
-    let class = match (process.order, process.integrating) {
-        (1, false) => Class::First,
-        (1, true) => Class::Integrating,
-        (_, false) => Class::Second,
-        (_, true) => Class::LagIntegrating,
-    };
-    let law = if found.valve_model == Some("tracking") { Law::Tracking } else { Law::He };
-    let Some(mut surface) = Surface::new(record, options, law, class) else { return Ok(None) };
+    let Some(choice) = &args.solver else { return Ok(None) };
+    let Some(mut surface) = solver::surface(record, options, found) else { return Ok(None) };
     let settings = Settings { budget: args.evaluations, fineness_pct: args.fineness, seed: args.seed };
     let own = found.fs.zip(found.fd);
-    let estimate_mse = own.map(|(fs, fd)| surface.mse(fs, fd)).filter(|mse| mse.is_finite());
+    let estimate_mse = solver::own_mse(&mut surface, found);
     let started = Instant::now();
     let (name, mut solved) = match choice {
         SolverChoice::Ours(name) => {
@@ -158,40 +110,7 @@ pub fn run(
     if stop::asked() {
         solved.outcome.stopped = Termination::Interrupted;
     }
-    let told = document(name, &solved, &mut surface, &settings, process.order, elapsed_ms);
-    Ok(Some(SolverDocument { estimate_mse, ..told }))
-}
-
-fn document(
-    name: String,
-    solved: &Solved,
-    surface: &mut Surface,
-    settings: &Settings,
-    order: u8,
-    elapsed_ms: f64,
-) -> SolverDocument {
-    let there = solved.mse.is_finite();
-    let point = if there { surface.point(solved.fs, solved.fd.min(solved.fs)) } else { None };
-    let bound = solved.outcome.lower_bound.filter(|_| there);
-    SolverDocument {
-        name,
-        fs: there.then_some(solved.fs),
-        fd: there.then_some(solved.fd),
-        mse: there.then_some(solved.mse),
-        estimate_mse: None,
-        order,
-        gain: point.as_ref().map(|p| p.gain),
-        time_constants_s: point.as_ref().map_or_else(Vec::new, |p| p.time_constants_s.clone()),
-        dead_time_s: point.as_ref().map(|p| p.dead_time_s),
-        s0: solved.s0,
-        constraint: "0 <= fd <= fs, fs + fd <= s0",
-        evaluations: solved.outcome.evaluations,
-        evaluations_limit: settings.budget,
-        stopped: solved.outcome.stopped.name(),
-        lower_bound_mse: bound,
-        bound: bound.map(|_| "heuristic"),
-        elapsed_ms,
-    }
+    Ok(Some(solver::document(name, &solved, &mut surface, &settings, found, estimate_mse, elapsed_ms)))
 }
 
 /// A surface that shows how far the search is, and answers at once when somebody asks to stop.
@@ -366,9 +285,9 @@ mod tests {
 
     #[test]
     fn solvers_are_read_or_refused_with_a_reason() {
-        assert_eq!(solver("random"), Ok(SolverChoice::Ours("random")));
-        assert_eq!(solver("cmd:python3 a.py"), Ok(SolverChoice::Program("python3 a.py".to_owned())));
-        assert!(solver("lgo").unwrap_err().contains("multistart") && solver("cmd: ").is_err());
+        assert_eq!(choice("random"), Ok(SolverChoice::Ours("random")));
+        assert_eq!(choice("cmd:python3 a.py"), Ok(SolverChoice::Program("python3 a.py".to_owned())));
+        assert!(choice("lgo").unwrap_err().contains("multistart") && choice("cmd: ").is_err());
         assert_eq!(two_numbers("1.5, 2e-1"), Some([1.5, 0.2]));
         assert!(two_numbers("1").is_none() && two_numbers("1 2 3").is_none() && two_numbers("a b").is_none());
     }

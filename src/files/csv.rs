@@ -13,16 +13,11 @@ use std::io::{self, BufReader, Read, Write};
 use std::path::Path;
 use stiction::record::{Mode, Sample, Signal, Value};
 use stiction::units::{TimeError, format_seconds, parse_time};
+use stiction_monitor::analysis::rows::{Joined, Rows};
 use thiserror::Error;
 
 /// Columns after `t`, in the order in which they are written.
 pub const COLUMNS: [Signal; 5] = [Signal::Op, Signal::Pv, Signal::Sp, Signal::Mv, Signal::Mode];
-
-/// Steps back from which a table stands newest first, if they outnumber the steps on.
-const NEWEST_FIRST: u64 = 3;
-
-/// Steps back from which a table is told to be in disorder, if they are one in twenty: a few late rows are normal.
-const DISORDER: u64 = 10;
 
 /// A table that cannot be read.
 #[derive(Debug, Error)]
@@ -101,7 +96,7 @@ pub fn read_from(source: impl Read) -> Result<Table, CsvError> {
     let mut row = ::csv::ByteRecord::new();
     reader.read_byte_record(&mut row)?;
     let layout = Layout::of_header(&row)?;
-    let mut rows = Rows::new(layout);
+    let mut rows = Cells::new(layout);
     while reader.read_byte_record(&mut row)? {
         rows.take(&row)?;
     }
@@ -146,39 +141,17 @@ impl Layout {
     }
 }
 
-/// Rows as they come.
-struct Rows {
+/// Cells as they come.
+struct Cells {
     layout: Layout,
-    table: Table,
-    /// Indices of samples that stand for empty cells.
-    empty: Vec<usize>,
-    /// Rows with OP and PV, with OP alone, with PV alone.
-    both: u64,
-    op_only: u64,
-    pv_only: u64,
+    rows: Rows,
     texts: u64,
     first_text: Option<(u64, String)>,
-    /// Time of the row before, and how often time went on or back from one row to the next.
-    last_ns: Option<i64>,
-    forward: u64,
-    backward: u64,
 }
 
-impl Rows {
+impl Cells {
     fn new(layout: Layout) -> Self {
-        Self {
-            layout,
-            table: Table::default(),
-            empty: Vec::new(),
-            both: 0,
-            op_only: 0,
-            pv_only: 0,
-            texts: 0,
-            first_text: None,
-            last_ns: None,
-            forward: 0,
-            backward: 0,
-        }
+        Self { layout, rows: Rows::default(), texts: 0, first_text: None }
     }
 
     fn take(&mut self, row: &::csv::ByteRecord) -> Result<(), CsvError> {
@@ -191,50 +164,31 @@ impl Rows {
         }
         let time = String::from_utf8_lossy(row.get(self.layout.time).unwrap_or_default());
         let t_ns = parse_time(&time).map_err(|source| CsvError::Time { line, source })?;
-        self.table.rows += 1;
-        if let Some(last_ns) = self.last_ns.replace(t_ns) {
-            self.forward += u64::from(t_ns > last_ns);
-            self.backward += u64::from(t_ns < last_ns);
-        }
-        let (mut has_op, mut has_pv) = (false, false);
+        self.rows.begin(t_ns);
         for at in 0..self.layout.signals.len() {
             let (signal, column) = self.layout.signals[at];
             let cell = row.get(column).unwrap_or_default();
-            has_op |= signal == Signal::Op && !cell.is_empty();
-            has_pv |= signal == Signal::Pv && !cell.is_empty();
-            self.take_cell(signal, t_ns, cell, line);
+            let value = (!cell.is_empty()).then(|| self.value(signal, cell, line));
+            self.rows.cell(signal, value);
         }
-        self.both += u64::from(has_op && has_pv);
-        self.op_only += u64::from(has_op && !has_pv);
-        self.pv_only += u64::from(has_pv && !has_op);
         Ok(())
     }
 
-    fn take_cell(&mut self, signal: Signal, t_ns: i64, cell: &[u8], line: u64) {
-        let value = if cell.is_empty() {
-            if !matches!(signal, Signal::Op | Signal::Pv) {
-                return;
+    fn value(&mut self, signal: Signal, cell: &[u8], line: u64) -> Value {
+        let text = String::from_utf8_lossy(cell);
+        match (text.parse::<f64>(), signal) {
+            (Ok(number), _) => Value::number(number),
+            (Err(_), Signal::Mode) => Value::Mode(Mode::from_word(&text)),
+            (Err(_), _) => {
+                self.texts += 1;
+                self.first_text.get_or_insert_with(|| (line, text.chars().take(40).collect()));
+                Value::Missing
             }
-            self.empty.push(self.table.samples.len());
-            Value::Missing
-        } else {
-            let text = String::from_utf8_lossy(cell);
-            match (text.parse::<f64>(), signal) {
-                (Ok(number), _) => Value::number(number),
-                (Err(_), Signal::Mode) => Value::Mode(Mode::from_word(&text)),
-                (Err(_), _) => {
-                    self.texts += 1;
-                    self.first_text.get_or_insert_with(|| (line, text.chars().take(40).collect()));
-                    Value::Missing
-                }
-            }
-        };
-        self.table.missing += u64::from(value == Value::Missing);
-        self.table.samples.push(Sample { signal, t_ns, value, quality: None });
+        }
     }
 
-    fn finish(mut self) -> Table {
-        let warnings = &mut self.table.warnings;
+    fn finish(self) -> Table {
+        let mut warnings = Vec::new();
         if !self.layout.ignored.is_empty() {
             warnings.push(format!("columns ignored: {}", self.layout.ignored.join(", ")));
         }
@@ -243,44 +197,9 @@ impl Rows {
             warnings
                 .push(format!("{count} cells are no numbers and count as missing, the first {text:?} in line {line}"));
         }
-        // A dead sensor leaves rows of one kind only.
-        if self.op_only.min(self.pv_only) > self.both {
-            warnings.push(format!(
-                "op and pv stand in rows of their own ({} and {} of {} rows): empty cells are no samples there",
-                self.op_only, self.pv_only, self.table.rows
-            ));
-            self.drop_empty();
-        }
-        self.order();
-        self.table
-    }
-
-    /// Puts a table that stands newest first in order of time; rows of one time keep their order.
-    fn order(&mut self) {
-        let table = &mut self.table;
-        if self.backward >= NEWEST_FIRST && self.backward > self.forward {
-            let rows: Vec<&[Sample]> = table.samples.chunk_by(|a, b| a.t_ns == b.t_ns).rev().collect();
-            let mut turned = rows.concat();
-            turned.sort_by_key(|sample| sample.t_ns);
-            table.samples = turned;
-            table.warnings.push(format!("the {} rows stand newest first: read in order of time", table.rows));
-        } else if self.backward >= DISORDER && 20 * self.backward > table.rows {
-            table.warnings.push(format!(
-                "time goes back {} times: rows that come later than the lateness allows are left out of windows",
-                self.backward
-            ));
-        }
-    }
-
-    fn drop_empty(&mut self) {
-        let mut empty = self.empty.iter().copied().peekable();
-        let mut at = 0;
-        self.table.samples.retain(|_| {
-            let drop = empty.next_if_eq(&at).is_some();
-            at += 1;
-            !drop
-        });
-        self.table.missing -= self.empty.len() as u64;
+        let Joined { samples, rows, missing, warnings: more } = self.rows.finish();
+        warnings.extend(more);
+        Table { samples, rows, missing, warnings }
     }
 }
 

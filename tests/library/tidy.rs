@@ -15,7 +15,7 @@ pub const CRATES: [&str; 4] = ["src", "crates/stiction/src", "crates/stiction-mo
 const MAX_LINES: usize = 600;
 
 /// Which rooms each room may use.
-const IMPORTS: [(&str, &[&str]); 27] = [
+const IMPORTS: [(&str, &[&str]); 28] = [
     // Words.
     ("units", &[]),
     ("record", &["units"]),
@@ -41,6 +41,10 @@ const IMPORTS: [(&str, &[&str]); 27] = [
     ("alarm", &["units", "record", "hash", "verdict"]),
     ("codec", &["units", "record"]),
     ("engine", &["units", "record", "signal", "sim", "ident", "detect", "verdict", "gap", "alarm"]),
+    (
+        "analysis",
+        &["units", "record", "signal", "optim", "sim", "ident", "detect", "config", "verdict", "gap", "engine"],
+    ),
     // Settings: words, which formats there are, and what alarm and engine are told.
     ("config", &["units", "record", "signal", "codec", "hash", "verdict", "alarm", "engine"]),
     // Shell: anything pure, and each other; nobody uses `cli`.

@@ -7,6 +7,7 @@
 //! | [`alarm`] | ISA-18.2 states |
 //! | [`engine`] | one state machine a loop |
 //! | [`config`] | text to settings: its own, the engine's and the alarm's |
+//! | [`analysis`] | samples of a recording to the answers of `analyze` and `gap` |
 //!
 //! [`engine::Engine`] is told the time (stamps on samples) and handed the data; a fit leaves it as a
 //! [`engine::Request`] and whoever drives it computes the answer. No file, socket, clock, thread, environment or
@@ -16,6 +17,7 @@
 #![cfg_attr(test, allow(clippy::disallowed_methods, clippy::disallowed_types))]
 
 pub mod alarm;
+pub mod analysis;
 pub mod codec;
 pub mod config;
 pub mod engine;

@@ -3,32 +3,12 @@
 use std::path::Path;
 
 use crate::cli::reading::model_file;
-use stiction::gap::Base;
-use stiction::gap::model_file::ModelFile;
-use stiction::record::Record;
+use stiction_monitor::analysis::gap::BaseChoice;
 
-/// `--base`, read.
-pub(super) enum BaseArg {
-    /// Without friction.
-    Linear,
-    /// A model from a file.
-    File(ModelFile),
-}
-
-impl BaseArg {
-    /// Reads the word or the file.
-    pub fn read(text: &str) -> anyhow::Result<Self> {
-        if text == "linear" {
-            return Ok(Self::Linear);
-        }
-        Ok(Self::File(model_file(Path::new(text))?))
+/// Reads the word or the file.
+pub(super) fn read(text: &str) -> anyhow::Result<BaseChoice> {
+    if text == "linear" {
+        return Ok(BaseChoice::Linear);
     }
-
-    /// The base for a record.
-    pub fn on(&self, record: &Record) -> Base {
-        match self {
-            Self::Linear => Base::Linear,
-            Self::File(file) => Base::Given(Box::new(file.on(record))),
-        }
-    }
+    Ok(BaseChoice::File(Box::new(model_file(Path::new(text))?)))
 }

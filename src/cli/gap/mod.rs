@@ -12,22 +12,16 @@ use anyhow::{Context, anyhow, bail};
 use super::analyze_report::command_line;
 use super::challenge;
 use super::reading::{ReadArgs, config_of, named};
-use super::selection::{Points, Section, Selection};
+use super::selection::{Selection, points, told, warn};
 use super::{Format, Outcome, UsageError, say, stop};
 use crate::files::LoadedLoop;
 use crate::report::{GapLoop, GapReport, gap_page};
-use base::BaseArg;
 use executor::Team;
-use stiction::detect::oscillation;
-use stiction::gap::document::GapDocument;
-use stiction::gap::locate::Subject;
-use stiction::gap::{self, Ask, GapError, effects, locate, text};
+use stiction::gap::{GapError, effects, text};
+use stiction_monitor::analysis::gap::{BaseChoice, Diagnosed, Question};
+use stiction_monitor::analysis::predictions::rows;
+use stiction_monitor::analysis::{self, Points, Section};
 use stiction_monitor::config::Config;
-
-/// Most points of a simulation: sections with more samples are averaged in boxes.
-const MAX_POINTS: usize = 8_192;
-/// Seconds that the default number of evaluations takes on two cores, about.
-const DEFAULT_SECONDS: f64 = 3.0;
 
 /// Diagnose the gap between a loop's model and its record: where it lies, which unmodelled effect causes it, and how
 /// far it shrinks once that effect is added.
@@ -126,7 +120,7 @@ impl Diagnose {
 /// The file cannot be read, the loop or section does not exist, an id is unknown, or nothing in it can be diagnosed.
 fn diagnose_all(args: &Diagnose, format: Format) -> anyhow::Result<Outcome> {
     check(args)?;
-    let base = args.base.as_deref().map(BaseArg::read).transpose()?;
+    let base = args.base.as_deref().map_or(Ok(BaseChoice::Refit), base::read)?;
     let loaded = args.reading.load_all(&args.input)?;
     for warning in &loaded.warnings {
         tracing::warn!("{warning}");
@@ -146,9 +140,9 @@ fn diagnose_all(args: &Diagnose, format: Format) -> anyhow::Result<Outcome> {
         if stop::asked() {
             break;
         }
-        let points = Points::of(one, &config);
+        let points = points(one, &config);
         answered += 1;
-        match diagnose(args, base.as_ref(), one, &points, section) {
+        match diagnose(args, &base, one, &points, section) {
             Ok(found) => {
                 print(&found, format)?;
                 write_predictions(args, &points, &found, section)?;
@@ -192,28 +186,26 @@ fn check(args: &Diagnose) -> anyhow::Result<()> {
 
 fn diagnose(
     args: &Diagnose,
-    base: Option<&BaseArg>,
+    base: &BaseChoice,
     one: &LoadedLoop,
     points: &Points,
     section: Section,
 ) -> anyhow::Result<GapLoop> {
-    let (record, _) = args.selection.record_of(points, &one.name, section, MAX_POINTS)?;
-    let period = oscillation::detect(&record.op(), &record.pv).map(|o| o.period_points);
-    let share = args.budget.map_or(1.0, |seconds| seconds / DEFAULT_SECONDS);
-    let ask = Ask {
-        base: base.map(|b| b.on(&record)).unwrap_or_default(),
+    let (record, notes) = analysis::gap::record(points, section, &args.selection.cut()).map_err(told)?;
+    warn(&one.name, &notes);
+    let question = Question {
+        base: base.clone(),
         without: args.without.clone(),
         pairs: args.pairs,
-        budget_evaluations: (gap::DEFAULT_EVALUATIONS as f64 * share).ceil() as u64,
+        budget_s: args.budget,
         seed: args.seed,
-        period_points: period,
     };
+    let ask = question.ask(&record);
     let team = Team::new(&one.name, &ask, args.budget.map(Duration::from_secs_f64), &|| !stop::asked());
-    let diagnosis = gap::diagnose(&record, &ask, &team);
+    let found = analysis::gap::diagnose(&one.name, record, &ask, &team);
     team.finish();
-    let diagnosis = diagnosis.with_context(|| format!("{}: loop {}", args.input(), one.name))?;
-    let location = locate::locate(&record, &Subject::of(&diagnosis, period, args.seed));
-    let document = GapDocument::new(&one.name, &record, &ask.base, &diagnosis, location);
+    let Diagnosed { document, record, diagnosis } =
+        found.with_context(|| format!("{}: loop {}", args.input(), one.name))?;
     Ok(GapLoop { document, record, diagnosis })
 }
 
@@ -227,8 +219,8 @@ fn print(found: &GapLoop, format: Format) -> anyhow::Result<()> {
 
 fn write_predictions(args: &Diagnose, points: &Points, found: &GapLoop, section: Section) -> anyhow::Result<()> {
     let Some(path) = &args.predictions else { return Ok(()) };
-    let whole = points.samples(&found.document.loop_name, section)?;
-    let rows = predictions::rows(&whole, &found.record, &found.diagnosis);
+    let whole = points.samples(section)?;
+    let rows = rows(&whole, &found.record, &found.diagnosis);
     predictions::write(path, &rows).with_context(|| path.display().to_string())
 }
 

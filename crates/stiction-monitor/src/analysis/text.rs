@@ -1,6 +1,6 @@
 //! Documents in words.
 
-use super::answer::Answer;
+use super::Answer;
 use stiction::units::{self, duration, significant};
 use stiction::verdict::words;
 use stiction::verdict::{Assessment, EstimateDocument};
@@ -101,7 +101,8 @@ fn estimate(document: &EstimateDocument, box_samples: f64) -> String {
 }
 
 /// An estimate with what `analyze` adds: what was looked at, what was enforced, what the solver found.
-pub(super) fn answer(answer: &Answer) -> String {
+#[must_use]
+pub fn answer(answer: &Answer) -> String {
     let averaged = answer.selection.downsample.filter(|d| !d.like_toolbox).map(|d| d.ratio);
     let box_samples = averaged.unwrap_or(answer.document.assessment.window.box_samples as f64);
     let mut lines = vec![estimate(&answer.document, box_samples)];
@@ -130,7 +131,7 @@ pub(super) fn answer(answer: &Answer) -> String {
         row("least MSE", format!("{} (PV units squared)", mean_square(mse)));
     }
     if let Some(s) = &answer.scored {
-        row("given model", format!("{}: fit {:.1} %, MSE {}", s.model.display(), s.fit_pct, mean_square(s.mse)));
+        row("given model", format!("{}: fit {:.1} %, MSE {}", s.model, s.fit_pct, mean_square(s.mse)));
     }
     if let Some(s) = &answer.solver {
         row(

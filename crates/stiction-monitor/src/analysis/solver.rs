@@ -1,0 +1,110 @@
+//! A solver set on the error surface of an estimate, as the toolbox does it.
+
+use serde::Serialize;
+
+use stiction::ident::Options;
+use stiction::ident::class::Class;
+use stiction::ident::surface::{Solved, Surface};
+use stiction::optim::Settings;
+use stiction::record::Record;
+use stiction::sim::slips::Law;
+use stiction::verdict::{Assessment, Process};
+
+/// What a solver found, as documents carry it.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct SolverDocument {
+    /// Its name, or the program.
+    pub name: String,
+    /// Static band, OP units; null where no model exists anywhere.
+    pub fs: Option<f64>,
+    /// Kinetic band, OP units.
+    pub fd: Option<f64>,
+    /// Smallest mean squared error, PV units squared.
+    pub mse: Option<f64>,
+    /// Mean squared error of the estimate's own bands on the same surface.
+    pub estimate_mse: Option<f64>,
+    /// Order of the process behind the valve.
+    pub order: u8,
+    /// Process gain, PV units per OP unit (per second too when integrating).
+    pub gain: Option<f64>,
+    /// Time constants, s.
+    pub time_constants_s: Vec<f64>,
+    /// Dead time, s.
+    pub dead_time_s: Option<f64>,
+    /// Span of OP.
+    pub s0: f64,
+    /// What was enforced.
+    pub constraint: &'static str,
+    /// Models tried.
+    pub evaluations: u64,
+    /// Models allowed.
+    pub evaluations_limit: u64,
+    /// Why it stopped.
+    pub stopped: &'static str,
+    /// MSE below which the solver believes nothing lies.
+    pub lower_bound_mse: Option<f64>,
+    /// What that bound is worth.
+    pub bound: Option<&'static str>,
+    /// Run time.
+    pub elapsed_ms: f64,
+}
+
+/// The surface that belongs to an assessment: its valve law and class of process. `None` where the record could not be
+/// fitted at all.
+#[must_use]
+pub fn surface(record: &Record, options: &Options, found: &Assessment) -> Option<Surface> {
+    let class = class_of(found.process.as_ref()?);
+    let law = if found.valve_model == Some("tracking") { Law::Tracking } else { Law::He };
+    Surface::new(record, options, law, class)
+}
+
+const fn class_of(process: &Process) -> Class {
+    match (process.order, process.integrating) {
+        (1, false) => Class::First,
+        (1, true) => Class::Integrating,
+        (_, false) => Class::Second,
+        (_, true) => Class::LagIntegrating,
+    }
+}
+
+/// Mean squared error of the assessment's own bands on the surface.
+#[must_use]
+pub fn own_mse(surface: &mut Surface, found: &Assessment) -> Option<f64> {
+    let own = found.fs.zip(found.fd);
+    own.map(|(fs, fd)| surface.mse(fs, fd)).filter(|mse| mse.is_finite())
+}
+
+/// What was found on the surface, beside what [`own_mse`] said before the search.
+#[must_use]
+pub fn document(
+    name: String,
+    solved: &Solved,
+    surface: &mut Surface,
+    settings: &Settings,
+    found: &Assessment,
+    estimate_mse: Option<f64>,
+    elapsed_ms: f64,
+) -> SolverDocument {
+    let there = solved.mse.is_finite();
+    let point = if there { surface.point(solved.fs, solved.fd.min(solved.fs)) } else { None };
+    let bound = solved.outcome.lower_bound.filter(|_| there);
+    SolverDocument {
+        name,
+        fs: there.then_some(solved.fs),
+        fd: there.then_some(solved.fd),
+        mse: there.then_some(solved.mse),
+        estimate_mse,
+        order: found.process.as_ref().map_or(0, |p| p.order),
+        gain: point.as_ref().map(|p| p.gain),
+        time_constants_s: point.as_ref().map_or_else(Vec::new, |p| p.time_constants_s.clone()),
+        dead_time_s: point.as_ref().map(|p| p.dead_time_s),
+        s0: solved.s0,
+        constraint: "0 <= fd <= fs, fs + fd <= s0",
+        evaluations: solved.outcome.evaluations,
+        evaluations_limit: settings.budget,
+        stopped: solved.outcome.stopped.name(),
+        lower_bound_mse: bound,
+        bound: bound.map(|_| "heuristic"),
+        elapsed_ms,
+    }
+}

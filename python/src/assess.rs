@@ -1,0 +1,164 @@
+//! `assess`, `assess_many`, `screen`.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Mutex;
+use std::time::Instant;
+
+use pyo3::prelude::*;
+use serde_json::json;
+
+use crate::columns::{Handed, enough};
+use crate::options::{Asked, Fit, Look, config};
+use crate::supervise::{on_threads, supervised, threads};
+use crate::{StictionError, refused};
+use stiction::gap::model_file::ModelFile;
+use stiction::ident::surface::solve;
+use stiction::optim;
+use stiction::record::Sample;
+use stiction::verdict::{AssessParams, lets_go, words};
+use stiction_monitor::analysis::solver::{self, SolverDocument};
+use stiction_monitor::analysis::{self, Cut, Estimated, Points, Scored, Section, text};
+
+/// An estimate's document, and what it says in words; both JSON.
+type Told = (String, String);
+
+/// What is asked of every loop.
+struct Question {
+    section: Section,
+    cut: Cut,
+    solver: Option<Asked>,
+    score: Option<ModelFile>,
+}
+
+/// What a fit is told of a loop of this name.
+fn params_of(name: &str, fit: &Fit) -> PyResult<AssessParams> {
+    let settings = config().loop_settings(name);
+    fit.over(&settings.assess)
+}
+
+/// One estimate.
+#[pyfunction]
+pub fn assess(
+    py: Python<'_>,
+    name: &str,
+    columns: Handed,
+    look: Look,
+    fit: Fit,
+    score: Option<&str>,
+) -> PyResult<Told> {
+    let columns = columns.read()?;
+    let question = question(&look, &fit, score)?;
+    let params = params_of(name, &fit)?;
+    let name = name.to_owned();
+    let work = move |_: &_| one(&name, enough(columns.all()), &question, params);
+    supervised(py, None, work)?.map_err(StictionError::new_err)
+}
+
+fn question(look: &Look, fit: &Fit, score: Option<&str>) -> PyResult<Question> {
+    let (section, cut) = look.read()?;
+    let score = score.map(ModelFile::parse).transpose().map_err(|e| refused("score", e))?;
+    Ok(Question { section, cut, solver: fit.solver()?, score })
+}
+
+/// One loop from samples to document, as the command line goes.
+fn one(
+    name: &str,
+    samples: Result<(Vec<Sample>, Vec<String>), String>,
+    question: &Question,
+    params: AssessParams,
+) -> Result<Told, String> {
+    let (samples, mut notes) = samples.map_err(|e| format!("{name}: {e}"))?;
+    let config = config();
+    let points = Points::of(name, &samples, &config);
+    let started = Instant::now();
+    let found = analysis::estimate(&points, question.section, &question.cut, params).map_err(|e| e.to_string())?;
+    let elapsed_ms = started.elapsed().as_secs_f64() * 1e3;
+    notes.extend(points.notes.iter().chain(&found.notes).cloned());
+    let solved = question.solver.and_then(|asked| solved(asked, &found));
+    let scored = |file| Scored::of("given", file, &found.record, found.options.period_points);
+    let scored = question.score.as_ref().map(scored).transpose().map_err(|e| format!("score: {e}"))?;
+    let answer = found.answer(name, &config.hash(), elapsed_ms, solved, scored);
+    let a = &answer.document.assessment;
+    let said = json!({
+        "words": words::headline(a), "sureness": words::sureness(a), "reasons": words::evidence(a),
+        "size": words::size(a, found.params.op_range), "unknowns": words::unknowns(a, found.params.op_range),
+        "proposal": words::proposal(a), "text": text::answer(&answer), "notes": notes,
+    });
+    let document = serde_json::to_string(&answer).map_err(|e| e.to_string())?;
+    Ok((document, said.to_string()))
+}
+
+fn solved(asked: Asked, found: &Estimated) -> Option<SolverDocument> {
+    let mut surface = solver::surface(&found.record, &found.options, &found.assessment)?;
+    let own = solver::own_mse(&mut surface, &found.assessment);
+    let started = Instant::now();
+    let solved = solve(&mut surface, optim::by_name(asked.name)?, &asked.settings);
+    let elapsed_ms = started.elapsed().as_secs_f64() * 1e3;
+    let name = asked.name.to_owned();
+    Some(solver::document(name, &solved, &mut surface, &asked.settings, &found.assessment, own, elapsed_ms))
+}
+
+/// One estimate a loop, on threads. Loop `k` has the rows `ends[k - 1]` to `ends[k]`; each gives its document, or why there
+/// is none.
+#[pyfunction]
+#[allow(clippy::too_many_arguments)] // called by one place, which has them by name
+pub fn assess_many(
+    py: Python<'_>,
+    names: Vec<String>,
+    ends: Vec<usize>,
+    columns: Handed,
+    look: Look,
+    fit: Fit,
+    threads_asked: Option<usize>,
+    progress: Option<Py<PyAny>>,
+) -> PyResult<Vec<(Option<Told>, Option<String>)>> {
+    let columns = columns.read()?;
+    let question = question(&look, &fit, None)?;
+    let params: Vec<AssessParams> = names.iter().map(|name| params_of(name, &fit)).collect::<PyResult<_>>()?;
+    let work = move |watch: &crate::supervise::Watch| {
+        watch.expect(names.len() as u64);
+        let answers: Vec<Mutex<Option<Result<Told, String>>>> = names.iter().map(|_| Mutex::new(None)).collect();
+        on_threads(threads(threads_asked), names.len(), &|at| {
+            if watch.stopped() {
+                return;
+            }
+            let from = at.checked_sub(1).map_or(0, |before| ends[before]);
+            let samples = || enough(columns.samples(from, ends[at]));
+            let answer = || one(&names[at], samples(), &question, params[at].clone());
+            // One loop's fault is that loop's.
+            let answer = catch_unwind(AssertUnwindSafe(answer))
+                .unwrap_or_else(|_| Err(format!("{}: a fault inside stiction; please report it", names[at])));
+            if let Ok(mut place) = answers[at].lock() {
+                *place = Some(answer);
+            }
+            watch.one_more();
+        });
+        answers.into_iter().map(|place| place.into_inner().ok().flatten()).collect::<Vec<_>>()
+    };
+    let answers = supervised(py, progress.as_ref(), work)?;
+    let stopped = || Err("stopped".to_owned());
+    Ok(answers.into_iter().map(|answer| split(answer.unwrap_or_else(stopped))).collect())
+}
+
+fn split(answer: Result<Told, String>) -> (Option<Told>, Option<String>) {
+    match answer {
+        Ok(told) => (Some(told), None),
+        Err(why) => (None, Some(why)),
+    }
+}
+
+/// Whether the daemon would let the record go as that of a calm loop.
+#[pyfunction]
+pub fn screen(py: Python<'_>, name: &str, columns: Handed, look: Look) -> PyResult<bool> {
+    let columns = columns.read()?;
+    let (section, cut) = look.read()?;
+    let name = name.to_owned();
+    let work = move |_: &_| {
+        let (samples, _) = enough(columns.all()).map_err(|e| format!("{name}: {e}"))?;
+        let points = Points::of(&name, &samples, &config());
+        let most = points.settings.window.max_points;
+        let (record, ..) = cut.record(&points, section, most).map_err(|e| e.to_string())?;
+        Ok(lets_go(&record, &points.settings.assess))
+    };
+    supervised(py, None, work)?.map_err(|e: String| StictionError::new_err(e))
+}

@@ -1,0 +1,121 @@
+//! `diagnose`.
+
+use std::time::{Duration, Instant};
+
+use pyo3::prelude::*;
+use pyo3::types::PyBytes;
+use serde_json::json;
+
+use crate::columns::{Handed, bytes_of, enough, stamps_of};
+use crate::options::{Look, config};
+use crate::supervise::{Watch, on_threads, supervised, threads};
+use crate::{StictionError, refused};
+use stiction::gap::model_file::ModelFile;
+use stiction::gap::{Executor, GapError, effects, text};
+use stiction_monitor::analysis::Points;
+use stiction_monitor::analysis::gap::{BaseChoice, Question, diagnose as diagnosed, record};
+use stiction_monitor::analysis::predictions::{Row, rows};
+
+/// What is asked.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+pub struct Asked {
+    base: String,
+    without: Vec<String>,
+    pairs: bool,
+    budget_s: Option<f64>,
+    seed: u64,
+    threads: Option<usize>,
+}
+
+impl Asked {
+    fn read(&self) -> PyResult<Question> {
+        let base = match self.base.as_str() {
+            "refit" => BaseChoice::Refit,
+            "linear" => BaseChoice::Linear,
+            model => BaseChoice::File(Box::new(ModelFile::parse(model).map_err(|e| refused("base", e))?)),
+        };
+        if let Some(id) = self.without.iter().find(|id| !effects::ALL.iter().any(|e| e.id == id.as_str())) {
+            let known = effects::ALL.iter().map(|e| e.id).collect::<Vec<_>>().join(", ");
+            return Err(refused("without", GapError::UnknownEffect { id: id.clone(), known }));
+        }
+        if let Some(budget) = self.budget_s.filter(|s| !(s.is_finite() && *s > 0.0)) {
+            return Err(refused("budget_s", format!("{budget} is no time; give seconds above 0")));
+        }
+        Ok(Question {
+            base,
+            without: self.without.clone(),
+            pairs: self.pairs,
+            budget_s: self.budget_s,
+            seed: self.seed,
+        })
+    }
+}
+
+/// Threads and a clock for a search that knows neither; ends when its time is up or the caller has gone.
+struct Crew<'w> {
+    threads: usize,
+    until: Option<Instant>,
+    watch: &'w Watch,
+}
+
+impl Executor for Crew<'_> {
+    fn run(&self, jobs: usize, job: &(dyn Fn(usize) + Sync)) {
+        on_threads(self.threads, jobs, job);
+    }
+
+    fn tick(&self, done: u64) -> bool {
+        self.watch.reached(done);
+        !self.watch.stopped() && self.until.is_none_or(|until| Instant::now() < until)
+    }
+}
+
+/// Document and words (JSON), and the columns t (ns), pv, base, after, held_out.
+type Told<'py> = (String, String, [Bound<'py, PyBytes>; 5]);
+
+/// One gap diagnosis.
+#[pyfunction]
+pub fn diagnose<'py>(
+    py: Python<'py>,
+    name: &str,
+    columns: Handed,
+    look: Look,
+    asked: Asked,
+    progress: Option<Py<PyAny>>,
+) -> PyResult<Told<'py>> {
+    let columns = columns.read()?;
+    let (section, cut) = look.read()?;
+    let question = asked.read()?;
+    let team = threads(asked.threads);
+    let name = name.to_owned();
+    let work = move |watch: &Watch| {
+        let (samples, mut notes) = enough(columns.all()).map_err(|e| format!("{name}: {e}"))?;
+        let points = Points::of(&name, &samples, &config());
+        let (record, more) = record(&points, section, &cut).map_err(|e| e.to_string())?;
+        notes.extend(points.notes.iter().cloned().chain(more));
+        let ask = question.ask(&record);
+        watch.expect(ask.budget_evaluations);
+        let until = question.budget_s.map(|s| Instant::now() + Duration::from_secs_f64(s));
+        let crew = Crew { threads: team, until, watch };
+        let found = diagnosed(&name, record, &ask, &crew).map_err(|e| format!("{name}: {e}"))?;
+        let whole = points.samples(section).map_err(|e| e.to_string())?;
+        let rows = rows(&whole, &found.record, &found.diagnosis);
+        let d = &found.document;
+        let said = json!({
+            "words": text::answer(d), "paragraph": text::paragraph(d), "text": text::report(d), "notes": notes,
+        });
+        let document = serde_json::to_string(d).map_err(|e| e.to_string())?;
+        Ok((document, said.to_string(), rows))
+    };
+    let answer: Result<(String, String, Vec<Row>), String> = supervised(py, progress.as_ref(), work)?;
+    let (document, said, rows) = answer.map_err(StictionError::new_err)?;
+    let run = |which: usize| rows.iter().map(move |row| row.simulated.map_or(f64::NAN, |both| both[which]));
+    let columns = [
+        stamps_of(py, rows.iter().map(|row| row.t_ns)),
+        bytes_of(py, rows.iter().map(|row| row.pv)),
+        bytes_of(py, run(0)),
+        bytes_of(py, run(1)),
+        bytes_of(py, rows.iter().map(|row| f64::from(u8::from(row.held_out)))),
+    ];
+    Ok((document, said, columns))
+}

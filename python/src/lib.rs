@@ -1,0 +1,48 @@
+//! The native half of the Python package `stiction`. It takes columns as bytes and options as dictionaries, which
+//! `stiction/__init__.py` makes of whatever a caller has, and answers with the documents of the command line as JSON.
+//!
+//! | file | |
+//! |---|---|
+//! | `columns.rs` | bytes to samples |
+//! | `options.rs` | words and numbers to what a fit is told |
+//! | `supervise.rs` | work on threads without Python's lock, watched for Ctrl-C and progress |
+//! | `assess.rs`, `diagnose.rs`, `simulate.rs` | the functions |
+
+mod assess;
+mod columns;
+mod diagnose;
+mod options;
+mod simulate;
+mod supervise;
+
+use pyo3::create_exception;
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+
+create_exception!(
+    stiction,
+    StictionError,
+    PyValueError,
+    "What was handed over cannot be used; the message says the remedy."
+);
+
+/// An error that names the argument and the remedy.
+fn refused(argument: &str, why: impl core::fmt::Display) -> PyErr {
+    StictionError::new_err(format!("{argument}: {why}"))
+}
+
+/// Native functions of the package `stiction`; use that.
+#[pymodule]
+mod _stiction {
+    #[pymodule_export]
+    use super::StictionError;
+    #[pymodule_export]
+    use super::assess::{assess, assess_many, screen};
+    #[pymodule_export]
+    use super::diagnose::diagnose;
+    #[pymodule_export]
+    use super::simulate::simulate;
+    #[pymodule_export]
+    #[allow(non_upper_case_globals)]
+    const __version__: &str = stiction::VERSION;
+}

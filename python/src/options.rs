@@ -1,0 +1,136 @@
+//! Words and numbers of Python to what a fit is told; each fault names its argument and the remedy.
+
+use pyo3::prelude::*;
+
+use crate::refused;
+use stiction::ident::surface::BUDGET;
+use stiction::optim;
+use stiction::units::{LoopKind, parse_time};
+use stiction::verdict::{AssessParams, ModelChoice, ValveChoice};
+use stiction_monitor::analysis::{Cut, Detrend, Section, delay_choice};
+use stiction_monitor::config::Config;
+
+/// What is looked at: the same for every function.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+pub struct Look {
+    samples: Option<(usize, usize)>,
+    window: Option<(String, String)>,
+    downsample: Option<f64>,
+    downsample_like_toolbox: bool,
+    detrend: Option<String>,
+}
+
+/// What the fit is told.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+pub struct Fit {
+    op_range: Option<(f64, f64)>,
+    kind: Option<String>,
+    model: String,
+    delay: String,
+    valve: String,
+    solver: Option<String>,
+    fineness_pct: f64,
+    evaluations: u64,
+    seed: u64,
+}
+
+/// The one of some names that was written.
+fn one_of<T>(argument: &str, written: &str, known: &[(&str, T)]) -> PyResult<T>
+where
+    T: Copy,
+{
+    let names = || known.iter().map(|(name, _)| format!("{name:?}")).collect::<Vec<_>>().join(", ");
+    let found = known.iter().find(|(name, _)| *name == written).map(|(_, value)| *value);
+    found.ok_or_else(|| refused(argument, format!("{written:?} is not known; write one of {}", names())))
+}
+
+impl Look {
+    /// The section and its density.
+    pub fn read(&self) -> PyResult<(Section, Cut)> {
+        let section = match (&self.samples, &self.window) {
+            (Some(_), Some(_)) => return Err(refused("samples", "and window both choose a section; give one of them")),
+            (Some((start, end)), None) => Section::of_samples(*start, *end).map_err(|e| refused("samples", e))?,
+            (None, Some((from, to))) => {
+                Section::of_times(stamp(from)?, stamp(to)?).map_err(|e| refused("window", e))?
+            }
+            (None, None) => Section::Whole,
+        };
+        if let Some(ratio) = self.downsample.filter(|ratio| !(ratio.is_finite() && *ratio > 1.0)) {
+            return Err(refused("downsample", format!("{ratio} is no ratio; give a number above 1, such as 2 or 2.5")));
+        }
+        if self.downsample_like_toolbox && self.downsample.is_none() {
+            return Err(refused("downsample_like_toolbox", "needs downsample, the ratio"));
+        }
+        let detrends = [("mean", Detrend::Mean), ("median", Detrend::Median), ("linear", Detrend::Linear)];
+        let detrend = self.detrend.as_deref().map(|word| one_of("detrend", word, &detrends)).transpose()?;
+        let cut = Cut { downsample: self.downsample, like_toolbox: self.downsample_like_toolbox, detrend };
+        Ok((section, cut))
+    }
+}
+
+/// A time as the command line writes it.
+fn stamp(text: &str) -> PyResult<i64> {
+    let read = match text.strip_suffix("ns") {
+        Some(ns) => ns.parse::<i64>().map_err(|_| format!("{text:?} is not a whole number of ns")),
+        None => parse_time(text).map_err(|e| e.to_string()),
+    };
+    read.map_err(|e| refused("window", e))
+}
+
+/// A solver to compare with.
+#[derive(Debug, Clone, Copy)]
+pub struct Asked {
+    /// Its name.
+    pub name: &'static str,
+    /// Models it may try, step of its grid, seed.
+    pub settings: optim::Settings,
+}
+
+impl Fit {
+    /// What is told over a loop's own settings.
+    pub fn over(&self, own: &AssessParams) -> PyResult<AssessParams> {
+        let mut params = own.clone();
+        if let Some((low, high)) = self.op_range {
+            if !(low.is_finite() && high.is_finite() && high > low) {
+                return Err(refused(
+                    "op_range",
+                    format!("({low}, {high}) is empty; give (low, high), such as (0, 100)"),
+                ));
+            }
+            params.op_range = Some([low, high]);
+        }
+        if let Some(word) = &self.kind {
+            params.kind = one_of("kind", word, &LoopKind::ALL.map(|kind| (kind.name(), kind)))?;
+        }
+        let models = [("auto", ModelChoice::Auto), ("fopdt", ModelChoice::Fopdt), ("sopdt", ModelChoice::Sopdt)];
+        params.fit.model = one_of("model", &self.model, &models)?;
+        let valves = [("auto", ValveChoice::Auto), ("he", ValveChoice::He), ("tracking", ValveChoice::Tracking)];
+        params.fit.valve = one_of("valve", &self.valve, &valves)?;
+        params.fit.delay = delay_choice(&self.delay).map_err(|e| refused("delay", e))?;
+        if !(0.5..=50.0).contains(&self.fineness_pct) {
+            return Err(refused("fineness_pct", format!("{} is no step; give 0.5 to 50 %", self.fineness_pct)));
+        }
+        params.fit.fineness_pct = self.fineness_pct;
+        params.fit.seed = self.seed;
+        Ok(params)
+    }
+
+    /// The solver that was asked for.
+    pub fn solver(&self) -> PyResult<Option<Asked>> {
+        if !(1..=10_000_000).contains(&self.evaluations) {
+            let why = format!("{} is out of range; give 1 to 10000000, such as {BUDGET}", self.evaluations);
+            return Err(refused("evaluations", why));
+        }
+        let Some(word) = &self.solver else { return Ok(None) };
+        let name = one_of("solver", word, &optim::ALL.map(|solver| (solver.name(), solver.name())))?;
+        let settings = optim::Settings { budget: self.evaluations, fineness_pct: self.fineness_pct, seed: self.seed };
+        Ok(Some(Asked { name, settings }))
+    }
+}
+
+/// The configuration of whatever says none, as for tables on the command line.
+pub fn config() -> Config {
+    Config::with_prefix("plant")
+}

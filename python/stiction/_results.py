@@ -1,0 +1,335 @@
+"""What the functions answer with."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+Interval: TypeAlias = tuple[float, float]
+Verdict: TypeAlias = Literal[
+    "stiction", "deadband", "disturbance", "tuning", "no_oscillation", "no_stiction", "inconclusive"
+]
+
+
+def _interval(value: Any) -> Interval | None:
+    return None if value is None else (value[0], value[1])
+
+
+@dataclass(frozen=True)
+class Process:
+    """The process that goes with the bands found."""
+
+    order: int
+    """1 or 2."""
+    gain: float
+    """PV units per OP unit; per second too where it integrates."""
+    time_constants_s: tuple[float, ...]
+    """Time constants, s, largest first; none for a pure integrator."""
+    dead_time_s: float
+    """Dead time, s."""
+    integrating: bool
+    """Integrates instead of settling."""
+    mse: float
+    """Mean squared error of the free run, PV units squared."""
+    fit_pct: float
+    """100 (1 - rms error / standard deviation of PV)."""
+
+
+@dataclass(frozen=True)
+class Assessment:
+    """Whether a valve sticks, how much, and how sure that is. What does not exist is None.
+
+    Sizes are in OP's units, times in s; `docs/verdicts.md` defines every number. `str()` gives the page that the command
+    line prints, `to_dict()` the document that it writes.
+    """
+
+    loop: str
+    """The loop's name."""
+    verdict: Verdict
+    """`stiction`, `deadband`, `disturbance`, `tuning`, `no_oscillation`, `no_stiction` or `inconclusive`."""
+    stiction: bool | None
+    """True for `stiction` and `deadband`, None for `inconclusive`."""
+    p_stiction: float | None
+    """Probability that the valve sticks, 0..1."""
+    confidence: float | None
+    """Probability of the verdict."""
+    grade: str | None
+    """A (sure, and measured closely) to D (no answer)."""
+    s: float | None
+    """Deadband and stickband, fs + fd: what OP must travel after a turn before the stem moves."""
+    j: float | None
+    """Slip jump, fs - fd."""
+    fs: float | None
+    """Static friction band."""
+    fd: float | None
+    """Kinetic friction band."""
+    s_interval: Interval | None
+    """90 % interval of s; from 0 where nothing sticks."""
+    j_interval: Interval | None
+    """90 % interval of j."""
+    fs_interval: Interval | None
+    """90 % interval of fs."""
+    fd_interval: Interval | None
+    """90 % interval of fd."""
+    s_detectable: float | None
+    """The smallest s that would have been found here; None where it sticks."""
+    stiction_index: float | None
+    """1 - error of the best sticking model / error of the best without, 0..1."""
+    severity: str | None
+    """Size in % of travel as a word; None unless op_range was given."""
+    oscillating: bool
+    """Whether OP and PV oscillate regularly together."""
+    period_s: float | None
+    """Period of the oscillation, s."""
+    process: Process | None
+    """Process behind the valve."""
+    valve_model: str | None
+    """`he` or `tracking`."""
+    s0: float | None
+    """Span of OP, which fs + fd was kept within."""
+    gates: tuple[str, ...]
+    """What keeps the answer from being sure, or at all."""
+    reason: str | None
+    """Why there is no answer, or nothing beside it."""
+    words: str
+    """The verdict in a sentence."""
+    sureness: str
+    """How sure it is, in a sentence."""
+    size: str | None
+    """The size in a sentence."""
+    reasons: tuple[tuple[str, float], ...]
+    """What speaks for (above 0) and against, strongest first, logits."""
+    unknowns: tuple[str, ...]
+    """What the record leaves open."""
+    proposal: str | None
+    """A bump test that would settle it."""
+    notes: tuple[str, ...]
+    """What was done to the rows: left out, put in order."""
+    _document: str = field(repr=False)
+    _text: str = field(repr=False)
+
+    ok = True
+    """An assessment, not a `Failure`."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """The document as `stictiond analyze --format json` writes it, schema `stictiond.estimate.v1`."""
+        found: dict[str, Any] = json.loads(self._document)
+        return found
+
+    def to_json(self) -> str:
+        """The same as text."""
+        return self._document
+
+    def __str__(self) -> str:
+        return self._text
+
+
+def assessment_of(document: str, said: str) -> Assessment:
+    """Reads what the native half answers."""
+    d, words = json.loads(document), json.loads(said)
+    process = d["process"]
+    if process is not None:
+        process = Process(**{**process, "time_constants_s": tuple(process["time_constants_s"])})
+    plain = ("verdict", "stiction", "p_stiction", "confidence", "grade", "s", "j", "fs", "fd", "s_detectable")
+    more = ("stiction_index", "severity", "valve_model", "s0", "reason")
+    intervals = ("s_interval", "j_interval", "fs_interval", "fd_interval")
+    same: dict[str, Any] = {name: d[name] for name in plain + more}
+    same.update({name: _interval(d[name]) for name in intervals})
+    return Assessment(
+        loop=d["loop"],
+        **same,
+        oscillating=d["oscillation"]["oscillating"],
+        period_s=d["oscillation"]["period_s"],
+        process=process,
+        gates=tuple(d["gates"]),
+        words=words["words"],
+        sureness=words["sureness"],
+        size=words["size"],
+        reasons=tuple((text, logit) for text, logit in words["reasons"]),
+        unknowns=tuple(words["unknowns"]),
+        proposal=words["proposal"],
+        notes=tuple(words["notes"]),
+        _document=document,
+        _text=words["text"],
+    )
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A loop of many that could not be assessed."""
+
+    loop: str
+    """The loop's name."""
+    error: str
+    """Why, and the remedy."""
+
+    ok = False
+    """Not an assessment."""
+
+
+def as_columns(results: Iterable[Assessment | Failure]) -> dict[str, list[Any]]:
+    """Results as columns, one row a loop: `pandas.DataFrame(as_columns(results))`.
+
+    >>> as_columns([Failure("FIC1", "3 usable samples")])["error"]
+    ['3 usable samples']
+    """
+    names = (
+        "loop", "verdict", "stiction", "p_stiction", "confidence", "grade", "s", "j", "fs", "fd", "s_detectable",
+        "stiction_index", "severity", "oscillating", "period_s", "valve_model", "reason", "words", "error",
+    )  # fmt: skip
+    rows = list(results)
+    columns: dict[str, list[Any]] = {name: [getattr(row, name, None) for row in rows] for name in names}
+    for end, side in ((0, "low"), (1, "high")):
+        intervals = [row.s_interval if isinstance(row, Assessment) else None for row in rows]
+        columns[f"s_{side}"] = [None if pair is None else pair[end] for pair in intervals]
+    return columns
+
+
+@dataclass(frozen=True)
+class Effect:
+    """An effect that was added to the loop's model."""
+
+    id: str
+    """Its name, one of the table in `docs/gap.md`."""
+    gap_before: float
+    """Gap without it, PV units (rms)."""
+    gap_after: float
+    """Gap with it."""
+    closed_pct: float | None
+    """Share of the gap that it closes, %."""
+    closed_interval: Interval | None
+    """90 % interval of that share."""
+
+
+@dataclass(frozen=True, eq=False)
+class Predictions:
+    """Measured and simulated PV, row by row; NaN where a free run does not count."""
+
+    t: NDArray[np.datetime64]
+    """Times, UTC."""
+    pv: NDArray[np.float64]
+    """PV as measured."""
+    base: NDArray[np.float64]
+    """Free run of the base."""
+    after: NDArray[np.float64]
+    """Free run of the base with the cause."""
+    held_out: NDArray[np.bool_]
+    """Where no model was fitted to the row."""
+
+
+@dataclass(frozen=True, eq=False)
+class Gap:
+    """What a loop's model leaves unexplained, and what causes it.
+
+    `docs/gap.md` defines every number. `str()` gives the report that the command line prints, `to_dict()` the document.
+    """
+
+    loop: str
+    """The loop's name."""
+    cause: str
+    """The effect that causes the gap, `none` or `unknown`."""
+    probability: float
+    """Probability of the cause, 0..1."""
+    confirmed: bool
+    """Whether data that nothing was fitted to confirm it."""
+    rmse: float
+    """Gap of the base, PV units (rms of the free run on data it was not fitted to)."""
+    noise_floor: float
+    """What noise alone would leave, PV units."""
+    effects: tuple[Effect, ...]
+    """Every effect that was tried, best first."""
+    alternatives: tuple[tuple[str, float], ...]
+    """Other causes with their probabilities."""
+    next_test: dict[str, Any] | None
+    """The experiment that would settle it."""
+    stopped_early: bool
+    """Whether the search was ended by its time."""
+    words: str
+    """The answer in a few words."""
+    paragraph: str
+    """The answer in a paragraph."""
+    notes: tuple[str, ...]
+    """What was done to the rows."""
+    predictions: Predictions
+    """Measured and simulated PV."""
+    _document: str = field(repr=False)
+    _text: str = field(repr=False)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The document as `stictiond gap --format json` writes it, schema `stictiond.gap.v1`."""
+        found: dict[str, Any] = json.loads(self._document)
+        return found
+
+    def to_json(self) -> str:
+        """The same as text."""
+        return self._document
+
+    def __str__(self) -> str:
+        return self._text
+
+
+def gap_of(document: str, said: str, columns: list[bytes]) -> Gap:
+    """Reads what the native half answers."""
+    d, words = json.loads(document), json.loads(said)
+    t = times_of(columns[0])
+    pv, base, after, held_out = (doubles_of(column) for column in columns[1:])
+
+    def effect(e: dict[str, Any]) -> Effect:
+        interval = _interval(e["closed_interval"])
+        return Effect(e["id"], e["gap_before"], e["gap_after"], e["closed_pct"], interval)
+
+    return Gap(
+        loop=d["loop"],
+        cause=d["cause"]["id"],
+        probability=d["cause"]["probability"],
+        confirmed=d["cause"]["confirmed"],
+        rmse=d["gap"]["rmse"],
+        noise_floor=d["gap"]["noise_floor"],
+        effects=tuple(effect(e) for e in d["effects"]),
+        alternatives=tuple((a["id"], a["probability"]) for a in d["alternatives"]),
+        next_test=d["next_test"],
+        stopped_early=d["stopped_early"],
+        words=words["words"],
+        paragraph=words["paragraph"],
+        notes=tuple(words["notes"]),
+        predictions=Predictions(t, pv, base, after, held_out > 0),
+        _document=document,
+        _text=words["text"],
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Simulation:
+    """A simulated loop: arrays of one length."""
+
+    loop: str
+    """Its name."""
+    truth: str
+    """What is true of it, for people."""
+    ts_s: float
+    """Time between samples, s."""
+    t: NDArray[np.datetime64]
+    """Times, UTC."""
+    op: NDArray[np.float64]
+    """Controller output, %."""
+    pv: NDArray[np.float64]
+    """Process variable."""
+    sp: NDArray[np.float64]
+    """Set point, PV units."""
+    mv: NDArray[np.float64]
+    """Valve position behind the friction, %."""
+
+
+def doubles_of(column: bytes) -> NDArray[np.float64]:
+    """A column of the native half."""
+    return np.frombuffer(column, dtype="<f8").astype(np.float64)
+
+
+def times_of(column: bytes) -> NDArray[np.datetime64]:
+    """A column of stamps of the native half."""
+    return np.frombuffer(column, dtype="<i8").astype(np.int64).view("datetime64[ns]")

@@ -1,0 +1,35 @@
+"""Native functions; use the package `stiction`."""
+
+from collections.abc import Callable
+from typing import Any
+
+__version__: str
+
+class StictionError(ValueError):
+    """What was handed over cannot be used; the message says the remedy."""
+
+def assess(
+    name: str,
+    columns: dict[str, Any],
+    look: dict[str, Any],
+    fit: dict[str, Any],
+    score: str | None,
+) -> tuple[str, str]: ...
+def assess_many(
+    names: list[str],
+    ends: list[int],
+    columns: dict[str, Any],
+    look: dict[str, Any],
+    fit: dict[str, Any],
+    threads_asked: int | None,
+    progress: Callable[[int, int], object] | None,
+) -> list[tuple[tuple[str, str] | None, str | None]]: ...
+def screen(name: str, columns: dict[str, Any], look: dict[str, Any]) -> bool: ...
+def diagnose(
+    name: str,
+    columns: dict[str, Any],
+    look: dict[str, Any],
+    asked: dict[str, Any],
+    progress: Callable[[int, int], object] | None,
+) -> tuple[str, str, list[bytes]]: ...
+def simulate(scenario: str, json: bool) -> list[tuple[str, str, float, list[bytes]]]: ...
