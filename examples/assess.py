@@ -105,7 +105,7 @@ axes.set_ylim(-0.6, 3.6)
 axes.set_xlim(left=0)
 axes.margins(x=0.12)
 axes.set_xlabel("% of OP; bar: 90 % interval")
-axes.set_title(f"{name}: how much it sticks" + (f" ({found.severity})" if found.severity else ""), loc="left")
+axes.set_title(f"{name}: how much it sticks" + (f" ({found.severity_by_range})" if found.severity_by_range else ""), loc="left")
 figure.tight_layout()
 figure.savefig(PICTURES / "sizes.png")
 

@@ -153,7 +153,7 @@ def assess(
     ts_s: seconds between samples; or t: their times, seconds since 1970 or datetime64 (UTC unless a zone says else).
     sp, mv, mode: set point (PV units), measured valve position, controller mode (`auto`, `manual`, `cascade`).
     name: the loop's tag; FIC101 tells a flow loop, unless `kind` does.
-    op_range: OP's whole range, such as (0, 100), so that `severity` is told.
+    op_range: OP's whole range, such as (0, 100), so that `severity_by_range` is told.
     model: order of the process, `fopdt` or `sopdt`. delay: dead time, samples (3) or seconds ("12s").
     valve: law of friction. solver: also set this one on the error surface (`solver` in `to_dict()`), with
     `evaluations` models, a grid of `fineness_pct` % of OP's span. seed: of every random choice.

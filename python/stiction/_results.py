@@ -80,7 +80,7 @@ class Assessment:
     """The smallest s that would have been found here; None where it sticks."""
     stiction_index: float | None
     """1 - error of the best sticking model / error of the best without, 0..1."""
-    severity: str | None
+    severity_by_range: str | None
     """Size in % of travel as a word; None unless op_range was given."""
     oscillating: bool
     """Whether OP and PV oscillate regularly together."""
@@ -136,7 +136,7 @@ def assessment_of(document: str, said: str) -> Assessment:
     if process is not None:
         process = Process(**{**process, "time_constants_s": tuple(process["time_constants_s"])})
     plain = ("verdict", "stiction", "p_stiction", "confidence", "grade", "s", "j", "fs", "fd", "s_detectable")
-    more = ("stiction_index", "severity", "valve_model", "s0", "reason")
+    more = ("stiction_index", "severity_by_range", "valve_model", "s0", "reason")
     intervals = ("s_interval", "j_interval", "fs_interval", "fd_interval")
     same: dict[str, Any] = {name: d[name] for name in plain + more}
     same.update({name: _interval(d[name]) for name in intervals})
@@ -180,7 +180,7 @@ def as_columns(results: Iterable[Assessment | Failure]) -> dict[str, list[Any]]:
     """
     names = (
         "loop", "verdict", "stiction", "p_stiction", "confidence", "grade", "s", "j", "fs", "fd", "s_detectable",
-        "stiction_index", "severity", "oscillating", "period_s", "valve_model", "reason", "words", "error",
+        "stiction_index", "severity_by_range", "oscillating", "period_s", "valve_model", "reason", "words", "error",
     )  # fmt: skip
     rows = list(results)
     columns: dict[str, list[Any]] = {name: [getattr(row, name, None) for row in rows] for name in names}

@@ -83,7 +83,7 @@ pub struct LoopHealth {
     /// Seconds between the newest source time and now; negative where the plant's clock is ahead.
     pub data_age_s: Option<f64>,
     /// Holes that ended a stretch.
-    pub gaps: u64,
+    pub data_gaps: u64,
     /// Samples that were dropped: duplicate, late or stamped far off.
     pub dropped: u64,
     /// Samples that were put in for lost ones.
@@ -105,7 +105,7 @@ impl LoopHealth {
             schema: LOOP_HEALTH_SCHEMA,
             loop_name: loop_name.to_owned(),
             data_age_s: figures.greatest_ns.map(|t| s_from_ns(now_ns.saturating_sub(t))),
-            gaps: c.gaps,
+            data_gaps: c.gaps,
             dropped: c.duplicates + c.late + c.stamp_outliers,
             filled: c.filled,
             bad: c.bad,

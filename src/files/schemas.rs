@@ -34,7 +34,17 @@ fn fields(kind: Kind) -> Fields {
                 "stiction_index",
                 "s_over_span",
             ],
-            texts: &["schema", "loop", "verdict", "grade", "region", "strength", "severity", "version", "config_hash"],
+            texts: &[
+                "schema",
+                "loop",
+                "verdict",
+                "grade",
+                "region",
+                "strength_by_span",
+                "severity_by_range",
+                "version",
+                "config_hash",
+            ],
             flags: &["stiction", "j_identifiable"],
             objects: &[
                 ("window", &["start_ns", "end_ns", "samples", "ts_s"]),

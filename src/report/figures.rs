@@ -90,8 +90,8 @@ pub fn detailed(of: &Subject<'_>) -> Figures {
         }
         out.extend(draws(of, detail)?);
     }
-    if of.assessment.witnesses.iter().any(|w| w.contribution != 0.0) {
-        out.push(witnesses(of.assessment)?);
+    if of.assessment.indicators.iter().any(|w| w.contribution != 0.0) {
+        out.push(indicators(of.assessment)?);
     }
     Ok(out)
 }
@@ -377,10 +377,10 @@ fn orders(of: &Subject<'_>, detail: &Detail) -> Result<Figure, PlotError> {
     Ok(Figure { picture, caption, wide: false })
 }
 
-fn witnesses(a: &Assessment) -> Result<Figure, PlotError> {
+fn indicators(a: &Assessment) -> Result<Figure, PlotError> {
     let base =
         a.explanation.map(|e| Bar { label: "base", value: Some(e.base), interval: None, ink: Ink::Sp, note: "" });
-    let said = a.witnesses.iter().map(|w| Bar {
+    let said = a.indicators.iter().map(|w| Bar {
         label: w.name,
         value: w.score.map(|_| w.contribution),
         interval: None,
@@ -395,8 +395,8 @@ fn witnesses(a: &Assessment) -> Result<Figure, PlotError> {
         note: "",
     });
     let rows: Vec<Bar<'_>> = base.into_iter().chain(said).chain(sum).collect();
-    let picture = bars("Witnesses", HALF, "logits: right for sticking, left against", &rows)?;
+    let picture = bars("Indicators", HALF, "logits: right for sticking, left against", &rows)?;
     let caption =
-        "What each witness adds; together they are the logit of the probability. docs/method.md, \"The rule\".";
+        "What each indicator adds; together they are the logit of the probability. docs/method.md, \"The rule\".";
     Ok(Figure { picture, caption: caption.to_owned(), wide: false })
 }

@@ -69,9 +69,9 @@ ESTIMATE = {
     "grade": (str, None), "fs": (float, None), "fd": (float, None), "s": (float, None), "j": (float, None),
     "fs_interval": (list, None), "fd_interval": (list, None), "s_interval": (list, None), "j_interval": (list, None),
     "interval_level": (float, None), "j_identifiable": (bool, None), "s_detectable": (float, None),
-    "stiction_index": (float, None), "s_over_span": (float, None), "region": (str, None), "strength": (str, None),
-    "severity": (str, None), "valve_model": (str, None), "process": (dict, None), "controller": (dict, None),
-    "witnesses": list, "elapsed_ms": (None,), "version": str, "config_hash": str,
+    "stiction_index": (float, None), "s_over_span": (float, None), "region": (str, None), "strength_by_span": (str, None),
+    "severity_by_range": (str, None), "valve_model": (str, None), "process": (dict, None), "controller": (dict, None),
+    "indicators": list, "elapsed_ms": (None,), "version": str, "config_hash": str,
 }
 WINDOW = {"start_ns": int, "end_ns": int, "samples": int, "ts_s": float}
 OSCILLATION = {
@@ -246,8 +246,8 @@ def test_live_recorded_replayed(folder):
         # One of four short windows may end in a wrong place of the search.
         assert sum(near) >= 3, near
         assert abs(heard.estimates("FIC101")[-1]["oscillation"]["period_s"] - 77) < 8
-        assert heard.estimates("FIC101")[-1]["severity"] == "strong"
-        assert heard.estimates("FIC105")[-1]["severity"] is None
+        assert heard.estimates("FIC101")[-1]["severity_by_range"] == "strong"
+        assert heard.estimates("FIC105")[-1]["severity_by_range"] is None
         for loop in ("TIC102", "PIC103"):
             assert heard.estimates(loop)[-1]["stiction"] is False, heard.estimates(loop)[-1]
         assert verdicts["FIC106"] == "inconclusive" and "bad_quality" in heard.estimates("FIC106")[-1]["gates"]
@@ -323,7 +323,7 @@ def test_live_recorded_replayed(folder):
         assert daemon.healthz()["config_hash"] == health["config_hash"]
         eventually("health of a loop", lambda: heard.by_key[f"{PLANE}/FIC106/health"], 70)
         of_loop = heard.by_key[f"{PLANE}/FIC106/health"][-1]
-        check_fields(of_loop, {"schema": str, "loop": str, "data_age_s": float, "gaps": int, "dropped": int}, "health")
+        check_fields(of_loop, {"schema": str, "loop": str, "data_age_s": float, "data_gaps": int, "dropped": int}, "health")
         text = daemon.get("/metrics")
         assert "stictiond_estimates_total" in text and text.rstrip().endswith("# EOF")
         samples = int(next(l for l in text.splitlines() if l.startswith("stictiond_samples_total")).split()[1])

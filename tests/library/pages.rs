@@ -177,9 +177,9 @@ fn tables_list_what_there_is() {
     let effects = names(stiction::gap::effects::ALL.iter().map(|e| e.id).collect());
     assert_eq!(column("docs/gap.md", "effect"), effects);
     // Those that are made of the fit stand among the others.
-    let mut witnesses = names(stiction::detect::ALL.iter().map(|d| d.name()).collect());
-    witnesses.extend(["likelihood", "confirmed", "moves"].map(str::to_owned));
-    assert_eq!(sorted(column("docs/method.md", "witness")), sorted(witnesses));
+    let mut indicators = names(stiction::detect::ALL.iter().map(|d| d.name()).collect());
+    indicators.extend(["likelihood", "confirmed", "moves"].map(str::to_owned));
+    assert_eq!(sorted(column("docs/method.md", "indicator")), sorted(indicators));
 }
 
 #[test]

@@ -256,9 +256,10 @@ fn evaluate_counts_records_data_and_valves() {
     assert!(last["brier"].as_f64().is_some_and(|b| (0.0..=1.0).contains(&b)));
     let counted: u64 = last["reliability"].as_array().unwrap().iter().map(|b| b["count"].as_u64().unwrap()).sum();
     assert_eq!(counted, 4);
-    // What the witnesses say adds up to the probability that is given.
+    // What the indicators say adds up to the probability that is given.
     for case in &cases[..5] {
-        let said: f64 = case["witnesses"].as_array().unwrap().iter().map(|w| w["contribution"].as_f64().unwrap()).sum();
+        let said: f64 =
+            case["indicators"].as_array().unwrap().iter().map(|w| w["contribution"].as_f64().unwrap()).sum();
         let logit = case["explanation"]["base"].as_f64().unwrap() + said;
         let p = 1.0 / (1.0 + (-logit).exp());
         assert!((p - case["p_stiction"].as_f64().unwrap()).abs() < 1e-9, "{case}");

@@ -25,7 +25,7 @@ fn a_page_and_a_sheet_are_written_and_never_overwritten_unasked() {
     for part in ["FIC101", "% of travel", "Bump test", "Error map, order 1", "Error map, order 2", "Histogram of fd"] {
         assert!(html.contains(part), "{part}");
     }
-    for part in ["Loop diagram", "Phase plot, shifted", "Decision chart", "Witnesses", "stictiond analyze recordings/"]
+    for part in ["Loop diagram", "Phase plot, shifted", "Decision chart", "Indicators", "stictiond analyze recordings/"]
     {
         assert!(html.contains(part), "{part}");
     }

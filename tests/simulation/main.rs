@@ -88,7 +88,7 @@ fn scripted(seed: u64, name: &str, request: &Request) -> Assessment {
     let oscillation = Oscillation { oscillating: sticks, period_s, periods, samples_per_period, regularity };
     let mut a = Assessment::empty(window, oscillation);
     (a.verdict, a.stiction, a.s) = (verdict, verdict.stiction(), Some(s));
-    a.strength = Some(CLASSES[(draw(&format!("class {}", request.end_ns)) % 3) as usize]);
+    a.strength_by_span = Some(CLASSES[(draw(&format!("class {}", request.end_ns)) % 3) as usize]);
     a
 }
 

@@ -48,7 +48,7 @@ pub struct Oracle {
 
 /// What a window says by its published document, by the rule of the configuration.
 fn vote_of(document: &Value) -> (Option<char>, usize) {
-    let class = document["severity"].as_str().or(document["strength"].as_str()).unwrap_or("none");
+    let class = document["severity_by_range"].as_str().or(document["strength_by_span"].as_str()).unwrap_or("none");
     let class = CLASSES.iter().position(|c| *c == class).map_or(0, |at| at + 1);
     let coarse = document["gates"].as_array().unwrap().iter().any(|gate| gate == "too_coarse");
     let vote = match (document["stiction"].as_bool(), document["s"].as_f64()) {

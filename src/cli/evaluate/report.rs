@@ -118,7 +118,7 @@ fn print_json(judged: &[Judged]) -> anyhow::Result<()> {
                 "scored": case.truth().is_some(), "right": case.truth().map(|t| a.stiction == Some(t)),
                 "verdict": a.verdict, "stiction": a.stiction, "p_stiction": a.p_stiction, "s": a.s, "j": a.j,
                 "stiction_index": a.stiction_index, "s_over_span": a.s_over_span, "gates": a.gates,
-                "reason": a.reason, "implausible": a.implausible, "doubtful": case.doubtful, "witnesses": a.witnesses, "explanation": a.explanation}))?,
+                "reason": a.reason, "implausible": a.implausible, "doubtful": case.doubtful, "indicators": a.indicators, "explanation": a.explanation}))?,
             Err(error) => say(json!({"schema": "stictiond.case.v1", "file": case.file, "label": case.label,
                 "error": format!("{error:#}")}))?,
         }
@@ -235,8 +235,8 @@ fn say_case(one: &Judged, reasons: bool) -> anyhow::Result<()> {
         Ok(a) => {
             let doubt = if one.case.doubtful { " (label not believed)" } else { "" };
             say(format!("  {file:<50} {label:<12} {}{doubt}", brief(a)))?;
-            if reasons && !a.witnesses.is_empty() {
-                let said = a.witnesses.iter().map(|w| format!("{} {}", w.name, number(w.score)));
+            if reasons && !a.indicators.is_empty() {
+                let said = a.indicators.iter().map(|w| format!("{} {}", w.name, number(w.score)));
                 say(format!("    {}", said.collect::<Vec<_>>().join(", ")))?;
             }
         }

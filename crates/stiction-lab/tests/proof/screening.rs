@@ -28,9 +28,9 @@ fn both(name: &str, record: &Record) -> Option<[Assessment; 2]> {
         "{name}"
     );
     assert_eq!((short.reason, short.p_stiction), (Some(SCREENED), Some(P_CALM)), "{name}");
-    let names = |a: &Assessment| a.witnesses.iter().map(|w| w.name).collect::<Vec<_>>();
+    let names = |a: &Assessment| a.indicators.iter().map(|w| w.name).collect::<Vec<_>>();
     assert_eq!(names(&short), names(&whole), "{name}");
-    assert!(short.witnesses.iter().all(|w| w.score.is_none() && w.vote.is_none()), "{name}");
+    assert!(short.indicators.iter().all(|w| w.score.is_none() && w.vote.is_none()), "{name}");
     assert!(short.s.is_none() && short.process.is_none() && short.controller.is_none(), "{name}");
     Some([short, whole])
 }

@@ -223,7 +223,7 @@ impl Alarm {
         let mask = u32::MAX >> (32 - n.clamp(1, 32));
         self.history_for = (self.history_for << 1 | u32::from(evidence == Evidence::For)) & mask;
         self.history_against = (self.history_against << 1 | u32::from(evidence == Evidence::Against)) & mask;
-        let class = a.severity.or(a.strength);
+        let class = a.severity_by_range.or(a.strength_by_span);
         if !self.active && evidence == Evidence::For && self.history_for.count_ones() >= m {
             self.active = true;
             self.history_against = 0;
@@ -426,7 +426,7 @@ impl Alarm {
 /// The size of the stiction in words.
 fn size(a: &Assessment) -> String {
     let number = |x: Option<f64>| x.map_or_else(|| "?".to_owned(), |v| format!("{v:.2}"));
-    let class = a.severity.or(a.strength).unwrap_or("unclassed");
+    let class = a.severity_by_range.or(a.strength_by_span).unwrap_or("unclassed");
     format!("s = {} in OP units ({class}), stiction index {}", number(a.s), number(a.stiction_index))
 }
 

@@ -6,7 +6,7 @@ use proptest::prelude::*;
 use stiction::units::Moment;
 use stiction::verdict::{Oscillation, Verdict, Window};
 
-fn assessment(k: i64, verdict: Verdict, s: f64, strength: &'static str) -> Assessment {
+fn assessment(k: i64, verdict: Verdict, s: f64, strength_by_span: &'static str) -> Assessment {
     let (start_ns, end_ns) = (k * 10, (k + 1) * 10);
     let (start, end) = (Moment(start_ns), Moment(end_ns));
     let window = Window { start_ns, end_ns, start, end, samples: 100, ts_s: 1.0, box_samples: 1 };
@@ -16,7 +16,7 @@ fn assessment(k: i64, verdict: Verdict, s: f64, strength: &'static str) -> Asses
     a.verdict = verdict;
     a.stiction = verdict.stiction();
     a.s = Some(s);
-    a.strength = Some(strength);
+    a.strength_by_span = Some(strength_by_span);
     a
 }
 

@@ -31,7 +31,7 @@ fn estimate(document: &EstimateDocument, box_samples: f64) -> String {
         );
     }
     if let Some(p) = a.p_stiction {
-        let said = a.witnesses.iter().filter(|w| w.vote.is_some());
+        let said = a.indicators.iter().filter(|w| w.vote.is_some());
         let said: Vec<String> = said.map(|w| format!("{} {:+.1}", w.name, w.contribution)).collect();
         let base = a.explanation.map_or(0.0, |e| e.base);
         row("sticking", format!("p {p:.2}: from {base:+.1} by {} (logits)", said.join(", ")));
@@ -56,7 +56,7 @@ fn estimate(document: &EstimateDocument, box_samples: f64) -> String {
                 row("90 %", format!("{name} {} to {}{seen}", number(Some(low)), number(Some(high))));
             }
         }
-        let words: Vec<&str> = [a.strength, a.region, a.severity].into_iter().flatten().collect();
+        let words: Vec<&str> = [a.strength_by_span, a.region, a.severity_by_range].into_iter().flatten().collect();
         row("class", words.join(", "));
     }
     if let Some(index) = a.stiction_index {

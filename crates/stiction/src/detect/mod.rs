@@ -19,13 +19,13 @@ use serde::Serialize;
 use crate::record::Record;
 use crate::signal::{detrend, stats};
 
-/// One witness's say.
+/// One indicator's say.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-pub struct Witness {
+pub struct Indicator {
     /// Its name in the catalogue.
     pub name: &'static str,
-    /// Its figure, defined where the witness is.
+    /// Its figure, defined where the indicator is.
     pub score: Option<f64>,
     /// For stiction, against, or silent.
     pub vote: Option<bool>,

@@ -26,7 +26,7 @@ const UNIT: f64 = 10.0;
 
 impl Detector for OneStep {
     fn name(&self) -> &'static str {
-        "foresight"
+        "one_step_gain"
     }
 
     fn score(&self, view: &View) -> Option<f64> {
@@ -45,7 +45,7 @@ const CERTAIN: f64 = 3.0;
 
 impl Detector for Periodicity {
     fn name(&self) -> &'static str {
-        "clock"
+        "periodicity"
     }
 
     fn score(&self, view: &View) -> Option<f64> {

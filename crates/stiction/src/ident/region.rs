@@ -27,7 +27,7 @@ pub fn region(s: f64, j: f64, span: f64) -> &'static str {
 
 /// How strong against the loop's own movement: by s over OP's span, 0.2 and 0.6.
 #[must_use]
-pub fn strength(s: f64, span: f64) -> &'static str {
+pub fn strength_by_span(s: f64, span: f64) -> &'static str {
     if s > STRENGTHS[1] * span {
         "strong"
     } else if s >= STRENGTHS[0] * span {
@@ -39,7 +39,7 @@ pub fn strength(s: f64, span: f64) -> &'static str {
 
 /// How severe against the valve's travel, % of OP's range: 0.5, 1 and 2 %; `None` for a range without width.
 #[must_use]
-pub fn severity(s: f64, range: [f64; 2]) -> Option<&'static str> {
+pub fn severity_by_range(s: f64, range: [f64; 2]) -> Option<&'static str> {
     let width = (range[1] - range[0]).abs();
     if width.is_nan() || width <= 0.0 {
         return None;
@@ -63,10 +63,10 @@ mod tests {
         assert_eq!(region(0.5, 0.0, 1.0), "deadband");
         assert_eq!(region(0.5, 0.5, 1.0), "stick_slip");
         assert_eq!(region(0.5, 0.25, 1.0), "deadband_stick_slip");
-        assert_eq!(strength(0.7, 1.0), "strong");
-        assert_eq!(strength(0.2, 1.0), "moderate");
-        assert_eq!(strength(0.1, 1.0), "weak");
-        assert_eq!(severity(1.5, [0.0, 100.0]), Some("moderate"));
-        assert_eq!(severity(1.5, [1.0, 1.0]), None);
+        assert_eq!(strength_by_span(0.7, 1.0), "strong");
+        assert_eq!(strength_by_span(0.2, 1.0), "moderate");
+        assert_eq!(strength_by_span(0.1, 1.0), "weak");
+        assert_eq!(severity_by_range(1.5, [0.0, 100.0]), Some("moderate"));
+        assert_eq!(severity_by_range(1.5, [1.0, 1.0]), None);
     }
 }

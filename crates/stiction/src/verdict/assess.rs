@@ -11,9 +11,9 @@ use super::plausible::implausible;
 use super::rule::{self, Features, Opinion, Rule};
 use super::screen;
 use crate::detect::oscillation::{Looks, Oscillates};
-use crate::detect::{self, View, Witness};
+use crate::detect::{self, Indicator, View};
 use crate::ident::controller::{self, Reading};
-use crate::ident::region::{region, severity, strength};
+use crate::ident::region::{region, severity_by_range, strength_by_span};
 use crate::ident::width::Settings;
 use crate::ident::{Estimate, Options, quantify};
 use crate::record::Record;
@@ -219,12 +219,12 @@ fn decide(out: &mut Assessment, opinion: Opinion, heard: &Features, sized: &Sigh
     let (record, estimate, found) = (sized.record, sized.evidence.estimate.as_ref(), sized.seen.found());
     let rule = Rule::shipped();
     let names = rule::OF_THE_FIT.into_iter().chain(detect::ALL.iter().map(|d| d.name()));
-    let witness = |name| {
+    let indicator = |name| {
         let voice = rule.voice(name, heard);
         let vote = (voice.contribution != 0.0).then_some(voice.contribution > 0.0);
-        Witness { name, score: voice.score, vote, contribution: voice.contribution }
+        Indicator { name, score: voice.score, vote, contribution: voice.contribution }
     };
-    out.witnesses = names.map(witness).collect();
+    out.indicators = names.map(indicator).collect();
     let reading = controller::read(record);
     out.controller = reading.as_ref().map(as_document);
     let ringing = cause::ringing(record, found.as_ref());
@@ -266,7 +266,8 @@ fn disbelieve(out: &mut Assessment, heard: &Features) {
     }
     (out.fs, out.fd, out.s, out.j) = (None, None, None, None);
     (out.fs_interval, out.fd_interval, out.s_interval, out.j_interval) = (None, None, None, None);
-    (out.s_over_span, out.region, out.strength, out.severity, out.j_identifiable) = (None, None, None, None, None);
+    (out.s_over_span, out.region, out.strength_by_span, out.severity_by_range, out.j_identifiable) =
+        (None, None, None, None, None);
     (out.process, out.valve_model) = (None, None);
 }
 
@@ -347,8 +348,8 @@ fn fill(out: &mut Assessment, e: &Estimate, record: &Record, params: &AssessPara
     out.stiction_index = Some(e.index);
     out.s_over_span = Some(e.s / e.span);
     out.region = Some(region(e.s, e.j, e.span));
-    out.strength = Some(strength(e.s, e.span));
-    out.severity = params.op_range.and_then(|range| severity(e.s, range));
+    out.strength_by_span = Some(strength_by_span(e.s, e.span));
+    out.severity_by_range = params.op_range.and_then(|range| severity_by_range(e.s, range));
     out.j_identifiable = Some(e.spread.j_identifiable);
     let limiting = out.gates.iter().filter(|g| !g.blocks() && !EXPLAINED.contains(g)).count();
     let settings = Settings::shipped();

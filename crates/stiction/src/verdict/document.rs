@@ -3,7 +3,7 @@
 use serde::Serialize;
 
 use super::rule::Opinion;
-use crate::detect::Witness;
+use crate::detect::Indicator;
 pub use crate::ident::ESTIMATE_SCHEMA;
 use crate::record::Record;
 use crate::units::Moment;
@@ -318,15 +318,15 @@ pub struct Assessment {
     pub stiction_index: Option<f64>,
     pub s_over_span: Option<f64>,
     pub region: Option<&'static str>,
-    pub strength: Option<&'static str>,
-    pub severity: Option<&'static str>,
+    pub strength_by_span: Option<&'static str>,
+    pub severity_by_range: Option<&'static str>,
     pub valve_model: Option<&'static str>,
     pub process: Option<Process>,
     /// Span of PV in the window (0.5 to 99.5 percentile), PV units.
     pub pv_span: Option<f64>,
     pub controller: Option<Controller>,
-    pub witnesses: Vec<Witness>,
-    /// What the witnesses' contributions add up to, in logits.
+    pub indicators: Vec<Indicator>,
+    /// What the indicators' contributions add up to, in logits.
     pub explanation: Option<Opinion>,
     /// Search figures: evaluations done, and why the search stopped.
     pub search: Option<Search>,
@@ -363,13 +363,13 @@ impl Assessment {
             stiction_index: None,
             s_over_span: None,
             region: None,
-            strength: None,
-            severity: None,
+            strength_by_span: None,
+            severity_by_range: None,
             valve_model: None,
             process: None,
             pv_span: None,
             controller: None,
-            witnesses: Vec::new(),
+            indicators: Vec::new(),
             explanation: None,
             search: None,
             elapsed_ms: None,

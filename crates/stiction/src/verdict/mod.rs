@@ -14,7 +14,7 @@ mod screen;
 pub mod tally;
 pub mod words;
 
-pub use crate::detect::Witness;
+pub use crate::detect::Indicator;
 pub use crate::ident::{DelayChoice, ModelChoice, ValveChoice};
 pub use assess::{assess, assess_in_windows, figures, lets_go};
 pub use document::{

@@ -1,7 +1,7 @@
 //! From signs to a probability: a logistic rule, its weights in a file beside it.
 //!
 //! `logit p = constant + sum of weight * feature`. Where the file holds several such rules, which then look at different
-//! features and err on different records, the mean of their logits is the answer. A feature is a figure of the fit or a witness, found by its name. One
+//! features and err on different records, the mean of their logits is the answer. A feature is a figure of the fit or an indicator, found by its name. One
 //! that a record does not show counts as its mean over the cases that the rule was fitted to, so it says nothing. What
 //! each says is its weight times its distance from that mean; together with `base`, the logit where every feature
 //! stands at its mean, they add up to the logit.

@@ -9,7 +9,7 @@ use super::document::{Assessment, Gate, Verdict};
 use super::judge::grade;
 use super::rule;
 use crate::detect::oscillation::{Looks, Oscillates};
-use crate::detect::{self, Witness, calm};
+use crate::detect::{self, Indicator, calm};
 use crate::record::Record;
 use crate::signal::stats;
 
@@ -61,5 +61,5 @@ pub fn answer(out: &mut Assessment) {
     out.reason = Some(SCREENED);
     out.grade = Some(grade(out.confidence, !out.gates.is_empty(), None));
     let names = rule::OF_THE_FIT.into_iter().chain(detect::ALL.iter().map(|d| d.name()));
-    out.witnesses = names.map(|name| Witness { name, score: None, vote: None, contribution: 0.0 }).collect();
+    out.indicators = names.map(|name| Indicator { name, score: None, vote: None, contribution: 0.0 }).collect();
 }

@@ -147,18 +147,22 @@ pub fn size(a: &Assessment, op_range: Option<[f64; 2]>) -> Option<String> {
     if let (Some(fs), Some(fd)) = (a.fs, a.fd) {
         text = format!("{text}; static band {}, kinetic band {} OP units", number(fs), number(fd));
     }
-    let words: Vec<String> =
-        [a.strength, a.region].into_iter().flatten().map(|w| w.replace('_', " ")).filter(|w| w != "none").collect();
+    let words: Vec<String> = [a.strength_by_span, a.region]
+        .into_iter()
+        .flatten()
+        .map(|w| w.replace('_', " "))
+        .filter(|w| w != "none")
+        .collect();
     if !words.is_empty() {
         text = format!("{text}; by its share of OP's swing: {}", words.join(", "));
     }
     Some(text)
 }
 
-/// What is said of a witness without words of its own.
+/// What is said of an indicator without words of its own.
 const UNNAMED: &str = "a sign in the record";
 
-/// What a witness looks at.
+/// What an indicator looks at.
 fn looks_at(name: &str) -> &'static str {
     match name {
         "likelihood" => "how much likelier the record is with friction than without, where that leaves only noise",
@@ -168,8 +172,8 @@ fn looks_at(name: &str) -> &'static str {
         "jumps" => "whether PV moves in jumps while OP moves steadily",
         "curve_fit" => "whether half cycles are triangles rather than sinusoids",
         "travel" => "how far OP goes while PV stands",
-        "foresight" => "how much better a sticking stem foretells PV's next step than OP does",
-        "clock" => "how much of PV's movement keeps time on its own account, as a load from outside does",
+        "one_step_gain" => "how much better a sticking stem foretells PV's next step than OP does",
+        "periodicity" => "how much of PV's movement keeps time on its own account, as a load from outside does",
         _ => UNNAMED,
     }
 }
@@ -177,7 +181,7 @@ fn looks_at(name: &str) -> &'static str {
 /// What speaks for and against, strongest first: words, logits.
 #[must_use]
 pub fn evidence(a: &Assessment) -> Vec<(String, f64)> {
-    let mut said: Vec<_> = a.witnesses.iter().filter(|w| w.contribution.abs() >= 0.05).collect();
+    let mut said: Vec<_> = a.indicators.iter().filter(|w| w.contribution.abs() >= 0.05).collect();
     said.sort_by(|x, y| y.contribution.abs().total_cmp(&x.contribution.abs()));
     let side = |c: f64| if c > 0.0 { "for the valve" } else { "against it" };
     said.iter().map(|w| (format!("{}: speaks {}", looks_at(w.name), side(w.contribution)), w.contribution)).collect()
@@ -388,7 +392,7 @@ mod tests {
     }
 
     #[test]
-    fn every_witness_has_words() {
+    fn every_indicator_has_words() {
         let names = crate::verdict::rule::OF_THE_FIT.into_iter().chain(crate::detect::ALL.iter().map(|d| d.name()));
         let silent: Vec<&str> = names.filter(|name| looks_at(name) == UNNAMED).collect();
         assert!(silent.is_empty(), "{silent:?}");
