@@ -7,13 +7,14 @@ mod isa;
 use isa::Model;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
+use stiction::ident::region::Size;
 use stiction::units::Moment;
 use stiction::verdict::{Assessment, Oscillation, Verdict, Window};
 use stiction_monitor::alarm::AlarmParams;
 use stiction_monitor::alarm::{Alarm, Command, MAX_SHELVE_S};
 
 const STEP_NS: i64 = 600_000_000_000;
-const CLASSES: [&str; 3] = ["weak", "moderate", "strong"];
+const CLASSES: [Size; 3] = [Size::Weak, Size::Moderate, Size::Strong];
 
 fn window(end_ns: i64, vote: Option<char>, class: usize) -> Assessment {
     let window = Window {

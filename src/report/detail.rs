@@ -31,7 +31,7 @@ pub struct Detail {
 pub fn model_of(a: &Assessment) -> Option<Model> {
     let (s, j, process) = (a.s?, a.j?, a.process.as_ref()?);
     Some(Model {
-        law: if a.valve_model == Some("tracking") { Law::Tracking } else { Law::He },
+        law: a.valve_model.unwrap_or(Law::He),
         order: process.order,
         integrating: process.integrating,
         s,

@@ -244,7 +244,7 @@ fn grown(grade: char, fs: f64) -> Vec<(usize, GapRequest)> {
     let mut rig = Rig::new(config(300.0), Then::Nothing, move |window, r: &Request| {
         let mut a = assessment(r, Some(90.0));
         let bands = if window < 20 { (5.0, 3.0) } else { (fs, 0.6 * fs) };
-        (a.fs, a.fd, a.valve_model) = (Some(bands.0), Some(bands.1), Some("he"));
+        (a.fs, a.fd, a.valve_model) = (Some(bands.0), Some(bands.1), Some(stiction::sim::slips::Law::He));
         a.grade = Some(if window < 4 { 'D' } else { grade });
         a
     });

@@ -20,6 +20,7 @@ use oracle::{Asked, Oracle};
 use plant::{Plant, STEP_NS, below, one_in};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
+use stiction::ident::region::Size;
 use stiction::units::Moment;
 use stiction::verdict::{Assessment, Oscillation, Verdict, Window};
 use stiction_monitor::alarm::Command;
@@ -41,7 +42,7 @@ const QUEUE_BYTES: usize = 4_194_304;
 const DAY_STEPS: i64 = 144;
 /// A start that is no whole hour, day or hop.
 const START_NS: i64 = 1_700_000_123_000_000_000;
-const CLASSES: [&str; 3] = ["weak", "moderate", "strong"];
+const CLASSES: [Size; 3] = [Size::Weak, Size::Moderate, Size::Strong];
 
 fn number(name: &str) -> Option<u64> {
     std::env::var(name).ok().and_then(|text| text.parse().ok())

@@ -5,6 +5,7 @@
 use proptest::prelude::*;
 use stiction::record::Record;
 use stiction::signal::stats;
+use stiction::sim::slips::Law;
 use stiction::verdict::{AssessParams, Assessment, Gate, Verdict, assess};
 use stiction_lab::fixture::{Draw, Loop, boxed};
 
@@ -129,11 +130,11 @@ fn boxes_keep_the_bands() {
 fn the_tracking_law_is_told_from_the_staircase() {
     let case = Loop { tracking: true, noise: 0.02, ..staircase(1.3, &[12.0]) };
     let found = assess(&case.run().record, &params());
-    assert_eq!(found.valve_model, Some("tracking"), "{found:?}");
+    assert_eq!(found.valve_model, Some(Law::Tracking), "{found:?}");
     assert!(near(found.s.unwrap(), case.fs + case.fd, 0.05), "{:?}", found.s);
     let case = staircase(1.3, &[12.0]);
     let found = assess(&case.run().record, &params());
-    assert_eq!(found.valve_model, Some("he"));
+    assert_eq!(found.valve_model, Some(Law::He));
 }
 
 fn wave(n: usize, period: f64, phase: f64) -> Vec<f64> {

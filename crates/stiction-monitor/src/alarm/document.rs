@@ -1,6 +1,7 @@
 //! The alarm's document: every change as fields, so that nobody has to read prose.
 
 use serde::{Deserialize, Serialize};
+use stiction::ident::region::Size;
 
 use super::{Priority, State};
 use crate::hash::short_hash;
@@ -204,7 +205,7 @@ pub struct AlarmDocument {
     pub ne107: &'static str,
     /// Worst class since it was raised, while active: `weak`, `moderate` or `strong`, by % of travel where OP's range is
     /// known, else by OP's span.
-    pub class: Option<String>,
+    pub class: Option<Size>,
     /// Unit of s, its interval and its limit.
     pub unit: String,
     /// Figures of the newest window that could answer.
@@ -235,8 +236,8 @@ impl AlarmDocument {
     /// The same on a loop of this place: criticality, and with it the priority, area, equipment, unit.
     #[must_use]
     pub fn at(self, place: &Place) -> Self {
-        let class = self.class.as_deref();
-        let priority = self.active.then(|| Priority::of(class, place.criticality.unwrap_or(Priority::CRITICALITY)));
+        let priority =
+            self.active.then(|| Priority::of(self.class, place.criticality.unwrap_or(Priority::CRITICALITY)));
         let unit = place.op_unit.as_deref().unwrap_or(OP_UNIT).to_owned();
         let verdict = self.figures.verdict.as_deref();
         let what_to_do = self.active.then(|| what_to_do(verdict, self.figures.s, &unit));

@@ -9,6 +9,7 @@ mod params;
 mod priority;
 
 use serde::{Deserialize, Serialize};
+use stiction::ident::region::Size;
 
 pub use command::{Command, CommandError, MAX_SHELVE_S, SHELVE_S, check_name};
 pub use document::{ALARM_SCHEMA, AlarmDocument, AlarmWindow, Event, Figures, Mark, Marks, Place};
@@ -134,7 +135,7 @@ pub struct Alarm {
     /// The same: evidence against.
     history_against: u32,
     /// Worst class since the alarm was raised.
-    class: Option<String>,
+    class: Option<Size>,
     worse_windows: u8,
     window_end_ns: Option<i64>,
     /// From when it is raised until it is at rest again.
@@ -169,16 +170,6 @@ const fn done_by(event: Event) -> &'static str {
         Event::OutOfService => "taken out of service",
         Event::InService => "back in service",
         _ => "acknowledged",
-    }
-}
-
-/// Rank of a class, 0 for none.
-fn rank(class: Option<&str>) -> u8 {
-    match class {
-        Some("weak") => 1,
-        Some("moderate") => 2,
-        Some("strong") => 3,
-        _ => 0,
     }
 }
 
@@ -228,7 +219,7 @@ impl Alarm {
             self.active = true;
             self.history_against = 0;
             self.state = State::Unack;
-            self.class = class.map(str::to_owned);
+            self.class = class;
             self.worse_windows = 0;
             self.marks.acknowledged = None;
             let why = format!("{} of the last {n} windows show stiction; {}", self.history_for.count_ones(), size(a));
@@ -246,17 +237,19 @@ impl Alarm {
     }
 
     /// Raises an active alarm again when its class gets worse and stays so.
-    fn worsened(&mut self, a: &Assessment, class: Option<&'static str>, evidence: Evidence) -> Option<(Event, String)> {
-        let worse = self.active && evidence == Evidence::For && rank(class) > rank(self.class.as_deref());
+    fn worsened(&mut self, a: &Assessment, class: Option<Size>, evidence: Evidence) -> Option<(Event, String)> {
+        let worse =
+            self.active && evidence == Evidence::For && class.unwrap_or(Size::None) > self.class.unwrap_or(Size::None);
         self.worse_windows = if worse { self.worse_windows + 1 } else { 0 };
         if self.worse_windows < WORSE_WINDOWS {
             return None;
         }
         self.worse_windows = 0;
-        let before = self.class.replace(class.unwrap_or_default().to_owned()).unwrap_or_else(|| "none".to_owned());
+        let [before, now] = [self.class, class].map(|class| class.map_or("none", Size::name));
+        self.class = class;
         self.state = State::Unack;
         self.marks.acknowledged = None;
-        let why = format!("worse than before: {before} has become {}; {}", class.unwrap_or("none"), size(a));
+        let why = format!("worse than before: {before} has become {now}; {}", size(a));
         if let Some(occurrence) = &mut self.occurrence {
             occurrence.why.clone_from(&why);
         }
@@ -397,7 +390,7 @@ impl Alarm {
             area: None,
             equipment: None,
             ne107: self.ne107(),
-            class: self.class.clone().filter(|_| self.active),
+            class: self.class.filter(|_| self.active),
             unit: String::new(),
             figures: self.figures.clone(),
             why: self.occurrence.as_ref().map(|o| o.why.clone()),
@@ -426,7 +419,7 @@ impl Alarm {
 /// The size of the stiction in words.
 fn size(a: &Assessment) -> String {
     let number = |x: Option<f64>| x.map_or_else(|| "?".to_owned(), |v| format!("{v:.2}"));
-    let class = a.severity_by_range.or(a.strength_by_span).unwrap_or("unclassed");
+    let class = a.severity_by_range.or(a.strength_by_span).map_or("unclassed", Size::name);
     format!("s = {} in OP units ({class}), stiction index {}", number(a.s), number(a.stiction_index))
 }
 

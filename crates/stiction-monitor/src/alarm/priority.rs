@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use super::rank;
+use stiction::ident::region::Size;
 
 /// Priority of an alarm (ISA-18.2: what to look at first).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, schemars::JsonSchema)]
@@ -25,8 +25,13 @@ impl Priority {
     /// The priority of a class of stiction on a loop of this criticality (1 to 5, 3 where nothing is said). At 3 weak is
     /// low, moderate medium, strong high; two steps of criticality move it by one.
     #[must_use]
-    pub fn of(class: Option<&str>, criticality: u8) -> Self {
-        let doubled = 2 * i32::from(rank(class).max(1)) + i32::from(criticality) - 3;
+    pub fn of(class: Option<Size>, criticality: u8) -> Self {
+        let twice = match class {
+            Some(Size::Strong) => 6,
+            Some(Size::Moderate) => 4,
+            Some(Size::Weak | Size::None) | None => 2,
+        };
+        let doubled = twice + i32::from(criticality) - 3;
         match doubled {
             ..4 => Self::Low,
             4 | 5 => Self::Medium,
@@ -49,5 +54,5 @@ mod tests {
         assert!((1..5).all(|c| row(c) <= row(c + 1)) && row(4)[0] <= row(4)[1]);
     }
 
-    const CLASSES: [&str; 3] = ["weak", "moderate", "strong"];
+    const CLASSES: [Size; 3] = [Size::Weak, Size::Moderate, Size::Strong];
 }

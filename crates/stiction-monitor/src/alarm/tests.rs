@@ -3,10 +3,11 @@
 use super::*;
 use Priority::{High, Urgent};
 use proptest::prelude::*;
+use stiction::ident::region::Size;
 use stiction::units::Moment;
 use stiction::verdict::{Oscillation, Verdict, Window};
 
-fn assessment(k: i64, verdict: Verdict, s: f64, strength_by_span: &'static str) -> Assessment {
+fn assessment(k: i64, verdict: Verdict, s: f64, strength_by_span: Size) -> Assessment {
     let (start_ns, end_ns) = (k * 10, (k + 1) * 10);
     let (start, end) = (Moment(start_ns), Moment(end_ns));
     let window = Window { start_ns, end_ns, start, end, samples: 100, ts_s: 1.0, box_samples: 1 };
@@ -23,7 +24,7 @@ fn assessment(k: i64, verdict: Verdict, s: f64, strength_by_span: &'static str) 
 fn run(alarm: &mut Alarm, verdicts: &[(Verdict, f64)]) -> Vec<State> {
     let params = AlarmParams { raise: [3, 4], s_limit_op: 1.0, s_limit_span: 0.0 };
     let each = verdicts.iter().enumerate();
-    each.filter_map(|(k, (v, s))| alarm.window("L", &assessment(k as i64, *v, *s, "weak"), &params))
+    each.filter_map(|(k, (v, s))| alarm.window("L", &assessment(k as i64, *v, *s, Size::Weak), &params))
         .map(|d| d.state)
         .collect()
 }
@@ -61,7 +62,7 @@ fn one_of_three_does_not_flap() {
     let mut alarm = Alarm::default();
     let mut changes = Vec::new();
     for (k, verdict) in [Verdict::Stiction, Verdict::Tuning, Verdict::Tuning, Verdict::Tuning].into_iter().enumerate() {
-        changes.extend(alarm.window("L", &assessment(k as i64, verdict, 2.0, "weak"), &params).map(|d| d.state));
+        changes.extend(alarm.window("L", &assessment(k as i64, verdict, 2.0, Size::Weak), &params).map(|d| d.state));
     }
     assert_eq!(changes, [State::Unack, State::RtnUnack]);
 }
@@ -70,16 +71,16 @@ fn one_of_three_does_not_flap() {
 fn it_is_raised_again_when_it_gets_worse() {
     let params = AlarmParams { raise: [1, 1], s_limit_op: 1.0, s_limit_span: 0.0 };
     let mut alarm = Alarm::default();
-    alarm.window("L", &assessment(0, Verdict::Stiction, 2.0, "weak"), &params).unwrap();
+    alarm.window("L", &assessment(0, Verdict::Stiction, 2.0, Size::Weak), &params).unwrap();
     let ack = Command { cmd: "ack".into(), by: Some("ann".into()), why: None, for_s: None };
     alarm.command("L", &ack, 5).unwrap();
-    assert!(alarm.window("L", &assessment(1, Verdict::Stiction, 9.0, "strong"), &params).is_none());
-    let again = alarm.window("L", &assessment(2, Verdict::Stiction, 9.0, "strong"), &params).unwrap();
-    assert_eq!((again.state, again.class.as_deref()), (State::Unack, Some("strong")));
+    assert!(alarm.window("L", &assessment(1, Verdict::Stiction, 9.0, Size::Strong), &params).is_none());
+    let again = alarm.window("L", &assessment(2, Verdict::Stiction, 9.0, Size::Strong), &params).unwrap();
+    assert_eq!((again.state, again.class), (State::Unack, Some(Size::Strong)));
     assert_eq!((again.event, again.marks.acknowledged.clone()), (Event::Worse, None));
     let priority = |criticality| again.clone().at(&Place { criticality, ..Place::default() }).priority;
     assert_eq!([None, Some(3), Some(5)].map(priority), [High, High, Urgent].map(Some));
-    let over = alarm.window("L", &assessment(3, Verdict::Tuning, 0.0, "weak"), &params).unwrap();
+    let over = alarm.window("L", &assessment(3, Verdict::Tuning, 0.0, Size::Weak), &params).unwrap();
     assert_eq!(over.at(&Place { criticality: Some(5), ..Place::default() }).priority, None);
 }
 
@@ -91,7 +92,7 @@ fn asks(cmd: &str, why: Option<&str>) -> Command {
 fn what_people_do_stands_apart_from_what_raised_it() {
     let mut alarm = Alarm::default();
     let params = AlarmParams { raise: [1, 1], s_limit_op: 1.0, s_limit_span: 0.0 };
-    let raised = alarm.window("L", &assessment(0, Verdict::Stiction, 2.0, "weak"), &params).unwrap();
+    let raised = alarm.window("L", &assessment(0, Verdict::Stiction, 2.0, Size::Weak), &params).unwrap();
     assert_eq!((raised.event, raised.since_ns, raised.by.as_deref()), (Event::Raised, Some(10), None));
     assert_eq!((raised.figures.s, raised.figures.s_limit, raised.unit.as_str()), (Some(2.0), Some(1.0), "OP"));
     assert!(raised.what_to_do.as_deref().unwrap().contains("0.50 OP"), "{raised:?}");
@@ -109,7 +110,7 @@ fn what_people_do_stands_apart_from_what_raised_it() {
     assert_eq!((restored.event, &restored.event_id), (Event::Restored, &shelved.event_id));
     assert_eq!(alarm.command("L", &asks("out_of_service", None), 30).unwrap().ne107, "C");
     assert_eq!(alarm.command("L", &asks("in_service", None), 31).unwrap().ne107, "M");
-    let over = alarm.window("L", &assessment(1, Verdict::Tuning, 0.0, "weak"), &params).unwrap();
+    let over = alarm.window("L", &assessment(1, Verdict::Tuning, 0.0, Size::Weak), &params).unwrap();
     assert_eq!((over.event, over.state, over.ne107), (Event::Cleared, State::Shelved, "ok"));
     assert_eq!((&over.occurrence_id, over.since_ns, over.class), (&raised.occurrence_id, Some(10), None));
     // At rest nothing of it is left but the shelf.
@@ -123,7 +124,7 @@ fn what_people_do_stands_apart_from_what_raised_it() {
 fn the_limit_fits_loops_of_every_size() {
     let alarms = |s: f64, span: f64, params: &AlarmParams| {
         let mut alarm = Alarm::default();
-        let window = |k| Assessment { s_over_span: Some(s / span), ..assessment(k, Verdict::Stiction, s, "weak") };
+        let window = |k| Assessment { s_over_span: Some(s / span), ..assessment(k, Verdict::Stiction, s, Size::Weak) };
         (0..10).any(|k| alarm.window("L", &window(k), params).is_some())
     };
     let default = AlarmParams::default();
@@ -142,7 +143,7 @@ fn a_memory_of_an_earlier_build_is_taken_over() {
         "raised_ns":10,"window_end_ns":10}"#;
     let alarm: Alarm = serde_json::from_str(earlier).unwrap();
     let restored = alarm.restored("L");
-    assert_eq!((restored.state, restored.active, restored.class.as_deref()), (State::Acked, true, Some("weak")));
+    assert_eq!((restored.state, restored.active, restored.class), (State::Acked, true, Some(Size::Weak)));
     assert_eq!(restored.since_ns, Some(10));
 }
 
@@ -156,7 +157,7 @@ proptest! {
             if step == 5 {
                 let _ = alarm.command("L", &Command { cmd: "ack".into(), by: Some("ann".into()), why: None, for_s: None }, k as i64);
             } else {
-                alarm.window("L", &assessment(k as i64, verdict, f64::from(step), "weak"), &params);
+                alarm.window("L", &assessment(k as i64, verdict, f64::from(step), Size::Weak), &params);
             }
             prop_assert_eq!(alarm.active, matches!(alarm.state, State::Unack | State::Acked));
             let text = serde_json::to_string(&alarm).unwrap();

@@ -54,7 +54,7 @@ pub struct SolverDocument {
 #[must_use]
 pub fn surface(record: &Record, options: &Options, found: &Assessment) -> Option<Surface> {
     let class = class_of(found.process.as_ref()?);
-    let law = if found.valve_model == Some("tracking") { Law::Tracking } else { Law::He };
+    let law = found.valve_model.unwrap_or(Law::He);
     Surface::new(record, options, law, class)
 }
 

@@ -1,6 +1,7 @@
 //! Documents in words.
 
 use super::Answer;
+use stiction::ident::region::{Region, Size};
 use stiction::units::{self, duration, significant};
 use stiction::verdict::words;
 use stiction::verdict::{Assessment, EstimateDocument};
@@ -56,7 +57,8 @@ fn estimate(document: &EstimateDocument, box_samples: f64) -> String {
                 row("90 %", format!("{name} {} to {}{seen}", number(Some(low)), number(Some(high))));
             }
         }
-        let words: Vec<&str> = [a.strength_by_span, a.region, a.severity_by_range].into_iter().flatten().collect();
+        let sizes = [a.strength_by_span, a.severity_by_range].map(|size| size.map(Size::name));
+        let words: Vec<&str> = [sizes[0], a.region.map(Region::name), sizes[1]].into_iter().flatten().collect();
         row("class", words.join(", "));
     }
     if let Some(index) = a.stiction_index {

@@ -173,7 +173,7 @@ fn model_of(assessment: &Assessment, record: &Record) -> Option<Model> {
     let mut model = Model {
         schema: model::SCHEMA.to_owned(),
         ts_s: record.ts_s,
-        valve: model::Valve { law: assessment.valve_model?.to_owned(), fs, fd, stem0: None },
+        valve: model::Valve { law: assessment.valve_model?.name().to_owned(), fs, fd, stem0: None },
         process: model::Process {
             gain: p.gain,
             time_constants_s: p.time_constants_s.clone(),

@@ -3,6 +3,64 @@
 //! The plane's triangle has pure dead band on the ray `fs = fd` (j = 0), pure stick-slip on the axis `fd = 0`
 //! (j = s), both in between, and strong cases towards its far side `s = S0` (after Lee, Ren and Huang 2008).
 
+use serde::{Deserialize, Serialize};
+
+/// What kind of sticking a pair of bands is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum Region {
+    /// None that could be seen.
+    None,
+    /// The stem follows behind a dead band, without a jump.
+    Deadband,
+    /// It jumps as far as it stuck.
+    StickSlip,
+    /// Both.
+    DeadbandStickSlip,
+}
+
+/// How much a valve sticks, in a word.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum Size {
+    /// Not so that it matters.
+    None,
+    /// A little.
+    Weak,
+    /// To be watched.
+    Moderate,
+    /// To be repaired.
+    Strong,
+}
+
+impl Region {
+    /// Its word in documents.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::None => "none",
+            Self::Deadband => "deadband",
+            Self::StickSlip => "stick_slip",
+            Self::DeadbandStickSlip => "deadband_stick_slip",
+        }
+    }
+}
+
+impl Size {
+    /// Its word in documents.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::None => "none",
+            Self::Weak => "weak",
+            Self::Moderate => "moderate",
+            Self::Strong => "strong",
+        }
+    }
+}
+
 /// Bounds of the plane's parts: s over OP's span below which nothing is said, j/s up to which it is dead band, and from
 /// which it is stick-slip.
 pub const BOUNDS: [f64; 3] = [0.1, 0.15, 0.85];
@@ -13,43 +71,43 @@ pub const STRENGTHS: [f64; 2] = [0.2, 0.6];
 ///
 /// `none` below a tenth of OP's span; `deadband` below j/s = 0.15; `stick_slip` above 0.85.
 #[must_use]
-pub fn region(s: f64, j: f64, span: f64) -> &'static str {
+pub fn region(s: f64, j: f64, span: f64) -> Region {
     if s < BOUNDS[0] * span || s <= 0.0 {
-        "none"
+        Region::None
     } else if j / s < BOUNDS[1] {
-        "deadband"
+        Region::Deadband
     } else if j / s > BOUNDS[2] {
-        "stick_slip"
+        Region::StickSlip
     } else {
-        "deadband_stick_slip"
+        Region::DeadbandStickSlip
     }
 }
 
 /// How strong against the loop's own movement: by s over OP's span, 0.2 and 0.6.
 #[must_use]
-pub fn strength_by_span(s: f64, span: f64) -> &'static str {
+pub fn strength_by_span(s: f64, span: f64) -> Size {
     if s > STRENGTHS[1] * span {
-        "strong"
+        Size::Strong
     } else if s >= STRENGTHS[0] * span {
-        "moderate"
+        Size::Moderate
     } else {
-        "weak"
+        Size::Weak
     }
 }
 
 /// How severe against the valve's travel, % of OP's range: 0.5, 1 and 2 %; `None` for a range without width.
 #[must_use]
-pub fn severity_by_range(s: f64, range: [f64; 2]) -> Option<&'static str> {
+pub fn severity_by_range(s: f64, range: [f64; 2]) -> Option<Size> {
     let width = (range[1] - range[0]).abs();
     if width.is_nan() || width <= 0.0 {
         return None;
     }
     let percent = 100.0 * s / width;
     Some(match percent {
-        p if p < 0.5 => "none",
-        p if p < 1.0 => "weak",
-        p if p < 2.0 => "moderate",
-        _ => "strong",
+        p if p < 0.5 => Size::None,
+        p if p < 1.0 => Size::Weak,
+        p if p < 2.0 => Size::Moderate,
+        _ => Size::Strong,
     })
 }
 
@@ -59,14 +117,14 @@ mod tests {
 
     #[test]
     fn corners_of_the_triangle_have_their_names() {
-        assert_eq!(region(0.05, 0.0, 1.0), "none");
-        assert_eq!(region(0.5, 0.0, 1.0), "deadband");
-        assert_eq!(region(0.5, 0.5, 1.0), "stick_slip");
-        assert_eq!(region(0.5, 0.25, 1.0), "deadband_stick_slip");
-        assert_eq!(strength_by_span(0.7, 1.0), "strong");
-        assert_eq!(strength_by_span(0.2, 1.0), "moderate");
-        assert_eq!(strength_by_span(0.1, 1.0), "weak");
-        assert_eq!(severity_by_range(1.5, [0.0, 100.0]), Some("moderate"));
+        assert_eq!(region(0.05, 0.0, 1.0), Region::None);
+        assert_eq!(region(0.5, 0.0, 1.0), Region::Deadband);
+        assert_eq!(region(0.5, 0.5, 1.0), Region::StickSlip);
+        assert_eq!(region(0.5, 0.25, 1.0), Region::DeadbandStickSlip);
+        assert_eq!(strength_by_span(0.7, 1.0), Size::Strong);
+        assert_eq!(strength_by_span(0.2, 1.0), Size::Moderate);
+        assert_eq!(strength_by_span(0.1, 1.0), Size::Weak);
+        assert_eq!(severity_by_range(1.5, [0.0, 100.0]), Some(Size::Moderate));
         assert_eq!(severity_by_range(1.5, [1.0, 1.0]), None);
     }
 }

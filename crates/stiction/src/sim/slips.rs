@@ -9,12 +9,25 @@
 const AT_ONCE: usize = 16;
 
 /// Which law moves the stem.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(rename_all = "snake_case")]
 pub enum Law {
     /// He's staircase.
     He,
     /// Sliding after the first slip, until OP turns.
     Tracking,
+}
+
+impl Law {
+    /// Its word in documents and model files.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::He => "he",
+            Self::Tracking => "tracking",
+        }
+    }
 }
 
 /// The first slip of a record, which stands for the unknown stem position before it: towards `direction`, as soon as

@@ -18,7 +18,6 @@ use crate::ident::width::Settings;
 use crate::ident::{Estimate, Options, quantify};
 use crate::record::Record;
 use crate::signal::stats;
-use crate::sim::slips::Law;
 
 /// Reasons for no answer beside the gates and what is implausible in a record.
 const STUCK_SIGNAL: &str = "stuck_signal";
@@ -357,10 +356,7 @@ fn fill(out: &mut Assessment, e: &Estimate, record: &Record, params: &AssessPara
     let told = e.spread.told(e.s, e.j, settings.of(e.spread.trust(e.s)), times).within(e.span, e.s, e.j);
     (out.s_interval, out.j_interval) = (Some(told.s), Some(told.j));
     (out.fs_interval, out.fd_interval) = (Some(told.fs), Some(told.fd));
-    out.valve_model = Some(match e.law {
-        Law::He => "he",
-        Law::Tracking => "tracking",
-    });
+    out.valve_model = Some(e.law);
     let spread = stats::std_dev(&record.pv);
     out.process = Some(Process {
         order: e.class.order(),

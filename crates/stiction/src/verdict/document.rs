@@ -1,5 +1,7 @@
 //! The numbers and words of one estimate, as `stictiond.estimate.v1` carries them.
 
+use crate::ident::region::{Region, Size};
+use crate::sim::slips::Law;
 use serde::Serialize;
 
 use super::rule::Opinion;
@@ -317,10 +319,10 @@ pub struct Assessment {
     pub s_detectable: Option<f64>,
     pub stiction_index: Option<f64>,
     pub s_over_span: Option<f64>,
-    pub region: Option<&'static str>,
-    pub strength_by_span: Option<&'static str>,
-    pub severity_by_range: Option<&'static str>,
-    pub valve_model: Option<&'static str>,
+    pub region: Option<Region>,
+    pub strength_by_span: Option<Size>,
+    pub severity_by_range: Option<Size>,
+    pub valve_model: Option<Law>,
     pub process: Option<Process>,
     /// Span of PV in the window (0.5 to 99.5 percentile), PV units.
     pub pv_span: Option<f64>,

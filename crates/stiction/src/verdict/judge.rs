@@ -17,7 +17,7 @@ pub fn judge(
     match (opinion.sticks(), estimate) {
         (true, Some(e)) => {
             let word = match region::region(e.s, e.j, e.span) {
-                "deadband" => Verdict::Deadband,
+                region::Region::Deadband => Verdict::Deadband,
                 _ => Verdict::Stiction,
             };
             (word, beside(e))

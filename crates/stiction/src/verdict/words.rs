@@ -1,5 +1,6 @@
 //! An estimate in words that a planner can act on.
 
+use crate::ident::region::{Region, Size};
 use crate::units::{duration, number};
 use crate::verdict::{Assessment, Gate, Implausible, SCREENED, Verdict};
 
@@ -147,7 +148,7 @@ pub fn size(a: &Assessment, op_range: Option<[f64; 2]>) -> Option<String> {
     if let (Some(fs), Some(fd)) = (a.fs, a.fd) {
         text = format!("{text}; static band {}, kinetic band {} OP units", number(fs), number(fd));
     }
-    let words: Vec<String> = [a.strength_by_span, a.region]
+    let words: Vec<String> = [a.strength_by_span.map(Size::name), a.region.map(Region::name)]
         .into_iter()
         .flatten()
         .map(|w| w.replace('_', " "))
