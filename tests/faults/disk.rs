@@ -47,7 +47,8 @@ fn input_output_errors_are_named_counted_and_over_when_the_disk_is_well() {
     // People are told that it may be forgotten; it holds all the same, and goes to the disk once that is well.
     let why = ask(&bus, &plane("FIC101/alarm?cmd=ack;by=ann")).unwrap_err();
     assert!(why.contains("carried out, but not stored"), "{why}");
-    assert_eq!(alarm_state(&bus), "acked");
+    // The publisher says it a moment after the command was answered.
+    wait_for("the acknowledgement", || (alarm_state(&bus) == "acked").then_some(()));
     wait_for("the store's fault", || is_named(&daemon, "cannot be stored").then_some(()));
     shim.break_disk(false);
     wait_for("the faults' end", || {

@@ -48,7 +48,7 @@ fn a_store_that_is_damaged_before_a_start_or_under_the_daemon_costs_no_alarm() {
         let wanted = if cmd == "suppress" { "suppressed" } else { "unack" };
         // The first answer may be that it could not be stored; no later one is.
         let _ = ask(&bus, &plane(&format!("FIC101/alarm?cmd={cmd};by=ann")));
-        assert_eq!(alarm_state(&bus), wanted);
+        wait_for("its state", || (alarm_state(&bus) == wanted).then_some(()));
         wait_for("a store", || (!daemon.faults().iter().any(|f| f.contains("cannot be stored"))).then_some(()));
         // Past the next flush of the recording, which holds the same.
         std::thread::sleep(Duration::from_millis(500));
