@@ -38,7 +38,7 @@ const IMPORTS: [(&str, &[&str]); 28] = [
     ("calibrate_intervals", &["signal", "ident", "detect", "verdict", "truth"]),
     // Engine: neither it nor the alarm knows a configuration.
     ("hash", &[]),
-    ("alarm", &["units", "record", "hash", "verdict"]),
+    ("alarm", &["units", "record", "hash", "ident", "verdict"]),
     ("codec", &["units", "record"]),
     ("engine", &["units", "record", "signal", "sim", "ident", "detect", "verdict", "gap", "alarm"]),
     (
