@@ -37,11 +37,14 @@ done
 
 step "tests that compute: units, ${computing[*]}; beside them those that wait: ${waiting[*]}, and those from outside"
 wait "$fetching" || true
-{
-    cargo test --no-fail-fast --locked --quiet "${waiting[@]/#/--test=}"
-    bash tests/interop/run.sh
-    bash python/test.sh
-} >"$beside" 2>&1 &
+(
+    # What fails here does not hide what comes behind it.
+    bad=0
+    cargo test --no-fail-fast --locked --quiet "${waiting[@]/#/--test=}" || bad=1
+    bash tests/interop/run.sh || bad=1
+    bash python/test.sh || bad=1
+    exit "$bad"
+) >"$beside" 2>&1 &
 others=$!
 failed=0
 noted cargo test --no-fail-fast --locked --quiet --lib --bins "${computing[@]/#/--test=}" || failed=1
