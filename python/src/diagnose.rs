@@ -53,13 +53,13 @@ impl Asked {
 }
 
 /// Threads and a clock for a search that knows neither; ends when its time is up or the caller has gone.
-struct Crew<'w> {
+struct Threads<'w> {
     threads: usize,
     until: Option<Instant>,
     watch: &'w Watch,
 }
 
-impl Executor for Crew<'_> {
+impl Executor for Threads<'_> {
     fn run(&self, jobs: usize, job: &(dyn Fn(usize) + Sync)) {
         on_threads(self.threads, jobs, job);
     }
@@ -96,8 +96,8 @@ pub fn diagnose<'py>(
         let ask = question.ask(&record);
         watch.expect(ask.budget_evaluations);
         let until = question.budget_s.map(|s| Instant::now() + Duration::from_secs_f64(s));
-        let crew = Crew { threads: team, until, watch };
-        let found = diagnosed(&name, record, &ask, &crew).map_err(|e| format!("{name}: {e}"))?;
+        let executor = Threads { threads: team, until, watch };
+        let found = diagnosed(&name, record, &ask, &executor).map_err(|e| format!("{name}: {e}"))?;
         let whole = points.samples(section).map_err(|e| e.to_string())?;
         let rows = rows(&whole, &found.record, &found.diagnosis);
         let d = &found.document;
