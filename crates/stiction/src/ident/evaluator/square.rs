@@ -19,12 +19,12 @@ pub(super) fn add(into: &mut Square, x: Halves, y: Halves) {
     }
 }
 
-/// Adds those of `square` with the first thing's halves in the second place.
+/// The same products with the two things the other way round.
 pub(super) fn turned(square: &Square) -> Square {
     [[square[0][0], square[1][0]], [square[0][1], square[1][1]]]
 }
 
-/// `sum of factor * square` over what is named.
+/// The weighted sum of squares.
 pub(super) fn mixed<const N: usize>(of: [(f64, Square); N]) -> Square {
     core::array::from_fn(|h| core::array::from_fn(|g| of.iter().map(|(factor, square)| factor * square[h][g]).sum()))
 }
