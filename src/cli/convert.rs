@@ -4,17 +4,16 @@ use super::reading::{ReadArgs, named};
 use super::{Format, Outcome, UsageError};
 use crate::files::compact::{self, CompactLoop};
 use crate::files::even::even;
-use crate::files::{self, Loaded, LoadedLoop, METADATA_PREFIX, RecordingFile, csv};
+use crate::files::transfer::write_loops;
+use crate::files::{self, Loaded, LoadedLoop, METADATA_PREFIX, csv};
 use anyhow::{Context, anyhow, bail};
 use serde_json::json;
-use std::collections::{BTreeMap, HashSet};
+use std::collections::HashSet;
 use std::fs::{self, File};
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 use stiction::record::Signal;
-use stiction::units::{is_loop_name, loop_name_from};
-use stiction_monitor::codec::encode_recorded;
-use stiction_monitor::codec::topic::Kind;
+use stiction::units::file_stem_of;
 
 /// Prefix of topics made from tables, which carry none.
 const PREFIX: &str = "plant";
@@ -203,8 +202,7 @@ fn to_folder(loaded: &Loaded, folder: &Path, force: bool) -> anyhow::Result<Vec<
 
 /// A file's stem from a loop's name, unique in its folder (also where letter case does not tell files apart).
 fn file_stem(name: &str, taken: &mut HashSet<String>) -> String {
-    let stem = loop_name_from(name).replace(['\\', ':'], "_");
-    let stem = if stem.starts_with('.') { format!("_{stem}") } else { stem };
+    let stem = file_stem_of(name);
     let mut unique = stem.clone();
     let mut count = 1;
     while !taken.insert(unique.to_lowercase()) {
@@ -218,25 +216,8 @@ fn to_mcap(loaded: &Loaded, inputs: &[PathBuf], path: &Path) -> anyhow::Result<W
     let prefix = loaded.metadata.get(METADATA_PREFIX).map_or(PREFIX, String::as_str);
     let names = inputs.iter().filter_map(|input| input.file_name()).map(|name| name.to_string_lossy().into_owned());
     let source = names.collect::<Vec<_>>().join(", ");
-    let metadata = BTreeMap::from(
-        [("origin", "convert"), (METADATA_PREFIX, prefix), ("source", &source), ("version", crate::VERSION)]
-            .map(|(key, value)| (key.to_owned(), value.to_owned())),
-    );
     let temporary = Temporary::beside(path);
-    let mut file = RecordingFile::create_at(temporary.path.clone(), path.to_owned(), &metadata)?;
-    let mut samples = 0;
-    let mut payload = Vec::with_capacity(64);
-    for one in &loaded.loops {
-        let name = if is_loop_name(&one.name) { one.name.clone() } else { loop_name_from(&one.name) };
-        for sample in &one.samples {
-            payload.clear();
-            encode_recorded(sample, &mut payload);
-            let topic = format!("{prefix}/{name}/{}", sample.signal.name());
-            file.write(&topic, Kind::of_signal(sample.signal), sample.t_ns, sample.t_ns, &payload)?;
-        }
-        samples += one.samples.len();
-    }
-    file.finish()?;
+    let samples = write_loops([&temporary.path, path], prefix, ["convert", &source], &loaded.loops)?;
     let loops = loaded.loops.iter().map(|one| one.name.clone()).collect();
     Ok(Written { path: path.to_owned(), loops, samples, rows: None })
 }

@@ -21,6 +21,7 @@ pub mod health;
 mod housekeeping;
 mod limits;
 pub mod metrics;
+pub mod overview;
 pub mod queue;
 mod reload;
 pub mod replay;
@@ -40,6 +41,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, anyhow};
+use crossbeam_channel::Sender;
 use sd_notify::NotifyState;
 
 use self::clock::Clock;
@@ -51,6 +53,7 @@ pub use self::health::DaemonHealth;
 use self::health::HealthSnapshot;
 use self::housekeeping::House;
 use self::metrics::Metrics;
+use self::overview::Overview;
 use self::queue::Budget;
 use self::reload::Reload;
 use self::restore::Restored;
@@ -62,7 +65,9 @@ use crate::sink::recorder::{Recorder, RunInfo};
 use crate::sink::signing::Signer;
 use crate::sink::zenoh::Publisher;
 use crate::source::shares::Shares;
-use crate::source::{self, Intake, presence};
+use crate::source::zenoh::LastValues;
+use crate::source::{self, Incoming, Intake, presence};
+use crate::web::{self, api::Live};
 use stiction_monitor::codec::topic;
 use stiction_monitor::config::Config;
 use stiction_monitor::engine::Engine;
@@ -109,7 +114,14 @@ pub async fn run(
     let lock = lock_folder(&recordings, &faults)?;
     let starting = |id: &str| (Instant::now(), Arc::new(DaemonHealth::starting(id, &config.hash())));
     let snapshot = HealthSnapshot::new(RwLock::new(starting("")));
-    let web = crate::web::serve(&config.web, metrics.registry(), snapshot.clone(), faults.clone()).await;
+    let last = source::zenoh::LastValues::default();
+    let (queue, incoming) = crossbeam_channel::bounded(config.input.queue);
+    let overview = (config.web.enabled && config.web.page.enabled).then(Overview::default);
+    let page = match &overview {
+        Some(overview) => Some(page_of(&config, overview, &last, &queue, &snapshot)?),
+        None => None,
+    };
+    let server = web::serve(&config.web, metrics.registry(), snapshot.clone(), faults.clone(), page).await;
     tokio::pin!(stop);
     // A demonstration starts afresh.
     let restored = if options.origin == "run" {
@@ -117,7 +129,7 @@ pub async fn run(
             restored = restore_in_background(&config, &faults, &metrics) => restored,
             () = ask_for_patience(&faults, &snapshot) => return Ok(()),
             () = &mut stop => {
-                web.stop();
+                server.stop();
                 return Ok(());
             }
         }
@@ -133,7 +145,7 @@ pub async fn run(
         opened = source::zenoh::open(&config) => opened?,
         () = wait_for_router(&faults, &snapshot) => return Ok(()),
         () = &mut stop => {
-            web.stop();
+            server.stop();
             return Ok(());
         }
     };
@@ -143,8 +155,6 @@ pub async fn run(
         *snapshot = starting(&daemon_id);
     }
 
-    let last = source::zenoh::LastValues::default();
-    let (queue, incoming) = crossbeam_channel::bounded(config.input.queue);
     let (budget, shares) = (Budget::new(config.input.queue_bytes), Shares::default());
     let (publisher, publishing) = Publisher::start(session.clone(), last.clone(), signer.clone(), metrics.clone())?;
     let run = run_info(&config, config_text, &options, &daemon_id, run_number);
@@ -196,6 +206,7 @@ pub async fn run(
         outbox,
         metrics: metrics.clone(),
         faults: faults.clone(),
+        overview,
         snapshot,
         daemon_id: daemon_id.clone(),
         clock: Clock::system(),
@@ -223,7 +234,7 @@ pub async fn run(
         daemon = daemon_id,
         listen = ?config.zenoh.listen,
         connect = ?config.zenoh.connect,
-        web = web.address.map(|a| a.to_string()),
+        web = server.address.map(|a| a.to_string()),
         recordings = %recordings.display(),
         "watching"
     );
@@ -249,7 +260,7 @@ pub async fn run(
     for queryable in queryables {
         let _ = queryable.undeclare().await;
     }
-    web.stop();
+    server.stop();
     // Closing may hang when the network loses packets.
     let _ = tokio::time::timeout(Duration::from_secs(1), session.close()).await;
     ended
@@ -301,6 +312,26 @@ async fn wait_for_router(faults: &Faults, snapshot: &HealthSnapshot) {
         tell_system(&[NotifyState::Watchdog]);
         tokio::time::sleep(pause).await;
     }
+}
+
+/// The page with the API under it.
+fn page_of(
+    config: &Config,
+    overview: &Overview,
+    last: &LastValues,
+    queue: &Sender<Incoming>,
+    snapshot: &HealthSnapshot,
+) -> anyhow::Result<axum::Router> {
+    let guard = Arc::new(web::guard_of(&config.web.page)?);
+    let live = Live::new(
+        Arc::new(config.clone()),
+        guard.clone(),
+        overview.clone(),
+        last.clone(),
+        queue.clone(),
+        snapshot.clone(),
+    );
+    Ok(web::page(web::api::live(Arc::new(live)), guard))
 }
 
 /// What signs documents, where the configuration names a key.

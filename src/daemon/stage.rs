@@ -93,6 +93,7 @@ impl Stage {
             outbox: None,
             metrics: metrics.clone(),
             faults: faults.clone(),
+            overview: None,
             snapshot: snapshot.clone(),
             daemon_id: DAEMON_ID.to_owned(),
             clock: clock.clone(),

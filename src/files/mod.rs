@@ -1,5 +1,6 @@
 //! Files: recordings (MCAP), tables (CSV), compact stores (MATLAB). What a file is, its content says, not its name.
 
+pub mod archive;
 pub mod compact;
 pub mod csv;
 pub mod disk;
@@ -16,6 +17,7 @@ pub mod rescue;
 pub mod schemas;
 pub mod seal;
 pub mod store;
+pub mod transfer;
 
 pub use mcap_index::MAX_RECORD;
 pub use mcap_read::{Channel, End, Message, ReadError, RecordingReader};

@@ -13,9 +13,11 @@ use crate::daemon::clock::Clock;
 use crate::daemon::metrics::Metrics;
 use crate::daemon::queue::{Budget, Room};
 use shares::{Share, Shares};
+use stiction::record::Record;
 use stiction_monitor::alarm::Command;
 use stiction_monitor::codec::MAX_PAYLOAD;
 use stiction_monitor::config::Config;
+use stiction_monitor::engine::LoopSettings;
 
 /// One message as it arrived, before anything was read from it.
 #[derive(Debug)]
@@ -39,6 +41,15 @@ pub struct Message {
 /// How a command is answered: the new document, or what is wrong with the command.
 pub type Answer = Box<dyn FnOnce(Result<Vec<u8>, String>) + Send>;
 
+/// A loop's window, as it was when somebody looked.
+#[derive(Debug, Clone)]
+pub struct Looked {
+    /// What it holds; none where there is nothing, or no longer.
+    pub record: Option<Record>,
+    /// The loop's settings.
+    pub settings: Arc<LoopSettings>,
+}
+
 /// What waits for the engine.
 pub enum Incoming {
     /// Data from the plant.
@@ -60,6 +71,15 @@ pub enum Incoming {
         by: Option<String>,
         /// Where the answer goes, once there is one.
         answer: Answer,
+    },
+    /// Somebody looks at a loop's window; nothing changes.
+    Look {
+        /// The loop's name.
+        loop_name: String,
+        /// Where the window ends, ns since 1970; with the newest sample if absent.
+        end_ns: Option<i64>,
+        /// Where the answer goes.
+        answer: Box<dyn FnOnce(Option<Looked>) + Send>,
     },
     /// Settings that hold from now on.
     Settings(Box<Config>),

@@ -33,6 +33,18 @@ pub fn s_from_ns(ns: i64) -> f64 {
     ns as f64 / NS_PER_S as f64
 }
 
+/// Milliseconds from nanoseconds, as browsers count time; exact to a quarter of a microsecond for stamps of this century.
+#[must_use]
+pub fn ms_from_ns(ns: i64) -> f64 {
+    ns as f64 * 1e-6
+}
+
+/// Nanoseconds from milliseconds, saturating.
+#[must_use]
+pub fn ns_from_ms(ms: f64) -> i64 {
+    ns_from_s(ms * 1e-3)
+}
+
 /// Reads decimal seconds since 1970 (exactly, to the nanosecond) or an RFC 3339 stamp.
 ///
 /// # Errors
@@ -191,6 +203,13 @@ pub fn loop_name_from(text: &str) -> String {
     let cleaned: String =
         text.trim().chars().map(|c| if c.is_control() || "*$?#@/ ".contains(c) { '_' } else { c }).take(200).collect();
     if cleaned.is_empty() { "loop".to_owned() } else { cleaned }
+}
+
+/// A file's stem from a loop's name: nothing that leads into another folder or hides the file.
+#[must_use]
+pub fn file_stem_of(name: &str) -> String {
+    let stem = loop_name_from(name).replace(['\\', ':'], "_");
+    if stem.starts_with('.') { format!("_{stem}") } else { stem }
 }
 
 /// What a loop controls, by the first letter of its tag (ISA 5.1).

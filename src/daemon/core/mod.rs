@@ -22,6 +22,7 @@ use super::gaps::Diagnoser;
 use super::health::HealthSnapshot;
 use super::limits::{Limits, Refused};
 use super::metrics::{Label, Metrics};
+use super::overview::Overview;
 use super::queue::Budget;
 use super::routes::Routes;
 use super::schedule::Schedule;
@@ -67,6 +68,8 @@ pub struct Core {
     outbox: Option<Outbox>,
     /// Which loops have series in the metrics; none where they have none.
     board: Option<Board>,
+    /// What the page shows; none where there is no page.
+    overview: Option<Overview>,
     /// When the samples of windows arrived that wait for their fits, ns.
     due: HashMap<(LoopId, u64), i64>,
     /// When the sample arrived that is being taken, ns.
@@ -116,6 +119,8 @@ pub struct Parts {
     pub metrics: Arc<Metrics>,
     /// The faults.
     pub faults: Arc<Faults>,
+    /// What the page shows; none where there is no page.
+    pub overview: Option<Overview>,
     /// Where the health goes.
     pub snapshot: HealthSnapshot,
     /// The daemon's id.
@@ -148,6 +153,7 @@ impl Core {
             publisher: parts.publisher,
             outbox: parts.outbox,
             board,
+            overview: parts.overview,
             due: HashMap::new(),
             arrival_ns: 0,
             metrics: parts.metrics,
@@ -284,6 +290,7 @@ impl Core {
             Incoming::Message(message) => self.take_message(&message),
             Incoming::Command { loop_name, command, answer } => self.take_command(&loop_name, &command, answer),
             Incoming::GapRun { loop_name, by, answer } => self.run_gap(&loop_name, by, answer),
+            Incoming::Look { loop_name, end_ns, answer } => self.look(&loop_name, end_ns, answer),
             Incoming::Settings(config) => self.settings(&config),
         }
     }
@@ -355,6 +362,10 @@ impl Core {
                     Event::GapRequest(request) => self.request_gap(*request),
                     Event::Gap(id, document) => {
                         self.metrics.gaps.inc();
+                        if let Some(overview) = &self.overview {
+                            let (name, place) = (self.engine.name(id), &self.engine.settings(id).place);
+                            overview.cause(name, place, self.clock.now(), &document.document.cause.id);
+                        }
                         self.record(id, Kind::Gap, &document, document.end_ns());
                         self.publish_result(id, Kind::Gap, document.end_ns(), to_json(&document));
                     }
@@ -371,6 +382,10 @@ impl Core {
                         }
                         self.record(id, Kind::Estimate, &document, a.window.end_ns);
                         self.publish_result(id, Kind::Estimate, a.window.end_ns, to_json(&document));
+                        if let Some(overview) = &self.overview {
+                            let (name, place) = (self.engine.name(id), &self.engine.settings(id).place);
+                            overview.estimate(name, place, self.clock.now(), Arc::from(document));
+                        }
                     }
                     Event::Alarm(id, document) => self.alarm_changed(id, &document),
                     Event::State(id, document) => {
@@ -432,8 +447,11 @@ impl Core {
     }
 
     fn show_alarm(&mut self, id: LoopId, document: &AlarmDocument) {
-        let Some(board) = &mut self.board else { return };
         let (name, place) = (self.engine.name(id), &self.engine.settings(id).place);
+        if let Some(overview) = &self.overview {
+            overview.alarm(name, place, self.clock.now(), document);
+        }
+        let Some(board) = &mut self.board else { return };
         board.alarm(&self.metrics.series, name, place, document);
     }
 

@@ -44,6 +44,10 @@ impl Core {
                 let age_s = figures.greatest_ns.map(|t| s_from_ns(now.saturating_sub(t)));
                 board.age(&self.metrics.series, name, place, age_s);
             }
+            if let Some(overview) = &self.overview {
+                let (name, place) = (self.engine.name(id), &self.engine.settings(id).place);
+                overview.figures(name, place, self.clock.now(), &figures);
+            }
             if (from..from + slice).contains(&id.index()) {
                 self.publish(id, Kind::Health, to_json(&LoopHealth::new(self.engine.name(id), &figures, now)));
             }

@@ -120,6 +120,30 @@ pub struct Web {
     /// Loops that have series at most.
     #[serde(skip_serializing)]
     pub max_loop_series: usize,
+    /// The page for people. Like all below not part of [`Config::hash`].
+    #[serde(skip_serializing)]
+    pub page: Page,
+}
+
+/// Keys of `[web]` that are about the page.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Page {
+    /// Whether there is one: `page`.
+    pub enabled: bool,
+    /// Whether files may be opened in it: `workbench`.
+    pub workbench: bool,
+    /// Zone of the times that it shows: `time_zone`, an IANA name such as `Europe/Berlin`.
+    pub time_zone: String,
+    /// File of the token that commands need from other machines: `token_file`; empty: none come from there.
+    pub token_file: String,
+    /// Names under which browsers may call it, beside its own address: `hosts`.
+    pub hosts: Vec<String>,
+}
+
+impl Default for Page {
+    fn default() -> Self {
+        Self { enabled: true, workbench: true, time_zone: "UTC".into(), token_file: String::new(), hosts: Vec::new() }
+    }
 }
 
 /// `[[loop]]`.
@@ -381,7 +405,35 @@ fn read_web(r: &mut TableReader<'_, '_>) -> Web {
     }
     let loop_series = r.boolean("loop_series", true);
     let max_loop_series = r.integer("max_loop_series", MAX_LOOP_SERIES, 1, 1_000_000) as usize;
-    Web { enabled, listen, loop_series, max_loop_series }
+    Web { enabled, listen, loop_series, max_loop_series, page: read_page(r) }
+}
+
+fn read_page(r: &mut TableReader<'_, '_>) -> Page {
+    let d = Page::default();
+    let mut time_zone = d.time_zone;
+    if let Some((name, line)) = r.text("time_zone") {
+        let word =
+            |part: &str| !part.is_empty() && part.chars().all(|c| c.is_ascii_alphanumeric() || "_+-".contains(c));
+        if !name.split('/').all(word) {
+            let remedy = "write a name such as Europe/Berlin, or UTC";
+            r.refuse(line, "time_zone", format!("{name:?} is no time zone"), remedy);
+        }
+        time_zone = name;
+    }
+    let hosts = r.texts("hosts");
+    for (host, line) in &hosts {
+        if host.is_empty() || host.contains(['/', ' ', '@']) {
+            let remedy = "write a name as it stands in the browser's address, such as stiction.plant1.example";
+            r.refuse(*line, "hosts", format!("{host:?} is no host"), remedy);
+        }
+    }
+    Page {
+        enabled: r.boolean("page", d.enabled),
+        workbench: r.boolean("workbench", d.workbench),
+        time_zone,
+        token_file: r.text("token_file").map(|(t, _)| t).unwrap_or_default(),
+        hosts: hosts.into_iter().map(|(host, _)| host).collect(),
+    }
 }
 
 #[cfg(test)]

@@ -153,6 +153,11 @@ impl Loop {
         }
     }
 
+    /// What a window would hold that ended at a stamp, or with the newest sample.
+    pub fn record(&self, end_ns: Option<i64>) -> Option<Record> {
+        choose_record(&self.history, &self.settings.window, end_ns.or_else(|| self.history.newest_ns())?)
+    }
+
     /// A person asks for a diagnosis of the latest data, cut as a window would be that ended now.
     pub fn run_gap(
         &mut self,
@@ -161,8 +166,7 @@ impl Loop {
         hash: &Arc<str>,
         out: &mut Vec<Event>,
     ) -> Result<u64, GapRefusal> {
-        let newest_ns = self.history.newest_ns();
-        let record = newest_ns.and_then(|end_ns| choose_record(&self.history, &self.settings.window, end_ns));
+        let record = self.record(None);
         let points = record.as_ref().map_or(0, Record::len);
         let Some(record) = record.filter(|_| points >= MIN_POINTS) else {
             return Err(GapRefusal::TooShort { points, needed: MIN_POINTS });

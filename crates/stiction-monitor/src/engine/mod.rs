@@ -297,6 +297,13 @@ impl Engine {
         &self.loops[id.index()].settings
     }
 
+    /// What a window would hold that ended at a stamp, or with the newest sample: a copy, nothing changes. `None` where
+    /// nothing of it is held any more, or yet.
+    #[must_use]
+    pub fn record(&self, id: LoopId, end_ns: Option<i64>) -> Option<Record> {
+        self.loops[id.index()].record(end_ns)
+    }
+
     /// A loop's figures.
     #[must_use]
     pub fn figures(&self, id: LoopId) -> LoopFigures {

@@ -164,7 +164,8 @@ pub fn size(a: &Assessment, op_range: Option<[f64; 2]>) -> Option<String> {
 const UNNAMED: &str = "a sign in the record";
 
 /// What an indicator looks at.
-fn looks_at(name: &str) -> &'static str {
+#[must_use]
+pub fn looks_at(name: &str) -> &'static str {
     match name {
         "likelihood" => "how much likelier the record is with friction than without, where that leaves only noise",
         "confirmed" => "whether that fit could be an accident (few turns of the stem, OP an image of PV)",

@@ -1,0 +1,41 @@
+//! Loops of any source written as a recording.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use super::{LoadedLoop, METADATA_PREFIX, RecordingFile, WriteError};
+use stiction::units::{is_loop_name, loop_name_from};
+use stiction_monitor::codec::encode_recorded;
+use stiction_monitor::codec::topic::{self, Kind};
+
+/// Writes loops as a recording: into `part` first, which becomes `target` once it is whole. `about` says where they come
+/// from: origin and source. Gives the number of samples.
+///
+/// # Errors
+/// [`WriteError`] of the file.
+pub fn write_loops(
+    [part, target]: [&Path; 2],
+    prefix: &str,
+    [origin, source]: [&str; 2],
+    loops: &[LoadedLoop],
+) -> Result<usize, WriteError> {
+    let metadata = BTreeMap::from(
+        [("origin", origin), (METADATA_PREFIX, prefix), ("source", source), ("version", crate::VERSION)]
+            .map(|(key, value)| (key.to_owned(), value.to_owned())),
+    );
+    let mut file = RecordingFile::create_at(part.to_owned(), target.to_owned(), &metadata)?;
+    let mut samples = 0;
+    let mut payload = Vec::with_capacity(64);
+    for one in loops {
+        let name = if is_loop_name(&one.name) { one.name.clone() } else { loop_name_from(&one.name) };
+        for sample in &one.samples {
+            payload.clear();
+            encode_recorded(sample, &mut payload);
+            let topic = topic::raw(prefix, &name, sample.signal);
+            file.write(&topic, Kind::of_signal(sample.signal), sample.t_ns, sample.t_ns, &payload)?;
+        }
+        samples += one.samples.len();
+    }
+    file.finish()?;
+    Ok(samples)
+}

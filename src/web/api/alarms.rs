@@ -1,0 +1,104 @@
+//! Alarms: the list, and what people do to them.
+
+use axum::Json;
+use axum::extract::{Path, State};
+use axum::routing::{get, post};
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+use std::time::Duration;
+
+use super::{Answered, ENGINE_WITHIN, Gives, Operation, Shared, of};
+use crate::daemon::clock::now_ns;
+use crate::source::Incoming;
+use stiction::units::ns_from_s;
+use stiction_monitor::alarm::{AlarmDocument, Command, State as AlarmState};
+
+/// How long an alarm that is at rest again stays in the list.
+const SHOWN_S: f64 = 86_400.0;
+/// How long a diagnosis may take.
+const DIAGNOSIS_WITHIN: Duration = Duration::from_secs(300);
+
+/// The list.
+#[derive(Serialize, schemars::JsonSchema)]
+struct Alarms {
+    /// Alarms that are not at rest, and those that changed within a day.
+    alarms: Vec<AlarmDocument>,
+}
+
+/// A command on an alarm.
+#[derive(Debug, Deserialize, schemars::JsonSchema)]
+#[serde(deny_unknown_fields)]
+struct Commanded {
+    /// `ack`, `shelve`, `unshelve`, `suppress`, `unsuppress`, `out_of_service` or `in_service`.
+    cmd: String,
+    /// Who.
+    by: String,
+    /// Why, in that person's words.
+    why: Option<String>,
+    /// Seconds on the shelf.
+    for_s: Option<u64>,
+}
+
+/// Who asks.
+#[derive(Debug, Deserialize, schemars::JsonSchema)]
+#[serde(deny_unknown_fields)]
+struct Asked {
+    /// The name.
+    by: String,
+}
+
+pub(super) fn operations() -> Vec<Operation<Shared>> {
+    vec![
+        Operation {
+            method: "get",
+            path: "/alarms",
+            summary: "Alarms that are not at rest, and those that changed within a day",
+            query: &[],
+            body: None,
+            gives: Gives::Json(of::<Alarms>),
+            handler: || get(alarms),
+        },
+        Operation {
+            method: "post",
+            path: "/loops/{name}/alarm",
+            summary: "Acknowledges, shelves, suppresses or takes an alarm out of service, or the other way round; gives its new document",
+            query: &[],
+            body: Some(of::<Commanded>),
+            gives: Gives::Json(of::<AlarmDocument>),
+            handler: || post(command),
+        },
+        Operation {
+            method: "post",
+            path: "/loops/{name}/gap",
+            summary: "Diagnoses the loop now and gives the gap document; takes seconds, more where others wait",
+            query: &[],
+            body: Some(of::<Asked>),
+            gives: Gives::Json(of::<Value>),
+            handler: || post(diagnose),
+        },
+    ]
+}
+
+async fn alarms(State(live): State<Shared>) -> Json<Value> {
+    let since_ns = now_ns().saturating_sub(ns_from_s(SHOWN_S));
+    let shown = |d: &AlarmDocument| d.state != AlarmState::Normal || d.changed_ns >= since_ns;
+    let alarms: Vec<_> = live.overview.alarms().into_iter().filter(|d| shown(d)).collect();
+    Json(json!({ "alarms": alarms.iter().map(AsRef::as_ref).collect::<Vec<&AlarmDocument>>() }))
+}
+
+async fn command(
+    State(live): State<Shared>,
+    Path(loop_name): Path<String>,
+    Json(Commanded { cmd, by, why, for_s }): Json<Commanded>,
+) -> Answered<Value> {
+    let command = Command { cmd, by: Some(by), why, for_s };
+    live.wish(ENGINE_WITHIN, |answer| Incoming::Command { loop_name, command, answer }).await.map(Json)
+}
+
+async fn diagnose(
+    State(live): State<Shared>,
+    Path(loop_name): Path<String>,
+    Json(Asked { by }): Json<Asked>,
+) -> Answered<Value> {
+    live.wish(DIAGNOSIS_WITHIN, |answer| Incoming::GapRun { loop_name, by: Some(by), answer }).await.map(Json)
+}

@@ -1,0 +1,113 @@
+//! The API's description, made from the table of operations.
+
+use schemars::SchemaGenerator;
+use schemars::generate::SchemaSettings;
+use serde_json::{Map, Value, json};
+
+use super::{BASE, Gives, Operation, operations};
+
+/// OpenAPI 3.1 of everything under [`BASE`].
+pub(super) fn document() -> Value {
+    let settings =
+        SchemaSettings::draft2020_12().for_serialize().with(|s| s.definitions_path = "/components/schemas".into());
+    let mut generator = settings.into_generator();
+    let mut paths = Map::new();
+    for operation in operations() {
+        let path = paths.entry(format!("{BASE}{}", operation.path)).or_insert_with(|| json!({}));
+        path[operation.method] = described(&operation, &mut generator);
+    }
+    let schemas = generator.take_definitions(true);
+    json!({
+        "openapi": "3.1.0",
+        "info": {
+            "title": "stictiond",
+            "version": crate::VERSION,
+            "description": "What the daemon's page reads and sends. Times are ms since 1970 UTC, numbers that do not exist are null. \
+                            What changes something carries the header `X-Stictiond: 1`, and from other machines a token.",
+            "license": { "name": "MIT OR Apache-2.0", "identifier": "MIT OR Apache-2.0" },
+        },
+        "paths": paths,
+        "components": {
+            "schemas": schemas,
+            "securitySchemes": { "token": { "type": "http", "scheme": "bearer" } },
+        },
+    })
+}
+
+fn described<S>(operation: &Operation<S>, generator: &mut SchemaGenerator) -> Value {
+    let in_path = operation.path.split('/').filter_map(|part| part.strip_prefix('{')?.strip_suffix('}'));
+    let mut parameters: Vec<Value> = in_path
+        .map(|name| json!({"name": name, "in": "path", "required": true, "schema": {"type": "string"}}))
+        .collect();
+    let query = operation.query.iter();
+    parameters.extend(query.map(|p| json!({"name": p.name, "in": "query", "description": p.words, "schema": {}})));
+    let content = match operation.gives {
+        Gives::Json(schema) => json!({"application/json": {"schema": schema(generator)}}),
+        Gives::File(kind) => json!({kind: {}}),
+        Gives::Events => json!({"text/event-stream": {}}),
+    };
+    let refusal = json!({
+        "description": "Refused: what is wrong, with the remedy",
+        "content": {"application/json": {"schema": {
+            "type": "object", "required": ["error"], "properties": {"error": {"type": "string"}},
+        }}},
+    });
+    let mut said = json!({
+        "summary": operation.summary,
+        "parameters": parameters,
+        "responses": {"200": {"description": "Done", "content": content}, "default": refusal},
+    });
+    if let Some(body) = operation.body {
+        said["requestBody"] = json!({"required": true, "content": {"application/json": {"schema": body(generator)}}});
+    }
+    if operation.method != "get" {
+        let own = json!({"name": "X-Stictiond", "in": "header", "required": true, "schema": {"const": "1"}});
+        if let Some(parameters) = said["parameters"].as_array_mut() {
+            parameters.push(own);
+        }
+        said["security"] = json!([{}, {"token": []}]);
+    }
+    said
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeSet;
+
+    #[test]
+    fn every_operation_stands_once_and_every_reference_leads_somewhere() {
+        let whole = document();
+        let described: usize = whole["paths"].as_object().unwrap().values().map(|p| p.as_object().unwrap().len()).sum();
+        let all: BTreeSet<_> = operations().iter().map(|o| (o.method, o.path)).collect();
+        assert_eq!((described, all.len()), (operations().len(), operations().len()));
+        let mut open = vec![&whole];
+        let mut references = 0;
+        while let Some(value) = open.pop() {
+            match value {
+                Value::Object(fields) => {
+                    if let Some(place) = fields.get("$ref").and_then(Value::as_str) {
+                        references += 1;
+                        assert!(whole.pointer(place.trim_start_matches('#')).is_some(), "{place}");
+                    }
+                    open.extend(fields.values());
+                }
+                Value::Array(values) => open.extend(values),
+                _ => {}
+            }
+        }
+        assert!(references > 10, "{references}");
+    }
+
+    /// `docs/openapi.json` holds what this build makes; STICTIOND_GOLDEN=write makes it anew.
+    #[test]
+    fn the_kept_description_is_that_of_the_operations() {
+        let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/openapi.json");
+        let text = serde_json::to_string_pretty(&document()).unwrap() + "\n";
+        if std::env::var("STICTIOND_GOLDEN").is_ok_and(|wish| wish == "write") {
+            std::fs::write(&path, &text).unwrap();
+        }
+        let kept = std::fs::read_to_string(&path).unwrap_or_default();
+        assert!(kept == text, "{}: STICTIOND_GOLDEN=write makes it anew", path.display());
+    }
+}

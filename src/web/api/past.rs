@@ -1,0 +1,279 @@
+//! A loop's past, from the recordings: curves, windows, changes of its alarm, what many windows say together.
+
+use std::collections::BTreeSet;
+use std::time::{Duration, Instant};
+
+use axum::Json;
+use axum::extract::{Path, Query, State};
+use axum::routing::get;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+use super::window::Curves;
+use super::{Answered, Gives, Operation, Parameter, Shared, of};
+use crate::daemon::clock::now_ns;
+use crate::files::LoadedLoop;
+use crate::files::archive::{Archive, Reach, Wanted};
+use crate::web::error::ApiError;
+use crate::web::thin::thin;
+use stiction::record::Signal;
+use stiction::units::{ms_from_ns, ns_from_ms, ns_from_s};
+use stiction_monitor::analysis::{Points, Section};
+use stiction_monitor::codec;
+use stiction_monitor::codec::topic::{self, Kind};
+
+/// How long a look back may take before it gives what it has.
+const PATIENCE: Duration = Duration::from_secs(4);
+/// Points of a curve, if nobody says how many, and at most.
+const POINTS: usize = 2_000;
+const MOST_POINTS: usize = 20_000;
+/// How far back is looked if nobody says.
+const PAST_S: f64 = 90.0 * 86_400.0;
+/// Windows and changes that are given, at most: the newest.
+const MOST_WINDOWS: usize = 5_000;
+
+/// Curves of a stretch of time.
+#[derive(Debug, Serialize, schemars::JsonSchema)]
+struct Trend {
+    /// First stamp asked for, ms since 1970.
+    from_ms: f64,
+    /// Last stamp asked for, ms since 1970.
+    to_ms: f64,
+    /// The curves, thinned to their extremes.
+    #[serde(flatten)]
+    curves: Curves,
+    /// Whether all recordings of the time were read; ask again where not.
+    complete: bool,
+}
+
+/// Windows of a stretch of time.
+#[derive(Debug, Serialize, schemars::JsonSchema)]
+struct History {
+    /// First end of a window asked for, ms since 1970.
+    from_ms: f64,
+    /// Last one, ms since 1970.
+    to_ms: f64,
+    /// Whether all recordings of the time were read; ask again where not.
+    complete: bool,
+    /// Oldest first.
+    windows: Vec<PastWindow>,
+}
+
+/// What is kept of a recorded estimate; fields as in `stictiond.estimate.v1`.
+#[derive(Debug, Clone, Serialize, Deserialize, schemars::JsonSchema)]
+#[allow(missing_docs)] // defined in docs/verdicts.md
+pub struct PastWindow {
+    #[serde(skip_deserializing)]
+    pub start_ms: f64,
+    #[serde(skip_deserializing)]
+    pub end_ms: f64,
+    #[serde(rename(deserialize = "window"), skip_serializing)]
+    #[schemars(skip)]
+    window: Bounds,
+    pub verdict: String,
+    pub stiction: Option<bool>,
+    pub p_stiction: Option<f64>,
+    pub grade: Option<char>,
+    pub s: Option<f64>,
+    pub s_interval: Option<[f64; 2]>,
+    pub fs: Option<f64>,
+    pub fs_interval: Option<[f64; 2]>,
+    pub fd: Option<f64>,
+    pub fd_interval: Option<[f64; 2]>,
+    pub j: Option<f64>,
+    pub j_interval: Option<[f64; 2]>,
+    pub j_identifiable: Option<bool>,
+    pub stiction_index: Option<f64>,
+    #[serde(skip_deserializing)]
+    pub period_s: Option<f64>,
+    #[serde(rename(deserialize = "oscillation"), skip_serializing)]
+    #[schemars(skip)]
+    oscillation: Cycle,
+    pub gates: Vec<String>,
+}
+
+#[derive(Debug, Clone, Copy, Deserialize)]
+struct Bounds {
+    start_ns: i64,
+    end_ns: i64,
+}
+
+#[derive(Debug, Clone, Copy, Deserialize)]
+struct Cycle {
+    period_s: Option<f64>,
+}
+
+/// Changes of an alarm.
+#[derive(Debug, Serialize, schemars::JsonSchema)]
+struct Changes {
+    /// Whether all recordings of the time were read; ask again where not.
+    complete: bool,
+    /// `stictiond.alarm.v2`, newest first.
+    changes: Vec<Value>,
+}
+
+#[derive(Debug, Deserialize)]
+struct Range {
+    from_ms: Option<f64>,
+    to_ms: Option<f64>,
+    points: Option<usize>,
+}
+
+const FROM: Parameter = Parameter { name: "from_ms", words: "first stamp, ms since 1970; 90 days ago if absent" };
+const TO: Parameter = Parameter { name: "to_ms", words: "last stamp, ms since 1970; now if absent" };
+const FEWER: Parameter = Parameter { name: "points", words: "about how many points; 2000 if absent, 20000 at most" };
+
+pub(super) fn operations() -> Vec<Operation<Shared>> {
+    let json = |path, summary, query, gives, handler| Operation {
+        method: "get",
+        path,
+        summary,
+        query,
+        body: None,
+        gives,
+        handler,
+    };
+    vec![
+        json(
+            "/loops/{name}/trend",
+            "OP, PV and SP of a stretch of time, from the recordings",
+            &[FROM, TO, FEWER],
+            Gives::Json(of::<Trend>),
+            || get(trend),
+        ),
+        json(
+            "/loops/{name}/history",
+            "Every window of a stretch of time, from the recordings",
+            &[FROM, TO],
+            Gives::Json(of::<History>),
+            || get(history),
+        ),
+        json(
+            "/loops/{name}/alarms",
+            "Changes of the alarm, from the recordings",
+            &[FROM, TO],
+            Gives::Json(of::<Changes>),
+            || get(changes),
+        ),
+    ]
+}
+
+impl Range {
+    fn ns(&self) -> Result<[i64; 2], ApiError> {
+        let now = now_ns();
+        let to = self.to_ms.map_or(now, ns_from_ms);
+        let from = self.from_ms.map_or(to.saturating_sub(ns_from_s(PAST_S)), ns_from_ms);
+        let finite = [self.from_ms, self.to_ms].iter().flatten().all(|ms| ms.is_finite());
+        if finite && from <= to { Ok([from, to]) } else { Err(ApiError::unfit("from_ms must lie before to_ms")) }
+    }
+}
+
+/// A loop's samples in the recordings, oldest file first.
+pub(super) fn recorded(archive: &Archive, name: &str, signals: &[Signal], range_ns: [i64; 2]) -> LoadedLoop {
+    recorded_within(archive, name, signals, range_ns).0
+}
+
+fn recorded_within(archive: &Archive, name: &str, signals: &[Signal], range_ns: [i64; 2]) -> (LoadedLoop, Reach) {
+    let topics: Vec<(String, Signal)> = signals.iter().map(|s| (topic::raw(archive.prefix(), name, *s), *s)).collect();
+    let names: BTreeSet<String> = topics.iter().map(|(topic, _)| topic.clone()).collect();
+    let wanted = Wanted { topics: names, range_ns, until: Instant::now() + PATIENCE };
+    let mut one = LoadedLoop::new(name, Vec::new());
+    let reach = archive.read(&wanted, &mut |found| {
+        let Some((_, signal)) = topics.iter().find(|(topic, _)| topic == found.topic) else { return };
+        // What cannot be read was counted when it came.
+        let _ = codec::decode(*signal, found.data, Some(found.encoding), None, found.t_ns, &mut one.samples);
+    });
+    // Files come newest first; a stable sort keeps the order within a stamp.
+    one.samples.sort_by_key(|sample| sample.t_ns);
+    (one, reach)
+}
+
+async fn trend(State(live): State<Shared>, Path(name): Path<String>, Query(range): Query<Range>) -> Answered<Trend> {
+    let [from_ns, to_ns] = range.ns()?;
+    let points = range.points.unwrap_or(POINTS).clamp(2, MOST_POINTS);
+    let (archive, config) = (live.archive.clone(), live.config.clone());
+    let (curves, reach) = live
+        .on_a_thread(move || {
+            let signals = [Signal::Op, Signal::Pv, Signal::Sp];
+            let (one, reach) = recorded_within(&archive, &name, &signals, [from_ns, to_ns]);
+            let joined = Points::of(&name, &one.samples, &config).samples(Section::Whole).unwrap_or_default();
+            let column = |of: fn(&stiction::signal::align::Point) -> f64| joined.iter().map(of).collect::<Vec<f64>>();
+            let (op, pv, sp) = (column(|p| p.op), column(|p| p.pv), column(|p| p.sp.unwrap_or(f64::NAN)));
+            let places = thin(&[&op, &pv, &sp], points);
+            let shown = |values: &[f64]| places.iter().map(|k| Some(values[*k]).filter(|v| v.is_finite())).collect();
+            let curves = Curves {
+                t_ms: places.iter().map(|k| ms_from_ns(joined[*k].t_ns)).collect(),
+                op: shown(&op),
+                pv: shown(&pv),
+                sp: sp.iter().any(|v| v.is_finite()).then(|| shown(&sp)),
+            };
+            (curves, reach)
+        })
+        .await?;
+    let complete = reach == Reach::All;
+    Ok(Json(Trend { from_ms: ms_from_ns(from_ns), to_ms: ms_from_ns(to_ns), curves, complete }))
+}
+
+/// Documents of one kind in the recordings, oldest first, the newest of them where there are too many.
+fn documents<T>(
+    archive: &Archive,
+    topic: String,
+    range_ns: [i64; 2],
+    read: impl Fn(&[u8]) -> Option<(i64, T)>,
+) -> (Vec<T>, Reach) {
+    let wanted = Wanted { topics: BTreeSet::from([topic]), range_ns, until: Instant::now() + PATIENCE };
+    let mut found = Vec::new();
+    let reach = archive.read(&wanted, &mut |message| found.extend(read(message.data)));
+    found.sort_by_key(|(t_ns, _)| *t_ns);
+    let surplus = found.len().saturating_sub(MOST_WINDOWS);
+    (found.into_iter().skip(surplus).map(|(_, document)| document).collect(), reach)
+}
+
+/// Recorded windows of a loop, oldest first.
+pub(super) fn windows(archive: &Archive, name: &str, range_ns: [i64; 2]) -> (Vec<PastWindow>, Reach) {
+    let topic = topic::result(archive.prefix(), name, Kind::Estimate);
+    let (mut all, reach) = documents(archive, topic, range_ns, |data| {
+        let mut window: PastWindow = serde_json::from_slice(data).ok()?;
+        let Bounds { start_ns, end_ns } = window.window;
+        (window.start_ms, window.end_ms) = (ms_from_ns(start_ns), ms_from_ns(end_ns));
+        window.period_s = window.oscillation.period_s;
+        Some((end_ns, window))
+    });
+    // A window may stand in the file that ended and in the one that followed.
+    all.dedup_by_key(|w| w.window.end_ns);
+    (all, reach)
+}
+
+async fn history(
+    State(live): State<Shared>,
+    Path(name): Path<String>,
+    Query(range): Query<Range>,
+) -> Answered<History> {
+    let [from_ns, to_ns] = range.ns()?;
+    let archive = live.archive.clone();
+    let (windows, reach) = live.on_a_thread(move || windows(&archive, &name, [from_ns, to_ns])).await?;
+    let complete = reach == Reach::All;
+    Ok(Json(History { from_ms: ms_from_ns(from_ns), to_ms: ms_from_ns(to_ns), complete, windows }))
+}
+
+async fn changes(
+    State(live): State<Shared>,
+    Path(name): Path<String>,
+    Query(range): Query<Range>,
+) -> Answered<Changes> {
+    let range_ns = range.ns()?;
+    let archive = live.archive.clone();
+    let (mut changes, reach) = live
+        .on_a_thread(move || {
+            let topic = topic::result(archive.prefix(), &name, Kind::Alarm);
+            documents(&archive, topic, range_ns, |data| {
+                let document: Value = serde_json::from_slice(data).ok()?;
+                Some((document.get("changed_ns")?.as_i64()?, document))
+            })
+        })
+        .await?;
+    changes.reverse();
+    // A restart tells an alarm again without any change.
+    changes.retain(|document| document.get("event").and_then(Value::as_str) != Some("restored"));
+    Ok(Json(Changes { complete: reach == Reach::All, changes }))
+}
