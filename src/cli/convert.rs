@@ -2,10 +2,6 @@
 
 use super::reading::{ReadArgs, named};
 use super::{Format, Outcome, UsageError};
-use crate::files::compact::{self, CompactLoop};
-use crate::files::even::even;
-use crate::files::transfer::write_loops;
-use crate::files::{self, Loaded, LoadedLoop, METADATA_PREFIX, csv};
 use anyhow::{Context, anyhow, bail};
 use serde_json::json;
 use std::collections::HashSet;
@@ -14,6 +10,10 @@ use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 use stiction::record::Signal;
 use stiction::units::file_stem_of;
+use stictiond::files::compact::{self, CompactLoop};
+use stictiond::files::even::even;
+use stictiond::files::transfer::write_loops;
+use stictiond::files::{self, Loaded, LoadedLoop, METADATA_PREFIX, csv};
 
 /// Prefix of topics made from tables, which carry none.
 const PREFIX: &str = "plant";
