@@ -14,6 +14,7 @@ mod mcap_read;
 mod mcap_roster;
 mod mcap_write;
 pub mod rescue;
+pub mod reviews;
 pub mod schemas;
 pub mod seal;
 pub mod store;

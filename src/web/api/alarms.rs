@@ -4,9 +4,10 @@ use axum::Json;
 use axum::extract::{Path, State};
 use axum::routing::{get, post};
 use serde::{Deserialize, Serialize};
-use serde_json::{Value, json};
+use serde_json::Value;
 use std::time::Duration;
 
+use super::reviews::{Told, last_of_loops};
 use super::{Answered, ENGINE_WITHIN, Gives, Operation, Shared, of};
 use crate::daemon::clock::now_ns;
 use crate::source::Incoming;
@@ -22,7 +23,16 @@ const DIAGNOSIS_WITHIN: Duration = Duration::from_secs(300);
 #[derive(Serialize, schemars::JsonSchema)]
 struct Alarms {
     /// Alarms that are not at rest, and those that changed within a day.
-    alarms: Vec<AlarmDocument>,
+    alarms: Vec<Listed>,
+}
+
+/// An alarm, and what somebody found at its valve.
+#[derive(Serialize, schemars::JsonSchema)]
+struct Listed {
+    #[serde(flatten)]
+    alarm: AlarmDocument,
+    /// The last review of its loop.
+    review: Option<Told>,
 }
 
 /// A command on an alarm.
@@ -79,11 +89,14 @@ pub(super) fn operations() -> Vec<Operation<Shared>> {
     ]
 }
 
-async fn alarms(State(live): State<Shared>) -> Json<Value> {
+async fn alarms(State(live): State<Shared>) -> Json<Alarms> {
     let since_ns = now_ns().saturating_sub(ns_from_s(SHOWN_S));
     let shown = |d: &AlarmDocument| d.state != AlarmState::Normal || d.changed_ns >= since_ns;
-    let alarms: Vec<_> = live.overview.alarms().into_iter().filter(|d| shown(d)).collect();
-    Json(json!({ "alarms": alarms.iter().map(AsRef::as_ref).collect::<Vec<&AlarmDocument>>() }))
+    let mut reviews = last_of_loops(&live);
+    let alarms = live.overview.alarms().into_iter().filter(|d| shown(d));
+    let alarms: Vec<Listed> =
+        alarms.map(|d| Listed { review: reviews.remove(&d.loop_name), alarm: (*d).clone() }).collect();
+    Json(Alarms { alarms })
 }
 
 async fn command(

@@ -5,6 +5,7 @@ mod events;
 mod loops;
 mod openapi;
 mod past;
+mod reviews;
 mod site;
 mod window;
 
@@ -17,7 +18,7 @@ use axum::routing::MethodRouter;
 use axum::{Json, Router};
 use crossbeam_channel::Sender;
 use schemars::{Schema, SchemaGenerator};
-use tokio::sync::{Semaphore, SemaphorePermit, oneshot};
+use tokio::sync::{Semaphore, oneshot};
 
 use super::error::ApiError;
 use super::guard::Guard;
@@ -25,6 +26,7 @@ use crate::daemon::clock::now_ns;
 use crate::daemon::health::HealthSnapshot;
 use crate::daemon::overview::Overview;
 use crate::files::archive::{Archive, SharedArchive};
+use crate::files::reviews::Reviews;
 use crate::source::zenoh::LastValues;
 use crate::source::{Answer, Incoming, Looked};
 use stiction_monitor::codec::topic::{self, Kind};
@@ -34,10 +36,11 @@ use stiction_monitor::config::Config;
 pub const BASE: &str = "/api/v1";
 /// How long the engine may take for an answer; a diagnosis takes longer.
 const ENGINE_WITHIN: Duration = Duration::from_secs(10);
-/// Looks back and drawings at a time: they take a core from the fits.
-const SLOW_AT_ONCE: usize = 1;
-/// How many may wait for that.
-const SLOW_WAITING: usize = 32;
+/// Looks at windows and recordings at a time, and drawings, which take seconds: both take a core from the fits.
+const LOOKS_AT_ONCE: usize = 2;
+const DRAWINGS_AT_ONCE: usize = 1;
+/// How many may wait for either.
+const SLOW_WAITING: usize = 64;
 /// Streams at a time.
 const STREAMS: usize = 64;
 
@@ -53,13 +56,16 @@ pub struct Live {
     pub snapshot: HealthSnapshot,
     /// What was recorded.
     pub archive: SharedArchive,
+    /// What people found.
+    pub reviews: Reviews,
     /// Who may do what.
     pub guard: Arc<Guard>,
     /// The configuration.
     pub config: Arc<Config>,
     /// When the daemon started, ns since 1970.
     pub started_ns: i64,
-    slow: Semaphore,
+    looks: Semaphore,
+    drawings: Semaphore,
     waiting: Semaphore,
     streams: Semaphore,
 }
@@ -81,11 +87,27 @@ impl Live {
         queue: Sender<Incoming>,
         snapshot: HealthSnapshot,
     ) -> Self {
-        let archive = Arc::new(Archive::new(Path::new(&config.recording.dir), &config.site.prefix));
-        let (slow, waiting, streams) =
-            (Semaphore::new(SLOW_AT_ONCE), Semaphore::new(SLOW_WAITING), Semaphore::new(STREAMS));
+        let recordings = Path::new(&config.recording.dir);
+        let archive = Arc::new(Archive::new(recordings, &config.site.prefix));
+        let reviews = Reviews::below(recordings);
+        let [looks, drawings, waiting, streams] =
+            [LOOKS_AT_ONCE, DRAWINGS_AT_ONCE, SLOW_WAITING, STREAMS].map(Semaphore::new);
         let started_ns = now_ns();
-        Self { overview, last, queue, snapshot, archive, guard, config, started_ns, slow, waiting, streams }
+        Self {
+            overview,
+            last,
+            queue,
+            snapshot,
+            archive,
+            reviews,
+            guard,
+            config,
+            started_ns,
+            looks,
+            drawings,
+            waiting,
+            streams,
+        }
     }
 
     /// The last document of a loop as it was published.
@@ -97,16 +119,24 @@ impl Live {
         serde_json::from_slice(&document).ok()
     }
 
-    /// A place among those that take long.
-    async fn slow(&self) -> Result<SemaphorePermit<'_>, ApiError> {
-        let busy = || ApiError::busy("too many wait for pictures and recordings already: try again in a moment");
-        let _waiting = self.waiting.try_acquire().map_err(|_| busy())?;
-        self.slow.acquire().await.map_err(|_| busy())
+    /// Looks back on a thread of its own.
+    async fn on_a_thread<T: Send + 'static>(&self, work: impl FnOnce() -> T + Send + 'static) -> Result<T, ApiError> {
+        self.in_turn(&self.looks, work).await
     }
 
-    /// Does what takes long on a thread of its own.
-    async fn on_a_thread<T: Send + 'static>(&self, work: impl FnOnce() -> T + Send + 'static) -> Result<T, ApiError> {
-        let _place = self.slow().await?;
+    /// Draws on a thread of its own.
+    async fn draw<T: Send + 'static>(&self, work: impl FnOnce() -> T + Send + 'static) -> Result<T, ApiError> {
+        self.in_turn(&self.drawings, work).await
+    }
+
+    async fn in_turn<T: Send + 'static>(
+        &self,
+        places: &Semaphore,
+        work: impl FnOnce() -> T + Send + 'static,
+    ) -> Result<T, ApiError> {
+        let busy = || ApiError::busy("too many wait for pictures and recordings already: try again in a moment");
+        let _waiting = self.waiting.try_acquire().map_err(|_| busy())?;
+        let _place = places.acquire().await.map_err(|_| busy())?;
         let failed = |_| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, "it broke off: the daemon's log says why");
         tokio::task::spawn_blocking(work).await.map_err(failed)
     }
@@ -193,6 +223,7 @@ pub fn operations() -> Vec<Operation<Shared>> {
         loops::operations(),
         window::operations(),
         past::operations(),
+        reviews::operations(),
         alarms::operations(),
         events::operations(),
     ]

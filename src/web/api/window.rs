@@ -235,7 +235,7 @@ impl Estimated {
 async fn pictures(State(live): State<Shared>, Path(name): Path<String>) -> Answered<Pictures> {
     let estimated = live.estimated(&name).await?;
     let drawn = live
-        .on_a_thread(move || {
+        .draw(move || {
             let one = estimated.report(&name);
             let subject = Subject {
                 record: &one.record,
@@ -268,7 +268,7 @@ async fn sheet(State(live): State<Shared>, Path(name): Path<String>) -> Result<R
     let alarm = live.overview.newest(&name).and_then(|newest| newest.alarm);
     let prefix = live.config.site.prefix.clone();
     let made = live
-        .on_a_thread(move || {
+        .draw(move || {
             let warnings = alarm.iter().map(|alarm| alarm.line()).collect();
             let (input, command) = (format!("live data of {prefix}"), "taken from the daemon's page".to_owned());
             page(&Report { input, command, warnings, loops: vec![estimated.report(&name)] })
