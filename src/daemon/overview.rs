@@ -125,6 +125,8 @@ pub struct Newest {
     pub estimate: Option<Arc<EstimateDocument>>,
     /// Of its alarm, if that ever changed or was restored.
     pub alarm: Option<Arc<AlarmDocument>>,
+    /// Its newest stamp, ns since 1970, a few seconds late.
+    pub newest_ns: Option<i64>,
 }
 
 #[derive(Debug, Default)]
@@ -223,7 +225,11 @@ impl Overview {
     #[must_use]
     pub fn newest(&self, name: &str) -> Option<Newest> {
         let loops = self.0.read().unwrap_or_else(PoisonError::into_inner);
-        loops.by_name.get(name).map(|e| Newest { estimate: e.estimate.clone(), alarm: e.alarm.clone() })
+        loops.by_name.get(name).map(|e| Newest {
+            estimate: e.estimate.clone(),
+            alarm: e.alarm.clone(),
+            newest_ns: e.newest_ns,
+        })
     }
 
     /// Every alarm that has a document, with its loop's name.

@@ -8,6 +8,7 @@ pub mod api;
 mod assets;
 pub mod error;
 mod exposition;
+pub mod extract;
 pub mod guard;
 pub mod server;
 pub mod thin;

@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 
 use axum::Json;
-use axum::extract::{Path, Query, State};
+use axum::extract::{Path, State};
 use axum::routing::get;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -15,6 +15,7 @@ use crate::daemon::clock::now_ns;
 use crate::files::LoadedLoop;
 use crate::files::archive::{Archive, Reach, Wanted};
 use crate::web::error::ApiError;
+use crate::web::extract::Asked;
 use crate::web::thin::thin;
 use stiction::record::Signal;
 use stiction::units::{ms_from_ns, ns_from_ms, ns_from_s};
@@ -120,7 +121,7 @@ struct Range {
 }
 
 const FROM: Parameter = Parameter { name: "from_ms", words: "first stamp, ms since 1970; 90 days ago if absent" };
-const TO: Parameter = Parameter { name: "to_ms", words: "last stamp, ms since 1970; now if absent" };
+const TO: Parameter = Parameter { name: "to_ms", words: "last stamp, ms since 1970; the newest if absent" };
 const FEWER: Parameter = Parameter { name: "points", words: "about how many points; 2000 if absent, 20000 at most" };
 
 pub(super) fn operations() -> Vec<Operation<Shared>> {
@@ -159,9 +160,10 @@ pub(super) fn operations() -> Vec<Operation<Shared>> {
 }
 
 impl Range {
-    fn ns(&self) -> Result<[i64; 2], ApiError> {
-        let now = now_ns();
-        let to = self.to_ms.map_or(now, ns_from_ms);
+    /// First and last stamp. Plants whose clock is ahead, and those that are simulated, have a past beyond now.
+    fn ns(&self, live: &Shared, name: &str) -> Result<[i64; 2], ApiError> {
+        let newest = || live.overview.newest(name).and_then(|n| n.newest_ns).unwrap_or(i64::MIN);
+        let to = self.to_ms.map_or_else(|| now_ns().max(newest()), ns_from_ms);
         let from = self.from_ms.map_or(to.saturating_sub(ns_from_s(PAST_S)), ns_from_ms);
         let finite = [self.from_ms, self.to_ms].iter().flatten().all(|ms| ms.is_finite());
         if finite && from <= to { Ok([from, to]) } else { Err(ApiError::unfit("from_ms must lie before to_ms")) }
@@ -188,8 +190,8 @@ fn recorded_within(archive: &Archive, name: &str, signals: &[Signal], range_ns: 
     (one, reach)
 }
 
-async fn trend(State(live): State<Shared>, Path(name): Path<String>, Query(range): Query<Range>) -> Answered<Trend> {
-    let [from_ns, to_ns] = range.ns()?;
+async fn trend(State(live): State<Shared>, Path(name): Path<String>, Asked(range): Asked<Range>) -> Answered<Trend> {
+    let [from_ns, to_ns] = range.ns(&live, &name)?;
     let points = range.points.unwrap_or(POINTS).clamp(2, MOST_POINTS);
     let (archive, config) = (live.archive.clone(), live.config.clone());
     let (curves, reach) = live
@@ -247,9 +249,9 @@ pub(super) fn windows(archive: &Archive, name: &str, range_ns: [i64; 2]) -> (Vec
 async fn history(
     State(live): State<Shared>,
     Path(name): Path<String>,
-    Query(range): Query<Range>,
+    Asked(range): Asked<Range>,
 ) -> Answered<History> {
-    let [from_ns, to_ns] = range.ns()?;
+    let [from_ns, to_ns] = range.ns(&live, &name)?;
     let archive = live.archive.clone();
     let (windows, reach) = live.on_a_thread(move || windows(&archive, &name, [from_ns, to_ns])).await?;
     let complete = reach == Reach::All;
@@ -259,9 +261,9 @@ async fn history(
 async fn changes(
     State(live): State<Shared>,
     Path(name): Path<String>,
-    Query(range): Query<Range>,
+    Asked(range): Asked<Range>,
 ) -> Answered<Changes> {
-    let range_ns = range.ns()?;
+    let range_ns = range.ns(&live, &name)?;
     let archive = live.archive.clone();
     let (mut changes, reach) = live
         .on_a_thread(move || {
