@@ -30,6 +30,8 @@ const IMPORTS: [(&str, &[&str]); 29] = [
     // Judgement.
     ("verdict", &["units", "record", "signal", "optim", "sim", "ident", "detect"]),
     ("gap", &["units", "record", "signal", "optim", "sim", "ident", "detect"]),
+    // What follows from verdicts.
+    ("over_time", &["units", "signal", "verdict"]),
     // The lab. The challenge checks `gap` from outside: neither of the two may see the other.
     ("fixture", &["record", "signal", "sim"]),
     ("truth", &["units", "record", "signal", "sim"]),
