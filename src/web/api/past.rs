@@ -17,6 +17,7 @@ use crate::files::archive::{Archive, Reach, Wanted};
 use crate::web::error::ApiError;
 use crate::web::extract::Asked;
 use crate::web::thin::thin;
+use stiction::over_time::WindowResult;
 use stiction::record::Signal;
 use stiction::units::{ms_from_ns, ns_from_ms, ns_from_s};
 use stiction_monitor::analysis::{Points, Section};
@@ -63,34 +64,29 @@ struct History {
 /// What is kept of a recorded estimate; fields as in `stictiond.estimate.v1`.
 #[derive(Debug, Clone, Serialize, Deserialize, schemars::JsonSchema)]
 #[allow(missing_docs)] // defined in docs/verdicts.md
-pub struct PastWindow {
+pub(super) struct PastWindow {
     #[serde(skip_deserializing)]
     pub start_ms: f64,
     #[serde(skip_deserializing)]
     pub end_ms: f64,
-    #[serde(rename(deserialize = "window"), skip_serializing)]
+    #[serde(skip_serializing)]
     #[schemars(skip)]
     window: Bounds,
     pub verdict: String,
-    pub stiction: Option<bool>,
-    pub p_stiction: Option<f64>,
-    pub grade: Option<char>,
-    pub s: Option<f64>,
-    pub s_interval: Option<[f64; 2]>,
+    /// What windows are taken together by.
+    #[serde(flatten)]
+    #[schemars(skip)]
+    pub result: WindowResult,
     pub fs: Option<f64>,
     pub fs_interval: Option<[f64; 2]>,
     pub fd: Option<f64>,
     pub fd_interval: Option<[f64; 2]>,
-    pub j: Option<f64>,
-    pub j_interval: Option<[f64; 2]>,
-    pub j_identifiable: Option<bool>,
     pub stiction_index: Option<f64>,
     #[serde(skip_deserializing)]
     pub period_s: Option<f64>,
-    #[serde(rename(deserialize = "oscillation"), skip_serializing)]
+    #[serde(skip_serializing)]
     #[schemars(skip)]
     oscillation: Cycle,
-    pub gates: Vec<String>,
 }
 
 #[derive(Debug, Clone, Copy, Deserialize)]
@@ -113,15 +109,17 @@ struct Changes {
     changes: Vec<Value>,
 }
 
+/// A stretch of time, and how many points of it.
 #[derive(Debug, Deserialize)]
-struct Range {
+pub(super) struct Range {
     from_ms: Option<f64>,
     to_ms: Option<f64>,
     points: Option<usize>,
 }
 
-const FROM: Parameter = Parameter { name: "from_ms", words: "first stamp, ms since 1970; 90 days ago if absent" };
-const TO: Parameter = Parameter { name: "to_ms", words: "last stamp, ms since 1970; the newest if absent" };
+pub(super) const FROM: Parameter =
+    Parameter { name: "from_ms", words: "first stamp, ms since 1970; 90 days ago if absent" };
+pub(super) const TO: Parameter = Parameter { name: "to_ms", words: "last stamp, ms since 1970; the newest if absent" };
 const FEWER: Parameter = Parameter { name: "points", words: "about how many points; 2000 if absent, 20000 at most" };
 
 pub(super) fn operations() -> Vec<Operation<Shared>> {
@@ -161,7 +159,7 @@ pub(super) fn operations() -> Vec<Operation<Shared>> {
 
 impl Range {
     /// First and last stamp. Plants whose clock is ahead, and those that are simulated, have a past beyond now.
-    fn ns(&self, live: &Shared, name: &str) -> Result<[i64; 2], ApiError> {
+    pub(super) fn ns(&self, live: &Shared, name: &str) -> Result<[i64; 2], ApiError> {
         let newest = || live.overview.newest(name).and_then(|n| n.newest_ns).unwrap_or(i64::MIN);
         let to = self.to_ms.map_or_else(|| now_ns().max(newest()), ns_from_ms);
         let from = self.from_ms.map_or(to.saturating_sub(ns_from_s(PAST_S)), ns_from_ms);
@@ -237,6 +235,7 @@ pub(super) fn windows(archive: &Archive, name: &str, range_ns: [i64; 2]) -> (Vec
     let (mut all, reach) = documents(archive, topic, range_ns, |data| {
         let mut window: PastWindow = serde_json::from_slice(data).ok()?;
         let Bounds { start_ns, end_ns } = window.window;
+        (window.result.start_ns, window.result.end_ns) = (start_ns, end_ns);
         (window.start_ms, window.end_ms) = (ms_from_ns(start_ns), ms_from_ns(end_ns));
         window.period_s = window.oscillation.period_s;
         Some((end_ns, window))
