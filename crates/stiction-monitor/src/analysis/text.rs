@@ -151,7 +151,7 @@ pub fn answer(answer: &Answer) -> String {
             s.evaluations,
             s.evaluations_limit,
             s.elapsed_ms / 1e3,
-            s.stopped
+            s.stopped.name()
         );
         let bound = s
             .lower_bound_mse
