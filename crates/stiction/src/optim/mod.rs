@@ -103,7 +103,7 @@ pub trait Solver: Sync {
 /// Every solver.
 pub const ALL: [&dyn Solver; 4] = [&Contour, &Multistart, &AdaptiveRandom, &BranchBound];
 
-/// Which of [`ALL`], as options and documents say it.
+/// A solver of this library.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
