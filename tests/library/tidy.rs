@@ -15,7 +15,7 @@ pub const CRATES: [&str; 4] = ["src", "crates/stiction/src", "crates/stiction-mo
 const MAX_LINES: usize = 600;
 
 /// Which rooms each room may use.
-const IMPORTS: [(&str, &[&str]); 30] = [
+const IMPORTS: [(&str, &[&str]); 31] = [
     // Words.
     ("units", &[]),
     ("record", &["units"]),
@@ -56,7 +56,7 @@ const IMPORTS: [(&str, &[&str]); 30] = [
     ("report", &["pure", "cores", "files"]),
     ("source", &["pure", "daemon"]),
     ("sink", &["pure", "files", "source", "daemon"]),
-    ("web", &["pure", "cores", "files", "report", "daemon"]),
+    ("web", &["pure", "cores", "files", "report", "source", "daemon"]),
     ("daemon", &["pure", "cores", "files", "source", "sink", "web"]),
     ("cli", &["pure", "cores", "files", "report", "source", "sink", "web", "daemon"]),
     ("main", &["cli"]),

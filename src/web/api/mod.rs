@@ -1,6 +1,7 @@
 //! The API under the page, one table of operations: the router and its OpenAPI description are made from the same lines.
 
 mod alarms;
+mod curves;
 mod events;
 mod loops;
 mod openapi;

@@ -1,7 +1,7 @@
 //! A loop's past, from the recordings: curves, windows, changes of its alarm, what many windows say together.
 
 use std::collections::BTreeSet;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use axum::Json;
 use axum::extract::{Path, State};
@@ -9,10 +9,9 @@ use axum::routing::get;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use super::window::Curves;
+use super::curves::{Curves, PATIENCE, recorded_within};
 use super::{Answered, Gives, Operation, Parameter, Shared, of};
 use crate::daemon::clock::now_ns;
-use crate::files::LoadedLoop;
 use crate::files::archive::{Archive, Reach, Wanted};
 use crate::web::error::ApiError;
 use crate::web::extract::Asked;
@@ -21,11 +20,8 @@ use stiction::over_time::WindowResult;
 use stiction::record::Signal;
 use stiction::units::{ms_from_ns, ns_from_ms, ns_from_s};
 use stiction_monitor::analysis::{Points, Section};
-use stiction_monitor::codec;
 use stiction_monitor::codec::topic::{self, Kind};
 
-/// How long a look back may take before it gives what it has.
-const PATIENCE: Duration = Duration::from_secs(4);
 /// Points of a curve, if nobody says how many, and at most.
 const POINTS: usize = 2_000;
 const MOST_POINTS: usize = 20_000;
@@ -166,26 +162,6 @@ impl Range {
         let finite = [self.from_ms, self.to_ms].iter().flatten().all(|ms| ms.is_finite());
         if finite && from <= to { Ok([from, to]) } else { Err(ApiError::unfit("from_ms must lie before to_ms")) }
     }
-}
-
-/// A loop's samples in the recordings, oldest file first.
-pub(super) fn recorded(archive: &Archive, name: &str, signals: &[Signal], range_ns: [i64; 2]) -> LoadedLoop {
-    recorded_within(archive, name, signals, range_ns).0
-}
-
-fn recorded_within(archive: &Archive, name: &str, signals: &[Signal], range_ns: [i64; 2]) -> (LoadedLoop, Reach) {
-    let topics: Vec<(String, Signal)> = signals.iter().map(|s| (topic::raw(archive.prefix(), name, *s), *s)).collect();
-    let names: BTreeSet<String> = topics.iter().map(|(topic, _)| topic.clone()).collect();
-    let wanted = Wanted { topics: names, range_ns, until: Instant::now() + PATIENCE };
-    let mut one = LoadedLoop::new(name, Vec::new());
-    let reach = archive.read(&wanted, &mut |found| {
-        let Some((_, signal)) = topics.iter().find(|(topic, _)| topic == found.topic) else { return };
-        // What cannot be read was counted when it came.
-        let _ = codec::decode(*signal, found.data, Some(found.encoding), None, found.t_ns, &mut one.samples);
-    });
-    // Files come newest first; a stable sort keeps the order within a stamp.
-    one.samples.sort_by_key(|sample| sample.t_ns);
-    (one, reach)
 }
 
 async fn trend(State(live): State<Shared>, Path(name): Path<String>, Asked(range): Asked<Range>) -> Answered<Trend> {

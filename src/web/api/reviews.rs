@@ -7,7 +7,7 @@ use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
 use serde::{Deserialize, Serialize};
 
-use super::past::recorded;
+use super::curves::recorded;
 use super::{Answered, Gives, Operation, Shared, of};
 use crate::daemon::clock::now_ns;
 use crate::files::reviews::{Label, Method, Review};

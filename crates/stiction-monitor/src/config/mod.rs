@@ -130,9 +130,10 @@ pub struct Web {
 }
 
 /// Keys of `[web]` that are about the page.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Page {
     /// Whether there is one: `page`.
+    #[serde(rename = "page")]
     pub enabled: bool,
     /// Whether files may be opened in it: `workbench`.
     pub workbench: bool,
