@@ -314,14 +314,15 @@ fn repaired_half_way(n: usize, seed: u64) -> Record {
 /// From samples to the date: the windows of a valve that is repaired half-way, assessed as the daemon would.
 #[test]
 fn a_repair_half_way_is_dated_from_samples() {
-    let (window, hop, windows) = (900, 450, 24);
+    let (window, hop, windows) = (900, 450, 32);
     let n = window + hop * (windows - 1);
     let record = repaired_half_way(n, 11);
     let results: Vec<WindowResult> = (0..windows)
         .map(|k| WindowResult::from(&assess(&record.part(k * hop, k * hop + window), &AssessParams::default())))
         .collect();
     let told = over_time(&results);
-    println!("{}", told.sentences.join("\n"));
+    let of = |r: &WindowResult| (r.stiction, r.p_stiction, r.s);
+    println!("{}\n{:?}", told.sentences.join("\n"), results.iter().map(of).collect::<Vec<_>>());
     let change = told.changes.last().unwrap();
     let repaired_ns = (n / 2) as i64 * NS_PER_S;
     assert_eq!(change.kind, ChangeKind::Repaired, "{:?}", told.changes);

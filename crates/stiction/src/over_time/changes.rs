@@ -10,9 +10,9 @@ use crate::signal::stats;
 
 /// Fewest windows on either side of a change.
 pub(super) const LEAST_SIDE: usize = 3;
-/// The penalty is `PENALTY + 2 ln(windows without overlap)`. Where few pairs of windows told the variance between them,
+/// The penalty is `PENALTY[0] + PENALTY[1] ln(windows without overlap)`. Where few pairs of windows told the variance between them,
 /// sizes count less: by 1 + `FEW_PAIRS` / pairs. Chosen by simulation, see [`FALSE_ALARMS`].
-const PENALTY: f64 = 11.0;
+const PENALTY: [f64; 2] = [4.0, 3.0];
 const FEW_PAIRS: f64 = 6.0;
 /// Share of histories of 500 windows without a change in which one is found at most.
 const FALSE_ALARMS: f64 = 0.01;
@@ -46,11 +46,11 @@ impl Costs {
         for point in &history.points {
             let size = point.seen.and_then(|s| Some((s.share / (s.variance + between) / doubt, sizes.next()?)));
             let (weight, x) = size.unwrap_or((0.0, 0.0));
-            let more = [point.share, point.share * point.p, weight, weight * x, weight * x * x];
+            let more = [point.share, point.share * point.weighed, weight, weight * x, weight * x * x];
             sum.iter_mut().zip(more).for_each(|(s, m)| *s += m);
             sums.push(sum);
         }
-        let penalty = PENALTY + 2.0 * libm::log(sum[0].max(1.0));
+        let penalty = PENALTY[0] + PENALTY[1] * libm::log(sum[0].max(1.0));
         Self { sums, penalty, between }
     }
 

@@ -2,7 +2,8 @@
 //!
 //! The loop is what the record and its assessment tell: valve and process as fitted, the controller as read, and as
 //! disturbance what the model leaves of PV, put together anew from stretches of the record. All cases meet the same
-//! disturbance. Valve, process and controller are drawn from what explains the record, and a draw stays only where its
+//! disturbance, between the noise of the measurement and all that the model leaves: what of that is the model's own error
+//! cannot be told. Valve, process and controller are drawn from what explains the record, and a draw stays only where its
 //! loop moves PV as the record does; what they disagree in are the intervals. `docs/over-time.md` has the figures.
 
 mod draws;

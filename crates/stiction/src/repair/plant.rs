@@ -18,7 +18,7 @@ const LEAST_POINTS: usize = 60;
 const EXPLAINED: f64 = 0.7;
 /// Time constants after which what went before the record is forgotten, and the most of it that is left out for that.
 const FORGOTTEN: f64 = 3.0;
-const MOST_LEFT_OUT: f64 = 0.3;
+const MOST_LEFT_OUT: f64 = 0.4;
 
 /// What record and assessment tell.
 pub(super) struct Known<'a> {
@@ -134,7 +134,8 @@ impl<'a> Known<'a> {
         let mut process = ProcessState::at_rest(unit, *stem.first()?);
         let response: Vec<f64> = (0..n).map(|k| process.step(stem[k.saturating_sub(1)], rest)).collect();
         let forgets = unit.dead_time + FORGOTTEN * if unit.integrating { unit.tau } else { unit.tau + unit.tau2 };
-        let from = (forgets.ceil().max(0.0) as usize).min((MOST_LEFT_OUT * n as f64) as usize);
+        // Where the stem stood before is forgotten once it has moved both ways.
+        let from = (moved_both_ways(&stem) + forgets.ceil().max(0.0) as usize).min((MOST_LEFT_OUT * n as f64) as usize);
         // What went before the record: a start that dies out, or where the level drifts.
         let before: Vec<f64> = if unit.integrating {
             (from..n).map(|k| k as f64 / n as f64).collect()
@@ -178,4 +179,10 @@ impl<'a> Known<'a> {
         };
         self.path.chunks_exact(self.per_point).map(mean).collect()
     }
+}
+
+/// The first point at which the stem has moved up and down.
+fn moved_both_ways(stem: &[f64]) -> usize {
+    let first = |up: f64| stem.windows(2).position(|w| up * (w[1] - w[0]) > 0.0).unwrap_or(stem.len());
+    first(1.0).max(first(-1.0))
 }

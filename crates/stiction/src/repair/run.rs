@@ -19,6 +19,10 @@ const TURN: f64 = 0.1;
 const TURN_OF_SPAN: f64 = 0.05;
 /// Mean length of the stretches that a disturbance is made of, share of what is known of it.
 const STRETCH: f64 = 0.25;
+/// The model's own error is never taken for more than all but this share of what it leaves.
+const LEAST_SHARE: f64 = 0.15;
+/// Places that a next stretch is chosen from.
+const JOINTS: usize = 12;
 /// How far PV's spread, simulated as it is now, may be from the recorded one, times: of a draw, and of their median; and how
 /// far OP's turns may be.
 const DRAW_WITHIN: f64 = 1.6;
@@ -32,7 +36,7 @@ const LEAST_DRAWS: usize = 8;
 const ASKED: usize = 8;
 const AGREED: f64 = 0.75;
 /// Intervals are this much wider than the draws spread, see docs/over-time.md.
-const WIDER: f64 = 1.3;
+const WIDER: f64 = 2.5;
 const DAY_S: f64 = 86_400.0;
 
 /// What one run showed.
@@ -64,7 +68,11 @@ pub(super) fn compare(known: &Known<'_>, params: &RepairParams) -> Result<Repair
     let mut runs: Vec<[Shown; 3]> = Vec::with_capacity(DRAWN);
     let mut spreads = Vec::with_capacity(DRAWN);
     for (k, draw) in drawn.iter().enumerate() {
-        let disturbance = disturbance(&draw.plant.residual, 2 * known.len(), Noise::new(params.seed, 1 + k as u64));
+        let mut noise = Noise::new(params.seed, 1 + k as u64);
+        let least = least_share(&known.pv, draw.plant.mse.sqrt());
+        let share = libm::pow(least, noise.uniform());
+        let left: Vec<f64> = draw.plant.residual.iter().map(|e| share * e).collect();
+        let disturbance = disturbance(&left, 2 * known.len(), noise);
         let asked = runs.len() < ASKED;
         let run = |case: [f64; 2]| Rig { known, draw, params, turn_op, asked }.run(case, &disturbance);
         let now = run(CASES[0]);
@@ -86,6 +94,12 @@ pub(super) fn compare(known: &Known<'_>, params: &RepairParams) -> Result<Repair
     }
     let [now, repaired, half_gain] = [0, 1, 2].map(|case| as_case(&runs, case));
     Ok(Repair { now, repaired, half_gain, recorded_pv_sd, turn_op, sentences: vec![], assumptions: vec![] })
+}
+
+/// Least share of what the model leaves that is a disturbance: the measurement's noise is. The rest may be the model's own
+/// error, which goes with the cycle and would not outlast it.
+fn least_share(pv: &[f64], left: f64) -> f64 {
+    if left > 0.0 { (stats::noise_sd(pv) / left).clamp(LEAST_SHARE, 1.0) } else { 1.0 }
 }
 
 fn within(ratio: f64, factor: f64) -> bool {
@@ -121,14 +135,25 @@ fn figure(x: &[f64]) -> Figure {
     Figure { value, interval: [wider(low), wider(high)] }
 }
 
-/// A disturbance put together from stretches of what a plant leaves, their lengths geometric (Politis and Romano 1994).
+/// A disturbance put together from stretches of what a plant leaves, their lengths geometric (Politis and Romano 1994). A
+/// stretch begins where what is left is much as where the one before ended, since a jump would be a load of its own.
 fn disturbance(residual: &[f64], n: usize, mut noise: Noise) -> Vec<f64> {
     let known = residual.len();
     let ends = 1.0 / (STRETCH * known as f64).max(1.0);
     let mut at = noise.below(known as u64) as usize;
+    let mut next = |at: usize| {
+        if at + 1 < known && !noise.chance(ends) {
+            return at + 1;
+        }
+        let goes_on = 2.0 * residual[at] - residual[at.saturating_sub(1)];
+        let wanted = 0.5 * (residual[at] + goes_on);
+        let places = (0..JOINTS).map(|_| noise.below(known as u64) as usize);
+        let near = |place: usize| (residual[place] - wanted).abs();
+        places.min_by(|a, b| near(*a).total_cmp(&near(*b))).unwrap_or(0)
+    };
     (0..n)
         .map(|_| {
-            at = if noise.chance(ends) { noise.below(known as u64) as usize } else { (at + 1) % known };
+            at = next(at);
             residual[at]
         })
         .collect()
