@@ -1,10 +1,11 @@
 //! What a repair of the valve buys: the closed loop simulated as it is, without stiction, and with half the controller gain.
 //!
 //! The loop is what the record and its assessment tell: valve and process as fitted, the controller as read, and as
-//! disturbance what the model leaves of PV, put together anew from stretches of the record. All cases meet the same
-//! disturbance, between the noise of the measurement and all that the model leaves: what of that is the model's own error
-//! cannot be told. Valve, process and controller are drawn from what explains the record, and a draw stays only where its
-//! loop moves PV as the record does; what they disagree in are the intervals. `docs/over-time.md` has the figures.
+//! disturbance what the model leaves of PV, put together anew from stretches of the record. Without stiction the
+//! disturbance lies between the measurement's noise and all of that: how much of it is the model's own error, which goes
+//! with the cycle, cannot be told. Valve, process and controller are drawn from what explains the record, and a draw stays
+//! only where its loop moves PV as the record does; what they disagree in are the intervals. `docs/over-time.md` has the
+//! figures.
 
 mod draws;
 mod plant;

@@ -35,8 +35,9 @@ const LEAST_DRAWS: usize = 8;
 /// Draws that are asked whether they oscillate, and the share from which they agree.
 const ASKED: usize = 8;
 const AGREED: f64 = 0.75;
-/// Intervals are this much wider than the draws spread, see docs/over-time.md.
-const WIDER: f64 = 2.5;
+/// Intervals of the cases are this much wider than the draws spread, see docs/over-time.md; without stiction they already
+/// spread by what of the disturbance is the model's own error.
+const WIDER: [f64; 3] = [2.5, 1.0, 2.5];
 const DAY_S: f64 = 86_400.0;
 
 /// What one run showed.
@@ -69,17 +70,18 @@ pub(super) fn compare(known: &Known<'_>, params: &RepairParams) -> Result<Repair
     let mut spreads = Vec::with_capacity(DRAWN);
     for (k, draw) in drawn.iter().enumerate() {
         let mut noise = Noise::new(params.seed, 1 + k as u64);
-        let least = least_share(&known.pv, draw.plant.mse.sqrt());
+        let sticks = shape.fs > 0.0;
+        let least = if sticks { least_share(&known.pv, draw.plant.mse.sqrt()) } else { 1.0 };
         let share = libm::pow(least, noise.uniform());
-        let left: Vec<f64> = draw.plant.residual.iter().map(|e| share * e).collect();
-        let disturbance = disturbance(&left, 2 * known.len(), noise);
+        let disturbance = disturbance(&draw.plant.residual, 2 * known.len(), noise);
+        let outlasting: Vec<f64> = disturbance.iter().map(|e| share * e).collect();
         let asked = runs.len() < ASKED;
-        let run = |case: [f64; 2]| Rig { known, draw, params, turn_op, asked }.run(case, &disturbance);
-        let now = run(CASES[0]);
+        let run = |case: [f64; 2], on_pv: &[f64]| Rig { known, draw, params, turn_op, asked }.run(case, on_pv);
+        let now = run(CASES[0], &disturbance);
         let ratio = now.pv_sd / recorded_pv_sd;
         spreads.push(ratio);
         if within(ratio, DRAW_WITHIN) {
-            runs.push([now, run(CASES[1]), run(CASES[2])]);
+            runs.push([now, run(CASES[1], &outlasting), run(CASES[2], &disturbance)]);
         }
     }
     let spread = stats::median(&spreads);
@@ -107,7 +109,7 @@ fn within(ratio: f64, factor: f64) -> bool {
 }
 
 fn as_case(runs: &[[Shown; 3]], case: usize) -> Case {
-    let figure = |f: &dyn Fn(&[Shown; 3]) -> f64| figure(&runs.iter().map(f).collect::<Vec<f64>>());
+    let figure = |f: &dyn Fn(&[Shown; 3]) -> f64| figure(&runs.iter().map(f).collect::<Vec<f64>>(), WIDER[case]);
     let asked: Vec<bool> = runs.iter().filter_map(|r| r[case].oscillates).collect();
     let share = asked.iter().filter(|o| **o).count() as f64 / asked.len().max(1) as f64;
     Case {
@@ -128,10 +130,10 @@ fn as_case(runs: &[[Shown; 3]], case: usize) -> Case {
 }
 
 /// Median and widened interval; in logarithm, as all figures are 0 or more.
-fn figure(x: &[f64]) -> Figure {
+fn figure(x: &[f64], times: f64) -> Figure {
     let sorted = stats::sorted(x);
     let [low, value, high] = [0.05, 0.5, 0.95].map(|q| stats::quantile_sorted(&sorted, q));
-    let wider = |end: f64| if value > 0.0 && end > 0.0 { value * libm::pow(end / value, WIDER) } else { end };
+    let wider = |end: f64| if value > 0.0 && end > 0.0 { value * libm::pow(end / value, times) } else { end };
     Figure { value, interval: [wider(low), wider(high)] }
 }
 

@@ -103,7 +103,7 @@ pub(super) fn assumptions(told: &Repair, known: &Known<'_>, params: &RepairParam
     let c = known.controller;
     let ti = if c.ti_s.is_finite() { format!("Ti {} s", number(c.ti_s)) } else { "no integral action".to_owned() };
     let mut out = vec![
-        "The disturbance is between the measurement's noise and all that the model leaves of PV in this record; loads that come more rarely are not in it."
+        "The disturbance is what the model leaves of PV in this record, without stiction anything between that and the measurement's noise; loads that come more rarely are not in it."
             .to_owned(),
         format!(
             "The controller is the one read from the record (gain {}, {ti}, Td {} s; it explains {} % of OP's moves) and stays as it is.",
