@@ -129,7 +129,6 @@ pub async fn guard(State(guard): State<Arc<Guard>>, request: Request, next: Next
     set(header::X_FRAME_OPTIONS, "DENY");
     set(header::REFERRER_POLICY, "no-referrer");
     set(header::HeaderName::from_static("cross-origin-resource-policy"), "same-origin");
-    set(header::HeaderName::from_static("cross-origin-opener-policy"), "same-origin");
     if of_page {
         set(header::CACHE_CONTROL, "no-store");
     }

@@ -15,7 +15,7 @@ pub const CRATES: [&str; 4] = ["src", "crates/stiction/src", "crates/stiction-mo
 const MAX_LINES: usize = 600;
 
 /// Which rooms each room may use.
-const IMPORTS: [(&str, &[&str]); 31] = [
+const IMPORTS: [(&str, &[&str]); 32] = [
     // Words.
     ("units", &[]),
     ("record", &["units"]),
@@ -32,6 +32,7 @@ const IMPORTS: [(&str, &[&str]); 31] = [
     ("gap", &["units", "record", "signal", "optim", "sim", "ident", "detect"]),
     // What follows from verdicts.
     ("over_time", &["units", "signal", "verdict"]),
+    ("repair", &["units", "record", "signal", "sim", "ident", "detect", "verdict"]),
     // The lab. The challenge checks `gap` from outside: neither of the two may see the other.
     ("fixture", &["record", "signal", "sim"]),
     ("truth", &["units", "record", "signal", "sim"]),

@@ -9,6 +9,7 @@
 //! | the fit alone: bands of He's valve model, process with dead time, intervals | [`ident::quantify()`](ident::quantify) |
 //! | the cost surface of the bands, by any solver of [`optim::ALL`] | [`ident::surface`] |
 //! | one valve over many windows: size, changes, windows that disagree | [`over_time::over_time`] |
+//! | what a repair of the valve buys: the closed loop without stiction | [`repair::repair`] |
 //! | what the model leaves out, and how far naming it closes the gap | [`gap::diagnose`] |
 //! | a loop simulated: valve laws, processes, PID, disturbances | [`sim`] |
 //!
@@ -41,7 +42,7 @@
 //! | physics | [`sim`] valve laws, processes, controller, noise, closed loop: the only copy of each formula |
 //! | identification | [`ident`] quantification of stiction · [`detect`] oscillation, and one file per indicator |
 //! | judgement | [`verdict`] gates, verdict, the estimate's document · [`gap`] what the model leaves out |
-//! | what follows | [`over_time`] many windows of one valve |
+//! | what follows | [`over_time`] many windows of one valve · [`repair`] the closed loop without stiction |
 //!
 //! # What must be absent
 //! No file, socket, clock, thread, environment or unseeded randomness: the same record gives the same bits, on every
@@ -55,6 +56,7 @@ pub mod ident;
 pub mod optim;
 pub mod over_time;
 pub mod record;
+pub mod repair;
 pub mod signal;
 pub mod sim;
 pub mod units;

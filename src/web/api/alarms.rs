@@ -1,7 +1,7 @@
 //! Alarms: the list, and what people do to them.
 
 use axum::Json;
-use axum::extract::{Path, State};
+use axum::extract::State;
 use axum::routing::{get, post};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -11,7 +11,7 @@ use super::reviews::{Told, last_of_loops};
 use super::{Answered, ENGINE_WITHIN, Gives, Operation, Shared, of};
 use crate::daemon::clock::now_ns;
 use crate::source::Incoming;
-use crate::web::extract::Sent;
+use crate::web::extract::{Named, Sent};
 use stiction::units::ns_from_s;
 use stiction_monitor::alarm::{AlarmDocument, Command, State as AlarmState};
 
@@ -102,7 +102,7 @@ async fn alarms(State(live): State<Shared>) -> Json<Alarms> {
 
 async fn command(
     State(live): State<Shared>,
-    Path(loop_name): Path<String>,
+    Named(loop_name): Named,
     Sent(Commanded { cmd, by, why, for_s }): Sent<Commanded>,
 ) -> Answered<Value> {
     let command = Command { cmd, by: Some(by), why, for_s };
@@ -111,7 +111,7 @@ async fn command(
 
 async fn diagnose(
     State(live): State<Shared>,
-    Path(loop_name): Path<String>,
+    Named(loop_name): Named,
     Sent(Asking { by }): Sent<Asking>,
 ) -> Answered<Value> {
     live.wish(DIAGNOSIS_WITHIN, |answer| Incoming::GapRun { loop_name, by: Some(by), answer }).await.map(Json)

@@ -1,7 +1,7 @@
 //! Loops: all of them in rows, and one with its newest documents and what they say in words.
 
 use axum::Json;
-use axum::extract::{Path, State};
+use axum::extract::State;
 use axum::routing::get;
 use serde::Serialize;
 use serde_json::Value;
@@ -10,6 +10,7 @@ use super::{Answered, Gives, Operation, Shared, of};
 use crate::daemon::clock::now_ns;
 use crate::daemon::overview::Row;
 use crate::web::error::ApiError;
+use crate::web::extract::Named;
 use stiction::gap::document::GapDocument;
 use stiction::gap::text;
 use stiction::units::ms_from_ns;
@@ -57,7 +58,7 @@ struct Words {
     /// A test that would settle it.
     test: Option<String>,
     /// Gates of the newest window.
-    gates: Vec<Named>,
+    gates: Vec<Explained>,
     /// Indicators that weigh in the verdict, the heaviest first.
     indicators: Vec<Indicated>,
     /// The gap diagnosis.
@@ -66,7 +67,7 @@ struct Words {
 
 /// A name and what it means.
 #[derive(Debug, Serialize, schemars::JsonSchema)]
-struct Named {
+struct Explained {
     name: &'static str,
     words: &'static str,
 }
@@ -111,7 +112,7 @@ async fn all(State(live): State<Shared>) -> Json<Loops> {
     Json(Loops { now_ms: ms_from_ns(now), loops: live.overview.rows_after(0, now).1 })
 }
 
-async fn one(State(live): State<Shared>, Path(name): Path<String>) -> Answered<Detail> {
+async fn one(State(live): State<Shared>, Named(name): Named) -> Answered<Detail> {
     let no_such = || ApiError::not_found(format!("no loop {name:?} has appeared"));
     let row = live.overview.row(&name, now_ns()).ok_or_else(no_such)?;
     let newest = live.overview.newest(&name).unwrap_or_default();
@@ -142,7 +143,7 @@ fn words_of(a: &Assessment, op_range: Option<[f64; 2]>) -> Words {
         size: words::size(a, op_range),
         what_to_do: Some(words::advice(a.verdict).to_owned()),
         test: words::proposal(a).filter(|_| a.stiction == Some(true)),
-        gates: a.gates.iter().map(|g| Named { name: g.name(), words: words::gate(*g) }).collect(),
+        gates: a.gates.iter().map(|g| Explained { name: g.name(), words: words::gate(*g) }).collect(),
         indicators: indicators
             .into_iter()
             .map(|i| Indicated {

@@ -1,14 +1,14 @@
 //! What many windows of one valve say together.
 
 use axum::Json;
-use axum::extract::{Path, State};
+use axum::extract::State;
 use axum::routing::get;
 use serde::Serialize;
 
 use super::past::{FROM, Range, TO, windows};
 use super::{Answered, Gives, Operation, Shared, of};
 use crate::files::archive::Reach;
-use crate::web::extract::Asked;
+use crate::web::extract::{Asked, Named};
 use stiction::over_time::{Change, ChangeKind, Contradicting, Pooled, Trend, WindowResult, over_time};
 use stiction::units::ms_from_ns;
 
@@ -87,11 +87,7 @@ pub(super) fn operations() -> Vec<Operation<Shared>> {
     }]
 }
 
-async fn together(
-    State(live): State<Shared>,
-    Path(name): Path<String>,
-    Asked(range): Asked<Range>,
-) -> Answered<OverTime> {
+async fn together(State(live): State<Shared>, Named(name): Named, Asked(range): Asked<Range>) -> Answered<OverTime> {
     let range_ns = range.ns(&live, &name)?;
     let archive = live.archive.clone();
     live.on_a_thread(move || {

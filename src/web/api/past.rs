@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::time::Instant;
 
 use axum::Json;
-use axum::extract::{Path, State};
+use axum::extract::State;
 use axum::routing::get;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -14,7 +14,7 @@ use super::{Answered, Gives, Operation, Parameter, Shared, of};
 use crate::daemon::clock::now_ns;
 use crate::files::archive::{Archive, Reach, Wanted};
 use crate::web::error::ApiError;
-use crate::web::extract::Asked;
+use crate::web::extract::{Asked, Named};
 use crate::web::thin::thin;
 use stiction::over_time::WindowResult;
 use stiction::record::Signal;
@@ -164,7 +164,7 @@ impl Range {
     }
 }
 
-async fn trend(State(live): State<Shared>, Path(name): Path<String>, Asked(range): Asked<Range>) -> Answered<Trend> {
+async fn trend(State(live): State<Shared>, Named(name): Named, Asked(range): Asked<Range>) -> Answered<Trend> {
     let [from_ns, to_ns] = range.ns(&live, &name)?;
     let points = range.points.unwrap_or(POINTS).clamp(2, MOST_POINTS);
     let (archive, config) = (live.archive.clone(), live.config.clone());
@@ -221,11 +221,7 @@ pub(super) fn windows(archive: &Archive, name: &str, range_ns: [i64; 2]) -> (Vec
     (all, reach)
 }
 
-async fn history(
-    State(live): State<Shared>,
-    Path(name): Path<String>,
-    Asked(range): Asked<Range>,
-) -> Answered<History> {
+async fn history(State(live): State<Shared>, Named(name): Named, Asked(range): Asked<Range>) -> Answered<History> {
     let [from_ns, to_ns] = range.ns(&live, &name)?;
     let archive = live.archive.clone();
     let (windows, reach) = live.on_a_thread(move || windows(&archive, &name, [from_ns, to_ns])).await?;
@@ -233,11 +229,7 @@ async fn history(
     Ok(Json(History { from_ms: ms_from_ns(from_ns), to_ms: ms_from_ns(to_ns), complete, windows }))
 }
 
-async fn changes(
-    State(live): State<Shared>,
-    Path(name): Path<String>,
-    Asked(range): Asked<Range>,
-) -> Answered<Changes> {
+async fn changes(State(live): State<Shared>, Named(name): Named, Asked(range): Asked<Range>) -> Answered<Changes> {
     let range_ns = range.ns(&live, &name)?;
     let archive = live.archive.clone();
     let (mut changes, reach) = live

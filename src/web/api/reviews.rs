@@ -1,7 +1,7 @@
 //! What people found at valves, kept beside the recordings.
 
 use axum::Json;
-use axum::extract::{Path, State};
+use axum::extract::State;
 use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
@@ -12,7 +12,7 @@ use super::{Answered, Gives, Operation, Shared, of};
 use crate::daemon::clock::now_ns;
 use crate::files::reviews::{Label, Method, Review};
 use crate::web::error::ApiError;
-use crate::web::extract::Sent;
+use crate::web::extract::{Named, Sent};
 use stiction::record::Signal;
 use stiction::units::{Moment, ms_from_ns};
 use stiction_monitor::alarm::check_name;
@@ -105,7 +105,7 @@ pub(super) fn last_of_loops(live: &Shared) -> std::collections::HashMap<String, 
 
 async fn keep(
     State(live): State<Shared>,
-    Path(name): Path<String>,
+    Named(name): Named,
     Sent(Found { label, method, by, why }): Sent<Found>,
 ) -> Answered<Kept> {
     check_name(Some(&by)).map_err(|e| ApiError::unfit(e.to_string()))?;

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use axum::Json;
-use axum::extract::{Path, State};
+use axum::extract::State;
 use axum::http::{HeaderValue, header};
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
@@ -19,8 +19,10 @@ use crate::report::diagram::Tags;
 use crate::report::figures::{Figure, Subject, detailed};
 use crate::report::{LoopReport, Report, page};
 use crate::web::error::ApiError;
+use crate::web::extract::Named;
 use stiction::ident::fit_plots::FitPlots;
 use stiction::record::{Record, Signal};
+use stiction::repair::{Repair, RepairParams, repair};
 use stiction::units::{file_stem_of, ms_from_ns, ns_from_s};
 use stiction::verdict::EstimateDocument;
 use stiction_monitor::engine::LoopSettings;
@@ -93,6 +95,12 @@ pub(super) fn operations() -> Vec<Operation<Shared>> {
             Gives::Json(of::<Pictures>),
             || get(pictures),
         ),
+        json(
+            "/loops/{name}/repair",
+            "What a repair buys: the closed loop simulated as it is, with a free valve, and with half the gain",
+            Gives::Json(of::<Repair>),
+            || get(buys),
+        ),
         json("/loops/{name}/sheet", "Evidence on one page, to print", Gives::File("text/html"), || get(sheet)),
         json("/loops/{name}/window.csv", "The newest estimate's samples as recorded", Gives::File("text/csv"), || {
             get(window_csv)
@@ -144,16 +152,13 @@ pub(super) fn curves_after(record: &Record, after_ns: i64) -> Option<(Curves, i6
     Some((curves, newest_ns))
 }
 
-async fn window(State(live): State<Shared>, Path(name): Path<String>) -> Answered<Window> {
+async fn window(State(live): State<Shared>, Named(name): Named) -> Answered<Window> {
     let looked = live.look(&name, None).await?;
-    let record = looked.record.ok_or_else(|| nothing_yet(&name))?;
+    // A loop of which nothing is held yet has an empty window.
+    let record = looked.record.unwrap_or_else(|| Record::uniform(1.0, Vec::new(), Vec::new()));
     let estimate = live.overview.newest(&name).and_then(|newest| newest.estimate);
     let settings = looked.settings;
     live.on_a_thread(move || Json(window_of(&record, estimate.as_deref(), &settings))).await
-}
-
-fn nothing_yet(name: &str) -> ApiError {
-    ApiError::not_found(format!("{name}: no sample with both OP and PV has come yet"))
 }
 
 fn window_of(record: &Record, estimate: Option<&EstimateDocument>, settings: &LoopSettings) -> Window {
@@ -215,7 +220,7 @@ impl Estimated {
     }
 }
 
-async fn pictures(State(live): State<Shared>, Path(name): Path<String>) -> Answered<Pictures> {
+async fn pictures(State(live): State<Shared>, Named(name): Named) -> Answered<Pictures> {
     let estimated = live.estimated(&name).await?;
     let drawn = live
         .draw(move || {
@@ -246,7 +251,14 @@ pub fn drawing((k, figure): (usize, &Figure)) -> Drawn {
     }
 }
 
-async fn sheet(State(live): State<Shared>, Path(name): Path<String>) -> Result<Response, ApiError> {
+async fn buys(State(live): State<Shared>, Named(name): Named) -> Answered<Repair> {
+    let Estimated { document, record, settings } = live.estimated(&name).await?;
+    let params = RepairParams { op_range: settings.assess.op_range, ..RepairParams::default() };
+    let told = live.on_a_thread(move || repair(&record, &document.assessment, &params)).await?;
+    told.map(Json).map_err(|why| ApiError::unfit(why.to_string()))
+}
+
+async fn sheet(State(live): State<Shared>, Named(name): Named) -> Result<Response, ApiError> {
     let estimated = live.estimated(&name).await?;
     let alarm = live.overview.newest(&name).and_then(|newest| newest.alarm);
     let prefix = live.config.site.prefix.clone();
@@ -286,14 +298,14 @@ fn file(name: &str, extension: &str, kind: &'static str, content: Vec<u8>) -> Re
         .into_response()
 }
 
-async fn window_csv(State(live): State<Shared>, Path(name): Path<String>) -> Result<Response, ApiError> {
+async fn window_csv(State(live): State<Shared>, Named(name): Named) -> Result<Response, ApiError> {
     let one = samples(&live, &name).await?;
     let mut out = Vec::new();
     csv::write(&one.samples, &mut out).map_err(|e| ApiError::busy(e.to_string()))?;
     Ok(file(&name, "csv", "text/csv; charset=utf-8", out))
 }
 
-async fn window_mcap(State(live): State<Shared>, Path(name): Path<String>) -> Result<Response, ApiError> {
+async fn window_mcap(State(live): State<Shared>, Named(name): Named) -> Result<Response, ApiError> {
     let one = samples(&live, &name).await?;
     let archive = live.archive.clone();
     let written = live.on_a_thread(move || recording_of(archive.prefix(), one)).await?;

@@ -3,7 +3,13 @@
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use stiction::over_time::{ChangeKind, OverTime, WindowResult, over_time};
-use stiction::sim::noise::{Noise, stream_of};
+use stiction::record::Record;
+use stiction::sim::closed_loop::{Stem, ValveLaw, ValveModel};
+use stiction::sim::controller::{Action, Pid, PidSettings};
+use stiction::sim::noise::{Ar1, Noise, stream_of};
+use stiction::sim::process::{ProcessModel, ProcessState};
+use stiction::units::NS_PER_S;
+use stiction::verdict::{AssessParams, assess};
 
 const HOUR_NS: i64 = 3_600_000_000_000;
 const START_NS: i64 = 1_767_225_600_000_000_000;
@@ -272,4 +278,60 @@ fn windows_that_contradict_are_named() {
         );
         assert!(!told.sentences.is_empty() && told.sentences.iter().all(|s| s.ends_with('.')));
     }
+}
+
+/// A loop, second by second, whose valve loses its friction half-way.
+fn repaired_half_way(n: usize, seed: u64) -> Record {
+    let process = ProcessModel { gain: 1.5, tau: 20.0, tau2: 0.0, dead_time: 5.0, integrating: false };
+    let settings = PidSettings {
+        kc: 0.6,
+        ti_s: 20.0,
+        td_s: 0.0,
+        action: Action::Reverse,
+        op_min: 0.0,
+        op_max: 100.0,
+        op_resolution: 0.0,
+    };
+    let mut noise = Noise::new(seed, 0);
+    let mut load = Ar1::new(0.3, 60.0, Noise::new(seed, 1));
+    let (mut pid, mut stem, mut state) =
+        (Pid::bumpless(settings, 50.0, 2.0, 0.0), Stem::at_rest(50.0), ProcessState::at_rest(process, 0.0));
+    let sticking = ValveModel { law: ValveLaw::He, fs: 3.0, fd: 1.0, ..ValveModel::HEALTHY };
+    let (mut op, mut pv) = (vec![], vec![]);
+    for k in 0..n {
+        let y = state.step(stem.position - 50.0 + load.next_value(), 0.0) + 0.05 * noise.gaussian();
+        let u = pid.step(2.0, y, 1.0);
+        let valve = if k < n / 2 { sticking } else { ValveModel::HEALTHY };
+        stem = valve.step(stem, u);
+        op.push(u);
+        pv.push(y);
+    }
+    let mut record = Record::uniform(1.0, op, pv);
+    record.sp = Some(vec![2.0; n]);
+    record
+}
+
+/// From samples to the date: the windows of a valve that is repaired half-way, assessed as the daemon would.
+#[test]
+fn a_repair_half_way_is_dated_from_samples() {
+    let (window, hop, windows) = (900, 450, 32);
+    let n = window + hop * (windows - 1);
+    let record = repaired_half_way(n, 11);
+    let results: Vec<WindowResult> = (0..windows)
+        .map(|k| WindowResult::from(&assess(&record.part(k * hop, k * hop + window), &AssessParams::default())))
+        .collect();
+    let told = over_time(&results);
+    let of = |r: &WindowResult| (r.stiction, r.p_stiction, r.s);
+    println!("{}\n{:?}", told.sentences.join("\n"), results.iter().map(of).collect::<Vec<_>>());
+    let change = told.changes.last().unwrap();
+    let repaired_ns = (n / 2) as i64 * NS_PER_S;
+    assert_eq!(change.kind, ChangeKind::Repaired, "{:?}", told.changes);
+    assert!((change.from_ns..=change.to_ns).contains(&repaired_ns), "{change:?}");
+    assert!((change.at_ns - repaired_ns).abs() <= window as i64 * NS_PER_S, "{change:?}");
+    let s_before = change.s_before.unwrap();
+    assert!((s_before / 4.0 - 1.0).abs() < 0.15, "{s_before}");
+    assert!(told.changes.len() == 1 && told.pooled.is_none() && told.since_ns == Some(change.at_ns));
+    // Before the repair was, all that is known is how far it sticks.
+    let before = over_time(&results[..windows / 2 - 2]).pooled.unwrap();
+    assert!((before.s_interval[0]..=before.s_interval[1]).contains(&4.0) || (before.s - 4.0).abs() < 0.2, "{before:?}");
 }

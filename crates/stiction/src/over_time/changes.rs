@@ -4,13 +4,15 @@
 //! and a constant ln s; every change costs a penalty on top. The optimal partition is found exactly by dynamic programming
 //! with pruning (PELT; Killick, Fearnhead and Eckley 2012).
 
+use super::level::Seen;
 use super::window::History;
+use crate::signal::stats;
 
 /// Fewest windows on either side of a change.
 pub(super) const LEAST_SIDE: usize = 3;
-/// The penalty is `PENALTY + 2 ln(windows without overlap)`; and more where few pairs of windows told the variance between
-/// them: times 1 + `FEW_PAIRS` / pairs. Chosen by simulation, see [`FALSE_ALARMS`].
-const PENALTY: f64 = 13.0;
+/// The penalty is `PENALTY[0] + PENALTY[1] ln(windows without overlap)`. Where few pairs of windows told the variance between them,
+/// sizes count less: by 1 + `FEW_PAIRS` / pairs. Chosen by simulation, see [`FALSE_ALARMS`].
+const PENALTY: [f64; 2] = [4.0, 3.0];
 const FEW_PAIRS: f64 = 6.0;
 /// Share of histories of 500 windows without a change in which one is found at most.
 const FALSE_ALARMS: f64 = 0.01;
@@ -18,6 +20,9 @@ const FALSE_ALARMS: f64 = 0.01;
 const SHARES: [f64; 2] = [0.02, 0.98];
 /// Places for a change that are looked at in one go; of longer histories every second, third, … window is one.
 const MOST_PLACES: usize = 1_500;
+/// Neighbours on either side that tell a stray window, and the standard deviations from them that are let be.
+const STRAY_SIDE: usize = 2;
+const STRAY: f64 = 3.0;
 /// What the interval of a date covers.
 const DATE_LEVEL: f64 = 0.9;
 
@@ -34,17 +39,19 @@ pub(super) struct Costs {
 impl Costs {
     pub fn of(history: &History<'_>) -> Self {
         let between = history.scatter.between;
+        let doubt = history.scatter.pairs.map_or(1.0, |pairs| 1.0 + FEW_PAIRS / pairs);
+        let mut sizes = without_strays(history).into_iter();
         let mut sums = vec![[0.0; 5]];
         let mut sum = [0.0; 5];
         for point in &history.points {
-            let (weight, x) = point.seen.map_or((0.0, 0.0), |s| (s.share / (s.variance + between), s.x));
-            let more = [point.share, point.share * point.p, weight, weight * x, weight * x * x];
+            let size = point.seen.and_then(|s| Some((s.share / (s.variance + between) / doubt, sizes.next()?)));
+            let (weight, x) = size.unwrap_or((0.0, 0.0));
+            let more = [point.share, point.share * point.weighed, weight, weight * x, weight * x * x];
             sum.iter_mut().zip(more).for_each(|(s, m)| *s += m);
             sums.push(sum);
         }
-        let windows = sum[0].max(1.0);
-        let few = history.scatter.pairs.map_or(1.0, |pairs| 1.0 + FEW_PAIRS / pairs);
-        Self { sums, penalty: (PENALTY + 2.0 * libm::log(windows)) * few, between }
+        let penalty = PENALTY[0] + PENALTY[1] * libm::log(sum[0].max(1.0));
+        Self { sums, penalty, between }
     }
 
     /// Cost of the windows from `a` up to `b`.
@@ -171,4 +178,19 @@ pub(super) fn dated(history: &History<'_>, costs: &Costs, a: usize, k: usize, b:
         to_ns: point(high).result.end_ns,
         p: costs.sureness(best),
     }
+}
+
+/// ln s of the windows that give one, strays brought back towards the median of five neighbours: one window is no change.
+fn without_strays(history: &History<'_>) -> Vec<f64> {
+    let seen: Vec<Seen> = history.points.iter().filter_map(|p| p.seen).collect();
+    let near = |k: usize| {
+        let from = k.saturating_sub(STRAY_SIDE).min(seen.len().saturating_sub(2 * STRAY_SIDE + 1));
+        let to = (from + 2 * STRAY_SIDE + 1).min(seen.len());
+        stats::median(&seen[from..to].iter().map(|s| s.x).collect::<Vec<f64>>())
+    };
+    let kept = |(k, s): (usize, &Seen)| {
+        let (middle, room) = (near(k), STRAY * (s.variance + history.scatter.between).sqrt());
+        s.x.clamp(middle - room, middle + room)
+    };
+    seen.iter().enumerate().map(kept).collect()
 }

@@ -4,7 +4,8 @@
 //! squares to its degrees of freedom; intervals are those of Hartung and Knapp (2001) and Sidik and Jonkman (2002), with
 //! Student's t. Each value counts by its window's share, so overlapping windows count as what they cover.
 
-use super::window::HALF_WIDTH;
+/// Half the width of an interval of 90 % in standard deviations.
+pub(super) const HALF_WIDTH: f64 = 1.645;
 
 /// A value with what is known of it.
 #[derive(Debug, Clone, Copy)]

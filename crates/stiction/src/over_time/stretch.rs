@@ -1,8 +1,8 @@
 //! Stretches between changes: what changed, what holds since, and which windows disagree.
 
 use super::changes::{Costs, Dated, dated, partition};
-use super::level::{Level, Seen, squares};
-use super::window::{HALF_WIDTH, History, Point};
+use super::level::{HALF_WIDTH, Level, Seen, squares};
+use super::window::{History, Point};
 use super::{Change, ChangeKind, Contradicting, Pooled, Trend, words};
 
 /// Share of a stretch's windows from which on it counts as sticking.
@@ -107,12 +107,17 @@ impl Told {
         let last = self.stretches.last()?;
         let level = last.level.filter(|level| level.slope != 0.0)?;
         let sized = seen(last.points(history));
-        let s = libm::exp(level.at(sized.last()?.t_s));
+        let now_s = sized.last()?.t_s;
+        let (x, half) = (level.at(now_s), level.half_width(now_s));
         let month = |slope: f64| libm::expm1(slope * MONTH_S);
-        let half = level.slope_half_width(HALF_WIDTH);
+        let slopes = [-1.0, 1.0].map(|side| month(level.slope + side * level.slope_half_width(HALF_WIDTH)));
+        // Both s and its growth are uncertain: the interval holds every product of theirs.
+        let products = slopes.map(|m| [libm::exp(x - half) * m, libm::exp(x + half) * m]);
+        let ends =
+            products.iter().flatten().fold([f64::INFINITY, f64::NEG_INFINITY], |[l, h], v| [l.min(*v), h.max(*v)]);
         Some(Trend {
-            s_per_month: s * month(level.slope),
-            s_per_month_interval: [s * month(level.slope - half), s * month(level.slope + half)],
+            s_per_month: libm::exp(x) * month(level.slope),
+            s_per_month_interval: ends,
             pct_per_month: 100.0 * month(level.slope),
             since_ns: history.points[last.from].result.start_ns,
         })

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::level::Seen;
+use super::level::{HALF_WIDTH, Seen};
 use super::scatter::Scatter;
 use crate::verdict::{Assessment, Gate};
 
@@ -57,11 +57,11 @@ impl From<&Assessment> for WindowResult {
 const SURE: [f64; 2] = [0.02, 0.98];
 /// The probability of a verdict that comes without one.
 const PLAIN: f64 = 0.9;
+/// Logits count this often: a stretch is told by its verdicts rather than by how sure each of them is.
+const SHARPER: f64 = 3.0;
 /// Least standard deviation of ln s, and the least share of s that an interval's end is taken for.
 const LEAST_SD: f64 = 0.01;
 const LEAST_END: f64 = 0.05;
-/// Half the width of an interval of 90 % in standard deviations.
-pub(super) const HALF_WIDTH: f64 = 1.645;
 
 /// A window that answers.
 #[derive(Debug, Clone, Copy)]
@@ -69,6 +69,8 @@ pub(super) struct Point<'a> {
     pub result: &'a WindowResult,
     pub sticks: bool,
     pub p: f64,
+    /// The same as it counts towards its stretch, sharper and never beyond doubt.
+    pub weighed: f64,
     /// Its share of the time that it covers, as other windows cover it too: 1 without overlap.
     pub share: f64,
     /// ln s where the window sticks and gives one.
@@ -102,12 +104,15 @@ impl<'a> History<'a> {
         let points = kept.iter().zip(shares).map(|(result, share)| {
             let sticks = result.stiction == Some(true);
             let told = result.p_stiction.filter(|p| p.is_finite());
-            let p = told.unwrap_or(if sticks { PLAIN } else { 1.0 - PLAIN }).clamp(SURE[0], SURE[1]);
+            let p = told.unwrap_or(if sticks { PLAIN } else { 1.0 - PLAIN });
+            let odds = libm::pow(p.max(0.0) / (1.0 - p).max(f64::MIN_POSITIVE), SHARPER);
+            let weighed = if odds.is_finite() { odds / (1.0 + odds) } else { 1.0 };
+            let weighed = weighed.clamp(SURE[0], SURE[1]);
             let t_s = 0.5 * (result.end_ns - result.start_ns) as f64 * 1e-9
                 + (result.start_ns - kept[0].start_ns) as f64 * 1e-9;
             let seen = if sticks { log_s(result) } else { None };
             let seen = seen.map(|(x, variance)| Seen { x, variance, share, t_s });
-            Point { result, sticks, p, share, seen }
+            Point { result, sticks, p, weighed, share, seen }
         });
         let mut points: Vec<Point<'a>> = points.collect();
         let sized = points.iter().filter_map(|p| p.seen.map(|s| (s, [p.result.start_ns, p.result.end_ns])));

@@ -221,6 +221,24 @@ pub fn autocorrelation_1(x: &[f64]) -> f64 {
     if whole > 0.0 { x.windows(2).map(|w| w[0] * w[1]).sum::<f64>() / whole } else { 0.0 }
 }
 
+/// How often a signal turns by more than `band`.
+#[must_use]
+pub fn turns(x: &[f64], band: f64) -> usize {
+    let (mut high, mut low, mut rising, mut count) = (f64::NEG_INFINITY, f64::INFINITY, None, 0);
+    for &u in x {
+        high = high.max(u);
+        low = low.min(u);
+        if rising != Some(false) && u < high - band {
+            count += usize::from(rising.is_some());
+            (rising, low) = (Some(false), u);
+        } else if rising != Some(true) && u > low + band {
+            count += usize::from(rising.is_some());
+            (rising, high) = (Some(true), u);
+        }
+    }
+    count
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -326,19 +326,7 @@ fn recorded_per_point(record: &Record) -> f64 {
 /// Turns of OP that are larger than its noise and a twentieth of its span.
 fn reversals(op: &[f64]) -> usize {
     let band = (6.0 * stats::noise_sd(op)).max(0.05 * stats::span(op));
-    let (mut high, mut low, mut rising, mut count) = (f64::NEG_INFINITY, f64::INFINITY, None, 0);
-    for &u in op {
-        high = high.max(u);
-        low = low.min(u);
-        if rising != Some(false) && u < high - band {
-            count += usize::from(rising.is_some());
-            (rising, low) = (Some(false), u);
-        } else if rising != Some(true) && u > low + band {
-            count += usize::from(rising.is_some());
-            (rising, high) = (Some(true), u);
-        }
-    }
-    count
+    stats::turns(op, band)
 }
 
 fn fill(out: &mut Assessment, e: &Estimate, record: &Record, params: &AssessParams) {
