@@ -381,3 +381,76 @@ fn trend(recent: &VecDeque<Recent>) -> Option<&'static str> {
         _ => "steady",
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use stiction::record::Record;
+    use stiction::verdict::{AssessParams, assess};
+    use stiction_monitor::alarm::Alarm;
+
+    fn estimate(name: &str, end_ns: i64, s: Option<f64>, verdict: Verdict) -> Arc<EstimateDocument> {
+        let mut a = assess(&Record::uniform(1.0, vec![1.0; 40], vec![1.0; 40]), &AssessParams::default());
+        (a.window.end_ns, a.s, a.verdict, a.stiction) = (end_ns, s, verdict, verdict.stiction());
+        (a.gates, a.reason, a.p_stiction) = (Vec::new(), None, Some(0.8));
+        Arc::new(EstimateDocument::new(name, "hash", a))
+    }
+
+    fn figures(greatest_ns: i64) -> LoopFigures {
+        LoopFigures { counts: Default::default(), greatest_ns: Some(greatest_ns), windows: 0, waiting: 0 }
+    }
+
+    #[test]
+    fn changes_are_told_once_and_everything_to_who_comes_new() {
+        let (overview, now, place) = (Overview::default(), Instant::now(), Place::default());
+        let [a, b]: [Arc<str>; 2] = ["A".into(), "B".into()];
+        overview.estimate(&a, &place, now, estimate("A", 1, Some(2.0), Verdict::Stiction));
+        overview.figures(&b, &place, now, &figures(5));
+        let (version, rows) = overview.rows_after(0, 5);
+        assert_eq!(
+            rows.iter().map(|r| (r.name.as_str(), r.ne107)).collect::<Vec<_>>(),
+            [("A", Some("S")), ("B", None)]
+        );
+        // Data that flow are no change; an alarm is one.
+        overview.figures(&b, &place, now, &figures(6));
+        assert!(overview.rows_after(version, 6).1.is_empty());
+        let document = AlarmDocument { active: true, state: State::Unack, ..Alarm::default().restored("A") };
+        overview.alarm(&a, &place, now, &document);
+        let (later, rows) = overview.rows_after(version, 6);
+        assert_eq!((rows.len(), rows[0].ne107, rows[0].unacknowledged), (1, Some("M"), true));
+        assert_eq!((overview.alarms_after(version).len(), overview.alarms_after(later).len()), (1, 0));
+        assert_eq!(overview.rows_after(0, 6).1.len(), 2);
+    }
+
+    #[test]
+    fn a_loop_falls_silent_by_its_own_sampling_and_speaks_again() {
+        let (overview, now, place) = (Overview::default(), Instant::now(), Place::default());
+        let a: Arc<str> = "A".into();
+        overview.estimate(&a, &place, now, estimate("A", 1, None, Verdict::NoOscillation));
+        overview.figures(&a, &place, now, &figures(1));
+        let at = |s: u64| now + Duration::from_secs(s);
+        overview.figures(&a, &place, at(59), &figures(1));
+        assert_eq!(overview.row("A", 9).unwrap().ne107, Some("ok"));
+        overview.figures(&a, &place, at(61), &figures(1));
+        let row = overview.row("A", 9).unwrap();
+        assert_eq!((row.ne107, row.silent, overview.data_health(9).silent_loops), (Some("F"), true, 1));
+        overview.figures(&a, &place, at(62), &figures(2));
+        assert!(!overview.row("A", 9).unwrap().silent);
+    }
+
+    #[test]
+    fn the_newest_windows_stay_and_tell_how_s_goes() {
+        let (overview, now, place) = (Overview::default(), Instant::now(), Place::default());
+        let a: Arc<str> = "A".into();
+        for k in 0..40_i64 {
+            let s = 2.0 + 0.05 * k as f64;
+            overview.estimate(&a, &place, now, estimate("A", k * 1_000_000_000, Some(s), Verdict::Stiction));
+        }
+        let row = overview.row("A", 0).unwrap();
+        assert_eq!((row.recent.len(), row.recent[RECENT - 1].t_ms, row.s_trend), (RECENT, 39_000.0, Some("rising")));
+        let steady: VecDeque<Recent> =
+            (0..8).map(|k| Recent { t_ms: 0.0, p: None, s: Some(3.0 + 0.1 * f64::from(k % 2)) }).collect();
+        assert_eq!(trend(&steady), Some("steady"));
+        assert_eq!(trend(&steady.iter().take(5).copied().collect()), None);
+    }
+}

@@ -53,7 +53,7 @@ pub(super) fn free_port(wanted: u16) -> anyhow::Result<u16> {
 /// The demo's configuration with ports that are free, as text, since recordings carry it.
 fn config_text() -> anyhow::Result<(String, u16)> {
     let (bus, web) = (free_port(7447)?, free_port(8080)?);
-    for (wanted, got, what) in [(7447, bus, "Zenoh"), (8080, web, "metrics and health")] {
+    for (wanted, got, what) in [(7447, bus, "Zenoh"), (8080, web, "the page")] {
         if wanted != got {
             tracing::info!("port {wanted} is taken: {what} on {got}");
         }

@@ -19,7 +19,7 @@ pub(super) fn beginning(scenario: &Scenario, config: &Config, port: u16, speed: 
     }
     let plane = topic::plane(&config.site.prefix, "**");
     say(format!(
-        "\n  results     Zenoh tcp/127.0.0.1:{port}, key {plane}\n  metrics     http://{web}/metrics, health at \
+        "\n  page        http://{web}/\n  results     Zenoh tcp/127.0.0.1:{port}, key {plane}\n  metrics     http://{web}/metrics, health at \
          http://{web}/healthz\n  recordings  {dir}\n",
         web = config.web.listen,
         dir = config.recording.dir
