@@ -93,7 +93,10 @@ export function show(root, { announce }) {
     const shown = [...alarms.values()].filter((a) => VIEWS[state.view].has(a) && text(a).includes(state.text));
     shown.sort((a, b) => rank(a) - rank(b) || format.millis(b.changed) - format.millis(a.changed));
     const none = alarms.size ? "No alarm in this state." : "No alarm, and none has changed in the last day.";
+    const focus = document.activeElement?.closest?.(".alarm") && [document.activeElement.closest(".alarm").dataset.loop, document.activeElement.getAttribute("aria-label")];
     fill(list, shown.length ? h("ul", { class: "alarms" }, shown.map((a) => entry(a, done))) : h("p", { class: "note" }, none));
+    const again = focus && list.querySelector(`[data-loop="${CSS.escape(focus[0])}"]`);
+    if (again) (focus[1] && again.querySelector(`[aria-label="${CSS.escape(focus[1])}"]`) || again.querySelector("a")).focus({ preventScroll: true });
   }
 
   const part = loading(list, () => api.get("/alarms"), (answer) => {

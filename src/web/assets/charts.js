@@ -224,12 +224,13 @@ class LineChart {
   /** Values beside the names: at the cursor, else the last ones. */
   tellCursor(idx) {
     const x = this.u.data[0];
-    const at = idx ?? x.length - 1;
-    fill(this.at, idx === null || idx === undefined || !x.length ? "" : this.xText(x[at]));
+    fill(this.at, idx === null || idx === undefined || !x.length ? "" : this.xText(x[idx]));
     const { min, max } = this.u.scales.y ?? {};
     for (const s of this.options.series) {
       const k = this.rows.findIndex((r) => r.key === s.key) + 1;
-      const value = this.u.data[k]?.[at];
+      const column = this.u.data[k] ?? [];
+      const at = idx ?? column.findLastIndex((v) => v !== null && v !== undefined);
+      const value = column[at];
       const around = s.lo && [this.u.data[k + 2]?.[at], this.u.data[k + 1]?.[at]];
       fill(s.value, s.lo ? format.estimate(value, around, s.unit) : `${format.reading(value, max - min)}${s.unit ? ` ${s.unit}` : ""}`);
     }

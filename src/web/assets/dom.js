@@ -33,6 +33,9 @@ export function fill(node, ...children) {
   return node;
 }
 
+/** A table's cell with a number and its interval below it. */
+export const figureCell = ([value, interval]) => h("td", { class: "number" }, value, interval ? h("small", { class: "soft under" }, interval) : null);
+
 /** Grey lines where text will stand. */
 export function skeleton(lines = 3) {
   const rows = Array.from({ length: lines }, () => h("span", { class: "bone" }));

@@ -62,6 +62,13 @@ export function estimate(v, interval, unit) {
   return `${rounded(v, digits)} (${rounded(interval[0], digits)} to ${rounded(interval[1], digits)})${tail}`;
 }
 
+/** The same in two parts, for narrow tables: ["5.5", "4.5 to 6.7"]. */
+export function parts(v, interval) {
+  const text = estimate(v, interval, "");
+  const at = text.indexOf(" (");
+  return at < 0 ? [text, ""] : [text.slice(0, at), text.slice(at + 2, -1)];
+}
+
 /** Two digits; never 0 or 1, which would be certainty. */
 export function probability(p) {
   if (missing(p)) return NONE;

@@ -1,7 +1,7 @@
 // The gap report: where the model departs from the plant, which effect does it, how far it closes, what to test next.
 
 import { runGap } from "./actions.js";
-import { fill, h, problem } from "./dom.js";
+import { figureCell, fill, h, problem } from "./dom.js";
 import * as format from "./format.js";
 import { store } from "./store.js";
 import { plain } from "./words.js";
@@ -25,11 +25,11 @@ function test(next) {
 function effects(list, pv) {
   const shown = list.slice(0, MOST_EFFECTS);
   if (!shown.length) return null;
-  const size = (e) => Object.entries(e.parameters).map(([name, p]) => `${plain(name)} ${format.number(p.value)}${p.unit === "1" ? "" : ` ${p.unit}`}`).join(", ") || "–";
+  const size = (e) => Object.entries(e.parameters).map(([name, p]) => `${plain(name)} ${format.number(p.value)}${p.unit === "1" ? "" : ` ${p.unit}`}`).join(", ").replace(/.$/, "$&; ");
   return h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Effects that were tried" }, h("table", { class: "table" },
     h("caption", { class: "soft" }, `The likeliest ${shown.length} of ${format.count(list.length, "effect")}; what each closes of the gap on data that it was not fitted to.`),
-    h("thead", null, h("tr", null, h("th", { scope: "col" }, "effect"), h("th", { scope: "col" }, "acts"), h("th", { scope: "col", class: "number" }, "closes, %"), h("th", { scope: "col", class: "number" }, `gap left, ${pv}`), h("th", { scope: "col" }, "size"), h("th", { scope: "col" }, "settled by"))),
-    h("tbody", null, shown.map((e) => h("tr", null, h("th", { scope: "row" }, plain(e.id)), h("td", { class: "nowrap" }, STAGES[e.stage] ?? e.stage), h("td", { class: "number" }, e.closed_pct === null ? "–" : format.estimate(e.closed_pct, e.closed_interval, "")), h("td", { class: "number" }, format.number(e.gap_after)), h("td", null, size(e)), h("td", null, e.separated_by ?? ""))))));
+    h("thead", null, h("tr", null, h("th", { scope: "col" }, "effect"), h("th", { scope: "col" }, "acts"), h("th", { scope: "col", class: "number" }, "closes, %"), h("th", { scope: "col", class: "number" }, `gap left, ${pv}`))),
+    h("tbody", null, shown.map((e) => h("tr", null, h("th", { scope: "row" }, plain(e.id), h("small", { class: "soft asks" }, size(e), e.separated_by ? `settled by ${e.separated_by}` : "")), h("td", { class: "nowrap" }, STAGES[e.stage] ?? e.stage), figureCell(format.parts(e.closed_pct, e.closed_interval)), h("td", { class: "number" }, format.number(e.gap_after)))))));
 }
 
 function report(gap, words, row) {

@@ -1,7 +1,7 @@
 // What a repair buys: the closed loop simulated as it is, with a free valve, and with half the gain.
 
 import * as api from "./api.js";
-import { fill, h, loading } from "./dom.js";
+import { figureCell, fill, h, loading } from "./dom.js";
 import * as format from "./format.js";
 import { store } from "./store.js";
 import { opUnit } from "./words.js";
@@ -23,7 +23,7 @@ export function repair(root, loop) {
       ["Reversals a day", "reversals_per_day", ""],
     ];
   };
-  const cell = (item) => h("td", { class: "number" }, item ? format.estimate(item.value, item.interval, "") : "–");
+  const cell = (item) => figureCell(item ? format.parts(item.value, item.interval) : ["–", ""]);
   const show = (answer) => fill(root,
     answer.sentences.map((t) => h("p", { class: "lead" }, t)),
     h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "What a repair buys, table" }, h("table", { class: "table" },
@@ -33,6 +33,14 @@ export function repair(root, loop) {
         h("tr", null, h("th", { scope: "row" }, "Oscillates"), CASES.map(([id]) => h("td", { class: "number" }, oscillates(answer[id]?.oscillates))))))),
     answer.assumptions?.length ? h("details", null, h("summary", null, "What this takes for granted"), h("ul", null, answer.assumptions.map((t) => h("li", null, t)))) : null);
   const part = loading(root, () => api.get(loop.path("/repair")), show, 5);
-  part.run();
+  let window = null;
+  // Each window has its own answer; one without a fit has none, and is not asked.
+  loop.onDocument(({ estimate }) => {
+    const name = estimate?.window?.end_ns ?? 0;
+    if (name === window) return;
+    window = name;
+    if (estimate?.s === null || !estimate) fill(root, h("p", { class: "note" }, "The last window has no fit, so there is no closed loop to simulate."));
+    else part.run();
+  });
   return part.end;
 }

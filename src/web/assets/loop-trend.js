@@ -24,7 +24,7 @@ class Trend {
     const sync = `trend ${loop.name}`;
     const refine = (from, to) => this.refine(from, to);
     const onReset = () => this.range[2] && this.load(true);
-    this.note = h("p", { class: "soft small", role: "status" });
+    this.note = h("p", { class: "soft small", "aria-live": "off" });
     this.buttons = h("div", { class: "row segments", role: "group", "aria-label": "Range" });
     const left = h("div", { class: "trend-charts" });
     const right = h("div", { class: "trend-phase" });
@@ -33,8 +33,8 @@ class Trend {
     left.append(this.failed);
     this.pv = line(left, { label: `Process variable of ${loop.name}`, height: 210, sync, onView: refine, onReset, yLabel: row?.pv_unit ?? "PV", series: [
       { key: "sp", label: "SP", ink: "--sp", dash: [5, 4], stepped: true, unit: row?.pv_unit },
-      { key: "pv_fit", label: "PV fitted", ink: "--fit", width: 1.5, unit: row?.pv_unit },
-      { key: "pv", label: "PV", ink: "--pv", width: 1.5, unit: row?.pv_unit }] });
+      { key: "pv", label: "PV", ink: "--pv", width: 1.5, unit: row?.pv_unit },
+      { key: "pv_fit", label: "PV fitted", ink: "--fit", width: 1.2, unit: row?.pv_unit }] });
     this.op = line(left, { label: `Controller output of ${loop.name}`, height: 190, sync, onView: refine, onReset, yLabel: opUnit(row), series: [
       { key: "op", label: "OP", ink: "--op", unit: row?.op_unit },
       { key: "mv", label: "valve measured", ink: "--other", unit: row?.op_unit },
@@ -118,7 +118,9 @@ class Trend {
       x.shift();
       for (const c of COLUMNS) this.data[c]?.shift();
     }
-    if (x[x.length - 1] > last) this.draw(true);
+    if (!(x[x.length - 1] > last)) return;
+    fill(this.note, `Live: newest sample ${format.time(x[x.length - 1])}. The fitted valve is that of the last fit.`);
+    this.draw(true);
   }
 
   end() {

@@ -13,13 +13,13 @@ import { why } from "./loop-why.js";
 import { on, store } from "./store.js";
 
 const SECTIONS = [
-  ["trend", "Trend and phase", null],
-  ["history", "Over time", null],
-  ["repair", "What a repair buys", "repair"],
-  ["why", "Why", null],
-  ["gap", "What the model leaves out", null],
-  ["pictures", "Pictures", null],
-  ["alarms", "Alarm history", null],
+  ["trend", "Trend and phase"],
+  ["history", "Over time"],
+  ["why", "Why"],
+  ["repair", "What a repair buys"],
+  ["gap", "What the model leaves out"],
+  ["pictures", "Pictures"],
+  ["alarms", "Alarm history"],
 ];
 
 /** Shows a loop; returns what cleans up. */
@@ -35,7 +35,9 @@ export function show(root, { name, live, announce }) {
   };
   fill(root, headRoot,
     h("nav", { class: "jump", "aria-label": "On this page" }, SECTIONS.map(([id, title]) => h("button", { class: "button quiet", type: "button", onclick: jump(id) }, title))),
-    h("div", { class: "loop-parts" }, SECTIONS.map(([id]) => parts[id].section)));
+    h("div", { class: "loop-parts" }, parts.trend.section,
+      h("div", { class: "column" }, parts.history.section, parts.why.section), h("div", { class: "column" }, parts.repair.section, parts.gap.section),
+      parts.pictures.section, parts.alarms.section));
 
   const takeDocument = (document) => {
     loop.document = document;

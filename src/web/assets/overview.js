@@ -73,6 +73,14 @@ function noteOf(rows) {
   return `${format.count(rows.length, "loop")}${need ? `, ${need} to maintain` : ""}`;
 }
 
+// What to do where nothing has come in yet.
+function waiting() {
+  const prefix = store.site?.prefix ?? "PREFIX";
+  return h("div", { class: "note" },
+    h("p", null, "A loop appears with its first sample. Publish each signal on a key of its own over Zenoh:"),
+    h("p", null, h("code", null, `${prefix}/LOOP/op`), " and ", h("code", null, `${prefix}/LOOP/pv`), "; set point and mode are optional (", h("code", null, "sp"), ", ", h("code", null, "mode"), "). Other keys are mapped in the configuration."));
+}
+
 class Overview {
   constructor(root) {
     this.root = root;
@@ -148,7 +156,8 @@ class Overview {
     const rows = [...store.rows.values()];
     const kept = rows.filter((row) => matches(row, this.state));
     this.tiles.arrange(kept.length ? grouped(kept, this.state) : []);
-    if (!kept.length && rows.length) fill(this.list, h("p", { class: "note" }, "No loop matches these filters."));
+    if (!rows.length) fill(this.list, waiting());
+    else if (!kept.length) fill(this.list, h("p", { class: "note" }, "No loop matches these filters."));
     if (!kept.length) this.tiles.order = "";
     const filtered = kept.length !== rows.length;
     fill(this.result, filtered ? `${kept.length} of ${format.count(rows.length, "loop")}` : format.count(rows.length, "loop"));
@@ -161,7 +170,7 @@ class Overview {
     if (key === this.said) return;
     this.said = key;
     const open = first && h("a", { class: "button primary", href: `#/loop/${encodeURIComponent(first.name)}` }, `Look at ${first.name}`);
-    fill(this.head, h("div", { class: `headline ${state}` }, h("h1", null, words), more.map((t) => h("p", null, t))), open);
+    fill(this.head, h("div", { class: `headline ${state}` }, h("h1", null, words), h("p", null, more[0] ?? ""), more.length > 1 ? h("p", null, more.slice(1).join(" ")) : null), open);
   }
 
   chip(key, set, node, label, n, title) {

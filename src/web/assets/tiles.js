@@ -20,7 +20,7 @@ function inside(row) {
     h("span", { class: "tile-head" }, symbol(key), h("b", { class: "tile-name" }, row.name),
       row.unacknowledged ? h("span", { class: "flag" }, "unack") : null,
       row.grade ? h("span", { class: "grade", title: `grade ${row.grade}` }, row.grade, h("span", { class: "unseen" }, " grade")) : null),
-    h("span", { class: "tile-words" }, h("span", { class: "unseen" }, `${NE107[key].name}: `), row.status),
+    h("span", { class: "tile-words", title: row.status }, h("span", { class: "unseen" }, `${NE107[key].name}: `), row.status),
     h("span", { class: "tile-numbers" }, numbers(row)),
     h("span", { class: "tile-foot" }, spark(row.recent ?? []),
       row.s_trend ? h("span", { class: `trend ${row.s_trend}`, title: `s is ${row.s_trend}` }, TREND[row.s_trend], h("span", { class: "unseen" }, ` s ${row.s_trend}`)) : null,
