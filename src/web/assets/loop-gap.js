@@ -9,6 +9,9 @@ import { plain } from "./words.js";
 const MOST_EFFECTS = 6;
 const STAGES = { valve: "in the valve", process: "in the process", disturbance: "from outside", measurement: "in the measurement", operation: "in how the loop is run", cannot_tell: "cannot be told", none: "nowhere" };
 
+/** Switches of an effect, which say nothing as numbers. */
+const SWITCHES = new Set(["straight", "upper", "of_stem"]);
+
 const item = (term, value) => h("div", null, h("dt", null, term), h("dd", null, value));
 
 function causeWords({ cause }) {
@@ -25,7 +28,7 @@ function test(next) {
 function effects(list, pv) {
   const shown = list.slice(0, MOST_EFFECTS);
   if (!shown.length) return null;
-  const size = (e) => Object.entries(e.parameters).map(([name, p]) => `${plain(name)} ${format.number(p.value)}${p.unit === "1" ? "" : ` ${p.unit}`}`).join(", ").replace(/.$/, "$&; ");
+  const size = (e) => Object.entries(e.parameters).filter(([name]) => !SWITCHES.has(name)).map(([name, p]) => `${plain(name)} ${format.number(p.value)}${p.unit === "1" ? "" : ` ${p.unit}`}`).join(", ").replace(/.$/, "$&; ");
   return h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Effects that were tried" }, h("table", { class: "table" },
     h("caption", { class: "soft" }, `The likeliest ${shown.length} of ${format.count(list.length, "effect")}; what each closes of the gap on data that it was not fitted to.`),
     h("thead", null, h("tr", null, h("th", { scope: "col" }, "effect"), h("th", { scope: "col" }, "acts"), h("th", { scope: "col", class: "number" }, "closes, %"), h("th", { scope: "col", class: "number" }, `gap left, ${pv}`))),
@@ -66,7 +69,7 @@ export function gap(root, loop) {
         const from = Date.now();
         const spent = h("span", { "aria-hidden": "true" });
         button.disabled = true;
-        clock = setInterval(() => fill(spent, format.duration((Date.now() - from) / 1000)), 500);
+        clock = setInterval(() => fill(spent, format.duration(Math.round((Date.now() - from) / 1000))), 500);
         fill(status, h("progress", { "aria-label": "Gap diagnosis" }), " fitting every effect of the catalogue … ", spent);
       };
       if (await runGap(loop.name, started)) {

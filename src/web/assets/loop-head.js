@@ -45,12 +45,12 @@ function downloads(loop) {
     to("/sheet", "Evidence sheet", { target: "_blank", rel: "noopener" }));
 }
 
-/** Draws the head; false where nothing changed. */
+/** Draws the head where something changed. */
 export function head(root, loop) {
   const { estimate, alarm, words, row: first } = loop.document;
   const row = store.rows.get(loop.name) ?? first;
   const key = JSON.stringify([estimate?.window?.end_ns, alarm?.event_id, row.ne107, row.status, row.gates, loop.review, words]);
-  if (key === root.dataset.key) return true;
+  if (key === root.dataset.key) return;
   const focus = document.activeElement && root.contains(document.activeElement) ? document.activeElement.getAttribute("aria-label") : null;
   root.dataset.key = key;
   const ne = neOf(row);
@@ -71,5 +71,4 @@ export function head(root, loop) {
     facts(row, estimate),
     h("div", { class: "loop-acts" }, buttons(alarm ?? { loop: loop.name, state: "normal" }, { done }), downloads(loop)));
   if (focus) root.querySelector(`[aria-label="${CSS.escape(focus)}"]`)?.focus();
-  return true;
 }

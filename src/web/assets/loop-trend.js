@@ -140,7 +140,7 @@ class Phase {
     this.slider = h("input", { id: "lag", type: "range", min: "0", max: "60", value: "0", oninput: () => { this.moved = true; this.draw(); } });
     this.fitted = h("input", { type: "checkbox", onchange: () => this.draw() });
     this.fittedLabel = h("label", { class: "inline", hidden: true }, this.fitted, " fitted valve");
-    root.append(h("h3", null, "Phase plot"));
+    root.append(h("h3", null, "Phase plot of the live window"));
     this.plot = phase(root, { label: "Phase plot, PV over OP", xLabel: `OP${row?.op_unit ? `, ${row.op_unit}` : ""}`, yLabel: `PV${row?.pv_unit ? `, ${row.pv_unit}` : ""}` });
     root.append(h("div", { class: "row" }, h("label", { for: "lag" }, "Shift PV back by "), this.slider, this.out), this.fittedLabel,
       h("p", { class: "soft small" }, "Shifted by the loop’s dead time and lag, a sticking valve draws a parallelogram with upright or level sides; a free one a line or an ellipse."));

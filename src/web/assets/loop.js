@@ -41,14 +41,16 @@ export function show(root, { name, live, announce }) {
 
   const takeDocument = (document) => {
     loop.document = document;
-    if (!head(headRoot, loop)) return;
+    head(headRoot, loop);
     for (const listener of loop.listeners) listener(document);
   };
   const reload = async () => {
     try {
       takeDocument(await api.get(loop.path()));
     } catch (error) {
-      if (!loop.document) fill(headRoot, h("h1", null, name), problem(error.message, error.status === 404 ? null : reload));
+      if (loop.document) return;
+      if (error.status === 404) fill(root, h("h1", null, name), problem(error.message), h("p", null, h("a", { href: "#/" }, "Back to the overview")));
+      else fill(headRoot, h("h1", null, name), problem(error.message, reload));
     }
   };
   loop.reload = reload;

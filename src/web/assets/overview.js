@@ -19,7 +19,8 @@ const slope = (row) => {
   return mean(known.slice(-third)) / Math.max(1e-9, mean(known.slice(0, third))) - 1 + (row.s_trend === "rising" ? 1 : 0);
 };
 
-const byName = (a, b) => a.name.localeCompare(b.name, "en", { numeric: true });
+const order = new Intl.Collator("en", { numeric: true });
+const byName = (a, b) => order.compare(a.name, b.name);
 const SORTS = {
   severity: { label: "severity", of: (r) => -severity(r) },
   confidence: { label: "confidence", of: (r) => -(r.stiction === null ? -1 : (r.confidence ?? -1)) },
@@ -65,7 +66,7 @@ function grouped(rows, s) {
   if (s.flat || (areas.size === 1 && areas.has(NO_AREA))) return [{ title: null, names: names(keyed) }];
   // The area of the loop that comes first comes first.
   const groups = [...areas].map(([title, list]) => ({ title, first: list[0].key, names: names(list), note: noteOf(list.map((k) => k.row)) }));
-  return groups.sort((a, b) => a.first - b.first || a.title.localeCompare(b.title, "en", { numeric: true }));
+  return groups.sort((a, b) => a.first - b.first || order.compare(a.title, b.title));
 }
 
 function noteOf(rows) {
@@ -201,7 +202,7 @@ class Overview {
   }
 
   drawAreas(rows) {
-    const names = [...new Set(rows.map((r) => r.area ?? NO_AREA))].sort((a, b) => a.localeCompare(b, "en", { numeric: true }));
+    const names = [...new Set(rows.map((r) => r.area ?? NO_AREA))].sort((a, b) => order.compare(a, b));
     if (names.join("\n") === this.areaNames) return;
     this.areaNames = names.join("\n");
     this.areas.closest("label").hidden = names.length < 2;

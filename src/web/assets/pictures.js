@@ -20,7 +20,7 @@ function clean(text) {
 }
 
 function figure(picture) {
-  const frame = h("div", { class: "frame" }, skeleton(5));
+  const frame = h("div", { class: "frame", ...(picture.wide ? { tabindex: "0", role: "group", "aria-label": picture.title } : {}) }, skeleton(5));
   const load = async () => {
     try {
       const response = await fetch(api.url(picture.url), { cache: "no-cache" });

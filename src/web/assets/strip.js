@@ -66,7 +66,12 @@ export function strip(root, live) {
     root.hidden = store.site?.kind === "workbench";
     document.body.classList.toggle("stale", live.state === "lost");
     const rows = [...store.rows.values()];
-    fill(inside, link(live), age(rows), holes(rows), drops(rows), faults());
+    [link(live), age(rows), holes(rows), drops(rows), faults()].forEach((node, k) => {
+      const old = inside.children[k];
+      // Only what changed is replaced: a link that has the focus keeps it.
+      if (!old) inside.append(node);
+      else if (!old.isEqualNode(node)) old.replaceWith(node);
+    });
     if (said !== live.state) {
       said = live.state;
       fill(spoken, said === "live" ? "The link is back." : inside.firstChild.textContent);
