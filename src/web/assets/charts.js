@@ -12,6 +12,8 @@ export { phase } from "./chart-phase.js";
 
 const groups = new Map();
 const DAY_MS = 864e5;
+/** Widest chart on paper, px. */
+const PAPER_WIDTH = 660;
 
 function timeLabels(u, splits) {
   const step = splits.length > 1 ? splits[1] - splits[0] : 1000;
@@ -122,6 +124,10 @@ class LineChart {
     });
     this.size.observe(this.plot);
     this.offGestures = gestures(this);
+    this.toPaper = () => this.u.setSize({ width: Math.min(this.u.width, PAPER_WIDTH), height });
+    this.toScreen = () => this.u.setSize({ width: this.plot.clientWidth, height });
+    addEventListener("beforeprint", this.toPaper);
+    addEventListener("afterprint", this.toScreen);
   }
 
   keyOf(s) {
@@ -190,7 +196,9 @@ class LineChart {
   zoom(factor, at = null) {
     const [from, to] = this.view();
     const centre = at ?? (from + to) / 2;
+    if (this.whole && (to - from) * factor >= this.whole[1] - this.whole[0]) return this.reset(true);
     this.setView(centre - (centre - from) * factor, centre + (to - centre) * factor, { byUser: true });
+    return undefined;
   }
 
   pan(share) {
@@ -262,6 +270,8 @@ class LineChart {
   destroy() {
     this.offTheme();
     this.offGestures();
+    removeEventListener("beforeprint", this.toPaper);
+    removeEventListener("afterprint", this.toScreen);
     this.size.disconnect();
     groups.get(this.key)?.delete(this);
     this.u.destroy();

@@ -33,7 +33,7 @@ const SORTS = {
 function readState() {
   const q = new URLSearchParams(location.hash.split("?")[1] ?? "");
   const list = (key) => new Set((q.get(key) ?? "").split(",").filter(Boolean));
-  return { text: q.get("q") ?? "", ne: list("ne"), verdicts: list("verdict"), area: q.get("area") ?? "", sort: SORTS[q.get("sort")] ? q.get("sort") : "severity", flat: q.get("flat") === "1" };
+  return { text: q.get("q") ?? "", ne: list("ne"), verdicts: list("verdict"), area: q.get("area") ?? "", sort: SORTS[q.get("sort")] ? q.get("sort") : "severity", flat: q.get("flat") === "1", lines: q.get("lines") === "1" };
 }
 
 function writeState(s) {
@@ -44,6 +44,7 @@ function writeState(s) {
   if (s.area) q.set("area", s.area);
   if (s.sort !== "severity") q.set("sort", s.sort);
   if (s.flat) q.set("flat", "1");
+  if (s.lines) q.set("lines", "1");
   history.replaceState(null, "", `#/${q.size ? `?${q}` : ""}`);
 }
 
@@ -102,6 +103,7 @@ class Overview {
     const search = h("input", { id: "find", type: "search", value: s.text, placeholder: "name, area, words", oninput: (e) => this.set({ text: e.target.value.trim() }), onkeydown: (e) => e.key === "ArrowDown" && this.list.querySelector("a.tile[tabindex='0']")?.focus() });
     const sorts = h("select", { id: "sort", onchange: (e) => this.set({ sort: e.target.value }) }, Object.entries(SORTS).map(([value, { label }]) => h("option", { value, selected: value === s.sort }, label)));
     const flat = h("input", { type: "checkbox", checked: !s.flat, onchange: (e) => this.set({ flat: !e.target.checked }) });
+    const lines = h("input", { type: "checkbox", checked: s.lines, onchange: (e) => this.set({ lines: e.target.checked }) });
     const clear = h("button", { class: "button quiet", type: "button", onclick: () => { search.value = ""; this.areas.value = ""; this.set({ text: "", ne: new Set(), verdicts: new Set(), area: "" }); } }, "Clear filters");
     this.clear = clear;
     this.list = h("div", { class: "tile-list" });
@@ -112,7 +114,7 @@ class Overview {
           h("label", { class: "inline", for: "find" }, "Find ", search, h("kbd", null, "/")),
           h("label", { class: "inline", for: "area" }, "Area ", this.areas),
           h("label", { class: "inline", for: "sort" }, "Sort by ", sorts),
-          h("label", { class: "inline" }, flat, " group by area"), clear, this.result)),
+          h("label", { class: "inline" }, flat, " group by area"), h("label", { class: "inline" }, lines, " as lines"), clear, this.result)),
       this.list);
   }
 
@@ -154,6 +156,8 @@ class Overview {
   arrange() {
     clearTimeout(this.later);
     this.later = null;
+    this.list.classList.toggle("lines", this.state.lines);
+    this.tiles.measure();
     const rows = [...store.rows.values()];
     const kept = rows.filter((row) => matches(row, this.state));
     this.tiles.arrange(kept.length ? grouped(kept, this.state) : []);

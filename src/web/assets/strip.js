@@ -22,7 +22,7 @@ function age(rows) {
   if (!aged.length) return item("wait", "Data age", "no data yet");
   const worst = aged.reduce((a, b) => (b.data_age_s > a.data_age_s ? b : a));
   const old = aged.filter((r) => r.data_age_s > OLD_S).length;
-  if (!old) return item("good", "Data", `at most ${format.duration(Math.max(0, worst.data_age_s))} old`);
+  if (!old) return item("good", "Data", `at most ${format.duration(Math.max(1, Math.ceil(worst.data_age_s)))} old`);
   return item("warn", "Data", [`${format.count(old, "loop")} older than ${format.duration(OLD_S)}; worst `,
     h("a", { href: `#/loop/${encodeURIComponent(worst.name)}` }, worst.name), ` ${format.duration(worst.data_age_s)}`]);
 }
@@ -66,7 +66,10 @@ export function strip(root, live) {
     root.hidden = store.site?.kind === "workbench";
     document.body.classList.toggle("stale", live.state === "lost");
     const rows = [...store.rows.values()];
-    [link(live), age(rows), holes(rows), drops(rows), faults()].forEach((node, k) => {
+    // What is wrong stands in front, where a narrow screen shows it.
+    const rank = (node) => ["bad", "warn", "wait", "good"].findIndex((state) => node.classList.contains(state));
+    const health = [age(rows), holes(rows), drops(rows), faults()].sort((a, b) => rank(a) - rank(b));
+    [link(live), ...health].forEach((node, k) => {
       const old = inside.children[k];
       // Only what changed is replaced: a link that has the focus keeps it.
       if (!old) inside.append(node);

@@ -8,8 +8,8 @@ import { NE107, neOf, opUnit, symbol } from "./words.js";
 
 /** Tiles of a block; every number of columns up to six divides it. */
 const BLOCK = 60;
-/** Height of a tile and the space between two, px, as in the style sheet. */
-const TILE = { height: 112, space: 8, least: 238 };
+/** Height of a tile, least width and the space between two, px, as in the style sheet; a line is as wide as the list. */
+const SIZES = { tiles: { height: 112, space: 8, least: 238 }, lines: { height: 34, space: 2, least: Infinity } };
 
 const TREND = { rising: "↗", falling: "↘", steady: "→" };
 
@@ -30,7 +30,7 @@ function inside(row) {
     h("span", { class: "tile-numbers" }, numbers(row)),
     h("span", { class: "tile-foot" }, spark(row.recent ?? []),
       row.s_trend ? h("span", { class: `trend ${row.s_trend}`, title: `s is ${row.s_trend}` }, TREND[row.s_trend]) : null,
-      h("span", { class: `age${age !== null && age > 60 ? " old" : ""}` }, age === null ? "no data" : `${format.duration(Math.max(0, age))} old`)),
+      h("span", { class: `age${age !== null && age > 60 ? " old" : ""}` }, age === null ? "no data" : `${format.duration(Math.max(1, Math.ceil(age)))} old`)),
   ];
 }
 
@@ -127,9 +127,10 @@ export class Tiles {
 
   /** Tells the browser how high each block is, so that it need not look inside those out of sight. */
   measure() {
-    const columns = Math.max(1, Math.floor((this.root.clientWidth + TILE.space) / (TILE.least + TILE.space)));
+    const { height, space, least } = SIZES[this.root.classList.contains("lines") ? "lines" : "tiles"];
+    const columns = Math.max(1, Math.floor((this.root.clientWidth + space) / (least + space)));
     for (const list of this.root.querySelectorAll("ul")) {
-      list.style.containIntrinsicSize = `auto ${Math.ceil(list.children.length / columns) * (TILE.height + TILE.space) - TILE.space}px`;
+      list.style.containIntrinsicSize = `auto ${Math.ceil(list.children.length / columns) * (height + space) - space}px`;
     }
   }
 
