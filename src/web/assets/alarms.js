@@ -55,7 +55,7 @@ function entry(alarm, done) {
         since ? h("li", null, `since ${format.recent(since)} (${format.duration((Date.now() - since) / 1000)})`) : null,
         h("li", null, `last change: ${changed}`), held(alarm), reviewed(alarm.review)),
       h("p", { class: "soft" }, [alarm.area, alarm.equipment, alarm.criticality ? `criticality ${alarm.criticality}` : null].filter(Boolean).join(" · "))),
-    buttons(alarm, { done, compact: false }));
+    buttons(alarm, { done }));
 }
 
 /** Shows the alarm list; returns what cleans up. */

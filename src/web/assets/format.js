@@ -33,7 +33,7 @@ export function number(v) {
 /** A measured value at a cursor: as many digits as tell neighbours apart within `span`. */
 export function reading(v, span) {
   if (missing(v)) return NONE;
-  const digits = span > 0 ? Math.min(6, Math.max(0, 2 - Math.floor(Math.log10(span)))) : 3;
+  const digits = span > 0 ? Math.min(4, Math.max(0, 2 - Math.floor(Math.log10(span)))) : 3;
   return v.toFixed(digits).replace("-", "−");
 }
 

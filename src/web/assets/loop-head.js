@@ -25,7 +25,7 @@ function facts(row, estimate) {
   if (estimate.oscillation?.period_s) list.push(fact("Period", `${format.duration(estimate.oscillation.period_s)}, ${format.number(estimate.oscillation.periods)} in the window`));
   const w = estimate.window;
   list.push(fact("Window", `${format.recent(format.millis(w.start))} to ${format.recent(format.millis(w.end))}, every ${format.duration(w.ts_s)}`));
-  return h("div", null, h("dl", { class: "facts" }, list), h("p", { class: "soft small" }, `Brackets hold ${level} % intervals.`));
+  return h("div", null, h("dl", { class: "facts" }, list), estimate.s === null ? null : h("p", { class: "soft small" }, `Brackets hold ${level} % intervals.`));
 }
 
 function todo(words, alarm) {
@@ -69,6 +69,6 @@ export function head(root, loop) {
     todo(words, alarm),
     loop.review ? h("p", { class: "note" }, `${loop.review.label === "stiction" ? "Confirmed" : "Marked as false"} by ${loop.review.by}.`) : null,
     facts(row, estimate),
-    h("div", { class: "loop-acts" }, buttons(alarm ?? { loop: loop.name, state: "normal" }, { done }), downloads(loop)));
+    h("div", { class: "loop-acts" }, buttons(alarm ?? { loop: loop.name, state: "normal" }, { done, sticks: estimate?.stiction ?? null, window: Boolean(estimate) }), estimate ? downloads(loop) : null));
   if (focus) root.querySelector(`[aria-label="${CSS.escape(focus)}"]`)?.focus();
 }

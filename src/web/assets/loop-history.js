@@ -69,11 +69,12 @@ export function overTime(root, loop) {
     const sync = `history ${loop.name}`;
     const band = (key, label, ink) => ({ key, label, ink, unit: unit(), points: windows.length < 60, lo: `${key}_lo`, hi: `${key}_hi` });
     const data = columns(windows);
+    const has = (key) => data[key].some((v) => v !== null);
     charts = [
-      line(left, { label: "s over time with its interval", height: 190, sync, least: 0, yLabel: unit(), marks: () => [...marks(), ...rings()], spans, series: [band("s", "s", "--error")] }),
-      line(left, { label: "fs and fd over time with their intervals", height: 190, sync, least: 0, yLabel: unit(), marks, spans, series: [band("fs", "fs", "--op"), band("fd", "fd", "--mv")] }),
-      line(left, { label: "Probability of stiction over time", height: 120, sync, least: 0, yLabel: "p", series: [{ key: "p", label: "p of stiction", ink: "--pv", points: windows.length < 60 }] }),
-    ];
+      has("s") && line(left, { label: "s over time with its interval", height: 190, sync, least: 0, yLabel: unit(), marks: () => [...marks(), ...rings()], spans, series: [band("s", "s", "--error")] }),
+      has("fs") && line(left, { label: "fs and fd over time with their intervals", height: 190, sync, least: 0, yLabel: unit(), marks, spans, series: [band("fs", "fs", "--op"), band("fd", "fd", "--mv")] }),
+      has("p") && line(left, { label: "Probability of stiction over time", height: 120, sync, least: 0, yLabel: "p", series: [{ key: "p", label: "p of stiction", ink: "--pv", points: windows.length < 60 }] }),
+    ].filter(Boolean);
     charts.forEach((c) => c.setData(data));
   }
 

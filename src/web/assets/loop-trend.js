@@ -9,6 +9,8 @@ import { opUnit } from "./words.js";
 
 const RANGES = [["window", "Live window", null], ["1h", "1 h", 3600], ["8h", "8 h", 28800], ["1d", "1 d", 86400], ["7d", "7 d", 604800], ["30d", "30 d", 2592000]];
 const POINTS = 1600;
+/** A loop that has no window yet is drawn over so much time, ms. */
+const LEAST_SPAN_MS = 600_000;
 /** Quiet time after a zoom before finer data are asked for, ms. */
 const SETTLE_MS = 350;
 
@@ -92,10 +94,10 @@ class Trend {
   take(answer, keepView) {
     this.data = { x: answer.t_ms, ...Object.fromEntries(COLUMNS.map((c) => [c, answer[c] ?? null])) };
     const points = answer.t_ms.length;
-    const words = !points ? "There are no samples in this range." : answer.complete === false ? "The recordings do not hold all of this range." : answer.valve ? "The fitted valve is that of the last fit." : "";
+    const words = !points ? "There are no samples yet." : answer.complete === false ? "The recordings do not hold all of this range." : answer.valve ? "The fitted valve is that of the last fit." : "";
     fill(this.note, words);
     this.draw(keepView);
-    if (!this.range[2]) this.phase.take(answer);
+    if (!this.range[2] && points) this.phase.take(answer);
   }
 
   draw(keepView) {
@@ -108,7 +110,7 @@ class Trend {
     if (!this.data || this.range[2]) return;
     const { x } = this.data;
     const last = x[x.length - 1] ?? -Infinity;
-    const span = last - x[0];
+    const span = Math.max(last - x[0] || 0, LEAST_SPAN_MS);
     samples.t_ms.forEach((t, k) => {
       if (t <= (x[x.length - 1] ?? -Infinity)) return;
       x.push(t);
@@ -119,7 +121,7 @@ class Trend {
       for (const c of COLUMNS) this.data[c]?.shift();
     }
     if (!(x[x.length - 1] > last)) return;
-    fill(this.note, `Live: newest sample ${format.time(x[x.length - 1])}. The fitted valve is that of the last fit.`);
+    fill(this.note, `Live: newest sample ${format.time(x[x.length - 1])}.${this.data.valve ? " The fitted valve is that of the last fit." : ""}`);
     this.draw(true);
   }
 

@@ -2,6 +2,7 @@
 
 import * as api from "./api.js";
 import { fill, h, problem, skeleton, whenNear } from "./dom.js";
+import { readable } from "./picture-values.js";
 
 const parser = new DOMParser();
 const BARRED = "script, foreignObject, style, iframe, image, a, animate, set";
@@ -28,6 +29,7 @@ function figure(picture) {
       const svg = clean(await response.text());
       if (!svg.getAttribute("aria-label")) svg.setAttribute("aria-label", picture.title);
       fill(frame, svg);
+      readable(svg);
     } catch {
       fill(frame, problem("This picture could not be loaded.", load));
     }
