@@ -2,7 +2,7 @@
 
 import * as api from "./api.js";
 import { line, phase } from "./charts.js";
-import { fill, h, problem } from "./dom.js";
+import { fill, h, problem, single } from "./dom.js";
 import * as format from "./format.js";
 import { on, store } from "./store.js";
 import { opUnit } from "./words.js";
@@ -44,7 +44,8 @@ class Trend {
     left.append(h("p", { class: "soft small hint" }, "Drag to zoom, Shift and drag to pan, click and then wheel, double click for all."));
     this.phase = new Phase(right, loop);
     this.drawButtons();
-    this.off = [on("samples", (samples) => this.append(samples)), on("estimate", (e) => e.loop === loop.name && !this.range[2] && this.load()), on("link", (link) => link.state === "live" && this.load())];
+    const renew = single(() => this.load());
+    this.off = [on("samples", (samples) => this.append(samples)), on("estimate", (e) => e.loop === loop.name && !this.range[2] && renew()), on("back", () => renew(true))];
     this.load();
   }
 
@@ -59,8 +60,14 @@ class Trend {
     this.load(true);
   }
 
+  /** End of the ranges, ms: now, or the newest sample where plant time runs ahead of the clock. */
+  newest() {
+    const row = store.rows.get(this.loop.name);
+    return Math.max(Date.now() + (store.skew_ms ?? 0), row?.window_end_ms ?? 0, this.last ?? 0);
+  }
+
   async load(whole = false) {
-    const to = Date.now() + (store.skew_ms ?? 0);
+    const to = Math.ceil(this.newest());
     const path = this.range[2] ? `/trend?from_ms=${to - this.range[2] * 1000}&to_ms=${to}&points=${POINTS}` : "/window";
     await this.fetch(path, !whole);
   }
@@ -78,14 +85,17 @@ class Trend {
 
   async fetch(path, keepView) {
     const mine = ++this.turn;
+    const { range } = this;
     fill(this.note, this.data ? "loading …" : "");
     try {
       const answer = await api.get(this.loop.path(path));
-      if (mine !== this.turn) return;
+      // An answer counts unless a later one is shown already, or another range was chosen.
+      if (this.ended || mine < (this.taken ?? 0) || range !== this.range) return;
+      this.taken = mine;
       fill(this.failed);
       this.take(answer, keepView);
     } catch (error) {
-      if (mine !== this.turn) return;
+      if (this.ended || range !== this.range) return;
       fill(this.note);
       fill(this.failed, problem(error.message, () => this.load(true)));
     }
@@ -94,6 +104,7 @@ class Trend {
   take(answer, keepView) {
     this.data = { x: answer.t_ms, ...Object.fromEntries(COLUMNS.map((c) => [c, answer[c] ?? null])) };
     const points = answer.t_ms.length;
+    this.last = Math.max(this.last ?? 0, answer.t_ms[points - 1] ?? 0);
     const words = !points ? "There are no samples yet." : answer.complete === false ? "The recordings do not hold all of this range." : answer.valve ? "The fitted valve is that of the last fit." : "";
     fill(this.note, words);
     this.draw(keepView);
@@ -107,6 +118,7 @@ class Trend {
 
   /** New samples of the stream go on at the right; as many leave at the left. */
   append(samples) {
+    this.last = Math.max(this.last ?? 0, samples.t_ms[samples.t_ms.length - 1] ?? 0);
     if (!this.data || this.range[2]) return;
     const { x } = this.data;
     const last = x[x.length - 1] ?? -Infinity;
@@ -121,13 +133,13 @@ class Trend {
       for (const c of COLUMNS) this.data[c]?.shift();
     }
     if (!(x[x.length - 1] > last)) return;
-    fill(this.note, `Live: newest sample ${format.time(x[x.length - 1])}.${this.data.valve ? " The fitted valve is that of the last fit." : ""}`);
+    fill(this.note, `Live: newest sample ${format.stamp(x[x.length - 1])}.${this.data.valve ? " The fitted valve is that of the last fit." : ""}`);
     this.draw(true);
   }
 
   end() {
     clearTimeout(this.settle);
-    this.turn = -1;
+    this.ended = true;
     this.off.forEach((off) => off());
     this.pv.destroy();
     this.op.destroy();

@@ -9,6 +9,8 @@ import { NE107, VERDICTS, neOf, severity, symbol, verdictOf } from "./words.js";
 
 /** Pause between two orders of the tiles while rows change, ms: what is being read should not jump. */
 const CALM_MS = 4000;
+/** Pause after loops came or went, ms. */
+const SOON_MS = 150;
 const NO_AREA = "No area";
 
 const slope = (row) => {
@@ -132,7 +134,12 @@ class Overview {
 
   rows(names) {
     this.tiles.patch(names ?? store.rows.keys());
-    this.draw(names === null);
+    this.draw(names === null && !this.tiles.order);
+    // Loops that come or go are shown soon: many rows come in parts.
+    if (names === null && this.later) {
+      clearTimeout(this.later);
+      this.later = setTimeout(() => this.arrange(), SOON_MS);
+    }
   }
 
   /** Draws; the order of the tiles follows at once if asked, else after a pause. */
