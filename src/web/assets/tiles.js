@@ -9,7 +9,7 @@ import { NE107, neOf, opUnit, symbol } from "./words.js";
 /** Tiles of a block; every number of columns up to six divides it. */
 const BLOCK = 60;
 /** Height of a tile, least width and the space between two, px, as in the style sheet; a line is as wide as the list. */
-const SIZES = { tiles: { height: 126, space: 8, least: 238 }, lines: { height: 34, space: 2, least: Infinity } };
+const SIZES = { tiles: { height: 132, space: 8, least: 238 }, lines: { height: 34, space: 2, least: Infinity } };
 
 const TREND = { rising: "↗", falling: "↘", steady: "→" };
 
