@@ -11,6 +11,10 @@ const RANGES = [["window", "Live window", null], ["1h", "1 h", 3600], ["8h", "8 
 const POINTS = 1600;
 /** A loop that has no window yet is drawn over so much time, ms. */
 const LEAST_SPAN_MS = 600_000;
+/** Samples of the stream that are kept for a window that is on its way. */
+const KEPT = 2000;
+/** Sampling times without a sample that count as a hole. */
+const HOLE_STEPS = 5;
 /** Quiet time after a zoom before finer data are asked for, ms. */
 const SETTLE_MS = 350;
 
@@ -21,6 +25,7 @@ class Trend {
     this.loop = loop;
     this.range = RANGES[0];
     this.data = null;
+    this.kept = [];
     this.turn = 0;
     const row = store.rows.get(loop.name);
     const sync = `trend ${loop.name}`;
@@ -107,8 +112,11 @@ class Trend {
     this.last = Math.max(this.last ?? 0, answer.t_ms[points - 1] ?? 0);
     const words = !points ? "There are no samples yet." : answer.complete === false ? "The recordings do not hold all of this range." : answer.valve ? "The fitted valve is that of the last fit." : "";
     fill(this.note, words);
+    this.step_ms = answer.ts_s ? answer.ts_s * 1000 : null;
     this.draw(keepView);
-    if (!this.range[2] && points) this.phase.take(answer);
+    if (this.range[2]) return;
+    if (points) this.phase.take(answer);
+    for (const samples of this.kept) this.grow(samples);
   }
 
   draw(keepView) {
@@ -119,12 +127,25 @@ class Trend {
   /** New samples of the stream go on at the right; as many leave at the left. */
   append(samples) {
     this.last = Math.max(this.last ?? 0, samples.t_ms[samples.t_ms.length - 1] ?? 0);
-    if (!this.data || this.range[2]) return;
+    this.keep(samples);
+    if (this.data && !this.range[2]) this.grow(samples);
+  }
+
+  /** Keeps the newest samples: the window's answer may come later than those that follow it. */
+  keep(samples) {
+    this.kept.push(samples);
+    let n = this.kept.reduce((sum, s) => sum + s.t_ms.length, 0);
+    while (n > KEPT) n -= this.kept.shift().t_ms.length;
+  }
+
+  grow(samples) {
     const { x } = this.data;
     const last = x[x.length - 1] ?? -Infinity;
     const span = Math.max(last - x[0] || 0, LEAST_SPAN_MS);
     samples.t_ms.forEach((t, k) => {
-      if (t <= (x[x.length - 1] ?? -Infinity)) return;
+      const before = x[x.length - 1] ?? -Infinity;
+      if (t <= before) return;
+      if (this.step_ms && t - before > HOLE_STEPS * this.step_ms && x.length) this.hole(before + this.step_ms);
       x.push(t);
       for (const c of COLUMNS) this.data[c]?.push(samples[c]?.[k] ?? null);
     });
@@ -135,6 +156,12 @@ class Trend {
     if (!(x[x.length - 1] > last)) return;
     fill(this.note, `Live: newest sample ${format.stamp(x[x.length - 1])}.${this.data.valve ? " The fitted valve is that of the last fit." : ""}`);
     this.draw(true);
+  }
+
+  /** Lines do not cross what is missing. */
+  hole(t) {
+    this.data.x.push(t);
+    for (const c of COLUMNS) this.data[c]?.push(null);
   }
 
   end() {

@@ -22,7 +22,7 @@ function age({ silent_loops: silent, oldest_loop: name, oldest_age_s: oldest }) 
   if (oldest === null || oldest === undefined) return item("wait", "Data", "none yet");
   const link = name && h("a", { href: `#/loop/${encodeURIComponent(name)}` }, name);
   if (silent) return item("warn", "Data", [`${format.count(silent, "loop")} silent; longest `, link, oldest > 0 ? ` for ${format.duration(oldest)}` : ""]);
-  if (oldest < -OFF_S) return item("good", "Data", `fresh; plant time is ${format.duration(-oldest)} ahead of the clock`);
+  if (oldest < -OFF_S) return item("good", "Data", `fresh${store.site?.note ? "" : `; plant time is ${format.duration(-oldest)} ahead of the clock`}`);
   return item("good", "Data", `at most ${format.duration(Math.max(1, Math.ceil(oldest)))} old`);
 }
 
@@ -54,7 +54,7 @@ function faults() {
 export function strip(root, live) {
   let said = live.state;
   const spoken = h("span", { class: "unseen", role: "status" });
-  const inside = h("div", { class: "strip-in" });
+  const inside = h("div", { class: "strip-in", tabindex: "0", role: "group", "aria-label": "Connection and data health" });
   root.append(inside, spoken);
   const draw = () => {
     root.hidden = store.site?.kind === "workbench";
@@ -63,7 +63,10 @@ export function strip(root, live) {
     // What is wrong stands in front, where a narrow screen shows it.
     const rank = (node) => ["bad", "warn", "wait", "good"].findIndex((state) => node.classList.contains(state));
     const health = [age(data), holes(data), drops(data), faults()].sort((a, b) => rank(a) - rank(b));
-    [link(live), ...health].forEach((node, k) => {
+    if (store.site?.note) health.push(item("wait", "Note", store.site.note));
+    const all = [link(live), ...health];
+    while (inside.children.length > all.length) inside.lastChild.remove();
+    all.forEach((node, k) => {
       const old = inside.children[k];
       // Only what changed is replaced: a link that has the focus keeps it.
       if (!old) inside.append(node);
@@ -77,6 +80,8 @@ export function strip(root, live) {
   const soon = () => {
     if (!draw.waiting) draw.waiting = setTimeout(() => { draw.waiting = null; draw(); }, 100);
   };
+  // What sticks below this line has to know how high it is.
+  new ResizeObserver(() => document.documentElement.style.setProperty("--head", `${Math.floor(root.getBoundingClientRect().bottom)}px`)).observe(root);
   for (const name of ["site", "link"]) on(name, soon);
   setInterval(soon, 1000);
   draw();
