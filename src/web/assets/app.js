@@ -21,7 +21,11 @@ function announce(words) {
   fill(saidAt, words);
 }
 
-const live = new Live({ onEvent: take, onState: (link) => tell("link", link) });
+const live = new Live({ onEvent: take, onState: (link, before) => {
+  tell("link", link);
+  // After a pause everything that is shown may be old.
+  if (before === "lost" && link.state === "live") tell("back");
+} });
 const context = { api, charts, dialog, dom, format, pictures, announce, live, store };
 
 const ROUTES = [
@@ -33,17 +37,23 @@ const ROUTES = [
 
 let shown = null;
 let turn = 0;
+let drawn = null;
+let siteKind = "daemon";
 
 const isBench = () => store.site?.kind === "workbench";
 const place = () => location.hash.replace(/^#\/?/, "").split("?")[0];
 
+/** Draws the links again where something changed: what has the focus must not be taken away every second. */
 function drawNav(path) {
+  const waiting = [...store.rows.values()].filter((row) => row.unacknowledged).length;
+  const key = JSON.stringify([path, waiting, store.site?.kind, store.site?.workbench]);
+  if (key === drawn) return;
+  drawn = key;
   const links = ROUTES.filter((r) => r.at !== undefined && !(isBench() && r.live) && !(r.style && store.site?.workbench === false));
-  fill(nav, links.map((r) => h("a", { href: `#/${r.at}`, "aria-current": r.path.test(path) ? "page" : null }, r.name, r.at === "alarms" ? alarmCount() : null)));
+  fill(nav, links.map((r) => h("a", { href: `#/${r.at}`, "aria-current": r.path.test(path) ? "page" : null }, r.name, r.at === "alarms" ? alarmCount(waiting) : null)));
 }
 
-function alarmCount() {
-  const n = [...store.rows.values()].filter((row) => row.unacknowledged).length;
+function alarmCount(n) {
   return n ? h("span", { class: "count", title: "unacknowledged" }, String(n), h("span", { class: "unseen" }, " unacknowledged")) : null;
 }
 
@@ -93,20 +103,23 @@ function clock() {
 }
 
 function takeSite(site) {
-  const kind = store.site?.kind;
+  const kind = siteKind;
+  siteKind = site.kind;
   store.site = site;
   store.skew_ms = site.now_ms - Date.now();
   format.setZone(site.time_zone);
   fill(document.getElementById("site-name"), site.kind === "workbench" ? "workbench" : site.prefix);
   document.body.classList.toggle("bench", site.kind === "workbench");
   clock();
-  if (kind !== site.kind) drawNav(place());
+  drawNav(place());
+  if (kind !== site.kind && turn) show();
 }
 
 async function start() {
   themeButton(document.getElementById("theme"), () => tell("theme"));
   strip(document.getElementById("strip"), live);
   on("site", takeSite);
+  on("link", (link) => link.state === "lost" && !store.site && api.get("/site").then((site) => tell("site", site), () => {}));
   on("rows", () => drawNav(place()));
   on("alarm", (alarm) => alarm.event !== "restored" && announce(`Alarm of ${alarm.loop}: ${alarm.event.replaceAll("_", " ")}`));
   document.querySelector(".skip").addEventListener("click", (e) => {

@@ -12,6 +12,8 @@ export { phase } from "./chart-phase.js";
 
 const groups = new Map();
 const DAY_MS = 864e5;
+/** Widest chart on paper, px. */
+const PAPER_WIDTH = 660;
 
 function timeLabels(u, splits) {
   const step = splits.length > 1 ? splits[1] - splits[0] : 1000;
@@ -122,6 +124,10 @@ class LineChart {
     });
     this.size.observe(this.plot);
     this.offGestures = gestures(this);
+    this.toPaper = () => this.u.setSize({ width: Math.min(this.u.width, PAPER_WIDTH), height });
+    this.toScreen = () => this.u.setSize({ width: this.plot.clientWidth, height });
+    addEventListener("beforeprint", this.toPaper);
+    addEventListener("afterprint", this.toScreen);
   }
 
   keyOf(s) {
@@ -190,7 +196,9 @@ class LineChart {
   zoom(factor, at = null) {
     const [from, to] = this.view();
     const centre = at ?? (from + to) / 2;
+    if (this.whole && (to - from) * factor >= this.whole[1] - this.whole[0]) return this.reset(true);
     this.setView(centre - (centre - from) * factor, centre + (to - centre) * factor, { byUser: true });
+    return undefined;
   }
 
   pan(share) {
@@ -224,12 +232,13 @@ class LineChart {
   /** Values beside the names: at the cursor, else the last ones. */
   tellCursor(idx) {
     const x = this.u.data[0];
-    const at = idx ?? x.length - 1;
-    fill(this.at, idx === null || idx === undefined || !x.length ? "" : this.xText(x[at]));
+    fill(this.at, idx === null || idx === undefined || !x.length ? "" : this.xText(x[idx]));
     const { min, max } = this.u.scales.y ?? {};
     for (const s of this.options.series) {
       const k = this.rows.findIndex((r) => r.key === s.key) + 1;
-      const value = this.u.data[k]?.[at];
+      const column = this.u.data[k] ?? [];
+      const at = idx ?? column.findLastIndex((v) => v !== null && v !== undefined);
+      const value = column[at];
       const around = s.lo && [this.u.data[k + 2]?.[at], this.u.data[k + 1]?.[at]];
       fill(s.value, s.lo ? format.estimate(value, around, s.unit) : `${format.reading(value, max - min)}${s.unit ? ` ${s.unit}` : ""}`);
     }
@@ -261,6 +270,8 @@ class LineChart {
   destroy() {
     this.offTheme();
     this.offGestures();
+    removeEventListener("beforeprint", this.toPaper);
+    removeEventListener("afterprint", this.toScreen);
     this.size.disconnect();
     groups.get(this.key)?.delete(this);
     this.u.destroy();

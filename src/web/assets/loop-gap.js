@@ -1,13 +1,16 @@
 // The gap report: where the model departs from the plant, which effect does it, how far it closes, what to test next.
 
 import { runGap } from "./actions.js";
-import { fill, h, problem } from "./dom.js";
+import { figureCell, fill, h, problem } from "./dom.js";
 import * as format from "./format.js";
 import { store } from "./store.js";
 import { plain } from "./words.js";
 
 const MOST_EFFECTS = 6;
 const STAGES = { valve: "in the valve", process: "in the process", disturbance: "from outside", measurement: "in the measurement", operation: "in how the loop is run", cannot_tell: "cannot be told", none: "nowhere" };
+
+/** Switches of an effect, which say nothing as numbers. */
+const SWITCHES = new Set(["straight", "upper", "of_stem"]);
 
 const item = (term, value) => h("div", null, h("dt", null, term), h("dd", null, value));
 
@@ -25,18 +28,18 @@ function test(next) {
 function effects(list, pv) {
   const shown = list.slice(0, MOST_EFFECTS);
   if (!shown.length) return null;
-  const size = (e) => Object.entries(e.parameters).map(([name, p]) => `${plain(name)} ${format.number(p.value)}${p.unit === "1" ? "" : ` ${p.unit}`}`).join(", ") || "–";
+  const size = (e) => Object.entries(e.parameters).filter(([name]) => !SWITCHES.has(name)).map(([name, p]) => `${plain(name)} ${format.number(p.value)}${p.unit === "1" ? "" : ` ${p.unit}`}`).join(", ").replace(/.$/, "$&; ");
   return h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Effects that were tried" }, h("table", { class: "table" },
     h("caption", { class: "soft" }, `The likeliest ${shown.length} of ${format.count(list.length, "effect")}; what each closes of the gap on data that it was not fitted to.`),
-    h("thead", null, h("tr", null, h("th", { scope: "col" }, "effect"), h("th", { scope: "col" }, "acts"), h("th", { scope: "col", class: "number" }, "closes, %"), h("th", { scope: "col", class: "number" }, `gap left, ${pv}`), h("th", { scope: "col" }, "size"), h("th", { scope: "col" }, "settled by"))),
-    h("tbody", null, shown.map((e) => h("tr", null, h("th", { scope: "row" }, plain(e.id)), h("td", { class: "nowrap" }, STAGES[e.stage] ?? e.stage), h("td", { class: "number" }, e.closed_pct === null ? "–" : format.estimate(e.closed_pct, e.closed_interval, "")), h("td", { class: "number" }, format.number(e.gap_after)), h("td", null, size(e)), h("td", null, e.separated_by ?? ""))))));
+    h("thead", null, h("tr", null, h("th", { scope: "col" }, "effect"), h("th", { scope: "col" }, "acts"), h("th", { scope: "col", class: "number" }, "closes, %"), h("th", { scope: "col", class: "number" }, `gap left, ${pv}`))),
+    h("tbody", null, shown.map((e) => h("tr", null, h("th", { scope: "row" }, plain(e.id), h("small", { class: "soft asks" }, size(e), e.separated_by ? `settled by ${e.separated_by}` : "")), h("td", { class: "nowrap" }, STAGES[e.stage] ?? e.stage), figureCell(format.parts(e.closed_pct, e.closed_interval)), h("td", { class: "number" }, format.number(e.gap_after)))))));
 }
 
 function report(gap, words, row) {
   const pv = row.pv_unit ?? "PV units";
   const g = gap.gap;
   return [
-    words ? h("p", { class: "lead" }, sentence(words)) : null,
+    words ? h("p", { class: "lead" }, format.sentence(words)) : null,
     h("dl", { class: "facts" },
       item("Where", STAGES[gap.where.stage] ?? plain(gap.where.stage)),
       item("Which", causeWords(gap)),
@@ -48,8 +51,6 @@ function report(gap, words, row) {
     effects(gap.effects ?? [], pv),
   ];
 }
-
-const sentence = (text) => text.charAt(0).toUpperCase() + text.slice(1);
 
 /** Fills the section with every document that comes. */
 export function gap(root, loop) {
@@ -66,11 +67,11 @@ export function gap(root, loop) {
         const from = Date.now();
         const spent = h("span", { "aria-hidden": "true" });
         button.disabled = true;
-        clock = setInterval(() => fill(spent, format.duration((Date.now() - from) / 1000)), 500);
+        clock = setInterval(() => fill(spent, format.duration(Math.round((Date.now() - from) / 1000))), 500);
         fill(status, h("progress", { "aria-label": "Gap diagnosis" }), " fitting every effect of the catalogue … ", spent);
       };
       if (await runGap(loop.name, started)) {
-        await loop.reload();
+        await loop.reload(true);
         fill(status, "Done.");
       }
     } catch (error) {

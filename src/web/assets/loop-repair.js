@@ -1,10 +1,13 @@
 // What a repair buys: the closed loop simulated as it is, with a free valve, and with half the gain.
 
 import * as api from "./api.js";
-import { fill, h, loading } from "./dom.js";
+import { figureCell, fill, h, loading } from "./dom.js";
 import * as format from "./format.js";
 import { store } from "./store.js";
 import { opUnit } from "./words.js";
+
+/** Pause between two simulations that nobody asked for, ms. */
+const CALM_MS = 30_000;
 
 const CASES = [["now", "now"], ["repaired", "valve repaired"], ["half_gain", "half the gain instead"]];
 
@@ -23,7 +26,7 @@ export function repair(root, loop) {
       ["Reversals a day", "reversals_per_day", ""],
     ];
   };
-  const cell = (item) => h("td", { class: "number" }, item ? format.estimate(item.value, item.interval, "") : "–");
+  const cell = (item) => figureCell(item ? format.parts(item.value, item.interval) : ["–", ""]);
   const show = (answer) => fill(root,
     answer.sentences.map((t) => h("p", { class: "lead" }, t)),
     h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "What a repair buys, table" }, h("table", { class: "table" },
@@ -32,7 +35,17 @@ export function repair(root, loop) {
       h("tbody", null, rows().map(([words, key, unit]) => h("tr", null, h("th", { scope: "row" }, words, unit ? h("span", { class: "soft" }, `, ${unit}`) : null), CASES.map(([id]) => cell(answer[id]?.[key])))),
         h("tr", null, h("th", { scope: "row" }, "Oscillates"), CASES.map(([id]) => h("td", { class: "number" }, oscillates(answer[id]?.oscillates))))))),
     answer.assumptions?.length ? h("details", null, h("summary", null, "What this takes for granted"), h("ul", null, answer.assumptions.map((t) => h("li", null, t)))) : null);
-  const part = loading(root, () => api.get(loop.path("/repair")), show, 5);
-  part.run();
+  const part = loading(root, () => api.get(loop.path("/repair")), show, { lines: 5, calm_ms: CALM_MS });
+  let window = null;
+  // Each window has its own answer; one without a fit has none, and is not asked.
+  loop.onDocument(({ estimate }) => {
+    const name = estimate?.window?.end_ns ?? 0;
+    if (name === window) return;
+    window = name;
+    if (estimate?.s === null || !estimate) {
+      fill(root, h("p", { class: "note" }, "The last window has no fit, so there is no closed loop to simulate."));
+      root.removeAttribute("aria-busy");
+    } else part.run();
+  });
   return part.end;
 }

@@ -1,7 +1,7 @@
 // One loop: what is wrong, how sure, what to do, and everything that shows why.
 
 import * as api from "./api.js";
-import { fill, h, loading, problem, skeleton, whenNear } from "./dom.js";
+import { fill, h, loading, problem, single, skeleton, whenNear } from "./dom.js";
 import * as pictures from "./pictures.js";
 import { alarms } from "./loop-alarm.js";
 import { gap } from "./loop-gap.js";
@@ -13,14 +13,17 @@ import { why } from "./loop-why.js";
 import { on, store } from "./store.js";
 
 const SECTIONS = [
-  ["trend", "Trend and phase", null],
-  ["history", "Over time", null],
-  ["repair", "What a repair buys", "repair"],
-  ["why", "Why", null],
-  ["gap", "What the model leaves out", null],
-  ["pictures", "Pictures", null],
-  ["alarms", "Alarm history", null],
+  ["trend", "Trend and phase"],
+  ["history", "Over time"],
+  ["why", "Why"],
+  ["repair", "What a repair buys"],
+  ["gap", "What the model leaves out"],
+  ["pictures", "Pictures"],
+  ["alarms", "Alarm history"],
 ];
+
+/** Sections that load when they come near the screen. */
+const LATE = new Set(["history", "repair", "pictures", "alarms"]);
 
 /** Shows a loop; returns what cleans up. */
 export function show(root, { name, live, announce }) {
@@ -35,20 +38,24 @@ export function show(root, { name, live, announce }) {
   };
   fill(root, headRoot,
     h("nav", { class: "jump", "aria-label": "On this page" }, SECTIONS.map(([id, title]) => h("button", { class: "button quiet", type: "button", onclick: jump(id) }, title))),
-    h("div", { class: "loop-parts" }, SECTIONS.map(([id]) => parts[id].section)));
+    h("div", { class: "loop-parts" }, parts.trend.section,
+      h("div", { class: "column" }, parts.history.section, parts.why.section), h("div", { class: "column" }, parts.repair.section, parts.gap.section),
+      parts.pictures.section, parts.alarms.section));
 
   const takeDocument = (document) => {
     loop.document = document;
-    if (!head(headRoot, loop)) return;
+    head(headRoot, loop);
     for (const listener of loop.listeners) listener(document);
   };
-  const reload = async () => {
+  const reload = single(async () => {
     try {
       takeDocument(await api.get(loop.path()));
     } catch (error) {
-      if (!loop.document) fill(headRoot, h("h1", null, name), problem(error.message, error.status === 404 ? null : reload));
+      if (loop.document) return;
+      if (error.status === 404) fill(root, h("h1", null, name), problem(error.message), h("p", null, h("a", { href: "#/" }, "Back to the overview")));
+      else fill(headRoot, h("h1", null, name), problem(error.message, reload));
     }
-  };
+  });
   loop.reload = reload;
   loop.onDocument = (listener) => {
     loop.listeners.push(listener);
@@ -62,23 +69,40 @@ export function show(root, { name, live, announce }) {
   near("history", () => ends.push(overTime(parts.history.body, loop)));
   near("repair", () => ends.push(repair(parts.repair.body, loop)));
   near("alarms", () => ends.push(alarms(parts.alarms.body, loop)));
-  near("pictures", () => {
-    const part = loading(parts.pictures.body, () => api.get(loop.path("/pictures")), (answer) => pictures.show(parts.pictures.body, answer.pictures), 8);
-    part.run();
-    ends.push(part.end);
-  });
+  near("pictures", () => ends.push(drawings(parts.pictures.body, loop)));
 
   // A new window changes nearly everything; the stream says when one is there.
   const mine = (document) => document.loop === name && reload();
-  ends.push(on("estimate", mine), on("alarm", mine), on("link", (link) => link.state === "live" && reload()));
+  ends.push(on("estimate", mine), on("alarm", mine), on("back", () => reload(true)));
   ends.push(on("rows", (names) => (names === null || names.has(name)) && store.rows.has(name) && loop.document && head(headRoot, loop)));
   live.open(name);
   reload();
   return () => ends.forEach((end) => end?.());
 }
 
+// Pictures take the program seconds to draw: they stay until the reader asks for those of a newer window.
+function drawings(root, loop) {
+  const list = h("div");
+  const renew = h("button", { class: "button", type: "button", hidden: true, onclick: () => part.run(true) }, "There is a newer window: draw again");
+  let drawn = null;
+  fill(root, renew, list);
+  const end = () => loop.document?.estimate?.window.end_ns ?? null;
+  const load = async () => {
+    renew.disabled = true;
+    drawn = end();
+    const answer = await api.get(loop.path("/pictures")).finally(() => (renew.disabled = false));
+    root.removeAttribute("aria-busy");
+    renew.hidden = end() === drawn;
+    return answer;
+  };
+  const part = loading(list, load, (answer) => pictures.show(list, answer.pictures), { lines: 8 });
+  part.run();
+  loop.onDocument(() => (renew.hidden = list.hasAttribute("aria-busy") || drawn === null || end() === drawn));
+  return part.end;
+}
+
 function section(id, words) {
   const title = h("h2", { id: `part-${id}`, tabindex: "-1" }, words);
-  const body = h("div", { class: "part-body" });
+  const body = h("div", { class: "part-body", "aria-busy": LATE.has(id) ? "true" : null });
   return { title, body, section: h("section", { class: `card part part-${id}`, "aria-labelledby": `part-${id}` }, title, body) };
 }

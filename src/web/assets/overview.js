@@ -9,6 +9,10 @@ import { NE107, VERDICTS, neOf, severity, symbol, verdictOf } from "./words.js";
 
 /** Pause between two orders of the tiles while rows change, ms: what is being read should not jump. */
 const CALM_MS = 4000;
+/** Pause after loops came or went, ms. */
+const SOON_MS = 150;
+/** Pause in typing after which the filter acts, ms. */
+const TYPING_MS = 100;
 const NO_AREA = "No area";
 
 const slope = (row) => {
@@ -19,7 +23,8 @@ const slope = (row) => {
   return mean(known.slice(-third)) / Math.max(1e-9, mean(known.slice(0, third))) - 1 + (row.s_trend === "rising" ? 1 : 0);
 };
 
-const byName = (a, b) => a.name.localeCompare(b.name, "en", { numeric: true });
+const order = new Intl.Collator("en", { numeric: true });
+const byName = (a, b) => order.compare(a.name, b.name);
 const SORTS = {
   severity: { label: "severity", of: (r) => -severity(r) },
   confidence: { label: "confidence", of: (r) => -(r.stiction === null ? -1 : (r.confidence ?? -1)) },
@@ -32,7 +37,7 @@ const SORTS = {
 function readState() {
   const q = new URLSearchParams(location.hash.split("?")[1] ?? "");
   const list = (key) => new Set((q.get(key) ?? "").split(",").filter(Boolean));
-  return { text: q.get("q") ?? "", ne: list("ne"), verdicts: list("verdict"), area: q.get("area") ?? "", sort: SORTS[q.get("sort")] ? q.get("sort") : "severity", flat: q.get("flat") === "1" };
+  return { text: q.get("q") ?? "", ne: list("ne"), verdicts: list("verdict"), area: q.get("area") ?? "", sort: SORTS[q.get("sort")] ? q.get("sort") : "severity", flat: q.get("flat") === "1", lines: q.get("lines") === "1" };
 }
 
 function writeState(s) {
@@ -43,6 +48,7 @@ function writeState(s) {
   if (s.area) q.set("area", s.area);
   if (s.sort !== "severity") q.set("sort", s.sort);
   if (s.flat) q.set("flat", "1");
+  if (s.lines) q.set("lines", "1");
   history.replaceState(null, "", `#/${q.size ? `?${q}` : ""}`);
 }
 
@@ -65,12 +71,20 @@ function grouped(rows, s) {
   if (s.flat || (areas.size === 1 && areas.has(NO_AREA))) return [{ title: null, names: names(keyed) }];
   // The area of the loop that comes first comes first.
   const groups = [...areas].map(([title, list]) => ({ title, first: list[0].key, names: names(list), note: noteOf(list.map((k) => k.row)) }));
-  return groups.sort((a, b) => a.first - b.first || a.title.localeCompare(b.title, "en", { numeric: true }));
+  return groups.sort((a, b) => a.first - b.first || order.compare(a.title, b.title));
 }
 
 function noteOf(rows) {
   const need = rows.filter((r) => neOf(r) === "M").length;
   return `${format.count(rows.length, "loop")}${need ? `, ${need} to maintain` : ""}`;
+}
+
+// What to do where nothing has come in yet.
+function waiting() {
+  const prefix = store.site?.prefix ?? "PREFIX";
+  return h("div", { class: "note" },
+    h("p", null, "A loop appears with its first sample. Publish each signal on a key of its own over Zenoh:"),
+    h("p", null, h("code", null, `${prefix}/LOOP/op`), " and ", h("code", null, `${prefix}/LOOP/pv`), "; set point and mode are optional (", h("code", null, "sp"), ", ", h("code", null, "mode"), "). Other keys are mapped in the configuration."));
 }
 
 class Overview {
@@ -90,9 +104,10 @@ class Overview {
     this.verdictRow = h("div", { class: "chips", role: "group", "aria-label": "Filter by verdict" });
     this.areas = h("select", { id: "area", onchange: (e) => this.set({ area: e.target.value }) });
     this.result = h("span", { class: "soft", role: "status" });
-    const search = h("input", { id: "find", type: "search", value: s.text, placeholder: "name, area, words", oninput: (e) => this.set({ text: e.target.value.trim() }), onkeydown: (e) => e.key === "ArrowDown" && this.list.querySelector("a.tile[tabindex='0']")?.focus() });
+    const search = h("input", { id: "find", type: "search", value: s.text, placeholder: "name, area, words", oninput: (e) => this.typed(e.target.value.trim()), onkeydown: (e) => e.key === "ArrowDown" && this.list.querySelector("a.tile[tabindex='0']")?.focus() });
     const sorts = h("select", { id: "sort", onchange: (e) => this.set({ sort: e.target.value }) }, Object.entries(SORTS).map(([value, { label }]) => h("option", { value, selected: value === s.sort }, label)));
     const flat = h("input", { type: "checkbox", checked: !s.flat, onchange: (e) => this.set({ flat: !e.target.checked }) });
+    const lines = h("input", { type: "checkbox", checked: s.lines, onchange: (e) => this.set({ lines: e.target.checked }) });
     const clear = h("button", { class: "button quiet", type: "button", onclick: () => { search.value = ""; this.areas.value = ""; this.set({ text: "", ne: new Set(), verdicts: new Set(), area: "" }); } }, "Clear filters");
     this.clear = clear;
     this.list = h("div", { class: "tile-list" });
@@ -103,7 +118,7 @@ class Overview {
           h("label", { class: "inline", for: "find" }, "Find ", search, h("kbd", null, "/")),
           h("label", { class: "inline", for: "area" }, "Area ", this.areas),
           h("label", { class: "inline", for: "sort" }, "Sort by ", sorts),
-          h("label", { class: "inline" }, flat, " group by area"), clear, this.result)),
+          h("label", { class: "inline" }, flat, " group by area"), h("label", { class: "inline" }, lines, " as lines"), clear, this.result)),
       this.list);
   }
 
@@ -111,6 +126,12 @@ class Overview {
     Object.assign(this.state, change);
     writeState(this.state);
     this.draw(true);
+  }
+
+  /** Thousands of tiles are put in order once a word is typed, not at every letter. */
+  typed(text) {
+    clearTimeout(this.typing);
+    this.typing = setTimeout(() => this.set({ text }), TYPING_MS);
   }
 
   flip(key, value) {
@@ -121,7 +142,11 @@ class Overview {
 
   rows(names) {
     this.tiles.patch(names ?? store.rows.keys());
-    this.draw(names === null);
+    if (names !== null || !this.tiles.order) return this.draw(names === null);
+    // Loops came or went. Many rows come in parts: wait for the last one.
+    clearTimeout(this.soon);
+    this.soon = setTimeout(() => this.draw(true), SOON_MS);
+    return undefined;
   }
 
   /** Draws; the order of the tiles follows at once if asked, else after a pause. */
@@ -145,10 +170,13 @@ class Overview {
   arrange() {
     clearTimeout(this.later);
     this.later = null;
+    this.list.classList.toggle("lines", this.state.lines);
+    this.tiles.measure();
     const rows = [...store.rows.values()];
     const kept = rows.filter((row) => matches(row, this.state));
     this.tiles.arrange(kept.length ? grouped(kept, this.state) : []);
-    if (!kept.length && rows.length) fill(this.list, h("p", { class: "note" }, "No loop matches these filters."));
+    if (!rows.length) fill(this.list, waiting());
+    else if (!kept.length) fill(this.list, h("p", { class: "note" }, "No loop matches these filters."));
     if (!kept.length) this.tiles.order = "";
     const filtered = kept.length !== rows.length;
     fill(this.result, filtered ? `${kept.length} of ${format.count(rows.length, "loop")}` : format.count(rows.length, "loop"));
@@ -161,7 +189,7 @@ class Overview {
     if (key === this.said) return;
     this.said = key;
     const open = first && h("a", { class: "button primary", href: `#/loop/${encodeURIComponent(first.name)}` }, `Look at ${first.name}`);
-    fill(this.head, h("div", { class: `headline ${state}` }, h("h1", null, words), more.map((t) => h("p", null, t))), open);
+    fill(this.head, h("div", { class: `headline ${state}` }, h("h1", null, words), h("p", null, more[0] ?? ""), more.length > 1 ? h("p", null, more.slice(1).join(" ")) : null), open);
   }
 
   chip(key, set, node, label, n, title) {
@@ -192,7 +220,7 @@ class Overview {
   }
 
   drawAreas(rows) {
-    const names = [...new Set(rows.map((r) => r.area ?? NO_AREA))].sort((a, b) => a.localeCompare(b, "en", { numeric: true }));
+    const names = [...new Set(rows.map((r) => r.area ?? NO_AREA))].sort((a, b) => order.compare(a, b));
     if (names.join("\n") === this.areaNames) return;
     this.areaNames = names.join("\n");
     this.areas.closest("label").hidden = names.length < 2;
@@ -201,6 +229,8 @@ class Overview {
 
   destroy() {
     clearTimeout(this.later);
+    clearTimeout(this.soon);
+    clearTimeout(this.typing);
     this.off.forEach((off) => off());
     this.tiles.destroy();
   }

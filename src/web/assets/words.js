@@ -103,20 +103,21 @@ export const plain = (name) => GATES[name] ?? String(name ?? "").replaceAll("_",
 
 /** What the fit may be trusted for. */
 export const GRADES = {
-  A: "grade A: no limits, narrow interval",
+  A: "grade A: very good",
   B: "grade B: good",
-  C: "grade C: an answer with wide limits",
+  C: "grade C: an answer with reservations",
   D: "grade D: no answer",
 };
 
 const NE_RANK = { M: 5, F: 3, S: 2, C: 1.5, none: 1, ok: 0 };
 const PRIORITY_RANK = { urgent: 4, high: 3, medium: 2, low: 1 };
+const CLASS_RANK = { strong: 3, moderate: 2, weak: 1 };
 
 /** How pressing a loop is; greater comes first. */
 export function severity(row) {
   const rank = NE_RANK[neOf(row)] + (row.ne107 === "S" && row.stiction ? 2 : 0);
   const weight = PRIORITY_RANK[row.priority] ?? 0;
-  return rank * 1e4 + weight * 1e3 + (row.unacknowledged ? 500 : 0) + (row.p_stiction ?? 0) * 100 + Math.min(row.s ?? 0, 99) / 10;
+  return rank * 1e4 + weight * 1e3 + (row.unacknowledged ? 500 : 0) + (CLASS_RANK[row.class] ?? 0) * 100 + (row.p_stiction ?? 0) * 100 + Math.min(row.s ?? 0, 99) / 10;
 }
 
 /** Unit of s. */
