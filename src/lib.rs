@@ -12,13 +12,14 @@
 //!
 //! | room | |
 //! |---|---|
+//! | [`cores`] | work shared out over all cores, watched, ended early |
 //! | [`source`] | the bus |
 //! | [`sink`] | publisher, recorder, receivers, keeper of states |
 //! | [`files`] | tables, exports, MCAP, `.mat`, stores |
 //! | [`report`] | pages and pictures |
 //! | [`daemon`] | threads, queues, replay |
 //! | [`web`] | `/metrics`, `/healthz` |
-//! | [`cli`] | a file for each command |
+//! | `cli` | of the program, `main.rs`: a file for each command. The library does not know it |
 //!
 //! `tests/library/tidy.rs` holds which room may use which.
 //!
@@ -28,7 +29,7 @@
 //! [`stiction::signal::history`] (bounded memory) → a due window → `daemon::schedule` (in turn) → `daemon::worker` →
 //! [`stiction::verdict::assess`] → [`stiction_monitor::alarm`] → `sink::zenoh`, `sink::recorder` and `sink::keeper`.
 
-pub mod cli;
+pub mod cores;
 pub mod daemon;
 pub mod files;
 pub mod report;

@@ -7,7 +7,7 @@ use stiction::ident::surface::BUDGET;
 use stiction::optim;
 use stiction::units::{LoopKind, parse_time};
 use stiction::verdict::{AssessParams, ModelChoice, ValveChoice};
-use stiction_monitor::analysis::{Cut, Detrend, Section, delay_choice};
+use stiction_monitor::analysis::{self, Cut, Detrend, Section, delay_choice};
 use stiction_monitor::config::Config;
 
 /// What is looked at: the same for every function.
@@ -91,29 +91,27 @@ pub struct Asked {
 impl Fit {
     /// What is told over a loop's own settings.
     pub fn over(&self, own: &AssessParams) -> PyResult<AssessParams> {
-        let mut params = own.clone();
-        if let Some((low, high)) = self.op_range {
-            if !(low.is_finite() && high.is_finite() && high > low) {
-                return Err(refused(
-                    "op_range",
-                    format!("({low}, {high}) is empty; give (low, high), such as (0, 100)"),
-                ));
-            }
-            params.op_range = Some([low, high]);
+        let delay = delay_choice(&self.delay).map_err(|e| refused("delay", e))?;
+        if let Some((low, high)) =
+            self.op_range.filter(|(low, high)| !(low.is_finite() && high.is_finite() && high > low))
+        {
+            return Err(refused("op_range", format!("({low}, {high}) is empty; give (low, high), such as (0, 100)")));
         }
-        if let Some(word) = &self.kind {
-            params.kind = one_of("kind", word, &LoopKind::ALL.map(|kind| (kind.name(), kind)))?;
-        }
-        let models = [("auto", ModelChoice::Auto), ("fopdt", ModelChoice::Fopdt), ("sopdt", ModelChoice::Sopdt)];
-        params.fit.model = one_of("model", &self.model, &models)?;
-        let valves = [("auto", ValveChoice::Auto), ("he", ValveChoice::He), ("tracking", ValveChoice::Tracking)];
-        params.fit.valve = one_of("valve", &self.valve, &valves)?;
-        params.fit.delay = delay_choice(&self.delay).map_err(|e| refused("delay", e))?;
         if !(0.5..=50.0).contains(&self.fineness_pct) {
             return Err(refused("fineness_pct", format!("{} is no step; give 0.5 to 50 %", self.fineness_pct)));
         }
-        params.fit.fineness_pct = self.fineness_pct;
-        params.fit.seed = self.seed;
+        let asked = analysis::Asked {
+            model: one_of("model", &self.model, &ModelChoice::ALL)?,
+            valve: one_of("valve", &self.valve, &ValveChoice::ALL)?,
+            delay,
+            op_range: self.op_range.map(Into::into),
+            fineness_pct: self.fineness_pct,
+            seed: self.seed,
+        };
+        let mut params = asked.over(own);
+        if let Some(word) = &self.kind {
+            params.kind = one_of("kind", word, &LoopKind::ALL.map(|kind| (kind.name(), kind)))?;
+        }
         Ok(params)
     }
 

@@ -7,19 +7,22 @@ use anyhow::{Context, anyhow, bail};
 use clap::ValueEnum;
 use indicatif::ProgressBar;
 
-use super::analyze_report::{Maker, Subject};
+use super::analyze_report::ReportFile;
 use super::fleet::{MANY, Summary};
 use super::reading::{ReadArgs, config_of, model_file, named};
 use super::selection::{Selection, points, rising, told, warn};
 use super::solving::{self, SolverArgs};
 use super::{Format, Outcome, UsageError, in_order_on_all_cores, note, say, stop};
-use crate::files::export::Recognised;
-use crate::files::inputs::Unit;
-use crate::files::{Loaded, LoadedLoop};
 use stiction::record::Record;
-use stiction::verdict::{AssessParams, DelayChoice, ModelChoice, ValveChoice};
-use stiction_monitor::analysis::{self, Answer, MIN_SAMPLES, Points, Scored, Section, delay_choice, text, usable};
+use stiction::verdict::{DelayChoice, ModelChoice, ValveChoice};
+use stiction_monitor::analysis::{
+    self, Answer, Asked, MIN_SAMPLES, Points, Scored, Section, delay_choice, text, usable,
+};
 use stiction_monitor::config::Config;
+use stictiond::files::export::Recognised;
+use stictiond::files::inputs::Unit;
+use stictiond::files::{Loaded, LoadedLoop};
+use stictiond::report::maker::Analysed;
 
 /// Estimate stiction once per loop of a file: the whole section that is given, however short.
 #[derive(Debug, clap::Args)]
@@ -87,7 +90,7 @@ pub struct Args {
 /// An answer, and what the report draws of it.
 struct Told {
     answer: Answer,
-    looked_at: Subject,
+    looked_at: Analysed,
 }
 
 /// `--model`.
@@ -128,7 +131,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     let report = match &args.report {
         Some(path) => {
             let units = [args.op_unit.clone(), args.pv_unit.clone()];
-            Some(Maker::new(path, args.report_all, args.force, units)?)
+            Some(ReportFile::new(path, args.report_all, args.force, units)?)
         }
         None => None,
     };
@@ -143,7 +146,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
         say(desk.summary.table())?;
     }
     if let Some(report) = desk.report {
-        report.finish(Path::new(&named(&args.input)))?;
+        report.finish(named(&args.input))?;
     }
     Ok(if data_loss { Outcome::DataLoss } else { Outcome::Done })
 }
@@ -151,7 +154,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
 /// Where answers go.
 struct Desk {
     format: Format,
-    report: Option<Maker>,
+    report: Option<ReportFile>,
     summary: Summary,
     /// Whether one table stands for the loops' own pages of text.
     table: bool,
@@ -161,7 +164,7 @@ struct Desk {
 impl Desk {
     fn warn(&mut self, text: String) {
         tracing::warn!("{text}");
-        self.report.iter_mut().for_each(|r| r.warn(text.clone()));
+        self.report.iter_mut().for_each(|r| r.maker.warnings.push(text.clone()));
     }
 
     fn take(&mut self, told: Told) -> anyhow::Result<()> {
@@ -174,7 +177,7 @@ impl Desk {
         }
         self.summary.add(&answer);
         if let Some(report) = &mut self.report {
-            report.add(answer.document, looked_at);
+            report.maker.add(answer.document, looked_at);
         }
         Ok(())
     }
@@ -197,8 +200,7 @@ impl Desk {
 fn one_file(args: &Args, unit: &Unit, desk: &mut Desk) -> anyhow::Result<bool> {
     let loaded = args.reading.load(unit)?;
     loaded.warnings.iter().for_each(|warning| desk.warn(warning.clone()));
-    let recorded = config_of(&unit.paths)?;
-    let config = recorded.map_or_else(|| Config::with_prefix("plant"), |r| r.config);
+    let config = config_of(&unit.paths)?;
     let place = unit.name();
     let chosen = args.selection.loops(&loaded.loops).map_err(|e| anyhow!("{place}: {e}"))?;
     if chosen.iter().all(|l| usable(&l.samples) < MIN_SAMPLES) {
@@ -283,7 +285,7 @@ fn files(args: &Args, units: &[Unit], desk: &mut Desk) -> anyhow::Result<bool> {
 /// Every loop of one of several files; those of another name than was asked for are passed over.
 fn of_file(args: &Args, unit: &Unit, bar: &ProgressBar) -> anyhow::Result<OfFile> {
     let loaded: Loaded = unit.load(&args.reading.options())?;
-    let config = config_of(&unit.paths)?.map_or_else(|| Config::with_prefix("plant"), |r| r.config);
+    let config = config_of(&unit.paths)?;
     let hash = config.hash();
     let chosen: Vec<&LoadedLoop> = match &args.selection.loop_name {
         Some(_) => args.selection.loops(&loaded.loops).unwrap_or_default(),
@@ -316,7 +318,7 @@ fn estimate(
 ) -> anyhow::Result<Told> {
     let started = Instant::now();
     let cut = args.selection.cut();
-    let found = analysis::estimate(points, section, &cut, params(args, points)).map_err(told)?;
+    let found = analysis::estimate(points, section, &cut, asked(args).over(&points.settings.assess)).map_err(told)?;
     let elapsed_ms = started.elapsed().as_secs_f64() * 1e3;
     warn(&one.name, &found.notes);
     let solver = solving::run(&args.solver, &found.record, &found.options, &found.assessment, bar)?;
@@ -326,7 +328,7 @@ fn estimate(
     let scored = args.score.as_deref().map(|path| scored(path, &found.record, found.options.period_points));
     let answer = found.answer(&one.name, hash, elapsed_ms, solver, scored.transpose()?);
     let analysis::Estimated { record, params, .. } = found;
-    let looked_at = Subject { record, original, about: one.about.clone(), units: one.units.clone(), params };
+    let looked_at = Analysed { record, original, about: one.about.clone(), units: one.units.clone(), params };
     Ok(Told { answer, looked_at })
 }
 
@@ -336,24 +338,24 @@ fn scored(path: &Path, record: &Record, period_points: Option<f64>) -> anyhow::R
     Scored::of(&name, &file, record, period_points).with_context(|| name.clone())
 }
 
-/// What the fit is told: the loop's settings, and the command line over them.
-fn params(args: &Args, points: &Points) -> AssessParams {
-    let mut params = points.settings.assess.clone();
-    params.op_range = args.op_range.or(params.op_range);
-    params.fit.fineness_pct = args.solver.fineness;
-    params.fit.seed = args.solver.seed;
-    params.fit.delay = args.delay.0;
-    params.fit.model = match args.model {
-        ModelArg::Fopdt => ModelChoice::Fopdt,
-        ModelArg::Sopdt => ModelChoice::Sopdt,
-        ModelArg::Auto => ModelChoice::Auto,
-    };
-    params.fit.valve = match args.valve {
-        ValveArg::He => ValveChoice::He,
-        ValveArg::Tracking => ValveChoice::Tracking,
-        ValveArg::Auto => ValveChoice::Auto,
-    };
-    params
+/// What the fit is asked over the loop's settings.
+const fn asked(args: &Args) -> Asked {
+    Asked {
+        op_range: args.op_range,
+        fineness_pct: args.solver.fineness,
+        seed: args.solver.seed,
+        delay: args.delay.0,
+        model: match args.model {
+            ModelArg::Fopdt => ModelChoice::Fopdt,
+            ModelArg::Sopdt => ModelChoice::Sopdt,
+            ModelArg::Auto => ModelChoice::Auto,
+        },
+        valve: match args.valve {
+            ValveArg::He => ValveChoice::He,
+            ValveArg::Tracking => ValveChoice::Tracking,
+            ValveArg::Auto => ValveChoice::Auto,
+        },
+    }
 }
 
 #[cfg(test)]

@@ -1,16 +1,14 @@
-//! `analyze --report`: gathers what was analysed, computes the detailed pictures, writes the page or the sheet.
+//! `analyze --report`: where it goes and what it is, a page or pictures alone.
 
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
+use indicatif::ProgressBar;
 
-use super::{UsageError, on_all_cores};
-use crate::files::About;
-use crate::report::detail::Detail;
-use crate::report::diagram::Tags;
-use crate::report::{IN_FULL, LoopReport, Report, page, sheet};
-use stiction::record::Record;
-use stiction::verdict::{AssessParams, EstimateDocument};
+use super::{UsageError, bar_of};
+use stictiond::cores::Watch;
+use stictiond::report::maker::Maker;
+use stictiond::report::{page, sheet};
 
 /// The kinds of report, by the file's ending.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -19,34 +17,31 @@ enum Kind {
     Svg,
 }
 
-/// One loop's or section's part of a report.
+/// A report that will be written.
 #[derive(Debug)]
-pub struct Subject {
-    /// The record that was analysed.
-    pub record: Record,
-    /// The section as recorded, where the analysed one was downsampled.
-    pub original: Option<Record>,
-    /// What the file says of the loop.
-    pub about: Option<About>,
-    /// Units of OP and PV, where the file says them.
-    pub units: [Option<String>; 2],
-    /// What the fit was told.
-    pub params: AssessParams,
-}
-
-/// A report in the making.
-#[derive(Debug)]
-pub(super) struct Maker {
+pub(super) struct ReportFile {
     path: PathBuf,
     kind: Kind,
-    all: bool,
-    /// Units of OP and PV, where they were said.
-    units: [Option<String>; 2],
-    loops: Vec<(LoopReport, AssessParams)>,
-    warnings: Vec<String>,
+    /// What it will show.
+    pub maker: Maker,
 }
 
-impl Maker {
+/// How many loops' pictures are made.
+struct Bar(ProgressBar);
+
+impl Watch for Bar {
+    fn reached(&self, done: u64, of: u64, words: &str) {
+        self.0.set_length(of);
+        self.0.set_position(done);
+        self.0.set_message(words.to_owned());
+    }
+
+    fn go_on(&self) -> bool {
+        !super::stop::asked()
+    }
+}
+
+impl ReportFile {
     /// Checks where a report shall go before any work is done. `all` asks for every loop in full.
     pub(super) fn new(path: &Path, all: bool, force: bool, units: [Option<String>; 2]) -> anyhow::Result<Self> {
         let kind = match path.extension().and_then(|e| e.to_str()).map(str::to_ascii_lowercase).as_deref() {
@@ -60,50 +55,15 @@ impl Maker {
         if path.exists() && !force {
             bail!("{} exists; give another name or --force", path.display());
         }
-        Ok(Self { path: path.to_owned(), kind, all, units, loops: Vec::new(), warnings: Vec::new() })
-    }
-
-    /// Adds what was made of one loop or section.
-    pub(super) fn add(&mut self, document: EstimateDocument, subject: Subject) {
-        let Subject { record, original, about, units, params } = subject;
-        let mut tags = Tags::of_loop(&document.loop_name, record.sp.is_some(), record.mv.is_some());
-        let mut comment = None;
-        if let Some(About { tags: [op, pv], comment: noted, .. }) = about {
-            (tags.op, tags.pv) = (op, pv);
-            comment = Some(noted).filter(|c| !c.trim().is_empty());
-        }
-        for ((unit, said), found) in tags.units.iter_mut().zip(&self.units).zip(&units) {
-            if let Some(known) = said.as_ref().or(found.as_ref()) {
-                unit.clone_from(known);
-            }
-        }
-        let op_range = params.op_range;
-        let one = LoopReport { op_range, document, record, original, tags, comment, full: self.all, detail: None };
-        self.loops.push((one, params));
-    }
-
-    /// Adds a remark to the page.
-    pub(super) fn warn(&mut self, text: String) {
-        self.warnings.push(text);
+        Ok(Self { path: path.to_owned(), kind, maker: Maker::new(all, units) })
     }
 
     /// Computes the detailed pictures and writes the file.
-    pub(super) fn finish(self, input: &Path) -> anyhow::Result<()> {
-        let Self { path, kind, all, loops, warnings, .. } = self;
-        let (loops, params): (Vec<LoopReport>, Vec<AssessParams>) = loops.into_iter().unzip();
-        let mut report =
-            Report { input: input.display().to_string(), command: command_line(std::env::args()), warnings, loops };
-        let mut chosen: Vec<usize> =
-            report.by_urgency().into_iter().filter(|k| report.loops[*k].document.assessment.s.is_some()).collect();
-        chosen.truncate(if all { usize::MAX } else { IN_FULL });
-        let name = |k: &usize| format!("pictures of {}", report.loops[*k].document.loop_name);
-        let details = on_all_cores(&chosen, name, |k| {
-            let one = &report.loops[*k];
-            Detail::of(&one.record, &params[*k], &one.document.assessment)
-        });
-        for (k, detail) in chosen.into_iter().zip(details) {
-            report.loops[k].detail = detail;
-        }
+    pub(super) fn finish(self, input: String) -> anyhow::Result<()> {
+        let Self { path, kind, maker } = self;
+        let bar = Bar(bar_of(0));
+        let report = maker.finish(input, command_line(std::env::args()), &bar);
+        bar.0.finish_and_clear();
         let text = match kind {
             Kind::Html => page(&report)?,
             Kind::Svg => sheet(&report)?,
@@ -142,12 +102,12 @@ mod tests {
     #[test]
     fn reports_go_to_pages_or_pictures_that_are_not_there_yet() {
         let folder = tempfile::tempdir().unwrap();
-        assert!(Maker::new(&folder.path().join("a.pdf"), false, false, units()).unwrap_err().is::<UsageError>());
+        assert!(ReportFile::new(&folder.path().join("a.pdf"), false, false, units()).unwrap_err().is::<UsageError>());
         let page = folder.path().join("a.HTML");
-        assert_eq!(Maker::new(&page, false, false, units()).unwrap().kind, Kind::Html);
+        assert_eq!(ReportFile::new(&page, false, false, units()).unwrap().kind, Kind::Html);
         std::fs::write(&page, "mine").unwrap();
-        let refused = Maker::new(&page, false, false, units()).unwrap_err().to_string();
+        let refused = ReportFile::new(&page, false, false, units()).unwrap_err().to_string();
         assert!(refused.contains("--force"), "{refused}");
-        assert!(Maker::new(&page, false, true, units()).is_ok());
+        assert!(ReportFile::new(&page, false, true, units()).is_ok());
     }
 }

@@ -6,10 +6,10 @@ use anyhow::Context;
 use serde_json::json;
 
 use super::{Format, Outcome, say};
-use crate::sink::deliver;
-use crate::sink::signing::Signer;
-use crate::source::zenoh::session_config;
 use stiction_monitor::config::{Config, Fault};
+use stictiond::sink::deliver;
+use stictiond::sink::signing::Signer;
+use stictiond::source::zenoh::session_config;
 
 /// Check a configuration and list every fault with its line and what to write instead, the Zenoh file that it names and
 /// the recording folder included.

@@ -10,11 +10,11 @@ use serde_json::json;
 use super::convert::{refuse_existing, resample, write_store};
 use super::reading::ReadArgs;
 use super::{Format, Outcome, UsageError, print, say};
-use crate::files::compact::{CompactLoop, check_sampling_time, default_tags, read, rows_of};
-use crate::files::even::even;
-use crate::files::export::moment;
-use crate::files::{FileError, InputKind, LoadedLoop, choose_loop, csv};
 use stiction::units::{format_rfc3339, loop_name_from};
+use stictiond::files::compact::{CompactLoop, check_sampling_time, default_tags, read, rows_of};
+use stictiond::files::even::even;
+use stictiond::files::export::moment;
+use stictiond::files::{FileError, InputKind, LoadedLoop, choose_loop, csv};
 
 /// Most loops and values that are asked for one by one.
 const MOST_LOOPS: usize = 10_000;
@@ -457,7 +457,10 @@ mod tests {
             ts: vec![3.0, 5.0],
             start: two(&["05.01.2026 09:00", "0"]),
             out: Some(folder.path().join("s.mat")),
-            reading: ReadArgs { tz: crate::files::export::Zone::parse("Europe/Berlin").ok(), ..ReadArgs::default() },
+            reading: ReadArgs {
+                tz: stictiond::files::export::Zone::parse("Europe/Berlin").ok(),
+                ..ReadArgs::default()
+            },
             ..nothing_said()
         };
         let (loops, _) = interview(&mut answers.as_bytes(), &mut Vec::new(), &args).unwrap();

@@ -2,9 +2,6 @@
 
 use super::reading::{ReadArgs, named};
 use super::{Format, Outcome, UsageError};
-use crate::files::compact::{self, CompactLoop};
-use crate::files::even::even;
-use crate::files::{self, Loaded, LoadedLoop, METADATA_PREFIX, RecordingFile, csv};
 use anyhow::{Context, anyhow, bail};
 use serde_json::json;
 use std::collections::{BTreeMap, HashSet};
@@ -15,6 +12,9 @@ use stiction::record::Signal;
 use stiction::units::{is_loop_name, loop_name_from};
 use stiction_monitor::codec::encode_recorded;
 use stiction_monitor::codec::topic::Kind;
+use stictiond::files::compact::{self, CompactLoop};
+use stictiond::files::even::even;
+use stictiond::files::{self, Loaded, LoadedLoop, METADATA_PREFIX, RecordingFile, csv};
 
 /// Prefix of topics made from tables, which carry none.
 const PREFIX: &str = "plant";
@@ -219,7 +219,7 @@ fn to_mcap(loaded: &Loaded, inputs: &[PathBuf], path: &Path) -> anyhow::Result<W
     let names = inputs.iter().filter_map(|input| input.file_name()).map(|name| name.to_string_lossy().into_owned());
     let source = names.collect::<Vec<_>>().join(", ");
     let metadata = BTreeMap::from(
-        [("origin", "convert"), (METADATA_PREFIX, prefix), ("source", &source), ("version", crate::VERSION)]
+        [("origin", "convert"), (METADATA_PREFIX, prefix), ("source", &source), ("version", stictiond::VERSION)]
             .map(|(key, value)| (key.to_owned(), value.to_owned())),
     );
     let temporary = Temporary::beside(path);

@@ -15,11 +15,11 @@ use serde_json::json;
 use super::convert::refuse_existing;
 use super::reading::ReadArgs;
 use super::{Format, Outcome, asked_to_stop, block_on, note, play, print, say};
-use crate::files::export::names::role;
 use stiction::record::Signal;
 use stiction::units::{is_loop_name, loop_name_from};
 use stiction_monitor::codec::{self, Bundle, Memory};
 use stiction_monitor::config::NAME_MARK;
+use stictiond::files::export::names::role;
 
 /// Most keys and names that are looked at.
 const MAX_NAMES: usize = 1_000_000;

@@ -2,8 +2,6 @@
 
 use super::reading::ReadArgs;
 use super::{Format, Outcome};
-use crate::files::inputs::Unit;
-use crate::files::{End, InputKind, METADATA_PREFIX, Message, RecordingReader};
 use serde::Serialize;
 use serde::de::IgnoredAny;
 use std::collections::{BTreeMap, HashMap};
@@ -13,6 +11,8 @@ use stiction::record::{Sample, Signal, Value};
 use stiction::units::{format_rfc3339, s_from_ns};
 use stiction_monitor::codec;
 use stiction_monitor::codec::topic::{Leaf, Topic};
+use stictiond::files::inputs::Unit;
+use stictiond::files::{End, InputKind, METADATA_PREFIX, Message, RecordingReader};
 
 /// Stamps from which the sampling time is taken, at most.
 const STAMPS: usize = 4096;

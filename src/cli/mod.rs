@@ -33,12 +33,12 @@ use std::fmt::Display;
 use std::future::Future;
 use std::io::{IsTerminal, Write};
 use std::process::ExitCode;
-use std::sync::atomic::{AtomicUsize, Ordering};
 
 use anyhow::Context;
 use clap::error::ErrorKind;
 use clap::{Parser, Subcommand, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
+use stictiond::cores;
 use tracing_subscriber::EnvFilter;
 
 /// How a command ended; a verdict never changes it.
@@ -273,49 +273,26 @@ pub(crate) fn in_order_on_all_cores<T: Sync, R: Send>(
     work: impl Fn(&T, &ProgressBar) -> R + Sync,
     mut take: impl FnMut(R) -> anyhow::Result<()>,
 ) -> anyhow::Result<()> {
-    let bar = ProgressBar::new(items.len() as u64);
+    let bar = bar_of(items.len());
+    let work = |item: &T| {
+        bar.set_message(name(item));
+        let answer = work(item, &bar);
+        bar.inc(1);
+        answer
+    };
+    let result = cores::in_order(items, &|| !stop::asked(), work, |answer| bar.suspend(|| take(answer)));
+    bar.finish_and_clear();
+    result
+}
+
+/// A bar for so many pieces of work.
+fn bar_of(pieces: usize) -> ProgressBar {
+    let bar = ProgressBar::new(pieces as u64);
     if let Ok(style) = ProgressStyle::with_template("{spinner} {bar:40} {pos}/{len} {elapsed} {wide_msg}") {
         bar.set_style(style);
     }
     bar.enable_steady_tick(std::time::Duration::from_millis(200));
-    let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get).min(items.len().max(1));
-    let next = AtomicUsize::new(0);
-    let (send, answers) = crossbeam_channel::unbounded();
-    let share = |send: crossbeam_channel::Sender<(usize, R)>| {
-        while !stop::asked() {
-            let index = next.fetch_add(1, Ordering::Relaxed);
-            let Some(item) = items.get(index) else { break };
-            bar.set_message(name(item));
-            let answer = work(item, &bar);
-            bar.inc(1);
-            if send.send((index, answer)).is_err() {
-                break;
-            }
-        }
-    };
-    let result = std::thread::scope(|scope| {
-        let share = &share;
-        for send in std::iter::repeat_n(send, cores) {
-            scope.spawn(move || share(send));
-        }
-        let mut early = std::collections::BTreeMap::new();
-        let mut wanted = 0;
-        for (index, answer) in &answers {
-            early.insert(index, answer);
-            while let Some(answer) = early.remove(&wanted) {
-                wanted += 1;
-                if let Err(error) = bar.suspend(|| take(answer)) {
-                    // Whoever sends now learns that nobody listens.
-                    next.store(items.len(), Ordering::Relaxed);
-                    return Err(error);
-                }
-            }
-        }
-        // After Ctrl-C answers may be missing in between.
-        early.into_values().try_for_each(&mut take)
-    });
-    bar.finish_and_clear();
-    result
+    bar
 }
 
 /// Runs an asynchronous command. Zenoh needs a runtime of several threads.

@@ -11,11 +11,11 @@ use zenoh::qos::CongestionControl;
 
 use super::reading::ReadArgs;
 use super::{Format, Outcome, asked_to_stop, block_on, say};
-use crate::files::LoadedLoop;
 use stiction::record::Sample;
 use stiction::units::s_from_ns;
 use stiction_monitor::codec::encode_recorded;
 use stiction_monitor::codec::topic;
+use stictiond::files::LoadedLoop;
 
 /// Messages a second at `--speed max`: what a daemon is sure to take without a loss.
 const MAX_RATE: f64 = 20_000.0;

@@ -6,11 +6,12 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, anyhow};
 
 use super::{note, on_all_cores};
-use crate::daemon::replay::RunMetadata;
-use crate::files::export::{Codes, Decimal, Map, TimeFormat, Zone};
-use crate::files::inputs::{Unit, units};
-use crate::files::{FileError, InputKind, Loaded, ReadOptions, RecordingReader};
 use stiction::gap::model_file::ModelFile;
+use stiction_monitor::config::Config;
+use stictiond::daemon::replay;
+use stictiond::files::export::{Codes, Decimal, Map, TimeFormat, Zone, delimiter, encoding};
+use stictiond::files::inputs::{Unit, units};
+use stictiond::files::{FileError, Loaded, ReadOptions};
 
 /// Options for exports; everything that the files show needs none.
 #[derive(Debug, Clone, Default, clap::Args)]
@@ -41,19 +42,6 @@ pub struct ReadArgs {
     /// What quality codes mean.
     #[arg(long, value_enum, value_name = "CODES", help_heading = "How files are read")]
     pub quality: Option<Codes>,
-}
-
-fn delimiter(text: &str) -> Result<u8, String> {
-    match text.as_bytes() {
-        b"tab" | b"\\t" => Ok(b'\t'),
-        [one] if one.is_ascii() && *one != b'"' && *one != b'\n' => Ok(*one),
-        _ => Err(format!("{text:?} is no delimiter: write one character such as ; or |, or tab")),
-    }
-}
-
-fn encoding(text: &str) -> Result<&'static encoding_rs::Encoding, String> {
-    encoding_rs::Encoding::for_label(text.as_bytes())
-        .ok_or_else(|| format!("{text:?} is no encoding: write a name such as utf-16le, windows-1251 or shift_jis"))
 }
 
 impl ReadArgs {
@@ -130,16 +118,10 @@ impl ReadArgs {
 }
 
 /// The configuration that a file was recorded under; the defaults for files of others and for several files.
-pub(super) fn config_of(paths: &[PathBuf]) -> anyhow::Result<Option<RunMetadata>> {
-    let [path] = paths else { return Ok(None) };
-    if !path.is_file() || InputKind::detect(path)? != InputKind::Mcap {
-        return Ok(None);
-    }
-    let reader = RecordingReader::open(path)?;
-    if reader.metadata().contains_key("config") {
-        Ok(Some(RunMetadata::of(path, reader.metadata())?))
-    } else {
-        Ok(None)
+pub(super) fn config_of(paths: &[PathBuf]) -> anyhow::Result<Config> {
+    match paths {
+        [path] => replay::config_of(path),
+        _ => Ok(Config::with_prefix("plant")),
     }
 }
 
@@ -167,17 +149,5 @@ fn tell(name: &str, loaded: &Loaded) {
             all => format!("{} loops", all.len()),
         };
         note(format_args!("{name}: read as {found}; {loops}"));
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn delimiters_and_encodings_are_read_or_refused() {
-        assert_eq!((delimiter("tab"), delimiter(";")), (Ok(b'\t'), Ok(b';')));
-        assert!(delimiter("ab").is_err() && delimiter("\"").is_err());
-        assert!(encoding("latin1").is_ok() && encoding("klingon").is_err());
     }
 }

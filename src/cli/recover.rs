@@ -7,7 +7,7 @@ use anyhow::{Context, bail};
 use serde_json::json;
 
 use super::{Format, Outcome, say};
-use crate::files::rescue;
+use stictiond::files::rescue;
 
 /// Rescue what can be read of a cut-off or damaged recording, or of a folder of them.
 ///

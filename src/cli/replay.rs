@@ -6,10 +6,10 @@ use anyhow::{Context, bail};
 use serde_json::json;
 
 use super::{Format, Outcome, block_on, say};
-use crate::daemon::replay::{FileReport, Output, Replay, RunMetadata, chains_of, files_needed, replay_file};
-use crate::files::RecordingReader;
-use crate::source::zenoh as bus;
 use stiction_monitor::codec::topic::{self, Kind};
+use stictiond::daemon::replay::{FileReport, Output, Replay, RunMetadata, chains_of, files_needed, replay_file};
+use stictiond::files::RecordingReader;
+use stictiond::source::zenoh as bus;
 
 /// Re-run the engine on a recording or a folder of them.
 ///
@@ -181,9 +181,9 @@ fn refuse_foreign(args: &Args, path: &Path, metadata: &RunMetadata) -> anyhow::R
         tracing::error!(file = %path.display(), "recorded under config_hash {was}, its configuration now reads as {is}");
         return Ok(Some(Outcome::Usage));
     }
-    if metadata.version != crate::VERSION && !args.allow_version {
+    if metadata.version != stictiond::VERSION && !args.allow_version {
         let was = &metadata.version;
-        tracing::error!(file = %path.display(), "recorded by version {was}, this is {}: --allow-version compares all the same", crate::VERSION);
+        tracing::error!(file = %path.display(), "recorded by version {was}, this is {}: --allow-version compares all the same", stictiond::VERSION);
         return Ok(Some(Outcome::Usage));
     }
     Ok(None)

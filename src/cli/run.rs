@@ -5,8 +5,8 @@ use std::path::PathBuf;
 use anyhow::{Context, bail};
 
 use super::{Outcome, asked_to_stop, block_on, list};
-use crate::daemon::{self, RunOptions};
 use stiction_monitor::config::Config;
+use stictiond::daemon::{self, RunOptions};
 
 /// Run the daemon: subscribe, estimate, publish, record, until SIGTERM or Ctrl-C.
 ///

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use anyhow::Context;
 
 use super::{Outcome, UsageError, print};
-use crate::daemon::documents::{schemas, text};
+use stictiond::daemon::documents::{schemas, text};
 
 /// Print the JSON Schema (2020-12) of a published document, or list them
 #[derive(Debug, clap::Args)]

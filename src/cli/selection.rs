@@ -6,12 +6,12 @@ use anyhow::bail;
 use clap::ValueEnum;
 
 use super::UsageError;
-use crate::files::LoadedLoop;
 use stiction::record::Record;
 use stiction::units::parse_time;
 use stiction_monitor::analysis::{AnalysisError, Cut, Detrend, Points, Section};
 use stiction_monitor::config::Config;
 use stiction_monitor::engine::LoopSettings;
+use stictiond::files::LoadedLoop;
 
 /// Loop, section, density.
 #[derive(Debug, Clone, Default, clap::Args)]
@@ -105,7 +105,7 @@ impl Selection {
     /// No such loop.
     pub fn loops<'l>(&self, loops: &'l [LoadedLoop]) -> anyhow::Result<Vec<&'l LoadedLoop>> {
         match &self.loop_name {
-            Some(wanted) => Ok(vec![crate::files::choose_loop(loops, wanted).map_err(anyhow::Error::msg)?]),
+            Some(wanted) => Ok(vec![stictiond::files::choose_loop(loops, wanted).map_err(anyhow::Error::msg)?]),
             None if loops.is_empty() => bail!("holds no loop"),
             None => Ok(loops.iter().collect()),
         }

@@ -8,9 +8,6 @@ use serde_json::json;
 
 use super::reading::model_file;
 use super::{Format, Outcome, list, say};
-use crate::daemon::to_json;
-use crate::files::RecordingFile;
-use crate::sink::recorder::RunInfo;
 use stiction::gap::Serial;
 use stiction::gap::check_model;
 use stiction::gap::in_loop::Parts;
@@ -23,6 +20,9 @@ use stiction_monitor::codec::topic::{self, Kind};
 use stiction_monitor::config::Config;
 use stiction_monitor::engine::{Engine, Event, RecordedInput, SkipReason};
 use stiction_monitor::short_hash;
+use stictiond::daemon::to_json;
+use stictiond::files::RecordingFile;
+use stictiond::sink::recorder::RunInfo;
 
 /// Simulate a plant and write what a daemon beside it would have recorded: samples, estimates, alarms.
 #[derive(Debug, clap::Args)]

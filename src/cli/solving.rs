@@ -12,7 +12,7 @@ use serde_json::json;
 use super::stop;
 use stiction::ident::Options;
 use stiction::ident::surface::{BUDGET, Solved, Surface};
-use stiction::optim::{self, Objective, Outcome, Settings, Termination};
+use stiction::optim::{self, Outcome, Settings, Termination};
 use stiction::record::Record;
 use stiction::units::significant;
 use stiction::verdict::Assessment;
@@ -93,11 +93,15 @@ pub fn run(
     let started = Instant::now();
     let (name, mut solved) = match choice {
         SolverChoice::Ours(name) => {
-            let mut watched =
-                Watched { surface: &mut surface, bar, name, limit: settings.budget, least: f64::INFINITY };
             let solver = optim::by_name(name).unwrap_or(optim::ALL[0]);
-            let outcome = solver.search(&mut watched, &settings);
-            ((*name).to_owned(), Solved::of(outcome, surface.s0()))
+            let mut heard = |done: u64, least: f64| {
+                if done.is_multiple_of(50) {
+                    let least = significant(least, 5);
+                    bar.set_message(format!("{name} {done} of {}, least MSE {least}", settings.budget));
+                }
+                !stop::asked()
+            };
+            ((*name).to_owned(), solver::search(&mut surface, solver, &settings, &mut heard))
         }
         SolverChoice::Program(program) => {
             let patience = Duration::from_secs_f64(args.solver_patience);
@@ -111,35 +115,6 @@ pub fn run(
         solved.outcome.stopped = Termination::Interrupted;
     }
     Ok(Some(solver::document(name, &solved, &mut surface, &settings, found, estimate_mse, elapsed_ms)))
-}
-
-/// A surface that shows how far the search is, and answers at once when somebody asks to stop.
-struct Watched<'a> {
-    surface: &'a mut Surface,
-    bar: &'a ProgressBar,
-    name: &'a str,
-    limit: u64,
-    least: f64,
-}
-
-impl Objective for Watched<'_> {
-    fn cost(&mut self, point: [f64; 2]) -> f64 {
-        if stop::asked() {
-            return f64::INFINITY;
-        }
-        let cost = self.surface.cost(point);
-        self.least = self.least.min(cost);
-        let done = self.surface.evaluations();
-        if done.is_multiple_of(50) {
-            self.bar.set_message(format!(
-                "{} {done} of {}, least MSE {}",
-                self.name,
-                self.limit,
-                significant(self.least, 5)
-            ));
-        }
-        cost
-    }
 }
 
 /// A program that was started; ended when dropped.

@@ -43,7 +43,7 @@ use anyhow::{Context, anyhow};
 use sd_notify::NotifyState;
 
 use self::clock::Clock;
-pub(crate) use self::core::to_json;
+pub use self::core::to_json;
 use self::core::{Core, Parts, tell_system};
 use self::faults::Faults;
 use self::gaps::Diagnoser;

@@ -14,7 +14,7 @@ use super::gaps::Until;
 use super::restore::{RunFile, is_recording};
 use super::to_json;
 use crate::files::rescue::{REMOVED, SAMPLES_KEY};
-use crate::files::{End, RecordingReader};
+use crate::files::{End, InputKind, RecordingReader};
 use stiction_monitor::codec::decode_recorded;
 use stiction_monitor::codec::topic::{Kind, Leaf, Topic};
 use stiction_monitor::config::Config;
@@ -269,6 +269,20 @@ impl RunMetadata {
             has_results: matches!(get("origin").as_str(), "run" | "demo" | "simulate"),
         })
     }
+}
+
+/// The configuration that a file was recorded under; the defaults for any other.
+///
+/// # Errors
+/// The file cannot be read, or it is a recording of ours whose configuration cannot be.
+pub fn config_of(path: &Path) -> anyhow::Result<Config> {
+    if path.is_file() && InputKind::detect(path)? == InputKind::Mcap {
+        let reader = RecordingReader::open(path)?;
+        if reader.metadata().contains_key("config") {
+            return Ok(RunMetadata::of(path, reader.metadata())?.config);
+        }
+    }
+    Ok(Config::with_prefix("plant"))
 }
 
 /// The files of a folder or the one file given, as chains: each inner list is one shard of one run, oldest first.

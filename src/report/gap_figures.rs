@@ -5,23 +5,11 @@ use super::chart::{Bar, bars};
 use super::figures::Figure;
 use super::ink::Ink;
 use super::plot::{Mark, Panel, Plane, PlotError, Series, scatter, trend};
-use stiction::gap::Diagnosis;
-use stiction::gap::document::{EffectNote, GapDocument};
+use stiction::gap::document::EffectNote;
 use stiction::gap::text;
-use stiction::record::Record;
 use stiction::signal::stats;
 use stiction::units::number;
-
-/// One loop's part of the report.
-#[derive(Debug, Clone)]
-pub struct GapLoop {
-    /// What was found.
-    pub document: GapDocument,
-    /// The record that was diagnosed.
-    pub record: Record,
-    /// The fits behind it.
-    pub diagnosis: Diagnosis,
-}
+use stiction_monitor::analysis::gap::Diagnosed;
 
 const WIDE: u32 = 1080;
 const HALF: u32 = 520;
@@ -38,7 +26,7 @@ type Made = Result<Figure, PlotError>;
 
 /// What the pictures are made of, point by point.
 struct Points<'a> {
-    of: &'a GapLoop,
+    of: &'a Diagnosed,
     time_s: Vec<f64>,
     /// Residuals of base and cause, NaN where they do not count.
     before: Vec<f64>,
@@ -52,7 +40,7 @@ struct Points<'a> {
 }
 
 impl<'a> Points<'a> {
-    fn of(of: &'a GapLoop) -> Self {
+    fn of(of: &'a Diagnosed) -> Self {
         let (record, predictions) = (&of.record, &of.diagnosis.predictions);
         let left = |simulated: &[Option<f64>]| -> Vec<f64> {
             let pairs = record.pv.iter().zip(simulated);
@@ -108,7 +96,7 @@ impl<'a> Points<'a> {
 ///
 /// # Errors
 /// [`PlotError`], where the drawing library refuses.
-pub fn figures(of: &GapLoop) -> Result<Vec<Figure>, PlotError> {
+pub fn figures(of: &Diagnosed) -> Result<Vec<Figure>, PlotError> {
     let p = Points::of(of);
     let mut out = vec![runs(&p)?, residuals(&p)?];
     out.extend(ranked(of)?);
@@ -171,7 +159,7 @@ fn percent_note(share: Option<f64>, expected: Option<f64>) -> String {
     }
 }
 
-fn phases(of: &GapLoop) -> Made {
+fn phases(of: &Diagnosed) -> Made {
     let l = &of.document.location;
     let (s, e) = (l.phases, l.phases_expected);
     let window = format!("{} s after a slip", number(l.slip_window_s));
@@ -252,7 +240,7 @@ fn cloud(p: &Points<'_>, title: &str, labels: [&str; 2], x: &dyn Fn(usize) -> f6
     Ok(Figure { picture: scatter(&plane)?, caption, wide: false })
 }
 
-fn frequency(of: &GapLoop) -> Made {
+fn frequency(of: &Diagnosed) -> Made {
     let l = &of.document.location;
     let names = ["below 0.3", "0.3 to 0.7", "0.7 to 1.3", "1.3 to 2.5", "2.5 to 6", "6 to 15", "above 15"];
     let notes: Vec<String> = l
@@ -285,7 +273,7 @@ fn frequency(of: &GapLoop) -> Made {
 }
 
 /// Effects by how much of the gap they close.
-fn ranked(of: &GapLoop) -> Result<Option<Figure>, PlotError> {
+fn ranked(of: &Diagnosed) -> Result<Option<Figure>, PlotError> {
     let d = &of.document;
     let drawn: Vec<&EffectNote> =
         d.effects.iter().chain(&d.pairs).filter(|e| e.closed_pct.is_some()).take(MAX_EFFECTS).collect();

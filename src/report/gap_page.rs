@@ -2,11 +2,12 @@
 
 use maud::{Markup, html};
 
-use super::gap_figures::{GapLoop, figures};
+use super::gap_figures::figures;
 use super::page::{flatten, optional, picture, whole};
 use super::plot::PlotError;
 use stiction::gap::text;
 use stiction::units::{from_to, number};
+use stiction_monitor::analysis::gap::Diagnosed;
 
 /// Everything that the report shows.
 #[derive(Debug, Clone)]
@@ -18,7 +19,7 @@ pub struct GapReport {
     /// What went wrong on the way.
     pub warnings: Vec<String>,
     /// The loops in the file's order.
-    pub loops: Vec<GapLoop>,
+    pub loops: Vec<Diagnosed>,
 }
 
 /// The whole page.
@@ -74,7 +75,7 @@ fn overview(report: &GapReport) -> Markup {
     }
 }
 
-fn section(one: &GapLoop, k: usize, open: bool) -> Result<Markup, PlotError> {
+fn section(one: &Diagnosed, k: usize, open: bool) -> Result<Markup, PlotError> {
     let d = &one.document;
     let pictures = figures(one)?;
     let floor = d.gap.noise_floor.map_or_else(|| "not known".to_owned(), number);

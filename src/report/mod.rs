@@ -2,7 +2,7 @@
 //!
 //! [`plot`] and [`chart`] turn data into SVG and know nothing of valves; [`ink`] says which colour stands for what.
 //! [`detail`] computes what a loop's pictures need, [`figures`] draws them, [`words`] puts the numbers into sentences.
-//! [`page`] is the HTML file, [`sheet`] the SVG file; [`gap_figures`] and [`gap_page`] do the same for a gap.
+//! [`maker`] gathers what was analysed; [`page`] is the HTML file, [`sheet`] the SVG file; [`gap_figures`] and [`gap_page`] do the same for a gap.
 
 pub mod across;
 pub mod chart;
@@ -12,11 +12,11 @@ pub mod figures;
 pub mod gap_figures;
 mod gap_page;
 pub mod ink;
+pub mod maker;
 mod page;
 pub mod plot;
 mod sheet;
 
-pub use gap_figures::GapLoop;
 pub use gap_page::{GapReport, gap_page};
 pub use page::page;
 pub use sheet::sheet;

@@ -13,7 +13,6 @@ use zenoh::bytes::Encoding;
 use zenoh::qos::CongestionControl;
 
 use super::{Format, Outcome, block_on, demo, play, say};
-use crate::daemon::{self, RunOptions};
 use stiction::record::{Sample, Signal, Value};
 use stiction::sim::scenario::Scenario;
 use stiction::units::NS_PER_S;
@@ -21,6 +20,7 @@ use stiction_monitor::codec;
 use stiction_monitor::codec::topic;
 use stiction_monitor::config::Config;
 use stiction_monitor::engine::{Engine, Event};
+use stictiond::daemon::{self, RunOptions};
 
 /// The loops that kernels are timed on.
 const SCENARIO: &str = include_str!("../../../recordings/scenarios/four-loops.toml");

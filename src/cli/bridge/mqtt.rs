@@ -16,10 +16,10 @@ use sd_notify::NotifyState;
 
 use super::bus::{Bus, BusArgs, PAUSE, TOLD_EVERY, Teller, document, is_key};
 use crate::cli::{Format, Outcome, asked_to_stop, block_on, say};
-use crate::sink::deliver::{secret, tls_of};
 use stiction_monitor::codec::MAX_PAYLOAD;
 use stiction_monitor::config::{Address, Protocol};
 use stiction_monitor::short_hash;
+use stictiond::sink::deliver::{secret, tls_of};
 
 /// Messages that the broker sends before the first of them is confirmed.
 const UNCONFIRMED: u16 = 1000;

@@ -82,7 +82,7 @@ pub(super) fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
         args.precision,
         args.withheld,
         args.ridge,
-        crate::VERSION,
+        stictiond::VERSION,
         decks.join(", ")
     );
     let first = first.context("no folder was given")?;

@@ -17,13 +17,13 @@ use serde_json::{Value, json};
 
 use super::selection::whole_record;
 use super::{Format, Outcome, UsageError, on_all_cores, print, say};
-use crate::files::{csv, load_samples};
 use stiction::gap::{Ask, DEFAULT_EVALUATIONS};
 use stiction::record::{Record, Sample, Signal};
 use stiction::units::ns_from_s;
 use stiction_lab::challenge::score::{Answer, Figures, score};
 use stiction_lab::challenge::{Deck, Split, Truth, TruthCase, seal};
 use stiction_monitor::config::Config;
+use stictiond::files::{csv, load_samples};
 
 /// Where a challenge's parts lie in its folder.
 const RECORDINGS: &str = "recordings";
@@ -258,7 +258,7 @@ fn lines(answers: &BTreeMap<String, String>) -> String {
 
 fn answer_all(args: &RunArgs, format: Format) -> anyhow::Result<Outcome> {
     let path = args.dir.join(ANSWERS);
-    let made_with = json!({ "version": crate::VERSION, "evaluations": args.evaluations, "seed": args.seed });
+    let made_with = json!({ "version": stictiond::VERSION, "evaluations": args.evaluations, "seed": args.seed });
     let mut all = recordings(&args.dir)?;
     all.truncate(args.first.unwrap_or(usize::MAX));
     let before = if args.force { BTreeMap::new() } else { answered(&path, &made_with)? };

@@ -2,8 +2,8 @@
 
 use anyhow::anyhow;
 
-use crate::report;
 use stiction_lab::challenge::score::Figures;
+use stictiond::report;
 
 /// Truths as rows, answers as columns, as a stand-alone SVG.
 ///

@@ -10,11 +10,11 @@ use serde_json::{Value, json};
 use crate::cli::evaluate::index::{self, Case};
 use crate::cli::selection::whole_record;
 use crate::cli::{Format, Outcome, on_all_cores, say};
-use crate::files::load_samples;
 use stiction::gap::{Ask, Base, DEFAULT_EVALUATIONS, Diagnosis, Serial, diagnose};
 use stiction::record::{Record, Signal};
 use stiction_lab::challenge::real::{Spoilt, spoilt};
 use stiction_monitor::config::Config;
+use stictiond::files::load_samples;
 
 /// Raw samples of a recording that are looked at: as many as stay raw.
 const SAMPLES: usize = 1_800;

@@ -12,13 +12,13 @@ use zenoh::bytes::Encoding;
 use zenoh::qos::CongestionControl;
 
 use super::{Format, Outcome, asked_to_stop, block_on, list, play};
-use crate::daemon::{self, RunOptions};
 use stiction::sim::plant::SimulatedPlant;
 use stiction::sim::scenario::Scenario;
 use stiction::units::NS_PER_S;
 use stiction_monitor::codec::encode_recorded;
 use stiction_monitor::codec::topic;
 use stiction_monitor::config::Config;
+use stictiond::daemon::{self, RunOptions};
 
 /// The plant that is simulated.
 const SCENARIO: &str = include_str!("../../../recordings/scenarios/demo.toml");
@@ -144,7 +144,7 @@ async fn watch(
 /// Lets the plant live, faster than real, its time starting now.
 async fn publish(session: &zenoh::Session, scenario: &Scenario, prefix: &str) -> anyhow::Result<()> {
     let names: Vec<String> = scenario.loop_names().map(str::to_owned).collect();
-    let start_ns = crate::daemon::clock::now_ns() / NS_PER_S * NS_PER_S;
+    let start_ns = stictiond::daemon::clock::now_ns() / NS_PER_S * NS_PER_S;
     let mut plant = SimulatedPlant::starting_at(scenario, start_ns);
     let started = Instant::now();
     let mut json = Vec::new();

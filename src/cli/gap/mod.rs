@@ -1,7 +1,6 @@
 //! `stictiond gap`: where the simulation departs from the plant, which effect causes it, how far adding it closes the gap.
 
 mod base;
-mod executor;
 mod predictions;
 
 use std::path::{Path, PathBuf};
@@ -14,14 +13,14 @@ use super::challenge;
 use super::reading::{ReadArgs, config_of, named};
 use super::selection::{Selection, points, told, warn};
 use super::{Format, Outcome, UsageError, say, stop};
-use crate::files::LoadedLoop;
-use crate::report::{GapLoop, GapReport, gap_page};
-use executor::Team;
+use indicatif::{ProgressBar, ProgressStyle};
 use stiction::gap::{GapError, effects, text};
 use stiction_monitor::analysis::gap::{BaseChoice, Diagnosed, Question};
 use stiction_monitor::analysis::predictions::rows;
 use stiction_monitor::analysis::{self, Points, Section};
-use stiction_monitor::config::Config;
+use stictiond::cores::{Team, Watch};
+use stictiond::files::LoadedLoop;
+use stictiond::report::{GapReport, gap_page};
 
 /// Diagnose the gap between a loop's model and its record: where it lies, which unmodelled effect causes it, and how
 /// far it shrinks once that effect is added.
@@ -125,7 +124,7 @@ fn diagnose_all(args: &Diagnose, format: Format) -> anyhow::Result<Outcome> {
     for warning in &loaded.warnings {
         tracing::warn!("{warning}");
     }
-    let config = config_of(&args.input)?.map_or_else(|| Config::with_prefix("plant"), |r| r.config);
+    let config = config_of(&args.input)?;
     let place = args.input();
     let chosen = args.selection.loops(&loaded.loops).map_err(|e| anyhow!("{place}: {e}"))?;
     let sections = args.selection.sections();
@@ -190,7 +189,7 @@ fn diagnose(
     one: &LoadedLoop,
     points: &Points,
     section: Section,
-) -> anyhow::Result<GapLoop> {
+) -> anyhow::Result<Diagnosed> {
     let (record, notes) = analysis::gap::record(points, section, &args.selection.cut()).map_err(told)?;
     warn(&one.name, &notes);
     let question = Question {
@@ -201,15 +200,38 @@ fn diagnose(
         seed: args.seed,
     };
     let ask = question.ask(&record);
-    let team = Team::new(&one.name, &ask, args.budget.map(Duration::from_secs_f64), &|| !stop::asked());
+    let bar = Bar::new(&one.name, ask.budget_evaluations);
+    let team = Team::new(&bar, &ask, args.budget.map(Duration::from_secs_f64));
     let found = analysis::gap::diagnose(&one.name, record, &ask, &team);
-    team.finish();
-    let Diagnosed { document, record, diagnosis } =
-        found.with_context(|| format!("{}: loop {}", args.input(), one.name))?;
-    Ok(GapLoop { document, record, diagnosis })
+    bar.0.finish_and_clear();
+    found.with_context(|| format!("{}: loop {}", args.input(), one.name))
 }
 
-fn print(found: &GapLoop, format: Format) -> anyhow::Result<()> {
+/// How far the search of a loop is.
+struct Bar(ProgressBar);
+
+impl Bar {
+    fn new(name: &str, evaluations: u64) -> Self {
+        let bar = ProgressBar::new(evaluations);
+        if let Ok(style) = ProgressStyle::with_template("{wide_msg} {bar:30} {percent:>3} %") {
+            bar.set_style(style);
+        }
+        bar.set_message(name.to_owned());
+        Self(bar)
+    }
+}
+
+impl Watch for Bar {
+    fn reached(&self, done: u64, _: u64, _: &str) {
+        self.0.set_position(done);
+    }
+
+    fn go_on(&self) -> bool {
+        !stop::asked()
+    }
+}
+
+fn print(found: &Diagnosed, format: Format) -> anyhow::Result<()> {
     match format {
         Format::Json => say(serde_json::to_string(&found.document)?)?,
         Format::Text => say(text::report(&found.document))?,
@@ -217,14 +239,14 @@ fn print(found: &GapLoop, format: Format) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn write_predictions(args: &Diagnose, points: &Points, found: &GapLoop, section: Section) -> anyhow::Result<()> {
+fn write_predictions(args: &Diagnose, points: &Points, found: &Diagnosed, section: Section) -> anyhow::Result<()> {
     let Some(path) = &args.predictions else { return Ok(()) };
     let whole = points.samples(section)?;
     let rows = rows(&whole, &found.record, &found.diagnosis);
     predictions::write(path, &rows).with_context(|| path.display().to_string())
 }
 
-fn write_report(args: &Diagnose, path: &Path, warnings: &[String], loops: Vec<GapLoop>) -> anyhow::Result<()> {
+fn write_report(args: &Diagnose, path: &Path, warnings: &[String], loops: Vec<Diagnosed>) -> anyhow::Result<()> {
     let report =
         GapReport { input: args.input(), command: command_line(std::env::args()), warnings: warnings.to_vec(), loops };
     let page = gap_page(&report)?;

@@ -491,7 +491,8 @@ fn bytes_of(request: &Request) -> usize {
     size_of::<Request>() + points * size_of::<f64>()
 }
 
-/// A document's JSON. Our documents hold no map with keys that are not text, so this cannot fail.
-pub(crate) fn to_json(document: &impl serde::Serialize) -> Vec<u8> {
+/// A document's JSON, UTF-8. Our documents hold no map with keys that are not text, so this cannot fail.
+#[must_use]
+pub fn to_json(document: &impl serde::Serialize) -> Vec<u8> {
     serde_json::to_vec(document).unwrap_or_default()
 }

@@ -20,8 +20,9 @@ mod columns;
 mod delimited;
 mod gather;
 mod map;
-pub(crate) mod names;
+pub mod names;
 mod number;
+mod options;
 mod pair;
 mod quality;
 mod stamp;
@@ -32,13 +33,13 @@ mod zone;
 pub use clock::TimeFormat;
 pub use map::Map;
 pub use number::Decimal;
+pub use options::{ReadOptions, delimiter, encoding};
 pub use quality::Codes;
 pub use zone::Zone;
 
 use std::path::Path;
 use std::time::SystemTime;
 
-use encoding_rs::Encoding;
 use thiserror::Error;
 
 use super::{InputKind, LoadedLoop, csv};
@@ -65,34 +66,6 @@ fn place(line: u64) -> String {
 impl ExportError {
     fn at(line: u64, what: impl Into<String>, remedy: impl Into<String>) -> Self {
         Self { line, what: what.into(), remedy: remedy.into() }
-    }
-}
-
-/// What the reader of a file was told about it.
-#[derive(Debug, Clone, Default)]
-pub struct ReadOptions {
-    /// Which tags or columns are what.
-    pub map: Option<Map>,
-    /// How times are written.
-    pub time_format: Option<TimeFormat>,
-    /// Whose clock times without a zone are.
-    pub zone: Option<Zone>,
-    /// Decimal point or comma.
-    pub decimal: Option<Decimal>,
-    /// What parts cells.
-    pub delimiter: Option<u8>,
-    /// The text's encoding.
-    pub encoding: Option<&'static Encoding>,
-    /// The sheet of a workbook.
-    pub sheet: Option<String>,
-    /// What quality codes mean.
-    pub codes: Option<Codes>,
-}
-
-impl ReadOptions {
-    /// Whether a table `t,op,pv` is read otherwise than it says of itself.
-    fn overrules(&self) -> bool {
-        self.map.is_some() || self.time_format.is_some() || self.decimal.is_some() || self.delimiter.is_some()
     }
 }
 

@@ -66,7 +66,7 @@ const BLOCKS: [&str; 9] = ["DACA", "PIDA", "PID", "PID1", "AI1", "AO1", "FBPID",
 
 /// What a tag is.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct Role {
+pub struct Role {
     /// The loop's name; empty where the tag names a signal alone.
     pub loop_name: String,
     /// The signal.
@@ -116,7 +116,8 @@ fn without<'t>(text: &'t str, end: &str) -> Option<&'t str> {
 }
 
 /// Loop and signal of a tag; `None` where its end is not known.
-pub(crate) fn role(tag: &str) -> Option<Role> {
+#[must_use]
+pub fn role(tag: &str) -> Option<Role> {
     let tag = bare(tag);
     let plain = VALUES.iter().find_map(|end| without(tag, end).filter(|stem| !stem.is_empty()));
     let found = longest_end(tag).or_else(|| longest_end(plain?))?;

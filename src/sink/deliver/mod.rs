@@ -26,7 +26,7 @@ use crate::daemon::faults::Faults;
 use crate::daemon::metrics::Metrics;
 use keep::{Change, Keep};
 #[cfg(feature = "bridge-mqtt")]
-pub(crate) use mqtt::tls_of;
+pub use mqtt::tls_of;
 use queue::{Next, Queue};
 use stiction_monitor::alarm::{AlarmDocument, Priority};
 use stiction_monitor::codec::topic::Kind;
@@ -171,9 +171,12 @@ pub fn check(d: &Deliver) -> anyhow::Result<()> {
     target(d, "").map(drop)
 }
 
-/// The text of a secret's file, without the line's end.
+/// The text of a secret's file, without the line's end; `None` where no file is named.
+///
+/// # Errors
+/// The file cannot be read.
 #[cfg(any(feature = "deliver", feature = "bridge-opcua"))]
-pub(crate) fn secret(path: &str) -> anyhow::Result<Option<String>> {
+pub fn secret(path: &str) -> anyhow::Result<Option<String>> {
     if path.is_empty() {
         return Ok(None);
     }

@@ -55,7 +55,10 @@ impl Mqtt {
 }
 
 /// TLS that trusts these certificates, or the system's; with a certificate of our own where one is named.
-pub(crate) fn tls_of(ca_file: &str, cert_file: &str, key_file: &str) -> anyhow::Result<TlsConfiguration> {
+///
+/// # Errors
+/// A file cannot be read or holds no certificate, or the system has none.
+pub fn tls_of(ca_file: &str, cert_file: &str, key_file: &str) -> anyhow::Result<TlsConfiguration> {
     let Some(ca) = pem("ca_file", ca_file)? else {
         return TlsConfiguration::try_default_rustls().map_err(|e| anyhow!("this system's certificates: {e}"));
     };

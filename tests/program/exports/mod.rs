@@ -10,34 +10,28 @@ use std::fmt::Write as _;
 use std::fs;
 use std::path::Path;
 
-use clap::Parser as _;
 use stiction::record::{Signal, Value};
 use stiction::units::NS_PER_S;
-use stictiond::cli::reading::ReadArgs;
-use stictiond::files::{FileError, Loaded};
+use stictiond::files::inputs::units;
+use stictiond::files::{FileError, Loaded, ReadOptions};
 
 use data::{ROWS, op, pv, t_s};
 use shapes::{Must, Shape};
-
-#[derive(clap::Parser)]
-struct Flags {
-    #[command(flatten)]
-    reading: ReadArgs,
-}
 
 fn read(shape: &Shape, flags: &[&str]) -> Result<Loaded, FileError> {
     let folder = tempfile::tempdir().unwrap();
     for (name, bytes) in &shape.files {
         fs::write(folder.path().join(name), bytes).unwrap();
     }
-    let flags = Flags::try_parse_from([&["x"], flags].concat()).unwrap();
+    let mut options = ReadOptions::default();
+    flags.chunks(2).for_each(|flag| options.set(flag[0].trim_start_matches("--"), flag[1]).unwrap());
     let place = match &shape.files[..] {
         [(name, _)] => folder.path().join(name),
         _ => folder.path().to_owned(),
     };
-    let units = flags.reading.units(&[place]).unwrap();
+    let units = units(&[place], &options).unwrap();
     assert_eq!(units.len(), 1, "{}", shape.name);
-    units[0].load(&flags.reading.options())
+    units[0].load(&options)
 }
 
 /// Every value at its time, in order, and nothing else.

@@ -10,7 +10,9 @@ use stiction::gap::{Ask, GapError};
 use stiction::ident::Options;
 use stiction::record::Record;
 use stiction::signal::stats;
-use stiction::verdict::{AssessParams, Assessment, DelayChoice, EstimateDocument, assess_in_windows};
+use stiction::verdict::{
+    AssessParams, Assessment, DelayChoice, EstimateDocument, ModelChoice, ValveChoice, assess_in_windows,
+};
 
 /// How well a model from elsewhere follows the record, free run.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -68,6 +70,40 @@ pub fn delay_choice(text: &str) -> Result<DelayChoice, String> {
         Some(seconds) => DelayChoice::Seconds(number(seconds)?),
         None => DelayChoice::Samples(number(text)?),
     })
+}
+
+/// What a fit is asked, over a loop's own settings.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Asked {
+    /// Order of the process model.
+    pub model: ModelChoice,
+    /// Valve law.
+    pub valve: ValveChoice,
+    /// Dead time.
+    pub delay: DelayChoice,
+    /// OP's range, `[low, high]`; `None` leaves the loop's own.
+    pub op_range: Option<[f64; 2]>,
+    /// Step of the contour grid, % of OP's span.
+    pub fineness_pct: f64,
+    /// Seed of every random choice.
+    pub seed: u64,
+}
+
+impl Default for Asked {
+    fn default() -> Self {
+        let Options { model, valve, delay, fineness_pct, seed, .. } = Options::default();
+        Self { model, valve, delay, op_range: None, fineness_pct, seed }
+    }
+}
+
+impl Asked {
+    /// A loop's settings with this over them.
+    #[must_use]
+    pub fn over(&self, own: &AssessParams) -> AssessParams {
+        let Self { model, valve, delay, op_range, fineness_pct, seed } = *self;
+        let fit = Options { model, valve, delay, fineness_pct, seed, ..own.fit };
+        AssessParams { op_range: op_range.or(own.op_range), fit, ..own.clone() }
+    }
 }
 
 /// A section judged.

@@ -7,23 +7,11 @@ use stiction::gap::locate::{Subject, locate};
 use stiction::gap::model_file::ModelFile;
 use stiction::gap::{self, Ask, Base, Diagnosis, Executor, GapError};
 use stiction::record::Record;
-use thiserror::Error;
 
 /// Most points of a simulation: sections with more samples are averaged in boxes.
 pub const MAX_POINTS: usize = 8_192;
 /// Seconds that the default number of evaluations takes on two cores, about.
 const DEFAULT_SECONDS: f64 = 3.0;
-
-/// Why there is no diagnosis.
-#[derive(Debug, Error)]
-pub enum GapFault {
-    /// The section.
-    #[error(transparent)]
-    Section(#[from] AnalysisError),
-    /// What was asked, or the record.
-    #[error(transparent)]
-    Gap(#[from] GapError),
-}
 
 /// What is asked of a section.
 #[derive(Debug, Clone, Default)]

@@ -20,7 +20,7 @@ pub mod solver;
 pub mod text;
 
 pub use cut::{Cut, Detrend, Downsampled, Taken};
-pub use estimate::{Answer, Estimated, Scored, delay_choice, estimate};
+pub use estimate::{Answer, Asked, Estimated, Scored, delay_choice, estimate};
 pub use points::{MIN_SAMPLES, Points, Section, usable};
 
 use thiserror::Error;

@@ -5,7 +5,7 @@ use serde::Serialize;
 use stiction::ident::Options;
 use stiction::ident::class::Class;
 use stiction::ident::surface::{Solved, Surface};
-use stiction::optim::Settings;
+use stiction::optim::{Objective, Settings, Solver, Termination};
 use stiction::record::Record;
 use stiction::sim::slips::Law;
 use stiction::verdict::{Assessment, Process};
@@ -72,6 +72,44 @@ const fn class_of(process: &Process) -> Class {
 pub fn own_mse(surface: &mut Surface, found: &Assessment) -> Option<f64> {
     let own = found.fs.zip(found.fd);
     own.map(|(fs, fd)| surface.mse(fs, fd)).filter(|mse| mse.is_finite())
+}
+
+/// Sets a solver on the surface. `heard` gets the models tried and the least mean squared error so far, PV units squared,
+/// after each; once it says no the search ends with what it has.
+pub fn search(
+    surface: &mut Surface,
+    solver: &dyn Solver,
+    settings: &Settings,
+    heard: &mut dyn FnMut(u64, f64) -> bool,
+) -> Solved {
+    let s0 = surface.s0();
+    let mut watched = Watched { surface, heard, least: f64::INFINITY, go_on: true };
+    let outcome = solver.search(&mut watched, settings);
+    let mut solved = Solved::of(outcome, s0);
+    if !watched.go_on {
+        solved.outcome.stopped = Termination::Interrupted;
+    }
+    solved
+}
+
+/// A surface that tells how far the search is, and answers at once when somebody asks to stop.
+struct Watched<'a> {
+    surface: &'a mut Surface,
+    heard: &'a mut dyn FnMut(u64, f64) -> bool,
+    least: f64,
+    go_on: bool,
+}
+
+impl Objective for Watched<'_> {
+    fn cost(&mut self, point: [f64; 2]) -> f64 {
+        if !self.go_on {
+            return f64::INFINITY;
+        }
+        let cost = self.surface.cost(point);
+        self.least = self.least.min(cost);
+        self.go_on = (self.heard)(self.surface.evaluations(), self.least);
+        cost
+    }
 }
 
 /// What was found on the surface, beside what [`own_mse`] said before the search.

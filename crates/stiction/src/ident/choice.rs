@@ -12,6 +12,11 @@ pub enum ModelChoice {
     Auto,
 }
 
+impl ModelChoice {
+    /// All of them, with the words of commands.
+    pub const ALL: [(&'static str, Self); 3] = [("auto", Self::Auto), ("fopdt", Self::Fopdt), ("sopdt", Self::Sopdt)];
+}
+
 /// Dead time of the process model.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub enum DelayChoice {
@@ -34,6 +39,11 @@ pub enum ValveChoice {
     /// Both; the better one is reported.
     #[default]
     Auto,
+}
+
+impl ValveChoice {
+    /// All of them, with the words of commands.
+    pub const ALL: [(&'static str, Self); 3] = [("auto", Self::Auto), ("he", Self::He), ("tracking", Self::Tracking)];
 }
 
 /// What a fit is told.

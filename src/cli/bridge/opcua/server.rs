@@ -17,7 +17,7 @@ use opcua::types::{EndpointDescription, MessageSecurityMode, StatusCode};
 use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
 
 use crate::cli::UsageError;
-use crate::sink::deliver::secret;
+use stictiond::sink::deliver::secret;
 
 /// How long the server may take for an answer.
 const ANSWER: Duration = Duration::from_secs(10);
