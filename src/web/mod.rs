@@ -1,8 +1,17 @@
-//! HTTP: `/metrics` for Prometheus and `/healthz` for whoever restarts us. Reads snapshots, never the hot path.
+//! HTTP: the page for people with the API under it, `/metrics` for Prometheus, `/healthz` for whoever restarts us.
 //!
-//! Connections are bounded in number and in time, so that those that are never finished cost little and end.
+//! It reads what the engine's thread leaves for it and what lies in the recordings, and sends people's wishes through the
+//! engine's own queue; nothing here touches the hot path. [`server`] bounds connections, [`guard`] says who may do what,
+//! [`api`] answers, [`workbench`] analyses files, [`assets`] holds the page's files.
 
+pub mod api;
+mod assets;
+pub mod error;
 mod exposition;
+pub mod guard;
+pub mod server;
+pub mod thin;
+pub mod workbench;
 
 use std::net::SocketAddr;
 use std::sync::{Arc, PoisonError};
@@ -11,38 +20,25 @@ use std::time::Duration;
 use axum::Router;
 use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode, header};
+use axum::middleware::from_fn_with_state;
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
-use hyper::server::conn::http1;
-use hyper_util::rt::{TokioIo, TokioTimer};
-use hyper_util::service::TowerToHyperService;
 use prometheus_client::registry::Registry;
 use tokio::net::TcpListener;
-use tokio::sync::Semaphore;
 use tokio::task::JoinHandle;
 
 use crate::daemon::faults::Faults;
 use crate::daemon::health::HealthSnapshot;
 use exposition::Form;
+use guard::Guard;
 use stiction_monitor::config::Web;
 
 /// Silence of the engine after which the daemon is called unhealthy.
 const STALLED_AFTER: Duration = Duration::from_secs(30);
-
-/// Connections at a time.
-const MAX_CONNECTIONS: usize = 64;
-/// How long a client may take for the head of a request.
-const HEADER_WITHIN: Duration = Duration::from_secs(5);
-/// How long a connection may last, however busy.
-const CONNECTION_WITHIN: Duration = Duration::from_secs(60);
-/// Largest head of a request, bytes.
-const MAX_HEADER_BYTES: usize = 16 << 10;
 /// Pause before an address that cannot be used is tried again.
 const BIND_AGAIN: Duration = Duration::from_secs(5);
 /// Name of the fault while the server is not there.
 const FAULT: &str = "web";
-/// Pause after a connection could not be taken.
-const ACCEPT_PAUSE: Duration = Duration::from_millis(200);
 
 /// A running server.
 pub struct Served {
@@ -66,6 +62,15 @@ struct Shared {
     snapshot: HealthSnapshot,
 }
 
+/// Everything that is served beside `/metrics` and `/healthz`: the page's files, and what lies under `/api/v1`.
+#[must_use]
+pub fn page(api: Router, guard: Arc<Guard>) -> Router {
+    Router::new()
+        .nest(api::BASE, api.fallback(api::nothing_there))
+        .fallback(get(assets::asset))
+        .layer(from_fn_with_state(guard, guard::guard))
+}
+
 /// Starts the server as configured. Loops are watched without it too: an address that cannot be used is a fault, and is
 /// tried again until it can.
 pub async fn serve(settings: &Web, registry: Registry, snapshot: HealthSnapshot, faults: Arc<Faults>) -> Served {
@@ -77,7 +82,7 @@ pub async fn serve(settings: &Web, registry: Registry, snapshot: HealthSnapshot,
     match TcpListener::bind(&settings.listen).await {
         Ok(listener) => {
             let address = listener.local_addr().ok();
-            Served { address, task: Some(tokio::spawn(accept(listener, router))) }
+            Served { address, task: Some(tokio::spawn(server::accept(listener, router))) }
         }
         Err(error) => {
             let (again, remedy) = (BIND_AGAIN.as_secs(), "port 0 takes any free one");
@@ -94,30 +99,8 @@ async fn accept_later(listen: String, router: Router, faults: Arc<Faults>) {
         tokio::time::sleep(BIND_AGAIN).await;
         if let Ok(listener) = TcpListener::bind(&listen).await {
             faults.clear(FAULT);
-            return accept(listener, router).await;
+            return server::accept(listener, router).await;
         }
-    }
-}
-
-/// Takes connections for ever. One too many is closed at once.
-async fn accept(listener: TcpListener, router: Router) {
-    let places = Arc::new(Semaphore::new(MAX_CONNECTIONS));
-    loop {
-        let Ok((stream, _)) = listener.accept().await else {
-            // No file descriptor is free, most likely: they come back.
-            tokio::time::sleep(ACCEPT_PAUSE).await;
-            continue;
-        };
-        let Ok(place) = places.clone().try_acquire_owned() else { continue };
-        let service = TowerToHyperService::new(router.clone());
-        tokio::spawn(async move {
-            let mut http = http1::Builder::new();
-            http.timer(TokioTimer::new()).header_read_timeout(HEADER_WITHIN).max_buf_size(MAX_HEADER_BYTES);
-            // What a client did wrong is its own affair.
-            let served = http.serve_connection(TokioIo::new(stream), service);
-            let _ = tokio::time::timeout(CONNECTION_WITHIN, served).await;
-            drop(place);
-        });
     }
 }
 

@@ -1,10 +1,11 @@
 //! A loop's record for the trend: between two times, with as many points as a screen has.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::fault::Fault;
 use super::shelf::{Shelf, sampling_time_s};
-use crate::web::thin;
+use crate::web::thin::thin;
 use stiction::signal::align::Point;
 use stiction_monitor::analysis::{Points, Section};
 
@@ -26,7 +27,7 @@ pub struct RecordQuery {
 }
 
 /// Curves over one axis. Missing values are null.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct RecordAnswer {
     /// Sampling time, s.
     pub ts_s: Option<f64>,
@@ -72,16 +73,18 @@ fn answer(points: &Points, query: &RecordQuery) -> Result<RecordAnswer, Fault> {
     let recorded = |of: &dyn Fn(&Point) -> Option<f64>| Some(curve(of)).filter(|c| c.iter().any(|v| v.is_finite()));
     let (sp, mv) = (recorded(&|p| p.sp), recorded(&|p| p.mv));
     let [usual, most] = POINTS;
-    let kept = thin::places(part.len(), &[&op, &pv], query.points.unwrap_or(usual).clamp(10, most));
+    let kept = thin(&[&op, &pv], query.points.unwrap_or(usual).clamp(10, most));
     let mut rows: Vec<Option<usize>> = Vec::with_capacity(kept.len() + 8);
     let mut t_ms: Vec<f64> = Vec::with_capacity(kept.len() + 8);
     let hole_ms = ts_s.map_or(f64::INFINITY, |ts| 1e3 * ts * HOLE);
     for pair in kept.windows(2).chain(kept.last().map(std::slice::from_ref)) {
         let at = pair[0];
-        (rows.push(Some(at)), t_ms.push(ms(&part[at])));
+        rows.push(Some(at));
+        t_ms.push(ms(&part[at]));
         // A hole between two samples would look like a line between them.
         if let Some(gap) = pair.get(1).and_then(|next| hole(&part[at..=*next], hole_ms)) {
-            (rows.push(None), t_ms.push(gap));
+            rows.push(None);
+            t_ms.push(gap);
         }
     }
     let values = |curve: &[f64]| -> Vec<Option<f64>> {

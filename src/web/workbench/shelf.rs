@@ -6,11 +6,13 @@ use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use schemars::JsonSchema;
 use serde::Serialize;
 
 use super::fault::Fault;
-use super::folder::Folder;
 use super::reading::ReadingWords;
+use tempfile::TempDir;
+
 use crate::daemon::replay::config_of;
 use crate::files::inputs::Unit;
 use crate::files::{Loaded, LoadedLoop, ReadOptions};
@@ -44,7 +46,7 @@ impl Default for Limits {
 const JOINED: usize = 4;
 
 /// A file as the page shows it.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct FileInfo {
     /// Its name in addresses.
     pub id: String,
@@ -54,7 +56,8 @@ pub struct FileInfo {
     pub bytes: u64,
     /// Whether it was uploaded; else it stands where the command line said.
     pub uploaded: bool,
-    /// How it is read.
+    /// How it is read: options by name.
+    #[schemars(with = "std::collections::BTreeMap<String, String>")]
     pub reading: ReadingWords,
     /// What was recognised in an export.
     pub recognised: Option<String>,
@@ -65,7 +68,7 @@ pub struct FileInfo {
 }
 
 /// A loop as the page shows it. Missing numbers are null.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, JsonSchema)]
 pub struct LoopInfo {
     /// Its name.
     pub name: String,
@@ -156,7 +159,8 @@ impl Inner {
 /// The files.
 pub struct Shelf {
     limits: Limits,
-    folder: Folder,
+    /// For uploads, ours alone; taken away at the end.
+    folder: Mutex<Option<TempDir>>,
     inner: Mutex<Inner>,
     /// One file is read at a time: a table takes several times its size while it is.
     reading: Mutex<()>,
@@ -168,11 +172,22 @@ impl Shelf {
     /// # Errors
     /// No folder can be made for uploads.
     pub fn new(limits: Limits) -> std::io::Result<Self> {
-        Ok(Self { limits, folder: Folder::new()?, inner: Mutex::default(), reading: Mutex::new(()) })
+        let folder = tempfile::Builder::new().prefix("stictiond-").tempdir()?;
+        Ok(Self { limits, folder: Mutex::new(Some(folder)), inner: Mutex::default(), reading: Mutex::new(()) })
     }
 
     fn inner(&self) -> MutexGuard<'_, Inner> {
         self.inner.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn folder(&self) -> MutexGuard<'_, Option<TempDir>> {
+        self.folder.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Removes everything that was uploaded; nothing comes after it.
+    pub fn clear(&self) {
+        // What cannot be removed is left to the system's own cleaning.
+        drop(self.folder().take());
     }
 
     /// Its bounds.
@@ -238,12 +253,14 @@ impl Shelf {
     /// # Errors
     /// Too many files are open.
     pub fn place(self: &Arc<Self>) -> Result<Place, Fault> {
+        let folder = self.folder();
+        let folder = folder.as_ref().ok_or_else(|| Fault::conflict("the program is ending"))?;
         let mut inner = self.inner();
         self.room(&inner)?;
         inner.coming += 1;
         inner.next += 1;
         let number = inner.next;
-        let path = self.folder.path().join(number.to_string());
+        let path = folder.path().join(number.to_string());
         Ok(Place { shelf: self.clone(), path, number, bytes: 0, kept: false })
     }
 

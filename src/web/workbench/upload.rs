@@ -6,7 +6,7 @@ use std::pin::Pin;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use axum::Json;
+use axum::{Extension, Json};
 use axum::body::{Body, Bytes, HttpBody};
 use axum::extract::{RawQuery, State};
 use axum::http::{HeaderMap, header};
@@ -15,6 +15,7 @@ use super::Workbench;
 use super::fault::Fault;
 use super::reading::Upload;
 use super::shelf::{FileInfo, Place};
+use crate::web::server::Life;
 
 /// Time that an upload has before its pace counts.
 const GRACE: Duration = Duration::from_secs(5);
@@ -27,6 +28,7 @@ pub const AT_A_TIME: usize = 4;
 pub async fn upload(
     State(bench): State<Arc<Workbench>>,
     RawQuery(query): RawQuery,
+    life: Option<Extension<Life>>,
     headers: HeaderMap,
     body: Body,
 ) -> Result<Json<FileInfo>, Fault> {
@@ -39,14 +41,14 @@ pub async fn upload(
         return Err(Fault::too_many(format!("{AT_A_TIME} uploads are under way; try again when one is done")));
     };
     let mut place = bench.shelf.place()?;
-    store(&mut place, body).await?;
+    store(&mut place, body, life.as_deref()).await?;
     // Reading takes long and blocks. The place goes with it, so that a reader who leaves leaves nothing behind.
     let read = tokio::task::spawn_blocking(move || place.keep(&upload.name, upload.reading)).await;
     read.map_err(|_| Fault::own("the file could not be read; see the program's log"))?.map(Json)
 }
 
 /// Writes the body to its place.
-async fn store(place: &mut Place, mut body: Body) -> Result<(), Fault> {
+async fn store(place: &mut Place, mut body: Body, life: Option<&Life>) -> Result<(), Fault> {
     let mut file = std::fs::File::create_new(&place.path).map_err(|error| disk(&error))?;
     let (began, mut taken) = (Instant::now(), 0_u64);
     loop {
@@ -56,6 +58,9 @@ async fn store(place: &mut Place, mut body: Body) -> Result<(), Fault> {
         let Some(bytes) = piece.map_err(|_| slow())?? else { break };
         place.grow(bytes.len() as u64)?;
         taken += bytes.len() as u64;
+        if let Some(life) = life {
+            life.show();
+        }
         // A page's piece is small: writing it keeps nobody waiting.
         file.write_all(&bytes).map_err(|error| disk(&error))?;
     }
