@@ -1,0 +1,106 @@
+// What people do with an alarm: acknowledge, shelve, confirm or mark as false. Name and reason go into the record.
+
+import * as api from "./api.js";
+import { h } from "./dom.js";
+import { ask } from "./dialog.js";
+import { store } from "./store.js";
+
+const NAME = "stictiond.name";
+
+const name = () => ({ name: "by", label: "Your name", required: true, value: localStorage.getItem(NAME) ?? "", maxlength: 64, autocomplete: "name", hint: "Stands in the record and is not verified." });
+const why = (hint, required = false) => ({ name: "why", label: "Reason", type: "textarea", maxlength: 500, hint, required });
+
+const SHELVES = [[3600, "1 hour"], [28800, "8 hours (a shift)"], [86400, "1 day"], [604800, "7 days"], [2678400, "31 days"]];
+const forTime = { name: "for_s", label: "For", type: "select", value: "28800", options: SHELVES.map(([s, label]) => ({ value: String(s), label })) };
+
+const COMMANDS = {
+  ack: { label: "Acknowledge", intro: "You have seen the alarm. It stays active until the valve moves freely again.", fields: [why("For example: packing to be looked at in the stop in May.")] },
+  shelve: { label: "Shelve …", intro: "The alarm goes off the list for a while and comes back by itself.", fields: [forTime, why("Why it can wait.")] },
+  unshelve: { label: "Take off the shelf", intro: "The alarm shows again where it stands now.", fields: [why("")] },
+  out_of_service: { label: "Out of service …", intro: "For work on the valve: the alarm is out of service until it is put back.", fields: [why("For example: valve dismounted.")] },
+  in_service: { label: "Back in service", intro: "The alarm counts again.", fields: [why("")] },
+  suppress: { label: "Suppress …", intro: "By design, for example while the unit is down. It stays so until it is taken back.", fields: [why("Which condition suppresses it.")] },
+  unsuppress: { label: "No longer suppress", intro: "The alarm counts again.", fields: [why("")] },
+};
+
+/** Which commands an alarm's state allows, the likeliest first. */
+export function allowed(state) {
+  if (state === "shelved") return ["unshelve"];
+  if (state === "suppressed") return ["unsuppress"];
+  if (state === "out_of_service") return ["in_service"];
+  if (state === "unack" || state === "rtn_unack") return ["ack", "shelve", "out_of_service"];
+  return state === "acked" ? ["shelve", "out_of_service"] : ["out_of_service"];
+}
+
+/** Asks for name and reason, and sends a command; resolves to the new document, or null. */
+export async function command(loop, cmd) {
+  const { label, intro, fields } = COMMANDS[cmd];
+  let answer = null;
+  await ask({
+    title: `${label.replace(" …", "")}: ${loop}`,
+    intro,
+    fields: [name(), ...fields],
+    submit: label.replace(" …", ""),
+    onSubmit: async (values) => {
+      localStorage.setItem(NAME, values.by.trim());
+      const body = { cmd, by: values.by.trim(), why: values.why?.trim() || undefined };
+      if (values.for_s) body.for_s = Number(values.for_s);
+      answer = await api.post(api.loopPath(loop, "/alarm"), body);
+    },
+  });
+  return answer;
+}
+
+const REVIEWS = {
+  stiction: { label: "Confirm …", title: "Confirm stiction", intro: "The valve was tested and sticks. The answer is kept with this window and can be used to check the program.", methods: [["stroke_test", "stroke test"], ["inspection", "inspection"], ["other", "other"]] },
+  no_stiction: { label: "Mark as false …", title: "Mark as false", intro: "The valve does not stick. The answer is kept with this window and can be used to check the program.", methods: [["false_alarm", "false alarm, by judgement"], ["stroke_test", "stroke test"], ["inspection", "inspection"], ["other", "other"]] },
+};
+
+/** Asks how it was found out, and keeps what was found; resolves to the review, or null. */
+export async function review(loop, label) {
+  const { title, intro, methods } = REVIEWS[label];
+  let answer = null;
+  await ask({
+    title: `${title}: ${loop}`,
+    intro,
+    fields: [name(), { name: "method", label: "Found out by", type: "select", value: methods[0][0], options: methods.map(([value, words]) => ({ value, label: words })) }, why("What was seen, for example: stem moved only after 6 %.")],
+    submit: title,
+    onSubmit: async (values) => {
+      localStorage.setItem(NAME, values.by.trim());
+      answer = await api.post(api.loopPath(loop, "/review"), { label, method: values.method, by: values.by.trim(), why: values.why?.trim() || undefined });
+    },
+  });
+  return answer?.review ?? null;
+}
+
+/** Who asks for a gap diagnosis; the document, or null. */
+export async function runGap(loop, started) {
+  let by = localStorage.getItem(NAME);
+  if (!by) {
+    const values = await ask({ title: `Run the gap diagnosis: ${loop}`, intro: "It takes up to a minute and delays no estimate.", fields: [name()], submit: "Run" });
+    if (!values) return null;
+    by = values.by.trim();
+    localStorage.setItem(NAME, by);
+  }
+  started();
+  return api.post(api.loopPath(loop, "/gap"), { by });
+}
+
+/** Buttons for an alarm; `done(document)` after each. */
+export function buttons(alarm, { done, compact = false }) {
+  if (store.site?.commands === false) return h("span", { class: "soft" }, "Commands are switched off in the configuration.");
+  const list = allowed(alarm.state);
+  const act = (cmd) => async () => {
+    const answer = await command(alarm.loop, cmd);
+    if (answer) done(answer);
+  };
+  const judge = (label) => async () => {
+    const answer = await review(alarm.loop, label);
+    if (answer) done(null, answer);
+  };
+  const shown = compact ? list.filter((cmd) => cmd !== "out_of_service") : list;
+  const one = (label, onclick, kind) => h("button", { class: `button ${kind}`, type: "button", onclick, "aria-label": `${label.replace(" …", "")}: ${alarm.loop}` }, label);
+  return h("div", { class: "row buttons" },
+    shown.map((cmd) => one(COMMANDS[cmd].label, act(cmd), cmd === "ack" ? "primary" : "")),
+    one(REVIEWS.stiction.label, judge("stiction"), ""), one(REVIEWS.no_stiction.label, judge("no_stiction"), ""));
+}

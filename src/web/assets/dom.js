@@ -1,0 +1,77 @@
+// Builds elements. Text goes in as text, never as markup, so no name or message can become code.
+
+const SVG = "http://www.w3.org/2000/svg";
+
+function build(node, props, children) {
+  for (const [key, value] of Object.entries(props ?? {})) {
+    if (value === null || value === undefined || value === false) continue;
+    if (key.startsWith("on")) node.addEventListener(key.slice(2), value);
+    else if (key === "value" || key === "checked" || key === "disabled" || key === "open") node[key] = value;
+    else node.setAttribute(key, value === true ? "" : value);
+  }
+  add(node, children);
+  return node;
+}
+
+function add(node, children) {
+  for (const child of children.flat(Infinity)) {
+    if (child === null || child === undefined || child === false) continue;
+    node.append(child);
+  }
+}
+
+/** An HTML element; properties that begin with `on` are listeners, null and false are left out. */
+export const h = (tag, props, ...children) => build(document.createElement(tag), props, children);
+
+/** An SVG element. */
+export const svg = (tag, props, ...children) => build(document.createElementNS(SVG, tag), props, children);
+
+/** Replaces what a node holds. */
+export function fill(node, ...children) {
+  node.replaceChildren();
+  add(node, children);
+  return node;
+}
+
+/** A table's cell with a number and its interval below it. */
+export const figureCell = ([value, interval]) => h("td", { class: "number" }, value, interval ? h("small", { class: "soft under" }, interval) : null);
+
+/** Grey lines where text will stand. */
+export function skeleton(lines = 3) {
+  const rows = Array.from({ length: lines }, () => h("span", { class: "bone" }));
+  return h("div", { class: "skeleton", "aria-hidden": "true" }, rows);
+}
+
+/** A part of the page that loads: skeleton, then content, or the error in words with a button to try again. */
+export function loading(root, load, show, lines = 4) {
+  let ended = false;
+  const run = async () => {
+    if (!root.hasChildNodes()) fill(root, skeleton(lines));
+    root.setAttribute("aria-busy", "true");
+    try {
+      const data = await load();
+      if (!ended) show(data);
+    } catch (error) {
+      if (!ended) fill(root, problem(error.message, error.status === 422 || error.status === 404 ? null : run));
+    }
+    root.removeAttribute("aria-busy");
+  };
+  return { run, end: () => (ended = true) };
+}
+
+/** What went wrong, in words, and a way to try again. */
+export function problem(words, again) {
+  const button = again && h("button", { class: "button quiet", type: "button", onclick: again }, "Try again");
+  return h("p", { class: "problem" }, words, " ", button);
+}
+
+/** Calls `near` once when a node comes near the screen; returns a function that stops watching. */
+export function whenNear(node, near) {
+  const watch = new IntersectionObserver((entries) => {
+    if (!entries.some((e) => e.isIntersecting)) return;
+    watch.disconnect();
+    near();
+  }, { rootMargin: "300px" });
+  watch.observe(node);
+  return () => watch.disconnect();
+}

@@ -1,0 +1,158 @@
+// Numbers with their units and uncertainty, times in the plant's zone, durations.
+
+let zone = "UTC";
+let made = new Map();
+
+/** Sets the plant's time zone; an unknown one falls back to UTC. */
+export function setZone(name) {
+  try {
+    new Intl.DateTimeFormat("en-GB", { timeZone: name });
+    zone = name;
+  } catch {
+    zone = "UTC";
+  }
+  made = new Map();
+}
+
+export const timeZone = () => zone;
+
+const plain = new Intl.NumberFormat("en-GB", { maximumSignificantDigits: 3 });
+const whole = new Intl.NumberFormat("en-GB", { maximumFractionDigits: 0 });
+const NONE = "–";
+
+const missing = (v) => v === null || v === undefined || !Number.isFinite(v);
+
+/** Three significant digits at most. */
+export function number(v) {
+  if (missing(v)) return NONE;
+  const size = Math.abs(v);
+  if (size !== 0 && (size < 1e-3 || size >= 1e7)) return v.toExponential(1).replace("e-", "e−").replace("e+", "e");
+  return plain.format(v).replace("-", "−");
+}
+
+/** A measured value at a cursor: as many digits as tell neighbours apart within `span`. */
+export function reading(v, span) {
+  if (missing(v)) return NONE;
+  const digits = span > 0 ? Math.min(6, Math.max(0, 2 - Math.floor(Math.log10(span)))) : 3;
+  return v.toFixed(digits).replace("-", "−");
+}
+
+// Digits behind the point that an interval of this half width deserves, at most three significant ones of the value.
+function decimals(v, half) {
+  const size = Math.abs(v) || half || 1;
+  const most = 2 - Math.floor(Math.log10(size));
+  const deserved = half > 0 ? 1 - Math.floor(Math.log10(half)) : most;
+  return Math.min(most, deserved);
+}
+
+function rounded(v, digits) {
+  const at = digits < 0 ? 10 ** -digits : 1;
+  const value = digits < 0 ? Math.round(v / at) * at : v;
+  const keep = Math.min(12, Math.max(0, digits));
+  const text = value.toLocaleString("en-GB", { minimumFractionDigits: keep, maximumFractionDigits: keep });
+  return text.replace(/^-(0(\.0+)?)$/, "$1").replace("-", "−");
+}
+
+/** A number with its interval and unit: "5.5 (4.5 to 6.7) %". */
+export function estimate(v, interval, unit) {
+  const tail = unit ? ` ${unit}` : "";
+  if (missing(v)) return NONE;
+  if (!interval || missing(interval[0]) || missing(interval[1])) return number(v) + tail;
+  const digits = decimals(Math.max(Math.abs(v), Math.abs(interval[1])), (interval[1] - interval[0]) / 2);
+  return `${rounded(v, digits)} (${rounded(interval[0], digits)} to ${rounded(interval[1], digits)})${tail}`;
+}
+
+/** The same in two parts, for narrow tables: ["5.5", "4.5 to 6.7"]. */
+export function parts(v, interval) {
+  const text = estimate(v, interval, "");
+  const at = text.indexOf(" (");
+  return at < 0 ? [text, ""] : [text.slice(0, at), text.slice(at + 2, -1)];
+}
+
+/** Two digits; never 0 or 1, which would be certainty. */
+export function probability(p) {
+  if (missing(p)) return NONE;
+  if (p > 0.99) return "> 0.99";
+  if (p < 0.01) return "< 0.01";
+  return p.toFixed(2);
+}
+
+/** A share of 1 as per cent. */
+export const percent = (share) => (missing(share) ? NONE : `${whole.format(share * 100).replace("-", "−")} %`);
+
+/** "1 loop", "48 loops". */
+export const count = (n, word, many = `${word}s`) => `${whole.format(n)} ${n === 1 ? word : many}`;
+
+export const integer = (n) => (missing(n) ? NONE : whole.format(n));
+
+function shape(key, options) {
+  if (!made.has(key)) made.set(key, new Intl.DateTimeFormat("en-GB", { timeZone: zone, ...options }));
+  return made.get(key);
+}
+
+const CLOCK = { hour: "2-digit", minute: "2-digit", hourCycle: "h23" };
+
+/** 12:03:10 */
+export const time = (ms) => (missing(ms) ? NONE : shape("time", { ...CLOCK, second: "2-digit" }).format(ms));
+
+/** 12:03 */
+export const minute = (ms) => (missing(ms) ? NONE : shape("minute", CLOCK).format(ms));
+
+/** 6 Jan 2026 */
+export const day = (ms) => (missing(ms) ? NONE : shape("day", { day: "numeric", month: "short", year: "numeric" }).format(ms));
+
+/** 6 Jan */
+export const shortDay = (ms) => (missing(ms) ? NONE : shape("shortDay", { day: "numeric", month: "short" }).format(ms));
+
+/** 6 Jan 2026, 12:03 */
+export const dateTime = (ms) => (missing(ms) ? NONE : `${day(ms)}, ${minute(ms)}`);
+
+/** 12:03 today, else 6 Jan, 12:03. */
+export function recent(ms, now = Date.now()) {
+  if (missing(ms)) return NONE;
+  return day(ms) === day(now) ? minute(ms) : `${shortDay(ms)}, ${minute(ms)}`;
+}
+
+/** Name of the zone as it stands beside a clock: "CET", "UTC". */
+export function zoneName(ms) {
+  const parts = shape("zone", { timeZoneName: "short" }).formatToParts(ms);
+  return parts.find((p) => p.type === "timeZoneName")?.value ?? zone;
+}
+
+const UNITS = [[86400, "d"], [3600, "h"], [60, "min"], [1, "s"]];
+
+/** "8 s", "3 min", "2 h 5 min", "3 d 4 h". */
+export function duration(seconds) {
+  if (missing(seconds)) return NONE;
+  const all = Math.abs(seconds);
+  if (all < 1) return `${seconds < 0 ? "−" : ""}${number(all)} s`;
+  const at = UNITS.findIndex(([size]) => all >= size);
+  const [size, unit] = UNITS[at];
+  let first = Math.floor(all / size);
+  let rest = 0;
+  if (at < 3) rest = Math.floor((all - first * size) / UNITS[at + 1][0]);
+  if (at === 3 || first >= 10 || (at === 2 && first >= 3)) rest = 0;
+  else if (at === 3) first = Math.round(all);
+  const text = `${first} ${unit}${rest ? ` ${rest} ${UNITS[at + 1][1]}` : ""}`;
+  return seconds < 0 ? `−${text}` : text;
+}
+
+/** "512 B", "1.2 MB". */
+export function bytes(n) {
+  if (missing(n)) return NONE;
+  const units = ["B", "kB", "MB", "GB"];
+  let at = 0;
+  let size = n;
+  while (size >= 1000 && at < 3) {
+    size /= 1000;
+    at += 1;
+  }
+  return `${number(size)} ${units[at]}`;
+}
+
+/** RFC 3339 text or a number of ms to ms; null where there is none. */
+export function millis(value) {
+  if (value === null || value === undefined) return null;
+  const ms = typeof value === "number" ? value : Date.parse(value);
+  return Number.isFinite(ms) ? ms : null;
+}

@@ -1,0 +1,74 @@
+// The top of a loop's page: verdict, how sure, what to do, the main numbers, what can be done and saved.
+
+import * as api from "./api.js";
+import { buttons } from "./actions.js";
+import { fill, h } from "./dom.js";
+import * as format from "./format.js";
+import { store } from "./store.js";
+import { GRADES, NE107, STATES, VERDICTS, neOf, opUnit, plain, symbol, verdictOf } from "./words.js";
+
+const fact = (term, ...value) => h("div", null, h("dt", null, term), h("dd", null, value));
+
+function facts(row, estimate) {
+  if (!estimate) return null;
+  const unit = opUnit(row);
+  const level = Math.round((estimate.interval_level ?? 0.9) * 100);
+  const band = (key) => format.estimate(estimate[key], estimate[`${key}_interval`], unit);
+  const list = [];
+  if (estimate.p_stiction !== null) list.push(fact("Probability of stiction", format.probability(estimate.p_stiction)));
+  if (estimate.grade) list.push(fact("Grade", GRADES[estimate.grade] ? GRADES[estimate.grade].replace("grade ", "") : estimate.grade));
+  if (estimate.s !== null) list.push(fact([h("i", null, "s"), " dead band plus stick band"], band("s")), fact([h("i", null, "j"), " slip jump"], estimate.j_identifiable === false ? `${band("j")}, not identifiable` : band("j")), fact([h("i", null, "fs"), " static band"], band("fs")), fact([h("i", null, "fd"), " kinetic band"], band("fd")));
+  if (estimate.stiction_index !== null) list.push(fact("Stiction index", format.number(estimate.stiction_index)));
+  const size = [estimate.severity_by_range && `${estimate.severity_by_range} (of travel)`, estimate.strength_by_span && `${estimate.strength_by_span} (of OP’s span)`].filter(Boolean);
+  if (size.length && estimate.stiction) list.push(fact("Size", size.join(", ")));
+  if (estimate.s_detectable !== null && estimate.s_detectable !== undefined) list.push(fact("Would have been seen from", `${format.number(estimate.s_detectable)} ${unit}`));
+  if (estimate.oscillation?.period_s) list.push(fact("Period", `${format.duration(estimate.oscillation.period_s)}, ${format.number(estimate.oscillation.periods)} in the window`));
+  const w = estimate.window;
+  list.push(fact("Window", `${format.recent(format.millis(w.start))} to ${format.recent(format.millis(w.end))}, every ${format.duration(w.ts_s)}`));
+  return h("div", null, h("dl", { class: "facts" }, list), h("p", { class: "soft small" }, `Brackets hold ${level} % intervals.`));
+}
+
+function todo(words, alarm) {
+  const text = words?.what_to_do ?? (alarm?.active ? alarm.what_to_do : null);
+  return text ? h("p", { class: "todo" }, h("b", null, "What to do: "), text) : null;
+}
+
+function state(alarm) {
+  if (!alarm || (alarm.state === "normal" && !alarm.active)) return h("span", { class: "soft" }, "no alarm");
+  return h("span", { class: `state ${alarm.state}` }, `alarm ${STATES[alarm.state] ?? alarm.state}${alarm.priority ? `, ${alarm.priority} priority` : ""}`);
+}
+
+function downloads(loop) {
+  const to = (rest, words, extra) => h("a", { class: "button", href: api.url(loop.path(rest)), ...extra }, words);
+  return h("div", { class: "row buttons" },
+    to("/window.csv", "Window as CSV", { download: "" }), to("/window.mcap", "Window as MCAP", { download: "" }),
+    to("/sheet", "Evidence sheet", { target: "_blank", rel: "noopener" }));
+}
+
+/** Draws the head where something changed. */
+export function head(root, loop) {
+  const { estimate, alarm, words, row: first } = loop.document;
+  const row = store.rows.get(loop.name) ?? first;
+  const key = JSON.stringify([estimate?.window?.end_ns, alarm?.event_id, row.ne107, row.status, row.gates, loop.review, words]);
+  if (key === root.dataset.key) return;
+  const focus = document.activeElement && root.contains(document.activeElement) ? document.activeElement.getAttribute("aria-label") : null;
+  root.dataset.key = key;
+  const ne = neOf(row);
+  const done = (_, review) => {
+    if (review) loop.review = review;
+    loop.announce(review ? "Kept." : "Done.");
+    loop.reload();
+  };
+  const verdict = VERDICTS[verdictOf(row)]?.words ?? row.status;
+  fill(root,
+    h("p", { class: "crumbs" }, h("a", { href: "#/" }, "Overview"), " / ", row.area ? [h("a", { href: `#/?area=${encodeURIComponent(row.area)}` }, row.area), " / "] : null, row.name),
+    h("div", { class: "loop-title" }, symbol(ne, 34), h("div", null, h("h1", null, row.name, h("span", { class: "headline-verdict" }, ` ${verdict}.`)),
+      h("p", null, h("span", { class: `ne-words ne-${ne}` }, NE107[ne].name), " · ", state(alarm), row.equipment ? ` · ${row.equipment}` : "", row.criticality ? ` · criticality ${row.criticality}` : ""))),
+    words?.verdict ? h("p", { class: "lead" }, words.verdict) : null,
+    row.gates?.length ? h("p", { class: "warning" }, "Limits of this window: ", row.gates.map(plain).join(", "), ".") : null,
+    todo(words, alarm),
+    loop.review ? h("p", { class: "note" }, `${loop.review.label === "stiction" ? "Confirmed" : "Marked as false"} by ${loop.review.by}.`) : null,
+    facts(row, estimate),
+    h("div", { class: "loop-acts" }, buttons(alarm ?? { loop: loop.name, state: "normal" }, { done }), downloads(loop)));
+  if (focus) root.querySelector(`[aria-label="${CSS.escape(focus)}"]`)?.focus();
+}

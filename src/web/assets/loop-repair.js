@@ -1,0 +1,46 @@
+// What a repair buys: the closed loop simulated as it is, with a free valve, and with half the gain.
+
+import * as api from "./api.js";
+import { figureCell, fill, h, loading } from "./dom.js";
+import * as format from "./format.js";
+import { store } from "./store.js";
+import { opUnit } from "./words.js";
+
+const CASES = [["now", "now"], ["repaired", "valve repaired"], ["half_gain", "half the gain instead"]];
+
+const oscillates = (value) => (value === null || value === undefined ? "–" : value ? "yes" : "no");
+
+/** Fills the section; returns what cleans up. */
+export function repair(root, loop) {
+  const rows = () => {
+    const row = store.rows.get(loop.name) ?? loop.document?.row;
+    const pv = row?.pv_unit ?? "PV units";
+    const op = opUnit(row);
+    return [
+      ["Standard deviation of PV", "pv_sd", pv],
+      ["Mean distance from SP", "pv_mean_abs_error", pv],
+      ["Valve travel a day", "travel_per_day", op],
+      ["Reversals a day", "reversals_per_day", ""],
+    ];
+  };
+  const cell = (item) => figureCell(item ? format.parts(item.value, item.interval) : ["–", ""]);
+  const show = (answer) => fill(root,
+    answer.sentences.map((t) => h("p", { class: "lead" }, t)),
+    h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "What a repair buys, table" }, h("table", { class: "table" },
+      h("caption", { class: "soft" }, "The closed loop, simulated; 90 % intervals in brackets."),
+      h("thead", null, h("tr", null, h("td", null), CASES.map(([, words]) => h("th", { scope: "col", class: "number" }, words)))),
+      h("tbody", null, rows().map(([words, key, unit]) => h("tr", null, h("th", { scope: "row" }, words, unit ? h("span", { class: "soft" }, `, ${unit}`) : null), CASES.map(([id]) => cell(answer[id]?.[key])))),
+        h("tr", null, h("th", { scope: "row" }, "Oscillates"), CASES.map(([id]) => h("td", { class: "number" }, oscillates(answer[id]?.oscillates))))))),
+    answer.assumptions?.length ? h("details", null, h("summary", null, "What this takes for granted"), h("ul", null, answer.assumptions.map((t) => h("li", null, t)))) : null);
+  const part = loading(root, () => api.get(loop.path("/repair")), show, 5);
+  let window = null;
+  // Each window has its own answer; one without a fit has none, and is not asked.
+  loop.onDocument(({ estimate }) => {
+    const name = estimate?.window?.end_ns ?? 0;
+    if (name === window) return;
+    window = name;
+    if (estimate?.s === null || !estimate) fill(root, h("p", { class: "note" }, "The last window has no fit, so there is no closed loop to simulate."));
+    else part.run();
+  });
+  return part.end;
+}

@@ -1,0 +1,88 @@
+// One loop: what is wrong, how sure, what to do, and everything that shows why.
+
+import * as api from "./api.js";
+import { fill, h, loading, problem, skeleton, whenNear } from "./dom.js";
+import * as pictures from "./pictures.js";
+import { alarms } from "./loop-alarm.js";
+import { gap } from "./loop-gap.js";
+import { head } from "./loop-head.js";
+import { overTime } from "./loop-history.js";
+import { repair } from "./loop-repair.js";
+import { trend } from "./loop-trend.js";
+import { why } from "./loop-why.js";
+import { on, store } from "./store.js";
+
+const SECTIONS = [
+  ["trend", "Trend and phase"],
+  ["history", "Over time"],
+  ["why", "Why"],
+  ["repair", "What a repair buys"],
+  ["gap", "What the model leaves out"],
+  ["pictures", "Pictures"],
+  ["alarms", "Alarm history"],
+];
+
+/** Shows a loop; returns what cleans up. */
+export function show(root, { name, live, announce }) {
+  const ends = [];
+  const loop = { name, path: (rest) => api.loopPath(name, rest), announce, document: null, listeners: [] };
+  const headRoot = h("header", { class: "loop-head" }, skeleton(4));
+  const parts = Object.fromEntries(SECTIONS.map(([id, title]) => [id, section(id, title)]));
+  document.title = `${name} · stictiond`;
+  const jump = (id) => () => {
+    parts[id].section.scrollIntoView({ behavior: matchMedia("(prefers-reduced-motion: reduce)").matches ? "auto" : "smooth" });
+    parts[id].title.focus({ preventScroll: true });
+  };
+  fill(root, headRoot,
+    h("nav", { class: "jump", "aria-label": "On this page" }, SECTIONS.map(([id, title]) => h("button", { class: "button quiet", type: "button", onclick: jump(id) }, title))),
+    h("div", { class: "loop-parts" }, parts.trend.section,
+      h("div", { class: "column" }, parts.history.section, parts.why.section), h("div", { class: "column" }, parts.repair.section, parts.gap.section),
+      parts.pictures.section, parts.alarms.section));
+
+  const takeDocument = (document) => {
+    loop.document = document;
+    head(headRoot, loop);
+    for (const listener of loop.listeners) listener(document);
+  };
+  const reload = async () => {
+    try {
+      takeDocument(await api.get(loop.path()));
+    } catch (error) {
+      if (loop.document) return;
+      if (error.status === 404) fill(root, h("h1", null, name), problem(error.message), h("p", null, h("a", { href: "#/" }, "Back to the overview")));
+      else fill(headRoot, h("h1", null, name), problem(error.message, reload));
+    }
+  };
+  loop.reload = reload;
+  loop.onDocument = (listener) => {
+    loop.listeners.push(listener);
+    if (loop.document) listener(loop.document);
+  };
+
+  ends.push(trend(parts.trend.body, loop));
+  why(parts.why.body, loop);
+  gap(parts.gap.body, loop);
+  const near = (id, start) => ends.push(whenNear(parts[id].section, start));
+  near("history", () => ends.push(overTime(parts.history.body, loop)));
+  near("repair", () => ends.push(repair(parts.repair.body, loop)));
+  near("alarms", () => ends.push(alarms(parts.alarms.body, loop)));
+  near("pictures", () => {
+    const part = loading(parts.pictures.body, () => api.get(loop.path("/pictures")), (answer) => pictures.show(parts.pictures.body, answer.pictures), 8);
+    part.run();
+    ends.push(part.end);
+  });
+
+  // A new window changes nearly everything; the stream says when one is there.
+  const mine = (document) => document.loop === name && reload();
+  ends.push(on("estimate", mine), on("alarm", mine), on("link", (link) => link.state === "live" && reload()));
+  ends.push(on("rows", (names) => (names === null || names.has(name)) && store.rows.has(name) && loop.document && head(headRoot, loop)));
+  live.open(name);
+  reload();
+  return () => ends.forEach((end) => end?.());
+}
+
+function section(id, words) {
+  const title = h("h2", { id: `part-${id}`, tabindex: "-1" }, words);
+  const body = h("div", { class: "part-body" });
+  return { title, body, section: h("section", { class: `card part part-${id}`, "aria-labelledby": `part-${id}` }, title, body) };
+}

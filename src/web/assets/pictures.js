@@ -1,0 +1,44 @@
+// The server's pictures, put into the page so that they take its colours in the dark and print sharp.
+
+import * as api from "./api.js";
+import { fill, h, problem, skeleton, whenNear } from "./dom.js";
+
+const parser = new DOMParser();
+const BARRED = "script, foreignObject, style, iframe, image, a, animate, set";
+
+// A picture comes from our own server, but what it shows carries names from outside: nothing that acts is let in.
+function clean(text) {
+  const parsed = parser.parseFromString(text, "image/svg+xml").documentElement;
+  if (parsed.nodeName !== "svg") throw new Error("not a picture");
+  for (const node of parsed.querySelectorAll(BARRED)) node.remove();
+  for (const node of [parsed, ...parsed.querySelectorAll("*")]) {
+    for (const name of node.getAttributeNames()) if (name.startsWith("on") || name === "style" || name.endsWith("href")) node.removeAttribute(name);
+  }
+  parsed.classList.add("plot");
+  parsed.setAttribute("role", "img");
+  return document.importNode(parsed, true);
+}
+
+function figure(picture) {
+  const frame = h("div", { class: "frame", ...(picture.wide ? { tabindex: "0", role: "group", "aria-label": picture.title } : {}) }, skeleton(5));
+  const load = async () => {
+    try {
+      const response = await fetch(api.url(picture.url), { cache: "no-cache" });
+      if (!response.ok) throw new Error();
+      const svg = clean(await response.text());
+      if (!svg.getAttribute("aria-label")) svg.setAttribute("aria-label", picture.title);
+      fill(frame, svg);
+    } catch {
+      fill(frame, problem("This picture could not be loaded.", load));
+    }
+  };
+  const link = h("a", { class: "button quiet icon", href: api.url(picture.url), download: `${picture.id}.svg`, "aria-label": `Save picture: ${picture.title}`, title: "Save as SVG" }, "⤓");
+  const node = h("figure", { class: picture.wide ? "wide" : null }, frame, h("figcaption", null, h("b", null, picture.title), ". ", picture.caption, " ", link));
+  whenNear(node, load);
+  return node;
+}
+
+/** Shows pictures `{ id, title, caption, wide, url }`, each loaded when it comes near the screen. */
+export function show(root, pictures) {
+  fill(root, pictures.length ? h("div", { class: "pictures" }, pictures.map(figure)) : h("p", { class: "soft" }, "There is no picture: nothing was fitted to this window."));
+}

@@ -1,0 +1,29 @@
+// A small line of the recent windows.
+
+import { svg } from "./dom.js";
+
+const WIDTH = 92;
+const HEIGHT = 26;
+
+/** s (or p where there is no s) of the recent windows, from zero up; the last one is a dot. */
+export function spark(recent) {
+  const picture = svg("svg", { class: "spark", viewBox: `0 0 ${WIDTH} ${HEIGHT}`, width: WIDTH, height: HEIGHT, "aria-hidden": "true" });
+  const ofS = recent.some((w) => w.s !== null);
+  const values = recent.map((w) => (ofS ? w.s : w.p));
+  const top = Math.max(...values.filter((v) => v !== null), ofS ? 1e-9 : 1);
+  if (values.length < 2 || !Number.isFinite(top)) return picture;
+  const x = (k) => 3 + (k / (values.length - 1)) * (WIDTH - 7);
+  const y = (v) => HEIGHT - 3 - (v / top) * (HEIGHT - 6);
+  let d = "";
+  let pen = "M";
+  values.forEach((v, k) => {
+    if (v === null) return void (pen = "M");
+    d += `${pen}${x(k).toFixed(1)} ${y(v).toFixed(1)}`;
+    pen = "L";
+    return undefined;
+  });
+  picture.append(svg("path", { class: "ground", d: `M2 ${HEIGHT - 2.5}H${WIDTH - 2}` }), svg("path", { class: "line", d }));
+  const last = values.findLastIndex((v) => v !== null);
+  if (last >= 0) picture.append(svg("circle", { cx: x(last), cy: y(values[last]), r: 2.2 }));
+  return picture;
+}

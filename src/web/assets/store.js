@@ -1,0 +1,43 @@
+// What the page knows: the site, a row per loop, and who wants to hear of changes.
+
+const listeners = new Map();
+
+export const store = {
+  site: null,
+  /** Rows by name. */
+  rows: new Map(),
+  /** Whether a full set of rows has come since the page was opened. */
+  loaded: false,
+};
+
+/** Hears of `site`, `rows` (a set of changed names, or null for all), `alarm`, `samples`, `estimate`, `link`, `theme`. */
+export function on(name, listener) {
+  if (!listeners.has(name)) listeners.set(name, new Set());
+  listeners.get(name).add(listener);
+  return () => listeners.get(name).delete(listener);
+}
+
+export function tell(name, what) {
+  for (const listener of [...(listeners.get(name) ?? [])]) listener(what);
+}
+
+/** Takes a message of the stream. */
+export function take(name, data) {
+  if (name === "site") {
+    store.site = data;
+    tell("site", data);
+  } else if (name === "loops") {
+    takeRows(data);
+  } else {
+    tell(name, data);
+  }
+}
+
+function takeRows({ loops, gone = [], full = false }) {
+  if (full) store.rows = new Map();
+  for (const row of loops) store.rows.set(row.name, row);
+  for (const name of gone) store.rows.delete(name);
+  const first = !store.loaded;
+  store.loaded = true;
+  tell("rows", full || first || gone.length ? null : new Set(loops.map((row) => row.name)));
+}

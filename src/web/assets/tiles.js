@@ -1,0 +1,178 @@
+// The tiles: every loop has its place in the list from the start; what is inside is made when it comes near the screen.
+// Tiles stand in blocks, so that the browser watches and skips a hundred blocks, not thousands of tiles.
+
+import { fill, h } from "./dom.js";
+import * as format from "./format.js";
+import { spark } from "./spark.js";
+import { NE107, neOf, opUnit, symbol } from "./words.js";
+
+/** Tiles of a block; every number of columns up to six divides it. */
+const BLOCK = 60;
+/** Height of a tile, least width and the space between two, px, as in the style sheet; a line is as wide as the list. */
+const SIZES = { tiles: { height: 112, space: 8, least: 238 }, lines: { height: 34, space: 2, least: Infinity } };
+
+const TREND = { rising: "↗", falling: "↘", steady: "→" };
+
+function numbers(row) {
+  if (row.p_stiction === null) return h("span", { class: "soft" }, row.gates.length ? "no numbers from this window" : " ");
+  const s = row.s === null ? null : h("span", null, h("i", null, "s"), ` ${format.estimate(row.s, row.s_interval, opUnit(row))}`);
+  return [h("span", null, h("i", null, "p"), ` ${format.probability(row.p_stiction)}`), s];
+}
+
+function inside(row) {
+  const key = neOf(row);
+  const age = row.data_age_s;
+  return [
+    h("span", { class: "tile-head" }, symbol(key), h("b", { class: "tile-name" }, row.name),
+      row.unacknowledged ? h("span", { class: "flag" }, "unack") : null,
+      row.grade ? h("span", { class: "grade", title: `grade ${row.grade}` }, row.grade) : null),
+    h("span", { class: "tile-words", title: row.status }, row.status),
+    h("span", { class: "tile-numbers" }, numbers(row)),
+    h("span", { class: "tile-foot" }, spark(row.recent ?? []),
+      row.s_trend ? h("span", { class: `trend ${row.s_trend}`, title: `s is ${row.s_trend}` }, TREND[row.s_trend]) : null,
+      h("span", { class: `age${age !== null && age > 60 ? " old" : ""}` }, age === null ? "no data" : `${format.duration(Math.max(1, Math.ceil(age)))} old`)),
+  ];
+}
+
+// What a screen reader says of a tile, with pauses where the eye sees lines.
+function spoken(row) {
+  const parts = [row.name, NE107[neOf(row)].name, row.status];
+  if (row.unacknowledged) parts.push("alarm unacknowledged");
+  if (row.p_stiction !== null) parts.push(`probability of stiction ${format.probability(row.p_stiction)}`);
+  if (row.s !== null) parts.push(`s ${format.estimate(row.s, row.s_interval, opUnit(row))}${row.s_trend ? `, ${row.s_trend}` : ""}`);
+  if (row.grade) parts.push(`grade ${row.grade}`);
+  return parts.join(", ");
+}
+
+/** The lists of tiles below `root`. */
+export class Tiles {
+  constructor(root, rows) {
+    this.root = root;
+    this.rows = rows;
+    this.byName = new Map();
+    this.order = "";
+    this.here = null;
+    this.watch = new IntersectionObserver((entries) => this.seen(entries), { rootMargin: "500px 0px" });
+    this.size = new ResizeObserver(() => this.measure());
+    this.size.observe(root);
+    root.addEventListener("keydown", (e) => this.key(e));
+    root.addEventListener("focusin", (e) => this.keep(e.target.closest("a.tile")));
+  }
+
+  tile(name) {
+    let tile = this.byName.get(name);
+    if (tile) return tile;
+    const a = h("a", { class: "tile", href: `#/loop/${encodeURIComponent(name)}`, tabindex: "-1" }, h("b", { class: "tile-name" }, name));
+    tile = { name, a, li: h("li", null, a), drawn: null };
+    tile.li.tile = tile;
+    this.byName.set(name, tile);
+    return tile;
+  }
+
+  seen(entries) {
+    for (const { target, isIntersecting } of entries) {
+      target.near = isIntersecting;
+      if (isIntersecting) for (const li of target.children) this.draw(li.tile);
+    }
+  }
+
+  draw(tile) {
+    const row = this.rows().get(tile.name);
+    if (!row || tile.drawn === row) return;
+    tile.drawn = row;
+    tile.a.className = `tile is-${neOf(row)}`;
+    tile.a.setAttribute("aria-label", spoken(row));
+    fill(tile.a, inside(row));
+  }
+
+  /** Draws the changed ones again that are near the screen; the others follow when they come near. */
+  patch(names) {
+    for (const name of names) {
+      const tile = this.byName.get(name);
+      if (tile?.li.parentElement?.near) this.draw(tile);
+    }
+  }
+
+  /** Puts the tiles in order: groups `{ title, names, note }`, without a title for one plain list. */
+  arrange(groups) {
+    const order = groups.map((g) => `${g.title}\n${g.names.join("\n")}`).join("\n\n");
+    if (order === this.order) {
+      groups.forEach((g, k) => g.note && this.notes?.[k] && fill(this.notes[k], g.note));
+      return;
+    }
+    this.order = order;
+    const focused = document.activeElement?.closest?.("a.tile");
+    const name = focused && this.root.contains(focused) ? focused.parentElement.tile.name : null;
+    this.watch.disconnect();
+    this.notes = [];
+    const sections = groups.map((g, k) => {
+      const lists = this.blocks(g.names);
+      if (g.title === null) return lists;
+      this.notes[k] = h("span", { class: "soft" }, g.note);
+      return h("section", { class: "area", "aria-labelledby": `area-${k}` }, h("h2", { id: `area-${k}` }, g.title, " ", this.notes[k]), lists);
+    });
+    fill(this.root, sections);
+    const shown = groups.flatMap((g) => g.names);
+    this.measure();
+    for (const list of this.root.querySelectorAll("ul")) this.watch.observe(list);
+    this.keep(this.byName.get(shown.includes(this.here) ? this.here : shown[0])?.a);
+    if (name && shown.includes(name)) this.byName.get(name).a.focus({ preventScroll: true });
+  }
+
+  blocks(names) {
+    const lists = [];
+    for (let k = 0; k < names.length; k += BLOCK) lists.push(h("ul", { class: "tiles" }, names.slice(k, k + BLOCK).map((n) => this.tile(n).li)));
+    return lists;
+  }
+
+  /** Tells the browser how high each block is, so that it need not look inside those out of sight. */
+  measure() {
+    const { height, space, least } = SIZES[this.root.classList.contains("lines") ? "lines" : "tiles"];
+    const columns = Math.max(1, Math.floor((this.root.clientWidth + space) / (least + space)));
+    for (const list of this.root.querySelectorAll("ul")) {
+      list.style.containIntrinsicSize = `auto ${Math.ceil(list.children.length / columns) * (height + space) - space}px`;
+    }
+  }
+
+  /** One tile takes part in the order of Tab; arrows reach the others. */
+  keep(a) {
+    if (!a) return;
+    const before = this.byName.get(this.here)?.a;
+    if (before && before !== a) before.tabIndex = -1;
+    a.tabIndex = 0;
+    this.here = a.parentElement.tile.name;
+  }
+
+  key(e) {
+    const a = e.target.closest("a.tile");
+    if (!a || e.ctrlKey || e.metaKey || e.altKey) return;
+    const all = [...this.root.querySelectorAll("a.tile")];
+    const at = all.indexOf(a);
+    const to = { ArrowRight: at + 1, ArrowLeft: at - 1, Home: 0, End: all.length - 1 }[e.key] ?? (e.key === "ArrowDown" ? below(all, at, 1) : e.key === "ArrowUp" ? below(all, at, -1) : null);
+    if (to === null || !all[to]) return;
+    e.preventDefault();
+    all[to].focus();
+    all[to].scrollIntoView({ block: "nearest" });
+  }
+
+  destroy() {
+    this.watch.disconnect();
+    this.size.disconnect();
+  }
+}
+
+// The tile under (or over) this one: the first on another line whose left edge is not left of it.
+function below(all, at, step) {
+  const from = all[at].getBoundingClientRect();
+  let best = null;
+  let line = null;
+  for (let k = at + step; all[k]; k += step) {
+    const box = all[k].getBoundingClientRect();
+    if (Math.abs(box.top - from.top) < 4) continue;
+    if (line !== null && Math.abs(box.top - line) > 4) break;
+    line ??= box.top;
+    const far = Math.abs(box.left - from.left);
+    if (!best || far < best.far) best = { far, k };
+  }
+  return best?.k ?? null;
+}

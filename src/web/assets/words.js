@@ -1,0 +1,124 @@
+// The words of the page: verdicts, NE 107, alarm states, gates, and the order of what matters.
+
+import { svg } from "./dom.js";
+
+export const VERDICTS = {
+  stiction: { short: "sticks", words: "The valve sticks and slips" },
+  deadband: { short: "dead band", words: "The valve has a dead band" },
+  disturbance: { short: "disturbance", words: "The loop is disturbed from outside" },
+  tuning: { short: "tuning", words: "The controller's own settings make the loop oscillate" },
+  no_stiction: { short: "valve follows", words: "The loop oscillates; the valve follows its signal" },
+  no_oscillation: { short: "steady", words: "The loop is steady and no stiction shows" },
+  inconclusive: { short: "cannot answer", words: "This window cannot answer" },
+  none: { short: "no window yet", words: "No window yet" },
+};
+
+export const verdictOf = (row) => row.verdict ?? "none";
+
+/** NAMUR NE 107, most pressing first on this page: what a valve needs, then what hides the answer. */
+export const NE107 = {
+  M: { name: "maintenance required", says: "stiction alarm" },
+  F: { name: "failure of the signal", says: "signal frozen, bad or missing" },
+  S: { name: "out of specification", says: "oscillates, or sticks without an alarm yet" },
+  C: { name: "function check", says: "in manual or out of service" },
+  none: { name: "no window yet", says: "still collecting" },
+  ok: { name: "in order", says: "nothing to do" },
+};
+
+export const neOf = (row) => row.ne107 ?? "none";
+
+const SHAPES = {
+  M: [["rect", { x: 2, y: 2, width: 20, height: 20, rx: 3 }], 16.3],
+  F: [["circle", { cx: 12, cy: 12, r: 10.5 }], 16.3],
+  S: [["path", { d: "M12 1.5 L23 22 H1 Z" }], 19.6],
+  C: [["path", { d: "M12 22.5 L23 2 H1 Z" }], 13.2],
+  ok: [["circle", { cx: 12, cy: 12, r: 9.5 }], 0],
+  none: [["circle", { cx: 12, cy: 12, r: 9.5 }], 0],
+};
+
+/** The symbol: a shape of its own for every status, with its letter; beside it always stands a word. */
+export function symbol(key, size = 22) {
+  const [[tag, props], baseline] = SHAPES[key] ?? SHAPES.none;
+  const inner = [svg(tag, { ...props, class: "shape" })];
+  if (baseline) inner.push(svg("text", { x: 12, y: baseline, "text-anchor": "middle", class: "letter" }, key));
+  if (key === "ok") inner.push(svg("path", { d: "M7 12.5 L10.7 16 L17 8.7", class: "tick" }));
+  if (key === "none") inner.push(svg("path", { d: "M12 7 V12 L15.5 14", class: "tick" }));
+  return svg("svg", { class: `ne ne-${key}`, width: size, height: size, viewBox: "0 0 24 24", "aria-hidden": "true", focusable: "false" }, inner);
+}
+
+/** ISA-18.2 states. */
+export const STATES = {
+  unack: "active, unacknowledged",
+  rtn_unack: "cleared, unacknowledged",
+  acked: "active, acknowledged",
+  shelved: "shelved",
+  suppressed: "suppressed by design",
+  out_of_service: "out of service",
+  normal: "normal",
+};
+
+export const EVENTS = {
+  raised: "raised",
+  worse: "got worse",
+  cleared: "cleared",
+  acknowledged: "acknowledged",
+  shelved: "shelved",
+  unshelved: "taken off the shelf",
+  shelf_ended: "shelf time ended",
+  suppressed: "suppressed",
+  unsuppressed: "no longer suppressed",
+  out_of_service: "taken out of service",
+  in_service: "back in service",
+  restored: "told again after a restart",
+};
+
+export const PRIORITIES = ["urgent", "high", "medium", "low"];
+
+export const METHODS = {
+  stroke_test: "stroke test",
+  inspection: "inspection",
+  false_alarm: "false alarm",
+  other: "other",
+};
+
+const GATES = {
+  manual: "in manual",
+  bad_quality: "bad quality",
+  frozen_pv: "PV frozen",
+  frozen_op: "OP frozen",
+  saturated: "OP at a limit",
+  too_few_samples: "too few samples",
+  skipped: "fit skipped",
+  too_few_periods: "too few periods",
+  too_coarse: "sampled too coarsely",
+  setpoint_steps: "set point moved",
+  quantised: "coarse steps in the signal",
+  compressed: "compressed history",
+  irregular: "uneven sampling",
+  excursion: "an excursion was cut out",
+};
+
+/** A name with underscores as words; what is not known is shown as it is. */
+export const plain = (name) => GATES[name] ?? String(name ?? "").replaceAll("_", " ");
+
+/** What the fit may be trusted for. */
+export const GRADES = {
+  A: "grade A: no limits, narrow interval",
+  B: "grade B: good",
+  C: "grade C: an answer with wide limits",
+  D: "grade D: no answer",
+};
+
+const NE_RANK = { M: 5, F: 3, S: 2, C: 1.5, none: 1, ok: 0 };
+const PRIORITY_RANK = { urgent: 4, high: 3, medium: 2, low: 1 };
+const CLASS_RANK = { strong: 3, moderate: 2, weak: 1 };
+
+/** How pressing a loop is; greater comes first. */
+export function severity(row) {
+  const rank = NE_RANK[neOf(row)] + (row.ne107 === "S" && row.stiction ? 2 : 0);
+  const weight = PRIORITY_RANK[row.priority] ?? 0;
+  return rank * 1e4 + weight * 1e3 + (row.unacknowledged ? 500 : 0) + (CLASS_RANK[row.class] ?? 0) * 100 + (row.p_stiction ?? 0) * 100 + Math.min(row.s ?? 0, 99) / 10;
+}
+
+/** Unit of s. */
+export const opUnit = (row) => row?.op_unit ?? "OP units";
