@@ -72,7 +72,8 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     block_on(async {
         let stopping = asked_to_stop()?;
         let listener = TcpListener::bind(args.listen).await;
-        let listener = listener.with_context(|| format!("{} cannot be used; --listen 0 takes any free port", args.listen))?;
+        let listener =
+            listener.with_context(|| format!("{} cannot be used; --listen 0 takes any free port", args.listen))?;
         let address = listener.local_addr()?;
         let url = format!("http://{address}/#/workbench");
         match format {

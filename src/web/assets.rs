@@ -20,7 +20,56 @@ const JS: &str = "text/javascript; charset=utf-8";
 
 /// Every file of the page; a test holds that none of the folder is missing.
 const ASSETS: &[Asset] = assets! {
+    "actions.js" JS;
+    "alarms.js" JS;
+    "api.js" JS;
+    "app.css" CSS;
+    "app.js" JS;
+    "chart-gestures.js" JS;
+    "chart-marks.js" JS;
+    "chart-phase.js" JS;
+    "chart-table.js" JS;
+    "charts.js" JS;
+    "dialog.js" JS;
+    "dom.js" JS;
+    "format.js" JS;
+    "headline.js" JS;
+    "icon.svg" "image/svg+xml";
     "index.html" HTML;
+    "ink.js" JS;
+    "live.js" JS;
+    "loop-alarm.js" JS;
+    "loop-gap.js" JS;
+    "loop-head.js" JS;
+    "loop-history.js" JS;
+    "loop-repair.js" JS;
+    "loop-trend.js" JS;
+    "loop-why.js" JS;
+    "loop.js" JS;
+    "overview.js" JS;
+    "pictures.js" JS;
+    "print.css" CSS;
+    "spark.js" JS;
+    "store.js" JS;
+    "strip.js" JS;
+    "theme-button.js" JS;
+    "theme.js" JS;
+    "tiles.js" JS;
+    "vendor/VENDORED.md" "text/plain; charset=utf-8";
+    "vendor/uPlot-LICENSE" "text/plain; charset=utf-8";
+    "vendor/uPlot.iife.min.js" JS;
+    "vendor/uPlot.min.css" CSS;
+    "views.css" CSS;
+    "words.js" JS;
+    "workbench-files.js" JS;
+    "workbench-form.js" JS;
+    "workbench-gap.js" JS;
+    "workbench-result.js" JS;
+    "workbench-runs.js" JS;
+    "workbench-state.js" JS;
+    "workbench-trend.js" JS;
+    "workbench.css" CSS;
+    "workbench.js" JS;
 };
 
 /// Answers with one of the page's files, or says that there is none.

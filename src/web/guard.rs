@@ -95,11 +95,17 @@ impl Guard {
         if foreign || origin.is_some_and(|origin| !origin.eq_ignore_ascii_case(host)) {
             return refuse("this came from another page than the daemon's own");
         }
-        let Some(peer) = request.extensions().get::<Peer>() else { return refuse("whose request this is is not known") };
+        let Some(peer) = request.extensions().get::<Peer>() else {
+            return refuse("whose request this is is not known");
+        };
         match self.permission(*peer, headers) {
             Permission::None | Permission::Given => Ok(()),
-            Permission::Needed => Err(ApiError::new(StatusCode::UNAUTHORIZED, "a token is needed: see [web] token_file")),
-            Permission::Refused => refuse("only this machine may change something: [web] token_file opens it to others"),
+            Permission::Needed => {
+                Err(ApiError::new(StatusCode::UNAUTHORIZED, "a token is needed: see [web] token_file"))
+            }
+            Permission::Refused => {
+                refuse("only this machine may change something: [web] token_file opens it to others")
+            }
         }
     }
 }
@@ -173,7 +179,8 @@ mod tests {
     #[test]
     fn names_that_lead_here_are_not_ours_for_that() {
         let guard = Guard { hosts: vec!["plant.example".into()], token: None };
-        for ours in ["127.0.0.1:8080", "[::1]:8080", "10.1.2.3", "LocalHost:1", "plant.example:8080", "Plant.Example."] {
+        for ours in ["127.0.0.1:8080", "[::1]:8080", "10.1.2.3", "LocalHost:1", "plant.example:8080", "Plant.Example."]
+        {
             assert!(guard.knows(ours), "{ours}");
         }
         for foreign in ["", "evil.example:8080", "localhost.evil.example", "plant.example.evil"] {

@@ -32,7 +32,7 @@ export class Files {
     this.zone = h("div", { class: "wb-drop" }, h("div", { class: "row" }, button, h("span", { class: "wb-drop-words" }, "or drop it here")),
       h("small", { class: "soft" }, "Recordings (.mcap), compact stores (.mat), exports (.csv, .txt, .xlsx, .parquet, .arrow)"), this.picker);
     this.status = h("div", { "aria-live": "polite" });
-    this.list = h("div", { class: "wb-files" });
+    this.list = h("div", { class: "wb-file-list" });
     this.fill(this.root, this.zone, this.status, this.list);
     const lit = (yes) => (e) => {
       if (![...(e.dataTransfer?.types ?? [])].includes("Files")) return;

@@ -75,6 +75,15 @@ function runs(root, { api, charts, h, fill, units, problem }, result, name) {
   };
 }
 
+/** The answer in a few words. */
+export function answer(format, d) {
+  const p = `(p ${format.probability(d.cause.probability)})`;
+  if (d.cause.id === "none") return `Nothing is missing: the base explains this record ${p}`;
+  if (d.cause.id === "unknown") return `Something departs that no effect explains ${p}`;
+  const name = d.cause.id.replaceAll("_", " ");
+  return `${name.charAt(0).toUpperCase()}${name.slice(1)} ${p}`;
+}
+
 /** Shows a diagnosis' results; returns a function that removes its charts. */
 export function showGap(root, context, job) {
   const { h, fill, format, api, pictures } = context;
@@ -84,15 +93,16 @@ export function showGap(root, context, job) {
     const title = job.results.length > 1 ? h("h3", null, result.section || "The whole record") : null;
     const notes = result.notes.map((note) => h("p", { class: d ? "note" : "problem" }, note));
     if (!d) return h("section", { class: "wb-section" }, title, notes);
-    const [answer, short] = ["Answer", "In short"].map((about) => result.words.find((w) => w.about === about)?.text);
+    const short = result.words.find((w) => w.about === "In short")?.text;
+    const below = job.results.length > 1 ? "h4" : "h3";
     const chart = h("div", { class: "wb-runs" });
     const drawn = h("div");
     if (result.pictures.length) pictures.show(drawn, result.pictures);
     else fill(drawn, h("p", { class: "soft" }, "The pictures are being drawn."));
     const section = h("section", { class: "wb-section" }, title,
-      h("p", { class: "wb-headline" }, answer), h("p", { class: "lead" }, short), notes,
+      h("p", { class: "wb-headline" }, answer(format, d)), h("p", { class: "lead" }, short), notes,
       figures(h, format, d, context.units[1]), chart,
-      h("h4", null, "Effects"), effects(h, format, d), h("h4", null, "Pictures"), drawn,
+      h(below, null, "Effects"), effects(h, format, d), h(below, null, "Pictures"), drawn,
       h("details", null, h("summary", null, "As the command prints it"), h("pre", { tabindex: "0" }, result.text)),
       result.predictions_url ? h("a", { class: "button quiet", href: api.url(result.predictions_url.replace("/predictions?", "/predictions.csv?")), download: "predictions.csv" }, "Save free runs (CSV)") : null);
     if (result.predictions_url) ends.push(runs(chart, context, result, job.request.loop));

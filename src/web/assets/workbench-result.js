@@ -98,18 +98,35 @@ export function ways({ h, api, announce }, job, results) {
     h("button", { class: "button quiet", type: "button", onclick: () => saveText(h, `${stem}-${job.request.kind}.json`, "application/json", documents()) }, "Save numbers (JSON)"));
 }
 
-function said(h, result) {
+const sentence = (words) => words.charAt(0).toUpperCase() + words.slice(1) + (/[.!?]$/.test(words) ? "" : ".");
+
+/** What a result says, by what it is about. */
+function said(result) {
   const seen = new Map();
-  for (const { about, text } of result.words) seen.set(about, [...(seen.get(about) ?? []), text]);
-  const text = (words) => words.charAt(0).toUpperCase() + words.slice(1) + (/[.!?]$/.test(words) ? "" : ".");
-  return h("dl", { class: "wb-said" }, [...seen].map(([about, texts]) => [h("dt", null, about), h("dd", null, texts.length === 1 ? text(texts[0]) : h("ul", null, texts.map((t) => h("li", null, text(t)))))]));
+  for (const { about, text } of result.words) seen.set(about, [...(seen.get(about) ?? []), sentence(text)]);
+  return seen;
 }
 
-function column(h, result, alone) {
-  const notes = result.notes.map((note) => h("p", { class: result.document ? "note" : "problem" }, note));
-  return h("section", { class: "wb-column", "aria-label": NAMES[result.model] },
-    alone ? null : h("h4", null, NAMES[result.model], " ", result.document ? badge(h, result.document.verdict) : null),
-    result.document ? [alone ? badge(h, result.document.verdict) : null, said(h, result)] : null, notes);
+/** Plain words, a row for each thing; what both orders say alike stands once. */
+function words(h, found) {
+  const shown = found.filter((r) => r.document);
+  const all = shown.map(said);
+  const abouts = [...new Set(all.flatMap((one) => [...one.keys()]))];
+  const text = (texts) => (texts === undefined ? "–" : texts.length === 1 ? texts[0] : h("ul", null, texts.map((t) => h("li", null, t))));
+  const row = (about) => {
+    const cells = all.map((one) => one.get(about));
+    const alike = cells.every((cell) => JSON.stringify(cell) === JSON.stringify(cells[0]));
+    return h("tr", null, h("th", { scope: "row" }, about),
+      alike ? h("td", { colspan: cells.length > 1 ? String(cells.length) : null }, text(cells[0])) : cells.map((cell) => h("td", null, text(cell))));
+  };
+  const head = shown.length > 1 ? h("thead", null, h("tr", null, h("td"), shown.map((r) => h("th", { scope: "col" }, NAMES[r.model], " ", badge(h, r.document.verdict))))) : null;
+  const notes = found.flatMap((r) => r.notes.map((note) => ({ note, wrong: !r.document })));
+  const seen = new Set();
+  return [
+    shown.length === 1 ? h("p", null, badge(h, shown[0].document.verdict)) : null,
+    shown.length ? h("div", { class: "scroll" }, h("table", { class: "table wb-words" }, head, h("tbody", null, abouts.map(row)))) : null,
+    notes.filter(({ note }) => !seen.has(note) && seen.add(note)).map(({ note, wrong }) => h("p", { class: wrong ? "problem" : "note" }, note)),
+  ];
 }
 
 function numbers(h, format, found, units) {
@@ -165,11 +182,11 @@ export function showEstimate(root, context, job) {
   const sections = bySection(job.results);
   fill(root, sections.map((found) => {
     const several = sections.length > 1;
+    const below = several ? "h4" : "h3";
     return h("section", { class: "wb-section" },
-      several ? h("h3", null, found[0].section || "The whole record") : null,
-      h("div", { class: found.length > 1 ? "wb-columns" : null }, found.map((r) => column(h, r, found.length === 1))),
-      numbers(h, format, found, units),
-      h("h4", null, "Pictures"),
+      several ? h("h3", null, sentence(found[0].section || "the whole record").slice(0, -1)) : null,
+      words(h, found), numbers(h, format, found, units),
+      h(below, null, "Pictures"),
       found.some((r) => r.pictures.length) ? pairs(context, found) : h("p", { class: "soft" }, job.state === "running" ? "The pictures are being drawn." : "There are none: nothing was fitted."),
       found.map((r) => r.text && h("details", null, h("summary", null, `As the command prints it${found.length > 1 ? `, ${NAMES[r.model].toLowerCase()}` : ""}`), h("pre", { tabindex: "0" }, r.text))));
   }), ways(context, job, job.results));

@@ -167,6 +167,9 @@ class Bench {
     this.endResult?.();
     this.endResult = null;
     const { h, fill } = this;
+    // While it is drawn anew the page keeps its length, so that nobody is moved.
+    this.result.style.minHeight = `${this.result.offsetHeight}px`;
+    setTimeout(() => (this.result.style.minHeight = ""), 1000);
     if (!job) return fill(this.result);
     fill(this.title, `Run ${this.runs.number(job)}: ${job.request.kind === "gap" ? "gap" : "estimate"} of ${job.request.loop}`);
     const one = this.fileList?.find(job.request.file)?.loops.find((l) => l.name === job.request.loop);

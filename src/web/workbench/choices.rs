@@ -101,10 +101,10 @@ pub fn all(max_file_bytes: u64) -> Choices {
     };
     Choices {
         models: choices(&[
-            ("both", "First and second order, side by side"),
-            ("auto", "Second order only where it earns its parameter"),
-            ("fopdt", "First order with dead time"),
-            ("sopdt", "Second order with dead time"),
+            ("both", "Both orders, side by side"),
+            ("auto", "Chosen by the fit: second order where it pays"),
+            ("fopdt", "First order, dead time"),
+            ("sopdt", "Second order, dead time"),
         ]),
         valves: choices(&[
             ("auto", "The better of both laws"),
@@ -120,8 +120,8 @@ pub fn all(max_file_bytes: u64) -> Choices {
         ]),
         solvers: set_beside,
         bases: choices(&[
-            ("refit", "A sticking valve (He's law) before a first-order process, fitted here"),
-            ("linear", "The same process without friction: stiction itself is an effect"),
+            ("refit", "Sticking valve, first order, fitted here"),
+            ("linear", "Without friction: stiction is an effect"),
         ]),
         effects: effects::ALL.iter().map(effect).collect(),
         fineness: Number {

@@ -86,7 +86,10 @@ impl JobDocument {
             words: found.words.clone(),
             notes: found.notes.clone(),
             pictures: found.pictures.iter().map(picture).collect(),
-            report_url: found.report.filter(|k| *k < made.reports.len()).map(|k| format!("{BASE}{base}/report?part={k}")),
+            report_url: found
+                .report
+                .filter(|k| *k < made.reports.len())
+                .map(|k| format!("{BASE}{base}/report?part={k}")),
             predictions_url: found.predictions.as_ref().map(|_| format!("{BASE}{base}/predictions?part={at}")),
         };
         Self {

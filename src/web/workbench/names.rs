@@ -9,7 +9,10 @@ const LONGEST: usize = 120;
 pub fn shown(sent: &str) -> String {
     let last = sent.rsplit(['/', '\\']).find(|part| !part.trim().is_empty()).unwrap_or_default();
     // Marks that turn the direction of text can make one ending look like another.
-    let steers = |c: &char| c.is_control() || matches!(c, '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}' | '\u{feff}');
+    let steers = |c: &char| {
+        c.is_control()
+            || matches!(c, '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}' | '\u{feff}')
+    };
     let plain: String = last.chars().filter(|c| !steers(c)).collect();
     let plain = plain.trim().trim_start_matches(['.', '-']).trim_start();
     let count = plain.chars().count();

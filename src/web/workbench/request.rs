@@ -267,7 +267,8 @@ impl Request {
         }
         if let Some([from, to]) = self.window_ms {
             let ns = |ms: f64| (ms * 1e6).round() as i64;
-            sections.push(Section::of_times(ns(from), ns(to)).map_err(|why| Fault::wrong(format!("window_ms: {why}")))?);
+            sections
+                .push(Section::of_times(ns(from), ns(to)).map_err(|why| Fault::wrong(format!("window_ms: {why}")))?);
         }
         if sections.len() > SECTIONS {
             return Err(Fault::wrong(format!("{} sections are chosen; {SECTIONS} at a time", sections.len())));

@@ -5,8 +5,9 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use axum::body::Bytes;
+use axum::extract::rejection::{BytesRejection, QueryRejection};
 use axum::extract::{DefaultBodyLimit, Path, Query, State};
-use axum::http::header;
+use axum::http::{StatusCode, header};
 use axum::response::sse::{Event, KeepAlive, Sse};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{delete, get, post};
@@ -39,6 +40,12 @@ const PAUSE: Duration = Duration::from_millis(150);
 const POINTS: usize = 3_000;
 
 type Answered<T> = Result<Json<T>, Fault>;
+/// A query as it comes, understood or not.
+type Wanted<T> = Result<Query<T>, QueryRejection>;
+
+fn wanted<T>(query: Wanted<T>) -> Result<T, Fault> {
+    query.map(|Query(query)| query).map_err(|why| Fault::wrong(why.body_text()))
+}
 
 /// Every file.
 #[derive(Debug, Serialize, JsonSchema)]
@@ -122,41 +129,113 @@ fn of_files() -> Vec<Operation<Bench>> {
         Parameter { name: "points", words: "how many points" },
     ];
     vec![
-        line("get", "/workbench/options", "Everything that can be chosen, with its default and its words", &[],
-            Gives::Json(of::<Choices>), || get(options)),
+        line(
+            "get",
+            "/workbench/options",
+            "Everything that can be chosen, with its default and its words",
+            &[],
+            Gives::Json(of::<Choices>),
+            || get(options),
+        ),
         line("get", "/workbench/files", "The files that are open", &[], Gives::Json(of::<Files>), || get(files)),
-        line("post", "/workbench/files", "Opens a file: the body is its bytes", READING, Gives::Json(of::<FileInfo>),
-            || post(upload)),
+        line(
+            "post",
+            "/workbench/files",
+            "Opens a file: the body is its bytes",
+            READING,
+            Gives::Json(of::<FileInfo>),
+            || post(upload),
+        ),
         line("delete", "/workbench/files/{id}", "Closes a file", &[], Gives::Json(of::<Files>), || delete(close)),
-        line("get", "/workbench/files/{id}/record", "A loop's record between two times; thinned, extremes stay", RECORD,
-            Gives::Json(of::<RecordAnswer>), || get(curves)),
+        line(
+            "get",
+            "/workbench/files/{id}/record",
+            "A loop's record between two times; thinned, extremes stay",
+            RECORD,
+            Gives::Json(of::<RecordAnswer>),
+            || get(curves),
+        ),
     ]
 }
 
 fn of_jobs() -> Vec<Operation<Bench>> {
     const POINTS: &[Parameter] = &[PART, Parameter { name: "points", words: "how many points" }];
     vec![
-        line("get", "/workbench/jobs", "The jobs so far, with their results, oldest first", &[],
-            Gives::Json(of::<JobList>), || get(jobs)),
+        line(
+            "get",
+            "/workbench/jobs",
+            "The jobs so far, with their results, oldest first",
+            &[],
+            Gives::Json(of::<JobList>),
+            || get(jobs),
+        ),
         Operation {
             body: Some(of::<Request>),
-            ..line("post", "/workbench/jobs", "Orders an estimate or a diagnosis", &[], Gives::Json(of::<Ordered>),
-                || post(order).layer(DefaultBodyLimit::max(MAX_ORDER)))
+            ..line(
+                "post",
+                "/workbench/jobs",
+                "Orders an estimate or a diagnosis",
+                &[],
+                Gives::Json(of::<Ordered>),
+                || post(order).layer(DefaultBodyLimit::max(MAX_ORDER)),
+            )
         },
-        line("get", "/workbench/jobs/{id}", "A job with its results so far", &[], Gives::Json(of::<JobDocument>),
-            || get(job)),
-        line("delete", "/workbench/jobs/{id}", "Cancels a job, or forgets one that is over", &[],
-            Gives::Json(of::<Stands>), || delete(remove)),
-        line("get", "/workbench/jobs/{id}/events", "How far a job is, as server-sent events `job`: the job without its results",
-            &[], Gives::Events, || get(events)),
-        line("get", "/workbench/jobs/{id}/report", "The report as `--report` writes it", &[PART],
-            Gives::File("text/html"), || get(report)),
-        line("get", "/workbench/jobs/{id}/pictures/{picture}", "A picture of a result", &[],
-            Gives::File("image/svg+xml"), || get(picture)),
-        line("get", "/workbench/jobs/{id}/predictions", "Measured PV and the free runs before and after, thinned", POINTS,
-            Gives::Json(of::<Predictions>), || get(predictions)),
-        line("get", "/workbench/jobs/{id}/predictions.csv", "The same whole, as `gap --predictions` writes it", &[PART],
-            Gives::File("text/csv"), || get(predictions_csv)),
+        line(
+            "get",
+            "/workbench/jobs/{id}",
+            "A job with its results so far",
+            &[],
+            Gives::Json(of::<JobDocument>),
+            || get(job),
+        ),
+        line(
+            "delete",
+            "/workbench/jobs/{id}",
+            "Cancels a job, or forgets one that is over",
+            &[],
+            Gives::Json(of::<Stands>),
+            || delete(remove),
+        ),
+        line(
+            "get",
+            "/workbench/jobs/{id}/events",
+            "How far a job is, as server-sent events `job`: the job without its results",
+            &[],
+            Gives::Events,
+            || get(events),
+        ),
+        line(
+            "get",
+            "/workbench/jobs/{id}/report",
+            "The report as `--report` writes it",
+            &[PART],
+            Gives::File("text/html"),
+            || get(report),
+        ),
+        line(
+            "get",
+            "/workbench/jobs/{id}/pictures/{picture}",
+            "A picture of a result",
+            &[],
+            Gives::File("image/svg+xml"),
+            || get(picture),
+        ),
+        line(
+            "get",
+            "/workbench/jobs/{id}/predictions",
+            "Measured PV and the free runs before and after, thinned",
+            POINTS,
+            Gives::Json(of::<Predictions>),
+            || get(predictions),
+        ),
+        line(
+            "get",
+            "/workbench/jobs/{id}/predictions.csv",
+            "The same whole, as `gap --predictions` writes it",
+            &[PART],
+            Gives::File("text/csv"),
+            || get(predictions_csv),
+        ),
     ]
 }
 
@@ -176,8 +255,9 @@ async fn close(State(bench): State<Bench>, Path(id): Path<String>) -> Answered<F
 async fn curves(
     State(bench): State<Bench>,
     Path(id): Path<String>,
-    Query(query): Query<RecordQuery>,
+    query: Wanted<RecordQuery>,
 ) -> Answered<RecordAnswer> {
+    let query = wanted(query)?;
     let ended = |_| Fault::own("the program is ending");
     let _place = bench.drawing.acquire().await.map_err(ended)?;
     let shelf = bench.shelf.clone();
@@ -189,13 +269,21 @@ async fn jobs(State(bench): State<Bench>) -> Json<JobList> {
     Json(JobList { jobs: bench.jobs.list().iter().map(|job| JobDocument::of(job, false)).collect() })
 }
 
-async fn order(State(bench): State<Bench>, body: Bytes) -> Answered<Ordered> {
+async fn order(State(bench): State<Bench>, body: Result<Bytes, BytesRejection>) -> Answered<Ordered> {
+    let body = body.map_err(|why| match why.status() {
+        StatusCode::PAYLOAD_TOO_LARGE => Fault::too_large("an order may have 1 MiB"),
+        _ => Fault::wrong(why.body_text()),
+    })?;
     let request = Request::read(&body)?;
     let info = bench.shelf.info(&request.file)?;
     let wanted = &request.loop_name;
     if !info.loops.iter().any(|one| one.name == *wanted) {
         let names = info.loops.iter().take(20).map(|one| one.name.as_str()).collect::<Vec<_>>().join(", ");
-        return Err(Fault::missing(format!("{} has no loop {:?}; it holds {names}", info.name, super::names::shown(wanted))));
+        return Err(Fault::missing(format!(
+            "{} has no loop {:?}; it holds {names}",
+            info.name,
+            super::names::shown(wanted)
+        )));
     }
     let file = bench.shelf.arguments(&request.file)?;
     let task = request.task()?;
@@ -267,7 +355,12 @@ fn found(job: &Job, part: usize) -> Result<Found, Fault> {
     job.now().results.get(part).cloned().ok_or_else(|| Fault::missing("this job has no such result, or not yet"))
 }
 
-async fn report(State(bench): State<Bench>, Path(id): Path<String>, Query(query): Query<PartQuery>) -> Result<Response, Fault> {
+async fn report(
+    State(bench): State<Bench>,
+    Path(id): Path<String>,
+    query: Wanted<PartQuery>,
+) -> Result<Response, Fault> {
+    let query = wanted(query)?;
     let made = bench.jobs.get(&id)?.now();
     let page = made.reports.get(query.part).cloned();
     let page = page.ok_or_else(|| Fault::missing("the report is not there yet; it comes with the pictures"))?;
@@ -287,8 +380,9 @@ async fn picture(State(bench): State<Bench>, Path((id, wanted)): Path<(String, S
 async fn predictions(
     State(bench): State<Bench>,
     Path(id): Path<String>,
-    Query(query): Query<PartQuery>,
+    query: Wanted<PartQuery>,
 ) -> Answered<Predictions> {
+    let query = wanted(query)?;
     let rows = found(bench.jobs.get(&id)?.as_ref(), query.part)?.predictions;
     let rows = rows.ok_or_else(|| Fault::missing("an estimate has no free runs; diagnose the gap"))?;
     let column = |of: &dyn Fn(&Row) -> f64| -> Vec<f64> { rows.iter().map(of).collect() };
@@ -313,8 +407,9 @@ async fn predictions(
 async fn predictions_csv(
     State(bench): State<Bench>,
     Path(id): Path<String>,
-    Query(query): Query<PartQuery>,
+    query: Wanted<PartQuery>,
 ) -> Result<Response, Fault> {
+    let query = wanted(query)?;
     let rows = found(bench.jobs.get(&id)?.as_ref(), query.part)?.predictions;
     let rows = rows.ok_or_else(|| Fault::missing("an estimate has no free runs; diagnose the gap"))?;
     let mut text = String::from("t,pv,pv_base,pv_after,held_out\n");

@@ -245,7 +245,9 @@ impl Shelf {
             return Ok(());
         }
         let most = most >> 20;
-        Err(Fault::too_large(format!("a file may have {most} MiB; cut it, or give it on the command line of stictiond")))
+        Err(Fault::too_large(format!(
+            "a file may have {most} MiB; cut it, or give it on the command line of stictiond"
+        )))
     }
 
     /// A place for an upload.
@@ -449,7 +451,8 @@ fn told(error: &str, paths: &[PathBuf], called: &[String]) -> String {
 
 /// Several files of one loop in one name.
 fn called(names: &[String]) -> String {
-    let first = names.first().map(|name| Path::new(name).file_name().map_or(name.clone(), |n| n.to_string_lossy().into()));
+    let first =
+        names.first().map(|name| Path::new(name).file_name().map_or(name.clone(), |n| n.to_string_lossy().into()));
     let first = first.unwrap_or_default();
     if names.len() > 1 { format!("{first} and {} more", names.len() - 1) } else { first }
 }
@@ -458,13 +461,8 @@ fn loop_info(one: &LoadedLoop, config: &Config) -> LoopInfo {
     let points = Points::of(&one.name, &one.samples, config);
     let all = points.samples(Section::Whole).unwrap_or_default();
     let ms = |point: Option<&Point>| point.map(|p| p.t_ns as f64 / 1e6);
-    let signals = [
-        (Signal::Op, "op"),
-        (Signal::Pv, "pv"),
-        (Signal::Sp, "sp"),
-        (Signal::Mv, "mv"),
-        (Signal::Mode, "mode"),
-    ];
+    let signals =
+        [(Signal::Op, "op"), (Signal::Pv, "pv"), (Signal::Sp, "sp"), (Signal::Mv, "mv"), (Signal::Mode, "mode")];
     let there = |signal: Signal| one.samples.iter().any(|sample| sample.signal == signal);
     let about = one.about.as_ref().map(|about| {
         let parts = [about.tags.join(", "), about.comment.trim().to_owned()];
@@ -487,6 +485,7 @@ fn loop_info(one: &LoadedLoop, config: &Config) -> LoopInfo {
 pub fn sampling_time_s(points: &[Point]) -> Option<f64> {
     // Enough of them to tell, without a copy of a long record.
     let step = (points.len() / 10_000).max(1);
-    let intervals: Vec<f64> = points.windows(2).step_by(step).map(|pair| s_from_ns(pair[1].t_ns - pair[0].t_ns)).collect();
+    let intervals: Vec<f64> =
+        points.windows(2).step_by(step).map(|pair| s_from_ns(pair[1].t_ns - pair[0].t_ns)).collect();
     (!intervals.is_empty()).then(|| stats::median(&intervals))
 }

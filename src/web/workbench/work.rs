@@ -142,7 +142,8 @@ impl<'b> Bench<'b> {
         let found = analysis::estimate(points, section, &task.cut, params).map_err(wrong)?;
         let elapsed_ms = started.elapsed().as_secs_f64() * 1e3;
         let solver = self.solve(&found, [place[0] + 1, place[1]], words);
-        let scored = task.score.as_ref().map(|file| Scored::of(GIVEN, file, &found.record, found.options.period_points));
+        let scored =
+            task.score.as_ref().map(|file| Scored::of(GIVEN, file, &found.record, found.options.period_points));
         let before = || points.record(section, points.settings.window.max_points).map(|(record, _)| record);
         let original = task.cut.downsample.is_some().then(before).transpose().map_err(wrong)?;
         let answer =
