@@ -28,7 +28,7 @@ function effects(h, format, d) {
     h("td", { class: "number" }, e.closed_pct === null ? "–" : format.estimate(e.closed_pct, e.closed_interval, "%")),
     h("td", null, Object.entries(e.parameters).map(([name, q]) => `${name.replaceAll("_", " ")} ${n(q.value)} ${q.unit ?? ""}`.trim()).join("; ") || "–"),
     h("td", null, e.confusable_with.map((id) => id.replaceAll("_", " ")).join(", ") || "–"));
-  const table = (list, caption) => h("div", { class: "scroll" }, h("table", { class: "table" }, h("caption", { class: "soft" }, caption),
+  const table = (list, caption) => h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": caption }, h("table", { class: "table" }, h("caption", { class: "soft" }, caption),
     h("thead", null, h("tr", null, ["Effect", "Acts in", "Evidence", "Closes", "Parameters", "Not told from"].map((t, k) => h("th", { scope: "col", class: k === 2 || k === 3 ? "number" : null }, t)))),
     h("tbody", null, list.map(row))));
   const rest = d.effects.slice(MOST);

@@ -124,7 +124,7 @@ function words(h, found) {
   const seen = new Set();
   return [
     shown.length === 1 ? h("p", null, badge(h, shown[0].document.verdict)) : null,
-    shown.length ? h("div", { class: "scroll" }, h("table", { class: "table wb-words" }, head, h("tbody", null, abouts.map(row)))) : null,
+    shown.length ? h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "In plain words" }, h("table", { class: "table wb-words" }, head, h("tbody", null, abouts.map(row)))) : null,
     notes.filter(({ note }) => !seen.has(note) && seen.add(note)).map(({ note, wrong }) => h("p", { class: wrong ? "problem" : "note" }, note)),
   ];
 }
@@ -138,7 +138,7 @@ function numbers(h, format, found, units) {
     if (cells.every((cell) => cell === null)) return null;
     return h("tr", null, h("th", { scope: "row" }, name, hint ? h("small", { class: "soft under" }, hint) : null), cells.map((cell) => h("td", null, cell ?? "–")));
   });
-  return h("div", { class: "scroll" }, h("table", { class: "table wb-numbers" }, h("caption", { class: "soft" }, "Intervals at 90 %"), head, h("tbody", null, body)));
+  return h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Numbers" }, h("table", { class: "table wb-numbers" }, h("caption", { class: "soft" }, "Intervals at 90 %"), head, h("tbody", null, body)));
 }
 
 /** Pictures of the runs: what both have alike once, the others as pairs. */
