@@ -103,7 +103,7 @@ export class Files {
   /** What could not be read stays in sight, with the way to say how it is meant. */
   refused(blob, options, error) {
     const { h } = this;
-    const node = h("div", { class: "problem" }, h("b", null, blob.name), ": ", error.message, " ");
+    const node = h("div", { class: "problem" }, error.message.startsWith(`${blob.name}: `) ? error.message : `${blob.name}: ${error.message}`, " ");
     const buttons = h("div", { class: "row" });
     if (error.status === 422) buttons.append(h("button", { class: "button", type: "button", onclick: () => this.ask(blob, options, error.message).then((sent) => sent && node.remove()) }, "Say how it is read…"));
     buttons.append(h("button", { class: "button quiet", type: "button", onclick: () => node.remove() }, "Dismiss"));

@@ -2,6 +2,9 @@
 
 let serial = 0;
 
+/** Choices on which the form's shape depends. */
+const SHAPING = ["kind", "solver", "downsample", "without"];
+
 /** The form of choices. `runs()` lists runs whose estimate can be a base. */
 export class Form {
   constructor(root, { dom }, choices, options, runs) {
@@ -9,16 +12,37 @@ export class Form {
     this.draw();
   }
 
-  /** Draws it anew where something changed that a person did not type here. */
+  /** Takes what a person chose here. */
+  set(patch, words) {
+    this.own = true;
+    this.choices.change(patch, words);
+    this.own = false;
+  }
+
+  /** Follows a change: what was typed here stands already, unless the form's shape depends on it. */
+  update(now, before) {
+    if (!this.own) this.draw();
+    // Later, when the focus has gone where it was going.
+    else if (SHAPING.some((key) => now[key] !== before[key])) setTimeout(() => this.draw());
+  }
+
+  /** Runs that can be a base have come or gone. */
+  updateBases() {
+    const bases = JSON.stringify(this.runs());
+    if (this.choices.now.kind === "gap" && bases !== this.bases) this.draw();
+  }
+
   draw() {
     const { h, fill } = this;
     const now = this.choices.now;
-    const focused = this.root.contains(document.activeElement) ? document.activeElement.name : null;
+    const active = this.root.contains(document.activeElement) ? document.activeElement : null;
+    const focused = active && (active.name || active.dataset.name);
+    this.bases = JSON.stringify(this.runs());
     const kinds = [["analyze", "Estimate", "How much the valve sticks"], ["gap", "Gap", "What the model leaves out"]].map(([id, words, title]) =>
-      h("button", { class: "button", type: "button", title, "aria-pressed": String(now.kind === id), onclick: () => this.choices.change({ kind: id }, words) }, words));
+      h("button", { class: "button", type: "button", name: `kind-${id}`, title, "aria-pressed": String(now.kind === id), onclick: () => this.set({ kind: id }, words) }, words));
     fill(this.root, h("div", { class: "row segments", role: "group", "aria-label": "What is done" }, kinds),
       now.kind === "gap" ? this.gap(now) : this.estimate(now), this.data(now));
-    if (focused) this.root.querySelector(`[name="${focused}"]`)?.focus();
+    if (focused) this.root.querySelector(`[name="${focused}"], [data-name="${focused}"]`)?.focus();
   }
 
   field(label, control, hint) {
@@ -34,7 +58,7 @@ export class Form {
     const now = this.choices.now[key];
     const options = all.map((o) => h("option", { value: o.id, selected: o.id === now }, o.words));
     const words = (value) => all.find((o) => o.id === value)?.words ?? value;
-    return this.field(label, h("select", { name: key, onchange: (e) => this.choices.change({ [key]: e.target.value }, `${label}: ${words(e.target.value)}`) }, options), hint);
+    return this.field(label, h("select", { name: key, onchange: (e) => this.set({ [key]: e.target.value }, `${label}: ${words(e.target.value)}`) }, options), hint);
   }
 
   number(key, label, bounds, hint) {
@@ -44,14 +68,14 @@ export class Form {
     input.addEventListener("change", () => {
       if (!input.reportValidity()) return;
       const given = input.value.trim() === "" ? null : Number(input.value);
-      this.choices.change({ [key]: given }, given === null ? `${label}: as usual` : `${label}: ${given}`);
+      this.set({ [key]: given }, given === null ? `${label}: as usual` : `${label}: ${given}`);
     });
     return this.field(bounds.unit ? `${label}, ${bounds.unit}` : label, input, hint);
   }
 
   check(key, label, hint) {
     const { h } = this;
-    const input = h("input", { type: "checkbox", name: key, checked: this.choices.now[key], onchange: (e) => this.choices.change({ [key]: e.target.checked }, `${label}: ${e.target.checked ? "yes" : "no"}`) });
+    const input = h("input", { type: "checkbox", name: key, checked: this.choices.now[key], onchange: (e) => this.set({ [key]: e.target.checked }, `${label}: ${e.target.checked ? "yes" : "no"}`) });
     return h("label", { class: "wb-check", title: hint ?? null }, input, " ", label);
   }
 
@@ -65,7 +89,7 @@ export class Form {
     delay.addEventListener("change", () => {
       const text = delay.value.trim() || "auto";
       delay.value = text;
-      if (delay.reportValidity()) this.choices.change({ delay: text }, `Dead time: ${text}`);
+      if (delay.reportValidity()) this.set({ delay: text }, `Dead time: ${text}`);
     });
     return [
       this.group("Model",
@@ -76,7 +100,7 @@ export class Form {
         h("div", { class: "wb-pair" }, this.number("op_low", "From", { none: "0" }), this.number("op_high", "To", { none: "100" })),
         h("small", { class: "soft" }, "Gives sizes in % of travel")),
       h("details", { class: "wb-more", open: now.solver !== "" || this.moreOpen, ontoggle: (e) => (this.moreOpen = e.target.open) },
-        h("summary", null, "Solver, fineness, seed"),
+        h("summary", { "data-name": "more" }, "Solver, fineness, seed"),
         this.select("solver", "Solver beside the estimate", options.solvers),
         now.solver ? this.number("evaluations", "Models it may try", { ...options.evaluations, unit: "" }) : null,
         this.number("fineness", "Fineness", options.fineness, "Step of the grid, % of OP's span"),
@@ -90,16 +114,17 @@ export class Form {
     const stages = new Map();
     for (const effect of options.effects) stages.set(effect.stage, [...(stages.get(effect.stage) ?? []), effect]);
     const effect = (e) => h("label", { class: "wb-check" }, h("input", { type: "checkbox", name: `effect-${e.id}`, checked: !now.without.includes(e.id), onchange: (event) => {
-      const without = event.target.checked ? now.without.filter((id) => id !== e.id) : [...now.without, e.id];
-      this.choices.change({ without }, `${event.target.checked ? "With" : "Without"} ${e.words}`);
+      const others = this.choices.now.without.filter((id) => id !== e.id);
+      const without = event.target.checked ? others : [...others, e.id];
+      this.set({ without }, `${event.target.checked ? "With" : "Without"} ${e.words}`);
     } }), " ", e.words.replace(/^an? /, ""));
     const left = now.without.length;
     return [
       this.group("Model", this.select("base", "Base", [...options.bases, ...runs], "What the gap is measured from")),
       h("details", { class: "wb-more", open: this.effectsOpen ?? false, ontoggle: (e) => (this.effectsOpen = e.target.open) },
-        h("summary", null, left ? `Effects: ${options.effects.length - left} of ${options.effects.length}` : `Effects: all ${options.effects.length}`),
+        h("summary", { "data-name": "effects" }, left ? `Effects: ${options.effects.length - left} of ${options.effects.length}` : `Effects: all ${options.effects.length}`),
         [...stages].map(([stage, effects]) => this.group(`${stage.replaceAll("_", " ")}`, effects.map(effect))),
-        left ? h("button", { class: "button", type: "button", onclick: () => this.choices.change({ without: [] }, "All effects") }, "All effects") : null),
+        left ? h("button", { class: "button", type: "button", name: "all-effects", onclick: () => this.set({ without: [] }, "All effects") }, "All effects") : null),
       this.group("Search",
         this.check("pairs", "Also two effects at once"),
         this.number("budget_s", "Time", { ...options.budget_s, none: "about 3" }),

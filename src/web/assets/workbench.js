@@ -120,13 +120,13 @@ class Bench {
     } else if (now.sections !== before.sections) {
       this.trends.setSections(now.sections);
     }
-    this.forms.draw();
+    this.forms.update(now, before);
     history(this.steps, this.context, choices);
     this.arrange();
   }
 
   runsChanged() {
-    if (this.forms && choices.now.kind === "gap") this.forms.draw();
+    this.forms?.updateBases();
     this.arrange();
   }
 
