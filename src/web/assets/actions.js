@@ -52,8 +52,8 @@ export async function command(loop, cmd) {
 }
 
 const REVIEWS = {
-  stiction: { label: "Confirm …", title: "Confirm stiction", intro: "The valve was tested and sticks. The answer is kept with this window and can be used to check the program.", methods: [["stroke_test", "stroke test"], ["inspection", "inspection"], ["other", "other"]] },
-  no_stiction: { label: "Mark as false …", title: "Mark as false", intro: "The valve does not stick. The answer is kept with this window and can be used to check the program.", methods: [["false_alarm", "false alarm, by judgement"], ["stroke_test", "stroke test"], ["inspection", "inspection"], ["other", "other"]] },
+  stiction: { title: "The valve sticks", intro: "The answer is kept with this window and can be used to check the program.", methods: [["stroke_test", "stroke test"], ["inspection", "inspection"], ["other", "other"]] },
+  no_stiction: { title: "The valve does not stick", intro: "The answer is kept with this window and can be used to check the program.", methods: [["false_alarm", "false alarm, by judgement"], ["stroke_test", "stroke test"], ["inspection", "inspection"], ["other", "other"]] },
 };
 
 /** Asks how it was found out, and keeps what was found; resolves to the review, or null. */
@@ -64,7 +64,7 @@ export async function review(loop, label) {
     title: `${title}: ${loop}`,
     intro,
     fields: [name(), { name: "method", label: "Found out by", type: "select", value: methods[0][0], options: methods.map(([value, words]) => ({ value, label: words })) }, why("What was seen, for example: stem moved only after 6 %.")],
-    submit: title,
+    submit: "Keep",
     onSubmit: async (values) => {
       localStorage.setItem(NAME, values.by.trim());
       answer = await api.post(api.loopPath(loop, "/review"), { label, method: values.method, by: values.by.trim(), why: values.why?.trim() || undefined });
@@ -86,8 +86,8 @@ export async function runGap(loop, started) {
   return api.post(api.loopPath(loop, "/gap"), { by });
 }
 
-/** Buttons for an alarm; `done(document)` after each. */
-export function buttons(alarm, { done, compact = false }) {
+/** Buttons for an alarm; `done(document, review)` after each. `sticks`: what the program says, which people judge. */
+export function buttons(alarm, { done, sticks = true, window = true }) {
   if (store.site?.commands === false) return h("span", { class: "soft" }, "Commands are switched off in the configuration.");
   const list = allowed(alarm.state);
   const act = (cmd) => async () => {
@@ -98,9 +98,8 @@ export function buttons(alarm, { done, compact = false }) {
     const answer = await review(alarm.loop, label);
     if (answer) done(null, answer);
   };
-  const shown = compact ? list.filter((cmd) => cmd !== "out_of_service") : list;
   const one = (label, onclick, kind) => h("button", { class: `button ${kind}`, type: "button", onclick, "aria-label": `${label.replace(" …", "")}: ${alarm.loop}` }, label);
-  return h("div", { class: "row buttons" },
-    shown.map((cmd) => one(COMMANDS[cmd].label, act(cmd), cmd === "ack" ? "primary" : "")),
-    one(REVIEWS.stiction.label, judge("stiction"), ""), one(REVIEWS.no_stiction.label, judge("no_stiction"), ""));
+  const words = sticks ? { stiction: "Confirm …", no_stiction: "Mark as false …" } : { stiction: "It sticks …", no_stiction: "It moves freely …" };
+  const judged = Object.entries(words).map(([label, text]) => one(text, judge(label), ""));
+  return h("div", { class: "row buttons" }, list.map((cmd) => one(COMMANDS[cmd].label, act(cmd), cmd === "ack" ? "primary" : "")), window ? judged : null);
 }

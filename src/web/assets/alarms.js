@@ -2,7 +2,7 @@
 
 import * as api from "./api.js";
 import { buttons } from "./actions.js";
-import { fill, h, loading } from "./dom.js";
+import { fill, h, loading, prose } from "./dom.js";
 import * as format from "./format.js";
 import { on } from "./store.js";
 import { EVENTS, METHODS, PRIORITIES, STATES, VERDICTS, symbol } from "./words.js";
@@ -49,13 +49,13 @@ function entry(alarm, done) {
         alarm.s === null || alarm.s === undefined ? "" : `; s ${format.estimate(alarm.s, alarm.s_interval, alarm.unit)}, limit ${format.number(alarm.s_limit)} ${alarm.unit}`,
         alarm.p === null || alarm.p === undefined ? "" : `; p ${format.probability(alarm.p)}`),
       alarm.why ? h("p", { class: "soft" }, alarm.why) : null,
-      alarm.what_to_do ? h("p", null, h("b", null, "To do: "), alarm.what_to_do) : null),
+      alarm.what_to_do ? h("p", null, h("b", null, "To do: "), prose(alarm.what_to_do)) : null),
     h("div", { class: "alarm-side" },
       h("ul", { class: "acts" },
-        since ? h("li", null, `since ${format.recent(since)} (${format.duration((Date.now() - since) / 1000)})`) : null,
+        since ? h("li", null, `since ${format.recent(since)}${since < Date.now() ? ` (${format.duration(Math.round((Date.now() - since) / 1000))})` : ""}`) : null,
         h("li", null, `last change: ${changed}`), held(alarm), reviewed(alarm.review)),
       h("p", { class: "soft" }, [alarm.area, alarm.equipment, alarm.criticality ? `criticality ${alarm.criticality}` : null].filter(Boolean).join(" · "))),
-    buttons(alarm, { done, compact: false }));
+    buttons(alarm, { done }));
 }
 
 /** Shows the alarm list; returns what cleans up. */
@@ -103,7 +103,7 @@ export function show(root, { announce }) {
     alarms.clear();
     for (const alarm of answer.alarms) alarms.set(alarm.loop, alarm);
     draw();
-  }, 8);
+  }, { lines: 8 });
   part.run();
   const busy = () => document.querySelector("dialog[open]");
   const off = [
@@ -111,7 +111,7 @@ export function show(root, { announce }) {
       alarms.set(alarm.loop, { ...alarm, review: alarms.get(alarm.loop)?.review ?? null });
       if (!busy()) draw();
     }),
-    on("link", (link) => link.state === "live" && part.run()),
+    on("back", () => part.run(true)),
   ];
   return () => {
     part.end();

@@ -21,7 +21,11 @@ function announce(words) {
   fill(saidAt, words);
 }
 
-const live = new Live({ onEvent: take, onState: (link) => tell("link", link) });
+const live = new Live({ onEvent: take, onState: (link, before) => {
+  tell("link", link);
+  // After a pause everything that is shown may be old.
+  if (before === "lost" && link.state === "live") tell("back");
+} });
 const context = { api, charts, dialog, dom, format, pictures, announce, live, store };
 
 const ROUTES = [

@@ -42,10 +42,31 @@ export function skeleton(lines = 3) {
   return h("div", { class: "skeleton", "aria-hidden": "true" }, rows);
 }
 
+/** Pause between two loads of the same thing that nobody asked for, ms. */
+const CALM_MS = 5000;
+
+/** Runs one load at a time; what is asked for meanwhile is done once more afterwards: at once if `soon`, else after a pause. */
+export function single(load, calm_ms = CALM_MS) {
+  let busy = false;
+  let again = null;
+  return async function run(soon = false) {
+    if (busy) {
+      again = Math.min(again ?? calm_ms, soon ? 0 : calm_ms);
+      return;
+    }
+    busy = true;
+    await load();
+    busy = false;
+    if (again !== null) setTimeout(run, again);
+    again = null;
+  };
+}
+
 /** A part of the page that loads: skeleton, then content, or the error in words with a button to try again. */
-export function loading(root, load, show, lines = 4) {
+export function loading(root, load, show, { lines = 4, calm_ms = CALM_MS } = {}) {
   let ended = false;
-  const run = async () => {
+  const run = single(async () => {
+    if (ended) return;
     if (!root.hasChildNodes()) fill(root, skeleton(lines));
     root.setAttribute("aria-busy", "true");
     try {
@@ -55,9 +76,12 @@ export function loading(root, load, show, lines = 4) {
       if (!ended) fill(root, problem(error.message, error.status === 422 || error.status === 404 ? null : run));
     }
     root.removeAttribute("aria-busy");
-  };
+  }, calm_ms);
   return { run, end: () => (ended = true) };
 }
+
+/** Text in which `backticks` mark what is typed. */
+export const prose = (text) => text.split("`").map((part, k) => (k % 2 ? h("code", null, part) : part));
 
 /** What went wrong, in words, and a way to try again. */
 export function problem(words, again) {

@@ -33,7 +33,7 @@ export function number(v) {
 /** A measured value at a cursor: as many digits as tell neighbours apart within `span`. */
 export function reading(v, span) {
   if (missing(v)) return NONE;
-  const digits = span > 0 ? Math.min(6, Math.max(0, 2 - Math.floor(Math.log10(span)))) : 3;
+  const digits = span > 0 ? Math.min(4, Math.max(0, 2 - Math.floor(Math.log10(span)))) : 3;
   return v.toFixed(digits).replace("-", "−");
 }
 
@@ -113,28 +113,31 @@ export function recent(ms, now = Date.now()) {
   return day(ms) === day(now) ? minute(ms) : `${shortDay(ms)}, ${minute(ms)}`;
 }
 
+/** 12:03:10 today, else 6 Jan, 12:03:10. */
+export const stamp = (ms) => (day(ms) === day(Date.now()) ? time(ms) : `${shortDay(ms)}, ${time(ms)}`);
+
 /** Name of the zone as it stands beside a clock: "CET", "UTC". */
 export function zoneName(ms) {
   const parts = shape("zone", { timeZoneName: "short" }).formatToParts(ms);
   return parts.find((p) => p.type === "timeZoneName")?.value ?? zone;
 }
 
-const UNITS = [[86400, "d"], [3600, "h"], [60, "min"], [1, "s"]];
+const pair = (first, unit, rest, part) => (rest ? `${first} ${unit} ${rest} ${part}` : `${first} ${unit}`);
 
 /** "8 s", "3 min", "2 h 5 min", "3 d 4 h". */
 export function duration(seconds) {
   if (missing(seconds)) return NONE;
-  const all = Math.abs(seconds);
-  if (all < 1) return `${seconds < 0 ? "−" : ""}${number(all)} s`;
-  const at = UNITS.findIndex(([size]) => all >= size);
-  const [size, unit] = UNITS[at];
-  let first = Math.floor(all / size);
-  let rest = 0;
-  if (at < 3) rest = Math.floor((all - first * size) / UNITS[at + 1][0]);
-  if (at === 3 || first >= 10 || (at === 2 && first >= 3)) rest = 0;
-  else if (at === 3) first = Math.round(all);
-  const text = `${first} ${unit}${rest ? ` ${rest} ${UNITS[at + 1][1]}` : ""}`;
-  return seconds < 0 ? `−${text}` : text;
+  if (seconds < 0) return `−${duration(-seconds)}`;
+  if (seconds < 59.5) return `${number(seconds)} s`;
+  const s = Math.round(seconds);
+  if (s < 600) return pair(Math.floor(s / 60), "min", s % 60, "s");
+  const min = Math.round(seconds / 60);
+  if (min < 60) return `${min} min`;
+  if (min < 600) return pair(Math.floor(min / 60), "h", min % 60, "min");
+  const hours = Math.round(seconds / 3600);
+  if (hours < 24) return `${hours} h`;
+  if (hours < 72) return pair(Math.floor(hours / 24), "d", hours % 24, "h");
+  return `${Math.round(seconds / 86400)} d`;
 }
 
 /** "512 B", "1.2 MB". */
@@ -148,6 +151,12 @@ export function bytes(n) {
     at += 1;
   }
   return `${number(size)} ${units[at]}`;
+}
+
+/** Begins with a capital and ends with a full stop. */
+export function sentence(text) {
+  const whole = text.charAt(0).toUpperCase() + text.slice(1);
+  return /[.!?]$/.test(whole) ? whole : `${whole}.`;
 }
 
 /** RFC 3339 text or a number of ms to ms; null where there is none. */

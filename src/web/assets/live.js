@@ -62,9 +62,10 @@ export class Live {
 
   set(state, why) {
     if (this.state === state && this.why === why) return;
+    const before = this.state;
     this.state = state;
     this.why = why;
-    this.onState(this);
+    this.onState(this, before);
   }
 
   tick() {

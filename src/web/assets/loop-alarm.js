@@ -27,7 +27,7 @@ export function alarms(root, loop) {
       h("tbody", null, changes.map(row)))),
       complete ? null : h("p", { class: "soft small" }, "Older changes are not in the recordings."));
   };
-  const part = loading(root, load, show, 4);
+  const part = loading(root, load, show);
   part.run();
   const off = on("alarm", (a) => a.loop === loop.name && part.run());
   return () => {

@@ -39,7 +39,7 @@ function report(gap, words, row) {
   const pv = row.pv_unit ?? "PV units";
   const g = gap.gap;
   return [
-    words ? h("p", { class: "lead" }, sentence(words)) : null,
+    words ? h("p", { class: "lead" }, format.sentence(words)) : null,
     h("dl", { class: "facts" },
       item("Where", STAGES[gap.where.stage] ?? plain(gap.where.stage)),
       item("Which", causeWords(gap)),
@@ -51,8 +51,6 @@ function report(gap, words, row) {
     effects(gap.effects ?? [], pv),
   ];
 }
-
-const sentence = (text) => text.charAt(0).toUpperCase() + text.slice(1);
 
 /** Fills the section with every document that comes. */
 export function gap(root, loop) {
@@ -73,7 +71,7 @@ export function gap(root, loop) {
         fill(status, h("progress", { "aria-label": "Gap diagnosis" }), " fitting every effect of the catalogue … ", spent);
       };
       if (await runGap(loop.name, started)) {
-        await loop.reload();
+        await loop.reload(true);
         fill(status, "Done.");
       }
     } catch (error) {

@@ -2,7 +2,7 @@
 
 import * as api from "./api.js";
 import { buttons } from "./actions.js";
-import { fill, h } from "./dom.js";
+import { fill, h, prose } from "./dom.js";
 import * as format from "./format.js";
 import { store } from "./store.js";
 import { GRADES, NE107, STATES, VERDICTS, neOf, opUnit, plain, symbol, verdictOf } from "./words.js";
@@ -25,12 +25,20 @@ function facts(row, estimate) {
   if (estimate.oscillation?.period_s) list.push(fact("Period", `${format.duration(estimate.oscillation.period_s)}, ${format.number(estimate.oscillation.periods)} in the window`));
   const w = estimate.window;
   list.push(fact("Window", `${format.recent(format.millis(w.start))} to ${format.recent(format.millis(w.end))}, every ${format.duration(w.ts_s)}`));
-  return h("div", null, h("dl", { class: "facts" }, list), h("p", { class: "soft small" }, `Brackets hold ${level} % intervals.`));
+  return h("div", null, h("dl", { class: "facts" }, list), estimate.s === null ? null : h("p", { class: "soft small" }, `Brackets hold ${level} % intervals.`));
 }
 
 function todo(words, alarm) {
   const text = words?.what_to_do ?? (alarm?.active ? alarm.what_to_do : null);
-  return text ? h("p", { class: "todo" }, h("b", null, "What to do: "), text) : null;
+  if (!text) return null;
+  return h("div", { class: "todo" }, h("p", null, h("b", null, "What to do: "), prose(format.sentence(text))), words?.test ? h("p", null, h("b", null, "Test: "), format.sentence(words.test)) : null);
+}
+
+// The verdict's own sentence, where it says more than the title, and the size.
+function lead(words, row) {
+  const verdict = words?.verdict && words.verdict !== row.status ? words.verdict : null;
+  const list = [verdict, words?.size].filter(Boolean);
+  return list.length ? h("p", { class: "lead" }, list.map(format.sentence).join(" ")) : null;
 }
 
 function state(alarm) {
@@ -57,18 +65,18 @@ export function head(root, loop) {
   const done = (_, review) => {
     if (review) loop.review = review;
     loop.announce(review ? "Kept." : "Done.");
-    loop.reload();
+    loop.reload(true);
   };
-  const verdict = VERDICTS[verdictOf(row)]?.words ?? row.status;
+  const verdict = format.sentence(row.status || VERDICTS[verdictOf(row)].words);
   fill(root,
     h("p", { class: "crumbs" }, h("a", { href: "#/" }, "Overview"), " / ", row.area ? [h("a", { href: `#/?area=${encodeURIComponent(row.area)}` }, row.area), " / "] : null, row.name),
-    h("div", { class: "loop-title" }, symbol(ne, 34), h("div", null, h("h1", null, row.name, h("span", { class: "headline-verdict" }, ` ${verdict}.`)),
+    h("div", { class: "loop-title" }, symbol(ne, 34), h("div", null, h("h1", null, row.name, h("span", { class: "headline-verdict" }, ` ${verdict}`)),
       h("p", null, h("span", { class: `ne-words ne-${ne}` }, NE107[ne].name), " · ", state(alarm), row.equipment ? ` · ${row.equipment}` : "", row.criticality ? ` · criticality ${row.criticality}` : ""))),
-    words?.verdict ? h("p", { class: "lead" }, words.verdict) : null,
+    lead(words, row),
     row.gates?.length ? h("p", { class: "warning" }, "Limits of this window: ", row.gates.map(plain).join(", "), ".") : null,
     todo(words, alarm),
     loop.review ? h("p", { class: "note" }, `${loop.review.label === "stiction" ? "Confirmed" : "Marked as false"} by ${loop.review.by}.`) : null,
     facts(row, estimate),
-    h("div", { class: "loop-acts" }, buttons(alarm ?? { loop: loop.name, state: "normal" }, { done }), downloads(loop)));
+    h("div", { class: "loop-acts" }, buttons(alarm ?? { loop: loop.name, state: "normal" }, { done, sticks: estimate?.stiction ?? null, window: Boolean(estimate) }), estimate ? downloads(loop) : null));
   if (focus) root.querySelector(`[aria-label="${CSS.escape(focus)}"]`)?.focus();
 }

@@ -8,6 +8,8 @@ import { on, store } from "./store.js";
 import { opUnit } from "./words.js";
 
 const KINDS = { repaired: "repaired", better: "better since", worse: "worse since" };
+/** Pause between two looks at the recordings that nobody asked for, ms. */
+const CALM_MS = 30_000;
 const PARTS = ["s", "fs", "fd"];
 
 function columns(windows) {
@@ -47,6 +49,8 @@ export function overTime(root, loop) {
   let charts = [];
   let over = null;
   const unit = () => opUnit(store.rows.get(loop.name) ?? loop.document?.row);
+  const said = h("div", { class: "over-words" });
+  const words = () => (over ? [over.sentences.map((t) => h("p", { class: "lead" }, format.sentence(t))), pooledWords(over, unit()), changes(over, unit()), contradicting(over, unit())] : null);
   const destroy = () => {
     charts.forEach((c) => c.destroy());
     charts = [];
@@ -55,25 +59,36 @@ export function overTime(root, loop) {
   const rings = () => (over?.contradicting ?? []).map((c) => ({ x: c.end_ms, y: c.s, ink: "--error" }));
   const spans = () => (over?.changes ?? []).map((c) => ({ from: c.from_ms, to: c.to_ms, ink: c.kind === "worse" ? "--error" : "--fit" }));
 
+  let drawn = null;
+
   function build(history) {
-    destroy();
     const { windows } = history;
+    const data = columns(windows);
+    const has = (key) => data[key].some((v) => v !== null);
+    const shape = JSON.stringify([windows.length > 0, ...["s", "fs", "p"].map(has), history.complete]);
+    if (shape === drawn && charts.length) {
+      // The same charts with newer windows: what the reader zoomed into stays.
+      fill(said, words());
+      charts.forEach((c) => c.setData(data, { keepView: true }));
+      return;
+    }
+    drawn = shape;
+    destroy();
     if (!windows.length) {
       fill(root, h("p", { class: "note" }, "No window yet. The first comes once enough periods of the oscillation are in."));
       return;
     }
-    const words = h("div", { class: "over-words" }, over ? [over.sentences.map((t) => h("p", { class: "lead" }, t)), pooledWords(over, unit()), changes(over, unit()), contradicting(over, unit())] : null);
+    fill(said, words());
     const left = h("div", { class: "over-charts" });
     const missing = history.complete ? null : h("p", { class: "soft small" }, "The recordings do not hold everything back to the start.");
-    fill(root, words, left, missing);
+    fill(root, said, left, missing);
     const sync = `history ${loop.name}`;
     const band = (key, label, ink) => ({ key, label, ink, unit: unit(), points: windows.length < 60, lo: `${key}_lo`, hi: `${key}_hi` });
-    const data = columns(windows);
     charts = [
-      line(left, { label: "s over time with its interval", height: 190, sync, least: 0, yLabel: unit(), marks: () => [...marks(), ...rings()], spans, series: [band("s", "s", "--error")] }),
-      line(left, { label: "fs and fd over time with their intervals", height: 190, sync, least: 0, yLabel: unit(), marks, spans, series: [band("fs", "fs", "--op"), band("fd", "fd", "--mv")] }),
-      line(left, { label: "Probability of stiction over time", height: 120, sync, least: 0, yLabel: "p", series: [{ key: "p", label: "p of stiction", ink: "--pv", points: windows.length < 60 }] }),
-    ];
+      has("s") && line(left, { label: "s over time with its interval", height: 190, sync, least: 0, yLabel: unit(), marks: () => [...marks(), ...rings()], spans, series: [band("s", "s", "--error")] }),
+      has("fs") && line(left, { label: "fs and fd over time with their intervals", height: 190, sync, least: 0, yLabel: unit(), marks, spans, series: [band("fs", "fs", "--op"), band("fd", "fd", "--mv")] }),
+      has("p") && line(left, { label: "Probability of stiction over time", height: 120, sync, least: 0, yLabel: "p", series: [{ key: "p", label: "p of stiction", ink: "--pv", points: windows.length < 60 }] }),
+    ].filter(Boolean);
     charts.forEach((c) => c.setData(data));
   }
 
@@ -82,7 +97,7 @@ export function overTime(root, loop) {
     over = pooled;
     return history;
   };
-  const part = loading(root, load, build, 6);
+  const part = loading(root, load, build, { lines: 6, calm_ms: CALM_MS });
   part.run();
   const off = on("estimate", (e) => e.loop === loop.name && part.run());
   return () => {

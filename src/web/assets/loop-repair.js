@@ -6,6 +6,9 @@ import * as format from "./format.js";
 import { store } from "./store.js";
 import { opUnit } from "./words.js";
 
+/** Pause between two simulations that nobody asked for, ms. */
+const CALM_MS = 30_000;
+
 const CASES = [["now", "now"], ["repaired", "valve repaired"], ["half_gain", "half the gain instead"]];
 
 const oscillates = (value) => (value === null || value === undefined ? "–" : value ? "yes" : "no");
@@ -32,15 +35,17 @@ export function repair(root, loop) {
       h("tbody", null, rows().map(([words, key, unit]) => h("tr", null, h("th", { scope: "row" }, words, unit ? h("span", { class: "soft" }, `, ${unit}`) : null), CASES.map(([id]) => cell(answer[id]?.[key])))),
         h("tr", null, h("th", { scope: "row" }, "Oscillates"), CASES.map(([id]) => h("td", { class: "number" }, oscillates(answer[id]?.oscillates))))))),
     answer.assumptions?.length ? h("details", null, h("summary", null, "What this takes for granted"), h("ul", null, answer.assumptions.map((t) => h("li", null, t)))) : null);
-  const part = loading(root, () => api.get(loop.path("/repair")), show, 5);
+  const part = loading(root, () => api.get(loop.path("/repair")), show, { lines: 5, calm_ms: CALM_MS });
   let window = null;
   // Each window has its own answer; one without a fit has none, and is not asked.
   loop.onDocument(({ estimate }) => {
     const name = estimate?.window?.end_ns ?? 0;
     if (name === window) return;
     window = name;
-    if (estimate?.s === null || !estimate) fill(root, h("p", { class: "note" }, "The last window has no fit, so there is no closed loop to simulate."));
-    else part.run();
+    if (estimate?.s === null || !estimate) {
+      fill(root, h("p", { class: "note" }, "The last window has no fit, so there is no closed loop to simulate."));
+      root.removeAttribute("aria-busy");
+    } else part.run();
   });
   return part.end;
 }

@@ -2,13 +2,19 @@
 
 import * as api from "./api.js";
 import { line, phase } from "./charts.js";
-import { fill, h, problem } from "./dom.js";
+import { fill, h, problem, single } from "./dom.js";
 import * as format from "./format.js";
 import { on, store } from "./store.js";
 import { opUnit } from "./words.js";
 
 const RANGES = [["window", "Live window", null], ["1h", "1 h", 3600], ["8h", "8 h", 28800], ["1d", "1 d", 86400], ["7d", "7 d", 604800], ["30d", "30 d", 2592000]];
 const POINTS = 1600;
+/** A loop that has no window yet is drawn over so much time, ms. */
+const LEAST_SPAN_MS = 600_000;
+/** Samples of the stream that are kept for a window that is on its way. */
+const KEPT = 2000;
+/** Sampling times without a sample that count as a hole. */
+const HOLE_STEPS = 5;
 /** Quiet time after a zoom before finer data are asked for, ms. */
 const SETTLE_MS = 350;
 
@@ -19,6 +25,7 @@ class Trend {
     this.loop = loop;
     this.range = RANGES[0];
     this.data = null;
+    this.kept = [];
     this.turn = 0;
     const row = store.rows.get(loop.name);
     const sync = `trend ${loop.name}`;
@@ -42,7 +49,8 @@ class Trend {
     left.append(h("p", { class: "soft small hint" }, "Drag to zoom, Shift and drag to pan, click and then wheel, double click for all."));
     this.phase = new Phase(right, loop);
     this.drawButtons();
-    this.off = [on("samples", (samples) => this.append(samples)), on("estimate", (e) => e.loop === loop.name && !this.range[2] && this.load()), on("link", (link) => link.state === "live" && this.load())];
+    const renew = single(() => this.load());
+    this.off = [on("samples", (samples) => this.append(samples)), on("estimate", (e) => e.loop === loop.name && !this.range[2] && renew()), on("back", () => renew(true))];
     this.load();
   }
 
@@ -57,8 +65,14 @@ class Trend {
     this.load(true);
   }
 
+  /** End of the ranges, ms: now, or the newest sample where plant time runs ahead of the clock. */
+  newest() {
+    const row = store.rows.get(this.loop.name);
+    return Math.max(Date.now() + (store.skew_ms ?? 0), row?.window_end_ms ?? 0, this.last ?? 0);
+  }
+
   async load(whole = false) {
-    const to = Date.now() + (store.skew_ms ?? 0);
+    const to = Math.ceil(this.newest());
     const path = this.range[2] ? `/trend?from_ms=${to - this.range[2] * 1000}&to_ms=${to}&points=${POINTS}` : "/window";
     await this.fetch(path, !whole);
   }
@@ -76,14 +90,17 @@ class Trend {
 
   async fetch(path, keepView) {
     const mine = ++this.turn;
+    const { range } = this;
     fill(this.note, this.data ? "loading …" : "");
     try {
       const answer = await api.get(this.loop.path(path));
-      if (mine !== this.turn) return;
+      // An answer counts unless a later one is shown already, or another range was chosen.
+      if (this.ended || mine < (this.taken ?? 0) || range !== this.range) return;
+      this.taken = mine;
       fill(this.failed);
       this.take(answer, keepView);
     } catch (error) {
-      if (mine !== this.turn) return;
+      if (this.ended || range !== this.range) return;
       fill(this.note);
       fill(this.failed, problem(error.message, () => this.load(true)));
     }
@@ -92,10 +109,14 @@ class Trend {
   take(answer, keepView) {
     this.data = { x: answer.t_ms, ...Object.fromEntries(COLUMNS.map((c) => [c, answer[c] ?? null])) };
     const points = answer.t_ms.length;
-    const words = !points ? "There are no samples in this range." : answer.complete === false ? "The recordings do not hold all of this range." : answer.valve ? "The fitted valve is that of the last fit." : "";
+    this.last = Math.max(this.last ?? 0, answer.t_ms[points - 1] ?? 0);
+    const words = !points ? "There are no samples yet." : answer.complete === false ? "The recordings do not hold all of this range." : answer.valve ? "The fitted valve is that of the last fit." : "";
     fill(this.note, words);
+    this.step_ms = answer.ts_s ? answer.ts_s * 1000 : null;
     this.draw(keepView);
-    if (!this.range[2]) this.phase.take(answer);
+    if (this.range[2]) return;
+    if (points) this.phase.take(answer);
+    for (const samples of this.kept) this.grow(samples);
   }
 
   draw(keepView) {
@@ -105,12 +126,26 @@ class Trend {
 
   /** New samples of the stream go on at the right; as many leave at the left. */
   append(samples) {
-    if (!this.data || this.range[2]) return;
+    this.last = Math.max(this.last ?? 0, samples.t_ms[samples.t_ms.length - 1] ?? 0);
+    this.keep(samples);
+    if (this.data && !this.range[2]) this.grow(samples);
+  }
+
+  /** Keeps the newest samples: the window's answer may come later than those that follow it. */
+  keep(samples) {
+    this.kept.push(samples);
+    let n = this.kept.reduce((sum, s) => sum + s.t_ms.length, 0);
+    while (n > KEPT) n -= this.kept.shift().t_ms.length;
+  }
+
+  grow(samples) {
     const { x } = this.data;
     const last = x[x.length - 1] ?? -Infinity;
-    const span = last - x[0];
+    const span = Math.max(last - x[0] || 0, LEAST_SPAN_MS);
     samples.t_ms.forEach((t, k) => {
-      if (t <= (x[x.length - 1] ?? -Infinity)) return;
+      const before = x[x.length - 1] ?? -Infinity;
+      if (t <= before) return;
+      if (this.step_ms && t - before > HOLE_STEPS * this.step_ms && x.length) this.hole(before + this.step_ms);
       x.push(t);
       for (const c of COLUMNS) this.data[c]?.push(samples[c]?.[k] ?? null);
     });
@@ -119,13 +154,19 @@ class Trend {
       for (const c of COLUMNS) this.data[c]?.shift();
     }
     if (!(x[x.length - 1] > last)) return;
-    fill(this.note, `Live: newest sample ${format.time(x[x.length - 1])}. The fitted valve is that of the last fit.`);
+    fill(this.note, `Live: newest sample ${format.stamp(x[x.length - 1])}.${this.data.valve ? " The fitted valve is that of the last fit." : ""}`);
     this.draw(true);
+  }
+
+  /** Lines do not cross what is missing. */
+  hole(t) {
+    this.data.x.push(t);
+    for (const c of COLUMNS) this.data[c]?.push(null);
   }
 
   end() {
     clearTimeout(this.settle);
-    this.turn = -1;
+    this.ended = true;
     this.off.forEach((off) => off());
     this.pv.destroy();
     this.op.destroy();

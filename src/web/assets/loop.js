@@ -1,7 +1,7 @@
 // One loop: what is wrong, how sure, what to do, and everything that shows why.
 
 import * as api from "./api.js";
-import { fill, h, loading, problem, skeleton, whenNear } from "./dom.js";
+import { fill, h, loading, problem, single, skeleton, whenNear } from "./dom.js";
 import * as pictures from "./pictures.js";
 import { alarms } from "./loop-alarm.js";
 import { gap } from "./loop-gap.js";
@@ -21,6 +21,9 @@ const SECTIONS = [
   ["pictures", "Pictures"],
   ["alarms", "Alarm history"],
 ];
+
+/** Sections that load when they come near the screen. */
+const LATE = new Set(["history", "repair", "pictures", "alarms"]);
 
 /** Shows a loop; returns what cleans up. */
 export function show(root, { name, live, announce }) {
@@ -44,7 +47,7 @@ export function show(root, { name, live, announce }) {
     head(headRoot, loop);
     for (const listener of loop.listeners) listener(document);
   };
-  const reload = async () => {
+  const reload = single(async () => {
     try {
       takeDocument(await api.get(loop.path()));
     } catch (error) {
@@ -52,7 +55,7 @@ export function show(root, { name, live, announce }) {
       if (error.status === 404) fill(root, h("h1", null, name), problem(error.message), h("p", null, h("a", { href: "#/" }, "Back to the overview")));
       else fill(headRoot, h("h1", null, name), problem(error.message, reload));
     }
-  };
+  });
   loop.reload = reload;
   loop.onDocument = (listener) => {
     loop.listeners.push(listener);
@@ -66,23 +69,40 @@ export function show(root, { name, live, announce }) {
   near("history", () => ends.push(overTime(parts.history.body, loop)));
   near("repair", () => ends.push(repair(parts.repair.body, loop)));
   near("alarms", () => ends.push(alarms(parts.alarms.body, loop)));
-  near("pictures", () => {
-    const part = loading(parts.pictures.body, () => api.get(loop.path("/pictures")), (answer) => pictures.show(parts.pictures.body, answer.pictures), 8);
-    part.run();
-    ends.push(part.end);
-  });
+  near("pictures", () => ends.push(drawings(parts.pictures.body, loop)));
 
   // A new window changes nearly everything; the stream says when one is there.
   const mine = (document) => document.loop === name && reload();
-  ends.push(on("estimate", mine), on("alarm", mine), on("link", (link) => link.state === "live" && reload()));
+  ends.push(on("estimate", mine), on("alarm", mine), on("back", () => reload(true)));
   ends.push(on("rows", (names) => (names === null || names.has(name)) && store.rows.has(name) && loop.document && head(headRoot, loop)));
   live.open(name);
   reload();
   return () => ends.forEach((end) => end?.());
 }
 
+// Pictures take the program seconds to draw: they stay until the reader asks for those of a newer window.
+function drawings(root, loop) {
+  const list = h("div");
+  const renew = h("button", { class: "button", type: "button", hidden: true, onclick: () => part.run(true) }, "There is a newer window: draw again");
+  let drawn = null;
+  fill(root, renew, list);
+  const end = () => loop.document?.estimate?.window.end_ns ?? null;
+  const load = async () => {
+    renew.disabled = true;
+    drawn = end();
+    const answer = await api.get(loop.path("/pictures")).finally(() => (renew.disabled = false));
+    root.removeAttribute("aria-busy");
+    renew.hidden = end() === drawn;
+    return answer;
+  };
+  const part = loading(list, load, (answer) => pictures.show(list, answer.pictures), { lines: 8 });
+  part.run();
+  loop.onDocument(() => (renew.hidden = list.hasAttribute("aria-busy") || drawn === null || end() === drawn));
+  return part.end;
+}
+
 function section(id, words) {
   const title = h("h2", { id: `part-${id}`, tabindex: "-1" }, words);
-  const body = h("div", { class: "part-body" });
+  const body = h("div", { class: "part-body", "aria-busy": LATE.has(id) ? "true" : null });
   return { title, body, section: h("section", { class: `card part part-${id}`, "aria-labelledby": `part-${id}` }, title, body) };
 }

@@ -9,6 +9,10 @@ import { NE107, VERDICTS, neOf, severity, symbol, verdictOf } from "./words.js";
 
 /** Pause between two orders of the tiles while rows change, ms: what is being read should not jump. */
 const CALM_MS = 4000;
+/** Pause after loops came or went, ms. */
+const SOON_MS = 150;
+/** Pause in typing after which the filter acts, ms. */
+const TYPING_MS = 100;
 const NO_AREA = "No area";
 
 const slope = (row) => {
@@ -100,7 +104,7 @@ class Overview {
     this.verdictRow = h("div", { class: "chips", role: "group", "aria-label": "Filter by verdict" });
     this.areas = h("select", { id: "area", onchange: (e) => this.set({ area: e.target.value }) });
     this.result = h("span", { class: "soft", role: "status" });
-    const search = h("input", { id: "find", type: "search", value: s.text, placeholder: "name, area, words", oninput: (e) => this.set({ text: e.target.value.trim() }), onkeydown: (e) => e.key === "ArrowDown" && this.list.querySelector("a.tile[tabindex='0']")?.focus() });
+    const search = h("input", { id: "find", type: "search", value: s.text, placeholder: "name, area, words", oninput: (e) => this.typed(e.target.value.trim()), onkeydown: (e) => e.key === "ArrowDown" && this.list.querySelector("a.tile[tabindex='0']")?.focus() });
     const sorts = h("select", { id: "sort", onchange: (e) => this.set({ sort: e.target.value }) }, Object.entries(SORTS).map(([value, { label }]) => h("option", { value, selected: value === s.sort }, label)));
     const flat = h("input", { type: "checkbox", checked: !s.flat, onchange: (e) => this.set({ flat: !e.target.checked }) });
     const lines = h("input", { type: "checkbox", checked: s.lines, onchange: (e) => this.set({ lines: e.target.checked }) });
@@ -124,6 +128,12 @@ class Overview {
     this.draw(true);
   }
 
+  /** Thousands of tiles are put in order once a word is typed, not at every letter. */
+  typed(text) {
+    clearTimeout(this.typing);
+    this.typing = setTimeout(() => this.set({ text }), TYPING_MS);
+  }
+
   flip(key, value) {
     const set = new Set(this.state[key]);
     if (!set.delete(value)) set.add(value);
@@ -132,7 +142,11 @@ class Overview {
 
   rows(names) {
     this.tiles.patch(names ?? store.rows.keys());
-    this.draw(names === null);
+    if (names !== null || !this.tiles.order) return this.draw(names === null);
+    // Loops came or went. Many rows come in parts: wait for the last one.
+    clearTimeout(this.soon);
+    this.soon = setTimeout(() => this.draw(true), SOON_MS);
+    return undefined;
   }
 
   /** Draws; the order of the tiles follows at once if asked, else after a pause. */
@@ -215,6 +229,8 @@ class Overview {
 
   destroy() {
     clearTimeout(this.later);
+    clearTimeout(this.soon);
+    clearTimeout(this.typing);
     this.off.forEach((off) => off());
     this.tiles.destroy();
   }

@@ -2,13 +2,15 @@
 
 import * as api from "./api.js";
 import { fill, h, problem, skeleton, whenNear } from "./dom.js";
+import { readable } from "./picture-values.js";
 
 const parser = new DOMParser();
 const BARRED = "script, foreignObject, style, iframe, image, a, animate, set";
 
 // A picture comes from our own server, but what it shows carries names from outside: nothing that acts is let in.
 function clean(text) {
-  const parsed = parser.parseFromString(text, "image/svg+xml").documentElement;
+  const named = text.includes("xmlns=") ? text : text.replace("<svg", '<svg xmlns="http://www.w3.org/2000/svg"');
+  const parsed = parser.parseFromString(named, "image/svg+xml").documentElement;
   if (parsed.nodeName !== "svg") throw new Error("not a picture");
   for (const node of parsed.querySelectorAll(BARRED)) node.remove();
   for (const node of [parsed, ...parsed.querySelectorAll("*")]) {
@@ -19,26 +21,39 @@ function clean(text) {
   return document.importNode(parsed, true);
 }
 
+// The picture's text: it comes with the list, or has an address of its own.
+async function source(picture) {
+  if (picture.svg) return picture.svg;
+  const response = await fetch(api.url(picture.url), { cache: "no-cache" });
+  if (!response.ok) throw new Error("not there");
+  return response.text();
+}
+
 function figure(picture) {
   const frame = h("div", { class: "frame", ...(picture.wide ? { tabindex: "0", role: "group", "aria-label": picture.title } : {}) }, skeleton(5));
   const load = async () => {
     try {
-      const response = await fetch(api.url(picture.url), { cache: "no-cache" });
-      if (!response.ok) throw new Error();
-      const svg = clean(await response.text());
+      const svg = clean(await source(picture));
       if (!svg.getAttribute("aria-label")) svg.setAttribute("aria-label", picture.title);
       fill(frame, svg);
+      readable(svg);
     } catch {
       fill(frame, problem("This picture could not be loaded.", load));
     }
   };
-  const link = h("a", { class: "button quiet icon", href: api.url(picture.url), download: `${picture.id}.svg`, "aria-label": `Save picture: ${picture.title}`, title: "Save as SVG" }, "⤓");
+  const save = async () => {
+    const blob = new Blob([await source(picture)], { type: "image/svg+xml" });
+    const href = URL.createObjectURL(blob);
+    h("a", { href, download: `${picture.title}.svg` }).click();
+    setTimeout(() => URL.revokeObjectURL(href), 1000);
+  };
+  const link = h("button", { class: "button quiet icon", type: "button", onclick: save, "aria-label": `Save picture: ${picture.title}`, title: "Save as SVG" }, "⤓");
   const node = h("figure", { class: picture.wide ? "wide" : null }, frame, h("figcaption", null, h("b", null, picture.title), ". ", picture.caption, " ", link));
   whenNear(node, load);
   return node;
 }
 
-/** Shows pictures `{ id, title, caption, wide, url }`, each loaded when it comes near the screen. */
+/** Shows pictures `{ id, title, caption, wide, svg or url }`, each made when it comes near the screen. */
 export function show(root, pictures) {
   fill(root, pictures.length ? h("div", { class: "pictures" }, pictures.map(figure)) : h("p", { class: "soft" }, "There is no picture: nothing was fitted to this window."));
 }

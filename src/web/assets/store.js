@@ -10,7 +10,7 @@ export const store = {
   loaded: false,
 };
 
-/** Hears of `site`, `rows` (a set of changed names, or null for all), `alarm`, `samples`, `estimate`, `link`, `theme`. */
+/** Hears of `site`, `rows` (a set of changed names, or null for all), `alarm`, `samples`, `estimate`, `link`, `back` (the link, after it was lost), `theme`. */
 export function on(name, listener) {
   if (!listeners.has(name)) listeners.set(name, new Set());
   listeners.get(name).add(listener);
@@ -35,9 +35,14 @@ export function take(name, data) {
 
 function takeRows({ loops, gone = [], full = false }) {
   if (full) store.rows = new Map();
-  for (const row of loops) store.rows.set(row.name, row);
+  let fresh = false;
+  for (const row of loops) {
+    fresh ||= !store.rows.has(row.name);
+    row.taken_ms = Date.now();
+    store.rows.set(row.name, row);
+  }
   for (const name of gone) store.rows.delete(name);
   const first = !store.loaded;
   store.loaded = true;
-  tell("rows", full || first || gone.length ? null : new Set(loops.map((row) => row.name)));
+  tell("rows", full || first || fresh || gone.length ? null : new Set(loops.map((row) => row.name)));
 }

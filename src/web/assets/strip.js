@@ -4,8 +4,8 @@ import { fill, h } from "./dom.js";
 import * as format from "./format.js";
 import { on, store } from "./store.js";
 
-/** Age from which data count as old, s. */
-const OLD_S = 60;
+/** Difference of clocks that is worth a word, s. */
+const OFF_S = 60;
 
 const item = (state, name, words, title) => h("span", { class: `health ${state}`, title }, h("span", { class: "dot", "aria-hidden": "true" }), h("b", null, name), " ", words);
 
@@ -17,21 +17,16 @@ function link(live) {
   return item("bad", "Stale", `${since}, reconnecting (${live.why})`);
 }
 
-function age(rows) {
-  const aged = rows.filter((r) => r.data_age_s !== null);
-  if (!aged.length) return item("wait", "Data age", "no data yet");
-  const worst = aged.reduce((a, b) => (b.data_age_s > a.data_age_s ? b : a));
-  const old = aged.filter((r) => r.data_age_s > OLD_S).length;
-  if (!old) return item("good", "Data", `at most ${format.duration(Math.max(1, Math.ceil(worst.data_age_s)))} old`);
-  return item("warn", "Data", [`${format.count(old, "loop")} older than ${format.duration(OLD_S)}; worst `,
-    h("a", { href: `#/loop/${encodeURIComponent(worst.name)}` }, worst.name), ` ${format.duration(worst.data_age_s)}`]);
+// Ages come with the site: a loop's row is not sent again for its age alone.
+function age({ silent_loops: silent, oldest_loop: name, oldest_age_s: oldest }) {
+  if (oldest === null || oldest === undefined) return item("wait", "Data", "none yet");
+  const link = name && h("a", { href: `#/loop/${encodeURIComponent(name)}` }, name);
+  if (silent) return item("warn", "Data", [`${format.count(silent, "loop")} silent; longest `, link, oldest > 0 ? ` for ${format.duration(oldest)}` : ""]);
+  if (oldest < -OFF_S) return item("good", "Data", `fresh${store.site?.note ? "" : `; plant time is ${format.duration(-oldest)} ahead of the clock`}`);
+  return item("good", "Data", `at most ${format.duration(Math.max(1, Math.ceil(oldest)))} old`);
 }
 
-function holes(rows) {
-  const holed = rows.filter((r) => r.data_gaps > 0);
-  const n = holed.reduce((sum, r) => sum + r.data_gaps, 0);
-  return n ? item("warn", "Holes", `${format.integer(n)} in ${format.count(holed.length, "loop")}`) : item("good", "Holes", "none");
-}
+const holes = ({ data_gaps: n }) => (n ? item("warn", "Holes", format.integer(n)) : item("good", "Holes", "none"));
 
 const LOSSES = [
   ["dropped_input", "message not taken in", "messages not taken in"],
@@ -40,8 +35,7 @@ const LOSSES = [
   ["recording_lost", "record lost", "records lost"],
 ];
 
-function drops(rows) {
-  const samples = rows.reduce((sum, r) => sum + (r.dropped ?? 0), 0);
+function drops({ dropped: samples }) {
   const parts = samples ? [format.count(samples, "sample")] : [];
   for (const [key, one, many] of LOSSES) {
     const n = store.site?.loss?.[key] ?? 0;
@@ -60,16 +54,19 @@ function faults() {
 export function strip(root, live) {
   let said = live.state;
   const spoken = h("span", { class: "unseen", role: "status" });
-  const inside = h("div", { class: "strip-in" });
+  const inside = h("div", { class: "strip-in", tabindex: "0", role: "group", "aria-label": "Connection and data health" });
   root.append(inside, spoken);
   const draw = () => {
     root.hidden = store.site?.kind === "workbench";
     document.body.classList.toggle("stale", live.state === "lost");
-    const rows = [...store.rows.values()];
+    const data = store.site?.data ?? {};
     // What is wrong stands in front, where a narrow screen shows it.
     const rank = (node) => ["bad", "warn", "wait", "good"].findIndex((state) => node.classList.contains(state));
-    const health = [age(rows), holes(rows), drops(rows), faults()].sort((a, b) => rank(a) - rank(b));
-    [link(live), ...health].forEach((node, k) => {
+    const health = [age(data), holes(data), drops(data), faults()].sort((a, b) => rank(a) - rank(b));
+    if (store.site?.note) health.push(item("wait", "Note", store.site.note));
+    const all = [link(live), ...health];
+    while (inside.children.length > all.length) inside.lastChild.remove();
+    all.forEach((node, k) => {
       const old = inside.children[k];
       // Only what changed is replaced: a link that has the focus keeps it.
       if (!old) inside.append(node);
@@ -83,7 +80,9 @@ export function strip(root, live) {
   const soon = () => {
     if (!draw.waiting) draw.waiting = setTimeout(() => { draw.waiting = null; draw(); }, 100);
   };
-  for (const name of ["rows", "site", "link"]) on(name, soon);
+  // What sticks below this line has to know how high it is.
+  new ResizeObserver(() => document.documentElement.style.setProperty("--head", `${Math.floor(root.getBoundingClientRect().bottom)}px`)).observe(root);
+  for (const name of ["site", "link"]) on(name, soon);
   setInterval(soon, 1000);
   draw();
 }

@@ -9,19 +9,18 @@ import { NE107, neOf, opUnit, symbol } from "./words.js";
 /** Tiles of a block; every number of columns up to six divides it. */
 const BLOCK = 60;
 /** Height of a tile, least width and the space between two, px, as in the style sheet; a line is as wide as the list. */
-const SIZES = { tiles: { height: 112, space: 8, least: 238 }, lines: { height: 34, space: 2, least: Infinity } };
+const SIZES = { tiles: { height: 132, space: 8, least: 238 }, lines: { height: 34, space: 2, least: Infinity } };
 
 const TREND = { rising: "↗", falling: "↘", steady: "→" };
 
 function numbers(row) {
   if (row.p_stiction === null) return h("span", { class: "soft" }, row.gates.length ? "no numbers from this window" : " ");
-  const s = row.s === null ? null : h("span", null, h("i", null, "s"), ` ${format.estimate(row.s, row.s_interval, opUnit(row))}`);
+  const s = row.s === null ? null : h("span", null, h("i", null, "s"), ` ${format.estimate(row.s, row.s_interval, row.op_unit ?? "OP")}`);
   return [h("span", null, h("i", null, "p"), ` ${format.probability(row.p_stiction)}`), s];
 }
 
 function inside(row) {
   const key = neOf(row);
-  const age = row.data_age_s;
   return [
     h("span", { class: "tile-head" }, symbol(key), h("b", { class: "tile-name" }, row.name),
       row.unacknowledged ? h("span", { class: "flag" }, "unack") : null,
@@ -30,8 +29,15 @@ function inside(row) {
     h("span", { class: "tile-numbers" }, numbers(row)),
     h("span", { class: "tile-foot" }, spark(row.recent ?? []),
       row.s_trend ? h("span", { class: `trend ${row.s_trend}`, title: `s is ${row.s_trend}` }, TREND[row.s_trend]) : null,
-      h("span", { class: `age${age !== null && age > 60 ? " old" : ""}` }, age === null ? "no data" : `${format.duration(Math.max(1, Math.ceil(age)))} old`)),
+      h("span", { class: `age${row.silent ? " old" : ""}` }, ageWords(row))),
   ];
+}
+
+// A silent loop's row does not come again, so its age counts on here.
+function ageWords(row) {
+  if (row.data_age_s === null) return "no data";
+  const age = row.data_age_s + (row.silent ? (Date.now() - row.taken_ms) / 1000 : 0);
+  return age < 0 ? "live" : `${format.duration(Math.max(1, Math.ceil(age)))} old`;
 }
 
 // What a screen reader says of a tile, with pauses where the eye sees lines.

@@ -103,9 +103,9 @@ export const plain = (name) => GATES[name] ?? String(name ?? "").replaceAll("_",
 
 /** What the fit may be trusted for. */
 export const GRADES = {
-  A: "grade A: no limits, narrow interval",
+  A: "grade A: very good",
   B: "grade B: good",
-  C: "grade C: an answer with wide limits",
+  C: "grade C: an answer with reservations",
   D: "grade D: no answer",
 };
 

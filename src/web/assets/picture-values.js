@@ -1,0 +1,70 @@
+// Values under the pointer in the program's pictures: `data-axes` holds each panel's corners in picture and data units,
+// `data-cells` a map's cells. Dragging a box zooms, a double click shows all again.
+
+import { fill, h } from "./dom.js";
+import { number } from "./format.js";
+
+/** Least size of a box that zooms, picture units. */
+const LEAST_BOX = 30;
+
+const list = (text) => text.trim().split(/\s+/).map(Number);
+
+function place(svg, event) {
+  const at = new DOMPoint(event.clientX, event.clientY);
+  return at.matrixTransform(svg.getScreenCTM().inverse());
+}
+
+function cellWords(name, cells, x, y) {
+  let best = null;
+  for (const cell of cells) {
+    const far = (cell[0] - x) ** 2 + (cell[1] - y) ** 2;
+    if (!best || far < best.far) best = { far, cell };
+  }
+  return best ? `${name} ${number(best.cell[2])} at ${number(best.cell[0])}, ${number(best.cell[1])}` : "";
+}
+
+let box = null;
+
+/** Makes a picture tell its values. */
+export function readable(svg) {
+  const panels = (svg.dataset.axes ?? "").split(";").filter(Boolean).map(list);
+  if (!panels.length) return;
+  const [name, ...rest] = (svg.dataset.cells ?? "").split(";");
+  const cells = rest.filter(Boolean).map(list);
+  const whole = svg.getAttribute("viewBox");
+  let from = null;
+
+  const words = ({ x, y }) => {
+    const panel = panels.find((p) => x >= p[0] && x <= p[1] && y >= p[2] && y <= p[3]);
+    if (!panel) return null;
+    const [left, right, top, bottom, x0, x1, y1, y0] = panel;
+    const atX = x0 + ((x - left) / (right - left)) * (x1 - x0);
+    const atY = y1 + ((y - top) / (bottom - top)) * (y0 - y1);
+    return cells.length ? cellWords(name, cells, atX, atY) : `${number(atX)} , ${number(atY)}`;
+  };
+  const hide = () => box && (box.hidden = true);
+
+  svg.addEventListener("pointermove", (event) => {
+    const text = words(place(svg, event));
+    if (!text) return hide();
+    box ??= document.body.appendChild(h("div", { class: "value-box", "aria-hidden": "true" }));
+    fill(box, text).hidden = false;
+    box.style.left = `${Math.min(event.clientX + 14, document.documentElement.clientWidth - box.offsetWidth - 8)}px`;
+    box.style.top = `${event.clientY + 16}px`;
+    return undefined;
+  });
+  svg.addEventListener("pointerleave", hide);
+  svg.addEventListener("pointerdown", (event) => {
+    if (event.pointerType !== "mouse" || event.button !== 0) return;
+    from = place(svg, event);
+    event.preventDefault();
+  });
+  svg.addEventListener("pointerup", (event) => {
+    if (!from) return;
+    const to = place(svg, event);
+    const [wide, high] = [Math.abs(to.x - from.x), Math.abs(to.y - from.y)];
+    if (wide > LEAST_BOX && high > LEAST_BOX) svg.setAttribute("viewBox", [Math.min(from.x, to.x), Math.min(from.y, to.y), wide, high].join(" "));
+    from = null;
+  });
+  svg.addEventListener("dblclick", () => svg.setAttribute("viewBox", whole));
+}
