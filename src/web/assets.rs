@@ -47,6 +47,7 @@ const ASSETS: &[Asset] = assets! {
     "loop-why.js" JS;
     "loop.js" JS;
     "overview.js" JS;
+    "picture-values.js" JS;
     "pictures.js" JS;
     "print.css" CSS;
     "spark.js" JS;
@@ -55,8 +56,6 @@ const ASSETS: &[Asset] = assets! {
     "theme-button.js" JS;
     "theme.js" JS;
     "tiles.js" JS;
-    "vendor/VENDORED.md" "text/plain; charset=utf-8";
-    "vendor/uPlot-LICENSE" "text/plain; charset=utf-8";
     "vendor/uPlot.iife.min.js" JS;
     "vendor/uPlot.min.css" CSS;
     "views.css" CSS;

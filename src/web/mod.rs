@@ -63,7 +63,6 @@ struct Shared {
 }
 
 /// Everything that is served beside `/metrics` and `/healthz`: the page's files, and what lies under `/api/v1`.
-#[must_use]
 pub fn page(api: Router, guard: Arc<Guard>) -> Router {
     Router::new()
         .nest(api::BASE, api.fallback(api::nothing_there))

@@ -13,8 +13,6 @@ use tokio::sync::watch;
 
 use super::fault::Fault;
 use super::request::Task;
-use super::shelf::Shelf;
-use super::work;
 use crate::cores::{Watch, cores};
 use stiction_monitor::analysis::predictions::Row;
 
@@ -254,14 +252,15 @@ pub struct Jobs {
 }
 
 impl Jobs {
-    /// Starts the threads: one for every two cores, two at most, so that what else runs here keeps its own.
+    /// Starts the threads that do `work`: one for every two cores, two at most, so that what else runs here keeps its own.
     #[must_use]
-    pub fn start(shelf: &Arc<Shelf>) -> Arc<Self> {
+    pub fn start(work: impl Fn(&Job) -> Result<(), Fault> + Send + Sync + 'static) -> Arc<Self> {
         let jobs = Arc::new(Self { inner: Mutex::default(), wake: Condvar::new() });
+        let work = Arc::new(work);
         for number in 0..(cores() / 2).clamp(1, 2) {
-            let (jobs, shelf) = (jobs.clone(), shelf.clone());
+            let (jobs, work) = (jobs.clone(), work.clone());
             let thread = std::thread::Builder::new().name(format!("workbench-{number}"));
-            if let Err(error) = thread.spawn(move || jobs.work(&shelf)) {
+            if let Err(error) = thread.spawn(move || jobs.serve(&*work)) {
                 tracing::error!("a thread of the workbench could not be started: {error}");
             }
         }
@@ -373,7 +372,7 @@ impl Jobs {
         }
     }
 
-    fn work(&self, shelf: &Shelf) {
+    fn serve(&self, work: &(dyn Fn(&Job) -> Result<(), Fault> + Send + Sync)) {
         while let Some(job) = self.next() {
             job.change(|made| {
                 made.state = State::Running;
@@ -383,7 +382,7 @@ impl Jobs {
                 continue;
             }
             // A fault of ours fails one job, not the thread that others wait for.
-            let done = std::panic::catch_unwind(AssertUnwindSafe(|| work::run(&job, shelf)));
+            let done = std::panic::catch_unwind(AssertUnwindSafe(|| work(&job)));
             let done = done.unwrap_or_else(|_| Err(Fault::own("the program failed on this; its log says where")));
             job.change(|made| match done {
                 Ok(()) => {

@@ -57,8 +57,9 @@ impl Workbench {
     /// No folder can be made for uploads.
     pub fn start() -> std::io::Result<Bench> {
         let shelf = Arc::new(Shelf::new(Limits::default())?);
+        let files = shelf.clone();
         Ok(Arc::new(Self {
-            jobs: Jobs::start(&shelf),
+            jobs: Jobs::start(move |job| work::run(job, &files)),
             shelf,
             uploads: Semaphore::new(upload::AT_A_TIME),
             streams: Arc::new(Semaphore::new(STREAMS)),
