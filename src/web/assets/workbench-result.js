@@ -172,7 +172,7 @@ function pairs({ h, pictures }, found) {
     pictures.show(both, shared);
     root.append(both);
   }
-  root.append(head, ...apart.map(([a, b]) => h("div", { class: "wb-two" }, cell(a, first.model), cell(b, second.model))));
+  root.append(head, ...apart.map(([a, b]) => h("div", { class: `wb-two${(a ?? b).wide ? " wide" : ""}` }, cell(a, first.model), cell(b, second.model))));
   return root;
 }
 
