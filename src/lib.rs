@@ -18,7 +18,7 @@
 //! | [`files`] | tables, exports, MCAP, `.mat`, stores |
 //! | [`report`] | pages and pictures |
 //! | [`daemon`] | threads, queues, replay |
-//! | [`web`] | the page with its API, `/metrics`, `/healthz` |
+//! | [`web`] | the page and the API under it, the workbench, `/metrics`, `/healthz` |
 //! | `cli` | of the program, `main.rs`: a file for each command. The library does not know it |
 //!
 //! `tests/library/tidy.rs` holds which room may use which.

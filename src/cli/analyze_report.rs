@@ -7,6 +7,7 @@ use indicatif::ProgressBar;
 
 use super::{UsageError, bar_of};
 use stictiond::cores::Watch;
+use stictiond::report::command::command_line;
 use stictiond::report::maker::Maker;
 use stictiond::report::{page, sheet};
 
@@ -74,26 +75,9 @@ impl ReportFile {
     }
 }
 
-/// The command as it can be pasted into a shell.
-pub(super) fn command_line(arguments: impl Iterator<Item = String>) -> String {
-    let plain = |c: char| c.is_ascii_alphanumeric() || "-_./,:=+@%".contains(c);
-    let quoted = arguments.enumerate().map(|(k, text)| {
-        // The program by its name: where it stands differs between machines.
-        let text = if k == 0 { text.rsplit('/').next().unwrap_or("stictiond").to_owned() } else { text };
-        if !text.is_empty() && text.chars().all(plain) { text } else { format!("'{}'", text.replace('\'', "'\\''")) }
-    });
-    quoted.collect::<Vec<_>>().join(" ")
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn the_command_can_be_pasted() {
-        let given = ["/usr/bin/stictiond", "analyze", "my file.csv", "--loop", "it's", ""].map(str::to_owned);
-        assert_eq!(command_line(given.into_iter()), "stictiond analyze 'my file.csv' --loop 'it'\\''s' ''");
-    }
 
     const fn units() -> [Option<String>; 2] {
         [None, None]

@@ -28,6 +28,7 @@ pub mod selection;
 pub mod simulate;
 pub mod solving;
 mod stop;
+pub mod workbench;
 
 use std::fmt::Display;
 use std::future::Future;
@@ -101,6 +102,7 @@ enum CommandArgs {
     Replay(replay::Args),
     Analyze(analyze::Args),
     Gap(gap::Args),
+    Workbench(workbench::Args),
     Evaluate(evaluate::Args),
     Calibrate(calibrate::Args),
     Simulate(simulate::Args),
@@ -159,6 +161,7 @@ fn dispatch(cli: Cli) -> anyhow::Result<Outcome> {
         CommandArgs::Replay(args) => replay::run(&args, format),
         CommandArgs::Analyze(args) => analyze::run(&args, format),
         CommandArgs::Gap(args) => gap::run(&args, format),
+        CommandArgs::Workbench(args) => workbench::run(&args, format),
         CommandArgs::Evaluate(args) => evaluate::run(&args, format),
         CommandArgs::Calibrate(args) => calibrate::run(&args, format),
         CommandArgs::Simulate(args) => simulate::run(&args, format),

@@ -67,7 +67,9 @@ use crate::sink::zenoh::Publisher;
 use crate::source::shares::Shares;
 use crate::source::zenoh::LastValues;
 use crate::source::{self, Incoming, Intake, presence};
-use crate::web::{self, api::Live};
+use crate::web;
+use crate::web::api::Live;
+use crate::web::workbench::{self, Workbench};
 use stiction_monitor::codec::topic;
 use stiction_monitor::config::Config;
 use stiction_monitor::engine::Engine;
@@ -336,7 +338,12 @@ fn page_of(
         snapshot.clone(),
     );
     live.note = (options.origin == "demo").then_some(SIMULATED);
-    Ok(web::page(web::api::live(Arc::new(live)), guard))
+    let mut api = web::api::live(Arc::new(live));
+    if config.web.page.workbench {
+        let bench = Workbench::start().context("[web] workbench: no folder can be made for uploads")?;
+        api = api.merge(workbench::router(bench));
+    }
+    Ok(web::page(api, guard))
 }
 
 /// What signs documents, where the configuration names a key.

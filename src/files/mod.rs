@@ -275,13 +275,21 @@ pub fn load_samples(path: &Path) -> Result<Loaded, FileError> {
 /// # Errors
 /// As [`load_samples`].
 pub fn load(path: &Path, options: &ReadOptions) -> Result<Loaded, FileError> {
+    load_as(path, path, options)
+}
+
+/// The same for a file that stands elsewhere than it is `called`: loops of tables are named after their files.
+///
+/// # Errors
+/// As [`load_samples`]; what is wrong inside a table is told under the name.
+pub fn load_as(path: &Path, called: &Path, options: &ReadOptions) -> Result<Loaded, FileError> {
     match InputKind::detect(path)? {
         InputKind::Mcap => load_recording(path),
         InputKind::Mat => load_store(path),
         kind => {
             let bytes = std::fs::read(path).map_err(|source| FileError::Io { path: path.to_owned(), source })?;
-            let read = export::read(kind, path, &bytes, options);
-            let read = read.map_err(|fault| named_mat(path, fault.of(path)))?;
+            let read = export::read(kind, called, &bytes, options);
+            let read = read.map_err(|fault| named_mat(called, fault.of(called)))?;
             Ok(Loaded::of_export(kind, read))
         }
     }

@@ -2,10 +2,11 @@
 //!
 //! [`plot`] and [`chart`] turn data into SVG and know nothing of valves; [`ink`] says which colour stands for what.
 //! [`detail`] computes what a loop's pictures need, [`figures`] draws them, [`words`] puts the numbers into sentences.
-//! [`maker`] gathers what was analysed; [`page`] is the HTML file, [`sheet`] the SVG file; [`gap_figures`] and [`gap_page`] do the same for a gap.
+//! [`maker`] gathers what was analysed, [`command`] says how it was made; [`page`] is the HTML file, [`sheet`] the SVG file; [`gap_figures`] and [`gap_page`] do the same for a gap.
 
 pub mod across;
 pub mod chart;
+pub mod command;
 pub mod detail;
 pub mod diagram;
 pub mod figures;

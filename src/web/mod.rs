@@ -2,7 +2,8 @@
 //!
 //! It reads what the engine's thread leaves for it and what lies in the recordings, and sends people's wishes through the
 //! engine's own queue; nothing here touches the hot path. [`server`] bounds connections, [`guard`] says who may do what,
-//! [`api`] answers, [`assets`] holds the page's files.
+//! [`api`]
+//! answers for a daemon, [`workbench`] for files, [`assets`] holds the page's files.
 
 pub mod api;
 mod assets;
@@ -10,8 +11,11 @@ pub mod error;
 mod exposition;
 pub mod extract;
 pub mod guard;
+mod openapi;
 pub mod server;
+pub mod table;
 pub mod thin;
+pub mod workbench;
 
 use std::net::SocketAddr;
 use std::path::Path;
@@ -106,7 +110,7 @@ fn machine_name() -> Option<String> {
 #[must_use]
 pub fn page(api: Router, guard: Arc<Guard>) -> Router {
     Router::new()
-        .nest(api::BASE, api.fallback(api::nothing_there))
+        .nest(table::BASE, api.merge(openapi::router()).fallback(table::nothing_there))
         .fallback(get(assets::asset))
         .layer(from_fn_with_state(guard, guard::guard))
 }

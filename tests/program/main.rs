@@ -21,3 +21,4 @@ mod pages;
 mod recordings;
 mod shipped;
 mod toolbox;
+mod workbench;

@@ -8,7 +8,6 @@ use std::time::Duration;
 
 use anyhow::{Context, anyhow, bail};
 
-use super::analyze_report::command_line;
 use super::challenge;
 use super::reading::{ReadArgs, config_of, named};
 use super::selection::{Selection, points, told, warn};
@@ -20,6 +19,7 @@ use stiction_monitor::analysis::predictions::rows;
 use stiction_monitor::analysis::{self, Points, Section};
 use stictiond::cores::{Team, Watch};
 use stictiond::files::LoadedLoop;
+use stictiond::report::command::command_line;
 use stictiond::report::{GapReport, gap_page};
 
 /// Diagnose the gap between a loop's model and its record: where it lies, which unmodelled effect causes it, and how

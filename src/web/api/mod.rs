@@ -1,14 +1,13 @@
-//! The API under the page, one table of operations: the router and its OpenAPI description are made from the same lines.
+//! The API of a running daemon.
 
 mod alarms;
 mod curves;
 mod events;
 mod loops;
-mod openapi;
 mod over_time;
 mod past;
 mod reviews;
-mod site;
+pub mod site;
 mod window;
 
 use std::path::Path;
@@ -16,14 +15,13 @@ use std::sync::{Arc, PoisonError};
 use std::time::Duration;
 
 use axum::http::StatusCode;
-use axum::routing::MethodRouter;
 use axum::{Json, Router};
 use crossbeam_channel::Sender;
-use schemars::{Schema, SchemaGenerator};
 use tokio::sync::{Semaphore, oneshot};
 
 use super::error::ApiError;
 use super::guard::Guard;
+use super::table::{self, Gives, Operation, Parameter, of};
 use crate::daemon::clock::now_ns;
 use crate::daemon::health::HealthSnapshot;
 use crate::daemon::overview::Overview;
@@ -34,8 +32,6 @@ use crate::source::{Answer, Incoming, Looked};
 use stiction_monitor::codec::topic::{self, Kind};
 use stiction_monitor::config::Config;
 
-/// Where the API lies.
-pub const BASE: &str = "/api/v1";
 /// How long the engine may take for an answer; a diagnosis takes longer.
 const ENGINE_WITHIN: Duration = Duration::from_secs(10);
 /// Looks at windows and recordings at a time, and drawings, which take seconds: both take a core from the fits.
@@ -177,49 +173,6 @@ async fn within<T>(patience: Duration, told: oneshot::Receiver<T>) -> Result<T, 
     tokio::time::timeout(patience, told).await.map_err(|_| late())?.map_err(|_| late())
 }
 
-/// What a query or a path may carry.
-#[derive(Debug, Clone, Copy)]
-pub struct Parameter {
-    /// Its name; `{name}` of the path is one too.
-    pub name: &'static str,
-    /// What it is, in words.
-    pub words: &'static str,
-}
-
-/// What an operation answers with.
-#[derive(Clone, Copy)]
-pub enum Gives {
-    /// JSON of this shape.
-    Json(fn(&mut SchemaGenerator) -> Schema),
-    /// A file of this kind.
-    File(&'static str),
-    /// Server-sent events, whose data are JSON.
-    Events,
-}
-
-/// One line of the table.
-pub struct Operation<S> {
-    /// `get`, `post` or `delete`.
-    pub method: &'static str,
-    /// Below [`BASE`].
-    pub path: &'static str,
-    /// What it does, in words.
-    pub summary: &'static str,
-    /// What it may be told beside the path's own names.
-    pub query: &'static [Parameter],
-    /// What it is sent, as JSON.
-    pub body: Option<fn(&mut SchemaGenerator) -> Schema>,
-    /// What it gives.
-    pub gives: Gives,
-    /// What answers.
-    pub handler: fn() -> MethodRouter<S>,
-}
-
-/// The shape of a type.
-pub(crate) fn of<T: schemars::JsonSchema>(generator: &mut SchemaGenerator) -> Schema {
-    generator.subschema_for::<T>()
-}
-
 /// Every operation of a running daemon.
 #[must_use]
 pub fn operations() -> Vec<Operation<Shared>> {
@@ -238,18 +191,8 @@ pub fn operations() -> Vec<Operation<Shared>> {
     .collect()
 }
 
-/// A router of operations.
-pub fn router<S: Clone + Send + Sync + 'static>(operations: &[Operation<S>]) -> Router<S> {
-    operations.iter().fold(Router::new(), |router, o| router.route(o.path, (o.handler)()))
-}
-
 /// The API of a running daemon.
 #[must_use]
 pub fn live(state: Shared) -> Router {
-    router(&operations()).with_state(state)
-}
-
-/// What is not there.
-pub(super) async fn nothing_there() -> ApiError {
-    ApiError::not_found("no such thing here: /api/v1/openapi.json lists what there is")
+    table::router(&operations()).with_state(state)
 }

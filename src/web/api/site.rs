@@ -5,10 +5,9 @@ use axum::http::HeaderMap;
 use axum::routing::get;
 use axum::{Extension, Json};
 use serde::Serialize;
-use serde_json::Value;
 use std::sync::PoisonError;
 
-use super::{Gives, Operation, Shared, of, openapi};
+use super::{Gives, Operation, Shared, of};
 use crate::daemon::clock::now_ns;
 use crate::daemon::overview::DataHealth;
 use crate::web::guard::Permission;
@@ -76,26 +75,15 @@ pub struct Loss {
 }
 
 pub(super) fn operations() -> Vec<Operation<Shared>> {
-    vec![
-        Operation {
-            method: "get",
-            path: "/site",
-            summary: "What the daemon is, whether anything is wrong with it, and whether who asks may send commands",
-            query: &[],
-            body: None,
-            gives: Gives::Json(of::<Site>),
-            handler: || get(site),
-        },
-        Operation {
-            method: "get",
-            path: "/openapi.json",
-            summary: "This description",
-            query: &[],
-            body: None,
-            gives: Gives::Json(of::<Value>),
-            handler: || get(|| async { Json(openapi::document()) }),
-        },
-    ]
+    vec![Operation {
+        method: "get",
+        path: "/site",
+        summary: "What the daemon is, whether anything is wrong with it, and whether who asks may send commands",
+        query: &[],
+        body: None,
+        gives: Gives::Json(of::<Site>),
+        handler: || get(site),
+    }]
 }
 
 async fn site(State(live): State<Shared>, Extension(peer): Extension<Peer>, headers: HeaderMap) -> Json<Site> {

@@ -1,10 +1,13 @@
-//! The API's description, made from the table of operations.
+//! The API's description, made from the tables of operations.
 
+use axum::routing::get;
+use axum::{Json, Router};
 use schemars::SchemaGenerator;
 use schemars::generate::SchemaSettings;
 use serde_json::{Map, Value, json};
 
-use super::{BASE, Gives, Operation, operations};
+use super::table::{BASE, Gives, Operation, of};
+use super::{api, table, workbench};
 
 /// OpenAPI 3.1 of everything under [`BASE`].
 pub(super) fn document() -> Value {
@@ -12,10 +15,9 @@ pub(super) fn document() -> Value {
         SchemaSettings::draft2020_12().for_serialize().with(|s| s.definitions_path = "/components/schemas".into());
     let mut generator = settings.into_generator();
     let mut paths = Map::new();
-    for operation in operations() {
-        let path = paths.entry(format!("{BASE}{}", operation.path)).or_insert_with(|| json!({}));
-        path[operation.method] = described(&operation, &mut generator);
-    }
+    describe(&own(), &mut paths, &mut generator);
+    describe(&api::operations(), &mut paths, &mut generator);
+    describe(&workbench::operations(), &mut paths, &mut generator);
     let schemas = generator.take_definitions(true);
     json!({
         "openapi": "3.1.0",
@@ -32,6 +34,31 @@ pub(super) fn document() -> Value {
             "securitySchemes": { "token": { "type": "http", "scheme": "bearer" } },
         },
     })
+}
+
+/// The description itself.
+fn own() -> [Operation<()>; 1] {
+    [Operation {
+        method: "get",
+        path: "/openapi.json",
+        summary: "This description",
+        query: &[],
+        body: None,
+        gives: Gives::Json(of::<Value>),
+        handler: || get(|| async { Json(document()) }),
+    }]
+}
+
+/// Serves it.
+pub(super) fn router() -> Router {
+    table::router(&own())
+}
+
+fn describe<S>(operations: &[Operation<S>], paths: &mut Map<String, Value>, generator: &mut SchemaGenerator) {
+    for operation in operations {
+        let path = paths.entry(format!("{BASE}{}", operation.path)).or_insert_with(|| json!({}));
+        path[operation.method] = described(operation, generator);
+    }
 }
 
 fn described<S>(operation: &Operation<S>, generator: &mut SchemaGenerator) -> Value {
@@ -79,8 +106,12 @@ mod tests {
     fn every_operation_stands_once_and_every_reference_leads_somewhere() {
         let whole = document();
         let described: usize = whole["paths"].as_object().unwrap().values().map(|p| p.as_object().unwrap().len()).sum();
-        let all: BTreeSet<_> = operations().iter().map(|o| (o.method, o.path)).collect();
-        assert_eq!((described, all.len()), (operations().len(), operations().len()));
+        let of_daemon = api::operations();
+        let of_bench = workbench::operations();
+        let mut all: BTreeSet<_> = of_daemon.iter().map(|o| (o.method, o.path)).collect();
+        all.extend(of_bench.iter().map(|o| (o.method, o.path)));
+        let count = of_daemon.len() + of_bench.len();
+        assert_eq!((described, all.len()), (count + own().len(), count));
         let mut open = vec![&whole];
         let mut references = 0;
         while let Some(value) = open.pop() {

@@ -1,0 +1,142 @@
+//! `stictiond workbench`: the page for files, without a daemon.
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::process::{Command, Stdio};
+
+use anyhow::{Context, bail};
+use clap::CommandFactory;
+use serde_json::json;
+use tokio::net::TcpListener;
+
+use super::reading::ReadArgs;
+use super::{Format, Outcome, asked_to_stop, block_on, note, say, warn};
+use stictiond::files::inputs::Unit;
+use stictiond::web::workbench::{OPTIONS, ReadingWords, Workbench, alone};
+
+/// Open files in the browser: choose sections on the trend, estimate, diagnose, compare, save reports.
+///
+/// The page is served by this program, needs no internet and is open to this machine alone. The numbers are those of
+/// `analyze` and `gap`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:
+  stictiond workbench
+  stictiond workbench recordings/sticking.mcap
+  stictiond workbench exports/ --tz Europe/Berlin --listen 8090 --no-open
+
+Ctrl-C ends it. Uploaded files lie in a folder of their own until then.")]
+pub struct Args {
+    /// Tables, exports, recordings (.mcap), compact stores (.mat); folders and patterns of them too. More can be opened
+    /// in the page.
+    pub input: Vec<PathBuf>,
+    /// How exports are read.
+    #[command(flatten)]
+    pub reading: ReadArgs,
+    /// Where the page is served: a port of this machine, or an address with a port; port 0 takes any free one.
+    #[arg(long, value_name = "PORT|ADDRESS", default_value = "127.0.0.1:0", value_parser = address)]
+    pub listen: SocketAddr,
+    /// Only print the address, open no browser.
+    #[arg(long)]
+    pub no_open: bool,
+}
+
+fn address(text: &str) -> Result<SocketAddr, String> {
+    let port = text.parse::<u16>().map(|port| SocketAddr::from(([127, 0, 0, 1], port)));
+    port.or_else(|_| text.parse()).map_err(|_| format!("{text:?} is no address: write 8090 or 127.0.0.1:8090"))
+}
+
+/// Runs the command until somebody stops it.
+///
+/// # Errors
+/// The address cannot be used, or no file that was given can be read.
+pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
+    let bench = Workbench::start().context("no folder can be made for uploads")?;
+    let units = if args.input.is_empty() { Vec::new() } else { args.reading.units(&args.input)? };
+    let (mut opened, mut failed) = (0, Vec::new());
+    for unit in units {
+        let name = Unit::name(&unit);
+        match bench.open(unit, args.reading.options(), words()) {
+            Ok(loops) => {
+                opened += 1;
+                note(format_args!("{name}: {loops} {}", if loops == 1 { "loop" } else { "loops" }));
+            }
+            Err(fault) => failed.push(fault),
+        }
+    }
+    if opened == 0 && !failed.is_empty() {
+        bail!("{}", super::list(&failed));
+    }
+    failed.iter().for_each(warn);
+    // Times are shown in the zone that the files are said to be from.
+    let zone = args.reading.tz.as_ref().map_or("UTC", |zone| zone.name()).to_owned();
+    block_on(async {
+        let stopping = asked_to_stop()?;
+        let listener = TcpListener::bind(args.listen).await;
+        let listener =
+            listener.with_context(|| format!("{} cannot be used; --listen 0 takes any free port", args.listen))?;
+        let address = listener.local_addr()?;
+        let url = format!("http://{address}/#/workbench");
+        match format {
+            Format::Text => say(format_args!("The workbench is at {url} until Ctrl-C."))?,
+            Format::Json => say(json!({"url": url, "address": address.to_string()}))?,
+        }
+        if !address.ip().is_loopback() {
+            warn("whoever reaches this address can look at the files; only this machine can open or analyse some");
+        }
+        if !args.no_open {
+            open(&url);
+        }
+        tokio::select! {
+            () = alone::serve(listener, bench.clone(), zone) => {}
+            () = stopping => {}
+        }
+        Ok(())
+    })?;
+    bench.close();
+    Ok(Outcome::Done)
+}
+
+/// The reading options as they were written, for command lines that the page shows.
+fn words() -> ReadingWords {
+    let mut words = ReadingWords::default();
+    let matches = super::Cli::command().get_matches();
+    let Some((_, given)) = matches.subcommand() else { return words };
+    for name in OPTIONS {
+        let value = given.get_raw(name).and_then(|mut values| values.next());
+        if let Some(value) = value {
+            // They were understood when the command line was read.
+            let _ = words.set(name, &value.to_string_lossy());
+        }
+    }
+    words
+}
+
+/// Shows the page in a browser where there is a desktop; the address is printed in any case.
+fn open(url: &str) {
+    let program = if cfg!(target_os = "macos") {
+        "open"
+    } else if ["DISPLAY", "WAYLAND_DISPLAY"].iter().any(|name| std::env::var_os(name).is_some_and(|v| !v.is_empty())) {
+        "xdg-open"
+    } else {
+        return;
+    };
+    let mut command = Command::new(program);
+    command.arg(url).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
+    match command.spawn() {
+        // Somebody has to hear of its end.
+        Ok(mut child) => drop(std::thread::spawn(move || child.wait())),
+        Err(error) => tracing::info!("no browser could be opened ({program}: {error}); open the address yourself"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_port_alone_is_one_of_this_machine() {
+        assert_eq!(address("8090"), Ok(SocketAddr::from(([127, 0, 0, 1], 8090))));
+        assert_eq!(address("0.0.0.0:0"), Ok(SocketAddr::from(([0, 0, 0, 0], 0))));
+        assert!(address("somewhere").is_err() && address("70000").is_err());
+    }
+}

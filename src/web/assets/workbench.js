@@ -1,0 +1,193 @@
+// The workbench: open files, choose sections and options, run, look, compare. The numbers are those of the commands.
+
+import { Files } from "./workbench-files.js";
+import { Form, history } from "./workbench-form.js";
+import { showGap } from "./workbench-gap.js";
+import { showEstimate } from "./workbench-result.js";
+import { Runs, over } from "./workbench-runs.js";
+import { Choices, choicesOf, order, undoKeys } from "./workbench-state.js";
+import { Trend } from "./workbench-trend.js";
+
+/** What is chosen outlives a look at another view. */
+const choices = new Choices();
+
+/** Shows the workbench; returns a function that ends it. */
+export function show(root, context) {
+  const bench = new Bench(root, context);
+  bench.start();
+  return () => bench.end();
+}
+
+class Bench {
+  constructor(root, context) {
+    Object.assign(this, { root, context, api: context.api, dom: context.dom, announce: context.announce, h: context.dom.h, fill: context.dom.fill });
+    this.endResult = null;
+    this.build();
+  }
+
+  build() {
+    const { h } = this;
+    const part = (name, label, title) => {
+      this[name] = h("div");
+      return h("section", { class: `card wb-part wb-${name}`, "aria-label": label }, title ? h("h2", null, title) : null, this[name]);
+    };
+    this.note = h("p", { class: "problem", role: "alert", hidden: true });
+    this.go = h("button", { class: "button primary wb-go", type: "button", onclick: () => this.run() }, "Run");
+    this.full = h("button", { class: "button", type: "button", "aria-pressed": "false", onclick: () => this.fullScreen() }, "Full screen");
+    this.progress = h("div", { class: "wb-under-way" });
+    this.side = h("div", { class: "wb-side" }, part("files", "Files", "Files"), this.setup = h("section", { class: "card wb-part wb-setup", "aria-label": "Choices" },
+      h("h2", null, "Choices"), this.form = h("div", { class: "wb-form" }), this.steps = h("div", { class: "wb-steps" })));
+    this.title = h("h2", null, "Result");
+    this.main = h("div", { class: "wb-main" },
+      this.empty = h("section", { class: "card wb-empty", "aria-label": "How it begins" }),
+      this.trendPart = h("section", { class: "card wb-part", "aria-label": "Trend and sections" }, this.trendTitle = h("h2", null, "Trend"), this.trend = h("div"),
+        h("div", { class: "row wb-run" }, this.go, h("span", { class: "soft" }, h("kbd", null, "Ctrl"), " ", h("kbd", null, "Enter")), this.note), this.progress),
+      this.resultPart = h("section", { class: "card wb-part", "aria-label": "Result" }, this.title, this.result = h("div", { class: "wb-result" })),
+      this.tablePart = h("section", { class: "card wb-part", "aria-label": "Runs compared" }, this.table = h("div")));
+    this.page = h("div", { class: "wb" },
+      h("div", { class: "row spread wb-head" }, h("h1", null, "Workbench"), h("div", { class: "row" }, this.full)),
+      h("div", { class: "wb-body" }, this.side, this.main));
+    this.fill(this.root, this.page);
+    this.fill(this.empty, h("h2", null, "Open a record to begin"),
+      h("ol", { class: "lead" },
+        h("li", null, "Open a recording, a compact store (.mat) or an export of any historian."),
+        h("li", null, "Choose a loop, and sections by dragging over its trend."),
+        h("li", null, "Run: how much the valve sticks, with first and second order side by side; or what the model leaves out.")),
+      h("p", { class: "soft" }, "Files stay on the machine that serves this page. The numbers are those of the commands analyze and gap, to the digit."));
+  }
+
+  async start() {
+    const { context } = this;
+    this.listen();
+    this.fileList = new Files(this.files, context, { chosen: (file, one) => this.chooseLoop(file, one), changed: () => this.arrange() });
+    this.trends = new Trend(this.trend, context, { sections: (sections, words) => choices.change({ sections }, words) });
+    this.runs = new Runs(this.progress, this.table, context, { shown: (job) => this.showResult(job), changed: () => this.runsChanged(), again: (job) => this.again(job) });
+    this.arrange();
+    try {
+      this.options = await this.api.get("/workbench/options");
+      this.forms = new Form(this.form, context, choices, this.options, () => this.runs.bases());
+      choices.onChange = (now, before) => this.changed(now, before);
+      history(this.steps, context, choices);
+      await this.fileList.load();
+      await this.runs.load();
+      const { file, loop } = choices.now;
+      const known = this.fileList.find(file);
+      if (known) this.showLoop(known, known.loops.find((one) => one.name === loop));
+      else if (this.fileList.files[0]?.loops.length) this.chooseLoop(this.fileList.files[0], this.fileList.files[0].loops[0]);
+    } catch (error) {
+      if (!this.ended) this.fill(this.root, this.dom.problem(error.message, () => location.reload()));
+    }
+  }
+
+  listen() {
+    this.ends = [
+      undoKeys(choices, (words) => this.announce(words)),
+      this.on(document, "fullscreenchange", () => this.full.setAttribute("aria-pressed", String(document.fullscreenElement !== null))),
+      this.on(document, "keydown", (e) => {
+        if (e.key === "Enter" && (e.ctrlKey || e.metaKey) && !this.go.disabled && !e.target.closest("dialog")) this.run();
+      }),
+    ];
+  }
+
+  on(target, name, act) {
+    target.addEventListener(name, act);
+    return () => target.removeEventListener(name, act);
+  }
+
+  fullScreen() {
+    if (document.fullscreenElement) document.exitFullscreen();
+    else this.page.requestFullscreen().catch((error) => this.announce(`No full screen: ${error.message}`));
+  }
+
+  /** A person chose a loop, or closed the file that was looked at. */
+  chooseLoop(file, one) {
+    const words = one ? `Loop ${one.name}` : "File closed";
+    choices.change({ file: file?.id ?? null, loop: one?.name ?? null, sections: [] }, words);
+  }
+
+  showLoop(file, one) {
+    this.fileList.choose(file?.id ?? null, one?.name ?? null);
+    this.fill(this.trendTitle, one ? `Trend of ${one.name}` : "Trend");
+    this.trends.show(file, one ?? null, choices.now.sections);
+    this.arrange();
+  }
+
+  /** The choices changed: by a person, by undo, by a run whose choices were taken. */
+  changed(now, before) {
+    if (now.file !== before.file || now.loop !== before.loop) {
+      const file = this.fileList.find(now.file);
+      this.showLoop(file, file?.loops.find((one) => one.name === now.loop));
+    } else if (now.sections !== before.sections) {
+      this.trends.setSections(now.sections);
+    }
+    this.forms.update(now, before);
+    history(this.steps, this.context, choices);
+    this.arrange();
+  }
+
+  runsChanged() {
+    this.forms?.updateBases();
+    this.arrange();
+  }
+
+  again(job) {
+    const sections = (job.request.samples ?? []).map(([from, to]) => ({ from, to }));
+    choices.change(choicesOf(job.request, sections), `Choices of run ${this.runs.number(job)}`);
+    this.announce(`The choices of run ${this.runs.number(job)} are taken`);
+  }
+
+  /** Shows only what there is something to do with. */
+  arrange() {
+    const there = Boolean(choices.now.loop && this.fileList?.find(choices.now.file));
+    const runs = this.runs?.jobs.length > 0;
+    this.empty.hidden = there || runs;
+    this.trendPart.hidden = !there;
+    this.setup.hidden = !there;
+    this.resultPart.hidden = !runs;
+    this.tablePart.hidden = !runs;
+    this.go.disabled = !there;
+    this.go.textContent = choices.now.kind === "gap" ? "Diagnose the gap" : "Estimate";
+  }
+
+  async run() {
+    this.note.hidden = true;
+    this.go.disabled = true;
+    try {
+      // What is typed but not yet left counts too.
+      document.activeElement?.dispatchEvent(new Event("change", { bubbles: true }));
+      await this.runs.order(order(choices.now, (base) => this.runs.document(base)));
+      this.announce("The run has begun");
+    } catch (error) {
+      this.fill(this.note, error.message).hidden = false;
+    }
+    this.go.disabled = false;
+  }
+
+  showResult(job) {
+    this.endResult?.();
+    this.endResult = null;
+    const { h, fill } = this;
+    // While it is drawn anew the page keeps its length, so that nobody is moved.
+    this.result.style.minHeight = `${this.result.offsetHeight}px`;
+    setTimeout(() => (this.result.style.minHeight = ""), 1000);
+    if (!job) return fill(this.result);
+    fill(this.title, `Run ${this.runs.number(job)}: ${job.request.kind === "gap" ? "gap" : "estimate"} of ${job.request.loop}`);
+    const one = this.fileList?.find(job.request.file)?.loops.find((l) => l.name === job.request.loop);
+    const context = { ...this.context, h, fill, problem: this.dom.problem, units: one?.units ?? [null, null] };
+    if (job.error) return fill(this.result, h("p", { class: "problem" }, job.error));
+    if (!job.results?.length) return fill(this.result, over(job) ? h("p", { class: "note" }, "This run was cancelled before it found anything.") : this.dom.skeleton(6));
+    if (job.request.kind === "gap") this.endResult = showGap(this.result, context, job);
+    else showEstimate(this.result, context, job);
+    return undefined;
+  }
+
+  end() {
+    this.ended = true;
+    choices.onChange = () => {};
+    this.endResult?.();
+    this.ends.forEach((end) => end());
+    this.fileList.end();
+    this.trends.end();
+    this.runs.end();
+  }
+}

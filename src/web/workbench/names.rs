@@ -1,0 +1,66 @@
+//! Names from outside: shown, written into command lines, never a path on this machine.
+
+/// Longest name, characters.
+const LONGEST: usize = 120;
+
+/// What a file from outside is called: the last part of what its sender calls it, on whichever system, without
+/// characters that steer anything. The ending stays, since loops of tables are named after their files.
+#[must_use]
+pub fn shown(sent: &str) -> String {
+    let last = sent.rsplit(['/', '\\']).find(|part| !part.trim().is_empty()).unwrap_or_default();
+    // Marks that turn the direction of text can make one ending look like another.
+    let steers = |c: &char| {
+        c.is_control()
+            || matches!(c, '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}' | '\u{feff}')
+    };
+    let plain: String = last.chars().filter(|c| !steers(c)).collect();
+    let plain = plain.trim().trim_start_matches(['.', '-']).trim_start();
+    let count = plain.chars().count();
+    let name: String = match plain.rsplit_once('.') {
+        Some((stem, ending)) if count > LONGEST && ending.chars().count() < 10 => {
+            let room = LONGEST - ending.chars().count() - 1;
+            format!("{}.{ending}", stem.chars().take(room).collect::<String>())
+        }
+        _ => plain.chars().take(LONGEST).collect(),
+    };
+    if name.is_empty() { "file".to_owned() } else { name }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(256))]
+
+        #[test]
+        fn no_name_is_a_path_or_an_option(sent in "\\PC{0,300}", inside in prop::sample::select(vec!["/", "\\", "..", "\0", "\u{202e}", "-", ""])) {
+            let name = shown(&format!("{sent}{inside}{sent}"));
+            prop_assert!(!name.is_empty() && name.chars().count() <= LONGEST);
+            let steering = ['/', '\\', '\0', '\n', '\u{202e}'];
+            prop_assert!(!name.contains(steering));
+            prop_assert!(!name.starts_with(['.', '-']));
+            prop_assert_eq!(std::path::Path::new(&name).components().count(), 1);
+            // What is shown is what would be shown again.
+            prop_assert_eq!(shown(&name), name);
+        }
+    }
+
+    #[test]
+    fn plain_names_stay() {
+        for (sent, name) in [
+            ("loop4.csv", "loop4.csv"),
+            ("../../etc/passwd", "passwd"),
+            ("C:\\data\\Füllstand 1.xlsx", "Füllstand 1.xlsx"),
+            ("..", "file"),
+            ("/", "file"),
+            ("--out=x.csv", "out=x.csv"),
+            ("a\u{202e}vsc.exe", "avsc.exe"),
+        ] {
+            assert_eq!(shown(sent), name, "{sent}");
+        }
+        let long = shown(&format!("{}.csv", "x".repeat(500)));
+        assert!(long.ends_with("x.csv") && long.len() == LONGEST);
+    }
+}
