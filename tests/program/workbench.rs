@@ -317,6 +317,11 @@ fn hostile_names_paths_and_bodies_are_refused_and_leave_nothing() {
     assert_eq!(file["name"], "evil.csv");
     let inside: Vec<PathBuf> = fs::read_dir(bench.folder.path()).unwrap().map(|entry| entry.unwrap().path()).collect();
     assert_eq!(inside.len(), 1, "{inside:?}");
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt as _;
+        assert_eq!(fs::metadata(&inside[0]).unwrap().permissions().mode() & 0o777, 0o700);
+    }
     let kept: Vec<_> = fs::read_dir(&inside[0]).unwrap().map(|entry| entry.unwrap().file_name()).collect();
     assert_eq!(kept, ["1"], "uploads are called by numbers");
     for path in [

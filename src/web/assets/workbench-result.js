@@ -172,7 +172,9 @@ function pairs({ h, pictures }, found) {
     pictures.show(both, shared);
     root.append(both);
   }
-  root.append(head, ...apart.map(([a, b]) => h("div", { class: `wb-two${(a ?? b).wide ? " wide" : ""}` }, cell(a, first.model), cell(b, second.model))));
+  const isWide = ([a, b]) => (a ?? b).wide;
+  const two = (pair) => h("div", { class: `wb-two${isWide(pair) ? " wide" : ""}` }, cell(pair[0], first.model), cell(pair[1], second.model));
+  root.append(...apart.filter(isWide).map(two), head, ...apart.filter((pair) => !isWide(pair)).map(two));
   return root;
 }
 

@@ -14,6 +14,7 @@ mod reading;
 mod record;
 mod request;
 mod routes;
+mod sampling;
 mod shelf;
 mod upload;
 mod work;

@@ -4,7 +4,8 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::fault::Fault;
-use super::shelf::{Shelf, sampling_time_s};
+use super::sampling::sampling_time_s;
+use super::shelf::Shelf;
 use crate::web::thin::thin;
 use stiction::signal::align::Point;
 use stiction_monitor::analysis::{Points, Section};

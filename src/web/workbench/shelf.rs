@@ -11,6 +11,7 @@ use serde::Serialize;
 
 use super::fault::Fault;
 use super::reading::ReadingWords;
+use super::sampling::sampling_time_s;
 use tempfile::TempDir;
 
 use crate::daemon::replay::config_of;
@@ -18,8 +19,6 @@ use crate::files::inputs::Unit;
 use crate::files::{Loaded, LoadedLoop, ReadOptions};
 use stiction::record::{Sample, Signal};
 use stiction::signal::align::Point;
-use stiction::signal::stats;
-use stiction::units::s_from_ns;
 use stiction_monitor::analysis::{Points, Section};
 use stiction_monitor::config::Config;
 
@@ -172,7 +171,7 @@ impl Shelf {
     /// # Errors
     /// No folder can be made for uploads.
     pub fn new(limits: Limits) -> std::io::Result<Self> {
-        let folder = tempfile::Builder::new().prefix("stictiond-").tempdir()?;
+        let folder = private_folder()?;
         Ok(Self { limits, folder: Mutex::new(Some(folder)), inner: Mutex::default(), reading: Mutex::new(()) })
     }
 
@@ -439,6 +438,18 @@ impl Drop for Place {
     }
 }
 
+/// A new folder that nobody else can look into.
+fn private_folder() -> std::io::Result<TempDir> {
+    let mut builder = tempfile::Builder::new();
+    builder.prefix("stictiond-");
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::PermissionsExt as _;
+        builder.permissions(std::fs::Permissions::from_mode(0o700));
+    }
+    builder.tempdir()
+}
+
 fn gone(id: &str) -> Fault {
     Fault::missing(format!("no file {:?} is open here; open it again", super::names::shown(id)))
 }
@@ -478,14 +489,4 @@ fn loop_info(one: &LoadedLoop, config: &Config) -> LoopInfo {
         units: one.units.clone(),
         columns: signals.into_iter().filter(|(signal, _)| there(*signal)).map(|(_, name)| name).collect(),
     }
-}
-
-/// Median interval between samples, s.
-#[must_use]
-pub fn sampling_time_s(points: &[Point]) -> Option<f64> {
-    // Enough of them to tell, without a copy of a long record.
-    let step = (points.len() / 10_000).max(1);
-    let intervals: Vec<f64> =
-        points.windows(2).step_by(step).map(|pair| s_from_ns(pair[1].t_ns - pair[0].t_ns)).collect();
-    (!intervals.is_empty()).then(|| stats::median(&intervals))
 }
