@@ -2,7 +2,7 @@
 
 use crate::ident::region::{Region, Size};
 use crate::sim::slips::Law;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::rule::Opinion;
 use crate::detect::Indicator;
@@ -11,7 +11,7 @@ use crate::record::Record;
 use crate::units::Moment;
 
 /// What one window says about its loop.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
@@ -58,7 +58,7 @@ impl Verdict {
 }
 
 /// A named reason why a window says less, or nothing.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Gate {
@@ -149,7 +149,7 @@ impl Gate {
 }
 
 /// What is not to be believed in a model or its record.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Implausible {
@@ -230,7 +230,7 @@ impl Window {
 }
 
 /// What oscillates, and how regularly.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Oscillation {
     /// Whether it does.
@@ -246,7 +246,7 @@ pub struct Oscillation {
 }
 
 /// The process model that goes with the stiction found.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Process {
     /// 1 or 2.
