@@ -199,7 +199,9 @@ mod tests {
         let a = &read.assessment;
         assert_eq!((a.gates.as_slice(), a.reason, a.s), ([Gate::TooCoarse].as_slice(), Some(UNKNOWN), None));
         assert_eq!((a.indicators.len(), a.fs_interval), (1, None));
-        for wrong in ["{}", "[]", "null", r#"{"schema": "stictiond.alarm.v2"}"#, r#"{"schema": "stictiond.estimate.v1"}"#] {
+        for wrong in
+            ["{}", "[]", "null", r#"{"schema": "stictiond.alarm.v2"}"#, r#"{"schema": "stictiond.estimate.v1"}"#]
+        {
             let value: Value = serde_json::from_str(wrong).unwrap();
             assert!(estimate(&value).is_none() && alarm(&value).is_none(), "{wrong}");
         }

@@ -163,7 +163,9 @@ impl Board {
 
     fn document(&mut self, key: &str, json: &[u8], now: Now) {
         let prefix = self.prefix.clone();
-        let Some(Topic { loop_name, leaf: Leaf::Document(kind), .. }) = Topic::parse(Some(&prefix), key) else { return };
+        let Some(Topic { loop_name, leaf: Leaf::Document(kind), .. }) = Topic::parse(Some(&prefix), key) else {
+            return;
+        };
         let Ok(document) = serde_json::from_slice::<Value>(json) else {
             self.unread += 1;
             return;
@@ -298,12 +300,16 @@ impl Board {
     pub fn stale(&self, now: Now) -> Option<String> {
         let for_s = |at: Instant| now.at.saturating_duration_since(at).as_secs();
         if let Some(lost) = self.lost {
-            return Some(format!("connection lost {} s ago; it is tried again, and what stands here is old", for_s(lost)));
+            return Some(format!(
+                "connection lost {} s ago; it is tried again, and what stands here is old",
+                for_s(lost)
+            ));
         }
         if self.daemons.is_empty() {
             return Some("no daemon has been heard yet".to_owned());
         }
-        if let Some(gone) = self.daemons.values().map(|d| d.at).max().filter(|_| self.daemons.values().all(|d| d.gone)) {
+        if let Some(gone) = self.daemons.values().map(|d| d.at).max().filter(|_| self.daemons.values().all(|d| d.gone))
+        {
             return Some(format!("the daemon ended {} s ago; what stands here is old", for_s(gone)));
         }
         let newest = self.daemons.values().filter(|d| !d.gone).map(|d| d.at).max()?;

@@ -216,7 +216,11 @@ async fn watch(session: &Session, prefix: &str, name: &str, out: &Out) -> anyhow
             }
         }
     };
-    session.declare_subscriber(key.clone()).callback(take).await.map_err(|e| anyhow!("cannot subscribe to {key:?}: {e}"))
+    session
+        .declare_subscriber(key.clone())
+        .callback(take)
+        .await
+        .map_err(|e| anyhow!("cannot subscribe to {key:?}: {e}"))
 }
 
 /// Asks for an acknowledgement, and says what became of it.

@@ -25,8 +25,11 @@ pub fn draw(frame: &mut Frame<'_>, area: Rect, board: &Board, view: &mut View, n
     let trends = if area.height >= 2 * TRENDS { TRENDS.max(area.height / 3) } else { TRENDS.min(area.height / 2) };
     let [upper, lower] = Layout::vertical([Constraint::Fill(1), Constraint::Length(trends)]).areas(area);
     let title = Style::new().add_modifier(Modifier::BOLD);
-    let lines: Vec<Line> =
-        texts.into_iter().enumerate().map(|(i, text)| if i == 0 { Line::styled(text, title) } else { Line::from(text) }).collect();
+    let lines: Vec<Line> = texts
+        .into_iter()
+        .enumerate()
+        .map(|(i, text)| if i == 0 { Line::styled(text, title) } else { Line::from(text) })
+        .collect();
     view.scroll = view.scroll.min(lines.len() as u16);
     frame.render_widget(Paragraph::new(lines).wrap(Wrap { trim: false }).scroll((view.scroll, 0)), upper);
     let [left, right] = Layout::horizontal([Constraint::Percentage(50), Constraint::Percentage(50)]).areas(lower);
@@ -93,7 +96,8 @@ fn alarm_text(d: &AlarmDocument) -> String {
 /// One signal over time, with its least and greatest value.
 fn chart(frame: &mut Frame<'_>, area: Rect, name: &str, points: &VecDeque<(f64, f64)>, colour: Color, look: Look) {
     let (Some((from, _)), Some((to, _))) = (points.front(), points.back()) else {
-        let told = format!("{name}: waiting for samples under the loop's own key (none come where its tags are mapped)");
+        let told =
+            format!("{name}: waiting for samples under the loop's own key (none come where its tags are mapped)");
         return frame.render_widget(Paragraph::new(told).wrap(Wrap { trim: false }), area);
     };
     let data: Vec<(f64, f64)> = points.iter().map(|(t, v)| (t - to, *v)).collect();

@@ -85,8 +85,10 @@ fn table(frame: &mut Frame<'_>, area: Rect, board: &Board, view: &mut View, look
     let rows = view.rows(board);
     let longest = rows.iter().map(|row| row.name.chars().count()).max().unwrap_or(0);
     let columns = cells::layout(usize::from(area.width), longest);
-    let head: String =
-        columns.iter().map(|(column, width)| padded(&cells::cut(column.head(view.figure), *width, look), *column, *width)).collect();
+    let head: String = columns
+        .iter()
+        .map(|(column, width)| padded(&cells::cut(column.head(view.figure), *width, look), *column, *width))
+        .collect();
     let mut lines = vec![Line::styled(head, Style::new().add_modifier(Modifier::BOLD | Modifier::UNDERLINED))];
     let room = usize::from(area.height.saturating_sub(1)).max(1);
     let at = view.place(&rows);
@@ -99,7 +101,8 @@ fn table(frame: &mut Frame<'_>, area: Rect, board: &Board, view: &mut View, look
         lines.push(row_line(row, &columns, index == at, view, board, look, now));
     }
     if rows.is_empty() {
-        let why = if view.filter.is_empty() { "no loop has appeared yet" } else { "no loop fits the filter; Esc shows all" };
+        let why =
+            if view.filter.is_empty() { "no loop has appeared yet" } else { "no loop fits the filter; Esc shows all" };
         lines.push(Line::from(why));
     }
     frame.render_widget(Paragraph::new(lines), area);
@@ -140,12 +143,18 @@ fn footer(frame: &mut Frame<'_>, area: Rect, board: &Board, view: &View, look: L
         }
         (None, Some(why), _) => why.clone(),
         (None, None, Some((text, _))) => text.clone(),
-        (None, None, None) if view.page == Page::Table => marked.map_or_else(String::new, |row| format!("{}: {}", row.name, row.status)),
+        (None, None, None) if view.page == Page::Table => {
+            marked.map_or_else(String::new, |row| format!("{}: {}", row.name, row.status))
+        }
         _ => String::new(),
     };
     let width = usize::from(area.width);
     let order = format!("{}{}", view.order.name(), if view.reversed { ", reversed" } else { "" });
-    let filter = if view.filter.is_empty() { String::new() } else { format!("  filter {:?}: {} of {}", view.filter, rows.len(), board.rows().count()) };
+    let filter = if view.filter.is_empty() {
+        String::new()
+    } else {
+        format!("  filter {:?}: {} of {}", view.filter, rows.len(), board.rows().count())
+    };
     let keys = match view.page {
         Page::Loop(_) => "Esc back  a acknowledge  arrows scroll  ? help  Ctrl-C end".to_owned(),
         _ => format!("? help  Enter loop  / filter  o order ({order})  a acknowledge  q end{filter}"),

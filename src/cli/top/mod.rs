@@ -109,7 +109,9 @@ async fn once(session: &Session, board: &mut Board, format: Format) -> anyhow::R
     if format == Format::Json {
         for row in rows {
             let mut document = json!({"schema": "stictiond.top.v1", "at_ms": ms_from_ns(now.ns)});
-            if let (Some(all), serde_json::Value::Object(fields)) = (document.as_object_mut(), serde_json::to_value(row)?) {
+            if let (Some(all), serde_json::Value::Object(fields)) =
+                (document.as_object_mut(), serde_json::to_value(row)?)
+            {
                 all.extend(fields);
             }
             document["data_age_s"] = json!(board.age_s(&row.name, now));

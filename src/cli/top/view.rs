@@ -45,7 +45,8 @@ impl Order {
     }
 
     fn compare(self, a: &Row, b: &Row) -> Ordering {
-        let down = |x: Option<f64>, y: Option<f64>| y.unwrap_or(f64::NEG_INFINITY).total_cmp(&x.unwrap_or(f64::NEG_INFINITY));
+        let down =
+            |x: Option<f64>, y: Option<f64>| y.unwrap_or(f64::NEG_INFINITY).total_cmp(&x.unwrap_or(f64::NEG_INFINITY));
         let by_p = || down(a.p_stiction, b.p_stiction);
         let by_s = || down(a.s.filter(|_| a.stiction == Some(true)), b.s.filter(|_| b.stiction == Some(true)));
         let rank = |row: &Row| match row.s_trend {
