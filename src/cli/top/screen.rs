@@ -8,11 +8,14 @@ use std::thread::ThreadId;
 use std::time::Duration;
 
 use ratatui::backend::CrosstermBackend;
-use ratatui::crossterm::cursor::Show;
+use ratatui::crossterm::cursor::{Hide, Show};
 use ratatui::crossterm::event::{self, Event};
 use ratatui::crossterm::execute;
-use ratatui::crossterm::terminal::{EnterAlternateScreen, LeaveAlternateScreen, disable_raw_mode, enable_raw_mode};
-use ratatui::{Frame, Terminal};
+use ratatui::crossterm::terminal::{
+    self, Clear, ClearType, EnterAlternateScreen, LeaveAlternateScreen, disable_raw_mode, enable_raw_mode,
+};
+use ratatui::layout::{Rect, Size};
+use ratatui::{Frame, Terminal, TerminalOptions, Viewport};
 use tokio::sync::mpsc::{Receiver, channel};
 
 use crate::cli::log;
@@ -25,7 +28,24 @@ const LOOK: Duration = Duration::from_millis(100);
 const KEYS: usize = 256;
 
 /// The terminal while it is ours.
-pub struct Screen(Terminal<CrosstermBackend<Stdout>>);
+pub struct Screen {
+    terminal: Terminal<CrosstermBackend<Stdout>>,
+    size: Size,
+}
+
+/// A picture of this size on a blank terminal. Its place is fixed: a viewport that follows the terminal's size by itself
+/// asks for the cursor's place, which not every terminal tells.
+fn blank(size: Size) -> std::io::Result<Terminal<CrosstermBackend<Stdout>>> {
+    execute!(stdout(), Clear(ClearType::All))?;
+    let viewport = Viewport::Fixed(Rect::new(0, 0, size.width, size.height));
+    Terminal::with_options(CrosstermBackend::new(stdout()), TerminalOptions { viewport })
+}
+
+/// The terminal's size; that of the oldest ones where it does not say.
+fn size() -> std::io::Result<Size> {
+    let (width, height) = terminal::size()?;
+    Ok(if width == 0 || height == 0 { Size::new(80, 24) } else { Size::new(width, height) })
+}
 
 impl Screen {
     /// Takes the terminal.
@@ -37,22 +57,25 @@ impl Screen {
         TAKEN.store(true, Ordering::SeqCst);
         log::hold();
         let opened = enable_raw_mode()
-            .and_then(|()| execute!(stdout(), EnterAlternateScreen))
-            .and_then(|()| Terminal::new(CrosstermBackend::new(stdout())));
+            .and_then(|()| execute!(stdout(), EnterAlternateScreen, Hide))
+            .and_then(|()| size())
+            .and_then(|size| Ok(Self { terminal: blank(size)?, size }));
         if opened.is_err() {
             give_back();
         }
-        let mut terminal = opened?;
-        terminal.clear()?;
-        Ok(Self(terminal))
+        opened
     }
 
-    /// Draws one picture.
+    /// Draws one picture, of the terminal's size as it is now.
     ///
     /// # Errors
     /// The terminal cannot be written to.
     pub fn draw(&mut self, picture: impl FnOnce(&mut Frame<'_>)) -> std::io::Result<()> {
-        self.0.draw(picture).map(drop)
+        let now = size()?;
+        if now != self.size {
+            (self.terminal, self.size) = (blank(now)?, now);
+        }
+        self.terminal.draw(picture).map(drop)
     }
 }
 
