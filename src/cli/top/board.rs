@@ -146,7 +146,11 @@ impl Board {
             News::Came(id) => self.presence(id, false, now),
             News::Left(id) => self.presence(id, true, now),
             News::Connected(true) => self.lost = None,
-            News::Connected(false) => self.lost = self.lost.or(Some(now.at)),
+            News::Connected(false) => {
+                self.lost = self.lost.or(Some(now.at));
+                // Those that are still there come again with the link.
+                self.daemons.values_mut().for_each(|d| d.gone = true);
+            }
             News::Said(text) => self.said = Some((text, now.at)),
         }
     }
@@ -155,7 +159,11 @@ impl Board {
         let new = Heard { health: Value::Null, at: now.at, gone };
         let heard = self.daemons.entry(id).or_insert(new);
         (heard.gone, heard.at) = (gone, now.at);
-        // Those that left and were replaced are no news.
+        self.forget_the_replaced();
+    }
+
+    /// Daemons that left and were replaced are no news.
+    fn forget_the_replaced(&mut self) {
         if self.daemons.values().any(|d| !d.gone) {
             self.daemons.retain(|_, d| !d.gone);
         }
@@ -172,6 +180,7 @@ impl Board {
         };
         if let Some(id) = loop_name.strip_prefix("@daemon/") {
             self.daemons.insert(id.to_owned(), Heard { health: document, at: now.at, gone: false });
+            self.forget_the_replaced();
         } else if self.rows.contains_key(loop_name) || self.rows.len() < MAX_LOOPS {
             if self.of_loop(loop_name, kind, &document, now).is_none() {
                 self.unread += 1;

@@ -194,7 +194,7 @@ pub fn layout(width: usize, longest_name: usize) -> Vec<(Column, usize)> {
         (S, 5),
         (Interval, 9),
         (Grade, 1),
-        (Period, 7),
+        (Period, 8),
         (Alarm, 9),
         (Recent, SPARK),
         (Age, 5),

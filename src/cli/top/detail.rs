@@ -16,13 +16,13 @@ use stiction::units::{duration, format_rfc3339, number};
 use stiction::verdict::{Assessment, words};
 use stiction_monitor::alarm::AlarmDocument;
 
-/// Least height of the two trends together, lines.
-const TRENDS: u16 = 10;
+/// Height of the trends where the screen is low, lines.
+const TRENDS: u16 = 8;
 
 /// Draws it.
 pub fn draw(frame: &mut Frame<'_>, area: Rect, board: &Board, view: &mut View, name: &str, look: Look, now: Now) {
     let texts = texts(board, name, look, now);
-    let trends = if area.height >= 2 * TRENDS { TRENDS.max(area.height / 3) } else { TRENDS.min(area.height / 2) };
+    let trends = TRENDS.min(area.height / 2).max(area.height / 3);
     let [upper, lower] = Layout::vertical([Constraint::Fill(1), Constraint::Length(trends)]).areas(area);
     let title = Style::new().add_modifier(Modifier::BOLD);
     let lines: Vec<Line> = texts

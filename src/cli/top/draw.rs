@@ -32,13 +32,12 @@ const HELP: [&str; 15] = [
     "Any key goes back.",
 ];
 
-/// Lines that stand below the table and do not change, such as a web address.
-pub type Below = Vec<String>;
-
-/// Draws everything.
-pub fn draw(frame: &mut Frame<'_>, board: &Board, view: &mut View, below: &Below, look: Look, now: Now) {
+/// Draws everything; `below` are lines that stand below the table and do not change, such as a web address.
+pub fn draw(frame: &mut Frame<'_>, board: &Board, view: &mut View, below: &[String], look: Look, now: Now) {
     let area = frame.area();
     let heading = head::lines(board, usize::from(area.width), look, now);
+    // One loop needs the room more.
+    let below = &below[..if matches!(view.page, Page::Loop(_)) { below.len().min(1) } else { below.len() }];
     let room_below = below.len().min(usize::from(area.height / 3)) as u16;
     let [top, middle, bottom, foot] = Layout::vertical([
         Constraint::Length((heading.len() as u16).min(area.height / 3)),
@@ -94,9 +93,6 @@ fn table(frame: &mut Frame<'_>, area: Rect, board: &Board, view: &mut View, look
     let at = view.place(&rows);
     view.room = room;
     view.offset = view.offset.clamp((at + 1).saturating_sub(room), at).min(rows.len().saturating_sub(room));
-    if view.selected.is_none() {
-        view.selected = rows.first().map(|row| row.name.clone());
-    }
     for (index, row) in rows.iter().enumerate().skip(view.offset).take(room) {
         lines.push(row_line(row, &columns, index == at, view, board, look, now));
     }

@@ -90,7 +90,10 @@ fn data(board: &Board, now: Now) -> String {
     let aged = board.rows().filter_map(|row| Some((board.age_s(&row.name, now)?, &row.name)));
     let oldest = aged.max_by(|a, b| a.0.total_cmp(&b.0));
     let mut parts = vec![format!("{silent} silent")];
-    parts.extend(oldest.map(|(age_s, name)| format!("oldest data {} ({name})", cells::age(Some(age_s)))));
+    parts.extend(oldest.map(|(age_s, name)| match cells::age(Some(age_s)).strip_prefix('+') {
+        Some(ahead) => format!("all data ahead of this clock by {ahead} or more"),
+        None => format!("oldest data {} ({name})", cells::age(Some(age_s))),
+    }));
     parts.push(format!("gaps {}, dropped {}", sum(|row| row.data_gaps), sum(|row| row.dropped)));
     let healths = || board.daemons.values().filter(|d| !d.gone).map(|d| &d.health);
     let lost = LOSSES.map(|(name, words)| (healths().filter_map(|h| h["counters"][name].as_u64()).sum::<u64>(), words));

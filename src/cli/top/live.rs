@@ -8,7 +8,7 @@ use tokio::sync::mpsc::{Receiver, UnboundedSender};
 
 use super::board::{Board, News, Now};
 use super::cells::Look;
-use super::draw::{self, Below};
+use super::draw;
 use super::screen::{self, Screen};
 use super::view::{Ask, View};
 
@@ -25,7 +25,7 @@ const AT_ONCE: usize = 512;
 /// The terminal cannot be used.
 pub async fn show(
     board: &mut Board,
-    below: &Below,
+    below: &[String],
     news: &mut Receiver<News>,
     asks: &UnboundedSender<Ask>,
     ends: impl Future<Output = ()>,

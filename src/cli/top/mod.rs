@@ -8,6 +8,8 @@ pub mod draw;
 mod head;
 mod live;
 mod screen;
+#[cfg(test)]
+mod tests;
 mod view;
 
 use std::io::IsTerminal;
@@ -21,7 +23,6 @@ use zenoh::Session;
 
 use self::board::{Board, Now};
 use self::cells::{Figure, Look};
-use self::draw::Below;
 use self::view::View;
 use super::{Format, Outcome, UsageError, asked_to_stop, block_on, list, play, say};
 use stiction::units::ms_from_ns;
@@ -68,7 +69,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
         let prefix = bus::prefix_of_daemons(&session, reach.prefix.as_deref(), &reach.endpoints.join(", ")).await?;
         let mut board = Board::new(&prefix);
         let shown = if is_possible(format) {
-            follow(&session, &mut board, &Below::new(), stop).await
+            follow(&session, &mut board, &[], stop).await
         } else {
             once(&session, &mut board, format).await
         };
@@ -81,7 +82,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
 pub(super) async fn follow(
     session: &Session,
     board: &mut Board,
-    below: &Below,
+    below: &[String],
     ends: impl Future<Output = ()>,
 ) -> anyhow::Result<()> {
     let (told, mut news) = mpsc::channel(QUEUE);
