@@ -97,7 +97,6 @@ pub type Told = Option<(String, Instant)>;
 pub struct Board {
     prefix: String,
     overview: Overview,
-    version: u64,
     rows: BTreeMap<String, Row>,
     ages: BTreeMap<String, Age>,
     gaps: BTreeMap<String, String>,
@@ -120,7 +119,6 @@ impl Board {
         Self {
             prefix: prefix.to_owned(),
             overview: Overview::default(),
-            version: 0,
             rows: BTreeMap::new(),
             ages: BTreeMap::new(),
             gaps: BTreeMap::new(),
@@ -185,7 +183,7 @@ impl Board {
             if self.of_loop(loop_name, kind, &document, now).is_none() {
                 self.unread += 1;
             }
-            self.refresh(now);
+            self.rows.extend(self.overview.row(loop_name, now.ns).map(|row| (loop_name.to_owned(), row)));
         }
     }
 
@@ -240,12 +238,6 @@ impl Board {
             let told_s = s_from_ns(now.ns.saturating_sub(newest_ns));
             self.ages.insert(loop_name.to_owned(), Age { told_s, newest_ns, at: now.at });
         }
-    }
-
-    fn refresh(&mut self, now: Now) {
-        let (version, changed) = self.overview.rows_after(self.version, now.ns);
-        self.version = version;
-        self.rows.extend(changed.into_iter().map(|row| (row.name.clone(), row)));
     }
 
     /// Begins the trend of a loop, or ends it.

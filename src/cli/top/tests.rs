@@ -49,7 +49,7 @@ fn four_loops() -> Board {
         board.take(News::Document(message.topic().to_owned(), message.data.to_vec()), now(0));
     }
     board.take(health("d1", &["the disk is nearly full: 3 % are free"]), now(0));
-    let flow = json!({"schema": "x", "data_age_s": 2.5, "data_gaps": 1, "dropped": 4});
+    let flow = json!({"schema": "x", "data_age_s": 3.0, "data_gaps": 1, "dropped": 4});
     board.take(document("FIC201/health", &flow), now(0));
     board
 }
@@ -89,13 +89,13 @@ fn eighty_columns_show_every_loop_with_its_verdict_and_what_is_wrong() {
         [
             "stictiond 1.2.3  area2  daemon d1  up 60 min  4 loops",
             "1 stiction, 1 deadband, 2 disturbance; alarms 2 active, 2 to acknowledge",
-            "data: 0 silent, oldest data 15m (LIC202), gaps 1, dropped 4; 3 messages dropped",
+            "data: 0 silent, oldest data 15m (TIC204), gaps 1, dropped 4; 3 messages dropped",
             "FAULT: the disk is nearly full: 3 % are free",
-            "107  loop   verdict           p     s      90 %    period alarm     p before",
-            "M ◆  FIC201 stiction       0.96   5.5  4.2..7.3    75.1 s UNACK     ·▇▇▇▇█",
-            "M ◆  LIC202 deadband       0.96  3.15  2.6..3.9    93.4 s UNACK     ·▇▇▇▇█",
-            "S ▲  TIC204 disturbance    0.29  1.97   0..2.41     100 s -         ·▂▂▂▂▃",
-            "S ▲  PIC203 disturbance    0.16  0.12  0..0.694    74.4 s -         ·▂▂▂▂▂",
+            "107  loop   verdict            p     s      90 % g   period alarm     p before",
+            "M ◆  FIC201 stiction        0.96   5.5  4.2..7.3 C   75.1 s UNACK     ·▇████",
+            "M ◆  LIC202 deadband        0.96  3.15  2.6..3.9 C   93.4 s UNACK     ·▇▇███",
+            "S ▲  TIC204 disturbance     0.29  1.97   0..2.41 C    100 s -         ·▃▄▃▃▃",
+            "S ▲  PIC203 disturbance     0.16  0.12  0..0.694 C   74.4 s -         ·▂▂▂▂▂",
         ],
         "{told}"
     );
@@ -152,7 +152,8 @@ fn one_loop_says_in_words_what_is_known_and_draws_what_comes() {
         "FIC201  M ◆  the valve sticks and slips",
         "Probability of sticking 0.96: very likely the valve sticks",
         "Size: 5.5 OP units, 90 % interval 4.16 to 7.27",
-        "Gate quantised: OP or PV stands on a coarse grid.",
+        "What to do: Confirm with a bump test",
+        "Data: age 3s, gaps 1, dropped 4",
         "Alarm unack, priority medium",
         "OP 40 to 59, last 1.65 min",
         "PV: waiting for samples",
