@@ -95,11 +95,14 @@ def test_results_come_into_pandas_from_recordings_and_live(folder):
     with Daemon(folder, "area2", f'[zenoh]\nlisten = ["{endpoint}"]', more) as daemon:
         with Live(endpoint, "area2") as live:
             time.sleep(0.5)
-            played = stictiond("play", RECORDING, "--connect", endpoint, "--prefix", "area2", "--speed", "max")
+            played = stictiond("play", RECORDING, "--connect", endpoint, "--prefix", "area2", "--speed", "100")
             assert played[0] == 0, played
             end = time.monotonic() + 120
-            while len(live.frames.estimates) < len(estimates) and time.monotonic() < end:
-                time.sleep(0.2)
+            wanted = len(estimates), len(recorded.samples)
+            while time.monotonic() < end:
+                if len(live.frames.estimates) >= wanted[0] and len(live.frames.samples) >= wanted[1]:
+                    break
+                time.sleep(0.5)
             samples = live.frames.samples
         # Whoever comes later begins with the last answers.
         with Live(endpoint, "area2") as late:
@@ -109,4 +112,4 @@ def test_results_come_into_pandas_from_recordings_and_live(folder):
     both = both[both["verdict_live"] != "inconclusive"]
     assert len(both) >= 12, len(both)
     assert (both["verdict_live"] == both["verdict_recorded"]).all()
-    assert len(samples) == len(recorded.samples)
+    assert len(samples) == len(recorded.samples), (len(samples), len(recorded.samples))

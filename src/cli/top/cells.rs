@@ -200,7 +200,7 @@ pub fn layout(width: usize, longest_name: usize) -> Vec<(Column, usize)> {
         (Age, 5),
     ];
     let needed = |columns: &[(Column, usize)]| columns.iter().map(|(_, w)| w + 1).sum::<usize>() - 1;
-    for spared in [Age, Grade, Interval, Period, S, Recent] {
+    for spared in [Age, Grade, Interval, Period, S, Recent, Alarm] {
         if needed(&columns) > width {
             columns.retain(|(column, _)| *column != spared);
         }

@@ -155,7 +155,7 @@ fn one_loop_says_in_words_what_is_known_and_draws_what_comes() {
         "What to do: Confirm with a bump test",
         "Data: age 3s, gaps 1, dropped 4",
         "Alarm unack, priority medium",
-        "OP 40 to 59, last 1.65 min",
+        "OP 40 to 59, last 99 s",
         "PV: waiting for samples",
         "speaks for the valve",
     ] {
