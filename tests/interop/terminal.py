@@ -129,7 +129,7 @@ def test_top_shows_running_daemons_through_a_restart_and_ends_in_order(folder):
             assert first.stop() < 5
             terminal.until(r"STALE: (connection lost|the daemon ended)")
             with Daemon(folder, "plant1/area1", zenoh_table, more):
-                terminal.until(r"daemon [0-9a-f]{8}  up")
+                terminal.until(r"stictiond \d\S+  plant1/area1  daemon [0-9a-f]{8}  up \d")
                 assert "STALE" not in terminal.seen() and "acked" in terminal.seen(), terminal.seen()
                 terminal.process.send_signal(signal.SIGTERM)
                 terminal.ends()

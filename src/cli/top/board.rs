@@ -141,7 +141,11 @@ impl Board {
         match news {
             News::Document(key, json) => self.document(&key, &json, now),
             News::Sample(name, signal, t_ns, value) => self.sample(&name, signal, t_ns, value),
-            News::Came(id) => self.presence(id, false, now),
+            News::Came(id) => {
+                // Who hears of a daemon has a link.
+                self.lost = None;
+                self.presence(id, false, now);
+            }
             News::Left(id) => self.presence(id, true, now),
             News::Connected(true) => self.lost = None,
             News::Connected(false) => {
