@@ -17,6 +17,7 @@ pub mod evaluate;
 mod fleet;
 pub mod gap;
 pub mod info;
+mod log;
 pub mod manual;
 pub mod play;
 pub mod reading;
@@ -28,11 +29,12 @@ pub mod selection;
 pub mod simulate;
 pub mod solving;
 mod stop;
+pub mod top;
 pub mod workbench;
 
 use std::fmt::Display;
 use std::future::Future;
-use std::io::{IsTerminal, Write};
+use std::io::Write;
 use std::process::ExitCode;
 
 use anyhow::Context;
@@ -40,7 +42,6 @@ use clap::error::ErrorKind;
 use clap::{Parser, Subcommand, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 use stictiond::cores;
-use tracing_subscriber::EnvFilter;
 
 /// How a command ended; a verdict never changes it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -98,6 +99,7 @@ struct Cli {
 enum CommandArgs {
     Run(run::Args),
     Demo(demo::Args),
+    Top(top::Args),
     Play(play::Args),
     Replay(replay::Args),
     Analyze(analyze::Args),
@@ -130,7 +132,7 @@ pub fn main() -> ExitCode {
             return ExitCode::from(if asked { Outcome::Done } else { Outcome::Usage }.code());
         }
     };
-    start_log(cli.log, cli.default_filter());
+    log::start(cli.log, cli.default_filter());
     let outcome = dispatch(cli).unwrap_or_else(|error| {
         // A reader that closes our output early (`| head`) is no failure.
         let pipe = error.chain().filter_map(|e| e.downcast_ref::<std::io::Error>());
@@ -157,6 +159,7 @@ fn dispatch(cli: Cli) -> anyhow::Result<Outcome> {
     match cli.command {
         CommandArgs::Run(args) => run::run(&args),
         CommandArgs::Demo(args) => demo::run(&args, format),
+        CommandArgs::Top(args) => top::run(&args, format),
         CommandArgs::Play(args) => play::run(&args, format),
         CommandArgs::Replay(args) => replay::run(&args, format),
         CommandArgs::Analyze(args) => analyze::run(&args, format),
@@ -185,21 +188,11 @@ impl Cli {
     const fn default_filter(&self) -> &'static str {
         match (&self.command, self.format) {
             (CommandArgs::Demo(_), Format::Text) => "warn,zenoh=error,stiction_monitor::alarm=off",
+            // It says in its own lines when the link is lost.
+            (CommandArgs::Top(_), _) => "warn,zenoh=off",
             _ => "info,zenoh=warn,opcua=off",
         }
     }
-}
-
-fn start_log(form: Format, default_filter: &str) {
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(default_filter));
-    let colours = std::io::stderr().is_terminal();
-    let builder = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).with_ansi(colours);
-    let started = match form {
-        Format::Text => builder.with_target(false).try_init(),
-        Format::Json => builder.json().try_init(),
-    };
-    // A second start, in tests, keeps the first log.
-    drop(started);
 }
 
 /// An error of the request, not of the work: exit 2.

@@ -23,6 +23,7 @@ mod limits;
 pub mod metrics;
 pub mod overview;
 pub mod queue;
+pub mod received;
 mod reload;
 pub mod replay;
 pub mod restore;

@@ -101,6 +101,17 @@ pub struct DataHealth {
     pub dropped: u64,
 }
 
+/// How a loop's data flow.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Flow {
+    /// Stamp of its newest sample, ns since 1970.
+    pub newest_ns: Option<i64>,
+    /// Holes that ended a stretch.
+    pub data_gaps: u64,
+    /// Samples that were dropped: duplicate, late or stamped far off.
+    pub dropped: u64,
+}
+
 /// What is held of one loop.
 #[derive(Debug, Clone)]
 struct Entry {
@@ -179,20 +190,26 @@ impl Overview {
         self.change(name, place, now, |entry| entry.cause = Some(cause.to_owned()));
     }
 
-    /// How a loop's data flow. Counts as a change only where the loop is new, fell silent or speaks again.
+    /// How a loop's data flow, by the engine's figures.
     pub fn figures(&self, name: &Arc<str>, place: &Place, now: Instant, figures: &LoopFigures) {
+        let c = &figures.counts;
+        let dropped = c.duplicates + c.late + c.stamp_outliers;
+        self.flow(name, place, now, Flow { newest_ns: figures.greatest_ns, data_gaps: c.gaps, dropped });
+    }
+
+    /// How a loop's data flow. Counts as a change only where the loop is new, fell silent or speaks again.
+    pub fn flow(&self, name: &Arc<str>, place: &Place, now: Instant, flow: Flow) {
         let mut loops = self.0.write().unwrap_or_else(PoisonError::into_inner);
         let next = loops.version + 1;
         let mut changed = !loops.by_name.contains_key(name);
         let entry = loops.by_name.entry(name.clone()).or_insert_with(|| Entry::new(place, now));
-        if figures.greatest_ns > entry.newest_ns {
-            (entry.newest_ns, entry.advanced) = (figures.greatest_ns, now);
+        if flow.newest_ns > entry.newest_ns {
+            (entry.newest_ns, entry.advanced) = (flow.newest_ns, now);
         }
         let silent = now.saturating_duration_since(entry.advanced) > entry.patience();
         changed |= silent != entry.silent;
-        let c = &figures.counts;
         entry.silent = silent;
-        (entry.data_gaps, entry.dropped) = (c.gaps, c.duplicates + c.late + c.stamp_outliers);
+        (entry.data_gaps, entry.dropped) = (flow.data_gaps, flow.dropped);
         if changed {
             entry.changed = next;
             loops.version = next;

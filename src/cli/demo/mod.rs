@@ -7,14 +7,15 @@ use std::net::TcpListener;
 use std::time::{Duration, Instant};
 
 use anyhow::{anyhow, bail};
-use serde_json::Value as Json;
 use zenoh::bytes::Encoding;
 use zenoh::qos::CongestionControl;
 
-use super::{Format, Outcome, asked_to_stop, block_on, list, play};
+use super::top::board::Board;
+use super::{Format, Outcome, asked_to_stop, block_on, list, play, top};
 use stiction::sim::plant::SimulatedPlant;
 use stiction::sim::scenario::Scenario;
 use stiction::units::NS_PER_S;
+use stiction::verdict::Verdict;
 use stiction_monitor::codec::encode_recorded;
 use stiction_monitor::codec::topic;
 use stiction_monitor::config::Config;
@@ -29,9 +30,13 @@ const SPEED: f64 = 100.0;
 
 /// See it work: a simulated plant with a sticking, a healthy, a badly tuned and a disturbed loop, watched live.
 ///
-/// Needs no set-up. Records below recordings/demo; prints what it finds; runs until Ctrl-C.
+/// Needs no set-up. Records below recordings/demo; runs until Ctrl-C. In a terminal it shows a live table (`?` there says
+/// what the keys do), elsewhere a line a finding.
 #[derive(Debug, clap::Args)]
 pub struct Args {
+    /// Lines of text in a terminal too, no table.
+    #[arg(long)]
+    pub plain: bool,
     /// End after so many seconds.
     #[arg(long = "for", value_name = "SECONDS", value_parser = seconds)]
     pub for_s: Option<f64>,
@@ -73,7 +78,8 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
         Ok(config) => config,
         Err(faults) => bail!("the built-in configuration:\n  {}", list(&faults)),
     };
-    if format == Format::Text {
+    let shown = if !args.plain && top::is_possible(format) { Shown::Table } else { Shown::Lines(format) };
+    if shown == Shown::Lines(Format::Text) {
         told::beginning(&scenario, &config, port, SPEED)?;
     }
     let last = block_on(async {
@@ -84,7 +90,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
             RunOptions { origin: "demo", workers: None, config_path: None },
             async { drop(stopped.await) },
         ));
-        let watched = watch(&scenario, &config, port, args.for_s, format).await;
+        let watched = watch(&scenario, &config, port, args.for_s, shown).await;
         drop(stop);
         daemon.await??;
         watched
@@ -95,16 +101,71 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// Publishes the plant and prints the daemon's findings until time is up or somebody stops it.
+/// What is done with the findings.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Shown {
+    /// A table in the terminal.
+    Table,
+    /// A line each.
+    Lines(Format),
+}
+
+/// Publishes the plant and shows the daemon's findings until time is up or somebody stops it.
 async fn watch(
     scenario: &Scenario,
     config: &Config,
     port: u16,
     for_s: Option<f64>,
-    format: Format,
-) -> anyhow::Result<BTreeMap<String, Json>> {
+    shown: Shown,
+) -> anyhow::Result<BTreeMap<String, Verdict>> {
+    let limit = async {
+        match for_s {
+            Some(s) => tokio::time::sleep(Duration::from_secs_f64(s)).await,
+            None => std::future::pending().await,
+        }
+    };
+    let stopping = asked_to_stop()?;
     // The daemon listens before anything else; the session keeps trying until it does.
     let session = play::connect(&format!("tcp/127.0.0.1:{port}")).await?;
+    let plant = publish(&session, scenario, &config.site.prefix);
+    let ends = async {
+        tokio::select! {
+            ended = plant => ended,
+            () = limit => Ok(()),
+            () = stopping => Ok(()),
+        }
+    };
+    let last = match shown {
+        Shown::Table => table(&session, scenario, config, port, ends).await,
+        Shown::Lines(format) => lines(&session, config, format, ends).await,
+    };
+    let _ = tokio::time::timeout(Duration::from_secs(1), session.close()).await;
+    last
+}
+
+/// Shows the table, with what is simulated below it.
+async fn table(
+    session: &zenoh::Session,
+    scenario: &Scenario,
+    config: &Config,
+    port: u16,
+    ends: impl Future<Output = anyhow::Result<()>>,
+) -> anyhow::Result<BTreeMap<String, Verdict>> {
+    let mut board = Board::new(&config.site.prefix);
+    let below = told::story(scenario, config, port, SPEED);
+    let mut ended = Ok(());
+    top::follow(session, &mut board, &below, async { ended = ends.await }).await?;
+    ended?;
+    Ok(board.rows().filter_map(|row| Some((row.name.clone(), row.verdict?))).collect())
+}
+
+/// Prints a line for each finding.
+async fn lines(
+    session: &zenoh::Session,
+    config: &Config,
+    format: Format,
+    ends: impl Future<Output = anyhow::Result<()>>,
+) -> anyhow::Result<BTreeMap<String, Verdict>> {
     let (found, mut findings) = tokio::sync::mpsc::unbounded_channel();
     let results = topic::plane(&config.site.prefix, "*/*");
     let _subscriber = session
@@ -115,30 +176,17 @@ async fn watch(
         })
         .await
         .map_err(|e| anyhow!("{e}"))?;
-    let plant = publish(&session, scenario, &config.site.prefix);
-    let limit = async {
-        match for_s {
-            Some(s) => tokio::time::sleep(Duration::from_secs_f64(s)).await,
-            None => std::future::pending().await,
-        }
-    };
-    tokio::pin!(plant, limit);
-    let stopping = asked_to_stop()?;
-    tokio::pin!(stopping);
+    tokio::pin!(ends);
     let mut last = BTreeMap::new();
     loop {
         tokio::select! {
-            ended = &mut plant => { ended?; }
-            () = &mut limit => break,
-            () = &mut stopping => break,
+            ended = &mut ends => return ended.map(|()| last),
             finding = findings.recv() => {
-                let Some((leaf, json)) = finding else { break };
+                let Some((leaf, json)) = finding else { return Ok(last) };
                 told::finding(&leaf, &json, format, &mut last)?;
             }
         }
     }
-    let _ = tokio::time::timeout(Duration::from_secs(1), session.close()).await;
-    Ok(last)
 }
 
 /// Lets the plant live, faster than real, its time starting now.

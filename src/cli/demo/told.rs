@@ -2,11 +2,13 @@
 
 use std::collections::BTreeMap;
 
+use serde::Deserialize;
 use serde_json::Value as Json;
 
 use crate::cli::{Format, say};
 use stiction::sim::scenario::{Label, LoopSpec, Scenario};
 use stiction::units::{duration, format_rfc3339, number};
+use stiction::verdict::Verdict;
 use stiction_monitor::codec::topic::{self, Kind};
 use stiction_monitor::config::Config;
 
@@ -33,6 +35,14 @@ pub(super) fn beginning(scenario: &Scenario, config: &Config, port: u16, speed: 
     Ok(())
 }
 
+/// What stands below the table: the same in fewer lines.
+pub(super) fn story(scenario: &Scenario, config: &Config, port: u16, speed: f64) -> Vec<String> {
+    let simulated = format!("Simulated, {} times faster than real:", number(speed));
+    let loops = scenario.loops.iter().map(|spec| format!("  {:<8} {}", spec.name, truth(spec)));
+    let web = format!("Page http://{}   Zenoh tcp/127.0.0.1:{port}", config.web.listen);
+    [web, simulated].into_iter().chain(loops).collect()
+}
+
 /// What is simulated, in words.
 fn truth(spec: &LoopSpec) -> String {
     let bands = format!("fs {}, fd {}", number(spec.valve.fs), number(spec.valve.fd));
@@ -50,7 +60,7 @@ pub(super) fn finding(
     leaf: &str,
     json: &[u8],
     format: Format,
-    last: &mut BTreeMap<String, Json>,
+    last: &mut BTreeMap<String, Verdict>,
 ) -> anyhow::Result<()> {
     let kind = Kind::of_document(leaf);
     if !matches!(kind, Some(Kind::Estimate | Kind::Alarm)) {
@@ -83,16 +93,16 @@ pub(super) fn finding(
         band(&d["fd"]),
         d["oscillation"]["period_s"].as_f64().map_or("-".to_owned(), duration),
     ))?;
-    last.insert(name, d);
+    last.extend(Verdict::deserialize(&d["verdict"]).ok().map(|verdict| (name, verdict)));
     Ok(())
 }
 
 /// Truth beside the last answers.
-pub(super) fn ending(scenario: &Scenario, last: &BTreeMap<String, Json>, dir: &str) -> anyhow::Result<()> {
+pub(super) fn ending(scenario: &Scenario, last: &BTreeMap<String, Verdict>, dir: &str) -> anyhow::Result<()> {
     say("\nloop     simulated         last answer       agrees")?;
     for spec in &scenario.loops {
         let truth = spec.label.map_or("-", Label::name);
-        let found = last.get(&spec.name).and_then(|d| d["verdict"].as_str());
+        let found = last.get(&spec.name).map(|verdict| verdict.name());
         say(format!("{:<8} {truth:<17} {:<17} {}", spec.name, found.unwrap_or("no window yet"), agrees(spec, found)))?;
     }
     say(format!("\nRecorded in {dir}. The same numbers again, from the recording: stictiond replay {dir} --verify"))?;

@@ -1,11 +1,11 @@
 //! What to look at first.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use stiction::ident::region::Size;
 
 /// Priority of an alarm (ISA-18.2: what to look at first).
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, schemars::JsonSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Priority {
     /// When there is time.

@@ -4,7 +4,7 @@ use crate::ident::region::{Region, Size};
 use crate::ident::slip_search::stages::Ended;
 use crate::optim::SolverName;
 use crate::sim::slips::Law;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::rule::Opinion;
 use crate::detect::Indicator;
@@ -13,7 +13,7 @@ use crate::record::Record;
 use crate::units::Moment;
 
 /// What one window says about its loop.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
@@ -60,7 +60,7 @@ impl Verdict {
 }
 
 /// A named reason why a window says less, or nothing.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Gate {
@@ -151,7 +151,7 @@ impl Gate {
 }
 
 /// What is not to be believed in a model or its record.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Implausible {
@@ -232,7 +232,7 @@ impl Window {
 }
 
 /// What oscillates, and how regularly.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Oscillation {
     /// Whether it does.
@@ -248,7 +248,7 @@ pub struct Oscillation {
 }
 
 /// The process model that goes with the stiction found.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Process {
     /// 1 or 2.

@@ -118,7 +118,7 @@ pub struct Voice {
 }
 
 /// What the rule makes of a record.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Opinion {
     /// Logit where every feature stands at its mean.
