@@ -20,13 +20,16 @@ const REMEMBERED: usize = 100_000;
 /// Messages between two looks at the clock.
 const LOOK_EVERY: usize = 256;
 
+/// Ranges of time by file and topic.
+type Ranges = HashMap<(PathBuf, String), Option<[i64; 2]>>;
+
 /// Reads a folder of recordings.
 #[derive(Debug)]
 pub struct Archive {
     dir: PathBuf,
     prefix: String,
     /// Source times of a topic in a finished file, first and last, ns; `None` where it holds nothing of it.
-    ranges: Mutex<HashMap<(PathBuf, String), Option<[i64; 2]>>>,
+    ranges: Mutex<Ranges>,
 }
 
 /// One recorded message.

@@ -107,7 +107,6 @@ fn machine_name() -> Option<String> {
 }
 
 /// Everything that is served beside `/metrics` and `/healthz`: the page's files, and what lies under `/api/v1`.
-#[must_use]
 pub fn page(api: Router, guard: Arc<Guard>) -> Router {
     Router::new()
         .nest(table::BASE, api.merge(openapi::router()).fallback(table::nothing_there))

@@ -192,7 +192,6 @@ pub fn operations() -> Vec<Operation<Shared>> {
 }
 
 /// The API of a running daemon.
-#[must_use]
 pub fn live(state: Shared) -> Router {
     table::router(&operations()).with_state(state)
 }

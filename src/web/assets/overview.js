@@ -100,8 +100,8 @@ class Overview {
   build() {
     const s = this.state;
     this.head = h("div", { class: "headline-box" });
-    this.neRow = h("div", { class: "chips", role: "group", "aria-label": "Filter by status, NAMUR NE 107" });
-    this.verdictRow = h("div", { class: "chips", role: "group", "aria-label": "Filter by verdict" });
+    this.neRow = h("div", { class: "chips", role: "group", tabindex: "0", "aria-label": "Filter by status, NAMUR NE 107" });
+    this.verdictRow = h("div", { class: "chips", role: "group", tabindex: "0", "aria-label": "Filter by verdict" });
     this.areas = h("select", { id: "area", onchange: (e) => this.set({ area: e.target.value }) });
     this.result = h("span", { class: "soft", role: "status" });
     const search = h("input", { id: "find", type: "search", value: s.text, placeholder: "name, area, words", oninput: (e) => this.typed(e.target.value.trim()), onkeydown: (e) => e.key === "ArrowDown" && this.list.querySelector("a.tile[tabindex='0']")?.focus() });

@@ -21,13 +21,15 @@ function numbers(row) {
 
 function inside(row) {
   const key = neOf(row);
+  const seen = { "aria-hidden": "true" };
   return [
-    h("span", { class: "tile-head" }, symbol(key), h("b", { class: "tile-name" }, row.name),
+    h("span", { class: "unseen" }, spoken(row)),
+    h("span", { class: "tile-head", ...seen }, symbol(key), h("b", { class: "tile-name" }, row.name),
       row.unacknowledged ? h("span", { class: "flag" }, "unack") : null,
       row.grade ? h("span", { class: "grade", title: `grade ${row.grade}` }, row.grade) : null),
-    h("span", { class: "tile-words", title: row.status }, row.status),
-    h("span", { class: "tile-numbers" }, numbers(row)),
-    h("span", { class: "tile-foot" }, spark(row.recent ?? []),
+    h("span", { class: "tile-words", title: row.status, ...seen }, row.status),
+    h("span", { class: "tile-numbers", ...seen }, numbers(row)),
+    h("span", { class: "tile-foot", ...seen }, spark(row.recent ?? []),
       row.s_trend ? h("span", { class: `trend ${row.s_trend}`, title: `s is ${row.s_trend}` }, TREND[row.s_trend]) : null,
       h("span", { class: `age${row.silent ? " old" : ""}` }, ageWords(row))),
   ];
@@ -87,7 +89,6 @@ export class Tiles {
     if (!row || tile.drawn === row) return;
     tile.drawn = row;
     tile.a.className = `tile is-${neOf(row)}`;
-    tile.a.setAttribute("aria-label", spoken(row));
     fill(tile.a, inside(row));
   }
 

@@ -30,7 +30,7 @@ fn drawn(seed: u64) -> LoopModel {
         tight * tau / (dead_time + 2.0) / gain.abs()
     };
     let fs = d.between(1.0, 4.0);
-    let law = if seed % 2 == 0 { ValveLaw::He } else { ValveLaw::Tracking };
+    let law = if seed.is_multiple_of(2) { ValveLaw::He } else { ValveLaw::Tracking };
     let swing = gain.abs() * fs * if integrating { 20.0 } else { 1.0 };
     LoopModel {
         ts_s: 1.0,

@@ -8,6 +8,11 @@ use crate::verdict::Assessment;
 /// PV's spread over that of now within these is hardly a change.
 const HARDLY: [f64; 2] = [0.85, 1.15];
 
+/// Digits of what was simulated.
+const DIGITS: f64 = 2.0;
+/// Ends of an interval so many times apart leave its middle without meaning.
+const WIDE: f64 = 3.0;
+
 /// What a case does to PV's spread.
 #[derive(Clone, Copy, PartialEq)]
 enum Change {
@@ -29,9 +34,23 @@ fn change(ratio: &Figure) -> Change {
     }
 }
 
+/// A number with as many digits as it is worth.
+fn short(value: f64) -> String {
+    let size = value.abs();
+    if !size.is_normal() {
+        return number(value);
+    }
+    let unit = libm::pow(10.0, libm::floor(libm::log10(size)) + 1.0 - DIGITS);
+    number((value / unit).round() * unit)
+}
+
+/// A number with its interval; the interval alone where its ends are so far apart that the middle says nothing.
 fn said(f: &Figure) -> String {
-    let [low, high] = f.interval.map(number);
-    format!("{} ({low} to {high})", number(f.value))
+    let [low, high] = f.interval;
+    if high > WIDE * low {
+        return format!("{} to {}", short(low), short(high));
+    }
+    format!("{} ({} to {})", short(f.value), short(low), short(high))
 }
 
 /// What is to be said.
@@ -40,7 +59,7 @@ pub(super) fn sentences(told: &Repair, a: &Assessment) -> Vec<String> {
     let mut out = vec![format!(
         "Simulated as it is now, PV has a standard deviation of {} PV units; the record has {}.",
         said(&now.pv_sd),
-        number(told.recorded_pv_sd)
+        short(told.recorded_pv_sd)
     )];
     if a.stiction == Some(false) {
         out.push("No stiction was found, so a repair of the valve would make no difference.".to_owned());
@@ -68,34 +87,32 @@ pub(super) fn sentences(told: &Repair, a: &Assessment) -> Vec<String> {
 }
 
 fn effect(lead: &str, case: &Case, now: &Case) -> String {
-    let (to, from) = (said(&case.pv_sd), number(now.pv_sd.value));
-    let percent = |x: f64| number(100.0 * (x - 1.0).abs());
-    let ratio = &case.pv_sd_ratio;
-    let [low, high] = ratio.interval.map(percent);
-    match change(ratio) {
-        Change::Less => format!(
-            "{lead} PV would vary by {to} instead of {from} PV units: {} % less ({high} to {low} %).",
-            percent(ratio.value)
-        ),
-        Change::More => format!(
-            "{lead} PV would vary by {to} instead of {from} PV units: {} % more ({low} to {high} %).",
-            percent(ratio.value)
-        ),
-        Change::Hardly => format!("{lead} PV would vary by {to} instead of {from} PV units: hardly a difference."),
-        Change::Unknown => format!(
-            "{lead} PV would vary by {to} instead of {from} PV units: whether that is less or more cannot be told."
-        ),
+    let (to, from) = (said(&case.pv_sd), short(now.pv_sd.value));
+    let percent = |x: f64| short(100.0 * (x - 1.0).abs());
+    let would = format!("{lead} PV would vary by {to} instead of {from} PV units");
+    let [low, high] = case.pv_sd_ratio.interval.map(percent);
+    match change(&case.pv_sd_ratio) {
+        Change::Less => format!("{would}: {high} to {low} % less."),
+        Change::More => format!("{would}: {low} to {high} % more."),
+        Change::Hardly => format!("{would}: hardly a difference."),
+        Change::Unknown => format!("{would}: whether that is less or more cannot be told."),
     }
 }
 
+/// What the stem does, as far as that is known well enough to be told.
 fn valve(case: &Case, now: &Case) -> String {
-    format!(
-        "The stem would travel {} instead of {} OP units a day, and turn {} instead of {} times.",
-        said(&case.travel_per_day),
-        number(now.travel_per_day.value),
-        said(&case.reversals_per_day),
-        number(now.reversals_per_day.value)
-    )
+    let less = |of: fn(&Case) -> Figure| of(case).interval[1] < of(now).value;
+    let told = |of: fn(&Case) -> Figure| format!("{} instead of {}", said(&of(case)), short(of(now).value));
+    match (less(|c| c.travel_per_day), less(|c| c.reversals_per_day)) {
+        (true, true) => format!(
+            "The stem would travel {} OP units a day, and turn {} times.",
+            told(|c| c.travel_per_day),
+            told(|c| c.reversals_per_day)
+        ),
+        (true, false) => format!("The stem would travel {} OP units a day.", told(|c| c.travel_per_day)),
+        (false, true) => format!("The stem would turn {} times a day.", told(|c| c.reversals_per_day)),
+        (false, false) => "Whether the stem would travel less cannot be told from this record.".to_owned(),
+    }
 }
 
 /// What was taken for granted.
