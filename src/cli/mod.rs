@@ -4,6 +4,7 @@ pub mod analyze;
 mod analyze_report;
 pub mod bench;
 pub mod bridge;
+mod browser;
 pub mod calibrate;
 mod calibrate_intervals;
 pub mod challenge;

@@ -2,13 +2,13 @@
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
-use std::process::{Command, Stdio};
 
 use anyhow::{Context, bail};
 use clap::CommandFactory;
 use serde_json::json;
 use tokio::net::TcpListener;
 
+use super::browser;
 use super::reading::ReadArgs;
 use super::{Format, Outcome, asked_to_stop, block_on, note, say, warn};
 use stictiond::files::inputs::Unit;
@@ -84,7 +84,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
             warn("whoever reaches this address can look at the files; only this machine can open or analyse some");
         }
         if !args.no_open {
-            open(&url);
+            browser::open(&url);
         }
         tokio::select! {
             () = alone::serve(listener, bench.clone(), zone) => {}
@@ -109,24 +109,6 @@ fn words() -> ReadingWords {
         }
     }
     words
-}
-
-/// Shows the page in a browser where there is a desktop; the address is printed in any case.
-fn open(url: &str) {
-    let program = if cfg!(target_os = "macos") {
-        "open"
-    } else if ["DISPLAY", "WAYLAND_DISPLAY"].iter().any(|name| std::env::var_os(name).is_some_and(|v| !v.is_empty())) {
-        "xdg-open"
-    } else {
-        return;
-    };
-    let mut command = Command::new(program);
-    command.arg(url).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
-    match command.spawn() {
-        // Somebody has to hear of its end.
-        Ok(mut child) => drop(std::thread::spawn(move || child.wait())),
-        Err(error) => tracing::info!("no browser could be opened ({program}: {error}); open the address yourself"),
-    }
 }
 
 #[cfg(test)]

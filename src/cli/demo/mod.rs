@@ -3,6 +3,7 @@
 mod told;
 
 use std::collections::BTreeMap;
+use std::io::IsTerminal;
 use std::net::TcpListener;
 use std::time::{Duration, Instant};
 
@@ -11,7 +12,7 @@ use zenoh::bytes::Encoding;
 use zenoh::qos::CongestionControl;
 
 use super::top::board::Board;
-use super::{Format, Outcome, asked_to_stop, block_on, list, play, top};
+use super::{Format, Outcome, asked_to_stop, block_on, browser, list, play, top};
 use stiction::sim::plant::SimulatedPlant;
 use stiction::sim::scenario::Scenario;
 use stiction::units::NS_PER_S;
@@ -31,12 +32,15 @@ const SPEED: f64 = 100.0;
 /// See it work: a simulated plant with a sticking, a healthy, a badly tuned and a disturbed loop, watched live.
 ///
 /// Needs no set-up. Records below recordings/demo; runs until Ctrl-C. In a terminal it shows a live table (`?` there says
-/// what the keys do), elsewhere a line a finding.
+/// what the keys do), elsewhere a line a finding; where there is a desktop it opens the page in the browser.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Lines of text in a terminal too, no table.
     #[arg(long)]
     pub plain: bool,
+    /// Open no browser.
+    #[arg(long)]
+    pub no_open: bool,
     /// End after so many seconds.
     #[arg(long = "for", value_name = "SECONDS", value_parser = seconds)]
     pub for_s: Option<f64>,
@@ -81,6 +85,10 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     let shown = if !args.plain && top::is_possible(format) { Shown::Table } else { Shown::Lines(format) };
     if shown == Shown::Lines(Format::Text) {
         told::beginning(&scenario, &config, port, SPEED)?;
+    }
+    // Whoever reads the output by a program wants no window.
+    if !args.no_open && std::io::stdout().is_terminal() {
+        config.web.listen.parse().into_iter().for_each(browser::open_once_there);
     }
     let last = block_on(async {
         let (stop, stopped) = tokio::sync::oneshot::channel::<()>();
