@@ -13,7 +13,6 @@ use crate::supervise::{on_threads, supervised, threads};
 use crate::{StictionError, refused};
 use stiction::gap::model_file::ModelFile;
 use stiction::ident::surface::solve;
-use stiction::optim;
 use stiction::record::Sample;
 use stiction::verdict::{AssessParams, lets_go, words};
 use stiction_monitor::analysis::solver::{self, SolverDocument};
@@ -92,9 +91,9 @@ fn solved(asked: Asked, found: &Estimated) -> Option<SolverDocument> {
     let mut surface = solver::surface(&found.record, &found.options, &found.assessment)?;
     let own = solver::own_mse(&mut surface, &found.assessment);
     let started = Instant::now();
-    let solved = solve(&mut surface, optim::by_name(asked.name)?, &asked.settings);
+    let solved = solve(&mut surface, asked.solver.solver(), &asked.settings);
     let elapsed_ms = started.elapsed().as_secs_f64() * 1e3;
-    let name = asked.name.to_owned();
+    let name = asked.solver.name().to_owned();
     Some(solver::document(name, &solved, &mut surface, &asked.settings, &found.assessment, own, elapsed_ms))
 }
 

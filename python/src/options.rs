@@ -4,7 +4,7 @@ use pyo3::prelude::*;
 
 use crate::refused;
 use stiction::ident::surface::BUDGET;
-use stiction::optim;
+use stiction::optim::{Settings, SolverName};
 use stiction::units::{LoopKind, parse_time};
 use stiction::verdict::{AssessParams, ModelChoice, ValveChoice};
 use stiction_monitor::analysis::{self, Cut, Detrend, Section, delay_choice};
@@ -82,10 +82,10 @@ fn stamp(text: &str) -> PyResult<i64> {
 /// A solver to compare with.
 #[derive(Debug, Clone, Copy)]
 pub struct Asked {
-    /// Its name.
-    pub name: &'static str,
+    /// Which.
+    pub solver: SolverName,
     /// Models it may try, step of its grid, seed.
-    pub settings: optim::Settings,
+    pub settings: Settings,
 }
 
 impl Fit {
@@ -122,9 +122,9 @@ impl Fit {
             return Err(refused("evaluations", why));
         }
         let Some(word) = &self.solver else { return Ok(None) };
-        let name = one_of("solver", word, &optim::ALL.map(|solver| (solver.name(), solver.name())))?;
-        let settings = optim::Settings { budget: self.evaluations, fineness_pct: self.fineness_pct, seed: self.seed };
-        Ok(Some(Asked { name, settings }))
+        let solver = one_of("solver", word, &SolverName::ALL.map(|solver| (solver.name(), solver)))?;
+        let settings = Settings { budget: self.evaluations, fineness_pct: self.fineness_pct, seed: self.seed };
+        Ok(Some(Asked { solver, settings }))
     }
 }
 

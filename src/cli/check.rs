@@ -10,6 +10,7 @@ use stiction_monitor::config::{Config, Fault};
 use stictiond::sink::deliver;
 use stictiond::sink::signing::Signer;
 use stictiond::source::zenoh::session_config;
+use stictiond::web::guard_of;
 
 /// Check a configuration and list every fault with its line and what to write instead, the Zenoh file that it names and
 /// the recording folder included.
@@ -70,6 +71,11 @@ fn faults_outside(text: &str, config: &Config) -> Vec<Fault> {
         && let Err(error) = Signer::read(Path::new(&config.signing.key_file))
     {
         refuse("signing", "key_file", format!("{error:#}"), "name a private key, or leave it out");
+    }
+    if let Err(error) = guard_of(&config.web.page) {
+        let about = format!("{error:#}");
+        let key = if about.contains("token_file") { "token_file" } else { "time_zone" };
+        refuse("web", key, about, "see docs/page.md");
     }
     if let Err(why) = can_be_written(Path::new(&config.recording.dir)) {
         refuse("recording", "dir", why, "name a folder that this user may write, or may make");

@@ -1,6 +1,6 @@
 //! Many loops at once: each by its line in one table, instead of a page of text.
 
-use stiction::units::{self, duration, format_rfc3339};
+use stiction::units::{duration, format_rfc3339, optional as number};
 use stiction::verdict::Verdict;
 use stiction_monitor::analysis::Answer;
 
@@ -56,7 +56,6 @@ impl Summary {
     pub(super) fn table(&mut self) -> String {
         self.rows.sort_by(|a, b| b.p.unwrap_or(-1.0).total_cmp(&a.p.unwrap_or(-1.0)));
         let width = self.rows.iter().map(|r| r.name.chars().count()).max().unwrap_or(4).clamp(4, 40);
-        let number = |v: Option<f64>| v.map_or_else(|| "-".to_owned(), units::number);
         let head = ("loop", "verdict", "p", "s", "s 90 %", "period", "grade", "until");
         let (name, verdict, p, s, range, period, grade, end) = head;
         let mut lines = vec![format!(

@@ -12,7 +12,7 @@ use serde_json::json;
 use super::stop;
 use stiction::ident::Options;
 use stiction::ident::surface::{BUDGET, Solved, Surface};
-use stiction::optim::{self, Outcome, Settings, Termination};
+use stiction::optim::{Outcome, Settings, SolverName, Termination};
 use stiction::record::Record;
 use stiction::units::significant;
 use stiction::verdict::Assessment;
@@ -43,8 +43,8 @@ pub struct SolverArgs {
 /// Which solver.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum SolverChoice {
-    /// One of [`optim::ALL`].
-    Ours(&'static str),
+    /// One of this library.
+    Ours(SolverName),
     /// A program with its arguments.
     Program(String),
 }
@@ -58,9 +58,8 @@ fn choice(text: &str) -> Result<SolverChoice, String> {
             Ok(SolverChoice::Program(program.to_owned()))
         };
     }
-    let names: Vec<&'static str> = optim::ALL.iter().map(|s| s.name()).collect();
-    let known = names.iter().find(|n| **n == text).copied();
-    known.map(SolverChoice::Ours).ok_or_else(|| format!("known solvers: {}, cmd:PROGRAM", names.join(", ")))
+    let names = || SolverName::ALL.map(SolverName::name).join(", ");
+    SolverName::of(text).map(SolverChoice::Ours).ok_or_else(|| format!("known solvers: {}, cmd:PROGRAM", names()))
 }
 
 fn fineness(text: &str) -> Result<f64, String> {
@@ -92,8 +91,8 @@ pub fn run(
     let estimate_mse = solver::own_mse(&mut surface, found);
     let started = Instant::now();
     let (name, mut solved) = match choice {
-        SolverChoice::Ours(name) => {
-            let solver = optim::by_name(name).unwrap_or(optim::ALL[0]);
+        SolverChoice::Ours(solver) => {
+            let name = solver.name();
             let mut heard = |done: u64, least: f64| {
                 if done.is_multiple_of(50) {
                     let least = significant(least, 5);
@@ -101,7 +100,7 @@ pub fn run(
                 }
                 !stop::asked()
             };
-            ((*name).to_owned(), solver::search(&mut surface, solver, &settings, &mut heard))
+            (name.to_owned(), solver::search(&mut surface, solver.solver(), &settings, &mut heard))
         }
         SolverChoice::Program(program) => {
             let patience = Duration::from_secs_f64(args.solver_patience);
@@ -260,7 +259,7 @@ mod tests {
 
     #[test]
     fn solvers_are_read_or_refused_with_a_reason() {
-        assert_eq!(choice("random"), Ok(SolverChoice::Ours("random")));
+        assert_eq!(choice("random"), Ok(SolverChoice::Ours(SolverName::Random)));
         assert_eq!(choice("cmd:python3 a.py"), Ok(SolverChoice::Program("python3 a.py".to_owned())));
         assert!(choice("lgo").unwrap_err().contains("multistart") && choice("cmd: ").is_err());
         assert_eq!(two_numbers("1.5, 2e-1"), Some([1.5, 0.2]));

@@ -81,6 +81,9 @@ const HOUSE: &str = "house";
 const HOUSE_WITHIN: Duration = Duration::from_millis(300);
 /// How often it is looked whether the threads still run.
 const THREADS_EVERY: Duration = Duration::from_secs(1);
+/// What the page says of a demonstration's data.
+const SIMULATED: &str =
+    "A simulated plant that runs 100 times as fast as a real one: its stamps run ahead of your clock.";
 /// How long the threads may take to end.
 const STOP_WITHIN: Duration = Duration::from_millis(3500);
 
@@ -118,7 +121,7 @@ pub async fn run(
     let (queue, incoming) = crossbeam_channel::bounded(config.input.queue);
     let overview = (config.web.enabled && config.web.page.enabled).then(Overview::default);
     let page = match &overview {
-        Some(overview) => Some(page_of(&config, overview, &last, &queue, &snapshot)?),
+        Some(overview) => Some(page_of(&config, &options, overview, &last, &queue, &snapshot)?),
         None => None,
     };
     let server = web::serve(&config.web, metrics.registry(), snapshot.clone(), faults.clone(), page).await;
@@ -317,13 +320,14 @@ async fn wait_for_router(faults: &Faults, snapshot: &HealthSnapshot) {
 /// The page with the API under it.
 fn page_of(
     config: &Config,
+    options: &RunOptions,
     overview: &Overview,
     last: &LastValues,
     queue: &Sender<Incoming>,
     snapshot: &HealthSnapshot,
 ) -> anyhow::Result<axum::Router> {
     let guard = Arc::new(web::guard_of(&config.web.page)?);
-    let live = Live::new(
+    let mut live = Live::new(
         Arc::new(config.clone()),
         guard.clone(),
         overview.clone(),
@@ -331,6 +335,7 @@ fn page_of(
         queue.clone(),
         snapshot.clone(),
     );
+    live.note = (options.origin == "demo").then_some(SIMULATED);
     Ok(web::page(web::api::live(Arc::new(live)), guard))
 }
 

@@ -45,8 +45,8 @@ pub struct Row {
     pub equipment: Option<String>,
     pub criticality: Option<u8>,
     pub op_unit: Option<String>,
-    /// NAMUR NE 107: `M` maintenance required (the alarm is active), `S` out of specification (the loop oscillates, or its
-    /// valve sticks without an alarm), `C` function check (out of service, or in manual), `F` failure of a signal, `ok`;
+    /// NAMUR NE 107: `M` maintenance required (the alarm is active), `S` out of specification (the loop oscillates by tuning or
+    /// from outside, or its valve sticks without an alarm), `C` function check (out of service, or in manual), `F` failure of a signal, `ok`;
     /// null while nothing is known.
     pub ne107: Option<&'static str>,
     /// The same in words, one line.
@@ -125,6 +125,8 @@ pub struct Newest {
     pub estimate: Option<Arc<EstimateDocument>>,
     /// Of its alarm, if that ever changed or was restored.
     pub alarm: Option<Arc<AlarmDocument>>,
+    /// Its newest stamp, ns since 1970, a few seconds late.
+    pub newest_ns: Option<i64>,
 }
 
 #[derive(Debug, Default)]
@@ -223,7 +225,11 @@ impl Overview {
     #[must_use]
     pub fn newest(&self, name: &str) -> Option<Newest> {
         let loops = self.0.read().unwrap_or_else(PoisonError::into_inner);
-        loops.by_name.get(name).map(|e| Newest { estimate: e.estimate.clone(), alarm: e.alarm.clone() })
+        loops.by_name.get(name).map(|e| Newest {
+            estimate: e.estimate.clone(),
+            alarm: e.alarm.clone(),
+            newest_ns: e.newest_ns,
+        })
     }
 
     /// Every alarm that has a document, with its loop's name.
@@ -349,7 +355,6 @@ impl Entry {
         match a.verdict {
             Verdict::Stiction | Verdict::Deadband => (Some("S"), format!("{headline}; no alarm yet")),
             Verdict::Tuning | Verdict::Disturbance => (Some("S"), headline),
-            Verdict::NoStiction if a.oscillation.oscillating => (Some("S"), headline),
             Verdict::NoStiction | Verdict::NoOscillation => (Some("ok"), headline),
             Verdict::Inconclusive => (None, a.reason.map_or(headline, words::reason)),
         }

@@ -92,6 +92,9 @@ fn settings(config: &Config) -> BTreeMap<String, Value> {
     }
     root["web"]["loop_series"] = config.web.loop_series.into();
     root["web"]["max_loop_series"] = config.web.max_loop_series.into();
+    if let (Value::Object(web), Ok(Value::Object(page))) = (&mut root["web"], serde_json::to_value(&config.web.page)) {
+        web.extend(page);
+    }
     root["input"]["queue_bytes"] = config.input.queue_bytes.into();
     root["input"]["new_loops_per_hour"] = config.input.new_loops_per_hour.into();
     root["input"]["max_rate_hz"] = config.input.max_rate_hz.into();
@@ -123,11 +126,13 @@ mod tests {
         let first = "[site]\nprefix = \"p\"\n";
         let mut reload = Reload::new(path.clone(), Config::parse(first).unwrap(), Arc::default());
         let faults = Faults::default();
-        let changed = format!("{first}[window]\nhop_s = 60\n[commands]\nper_minute = 7\n[recording]\nmax_s = 9\n");
+        let changed = format!(
+            "{first}[web]\npage = false\n[window]\nhop_s = 60\n[commands]\nper_minute = 7\n[recording]\nmax_s = 9\n"
+        );
         let new = Config::parse(&changed).unwrap();
         let (now, later) = changes(&reload.current, &new);
         assert_eq!(now, ["commands.per_minute", "recording.max_s"]);
-        assert_eq!(later, ["window.hop_s"]);
+        assert_eq!(later, ["web.page", "window.hop_s"]);
         std::fs::write(&path, changed).unwrap();
         let held = reload.read(&faults).unwrap();
         assert_eq!((held.commands.per_minute, held.recording.max_s, held.window.hop_s), (7, 9.0, 600.0));

@@ -5,7 +5,7 @@ use std::ops::Range;
 use plotters::coord::ranged1d::{DefaultFormatting, KeyPointHint, Ranged};
 use plotters::coord::types::RangedCoordf64;
 
-use stiction::units::{format_rfc3339, is_date, ns_from_s};
+use stiction::units::{format_rfc3339, is_date, ns_from_s, to_decimals};
 
 /// Pixels that a label needs: a number or a time, and a day with its time.
 const LABEL: u32 = 62;
@@ -137,8 +137,7 @@ pub(super) fn tick(value: f64, width: f64) -> String {
         return format!("{value:.1e}");
     }
     let digits = (1.3 - width.max(1e-12).log10()).ceil().clamp(0.0, 9.0) as usize;
-    let text = format!("{value:.digits$}");
-    let text = if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.') } else { &text };
+    let text = to_decimals(value, digits);
     if text == "-0" { "0".to_owned() } else { text.replace('-', "\u{2212}") }
 }
 

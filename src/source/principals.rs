@@ -5,8 +5,10 @@
 //! rule holds for those who are linked to the daemon itself. A client sees one link, its router's, and everybody behind
 //! it: there the router must do it (`config/hardened-router.json5`).
 
+use std::str::FromStr as _;
+
 use anyhow::{Context, anyhow, bail};
-use serde_json::json;
+use serde_json::{Value, json};
 
 use stiction_monitor::codec::topic;
 
@@ -30,21 +32,23 @@ pub fn limit(session: &mut zenoh::Config, prefix: &str, principals: &[String]) -
     if principals.is_empty() {
         return Ok(());
     }
-    let stated = |key: &str| session.get_json(key).unwrap_or_default();
-    if stated("mode").contains("client") {
+    // As Zenoh has parsed it; what is not set is null.
+    let stated =
+        |key: &str| session.get_json(key).ok().and_then(|json| Value::from_str(&json).ok()).unwrap_or_default();
+    if stated("mode") == "client" {
         bail!(
             "a client sees its router alone, not who is behind it: limit commands there (config/hardened-router.json5)"
         );
     }
-    if stated("access_control/enabled") == "true" {
+    if stated("access_control/enabled") == true {
         bail!("[zenoh] config_file has an access_control of its own: name the principals there, or leave it out");
     }
     let by_certificate = principals.iter().any(|p| p.starts_with("cn:"));
-    if by_certificate && stated("transport/link/tls/enable_mtls") != "true" {
+    if by_certificate && stated("transport/link/tls/enable_mtls") != true {
         bail!("certificates are not asked for: set transport.link.tls.enable_mtls in [zenoh] config_file");
     }
     let by_user = principals.iter().any(|p| p.starts_with("user:"));
-    if by_user && !stated("transport/auth/usrpwd/dictionary_file").contains('/') {
+    if by_user && !stated("transport/auth/usrpwd/dictionary_file").is_string() {
         bail!("users are not asked for: set transport.auth.usrpwd.dictionary_file in [zenoh] config_file");
     }
     let rules = rules(prefix, principals).to_string();
@@ -52,7 +56,7 @@ pub fn limit(session: &mut zenoh::Config, prefix: &str, principals: &[String]) -
 }
 
 /// Everybody may do everything but query alarms and gaps, where commands are sent; principals may do that too.
-fn rules(prefix: &str, principals: &[String]) -> serde_json::Value {
+fn rules(prefix: &str, principals: &[String]) -> Value {
     let (plane, daemons) = (topic::plane(prefix, "**"), topic::plane(prefix, "@daemon/**"));
     let everything = json!(["**", "@/**", plane, daemons]);
     let harmless = json!([topic::plane(prefix, "**/estimate"), topic::plane(prefix, "**/health"), daemons, "@/**"]);
@@ -61,10 +65,10 @@ fn rules(prefix: &str, principals: &[String]) -> serde_json::Value {
         Some((_, name)) => json!({"id": format!("p{at}"), "usernames": [name]}),
         None => json!({"id": format!("p{at}")}),
     };
-    let mut subjects: Vec<serde_json::Value> = principals.iter().enumerate().map(subject).collect();
-    let named: Vec<serde_json::Value> = subjects.iter().map(|s| s["id"].clone()).collect();
+    let mut subjects: Vec<Value> = principals.iter().enumerate().map(subject).collect();
+    let named: Vec<Value> = subjects.iter().map(|s| s["id"].clone()).collect();
     subjects.push(json!({"id": "everybody"}));
-    let rule = |id: &str, flow: &str, messages: serde_json::Value, keys: &serde_json::Value| json!({"id": id, "permission": "allow", "flows": [flow], "messages": messages, "key_exprs": keys});
+    let rule = |id: &str, flow: &str, messages: Value, keys: &Value| json!({"id": id, "permission": "allow", "flows": [flow], "messages": messages, "key_exprs": keys});
     json!({
         "enabled": true,
         "default_permission": "deny",
@@ -100,6 +104,10 @@ mod tests {
         assert!(said("{mode:\"client\"}", &["cn:ann"]).contains("router"));
         assert!(said("{mode:\"peer\"}", &["cn:ann"]).contains("enable_mtls"));
         assert!(said(mtls, &["user:ann"]).contains("dictionary_file"));
+        assert_eq!(
+            said("{mode:\"peer\",transport:{auth:{usrpwd:{dictionary_file:\"users.txt\"}}}}", &["user:ann"]),
+            ""
+        );
         let own = "{transport:{link:{tls:{enable_mtls:true}}},access_control:{enabled:true,default_permission:\"deny\",rules:[],subjects:[],policies:[]}}";
         assert!(said(own, &["cn:ann"]).contains("of its own"));
     }

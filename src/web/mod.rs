@@ -8,6 +8,7 @@ pub mod api;
 mod assets;
 pub mod error;
 mod exposition;
+pub mod extract;
 pub mod guard;
 pub mod server;
 pub mod thin;
@@ -68,8 +69,11 @@ struct Shared {
 /// The rules that the configuration asks for.
 ///
 /// # Errors
-/// The token's file cannot be read, or holds nothing that could be one.
+/// The token's file cannot be read, or holds nothing that could be one; the time zone is not known.
 pub fn guard_of(page: &Page) -> anyhow::Result<Guard> {
+    let zone = &page.time_zone;
+    jiff::tz::TimeZone::get(zone)
+        .with_context(|| format!("[web] time_zone {zone:?}: write a name such as Europe/Berlin"))?;
     let mut token = None;
     if !page.token_file.is_empty() {
         let path = Path::new(&page.token_file);

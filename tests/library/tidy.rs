@@ -15,7 +15,7 @@ pub const CRATES: [&str; 4] = ["src", "crates/stiction/src", "crates/stiction-mo
 const MAX_LINES: usize = 600;
 
 /// Which rooms each room may use.
-const IMPORTS: [(&str, &[&str]); 29] = [
+const IMPORTS: [(&str, &[&str]); 31] = [
     // Words.
     ("units", &[]),
     ("record", &["units"]),
@@ -30,11 +30,14 @@ const IMPORTS: [(&str, &[&str]); 29] = [
     // Judgement.
     ("verdict", &["units", "record", "signal", "optim", "sim", "ident", "detect"]),
     ("gap", &["units", "record", "signal", "optim", "sim", "ident", "detect"]),
+    // What follows from verdicts.
+    ("over_time", &["units", "signal", "verdict"]),
     // The lab. The challenge checks `gap` from outside: neither of the two may see the other.
     ("fixture", &["record", "signal", "sim"]),
     ("truth", &["units", "record", "signal", "sim"]),
     ("challenge", &["units", "record", "signal", "sim", "verdict", "truth"]),
     ("calibrate", &["verdict"]),
+    ("calibrate_gap", &["gap"]),
     ("calibrate_intervals", &["signal", "ident", "detect", "verdict", "truth"]),
     // Engine: neither it nor the alarm knows a configuration.
     ("hash", &[]),
@@ -53,7 +56,7 @@ const IMPORTS: [(&str, &[&str]); 29] = [
     ("report", &["pure", "cores", "files"]),
     ("source", &["pure", "daemon"]),
     ("sink", &["pure", "files", "source", "daemon"]),
-    ("web", &["pure", "cores", "files", "report", "daemon"]),
+    ("web", &["pure", "cores", "files", "report", "source", "daemon"]),
     ("daemon", &["pure", "cores", "files", "source", "sink", "web"]),
     ("cli", &["pure", "cores", "files", "report", "source", "sink", "web", "daemon"]),
     ("main", &["cli"]),

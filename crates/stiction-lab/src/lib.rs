@@ -9,11 +9,13 @@
 //! | [`fixture`] | loops that a test writes down |
 //! | [`challenge`] | recordings with one withheld cause each, their sealed truth, the scorer |
 //! | [`calibrate`] | the rule behind `p_stiction`, leaving out valve by valve |
+//! | [`calibrate_gap`] | how sure the gap's decision is |
 //! | [`calibrate_intervals`] | how wide intervals have to be |
 
 #![cfg_attr(test, allow(clippy::disallowed_methods, clippy::disallowed_types))]
 
 pub mod calibrate;
+pub mod calibrate_gap;
 pub mod calibrate_intervals;
 pub mod challenge;
 pub mod fixture;

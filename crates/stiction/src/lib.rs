@@ -8,6 +8,7 @@
 //! | is the valve sticking, and how much | [`verdict::assess`] |
 //! | the fit alone: bands of He's valve model, process with dead time, intervals | [`ident::quantify()`](ident::quantify) |
 //! | the cost surface of the bands, by any solver of [`optim::ALL`] | [`ident::surface`] |
+//! | one valve over many windows: size, changes, windows that disagree | [`over_time::over_time`] |
 //! | what the model leaves out, and how far naming it closes the gap | [`gap::diagnose`] |
 //! | a loop simulated: valve laws, processes, PID, disturbances | [`sim`] |
 //!
@@ -40,6 +41,7 @@
 //! | physics | [`sim`] valve laws, processes, controller, noise, closed loop: the only copy of each formula |
 //! | identification | [`ident`] quantification of stiction · [`detect`] oscillation, and one file per indicator |
 //! | judgement | [`verdict`] gates, verdict, the estimate's document · [`gap`] what the model leaves out |
+//! | what follows | [`over_time`] many windows of one valve |
 //!
 //! # What must be absent
 //! No file, socket, clock, thread, environment or unseeded randomness: the same record gives the same bits, on every
@@ -51,6 +53,7 @@ pub mod detect;
 pub mod gap;
 pub mod ident;
 pub mod optim;
+pub mod over_time;
 pub mod record;
 pub mod signal;
 pub mod sim;

@@ -137,8 +137,20 @@ pub fn significant(value: f64, digits: usize) -> String {
     while rest < 1.0 && rest > 0.0 {
         (rest, decimals) = (rest * 10.0, decimals + 1);
     }
+    to_decimals(value, decimals)
+}
+
+/// A number with at most so many decimals, without zeros at its end.
+#[must_use]
+pub fn to_decimals(value: f64, decimals: usize) -> String {
     let text = format!("{value:.decimals$}");
     if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
+}
+
+/// A [`number`], or `-` where there is none.
+#[must_use]
+pub fn optional(value: Option<f64>) -> String {
+    value.map_or_else(|| "-".to_owned(), number)
 }
 
 /// Whether a stamp is a date. A clock that starts at zero, as many exports have it, is the record's own.

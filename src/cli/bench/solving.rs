@@ -8,7 +8,7 @@ use stiction::detect::{self, View};
 use stiction::ident::class::Class;
 use stiction::ident::surface::{BUDGET, Surface, solve};
 use stiction::ident::{Options, controller, evaluator};
-use stiction::optim::{self, Settings};
+use stiction::optim::{Settings, SolverName};
 use stiction::record::Record;
 use stiction::signal::stats;
 use stiction::sim::slips::{FirstSlip, Law, Stroke};
@@ -124,15 +124,15 @@ fn estimates() -> Vec<Row> {
 fn solver() -> Vec<Row> {
     let record = accuracy(Half::Report, Regime::HeStart, 1).record();
     let settings = Settings { budget: BUDGET, fineness_pct: 5.0, seed: 1 };
-    let once = |name: &str| {
-        let solver = optim::by_name(name)?;
+    let once = |solver: SolverName| {
+        let name = solver.name();
         let mut surface = Surface::new(&record, &Options::default(), Law::He, Class::First)?;
         let started = cpu::seconds();
-        let found = solve(&mut surface, solver, &settings);
+        let found = solve(&mut surface, solver.solver(), &settings);
         let each = (cpu::seconds() - started) / found.outcome.evaluations.max(1) as f64;
         Some(in_ms(format!("--solver {name}, 10,000 models of {} samples", record.len()), each * 1e7))
     };
-    ["random", "contour"].into_iter().filter_map(once).collect()
+    [SolverName::Random, SolverName::Contour].into_iter().filter_map(once).collect()
 }
 
 /// Labelled recordings, where they are.

@@ -10,8 +10,9 @@ use serde_json::json;
 use super::{ANSWERS, opened, read, write};
 use crate::cli::{Format, Outcome, print, say};
 use stiction::gap::evidence::Evidence;
-use stiction::gap::probability::{Calibration, Features, Outcome as Came, fit};
+use stiction::gap::probability::{Calibration, Features, Outcome as Came};
 use stiction::gap::{By, Decision, NONE, UNKNOWN, decide, holds_out};
+use stiction_lab::calibrate_gap::fit;
 use stiction_lab::challenge::score::{Alternative, Answer, Called, Figures, is_expressed, score};
 use stiction_lab::challenge::{Answer as Right, Split, Truth, TruthCase};
 

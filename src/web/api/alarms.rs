@@ -11,6 +11,7 @@ use super::reviews::{Told, last_of_loops};
 use super::{Answered, ENGINE_WITHIN, Gives, Operation, Shared, of};
 use crate::daemon::clock::now_ns;
 use crate::source::Incoming;
+use crate::web::extract::Sent;
 use stiction::units::ns_from_s;
 use stiction_monitor::alarm::{AlarmDocument, Command, State as AlarmState};
 
@@ -52,7 +53,7 @@ struct Commanded {
 /// Who asks.
 #[derive(Debug, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
-struct Asked {
+struct Asking {
     /// The name.
     by: String,
 }
@@ -82,7 +83,7 @@ pub(super) fn operations() -> Vec<Operation<Shared>> {
             path: "/loops/{name}/gap",
             summary: "Diagnoses the loop now and gives the gap document; takes seconds, more where others wait",
             query: &[],
-            body: Some(of::<Asked>),
+            body: Some(of::<Asking>),
             gives: Gives::Json(of::<Value>),
             handler: || post(diagnose),
         },
@@ -102,7 +103,7 @@ async fn alarms(State(live): State<Shared>) -> Json<Alarms> {
 async fn command(
     State(live): State<Shared>,
     Path(loop_name): Path<String>,
-    Json(Commanded { cmd, by, why, for_s }): Json<Commanded>,
+    Sent(Commanded { cmd, by, why, for_s }): Sent<Commanded>,
 ) -> Answered<Value> {
     let command = Command { cmd, by: Some(by), why, for_s };
     live.wish(ENGINE_WITHIN, |answer| Incoming::Command { loop_name, command, answer }).await.map(Json)
@@ -111,7 +112,7 @@ async fn command(
 async fn diagnose(
     State(live): State<Shared>,
     Path(loop_name): Path<String>,
-    Json(Asked { by }): Json<Asked>,
+    Sent(Asking { by }): Sent<Asking>,
 ) -> Answered<Value> {
     live.wish(DIAGNOSIS_WITHIN, |answer| Incoming::GapRun { loop_name, by: Some(by), answer }).await.map(Json)
 }

@@ -6,7 +6,7 @@ use std::convert::Infallible;
 use std::time::Duration;
 
 use axum::Extension;
-use axum::extract::{Query, State};
+use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::sse::{Event, Sse};
 use axum::routing::get;
@@ -20,6 +20,7 @@ use super::window::curves_after;
 use super::{Gives, Operation, Parameter, Shared};
 use crate::daemon::clock::now_ns;
 use crate::web::error::ApiError;
+use crate::web::extract::Asked;
 use crate::web::guard::Permission;
 use crate::web::server::{Life, Peer};
 use stiction::units::ms_from_ns;
@@ -33,7 +34,7 @@ const ROWS_AT_ONCE: usize = 250;
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Asked {
+struct Watching {
     r#loop: Option<String>,
 }
 
@@ -66,7 +67,7 @@ struct Watch {
 
 async fn events(
     State(live): State<Shared>,
-    Query(asked): Query<Asked>,
+    Asked(watching): Asked<Watching>,
     Extension(peer): Extension<Peer>,
     Extension(life): Extension<Life>,
     headers: HeaderMap,
@@ -76,7 +77,7 @@ async fn events(
     let place = OwnedPlace::take(&live).ok_or_else(crowded)?;
     let mut ticks = interval(EVERY);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    let watched = asked.r#loop.map(|name| (name, i64::MIN, i64::MIN));
+    let watched = watching.r#loop.map(|name| (name, i64::MIN, i64::MIN));
     let watch = Watch { live, token, life, ticks, count: 0, version: 0, full: true, watched, ready: VecDeque::new() };
     let stream = stream::unfold((watch, place), |(mut watch, place)| async {
         let event = watch.next().await;

@@ -1,9 +1,11 @@
 //! The API under the page, one table of operations: the router and its OpenAPI description are made from the same lines.
 
 mod alarms;
+mod curves;
 mod events;
 mod loops;
 mod openapi;
+mod over_time;
 mod past;
 mod reviews;
 mod site;
@@ -64,6 +66,8 @@ pub struct Live {
     pub config: Arc<Config>,
     /// When the daemon started, ns since 1970.
     pub started_ns: i64,
+    /// What to know of the data before anything else.
+    pub note: Option<&'static str>,
     looks: Semaphore,
     drawings: Semaphore,
     waiting: Semaphore,
@@ -103,6 +107,7 @@ impl Live {
             guard,
             config,
             started_ns,
+            note: None,
             looks,
             drawings,
             waiting,
@@ -223,6 +228,7 @@ pub fn operations() -> Vec<Operation<Shared>> {
         loops::operations(),
         window::operations(),
         past::operations(),
+        over_time::operations(),
         reviews::operations(),
         alarms::operations(),
         events::operations(),

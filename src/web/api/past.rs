@@ -1,29 +1,27 @@
 //! A loop's past, from the recordings: curves, windows, changes of its alarm, what many windows say together.
 
 use std::collections::BTreeSet;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use axum::Json;
-use axum::extract::{Path, Query, State};
+use axum::extract::{Path, State};
 use axum::routing::get;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use super::window::Curves;
+use super::curves::{Curves, PATIENCE, recorded_within};
 use super::{Answered, Gives, Operation, Parameter, Shared, of};
 use crate::daemon::clock::now_ns;
-use crate::files::LoadedLoop;
 use crate::files::archive::{Archive, Reach, Wanted};
 use crate::web::error::ApiError;
+use crate::web::extract::Asked;
 use crate::web::thin::thin;
+use stiction::over_time::WindowResult;
 use stiction::record::Signal;
 use stiction::units::{ms_from_ns, ns_from_ms, ns_from_s};
 use stiction_monitor::analysis::{Points, Section};
-use stiction_monitor::codec;
 use stiction_monitor::codec::topic::{self, Kind};
 
-/// How long a look back may take before it gives what it has.
-const PATIENCE: Duration = Duration::from_secs(4);
 /// Points of a curve, if nobody says how many, and at most.
 const POINTS: usize = 2_000;
 const MOST_POINTS: usize = 20_000;
@@ -62,34 +60,29 @@ struct History {
 /// What is kept of a recorded estimate; fields as in `stictiond.estimate.v1`.
 #[derive(Debug, Clone, Serialize, Deserialize, schemars::JsonSchema)]
 #[allow(missing_docs)] // defined in docs/verdicts.md
-pub struct PastWindow {
+pub(super) struct PastWindow {
     #[serde(skip_deserializing)]
     pub start_ms: f64,
     #[serde(skip_deserializing)]
     pub end_ms: f64,
-    #[serde(rename(deserialize = "window"), skip_serializing)]
+    #[serde(skip_serializing)]
     #[schemars(skip)]
     window: Bounds,
     pub verdict: String,
-    pub stiction: Option<bool>,
-    pub p_stiction: Option<f64>,
-    pub grade: Option<char>,
-    pub s: Option<f64>,
-    pub s_interval: Option<[f64; 2]>,
+    /// What windows are taken together by.
+    #[serde(flatten)]
+    #[schemars(skip)]
+    pub result: WindowResult,
     pub fs: Option<f64>,
     pub fs_interval: Option<[f64; 2]>,
     pub fd: Option<f64>,
     pub fd_interval: Option<[f64; 2]>,
-    pub j: Option<f64>,
-    pub j_interval: Option<[f64; 2]>,
-    pub j_identifiable: Option<bool>,
     pub stiction_index: Option<f64>,
     #[serde(skip_deserializing)]
     pub period_s: Option<f64>,
-    #[serde(rename(deserialize = "oscillation"), skip_serializing)]
+    #[serde(skip_serializing)]
     #[schemars(skip)]
     oscillation: Cycle,
-    pub gates: Vec<String>,
 }
 
 #[derive(Debug, Clone, Copy, Deserialize)]
@@ -112,15 +105,17 @@ struct Changes {
     changes: Vec<Value>,
 }
 
+/// A stretch of time, and how many points of it.
 #[derive(Debug, Deserialize)]
-struct Range {
+pub(super) struct Range {
     from_ms: Option<f64>,
     to_ms: Option<f64>,
     points: Option<usize>,
 }
 
-const FROM: Parameter = Parameter { name: "from_ms", words: "first stamp, ms since 1970; 90 days ago if absent" };
-const TO: Parameter = Parameter { name: "to_ms", words: "last stamp, ms since 1970; now if absent" };
+pub(super) const FROM: Parameter =
+    Parameter { name: "from_ms", words: "first stamp, ms since 1970; 90 days ago if absent" };
+pub(super) const TO: Parameter = Parameter { name: "to_ms", words: "last stamp, ms since 1970; the newest if absent" };
 const FEWER: Parameter = Parameter { name: "points", words: "about how many points; 2000 if absent, 20000 at most" };
 
 pub(super) fn operations() -> Vec<Operation<Shared>> {
@@ -159,37 +154,18 @@ pub(super) fn operations() -> Vec<Operation<Shared>> {
 }
 
 impl Range {
-    fn ns(&self) -> Result<[i64; 2], ApiError> {
-        let now = now_ns();
-        let to = self.to_ms.map_or(now, ns_from_ms);
+    /// First and last stamp. Plants whose clock is ahead, and those that are simulated, have a past beyond now.
+    pub(super) fn ns(&self, live: &Shared, name: &str) -> Result<[i64; 2], ApiError> {
+        let newest = || live.overview.newest(name).and_then(|n| n.newest_ns).unwrap_or(i64::MIN);
+        let to = self.to_ms.map_or_else(|| now_ns().max(newest()), ns_from_ms);
         let from = self.from_ms.map_or(to.saturating_sub(ns_from_s(PAST_S)), ns_from_ms);
         let finite = [self.from_ms, self.to_ms].iter().flatten().all(|ms| ms.is_finite());
         if finite && from <= to { Ok([from, to]) } else { Err(ApiError::unfit("from_ms must lie before to_ms")) }
     }
 }
 
-/// A loop's samples in the recordings, oldest file first.
-pub(super) fn recorded(archive: &Archive, name: &str, signals: &[Signal], range_ns: [i64; 2]) -> LoadedLoop {
-    recorded_within(archive, name, signals, range_ns).0
-}
-
-fn recorded_within(archive: &Archive, name: &str, signals: &[Signal], range_ns: [i64; 2]) -> (LoadedLoop, Reach) {
-    let topics: Vec<(String, Signal)> = signals.iter().map(|s| (topic::raw(archive.prefix(), name, *s), *s)).collect();
-    let names: BTreeSet<String> = topics.iter().map(|(topic, _)| topic.clone()).collect();
-    let wanted = Wanted { topics: names, range_ns, until: Instant::now() + PATIENCE };
-    let mut one = LoadedLoop::new(name, Vec::new());
-    let reach = archive.read(&wanted, &mut |found| {
-        let Some((_, signal)) = topics.iter().find(|(topic, _)| topic == found.topic) else { return };
-        // What cannot be read was counted when it came.
-        let _ = codec::decode(*signal, found.data, Some(found.encoding), None, found.t_ns, &mut one.samples);
-    });
-    // Files come newest first; a stable sort keeps the order within a stamp.
-    one.samples.sort_by_key(|sample| sample.t_ns);
-    (one, reach)
-}
-
-async fn trend(State(live): State<Shared>, Path(name): Path<String>, Query(range): Query<Range>) -> Answered<Trend> {
-    let [from_ns, to_ns] = range.ns()?;
+async fn trend(State(live): State<Shared>, Path(name): Path<String>, Asked(range): Asked<Range>) -> Answered<Trend> {
+    let [from_ns, to_ns] = range.ns(&live, &name)?;
     let points = range.points.unwrap_or(POINTS).clamp(2, MOST_POINTS);
     let (archive, config) = (live.archive.clone(), live.config.clone());
     let (curves, reach) = live
@@ -235,6 +211,7 @@ pub(super) fn windows(archive: &Archive, name: &str, range_ns: [i64; 2]) -> (Vec
     let (mut all, reach) = documents(archive, topic, range_ns, |data| {
         let mut window: PastWindow = serde_json::from_slice(data).ok()?;
         let Bounds { start_ns, end_ns } = window.window;
+        (window.result.start_ns, window.result.end_ns) = (start_ns, end_ns);
         (window.start_ms, window.end_ms) = (ms_from_ns(start_ns), ms_from_ns(end_ns));
         window.period_s = window.oscillation.period_s;
         Some((end_ns, window))
@@ -247,9 +224,9 @@ pub(super) fn windows(archive: &Archive, name: &str, range_ns: [i64; 2]) -> (Vec
 async fn history(
     State(live): State<Shared>,
     Path(name): Path<String>,
-    Query(range): Query<Range>,
+    Asked(range): Asked<Range>,
 ) -> Answered<History> {
-    let [from_ns, to_ns] = range.ns()?;
+    let [from_ns, to_ns] = range.ns(&live, &name)?;
     let archive = live.archive.clone();
     let (windows, reach) = live.on_a_thread(move || windows(&archive, &name, [from_ns, to_ns])).await?;
     let complete = reach == Reach::All;
@@ -259,9 +236,9 @@ async fn history(
 async fn changes(
     State(live): State<Shared>,
     Path(name): Path<String>,
-    Query(range): Query<Range>,
+    Asked(range): Asked<Range>,
 ) -> Answered<Changes> {
-    let range_ns = range.ns()?;
+    let range_ns = range.ns(&live, &name)?;
     let archive = live.archive.clone();
     let (mut changes, reach) = live
         .on_a_thread(move || {

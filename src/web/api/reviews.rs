@@ -7,11 +7,12 @@ use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
 use serde::{Deserialize, Serialize};
 
-use super::past::recorded;
+use super::curves::recorded;
 use super::{Answered, Gives, Operation, Shared, of};
 use crate::daemon::clock::now_ns;
 use crate::files::reviews::{Label, Method, Review};
 use crate::web::error::ApiError;
+use crate::web::extract::Sent;
 use stiction::record::Signal;
 use stiction::units::{Moment, ms_from_ns};
 use stiction_monitor::alarm::check_name;
@@ -105,7 +106,7 @@ pub(super) fn last_of_loops(live: &Shared) -> std::collections::HashMap<String, 
 async fn keep(
     State(live): State<Shared>,
     Path(name): Path<String>,
-    Json(Found { label, method, by, why }): Json<Found>,
+    Sent(Found { label, method, by, why }): Sent<Found>,
 ) -> Answered<Kept> {
     check_name(Some(&by)).map_err(|e| ApiError::unfit(e.to_string()))?;
     if why.as_ref().is_some_and(|why| why.len() > MAX_WHY) {

@@ -44,6 +44,8 @@ pub struct Site {
     pub now_ms: f64,
     /// When it started, ms since 1970.
     pub started_ms: f64,
+    /// What to know of the data before anything else, in words; null where there is nothing.
+    pub note: Option<&'static str>,
     /// Whether commands are taken at all.
     pub commands: bool,
     /// Whether who asks may send them.
@@ -115,6 +117,7 @@ pub(super) fn site_of(live: &Shared, token: Permission) -> Site {
         time_zone: live.config.web.page.time_zone.clone(),
         now_ms: ms_from_ns(now),
         started_ms: ms_from_ns(live.started_ns),
+        note: live.note,
         commands: live.config.commands.enabled,
         token,
         workbench: live.config.web.page.workbench,

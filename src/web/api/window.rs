@@ -9,7 +9,7 @@ use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use serde::Serialize;
 
-use super::past::recorded;
+use super::curves::{Curves, known, recorded};
 use super::{Answered, Gives, Live, Operation, Shared, of};
 use crate::files::LoadedLoop;
 use crate::files::csv;
@@ -27,19 +27,6 @@ use stiction_monitor::engine::LoopSettings;
 
 /// Points of a watched loop that are sent at first.
 const FIRST_POINTS: usize = 100;
-
-/// Curves over one axis of time; null where a value is missing.
-#[derive(Debug, Clone, PartialEq, Serialize, schemars::JsonSchema)]
-pub struct Curves {
-    /// Stamps, ms since 1970.
-    pub t_ms: Vec<f64>,
-    /// Controller output.
-    pub op: Vec<Option<f64>>,
-    /// Process variable.
-    pub pv: Vec<Option<f64>>,
-    /// Set point, if one is known.
-    pub sp: Option<Vec<Option<f64>>>,
-}
 
 /// A loop's window as it is now.
 #[derive(Debug, Serialize, schemars::JsonSchema)]
@@ -117,10 +104,6 @@ pub(super) fn operations() -> Vec<Operation<Shared>> {
             || get(window_mcap),
         ),
     ]
-}
-
-fn known(values: &[f64]) -> Vec<Option<f64>> {
-    values.iter().map(|v| Some(*v).filter(|v| v.is_finite())).collect()
 }
 
 fn stamps_ms(record: &Record) -> Vec<f64> {

@@ -13,6 +13,7 @@ mod truth_controller;
 mod truth_detectable;
 mod truth_gap;
 mod truth_intervals;
+mod truth_over_time;
 mod truth_solvers;
 mod truth_stiction;
 mod val_labelled;

@@ -40,7 +40,7 @@ pub struct SolverDocument {
     /// Models allowed.
     pub evaluations_limit: u64,
     /// Why it stopped.
-    pub stopped: &'static str,
+    pub stopped: Termination,
     /// MSE below which the solver believes nothing lies.
     pub lower_bound_mse: Option<f64>,
     /// What that bound is worth.
@@ -140,7 +140,7 @@ pub fn document(
         constraint: "0 <= fd <= fs, fs + fd <= s0",
         evaluations: solved.outcome.evaluations,
         evaluations_limit: settings.budget,
-        stopped: solved.outcome.stopped.name(),
+        stopped: solved.outcome.stopped,
         lower_bound_mse: bound,
         bound: bound.map(|_| "heuristic"),
         elapsed_ms,

@@ -2,13 +2,9 @@
 
 use super::Answer;
 use stiction::ident::region::{Region, Size};
-use stiction::units::{self, duration, significant};
+use stiction::units::{self, duration, optional as number, significant};
 use stiction::verdict::words;
 use stiction::verdict::{Assessment, EstimateDocument};
-
-fn number(value: Option<f64>) -> String {
-    value.map_or_else(|| "-".to_owned(), units::number)
-}
 
 fn gates(a: &Assessment) -> String {
     a.gates.iter().map(|g| g.name()).collect::<Vec<_>>().join(", ")
@@ -151,7 +147,7 @@ pub fn answer(answer: &Answer) -> String {
             s.evaluations,
             s.evaluations_limit,
             s.elapsed_ms / 1e3,
-            s.stopped
+            s.stopped.name()
         );
         let bound = s
             .lower_bound_mse

@@ -31,6 +31,10 @@ fn is_default<T: Default + PartialEq>(settings: &T) -> bool {
     *settings == T::default()
 }
 
+/// Tables that stand once.
+const TABLES: [&str; 11] =
+    ["site", "zenoh", "input", "window", "alarm", "gap", "recording", "retention", "commands", "signing", "web"];
+
 /// Everything the daemon is told. Field names are the keys of the text.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Config {
@@ -126,9 +130,10 @@ pub struct Web {
 }
 
 /// Keys of `[web]` that are about the page.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Page {
     /// Whether there is one: `page`.
+    #[serde(rename = "page")]
     pub enabled: bool,
     /// Whether files may be opened in it: `workbench`.
     pub workbench: bool,
@@ -194,21 +199,8 @@ impl Config {
 
     fn read(lines: &Lines, root: &DeTable<'_>, faults: &mut Vec<Fault>) -> Self {
         let mut open = |key: &str| subtable(lines, root, key, faults);
-        let keys = [
-            "site",
-            "zenoh",
-            "input",
-            "window",
-            "alarm",
-            "gap",
-            "recording",
-            "retention",
-            "commands",
-            "signing",
-            "web",
-        ];
         let [site, zenoh, input, window, alarm, gap, recording, retention, commands, signing, web] =
-            keys.map(|key| (key, open(key)));
+            TABLES.map(|key| (key, open(key)));
         macro_rules! read {
             ($entry:expr, $read:expr) => {{
                 let mut reader = TableReader::new(lines, $entry.0, $entry.1.1, $entry.1.0, faults);
@@ -217,37 +209,26 @@ impl Config {
                 value
             }};
         }
-        let site = read!(site, read_site);
-        let zenoh = read!(zenoh, read_zenoh);
-        let input = read!(input, input::read_input);
         let window = read!(window, |r: &mut TableReader<'_, '_>| read_window(r, WindowParams::default()));
         let alarm = read!(alarm, |r: &mut TableReader<'_, '_>| read_alarm(r, AlarmParams::default()));
-        let gap = read!(gap, read_gap);
-        let recording = read!(recording, read_recording);
-        let retention = read!(retention, service::read_retention);
-        let commands = read!(commands, service::read_commands);
-        let signing = read!(signing, service::read_signing);
-        let web = read!(web, read_web);
-        let loops = loops::read_loops(lines, root, window, alarm, faults);
-        let deliver = deliver::read_delivers(lines, root, faults);
-        let bundles = bundle::read_bundles(lines, root, faults);
-        faults.extend(input::too_few_places(lines, root, input.max_loops, loops.len()));
-        Self {
-            site,
-            zenoh,
-            input,
+        let config = Self {
+            site: read!(site, read_site),
+            zenoh: read!(zenoh, read_zenoh),
+            input: read!(input, input::read_input),
             window,
             alarm,
-            gap,
-            recording,
-            retention,
-            commands,
-            signing,
-            web,
-            deliver,
-            bundles,
-            loops,
-        }
+            gap: read!(gap, read_gap),
+            recording: read!(recording, read_recording),
+            retention: read!(retention, service::read_retention),
+            commands: read!(commands, service::read_commands),
+            signing: read!(signing, service::read_signing),
+            web: read!(web, read_web),
+            deliver: deliver::read_delivers(lines, root, faults),
+            bundles: bundle::read_bundles(lines, root, faults),
+            loops: loops::read_loops(lines, root, window, alarm, faults),
+        };
+        faults.extend(input::too_few_places(lines, root, config.input.max_loops, config.loops.len()));
+        config
     }
 
     /// A configuration with every default, for a prefix that is known to be sound.
@@ -280,28 +261,13 @@ fn syntax_fault(lines: &Lines, error: &toml::de::Error) -> Fault {
 }
 
 fn refuse_unknown_tables(lines: &Lines, root: &DeTable<'_>, faults: &mut Vec<Fault>) {
-    const KNOWN: [&str; 14] = [
-        "site",
-        "zenoh",
-        "input",
-        "window",
-        "alarm",
-        "gap",
-        "recording",
-        "retention",
-        "commands",
-        "signing",
-        "web",
-        "deliver",
-        "bundle",
-        "loop",
-    ];
-    for (key, _) in root.iter().filter(|(k, _)| !KNOWN.iter().any(|known| known == k.get_ref())) {
+    let known = [&TABLES[..], &["deliver", "bundle", "loop"]].concat();
+    for (key, _) in root.iter().filter(|(k, _)| !known.iter().any(|known| known == k.get_ref())) {
         faults.push(Fault {
             line: lines.of(key.span().start),
             key: key.get_ref().to_string(),
             message: "unknown table or key".to_owned(),
-            remedy: format!("known here: {}", KNOWN.join(", ")),
+            remedy: format!("known here: {}", known.join(", ")),
         });
     }
 }

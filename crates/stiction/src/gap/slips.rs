@@ -19,7 +19,7 @@ use crate::ident::slip_search::candidate::Candidate;
 use crate::ident::slip_search::problem::{BehindStem, Problem as SlipProblem};
 use crate::ident::slip_search::settings::SearchSettings;
 use crate::ident::slip_search::stages::{Found, Request, Search as SlipSearch};
-use crate::optim;
+use crate::optim::Contour;
 use crate::signal::detrend::box_means;
 use crate::signal::stats;
 use crate::sim::actuator::lag_path;
@@ -60,7 +60,7 @@ pub fn search_slips(problem: &Problem, search: &Search, length: Length, seed: u6
         return Places::default();
     };
     let plan = search.structure.plan_of(&p);
-    let (Some(law), Some(solver)) = (plan.law, optim::by_name("contour")) else { return Places::default() };
+    let Some(law) = plan.law else { return Places::default() };
     let Some(normalised) = normalised_of(problem, search, &plan) else { return Places::default() };
     let held = HeldPlan { plan: plan.searchable(), points: problem.n() };
     let mut slip_problem = SlipProblem::new(&normalised, search.sign);
@@ -71,7 +71,7 @@ pub fn search_slips(problem: &Problem, search: &Search, length: Length, seed: u6
     let request = Request {
         laws: &[law],
         model: if class == Class::Second { ModelChoice::Sopdt } else { ModelChoice::Fopdt },
-        solver,
+        solver: &Contour,
         fineness_pct: FINENESS_PCT[usize::from(length == Length::Brief)],
         seed,
         rival: f64::INFINITY,

@@ -1,5 +1,7 @@
 //! What a fit can be told.
 
+use crate::optim::SolverName;
+
 /// Order of the process model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum ModelChoice {
@@ -55,8 +57,8 @@ pub struct Options {
     pub delay: DelayChoice,
     /// Valve law.
     pub valve: ValveChoice,
-    /// Name of the global solver; an unknown one falls back to the contour grid.
-    pub solver: &'static str,
+    /// The global solver.
+    pub solver: SolverName,
     /// Step of the contour grid, % of the span.
     pub fineness_pct: f64,
     /// Seed of every random choice.
@@ -72,7 +74,7 @@ impl Default for Options {
             model: ModelChoice::default(),
             delay: DelayChoice::default(),
             valve: ValveChoice::default(),
-            solver: "contour",
+            solver: SolverName::default(),
             fineness_pct: 5.0,
             seed: 1,
             period_points: None,

@@ -12,7 +12,7 @@ use super::slip_search::problem::Problem;
 use super::slip_search::settings::SearchSettings;
 use super::slip_search::stages::{Ended, Found, Request, Search};
 use super::width::Spread;
-use crate::optim;
+use crate::optim::SolverName;
 use crate::record::Record;
 use crate::signal::stats;
 use crate::sim::slips::Law;
@@ -56,8 +56,8 @@ pub struct Estimate {
     pub spread: Spread,
     /// Error models computed.
     pub evaluations: u64,
-    /// The global solver's name.
-    pub solver: &'static str,
+    /// The global solver.
+    pub solver: SolverName,
     /// Rounds of the search, over all signs of the gain.
     pub rounds: usize,
     /// Why the search for the answer ended.
@@ -130,7 +130,7 @@ impl Scale<'_> {
 
 /// The estimate for one sign of the gain; an error above `rival` is given up.
 fn estimate(problem: &Problem<'_>, options: &Options, laws: &[Law], rival: f64, scale: &Scale<'_>) -> Option<Estimate> {
-    let solver = optim::by_name(options.solver).unwrap_or(optim::ALL[0]);
+    let solver = options.solver.solver();
     let request =
         Request { laws, model: options.model, solver, fineness_pct: options.fineness_pct, seed: options.seed, rival };
     let settings = SearchSettings::usual();
@@ -202,7 +202,7 @@ fn report(
         s_cell: best.cells[0].map(|v| v * span),
         spread: met.spread.scaled(span),
         evaluations: 0,
-        solver: optim::by_name(options.solver).unwrap_or(optim::ALL[0]).name(),
+        solver: options.solver,
         rounds: found.rounds,
         ended: found.ended,
     })

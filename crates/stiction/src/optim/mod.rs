@@ -16,6 +16,8 @@ pub use contour::Contour;
 pub use multistart::Multistart;
 pub use random::AdaptiveRandom;
 
+use serde::Serialize;
+
 /// What is searched.
 pub trait Objective {
     /// Cost of the point `[s, j]`; lower is better, infinite where no model exists. Points outside the triangle are
@@ -35,7 +37,8 @@ pub struct Settings {
 }
 
 /// Why a search stopped.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Termination {
     /// Everything that the method wanted to look at was looked at.
     Complete,
@@ -100,10 +103,43 @@ pub trait Solver: Sync {
 /// Every solver.
 pub const ALL: [&dyn Solver; 4] = [&Contour, &Multistart, &AdaptiveRandom, &BranchBound];
 
-/// The solver of that name.
-#[must_use]
-pub fn by_name(name: &str) -> Option<&'static dyn Solver> {
-    ALL.into_iter().find(|s| s.name() == name)
+/// A solver of this library.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(rename_all = "kebab-case")]
+pub enum SolverName {
+    /// Every point of an even grid, then a local search around the best ones.
+    #[default]
+    Contour,
+    /// Adaptive random search from many starts.
+    Multistart,
+    /// Adaptive random search.
+    Random,
+    /// Branch and bound.
+    BranchBound,
+}
+
+impl SolverName {
+    /// All of them, in the order of [`optim::ALL`](ALL).
+    pub const ALL: [Self; ALL.len()] = [Self::Contour, Self::Multistart, Self::Random, Self::BranchBound];
+
+    /// The solver itself.
+    #[must_use]
+    pub const fn solver(self) -> &'static dyn Solver {
+        ALL[self as usize]
+    }
+
+    /// Its word.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        self.solver().name()
+    }
+
+    /// The solver of that word.
+    #[must_use]
+    pub fn of(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|s| s.name() == name)
+    }
 }
 
 /// Counts calls and keeps the best, so that every solver does it alike.
@@ -152,7 +188,8 @@ mod tests {
     fn every_solver_finds_a_bowl_anywhere_on_the_triangle() {
         let settings = Settings { budget: 5000, fineness_pct: 5.0, seed: 1 };
         for solver in ALL {
-            assert!(by_name(solver.name()).is_some());
+            let name = SolverName::of(solver.name()).unwrap();
+            assert_eq!(serde_json::to_value(name).unwrap(), solver.name());
             for target in [[0.42, 0.11], [1.0, 1.0], [0.03, 0.0], [0.77, 0.76]] {
                 let found = solver.search(&mut Bowl(target), &settings);
                 assert!(found.cost < 1e-4, "{} {target:?}: {found:?}", solver.name());

@@ -367,8 +367,7 @@ fn fill(out: &mut Assessment, e: &Estimate, record: &Record, params: &AssessPara
         mse: e.mse,
         fit_pct: 100.0 * (1.0 - e.mse.sqrt() / spread),
     });
-    out.search =
-        Some(Search { solver: e.solver, evaluations: e.evaluations, rounds: e.rounds, stopped: e.ended.name() });
+    out.search = Some(Search { solver: e.solver, evaluations: e.evaluations, rounds: e.rounds, stopped: e.ended });
 }
 
 #[cfg(test)]

@@ -1,6 +1,8 @@
 //! The numbers and words of one estimate, as `stictiond.estimate.v1` carries them.
 
 use crate::ident::region::{Region, Size};
+use crate::ident::slip_search::stages::Ended;
+use crate::optim::SolverName;
 use crate::sim::slips::Law;
 use serde::Serialize;
 
@@ -383,15 +385,14 @@ impl Assessment {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Search {
-    /// Name of the solver.
-    pub solver: &'static str,
+    /// The global solver.
+    pub solver: SolverName,
     /// Error models computed.
     pub evaluations: u64,
     /// Rounds made.
     pub rounds: usize,
-    /// Why it ended: `noise` (nothing but noise is left), `agreement` (another round gained next to nothing),
-    /// `no_friction` (none shows), `behind` (another explanation is far better), `complete` (all rounds made).
-    pub stopped: &'static str,
+    /// Why it ended.
+    pub stopped: Ended,
 }
 
 /// The published document: an assessment with its loop and the build that made it.

@@ -3,6 +3,7 @@
 use super::*;
 use crate::ident::class::Scratch;
 use crate::ident::{DelayChoice, ModelChoice, ValveChoice};
+use crate::optim::SolverName;
 use crate::sim::noise::Noise;
 use crate::sim::valve::he_step;
 
@@ -33,7 +34,7 @@ fn options() -> Options {
         model: ModelChoice::Auto,
         delay: DelayChoice::Auto,
         valve: ValveChoice::He,
-        solver: "contour",
+        solver: SolverName::Contour,
         fineness_pct: 5.0,
         seed: 1,
         period_points: Some(78.0),

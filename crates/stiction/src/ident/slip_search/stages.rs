@@ -20,6 +20,7 @@ use crate::ident::residual::{self, Whiteness};
 use crate::optim::Solver;
 use crate::signal::stats;
 use crate::sim::slips::Law;
+use serde::Serialize;
 
 /// Share of PV's variance below which what is left is rounding, whatever it looks like.
 const ROUNDING: f64 = 1e-9;
@@ -56,7 +57,9 @@ pub struct Request<'r> {
 }
 
 /// Why a search ended.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(rename_all = "snake_case")]
 pub enum Ended {
     /// The best model leaves nothing but noise.
     Noise,
@@ -68,20 +71,6 @@ pub enum Ended {
     Behind,
     /// All rounds were made.
     Complete,
-}
-
-impl Ended {
-    /// Its word in documents.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Noise => "noise",
-            Self::NoFriction => "no_friction",
-            Self::Agreement => "agreement",
-            Self::Behind => "behind",
-            Self::Complete => "complete",
-        }
-    }
 }
 
 /// What a search found.
