@@ -140,8 +140,8 @@ class Plant:
                 sent = due
 
 
-def bus_at(endpoint):
-    """A session at a daemon that may not listen yet."""
+def bus_at(endpoint, prefix):
+    """A session at a daemon that may not listen yet; back once the daemon hears what is put below the prefix."""
 
     def opened():
         try:
@@ -149,7 +149,11 @@ def bus_at(endpoint):
         except zenoh.ZError:
             return None
 
-    return eventually(f"Zenoh at {endpoint}", opened, within=20)
+    bus = eventually(f"Zenoh at {endpoint}", opened, within=20)
+    heard = bus.declare_publisher(f"{prefix}/first/op")
+    eventually("that the daemon listens", lambda: heard.matching_status.matching, within=20)
+    heard.undeclare()
+    return bus
 
 
 def zenoh_at(endpoint):
@@ -163,14 +167,14 @@ def plant(tmp_path_factory):
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     (folder / "token").write_text("a-token-for-the-test-of-the-page\n")
     more = (
-        "[window]\nhop_s = 600\n[alarm]\nraise = [1, 1]\n[gap]\nbudget_evaluations = 3000\n"
+        "[window]\nhop_s = 600\n[alarm]\nraise = [1, 1]\n[gap]\nbudget_evaluations = 1000\n"
         '[[loop]]\nname = "FIC101"\nop_range = [0, 100]\narea = "Area <b>1</b>"\nequipment = "FV-101"\n'
     )
     daemon = Daemon(folder, PREFIX, zenoh_at(endpoint), more)
     text = daemon.config.read_text()
     daemon.config.write_text(text.replace('[web]\nlisten = "127.0.0.1', f'[web]\ntoken_file = "{folder}/token"\nlisten = "0.0.0.0'))
     with daemon:
-        bus = bus_at(endpoint)
+        bus = bus_at(endpoint, PREFIX)
         loops = {name: Loop(fs=5.0, fd=3.0, seed=k + 1) for k, name in enumerate(["FIC101", *HOSTILE])}
         loops["TIC102"] = Loop(seed=9)
         daemon.plant = Plant(bus, PREFIX, loops, past_s=3000)
@@ -210,7 +214,7 @@ class Demo:
             return None
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def demo(tmp_path_factory):
     running = Demo(tmp_path_factory.mktemp("demo"))
     yield running

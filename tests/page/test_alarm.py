@@ -90,7 +90,7 @@ def answer(page, button, **fields):
 
 def test_an_alarm_rises_is_acknowledged_shelved_and_taken_back(repair, open_page):
     page = open_page(repair.daemon, "#/alarms")
-    bus = bus_at(repair.endpoint)
+    bus = bus_at(repair.endpoint, "repair")
     said = []
     watching = bus.declare_subscriber(
         f"repair/@stiction/v1/{LOOP}/alarm", lambda s: said.append(json.loads(s.payload.to_string()))
