@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 import zenoh
-from playwright.sync_api import sync_playwright
+from playwright.sync_api import expect, sync_playwright
 
 from daemon import PROGRAM, ROOT, Daemon, close_sessions, eventually, free_port, session
 from plant import Loop
@@ -18,6 +18,8 @@ from plant import Loop
 NS = 10**9
 PREFIX = "works/north"
 SKIPPED = []
+# Machines that are busy with other tests take their time.
+expect.set_options(timeout=15_000)
 # What a browser says where the daemon is away.
 AWAY = r"net::ERR_"
 # Names that somebody may give a loop to see what happens.

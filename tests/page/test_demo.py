@@ -7,6 +7,8 @@ import pytest
 from conftest import api, skipped
 from playwright.sync_api import expect
 
+from daemon import eventually
+
 # What the demo simulates: the tile that a loop ends up as, and the chip that its verdict counts under.
 TRUTH = {
     "FIC101": ("maintenance required", "sticks"),
@@ -49,10 +51,13 @@ def look(page, where):
 
 
 def settled(page):
-    """Nothing is loading any more, and the fonts are there."""
-    page.wait_for_function(
-        "() => !document.querySelector('main [aria-busy=true], main .skeleton') && document.fonts.status === 'loaded'"
-    )
+    """Everything is loaded: what waits until it comes near the screen is brought there."""
+    waiting = """() => {
+      const bone = document.querySelector('main [aria-busy=true], main .skeleton');
+      bone?.scrollIntoView();
+      return bone !== null || document.fonts.status !== 'loaded';
+    }"""
+    eventually("the page to be loaded", lambda: not page.evaluate(waiting))
 
 
 @pytest.mark.parametrize("view", VIEWS)
@@ -63,12 +68,9 @@ def test_axe_finds_nothing(demo, open_page, axe_source, view):
     if view == "workbench" and not there(demo):
         skipped("there is no workbench in this page: not looked at")
         pytest.skip("no workbench")
+    eventually("the alarm", lambda: any(row["active"] for row in api(demo, "/loops")["loops"]), within=120)
     page = open_page(demo, VIEWS[view])
     expect(page.get_by_role("heading", level=1).first).to_be_visible()
-    if view == "loop":
-        # What is loaded when it comes near the screen.
-        for part in ("Over time", "What a repair buys", "Pictures", "Alarm history"):
-            page.get_by_role("region", name=part).or_(page.get_by_role("heading", name=part)).first.scroll_into_view_if_needed()
     settled(page)
     found = []
     for width in WIDTHS:
