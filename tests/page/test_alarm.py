@@ -133,7 +133,7 @@ def test_an_alarm_rises_is_acknowledged_shelved_and_taken_back(repair, open_page
 
 
 def strip(page):
-    return page.get_by_role("region", name="Connection and data health")
+    return page.get_by_label("Connection and data health")
 
 
 def is_live(page):

@@ -10,7 +10,7 @@ import pytest
 from conftest import NS, api, bus_at, zenoh_at
 from playwright.sync_api import expect
 
-from daemon import Daemon, close_sessions, eventually, free_port
+from daemon import Daemon, eventually, free_port
 
 LOOPS = 5000
 COUNT = "document.querySelectorAll('main li a[href^=\"#/loop/\"]').length"
@@ -25,7 +25,7 @@ def many(tmp_path_factory):
         publish(daemon.bus, 0)
         eventually("all loops", lambda: len(api(daemon, "/loops")["loops"]) == LOOPS, within=60)
         yield daemon
-        close_sessions()
+        daemon.bus.close()
 
 
 def publish(bus, turn):

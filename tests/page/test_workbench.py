@@ -69,12 +69,13 @@ def over(bench):
 def test_an_estimate_has_the_numbers_of_analyze_to_the_digit(bench, page):
     run(page, "Estimate", 1)
     result = page.get_by_role("region", name="Result")
-    pictures = result.get_by_role("heading", name="Pictures")
-    expect(pictures).to_be_visible(timeout=60_000)
-    pictures.scroll_into_view_if_needed()
-    expect(result.get_by_role("img").first).to_be_visible()
-    job = eventually("the run's end", lambda: over(bench))
+    job = eventually("the run's end", lambda: over(bench), within=90)
     assert job["state"] == "done", job
+    expect(page.get_by_role("status").filter(has_text="Run 1: done")).to_be_attached()
+    # Pictures are drawn when they come near the screen.
+    expect(result.get_by_role("heading", name="Pictures")).to_be_visible()
+    page.get_by_role("region", name="Runs compared").scroll_into_view_if_needed()
+    expect(result.get_by_role("img").first).to_be_attached()
     for found, model in zip(job["results"], ("fopdt", "sopdt"), strict=True):
         code, out, said = stictiond("analyze", RECORDING, "--model", model, "--format", "json")
         assert code == 0, said
@@ -99,7 +100,7 @@ def test_choices_are_undone_redone_and_a_run_is_cancelled(bench, page):
     page.get_by_role("group", name="What is done").get_by_role("button", name="Gap").click()
     page.get_by_role("button", name="Diagnose the gap").click()
     expect(page.get_by_role("progressbar", name=re.compile("^Progress of run"))).to_be_visible()
-    page.get_by_role("button", name="Cancel").click()
+    page.get_by_role("button", name="Cancel").last.click()
     job = eventually("the cancelled run's end", lambda: over(bench), within=30)
     assert job["state"] == "cancelled" and job["request"]["kind"] == "gap", job["state"]
 
