@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Every test: the library and the program, the program seen from outside by Python (tests/interop), the Python package
-# (python), reports in a browser (tests/report), the Debian package on a clean root (tests/package). What was skipped for want of something is said
-# and counted at the end.
+# (python), reports and the page in a browser (tests/report, tests/page), the Debian package on a clean root
+# (tests/package). What was skipped for want of something is said and counted at the end.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 started=$SECONDS
@@ -20,7 +20,7 @@ noted() {
 
 # Browser, broker and Python packages are fetched while the compiler works. What fails here is said where it is needed. A
 # Debian root comes behind them (as apt-get runs once at a time) and is not waited for here.
-{ bash tests/interop/run.sh --fetch && bash tests/report/run.sh --fetch; bash python/test.sh --fetch; bash tests/package/run.sh --fetch & } >/dev/null 2>&1 &
+{ bash tests/interop/run.sh --fetch && bash tests/report/run.sh --fetch && bash tests/page/run.sh --fetch; bash python/test.sh --fetch; bash tests/package/run.sh --fetch & } >/dev/null 2>&1 &
 fetching=$!
 
 step "building the tests"
@@ -57,6 +57,9 @@ noted cat "$beside"
 
 step "reports in a browser"
 noted bash tests/report/run.sh
+
+step "the page in a browser, its API from outside"
+noted bash tests/page/run.sh
 
 step "the package on a clean Debian root"
 noted bash tests/package/run.sh

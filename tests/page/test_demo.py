@@ -1,0 +1,91 @@
+"""`stictiond demo` opens on a page that answers within a minute, and that everybody can read."""
+
+import re
+import time
+
+import pytest
+from conftest import api, skipped
+from playwright.sync_api import expect
+
+from daemon import eventually
+
+# What the demo simulates: the tile that a loop ends up as, and the chip that its verdict counts under.
+TRUTH = {
+    "FIC101": ("maintenance required", "sticks"),
+    "TIC102": ("in order", "steady"),
+    "PIC103": ("out of specification", "tuning"),
+    "FIC104": ("out of specification", "disturbance"),
+}
+VIEWS = {"overview": "", "loop": "#/loop/FIC101", "alarms": "#/alarms", "workbench": "#/workbench"}
+WIDTHS = (390, 820, 1400)
+
+
+def tile(page, name, status):
+    return page.get_by_role("link", name=re.compile(rf"^{name}, {status}"))
+
+
+def test_the_four_loops_have_the_right_verdicts_within_a_minute(demo, open_page):
+    page = open_page(demo)
+    for name, (status, _) in TRUTH.items():
+        expect(tile(page, name, status)).to_be_visible(timeout=60_000)
+    taken = time.monotonic() - demo.started
+    print(f"\n  right verdicts after {taken:.0f} s")
+    assert taken < 60
+    page.get_by_label("Find").fill("10")
+    verdicts = page.get_by_role("group", name="Filter by verdict")
+    for name, (status, chip) in TRUTH.items():
+        pressed = verdicts.get_by_role("button", name=re.compile(f"^{chip}"))
+        pressed.click()
+        expect(tile(page, name, "")).to_be_visible()
+        pressed.click()
+    expect(page.get_by_role("heading", level=1)).to_contain_text("1 of 4 valves needs maintenance: FIC101")
+    row = next(r for r in api(demo, "/loops")["loops"] if r["name"] == "FIC101")
+    assert row["s_interval"][0] < 7.0 < row["s_interval"][1], row
+
+
+def look(page, where):
+    """What axe finds, in lines."""
+    found = page.evaluate("() => axe.run(document, { resultTypes: ['violations'] })")["violations"]
+    return [f"{where}: {v['id']} ({v['impact']}): {v['help']}: {n['html'][:160]}" for v in found for n in v["nodes"][:2]]
+
+
+def settled(page):
+    """Everything is loaded: what waits until it comes near the screen is brought there."""
+    waiting = """() => {
+      const bone = document.querySelector('main [aria-busy=true], main .skeleton');
+      bone?.scrollIntoView();
+      return bone !== null || document.fonts.status !== 'loaded';
+    }"""
+    eventually("the page to be loaded", lambda: not page.evaluate(waiting))
+
+
+@pytest.mark.parametrize("view", VIEWS)
+def test_axe_finds_nothing(demo, open_page, axe_source, view):
+    if not axe_source:
+        skipped("axe-core cannot be had (npm): accessibility was not looked at")
+        pytest.skip("no axe-core")
+    if view == "workbench" and not there(demo):
+        skipped("there is no workbench in this page: not looked at")
+        pytest.skip("no workbench")
+    eventually("the alarm", lambda: any(row["active"] for row in api(demo, "/loops")["loops"]), within=120)
+    page = open_page(demo, VIEWS[view])
+    expect(page.get_by_role("heading", level=1).first).to_be_visible()
+    settled(page)
+    found = []
+    for width in WIDTHS:
+        page.set_viewport_size({"width": width, "height": 900})
+        for scheme in ("light", "dark"):
+            page.emulate_media(color_scheme=scheme)
+            wide = page.evaluate("() => document.documentElement.scrollWidth - document.documentElement.clientWidth")
+            found += [f"{view} at {width}: {wide} px wider than the screen"] if wide > 0 else []
+            found += look(page, f"{view} at {width} {scheme}")
+    assert not found, "\n".join(found)
+
+
+def there(demo):
+    if not api(demo, "/site")["workbench"]:
+        return False
+    try:
+        return bool(demo.get("/workbench.js"))
+    except OSError:
+        return False
