@@ -50,7 +50,7 @@ fn address(text: &str) -> Result<SocketAddr, String> {
 /// # Errors
 /// The address cannot be used, or no file that was given can be read.
 pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
-    let bench = Workbench::start().context("no folder can be made for uploads")?;
+    let bench = Workbench::start();
     let units = if args.input.is_empty() { Vec::new() } else { args.reading.units(&args.input)? };
     let (mut opened, mut failed) = (0, Vec::new());
     for unit in units {

@@ -70,7 +70,7 @@ use crate::source::zenoh::LastValues;
 use crate::source::{self, Incoming, Intake, presence};
 use crate::web;
 use crate::web::api::Live;
-use crate::web::workbench::{self, Workbench};
+use crate::web::workbench::{self, Bench, Workbench};
 use stiction_monitor::codec::topic;
 use stiction_monitor::config::Config;
 use stiction_monitor::engine::Engine;
@@ -123,9 +123,12 @@ pub async fn run(
     let last = source::zenoh::LastValues::default();
     let (queue, incoming) = crossbeam_channel::bounded(config.input.queue);
     let overview = (config.web.enabled && config.web.page.enabled).then(Overview::default);
-    let page = match &overview {
-        Some(overview) => Some(page_of(&config, &options, overview, &last, &queue, &snapshot)?),
-        None => None,
+    let (page, bench) = match &overview {
+        Some(overview) => {
+            let (page, bench) = page_of(&config, &options, overview, &last, &queue, &snapshot)?;
+            (Some(page), bench)
+        }
+        None => (None, None),
     };
     let server = web::serve(&config.web, metrics.registry(), snapshot.clone(), faults.clone(), page).await;
     tokio::pin!(stop);
@@ -267,6 +270,7 @@ pub async fn run(
         let _ = queryable.undeclare().await;
     }
     server.stop();
+    bench.iter().for_each(|bench| bench.close());
     // Closing may hang when the network loses packets.
     let _ = tokio::time::timeout(Duration::from_secs(1), session.close()).await;
     ended
@@ -328,7 +332,7 @@ fn page_of(
     last: &LastValues,
     queue: &Sender<Incoming>,
     snapshot: &HealthSnapshot,
-) -> anyhow::Result<axum::Router> {
+) -> anyhow::Result<(axum::Router, Option<Bench>)> {
     let guard = Arc::new(web::guard_of(&config.web.page)?);
     let mut live = Live::new(
         Arc::new(config.clone()),
@@ -340,11 +344,11 @@ fn page_of(
     );
     live.note = (options.origin == "demo").then_some(SIMULATED);
     let mut api = web::api::live(Arc::new(live));
-    if config.web.page.workbench {
-        let bench = Workbench::start().context("[web] workbench: no folder can be made for uploads")?;
-        api = api.merge(workbench::router(bench));
+    let bench = config.web.page.workbench.then(Workbench::start);
+    if let Some(bench) = &bench {
+        api = api.merge(workbench::router(bench.clone()));
     }
-    Ok(web::page(api, guard))
+    Ok((web::page(api, guard), bench))
 }
 
 /// What signs documents, where the configuration names a key.

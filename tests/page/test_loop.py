@@ -78,9 +78,10 @@ def test_the_trend_grows_zooms_pans_and_tells_values(plant, page):
     plot(page).focus()
     page.keyboard.press("Shift+ArrowLeft")
     panned = shown(page)
-    assert panned[0] < zoomed[0] and panned[1] < zoomed[1], (zoomed, panned)
+    # The first sample that is held may be the first that is shown: the window moves on while this looks.
+    assert panned[0] <= zoomed[0] and panned[1] < zoomed[1], (zoomed, panned)
     chart(page).get_by_role("button", name=f"Zoom in: {CHART}").click()
-    assert shown(page)[0] > panned[0]
+    eventually("less of it", lambda: shown(page)[0] > panned[0])
     plot(page).focus()
     page.keyboard.press("ArrowLeft")
     expect(chart(page).locator("[aria-live=polite]")).to_contain_text(re.compile(r"\d\d:\d\d:\d\d: .*PV .*\d"))

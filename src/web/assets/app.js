@@ -50,7 +50,10 @@ function drawNav(path) {
   if (key === drawn) return;
   drawn = key;
   const links = ROUTES.filter((r) => r.at !== undefined && !(isBench() && r.live) && !(r.style && store.site?.workbench === false));
+  // Whoever stands on a link stays there.
+  const held = nav.contains(document.activeElement) ? document.activeElement.getAttribute("href") : null;
   fill(nav, links.map((r) => h("a", { href: `#/${r.at}`, "aria-current": r.path.test(path) ? "page" : null }, r.name, r.at === "alarms" ? alarmCount(waiting) : null)));
+  if (held) nav.querySelector(`a[href="${held}"]`)?.focus();
 }
 
 function alarmCount(n) {

@@ -53,19 +53,17 @@ pub type Bench = Arc<Workbench>;
 
 impl Workbench {
     /// An empty one; its threads wait for jobs until it is dropped.
-    ///
-    /// # Errors
-    /// No folder can be made for uploads.
-    pub fn start() -> std::io::Result<Bench> {
-        let shelf = Arc::new(Shelf::new(Limits::default())?);
+    #[must_use]
+    pub fn start() -> Bench {
+        let shelf = Arc::new(Shelf::new(Limits::default()));
         let files = shelf.clone();
-        Ok(Arc::new(Self {
+        Arc::new(Self {
             jobs: Jobs::start(move |job| work::run(job, &files)),
             shelf,
             uploads: Semaphore::new(upload::AT_A_TIME),
             streams: Arc::new(Semaphore::new(STREAMS)),
             drawing: Semaphore::new(DRAWN),
-        }))
+        })
     }
 
     /// Opens files of this machine. `words` are the reading options as they were written.

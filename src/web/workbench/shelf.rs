@@ -155,11 +155,20 @@ impl Inner {
     }
 }
 
+/// The folder of uploads, ours alone.
+enum Folder {
+    /// Nothing was uploaded.
+    None,
+    /// Taken away with this.
+    Made(TempDir),
+    /// Nothing more is taken.
+    Over,
+}
+
 /// The files.
 pub struct Shelf {
     limits: Limits,
-    /// For uploads, ours alone; taken away at the end.
-    folder: Mutex<Option<TempDir>>,
+    folder: Mutex<Folder>,
     inner: Mutex<Inner>,
     /// One file is read at a time: a table takes several times its size while it is.
     reading: Mutex<()>,
@@ -167,26 +176,23 @@ pub struct Shelf {
 
 impl Shelf {
     /// An empty one.
-    ///
-    /// # Errors
-    /// No folder can be made for uploads.
-    pub fn new(limits: Limits) -> std::io::Result<Self> {
-        let folder = private_folder()?;
-        Ok(Self { limits, folder: Mutex::new(Some(folder)), inner: Mutex::default(), reading: Mutex::new(()) })
+    #[must_use]
+    pub fn new(limits: Limits) -> Self {
+        Self { limits, folder: Mutex::new(Folder::None), inner: Mutex::default(), reading: Mutex::new(()) }
     }
 
     fn inner(&self) -> MutexGuard<'_, Inner> {
         self.inner.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn folder(&self) -> MutexGuard<'_, Option<TempDir>> {
+    fn folder(&self) -> MutexGuard<'_, Folder> {
         self.folder.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Removes everything that was uploaded; nothing comes after it.
     pub fn clear(&self) {
         // What cannot be removed is left to the system's own cleaning.
-        drop(self.folder().take());
+        *self.folder() = Folder::Over;
     }
 
     /// Its bounds.
@@ -252,10 +258,14 @@ impl Shelf {
     /// A place for an upload.
     ///
     /// # Errors
-    /// Too many files are open.
+    /// Too many files are open, or no folder can be made.
     pub fn place(self: &Arc<Self>) -> Result<Place, Fault> {
-        let folder = self.folder();
-        let folder = folder.as_ref().ok_or_else(|| Fault::conflict("the program is ending"))?;
+        let mut folder = self.folder();
+        if matches!(*folder, Folder::None) {
+            let failed = |error| Fault::conflict(format!("no folder can be made for uploads: {error}; set TMPDIR"));
+            *folder = Folder::Made(private_folder().map_err(failed)?);
+        }
+        let Folder::Made(folder) = &*folder else { return Err(Fault::conflict("the program is ending")) };
         let mut inner = self.inner();
         self.room(&inner)?;
         inner.coming += 1;
