@@ -55,14 +55,18 @@ wait "$others" || failed=1
 noted cat "$beside"
 [ "$failed" = 0 ]
 
-step "reports in a browser"
-noted bash tests/report/run.sh
-
-step "the page in a browser, its API from outside"
-noted bash tests/page/run.sh
-
-step "the package on a clean Debian root"
-noted bash tests/package/run.sh
+step "the page in a browser, its API from outside; beside it reports, and the package on a clean Debian root"
+(
+    bad=0
+    bash tests/report/run.sh || bad=1
+    bash tests/package/run.sh || bad=1
+    exit "$bad"
+) >"$beside" 2>&1 &
+others=$!
+noted bash tests/page/run.sh || failed=1
+wait "$others" || failed=1
+noted cat "$beside"
+[ "$failed" = 0 ]
 
 skipped=$(grep -c '^\(!! \)\?SKIPPED: ' "$log" || true)
 if [ "$skipped" -gt 0 ]; then

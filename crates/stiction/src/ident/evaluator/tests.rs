@@ -74,7 +74,9 @@ proptest! {
         let reduced = reduce(class, &view, [&tables[0], &tables[1]], &steps.list, lag as usize, &mut HeldSums::default());
         let (gain, fd, explained) = reduced.at(lag.fract(), &freedom);
         let whole = view.nothing().max(target.y.iter().map(|y| y * y).sum());
-        prop_assert!((reduced.rest - explained - plain.sse).abs() < 1e-9 * whole, "{class:?} {rho}: {} {}", reduced.rest - explained, plain.sse);
+        // A lag beyond the record is nearly a ramp, and the plain pass' own columns nearly depend on each other.
+        let digits = if class == Class::LagIntegrating { 3e-8 } else { 1e-9 };
+        prop_assert!((reduced.rest - explained - plain.sse).abs() < digits * whole, "{class:?} {rho}: {} {}", reduced.rest - explained, plain.sse);
         prop_assert!(plain.gain == 0.0 || (gain / plain.gain - 1.0).abs() < 1e-5 && (fd - plain.fd).abs() < 1e-5, "{gain} {fd} {plain:?}");
     }
 
