@@ -19,7 +19,7 @@ NS = 10**9
 PREFIX = "works/north"
 SKIPPED = []
 # Machines that are busy with other tests take their time.
-expect.set_options(timeout=15_000)
+expect.set_options(timeout=30_000)
 # What a browser says where the daemon is away.
 AWAY = r"net::ERR_"
 # And where an answer is a refusal that the page shows in words: no closed loop can be simulated.
