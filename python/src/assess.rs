@@ -16,10 +16,10 @@ use stiction::ident::surface::solve;
 use stiction::record::Sample;
 use stiction::verdict::{AssessParams, lets_go, words};
 use stiction_monitor::analysis::solver::{self, SolverDocument};
-use stiction_monitor::analysis::{self, Cut, Estimated, Points, Scored, Section, text};
+use stiction_monitor::analysis::{self, Answer, Cut, Estimated, Points, Scored, Section, text};
 
 /// An estimate's document, and what it says in words; both JSON.
-type Told = (String, String);
+pub type Told = (String, String);
 
 /// What is asked of every loop.
 struct Question {
@@ -77,14 +77,19 @@ fn one(
     let scored = |file| Scored::of("given", file, &found.record, found.options.period_points);
     let scored = question.score.as_ref().map(scored).transpose().map_err(|e| format!("score: {e}"))?;
     let answer = found.answer(name, &config.hash(), elapsed_ms, solved, scored);
+    let document = serde_json::to_string(&answer).map_err(|e| e.to_string())?;
+    Ok((document, said(&answer, found.params.op_range, &notes)))
+}
+
+/// What an answer says in words, JSON; `op_range` is OP's whole range, where it is known.
+pub fn said(answer: &Answer, op_range: Option<[f64; 2]>, notes: &[String]) -> String {
     let a = &answer.document.assessment;
     let said = json!({
         "words": words::headline(a), "sureness": words::sureness(a), "reasons": words::evidence(a),
-        "size": words::size(a, found.params.op_range), "unknowns": words::unknowns(a, found.params.op_range),
-        "proposal": words::proposal(a), "text": text::answer(&answer), "notes": notes,
+        "size": words::size(a, op_range), "unknowns": words::unknowns(a, op_range),
+        "proposal": words::proposal(a), "text": text::answer(answer), "notes": notes, "s0": answer.s0,
     });
-    let document = serde_json::to_string(&answer).map_err(|e| e.to_string())?;
-    Ok((document, said.to_string()))
+    said.to_string()
 }
 
 fn solved(asked: Asked, found: &Estimated) -> Option<SolverDocument> {

@@ -6,14 +6,16 @@
 //! | `columns.rs` | bytes to samples |
 //! | `options.rs` | words and numbers to what a fit is told |
 //! | `supervise.rs` | work on threads without Python's lock, watched for Ctrl-C and progress |
-//! | `assess.rs`, `diagnose.rs`, `simulate.rs` | the functions |
+//! | `assess.rs`, `windows.rs`, `diagnose.rs`, `repair.rs`, `simulate.rs` | the functions |
 
 mod assess;
 mod columns;
 mod diagnose;
 mod options;
+mod repair;
 mod simulate;
 mod supervise;
+mod windows;
 
 use pyo3::create_exception;
 use pyo3::exceptions::PyValueError;
@@ -41,7 +43,11 @@ mod _stiction {
     #[pymodule_export]
     use super::diagnose::diagnose;
     #[pymodule_export]
+    use super::repair::repair;
+    #[pymodule_export]
     use super::simulate::simulate;
+    #[pymodule_export]
+    use super::windows::{assess_windows, over_time};
     #[pymodule_export]
     #[allow(non_upper_case_globals)]
     const __version__: &str = stiction::VERSION;

@@ -53,7 +53,7 @@ impl Look {
             (Some(_), Some(_)) => return Err(refused("samples", "and window both choose a section; give one of them")),
             (Some((start, end)), None) => Section::of_samples(*start, *end).map_err(|e| refused("samples", e))?,
             (None, Some((from, to))) => {
-                Section::of_times(stamp(from)?, stamp(to)?).map_err(|e| refused("window", e))?
+                Section::of_times(stamp("window", from)?, stamp("window", to)?).map_err(|e| refused("window", e))?
             }
             (None, None) => Section::Whole,
         };
@@ -71,12 +71,12 @@ impl Look {
 }
 
 /// A time as the command line writes it.
-fn stamp(text: &str) -> PyResult<i64> {
+pub fn stamp(argument: &str, text: &str) -> PyResult<i64> {
     let read = match text.strip_suffix("ns") {
         Some(ns) => ns.parse::<i64>().map_err(|_| format!("{text:?} is not a whole number of ns")),
         None => parse_time(text).map_err(|e| e.to_string()),
     };
-    read.map_err(|e| refused("window", e))
+    read.map_err(|e| refused(argument, e))
 }
 
 /// A solver to compare with.

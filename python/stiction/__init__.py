@@ -32,6 +32,7 @@ from numpy.typing import ArrayLike
 
 from . import _arrays, _stiction
 from ._arrays import Table
+from ._over_time import Case, Change, Contradicting, Figure, OverTime, Pooled, Repair, Trend, Window, windows_text
 from ._results import (
     Assessment,
     Effect,
@@ -52,20 +53,31 @@ from ._stiction import StictionError, __version__
 
 __all__ = [
     "Assessment",
+    "Case",
+    "Change",
+    "Contradicting",
     "Effect",
     "Failure",
+    "Figure",
     "Gap",
     "Interval",
+    "OverTime",
+    "Pooled",
     "Predictions",
     "Process",
+    "Repair",
     "Simulation",
     "StictionError",
+    "Trend",
     "Verdict",
     "__version__",
     "as_columns",
     "assess",
     "assess_many",
+    "assess_windows",
     "diagnose",
+    "over_time",
+    "repair",
     "screen",
     "simulate",
     "simulate_plant",
@@ -256,6 +268,102 @@ def assess_many(
         Failure(name, error or "") if told is None else assessment_of(*told)
         for name, (told, error) in zip(loops, answers)
     ]
+
+
+def assess_windows(
+    op: ArrayLike,
+    pv: ArrayLike,
+    ts_s: float | None = None,
+    *,
+    t: ArrayLike | None = None,
+    sp: ArrayLike | None = None,
+    mv: ArrayLike | None = None,
+    mode: ArrayLike | None = None,
+    name: str = "loop",
+    hop_s: float | None = None,
+    max_window_s: float | None = None,
+    config: str | None = None,
+    ends: tuple[Any, Any] | None = None,
+    threads: int | None = None,
+    progress: Progress | None = None,
+) -> list[Assessment]:
+    """Every window of a long record, oldest first, as the daemon beside the plant would have cut and judged it.
+
+    Arguments as for `assess`, and:
+    hop_s: windows end at whole multiples of it since 1970 (600 s). max_window_s: the longest window (a week).
+    config: text of a daemon's configuration (`config/monitor.toml`) instead of these two, of which `[window]` and the
+    loop's own `[[loop]]` count.
+    ends: (after, until), only windows that end behind the first and not behind the second; those before are not judged.
+    threads: how many, else as many as cores; no number depends on it.
+    progress: called with (samples taken, samples) by the thread that called; what it raises ends the work.
+
+    A window is due once a sample has come that lies behind its end by the lateness allowed (5 s); a record that ends
+    before has no such window. Documents are, to the byte, those that `stictiond replay` makes of the same samples.
+
+    >>> import numpy as np
+    >>> found = assess_windows(np.arange(900) % 90, (np.arange(900) + 30) % 90, 1.0, hop_s=300)
+    >>> [str(one.window[1])[11:19] for one in found]
+    ['00:00:00', '00:05:00', '00:10:00']
+    """
+    columns = _arrays.columns(op, pv, ts_s, t, sp, mv, mode)
+    if config is not None and (hop_s, max_window_s) != (None, None):
+        raise _arrays.refused("config", "holds hop_s and max_window_s itself; write them into it")
+    watched = {
+        "config": None if config is None else str(config),
+        "hop_s": None if hop_s is None else _arrays.positive("hop_s", hop_s),
+        "max_window_s": None if max_window_s is None else _arrays.positive("max_window_s", max_window_s),
+        "ends": _arrays.times("ends", ends),
+        "threads": None if threads is None else _arrays.whole("threads", threads, 1),
+    }
+    return [assessment_of(*told) for told in _stiction.assess_windows(str(name), columns, watched, progress)]
+
+
+def over_time(windows: Iterable[Window]) -> OverTime:
+    """Many windows of one valve together: size since it last changed, when that was, which windows disagree.
+
+    windows: results of `assess_windows`, or documents of estimates as dicts (from a recording or a table), in any order.
+
+    Returns a dict, see `OverTime`; `sentences` say the same in words.
+
+    >>> hour = 3_600_000_000_000
+    >>> seen = [{"start_ns": k * hour, "end_ns": (k + 1) * hour, "stiction": True, "s": s, "s_interval": [0.9 * s, 1.1 * s]}
+    ...         for k, s in enumerate([4.0] * 12 + [8.0] * 12)]
+    >>> [change["kind"] for change in over_time(seen)["changes"]]
+    ['worse']
+    """
+    found: OverTime = json.loads(_stiction.over_time(windows_text(windows)))
+    return found
+
+
+def repair(
+    op: ArrayLike,
+    pv: ArrayLike,
+    ts_s: float | None = None,
+    *,
+    t: ArrayLike | None = None,
+    sp: ArrayLike | None = None,
+    mv: ArrayLike | None = None,
+    mode: ArrayLike | None = None,
+    name: str = "loop",
+    op_range: Interval | None = None,
+    kind: Kind | None = None,
+    seed: int = 1,
+    samples: tuple[int, int] | None = None,
+    window: tuple[Any, Any] | None = None,
+) -> Repair:
+    """What a repair of the valve buys: the closed loop simulated as it is, without stiction, with half the gain.
+
+    Arguments as for `assess`; op_range also bounds OP in the simulation. The loop is what one record tells, so give a
+    window of it.
+
+    Returns a dict, see `Repair`; `sentences` say the same in words, `assumptions` what was taken for granted.
+    Raises StictionError where the loop cannot be simulated, or the simulation not be trusted; the message says why.
+    """
+    columns = _arrays.columns(op, pv, ts_s, t, sp, mv, mode)
+    look = _arrays.look(samples, window, None, False, None)
+    fit = _fit(op_range, kind, "auto", "auto", "auto", None, 5.0, 10_000, seed)
+    found: Repair = json.loads(_stiction.repair(str(name), columns, look, fit))
+    return found
 
 
 def screen(

@@ -169,28 +169,33 @@ def _time_text(value: Any) -> str:
     return repr(float(value))
 
 
+def _pair(argument: str, value: Any) -> tuple[Any, Any] | None:
+    if value is None:
+        return None
+    try:
+        first, second = value
+    except (TypeError, ValueError):
+        raise refused(argument, f"{value!r} is no pair; give (from, to)") from None
+    return first, second
+
+
+def times(argument: str, value: Any) -> tuple[str, str] | None:
+    """Two times as the command line reads them."""
+    between = _pair(argument, value)
+    try:
+        return None if between is None else (_time_text(between[0]), _time_text(between[1]))
+    except (TypeError, ValueError):
+        raise refused(argument, f"{value!r} holds no two times; give seconds since 1970, text or datetime64") from None
+
+
 def look(
     samples: Any, window: Any, downsample: Any, downsample_like_toolbox: bool, detrend: str | None
 ) -> dict[str, Any]:
     """What is looked at, for the native half."""
-
-    def pair(argument: str, value: Any) -> tuple[Any, Any] | None:
-        if value is None:
-            return None
-        try:
-            first, second = value
-        except (TypeError, ValueError):
-            raise refused(argument, f"{value!r} is no pair; give (from, to)") from None
-        return first, second
-
-    chosen, between = pair("samples", samples), pair("window", window)
-    try:
-        times = None if between is None else tuple(_time_text(v) for v in between)
-    except (TypeError, ValueError):
-        raise refused("window", f"{window!r} holds no two times; give seconds since 1970, text or datetime64") from None
+    chosen = _pair("samples", samples)
     return {
         "samples": None if chosen is None else tuple(whole("samples", v) for v in chosen),
-        "window": times,
+        "window": times("window", window),
         "downsample": None if downsample is None else positive("downsample", downsample),
         "downsample_like_toolbox": bool(downsample_like_toolbox),
         "detrend": None if detrend is None else str(detrend),

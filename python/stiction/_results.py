@@ -50,6 +50,8 @@ class Assessment:
 
     loop: str
     """The loop's name."""
+    window: tuple[np.datetime64, np.datetime64]
+    """Start and end of what it was made from, UTC."""
     verdict: Verdict
     """`stiction`, `deadband`, `disturbance`, `tuning`, `no_oscillation`, `no_stiction` or `inconclusive`."""
     stiction: bool | None
@@ -136,13 +138,15 @@ def assessment_of(document: str, said: str) -> Assessment:
     if process is not None:
         process = Process(**{**process, "time_constants_s": tuple(process["time_constants_s"])})
     plain = ("verdict", "stiction", "p_stiction", "confidence", "grade", "s", "j", "fs", "fd", "s_detectable")
-    more = ("stiction_index", "severity_by_range", "valve_model", "s0", "reason")
+    more = ("stiction_index", "severity_by_range", "valve_model", "reason")
     intervals = ("s_interval", "j_interval", "fs_interval", "fd_interval")
     same: dict[str, Any] = {name: d[name] for name in plain + more}
     same.update({name: _interval(d[name]) for name in intervals})
     return Assessment(
         loop=d["loop"],
+        window=(time_of(d["window"]["start_ns"]), time_of(d["window"]["end_ns"])),
         **same,
+        s0=words["s0"],
         oscillating=d["oscillation"]["oscillating"],
         period_s=d["oscillation"]["period_s"],
         process=process,
@@ -184,6 +188,8 @@ def as_columns(results: Iterable[Assessment | Failure]) -> dict[str, list[Any]]:
     )  # fmt: skip
     rows = list(results)
     columns: dict[str, list[Any]] = {name: [getattr(row, name, None) for row in rows] for name in names}
+    for end, name in ((0, "start"), (1, "end")):
+        columns[name] = [row.window[end] if isinstance(row, Assessment) else None for row in rows]
     for end, side in ((0, "low"), (1, "high")):
         intervals = [row.s_interval if isinstance(row, Assessment) else None for row in rows]
         columns[f"s_{side}"] = [None if pair is None else pair[end] for pair in intervals]
@@ -333,3 +339,8 @@ def doubles_of(column: bytes) -> NDArray[np.float64]:
 def times_of(column: bytes) -> NDArray[np.datetime64]:
     """A column of stamps of the native half."""
     return np.frombuffer(column, dtype="<i8").astype(np.int64).view("datetime64[ns]")
+
+
+def time_of(stamp_ns: int) -> np.datetime64:
+    """A stamp of the native half."""
+    return np.datetime64(stamp_ns, "ns")

@@ -31,6 +31,12 @@ for result in stiction.assess_many({"op": [1.0], "pv": [1.0]}, ts_s=1.0, progres
     text: str = result.words if isinstance(result, stiction.Assessment) else result.error
 gap: stiction.Gap = stiction.diagnose([1.0], [1.0], 1.0, base=found)
 calm: bool = stiction.screen([1.0], [1.0], 1.0)
+windows: list[stiction.Assessment] = stiction.assess_windows([1.0], [1.0], 1.0, hop_s=60, ends=("2026-01-01", 1.8e9))
+together: stiction.OverTime = stiction.over_time(windows)
+pooled: float | None = together["pooled"]["s"] if together["pooled"] is not None else None
+kinds: list[str] = [change["kind"] for change in stiction.over_time([found.to_dict()])["changes"]]
+bought: stiction.Repair = stiction.repair([1.0], [1.0], 1.0, seed=2)
+spread: list[float] = bought["repaired"]["pv_sd"]["interval"]
 stiction.assess([1.0], [1.0], 1.0, model="third")  # type: ignore[arg-type]
 """
 

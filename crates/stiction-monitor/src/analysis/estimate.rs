@@ -150,6 +150,12 @@ pub fn estimate(
     Ok(Estimated { record, taken, params, assessment, options, notes })
 }
 
+/// Span of OP, OP units, which `fs + fd` is kept within; `None` where OP does not move.
+#[must_use]
+pub fn span_of(record: &Record) -> Option<f64> {
+    Some(stats::span(&record.op_path)).filter(|span| span.is_finite() && *span > 0.0)
+}
+
 impl Estimated {
     /// The document, under a configuration's hash; `elapsed_ms` is from record to result.
     #[must_use]
@@ -161,11 +167,10 @@ impl Estimated {
         solver: Option<SolverDocument>,
         scored: Option<Scored>,
     ) -> Answer {
-        let span = stats::span(&self.record.op_path);
         let assessment = Assessment { elapsed_ms: Some(elapsed_ms), ..self.assessment.clone() };
         Answer {
             document: EstimateDocument::new(name, config_hash, assessment),
-            s0: (span.is_finite() && span > 0.0).then_some(span),
+            s0: span_of(&self.record),
             selection: self.taken.clone(),
             solver,
             scored,

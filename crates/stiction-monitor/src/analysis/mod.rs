@@ -7,10 +7,12 @@
 //! | samples to stretches of points, a section to a record | [`Points`], [`Section`] |
 //! | its trend and density | [`Cut`] |
 //! | the estimate, and a solver set on its error surface | [`estimate()`](estimate::estimate), [`solver`] |
+//! | every window of a long record, as the daemon would cut it | [`Due`] |
 //! | the gap | [`gap::diagnose`], [`predictions::rows`] |
 //! | the estimate in words | [`text::answer`] |
 
 mod cut;
+mod due;
 pub mod estimate;
 pub mod gap;
 mod points;
@@ -20,6 +22,7 @@ pub mod solver;
 pub mod text;
 
 pub use cut::{Cut, Detrend, Downsampled, Taken};
+pub use due::Due;
 pub use estimate::{Answer, Asked, Estimated, Scored, delay_choice, estimate};
 pub use points::{MIN_SAMPLES, Points, Section, usable};
 
