@@ -65,6 +65,10 @@ pub struct Options {
     pub seed: u64,
     /// Period of the oscillation, points, where one is known.
     pub period_points: Option<f64>,
+    /// Longest dead time that is looked for, s: longer ones nobody would believe of such a loop.
+    pub longest_dead_time_s: f64,
+    /// Whether such a loop may integrate.
+    pub may_integrate: bool,
 }
 
 impl Default for Options {
@@ -78,6 +82,8 @@ impl Default for Options {
             fineness_pct: 5.0,
             seed: 1,
             period_points: None,
+            longest_dead_time_s: f64::INFINITY,
+            may_integrate: true,
         }
     }
 }

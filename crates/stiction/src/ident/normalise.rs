@@ -14,6 +14,9 @@ fn on_grid(x: f64) -> f64 {
     (x * GRID).round() / GRID
 }
 
+/// Dead times up to here are looked for whatever the loop, points: finer than that a record does not tell them.
+const FINEST: f64 = 3.0;
+
 /// The record in normalised form.
 pub fn normalise(record: &Record, options: &Options, span: f64, deviation: f64) -> NormalisedRecord {
     let (n, m) = (record.len(), record.path_per_point());
@@ -25,7 +28,8 @@ pub fn normalise(record: &Record, options: &Options, span: f64, deviation: f64) 
     let period = options.period_points.unwrap_or(n as f64 / 5.0).clamp(6.0, n as f64);
     let period = (16.0 * period).round() / 16.0;
     let raw = 1.0 / record.box_samples as f64;
-    let most = (0.4 * period).clamp(6.0, 120.0).min(n as f64 / 6.0);
+    let longest = options.longest_dead_time_s / record.point_s() + raw;
+    let most = (0.4 * period).clamp(6.0, 120.0).min(n as f64 / 6.0).min(longest.max(FINEST + raw));
     let lag = match options.delay {
         DelayChoice::Auto => [raw, most],
         DelayChoice::Samples(d) => [raw * (d.max(0.0) + 1.0); 2],

@@ -136,11 +136,11 @@ fn estimate(problem: &Problem<'_>, options: &Options, laws: &[Law], rival: f64, 
     let settings = SearchSettings::usual();
     let (found, mut search) = Search::new(problem, &request, &settings).run();
     let best = *found.best.first()?;
-    let answer = search.answer(best, &found, options.model, options.seed)?;
+    let answer = search.answer(best, &found, options)?;
     let mut made = report(&mut search, &answer, &found, options, scale)?;
     let other_law = found.best.get(1).filter(|c| c.sse() < (1.0 + HARDLY_WORSE) * best.sse());
     if let Some(other) = other_law.copied()
-        && let Some(answer) = search.answer(other, &found, options.model, options.seed)
+        && let Some(answer) = search.answer(other, &found, options)
         && let Some(other) = report(&mut search, &answer, &found, options, scale)
     {
         made.spread = made.spread.or(&other.spread);

@@ -1,5 +1,6 @@
 //! What an assessment can be told.
 
+use super::plausible::Range;
 use crate::ident::Options;
 use crate::units::LoopKind;
 
@@ -37,9 +38,12 @@ impl Default for AssessParams {
 }
 
 impl AssessParams {
-    /// What the fit is told, with the oscillation's period where one is known, points.
+    /// What the fit is told: with the oscillation's period where one is known, points, and with what such a loop may have.
     #[must_use]
-    pub const fn options(&self, period_points: Option<f64>) -> Options {
-        Options { period_points, ..self.fit }
+    pub fn options(&self, period_points: Option<f64>) -> Options {
+        let may = Range::of(self.kind);
+        let longest_dead_time_s = self.fit.longest_dead_time_s.min(may.dead_time_s);
+        let may_integrate = self.fit.may_integrate && may.integrates;
+        Options { period_points, longest_dead_time_s, may_integrate, ..self.fit }
     }
 }

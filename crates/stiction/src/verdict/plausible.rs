@@ -42,6 +42,14 @@ pub const RANGES: [Range; 6] = [
     range(LoopKind::Other, 7_200.0, 28_800.0, true),
 ];
 
+impl Range {
+    /// What a loop of this kind may have.
+    #[must_use]
+    pub fn of(kind: LoopKind) -> Self {
+        RANGES.into_iter().find(|r| r.kind == kind).unwrap_or(RANGES[5])
+    }
+}
+
 /// Samples that a time may be long whatever the kind: finer than that the record does not tell.
 const SAMPLES: f64 = 3.0;
 /// Dead time over the period of the loop's own cycle: what comes back later than half a period later would not sustain it.
@@ -64,7 +72,7 @@ pub fn implausible(
     process: Option<&Process>,
     kind: LoopKind,
 ) -> Vec<Implausible> {
-    let limits = RANGES.into_iter().find(|r| r.kind == kind).unwrap_or(RANGES[5]);
+    let limits = Range::of(kind);
     let mut out = Vec::new();
     let mut add = |what, met: bool| {
         if met {

@@ -7,7 +7,7 @@ use super::local_search::{Nearness, along_ridge, neighbours, random_steps};
 use super::part::frictionless;
 use super::stages::{Found, Search};
 use crate::ident::candidate::{Candidate as Plain, CandidateFitter};
-use crate::ident::choice::ModelChoice;
+use crate::ident::choice::{ModelChoice, Options};
 use crate::ident::class::Class;
 use crate::ident::evaluator::View;
 use crate::ident::fit::{Fitted, Target};
@@ -29,6 +29,10 @@ const STEPS: [usize; 2] = [60, 24];
 const MOVES_RHO: f64 = 0.98;
 /// Candidates looked at in that view.
 const MOVES_CANDIDATES: usize = 6;
+/// Lag over the record's length from which the record hardly shows where PV would settle, and the error over the lag's up
+/// to which an integrator is as good.
+const NO_END: f64 = 0.25;
+const AS_GOOD: f64 = 1.01;
 /// s in spans of OP from which an index counts in full: smaller bands are within what noise and rounding imitate.
 pub const FULL_WEIGHT: f64 = 0.2;
 
@@ -65,9 +69,11 @@ impl Answer {
 
 impl Search<'_, '_> {
     /// The answer for the best candidate of one law; `None` where it has no process.
-    pub fn answer(&mut self, best: Candidate, found: &Found, model: ModelChoice, seed: u64) -> Option<Answer> {
+    pub fn answer(&mut self, best: Candidate, found: &Found, options: &Options) -> Option<Answer> {
+        let Options { model, seed, .. } = *options;
         let rich = best;
         let best = self.earned(rich, model, 0.0)?;
+        let best = self.without_an_end(best, options, 0.0);
         let without = self.without(best.class);
         let (evaluator, plain) = self.whole();
         let process = evaluator.polish(plain, &best)?;
@@ -82,6 +88,7 @@ impl Search<'_, '_> {
             };
             if rho >= COLOURED {
                 let best = self.earned(rich, model, rho)?;
+                let best = self.without_an_end(best, options, rho);
                 if best.class != answer.candidate.class {
                     answer.without = self.without(best.class);
                     let (evaluator, plain) = self.whole();
@@ -93,6 +100,26 @@ impl Search<'_, '_> {
             }
         }
         Some(answer)
+    }
+
+    /// The candidate with an integrator where its lag is so long that the record does not show where PV would settle, and
+    /// an integrator explains it as well: of such a lag neither gain nor time constant is known, only their ratio.
+    fn without_an_end(&mut self, of: Candidate, options: &Options, rho: f64) -> Candidate {
+        let class = match of.class {
+            Class::First => Class::Integrating,
+            Class::Second => Class::LagIntegrating,
+            Class::Integrating | Class::LagIntegrating => return of,
+        };
+        let (evaluator, plain) = self.whole();
+        let long = of.taus()[0] >= NO_END * evaluator.points as f64;
+        if !(long && options.may_integrate && classes_of(options.model).contains(&class)) {
+            return of;
+        }
+        let mut view = if rho == 0.0 { plain.clone() } else { evaluator.problem.view(rho, evaluator.points) };
+        let Some(lag) = evaluator.in_class(&mut view, &of, of.class) else { return of };
+        let Some(other) = evaluator.in_class(&mut view, &of, class) else { return of };
+        let other = neighbours(evaluator, &mut view, other, 2, Nearness::USUAL);
+        if other.fit.gain != 0.0 && other.sse() <= AS_GOOD * lag.sse() { other } else { of }
     }
 
     /// The candidate without its second lag where that does not earn its place on data that it was not fitted to, by the

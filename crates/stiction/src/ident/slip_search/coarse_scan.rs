@@ -16,6 +16,8 @@ const LANES: usize = 8;
 const TAUS: [f64; LANES] = [0.004, 0.02, 0.05, 0.11, 0.25, 0.6, 2.0, f64::INFINITY];
 /// Share of its square below which a decay is no column of its own.
 const DEPENDENT: f64 = 1e-9;
+/// Share of the product of their squares from which two halves of a valve signal are columns apart.
+const INDEPENDENT: f64 = 1e-6;
 /// Power of a decay below which it counts as nothing.
 const NOTHING: f64 = 1e-150;
 
@@ -117,40 +119,60 @@ impl CoarseScan {
         let last = steps.partition_point(|s| (s.point as usize) < end);
         let steps = &steps[first..last];
         let own = self.own(steps, end);
-        let one = 1.0 / self.length as f64;
-        let end_power = &self.powers[self.length];
         let mut best = Seen { share: f64::INFINITY, tau: self.taus[0], lag: 0.0 };
-        for &delay in &self.delays {
-            let (mut level, mut turn) = ([0.0; LANES], [0.0; LANES]);
-            for step in steps {
-                let with = &self.with_step[step.point as usize + delay];
-                for l in 0..LANES {
-                    level[l] += step.level * with[l];
-                    turn[l] += step.direction * with[l];
-                }
+        let mut at = 0;
+        // The error hardly changes from one dead time to the next but one; beside the best both are asked.
+        for which in (0..self.delays.len()).step_by(2) {
+            if self.look_at(which, steps, end, &own, freedom, &mut best) {
+                at = which;
             }
-            let (start, stop) = (self.from + delay, end + delay);
-            let [sum, squares] = [0, 1].map(|i| self.sums[start][i] - self.sums[stop][i]);
-            let beyond = (1.0 - self.rho) * self.sums[stop][0];
-            let total = squares - sum * sum * one;
-            for l in 0..LANES {
-                let memory =
-                    self.with_decay[start][l] - end_power[l] * self.with_decay[stop][l] - own.one_memory[l] * sum * one;
-                let rest = total - memory * memory * own.pivot[l];
-                // What the answers do beyond the stretch that counts comes off.
-                let with = |tables: f64, half: usize| {
-                    let tail = own.level[half] * beyond - own.decay[half][l] * self.with_decay[stop][l];
-                    tables - tail - own.sum[half][l] * sum * one - own.memory[half][l] * memory * own.pivot[l]
-                };
-                let system = [own.power[0][l], own.power[1][l], own.power[2][l], with(level[l], 0), with(turn[l], 1)];
-                let (_, _, explained) = best_band(system, [own.power[0][l], own.power[2][l]], freedom);
-                let share = (rest - explained) / total;
-                if share < best.share {
-                    best = Seen { share, tau: self.taus[l], lag: delay as f64 + 0.5 };
-                }
+        }
+        for which in [at.wrapping_sub(1), at + 1] {
+            if which < self.delays.len() {
+                self.look_at(which, steps, end, &own, freedom, &mut best);
             }
         }
         best
+    }
+
+    /// The best time constant at one dead time; whether it is better than what was seen.
+    fn look_at(&self, which: usize, steps: &[Step], end: usize, own: &Own, freedom: &Freedom, best: &mut Seen) -> bool {
+        let delay = self.delays[which];
+        let one = 1.0 / self.length as f64;
+        let end_power = &self.powers[self.length];
+        let before = best.share;
+        let (mut level, mut turn) = ([0.0; LANES], [0.0; LANES]);
+        for step in steps {
+            let with = &self.with_step[step.point as usize + delay];
+            for l in 0..LANES {
+                level[l] += step.level * with[l];
+                turn[l] += step.direction * with[l];
+            }
+        }
+        let (start, stop) = (self.from + delay, end + delay);
+        let [sum, squares] = [0, 1].map(|i| self.sums[start][i] - self.sums[stop][i]);
+        let beyond = (1.0 - self.rho) * self.sums[stop][0];
+        let total = squares - sum * sum * one;
+        for l in 0..LANES {
+            let memory =
+                self.with_decay[start][l] - end_power[l] * self.with_decay[stop][l] - own.one_memory[l] * sum * one;
+            let rest = total - memory * memory * own.pivot[l];
+            // What the answers do beyond the stretch that counts comes off.
+            let with = |tables: f64, half: usize| {
+                let tail = own.level[half] * beyond - own.decay[half][l] * self.with_decay[stop][l];
+                tables - tail - own.sum[half][l] * sum * one - own.memory[half][l] * memory * own.pivot[l]
+            };
+            let system = [own.power[0][l], own.power[1][l], own.power[2][l], with(level[l], 0), with(turn[l], 1)];
+            if rest - at_most(system) >= best.share * total {
+                continue;
+            }
+            let (_, _, explained) = best_band(system, [own.power[0][l], own.power[2][l]], freedom);
+            let share = (rest - explained) / total;
+            if share < best.share {
+                *best = Seen { share, tau: self.taus[l], lag: delay as f64 + 0.5 };
+            }
+        }
+        best.share < before
     }
 
     /// Products of the answers with each other, the same for every dead time.
@@ -209,6 +231,16 @@ impl CoarseScan {
             out.power[2][l] -= sum[1] * sum[1] * one + m[1] * m[1] * pivot;
         }
         out
+    }
+}
+
+/// Most that gain and kinetic band can explain, both free of any bound.
+fn at_most([uu, ud, dd, uy, dy]: [f64; 5]) -> f64 {
+    let determinant = uu * dd - ud * ud;
+    if determinant > INDEPENDENT * uu * dd {
+        (dd * uy * uy - 2.0 * ud * uy * dy + uu * dy * dy) / determinant
+    } else {
+        f64::INFINITY
     }
 }
 

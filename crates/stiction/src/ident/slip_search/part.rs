@@ -3,6 +3,7 @@
 use super::candidate::{Candidate, LatticeFit, apart};
 use super::coarse_scan::CoarseScan;
 use super::evaluator::Evaluator;
+use super::scan::Scan;
 use rand_chacha::ChaCha8Rng;
 
 use super::local_search::{Nearness, along_ridge, random_steps};
@@ -81,8 +82,8 @@ impl Part<'_> {
 pub(super) struct LawRound<'a> {
     pub part: Part<'a>,
     pub rng: ChaCha8Rng,
-    /// Valve signals that the scan looked at.
-    pub looks: u64,
+    /// The coarse scan of the part, and what it saw.
+    pub scan: Scan,
     /// The next stage.
     pub stage: usize,
     /// Candidates on the whole record.
@@ -102,10 +103,10 @@ pub(super) struct LawRound<'a> {
 }
 
 impl<'a> LawRound<'a> {
-    pub fn new(part: Part<'a>, rng: ChaCha8Rng, looks: u64) -> Self {
+    pub fn new(part: Part<'a>, rng: ChaCha8Rng, scan: Scan) -> Self {
         let (finals, tested) = (Vec::new(), Vec::new());
         let (open, is_noise, faint) = (true, false, false);
-        Self { part, rng, looks, stage: 0, finals, tested, open, is_noise, faint, stale: 0, without: None }
+        Self { part, rng, scan, stage: 0, finals, tested, open, is_noise, faint, stale: 0, without: None }
     }
 
     /// Least error on the whole record so far.

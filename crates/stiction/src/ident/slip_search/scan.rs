@@ -35,10 +35,9 @@ const RECORDS: usize = 4;
 /// Stretches of a period over which a sliding stem's steps are put together.
 const LUMPS: f64 = 24.0;
 
-/// The scan under one law: an objective for any solver, which keeps all that it sees.
-#[derive(Debug)]
-pub struct Scan<'e, 'a> {
-    evaluator: &'e mut Evaluator<'a>,
+/// The scan under one law, which keeps all that it sees.
+#[derive(Debug, Clone)]
+pub struct Scan {
     scans: Vec<CoarseScan>,
     /// Sum of squares that shares are taken of.
     whole: f64,
@@ -50,18 +49,19 @@ pub struct Scan<'e, 'a> {
     pub looks: u64,
 }
 
-impl<'e, 'a> Scan<'e, 'a> {
+impl Scan {
     /// A scan of what the evaluator looks at, by the error behind `1 - rho q^-1`; `whole` is what no model leaves.
     #[must_use]
-    pub fn new(evaluator: &'e mut Evaluator<'a>, rho: f64, whole: f64) -> Self {
+    pub fn new(evaluator: &Evaluator<'_>, rho: f64, whole: f64) -> Self {
         let scans = CoarseScan::of(evaluator.problem, rho, evaluator.points);
         let lump = ((evaluator.problem.normalised.period / LUMPS) as u32).max(1);
-        Self { evaluator, scans, whole, lump, lumped: Vec::new(), pool: Vec::new(), looks: 0 }
+        Self { scans, whole, lump, lumped: Vec::new(), pool: Vec::new(), looks: 0 }
     }
 
     /// The solver's look, then an even one on a logarithmic scale of s, which no linear grid gives to small bands.
     pub fn run(
         &mut self,
+        evaluator: &mut Evaluator<'_>,
         solver: &dyn Solver,
         fineness_pct: f64,
         seed: u64,
@@ -72,30 +72,46 @@ impl<'e, 'a> Scan<'e, 'a> {
         let steps = 100.0 / fineness_pct.clamp(0.2, 50.0);
         let grid = 0.5 * steps * (steps + 3.0) + 12.0;
         let asked = Settings { budget: settings.budget.max(grid as u64), fineness_pct, seed };
-        let outcome = solver.search(self, &asked);
+        let outcome = solver.search(&mut Looking { scan: self, evaluator }, &asked);
         // Another round sees other places.
         let shift = [uniform(rng), 0.3 + 0.4 * uniform(rng)];
         for a in 0..settings.sizes {
             let along = (a as f64 + shift[0]) / settings.sizes as f64;
             let s = libm::pow(settings.least_s, 1.0 - along);
             for b in 0..settings.jumps {
-                self.cost([s, s * (b as f64 + shift[1]) / settings.jumps as f64]);
+                let j = s * (b as f64 + shift[1]) / settings.jumps as f64;
+                Looking { scan: self, evaluator }.cost([s, j]);
             }
         }
-        self.straight_looks();
         outcome
     }
 
+    /// Candidates that straight looks through the best places and, where there are any, looks around what was read from PV
+    /// add to those worth a fit: closer looks, for records whose slips the even look does not find.
+    pub fn closer(
+        &mut self,
+        evaluator: &mut Evaluator<'_>,
+        readings: &[Reading],
+        settings: &ScanSettings,
+        rng: &mut ChaCha8Rng,
+    ) -> Vec<Candidate> {
+        let before = self.pool.len();
+        self.straight_looks(evaluator);
+        let mut found = apart(&self.pool[before..], settings.keep[0], settings.keep[1]);
+        found.extend(self.near(evaluator, readings, rng));
+        found
+    }
+
     /// Looks at what was read from PV and ever closer around it: the best place of each reading, best first.
-    pub fn near(&mut self, readings: &[Reading], rng: &mut ChaCha8Rng) -> Vec<Candidate> {
-        let problem = self.evaluator.problem;
+    fn near(&mut self, evaluator: &mut Evaluator<'_>, readings: &[Reading], rng: &mut ChaCha8Rng) -> Vec<Candidate> {
+        let problem = evaluator.problem;
         let seen_before = std::mem::take(&mut self.pool);
         let mut found: Vec<Candidate> = Vec::new();
         for Reading { bands: [s, j], first: (point, up) } in readings {
             let mut starts = problem.starts_near(*point, *up, RECORDS);
             starts.extend(problem.starts(0.5 * (s + j), &STARTS[..1]));
             for start in starts {
-                self.look(*s, *j, start);
+                self.look(evaluator, *s, *j, start);
             }
             found.extend(self.best_of_pool());
         }
@@ -106,7 +122,7 @@ impl<'e, 'a> Scan<'e, 'a> {
                 let (s, j, start) = (place.s, place.j, place.start);
                 for _ in 0..LOOKS {
                     let s_there = (s * (1.0 + reach * normal(rng))).min(1.0);
-                    self.look(s_there, (j + 1.5 * reach * s * normal(rng)).clamp(0.0, s_there), start);
+                    self.look(evaluator, s_there, (j + 1.5 * reach * s * normal(rng)).clamp(0.0, s_there), start);
                 }
                 if let Some(better) = self.best_of_pool().filter(|c| c.sse() < place.sse()) {
                     *place = better;
@@ -124,23 +140,23 @@ impl<'e, 'a> Scan<'e, 'a> {
 
     /// Straight looks through the best places whose stem moves seldom: there the valleys are too narrow for an even look, and
     /// looks are cheap.
-    fn straight_looks(&mut self) {
+    fn straight_looks(&mut self, evaluator: &mut Evaluator<'_>) {
         let seldom: Vec<Candidate> = self.pool.iter().copied().filter(|c| c.slips < SELDOM).collect();
-        let slip_end = self.evaluator.problem.normalised.slip_end;
+        let slip_end = evaluator.problem.normalised.slip_end;
         for c in apart(&seldom, STRAIGHT, 0) {
             for k in -STEPS_IN_S..=STEPS_IN_S {
                 let s = (c.s * (1.0 + STEP_IN_S * f64::from(k))).min(1.0);
                 for j in [c.j, c.j / c.s * s, c.j + s - c.s] {
-                    self.look(s, slip_end.keep(s, j), c.start);
+                    self.look(evaluator, s, slip_end.keep(s, j), c.start);
                 }
             }
             for k in 0..STEPS_IN_J {
                 let j = c.s * libm::pow(0.03, f64::from(k) / f64::from(STEPS_IN_J));
-                self.look(c.s, slip_end.jump(c.s, j), c.start);
+                self.look(evaluator, c.s, slip_end.jump(c.s, j), c.start);
             }
             for by in [1, 2, 3, 5, 8, 13] {
                 for record in [c.start.record + by, c.start.record.saturating_sub(by)] {
-                    self.look(c.s, c.j, Start { record, ..c.start });
+                    self.look(evaluator, c.s, c.j, Start { record, ..c.start });
                 }
             }
         }
@@ -155,8 +171,8 @@ impl<'e, 'a> Scan<'e, 'a> {
     /// The best of every half octave of s, short and long dead times apart: a model that lacks an effect often prefers slips of
     /// quite another size than the right ones.
     #[must_use]
-    pub fn of_every_size(&self) -> Vec<Candidate> {
-        let short = 0.25 * self.evaluator.problem.normalised.limits.lag[1];
+    pub fn of_every_size(&self, evaluator: &Evaluator<'_>) -> Vec<Candidate> {
+        let short = 0.25 * evaluator.problem.normalised.limits.lag[1];
         let class = |c: &Candidate| ((2.0 * libm::log2(c.s)).floor() as i32, c.fit.lag() < short);
         let mut best: BTreeMap<(i32, bool), Candidate> = BTreeMap::new();
         for c in &self.pool {
@@ -169,10 +185,10 @@ impl<'e, 'a> Scan<'e, 'a> {
     }
 
     /// Puts the steps of a sliding stem together.
-    fn lump_steps(&mut self) {
+    fn lump_steps(&mut self, steps: &[Step]) {
         self.lumped.clear();
         let mut from = 0;
-        for step in &self.evaluator.steps().list {
+        for step in steps {
             match self.lumped.last_mut() {
                 Some(last) if step.direction == 0.0 && last.direction == 0.0 && step.point - from < self.lump => {
                     last.level += step.level;
@@ -185,46 +201,51 @@ impl<'e, 'a> Scan<'e, 'a> {
             }
         }
     }
-}
 
-impl Scan<'_, '_> {
     /// The least share over the starts that such bands need.
-    fn cost_of(&mut self, s: f64, j: f64) -> f64 {
+    fn cost_of(&mut self, evaluator: &mut Evaluator<'_>, s: f64, j: f64) -> f64 {
         let mut least = f64::INFINITY;
-        for (which, start) in self.evaluator.problem.starts(0.5 * (s + j), &STARTS).into_iter().enumerate() {
-            let reversals = self.evaluator.steps().reversals;
+        for (which, start) in evaluator.problem.starts(0.5 * (s + j), &STARTS).into_iter().enumerate() {
+            let reversals = evaluator.steps().reversals;
             let wanted = STARTS_BY_REVERSALS.into_iter().find(|(most, _)| reversals <= *most).map_or(1, |(_, w)| w);
             if which >= wanted && which > 0 {
                 break;
             }
-            least = least.min(self.look(s, j, start));
+            least = least.min(self.look(evaluator, s, j, start));
         }
         least
     }
 
     /// The share that one valve signal leaves; kept in the pool.
-    fn look(&mut self, s: f64, j: f64, start: Start) -> f64 {
-        let Some(freedom) = self.evaluator.slip(s, j, start) else { return f64::INFINITY };
+    fn look(&mut self, evaluator: &mut Evaluator<'_>, s: f64, j: f64, start: Start) -> f64 {
+        let Some(freedom) = evaluator.slip(s, j, start) else { return f64::INFINITY };
         self.looks += 1;
-        let slides = self.evaluator.law == Law::Tracking && self.lump > 1;
+        let slides = evaluator.law == Law::Tracking && self.lump > 1;
         if slides {
-            self.lump_steps();
+            self.lump_steps(&evaluator.steps().list);
         }
-        let steps = if slides { &self.lumped } else { &self.evaluator.steps().list };
+        let steps = if slides { &self.lumped } else { &evaluator.steps().list };
         let seen = self.scans.iter().map(|scan| scan.look(steps, &freedom));
         let Some(seen) = seen.min_by(|a, b| a.share.total_cmp(&b.share)) else { return f64::INFINITY };
         if seen.share < 1.0 {
-            self.pool.push(self.evaluator.seen([s, j], start, seen.share * self.whole, seen.tau, seen.lag));
+            self.pool.push(evaluator.seen([s, j], start, seen.share * self.whole, seen.tau, seen.lag));
         }
         seen.share
     }
 }
 
-impl Objective for Scan<'_, '_> {
+/// The scan as an objective for any solver.
+struct Looking<'s, 'e, 'a> {
+    scan: &'s mut Scan,
+    evaluator: &'e mut Evaluator<'a>,
+}
+
+impl Objective for Looking<'_, '_, '_> {
     fn cost(&mut self, [s, share]: [f64; 2]) -> f64 {
         if s < LEAST_S {
             return f64::INFINITY;
         }
-        self.cost_of(s, self.evaluator.problem.normalised.slip_end.jump(s, share))
+        let j = self.evaluator.problem.normalised.slip_end.jump(s, share);
+        self.scan.cost_of(self.evaluator, s, j)
     }
 }

@@ -238,7 +238,7 @@ impl<'s, 'a> Search<'s, 'a> {
             faint &= run.faint;
             let much = self.settings.much * self.without(Class::First);
             self.shows_in_part |= !run.is_noise && run.least() > much && !self.is_faint_in_part(&mut run);
-            self.found.evaluations += run.looks + run.part.evaluator.evaluations;
+            self.found.evaluations += run.scan.looks + run.part.evaluator.evaluations;
             if self.finish(round, run) {
                 self.found.is_noise = true;
                 return Some(Ended::Noise);
@@ -274,20 +274,40 @@ impl<'s, 'a> Search<'s, 'a> {
         let rho = view.rho();
         let mut evaluator = Evaluator::new(self.problem, law, Class::First, points);
         let seed = self.request.seed.wrapping_add((number as u64) << 32);
-        let mut scan = Scan::new(&mut evaluator, rho, view.nothing());
-        let _ = scan.run(self.request.solver, self.request.fineness_pct, seed, &round.scan, &mut rng);
-        self.found.scanned.extend(scan.of_every_size());
-        let mut seen = scan.best(&round.scan);
-        if law == Law::He && self.settings.reads_pv && self.problem.behind.is_none() {
-            let readings = self.readings.get_or_insert_with(|| read::readings(self.problem));
-            seen.extend(scan.near(readings, &mut rng));
-        }
-        let looks = scan.looks;
+        let mut scan = Scan::new(&evaluator, rho, view.nothing());
+        let (solver, fineness_pct) = (self.request.solver, self.request.fineness_pct);
+        let _ = scan.run(&mut evaluator, solver, fineness_pct, seed, &round.scan, &mut rng);
+        self.found.scanned.extend(scan.of_every_size(&evaluator));
+        let seen = scan.best(&round.scan);
         let mut refitted = seen.iter().filter_map(|c| evaluator.settle(&mut view, c)).collect::<Vec<_>>();
         self.found.scanned.extend(seen);
         refitted.extend(self.seeds_of_other_law(&mut evaluator, &mut view, law, &mut rng));
         let part = Part { points, head: None, view, evaluator, held: apart(&refitted, usize::MAX, 0) };
-        LawRound::new(part, rng, looks)
+        LawRound::new(part, rng, scan)
+    }
+
+    /// Where the first look did not end the search: closer looks, then the class of process that the best slips ask for.
+    fn look_closer(&mut self, round: &RoundSettings, run: &mut LawRound<'a>, [count, steps]: [usize; 2]) {
+        let near = self.settings.near;
+        let LawRound { part, scan, rng, .. } = run;
+        let class = part.evaluator.class;
+        part.evaluator.class = Class::First;
+        let reads = part.evaluator.law == Law::He && self.settings.reads_pv && self.problem.behind.is_none();
+        let readings: &[Reading] =
+            if reads { self.readings.get_or_insert_with(|| read::readings(self.problem)) } else { &[] };
+        let seen = scan.closer(&mut part.evaluator, readings, &round.scan, rng);
+        part.evaluator.class = class;
+        let refitted = seen.iter().filter_map(|c| part.evaluator.in_class(&mut part.view, c, class));
+        let mut refitted = apart(&refitted.collect::<Vec<_>>(), usize::MAX, 0);
+        for c in refitted.iter_mut().take(count) {
+            *c = random_steps(&mut part.evaluator, &mut part.view, *c, steps, near, rng);
+        }
+        self.found.scanned.extend(seen);
+        refitted.extend(&part.held);
+        part.held = apart(&refitted, usize::MAX, 0);
+        if part.held.first().is_some_and(|c| c.class == Class::First) {
+            choose_class(self.problem, self.request.model, run, steps, near);
+        }
     }
 
     /// A part behind the filter `1 - rho q^-1`, or behind a weaker one where noise would be most of what the filter leaves.
@@ -332,6 +352,9 @@ impl<'s, 'a> Search<'s, 'a> {
         };
         let (stage, near) = (run.stage, self.settings.near);
         run.stage += 1;
+        if stage == 1 {
+            self.look_closer(round, run, round.stages[0].into());
+        }
         run.refine(stage, [count, if stage == 1 { round.stages[0].0 } else { 0 }], steps, near);
         let Some(best) = run.part.held.first().copied() else {
             run.open = false;
@@ -347,11 +370,7 @@ impl<'s, 'a> Search<'s, 'a> {
         let (low, nothing) = (run.least(), self.without(Class::First));
         if run.is_noise {
             run.open = false;
-        } else if stage == 0 {
-            if best.class == Class::First {
-                choose_class(self.problem, self.request.model, run, steps, near);
-            }
-        } else {
+        } else if stage > 0 {
             run.stale += usize::from(low > (1.0 - self.settings.gain) * old);
             run.faint = low > self.settings.no_friction * nothing && self.is_faint_in_part(run);
             let behind = low > self.settings.behind[0] * other.min(self.law_best[usize::from(best.law == Law::He)]);
