@@ -38,6 +38,7 @@ fn options() -> Options {
         fineness_pct: 5.0,
         seed: 1,
         period_points: Some(78.0),
+        ..Options::default()
     }
 }
 
