@@ -58,7 +58,8 @@ fn noise_free_second_order_is_recovered() {
     assert_eq!(found.process.unwrap().order, 2);
 }
 
-/// rms of the fit over the noise, error of s in %, and whether the loop moves enough to be measured at all.
+/// rms of the fit over the noise, error of s in %, and the answer, of a loop that moves enough to be measured at all; both
+/// are endless where the answer has no sizes.
 fn outcome(case: &Loop) -> Option<(f64, f64, Assessment)> {
     let run = case.run();
     let span = stats::span(&run.record.op_path);
@@ -67,8 +68,8 @@ fn outcome(case: &Loop) -> Option<(f64, f64, Assessment)> {
         return None;
     }
     let found = assess(&run.record, &params());
-    let rms = found.process.as_ref()?.mse.sqrt() / run.noise_sd;
-    Some((rms, 100.0 * (found.s? / s - 1.0).abs(), found))
+    let rms = found.process.as_ref().map_or(f64::INFINITY, |p| p.mse.sqrt() / run.noise_sd);
+    Some((rms, found.s.map_or(f64::INFINITY, |of| 100.0 * (of / s - 1.0).abs()), found))
 }
 
 /// Share of random loops that reach the noise floor, median error of s in %, share called sticking.
@@ -86,21 +87,21 @@ fn batch(kind: u8, seeds: std::ops::Range<u64>) -> (f64, f64, f64) {
 
 #[test]
 fn noisy_first_order_loops_reach_the_noise_floor() {
-    let (floor, error, sticking) = batch(0, 0..24);
-    assert!(floor >= 0.9 && error < 0.3 && sticking > 0.7);
+    let (floor, error, sticking) = batch(0, 0..48);
+    assert!(floor >= 0.85 && error < 0.3 && sticking > 0.7);
 }
 
 #[test]
 fn noisy_second_order_loops_are_measured() {
-    let (floor, error, sticking) = batch(1, 0..16);
+    let (floor, error, sticking) = batch(1, 0..32);
     // A second lag that held-out data do not miss is taken for dead time, and s goes with it.
-    assert!(floor >= 0.75 && error < 8.0 && sticking > 0.35);
+    assert!(floor >= 0.75 && error < 4.0 && sticking > 0.35);
 }
 
 #[test]
 fn noisy_integrating_loops_are_measured() {
-    let (floor, error, sticking) = batch(2, 0..16);
-    assert!(floor >= 0.6 && error < 0.5 && sticking > 0.8);
+    let (floor, error, sticking) = batch(2, 0..32);
+    assert!(floor >= 0.7 && error < 0.3 && sticking > 0.8);
 }
 
 #[test]
