@@ -388,6 +388,7 @@ fn run_info(config: &Config, config_text: String, options: &RunOptions, daemon_i
         config_text,
         config_hash: config.hash(),
         loop_map: serde_json::to_string(&config.loops).unwrap_or_default(),
+        raw: config.recording.raw.clone(),
     }
 }
 
