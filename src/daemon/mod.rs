@@ -26,6 +26,7 @@ pub mod queue;
 pub mod received;
 mod reload;
 pub mod replay;
+pub mod rerun;
 pub mod restore;
 mod routes;
 mod schedule;
