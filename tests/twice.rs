@@ -9,7 +9,7 @@ use stiction_monitor::codec::encode_recorded;
 use stiction_monitor::codec::topic::{self, Kind};
 use stiction_monitor::config::Config;
 use stiction_monitor::engine::{Engine, Event, RecordedInput, Request, SkipReason};
-use stictiond::daemon::replay::{Replay, replay_file};
+use stictiond::daemon::rerun::Rerun;
 use stictiond::files::RecordingFile;
 
 const SCENARIO: &str = include_str!("../recordings/scenarios/sticking.toml");
@@ -69,7 +69,7 @@ fn skips_among_windows_of_equal_ends_replay_to_the_byte() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("twice.mcap");
     let estimates = record(&path);
-    let mut replay = Replay::new(Config::parse(TEXT).unwrap(), false);
-    let report = replay_file(&mut replay, &path, "p", true, true).unwrap();
+    let mut replay = Rerun::new(&Config::parse(TEXT).unwrap(), false);
+    let report = replay.file(&path, "p", true, true).unwrap();
     assert_eq!((report.difference, report.compared), (None, estimates));
 }

@@ -12,7 +12,7 @@ use stiction::units::{format_rfc3339, s_from_ns};
 use stiction_monitor::codec;
 use stiction_monitor::codec::topic::{Leaf, Topic};
 use stictiond::files::inputs::Unit;
-use stictiond::files::{End, InputKind, METADATA_PREFIX, Message, RecordingReader};
+use stictiond::files::{End, InputKind, Item, METADATA_PREFIX, Message, RecordingReader};
 
 /// Stamps from which the sampling time is taken, at most.
 const STAMPS: usize = 4096;
@@ -68,6 +68,8 @@ struct Info {
     /// What was recognised in an export.
     recognised: Option<String>,
     bytes: u64,
+    /// Of a recording: bytes by raw samples, results and index among them.
+    bytes_per_sample: Option<f64>,
     state: &'static str,
     reason: Option<String>,
     verified: bool,
@@ -141,6 +143,7 @@ impl Info {
             kind: kind.name(),
             recognised: None,
             bytes,
+            bytes_per_sample: None,
             state: End::Clean.word(),
             reason: None,
             verified: false,
@@ -251,12 +254,17 @@ fn of_recording(path: &Path, verify: bool) -> anyhow::Result<Info> {
     let mut places: HashMap<u16, Place> = HashMap::new();
     let mut names = HashMap::new();
     let mut samples = Vec::new();
-    while let Some(message) = reader.next_message()? {
+    while let Some(item) = reader.next_item()? {
+        let (id, channel) = item.channel();
         let place = *places
-            .entry(message.channel_id)
-            .or_insert_with(|| place_of(prefix.as_deref(), message.topic(), &mut info, &mut names));
+            .entry(id)
+            .or_insert_with(|| place_of(prefix.as_deref(), &channel.topic, &mut info, &mut names));
         info.messages += 1;
-        count(&mut info, place, &message, verify, &mut samples);
+        match (item, place) {
+            (Item::Sample(raw), Place::Raw(at, _)) => info.loops[at].take(&raw.sample),
+            (Item::Sample(_), _) => info.other_messages += 1,
+            (Item::Message(message), place) => count(&mut info, place, &message, verify, &mut samples),
+        }
     }
     let end = reader.end().cloned().unwrap_or(End::Clean);
     info.state = end.word();
@@ -271,6 +279,8 @@ fn of_recording(path: &Path, verify: bool) -> anyhow::Result<Info> {
     }
     info.metadata = reader.metadata().clone();
     info.close();
+    let samples: u64 = info.loops.iter().flat_map(|one| one.signals.values()).map(|counts| counts.samples).sum();
+    info.bytes_per_sample = (samples > 0).then(|| (info.bytes as f64 / samples as f64 * 10.0).round() / 10.0);
     Ok(info)
 }
 
@@ -337,6 +347,9 @@ fn as_text(info: &Info) -> String {
         let _ = writeln!(text, "  time        {} to {}", format_rfc3339(start), format_rfc3339(end));
     }
     let _ = writeln!(text, "  messages    {}{}", info.messages, named(&info.results));
+    if let Some(each) = info.bytes_per_sample {
+        let _ = writeln!(text, "  a sample    {each} bytes, results and index among them");
+    }
     if info.other_messages > 0 {
         let _ = writeln!(text, "  other       {} messages of other topics", info.other_messages);
     }

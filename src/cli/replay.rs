@@ -7,7 +7,8 @@ use serde_json::json;
 
 use super::{Format, Outcome, block_on, say};
 use stiction_monitor::codec::topic::{self, Kind};
-use stictiond::daemon::replay::{FileReport, Output, Replay, RunMetadata, chains_of, files_needed, replay_file};
+use stictiond::daemon::replay::{Output, RunMetadata, chains_of, files_needed};
+use stictiond::daemon::rerun::{FileReport, Rerun};
 use stictiond::files::RecordingReader;
 use stictiond::source::zenoh as bus;
 
@@ -85,7 +86,7 @@ fn replay_chain(
     let Some(first) = chain.first() else { return Ok(None) };
     let own = metadata_of(first)?;
     let before: Vec<PathBuf> = files_needed(first, &own)?.into_iter().filter(|f| f != first).collect();
-    let mut replay = Replay::new(own.config.clone(), !own.has_results);
+    let mut replay = Rerun::new(&own.config, !own.has_results);
     let mut fresh = true;
     for path in before.iter().chain(chain) {
         let metadata = metadata_of(path)?;
@@ -95,8 +96,8 @@ fn replay_chain(
             return Ok(Some(outcome));
         }
         replay.set_diagnose(shown);
-        let report = replay_file(&mut replay, path, &metadata.prefix, fresh, verify)
-            .with_context(|| path.display().to_string())?;
+        let report =
+            replay.file(path, &metadata.prefix, fresh, verify).with_context(|| path.display().to_string())?;
         fresh = false;
         if !shown {
             continue;

@@ -15,7 +15,6 @@ use stiction::gap::loop_run::parts;
 use stiction::record::Record;
 use stiction::sim::closed_loop::ValveLaw;
 use stiction::sim::scenario::{ProcessSpec, Scenario};
-use stiction_monitor::codec::encode_recorded;
 use stiction_monitor::codec::topic::{self, Kind};
 use stiction_monitor::config::Config;
 use stiction_monitor::engine::{Engine, Event, RecordedInput, SkipReason};
@@ -86,6 +85,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
         origin: if args.raw { "simulate_raw" } else { "simulate" },
         config_hash: config.hash(),
         loop_map: serde_json::to_string(&config.loops).unwrap_or_default(),
+        raw: config.recording.raw.clone(),
         config_text,
     };
     let made = write(args, &scenario, config, &run)?;
@@ -155,16 +155,12 @@ fn write(args: &Args, scenario: &Scenario, config: Config, run: &RunInfo) -> any
     let mut engine = Engine::new(config.engine());
     let names: Vec<String> = scenario.loop_names().map(str::to_owned).collect();
     let mut events = Vec::new();
-    let mut json = Vec::new();
     for simulated in scenario.stream() {
         let name = &names[simulated.loop_index];
         let Some(id) = engine.appear(name) else { bail!("more loops than max_loops") };
         let (sample, arrival_ns) = (simulated.sample, simulated.arrival_ns);
-        json.clear();
-        encode_recorded(&sample, &mut json);
-        let kind = Kind::of_signal(sample.signal);
-        file.write(&topic::raw(&run.prefix, name, sample.signal), kind, arrival_ns, sample.t_ns, &json)?;
-        *counts.entry(kind).or_default() += 1;
+        file.sample(&topic::raw(&run.prefix, name, sample.signal), arrival_ns, &sample)?;
+        *counts.entry(Kind::of_signal(sample.signal)).or_default() += 1;
         if args.raw {
             continue;
         }

@@ -254,7 +254,7 @@ fn fault_of(path: &Path, stop: &Receiver<()>) -> Option<String> {
         Err(error) => return Some(error.to_string()),
     };
     for count in 0_u64.. {
-        match reader.next_message() {
+        match reader.next_item() {
             // A large file must not hold up the end of the daemon.
             Ok(Some(_)) if count.is_multiple_of(4096) && stop.try_recv() == Err(TryRecvError::Disconnected) => {
                 return None;

@@ -26,6 +26,7 @@ pub mod queue;
 pub mod received;
 mod reload;
 pub mod replay;
+pub mod rerun;
 pub mod restore;
 mod routes;
 mod schedule;
@@ -388,6 +389,7 @@ fn run_info(config: &Config, config_text: String, options: &RunOptions, daemon_i
         config_text,
         config_hash: config.hash(),
         loop_map: serde_json::to_string(&config.loops).unwrap_or_default(),
+        raw: config.recording.raw.clone(),
     }
 }
 

@@ -14,7 +14,8 @@ use super::gaps::Until;
 use super::restore::{RunFile, is_recording};
 use super::to_json;
 use crate::files::rescue::{REMOVED, SAMPLES_KEY};
-use crate::files::{End, InputKind, RecordingReader};
+use crate::files::{InputKind, Item, RecordingReader};
+use stiction::record::Sample;
 use stiction_monitor::codec::decode_recorded;
 use stiction_monitor::codec::topic::{Kind, Leaf, Topic};
 use stiction_monitor::config::Config;
@@ -89,12 +90,12 @@ impl Replay {
     /// # Errors
     /// A payload that is not what its topic says.
     pub fn take(&mut self, topic: &Topic<'_>, data: &[u8], out: &mut Vec<Output>) -> anyhow::Result<()> {
+        if let Leaf::Raw(signal) = topic.leaf {
+            self.take_sample(topic.loop_name, decode_recorded(signal, data)?, out);
+            return Ok(());
+        }
         let Some(id) = self.engine.appear(topic.loop_name) else { return Ok(()) };
         match topic.leaf {
-            Leaf::Raw(signal) => {
-                let sample = decode_recorded(signal, data)?;
-                self.engine.push(id, sample, &mut self.events);
-            }
             Leaf::Document(Kind::Estimate) if !self.at_once => {
                 let marker: Marker = serde_json::from_slice(data).context("a recorded estimate names no window")?;
                 self.answer(id, marker.window.end_ns);
@@ -103,10 +104,17 @@ impl Replay {
             Leaf::Document(Kind::Input) => {
                 self.obey(id, serde_json::from_slice(data).context("a recorded input")?, out);
             }
-            Leaf::Document(_) => {}
+            Leaf::Raw(_) | Leaf::Document(_) => {}
         }
         self.sort_events(out);
         Ok(())
+    }
+
+    /// Takes one sample of a loop.
+    pub fn take_sample(&mut self, loop_name: &str, sample: Sample, out: &mut Vec<Output>) {
+        let Some(id) = self.engine.appear(loop_name) else { return };
+        self.engine.push(id, sample, &mut self.events);
+        self.sort_events(out);
     }
 
     /// Does what outside time or people did there.
@@ -331,10 +339,17 @@ fn heads(path: &Path, prefix: &str) -> anyhow::Result<BTreeMap<String, Option<i6
 fn loops_with_windows(path: &Path, prefix: &str) -> anyhow::Result<BTreeMap<String, Option<i64>>> {
     let mut reader = RecordingReader::open(path)?;
     let mut loops: BTreeMap<String, Option<i64>> = BTreeMap::new();
-    while let Some(message) = reader.next_message()? {
-        let Some(topic) = Topic::parse(Some(prefix), message.topic()) else { continue };
+    // A sample says no more than its channel, which is looked at once.
+    let mut seen = BTreeSet::new();
+    while let Some(item) = reader.next_item()? {
+        let (id, channel) = item.channel();
+        if !seen.insert(id) && channel.kind != Some(Kind::Gap) {
+            continue;
+        }
+        let Some(topic) = Topic::parse(Some(prefix), &channel.topic) else { continue };
         match topic.leaf {
             Leaf::Document(Kind::Gap) => {
+                let Item::Message(message) = item else { continue };
                 let marker: Marker = serde_json::from_slice(message.data).context("a recorded gap names no window")?;
                 let earliest = loops.entry(topic.loop_name.to_owned()).or_default();
                 *earliest = Some(earliest.map_or(marker.window.end_ns, |e| e.min(marker.window.end_ns)));
@@ -386,76 +401,4 @@ pub fn files_needed(path: &Path, metadata: &RunMetadata) -> anyhow::Result<Vec<P
     }
     files.reverse();
     Ok(files)
-}
-
-/// How one file's replay went.
-#[derive(Debug, Default)]
-pub struct FileReport {
-    /// Documents made while its messages were taken.
-    pub outputs: Vec<Output>,
-    /// Documents compared with recorded ones.
-    pub compared: usize,
-    /// The first difference.
-    pub difference: Option<String>,
-    /// Why the file is not whole, if it is not.
-    pub cut: Option<String>,
-}
-
-/// Takes a whole file. With `verify` every estimate, alarm and gap is compared with the recorded one.
-///
-/// # Errors
-/// The file cannot be read, or a message is not what its topic says.
-pub fn replay_file(
-    replay: &mut Replay,
-    path: &Path,
-    prefix: &str,
-    first: bool,
-    verify: bool,
-) -> anyhow::Result<FileReport> {
-    let mut reader = RecordingReader::open(path)?;
-    let mut report = FileReport::default();
-    let mut made: HashMap<(String, Kind), VecDeque<Vec<u8>>> = HashMap::new();
-    let mut fresh = Vec::new();
-    while let Some(message) = reader.next_message()? {
-        let Some(topic) = Topic::parse(Some(prefix), message.topic()) else { continue };
-        if topic.leaf == Leaf::Document(Kind::State) {
-            let head = serde_json::from_slice::<StateDocument>(message.data).is_ok_and(|s| s.window_end_ns.is_none());
-            if head {
-                replay.take_head(message.data, first)?;
-            }
-            continue;
-        }
-        replay.take(&topic, message.data, &mut fresh).with_context(|| format!("{}: {topic}", path.display()))?;
-        for output in fresh.drain(..) {
-            if verify {
-                made.entry((output.loop_name.clone(), output.kind)).or_default().push_back(output.json.clone());
-            }
-            report.outputs.push(output);
-        }
-        if let (true, Leaf::Document(kind @ (Kind::Estimate | Kind::Alarm | Kind::Gap)), None) =
-            (verify, topic.leaf, &report.difference)
-        {
-            let again = made.get_mut(&(topic.loop_name.to_owned(), kind)).and_then(VecDeque::pop_front);
-            report.compared += 1;
-            report.difference = difference(&topic, message.data, again.as_deref());
-        }
-    }
-    if let Some(End::Cut { reason } | End::Damaged { reason }) = reader.end() {
-        report.cut = Some(reason.clone());
-    }
-    let left = made.iter().find(|(_, documents)| !documents.is_empty());
-    if let (Some(((name, kind), documents)), None, None) = (left, &report.difference, &report.cut) {
-        let text = String::from_utf8_lossy(&documents[0]).into_owned();
-        report.difference = Some(format!("{name} {}: replay makes one that was not recorded: {text}", kind.name()));
-    }
-    Ok(report)
-}
-
-fn difference(topic: &Topic<'_>, recorded: &[u8], again: Option<&[u8]>) -> Option<String> {
-    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
-    match again {
-        Some(again) if again == recorded => None,
-        Some(again) => Some(format!("{topic}: recorded\n  {}\nreplayed\n  {}", text(recorded), text(again))),
-        None => Some(format!("{topic}: recorded but not made by replay:\n  {}", text(recorded))),
-    }
 }

@@ -13,7 +13,7 @@ use super::metrics::Metrics;
 use super::to_json;
 use crate::files::disk::Disk;
 use crate::files::store::{STORE_NAME, StateStore, StoreError, Stored, key_of, loop_of};
-use crate::files::{ReadError, RecordingReader};
+use crate::files::{Item, ReadError, RecordingReader};
 use stiction_monitor::codec::topic::{Kind, Leaf, Topic};
 use stiction_monitor::engine::{Checkpoint, StateDocument};
 
@@ -214,7 +214,8 @@ fn memories_in_recordings(files: &[RunFile], prefix: &str) -> BTreeMap<String, C
 
 fn read_states(path: &Path, prefix: &str, memories: &mut BTreeMap<String, Checkpoint>) -> Result<(), ReadError> {
     let mut reader = RecordingReader::open(path)?;
-    while let Some(message) = reader.next_message()? {
+    while let Some(item) = reader.next_item()? {
+        let Item::Message(message) = item else { continue };
         let topic = Topic::parse(Some(prefix), message.topic());
         if topic.is_some_and(|t| t.leaf == Leaf::Document(Kind::State))
             && let Ok(state) = serde_json::from_slice::<StateDocument>(message.data)

@@ -224,5 +224,6 @@ fn run_of(config: &Config, config_text: &str, clock: &Clock, run_number: u64) ->
         config_text: config_text.to_owned(),
         config_hash: config.hash(),
         loop_map: String::new(),
+        raw: config.recording.raw.clone(),
     }
 }

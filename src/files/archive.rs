@@ -12,8 +12,11 @@ use mcap::sans_io::indexed_reader::{IndexedReadEvent, IndexedReader, IndexedRead
 use mcap::sans_io::summary_reader::{SummaryReadEvent, SummaryReader, SummaryReaderOptions};
 use mcap::{McapError, Summary};
 
+use super::columns;
 use super::mcap_index::MAX_RECORD;
 use super::mcap_read::RecordingReader;
+use stiction::record::{Sample, Signal};
+use stiction_monitor::codec::{encode_recorded, topic};
 
 /// Ranges of time that are remembered, by file and topic; beyond, all are forgotten.
 const REMEMBERED: usize = 100_000;
@@ -211,15 +214,21 @@ fn read_indexed(
     let mut file = File::open(path)?;
     let Some(summary) = summary_of(&mut file)? else { return read_open(path, wanted, seen, take) };
     // Without a topic of ours the reader would give every message.
-    if !summary.channels.values().any(|channel| wanted.topics.contains(&channel.topic)) {
+    let ours = |channel: &mcap::Channel<'_>| wanted.topics.contains(&channel.topic);
+    if !summary.channels.values().any(|channel| ours(channel)) {
         return Ok(Reach::All);
     }
+    let sampled = |channel: &mcap::Channel<'_>| ours(channel) && channel.message_encoding == "json";
+    let signal = |channel: &mcap::Channel<'_>| Signal::from_name(topic::leaf(&channel.topic)).filter(|_| sampled(channel));
+    let signals: HashMap<u16, (&str, Signal)> =
+        summary.channels.iter().filter_map(|(id, c)| Some((*id, (c.topic.as_str(), signal(c)?)))).collect();
+    let columns = summary.channels.values().filter(|c| !signals.is_empty() && c.message_encoding == columns::ENCODING);
     let options = IndexedReaderOptions::new()
         .with_order(ReadOrder::File)
-        .include_topics(wanted.topics.iter().cloned())
+        .include_topics(wanted.topics.iter().cloned().chain(columns.map(|c| c.topic.clone())))
         .with_record_length_limit(MAX_RECORD);
     let mut reader = IndexedReader::new_with_options(&summary, options)?;
-    let mut chunk = Vec::new();
+    let (mut chunk, mut rows, mut json) = (Vec::new(), Vec::new(), Vec::new());
     while let Some(event) = reader.next_event() {
         match event? {
             IndexedReadEvent::ReadChunkRequest { offset, length } => {
@@ -233,6 +242,20 @@ fn read_indexed(
             }
             IndexedReadEvent::Message { header, data } => {
                 let Some(channel) = summary.channels.get(&header.channel_id) else { continue };
+                if channel.message_encoding == columns::ENCODING {
+                    // What cannot be read is left out, as where the file is read from its start.
+                    let _ = columns::decode(data, &mut rows);
+                    for row in &rows {
+                        let Some((topic, signal)) = signals.get(&row.channel) else { continue };
+                        let (t_ns, value, quality) = (row.t_ns, row.value, row.quality);
+                        json.clear();
+                        encode_recorded(&Sample { signal: *signal, t_ns, value, quality }, &mut json);
+                        // As where each has a message: none stands before 1970.
+                        let t_ns = if t_ns > 0 { t_ns } else { row.arrival_ns };
+                        seen.take(wanted, Found { topic, data: &json, t_ns, encoding: "json" }, take);
+                    }
+                    continue;
+                }
                 let (t_ns, encoding) = (stamp(header.publish_time, header.log_time), &*channel.message_encoding);
                 seen.take(wanted, Found { topic: &channel.topic, data, t_ns, encoding }, take);
             }

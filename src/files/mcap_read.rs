@@ -4,6 +4,8 @@
 //! chunk is left out and the chunks after it are still read. Only after the last message is it known how the file ended:
 //! ask [`RecordingReader::end`]. Memory holds one chunk, at most [`MAX_RECORD`] bytes, whatever a file claims.
 
+mod unpack;
+
 use super::mcap_index::{Index, MAX_RECORD};
 use super::mcap_roster::{self, Roster};
 use super::schemas;
@@ -18,6 +20,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use stiction_monitor::codec::topic::Kind;
 use thiserror::Error;
+pub use unpack::{Item, RawSample};
+use unpack::Unpacked;
 
 /// Bytes asked of the file at a time, at most.
 const READ_BYTES: usize = 1 << 20;
@@ -159,6 +163,8 @@ pub struct RecordingReader {
     file_bytes: u64,
     contents: Contents,
     next: usize,
+    /// The message of samples in hand.
+    unpacked: Unpacked,
     saw_data_end: bool,
     damage: Vec<String>,
     damaged_chunks: u64,
@@ -207,6 +213,7 @@ impl RecordingReader {
             file_bytes,
             contents: Contents::default(),
             next: 0,
+            unpacked: Unpacked::default(),
             saw_data_end: false,
             damage: Vec::new(),
             damaged_chunks: 0,
@@ -218,28 +225,6 @@ impl RecordingReader {
         }
         reader.fill()?;
         Ok(reader)
-    }
-
-    /// The next message in file order, `None` after the last.
-    ///
-    /// # Errors
-    /// [`ReadError::Io`] if the file cannot be read; damage is no error, see [`RecordingReader::end`].
-    pub fn next_message(&mut self) -> Result<Option<Message<'_>>, ReadError> {
-        if self.next >= self.contents.entries.len() {
-            self.fill()?;
-        }
-        // An entry without a channel has been taken out by `fill`.
-        let found = self.contents.entries.get(self.next).and_then(|e| e.channel.as_deref().map(|channel| (e, channel)));
-        let Some((entry, channel)) = found else { return Ok(None) };
-        self.next += 1;
-        Ok(Some(Message {
-            channel_id: entry.channel_id,
-            channel,
-            sequence: entry.sequence,
-            log_time_ns: signed(entry.log_time),
-            publish_time_ns: signed(entry.publish_time),
-            data: &self.contents.buffer[entry.start..entry.end],
-        }))
     }
 
     /// The metadata record named [`super::METADATA_NAME`], as far as it has been read; ours stands first in the file.
@@ -480,8 +465,9 @@ impl Contents {
 
     /// Channels whose own records may have been in a damaged chunk.
     fn take_roster(&mut self, roster: &Roster) {
-        for (id, kind, topic) in roster.channels() {
-            let channel = || Channel { topic: topic.to_owned(), kind: Some(kind), encoding: "json".to_owned() };
+        for (id, holds, topic) in roster.channels() {
+            let (kind, encoding) = holds.parts();
+            let channel = || Channel { topic: topic.to_owned(), kind, encoding: encoding.to_owned() };
             self.channels.entry(id).or_insert_with(|| Arc::new(channel()));
         }
     }

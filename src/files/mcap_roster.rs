@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use mcap::records::Metadata;
 
+use super::columns;
 use stiction_monitor::codec::topic::Kind;
 use stiction_monitor::short_hash;
 
@@ -11,6 +12,45 @@ use stiction_monitor::short_hash;
 pub(super) const NAME: &str = "stictiond.channels";
 /// Entry with the checksum of all others; metadata records have none of their own.
 const CHECK: &str = "check";
+
+/// Word for columns in place of a kind's name.
+const COLUMNS: &str = "columns";
+
+/// What a listed channel holds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Listed {
+    /// Messages of one kind, as JSON.
+    Json(Kind),
+    /// Samples of other channels.
+    Columns,
+}
+
+impl Listed {
+    /// What messages of a kind and encoding are; `None` for those of others, which are not listed.
+    pub fn of(kind: Option<Kind>, encoding: &str) -> Option<Self> {
+        kind.map(Self::Json).or_else(|| (encoding == columns::ENCODING).then_some(Self::Columns))
+    }
+
+    const fn name(self) -> &'static str {
+        match self {
+            Self::Json(kind) => kind.name(),
+            Self::Columns => COLUMNS,
+        }
+    }
+
+    fn named(name: &str) -> Option<Self> {
+        let kind = Kind::ALL.into_iter().find(|kind| kind.name() == name).map(Self::Json);
+        kind.or_else(|| (name == COLUMNS).then_some(Self::Columns))
+    }
+
+    /// Kind and encoding of its messages.
+    pub const fn parts(self) -> (Option<Kind>, &'static str) {
+        match self {
+            Self::Json(kind) => (Some(kind), "json"),
+            Self::Columns => (None, columns::ENCODING),
+        }
+    }
+}
 
 /// Channels by number: kind and topic.
 #[derive(Debug, Default, Clone, PartialEq, Eq)]
@@ -21,8 +61,8 @@ impl Roster {
         self.0.is_empty()
     }
 
-    pub fn add(&mut self, id: u16, kind: Kind, topic: &str) {
-        self.0.insert(id.to_string(), format!("{} {topic}", kind.name()));
+    pub fn add(&mut self, id: u16, holds: Listed, topic: &str) {
+        self.0.insert(id.to_string(), format!("{} {topic}", holds.name()));
     }
 
     /// The record to write.
@@ -39,12 +79,11 @@ impl Roster {
         (check == check_of(&entries)).then_some(Self(entries))
     }
 
-    /// Every channel: number, kind, topic.
-    pub fn channels(&self) -> impl Iterator<Item = (u16, Kind, &str)> {
+    /// Every channel: number, what it holds, topic.
+    pub fn channels(&self) -> impl Iterator<Item = (u16, Listed, &str)> {
         self.0.iter().filter_map(|(id, text)| {
-            let (kind, topic) = text.split_once(' ')?;
-            let kind = Kind::ALL.into_iter().find(|k| k.name() == kind)?;
-            Some((id.parse().ok()?, kind, topic))
+            let (name, topic) = text.split_once(' ')?;
+            Some((id.parse().ok()?, Listed::named(name)?, topic))
         })
     }
 }

@@ -4,8 +4,11 @@
 //! crash loses at most what came since. [`RecordingFile::finish`] writes the index, syncs, renames to `NAME.mcap` and
 //! syncs the folder. An MCAP file cannot be reopened: rotate instead.
 
+mod samples;
+
+use super::columns::{self, Columns};
 use super::disk::{Disk, DiskFile, Handle, SystemDisk};
-use super::mcap_roster::Roster;
+use super::mcap_roster::{Listed, Roster};
 use super::schemas;
 use super::seal::Sum;
 use mcap::records::{MessageHeader, Metadata};
@@ -100,6 +103,10 @@ pub struct RecordingFile {
     indexed: u64,
     /// Whether the file ends with a SHA-256 of what stands before.
     sealed: bool,
+    /// Samples that wait for their message, where they are written in columns.
+    columns: Option<Columns>,
+    /// First chunks of every topic.
+    prefix: String,
 }
 
 impl RecordingFile {
@@ -193,6 +200,8 @@ impl RecordingFile {
             flushes: 1,
             indexed: 0,
             sealed: false,
+            columns: samples::wanted(metadata),
+            prefix: metadata.get(super::METADATA_PREFIX).cloned().unwrap_or_default(),
         };
         let metadata = Metadata { name: super::METADATA_NAME.to_owned(), metadata: metadata.clone() };
         recording.with_writer(|writer| writer.write_metadata(&metadata))?;
@@ -231,6 +240,19 @@ impl RecordingFile {
         publish_time_ns: i64,
         payload: &[u8],
     ) -> Result<(), WriteError> {
+        // What came before stands before.
+        self.write_columns()?;
+        self.put(topic, kind, encoding, [log_time_ns, publish_time_ns], payload)
+    }
+
+    fn put(
+        &mut self,
+        topic: &str,
+        kind: Option<Kind>,
+        encoding: &str,
+        [log_time_ns, publish_time_ns]: [i64; 2],
+        payload: &[u8],
+    ) -> Result<(), WriteError> {
         if !self.channels.contains_key(topic) {
             self.register(topic, kind, encoding)?;
         }
@@ -257,6 +279,7 @@ impl RecordingFile {
         if !self.dirty {
             return if self.writer.is_some() { Ok(()) } else { Err(self.refused()) };
         }
+        self.write_columns()?;
         self.list_channels()?;
         self.with_writer(Writer::flush)?;
         self.dirty = false;
@@ -334,6 +357,7 @@ impl RecordingFile {
     /// # Errors
     /// [`WriteError`]; the `.part` file stays and is readable up to its last flush at least.
     pub fn finish(mut self) -> Result<PathBuf, WriteError> {
+        self.write_columns()?;
         if self.sealed {
             // The open chunk goes into the file first, so that the sum is over everything before the seal.
             self.with_writer(Writer::flush)?;
@@ -357,6 +381,7 @@ impl RecordingFile {
             return Err(WriteError::Full { path, limit: MAX_CHANNELS, topic });
         }
         let schema = match kind.map(|kind| (kind, self.schemas.get(&kind))) {
+            None if encoding == columns::ENCODING => self.add_columns_schema()?,
             // A schema that is not ours is not known: number 0 is none.
             None => 0,
             Some((_, Some(id))) => *id,
@@ -369,9 +394,9 @@ impl RecordingFile {
         };
         let id = self.with_writer(|writer| writer.add_channel(schema, topic, encoding, &BTreeMap::new()))?;
         self.channels.insert(topic.to_owned(), Channel { id, sequence: 0, flush: 0 });
-        if let Some(kind) = kind {
-            self.roster.add(id, kind, topic);
-            self.unlisted.add(id, kind, topic);
+        if let Some(listed) = Listed::of(kind, encoding) {
+            self.roster.add(id, listed, topic);
+            self.unlisted.add(id, listed, topic);
         }
         Ok(())
     }

@@ -1,6 +1,7 @@
 //! Files: recordings (MCAP), tables (CSV), compact stores (MATLAB). What a file is, its content says, not its name.
 
 pub mod archive;
+pub mod columns;
 pub mod compact;
 pub mod csv;
 pub mod disk;
@@ -21,7 +22,7 @@ pub mod store;
 pub mod transfer;
 
 pub use mcap_index::MAX_RECORD;
-pub use mcap_read::{Channel, End, Message, ReadError, RecordingReader};
+pub use mcap_read::{Channel, End, Item, Message, RawSample, ReadError, RecordingReader};
 pub use mcap_write::{MAX_CHANNELS, RecordingFile, WriteError, sync_folder};
 
 pub use export::ReadOptions;
@@ -358,8 +359,15 @@ fn load_recording(path: &Path) -> Result<Loaded, FileError> {
     let mut loops = LoopTable::default();
     let mut scratch = Vec::new();
     let (mut unreadable, mut first_fault) = (0_u64, String::new());
-    while let Some(message) = reader.next_message()? {
-        let Some((at, signal)) = loops.place(prefix.as_deref(), &message) else { continue };
+    while let Some(item) = reader.next_item()? {
+        let Some((at, signal)) = loops.place(prefix.as_deref(), item.channel()) else { continue };
+        let message = match item {
+            Item::Message(message) => message,
+            Item::Sample(raw) => {
+                loops.loops[at].samples.push(raw.sample);
+                continue;
+            }
+        };
         scratch.clear();
         let own_time = if message.publish_time_ns == 0 { message.log_time_ns } else { message.publish_time_ns };
         match codec::decode(signal, message.data, Some(&message.channel.encoding), None, own_time, &mut scratch) {
@@ -399,11 +407,11 @@ struct LoopTable {
 }
 
 impl LoopTable {
-    fn place(&mut self, prefix: Option<&str>, message: &Message<'_>) -> Option<(usize, Signal)> {
-        if let Some(known) = self.by_channel.get(&message.channel_id) {
+    fn place(&mut self, prefix: Option<&str>, (id, channel): (u16, &Channel)) -> Option<(usize, Signal)> {
+        if let Some(known) = self.by_channel.get(&id) {
             return *known;
         }
-        let place = match Topic::parse(prefix, message.topic()) {
+        let place = match Topic::parse(prefix, &channel.topic) {
             Some(Topic { loop_name, leaf: Leaf::Raw(signal), .. }) => {
                 let at = *self.by_name.entry(loop_name.to_owned()).or_insert(self.loops.len());
                 if at == self.loops.len() {
@@ -413,7 +421,7 @@ impl LoopTable {
             }
             _ => None,
         };
-        self.by_channel.insert(message.channel_id, place);
+        self.by_channel.insert(id, place);
         place
     }
 }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use thiserror::Error;
 
-use super::{End, ReadError, RecordingFile, RecordingReader, WriteError};
+use super::{End, Item, ReadError, RecordingFile, RecordingReader, WriteError};
 use stiction_monitor::codec::topic::Kind;
 
 /// Metadata key of a recording whose samples were taken out.
@@ -103,10 +103,18 @@ fn write(
 ) -> Result<u64, RescueError> {
     let mut file = RecordingFile::create_at(part.to_owned(), out.to_owned(), metadata)?.sealed();
     let mut messages = 0;
-    while let Some(m) = reader.next_message()? {
-        if results_only && matches!(m.channel.kind, Some(Kind::Sample | Kind::Mode)) {
+    while let Some(item) = reader.next_item()? {
+        if results_only && matches!(item.channel().1.kind, Some(Kind::Sample | Kind::Mode)) {
             continue;
         }
+        let m = match item {
+            Item::Message(message) => message,
+            Item::Sample(raw) => {
+                file.sample(&raw.channel.topic, raw.log_time_ns, &raw.sample)?;
+                messages += 1;
+                continue;
+            }
+        };
         let (topic, kind, encoding) = (m.topic(), m.channel.kind, m.channel.encoding.as_str());
         file.copy(topic, kind, encoding, m.log_time_ns, m.publish_time_ns, m.data)?;
         messages += 1;

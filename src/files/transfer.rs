@@ -5,8 +5,7 @@ use std::path::Path;
 
 use super::{LoadedLoop, METADATA_PREFIX, RecordingFile, WriteError};
 use stiction::units::{is_loop_name, loop_name_from};
-use stiction_monitor::codec::encode_recorded;
-use stiction_monitor::codec::topic::{self, Kind};
+use stiction_monitor::codec::topic;
 
 /// Writes loops as a recording: into `part` first, which becomes `target` once it is whole. `about` says where they come
 /// from: origin and source. Gives the number of samples.
@@ -25,14 +24,10 @@ pub fn write_loops(
     );
     let mut file = RecordingFile::create_at(part.to_owned(), target.to_owned(), &metadata)?;
     let mut samples = 0;
-    let mut payload = Vec::with_capacity(64);
     for one in loops {
         let name = if is_loop_name(&one.name) { one.name.clone() } else { loop_name_from(&one.name) };
         for sample in &one.samples {
-            payload.clear();
-            encode_recorded(sample, &mut payload);
-            let topic = topic::raw(prefix, &name, sample.signal);
-            file.write(&topic, Kind::of_signal(sample.signal), sample.t_ns, sample.t_ns, &payload)?;
+            file.sample(&topic::raw(prefix, &name, sample.signal), sample.t_ns, sample)?;
         }
         samples += one.samples.len();
     }

@@ -16,10 +16,10 @@ use crate::daemon::clock::Clock;
 use crate::daemon::faults::Faults;
 use crate::daemon::metrics::Metrics;
 use crate::daemon::queue::{Budget, Room};
-use crate::files::RecordingFile;
+use crate::files::{RecordingFile, WriteError};
+use crate::files::columns::{METADATA_COLUMNS, METADATA_RAW};
 use crate::files::disk::{Disk, SystemDisk};
 use stiction::record::{Sample, Signal};
-use stiction_monitor::codec::encode_recorded;
 use stiction_monitor::codec::topic::{self, Kind};
 use stiction_monitor::config::Recording;
 use stiction_monitor::engine::LoopId;
@@ -121,6 +121,8 @@ pub struct RunInfo {
     pub config_hash: String,
     /// Its mapped loops, as JSON.
     pub loop_map: String,
+    /// How its samples are written: `json` or `columns`.
+    pub raw: String,
 }
 
 impl RunInfo {
@@ -146,6 +148,10 @@ impl RunInfo {
             .map(|(k, v)| (k.to_owned(), v)),
         );
         metadata.extend(number);
+        // JSON goes without saying, as in the files from before there was anything else.
+        if self.raw == METADATA_COLUMNS {
+            metadata.insert(METADATA_RAW.to_owned(), self.raw.clone());
+        }
         metadata
     }
 
@@ -214,7 +220,6 @@ impl Recorder {
             metrics: metrics.clone(),
             faults,
             lost: 0,
-            json: Vec::new(),
             last_arrival_ns: 0,
         };
         let budget = Budget::new(QUEUE_BYTES);
@@ -299,7 +304,6 @@ pub struct Writer {
     metrics: Arc<Metrics>,
     faults: Arc<Faults>,
     lost: u64,
-    json: Vec<u8>,
     last_arrival_ns: i64,
 }
 
@@ -347,18 +351,17 @@ impl Writer {
             Item::Open { shard, states } => self.open(shard, &states),
             Item::Limits { max_bytes, max_age } => (self.max_bytes, self.max_age) = (max_bytes, max_age),
             Item::Raw { id, name, sample, arrival_ns } => {
-                let mut json = std::mem::take(&mut self.json);
-                json.clear();
-                encode_recorded(&sample, &mut json);
                 self.last_arrival_ns = arrival_ns;
-                let kind = Kind::of_signal(sample.signal);
-                self.write(id, &name, (kind, Some(sample.signal)), arrival_ns, sample.t_ns, &json);
-                self.json = json;
+                let write =
+                    |file: &mut RecordingFile, topic: &str| file.sample(topic, arrival_ns, &sample);
+                self.write(id, &name, (Kind::of_signal(sample.signal), Some(sample.signal)), write);
             }
             Item::Document { id, name, kind, json, event_ns } => {
                 // Documents follow from samples: they carry the arrival of the newest, so stamps stay in order.
                 let arrival = self.last_arrival_ns;
-                self.write(id, &name, (kind, None), arrival, event_ns, &json);
+                let write =
+                    |file: &mut RecordingFile, topic: &str| file.write(topic, kind, arrival, event_ns, &json);
+                self.write(id, &name, (kind, None), write);
             }
         }
     }
@@ -368,9 +371,7 @@ impl Writer {
         id: LoopId,
         name: &str,
         what: (Kind, Option<Signal>),
-        arrival_ns: i64,
-        event_ns: i64,
-        json: &[u8],
+        write: impl FnOnce(&mut RecordingFile, &str) -> Result<(), WriteError>,
     ) {
         let index = shard_of(id);
         let prefix = &self.run.prefix;
@@ -380,7 +381,7 @@ impl Writer {
             Some(signal) => topic::raw(prefix, name, signal),
             None => topic::result(prefix, name, what.0),
         });
-        match file.write(topic, what.0, arrival_ns, event_ns, json) {
+        match write(file, topic) {
             Ok(()) => {
                 shard.messages += 1;
                 shard.unflushed += 1;

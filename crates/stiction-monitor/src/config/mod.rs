@@ -109,6 +109,9 @@ pub struct Recording {
     pub max_bytes: u64,
     /// Age at which a file is closed, s.
     pub max_s: f64,
+    /// How raw samples are written: `json` or `columns`. Not part of [`Config::hash`]: replays are the same.
+    #[serde(skip_serializing)]
+    pub raw: String,
 }
 
 /// `[web]`.
@@ -349,6 +352,7 @@ fn read_recording(r: &mut TableReader<'_, '_>) -> Recording {
         flush_s: r.number("flush_s", 1.0, 0.01, 3600.0),
         max_bytes: r.integer("max_bytes", 104_857_600, 10_000, 1_000_000_000_000),
         max_s: r.number("max_s", 3600.0, 0.1, 31_622_400.0),
+        raw: r.word("raw", "json", &["json", "columns"]),
     }
 }
 

@@ -1,0 +1,290 @@
+//! Replays a file on all cores. Loops know nothing of each other, so each has its lane, an engine of its own; one thread
+//! reads ahead, the lanes work through a block of messages side by side, and what they made is put into the order in which
+//! the messages stand. So the bytes are those of one engine that takes one message after the other.
+
+use std::collections::{HashMap, VecDeque};
+use std::path::Path;
+use std::sync::{Mutex, PoisonError};
+
+use anyhow::{Context, anyhow};
+
+use super::replay::{Output, Replay};
+use crate::cores::share;
+use crate::files::{End, Item, RecordingReader};
+use stiction::record::Sample;
+use stiction_monitor::codec::topic::{Kind, Leaf, Topic};
+use stiction_monitor::config::Config;
+use stiction_monitor::engine::{Engine, StateDocument};
+
+/// Lanes: many more than cores, so that one with a busy loop holds up nobody. Results do not hang on it.
+const LANES: usize = 64;
+/// Messages of a block: with the one that is read ahead, some hundred megabytes.
+const BLOCK: usize = 400_000;
+/// Bytes of documents in a block.
+const BLOCK_BYTES: usize = 64 << 20;
+
+/// Engines side by side that are driven by recorded messages.
+pub struct Rerun {
+    lanes: Vec<Mutex<Replay>>,
+    /// Says which loops there is a place for, as one engine would.
+    places: Engine,
+}
+
+/// How one file's replay went.
+#[derive(Debug, Default)]
+pub struct FileReport {
+    /// Documents made while its messages were taken.
+    pub outputs: Vec<Output>,
+    /// Documents compared with recorded ones.
+    pub compared: usize,
+    /// The first difference.
+    pub difference: Option<String>,
+    /// Why the file is not whole, if it is not.
+    pub cut: Option<String>,
+}
+
+/// What a message holds.
+enum Held {
+    Sample(Sample),
+    /// Its place among the block's bytes.
+    Bytes(std::ops::Range<usize>),
+}
+
+/// One message on its way to its lane.
+struct Step {
+    lane: usize,
+    /// Its topic's place in the list of the file's topics.
+    topic: usize,
+    held: Held,
+}
+
+/// Messages that are worked through together.
+#[derive(Default)]
+struct Block {
+    steps: Vec<Step>,
+    bytes: Vec<u8>,
+    /// Topics that have come since the block before.
+    topics: Vec<String>,
+}
+
+/// What a lane made of a block: documents with the places of the messages that they were made at.
+#[derive(Default)]
+struct Made {
+    outputs: Vec<(usize, Output)>,
+    failed: Option<(usize, anyhow::Error)>,
+}
+
+/// What one file is compared by, and where it stands in it.
+struct Comparing {
+    verify: bool,
+    made: HashMap<(String, Kind), VecDeque<Vec<u8>>>,
+    report: FileReport,
+}
+
+impl Rerun {
+    /// A replay under a configuration. `at_once` is for recordings without results.
+    #[must_use]
+    pub fn new(config: &Config, at_once: bool) -> Self {
+        let lane = |_| Mutex::new(Replay::new(config.clone(), at_once));
+        Self { lanes: (0..LANES).map(lane).collect(), places: Engine::new(config.engine()) }
+    }
+
+    /// Whether gap diagnoses are made again from here on, or only their places are kept.
+    pub fn set_diagnose(&mut self, diagnose: bool) {
+        for lane in &mut self.lanes {
+            lane.get_mut().unwrap_or_else(PoisonError::into_inner).set_diagnose(diagnose);
+        }
+    }
+
+    /// Takes a whole file. With `verify` every estimate, alarm and gap is compared with the recorded one.
+    ///
+    /// # Errors
+    /// The file cannot be read, or a message is not what its topic says.
+    pub fn file(&mut self, path: &Path, prefix: &str, first: bool, verify: bool) -> anyhow::Result<FileReport> {
+        let Self { lanes, places } = self;
+        let lanes = &lanes[..];
+        let mut comparing = Comparing { verify, made: HashMap::new(), report: FileReport::default() };
+        let mut reader = RecordingReader::open(path)?;
+        std::thread::scope(|scope| {
+            let (send, blocks) = crossbeam_channel::bounded(1);
+            let reading = scope.spawn(move || read(&mut reader, prefix, places, &send).map(|()| reader));
+            let mut topics: Vec<String> = Vec::new();
+            for mut block in &blocks {
+                topics.append(&mut block.topics);
+                comparing.take(run_block(lanes, &block, (&topics, prefix), first), &block, (&topics, prefix), path)?;
+            }
+            let reader = reading.join().map_err(|_| anyhow!("{}: reading broke off", path.display()))??;
+            Ok(comparing.close(reader.end()))
+        })
+    }
+}
+
+/// Reads a file to its end, block by block; ends early where nobody takes them any more.
+fn read(
+    reader: &mut RecordingReader,
+    prefix: &str,
+    places: &mut Engine,
+    send: &crossbeam_channel::Sender<Block>,
+) -> anyhow::Result<()> {
+    // Where a channel's messages go; nowhere if they are none of ours, or of a loop beyond `max_loops`.
+    let mut routes: HashMap<u16, Option<(usize, usize)>> = HashMap::new();
+    let (mut block, mut topics) = (Block::default(), 0);
+    while let Some(item) = reader.next_item()? {
+        let (id, channel) = item.channel();
+        let route = *routes.entry(id).or_insert_with(|| {
+            let topic = Topic::parse(Some(prefix), &channel.topic)?;
+            let lane = places.appear(topic.loop_name)?.index() % LANES;
+            block.topics.push(channel.topic.clone());
+            topics += 1;
+            Some((lane, topics - 1))
+        });
+        let Some((lane, topic)) = route else { continue };
+        let held = match item {
+            Item::Sample(raw) => Held::Sample(raw.sample),
+            Item::Message(message) => {
+                let from = block.bytes.len();
+                block.bytes.extend_from_slice(message.data);
+                Held::Bytes(from..block.bytes.len())
+            }
+        };
+        block.steps.push(Step { lane, topic, held });
+        if block.steps.len() >= BLOCK || block.bytes.len() >= BLOCK_BYTES {
+            if send.send(std::mem::take(&mut block)).is_err() {
+                return Ok(());
+            }
+        }
+    }
+    let _ = send.send(block);
+    Ok(())
+}
+
+/// Works through a block, the lanes side by side.
+fn run_block(lanes: &[Mutex<Replay>], block: &Block, (topics, prefix): (&[String], &str), first: bool) -> Vec<Made> {
+    let mut shares: Vec<Vec<usize>> = vec![Vec::new(); lanes.len()];
+    for (at, step) in block.steps.iter().enumerate() {
+        shares[step.lane].push(at);
+    }
+    let parsed: Vec<Option<Topic<'_>>> = topics.iter().map(|topic| Topic::parse(Some(prefix), topic)).collect();
+    let made: Vec<Mutex<Made>> = lanes.iter().map(|_| Mutex::default()).collect();
+    share(lanes.len(), &|lane| {
+        let mut replay = lanes[lane].lock().unwrap_or_else(PoisonError::into_inner);
+        let mut made = made[lane].lock().unwrap_or_else(PoisonError::into_inner);
+        let mut fresh = Vec::new();
+        for at in &shares[lane] {
+            let step = &block.steps[*at];
+            let Some(topic) = &parsed[step.topic] else { continue };
+            if let Err(error) = take(&mut replay, topic, block.held(step), first, &mut fresh) {
+                made.failed = Some((*at, error.context(topic.to_string())));
+                return;
+            }
+            made.outputs.extend(fresh.drain(..).map(|output| (*at, output)));
+        }
+    });
+    made.into_iter().map(|made| made.into_inner().unwrap_or_else(PoisonError::into_inner)).collect()
+}
+
+/// A message as its lane takes it.
+enum Taken<'a> {
+    Sample(Sample),
+    Bytes(&'a [u8]),
+}
+
+impl Block {
+    fn held(&self, step: &Step) -> Taken<'_> {
+        match &step.held {
+            Held::Sample(sample) => Taken::Sample(*sample),
+            Held::Bytes(range) => Taken::Bytes(&self.bytes[range.clone()]),
+        }
+    }
+}
+
+fn take(
+    replay: &mut Replay,
+    topic: &Topic<'_>,
+    taken: Taken<'_>,
+    first: bool,
+    out: &mut Vec<Output>,
+) -> anyhow::Result<()> {
+    let data = match taken {
+        Taken::Sample(sample) => {
+            replay.take_sample(topic.loop_name, sample, out);
+            return Ok(());
+        }
+        Taken::Bytes(data) => data,
+    };
+    if topic.leaf != Leaf::Document(Kind::State) {
+        return replay.take(topic, data, out);
+    }
+    let head = serde_json::from_slice::<StateDocument>(data).is_ok_and(|s| s.window_end_ns.is_none());
+    if head { replay.take_head(data, first) } else { Ok(()) }
+}
+
+impl Comparing {
+    /// Puts what the lanes made into the order of the messages, and compares.
+    fn take(
+        &mut self,
+        made: Vec<Made>,
+        block: &Block,
+        (topics, prefix): (&[String], &str),
+        path: &Path,
+    ) -> anyhow::Result<()> {
+        let mut outputs = Vec::new();
+        let mut failed: Option<(usize, anyhow::Error)> = None;
+        for lane in made {
+            outputs.extend(lane.outputs);
+            failed = match (failed, lane.failed) {
+                (Some(a), Some(b)) => Some(if a.0 < b.0 { a } else { b }),
+                (a, b) => a.or(b),
+            };
+        }
+        if let Some((_, error)) = failed {
+            return Err(error).with_context(|| path.display().to_string());
+        }
+        // A lane's are in order already, and of one message only one lane has any.
+        outputs.sort_by_key(|(at, _)| *at);
+        let mut outputs = outputs.into_iter().peekable();
+        for (at, step) in block.steps.iter().enumerate() {
+            while let Some((_, output)) = outputs.next_if(|(made_at, _)| *made_at <= at) {
+                if self.verify {
+                    let of = (output.loop_name.clone(), output.kind);
+                    self.made.entry(of).or_default().push_back(output.json.clone());
+                }
+                self.report.outputs.push(output);
+            }
+            if let (true, Held::Bytes(range), None) = (self.verify, &step.held, &self.report.difference) {
+                self.compare(Topic::parse(Some(prefix), &topics[step.topic]), &block.bytes[range.clone()]);
+            }
+        }
+        Ok(())
+    }
+
+    fn compare(&mut self, topic: Option<Topic<'_>>, recorded: &[u8]) {
+        let Some(topic) = topic else { return };
+        let Leaf::Document(kind @ (Kind::Estimate | Kind::Alarm | Kind::Gap)) = topic.leaf else { return };
+        let again = self.made.get_mut(&(topic.loop_name.to_owned(), kind)).and_then(VecDeque::pop_front);
+        self.report.compared += 1;
+        self.report.difference = difference(&topic, recorded, again.as_deref());
+    }
+
+    fn close(mut self, end: Option<&End>) -> FileReport {
+        if let Some(End::Cut { reason } | End::Damaged { reason }) = end {
+            self.report.cut = Some(reason.clone());
+        }
+        let left = self.made.iter().filter(|(_, documents)| !documents.is_empty()).min_by_key(|(of, _)| *of);
+        if let (Some(((name, kind), documents)), None, None) = (left, &self.report.difference, &self.report.cut) {
+            let text = String::from_utf8_lossy(&documents[0]).into_owned();
+            let kind = kind.name();
+            self.report.difference = Some(format!("{name} {kind}: replay makes one that was not recorded: {text}"));
+        }
+        self.report
+    }
+}
+
+fn difference(topic: &Topic<'_>, recorded: &[u8], again: Option<&[u8]>) -> Option<String> {
+    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+    match again {
+        Some(again) if again == recorded => None,
+        Some(again) => Some(format!("{topic}: recorded\n  {}\nreplayed\n  {}", text(recorded), text(again))),
+        None => Some(format!("{topic}: recorded but not made by replay:\n  {}", text(recorded))),
+    }
+}

@@ -1,0 +1,59 @@
+//! Samples on their way into a file: one message each, or gathered in columns.
+
+use std::collections::BTreeMap;
+
+use super::super::columns::{self, Columns, METADATA_COLUMNS, METADATA_RAW, Row};
+use super::{RecordingFile, WriteError};
+use stiction::record::Sample;
+use stiction_monitor::codec::encode_recorded;
+use stiction_monitor::codec::topic::Kind;
+
+/// Room for columns where the file's metadata says that it holds them.
+pub(super) fn wanted(metadata: &BTreeMap<String, String>) -> Option<Columns> {
+    metadata.get(METADATA_RAW).is_some_and(|word| word == METADATA_COLUMNS).then(Columns::default)
+}
+
+impl RecordingFile {
+    /// Appends a sample, in the form that the file's metadata names. In columns it waits in memory with others, until
+    /// these are many, another message comes, or [`RecordingFile::flush`].
+    ///
+    /// # Errors
+    /// As [`RecordingFile::write`]; the error may be of samples before it.
+    pub fn sample(&mut self, topic: &str, arrival_ns: i64, sample: &Sample) -> Result<(), WriteError> {
+        let kind = Kind::of_signal(sample.signal);
+        if self.columns.is_none() {
+            let mut json = Vec::with_capacity(64);
+            encode_recorded(sample, &mut json);
+            return self.write(topic, kind, arrival_ns, sample.t_ns, &json);
+        }
+        if !self.channels.contains_key(topic) {
+            self.register(topic, Some(kind), "json")?;
+        }
+        // A file that has failed must not gather what it can never write.
+        if self.has_failed() {
+            return Err(self.refused());
+        }
+        let (Some(channel), Some(columns)) = (self.channels.get(topic), &mut self.columns) else {
+            return Err(self.refused());
+        };
+        let Sample { t_ns, value, quality, .. } = *sample;
+        columns.push(Row { channel: channel.id, t_ns, arrival_ns, value, quality });
+        let is_full = columns.is_full();
+        self.dirty = true;
+        if is_full { self.write_columns() } else { Ok(()) }
+    }
+
+    /// Writes the samples that wait.
+    pub(super) fn write_columns(&mut self) -> Result<(), WriteError> {
+        let Some(columns) = &mut self.columns else { return Ok(()) };
+        let Some(times_ns) = columns.times_ns() else { return Ok(()) };
+        let payload = columns.take();
+        let topic = columns::topic_of(&self.prefix);
+        self.put(&topic, None, columns::ENCODING, times_ns, &payload)
+    }
+
+    pub(super) fn add_columns_schema(&mut self) -> Result<u16, WriteError> {
+        let text = columns::LAYOUT.as_bytes();
+        self.with_writer(|writer| writer.add_schema(columns::SCHEMA, columns::SCHEMA_ENCODING, text))
+    }
+}
