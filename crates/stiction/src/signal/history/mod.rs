@@ -286,6 +286,12 @@ impl History {
         self.held = held;
     }
 
+    /// Whether everything is kept.
+    #[must_use]
+    pub const fn is_held(&self) -> bool {
+        self.held
+    }
+
     /// Points that may still come while everything is kept.
     #[must_use]
     pub fn patience(&self) -> usize {
