@@ -306,10 +306,15 @@ impl Engine {
         true
     }
 
-    /// Loops that were forgotten with an alarm that is not at rest.
+    /// Whether nothing of a loop is on its way: it may be forgotten.
     #[must_use]
-    pub fn left(&self) -> usize {
-        self.left.len()
+    pub fn is_idle(&self, id: LoopId) -> bool {
+        self.of(id).is_idle()
+    }
+
+    /// Loops that were forgotten with an alarm that is not at rest, and what is kept of them.
+    pub fn left(&self) -> impl Iterator<Item = (&Arc<str>, &Checkpoint)> {
+        self.left.iter()
     }
 
     /// Whether a loop was forgotten with an alarm that is not at rest.

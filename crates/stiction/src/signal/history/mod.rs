@@ -19,7 +19,7 @@ use columns::{Sparse, Times, bytes, put};
 
 /// Points for which a window may stay uncut, at least and as a share of all: ten minutes of 10 s data.
 const PATIENCE: usize = 64;
-const PATIENCE_SHARE: usize = 16;
+const PATIENCE_SHARE: usize = 4;
 
 /// A box of 2^level raw points.
 #[derive(Debug, Clone, Copy)]
