@@ -48,7 +48,7 @@ impl Loop {
             alarm: Alarm::default(),
             gap: GapWatch::default(),
             aligner: Aligner::new(),
-            history: History::new(settings.window.max_points),
+            history: settings.window.history(0),
             next_end_ns: None,
             windows: 0,
             waiting: VecDeque::new(),
@@ -268,7 +268,7 @@ impl Loop {
     pub fn restore(&mut self, checkpoint: Checkpoint) -> Option<AlarmDocument> {
         (self.alarm, self.gap) = (checkpoint.alarm, checkpoint.gap);
         if let Some(stream) = checkpoint.stream {
-            self.history = History::resumed(self.settings.window.max_points, stream.points);
+            self.history = self.settings.window.history(stream.points);
             self.aligner = stream.aligner;
             self.next_end_ns = stream.next_end_ns;
             self.windows = stream.windows;

@@ -20,6 +20,47 @@ use columns::{Sparse, Times, bytes, put};
 /// Points for which a window may stay uncut, at least and as a share of all: ten minutes of 10 s data.
 const PATIENCE: usize = 64;
 const PATIENCE_SHARE: usize = 4;
+/// Bytes of a raw point and of a box where every signal and mark is there.
+const RAW_BYTES: usize = 39;
+const BOX_BYTES: usize = 70;
+/// Sizes of boxes that a memory of so many bytes has at least: eight times its raw points.
+const LEAST_SIZES: usize = 3;
+/// Sizes of boxes where nothing limits them.
+const ALL_SIZES: usize = 48;
+/// Raw points below which no window could be judged.
+const LEAST_POINTS: usize = 128;
+/// The least memory that can be asked for, bytes.
+pub const LEAST_BYTES: usize = 24_000;
+
+const fn raw_limit(max_points: usize) -> usize {
+    max_points + 2
+}
+
+const fn level_limit(max_points: usize) -> usize {
+    max_points / 2 + 2
+}
+
+fn slack(max_points: usize) -> usize {
+    PATIENCE.max(max_points / PATIENCE_SHARE)
+}
+
+/// Bytes of all raw points, those included that may come while a window waits, and of all boxes of one size.
+fn bytes_of(max_points: usize) -> [usize; 2] {
+    let raw = raw_limit(max_points) + slack(max_points);
+    [RAW_BYTES * raw, BOX_BYTES * (level_limit(max_points) + 1) + 2 * size_of::<Level>()]
+}
+
+/// The raw points, `max_points` at most, and the sizes of boxes that fit into so many bytes whatever signals a loop sends.
+#[must_use]
+pub fn fitting(max_points: usize, max_bytes: usize) -> [usize; 2] {
+    let fits = |points: &usize| {
+        let [raw, boxes] = bytes_of(*points);
+        raw + LEAST_SIZES * boxes <= max_bytes
+    };
+    let points = (LEAST_POINTS..=max_points.max(LEAST_POINTS)).rev().find(fits).unwrap_or(LEAST_POINTS);
+    let [raw, boxes] = bytes_of(points);
+    [points, (max_bytes.saturating_sub(raw) / boxes).clamp(LEAST_SIZES, ALL_SIZES)]
+}
 
 /// A box of 2^level raw points.
 #[derive(Debug, Clone, Copy)]
@@ -218,6 +259,8 @@ impl Level {
 #[derive(Debug, Clone)]
 pub struct History {
     max_points: usize,
+    /// Sizes of boxes; beyond the largest nothing is kept.
+    sizes: usize,
     raw: Raw,
     /// `levels[l]` holds boxes of `2^(l+1)` points, older than anything finer.
     levels: Vec<Level>,
@@ -252,9 +295,15 @@ impl History {
         Self { max_points: max_points.max(16) & !1, raw: Raw::starting(total), levels: Vec::new(), total, held: false }
     }
 
+    /// The same memory with so many sizes of boxes at most.
+    #[must_use]
+    pub fn with_sizes(self, sizes: usize) -> Self {
+        Self { sizes, ..self }
+    }
+
     /// Forgets everything: the stretch has ended.
     pub fn clear(&mut self) {
-        *self = Self::new(self.max_points);
+        *self = Self::new(self.max_points).with_sizes(self.sizes);
     }
 
     /// Whether nothing is stored.
@@ -295,30 +344,19 @@ impl History {
     /// Points that may still come while everything is kept.
     #[must_use]
     pub fn patience(&self) -> usize {
-        (self.raw_limit() + self.slack()).saturating_sub(self.raw.op.len())
-    }
-
-    const fn raw_limit(&self) -> usize {
-        self.max_points + 2
-    }
-
-    fn slack(&self) -> usize {
-        PATIENCE.max(self.max_points / PATIENCE_SHARE)
-    }
-
-    const fn level_limit(&self) -> usize {
-        self.max_points / 2 + 2
+        (raw_limit(self.max_points) + slack(self.max_points)).saturating_sub(self.raw.op.len())
     }
 
     /// Adds a point; forgets boxes that end before `keep_from_ns`.
     pub fn push(&mut self, p: &Point, keep_from_ns: i64) {
-        let most = self.raw_limit() + if self.held { self.slack() } else { 1 };
+        let limit = raw_limit(self.max_points);
+        let most = limit + if self.held { slack(self.max_points) } else { 1 };
         self.raw.push(p, most);
         self.total += 1;
         if self.held {
             return;
         }
-        while self.raw.op.len() > self.raw_limit() {
+        while self.raw.op.len() > limit {
             // After a resumption the first point may be half of a box whose other half is not held: it goes.
             let odd = self.raw.first % 2 == 1;
             if let (Some(a), false) = (self.raw.pop_front(), odd)
@@ -338,7 +376,10 @@ impl History {
     }
 
     fn sink(&mut self, level: usize, bin: &Bin) {
-        let limit = self.level_limit();
+        let limit = level_limit(self.max_points);
+        if level >= self.sizes {
+            return;
+        }
         if self.levels.len() == level {
             let end = if level == 0 { self.raw.first } else { self.levels[level - 1].first };
             self.levels.push(Level::starting(end / 2 - 1));
@@ -410,10 +451,10 @@ impl View<'_> {
     fn index_at(&self, t_ns: i64) -> u64 {
         let index = self.finest_index_at(t_ns);
         // Where the boxes stood follows from the number of points alone: the oldest of each size is an even one.
-        let (limit, mut size) = (self.history.level_limit() as u64, 0);
-        let mut first = even(self.total.saturating_sub(self.history.raw_limit() as u64));
+        let (limit, mut size) = (level_limit(self.history.max_points) as u64, 0);
+        let mut first = even(self.total.saturating_sub(raw_limit(self.history.max_points) as u64));
         let mut found = index;
-        while first > 0 {
+        while first > 0 && size < self.history.sizes {
             // The last box of the next size begins two of this size before what stands in this one.
             if (first - 2) << size < index {
                 break;

@@ -133,3 +133,36 @@ proptest! {
         prop_assert!(history.bytes() >= needed && history.bytes() <= needed * 5 / 4 + 4000, "{} {needed}", history.bytes());
     }
 }
+
+#[test]
+fn a_memory_of_so_many_bytes_takes_no_more_whatever_is_sent() {
+    for max_bytes in [LEAST_BYTES, 32_768, 100_000, 1_000_000] {
+        let [max_points, sizes] = fitting(2000, max_bytes);
+        let mut history = History::new(max_points).with_sizes(sizes);
+        for k in 0..200_000 {
+            history.hold(k % 3000 < 60);
+            let sent = Point { mv: Some(2.0), bad: 1, manual: k % 2 == 0, ..point(k) };
+            history.push(&sent, i64::MIN);
+        }
+        assert!(max_points >= 128 && (LEAST_SIZES..=ALL_SIZES).contains(&sizes), "{max_bytes} {max_points} {sizes}");
+        assert!(history.bytes() <= max_bytes, "{} of {max_bytes}", history.bytes());
+        assert!(max_points == 2000 || 2 * history.bytes() > max_bytes, "{} of {max_bytes}", history.bytes());
+    }
+}
+
+#[test]
+fn windows_within_reach_do_not_depend_on_what_lies_beyond() {
+    let (mut whole, mut short) = (History::new(64), History::new(64).with_sizes(3));
+    let mut held = short.clone();
+    for k in 0..5000 {
+        [&mut whole, &mut short].into_iter().for_each(|h| h.push(&point(k), i64::MIN));
+        held.hold((2000..2050).contains(&k));
+        held.push(&point(k), i64::MIN);
+    }
+    for back in [10, 64, 130, 400] {
+        let from = point(4999 - back).t_ns;
+        assert_eq!(whole.now().record(from, 0), short.now().record(from, 0));
+        assert_eq!(held.now().record(from, 0), short.now().record(from, 0));
+    }
+    assert_eq!(held.now().record(i64::MIN, 0), short.now().record(i64::MIN, 0));
+}
