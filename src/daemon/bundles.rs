@@ -144,6 +144,11 @@ impl Bundles {
         &**self.owners.entry((id, signal)).or_insert_with(|| source.into()) == source
     }
 
+    /// Nothing feeds these loops any more.
+    pub fn forget(&mut self, gone: &HashSet<LoopId>) {
+        self.owners.retain(|(id, _), _| !gone.contains(id));
+    }
+
     /// Whether a key is found to carry signals for the first time.
     pub fn is_new_carrier(&mut self, key: &str) -> bool {
         self.carriers.len() < MAX_KEYS && !self.carriers.contains(key) && self.carriers.insert(key.into())

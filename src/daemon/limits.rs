@@ -33,7 +33,7 @@ pub struct Limits {
     max_ahead_ns: i64,
     new_loops: Rate,
     /// By loop, then by signal.
-    rates: Vec<[Rate; Signal::ALL.len()]>,
+    rates: Vec<Option<Box<[Rate; Signal::ALL.len()]>>>,
     /// Where the other loops were when it was looked last, and samples until it may be looked again.
     others_ns: Option<i64>,
     look_in: usize,
@@ -59,6 +59,13 @@ impl Limits {
         self.new_loops.allow(now.as_secs_f64())
     }
 
+    /// A loop has left the memory.
+    pub fn forget(&mut self, id: LoopId) {
+        if let Some(rates) = self.rates.get_mut(id.index()) {
+            *rates = None;
+        }
+    }
+
     /// Whether a sample may be taken. `greatest` gives every loop's greatest stamp; it is asked seldom.
     ///
     /// # Errors
@@ -70,11 +77,13 @@ impl Limits {
         greatest: impl FnOnce() -> Vec<i64>,
     ) -> Result<(), Refused> {
         if self.max_rate_hz > 0.0 {
-            let fresh = [Rate::new(self.max_rate_hz, BURST_S * self.max_rate_hz); Signal::ALL.len()];
             if self.rates.len() <= id.index() {
-                self.rates.resize(id.index() + 1, fresh);
+                self.rates.resize(id.index() + 1, None);
             }
-            if !self.rates[id.index()][sample.signal as usize].allow(now.as_secs_f64()) {
+            let max_rate_hz = self.max_rate_hz;
+            let fresh = || Box::new([Rate::new(max_rate_hz, BURST_S * max_rate_hz); Signal::ALL.len()]);
+            let rates = self.rates[id.index()].get_or_insert_with(fresh);
+            if !rates[sample.signal as usize].allow(now.as_secs_f64()) {
                 return Err(Refused::OverRate);
             }
         }

@@ -31,6 +31,16 @@ impl Default for Seconds {
     }
 }
 
+/// How long a message waits: a fifth of a millisecond to a quarter of a minute, each bucket half as much again as the one before.
+#[derive(Debug, Clone)]
+pub struct Moments(pub Histogram);
+
+impl Default for Moments {
+    fn default() -> Self {
+        Self(Histogram::new(exponential_buckets(0.0002, 1.5, 28)))
+    }
+}
+
 macro_rules! counters {
     ($($field:ident: $help:literal),+ $(,)?) => {
         /// All counters and gauges of a daemon.
@@ -51,8 +61,12 @@ macro_rules! counters {
             pub lag: Seconds,
             /// Series of every loop.
             pub series: LoopSeries,
-            /// Loops that have appeared.
+            /// Time from a message's stamp on the bus, or its arrival where it has none, to the engine.
+            pub intake: Moments,
+            /// Loops that there are.
             pub loops: Gauge,
+            /// Bytes that they take in the engine.
+            pub loop_bytes: Gauge,
             /// Finished recordings that were found damaged.
             pub recordings_damaged: Gauge,
             /// Queue lengths by name.
@@ -86,6 +100,7 @@ counters! {
     foreign_keys: "Messages under the prefix whose key names no signal",
     refused_loops: "Messages of loops that are not configured, or one too many",
     loops_over_limit: "Messages of new loops beyond max_loops or new_loops_per_hour",
+    loops_forgotten: "Loops that left the memory after forget_after_s without a sample",
     over_rate: "Samples refused because their key sent more than max_rate_hz",
     stamps_ahead: "Samples refused because their stamp was too far ahead of the clock and the other loops",
     suspicious_quality: "Quality codes of 1 to 255 under the ua convention",
@@ -135,7 +150,10 @@ impl Metrics {
         registry.register("estimate_lag_seconds", help, self.lag.0.clone());
         self.series.register(&mut registry);
         registry.register("recordings_damaged", "Finished recordings found damaged", self.recordings_damaged.clone());
-        registry.register("loops", "Loops that have appeared", self.loops.clone());
+        let help = "Time from a message's stamp on the bus, or its arrival without one, to the engine in seconds, of every eighth";
+        registry.register("intake_seconds", help, self.intake.0.clone());
+        registry.register("loops", "Loops that there are", self.loops.clone());
+        registry.register("loop_bytes", "Bytes that the loops take in the engine", self.loop_bytes.clone());
         registry.register("queue_length", "Messages waiting", self.queues.clone());
         registry.register("aligner", "Samples dropped or put in by the aligners", self.aligned.clone());
         registry

@@ -190,6 +190,12 @@ impl Overview {
         self.change(name, place, now, |entry| entry.cause = Some(cause.to_owned()));
     }
 
+    /// A loop has left the plant.
+    pub fn forget(&self, name: &str) {
+        let mut loops = self.0.write().unwrap_or_else(PoisonError::into_inner);
+        loops.by_name.remove(name);
+    }
+
     /// How a loop's data flow, by the engine's figures.
     pub fn figures(&self, name: &Arc<str>, place: &Place, now: Instant, figures: &LoopFigures) {
         let c = &figures.counts;

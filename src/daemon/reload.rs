@@ -97,6 +97,7 @@ fn settings(config: &Config) -> BTreeMap<String, Value> {
     }
     root["input"]["queue_bytes"] = config.input.queue_bytes.into();
     root["input"]["new_loops_per_hour"] = config.input.new_loops_per_hour.into();
+    root["input"]["forget_after_s"] = config.input.forget_after_s.into();
     root["input"]["max_rate_hz"] = config.input.max_rate_hz.into();
     root["input"]["max_ahead_s"] = config.input.max_ahead_s.into();
     let mut flat = BTreeMap::new();

@@ -138,6 +138,10 @@ impl Replay {
                 self.gaps.entry(id).or_default().retain(|(r, _)| r.number != number);
                 self.engine.skip_gap(id, number, reason, &mut self.events);
             }
+            RecordedInput::Forget => {
+                self.engine.forget(id);
+                self.places.remove(&id);
+            }
             RecordedInput::GapCut { number, evaluations } => {
                 let waiting = self.gaps.entry(id).or_default().iter_mut();
                 waiting.filter(|(r, _)| r.number == number).for_each(|(_, cut)| *cut = Some(evaluations));
@@ -212,7 +216,8 @@ impl Replay {
                     Event::Request(request) => self.waiting.entry(request.id).or_default().push_back(*request),
                     Event::Estimate(id, document) => out.push(self.output(id, Kind::Estimate, to_json(&document))),
                     Event::Alarm(id, document) => out.push(self.output(id, Kind::Alarm, to_json(&document))),
-                    Event::State(..) => {}
+                    // Here every window is cut at once.
+                    Event::State(..) | Event::Due { .. } => {}
                 }
             }
         }

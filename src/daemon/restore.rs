@@ -13,7 +13,7 @@ use super::metrics::Metrics;
 use super::to_json;
 use crate::files::disk::Disk;
 use crate::files::store::{STORE_NAME, StateStore, StoreError, Stored, key_of, loop_of};
-use crate::files::{Item, ReadError, RecordingReader};
+use crate::files::{FileError, InputKind, Item, ReadError, RecordingReader};
 use stiction_monitor::codec::topic::{Kind, Leaf, Topic};
 use stiction_monitor::engine::{Checkpoint, StateDocument};
 
@@ -21,6 +21,8 @@ use stiction_monitor::engine::{Checkpoint, StateDocument};
 const FILES_PER_SHARD: usize = 2;
 /// Runs that are read, newest first, where the store is gone: runs that ended at once hold few states.
 const RUNS: usize = 20;
+/// Files that are read to learn which run was the last, where the store holds all else.
+const NEWEST: usize = 8;
 /// What the name of a file that was put aside ends in.
 pub const ASIDE: &str = ".broken";
 
@@ -79,7 +81,6 @@ pub struct Restored {
 /// the store before this returns, so that a crash right after costs nothing.
 #[must_use]
 pub fn restore(disk: &dyn Disk, dir: &Path, prefix: &str, faults: &Faults, metrics: &Metrics) -> Restored {
-    let files = recordings_in(dir, prefix, metrics);
     let (store, stored) = match open_store(disk, dir, faults, metrics) {
         Ok((store, stored)) => (Some(store), stored),
         Err(why) => {
@@ -101,7 +102,9 @@ pub fn restore(disk: &dyn Disk, dir: &Path, prefix: &str, faults: &Faults, metri
     let from_store = memories.len();
     // A store that was begun anew under a run holds what has changed since; one that a start has sealed holds all.
     let is_sealed = stored.values.contains_key(prefix);
-    if from_store == 0 || !is_sealed || lost > 0 {
+    let is_whole = from_store > 0 && is_sealed && lost == 0;
+    let files = recordings_in(dir, prefix, is_whole, metrics);
+    if !is_whole {
         for (name, memory) in memories_in_recordings(&files, prefix) {
             memories.entry(name).or_insert(memory);
         }
@@ -118,7 +121,7 @@ pub fn restore(disk: &dyn Disk, dir: &Path, prefix: &str, faults: &Faults, metri
     let run_number = counted.max(seen) + 1;
     tracing::info!(loops = memories.len(), from_store, run_number, "states carried over");
     let mut restored = Restored { memories, store, run_number };
-    restored.seal(prefix, faults);
+    restored.seal(prefix, is_whole, faults);
     restored
 }
 
@@ -126,12 +129,13 @@ pub fn restore(disk: &dyn Disk, dir: &Path, prefix: &str, faults: &Faults, metri
 pub const LOSS_SHOWN: std::time::Duration = std::time::Duration::from_secs(3600);
 
 impl Restored {
-    /// Puts everything into the store before the run begins.
-    fn seal(&mut self, prefix: &str, faults: &Faults) {
+    /// Puts everything into the store before the run begins, but for what it holds already.
+    fn seal(&mut self, prefix: &str, is_whole: bool, faults: &Faults) {
         let Some(store) = self.store.take() else { return };
-        let states = self
-            .memories
-            .iter()
+        let missing = if is_whole { None } else { Some(&self.memories) };
+        let states = missing
+            .into_iter()
+            .flatten()
             .map(|(name, memory)| (key_of(prefix, name), to_json(&StateDocument::new(name, None, memory.clone()))));
         let number = (prefix.to_owned(), self.run_number.to_string().into_bytes());
         let values: Vec<(String, Vec<u8>)> = states.chain([number]).collect();
@@ -142,11 +146,24 @@ impl Restored {
     }
 }
 
-/// The recordings of this prefix; what is none is put aside.
-fn recordings_in(dir: &Path, prefix: &str, metrics: &Metrics) -> Vec<RunFile> {
+/// The recordings of this prefix, the newest alone where they need only tell which run was the last; what is none is put
+/// aside.
+fn recordings_in(dir: &Path, prefix: &str, newest_alone: bool, metrics: &Metrics) -> Vec<RunFile> {
     let mut files = Vec::new();
     let entries = fs::read_dir(dir).into_iter().flatten().flatten();
-    for path in entries.map(|e| e.path()).filter(|p| p.is_file() && is_recording(p)) {
+    let mut paths: Vec<PathBuf> = entries.map(|e| e.path()).filter(|p| p.is_file() && is_recording(p)).collect();
+    if newest_alone && paths.len() > NEWEST {
+        // Two months of a hundred thousand loops are a hundred thousand files: of the others no more than the first bytes.
+        paths.sort_by_cached_key(|path| fs::metadata(path).and_then(|m| m.modified()).ok());
+        for path in paths.drain(..paths.len() - NEWEST) {
+            match InputKind::detect(&path) {
+                Ok(InputKind::Mcap) => {}
+                Err(FileError::Io { .. }) => tracing::warn!(file = %path.display(), "cannot be read and is left alone"),
+                Ok(_) | Err(_) => put_aside(&path, metrics),
+            }
+        }
+    }
+    for path in paths {
         match RecordingReader::open(&path) {
             Ok(reader) if reader.metadata().get("prefix").is_some_and(|p| p == prefix) => {
                 files.extend(RunFile::of(&path, reader.metadata()));

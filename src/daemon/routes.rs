@@ -83,6 +83,18 @@ impl Routes {
         appeared.map_or(Route::Full, |id| Route::To(id, signal))
     }
 
+    /// The keys of these loops are as if they had never come.
+    pub fn forget(&mut self, gone: &HashSet<LoopId>) {
+        let shares = &self.shares;
+        self.known.retain(|key, route| {
+            let stays = !matches!(route, Route::To(id, _) if gone.contains(id));
+            if !stays {
+                shares.unlearn(key);
+            }
+            stays
+        });
+    }
+
     /// Gives a key its own share of the queue.
     pub fn learn(&self, key: &str) {
         self.shares.learn(key);

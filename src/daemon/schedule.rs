@@ -14,8 +14,8 @@ use std::collections::{BTreeSet, HashMap, VecDeque};
 /// Windows that may wait before each loop holds but one.
 pub const BURST: usize = 1024;
 /// Windows that may wait at all.
-pub const LIMIT: usize = 100_000;
-/// Bytes of records that may wait.
+pub const LIMIT: usize = 1_000_000;
+/// Bytes that these may take.
 pub const LIMIT_BYTES: usize = 512 << 20;
 
 /// One waiting job of a loop.
@@ -92,6 +92,13 @@ impl<J> Schedule<J> {
     #[must_use]
     pub const fn bytes(&self) -> usize {
         self.bytes
+    }
+
+    /// A loop of which nothing waits is gone.
+    pub fn forget(&mut self, of: usize) {
+        if self.loops.get(&of).is_some_and(|share| share.waiting.is_empty()) {
+            self.loops.remove(&of);
+        }
     }
 
     /// Puts a job in; gives back those that must be given up for it.

@@ -83,7 +83,7 @@ pub struct Board {
     room: usize,
     named: Vec<String>,
     /// By name; none where a loop found no room.
-    keys: HashMap<String, Option<Loop>>,
+    keys: HashMap<String, Option<(Loop, About)>>,
 }
 
 impl Board {
@@ -99,16 +99,16 @@ impl Board {
     /// The labels of a loop, which takes its place now if it is new.
     fn key(&mut self, series: &LoopSeries, name: &str, place: &Place) -> Option<Loop> {
         if let Some(key) = self.keys.get(name) {
-            return key.clone();
+            return key.as_ref().map(|(key, _)| key.clone());
         }
         let named = self.named.iter().any(|n| n == name);
-        let key = (named || self.room > 0).then(|| Loop { r#loop: name.to_owned() });
-        self.room -= usize::from(!named && key.is_some());
-        self.keys.insert(name.to_owned(), key.clone());
-        if key.is_none() {
+        if !named && self.room == 0 {
+            self.keys.insert(name.to_owned(), None);
             series.without.inc();
             return None;
         }
+        self.room -= usize::from(!named);
+        let key = Loop { r#loop: name.to_owned() };
         let text = |text: &Option<String>| text.clone().unwrap_or_default();
         let about = About {
             r#loop: name.to_owned(),
@@ -117,7 +117,8 @@ impl Board {
             criticality: place.criticality.map_or_else(String::new, |c| c.to_string()),
         };
         series.about.get_or_create(&about).set(1);
-        key
+        self.keys.insert(name.to_owned(), Some((key.clone(), about)));
+        Some(key)
     }
 
     /// Shows what a window says.
@@ -139,6 +140,24 @@ impl Board {
         series.unacknowledged.get_or_create(&key).set(i64::from(waits));
         series.set_aside.get_or_create(&key).set(i64::from(aside));
         series.priority.get_or_create(&key).set(rank(d.priority));
+    }
+
+    /// A loop has left the plant: its series end, and their places are free.
+    pub fn forget(&mut self, series: &LoopSeries, name: &str) {
+        match self.keys.remove(name) {
+            None => {}
+            Some(None) => drop(series.without.dec()),
+            Some(Some((key, about))) => {
+                series.about.remove(&about);
+                for family in [&series.active, &series.unacknowledged, &series.set_aside, &series.priority] {
+                    family.remove(&key);
+                }
+                for family in [&series.probability, &series.size, &series.data_age] {
+                    family.remove(&key);
+                }
+                self.room += usize::from(!self.named.iter().any(|n| n == name));
+            }
+        }
     }
 
     /// Shows the age of a loop's data; its alarm is at rest until it says otherwise.

@@ -124,7 +124,7 @@ impl Stage {
     /// A message arrives from the bus.
     pub fn deliver(&self, key: &str, payload: &[u8]) {
         let envelope = Envelope { key, encoding: None, bus_ns: None };
-        self.intake.take(&envelope, payload.len(), || payload.to_vec());
+        self.intake.take(&envelope, payload.len(), |bytes| bytes.extend_from_slice(payload));
     }
 
     /// A person's command arrives; false where the daemon is too busy for it.
@@ -164,7 +164,7 @@ impl Stage {
 
     /// What has gone out since the last time.
     pub fn published(&self) -> impl Iterator<Item = Publication> + '_ {
-        self.publications.try_iter().map(|(publication, _room)| publication)
+        self.publications.try_iter().map(|(publication, _room)| publication).filter(|p| !p.is_removal())
     }
 
     /// Health as it is now.

@@ -29,7 +29,7 @@ pub type Kept = Box<dyn FnOnce(Result<(), String>) + Send>;
 
 #[derive(Default)]
 struct Pending {
-    /// Newest state by key.
+    /// Newest state by key; empty where nothing is kept any more.
     states: BTreeMap<String, Vec<u8>>,
     waiters: Vec<Kept>,
     closed: bool,
@@ -92,6 +92,11 @@ impl Keeper {
     /// Keeps a loop's state soon.
     pub fn keep(&self, loop_name: &str, json: Vec<u8>) {
         self.put(loop_name, json, None);
+    }
+
+    /// A loop has left the plant: nothing of it is kept.
+    pub fn forget(&self, loop_name: &str) {
+        self.put(loop_name, Vec::new(), None);
     }
 
     /// Keeps it at once and tells when it is on the disk.
@@ -220,7 +225,9 @@ impl Worker {
             Some(store) => store,
             None => self.open()?,
         };
-        store.save(states.iter().map(|(k, v)| (k.as_str(), v.as_slice()))).map_err(|e| e.to_string())?;
+        let (gone, kept): (Vec<_>, Vec<_>) = states.iter().partition(|(_, json)| json.is_empty());
+        let kept = kept.into_iter().map(|(k, v)| (k.as_str(), v.as_slice()));
+        store.change(kept, gone.into_iter().map(|(k, _)| k.as_str())).map_err(|e| e.to_string())?;
         self.metrics.states_stored.inc_by(states.len() as u64);
         // After an error it is opened anew.
         self.store = Some(store);
@@ -273,6 +280,20 @@ mod tests {
         assert!(faults.list().is_empty());
         drop(keeper);
         thread.join().unwrap();
+    }
+
+    #[test]
+    fn of_a_loop_that_has_left_nothing_is_kept() {
+        let dir = tempfile::tempdir().unwrap();
+        let (keeper, thread, _) = keeper(dir.path());
+        keeper.keep("B", b"1".to_vec());
+        asked(&keeper, "1").unwrap();
+        keeper.forget("B");
+        asked(&keeper, "2").unwrap();
+        drop(keeper);
+        thread.join().unwrap();
+        let stored = StateStore::open(&dir.path().join(STORE_NAME)).unwrap().load().unwrap().values;
+        assert_eq!(stored.keys().collect::<Vec<_>>(), ["p\nA"]);
     }
 
     #[test]

@@ -51,6 +51,11 @@ pub enum Item {
         /// Loop names and state documents.
         states: Vec<(Arc<str>, Vec<u8>)>,
     },
+    /// Finish the shard's file: its loops have left, and no new file follows.
+    Close {
+        /// Which shard.
+        shard: usize,
+    },
     /// New limits of a file.
     Limits {
         /// Size at which it is closed.
@@ -89,7 +94,7 @@ impl Item {
     fn bytes(&self) -> usize {
         let held = match self {
             Self::Open { states, .. } => states.iter().map(|(_, json)| json.len()).sum(),
-            Self::Raw { .. } | Self::Limits { .. } => 0,
+            Self::Raw { .. } | Self::Limits { .. } | Self::Close { .. } => 0,
             Self::Document { json, .. } => json.len(),
         };
         size_of::<Self>() + held
@@ -349,6 +354,7 @@ impl Writer {
     fn take(&mut self, item: Item) {
         match item {
             Item::Open { shard, states } => self.open(shard, &states),
+            Item::Close { shard } => self.close(shard),
             Item::Limits { max_bytes, max_age } => (self.max_bytes, self.max_age) = (max_bytes, max_age),
             Item::Raw { id, name, sample, arrival_ns } => {
                 self.last_arrival_ns = arrival_ns;
@@ -439,6 +445,8 @@ impl Writer {
         match RecordingFile::create_on(&self.disk, &self.dir, &stem, &metadata) {
             Ok(file) => {
                 shard.file = Some(file);
+                // Those of loops that have left are not needed again.
+                shard.topics.clear();
                 shard.messages = 0;
                 shard.unflushed = 0;
                 shard.previous = format!("{stem}.mcap");

@@ -35,6 +35,20 @@ pub struct Publication {
     pub document: Vec<u8>,
 }
 
+impl Publication {
+    /// What is said under a key is no longer so: queries are not answered with it any more. Nothing goes out.
+    #[must_use]
+    pub const fn removal(key: String, kind: Kind) -> Self {
+        Self { key, kind, document: Vec::new() }
+    }
+
+    /// Whether it is one.
+    #[must_use]
+    pub const fn is_removal(&self) -> bool {
+        self.document.is_empty()
+    }
+}
+
 /// The way to the publisher's thread.
 #[derive(Clone)]
 pub struct Publisher {
@@ -101,6 +115,10 @@ fn publish_all(
     metrics: &Metrics,
 ) {
     for (publication, _room) in waiting {
+        if publication.is_removal() {
+            last.write().unwrap_or_else(PoisonError::into_inner).remove(&publication.key);
+            continue;
+        }
         let Publication { key, kind, document } = publication;
         let attachment: Option<Arc<[u8]>> = signer.map(|signer| signer.attachment(&key, &document).into());
         let shared = LastValue { document: document.as_slice().into(), attachment: attachment.clone() };

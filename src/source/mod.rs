@@ -1,5 +1,6 @@
 //! Where samples come from: the bus, behind a bounded queue that the engine drains.
 
+pub mod parcel;
 pub mod presence;
 pub mod principals;
 pub mod shares;
@@ -12,6 +13,7 @@ use crossbeam_channel::Sender;
 use crate::daemon::clock::Clock;
 use crate::daemon::metrics::Metrics;
 use crate::daemon::queue::{Budget, Room};
+use parcel::{Parcel, Parcels};
 use shares::{Share, Shares};
 use stiction::record::Record;
 use stiction_monitor::alarm::Command;
@@ -22,12 +24,8 @@ use stiction_monitor::engine::LoopSettings;
 /// One message as it arrived, before anything was read from it.
 #[derive(Debug)]
 pub struct Message {
-    /// Its key.
-    pub key: Box<str>,
-    /// Its bytes.
-    pub payload: Vec<u8>,
-    /// The encoding that it says it has, if it says one.
-    pub encoding: Option<Box<str>>,
+    /// Key, encoding and bytes.
+    pub parcel: Parcel,
     /// The bus's time stamp, ns since 1970.
     pub bus_ns: Option<i64>,
     /// When it arrived, ns since 1970.
@@ -91,6 +89,7 @@ pub struct Intake {
     queue: Sender<Incoming>,
     budget: Budget,
     shares: Shares,
+    parcels: Parcels,
     metrics: Arc<Metrics>,
     clock: Clock,
 }
@@ -115,7 +114,7 @@ impl Intake {
         metrics: Arc<Metrics>,
         clock: Clock,
     ) -> Self {
-        Self { queue, budget, shares, metrics, clock }
+        Self { queue, budget, shares, parcels: Parcels::default(), metrics, clock }
     }
 
     /// A deletion: the plant has none that mean anything.
@@ -123,8 +122,9 @@ impl Intake {
         self.metrics.deletes.inc();
     }
 
-    /// Takes a message of so many bytes; the payload is asked for only where there is room for it.
-    pub fn take(&self, envelope: &Envelope<'_>, bytes: usize, payload: impl FnOnce() -> Vec<u8>) {
+    /// Takes a message of so many bytes; the payload is asked for only where there is room for it. Once as many messages
+    /// have come as wait at a time, no memory is taken for a further one.
+    pub fn take(&self, envelope: &Envelope<'_>, bytes: usize, payload: impl FnOnce(&mut Vec<u8>)) {
         self.metrics.messages.inc();
         if bytes > MAX_PAYLOAD {
             self.metrics.undecodable.inc();
@@ -145,9 +145,7 @@ impl Intake {
             return;
         };
         let message = Message {
-            key: envelope.key.into(),
-            payload: payload(),
-            encoding: envelope.encoding.map(Into::into),
+            parcel: self.parcels.pack(envelope.key, envelope.encoding, payload),
             bus_ns: envelope.bus_ns,
             arrival_ns: self.clock.now_ns(),
             room,

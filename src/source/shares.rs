@@ -42,6 +42,12 @@ impl Shares {
         self.0.known.write().unwrap_or_else(PoisonError::into_inner).insert(hash);
     }
 
+    /// From now on this key is one of those that nobody knows.
+    pub fn unlearn(&self, key: &str) {
+        let hash = self.hash(key);
+        self.0.known.write().unwrap_or_else(PoisonError::into_inner).remove(&hash);
+    }
+
     /// A share for a message of so many bytes, where so many messages and bytes are free; none where its flow holds
     /// most of the queue.
     #[must_use]

@@ -3,6 +3,7 @@
 //! The subscriber's callback runs on the bus's own threads, so it only puts the message into the engine's queue; a full
 //! queue drops the message and counts it.
 
+use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, PoisonError, RwLock};
 
@@ -158,13 +159,15 @@ fn enqueue(sample: &BusSample, intake: &Intake) {
     if sample.kind() == SampleKind::Delete {
         return intake.delete();
     }
-    let encoding = (*sample.encoding() != Encoding::default()).then(|| sample.encoding().to_string());
+    // Borrowed wherever the encoding is one of Zenoh's own without a schema.
+    let encoding = (*sample.encoding() != Encoding::default()).then(|| Cow::from(sample.encoding()));
     let envelope = Envelope {
         key: sample.key_expr().as_str(),
         encoding: encoding.as_deref(),
         bus_ns: sample.timestamp().map(|t| t.get_time().to_duration().as_nanos() as i64),
     };
-    intake.take(&envelope, sample.payload().len(), || sample.payload().to_bytes().into_owned());
+    let payload = sample.payload();
+    intake.take(&envelope, payload.len(), |bytes| payload.slices().for_each(|part| bytes.extend_from_slice(part)));
 }
 
 /// Answers queries: last documents from memory, commands by way of the engine.

@@ -56,6 +56,7 @@ fn run(samples: &[(String, Sample)], config: Config, answers: Answers) -> BTreeM
                     Event::Estimate(id, d) => (id, serde_json::to_string(&d).unwrap()),
                     Event::Alarm(id, d) => (id, serde_json::to_string(&d).unwrap()),
                     Event::State(id, d) => (id, serde_json::to_string(&d).unwrap()),
+                    Event::Due { .. } => panic!("it was not told to cut later"),
                     Event::GapRequest(r) => {
                         engine.skip_gap(r.id, r.number, SkipReason::Failed, events);
                         continue;
@@ -180,7 +181,7 @@ fn a_skipped_window_says_so_and_holds_the_alarm() {
                     Event::Estimate(_, d) => gates.extend(d.assessment.gates.iter().map(|g| g.name())),
                     Event::Alarm(_, d) => panic!("{d:?}"),
                     Event::State(..) => {}
-                    Event::Gap(..) | Event::GapRequest(..) => panic!("{event:?}"),
+                    Event::Gap(..) | Event::GapRequest(..) | Event::Due { .. } => panic!("{event:?}"),
                 }
             }
         }

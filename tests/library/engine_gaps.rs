@@ -57,6 +57,7 @@ impl<J: FnMut(usize, &Request) -> Assessment> Rig<J> {
                         self.windows += 1;
                         self.engine.complete(r.id, r.seq, answer, &mut events);
                     }
+                    Event::Due { .. } => panic!("it was not told to cut later"),
                     Event::GapRequest(r) => {
                         if let Then::Skip(reason) = self.then {
                             self.engine.skip_gap(r.id, r.number, reason, &mut events);

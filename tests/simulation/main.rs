@@ -7,6 +7,7 @@
 mod disk;
 #[path = "../common/isa.rs"]
 mod isa;
+mod leavers;
 mod oracle;
 mod plant;
 

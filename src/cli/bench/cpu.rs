@@ -28,3 +28,16 @@ pub fn ms<T>(rounds: usize, mut call: impl FnMut() -> T) -> f64 {
     all.sort_by(f64::total_cmp);
     all[all.len() / 2]
 }
+
+/// Seconds of CPU that this process has taken so far, all its threads together.
+#[cfg(target_os = "linux")]
+pub fn process_seconds() -> f64 {
+    let now = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
+    now.tv_sec as f64 + now.tv_nsec as f64 * 1e-9
+}
+
+/// Elsewhere that of this thread stands in.
+#[cfg(not(target_os = "linux"))]
+pub fn process_seconds() -> f64 {
+    seconds()
+}

@@ -1,7 +1,11 @@
 //! `stictiond bench`: what this machine does a second, and in how much memory.
 
 mod cpu;
+mod fleet;
+mod growth;
+mod publisher;
 mod solving;
+mod watch;
 
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
@@ -24,30 +28,58 @@ use stictiond::daemon::{self, RunOptions};
 
 /// The loops that kernels are timed on.
 const SCENARIO: &str = include_str!("../../../recordings/scenarios/four-loops.toml");
+/// Loops of the ingest over loopback, and its messages a second where nothing is said.
+const LOOPS: usize = 1000;
+const RATE: f64 = 20_000.0;
 /// Prefix of the ingest test's keys.
 const PREFIX: &str = "bench";
 
 /// Measure this machine: the solver, the engine's intake, and ingest over loopback with recording.
 ///
+/// With --loops: so many loops at 10 s, 2 % of them oscillating, from a publisher in another process, and what limits.
 /// Times of the solver are CPU time of one thread. Figures of one run: compare ratios within one table.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Example: cargo run --release -- bench --for 30")]
+#[command(after_help = "Example: cargo run --release -- bench --loops 1000 --for 60")]
 pub struct Args {
     /// Seconds of ingest over loopback.
     #[arg(long = "for", value_name = "SECONDS", default_value_t = 10.0)]
     pub for_s: f64,
-    /// Messages a second over loopback.
-    #[arg(long, default_value_t = 20_000.0)]
-    pub rate: f64,
-    /// Loops over loopback.
-    #[arg(long, default_value_t = 1000)]
-    pub loops: usize,
+    /// Loops of a daemon and a publisher in processes of their own.
+    #[arg(long, value_name = "N")]
+    pub loops: Option<usize>,
+    /// Time between two samples of a signal, s.
+    #[arg(long, value_name = "SECONDS", default_value_t = 10.0, requires = "loops")]
+    pub every: f64,
+    /// Samples a second, all signals together, however long the time between them is by their stamps.
+    #[arg(long, value_name = "HZ")]
+    pub rate: Option<f64>,
+    /// Samples of a signal in a message; 50 where no number is said.
+    #[arg(long, value_name = "SAMPLES", num_args = 0..=1, default_missing_value = "50", requires = "loops")]
+    pub batch: Option<u64>,
+    /// Samples of each signal that are there before anything is measured.
+    #[arg(long, value_name = "SAMPLES", default_value_t = 30, requires = "loops")]
+    pub fill: u64,
+    /// Time between two windows, s; one comes due while it is measured.
+    #[arg(long, value_name = "SECONDS", default_value_t = 3600.0, requires = "loops")]
+    pub hop: f64,
+    /// Bytes of a loop's history; 0: as the defaults need.
+    #[arg(long, value_name = "BYTES", default_value_t = 32_768, requires = "loops")]
+    pub max_bytes: usize,
+    /// How costs grow with loops, samples and periods: exponents of several sizes.
+    #[arg(long)]
+    pub growth: bool,
     /// Only the solver: kernels, indicators, screening, estimates.
     #[arg(long)]
     pub solver_only: bool,
     /// Index of labelled recordings to time estimates on, where it is.
     #[arg(long, value_name = "INDEX.csv", default_value = "../shared/data/INDEX.csv")]
     pub recordings: PathBuf,
+    /// The publisher's part, in its own process: where the daemon listens.
+    #[arg(long, hide = true)]
+    pub publish: Option<String>,
+    /// What it publishes.
+    #[arg(long, hide = true, default_value = "")]
+    pub plan: String,
 }
 
 struct Row {
@@ -61,6 +93,19 @@ struct Row {
 /// # Errors
 /// No port is free, or the temporary folder cannot be written.
 pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
+    if let Some(endpoint) = &args.publish {
+        publisher::run(endpoint, &args.plan)?;
+        return Ok(Outcome::Done);
+    }
+    if args.growth {
+        print(growth::rows(), format)?;
+    }
+    if let Some(loops) = args.loops {
+        print(fleet::run(&fleet::Ask::of(args, loops))?.rows(), format)?;
+    }
+    if args.growth || args.loops.is_some() {
+        return Ok(Outcome::Done);
+    }
     solving::rows(&args.recordings, |rows| print(rows, format))?;
     if !args.solver_only {
         print(intake()?, format)?;
@@ -149,7 +194,7 @@ fn ingest(args: &Args) -> anyhow::Result<Vec<Row>> {
     let counter = |name: &str| health["counters"][name].as_f64().unwrap_or(f64::NAN);
     Ok(vec![
         Row { name: "ingest over loopback: sent".into(), value: sent, unit: "messages" },
-        Row { name: "  rate".into(), value: args.rate / 1e3, unit: "thousand/s" },
+        Row { name: "  rate".into(), value: args.rate.unwrap_or(RATE) / 1e3, unit: "thousand/s" },
         Row { name: "  received".into(), value: counter("messages"), unit: "messages" },
         Row { name: "  dropped before the engine".into(), value: counter("dropped_input"), unit: "messages" },
         Row { name: "  recorded".into(), value: counter("recorded"), unit: "messages" },
@@ -159,11 +204,11 @@ fn ingest(args: &Args) -> anyhow::Result<Vec<Row>> {
 }
 
 async fn feed(session: &zenoh::Session, args: &Args) -> anyhow::Result<f64> {
-    let keys: Vec<[String; 2]> = (0..args.loops.max(1))
-        .map(|i| [Signal::Op, Signal::Pv].map(|s| topic::raw(PREFIX, &format!("L{i:05}"), s)))
-        .collect();
+    let keys: Vec<[String; 2]> =
+        (0..LOOPS).map(|i| [Signal::Op, Signal::Pv].map(|s| topic::raw(PREFIX, &format!("L{i:05}"), s))).collect();
     let started = Instant::now();
-    let total = (args.rate * args.for_s) as u64;
+    let rate = args.rate.unwrap_or(RATE);
+    let total = (rate * args.for_s) as u64;
     let mut json = Vec::new();
     for sent in 0..total {
         let (scan, place) = (sent / (2 * keys.len() as u64), sent % (2 * keys.len() as u64));
@@ -176,7 +221,7 @@ async fn feed(session: &zenoh::Session, args: &Args) -> anyhow::Result<f64> {
         let put = session.put(key, json.clone()).encoding(Encoding::APPLICATION_JSON);
         put.congestion_control(CongestionControl::Block).await.map_err(|e| anyhow!("{key}: {e}"))?;
         if sent % 100 == 0 {
-            let due = Duration::from_secs_f64(sent as f64 / args.rate);
+            let due = Duration::from_secs_f64(sent as f64 / rate);
             tokio::time::sleep(due.saturating_sub(started.elapsed())).await;
         }
     }

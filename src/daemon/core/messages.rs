@@ -5,22 +5,28 @@ use crate::daemon::metrics::Label;
 use crate::daemon::routes::Route;
 use crate::source::Message;
 use stiction::record::Signal;
+use stiction::units::s_from_ns;
 use stiction_monitor::codec::{self, Bundle, CodecError};
 use stiction_monitor::engine::LoopId;
 
+/// One message in so many is timed.
+const TIMED: u64 = 8;
+
 impl Core {
     pub(super) fn take_message(&mut self, m: &Message) {
-        if let Some(codec) = self.bundles.codec_of(&m.key).map(str::to_owned) {
+        self.time_intake(m);
+        if let Some(codec) = self.bundles.codec_of(m.parcel.key()).map(str::to_owned) {
             return self.take_bundle(m, &codec);
         }
         let now = self.clock.since(self.started);
-        let route = self.routes.of(&m.key, &mut self.engine, || self.limits.new_loop(now));
+        let route = self.routes.of(m.parcel.key(), &mut self.engine, || self.limits.new_loop(now));
         let Some((id, signal)) = self.admitted(route) else { return };
-        self.open_shards();
+        self.welcome();
         let mut samples = std::mem::take(&mut self.samples);
         samples.clear();
         let fallback_ns = m.bus_ns.unwrap_or(m.arrival_ns);
-        match codec::decode(signal, &m.payload, m.encoding.as_deref(), Some(&self.codec), fallback_ns, &mut samples) {
+        let (payload, encoding) = (m.parcel.payload(), m.parcel.encoding());
+        match codec::decode(signal, payload, encoding, Some(&self.codec), fallback_ns, &mut samples) {
             Ok(name) => self.count_codec(name),
             Err(error) => self.count_undecodable(m, &error),
         }
@@ -30,18 +36,27 @@ impl Core {
         self.samples = samples;
     }
 
+    /// How long the message was on its way here, looked at now and then: the clock and the histogram cost more than the rest.
+    fn time_intake(&mut self, m: &Message) {
+        if self.taken.is_multiple_of(TIMED) {
+            let waited_ns = self.clock.now_ns().saturating_sub(m.bus_ns.unwrap_or(m.arrival_ns));
+            self.metrics.intake.0.observe(s_from_ns(waited_ns.max(0)));
+        }
+        self.taken += 1;
+    }
+
     /// A payload with several signals.
     fn take_bundle(&mut self, m: &Message, codec: &str) {
         let fallback_t_ns = m.bus_ns.unwrap_or(m.arrival_ns);
-        let bundle = Bundle { key: &m.key, payload: &m.payload, fallback_t_ns };
-        let (meant, name, left) = match self.bundles.read(&bundle, m.encoding.as_deref(), codec) {
+        let bundle = Bundle { key: m.parcel.key(), payload: m.parcel.payload(), fallback_t_ns };
+        let (meant, name, left) = match self.bundles.read(&bundle, m.parcel.encoding(), codec) {
             Ok(read) => read,
             Err(error) => return self.count_undecodable(m, &error),
         };
         self.count_codec(name);
         self.metrics.unmapped_values.inc_by(left);
-        if !meant.is_empty() && self.bundles.is_new_carrier(&m.key) {
-            self.routes.learn(&m.key);
+        if !meant.is_empty() && self.bundles.is_new_carrier(m.parcel.key()) {
+            self.routes.learn(m.parcel.key());
         }
         let now = self.clock.since(self.started);
         for one in meant {
@@ -52,7 +67,7 @@ impl Core {
                 self.metrics.unmapped_values.inc();
                 continue;
             }
-            self.open_shards();
+            self.welcome();
             self.take_sample(id, one.sample, m.arrival_ns);
         }
     }
@@ -71,13 +86,20 @@ impl Core {
         None
     }
 
-    fn count_codec(&self, name: &str) {
-        self.metrics.codecs.get_or_create(&Label { name: name.into() }).inc();
+    fn count_codec(&mut self, name: &'static str) {
+        // The counters are at hand: to look one up by its label would take memory for every message.
+        if let Some((_, counter)) = self.codec_counters.iter().find(|(known, _)| *known == name) {
+            counter.inc();
+            return;
+        }
+        let counter = self.metrics.codecs.get_or_create(&Label { name: name.into() }).clone();
+        counter.inc();
+        self.codec_counters.push((name, counter));
     }
 
     fn count_undecodable(&self, m: &Message, error: &CodecError) {
         if self.metrics.undecodable.inc() == 0 {
-            tracing::warn!(key = %m.key, %error, "a payload could not be read; further ones are only counted");
+            tracing::warn!(key = m.parcel.key(), %error, "a payload could not be read; further ones are only counted");
         }
     }
 }

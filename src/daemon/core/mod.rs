@@ -6,12 +6,15 @@
 mod asked;
 mod messages;
 mod report;
+mod survey;
+mod windows;
 
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, never, select, tick};
+use prometheus_client::metrics::counter::Counter;
 use sd_notify::NotifyState;
 
 use super::bundles::Bundles;
@@ -30,7 +33,7 @@ use super::series::Board;
 use super::worker::{Answered, Workers};
 use crate::sink::deliver::{Item as Outgoing, Outbox};
 use crate::sink::keeper::Keeper;
-use crate::sink::recorder::{Item, LOOPS_PER_FILE, Recorder, shard_of};
+use crate::sink::recorder::{Item, LOOPS_PER_FILE, Recorder};
 use crate::sink::zenoh::{Publication, Publisher};
 use crate::source::shares::Shares;
 use crate::source::{Answer, Incoming};
@@ -39,7 +42,7 @@ use stiction::units::s_from_ns;
 use stiction_monitor::alarm::AlarmDocument;
 use stiction_monitor::codec::topic::{self, Kind};
 use stiction_monitor::config::Config;
-use stiction_monitor::engine::{Checkpoint, Engine, Event, LoopId, RecordedInput, Request, SkipReason, StateDocument};
+use stiction_monitor::engine::{Checkpoint, Engine, Event, LoopId, SkipReason, StateDocument};
 
 /// Messages taken before the other channels are looked at again.
 const BATCH: usize = 256;
@@ -58,7 +61,13 @@ pub struct Core {
     bundles: Bundles,
     workers: Workers,
     /// Windows that wait for a worker.
-    schedule: Schedule<Request>,
+    schedule: Schedule<windows::Due>,
+    /// Looks at all loops, a part at a time.
+    survey: survey::Survey,
+    /// Counters of payloads by codec.
+    codec_counters: Vec<(&'static str, Counter)>,
+    /// Messages taken.
+    taken: u64,
     diagnoser: Diagnoser,
     /// People who wait for a diagnosis, by loop and number.
     asking: HashMap<(LoopId, u64), Vec<Answer>>,
@@ -80,7 +89,6 @@ pub struct Core {
     daemon_id: String,
     clock: Clock,
     started: Instant,
-    next_loop_health: usize,
     losses: [u64; 8],
     limits: Limits,
     /// The loop whose stamp was refused last for being ahead, and by how much it was, ns.
@@ -137,12 +145,17 @@ impl Core {
         let (desk, limits) = (Desk::new(&config.commands), Limits::new(&config.input));
         let board = Board::new(config);
         let (budget, shares) = parts.input;
+        let mut engine = parts.engine;
+        engine.cut_later();
         Self {
             routes: Routes::new(config, shares),
             bundles: Bundles::new(config),
             codec: config.input.codec.clone(),
             input_limit: config.input.queue,
-            engine: parts.engine,
+            engine,
+            survey: survey::Survey::default(),
+            codec_counters: Vec::new(),
+            taken: 0,
             workers: parts.workers,
             schedule: Schedule::default(),
             budget,
@@ -162,7 +175,6 @@ impl Core {
             daemon_id: parts.daemon_id,
             started: parts.clock.now(),
             clock: parts.clock,
-            next_loop_health: 0,
             losses: [0; 8],
             limits,
             ahead: None,
@@ -189,7 +201,7 @@ impl Core {
     /// Works until `stop` is closed, then ends in order: what has arrived is taken, fits that are not done are skipped
     /// and recorded as such, files are finished when the core is dropped.
     pub fn run(mut self, incoming: &Receiver<Incoming>, stop: &Receiver<()>) {
-        let ticker = tick(HEALTH_EVERY);
+        let (ticker, surveys) = (tick(HEALTH_EVERY), tick(survey::EVERY));
         let answers = self.workers.answers.clone();
         let diagnoses = self.diagnoser.answers.clone();
         // A watchdog is fed from here, so that an engine that stands still starves it.
@@ -206,6 +218,7 @@ impl Core {
                 recv(diagnoses) -> diagnosed => if let Ok(diagnosed) = diagnosed { self.diagnosed(diagnosed) },
                 recv(rotations) -> shard => if let Ok(shard) = shard { self.open_shard(shard) },
                 recv(ticker) -> _ => self.report(incoming.len()),
+                recv(surveys) -> _ => self.tend(),
                 recv(watchdog) -> _ => tell_system(&[NotifyState::Watchdog]),
                 recv(stop) -> _ => break,
             }
@@ -215,7 +228,7 @@ impl Core {
 
     /// What comes before anything is taken: the files, and a first word.
     pub fn begin(&mut self, input_waiting: usize) {
-        self.open_shards();
+        self.welcome();
         self.report(input_waiting);
     }
 
@@ -307,7 +320,8 @@ impl Core {
 
     fn take_sample(&mut self, id: LoopId, sample: Sample, arrival_ns: i64) {
         self.metrics.samples.inc();
-        if !self.is_within_limits(id, &sample, arrival_ns) {
+        let now = self.clock.since(self.started);
+        if !self.is_within_limits(id, &sample, arrival_ns, now) {
             return;
         }
         if sample.quality.is_some_and(|q| (1..=255).contains(&q)) && self.config.input.quality == "ua" {
@@ -321,13 +335,14 @@ impl Core {
             let name = self.engine.name(id).clone();
             recorder.record(Item::Raw { id, name, sample, arrival_ns });
         }
+        self.survey.hears(id, now);
         self.arrival_ns = arrival_ns;
         self.engine.push(id, sample, &mut self.events);
         self.handle_events();
     }
 
-    fn is_within_limits(&mut self, id: LoopId, sample: &Sample, arrival_ns: i64) -> bool {
-        let (engine, now) = (&self.engine, self.clock.since(self.started));
+    fn is_within_limits(&mut self, id: LoopId, sample: &Sample, arrival_ns: i64, now: Duration) -> bool {
+        let engine = &self.engine;
         let greatest = || engine.ids().filter_map(|id| engine.figures(id).greatest_ns).collect();
         match self.limits.sample((id, sample, arrival_ns), now, greatest) {
             Ok(()) => return true,
@@ -358,7 +373,9 @@ impl Core {
         while !self.events.is_empty() {
             for event in std::mem::take(&mut self.events) {
                 match event {
-                    Event::Request(request) => self.request(*request),
+                    Event::Due { id, seq, end_ns } => self.due(id, seq, end_ns),
+                    // The engine was told to cut later.
+                    Event::Request(request) => self.due(request.id, request.seq, request.end_ns),
                     Event::GapRequest(request) => self.request_gap(*request),
                     Event::Gap(id, document) => {
                         self.metrics.gaps.inc();
@@ -398,36 +415,6 @@ impl Core {
                 }
             }
         }
-    }
-
-    /// A window came due: it takes its place in the row, and whoever must make room is skipped.
-    fn request(&mut self, request: Request) {
-        self.metrics.windows.inc();
-        self.due.insert((request.id, request.seq), self.arrival_ns);
-        let bytes = bytes_of(&request);
-        let given_up = self.schedule.push(request.id.index(), self.engine.name(request.id), bytes, request);
-        for Request { id, seq, end_ns, .. } in given_up {
-            self.skip(id, seq, end_ns, SkipReason::QueueFull);
-        }
-        self.employ();
-    }
-
-    /// Gives idle workers what is next.
-    fn employ(&mut self) {
-        while !self.workers.requests.is_full() {
-            let Some(request) = self.schedule.pop() else { return };
-            let (id, seq, end_ns) = (request.id, request.seq, request.end_ns);
-            if self.workers.requests.try_send(request).is_err() {
-                self.skip(id, seq, end_ns, SkipReason::Failed);
-            }
-        }
-    }
-
-    fn skip(&mut self, id: LoopId, seq: u64, window_end_ns: i64, reason: SkipReason) {
-        self.metrics.fits_skipped.inc();
-        self.due.remove(&(id, seq));
-        self.record(id, Kind::Input, &RecordedInput::Skip { window_end_ns, seq, reason }, window_end_ns);
-        self.engine.skip(id, seq, &mut self.events);
     }
 
     fn alarm_changed(&mut self, id: LoopId, document: &AlarmDocument) {
@@ -476,7 +463,7 @@ impl Core {
 
     /// Opens the files of shards that loops have reached since the last look.
     fn open_shards(&mut self) {
-        let needed = self.engine.ids().len().div_ceil(LOOPS_PER_FILE).max(1);
+        let needed = self.engine.appeared().div_ceil(LOOPS_PER_FILE).max(1);
         while self.opened_shards < needed {
             self.open_shard(self.opened_shards);
             self.opened_shards += 1;
@@ -485,7 +472,8 @@ impl Core {
 
     fn open_shard(&mut self, shard: usize) {
         let Some(recorder) = &mut self.recorder else { return };
-        let states = self.engine.ids().filter(|id| shard_of(*id) == shard).map(|id| {
+        let (from, to) = (shard * LOOPS_PER_FILE, (shard + 1) * LOOPS_PER_FILE);
+        let states = self.engine.ids_in(from, to).map(|id| {
             let name = self.engine.name(id);
             (name.clone(), to_json(&StateDocument::new(name, None, self.engine.checkpoint(id))))
         });
@@ -499,14 +487,6 @@ pub(super) fn tell_system(state: &[NotifyState<'_>]) {
     if let Err(error) = sd_notify::notify(state) {
         tracing::debug!(%error, "systemd could not be told");
     }
-}
-
-/// What a waiting request holds of the memory, bytes.
-fn bytes_of(request: &Request) -> usize {
-    let r = &request.record;
-    let signals = [Some(&r.op_path), Some(&r.pv), r.sp.as_ref(), r.mv.as_ref()];
-    let points: usize = signals.into_iter().flatten().map(Vec::len).sum();
-    size_of::<Request>() + points * size_of::<f64>()
 }
 
 /// A document's JSON, UTF-8. Our documents hold no map with keys that are not text, so this cannot fail.

@@ -6,14 +6,13 @@ use std::time::Duration;
 use prometheus_client::metrics::counter::Counter;
 
 use super::super::gaps;
-use super::super::health::{DaemonHealth, LoopHealth, QueueHealth};
+use super::super::health::{DaemonHealth, QueueHealth};
 use super::super::metrics::Label;
 use super::super::queue::Budget;
 use super::super::schedule::{LIMIT, LIMIT_BYTES};
 use super::{Core, to_json};
 use crate::sink::recorder::{self, Recorder};
 use crate::sink::zenoh::{self as bus, Publication};
-use stiction::signal::align::AlignCounts;
 use stiction::units::s_from_ns;
 use stiction_monitor::codec::topic::{self, Kind};
 use stiction_monitor::engine::StateDocument;
@@ -24,35 +23,13 @@ const LOOP_HEALTH_SLICES: usize = 12;
 const LOSS_SHOWN: Duration = Duration::from_secs(60);
 
 impl Core {
-    /// Publishes the health of the daemon, and from time to time of every loop.
+    /// Publishes the health of the daemon, and where there are few loops from time to time that of each.
     pub fn report(&mut self, input_waiting: usize) {
-        let loops = self.engine.ids().len();
+        let loops = self.engine.count();
         self.metrics.loops.set(loops as i64);
         self.report_losses();
         self.keep_all_again();
-        let now = self.clock.now_ns();
-        // A slice of the loops at each call, so that thousands of documents never stand before an estimate.
-        let slice = loops.div_ceil(LOOP_HEALTH_SLICES).max(1);
-        let from = self.next_loop_health;
-        self.next_loop_health = if from + slice >= loops { 0 } else { from + slice };
-        let mut sum = AlignCounts::default();
-        for id in self.engine.ids() {
-            let figures = self.engine.figures(id);
-            sum.add(&figures.counts);
-            if let Some(board) = &mut self.board {
-                let (name, place) = (self.engine.name(id), &self.engine.settings(id).place);
-                let age_s = figures.greatest_ns.map(|t| s_from_ns(now.saturating_sub(t)));
-                board.age(&self.metrics.series, name, place, age_s);
-            }
-            if let Some(overview) = &self.overview {
-                let (name, place) = (self.engine.name(id), &self.engine.settings(id).place);
-                overview.figures(name, place, self.clock.now(), &figures);
-            }
-            if (from..from + slice).contains(&id.index()) {
-                self.publish(id, Kind::Health, to_json(&LoopHealth::new(self.engine.name(id), &figures, now)));
-            }
-        }
-        self.metrics.show_aligned(&sum);
+        self.survey_few(LOOP_HEALTH_SLICES);
         let health = self.health(loops, input_waiting);
         for queue in &health.queues {
             self.metrics.queues.get_or_create(&Label { name: queue.name.into() }).set(queue.length as i64);
@@ -107,6 +84,9 @@ impl Core {
         for id in self.engine.ids() {
             let name = self.engine.name(id);
             keeper.keep(name, to_json(&StateDocument::new(name, None, self.memory(id))));
+        }
+        for (name, memory) in self.engine.left() {
+            keeper.keep(name, to_json(&StateDocument::new(name, None, memory.clone())));
         }
     }
 

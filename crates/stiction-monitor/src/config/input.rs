@@ -17,6 +17,9 @@ const MAX_AHEAD_S: f64 = 86_400.0;
 /// `[input] new_loops_per_hour` where nothing is said.
 const NEW_LOOPS_PER_HOUR: u32 = 20_000;
 
+/// `[input] forget_after_s` where nothing is said: a week.
+const FORGET_AFTER_S: f64 = 604_800.0;
+
 // Keys that came later are left out of the hash at their defaults: older recordings still read as recorded.
 #[allow(clippy::trivially_copy_pass_by_ref)] // as serde calls it
 const fn is_queue_bytes_default(bytes: &usize) -> bool {
@@ -38,6 +41,11 @@ const fn is_new_loops_default(n: &u32) -> bool {
     *n == NEW_LOOPS_PER_HOUR
 }
 
+#[allow(clippy::trivially_copy_pass_by_ref)]
+fn is_forget_default(after_s: &f64) -> bool {
+    after_s.to_bits() == FORGET_AFTER_S.to_bits()
+}
+
 /// `[input]`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Input {
@@ -48,6 +56,9 @@ pub struct Input {
     /// Loops that may be discovered in an hour, or at once after an hour without one.
     #[serde(skip_serializing_if = "is_new_loops_default")]
     pub new_loops_per_hour: u32,
+    /// Time without a sample after which a loop leaves the memory, s; 0: never.
+    #[serde(skip_serializing_if = "is_forget_default")]
+    pub forget_after_s: f64,
     /// Samples a second of one key in the long run; 0: no limit.
     #[serde(skip_serializing_if = "is_rate_default")]
     pub max_rate_hz: f64,
@@ -84,6 +95,7 @@ pub(super) fn read_input(r: &mut TableReader<'_, '_>) -> Input {
         discover: r.boolean("discover", true),
         max_loops: r.integer("max_loops", 100_000, 1, 1_000_000) as usize,
         new_loops_per_hour: r.integer("new_loops_per_hour", NEW_LOOPS_PER_HOUR.into(), 1, 1_000_000) as u32,
+        forget_after_s: r.number("forget_after_s", FORGET_AFTER_S, 0.0, 1e9),
         max_rate_hz: r.number("max_rate_hz", MAX_RATE_HZ, 0.0, 1e9),
         max_ahead_s: r.number("max_ahead_s", MAX_AHEAD_S, 0.0, 1e10),
         queue: r.integer("queue", 65_536, 16, 16_777_216) as usize,

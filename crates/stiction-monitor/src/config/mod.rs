@@ -24,6 +24,7 @@ use crate::alarm::AlarmParams;
 use crate::engine::{GapParams, WindowParams};
 use crate::hash::short_hash;
 use stiction::record::Signal;
+use stiction::signal::history::{LEAST_BYTES, fitting};
 use stiction::units::is_loop_name;
 
 /// Whether nothing is set.
@@ -316,7 +317,7 @@ fn read_zenoh(r: &mut TableReader<'_, '_>) -> Zenoh {
 
 fn read_window(r: &mut TableReader<'_, '_>, d: WindowParams) -> WindowParams {
     let year_s = 366.0 * 86_400.0;
-    let w = WindowParams {
+    let mut w = WindowParams {
         min_periods: r.number("min_periods", d.min_periods, 2.0, 1000.0),
         max_periods: r.number("max_periods", d.max_periods, 2.0, 10_000.0),
         min_samples_per_period: r.number("min_samples_per_period", d.min_samples_per_period, 4.0, 10_000.0),
@@ -325,7 +326,15 @@ fn read_window(r: &mut TableReader<'_, '_>, d: WindowParams) -> WindowParams {
         max_gap_s: r.number("max_gap_s", d.max_gap_s, 0.0, year_s),
         lateness_s: r.number("lateness_s", d.lateness_s, 0.0, 86_400.0),
         max_points: r.integer("max_points", d.max_points as u64, 128, 1_000_000) as usize,
+        max_bytes: r.integer("max_bytes", d.max_bytes as u64, 0, 1 << 40) as usize,
     };
+    if (1..LEAST_BYTES).contains(&w.max_bytes) {
+        let line = r.line();
+        let said = format!("{} bytes hold no window", w.max_bytes);
+        r.refuse(line, "max_bytes", said, &format!("write 0 or at least {LEAST_BYTES}"));
+    } else if w.max_bytes > 0 {
+        w.max_points = fitting(w.max_points, w.max_bytes)[0];
+    }
     // What a loop only inherits was refused where it stands.
     if w.max_periods < w.min_periods && (w.max_periods, w.min_periods) != (d.max_periods, d.min_periods) {
         let line = r.line();

@@ -46,6 +46,9 @@ pub enum RecordedInput {
         /// Evaluations that it had done.
         evaluations: u64,
     },
+    /// The loop had sent nothing for long and left the memory: what comes next begins anew, but for an alarm that is not
+    /// at rest.
+    Forget,
 }
 
 /// A loop's state at a place in a recording.

@@ -3,6 +3,7 @@
 use std::collections::VecDeque;
 use std::sync::Arc;
 
+use super::due::Waiting;
 use super::gaps::{GapReason, GapRefusal, GapRequest, GapWatch, PublishedGap};
 use super::windowing::choose_record;
 use super::{Checkpoint, Event, LoopFigures, LoopId, LoopSettings, Request, SkipReason, StateDocument, StreamState};
@@ -13,15 +14,7 @@ use stiction::record::{Record, Sample};
 use stiction::signal::align::{Aligned, Aligner};
 use stiction::signal::history::History;
 use stiction::units::ns_from_s;
-use stiction::verdict::{Assessment, EstimateDocument, Gate, Oscillation, Window};
-
-/// A window on its way: what its document needs even without an answer, and the answer once it came.
-#[derive(Debug)]
-struct Waiting {
-    seq: u64,
-    record: Arc<Record>,
-    answer: Option<Assessment>,
-}
+use stiction::verdict::{Assessment, EstimateDocument};
 
 /// A diagnosis on its way; the answer once it came is none where it was given up.
 #[derive(Debug)]
@@ -55,7 +48,7 @@ impl Loop {
             alarm: Alarm::default(),
             gap: GapWatch::default(),
             aligner: Aligner::new(),
-            history: History::new(settings.window.max_points),
+            history: settings.window.history(0),
             next_end_ns: None,
             windows: 0,
             waiting: VecDeque::new(),
@@ -65,16 +58,23 @@ impl Loop {
         }
     }
 
-    pub fn push(&mut self, id: LoopId, sample: Sample, out: &mut Vec<Event>) {
+    /// Takes a sample. Windows that come due leave as requests, or, with `later`, as a word that they are due.
+    pub fn push(&mut self, id: LoopId, sample: Sample, later: bool, out: &mut Vec<Event>) {
         let settings = self.settings.clone();
         self.aligner.push(sample, &settings.align);
         let keep_ns = ns_from_s(settings.window.max_window_s);
         while let Some(t_ns) = self.aligner.next_ready_ns(&settings.align) {
-            self.enter_hop(id, t_ns, out);
-            let history = &mut self.history;
-            self.aligner.take_next(&settings.align, &mut |aligned| match aligned {
-                Aligned::Point(point) => history.push(&point, point.t_ns.saturating_sub(keep_ns)),
-                Aligned::Break => history.clear(),
+            self.enter_hop(id, t_ns, later, out);
+            let Self { history, waiting, aligner, .. } = self;
+            aligner.take_next(&settings.align, &mut |aligned| {
+                // What waits to be cut does not outlive the stretch, nor more points than the memory can hold besides.
+                if history.is_held() && (aligned == Aligned::Break || history.patience() == 0) {
+                    cut_all(waiting, history, &settings);
+                }
+                match aligned {
+                    Aligned::Point(point) => history.push(&point, point.t_ns.saturating_sub(keep_ns)),
+                    Aligned::Break => history.clear(),
+                }
             });
         }
         // The window is over once the loop's clock has passed its end and nothing of it waits for its place.
@@ -82,18 +82,18 @@ impl Loop {
             && now_ns >= end_ns
             && self.aligner.waiting_ns().is_none_or(|t| t > end_ns)
         {
-            self.due(id, end_ns, out);
+            self.due(id, end_ns, later, out);
             self.next_end_ns = None;
         }
     }
 
     /// Closes the window that a sample leaves behind and opens the one it falls into. Hops without a sample have no
     /// window: an outage of years would otherwise make thousands of empty documents.
-    fn enter_hop(&mut self, id: LoopId, t_ns: i64, out: &mut Vec<Event>) {
+    fn enter_hop(&mut self, id: LoopId, t_ns: i64, later: bool, out: &mut Vec<Event>) {
         let hop_ns = ns_from_s(self.settings.window.hop_s).max(1);
         if let Some(end_ns) = self.next_end_ns {
             if t_ns > end_ns {
-                self.due(id, end_ns, out);
+                self.due(id, end_ns, later, out);
                 self.next_end_ns = None;
             } else if t_ns <= end_ns.saturating_sub(hop_ns) {
                 // The clock was set back.
@@ -106,27 +106,44 @@ impl Loop {
         }
     }
 
-    /// A window is due: its record leaves as a request.
-    fn due(&mut self, id: LoopId, end_ns: i64, out: &mut Vec<Event>) {
-        let mut record = choose_record(&self.history, &self.settings.window, end_ns).unwrap_or_else(|| Record {
-            start_ns: end_ns,
-            end_ns,
-            ..Record::uniform(self.aligner.sampling_time_s().unwrap_or(0.0), Vec::new(), Vec::new())
-        });
-        record.facts.bad += u32::from(self.aligner.bad_since_last_point());
-        let (seq, record) = (self.windows, Arc::new(record));
+    /// A window is due: it leaves as a request, or the memory is held for it.
+    fn due(&mut self, id: LoopId, end_ns: i64, later: bool, out: &mut Vec<Event>) {
+        let (seq, bad) = (self.windows, self.aligner.bad_since_last_point());
         self.windows += 1;
-        self.waiting.push_back(Waiting { seq, record: record.clone(), answer: None });
-        out.push(Event::Request(Box::new(Request { id, seq, end_ns, record, settings: self.settings.clone() })));
+        let ts_s = self.aligner.sampling_time_s();
+        self.waiting.push_back(Waiting::new(seq, end_ns, &self.history, bad, ts_s));
+        if later {
+            self.history.hold(true);
+            out.push(Event::Due { id, seq, end_ns });
+        } else if let Some(request) = self.request(id, seq) {
+            out.push(Event::Request(Box::new(request)));
+        }
+    }
+
+    /// Cuts a window that waits; none where it was answered or given up.
+    pub fn request(&mut self, id: LoopId, seq: u64) -> Option<Request> {
+        let waiting = self.waiting.iter_mut().find(|w| w.seq == seq && w.answer.is_none())?;
+        let (end_ns, record) = (waiting.end_ns, waiting.cut(&self.history, &self.settings.window));
+        self.let_go();
+        Some(Request { id, seq, end_ns, record, settings: self.settings.clone() })
+    }
+
+    /// Holds the memory no longer than something is to be cut from it.
+    fn let_go(&mut self) {
+        self.history.hold(self.waiting.iter().any(Waiting::is_uncut));
     }
 
     /// Takes an answer (or none) and consumes all that are next in order.
     pub fn resolve(&mut self, id: LoopId, seq: u64, answer: Option<Assessment>, hash: &Arc<str>, out: &mut Vec<Event>) {
         let Some(waiting) = self.waiting.iter_mut().find(|w| w.seq == seq) else { return };
-        waiting.answer = Some(answer.unwrap_or_else(|| skipped(Window::of(&waiting.record))));
+        match answer {
+            Some(answer) => waiting.answer = Some(answer),
+            None => waiting.skip(),
+        }
+        self.let_go();
         while self.waiting.front().is_some_and(|w| w.answer.is_some()) {
-            if let Some(Waiting { record, answer: Some(assessment), .. }) = self.waiting.pop_front() {
-                self.consume(id, &record, assessment, hash, out);
+            if let Some((assessment, record)) = self.waiting.pop_front().and_then(Waiting::into_answer) {
+                self.consume(id, record.as_ref(), assessment, hash, out);
             }
         }
     }
@@ -134,13 +151,14 @@ impl Loop {
     fn consume(
         &mut self,
         id: LoopId,
-        record: &Arc<Record>,
+        record: Option<&Arc<Record>>,
         assessment: Assessment,
         hash: &Arc<str>,
         out: &mut Vec<Event>,
     ) {
         let change = self.alarm.window(&self.name, &assessment, &self.settings.alarm);
-        let departed = self.gap.window(&assessment, record, &self.settings.gap);
+        // A window that nobody computed has no model that could depart.
+        let departed = record.and_then(|r| Some((r, self.gap.window(&assessment, r, &self.settings.gap)?)));
         let end_ns = assessment.window.end_ns;
         out.push(Event::Estimate(id, Box::new(EstimateDocument::new(&self.name, hash, assessment))));
         if let Some(document) = change {
@@ -148,14 +166,14 @@ impl Loop {
         }
         let checkpoint = Checkpoint { alarm: self.alarm.clone(), gap: self.gap.clone(), stream: None };
         out.push(Event::State(id, Box::new(StateDocument::new(&self.name, Some(end_ns), checkpoint))));
-        if let Some((reason, model)) = departed {
+        if let Some((record, (reason, model))) = departed {
             self.ask_gap(id, (reason, None), record.clone(), model, hash, out);
         }
     }
 
     /// What a window would hold that ended at a stamp, or with the newest sample.
     pub fn record(&self, end_ns: Option<i64>) -> Option<Record> {
-        choose_record(&self.history, &self.settings.window, end_ns.or_else(|| self.history.newest_ns())?)
+        choose_record(self.history.now(), &self.settings.window, end_ns.or_else(|| self.history.newest_ns())?)
     }
 
     /// A person asks for a diagnosis of the latest data, cut as a window would be that ended now.
@@ -225,7 +243,7 @@ impl Loop {
     }
 
     pub fn waiting(&self) -> impl Iterator<Item = (u64, i64)> + '_ {
-        self.waiting.iter().filter(|w| w.answer.is_none()).map(|w| (w.seq, w.record.end_ns))
+        self.waiting.iter().filter(|w| w.answer.is_none()).map(|w| (w.seq, w.end_ns))
     }
 
     pub fn command(&mut self, command: &Command) -> Result<AlarmDocument, CommandError> {
@@ -250,7 +268,7 @@ impl Loop {
     pub fn restore(&mut self, checkpoint: Checkpoint) -> Option<AlarmDocument> {
         (self.alarm, self.gap) = (checkpoint.alarm, checkpoint.gap);
         if let Some(stream) = checkpoint.stream {
-            self.history = History::resumed(self.settings.window.max_points, stream.points);
+            self.history = self.settings.window.history(stream.points);
             self.aligner = stream.aligner;
             self.next_end_ns = stream.next_end_ns;
             self.windows = stream.windows;
@@ -258,6 +276,16 @@ impl Loop {
         }
         let restored = || self.alarm.restored(&self.name).at(&self.settings.place);
         (self.alarm.shown() != State::Normal).then(restored)
+    }
+
+    /// Whether anything of it is still on its way.
+    pub fn is_idle(&self) -> bool {
+        self.waiting.is_empty() && self.gaps_waiting.is_empty()
+    }
+
+    /// Bytes that it takes, but for what all loops share.
+    pub fn bytes(&self) -> usize {
+        size_of::<Self>() + self.name.len() + self.history.bytes() + self.aligner.bytes()
     }
 
     pub fn figures(&self) -> LoopFigures {
@@ -270,9 +298,10 @@ impl Loop {
     }
 }
 
-/// The answer to a window whose fit was not done.
-fn skipped(window: Window) -> Assessment {
-    let oscillation =
-        Oscillation { oscillating: false, period_s: None, periods: None, samples_per_period: None, regularity: None };
-    Assessment { gates: vec![Gate::Skipped], ..Assessment::empty(window, oscillation) }
+/// Cuts every window that was not cut yet.
+fn cut_all(waiting: &mut VecDeque<Waiting>, history: &mut History, settings: &LoopSettings) {
+    for one in waiting.iter_mut().filter(|w| w.is_uncut()) {
+        one.cut(history, &settings.window);
+    }
+    history.hold(false);
 }

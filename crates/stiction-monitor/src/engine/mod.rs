@@ -6,6 +6,7 @@
 //! loop in the order of the windows, so everything after them depends on that order and on event time alone.
 //! Gap diagnoses leave as [`GapRequest`]s of their own; see [`gaps`] for when.
 
+mod due;
 pub mod gaps;
 mod input;
 mod looper;
@@ -17,7 +18,7 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use crate::alarm::{Alarm, AlarmDocument, Command, CommandError};
+use crate::alarm::{Alarm, AlarmDocument, Command, CommandError, State};
 use looper::Loop;
 use stiction::record::{Record, Sample};
 use stiction::signal::align::{AlignCounts, Aligner};
@@ -69,6 +70,16 @@ impl Request {
 pub enum Event {
     /// Compute this and hand the answer back.
     Request(Box<Request>),
+    /// A window is due: make it a request when there is somebody to compute it ([`Engine::request`]). Comes in place of
+    /// [`Event::Request`] after [`Engine::cut_later`].
+    Due {
+        /// Its loop.
+        id: LoopId,
+        /// Its place among the loop's windows.
+        seq: u64,
+        /// The window's name: its end, ns.
+        end_ns: i64,
+    },
     /// An estimate to publish and record.
     Estimate(LoopId, Box<EstimateDocument>),
     /// A change of an alarm to publish, record and log.
@@ -162,15 +173,36 @@ impl StreamState {
 pub struct Engine {
     /// Of loops with settings of their own, those that have not appeared: their places are kept.
     settings: EngineSettings,
-    loops: Vec<Loop>,
+    /// By handle; none where a loop was forgotten.
+    loops: Vec<Option<Box<Loop>>>,
     by_name: HashMap<Arc<str>, LoopId>,
+    /// Alarms of forgotten loops that are not at rest, for when these come back.
+    left: HashMap<Arc<str>, Checkpoint>,
+    /// Stands in for a loop that was forgotten: whoever still has its handle finds nothing.
+    nobody: Box<Loop>,
+    cut_later: bool,
 }
 
 impl Engine {
     /// An engine without loops; those with settings of their own appear with their first sample, as others do.
     #[must_use]
     pub fn new(settings: EngineSettings) -> Self {
-        Self { settings, loops: Vec::new(), by_name: HashMap::new() }
+        let nobody = Box::new(Loop::new("".into(), settings.common[0].clone()));
+        let (loops, by_name, left) = (Vec::new(), HashMap::new(), HashMap::new());
+        Self { settings, loops, by_name, left, nobody, cut_later: false }
+    }
+
+    /// From now on a due window is told as [`Event::Due`] and cut by [`Engine::request`]. What is cut is the same.
+    pub const fn cut_later(&mut self) {
+        self.cut_later = true;
+    }
+
+    fn of(&self, id: LoopId) -> &Loop {
+        self.loops.get(id.index()).and_then(Option::as_deref).unwrap_or(&self.nobody)
+    }
+
+    fn of_mut(&mut self, id: LoopId) -> &mut Loop {
+        self.loops.get_mut(id.index()).and_then(Option::as_deref_mut).unwrap_or(&mut self.nobody)
     }
 
     /// The configuration's hash, as documents carry it.
@@ -181,13 +213,32 @@ impl Engine {
 
     /// Every loop's handle, in order of appearance.
     pub fn ids(&self) -> impl ExactSizeIterator<Item = LoopId> + use<> {
-        (0..self.loops.len()).map(|index| LoopId(index as u32))
+        self.ids_in(0, self.loops.len())
+    }
+
+    /// The handles of loops that appeared from this place in the order of appearance up to that one.
+    pub fn ids_in(&self, from: usize, to: usize) -> impl ExactSizeIterator<Item = LoopId> + use<> {
+        let to = to.min(self.loops.len());
+        let there = (from.min(to)..to).filter(|index| self.loops[*index].is_some());
+        there.map(|index| LoopId(index as u32)).collect::<Vec<LoopId>>().into_iter()
+    }
+
+    /// Loops that there are.
+    #[must_use]
+    pub fn count(&self) -> usize {
+        self.by_name.len()
+    }
+
+    /// Loops that have ever appeared: one more than the last handle's place.
+    #[must_use]
+    pub const fn appeared(&self) -> usize {
+        self.loops.len()
     }
 
     /// A loop's name.
     #[must_use]
     pub fn name(&self, id: LoopId) -> &Arc<str> {
-        &self.loops[id.index()].name
+        &self.of(id).name
     }
 
     /// The handle of a loop that has appeared.
@@ -204,13 +255,17 @@ impl Engine {
         }
         let EngineSettings { own, common, max_loops, .. } = &mut self.settings;
         let kept = if own.contains_key(name) { 0 } else { own.len() };
-        if self.loops.len() + kept >= *max_loops {
+        if self.by_name.len() + kept >= *max_loops {
             return None;
         }
         let settings = own.remove(name).map_or_else(|| common[LoopKind::of_tag(name) as usize].clone(), Arc::new);
         let id = LoopId(self.loops.len() as u32);
         let name: Arc<str> = name.into();
-        self.loops.push(Loop::new(name.clone(), settings));
+        let mut new = Loop::new(name.clone(), settings);
+        if let Some(memory) = self.left.remove(&name) {
+            (new.alarm, new.gap) = (memory.alarm, memory.gap);
+        }
+        self.loops.push(Some(Box::new(new)));
         self.by_name.insert(name, id);
         Some(id)
     }
@@ -218,27 +273,77 @@ impl Engine {
     /// Whether a loop without settings of its own may still appear.
     #[must_use]
     pub fn has_room(&self) -> bool {
-        self.loops.len() + self.settings.own.len() < self.settings.max_loops
+        self.by_name.len() + self.settings.own.len() < self.settings.max_loops
     }
 
     /// Takes one sample of a loop.
     pub fn push(&mut self, id: LoopId, sample: Sample, out: &mut Vec<Event>) {
-        self.loops[id.index()].push(id, sample, out);
+        let later = self.cut_later;
+        self.of_mut(id).push(id, sample, later, out);
+    }
+
+    /// Cuts a window that is due; none where it waits no longer.
+    pub fn request(&mut self, id: LoopId, seq: u64) -> Option<Request> {
+        self.of_mut(id).request(id, seq)
+    }
+
+    /// Lets a loop that has left the plant leave the memory; says whether it did. One that something waits for stays.
+    /// An alarm that is not at rest is kept, and the loop has it again when it comes back; all else begins anew. The
+    /// recording must hold it as an input.
+    pub fn forget(&mut self, id: LoopId) -> bool {
+        if self.of(id).name.is_empty() || !self.of(id).is_idle() {
+            return false;
+        }
+        let Some(gone) = self.loops.get_mut(id.index()).and_then(Option::take) else { return false };
+        let Loop { name, settings, alarm, gap, .. } = *gone;
+        self.by_name.remove(&name);
+        if !self.settings.common.iter().any(|common| Arc::ptr_eq(common, &settings)) {
+            self.settings.own.insert(name.to_string(), (*settings).clone());
+        }
+        if alarm.shown() != State::Normal {
+            self.left.insert(name, Checkpoint { alarm, gap, stream: None });
+        }
+        true
+    }
+
+    /// Whether nothing of a loop is on its way: it may be forgotten.
+    #[must_use]
+    pub fn is_idle(&self, id: LoopId) -> bool {
+        self.of(id).is_idle()
+    }
+
+    /// Loops that were forgotten with an alarm that is not at rest, and what is kept of them.
+    pub fn left(&self) -> impl Iterator<Item = (&Arc<str>, &Checkpoint)> {
+        self.left.iter()
+    }
+
+    /// Whether a loop was forgotten with an alarm that is not at rest.
+    #[must_use]
+    pub fn has_left(&self, name: &str) -> bool {
+        self.left.contains_key(name)
+    }
+
+    /// Bytes that a loop takes, but for what all loops share and for windows on their way.
+    #[must_use]
+    pub fn bytes(&self, id: LoopId) -> usize {
+        self.of(id).bytes()
     }
 
     /// Takes the answer to a request.
     pub fn complete(&mut self, id: LoopId, seq: u64, assessment: Assessment, out: &mut Vec<Event>) {
-        self.loops[id.index()].resolve(id, seq, Some(assessment), &self.settings.config_hash, out);
+        let hash = self.settings.config_hash.clone();
+        self.of_mut(id).resolve(id, seq, Some(assessment), &hash, out);
     }
 
     /// Gives a due window up. Its document says so; the recording must hold the skip as an input.
     pub fn skip(&mut self, id: LoopId, seq: u64, out: &mut Vec<Event>) {
-        self.loops[id.index()].resolve(id, seq, None, &self.settings.config_hash, out);
+        let hash = self.settings.config_hash.clone();
+        self.of_mut(id).resolve(id, seq, None, &hash, out);
     }
 
     /// Windows of a loop that wait for their answers, oldest first: place and name.
     pub fn waiting(&self, id: LoopId) -> impl Iterator<Item = (u64, i64)> + '_ {
-        self.loops[id.index()].waiting()
+        self.of(id).waiting()
     }
 
     /// Asks for a diagnosis of a loop as it is now, in the name of a person; gives its number.
@@ -246,23 +351,24 @@ impl Engine {
     /// # Errors
     /// [`GapRefusal`] where too little is held of the loop.
     pub fn run_gap(&mut self, id: LoopId, by: Option<&str>, out: &mut Vec<Event>) -> Result<u64, GapRefusal> {
-        self.loops[id.index()].run_gap(id, by, &self.settings.config_hash, out)
+        let hash = self.settings.config_hash.clone();
+        self.of_mut(id).run_gap(id, by, &hash, out)
     }
 
     /// Takes a diagnosis. It is put out once those asked before it are done.
     pub fn complete_gap(&mut self, id: LoopId, number: u64, document: PublishedGap, out: &mut Vec<Event>) {
-        self.loops[id.index()].resolve_gap(id, number, Some(document), out);
+        self.of_mut(id).resolve_gap(id, number, Some(document), out);
     }
 
     /// Gives a diagnosis up; the recording must hold the skip as an input. One that found no place is asked again by
     /// the loop's next departing window.
     pub fn skip_gap(&mut self, id: LoopId, number: u64, reason: SkipReason, out: &mut Vec<Event>) {
-        self.loops[id.index()].skip_gap(id, number, reason, out);
+        self.of_mut(id).skip_gap(id, number, reason, out);
     }
 
     /// Diagnoses of a loop that wait for their answers, oldest first.
     pub fn gaps_waiting(&self, id: LoopId) -> impl Iterator<Item = u64> + '_ {
-        self.loops[id.index()].gaps_waiting()
+        self.of(id).gaps_waiting()
     }
 
     /// Carries out a person's command.
@@ -270,43 +376,43 @@ impl Engine {
     /// # Errors
     /// [`CommandError`] where the command is unknown or does not fit the alarm's state.
     pub fn command(&mut self, id: LoopId, command: &Command) -> Result<AlarmDocument, CommandError> {
-        self.loops[id.index()].command(command)
+        self.of_mut(id).command(command)
     }
 
     /// The state to write at the start of a file.
     #[must_use]
     pub fn checkpoint(&self, id: LoopId) -> Checkpoint {
-        self.loops[id.index()].checkpoint()
+        self.of(id).checkpoint()
     }
 
     /// Takes a state over: the alarm always, the stream where the checkpoint holds one.
     /// Gives back the alarm's document where it is not at rest.
     pub fn restore(&mut self, id: LoopId, checkpoint: Checkpoint) -> Option<AlarmDocument> {
-        self.loops[id.index()].restore(checkpoint)
+        self.of_mut(id).restore(checkpoint)
     }
 
     /// Takes over what windows left behind, without the stream: as at the start of the file that is verified.
     pub fn restore_memory(&mut self, id: LoopId, checkpoint: Checkpoint) {
-        let of = &mut self.loops[id.index()];
+        let of = self.of_mut(id);
         (of.alarm, of.gap) = (checkpoint.alarm, checkpoint.gap);
     }
 
     /// A loop's settings.
     #[must_use]
     pub fn settings(&self, id: LoopId) -> &Arc<LoopSettings> {
-        &self.loops[id.index()].settings
+        &self.of(id).settings
     }
 
     /// What a window would hold that ended at a stamp, or with the newest sample: a copy, nothing changes. `None` where
     /// nothing of it is held any more, or yet.
     #[must_use]
     pub fn record(&self, id: LoopId, end_ns: Option<i64>) -> Option<Record> {
-        self.loops[id.index()].record(end_ns)
+        self.of(id).record(end_ns)
     }
 
     /// A loop's figures.
     #[must_use]
     pub fn figures(&self, id: LoopId) -> LoopFigures {
-        self.loops[id.index()].figures()
+        self.of(id).figures()
     }
 }

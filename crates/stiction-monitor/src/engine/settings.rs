@@ -7,6 +7,7 @@ use serde::Serialize;
 
 use crate::alarm::{AlarmParams, Place};
 use stiction::signal::align::AlignParams;
+use stiction::signal::history::{History, fitting};
 use stiction::units::LoopKind;
 use stiction::verdict::AssessParams;
 
@@ -29,6 +30,23 @@ pub struct WindowParams {
     pub lateness_s: f64,
     /// Points of storage per loop before samples are boxed.
     pub max_points: usize,
+    /// Bytes of storage per loop; 0: as `max_points` and `max_window_s` need.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub max_bytes: usize,
+}
+
+#[allow(clippy::trivially_copy_pass_by_ref)] // as serde calls it
+const fn is_zero(bytes: &usize) -> bool {
+    *bytes == 0
+}
+
+impl WindowParams {
+    /// The memory of a loop that goes on after so many points.
+    #[must_use]
+    pub fn history(&self, total: u64) -> History {
+        let history = History::resumed(self.max_points, total);
+        if self.max_bytes == 0 { history } else { history.with_sizes(fitting(self.max_points, self.max_bytes)[1]) }
+    }
 }
 
 impl Default for WindowParams {
@@ -43,6 +61,7 @@ impl Default for WindowParams {
             max_gap_s: 0.0,
             lateness_s: 5.0,
             max_points: 2000,
+            max_bytes: 0,
         }
     }
 }

@@ -4,7 +4,7 @@ use super::settings::WindowParams;
 use stiction::detect::oscillation;
 use stiction::record::Record;
 use stiction::signal::align::Point;
-use stiction::signal::history::{History, record_of};
+use stiction::signal::history::{View, record_of};
 use stiction::units::ns_from_s;
 
 /// Doublings between two looks: what oscillates too slowly for one is well within the next.
@@ -14,7 +14,7 @@ const MAX_LEVELS: usize = 24;
 
 /// The record of the window that ends now: the latest `max_periods` periods of the fastest regular oscillation that
 /// shows, looked for in raw samples first and then in ever larger boxes; without one, the latest raw samples that fit.
-pub(super) fn choose_record(history: &History, params: &WindowParams, end_ns: i64) -> Option<Record> {
+pub(super) fn choose_record(history: View<'_>, params: &WindowParams, end_ns: i64) -> Option<Record> {
     let oldest_ns = end_ns.saturating_sub(ns_from_s(params.max_window_s));
     let mut finest = None;
     for level in (0..MAX_LEVELS).step_by(LEVEL_STEP) {

@@ -217,6 +217,13 @@ impl Aligner {
         &self.counts
     }
 
+    /// Bytes that wait for their place or are remembered, beside the aligner itself.
+    #[must_use]
+    pub fn bytes(&self) -> usize {
+        let samples = self.pending.capacity() + self.suspects.capacity() + self.late_run.capacity();
+        samples * size_of::<Sample>() + self.op_trail.capacity() * size_of::<(i64, f64)>()
+    }
+
     /// The loop's clock: the greatest stamp less the lateness, ns.
     #[must_use]
     pub fn event_time_ns(&self, params: &AlignParams) -> Option<i64> {

@@ -1,0 +1,304 @@
+//! So many loops on this machine: a daemon that records, a plant in another process, and a table of what came of it.
+
+use std::path::PathBuf;
+use std::process::{Child, Command, Stdio};
+use std::time::Duration;
+
+use anyhow::{Context, bail};
+
+use super::super::demo;
+use super::publisher::{Plan, Sent};
+use super::watch::{Seen, Watched};
+use super::{Args, PREFIX, Row};
+use stiction::units::ns_from_s;
+use stictiond::daemon::clock::now_ns;
+
+/// Pace at which memories are filled before anything is measured, samples a second, and samples of a signal in a message.
+const FILL_PACE: f64 = 100_000.0;
+const FILL_BATCH: u64 = 30;
+/// How long the daemon may take for what still waits when everything was sent, and for the windows that are due.
+const DRAIN_WITHIN: Duration = Duration::from_secs(60);
+const JUDGED_WITHIN: Duration = Duration::from_secs(900);
+/// Messages of the plant that a restarted daemon is waiting for, and their pace.
+const FIRST: u64 = 400;
+const FIRST_PACE: f64 = 40.0;
+/// Shares of the messages whose time to the engine is told.
+const SHARES: [f64; 2] = [0.5, 0.99];
+
+/// What one run is told.
+#[derive(Debug, Clone, Copy)]
+pub struct Ask {
+    pub loops: usize,
+    pub for_s: f64,
+    pub every_s: f64,
+    pub batch: u64,
+    pub rate: Option<f64>,
+    pub hop_s: f64,
+    pub fill: u64,
+    pub max_bytes: usize,
+}
+
+impl Ask {
+    /// As the command line says it.
+    pub fn of(args: &Args, loops: usize) -> Self {
+        Self {
+            loops: loops.max(1),
+            for_s: args.for_s,
+            every_s: args.every,
+            batch: args.batch.unwrap_or(1).max(1),
+            rate: args.rate,
+            hop_s: args.hop,
+            fill: args.fill,
+            max_bytes: args.max_bytes,
+        }
+    }
+
+    fn pace(&self) -> f64 {
+        self.rate.unwrap_or(2.0 * self.loops as f64 / self.every_s)
+    }
+
+    /// What is published before and while it is measured. The hop ends in the middle of the latter.
+    fn plans(&self) -> [Plan; 2] {
+        let scans = (self.for_s * self.pace() / (2.0 * self.loops as f64)).ceil().max(1.0) as u64;
+        let scans = scans.next_multiple_of(self.batch);
+        let hop_ns = ns_from_s(self.hop_s).max(1);
+        let end_ns = now_ns().div_euclid(hop_ns) * hop_ns;
+        let start_ns = end_ns - ns_from_s(self.every_s * (self.fill + scans / 2) as f64);
+        let measured_ns = start_ns + ns_from_s(self.every_s * self.fill as f64);
+        let plan = |start_ns, scans, batch, pace| Plan {
+            loops: self.loops,
+            every_s: self.every_s,
+            start_ns,
+            scans,
+            batch,
+            pace,
+        };
+        [plan(start_ns, self.fill, FILL_BATCH, FILL_PACE), plan(measured_ns, scans, self.batch, self.pace())]
+    }
+}
+
+/// A folder of its own, removed when dropped.
+struct Place {
+    dir: PathBuf,
+    config: PathBuf,
+    endpoint: String,
+    web: String,
+}
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(&self.dir);
+    }
+}
+
+impl Place {
+    fn make(ask: &Ask) -> anyhow::Result<Self> {
+        let dir = std::env::temp_dir().join(format!("stictiond-bench-{}", std::process::id()));
+        std::fs::create_dir_all(&dir).with_context(|| dir.display().to_string())?;
+        let endpoint = format!("tcp/127.0.0.1:{}", demo::free_port(17_447)?);
+        let web = format!("127.0.0.1:{}", demo::free_port(18_080)?);
+        let (loops, hop_s, recordings) = (ask.loops, ask.hop_s, dir.join("recordings"));
+        let text = format!(
+            "[site]\nprefix = \"{PREFIX}\"\n[zenoh]\nlisten = [\"{endpoint}\"]\n[input]\nmax_loops = {loops}\n\
+             new_loops_per_hour = {loops}\n[window]\nhop_s = {hop_s:?}\nmax_bytes = {}\n[recording]\ndir = {:?}\n[web]\nlisten = \"{web}\"\n",
+            ask.max_bytes,
+            recordings.display().to_string()
+        );
+        let config = dir.join("bench.toml");
+        std::fs::write(&config, text).with_context(|| config.display().to_string())?;
+        Ok(Self { dir, config, endpoint, web })
+    }
+
+    fn recordings(&self) -> PathBuf {
+        self.dir.join("recordings")
+    }
+
+    fn daemon(&self) -> anyhow::Result<Watched> {
+        Watched::start(&self.config, &self.web, &self.recordings())
+    }
+
+    fn publisher(&self, plan: &Plan) -> anyhow::Result<Child> {
+        let program = std::env::current_exe().context("this program")?;
+        let mut command = Command::new(program);
+        command.args(plan.arguments(&self.endpoint)).env("RUST_LOG", "error").stdout(Stdio::piped());
+        command.spawn().context("the publisher")
+    }
+}
+
+/// What a run gave.
+#[derive(Debug, Clone)]
+pub struct Figures {
+    ask: Ask,
+    sent: Sent,
+    /// What was sent before it was measured.
+    filled: f64,
+    before: Seen,
+    /// When all was sent and taken, and when all windows were judged.
+    after: Seen,
+    judged: Seen,
+    recorded_bytes: f64,
+    /// From the start of a daemon that knows all loops to its first sample, s.
+    first_sample_s: f64,
+}
+
+/// Runs it.
+///
+/// # Errors
+/// A process cannot be started, or the daemon does not answer.
+pub fn run(ask: &Ask) -> anyhow::Result<Figures> {
+    let place = Place::make(ask)?;
+    let daemon = place.daemon()?;
+    daemon.answers()?;
+    let [fill, measured] = ask.plans();
+    let filled = if fill.scans > 0 { finished(place.publisher(&fill)?)?.samples } else { 0.0 };
+    let before = taken(&daemon, filled)?;
+    let sent = finished(place.publisher(&measured)?)?;
+    let after = taken(&daemon, filled + sent.samples)?;
+    let judged = daemon.until(JUDGED_WITHIN, |seen| seen.count("estimates") >= seen.count("windows"))?;
+    // Everything is on the disk once the files are whole.
+    let recordings = daemon.recorded_bytes();
+    daemon.stop()?;
+    let first_sample_s = restart(&place, &measured)?;
+    Ok(Figures { ask: *ask, sent, filled, before, after, judged, recorded_bytes: recordings, first_sample_s })
+}
+
+/// Waits for a publisher.
+fn finished(publisher: Child) -> anyhow::Result<Sent> {
+    let out = publisher.wait_with_output()?;
+    if !out.status.success() {
+        bail!("the publisher failed: {}", out.status);
+    }
+    Sent::read(&String::from_utf8_lossy(&out.stdout))
+}
+
+/// Waits until so many samples were taken and recorded, or nothing more comes.
+fn taken(daemon: &Watched, samples: f64) -> anyhow::Result<Seen> {
+    let all = |seen: &Seen| seen.count("samples") >= samples && seen.count("recorded") >= samples;
+    match daemon.until(DRAIN_WITHIN, all) {
+        Ok(seen) => Ok(seen),
+        // What is missing by now is lost, and the table says so.
+        Err(_) => daemon.look(),
+    }
+}
+
+/// The time from the start of a daemon that knows all loops to its first sample, s.
+fn restart(place: &Place, plan: &Plan) -> anyhow::Result<f64> {
+    let first = Plan { loops: 1, batch: 1, scans: FIRST, pace: FIRST_PACE, ..*plan };
+    let daemon = place.daemon()?;
+    let mut publisher = place.publisher(&first)?;
+    let seen = daemon.until(DRAIN_WITHIN, |seen| seen.count("samples") > 0.0);
+    let took_s = daemon.started.elapsed().as_secs_f64();
+    let _ = publisher.kill();
+    let _ = publisher.wait();
+    daemon.stop()?;
+    seen.map(|_| took_s)
+}
+
+impl Figures {
+    fn seconds(&self) -> f64 {
+        self.sent.seconds.max(1e-3)
+    }
+
+    /// CPU cores that the daemon took while samples came.
+    pub fn cores(&self) -> f64 {
+        let (Some(from), Some(to)) = (self.before.at, self.after.at) else { return f64::NAN };
+        (self.after.cpu_s() - self.before.cpu_s()) / to.duration_since(from).as_secs_f64()
+    }
+
+    /// Resident memory, bytes.
+    pub fn resident(&self) -> f64 {
+        self.judged.resident[0]
+    }
+
+    fn came(&self, name: &str) -> f64 {
+        self.after.count(name) - self.before.count(name)
+    }
+
+    /// Messages and samples that were lost anywhere.
+    pub fn lost(&self) -> f64 {
+        let refused = ["dropped_input", "undecodable", "over_rate", "refused_loops", "recording_lost"];
+        refused.into_iter().map(|name| self.judged.count(name)).sum()
+    }
+
+    /// What keeps this machine from more, in words: what lost something, else what was busiest.
+    fn limit(&self) -> (String, f64) {
+        let share = |part: &str| {
+            let of = |seen: &Seen| seen.cpu_s.get(part).copied().unwrap_or(0.0);
+            (of(&self.after) - of(&self.before)) / self.seconds()
+        };
+        let parts = self.after.cpu_s.keys().map(|part| (share(part), *part));
+        let (busiest, part) = parts.max_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or((0.0, "nothing"));
+        let behind = self.sent.samples / self.sent.seconds < 0.98 * self.ask.pace();
+        let why = if self.judged.count("recording_lost") > 0.0 {
+            "recorder or disk: messages could not be recorded".to_owned()
+        } else if self.judged.count("dropped_input") > 0.0 {
+            "engine: messages found its queue full".to_owned()
+        } else if self.judged.count("fits_skipped") > 0.0 {
+            "fits: windows found no worker".to_owned()
+        } else if behind {
+            "the publisher, or the bus that made it wait".to_owned()
+        } else {
+            format!("nothing here; the busiest part is {part}")
+        };
+        (why, busiest)
+    }
+
+    /// The table.
+    pub fn rows(&self) -> Vec<Row> {
+        let loops = self.ask.loops as f64;
+        let samples = self.filled + self.sent.samples;
+        let row = |name: &str, value: f64, unit: &'static str| Row { name: name.to_owned(), value, unit };
+        let mut rows = vec![
+            row("loops", loops, "loops"),
+            row("published", self.sent.samples, "samples"),
+            row("  a second", self.sent.samples / self.seconds() / 1e3, "thousand/s"),
+            row("  messages", self.sent.messages, "messages"),
+            row("  by a process that took", self.sent.cpu_s / self.seconds(), "cores"),
+            row("received", self.came("messages"), "messages"),
+            row("taken by the engine", self.came("samples"), "samples"),
+            row("recorded, filling and documents included", self.judged.count("recorded"), "messages"),
+            row("lost or refused anywhere", self.lost(), "messages"),
+            row("windows due", self.judged.count("windows"), "windows"),
+            row("  judged", self.judged.count("estimates") - self.judged.count("fits_skipped"), "windows"),
+            row("  skipped", self.judged.count("fits_skipped"), "windows"),
+            row("CPU of the daemon while samples came", self.cores(), "cores"),
+        ];
+        for (part, cpu_s) in &self.after.cpu_s {
+            let before = self.before.cpu_s.get(part).copied().unwrap_or(0.0);
+            rows.push(row(&format!("  {part}"), (cpu_s - before) / self.seconds(), "cores"));
+        }
+        for share in SHARES {
+            let name = format!("publisher to engine, {:.0} % of the messages within", 100.0 * share);
+            rows.push(row(&name, 1e3 * self.after.intake_s(&self.before, share), "ms"));
+        }
+        let windows = self.judged.value("stictiond_loop_bytes") / loops;
+        rows.extend([
+            row("resident memory", self.resident() / f64::from(1 << 20), "MiB"),
+            row("  at most", self.judged.resident[1] / f64::from(1 << 20), "MiB"),
+            row("  a loop, all of the process", self.resident() / loops, "bytes"),
+            row("  a loop, in the engine", windows, "bytes"),
+            row("on the disk", self.recorded_bytes / samples.max(1.0), "bytes/sample"),
+            row("a start with these loops known, to the first sample", self.first_sample_s, "s"),
+        ]);
+        let (why, busiest) = self.limit();
+        rows.push(Row { name: format!("limits: {why}"), value: busiest, unit: "cores" });
+        rows
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_hop_ends_while_it_is_measured() {
+        let ask =
+            Ask { loops: 100, for_s: 60.0, every_s: 10.0, batch: 1, rate: None, hop_s: 3600.0, fill: 30, max_bytes: 0 };
+        let [fill, measured] = ask.plans();
+        assert_eq!((fill.scans, measured.scans, ask.pace()), (30, 6, 20.0));
+        let end_ns = measured.start_ns + ns_from_s(30.0);
+        assert_eq!((end_ns % ns_from_s(3600.0), measured.start_ns - fill.start_ns), (0, ns_from_s(300.0)));
+        let fast = Ask { rate: Some(2000.0), batch: 7, ..ask };
+        assert_eq!(fast.plans()[1].scans % 7, 0);
+    }
+}

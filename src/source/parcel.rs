@@ -1,0 +1,98 @@
+//! What a message travels in: one buffer for key, encoding and payload, used again for a later one when it is dropped.
+
+use crossbeam_channel::{Receiver, Sender};
+
+/// Buffers that lie ready at most: more than wait for an engine that keeps up.
+const READY: usize = 1024;
+/// Buffers that have grown beyond this are not kept, bytes.
+const MAX_KEPT: usize = 16 << 10;
+
+/// The buffers; copies share them.
+#[derive(Debug, Clone)]
+pub struct Parcels {
+    back: Sender<Vec<u8>>,
+    ready: Receiver<Vec<u8>>,
+}
+
+/// One message's key, encoding and payload.
+#[derive(Debug)]
+pub struct Parcel {
+    bytes: Vec<u8>,
+    key: usize,
+    /// Where the encoding ends, if the message has one.
+    encoding: Option<usize>,
+    back: Sender<Vec<u8>>,
+}
+
+impl Default for Parcels {
+    fn default() -> Self {
+        let (back, ready) = crossbeam_channel::bounded(READY);
+        Self { back, ready }
+    }
+}
+
+impl Parcels {
+    /// Packs a message; `payload` appends its bytes.
+    #[must_use]
+    pub fn pack(&self, key: &str, encoding: Option<&str>, payload: impl FnOnce(&mut Vec<u8>)) -> Parcel {
+        let mut bytes = self.ready.try_recv().unwrap_or_default();
+        bytes.extend_from_slice(key.as_bytes());
+        bytes.extend_from_slice(encoding.unwrap_or_default().as_bytes());
+        let encoding = encoding.map(|_| bytes.len());
+        payload(&mut bytes);
+        Parcel { bytes, key: key.len(), encoding, back: self.back.clone() }
+    }
+}
+
+impl Parcel {
+    /// The key.
+    #[must_use]
+    pub fn key(&self) -> &str {
+        std::str::from_utf8(&self.bytes[..self.key]).unwrap_or_default()
+    }
+
+    /// The encoding that the message says it has, if it says one.
+    #[must_use]
+    pub fn encoding(&self) -> Option<&str> {
+        Some(std::str::from_utf8(&self.bytes[self.key..self.encoding?]).unwrap_or_default())
+    }
+
+    /// The payload.
+    #[must_use]
+    pub fn payload(&self) -> &[u8] {
+        &self.bytes[self.encoding.unwrap_or(self.key)..]
+    }
+}
+
+impl Drop for Parcel {
+    fn drop(&mut self) {
+        let mut bytes = std::mem::take(&mut self.bytes);
+        if bytes.capacity() <= MAX_KEPT {
+            bytes.clear();
+            // Where enough lie ready already this one goes.
+            let _ = self.back.try_send(bytes);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_parcel_gives_back_what_was_packed_and_its_buffer_is_used_again() {
+        let parcels = Parcels::default();
+        let packed = parcels.pack("p/A/op", Some("application/json"), |bytes| bytes.extend_from_slice(b"1.5"));
+        let place = packed.bytes.as_ptr();
+        assert_eq!(
+            (packed.key(), packed.encoding(), packed.payload()),
+            ("p/A/op", Some("application/json"), &b"1.5"[..])
+        );
+        drop(packed);
+        let again = parcels.pack("p/B/pv", None, |_| {});
+        assert_eq!((again.key(), again.encoding(), again.payload()), ("p/B/pv", None, &b""[..]));
+        assert_eq!(again.bytes.as_ptr(), place);
+        drop(parcels.pack("p", None, |bytes| bytes.resize(MAX_KEPT + 1, 0)));
+        assert_eq!(parcels.ready.len(), 0);
+    }
+}

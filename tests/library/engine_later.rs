@@ -1,0 +1,162 @@
+//! Windows that are cut later than they are due, and loops that leave and come back: the same inputs say the same.
+#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use std::collections::VecDeque;
+
+use proptest::prelude::*;
+use stiction::record::{Sample, Signal, Value};
+use stiction::sim::scenario::Scenario;
+use stiction::verdict::Verdict;
+use stiction_monitor::alarm::{Command, State};
+use stiction_monitor::config::Config;
+use stiction_monitor::engine::{Engine, Event, LoopId};
+
+const FOUR: &str = include_str!("../../recordings/scenarios/four-loops.toml");
+
+fn config(max_points: usize) -> Config {
+    let mut config = Config::with_prefix("p");
+    (config.window.hop_s, config.window.max_points, config.alarm.raise) = (300.0, max_points, [1, 1]);
+    config
+}
+
+fn samples_of(loop_name: &str) -> Vec<Sample> {
+    let scenario = Scenario::parse(FOUR).unwrap();
+    let names: Vec<String> = scenario.loop_names().map(str::to_owned).collect();
+    scenario.stream().filter(|s| names[s.loop_index] == loop_name).map(|s| s.sample).collect()
+}
+
+/// What is said of windows in their order, each cut `delay` samples after it was due, every seventh given up.
+fn said(samples: &[Sample], config: &Config, delay: Option<usize>) -> Vec<String> {
+    let mut engine = Engine::new(config.engine());
+    if delay.is_some() {
+        engine.cut_later();
+    }
+    let id = engine.appear("FIC201").unwrap();
+    let (mut events, mut out, mut row) = (Vec::new(), Vec::new(), VecDeque::new());
+    let answer = |engine: &mut Engine, seq: u64, request, events: &mut Vec<Event>| match request {
+        Some(request) if seq % 7 != 3 => {
+            let request: stiction_monitor::engine::Request = request;
+            engine.complete(id, seq, request.compute(), events);
+        }
+        _ => engine.skip(id, seq, events),
+    };
+    for (at, sample) in samples.iter().enumerate() {
+        engine.push(id, *sample, &mut events);
+        while row.front().is_some_and(|(due, _)| at >= due + delay.unwrap_or(0)) {
+            let (_, seq) = row.pop_front().unwrap();
+            let request = if seq % 7 == 3 { None } else { engine.request(id, seq) };
+            answer(&mut engine, seq, request, &mut events);
+        }
+        while !events.is_empty() {
+            for event in std::mem::take(&mut events) {
+                match event {
+                    Event::Request(r) => answer(&mut engine, r.seq, Some(*r), &mut events),
+                    Event::Due { seq, .. } => row.push_back((at, seq)),
+                    Event::Estimate(_, d) => out.push(serde_json::to_string(&d).unwrap()),
+                    Event::Alarm(_, d) => out.push(serde_json::to_string(&d).unwrap()),
+                    Event::State(_, d) => out.push(serde_json::to_string(&d).unwrap()),
+                    Event::GapRequest(_) | Event::Gap(..) => {}
+                }
+            }
+        }
+    }
+    out
+}
+
+#[test]
+fn a_window_that_is_cut_later_says_the_same() {
+    let samples = samples_of("FIC201");
+    for max_points in [128, 2000] {
+        let config = config(max_points);
+        let at_once = said(&samples, &config, None);
+        assert!(at_once.len() >= 8, "{}", at_once.len());
+        // The last windows of a longer delay are never cut.
+        for delay in [1, 40, 400] {
+            let later = said(&samples, &config, Some(delay));
+            assert!(later.len() >= 4 && later[..] == at_once[..later.len()], "{max_points} {delay}");
+        }
+    }
+}
+
+fn beat(k: usize) -> [Sample; 2] {
+    let t_ns = k as i64 * 1_000_000_000;
+    let of = |signal, v| Sample { signal, t_ns, value: Value::Number(v), quality: None };
+    [of(Signal::Op, (k % 10) as f64), of(Signal::Pv, (k % 7) as f64)]
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 24, ..ProptestConfig::default() })]
+
+    #[test]
+    fn breaks_and_patience_change_no_window(gaps in proptest::collection::vec((1_usize..900, 1_usize..500), 1..6), delay in 0_usize..900) {
+        let mut config = config(64);
+        config.window.hop_s = 100.0;
+        let (mut k, mut samples) = (0, Vec::new());
+        for (length, gap) in gaps {
+            (k..k + length).for_each(|k| samples.extend(beat(k)));
+            k += length + gap;
+        }
+        let (at_once, later) = (said(&samples, &config, None), said(&samples, &config, Some(delay)));
+        prop_assert_eq!(&later[..], &at_once[..later.len()]);
+    }
+}
+
+/// Pushes a loop's samples and answers what comes due; gives the alarm's state then.
+fn run(engine: &mut Engine, id: LoopId, samples: &[Sample]) -> State {
+    let mut events = Vec::new();
+    for sample in samples {
+        engine.push(id, *sample, &mut events);
+        while !events.is_empty() {
+            for event in std::mem::take(&mut events) {
+                match event {
+                    Event::Request(r) => engine.complete(r.id, r.seq, r.compute(), &mut events),
+                    Event::GapRequest(r) => {
+                        engine.skip_gap(r.id, r.number, stiction_monitor::engine::SkipReason::Failed, &mut events);
+                    }
+                    Event::Estimate(_, d) => assert_ne!(d.assessment.verdict, Verdict::Disturbance),
+                    _ => {}
+                }
+            }
+        }
+    }
+    engine.checkpoint(id).alarm.shown()
+}
+
+#[test]
+fn a_loop_that_left_comes_back_with_its_alarm_alone() {
+    let samples = samples_of("FIC201");
+    let mut engine = Engine::new(config(2000).engine());
+    let id = engine.appear("FIC201").unwrap();
+    assert_eq!(run(&mut engine, id, &samples), State::Unack);
+    let held = engine.bytes(id);
+    assert!(engine.forget(id) && !engine.forget(id));
+    assert_eq!((engine.count(), engine.find("FIC201"), engine.left().count()), (0, None, 1));
+    // Who still has its handle finds nobody, and harms nobody.
+    engine.push(id, samples[0], &mut Vec::new());
+    assert_eq!((&**engine.name(id), engine.figures(id).windows), ("", 0));
+    let again = engine.appear("FIC201").unwrap();
+    assert_ne!(again, id);
+    assert_eq!((engine.checkpoint(again).alarm.shown(), engine.figures(again).windows), (State::Unack, 0));
+    assert!(engine.bytes(again) * 3 < held, "{} of {held}", engine.bytes(again));
+    let command = Command { cmd: "ack".into(), by: Some("ann".into()), why: None, for_s: None };
+    assert_eq!(engine.command(again, &command).unwrap().state, State::Acked);
+    assert_eq!(engine.left().count(), 0);
+}
+
+#[test]
+fn a_loop_leaves_only_when_nothing_waits_and_frees_its_place() {
+    let text = "[site]\nprefix = \"p\"\n[input]\nmax_loops = 2\n[window]\nhop_s = 50.0\n[[loop]]\nname = \"A\"\ncriticality = 5\n";
+    let mut engine = Engine::new(Config::parse(text).unwrap().engine());
+    let (a, b) = (engine.appear("A").unwrap(), engine.appear("B").unwrap());
+    assert!(engine.appear("C").is_none() && !engine.has_room());
+    let (mut events, mut due) = (Vec::new(), Vec::new());
+    (0..120).flat_map(beat).for_each(|sample| engine.push(a, sample, &mut events));
+    due.extend(events.drain(..).filter_map(|e| if let Event::Request(r) = e { Some(r.seq) } else { None }));
+    assert!(!due.is_empty() && !engine.forget(a));
+    due.into_iter().for_each(|seq| engine.skip(a, seq, &mut events));
+    assert!(engine.forget(a) && engine.forget(b));
+    // The place of a loop with settings of its own is kept for it, and its settings too.
+    assert!(engine.appear("C").is_some() && engine.appear("D").is_none());
+    let a = engine.appear("A").unwrap();
+    assert_eq!((engine.settings(a).place.criticality, engine.count()), (Some(5), 2));
+}

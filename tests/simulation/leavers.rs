@@ -1,0 +1,94 @@
+//! Loops that leave the plant: they leave the memory, come back with their alarms, and a replay does the same to the byte.
+
+use std::path::Path;
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+use stiction::record::Sample;
+use stiction::sim::scenario::Scenario;
+use stiction_monitor::alarm::{Command, State};
+use stiction_monitor::codec::encode_recorded;
+use stiction_monitor::config::Config;
+use stictiond::daemon::clock::Clock;
+use stictiond::daemon::replay::{Replay, chains_of, replay_file};
+use stictiond::daemon::stage::Stage;
+use stictiond::files::disk::{Disk, SystemDisk};
+
+const FOUR: &str = include_str!("../../recordings/scenarios/four-loops.toml");
+const STICKS: &str = "FIC201";
+const CALM: &str = "PIC203";
+
+/// Delivers all samples of a loop, later by so much, and does the fits.
+fn play(stage: &mut Stage, name: &str, later_ns: i64) {
+    let scenario = Scenario::parse(FOUR).unwrap();
+    let names: Vec<String> = scenario.loop_names().map(str::to_owned).collect();
+    let mut json = Vec::new();
+    for simulated in scenario.stream().filter(|s| names[s.loop_index] == name) {
+        let sample = Sample { t_ns: simulated.sample.t_ns + later_ns, ..simulated.sample };
+        json.clear();
+        encode_recorded(&sample, &mut json);
+        stage.deliver(&format!("p/{name}/{}", sample.signal.name()), &json);
+        stage.turn();
+        while stage.work(1, |_, request| Some(request.compute())) > 0 {}
+    }
+    stage.record();
+}
+
+fn silence(stage: &mut Stage, clock: &Clock) {
+    clock.advance(Duration::from_secs(601));
+    stage.health();
+    stage.record();
+    assert!(stage.keep());
+}
+
+fn shown(stage: &Stage, name: &str) -> Option<State> {
+    let id = stage.engine().find(name)?;
+    Some(stage.engine().checkpoint(id).alarm.shown())
+}
+
+fn start(dir: &Path, clock: &Clock) -> (Stage, Config) {
+    let text = format!(
+        "[site]\nprefix = \"p\"\n[input]\nforget_after_s = 600.0\n[window]\nhop_s = 300.0\n[alarm]\nraise = [1, 1]\n\
+         [gap]\nenabled = false\n[recording]\ndir = {:?}\n",
+        dir.to_str().unwrap()
+    );
+    let config = Config::parse(&text).unwrap();
+    let disk = Arc::new(SystemDisk) as Arc<dyn Disk>;
+    (Stage::start(config.clone(), &text, clock, &disk), config)
+}
+
+#[test]
+fn loops_that_left_are_forgotten_and_come_back_and_replay_says_the_same() {
+    let (dir, clock) = (tempfile::tempdir().unwrap(), Clock::standing(super::START_NS));
+    let (mut stage, config) = start(dir.path(), &clock);
+    play(&mut stage, STICKS, 0);
+    play(&mut stage, CALM, 0);
+    assert_eq!((shown(&stage, STICKS), shown(&stage, CALM)), (Some(State::Unack), Some(State::Normal)));
+    silence(&mut stage, &clock);
+    assert_eq!((stage.engine().count(), stage.metrics().loops_forgotten.get(), stage.health().loops), (0, 2, 0));
+    // People still find the alarm of one that left.
+    let answered = Arc::new(Mutex::new(None));
+    let (told, command) =
+        (answered.clone(), Command { cmd: "ack".into(), by: Some("ann".into()), why: None, for_s: None });
+    assert!(stage.command(STICKS, command, Box::new(move |answer| *told.lock().unwrap() = Some(answer))));
+    stage.turn();
+    assert!(stage.keep());
+    assert!(answered.lock().unwrap().take().unwrap().is_ok());
+    silence(&mut stage, &clock);
+    assert_eq!((shown(&stage, STICKS), stage.metrics().loops_forgotten.get()), (None, 3));
+    let later_ns = 86_400_000_000_000;
+    play(&mut stage, CALM, later_ns);
+    play(&mut stage, STICKS, later_ns);
+    assert_eq!((shown(&stage, STICKS), stage.engine().appeared()), (Some(State::Acked), 5));
+    stage.finish();
+    drop(stage);
+    let mut replay = Replay::new(config, false);
+    let chains = chains_of(dir.path()).unwrap();
+    assert_eq!((chains.len(), chains[0].len()), (1, 1));
+    let report = replay_file(&mut replay, &chains[0][0], "p", true, true).unwrap();
+    assert_eq!((report.difference, report.cut), (None, None));
+    assert!(report.compared > 20, "{}", report.compared);
+    // The next run knows the alarm, and nothing of the loop at rest but what it last said.
+    let (stage, _) = start(dir.path(), &clock);
+    assert_eq!(shown(&stage, STICKS), Some(State::Acked));
+}
