@@ -85,7 +85,7 @@ fn replay_chain(
     let Some(first) = chain.first() else { return Ok(None) };
     let own = metadata_of(first)?;
     let before: Vec<PathBuf> = files_needed(first, &own)?.into_iter().filter(|f| f != first).collect();
-    let mut replay = Replay::new(own.config.clone(), !own.has_results);
+    let mut replay = Replay::new(own.config.clone(), own.daemon.as_deref(), !own.has_results);
     let mut fresh = true;
     for path in before.iter().chain(chain) {
         let metadata = metadata_of(path)?;

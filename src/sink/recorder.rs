@@ -119,6 +119,8 @@ pub struct RunInfo {
     pub config_text: String,
     /// Its hash.
     pub config_hash: String,
+    /// Id of the daemon, which its documents carry; empty where none made them.
+    pub daemon: String,
     /// Its mapped loops, as JSON.
     pub loop_map: String,
 }
@@ -146,6 +148,7 @@ impl RunInfo {
             .map(|(k, v)| (k.to_owned(), v)),
         );
         metadata.extend(number);
+        metadata.extend((!self.daemon.is_empty()).then(|| ("daemon".to_owned(), self.daemon.clone())));
         metadata
     }
 

@@ -27,7 +27,8 @@ impl Core {
     /// Publishes the health of the daemon, and from time to time of every loop.
     pub fn report(&mut self, input_waiting: usize) {
         let loops = self.engine.ids().len();
-        self.metrics.loops.set(loops as i64);
+        let here = self.engine.ids().filter(|id| !self.engine.is_away(*id)).count();
+        self.metrics.loops.set(here as i64);
         self.report_losses();
         self.keep_all_again();
         let now = self.clock.now_ns();
@@ -36,7 +37,7 @@ impl Core {
         let from = self.next_loop_health;
         self.next_loop_health = if from + slice >= loops { 0 } else { from + slice };
         let mut sum = AlignCounts::default();
-        for id in self.engine.ids() {
+        for id in self.engine.ids().filter(|id| !self.engine.is_away(*id)) {
             let figures = self.engine.figures(id);
             sum.add(&figures.counts);
             if let Some(board) = &mut self.board {
@@ -49,11 +50,15 @@ impl Core {
                 overview.figures(name, place, self.clock.now(), &figures);
             }
             if (from..from + slice).contains(&id.index()) {
-                self.publish(id, Kind::Health, to_json(&LoopHealth::new(self.engine.name(id), &figures, now)));
+                self.publish(
+                    id,
+                    Kind::Health,
+                    to_json(&LoopHealth::new(self.engine.name(id), &self.daemon_id, &figures, now)),
+                );
             }
         }
         self.metrics.show_aligned(&sum);
-        let health = self.health(loops, input_waiting);
+        let health = self.health(here, input_waiting);
         for queue in &health.queues {
             self.metrics.queues.get_or_create(&Label { name: queue.name.into() }).set(queue.length as i64);
         }
@@ -104,7 +109,7 @@ impl Core {
     /// Where the store was taken away under the daemon, every loop's memory goes into the new one.
     fn keep_all_again(&self) {
         let Some(keeper) = self.keeper.as_ref().filter(|k| k.wants_all()) else { return };
-        for id in self.engine.ids() {
+        for id in self.engine.ids().filter(|id| !self.engine.is_away(*id)) {
             let name = self.engine.name(id);
             keeper.keep(name, to_json(&StateDocument::new(name, None, self.memory(id))));
         }
