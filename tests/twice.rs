@@ -69,7 +69,7 @@ fn skips_among_windows_of_equal_ends_replay_to_the_byte() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("twice.mcap");
     let estimates = record(&path);
-    let mut replay = Rerun::new(&Config::parse(TEXT).unwrap(), false);
+    let mut replay = Rerun::new(&Config::parse(TEXT).unwrap(), None, false);
     let report = replay.file(&path, "p", true, true).unwrap();
     assert_eq!((report.difference, report.compared), (None, estimates));
 }

@@ -86,7 +86,7 @@ fn replay_chain(
     let Some(first) = chain.first() else { return Ok(None) };
     let own = metadata_of(first)?;
     let before: Vec<PathBuf> = files_needed(first, &own)?.into_iter().filter(|f| f != first).collect();
-    let mut replay = Rerun::new(&own.config, !own.has_results);
+    let mut replay = Rerun::new(&own.config, own.daemon.as_deref(), !own.has_results);
     let mut fresh = true;
     for path in before.iter().chain(chain) {
         let metadata = metadata_of(path)?;
@@ -96,8 +96,7 @@ fn replay_chain(
             return Ok(Some(outcome));
         }
         replay.set_diagnose(shown);
-        let report =
-            replay.file(path, &metadata.prefix, fresh, verify).with_context(|| path.display().to_string())?;
+        let report = replay.file(path, &metadata.prefix, fresh, verify).with_context(|| path.display().to_string())?;
         fresh = false;
         if !shown {
             continue;

@@ -84,6 +84,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
         run_number: None,
         origin: if args.raw { "simulate_raw" } else { "simulate" },
         config_hash: config.hash(),
+        daemon: String::new(),
         loop_map: serde_json::to_string(&config.loops).unwrap_or_default(),
         raw: config.recording.raw.clone(),
         config_text,

@@ -80,6 +80,8 @@ pub struct LoopHealth {
     /// The loop's name.
     #[serde(rename = "loop")]
     pub loop_name: String,
+    /// The daemon that watches it.
+    pub daemon: String,
     /// Seconds between the newest source time and now; negative where the plant's clock is ahead.
     pub data_age_s: Option<f64>,
     /// Holes that ended a stretch.
@@ -99,11 +101,12 @@ pub struct LoopHealth {
 impl LoopHealth {
     /// From a loop's figures, at a time.
     #[must_use]
-    pub fn new(loop_name: &str, figures: &LoopFigures, now_ns: i64) -> Self {
+    pub fn new(loop_name: &str, daemon: &str, figures: &LoopFigures, now_ns: i64) -> Self {
         let c = &figures.counts;
         Self {
             schema: LOOP_HEALTH_SCHEMA,
             loop_name: loop_name.to_owned(),
+            daemon: daemon.to_owned(),
             data_age_s: figures.greatest_ns.map(|t| s_from_ns(now_ns.saturating_sub(t))),
             data_gaps: c.gaps,
             dropped: c.duplicates + c.late + c.stamp_outliers,

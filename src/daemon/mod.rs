@@ -35,7 +35,7 @@ mod signals;
 pub mod stage;
 mod worker;
 
-use std::collections::HashSet;
+use std::collections::{BTreeMap, HashSet};
 use std::future::Future;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, RwLock};
@@ -66,15 +66,16 @@ use crate::sink::keeper::Keeper;
 use crate::sink::recorder::{Recorder, RunInfo};
 use crate::sink::signing::Signer;
 use crate::sink::zenoh::Publisher;
+use crate::source::own::Own;
 use crate::source::shares::Shares;
 use crate::source::zenoh::LastValues;
-use crate::source::{self, Incoming, Intake, presence};
+use crate::source::{self, Incoming, Intake, members, presence};
 use crate::web;
 use crate::web::api::Live;
 use crate::web::workbench::{self, Bench, Workbench};
 use stiction_monitor::codec::topic;
 use stiction_monitor::config::Config;
-use stiction_monitor::engine::Engine;
+use stiction_monitor::engine::{Engine, EngineSettings};
 
 /// How long a router may take to answer before that is a fault.
 const ROUTER_WITHIN: Duration = Duration::from_secs(5);
@@ -160,7 +161,11 @@ pub async fn run(
         }
     };
     faults.clear("bus");
-    let daemon_id = session.zid().to_string();
+    let daemon_id = if config.daemon.id.is_empty() { session.zid().to_string() } else { config.daemon.id.clone() };
+    let own = Own::of(&config, &daemon_id);
+    // What is another's is not taken up; a member takes a loop with what is newest of it, here or elsewhere.
+    memories.retain(|name, _| own.is_shared() || own.has(name));
+    let (at_once, memories) = if own.is_shared() { (BTreeMap::new(), memories) } else { (memories, BTreeMap::new()) };
     if let Ok(mut snapshot) = snapshot.write() {
         *snapshot = starting(&daemon_id);
     }
@@ -203,13 +208,15 @@ pub async fn run(
         Arc::new(move |key: &str, document: &[u8]| signer.attachment(key, document))
     });
     let queryables =
-        source::zenoh::answer_queries(&session, &prefix, queue.clone(), last, sign, metrics.clone()).await?;
+        source::zenoh::answer_queries(&session, (&prefix, &daemon_id), queue.clone(), last, sign, metrics.clone())
+            .await?;
     let parts = Parts {
-        engine: Engine::new(config.engine()),
+        engine: Engine::new(EngineSettings { daemon: Some(daemon_id.as_str().into()), ..config.engine() }),
         config: Arc::new(config.clone()),
         input: (budget.clone(), shares.clone()),
         workers,
         diagnoser,
+        own: own.clone(),
         recorder: Some(recorder),
         keeper,
         publisher,
@@ -224,19 +231,29 @@ pub async fn run(
     let (stop_core, stopping) = crossbeam_channel::bounded::<()>(0);
     let core = std::thread::Builder::new().name("engine".into()).spawn(move || {
         let mut core = Core::new(parts);
-        core.restore(memories);
+        core.restore(at_once);
         core.run(&incoming, &stopping);
     })?;
     let control = queue.clone();
-    let intake = Intake::new(queue, (budget, shares), metrics.clone(), Clock::system());
-    let mut subscribers = source::zenoh::subscribe(&session, &config, &intake).await?;
-    subscribers.push(presence::watch_own_keys(&session, &prefix, faults.clone(), metrics.clone()).await?);
+    let intake = Intake::new(queue.clone(), (budget, shares), metrics.clone(), Clock::system());
+    let (stop_members, members_stop) = crossbeam_channel::bounded::<()>(0);
+    let mut subscribers = Vec::new();
+    if own.is_all() {
+        subscribers = source::zenoh::subscribe(&session, &config, &intake).await?;
+    } else {
+        let (session, config) = (session.clone(), Arc::new(config.clone()));
+        let (daemon_id, own) = (daemon_id.clone(), own.clone());
+        let parts = members::Parts { session, config, daemon_id, own, intake, engine: queue, memories };
+        threads.insert(0, ("members", members::start(parts, members_stop)?));
+    }
+    subscribers.push(presence::watch_own_keys(&session, &prefix, own, faults.clone(), metrics.clone()).await?);
     let bus = source::zenoh::session_config(&config)?;
     if let Some(why) = deaf {
         faults.raise(presence::LISTENING, format!("the bus cannot be listened to, tried for ever: {why}"));
         tokio::spawn(presence::watch_listening(session.clone(), bus.clone(), faults.clone()));
     }
-    let watching = tokio::spawn(presence::watch(session.clone(), bus, prefix.clone(), faults.clone()));
+    let watching =
+        tokio::spawn(presence::watch(session.clone(), bus, (prefix.clone(), daemon_id.clone()), faults.clone()));
     let token_key = topic::plane(&prefix, &format!("@daemon/{daemon_id}"));
     let token = session.liveliness().declare_token(&token_key).await.map_err(|e| anyhow!("{token_key}: {e}"))?;
     tracing::info!(
@@ -260,7 +277,7 @@ pub async fn run(
     }
     tell_system(&[NotifyState::Stopping]);
     watching.abort();
-    drop(control);
+    drop((control, stop_members));
     for subscriber in subscribers {
         let _ = subscriber.undeclare().await;
     }
@@ -388,6 +405,7 @@ fn run_info(config: &Config, config_text: String, options: &RunOptions, daemon_i
         origin: options.origin,
         config_text,
         config_hash: config.hash(),
+        daemon: daemon_id.to_owned(),
         loop_map: serde_json::to_string(&config.loops).unwrap_or_default(),
         raw: config.recording.raw.clone(),
     }

@@ -116,7 +116,8 @@ pub fn estimate(document: &Value) -> Option<EstimateDocument> {
         ..Assessment::empty(window(d)?, read(d, "oscillation").unwrap_or(silent))
     };
     let config_hash: String = read(d, "config_hash").unwrap_or_default();
-    Some(EstimateDocument::new(d.get("loop")?.as_str()?, &config_hash, assessment))
+    let document = EstimateDocument::new(d.get("loop")?.as_str()?, &config_hash, assessment);
+    Some(EstimateDocument { daemon: read(d, "daemon"), ..document })
 }
 
 /// An alarm (`stictiond.alarm.v2`); none where it is no such document, or lacks loop, state or time.
@@ -152,6 +153,7 @@ pub fn alarm(document: &Value) -> Option<AlarmDocument> {
         by: read(d, "by"),
         detail: read(d, "detail").unwrap_or_default(),
         marks: whole::<Marks>(d),
+        daemon: read(d, "daemon"),
     })
 }
 

@@ -87,6 +87,9 @@ fn settings(config: &Config) -> BTreeMap<String, Value> {
         ("retention", serde_json::to_value(config.retention)),
         ("gap", serde_json::to_value(config.gap)),
         ("deliver", serde_json::to_value(&config.deliver)),
+        ("daemon", serde_json::to_value(&config.daemon)),
+        ("shard", serde_json::to_value(config.shard)),
+        ("cluster", serde_json::to_value(&config.cluster)),
     ] {
         root[key] = table.unwrap_or_default();
     }

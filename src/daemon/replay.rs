@@ -19,7 +19,9 @@ use stiction::record::Sample;
 use stiction_monitor::codec::decode_recorded;
 use stiction_monitor::codec::topic::{Kind, Leaf, Topic};
 use stiction_monitor::config::Config;
-use stiction_monitor::engine::{Engine, Event, GapRequest, LoopId, RecordedInput, Request, SkipReason, StateDocument};
+use stiction_monitor::engine::{
+    Engine, EngineSettings, Event, GapRequest, LoopId, RecordedInput, Request, SkipReason, StateDocument,
+};
 
 /// A document that replay made.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -72,10 +74,10 @@ struct MarkerWindow {
 }
 
 impl Replay {
-    /// A replay under a configuration. `at_once` is for recordings without results.
+    /// A replay under a configuration, as the daemon of this id had it. `at_once` is for recordings without results.
     #[must_use]
-    pub fn new(config: Config, at_once: bool) -> Self {
-        let engine = Engine::new(config.engine());
+    pub fn new(config: Config, daemon: Option<&str>, at_once: bool) -> Self {
+        let engine = Engine::new(EngineSettings { daemon: daemon.map(Into::into), ..config.engine() });
         let (waiting, places) = (HashMap::new(), HashMap::new());
         Self { engine, waiting, places, gaps: HashMap::new(), diagnose: true, at_once, events: Vec::new() }
     }
@@ -146,7 +148,23 @@ impl Replay {
                 let waiting = self.gaps.entry(id).or_default().iter_mut();
                 waiting.filter(|(r, _)| r.number == number).for_each(|(_, cut)| *cut = Some(evaluations));
             }
+            RecordedInput::Taken { memory } => {
+                self.engine.take(id, memory.map(|memory| *memory));
+                self.leave_behind(id);
+            }
+            RecordedInput::Released => {
+                self.engine.release(id);
+                self.leave_behind(id);
+            }
         }
+    }
+
+    /// Windows and diagnoses that came due before here get no answer any more.
+    fn leave_behind(&mut self, id: LoopId) {
+        self.waiting.remove(&id);
+        self.gaps.remove(&id);
+        let first = self.engine.figures(id).windows;
+        self.places.insert(id, Place { next: first, first, skipped: BTreeSet::new() });
     }
 
     /// Makes the loop's oldest diagnosis, whose recorded document stands here.
@@ -239,6 +257,8 @@ pub struct RunMetadata {
     pub config: Config,
     /// Hash of the configuration, as recorded.
     pub config_hash: String,
+    /// Id of the daemon, as its documents carry it; none in recordings of before.
+    pub daemon: Option<String>,
     /// The shard's file before, empty for the first.
     pub previous: String,
     /// Messages that the recorder had lost by then.
@@ -276,6 +296,7 @@ impl RunMetadata {
             prefix,
             version: get("version"),
             config_hash: get("config_hash"),
+            daemon: metadata.get("daemon").cloned(),
             config,
             previous: get("previous"),
             lost_before: get("lost_before").parse().unwrap_or(0),

@@ -82,10 +82,10 @@ struct Comparing {
 }
 
 impl Rerun {
-    /// A replay under a configuration. `at_once` is for recordings without results.
+    /// A replay under a configuration, as the daemon of this id had it. `at_once` is for recordings without results.
     #[must_use]
-    pub fn new(config: &Config, at_once: bool) -> Self {
-        let lane = |_| Mutex::new(Replay::new(config.clone(), at_once));
+    pub fn new(config: &Config, daemon: Option<&str>, at_once: bool) -> Self {
+        let lane = |_| Mutex::new(Replay::new(config.clone(), daemon, at_once));
         Self { lanes: (0..LANES).map(lane).collect(), places: Engine::new(config.engine()) }
     }
 

@@ -2,6 +2,7 @@
 
 use std::collections::{HashMap, HashSet};
 
+use crate::source::own::Own;
 use crate::source::shares::Shares;
 use stiction::record::Signal;
 use stiction_monitor::codec::topic::{Leaf, Topic};
@@ -22,6 +23,8 @@ pub enum Route {
     Refused,
     /// A new loop beyond what may be.
     Full,
+    /// A loop of another daemon.
+    Elsewhere,
 }
 
 /// The table of keys, learnt as they appear.
@@ -36,12 +39,14 @@ pub struct Routes {
     known: HashMap<Box<str>, Route>,
     /// Told of each of them.
     shares: Shares,
+    /// Which loops are this daemon's.
+    own: Own,
 }
 
 impl Routes {
     /// The routes that a configuration fixes.
     #[must_use]
-    pub fn new(config: &Config, shares: Shares) -> Self {
+    pub fn new(config: &Config, shares: Shares, own: Own) -> Self {
         let mapped = config
             .loops
             .iter()
@@ -49,7 +54,7 @@ impl Routes {
             .collect();
         let configured = config.loops.iter().map(|l| l.name.clone()).collect();
         let (prefix, discover) = (config.site.prefix.clone(), config.input.discover);
-        Self { prefix, discover, mapped, configured, known: HashMap::new(), shares }
+        Self { prefix, discover, mapped, configured, known: HashMap::new(), shares, own }
     }
 
     /// The route of a key; a loop that is new appears, a discovered one where `may_appear` agrees.
@@ -77,6 +82,9 @@ impl Routes {
     pub fn to_loop(&self, name: &str, signal: Signal, engine: &mut Engine, may_appear: impl FnOnce() -> bool) -> Route {
         if !(self.configured.contains(name) || self.discover && is_sound(name)) {
             return Route::Refused;
+        }
+        if !self.own.has(name) {
+            return Route::Elsewhere;
         }
         let known = self.configured.contains(name) || engine.find(name).is_some();
         let appeared = (known || engine.has_room() && may_appear()).then(|| engine.appear(name)).flatten();
@@ -112,7 +120,7 @@ mod tests {
 
     fn setup(text: &str) -> (Engine, Routes) {
         let config = Config::parse(text).unwrap();
-        let routes = Routes::new(&config, Shares::default());
+        let routes = Routes::new(&config, Shares::default(), Own::all());
         (Engine::new(config.engine()), routes)
     }
 

@@ -23,12 +23,13 @@ use crate::files::disk::Disk;
 use crate::sink::keeper::{self, Keeper};
 use crate::sink::recorder::{Recorder, RunInfo, Writer};
 use crate::sink::zenoh::{Publication, Publisher};
+use crate::source::own::Own;
 use crate::source::shares::Shares;
 use crate::source::{Answer, Envelope, Incoming, Intake};
 use stiction::verdict::Assessment;
 use stiction_monitor::alarm::Command;
 use stiction_monitor::config::Config;
-use stiction_monitor::engine::{Engine, GapRequest, Request};
+use stiction_monitor::engine::{Engine, EngineSettings, GapRequest, Request};
 
 /// Windows handed to the stage's holder ahead of their fits: as with one worker.
 const AT_HAND: usize = 1;
@@ -82,11 +83,12 @@ impl Stage {
         let starting = DaemonHealth::starting(DAEMON_ID, &config.hash());
         let snapshot = HealthSnapshot::new(RwLock::new((clock.now(), Arc::new(starting))));
         let mut core = Core::new(Parts {
-            engine: Engine::new(config.engine()),
+            engine: Engine::new(EngineSettings { daemon: Some(DAEMON_ID.into()), ..config.engine() }),
             config: Arc::new(config),
             input: (budget.clone(), shares),
             workers: Workers { requests: to_worker, answers: answered.clone() },
             diagnoser,
+            own: Own::all(),
             recorder: Some(recorder),
             keeper: Some(keeper),
             publisher,
@@ -223,6 +225,7 @@ fn run_of(config: &Config, config_text: &str, clock: &Clock, run_number: u64) ->
         origin: "stage",
         config_text: config_text.to_owned(),
         config_hash: config.hash(),
+        daemon: DAEMON_ID.to_owned(),
         loop_map: String::new(),
         raw: config.recording.raw.clone(),
     }

@@ -31,7 +31,7 @@ pub struct Publication {
     pub key: String,
     /// What it is.
     pub kind: Kind,
-    /// Its JSON.
+    /// Its JSON; empty where the last one is no longer this daemon's to answer with.
     pub document: Vec<u8>,
 }
 
@@ -84,7 +84,8 @@ impl Publisher {
     /// Hands a document over.
     pub fn publish(&self, publication: Publication) {
         let bytes = size_of::<Publication>() + publication.key.len() + publication.document.len();
-        let patience = if publication.kind == Kind::Alarm { ALARM_PATIENCE } else { Duration::ZERO };
+        let patience =
+            if matches!(publication.kind, Kind::Alarm | Kind::State) { ALARM_PATIENCE } else { Duration::ZERO };
         let room = self.budget.take(bytes);
         // An alarm is small, and goes out whatever else waits.
         let lost = (room.is_none() && publication.kind != Kind::Alarm)
@@ -124,7 +125,7 @@ fn publish_all(
         let shared = LastValue { document: document.as_slice().into(), attachment: attachment.clone() };
         last.write().unwrap_or_else(PoisonError::into_inner).insert(key.clone(), shared);
         let (priority, congestion) = match kind {
-            Kind::Alarm => (Priority::InteractiveHigh, CongestionControl::Block),
+            Kind::Alarm | Kind::State => (Priority::InteractiveHigh, CongestionControl::Block),
             Kind::Health => (Priority::Background, CongestionControl::Drop),
             _ => (Priority::Data, CongestionControl::Block),
         };

@@ -7,10 +7,11 @@ use anyhow::anyhow;
 use zenoh::Wait;
 use zenoh::sample::Locality;
 
+use super::own::Own;
 use crate::daemon::clock::now_ns;
 use crate::daemon::faults::Faults;
 use crate::daemon::metrics::Metrics;
-use stiction_monitor::codec::topic;
+use stiction_monitor::codec::topic::{self, Kind, Leaf, Topic};
 
 /// Name of the fault while the session cannot listen.
 pub const LISTENING: &str = "listening";
@@ -22,7 +23,12 @@ const PROBE_WITHIN: Duration = Duration::from_secs(3);
 const FOREIGN_SHOWN: Duration = Duration::from_secs(60);
 
 /// Watches the session for ever.
-pub async fn watch(session: zenoh::Session, config: zenoh::Config, prefix: String, faults: Arc<Faults>) {
+pub async fn watch(
+    session: zenoh::Session,
+    config: zenoh::Config,
+    (prefix, daemon_id): (String, String),
+    faults: Arc<Faults>,
+) {
     let expected = config.get_json("connect/endpoints").is_ok_and(|text| text.contains('/'));
     let own_id = config.get_json("id").is_ok_and(|text| text != "null");
     let mut alone = 0;
@@ -40,7 +46,7 @@ pub async fn watch(session: zenoh::Session, config: zenoh::Config, prefix: Strin
             continue;
         }
         let id = session.zid().to_string();
-        if own_id && taken(&config, &prefix, &id).await {
+        if own_id && taken(&config, &prefix, &daemon_id).await {
             let remedy = "it hears nothing until that one ends; give each an id of its own, or leave id out";
             faults.raise("bus", format!("another daemon uses the Zenoh id {id} of this one: {remedy}"));
         } else {
@@ -98,11 +104,20 @@ async fn taken(config: &zenoh::Config, prefix: &str, id: &str) -> bool {
 pub async fn watch_own_keys(
     session: &zenoh::Session,
     prefix: &str,
+    own: Own,
     faults: Arc<Faults>,
     metrics: Arc<Metrics>,
 ) -> anyhow::Result<zenoh::pubsub::Subscriber<()>> {
     let key = topic::plane(prefix, "**");
+    let of = prefix.to_owned();
     let note = move |sample: zenoh::sample::Sample| {
+        // Others that share the loops speak of theirs, and of all while they hand them over.
+        if !own.is_all()
+            && Topic::parse(Some(&of), sample.key_expr().as_str())
+                .is_some_and(|t| t.leaf == Leaf::Document(Kind::State) || !own.has(t.loop_name))
+        {
+            return;
+        }
         metrics.foreign_documents.inc();
         let (count, key) = (metrics.foreign_documents.get(), sample.key_expr().as_str().escape_debug().to_string());
         let key: String = key.chars().take(120).collect();

@@ -11,10 +11,11 @@ use anyhow::{Context, anyhow};
 use crossbeam_channel::Sender;
 use zenoh::Wait;
 use zenoh::bytes::Encoding;
-use zenoh::key_expr::{KeyExpr, keyexpr};
+use zenoh::key_expr::KeyExpr;
 use zenoh::query::Query;
 use zenoh::sample::{Sample as BusSample, SampleKind};
 
+use super::own::brought;
 use super::{Answer, Envelope, Incoming, Intake, principals};
 use crate::daemon::documents;
 use crate::daemon::metrics::Metrics;
@@ -74,6 +75,10 @@ pub fn session_config(config: &Config) -> anyhow::Result<zenoh::Config> {
         ("connect/exit_on_failure", "false".to_owned()),
         ("transport/link/rx/max_message_size", MAX_MESSAGE.to_string()),
     ];
+    // Others see within the lease that this daemon is gone.
+    let lease_ms = (1000.0 * config.cluster.lease_s).round() as u64;
+    let lease = config.cluster.is_on().then(|| ("transport/link/tx/lease", lease_ms.to_string()));
+    wanted.extend(lease.into_iter().filter(|(key, _)| !said(key)));
     wanted.extend(unsaid.into_iter().filter(|(key, _)| !said(key)));
     let mut set = |key: &str, value: String| {
         session.insert_json5(key, &value).map_err(|e| anyhow!("Zenoh refuses {key} = {value}: {e}"))
@@ -115,11 +120,6 @@ pub async fn open(config: &Config) -> anyhow::Result<(zenoh::Session, Option<Str
 /// The keys that a daemon subscribes to: everything under its prefix, and each foreign key that is mapped.
 fn subscriptions(config: &Config) -> Vec<String> {
     let mut keys = vec![format!("{}/**", config.site.prefix)];
-    // What another subscription brings already would come twice.
-    let brought = |keys: &[String], key: &str| {
-        let includes = |wide: &String| keyexpr::new(wide).is_ok_and(|w| keyexpr::new(key).is_ok_and(|k| w.includes(k)));
-        keys.iter().any(includes)
-    };
     for bundle in &config.bundles {
         if !brought(&keys, &bundle.key) {
             keys.retain(|key| !brought(std::slice::from_ref(&bundle.key), key));
@@ -155,7 +155,7 @@ pub async fn subscribe(
     Ok(subscribers)
 }
 
-fn enqueue(sample: &BusSample, intake: &Intake) {
+pub(super) fn enqueue(sample: &BusSample, intake: &Intake) {
     if sample.kind() == SampleKind::Delete {
         return intake.delete();
     }
@@ -176,7 +176,7 @@ fn enqueue(sample: &BusSample, intake: &Intake) {
 /// A key that Zenoh refuses.
 pub async fn answer_queries(
     session: &zenoh::Session,
-    prefix: &str,
+    (prefix, daemon_id): (&str, &str),
     queue: Sender<Incoming>,
     last: LastValues,
     sign: Option<Sign>,
@@ -184,7 +184,7 @@ pub async fn answer_queries(
 ) -> anyhow::Result<Vec<zenoh::query::Queryable<()>>> {
     let mut queryables = Vec::new();
     // No wildcard matches the verbatim chunk of the daemon's own health; another daemon's is not ours to answer.
-    let own = format!("@daemon/{}/**", session.zid());
+    let own = format!("@daemon/{daemon_id}/**");
     for key in [topic::plane(prefix, "**"), topic::plane(prefix, &own)] {
         let (prefix, queue) = (prefix.to_owned(), queue.clone());
         let (last, sign, metrics) = (last.clone(), sign.clone(), metrics.clone());

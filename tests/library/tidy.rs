@@ -15,7 +15,7 @@ pub const CRATES: [&str; 4] = ["src", "crates/stiction/src", "crates/stiction-mo
 const MAX_LINES: usize = 600;
 
 /// Which rooms each room may use.
-const IMPORTS: [(&str, &[&str]); 32] = [
+const IMPORTS: [(&str, &[&str]); 33] = [
     // Words.
     ("units", &[]),
     ("record", &["units"]),
@@ -42,6 +42,7 @@ const IMPORTS: [(&str, &[&str]); 32] = [
     ("calibrate_intervals", &["signal", "ident", "detect", "verdict", "truth"]),
     // Engine: neither it nor the alarm knows a configuration.
     ("hash", &[]),
+    ("ownership", &[]),
     ("alarm", &["units", "record", "hash", "ident", "verdict"]),
     ("codec", &["units", "record"]),
     ("engine", &["units", "record", "signal", "sim", "ident", "detect", "verdict", "gap", "alarm"]),
@@ -50,7 +51,7 @@ const IMPORTS: [(&str, &[&str]); 32] = [
         &["units", "record", "signal", "optim", "sim", "ident", "detect", "config", "verdict", "gap", "engine"],
     ),
     // Settings: words, which formats there are, and what alarm and engine are told.
-    ("config", &["units", "record", "signal", "codec", "hash", "verdict", "alarm", "engine"]),
+    ("config", &["units", "record", "signal", "codec", "hash", "ownership", "verdict", "alarm", "engine"]),
     // Shell: anything pure, and each other; that nobody uses `cli`, a part of the program alone, the compiler holds.
     ("cores", &["pure"]),
     ("files", &["pure"]),

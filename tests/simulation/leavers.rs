@@ -10,7 +10,8 @@ use stiction_monitor::alarm::{Command, State};
 use stiction_monitor::codec::encode_recorded;
 use stiction_monitor::config::Config;
 use stictiond::daemon::clock::Clock;
-use stictiond::daemon::replay::{Replay, chains_of, replay_file};
+use stictiond::daemon::replay::chains_of;
+use stictiond::daemon::rerun::Rerun;
 use stictiond::daemon::stage::Stage;
 use stictiond::files::disk::{Disk, SystemDisk};
 
@@ -82,10 +83,10 @@ fn loops_that_left_are_forgotten_and_come_back_and_replay_says_the_same() {
     assert_eq!((shown(&stage, STICKS), stage.engine().appeared()), (Some(State::Acked), 5));
     stage.finish();
     drop(stage);
-    let mut replay = Replay::new(config, false);
+    let mut replay = Rerun::new(&config, None, false);
     let chains = chains_of(dir.path()).unwrap();
     assert_eq!((chains.len(), chains[0].len()), (1, 1));
-    let report = replay_file(&mut replay, &chains[0][0], "p", true, true).unwrap();
+    let report = replay.file(&chains[0][0], "p", true, true).unwrap();
     assert_eq!((report.difference, report.cut), (None, None));
     assert!(report.compared > 20, "{}", report.compared);
     // The next run knows the alarm, and nothing of the loop at rest but what it last said.

@@ -7,6 +7,7 @@
 //! | [`alarm`] | ISA-18.2 states |
 //! | [`engine`] | one state machine a loop |
 //! | [`config`] | text to settings: its own, the engine's and the alarm's |
+//! | [`ownership`] | which daemon watches which loop |
 //! | [`analysis`] | samples of a recording to the answers of `analyze` and `gap` |
 //!
 //! [`engine::Engine`] is told the time (stamps on samples) and handed the data; a fit leaves it as a
@@ -22,5 +23,6 @@ pub mod codec;
 pub mod config;
 pub mod engine;
 mod hash;
+pub mod ownership;
 
 pub use hash::short_hash;

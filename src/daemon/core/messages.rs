@@ -82,6 +82,7 @@ impl Core {
             }
             Route::Foreign => drop(self.metrics.foreign_keys.inc()),
             Route::Refused => drop(self.metrics.refused_loops.inc()),
+            Route::Elsewhere => {}
         }
         None
     }

@@ -30,8 +30,12 @@ impl Core {
     pub(super) fn employ(&mut self) {
         while !self.workers.requests.is_full() {
             let Some(Due { id, seq, end_ns }) = self.schedule.pop() else { return };
-            let sent = self.engine.request(id, seq).is_some_and(|r| self.workers.requests.try_send(r).is_ok());
-            if !sent {
+            let Some(request) = self.engine.request(id, seq) else {
+                // Its loop has changed hands since.
+                self.due.remove(&(id, seq));
+                continue;
+            };
+            if self.workers.requests.try_send(request).is_err() {
                 self.skip(id, seq, end_ns, SkipReason::Failed);
             }
         }

@@ -230,6 +230,9 @@ pub struct AlarmDocument {
     /// What people did to it.
     #[serde(flatten)]
     pub marks: Marks,
+    /// Id of the daemon that says so; absent where none did.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub daemon: Option<String>,
 }
 
 impl AlarmDocument {

@@ -338,6 +338,12 @@ impl Alarm {
         self.window_end_ns
     }
 
+    /// How far it has come: of two memories of one alarm the greater is the newer.
+    #[must_use]
+    pub const fn progress(&self) -> (Option<i64>, u64) {
+        (self.window_end_ns, self.changes)
+    }
+
     /// The alarm as it stands, after a restart.
     #[must_use]
     pub fn restored(&self, loop_name: &str) -> AlarmDocument {
@@ -402,6 +408,7 @@ impl Alarm {
             by,
             detail,
             marks: self.marks.clone(),
+            daemon: None,
         };
         document.at(&Place::default())
     }

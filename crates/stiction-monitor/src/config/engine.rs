@@ -16,6 +16,7 @@ impl Config {
         let own = |l: &LoopConfig| (l.name.clone(), self.of_loop(Some(l), LoopKind::of_tag(&l.name)));
         EngineSettings {
             config_hash: self.hash().into(),
+            daemon: None,
             max_loops: self.input.max_loops,
             common: LoopKind::ALL.map(|kind| Arc::new(self.of_loop(None, kind))),
             own: self.loops.iter().map(own).collect(),

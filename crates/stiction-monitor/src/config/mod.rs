@@ -7,6 +7,7 @@ mod engine;
 mod input;
 mod loops;
 mod reader;
+mod scale;
 mod service;
 
 use serde::Serialize;
@@ -18,6 +19,7 @@ pub use deliver::{Address, Deliver, Protocol};
 pub use input::Input;
 pub use reader::Fault;
 use reader::{Lines, TableReader, subtable};
+pub use scale::{Cluster, Daemon, ShardKeys, is_id};
 pub use service::{Commands, Retention, Signing};
 
 use crate::alarm::AlarmParams;
@@ -33,8 +35,22 @@ fn is_default<T: Default + PartialEq>(settings: &T) -> bool {
 }
 
 /// Tables that stand once.
-const TABLES: [&str; 11] =
-    ["site", "zenoh", "input", "window", "alarm", "gap", "recording", "retention", "commands", "signing", "web"];
+const TABLES: [&str; 14] = [
+    "site",
+    "zenoh",
+    "input",
+    "window",
+    "alarm",
+    "gap",
+    "recording",
+    "retention",
+    "commands",
+    "signing",
+    "web",
+    "daemon",
+    "shard",
+    "cluster",
+];
 
 /// Everything the daemon is told. Field names are the keys of the text.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -66,6 +82,15 @@ pub struct Config {
     pub signing: Signing,
     /// Metrics and health over HTTP.
     pub web: Web,
+    /// Who this daemon is. Like the next two not part of [`Config::hash`]: who computes a window changes no answer.
+    #[serde(skip_serializing)]
+    pub daemon: Daemon,
+    /// Its fixed part of all loops.
+    #[serde(skip_serializing)]
+    pub shard: ShardKeys,
+    /// The daemons with which it shares the loops.
+    #[serde(skip_serializing)]
+    pub cluster: Cluster,
     /// Receivers outside the bus. Not part of [`Config::hash`]: where documents go changes none of them.
     #[serde(skip_serializing)]
     pub deliver: Vec<Deliver>,
@@ -203,8 +228,22 @@ impl Config {
 
     fn read(lines: &Lines, root: &DeTable<'_>, faults: &mut Vec<Fault>) -> Self {
         let mut open = |key: &str| subtable(lines, root, key, faults);
-        let [site, zenoh, input, window, alarm, gap, recording, retention, commands, signing, web] =
-            TABLES.map(|key| (key, open(key)));
+        let [
+            site,
+            zenoh,
+            input,
+            window,
+            alarm,
+            gap,
+            recording,
+            retention,
+            commands,
+            signing,
+            web,
+            daemon,
+            shard,
+            cluster,
+        ] = TABLES.map(|key| (key, open(key)));
         macro_rules! read {
             ($entry:expr, $read:expr) => {{
                 let mut reader = TableReader::new(lines, $entry.0, $entry.1.1, $entry.1.0, faults);
@@ -227,10 +266,14 @@ impl Config {
             commands: read!(commands, service::read_commands),
             signing: read!(signing, service::read_signing),
             web: read!(web, read_web),
+            daemon: read!(daemon, scale::read_daemon),
+            shard: read!(shard, scale::read_shard),
+            cluster: read!(cluster, scale::read_cluster),
             deliver: deliver::read_delivers(lines, root, faults),
             bundles: bundle::read_bundles(lines, root, faults),
             loops: loops::read_loops(lines, root, window, alarm, faults),
         };
+        faults.extend(scale::both_ways(lines, root, &config.shard, &config.cluster));
         faults.extend(input::too_few_places(lines, root, config.input.max_loops, config.loops.len()));
         config
     }

@@ -212,6 +212,8 @@ pub struct GapRequest {
     pub budget_evaluations: u64,
     /// Hash of the configuration.
     pub config_hash: Arc<str>,
+    /// Id of the daemon that asks; none outside one.
+    pub daemon: Option<Arc<str>>,
 }
 
 impl GapRequest {
@@ -230,6 +232,7 @@ impl GapRequest {
             reason: self.reason,
             by: self.by.clone(),
             config_hash: self.config_hash.to_string(),
+            daemon: self.daemon.as_deref().map(str::to_owned),
         })
     }
 }
@@ -246,6 +249,9 @@ pub struct PublishedGap {
     pub by: Option<String>,
     /// Hash of the configuration.
     pub config_hash: String,
+    /// Id of the daemon that made it; absent where none did.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub daemon: Option<String>,
 }
 
 impl PublishedGap {

@@ -11,7 +11,7 @@ pub const INPUT_SCHEMA: &str = "stictiond.input.v1";
 pub const STATE_SCHEMA: &str = "stictiond.state.v1";
 
 /// What outside time or people brought into a run; replay obeys it.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum RecordedInput {
     /// A due window that got no fit.
@@ -49,6 +49,13 @@ pub enum RecordedInput {
     /// The loop had sent nothing for long and left the memory: what comes next begins anew, but for an alarm that is not
     /// at rest.
     Forget,
+    /// The loop is this daemon's from here on.
+    Taken {
+        /// What its last owner remembered; null where nobody knew.
+        memory: Option<Box<Checkpoint>>,
+    },
+    /// The loop is another daemon's from here on.
+    Released,
 }
 
 /// A loop's state at a place in a recording.

@@ -11,6 +11,7 @@ pub mod gaps;
 mod input;
 mod looper;
 mod settings;
+mod share;
 mod windowing;
 
 use std::collections::HashMap;
@@ -141,6 +142,9 @@ pub struct StreamState {
     /// Windows that had no answer yet.
     #[serde(default, skip_serializing_if = "is_zero")]
     waiting: u64,
+    /// The last window that another daemon has done.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    done_ns: Option<i64>,
 }
 
 #[allow(clippy::trivially_copy_pass_by_ref)] // as serde calls it
@@ -331,14 +335,16 @@ impl Engine {
 
     /// Takes the answer to a request.
     pub fn complete(&mut self, id: LoopId, seq: u64, assessment: Assessment, out: &mut Vec<Event>) {
-        let hash = self.settings.config_hash.clone();
+        let (from, hash) = (out.len(), self.settings.config_hash.clone());
         self.of_mut(id).resolve(id, seq, Some(assessment), &hash, out);
+        self.sign(&mut out[from..]);
     }
 
     /// Gives a due window up. Its document says so; the recording must hold the skip as an input.
     pub fn skip(&mut self, id: LoopId, seq: u64, out: &mut Vec<Event>) {
-        let hash = self.settings.config_hash.clone();
+        let (from, hash) = (out.len(), self.settings.config_hash.clone());
         self.of_mut(id).resolve(id, seq, None, &hash, out);
+        self.sign(&mut out[from..]);
     }
 
     /// Windows of a loop that wait for their answers, oldest first: place and name.
@@ -351,8 +357,10 @@ impl Engine {
     /// # Errors
     /// [`GapRefusal`] where too little is held of the loop.
     pub fn run_gap(&mut self, id: LoopId, by: Option<&str>, out: &mut Vec<Event>) -> Result<u64, GapRefusal> {
-        let hash = self.settings.config_hash.clone();
-        self.of_mut(id).run_gap(id, by, &hash, out)
+        let (from, hash) = (out.len(), self.settings.config_hash.clone());
+        let asked = self.of_mut(id).run_gap(id, by, &hash, out);
+        self.sign(&mut out[from..]);
+        asked
     }
 
     /// Takes a diagnosis. It is put out once those asked before it are done.
@@ -376,7 +384,8 @@ impl Engine {
     /// # Errors
     /// [`CommandError`] where the command is unknown or does not fit the alarm's state.
     pub fn command(&mut self, id: LoopId, command: &Command) -> Result<AlarmDocument, CommandError> {
-        self.of_mut(id).command(command)
+        let document = self.of_mut(id).command(command)?;
+        Ok(self.signed(document))
     }
 
     /// The state to write at the start of a file.
@@ -388,7 +397,8 @@ impl Engine {
     /// Takes a state over: the alarm always, the stream where the checkpoint holds one.
     /// Gives back the alarm's document where it is not at rest.
     pub fn restore(&mut self, id: LoopId, checkpoint: Checkpoint) -> Option<AlarmDocument> {
-        self.of_mut(id).restore(checkpoint)
+        let document = self.of_mut(id).restore(checkpoint);
+        document.map(|document| self.signed(document))
     }
 
     /// Takes over what windows left behind, without the stream: as at the start of the file that is verified.

@@ -103,6 +103,8 @@ pub struct LoopSettings {
 pub struct EngineSettings {
     /// Hash of what all this was read from, as documents carry it.
     pub config_hash: Arc<str>,
+    /// Id of the daemon, as its documents carry it; none outside one.
+    pub daemon: Option<Arc<str>>,
     /// Loops beyond this many do not appear.
     pub max_loops: usize,
     /// Settings of loops that have none of their own, by what their tags say they control.

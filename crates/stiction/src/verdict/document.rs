@@ -411,6 +411,9 @@ pub struct EstimateDocument {
     pub version: &'static str,
     /// Hash of the configuration that it ran under.
     pub config_hash: String,
+    /// Id of the daemon that made it; absent where none did. Of two documents of one window that of the smaller id counts.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub daemon: Option<String>,
 }
 
 impl EstimateDocument {
@@ -423,6 +426,7 @@ impl EstimateDocument {
             assessment,
             version: crate::VERSION,
             config_hash: config_hash.to_owned(),
+            daemon: None,
         }
     }
 }
