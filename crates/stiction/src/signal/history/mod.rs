@@ -292,7 +292,14 @@ impl History {
     /// A memory that goes on after `total` points, none of which it holds.
     #[must_use]
     pub fn resumed(max_points: usize, total: u64) -> Self {
-        Self { max_points: max_points.max(16) & !1, raw: Raw::starting(total), levels: Vec::new(), total, held: false }
+        Self {
+            max_points: max_points.max(16) & !1,
+            sizes: ALL_SIZES,
+            raw: Raw::starting(total),
+            levels: Vec::new(),
+            total,
+            held: false,
+        }
     }
 
     /// The same memory with so many sizes of boxes at most.
