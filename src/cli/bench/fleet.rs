@@ -1,5 +1,6 @@
 //! So many loops on this machine: a daemon that records, a plant in another process, and a table of what came of it.
 
+use std::io::{BufRead as _, BufReader};
 use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
@@ -60,7 +61,8 @@ impl Ask {
     /// What is published before and while it is measured. The hop ends in the middle of the latter.
     fn plans(&self) -> [Plan; 2] {
         let scans = (self.for_s * self.pace() / (2.0 * self.loops as f64)).ceil().max(1.0) as u64;
-        let scans = scans.next_multiple_of(self.batch);
+        // Four of them at least, so that the hop ends among them.
+        let scans = scans.max(4).next_multiple_of(self.batch);
         let hop_ns = ns_from_s(self.hop_s).max(1);
         let end_ns = now_ns().div_euclid(hop_ns) * hop_ns;
         let start_ns = end_ns - ns_from_s(self.every_s * (self.fill + scans / 2) as f64);
@@ -120,7 +122,11 @@ impl Place {
     fn publisher(&self, plan: &Plan) -> anyhow::Result<Child> {
         let program = std::env::current_exe().context("this program")?;
         let mut command = Command::new(program);
-        command.args(plan.arguments(&self.endpoint)).env("RUST_LOG", "error").stdout(Stdio::piped());
+        command
+            .args(plan.arguments(&self.endpoint))
+            .env("RUST_LOG", "error")
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped());
         command.spawn().context("the publisher")
     }
 }
@@ -150,10 +156,13 @@ pub fn run(ask: &Ask) -> anyhow::Result<Figures> {
     let daemon = place.daemon()?;
     daemon.answers()?;
     let [fill, measured] = ask.plans();
-    let filled = if fill.scans > 0 { finished(place.publisher(&fill)?)?.samples } else { 0.0 };
-    let before = taken(&daemon, filled)?;
-    let sent = finished(place.publisher(&measured)?)?;
-    let after = taken(&daemon, filled + sent.samples)?;
+    let (filled, before) = if fill.scans > 0 {
+        let (sent, before) = published(&place, &daemon, &fill, 0.0)?;
+        (sent.samples, before)
+    } else {
+        (0.0, daemon.look()?)
+    };
+    let (sent, after) = published(&place, &daemon, &measured, filled)?;
     let judged = daemon.until(JUDGED_WITHIN, |seen| seen.count("estimates") >= seen.count("windows"))?;
     // Everything is on the disk once the files are whole.
     let recordings = daemon.recorded_bytes();
@@ -162,13 +171,19 @@ pub fn run(ask: &Ask) -> anyhow::Result<Figures> {
     Ok(Figures { ask: *ask, sent, filled, before, after, judged, recorded_bytes: recordings, first_sample_s })
 }
 
-/// Waits for a publisher.
-fn finished(publisher: Child) -> anyhow::Result<Sent> {
-    let out = publisher.wait_with_output()?;
-    if !out.status.success() {
-        bail!("the publisher failed: {}", out.status);
+/// Publishes a plan, and waits until the daemon has it all.
+fn published(place: &Place, daemon: &Watched, plan: &Plan, already: f64) -> anyhow::Result<(Sent, Seen)> {
+    let mut publisher = place.publisher(plan)?;
+    let mut line = String::new();
+    BufReader::new(publisher.stdout.take().context("its output")?).read_line(&mut line)?;
+    let sent = Sent::read(&line)?;
+    let seen = taken(daemon, already + sent.samples)?;
+    drop(publisher.stdin.take());
+    let status = publisher.wait()?;
+    if !status.success() {
+        bail!("the publisher failed: {status}");
     }
-    Sent::read(&String::from_utf8_lossy(&out.stdout))
+    Ok((sent, seen))
 }
 
 /// Waits until so many samples were taken and recorded, or nothing more comes.
@@ -214,10 +229,11 @@ impl Figures {
         self.after.count(name) - self.before.count(name)
     }
 
-    /// Messages and samples that were lost anywhere.
+    /// Samples that were lost or refused anywhere, documents that were not recorded included.
     pub fn lost(&self) -> f64 {
-        let refused = ["dropped_input", "undecodable", "over_rate", "refused_loops", "recording_lost"];
-        refused.into_iter().map(|name| self.judged.count(name)).sum()
+        let missing = self.filled + self.sent.samples - self.judged.count("samples");
+        let refused = ["over_rate", "stamps_ahead", "recording_lost"];
+        missing.max(0.0) + refused.into_iter().map(|name| self.judged.count(name)).sum::<f64>()
     }
 
     /// What keeps this machine from more, in words: what lost something, else what was busiest.
@@ -235,6 +251,8 @@ impl Figures {
             "engine: messages found its queue full".to_owned()
         } else if self.judged.count("fits_skipped") > 0.0 {
             "fits: windows found no worker".to_owned()
+        } else if self.lost() > 0.0 {
+            "the bus: samples did not arrive".to_owned()
         } else if behind {
             "the publisher, or the bus that made it wait".to_owned()
         } else {
@@ -257,7 +275,7 @@ impl Figures {
             row("received", self.came("messages"), "messages"),
             row("taken by the engine", self.came("samples"), "samples"),
             row("recorded, filling and documents included", self.judged.count("recorded"), "messages"),
-            row("lost or refused anywhere", self.lost(), "messages"),
+            row("lost or refused anywhere", self.lost(), "samples"),
             row("windows due", self.judged.count("windows"), "windows"),
             row("  judged", self.judged.count("estimates") - self.judged.count("fits_skipped"), "windows"),
             row("  skipped", self.judged.count("fits_skipped"), "windows"),

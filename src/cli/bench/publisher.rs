@@ -1,6 +1,6 @@
 //! A plant for measurements, in a process of its own: so many loops, each with OP and PV, at a fixed pace.
 
-use std::io::Write as _;
+use std::io::{Read as _, Write as _};
 use std::time::{Duration, Instant};
 
 use anyhow::anyhow;
@@ -122,11 +122,11 @@ pub fn run(endpoint: &str, plan: &str) -> anyhow::Result<()> {
         }
     }
     (sent.seconds, sent.cpu_s) = (started.elapsed().as_secs_f64(), cpu::process_seconds());
-    // What still lies in the session's queues goes out before it closes.
-    std::thread::sleep(Duration::from_millis(500));
-    session.close().wait().map_err(|e| anyhow!("{e}"))?;
     let Sent { messages, samples, seconds, cpu_s } = sent;
-    Ok(say(json!({"messages": messages, "samples": samples, "seconds": seconds, "cpu_s": cpu_s}))?)
+    say(json!({"messages": messages, "samples": samples, "seconds": seconds, "cpu_s": cpu_s}))?;
+    // What still lies in the session's queues would go with it: it stays until whoever started it has seen all arrive.
+    let _ = std::io::stdin().read_to_end(&mut Vec::new());
+    session.close().wait().map_err(|e| anyhow!("{e}"))
 }
 
 fn write_payload(plan: &Plan, index: usize, signal: Signal, scans: std::ops::Range<u64>, out: &mut Vec<u8>) {
