@@ -135,6 +135,27 @@ fn an_acknowledgement_outlives_kill_9_and_an_orderly_end() {
 }
 
 #[test]
+fn a_recording_in_columns_outlives_kill_9_up_to_its_last_flush() {
+    let dir = tempfile::tempdir().unwrap();
+    let fast = format!("{FAST}raw = \"columns\"\n");
+    let daemon = Daemon::start(dir.path(), &fast);
+    daemon.play(&live::sticking(dir.path()));
+    daemon.wait_for_estimates(6);
+    let open = files(&dir.path().join("rec")).pop().unwrap();
+    assert!(open.to_str().unwrap().ends_with(".part"));
+    wait_for("the samples on the disk", || (raw_samples(&open) as u64 == daemon.counter("samples")).then_some(()));
+    let samples = raw_samples(&open);
+    daemon.kill();
+    assert!(raw_samples(&open) >= samples && samples > 1000, "{samples}");
+    let replayed = live::stictiond(&["replay", open.to_str().unwrap(), "--verify"]);
+    // Cut off, and equal up to there.
+    assert_eq!(replayed.status.code(), Some(3), "{}", String::from_utf8_lossy(&replayed.stderr));
+    // The alarm is found in it without the store; the next file begins where this one ended.
+    fs::remove_file(dir.path().join("rec/state.redb")).unwrap();
+    assert_eq!(state_after_restart(dir.path()), "unack");
+}
+
+#[test]
 fn kills_just_after_a_start_cost_no_alarm() {
     let dir = tempfile::tempdir().unwrap();
     alarmed(dir.path()).kill();

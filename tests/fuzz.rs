@@ -11,11 +11,12 @@ use std::time::{Duration, Instant};
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
-use stiction::record::Signal;
+use stiction::record::{Mode, Signal, Value};
 use stiction_monitor::alarm::{Alarm, Command};
 use stiction_monitor::codec::topic::Topic;
 use stiction_monitor::codec::{Bundle, MAX_SAMPLES, Memory, decode, decode_fields};
 use stiction_monitor::config::Config;
+use stictiond::files::columns::{self, Columns, Row};
 use stictiond::files::{csv, load_samples};
 
 #[path = "program/exports/data.rs"]
@@ -200,6 +201,24 @@ fn recordings_tables_and_stores() {
 }
 
 /// Exports of other systems, as text, workbook, Parquet and Arrow: whatever is read lies in the years that are believed.
+/// Messages of columns, as a file with right checksums may hold them.
+#[test]
+fn messages_of_columns() {
+    let mut columns = Columns::default();
+    for k in 0..40 {
+        let value = if k % 9 == 0 { Value::Mode(Mode::Manual) } else { Value::number(f64::from(k) / 3.0) };
+        let t_ns = 1_700_000_000_000_000_000 + i64::from(k / 4) * 10_000_000_000;
+        let quality = (k % 5 == 0).then_some(192);
+        columns.push(Row { channel: k as u16 % 4, t_ns, arrival_ns: t_ns + 7_000_000, value, quality });
+    }
+    fuzz("columns", &[columns.take(), Vec::new(), vec![0xff; 32 + 31 * 3]], |bytes| {
+        let mut rows = Vec::new();
+        let read = columns::decode(bytes, &mut rows);
+        assert_eq!(read.is_ok(), !rows.is_empty());
+        assert!(rows.len() <= bytes.len() / columns::ROW);
+    });
+}
+
 #[test]
 fn exports() {
     use stictiond::files::export::{ReadOptions, Zone};

@@ -4,6 +4,8 @@ use super::reading::{ReadArgs, named};
 use super::{Format, Outcome, UsageError};
 use anyhow::{Context, anyhow, bail};
 use serde_json::json;
+#[cfg(feature = "parquet")]
+use std::collections::BTreeMap;
 use std::collections::HashSet;
 use std::fs::{self, File};
 use std::io::BufWriter;
@@ -12,6 +14,8 @@ use stiction::record::Signal;
 use stiction::units::file_stem_of;
 use stictiond::files::compact::{self, CompactLoop};
 use stictiond::files::even::even;
+#[cfg(feature = "parquet")]
+use stictiond::files::partition;
 use stictiond::files::transfer::write_loops;
 use stictiond::files::{self, Loaded, LoadedLoop, METADATA_PREFIX, csv};
 
@@ -28,6 +32,7 @@ const NAMES_SHOWN: usize = 20;
   stictiond convert plant.mcap FIC101.csv --loop FIC101
   stictiond convert store.mat store.mcap
   stictiond convert loops.mcap store.mat                    OP and PV, for the toolbox
+  stictiond convert plant.mcap data/ --partition loop,day   Parquet by loop and day; convert data/ back.mcap reads it
   stictiond convert exports/ june.mcap --tz Europe/Berlin   an historian's files
 
 A compact store holds OP and PV at one sampling time; the rest is left out and said.")]
@@ -45,6 +50,9 @@ pub struct ConvertArgs {
     /// Put samples at an even rate, one every so many seconds: OP, SP and MODE held, PV and MV straight between theirs
     #[arg(long, value_name = "SECONDS", value_parser = resample)]
     pub resample: Option<f64>,
+    /// Write Parquet into the folder OUT, a file a loop and day: loop=NAME/day=YYYY-MM-DD/part-0.parquet
+    #[arg(long, value_name = "loop,day", value_parser = ["loop,day"])]
+    pub partition: Option<String>,
     /// Replace what exists
     #[arg(long)]
     pub force: bool,
@@ -61,6 +69,7 @@ enum Target {
     Mcap(PathBuf),
     Mat(PathBuf),
     Folder(PathBuf),
+    Partitions(PathBuf),
 }
 
 /// What was written.
@@ -77,7 +86,10 @@ struct Written {
 /// What cannot be read or written, with its place; [`UsageError`] where the request must change.
 pub fn run(args: &ConvertArgs, format: Format) -> anyhow::Result<Outcome> {
     let [inputs @ .., output] = &args.paths[..] else { return Err(UsageError("OUT is missing".to_owned()).into()) };
-    let target = target_of(output)?;
+    let target = match &args.partition {
+        Some(_) => Target::Partitions(output.clone()),
+        None => target_of(output)?,
+    };
     if let Target::Csv(path) | Target::Mcap(path) | Target::Mat(path) = &target {
         refuse_existing(path, args.force)?;
         if inputs.iter().any(|input| same_file(input, path)) {
@@ -100,6 +112,7 @@ pub fn run(args: &ConvertArgs, format: Format) -> anyhow::Result<Outcome> {
         Target::Mcap(path) => vec![to_mcap(&loaded, inputs, &path)?],
         Target::Mat(path) => vec![to_mat(&loaded, &path)?],
         Target::Folder(folder) => to_folder(&loaded, &folder, args.force)?,
+        Target::Partitions(folder) => to_partitions(&loaded, &folder, args.force)?,
     };
     report(&place, &loaded, &written, format)?;
     Ok(if loaded.data_loss { Outcome::DataLoss } else { Outcome::Done })
@@ -198,6 +211,28 @@ fn to_folder(loaded: &Loaded, folder: &Path, force: bool) -> anyhow::Result<Vec<
         temporary.become_file(&done.path)?;
     }
     Ok(written)
+}
+
+/// Parquet by loop and day. A loop that several files hold is one.
+#[cfg(feature = "parquet")]
+fn to_partitions(loaded: &Loaded, folder: &Path, force: bool) -> anyhow::Result<Vec<Written>> {
+    let mut by_name: BTreeMap<&str, LoadedLoop> = BTreeMap::new();
+    for one in &loaded.loops {
+        let all = by_name.entry(&one.name).or_insert_with(|| LoadedLoop::new(&one.name, Vec::new()));
+        all.samples.extend_from_slice(&one.samples);
+    }
+    let mut written = Vec::with_capacity(by_name.len());
+    for one in by_name.values() {
+        let rows = partition::write(one, folder, force)?.iter().map(|part| part.rows).sum();
+        let path = folder.join(format!("loop={}", partition::encoded(&one.name)));
+        written.push(written_table(one, path, rows));
+    }
+    Ok(written)
+}
+
+#[cfg(not(feature = "parquet"))]
+fn to_partitions(_: &Loaded, _: &Path, _: bool) -> anyhow::Result<Vec<Written>> {
+    Err(UsageError("this build writes no Parquet: build with --features parquet".to_owned()).into())
 }
 
 /// A file's stem from a loop's name, unique in its folder (also where letter case does not tell files apart).

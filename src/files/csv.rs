@@ -205,13 +205,13 @@ impl Cells {
 
 /// One row: a stamp and its cells in the order of [`COLUMNS`].
 #[derive(Clone, Copy)]
-struct Row {
-    t_ns: i64,
-    cells: [Option<Value>; COLUMNS.len()],
+pub(super) struct Row {
+    pub t_ns: i64,
+    pub cells: [Option<Value>; COLUMNS.len()],
 }
 
 /// Samples of one loop as rows: a sample joins the latest row of its stamp unless its cell is taken there.
-fn rows_of(samples: &[Sample]) -> Vec<Row> {
+pub(super) fn rows_of(samples: &[Sample]) -> Vec<Row> {
     let mut rows: Vec<Row> = Vec::with_capacity(samples.len() / 2 + 1);
     let mut latest: HashMap<i64, usize> = HashMap::with_capacity(samples.len() / 2 + 1);
     for sample in samples {

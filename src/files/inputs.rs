@@ -6,7 +6,7 @@ use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
 use super::export::{self, ReadOptions};
-use super::{FileError, InputKind, Loaded, load};
+use super::{FileError, InputKind, Loaded, load, partition};
 
 /// Endings of files that are read from folders.
 const ENDINGS: [&str; 16] = [
@@ -41,8 +41,13 @@ impl Unit {
     /// # Errors
     /// As [`load`].
     pub fn load(&self, options: &ReadOptions) -> Result<Loaded, FileError> {
-        if let [one] = &self.paths[..] {
+        if let [one] = &self.paths[..]
+            && partition::loop_of(one).is_none()
+        {
             return load(one, options);
+        }
+        if let Some(name) = self.paths.first().and_then(|path| partition::loop_of(path)) {
+            return partition::load(&name, &self.paths, options);
         }
         let mut parts = Vec::with_capacity(self.paths.len());
         for path in &self.paths {
@@ -74,11 +79,16 @@ pub fn units(words: &[PathBuf], options: &ReadOptions) -> Result<Vec<Unit>, File
     let mut units: Vec<Unit> = Vec::new();
     let mut by_loop: HashMap<(PathBuf, String), usize> = HashMap::new();
     for path in files {
-        let Some(name) = signal_of(&path, options) else {
+        // The days of one loop are its one file.
+        let days = partition::loop_of(&path).zip(path.ancestors().nth(3).map(Path::to_owned));
+        let of_signal = || {
+            let name = signal_of(&path, options)?;
+            Some((name, path.parent().map_or_else(PathBuf::new, Path::to_owned)))
+        };
+        let Some((name, folder)) = days.or_else(of_signal) else {
             units.push(whole(path));
             continue;
         };
-        let folder = path.parent().map_or_else(PathBuf::new, Path::to_owned);
         let at = *by_loop.entry((folder, name)).or_insert(units.len());
         if at == units.len() {
             units.push(whole(path));

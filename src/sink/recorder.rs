@@ -1,12 +1,14 @@
 //! The recorder: raw samples and results into MCAP files, in the order in which the engine took them.
 //!
-//! A thread of its own behind a bounded queue. The engine waits a little for a place, because a recording that misses
-//! something cannot be replayed; a disk that hangs longer costs recordings, counted, never alarms. Loops are spread
+//! A thread of its own behind a queue that is bounded by its bytes. Where it is full the engine waits a little, because a
+//! recording that misses something cannot be replayed, but only while this thread takes items: never for a disk that hangs,
+//! which costs recordings, counted, never alarms or estimates. Loops are spread
 //! over files side by side, [`LOOPS_PER_FILE`] to a file; each such *shard* is a recording of its own.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
@@ -24,16 +26,18 @@ use stiction_monitor::codec::topic::{self, Kind};
 use stiction_monitor::config::Recording;
 use stiction_monitor::engine::LoopId;
 
-/// Messages that may wait for the disk.
-pub const QUEUE: usize = 65_536;
-/// Bytes that may wait for it.
+/// Bytes that may wait for the disk: a minute of what 100,000 loops send every 10 s.
 pub const QUEUE_BYTES: usize = 256 << 20;
+/// Messages that may wait for it, if they are samples.
+pub const QUEUE: usize = QUEUE_BYTES / size_of::<(Item, Room)>();
 /// Pause before it is looked again whether there is room.
 const LOOK_AGAIN: Duration = Duration::from_millis(5);
 /// Loops in one file: with at most ten channels a loop this stays within what a file may hold.
 pub const LOOPS_PER_FILE: usize = 1000;
 /// How long the engine waits for a place in the queue before it goes on without.
 const PATIENCE: Duration = Duration::from_secs(2);
+/// After so long without an item taken the thread stands before the disk, and nobody waits for it.
+const STANDS: Duration = Duration::from_millis(20);
 /// Pause after an error of the disk before the next file is tried.
 const RETRY: Duration = Duration::from_secs(5);
 
@@ -97,7 +101,7 @@ impl Item {
             Self::Raw { .. } | Self::Limits { .. } | Self::Close { .. } => 0,
             Self::Document { json, .. } => json.len(),
         };
-        size_of::<Self>() + held
+        size_of::<(Self, Room)>() + held
     }
 }
 
@@ -183,6 +187,8 @@ pub struct Recorder {
     clock: Clock,
     /// The queue was full for long: nothing waits until it has drained.
     overrun: bool,
+    /// Items that the other end has taken.
+    taken: Arc<AtomicU64>,
 }
 
 impl Recorder {
@@ -211,7 +217,8 @@ impl Recorder {
         metrics: Arc<Metrics>,
         faults: Arc<Faults>,
     ) -> (Self, Writer) {
-        let (queue, items) = crossbeam_channel::bounded(QUEUE);
+        let (queue, items) = crossbeam_channel::unbounded();
+        let taken = Arc::new(AtomicU64::new(0));
         let (wanted, rotations) = crossbeam_channel::unbounded();
         let writer = Writer {
             items,
@@ -229,18 +236,26 @@ impl Recorder {
             faults,
             lost: 0,
             last_arrival_ns: 0,
+            taken: taken.clone(),
         };
         let budget = Budget::new(QUEUE_BYTES);
-        (Self { queue, budget, rotations, metrics, clock, overrun: false }, writer)
+        (Self { queue, budget, rotations, metrics, clock, overrun: false, taken }, writer)
     }
 
     /// Hands one item over, waiting a little for a place.
     pub fn record(&mut self, item: Item) {
-        let until = self.clock.now() + if self.overrun { Duration::ZERO } else { PATIENCE };
         let mut left = self.put(item);
-        while let Some(item) = left.take_if(|_| self.clock.now() < until) {
-            self.clock.sleep(LOOK_AGAIN);
-            left = self.put(item);
+        if left.is_some() && !self.overrun {
+            let until = self.clock.now() + PATIENCE;
+            let (mut taken, mut moved) = (self.taken.load(Ordering::Relaxed), self.clock.now());
+            while let Some(item) = left.take_if(|_| self.clock.now() < until && self.clock.since(moved) < STANDS) {
+                self.clock.sleep(LOOK_AGAIN);
+                let now_taken = self.taken.load(Ordering::Relaxed);
+                if now_taken != taken {
+                    (taken, moved) = (now_taken, self.clock.now());
+                }
+                left = self.put(item);
+            }
         }
         if left.is_some() {
             if !self.overrun {
@@ -248,7 +263,7 @@ impl Recorder {
             }
             self.overrun = true;
             self.metrics.recording_lost.inc();
-        } else if self.overrun && self.queue.len() < QUEUE / 2 {
+        } else if self.overrun && self.budget.used() < self.budget.limit() / 2 {
             self.overrun = false;
         }
     }
@@ -313,6 +328,7 @@ pub struct Writer {
     faults: Arc<Faults>,
     lost: u64,
     last_arrival_ns: i64,
+    taken: Arc<AtomicU64>,
 }
 
 impl Writer {
@@ -355,6 +371,7 @@ impl Writer {
     }
 
     fn take(&mut self, item: Item) {
+        self.taken.fetch_add(1, Ordering::Relaxed);
         match item {
             Item::Open { shard, states } => self.open(shard, &states),
             Item::Close { shard } => self.close(shard),

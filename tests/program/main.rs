@@ -13,6 +13,7 @@ mod challenge;
 mod cli_files;
 mod cli_gap;
 mod cli_report;
+mod columns;
 mod daemon;
 mod daemon_gap;
 mod exports;
