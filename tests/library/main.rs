@@ -8,6 +8,7 @@ mod circles;
 mod config;
 mod engine;
 mod engine_gaps;
+mod engine_share;
 mod formats;
 mod pages;
 mod tidy;
