@@ -108,7 +108,6 @@ struct Members {
     tell: Sender<Seen>,
     started: Instant,
     list: Debounce,
-    members: HashSet<String>,
     linked: bool,
     known: BTreeMap<String, Known>,
     /// Subscriptions of the loops that this daemon has.
@@ -133,7 +132,6 @@ pub fn start(parts: Parts, stop: Receiver<()>) -> anyhow::Result<JoinHandle<()>>
         seen,
         tell,
         started: now,
-        members: HashSet::new(),
         linked: false,
         known: BTreeMap::new(),
         taken: HashMap::new(),
@@ -317,9 +315,7 @@ impl Members {
             return;
         }
         let Some(live) = self.list.settle(now_s) else { return };
-        let ids: HashSet<String> = live.ids().map(str::to_owned).collect();
         tracing::info!(members = ?live.ids().collect::<Vec<_>>(), "the members of the cluster");
-        self.members = ids;
         self.parts.own.share_among(live.clone());
         let own = self.parts.own.clone();
         self.taken.retain(|name, _| own.has(name));
