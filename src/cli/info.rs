@@ -256,9 +256,8 @@ fn of_recording(path: &Path, verify: bool) -> anyhow::Result<Info> {
     let mut samples = Vec::new();
     while let Some(item) = reader.next_item()? {
         let (id, channel) = item.channel();
-        let place = *places
-            .entry(id)
-            .or_insert_with(|| place_of(prefix.as_deref(), &channel.topic, &mut info, &mut names));
+        let place =
+            *places.entry(id).or_insert_with(|| place_of(prefix.as_deref(), &channel.topic, &mut info, &mut names));
         info.messages += 1;
         match (item, place) {
             (Item::Sample(raw), Place::Raw(at, _)) => info.loops[at].take(&raw.sample),

@@ -96,8 +96,7 @@ fn replay_chain(
             return Ok(Some(outcome));
         }
         replay.set_diagnose(shown);
-        let report =
-            replay.file(path, &metadata.prefix, fresh, verify).with_context(|| path.display().to_string())?;
+        let report = replay.file(path, &metadata.prefix, fresh, verify).with_context(|| path.display().to_string())?;
         fresh = false;
         if !shown {
             continue;

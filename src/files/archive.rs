@@ -219,7 +219,8 @@ fn read_indexed(
         return Ok(Reach::All);
     }
     let sampled = |channel: &mcap::Channel<'_>| ours(channel) && channel.message_encoding == "json";
-    let signal = |channel: &mcap::Channel<'_>| Signal::from_name(topic::leaf(&channel.topic)).filter(|_| sampled(channel));
+    let signal =
+        |channel: &mcap::Channel<'_>| Signal::from_name(topic::leaf(&channel.topic)).filter(|_| sampled(channel));
     let signals: HashMap<u16, (&str, Signal)> =
         summary.channels.iter().filter_map(|(id, c)| Some((*id, (c.topic.as_str(), signal(c)?)))).collect();
     let columns = summary.channels.values().filter(|c| !signals.is_empty() && c.message_encoding == columns::ENCODING);

@@ -103,7 +103,11 @@ impl Columns {
     /// Takes one; a number that is not finite counts as missing.
     pub fn push(&mut self, row: Row) {
         let value = row.value.as_number().map_or(row.value, Value::number);
-        self.rows.push(Row { arrival_ns: row.arrival_ns.div_euclid(ARRIVAL_NS).saturating_mul(ARRIVAL_NS), value, ..row });
+        self.rows.push(Row {
+            arrival_ns: row.arrival_ns.div_euclid(ARRIVAL_NS).saturating_mul(ARRIVAL_NS),
+            value,
+            ..row
+        });
     }
 
     /// First arrival and first source time, ns; `None` where nothing waits.

@@ -20,8 +20,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use stiction_monitor::codec::topic::Kind;
 use thiserror::Error;
-pub use unpack::{Item, RawSample};
 use unpack::Unpacked;
+pub use unpack::{Item, RawSample};
 
 /// Bytes asked of the file at a time, at most.
 const READ_BYTES: usize = 1 << 20;

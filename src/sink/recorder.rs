@@ -18,9 +18,9 @@ use crate::daemon::clock::Clock;
 use crate::daemon::faults::Faults;
 use crate::daemon::metrics::Metrics;
 use crate::daemon::queue::{Budget, Room};
-use crate::files::{RecordingFile, WriteError};
 use crate::files::columns::{METADATA_COLUMNS, METADATA_RAW};
 use crate::files::disk::{Disk, SystemDisk};
+use crate::files::{RecordingFile, WriteError};
 use stiction::record::{Sample, Signal};
 use stiction_monitor::codec::topic::{self, Kind};
 use stiction_monitor::config::Recording;
@@ -369,15 +369,13 @@ impl Writer {
             Item::Limits { max_bytes, max_age } => (self.max_bytes, self.max_age) = (max_bytes, max_age),
             Item::Raw { id, name, sample, arrival_ns } => {
                 self.last_arrival_ns = arrival_ns;
-                let write =
-                    |file: &mut RecordingFile, topic: &str| file.sample(topic, arrival_ns, &sample);
+                let write = |file: &mut RecordingFile, topic: &str| file.sample(topic, arrival_ns, &sample);
                 self.write(id, &name, (Kind::of_signal(sample.signal), Some(sample.signal)), write);
             }
             Item::Document { id, name, kind, json, event_ns } => {
                 // Documents follow from samples: they carry the arrival of the newest, so stamps stay in order.
                 let arrival = self.last_arrival_ns;
-                let write =
-                    |file: &mut RecordingFile, topic: &str| file.write(topic, kind, arrival, event_ns, &json);
+                let write = |file: &mut RecordingFile, topic: &str| file.write(topic, kind, arrival, event_ns, &json);
                 self.write(id, &name, (kind, None), write);
             }
         }

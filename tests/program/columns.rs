@@ -73,7 +73,10 @@ fn a_look_back_through_the_index_finds_samples_in_columns() {
         fs::copy(file, folder.path().join("a.mcap")).unwrap();
         let archive = Archive::new(folder.path(), &prefix);
         let wanted = Wanted {
-            topics: BTreeSet::from([topic::raw(&prefix, &name, Signal::Pv), topic::result(&prefix, &name, Kind::Estimate)]),
+            topics: BTreeSet::from([
+                topic::raw(&prefix, &name, Signal::Pv),
+                topic::result(&prefix, &name, Kind::Estimate),
+            ]),
             range_ns: [0, i64::MAX],
             until: Instant::now() + Duration::from_secs(60),
         };
