@@ -186,9 +186,10 @@ mod write {
         let compression = Compression::ZSTD(ZstdLevel::default());
         let settings = WriterProperties::builder().set_compression(compression).build();
         let file = File::create(path)?;
-        let mut writer = ArrowWriter::try_new(file.try_clone()?, batch.schema(), Some(settings))?;
-        writer.write(batch)?;
-        writer.close()?;
+        let mut writer =
+            ArrowWriter::try_new(file.try_clone()?, batch.schema(), Some(settings)).map_err(io::Error::other)?;
+        writer.write(batch).map_err(io::Error::other)?;
+        writer.close().map_err(io::Error::other)?;
         file.sync_all()
     }
 }
