@@ -366,7 +366,10 @@ impl Members {
             if asks {
                 self.asked.insert(name.clone());
                 let within = Duration::from_secs_f64(cluster.refill_within_s);
-                refill::ask(&self.parts.session, &name, &keys, (cluster.refill_s, within), &self.tell);
+                let tell = self.tell.clone();
+                refill::ask(&self.parts.session, &name, &keys, (cluster.refill_s, within), move |name, messages| {
+                    let _ = tell.send(Seen::Past(name, messages));
+                });
             }
         }
     }

@@ -1,16 +1,13 @@
 //! Asks for what a loop sent before this daemon had it: of a storage that keeps history, and of the caches that Zenoh's
 //! AdvancedPublishers keep of what they sent. Whoever answers, the same sample twice is taken once.
 
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use crossbeam_channel::Sender;
 use zenoh::Wait;
 use zenoh::bytes::Encoding;
 use zenoh::query::{ConsolidationMode, QueryTarget, ReplyKeyExpr};
 use zenoh::sample::{Sample as BusSample, SampleKind};
-
-use super::members::Seen;
 
 /// Messages of the past of one loop that are held at most.
 const MOST: usize = 200_000;
@@ -41,16 +38,16 @@ impl Past {
 }
 
 /// What has come so far; handed over once the last of the queries that share it has ended.
-struct Gathered {
+struct Gathered<F: Fn(String, Vec<Past>)> {
     loop_name: String,
     messages: Mutex<Vec<Past>>,
-    to: Sender<Seen>,
+    done: F,
 }
 
-impl Drop for Gathered {
+impl<F: Fn(String, Vec<Past>)> Drop for Gathered<F> {
     fn drop(&mut self) {
         let messages = std::mem::take(&mut *self.messages.lock().unwrap_or_else(PoisonError::into_inner));
-        let _ = self.to.send(Seen::Past(std::mem::take(&mut self.loop_name), messages));
+        (self.done)(std::mem::take(&mut self.loop_name), messages);
     }
 }
 
@@ -61,10 +58,9 @@ pub fn ask(
     loop_name: &str,
     keys: &[String],
     (reach_s, within): (f64, Duration),
-    to: &Sender<Seen>,
+    done: impl Fn(String, Vec<Past>) + Send + Sync + 'static,
 ) {
-    let gathered = Gathered { loop_name: loop_name.to_owned(), messages: Mutex::default(), to: to.clone() };
-    let gathered = std::sync::Arc::new(gathered);
+    let gathered = Arc::new(Gathered { loop_name: loop_name.to_owned(), messages: Mutex::default(), done });
     for key in keys {
         for place in [key.clone(), format!("{key}/@adv/**")] {
             let selector = format!("{place}?_time=[now(-{reach_s}s)..]");
