@@ -51,7 +51,7 @@ impl Plant {
 
 fn stage(dir: &std::path::Path) -> (Stage, Plant) {
     let text = format!(
-        "[site]\nprefix = \"p\"\n[window]\nhop_s = 31622400.0\nmax_points = 128\nmax_window_s = 40000.0\n[recording]\ndir = {:?}\n",
+        "[site]\nprefix = \"p\"\n[window]\nhop_s = 31622400.0\nmax_points = 128\nmax_window_s = 31622400.0\n[recording]\ndir = {:?}\n",
         dir.to_str().unwrap()
     );
     let disk = Arc::new(SystemDisk) as Arc<dyn Disk>;

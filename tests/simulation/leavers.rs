@@ -83,7 +83,7 @@ fn loops_that_left_are_forgotten_and_come_back_and_replay_says_the_same() {
     assert_eq!((shown(&stage, STICKS), stage.engine().appeared()), (Some(State::Acked), 5));
     stage.finish();
     drop(stage);
-    let mut replay = Rerun::new(&config, None, false);
+    let mut replay = Rerun::new(&config, Some("stage"), false);
     let chains = chains_of(dir.path()).unwrap();
     assert_eq!((chains.len(), chains[0].len()), (1, 1));
     let report = replay.file(&chains[0][0], "p", true, true).unwrap();

@@ -93,8 +93,8 @@ fn eighty_columns_show_every_loop_with_its_verdict_and_what_is_wrong() {
             "FAULT: the disk is nearly full: 3 % are free",
             "107  loop   verdict            p     s      90 % g   period alarm     p before",
             "M ◆  FIC201 stiction        0.96   5.5  4.2..7.3 C   75.1 s UNACK     ·▇████",
-            "M ◆  LIC202 deadband        0.96  3.15  2.6..3.9 C   93.4 s UNACK     ·▇▇███",
-            "S ▲  TIC204 disturbance     0.29  1.97   0..2.41 C    100 s -         ·▃▄▃▃▃",
+            "M ◆  LIC202 deadband        0.96  3.15  2.6..3.9 C   93.4 s UNACK     ·▆████",
+            "S ▲  TIC204 disturbance     0.28   1.3    0..1.6 C    100 s -         ·▃▄▃▄▃",
             "S ▲  PIC203 disturbance     0.16  0.12  0..0.694 C   74.4 s -         ·▂▂▂▂▂",
         ],
         "{told}"

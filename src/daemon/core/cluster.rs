@@ -45,7 +45,7 @@ impl Core {
             self.metrics.refused_loops.inc();
             return;
         };
-        self.open_shards();
+        self.welcome();
         let at_ns = memory.as_ref().and_then(|m| m.alarm.progress().0).unwrap_or(0);
         self.record(id, Kind::Input, &RecordedInput::Taken { memory: memory.clone() }, at_ns);
         let document = self.engine.take(id, memory.map(|memory| *memory));
