@@ -148,10 +148,9 @@ fn read(
             }
         };
         block.steps.push(Step { lane, topic, held });
-        if block.steps.len() >= BLOCK || block.bytes.len() >= BLOCK_BYTES {
-            if send.send(std::mem::take(&mut block)).is_err() {
-                return Ok(());
-            }
+        let is_full = block.steps.len() >= BLOCK || block.bytes.len() >= BLOCK_BYTES;
+        if is_full && send.send(std::mem::take(&mut block)).is_err() {
+            return Ok(());
         }
     }
     let _ = send.send(block);

@@ -105,6 +105,8 @@ pub struct RecordingFile {
     sealed: bool,
     /// Samples that wait for their message, where they are written in columns.
     columns: Option<Columns>,
+    /// Room for one sample's JSON.
+    json: Vec<u8>,
     /// First chunks of every topic.
     prefix: String,
 }
@@ -201,6 +203,7 @@ impl RecordingFile {
             indexed: 0,
             sealed: false,
             columns: samples::wanted(metadata),
+            json: Vec::new(),
             prefix: metadata.get(super::METADATA_PREFIX).cloned().unwrap_or_default(),
         };
         let metadata = Metadata { name: super::METADATA_NAME.to_owned(), metadata: metadata.clone() };

@@ -94,9 +94,9 @@ mod write {
     use parquet::file::properties::WriterProperties;
     use thiserror::Error;
 
+    use super::{DAY, FILE, LOOP, encoded};
     use crate::files::csv::{COLUMNS, Row, rows_of};
     use crate::files::{LoadedLoop, sync_folder};
-    use super::{DAY, FILE, LOOP, encoded};
     use stiction::record::{Signal, Value};
     use stiction::units::format_rfc3339;
 

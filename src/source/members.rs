@@ -78,8 +78,11 @@ pub enum Change {
 #[derive(Default)]
 struct Known {
     /// The newest memory that was heard of, JSON, and how far it has come.
-    memory: Option<((Option<i64>, u64), Vec<u8>)>,
+    memory: Option<(Progress, Vec<u8>)>,
 }
+
+/// How far a memory has come: the end of its last window, ns, and the commands carried out since.
+type Progress = (Option<i64>, u64);
 
 type Subscriber = zenoh::pubsub::Subscriber<()>;
 

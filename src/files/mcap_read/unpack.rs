@@ -108,7 +108,7 @@ impl RecordingReader {
             let at = self.next;
             let Some(entry) = self.contents.entries.get(at) else { return Ok(None) };
             self.next += 1;
-            if !entry.channel.as_ref().is_some_and(|channel| channel.encoding == columns::ENCODING) {
+            if entry.channel.as_ref().is_none_or(|channel| channel.encoding != columns::ENCODING) {
                 return Ok(Some(Place::Entry(at)));
             }
             self.unpack(at);

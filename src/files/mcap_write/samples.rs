@@ -22,9 +22,12 @@ impl RecordingFile {
     pub fn sample(&mut self, topic: &str, arrival_ns: i64, sample: &Sample) -> Result<(), WriteError> {
         let kind = Kind::of_signal(sample.signal);
         if self.columns.is_none() {
-            let mut json = Vec::with_capacity(64);
+            let mut json = std::mem::take(&mut self.json);
+            json.clear();
             encode_recorded(sample, &mut json);
-            return self.write(topic, kind, arrival_ns, sample.t_ns, &json);
+            let written = self.write(topic, kind, arrival_ns, sample.t_ns, &json);
+            self.json = json;
+            return written;
         }
         if !self.channels.contains_key(topic) {
             self.register(topic, Some(kind), "json")?;

@@ -374,7 +374,7 @@ fn read_window(r: &mut TableReader<'_, '_>, d: WindowParams) -> WindowParams {
     if (1..LEAST_BYTES).contains(&w.max_bytes) {
         let line = r.line();
         let said = format!("{} bytes hold no window", w.max_bytes);
-        r.refuse(line, "max_bytes", said, &format!("write 0 or at least {LEAST_BYTES}"));
+        r.refuse(line, "max_bytes", said, format!("write 0 or at least {LEAST_BYTES}"));
     } else if w.max_bytes > 0 {
         w.max_points = fitting(w.max_points, w.max_bytes)[0];
     }
