@@ -87,13 +87,13 @@ fn counted(batch: i64) -> [f64; 2] {
 }
 
 #[test]
-fn a_sample_takes_no_memory_on_its_way() {
+fn a_thousand_samples_ask_for_memory_a_few_dozen_times() {
     for batch in [1, 50] {
         let [taking, recording] = counted(batch);
         println!(
             "batches of {batch}: {taking:.2} allocations a thousand samples up to the queue of the recorder, {recording:.2} in it"
         );
-        // The recorder's queue takes a block for every 31 samples, its file room for the index of each chunk.
+        // Measured: 40 and 44. Where from was not traced; likely the recorder's unbounded queue, and the index of the file.
         assert!(taking < 50.0, "{taking} a thousand samples in the intake");
         assert!(recording < 60.0, "{recording} a thousand samples in the recorder");
     }

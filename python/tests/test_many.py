@@ -143,7 +143,7 @@ def test_several_threads_of_python_at_once(frame: pd.DataFrame, expected: list[A
     assert told(found) == [expected[0]] * 4
 
 
-def test_ctrl_c_ends_it_at_once() -> None:
+def test_ctrl_c_ends_it_within_ten_seconds_of_the_last() -> None:
     program = (
         "import sys, numpy as np, stiction\n"
         "x = np.arange(2_000) % 97\n"
@@ -159,7 +159,7 @@ def test_ctrl_c_ends_it_at_once() -> None:
     assert child.stdout is not None
     assert child.stdout.readline() == "go\n"
     time.sleep(0.5)
-    # One that falls into the import of another package may be lost there; people press again.
+    # Once, on a busy machine, the first was not heard, why is not known; people press again.
     for last in (False, True):
         child.send_signal(signal.SIGINT)
         try:

@@ -128,7 +128,7 @@ def raise_alarm(bus, seed):
     time.sleep(0.5)
 
     def sent_and_heard():
-        # What is put before the daemon's subscription is known here goes nowhere; sent again it changes nothing.
+        # Sent again, as what is put before the daemon's subscription is known here goes nowhere.
         for name, values in (("op", loop.op), ("pv", loop.pv)):
             rows = [{"t": START_NS + k * 10**9, "v": v} for k, v in enumerate(values)]
             bus.put(f"{PREFIX}/FIC101/{name}", json.dumps(rows), encoding=zenoh.Encoding.APPLICATION_JSON)

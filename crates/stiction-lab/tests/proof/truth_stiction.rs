@@ -88,6 +88,7 @@ fn batch(kind: u8, seeds: std::ops::Range<u64>) -> (f64, f64, f64) {
 #[test]
 fn noisy_first_order_loops_reach_the_noise_floor() {
     let (floor, error, sticking) = batch(0, 0..48);
+    // 0.94 of the first 47 before closer looks came after the first one, 0.89 since; of 58 loops 50 both times.
     assert!(floor >= 0.85 && error < 0.3 && sticking > 0.7);
 }
 
