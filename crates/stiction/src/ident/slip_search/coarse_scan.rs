@@ -114,6 +114,11 @@ impl CoarseScan {
     /// The best time constant and dead time for these steps.
     #[must_use]
     pub fn look(&self, steps: &[Step], freedom: &Freedom) -> Seen {
+        pulp::Arch::new().dispatch(Look { scan: self, steps, freedom })
+    }
+
+    #[inline(always)]
+    fn look_in_lanes(&self, steps: &[Step], freedom: &Freedom) -> Seen {
         let end = self.from + self.length;
         let first = steps.partition_point(|s| (s.point as usize) < self.from);
         let last = steps.partition_point(|s| (s.point as usize) < end);
@@ -136,6 +141,7 @@ impl CoarseScan {
     }
 
     /// The best time constant at one dead time; whether it is better than what was seen.
+    #[inline(always)]
     fn look_at(&self, which: usize, steps: &[Step], end: usize, own: &Own, freedom: &Freedom, best: &mut Seen) -> bool {
         let delay = self.delays[which];
         let one = 1.0 / self.length as f64;
@@ -176,6 +182,7 @@ impl CoarseScan {
     }
 
     /// Products of the answers with each other, the same for every dead time.
+    #[inline(always)]
     fn own(&self, steps: &[Step], end: usize) -> Own {
         let rho = self.rho;
         let share = 1.0 - rho;
@@ -231,6 +238,22 @@ impl CoarseScan {
             out.power[2][l] -= sum[1] * sum[1] * one + m[1] * m[1] * pivot;
         }
         out
+    }
+}
+
+/// A look by the widest lanes that the processor has: the same figures to the last bit.
+struct Look<'l> {
+    scan: &'l CoarseScan,
+    steps: &'l [Step],
+    freedom: &'l Freedom,
+}
+
+impl pulp::NullaryFnOnce for Look<'_> {
+    type Output = Seen;
+
+    #[inline(always)]
+    fn call(self) -> Seen {
+        self.scan.look_in_lanes(self.steps, self.freedom)
     }
 }
 
