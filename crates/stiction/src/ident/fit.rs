@@ -485,22 +485,21 @@ pub fn best_band([uu, ud, dd, uy, dy]: [f64; 5], whole: [f64; 2], freedom: &Free
     } else {
         None
     };
-    let mut best = (0.0, freedom.fd_default, 0.0);
-    let mut consider = |fd: f64| {
+    let consider = |best: (f64, f64, f64), fd: f64| {
         let power = uu - 2.0 * fd * ud + fd * fd * dd;
         let along = uy - fd * dy;
-        if power > 1e-11 * (whole[0] + fd * fd * whole[1])
-            && along * freedom.sign > 0.0
-            && along * along / power > best.2
-        {
-            best = (along / power, fd, along * along / power);
-        }
+        let explained = along * along / power;
+        let counts = power > 1e-11 * (whole[0] + fd * fd * whole[1]) && along * freedom.sign > 0.0;
+        if counts && explained > best.2 { (along / power, fd, explained) } else { best }
     };
-    match free {
-        Some(fd) => [fd, low, high].into_iter().for_each(&mut consider),
-        None => consider(freedom.fd_default.clamp(low, high)),
+    let none = (0.0, freedom.fd_default, 0.0);
+    let Some(fd) = free else { return consider(none, freedom.fd_default.clamp(low, high)) };
+    let best = consider(none, fd);
+    // Within the band the free optimum is better than either end, where its gain has the asked sign.
+    if best.2 > 0.0 && fd > low && fd < high {
+        return best;
     }
-    best
+    consider(consider(best, low), high)
 }
 
 #[cfg(test)]
