@@ -78,6 +78,29 @@ fn a_window_that_is_cut_later_says_the_same() {
     }
 }
 
+#[test]
+fn a_window_that_is_looked_at_later_is_the_one_that_was_judged() {
+    let mut engine = Engine::new(config(2000).engine());
+    let id = engine.appear("FIC201").unwrap();
+    let (mut events, mut judged, mut looked_at) = (Vec::new(), VecDeque::new(), 0);
+    for (at, sample) in samples_of("FIC201").iter().enumerate() {
+        engine.push(id, *sample, &mut events);
+        for event in events.drain(..) {
+            if let Event::Request(r) = event {
+                judged.push_back((at, r.record.clone()));
+            }
+        }
+        // Half a hop of both signals later.
+        while judged.front().is_some_and(|(due, _)| at >= due + 300) {
+            let (_, record) = judged.pop_front().unwrap();
+            assert_eq!(engine.record(id, Some(record.end_ns)).as_ref(), Some(&*record));
+            assert!(engine.record(id, None).unwrap().raw_samples >= record.raw_samples);
+            looked_at += 1;
+        }
+    }
+    assert!(looked_at >= 4, "{looked_at}");
+}
+
 fn beat(k: usize) -> [Sample; 2] {
     let t_ns = k as i64 * 1_000_000_000;
     let of = |signal, v| Sample { signal, t_ns, value: Value::Number(v), quality: None };

@@ -181,9 +181,10 @@ impl Loop {
         }
     }
 
-    /// What a window would hold that ended at a stamp, or with the newest sample.
+    /// What a window holds that ends at a stamp, or with the newest sample; of an older one what the memory still has.
     pub fn record(&self, end_ns: Option<i64>) -> Option<Record> {
-        choose_record(self.history.now(), &self.settings.window, end_ns.or_else(|| self.history.newest_ns())?)
+        let end_ns = end_ns.or_else(|| self.history.newest_ns())?;
+        choose_record(self.history.up_to(end_ns), &self.settings.window, end_ns)
     }
 
     /// A person asks for a diagnosis of the latest data, cut as a window would be that ended now.

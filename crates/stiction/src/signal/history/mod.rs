@@ -416,6 +416,12 @@ impl History {
         self.at(self.total)
     }
 
+    /// The memory as it was before the first point stamped later than `end_ns`.
+    #[must_use]
+    pub fn up_to(&self, end_ns: i64) -> View<'_> {
+        self.at(self.now().finest_index_at(end_ns.saturating_add(1)))
+    }
+
     /// The box of `2^level` points with the given index, put together from finer ones where need be.
     fn bin(&self, level: usize, index: u64) -> Option<Bin> {
         if level == 0 {
