@@ -7,6 +7,8 @@ use serde_json::json;
 #[cfg(feature = "parquet")]
 use std::collections::BTreeMap;
 use std::collections::HashSet;
+#[cfg(feature = "parquet")]
+use std::collections::btree_map::Entry;
 use std::fs::{self, File};
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
@@ -112,7 +114,7 @@ pub fn run(args: &ConvertArgs, format: Format) -> anyhow::Result<Outcome> {
         Target::Mcap(path) => vec![to_mcap(&loaded, inputs, &path)?],
         Target::Mat(path) => vec![to_mat(&loaded, &path)?],
         Target::Folder(folder) => to_folder(&loaded, &folder, args.force)?,
-        Target::Partitions(folder) => to_partitions(&loaded, &folder, args.force)?,
+        Target::Partitions(folder) => to_partitions(std::mem::take(&mut loaded.loops), &folder, args.force)?,
     };
     report(&place, &loaded, &written, format)?;
     Ok(if loaded.data_loss { Outcome::DataLoss } else { Outcome::Done })
@@ -213,25 +215,29 @@ fn to_folder(loaded: &Loaded, folder: &Path, force: bool) -> anyhow::Result<Vec<
     Ok(written)
 }
 
-/// Parquet by loop and day. A loop that several files hold is one.
+/// Parquet by loop and day. A loop that several files hold is one; each leaves the memory once it is written.
 #[cfg(feature = "parquet")]
-fn to_partitions(loaded: &Loaded, folder: &Path, force: bool) -> anyhow::Result<Vec<Written>> {
-    let mut by_name: BTreeMap<&str, LoadedLoop> = BTreeMap::new();
-    for one in &loaded.loops {
-        let all = by_name.entry(&one.name).or_insert_with(|| LoadedLoop::new(&one.name, Vec::new()));
-        all.samples.extend_from_slice(&one.samples);
+fn to_partitions(loops: Vec<LoadedLoop>, folder: &Path, force: bool) -> anyhow::Result<Vec<Written>> {
+    let mut by_name: BTreeMap<String, LoadedLoop> = BTreeMap::new();
+    for mut one in loops {
+        match by_name.entry(one.name.clone()) {
+            Entry::Vacant(place) => {
+                place.insert(one);
+            }
+            Entry::Occupied(mut all) => all.get_mut().samples.append(&mut one.samples),
+        }
     }
     let mut written = Vec::with_capacity(by_name.len());
-    for one in by_name.values() {
-        let rows = partition::write(one, folder, force)?.iter().map(|part| part.rows).sum();
+    for one in by_name.into_values() {
+        let rows = partition::write(&one, folder, force)?.iter().map(|part| part.rows).sum();
         let path = folder.join(format!("loop={}", partition::encoded(&one.name)));
-        written.push(written_table(one, path, rows));
+        written.push(written_table(&one, path, rows));
     }
     Ok(written)
 }
 
 #[cfg(not(feature = "parquet"))]
-fn to_partitions(_: &Loaded, _: &Path, _: bool) -> anyhow::Result<Vec<Written>> {
+fn to_partitions(_: Vec<LoadedLoop>, _: &Path, _: bool) -> anyhow::Result<Vec<Written>> {
     Err(UsageError("this build writes no Parquet: build with --features parquet".to_owned()).into())
 }
 

@@ -10,6 +10,7 @@
 //!                                                '--(publisher, alarms wait)--> publisher thread --> Zenoh, last values
 //! ```
 
+pub mod blocks;
 mod bundles;
 pub mod clock;
 mod core;
@@ -38,6 +39,7 @@ mod worker;
 use std::collections::{BTreeMap, HashSet};
 use std::future::Future;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, RwLock};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -81,6 +83,8 @@ use stiction_monitor::engine::{Engine, EngineSettings};
 const ROUTER_WITHIN: Duration = Duration::from_secs(5);
 /// How often a long start says that it goes on.
 const STARTING_TOLD: Duration = Duration::from_secs(5);
+/// How often a long end is told to the system.
+const TOLD_EVERY: Duration = Duration::from_secs(1);
 /// Name of the housekeeper's thread, and how long it may take to end.
 const HOUSE: &str = "house";
 const HOUSE_WITHIN: Duration = Duration::from_millis(300);
@@ -89,8 +93,11 @@ const THREADS_EVERY: Duration = Duration::from_secs(1);
 /// What the page says of a demonstration's data.
 const SIMULATED: &str =
     "A simulated plant that runs 100 times as fast as a real one: its stamps run ahead of your clock.";
-/// How long the threads may take to end.
+/// How long the threads may take to end, or stand still.
 const STOP_WITHIN: Duration = Duration::from_millis(3500);
+/// How long the recorder may take in any case: it has a file for every thousand loops to finish, and one that is left behind
+/// is not lost, but neither sealed nor indexed.
+const RECORDER_WITHIN: Duration = Duration::from_secs(60);
 
 /// What a run is given besides its configuration.
 #[derive(Debug, Clone)]
@@ -184,6 +191,7 @@ pub async fn run(
         faults: faults.clone(),
     };
     let (recorder, recording) = Recorder::start(run, config.recording.clone(), metrics.clone(), faults.clone())?;
+    let progress = recorder.progress();
     let (stop_house, house_stops) = crossbeam_channel::bounded::<()>(0);
     let housekeeping = housekeeping::start(house, house_stops)?;
     let mut threads = vec![("recorder", recording), ("publisher", publishing), (HOUSE, housekeeping)];
@@ -283,7 +291,7 @@ pub async fn run(
     }
     let _ = token.undeclare().await;
     drop((stop_core, stop_house));
-    let ended = join_within(threads, STOP_WITHIN).await;
+    let ended = join_within(threads, STOP_WITHIN, &progress).await;
     for queryable in queryables {
         let _ = queryable.undeclare().await;
     }
@@ -421,17 +429,32 @@ async fn unasked_end(threads: &[(&'static str, JoinHandle<()>)]) -> &'static str
     }
 }
 
-/// Waits for threads to end, but not for ever.
-async fn join_within(threads: Vec<(&'static str, JoinHandle<()>)>, limit: Duration) -> anyhow::Result<()> {
-    let until = Instant::now() + limit;
+/// Waits for threads to end, but not for ever: as long as the recorder goes on, a minute at most, else so long.
+async fn join_within(
+    threads: Vec<(&'static str, JoinHandle<()>)>,
+    limit: Duration,
+    progress: &AtomicU64,
+) -> anyhow::Result<()> {
+    let (begun, mut until) = (Instant::now(), Instant::now() + limit);
+    let (mut told, mut done) = (begun, progress.load(Ordering::Relaxed));
     for (name, thread) in threads {
         // The housekeeper holds nothing that a crash could harm, and on a busy machine it is the last to get a core.
-        let until = if name == HOUSE { until.min(Instant::now() + HOUSE_WITHIN) } else { until };
+        let house_until = until.min(Instant::now() + HOUSE_WITHIN);
         while !thread.is_finished() {
-            if Instant::now() >= until && name == HOUSE {
+            let now = Instant::now();
+            if now >= house_until && name == HOUSE {
                 break;
             }
-            if Instant::now() >= until {
+            let done_now = progress.load(Ordering::Relaxed);
+            if done_now != done && now < begun + RECORDER_WITHIN {
+                (done, until) = (done_now, until.max(now + limit));
+                if now >= told + TOLD_EVERY {
+                    told = now;
+                    let longer = u32::try_from((2 * limit).as_micros()).unwrap_or(u32::MAX);
+                    tell_system(&[NotifyState::ExtendTimeoutUsec(longer)]);
+                }
+            }
+            if now >= until {
                 tracing::error!(
                     thread = name,
                     "did not end in time; its last file stays as .mcap.part, readable up to its last flush"

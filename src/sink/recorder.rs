@@ -7,13 +7,15 @@
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, TrySendError};
+use crossbeam_channel::{Receiver, Sender};
 
+use crate::cores::share;
+use crate::daemon::blocks::{self, Filler, Found, Taker};
 use crate::daemon::clock::Clock;
 use crate::daemon::faults::Faults;
 use crate::daemon::metrics::Metrics;
@@ -179,7 +181,7 @@ impl RunInfo {
 
 /// The engine's end of the recorder.
 pub struct Recorder {
-    queue: Sender<(Item, Room)>,
+    queue: Filler<(Item, Room)>,
     budget: Budget,
     /// Shards that want a new file.
     pub rotations: Receiver<usize>,
@@ -187,7 +189,7 @@ pub struct Recorder {
     clock: Clock,
     /// The queue was full for long: nothing waits until it has drained.
     overrun: bool,
-    /// Items that the other end has taken.
+    /// Items that the other end has taken, and files that it has finished.
     taken: Arc<AtomicU64>,
 }
 
@@ -217,7 +219,7 @@ impl Recorder {
         metrics: Arc<Metrics>,
         faults: Arc<Faults>,
     ) -> (Self, Writer) {
-        let (queue, items) = crossbeam_channel::unbounded();
+        let (queue, items) = blocks::queue();
         let taken = Arc::new(AtomicU64::new(0));
         let (wanted, rotations) = crossbeam_channel::unbounded();
         let writer = Writer {
@@ -271,16 +273,19 @@ impl Recorder {
     /// Gives the item back where there is no room for it.
     fn put(&self, item: Item) -> Option<Item> {
         let Some(room) = self.budget.take(item.bytes()) else { return Some(item) };
-        match self.queue.try_send((item, room)) {
-            Ok(()) => None,
-            Err(TrySendError::Full((item, _)) | TrySendError::Disconnected((item, _))) => Some(item),
-        }
+        self.queue.put((item, room)).err().map(|(item, _)| item)
+    }
+
+    /// Grows as long as the other end works: by items taken and files finished.
+    #[must_use]
+    pub fn progress(&self) -> Arc<AtomicU64> {
+        self.taken.clone()
     }
 
     /// Items that wait.
     #[must_use]
     pub fn waiting(&self) -> usize {
-        self.queue.len()
+        self.queue.waiting()
     }
 
     /// Bytes that wait, and that may.
@@ -313,7 +318,7 @@ struct Shard {
 
 /// The end that writes.
 pub struct Writer {
-    items: Receiver<(Item, Room)>,
+    items: Taker<(Item, Room)>,
     flush: Duration,
     flushed: Instant,
     disk: Arc<dyn Disk>,
@@ -335,13 +340,13 @@ impl Writer {
     fn run_until_closed(&mut self) {
         loop {
             let wait = self.flush.saturating_sub(self.clock.since(self.flushed));
-            match self.items.recv_timeout(wait) {
-                Ok((item, room)) => {
+            match self.items.take_within(wait) {
+                Found::Item((item, room)) => {
                     self.take(item);
                     drop(room);
                 }
-                Err(RecvTimeoutError::Timeout) => {}
-                Err(RecvTimeoutError::Disconnected) => break,
+                Found::Nothing => {}
+                Found::End => break,
             }
             self.tend_in_time();
         }
@@ -350,7 +355,7 @@ impl Writer {
 
     /// Writes what waits now, and flushes where it is time to.
     pub fn turn(&mut self) {
-        while let Ok((item, _room)) = self.items.try_recv() {
+        while let Found::Item((item, _room)) = self.items.take_within(Duration::ZERO) {
             self.take(item);
         }
         self.tend_in_time();
@@ -363,10 +368,21 @@ impl Writer {
         }
     }
 
-    /// Finishes the open files.
+    /// Finishes the open files, on all cores: each takes its index, and a disk that answers several at a time does so.
     pub fn finish(&mut self) {
-        for shard in 0..self.shards.len() {
-            self.close(shard);
+        let files: Vec<_> = self.shards.iter_mut().map(|shard| Mutex::new((shard.file.take(), Ok(())))).collect();
+        share(files.len(), &|index| {
+            let mut place = files[index].lock().unwrap_or_else(PoisonError::into_inner);
+            if let Some(file) = place.0.take() {
+                place.1 = file.finish().map(|_| ());
+            }
+            self.taken.fetch_add(1, Ordering::Relaxed);
+        });
+        for (index, place) in files.into_iter().enumerate() {
+            match place.into_inner().unwrap_or_else(PoisonError::into_inner).1 {
+                Ok(()) => self.flushed(index),
+                Err(error) => self.fail(index, &error.to_string()),
+            }
         }
     }
 

@@ -57,7 +57,7 @@ const IMPORTS: [(&str, &[&str]); 33] = [
     ("files", &["pure"]),
     ("report", &["pure", "cores", "files"]),
     ("source", &["pure", "daemon"]),
-    ("sink", &["pure", "files", "source", "daemon"]),
+    ("sink", &["pure", "cores", "files", "source", "daemon"]),
     ("web", &["pure", "cores", "files", "report", "source", "daemon"]),
     ("daemon", &["pure", "cores", "files", "source", "sink", "web"]),
     ("cli", &["pure", "cores", "files", "report", "source", "sink", "web", "daemon"]),

@@ -27,7 +27,7 @@ const FIRST_PACE: f64 = 40.0;
 const SHARES: [f64; 2] = [0.5, 0.99];
 
 /// What one run is told.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub struct Ask {
     pub loops: usize,
     pub for_s: f64,
@@ -37,6 +37,7 @@ pub struct Ask {
     pub hop_s: f64,
     pub fill: u64,
     pub max_bytes: usize,
+    pub raw: String,
 }
 
 impl Ask {
@@ -51,6 +52,7 @@ impl Ask {
             hop_s: args.hop,
             fill: args.fill,
             max_bytes: args.max_bytes,
+            raw: args.raw.clone(),
         }
     }
 
@@ -102,9 +104,10 @@ impl Place {
         let (loops, hop_s, recordings) = (ask.loops, ask.hop_s, dir.join("recordings"));
         let text = format!(
             "[site]\nprefix = \"{PREFIX}\"\n[zenoh]\nlisten = [\"{endpoint}\"]\n[input]\nmax_loops = {loops}\n\
-             new_loops_per_hour = {loops}\n[window]\nhop_s = {hop_s:?}\nmax_bytes = {}\n[recording]\ndir = {:?}\n[web]\nlisten = \"{web}\"\n",
+             new_loops_per_hour = {loops}\n[window]\nhop_s = {hop_s:?}\nmax_bytes = {}\n[recording]\ndir = {:?}\nraw = \"{}\"\n[web]\nlisten = \"{web}\"\n",
             ask.max_bytes,
-            recordings.display().to_string()
+            recordings.display().to_string(),
+            ask.raw
         );
         let config = dir.join("bench.toml");
         std::fs::write(&config, text).with_context(|| config.display().to_string())?;
@@ -168,7 +171,7 @@ pub fn run(ask: &Ask) -> anyhow::Result<Figures> {
     let recordings = daemon.recorded_bytes();
     daemon.stop()?;
     let first_sample_s = restart(&place, &measured)?;
-    Ok(Figures { ask: *ask, sent, filled, before, after, judged, recorded_bytes: recordings, first_sample_s })
+    Ok(Figures { ask: ask.clone(), sent, filled, before, after, judged, recorded_bytes: recordings, first_sample_s })
 }
 
 /// Publishes a plan, and waits until the daemon has it all.
@@ -310,8 +313,17 @@ mod tests {
 
     #[test]
     fn the_hop_ends_while_it_is_measured() {
-        let ask =
-            Ask { loops: 100, for_s: 60.0, every_s: 10.0, batch: 1, rate: None, hop_s: 3600.0, fill: 30, max_bytes: 0 };
+        let ask = Ask {
+            loops: 100,
+            for_s: 60.0,
+            every_s: 10.0,
+            batch: 1,
+            rate: None,
+            hop_s: 3600.0,
+            fill: 30,
+            max_bytes: 0,
+            raw: "json".to_owned(),
+        };
         let [fill, measured] = ask.plans();
         assert_eq!((fill.scans, measured.scans, ask.pace()), (30, 6, 20.0));
         let end_ns = measured.start_ns + ns_from_s(30.0);

@@ -4,6 +4,7 @@ mod cpu;
 mod fleet;
 mod growth;
 mod publisher;
+mod replay;
 mod solving;
 mod watch;
 
@@ -48,7 +49,7 @@ pub struct Args {
     #[arg(long, value_name = "N")]
     pub loops: Option<usize>,
     /// Time between two samples of a signal, s.
-    #[arg(long, value_name = "SECONDS", default_value_t = 10.0, requires = "loops")]
+    #[arg(long, value_name = "SECONDS", default_value_t = 10.0)]
     pub every: f64,
     /// Samples a second, all signals together, however long the time between them is by their stamps.
     #[arg(long, value_name = "HZ")]
@@ -60,11 +61,20 @@ pub struct Args {
     #[arg(long, value_name = "SAMPLES", default_value_t = 30, requires = "loops")]
     pub fill: u64,
     /// Time between two windows, s; one comes due while it is measured.
-    #[arg(long, value_name = "SECONDS", default_value_t = 3600.0, requires = "loops")]
+    #[arg(long, value_name = "SECONDS", default_value_t = 3600.0)]
     pub hop: f64,
     /// Bytes of a loop's history; 0: as the defaults need.
-    #[arg(long, value_name = "BYTES", default_value_t = 32_768, requires = "loops")]
+    #[arg(long, value_name = "BYTES", default_value_t = 32_768)]
     pub max_bytes: usize,
+    /// How samples are recorded: json or columns.
+    #[arg(long, value_name = "FORM", default_value = "json", value_parser = ["json", "columns"])]
+    pub raw: String,
+    /// Record so many loops for so many hours of plant time, here, and replay that with every estimate.
+    #[arg(long, value_name = "LOOPS,HOURS")]
+    pub replay: Option<replay::Plant>,
+    /// Memory of so many loops that have been watched for so many hours of plant time: an engine alone, in this process.
+    #[arg(long, value_name = "LOOPS,HOURS")]
+    pub histories: Option<replay::Plant>,
     /// How costs grow with loops, samples and periods: exponents of several sizes.
     #[arg(long)]
     pub growth: bool,
@@ -103,7 +113,13 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     if let Some(loops) = args.loops {
         print(fleet::run(&fleet::Ask::of(args, loops))?.rows(), format)?;
     }
-    if args.growth || args.loops.is_some() {
+    if let Some(plant) = args.replay {
+        print(replay::rows(args, plant)?, format)?;
+    }
+    if let Some(plant) = args.histories {
+        print(replay::histories(args, plant)?, format)?;
+    }
+    if args.growth || [args.loops.is_some(), args.replay.is_some(), args.histories.is_some()].contains(&true) {
         return Ok(Outcome::Done);
     }
     solving::rows(&args.recordings, |rows| print(rows, format))?;

@@ -73,7 +73,7 @@ impl Sent {
 }
 
 /// A signal's value: calm loops rest on noise, the others swing as sticking valves do, OP in ramps and PV in steps.
-fn value(index: usize, signal: Signal, scan: u64) -> f64 {
+pub fn value(index: usize, signal: Signal, scan: u64) -> f64 {
     let draw = (scan ^ (index as u64) << 20 ^ (signal as u64) << 60).wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 40;
     let noise = draw as f64 / f64::from(1 << 24) - 0.5;
     if !index.is_multiple_of(STICKS) {

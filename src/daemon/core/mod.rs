@@ -234,6 +234,8 @@ impl Core {
             }
         }
         self.finish(incoming, &answers);
+        // The recorder has the most to do after that: it begins before a hundred thousand loops are given back.
+        self.recorder = None;
     }
 
     /// What comes before anything is taken: the files, and a first word.

@@ -16,6 +16,12 @@ use crate::units::{ns_from_s, s_from_ns};
 const LEARN_INTERVALS: usize = 16;
 /// Samples that may wait for their place before the oldest is taken regardless.
 const PENDING_LIMIT: usize = 4096;
+/// Samples taken after which the room for those that wait is first looked at, and between two looks: what was needed to
+/// learn the sampling time is given back, but a loop whose samples come in batches does not ask for it with each of them.
+const SHRINK_FIRST: u64 = 64;
+const SHRINK_EVERY: u64 = 4096;
+/// Half of the samples that there is room for in any case.
+const SMALL: usize = 8;
 /// Samples that may wait while the sampling time is learnt from one of OP and PV alone.
 const LEARN_LIMIT: usize = 2048;
 /// Late samples in a row after which the plant's clock is taken to have been set back.
@@ -419,8 +425,10 @@ impl Aligner {
     /// Takes the next sample, if [`Self::next_ready_ns`] offered one, and gives out what it completes.
     pub fn take_next(&mut self, params: &AlignParams, out: &mut impl FnMut(Aligned)) {
         let Some(sample) = self.pending.pop_front() else { return };
-        if self.pending.len() < 32 && self.pending.capacity() > 512 {
-            self.pending.shrink_to(64);
+        let looks = self.counts.taken == SHRINK_FIRST || self.counts.taken.is_multiple_of(SHRINK_EVERY);
+        let wanted = 2 * self.pending.len().max(SMALL);
+        if looks && self.pending.capacity() > 2 * wanted {
+            self.pending.shrink_to(wanted);
         }
         if std::mem::take(&mut self.broken) {
             out(Aligned::Break);

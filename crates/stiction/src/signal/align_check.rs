@@ -1,6 +1,6 @@
 //! Checks of the aligner: disorder, holes, clocks that jump, values that are missing.
 
-use super::align::{AlignParams, align_all};
+use super::align::{AlignParams, Aligner, align_all};
 use crate::record::{Sample, Signal, Value};
 use crate::units::{NS_PER_S, ns_from_s};
 
@@ -114,4 +114,17 @@ fn bad_quality_is_missing() {
     let (stretches, counts) = align_all(&samples, &params());
     assert_eq!((counts.bad, counts.filled), (4, 2));
     assert_eq!(stretches[0].iter().map(|p| u32::from(p.bad)).sum::<u32>(), 4);
+}
+
+#[test]
+fn what_was_needed_to_learn_is_given_back() {
+    let (mut aligner, mut most) = (Aligner::new(), 0);
+    for s in scan(200) {
+        aligner.push(Sample { t_ns: 10 * s.t_ns, ..s }, &params());
+        most = most.max(aligner.bytes());
+        while aligner.next_ready_ns(&params()).is_some() {
+            aligner.take_next(&params(), &mut |_| {});
+        }
+    }
+    assert!(most >= 34 * size_of::<Sample>() && aligner.bytes() < 20 * size_of::<Sample>(), "{most}, {}", aligner.bytes());
 }

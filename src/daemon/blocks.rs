@@ -1,0 +1,185 @@
+//! A queue between two threads whose memory is used again: items gather in blocks, and the other end takes a block at a
+//! time. So neither end asks for memory item by item, and the lock is held briefly and by the taker seldom. It has no limit
+//! of its own: whoever fills it holds a [`super::queue::Budget`].
+
+use std::collections::VecDeque;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+/// Items of a block.
+const BLOCK: usize = 256;
+/// Empty blocks that lie ready at most; more than wait for a taker that keeps up.
+const SPARE: usize = 64;
+
+struct State<T> {
+    full: VecDeque<VecDeque<T>>,
+    spare: Vec<VecDeque<T>>,
+    /// Whether the taker waits to be woken.
+    sleeps: bool,
+    /// Nothing comes any more; nobody takes any more.
+    ended: bool,
+    left: bool,
+}
+
+struct Shared<T> {
+    state: Mutex<State<T>>,
+    wake: Condvar,
+    waiting: AtomicUsize,
+}
+
+impl<T> Shared<T> {
+    fn lock(&self) -> MutexGuard<'_, State<T>> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// The end that items are put into; dropped, it ends the queue.
+pub struct Filler<T>(Arc<Shared<T>>);
+
+/// The end that they are taken from, in their order.
+pub struct Taker<T> {
+    shared: Arc<Shared<T>>,
+    /// The block that is being taken.
+    open: VecDeque<T>,
+}
+
+/// What the taker found.
+#[derive(Debug, PartialEq, Eq)]
+pub enum Found<T> {
+    /// The next item.
+    Item(T),
+    /// None within the time.
+    Nothing,
+    /// None, and none will come.
+    End,
+}
+
+/// Both ends of a queue.
+#[must_use]
+pub fn queue<T>() -> (Filler<T>, Taker<T>) {
+    let state = State { full: VecDeque::new(), spare: Vec::new(), sleeps: false, ended: false, left: false };
+    let shared = Arc::new(Shared { state: Mutex::new(state), wake: Condvar::new(), waiting: AtomicUsize::new(0) });
+    (Filler(shared.clone()), Taker { shared, open: VecDeque::new() })
+}
+
+impl<T> Filler<T> {
+    /// Puts an item at the end.
+    ///
+    /// # Errors
+    /// The item, where nobody takes any more.
+    pub fn put(&self, item: T) -> Result<(), T> {
+        let mut state = self.0.lock();
+        if state.left {
+            return Err(item);
+        }
+        if state.full.back().is_none_or(|block| block.len() >= BLOCK) {
+            let block = state.spare.pop().unwrap_or_else(|| VecDeque::with_capacity(BLOCK));
+            state.full.push_back(block);
+        }
+        if let Some(block) = state.full.back_mut() {
+            block.push_back(item);
+        }
+        self.0.waiting.fetch_add(1, Ordering::Relaxed);
+        let sleeps = std::mem::take(&mut state.sleeps);
+        drop(state);
+        if sleeps {
+            self.0.wake.notify_one();
+        }
+        Ok(())
+    }
+
+    /// Items that wait.
+    #[must_use]
+    pub fn waiting(&self) -> usize {
+        self.0.waiting.load(Ordering::Relaxed)
+    }
+}
+
+impl<T> Drop for Filler<T> {
+    fn drop(&mut self) {
+        self.0.lock().ended = true;
+        self.0.wake.notify_one();
+    }
+}
+
+impl<T> Taker<T> {
+    /// The next item, waiting for it so long.
+    pub fn take_within(&mut self, wait: Duration) -> Found<T> {
+        if self.open.is_empty() {
+            let until = Instant::now() + wait;
+            let mut state = self.shared.lock();
+            while state.full.is_empty() {
+                let left = until.saturating_duration_since(Instant::now());
+                if state.ended || left.is_zero() {
+                    return if state.ended { Found::End } else { Found::Nothing };
+                }
+                state.sleeps = true;
+                state = self.shared.wake.wait_timeout(state, left).unwrap_or_else(PoisonError::into_inner).0;
+                state.sleeps = false;
+            }
+            let block = state.full.pop_front().unwrap_or_default();
+            let taken = std::mem::replace(&mut self.open, block);
+            if state.spare.len() < SPARE && taken.capacity() > 0 {
+                state.spare.push(taken);
+            }
+        }
+        let Some(item) = self.open.pop_front() else { return Found::Nothing };
+        self.shared.waiting.fetch_sub(1, Ordering::Relaxed);
+        Found::Item(item)
+    }
+}
+
+impl<T> Drop for Taker<T> {
+    fn drop(&mut self) {
+        let mut state = self.shared.lock();
+        state.left = true;
+        state.full.clear();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn items_come_in_their_order_over_many_blocks_and_then_the_end() {
+        let (filler, mut taker) = queue();
+        let filling = std::thread::spawn(move || (0..10 * BLOCK).for_each(|k| filler.put(k).unwrap()));
+        let mut wanted = 0;
+        loop {
+            match taker.take_within(Duration::from_secs(10)) {
+                Found::Item(k) => {
+                    assert_eq!(k, wanted);
+                    wanted += 1;
+                }
+                Found::Nothing => panic!("nothing came for ten seconds"),
+                Found::End => break,
+            }
+        }
+        filling.join().unwrap();
+        assert_eq!(wanted, 10 * BLOCK);
+    }
+
+    #[test]
+    fn blocks_are_used_again() {
+        let (filler, mut taker) = queue();
+        let mut places = std::collections::BTreeSet::new();
+        for _ in 0..100 {
+            (0..BLOCK).for_each(|k| filler.put(k).unwrap());
+            assert_eq!(filler.waiting(), BLOCK);
+            (0..BLOCK).for_each(|k| assert_eq!(taker.take_within(Duration::ZERO), Found::Item(k)));
+            assert_eq!((taker.take_within(Duration::ZERO), filler.waiting()), (Found::Nothing, 0));
+            places.insert(taker.open.as_slices().0.as_ptr() as usize);
+        }
+        assert!(places.len() <= 2, "{} blocks were asked for", places.len());
+    }
+
+    #[test]
+    fn what_nobody_takes_is_given_back() {
+        let (filler, taker) = queue();
+        filler.put(Arc::new(1)).unwrap();
+        drop(taker);
+        assert_eq!(filler.put(Arc::new(2)), Err(Arc::new(2)));
+    }
+}
