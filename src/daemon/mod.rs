@@ -83,6 +83,8 @@ use stiction_monitor::engine::{Engine, EngineSettings};
 const ROUTER_WITHIN: Duration = Duration::from_secs(5);
 /// How often a long start says that it goes on.
 const STARTING_TOLD: Duration = Duration::from_secs(5);
+/// How long it may stand still between two files.
+const STANDS_WITHIN: Duration = Duration::from_secs(15);
 /// How often a long end is told to the system.
 const TOLD_EVERY: Duration = Duration::from_secs(1);
 /// Name of the housekeeper's thread, and how long it may take to end.
@@ -433,10 +435,11 @@ async fn unasked_end(threads: &[(&'static str, JoinHandle<()>)]) -> &'static str
 async fn join_within(
     threads: Vec<(&'static str, JoinHandle<()>)>,
     limit: Duration,
-    progress: &AtomicU64,
+    progress: &[Arc<AtomicU64>; 2],
 ) -> anyhow::Result<()> {
     let (begun, mut until) = (Instant::now(), Instant::now() + limit);
-    let (mut told, mut done) = (begun, progress.load(Ordering::Relaxed));
+    let look = || [0, 1].map(|of: usize| progress[of].load(Ordering::Relaxed));
+    let (mut told, mut done) = (begun, look());
     for (name, thread) in threads {
         // The housekeeper holds nothing that a crash could harm, and on a busy machine it is the last to get a core.
         let house_until = until.min(Instant::now() + HOUSE_WITHIN);
@@ -445,12 +448,14 @@ async fn join_within(
             if now >= house_until && name == HOUSE {
                 break;
             }
-            let done_now = progress.load(Ordering::Relaxed);
+            let done_now = look();
             if done_now != done && now < begun + RECORDER_WITHIN {
-                (done, until) = (done_now, until.max(now + limit));
+                // A disk that has finished a file is there: it may take longer over the next one.
+                let stands = if done_now[1] > 0 { STANDS_WITHIN.max(limit) } else { limit };
+                (done, until) = (done_now, until.max(now + stands));
                 if now >= told + TOLD_EVERY {
                     told = now;
-                    let longer = u32::try_from((2 * limit).as_micros()).unwrap_or(u32::MAX);
+                    let longer = u32::try_from((2 * STANDS_WITHIN).as_micros()).unwrap_or(u32::MAX);
                     tell_system(&[NotifyState::ExtendTimeoutUsec(longer)]);
                 }
             }
@@ -469,4 +474,31 @@ async fn join_within(
         thread.join().map_err(|_| anyhow!("the {name} thread panicked")).context("the daemon ended in disorder")?;
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// How long a thread of 1.2 s is waited for that may stand still for 0.6 s, and says every 0.2 s that it goes on, or not.
+    fn waited(step: u64) -> Duration {
+        let progress = <[Arc<AtomicU64>; 2]>::default();
+        let told = progress[0].clone();
+        let work = move || {
+            for _ in 0..6 {
+                std::thread::sleep(Duration::from_millis(200));
+                told.fetch_add(step, Ordering::Relaxed);
+            }
+        };
+        let (threads, begun) = (vec![("recorder", std::thread::spawn(work))], Instant::now());
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+        runtime.block_on(join_within(threads, Duration::from_millis(600), &progress)).unwrap();
+        begun.elapsed()
+    }
+
+    #[test]
+    fn a_recorder_that_goes_on_is_waited_for_and_one_that_stands_is_not() {
+        assert!(waited(1) >= Duration::from_millis(1200));
+        assert!(waited(0) < Duration::from_millis(1200));
+    }
 }

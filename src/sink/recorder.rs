@@ -189,8 +189,9 @@ pub struct Recorder {
     clock: Clock,
     /// The queue was full for long: nothing waits until it has drained.
     overrun: bool,
-    /// Items that the other end has taken, and files that it has finished.
+    /// Items that the other end has taken, and files that it has finished at the end.
     taken: Arc<AtomicU64>,
+    finished: Arc<AtomicU64>,
 }
 
 impl Recorder {
@@ -220,7 +221,7 @@ impl Recorder {
         faults: Arc<Faults>,
     ) -> (Self, Writer) {
         let (queue, items) = blocks::queue();
-        let taken = Arc::new(AtomicU64::new(0));
+        let (taken, finished) = <(Arc<AtomicU64>, Arc<AtomicU64>)>::default();
         let (wanted, rotations) = crossbeam_channel::unbounded();
         let writer = Writer {
             items,
@@ -239,9 +240,10 @@ impl Recorder {
             lost: 0,
             last_arrival_ns: 0,
             taken: taken.clone(),
+            finished: finished.clone(),
         };
         let budget = Budget::new(QUEUE_BYTES);
-        (Self { queue, budget, rotations, metrics, clock, overrun: false, taken }, writer)
+        (Self { queue, budget, rotations, metrics, clock, overrun: false, taken, finished }, writer)
     }
 
     /// Hands one item over, waiting a little for a place.
@@ -276,10 +278,10 @@ impl Recorder {
         self.queue.put((item, room)).err().map(|(item, _)| item)
     }
 
-    /// Grows as long as the other end works: by items taken and files finished.
+    /// How far the other end is: items taken, and files finished at the end.
     #[must_use]
-    pub fn progress(&self) -> Arc<AtomicU64> {
-        self.taken.clone()
+    pub fn progress(&self) -> [Arc<AtomicU64>; 2] {
+        [self.taken.clone(), self.finished.clone()]
     }
 
     /// Items that wait.
@@ -334,6 +336,7 @@ pub struct Writer {
     lost: u64,
     last_arrival_ns: i64,
     taken: Arc<AtomicU64>,
+    finished: Arc<AtomicU64>,
 }
 
 impl Writer {
@@ -376,7 +379,7 @@ impl Writer {
             if let Some(file) = place.0.take() {
                 place.1 = file.finish().map(|_| ());
             }
-            self.taken.fetch_add(1, Ordering::Relaxed);
+            self.finished.fetch_add(1, Ordering::Relaxed);
         });
         for (index, place) in files.into_iter().enumerate() {
             match place.into_inner().unwrap_or_else(PoisonError::into_inner).1 {
@@ -560,3 +563,6 @@ impl Writer {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -54,7 +54,10 @@ pub fn rows(args: &Args, plant: Plant) -> anyhow::Result<Vec<Row>> {
     let text = format!(
         "[site]\nprefix = \"{PREFIX}\"\n[input]\nmax_loops = {}\n[window]\nhop_s = {:?}\nmax_bytes = {}\n[gap]\nenabled = false\n\
          [recording]\nraw = \"{}\"\n",
-        plant.loops.max(1), args.hop, args.max_bytes, args.raw
+        plant.loops.max(1),
+        args.hop,
+        args.max_bytes,
+        args.raw
     );
     let config = Config::parse(&text).map_err(|faults| anyhow!("{}", super::super::list(&faults)))?;
     let folder = tempfile::tempdir().context("a temporary folder")?;
