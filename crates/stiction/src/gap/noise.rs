@@ -270,7 +270,10 @@ mod tests {
         let found = autoregression(&x, &stretches).unwrap().mse;
         let plain = of_order(&x, &stretches, 1).unwrap().mse;
         let under_white = first_order_under_white(&x, &stretches);
-        assert!(libm::log(plain / found) > 0.1 && libm::log(under_white / found) < 0.03, "{found} {plain} {under_white}");
+        assert!(
+            libm::log(plain / found) > 0.1 && libm::log(under_white / found) < 0.03,
+            "{found} {plain} {under_white}"
+        );
     }
 
     #[test]

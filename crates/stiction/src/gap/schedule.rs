@@ -13,7 +13,9 @@ use super::express::rms;
 use super::plain::PlainPass;
 use super::plan::Plan;
 use super::problem::{Problem, View};
-use super::search::{Effort, FIRST, MIDDLE, NARROW, SMALL, Search, WIDE, by_differences, exchange, local_search, of_every_size};
+use super::search::{
+    Effort, FIRST, MIDDLE, NARROW, SMALL, Search, WIDE, by_differences, exchange, local_search, of_every_size,
+};
 use super::settle::{NEAR, clamped};
 use super::slips::{Length, Places, frictionless, search_slips};
 use super::structure::Structure;

@@ -190,12 +190,7 @@ fn search_form(
 
 /// The best place by differences that steps from these lead to, with the linear part that PV itself asks for; and the
 /// responses computed.
-pub fn by_differences(
-    problem: &Problem,
-    search: &Search,
-    from: &[Parameters],
-    seed: u64,
-) -> (Option<Candidate>, u64) {
+pub fn by_differences(problem: &Problem, search: &Search, from: &[Parameters], seed: u64) -> (Option<Candidate>, u64) {
     let mut evaluator = Evaluator::new(problem, search.sign);
     let mut rng = seeded_rng(seed, 99);
     let structure = &search.structure;
