@@ -7,7 +7,7 @@
 use super::effects::{self, Way};
 use super::evidence::{Basis, Contender, Evidence, OnMv};
 use super::probability::{Calibration, Features, Outcomes};
-use super::types::{Alternative, Cause, EffectResult, NONE, Stage, UNKNOWN};
+use super::types::{Alternative, Cause, EffectResult, NONE, NoiseModels, Stage, UNKNOWN};
 
 /// Farther behind the best in training evidence, an effect is no alternative; and how fast it loses weight.
 const FAR: f64 = 0.6;
@@ -19,6 +19,8 @@ const NEAR: usize = 4;
 const INDEPENDENT: f64 = 0.1;
 const FIRST_ORDER: f64 = 0.1;
 const MORE: f64 = 0.05;
+/// Excess kurtosis of noise's innovations: a slip that a model lacks is a few large ones.
+const TAILS: f64 = 0.7;
 /// Per cent of the gap from which an effect makes much of it, and below which next to nothing.
 const HALF: f64 = 50.0;
 const LITTLE: f64 = 10.0;
@@ -60,6 +62,7 @@ pub struct Decision {
 /// Decides with a catalogue that lacks `without`.
 #[must_use]
 pub fn decide(evidence: &Evidence, without: &[&str], calibration: &Calibration) -> Decision {
+    let evidence = &evidence.of_those_who_lack(without);
     let basis = &evidence.basis;
     let has = |id: &str| !id.split('+').any(|part| without.contains(&part));
     let ranked = ranked(evidence, without);
@@ -153,9 +156,11 @@ fn filter_explains(evidence: &Evidence, filter: &str, best: Option<&&Contender>)
 
 /// Whether what is left is noise with a memory and nothing else.
 fn is_plain(basis: &Basis) -> bool {
-    let noise = &basis.noise;
-    let alone = noise.independence_p > INDEPENDENT && noise.over_best > MORE;
-    noise.whitens && alone && noise.beyond_first < FIRST_ORDER
+    let is_alone = |noise: &NoiseModels| {
+        let apart = noise.independence_p > INDEPENDENT && noise.over_best > MORE;
+        noise.whitens && apart && noise.beyond_first < FIRST_ORDER
+    };
+    basis.alone.map_or_else(|| is_alone(&basis.noise), |a| is_alone(&a.models) && a.tails < TAILS)
 }
 
 /// MV at the floor of PV leaves the valve's effects; no better than OP, it leaves what acts behind the stem.

@@ -1,5 +1,7 @@
 //! From a record to the diagnosis: traces, base, effects, noise models, decision, and what follows from it.
 
+use std::collections::BTreeMap;
+
 use super::decide;
 use super::effects::{self, Way};
 use super::evidence::{Basis, Evidence, Left};
@@ -13,7 +15,7 @@ use super::noise;
 use super::pairs;
 use super::probability::Calibration;
 use super::problem::{Problem, period_of};
-use super::schedule::{self, Found, Work, residual_of};
+use super::schedule::{self, Found, Work, residual_at, residual_of};
 use super::signatures;
 use super::stages;
 use super::traces::Traces;
@@ -79,6 +81,7 @@ pub fn diagnose(record: &Record, ask: &Ask, executor: &dyn Executor) -> Result<D
     let wanted = !ask.without.iter().any(|w| w == effects::sensor_filter::EFFECT.id);
     let filtered =
         if wanted { filter::look(record, &problem, &found, &traces, floor.noise_floor, &mut work) } else { None };
+    let owes = floor_owes(&traces, &floor, filtered.as_ref());
     if let Some(filtered) = &filtered {
         (floor.noise_sd, floor.noise_floor) = (Some(filtered.noise_sd), Some(filtered.noise_sd));
     }
@@ -92,7 +95,7 @@ pub fn diagnose(record: &Record, ask: &Ask, executor: &dyn Executor) -> Result<D
     let seen = stages::look(record, &problem, &traces, against, &ask.without, &mut work);
     let weighed = scales(&problem, &found, &base, &traces, &floor, ask.seed);
     let effects = weigh(&weighed, &found, filtered.as_ref(), ask);
-    let basis = basis(record, &problem, &found, &base, &traces, &effects, &seen, &floor, ask);
+    let basis = basis(record, &problem, &found, &base, &traces, &effects, &seen, &floor, owes, ask);
     let nothing = decide::decide(&Evidence::new(&basis, &[], None), &[], Calibration::shipped());
     let mut made = Diagnosis {
         relative_gap: base.gap / problem.deviation,
@@ -167,6 +170,23 @@ fn check_floor(problem: &Problem, found: &Found, traces: &Traces, floor: &mut Fl
     floor.high_band_sd = sd.map(|s| s * problem.deviation);
 }
 
+/// How much of the floor is owed to what an effect told of PV's noise: a grid's own share, and the memory of a filter. Before
+/// the filter's own noise is taken for the floor.
+fn floor_owes(traces: &Traces, floor: &Floor, filtered: Option<&Filtered>) -> BTreeMap<String, f64> {
+    /// Most that is owed: a coarse grid leaves nothing of the noise.
+    const MOST: f64 = 20.0;
+    let over = |with: Option<f64>, without: Option<f64>| {
+        let (with, without) = (with?, without?);
+        Some((with / without.max(with / MOST)).max(1.0))
+    };
+    let grid = effects::quantisation::EFFECT.id;
+    let is_coarse = traces.signatures.iter().any(|s| s.id == grid && s.met);
+    let of_grid = over(floor.noise_floor, floor.noise_sd).filter(|_| is_coarse).map(|by| (grid, by));
+    let of_filter = filtered.and_then(|f| over(Some(f.noise_sd), floor.noise_floor));
+    let of_filter = of_filter.map(|by| (effects::sensor_filter::EFFECT.id, by));
+    of_grid.into_iter().chain(of_filter).map(|(id, by)| (id.to_owned(), by)).collect()
+}
+
 /// Every effect of the catalogue, weighed.
 fn weigh(scales: &Scales<'_>, found: &Found, filtered: Option<&Filtered>, ask: &Ask) -> Vec<EffectResult> {
     let (problem, floor) = (scales.problem, scales.floor);
@@ -202,10 +222,13 @@ fn basis(
     weighed: &[EffectResult],
     seen: &Option<stages::Seen>,
     floor: &Floor,
+    floor_owes: BTreeMap<String, f64>,
     ask: &Ask,
 ) -> Basis {
     let nothing = || vec![0.0; problem.n()];
-    let of_base = residual_of(problem, &found.base).unwrap_or_else(nothing);
+    let mut of_base = vec![residual_of(problem, &found.base).unwrap_or_else(nothing)];
+    let places = found.base.best.iter().skip(1).chain(&found.by_moves);
+    of_base.extend(places.filter_map(|place| residual_at(problem, &found.base, place)));
     let best = found.searches.iter().min_by(|a, b| a.sse().total_cmp(&b.sse()));
     let of_best = best.and_then(|search| residual_of(problem, search)).unwrap_or_else(nothing);
     let after = (base.dead_time_s + base.time_constants_s.first().copied().unwrap_or(0.0)) / problem.point_s;
@@ -230,8 +253,10 @@ fn basis(
             .filter_map(|e| Some((e.id.clone(), e.closed_pct?)))
             .collect(),
         filter: weighed.iter().any(|e| e.simulated && e.id == effects::sensor_filter::EFFECT.id),
+        floor_owes,
         skew: skew.filter(|_| !left_out(effects::time_skew::EFFECT.id)),
-        noise: noise::judge(problem, &of_base, &of_best, &slipped, ask.seed),
+        noise: noise::judge(problem, &of_base[0], &of_best, &slipped, ask.seed),
+        alone: noise::alone(problem, &of_base, &of_best, &slipped, ask.seed),
         coloured_noise: !left_out(effects::coloured_noise::EFFECT.id),
         by_mv: seen.as_ref().map(|s| s.stages.stage).filter(|_| !base.at_floor),
         on_mv: seen.as_ref().map(|s| s.ranked.clone()).unwrap_or_default(),

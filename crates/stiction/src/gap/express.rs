@@ -14,7 +14,7 @@ use crate::sim::process::separated;
 use crate::sim::slips::Law;
 
 /// Training error over the floor up to which a fit counts as having reached it.
-const AT_FLOOR: f64 = 1.05;
+pub const AT_FLOOR: f64 = 1.05;
 /// Steps from the fitted fd to that of the slips.
 const STEPS: i32 = 8;
 

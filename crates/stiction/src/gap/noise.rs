@@ -1,7 +1,7 @@
 //! The noise that no free run explains: its floor, and what a noise model makes of a residual one step ahead.
 
 use super::problem::Problem;
-use super::types::{Floor, NoiseModels};
+use super::types::{Alone, Floor, NoiseModels};
 use crate::ident::least_squares::Gram;
 use crate::ident::residual;
 use crate::signal::stats;
@@ -93,6 +93,32 @@ pub fn first_order(residual: &[f64], stretches: &[[usize; 2]]) -> Option<(f64, f
     Some((sse / sums[2], pole))
 }
 
+/// Mean squared error one step ahead of noise with a memory of first order under white noise, over the points that an
+/// autoregression predicts: measurement noise hides the memory from an autoregression of first order.
+fn first_order_under_white(residual: &[f64], stretches: &[[usize; 2]]) -> f64 {
+    /// Time constants from one point on, by this factor each, and shares of the memory that the white noise takes.
+    const TIMES: i32 = 26;
+    const FACTOR: f64 = 1.3;
+    const SHARES: [f64; 11] = [0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95];
+    let mut best = f64::INFINITY;
+    for pole in (0..TIMES).map(|i| libm::exp(-libm::pow(FACTOR, -f64::from(i)))) {
+        for share in SHARES {
+            let (mut count, mut sum) = (0.0, 0.0);
+            for [a, b] in stretches {
+                let mut error = 0.0;
+                for (i, pair) in residual[*a..*b].windows(2).enumerate() {
+                    error = pair[1] - pole * pair[0] + share * pole * error;
+                    if i + 1 >= ORDER {
+                        (count, sum) = (count + 1.0, sum + error * error);
+                    }
+                }
+            }
+            best = best.min(sum / f64::max(count, 1.0));
+        }
+    }
+    best
+}
+
 fn of_order(residual: &[f64], stretches: &[[usize; 2]], order: usize) -> Option<Autoregression> {
     let mut columns: Vec<Vec<f64>> = vec![Vec::new(); order + 1];
     let mut places = Vec::new();
@@ -141,6 +167,21 @@ pub fn judge(problem: &Problem, base: &[f64], best: &[f64], slipped: &[bool], se
         whitens: residual::whiteness(&e, &op).white,
         beyond_first: of_order(base, &problem.train, 1).map_or(0.0, |first| log(first.mse) - log(found.mse)),
     }
+}
+
+/// The base's place whose residual is best one step ahead, and what noise models say of it: under a slow disturbance the
+/// right slips need not leave the least of PV. `best` is the least that any structure leaves.
+#[must_use]
+pub fn alone(problem: &Problem, places: &[Vec<f64>], best: &[f64], slipped: &[bool], seed: u64) -> Option<Alone> {
+    let of_each = places.iter().filter_map(|left| Some((left, autoregression(left, &problem.train)?)));
+    let (left, found) = of_each.min_by(|a, b| a.1.mse.total_cmp(&b.1.mse))?;
+    let models = judge(problem, left, best, slipped, seed);
+    let first = first_order_under_white(left, &problem.train);
+    let beyond_first = models.beyond_first.min(libm::log((first / found.mse).max(1e-30)));
+    let e: Vec<f64> = found.innovations.iter().map(|(_, e)| *e).collect();
+    let powers = e.iter().fold([0.0; 2], |s, x| [s[0] + x * x, s[1] + x * x * x * x]);
+    let tails = powers[1] * e.len() as f64 / (powers[0] * powers[0]).max(1e-300) - 3.0;
+    Some(Alone { models: NoiseModels { beyond_first, ..models }, tails })
 }
 
 /// Smallest p of the innovations' independence from what OP did before, from slips and from the level, by circular
@@ -212,6 +253,27 @@ mod tests {
         assert!((floor(&rounded, &[true; 2000], false).quantum.unwrap() - 0.5).abs() < 1e-9);
         let held: Vec<f64> = (0..2000).map(|k| slow[k - k % 5]).collect();
         assert_eq!(floor(&held, &[true; 2000], false).noise_floor, None);
+    }
+
+    #[test]
+    fn white_noise_does_not_hide_a_memory_of_first_order() {
+        let (slow, white) = (noise(3000), Noise::new(4, 0));
+        let (mut white, mut memory) = (white, 0.0);
+        let x: Vec<f64> = slow
+            .iter()
+            .map(|e| {
+                memory = 0.97 * memory + e;
+                memory + 2.0 * white.gaussian()
+            })
+            .collect();
+        let stretches = [[0, 1500], [1600, 3000]];
+        let found = autoregression(&x, &stretches).unwrap().mse;
+        let plain = of_order(&x, &stretches, 1).unwrap().mse;
+        let under_white = first_order_under_white(&x, &stretches);
+        assert!(
+            libm::log(plain / found) > 0.1 && libm::log(under_white / found) < 0.03,
+            "{found} {plain} {under_white}"
+        );
     }
 
     #[test]

@@ -7,18 +7,21 @@
 use std::sync::Mutex;
 
 use super::candidate::{Candidate, MAX_PARAMS, Parameters};
-use super::effects::{ALL, Clues, Effect, Start, Way};
+use super::effects::{ALL, Clues, Effect, Start, Unit, Way};
 use super::evaluator::Evaluator;
 use super::express::rms;
 use super::plain::PlainPass;
 use super::plan::Plan;
 use super::problem::{Problem, View};
-use super::search::{Effort, FIRST, MIDDLE, NARROW, SMALL, Search, WIDE, exchange, local_search, of_every_size};
-use super::settle::NEAR;
+use super::search::{
+    Effort, FIRST, MIDDLE, NARROW, SMALL, Search, WIDE, by_differences, exchange, local_search, of_every_size,
+};
+use super::settle::{NEAR, clamped};
 use super::slips::{Length, Places, frictionless, search_slips};
 use super::structure::Structure;
 use super::types::{Ended, Executor, Stage};
 use crate::ident::class::Class;
+use crate::ident::random::{normal, seeded_rng};
 use crate::ident::residual;
 use crate::sim::slips::Law;
 
@@ -124,6 +127,8 @@ impl Work<'_> {
 pub struct Found {
     /// The base.
     pub base: Search,
+    /// The base's best place by differences, where a slow disturbance weighs little.
+    pub by_moves: Option<Candidate>,
     /// Base and one effect each.
     pub searches: Vec<Search>,
     /// Why the search ended.
@@ -166,7 +171,7 @@ pub fn base(
         let allowed = work.allowed(1);
         let found = work.all(1, |_| {
             let mut search = Search { allowed, ..base.clone() };
-            look_again(problem, &mut search, seed);
+            look_again(problem, &mut search, false, seed);
             search
         });
         let Some(better) = found.into_iter().next() else { break };
@@ -243,7 +248,13 @@ fn reaches(problem: &Problem, left: &[f64], floor: Option<f64>, within: f64) -> 
 /// What a search's best candidate leaves of PV at each point, deviations.
 #[must_use]
 pub fn residual_of(problem: &Problem, search: &Search) -> Option<Vec<f64>> {
-    let (prediction, _) = PlainPass::new(problem, search.sign).simulate(&search.structure, search.best.first()?)?;
+    residual_at(problem, search, search.best.first()?)
+}
+
+/// The same of another of its places.
+#[must_use]
+pub fn residual_at(problem: &Problem, search: &Search, place: &Candidate) -> Option<Vec<f64>> {
+    let (prediction, _) = PlainPass::new(problem, search.sign).simulate(&search.structure, place)?;
     Some(problem.normalised.pv.iter().zip(&prediction).map(|(y, p)| y - p).collect())
 }
 
@@ -277,6 +288,7 @@ pub fn run(
     let calm = is_settled(problem, &base, floor);
     let effects: Vec<&'static Effect> =
         simulated(base_law.is_none()).into_iter().filter(|e| !without.iter().any(|w| w == e.id)).collect();
+    let by_moves = if calm || base_law.is_none() { None } else { by_moves(problem, &base, &thetas, work) };
     let mut searches = searches_of(problem, &base, &effects);
     // Against a base without friction nobody else looks for slips: the search for He's base is made for it.
     let sticking = searches.iter().position(|l| l.structure.each().any(|e| e.way == Way::AgainstLinear));
@@ -307,7 +319,8 @@ pub fn run(
         for again in 0..MOST_AGAIN {
             let found = work.goes_on() && search_again(problem, &mut searches, floor, MOST_AGAIN * round + again, work);
             gains |= found;
-            if !found {
+            // With the parameters at hand first, then beside them: who gains by neither is done.
+            if !found && again % 2 == 1 {
                 break;
             }
         }
@@ -332,22 +345,46 @@ pub fn run(
     } else {
         Ended::Agreement
     };
-    Some(Found { base, searches, ended })
+    Some(Found { base, by_moves, searches, ended })
+}
+
+/// The base's best place by differences, from its own and from all that its search for slips met.
+fn by_moves(problem: &Problem, base: &Search, thetas: &[Parameters], work: &mut Work<'_>) -> Option<Candidate> {
+    let from: Vec<Parameters> = base.best.iter().map(|b| b.theta).chain(thetas.iter().copied()).collect();
+    let (found, evaluations) = by_differences(problem, base, &from, work.seed);
+    work.done += evaluations;
+    found
 }
 
 /// A round in which the base and every search that is not far behind try what the others found. Says whether one gained.
 fn exchange_round(problem: &Problem, base: &mut Search, searches: &mut Vec<Search>, work: &mut Work<'_>) -> bool {
     let best = searches.iter().map(Search::sse).fold(base.sse(), f64::min);
-    let (near, far): (Vec<Search>, Vec<Search>) = searches.drain(..).partition(|l| l.sse() <= FAR_BEHIND * best);
+    // What holds a better one as a special case has only been searched badly.
+    let better = |l: &Search| searches.iter().any(|o| holds(l, o) && o.sse() <= FAR_BEHIND * best);
+    let kept: Vec<bool> = searches.iter().map(|l| l.sse() <= FAR_BEHIND * best || better(l)).collect();
+    let mut kept = kept.into_iter();
+    let (near, far): (Vec<Search>, Vec<Search>) = searches.drain(..).partition(|_| kept.next().unwrap_or(true));
     let mut all = vec![base.clone()];
     all.extend(near);
     let before: Vec<f64> = all.iter().map(Search::sse).collect();
     let thetas = exchange(&all, 2);
-    share(problem, &mut all, &SMALL, work, &|_| thetas.clone(), &|_| &[]);
+    let held: Vec<Vec<Parameters>> = all.iter().map(|l| special_cases(l, &all)).collect();
+    share(problem, &mut all, &SMALL, work, &|_| thetas.clone(), &|i| &held[i]);
     let gains = before.iter().zip(&all).any(|(b, a)| a.sse() < (1.0 - NO_GAIN) * b);
     *base = all.remove(0);
     searches.extend(all.into_iter().chain(far));
     gains
+}
+
+/// Whether a search's effect holds another's as a special case.
+fn holds(search: &Search, other: &Search) -> bool {
+    search.structure.each().any(|e| e.holds.is_some_and(|id| other.structure.id() == id))
+}
+
+/// The best places, as they are, of what a search's effect holds as a special case.
+fn special_cases(search: &Search, all: &[Search]) -> Vec<Parameters> {
+    let others = all.iter().filter(|other| holds(search, other));
+    others.flat_map(|other| other.best.iter().take(2)).map(|b| b.theta).collect()
 }
 
 /// More work for the searches at these places. Says whether one of them gained from it.
@@ -389,15 +426,53 @@ fn search_again(
         return false;
     }
     let seed = work.seed.wrapping_add((AGAIN + 1 + round) << 32);
-    go_on(searches, &order, work, &|search| look_again(problem, search, seed))
+    go_on(searches, &order, work, &|search| look_again(problem, search, round % 2 == 1, seed))
 }
 
-/// Another search for slips with other chance and the parameters found so far, and a local search from where it leads.
-fn look_again(problem: &Problem, search: &mut Search, seed: u64) {
-    let Places { mut found, scanned, evaluations } = search_slips(problem, search, SLIP_ROUNDS, seed);
-    found.extend(scanned);
-    local_search(problem, search, &[], &found, &MIDDLE, seed);
+/// Another search for slips with other chance and the parameters found so far, or `beside` them, and a local search from
+/// where it leads.
+fn look_again(problem: &Problem, search: &mut Search, beside: bool, seed: u64) {
+    let (mut from, mut evaluations) = (Vec::new(), 0);
+    let mut look = |search: &Search, length: Length, seed: u64| {
+        let places = search_slips(problem, search, length, seed);
+        from.extend(places.found.into_iter().chain(places.scanned));
+        evaluations += places.evaluations;
+    };
+    let others = if beside { parameters_beside(problem, search, seed) } else { Vec::new() };
+    for (i, p) in others.iter().enumerate() {
+        let alone = Search { starts: vec![*p], best: Vec::new(), ..search.clone() };
+        look(&alone, Length::Rounds(1), seed + i as u64);
+    }
+    if others.is_empty() {
+        look(search, SLIP_ROUNDS, seed);
+    }
+    local_search(problem, search, &[], &from, &MIDDLE, seed);
     search.evaluations += evaluations;
+}
+
+/// Parameters beside the best ones, of an effect that makes other slips or another signal of them: where they are a little
+/// off, so are the slips, and the search for these finds what is wrong everywhere a little. None where that search finds
+/// them itself.
+fn parameters_beside(problem: &Problem, search: &Search, seed: u64) -> Vec<[f64; MAX_PARAMS]> {
+    /// How far beside, as a share of a parameter's range.
+    const FAR: [f64; 3] = [0.02, 0.06, 0.15];
+    let Some(best) = search.best.first() else { return Vec::new() };
+    let plan = search.structure.plan(&best.theta);
+    let free: Vec<usize> =
+        search.structure.params().enumerate().filter(|(_, p)| p.unit != Unit::Choice).map(|(i, _)| i).collect();
+    if free.is_empty() || plan.class() != Class::First || !has_own_search(&plan, &search.structure) {
+        return Vec::new();
+    }
+    let mut rng = seeded_rng(seed, 98);
+    let near = |far: f64| {
+        let mut theta = best.theta;
+        for (at, param) in search.structure.params().enumerate().filter(|(i, _)| free.contains(i)) {
+            let [low, high] = param.bounds(problem);
+            theta.p[at] += far * (high - low) * normal(&mut rng);
+        }
+        clamped(&search.structure, theta, problem).p
+    };
+    FAR.into_iter().map(near).collect()
 }
 
 /// Places of the base's first look with what a load's own clues say of the residual there: the residual of the wrong

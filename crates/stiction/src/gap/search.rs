@@ -188,6 +188,25 @@ fn search_form(
     complete.into_iter().filter_map(|c| evaluator.plain_pass(structure, &c.theta, View::Plain)).collect()
 }
 
+/// The best place by differences that steps from these lead to, with the linear part that PV itself asks for; and the
+/// responses computed.
+pub fn by_differences(problem: &Problem, search: &Search, from: &[Parameters], seed: u64) -> (Option<Candidate>, u64) {
+    let mut evaluator = Evaluator::new(problem, search.sign);
+    let mut rng = seeded_rng(seed, 99);
+    let structure = &search.structure;
+    let seen: Vec<Candidate> = from.iter().filter_map(|t| evaluator.fit(structure, t, View::Moves, &[])).collect();
+    let mut found: Vec<Candidate> = of_every_size(seen, WIDE.moves[0].0)
+        .into_iter()
+        .filter_map(|c| evaluator.fit(structure, &c.theta, View::Moves, FAR))
+        .collect();
+    for (count, steps) in WIDE.moves {
+        found = climbs(&mut evaluator, structure, apart(found, count), View::Moves, steps, &mut rng);
+    }
+    let best = apart(found, 1).into_iter().next();
+    let place = best.and_then(|b| evaluator.plain_pass(structure, &b.theta, View::Plain));
+    (place, evaluator.evaluations)
+}
+
 /// The best of the neighbouring cells, its parameters settled and taken off the lattice.
 fn settled(evaluator: &mut Evaluator<'_>, structure: &Structure, from: Candidate) -> Candidate {
     let mut best = evaluator.settle_parameters(structure, from, View::Plain, LAST_PARABOLAS);

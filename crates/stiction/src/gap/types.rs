@@ -387,6 +387,15 @@ pub struct NoiseModels {
     pub beyond_first: f64,
 }
 
+/// What noise models make of what is left by the base's place that is best one step ahead.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Alone {
+    /// The same; first order is that of a memory under white noise.
+    pub models: NoiseModels,
+    /// Excess kurtosis of the innovations: 0 for noise, large where a few of them are slips that the model lacks.
+    pub tails: f64,
+}
+
 /// The position behind the friction, where it is recorded: two gaps.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Stages {

@@ -1,5 +1,6 @@
 //! How far each effect closes the gap: held-out free run before and after, with an interval from its blocks.
 
+use super::candidate::Candidate;
 use super::decide;
 use super::effects::{self, Effect};
 use super::express::{above_floor, fit, parameters};
@@ -61,6 +62,7 @@ impl Scales<'_> {
         let stages: Vec<Stage> = structure.each().map(|e| e.stage).collect();
         let stage = if stages.iter().all(|s| *s == first.stage) { first.stage } else { Stage::CannotTell };
         let predictable = decide::predictable(&structure.id());
+        let lead = if is_meant(&structure, best) { evidence - margin } else { -margin };
         let parameters = parameters(self.problem, &structure, best);
         let (closed_pct, closed_interval) = if predictable { self.closed(&made) } else { (None, None) };
         Some(EffectResult {
@@ -75,7 +77,7 @@ impl Scales<'_> {
             closed_interval,
             raw_gain: libm::log(base_sse.max(1e-30)) - libm::log(best.sse.max(1e-30)),
             evidence,
-            lead: evidence - margin,
+            lead,
             confusable_with: first.confused_with.to_vec(),
             separated_by: first.separated_by,
             fit: Some(made),
@@ -186,6 +188,12 @@ impl Scales<'_> {
         out.retain(|b| b[0] > 0.0);
         out
     }
+}
+
+/// Whether a fit is what its effects' names say.
+fn is_meant(structure: &Structure, best: &Candidate) -> bool {
+    let plan = structure.plan(&best.theta);
+    structure.each().all(|e| (e.is_meant)(&plan, best))
 }
 
 fn summed<'b>(blocks: impl Iterator<Item = &'b [f64; 3]>) -> [f64; 3] {

@@ -162,6 +162,10 @@ pub struct Effect {
     pub in_loop: fn(&Stated<'_>, &mut Parts) -> Result<(), NoPlace>,
     /// What its recorder does to a prediction, where a free run can follow it.
     pub recorder: Option<fn(&Traces, &mut [f64])>,
+    /// Whether a fitted model is what the effect's name says, and not only of its form.
+    pub is_meant: fn(&Plan, &Candidate) -> bool,
+    /// An effect with the same parameters that it holds as a special case, whose places it tries as they are.
+    pub holds: Option<EffectId>,
     /// Training log mean squared error by which it must beat the base: more for what bends to anything.
     pub margin: f64,
     /// Whether free run can predict it.
@@ -206,6 +210,8 @@ impl Effect {
             from_model: as_it_is,
             in_loop: inside,
             recorder: None,
+            is_meant: |_, _| true,
+            holds: None,
             margin: MARGIN,
             predictable: true,
             behind_stem: !matches!(stage, Stage::Valve),

@@ -4,6 +4,9 @@ use super::effect::{Effect, Param, Reach, Unit, WIDE_MARGIN, grows, kept};
 use crate::gap::plan::Drift;
 use crate::gap::types::Stage;
 
+/// Change of the gain below which what was fitted is its level alone.
+const LEAST_CHANGE: f64 = 0.1;
+
 /// As the catalogue has it.
 pub const EFFECT: Effect = Effect {
     params: &[
@@ -18,7 +21,8 @@ pub const EFFECT: Effect = Effect {
     ],
     apply: |p, plan| plan.drift = Some(Drift { change: p[0], by_factor: p[1] > 0.5 }),
     starts: |_| [-0.4, 0.4].into_iter().flat_map(|c| [[c, 0.0, 0.0], [c, 1.0, 0.0]]).collect(),
-    // Its level is free, so it imitates a ramp: it must not be preferred to one.
+    // Its level is free, so it imitates a ramp: it must not be preferred to one, and a gain that hardly changed is none.
+    is_meant: |plan, _| plan.drift.is_some_and(|drift| drift.change.abs() >= LEAST_CHANGE),
     margin: WIDE_MARGIN,
     confused_with: &["static_nonlinearity", "dead_time_change"],
     separated_by: "the same step of OP early and late",
