@@ -72,10 +72,18 @@ impl Sent {
     }
 }
 
+/// A number from 0 to 1 of a seed. All bits are mixed (SplitMix64): a product alone gives scan after scan a regular swing, and
+/// a loop that should rest is searched for a sticking valve.
+fn drawn(seed: u64) -> f64 {
+    let z = seed.wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+    let z = (z ^ z >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    let z = (z ^ z >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
+    ((z ^ z >> 31) >> 11) as f64 / (1_u64 << 53) as f64
+}
+
 /// A signal's value: calm loops rest on noise, the others swing as sticking valves do, OP in ramps and PV in steps.
 pub fn value(index: usize, signal: Signal, scan: u64) -> f64 {
-    let draw = (scan ^ (index as u64) << 20 ^ (signal as u64) << 60).wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 40;
-    let noise = draw as f64 / f64::from(1 << 24) - 0.5;
+    let noise = drawn(scan ^ (index as u64) << 32 ^ (signal as u64) << 56) - 0.5;
     if !index.is_multiple_of(STICKS) {
         return (5000.0 + 10.0 * noise).round() / 100.0;
     }
