@@ -92,10 +92,10 @@ fn eighty_columns_show_every_loop_with_its_verdict_and_what_is_wrong() {
             "data: 0 silent, oldest data 15m (TIC204), gaps 1, dropped 4; 3 messages dropped",
             "FAULT: the disk is nearly full: 3 % are free",
             "107  loop   verdict            p     s      90 % g   period alarm     p before",
-            "M ◆  FIC201 stiction        0.96   5.5  4.2..7.3 C   75.1 s UNACK     ·▇████",
-            "M ◆  LIC202 deadband        0.96  3.15  2.6..3.9 C   93.4 s UNACK     ·▆████",
-            "S ▲  TIC204 disturbance     0.28   1.3    0..1.6 C    100 s -         ·▃▄▃▄▃",
-            "S ▲  PIC203 disturbance     0.16  0.12  0..0.694 C   74.4 s -         ·▂▂▂▂▂",
+            "M ◆  FIC201 stiction        0.96   5.5  4.2..7.2 C   75.1 s UNACK     ·▇████",
+            "M ◆  LIC202 deadband        0.96  3.15  2.8..3.6 B   93.4 s UNACK     ·▆████",
+            "S ▲  TIC204 disturbance     0.28   1.3  0..1.48 C    100 s -         ·▃▄▃▄▃",
+            "S ▲  PIC203 disturbance     0.16  0.12  0..0.507 C   74.4 s -         ·▂▂▂▂▂",
         ],
         "{told}"
     );
@@ -151,7 +151,7 @@ fn one_loop_says_in_words_what_is_known_and_draws_what_comes() {
     for part in [
         "FIC201  M ◆  the valve sticks and slips",
         "Probability of sticking 0.96: very likely the valve sticks",
-        "Size: 5.5 OP units, 90 % interval 4.16 to 7.27",
+        "Size: 5.5 OP units, 90 % interval 4.22 to 7.16",
         "What to do: Confirm with a bump test",
         "Data: age 3s, gaps 1, dropped 4",
         "Alarm unack, priority medium",

@@ -6,7 +6,6 @@
 
 use super::express::{Errors, above_floor, fit};
 use super::noise;
-use super::plain::time_constants;
 use super::problem::Problem;
 use super::schedule::{self, Found, Work, residual_of};
 use super::search::Search;
@@ -95,7 +94,7 @@ fn candidates(problem: &Problem, found: &Found, left: &[Left]) -> Vec<f64> {
     let lag = found.searches.iter().find(|l| l.structure.id() == super::effects::extra_lag::EFFECT.id);
     let lags = lag.and_then(|search| {
         let best = search.best.first()?;
-        Some(time_constants(&search.structure.plan(&best.theta), &best.theta))
+        Some(search.structure.plan(&best.theta).time_constants(best.theta.log_tau))
     });
     let of_lags = lags.unwrap_or_default().map(|tau| libm::exp(-1.0 / tau.max(1e-3)));
     let mut out: Vec<f64> = Vec::new();

@@ -16,7 +16,6 @@ use crate::ident::candidate::{MIN_SLIPS, freedom};
 use crate::ident::fit::{Freedom, best_band};
 use crate::ident::least_squares::Gram;
 use crate::sim::actuator::lag_path;
-use crate::sim::process::separated;
 use crate::sim::slips::Sequence;
 
 /// Initial slope of a pair of lags, that of the quicker one alone being 1, from which it counts as leading.
@@ -129,7 +128,7 @@ impl<'a> PlainPass<'a> {
         let problem = self.problem;
         let n = problem.n();
         let from = problem.blocks.from;
-        let [tau1, tau2] = time_constants(plan, theta);
+        let [tau1, tau2] = plan.time_constants(theta.log_tau);
         let tau = libm::exp(theta.log_tau);
         let lag = theta.lag.floor().max(0.0);
         let (whole, fraction) = (lag as usize, theta.lag.max(0.0) - lag);
@@ -239,7 +238,7 @@ impl<'a> PlainPass<'a> {
         if gain == 0.0 || total * self.sign <= 0.0 {
             return None;
         }
-        if plan.zero && reads_controller(time_constants(&plan, &theta), [gain, total - gain]) {
+        if plan.zero && reads_controller(plan.time_constants(theta.log_tau), [gain, total - gain]) {
             return None;
         }
         let sse = (gram.at(last, last) - explained).max(0.0);
@@ -342,12 +341,6 @@ fn switched(signal: &mut Vec<f64>, time: f64, more: f64, work: &mut Vec<f64>) {
     for k in at..=last {
         signal[k as usize] = (1.0 - part) * value(k - whole) + part * value(k - whole - 1);
     }
-}
-
-/// Both time constants, points; the second 0 for none.
-pub fn time_constants(plan: &Plan, theta: &Parameters) -> [f64; 2] {
-    let tau = libm::exp(theta.log_tau);
-    if plan.tau2 > 0.0 { separated(tau, plan.tau2).into() } else { [tau, 0.0] }
 }
 
 /// Whether two lags side by side are not the process but the closed loop's controller read backwards, which gives PV's

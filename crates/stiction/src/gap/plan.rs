@@ -7,6 +7,7 @@
 use crate::ident::candidate::SlipEnd;
 use crate::ident::class::Class;
 use crate::sim::actuator::{bent, play_step, rate_step, stop_step};
+use crate::sim::process::separated;
 use crate::sim::slips::{Law, Stroke};
 
 /// Stairs of a drifting gain: so few steps make a valve signal of it, and each is a small share of what any noise hides.
@@ -87,6 +88,13 @@ pub struct Plan {
 }
 
 impl Plan {
+    /// Both time constants beside a main one of this logarithm, points; the second 0 for none.
+    #[must_use]
+    pub fn time_constants(&self, log_tau: f64) -> [f64; 2] {
+        let tau = libm::exp(log_tau);
+        if self.tau2 > 0.0 { separated(tau, self.tau2).into() } else { [tau, 0.0] }
+    }
+
     /// Where its slips end.
     #[must_use]
     pub const fn slip_end(&self) -> SlipEnd {

@@ -126,5 +126,9 @@ fn what_was_needed_to_learn_is_given_back() {
             aligner.take_next(&params(), &mut |_| {});
         }
     }
-    assert!(most >= 34 * size_of::<Sample>() && aligner.bytes() < 20 * size_of::<Sample>(), "{most}, {}", aligner.bytes());
+    assert!(
+        most >= 34 * size_of::<Sample>() && aligner.bytes() < 20 * size_of::<Sample>(),
+        "{most}, {}",
+        aligner.bytes()
+    );
 }

@@ -1,7 +1,6 @@
 //! PV first goes the wrong way: a zero in the right half plane beside a second lag.
 
 use super::effect::{Effect, Reach, WIDE_MARGIN, lag, lags};
-use crate::gap::plain::time_constants;
 use crate::gap::types::Stage;
 
 /// As the catalogue has it.
@@ -14,7 +13,7 @@ pub const EFFECT: Effect = Effect {
     starts: |clues| lags(clues, &[0.01, 0.05, 0.2]),
     is_meant: |plan, of| {
         let second = of.linear.others[of.linear.count - 1];
-        turns_back(time_constants(plan, &of.theta), [of.linear.gain, second])
+        turns_back(plan.time_constants(of.theta.log_tau), [of.linear.gain, second])
     },
     holds: Some(super::extra_lag::EFFECT.id),
     margin: WIDE_MARGIN,
