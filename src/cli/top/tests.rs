@@ -94,7 +94,7 @@ fn eighty_columns_show_every_loop_with_its_verdict_and_what_is_wrong() {
             "107  loop   verdict            p     s      90 % g   period alarm     p before",
             "M ◆  FIC201 stiction        0.96   5.5  4.2..7.2 C   75.1 s UNACK     ·▇████",
             "M ◆  LIC202 deadband        0.96  3.15  2.8..3.6 B   93.4 s UNACK     ·▆████",
-            "S ▲  TIC204 disturbance     0.28   1.3  0..1.48 C    100 s -         ·▃▄▃▄▃",
+            "S ▲  TIC204 disturbance     0.28   1.3   0..1.48 C    100 s -         ·▃▄▃▄▃",
             "S ▲  PIC203 disturbance     0.16  0.12  0..0.507 C   74.4 s -         ·▂▂▂▂▂",
         ],
         "{told}"
