@@ -31,6 +31,11 @@ const PERSISTENT: f64 = 0.1;
 /// stems up to 6.
 const JUMPS: f64 = 0.04;
 const STEM: f64 = 1.0;
+/// Span of OP over its noise's standard deviation up to which OP is nothing but noise (of white noise it is five): no stem is
+/// seen to travel there. And the same sign of a stem then. Of 220 simulated loops that do not oscillate, one that the rule does
+/// not call healthy has so narrow an OP, its stem shows 48; of the 19 healthy ones 17 show less than 12.
+const NOISE_SPAN: f64 = 12.0;
+const STEM_IN_NOISE: f64 = 15.0;
 
 /// Whether a record without a blocking gate can be let go.
 #[must_use]
@@ -40,7 +45,14 @@ pub fn lets_go(record: &Record, looks: &Looks, gates: &[Gate]) -> bool {
         && rests(record)
         && !may_oscillate(looks.op)
         && !may_oscillate(looks.pv)
-        && calm::signs(record, looks.typical_period).is_some_and(|s| s.jumps <= JUMPS && s.stem <= STEM)
+        && calm::signs(record, looks.typical_period)
+            .is_some_and(|s| s.jumps <= JUMPS && s.stem <= most_of_a_stem(record))
+}
+
+/// Sign of a stem up to which none is seen.
+fn most_of_a_stem(record: &Record) -> f64 {
+    let op = record.op();
+    if stats::span(&op) <= NOISE_SPAN * stats::noise_sd(&op) { STEM_IN_NOISE } else { STEM }
 }
 
 fn rests(record: &Record) -> bool {
