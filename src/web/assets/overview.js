@@ -41,6 +41,8 @@ function readState() {
 }
 
 function writeState(s) {
+  // Who followed a link while the last letter's pause ran is on the way there.
+  if (!/^(#(\/(\?.*)?)?)?$/.test(location.hash)) return;
   const q = new URLSearchParams();
   if (s.text) q.set("q", s.text);
   if (s.ne.size) q.set("ne", [...s.ne].join(","));
