@@ -28,12 +28,12 @@ const REGULAR: f64 = 1.0;
 const PERSISTENT: f64 = 0.1;
 /// Largest signs of a sticking valve, see [`calm::Signs`]. Of 560 simulated and real loops that do not oscillate, three that
 /// the rule does not call healthy show less than 0.055 and 3.3, none of them less than 0.005 and 1.6; noise alone shows
-/// stems up to 6. On 220 others, of seeds that nothing was chosen on, one is let
-/// go that the rule calls sticking at p = 0.54: no jumps, and no stem predicts better than OP.
+/// stems up to 6. On 220 others, which these two were not chosen on, one is let go that the rule calls sticking at
+/// p = 0.54: no jumps, and no stem predicts better than OP.
 const JUMPS: f64 = 0.04;
 const STEM: f64 = 1.0;
 /// Span of OP over its noise's standard deviation up to which OP is nothing but noise (of white noise it is five): no stem is
-/// seen to travel there. And the same sign of a stem then. Of 220 simulated loops that do not oscillate, one that the rule does
+/// seen to travel there. And the same sign of a stem then. Chosen on these: of 220 simulated loops that do not oscillate, one that the rule does
 /// not call healthy has so narrow an OP, its stem shows 48; of the 19 healthy ones 17 show less than 12.
 const NOISE_SPAN: f64 = 12.0;
 const STEM_IN_NOISE: f64 = 15.0;
