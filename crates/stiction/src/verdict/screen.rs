@@ -33,8 +33,8 @@ const PERSISTENT: f64 = 0.1;
 const JUMPS: f64 = 0.04;
 const STEM: f64 = 1.0;
 /// Span of OP over its noise's standard deviation up to which OP is nothing but noise (of white noise it is five): no stem is
-/// seen to travel there. And the same sign of a stem then. Chosen on these: of 220 simulated loops that do not oscillate, one that the rule does
-/// not call healthy has so narrow an OP, its stem shows 48; of the 19 healthy ones 17 show less than 12.
+/// seen to travel there. And the same sign of a stem then. Chosen on these: of 220 simulated loops that do not oscillate, one
+/// that the rule does not call healthy has so narrow an OP, its stem shows 48; of the 19 healthy ones 17 show less than 12.
 const NOISE_SPAN: f64 = 12.0;
 const STEM_IN_NOISE: f64 = 15.0;
 
