@@ -68,6 +68,20 @@ def test_all_tiles_show_and_a_filter_is_quick(many, open_page):
     page.wait_for_function(ALL)
 
 
+def test_a_tile_clicked_while_the_last_letter_of_a_search_waits_leads_to_its_loop(many, open_page):
+    page = open_page(many)
+    page.wait_for_function(ALL, timeout=60_000)
+    page.evaluate("""() => {
+      const find = document.querySelector('input[type=search]');
+      find.value = 'FIC4711';
+      find.dispatchEvent(new Event('input', { bubbles: true }));
+      document.querySelector("main li a[href^='#/loop/']").click();
+    }""")
+    # Longer than the pause that a search waits for before it writes itself into the address.
+    page.wait_for_timeout(500)
+    assert page.evaluate("location.hash").startswith("#/loop/")
+
+
 def test_scrolling_reaches_and_draws_the_last_tile(many, open_page):
     page = open_page(many)
     page.wait_for_function(ALL, timeout=60_000)
