@@ -19,6 +19,8 @@ const NEAR: usize = 4;
 const INDEPENDENT: f64 = 0.1;
 const FIRST_ORDER: f64 = 0.1;
 const MORE: f64 = 0.05;
+/// Error of the base over the floor below which a memory of its noise is not told from a cycle elsewhere or a load that is faint.
+const FAINT: f64 = 1.5;
 /// Excess kurtosis of noise's innovations: a slip that a model lacks is a few large ones.
 const TAILS: f64 = 0.7;
 /// Per cent of the gap from which an effect makes much of it, and below which next to nothing.
@@ -160,7 +162,8 @@ fn is_plain(basis: &Basis) -> bool {
         let apart = noise.independence_p > INDEPENDENT && noise.over_best > MORE;
         noise.whitens && apart && noise.beyond_first < FIRST_ORDER
     };
-    basis.alone.map_or_else(|| is_alone(&basis.noise), |a| is_alone(&a.models) && a.tails < TAILS)
+    let is_faint = basis.base.over_floor.is_some_and(|over| over < FAINT);
+    !is_faint && basis.alone.map_or_else(|| is_alone(&basis.noise), |a| is_alone(&a.models) && a.tails < TAILS)
 }
 
 /// MV at the floor of PV leaves the valve's effects; no better than OP, it leaves what acts behind the stem.

@@ -9,9 +9,10 @@ use serde::{Deserialize, Serialize};
 
 use super::effects;
 use super::evidence::{Basis, Contender};
+use super::types::Stage;
 
 /// What an answer's probability is made of, in this order; the first is a constant.
-pub const NAMES: [&str; 24] = [
+pub const NAMES: [&str; 26] = [
     "one",
     "lead",
     "ahead",
@@ -36,6 +37,8 @@ pub const NAMES: [&str; 24] = [
     "bends",
     "nothing_ranked",
     "valve",
+    "load_above",
+    "process_above",
 ];
 
 /// The features of one decision, bounded, in the order of [`NAMES`].
@@ -61,6 +64,8 @@ impl Features {
         let train = log(left.over_floor);
         // White but well above the noise: a model that reads the controller backwards finds the noise in OP.
         let white_above = train.max(0.0) * libm::exp(-5.0 * left.colour.max(0.0));
+        // A load that is the right one leaves noise; the right process nearly does; slips that are a little wrong leave more.
+        let above = |stage: Stage| flag(best.is_some_and(|b| b.stage == stage)) * (4.0 * train).clamp(0.0, 2.0);
         let to_explain = 2.0 * libm::log(base.over_floor.unwrap_or(1.0).max(1.05));
         Self([
             1.0,
@@ -86,7 +91,9 @@ impl Features {
             flag(basis.excited),
             flag(best.is_some_and(|b| effects::by_id(&b.id).is_some_and(|e| e.bends))),
             flag(best.is_none_or(|b| b.lead <= 0.0)),
-            flag(best.is_some_and(|b| b.stage == super::types::Stage::Valve)),
+            flag(best.is_some_and(|b| b.stage == Stage::Valve)),
+            above(Stage::Disturbance),
+            above(Stage::Process),
         ])
     }
 
@@ -202,5 +209,11 @@ mod tests {
         let shipped = Calibration::shipped();
         assert!(!shipped.from.is_empty() && shipped.trace > 0.5 && shipped.name_from > 0.0);
         assert!(NAMES.iter().all(|name| shipped.weights.contains_key(*name)));
+    }
+
+    #[test]
+    fn what_a_load_or_a_process_leaves_above_the_floor_speaks_against_it() {
+        let weight = |name: &str| Calibration::shipped().weights[name][0];
+        assert!(weight("load_above") < 0.0 && weight("process_above") < 0.0);
     }
 }
