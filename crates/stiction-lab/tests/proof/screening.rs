@@ -3,8 +3,10 @@
 
 use crate::labelled;
 use stiction::record::Record;
+use stiction::signal::stats;
 use stiction::sim::closed_loop::{ValveLaw, ValveModel};
 use stiction::sim::disturbance::Disturbance;
+use stiction::sim::noise::quantise;
 use stiction::verdict::{AssessParams, Assessment, P_CALM, SCREENED, Verdict, assess, lets_go};
 use stiction_lab::fixture::Draw;
 use stiction_lab::fixture::healthy::{drawn, healthy, settled};
@@ -69,6 +71,36 @@ fn simulated_loops_get_the_verdict_that_they_would_have_got() {
     println!("let go: {let_go} of {calm} calm loops; without screening p is {mean:.3} on average over {}", p.len());
     assert!(4 * let_go >= calm && p.len() >= 8, "{let_go} of {calm}");
     assert!((mean - P_CALM).abs() < 0.05, "{mean}");
+}
+
+/// OP and PV on grids of so many of their standard deviations.
+fn on_grids(record: &Record, share: f64) -> Record {
+    let mut record = record.clone();
+    for signal in [&mut record.pv, &mut record.op_path] {
+        let quantum = share * stats::std_dev(signal);
+        signal.iter_mut().for_each(|v| *v = quantise(*v, quantum));
+    }
+    record
+}
+
+#[test]
+fn loops_on_coarse_grids_get_the_verdict_that_they_would_have_got() {
+    let (mut calm, mut let_go) = (0, 0);
+    for seed in 0..240 {
+        let found = verdict_case(Half::Report, 60_000 + seed);
+        let is_calm = found.kind == "noise only" && !found.sticks;
+        for share in [0.3, 0.6] {
+            let name = format!("{share} of {} {}", found.seed, found.kind);
+            let gone = both(&name, &on_grids(&found.record(), share)).is_some();
+            (calm, let_go) = (calm + usize::from(is_calm), let_go + usize::from(is_calm && gone));
+        }
+    }
+    for seed in 0..40 {
+        let _ = both(&format!("He {seed}"), &on_grids(&under_load(seed, ValveLaw::He), 0.4));
+        let _ = both(&format!("tracking {seed}"), &on_grids(&under_load(seed, ValveLaw::Tracking), 0.4));
+    }
+    println!("let go: {let_go} of {calm} loops of noise alone on coarse grids");
+    assert!(calm >= 10 && 3 * let_go >= calm, "{let_go} of {calm}");
 }
 
 #[test]
