@@ -161,14 +161,14 @@ impl Daemon {
         }
     }
 
-    /// Ends it in order: exit 0 within 5 s.
+    /// Ends it in order: exit 0 within 5 s, twice that beside tests that keep all cores busy.
     pub fn stop(mut self) -> PathBuf {
         let started = Instant::now();
         let pid = self.child.id().to_string();
         assert!(Command::new("kill").args(["-TERM", &pid]).status().unwrap().success());
         let status = self.child.wait().unwrap();
         assert!(status.success(), "{status}");
-        assert!(started.elapsed() < Duration::from_secs(5), "{:?}", started.elapsed());
+        assert!(started.elapsed() < Duration::from_secs(10), "{:?}", started.elapsed());
         self.recordings.clone()
     }
 

@@ -94,7 +94,7 @@ fn asked_to_stop_or_to_reload_while_it_starts_it_ends_in_order_and_forgets_nothi
         send("-TERM");
         let ended = child.wait().unwrap();
         assert!(ended.success(), "cycle {cycle}: {ended}, signal {:?}", ended.signal());
-        assert!(asked.elapsed() < Duration::from_secs(5), "cycle {cycle}: {:?}", asked.elapsed());
+        assert!(asked.elapsed() < Duration::from_secs(10), "cycle {cycle}: {:?}", asked.elapsed());
     }
     assert_eq!(state_after_restart(dir.path()), "unack");
 }
