@@ -140,11 +140,33 @@ pub struct Newest {
     pub newest_ns: Option<i64>,
 }
 
+/// What changed since somebody looked last.
+#[derive(Debug)]
+pub struct Changes {
+    /// Where to go on from.
+    pub version: u64,
+    /// Rows, by name.
+    pub rows: Vec<Row>,
+    /// Alarms, oldest first.
+    pub alarms: Vec<Arc<AlarmDocument>>,
+}
+
 #[derive(Debug, Default)]
 struct Loops {
     by_name: BTreeMap<Arc<str>, Entry>,
     version: u64,
     alarms: VecDeque<(u64, Arc<AlarmDocument>)>,
+}
+
+impl Loops {
+    /// Changes an entry; returns the version that this makes.
+    fn change(&mut self, name: &Arc<str>, place: &Place, now: Instant, change: impl FnOnce(&mut Entry)) -> u64 {
+        self.version += 1;
+        let entry = self.by_name.entry(name.clone()).or_insert_with(|| Entry::new(place, now));
+        change(entry);
+        entry.changed = self.version;
+        self.version
+    }
 }
 
 /// Every loop as it is now; copies share it.
@@ -153,12 +175,7 @@ pub struct Overview(Arc<RwLock<Loops>>);
 
 impl Overview {
     fn change(&self, name: &Arc<str>, place: &Place, now: Instant, change: impl FnOnce(&mut Entry)) {
-        let mut loops = self.0.write().unwrap_or_else(PoisonError::into_inner);
-        let version = loops.version + 1;
-        let entry = loops.by_name.entry(name.clone()).or_insert_with(|| Entry::new(place, now));
-        change(entry);
-        entry.changed = version;
-        loops.version = version;
+        self.0.write().unwrap_or_else(PoisonError::into_inner).change(name, place, now, change);
     }
 
     /// A window was answered.
@@ -176,9 +193,8 @@ impl Overview {
     /// An alarm changed, or was restored.
     pub fn alarm(&self, name: &Arc<str>, place: &Place, now: Instant, document: &AlarmDocument) {
         let document = Arc::new(document.clone());
-        self.change(name, place, now, |entry| entry.alarm = Some(document.clone()));
         let mut loops = self.0.write().unwrap_or_else(PoisonError::into_inner);
-        let version = loops.version;
+        let version = loops.change(name, place, now, |entry| entry.alarm = Some(document.clone()));
         if loops.alarms.len() == ALARMS_KEPT {
             loops.alarms.pop_front();
         }
@@ -222,19 +238,24 @@ impl Overview {
         }
     }
 
-    /// Rows that changed after a version, by name, and the version that they show; all of them after version 0.
+    /// What changed after a version; everything after version 0.
     #[must_use]
-    pub fn rows_after(&self, version: u64, now_ns: i64) -> (u64, Vec<Row>) {
+    pub fn changes_after(&self, version: u64, now_ns: i64) -> Changes {
         let loops = self.0.read().unwrap_or_else(PoisonError::into_inner);
-        let changed = loops.by_name.iter().filter(|(_, e)| e.changed > version || version == 0);
-        (loops.version, changed.map(|(name, entry)| entry.row(name, now_ns)).collect())
+        let rows = loops.by_name.iter().filter(|(_, e)| e.changed > version || version == 0);
+        let alarms = loops.alarms.iter().filter(|(v, _)| *v > version);
+        Changes {
+            version: loops.version,
+            rows: rows.map(|(name, entry)| entry.row(name, now_ns)).collect(),
+            alarms: alarms.map(|(_, document)| document.clone()).collect(),
+        }
     }
 
-    /// Changes of alarms after a version.
+    /// Changes of a loop's alarm that are at hand, oldest first: the newest may not be in the recordings yet.
     #[must_use]
-    pub fn alarms_after(&self, version: u64) -> Vec<Arc<AlarmDocument>> {
+    pub fn alarm_changes(&self, name: &str) -> Vec<Arc<AlarmDocument>> {
         let loops = self.0.read().unwrap_or_else(PoisonError::into_inner);
-        loops.alarms.iter().filter(|(v, _)| *v > version).map(|(_, document)| document.clone()).collect()
+        loops.alarms.iter().filter(|(_, d)| d.loop_name == name).map(|(_, document)| document.clone()).collect()
     }
 
     /// One loop's row.
@@ -429,20 +450,41 @@ mod tests {
         let [a, b]: [Arc<str>; 2] = ["A".into(), "B".into()];
         overview.estimate(&a, &place, now, estimate("A", 1, Some(2.0), Verdict::Stiction));
         overview.figures(&b, &place, now, &figures(5));
-        let (version, rows) = overview.rows_after(0, 5);
+        let Changes { version, rows, .. } = overview.changes_after(0, 5);
         assert_eq!(
             rows.iter().map(|r| (r.name.as_str(), r.ne107)).collect::<Vec<_>>(),
             [("A", Some("S")), ("B", None)]
         );
         // Data that flow are no change; an alarm is one.
         overview.figures(&b, &place, now, &figures(6));
-        assert!(overview.rows_after(version, 6).1.is_empty());
+        assert!(overview.changes_after(version, 6).rows.is_empty());
         let document = AlarmDocument { active: true, state: State::Unack, ..Alarm::default().restored("A") };
         overview.alarm(&a, &place, now, &document);
-        let (later, rows) = overview.rows_after(version, 6);
+        let Changes { version: later, rows, alarms } = overview.changes_after(version, 6);
         assert_eq!((rows.len(), rows[0].ne107, rows[0].unacknowledged), (1, Some("M"), true));
-        assert_eq!((overview.alarms_after(version).len(), overview.alarms_after(later).len()), (1, 0));
-        assert_eq!(overview.rows_after(0, 6).1.len(), 2);
+        assert_eq!((alarms.len(), overview.changes_after(later, 6).alarms.len()), (1, 0));
+        assert_eq!(overview.changes_after(0, 6).rows.len(), 2);
+    }
+
+    #[test]
+    fn who_looks_while_alarms_change_sees_each_change_once() {
+        let overview = Overview::default();
+        let (other, now) = (overview.clone(), Instant::now());
+        let writer = std::thread::spawn(move || {
+            for changed_ns in 1..=ALARMS_KEPT as i64 {
+                let document = AlarmDocument { changed_ns, ..Alarm::default().restored("A") };
+                other.alarm(&"A".into(), &Place::default(), now, &document);
+            }
+        });
+        let (mut version, mut seen) = (0, Vec::new());
+        while seen.last() != Some(&(ALARMS_KEPT as i64)) {
+            let changes = overview.changes_after(version, 0);
+            version = changes.version;
+            seen.extend(changes.alarms.iter().map(|d| d.changed_ns));
+        }
+        writer.join().unwrap();
+        assert_eq!(seen, (1..=ALARMS_KEPT as i64).collect::<Vec<_>>());
+        assert_eq!((overview.alarm_changes("A").len(), overview.alarm_changes("B").len()), (ALARMS_KEPT, 0));
     }
 
     #[test]

@@ -80,6 +80,10 @@ def test_a_tile_clicked_while_the_last_letter_of_a_search_waits_leads_to_its_loo
     # Longer than the pause that a search waits for before it writes itself into the address.
     page.wait_for_timeout(500)
     assert page.evaluate("location.hash").startswith("#/loop/")
+    # A loop without a window has no pictures, and a browser that asked for them would complain.
+    pictures = page.get_by_role("region", name="Pictures")
+    pictures.scroll_into_view_if_needed()
+    expect(pictures).to_contain_text("No window yet")
 
 
 def test_scrolling_reaches_and_draws_the_last_tile(many, open_page):

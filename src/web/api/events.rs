@@ -19,6 +19,7 @@ use super::site::site_of;
 use super::window::curves_after;
 use super::{Gives, Operation, Parameter, Shared};
 use crate::daemon::clock::now_ns;
+use crate::daemon::overview::Changes;
 use crate::web::error::ApiError;
 use crate::web::extract::Asked;
 use crate::web::guard::Permission;
@@ -125,8 +126,11 @@ impl Watch {
             self.ready.push_back(event("site", &site_of(&self.live, self.token)));
         }
         self.count = self.count.wrapping_add(1);
-        let alarms = if self.full { Vec::new() } else { self.live.overview.alarms_after(self.version) };
-        let (version, rows) = self.live.overview.rows_after(self.version, now);
+        let Changes { version, rows, mut alarms } = self.live.overview.changes_after(self.version, now);
+        if self.full {
+            // Who comes new has the alarms from the list.
+            alarms.clear();
+        }
         if rows.is_empty() && std::mem::take(&mut self.full) {
             let none = json!({"now_ms": ms_from_ns(now), "full": true, "loops": [], "gone": []});
             self.ready.push_back(event("loops", &none));

@@ -109,7 +109,7 @@ pub(super) fn operations() -> Vec<Operation<Shared>> {
 
 async fn all(State(live): State<Shared>) -> Json<Loops> {
     let now = now_ns();
-    Json(Loops { now_ms: ms_from_ns(now), loops: live.overview.rows_after(0, now).1 })
+    Json(Loops { now_ms: ms_from_ns(now), loops: live.overview.changes_after(0, now).rows })
 }
 
 async fn one(State(live): State<Shared>, Named(name): Named) -> Answered<Detail> {

@@ -89,9 +89,9 @@ pub(super) fn operations() -> Vec<Operation<Shared>> {
 
 async fn together(State(live): State<Shared>, Named(name): Named, Asked(range): Asked<Range>) -> Answered<OverTime> {
     let range_ns = range.ns(&live, &name)?;
-    let archive = live.archive.clone();
+    let all = live.clone();
     live.on_a_thread(move || {
-        let (windows, reach) = windows(&archive, &name, range_ns);
+        let (windows, reach) = windows(&all, &name, range_ns);
         let results: Vec<WindowResult> = windows.into_iter().map(|window| window.result).collect();
         let found = over_time(&results);
         Json(OverTime {

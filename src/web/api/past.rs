@@ -1,6 +1,7 @@
 //! A loop's past, from the recordings: curves, windows, changes of its alarm, what many windows say together.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, HashSet};
+use std::sync::Arc;
 use std::time::Instant;
 
 use axum::Json;
@@ -10,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use super::curves::{Curves, PATIENCE, recorded_within};
-use super::{Answered, Gives, Operation, Parameter, Shared, of};
+use super::{Answered, Gives, Live, Operation, Parameter, Shared, of};
 use crate::daemon::clock::now_ns;
 use crate::files::archive::{Archive, Reach, Wanted};
 use crate::web::error::ApiError;
@@ -190,25 +191,32 @@ async fn trend(State(live): State<Shared>, Named(name): Named, Asked(range): Ask
     Ok(Json(Trend { from_ms: ms_from_ns(from_ns), to_ms: ms_from_ns(to_ns), curves, complete }))
 }
 
-/// Documents of one kind in the recordings, oldest first, the newest of them where there are too many.
+/// Documents of one kind in the recordings, oldest first, the newest of them where there are too many. What is at hand
+/// counts too: a recording shows its last seconds only once they are written out.
 fn documents<T>(
     archive: &Archive,
     topic: String,
-    range_ns: [i64; 2],
+    [from_ns, to_ns]: [i64; 2],
+    at_hand: &[Arc<impl Serialize>],
     read: impl Fn(&[u8]) -> Option<(i64, T)>,
 ) -> (Vec<T>, Reach) {
-    let wanted = Wanted { topics: BTreeSet::from([topic]), range_ns, until: Instant::now() + PATIENCE };
+    let until = Instant::now() + PATIENCE;
+    let wanted = Wanted { topics: BTreeSet::from([topic]), range_ns: [from_ns, to_ns], until };
     let mut found = Vec::new();
     let reach = archive.read(&wanted, &mut |message| found.extend(read(message.data)));
+    let recorded: HashSet<i64> = found.iter().map(|(t_ns, _)| *t_ns).collect();
+    let at_hand = at_hand.iter().filter_map(|document| read(&serde_json::to_vec(document.as_ref()).ok()?));
+    found.extend(at_hand.filter(|(t_ns, _)| (from_ns..=to_ns).contains(t_ns) && !recorded.contains(t_ns)));
     found.sort_by_key(|(t_ns, _)| *t_ns);
     let surplus = found.len().saturating_sub(MOST_WINDOWS);
     (found.into_iter().skip(surplus).map(|(_, document)| document).collect(), reach)
 }
 
-/// Recorded windows of a loop, oldest first.
-pub(super) fn windows(archive: &Archive, name: &str, range_ns: [i64; 2]) -> (Vec<PastWindow>, Reach) {
-    let topic = topic::result(archive.prefix(), name, Kind::Estimate);
-    let (mut all, reach) = documents(archive, topic, range_ns, |data| {
+/// Windows of a loop, oldest first.
+pub(super) fn windows(live: &Live, name: &str, range_ns: [i64; 2]) -> (Vec<PastWindow>, Reach) {
+    let topic = topic::result(live.archive.prefix(), name, Kind::Estimate);
+    let newest = live.overview.newest(name).and_then(|newest| newest.estimate);
+    let (mut all, reach) = documents(&live.archive, topic, range_ns, newest.as_slice(), |data| {
         let mut window: PastWindow = serde_json::from_slice(data).ok()?;
         let Bounds { start_ns, end_ns } = window.window;
         (window.result.start_ns, window.result.end_ns) = (start_ns, end_ns);
@@ -223,19 +231,19 @@ pub(super) fn windows(archive: &Archive, name: &str, range_ns: [i64; 2]) -> (Vec
 
 async fn history(State(live): State<Shared>, Named(name): Named, Asked(range): Asked<Range>) -> Answered<History> {
     let [from_ns, to_ns] = range.ns(&live, &name)?;
-    let archive = live.archive.clone();
-    let (windows, reach) = live.on_a_thread(move || windows(&archive, &name, [from_ns, to_ns])).await?;
+    let all = live.clone();
+    let (windows, reach) = live.on_a_thread(move || windows(&all, &name, [from_ns, to_ns])).await?;
     let complete = reach == Reach::All;
     Ok(Json(History { from_ms: ms_from_ns(from_ns), to_ms: ms_from_ns(to_ns), complete, windows }))
 }
 
 async fn changes(State(live): State<Shared>, Named(name): Named, Asked(range): Asked<Range>) -> Answered<Changes> {
     let range_ns = range.ns(&live, &name)?;
-    let archive = live.archive.clone();
+    let all = live.clone();
     let (mut changes, reach) = live
         .on_a_thread(move || {
-            let topic = topic::result(archive.prefix(), &name, Kind::Alarm);
-            documents(&archive, topic, range_ns, |data| {
+            let topic = topic::result(all.archive.prefix(), &name, Kind::Alarm);
+            documents(&all.archive, topic, range_ns, &all.overview.alarm_changes(&name), |data| {
                 let document: Value = serde_json::from_slice(data).ok()?;
                 Some((document.get("changed_ns")?.as_i64()?, document))
             })
@@ -245,4 +253,30 @@ async fn changes(State(live): State<Shared>, Named(name): Named, Asked(range): A
     // A restart tells an alarm again without any change.
     changes.retain(|document| document.get("event").and_then(Value::as_str) != Some("restored"));
     Ok(Json(Changes { complete: reach == Reach::All, changes }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+    use std::path::Path;
+
+    #[test]
+    fn what_no_file_shows_yet_counts_once_and_within_the_range_only() {
+        let archive = Archive::new(&Path::new(env!("CARGO_MANIFEST_DIR")).join("recordings"), "tour");
+        let topic = topic::result("tour", "FIC101", Kind::Estimate);
+        let window = |end_ns: i64| Arc::new(json!({"window": {"end_ns": end_ns}}));
+        let ends = |to_ns: i64, at_hand: &[Arc<Value>]| {
+            documents(&archive, topic.clone(), [0, to_ns], at_hand, |data| {
+                let end_ns = serde_json::from_slice::<Value>(data).ok()?["window"]["end_ns"].as_i64()?;
+                Some((end_ns, end_ns))
+            })
+        };
+        let (recorded, reach) = ends(i64::MAX, &[]);
+        assert!(recorded.len() > 3 && reach == Reach::All);
+        let last = recorded[recorded.len() - 1];
+        let with_newest = [recorded.clone(), vec![last + 5]].concat();
+        assert_eq!(ends(i64::MAX, &[window(last), window(last + 5)]), (with_newest, Reach::All));
+        assert_eq!(ends(last + 4, &[window(last + 5)]), (recorded, Reach::All));
+    }
 }

@@ -96,8 +96,15 @@ function drawings(root, loop) {
     return answer;
   };
   const part = loading(list, load, (answer) => pictures.show(list, answer.pictures), { lines: 8 });
-  part.run();
-  loop.onDocument(() => (renew.hidden = list.hasAttribute("aria-busy") || drawn === null || end() === drawn));
+  loop.onDocument(({ estimate }) => {
+    if (!estimate) {
+      fill(list, h("p", { class: "note" }, "No window yet, so there is nothing to draw."));
+      root.removeAttribute("aria-busy");
+    } else if (drawn === null) {
+      fill(list);
+      part.run();
+    } else renew.hidden = list.hasAttribute("aria-busy") || end() === drawn;
+  });
   return part.end;
 }
 
