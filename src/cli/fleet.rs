@@ -1,6 +1,6 @@
 //! Many loops at once: each by its line in one table, instead of a page of text.
 
-use stiction::units::{duration, format_rfc3339, optional as number};
+use stiction::units::{duration, format_rfc3339, optional as number, probability};
 use stiction::verdict::Verdict;
 use stiction_monitor::analysis::Answer;
 
@@ -59,7 +59,7 @@ impl Summary {
         let head = ("loop", "verdict", "p", "s", "s 90 %", "period", "grade", "until");
         let (name, verdict, p, s, range, period, grade, end) = head;
         let mut lines = vec![format!(
-            "{name:width$}  {verdict:14}  {p:>5}  {s:>8}  {range:>16}  {period:>9}  {grade:5}  {end:20}  gates"
+            "{name:width$}  {verdict:14}  {p:>6}  {s:>8}  {range:>16}  {period:>9}  {grade:5}  {end:20}  gates"
         )];
         for r in &self.rows {
             let range = r
@@ -67,9 +67,9 @@ impl Summary {
                 .map_or_else(|| "-".to_owned(), |[a, b]| format!("{} to {}", number(Some(a)), number(Some(b))));
             let name: String = r.name.chars().take(width).collect();
             let line = format!(
-                "{name:width$}  {:14}  {:>5}  {:>8}  {range:>16}  {:>9}  {:5}  {:20}  {}",
+                "{name:width$}  {:14}  {:>6}  {:>8}  {range:>16}  {:>9}  {:5}  {:20}  {}",
                 r.verdict,
-                r.p.map_or_else(|| "-".to_owned(), |p| format!("{p:.2}")),
+                r.p.map_or_else(|| "-".to_owned(), probability),
                 number(r.s),
                 r.period_s.map_or_else(|| "-".to_owned(), duration),
                 r.grade,

@@ -6,6 +6,7 @@ use anyhow::{Context, bail};
 use serde_json::json;
 
 use super::{Format, Outcome, block_on, say};
+use stiction::units::probability;
 use stiction_monitor::codec::topic::{self, Kind};
 use stictiond::daemon::replay::{Output, RunMetadata, chains_of, files_needed};
 use stictiond::daemon::rerun::{FileReport, Rerun};
@@ -160,7 +161,7 @@ fn print(format: Format, output: &Output) -> anyhow::Result<()> {
             time(&d["window"]["end_ns"]),
             text(&d["cause"]["id"]),
             text(&d["reason"]),
-            number(&d["cause"]["probability"])
+            d["cause"]["probability"].as_f64().map_or_else(|| "-".to_owned(), probability)
         ),
         _ => format!(
             "{}  {name:<12} {:<15} index {:>6}  s {:>7}",

@@ -10,7 +10,7 @@ use super::figures::{Figure, Subject, brief, detailed};
 use super::ink;
 use super::plot::PlotError;
 use super::{LoopReport, Report};
-use stiction::units::{duration, from_to, number};
+use stiction::units::{duration, from_to, number, probability};
 use stiction::verdict::words;
 use stiction::verdict::{Assessment, Verdict};
 
@@ -102,7 +102,7 @@ fn overview(report: &Report, order: &[usize]) -> Markup {
                             tr {
                                 td.name { a href=(format!("#loop-{k}")) { (one.document.loop_name) } }
                                 td { (badge(a.verdict)) }
-                                td.number { (optional(a.p_stiction)) }
+                                td.number { (a.p_stiction.map_or_else(|| "-".to_owned(), probability)) }
                                 td.more { @if let Some(grade) = a.grade { (grade) } }
                                 td.number { (optional(a.s)) }
                                 td.number.more { @if let Some([low, high]) = a.s_interval { (number(low)) " to " (number(high)) } }
@@ -147,7 +147,7 @@ fn section(one: &LoopReport, k: usize, open: bool) -> Result<Markup, PlotError> 
         details.loop open[open] {
             summary {
                 span.name { (one.document.loop_name) } " " (badge(a.verdict))
-                @if let Some(p) = a.p_stiction { span.soft { " p " (number(p)) } }
+                @if let Some(p) = a.p_stiction { span.soft { " p " (probability(p)) } }
                 @if let Some(s) = a.s { span.soft { " s " (number(s)) } }
             }
             div id=(format!("loop-{k}")) {

@@ -147,6 +147,16 @@ pub fn to_decimals(value: f64, decimals: usize) -> String {
     if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
 }
 
+/// A probability with two digits; never 0 or 1, which would be certainty.
+#[must_use]
+pub fn probability(p: f64) -> String {
+    match p {
+        p if p > 0.99 => "> 0.99".to_owned(),
+        p if p < 0.01 => "< 0.01".to_owned(),
+        p => format!("{p:.2}"),
+    }
+}
+
 /// A [`number`], or `-` where there is none.
 #[must_use]
 pub fn optional(value: Option<f64>) -> String {
@@ -311,6 +321,12 @@ mod tests {
         for bad in ["", "-", "abc", "1.2.3", "nan", "2020-13-01T00:00:00Z", "99999999999999999999"] {
             assert!(parse_time(bad).is_err(), "{bad}");
         }
+    }
+
+    #[test]
+    fn no_probability_is_certainty() {
+        let told = [0.0, 0.004, 0.012, 0.5, 0.99, 0.996, 1.0].map(probability);
+        assert_eq!(told, ["< 0.01", "< 0.01", "0.01", "0.50", "0.99", "> 0.99", "> 0.99"]);
     }
 
     #[test]

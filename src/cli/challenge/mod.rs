@@ -267,7 +267,8 @@ fn answer_all(args: &RunArgs, format: Format) -> anyhow::Result<Outcome> {
     let file = fs::OpenOptions::new().append(true).open(&path).with_context(|| path.display().to_string())?;
     let file = Mutex::new(file);
     let left: Vec<PathBuf> = all.iter().filter(|p| !before.contains_key(&name_of(p))).cloned().collect();
-    let ask = Ask { budget_evaluations: args.evaluations, seed: args.seed, ..Ask::default() };
+    // Without the effect that explains a record, a catalogue would try pairs on it.
+    let ask = Ask { budget_evaluations: args.evaluations, seed: args.seed, pairs: true, ..Ask::default() };
     let work = |recording: &PathBuf| -> anyhow::Result<(String, String)> {
         let name = name_of(recording);
         let result = record_of(recording).and_then(|record| answer::ask_for(&name, &record, &ask));

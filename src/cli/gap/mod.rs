@@ -71,7 +71,7 @@ pub struct Diagnose {
     /// Take an effect out of the catalogue; may be given several times.
     #[arg(long, value_name = "ID")]
     pub without: Vec<String>,
-    /// Also try two effects at once.
+    /// Try two effects at once also where one alone explains the record.
     #[arg(long)]
     pub pairs: bool,
     /// Time for the search, a loop; without it some 3 s of two cores at most, much less where the base explains all.

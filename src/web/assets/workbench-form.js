@@ -126,7 +126,7 @@ export class Form {
         [...stages].map(([stage, effects]) => this.group(`${stage.replaceAll("_", " ")}`, effects.map(effect))),
         left ? h("button", { class: "button", type: "button", name: "all-effects", onclick: () => this.set({ without: [] }, "All effects") }, "All effects") : null),
       this.group("Search",
-        this.check("pairs", "Also two effects at once"),
+        this.check("pairs", "Two effects at once also where one explains all"),
         this.number("budget_s", "Time", { ...options.budget_s, none: "about 3" }),
         this.number("seed", "Seed", { min: 0, default: options.gap_seed })),
     ];

@@ -169,7 +169,7 @@ pub struct Request {
     /// Effects that are left out.
     #[serde(default)]
     pub without: Vec<String>,
-    /// Also pairs of effects.
+    /// Pairs of effects even where one alone explains the record.
     #[serde(default)]
     pub pairs: bool,
     /// Time of the diagnosis' search, s.

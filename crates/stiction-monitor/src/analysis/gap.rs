@@ -20,7 +20,7 @@ pub struct Question {
     pub base: BaseChoice,
     /// Effects that are taken out of the catalogue.
     pub without: Vec<String>,
-    /// Also pairs of effects.
+    /// Pairs of effects even where one alone explains the record.
     pub pairs: bool,
     /// Time for the search, s; evaluations in proportion.
     pub budget_s: Option<f64>,

@@ -31,7 +31,8 @@ fn estimate(document: &EstimateDocument, box_samples: f64) -> String {
         let said = a.indicators.iter().filter(|w| w.vote.is_some());
         let said: Vec<String> = said.map(|w| format!("{} {:+.1}", w.name, w.contribution)).collect();
         let base = a.explanation.map_or(0.0, |e| e.base);
-        row("sticking", format!("p {p:.2}: from {base:+.1} by {} (logits)", said.join(", ")));
+        let p = units::probability(p);
+        row("sticking", format!("p {p}: from {base:+.1} by {} (logits)", said.join(", ")));
     }
     if let Some(reason) = a.reason {
         let row_name = if a.stiction.is_some() { "no more" } else { "no answer" };

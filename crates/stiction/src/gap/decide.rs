@@ -26,8 +26,10 @@ const TAILS: f64 = 0.7;
 /// Per cent of the gap from which an effect makes much of it, and below which next to nothing.
 const HALF: f64 = 50.0;
 const LITTLE: f64 = 10.0;
+/// Per cent of the gap that two effects have to close.
+const NEARLY_ALL: f64 = 80.0;
 /// Error over the floor up to which a record is explained.
-const EXPLAINED: f64 = 1.2;
+pub(super) const EXPLAINED: f64 = 1.2;
 /// Share of the best effect's gain that a filter has to have.
 const BESIDE_BEST: f64 = 0.6;
 /// Share of the log error above the floor that an effect behind the recorded valve position has to take.
@@ -133,13 +135,28 @@ pub fn decide(evidence: &Evidence, without: &[&str], calibration: &Calibration) 
     }
 }
 
-/// The effects that may be named, best first.
+/// The effects that may be named, best first; a pair of them among these where it says what none says alone.
 fn ranked<'e>(evidence: &'e Evidence, without: &[&str]) -> Vec<&'e Contender> {
     let has = |id: &str| !id.split('+').any(|part| without.contains(&part));
-    let mut ranked: Vec<&Contender> =
-        evidence.contenders.iter().filter(|e| has(&e.id) && allowed(&evidence.basis, e)).collect();
-    ranked.sort_by(|a, b| b.lead.total_cmp(&a.lead));
+    let may = evidence.contenders.iter().filter(|e| has(&e.id) && allowed(&evidence.basis, e));
+    let (pairs, mut ranked): (Vec<&Contender>, Vec<&Contender>) = may.partition(|e| e.id.contains('+'));
+    let by_lead = |a: &&Contender, b: &&Contender| a.lead.total_cmp(&b.lead);
+    let pair = pairs.into_iter().filter(|pair| says_more(pair, &ranked)).max_by(by_lead);
+    ranked.extend(pair);
+    ranked.sort_by(|a, b| by_lead(b, a));
     ranked
+}
+
+/// Whether two effects explain what none does alone, by the margin and also where they were not fitted: together they
+/// explain a little more of anything.
+fn says_more(pair: &Contender, alone: &[&Contender]) -> bool {
+    let explains = |e: &Contender| e.left.over_floor.is_some_and(|over| over < EXPLAINED);
+    let closed = |e: &Contender| e.closed_pct.unwrap_or(0.0);
+    let best = alone.iter().max_by(|a, b| a.evidence.total_cmp(&b.evidence));
+    let beats = |best: &&&Contender| {
+        pair.evidence > best.evidence.max(0.0) + effects::MARGIN && closed(pair) > closed(best)
+    };
+    explains(pair) && closed(pair) >= NEARLY_ALL && !alone.iter().any(|e| explains(e)) && best.is_none_or(|b| beats(&b))
 }
 
 /// Whether an effect takes most of what stands above the floor behind the recorded valve position.
@@ -240,4 +257,35 @@ fn closes(pct: Option<f64>) -> bool {
 #[must_use]
 pub fn predictable(id: &str) -> bool {
     id.split('+').all(|part| effects::by_id(part).is_none_or(|e| e.predictable && e.way != Way::Noise))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::evidence::Left;
+    use super::*;
+
+    fn contender(id: &str, over_floor: f64, evidence: f64, closed_pct: f64) -> Contender {
+        Contender {
+            id: id.to_owned(),
+            stage: Stage::Process,
+            raw_gain: evidence,
+            evidence,
+            lead: evidence,
+            at_floor: over_floor <= 1.05,
+            closed_pct: Some(closed_pct),
+            closed_interval: None,
+            left: Left { over_floor: Some(over_floor), held_over_floor: Some(over_floor), colour: 0.0, with_op: 0.0 },
+        }
+    }
+
+    #[test]
+    fn two_effects_are_named_only_where_they_explain_what_none_does_alone() {
+        let (ramp, drift) = (contender("ramp", 1.6, 1.0, 60.0), contender("gain_drift", 2.0, 0.5, 30.0));
+        let both = contender("gain_drift+ramp", 1.01, 2.0, 98.0);
+        assert!(says_more(&both, &[&ramp, &drift]));
+        assert!(!says_more(&both, &[&contender("ramp", 1.1, 1.0, 60.0), &drift]), "one explains it");
+        assert!(!says_more(&contender("gain_drift+ramp", 1.3, 2.0, 98.0), &[&ramp, &drift]), "more than noise is left");
+        assert!(!says_more(&contender("gain_drift+ramp", 1.01, 2.0, 70.0), &[&ramp, &drift]), "held out it closes less");
+        assert!(!says_more(&contender("gain_drift+ramp", 1.01, 1.0, 98.0), &[&ramp, &drift]), "it gains no more");
+    }
 }

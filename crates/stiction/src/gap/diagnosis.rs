@@ -126,14 +126,15 @@ pub fn diagnose(record: &Record, ask: &Ask, executor: &dyn Executor) -> Result<D
         next_test: None,
         basis,
     };
-    let mut pair_lanes = Vec::new();
-    if ask.pairs {
+    made.settle(&[]);
+    if ask.pairs || made.leaves_more() {
         work.begin(budget);
         let scales = scales(&problem, &found, &made.base, &traces, &made.floor, ask.seed);
-        (made.pairs, pair_lanes) = pairs::run(&problem, &found, &scales, &mut work);
+        let (weighed, searches) = pairs::run(&problem, &found, &scales, &mut work);
+        made.pairs = weighed;
+        made.settle(&[]);
+        found.searches.extend(searches);
     }
-    made.settle(&[]);
-    found.searches.extend(pair_lanes);
     made.forward = run_forward(&problem, &found, &made, &mut work);
     made.confirm();
     made.next_test = next_test(&problem, &found, &made);

@@ -239,7 +239,7 @@ pub struct GapDocument {
     pub search: SearchNote,
     /// Whether the search was ended before it was done.
     pub stopped_early: bool,
-    /// Pairs of effects, best first; empty unless asked for.
+    /// Effects tried two at once, best first; empty where one alone explains the record, unless asked for.
     pub pairs: Vec<EffectNote>,
     /// Noise models of the residual.
     pub noise_models: NoiseNote,

@@ -5,7 +5,6 @@ use super::effects;
 use super::evidence::{Basis, Evidence};
 use super::express::rms;
 use super::model::Model;
-use super::pairs;
 use super::probability::{Calibration, Features};
 use super::types::{
     Alternative, Blocks, Cause, EffectResult, Ended, Fit, Floor, Forward, NONE, NextTest, NoiseModels, Predictions,
@@ -31,7 +30,7 @@ pub struct Diagnosis {
     pub forward: Option<Forward>,
     /// The base with the cause, or the base itself.
     pub model_after: Model,
-    /// Effects asked in pairs, best first; empty unless asked for.
+    /// Effects tried two at once, best first; empty where one alone explains the record, unless asked for.
     pub pairs: Vec<EffectResult>,
     /// Model responses computed.
     pub evaluations: u64,
@@ -65,7 +64,7 @@ impl Diagnosis {
     /// What the decision is made from.
     #[must_use]
     pub fn evidence(&self) -> Evidence {
-        Evidence::new(&self.basis, &self.effects, self.floor.noise_floor)
+        Evidence::new(&self.basis, self.effects.iter().chain(&self.pairs), self.floor.noise_floor)
     }
 
     /// The same fits judged again as if the catalogue lacked `ids` as well.
@@ -88,13 +87,20 @@ impl Diagnosis {
         self.effects.iter().chain(&self.pairs).find(|e| e.id == self.cause.id)
     }
 
+    /// Whether what is named, if anything is, leaves more than noise, so that two effects may be at work.
+    pub(super) fn leaves_more(&self) -> bool {
+        if self.cause.id == NONE || self.base.at_floor {
+            return false;
+        }
+        // What a trace in PV tells is not put to the vote.
+        let ranked = self.named().is_none_or(|e| e.simulated);
+        let over = |e: &EffectResult| Some(e.fit.as_ref()?.rmse_train / self.floor.noise_floor?);
+        ranked && !self.effects.iter().filter(|e| e.simulated).filter_map(over).any(|over| over < decide::EXPLAINED)
+    }
+
     /// Decides, and lets everything that follows from the cause follow it.
     pub(super) fn settle(&mut self, without: &[&str]) {
-        // The best pair stands for election too where it beats every single effect.
-        let has = |id: &str| !id.split('+').any(|part| without.contains(&part));
-        let pair = self.pairs.iter().find(|p| has(&p.id) && pairs::beats(p, &self.effects, without));
-        let evidence = Evidence::new(&self.basis, self.effects.iter().chain(pair), self.floor.noise_floor);
-        let decision = decide::decide(&evidence, without, Calibration::shipped());
+        let decision = decide::decide(&self.evidence(), without, Calibration::shipped());
         (self.cause, self.alternatives, self.features) = (decision.cause, decision.alternatives, decision.features);
         let after = self.named().and_then(|e| e.fit.clone());
         let from = self.blocks.from;

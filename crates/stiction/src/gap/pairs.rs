@@ -1,9 +1,8 @@
-//! Two effects at once, on demand: built from the best single ones.
+//! Two effects at once, where none alone explains the record: built from the best single ones.
 
 use super::candidate::{Candidate, MAX_PARAMS};
-use super::effects;
 use super::problem::Problem;
-use super::schedule::{Found, Work, share};
+use super::schedule::{Found, Work, search_again, share};
 use super::search::{NARROW, Search, exchange, form_of};
 use super::structure::Structure;
 use super::types::EffectResult;
@@ -12,6 +11,8 @@ use super::weigh::Scales;
 /// Single effects that are paired, and rounds that each pair gets.
 const SINGLES: usize = 6;
 const ROUNDS: usize = 2;
+/// Where the searches' rounds with other chance begin, behind those of single effects.
+const AGAIN_FROM: u64 = 8;
 
 /// Pairs of the best single effects, best first, and their searches.
 pub fn run(
@@ -40,6 +41,7 @@ pub fn run(
         let thetas = exchange(&from, 2);
         share(problem, &mut searches, &NARROW, work, &|_| thetas.clone(), &|_| &[]);
     }
+    search_again(problem, &mut searches, scales.floor.noise_floor, AGAIN_FROM, work);
     let mut out: Vec<EffectResult> = searches.iter().filter_map(|search| scales.weigh(search)).collect();
     out.sort_by(|a, b| b.lead.total_cmp(&a.lead));
     (out, searches)
@@ -74,15 +76,4 @@ fn starts_of(search: &Search) -> impl Iterator<Item = &Candidate> {
     let form = |s: &Candidate| form_of(&search.structure, &s.theta.p);
     let new = move |i: usize| search.best[..i].iter().all(|before| form(before) != form(&search.best[i]));
     search.best.iter().enumerate().filter(move |(i, _)| *i < 2 || new(*i)).map(|(_, place)| place)
-}
-
-/// Whether a pair beats every single effect by the margin and closes more on held-out blocks.
-#[must_use]
-pub fn beats(pair: &EffectResult, singles: &[EffectResult], without: &[&str]) -> bool {
-    let known = singles.iter().filter(|e| !without.contains(&e.id.as_str()));
-    let best = known.max_by(|a, b| a.evidence.total_cmp(&b.evidence));
-    best.is_none_or(|b| {
-        pair.evidence > b.evidence.max(0.0) + effects::MARGIN
-            && pair.closed_pct.unwrap_or(0.0) > b.closed_pct.unwrap_or(0.0)
-    })
 }

@@ -315,15 +315,7 @@ pub fn run(
     }
     let mut last_gained = false;
     for round in 0..if calm { 0 } else { SHARED_ROUNDS as u64 } {
-        let mut gains = false;
-        for again in 0..MOST_AGAIN {
-            let found = work.goes_on() && search_again(problem, &mut searches, floor, MOST_AGAIN * round + again, work);
-            gains |= found;
-            // With the parameters at hand first, then beside them: who gains by neither is done.
-            if !found && again % 2 == 1 {
-                break;
-            }
-        }
+        let gains = search_again(problem, &mut searches, floor, round, work);
         let exchanged =
             work.goes_on() && (round == 0 || gains) && exchange_round(problem, &mut base, &mut searches, work);
         last_gained = gains || exchanged;
@@ -410,9 +402,29 @@ fn plans_of(search: &Search) -> impl Iterator<Item = Plan> {
     search.starts.iter().map(|p| search.structure.plan_of(p))
 }
 
-/// Another search for slips with the parameters found so far, made for each of the most likely effects while none of them
-/// explains everything. Says whether one of them gained from it.
-fn search_again(
+/// Other searches for slips, with the parameters found so far and beside them, for each of the most likely structures while
+/// none explains everything and one of them gains. Says whether one did.
+pub fn search_again(
+    problem: &Problem,
+    searches: &mut [Search],
+    floor: Option<f64>,
+    round: u64,
+    work: &mut Work<'_>,
+) -> bool {
+    let mut gains = false;
+    for again in 0..MOST_AGAIN {
+        let found = work.goes_on() && search_once_more(problem, searches, floor, MOST_AGAIN * round + again, work);
+        gains |= found;
+        // With the parameters at hand first, then beside them: who gains by neither is done.
+        if !found && again % 2 == 1 {
+            break;
+        }
+    }
+    gains
+}
+
+/// One such search for each.
+fn search_once_more(
     problem: &Problem,
     searches: &mut [Search],
     floor: Option<f64>,

@@ -8,7 +8,7 @@ use super::document::{EffectNote, GapDocument};
 use super::loop_run::Cycles;
 use super::sizes::percent;
 use super::types::{NONE, UNKNOWN};
-use crate::units::number;
+use crate::units::{number, probability};
 use claim::Claim;
 
 /// The answer as one paragraph: where, which, how far, what it cannot be told from, what would settle it.
@@ -24,13 +24,13 @@ pub fn paragraph(d: &GapDocument) -> String {
     if let Some(test) = &d.next_test {
         let [a, b] = &test.separates;
         parts.push(format!(
-            "a bump of {} {} units for {} s would tell {} from {} (p {:.2})",
+            "a bump of {} {} units for {} s would tell {} from {} (p {})",
             number(test.size),
             test.signal.to_uppercase(),
             number(test.duration_s),
             effect::noun(a),
             effect::noun(b),
-            test.p
+            probability(test.p)
         ));
     }
     if d.stopped_early {
@@ -92,27 +92,27 @@ fn nothing(d: &GapDocument) -> String {
             format!("{} PV units are left{}, and PV shows no noise to compare with", number(d.gap.gap), share_of_pv(d))
         }
     };
-    let p = d.cause.probability;
-    format!("{} {}: {left}; no unmodelled effect shows (p {p:.2})", base_of(d), claim::of_base(d))
+    let p = probability(d.cause.probability);
+    format!("{} {}: {left}; no unmodelled effect shows (p {p})", base_of(d), claim::of_base(d))
 }
 
 fn not_in_the_catalogue(d: &GapDocument) -> String {
     let best = d.effects.iter().filter(|e| e.closed_pct.is_some()).max_by(|a, b| a.evidence.total_cmp(&b.evidence));
-    let (asked, p) = (d.effects.len(), d.cause.probability);
+    let (asked, p) = (d.effects.len(), probability(d.cause.probability));
     let unexplained = match best {
         Some(e) if claim::explains(e) => format!(
-            "that none of the {asked} effects asked is sure to explain (p {p:.2}); the best of them, {}, closes {} on data \
+            "that none of the {asked} effects asked is sure to explain (p {p}); the best of them, {}, closes {} on data \
              it was not fitted to, and so might others",
             effect::noun(&e.id),
             claim::closed(e.closed_pct.unwrap_or(0.0))
         ),
         Some(e) => format!(
-            "that none of the {asked} effects asked explains (p {p:.2}); the best of them, {}, closes {} on data it was not \
+            "that none of the {asked} effects asked explains (p {p}); the best of them, {}, closes {} on data it was not \
              fitted to",
             effect::noun(&e.id),
             claim::closed(e.closed_pct.unwrap_or(0.0))
         ),
-        None => format!("that none of the {asked} effects asked explains (p {p:.2})"),
+        None => format!("that none of the {asked} effects asked explains (p {p})"),
     };
     let size = if claim::nothing_left(d) {
         "more by its course than by its size, which is the noise's".to_owned()
@@ -156,7 +156,7 @@ fn named(d: &GapDocument, e: &EffectNote) -> String {
         .iter()
         .take(2)
         .filter(|a| a.probability >= 0.05 && !e.confusable_with.contains(&a.id))
-        .map(|a| format!("{} (p {:.2})", effect::noun(&a.id), a.probability))
+        .map(|a| format!("{} (p {})", effect::noun(&a.id), probability(a.probability)))
         .collect();
     if !rivals.is_empty() {
         text.push_str(&format!("; not excluded: {}", rivals.join(", ")));
@@ -188,7 +188,7 @@ pub fn cycles(c: &Cycles) -> String {
 /// The whole report as lines: the paragraph, then the figures.
 #[must_use]
 pub fn report(d: &GapDocument) -> String {
-    let mut lines = vec![format!("{}: {} (p {:.2})", d.loop_name, answer(d), d.cause.probability)];
+    let mut lines = vec![format!("{}: {} (p {})", d.loop_name, answer(d), probability(d.cause.probability))];
     lines.push(format!("  {}", paragraph(d)));
     let mut row = |name: &str, value: String| lines.push(format!("  {name:<12} {value}"));
     let floor = d.gap.noise_floor.map_or("unknown".to_owned(), number);

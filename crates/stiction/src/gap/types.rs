@@ -31,7 +31,7 @@ pub struct Ask {
     pub base: Base,
     /// Ids of effects that are taken out of the catalogue.
     pub without: Vec<String>,
-    /// Also pairs of effects.
+    /// Pairs of effects even where one alone explains the record; elsewhere they are tried unasked.
     pub pairs: bool,
     /// Model responses that a search may compute; a recorded valve position and pairs each bring another search.
     pub budget_evaluations: u64,

@@ -1,7 +1,7 @@
 //! An estimate in words that a planner can act on.
 
 use crate::ident::region::{Region, Size};
-use crate::units::{duration, number};
+use crate::units::{duration, number, probability};
 use crate::verdict::{Assessment, Gate, Implausible, SCREENED, Verdict};
 
 /// The verdict in a sentence.
@@ -58,7 +58,7 @@ pub fn sureness(a: &Assessment) -> String {
         };
     };
     if let (None, Some(why)) = (a.stiction, a.reason) {
-        return format!("No answer: {}. The indicators alone would give the valve {p:.2}; grade D.", reason(why));
+        return format!("No answer: {}. The indicators alone would give the valve {}; grade D.", reason(why), probability(p));
     }
     let odds = match p {
         p if p >= 0.99 => "hardly any doubt that the valve sticks",
@@ -75,7 +75,7 @@ pub fn sureness(a: &Assessment) -> String {
         Some('C') => "grade C: an answer with reservations",
         _ => "grade D: no answer",
     };
-    format!("Probability of sticking {p:.2}: {odds}; {grade}.")
+    format!("Probability of sticking {}: {odds}; {grade}.", probability(p))
 }
 
 /// A reason for no answer, or for nothing beside it, in words; a gate's are the gate's.

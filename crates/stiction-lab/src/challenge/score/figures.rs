@@ -69,6 +69,8 @@ pub struct Group {
     pub unknown_or_mate_withheld: Rate,
     /// Two effects at once: one of them (or both) named.
     pub pairs: Rate,
+    /// Both named.
+    pub both: Rate,
     /// Per cent of the gap closed by right calls, median.
     pub closed_right_pct: Option<f64>,
     /// By wrong calls.
@@ -200,6 +202,7 @@ fn group(name: &str, cases: &[Judged<'_>]) -> Group {
         unknown_withheld: withheld(0),
         unknown_or_mate_withheld: withheld(1),
         pairs: Rate::count(of(Right::Pair), |c| c.is_right(c.said())),
+        both: Rate::count(of(Right::Pair), |c| c.said() == c.truth.effect),
         closed_right_pct: closing(true),
         closed_wrong_pct: closing(false),
         true_fit_at_floor: reached(&floors),

@@ -35,6 +35,7 @@ pub const EFFECT: Effect = Effect {
     from_model: |p, theta| p[0] -= theta.lag.floor(),
     bends: true,
     local: true,
+    clashes: &["inverse_response"],
     phrase: |sizes| {
         let (added, at) = (sizes.said("added")?, sizes.said("at")?);
         Some(format!("a dead time that changes by {added} s, {at} s after the start"))

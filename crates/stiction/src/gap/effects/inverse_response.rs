@@ -21,7 +21,7 @@ pub const EFFECT: Effect = Effect {
     separated_by: "one open-loop step of OP",
     noun: "an inverse response",
     bends: true,
-    clashes: &["extra_lag"],
+    clashes: &["extra_lag", "dead_time_change"],
     phrase: |sizes| Some(format!("an inverse response with a lag of {} s", sizes.said("lag")?)),
     ..Effect::simulated("inverse_response", Stage::Process)
 };

@@ -3,6 +3,7 @@
 use super::super::document::{EffectNote, GapDocument};
 use super::super::effects;
 use super::super::sizes::percent;
+use crate::units::probability;
 
 /// Per cent closed from which an effect explains a gap, and below which it makes next to nothing of it.
 const EXPLAINS: f64 = 50.0;
@@ -54,13 +55,14 @@ impl Claim {
 
     /// With its probability.
     pub(super) fn words(self, p: f64) -> String {
+        let p = probability(p);
         match self {
-            Self::Explains => format!("explains it (p {p:.2})"),
-            Self::Part => format!("explains a part of it (p {p:.2})"),
-            Self::May => format!("may explain it (p {p:.2})"),
-            Self::Hardly => format!("shows in the record (p {p:.2}), but makes next to nothing of the gap"),
-            Self::Suspected => format!("is suspected, not confirmed (p {p:.2})"),
-            Self::Shows => format!("shows in the record (p {p:.2})"),
+            Self::Explains => format!("explains it (p {p})"),
+            Self::Part => format!("explains a part of it (p {p})"),
+            Self::May => format!("may explain it (p {p})"),
+            Self::Hardly => format!("shows in the record (p {p}), but makes next to nothing of the gap"),
+            Self::Suspected => format!("is suspected, not confirmed (p {p})"),
+            Self::Shows => format!("shows in the record (p {p})"),
         }
     }
 }
