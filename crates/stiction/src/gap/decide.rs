@@ -153,9 +153,8 @@ fn says_more(pair: &Contender, alone: &[&Contender]) -> bool {
     let explains = |e: &Contender| e.left.over_floor.is_some_and(|over| over < EXPLAINED);
     let closed = |e: &Contender| e.closed_pct.unwrap_or(0.0);
     let best = alone.iter().max_by(|a, b| a.evidence.total_cmp(&b.evidence));
-    let beats = |best: &&&Contender| {
-        pair.evidence > best.evidence.max(0.0) + effects::MARGIN && closed(pair) > closed(best)
-    };
+    let beats =
+        |best: &&&Contender| pair.evidence > best.evidence.max(0.0) + effects::MARGIN && closed(pair) > closed(best);
     explains(pair) && closed(pair) >= NEARLY_ALL && !alone.iter().any(|e| explains(e)) && best.is_none_or(|b| beats(&b))
 }
 
@@ -285,7 +284,10 @@ mod tests {
         assert!(says_more(&both, &[&ramp, &drift]));
         assert!(!says_more(&both, &[&contender("ramp", 1.1, 1.0, 60.0), &drift]), "one explains it");
         assert!(!says_more(&contender("gain_drift+ramp", 1.3, 2.0, 98.0), &[&ramp, &drift]), "more than noise is left");
-        assert!(!says_more(&contender("gain_drift+ramp", 1.01, 2.0, 70.0), &[&ramp, &drift]), "held out it closes less");
+        assert!(
+            !says_more(&contender("gain_drift+ramp", 1.01, 2.0, 70.0), &[&ramp, &drift]),
+            "held out it closes less"
+        );
         assert!(!says_more(&contender("gain_drift+ramp", 1.01, 1.0, 98.0), &[&ramp, &drift]), "it gains no more");
     }
 }

@@ -58,7 +58,11 @@ pub fn sureness(a: &Assessment) -> String {
         };
     };
     if let (None, Some(why)) = (a.stiction, a.reason) {
-        return format!("No answer: {}. The indicators alone would give the valve {}; grade D.", reason(why), probability(p));
+        return format!(
+            "No answer: {}. The indicators alone would give the valve {}; grade D.",
+            reason(why),
+            probability(p)
+        );
     }
     let odds = match p {
         p if p >= 0.99 => "hardly any doubt that the valve sticks",
