@@ -251,6 +251,8 @@ class Gap:
     """Every effect that was tried, best first."""
     alternatives: tuple[tuple[str, float], ...]
     """Other causes with their probabilities."""
+    second_cause: tuple[str, float] | None
+    """What is named beside the cause, with its probability: under what a recorder did, or the recorder itself."""
     next_test: dict[str, Any] | None
     """The experiment that would settle it."""
     stopped_early: bool
@@ -298,6 +300,7 @@ def gap_of(document: str, said: str, columns: list[bytes]) -> Gap:
         noise_floor=d["gap"]["noise_floor"],
         effects=tuple(effect(e) for e in d["effects"]),
         alternatives=tuple((a["id"], a["probability"]) for a in d["alternatives"]),
+        second_cause=(d["second_cause"]["id"], d["second_cause"]["probability"]) if d["second_cause"] else None,
         next_test=d["next_test"],
         stopped_early=d["stopped_early"],
         words=words["words"],

@@ -295,7 +295,11 @@ fn ranked(of: &Diagnosed) -> Result<Option<Figure>, PlotError> {
             label: &e.id,
             value: e.closed_pct.map(inside),
             interval: e.closed_interval.map(|i| i.map(inside)),
-            ink: if e.id == d.cause.id { Ink::Fit } else { Ink::Other },
+            ink: if e.id == d.cause.id || d.second_cause.as_ref().is_some_and(|s| s.id == e.id) {
+                Ink::Fit
+            } else {
+                Ink::Other
+            },
             note,
         })
         .collect();

@@ -11,7 +11,7 @@ use super::{ANSWERS, opened, read, write};
 use crate::cli::{Format, Outcome, print, say};
 use stiction::gap::evidence::Evidence;
 use stiction::gap::probability::{Calibration, Features, Outcome as Came};
-use stiction::gap::{By, Decision, NONE, UNKNOWN, decide, holds_out};
+use stiction::gap::{Alternative as Answered, By, Decision, NONE, UNKNOWN, decide, holds_out};
 use stiction_lab::calibrate_gap::fit;
 use stiction_lab::challenge::score::{Alternative, Answer, Called, Figures, is_expressed, score};
 use stiction_lab::challenge::{Answer as Right, Split, Truth, TruthCase};
@@ -191,6 +191,7 @@ fn calibrated(args: &Args, cases: &[Case]) -> Option<Calibration> {
         name_from: (name_from / STEP).round() * STEP,
         trace: tally.trace.smoothed(),
         by_mv: tally.by_mv.smoothed(),
+        second: tally.second.smoothed(),
         coloured_noise: tally.coloured.smoothed(),
         unknown: tally.unknown.smoothed(),
         from: String::new(),
@@ -226,6 +227,8 @@ struct Tally {
     named: Count,
     trace: Count,
     by_mv: Count,
+    /// Effects named beside what the recorder did, over all cases.
+    second: Count,
     coloured: Count,
     unknown: Count,
     /// Cases with an effect of the catalogue that are answered with one.
@@ -233,13 +236,19 @@ struct Tally {
 }
 
 impl Tally {
-    /// Over all cases but those with two effects, each by the calibration of the part that it was left out of.
+    /// Each case by the calibration of the part that it was left out of; those with two effects count only for the second.
     fn of(cases: &[Case], parts: &[Calibration], name_from: f64) -> Self {
         let mut tally = Self::default();
         let rules: Vec<Calibration> = parts.iter().map(|c| Calibration { name_from, ..c.clone() }).collect();
-        for (index, case) in cases.iter().enumerate().filter(|(_, c)| c.truth.answer != Right::Pair) {
+        for (index, case) in cases.iter().enumerate() {
             let Some(evidence) = &case.evidence else { continue };
             let decision = decide(evidence, &[], &rules[index % rules.len()]);
+            if let (By::Trace, Some(second)) = (decision.by, &decision.second) {
+                tally.second.add(case.truth.effect.split('+').any(|part| part == second.id));
+            }
+            if case.truth.answer == Right::Pair {
+                continue;
+            }
             let said = decision.cause.id.as_str();
             let right = said == case.truth.effect || (said == UNKNOWN && case.truth.answer == Right::Foreign);
             if said != NONE && said != UNKNOWN {
@@ -291,8 +300,9 @@ fn again(case: &Case, rule: &Calibration) -> Answer {
         let decision = decide(evidence, &[], rule);
         document.cause = called(&decision, &document.cause);
         decision.cause.stage.name().clone_into(&mut document.place.stage);
-        let others = decision.alternatives.iter();
-        document.alternatives = others.map(|a| Alternative { id: a.id.clone(), probability: a.probability }).collect();
+        let other = |a: &Answered| Alternative { id: a.id.clone(), probability: a.probability };
+        document.second_cause = decision.second.as_ref().map(other);
+        document.alternatives = decision.alternatives.iter().map(other).collect();
     }
     for withheld in &mut answer.withheld {
         let decision = decide(evidence, &[withheld.without.as_str()], rule);

@@ -74,7 +74,7 @@ pub struct Diagnose {
     /// Try two effects at once also where one alone explains the record.
     #[arg(long)]
     pub pairs: bool,
-    /// Time for the search, a loop; without it some 3 s of two cores at most, much less where the base explains all.
+    /// Time for the search, a loop; without it some 5 s of two cores at most, much less where the base explains all.
     #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
     pub budget: Option<f64>,
     /// Write measured and simulated PV, from which every figure can be computed again.

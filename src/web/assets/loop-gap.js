@@ -43,6 +43,7 @@ function report(gap, words, row) {
     h("dl", { class: "facts" },
       item("Where", STAGES[gap.where.stage] ?? plain(gap.where.stage)),
       item("Which", causeWords(gap)),
+      gap.second_cause ? item("With it", `${plain(gap.second_cause.id)} (p ${format.probability(gap.second_cause.probability)})`) : null,
       g ? item("How far", `${format.number(g.gap)} ${pv}, ${format.percent(g.relative)} of PV’s standard deviation; noise floor ${format.number(g.noise_floor)} ${pv}`) : null,
       gap.forward ? item("Forward in time", `${format.number(gap.forward.gap_before)} before, ${format.number(gap.forward.gap_after)} ${pv} after`) : null,
       gap.alternatives?.length ? item("Else", gap.alternatives.slice(0, 3).map((a) => `${plain(a.id)} (p ${format.probability(a.probability)})`).join(", ")) : null,

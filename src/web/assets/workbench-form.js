@@ -127,7 +127,7 @@ export class Form {
         left ? h("button", { class: "button", type: "button", name: "all-effects", onclick: () => this.set({ without: [] }, "All effects") }, "All effects") : null),
       this.group("Search",
         this.check("pairs", "Two effects at once also where one explains all"),
-        this.number("budget_s", "Time", { ...options.budget_s, none: "about 3" }),
+        this.number("budget_s", "Time", { ...options.budget_s, none: "about 5" }),
         this.number("seed", "Seed", { min: 0, default: options.gap_seed })),
     ];
   }

@@ -150,7 +150,7 @@ pub fn all(max_file_bytes: u64) -> Choices {
             max: BUDGET_S,
             default: None,
             unit: "s",
-            words: "Time for the search; without it some 3 s of two cores at most",
+            words: "Time for the search; without it some 5 s of two cores at most",
         },
         seed: Options::default().seed,
         gap_seed: GAP_SEED,

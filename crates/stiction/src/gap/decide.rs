@@ -28,6 +28,9 @@ const HALF: f64 = 50.0;
 const LITTLE: f64 = 10.0;
 /// Per cent of the gap that two effects have to close.
 const NEARLY_ALL: f64 = 80.0;
+/// Evidence from which an effect is named beside what the recorder did: no loop whose recorder alone departed had one
+/// (split A, seeds 49 and 51).
+const BESIDE_TRACE: f64 = 0.3;
 /// Error over the floor up to which a record is explained.
 pub(super) const EXPLAINED: f64 = 1.2;
 /// Share of the best effect's gain that a filter has to have.
@@ -51,6 +54,8 @@ pub enum By {
 pub struct Decision {
     /// What is named.
     pub cause: Cause,
+    /// Named beside it: what acts on the plant under what the recorder did, or what the recorder did beside what acts.
+    pub second: Option<Alternative>,
     /// What else, best first.
     pub alternatives: Vec<Alternative>,
     /// How it was come by.
@@ -83,8 +88,10 @@ pub fn decide(evidence: &Evidence, without: &[&str], calibration: &Calibration) 
         };
         let confirmed = by != By::Choice || id == NONE;
         let cause = Cause { id: id.to_owned(), probability, confirmed, stage };
-        let alternatives = alternatives(&ranked, &cause, &outcomes, calibration);
-        Decision { cause, alternatives, by, best: best.clone(), features, outcomes }
+        let second = second(basis, &ranked, &cause, calibration);
+        let mut alternatives = alternatives(&ranked, &cause, &outcomes, calibration);
+        alternatives.retain(|a| second.as_ref().is_none_or(|s| s.id != a.id));
+        Decision { cause, second, alternatives, by, best: best.clone(), features, outcomes }
     };
     let noise = effects::coloured_noise::EFFECT.id;
     let coloured = basis.coloured_noise && has(noise) && is_plain(basis);
@@ -156,6 +163,21 @@ fn says_more(pair: &Contender, alone: &[&Contender]) -> bool {
     let beats =
         |best: &&&Contender| pair.evidence > best.evidence.max(0.0) + effects::MARGIN && closed(pair) > closed(best);
     explains(pair) && closed(pair) >= NEARLY_ALL && !alone.iter().any(|e| explains(e)) && best.is_none_or(|b| beats(&b))
+}
+
+/// Beside what a recorder did, the effect that its stored values show; beside such an effect, what the recorder did.
+fn second(basis: &Basis, ranked: &[&Contender], cause: &Cause, calibration: &Calibration) -> Option<Alternative> {
+    let is_trace = |id: &str| basis.traces.iter().any(|t| t == id);
+    let (id, probability) = if is_trace(&cause.id) {
+        let single = ranked.iter().find(|e| !e.id.contains('+'))?;
+        let shows = single.evidence > BESIDE_TRACE && single.lead > 0.0 && single.at_floor;
+        let holds = single.closed_pct.is_some_and(|closed| closed >= LITTLE);
+        (shows && holds).then_some((&single.id, calibration.second))?
+    } else {
+        let named = ranked.iter().any(|e| e.id == cause.id);
+        (basis.traces.first().filter(|_| named)?, calibration.trace)
+    };
+    Some(Alternative { id: id.clone(), probability })
 }
 
 /// Whether an effect takes most of what stands above the floor behind the recorded valve position.
@@ -262,6 +284,49 @@ pub fn predictable(id: &str) -> bool {
 mod tests {
     use super::super::evidence::Left;
     use super::*;
+
+    fn basis(traces: &[&str]) -> Basis {
+        let noise =
+            NoiseModels { over_base: 0.0, over_best: 0.0, independence_p: 1.0, whitens: false, beyond_first: 0.0 };
+        Basis {
+            traces: traces.iter().map(|t| (*t).to_owned()).collect(),
+            traces_close: [("swinging_door".to_owned(), 5.0)].into(),
+            filter: false,
+            floor_owes: [].into(),
+            skew: None,
+            noise,
+            alone: None,
+            coloured_noise: false,
+            by_mv: None,
+            on_mv: Vec::new(),
+            base_at_floor: false,
+            base: Left { over_floor: Some(6.0), held_over_floor: Some(6.0), colour: 1.0, with_op: 9.0 },
+            excited: false,
+            linear: false,
+        }
+    }
+
+    #[test]
+    fn under_what_a_recorder_did_the_effect_is_named_that_its_stored_values_show() {
+        let said = |contender: Contender| {
+            let evidence = Evidence { basis: basis(&["swinging_door"]), contenders: vec![contender] };
+            let decision = decide(&evidence, &[], Calibration::shipped());
+            let listed = decision.alternatives.iter().any(|a| a.id == "slip_overshoot");
+            (decision.cause.id, decision.second.map(|s| s.id), listed)
+        };
+        let overshoot = |over, evidence, closed| contender("slip_overshoot", over, evidence, closed);
+        let (door, both) = ("swinging_door".to_owned(), Some("slip_overshoot".to_owned()));
+        assert_eq!(said(overshoot(1.02, 2.0, 38.0)), (door.clone(), both, false));
+        assert_eq!(said(overshoot(1.3, 2.0, 38.0)), (door.clone(), None, true), "more than noise is left");
+        assert_eq!(said(overshoot(1.02, 0.2, 38.0)), (door.clone(), None, true), "hardly better than the base");
+        assert_eq!(
+            said(overshoot(1.02, 2.0, 3.0)),
+            (door.clone(), None, true),
+            "nothing closed where it was not fitted"
+        );
+        let made = said(overshoot(1.01, 3.0, 97.0));
+        assert_eq!(made, ("slip_overshoot".to_owned(), Some(door), false), "the recorder made next to nothing of it");
+    }
 
     fn contender(id: &str, over_floor: f64, evidence: f64, closed_pct: f64) -> Contender {
         Contender {

@@ -110,6 +110,7 @@ pub fn diagnose(record: &Record, ask: &Ask, executor: &dyn Executor) -> Result<D
         given,
         effects,
         cause: nothing.cause,
+        second: nothing.second,
         alternatives: nothing.alternatives,
         features: nothing.features,
         forward: None,

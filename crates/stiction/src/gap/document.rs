@@ -9,7 +9,7 @@ use super::locate::Location;
 use super::loop_run::Cycles;
 use super::model::Model;
 use super::sizes::Quantity;
-use super::types::{Base, EffectResult, Ended, Fit, Parameter};
+use super::types::{Alternative, Base, EffectResult, Ended, Fit, Parameter};
 use crate::record::Record;
 use crate::signal::stats;
 use crate::units::Moment;
@@ -225,11 +225,14 @@ pub struct GapDocument {
     pub effects: Vec<EffectNote>,
     /// The answer.
     pub cause: CauseNote,
+    /// Named beside the cause: what acts on the plant under what the recorder did, or what the recorder did beside it.
+    #[serde(default)]
+    pub second_cause: Option<AlternativeNote>,
     /// Other answers, best first, without the cause.
     pub alternatives: Vec<AlternativeNote>,
     /// Forward in time.
     pub forward: Option<ForwardNote>,
-    /// The base with the cause.
+    /// The base with the cause, and with what is named beside it.
     pub model_after: ModelAfter,
     /// The experiment that would settle it.
     pub next_test: Option<TestNote>,
@@ -283,11 +286,8 @@ impl GapDocument {
                 probability: diagnosis.cause.probability,
                 confirmed: diagnosis.cause.confirmed,
             },
-            alternatives: diagnosis
-                .alternatives
-                .iter()
-                .map(|a| AlternativeNote { id: a.id.clone(), probability: a.probability })
-                .collect(),
+            second_cause: diagnosis.second.as_ref().map(AlternativeNote::of),
+            alternatives: diagnosis.alternatives.iter().map(AlternativeNote::of).collect(),
             forward: diagnosis.forward.map(|f| ForwardNote {
                 gap_before: f.gap_before,
                 gap_after: f.gap_after,
@@ -356,6 +356,12 @@ impl BaseNote {
             integrating: process.integrating,
             model: fit.model.clone(),
         }
+    }
+}
+
+impl AlternativeNote {
+    fn of(other: &Alternative) -> Self {
+        Self { id: other.id.clone(), probability: other.probability }
     }
 }
 

@@ -24,6 +24,8 @@ pub struct Diagnosis {
     pub effects: Vec<EffectResult>,
     /// The answer.
     pub cause: Cause,
+    /// What is named beside it.
+    pub second: Option<Alternative>,
     /// Other answers, best first.
     pub alternatives: Vec<Alternative>,
     /// Forward in time; `None` where the parts are too short.
@@ -87,6 +89,12 @@ impl Diagnosis {
         self.effects.iter().chain(&self.pairs).find(|e| e.id == self.cause.id)
     }
 
+    /// The cause, or what is named beside it where the cause is what the recorder did: its fit went through the recorder.
+    fn acts(&self) -> &str {
+        let under_trace = self.second.as_ref().filter(|_| self.basis.traces.contains(&self.cause.id));
+        under_trace.map_or(&self.cause.id, |s| &s.id)
+    }
+
     /// Whether what is named, if anything is, leaves more than noise, so that two effects may be at work.
     pub(super) fn leaves_more(&self) -> bool {
         if self.cause.id == NONE || self.base.at_floor {
@@ -101,8 +109,9 @@ impl Diagnosis {
     /// Decides, and lets everything that follows from the cause follow it.
     pub(super) fn settle(&mut self, without: &[&str]) {
         let decision = decide::decide(&self.evidence(), without, Calibration::shipped());
-        (self.cause, self.alternatives, self.features) = (decision.cause, decision.alternatives, decision.features);
-        let after = self.named().and_then(|e| e.fit.clone());
+        (self.cause, self.second) = (decision.cause, decision.second);
+        (self.alternatives, self.features) = (decision.alternatives, decision.features);
+        let after = self.effects.iter().chain(&self.pairs).find(|e| e.id == self.acts()).and_then(|e| e.fit.clone());
         let from = self.blocks.from;
         let run = |f: &Fit, masked: &[bool]| -> Vec<Option<f64>> {
             let points = f.prediction.iter().enumerate();

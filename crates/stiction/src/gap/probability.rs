@@ -151,6 +151,8 @@ pub struct Calibration {
     pub trace: f64,
     /// Among calls made from the recorded valve position.
     pub by_mv: f64,
+    /// Among effects that are named beside what the recorder did.
+    pub second: f64,
     /// Among calls of coloured noise.
     pub coloured_noise: f64,
     /// Share of effects that no catalogue has where something else than the best effect was likeliest.
@@ -175,6 +177,7 @@ impl Calibration {
             name_from: 0.5,
             trace: 0.9,
             by_mv: 0.9,
+            second: 0.5,
             coloured_noise: 0.5,
             unknown: 0.5,
             from: String::new(),

@@ -21,6 +21,7 @@ pub fn paragraph(d: &GapDocument) -> String {
         UNKNOWN => not_in_the_catalogue(d),
         _ => d.named().map_or_else(|| format!("{} explains it", d.cause.id), |e| named(d, e)),
     });
+    parts.extend(beside(d));
     if let Some(test) = &d.next_test {
         let [a, b] = &test.separates;
         parts.push(format!(
@@ -167,9 +168,30 @@ fn named(d: &GapDocument, e: &EffectNote) -> String {
     text
 }
 
-/// The answer in a few words: `extra_lag, suspected`.
+/// What is named beside the cause.
+fn beside(d: &GapDocument) -> Option<String> {
+    let second = d.second_cause.as_ref()?;
+    let effect = d.effects.iter().find(|e| e.id == second.id)?;
+    let (what, p) = (effect::phrase(effect), probability(second.probability));
+    if effect.at_floor.is_none() {
+        // What leaves a trace in PV is there; the cause's own figures already went through it.
+        return Some(format!("the record shows {what}, too (p {p})"));
+    }
+    let closed = claim::closed(effect.closed_pct.unwrap_or(0.0));
+    Some(format!(
+        "beside it {what} shows (p {p}), which leaves no more than noise where it was fitted and closes {closed} on data \
+         it was not fitted to"
+    ))
+}
+
+/// The answer in a few words: `extra_lag, suspected`, `swinging_door, with slip_overshoot`.
 #[must_use]
 pub fn answer(d: &GapDocument) -> String {
+    let first = first(d);
+    d.second_cause.as_ref().map_or_else(|| first.clone(), |second| format!("{first}, with {}", second.id))
+}
+
+fn first(d: &GapDocument) -> String {
     let id = &d.cause.id;
     match d.named().map(|e| Claim::of(d, e)) {
         Some(Claim::Suspected) => format!("{id}, suspected"),

@@ -57,6 +57,9 @@ pub struct EffectAnswer {
 pub struct Document {
     /// The cause.
     pub cause: Called,
+    /// What is named beside it.
+    #[serde(default)]
+    pub second_cause: Option<Alternative>,
     /// Stage of the cause.
     #[serde(rename = "where")]
     pub place: Place,

@@ -71,6 +71,8 @@ pub struct Group {
     pub pairs: Rate,
     /// Both named.
     pub both: Rate,
+    /// Right ones among the effects that are named beside another, over all cases.
+    pub beside: Rate,
     /// Per cent of the gap closed by right calls, median.
     pub closed_right_pct: Option<f64>,
     /// By wrong calls.
@@ -202,7 +204,10 @@ fn group(name: &str, cases: &[Judged<'_>]) -> Group {
         unknown_withheld: withheld(0),
         unknown_or_mate_withheld: withheld(1),
         pairs: Rate::count(of(Right::Pair), |c| c.is_right(c.said())),
-        both: Rate::count(of(Right::Pair), |c| c.said() == c.truth.effect),
+        both: Rate::count(of(Right::Pair), |c| c.names_both()),
+        beside: Rate::count(cases.iter().filter(|c| c.beside().is_some()), |c| {
+            c.beside().is_some_and(|id| c.truth.effect.split('+').any(|part| part == id))
+        }),
         closed_right_pct: closing(true),
         closed_wrong_pct: closing(false),
         true_fit_at_floor: reached(&floors),

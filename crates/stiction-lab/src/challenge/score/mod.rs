@@ -87,6 +87,17 @@ impl Judged<'_> {
         self.is_true(id) || (id == "none" && !self.is_expressed())
     }
 
+    /// What is named beside the cause.
+    fn beside(&self) -> Option<&str> {
+        self.document()?.second_cause.as_ref().map(|s| s.id.as_str())
+    }
+
+    /// Whether both of two effects are named, as a pair or one beside the other.
+    fn names_both(&self) -> bool {
+        let [a, b] = [self.said(), self.beside().unwrap_or_default()];
+        [a.to_owned(), format!("{a}+{b}"), format!("{b}+{a}")].contains(&self.truth.effect)
+    }
+
     /// The document's entry of an effect.
     fn entry(&self, id: &str) -> Option<&EffectAnswer> {
         self.document()?.effects.iter().find(|e| e.id == id)

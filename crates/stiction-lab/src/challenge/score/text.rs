@@ -70,6 +70,7 @@ impl Figures {
             row("the same, stated class-mates counted", &all.unknown_or_mate_withheld),
             row("two effects at once, one of them named", &all.pairs),
             row("two effects at once, both named", &all.both),
+            row("effects named beside another that are right", &all.beside),
             row("confirmed calls that are right", &self.confirmed),
             row("suspected calls that are right", &self.suspected),
             row("true effect's own fit at the noise floor", &all.true_fit_at_floor),

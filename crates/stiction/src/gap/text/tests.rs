@@ -1,7 +1,7 @@
 //! Sentences that are made from the same numbers do not contradict each other.
 
-use super::super::document::GapDocument;
-use super::{paragraph, report};
+use super::super::document::{AlternativeNote, GapDocument};
+use super::{answer, paragraph, report};
 
 /// Words that no answer may hold together.
 const APART: [[&str; 2]; 16] = [
@@ -116,4 +116,19 @@ fn words_agree_with_the_figures_beside_them() {
         }
         assert!(report(&d).lines().count() > 5);
     }
+}
+
+#[test]
+fn what_is_named_beside_the_cause_is_said_with_its_own_figures() {
+    let mut d: GapDocument = serde_json::from_str(include_str!("../../../tests/golden/gap-backlash.json")).unwrap();
+    assert!(!answer(&d).contains("with ") && !paragraph(&d).contains("too (p"), "nothing is");
+    "hold_compression".clone_into(&mut d.cause.id);
+    let beside = |id: &str| Some(AlternativeNote { id: id.to_owned(), probability: 0.8 });
+    d.second_cause = beside("gain_drift");
+    d.effects.iter_mut().find(|e| e.id == "gain_drift").unwrap().closed_pct = Some(42.0);
+    assert!(answer(&d).ends_with(", with gain_drift"), "{}", answer(&d));
+    assert!(paragraph(&d).contains("shows (p 0.80)") && paragraph(&d).contains("closes 42 %"), "{}", paragraph(&d));
+    "backlash".clone_into(&mut d.cause.id);
+    d.second_cause = beside("swinging_door");
+    assert!(paragraph(&d).contains("the record shows") && paragraph(&d).contains("too (p 0.80)"), "{}", paragraph(&d));
 }
