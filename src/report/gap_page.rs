@@ -6,7 +6,7 @@ use super::gap_figures::figures;
 use super::page::{flatten, optional, picture, whole};
 use super::plot::PlotError;
 use stiction::gap::text;
-use stiction::units::{from_to, number};
+use stiction::units::{from_to, number, probability};
 use stiction_monitor::analysis::gap::Diagnosed;
 
 /// Everything that the report shows.
@@ -62,7 +62,7 @@ fn overview(report: &GapReport) -> Markup {
                             tr {
                                 td.name { a href=(format!("#loop-{k}")) { (d.loop_name) } }
                                 td { (text::answer(d)) }
-                                td.number { (number(d.cause.probability)) }
+                                td.number { (probability(d.cause.probability)) }
                                 td.number { (number(d.gap.gap)) }
                                 td.number.more { (optional(d.gap.relative.map(|r| 100.0 * r))) }
                                 td.number { (optional(d.named().and_then(|e| e.closed_pct))) }
@@ -84,7 +84,7 @@ fn section(one: &Diagnosed, k: usize, open: bool) -> Result<Markup, PlotError> {
     flatten("", &document, &mut rows);
     Ok(html! {
         details.loop open[open] {
-            summary { span.name { (d.loop_name) } " " (text::answer(d)) span.soft { " p " (number(d.cause.probability)) } }
+            summary { span.name { (d.loop_name) } " " (text::answer(d)) span.soft { " p " (probability(d.cause.probability)) } }
             div id=(format!("loop-{k}")) {
                 section.card {
                     p.headline { (text::paragraph(d)) }

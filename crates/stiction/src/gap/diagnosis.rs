@@ -52,6 +52,34 @@ pub(super) fn check(record: &Record, ask: &Ask) -> Result<(), GapError> {
     Ok(())
 }
 
+/// A record's traces, what is fitted, the floor as PV shows it, and what the search found.
+struct Searched {
+    traces: Traces,
+    problem: Problem,
+    floor: Floor,
+    found: Found,
+}
+
+/// Looks for the base and every effect; `None` where no base can be fitted to what was measured.
+fn search(
+    record: &Record,
+    ask: &Ask,
+    period: f64,
+    traces: Traces,
+    work: &mut Work<'_>,
+) -> Result<Option<Searched>, GapError> {
+    let mut problem =
+        Problem::new(record, Some(period), ask.seed, traces.masked.clone()).fitted_where(&traces.measured);
+    if let Base::Given(model) = &ask.base {
+        problem.stated = given::base_places(&problem, model)?;
+    }
+    let straight = traces.signatures.iter().any(|s| s.id == effects::swinging_door::EFFECT.id && s.met);
+    let floor = noise::floor(&record.pv, &traces.measured, straight);
+    let law = if ask.base == Base::Linear { None } else { Some(Law::He) };
+    let found = schedule::run(&problem, law, &ask.without, floor.noise_floor, work);
+    Ok(found.map(|found| Searched { traces, problem, floor, found }))
+}
+
 /// Diagnoses one record.
 ///
 /// # Errors
@@ -62,20 +90,16 @@ pub fn diagnose(record: &Record, ask: &Ask, executor: &dyn Executor) -> Result<D
         given::check(model)?;
     }
     let period = ask.period_points.unwrap_or_else(|| period_of(record).0);
-    let traces = signatures::traces(record, period, &ask.without);
-    let mut problem =
-        Problem::new(record, Some(period), ask.seed, traces.masked.clone()).fitted_where(&traces.measured);
-    if let Base::Given(model) = &ask.base {
-        problem.stated = given::base_places(&problem, model)?;
-    }
-    let straight = traces.signatures.iter().any(|s| s.id == effects::swinging_door::EFFECT.id && s.met);
-    let mut floor = noise::floor(&record.pv, &traces.measured, straight);
-    let law = if ask.base == Base::Linear { None } else { Some(Law::He) };
     let budget = ask.budget_evaluations;
     let mut work = Work { executor, budget, done: 0, stopped: false, spent: false, seed: ask.seed, asked: None };
-    let mut found = schedule::run(&problem, law, &ask.without, floor.noise_floor, &mut work)
-        .ok_or(GapError::NoBase { points: record.len(), evaluations: work.done })?;
+    let traces = signatures::traces(record, period, &ask.without);
+    let retry = traces.thinned.then(|| traces.all_measured());
+    let mut searched = search(record, ask, period, traces, &mut work)?;
+    if let (None, Some(all)) = (&searched, retry) {
+        searched = search(record, ask, period, all, &mut work)?;
+    }
     let no_base = GapError::NoBase { points: record.len(), evaluations: work.done };
+    let Some(Searched { traces, problem, mut floor, mut found }) = searched else { return Err(no_base) };
     check_floor(&problem, &found, &traces, &mut floor);
     work.begin(budget);
     let wanted = !ask.without.iter().any(|w| w == effects::sensor_filter::EFFECT.id);
@@ -165,6 +189,7 @@ fn check_floor(problem: &Problem, found: &Found, traces: &Traces, floor: &mut Fl
     let left = best.and_then(|search| residual_of(problem, search));
     if let (true, Some(left)) = (traces.thinned, &left) {
         let sd = noise::of_measured(left, &traces.measured, problem.blocks.from).map(|s| s * problem.deviation);
+        let sd = sd.filter(|_| traces.noise_shows);
         floor.noise_sd = sd;
         floor.noise_floor = sd.filter(|s| *s > 0.0);
     }

@@ -22,6 +22,8 @@ use crate::sim::slips::Sequence;
 const LEADS: f64 = 0.5;
 /// What such a pair leaves in the end, over its larger part, below which it comes back.
 const COMES_BACK: f64 = 0.05;
+/// Initial state over the farthest PV from which it is not believed.
+const BEYOND: f64 = 2.0;
 
 /// Evaluates parameter vectors of one problem sample by sample, with its own buffers.
 #[derive(Debug)]
@@ -325,10 +327,23 @@ impl<'a> PlainPass<'a> {
             return None;
         }
         let others = pass.make_columns(plan, &theta, View::Plain);
+        let linear = pass.begun_within_reason(plan, linear);
         let mut out = Vec::new();
         pass.combine(plan, others, theta.fd, &linear, &mut out);
         pass.assemble(plan, theta.fd);
         Some((out, pass.valve))
+    }
+
+    /// Without an initial state that is beyond PV's range: where no fitted point sees it any more, as on a record of few
+    /// stored values, it is noise over next to nothing.
+    fn begun_within_reason(&self, plan: &Plan, mut linear: Linear) -> Linear {
+        let farthest = self.problem.normalised.pv.iter().fold(0.0, |m: f64, y| m.max(y.abs()));
+        let memories = if plan.integrating { 0 } else { 1 + usize::from(plan.tau2 > 0.0) };
+        let course = |k: usize| (1..=memories).map(|i| linear.others[i] * self.columns[i][k]).sum::<f64>();
+        if (self.problem.blocks.from..self.problem.n()).any(|k| course(k).abs() > BEYOND * farthest) {
+            linear.others[1..=memories].fill(0.0);
+        }
+        linear
     }
 }
 

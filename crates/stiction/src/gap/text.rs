@@ -5,6 +5,7 @@ mod effect;
 mod place;
 
 use super::document::{EffectNote, GapDocument};
+use super::effects;
 use super::loop_run::Cycles;
 use super::sizes::percent;
 use super::types::{NONE, UNKNOWN};
@@ -142,6 +143,9 @@ fn named(d: &GapDocument, e: &EffectNote) -> String {
             "; no simulation can close it, because it raises what can be predicted at best to {} PV units",
             number(floor)
         )),
+        (None, None) if is_recorder(&e.id) && d.gap.noise_floor.is_none() => text.push_str(
+            "; its stored values are too few, or the record too long, to tell how much of the gap is its doing",
+        ),
         (None, None) => {}
     }
     if claim == Claim::Hardly {
@@ -168,6 +172,11 @@ fn named(d: &GapDocument, e: &EffectNote) -> String {
     text
 }
 
+/// Whether an effect is what a recorder did to PV.
+fn is_recorder(id: &str) -> bool {
+    effects::by_id(id).is_some_and(|e| e.recorder.is_some())
+}
+
 /// What is named beside the cause.
 fn beside(d: &GapDocument) -> Option<String> {
     let second = d.second_cause.as_ref()?;
@@ -179,8 +188,8 @@ fn beside(d: &GapDocument) -> Option<String> {
     }
     let closed = claim::closed(effect.closed_pct.unwrap_or(0.0));
     Some(format!(
-        "beside it {what} shows (p {p}), which leaves no more than noise where it was fitted and closes {closed} on data \
-         it was not fitted to"
+        "beside it, {what} shows (p {p}): with it no more than noise is left where it was fitted, and {closed} of the gap \
+         is closed on data it was not fitted to"
     ))
 }
 
@@ -210,7 +219,11 @@ pub fn cycles(c: &Cycles) -> String {
 /// The whole report as lines: the paragraph, then the figures.
 #[must_use]
 pub fn report(d: &GapDocument) -> String {
-    let mut lines = vec![format!("{}: {} (p {})", d.loop_name, answer(d), probability(d.cause.probability))];
+    let mut head = format!("{}: {} (p {})", d.loop_name, first(d), probability(d.cause.probability));
+    if let Some(second) = &d.second_cause {
+        head.push_str(&format!(", with {} (p {})", second.id, probability(second.probability)));
+    }
+    let mut lines = vec![head];
     lines.push(format!("  {}", paragraph(d)));
     let mut row = |name: &str, value: String| lines.push(format!("  {name:<12} {value}"));
     let floor = d.gap.noise_floor.map_or("unknown".to_owned(), number);

@@ -15,6 +15,10 @@ pub struct Traces {
     pub measured: Vec<bool>,
     /// Whether a recorder thinned PV, so that its noise shows in the stored values only.
     pub thinned: bool,
+    /// Whether the stored values are enough to read the noise from what a model leaves there.
+    pub noise_shows: bool,
+    /// Whether a recorder thinned PV so far, or the record is so long, that no model can be fitted to its stored values.
+    pub beyond_reach: bool,
     /// First and last point of the longest stretch that stands still.
     pub(super) still: [usize; 2],
     /// Lowest and highest value of PV.
@@ -24,6 +28,13 @@ pub struct Traces {
 }
 
 impl Traces {
+    /// The same where no model can be fitted to the stored values: all that was recorded counts.
+    #[must_use]
+    pub fn all_measured(&self) -> Self {
+        let measured = vec![true; self.measured.len()];
+        Self { measured, thinned: false, noise_shows: false, beyond_reach: true, ..self.clone() }
+    }
+
     /// Holds a prediction where PV is held.
     pub fn hold(&self, prediction: &mut [f64]) {
         for k in 1..prediction.len() {

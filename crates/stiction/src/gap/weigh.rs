@@ -18,6 +18,8 @@ const RESAMPLES: usize = 400;
 const LEVEL: f64 = 0.9;
 /// Error of the base over the floor below which there is nothing to close.
 const NOTHING_LEFT: f64 = 1.05;
+/// Fewest fitted points a parameter: with less an effect may meet them all and say nothing.
+const POINTS_A_PARAMETER: usize = 2;
 
 /// What the weighing needs beside the searches.
 #[derive(Debug)]
@@ -57,7 +59,10 @@ impl Scales<'_> {
         let base_sse = self.search.sse();
         let freedom = |r: &Structure, l: &Search| l.best.first().map_or(0, |b| r.freedom(&r.plan(&b.theta)));
         let base_score = self.score(base_sse, freedom(&self.search.structure, self.search));
-        let evidence = base_score - self.score(best.sse, freedom(&structure, search));
+        let free = freedom(&structure, search);
+        let tells = self.problem.target(View::Plain).len() >= POINTS_A_PARAMETER * free;
+        let gain = base_score - self.score(best.sse, free);
+        let evidence = if tells { gain } else { gain.min(0.0) };
         let margin = structure.each().map(|e| e.margin).fold(0.0, f64::max);
         let stages: Vec<Stage> = structure.each().map(|e| e.stage).collect();
         let stage = if stages.iter().all(|s| *s == first.stage) { first.stage } else { Stage::CannotTell };
@@ -113,7 +118,7 @@ impl Scales<'_> {
         let met = found.is_some();
         let made = effect
             .recorder
-            .filter(|_| met)
+            .filter(|_| met && !self.traces.beyond_reach)
             .and_then(|recorder| fit(self.problem, self.search, self.floor.noise_floor, &|p| recorder(self.traces, p)));
         // Points that are left out of the fits for a passing effect's sake are what it is about, wherever they stand.
         let of_its_own = made.is_some() && effect.local;

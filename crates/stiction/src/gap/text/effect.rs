@@ -1,7 +1,7 @@
 //! Effects in words.
 
 use super::super::document::EffectNote;
-use super::super::effects;
+use super::super::effects::{self, Way};
 use super::super::sizes::Sizes;
 use super::super::types::{NONE, UNKNOWN};
 use crate::units::number;
@@ -19,10 +19,13 @@ fn word(id: &str) -> Option<&'static str> {
     }
 }
 
-/// What no record of OP and PV can tell from an effect: its class by its plant names, and what fitted nearly as well.
+/// What no record of OP and PV can tell from an effect: its class by its plant names, and what fitted nearly as well. One
+/// trace in PV is told from another.
 pub(super) fn twins(e: &EffectNote) -> Vec<String> {
     let class = effects::by_id(&e.id).and_then(|effect| effect.twin);
-    class.map(str::to_owned).into_iter().chain(e.confusable_with.iter().map(|id| noun(id))).collect()
+    let is_trace = |id: &str| effects::by_id(id).is_some_and(|effect| effect.way == Way::Signature);
+    let others = e.confusable_with.iter().filter(|id| !(is_trace(&e.id) && is_trace(id)));
+    class.map(str::to_owned).into_iter().chain(others.map(|id| noun(id))).collect()
 }
 
 /// An effect with its fitted sizes.

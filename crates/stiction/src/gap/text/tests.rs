@@ -127,7 +127,7 @@ fn what_is_named_beside_the_cause_is_said_with_its_own_figures() {
     d.second_cause = beside("gain_drift");
     d.effects.iter_mut().find(|e| e.id == "gain_drift").unwrap().closed_pct = Some(42.0);
     assert!(answer(&d).ends_with(", with gain_drift"), "{}", answer(&d));
-    assert!(paragraph(&d).contains("shows (p 0.80)") && paragraph(&d).contains("closes 42 %"), "{}", paragraph(&d));
+    assert!(paragraph(&d).contains("shows (p 0.80)") && paragraph(&d).contains("42 % of the gap"), "{}", paragraph(&d));
     "backlash".clone_into(&mut d.cause.id);
     d.second_cause = beside("swinging_door");
     assert!(paragraph(&d).contains("the record shows") && paragraph(&d).contains("too (p 0.80)"), "{}", paragraph(&d));
