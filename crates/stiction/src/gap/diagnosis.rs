@@ -60,6 +60,14 @@ struct Searched {
     found: Found,
 }
 
+impl Searched {
+    /// Whether a base that was fitted to few stored values leaves more of PV than its mean would.
+    fn tells_nothing(&self) -> bool {
+        let base = || fit(&self.problem, &self.found.base, None, &|_| {});
+        !self.traces.noise_shows && base().is_none_or(|base| base.rmse > self.problem.deviation)
+    }
+}
+
 /// Looks for the base and every effect; `None` where no base can be fitted to what was measured.
 fn search(
     record: &Record,
@@ -95,7 +103,10 @@ pub fn diagnose(record: &Record, ask: &Ask, executor: &dyn Executor) -> Result<D
     let traces = signatures::traces(record, period, &ask.without);
     let retry = traces.thinned.then(|| traces.all_measured());
     let mut searched = search(record, ask, period, traces, &mut work)?;
-    if let (None, Some(all)) = (&searched, retry) {
+    if let Some(all) = retry.filter(|_| searched.as_ref().is_none_or(Searched::tells_nothing)) {
+        // What the discarded search spent says nothing of this one.
+        work.begin(budget);
+        work.spent = false;
         searched = search(record, ask, period, all, &mut work)?;
     }
     let no_base = GapError::NoBase { points: record.len(), evaluations: work.done };

@@ -24,6 +24,8 @@ const LEADS: f64 = 0.5;
 const COMES_BACK: f64 = 0.05;
 /// Initial state over the farthest PV from which it is not believed.
 const BEYOND: f64 = 2.0;
+/// The same over what is left of it at fitted points, below which they do not see it.
+const SEEN: f64 = 0.3;
 
 /// Evaluates parameter vectors of one problem sample by sample, with its own buffers.
 #[derive(Debug)]
@@ -334,13 +336,19 @@ impl<'a> PlainPass<'a> {
         Some((out, pass.valve))
     }
 
-    /// Without an initial state that is beyond PV's range: where no fitted point sees it any more, as on a record of few
-    /// stored values, it is noise over next to nothing.
+    /// Without an initial state beyond PV's range that no fitted point sees: on a record of few stored values it is noise
+    /// over next to nothing. One that they do see stays, as of a slow lag in place of an integrator.
     fn begun_within_reason(&self, plan: &Plan, mut linear: Linear) -> Linear {
-        let farthest = self.problem.normalised.pv.iter().fold(0.0, |m: f64, y| m.max(y.abs()));
+        let problem = self.problem;
+        let farthest = problem.normalised.pv.iter().fold(0.0, |m: f64, y| m.max(y.abs()));
         let memories = if plan.integrating { 0 } else { 1 + usize::from(plan.tau2 > 0.0) };
-        let course = |k: usize| (1..=memories).map(|i| linear.others[i] * self.columns[i][k]).sum::<f64>();
-        if (self.problem.blocks.from..self.problem.n()).any(|k| course(k).abs() > BEYOND * farthest) {
+        let course = |k: usize| (1..=memories).map(|i| linear.others[i] * self.columns[i][k]).sum::<f64>().abs();
+        let most = |of: &dyn Fn(usize) -> bool| {
+            let points = (problem.blocks.from..problem.n()).filter(|k| of(*k));
+            points.map(course).fold(0.0, f64::max)
+        };
+        let is_fitted = |k: usize| problem.is_measured(k) && !problem.blocks.held_out[k] && !problem.blocks.masked[k];
+        if most(&|_| true) > BEYOND * farthest && most(&is_fitted) < SEEN * farthest {
             linear.others[1..=memories].fill(0.0);
         }
         linear
