@@ -56,7 +56,9 @@ def states(said: Any) -> Run:
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    """Every file by its name, but what a worker that is killed while it writes leaves behind: the next run clears it."""
+    files = (path for path in folder.rglob("*") if path.is_file() and path.suffix != ".part")
+    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
 
 
 def ages(folder: Path) -> dict[str, int]:
