@@ -420,7 +420,7 @@ def diagnose(
     base: the model that the gap is measured from: `refit` (a sticking valve and a first-order process), `linear`
     (without friction), or one from elsewhere: a result of `assess` or `diagnose`, or its document.
     without: effects that are not tried. pairs: try two at once also where one alone explains the record. budget_s:
-    seconds for the search, else some 3 on two cores at most; a search that its time ends is not repeatable. progress:
+    seconds for the search, else some 5 on two cores at most; a search that its time ends is not repeatable. progress:
     called with (models tried, models at most) by the thread that called; what it raises ends the search, and so does
     Ctrl-C.
     """
