@@ -195,6 +195,17 @@ fn a_few_stored_values_tell_what_the_recorder_made_of_the_gap() {
 }
 
 #[test]
+fn a_slow_lag_in_place_of_an_integrator_keeps_its_initial_state() {
+    for seed in [1, 2] {
+        let mut model = plain(seed);
+        model.process = ProcessModel { gain: 0.04, integrating: true, ..model.process };
+        model.controller = PidSettings { kc: 2.0, ti_s: 60.0, ..model.controller };
+        let told = told(model, 900, seed);
+        assert!(told.relative_gap < 0.5, "seed {seed}: {} of PV's deviation", told.relative_gap);
+    }
+}
+
+#[test]
 fn a_heavy_stem_is_followed_by_its_own_law_and_not_without_its_mass() {
     for seed in 9..12 {
         let m = plain(seed);
