@@ -45,7 +45,12 @@ proptest! {
         let mut evaluator = Evaluator::new(&problem, 1.0);
         let Some(prepared) = evaluator.prepare(&structure, &theta) else { return Ok(()) };
         prop_assume!(!prepared.is_plain());
+        // Of a valve that rests wherever points count they see no more than tails: nothing but rounding would be compared.
         let place = evaluator.place_of(&prepared);
+        let counted = problem.view(view).counted();
+        let counts = |k: usize| counted.iter().any(|[start, end]| (start + 1..*end).contains(&k));
+        let moves = evaluator.signal.steps.list.iter().filter(|s| counts(s.point as usize + place.delay as usize));
+        prop_assume!(moves.map(|s| s.level.abs() + s.direction.abs()).sum::<f64>() > 0.3);
         let Some(found) = evaluator.at(&structure, &prepared, place, view) else { return Ok(()) };
         // The same dead time, band and time constants, sample by sample.
         let plain = evaluator.plain_pass(&structure, &found.theta, view);

@@ -4,7 +4,7 @@
 #![allow(clippy::needless_range_loop)]
 
 use super::reduced::{DEPENDENT, PAIRS, PARTS, Reduced};
-use super::square::Square;
+use super::square::{Halves, Square};
 use super::tables::{Table, View};
 use crate::ident::class::{Class, INTEGRATOR_SCALE};
 
@@ -105,9 +105,10 @@ impl Gathered {
         view: &View,
         tables: [&Table; 2],
         cross: f64,
+        moved: Halves,
     ) -> Reduced {
         let Self { mut products, with: [with_pv, with_loads @ ..], with_beside } = self;
-        let whole = [products[0][0], products[2][0]];
+        let whole = [products[0][0].max(moved[0]), products[2][0].max(moved[1])];
         let own = class.memory_len();
         let loads = view.loads().min(MOST_LOADS);
         let count = own + loads;

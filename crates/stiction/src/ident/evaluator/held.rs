@@ -12,6 +12,8 @@ use crate::sim::steps::Step;
 /// counts.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Held {
+    /// Squares of all steps' halves, whether their points count or not: what is far below them is rounding.
+    pub(super) moved: Halves,
     pub(super) steps: Square,
     pub(super) total: Halves,
     pub(super) steps_time: Halves,
@@ -64,8 +66,12 @@ impl Held {
     /// Of the steps of a valve signal, their answer `delay` whole points late; with what ramps are in, or without.
     #[must_use]
     pub fn of(view: &View, steps: &[Step], delay: usize, ramp: bool) -> Self {
+        let moved = steps
+            .iter()
+            .fold([0.0; 2], |[level, direction], s| [level + s.level * s.level, direction + s.direction * s.direction]);
         let steps = heard(view, steps, delay);
-        if ramp { Walk::<true>::over(view, steps, delay) } else { Walk::<false>::over(view, steps, delay) }
+        let held = if ramp { Walk::<true>::over(view, steps, delay) } else { Walk::<false>::over(view, steps, delay) };
+        Self { moved, ..held }
     }
 }
 

@@ -24,7 +24,8 @@ pub struct Reduced {
     pub(super) products: [[f64; 6]; 3],
     /// Both halves with PV.
     pub(super) with_pv: [[f64; PARTS]; 2],
-    /// Squares of the two halves' levels before anything was taken out.
+    /// Squares of the two halves' levels before anything was taken out, or of their steps where those are more: where no
+    /// point that counts sees a step, what is left of the levels is rounding.
     pub(super) whole: [f64; 2],
     /// Sum of squares that constant, memory and loads leave of PV.
     pub rest: f64,

@@ -55,7 +55,7 @@ fn of_class<const CLASS: usize>(
         *into = sum;
     }
     let cross = if CLASS == SECOND { 1.0 / (1.0 - tables[0].a * tables[1].a) } else { 0.0 };
-    sums.gathered(held, view.rho(), cross, with).take_out::<CLASS>(class, view, tables, cross)
+    sums.gathered(held, view.rho(), cross, with).take_out::<CLASS>(class, view, tables, cross, held.moved)
 }
 
 /// A decay: its state at a sample is made of the steps before it, and shrinks to `a` of itself from one to the next.
