@@ -10,6 +10,8 @@ use crate::signal::stats;
 /// Spread of the set point over PV's from which it moves, and its correlation with PV from which PV follows it.
 const SP_MOVES: f64 = 0.02;
 const PV_FOLLOWS: f64 = 0.2;
+/// Share of OP's moves by which a later answer must explain more.
+const CLEARER: f64 = 0.02;
 
 /// Sign of the process gain (+1 or -1), or `None` where the record does not show the controller clearly.
 ///
@@ -38,17 +40,20 @@ fn follows(pv: &[f64], sp: &[f64]) -> bool {
     moved > SP_MOVES * spread && together > PV_FOLLOWS * moved * spread
 }
 
-/// The clearest answer of the controller; a later one must be clearer by 2 % of OP's moves.
+/// The clearest answer of the controller; a later one must be clearer by [`CLEARER`].
 fn best_of(op: &[f64], pv: &[f64], mut best: Option<Answer>) -> Option<Answer> {
     let mut work = Regressor::default();
     for width in [1, 3, 7] {
+        if best.as_ref().is_some_and(|b| b.r2 + CLEARER > 1.0) {
+            break;
+        }
         let (u, e) = (moving_average(op, width), moving_average(pv, width));
         for lag in [0, 1] {
             // Once more on first differences, in which a set point that steps leaves single outliers only.
             for found in
                 [regress(&u, &e, lag, &mut work), regress(&moves(&u), &moves(&e), lag, &mut work)].into_iter().flatten()
             {
-                if best.as_ref().is_none_or(|b| found.r2 > b.r2 + 0.02) {
+                if best.as_ref().is_none_or(|b| found.r2 > b.r2 + CLEARER) {
                     best = Some(found);
                 }
             }

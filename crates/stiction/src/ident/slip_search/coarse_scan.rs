@@ -14,6 +14,8 @@ use crate::sim::steps::Step;
 const LANES: usize = 8;
 /// The same in periods; the last one stands for an integrator.
 const TAUS: [f64; LANES] = [0.004, 0.02, 0.05, 0.11, 0.25, 0.6, 2.0, f64::INFINITY];
+/// Share of the points that the longest dead time may leave out for all of them.
+const MOST_LEFT_OUT: f64 = 0.2;
 /// Share of its square below which a decay is no column of its own.
 const DEPENDENT: f64 = 1e-9;
 /// Share of the product of their squares from which two halves of a valve signal are columns apart.
@@ -67,13 +69,14 @@ fn delays([least, most]: [f64; 2]) -> Vec<usize> {
 
 impl CoarseScan {
     /// Scans of the first `points` of a record by the error behind `1 - rho q^-1`: the second one for long dead times, where
-    /// they would leave little of a record that is counted for all alike.
+    /// they would leave too little of a record that is counted for all alike.
     #[must_use]
     pub fn of(problem: &Problem<'_>, rho: f64, points: usize) -> Vec<Self> {
         let all = delays(problem.normalised.limits.lag);
         let most = all.last().copied().unwrap_or(0);
         let cut = all.partition_point(|d| *d <= most / 4);
-        let halves = if most > 30 { vec![&all[..cut], &all[cut..]] } else { vec![&all[..]] };
+        let halves =
+            if most as f64 > MOST_LEFT_OUT * points as f64 { vec![&all[..cut], &all[cut..]] } else { vec![&all[..]] };
         halves.into_iter().filter(|d| !d.is_empty()).map(|d| Self::new(problem, rho, points, d.to_vec())).collect()
     }
 
@@ -159,83 +162,133 @@ impl CoarseScan {
         let [sum, squares] = [0, 1].map(|i| self.sums[start][i] - self.sums[stop][i]);
         let beyond = (1.0 - self.rho) * self.sums[stop][0];
         let total = squares - sum * sum * one;
+        let mean = sum * one;
+        let (decay_start, decay_stop) = (&self.with_decay[start], &self.with_decay[stop]);
+        let (mut rest, mut at_most) = ([0.0; LANES], [0.0; LANES]);
+        // No branch in here, so that lanes go side by side.
         for l in 0..LANES {
-            let memory =
-                self.with_decay[start][l] - end_power[l] * self.with_decay[stop][l] - own.one_memory[l] * sum * one;
-            let rest = total - memory * memory * own.pivot[l];
+            let memory = decay_start[l] - end_power[l] * decay_stop[l] - own.one_memory[l] * mean;
+            let taken = memory * own.pivot[l];
+            rest[l] = total - memory * taken;
             // What the answers do beyond the stretch that counts comes off.
-            let with = |tables: f64, half: usize| {
-                let tail = own.level[half] * beyond - own.decay[half][l] * self.with_decay[stop][l];
-                tables - tail - own.sum[half][l] * sum * one - own.memory[half][l] * memory * own.pivot[l]
-            };
-            let system = [own.power[0][l], own.power[1][l], own.power[2][l], with(level[l], 0), with(turn[l], 1)];
-            if rest - at_most(system) >= best.share * total {
+            level[l] += own.decay[0][l] * decay_stop[l]
+                - own.level[0] * beyond
+                - own.sum[0][l] * mean
+                - own.memory[0][l] * taken;
+            turn[l] += own.decay[1][l] * decay_stop[l]
+                - own.level[1] * beyond
+                - own.sum[1][l] * mean
+                - own.memory[1][l] * taken;
+            let [uu, ud, dd] = [own.power[0][l], own.power[1][l], own.power[2][l]];
+            let explained = dd * level[l] * level[l] - 2.0 * ud * level[l] * turn[l] + uu * turn[l] * turn[l];
+            at_most[l] = explained * own.inverse[l];
+        }
+        let mut worth = best.share * total;
+        for l in 0..LANES {
+            if rest[l] - at_most[l] >= worth {
                 continue;
             }
+            let system = [own.power[0][l], own.power[1][l], own.power[2][l], level[l], turn[l]];
             let (_, _, explained) = best_band(system, [own.power[0][l], own.power[2][l]], freedom);
-            let share = (rest - explained) / total;
+            let share = (rest[l] - explained) / total;
             if share < best.share {
                 *best = Seen { share, tau: self.taus[l], lag: delay as f64 + 0.5 };
+                worth = share * total;
             }
         }
         best.share < before
     }
 
     /// Products of the answers with each other, the same for every dead time.
+    ///
+    /// Level `l` and decay `c` (states before a sample) go on as `l + step` and `a c + step`, so sums of their products follow
+    /// from sums over the steps alone: `(1 - a a) sum(c c) = 2 a sum(c step) + sum(step step) - c c` at the end, and so on.
+    /// The answer behind the filter is `(1 - rho) l - late (a - rho) c + (1 - late) step`.
     #[inline(always)]
     fn own(&self, steps: &[Step], end: usize) -> Own {
-        let rho = self.rho;
-        let share = 1.0 - rho;
-        let (a, late) = (&self.a, &self.late);
-        let later: Lanes = core::array::from_fn(|l| late[l] * (a[l] - rho));
-        let back: Lanes = core::array::from_fn(|l| rho / a[l]);
-        let inverse: Lanes = core::array::from_fn(|l| 1.0 / (1.0 - a[l]));
-        let squared: Lanes = core::array::from_fn(|l| 1.0 / (1.0 - a[l] * a[l]));
-        let mut out = Own::default();
+        let walk = self.walk(steps, end);
+        let one = 1.0 / self.length as f64;
+        let end_power = &self.powers[self.length];
+        let share = 1.0 - self.rho;
+        let Walked { level, steps: own_steps, total, level_steps, level_level, level_one, .. } = walk;
+        let mut out = Own { level, ..Own::default() };
+        for l in 0..LANES {
+            let (a, late) = (self.a[l], self.late[l]);
+            let (of_decay, of_step) = (-late * (a - self.rho), 1.0 - late);
+            let (inverse, squared) = (1.0 / (1.0 - a), 1.0 / (1.0 - a * a));
+            let decay = [walk.decay[0][l], walk.decay[1][l]];
+            let memory_step = [walk.memory[0][l], walk.memory[1][l]];
+            let with_steps = |h: usize, g: usize| walk.with_steps[2 * h + g][l];
+            let product = |h: usize, g: usize| {
+                let mixed = with_steps(h, g) + with_steps(g, h);
+                let decays = (a * mixed + own_steps[h + g] - decay[h] * decay[g]) * squared;
+                let level_decay = |h: usize, g: usize| {
+                    (level_steps[h][g] + a * with_steps(g, h) + own_steps[h + g] - level[h] * decay[g]) * inverse
+                };
+                share * share * level_level[h + g]
+                    + share * of_decay * (level_decay(h, g) + level_decay(g, h))
+                    + share * of_step * (level_steps[h][g] + level_steps[g][h])
+                    + of_decay * (of_decay * decays + of_step * mixed)
+                    + of_step * of_step * own_steps[h + g]
+            };
+            let power = [product(0, 0), product(0, 1), product(1, 1)];
+            out.one_memory[l] = (1.0 - end_power[l]) * inverse;
+            let square = (1.0 - end_power[l] * end_power[l]) * squared;
+            let centred = square - out.one_memory[l] * out.one_memory[l] * one;
+            let pivot = if centred > DEPENDENT * square { 1.0 / centred } else { 0.0 };
+            let (mut sum, mut memory) = ([0.0; 2], [0.0; 2]);
+            for h in 0..2 {
+                sum[h] = share * level_one[h] + of_decay * (total[h] - decay[h]) * inverse + of_step * total[h];
+                let level_memory = (a * memory_step[h] - end_power[l] * level[h]) * inverse;
+                let decay_memory = (a * memory_step[h] - end_power[l] * decay[h]) * squared;
+                memory[h] = share * level_memory + of_decay * decay_memory + of_step * memory_step[h]
+                    - out.one_memory[l] * sum[h] * one;
+                (out.sum[h][l], out.memory[h][l]) = (sum[h], memory[h]);
+                out.decay[h][l] = decay[h] * late * (a - self.rho);
+            }
+            out.pivot[l] = pivot;
+            out.power[0][l] = power[0] - sum[0] * sum[0] * one - memory[0] * memory[0] * pivot;
+            out.power[1][l] = power[1] - sum[0] * sum[1] * one - memory[0] * memory[1] * pivot;
+            out.power[2][l] = power[2] - sum[1] * sum[1] * one - memory[1] * memory[1] * pivot;
+            let [uu, ud, dd] = [out.power[0][l], out.power[1][l], out.power[2][l]];
+            let determinant = uu * dd - ud * ud;
+            out.inverse[l] = if determinant > INDEPENDENT * uu * dd { 1.0 / determinant } else { f64::NAN };
+        }
+        out
+    }
+
+    /// The way over the steps.
+    #[inline(always)]
+    fn walk(&self, steps: &[Step], end: usize) -> Walked {
+        let mut out = Walked::default();
         for (m, step) in steps.iter().enumerate() {
             let i = step.point as usize;
             let next = steps.get(m + 1).map_or(end, |s| s.point as usize);
-            let by = [step.level, step.direction];
-            let before = out.level.map(|v| share * v);
-            let first = [before[0] + by[0], before[1] + by[1]];
-            out.level = [out.level[0] + by[0], out.level[1] + by[1]];
-            let (c, d, count) = (share * out.level[0], share * out.level[1], (next - i - 1) as f64);
-            let (rest, memory) = (&self.powers[next - i - 1], &self.powers[i - self.from]);
+            let (by, count) = ([step.level, step.direction], (next - i - 1) as f64);
+            let (left, memory) = (&self.powers[next - i - 1], &self.powers[i - self.from]);
             for l in 0..LANES {
-                let (u, v) = (out.decay[0][l] + by[0], out.decay[1][l] + by[1]);
-                let x = first[0] - late[l] * (u - back[l] * out.decay[0][l]);
-                let z = first[1] - late[l] * (v - back[l] * out.decay[1][l]);
-                let (sum, squares) = ((1.0 - rest[l]) * inverse[l], (1.0 - rest[l] * rest[l]) * squared[l]);
-                let (p, q) = (later[l] * u, later[l] * v);
-                out.power[0][l] += x * x + c * (c * count - 2.0 * p * sum) + p * p * squares;
-                out.power[1][l] += x * z + c * d * count - (c * q + d * p) * sum + p * q * squares;
-                out.power[2][l] += z * z + d * (d * count - 2.0 * q * sum) + q * q * squares;
-                out.sum[0][l] += x + c * count - p * sum;
-                out.sum[1][l] += z + d * count - q * sum;
-                let after = memory[l] * a[l];
-                out.memory[0][l] += x * memory[l] + after * (c * sum - p * squares);
-                out.memory[1][l] += z * memory[l] + after * (d * sum - q * squares);
-                let left = rest[l] * a[l];
-                out.decay[0][l] = u * left;
-                out.decay[1][l] = v * left;
+                for h in 0..2 {
+                    for g in 0..2 {
+                        out.with_steps[2 * h + g][l] += out.decay[h][l] * by[g];
+                    }
+                    out.memory[h][l] += memory[l] * by[h];
+                    out.decay[h][l] = (self.a[l] * out.decay[h][l] + by[h]) * left[l];
+                }
             }
-        }
-        let one = 1.0 / self.length as f64;
-        let end_power = &self.powers[self.length];
-        for l in 0..LANES {
-            out.one_memory[l] = (1.0 - end_power[l]) * inverse[l];
-            let square = (1.0 - end_power[l] * end_power[l]) * squared[l];
-            let centred = square - out.one_memory[l] * out.one_memory[l] * one;
-            out.pivot[l] = if centred > DEPENDENT * square { 1.0 / centred } else { 0.0 };
-            let (sum, pivot) = ([out.sum[0][l], out.sum[1][l]], out.pivot[l]);
+            let before = out.level;
             for h in 0..2 {
-                out.memory[h][l] -= out.one_memory[l] * sum[h] * one;
-                out.decay[h][l] *= late[l] * (1.0 - back[l]);
+                for g in 0..2 {
+                    out.level_steps[h][g] += before[h] * by[g];
+                }
+                out.total[h] += by[h];
+                out.level[h] += by[h];
+                // Before this sample, and before each one up to the next step.
+                out.level_one[h] += out.level[h] * count + before[h];
             }
-            let m = [out.memory[0][l], out.memory[1][l]];
-            out.power[0][l] -= sum[0] * sum[0] * one + m[0] * m[0] * pivot;
-            out.power[1][l] -= sum[0] * sum[1] * one + m[0] * m[1] * pivot;
-            out.power[2][l] -= sum[1] * sum[1] * one + m[1] * m[1] * pivot;
+            for (h, g) in [(0, 0), (0, 1), (1, 1)] {
+                out.steps[h + g] += by[h] * by[g];
+                out.level_level[h + g] += out.level[h] * out.level[g] * count + before[h] * before[g];
+            }
         }
         out
     }
@@ -257,14 +310,22 @@ impl pulp::NullaryFnOnce for Look<'_> {
     }
 }
 
-/// Most that gain and kinetic band can explain, both free of any bound.
-fn at_most([uu, ud, dd, uy, dy]: [f64; 5]) -> f64 {
-    let determinant = uu * dd - ud * ud;
-    if determinant > INDEPENDENT * uu * dd {
-        (dd * uy * uy - 2.0 * ud * uy * dy + uu * dy * dy) / determinant
-    } else {
-        f64::INFINITY
-    }
+/// Sums over the steps of both halves of a valve signal; products of halves in the order 00, 01, 11 or as `[one][other]`.
+#[derive(Default)]
+struct Walked {
+    /// Where level and decays end.
+    level: [f64; 2],
+    decay: [Lanes; 2],
+    /// Steps with each other, all of them, with the memory that begins at the first point.
+    steps: [f64; 3],
+    total: [f64; 2],
+    memory: [Lanes; 2],
+    /// Level and decays before a step with it: `[level or decay][step]`.
+    level_steps: [[f64; 2]; 2],
+    with_steps: [Lanes; 4],
+    /// Levels before each sample with each other, and all of them.
+    level_level: [f64; 3],
+    level_one: [f64; 2],
 }
 
 /// Sums over the answers of both halves of a valve signal, constant and memory taken out, and where they end.
@@ -277,6 +338,9 @@ struct Own {
     level: [f64; 2],
     one_memory: Lanes,
     pivot: Lanes,
+    /// One over the determinant of the powers: by it follows the most that gain and kinetic band can explain, both free of
+    /// any bound; not a number where the halves are no columns apart, so that no look is spared.
+    inverse: Lanes,
 }
 
 #[cfg(test)]

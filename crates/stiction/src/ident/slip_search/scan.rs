@@ -20,6 +20,8 @@ const STARTS: [f64; 17] =
 /// Starts that are looked at of a stem that turns at most so often: its place before the record matters the more, the fewer
 /// its turns.
 const STARTS_BY_REVERSALS: [(usize, usize); 3] = [(2, 17), (4, 5), (7, 3)];
+/// Share over the least one so far from which a place is not asked for other starts.
+const WORTH_STARTS: f64 = 2.0;
 /// Moves of a stem that moves seldom; places looked through, steps in s (shares of it) to a side, and in j.
 const SELDOM: usize = 40;
 const STRAIGHT: usize = 4;
@@ -30,6 +32,8 @@ const STEPS_IN_J: i32 = 36;
 const LOOKED_AROUND: usize = 14;
 const CLOSER: [f64; 4] = [0.02, 0.01, 0.005, 0.0025];
 const LOOKS: usize = 10;
+/// Error over the best place's up to which one is looked around.
+const WORTH_LOOKING_AROUND: f64 = 2.0;
 /// OP's running extremes to either side of the first slip that may have been what moved the stem.
 const RECORDS: usize = 4;
 /// Stretches of a period over which a sliding stem's steps are put together.
@@ -47,6 +51,8 @@ pub struct Scan {
     pub pool: Vec<Candidate>,
     /// Valve signals looked at.
     pub looks: u64,
+    /// Least share that places left so far.
+    least: f64,
 }
 
 impl Scan {
@@ -55,7 +61,7 @@ impl Scan {
     pub fn new(evaluator: &Evaluator<'_>, rho: f64, whole: f64) -> Self {
         let scans = CoarseScan::of(evaluator.problem, rho, evaluator.points);
         let lump = ((evaluator.problem.normalised.period / LUMPS) as u32).max(1);
-        Self { scans, whole, lump, lumped: Vec::new(), pool: Vec::new(), looks: 0 }
+        Self { scans, whole, lump, lumped: Vec::new(), pool: Vec::new(), looks: 0, least: 1.0 }
     }
 
     /// The solver's look, then an even one on a logarithmic scale of s, which no linear grid gives to small bands.
@@ -117,6 +123,8 @@ impl Scan {
         }
         found.sort_by(|a, b| a.sse().total_cmp(&b.sse()));
         found.truncate(LOOKED_AROUND);
+        let worth = WORTH_LOOKING_AROUND * found.first().map_or(0.0, Candidate::sse);
+        found.retain(|c| c.sse() <= worth);
         for place in &mut found {
             for reach in CLOSER {
                 let (s, j, start) = (place.s, place.j, place.start);
@@ -212,7 +220,12 @@ impl Scan {
                 break;
             }
             least = least.min(self.look(evaluator, s, j, start));
+            // Another start changes what comes before the first turn only.
+            if least > WORTH_STARTS * self.least {
+                break;
+            }
         }
+        self.least = self.least.min(least);
         least
     }
 
