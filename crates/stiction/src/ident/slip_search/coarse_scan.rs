@@ -72,15 +72,27 @@ impl CoarseScan {
     /// they would leave too little of a record that is counted for all alike.
     #[must_use]
     pub fn of(problem: &Problem<'_>, rho: f64, points: usize) -> Vec<Self> {
+        Self::of_filtered(problem, [rho; 2], points)
+    }
+
+    /// The same for a process with one lag more, `tau` points long: what is left of PV where that lag is undone,
+    /// `pv - a pv(-1)` with its decay `a`, is the answer of a single lag.
+    #[must_use]
+    pub fn behind_lag(problem: &Problem<'_>, tau: f64, points: usize) -> Vec<Self> {
+        Self::of_filtered(problem, [libm::exp(-1.0 / tau), 0.0], points)
+    }
+
+    fn of_filtered(problem: &Problem<'_>, filters: [f64; 2], points: usize) -> Vec<Self> {
         let all = delays(problem.normalised.limits.lag);
         let most = all.last().copied().unwrap_or(0);
         let cut = all.partition_point(|d| *d <= most / 4);
         let halves =
             if most as f64 > MOST_LEFT_OUT * points as f64 { vec![&all[..cut], &all[cut..]] } else { vec![&all[..]] };
-        halves.into_iter().filter(|d| !d.is_empty()).map(|d| Self::new(problem, rho, points, d.to_vec())).collect()
+        halves.into_iter().filter(|d| !d.is_empty()).map(|d| Self::new(problem, filters, points, d.to_vec())).collect()
     }
 
-    fn new(problem: &Problem<'_>, rho: f64, points: usize, delays: Vec<usize>) -> Self {
+    /// `filters` are those of PV and of the answers.
+    fn new(problem: &Problem<'_>, [of_pv, rho]: [f64; 2], points: usize, delays: Vec<usize>) -> Self {
         let (from, most) = (1, delays.iter().copied().max().unwrap_or(0));
         let length = points.saturating_sub(from + most).max(1);
         let slowest = problem.normalised.limits.tau[1];
@@ -102,7 +114,7 @@ impl CoarseScan {
         let own: Lanes = core::array::from_fn(|l| late[l] * rho / a[l]);
         let (pv, mut decay) = (problem.pv(), [0.0; LANES]);
         for k in (from..points).rev() {
-            let y = pv[k] - rho * pv[k - 1];
+            let y = pv[k] - of_pv * pv[k - 1];
             sums[k] = [sums[k + 1][0] + y, sums[k + 1][1] + y * y];
             let level = (1.0 - rho) * sums[k][0] + rho * y;
             for l in 0..LANES {
@@ -369,7 +381,7 @@ mod tests {
         steps.run(&problem.path, 500, Stroke::FREE, Law::He, [0.2, 0.1], first);
         let freedom = Freedom { fd: [fd; 2], fd_default: fd, sign: 1.0, limits: normalised.limits };
         for rho in [0.0, 0.9] {
-            let scan = CoarseScan::new(&problem, rho, 500, vec![3, 9, 20]);
+            let scan = CoarseScan::new(&problem, [rho; 2], 500, vec![3, 9, 20]);
             let seen = scan.look(&steps.list, &freedom);
             let mut valve = vec![0.0; 500];
             for step in &steps.list {

@@ -7,6 +7,8 @@ use super::local_search::LEAST_S;
 use super::read::Reading;
 use super::settings::ScanSettings;
 use crate::ident::candidate::Start;
+use crate::ident::class::Class;
+use crate::ident::evaluator::lattice_index;
 use crate::ident::random::{normal, uniform};
 use crate::optim::{Objective, Outcome, Settings, Solver};
 use crate::sim::slips::Law;
@@ -59,12 +61,15 @@ impl Scan {
     /// A scan of what the evaluator looks at, by the error behind `1 - rho q^-1`; `whole` is what no model leaves.
     #[must_use]
     pub fn new(evaluator: &Evaluator<'_>, rho: f64, whole: f64) -> Self {
-        let scans = CoarseScan::of(evaluator.problem, rho, evaluator.points);
+        Self::of(evaluator, CoarseScan::of(evaluator.problem, rho, evaluator.points), whole)
+    }
+
+    fn of(evaluator: &Evaluator<'_>, scans: Vec<CoarseScan>, whole: f64) -> Self {
         let lump = ((evaluator.problem.normalised.period / LUMPS) as u32).max(1);
         Self { scans, whole, lump, lumped: Vec::new(), pool: Vec::new(), looks: 0, least: 1.0 }
     }
 
-    /// The solver's look, then an even one on a logarithmic scale of s, which no linear grid gives to small bands.
+    /// The solver's look, then an even one.
     pub fn run(
         &mut self,
         evaluator: &mut Evaluator<'_>,
@@ -79,6 +84,12 @@ impl Scan {
         let grid = 0.5 * steps * (steps + 3.0) + 12.0;
         let asked = Settings { budget: settings.budget.max(grid as u64), fineness_pct, seed };
         let outcome = solver.search(&mut Looking { scan: self, evaluator }, &asked);
+        self.evenly(evaluator, settings, rng);
+        outcome
+    }
+
+    /// An even look on a logarithmic scale of s, which no linear grid gives to small bands.
+    fn evenly(&mut self, evaluator: &mut Evaluator<'_>, settings: &ScanSettings, rng: &mut ChaCha8Rng) {
         // Another round sees other places.
         let shift = [uniform(rng), 0.3 + 0.4 * uniform(rng)];
         for a in 0..settings.sizes {
@@ -89,7 +100,28 @@ impl Scan {
                 Looking { scan: self, evaluator }.cost([s, j]);
             }
         }
-        outcome
+    }
+
+    /// An even look for a process whose second lag is `tau` points long: its best places in that class, best first, and how many
+    /// valve signals were looked at. What two lags make of the right slips looks wrong to a single one.
+    pub fn behind_lag(
+        evaluator: &mut Evaluator<'_>,
+        tau: f64,
+        settings: &ScanSettings,
+        rng: &mut ChaCha8Rng,
+    ) -> (Vec<Candidate>, u64) {
+        let scans = CoarseScan::behind_lag(evaluator.problem, tau, evaluator.points);
+        let mut scan = Self::of(evaluator, scans, 1.0);
+        let class = std::mem::replace(&mut evaluator.class, Class::First);
+        scan.evenly(evaluator, settings, rng);
+        evaluator.class = class;
+        let place = lattice_index(tau);
+        let mut seen = scan.best(settings);
+        for c in &mut seen {
+            let [single, _] = c.fit.places;
+            (c.class, c.fit.places) = (class, [single.max(place), single.min(place)]);
+        }
+        (seen, scan.looks)
     }
 
     /// Candidates that straight looks through the best places and, where there are any, looks around what was read from PV

@@ -308,6 +308,25 @@ impl<'s, 'a> Search<'s, 'a> {
         if part.held.first().is_some_and(|c| c.class == Class::First) {
             choose_class(self.problem, self.request.model, run, steps, near);
         }
+        if run.part.held.first().is_some_and(|c| c.class == Class::Second) {
+            self.look_behind_lag(round, run, [count, steps]);
+        }
+    }
+
+    /// Looks for slips anew where the best of the part ask for a second lag.
+    fn look_behind_lag(&mut self, round: &RoundSettings, run: &mut LawRound<'a>, [count, steps]: [usize; 2]) {
+        let LawRound { part, scan, rng, .. } = run;
+        let Some(best) = part.held.first().copied() else { return };
+        part.evaluator.class = best.class;
+        let (seen, looks) = Scan::behind_lag(&mut part.evaluator, best.taus()[1], &round.scan, rng);
+        scan.looks += looks;
+        let refitted = seen.iter().filter_map(|c| part.evaluator.settle(&mut part.view, c));
+        let mut refitted = apart(&refitted.collect::<Vec<_>>(), usize::MAX, 0);
+        for c in refitted.iter_mut().take(count) {
+            *c = random_steps(&mut part.evaluator, &mut part.view, *c, steps, self.settings.near, rng);
+        }
+        refitted.extend(&part.held);
+        part.held = apart(&refitted, usize::MAX, 0);
     }
 
     /// A part behind the filter `1 - rho q^-1`, or behind a weaker one where noise would be most of what the filter leaves.
