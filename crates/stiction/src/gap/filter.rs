@@ -29,6 +29,9 @@ const BEHIND: f64 = 0.06;
 const AHEAD: f64 = 0.08;
 /// Error of the base on the unfiltered record over that record's floor.
 const EXPLAINED: f64 = 1.15;
+/// Correlation of one point's noise with the next on the unfiltered record below which that record never had the filter:
+/// undoing one of the least pole makes -0.28 of white noise, of a long one -0.5; noise that had it becomes white.
+const OVERDONE: f64 = -0.2;
 
 /// A filter that was found.
 #[derive(Debug)]
@@ -79,7 +82,7 @@ pub fn look(
         let search = undone.search(law, work)?;
         let made = undone.filtered(problem, &search)?;
         let agrees = made.one_step <= best + BEHIND && made.one_step <= of_base - AHEAD;
-        if agrees && made.over_floor <= EXPLAINED {
+        if agrees && made.over_floor <= EXPLAINED && made.r1 >= OVERDONE {
             return Some(made.filtered);
         }
     }
@@ -140,6 +143,8 @@ struct Made {
     filtered: Filtered,
     one_step: f64,
     over_floor: f64,
+    /// Autocorrelation at lag 1 of what the base leaves of the unfiltered record.
+    r1: f64,
 }
 
 impl Undone {
@@ -181,6 +186,7 @@ impl Undone {
         let errors = Errors::of(problem, &residual);
         let lag_s = -problem.point_s / libm::log(a);
         let over_floor = base.rmse_train / floor;
+        let (_, r1) = noise::first_order(&residual_of(&self.problem, search)?, &self.problem.train)?;
         let mut model = base.model.clone();
         model.process.time_constants_s = with_lag(&base.time_constants_s, lag_s);
         let fit = Fit {
@@ -197,7 +203,7 @@ impl Undone {
             ..base
         };
         let one_step = libm::log((sum / f64::max(count, 1.0)).max(1e-300));
-        Some(Made { filtered: Filtered { fit, lag_s, noise_sd }, one_step, over_floor })
+        Some(Made { filtered: Filtered { fit, lag_s, noise_sd }, one_step, over_floor, r1 })
     }
 }
 
@@ -257,5 +263,29 @@ mod tests {
         assert!((lag / 18.0 - 1.0).abs() < 0.25, "{lag}");
         let white = diagnose(&record(false), &Ask::default(), &Serial).unwrap();
         assert_ne!(white.cause.id, EFFECT.id);
+    }
+
+    #[test]
+    fn undoing_a_filter_that_was_none_leaves_noise_that_swings_from_point_to_point() {
+        let of = |is_filter: bool| {
+            let record = record(is_filter);
+            let problem = Problem::new(&record, Some(70.0), 1, vec![false; record.len()]);
+            let traces = super::super::signatures::traces(&record, 70.0, &[]);
+            let pole = libm::exp(-1.0 / 9.0);
+            let undone = Undone::new(&record, &problem, &traces, pole);
+            let mut work = Work {
+                executor: &Serial,
+                budget: 100_000,
+                done: 0,
+                stopped: false,
+                spent: false,
+                seed: 1,
+                asked: None,
+            };
+            let search = undone.search(Law::He, &mut work).unwrap();
+            undone.filtered(&problem, &search).unwrap().r1
+        };
+        let (filter, white) = (of(true), of(false));
+        assert!(filter > OVERDONE && white < OVERDONE, "{filter} {white}");
     }
 }

@@ -1,7 +1,7 @@
 //! Two effects at once, where none alone explains the record: built from the best single ones.
 
 use super::candidate::{Candidate, MAX_PARAMS};
-use super::problem::Problem;
+use super::problem::{Problem, View};
 use super::schedule::{Found, Work, search_again, share};
 use super::search::{NARROW, Search, exchange, form_of};
 use super::structure::Structure;
@@ -11,6 +11,9 @@ use super::weigh::Scales;
 /// Single effects that are paired, and rounds that each pair gets.
 const SINGLES: usize = 6;
 const ROUNDS: usize = 2;
+/// Error over the floor beyond which, after its first round, no pair is looked for further: one that is named leaves next
+/// to nothing.
+const HOPELESS: f64 = 2.0;
 /// Where the searches' rounds with other chance begin, behind those of single effects.
 const AGAIN_FROM: u64 = 8;
 
@@ -32,8 +35,8 @@ pub fn run(
     }
     let mut all: Vec<Search> = singles.iter().map(|l| (*l).clone()).collect();
     all.push(found.base.clone());
-    for _ in 0..ROUNDS {
-        if !work.goes_on() {
+    for round in 0..ROUNDS {
+        if !work.goes_on() || round > 0 && is_hopeless(problem, &searches, scales.floor.noise_floor) {
             break;
         }
         let mut from = all.clone();
@@ -41,10 +44,19 @@ pub fn run(
         let thetas = exchange(&from, 2);
         share(problem, &mut searches, &NARROW, work, &|_| thetas.clone(), &|_| &[]);
     }
-    search_again(problem, &mut searches, scales.floor.noise_floor, AGAIN_FROM, work);
+    if !is_hopeless(problem, &searches, scales.floor.noise_floor) {
+        search_again(problem, &mut searches, scales.floor.noise_floor, AGAIN_FROM, work);
+    }
     let mut out: Vec<EffectResult> = searches.iter().filter_map(|search| scales.weigh(search)).collect();
     out.sort_by(|a, b| b.lead.total_cmp(&a.lead));
     (out, searches)
+}
+
+/// Whether no pair comes near the floor.
+fn is_hopeless(problem: &Problem, searches: &[Search], floor: Option<f64>) -> bool {
+    let n = problem.target(View::Plain).len().max(1) as f64;
+    let least = searches.iter().map(Search::sse).fold(f64::INFINITY, f64::min);
+    floor.is_some_and(|floor| (least / n).sqrt() * problem.deviation > HOPELESS * floor)
 }
 
 /// The two effects in alphabetical order, starting from what each found alone.

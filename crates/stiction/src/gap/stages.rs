@@ -11,6 +11,7 @@ use super::schedule::{self, Work, is_calm, residual_of};
 use super::search::Search;
 use super::traces::Traces;
 use super::types::{Stage, Stages};
+use super::weigh::leaves_noise;
 use crate::record::Record;
 use crate::signal::stats;
 use crate::sim::slips::Law;
@@ -97,6 +98,7 @@ fn ranked(problem: &Problem, base: &Search, searches: &[Search], floor: Option<f
     let Some(own) = score(base) else { return Vec::new() };
     let mut out: Vec<OnMv> = searches
         .iter()
+        .filter(|search| leaves_noise(problem, search, floor))
         .filter_map(|search| {
             let effect = search.structure.each().next()?;
             let evidence = own - score(search)? - effect.margin + effects::MARGIN;

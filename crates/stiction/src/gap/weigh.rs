@@ -2,10 +2,11 @@
 
 use super::candidate::Candidate;
 use super::decide;
-use super::effects::{self, Effect};
+use super::effects::{self, Effect, Rest};
 use super::express::{above_floor, fit, parameters};
 use super::filter::Filtered;
 use super::problem::{Problem, View};
+use super::schedule::residual_of;
 use super::search::Search;
 use super::structure::Structure;
 use super::traces::Traces;
@@ -67,7 +68,8 @@ impl Scales<'_> {
         let stages: Vec<Stage> = structure.each().map(|e| e.stage).collect();
         let stage = if stages.iter().all(|s| *s == first.stage) { first.stage } else { Stage::CannotTell };
         let predictable = decide::predictable(&structure.id());
-        let lead = if is_meant(&structure, best) { evidence - margin } else { -margin };
+        let is_meant = is_meant(&structure, best) && leaves_noise(self.problem, search, self.floor.noise_floor);
+        let lead = if is_meant { evidence - margin } else { -margin };
         let parameters = parameters(self.problem, &structure, best);
         let (closed_pct, closed_interval) = if predictable { self.closed(&made) } else { (None, None) };
         Some(EffectResult {
@@ -199,6 +201,19 @@ impl Scales<'_> {
 fn is_meant(structure: &Structure, best: &Candidate) -> bool {
     let plan = structure.plan(&best.theta);
     structure.each().all(|e| (e.is_meant)(&plan, best))
+}
+
+/// Whether what a search's best place leaves bears its effects' names out; `floor` in PV units. Without a floor nothing
+/// speaks against them.
+#[must_use]
+pub fn leaves_noise(problem: &Problem, search: &Search, floor: Option<f64>) -> bool {
+    let (Some(floor), Some(best)) = (floor, search.best.first()) else { return true };
+    let Some(left) = residual_of(problem, search) else { return true };
+    let counts = |k: &usize| !problem.blocks.masked[*k] && problem.is_measured(*k);
+    let points = (problem.blocks.from..problem.n()).filter(counts);
+    let rest = Rest { points: points.map(|k| (k as f64, left[k] * problem.deviation / floor)).collect() };
+    let plan = search.structure.plan(&best.theta);
+    search.structure.each().all(|e| (e.leaves_noise)(&plan, &rest))
 }
 
 fn summed<'b>(blocks: impl Iterator<Item = &'b [f64; 3]>) -> [f64; 3] {

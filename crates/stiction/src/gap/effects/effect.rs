@@ -8,6 +8,7 @@ use crate::gap::problem::Problem;
 use crate::gap::sizes::Sizes;
 use crate::gap::traces::Traces;
 use crate::gap::types::{EffectId, Parameter, Stage};
+use crate::ident::least_squares::Gram;
 
 /// How an effect is found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -136,6 +137,29 @@ impl Param {
     }
 }
 
+/// What a fit leaves of PV, fitted and held-out points together.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Rest {
+    /// Point of the record and what is left there, noise floors.
+    pub points: Vec<(f64, f64)>,
+}
+
+impl Rest {
+    /// Half of the squared error that a wave of a frequency (radians a point) takes beside a constant: 1 on average where
+    /// white noise of one floor is left (two coefficients).
+    #[must_use]
+    pub fn power_at(&self, omega: f64) -> f64 {
+        let column = |of: fn(f64) -> f64| self.points.iter().map(move |(k, _)| of(omega * k)).collect::<Vec<f64>>();
+        let left: Vec<f64> = self.points.iter().map(|(_, left)| *left).collect();
+        let columns = [vec![1.0; left.len()], column(libm::cos), column(libm::sin), left];
+        let mut gram = Gram::of(&columns.each_ref().map(Vec::as_slice));
+        let mut with = gram.clone();
+        gram.eliminate(1);
+        with.eliminate(3);
+        0.5 * (gram.at(3, 3) - with.at(3, 3)).max(0.0)
+    }
+}
+
 /// Parameter values at which a search begins; an effect has up to three.
 pub type Start = [f64; 3];
 
@@ -164,6 +188,8 @@ pub struct Effect {
     pub recorder: Option<fn(&Traces, &mut [f64])>,
     /// Whether a fitted model is what the effect's name says, and not only of its form.
     pub is_meant: fn(&Plan, &Candidate) -> bool,
+    /// Whether what its fit leaves of PV bears its name out; it is asked with its plan and the points of [`Rest`].
+    pub leaves_noise: fn(&Plan, &Rest) -> bool,
     /// An effect with the same parameters that it holds as a special case, whose places it tries as they are.
     pub holds: Option<EffectId>,
     /// Training log mean squared error by which it must beat the base: more for what bends to anything.
@@ -211,6 +237,7 @@ impl Effect {
             in_loop: inside,
             recorder: None,
             is_meant: |_, _| true,
+            leaves_noise: |_, _| true,
             holds: None,
             margin: MARGIN,
             predictable: true,

@@ -31,7 +31,7 @@ pub mod time_skew;
 mod travel_limit;
 
 pub use clues::Clues;
-pub use effect::{Effect, MARGIN, Param, Reach, Start, Unit, Way};
+pub use effect::{Effect, MARGIN, Param, Reach, Rest, Start, Unit, Way};
 
 /// Every effect.
 pub const ALL: [&Effect; 26] = [
