@@ -127,7 +127,7 @@ pub struct Coverage {
 impl Coverage {
     fn of(name: &str, rows: &[&Row], settings: &Settings) -> Self {
         let n = rows.len() as f64;
-        let told: Vec<[[f64; 2]; 4]> = rows.iter().map(|r| r.told(settings.of(r.trust()))).collect();
+        let told: Vec<[[f64; 2]; 4]> = rows.iter().map(|r| r.told(&settings.least(&r.spread, r.found[0]))).collect();
         let errors: Vec<f64> = rows.iter().map(|r| 100.0 * (r.found[0] / r.truth[0] - 1.0).abs()).collect();
         let held = core::array::from_fn(|i| {
             let inside = rows.iter().zip(&told).filter(|(r, t)| {

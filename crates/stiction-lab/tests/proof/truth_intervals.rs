@@ -32,7 +32,7 @@ fn intervals_hold_the_truth_as_often_as_they_say() {
     assert!(n >= 40.0 && held.iter().all(|h| (0.75..=1.0).contains(h)), "{held:?}");
     for row in &rows {
         let [s, j] = row.found;
-        let told = row.spread.told(s, j, settings.of(row.spread.trust(s)), 1.0);
+        let told = row.spread.told(s, j, &settings.least(&row.spread, s), 1.0);
         let inside = |x: [f64; 2], v: f64| x[0] >= 0.0 && x[0] <= v && v <= x[1] && x[1].is_finite();
         assert!(told.s[0] > 0.0 && inside(told.s, s) && inside(told.j, j), "{row:?} {told:?}");
         assert!(inside(told.fs, 0.5 * (s + j)) && inside(told.fd, 0.5 * (s - j)), "{row:?} {told:?}");

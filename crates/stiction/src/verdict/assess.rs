@@ -341,7 +341,7 @@ fn fill(out: &mut Assessment, e: &Estimate, record: &Record, params: &AssessPara
     let limiting = out.gates.iter().filter(|g| !g.blocks() && !EXPLAINED.contains(g)).count();
     let settings = Settings::shipped();
     let times = (0..limiting).fold(1.0, |times, _| times * settings.gate);
-    let told = e.spread.told(e.s, e.j, settings.of(e.spread.trust(e.s)), times).within(e.span, e.s, e.j);
+    let told = e.spread.told(e.s, e.j, &settings.least(&e.spread, e.s), times).within(e.span, e.s, e.j);
     (out.s_interval, out.j_interval) = (Some(told.s), Some(told.j));
     (out.fs_interval, out.fd_interval) = (Some(told.fs), Some(told.fd));
     out.valve_model = Some(e.law);
