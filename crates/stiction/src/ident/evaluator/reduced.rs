@@ -13,8 +13,6 @@ pub(super) const DEPENDENT: f64 = 1e-9;
 const REFINEMENTS: usize = 4;
 /// Change of that place from which another one is tried.
 const SAME_PLACE: f64 = 1e-3;
-/// Share of the error by which one more place must change it for another to be tried.
-const SAME_ERROR: f64 = 1e-3;
 
 /// Products of the parts of a step response with each other and with PV, whatever else is linear taken out: the error of
 /// every dead time within a sample, gain and kinetic band.
@@ -157,8 +155,6 @@ fn best_place([low, high]: [f64; 2], place: impl Fn(f64) -> Best) -> Best {
     for _ in 0..REFINEMENTS {
         let Some(next) = next_place(&three) else { break };
         let found = place(next);
-        let least = three.iter().fold(f64::INFINITY, |least, p| least.min(p.sse));
-        let is_settled = (found.sse - least).abs() <= SAME_ERROR * least;
         let after = if next < three[1].fraction { 1 } else { 2 };
         let mut four = [three[0], three[1], three[2], three[2]];
         if after == 1 {
@@ -168,9 +164,6 @@ fn best_place([low, high]: [f64; 2], place: impl Fn(f64) -> Best) -> Best {
         let top = (1..4).fold(0, |m, i| if four[i].sse < four[m].sse { i } else { m });
         let from = usize::from(top >= 2);
         three = [four[from], four[from + 1], four[from + 2]];
-        if is_settled {
-            break;
-        }
     }
     three.into_iter().reduce(|a, b| if b.sse < a.sse { b } else { a }).unwrap_or(three[0])
 }

@@ -14,8 +14,6 @@ use crate::sim::steps::Step;
 const LANES: usize = 8;
 /// The same in periods; the last one stands for an integrator.
 const TAUS: [f64; LANES] = [0.004, 0.02, 0.05, 0.11, 0.25, 0.6, 2.0, f64::INFINITY];
-/// Share of the points that the longest dead time may leave out for all of them.
-const MOST_LEFT_OUT: f64 = 0.2;
 /// Share of its square below which a decay is no column of its own.
 const DEPENDENT: f64 = 1e-9;
 /// Share of the product of their squares from which two halves of a valve signal are columns apart.
@@ -69,7 +67,7 @@ fn delays([least, most]: [f64; 2]) -> Vec<usize> {
 
 impl CoarseScan {
     /// Scans of the first `points` of a record by the error behind `1 - rho q^-1`: the second one for long dead times, where
-    /// they would leave too little of a record that is counted for all alike.
+    /// they would leave little of a record that is counted for all alike.
     #[must_use]
     pub fn of(problem: &Problem<'_>, rho: f64, points: usize) -> Vec<Self> {
         Self::of_filtered(problem, [rho; 2], points)
@@ -86,8 +84,7 @@ impl CoarseScan {
         let all = delays(problem.normalised.limits.lag);
         let most = all.last().copied().unwrap_or(0);
         let cut = all.partition_point(|d| *d <= most / 4);
-        let halves =
-            if most as f64 > MOST_LEFT_OUT * points as f64 { vec![&all[..cut], &all[cut..]] } else { vec![&all[..]] };
+        let halves = if most > 30 { vec![&all[..cut], &all[cut..]] } else { vec![&all[..]] };
         halves.into_iter().filter(|d| !d.is_empty()).map(|d| Self::new(problem, filters, points, d.to_vec())).collect()
     }
 

@@ -23,7 +23,7 @@ const STARTS: [f64; 17] =
 /// its turns.
 const STARTS_BY_REVERSALS: [(usize, usize); 3] = [(2, 17), (4, 5), (7, 3)];
 /// Share over the least one so far from which a place is not asked for other starts.
-const WORTH_STARTS: f64 = 2.0;
+const WORTH_STARTS: f64 = 4.0;
 /// Moves of a stem that moves seldom; places looked through, steps in s (shares of it) to a side, and in j.
 const SELDOM: usize = 40;
 const STRAIGHT: usize = 4;
@@ -35,7 +35,7 @@ const LOOKED_AROUND: usize = 14;
 const CLOSER: [f64; 4] = [0.02, 0.01, 0.005, 0.0025];
 const LOOKS: usize = 10;
 /// Error over the best place's up to which one is looked around.
-const WORTH_LOOKING_AROUND: f64 = 2.0;
+const WORTH_LOOKING_AROUND: f64 = 4.0;
 /// OP's running extremes to either side of the first slip that may have been what moved the stem.
 const RECORDS: usize = 4;
 /// Stretches of a period over which a sliding stem's steps are put together.
