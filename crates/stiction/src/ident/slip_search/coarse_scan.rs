@@ -14,6 +14,8 @@ use crate::sim::steps::Step;
 const LANES: usize = 8;
 /// The same in periods; the last one stands for an integrator.
 const TAUS: [f64; LANES] = [0.004, 0.02, 0.05, 0.11, 0.25, 0.6, 2.0, f64::INFINITY];
+/// Longest dead time, points, from which the longer ones are scanned apart.
+const LONG_DEAD_TIME: usize = 30;
 /// Share of its square below which a decay is no column of its own.
 const DEPENDENT: f64 = 1e-9;
 /// Share of the product of their squares from which two halves of a valve signal are columns apart.
@@ -84,7 +86,7 @@ impl CoarseScan {
         let all = delays(problem.normalised.limits.lag);
         let most = all.last().copied().unwrap_or(0);
         let cut = all.partition_point(|d| *d <= most / 4);
-        let halves = if most > 30 { vec![&all[..cut], &all[cut..]] } else { vec![&all[..]] };
+        let halves = if most > LONG_DEAD_TIME { vec![&all[..cut], &all[cut..]] } else { vec![&all[..]] };
         halves.into_iter().filter(|d| !d.is_empty()).map(|d| Self::new(problem, filters, points, d.to_vec())).collect()
     }
 
