@@ -39,6 +39,6 @@ function body({ rows, x, columns, plan }, options) {
 export function table(visible, options) {
   const inside = h("div", null);
   const details = h("details", { class: "as-table" }, h("summary", null, "Values as a table"), inside);
-  details.addEventListener("toggle", () => details.open && fill(inside, body(visible(), options)));
+  details.addEventListener("toggle", () => fill(inside, details.open ? body(visible(), options) : null));
   return details;
 }
