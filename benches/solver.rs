@@ -6,7 +6,7 @@
 
 use divan::{Bencher, black_box};
 use stiction::detect::{self, View};
-use stiction::gap::{Ask, Serial, diagnose};
+use stiction::gap::{GapOptions, Serial, diagnose};
 use stiction::ident::class::Class;
 use stiction::ident::{Options, controller, evaluator, quantify};
 use stiction::record::Record;
@@ -102,5 +102,5 @@ fn calm_loop_screened(bencher: Bencher) {
 #[divan::bench(sample_count = 3, sample_size = 1)]
 fn gap_diagnosis(bencher: Bencher) {
     let record = sticking().record();
-    bencher.bench_local(|| diagnose(black_box(&record), &Ask::default(), &Serial).unwrap());
+    bencher.bench_local(|| diagnose(black_box(&record), &GapOptions::default(), &Serial).unwrap());
 }

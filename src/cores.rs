@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
-use stiction::gap::{Ask, Executor};
+use stiction::gap::{Executor, GapOptions};
 
 /// Whoever waits for work: hears how far it is, and may end it.
 pub trait Watch: Sync {
@@ -97,8 +97,8 @@ pub struct Team<'a> {
 impl<'a> Team<'a> {
     /// For one search of at most `time`, as long as `watch` lets it go on.
     #[must_use]
-    pub fn new(watch: &'a dyn Watch, ask: &Ask, time: Option<Duration>) -> Self {
-        Self { watch, limit: ask.budget_evaluations, until: time.map(|t| Instant::now() + t) }
+    pub fn new(watch: &'a dyn Watch, options: &GapOptions, time: Option<Duration>) -> Self {
+        Self { watch, limit: options.budget_evaluations, until: time.map(|t| Instant::now() + t) }
     }
 }
 
@@ -138,7 +138,7 @@ mod tests {
     #[test]
     fn every_job_is_done_once_and_the_flag_ends_the_search() {
         let flag = Flag::default();
-        let team = Team::new(&flag, &Ask::default(), None);
+        let team = Team::new(&flag, &GapOptions::default(), None);
         let counts: Vec<AtomicU64> = (0..100).map(|_| AtomicU64::new(0)).collect();
         team.run(100, &|i| {
             counts[i].fetch_add(1, Ordering::Relaxed);
@@ -148,7 +148,7 @@ mod tests {
         flag.stop.store(true, Ordering::Relaxed);
         assert!(!team.tick(2));
         assert_eq!(flag.done.load(Ordering::Relaxed), 2);
-        let late = Team::new(&flag, &Ask::default(), Some(Duration::ZERO));
+        let late = Team::new(&flag, &GapOptions::default(), Some(Duration::ZERO));
         assert!(!late.tick(0));
     }
 

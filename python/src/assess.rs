@@ -22,7 +22,7 @@ use stiction_monitor::analysis::{self, Answer, Cut, Estimated, Points, Scored, S
 pub type Told = (String, String);
 
 /// What is asked of every loop.
-struct Question {
+struct Settings {
     section: Section,
     cut: Cut,
     solver: Option<Asked>,
@@ -46,36 +46,36 @@ pub fn assess(
     score: Option<&str>,
 ) -> PyResult<Told> {
     let columns = columns.read()?;
-    let question = question(&look, &fit, score)?;
+    let settings = settings(&look, &fit, score)?;
     let params = params_of(name, &fit)?;
     let name = name.to_owned();
-    let work = move |_: &_| one(&name, enough(columns.all()), &question, params);
+    let work = move |_: &_| one(&name, enough(columns.all()), &settings, params);
     supervised(py, None, work)?.map_err(StictionError::new_err)
 }
 
-fn question(look: &Look, fit: &Fit, score: Option<&str>) -> PyResult<Question> {
+fn settings(look: &Look, fit: &Fit, score: Option<&str>) -> PyResult<Settings> {
     let (section, cut) = look.read()?;
     let score = score.map(ModelFile::parse).transpose().map_err(|e| refused("score", e))?;
-    Ok(Question { section, cut, solver: fit.solver()?, score })
+    Ok(Settings { section, cut, solver: fit.solver()?, score })
 }
 
 /// One loop from samples to document, as the command line goes.
 fn one(
     name: &str,
     samples: Result<(Vec<Sample>, Vec<String>), String>,
-    question: &Question,
+    settings: &Settings,
     params: AssessParams,
 ) -> Result<Told, String> {
     let (samples, mut notes) = samples.map_err(|e| format!("{name}: {e}"))?;
     let config = config();
     let points = Points::of(name, &samples, &config);
     let started = Instant::now();
-    let found = analysis::estimate(&points, question.section, &question.cut, params).map_err(|e| e.to_string())?;
+    let found = analysis::estimate(&points, settings.section, &settings.cut, params).map_err(|e| e.to_string())?;
     let elapsed_ms = started.elapsed().as_secs_f64() * 1e3;
     notes.extend(points.notes.iter().chain(&found.notes).cloned());
-    let solved = question.solver.and_then(|asked| solved(asked, &found));
+    let solved = settings.solver.and_then(|asked| solved(asked, &found));
     let scored = |file| Scored::of("given", file, &found.record, found.options.period_points);
-    let scored = question.score.as_ref().map(scored).transpose().map_err(|e| format!("score: {e}"))?;
+    let scored = settings.score.as_ref().map(scored).transpose().map_err(|e| format!("score: {e}"))?;
     let answer = found.answer(name, &config.hash(), elapsed_ms, solved, scored);
     let document = serde_json::to_string(&answer).map_err(|e| e.to_string())?;
     Ok((document, said(&answer, found.params.op_range, &notes)))
@@ -117,7 +117,7 @@ pub fn assess_many(
     progress: Option<Py<PyAny>>,
 ) -> PyResult<Vec<(Option<Told>, Option<String>)>> {
     let columns = columns.read()?;
-    let question = question(&look, &fit, None)?;
+    let settings = settings(&look, &fit, None)?;
     let params: Vec<AssessParams> = names.iter().map(|name| params_of(name, &fit)).collect::<PyResult<_>>()?;
     let work = move |watch: &crate::supervise::Watch| {
         watch.expect(names.len() as u64);
@@ -128,7 +128,7 @@ pub fn assess_many(
             }
             let from = at.checked_sub(1).map_or(0, |before| ends[before]);
             let samples = || enough(columns.samples(from, ends[at]));
-            let answer = || one(&names[at], samples(), &question, params[at].clone());
+            let answer = || one(&names[at], samples(), &settings, params[at].clone());
             // One loop's fault is that loop's.
             let answer = catch_unwind(AssertUnwindSafe(answer))
                 .unwrap_or_else(|_| Err(format!("{}: a fault inside stiction; please report it", names[at])));

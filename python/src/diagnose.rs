@@ -13,7 +13,7 @@ use crate::{StictionError, refused};
 use stiction::gap::model_file::ModelFile;
 use stiction::gap::{Executor, GapError, effects, text};
 use stiction_monitor::analysis::Points;
-use stiction_monitor::analysis::gap::{BaseChoice, Question, diagnose as diagnosed, record};
+use stiction_monitor::analysis::gap::{BaseChoice, GapSettings, diagnose as diagnosed, record};
 use stiction_monitor::analysis::predictions::{Row, rows};
 
 /// What is asked.
@@ -29,7 +29,7 @@ pub struct Asked {
 }
 
 impl Asked {
-    fn read(&self) -> PyResult<Question> {
+    fn read(&self) -> PyResult<GapSettings> {
         let base = match self.base.as_str() {
             "refit" => BaseChoice::Refit,
             "linear" => BaseChoice::Linear,
@@ -42,7 +42,7 @@ impl Asked {
         if let Some(budget) = self.budget_s.filter(|s| !(s.is_finite() && *s > 0.0)) {
             return Err(refused("budget_s", format!("{budget} is no time; give seconds above 0")));
         }
-        Ok(Question {
+        Ok(GapSettings {
             base,
             without: self.without.clone(),
             pairs: self.pairs,
@@ -85,7 +85,7 @@ pub fn diagnose<'py>(
 ) -> PyResult<Told<'py>> {
     let columns = columns.read()?;
     let (section, cut) = look.read()?;
-    let question = asked.read()?;
+    let settings = asked.read()?;
     let team = threads(asked.threads);
     let name = name.to_owned();
     let work = move |watch: &Watch| {
@@ -93,11 +93,11 @@ pub fn diagnose<'py>(
         let points = Points::of(&name, &samples, &config());
         let (record, more) = record(&points, section, &cut).map_err(|e| e.to_string())?;
         notes.extend(points.notes.iter().cloned().chain(more));
-        let ask = question.ask(&record);
-        watch.expect(ask.budget_evaluations);
-        let until = question.budget_s.map(|s| Instant::now() + Duration::from_secs_f64(s));
+        let options = settings.options(&record);
+        watch.expect(options.budget_evaluations);
+        let until = settings.budget_s.map(|s| Instant::now() + Duration::from_secs_f64(s));
         let executor = Threads { threads: team, until, watch };
-        let found = diagnosed(&name, record, &ask, &executor).map_err(|e| format!("{name}: {e}"))?;
+        let found = diagnosed(&name, record, &options, &executor).map_err(|e| format!("{name}: {e}"))?;
         let whole = points.samples(section).map_err(|e| e.to_string())?;
         let rows = rows(&whole, &found.record, &found.diagnosis);
         let d = &found.document;

@@ -5,19 +5,19 @@ use serde_json::{Value, json};
 use stiction::detect::oscillation;
 use stiction::gap::document::GapDocument;
 use stiction::gap::locate::{Subject, locate};
-use stiction::gap::{Ask, Cause, Diagnosis, Serial, diagnose, effects};
+use stiction::gap::{Cause, Diagnosis, GapOptions, Serial, diagnose, effects};
 use stiction::record::Record;
 
 /// A record as `gap` itself diagnoses it, and its document.
 ///
 /// # Errors
 /// The record cannot be diagnosed.
-pub(super) fn ask_for(name: &str, record: &Record, ask: &Ask) -> anyhow::Result<(Diagnosis, GapDocument)> {
+pub(super) fn ask_for(name: &str, record: &Record, options: &GapOptions) -> anyhow::Result<(Diagnosis, GapDocument)> {
     let period = oscillation::detect(&record.op(), &record.pv).map(|o| o.period_points);
-    let ask = Ask { period_points: period, ..ask.clone() };
-    let diagnosis = diagnose(record, &ask, &Serial)?;
-    let location = locate(record, &Subject::of(&diagnosis, period, ask.seed));
-    let document = GapDocument::new(name, record, &ask.base, &diagnosis, location);
+    let options = GapOptions { period_points: period, ..options.clone() };
+    let diagnosis = diagnose(record, &options, &Serial)?;
+    let location = locate(record, &Subject::of(&diagnosis, period, options.seed));
+    let document = GapDocument::new(name, record, &options.base, &diagnosis, location);
     Ok((diagnosis, document))
 }
 

@@ -17,7 +17,7 @@ use serde_json::{Value, json};
 
 use super::selection::whole_record;
 use super::{Format, Outcome, UsageError, on_all_cores, print, say};
-use stiction::gap::{Ask, DEFAULT_EVALUATIONS};
+use stiction::gap::{DEFAULT_EVALUATIONS, GapOptions};
 use stiction::record::{Record, Sample, Signal};
 use stiction::units::ns_from_s;
 use stiction_lab::challenge::score::{Answer, Figures, score};
@@ -268,10 +268,11 @@ fn answer_all(args: &RunArgs, format: Format) -> anyhow::Result<Outcome> {
     let file = Mutex::new(file);
     let left: Vec<PathBuf> = all.iter().filter(|p| !before.contains_key(&name_of(p))).cloned().collect();
     // Without the effect that explains a record, a catalogue would try pairs on it.
-    let ask = Ask { budget_evaluations: args.evaluations, seed: args.seed, pairs: true, ..Ask::default() };
+    let options =
+        GapOptions { budget_evaluations: args.evaluations, seed: args.seed, pairs: true, ..GapOptions::default() };
     let work = |recording: &PathBuf| -> anyhow::Result<(String, String)> {
         let name = name_of(recording);
-        let result = record_of(recording).and_then(|record| answer::ask_for(&name, &record, &ask));
+        let result = record_of(recording).and_then(|record| answer::ask_for(&name, &record, &options));
         let line = answer::line(&name, &made_with, &result).to_string();
         let mut file = file.lock().map_err(|_| anyhow::anyhow!("{}: another thread failed", path.display()))?;
         writeln!(file, "{line}").with_context(|| path.display().to_string())?;

@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 use crate::cli::evaluate::index::{self, Case};
 use crate::cli::selection::whole_record;
 use crate::cli::{Format, Outcome, on_all_cores, say};
-use stiction::gap::{Ask, Base, DEFAULT_EVALUATIONS, Diagnosis, Serial, diagnose};
+use stiction::gap::{Base, DEFAULT_EVALUATIONS, Diagnosis, GapOptions, Serial, diagnose};
 use stiction::record::{Record, Signal};
 use stiction_lab::challenge::real::{Spoilt, spoilt};
 use stiction_monitor::config::Config;
@@ -127,13 +127,13 @@ pub(super) fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     let cases = distinct(&index::read(&args.index)?);
     let base = args.index.parent().unwrap_or(Path::new(""));
     let tasks = tasks(args, &cases, base);
-    let ask = Ask { budget_evaluations: args.evaluations, ..Ask::default() };
+    let options = GapOptions { budget_evaluations: args.evaluations, ..GapOptions::default() };
     let work = |task: &Task| -> Value {
         let found = record_of(base, task.case()).and_then(|record| match task {
-            Task::Spoil(_) => spoil(&record, &ask, args.seed),
-            Task::Hide(_) => hide(&record, &ask),
-            Task::Linear(case) => linear(&record, &ask, case),
-            Task::Explain(_) => explained::of(&record, &ask),
+            Task::Spoil(_) => spoil(&record, &options, args.seed),
+            Task::Hide(_) => hide(&record, &options),
+            Task::Linear(case) => linear(&record, &options, case),
+            Task::Explain(_) => explained::of(&record, &options),
         });
         let found = found.with_context(|| task.case().file.clone());
         let mut line = found.unwrap_or_else(|error| json!({ "error": format!("{error:#}") }));
@@ -153,11 +153,11 @@ fn called(diagnosis: &Diagnosis) -> Value {
     json!({ "cause": diagnosis.cause.id, "stage": diagnosis.cause.stage.name(), "probability": diagnosis.cause.probability })
 }
 
-fn spoil(record: &Record, ask: &Ask, seed: u64) -> anyhow::Result<Value> {
-    let before = diagnose(record, ask, &Serial)?;
+fn spoil(record: &Record, options: &GapOptions, seed: u64) -> anyhow::Result<Value> {
+    let before = diagnose(record, options, &Serial)?;
     let mut made = Vec::new();
     for Spoilt { effect, record } in spoilt(record, seed) {
-        made.push(match diagnose(&record, ask, &Serial) {
+        made.push(match diagnose(&record, options, &Serial) {
             Ok(after) => {
                 let without = after.without(&[effect]).cause.id;
                 json!({ "effect": effect, "answer": called(&after), "found": after.cause.id == effect,
@@ -169,9 +169,9 @@ fn spoil(record: &Record, ask: &Ask, seed: u64) -> anyhow::Result<Value> {
     Ok(json!({ "part": "spoilt", "before": called(&before), "made": made }))
 }
 
-fn hide(record: &Record, ask: &Ask) -> anyhow::Result<Value> {
-    let blind = diagnose(&Record { mv: None, ..record.clone() }, ask, &Serial)?;
-    let seen = diagnose(record, ask, &Serial)?;
+fn hide(record: &Record, options: &GapOptions) -> anyhow::Result<Value> {
+    let blind = diagnose(&Record { mv: None, ..record.clone() }, options, &Serial)?;
+    let seen = diagnose(record, options, &Serial)?;
     let gaps = seen
         .stages
         .as_ref()
@@ -179,8 +179,8 @@ fn hide(record: &Record, ask: &Ask) -> anyhow::Result<Value> {
     Ok(json!({ "part": "hidden", "hidden": called(&blind), "revealed": called(&seen), "gaps": gaps }))
 }
 
-fn linear(record: &Record, ask: &Ask, case: &Case) -> anyhow::Result<Value> {
-    let found = diagnose(record, &Ask { base: Base::Linear, ..ask.clone() }, &Serial)?;
+fn linear(record: &Record, options: &GapOptions, case: &Case) -> anyhow::Result<Value> {
+    let found = diagnose(record, &GapOptions { base: Base::Linear, ..options.clone() }, &Serial)?;
     let named = found.cause.id == "stiction";
     Ok(json!({ "part": "linear", "answer": called(&found), "named": named, "right": case.truth() == Some(named) }))
 }

@@ -14,7 +14,7 @@ use super::selection::{Selection, points, told, warn};
 use super::{Format, Outcome, UsageError, say, stop};
 use indicatif::{ProgressBar, ProgressStyle};
 use stiction::gap::{GapError, effects, text};
-use stiction_monitor::analysis::gap::{BaseChoice, Diagnosed, Question};
+use stiction_monitor::analysis::gap::{BaseChoice, Diagnosed, GapSettings};
 use stiction_monitor::analysis::predictions::rows;
 use stiction_monitor::analysis::{self, Points, Section};
 use stictiond::cores::{Team, Watch};
@@ -192,17 +192,17 @@ fn diagnose(
 ) -> anyhow::Result<Diagnosed> {
     let (record, notes) = analysis::gap::record(points, section, &args.selection.cut()).map_err(told)?;
     warn(&one.name, &notes);
-    let question = Question {
+    let settings = GapSettings {
         base: base.clone(),
         without: args.without.clone(),
         pairs: args.pairs,
         budget_s: args.budget,
         seed: args.seed,
     };
-    let ask = question.ask(&record);
-    let bar = Bar::new(&one.name, ask.budget_evaluations);
-    let team = Team::new(&bar, &ask, args.budget.map(Duration::from_secs_f64));
-    let found = analysis::gap::diagnose(&one.name, record, &ask, &team);
+    let options = settings.options(&record);
+    let bar = Bar::new(&one.name, options.budget_evaluations);
+    let team = Team::new(&bar, &options, args.budget.map(Duration::from_secs_f64));
+    let found = analysis::gap::diagnose(&one.name, record, &options, &team);
     bar.0.finish_and_clear();
     found.with_context(|| format!("{}: loop {}", args.input(), one.name))
 }

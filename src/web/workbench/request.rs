@@ -12,7 +12,7 @@ use stiction::ident::surface::BUDGET;
 use stiction::optim::SolverName;
 use stiction::units::{format_rfc3339, parse_time};
 use stiction::verdict::{DelayChoice, ModelChoice, ValveChoice};
-use stiction_monitor::analysis::gap::{BaseChoice, Question};
+use stiction_monitor::analysis::gap::{BaseChoice, GapSettings};
 use stiction_monitor::analysis::{Asked, Cut, Detrend, Section, delay_choice};
 
 /// Sections of one job at most: as many as a report draws in full.
@@ -191,7 +191,7 @@ pub struct Task {
     /// A model to run over the record as well.
     pub score: Option<ModelFile>,
     /// What a diagnosis asks.
-    pub question: Question,
+    pub settings: GapSettings,
 }
 
 impl Request {
@@ -243,7 +243,7 @@ impl Request {
             Some((Some(_), _)) => return wrong("base: write refit, linear, or a model's document".to_owned()),
             Some((None, document)) => BaseChoice::File(Box::new(model(document).map_err(of("base"))?)),
         };
-        let question = Question {
+        let settings = GapSettings {
             base,
             without: self.without.clone(),
             pairs: self.pairs,
@@ -256,7 +256,7 @@ impl Request {
             DetrendWord::Linear => Detrend::Linear,
         });
         let cut = Cut { downsample: self.downsample, like_toolbox: self.like_toolbox, detrend };
-        Ok(Task { request: self, sections, cut, delay, score, question })
+        Ok(Task { request: self, sections, cut, delay, score, settings })
     }
 
     fn sections(&self) -> Result<Vec<Section>, Fault> {

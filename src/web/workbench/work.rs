@@ -247,11 +247,11 @@ impl<'b> Bench<'b> {
     }
 
     fn gap(&self, section: Section, step: &Step<'_>) -> Result<(Diagnosed, Found), Fault> {
-        let question = &self.job.task.question;
+        let settings = &self.job.task.settings;
         let (record, notes) = analysis::gap::record(self.points, section, &self.job.task.cut).map_err(wrong)?;
-        let ask = question.ask(&record);
-        let team = Team::new(step, &ask, question.budget_s.map(Duration::from_secs_f64));
-        let found = analysis::gap::diagnose(&self.one.name, record, &ask, &team).map_err(wrong)?;
+        let options = settings.options(&record);
+        let team = Team::new(step, &options, settings.budget_s.map(Duration::from_secs_f64));
+        let found = analysis::gap::diagnose(&self.one.name, record, &options, &team).map_err(wrong)?;
         let whole = self.points.samples(section).map_err(wrong)?;
         let told = Found {
             section: section.words(),

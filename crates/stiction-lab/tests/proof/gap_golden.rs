@@ -8,7 +8,7 @@ use std::path::Path;
 use stiction::detect::oscillation;
 use stiction::gap::document::GapDocument;
 use stiction::gap::locate::{Subject, locate};
-use stiction::gap::{Ask, Serial, diagnose};
+use stiction::gap::{GapOptions, Serial, diagnose};
 use stiction::record::Record;
 use stiction::sim::actuator::Around;
 use stiction::sim::closed_loop::{ClosedLoop, LoopModel, ValveLaw, ValveModel};
@@ -61,10 +61,10 @@ fn record(model: LoopModel) -> Record {
 fn held(name: &str, model: LoopModel) {
     let record = record(model);
     let period = oscillation::detect(&record.op(), &record.pv).map(|o| o.period_points);
-    let ask = Ask { period_points: period, ..Ask::default() };
-    let diagnosis = diagnose(&record, &ask, &Serial).unwrap();
-    let location = locate(&record, &Subject::of(&diagnosis, period, ask.seed));
-    let document = GapDocument::new(name, &record, &ask.base, &diagnosis, location);
+    let options = GapOptions { period_points: period, ..GapOptions::default() };
+    let diagnosis = diagnose(&record, &options, &Serial).unwrap();
+    let location = locate(&record, &Subject::of(&diagnosis, period, options.seed));
+    let document = GapDocument::new(name, &record, &options.base, &diagnosis, location);
     let text = serde_json::to_string_pretty(&document).unwrap() + "\n";
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../stiction/tests/golden/gap-{name}.json"));
     if std::env::var_os("REMAKE").is_some() {

@@ -4,7 +4,7 @@
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use stiction::gap::model::{Added, Model, Process, SCHEMA, Valve};
-use stiction::gap::{Ask, Base, Diagnosis, Executor, GapError, Serial, diagnose};
+use stiction::gap::{Base, Diagnosis, Executor, GapError, GapOptions, Serial, diagnose};
 use stiction::record::Record;
 use stiction::sim::closed_loop::{ClosedLoop, LoopModel, ValveLaw, ValveModel};
 use stiction::sim::controller::{Action, PidSettings};
@@ -97,7 +97,7 @@ impl Executor for Until {
 }
 
 fn told(model: LoopModel, n: usize, seed: u64) -> Diagnosis {
-    diagnose(&record(model, n, seed), &Ask::default(), &Two).unwrap()
+    diagnose(&record(model, n, seed), &GapOptions::default(), &Two).unwrap()
 }
 
 #[test]
@@ -105,7 +105,7 @@ fn a_loop_like_the_base_has_no_gap_and_gives_its_model_back() {
     for seed in 1..3 {
         let model = plain(seed);
         let loop_record = record(model.clone(), 800, seed);
-        let found = diagnose(&loop_record, &Ask::default(), &Two).unwrap();
+        let found = diagnose(&loop_record, &GapOptions::default(), &Two).unwrap();
         assert_eq!(found.cause.id, "none", "{seed}: {:?}", found.cause);
         assert!(found.base.at_floor, "{} {:?}", found.base.rmse_train, found.floor);
         // Bands fitted to half of the record may time one slip of the other half a sample off.
@@ -114,9 +114,12 @@ fn a_loop_like_the_base_has_no_gap_and_gives_its_model_back() {
         let (s, truth) = (valve.fs + valve.fd, model.valve.fs + model.valve.fd);
         assert!((s / truth - 1.0).abs() < 0.03, "{s} {truth}");
         // What was written down explains the record as well, and no refit is worse than what it starts from.
-        let ask =
-            Ask { base: Base::Given(Box::new(found.model_after.clone())), budget_evaluations: 1, ..Ask::default() };
-        let again = diagnose(&loop_record, &ask, &Two).unwrap();
+        let options = GapOptions {
+            base: Base::Given(Box::new(found.model_after.clone())),
+            budget_evaluations: 1,
+            ..GapOptions::default()
+        };
+        let again = diagnose(&loop_record, &options, &Two).unwrap();
         let given = again.given.unwrap();
         // The bands are written as the middle of what gives the same slips, the stem before the record as one place.
         assert!((given.rmse / found.base.rmse - 1.0).abs() < 0.15, "{} {}", given.rmse, found.base.rmse);
@@ -184,7 +187,7 @@ fn a_few_stored_values_tell_what_the_recorder_made_of_the_gap() {
         let stored = |pv: &[f64]| 1 + pv.windows(2).filter(|w| w[0] != w[1]).count();
         let bands = (5..60).map(|tenths| 0.1 * f64::from(tenths));
         compressed.pv = bands.map(|b| held(&compressed.pv, b)).find(|pv| stored(pv) < 36).unwrap();
-        let told = diagnose(&compressed, &Ask::default(), &Two).unwrap();
+        let told = diagnose(&compressed, &GapOptions::default(), &Two).unwrap();
         assert_eq!((told.cause.id.as_str(), told.floor.noise_floor), ("hold_compression", None), "{seed}");
         assert_eq!(told.second, None, "so few can all be met by anything");
         let recorder = told.effects.iter().find(|e| e.id == "hold_compression").unwrap();
@@ -226,8 +229,9 @@ fn a_heavy_stem_is_followed_by_its_own_law_and_not_without_its_mass() {
             let parameters = [("carried".to_owned(), carried)].into_iter().collect();
             let effects = vec![Added { id: "slip_overshoot".to_owned(), parameters }];
             let model = Model { schema: SCHEMA.to_owned(), ts_s: 1.0, valve, process, effects };
-            let ask = Ask { base: Base::Given(Box::new(model)), budget_evaluations: 1, ..Ask::default() };
-            diagnose(&loop_record, &ask, &Two).unwrap().given.unwrap().rmse
+            let options =
+                GapOptions { base: Base::Given(Box::new(model)), budget_evaluations: 1, ..GapOptions::default() };
+            diagnose(&loop_record, &options, &Two).unwrap().given.unwrap().rmse
         };
         let (own, bare) = (left(0.6), left(0.0));
         assert!(own < 1.15 * heavy.pv_noise_sd && bare > 2.0 * own, "{seed}: {own} {bare}");
@@ -252,7 +256,7 @@ fn stems_that_no_pair_of_bands_imitates_are_found_from_nothing() {
     for (seed, (id, model)) in cases.into_iter().enumerate() {
         let noise = model.pv_noise_sd;
         let loop_record = record(model, 900, seed as u64 + 1);
-        let found = diagnose(&loop_record, &Ask::default(), &Two).unwrap();
+        let found = diagnose(&loop_record, &GapOptions::default(), &Two).unwrap();
         let own = found.effects.iter().find(|e| e.id == id).and_then(|e| e.fit.as_ref()).unwrap();
         println!(
             "{id}: {:?}, base leaves {} of {noise}, with it {}",
@@ -263,8 +267,8 @@ fn stems_that_no_pair_of_bands_imitates_are_found_from_nothing() {
         if named {
             // What is written down leaves as little.
             let base = Base::Given(Box::new(found.model_after.clone()));
-            let ask = Ask { base, budget_evaluations: 1, ..Ask::default() };
-            let again = diagnose(&loop_record, &ask, &Two).unwrap().given.unwrap();
+            let options = GapOptions { base, budget_evaluations: 1, ..GapOptions::default() };
+            let again = diagnose(&loop_record, &options, &Two).unwrap().given.unwrap();
             println!("  given back {} for {}", again.rmse_train, own.rmse_train);
             assert!(again.rmse_train < 1.4 * own.rmse_train, "{} {}", again.rmse_train, own.rmse_train);
         }
@@ -276,13 +280,13 @@ fn stems_that_no_pair_of_bands_imitates_are_found_from_nothing() {
 #[test]
 fn answers_depend_on_the_work_and_not_on_who_does_it() {
     let loop_record = record(plain(7), 400, 7);
-    let ask = Ask { budget_evaluations: 60_000, ..Ask::default() };
-    let one = diagnose(&loop_record, &ask, &Serial).unwrap();
-    assert_eq!(one, diagnose(&loop_record, &ask, &Two).unwrap());
+    let options = GapOptions { budget_evaluations: 60_000, ..GapOptions::default() };
+    let one = diagnose(&loop_record, &options, &Serial).unwrap();
+    assert_eq!(one, diagnose(&loop_record, &options, &Two).unwrap());
     // A search that was ended from outside is found again from the evaluations it had done.
-    let cut = diagnose(&loop_record, &Ask::default(), &Until(5_000)).unwrap();
+    let cut = diagnose(&loop_record, &GapOptions::default(), &Until(5_000)).unwrap();
     assert!(cut.stopped_early && cut.evaluations >= 5_000);
-    assert_eq!(cut, diagnose(&loop_record, &Ask::default(), &Until(cut.evaluations)).unwrap());
+    assert_eq!(cut, diagnose(&loop_record, &GapOptions::default(), &Until(cut.evaluations)).unwrap());
     // A budget is kept but for the base and the last steps.
     assert!(one.evaluations < 90_000, "{}", one.evaluations);
 }
@@ -290,12 +294,12 @@ fn answers_depend_on_the_work_and_not_on_who_does_it() {
 #[test]
 fn what_cannot_be_diagnosed_says_why() {
     let short = record(plain(1), 50, 1);
-    let error = diagnose(&short, &Ask::default(), &Serial).unwrap_err();
+    let error = diagnose(&short, &GapOptions::default(), &Serial).unwrap_err();
     assert!(error.to_string().contains("50 points") && error.to_string().contains("120"), "{error}");
     let mut still = record(plain(1), 300, 1);
     still.pv.fill(3.0);
-    assert!(matches!(diagnose(&still, &Ask::default(), &Serial), Err(GapError::Still { signal: "PV", .. })));
-    let ask = Ask { without: vec!["gremlins".to_owned()], ..Ask::default() };
-    let error = diagnose(&record(plain(1), 300, 1), &ask, &Serial).unwrap_err();
+    assert!(matches!(diagnose(&still, &GapOptions::default(), &Serial), Err(GapError::Still { signal: "PV", .. })));
+    let options = GapOptions { without: vec!["gremlins".to_owned()], ..GapOptions::default() };
+    let error = diagnose(&record(plain(1), 300, 1), &options, &Serial).unwrap_err();
     assert!(error.to_string().contains("gremlins") && error.to_string().contains("backlash"), "{error}");
 }

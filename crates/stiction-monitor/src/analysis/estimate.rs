@@ -6,7 +6,7 @@ use super::solver::SolverDocument;
 use super::{AnalysisError, Cut, Points, Section, Taken};
 use stiction::gap::model_file::ModelFile;
 use stiction::gap::score::score;
-use stiction::gap::{Ask, GapError};
+use stiction::gap::{GapError, GapOptions};
 use stiction::ident::Options;
 use stiction::record::Record;
 use stiction::signal::stats;
@@ -31,8 +31,8 @@ impl Scored {
     /// # Errors
     /// The model cannot be run on it.
     pub fn of(name: &str, file: &ModelFile, record: &Record, period_points: Option<f64>) -> Result<Self, GapError> {
-        let ask = Ask { period_points, ..Ask::default() };
-        let found = score(record, &file.on(record), &ask)?;
+        let options = GapOptions { period_points, ..GapOptions::default() };
+        let found = score(record, &file.on(record), &options)?;
         Ok(Self { model: name.to_owned(), mse: found.mse, fit_pct: found.fit_pct })
     }
 }

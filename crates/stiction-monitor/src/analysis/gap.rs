@@ -5,7 +5,7 @@ use stiction::detect::oscillation;
 use stiction::gap::document::GapDocument;
 use stiction::gap::locate::{Subject, locate};
 use stiction::gap::model_file::ModelFile;
-use stiction::gap::{self, Ask, Base, Diagnosis, Executor, GapError};
+use stiction::gap::{self, Base, Diagnosis, Executor, GapError, GapOptions};
 use stiction::record::Record;
 
 /// Most points of a simulation: sections with more samples are averaged in boxes.
@@ -15,7 +15,7 @@ const DEFAULT_SECONDS: f64 = 3.0;
 
 /// What is asked of a section.
 #[derive(Debug, Clone, Default)]
-pub struct Question {
+pub struct GapSettings {
     /// The model that the gap is measured from.
     pub base: BaseChoice,
     /// Effects that are taken out of the catalogue.
@@ -52,12 +52,12 @@ impl BaseChoice {
     }
 }
 
-impl Question {
+impl GapSettings {
     /// What the search is told of a record.
     #[must_use]
-    pub fn ask(&self, record: &Record) -> Ask {
+    pub fn options(&self, record: &Record) -> GapOptions {
         let share = self.budget_s.map_or(1.0, |seconds| seconds / DEFAULT_SECONDS);
-        Ask {
+        GapOptions {
             base: self.base.on(record),
             without: self.without.clone(),
             pairs: self.pairs,
@@ -92,9 +92,14 @@ pub fn record(points: &Points, section: Section, cut: &Cut) -> Result<(Record, V
 ///
 /// # Errors
 /// An unknown effect, or a record that cannot be diagnosed.
-pub fn diagnose(name: &str, record: Record, ask: &Ask, executor: &dyn Executor) -> Result<Diagnosed, GapError> {
-    let diagnosis = gap::diagnose(&record, ask, executor)?;
-    let location = locate(&record, &Subject::of(&diagnosis, ask.period_points, ask.seed));
-    let document = GapDocument::new(name, &record, &ask.base, &diagnosis, location);
+pub fn diagnose(
+    name: &str,
+    record: Record,
+    options: &GapOptions,
+    executor: &dyn Executor,
+) -> Result<Diagnosed, GapError> {
+    let diagnosis = gap::diagnose(&record, options, executor)?;
+    let location = locate(&record, &Subject::of(&diagnosis, options.period_points, options.seed));
+    let document = GapDocument::new(name, &record, &options.base, &diagnosis, location);
     Ok(Diagnosed { document, record, diagnosis })
 }

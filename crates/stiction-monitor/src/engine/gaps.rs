@@ -20,7 +20,7 @@ use stiction::detect::oscillation;
 use stiction::gap::document::GapDocument;
 use stiction::gap::locate::{Subject, locate};
 use stiction::gap::model::{self, Model};
-use stiction::gap::{self, Ask, Base, Executor, GapError};
+use stiction::gap::{self, Base, Executor, GapError, GapOptions};
 use stiction::ident::free_run::{Fixed, free_run};
 use stiction::record::Record;
 use stiction::signal::stats;
@@ -224,11 +224,12 @@ impl GapRequest {
     pub fn compute(&self, executor: &dyn Executor) -> Result<PublishedGap, GapError> {
         let base = self.model.clone().map_or(Base::Refit, |model| Base::Given(Box::new(model)));
         let period_points = oscillation::detect(&self.record.op(), &self.record.pv).map(|o| o.period_points);
-        let ask = Ask { base, period_points, budget_evaluations: self.budget_evaluations, ..Ask::default() };
-        let diagnosis = gap::diagnose(&self.record, &ask, executor)?;
-        let location = locate(&self.record, &Subject::of(&diagnosis, period_points, ask.seed));
+        let options =
+            GapOptions { base, period_points, budget_evaluations: self.budget_evaluations, ..GapOptions::default() };
+        let diagnosis = gap::diagnose(&self.record, &options, executor)?;
+        let location = locate(&self.record, &Subject::of(&diagnosis, period_points, options.seed));
         Ok(PublishedGap {
-            document: GapDocument::new(&self.loop_name, &self.record, &ask.base, &diagnosis, location),
+            document: GapDocument::new(&self.loop_name, &self.record, &options.base, &diagnosis, location),
             reason: self.reason,
             by: self.by.clone(),
             config_hash: self.config_hash.to_string(),

@@ -19,9 +19,12 @@ const NEAR: usize = 4;
 const INDEPENDENT: f64 = 0.1;
 const FIRST_ORDER: f64 = 0.1;
 /// Share by which a higher order may beat the first in what the base itself leaves, measurement noise and all, log mean squared
-/// error: of split A's seed 53 it is up to 0.015 for coloured noise, from 0.18 on for what was taken for it.
-const FIRST_ORDER_OF_BASE: f64 = 0.05;
+/// error: of split A's seeds 53 and 59 it is up to 0.023 for coloured noise (two wrong bases aside), from 0.049 on for all else.
+const FIRST_ORDER_OF_BASE: f64 = 0.045;
 const MORE: f64 = 0.05;
+/// From here on the innovations need not look independent of OP, which slips that are a little wrong leave in them: of split
+/// A's seed 59 a third of the loops with coloured noise fail that test, and no other loop passes all the rest.
+const MUCH_MORE: f64 = 0.2;
 /// Error of the base over the floor below which a memory of its noise is not told from a cycle elsewhere or a load that is faint.
 const FAINT: f64 = 1.5;
 /// Excess kurtosis of noise's innovations: a slip that a model lacks is a few large ones.
@@ -200,7 +203,8 @@ fn filter_explains(evidence: &Evidence, filter: &str, best: Option<&&Contender>)
 /// Whether what is left is noise with a memory and nothing else.
 fn is_plain(basis: &Basis) -> bool {
     let is_alone = |noise: &NoiseModels| {
-        let apart = noise.independence_p > INDEPENDENT && noise.over_best > MORE;
+        let independent = noise.independence_p > INDEPENDENT || noise.over_best > MUCH_MORE;
+        let apart = independent && noise.over_best > MORE;
         noise.whitens && apart && noise.beyond_first < FIRST_ORDER
     };
     let is_faint = basis.base.over_floor.is_some_and(|over| over < FAINT);
@@ -359,14 +363,17 @@ mod tests {
             beyond_first,
         };
         let said = |of_base, of_best_place| {
-            let alone = Some(Alone { models: models(of_best_place), tails: 0.0 });
+            let alone = Some(Alone { models: of_best_place, tails: 0.0 });
             let basis = Basis { noise: models(of_base), alone, coloured_noise: true, ..basis(&[]) };
             let weak = contender("sinusoid", 3.0, -0.5, 5.0);
             decide(&Evidence { basis, contenders: vec![weak] }, &[], Calibration::shipped()).cause.id
         };
-        assert_eq!(said(0.01, 0.01), "coloured_noise");
-        assert_eq!(said(0.2, 0.01), UNKNOWN, "a cycle elsewhere is of higher order");
-        assert_eq!(said(0.01, 0.2), UNKNOWN);
+        assert_eq!(said(0.01, models(0.01)), "coloured_noise");
+        assert_eq!(said(0.2, models(0.01)), UNKNOWN, "a cycle elsewhere is of higher order");
+        assert_eq!(said(0.01, models(0.2)), UNKNOWN);
+        let dependent = |over_best| NoiseModels { over_best, independence_p: 0.02, ..models(0.01) };
+        assert_eq!(said(0.01, dependent(0.1)), UNKNOWN, "an effect explains nearly as much");
+        assert_eq!(said(0.01, dependent(1.0)), "coloured_noise");
     }
 
     #[test]

@@ -19,7 +19,7 @@ use super::schedule::{self, Found, Work, residual_at, residual_of};
 use super::signatures;
 use super::stages;
 use super::traces::Traces;
-use super::types::{Ask, Base, EffectResult, Ended, Executor, Fit, Floor, Forward, GapError, Predictions};
+use super::types::{Base, EffectResult, Ended, Executor, Fit, Floor, Forward, GapError, GapOptions, Predictions};
 use super::weigh::Scales;
 use crate::ident::controller;
 use crate::record::Record;
@@ -33,7 +33,7 @@ const LAGS: [isize; 2] = [-14, 14];
 const USUAL_LAGS: [f64; 2] = [-0.5, 1.5];
 
 /// Checks what was asked against the record and the catalogue.
-pub(super) fn check(record: &Record, ask: &Ask) -> Result<(), GapError> {
+pub(super) fn check(record: &Record, options: &GapOptions) -> Result<(), GapError> {
     let points = record.len();
     if points < MIN_POINTS {
         return Err(GapError::TooShort { points, needed: MIN_POINTS });
@@ -43,7 +43,7 @@ pub(super) fn check(record: &Record, ask: &Ask) -> Result<(), GapError> {
             return Err(GapError::Still { signal, spread, points });
         }
     }
-    for id in &ask.without {
+    for id in &options.without {
         if effects::by_id(id).is_none() {
             let known: Vec<&str> = effects::ALL.iter().map(|e| e.id).collect();
             return Err(GapError::UnknownEffect { id: id.clone(), known: known.join(", ") });
@@ -71,20 +71,20 @@ impl Searched {
 /// Looks for the base and every effect; `None` where no base can be fitted to what was measured.
 fn search(
     record: &Record,
-    ask: &Ask,
+    options: &GapOptions,
     period: f64,
     traces: Traces,
     work: &mut Work<'_>,
 ) -> Result<Option<Searched>, GapError> {
     let mut problem =
-        Problem::new(record, Some(period), ask.seed, traces.masked.clone()).fitted_where(&traces.measured);
-    if let Base::Given(model) = &ask.base {
+        Problem::new(record, Some(period), options.seed, traces.masked.clone()).fitted_where(&traces.measured);
+    if let Base::Given(model) = &options.base {
         problem.stated = given::base_places(&problem, model)?;
     }
     let straight = traces.signatures.iter().any(|s| s.id == effects::swinging_door::EFFECT.id && s.met);
     let floor = noise::floor(&record.pv, &traces.measured, straight);
-    let law = if ask.base == Base::Linear { None } else { Some(Law::He) };
-    let found = schedule::run(&problem, law, &ask.without, floor.noise_floor, work);
+    let law = if options.base == Base::Linear { None } else { Some(Law::He) };
+    let found = schedule::run(&problem, law, &options.without, floor.noise_floor, work);
     Ok(found.map(|found| Searched { traces, problem, floor, found }))
 }
 
@@ -92,28 +92,28 @@ fn search(
 ///
 /// # Errors
 /// Where the record is too short, a signal never moves, an id is unknown or a given model cannot be simulated.
-pub fn diagnose(record: &Record, ask: &Ask, executor: &dyn Executor) -> Result<Diagnosis, GapError> {
-    check(record, ask)?;
-    if let Base::Given(model) = &ask.base {
+pub fn diagnose(record: &Record, options: &GapOptions, executor: &dyn Executor) -> Result<Diagnosis, GapError> {
+    check(record, options)?;
+    if let Base::Given(model) = &options.base {
         given::check(model)?;
     }
-    let period = ask.period_points.unwrap_or_else(|| period_of(record).0);
-    let budget = ask.budget_evaluations;
-    let mut work = Work { executor, budget, done: 0, stopped: false, spent: false, seed: ask.seed, asked: None };
-    let traces = signatures::traces(record, period, &ask.without);
+    let period = options.period_points.unwrap_or_else(|| period_of(record).0);
+    let budget = options.budget_evaluations;
+    let mut work = Work { executor, budget, done: 0, stopped: false, spent: false, seed: options.seed, asked: None };
+    let traces = signatures::traces(record, period, &options.without);
     let retry = traces.thinned.then(|| traces.all_measured());
-    let mut searched = search(record, ask, period, traces, &mut work)?;
+    let mut searched = search(record, options, period, traces, &mut work)?;
     if let Some(all) = retry.filter(|_| searched.as_ref().is_none_or(Searched::tells_nothing)) {
         // What the discarded search spent says nothing of this one.
         work.begin(budget);
         work.spent = false;
-        searched = search(record, ask, period, all, &mut work)?;
+        searched = search(record, options, period, all, &mut work)?;
     }
     let no_base = GapError::NoBase { points: record.len(), evaluations: work.done };
     let Some(Searched { traces, problem, mut floor, mut found }) = searched else { return Err(no_base) };
     check_floor(&problem, &found, &traces, &mut floor);
     work.begin(budget);
-    let wanted = !ask.without.iter().any(|w| w == effects::sensor_filter::EFFECT.id);
+    let wanted = !options.without.iter().any(|w| w == effects::sensor_filter::EFFECT.id);
     let filtered =
         if wanted { filter::look(record, &problem, &found, &traces, floor.noise_floor, &mut work) } else { None };
     let owes = floor_owes(&traces, &floor, filtered.as_ref());
@@ -121,16 +121,16 @@ pub fn diagnose(record: &Record, ask: &Ask, executor: &dyn Executor) -> Result<D
         (floor.noise_sd, floor.noise_floor) = (Some(filtered.noise_sd), Some(filtered.noise_sd));
     }
     let base = fit(&problem, &found.base, floor.noise_floor, &|_| {}).ok_or(no_base)?;
-    let given = match &ask.base {
+    let given = match &options.base {
         Base::Given(model) => Some(given::simulate(&problem, model, floor.noise_floor)?),
         _ => None,
     };
     work.begin(budget);
     let against = (base.rmse_train, floor.noise_floor);
-    let seen = stages::look(record, &problem, &traces, against, &ask.without, &mut work);
-    let weighed = scales(&problem, &found, &base, &traces, &floor, ask.seed);
-    let effects = weigh(&weighed, &found, filtered.as_ref(), ask);
-    let basis = basis(record, &problem, &found, &base, &traces, &effects, &seen, &floor, owes, ask);
+    let seen = stages::look(record, &problem, &traces, against, &options.without, &mut work);
+    let weighed = scales(&problem, &found, &base, &traces, &floor, options.seed);
+    let effects = weigh(&weighed, &found, filtered.as_ref(), options);
+    let basis = basis(record, &problem, &found, &base, &traces, &effects, &seen, &floor, owes, options);
     let nothing = decide::decide(&Evidence::new(&basis, &[], None), &[], Calibration::shipped());
     let mut made = Diagnosis {
         relative_gap: base.gap / problem.deviation,
@@ -163,9 +163,9 @@ pub fn diagnose(record: &Record, ask: &Ask, executor: &dyn Executor) -> Result<D
         basis,
     };
     made.settle(&[]);
-    if ask.pairs || made.leaves_more() {
+    if options.pairs || made.leaves_more() {
         work.begin(budget);
-        let scales = scales(&problem, &found, &made.base, &traces, &made.floor, ask.seed);
+        let scales = scales(&problem, &found, &made.base, &traces, &made.floor, options.seed);
         let (weighed, searches) = pairs::run(&problem, &found, &scales, &mut work);
         made.pairs = weighed;
         made.settle(&[]);
@@ -226,13 +226,13 @@ fn floor_owes(traces: &Traces, floor: &Floor, filtered: Option<&Filtered>) -> BT
 }
 
 /// Every effect of the catalogue, weighed.
-fn weigh(scales: &Scales<'_>, found: &Found, filtered: Option<&Filtered>, ask: &Ask) -> Vec<EffectResult> {
+fn weigh(scales: &Scales<'_>, found: &Found, filtered: Option<&Filtered>, options: &GapOptions) -> Vec<EffectResult> {
     let (problem, floor) = (scales.problem, scales.floor);
     let mut out: Vec<EffectResult> = found.searches.iter().filter_map(|search| scales.weigh(search)).collect();
     let left = residual_of(problem, &found.base);
     let one_step =
         left.and_then(|r| noise::autoregression(&r, &problem.train)).map(|a| a.mse.sqrt() * problem.deviation);
-    let asked = |e: &&effects::Effect| !ask.without.iter().any(|w| w == e.id);
+    let asked = |e: &&effects::Effect| !options.without.iter().any(|w| w == e.id);
     for effect in effects::ALL.into_iter().filter(asked) {
         let floor_after = match effect.way {
             Way::Noise => one_step,
@@ -261,7 +261,7 @@ fn basis(
     seen: &Option<stages::Seen>,
     floor: &Floor,
     floor_owes: BTreeMap<String, f64>,
-    ask: &Ask,
+    options: &GapOptions,
 ) -> Basis {
     let nothing = || vec![0.0; problem.n()];
     let mut of_base = vec![residual_of(problem, &found.base).unwrap_or_else(nothing)];
@@ -282,7 +282,7 @@ fn basis(
         let [low, high] = USUAL_LAGS;
         *l < low || *l > high
     });
-    let left_out = |id: &str| ask.without.iter().any(|w| w == id);
+    let left_out = |id: &str| options.without.iter().any(|w| w == id);
     Basis {
         traces: strongest.iter().filter(|s| !left_out(s.id)).map(|s| s.id.to_owned()).collect(),
         traces_close: weighed
@@ -293,15 +293,15 @@ fn basis(
         filter: weighed.iter().any(|e| e.simulated && e.id == effects::sensor_filter::EFFECT.id),
         floor_owes,
         skew: skew.filter(|_| !left_out(effects::time_skew::EFFECT.id)),
-        noise: noise::judge(problem, &of_base[0], &of_best, &slipped, ask.seed),
-        alone: noise::alone(problem, &of_base, &of_best, &slipped, ask.seed),
+        noise: noise::judge(problem, &of_base[0], &of_best, &slipped, options.seed),
+        alone: noise::alone(problem, &of_base, &of_best, &slipped, options.seed),
         coloured_noise: !left_out(effects::coloured_noise::EFFECT.id),
         by_mv: seen.as_ref().map(|s| s.stages.stage).filter(|_| !base.at_floor),
         on_mv: seen.as_ref().map(|s| s.ranked.clone()).unwrap_or_default(),
         base_at_floor: base.at_floor,
         base: Left::of(base, floor.noise_floor),
         excited: excited(record, problem),
-        linear: ask.base == Base::Linear,
+        linear: options.base == Base::Linear,
     }
 }
 

@@ -233,7 +233,7 @@ fn add_memory(problem: &Problem, pv: &[f64], prediction: &mut [f64], from: usize
 #[cfg(test)]
 mod tests {
     use super::super::effects::sensor_filter::EFFECT;
-    use super::super::{Ask, Serial, diagnose};
+    use super::super::{GapOptions, Serial, diagnose};
     use super::*;
     use crate::sim::noise::Noise;
     use crate::sim::process::{ProcessModel, ProcessState};
@@ -257,11 +257,11 @@ mod tests {
 
     #[test]
     fn a_lag_that_its_noise_shares_is_a_filter() {
-        let found = diagnose(&record(true), &Ask::default(), &Serial).unwrap();
+        let found = diagnose(&record(true), &GapOptions::default(), &Serial).unwrap();
         assert_eq!(found.cause.id, EFFECT.id);
         let lag = found.named().unwrap().parameters[0].value;
         assert!((lag / 18.0 - 1.0).abs() < 0.25, "{lag}");
-        let white = diagnose(&record(false), &Ask::default(), &Serial).unwrap();
+        let white = diagnose(&record(false), &GapOptions::default(), &Serial).unwrap();
         assert_ne!(white.cause.id, EFFECT.id);
     }
 

@@ -23,6 +23,7 @@ pub mod model;
 pub mod model_file;
 mod next_test;
 mod noise;
+mod own_looks;
 mod pairs;
 mod plain;
 mod plan;

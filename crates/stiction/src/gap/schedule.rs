@@ -7,19 +7,16 @@
 use std::sync::Mutex;
 
 use super::candidate::{Candidate, MAX_PARAMS, Parameters};
-use super::effects::{ALL, Clues, Effect, Start, Unit, Way};
-use super::evaluator::Evaluator;
+use super::effects::{ALL, Effect, Unit, Way};
 use super::express::rms;
+use super::own_looks;
 use super::plain::PlainPass;
-use super::plan::Plan;
 use super::problem::{Problem, View};
-use super::search::{
-    Effort, FIRST, MIDDLE, NARROW, SMALL, Search, WIDE, by_differences, exchange, local_search, of_every_size,
-};
-use super::settle::{NEAR, clamped};
+use super::search::{Effort, FIRST, MIDDLE, NARROW, SMALL, Search, WIDE, by_differences, exchange, local_search};
+use super::settle::clamped;
 use super::slips::{Length, Places, frictionless, search_slips};
 use super::structure::Structure;
-use super::types::{Ended, Executor, Stage};
+use super::types::{Ended, Executor};
 use crate::ident::class::Class;
 use crate::ident::random::{normal, seeded_rng};
 use crate::ident::residual;
@@ -27,9 +24,6 @@ use crate::sim::slips::Law;
 
 /// Rounds in which findings are shared.
 const SHARED_ROUNDS: usize = 2;
-/// Places of the first look, of each of two measures, at which a load's own clues are read, and starts taken from each.
-const PLACES: usize = 10;
-const STARTS: usize = 3;
 /// Rounds of the estimate's search that are asked for.
 const SLIP_ROUNDS: Length = Length::Rounds(3);
 /// Relative gain in squared error below which a search has not improved.
@@ -43,20 +37,18 @@ const AGAIN: u64 = 1;
 /// Shares of the budget that the base has at most, and of what it leaves that the effects' own first looks have.
 const OF_BASE: f64 = 0.4;
 const OF_LOOKS: f64 = 0.5;
-/// Searches for slips of its own that an effect gets at most: seven of them find no more and take a tenth longer.
-const OWN_SEARCHES: usize = 3;
-/// Responses that one such search computes, about.
-const OWN_SEARCH: f64 = 3000.0;
 /// Effects for which that is worth its while.
 const LIKELY: usize = 3;
 /// Times that these are searched again while one of them gains.
 const MOST_AGAIN: u64 = 4;
 /// Responses that the search for the right slips of one effect computes, about.
 const LOOK_AGAIN: u64 = 30_000;
-/// Error over the floor at which a white base is the answer and the effects need only a glance.
+/// Error over the floor at which a white base is the answer and a narrow search for each effect is enough.
 const CALM: f64 = 1.04;
 /// The same whatever colour the rest has.
 const SETTLED: f64 = 1.02;
+/// Error over the floor from which the effects are also looked for from their other starts.
+const EXPLAINED: f64 = 1.05;
 
 /// Work done, and who does it.
 pub struct Work<'c> {
@@ -240,6 +232,11 @@ fn is_settled(problem: &Problem, search: &Search, floor: Option<f64>) -> bool {
     left.is_some_and(|left| reaches(problem, &left, floor, SETTLED)) || is_calm(problem, search, floor)
 }
 
+/// Whether an effect leaves so little that the others need no more starts.
+fn is_explained(problem: &Problem, search: &Search, floor: Option<f64>) -> bool {
+    residual_of(problem, search).is_some_and(|left| reaches(problem, &left, floor, EXPLAINED))
+}
+
 /// Whether what is left is within a factor of the floor, white or not.
 fn reaches(problem: &Problem, left: &[f64], floor: Option<f64>, within: f64) -> bool {
     floor.is_some_and(|floor| rms(left, &problem.train) * problem.deviation <= within * floor)
@@ -259,7 +256,12 @@ pub fn residual_at(problem: &Problem, search: &Search, place: &Candidate) -> Opt
 }
 
 /// The free run of a parameter vector, and its valve signal.
-fn free_run(problem: &Problem, sign: f64, structure: &Structure, theta: &Parameters) -> Option<(Vec<f64>, Vec<f64>)> {
+pub fn free_run(
+    problem: &Problem,
+    sign: f64,
+    structure: &Structure,
+    theta: &Parameters,
+) -> Option<(Vec<f64>, Vec<f64>)> {
     let mut pass = PlainPass::new(problem, sign);
     let candidate = pass.evaluate(structure, theta, View::Plain)?;
     pass.simulate(structure, &candidate)
@@ -270,7 +272,7 @@ fn searches_of(problem: &Problem, base: &Search, effects: &[&'static Effect]) ->
     let Some(best) = base.best.first() else { return Vec::new() };
     let run = PlainPass::new(problem, base.sign).simulate(&base.structure, best);
     let Some((prediction, valve)) = run else { return Vec::new() };
-    let own = |e: &Effect| starts_at(problem, e, best, &prediction, &valve);
+    let own = |e: &Effect| own_looks::starts_at(problem, e, best, &prediction, &valve);
     let structure = |e: &'static Effect| Structure::with(base.structure.law, e);
     effects.iter().enumerate().map(|(i, e)| search(structure(e), base.sign, own(e), 10 + i as u64)).collect()
 }
@@ -304,14 +306,15 @@ pub fn run(
             from.extend(&thetas);
         }
         let seed = work.seed;
-        let looking = searches.iter().filter(|l| plans_of(l).any(|plan| has_own_search(&plan, &l.structure))).count();
-        let each = (work.part(OF_LOOKS) as f64 / OWN_SEARCH / looking.max(1) as f64).max(1.0) as usize;
-        let own = work
-            .all(searches.len(), |i| own_searches(problem, &searches[i], &thetas, if calm { 0 } else { each }, seed));
+        let most = if calm { 0 } else { own_looks::most(&searches, work.part(OF_LOOKS)).max(1) };
+        let own = work.all(searches.len(), |i| own_looks::first(problem, &searches[i], &thetas, most, seed));
         work.done += own.iter().map(|(_, n)| n).sum::<u64>();
         let effort = if calm { &NARROW } else { &FIRST };
         let own = |i: usize| own.get(i).map_or(&[][..], |(thetas, _)| thetas);
         share(problem, &mut searches, effort, work, &|_| from.clone(), &own);
+        if !calm && !searches.iter().any(|search| is_explained(problem, search, floor)) {
+            from_other_starts(problem, &mut searches, work);
+        }
     }
     let mut last_gained = false;
     for round in 0..if calm { 0 } else { SHARED_ROUNDS as u64 } {
@@ -397,11 +400,6 @@ fn go_on(searches: &mut [Search], at: &[usize], work: &mut Work<'_>, job: &(dyn 
     gains
 }
 
-/// The plans of all starts of a search.
-fn plans_of(search: &Search) -> impl Iterator<Item = Plan> {
-    search.starts.iter().map(|p| search.structure.plan_of(p))
-}
-
 /// Other searches for slips, with the parameters found so far and beside them, for each of the most likely structures while
 /// none explains everything and one of them gains. Says whether one did.
 pub fn search_again(
@@ -472,7 +470,7 @@ fn parameters_beside(problem: &Problem, search: &Search, seed: u64) -> Vec<[f64;
     let plan = search.structure.plan(&best.theta);
     let free: Vec<usize> =
         search.structure.params().enumerate().filter(|(_, p)| p.unit != Unit::Choice).map(|(i, _)| i).collect();
-    if free.is_empty() || plan.class() != Class::First || !has_own_search(&plan, &search.structure) {
+    if free.is_empty() || plan.class() != Class::First || !own_looks::has_own_search(&plan, &search.structure) {
         return Vec::new();
     }
     let mut rng = seeded_rng(seed, 98);
@@ -487,84 +485,19 @@ fn parameters_beside(problem: &Problem, search: &Search, seed: u64) -> Vec<[f64;
     FAR.into_iter().map(near).collect()
 }
 
-/// Places of the base's first look with what a load's own clues say of the residual there: the residual of the wrong
-/// slips hides it. The places are the best by what is fast and by differences, where a slow load weighs little.
-fn with_own_clues(problem: &Problem, search: &Search, thetas: &[Parameters]) -> (Vec<Parameters>, u64) {
-    let Some(effect) = search.structure.each().next() else { return (Vec::new(), 0) };
-    let base = Structure::base(search.structure.law);
-    let mut evaluator = Evaluator::new(problem, search.sign);
-    let mut out = Vec::new();
-    for view in View::ALL {
-        let seen: Vec<_> = thetas.iter().filter_map(|g| evaluator.fit(&base, g, view, NEAR)).collect();
-        for place in of_every_size(seen, PLACES) {
-            let Some(place) = evaluator.fit(&base, &place.theta, View::Plain, NEAR) else { continue };
-            let Some((prediction, valve)) = free_run(problem, search.sign, &base, &place.theta) else { continue };
-            let starts = starts_at(problem, effect, &place, &prediction, &valve);
-            out.extend(starts.into_iter().take(STARTS).map(|p| Parameters { p, ..place.theta }));
-        }
+/// Looks of their own from the starts that the first ones left out, and a local search from where they lead.
+fn from_other_starts(problem: &Problem, searches: &mut [Search], work: &mut Work<'_>) {
+    let most = own_looks::most(searches, work.part(OF_LOOKS));
+    let at: Vec<usize> = (0..searches.len()).filter(|i| own_looks::has_others(&searches[*i])).collect();
+    if most == 0 || at.is_empty() || !work.goes_on() {
+        return;
     }
-    (out, evaluator.evaluations)
-}
-
-/// Where an effect's clues say that its parameters may lie, given the base's run at a place.
-fn starts_at(
-    problem: &Problem,
-    effect: &Effect,
-    at: &Candidate,
-    prediction: &[f64],
-    valve: &[f64],
-) -> Vec<[f64; MAX_PARAMS]> {
-    let residual: Vec<f64> = problem.normalised.pv.iter().zip(prediction).map(|(y, p)| y - p).collect();
-    let low = valve.iter().copied().fold(f64::INFINITY, f64::min);
-    let high = valve.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-    let clues = Clues { problem, residual: &residual, stem: [low, high], lag: at.theta.lag };
-    let padded = |p: Start| core::array::from_fn(|i| p.get(i).copied().unwrap_or(0.0));
-    (effect.starts)(&clues).into_iter().map(padded).collect()
-}
-
-/// A look of its own for an effect that makes other slips of the same OP, or whose traces the wrong slips hide; `looked`
-/// are the places of the base's, `most` the starts from which is looked.
-fn own_searches(
-    problem: &Problem,
-    search: &Search,
-    looked: &[Parameters],
-    most: usize,
-    seed: u64,
-) -> (Vec<Parameters>, u64) {
-    let (mut thetas, mut count) = (Vec::new(), 0);
-    if most == 0 {
-        return (thetas, count);
-    }
-    if search.structure.each().any(|e| e.stage == Stage::Disturbance) {
-        return with_own_clues(problem, search, looked);
-    }
-    // Evenly from all of them, where there is no time for each.
-    let every = search.starts.len().div_ceil(most.min(OWN_SEARCHES));
-    for (i, p) in search.starts.iter().enumerate().step_by(every.max(1)) {
-        let plan = search.structure.plan_of(p);
-        // Another process is looked for by the search that knows it, once.
-        let is_other_process = plan.class() != Class::First;
-        if is_other_process && i > 0 || !has_own_search(&plan, &search.structure) {
-            continue;
-        }
-        let alone = Search { starts: vec![*p], best: Vec::new(), ..search.clone() };
-        let length = if makes_other_slips(&plan) { Length::Rounds(1) } else { Length::Brief };
-        let places = search_slips(problem, &alone, length, seed + i as u64);
-        thetas.extend(places.found);
-        thetas.extend(places.scanned);
-        count += places.evaluations;
-    }
-    (thetas, count)
-}
-
-/// Whether a stem answers OP with slips that no pair of bands gives, so that what the base's search met is of no use.
-fn makes_other_slips(plan: &Plan) -> bool {
-    plan.overshoot || plan.stroke.uneven != 0.0
-}
-
-/// Whether a plan makes other slips than the base, or another signal of the same slips.
-fn has_own_search(plan: &Plan, structure: &Structure) -> bool {
-    structure.law.is_some() && plan.searchable() != Plan::base(structure.law)
+    let seed = work.seed;
+    go_on(searches, &at, work, &|search| {
+        let (from, evaluations) = own_looks::others(problem, search, most, seed);
+        local_search(problem, search, &[], &from, &NARROW, seed);
+        search.evaluations += evaluations;
+    });
 }
 
 /// One round for every search.

@@ -4,7 +4,7 @@ use super::diagnosis::check;
 use super::given;
 use super::model::Model;
 use super::problem::Problem;
-use super::types::{Ask, GapError};
+use super::types::{GapError, GapOptions};
 use crate::record::Record;
 use crate::signal::stats;
 
@@ -24,9 +24,9 @@ pub struct Score {
 ///
 /// # Errors
 /// Where the record is too short, a signal never moves, or the model cannot be simulated.
-pub fn score(record: &Record, model: &Model, ask: &Ask) -> Result<Score, GapError> {
-    check(record, ask)?;
-    let problem = Problem::new(record, ask.period_points, ask.seed, vec![false; record.len()]);
+pub fn score(record: &Record, model: &Model, options: &GapOptions) -> Result<Score, GapError> {
+    check(record, options)?;
+    let problem = Problem::new(record, options.period_points, options.seed, vec![false; record.len()]);
     let fit = given::simulate(&problem, model, None)?;
     let from = problem.blocks.from.min(record.len());
     let errors: Vec<f64> =
@@ -68,13 +68,13 @@ mod tests {
         };
         let valve = Valve { law: "he".to_owned(), fs: 1.5, fd: 0.5, stem0: None };
         let right = Model { schema: SCHEMA.to_owned(), ts_s, valve, process, effects: Vec::new() };
-        let candidate = score(&record, &right, &Ask::default()).unwrap();
+        let candidate = score(&record, &right, &GapOptions::default()).unwrap();
         assert!(candidate.fit_pct > 99.0 && candidate.mse.sqrt() < 0.03, "{} {}", candidate.fit_pct, candidate.mse);
         let mut wrong = right.clone();
         wrong.process.gain = 1.0;
         wrong.valve.fs = 3.0;
-        assert!(score(&record, &wrong, &Ask::default()).unwrap().fit_pct < 70.0);
+        assert!(score(&record, &wrong, &GapOptions::default()).unwrap().fit_pct < 70.0);
         wrong.valve.law = "kano".to_owned();
-        assert!(score(&record, &wrong, &Ask::default()).is_err());
+        assert!(score(&record, &wrong, &GapOptions::default()).is_err());
     }
 }

@@ -8,6 +8,7 @@ use rand_chacha::ChaCha8Rng;
 use super::candidate::{Candidate, MAX_PARAMS, Parameters};
 use super::effects::Unit;
 use super::evaluator::Evaluator;
+use super::own_looks;
 use super::problem::{Problem, View};
 use super::settle::{FAR, LAST, NEAR, clamped, fitted_to};
 use super::structure::Structure;
@@ -104,7 +105,8 @@ pub fn local_search(
         let mut rng = seeded_rng(seed, 100 + search.stream + 500 * i as u64);
         let of_form = |p: &[f64; MAX_PARAMS]| form_of(&search.structure, p) == *form;
         let before: Vec<Candidate> = search.best.iter().filter(|b| of_form(&b.theta.p)).copied().collect();
-        let mut starts: Vec<[f64; MAX_PARAMS]> = search.starts.iter().copied().filter(of_form).collect();
+        let mut starts = own_looks::for_all_places(search);
+        starts.retain(of_form);
         starts.extend(before.iter().take(2).map(|b| b.theta.p));
         let own = own.iter().filter(|theta| of_form(&theta.p));
         let with_starts = thetas.iter().flat_map(|theta| starts.iter().map(|p| Parameters { p: *p, ..*theta }));

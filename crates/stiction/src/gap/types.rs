@@ -26,7 +26,7 @@ pub enum Base {
 
 /// What is asked of a record.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Ask {
+pub struct GapOptions {
     /// The base.
     pub base: Base,
     /// Ids of effects that are taken out of the catalogue.
@@ -41,7 +41,7 @@ pub struct Ask {
     pub period_points: Option<f64>,
 }
 
-impl Default for Ask {
+impl Default for GapOptions {
     fn default() -> Self {
         Self {
             base: Base::Refit,

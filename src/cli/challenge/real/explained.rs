@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 use super::{called, text};
 use crate::cli::say;
 use stiction::detect::oscillation;
-use stiction::gap::{Ask, Diagnosis, Fit, Serial, UNKNOWN, diagnose};
+use stiction::gap::{Diagnosis, Fit, GapOptions, Serial, UNKNOWN, diagnose};
 use stiction::record::Record;
 use stiction::signal::stats;
 
@@ -21,11 +21,11 @@ const FEW_BLOCKS: f64 = 0.2;
 const FEW_PERIODS: f64 = 8.0;
 
 /// One recording's line; `regular` false where it has no cycle to be judged by.
-pub(super) fn of(record: &Record, ask: &Ask) -> anyhow::Result<Value> {
+pub(super) fn of(record: &Record, options: &GapOptions) -> anyhow::Result<Value> {
     let found = oscillation::detect(&record.op(), &record.pv).filter(|o| o.oscillating);
     let Some(cycle) = found else { return Ok(json!({ "part": "explained", "regular": false })) };
-    let ask = Ask { period_points: Some(cycle.period_points), ..ask.clone() };
-    let made = diagnose(record, &ask, &Serial)?;
+    let options = GapOptions { period_points: Some(cycle.period_points), ..options.clone() };
+    let made = diagnose(record, &options, &Serial)?;
     let variance = held_out_variance(record, &made);
     let share = |fit: &Fit| 1.0 - fit.rmse * fit.rmse / variance;
     let fits = || made.effects.iter().filter_map(|e| e.fit.as_ref().map(|fit| (e, fit)));

@@ -7,7 +7,8 @@ use crate::gap::types::Stage;
 pub const EFFECT: Effect = Effect {
     params: &[Param { name: "alpha", unit: Unit::One, reach: Reach::Jumps, limits: |_| [-0.7, 0.7], trade: kept }],
     apply: |p, plan| plan.stroke.uneven = p[0],
-    starts: |_| [0.0, 0.12, -0.12, 0.28, -0.28, 0.5, -0.5].map(|a| [a, 0.0, 0.0]).to_vec(),
+    // Slips are right within a hundredth of the bands only, so that the step between starts is small.
+    starts: |_| (-9..=9).map(|k| [0.07 * f64::from(k), 0.0, 0.0]).collect(),
     confused_with: &["slip_overshoot", "static_nonlinearity"],
     separated_by: "the valve position, or OP stepped up and down by the same amount",
     noun: "uneven friction",

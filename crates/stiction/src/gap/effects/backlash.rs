@@ -8,7 +8,7 @@ use crate::gap::types::Stage;
 pub const EFFECT: Effect = Effect {
     params: &[Param { name: "width", unit: Unit::Op, reach: Reach::Stem, limits: |_| [0.0, 0.8], trade: for_band }],
     apply: |p, plan| plan.play = p[0].max(0.0),
-    starts: |_| [0.04, 0.12, 0.3, 0.55].map(|w| [w, 0.0, 0.0]).to_vec(),
+    starts: |_| [0.02, 0.04, 0.07, 0.12, 0.2, 0.3, 0.42, 0.55, 0.7].map(|w| [w, 0.0, 0.0]).to_vec(),
     confused_with: &["extra_lag", "static_nonlinearity"],
     separated_by: "positions on both sides of the linkage, or small steps of OP both ways",
     noun: "backlash",

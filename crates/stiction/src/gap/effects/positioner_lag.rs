@@ -7,7 +7,7 @@ use crate::gap::types::Stage;
 pub const EFFECT: Effect = Effect {
     params: &[lag::<40>(Reach::Path)],
     apply: |p, plan| plan.positioner = libm::exp(p[0]),
-    starts: |clues| lags(clues, &[0.003, 0.02, 0.05, 0.11, 0.25]),
+    starts: |clues| lags(clues, &[0.003, 0.01, 0.02, 0.035, 0.05, 0.08, 0.11, 0.17, 0.25]),
     confused_with: &["extra_lag", "rate_limit"],
     separated_by: "the pressure on the actuator, or the valve position",
     noun: "a slow positioner",

@@ -18,7 +18,7 @@ pub const EFFECT: Effect = Effect {
         plan.overshoot = true;
         plan.stroke.carried = p[0];
     },
-    starts: |_| vec![[0.0; 3], [0.3, 0.0, 0.0], [0.5, 0.0, 0.0], [0.7, 0.0, 0.0]],
+    starts: |_| (0..10).map(|k| [0.1 * f64::from(k), 0.0, 0.0]).collect(),
     confused_with: &["sliding_valve", "static_nonlinearity", "asymmetric_stiction"],
     separated_by: "the valve position during one slow ramp of OP",
     noun: "a stem that jumps past its mark",

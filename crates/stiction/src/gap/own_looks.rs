@@ -1,0 +1,144 @@
+//! Looks for slips of its own, for an effect that makes other slips than the base or another signal of them: from each of
+//! its starts, since slips are right only where its parameters nearly are.
+
+use super::candidate::{Candidate, MAX_PARAMS, Parameters};
+use super::effects::{Clues, Effect, Start};
+use super::evaluator::Evaluator;
+use super::plan::Plan;
+use super::problem::{Problem, View};
+use super::schedule::free_run;
+use super::search::{Search, of_every_size};
+use super::settle::NEAR;
+use super::slips::{Length, search_slips};
+use super::structure::Structure;
+use super::types::Stage;
+use crate::ident::class::Class;
+
+/// Places of the first look, of each of two measures, at which a load's own clues are read, and starts taken from each.
+const PLACES: usize = 10;
+const STARTS: usize = 3;
+/// Starts from which is looked at first; from the others only where no effect explains the record by then.
+const AT_FIRST: usize = 3;
+/// Starts that are tried at every place which another search found.
+const AT_ALL_PLACES: usize = 7;
+/// Responses that one look computes, about.
+const LOOK: f64 = 3000.0;
+
+/// Places of the base's first look with what a load's own clues say of the residual there: the residual of the wrong
+/// slips hides it. The places are the best by what is fast and by differences, where a slow load weighs little.
+fn with_own_clues(problem: &Problem, search: &Search, thetas: &[Parameters]) -> (Vec<Parameters>, u64) {
+    let Some(effect) = search.structure.each().next() else { return (Vec::new(), 0) };
+    let base = Structure::base(search.structure.law);
+    let mut evaluator = Evaluator::new(problem, search.sign);
+    let mut out = Vec::new();
+    for view in View::ALL {
+        let seen: Vec<_> = thetas.iter().filter_map(|g| evaluator.fit(&base, g, view, NEAR)).collect();
+        for place in of_every_size(seen, PLACES) {
+            let Some(place) = evaluator.fit(&base, &place.theta, View::Plain, NEAR) else { continue };
+            let Some((prediction, valve)) = free_run(problem, search.sign, &base, &place.theta) else { continue };
+            let starts = starts_at(problem, effect, &place, &prediction, &valve);
+            out.extend(starts.into_iter().take(STARTS).map(|p| Parameters { p, ..place.theta }));
+        }
+    }
+    (out, evaluator.evaluations)
+}
+
+/// Where an effect's clues say that its parameters may lie, given the base's run at a place.
+pub fn starts_at(
+    problem: &Problem,
+    effect: &Effect,
+    at: &Candidate,
+    prediction: &[f64],
+    valve: &[f64],
+) -> Vec<[f64; MAX_PARAMS]> {
+    let residual: Vec<f64> = problem.normalised.pv.iter().zip(prediction).map(|(y, p)| y - p).collect();
+    let low = valve.iter().copied().fold(f64::INFINITY, f64::min);
+    let high = valve.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let clues = Clues { problem, residual: &residual, stem: [low, high], lag: at.theta.lag };
+    let padded = |p: Start| core::array::from_fn(|i| p.get(i).copied().unwrap_or(0.0));
+    (effect.starts)(&clues).into_iter().map(padded).collect()
+}
+
+/// Starts whose slips are not the base's, in the order in which they are tried: some evenly from all of them, then the
+/// others.
+fn of_other_slips(search: &Search) -> [Vec<[f64; MAX_PARAMS]>; 2] {
+    let every = search.starts.len().div_ceil(AT_FIRST).max(1);
+    let mut parts = [Vec::new(), Vec::new()];
+    for (i, p) in search.starts.iter().enumerate() {
+        let plan = search.structure.plan_of(p);
+        // Another process is looked for by the search that knows it, once.
+        let is_again = plan.class() != Class::First && i > 0;
+        if !is_again && has_own_search(&plan, &search.structure) {
+            parts[usize::from(i % every != 0)].push(*p);
+        }
+    }
+    parts
+}
+
+/// Starts that each search may look from within so many responses.
+pub fn most(searches: &[Search], responses: u64) -> usize {
+    let looking = searches.iter().filter(|l| of_other_slips(l).iter().any(|part| !part.is_empty())).count();
+    (responses as f64 / LOOK / looking.max(1) as f64) as usize
+}
+
+/// A look of its own for an effect that makes other slips of the same OP, or whose traces the wrong slips hide, from some
+/// of its starts, and the responses computed; `looked` are the places of the base's.
+pub fn first(
+    problem: &Problem,
+    search: &Search,
+    looked: &[Parameters],
+    most: usize,
+    seed: u64,
+) -> (Vec<Parameters>, u64) {
+    if most > 0 && search.structure.each().any(|e| e.stage == Stage::Disturbance) {
+        return with_own_clues(problem, search, looked);
+    }
+    let [some, _] = of_other_slips(search);
+    look(problem, search, &some[..some.len().min(most)], seed)
+}
+
+/// Starts that are tried at places which other searches found: all, or some evenly where the others get looks of their own.
+pub fn for_all_places(search: &Search) -> Vec<[f64; MAX_PARAMS]> {
+    let every = if has_others(search) { search.starts.len().div_ceil(AT_ALL_PLACES).max(1) } else { 1 };
+    search.starts.iter().copied().step_by(every).collect()
+}
+
+/// Whether the first looks left starts out.
+pub fn has_others(search: &Search) -> bool {
+    let [_, others] = of_other_slips(search);
+    !others.is_empty() && search.structure.each().all(|e| e.stage != Stage::Disturbance)
+}
+
+/// The same from the starts that the first looks left out.
+pub fn others(problem: &Problem, search: &Search, most: usize, seed: u64) -> (Vec<Parameters>, u64) {
+    let [_, others] = of_other_slips(search);
+    // Evenly from all of them, where there is no time for each.
+    let every = others.len().div_ceil(most.max(1)).max(1);
+    let some: Vec<_> = others.into_iter().step_by(every).collect();
+    look(problem, search, &some, seed.wrapping_add(AT_FIRST as u64))
+}
+
+/// Looks for slips with the parameters of each start.
+fn look(problem: &Problem, search: &Search, starts: &[[f64; MAX_PARAMS]], seed: u64) -> (Vec<Parameters>, u64) {
+    let (mut thetas, mut count) = (Vec::new(), 0);
+    for (i, p) in starts.iter().enumerate() {
+        let alone = Search { starts: vec![*p], best: Vec::new(), ..search.clone() };
+        let other = makes_other_slips(&search.structure.plan_of(p));
+        let length = if other { Length::Rounds(1) } else { Length::Brief };
+        let places = search_slips(problem, &alone, length, seed.wrapping_add(i as u64));
+        thetas.extend(places.found);
+        thetas.extend(places.scanned);
+        count += places.evaluations;
+    }
+    (thetas, count)
+}
+
+/// Whether a stem answers OP with slips that no pair of bands gives, so that what the base's search met is of no use.
+fn makes_other_slips(plan: &Plan) -> bool {
+    plan.overshoot || plan.stroke.uneven != 0.0
+}
+
+/// Whether a plan makes other slips than the base, or another signal of the same slips.
+pub fn has_own_search(plan: &Plan, structure: &Structure) -> bool {
+    structure.law.is_some() && plan.searchable() != Plan::base(structure.law)
+}
