@@ -18,6 +18,8 @@ use stiction_lab::challenge::{Answer as Right, Split, Truth, TruthCase};
 
 /// Thresholds that are tried.
 const STEP: f64 = 0.01;
+/// Probability below which no effect is named, however often that were right: a name with less beside it reads as a guess.
+const LEAST_NAMED: f64 = 0.4;
 
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
@@ -177,7 +179,7 @@ fn calibrated(args: &Args, cases: &[Case]) -> Option<Calibration> {
     let inner: Vec<Calibration> = (0..folds)
         .map(|part| Some(Calibration { weights: weights(&without(cases, part, folds))?, ..Calibration::blank() }))
         .collect::<Option<_>>()?;
-    let steps = (0.2 / STEP) as usize..(0.95 / STEP) as usize;
+    let steps = (LEAST_NAMED / STEP).round() as usize..(0.95 / STEP) as usize;
     let tried: Vec<(f64, Tally)> = steps
         .map(|step| step as f64 * STEP)
         .map(|name_from| (name_from, Tally::of(cases, &inner, name_from)))
