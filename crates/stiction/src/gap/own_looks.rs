@@ -4,23 +4,18 @@
 use super::candidate::{Candidate, MAX_PARAMS, Parameters};
 use super::effects::{Clues, Effect, Start};
 use super::evaluator::Evaluator;
+use super::plain::PlainPass;
 use super::plan::Plan;
 use super::problem::{Problem, View};
-use super::schedule::free_run;
-use super::search::{Search, of_every_size};
+use super::search::{AT_FIRST, Search, of_every_size, of_other_slips};
 use super::settle::NEAR;
 use super::slips::{Length, search_slips};
 use super::structure::Structure;
 use super::types::Stage;
-use crate::ident::class::Class;
 
 /// Places of the first look, of each of two measures, at which a load's own clues are read, and starts taken from each.
 const PLACES: usize = 10;
 const STARTS: usize = 3;
-/// Starts from which is looked at first; from the others only where no effect explains the record by then.
-const AT_FIRST: usize = 3;
-/// Starts that are tried at every place which another search found.
-const AT_ALL_PLACES: usize = 7;
 /// Responses that one look computes, about.
 const LOOK: f64 = 3000.0;
 
@@ -59,22 +54,6 @@ pub fn starts_at(
     (effect.starts)(&clues).into_iter().map(padded).collect()
 }
 
-/// Starts whose slips are not the base's, in the order in which they are tried: some evenly from all of them, then the
-/// others.
-fn of_other_slips(search: &Search) -> [Vec<[f64; MAX_PARAMS]>; 2] {
-    let every = search.starts.len().div_ceil(AT_FIRST).max(1);
-    let mut parts = [Vec::new(), Vec::new()];
-    for (i, p) in search.starts.iter().enumerate() {
-        let plan = search.structure.plan_of(p);
-        // Another process is looked for by the search that knows it, once.
-        let is_again = plan.class() != Class::First && i > 0;
-        if !is_again && has_own_search(&plan, &search.structure) {
-            parts[usize::from(i % every != 0)].push(*p);
-        }
-    }
-    parts
-}
-
 /// Starts that each search may look from within so many responses.
 pub fn most(searches: &[Search], responses: u64) -> usize {
     let looking = searches.iter().filter(|l| of_other_slips(l).iter().any(|part| !part.is_empty())).count();
@@ -95,18 +74,6 @@ pub fn first(
     }
     let [some, _] = of_other_slips(search);
     look(problem, search, &some[..some.len().min(most)], seed)
-}
-
-/// Starts that are tried at places which other searches found: all, or some evenly where the others get looks of their own.
-pub fn for_all_places(search: &Search) -> Vec<[f64; MAX_PARAMS]> {
-    let every = if has_others(search) { search.starts.len().div_ceil(AT_ALL_PLACES).max(1) } else { 1 };
-    search.starts.iter().copied().step_by(every).collect()
-}
-
-/// Whether the first looks left starts out.
-pub fn has_others(search: &Search) -> bool {
-    let [_, others] = of_other_slips(search);
-    !others.is_empty() && search.structure.each().all(|e| e.stage != Stage::Disturbance)
 }
 
 /// The same from the starts that the first looks left out.
@@ -138,7 +105,14 @@ fn makes_other_slips(plan: &Plan) -> bool {
     plan.overshoot || plan.stroke.uneven != 0.0
 }
 
-/// Whether a plan makes other slips than the base, or another signal of the same slips.
-pub fn has_own_search(plan: &Plan, structure: &Structure) -> bool {
-    structure.law.is_some() && plan.searchable() != Plan::base(structure.law)
+/// The free run of a parameter vector, and its valve signal.
+pub fn free_run(
+    problem: &Problem,
+    sign: f64,
+    structure: &Structure,
+    theta: &Parameters,
+) -> Option<(Vec<f64>, Vec<f64>)> {
+    let mut pass = PlainPass::new(problem, sign);
+    let candidate = pass.evaluate(structure, theta, View::Plain)?;
+    pass.simulate(structure, &candidate)
 }

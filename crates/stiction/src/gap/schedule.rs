@@ -11,8 +11,11 @@ use super::effects::{ALL, Effect, Unit, Way};
 use super::express::rms;
 use super::own_looks;
 use super::plain::PlainPass;
-use super::problem::{Problem, View};
-use super::search::{Effort, FIRST, MIDDLE, NARROW, SMALL, Search, WIDE, by_differences, exchange, local_search};
+use super::problem::Problem;
+use super::search::{
+    Effort, FIRST, MIDDLE, NARROW, SMALL, Search, WIDE, by_differences, exchange, has_others, has_own_search,
+    local_search,
+};
 use super::settle::clamped;
 use super::slips::{Length, Places, frictionless, search_slips};
 use super::structure::Structure;
@@ -255,18 +258,6 @@ pub fn residual_at(problem: &Problem, search: &Search, place: &Candidate) -> Opt
     Some(problem.normalised.pv.iter().zip(&prediction).map(|(y, p)| y - p).collect())
 }
 
-/// The free run of a parameter vector, and its valve signal.
-pub fn free_run(
-    problem: &Problem,
-    sign: f64,
-    structure: &Structure,
-    theta: &Parameters,
-) -> Option<(Vec<f64>, Vec<f64>)> {
-    let mut pass = PlainPass::new(problem, sign);
-    let candidate = pass.evaluate(structure, theta, View::Plain)?;
-    pass.simulate(structure, &candidate)
-}
-
 /// The starts of every effect's search.
 fn searches_of(problem: &Problem, base: &Search, effects: &[&'static Effect]) -> Vec<Search> {
     let Some(best) = base.best.first() else { return Vec::new() };
@@ -470,7 +461,7 @@ fn parameters_beside(problem: &Problem, search: &Search, seed: u64) -> Vec<[f64;
     let plan = search.structure.plan(&best.theta);
     let free: Vec<usize> =
         search.structure.params().enumerate().filter(|(_, p)| p.unit != Unit::Choice).map(|(i, _)| i).collect();
-    if free.is_empty() || plan.class() != Class::First || !own_looks::has_own_search(&plan, &search.structure) {
+    if free.is_empty() || plan.class() != Class::First || !has_own_search(&plan, &search.structure) {
         return Vec::new();
     }
     let mut rng = seeded_rng(seed, 98);
@@ -488,7 +479,7 @@ fn parameters_beside(problem: &Problem, search: &Search, seed: u64) -> Vec<[f64;
 /// Looks of their own from the starts that the first ones left out, and a local search from where they lead.
 fn from_other_starts(problem: &Problem, searches: &mut [Search], work: &mut Work<'_>) {
     let most = own_looks::most(searches, work.part(OF_LOOKS));
-    let at: Vec<usize> = (0..searches.len()).filter(|i| own_looks::has_others(&searches[*i])).collect();
+    let at: Vec<usize> = (0..searches.len()).filter(|i| has_others(&searches[*i])).collect();
     if most == 0 || at.is_empty() || !work.goes_on() {
         return;
     }

@@ -8,11 +8,13 @@ use rand_chacha::ChaCha8Rng;
 use super::candidate::{Candidate, MAX_PARAMS, Parameters};
 use super::effects::Unit;
 use super::evaluator::Evaluator;
-use super::own_looks;
+use super::plan::Plan;
 use super::problem::{Problem, View};
 use super::settle::{FAR, LAST, NEAR, clamped, fitted_to};
 use super::structure::Structure;
+use super::types::Stage;
 use crate::ident::candidate::NormalisedRecord;
+use crate::ident::class::Class;
 use crate::ident::random::{moved, normal, seeded_rng, uniform};
 use crate::sim::slips::FirstSlip;
 
@@ -55,6 +57,11 @@ impl Search {
         self.best.first().map_or(f64::INFINITY, |b| b.sse)
     }
 }
+
+/// Starts from which is looked at first; from the others only where no effect explains the record by then.
+pub const AT_FIRST: usize = 3;
+/// Starts that are tried at every place which another search found.
+const AT_ALL_PLACES: usize = 7;
 
 /// How much work a round is: how many candidates and steps for each, view by view.
 #[derive(Debug, Clone, Copy)]
@@ -105,7 +112,7 @@ pub fn local_search(
         let mut rng = seeded_rng(seed, 100 + search.stream + 500 * i as u64);
         let of_form = |p: &[f64; MAX_PARAMS]| form_of(&search.structure, p) == *form;
         let before: Vec<Candidate> = search.best.iter().filter(|b| of_form(&b.theta.p)).copied().collect();
-        let mut starts = own_looks::for_all_places(search);
+        let mut starts = for_all_places(search);
         starts.retain(of_form);
         starts.extend(before.iter().take(2).map(|b| b.theta.p));
         let own = own.iter().filter(|theta| of_form(&theta.p));
@@ -124,6 +131,39 @@ pub fn local_search(
             search.best.push(first);
         }
     }
+}
+
+/// Starts whose slips are not the base's, in the order in which they are tried: some evenly from all of them, then the
+/// others.
+pub fn of_other_slips(search: &Search) -> [Vec<[f64; MAX_PARAMS]>; 2] {
+    let every = search.starts.len().div_ceil(AT_FIRST).max(1);
+    let mut parts = [Vec::new(), Vec::new()];
+    for (i, p) in search.starts.iter().enumerate() {
+        let plan = search.structure.plan_of(p);
+        // Another process is looked for by the search that knows it, once.
+        let is_again = plan.class() != Class::First && i > 0;
+        if !is_again && has_own_search(&plan, &search.structure) {
+            parts[usize::from(i % every != 0)].push(*p);
+        }
+    }
+    parts
+}
+
+/// Starts that are tried at places which other searches found: all, or some evenly where the others get looks of their own.
+fn for_all_places(search: &Search) -> Vec<[f64; MAX_PARAMS]> {
+    let every = if has_others(search) { search.starts.len().div_ceil(AT_ALL_PLACES).max(1) } else { 1 };
+    search.starts.iter().copied().step_by(every).collect()
+}
+
+/// Whether the first looks left starts out.
+pub fn has_others(search: &Search) -> bool {
+    let [_, others] = of_other_slips(search);
+    !others.is_empty() && search.structure.each().all(|e| e.stage != Stage::Disturbance)
+}
+
+/// Whether a plan makes other slips than the base, or another signal of the same slips.
+pub fn has_own_search(plan: &Plan, structure: &Structure) -> bool {
+    structure.law.is_some() && plan.searchable() != Plan::base(structure.law)
 }
 
 /// Which of its alternatives an effect acts by, parameter by parameter.
