@@ -319,9 +319,11 @@ mod tests {
 
     #[test]
     fn under_what_a_recorder_did_the_effect_is_named_that_its_stored_values_show() {
+        // What is left for the alternatives is to be enough for each to be listed.
+        let calibration = Calibration { trace: 0.9, ..Calibration::shipped().clone() };
         let said = |contender: Contender| {
             let evidence = Evidence { basis: basis(&["swinging_door"]), contenders: vec![contender] };
-            let decision = decide(&evidence, &[], Calibration::shipped());
+            let decision = decide(&evidence, &[], &calibration);
             let listed = decision.alternatives.iter().any(|a| a.id == "slip_overshoot");
             (decision.cause.id, decision.second.map(|s| s.id), listed)
         };
