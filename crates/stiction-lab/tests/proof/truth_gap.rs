@@ -3,6 +3,7 @@
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
+use stiction::detect::oscillation;
 use stiction::gap::model::{Added, Model, Process, SCHEMA, Valve};
 use stiction::gap::{Base, Diagnosis, Executor, GapError, GapOptions, Serial, diagnose};
 use stiction::record::Record;
@@ -11,6 +12,7 @@ use stiction::sim::controller::{Action, PidSettings};
 use stiction::sim::disturbance::Disturbance;
 use stiction::sim::process::ProcessModel;
 use stiction::sim::slips::Stroke;
+use stiction_lab::challenge::{Deck, Split};
 use stiction_lab::fixture::Draw;
 
 /// A sticking valve before a first-order process, its set point moved now and then.
@@ -164,6 +166,21 @@ fn what_was_added_is_named_and_closes_the_gap() {
     }
     // Not named: a second lag that reaches the floor but is not told from its neighbours.
     assert!(right >= 5, "{right} of 6");
+}
+
+/// Loops of split A whose effect was not found from two or three of its starts, and is from more.
+#[test]
+fn a_valves_effect_is_found_from_the_start_that_is_near() {
+    let deck = Deck::new(59, Split::of_seed(59), 20);
+    for number in [237, 381, 554, 789] {
+        let made = deck.deal(number - 1).unwrap();
+        let period_points = oscillation::detect(&made.record.op(), &made.record.pv).map(|o| o.period_points);
+        let found = diagnose(&made.record, &GapOptions { period_points, ..GapOptions::default() }, &Two).unwrap();
+        let fit = found.named().and_then(|e| e.fit.as_ref());
+        println!("{}: {:?}", made.truth.effect, found.cause);
+        assert_eq!(found.cause.id, made.truth.effect, "{number}");
+        assert!(fit.is_some_and(|fit| fit.at_floor), "{number}");
+    }
 }
 
 /// Each value held until one differs by `band`.

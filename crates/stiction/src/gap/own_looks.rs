@@ -116,3 +116,42 @@ pub fn free_run(
     let candidate = pass.evaluate(structure, theta, View::Plain)?;
     pass.simulate(structure, &candidate)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::effects::ALL;
+    use super::super::search::has_others;
+    use super::*;
+    use crate::sim::slips::Law;
+
+    #[test]
+    fn every_start_with_slips_of_its_own_is_looked_from_once() {
+        let at = |alpha: f64| core::array::from_fn(|i| if i == 0 { alpha } else { 0.0 });
+        let starts: Vec<[f64; MAX_PARAMS]> = (-9..=9).map(|k| at(0.07 * f64::from(k))).collect();
+        let makes_uneven = |e: &&'static Effect| {
+            let mut plan = Plan::base(Some(Law::He));
+            (e.apply)(&at(0.3), &mut plan);
+            plan.stroke.uneven != 0.0
+        };
+        let structure = Structure::with(Some(Law::He), ALL.into_iter().find(makes_uneven).unwrap());
+        let search = |starts: &[[f64; MAX_PARAMS]]| Search {
+            structure,
+            sign: 1.0,
+            starts: starts.to_vec(),
+            best: Vec::new(),
+            evaluations: 0,
+            allowed: 0,
+            stream: 0,
+        };
+        let [some, others] = of_other_slips(&search(&starts));
+        assert_eq!((some.len(), has_others(&search(&starts))), (AT_FIRST, true));
+        let mut both = [some, others].concat();
+        both.sort_by(|a, b| a[0].total_cmp(&b[0]));
+        // Even bands make the base's slips.
+        let uneven: Vec<_> = starts.iter().copied().filter(|p| p[0] != 0.0).collect();
+        assert_eq!(both, uneven);
+        assert!(!has_others(&search(&starts[..AT_FIRST])));
+        // Six thousand responses are two looks, for one search that looks.
+        assert_eq!(most(&[search(&starts), search(&[[0.0; MAX_PARAMS]])], 6_000), 2);
+    }
+}

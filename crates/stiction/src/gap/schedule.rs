@@ -40,7 +40,7 @@ const AGAIN: u64 = 1;
 /// Shares of the budget that the base has at most, and of what it leaves that the effects' own first looks have.
 const OF_BASE: f64 = 0.4;
 const OF_LOOKS: f64 = 0.5;
-/// Effects for which that is worth its while.
+/// Effects, the best by what they leave, that are searched again at a time.
 const LIKELY: usize = 3;
 /// Times that these are searched again while one of them gains.
 const MOST_AGAIN: u64 = 4;
