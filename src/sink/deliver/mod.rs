@@ -1,10 +1,12 @@
-//! Documents to receivers outside the bus: each has a queue of its own, is sent one document after the other in order, and
-//! is tried again until it takes it. What waits is in a store beside the recordings, so a restart loses nothing and may send
-//! a document twice: its identity tells.
+//! Documents to receivers outside the bus. Each receiver has a queue of its own and gets one document after the other. A
+//! receiver that is away is tried again until it is back; a document that it refuses goes to the dead-letter file and
+//! blocks nothing. What waits is in a store beside the recordings, so a restart loses nothing and may send a document
+//! twice, under the same identity.
 //!
 //! The engine's thread only hands documents over. One thread writes them to the store, before any receiver sees them; each
 //! receiver has a thread that may wait for it as long as it takes.
 
+mod dead;
 mod keep;
 #[cfg(feature = "deliver")]
 mod mqtt;
@@ -12,6 +14,7 @@ mod queue;
 mod syslog;
 #[cfg(feature = "deliver")]
 mod webhook;
+mod worker;
 
 use std::path::Path;
 use std::sync::Arc;
@@ -24,20 +27,19 @@ use serde::{Deserialize, Serialize};
 
 use crate::daemon::faults::Faults;
 use crate::daemon::metrics::Metrics;
+use dead::DeadLetters;
 use keep::{Change, Keep};
 #[cfg(feature = "bridge-mqtt")]
 pub use mqtt::tls_of;
-use queue::{Next, Queue};
+use queue::Queue;
 use stiction_monitor::alarm::{AlarmDocument, Priority};
 use stiction_monitor::codec::topic::Kind;
 use stiction_monitor::config::{Config, Deliver, Protocol};
 use stiction_monitor::short_hash;
+use worker::Worker;
 
 /// Documents that the engine may hand over before the store has taken the first of them.
 const HANDED: usize = 4096;
-/// Pauses after a failure: the first, and what they double up to.
-const FIRST_PAUSE: Duration = Duration::from_secs(1);
-const LONGEST_PAUSE: Duration = Duration::from_secs(60);
 /// How long a receiver may take for one document.
 const SEND_WITHIN: Duration = Duration::from_secs(10);
 /// Silence after which a connection is let go.
@@ -132,9 +134,11 @@ impl Item {
 
 /// Why a receiver did not take a document.
 enum Failure {
-    /// Not now: it is tried again, after this time where the receiver says one.
+    /// It answered that it does not take it now, and after which time to try again where it says one.
     Later(String, Option<Duration>),
-    /// It never will.
+    /// It did not answer.
+    Unanswered(String),
+    /// It answered that it will never take it.
     Refused(String),
 }
 
@@ -218,13 +222,23 @@ impl Outbox {
         let (handed, incoming) = crossbeam_channel::bounded(HANDED);
         let (changes, done) = crossbeam_channel::unbounded();
         let mut queues = Vec::new();
+        let dead = Arc::new(DeadLetters::new(dir));
         for d in &config.deliver {
-            let target = target(d, &config.site.prefix).with_context(|| format!("[[deliver]] {}", d.name))?;
+            let (entry, prefix) = (d.clone(), config.site.prefix.clone());
+            let make = move || target(&entry, &prefix);
+            let first = make().with_context(|| format!("[[deliver]] {}", d.name))?;
             let queue = Arc::new(Queue::new(d, metrics));
             queues.push(queue.clone());
-            let worker = Worker { queue, changes: changes.clone(), faults: faults.clone(), metrics: metrics.clone() };
+            let worker = Worker {
+                queue,
+                changes: changes.clone(),
+                dead: dead.clone(),
+                faults: faults.clone(),
+                metrics: metrics.clone(),
+                make: Box::new(make),
+            };
             let thread = std::thread::Builder::new().name(format!("to-{}", d.name));
-            thread.spawn(move || worker.run(target))?;
+            thread.spawn(move || worker.supervise(first))?;
         }
         let mut wanted: Vec<String> = config.deliver.iter().flat_map(|d| d.documents.clone()).collect();
         wanted.sort();
@@ -245,69 +259,6 @@ impl Outbox {
     pub fn offer(&self, item: Item) {
         if self.handed.try_send(Arc::new(item)).is_err() {
             self.metrics.delivery_dropped.inc();
-        }
-    }
-}
-
-/// One receiver's thread.
-struct Worker {
-    queue: Arc<Queue>,
-    changes: Sender<Change>,
-    faults: Arc<Faults>,
-    metrics: Arc<Metrics>,
-}
-
-impl Worker {
-    fn run(self, mut target: Box<dyn Target>) {
-        let mut pause = FIRST_PAUSE;
-        loop {
-            let (seq, item) = match self.queue.next(IDLE) {
-                Next::Closed => return,
-                Next::Nothing => {
-                    target.rest();
-                    continue;
-                }
-                Next::Send(seq, item) => (seq, item),
-            };
-            match target.send(&item) {
-                Ok(()) => {
-                    pause = FIRST_PAUSE;
-                    self.metrics.delivered.inc();
-                    self.faults.clear(&self.fault());
-                    self.settled(seq);
-                }
-                Err(Failure::Refused(why)) => {
-                    self.metrics.delivery_refused.inc();
-                    let name = &self.queue.name;
-                    let text = format!("{name} refused {} {} for good: {why}", item.kind, item.id);
-                    self.faults.raise_for(&format!("refused by {name}"), text, LOSS_SHOWN);
-                    self.settled(seq);
-                }
-                Err(Failure::Later(why, after)) => {
-                    self.metrics.delivery_failed.inc();
-                    self.faults.raise(&self.fault(), self.cannot(&why));
-                    if self.queue.pause(after.unwrap_or(pause).min(LONGEST_PAUSE)) {
-                        return;
-                    }
-                    pause = (2 * pause).min(LONGEST_PAUSE);
-                }
-            }
-        }
-    }
-
-    fn cannot(&self, why: &str) -> String {
-        let (name, waiting) = (&self.queue.name, self.queue.len());
-        format!("{name} cannot be delivered to, {waiting} documents wait, tried for ever: {why}")
-    }
-
-    fn fault(&self) -> String {
-        format!("deliver {}", self.queue.name)
-    }
-
-    /// It has been taken, or given up: it waits no longer.
-    fn settled(&self, seq: u64) {
-        if self.queue.settle(seq) {
-            let _ = self.changes.send(Change { queue: self.queue.name.clone(), seq });
         }
     }
 }

@@ -103,7 +103,7 @@ impl Target for Mqtt {
             Err(_) => "no answer in time".to_owned(),
         };
         // Whatever the connection's state is, the next attempt begins with a new one.
-        Err(Failure::Later(format!("{}: {why}", self.place), None))
+        Err(Failure::Unanswered(format!("{}: {why}", self.place)))
     }
 
     fn rest(&mut self) {

@@ -1,6 +1,6 @@
 //! What waits for one receiver, oldest first.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, HashSet, VecDeque};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
@@ -21,6 +21,8 @@ pub(super) enum Next {
 #[derive(Default)]
 struct Waiting {
     items: VecDeque<(u64, Arc<Item>)>,
+    /// How often each was sent in vain.
+    attempts: BTreeMap<u64, u32>,
     closed: bool,
 }
 
@@ -55,6 +57,9 @@ impl Queue {
         waiting.items.push_back((seq, item));
         let over = waiting.items.len() > self.limit;
         let given_up = if over { waiting.items.pop_front().map(|(seq, _)| seq) } else { None };
+        if let Some(seq) = given_up {
+            waiting.attempts.remove(&seq);
+        }
         self.show(waiting.items.len());
         drop(waiting);
         self.wake.notify_one();
@@ -74,15 +79,34 @@ impl Queue {
         }
     }
 
-    /// Takes the one away that was sent; false where it had been given up meanwhile.
+    /// Counts an attempt to send a document.
+    pub fn count_attempt(&self, seq: u64) {
+        *self.lock().attempts.entry(seq).or_default() += 1;
+    }
+
+    /// How often a document was sent.
+    pub fn attempts(&self, seq: u64) -> u32 {
+        self.lock().attempts.get(&seq).copied().unwrap_or_default()
+    }
+
+    /// The first document of another loop, each loop in turn by `round`: to send it before this one keeps the order within
+    /// every loop.
+    pub fn of_other_loop(&self, seq: u64, round: usize) -> Option<(u64, Arc<Item>)> {
+        let waiting = self.lock();
+        let (_, this) = waiting.items.iter().find(|(s, _)| *s == seq)?;
+        let mut seen = HashSet::from([this.loop_name.as_str()]);
+        let firsts: Vec<_> = waiting.items.iter().filter(|(_, item)| seen.insert(&item.loop_name)).collect();
+        Some((*firsts.get(round % firsts.len().max(1))?).clone())
+    }
+
+    /// Takes away a document that waits no longer; false where it had been given up meanwhile.
     pub fn settle(&self, seq: u64) -> bool {
         let mut waiting = self.lock();
-        let there = waiting.items.front().is_some_and(|(front, _)| *front == seq);
-        if there {
-            waiting.items.pop_front();
-            self.show(waiting.items.len());
-        }
-        there
+        waiting.attempts.remove(&seq);
+        let Some(place) = waiting.items.iter().position(|(s, _)| *s == seq) else { return false };
+        waiting.items.remove(place);
+        self.show(waiting.items.len());
+        true
     }
 
     /// Waits after a failure; true where it is time to end.

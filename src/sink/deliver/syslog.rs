@@ -92,7 +92,7 @@ impl Target for Syslog {
         let sent = if self.tcp { self.by_tcp(&message) } else { self.by_udp(&message) };
         sent.map_err(|error| {
             self.stream = None;
-            Failure::Later(format!("{}:{}: {error}", self.host, self.port), None)
+            Failure::Unanswered(format!("{}:{}: {error}", self.host, self.port))
         })
     }
 }

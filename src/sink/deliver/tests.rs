@@ -25,8 +25,12 @@ fn config(receivers: &str) -> Config {
 }
 
 fn item(k: usize) -> Item {
+    item_of("FIC101", k)
+}
+
+fn item_of(loop_name: &str, k: usize) -> Item {
     let mut document =
-        Alarm::default().restored("FIC101").at(&Place { area: Some("A \"1\"".into()), ..Place::default() });
+        Alarm::default().restored(loop_name).at(&Place { area: Some("A \"1\"".into()), ..Place::default() });
     (document.event_id, document.changed) = (format!("e{k}"), "2026-01-05T08:15:00Z".to_owned());
     let json = serde_json::to_vec(&document).unwrap();
     Item::alarm("plant 1/a", &document, &json)
@@ -61,6 +65,14 @@ type Request = (String, serde_json::Value);
 
 /// An HTTP server that gives these answers in turn, the last one for ever; none: it hangs up.
 fn web_server(listener: TcpListener, answers: Vec<Option<&'static str>>) -> Arc<Mutex<Vec<Request>>> {
+    web_server_by(listener, move |turn, _| answers[turn.min(answers.len() - 1)])
+}
+
+/// An HTTP server that answers by the number of the request and its body; none: it hangs up.
+fn web_server_by(
+    listener: TcpListener,
+    answer: impl Fn(usize, &serde_json::Value) -> Option<&'static str> + Send + 'static,
+) -> Arc<Mutex<Vec<Request>>> {
     let seen: Arc<Mutex<Vec<Request>>> = Arc::default();
     let taken = seen.clone();
     std::thread::spawn(move || {
@@ -76,10 +88,11 @@ fn web_server(listener: TcpListener, answers: Vec<Option<&'static str>>) -> Arc<
                 let Some(length) = head.lines().find_map(|l| l.strip_prefix("content-length: ")) else { break };
                 let mut body = vec![0; length.trim().parse().unwrap()];
                 reader.read_exact(&mut body).unwrap();
-                let answer = answers[turn.min(answers.len() - 1)];
+                let body: serde_json::Value = serde_json::from_slice(&body).unwrap();
+                let answer = answer(turn, &body);
                 turn += 1;
                 let Some(answer) = answer else { break };
-                taken.lock().unwrap().push((head + answer, serde_json::from_slice(&body).unwrap()));
+                taken.lock().unwrap().push((head + answer, body));
                 let said = format!("HTTP/1.1 {answer}\r\ncontent-length: 0\r\n\r\n");
                 reader.get_mut().write_all(said.as_bytes()).unwrap();
             }
@@ -109,7 +122,7 @@ fn a_webhook_gets_everything_in_order_although_it_fails_and_is_away_over_a_resta
     drop(listener);
     let first = Running::start(dir.path(), &receiver);
     first.offer(0..5);
-    wait_for("a fault", || first.faults.list().iter().find(|f| f.contains("cmms cannot be delivered to")).cloned());
+    wait_for("a fault", || first.faults.list().iter().find(|f| f.contains("cmms does not take documents")).cloned());
     wait_for("all of them waiting", || {
         let waiting =
             first.metrics.delivery_waiting.get_or_create(&crate::daemon::metrics::Label { name: "cmms".into() });
@@ -155,8 +168,128 @@ fn what_is_refused_for_good_holds_up_nobody() {
     running.offer(0..2);
     wait_for("the second", || (taken(&seen) == ["e1"]).then_some(()));
     assert_eq!(running.metrics.delivery_refused.get(), 1);
-    assert!(running.faults.list()[0].contains("a refused alarm e0 for good"), "{:?}", running.faults.list());
+    assert!(running.faults.list()[0].contains("a refused alarm e0 of FIC101 for good"), "{:?}", running.faults.list());
+    let dead = dead_letters(dir.path());
+    assert_eq!((dead.len(), &dead[0]["id"], &dead[0]["document"]["loop"]), (1, &"e0".into(), &"FIC101".into()));
+    assert!(dead[0]["reason"].as_str().unwrap().contains("422"), "{dead:?}");
     running.stop();
+}
+
+fn dead_letters(dir: &Path) -> Vec<serde_json::Value> {
+    let text = std::fs::read_to_string(dir.join(dead::DEAD_LETTERS)).unwrap_or_default();
+    text.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+}
+
+#[cfg(feature = "deliver")]
+#[test]
+fn a_document_that_is_answered_with_500_for_ever_does_not_block_other_loops() {
+    let dir = tempfile::tempdir().unwrap();
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let receiver = format!("[[deliver]]\nname = \"a\"\nto = \"http://{}/\"\n", listener.local_addr().unwrap());
+    // Two poisoned loops, so that the first document that is tried beside the other is refused as well.
+    let answer = |_: usize, event: &serde_json::Value| {
+        let poisoned = event["subject"].as_str().unwrap().starts_with("POISON");
+        Some(if poisoned { "500 broken" } else { "204 ok" })
+    };
+    let seen = web_server_by(listener, answer);
+    let running = Running::start(dir.path(), &receiver);
+    let outbox = running.outbox.as_ref().unwrap();
+    outbox.offer(item_of("POISON1", 0));
+    outbox.offer(item_of("POISON2", 1));
+    (2..22).for_each(|k| outbox.offer(item_of(if k % 2 == 0 { "GOOD1" } else { "GOOD2" }, k)));
+    wait_for("the alarms of the other loops", || (taken(&seen).len() == 20).then_some(()));
+    wait_for("both dead letters", || (running.metrics.delivery_refused.get() == 2).then_some(()));
+    let of_loop = |parity: usize| (2..22).filter(move |k| k % 2 == parity).map(|k| format!("e{k}"));
+    for parity in [0, 1] {
+        let got = taken(&seen).into_iter().filter(|id| id[1..].parse::<usize>().unwrap() % 2 == parity);
+        assert_eq!(got.collect::<Vec<_>>(), of_loop(parity).collect::<Vec<_>>(), "in order within the loop");
+    }
+    let dead = dead_letters(dir.path());
+    let ids: Vec<&str> = dead.iter().map(|d| d["id"].as_str().unwrap()).collect();
+    assert_eq!(ids, ["e0", "e1"]);
+    assert!(dead.iter().all(|d| d["reason"].as_str().unwrap().contains("500") && d["attempts"].as_u64() > Some(3)));
+    running.stop();
+}
+
+#[cfg(feature = "deliver")]
+#[test]
+fn a_receiver_that_refuses_everything_for_a_while_loses_nothing() {
+    let dir = tempfile::tempdir().unwrap();
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let receiver = format!("[[deliver]]\nname = \"a\"\nto = \"http://{}/\"\n", listener.local_addr().unwrap());
+    let seen = web_server_by(listener, |turn, _| Some(if turn < 14 { "503 down" } else { "204 ok" }));
+    let running = Running::start(dir.path(), &receiver);
+    (0..6).for_each(|k| running.outbox.as_ref().unwrap().offer(item_of(&format!("L{}", k % 3), k)));
+    wait_for("all", || (taken(&seen).len() == 6).then_some(()));
+    assert_eq!(running.metrics.delivery_refused.get(), 0);
+    assert!(dead_letters(dir.path()).is_empty());
+    running.stop();
+}
+
+#[cfg(feature = "deliver")]
+#[test]
+fn a_document_that_is_refused_for_a_day_does_not_block_its_own_loop() {
+    let dir = tempfile::tempdir().unwrap();
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let receiver = format!("[[deliver]]\nname = \"a\"\nto = \"http://{}/\"\n", listener.local_addr().unwrap());
+    let answer = |_: usize, event: &serde_json::Value| Some(if event["id"] == "e0" { "500 broken" } else { "204 ok" });
+    let seen = web_server_by(listener, answer);
+    let running = Running::start(dir.path(), &receiver);
+    running.offer(0..3);
+    wait_for("the others", || (taken(&seen) == ["e1", "e2"]).then_some(()));
+    assert_eq!(dead_letters(dir.path())[0]["attempts"], 20);
+    running.stop();
+}
+
+/// Panics on some documents, and counts the others.
+struct Panics(Arc<Mutex<Vec<String>>>);
+
+impl Target for Panics {
+    fn send(&mut self, item: &Item) -> Result<(), Failure> {
+        assert!(item.loop_name != "POISON", "on purpose");
+        self.0.lock().unwrap().push(item.id.clone());
+        Ok(())
+    }
+}
+
+#[test]
+fn a_panic_costs_the_document_that_causes_it_and_nothing_else() {
+    let dir = tempfile::tempdir().unwrap();
+    let (faults, metrics) = (Arc::new(Faults::default()), Arc::new(Metrics::default()));
+    let entry = config("[[deliver]]\nname = \"a\"\nto = \"syslog+udp://127.0.0.1:1\"\n").deliver.remove(0);
+    let queue = Arc::new(Queue::new(&entry, &metrics));
+    let (changes, settled) = crossbeam_channel::unbounded();
+    let sent = Arc::new(Mutex::new(Vec::new()));
+    let make_sent = sent.clone();
+    let make = move || Ok(Box::new(Panics(make_sent.clone())) as Box<dyn Target>);
+    let (first, dead) = (make().unwrap(), Arc::new(DeadLetters::new(dir.path())));
+    let (queue_of, faults_of, metrics_of) = (queue.clone(), faults.clone(), metrics.clone());
+    let worker =
+        Worker { queue: queue_of, changes, dead, faults: faults_of, metrics: metrics_of, make: Box::new(make) };
+    let thread = std::thread::spawn(move || worker.supervise(first));
+    queue.push(0, Arc::new(item_of("POISON", 0)));
+    for k in 1..4 {
+        assert_eq!(queue.push(k, Arc::new(item_of("GOOD", k as usize))), None);
+    }
+    wait_for("all to be settled", || (settled.len() == 4).then_some(()));
+    assert_eq!(*sent.lock().unwrap(), ["e1", "e2", "e3"]);
+    assert_eq!((dead_letters(dir.path()).len(), metrics.delivery_refused.get()), (1, 1));
+    assert!(metrics.delivery_restarts.get() >= 4);
+    assert!(faults.list().iter().any(|f| f.contains("panicked and was restarted")), "{:?}", faults.list());
+    queue.close();
+    thread.join().unwrap();
+}
+
+#[test]
+fn the_dead_letter_file_is_bounded() {
+    let dir = tempfile::tempdir().unwrap();
+    let dead = DeadLetters::new(dir.path());
+    let mut large = item_of("L", 1);
+    large.document = format!("\"{}\"", "x".repeat(5 << 20));
+    (0..7).for_each(|_| dead.append("a", &large, 1, "too large").unwrap());
+    let files: Vec<u64> =
+        std::fs::read_dir(dir.path()).unwrap().map(|e| e.unwrap().metadata().unwrap().len()).collect();
+    assert!(files.len() == 2 && files.iter().sum::<u64>() < 24 << 20, "{files:?}");
 }
 
 #[test]

@@ -12,9 +12,9 @@ use stiction_monitor::config::Deliver;
 
 /// What a body is.
 const CONTENT_TYPE: &str = "application/cloudevents+json; charset=utf-8";
-/// Answers that no repetition changes: the document itself is not wanted. Others (no such place, not allowed, too much, a
-/// fault over there) may be mended, so those documents wait.
-const REFUSALS: [u16; 4] = [400, 413, 415, 422];
+/// Answers of the 4xx class that say something about the place, the sender or the moment and not about the document: those
+/// are tried again. All others mean that this document will never be taken.
+const MAY_CHANGE: [u16; 11] = [401, 403, 404, 407, 408, 410, 421, 423, 425, 426, 429];
 
 pub(super) struct Webhook {
     agent: Agent,
@@ -41,7 +41,7 @@ impl Webhook {
         let settings = Agent::config_builder()
             .timeout_global(Some(SEND_WITHIN))
             .http_status_as_error(false)
-            // Elsewhere the token has no business.
+            // The token must not go to another place.
             .max_redirects(0)
             .max_redirects_will_error(false)
             .user_agent(concat!("stictiond/", env!("CARGO_PKG_VERSION")))
@@ -64,13 +64,13 @@ impl Target for Webhook {
             request = request.header("authorization", format!("Bearer {token}"));
         }
         let response = request.send(cloud_event(item).as_bytes());
-        let response = response.map_err(|error| Failure::Later(format!("{}: {error}", self.url), None))?;
+        let response = response.map_err(|error| Failure::Unanswered(format!("{}: {error}", self.url)))?;
         let status = response.status();
         if status.is_success() {
             return Ok(());
         }
         let why = format!("{} answers {status}", self.url);
-        if REFUSALS.contains(&status.as_u16()) {
+        if status.is_client_error() && !MAY_CHANGE.contains(&status.as_u16()) {
             return Err(Failure::Refused(why));
         }
         let after = response.headers().get("retry-after").and_then(|v| v.to_str().ok()?.trim().parse::<u64>().ok());

@@ -83,19 +83,18 @@ impl<'a, 'i> TableReader<'a, 'i> {
     }
 
     fn wrong_type(&mut self, line: usize, key: &str, found: &DeValue<'_>, wanted: &str) {
-        self.fault(
-            line,
-            key,
-            format!("is {} {}", article(found.type_str()), found.type_str()),
-            format!("write {wanted}"),
-        );
+        let message = match not_finite(found) {
+            Some(word) => format!("{word} is not allowed: a setting must be a finite number"),
+            None => format!("is {} {}", article(found.type_str()), found.type_str()),
+        };
+        self.fault(line, key, message, format!("write {wanted}"));
     }
 
     /// A finite number in `min..=max`.
     pub fn number(&mut self, key: &'static str, default: f64, min: f64, max: f64) -> f64 {
         let Some((value, line)) = self.get(key) else { return default };
         let Some(number) = number_of(value) else {
-            self.wrong_type(line, key, value, "a number");
+            self.wrong_type(line, key, value, &format!("a number from {min} to {max}"));
             return default;
         };
         if !(min..=max).contains(&number) {
@@ -279,6 +278,12 @@ fn number_of(value: &DeValue<'_>) -> Option<f64> {
         return i64::from_str_radix(&i.as_str().replace('_', ""), i.radix()).ok().map(|n| n as f64);
     }
     value.as_float().and_then(|f| f.as_str().replace('_', "").parse().ok()).filter(|f: &f64| f.is_finite())
+}
+
+/// How a float that is NaN or infinite is written in the file.
+fn not_finite<'v>(value: &'v DeValue<'_>) -> Option<&'v str> {
+    let text = value.as_float()?.as_str();
+    text.parse::<f64>().is_ok_and(|number| !number.is_finite()).then_some(text)
 }
 
 fn article(noun: &str) -> &'static str {
