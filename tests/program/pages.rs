@@ -2,7 +2,8 @@
 //! order, with the output that is shown.
 //!
 //! A fenced block marked `console` shows real output of a shipped recording: where a change means to alter it, run the
-//! command and paste what it prints. `...` stands for lines that are left out. Blocks of other marks are not compared.
+//! command and paste what it prints. `...` stands for lines, or the rest of a line, that are left out. Blocks of other marks are not
+//! compared.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
@@ -198,7 +199,11 @@ fn copied(names: &[&str], to: &Path) {
 /// The first line that is shown and was not printed, in the order in which lines are shown.
 fn missing(shown: &[String], printed: &str) -> Option<String> {
     let mut printed = printed.lines();
-    shown.iter().filter(|line| line.trim() != "...").find(|line| !printed.any(|p| p == **line)).cloned()
+    let shows = |shown: &str, printed: &str| match shown.strip_suffix("...") {
+        Some(start) => printed.starts_with(start),
+        None => printed == shown,
+    };
+    shown.iter().filter(|line| line.trim() != "...").find(|line| !printed.any(|p| shows(line, p))).cloned()
 }
 
 #[track_caller]
@@ -265,12 +270,30 @@ fn the_five_minutes_work_as_pasted() {
 
 #[test]
 fn outputs_on_the_other_pages_are_those_of_this_build() {
+    let folder = tempfile::tempdir().unwrap();
+    copied(&["recordings", "config", "examples"], folder.path());
     let mut done = 0;
-    for (page, text) in pages().into_iter().filter(|(page, _)| page != "README.md") {
+    let others = pages().into_iter().filter(|(page, _)| !["README.md", "docs/tutorial.md"].contains(&page.as_str()));
+    for (page, text) in others {
         for step in steps(&page, &text, &["console"]) {
-            run(&step, &arguments(&step.line).unwrap(), Path::new("."));
+            run(&step, &arguments(&step.line).unwrap(), folder.path());
             done += 1;
         }
     }
     assert!(done >= 2, "{done}");
+}
+
+#[test]
+fn the_tutorial_shows_output_of_each_step_and_writes_its_report() {
+    let folder = tempfile::tempdir().unwrap();
+    copied(&["recordings"], folder.path());
+    let text = fs::read_to_string("docs/tutorial.md").unwrap();
+    let steps = steps("docs/tutorial.md", &text, &["console"]);
+    assert_eq!(steps.len(), text.matches("\n$ ").count(), "a step is in a block of another mark");
+    for step in &steps {
+        assert!(step.shown.iter().any(|line| line.trim() != "..."), "line {}: no output is shown", step.number);
+        run(step, &arguments(&step.line).unwrap(), folder.path());
+    }
+    let report = fs::read_to_string(folder.path().join("fic201.html")).unwrap();
+    assert!(report.contains("41FIC201"));
 }
