@@ -76,7 +76,7 @@ def costs(said, results, sticking):
     for kind, count in sorted(windows.items()):
         each = 1e3 * used[kind] / count
         let_go, fits = 100 * screened[kind] / count, 100 * fitted[kind] / count
-        print(f"{kind} loops: {each:.1f} ms of CPU a window ({count} windows: {let_go:.0f} % let go at once, {fits:.0f} % fitted)")
+        print(f"{kind} loops: {each:.1f} ms of CPU a window ({count} windows: {let_go:.0f} % screened, {fits:.0f} % fitted)")
     print(f"results: {size / sum(windows.values()):.0f} bytes a window")
     return {kind: used[kind] / count for kind, count in windows.items()}
 
