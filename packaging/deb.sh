@@ -117,7 +117,7 @@ Description: watches control loops for sticking valves
  and records everything, so that each result can be repeated bit for bit.
  .
  It never writes to the plant. The service is installed switched off: it needs
- to be told the plant's keys first, in /etc/stictiond/monitor.toml.
+ the plant's keys first, in /etc/stictiond/monitor.toml.
 CONTROL
 find "$stage" -exec touch --no-dereference --date "@$SOURCE_DATE_EPOCH" {} +
 

@@ -11,5 +11,6 @@ mod engine_gaps;
 mod engine_later;
 mod engine_share;
 mod formats;
+mod language;
 mod pages;
 mod tidy;

@@ -1,0 +1,79 @@
+//! What people read is plain English and short: pages, comments of configurations and packages, and the texts of the web page.
+//! `tests/program/language.rs` looks at the program's help.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+#[path = "../common/phrases.rs"]
+mod phrases;
+
+/// Most words of all pages of `docs`, and of one; words are separated by blanks.
+const MAX_WORDS: usize = 37_000;
+const MAX_PAGE: usize = 2_700;
+/// Pages that a test writes, which may be of any length.
+const GENERATED: [&str; 1] = ["docs/export-shapes.md"];
+/// Texts that are not looked at, and why.
+const EXCEPT: [(&str, &str); 6] = [
+    ("docs/export-shapes.md", "what the program prints, written by a test"),
+    ("docs/evaluation.md", "tables as commands print them"),
+    ("docs/page.md", "not rewritten yet"),
+    ("docs/robustness.md", "not rewritten yet"),
+    ("docs/scale-out.md", "not rewritten yet"),
+    ("docs/verdicts.md", "not rewritten yet"),
+];
+
+fn root() -> PathBuf {
+    PathBuf::from(env!("CARGO_MANIFEST_DIR"))
+}
+
+/// Files of a folder with one of these endings, by their path from the root.
+fn files(folder: &str, ends: &[&str]) -> Vec<String> {
+    let entries = fs::read_dir(root().join(folder)).unwrap_or_else(|e| panic!("{folder}: {e}"));
+    let names = entries.map(|entry| entry.unwrap().file_name().into_string().unwrap());
+    let mut out: Vec<String> =
+        names.filter(|n| ends.iter().any(|e| n.ends_with(e))).map(|n| format!("{folder}/{n}")).collect();
+    out.sort();
+    out
+}
+
+/// Everything that is searched.
+fn texts() -> Vec<String> {
+    let pages =
+        ["README.md", "CONTRIBUTING.md", "CHANGELOG.md", "SECURITY.md", "recordings/README.md", "python/README.md"];
+    let mut out: Vec<String> = pages.map(str::to_owned).to_vec();
+    out.extend(files("docs", &[".md"]));
+    out.extend(files("docs/history", &[".md"]));
+    out.extend(files("config", &[".toml", ".json5", ".service", ".yaml", ".yml"]));
+    out.extend(files("packaging", &[".toml", ".sh", "Containerfile"]));
+    out.extend(files("packaging/debian", &[""]).into_iter().filter(|name| root().join(name).is_file()));
+    out
+}
+
+#[test]
+fn no_phrase_comes_back() {
+    let texts = texts();
+    assert!(texts.len() > 40, "{texts:?}");
+    for (name, _) in EXCEPT {
+        assert!(root().join(name).exists(), "{name} is excepted and not there");
+    }
+    let mut faults = Vec::new();
+    for name in texts.iter().filter(|name| EXCEPT.iter().all(|(except, _)| *except != name.as_str())) {
+        let text = fs::read_to_string(root().join(name)).unwrap_or_else(|e| panic!("{name}: {e}"));
+        faults.extend(phrases::found(&text).into_iter().map(|(line, what)| format!("{name}: line {line}: {what}")));
+    }
+    assert!(faults.is_empty(), "\n{}\n", faults.join("\n"));
+}
+
+#[test]
+fn the_pages_stay_within_what_is_read() {
+    let words = |name: &String| fs::read_to_string(root().join(name)).unwrap().split_whitespace().count();
+    let pages: Vec<String> = files("docs", &[".md"]).into_iter().filter(|n| !GENERATED.contains(&n.as_str())).collect();
+    let mut sum = 0;
+    for name in &pages {
+        let count = words(name);
+        sum += count;
+        assert!(count <= MAX_PAGE, "{name} has {count} words, at most {MAX_PAGE}");
+    }
+    assert!(sum <= MAX_WORDS, "the pages of docs have {sum} words, at most {MAX_WORDS}");
+    assert!(GENERATED.iter().all(|name| Path::new(&root().join(name)).exists()));
+}
