@@ -4,8 +4,8 @@
     pip install ./python pandas matplotlib
     python examples/assess.py pictures [recordings/sticking.mcap]
 
-Pictures go into the folder given. The command `stictiond` turns the recording into a table; it is taken from STICTIOND_BIN,
-from the target folder or from the path. Data of your own need none of that: two columns and a sampling time will do.
+Pictures go into the folder given. The command `stictiond` turns the recording into a table; it is found by STICTIOND_BIN,
+in the target folder or on the path. Your own data need only two columns and a sampling time.
 """
 
 # %% What is needed

@@ -25,10 +25,10 @@ AT_ONCE = 10_000
 
 
 def run(client, data, results, **settings):
-    """Does all that is to be done; yields what became of each month."""
+    """Runs every task; yields the result of each month."""
     tasks = plan(data, results)
     while some := list(islice(tasks, AT_ONCE)):
-        # `pure=False`: a month that is asked for again is looked at again.
+        # `pure=False`: a month that is submitted again is computed again.
         futures = client.map(lambda task: assess_month(str(data), str(results), task, **settings), some, pure=False)
         asked = dict(zip(futures, some))
         for future in as_completed(futures):

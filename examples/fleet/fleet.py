@@ -1,7 +1,7 @@
-"""A fleet's history: every window of every loop, a loop and month at a time, from Parquet to Parquet.
+"""A fleet's history: every window of every loop, one loop and month at a time, from Parquet to Parquet.
 
     DATA/loop=FIC101/day=2026-01-05/*.parquet    t (timestamp, UTC), op, pv; sp, mv, mode where there are any
-    RESULTS/loop=FIC101/2026-01.parquet          a row a window: the numbers of its estimate, and the whole document
+    RESULTS/loop=FIC101/2026-01.parquet          a row per window: the numbers of its estimate, and the whole document
     RESULTS/_errors/loop=FIC101/2026-02.json     why that month has no such file
 
 `assess_month` is the unit of work. `pool_fleet.py`, `dask_fleet.py` and `spark_fleet.py` hand it out; docs/fleet.md.
@@ -48,7 +48,7 @@ SCHEMA = pa.schema(
 
 
 def plan(data, results):
-    """Every loop and month there is, in order; clears away what killed workers left half written."""
+    """Every loop and month, sorted; removes what killed workers left half written."""
     for part in Path(results).rglob(".*.part"):
         part.unlink(missing_ok=True)
     for folder in sorted(Path(data).glob("loop=*")):
@@ -59,7 +59,7 @@ def plan(data, results):
 def assess_month(data, results, task, hop_s=HOP_S, max_window_s=MAX_WINDOW_S):
     """Judges the windows of one loop that end in one month (UTC), unless a file made of the same samples is there.
 
-    task: what `plan` gave. Says what was done: `loop`, `month`, `state` (`done`, `skipped`, `failed`), `windows`, `cpu_s`.
+    task: what `plan` gave. Returns what was done: `loop`, `month`, `state` (`done`, `skipped`, `failed`), `windows`, `cpu_s`.
     """
     loop, folder, month = task
     started = time.process_time()
@@ -93,7 +93,7 @@ def assess_month(data, results, task, hop_s=HOP_S, max_window_s=MAX_WINDOW_S):
 
 
 def said_of(target):
-    """What a file of results was made of; None where there is none that can be read."""
+    """The inputs of a result file; None where there is no readable one."""
     try:
         return (pq.read_schema(target).metadata or {}).get(b"made_of", b"").decode()
     except (OSError, pa.ArrowException):
@@ -108,7 +108,7 @@ def files_between(folder, first, last):
 
 
 def read(file):
-    """A file's columns, in the types that can be put one behind the other."""
+    """A file's columns, in types that can be concatenated."""
     table = pq.ParquetFile(file).read()
     kinds = {"t": TIME, **dict.fromkeys(("op", "pv", "sp", "mv"), NUMBER), "mode": TEXT}
     there = [name for name in kinds if name in table.column_names]

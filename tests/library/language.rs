@@ -43,6 +43,9 @@ fn texts() -> Vec<String> {
     let mut out: Vec<String> = pages.map(str::to_owned).to_vec();
     out.extend(files("docs", &[".md"]));
     out.extend(files("docs/history", &[".md"]));
+    out.push("crates/stiction/README.md".to_owned());
+    out.extend(files("examples", &[".py", ".rs"]));
+    out.extend(files("examples/fleet", &[".py"]).into_iter().filter(|name| !name.ends_with("measure.py")));
     out.extend(files("config", &[".toml", ".json5", ".service", ".yaml", ".yml"]));
     out.extend(files("packaging", &[".toml", ".sh", "Containerfile"]));
     out.extend(files("packaging/debian", &[""]).into_iter().filter(|name| root().join(name).is_file()));
