@@ -1,4 +1,4 @@
-//! `stictiond calibrate`: fits the verdict's rule and tells how good it is on what it was not fitted to.
+//! `stictiond calibrate`: fits the classifier of the verdict and measures it on data that it was not fitted to.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -21,51 +21,50 @@ use stiction_lab::truth::{Half, verdict_case};
 use stiction_monitor::engine::WindowParams;
 use stiction_monitor::engine::windows;
 
-/// Fit the rule behind p_stiction to simulated loops and labelled recordings, and print how good it is on those that it was
-/// not fitted to: recordings valve by valve left out, simulated loops of the half that is kept for the report.
+/// Fit the classifier behind p_stiction to simulated loops and labelled recordings, and measure it on data left out of the
+/// fit: recordings leave-one-valve-out, simulated loops of the report half.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   stictiond calibrate --loops 2000 --features figures.jsonl
   stictiond calibrate --features figures.jsonl --labelled labelled/INDEX.csv --out rule.json
   stictiond calibrate --intervals 40 --out interval.json")]
 pub struct Args {
-    /// Simulated loops in each half, the fitted and the reported one.
+    /// Simulated loops in each half: one to fit, one to report.
     #[arg(long, default_value_t = 1000)]
     pub loops: u64,
     /// Seed of the first simulated loop.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
-    /// Labelled recordings, as `evaluate` takes them.
+    /// Index of labelled recordings (CSV), as for `evaluate`.
     #[arg(long, value_name = "INDEX.csv")]
     pub labelled: Option<PathBuf>,
-    /// Keeps the figures of what was computed, a line each, and takes from there what it holds.
+    /// File that caches computed features, one line each (JSON lines); read if it exists.
     #[arg(long, value_name = "FILE.jsonl")]
     pub features: Option<PathBuf>,
-    /// Features of a rule; repeat it for each rule whose logits are averaged. Those of the rules in use if none are named.
+    /// Features of one classifier; repeat for each classifier whose logits are averaged [default: those in use].
     #[arg(long = "use", value_name = "NAME,NAME")]
     pub names: Vec<String>,
-    /// Penalty on the squared weights of standardised features.
+    /// L2 penalty on the weights of standardised features.
     #[arg(long, default_value_t = 1.0)]
     pub ridge: f64,
-    /// Valves that all simulated loops together weigh as much as.
+    /// Total weight of the simulated loops, in valves.
     #[arg(long, default_value_t = 40.0)]
     pub weight: f64,
-    /// Probabilities from which on a valve is said to stick and a window counts towards an alarm; those of the rule in
-    /// use if none are given.
+    /// Decision threshold of the verdict and of the alarm, as probabilities [default: those in use].
     #[arg(long, value_name = "CALLED,ALARM", value_parser = super::selection::rising)]
     pub cuts: Option<[f64; 2]>,
-    /// Instead of the rule, measures how wide intervals of s, j, fs and fd have to be, on so many loops of each regime.
+    /// Instead of the classifier, measure how wide the intervals of s, j, fs and fd must be, on this many loops per regime.
     #[arg(long, value_name = "LOOPS", conflicts_with_all = ["labelled", "features", "names"])]
     pub intervals: Option<u64>,
-    /// Writes the rule (or the intervals' figures) here.
+    /// Output file for the classifier (or interval widths), JSON.
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
-    /// Replaces an existing OUT.
+    /// Replace an existing output file.
     #[arg(long)]
     pub force: bool,
 }
 
-/// What has to be looked at.
+/// What to compute.
 enum Source {
     Loop(Half, u64),
     Recording(index::Case),
@@ -86,13 +85,13 @@ impl Source {
 /// A file cannot be read or written, or there is nothing to fit.
 pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     if let Some(out) = args.out.as_ref().filter(|out| out.exists() && !args.force) {
-        bail!("{}: exists; --force replaces it", out.display());
+        bail!("{}: already exists; use --force to replace it", out.display());
     }
     if let Some(loops) = args.intervals {
         return super::calibrate_intervals::run(loops, args.seed, args.out.as_deref(), format);
     }
     if args.weight.is_nan() || args.weight < 0.0 || args.ridge.is_nan() || args.ridge < 0.0 {
-        return Err(UsageError("--weight and --ridge are numbers from 0 on".to_owned()).into());
+        return Err(UsageError("--weight and --ridge must be 0 or more".to_owned()).into());
     }
     let shipped = Rule::shipped();
     let examples = gather(args)?;
@@ -108,7 +107,8 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
         cuts: args.cuts.map_or(shipped.cuts, |[called, alarm]| Cuts { called, alarm }),
         seed: args.seed,
     };
-    let rule = fit(&examples, &weights(&examples, args.weight), &settings).context("nothing to fit: no example")?;
+    let rule = fit(&examples, &weights(&examples, args.weight), &settings)
+        .context("nothing to fit; raise --loops or give --labelled")?;
     let real = leave_one_valve_out(&examples, &settings);
     let held: Vec<(&Example, Scored)> = examples.iter().filter(|e| e.held).map(|e| (e, ask(&rule, e, 1.0))).collect();
     match format {
@@ -117,12 +117,12 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     }
     if let Some(out) = &args.out {
         let text = serde_json::to_string_pretty(&rule)? + "\n";
-        fs::write(out, text).with_context(|| format!("{}: cannot be written", out.display()))?;
+        fs::write(out, text).with_context(|| format!("cannot write {}", out.display()))?;
     }
     Ok(Outcome::Done)
 }
 
-/// Figures of everything asked for: from the file of features where it holds them, else computed.
+/// Features of all examples: from the cache file where it has them, else computed.
 fn gather(args: &Args) -> anyhow::Result<Vec<Example>> {
     let mut sources: Vec<Source> = Vec::new();
     for half in [Half::Calibration, Half::Report] {
@@ -154,7 +154,7 @@ fn gather(args: &Args) -> anyhow::Result<Vec<Example>> {
         if let Some(path) = &args.features {
             use std::io::Write as _;
             let file = fs::OpenOptions::new().create(true).append(true).open(path);
-            let mut file = file.with_context(|| format!("{}: cannot be written", path.display()))?;
+            let mut file = file.with_context(|| format!("cannot write {}", path.display()))?;
             file.write_all(lines.as_bytes())?;
         }
     }
@@ -227,7 +227,7 @@ fn by_source<'e>(told: &[(&'e Example, Scored)]) -> BTreeMap<&'e str, Vec<Scored
     out
 }
 
-/// The same answers with every valve counting once.
+/// The same answers with each valve counted once.
 fn by_valve<'e>(told: &[(&'e Example, Scored)]) -> Vec<(&'e Example, Scored)> {
     let keys: Vec<&str> = told.iter().map(|(e, _)| e.valve.as_deref().unwrap_or(&e.name)).collect();
     let mut scored: Vec<Scored> = told.iter().map(|(_, s)| *s).collect();
@@ -253,7 +253,7 @@ fn line_of(name: &str, cases: &[Scored]) -> String {
     )
 }
 
-/// Share of the sticking loops found, of the healthy ones accused.
+/// True and false positive rate.
 fn rates(cases: &[Scored]) -> (Option<f64>, Option<f64>) {
     let t = Tally::of(cases);
     let share = |truth: bool, part: f64| {
@@ -263,12 +263,12 @@ fn rates(cases: &[Scored]) -> (Option<f64>, Option<f64>) {
     (share(true, t.found), share(false, t.false_alarms))
 }
 
-/// The same answer from another probability on.
+/// The same answer at another threshold.
 fn at_cut(scored: &Scored, cut: f64) -> Scored {
     Scored { answer: scored.answer.zip(scored.p).map(|(answer, p)| answer && p >= cut), ..*scored }
 }
 
-/// Sticking loops found and healthy ones accused of one kind.
+/// True and false positives of one kind.
 fn kind_line(kind: &str, cases: &[Scored]) -> String {
     let t = Tally::of(cases);
     let share = |part: f64, truth: bool| {

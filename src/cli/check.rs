@@ -1,4 +1,4 @@
-//! `stictiond check`: every fault of a configuration at once.
+//! `stictiond check`: lists every fault of a configuration.
 
 use std::path::{Path, PathBuf};
 
@@ -12,16 +12,15 @@ use stictiond::sink::signing::Signer;
 use stictiond::source::zenoh::session_config;
 use stictiond::web::guard_of;
 
-/// Check a configuration and list every fault with its line and what to write instead, the Zenoh file that it names and
-/// the recording folder included.
+/// Check a configuration, the files it names and the recording folder; list every fault with line and remedy.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example: stictiond check config/monitor.toml")]
 pub struct Args {
-    /// The configuration (TOML).
+    /// Configuration file (TOML).
     pub config: PathBuf,
 }
 
-/// Runs the command; faults end it with exit 1.
+/// Runs the command; faults give exit code 1.
 ///
 /// # Errors
 /// The file cannot be read.
@@ -51,7 +50,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     Ok(if faults.is_empty() { Outcome::Done } else { Outcome::Failed })
 }
 
-/// What is wrong with the things that a sound configuration points at.
+/// Faults in the files and folders that a valid configuration names.
 fn faults_outside(text: &str, config: &Config) -> Vec<Fault> {
     let mut faults = Vec::new();
     let mut refuse = |section: &str, key: &str, message: String, remedy: &str| {
@@ -61,16 +60,16 @@ fn faults_outside(text: &str, config: &Config) -> Vec<Fault> {
     if let Err(error) = session_config(config) {
         let about = format!("{error:#}");
         if about.contains("principals") {
-            refuse("commands", "principals", about, "see SECURITY.md, or leave the principals out");
+            refuse("commands", "principals", about, "see SECURITY.md, or remove the principals");
         } else {
             let key = if config.zenoh.config_file.is_empty() { "connect" } else { "config_file" };
-            refuse("zenoh", key, error.to_string(), "name a Zenoh configuration (JSON5) that exists and can be read");
+            refuse("zenoh", key, error.to_string(), "name a readable Zenoh configuration file (JSON5)");
         }
     }
     if !config.signing.key_file.is_empty()
         && let Err(error) = Signer::read(Path::new(&config.signing.key_file))
     {
-        refuse("signing", "key_file", format!("{error:#}"), "name a private key, or leave it out");
+        refuse("signing", "key_file", format!("{error:#}"), "name a private key file, or remove the key");
     }
     if let Err(error) = guard_of(&config.web.page) {
         let about = format!("{error:#}");
@@ -78,25 +77,25 @@ fn faults_outside(text: &str, config: &Config) -> Vec<Fault> {
         refuse("web", key, about, "see docs/page.md");
     }
     if let Err(why) = can_be_written(Path::new(&config.recording.dir)) {
-        refuse("recording", "dir", why, "name a folder that this user may write, or may make");
+        refuse("recording", "dir", why, "name a folder that this user may write to or create");
     }
     for d in &config.deliver {
         if let Err(error) = deliver::check(d) {
             let (line, key) = (line_of_name(text, &d.name), format!("deliver.{}", d.name));
-            let remedy = "name a file that exists and can be read".to_owned();
+            let remedy = "name a readable file".to_owned();
             faults.push(Fault { line, key, message: format!("{error:#}"), remedy });
         }
     }
     faults
 }
 
-/// The line where a table is named, or the first.
+/// The line that names this table entry, or line 1.
 fn line_of_name(text: &str, name: &str) -> usize {
     let named = |line: &str| line.trim_start().starts_with("name") && line.contains(&format!("\"{name}\""));
     text.lines().position(named).map_or(1, |at| at + 1)
 }
 
-/// The line of a key below its table's head, or of the head, or the first.
+/// The line of a key in its table, else of the table's header, else line 1.
 fn line_of(text: &str, section: &str, key: &str) -> usize {
     let (mut inside, mut head) = (false, 1);
     for (at, line) in text.lines().map(str::trim_start).enumerate() {
@@ -110,14 +109,14 @@ fn line_of(text: &str, section: &str, key: &str) -> usize {
     head
 }
 
-/// Whether a folder can be written, or made where it is not there yet; nothing is written to find out.
+/// Checks whether a folder is writable or can be created, without writing.
 fn can_be_written(dir: &Path) -> Result<(), String> {
     let absolute = std::path::absolute(dir).map_err(|e| format!("{}: {e}", dir.display()))?;
     let mut there = absolute.as_path();
     loop {
         match std::fs::metadata(there) {
             Ok(found) if found.is_dir() => break,
-            Ok(_) => return Err(format!("{} is no folder", there.display())),
+            Ok(_) => return Err(format!("{} is not a folder", there.display())),
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => {}
             Err(error) => return Err(format!("{}: {error}", there.display())),
         }
@@ -126,7 +125,7 @@ fn can_be_written(dir: &Path) -> Result<(), String> {
     }
     #[cfg(target_os = "linux")]
     if let Err(error) = rustix::fs::access(there, rustix::fs::Access::WRITE_OK | rustix::fs::Access::EXEC_OK) {
-        return Err(format!("{} cannot be written: {}", there.display(), std::io::Error::from(error)));
+        return Err(format!("cannot write to {}: {}", there.display(), std::io::Error::from(error)));
     }
     Ok(())
 }

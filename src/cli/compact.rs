@@ -1,4 +1,4 @@
-//! `stictiond compact`: makes and shows the toolbox's compact data stores.
+//! `stictiond compact`: creates and shows the toolbox's compact data stores.
 
 use std::io::{BufRead, Write};
 use std::path::{Path, PathBuf};
@@ -16,13 +16,13 @@ use stictiond::files::even::even;
 use stictiond::files::export::moment;
 use stictiond::files::{FileError, InputKind, LoadedLoop, choose_loop, csv};
 
-/// Most loops and values that are asked for one by one.
+/// Most loops and values asked for interactively.
 const MOST_LOOPS: usize = 10_000;
 
-/// Make or show compact data stores (.mat), as the toolbox's gen_cmpct_Data_stiction makes them.
+/// Create or show compact data stores (.mat), in the form of the toolbox's gen_cmpct_Data_stiction.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
-  stictiond compact new                                     asks for everything, as the toolbox does
+  stictiond compact new                                     ask for everything, as the toolbox does
   stictiond compact new FIC101.csv TIC102.csv --out store.mat
   stictiond compact new op_pv.csv --ts 3 --start 2026-01-05T08:00:00Z --tag FIC101 --comment \"before the repair\"
   stictiond compact new june.csv plant.mcap --tz Europe/Berlin --resample 1 --out store.mat
@@ -39,59 +39,59 @@ enum CompactCommand {
     Show(ShowArgs),
 }
 
-/// Make a store: from files, or by answering questions.
+/// Create a store from files or by answering questions.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "A file is a table t,op,pv (with --ts just op,pv), an export, or a recording. Without files the program asks
-for the number of loops, then OP (numbers such as 1 3 5 or [1;3;5], or a file that holds the loop), PV,
-sampling time and comment of each, then the file's name. Options that may be given once a file stand
-in the files' order; given once, --ts and --start hold for all. Without files --tag, --ts, --start and
---comment stand for the answers, in the loops' order."
+    after_help = "A file is a table t,op,pv (with --ts also op,pv), an export, or a recording. Without files the program asks
+for the number of loops, then OP (numbers such as 1 3 5 or [1;3;5], or a file with the loop), PV, sampling
+time and comment of each loop, then the name of the output. Repeat an option once per file, in the files'
+order; a single --ts or --start applies to all. Without files, --tag, --ts, --start and --comment give the
+answers in loop order."
 )]
 pub struct NewArgs {
-    /// Tables t,op,pv, exports or recordings; every loop of each is taken.
+    /// Tables t,op,pv, exports or recordings; all loops of each are stored.
     pub tables: Vec<PathBuf>,
-    /// The store to write (.mat).
+    /// Store to write (.mat).
     #[arg(long, value_name = "FILE.mat")]
     pub out: Option<PathBuf>,
-    /// Tags of a loop, once a file: OP's and PV's with a comma between, or what both begin with.
+    /// Tags of a loop, once per file: OP's and PV's separated by a comma, or their common start.
     #[arg(long, value_name = "TAG")]
     pub tag: Vec<String>,
-    /// Sampling time, s; otherwise the tables' own.
+    /// Sampling time, s [default: from the timestamps].
     #[arg(long, value_name = "SECONDS", allow_negative_numbers = true)]
     pub ts: Vec<f64>,
-    /// A note, once a file.
+    /// Comment on a loop, once per file.
     #[arg(long, value_name = "TEXT")]
     pub comment: Vec<String>,
-    /// Time of the first sample, seconds since 1970 or RFC 3339; otherwise the tables' own, or 1970.
-    /// Without a zone it is read by --tz.
+    /// Time of the first sample: seconds since 1970 or RFC 3339, without a zone in that of --tz [default: from the
+    /// timestamps, or 1970].
     #[arg(long, value_name = "TIME", allow_negative_numbers = true)]
     pub start: Vec<String>,
-    /// Put uneven samples at an even rate: OP held, PV straight between its values.
+    /// Resample uneven data to one sample every SECONDS: OP held, PV interpolated linearly.
     #[arg(long, value_name = "SECONDS", value_parser = resample)]
     pub resample: Option<f64>,
-    /// How exports are read.
+    /// Options for reading exports.
     #[command(flatten)]
     pub reading: ReadArgs,
-    /// Write as save -v6 does, without compression.
+    /// Write without compression, as MATLAB's save -v6 does.
     #[arg(long)]
     pub uncompressed: bool,
-    /// Replace what exists.
+    /// Replace an existing file.
     #[arg(long)]
     pub force: bool,
 }
 
-/// Show what a store holds: tags, sampling time, length, comment of each loop.
+/// Show the loops of a store: tags, sampling time, length, comment.
 #[derive(Debug, clap::Args)]
 pub struct ShowArgs {
-    /// The store.
+    /// Store to show (.mat).
     pub file: PathBuf,
 }
 
 /// Runs the command.
 ///
 /// # Errors
-/// What cannot be read or written, with its place; [`UsageError`] where the request must change.
+/// Input that cannot be read or output that cannot be written, with its place; [`UsageError`] for a wrong request.
 pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     match &args.command {
         CompactCommand::New(args) => new(args, format),
@@ -103,12 +103,13 @@ fn new(args: &NewArgs, format: Format) -> anyhow::Result<Outcome> {
     let (loops, out) = if args.tables.is_empty() {
         interview(&mut std::io::stdin().lock(), &mut std::io::stderr().lock(), args)?
     } else {
-        let out = args.out.clone().ok_or_else(|| UsageError("--out FILE.mat is missing".to_owned()))?;
+        let out =
+            args.out.clone().ok_or_else(|| UsageError("name the store to write with --out FILE.mat".to_owned()))?;
         refuse_existing(&out, args.force)?;
         (from_tables(args)?, out)
     };
     if out.extension().is_none_or(|e| !e.eq_ignore_ascii_case("mat")) {
-        return Err(UsageError(format!("{}: a store's name ends in .mat", out.display())).into());
+        return Err(UsageError(format!("{}: the name of a store must end in .mat", out.display())).into());
     }
     refuse_existing(&out, args.force)?;
     write_store(&loops, &out, !args.uncompressed)?;
@@ -119,7 +120,7 @@ fn new(args: &NewArgs, format: Format) -> anyhow::Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// The `k`-th of several values, the only one for all if `shared`, else nothing.
+/// The `k`-th of several values; the only one, if `shared`; else none.
 fn given<T: Clone>(values: &[T], k: usize, shared: bool) -> Option<T> {
     if shared && values.len() == 1 { values.first().cloned() } else { values.get(k).cloned() }
 }
@@ -133,7 +134,7 @@ fn from_tables(args: &NewArgs) -> anyhow::Result<Vec<CompactLoop>> {
         ("--start", args.start.len()),
     ] {
         if count > files || (count > 1 && count < files) {
-            let text = format!("{name} is given {count} times for {files} files; give it once a file, or once");
+            let text = format!("{name} is given {count} times for {files} files; give it once per file, or once");
             return Err(UsageError(text).into());
         }
     }
@@ -147,7 +148,8 @@ fn from_tables(args: &NewArgs) -> anyhow::Result<Vec<CompactLoop>> {
         let tag = given(&args.tag, k, files == 1);
         if let (Some(tag), true) = (&tag, of_file.len() > 1) {
             let count = of_file.len();
-            let text = format!("--tag {tag}: {} holds {count} loops; --map op=TAG,pv=TAG takes one", path.display());
+            let text =
+                format!("--tag {tag}: {} has {count} loops; choose one with --map op=TAG,pv=TAG", path.display());
             return Err(UsageError(text).into());
         }
         for one in &mut of_file {
@@ -158,7 +160,7 @@ fn from_tables(args: &NewArgs) -> anyhow::Result<Vec<CompactLoop>> {
     Ok(loops)
 }
 
-/// Puts in what was said on the command line of the `k`-th file, or loop.
+/// Applies the options given for the `k`-th file or loop.
 fn said(args: &NewArgs, k: usize, alone: bool, one: &mut CompactLoop) -> anyhow::Result<()> {
     if let Some(text) = given(&args.start, k, true) {
         let start_ns =
@@ -191,7 +193,7 @@ fn from_file(args: &NewArgs, path: &Path, ts_s: Option<f64>) -> anyhow::Result<V
             Err(FileError::Csv { source: csv::CsvError::NoColumn { column: "t", .. }, .. }) if is_op_pv(path) => {
                 return match ts_s {
                     Some(ts_s) => Ok(vec![columns(path, &name, ts_s)?]),
-                    None => bail!("{}: has no column t; say the sampling time by --ts", path.display()),
+                    None => bail!("{}: has no column t; give the sampling time with --ts", path.display()),
                 };
             }
             _ => {}
@@ -202,7 +204,7 @@ fn from_file(args: &NewArgs, path: &Path, ts_s: Option<f64>) -> anyhow::Result<V
     loaded.loops.iter().map(|one| stored(args, path, one, ts_s)).collect()
 }
 
-/// Whether a table's header is `op,pv` and no more.
+/// Whether a table's header is `op,pv` only.
 fn is_op_pv(path: &Path) -> bool {
     let header = std::fs::read(path).ok().and_then(|bytes| bytes.split(|b| *b == b'\n').next().map(<[u8]>::to_vec));
     let header = String::from_utf8_lossy(&header.unwrap_or_default()).trim_start_matches('\u{feff}').to_lowercase();
@@ -216,7 +218,7 @@ fn stored(args: &NewArgs, path: &Path, one: &LoadedLoop, ts_s: Option<f64>) -> a
     let kept = match args.resample {
         Some(step_s) => CompactLoop::from_samples(&one.name, &even(one, step_s).map_err(fault)?.samples, Some(step_s)),
         None => CompactLoop::from_samples(&one.name, &one.samples, known_s)
-            .map_err(|fault| format!("{fault}; --resample SECONDS puts them at an even rate")),
+            .map_err(|fault| format!("{fault}; use --resample SECONDS")),
     };
     let mut kept = kept.map_err(fault)?;
     if let Some(about) = &one.about {
@@ -225,7 +227,7 @@ fn stored(args: &NewArgs, path: &Path, one: &LoadedLoop, ts_s: Option<f64>) -> a
     Ok(kept)
 }
 
-/// A table of OP and PV alone.
+/// A table of OP and PV only.
 fn columns(path: &Path, name: &str, ts_s: f64) -> anyhow::Result<CompactLoop> {
     let place = || path.display().to_string();
     let mut reader =
@@ -233,7 +235,9 @@ fn columns(path: &Path, name: &str, ts_s: f64) -> anyhow::Result<CompactLoop> {
     let headers = reader.headers().with_context(place)?.clone();
     let column = |wanted: &str| {
         let found = headers.iter().position(|h| h.trim_start_matches('\u{feff}').eq_ignore_ascii_case(wanted));
-        found.ok_or_else(|| anyhow!("{}: the header has no column {wanted:?}; write op,pv or t,op,pv", path.display()))
+        found.ok_or_else(|| {
+            anyhow!("{}: the header has no column {wanted:?}; name the columns op,pv or t,op,pv", path.display())
+        })
     };
     let (op, pv) = (column("op")?, column("pv")?);
     let mut rows = Vec::new();
@@ -242,24 +246,26 @@ fn columns(path: &Path, name: &str, ts_s: f64) -> anyhow::Result<CompactLoop> {
         let line = record.position().map_or(0, ::csv::Position::line);
         let cell = |at: usize| match record.get(at).unwrap_or_default() {
             "" => Ok(f64::NAN),
-            text => text.parse::<f64>().map_err(|_| anyhow!("{}: line {line}: {text:?} is no number", path.display())),
+            text => {
+                text.parse::<f64>().map_err(|_| anyhow!("{}: line {line}: {text:?} is not a number", path.display()))
+            }
         };
         rows.push([cell(op)?, cell(pv)?]);
     }
     if rows.is_empty() {
-        bail!("{}: holds no row", path.display());
+        bail!("{}: has no data rows", path.display());
     }
     let tags = default_tags(name);
     Ok(CompactLoop { name: name.to_owned(), tags, ts_s, start_ns: Some(0), comment: String::new(), rows })
 }
 
-/// What was answered to the question for OP.
+/// The answer to the question for OP.
 enum Answer {
     Numbers(Vec<f64>),
     Loop(Box<CompactLoop>),
 }
 
-/// Asks on `ask` for everything that the command line leaves open and reads the answers from `answers`.
+/// Asks on `ask` for everything that the command line does not give and reads the answers from `answers`.
 fn interview(
     answers: &mut impl BufRead,
     ask: &mut impl Write,
@@ -282,7 +288,7 @@ fn interview(
         let path = PathBuf::from(text);
         let path = if path.extension().is_some() { path } else { path.with_extension("mat") };
         if text.is_empty() {
-            return Err("write a file's name".to_owned());
+            return Err("write a file name".to_owned());
         }
         refuse_existing(&path, args.force).map(|()| path).map_err(|e| format!("{e}, or choose another name"))
     };
@@ -293,7 +299,7 @@ fn interview(
     Ok((loops, out))
 }
 
-/// One loop: numbers by hand, or one of a file.
+/// One loop: numbers typed in, or a loop from a file.
 fn one_loop(answers: &mut impl BufRead, ask: &mut impl Write, args: &NewArgs, k: usize) -> anyhow::Result<CompactLoop> {
     let name = format!("loop{}", k + 1);
     let number = k + 1;
@@ -309,7 +315,7 @@ fn one_loop(answers: &mut impl BufRead, ask: &mut impl Write, args: &NewArgs, k:
         let pv = repeat(answers, ask, &format!("PV of loop {number} (numbers): "), numbers)?;
         match rows_of(&op, &pv) {
             Ok(rows) => break rows,
-            Err(fault) => writeln!(ask, "{fault}; both once more")?,
+            Err(fault) => writeln!(ask, "{fault}; enter OP and PV again")?,
         }
     };
     let ts_s = match known_s {
@@ -321,8 +327,8 @@ fn one_loop(answers: &mut impl BufRead, ask: &mut impl Write, args: &NewArgs, k:
     Ok(CompactLoop { tags: default_tags(&name), name, ts_s, start_ns: Some(0), comment: String::new(), rows })
 }
 
-/// The loop of a file that was named instead of numbers (`FILE`, or `FILE LOOP` where it holds several); `None` where
-/// there is no such file.
+/// The loop of a file given instead of numbers (`FILE`, or `FILE LOOP` if it has several); `None` if there is no such
+/// file.
 fn of_answer(args: &NewArgs, text: &str, ts_s: Option<f64>) -> Option<Result<Answer, String>> {
     let (path, wanted) =
         if Path::new(text).is_file() { (text, None) } else { text.rsplit_once(' ').map(|(p, l)| (p, Some(l)))? };
@@ -336,7 +342,7 @@ fn of_answer(args: &NewArgs, text: &str, ts_s: Option<f64>) -> Option<Result<Ans
             (None, [one]) => one,
             (None, all) => {
                 let names: Vec<&str> = all.iter().take(20).map(|one| one.name.as_str()).collect();
-                return Err(format!("it holds {}; write {path} and the loop's name", names.join(", ")));
+                return Err(format!("it has the loops {}; write {path} and the name of one", names.join(", ")));
             }
         };
         stored(args, Path::new(path), one, ts_s).map_err(|e| e.to_string())
@@ -344,7 +350,7 @@ fn of_answer(args: &NewArgs, text: &str, ts_s: Option<f64>) -> Option<Result<Ans
     Some(chosen().map(|one| Answer::Loop(Box::new(one))))
 }
 
-/// One question until its answer can be used; the end of the input is an error.
+/// Repeats a question until its answer is usable; the end of the input is an error.
 fn repeat<T>(
     answers: &mut impl BufRead,
     ask: &mut impl Write,
@@ -356,7 +362,7 @@ fn repeat<T>(
         ask.flush()?;
         let mut line = String::new();
         if answers.read_line(&mut line)? == 0 {
-            bail!("the input ended at {question:?}; nothing was written");
+            bail!("the input ended at the question {question:?}; nothing was written");
         }
         match understood(line.trim()) {
             Ok(value) => return Ok(value),
@@ -369,14 +375,14 @@ fn repeat<T>(
 fn numbers(text: &str) -> Result<Vec<f64>, String> {
     let inside = text.trim_matches(|c| "[]();'".contains(c));
     let words = inside.split(|c: char| c.is_whitespace() || ",;".contains(c)).filter(|w| !w.is_empty());
-    let number = |word: &str| word.parse::<f64>().map_err(|_| format!("{word:?} is no number"));
+    let number = |word: &str| word.parse::<f64>().map_err(|_| format!("{word:?} is not a number"));
     let found = words.map(number).collect::<Result<Vec<f64>, String>>()?;
     if found.is_empty() { Err("write numbers, such as 1 3 5 or [1;3;5]".to_owned()) } else { Ok(found) }
 }
 
 fn show(file: &Path, format: Format) -> anyhow::Result<Outcome> {
     if InputKind::detect(file)? != InputKind::Mat {
-        bail!("{}: not a MATLAB file; stictiond info shows what it is", file.display());
+        bail!("{}: not a MATLAB file; `stictiond info` shows its format", file.display());
     }
     let store = read(file).with_context(|| file.display().to_string())?;
     store.warnings.iter().for_each(|warning| tracing::warn!("{warning}"));
@@ -387,7 +393,7 @@ fn show(file: &Path, format: Format) -> anyhow::Result<Outcome> {
     Ok(if store.incomplete { Outcome::DataLoss } else { Outcome::Done })
 }
 
-/// Missing values of OP and of PV.
+/// Number of missing values of OP and of PV.
 fn missing(one: &CompactLoop) -> [usize; 2] {
     [0, 1].map(|column| one.rows.iter().filter(|row| !row[column].is_finite()).count())
 }

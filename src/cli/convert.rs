@@ -1,4 +1,4 @@
-//! `convert IN OUT`: between tables, recordings and compact stores, by OUT's extension.
+//! `convert IN OUT`: between tables, recordings and compact stores, chosen by OUT's extension.
 
 use super::reading::{ReadArgs, named};
 use super::{Format, Outcome, UsageError};
@@ -21,41 +21,41 @@ use stictiond::files::partition;
 use stictiond::files::transfer::write_loops;
 use stictiond::files::{self, Loaded, LoadedLoop, METADATA_PREFIX, csv};
 
-/// Prefix of topics made from tables, which carry none.
+/// Prefix of topics made from tables, which have none.
 const PREFIX: &str = "plant";
 
-/// Names listed in a message, at most.
+/// Most names listed in a message.
 const NAMES_SHOWN: usize = 20;
 
-/// Converts exports, .csv, .mcap and .mat (compact store) to .csv, .mcap or .mat, by OUT's extension
+/// Convert tables, exports, recordings and compact stores to .csv, .mcap or .mat
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
-  stictiond convert plant.mcap loops/                       one .csv a loop
+  stictiond convert plant.mcap loops/                       one .csv per loop
   stictiond convert plant.mcap FIC101.csv --loop FIC101
   stictiond convert store.mat store.mcap
-  stictiond convert loops.mcap store.mat                    OP and PV, for the toolbox
-  stictiond convert plant.mcap data/ --partition loop,day   Parquet by loop and day; convert data/ back.mcap reads it
+  stictiond convert loops.mcap store.mat                    OP and PV only, for the toolbox
+  stictiond convert plant.mcap data/ --partition loop,day   Parquet by loop and day
   stictiond convert exports/ june.mcap --tz Europe/Berlin   an historian's files
 
-A compact store holds OP and PV at one sampling time; the rest is left out and said.")]
+A compact store holds OP and PV at one sampling time; other signals are dropped with a warning.")]
 pub struct ConvertArgs {
-    /// Files to read (recordings, tables, exports, folders of them; cut-off recordings are read up to the cut), then
-    /// OUT, the file to write: .csv, .mcap or .mat, or a folder for one .csv a loop
+    /// Input files (recordings, tables, exports, or folders of them), then the output: .csv, .mcap or .mat, or a folder for
+    /// one .csv per loop. A truncated recording is read up to where it ends.
     #[arg(value_names = ["IN", "OUT"], num_args = 2.., required = true)]
     pub paths: Vec<PathBuf>,
-    /// How exports are read
+    /// Options for reading exports
     #[command(flatten)]
     pub reading: ReadArgs,
-    /// Take this loop only
+    /// Convert this loop only
     #[arg(long = "loop", value_name = "NAME")]
     pub loop_name: Option<String>,
-    /// Put samples at an even rate, one every so many seconds: OP, SP and MODE held, PV and MV straight between theirs
+    /// Resample to one sample every SECONDS: OP, SP and MODE are held, PV and MV interpolated linearly
     #[arg(long, value_name = "SECONDS", value_parser = resample)]
     pub resample: Option<f64>,
-    /// Write Parquet into the folder OUT, a file a loop and day: loop=NAME/day=YYYY-MM-DD/part-0.parquet
+    /// Write Parquet files by loop and day into the folder OUT: loop=NAME/day=YYYY-MM-DD/part-0.parquet
     #[arg(long, value_name = "loop,day", value_parser = ["loop,day"])]
     pub partition: Option<String>,
-    /// Replace what exists
+    /// Replace existing files
     #[arg(long)]
     pub force: bool,
 }
@@ -65,7 +65,7 @@ pub(super) fn resample(text: &str) -> Result<f64, String> {
     compact::check_sampling_time(seconds)
 }
 
-/// What OUT asks for.
+/// What OUT names.
 enum Target {
     Csv(PathBuf),
     Mcap(PathBuf),
@@ -82,12 +82,17 @@ struct Written {
     rows: Option<usize>,
 }
 
-/// Converts.
+/// Runs the command.
 ///
 /// # Errors
-/// What cannot be read or written, with its place; [`UsageError`] where the request must change.
+/// Input that cannot be read or output that cannot be written, with its place; [`UsageError`] for a wrong request.
 pub fn run(args: &ConvertArgs, format: Format) -> anyhow::Result<Outcome> {
-    let [inputs @ .., output] = &args.paths[..] else { return Err(UsageError("OUT is missing".to_owned()).into()) };
+    let [inputs @ .., output] = &args.paths[..] else {
+        return Err(UsageError(
+            "OUT is missing: name the output after the input, such as plant.csv plant.mcap".to_owned(),
+        )
+        .into());
+    };
     let target = match &args.partition {
         Some(_) => Target::Partitions(output.clone()),
         None => target_of(output)?,
@@ -132,14 +137,15 @@ fn target_of(output: &Path) -> anyhow::Result<Target> {
         None => Ok(Target::Folder(output.to_owned())),
         Some(other) => {
             let place = output.display();
-            Err(UsageError(format!("{place}: OUT ends in .{other}; write .csv, .mcap, .mat or a folder")).into())
+            Err(UsageError(format!("{place}: cannot write .{other}; name a .csv, .mcap or .mat file, or a folder"))
+                .into())
         }
     }
 }
 
 pub(super) fn refuse_existing(path: &Path, force: bool) -> anyhow::Result<()> {
     if path.exists() && !force {
-        bail!("{}: exists already; --force replaces it", path.display());
+        bail!("{}: already exists; use --force to replace it", path.display());
     }
     Ok(())
 }
@@ -148,10 +154,10 @@ fn same_file(a: &Path, b: &Path) -> bool {
     matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
 }
 
-/// Keeps the loop asked for.
+/// Keeps only the selected loop.
 fn select(loaded: &mut Loaded, name: Option<&str>, place: &str) -> anyhow::Result<()> {
     if loaded.loops.is_empty() {
-        bail!("{place}: holds no sample that can be read");
+        bail!("{place}: contains no readable samples");
     }
     let Some(wanted) = name else { return Ok(()) };
     let chosen = files::choose_loop(&loaded.loops, wanted).map_err(|e| UsageError(format!("{place}: {e}")))?;
@@ -169,7 +175,7 @@ fn to_csv(loaded: &Loaded, path: &Path) -> anyhow::Result<Written> {
     let [one] = &loaded.loops[..] else {
         let count = loaded.loops.len();
         let names = listed(&loaded.loops);
-        let text = format!("IN holds {count} loops ({names}); choose one by --loop, or give a folder as OUT");
+        let text = format!("the input has {count} loops ({names}); choose one with --loop, or name a folder as OUT");
         return Err(UsageError(text).into());
     };
     let temporary = Temporary::beside(path);
@@ -192,7 +198,7 @@ fn write_table(one: &LoadedLoop, path: &Path) -> anyhow::Result<usize> {
     Ok(rows)
 }
 
-/// One table a loop; all of them or, on an error, none.
+/// One table per loop: all of them or, on an error, none.
 fn to_folder(loaded: &Loaded, folder: &Path, force: bool) -> anyhow::Result<Vec<Written>> {
     let mut taken = HashSet::new();
     let paths: Vec<PathBuf> =
@@ -200,7 +206,7 @@ fn to_folder(loaded: &Loaded, folder: &Path, force: bool) -> anyhow::Result<Vec<
     for path in &paths {
         refuse_existing(path, force)?;
     }
-    fs::create_dir_all(folder).with_context(|| format!("{}: cannot be made", folder.display()))?;
+    fs::create_dir_all(folder).with_context(|| format!("{}: cannot create the folder", folder.display()))?;
     let mut written = Vec::with_capacity(paths.len());
     let mut temporaries = Vec::with_capacity(paths.len());
     for (one, path) in loaded.loops.iter().zip(paths) {
@@ -215,7 +221,7 @@ fn to_folder(loaded: &Loaded, folder: &Path, force: bool) -> anyhow::Result<Vec<
     Ok(written)
 }
 
-/// Parquet by loop and day. A loop that several files hold is one; each leaves the memory once it is written.
+/// Parquet by loop and day. Files of the same loop are merged; each loop is freed once it is written.
 #[cfg(feature = "parquet")]
 fn to_partitions(loops: Vec<LoadedLoop>, folder: &Path, force: bool) -> anyhow::Result<Vec<Written>> {
     let mut by_name: BTreeMap<String, LoadedLoop> = BTreeMap::new();
@@ -238,10 +244,10 @@ fn to_partitions(loops: Vec<LoadedLoop>, folder: &Path, force: bool) -> anyhow::
 
 #[cfg(not(feature = "parquet"))]
 fn to_partitions(_: Vec<LoadedLoop>, _: &Path, _: bool) -> anyhow::Result<Vec<Written>> {
-    Err(UsageError("this build writes no Parquet: build with --features parquet".to_owned()).into())
+    Err(UsageError("this build cannot write Parquet; rebuild with --features parquet".to_owned()).into())
 }
 
-/// A file's stem from a loop's name, unique in its folder (also where letter case does not tell files apart).
+/// A file stem from a loop's name, unique in its folder, also on file systems that ignore letter case.
 fn file_stem(name: &str, taken: &mut HashSet<String>) -> String {
     let stem = file_stem_of(name);
     let mut unique = stem.clone();
@@ -263,13 +269,13 @@ fn to_mcap(loaded: &Loaded, inputs: &[PathBuf], path: &Path) -> anyhow::Result<W
     Ok(Written { path: path.to_owned(), loops, samples, rows: None })
 }
 
-/// A compact store of all loops; what it cannot hold is said.
+/// A compact store of all loops; warns about what it cannot hold.
 fn to_mat(loaded: &Loaded, path: &Path) -> anyhow::Result<Written> {
     let mut stored = Vec::with_capacity(loaded.loops.len());
     for one in &loaded.loops {
         let ts_s = one.about.as_ref().map(|about| about.ts_s);
         let mut kept = CompactLoop::from_samples(&one.name, &one.samples, ts_s).map_err(|fault| {
-            anyhow!("{}: {fault}; a compact store has one sampling time: --resample SECONDS makes one", one.name)
+            anyhow!("{}: {fault}; a compact store needs one sampling time, use --resample SECONDS", one.name)
         })?;
         if let Some(about) = &one.about {
             (kept.tags, kept.comment) = (about.tags.clone(), about.comment.clone());
@@ -281,7 +287,7 @@ fn to_mat(loaded: &Loaded, path: &Path) -> anyhow::Result<Written> {
             .collect();
         if !lost.is_empty() {
             super::warn(format_args!(
-                "{}: a compact store holds OP and PV alone, left out: {}",
+                "{}: a compact store holds OP and PV only; dropped {}",
                 one.name,
                 lost.join(", ")
             ));
@@ -294,7 +300,7 @@ fn to_mat(loaded: &Loaded, path: &Path) -> anyhow::Result<Written> {
     Ok(Written { path: path.to_owned(), loops, samples: 2 * rows, rows: Some(rows) })
 }
 
-/// Writes a compact store, whole or not at all.
+/// Writes a compact store completely or not at all.
 pub(super) fn write_store(loops: &[CompactLoop], path: &Path, deflated: bool) -> anyhow::Result<()> {
     let context = || format!("{}: cannot be written", path.display());
     let temporary = Temporary::beside(path);
@@ -305,7 +311,7 @@ pub(super) fn write_store(loops: &[CompactLoop], path: &Path, deflated: bool) ->
     temporary.become_file(path)
 }
 
-/// A file under a passing name; removed unless it becomes the real one.
+/// A temporary file, removed on drop unless renamed to its target.
 struct Temporary {
     path: PathBuf,
 }

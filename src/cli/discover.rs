@@ -1,4 +1,4 @@
-//! `stictiond discover`: what is on a bus, in files or in an OPC UA server, as `[[loop]]` entries.
+//! `stictiond discover`: lists the loops on a bus, in files or in an OPC UA server as `[[loop]]` entries.
 
 #[cfg(feature = "bridge-opcua")]
 pub mod opcua;
@@ -21,15 +21,15 @@ use stiction_monitor::codec::{self, Bundle, Memory};
 use stiction_monitor::config::NAME_MARK;
 use stictiond::files::export::names::role;
 
-/// Most keys and names that are looked at.
+/// Most keys and names examined.
 const MAX_NAMES: usize = 1_000_000;
-/// Most names of a kind that are told one by one.
+/// Most names of one kind listed.
 const TOLD: usize = 50;
 
-/// Look at a bus, or at exports and recordings, and write [[loop]] entries: loops paired by the ends of their names.
+/// Find loops on a bus or in files and write [[loop]] entries; signals are paired by the endings of their names.
 ///
-/// On the bus every key below --key that is seen within --for seconds counts, and the names inside payloads that hold
-/// several signals. What could not be paired stands in comments, and is counted on stderr.
+/// On the bus it examines every key below --key that carries data within --for seconds, and the names inside payloads
+/// with several signals. Unpaired names are written as comments and counted on stderr.
 #[derive(Debug, clap::Args)]
 #[command(
     args_conflicts_with_subcommands = true,
@@ -41,28 +41,29 @@ const TOLD: usize = 50;
 pub struct Args {
     #[command(subcommand)]
     elsewhere: Option<Elsewhere>,
-    /// Files, folders and patterns to look at.
+    /// Files, folders and patterns to examine.
     #[arg(required_unless_present = "connect", conflicts_with = "connect")]
     pub input: Vec<PathBuf>,
-    /// A router or peer of the bus to look at, such as tcp/127.0.0.1:7447.
+    /// Zenoh endpoint of the bus to examine, such as tcp/127.0.0.1:7447.
     #[arg(long)]
     pub connect: Option<String>,
-    /// Which keys to look at, a Zenoh key expression.
+    /// Zenoh key expression of the keys to examine.
     #[arg(long, default_value = "**", requires = "connect")]
     pub key: String,
-    /// How long to look, s.
+    /// How long to listen, s.
     #[arg(long = "for", default_value_t = 10.0, requires = "connect", value_parser = seconds)]
     pub for_s: f64,
-    /// Keys of the loops of files: {loop}, {signal} and {SIGNAL} stand for what they say. Without it entries have a name alone.
+    /// Key pattern for loops found in files, with {loop}, {signal} and {SIGNAL} as placeholders [default: entries with a
+    /// name only].
     #[arg(long, conflicts_with = "connect")]
     pub pattern: Option<String>,
-    /// Where to write; stdout if not given.
+    /// Output file [default: stdout].
     #[arg(long)]
     pub out: Option<PathBuf>,
     /// Replace an existing file.
     #[arg(long)]
     pub force: bool,
-    /// How exports are read.
+    /// Options for reading exports.
     #[command(flatten)]
     pub reading: ReadArgs,
 }
@@ -80,19 +81,19 @@ fn seconds(text: &str) -> Result<f64, String> {
     text.parse().ok().filter(sound).ok_or_else(|| "write seconds from 0.1 to 86400".to_owned())
 }
 
-/// What was seen: signals of loops by their sources, and names that say nothing.
+/// What was seen: signals of loops by source, and names without a recognised signal.
 #[derive(Debug, Default)]
 struct Seen {
     loops: BTreeMap<String, BTreeMap<&'static str, (usize, String)>>,
     unknown: BTreeSet<String>,
     names: usize,
     memory: Memory,
-    /// How often each key was looked into: once names are known, payloads say nothing new.
+    /// How often each key was decoded: once its names are known, its payloads add nothing.
     looked: HashMap<String, u8>,
 }
 
 impl Seen {
-    /// Takes one name: where its end says a signal, it feeds that of its loop unless a stronger one does already.
+    /// Takes one name. If its ending names a signal, it becomes the source of that loop's signal unless a better one exists.
     fn take(&mut self, loop_name: &str, signal: Signal, rank: usize, source: &str) {
         self.names += 1;
         let signals = self.loops.entry(loop_name.to_owned()).or_default();
@@ -104,7 +105,7 @@ impl Seen {
         }
     }
 
-    /// Takes a name of one signal; `own` is what stands below everything fixed.
+    /// Takes a single-signal name; `own` is the part below the fixed prefix.
     fn name(&mut self, own: &str, source: String) -> bool {
         match role(own).filter(|found| !found.loop_name.is_empty()) {
             Some(found) => self.take(&found.loop_name, found.signal, found.rank, &source),
@@ -113,7 +114,7 @@ impl Seen {
         true
     }
 
-    /// Takes a message of a bus; `fixed` stands in front of every key.
+    /// Takes a bus message; `fixed` is the common start of all keys.
     fn message(&mut self, key: &str, fixed: &str, encoding: Option<&str>, payload: &[u8]) {
         let times = self.looked.get(key).copied().unwrap_or(0);
         if times >= 3 || self.looked.len() >= MAX_NAMES || self.names >= MAX_NAMES {
@@ -155,7 +156,7 @@ impl Seen {
 /// Runs the command.
 ///
 /// # Errors
-/// Nothing can be read, nobody answers at the endpoint, or no loop was found.
+/// Nothing can be read, nothing answers at the endpoint, or no loop was found.
 pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     match &args.elsewhere {
         #[cfg(feature = "bridge-opcua")]
@@ -178,7 +179,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     }
 }
 
-/// What is told, and where to.
+/// What to print and where.
 struct Told<'a> {
     seen: &'a Seen,
     /// Whether entries name their sources.
@@ -204,9 +205,13 @@ fn tell(told: &Told<'_>, format: Format) -> anyhow::Result<Outcome> {
         None => print(&text)?,
     }
     let unknown = seen.unknown.len();
-    note(format!("{what}: {} loops; {} lack OP or PV; {unknown} names say no signal", whole.len(), lacking.len()));
+    note(format!(
+        "{what}: found {} loops; {} lack OP or PV; {unknown} names have no recognised signal",
+        whole.len(),
+        lacking.len()
+    ));
     if whole.is_empty() {
-        bail!("no loop with OP and PV was found: are the names such as FIC101.OP and FIC101.PV, and is --key right?");
+        bail!("no loop with both OP and PV found; names must end like FIC101.OP and FIC101.PV: check --key or --map");
     }
     Ok(Outcome::Done)
 }
@@ -257,7 +262,8 @@ fn look_at_bus(endpoint: &str, key: &str, for_s: f64) -> anyhow::Result<Seen> {
     })?;
     let seen = std::mem::take(&mut *seen.lock().unwrap_or_else(PoisonError::into_inner));
     if seen.looked.is_empty() {
-        return Err(anyhow!("nothing came")).with_context(|| format!("{key} at {endpoint}"));
+        return Err(anyhow!("no data received; check --key and raise --for"))
+            .with_context(|| format!("{key} at {endpoint}"));
     }
     Ok(seen)
 }
@@ -277,7 +283,7 @@ fn as_toml(seen: &Seen, whole: &[&str], lacking: &[&str], keyed: bool, what: &st
         }
     }
     if !lacking.is_empty() {
-        let _ = writeln!(text, "\n# Without OP or without PV:");
+        let _ = writeln!(text, "\n# Lack OP or PV:");
     }
     for name in lacking.iter().take(TOLD) {
         let signals: Vec<String> = seen.loops[*name].iter().map(|(s, (_, source))| format!("{s} {source}")).collect();
@@ -285,7 +291,7 @@ fn as_toml(seen: &Seen, whole: &[&str], lacking: &[&str], keyed: bool, what: &st
     }
     rest(&mut text, lacking.len());
     if !seen.unknown.is_empty() {
-        let _ = writeln!(text, "\n# Names that say no signal, or one that another name says better:");
+        let _ = writeln!(text, "\n# Names without a recognised signal, or with one that another name matches better:");
     }
     for name in seen.unknown.iter().take(TOLD) {
         let _ = writeln!(text, "# {}", name.escape_debug());
@@ -296,7 +302,7 @@ fn as_toml(seen: &Seen, whole: &[&str], lacking: &[&str], keyed: bool, what: &st
 
 fn rest(text: &mut String, count: usize) {
     if count > TOLD {
-        let _ = writeln!(text, "# and {} more; --format json has all", count - TOLD);
+        let _ = writeln!(text, "# and {} more; --format json lists all", count - TOLD);
     }
 }
 

@@ -1,4 +1,4 @@
-//! `info FILE`: what a table, recording or compact store holds, and whether it is whole.
+//! `info FILE`: contents and integrity of a table, recording or compact store.
 
 use super::reading::ReadArgs;
 use super::{Format, Outcome};
@@ -14,10 +14,10 @@ use stiction_monitor::codec::topic::{Leaf, Topic};
 use stictiond::files::inputs::Unit;
 use stictiond::files::{End, InputKind, Item, METADATA_PREFIX, Message, RecordingReader};
 
-/// Stamps from which the sampling time is taken, at most.
+/// Most timestamps used to find the sampling time.
 const STAMPS: usize = 4096;
 
-/// Summarises tables, exports, recordings and compact stores
+/// Show the contents and integrity of tables, exports, recordings and compact stores
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   stictiond info recordings/sticking.mcap
@@ -25,13 +25,13 @@ const STAMPS: usize = 4096;
   stictiond info june.csv --tz Europe/Berlin
   stictiond info plant.mcap --verify --format json")]
 pub struct InfoArgs {
-    /// Files to look at (.csv, .txt, .xlsx, .parquet, .arrow, .mcap, .mat), folders or patterns
+    /// Files (.csv, .txt, .xlsx, .parquet, .arrow, .mcap, .mat), folders or patterns
     #[arg(value_name = "FILE", required = true)]
     pub files: Vec<PathBuf>,
-    /// How exports are read
+    /// Options for reading exports
     #[command(flatten)]
     pub reading: ReadArgs,
-    /// Check every payload and the file's SHA-256 too, beside the checksums; exit code 3 if anything is damaged
+    /// Also check every payload and the file's SHA-256; exit code 3 if anything is damaged
     #[arg(long)]
     pub verify: bool,
 }
@@ -65,15 +65,15 @@ struct Info {
     schema: &'static str,
     file: String,
     kind: &'static str,
-    /// What was recognised in an export.
+    /// Format recognised in an export.
     recognised: Option<String>,
     bytes: u64,
-    /// Of a recording: bytes by raw samples, results and index among them.
+    /// Bytes per raw sample of a recording, results and index included.
     bytes_per_sample: Option<f64>,
     state: &'static str,
     reason: Option<String>,
     verified: bool,
-    /// SHA-256 over the file up to its seal; `sha256_holds` says, where asked, whether it still is that.
+    /// SHA-256 of the file up to its seal; `sha256_holds` is the result of checking it, if requested.
     sha256: Option<String>,
     sha256_holds: Option<bool>,
     library: Option<String>,
@@ -88,10 +88,10 @@ struct Info {
     loops: Vec<LoopInfo>,
 }
 
-/// Summarises a file.
+/// Runs the command.
 ///
 /// # Errors
-/// What cannot be read at all, with its place.
+/// A file that cannot be read at all, with its place.
 pub fn run(args: &InfoArgs, format: Format) -> anyhow::Result<Outcome> {
     let units = args.reading.units(&args.files)?;
     let alone = units.len() == 1;
@@ -191,7 +191,7 @@ impl LoopInfo {
         }
     }
 
-    /// Sampling time: the median step of PV, else of OP, over the first stamps.
+    /// Sampling time: the median step of PV, or else of OP, over the first timestamps.
     fn close(&mut self) {
         if let (Some(start), Some(end)) = (self.start_ns, self.end_ns) {
             self.span_s = Some(s_from_ns(end.saturating_sub(start)));
@@ -234,7 +234,7 @@ fn of_table(args: &InfoArgs, unit: &Unit, kind: InputKind) -> anyhow::Result<Inf
     }
     if loaded.data_loss {
         info.state = "damaged";
-        info.reason = Some("loops were left out".to_owned());
+        info.reason = Some("some loops were left out".to_owned());
     }
     Ok(info)
 }
@@ -273,7 +273,7 @@ fn of_recording(path: &Path, verify: bool) -> anyhow::Result<Info> {
         info.sha256 = Some(seal.sha256.clone());
         info.sha256_holds = if verify { Some(seal.holds(path)?) } else { None };
         if info.sha256_holds == Some(false) && end.is_clean() {
-            (info.state, info.reason) = ("damaged", Some("its SHA-256 is not that of its bytes".to_owned()));
+            (info.state, info.reason) = ("damaged", Some("its SHA-256 does not match its content".to_owned()));
         }
     }
     info.metadata = reader.metadata().clone();
@@ -334,7 +334,7 @@ fn as_text(info: &Info) -> String {
     }
     if let Some(sum) = &info.sha256 {
         let word =
-            info.sha256_holds.map_or("not checked: --verify does", |holds| if holds { "holds" } else { "WRONG" });
+            info.sha256_holds.map_or("not checked; use --verify", |holds| if holds { "matches" } else { "WRONG" });
         let _ = writeln!(text, "  sha256      {sum} ({word})");
     }
     for (key, value) in &info.metadata {
@@ -347,10 +347,10 @@ fn as_text(info: &Info) -> String {
     }
     let _ = writeln!(text, "  messages    {}{}", info.messages, named(&info.results));
     if let Some(each) = info.bytes_per_sample {
-        let _ = writeln!(text, "  a sample    {each} bytes, results and index among them");
+        let _ = writeln!(text, "  per sample  {each} bytes, results and index included");
     }
     if info.other_messages > 0 {
-        let _ = writeln!(text, "  other       {} messages of other topics", info.other_messages);
+        let _ = writeln!(text, "  other       {} messages on other topics", info.other_messages);
     }
     if let Some(first) = &info.first_unreadable {
         let _ = writeln!(text, "  unreadable  {} payloads, the first: {first}", info.unreadable);

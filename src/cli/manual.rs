@@ -1,4 +1,4 @@
-//! `stictiond manual --out DIR`: man pages, one a command, from the same text as `--help`.
+//! `stictiond manual --out DIR`: man pages, one per command, from the same text as `--help`.
 
 use std::path::{Path, PathBuf};
 
@@ -8,14 +8,14 @@ use serde_json::json;
 
 use super::{Cli, Format, Outcome, convert, say};
 
-/// Write the man pages, one for each command.
+/// Write man pages, one per command.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example: stictiond manual --out /usr/local/share/man/man1")]
 pub struct Args {
-    /// Folder to write into; made if it is not there.
+    /// Output folder; created if missing.
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Replace existing pages.
+    /// Replace existing man pages.
     #[arg(long)]
     pub force: bool,
 }
@@ -40,7 +40,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// Our pages in a folder, by name.
+/// The program's man pages in a folder, by name.
 fn pages(folder: &Path) -> anyhow::Result<Vec<PathBuf>> {
     let mut found = Vec::new();
     for entry in std::fs::read_dir(folder).with_context(|| folder.display().to_string())? {

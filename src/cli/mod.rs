@@ -1,4 +1,4 @@
-//! The command line: one file a command, results on stdout, everything else on stderr.
+//! The command line: one file per command; results on stdout, everything else on stderr.
 
 pub mod analyze;
 mod analyze_report;
@@ -44,16 +44,16 @@ use clap::{Parser, Subcommand, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 use stictiond::cores;
 
-/// How a command ended; a verdict never changes it.
+/// How a command ended. A verdict never changes it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Outcome {
     /// Done: exit 0.
     Done,
     /// Failed: exit 1.
     Failed,
-    /// Called wrongly: exit 2.
+    /// Wrong command line: exit 2.
     Usage,
-    /// Done with what a damaged recording still held: exit 3.
+    /// Done, but a damaged recording lost data: exit 3.
     DataLoss,
 }
 
@@ -70,26 +70,26 @@ impl Outcome {
     }
 }
 
-/// Form of the results on stdout.
+/// Output format of the results on stdout.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ValueEnum)]
 pub enum Format {
     /// For people.
     #[default]
     Text,
-    /// For programs: one JSON document a line.
+    /// For programs: one JSON document per line.
     Json,
 }
 
-/// Finds sticking control valves, says how sure it is, records and replays bit for bit.
+/// Find sticking control valves in loop data, live or recorded, with probability, size and interval.
 ///
-/// Exit codes: 0 done (a verdict never changes it), 1 failed, 2 called wrongly, 3 completed with data loss.
+/// Exit codes: 0 done (a verdict never changes the exit code), 1 failed, 2 wrong command line, 3 done with data loss.
 #[derive(Debug, Parser)]
 #[command(name = "stictiond", version, max_term_width = 100)]
 struct Cli {
-    /// Form of the results on stdout.
+    /// Format of the results on stdout.
     #[arg(long, global = true, value_enum, default_value_t)]
     format: Format,
-    /// Form of the log on stderr; RUST_LOG sets what is logged (default info).
+    /// Format of the log on stderr. RUST_LOG sets the log level [default: info].
     #[arg(long, global = true, value_enum, default_value_t)]
     log: Format,
     #[command(subcommand)]
@@ -146,7 +146,7 @@ pub fn main() -> ExitCode {
     ExitCode::from(outcome.code())
 }
 
-/// An error with its causes, each said once: some name theirs themselves.
+/// An error and its causes, without a cause that the text already contains.
 fn told_once(error: &anyhow::Error) -> String {
     error.chain().map(ToString::to_string).fold(String::new(), |told, cause| match told.as_str() {
         "" => cause,
@@ -184,8 +184,8 @@ fn dispatch(cli: Cli) -> anyhow::Result<Outcome> {
 }
 
 impl Cli {
-    /// What is logged where `RUST_LOG` says nothing. The demo tells alarms and its plant's doings in its own lines; the
-    /// OPC UA client would tell of every attempt, the bridge tells of outages itself.
+    /// The default log filter, used without `RUST_LOG`. The demo and `top` print alarms and lost links themselves; the
+    /// OPC UA client would log every attempt, and the bridge logs outages itself.
     const fn default_filter(&self) -> &'static str {
         match (&self.command, self.format) {
             (CommandArgs::Demo(_), Format::Text) => "warn,zenoh=error,stiction_monitor::alarm=off",
@@ -196,12 +196,12 @@ impl Cli {
     }
 }
 
-/// An error of the request, not of the work: exit 2.
+/// An error in the request, not in the work: exit 2.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 pub struct UsageError(pub String);
 
-/// Prints results as they are.
+/// Prints results unchanged.
 pub(crate) fn print(text: &str) -> std::io::Result<()> {
     let mut out = std::io::stdout().lock();
     out.write_all(plain(text).as_bytes()).and_then(|()| out.flush())
@@ -212,19 +212,19 @@ pub(crate) fn say(line: impl Display) -> std::io::Result<()> {
     writeln!(std::io::stdout().lock(), "{}", plain(&line.to_string()))
 }
 
-/// Tells one thing on stderr.
+/// Prints a warning on stderr.
 pub(crate) fn warn(line: impl Display) {
     // Where nobody listens any more nothing is to be told.
     let _ = writeln!(std::io::stderr().lock(), "warning: {}", plain(&line.to_string()));
 }
 
-/// Says on stderr what was done, where that is no fault.
+/// Prints a note on stderr that is not a warning.
 pub(crate) fn note(line: impl Display) {
     let _ = writeln!(std::io::stderr().lock(), "{}", plain(&line.to_string()));
 }
 
-/// A text as a terminal may have it: control characters but the end of a line and a tab are written out, in a form that
-/// JSON reads back as the character.
+/// Escapes control characters, except newline and tab, so that printed text cannot drive a terminal. JSON parsers read
+/// the escapes back as the characters.
 fn plain(text: &str) -> std::borrow::Cow<'_, str> {
     let steers = |c: char| c.is_control() && c != '\n' && c != '\t';
     if !text.contains(steers) {
@@ -241,12 +241,12 @@ fn plain(text: &str) -> std::borrow::Cow<'_, str> {
     out.into()
 }
 
-/// Several faults, one a line.
+/// Several faults, one per line.
 pub(crate) fn list(faults: &[impl Display]) -> String {
     faults.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n  ")
 }
 
-/// Does a piece of work for each item on all cores, with a progress bar; answers stand in the items' order.
+/// Runs `work` on each item on all cores, with a progress bar. The answers keep the order of the items.
 pub(crate) fn on_all_cores<T: Sync, R: Send>(
     items: &[T],
     name: impl Fn(&T) -> String + Sync,
@@ -262,8 +262,8 @@ pub(crate) fn on_all_cores<T: Sync, R: Send>(
     answers
 }
 
-/// The same, each answer handed on as soon as all before it are there. Ctrl-C, where it is watched, lets no further
-/// item begin, and neither does an error of `take`, which is returned.
+/// As [`on_all_cores`], but hands each answer to `take` as soon as all earlier ones have been handed over. Ctrl-C, where
+/// watched, and an error of `take` stop further items; the error is returned.
 pub(crate) fn in_order_on_all_cores<T: Sync, R: Send>(
     items: &[T],
     name: impl Fn(&T) -> String + Sync,
@@ -282,7 +282,7 @@ pub(crate) fn in_order_on_all_cores<T: Sync, R: Send>(
     result
 }
 
-/// A bar for so many pieces of work.
+/// A progress bar for this many items.
 fn bar_of(pieces: usize) -> ProgressBar {
     let bar = ProgressBar::new(pieces as u64);
     if let Ok(style) = ProgressStyle::with_template("{spinner} {bar:40} {pos}/{len} {elapsed} {wide_msg}") {
@@ -292,7 +292,7 @@ fn bar_of(pieces: usize) -> ProgressBar {
     bar
 }
 
-/// Runs an asynchronous command. Zenoh needs a runtime of several threads.
+/// Runs an asynchronous command. Zenoh needs a multi-threaded runtime.
 pub(crate) fn block_on<T>(future: impl Future<Output = anyhow::Result<T>>) -> anyhow::Result<T> {
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
     let result = runtime.block_on(future);
@@ -301,14 +301,14 @@ pub(crate) fn block_on<T>(future: impl Future<Output = anyhow::Result<T>>) -> an
     result
 }
 
-/// Ready when the process is asked to end (SIGINT or SIGTERM), at any time after the call.
+/// Completes when the process receives SIGINT or SIGTERM after this call.
 ///
 /// # Errors
-/// The system refuses to tell of signals.
+/// The system refuses to install a signal handler.
 pub(crate) fn asked_to_stop() -> anyhow::Result<impl Future<Output = ()>> {
     use tokio::signal::unix::{SignalKind, signal};
-    let mut term = signal(SignalKind::terminate()).context("SIGTERM cannot be watched")?;
-    let mut int = signal(SignalKind::interrupt()).context("SIGINT cannot be watched")?;
+    let mut term = signal(SignalKind::terminate()).context("cannot install the SIGTERM handler")?;
+    let mut int = signal(SignalKind::interrupt()).context("cannot install the SIGINT handler")?;
     Ok(async move {
         tokio::select! {
             _ = term.recv() => {}

@@ -1,4 +1,4 @@
-//! `stictiond play`: publishes a recording's samples onto the bus, a stand-in for a gateway.
+//! `stictiond play`: publishes a recording's samples on the bus, in place of a gateway.
 
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
@@ -17,32 +17,32 @@ use stiction_monitor::codec::encode_recorded;
 use stiction_monitor::codec::topic;
 use stictiond::files::LoadedLoop;
 
-/// Messages a second at `--speed max`: what a daemon is sure to take without a loss.
+/// Messages per second at `--speed max`: a rate that a daemon takes without loss.
 const MAX_RATE: f64 = 20_000.0;
-/// How long the other side may take to appear.
+/// Time limit for connecting.
 const CONNECT_WITHIN: Duration = Duration::from_secs(10);
-/// Time for subscriptions to become known after the link stands.
+/// Time for subscriptions to propagate after connecting.
 const SETTLE: Duration = Duration::from_millis(500);
 
-/// Publish the samples of recordings, tables and exports onto Zenoh.
+/// Publish the samples of recordings, tables and exports on Zenoh, in place of a gateway.
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Example: stictiond play recordings/sticking.mcap --connect tcp/127.0.0.1:7447 --prefix plant1/area1 --speed 60"
 )]
 pub struct Args {
-    /// Recordings, tables, exports, or a folder of them.
+    /// Recordings, tables, exports, or folders of them.
     #[arg(required = true)]
     pub input: Vec<PathBuf>,
-    /// How exports are read.
+    /// Options for reading exports.
     #[command(flatten)]
     pub reading: ReadArgs,
-    /// Endpoint of the daemon or router.
+    /// Zenoh endpoint of the daemon or router, such as tcp/127.0.0.1:7447.
     #[arg(long)]
     pub connect: String,
-    /// First chunks of the keys that are published.
+    /// Key prefix of the published samples, such as plant1/area1.
     #[arg(long, value_parser = prefix)]
     pub prefix: String,
-    /// How much faster than the samples' own time, or max (20,000 messages a second).
+    /// Speed as a multiple of real time, or max (20,000 messages/s).
     #[arg(long, default_value = "1", value_parser = speed)]
     pub speed: Speed,
 }
@@ -50,7 +50,7 @@ pub struct Args {
 /// `--speed`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Speed {
-    /// So many times as fast as the samples' own time.
+    /// A multiple of real time.
     Times(f64),
     /// As fast as a daemon is sure to follow.
     Max,
@@ -60,7 +60,7 @@ pub(super) fn prefix(text: &str) -> Result<String, String> {
     if stiction::units::is_loop_name(text) {
         Ok(text.to_owned())
     } else {
-        Err("write chunks such as plant1/area1".into())
+        Err("write a key prefix such as plant1/area1".into())
     }
 }
 
@@ -74,10 +74,10 @@ fn speed(text: &str) -> Result<Speed, String> {
     }
 }
 
-/// Opens a session that is connected to an endpoint.
+/// Opens a session connected to an endpoint.
 ///
 /// # Errors
-/// Nobody answers there in time.
+/// Nothing answers there in time.
 pub(super) async fn connect(endpoint: &str) -> anyhow::Result<zenoh::Session> {
     let mut config = zenoh::Config::default();
     let endpoints = serde_json::to_string(&[endpoint])?;
@@ -90,11 +90,11 @@ pub(super) async fn connect(endpoint: &str) -> anyhow::Result<zenoh::Session> {
         ("connect/exit_on_failure", "true"),
     ];
     for (key, value) in settings {
-        config.insert_json5(key, value).map_err(|e| anyhow!("Zenoh refuses {key} = {value}: {e}"))?;
+        config.insert_json5(key, value).map_err(|e| anyhow!("Zenoh rejects the setting {key} = {value}: {e}"))?;
     }
     let session = zenoh::open(config).await.map_err(|e| {
         anyhow!(
-            "nobody answers at {endpoint} within {} s: is the daemon or router running there? ({e})",
+            "no answer from {endpoint} within {} s; check the endpoint and that a daemon or router is running there ({e})",
             CONNECT_WITHIN.as_secs()
         )
     })?;
@@ -102,14 +102,14 @@ pub(super) async fn connect(endpoint: &str) -> anyhow::Result<zenoh::Session> {
     Ok(session)
 }
 
-/// Samples of all loops in order of time; within a loop the recorded order stays.
+/// Samples of all loops in time order; within a loop the recorded order is kept.
 pub(super) struct Merged<'l> {
     loops: &'l [LoadedLoop],
     next: Vec<usize>,
 }
 
 impl<'l> Merged<'l> {
-    /// Merges the loops of a file.
+    /// Merges these loops.
     pub fn new(loops: &'l [LoadedLoop]) -> Self {
         Self { loops, next: vec![0; loops.len()] }
     }
@@ -127,10 +127,10 @@ impl<'l> Iterator for Merged<'l> {
     }
 }
 
-/// Runs the command; Ctrl-C ends it in order.
+/// Runs the command; Ctrl-C stops it cleanly.
 ///
 /// # Errors
-/// The file cannot be read, or nobody answers at the endpoint.
+/// The file cannot be read, or nothing answers at the endpoint.
 pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     let loaded = args.reading.load_all(&args.input)?;
     for warning in &loaded.warnings {
@@ -138,7 +138,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     }
     let total: usize = loaded.loops.iter().map(|l| l.samples.len()).sum();
     if total == 0 {
-        bail!("{}: holds no samples", super::reading::named(&args.input));
+        bail!("{}: contains no samples", super::reading::named(&args.input));
     }
     let sent = block_on(async {
         let stop = asked_to_stop()?;

@@ -1,5 +1,5 @@
-//! How files are read: the same options for every command that takes a file of others, one line on what was found, the
-//! configuration of a recording, a model's file.
+//! Options for reading files, shared by every command that takes foreign files; a one-line note on what was recognised;
+//! the configuration of a recording; model files.
 
 use std::path::{Path, PathBuf};
 
@@ -13,39 +13,39 @@ use stictiond::files::export::{Codes, Decimal, Map, TimeFormat, Zone, delimiter,
 use stictiond::files::inputs::{Unit, units};
 use stictiond::files::{FileError, Loaded, ReadOptions};
 
-/// Options for exports; everything that the files show needs none.
+/// Options for exports. What the file itself shows needs no option.
 #[derive(Debug, Clone, Default, clap::Args)]
 pub struct ReadArgs {
-    /// Which tag or column is what: op=TAG,pv=TAG[,sp=TAG][,mv=TAG][,mode=TAG][,t=COLUMN]; columns by name, or counted
-    /// from 1. Overrules what names show. In long tables also tag=, value=, quality=.
-    #[arg(long, value_name = "MAP", value_parser = Map::parse, help_heading = "How files are read")]
+    /// Role of each tag or column: op=TAG,pv=TAG[,sp=TAG][,mv=TAG][,mode=TAG][,t=COLUMN]. Columns by name or by number
+    /// from 1; overrides roles recognised from names. Long tables also take tag=, value=, quality=.
+    #[arg(long, value_name = "MAP", value_parser = Map::parse, help_heading = "Reading files")]
     pub map: Option<Map>,
-    /// How times are written: s, ms, us, ns (since 1970), excel, excel1904, datenum (days), ymd, dmy, mdy, or a
-    /// pattern such as "%d/%m/%Y %H:%M:%S".
-    #[arg(long, value_name = "FORM", value_parser = TimeFormat::parse, help_heading = "How files are read")]
+    /// Time format: s, ms, us, ns (since 1970), excel, excel1904, datenum (days), ymd, dmy, mdy, or a pattern such as
+    /// "%d/%m/%Y %H:%M:%S" [default: recognised from the file].
+    #[arg(long, value_name = "FORM", value_parser = TimeFormat::parse, help_heading = "Reading files")]
     pub time_format: Option<TimeFormat>,
-    /// Whose clock times without a zone are: Europe/Berlin, UTC, +01:00.
-    #[arg(long, value_name = "ZONE", value_parser = Zone::parse, allow_hyphen_values = true, help_heading = "How files are read")]
+    /// Time zone of timestamps without one: Europe/Berlin, UTC, +01:00. Needed only if the file does not show it.
+    #[arg(long, value_name = "ZONE", value_parser = Zone::parse, allow_hyphen_values = true, help_heading = "Reading files")]
     pub tz: Option<Zone>,
-    /// What parts a number's whole from its fraction.
-    #[arg(long, value_enum, help_heading = "How files are read")]
+    /// Decimal separator [default: recognised from the file].
+    #[arg(long, value_enum, help_heading = "Reading files")]
     pub decimal: Option<Decimal>,
-    /// What parts cells: one character, or tab.
-    #[arg(long, value_name = "CHAR", value_parser = delimiter, help_heading = "How files are read")]
+    /// Cell separator: one character, or tab [default: recognised from the file].
+    #[arg(long, value_name = "CHAR", value_parser = delimiter, help_heading = "Reading files")]
     pub delimiter: Option<u8>,
-    /// The text's encoding, such as windows-1251 or shift_jis.
-    #[arg(long, value_name = "NAME", value_parser = encoding, help_heading = "How files are read")]
+    /// Text encoding, such as windows-1251 or shift_jis [default: recognised from the file].
+    #[arg(long, value_name = "NAME", value_parser = encoding, help_heading = "Reading files")]
     pub encoding: Option<&'static encoding_rs::Encoding>,
-    /// The sheet of a workbook; otherwise every sheet that holds a table.
-    #[arg(long, value_name = "NAME", help_heading = "How files are read")]
+    /// Sheet of a workbook [default: every sheet with a table].
+    #[arg(long, value_name = "NAME", help_heading = "Reading files")]
     pub sheet: Option<String>,
-    /// What quality codes mean.
-    #[arg(long, value_enum, value_name = "CODES", help_heading = "How files are read")]
+    /// Meaning of the quality codes [default: recognised from the file].
+    #[arg(long, value_enum, value_name = "CODES", help_heading = "Reading files")]
     pub quality: Option<Codes>,
 }
 
 impl ReadArgs {
-    /// As files are read by.
+    /// The same as library options.
     #[must_use]
     pub fn options(&self) -> ReadOptions {
         ReadOptions {
@@ -60,15 +60,15 @@ impl ReadArgs {
         }
     }
 
-    /// What the words of a command line stand for.
+    /// The input units that the paths and patterns of a command line name.
     ///
     /// # Errors
-    /// A word stands for no file.
+    /// A path or pattern matches no file.
     pub fn units(&self, words: &[PathBuf]) -> Result<Vec<Unit>, FileError> {
         units(words, &self.options())
     }
 
-    /// Reads one unit and says what was recognised.
+    /// Reads one unit and notes on stderr what was recognised.
     ///
     /// # Errors
     /// As [`Unit::load`].
@@ -78,7 +78,7 @@ impl ReadArgs {
         Ok(loaded)
     }
 
-    /// Reads one file and says what was recognised.
+    /// Reads one file and notes on stderr what was recognised.
     ///
     /// # Errors
     /// As [`Unit::load`].
@@ -86,10 +86,10 @@ impl ReadArgs {
         self.load(&Unit { paths: vec![path.to_owned()] })
     }
 
-    /// Reads everything that the words stand for as one: what cannot be read among several files is a warning.
+    /// Reads all paths as one input. Among several files, one that cannot be read gives a warning.
     ///
     /// # Errors
-    /// Nothing can be read.
+    /// No file can be read.
     pub fn load_all(&self, words: &[PathBuf]) -> anyhow::Result<Loaded> {
         let units = self.units(words)?;
         if let [one] = &units[..] {
@@ -117,7 +117,7 @@ impl ReadArgs {
     }
 }
 
-/// The configuration that a file was recorded under; the defaults for files of others and for several files.
+/// The configuration that a file was recorded with; defaults for foreign files and for several files.
 pub(super) fn config_of(paths: &[PathBuf]) -> anyhow::Result<Config> {
     match paths {
         [path] => replay::config_of(path),
@@ -125,13 +125,13 @@ pub(super) fn config_of(paths: &[PathBuf]) -> anyhow::Result<Config> {
     }
 }
 
-/// Reads a model's file.
+/// Reads a model file.
 pub(super) fn model_file(path: &Path) -> anyhow::Result<ModelFile> {
     let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
     ModelFile::parse(&text).with_context(|| path.display().to_string())
 }
 
-/// What was given, in a few words.
+/// A short name for the input.
 #[must_use]
 pub fn named(words: &[PathBuf]) -> String {
     match words {
@@ -141,7 +141,7 @@ pub fn named(words: &[PathBuf]) -> String {
     }
 }
 
-/// Says in one line what was recognised in an export.
+/// Notes in one line what was recognised in an export.
 fn tell(name: &str, loaded: &Loaded) {
     if let Some(found) = &loaded.recognised {
         let loops = match &loaded.loops[..] {

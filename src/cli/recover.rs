@@ -1,4 +1,4 @@
-//! `stictiond recover`: whole recordings from cut-off and damaged ones.
+//! `stictiond recover`: complete recordings from truncated and damaged ones.
 
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
@@ -9,17 +9,18 @@ use serde_json::json;
 use super::{Format, Outcome, say};
 use stictiond::files::rescue;
 
-/// Rescue what can be read of a cut-off or damaged recording, or of a folder of them.
+/// Rescue the readable part of a truncated or damaged recording, or of a folder of recordings.
 ///
-/// Exit 0: it was whole, and was copied. Exit 3: what can be read was written. Exit 1: no recording; nothing is written.
+/// Exit 0: the recording was complete and was copied. Exit 3: the readable part was written. Exit 1: not a recording;
+/// nothing is written.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   stictiond recover plant.mcap.part --out plant.mcap
   stictiond recover recordings --out rescued")]
 pub struct Args {
-    /// A recording, or a folder of recordings.
+    /// Recording, or folder of recordings.
     pub input: PathBuf,
-    /// The file to write, or the folder. Default: NAME.recovered.mcap beside the input.
+    /// Output file or folder [default: NAME.recovered.mcap next to the input].
     #[arg(long)]
     pub out: Option<PathBuf>,
     /// Replace existing files.
@@ -30,21 +31,21 @@ pub struct Args {
 /// Runs the command.
 ///
 /// # Errors
-/// No recording, an output that exists, a disk that refuses.
+/// Not a recording, an output that exists, or a disk error.
 pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     if !args.input.is_dir() {
         let out = args.out.clone().unwrap_or_else(|| beside(&args.input));
         return one(&args.input, &out, args.force, format);
     }
     let Some(folder) = &args.out else {
-        bail!("--out names the folder for what is rescued of {}", args.input.display())
+        bail!("name a folder for the rescued recordings of {} with --out", args.input.display())
     };
     std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
     let entries = std::fs::read_dir(&args.input).with_context(|| args.input.display().to_string())?;
     let mut files: Vec<PathBuf> = entries.flatten().map(|e| e.path()).filter(|p| p.is_file() && is_one(p)).collect();
     files.sort();
     if files.is_empty() {
-        bail!("{}: holds no recordings", args.input.display());
+        bail!("{}: contains no recordings (.mcap, .mcap.part)", args.input.display());
     }
     let (mut worst, mut taken) = (Outcome::Done, HashSet::new());
     for path in files {
@@ -66,10 +67,10 @@ fn one(path: &Path, out: &Path, force: bool, format: Format) -> anyhow::Result<O
     if let (Ok(read), Ok(written)) = (std::fs::canonicalize(path), std::fs::canonicalize(out))
         && read == written
     {
-        bail!("{}: is the recording itself; --out names another file or folder", out.display());
+        bail!("{}: is the input itself; name another file or folder with --out", out.display());
     }
     if out.exists() && !force {
-        bail!("{}: exists already; --force replaces it", out.display());
+        bail!("{}: already exists; use --force to replace it", out.display());
     }
     let rescued = rescue::recover(path, out)?;
     let (messages, end) = (rescued.messages, rescued.end);
@@ -84,19 +85,19 @@ fn one(path: &Path, out: &Path, force: bool, format: Format) -> anyhow::Result<O
     Ok(if end.is_clean() { Outcome::Done } else { Outcome::DataLoss })
 }
 
-/// Whether a name is that of a recording, finished, open, or put aside.
+/// Whether a file name is that of a recording: finished, open or set aside.
 fn is_one(path: &Path) -> bool {
     path.file_name().is_some_and(|name| name.to_string_lossy().contains(".mcap"))
 }
 
-/// The name of the whole file.
+/// The name of the rescued file.
 fn name_of(path: &Path) -> String {
     let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
     let stem = name.split(".mcap").next().unwrap_or(&name);
     format!("{stem}.mcap")
 }
 
-/// The name of the whole file among those of one folder: an open and a finished file of one name are two.
+/// The name of the rescued file in a folder where an open and a finished file may share a name.
 fn name_among(path: &Path, taken: &mut HashSet<String>) -> String {
     let name = name_of(path);
     let stem = name.trim_end_matches(".mcap");

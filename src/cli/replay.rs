@@ -1,4 +1,4 @@
-//! `stictiond replay`: re-runs the engine on recordings, and proves that it says the same again.
+//! `stictiond replay`: re-runs the engine on recordings and checks that the results are identical.
 
 use std::path::{Path, PathBuf};
 
@@ -13,32 +13,32 @@ use stictiond::daemon::rerun::{FileReport, Rerun};
 use stictiond::files::RecordingReader;
 use stictiond::source::zenoh as bus;
 
-/// Re-run the engine on a recording or a folder of them.
+/// Re-run the engine on a recording or a folder of recordings.
 ///
-/// With --verify every estimate, alarm and gap is compared, byte for byte, with the recorded one: exit 1 on the first
-/// difference, exit 2 if the file comes from another version or its configuration has another hash.
+/// With --verify, compare every estimate, alarm and gap byte for byte with the recorded one. Exit 1 on the first
+/// difference; exit 2 if another version made the file or its configuration reads differently now.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   stictiond replay recordings/demo --verify
   stictiond replay recordings/sticking.mcap --format json")]
 pub struct Args {
-    /// A recording, or a folder of recordings.
+    /// Recording, or folder of recordings.
     pub input: PathBuf,
-    /// Compare with what was recorded.
+    /// Compare the results with the recorded ones.
     #[arg(long)]
     pub verify: bool,
-    /// Verify recordings of another version too.
+    /// With --verify, also compare recordings made by another version.
     #[arg(long, requires = "verify")]
     pub allow_version: bool,
-    /// Publish the results again, on the recording's topics.
+    /// Publish the results again on the recording's topics; needs --connect.
     #[arg(long, requires = "connect")]
     pub publish: bool,
-    /// Where to publish, such as tcp/127.0.0.1:7447.
+    /// Zenoh endpoint to publish to, such as tcp/127.0.0.1:7447.
     #[arg(long, requires = "publish")]
     pub connect: Option<String>,
 }
 
-/// What all files together came to.
+/// Totals over all files.
 #[derive(Default)]
 struct Totals {
     files: usize,
@@ -49,7 +49,7 @@ struct Totals {
 /// Runs the command.
 ///
 /// # Errors
-/// Nothing there is a recording of ours, a file it needs is gone, or it cannot be read.
+/// No recording of this program there, a file it needs is missing, or it cannot be read.
 pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     let mut totals = Totals::default();
     let mut publisher = Publisher::open(args)?;
@@ -62,7 +62,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     let (files, compared) = (totals.files, totals.compared);
     if args.verify {
         if compared == 0 {
-            tracing::warn!("nothing was compared: the recordings hold no estimate, alarm or gap");
+            tracing::warn!("nothing to compare: the recordings contain no estimates, alarms or gaps");
         }
         match format {
             Format::Json => {
@@ -76,7 +76,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     Ok(if totals.cut { Outcome::DataLoss } else { Outcome::Done })
 }
 
-/// Replays one run's files. A single file takes the files before it along, as far as its windows reach.
+/// Replays the files of one run. A single file first replays as much of the earlier files as its windows need.
 fn replay_chain(
     args: &Args,
     format: Format,
@@ -128,7 +128,7 @@ fn show(
 ) -> anyhow::Result<()> {
     if let Some(reason) = &report.cut {
         totals.cut = true;
-        tracing::warn!(file = %path.display(), reason, "the file is not whole; replayed up to there");
+        tracing::warn!(file = %path.display(), reason, "the file is incomplete; replayed up to its end");
     }
     for output in report.outputs {
         if !args.verify {
@@ -175,16 +175,16 @@ fn print(format: Format, output: &Output) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// A file of another version, or whose configuration reads differently now, cannot be expected to agree.
+/// A file from another version, or whose configuration reads differently now, is not expected to give equal results.
 fn refuse_foreign(args: &Args, path: &Path, metadata: &RunMetadata) -> anyhow::Result<Option<Outcome>> {
     if metadata.config.hash() != metadata.config_hash {
         let (was, is) = (&metadata.config_hash, metadata.config.hash());
-        tracing::error!(file = %path.display(), "recorded under config_hash {was}, its configuration now reads as {is}");
+        tracing::error!(file = %path.display(), "recorded with config_hash {was}, but this version reads its configuration as {is}; verify it with the version that made it");
         return Ok(Some(Outcome::Usage));
     }
     if metadata.version != stictiond::VERSION && !args.allow_version {
         let was = &metadata.version;
-        tracing::error!(file = %path.display(), "recorded by version {was}, this is {}: --allow-version compares all the same", stictiond::VERSION);
+        tracing::error!(file = %path.display(), "recorded by version {was}, this is {}; use --allow-version to compare anyway", stictiond::VERSION);
         return Ok(Some(Outcome::Usage));
     }
     Ok(None)
@@ -192,7 +192,7 @@ fn refuse_foreign(args: &Args, path: &Path, metadata: &RunMetadata) -> anyhow::R
 
 fn report_difference(format: Format, path: &Path, difference: &str, lost: u64) -> anyhow::Result<Outcome> {
     let note = if lost > 0 {
-        format!("; the recorder had lost {lost} messages of this run by then, so a difference is to be expected")
+        format!("; the recorder lost {lost} messages of this run before this file, so a difference is expected")
     } else {
         String::new()
     };
@@ -206,7 +206,7 @@ fn report_difference(format: Format, path: &Path, difference: &str, lost: u64) -
     Ok(Outcome::Failed)
 }
 
-/// Publishes results again, if asked to.
+/// Publishes the results again if requested.
 struct Publisher(Option<zenoh::Session>);
 
 impl Publisher {
@@ -222,7 +222,7 @@ impl Publisher {
         let encoding = bus::encoding_of(&key);
         match session.put(&key, output.json).encoding(encoding).wait() {
             Ok(()) => Ok(()),
-            Err(error) => bail!("{key}: cannot be published: {error}"),
+            Err(error) => bail!("cannot publish on {key}: {error}"),
         }
     }
 

@@ -9,24 +9,24 @@ use stiction_monitor::config::{Config, ShardKeys, is_id};
 use stiction_monitor::ownership::Shard;
 use stictiond::daemon::{self, RunOptions};
 
-/// Run the daemon: subscribe, estimate, publish, record, until SIGTERM or Ctrl-C.
+/// Run the daemon: subscribe, estimate, publish and record until SIGTERM or Ctrl-C.
 ///
-/// SIGHUP reads the configuration again, says which of its settings wait for the next start, and begins new recordings.
+/// SIGHUP reloads the configuration, logs which changed settings need a restart, and starts new recordings.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   stictiond run --config config/monitor.toml
   stictiond run --config config/monitor.toml --shard 0/3 --id plant-0")]
 pub struct Args {
-    /// The configuration (TOML); `stictiond check FILE` lists every fault in it.
+    /// Configuration file (TOML); `stictiond check FILE` lists its faults.
     #[arg(long)]
     pub config: PathBuf,
-    /// This daemon's name in documents and topics, in place of `[daemon] id`.
+    /// Name of this daemon in documents and topics; overrides `[daemon] id`.
     #[arg(long)]
     pub id: Option<String>,
-    /// Watch one part of all loops, as INDEX/COUNT with INDEX from 0, in place of `[shard]`.
+    /// Watch part INDEX (from 0) of COUNT parts of all loops; overrides `[shard]`.
     #[arg(long, value_name = "INDEX/COUNT", value_parser = shard_of)]
     pub shard: Option<ShardKeys>,
-    /// Workers for fits; all cores but one if not given.
+    /// Worker threads for fits [default: all cores but one].
     #[arg(long)]
     pub workers: Option<usize>,
 }
@@ -40,22 +40,22 @@ fn shard_of(text: &str) -> Result<ShardKeys, String> {
 /// Runs the command.
 ///
 /// # Errors
-/// A configuration with faults, a port that is taken, a folder that cannot be written.
+/// A faulty configuration, a port in use, or a folder that cannot be written.
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let text = std::fs::read_to_string(&args.config).with_context(|| args.config.display().to_string())?;
     let mut config = match Config::parse(&text) {
         Ok(config) => config,
-        Err(faults) => bail!("{} has faults:\n  {}", args.config.display(), list(&faults)),
+        Err(faults) => bail!("{}: the configuration has faults:\n  {}", args.config.display(), list(&faults)),
     };
     if let Some(shard) = args.shard {
         if config.cluster.is_on() {
-            bail!("--shard beside [cluster]: leave one of the two out");
+            bail!("--shard conflicts with [cluster] in the configuration; remove one of them");
         }
         config.shard = shard;
     }
     if let Some(id) = &args.id {
         if id.is_empty() || !is_id(id) {
-            bail!("--id {id:?} cannot stand in a key: write up to 64 letters, digits and . _ -");
+            bail!("--id {id:?} is not a valid name; use up to 64 letters, digits and . _ -");
         }
         config.daemon.id.clone_from(id);
     }

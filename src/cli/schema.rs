@@ -14,11 +14,11 @@ use stictiond::daemon::documents::{schemas, text};
   stictiond schema stictiond.estimate.v1 > estimate.json
   stictiond schema --out schemas/
 
-Documents may hold more fields than their schema says. Within a version fields are only added.")]
+Documents may have more fields than their schema. Within a version, fields are only added.")]
 pub struct Args {
-    /// The document's name, as its field schema says.
+    /// Name of the document, as in its field `schema` [default: list all names].
     pub name: Option<String>,
-    /// Write all of them into a folder, a file each.
+    /// Write all schemas into this folder, one file each.
     #[arg(long, value_name = "DIR", conflicts_with = "name")]
     pub out: Option<PathBuf>,
 }
@@ -26,7 +26,7 @@ pub struct Args {
 /// Runs the command.
 ///
 /// # Errors
-/// No such document, or the folder cannot be written.
+/// There is no such document, or the folder cannot be written.
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let all = schemas();
     if let Some(folder) = &args.out {
@@ -44,7 +44,7 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
     let found = all.iter().find(|(name, _)| name == wanted);
     let (_, schema) = found.ok_or_else(|| {
         let names: Vec<&str> = all.iter().map(|(name, _)| *name).collect();
-        UsageError(format!("no document {wanted:?}; there are {}", names.join(", ")))
+        UsageError(format!("there is no document {wanted:?}; choose one of {}", names.join(", ")))
     })?;
     print(&text(schema))?;
     Ok(Outcome::Done)

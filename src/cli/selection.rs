@@ -1,4 +1,4 @@
-//! What of a file is looked at, and how densely: the same options for every command that fits models.
+//! Which part of a file to use and at what density: options shared by every command that fits models.
 
 use std::sync::Arc;
 
@@ -13,40 +13,40 @@ use stiction_monitor::config::Config;
 use stiction_monitor::engine::LoopSettings;
 use stictiond::files::LoadedLoop;
 
-/// Loop, section, density.
+/// Loop, section and density.
 #[derive(Debug, Clone, Default, clap::Args)]
 pub struct Selection {
-    /// Only this loop. In a compact store also its number, a tag, or what its tags have in common.
-    #[arg(long = "loop", value_name = "NAME", help_heading = "What to look at")]
+    /// Loop to use. In a compact store also its number, a tag, or the common part of its tags.
+    #[arg(long = "loop", value_name = "NAME", help_heading = "Selecting data")]
     pub loop_name: Option<String>,
-    /// Samples START to END, counted from 1, ends included (50,500 is 451 samples); repeat for several sections.
-    #[arg(long, value_name = "START,END", value_parser = samples_range, help_heading = "What to look at")]
+    /// Samples START to END, counted from 1, both included (50,500 is 451 samples); repeat for several sections.
+    #[arg(long, value_name = "START,END", value_parser = samples_range, help_heading = "Selecting data")]
     pub samples: Vec<(usize, usize)>,
-    /// From time T0 to T1, ends included: seconds since 1970 or RFC 3339; ns as in documents with the suffix ns.
-    /// Repeat for several sections.
-    #[arg(long, value_name = "T0,T1", value_parser = time_range, help_heading = "What to look at")]
+    /// Times T0 to T1, both included: seconds since 1970, RFC 3339, or nanoseconds with the suffix ns; repeat for
+    /// several sections.
+    #[arg(long, value_name = "T0,T1", value_parser = time_range, help_heading = "Selecting data")]
     pub window: Vec<(i64, i64)>,
-    /// One point for every R samples, any real number above 1, without aliasing: the valve law still runs on every OP
-    /// value, what it gives and PV are averaged over the same boxes.
-    #[arg(long, value_name = "R", value_parser = ratio, help_heading = "What to look at")]
+    /// Downsample to one point per R samples (any number above 1) without aliasing: the valve model still runs on every
+    /// OP sample; its output and PV are averaged over the same bins.
+    #[arg(long, value_name = "R", value_parser = ratio, help_heading = "Selecting data")]
     pub downsample: Option<f64>,
-    /// Drop samples instead of averaging, OP's too, as the toolbox does; it may alias.
-    #[arg(long, requires = "downsample", help_heading = "What to look at")]
+    /// Downsample by dropping samples, OP's too, as the toolbox does. May alias.
+    #[arg(long, requires = "downsample", help_heading = "Selecting data")]
     pub downsample_like_toolbox: bool,
-    /// Take this away from PV and SP first. Mean and median change no result, the model has a level of its own;
-    /// linear takes a drift away. OP stays as recorded: the valve saw it so.
-    #[arg(long, value_enum, help_heading = "What to look at")]
+    /// Trend to remove from PV and SP. mean and median change no result, because the model has its own offset; linear
+    /// removes a drift. OP stays as recorded, because the valve received it so.
+    #[arg(long, value_enum, help_heading = "Selecting data")]
     pub detrend: Option<DetrendArg>,
 }
 
 /// `--detrend`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum DetrendArg {
-    /// The mean.
+    /// Subtract the mean.
     Mean,
-    /// The median.
+    /// Subtract the median.
     Median,
-    /// The least-squares line.
+    /// Subtract the least-squares line.
     Linear,
 }
 
@@ -61,10 +61,10 @@ impl From<DetrendArg> for Detrend {
 }
 
 fn pair(text: &str) -> Result<(&str, &str), String> {
-    text.split_once(',').ok_or_else(|| format!("{text:?} is not two values with a comma between"))
+    text.split_once(',').ok_or_else(|| format!("{text:?} : write two values with a comma between them, such as 50,500"))
 }
 
-/// Two numbers, the lower one first.
+/// Two numbers, lower first.
 pub(super) fn rising(text: &str) -> Result<[f64; 2], String> {
     let (low, high) = pair(text)?;
     let number = |s: &str| s.trim().parse::<f64>().map_err(|_| format!("{s:?} is not a number"));
@@ -99,19 +99,19 @@ fn ratio(text: &str) -> Result<f64, String> {
 }
 
 impl Selection {
-    /// The loops asked for.
+    /// The selected loops.
     ///
     /// # Errors
-    /// No such loop.
+    /// There is no such loop.
     pub fn loops<'l>(&self, loops: &'l [LoadedLoop]) -> anyhow::Result<Vec<&'l LoadedLoop>> {
         match &self.loop_name {
             Some(wanted) => Ok(vec![stictiond::files::choose_loop(loops, wanted).map_err(anyhow::Error::msg)?]),
-            None if loops.is_empty() => bail!("holds no loop"),
+            None if loops.is_empty() => bail!("no loop found: a loop needs an OP and a PV"),
             None => Ok(loops.iter().collect()),
         }
     }
 
-    /// The sections asked for, in the order of the command line; everything where none is.
+    /// The selected sections in command-line order, or the whole record.
     #[must_use]
     pub fn sections(&self) -> Vec<Section> {
         let samples = self.samples.iter().map(|(start, end)| Section::Samples(*start, *end));
@@ -120,7 +120,7 @@ impl Selection {
         if all.is_empty() { vec![Section::Whole] } else { all }
     }
 
-    /// Density and trend.
+    /// Downsampling and detrending.
     #[must_use]
     pub fn cut(&self) -> Cut {
         Cut {
@@ -131,19 +131,19 @@ impl Selection {
     }
 }
 
-/// Joins a loop's samples under the configuration that they were recorded with.
+/// Joins a loop's samples with the configuration that they were recorded with.
 pub(super) fn points(loaded: &LoadedLoop, config: &Config) -> Points {
     let points = Points::of(&loaded.name, &loaded.samples, config);
     warn(&points.name, &points.notes);
     points
 }
 
-/// Tells what a person should know of a loop.
+/// Logs the notes on a loop.
 pub(super) fn warn(name: &str, notes: &[String]) {
     notes.iter().for_each(|note| tracing::warn!("{name}: {note}"));
 }
 
-/// A ratio or a section that leaves too little was written wrong.
+/// A ratio or section that leaves too few points is a usage error.
 pub(super) fn told(error: AnalysisError) -> anyhow::Error {
     match error {
         AnalysisError::Sparse { .. } => UsageError(error.to_string()).into(),
@@ -153,15 +153,15 @@ pub(super) fn told(error: AnalysisError) -> anyhow::Error {
 
 /// A whole recording as it is judged.
 pub(super) struct Whole {
-    /// Its longest section without a gap.
+    /// Longest section without a data gap.
     pub record: Record,
-    /// The windows that it is judged in where it is long.
+    /// Windows of a long recording; each is judged.
     pub windows: Vec<Record>,
-    /// Its loop's settings.
+    /// Settings of the loop.
     pub settings: Arc<LoopSettings>,
 }
 
-/// The section of a whole recording that is longest without a gap, for commands that look at whole files.
+/// The longest section of a recording without a data gap, for commands that judge whole files.
 pub(super) fn whole_record(loaded: &LoadedLoop, config: &Config) -> anyhow::Result<Whole> {
     let points = points(loaded, config);
     let (record, notes) = points.record(Section::Whole, points.settings.window.max_points)?;

@@ -1,4 +1,4 @@
-//! `stictiond simulate`: a recording of a simulated plant, as the daemon would have made it.
+//! `stictiond simulate`: a recording of a simulated plant, as the daemon would make it.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -23,28 +23,28 @@ use stictiond::daemon::to_json;
 use stictiond::files::RecordingFile;
 use stictiond::sink::recorder::RunInfo;
 
-/// Simulate a plant and write what a daemon beside it would have recorded: samples, estimates, alarms.
+/// Simulate a plant and write the recording that a daemon would make of it: samples, estimates, alarms.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   stictiond simulate recordings/scenarios/sticking.toml --out sticking.mcap
   stictiond simulate recordings/scenarios/sticking.toml --model gap.json --out as-diagnosed.mcap")]
 pub struct Args {
-    /// The plant (TOML), such as those in recordings/scenarios.
+    /// Scenario file (TOML); see recordings/scenarios.
     pub scenario: PathBuf,
-    /// The recording to write (.mcap).
+    /// Recording to write (.mcap).
     #[arg(long)]
     pub out: PathBuf,
-    /// Configuration of the daemon beside it; its prefix must be the scenario's. Default: windows every 300 s.
+    /// Daemon configuration (TOML); its prefix must match the scenario's [default: a window every 300 s].
     #[arg(long)]
     pub config: Option<PathBuf>,
-    /// Valve and process of a model from elsewhere instead of the scenario's: an estimate, a gap document's model, or a
-    /// plain one (JSON). Controller, set point, noise and disturbances stay the scenario's; the model's loads are added.
+    /// Model file (JSON) whose valve and process replace the scenario's: an estimate, a gap document's model, or a plain
+    /// model. Controller, set point, noise and disturbances stay; the model's loads are added.
     #[arg(long, value_name = "FILE.json")]
     pub model: Option<PathBuf>,
-    /// Which of the scenario's loops the model is for, where it has several.
+    /// Loop of the scenario that gets the model; needed if there are several.
     #[arg(long = "loop", value_name = "NAME", requires = "model")]
     pub loop_name: Option<String>,
-    /// Samples only, no results.
+    /// Write samples only, without results.
     #[arg(long)]
     pub raw: bool,
     /// Replace an existing file.
@@ -55,7 +55,7 @@ pub struct Args {
 /// Runs the command.
 ///
 /// # Errors
-/// A scenario or configuration with faults, an output that exists or cannot be written.
+/// A faulty scenario or configuration; an output that exists or cannot be written.
 pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     let text = std::fs::read_to_string(&args.scenario).with_context(|| args.scenario.display().to_string())?;
     let mut scenario = Scenario::parse(&text).map_err(|e| anyhow!("{}: {e}", args.scenario.display()))?;
@@ -66,15 +66,20 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
         Some(path) => std::fs::read_to_string(path).with_context(|| path.display().to_string())?,
         None => format!("[site]\nprefix = \"{}\"\n\n[window]\nhop_s = 300.0\n", scenario.site.prefix),
     };
-    let config = Config::parse(&config_text).map_err(|faults| anyhow!("the configuration:\n  {}", list(&faults)))?;
+    let config =
+        Config::parse(&config_text).map_err(|faults| anyhow!("the configuration has faults:\n  {}", list(&faults)))?;
     if config.site.prefix != scenario.site.prefix {
-        bail!("the configuration's prefix {:?} is not the scenario's {:?}", config.site.prefix, scenario.site.prefix);
+        bail!(
+            "the configuration has prefix {:?}, the scenario {:?}; make them equal",
+            config.site.prefix,
+            scenario.site.prefix
+        );
     }
     if args.out.extension().is_none_or(|e| e != "mcap") {
-        bail!("{}: a simulation is written as .mcap; convert it for other forms", args.out.display());
+        bail!("{}: name an .mcap file; `stictiond convert` makes other formats of it", args.out.display());
     }
     if args.out.exists() && !args.force {
-        bail!("{}: exists already; --force replaces it", args.out.display());
+        bail!("{}: already exists; use --force to replace it", args.out.display());
     }
     let run = RunInfo {
         prefix: config.site.prefix.clone(),
@@ -103,20 +108,20 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// The model's file as it stands; empty without one.
+/// The model file's text; empty without one.
 fn model_text(args: &Args) -> anyhow::Result<String> {
     let Some(path) = &args.model else { return Ok(String::new()) };
     std::fs::read_to_string(path).with_context(|| path.display().to_string())
 }
 
-/// Puts a file's valve and process into one loop of the scenario.
+/// Puts the valve and process of a model file into one loop of the scenario.
 fn put_model(scenario: &mut Scenario, path: &Path, name: Option<&str>) -> anyhow::Result<()> {
     let names: Vec<String> = scenario.loop_names().map(str::to_owned).collect();
     let at = match name {
         Some(name) => names.iter().position(|n| n == name),
         None => (names.len() == 1).then_some(0),
     };
-    let Some(at) = at else { bail!("--loop says which loop gets the model: {}", names.join(", ")) };
+    let Some(at) = at else { bail!("choose the loop that gets the model with --loop: {}", names.join(", ")) };
     let spec = &mut scenario.loops[at];
     let rest = Record::uniform(scenario.run.ts_s, vec![spec.operating_point.op], vec![spec.operating_point.pv]);
     let model = model_file(path)?.on(&rest);
@@ -143,7 +148,7 @@ fn put_model(scenario: &mut Scenario, path: &Path, name: Option<&str>) -> anyhow
     Ok(())
 }
 
-/// Writes into a file of another name first: an output is whole or not there.
+/// Writes to a temporary name first: the output is complete or absent.
 fn write(args: &Args, scenario: &Scenario, config: Config, run: &RunInfo) -> anyhow::Result<BTreeMap<Kind, u64>> {
     let mut part = args.out.clone().into_os_string();
     part.push(".part");
@@ -158,7 +163,9 @@ fn write(args: &Args, scenario: &Scenario, config: Config, run: &RunInfo) -> any
     let mut events = Vec::new();
     for simulated in scenario.stream() {
         let name = &names[simulated.loop_index];
-        let Some(id) = engine.appear(name) else { bail!("more loops than max_loops") };
+        let Some(id) = engine.appear(name) else {
+            bail!("the scenario has more loops than max_loops; raise [input] max_loops")
+        };
         let (sample, arrival_ns) = (simulated.sample, simulated.arrival_ns);
         file.sample(&topic::raw(&run.prefix, name, sample.signal), arrival_ns, &sample)?;
         *counts.entry(Kind::of_signal(sample.signal)).or_default() += 1;

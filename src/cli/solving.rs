@@ -1,4 +1,4 @@
-//! A solver set on the error surface, as the toolbox does it: ours by name, or somebody's program.
+//! A solver on the error surface, as in the toolbox: a built-in one by name, or an external program.
 
 use std::io::{BufRead, BufReader, Write};
 use std::process::{Child, ChildStdin, Command, Stdio};
@@ -18,34 +18,34 @@ use stiction::units::significant;
 use stiction::verdict::Assessment;
 use stiction_monitor::analysis::solver::{self, SolverDocument};
 
-/// `--solver` and what goes with it.
+/// `--solver` and its options.
 #[derive(Debug, Clone, clap::Args)]
 pub struct SolverArgs {
-    /// Set this solver on the mean squared error over (fs, fd), as the toolbox does, and tell what it finds beside the
-    /// estimate: contour, multistart, random, branch-bound, or cmd:PROGRAM (see examples/solver.py).
+    /// Also minimise the mean squared error over (fs, fd) with this solver, as the toolbox does, and print its result next to
+    /// the estimate: contour, multistart, random, branch-bound, or cmd:PROGRAM (see examples/solver.py).
     #[arg(long, value_parser = choice, help_heading = "Solver")]
     pub solver: Option<SolverChoice>,
-    /// Step of the contour grid in % of OP's span S0, for --solver contour and for our own first look.
+    /// Step of the contour grid in % of S0, OP's span; for --solver contour and for the estimate's first scan.
     #[arg(long, value_name = "PCT", default_value_t = Options::default().fineness_pct, value_parser = fineness, help_heading = "Solver")]
     pub fineness: f64,
-    /// Models that the solver may try.
+    /// Largest number of models that the solver may evaluate.
     #[arg(long, value_name = "N", default_value_t = BUDGET, value_parser = clap::value_parser!(u64).range(1..=10_000_000),
         help_heading = "Solver")]
     pub evaluations: u64,
-    /// A program that says nothing for so long is ended.
+    /// End an external program that writes nothing for this long.
     #[arg(long, value_name = "SECONDS", default_value_t = 60.0, value_parser = patience, help_heading = "Solver")]
     pub solver_patience: f64,
-    /// Seed of every random choice.
+    /// Seed of all random choices.
     #[arg(long, default_value_t = Options::default().seed, help_heading = "Solver")]
     pub seed: u64,
 }
 
-/// Which solver.
+/// Which solver to run.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum SolverChoice {
-    /// One of this library.
+    /// A built-in solver.
     Ours(SolverName),
-    /// A program with its arguments.
+    /// An external program with its arguments.
     Program(String),
 }
 
@@ -53,7 +53,7 @@ fn choice(text: &str) -> Result<SolverChoice, String> {
     if let Some(program) = text.strip_prefix("cmd:") {
         let program = program.trim();
         return if program.is_empty() {
-            Err("write the program behind cmd:, such as cmd:examples/solver.py".to_owned())
+            Err("write the program after cmd:, such as cmd:examples/solver.py".to_owned())
         } else {
             Ok(SolverChoice::Program(program.to_owned()))
         };
@@ -72,11 +72,11 @@ fn patience(text: &str) -> Result<f64, String> {
     if (0.1..=86_400.0).contains(&value) { Ok(value) } else { Err("write seconds from 0.1 to 86400".to_owned()) }
 }
 
-/// Sets the solver on the surface that belongs to an assessment: its valve law and class of process. `None` where the
-/// record could not be fitted at all.
+/// Runs the solver on the surface of an assessment: its valve law and process class. `None` if the record could not be
+/// fitted.
 ///
 /// # Errors
-/// The program cannot be run, says something else than numbers, or nothing for too long.
+/// The program cannot be started, writes something other than numbers, or writes nothing for too long.
 pub fn run(
     args: &SolverArgs,
     record: &Record,
@@ -116,7 +116,7 @@ pub fn run(
     Ok(Some(solver::document(name, &solved, &mut surface, &settings, found, estimate_mse, elapsed_ms)))
 }
 
-/// A program that was started; ended when dropped.
+/// A running program; killed on drop.
 struct Program {
     child: Child,
     lines: Receiver<std::io::Result<String>>,
@@ -154,8 +154,8 @@ fn launch(program: &str) -> anyhow::Result<(Program, ChildStdin)> {
     Ok((Program { child, lines }, input))
 }
 
-/// Asks a program for pairs `fs fd` and answers each with its mean squared error (`inf` where no model exists), until
-/// it ends its output or the evaluations are spent.
+/// Reads pairs `fs fd` from a program and answers each with its mean squared error (`inf` where no model exists), until
+/// the program closes its output or the evaluations are used up.
 fn converse(
     program: &str,
     surface: &mut Surface,
@@ -184,7 +184,7 @@ fn converse(
             continue;
         }
         let Some([fs, fd]) = two_numbers(line) else {
-            bail!("wrote {line:?} after {} evaluations; a line holds two numbers, fs fd", best.evaluations);
+            bail!("wrote {line:?} after {} evaluations; write two numbers per line, fs and fd", best.evaluations);
         };
         if best.evaluations == settings.budget {
             best.stopped = Termination::Budget;
@@ -215,7 +215,7 @@ fn two_numbers(line: &str) -> Option<[f64; 2]> {
     words.next().is_none().then_some(numbers)
 }
 
-/// The next line, `None` at the end of the output.
+/// The next line; `None` at the end of the output.
 fn next_line(
     lines: &Receiver<std::io::Result<String>>,
     patience: Duration,
@@ -227,24 +227,27 @@ fn next_line(
             Err(RecvTimeoutError::Disconnected) => return Ok(None),
             Err(RecvTimeoutError::Timeout) if stop::asked() => return Ok(None),
             Err(RecvTimeoutError::Timeout) if Instant::now() > until => {
-                bail!("said nothing for {} s and was ended; --solver-patience waits longer", patience.as_secs_f64());
+                bail!(
+                    "wrote nothing for {} s and was ended; raise --solver-patience to wait longer",
+                    patience.as_secs_f64()
+                );
             }
             Err(RecvTimeoutError::Timeout) => {}
         }
     }
 }
 
-/// Waits for the end of a program that has closed its output, and hears how it ended.
+/// Waits for a program that has closed its output to exit, and checks its status.
 fn finish(running: &mut Program, best: &Outcome, open: bool, patience: Duration) -> anyhow::Result<()> {
     let until = Instant::now() + patience.min(Duration::from_secs(5));
     while Instant::now() < until && !stop::asked() {
         if let Some(status) = running.child.try_wait()? {
             let done = best.evaluations;
             if !status.success() {
-                bail!("ended with {status} after {done} evaluations");
+                bail!("exited with {status} after {done} evaluations");
             }
             if done == 0 {
-                bail!("ended without a pair fs fd{}", if open { "" } else { " and without reading the task" });
+                bail!("exited without writing a pair fs fd{}", if open { "" } else { " and without reading the task" });
             }
             return Ok(());
         }

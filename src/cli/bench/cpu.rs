@@ -1,20 +1,20 @@
-//! CPU time of this thread: on a shared machine the only figure that means something.
+//! CPU time of this thread: the only meaningful time on a shared machine.
 
-/// Seconds of CPU that this thread has taken so far.
+/// CPU time of this thread, s.
 #[cfg(target_os = "linux")]
 pub fn seconds() -> f64 {
     let now = rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime);
     now.tv_sec as f64 + now.tv_nsec as f64 * 1e-9
 }
 
-/// Elsewhere the clock on the wall stands in.
+/// Other systems use wall time.
 #[cfg(not(target_os = "linux"))]
 pub fn seconds() -> f64 {
     static START: std::sync::LazyLock<std::time::Instant> = std::sync::LazyLock::new(std::time::Instant::now);
     START.elapsed().as_secs_f64()
 }
 
-/// CPU milliseconds of one call: the median of `rounds` rounds, each of as many calls as take a millisecond or more.
+/// CPU time of one call in ms: median of `rounds` rounds of as many calls as take at least a millisecond.
 pub fn ms<T>(rounds: usize, mut call: impl FnMut() -> T) -> f64 {
     let mut once = |calls: usize| {
         let started = seconds();
@@ -29,14 +29,14 @@ pub fn ms<T>(rounds: usize, mut call: impl FnMut() -> T) -> f64 {
     all[all.len() / 2]
 }
 
-/// Seconds of CPU that this process has taken so far, all its threads together.
+/// CPU time of this process over all threads, s.
 #[cfg(target_os = "linux")]
 pub fn process_seconds() -> f64 {
     let now = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
     now.tv_sec as f64 + now.tv_nsec as f64 * 1e-9
 }
 
-/// Elsewhere that of this thread stands in.
+/// Other systems use the time of this thread.
 #[cfg(not(target_os = "linux"))]
 pub fn process_seconds() -> f64 {
     seconds()

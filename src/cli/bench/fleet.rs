@@ -1,4 +1,4 @@
-//! So many loops on this machine: a daemon that records, a plant in another process, and a table of what came of it.
+//! A fleet of loops on this machine: a recording daemon, a plant in another process, and a table of the results.
 
 use std::io::{BufRead as _, BufReader};
 use std::path::PathBuf;
@@ -14,19 +14,19 @@ use super::{Args, PREFIX, Row};
 use stiction::units::ns_from_s;
 use stictiond::daemon::clock::now_ns;
 
-/// Pace at which memories are filled before anything is measured, samples a second, and samples of a signal in a message.
+/// Rate at which histories are filled before measuring, samples/s, and samples of a signal per message.
 const FILL_PACE: f64 = 100_000.0;
 const FILL_BATCH: u64 = 30;
-/// How long the daemon may take for what still waits when everything was sent, and for the windows that are due.
+/// Time limit for the daemon to finish its queue after the last message, and for the windows due.
 const DRAIN_WITHIN: Duration = Duration::from_secs(60);
 const JUDGED_WITHIN: Duration = Duration::from_secs(900);
-/// Messages of the plant that a restarted daemon is waiting for, and their pace.
+/// Messages from the plant that a restarted daemon waits for, and their rate.
 const FIRST: u64 = 400;
 const FIRST_PACE: f64 = 40.0;
-/// Shares of the messages whose time to the engine is told.
+/// Shares of the messages for which the latency to the engine is printed.
 const SHARES: [f64; 2] = [0.5, 0.99];
 
-/// What one run is told.
+/// Settings of a run.
 #[derive(Debug, Clone)]
 pub struct Ask {
     pub loops: usize,
@@ -41,7 +41,7 @@ pub struct Ask {
 }
 
 impl Ask {
-    /// As the command line says it.
+    /// From the command line.
     pub fn of(args: &Args, loops: usize) -> Self {
         Self {
             loops: loops.max(1),
@@ -60,7 +60,7 @@ impl Ask {
         self.rate.unwrap_or(2.0 * self.loops as f64 / self.every_s)
     }
 
-    /// What is published before and while it is measured. The hop ends in the middle of the latter.
+    /// What to publish before and while measuring. The hop ends in the middle of the latter.
     fn plans(&self) -> [Plan; 2] {
         let scans = (self.for_s * self.pace() / (2.0 * self.loops as f64)).ceil().max(1.0) as u64;
         // Four of them at least, so that the hop ends among them.
@@ -81,7 +81,7 @@ impl Ask {
     }
 }
 
-/// A folder of its own, removed when dropped.
+/// A temporary folder, removed on drop.
 struct Place {
     dir: PathBuf,
     config: PathBuf,
@@ -134,23 +134,23 @@ impl Place {
     }
 }
 
-/// What a run gave.
+/// Results of a run.
 #[derive(Debug, Clone)]
 pub struct Figures {
     ask: Ask,
     sent: Sent,
-    /// What was sent before it was measured.
+    /// Messages sent before measuring.
     filled: f64,
     before: Seen,
-    /// When all was sent and taken, and when all windows were judged.
+    /// When everything was sent and taken, and when all windows were judged.
     after: Seen,
     judged: Seen,
     recorded_bytes: f64,
-    /// From the start of a daemon that knows all loops to its first sample, s.
+    /// Start-up time of a daemon that knows all loops, to its first sample, s.
     first_sample_s: f64,
 }
 
-/// Runs it.
+/// Runs the benchmark.
 ///
 /// # Errors
 /// A process cannot be started, or the daemon does not answer.
@@ -174,7 +174,7 @@ pub fn run(ask: &Ask) -> anyhow::Result<Figures> {
     Ok(Figures { ask: ask.clone(), sent, filled, before, after, judged, recorded_bytes: recordings, first_sample_s })
 }
 
-/// Publishes a plan, and waits until the daemon has it all.
+/// Publishes a plan and waits until the daemon has taken everything.
 fn published(place: &Place, daemon: &Watched, plan: &Plan, already: f64) -> anyhow::Result<(Sent, Seen)> {
     let mut publisher = place.publisher(plan)?;
     let mut line = String::new();
@@ -189,7 +189,7 @@ fn published(place: &Place, daemon: &Watched, plan: &Plan, already: f64) -> anyh
     Ok((sent, seen))
 }
 
-/// Waits until so many samples were taken and recorded, or nothing more comes.
+/// Waits until this many samples were taken and recorded, or no more arrive.
 fn taken(daemon: &Watched, samples: f64) -> anyhow::Result<Seen> {
     let all = |seen: &Seen| seen.count("samples") >= samples && seen.count("recorded") >= samples;
     match daemon.until(DRAIN_WITHIN, all) {
@@ -199,7 +199,7 @@ fn taken(daemon: &Watched, samples: f64) -> anyhow::Result<Seen> {
     }
 }
 
-/// The time from the start of a daemon that knows all loops to its first sample, s.
+/// Start-up time of a daemon that knows all loops, to its first sample, s.
 fn restart(place: &Place, plan: &Plan) -> anyhow::Result<f64> {
     let first = Plan { loops: 1, batch: 1, scans: FIRST, pace: FIRST_PACE, ..*plan };
     let daemon = place.daemon()?;
@@ -217,7 +217,7 @@ impl Figures {
         self.sent.seconds.max(1e-3)
     }
 
-    /// CPU cores that the daemon took while samples came.
+    /// CPU cores used by the daemon while samples arrived.
     pub fn cores(&self) -> f64 {
         let (Some(from), Some(to)) = (self.before.at, self.after.at) else { return f64::NAN };
         (self.after.cpu_s() - self.before.cpu_s()) / to.duration_since(from).as_secs_f64()
@@ -232,14 +232,14 @@ impl Figures {
         self.after.count(name) - self.before.count(name)
     }
 
-    /// Samples that were lost or refused anywhere, documents that were not recorded included.
+    /// Samples lost or rejected anywhere, including documents that were not recorded.
     pub fn lost(&self) -> f64 {
         let missing = self.filled + self.sent.samples - self.judged.count("samples");
         let refused = ["over_rate", "stamps_ahead", "recording_lost"];
         missing.max(0.0) + refused.into_iter().map(|name| self.judged.count(name)).sum::<f64>()
     }
 
-    /// What keeps this machine from more, in words: what lost something, else what was busiest.
+    /// The bottleneck in words: what lost something, else what was busiest.
     fn limit(&self) -> (String, f64) {
         let share = |part: &str| {
             let of = |seen: &Seen| seen.cpu_s.get(part).copied().unwrap_or(0.0);
@@ -251,15 +251,15 @@ impl Figures {
         let why = if self.judged.count("recording_lost") > 0.0 {
             "recorder or disk: messages could not be recorded".to_owned()
         } else if self.judged.count("dropped_input") > 0.0 {
-            "engine: messages found its queue full".to_owned()
+            "engine: its queue was full".to_owned()
         } else if self.judged.count("fits_skipped") > 0.0 {
-            "fits: windows found no worker".to_owned()
+            "fits: no free worker for some windows".to_owned()
         } else if self.lost() > 0.0 {
-            "the bus: samples did not arrive".to_owned()
+            "bus: samples did not arrive".to_owned()
         } else if behind {
-            "the publisher, or the bus that made it wait".to_owned()
+            "the publisher, or the bus slowing it down".to_owned()
         } else {
-            format!("nothing here; the busiest part is {part}")
+            format!("none; the busiest part is {part}")
         };
         (why, busiest)
     }
@@ -277,8 +277,8 @@ impl Figures {
             row("  by a process that took", self.sent.cpu_s / self.seconds(), "cores"),
             row("received", self.came("messages"), "messages"),
             row("taken by the engine", self.came("samples"), "samples"),
-            row("recorded, filling and documents included", self.judged.count("recorded"), "messages"),
-            row("lost or refused anywhere", self.lost(), "samples"),
+            row("recorded, including filling and documents", self.judged.count("recorded"), "messages"),
+            row("lost or rejected anywhere", self.lost(), "samples"),
             row("windows due", self.judged.count("windows"), "windows"),
             row("  judged", self.judged.count("estimates") - self.judged.count("fits_skipped"), "windows"),
             row("  skipped", self.judged.count("fits_skipped"), "windows"),
@@ -295,11 +295,11 @@ impl Figures {
         let windows = self.judged.value("stictiond_loop_bytes") / loops;
         rows.extend([
             row("resident memory", self.resident() / f64::from(1 << 20), "MiB"),
-            row("  at most", self.judged.resident[1] / f64::from(1 << 20), "MiB"),
-            row("  a loop, all of the process", self.resident() / loops, "bytes"),
-            row("  a loop, in the engine", windows, "bytes"),
+            row("  peak", self.judged.resident[1] / f64::from(1 << 20), "MiB"),
+            row("  per loop, whole process", self.resident() / loops, "bytes"),
+            row("  per loop, in the engine", windows, "bytes"),
             row("on the disk", self.recorded_bytes / samples.max(1.0), "bytes/sample"),
-            row("a start with these loops known, to the first sample", self.first_sample_s, "s"),
+            row("start with these loops known, to the first sample", self.first_sample_s, "s"),
         ]);
         let (why, busiest) = self.limit();
         rows.push(Row { name: format!("limits: {why}"), value: busiest, unit: "cores" });

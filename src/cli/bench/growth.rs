@@ -1,5 +1,5 @@
-//! How costs grow: with loops, with samples, with periods. Each is measured at several sizes and said as the exponent of
-//! the straight line through their logarithms.
+//! How costs grow with loops, samples and periods: the exponent of a straight line through the logarithms of several
+//! sizes.
 
 use super::{PREFIX, Row, cpu};
 use stiction::record::{Record, Sample, Signal, Value};
@@ -8,13 +8,13 @@ use stiction::verdict::{AssessParams, assess};
 use stiction_monitor::config::Config;
 use stiction_monitor::engine::{Engine, Event};
 
-/// Loops that are compared, and samples of each signal.
+/// Numbers of loops compared, and samples of each signal.
 const LOOPS: [usize; 4] = [500, 1000, 2000, 4000];
 const SAMPLES_A_LOOP: usize = 400;
-/// Samples a signal that are compared, of a hundred loops.
+/// Samples per signal compared, with a hundred loops.
 const SAMPLES: [usize; 4] = [250, 500, 1000, 2000];
 const LOOPS_OF_SAMPLES: usize = 100;
-/// Samples of a window, at a period of 50; and periods of a window of 2,000 samples.
+/// Samples of a window with a period of 50; and periods of a window of 2,000 samples.
 const WINDOW_SAMPLES: [usize; 4] = [250, 500, 1000, 2000];
 const WINDOW_PERIODS: [usize; 4] = [5, 10, 20, 40];
 /// Sampling time, s.
@@ -37,13 +37,13 @@ pub fn rows() -> Vec<Row> {
     add("CPU of the intake, by loops", "ms", points(&by_loops, 1));
     add("memory of 100 loops, by samples held of each signal", "MiB", points(&by_samples, 0));
     add("CPU of the intake of 100 loops, by samples", "ms", points(&by_samples, 1));
-    add("estimate of a swinging loop, by samples", "ms", WINDOW_SAMPLES.map(|n| (n as f64, window(n, 50.0))));
+    add("estimate of an oscillating loop, by samples", "ms", WINDOW_SAMPLES.map(|n| (n as f64, window(n, 50.0))));
     let of_periods = |periods: usize| (periods as f64, window(2000, 2000.0 / periods as f64));
     add("estimate of 2,000 samples, by periods", "ms", WINDOW_PERIODS.map(of_periods));
     rows
 }
 
-/// Bytes (MiB) that loops take with so many samples of each signal, and the CPU time (ms) in which the engine took these.
+/// Memory (MiB) of this many loops and samples, and CPU time (ms) of their intake.
 fn filled(loops: usize, samples: usize) -> [f64; 2] {
     let mut config = Config::with_prefix(PREFIX);
     config.window.hop_s = 1e9;
@@ -64,7 +64,7 @@ fn filled(loops: usize, samples: usize) -> [f64; 2] {
     [bytes as f64 / f64::from(1 << 20), took_ms]
 }
 
-/// A loop that swings with a period in samples.
+/// A loop that oscillates with a period given in samples.
 fn swinging(n: usize, period: f64) -> Record {
     let wave = |k: usize, phase: f64| libm::sin(2.0 * core::f64::consts::PI * (k as f64 / period + phase));
     let noise = |k: usize| ((k as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 40) as f64 / f64::from(1 << 24) - 0.5;

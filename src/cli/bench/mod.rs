@@ -1,4 +1,4 @@
-//! `stictiond bench`: what this machine does a second, and in how much memory.
+//! `stictiond bench`: throughput and memory on this machine.
 
 mod cpu;
 mod fleet;
@@ -27,67 +27,67 @@ use stiction_monitor::config::Config;
 use stiction_monitor::engine::{Engine, Event};
 use stictiond::daemon::{self, RunOptions};
 
-/// The loops that kernels are timed on.
+/// Loops that kernels are timed on.
 const SCENARIO: &str = include_str!("../../../recordings/scenarios/four-loops.toml");
-/// Loops of the ingest over loopback, and its messages a second where nothing is said.
+/// Loops of the loopback test, and its default rate in messages/s.
 const LOOPS: usize = 1000;
 const RATE: f64 = 20_000.0;
-/// Prefix of the ingest test's keys.
+/// Key prefix of the loopback test.
 const PREFIX: &str = "bench";
 
-/// Measure this machine: the solver, the engine's intake, and ingest over loopback with recording.
+/// Measure this machine: the solver, the engine's intake, and recording of data received over loopback.
 ///
-/// With --loops: so many loops at 10 s, 2 % of them oscillating, from a publisher in another process, and what limits.
-/// Times of the solver are CPU time of one thread. Figures of one run: compare ratios within one table.
+/// With --loops: N loops sampled every 10 s, 2 % of them oscillating, published by another process; prints the bottleneck.
+/// Times of the solver are CPU times of one thread. Compare ratios within one run.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example: cargo run --release -- bench --loops 1000 --for 60")]
 pub struct Args {
-    /// Seconds of ingest over loopback.
+    /// Duration of the loopback test, s.
     #[arg(long = "for", value_name = "SECONDS", default_value_t = 10.0)]
     pub for_s: f64,
-    /// Loops of a daemon and a publisher in processes of their own.
+    /// Number of loops, with daemon and publisher in separate processes.
     #[arg(long, value_name = "N")]
     pub loops: Option<usize>,
-    /// Time between two samples of a signal, s.
+    /// Sampling time of each signal, s.
     #[arg(long, value_name = "SECONDS", default_value_t = 10.0)]
     pub every: f64,
-    /// Samples a second, all signals together, however long the time between them is by their stamps.
+    /// Published samples per second over all signals, whatever their timestamps say.
     #[arg(long, value_name = "HZ")]
     pub rate: Option<f64>,
-    /// Samples of a signal in a message; 50 where no number is said.
+    /// Samples of a signal per message [default: 1; 50 if given without a number].
     #[arg(long, value_name = "SAMPLES", num_args = 0..=1, default_missing_value = "50", requires = "loops")]
     pub batch: Option<u64>,
-    /// Samples of each signal that are there before anything is measured.
+    /// Samples of each signal in the history before measuring.
     #[arg(long, value_name = "SAMPLES", default_value_t = 30, requires = "loops")]
     pub fill: u64,
-    /// Time between two windows, s; one comes due while it is measured.
+    /// Time between two windows, s [default: one comes due while measuring].
     #[arg(long, value_name = "SECONDS", default_value_t = 3600.0)]
     pub hop: f64,
-    /// Bytes of a loop's history; 0: as the defaults need.
+    /// Memory limit of a loop's history, bytes; 0 uses the defaults' need.
     #[arg(long, value_name = "BYTES", default_value_t = 32_768)]
     pub max_bytes: usize,
-    /// How samples are recorded: json or columns.
+    /// How to record samples: json or columns.
     #[arg(long, value_name = "FORM", default_value = "json", value_parser = ["json", "columns"])]
     pub raw: String,
-    /// Record so many loops for so many hours of plant time, here, and replay that with every estimate.
+    /// Record this many loops for this many hours of plant time, then replay the recording with every estimate.
     #[arg(long, value_name = "LOOPS,HOURS")]
     pub replay: Option<replay::Plant>,
-    /// Memory of so many loops that have been watched for so many hours of plant time: an engine alone, in this process.
+    /// Measure the memory of this many loops after this many hours of plant time, in an engine of this process.
     #[arg(long, value_name = "LOOPS,HOURS")]
     pub histories: Option<replay::Plant>,
-    /// How costs grow with loops, samples and periods: exponents of several sizes.
+    /// Measure how costs grow with loops, samples and periods.
     #[arg(long)]
     pub growth: bool,
-    /// Only the solver: kernels, indicators, screening, estimates.
+    /// Measure only the solver: kernels, indicators, screening, estimates.
     #[arg(long)]
     pub solver_only: bool,
-    /// Index of labelled recordings to time estimates on, where it is.
+    /// Index of labelled recordings for timing estimates; skipped if missing.
     #[arg(long, value_name = "INDEX.csv", default_value = "../shared/data/INDEX.csv")]
     pub recordings: PathBuf,
-    /// The publisher's part, in its own process: where the daemon listens.
+    /// Endpoint of the daemon; used by the publisher process.
     #[arg(long, hide = true)]
     pub publish: Option<String>,
-    /// What it publishes.
+    /// What the publisher process publishes.
     #[arg(long, hide = true, default_value = "")]
     pub plan: String,
 }
@@ -144,7 +144,7 @@ fn scenario() -> anyhow::Result<Scenario> {
     Scenario::parse(SCENARIO).map_err(|e| anyhow!("the built-in scenario: {e}"))
 }
 
-/// Samples a second through decoding and the engine, fits left out.
+/// Samples per second through decoding and engine, without fits.
 fn intake() -> anyhow::Result<Vec<Row>> {
     let scenario = scenario()?;
     let samples: Vec<(usize, Sample)> = scenario.stream().map(|s| (s.loop_index, s.sample)).collect();
@@ -183,7 +183,7 @@ fn intake() -> anyhow::Result<Vec<Row>> {
     ])
 }
 
-/// A daemon in this process, recording, fed over loopback at a fixed rate.
+/// A recording daemon in this process, fed over loopback at a fixed rate.
 fn ingest(args: &Args) -> anyhow::Result<Vec<Row>> {
     let dir = std::env::temp_dir().join(format!("stictiond-bench-{}", std::process::id()));
     let port = demo::free_port(17_447)?;
@@ -247,12 +247,12 @@ async fn feed(session: &zenoh::Session, args: &Args) -> anyhow::Result<f64> {
 fn last_health(session: &zenoh::Session) -> anyhow::Result<Json> {
     let key = topic::plane(PREFIX, "@daemon/*/health");
     let replies = session.get(&key).wait().map_err(|e| anyhow!("{key}: {e}"))?;
-    let reply = replies.recv().map_err(|_| anyhow!("{key}: nobody answers"))?;
+    let reply = replies.recv().map_err(|_| anyhow!("no answer on {key}"))?;
     let sample = reply.into_result().map_err(|e| anyhow!("{key}: {e}"))?;
     Ok(serde_json::from_slice(&sample.payload().to_bytes())?)
 }
 
-/// Resident memory of this process, publisher included.
+/// Resident memory of this process, including the publisher.
 fn resident_mib() -> f64 {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let line = status.lines().find_map(|l| l.strip_prefix("VmRSS:"));

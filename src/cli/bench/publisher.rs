@@ -1,4 +1,4 @@
-//! A plant for measurements, in a process of its own: so many loops, each with OP and PV, at a fixed pace.
+//! A plant for benchmarks in its own process: loops with OP and PV, published at a fixed rate.
 
 use std::io::{Read as _, Write as _};
 use std::time::{Duration, Instant};
@@ -17,26 +17,26 @@ use stiction::units::ns_from_s;
 use stiction_monitor::codec;
 use stiction_monitor::codec::topic;
 
-/// Messages that are sent before the clock is looked at again, as a time at the pace.
+/// Messages sent between checks of the clock, as a time at the rate.
 const SLICE: Duration = Duration::from_millis(2);
-/// One loop in so many sticks and swings: 2 %.
+/// One in this many loops sticks and oscillates: 2 %.
 const STICKS: usize = 50;
 /// Its period, in samples.
 const PERIOD: u64 = 60;
 
-/// What is published.
+/// What to publish.
 #[derive(Debug, Clone, Copy)]
 pub struct Plan {
     pub loops: usize,
-    /// Time between two samples of a signal, plant time, s.
+    /// Sampling time in plant time, s.
     pub every_s: f64,
-    /// Stamp of the first sample, ns.
+    /// Timestamp of the first sample, ns.
     pub start_ns: i64,
     /// Scans of all loops.
     pub scans: u64,
-    /// Samples of a signal in a message.
+    /// Samples of a signal per message.
     pub batch: u64,
-    /// Samples a second, all signals together.
+    /// Samples per second over all signals.
     pub pace: f64,
 }
 
@@ -50,7 +50,7 @@ pub struct Sent {
 }
 
 impl Plan {
-    /// The arguments that say it to another process.
+    /// The arguments for the other process.
     pub fn arguments(&self, endpoint: &str) -> Vec<String> {
         let Self { loops, every_s, start_ns, scans, batch, pace } = self;
         let plan = json!([loops, every_s, start_ns, scans, batch, pace]);
@@ -64,16 +64,17 @@ impl Plan {
 }
 
 impl Sent {
-    /// What the other process printed.
+    /// Parses the output of the other process.
     pub fn read(text: &str) -> anyhow::Result<Self> {
-        let said: Json = serde_json::from_str(text.trim()).map_err(|e| anyhow!("the publisher said {text:?}: {e}"))?;
+        let said: Json = serde_json::from_str(text.trim())
+            .map_err(|e| anyhow!("cannot parse the publisher's output {text:?}: {e}"))?;
         let of = |name: &str| said[name].as_f64().unwrap_or(f64::NAN);
         Ok(Self { messages: of("messages"), samples: of("samples"), seconds: of("seconds"), cpu_s: of("cpu_s") })
     }
 }
 
-/// A number from 0 to 1 of a seed. All bits are mixed (SplitMix64): a product alone gives scan after scan a regular swing, and
-/// a loop that should rest is searched for a sticking valve.
+/// A number from 0 to 1 from a seed. All bits are mixed (SplitMix64): a plain product would give a regular pattern from scan
+/// to scan, and a calm loop would look like an oscillating one.
 fn drawn(seed: u64) -> f64 {
     let z = seed.wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
     let z = (z ^ z >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -81,7 +82,8 @@ fn drawn(seed: u64) -> f64 {
     ((z ^ z >> 31) >> 11) as f64 / (1_u64 << 53) as f64
 }
 
-/// A signal's value: calm loops rest on noise, the others swing as sticking valves do, OP in ramps and PV in steps.
+/// A signal's value: calm loops are constant plus noise; the others oscillate as with a sticking valve, OP in ramps and PV
+/// in steps.
 pub fn value(index: usize, signal: Signal, scan: u64) -> f64 {
     let noise = drawn(scan ^ (index as u64) << 32 ^ (signal as u64) << 56) - 0.5;
     if !index.is_multiple_of(STICKS) {
@@ -96,10 +98,10 @@ pub fn value(index: usize, signal: Signal, scan: u64) -> f64 {
     50.0 + swing + 0.1 * noise
 }
 
-/// The child's part: publishes the plan and says what was sent.
+/// Runs in the child process: publishes the plan and reports what was sent.
 ///
 /// # Errors
-/// Nobody listens, or the bus refuses.
+/// Nothing answers, or the bus rejects the data.
 pub fn run(endpoint: &str, plan: &str) -> anyhow::Result<()> {
     let plan = Plan::read(plan)?;
     let session = open(endpoint)?;
@@ -154,7 +156,7 @@ fn write_payload(plan: &Plan, index: usize, signal: Signal, scans: std::ops::Ran
     }
 }
 
-/// A session that is connected, whenever the other side comes up.
+/// A connected session, whenever the other side starts.
 fn open(endpoint: &str) -> anyhow::Result<zenoh::Session> {
     let mut config = zenoh::Config::default();
     let endpoints = serde_json::to_string(&[endpoint])?;
@@ -165,14 +167,14 @@ fn open(endpoint: &str) -> anyhow::Result<zenoh::Session> {
         ("connect/timeout_ms", "-1"),
         ("connect/retry", "{period_init_ms:50,period_max_ms:50,period_increase_factor:1}"),
     ] {
-        config.insert_json5(key, value).map_err(|e| anyhow!("Zenoh refuses {key} = {value}: {e}"))?;
+        config.insert_json5(key, value).map_err(|e| anyhow!("Zenoh rejects the setting {key} = {value}: {e}"))?;
     }
     let session = zenoh::open(config).wait().map_err(|e| anyhow!("{endpoint}: {e}"))?;
     wait_for_listener(&session)?;
     Ok(session)
 }
 
-/// What is put before anybody subscribes goes nowhere.
+/// Waits for a subscriber, because earlier data would be lost.
 fn wait_for_listener(session: &zenoh::Session) -> anyhow::Result<()> {
     let key = topic::raw(PREFIX, "L000000", Signal::Op);
     let publisher = session.declare_publisher(key.clone()).wait().map_err(|e| anyhow!("{key}: {e}"))?;

@@ -1,5 +1,5 @@
-//! What hours of a plant cost, of the same loops that the publisher has: how long the replay of their recording takes, which
-//! is made here and replayed as `stictiond replay` does, and how much memory their histories take.
+//! Cost of hours of plant time with the publisher's loops: the time to replay their recording, which is made here and
+//! replayed as by `stictiond replay`, and the memory of their histories.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -17,10 +17,10 @@ use stictiond::daemon::rerun::Rerun;
 use stictiond::files::RecordingFile;
 use stictiond::sink::recorder::{LOOPS_PER_FILE, RunInfo};
 
-/// Stamp of the first sample: a full hour, so that a day has 24 of them.
+/// Timestamp of the first sample: a full hour, so that a day has 24 files.
 const START_NS: i64 = 1_700_000_000 / 3600 * 3600 * stiction::units::NS_PER_S;
 
-/// A plant and how long it was recorded.
+/// A plant and its recorded duration.
 #[derive(Debug, Clone, Copy)]
 pub struct Plant {
     pub loops: usize,
@@ -46,7 +46,7 @@ impl std::str::FromStr for Plant {
     }
 }
 
-/// Makes the recording, replays it, and says what that took.
+/// Makes the recording, replays it and measures both.
 ///
 /// # Errors
 /// The temporary folder cannot be written.
@@ -85,13 +85,13 @@ pub fn rows(args: &Args, plant: Plant) -> anyhow::Result<Vec<Row>> {
         row("  CPU of all threads", cpu_s, "s of CPU"),
         row("  estimates", estimates as f64, "documents"),
         row("  alarms", alarms as f64, "documents"),
-        row("  samples a second", samples as f64 / took_s / 1e3, "thousand/s"),
+        row("  samples per second", samples as f64 / took_s / 1e3, "thousand/s"),
         row("  resident memory after it", resident_mib(), "MiB"),
     ])
 }
 
-/// Memory of so many loops in an engine of this process, once they have been watched so long: their histories are then as
-/// full as `max_bytes` lets them become. No window comes due.
+/// Memory of this many loops in an engine of this process after this many hours: their histories are then as full as
+/// `max_bytes` allows. No window comes due.
 ///
 /// # Errors
 /// The configuration has a fault.
@@ -124,11 +124,11 @@ pub fn histories(args: &Args, plant: Plant) -> anyhow::Result<Vec<Row>> {
         row("CPU of the intake", 1e6 * cpu_s / (2.0 * scans as f64 * loops), "us/sample"),
         row("memory of the loops, as the engine counts it", bytes as f64 / loops, "bytes/loop"),
         row("resident memory of the engine", grown_mib, "MiB"),
-        row("  a loop", grown_mib * f64::from(1 << 20) / loops, "bytes/loop"),
+        row("  per loop", grown_mib * f64::from(1 << 20) / loops, "bytes/loop"),
     ])
 }
 
-/// The recording, as many loops in a file as the daemon's have, scan after scan.
+/// The recording, with as many loops per file as the daemon uses, scan by scan.
 fn record(
     folder: &Path,
     config: &Config,

@@ -1,4 +1,4 @@
-//! What the solver and all around it cost: kernels, indicators, whole estimates, a calm loop, a solver's models.
+//! Costs of the solver and its surroundings: kernels, indicators, whole estimates, a calm loop, general solvers.
 
 use std::path::Path;
 
@@ -16,12 +16,12 @@ use stiction::sim::steps::{Path as OpPath, Steps};
 use stiction::verdict::{AssessParams, assess, lets_go};
 use stiction_lab::truth::{Half, Regime, TruthLoop, accuracy, verdict_case};
 
-/// Rounds of a kernel's measurement.
+/// Rounds per kernel.
 const ROUNDS: usize = 9;
-/// Simulated loops a regime that whole estimates are timed on.
+/// Simulated loops per regime for timing whole estimates.
 const LOOPS: u64 = 2;
 
-/// Every row, handed out as it is known.
+/// Emits every row as soon as it is known.
 ///
 /// # Errors
 /// Those of `out`.
@@ -42,7 +42,7 @@ fn in_ms(name: impl Into<String>, value: f64) -> Row {
     Row { name: name.into(), value, unit: "ms" }
 }
 
-/// The valve law and the evaluator, for one model.
+/// Valve model and evaluator, for one model.
 fn kernels(found: &TruthLoop) -> Vec<Row> {
     let span = stats::span(&found.op);
     let middle = stats::mean(&found.op);
@@ -60,13 +60,13 @@ fn kernels(found: &TruthLoop) -> Vec<Row> {
     });
     let of = format!("{n} samples, {} slips", steps.slips);
     vec![
-        us(format!("valve law, {of}"), law),
+        us(format!("valve model, {of}"), law),
         us(format!("evaluator, one model, {of}"), sums),
         us(format!("evaluator, tables of a time constant, {n} samples"), tables),
     ]
 }
 
-/// Indicators and the controller's reading, over loops of every kind.
+/// Indicators and controller identification, over loops of every kind.
 fn indicators() -> Vec<Row> {
     let records: Vec<Record> = (0..12).map(|seed| verdict_case(Half::Report, seed).record()).collect();
     let points = stats::median(&records.iter().map(|r| r.len() as f64).collect::<Vec<_>>());
@@ -85,11 +85,11 @@ fn indicators() -> Vec<Row> {
     };
     vec![
         in_ms(format!("indicators, median of 12 loops of {points:.0} samples"), over(&scores)),
-        in_ms("controller read from the record, same loops", over(&read)),
+        in_ms("controller identification, same loops", over(&read)),
     ]
 }
 
-/// A calm loop, screened and not.
+/// A calm loop with and without screening.
 fn calm() -> Vec<Row> {
     let params = AssessParams::default();
     let record = (0..400)
@@ -120,7 +120,7 @@ fn estimates() -> Vec<Row> {
     vec![in_ms(name("median"), stats::median(&times)), in_ms(name("90 %"), stats::quantile(&times, 0.9))]
 }
 
-/// A general solver's models, on the error map.
+/// Models of a general solver on the error surface.
 fn solver() -> Vec<Row> {
     let record = accuracy(Half::Report, Regime::HeStart, 1).record();
     let settings = Settings { budget: BUDGET, fineness_pct: 5.0, seed: 1 };
@@ -135,7 +135,7 @@ fn solver() -> Vec<Row> {
     [SolverName::Random, SolverName::Contour].into_iter().filter_map(once).collect()
 }
 
-/// Labelled recordings, where they are.
+/// Labelled recordings, if present.
 fn labelled(index: &Path) -> Vec<Row> {
     match evaluate::records(index) {
         Ok(records) if !records.is_empty() => {

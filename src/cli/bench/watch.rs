@@ -1,4 +1,4 @@
-//! A daemon in a process of its own: what it says of itself, and what the system says of it.
+//! A daemon in its own process: its metrics, and its CPU and memory according to the system.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -10,14 +10,14 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
 
-/// How long a daemon may take to say anything at all.
+/// Time limit for the daemon's first answer.
 const START_WITHIN: Duration = Duration::from_secs(60);
-/// How long it may take to end.
+/// Time limit for the daemon to stop.
 const STOP_WITHIN: Duration = Duration::from_secs(20);
-/// Pause between two looks.
+/// Pause between two polls.
 const LOOK_AGAIN: Duration = Duration::from_millis(20);
 
-/// Which part of the daemon a thread belongs to, by the beginning of its name.
+/// Part of the daemon that a thread belongs to, by the start of its name.
 const PARTS: [(&str, &str); 10] = [
     ("engine", "engine"),
     ("record", "recorder"),
@@ -31,7 +31,7 @@ const PARTS: [(&str, &str); 10] = [
     ("app-", "bus"),
 ];
 
-/// The daemon; killed when dropped.
+/// The daemon; killed on drop.
 pub struct Watched {
     child: Child,
     web: String,
@@ -46,35 +46,35 @@ impl Drop for Watched {
     }
 }
 
-/// What was seen at one time.
+/// A snapshot.
 #[derive(Debug, Clone, Default)]
 pub struct Seen {
     /// Values of `/metrics` by name and labels.
     pub metrics: BTreeMap<String, f64>,
-    /// CPU seconds by part.
+    /// CPU time by part, s.
     pub cpu_s: BTreeMap<&'static str, f64>,
-    /// Resident memory now and at most, bytes.
+    /// Resident memory, current and peak, bytes.
     pub resident: [f64; 2],
     pub at: Option<Instant>,
 }
 
 impl Seen {
-    /// A counter's value.
+    /// Value of a counter.
     pub fn count(&self, name: &str) -> f64 {
         self.value(&format!("stictiond_{name}_total"))
     }
 
-    /// A gauge's value.
+    /// Value of a gauge.
     pub fn value(&self, key: &str) -> f64 {
         self.metrics.get(key).copied().unwrap_or(0.0)
     }
 
-    /// CPU seconds of all parts.
+    /// CPU time of all parts, s.
     pub fn cpu_s(&self) -> f64 {
         self.cpu_s.values().sum()
     }
 
-    /// The time within which this share of the messages since `before` reached the engine, s.
+    /// Latency to the engine of this share of the messages since `before`, s.
     pub fn intake_s(&self, before: &Self, share: f64) -> f64 {
         let bucket = "stictiond_intake_seconds_bucket{le=\"";
         let mut steps: Vec<(f64, f64)> = Vec::new();
@@ -91,7 +91,7 @@ impl Seen {
 }
 
 impl Watched {
-    /// Starts `stictiond run` under a configuration; returns at once.
+    /// Starts `stictiond run` with a configuration; returns at once.
     pub fn start(config: &Path, web: &str, folder: &Path) -> anyhow::Result<Self> {
         let program = std::env::current_exe().context("this program")?;
         let mut command = Command::new(program);
@@ -100,7 +100,7 @@ impl Watched {
         Ok(Self { child, web: web.to_owned(), folder: folder.to_owned(), started: Instant::now() })
     }
 
-    /// Looks until `found` says so.
+    /// Polls until `found` returns true.
     pub fn until(&self, within: Duration, mut found: impl FnMut(&Seen) -> bool) -> anyhow::Result<Seen> {
         let begun = Instant::now();
         loop {
@@ -108,7 +108,7 @@ impl Watched {
                 return Ok(seen);
             }
             if begun.elapsed() > within {
-                bail!("the daemon did not do within {} s what was waited for", within.as_secs());
+                bail!("the daemon did not reach the expected state within {} s", within.as_secs());
             }
             std::thread::sleep(LOOK_AGAIN);
         }
@@ -142,14 +142,14 @@ impl Watched {
         Ok(text)
     }
 
-    /// Bytes of recordings.
+    /// Size of the recordings, bytes.
     pub fn recorded_bytes(&self) -> f64 {
         let entries = fs::read_dir(&self.folder).into_iter().flatten().flatten();
         let recordings = entries.filter(|e| e.file_name().to_string_lossy().contains(".mcap"));
         recordings.filter_map(|e| e.metadata().ok()).map(|m| m.len() as f64).sum()
     }
 
-    /// Ends it in order, as the system does.
+    /// Stops the daemon cleanly with SIGTERM.
     pub fn stop(mut self) -> anyhow::Result<Duration> {
         let asked = Instant::now();
         ask_to_end(&mut self.child)?;
@@ -159,7 +159,7 @@ impl Watched {
             }
             std::thread::sleep(LOOK_AGAIN);
         }
-        bail!("the daemon did not end within {} s", STOP_WITHIN.as_secs())
+        bail!("the daemon did not stop within {} s", STOP_WITHIN.as_secs())
     }
 }
 
@@ -175,7 +175,7 @@ fn ask_to_end(child: &mut Child) -> anyhow::Result<()> {
     Ok(child.kill()?)
 }
 
-/// CPU seconds of a process by part.
+/// CPU time of a process by part, s.
 fn threads(proc: &Path) -> BTreeMap<&'static str, f64> {
     let mut parts = BTreeMap::new();
     for entry in fs::read_dir(proc.join("task")).into_iter().flatten().flatten() {

@@ -1,4 +1,4 @@
-//! The bus side that all bridges share: where to, whether anybody listens there, and figures of what was done.
+//! The bus side shared by all bridges: destination, presence of subscribers, and counters.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -11,49 +11,49 @@ use zenoh::qos::CongestionControl;
 
 use crate::cli::play::{connect, prefix};
 
-/// How often it is looked whether somebody listens, while nobody does.
+/// How often to check for subscribers while there is none.
 const LISTENED_EVERY: Duration = Duration::from_millis(200);
-/// How often figures are told.
+/// How often counters are logged.
 pub(super) const TOLD_EVERY: Duration = Duration::from_secs(60);
-/// How long the bus may take to say goodbye.
+/// Time limit for closing the session.
 const GOODBYE: Duration = Duration::from_secs(2);
-/// Pause between attempts to reach the other side.
+/// Pause between connection attempts.
 pub(super) const PAUSE: Duration = Duration::from_secs(1);
 
-/// Flags of every bridge.
+/// Options of every bridge.
 #[derive(Debug, clap::Args)]
 pub struct BusArgs {
-    /// Endpoint of the daemon or router on the bus.
+    /// Zenoh endpoint of the daemon or router, such as tcp/127.0.0.1:7447.
     #[arg(long)]
     pub connect: String,
-    /// First chunks of the keys.
+    /// Key prefix of the published values, such as plant1/area1.
     #[arg(long, value_parser = prefix)]
     pub prefix: String,
-    /// Do not hold back what comes while nobody listens on the bus.
+    /// Publish even while nobody subscribes, instead of holding values back.
     #[arg(long)]
     pub no_hold: bool,
-    /// Write the figures into a file as well, once a minute and at the end.
+    /// Also write the counters to this file (JSON), once a minute and at exit.
     #[arg(long, value_name = "FILE")]
     pub figures: Option<PathBuf>,
 }
 
-/// Whether a text may be published under: a key without wildcards, outside of what daemons say.
+/// Whether this is a key without wildcards, outside the daemons' result keys.
 pub(super) fn is_key(key: &str) -> bool {
     let sound = |chunk: &str| !chunk.is_empty() && !chunk.starts_with('@');
     key.split('/').all(sound) && !key.contains(['*', '$', '?', '#']) && !key.chars().any(char::is_control)
 }
 
-/// A session on the bus that knows whether anybody listens to what the bridge would publish.
+/// A bus session that knows whether anybody subscribes to the bridge's keys.
 pub(super) struct Bus {
     session: zenoh::Session,
     listened: Arc<AtomicBool>,
 }
 
 impl Bus {
-    /// Opens it.
+    /// Opens the session.
     ///
     /// # Errors
-    /// Nobody answers there.
+    /// Nothing answers at the endpoint.
     pub async fn open(args: &BusArgs) -> anyhow::Result<Self> {
         let session = connect(&args.connect).await?;
         let listened = Arc::new(AtomicBool::new(args.no_hold));
@@ -72,7 +72,7 @@ impl Bus {
         Ok(Self { session, listened })
     }
 
-    /// Ready when somebody listens.
+    /// Completes when somebody subscribes.
     pub async fn until_listened(&self) {
         while !self.listened.load(Ordering::Relaxed) {
             tokio::time::sleep(LISTENED_EVERY).await;
@@ -82,7 +82,7 @@ impl Bus {
     /// Publishes a payload.
     ///
     /// # Errors
-    /// The session has ended, or the key is none.
+    /// The session has ended, or the key is invalid.
     pub async fn put(&self, key: &str, payload: Vec<u8>, encoding: Option<String>) -> anyhow::Result<()> {
         let mut put = self
             .session
@@ -95,13 +95,13 @@ impl Bus {
         put.await.map_err(|e| anyhow!("{key}: {e}"))
     }
 
-    /// Says goodbye.
+    /// Closes the session.
     pub async fn close(&self) {
         let _ = tokio::time::timeout(GOODBYE, self.session.close()).await;
     }
 }
 
-/// Tells figures into the log and a file.
+/// Writes counters to the log and a file.
 pub(super) struct Teller {
     bridge: &'static str,
     file: Option<PathBuf>,
@@ -113,12 +113,12 @@ impl Teller {
         Self { bridge, file: args.figures.clone(), told: Instant::now() }
     }
 
-    /// Whether it is time to tell again.
+    /// Whether the next report is due.
     pub fn is_due(&self) -> bool {
         self.told.elapsed() >= TOLD_EVERY
     }
 
-    /// Tells them now.
+    /// Reports the counters.
     ///
     /// # Errors
     /// The file cannot be written.
@@ -128,7 +128,7 @@ impl Teller {
         self.write(figures)
     }
 
-    /// Writes the file alone.
+    /// Writes the file only.
     ///
     /// # Errors
     /// The file cannot be written.
@@ -139,7 +139,7 @@ impl Teller {
     }
 }
 
-/// Figures as programs read them.
+/// The counters as JSON.
 pub(super) fn document(bridge: &str, figures: &impl serde::Serialize) -> serde_json::Value {
     json!({"schema": "stictiond.bridge.v1", "bridge": bridge, "figures": figures})
 }

@@ -1,4 +1,4 @@
-//! `stictiond bridge`: other systems' data onto the bus, each in a process of its own.
+//! `stictiond bridge`: brings other systems' data onto the bus, each bridge in its own process.
 
 #[cfg(any(feature = "bridge-mqtt", feature = "bridge-opcua", test))]
 mod bus;
@@ -11,7 +11,7 @@ use std::ffi::OsString;
 
 use super::{Format, Outcome, UsageError};
 
-/// Bring another system's data onto the bus; reads there, writes nothing.
+/// Bring another system's data onto the bus. Bridges only read from the other system.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     #[command(subcommand)]
@@ -30,7 +30,7 @@ enum BridgeCommand {
     Opcua(Absent),
 }
 
-/// Not in this build: a feature of it that was left out.
+/// A command whose feature is not in this build.
 #[derive(Debug, clap::Args)]
 pub struct Absent {
     #[arg(hide = true, trailing_var_arg = true, allow_hyphen_values = true)]
@@ -38,19 +38,20 @@ pub struct Absent {
 }
 
 impl Absent {
-    /// Says what is missing and how it is had.
+    /// The error that names the missing feature and how to build it.
     ///
     /// # Errors
     /// Always.
     pub fn refuse(&self, what: &str, feature: &str) -> anyhow::Result<Outcome> {
-        Err(UsageError(format!("this build has no {what}: cargo install --path . --features {feature}")).into())
+        Err(UsageError(format!("this build has no {what}; rebuild with `cargo install --path . --features {feature}`"))
+            .into())
     }
 }
 
 /// Runs the command.
 ///
 /// # Errors
-/// As the bridge that was asked for; this build may have none of that kind.
+/// Those of the bridge; or this build does not have it.
 pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     let _ = format;
     match &args.command {

@@ -1,8 +1,8 @@
-//! `stictiond bridge mqtt`: a broker's messages onto Zenoh, payloads as they are.
+//! `stictiond bridge mqtt`: republishes a broker's messages on Zenoh, payloads unchanged.
 //!
-//! The broker keeps what the bridge has not confirmed (a persistent session, QoS 1), and the bridge confirms a message only
-//! when it is on the bus and somebody there listens. So neither an outage of the broker, nor one of the bus, nor a restart of the
-//! bridge loses a message that the broker had taken; some come twice, which the daemon drops by their stamps.
+//! The broker keeps unacknowledged messages (persistent session, QoS 1). The bridge acknowledges a message only when it is
+//! on the bus and somebody subscribes there. So an outage of the broker or the bus, or a restart of the bridge, loses no
+//! message that the broker accepted. Some arrive twice; the daemon drops repeats by their timestamps.
 
 use std::collections::HashMap;
 use std::time::Duration;
@@ -21,54 +21,54 @@ use stiction_monitor::config::{Address, Protocol};
 use stiction_monitor::short_hash;
 use stictiond::sink::deliver::{secret, tls_of};
 
-/// Messages that the broker sends before the first of them is confirmed.
+/// Most unacknowledged messages that the broker may send.
 const UNCONFIRMED: u16 = 1000;
-/// Requests that may wait for the connection: more than can be unconfirmed, so a confirmation always finds its place.
+/// Most requests waiting for the connection: more than can be unacknowledged, so an acknowledgement always fits.
 const REQUESTS: usize = 4 * UNCONFIRMED as usize;
-/// How long the broker may take to say goodbye.
+/// Time limit for disconnecting.
 const GOODBYE: Duration = Duration::from_millis(500);
 
-/// Bring an MQTT broker's messages onto Zenoh: each topic below --prefix, or where --map says; payloads as they are.
+/// Republish an MQTT broker's messages on Zenoh: each topic below --prefix or as --map maps it, payloads unchanged.
 ///
-/// What the broker took and the bus has not got yet stays with the broker (persistent session, QoS 1), also while nobody
-/// listens on the bus. Retained messages are not asked for: they would be old values with new stamps.
+/// Messages stay at the broker (persistent session, QoS 1) until they are on the bus and somebody subscribes there.
+/// Retained messages are not requested: they are old values without their time.
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Example: stictiond bridge mqtt --from mqtts://broker.plant --user stiction --secret-file pw \\\n           \
                         --topic 'spBv1.0/plant/#' --connect tcp/127.0.0.1:7447 --prefix plant1/mqtt"
 )]
 pub struct Args {
-    /// The broker: mqtt://HOST[:PORT] or mqtts://HOST[:PORT].
+    /// Broker: mqtt://HOST[:PORT] or mqtts://HOST[:PORT].
     #[arg(long, value_parser = broker)]
     pub from: Address,
-    /// Topics to subscribe to; + and # as MQTT has them; repeatable.
+    /// Topic filter to subscribe to, with the wildcards + and #; repeatable.
     #[arg(long = "topic", required = true, value_name = "FILTER")]
     pub topics: Vec<String>,
-    /// The key of one topic, repeatable.
+    /// Zenoh key for one topic; repeatable [default: the topic below --prefix].
     #[arg(long, value_name = "TOPIC=KEY", value_parser = mapping)]
     pub map: Vec<(String, String)>,
-    /// User at the broker.
+    /// User name at the broker.
     #[arg(long, default_value = "")]
     pub user: String,
-    /// File with the user's password.
+    /// File with the password of --user.
     #[arg(long, default_value = "", value_name = "FILE")]
     pub secret_file: String,
-    /// Certificates (PEM) that TLS trusts; the system's if not given.
+    /// CA certificates (PEM) to trust [default: those of the system].
     #[arg(long, default_value = "", value_name = "FILE")]
     pub ca_file: String,
-    /// Own certificate (PEM).
+    /// Client certificate (PEM).
     #[arg(long, default_value = "", value_name = "FILE", requires = "key_file")]
     pub cert_file: String,
-    /// Its private key (PEM).
+    /// Private key of the client certificate (PEM).
     #[arg(long, default_value = "", value_name = "FILE", requires = "cert_file")]
     pub key_file: String,
-    /// Identity at the broker, under which it keeps the session; made from broker, topics and prefix if not given.
+    /// Client identifier; the broker keeps the session under it [default: made from broker, topics and prefix].
     #[arg(long)]
     pub id: Option<String>,
-    /// How long the broker keeps the session while the bridge is away, s.
+    /// Time in seconds that the broker keeps the session while the bridge is away.
     #[arg(long, default_value_t = 86_400)]
     pub session_s: u32,
-    /// Where to, and what is told.
+    /// Bus options.
     #[command(flatten)]
     pub bus: BusArgs,
 }
@@ -83,36 +83,36 @@ fn broker(text: &str) -> Result<Address, String> {
 fn mapping(text: &str) -> Result<(String, String), String> {
     let (topic, key) = text.split_once('=').ok_or("write TOPIC=KEY")?;
     if !is_key(key) {
-        return Err(format!("{key:?} is no key: empty chunk, wildcard or @"));
+        return Err(format!("{key:?} is not a valid key; use no empty parts, wildcards or @"));
     }
     Ok((topic.to_owned(), key.to_owned()))
 }
 
-/// What came and what became of it.
+/// Message counters.
 #[derive(Debug, Default, Clone, PartialEq, Eq, serde::Serialize)]
 struct Figures {
-    /// From the broker, those that came again included.
+    /// From the broker, redelivered ones included.
     received: u64,
-    /// Those of them that the broker marked as sent before.
+    /// Of these, those that the broker marked as redelivered.
     again: u64,
-    /// Put onto the bus.
+    /// Published on the bus.
     published: u64,
-    /// Confirmed to the broker.
+    /// Acknowledged to the broker.
     confirmed: u64,
-    /// Too large, or of a topic that can be no key.
+    /// Rejected: too large, or a topic that makes no valid key.
     refused: u64,
     /// Connections to the broker.
     connections: u64,
-    /// Those of them for which the broker had kept the session.
+    /// Of these, those with a session that the broker had kept.
     resumed: u64,
-    /// Connections that ended.
+    /// Connections lost.
     lost_connections: u64,
 }
 
 /// Runs the command until SIGTERM or Ctrl-C.
 ///
 /// # Errors
-/// Nobody answers on the bus, a file cannot be read. A broker that does not answer is tried for ever.
+/// Nothing answers on the bus, or a file cannot be read. A broker that does not answer is retried for ever.
 pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     let options = options(args)?;
     let figures = block_on(async {
@@ -135,7 +135,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
 
 fn line(f: &Figures) -> String {
     format!(
-        "{} received ({} again), {} published, {} confirmed, {} refused; {} connections, {} resumed",
+        "{} received ({} redelivered), {} published, {} acknowledged, {} rejected; {} connections, {} resumed",
         f.received, f.again, f.published, f.confirmed, f.refused, f.connections, f.resumed
     )
 }
@@ -197,7 +197,7 @@ impl Bridge<'_> {
                     // Told once an outage, not once a second.
                     let text = error.to_string();
                     if outage.as_ref() != Some(&text) {
-                        tracing::warn!(broker = %self.args.from.host, error = %text, "no connection to the broker; it is tried every second");
+                        tracing::warn!(broker = %self.args.from.host, error = %text, "no connection to the broker; retrying every second");
                     }
                     self.figures.lost_connections += u64::from(outage.is_none());
                     outage = Some(text);
@@ -218,7 +218,7 @@ impl Bridge<'_> {
         Ok(self.figures.clone())
     }
 
-    /// A new connection: subscribes, unless the broker has kept the session.
+    /// A new connection: subscribes unless the broker has kept the session.
     fn connected(&mut self, resumed: bool) -> anyhow::Result<()> {
         self.figures.connections += 1;
         self.figures.resumed += u64::from(resumed);
@@ -227,12 +227,12 @@ impl Bridge<'_> {
             ..SubscribeFilter::new(topic.clone(), QoS::AtLeastOnce)
         });
         // Again even where it has: the topics may be others than last time.
-        self.client.try_subscribe_many(filters).context("the broker's connection takes no subscription")?;
+        self.client.try_subscribe_many(filters).context("cannot subscribe at the broker")?;
         let _ = sd_notify::notify(&[NotifyState::Ready]);
         Ok(())
     }
 
-    /// Puts one message onto the bus, once somebody listens there, and confirms it then.
+    /// Publishes one message once somebody subscribes, then acknowledges it.
     async fn take(&mut self, message: &Publish) -> anyhow::Result<()> {
         self.figures.received += 1;
         self.figures.again += u64::from(message.dup);
@@ -243,7 +243,7 @@ impl Bridge<'_> {
                     tracing::warn!(
                         topic,
                         bytes = message.payload.len(),
-                        "a message can be no key, or is too large; further ones are only counted"
+                        "rejected a message: its topic makes no valid key, or it is too large; further ones are only counted"
                     );
                 }
                 self.figures.refused += 1;
@@ -276,7 +276,7 @@ impl Bridge<'_> {
     }
 }
 
-/// What the sender says of the payload; Sparkplug B is known by its topic.
+/// The encoding that the sender states; Sparkplug B is recognised by its topic.
 fn encoding_of(message: &Publish) -> Option<String> {
     let said = message.properties.as_ref().and_then(|p| p.content_type.clone());
     let sparkplug = message.topic.starts_with(b"spBv1.0/") && !message.topic.starts_with(b"spBv1.0/STATE/");

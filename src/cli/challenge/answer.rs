@@ -1,4 +1,4 @@
-//! One line of a challenge's answers: the gap document, and what is called with each effect withheld.
+//! One line of a challenge's answers: the gap document, and the decision with each effect withheld.
 
 use serde_json::{Value, json};
 
@@ -8,7 +8,7 @@ use stiction::gap::locate::{Subject, locate};
 use stiction::gap::{Cause, Diagnosis, GapOptions, Serial, diagnose, effects};
 use stiction::record::Record;
 
-/// A record as `gap` itself diagnoses it, and its document.
+/// Diagnoses a record as `gap` does. Returns the document too.
 ///
 /// # Errors
 /// The record cannot be diagnosed.
@@ -21,7 +21,7 @@ pub(super) fn ask_for(name: &str, record: &Record, options: &GapOptions) -> anyh
     Ok((diagnosis, document))
 }
 
-/// A recording's answer; a diagnosis that failed says why.
+/// The answer for a recording; a failed diagnosis gives the reason.
 pub(super) fn line(name: &str, made_with: &Value, result: &anyhow::Result<(Diagnosis, GapDocument)>) -> Value {
     let answer = match result {
         Ok((diagnosis, document)) => json!({ "document": document, "base_at_floor": diagnosis.base.at_floor,
@@ -39,7 +39,7 @@ fn cause(cause: &Cause) -> Value {
     json!({ "id": cause.id, "probability": cause.probability, "confirmed": cause.confirmed })
 }
 
-/// The same fits judged without each effect in turn.
+/// The same fits decided with each effect withheld in turn.
 fn withheld(diagnosis: &Diagnosis) -> Value {
     effects::ALL
         .iter()

@@ -1,5 +1,5 @@
-//! `stictiond gap challenge calibrate`: fits the probabilities of the decision to answered challenges of split A, and
-//! says how good the decision is on cases that were left out of the fit.
+//! `stictiond gap challenge calibrate`: fits the decision's probabilities to answered challenges of split A (development
+//! set), and reports its quality on cases left out of the fit.
 
 use std::path::{Path, PathBuf};
 
@@ -16,43 +16,43 @@ use stiction_lab::calibrate_gap::fit;
 use stiction_lab::challenge::score::{Alternative, Answer, Called, Figures, is_expressed, score};
 use stiction_lab::challenge::{Answer as Right, Split, Truth, TruthCase};
 
-/// Thresholds that are tried.
+/// Thresholds tried.
 const STEP: f64 = 0.01;
-/// Probability below which no effect is named, however often that were right: a name with less beside it reads as a guess.
+/// Lowest threshold: a named effect with less probability reads as a guess, however often it were right.
 const LEAST_NAMED: f64 = 0.4;
 
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// Answered challenges of split A.
+    /// Folders of answered challenges of split A.
     #[arg(required = true, value_name = "DIR")]
     dirs: Vec<PathBuf>,
-    /// Writes the calibration here.
+    /// Output file for the calibration (JSON).
     #[arg(long, value_name = "FILE.json")]
     out: Option<PathBuf>,
-    /// Replaces an existing OUT.
+    /// Replace an existing output file.
     #[arg(long)]
     force: bool,
-    /// Share of right ones among named calls for which the threshold is chosen.
+    /// Precision of the named effects at which the threshold is chosen.
     #[arg(long, default_value_t = 0.9)]
     precision: f64,
     /// Weight of an answer without the true effect; one with the whole catalogue weighs 1.
     #[arg(long, default_value_t = 0.15)]
     withheld: f64,
-    /// Penalty on the squared weights of the features.
+    /// L2 penalty on the feature weights.
     #[arg(long, default_value_t = 1.0)]
     ridge: f64,
-    /// Parts of the cases, each left out in turn.
+    /// Cross-validation folds.
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u8).range(2..))]
     folds: u8,
 }
 
-/// What an answer holds beside what is scored.
+/// Answer fields that are not scored.
 #[derive(Debug, Deserialize)]
 struct Kept {
     evidence: Option<Evidence>,
 }
 
-/// A case with its truth, what was answered, and what that was made from.
+/// A case with its truth, its answer, and the fits behind the answer.
 #[derive(Debug, Clone)]
 struct Case {
     truth: TruthCase,
@@ -63,23 +63,23 @@ struct Case {
 /// Runs the command.
 ///
 /// # Errors
-/// A folder cannot be read, is of split B, or holds answers of another version.
+/// A folder cannot be read, is of split B, or has answers of another version.
 pub(super) fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     if let Some(out) = args.out.as_ref().filter(|out| out.exists() && !args.force) {
-        bail!("{}: exists; --force replaces it", out.display());
+        bail!("{}: already exists; use --force to replace it", out.display());
     }
     let (mut cases, mut decks, mut first) = (Vec::new(), Vec::new(), None);
     for dir in &args.dirs {
         let truth = opened(dir)?;
         if truth.split != Split::A.name() {
-            bail!("{}: split {} is for reporting; thresholds are chosen on split A", dir.display(), truth.split);
+            bail!("{}: split {} is the test set; choose thresholds on split A (odd seeds)", dir.display(), truth.split);
         }
         let read = cases_of(dir, &truth)?;
         decks.push(format!("seed {} ({} cases)", truth.seed, read.len()));
         cases.extend(read);
         first.get_or_insert(truth);
     }
-    let mut made = calibrated(args, &cases).context("no case shows an effect: answer a larger challenge")?;
+    let mut made = calibrated(args, &cases).context("no case has an effect; use a larger challenge")?;
     made.from = format!(
         "gap challenge calibrate --precision {} --withheld {} --ridge {}; version {}, split A, {}",
         args.precision,
@@ -88,7 +88,7 @@ pub(super) fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
         stictiond::VERSION,
         decks.join(", ")
     );
-    let first = first.context("no folder was given")?;
+    let first = first.context("name at least one folder")?;
     let inside = judged(&first, &cases, |_| Some(&made))?;
     let folds = usize::from(args.folds);
     let parts: Vec<Option<Calibration>> =
@@ -103,21 +103,21 @@ pub(super) fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
         Format::Json => say(json!({ "schema": "stictiond.challenge.calibration.v1", "from": made.from,
             "name_from": made.name_from, "fitted": inside, "left_out": outside }))?,
         Format::Text => {
-            print(&format!("{}\nan effect is named from p {:.2}\n\n", made.from, made.name_from))?;
-            print(&format!("On the cases that were fitted to:\n{}\n", inside.text()))?;
-            print(&format!("On cases left out of the fit, {folds} parts:\n{}", outside.text()))?;
+            print(&format!("{}\nan effect is named at p >= {:.2}\n\n", made.from, made.name_from))?;
+            print(&format!("On the cases used in the fit:\n{}\n", inside.text()))?;
+            print(&format!("On cases left out of the fit, {folds} folds:\n{}", outside.text()))?;
         }
     }
     Ok(Outcome::Done)
 }
 
-/// The cases of a folder; their names carry the seed, so that folders can be put together.
+/// The cases of a folder; their names contain the seed, so that folders can be combined.
 fn cases_of(dir: &Path, truth: &Truth) -> anyhow::Result<Vec<Case>> {
     let path = dir.join(ANSWERS);
     let text = String::from_utf8_lossy(&read(&path)?).into_owned();
     let mut out = Vec::new();
     for line in text.lines() {
-        let wrong = || format!("{}: cannot be read; run the challenge again with --force", path.display());
+        let wrong = || format!("{}: cannot be parsed; run the challenge again with --force", path.display());
         let mut answer: Answer = serde_json::from_str(line).with_context(wrong)?;
         let kept: Kept = serde_json::from_str(line).with_context(wrong)?;
         let Some(case) = truth.cases.iter().find(|c| c.name == answer.recording) else { continue };
@@ -127,7 +127,7 @@ fn cases_of(dir: &Path, truth: &Truth) -> anyhow::Result<Vec<Case>> {
         out.push(Case { truth: case, answer, evidence: kept.evidence });
     }
     if out.is_empty() {
-        bail!("{}: holds no answer; run the challenge first", path.display());
+        bail!("{}: has no answers; run `gap challenge run` first", path.display());
     }
     Ok(out)
 }
@@ -136,7 +136,7 @@ fn without(cases: &[Case], part: usize, parts: usize) -> Vec<Case> {
     cases.iter().enumerate().filter(|(i, _)| i % parts != part).map(|(_, case)| case.clone()).collect()
 }
 
-/// The decisions of one case that probabilities are fitted to: with the whole catalogue, and without the true effect.
+/// The decisions of one case used in the fit: with the whole catalogue, and without the true effect.
 fn examples(case: &Case, withheld: f64) -> Vec<(Features, Came, f64)> {
     let Some(evidence) = &case.evidence else { return Vec::new() };
     let blank = Calibration::blank();
@@ -169,7 +169,7 @@ fn examples(case: &Case, withheld: f64) -> Vec<(Features, Came, f64)> {
     out
 }
 
-/// Weights, then the threshold and the shares, these by cases left out of the weights' fit; `None` without an example.
+/// Fits the weights, then threshold and precision by cases left out; `None` without an example.
 fn calibrated(args: &Args, cases: &[Case]) -> Option<Calibration> {
     let folds = usize::from(args.folds);
     let weights = |cases: &[Case]| {
@@ -200,7 +200,7 @@ fn calibrated(args: &Args, cases: &[Case]) -> Option<Calibration> {
     })
 }
 
-/// Right ones of so many.
+/// Number right of a total.
 #[derive(Debug, Clone, Copy, Default)]
 struct Count {
     right: usize,
@@ -217,28 +217,28 @@ impl Count {
         self.right as f64 / self.of.max(1) as f64
     }
 
-    /// The share after one right and one wrong more (Laplace), to three digits.
+    /// The precision with one right and one wrong added (Laplace), to three digits.
     fn smoothed(self) -> f64 {
         ((self.right + 1) as f64 / (self.of + 2) as f64 * 1e3).round() / 1e3
     }
 }
 
-/// What a threshold brings.
+/// Result of a threshold.
 #[derive(Debug, Clone, Copy, Default)]
 struct Tally {
     named: Count,
     trace: Count,
     by_mv: Count,
-    /// Effects named beside what the recorder did, over all cases.
+    /// Effects named in addition to recorder artefacts, over all cases.
     second: Count,
     coloured: Count,
     unknown: Count,
-    /// Cases with an effect of the catalogue that are answered with one.
+    /// Cases with an effect of the catalogue whose answer names one.
     covered: usize,
 }
 
 impl Tally {
-    /// Each case by the calibration of the part that it was left out of; those with two effects count only for the second.
+    /// Each case by the calibration of the fold that left it out; those with two effects count only for the second.
     fn of(cases: &[Case], parts: &[Calibration], name_from: f64) -> Self {
         let mut tally = Self::default();
         let rules: Vec<Calibration> = parts.iter().map(|c| Calibration { name_from, ..c.clone() }).collect();
@@ -269,7 +269,7 @@ impl Tally {
     }
 }
 
-/// All figures with the answers decided again, each by its rule; where there is none, as answered.
+/// All figures with each answer decided again by its calibration, or as answered if there is none.
 fn judged<'c>(of: &Truth, cases: &[Case], rule: impl Fn(usize) -> Option<&'c Calibration>) -> anyhow::Result<Figures> {
     let decided = |(index, case): (usize, &Case)| rule(index).map_or_else(|| case.answer.clone(), |r| again(case, r));
     let answers: Vec<Answer> = cases.iter().enumerate().map(decided).collect();
@@ -277,19 +277,23 @@ fn judged<'c>(of: &Truth, cases: &[Case], rule: impl Fn(usize) -> Option<&'c Cal
     Ok(score(&truth, &answers)?)
 }
 
-/// The figures of a folder with this version's decision made again from the answers' fits.
+/// The figures of a folder with the decision of this version, made from the answers' fits.
 ///
 /// # Errors
 /// Answers are missing or of another version.
 pub(super) fn decided_again(dir: &Path, truth: &Truth) -> anyhow::Result<Figures> {
     let cases = cases_of(dir, truth)?;
     if let Some(case) = cases.iter().find(|c| c.evidence.is_none() && c.answer.document.is_some()) {
-        bail!("{}: {} was answered by a version that kept no evidence", dir.display(), case.truth.name);
+        bail!(
+            "{}: {} was answered by a version that did not keep the fits; run the challenge again with --force",
+            dir.display(),
+            case.truth.name
+        );
     }
     judged(truth, &cases, |_| Some(Calibration::shipped()))
 }
 
-/// An answer decided again; the fits stay as they are.
+/// Decides an answer again from its fits.
 fn again(case: &Case, rule: &Calibration) -> Answer {
     let mut answer = case.answer.clone();
     let Some(evidence) = &case.evidence else { return answer };

@@ -1,5 +1,5 @@
-//! `stictiond gap challenge`: loops whose cause is withheld are made, diagnosed and scored, by three commands that
-//! share no truth but a sealed file.
+//! `stictiond gap challenge`: makes loops with a hidden cause, diagnoses and scores them, by separate commands that share
+//! the truth only as a sealed file.
 
 mod answer;
 mod calibrate;
@@ -25,25 +25,25 @@ use stiction_lab::challenge::{Deck, Split, Truth, TruthCase, seal};
 use stiction_monitor::config::Config;
 use stictiond::files::{csv, load_samples};
 
-/// Where a challenge's parts lie in its folder.
+/// File names in a challenge's folder.
 const RECORDINGS: &str = "recordings";
 const TRUTH: &str = "truth.json";
 const SEALED: &str = "truth.sha256";
 const ANSWERS: &str = "answers.jsonl";
 const SCORE: &str = "score.json";
 const CONFUSION: &str = "confusion.svg";
-/// Stamp of every recording's first sample, s since 1970.
+/// Time of every recording's first sample, s since 1970.
 const START_S: f64 = 1_700_000_000.0;
 
-/// Check the gap diagnosis on causes that are withheld from it: make loops with other physics than the diagnosis's,
-/// diagnose them without their truth, open the sealed truth and score.
+/// Test the gap diagnosis on hidden causes: simulate loops with independent physics, diagnose them without their truth,
+/// open the sealed truth and score.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:
   stictiond gap challenge new --seed 2 --cases 4 --out check
   stictiond gap challenge run check
   stictiond gap challenge score check
   stictiond gap challenge calibrate check-a --out crates/stiction/src/gap/calibration.json --force
-Odd seeds are split A, for choosing thresholds; even seeds split B, for reporting.")]
+Odd seeds are split A, the development set; even seeds are split B, the test set.")]
 pub struct Args {
     #[command(subcommand)]
     command: Command,
@@ -51,30 +51,30 @@ pub struct Args {
 
 #[derive(Debug, clap::Subcommand)]
 enum Command {
-    /// Make recordings, and a truth beside them that is sealed by its SHA-256.
+    /// Make recordings and their truth, sealed by its SHA-256.
     New(NewArgs),
-    /// Diagnose the recordings, with the whole catalogue and with each effect withheld. Goes on where it was stopped.
+    /// Diagnose the recordings with the whole catalogue and with each effect withheld. Resumes an interrupted run.
     Run(RunArgs),
-    /// Open the truth, refuse one that was changed, and print every figure.
+    /// Check the truth's seal, open it, and print all figures.
     Score(ScoreArgs),
     /// Fit the decision's probabilities and threshold to answered challenges of split A.
     Calibrate(calibrate::Args),
-    /// Check it on real recordings: effects put into them, the valve position hidden, stiction itself withheld.
+    /// Test on real recordings: with effects inserted, with the valve position hidden, with stiction withheld.
     Real(real::Args),
 }
 
 #[derive(Debug, clap::Args)]
 struct NewArgs {
-    /// Seed of every draw.
+    /// Seed of all random draws.
     #[arg(long)]
     seed: u64,
-    /// Cases an effect; ten times as many loops without one are made, and a tenth of all with an effect has two.
+    /// Cases per effect. Ten times as many loops without an effect are added; a tenth of the others have two.
     #[arg(long, default_value_t = 4)]
     cases: usize,
-    /// The split, where it shall not follow from the seed (odd A, even B).
+    /// Split: A (development) or B (test) [default: A for an odd seed, B for an even one].
     #[arg(long, value_enum)]
     split: Option<SplitArg>,
-    /// A new folder.
+    /// New folder for the challenge.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
 }
@@ -87,30 +87,30 @@ enum SplitArg {
 
 #[derive(Debug, clap::Args)]
 struct RunArgs {
-    /// The challenge's folder.
+    /// Folder of the challenge.
     dir: PathBuf,
-    /// Model responses that each search may compute.
+    /// Most model responses per search.
     #[arg(long, default_value_t = DEFAULT_EVALUATIONS)]
     evaluations: u64,
     /// Seed of the diagnosis's random choices.
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Only the first so many recordings.
+    /// Diagnose only the first N recordings.
     #[arg(long, value_name = "N")]
     first: Option<usize>,
-    /// Throws away what was answered before.
+    /// Discard earlier answers.
     #[arg(long)]
     force: bool,
 }
 
 #[derive(Debug, clap::Args)]
 struct ScoreArgs {
-    /// The challenge's folder.
+    /// Folder of the challenge.
     dir: PathBuf,
-    /// Scores what is answered although recordings are left.
+    /// Score although some recordings are not answered.
     #[arg(long)]
     partial: bool,
-    /// Scores what this version decides from the answers' fits; searches nothing again.
+    /// Score this version's decision on the answers' stored fits, without new searches.
     #[arg(long)]
     again: bool,
 }
@@ -130,14 +130,14 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
 }
 
 fn read(path: &Path) -> anyhow::Result<Vec<u8>> {
-    fs::read(path).with_context(|| format!("{}: cannot be read; is it a challenge's folder?", path.display()))
+    fs::read(path).with_context(|| format!("cannot read {}; name the folder of a challenge", path.display()))
 }
 
 fn write(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
-    fs::write(path, bytes).with_context(|| format!("{}: cannot be written", path.display()))
+    fs::write(path, bytes).with_context(|| format!("cannot write {}", path.display()))
 }
 
-/// The samples of a record as a historian would hand them out.
+/// The samples of a record as a historian would export them.
 fn samples_of(record: &Record) -> Vec<Sample> {
     let mut out = Vec::new();
     let columns = [
@@ -158,10 +158,10 @@ fn samples_of(record: &Record) -> Vec<Sample> {
 
 fn new(args: &NewArgs, format: Format) -> anyhow::Result<Outcome> {
     if args.cases == 0 {
-        return Err(UsageError("--cases 0 makes nothing: give 1 or more".to_owned()).into());
+        return Err(UsageError("--cases must be 1 or more".to_owned()).into());
     }
     if args.out.exists() {
-        bail!("{}: exists; name a new folder", args.out.display());
+        bail!("{}: already exists; name a new folder", args.out.display());
     }
     let split = match args.split {
         Some(SplitArg::A) => Split::A,
@@ -170,7 +170,7 @@ fn new(args: &NewArgs, format: Format) -> anyhow::Result<Outcome> {
     };
     let deck = Deck::new(args.seed, split, args.cases);
     let folder = args.out.join(RECORDINGS);
-    fs::create_dir_all(&folder).with_context(|| format!("{}: cannot be made", folder.display()))?;
+    fs::create_dir_all(&folder).with_context(|| format!("cannot create {}", folder.display()))?;
     let numbers: Vec<usize> = (0..deck.len()).collect();
     let deal = |index: &usize| -> anyhow::Result<Option<TruthCase>> {
         let Some(dealt) = deck.deal(*index) else { return Ok(None) };
@@ -200,11 +200,11 @@ fn new(args: &NewArgs, format: Format) -> anyhow::Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// The recordings of a challenge, in the order of their names.
+/// The recordings of a challenge, by name.
 fn recordings(dir: &Path) -> anyhow::Result<Vec<PathBuf>> {
     let folder = dir.join(RECORDINGS);
-    let entries =
-        fs::read_dir(&folder).with_context(|| format!("{}: cannot be read; is it a challenge?", folder.display()))?;
+    let entries = fs::read_dir(&folder)
+        .with_context(|| format!("cannot read {}; name the folder of a challenge", folder.display()))?;
     let mut found = Vec::new();
     for entry in entries {
         let path = entry?.path();
@@ -214,7 +214,7 @@ fn recordings(dir: &Path) -> anyhow::Result<Vec<PathBuf>> {
     }
     found.sort();
     if found.is_empty() {
-        bail!("{}: holds no recording", folder.display());
+        bail!("{}: has no recordings; make them with `gap challenge new`", folder.display());
     }
     Ok(found)
 }
@@ -226,11 +226,13 @@ fn name_of(path: &Path) -> String {
 /// The first loop of a file, whole.
 fn record_of(path: &Path) -> anyhow::Result<Record> {
     let loaded = load_samples(path)?;
-    let Some(first) = loaded.loops.first() else { bail!("{}: holds no loop", path.display()) };
+    let Some(first) = loaded.loops.first() else {
+        bail!("{}: no loop found; a loop needs an OP and a PV", path.display())
+    };
     Ok(whole_record(first, &Config::with_prefix("plant"))?.record)
 }
 
-/// Answers that are there already, by recording; a line that was cut off is left out.
+/// Earlier answers by recording; a truncated line is ignored.
 fn answered(path: &Path, made_with: &Value) -> anyhow::Result<BTreeMap<String, String>> {
     let mut out = BTreeMap::new();
     if !path.exists() {
@@ -242,7 +244,7 @@ fn answered(path: &Path, made_with: &Value) -> anyhow::Result<BTreeMap<String, S
         let Some(name) = value["recording"].as_str() else { continue };
         if value["made_with"] != *made_with {
             bail!(
-                "{}: {name} was answered with {}, now asked is {made_with}; --force begins again",
+                "{}: {name} was answered with {}, but this run uses {made_with}; use --force to start over",
                 path.display(),
                 value["made_with"]
             );
@@ -292,7 +294,7 @@ fn answer_all(args: &RunArgs, format: Format) -> anyhow::Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// A folder's truth, if it is the one that was sealed.
+/// The truth of a folder, if its seal matches.
 fn opened(dir: &Path) -> anyhow::Result<Truth> {
     let path = dir.join(TRUTH);
     let sealed = String::from_utf8_lossy(&read(&dir.join(SEALED))?).into_owned();
@@ -304,7 +306,7 @@ fn score_all(args: &ScoreArgs, format: Format) -> anyhow::Result<Outcome> {
     let path = args.dir.join(ANSWERS);
     let text = String::from_utf8_lossy(&read(&path)?).into_owned();
     let answers: Result<Vec<Answer>, _> = text.lines().map(serde_json::from_str).collect();
-    let answers = answers.with_context(|| format!("{}: cannot be read; run the challenge again", path.display()))?;
+    let answers = answers.with_context(|| format!("cannot read {}; run the challenge again", path.display()))?;
     if args.partial {
         truth.cases.retain(|case| answers.iter().any(|a| a.recording == case.name));
     }

@@ -1,4 +1,4 @@
-//! `stictiond gap challenge real`: real recordings whose truth is made, hidden or labelled, and what of each is explained.
+//! `stictiond gap challenge real`: real recordings with an inserted, hidden or labelled truth, and how much is explained.
 
 mod explained;
 
@@ -16,44 +16,44 @@ use stiction_lab::challenge::real::{Spoilt, spoilt};
 use stiction_monitor::config::Config;
 use stictiond::files::load_samples;
 
-/// Raw samples of a recording that are looked at: as many as stay raw.
+/// Most raw samples used of a recording: as many as stay raw.
 const SAMPLES: usize = 1_800;
 
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
-    /// The index of a labelled set, as `evaluate` takes it.
+    /// Index of labelled recordings (CSV), as for `evaluate`.
     index: PathBuf,
-    /// Recordings into which effects are put, spread over the index.
+    /// Number of recordings that get inserted effects, spread over the index.
     #[arg(long, default_value_t = 12)]
     spoil: usize,
-    /// Only so many recordings of the other parts, spread over the index.
+    /// Number of recordings for the other parts, spread over the index [default: all].
     #[arg(long, value_name = "N")]
     first: Option<usize>,
-    /// Model responses that each search may compute.
+    /// Most model responses per search.
     #[arg(long, default_value_t = DEFAULT_EVALUATIONS)]
     evaluations: u64,
-    /// Seed of what is put in.
+    /// Seed of the inserted effects.
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Only this part of the check.
+    /// Run this part of the test only.
     #[arg(long, value_enum)]
     part: Option<Part>,
 }
 
-/// What is checked.
+/// Parts of the test.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 enum Part {
-    /// Effects put into recordings are found, and without them the first answer is given again.
+    /// Insert effects: they must be found, and without them the first answer must stay.
     Spoilt,
-    /// The valve position is hidden, then revealed.
+    /// Hide the valve position, then reveal it.
     Hidden,
-    /// Stiction itself is withheld: it is named on sticking loops and not on others.
+    /// Withhold stiction: it must be named on sticking loops and not on others.
     Linear,
-    /// What the base explains of every recording with a regular cycle, and what the best effect adds.
+    /// Share of PV that the base explains on every recording with a regular cycle, and what the best effect adds.
     Explained,
 }
 
-/// One diagnosis that is to be made.
+/// A diagnosis to run.
 enum Task {
     Spoil(Case),
     Hide(Case),
@@ -69,10 +69,12 @@ impl Task {
     }
 }
 
-/// The first loop of a file, its first samples.
+/// The first samples of a file's first loop.
 fn record_of(base: &Path, case: &Case) -> anyhow::Result<Record> {
     let loaded = load_samples(&base.join(&case.file))?;
-    let Some(mut first) = loaded.loops.into_iter().next() else { bail!("{}: holds no loop", case.file) };
+    let Some(mut first) = loaded.loops.into_iter().next() else {
+        bail!("{}: no loop found; a loop needs an OP and a PV", case.file)
+    };
     let last = first.samples.iter().filter(|s| s.signal == Signal::Pv).map(|s| s.t_ns).nth(SAMPLES);
     if let Some(last) = last {
         first.samples.retain(|s| s.t_ns < last);
@@ -80,7 +82,7 @@ fn record_of(base: &Path, case: &Case) -> anyhow::Result<Record> {
     Ok(whole_record(&first, &Config::with_prefix("plant"))?.record)
 }
 
-/// Every recording once, in the index's order.
+/// Every recording once, in index order.
 fn distinct(cases: &[Case]) -> Vec<Case> {
     let mut out: Vec<Case> = Vec::new();
     for case in cases {
@@ -91,7 +93,7 @@ fn distinct(cases: &[Case]) -> Vec<Case> {
     out
 }
 
-/// So many cases, evenly over all.
+/// This many cases, evenly spread.
 fn spread(cases: &[Case], wanted: Option<usize>) -> Vec<Case> {
     let wanted = wanted.unwrap_or(cases.len());
     let every = cases.len().div_ceil(wanted.max(1)).max(1);
@@ -119,7 +121,7 @@ fn tasks(args: &Args, cases: &[Case], base: &Path) -> Vec<Task> {
     out
 }
 
-/// Runs the command. A recording that cannot be diagnosed is a line, not the end.
+/// Runs the command. A recording that cannot be diagnosed gives a line and does not end the command.
 ///
 /// # Errors
 /// The index cannot be read.
@@ -189,7 +191,7 @@ fn text(value: &Value) -> &str {
     value.as_str().unwrap_or("-")
 }
 
-/// The parts' tables and their sums.
+/// The tables of the parts with totals.
 fn table(lines: &[Value]) -> anyhow::Result<()> {
     let of = |part: &'static str| lines.iter().filter(move |l| l["part"] == part);
     for line in lines.iter().filter(|l| l["error"].is_string()) {
@@ -197,20 +199,20 @@ fn table(lines: &[Value]) -> anyhow::Result<()> {
     }
     let (mut found, mut kept, mut all) = (0, 0, 0);
     for line in of("spoilt") {
-        say(format!("{:<44} as it is: {}", text(&line["file"]), text(&line["before"]["cause"])))?;
+        say(format!("{:<44} unchanged: {}", text(&line["file"]), text(&line["before"]["cause"])))?;
         for made in line["made"].as_array().into_iter().flatten() {
             let (is_found, is_kept) = (made["found"] == true, made["kept"] == true);
             (found, kept, all) = (found + usize::from(is_found), kept + usize::from(is_kept), all + 1);
             let answer = made["answer"]["cause"].as_str().unwrap_or_else(|| text(&made["error"]));
             say(format!(
-                "    {:<20} answered {answer:<22} without it {}",
+                "    {:<20} with it {answer:<22} without it {}",
                 text(&made["effect"]),
                 text(&made["without"])
             ))?;
         }
     }
     if all > 0 {
-        say(format!("effects put in: {found} of {all} found, the first answer kept without them {kept} of {all}\n"))?;
+        say(format!("inserted effects: {found} of {all} found; first answer kept without them in {kept} of {all}\n"))?;
     }
     for line in of("hidden") {
         let (blind, seen) = (&line["hidden"], &line["revealed"]);
@@ -218,7 +220,7 @@ fn table(lines: &[Value]) -> anyhow::Result<()> {
         let gaps = &line["gaps"];
         let number = |name: &str| gaps[name].as_f64().map_or_else(|| "-".to_owned(), |v| format!("{v:.3}"));
         say(format!(
-            "    revealed: {} ({}); the two gaps say {}: OP to MV {} % left, MV to PV {}",
+            "    revealed: {} ({}); the two partial gaps give {}: OP to MV {} % left, MV to PV {}",
             text(&seen["cause"]),
             text(&seen["stage"]),
             text(&gaps["stage"]),
@@ -242,7 +244,11 @@ fn table(lines: &[Value]) -> anyhow::Result<()> {
             let (yes, all) = its.fold((0, 0), |(yes, all), l| (yes + usize::from(l["named"] == true), all + 1));
             format!("{yes} of {all}")
         };
-        say(format!("stiction withheld: named on {} sticking loops and on {} others", named(true), named(false)))?;
+        say(format!(
+            "stiction withheld: stiction named on {} sticking loops and on {} others",
+            named(true),
+            named(false)
+        ))?;
     }
     explained::table(&of("explained").collect::<Vec<_>>())
 }

@@ -22,26 +22,26 @@ use stiction_monitor::codec::topic;
 use stiction_monitor::config::Config;
 use stictiond::daemon::{self, RunOptions};
 
-/// The plant that is simulated.
+/// The simulated plant.
 const SCENARIO: &str = include_str!("../../../recordings/scenarios/demo.toml");
 /// The daemon's configuration.
 const CONFIG: &str = include_str!("../../../config/demo.toml");
-/// How much faster than real the plant runs.
+/// Speed of the plant as a multiple of real time.
 const SPEED: f64 = 100.0;
 
-/// See it work: a simulated plant with a sticking, a healthy, a badly tuned and a disturbed loop, watched live.
+/// Run a demonstration: a simulated plant with a sticking, a healthy, a badly tuned and a disturbed loop, watched live.
 ///
-/// Needs no set-up. Records below recordings/demo; runs until Ctrl-C. In a terminal it shows a live table (`?` there says
-/// what the keys do), elsewhere a line a finding; where there is a desktop it opens the page in the browser.
+/// Needs no set-up. Records below recordings/demo and runs until Ctrl-C. A terminal shows a live table (press ? for its
+/// keys), other outputs one line per result; a desktop opens the page in the browser.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Lines of text in a terminal too, no table.
+    /// Print lines of text instead of the live table.
     #[arg(long)]
     pub plain: bool,
-    /// Open no browser.
+    /// Do not open a browser.
     #[arg(long)]
     pub no_open: bool,
-    /// End after so many seconds.
+    /// End after this many seconds [default: run until Ctrl-C].
     #[arg(long = "for", value_name = "SECONDS", value_parser = seconds)]
     pub for_s: Option<f64>,
 }
@@ -49,22 +49,22 @@ pub struct Args {
 fn seconds(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(s) if s > 0.0 && s < 1e9 => Ok(s),
-        _ => Err(format!("{text:?} is no number of seconds")),
+        _ => Err(format!("{text:?} is not a number of seconds above 0")),
     }
 }
 
-/// The port if it is free, else any that is.
+/// The wanted port if it is free, else any free port.
 pub(super) fn free_port(wanted: u16) -> anyhow::Result<u16> {
     let listener = TcpListener::bind(("127.0.0.1", wanted)).or_else(|_| TcpListener::bind(("127.0.0.1", 0)))?;
     Ok(listener.local_addr()?.port())
 }
 
-/// The demo's configuration with ports that are free, as text, since recordings carry it.
+/// The demo's configuration with free ports, as text because recordings contain it.
 fn config_text() -> anyhow::Result<(String, u16)> {
     let (bus, web) = (free_port(7447)?, free_port(8080)?);
     for (wanted, got, what) in [(7447, bus, "Zenoh"), (8080, web, "the page")] {
         if wanted != got {
-            tracing::info!("port {wanted} is taken: {what} on {got}");
+            tracing::info!("port {wanted} is in use; {what} listens on {got}");
         }
     }
     let text = CONFIG.replace("127.0.0.1:7447", &format!("127.0.0.1:{bus}"));
@@ -74,13 +74,13 @@ fn config_text() -> anyhow::Result<(String, u16)> {
 /// Runs the command.
 ///
 /// # Errors
-/// Nothing can be listened on, or recordings/demo cannot be written.
+/// No port can be opened, or recordings/demo cannot be written.
 pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     let scenario = Scenario::parse(SCENARIO).map_err(|e| anyhow!("the built-in scenario: {e}"))?;
     let (text, port) = config_text()?;
     let config = match Config::parse(&text) {
         Ok(config) => config,
-        Err(faults) => bail!("the built-in configuration:\n  {}", list(&faults)),
+        Err(faults) => bail!("the built-in configuration has faults:\n  {}", list(&faults)),
     };
     let shown = if !args.plain && top::is_possible(format) { Shown::Table } else { Shown::Lines(format) };
     if shown == Shown::Lines(Format::Text) {
@@ -109,16 +109,16 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// What is done with the findings.
+/// How results are shown.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Shown {
-    /// A table in the terminal.
+    /// As a table in the terminal.
     Table,
-    /// A line each.
+    /// As one line each.
     Lines(Format),
 }
 
-/// Publishes the plant and shows the daemon's findings until time is up or somebody stops it.
+/// Publishes the plant and shows the daemon's results until time is up or the user stops it.
 async fn watch(
     scenario: &Scenario,
     config: &Config,
@@ -151,7 +151,7 @@ async fn watch(
     last
 }
 
-/// Shows the table, with what is simulated below it.
+/// Shows the table, with the simulated truth below it.
 async fn table(
     session: &zenoh::Session,
     scenario: &Scenario,
@@ -167,7 +167,7 @@ async fn table(
     Ok(board.rows().filter_map(|row| Some((row.name.clone(), row.verdict?))).collect())
 }
 
-/// Prints a line for each finding.
+/// Prints one line per result.
 async fn lines(
     session: &zenoh::Session,
     config: &Config,
@@ -197,7 +197,7 @@ async fn lines(
     }
 }
 
-/// Lets the plant live, faster than real, its time starting now.
+/// Runs the plant faster than real time, starting now.
 async fn publish(session: &zenoh::Session, scenario: &Scenario, prefix: &str) -> anyhow::Result<()> {
     let names: Vec<String> = scenario.loop_names().map(str::to_owned).collect();
     let start_ns = stictiond::daemon::clock::now_ns() / NS_PER_S * NS_PER_S;

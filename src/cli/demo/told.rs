@@ -1,4 +1,4 @@
-//! What the demo says: what is simulated and where to look, a line a window, the truth beside the answers.
+//! The text of the demo: what is simulated, where to look, one line per window, and the truth next to the answers.
 
 use std::collections::BTreeMap;
 
@@ -12,7 +12,7 @@ use stiction::verdict::Verdict;
 use stiction_monitor::codec::topic::{self, Kind};
 use stiction_monitor::config::Config;
 
-/// Says what runs, and where it can be looked at.
+/// Prints what runs and where to look.
 pub(super) fn beginning(scenario: &Scenario, config: &Config, port: u16, speed: f64) -> anyhow::Result<()> {
     let count = scenario.loops.len();
     say(format!("A simulated plant of {count} loops, {} times faster than real, watched live:\n", number(speed)))?;
@@ -27,15 +27,15 @@ pub(super) fn beginning(scenario: &Scenario, config: &Config, port: u16, speed: 
         dir = config.recording.dir
     ))?;
     say(format!(
-        "Plant time starts now and runs ahead of the clock. Each loop is judged every {} of it; p is the probability \
-         that the valve sticks, fs and fd are the bands of He's valve model in OP units. Ctrl-C ends.\n",
+        "Plant time starts now and runs ahead of the clock. Each loop is judged every {} of plant time. p is the \
+         probability that the valve sticks; fs and fd are the friction bands of He's valve model in OP units. Ctrl-C ends.\n",
         duration(config.window.hop_s)
     ))?;
     say("plant time (UTC)      loop     verdict            p     fs     fd  period")?;
     Ok(())
 }
 
-/// What stands below the table: the same in fewer lines.
+/// A shorter form for below the table.
 pub(super) fn story(scenario: &Scenario, config: &Config, port: u16, speed: f64) -> Vec<String> {
     let simulated = format!("Simulated, {} times faster than real:", number(speed));
     let loops = scenario.loops.iter().map(|spec| format!("  {:<8} {}", spec.name, truth(spec)));
@@ -43,19 +43,19 @@ pub(super) fn story(scenario: &Scenario, config: &Config, port: u16, speed: f64)
     [web, simulated].into_iter().chain(loops).collect()
 }
 
-/// What is simulated, in words.
+/// The simulated truth in words.
 fn truth(spec: &LoopSpec) -> String {
     let bands = format!("fs {}, fd {}", number(spec.valve.fs), number(spec.valve.fd));
     match spec.label {
         Some(Label::Stiction | Label::Deadband) => format!("the valve sticks ({bands})"),
         Some(Label::NoStiction) => "healthy and quiet".to_owned(),
-        Some(Label::Tuning) => "healthy valve, controller tuned too tight: it rings".to_owned(),
-        Some(Label::Disturbance) => "healthy valve, well tuned; a sine comes from upstream".to_owned(),
+        Some(Label::Tuning) => "healthy valve, controller tuned too tight: the loop rings".to_owned(),
+        Some(Label::Disturbance) => "healthy valve, well tuned; sine disturbance from upstream".to_owned(),
         None => "not labelled".to_owned(),
     }
 }
 
-/// Tells an estimate or an alarm, and keeps the newest estimate of each loop.
+/// Prints an estimate or an alarm, and keeps the newest estimate of each loop.
 pub(super) fn finding(
     leaf: &str,
     json: &[u8],
@@ -97,7 +97,7 @@ pub(super) fn finding(
     Ok(())
 }
 
-/// Truth beside the last answers.
+/// The truth next to the last answers.
 pub(super) fn ending(scenario: &Scenario, last: &BTreeMap<String, Verdict>, dir: &str) -> anyhow::Result<()> {
     say("\nloop     simulated         last answer       agrees")?;
     for spec in &scenario.loops {
@@ -105,18 +105,20 @@ pub(super) fn ending(scenario: &Scenario, last: &BTreeMap<String, Verdict>, dir:
         let found = last.get(&spec.name).map(|verdict| verdict.name());
         say(format!("{:<8} {truth:<17} {:<17} {}", spec.name, found.unwrap_or("no window yet"), agrees(spec, found)))?;
     }
-    say(format!("\nRecorded in {dir}. The same numbers again, from the recording: stictiond replay {dir} --verify"))?;
+    say(format!(
+        "\nRecorded in {dir}. Recompute the same numbers from the recording: stictiond replay {dir} --verify"
+    ))?;
     Ok(())
 }
 
-/// Whether an answer is right, and if it is not, why that may be.
+/// Whether an answer is right, and if not, the likely reason.
 fn agrees(spec: &LoopSpec, found: Option<&str>) -> &'static str {
     let Some(found) = found else { return "not yet: a window needs five periods" };
     let healthy = matches!(spec.label, Some(Label::NoStiction | Label::Tuning | Label::Disturbance));
     match (spec.label, found) {
         (Some(label), found) if label.name() == found => "yes",
-        (Some(Label::NoStiction), "no_oscillation") => "yes: nothing oscillates, so nothing is asked of the valve",
-        (_, "inconclusive") => "no answer: this window could not tell",
+        (Some(Label::NoStiction), "no_oscillation") => "yes: no oscillation, so no sign of sticking",
+        (_, "inconclusive") => "no answer: not enough evidence in this window",
         _ if healthy && found != "stiction" && found != "deadband" => "about the valve, yes; about the cause, no",
         _ => "NO",
     }

@@ -1,4 +1,4 @@
-//! `stictiond discover opcua`: what is in a server's address space, as a list of nodes and `[[loop]]` entries.
+//! `stictiond discover opcua`: the address space of a server as a list of nodes and `[[loop]]` entries.
 
 use std::collections::HashSet;
 use std::fmt::Write as _;
@@ -14,30 +14,30 @@ use crate::cli::bridge::opcua::nodes::write;
 use crate::cli::bridge::opcua::server::{Event, ServerArgs, open};
 use crate::cli::play::prefix;
 
-/// How long the server may take for a session, and for its goodbye.
+/// Time limit for opening and closing the session.
 const SESSION_WITHIN: Duration = Duration::from_secs(20);
 const GOODBYE: Duration = Duration::from_secs(2);
 
-/// Look at an OPC UA server's address space: the list of nodes for `bridge opcua`, and [[loop]] entries for their keys.
+/// Browse an OPC UA server; write the list of nodes for `bridge opcua` and [[loop]] entries for their keys.
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Example: stictiond discover opcua --from opc.tcp://plc:4840 --browse /Objects/Plant \\\n           \
                         --prefix plant1/area1/opcua --nodes nodes.txt --out loops.toml"
 )]
 pub struct Args {
-    /// The server.
+    /// Server options.
     #[command(flatten)]
     pub server: ServerArgs,
-    /// Node or path of names below which variables are looked for.
+    /// Node or path of browse names below which to look for variables.
     #[arg(long, default_value = "/Objects", value_name = "NODEID|PATH")]
     pub browse: String,
-    /// First chunks of the keys, as `bridge opcua` will have them.
+    /// Key prefix of the values, as given to `bridge opcua`.
     #[arg(long, value_parser = prefix)]
     pub prefix: String,
-    /// Where to write the list of nodes of the loops that were found.
+    /// Output file for the nodes of the loops found, one per line.
     #[arg(long, value_name = "FILE")]
     pub nodes: PathBuf,
-    /// Where to write the entries; stdout if not given.
+    /// Output file for the [[loop]] entries [default: stdout].
     #[arg(long)]
     pub out: Option<PathBuf>,
     /// Replace existing files.
@@ -45,10 +45,10 @@ pub struct Args {
     pub force: bool,
 }
 
-/// Looks; gives what was seen and what it was.
+/// Browses. Returns what was seen and a description of the source.
 ///
 /// # Errors
-/// The server does not answer, or nothing stands there; the list exists already.
+/// The server does not answer, there is nothing to browse, or the list already exists.
 pub(super) fn look(args: &Args) -> anyhow::Result<(Seen, String)> {
     refuse_existing(&args.nodes, args.force)?;
     args.server.check()?;
@@ -56,8 +56,8 @@ pub(super) fn look(args: &Args) -> anyhow::Result<(Seen, String)> {
         let (link, mut events) = open(&args.server).await?;
         match tokio::time::timeout(SESSION_WITHIN, events.recv()).await {
             Ok(Some(Event::New)) => {}
-            Ok(Some(Event::Lost(why) | Event::Ended(why))) => bail!("no session: {why}"),
-            _ => bail!("no session within {} s", SESSION_WITHIN.as_secs()),
+            Ok(Some(Event::Lost(why) | Event::Ended(why))) => bail!("cannot open a session: {why}"),
+            _ => bail!("cannot open a session within {} s; check --from", SESSION_WITHIN.as_secs()),
         }
         let found = below(&link.session, &args.browse).await;
         link.close(GOODBYE).await;
@@ -75,7 +75,7 @@ pub(super) fn look(args: &Args) -> anyhow::Result<(Seen, String)> {
     Ok((seen, format!("{} at {}", args.browse, args.server.from)))
 }
 
-/// The nodes of whole loops; all others in comments, so that the list can be had by hand.
+/// The nodes of complete loops; the others as comments, so that they can be enabled by hand.
 fn list(args: &Args, seen: &Seen, found: &Found) -> String {
     let (whole, _) = seen.paired();
     let wanted: HashSet<&str> =
@@ -85,7 +85,7 @@ fn list(args: &Args, seen: &Seen, found: &Found) -> String {
     let mut text = format!("# {} of {} nodes, by stictiond discover opcua\n", used.len(), found.nodes.len());
     text += &write(&used);
     if !left.is_empty() {
-        text += "\n# Of no loop with OP and PV:\n";
+        text += "\n# Not part of a loop with OP and PV:\n";
         for line in write(&left).lines() {
             // Writing into a String cannot fail.
             let _ = writeln!(text, "# {line}");

@@ -1,4 +1,4 @@
-//! The labelled set: which files, what their labels say, and what must not be counted twice.
+//! The labelled set: its files, their labels, and which recordings share data.
 
 use std::path::Path;
 
@@ -9,24 +9,24 @@ use stiction::units::LoopKind;
 /// One line of an index.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Case {
-    /// Path below the index.
+    /// Path relative to the index.
     pub file: String,
     /// Label as written.
     pub label: String,
-    /// First folder of the path; empty without one.
+    /// First folder of the path; empty if there is none.
     pub source: String,
     /// The valve, with its source.
     pub valve: String,
-    /// What is recorded once only, with its source: the `same_data_group`, else the file.
+    /// Data recorded only once, with its source: the `same_data_group`, else the file.
     pub group: String,
-    /// What the loop controls: the column `loop_type`, else the letters of the loop's tag.
+    /// Controlled quantity: the column `loop_type`, else the letters of the loop's tag.
     pub kind: LoopKind,
-    /// The label is not believed: the column `doubt` says so.
+    /// The label is doubtful, according to the column `doubt`.
     pub doubtful: bool,
 }
 
 impl Case {
-    /// What the label says; `None` where it is not scored.
+    /// The label as sticking or not; `None` if it is not scored.
     #[must_use]
     pub fn truth(&self) -> Option<bool> {
         match self.label.as_str() {
@@ -37,8 +37,8 @@ impl Case {
     }
 }
 
-/// The valve that a loop's name stands for: names of several recordings of one valve differ behind `-DB` (runs of an
-/// experiment) or in groups of digits behind underscores (a window's date and time), and these are taken off.
+/// The valve of a loop's name. Names of several recordings of one valve differ after `-DB` (runs of an experiment) or in
+/// groups of digits after underscores (date and time of a window); these are removed.
 #[must_use]
 pub fn valve_of(loop_name: &str) -> &str {
     if let Some((valve, _)) = loop_name.split_once("-DB-") {
@@ -54,20 +54,21 @@ pub fn valve_of(loop_name: &str) -> &str {
     valve
 }
 
-/// Reads an index: columns `file` and `label`, and where there are any `valve`, `loop` and `same_data_group`.
+/// Reads an index with the columns `file` and `label`, and optionally `valve`, `loop` and `same_data_group`.
 ///
 /// # Errors
-/// It cannot be read, lacks a column or names no file.
+/// The index cannot be read, lacks a column, or names no file.
 pub fn read(path: &Path) -> anyhow::Result<Vec<Case>> {
     let mut reader = csv::ReaderBuilder::new()
         .flexible(true)
         .from_path(path)
-        .with_context(|| format!("{}: cannot be read", path.display()))?;
+        .with_context(|| format!("cannot read {}", path.display()))?;
     let headers = reader.headers()?.clone();
     let optional = |name: &str| headers.iter().position(|h| h.trim() == name);
     let column = |name: &str| {
-        optional(name)
-            .with_context(|| format!("{}: line 1: no column {name:?}; file and label are needed", path.display()))
+        optional(name).with_context(|| {
+            format!("{}: line 1: no column {name:?}; an index needs the columns file and label", path.display())
+        })
     };
     let (file, label) = (column("file")?, column("label")?);
     let (valve, loop_name, group) = (optional("valve"), optional("loop"), optional("same_data_group"));
@@ -94,7 +95,7 @@ pub fn read(path: &Path) -> anyhow::Result<Vec<Case>> {
         cases.push(Case { label, valve, group, kind, doubtful, source, file });
     }
     if cases.is_empty() {
-        bail!("{}: names no file", path.display());
+        bail!("{}: lists no files", path.display());
     }
     Ok(cases)
 }

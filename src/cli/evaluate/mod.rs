@@ -16,23 +16,23 @@ use stiction::record::Record;
 use stiction::verdict::{AssessParams, Assessment, assess_in_windows};
 use stiction_monitor::config::Config;
 
-/// Judge a labelled set of recordings and print how often the verdict is right, wrong cases included.
+/// Judge a labelled set of recordings and print how often the verdict is right, with every wrong case.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "INDEX.csv has the columns file,label with paths relative to itself. Labels stiction and deadband
-are positive; no_stiction, tuning and disturbance negative; others are shown but not scored.
-Optional columns: same_data_group (recordings that hold the same data), valve, loop. Where valve is
-missing it is the loop (else the file's name) without groups of digits behind underscores and
-without what follows -DB-: FIC101_0609_0957 and FIC101_0624_0242 are one valve, FIC101.
+    after_help = "INDEX.csv has the columns file and label, with paths relative to itself. The labels stiction and deadband
+    are positive; no_stiction, tuning and disturbance negative; other labels are shown but not scored.
+    Optional columns: same_data_group (recordings with the same data), valve, loop. Without a valve
+    column the valve is the loop (else the file name) without groups of digits after underscores and
+    without what follows -DB-: FIC101_0609_0957 and FIC101_0624_0242 are one valve, FIC101.
 Example: stictiond evaluate labelled/INDEX.csv"
 )]
 pub struct Args {
-    /// The index.
+    /// Index of the labelled set (CSV).
     pub index: PathBuf,
-    /// Loops or files (their names' stems) whose label is not believed: marked, and counted apart too.
+    /// Loops or files (name without extension) with a doubtful label; marked, and also counted apart.
     #[arg(long, value_name = "NAME,NAME", value_delimiter = ',')]
     pub doubtful: Vec<String>,
-    /// How the files of the index are read.
+    /// Options for reading the files of the index.
     #[command(flatten)]
     pub reading: ReadArgs,
 }
@@ -47,7 +47,7 @@ struct Judged {
 /// A recording as it is judged.
 pub(super) struct Judgeable {
     pub record: Record,
-    /// The windows that it is judged in where it is long.
+    /// Windows of a long recording; each is judged.
     pub windows: Vec<Record>,
     pub params: AssessParams,
 }
@@ -55,13 +55,13 @@ pub(super) struct Judgeable {
 /// The first loop of a case's file, whole.
 pub(super) fn record_of(base: &Path, case: &Case, reading: &ReadArgs) -> anyhow::Result<Judgeable> {
     let loaded = reading.load_file(&base.join(&case.file))?;
-    let Some(first) = loaded.loops.first() else { bail!("{}: holds no loop", case.file) };
+    let Some(first) = loaded.loops.first() else { bail!("{}: no loop found; a loop needs an OP and a PV", case.file) };
     let Whole { record, windows, settings } = whole_record(first, &Config::with_prefix("plant"))?;
     let params = AssessParams { always_fit: true, kind: case.kind, ..settings.assess.clone() };
     Ok(Judgeable { record, windows, params })
 }
 
-/// Every case of an index that can be read.
+/// Every readable case of an index.
 ///
 /// # Errors
 /// The index cannot be read.
@@ -72,7 +72,7 @@ pub(super) fn records(index: &Path) -> anyhow::Result<Vec<(Record, AssessParams)
     Ok(index::read(index)?.iter().filter_map(read).collect())
 }
 
-/// Runs the command. A case that cannot be read is an error line, not the end.
+/// Runs the command. A case that cannot be read gives an error line and does not end the command.
 ///
 /// # Errors
 /// The index cannot be read.

@@ -1,4 +1,4 @@
-//! What the table knows: every loop's row, the daemons, the link. Told by documents; asks nobody, draws nothing.
+//! The state behind the table: rows of loops, daemons, the link. Fed with documents; requests nothing, draws nothing.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
@@ -15,73 +15,73 @@ use stiction_monitor::codec::topic::{Kind, Leaf, Topic};
 use stictiond::daemon::overview::{Flow, Newest, Overview, Row};
 use stictiond::daemon::received;
 
-/// Loops that are shown at most: what others put under the daemon's keys must not take all memory.
+/// Most loops shown, so that foreign keys below the prefix cannot fill the memory.
 const MAX_LOOPS: usize = 100_000;
-/// Samples of a loop's trend that are held.
+/// Samples kept of a loop's trend.
 const TREND: usize = 1_200;
-/// A sample so much older than the one before is of a clock that was set back, s.
+/// A sample older than its predecessor by more than this indicates a clock that was set back, s.
 const SET_BACK_S: f64 = 60.0;
-/// For so long after the daemon said how old a loop's data are, that holds: it says so every minute.
+/// How long the data age stated by the daemon remains valid; it states it every minute.
 const AGE_HOLDS: Duration = Duration::from_secs(90);
-/// A daemon that says nothing for so long is silent: it does so every 5 s.
+/// A daemon silent for this long is shown as silent; it reports every 5 s.
 const SILENT_DAEMON: Duration = Duration::from_secs(20);
 
-/// The moment at which something is told or drawn.
+/// A point in time, on both clocks.
 #[derive(Debug, Clone, Copy)]
 pub struct Now {
-    /// For what passes.
+    /// Monotonic, for durations.
     pub at: Instant,
-    /// For stamps, ns since 1970.
+    /// For timestamps, ns since 1970.
     pub ns: i64,
 }
 
 impl Now {
-    /// This moment.
+    /// Now.
     pub fn read() -> Self {
         Self { at: Instant::now(), ns: stictiond::daemon::clock::now_ns() }
     }
 }
 
-/// What came over the bus.
+/// Input from the bus.
 #[derive(Debug, Clone)]
 pub enum News {
     /// A document and its key.
     Document(String, Vec<u8>),
-    /// A sample of the loop whose trend is shown: stamp, ns since 1970, and value.
+    /// A sample of the loop whose trend is shown: timestamp in ns since 1970, and value.
     Sample(String, Signal, i64, f64),
-    /// A daemon came onto the bus.
+    /// A daemon appeared on the bus.
     Came(String),
-    /// A daemon left it.
+    /// A daemon disappeared from the bus.
     Left(String),
     /// Whether any router or daemon is connected.
     Connected(bool),
-    /// What became of a command.
+    /// Outcome of a command.
     Said(String),
 }
 
-/// A daemon's own word of itself.
+/// A daemon's report on itself.
 #[derive(Debug, Clone)]
 pub struct Heard {
     /// `stictiond.daemon_health.v1`.
     pub health: Value,
-    /// When it came.
+    /// When it was received.
     pub at: Instant,
-    /// Whether it left the bus.
+    /// Whether the daemon has left the bus.
     pub gone: bool,
 }
 
-/// OP and PV of one loop as they come.
+/// Live OP and PV of one loop.
 #[derive(Debug, Clone, Default)]
 pub struct Trend {
     /// The loop.
     pub name: String,
-    /// Stamps, s, and values.
+    /// Timestamps in s, and values of OP.
     pub op: VecDeque<(f64, f64)>,
     /// The same of PV.
     pub pv: VecDeque<(f64, f64)>,
 }
 
-/// How old a loop's newest sample was when that was told, s.
+/// Age of a loop's newest sample when it was reported, s.
 #[derive(Debug, Clone, Copy)]
 struct Age {
     told_s: f64,
@@ -89,7 +89,7 @@ struct Age {
     at: Instant,
 }
 
-/// A command's outcome, and when it was told.
+/// Outcome of a command and when it was received.
 pub type Told = Option<(String, Instant)>;
 
 /// Everything that can be shown.
@@ -102,18 +102,18 @@ pub struct Board {
     gaps: BTreeMap<String, String>,
     /// Daemons by id.
     pub daemons: BTreeMap<String, Heard>,
-    /// When the link was lost; none while it stands.
+    /// When the link was lost; none while connected.
     pub lost: Option<Instant>,
-    /// The trend of the loop that is looked at.
+    /// Trend of the open loop.
     pub trend: Option<Trend>,
-    /// What was said last.
+    /// The last message.
     pub said: Told,
-    /// Documents that could not be read.
+    /// Number of documents that could not be parsed.
     pub unread: u64,
 }
 
 impl Board {
-    /// Of the daemons below a prefix.
+    /// For the daemons below a prefix.
     #[must_use]
     pub fn new(prefix: &str) -> Self {
         Self {
@@ -130,13 +130,13 @@ impl Board {
         }
     }
 
-    /// First chunks of all keys.
+    /// Key prefix of the daemons.
     #[must_use]
     pub fn prefix(&self) -> &str {
         &self.prefix
     }
 
-    /// Takes what came.
+    /// Takes an input.
     pub fn take(&mut self, news: News, now: Now) {
         match news {
             News::Document(key, json) => self.document(&key, &json, now),
@@ -164,7 +164,7 @@ impl Board {
         self.forget_the_replaced();
     }
 
-    /// Daemons that left and were replaced are no news.
+    /// Forgets daemons that left and were replaced.
     fn forget_the_replaced(&mut self) {
         if self.daemons.values().any(|d| !d.gone) {
             self.daemons.retain(|_, d| !d.gone);
@@ -191,7 +191,7 @@ impl Board {
         }
     }
 
-    /// A document of a loop; none where it cannot be read.
+    /// A loop's document; none if it cannot be parsed.
     fn of_loop(&mut self, loop_name: &str, kind: Kind, document: &Value, now: Now) -> Option<()> {
         let name: Arc<str> = Arc::from(loop_name);
         let newest = self.overview.newest(loop_name).unwrap_or_default();
@@ -244,7 +244,7 @@ impl Board {
         }
     }
 
-    /// Begins the trend of a loop, or ends it.
+    /// Starts or ends the trend of a loop.
     pub fn watch(&mut self, name: Option<&str>) {
         self.trend = name.map(|name| Trend { name: name.to_owned(), ..Trend::default() });
     }
@@ -269,7 +269,7 @@ impl Board {
         line.push_back((t_s, value));
     }
 
-    /// Every loop, by name.
+    /// All loops by name.
     pub fn rows(&self) -> impl Iterator<Item = &Row> {
         self.rows.values()
     }
@@ -286,13 +286,13 @@ impl Board {
         self.overview.newest(name).unwrap_or_default()
     }
 
-    /// What the last diagnosis of its gap says.
+    /// Summary of the last diagnosis of its gap.
     #[must_use]
     pub fn gap(&self, name: &str) -> Option<&str> {
         self.gaps.get(name).map(String::as_str)
     }
 
-    /// How old its newest sample is, s, as far as it was told; negative where the plant's clock is ahead.
+    /// Age of its newest sample as far as known, s; negative if the plant's clock is ahead.
     #[must_use]
     pub fn age_s(&self, name: &str, now: Now) -> Option<f64> {
         let age = self.ages.get(name)?;
@@ -300,25 +300,22 @@ impl Board {
         Some(age.told_s + if since > AGE_HOLDS { since.as_secs_f64() } else { 0.0 })
     }
 
-    /// Why what is shown may be old, in words.
+    /// Why the display may be out of date, in words.
     #[must_use]
     pub fn stale(&self, now: Now) -> Option<String> {
         let for_s = |at: Instant| now.at.saturating_duration_since(at).as_secs();
         if let Some(lost) = self.lost {
-            return Some(format!(
-                "connection lost {} s ago; it is tried again, and what stands here is old",
-                for_s(lost)
-            ));
+            return Some(format!("connection lost {} s ago; reconnecting; the table is out of date", for_s(lost)));
         }
         if self.daemons.is_empty() {
-            return Some("no daemon has been heard yet".to_owned());
+            return Some("no daemon has reported yet".to_owned());
         }
         if let Some(gone) = self.daemons.values().map(|d| d.at).max().filter(|_| self.daemons.values().all(|d| d.gone))
         {
-            return Some(format!("the daemon ended {} s ago; what stands here is old", for_s(gone)));
+            return Some(format!("the daemon stopped {} s ago; the table is out of date", for_s(gone)));
         }
         let newest = self.daemons.values().filter(|d| !d.gone).map(|d| d.at).max()?;
         let silent = now.at.saturating_duration_since(newest) > SILENT_DAEMON;
-        silent.then(|| format!("the daemon has said nothing for {} s; what stands here is old", for_s(newest)))
+        silent.then(|| format!("no report from the daemon for {} s; the table may be out of date", for_s(newest)))
     }
 }

@@ -1,4 +1,4 @@
-//! The way to running daemons: found by their liveliness tokens, followed by subscriptions, asked for their last word.
+//! The connection to running daemons: discovered by liveliness tokens, followed by subscriptions and a query of last values.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -18,16 +18,16 @@ use stiction_monitor::codec::topic::{self, Kind, Leaf, OUTPUT_CHUNKS, Topic};
 use stiction_monitor::codec::{self};
 use stictiond::daemon::clock::now_ns;
 
-/// How long a daemon may take to answer at the start.
+/// Time limit for a daemon to answer at the start.
 pub const ANSWER_WITHIN: Duration = Duration::from_secs(5);
-/// How long all last values may take.
+/// Time limit for the query of all last values.
 const LAST_WITHIN: Duration = Duration::from_secs(10);
-/// How long a command may take.
+/// Time limit for a command.
 const COMMAND_WITHIN: Duration = Duration::from_secs(10);
-/// How often the link is looked at.
+/// How often the link is checked.
 const LINK: Duration = Duration::from_secs(1);
 
-/// Keys of all documents of loops, and of the daemons' own: no wildcard matches a chunk that begins with `@`.
+/// Key patterns of all documents of loops and of the daemons themselves: no wildcard matches a part that begins with `@`.
 fn documents(prefix: &str) -> [String; 2] {
     ["**", "@daemon/*/health"].map(|rest| topic::plane(prefix, rest))
 }
@@ -36,22 +36,22 @@ fn tokens(prefix: &str) -> String {
     topic::plane(prefix, "@daemon/*")
 }
 
-/// Prefix and id of the daemon whose token this is.
+/// Prefix and id of the daemon with this token.
 fn of_token(key: &str) -> Option<(&str, &str)> {
     let (prefix, rest) = key.split_once(&format!("/{OUTPUT_CHUNKS}/@daemon/"))?;
     (!rest.contains('/')).then_some((prefix, rest))
 }
 
-/// The prefix of the daemons that are on the bus: the one that is wished, or the only one there is.
+/// The prefix of the daemons on the bus: the requested one, or the only one.
 ///
 /// # Errors
-/// None answers in time, or there are several and none is wished; the message says what helps.
+/// No daemon answers in time, or there are several prefixes and none is requested; the message says what to do.
 pub async fn prefix_of_daemons(session: &Session, wished: Option<&str>, where_to: &str) -> anyhow::Result<String> {
     let until = Instant::now() + ANSWER_WITHIN;
     let everywhere = tokens("**");
     loop {
         let asked = session.liveliness().get(everywhere.as_str()).timeout(ANSWER_WITHIN).await;
-        let replies = asked.map_err(|e| anyhow!("daemons cannot be asked for: {e}"))?;
+        let replies = asked.map_err(|e| anyhow!("cannot query for daemons: {e}"))?;
         let mut found = BTreeSet::new();
         while let Ok(reply) = replies.recv_async().await {
             let key = reply.result().ok().map(|sample| sample.key_expr().as_str().to_owned());
@@ -61,13 +61,16 @@ pub async fn prefix_of_daemons(session: &Session, wished: Option<&str>, where_to
         match (wished, found.len()) {
             (Some(wished), _) if found.contains(wished) => return Ok(wished.to_owned()),
             (Some(wished), n) if late && n > 0 => {
-                bail!("no daemon publishes below {wished:?} at {where_to}; there is: {}", joined(&found))
+                bail!(
+                    "no daemon publishes below {wished:?} at {where_to}; use one of these prefixes: {}",
+                    joined(&found)
+                )
             }
             (None, 1) => return Ok(found.into_iter().next().unwrap_or_default()),
-            (None, n) if n > 1 => bail!("several plants are on this bus: choose one with --prefix: {}", joined(&found)),
+            (None, n) if n > 1 => bail!("several plants share this bus; choose one with --prefix: {}", joined(&found)),
             _ if late => bail!(
-                "no daemon answers at {where_to} within {} s: is it running? Start one with `stictiond run --config \
-                 FILE` or `stictiond demo`, and give its [zenoh] listen endpoint, or its router's, with --connect",
+                "no daemon answers at {where_to} within {} s; start one with `stictiond run --config \
+                 FILE` or `stictiond demo`, and name its [zenoh] listen endpoint, or its router's, with --connect",
                 ANSWER_WITHIN.as_secs()
             ),
             _ => tokio::time::sleep(Duration::from_millis(200)).await,
@@ -79,14 +82,14 @@ fn joined(names: &BTreeSet<String>) -> String {
     names.iter().map(String::as_str).collect::<Vec<_>>().join(", ")
 }
 
-/// The last document of every key, and the daemons that are there.
+/// The last document of every key, and the daemons present.
 ///
 /// # Errors
 /// The session is closed.
 pub async fn last_values(session: &Session, prefix: &str) -> anyhow::Result<Vec<News>> {
     let mut news = Vec::new();
     let asked = session.liveliness().get(tokens(prefix)).timeout(LAST_WITHIN).await;
-    let replies = asked.map_err(|e| anyhow!("daemons cannot be asked for: {e}"))?;
+    let replies = asked.map_err(|e| anyhow!("cannot query for daemons: {e}"))?;
     while let Ok(reply) = replies.recv_async().await {
         let key = reply.result().ok().map(|sample| sample.key_expr().as_str().to_owned());
         news.extend(key.as_deref().and_then(of_token).map(|(_, id)| News::Came(id.to_owned())));
@@ -103,7 +106,7 @@ pub async fn last_values(session: &Session, prefix: &str) -> anyhow::Result<Vec<
     Ok(news)
 }
 
-/// Sends news on; what finds no place is asked for again.
+/// Passes inputs on; what does not fit is queried again.
 #[derive(Clone)]
 struct Out {
     news: Sender<News>,
@@ -118,10 +121,10 @@ impl Out {
     }
 }
 
-/// Follows the daemons below a prefix and does what is asked, until nobody asks any more.
+/// Follows the daemons below a prefix and executes requests until the requests end.
 ///
 /// # Errors
-/// A key that Zenoh refuses.
+/// Zenoh rejects a key.
 pub async fn follow(
     session: Session,
     prefix: String,
@@ -196,7 +199,7 @@ async fn subscribe(session: &Session, prefix: &str, out: &Out) -> anyhow::Result
     Ok(all)
 }
 
-/// The raw samples of one loop, where they come under its own key.
+/// The raw samples of a loop, if they are published under its own key.
 async fn watch(session: &Session, prefix: &str, name: &str, out: &Out) -> anyhow::Result<Subscriber<()>> {
     let key = format!("{prefix}/{name}/*");
     let (out, prefix) = (out.clone(), prefix.to_owned());
@@ -223,7 +226,7 @@ async fn watch(session: &Session, prefix: &str, name: &str, out: &Out) -> anyhow
         .map_err(|e| anyhow!("cannot subscribe to {key:?}: {e}"))
 }
 
-/// Asks for an acknowledgement, and says what became of it.
+/// Requests an acknowledgement and returns its outcome in words.
 async fn acknowledge(session: &Session, prefix: &str, name: &str, by: &str) -> String {
     let key = topic::result(prefix, name, Kind::Alarm);
     let asked = session.get(format!("{key}?cmd=ack;by={by}")).timeout(COMMAND_WITHIN).await;
@@ -234,6 +237,6 @@ async fn acknowledge(session: &Session, prefix: &str, name: &str, by: &str) -> S
     match replies.recv_async().await.map(zenoh::query::Reply::into_result) {
         Ok(Ok(_)) => format!("{name}: acknowledged by {by}"),
         Ok(Err(error)) => format!("{name}: not acknowledged: {}", String::from_utf8_lossy(&error.payload().to_bytes())),
-        Err(_) => format!("{name}: not acknowledged: no daemon answers; try again once it is there"),
+        Err(_) => format!("{name}: not acknowledged: no daemon answers; try again when it is back"),
     }
 }

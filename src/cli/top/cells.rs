@@ -1,23 +1,23 @@
-//! The table's cells as text: the same on a screen, in plain text, and at every width.
+//! The table's cells as text, for screen and plain text, at every width.
 
 use stiction::units::{duration, number};
 use stiction_monitor::alarm::State;
 use stictiond::daemon::overview::Row;
 
-/// Windows that a sparkline shows at most.
+/// Most windows in a sparkline.
 pub const SPARK: usize = 10;
 
-/// What may be drawn with.
+/// Drawing capabilities of the terminal.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Look {
-    /// Whether the terminal shows more than ASCII.
+    /// Whether the terminal shows Unicode.
     pub unicode: bool,
-    /// Whether it may be coloured.
+    /// Whether colour is allowed.
     pub colour: bool,
 }
 
 impl Look {
-    /// As the environment says: a locale of UTF-8, and no `NO_COLOR`.
+    /// From the environment: a UTF-8 locale, and no `NO_COLOR`.
     pub fn of_environment() -> Self {
         let said = |name: &str| std::env::var(name).ok().filter(|value| !value.is_empty());
         let locale = said("LC_ALL").or_else(|| said("LC_CTYPE")).or_else(|| said("LANG")).unwrap_or_default();
@@ -30,7 +30,7 @@ impl Look {
     }
 }
 
-/// What a sparkline is of.
+/// What a sparkline shows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Figure {
     /// Probability that the valve sticks.
@@ -40,7 +40,7 @@ pub enum Figure {
     S,
 }
 
-/// Category of NE 107 with its shape: the letter and the shape say without colour what it is.
+/// NE 107 category with letter and shape, so that colour is not needed.
 #[must_use]
 pub fn category(row: &Row, look: Look) -> &'static str {
     match (row.ne107, look.unicode) {
@@ -59,7 +59,7 @@ pub fn category(row: &Row, look: Look) -> &'static str {
     }
 }
 
-/// A place of a sort by severity: an alarm first, then what fails, then what is not as it should be.
+/// Sort key by severity: alarms first, then failures, then other deviations.
 #[must_use]
 pub fn severity(row: &Row) -> (u8, u8) {
     let category = match row.ne107 {
@@ -74,12 +74,12 @@ pub fn severity(row: &Row) -> (u8, u8) {
     (category, 2 * priority + u8::from(row.unacknowledged))
 }
 
-/// A number with so many places, or a dash.
+/// A number with this many decimals, or a dash.
 fn places(value: Option<f64>, digits: usize) -> String {
     value.map_or_else(|| "-".to_owned(), |x| format!("{x:.digits$}"))
 }
 
-/// A text of at most so many characters, cut where it is longer.
+/// A text truncated to this many characters.
 #[must_use]
 pub fn cut(text: &str, width: usize, look: Look) -> String {
     if text.chars().count() <= width {
@@ -91,7 +91,7 @@ pub fn cut(text: &str, width: usize, look: Look) -> String {
     short
 }
 
-/// One character for each of the newest windows, oldest first; a dot where it has no figure.
+/// One character per window, oldest first; a dot where there is no figure.
 #[must_use]
 pub fn sparkline(row: &Row, figure: Figure, look: Look) -> String {
     const FINE: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
@@ -118,7 +118,7 @@ pub fn sparkline(row: &Row, figure: Figure, look: Look) -> String {
     newest.iter().map(|window| sign(of(window))).collect()
 }
 
-/// A verdict's word with spaces, or why there is none.
+/// The verdict in words, or why there is none.
 fn short_verdict(row: &Row) -> String {
     match row.verdict {
         _ if row.silent => "no new data".to_owned(),
@@ -127,7 +127,7 @@ fn short_verdict(row: &Row) -> String {
     }
 }
 
-/// Age as people say it; data may be ahead of this machine's clock.
+/// The age in words; negative if the data are ahead of this machine's clock.
 #[must_use]
 pub fn age(age_s: Option<f64>) -> String {
     match age_s {
@@ -137,7 +137,7 @@ pub fn age(age_s: Option<f64>) -> String {
     }
 }
 
-/// A time in at most four characters or so: a number and a letter.
+/// A duration in about four characters: number and unit.
 fn brief(s: f64) -> String {
     match s {
         s if s < 99.5 => format!("{s:.0}s"),
@@ -150,11 +150,11 @@ fn brief(s: f64) -> String {
 /// A column of the table.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Column {
-    /// Category of NE 107.
+    /// NE 107 category.
     Category,
     /// The loop's name.
     Name,
-    /// The verdict: in words where there is room.
+    /// The verdict, in words if there is room.
     Verdict,
     /// Probability that the valve sticks.
     P,
@@ -168,20 +168,20 @@ pub enum Column {
     Period,
     /// State of the alarm.
     Alarm,
-    /// The newest windows.
+    /// Sparkline of the newest windows.
     Recent,
     /// Age of the data.
     Age,
 }
 
-/// Narrowest verdict in words; below it stands the verdict's name.
+/// Narrowest width of a verdict in words; below it the verdict's name is shown.
 const IN_WORDS: usize = 28;
-/// Narrowest verdict.
+/// Narrowest width of a verdict.
 const VERDICT: usize = 14;
-/// Names are cut beyond this.
+/// Longest loop name.
 const NAME: usize = 28;
 
-/// The columns that fit a width, with their widths; what can be spared goes first where it is narrow.
+/// The columns that fit a width, with their widths; less important ones are dropped first.
 #[must_use]
 pub fn layout(width: usize, longest_name: usize) -> Vec<(Column, usize)> {
     use Column::{Age, Alarm, Category, Grade, Interval, Name, P, Period, Recent, S, Verdict};
@@ -217,7 +217,7 @@ pub fn layout(width: usize, longest_name: usize) -> Vec<(Column, usize)> {
 }
 
 impl Column {
-    /// What stands above it.
+    /// Column heading.
     #[must_use]
     pub const fn head(self, figure: Figure) -> &'static str {
         match self {
@@ -231,20 +231,20 @@ impl Column {
             Self::Period => "period",
             Self::Alarm => "alarm",
             Self::Recent => match figure {
-                Figure::P => "p before",
-                Figure::S => "s before",
+                Figure::P => "p trend",
+                Figure::S => "s trend",
             },
             Self::Age => "age",
         }
     }
 
-    /// Whether it is a number, which stands to the right.
+    /// Whether the column is numeric and right-aligned.
     #[must_use]
     pub const fn right(self) -> bool {
         matches!(self, Self::P | Self::S | Self::Period | Self::Age | Self::Interval)
     }
 
-    /// A loop's cell.
+    /// The cell of a loop.
     #[must_use]
     pub fn cell(self, row: &Row, width: usize, figure: Figure, age_s: Option<f64>, look: Look) -> String {
         let text = match self {
@@ -265,14 +265,14 @@ impl Column {
     }
 }
 
-/// The interval with as many digits as there is room for.
+/// The interval with as many digits as fit.
 fn interval(interval: Option<[f64; 2]>, width: usize) -> String {
     let Some([low, high]) = interval else { return "-".to_owned() };
     let full = format!("{}..{}", number(low), number(high));
     if full.chars().count() <= width { full } else { format!("{low:.1}..{high:.1}") }
 }
 
-/// A state of the alarm, in at most nine characters.
+/// An alarm state in at most nine characters.
 #[must_use]
 pub const fn alarm(state: State) -> &'static str {
     match state {

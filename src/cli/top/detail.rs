@@ -1,4 +1,4 @@
-//! One loop on the screen: what its newest window says in words, its alarm, its gap, OP and PV as they come.
+//! One loop on the screen: its newest window in words, its alarm, its gap, live OP and PV.
 
 use std::collections::VecDeque;
 
@@ -16,10 +16,10 @@ use stiction::units::{duration, format_rfc3339, number};
 use stiction::verdict::{Assessment, words};
 use stiction_monitor::alarm::AlarmDocument;
 
-/// Height of the trends where the screen is low, lines.
+/// Height of the trends on a low screen, lines.
 const TRENDS: u16 = 8;
 
-/// Draws it.
+/// Draws the loop.
 pub fn draw(frame: &mut Frame<'_>, area: Rect, board: &Board, view: &mut View, name: &str, look: Look, now: Now) {
     let texts = texts(board, name, look, now);
     let trends = TRENDS.min(area.height / 2).max(area.height / 3);
@@ -39,16 +39,16 @@ pub fn draw(frame: &mut Frame<'_>, area: Rect, board: &Board, view: &mut View, n
     chart(frame, right, "PV", trend.map_or(&empty, |t| &t.pv), Color::Green, look);
 }
 
-/// What is known of a loop, a paragraph a line.
+/// The state of a loop, one paragraph per line.
 #[must_use]
 pub fn texts(board: &Board, name: &str, look: Look, now: Now) -> Vec<String> {
-    let Some(row) = board.row(name) else { return vec![format!("{name} is not there any more")] };
+    let Some(row) = board.row(name) else { return vec![format!("{name} no longer exists")] };
     let newest = board.newest(name);
     let mut lines = vec![format!("{name}  {}  {}", cells::category(row, look), row.status)];
     if let Some(estimate) = newest.estimate.as_deref() {
         lines.extend(answer(&estimate.assessment));
     } else {
-        lines.push("No window has been answered yet: one needs about five periods.".to_owned());
+        lines.push("No window has been judged yet; a window needs about five periods.".to_owned());
     }
     if let Some(alarm) = newest.alarm.as_deref() {
         lines.push(alarm_text(alarm));
@@ -61,7 +61,7 @@ pub fn texts(board: &Board, name: &str, look: Look, now: Now) -> Vec<String> {
     let trend = row.s_trend.map_or_else(String::new, |t| format!(", s {t}"));
     lines.push(format!("Newest windows: p {}  s {}{trend}", spark(Figure::P), spark(Figure::S)));
     let age = cells::age(board.age_s(name, now));
-    lines.push(format!("Data: age {age}, gaps {}, dropped {}", row.data_gaps, row.dropped));
+    lines.push(format!("Data: age {age}, data gaps {}, dropped samples {}", row.data_gaps, row.dropped));
     lines
 }
 
@@ -73,12 +73,12 @@ fn answer(a: &Assessment) -> Vec<String> {
         if a.window.ts_s.is_finite() { duration(a.window.ts_s) } else { "?".to_owned() }
     );
     let period = match (a.oscillation.oscillating, a.oscillation.period_s) {
-        (true, Some(period_s)) => format!("; it oscillates with a period of {}", duration(period_s)),
+        (true, Some(period_s)) => format!("; oscillates with a period of {}", duration(period_s)),
         _ => "; no regular oscillation".to_owned(),
     };
     let mut lines = vec![words::sureness(a), format!("{window}{period}.")];
     lines.extend(words::size(a, None).map(|size| format!("Size: {size}.")));
-    lines.extend(a.contributing.iter().map(|v| format!("Beside it: {}.", words::beside(*v))));
+    lines.extend(a.contributing.iter().map(|v| format!("Also: {}.", words::beside(*v))));
     lines.extend(words::disbelief(a).map(|text| format!("Note: {text}.")));
     lines.push(format!("What to do: {}", words::advice(a.verdict)));
     lines.extend(a.gates.iter().map(|gate| format!("Gate {}: {}.", gate.name(), words::gate(*gate))));
@@ -93,11 +93,11 @@ fn alarm_text(d: &AlarmDocument) -> String {
     format!("Alarm {}{priority}, changed {}{by}: {}", d.state.name().replace('_', " "), d.changed, d.detail)
 }
 
-/// One signal over time, with its least and greatest value.
+/// The trend of one signal, with minimum and maximum.
 fn chart(frame: &mut Frame<'_>, area: Rect, name: &str, points: &VecDeque<(f64, f64)>, colour: Color, look: Look) {
     let (Some((from, _)), Some((to, _))) = (points.front(), points.back()) else {
         let told =
-            format!("{name}: waiting for samples under the loop's own key (none come where its tags are mapped)");
+            format!("{name}: waiting for samples on the loop's own key (none arrive there if its tags are mapped)");
         return frame.render_widget(Paragraph::new(told).wrap(Wrap { trim: false }), area);
     };
     let data: Vec<(f64, f64)> = points.iter().map(|(t, v)| (t - to, *v)).collect();

@@ -1,4 +1,4 @@
-//! Draws board and view: header, table, prompt, help.
+//! Draws header, table, prompt and help.
 
 use ratatui::Frame;
 use ratatui::layout::{Constraint, Layout, Rect};
@@ -13,15 +13,15 @@ use super::head;
 use super::view::{Page, Prompt, View};
 use stictiond::daemon::overview::Row;
 
-/// What the keys do.
+/// The help page.
 const HELP: [&str; 15] = [
-    "arrows, PgUp, PgDn, Home, End   mark a loop",
-    "Enter                           the marked loop alone; Enter or Esc goes back",
-    "o, or 1 2 3 4 5                 order: severity, name, p, s, trend;  r turns it round",
-    "/                               filter by name, verdict or alarm; Esc shows all again",
-    "t                               small bars of p or of s over the newest windows",
-    "a                               acknowledge the marked loop's alarm (asks for your name)",
-    "q, Ctrl-C                       end",
+    "arrows, PgUp, PgDn, Home, End   select a loop",
+    "Enter                           open the selected loop; Enter or Esc goes back",
+    "o, or 1 2 3 4 5                 sort by severity, name, p, s, trend;  r reverses",
+    "/                               filter by name, verdict or alarm; Esc clears the filter",
+    "t                               sparkline of p or of s over the newest windows",
+    "a                               acknowledge the selected loop's alarm (asks for your name)",
+    "q, Ctrl-C                       quit",
     "",
     "NE 107: M maintenance required (the stiction alarm is active), F failure of a signal,",
     "S out of specification (oscillates, or sticks without an alarm), C function check (out of",
@@ -29,10 +29,10 @@ const HELP: [&str; 15] = [
     "band in OP units, with its 90 % interval. g: grade of the answer, A to D. age: of the",
     "newest sample; + where the plant's clock is ahead.",
     "",
-    "Any key goes back.",
+    "Press any key to go back.",
 ];
 
-/// Draws everything; `below` are lines that stand below the table and do not change, such as a web address.
+/// Draws everything; `below` are fixed lines below the table, such as a web address.
 pub fn draw(frame: &mut Frame<'_>, board: &Board, view: &mut View, below: &[String], look: Look, now: Now) {
     let area = frame.area();
     let heading = head::lines(board, usize::from(area.width), look, now);
@@ -60,7 +60,7 @@ pub fn draw(frame: &mut Frame<'_>, board: &Board, view: &mut View, below: &[Stri
     footer(frame, foot, board, view, look, now);
 }
 
-/// Colour of a category; the letter says it too.
+/// Colour of a category; its letter says the same.
 fn style_of(row: &Row, look: Look) -> Style {
     let plain = Style::new();
     match row.ne107 {
@@ -75,7 +75,7 @@ fn style_of(row: &Row, look: Look) -> Style {
     }
 }
 
-/// A cell with its column's width, to the right where it is a number.
+/// A cell padded to its column's width, right-aligned if numeric.
 pub(super) fn padded(text: &str, column: Column, width: usize) -> String {
     if column.right() { format!("{text:>width$} ") } else { format!("{text:<width$} ") }
 }
@@ -97,8 +97,7 @@ fn table(frame: &mut Frame<'_>, area: Rect, board: &Board, view: &mut View, look
         lines.push(row_line(row, &columns, index == at, view, board, look, now));
     }
     if rows.is_empty() {
-        let why =
-            if view.filter.is_empty() { "no loop has appeared yet" } else { "no loop fits the filter; Esc shows all" };
+        let why = if view.filter.is_empty() { "no loops yet" } else { "no loop matches the filter; Esc clears it" };
         lines.push(Line::from(why));
     }
     frame.render_widget(Paragraph::new(lines), area);
@@ -126,7 +125,7 @@ fn row_line(
     if marked { line.patch_style(Style::new().add_modifier(Modifier::REVERSED)) } else { line }
 }
 
-/// The prompt or what was said, and the keys.
+/// The prompt or the last message, and the keys.
 fn footer(frame: &mut Frame<'_>, area: Rect, board: &Board, view: &View, look: Look, now: Now) {
     let said = board.said.as_ref().filter(|(_, at)| now.at.saturating_duration_since(*at).as_secs() < 15);
     let rows = view.rows(board);
@@ -135,7 +134,7 @@ fn footer(frame: &mut Frame<'_>, area: Rect, board: &Board, view: &View, look: L
         (Some((Prompt::Filter, text)), _, _) => format!("filter: {text}_"),
         (Some((Prompt::Acknowledge(_), text)), Some(why), _) => format!("{why}; your name: {text}_"),
         (Some((Prompt::Acknowledge(name), text)), None, _) => {
-            format!("acknowledge {name}; your name: {text}_  (Enter sends, Esc does not)")
+            format!("acknowledge {name}; your name: {text}_  (Enter sends, Esc cancels)")
         }
         (None, Some(why), _) => why.clone(),
         (None, None, Some((text, _))) => text.clone(),
@@ -152,8 +151,8 @@ fn footer(frame: &mut Frame<'_>, area: Rect, board: &Board, view: &View, look: L
         format!("  filter {:?}: {} of {}", view.filter, rows.len(), board.rows().count())
     };
     let keys = match view.page {
-        Page::Loop(_) => "Esc back  a acknowledge  arrows scroll  ? help  Ctrl-C end".to_owned(),
-        _ => format!("? help  Enter loop  / filter  o order ({order})  a acknowledge  q end{filter}"),
+        Page::Loop(_) => "Esc back  a acknowledge  arrows scroll  ? help  Ctrl-C quit".to_owned(),
+        _ => format!("? help  Enter loop  / filter  o sort ({order})  a acknowledge  q quit{filter}"),
     };
     let lines = [first, keys].map(|text| Line::from(cells::cut(&text, width, look)));
     let [first, keys] = lines;

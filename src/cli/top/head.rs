@@ -1,4 +1,4 @@
-//! The lines above the table: which daemon, how many loops of which verdict, what is lost, what is wrong.
+//! The lines above the table: daemon, number of loops per verdict, losses, faults.
 
 use ratatui::style::{Color, Modifier, Style};
 use ratatui::text::Line;
@@ -19,17 +19,17 @@ const VERDICTS: [Verdict; 7] = [
     Verdict::NoOscillation,
     Verdict::Inconclusive,
 ];
-/// Counters of what was lost.
+/// Loss counters.
 const LOSSES: [(&str, &str); 4] = [
     ("dropped_input", "messages dropped"),
     ("fits_skipped", "fits skipped"),
     ("dropped_output", "documents not published"),
     ("recording_lost", "messages not recorded"),
 ];
-/// Faults that are shown at most.
+/// Most faults shown.
 const FAULTS: usize = 3;
 
-/// The lines as texts; the first of the pair says whether it is a fault.
+/// The lines as text; the first of the pair is true for a fault.
 #[must_use]
 pub fn texts(board: &Board, now: Now) -> Vec<(bool, String)> {
     let mut lines = vec![(false, daemon(board, now)), (false, counts(board)), (false, data(board, now))];
@@ -38,7 +38,7 @@ pub fn texts(board: &Board, now: Now) -> Vec<(bool, String)> {
     lines
 }
 
-/// The same to be drawn.
+/// The lines with styles.
 #[must_use]
 pub fn lines(board: &Board, width: usize, look: Look, now: Now) -> Vec<Line<'static>> {
     let fault = Style::new().add_modifier(Modifier::BOLD);
@@ -76,7 +76,7 @@ fn counts(board: &Board) -> String {
     let mut parts: Vec<String> = counted.map(|(v, n)| format!("{n} {}", v.name().replace('_', " "))).collect();
     let without = board.rows().filter(|row| row.verdict.is_none()).count();
     if without > 0 {
-        parts.push(format!("{without} without a window"));
+        parts.push(format!("{without} not judged yet"));
     }
     let active = board.rows().filter(|row| row.active).count();
     let waiting = board.rows().filter(|row| row.unacknowledged).count();
@@ -91,10 +91,10 @@ fn data(board: &Board, now: Now) -> String {
     let oldest = aged.max_by(|a, b| a.0.total_cmp(&b.0));
     let mut parts = vec![format!("{silent} silent")];
     parts.extend(oldest.map(|(age_s, name)| match cells::age(Some(age_s)).strip_prefix('+') {
-        Some(ahead) => format!("all data ahead of this clock by {ahead} or more"),
+        Some(ahead) => format!("all data ahead of this clock by at least {ahead}"),
         None => format!("oldest data {} ({name})", cells::age(Some(age_s))),
     }));
-    parts.push(format!("gaps {}, dropped {}", sum(|row| row.data_gaps), sum(|row| row.dropped)));
+    parts.push(format!("data gaps {}, dropped samples {}", sum(|row| row.data_gaps), sum(|row| row.dropped)));
     let healths = || board.daemons.values().filter(|d| !d.gone).map(|d| &d.health);
     let lost = LOSSES.map(|(name, words)| (healths().filter_map(|h| h["counters"][name].as_u64()).sum::<u64>(), words));
     let lost: Vec<String> = lost.into_iter().filter(|(n, _)| *n > 0).map(|(n, words)| format!("{n} {words}")).collect();
@@ -112,7 +112,10 @@ fn faults(board: &Board) -> Vec<String> {
         last.push_str(&format!(" (and {more} more)"));
     }
     if board.unread > 0 {
-        faults.push(format!("{} documents could not be read: another version's, or not the daemon's", board.unread));
+        faults.push(format!(
+            "{} documents could not be parsed: from another version, or not from a daemon",
+            board.unread
+        ));
     }
     faults
 }

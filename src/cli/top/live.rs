@@ -1,4 +1,4 @@
-//! The table on a terminal: keys and news in, pictures out, until somebody ends it.
+//! The live table: takes keys and bus input, draws frames, until the user quits.
 
 use std::future::Future;
 use std::time::{Duration, Instant};
@@ -12,14 +12,14 @@ use super::draw;
 use super::screen::{self, Screen};
 use super::view::{Ask, View};
 
-/// Pictures are at least so far apart, keys aside.
+/// Shortest time between frames, except after a key.
 const PICTURE: Duration = Duration::from_millis(200);
-/// Without news one is drawn so often: ages go on.
+/// Longest time between frames, so that ages advance.
 const AGES: Duration = Duration::from_secs(1);
-/// News that are taken before a key is looked for.
+/// Inputs taken before the next key is handled.
 const AT_ONCE: usize = 512;
 
-/// Shows the board until `ends` is ready, or a person quits.
+/// Shows the board until `ends` completes or the user quits.
 ///
 /// # Errors
 /// The terminal cannot be used.

@@ -1,4 +1,4 @@
-//! `stictiond top`: the loops of running daemons in a table, live in a terminal, once as text elsewhere.
+//! `stictiond top`: the loops of running daemons as a table, live in a terminal, printed once otherwise.
 
 pub mod board;
 mod bus;
@@ -28,31 +28,31 @@ use super::{Format, Outcome, UsageError, asked_to_stop, block_on, list, play, sa
 use stiction::units::ms_from_ns;
 use stiction_monitor::config::Config;
 
-/// Where a daemon listens that nobody told otherwise.
+/// Default endpoint of a daemon.
 const USUAL: &str = "tcp/127.0.0.1:7447";
-/// News that may wait for a picture.
+/// Most inputs waiting for the next frame.
 const QUEUE: usize = 65_536;
-/// Width of the table in plain text.
+/// Width of the table as plain text.
 const TEXT_WIDTH: usize = 132;
 
-/// Show the loops of running daemons in a table, as they change.
+/// Show the loops of running daemons as a live table.
 ///
-/// In a terminal it is live: `?` there says what the keys do. Elsewhere it prints the table once and ends.
+/// In a terminal the table is live; press ? for its keys. Otherwise it is printed once.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example: stictiond top --connect tcp/gateway.plant:7447 --prefix plant1/area1")]
 pub struct Args {
-    /// Endpoint of a daemon or router; repeat it for several (tcp/127.0.0.1:7447 if nothing is said).
+    /// Zenoh endpoint of a daemon or router; repeatable [default: tcp/127.0.0.1:7447].
     #[arg(long, value_name = "ENDPOINT")]
     pub connect: Vec<String>,
-    /// First chunks of the daemon's keys; needed only where several plants are on one bus.
+    /// Key prefix of the daemons; needed only if several plants share the bus.
     #[arg(long, value_parser = play::prefix)]
     pub prefix: Option<String>,
-    /// The daemon's configuration: prefix, endpoints and security are taken from it.
+    /// Daemon configuration (TOML) from which to take prefix, endpoints and security.
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
 }
 
-/// Whether a table can be shown: both ends of the terminal are there.
+/// Whether input and output are a terminal.
 pub(super) fn is_possible(format: Format) -> bool {
     format == Format::Text && std::io::stdout().is_terminal() && std::io::stdin().is_terminal()
 }
@@ -78,7 +78,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     })
 }
 
-/// Shows the table in the terminal, fed from the bus, until `ends` is ready or a person quits.
+/// Shows the table, fed from the bus, until `ends` completes or the user quits.
 pub(super) async fn follow(
     session: &Session,
     board: &mut Board,
@@ -99,7 +99,7 @@ pub(super) async fn follow(
     shown
 }
 
-/// Prints the table as it is now.
+/// Prints the table once.
 async fn once(session: &Session, board: &mut Board, format: Format) -> anyhow::Result<()> {
     let now = Now::read();
     for news in bus::last_values(session, board.prefix()).await? {
@@ -140,7 +140,7 @@ async fn once(session: &Session, board: &mut Board, format: Format) -> anyhow::R
     Ok(())
 }
 
-/// How the daemons are reached.
+/// Where and how to reach the daemons.
 struct Reach {
     endpoints: Vec<String>,
     prefix: Option<String>,
@@ -156,7 +156,7 @@ impl Reach {
         let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
         let mut config = match Config::parse(&text) {
             Ok(config) => config,
-            Err(faults) => bail!("{} has faults:\n  {}", path.display(), list(&faults)),
+            Err(faults) => bail!("{}: the configuration has faults:\n  {}", path.display(), list(&faults)),
         };
         let listening = config.zenoh.listen.iter().map(|endpoint| reachable(endpoint)).collect();
         let endpoints = [&args.connect, &config.zenoh.connect, &listening].into_iter().find(|list| !list.is_empty());
@@ -170,7 +170,7 @@ impl Reach {
 
     fn over(endpoints: Vec<String>, prefix: Option<String>, mut config: zenoh::Config) -> anyhow::Result<Self> {
         if let Some(wrong) = endpoints.iter().find(|endpoint| !endpoint.contains('/')) {
-            return Err(UsageError(format!("{wrong:?} is no endpoint: write one such as {USUAL}")).into());
+            return Err(UsageError(format!("{wrong:?} is not an endpoint; write one such as {USUAL}")).into());
         }
         let timeout = bus::ANSWER_WITHIN.as_millis().to_string();
         let list = serde_json::to_string(&endpoints)?;
@@ -186,7 +186,7 @@ impl Reach {
             ("connect/exit_on_failure", if endpoints.len() == 1 { "true" } else { "false" }),
         ];
         for (key, value) in settings {
-            config.insert_json5(key, value).map_err(|e| anyhow!("Zenoh refuses {key} = {value}: {e}"))?;
+            config.insert_json5(key, value).map_err(|e| anyhow!("Zenoh rejects the setting {key} = {value}: {e}"))?;
         }
         Ok(Self { endpoints, prefix, config })
     }
@@ -195,15 +195,15 @@ impl Reach {
         let at = self.endpoints.join(", ");
         zenoh::open(self.config.clone()).await.map_err(|e| {
             anyhow!(
-                "nobody answers at {at} within {} s: is the daemon running? Start one with `stictiond run --config FILE` \
-                 or `stictiond demo`, and give its [zenoh] listen endpoint, or its router's, with --connect ({e})",
+                "no answer from {at} within {} s; start a daemon with `stictiond run --config FILE` \
+                 or `stictiond demo`, and name its [zenoh] listen endpoint, or its router's, with --connect ({e})",
                 bus::ANSWER_WITHIN.as_secs()
             )
         })
     }
 }
 
-/// An endpoint that is listened on, as one that can be connected to from the same machine.
+/// A listen endpoint as one to connect to from the same machine.
 fn reachable(endpoint: &str) -> String {
     endpoint.replace("/0.0.0.0:", "/127.0.0.1:").replace("/[::]:", "/[::1]:")
 }

@@ -1,4 +1,4 @@
-//! The terminal: taken, drawn on, and given back however the program ends.
+//! The terminal: set up, drawn on, and restored however the program ends.
 
 use std::io::{Stdout, stdout};
 use std::panic;
@@ -20,38 +20,38 @@ use tokio::sync::mpsc::{Receiver, channel};
 
 use crate::cli::log;
 
-/// Whether the terminal is ours.
+/// Whether the terminal is set up.
 static TAKEN: AtomicBool = AtomicBool::new(false);
-/// How long a look for a key takes; the thread ends within this.
+/// Longest wait for a key; the thread ends within this time.
 const LOOK: Duration = Duration::from_millis(100);
-/// Keys that may wait.
+/// Most keys waiting.
 const KEYS: usize = 256;
 
-/// The terminal while it is ours.
+/// A set-up terminal, restored on drop.
 pub struct Screen {
     terminal: Terminal<CrosstermBackend<Stdout>>,
     size: Size,
 }
 
-/// A picture of this size on a blank terminal. Its place is fixed: a viewport that follows the terminal's size by itself
-/// asks for the cursor's place, which not every terminal tells.
+/// A frame buffer of this size. Its position is fixed: a viewport that follows the terminal's size queries the cursor
+/// position, which not every terminal answers.
 fn blank(size: Size) -> std::io::Result<Terminal<CrosstermBackend<Stdout>>> {
     execute!(stdout(), Clear(ClearType::All))?;
     let viewport = Viewport::Fixed(Rect::new(0, 0, size.width, size.height));
     Terminal::with_options(CrosstermBackend::new(stdout()), TerminalOptions { viewport })
 }
 
-/// The terminal's size; that of the oldest ones where it does not say.
+/// The terminal's size; 80 by 24 if it does not report one.
 fn size() -> std::io::Result<Size> {
     let (width, height) = terminal::size()?;
     Ok(if width == 0 || height == 0 { Size::new(80, 24) } else { Size::new(width, height) })
 }
 
 impl Screen {
-    /// Takes the terminal.
+    /// Sets up the terminal.
     ///
     /// # Errors
-    /// It refuses raw mode, or cannot be written to.
+    /// The terminal refuses raw mode or cannot be written to.
     pub fn open() -> std::io::Result<Self> {
         give_back_on_panic();
         TAKEN.store(true, Ordering::SeqCst);
@@ -66,7 +66,7 @@ impl Screen {
         opened
     }
 
-    /// Draws one picture, of the terminal's size as it is now.
+    /// Draws one frame at the terminal's current size.
     ///
     /// # Errors
     /// The terminal cannot be written to.
@@ -85,7 +85,7 @@ impl Drop for Screen {
     }
 }
 
-/// Puts the terminal back as it was; a second time does nothing.
+/// Restores the terminal; a second call does nothing.
 fn give_back() {
     if TAKEN.swap(false, Ordering::SeqCst) {
         // A terminal that is gone needs nothing.
@@ -95,8 +95,8 @@ fn give_back() {
     }
 }
 
-/// A panic of the thread that draws ends the program: the terminal is given back before it is told. One of another thread,
-/// such as a fit's, is caught there, and is told when the screen is gone.
+/// A panic of the drawing thread ends the program, so the terminal is restored before the panic is printed. One of another
+/// thread, such as a fit's, is caught there and printed once the terminal is restored.
 fn give_back_on_panic() {
     static ONCE: Once = Once::new();
     let drawing: ThreadId = std::thread::current().id();
@@ -115,7 +115,7 @@ fn give_back_on_panic() {
     });
 }
 
-/// Keys and changes of size, read by a thread of its own until nobody listens.
+/// Keys and resizes, read by a thread of its own until the receiver is dropped.
 ///
 /// # Errors
 /// The system refuses a thread.

@@ -1,4 +1,4 @@
-//! What a person looks at: order, filter, place, and what each key does. No terminal here.
+//! View state: sort order, filter, selection, and the action of each key. Independent of the terminal.
 
 use std::cmp::Ordering;
 
@@ -9,30 +9,30 @@ use super::cells::{self, Figure};
 use stiction_monitor::alarm::check_name;
 use stictiond::daemon::overview::Row;
 
-/// Longest text that can be typed.
+/// Longest input text.
 const TYPED: usize = 64;
 
-/// The order of the rows.
+/// Sort order of the rows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Order {
-    /// What needs a person first.
+    /// Most severe first.
     #[default]
     Severity,
-    /// The alphabet.
+    /// By name.
     Name,
     /// Most likely sticking first.
     P,
     /// Widest bands first.
     S,
-    /// Those that get worse first.
+    /// Fastest growing first.
     Trend,
 }
 
 impl Order {
-    /// Every order, as `o` goes through them and digits name them.
+    /// All orders, as `o` and the digits select them.
     pub const ALL: [Self; 5] = [Self::Severity, Self::Name, Self::P, Self::S, Self::Trend];
 
-    /// Its word.
+    /// Its name.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -66,7 +66,7 @@ impl Order {
     }
 }
 
-/// What is on the screen.
+/// Page on the screen.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub enum Page {
     /// All loops.
@@ -74,7 +74,7 @@ pub enum Page {
     Table,
     /// One loop.
     Loop(String),
-    /// What the keys do, and the page that was left for it.
+    /// The help page, and the page to return to.
     Help(Box<Page>),
 }
 
@@ -83,18 +83,18 @@ pub enum Page {
 pub enum Prompt {
     /// The filter.
     Filter,
-    /// Who acknowledges the alarm of this loop.
+    /// The name of the person acknowledging this loop's alarm.
     Acknowledge(String),
 }
 
-/// What a key asks of the bus.
+/// What a key requests.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Ask {
-    /// To end.
+    /// Quit.
     Quit,
-    /// The samples of this loop, or of none any more.
+    /// Subscribe to the samples of this loop, or of none.
     Watch(Option<String>),
-    /// To acknowledge an alarm.
+    /// Acknowledge an alarm.
     Acknowledge {
         /// Of this loop.
         name: String,
@@ -103,43 +103,43 @@ pub enum Ask {
     },
 }
 
-/// What a person looks at.
+/// The view state.
 #[derive(Debug, Clone, Default)]
 pub struct View {
-    /// What is on the screen.
+    /// Current page.
     pub page: Page,
-    /// The order.
+    /// Sort order.
     pub order: Order,
-    /// Whether it is turned round.
+    /// Whether it is reversed.
     pub reversed: bool,
-    /// What sparklines are of.
+    /// What sparklines show.
     pub figure: Figure,
-    /// Rows whose name, verdict or category hold this are shown.
+    /// Shows only rows whose name, verdict or category contains this text.
     pub filter: String,
-    /// What is being typed, and the text so far.
+    /// Open prompt and its text.
     pub prompt: Option<(Prompt, String)>,
-    /// The loop that is marked.
+    /// Selected loop.
     pub selected: Option<String>,
-    /// First row on the screen; the drawing moves it.
+    /// First visible row; adjusted when drawing.
     pub offset: usize,
-    /// First line of a page that is longer than the screen.
+    /// First visible line of a long page.
     pub scroll: u16,
-    /// Rows that the screen has room for; the drawing says.
+    /// Number of visible rows; set when drawing.
     pub room: usize,
-    /// Who acknowledged last, to begin with.
+    /// Default name for acknowledging.
     pub person: String,
-    /// Why something typed was not taken.
+    /// Why the input was rejected.
     pub refused: Option<String>,
 }
 
 impl View {
-    /// For a person of this name.
+    /// With this default name.
     #[must_use]
     pub fn of(person: &str) -> Self {
         Self { person: person.to_owned(), room: 10, ..Self::default() }
     }
 
-    /// The rows that are shown, in order.
+    /// The visible rows in order.
     #[must_use]
     pub fn rows<'b>(&self, board: &'b Board) -> Vec<&'b Row> {
         let wanted = self.filter.to_lowercase();
@@ -156,14 +156,14 @@ impl View {
         rows
     }
 
-    /// The place of the marked row among these; the first where it is not there.
+    /// Index of the selected row among these; 0 if it is not there.
     #[must_use]
     pub fn place(&self, rows: &[&Row]) -> usize {
         let marked = self.selected.as_deref();
         marked.and_then(|name| rows.iter().position(|row| row.name == name)).unwrap_or(0)
     }
 
-    /// Takes a key; what it asks of others is returned.
+    /// Handles a key. Returns what it requests.
     pub fn key(&mut self, key: KeyEvent, board: &Board) -> Option<Ask> {
         if key.kind == KeyEventKind::Release {
             return None;
@@ -256,7 +256,7 @@ impl View {
         }
     }
 
-    /// The loop that a command would go to.
+    /// The loop that a command applies to.
     fn meant(&self, board: &Board) -> Option<String> {
         match &self.page {
             Page::Loop(name) => Some(name.clone()),
@@ -306,7 +306,7 @@ impl View {
         // A `;` would end the name in a query.
         let fault = match check_name(Some(&by)) {
             Err(error) => Some(error.to_string()),
-            Ok(()) => by.contains(';').then(|| "a name has no ';'".to_owned()),
+            Ok(()) => by.contains(';').then(|| "a name must not contain ';'".to_owned()),
         };
         if fault.is_some() {
             (self.refused, self.prompt) = (fault, Some((Prompt::Acknowledge(name), text)));

@@ -1,4 +1,4 @@
-//! The address space: which node a text names, and the variables below a node.
+//! Browsing the address space: the node that a text names, and the variables below a node.
 
 use std::collections::{HashMap, HashSet, VecDeque};
 
@@ -12,37 +12,41 @@ use opcua::types::{
 
 use super::nodes::{Node, check_id, key_from, key_of};
 
-/// Most nodes that are looked at.
+/// Most nodes to browse.
 const MAX_NODES: usize = 1_000_000;
 
-/// Nodes that were found, and how many had no key or name of their own.
+/// Nodes found, and how many lack a unique key or name.
 pub struct Found {
-    /// Variables with keys made of their names below the start.
+    /// Variables with keys made of their names below the start node.
     pub nodes: Vec<Node>,
-    /// Those left out.
+    /// Number of variables left out.
     pub left_out: usize,
 }
 
-/// A node's identity at this server; names of name spaces are looked up there.
+/// The node identifier at this server; namespace URIs are resolved there.
 ///
 /// # Errors
-/// It is none, or the server has no such name space.
+/// Not a node identifier, or the server has no such namespace.
 pub async fn node_id(session: &Session, id: &str, spaces: &mut Option<NamespaceMap>) -> anyhow::Result<NodeId> {
     let Some((uri, rest)) = id.strip_prefix("nsu=").and_then(|rest| rest.split_once(';')) else {
-        return id.parse().map_err(|_| anyhow!("{id:?} is no node"));
+        return id.parse().map_err(|_| anyhow!("{id:?} is not a node identifier; write one such as ns=2;s=FIC101.OP"));
     };
     if spaces.is_none() {
-        *spaces = Some(session.read_namespace_array().await.map_err(|e| anyhow!("the server's name spaces: {e}"))?);
+        *spaces = Some(
+            session.read_namespace_array().await.map_err(|e| anyhow!("cannot read the server's namespaces: {e}"))?,
+        );
     }
     let index = spaces.as_ref().and_then(|map| map.get_index(uri));
-    let index = index.ok_or_else(|| anyhow!("the server has no name space {uri:?}"))?;
-    format!("ns={index};{rest}").parse().map_err(|_| anyhow!("{id:?} is no node"))
+    let index = index.ok_or_else(|| anyhow!("the server has no namespace {uri:?}; check the URI"))?;
+    format!("ns={index};{rest}")
+        .parse()
+        .map_err(|_| anyhow!("{id:?} is not a node identifier; write one such as ns=2;s=FIC101.OP"))
 }
 
-/// The variables below a node, or below a path of names from the root on, such as `/Objects/Plant`.
+/// The variables below a node, or below a path of browse names from the root, such as `/Objects/Plant`.
 ///
 /// # Errors
-/// There is no such node, or nothing below it.
+/// There is no such node, or no variable below it.
 pub async fn below(session: &Session, start: &str) -> anyhow::Result<Found> {
     let start_id = match start.strip_prefix('/') {
         Some(path) => at_path(session, path).await?,
@@ -54,7 +58,7 @@ pub async fn below(session: &Session, start: &str) -> anyhow::Result<Found> {
     let children = children_of(session, start_id.clone(), true).await?;
     let found = walk(&start_id, &children);
     if found.nodes.is_empty() {
-        bail!("{start}: no variables below it");
+        bail!("no variables below {start}; start further up");
     }
     Ok(found)
 }
@@ -80,14 +84,14 @@ async fn children_of(session: &Session, start: NodeId, deep: bool) -> anyhow::Re
         let (parent, references) = item.into_results();
         count += references.len();
         if count > MAX_NODES {
-            bail!("more than {MAX_NODES} nodes: start further down");
+            bail!("more than {MAX_NODES} nodes; start further down, such as --browse /Objects/Plant");
         }
         children.entry(parent).or_default().extend(references);
     }
     Ok(children)
 }
 
-/// Follows names from the root on; `2:Plant` names the name space as well.
+/// Follows browse names from the root; `2:Plant` also names the namespace.
 async fn at_path(session: &Session, path: &str) -> anyhow::Result<NodeId> {
     let mut at = NodeId::from(ObjectId::RootFolder);
     for name in path.split('/').filter(|name| !name.is_empty()) {
@@ -99,14 +103,14 @@ async fn at_path(session: &Session, path: &str) -> anyhow::Result<NodeId> {
         };
         let found = children.iter().find(is_it).with_context(|| {
             let names: Vec<&str> = children.iter().take(20).map(|child| child.browse_name.name.as_ref()).collect();
-            format!("/{path}: no {name:?}; there are {}", names.join(", "))
+            format!("/{path} has no node {name:?}; choose one of {}", names.join(", "))
         })?;
         at = found.node_id.node_id.clone();
     }
     Ok(at)
 }
 
-/// Variables in the order of a walk by breadth: a node with several parents has its name from the nearest.
+/// Variables in breadth-first order: a node with several parents gets its name from the nearest.
 fn walk(start: &NodeId, children: &Children) -> Found {
     let mut found = Found { nodes: Vec::new(), left_out: 0 };
     let (mut seen, mut keys) = (HashSet::from([start.clone()]), HashSet::new());

@@ -1,4 +1,4 @@
-//! What came, what became of it, and every stretch of time without a session.
+//! Counters, and every outage of the session.
 
 use std::collections::BTreeSet;
 use std::ops::Range;
@@ -6,76 +6,76 @@ use std::time::Instant;
 
 use serde::Serialize;
 
-/// Outages that are listed; earlier ones are only counted.
+/// Most outages listed; earlier ones are only counted.
 const LISTED: usize = 1000;
-/// Messages that are asked for again at once; what is missing beyond is lost.
+/// Most messages requested again at once; any beyond are lost.
 const AGAIN: u32 = 10_000;
 
-/// Counters, as they are told.
+/// Counters as reported.
 #[derive(Debug, Default, Clone, PartialEq, Serialize)]
 pub struct Figures {
     /// Nodes that the server reports.
     pub nodes: usize,
-    /// Nodes that it refuses; they are tried again every minute.
+    /// Nodes that the server rejects; retried every minute.
     pub refused_nodes: usize,
-    /// Nodes that it reports when they change only.
+    /// Nodes that the server reports only on change.
     pub on_change_only: usize,
     /// Values from the server.
     pub received: u64,
-    /// Those of them that had come before: a subscription begins with the last value.
+    /// Of these, repeats: a subscription begins with the last value.
     pub again: u64,
-    /// Those that were bad and went as missing.
+    /// Bad values, published as missing.
     pub bad: u64,
-    /// Those that were uncertain.
+    /// Uncertain values.
     pub uncertain: u64,
-    /// Arrays, texts and other values that measure nothing; not sent.
+    /// Arrays, texts and other values that are not a measurement; not published.
     pub refused: u64,
-    /// Values before which the server dropped others, as its queue was full.
+    /// Values preceded by a queue overflow at the server.
     pub overflows: u64,
-    /// Put onto the bus.
+    /// Published on the bus.
     pub published: u64,
-    /// Dropped, as nobody listened on the bus and the hold was full.
+    /// Dropped because nobody subscribed and the hold was full.
     pub dropped: u64,
-    /// Held when the bridge ended.
+    /// Still held when the bridge ended.
     pub unsent: u64,
-    /// Messages that were missing and came when asked for again.
+    /// Missing messages that were requested again and received.
     pub republished: u64,
-    /// Messages that were missing and that the server had no more.
+    /// Missing messages that the server no longer had.
     pub lost_messages: u64,
     /// Sessions at the server.
     pub sessions: u64,
-    /// Connections after which the server had kept session and queue.
+    /// Reconnections after which the server had kept session and queue.
     pub resumed: u64,
-    /// When the first subscription stood.
+    /// Time of the first subscription.
     pub subscribed_ns: Option<i64>,
-    /// Stretches without a session.
+    /// Number of outages.
     pub outages: u64,
-    /// How long they took together, s.
+    /// Total duration of the outages, s.
     pub away_s: f64,
-    /// The latest of them, the present one included.
+    /// The latest outages, the current one included.
     pub outage_list: Vec<Outage>,
 }
 
-/// A stretch without a session.
+/// Time without a session.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Outage {
-    /// When the server was last heard of.
+    /// When the server was last heard.
     pub start_ns: i64,
-    /// When the nodes were subscribed to again; none while it lasts.
+    /// When the nodes were subscribed again; none while the outage lasts.
     pub end_ns: Option<i64>,
-    /// Greatest source stamp before it.
+    /// Latest source timestamp before the outage.
     pub last_stamp_ns: Option<i64>,
-    /// Whether the server had kept the session: then nothing is lost but what `overflows` and `lost_messages` say.
+    /// Whether the server had kept the session. If so, only `overflows` and `lost_messages` count as losses.
     pub resumed: bool,
-    /// What was told of it.
+    /// The reason that was logged.
     pub why: String,
 }
 
 impl Figures {
-    /// In one line.
+    /// One line for the log.
     pub fn line(&self) -> String {
         format!(
-            "{} nodes; {} received ({} again, {} bad, {} uncertain, {} refused), {} published, {} dropped; \
+            "{} nodes; {} received ({} repeated, {} bad, {} uncertain, {} rejected), {} published, {} dropped; \
              {} overflows, {} messages lost; {} sessions, {} resumed, {} outages of {:.1} s",
             self.nodes,
             self.received,
@@ -95,44 +95,44 @@ impl Figures {
     }
 }
 
-/// The present outage, if there is one, and when the server was last heard of.
+/// The current outage, if any, and when the server was last heard.
 #[derive(Debug)]
 pub struct Presence {
     heard: Instant,
     heard_ns: i64,
     newest_ns: Option<i64>,
     away: bool,
-    /// What was told of the present outage.
+    /// The reason logged for the current outage.
     told: BTreeSet<String>,
 }
 
 impl Presence {
-    /// Nothing was heard yet: away, though nothing was lost of that.
+    /// Nothing received yet: away, although nothing was lost.
     pub fn new(now_ns: i64) -> Self {
         Self { heard: Instant::now(), heard_ns: now_ns, newest_ns: None, away: false, told: BTreeSet::new() }
     }
 
-    /// The server has said something.
+    /// The server has sent something.
     pub fn heard(&mut self, now_ns: i64) {
         (self.heard, self.heard_ns) = (Instant::now(), now_ns);
     }
 
-    /// A value of that stamp has come.
+    /// A value with this timestamp was received.
     pub fn stamped(&mut self, t_ns: i64) {
         self.newest_ns = self.newest_ns.max(Some(t_ns));
     }
 
-    /// Seconds since the server was heard.
+    /// Seconds since the server was last heard.
     pub fn silent_s(&self) -> f64 {
         self.heard.elapsed().as_secs_f64()
     }
 
-    /// Whether there is an outage.
+    /// Whether an outage is going on.
     pub fn is_away(&self) -> bool {
         self.away
     }
 
-    /// The session is gone, or cannot be had; gives whether that was not told of this outage yet.
+    /// The session is lost or cannot be opened. Returns whether this reason is new in this outage.
     pub fn gone(&mut self, figures: &mut Figures, why: &str) -> bool {
         let new = self.told.insert(why.to_owned());
         if self.away {
@@ -156,7 +156,7 @@ impl Presence {
         new
     }
 
-    /// The nodes are subscribed to; gives how long they were not, s.
+    /// The nodes are subscribed. Returns for how long they were not, s.
     pub fn back(&mut self, figures: &mut Figures, now_ns: i64, resumed: bool) -> f64 {
         let away_s = self.silent_s();
         if let Some(outage) = figures.outage_list.last_mut().filter(|outage| self.away && outage.end_ns.is_none()) {
@@ -171,7 +171,7 @@ impl Presence {
     }
 }
 
-/// Numbers of a subscription's messages: what is missing shows by them.
+/// Sequence numbers of a subscription's messages, which reveal missing ones.
 #[derive(Debug, Default)]
 pub struct Sequence {
     next: Option<u32>,
@@ -179,8 +179,7 @@ pub struct Sequence {
 }
 
 impl Sequence {
-    /// Takes a message; gives the numbers before it that have not come. One without data names the number that will be
-    /// next.
+    /// Takes a message. Returns the numbers missing before it. A message without data carries the number of the next one.
     pub fn take(&mut self, number: u32, has_data: bool) -> Range<u32> {
         let next = self.next.unwrap_or(number);
         if number < next {
@@ -191,12 +190,12 @@ impl Sequence {
         next..number.min(next.saturating_add(AGAIN))
     }
 
-    /// The server has that message no more.
+    /// The server no longer has that message.
     pub fn lose(&mut self, number: u32) {
         self.missing.insert(number);
     }
 
-    /// Messages that are lost.
+    /// Number of lost messages.
     pub fn lost(&self) -> u64 {
         self.missing.len() as u64
     }

@@ -1,4 +1,4 @@
-//! What waits for the bus: in order, bounded, the oldest dropped first.
+//! Bounded first-in first-out queue of values waiting for the bus; drops the oldest when full.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -7,10 +7,10 @@ use tokio::sync::Notify;
 
 use super::values::Reading;
 
-/// A value and the key that it goes to.
+/// A value and its key.
 pub type Item = (Arc<str>, Reading);
 
-/// The queue between the server's side and the bus.
+/// The queue between server and bus.
 pub struct Hold {
     inner: Mutex<(VecDeque<Item>, u64)>,
     filled: Notify,
@@ -18,7 +18,7 @@ pub struct Hold {
 }
 
 impl Hold {
-    /// One that takes so many values.
+    /// A queue for at most this many values.
     pub fn new(limit: usize) -> Self {
         Self { inner: Mutex::default(), filled: Notify::new(), limit: limit.max(1) }
     }
@@ -27,7 +27,7 @@ impl Hold {
         what(&mut self.inner.lock().unwrap_or_else(PoisonError::into_inner))
     }
 
-    /// Takes a value.
+    /// Adds a value.
     pub fn push(&self, item: Item) {
         self.with(|(items, dropped)| {
             if items.len() >= self.limit {
@@ -39,7 +39,7 @@ impl Hold {
         self.filled.notify_one();
     }
 
-    /// The oldest value, once there is one.
+    /// Waits for the oldest value.
     pub async fn pop(&self) -> Item {
         loop {
             if let Some(item) = self.with(|(items, _)| items.pop_front()) {
@@ -49,7 +49,7 @@ impl Hold {
         }
     }
 
-    /// How many were dropped.
+    /// Number of dropped values.
     pub fn dropped(&self) -> u64 {
         self.with(|(_, dropped)| *dropped)
     }

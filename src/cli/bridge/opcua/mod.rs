@@ -1,9 +1,8 @@
-//! `stictiond bridge opcua`: a server's values onto Zenoh, one key a node. It subscribes and browses; it never writes
-//! and calls no method.
+//! `stictiond bridge opcua`: republishes a server's values on Zenoh, one key per node. It browses and subscribes; it never
+//! writes and calls no methods.
 //!
-//! The server's queues hold what a short loss of the network keeps back: the session is taken up again, and messages
-//! that were on the way are asked for again by their numbers. What a server made while there was no session cannot be
-//! had afterwards: every such stretch is told with start and end.
+//! The server's queues bridge short network losses: the session is resumed, and messages in transit are requested again by
+//! number. Values from a time without a session cannot be recovered; every such outage is reported with start and end.
 
 #[cfg(feature = "bridge-opcua")]
 pub(crate) mod browse;
@@ -37,13 +36,13 @@ mod with {
     use crate::cli::bridge::bus::{BusArgs, document};
     use crate::cli::{Format, Outcome, UsageError, asked_to_stop, block_on, list, say};
 
-    /// How long the server's queues last where nothing is said, beside the publishing interval, ms.
+    /// Time that the server's queues cover by default, in addition to the publishing interval, ms.
     const QUEUE_MS: u32 = 10_000;
 
-    /// Bring an OPC UA server's values onto Zenoh: nodes of a list, or the variables below a node.
+    /// Republish an OPC UA server's values on Zenoh: a list of nodes, or all variables below a node.
     ///
-    /// Reads only. Values keep the source's stamp and their status code; what is bad goes as missing. Stretches without
-    /// a session are told with start and end: what the server made in them cannot be had by a subscription.
+    /// Reads only. Values keep source timestamp and status code; bad values are published as missing. Outages are reported
+    /// with start and end, because a subscription cannot recover the values in between.
     #[derive(Debug, clap::Args)]
     #[command(
         after_help = "Examples: stictiond bridge opcua --from opc.tcp://plc:4840 --nodes nodes.txt \\\n            \
@@ -53,39 +52,39 @@ mod with {
                         --connect tcp/127.0.0.1:7447 --prefix plant1/opcua"
     )]
     pub struct Args {
-        /// The server.
+        /// Server options.
         #[command(flatten)]
         pub server: ServerArgs,
-        /// File of nodes, one a line: NODEID [KEY below the prefix].
+        /// File with one node per line: NODEID [KEY below the prefix].
         #[arg(long, value_name = "FILE", required_unless_present = "browse", conflicts_with = "browse")]
         pub nodes: Option<PathBuf>,
-        /// Node or path of names, such as /Objects/Plant, below which all variables are taken; looked at once.
+        /// Node or path of browse names, such as /Objects/Plant; takes all variables below it, browsed once at the start.
         #[arg(long, value_name = "NODEID|PATH")]
         pub browse: Option<String>,
-        /// How often the server looks at each node, ms.
+        /// Sampling interval of each node, ms.
         #[arg(long, default_value_t = 1000, value_parser = clap::value_parser!(u32).range(1..))]
         pub sampling_ms: u32,
-        /// How often it sends what it has, ms; as often as it looks if not given.
+        /// Publishing interval of the server, ms [default: the sampling interval].
         #[arg(long, value_parser = clap::value_parser!(u32).range(1..))]
         pub publishing_ms: Option<u32>,
-        /// Values of a node that the server keeps; those of a publishing interval and ten seconds if not given.
+        /// Queue length per node at the server, values [default: enough for a publishing interval and ten seconds].
         #[arg(long, value_parser = clap::value_parser!(u32).range(1..))]
         pub queue: Option<u32>,
-        /// Values that are held in memory while nobody listens on the bus; then the oldest are dropped.
+        /// Most values held in memory while nobody subscribes; beyond it the oldest are dropped.
         #[arg(long, default_value_t = 1_000_000, value_name = "VALUES")]
         pub hold: usize,
-        /// Where to, and what is told.
+        /// Bus options.
         #[command(flatten)]
         pub bus: BusArgs,
     }
 
     impl Args {
-        /// How often the server sends, ms.
+        /// Publishing interval, ms.
         pub fn publishing_ms(&self) -> u32 {
             self.publishing_ms.unwrap_or(self.sampling_ms)
         }
 
-        /// Values of a node that the server is asked to keep.
+        /// Requested queue length of a node, values.
         pub fn queue(&self) -> u32 {
             let enough = self.publishing_ms().saturating_add(QUEUE_MS) / self.sampling_ms + 1;
             self.queue.unwrap_or(enough)
@@ -95,7 +94,7 @@ mod with {
     /// Runs the command until SIGTERM or Ctrl-C.
     ///
     /// # Errors
-    /// Nobody answers on the bus, or a file cannot be read. A server that does not answer is tried for ever.
+    /// Nothing answers on the bus, or a file cannot be read. A server that does not answer is retried for ever.
     pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
         args.server.check()?;
         let given = match &args.nodes {

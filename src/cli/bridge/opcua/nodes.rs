@@ -1,23 +1,23 @@
-//! The list of nodes: a text of one node a line, `NODEID [KEY]`, and the keys that nodes get where none is given.
+//! The list of nodes, one `NODEID [KEY]` per line, and the keys of nodes without one.
 
 use std::collections::HashMap;
 use std::fmt::Write as _;
 
 use crate::cli::bridge::bus::is_key;
 
-/// One node that is subscribed to.
+/// A subscribed node.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Node {
-    /// As OPC UA writes it: `ns=2;s=FIC101.OP`, or `nsu=URI;s=FIC101.OP`.
+    /// Identifier as OPC UA writes it: `ns=2;s=FIC101.OP`, or `nsu=URI;s=FIC101.OP`.
     pub id: String,
-    /// What follows the prefix.
+    /// Key below the prefix.
     pub key: String,
 }
 
 /// Reads the list.
 ///
 /// # Errors
-/// Every fault with its line.
+/// Every fault with its line number.
 pub fn read(text: &str) -> Result<Vec<Node>, Vec<String>> {
     let (mut nodes, mut faults, mut lines) = (Vec::new(), Vec::new(), HashMap::new());
     for (line, text) in text.lines().enumerate().map(|(at, text)| (at + 1, text)) {
@@ -25,7 +25,7 @@ pub fn read(text: &str) -> Result<Vec<Node>, Vec<String>> {
             Ok(None) => {}
             Ok(Some(node)) => match lines.insert(node.key.clone(), line) {
                 Some(first) => faults.push(format!(
-                    "line {line}: the key {:?} is that of line {first}: write another one behind the node",
+                    "line {line}: line {first} already uses the key {:?}; write another key after the node",
                     node.key
                 )),
                 None => nodes.push(node),
@@ -34,12 +34,12 @@ pub fn read(text: &str) -> Result<Vec<Node>, Vec<String>> {
         }
     }
     if nodes.is_empty() && faults.is_empty() {
-        faults.push("no node: write NODEID [KEY], one a line".to_owned());
+        faults.push("no nodes; write one NODEID [KEY] per line".to_owned());
     }
     if faults.is_empty() { Ok(nodes) } else { Err(faults) }
 }
 
-/// Writes a list that [`read`] reads back equal; a name that holds control characters cannot stand in one.
+/// Writes a list that [`read`] parses to the same nodes. Names with control characters are left out.
 #[must_use]
 pub fn write(nodes: &[Node]) -> String {
     nodes.iter().fold(String::new(), |mut text, node| {
@@ -55,16 +55,16 @@ fn node(line: &str) -> Result<Option<Node>, String> {
     check_id(&id)?;
     let key = words.next().unwrap_or_else(|| key_of(&id));
     if let Some(more) = words.next() {
-        return Err(format!("{more:?} follows NODEID and KEY: a name with spaces stands in \"…\""));
+        return Err(format!("unexpected {more:?} after NODEID and KEY; quote names with spaces: \"…\""));
     }
     // A quote is what a name with spaces loses when it stands without quotes of its own.
     if !is_key(&key) || key.contains('"') {
-        return Err(format!("{key:?} is no key: empty chunk, wildcard, quote or @"));
+        return Err(format!("{key:?} is not a valid key; use no empty parts, wildcards, quotes or @"));
     }
     Ok(Some(Node { id, key }))
 }
 
-/// The words of a line; one with spaces stands in quotes, inside of which `\` takes the next character as it is.
+/// The words of a line. Quotes allow spaces; inside them `\` escapes the next character.
 fn words(line: &str) -> Result<Vec<String>, String> {
     let (mut words, mut rest) = (Vec::new(), line.trim());
     while !rest.is_empty() && !rest.starts_with('#') {
@@ -83,11 +83,11 @@ fn words(line: &str) -> Result<Vec<String>, String> {
                 }
                 Some((_, '\\')) => word.extend(chars.next().map(|(_, c)| c)),
                 Some((_, c)) => word.push(c),
-                None => return Err("a quote is not closed".to_owned()),
+                None => return Err("missing closing quote".to_owned()),
             }
         }
         if rest.starts_with(|c: char| !c.is_whitespace()) {
-            return Err("a space is missing behind a quote".to_owned());
+            return Err("missing space after a quote".to_owned());
         }
         words.push(word);
         rest = rest.trim_start();
@@ -95,7 +95,7 @@ fn words(line: &str) -> Result<Vec<String>, String> {
     Ok(words)
 }
 
-/// A word as [`words`] reads it.
+/// Quotes a word so that [`words`] reads it back.
 fn word(text: &str) -> String {
     if !text.is_empty() && !text.contains(char::is_whitespace) && !text.starts_with(['"', '#']) {
         return text.to_owned();
@@ -103,11 +103,11 @@ fn word(text: &str) -> String {
     format!("\"{}\"", text.replace('\\', "\\\\").replace('"', "\\\""))
 }
 
-/// Whether a text is a node's identity.
+/// Checks the syntax of a node identifier.
 pub fn check_id(id: &str) -> Result<(), String> {
     let rest = match id.split_once(';') {
         Some((space, rest)) if space.starts_with("ns=") => {
-            space[3..].parse::<u16>().map_err(|_| format!("{id:?}: ns is no number up to 65535"))?;
+            space[3..].parse::<u16>().map_err(|_| format!("{id:?}: ns must be a number up to 65535"))?;
             rest
         }
         Some((space, rest)) if space.starts_with("nsu=") && space.len() > 4 => rest,
@@ -122,11 +122,13 @@ pub fn check_id(id: &str) -> Result<(), String> {
         }
         _ => false,
     };
-    let why = || format!("{id:?} is no node: write such as ns=2;s=FIC101.OP, ns=2;i=17 or nsu=URI;s=FIC101.OP");
+    let why = || {
+        format!("{id:?} is not a node identifier; write one such as ns=2;s=FIC101.OP, ns=2;i=17 or nsu=URI;s=FIC101.OP")
+    };
     if sound { Ok(()) } else { Err(why()) }
 }
 
-/// The key of a node that has none of its own: a text as it stands, of other kinds space and value.
+/// The key of a node without one: a string identifier as it is, other kinds with namespace and value.
 #[must_use]
 pub fn key_of(id: &str) -> String {
     let (space, rest) = match id.split_once(';') {
@@ -139,7 +141,7 @@ pub fn key_of(id: &str) -> String {
     }
 }
 
-/// A key of some names: what no key may hold is replaced or, as the quotes that controllers put around names, left out.
+/// A key from names: replaces invalid characters and drops the quotes that controllers put around names.
 pub fn key_from<'a>(chunks: impl IntoIterator<Item = &'a str>) -> String {
     let clean = |chunk: &str| {
         let chunk: String = chunk

@@ -1,4 +1,4 @@
-//! The server's side: which endpoint, by which security, whose certificate is trusted, and the session's events.
+//! The server side: endpoint, security, trusted certificates, session events.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -19,45 +19,45 @@ use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
 use crate::cli::UsageError;
 use stictiond::sink::deliver::secret;
 
-/// How long the server may take for an answer.
+/// Time limit for an answer of the server.
 const ANSWER: Duration = Duration::from_secs(10);
-/// Pause between attempts to reach a server that may still hold the session.
+/// Pause between connection attempts to a server that may still hold the session.
 const PAUSE: Duration = Duration::from_secs(1);
-/// How often the session is kept alive.
+/// Interval between keep-alive requests.
 const KEEP_ALIVE: Duration = Duration::from_secs(5);
-/// Unanswered ones after which the connection counts as lost.
+/// Unanswered keep-alives after which the connection counts as lost.
 const KEEP_ALIVES: u64 = 3;
-/// Longest arrays that are read: results of a request, notifications in a message.
+/// Longest array accepted: results of a request, notifications in a message.
 const MAX_ARRAY: usize = 1_000_000;
 
-/// Flags that say which server, and how.
+/// Server options.
 #[derive(Debug, clap::Args)]
 pub struct ServerArgs {
-    /// The server: opc.tcp://HOST[:PORT][/PATH].
+    /// Server: opc.tcp://HOST[:PORT][/PATH].
     #[arg(long, value_parser = address)]
     pub from: String,
-    /// Whether messages are signed, or encrypted as well; encrypt where there is a certificate, else none.
+    /// Security mode of messages [default: encrypt if --cert-file is given, else none].
     #[arg(long, value_enum)]
     pub security: Option<Security>,
-    /// How they are.
+    /// Security policy for signing and encryption.
     #[arg(long, value_enum, default_value_t)]
     pub policy: Policy,
-    /// User at the server.
+    /// User name at the server.
     #[arg(long, default_value = "", requires = "secret_file")]
     pub user: String,
-    /// File with the user's password.
+    /// File with the password of --user.
     #[arg(long, default_value = "", value_name = "FILE", requires = "user")]
     pub secret_file: String,
-    /// Own certificate (.der or .pem); it names the application's URI.
+    /// Client certificate (.der or .pem); must contain the URI of --application-uri.
     #[arg(long, value_name = "FILE", requires = "key_file")]
     pub cert_file: Option<PathBuf>,
-    /// Its private key (PEM).
+    /// Private key of the client certificate (PEM).
     #[arg(long, value_name = "FILE", requires = "cert_file")]
     pub key_file: Option<PathBuf>,
-    /// Certificates of servers that are trusted (.der, .pem): a file, or a folder of them.
+    /// Trusted server certificates (.der, .pem): a file or a folder.
     #[arg(long, value_name = "FILE|FOLDER")]
     pub trust: Option<PathBuf>,
-    /// The application's URI, as in the certificate.
+    /// Application URI, as in the client certificate.
     #[arg(long, default_value = "urn:stictiond:bridge", value_name = "URI")]
     pub application_uri: String,
 }
@@ -65,7 +65,7 @@ pub struct ServerArgs {
 /// `--security`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Security {
-    /// Neither.
+    /// Neither signed nor encrypted.
     None,
     /// Signed.
     Sign,
@@ -88,7 +88,7 @@ pub enum Policy {
 fn address(text: &str) -> Result<String, String> {
     let host = text.strip_prefix("opc.tcp://").is_some_and(|rest| !rest.is_empty() && !rest.starts_with(['/', ':']));
     let sound = host && !text.contains(char::is_whitespace);
-    if sound { Ok(text.to_owned()) } else { Err("write opc.tcp://HOST[:PORT][/PATH]".to_owned()) }
+    if sound { Ok(text.to_owned()) } else { Err("write the server as opc.tcp://HOST[:PORT][/PATH]".to_owned()) }
 }
 
 impl ServerArgs {
@@ -97,8 +97,8 @@ impl ServerArgs {
         self.security.unwrap_or(given)
     }
 
-    /// How long the server is asked to keep a session without a connection, ms. The client cannot take up one that is
-    /// signed: it signs with the new channel's nonce, not the session's. Such ones would only use up what servers allow.
+    /// How long the server is asked to keep a session without a connection, ms. The client library cannot resume a signed
+    /// session: it signs with the new channel's nonce, not the session's. Keeping such sessions would only use up the server's limit.
     pub fn session_ms(&self) -> u32 {
         if self.security() == Security::None { 300_000 } else { 30_000 }
     }
@@ -112,26 +112,28 @@ impl ServerArgs {
         }
     }
 
-    /// Refuses flags that cannot work.
+    /// Rejects invalid combinations of options.
     ///
     /// # Errors
-    /// What is missing, or cannot be read.
+    /// What is missing or cannot be read.
     pub fn check(&self) -> anyhow::Result<()> {
         secret(&self.secret_file)?;
         if self.security() == Security::None {
             if !self.user.is_empty() {
-                tracing::warn!("--security none: the password may go over the network as it is");
+                tracing::warn!(
+                    "--security none: the password may cross the network unencrypted; use --security encrypt"
+                );
             }
             return Ok(());
         }
         let (Some(cert), Some(_), Some(trust)) = (&self.cert_file, &self.key_file, &self.trust) else {
-            let why = "signed or encrypted messages need --cert-file, --key-file and --trust";
+            let why = "--security sign and encrypt need --cert-file, --key-file and --trust";
             return Err(UsageError(why.to_owned()).into());
         };
         let own = certificate(cert)?;
         if own.is_application_uri_valid(&self.application_uri).is_err() {
             bail!(
-                "{} does not name {}: give its URI by --application-uri, or make one with subjectAltName=URI:…",
+                "{} does not contain the URI {}; give the certificate's URI with --application-uri, or make a certificate with subjectAltName=URI:…",
                 cert.display(),
                 self.application_uri
             );
@@ -146,7 +148,7 @@ impl ServerArgs {
         })
     }
 
-    /// The endpoint asked for. Its address is the one given: servers name themselves as the network around them does.
+    /// The requested endpoint, at the given address: a server's own name for itself may not resolve here.
     fn choose(&self, endpoints: Vec<EndpointDescription>) -> anyhow::Result<EndpointDescription> {
         let mode = match self.security() {
             Security::None => MessageSecurityMode::None,
@@ -158,18 +160,20 @@ impl ServerArgs {
             endpoints.iter().map(|e| format!("{} {:?}", policy_of(e).to_str(), e.security_mode)).collect();
         let found = endpoints.into_iter().find(|e| e.security_mode == mode && policy_of(e) == self.policy());
         let mut endpoint = found.ok_or_else(|| {
-            anyhow!("the server offers no {} {mode:?}, but {}", self.policy().to_str(), offered.join(", "))
+            anyhow!("the server does not offer {} {mode:?}; it offers {}", self.policy().to_str(), offered.join(", "))
         })?;
         endpoint.endpoint_url = self.from.as_str().into();
         Ok(endpoint)
     }
 
-    /// Refuses a certificate that is not among the trusted ones, and says how it becomes one.
+    /// Rejects a certificate that is not trusted and says how to trust it.
     fn trust(&self, endpoint: &EndpointDescription, store: &Path) -> anyhow::Result<()> {
-        let Some(place) = &self.trust else { bail!("--trust is missing") };
+        let Some(place) = &self.trust else {
+            bail!("--trust is missing: name the folder of trusted server certificates")
+        };
         let shown = X509::from_byte_string(&endpoint.server_certificate)
-            .map_err(|e| anyhow!("the server's certificate cannot be read: {e}"))?;
-        let bytes = shown.to_der().map_err(|e| anyhow!("the server's certificate cannot be read: {e}"))?;
+            .map_err(|e| anyhow!("cannot read the server's certificate: {e}"))?;
+        let bytes = shown.to_der().map_err(|e| anyhow!("cannot read the server's certificate: {e}"))?;
         if trusted(place)?.contains(&bytes) {
             // The client looks again, in a folder of its own, and at dates, host and application besides.
             let path = store.join("trusted").join(CertificateStore::cert_file_name(&shown));
@@ -185,7 +189,7 @@ impl ServerArgs {
             }
         }
         bail!(
-            "the server's certificate is not trusted ({}, SHA-1 {print}): compare with the server's own, then {how}",
+            "the server's certificate is not trusted ({}, SHA-1 {print}); compare the fingerprint with the one at the server, then {how}",
             shown.subject_name()
         )
     }
@@ -194,10 +198,10 @@ impl ServerArgs {
 fn certificate(path: &Path) -> anyhow::Result<X509> {
     let bytes = std::fs::read(path).with_context(|| path.display().to_string())?;
     let read = if bytes.starts_with(b"-----") { X509::from_pem(&bytes) } else { X509::from_der(&bytes) };
-    read.map_err(|e| anyhow!("{}: no certificate: {e}", path.display()))
+    read.map_err(|e| anyhow!("{}: not a certificate: {e}", path.display()))
 }
 
-/// The trusted certificates, read anew each time: one that is put there counts at once.
+/// The trusted certificates, read for each connection so that a new file takes effect at once.
 fn trusted(place: &Path) -> anyhow::Result<Vec<Vec<u8>>> {
     let mut paths = vec![place.to_owned()];
     if place.is_dir() {
@@ -210,24 +214,24 @@ fn trusted(place: &Path) -> anyhow::Result<Vec<Vec<u8>>> {
     paths.iter().map(der).collect()
 }
 
-/// What happens to a session.
+/// Session events.
 #[derive(Debug)]
 pub enum Event {
-    /// A new session stands: nothing is subscribed to.
+    /// A new session without subscriptions.
     New,
-    /// The server had kept the session, with its subscription and queue.
+    /// The server has kept the session with its subscription and queue.
     Resumed,
-    /// The connection is gone, or could not be had again.
+    /// The connection is lost or could not be restored.
     Lost(String),
     /// The server has answered a publish request.
     Published,
-    /// The server knows of no subscription.
+    /// The server has no such subscription.
     NoSubscription,
-    /// The session's end.
+    /// The session has ended.
     Ended(String),
 }
 
-/// A session and what keeps it going.
+/// A session and its event loop.
 pub struct Link {
     /// For requests.
     pub session: Arc<Session>,
@@ -236,7 +240,7 @@ pub struct Link {
 }
 
 impl Link {
-    /// Closes the session at the server as well.
+    /// Closes the session, also at the server.
     pub async fn close(&self, within: Duration) {
         let _ = tokio::time::timeout(within, self.session.disconnect()).await;
     }
@@ -248,7 +252,7 @@ impl Drop for Link {
     }
 }
 
-/// The folder that the client wants for certificates; only servers' stand in it, and it goes with the session.
+/// The certificate folder that the client library needs; holds server certificates only and is deleted with the session.
 struct Store(PathBuf);
 
 impl Store {
@@ -273,16 +277,16 @@ impl Drop for Store {
     }
 }
 
-/// Opens a session; its events come until it ends.
+/// Opens a session; its events arrive until it ends.
 ///
 /// # Errors
-/// Nobody answers, nothing fitting is offered, or the certificate is not trusted.
+/// No answer, no matching endpoint, or an untrusted certificate.
 pub async fn open(args: &ServerArgs) -> anyhow::Result<(Link, UnboundedReceiver<Event>)> {
     let store = Store::new()?;
     let mut client = client(args, &store.0)?;
     let endpoints = tokio::time::timeout(ANSWER, client.get_server_endpoints_from_url(args.from.as_str())).await;
     let endpoints = endpoints.map_err(|_| anyhow!("no answer within {} s", ANSWER.as_secs()))?;
-    let endpoint = args.choose(endpoints.map_err(|e| anyhow!("no connection: {}", e.status()))?)?;
+    let endpoint = args.choose(endpoints.map_err(|e| anyhow!("cannot connect: {}", e.status()))?)?;
     if args.security() != Security::None {
         args.trust(&endpoint, &store.0)?;
     }

@@ -1,4 +1,4 @@
-//! The bridge at work: sessions one after the other, their messages taken apart, values handed to the bus.
+//! The running bridge: one session after another; takes messages apart and passes values to the bus.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -21,11 +21,11 @@ use super::values::{ENCODING, Trust, overflowed, payload, reading, trust};
 use super::with::Args;
 use crate::cli::bridge::bus::{Bus, PAUSE, Teller};
 
-/// Silence of a subscription after which its session is given up, s; one that lives says so every five seconds.
+/// Silence of a subscription, in s, after which its session is given up; a live one reports every five seconds.
 const SILENCE_S: f64 = 30.0;
-/// How often refused nodes are tried again.
+/// Interval between retries of rejected nodes.
 const RETRIED_EVERY: Duration = Duration::from_secs(60);
-/// How long goodbyes may take: to the server, and what still waits to the bus.
+/// Time limit for closing the session and for publishing what still waits.
 const GOODBYE: Duration = Duration::from_secs(2);
 
 fn now_ns() -> i64 {
@@ -33,12 +33,12 @@ fn now_ns() -> i64 {
     i64::try_from(now.as_nanos()).unwrap_or(i64::MAX)
 }
 
-/// One node at work.
+/// A node in operation.
 struct Signal {
     key: Arc<str>,
-    /// Stamp and status of the last value: a new subscription begins with it.
+    /// Timestamp and status of the last value: a new subscription begins with it.
     last: Option<(i64, u32)>,
-    /// Whether it was told that it is no number.
+    /// Whether its non-numeric value has been logged.
     told: bool,
 }
 
@@ -59,7 +59,7 @@ struct Bridge<'a> {
 /// Serves until asked to stop.
 ///
 /// # Errors
-/// Nobody answers on the bus, or its session ends; the figures' file cannot be written.
+/// Nothing answers on the bus, or its session ends; the counters' file cannot be written.
 pub async fn serve(args: &Args, nodes: Vec<Node>, stop: impl Future<Output = ()>) -> anyhow::Result<Figures> {
     let bus = Arc::new(Bus::open(&args.bus).await?);
     let hold = Arc::new(Hold::new(args.hold));
@@ -98,7 +98,7 @@ pub async fn serve(args: &Args, nodes: Vec<Node>, stop: impl Future<Output = ()>
     Ok(bridge.figures)
 }
 
-/// Puts what waits onto the bus, in order, while somebody listens there.
+/// Publishes what waits, in order, while somebody subscribes.
 async fn deliver(bus: Arc<Bus>, hold: Arc<Hold>, published: Arc<AtomicU64>) -> anyhow::Result<()> {
     loop {
         let (key, value) = hold.pop().await;
@@ -116,7 +116,7 @@ impl Bridge<'_> {
         self.nodes = nodes;
     }
 
-    /// One session after the other, for ever.
+    /// Opens one session after another, for ever.
     async fn sessions(&mut self) -> anyhow::Result<()> {
         loop {
             if let Err(error) = self.session().await {
@@ -128,15 +128,15 @@ impl Bridge<'_> {
         }
     }
 
-    /// One session, from its beginning to its end, over any number of connections.
+    /// One session from start to end, over any number of connections.
     async fn session(&mut self) -> anyhow::Result<()> {
         let (link, mut events) = open(&self.args.server).await?;
         let session = link.session.clone();
         self.link = Some(link);
         match events.recv().await {
             Some(Event::New) => {}
-            Some(Event::Lost(why) | Event::Ended(why)) => bail!("no session: {why}"),
-            other => bail!("no session: {other:?}"),
+            Some(Event::Lost(why) | Event::Ended(why)) => bail!("cannot open a session: {why}"),
+            other => bail!("cannot open a session: {other:?}"),
         }
         self.figures.sessions += 1;
         if self.nodes.is_empty() {
@@ -166,14 +166,17 @@ impl Bridge<'_> {
         let start = self.args.browse.as_deref().unwrap_or("/Objects");
         let found = browse::below(session, start).await?;
         if found.left_out > 0 {
-            tracing::warn!("{} variables below {start} have no key of their own and are left out", found.left_out);
+            tracing::warn!(
+                "{} variables below {start} have no unique key and are left out; list them with --nodes",
+                found.left_out
+            );
         }
         tracing::info!("{} variables below {start}", found.nodes.len());
         self.use_nodes(found.nodes);
         Ok(())
     }
 
-    /// Takes messages until the session ends.
+    /// Handles messages until the session ends.
     async fn follow(
         &mut self,
         session: &Arc<Session>,
@@ -196,8 +199,8 @@ impl Bridge<'_> {
                         session.trigger_publish_now();
                         self.back(true)?;
                     }
-                    Some(Event::New) => bail!("the server has not kept the session"),
-                    Some(Event::NoSubscription) => bail!("the server has not kept the subscription"),
+                    Some(Event::New) => bail!("the server did not keep the session"),
+                    Some(Event::NoSubscription) => bail!("the server did not keep the subscription"),
                     Some(Event::Ended(why)) => bail!("{why}"),
                     None => bail!("the session has ended"),
                 },
@@ -206,10 +209,10 @@ impl Bridge<'_> {
                     let silent_s = self.presence.silent_s();
                     let longest_s = SILENCE_S.max(3e-3 * f64::from(self.args.publishing_ms()));
                     if !self.presence.is_away() && silent_s > longest_s {
-                        bail!("the subscription says nothing");
+                        bail!("the subscription is silent");
                     }
                     if self.presence.is_away() && silent_s > f64::from(self.args.server.session_ms()) / 1e3 {
-                        bail!("the server cannot have kept the session");
+                        bail!("the outage was longer than the server keeps a session");
                     }
                     let retry = !self.presence.is_away() && tried.elapsed() > RETRIED_EVERY;
                     if retry && !subscription.refused.is_empty() {
@@ -227,17 +230,17 @@ impl Bridge<'_> {
         self.figures.nodes = self.nodes.len() - subscription.refused.len();
         if subscription.on_change_only > self.figures.on_change_only {
             tracing::warn!(
-                "the server reports {} nodes when they change only: give their loops a max_gap_s",
+                "the server reports {} nodes only on change; set max_gap_s for their loops",
                 subscription.on_change_only
             );
         }
         self.figures.on_change_only = subscription.on_change_only;
     }
 
-    /// Every reason is told once an outage, not once a second.
+    /// Logs each reason once per outage, not every second.
     fn gone(&mut self, why: &str) -> anyhow::Result<()> {
         if self.presence.gone(&mut self.figures, why) {
-            tracing::warn!(server = self.args.server.from, why, "no session at the server; it is tried every second");
+            tracing::warn!(server = self.args.server.from, why, "no session at the server; retrying every second");
             self.count();
             self.teller.write(&self.figures)?;
         }
@@ -253,7 +256,7 @@ impl Bridge<'_> {
         self.teller.write(&self.figures)
     }
 
-    /// Takes a message, after those before it that have not come.
+    /// Takes a message, after requesting those missing before it.
     async fn take(
         &mut self,
         session: Option<&Arc<Session>>,
@@ -273,7 +276,7 @@ impl Bridge<'_> {
                 }
                 None => {
                     if self.sequence.lost() == 0 {
-                        tracing::warn!("messages of the server are lost; further ones are only counted");
+                        tracing::warn!("messages from the server were lost; further ones are only counted");
                     }
                     self.sequence.lose(number);
                 }
@@ -286,7 +289,7 @@ impl Bridge<'_> {
         self.presence.heard(now_ns());
         for data in message.notification_data.into_iter().flatten() {
             if let Some(change) = data.inner_as::<StatusChangeNotification>() {
-                bail!("the server ends the subscription: {}", change.status);
+                bail!("the server ended the subscription: {}", change.status);
             }
             let changes = data.into_inner_as::<DataChangeNotification>();
             for item in changes.and_then(|changes| changes.monitored_items).into_iter().flatten() {
@@ -306,14 +309,14 @@ impl Bridge<'_> {
         if overflowed(status) {
             if figures.overflows == 0 {
                 let key = &signal.key;
-                tracing::warn!(%key, "the server's queue is too short (--queue); further cases only count");
+                tracing::warn!(%key, "the server's queue overflowed; raise --queue (further overflows are only counted)");
             }
             figures.overflows += 1;
         }
         let Ok(reading) = reading(data, now_ns()) else {
             if !signal.told {
                 let key = &signal.key;
-                tracing::warn!(%key, "neither a number nor true or false; its further values only count");
+                tracing::warn!(%key, "not a number, true or false; further values of this node are only counted");
                 signal.told = true;
             }
             figures.refused += 1;
@@ -332,7 +335,7 @@ impl Bridge<'_> {
         self.hold.push((signal.key.clone(), reading));
     }
 
-    /// Values that were taken and are neither on the bus nor dropped.
+    /// Values taken that are neither published nor dropped.
     fn waiting(&self) -> u64 {
         let taken = self.figures.received - self.figures.again - self.figures.refused;
         taken.saturating_sub(self.published.load(Ordering::Relaxed) + self.hold.dropped())
@@ -341,7 +344,9 @@ impl Bridge<'_> {
     fn count(&mut self) {
         self.figures.published = self.published.load(Ordering::Relaxed);
         if self.figures.dropped == 0 && self.hold.dropped() > 0 {
-            tracing::warn!("nobody has listened for so long that values are dropped (--hold)");
+            tracing::warn!(
+                "no subscriber for so long that the hold is full; dropping the oldest values (raise --hold to keep more)"
+            );
         }
         self.figures.dropped = self.hold.dropped();
         self.figures.lost_messages = self.lost_before + self.sequence.lost();

@@ -1,4 +1,4 @@
-//! One subscription: made anew in every new session, in pieces that servers take, and its messages in order.
+//! A subscription: created in every new session, in requests that servers accept, and its messages in order.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -15,26 +15,26 @@ use super::browse::node_id;
 use super::nodes::Node;
 use super::with::Args;
 
-/// Items in a request: servers bound what they take at once.
+/// Items per request: servers limit them.
 const CHUNK: usize = 500;
-/// A silent subscription says that it lives so often, ms.
+/// Keep-alive interval of a silent subscription, ms.
 const ALIVE_MS: u32 = 5_000;
-/// Refused nodes that are named in the log.
+/// Most rejected nodes named in the log.
 const NAMED: usize = 10;
 
-/// A subscription that stands.
+/// An active subscription.
 pub struct Subscription {
-    /// Its number at the server.
+    /// Its identifier at the server.
     pub id: u32,
-    /// Its messages, in the order in which they came.
+    /// Its messages in order of arrival.
     pub messages: UnboundedReceiver<NotificationMessage>,
-    /// Nodes that the server refused, by their places in the list.
+    /// Nodes that the server rejected, by index in the list.
     pub refused: Vec<usize>,
-    /// Nodes of which it reports changes alone.
+    /// Nodes that it reports only on change.
     pub on_change_only: usize,
 }
 
-/// Hands messages on as they are: the client's lock is held meanwhile.
+/// Forwards messages unchanged, because the client's lock is held meanwhile.
 struct Handing(UnboundedSender<NotificationMessage>);
 
 impl OnSubscriptionNotificationCore for Handing {
@@ -48,7 +48,7 @@ impl Subscription {
     /// Subscribes to all nodes.
     ///
     /// # Errors
-    /// The server does not answer, or takes no subscription.
+    /// The server does not answer or rejects the subscription.
     pub async fn make(session: &Arc<Session>, args: &Args, nodes: &[Node]) -> anyhow::Result<Self> {
         let every_ms = args.publishing_ms();
         let alive = (ALIVE_MS / every_ms).max(1);
@@ -58,13 +58,13 @@ impl Subscription {
         let id = session
             .create_subscription(interval, lifetime, alive, 0, 0, true, Handing(hand))
             .await
-            .map_err(|e| anyhow!("no subscription: {}", e.status()))?;
+            .map_err(|e| anyhow!("cannot create a subscription: {}", e.status()))?;
         let mut subscription = Self { id, messages, refused: (0..nodes.len()).collect(), on_change_only: 0 };
         subscription.add_refused(session, args, nodes).await?;
         Ok(subscription)
     }
 
-    /// Tries the nodes that are not subscribed to yet; gives how many were added.
+    /// Retries the nodes that are not subscribed yet. Returns how many were added.
     ///
     /// # Errors
     /// The server does not answer.
@@ -84,16 +84,16 @@ impl Subscription {
             }
         }
         for (place, status) in refused.iter().take(NAMED) {
-            tracing::warn!(node = nodes[*place].id, %status, "refused by the server; tried again every minute");
+            tracing::warn!(node = nodes[*place].id, %status, "the server rejects this node; retrying every minute");
         }
         if refused.len() > NAMED {
-            tracing::warn!("and {} more nodes", refused.len() - NAMED);
+            tracing::warn!("the server rejects {} more nodes", refused.len() - NAMED);
         }
         self.refused = refused.into_iter().map(|(place, _)| place).collect();
         Ok(count - self.refused.len())
     }
 
-    /// Asks for some nodes: those whose filter the server does not take, and those that it refuses.
+    /// Requests nodes. Returns those whose filter the server rejects, and those that it rejects.
     async fn create(
         &self,
         session: &Arc<Session>,
@@ -119,7 +119,7 @@ impl Subscription {
         let created = session
             .create_monitored_items(self.id, TimestampsToReturn::Both, items)
             .await
-            .map_err(|e| anyhow!("the server takes no nodes: {}", e.status()))?;
+            .map_err(|e| anyhow!("the server rejects the monitored items: {}", e.status()))?;
         for (place, created) in asked.iter().zip(&created) {
             match created.result.status_code {
                 status if !status.is_bad() => {}

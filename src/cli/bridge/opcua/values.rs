@@ -1,18 +1,18 @@
-//! Values of OPC UA as the daemon reads them: PubSub JSON with one field, its source stamp and its status.
+//! OPC UA values in the form that the daemon reads: PubSub JSON with one field, source timestamp and status.
 
 use serde_json::json;
 
 use stiction::units::format_rfc3339;
 
-/// What the payloads say of themselves.
+/// Publisher name in the payloads.
 pub const ENCODING: &str = "application/opcua+uajson";
 
 /// One value of one node.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Reading {
-    /// When it was made.
+    /// Its timestamp.
     pub t_ns: i64,
-    /// Missing where the server has none.
+    /// `None` if the server has no value.
     pub value: Option<f64>,
     /// Status code, all 32 bits.
     pub status: u32,
@@ -21,15 +21,15 @@ pub struct Reading {
 /// How far a status code lets a value be trusted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Trust {
-    /// As it stands.
+    /// Use it as it is.
     Good,
-    /// There is a value, and a doubt.
+    /// Use it with doubt.
     Uncertain,
-    /// There is none.
+    /// There is no value.
     Bad,
 }
 
-/// The severity: the top two bits; the fourth severity is reserved and no better than bad.
+/// The severity: the top two bits; the reserved fourth severity counts as bad.
 pub const fn trust(status: u32) -> Trust {
     match status >> 30 {
         0 => Trust::Good,
@@ -38,13 +38,13 @@ pub const fn trust(status: u32) -> Trust {
     }
 }
 
-/// Whether the server dropped values of this node before this one, as its queue was full: the bit counts only where the
-/// info type says that the info bits are those of a data value.
+/// Whether the server dropped values of this node before this one because its queue was full. The bit counts only if the
+/// info type says that the info bits belong to a data value.
 pub const fn overflowed(status: u32) -> bool {
     (status >> 10) & 0b11 == 0b01 && status & 0x80 != 0
 }
 
-/// The payload of one value; what is bad goes as missing, with its code.
+/// The payload of one value; a bad one is published as missing, with its code.
 pub fn payload(reading: &Reading) -> Vec<u8> {
     let value = reading.value.filter(|_| trust(reading.status) != Trust::Bad);
     let mut field = json!({"Value": value, "SourceTimestamp": format_rfc3339(reading.t_ns)});
@@ -63,14 +63,14 @@ mod server {
 
     use super::Reading;
 
-    /// An array, a text or another value that measures nothing.
+    /// An array, a text or another value that is not a measurement.
     #[derive(Debug, Clone, Copy, PartialEq, Eq)]
     pub struct NotANumber;
 
-    /// What a server sent: with the stamp of the source, else the server's, else that of its coming.
+    /// A value from the server, with the source timestamp, else the server's, else the time of arrival.
     ///
     /// # Errors
-    /// It is no number and neither true nor false.
+    /// It is not a number, true or false.
     pub fn reading(data: &DataValue, now_ns: i64) -> Result<Reading, NotANumber> {
         let source = ns_of(data.source_timestamp.as_ref(), data.source_picoseconds);
         let stamp = source.or_else(|| ns_of(data.server_timestamp.as_ref(), data.server_picoseconds));
@@ -78,7 +78,7 @@ mod server {
         Ok(Reading { t_ns: stamp.unwrap_or(now_ns), value, status: data.status.map_or(0, |status| status.bits()) })
     }
 
-    /// A stamp; `None` where there is none, or a sender's word for none (the year 1601).
+    /// A timestamp; `None` if absent, or if it is a sender's placeholder for none (the year 1601).
     fn ns_of(stamp: Option<&DateTime>, tens_of_picoseconds: Option<u16>) -> Option<i64> {
         let ns = stamp.filter(|stamp| !stamp.is_null())?.as_chrono().timestamp_nanos_opt()?;
         Some(ns + i64::from(tens_of_picoseconds.unwrap_or(0).min(9999) / 100))

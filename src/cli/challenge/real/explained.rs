@@ -1,5 +1,5 @@
-//! What the base explains of real recordings with a regular cycle, what the best effect adds on held-out blocks, and why
-//! something is left.
+//! How much of real recordings with a regular cycle the base explains, what the best effect adds on held-out blocks, and
+//! why something remains unexplained.
 
 use serde_json::{Value, json};
 
@@ -10,17 +10,17 @@ use stiction::gap::{Diagnosis, Fit, GapOptions, Serial, UNKNOWN, diagnose};
 use stiction::record::Record;
 use stiction::signal::stats;
 
-/// Share of PV's variance from which a base says something of a record.
+/// Share of PV's variance above which the base counts as informative.
 const FOLLOWS: f64 = 0.5;
-/// Share of the gap's square in swings slower than the oscillation, or within the blocks that leave most, from which that
-/// is where it is.
+/// Share of the squared gap, in components slower than the oscillation or within the worst blocks, above which that is
+/// where the gap is.
 const MOSTLY: f64 = 0.5;
-/// Share of the blocks that are asked for most of the error.
+/// Fraction of the blocks considered for most of the error.
 const FEW_BLOCKS: f64 = 0.2;
-/// Periods that blocks need to be more than one of a kind.
+/// Periods needed for blocks to be comparable.
 const FEW_PERIODS: f64 = 8.0;
 
-/// One recording's line; `regular` false where it has no cycle to be judged by.
+/// The line of one recording; `regular` is false if it has no cycle.
 pub(super) fn of(record: &Record, options: &GapOptions) -> anyhow::Result<Value> {
     let found = oscillation::detect(&record.op(), &record.pv).filter(|o| o.oscillating);
     let Some(cycle) = found else { return Ok(json!({ "part": "explained", "regular": false })) };
@@ -47,14 +47,14 @@ pub(super) fn of(record: &Record, options: &GapOptions) -> anyhow::Result<Value>
     }))
 }
 
-/// Variance of PV where it is held out, PV units squared.
+/// Variance of the held-out PV, PV units squared.
 fn held_out_variance(record: &Record, made: &Diagnosis) -> f64 {
     let counts = |k: &usize| made.blocks.held_out[*k] && !made.blocks.masked[*k];
     let pv: Vec<f64> = (made.blocks.from..record.len()).filter(counts).map(|k| record.pv[k]).collect();
     stats::variance(&pv).max(f64::MIN_POSITIVE)
 }
 
-/// Why a record stays unexplained, from what its base leaves; nothing for one that has an answer.
+/// Why a record stays unexplained, from the base's residuals; empty for one that has an answer.
 fn kind(record: &Record, made: &Diagnosis, period: f64, base: f64) -> Option<&'static str> {
     if made.cause.id != UNKNOWN {
         return None;
@@ -68,20 +68,20 @@ fn kind(record: &Record, made: &Diagnosis, period: f64, base: f64) -> Option<&'s
     } else if share_of_few(left, period) > MOSTLY {
         "upsets"
     } else if base < FOLLOWS {
-        "OP does not make PV's swing"
+        "OP does not cause PV's oscillation"
     } else {
-        "swings that change"
+        "changing oscillation"
     })
 }
 
-/// Share of what is left that moves more slowly than one and a half periods.
+/// Share of the residual that moves more slowly than one and a half periods.
 fn slow_share(left: &[f64], period: f64) -> f64 {
     let length = ((1.5 * period) as usize).max(1);
     let slow: Vec<f64> = left.chunks(length).map(stats::mean).collect();
     stats::variance(&slow) / stats::variance(left).max(f64::MIN_POSITIVE)
 }
 
-/// Share of the squared error in those blocks of a period that hold most of it.
+/// Share of the squared error in the period-long blocks with most of it.
 fn share_of_few(left: &[f64], period: f64) -> f64 {
     let mut sums: Vec<f64> =
         left.chunks((period as usize).max(1)).map(|block| block.iter().map(|e| e * e).sum()).collect();
@@ -90,7 +90,7 @@ fn share_of_few(left: &[f64], period: f64) -> f64 {
     sums[..few.min(sums.len())].iter().sum::<f64>() / sums.iter().sum::<f64>().max(f64::MIN_POSITIVE)
 }
 
-/// The table and its sums.
+/// The table with totals.
 pub(super) fn table(lines: &[&Value]) -> anyhow::Result<()> {
     let regular: Vec<&&Value> = lines.iter().filter(|l| l["regular"] == true).collect();
     if regular.is_empty() {
