@@ -190,7 +190,7 @@ fn from_file(args: &NewArgs, path: &Path, ts_s: Option<f64>) -> anyhow::Result<V
                 table.warnings.iter().for_each(|warning| tracing::warn!("{}: {warning}", path.display()));
                 return Ok(vec![stored(args, path, &LoadedLoop::new(name, table.samples), ts_s)?]);
             }
-            Err(FileError::Csv { source: csv::CsvError::NoColumn { column: "t", .. }, .. }) if is_op_pv(path) => {
+            Err(FileError::Csv { cause: csv::CsvError::NoColumn { column: "t", .. }, .. }) if is_op_pv(path) => {
                 return match ts_s {
                     Some(ts_s) => Ok(vec![columns(path, &name, ts_s)?]),
                     None => bail!("{}: has no column t; give the sampling time with --ts", path.display()),

@@ -1,5 +1,5 @@
-//! What the recordings of a folder hold of a few topics: newest file first, through the index of each, within a limit of
-//! time. For people who look back, not for replay: a file that cannot be read is passed over.
+//! Messages of a few topics from the recordings of a folder: newest file first, through each file's index, within a time
+//! limit. For looking back, not for replay: a file that cannot be read is skipped.
 
 use std::collections::{BTreeSet, HashMap};
 use std::fs::{self, File};
@@ -18,12 +18,12 @@ use super::mcap_read::RecordingReader;
 use stiction::record::{Sample, Signal};
 use stiction_monitor::codec::{encode_recorded, topic};
 
-/// Ranges of time that are remembered, by file and topic; beyond, all are forgotten.
+/// Most time ranges cached by file and topic; when full, the cache is emptied.
 const REMEMBERED: usize = 100_000;
-/// Messages between two looks at the clock.
+/// Messages between checks of the clock.
 const LOOK_EVERY: usize = 256;
 
-/// Ranges of time by file and topic.
+/// Cached time ranges by file and topic.
 type Ranges = HashMap<(PathBuf, String), Option<[i64; 2]>>;
 
 /// Reads a folder of recordings.
@@ -31,7 +31,7 @@ type Ranges = HashMap<(PathBuf, String), Option<[i64; 2]>>;
 pub struct Archive {
     dir: PathBuf,
     prefix: String,
-    /// Source times of a topic in a finished file, first and last, ns; `None` where it holds nothing of it.
+    /// First and last source time of a topic in a finished file, ns; `None` if the file has no such messages.
     ranges: Mutex<Ranges>,
 }
 
@@ -44,11 +44,11 @@ pub struct Found<'a> {
     pub data: &'a [u8],
     /// Source time, ns since 1970.
     pub t_ns: i64,
-    /// How the payload is written, as the channel says.
+    /// Encoding of the payload, from the channel.
     pub encoding: &'a str,
 }
 
-/// What is looked for.
+/// A query.
 #[derive(Debug, Clone)]
 pub struct Wanted {
     /// Topics.
@@ -59,39 +59,39 @@ pub struct Wanted {
     pub until: Instant,
 }
 
-/// How far a look back came.
+/// Outcome of a query.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Reach {
-    /// Everything in the range was seen.
+    /// The whole range was searched.
     All,
-    /// Time was over; what is missing is the oldest.
+    /// The time limit was reached; the oldest messages are missing.
     Part,
 }
 
-/// A file cannot be read further; what it gave until then stands.
+/// A file cannot be read further. What it gave until then is kept.
 #[derive(Debug, thiserror::Error)]
 enum Broken {
-    #[error("{0}")]
+    #[error(transparent)]
     Mcap(#[from] McapError),
-    #[error("{0}")]
+    #[error(transparent)]
     Io(#[from] std::io::Error),
 }
 
 impl Archive {
-    /// The recordings of a folder whose topics begin with a prefix.
+    /// The recordings of a folder whose topics have a prefix.
     #[must_use]
     pub fn new(dir: &Path, prefix: &str) -> Self {
         Self { dir: dir.to_owned(), prefix: prefix.to_owned(), ranges: Mutex::default() }
     }
 
-    /// The prefix of every topic.
+    /// Prefix of every topic.
     #[must_use]
     pub fn prefix(&self) -> &str {
         &self.prefix
     }
 
-    /// Gives each message that is wanted, file by file, the newest file first and within a file in its order. It stops
-    /// where a file's messages all lie before the range: recordings go forward in time.
+    /// Passes every matching message to `take`, newest file first and in file order within a file. It stops at a file whose
+    /// messages are all before the range, because recordings advance in time.
     pub fn read(&self, wanted: &Wanted, take: &mut dyn FnMut(Found<'_>)) -> Reach {
         for (path, open) in self.files() {
             if Instant::now() >= wanted.until {
@@ -113,7 +113,7 @@ impl Archive {
                 Ok(Reach::Part) => return Reach::Part,
                 Ok(Reach::All) if !open => self.remember(&path, wanted, &seen),
                 Ok(Reach::All) => {}
-                Err(error) => tracing::debug!(path = %path.display(), %error, "a recording was passed over"),
+                Err(error) => tracing::debug!(path = %path.display(), %error, "skipped a recording"),
             }
             if seen.range.is_some_and(|[_, last]| last < wanted.range_ns[0]) {
                 return Reach::All;
@@ -122,7 +122,7 @@ impl Archive {
         Reach::All
     }
 
-    /// Recordings with the newest first, and whether each is still written.
+    /// Recordings, newest first, and whether each is still being written.
     fn files(&self) -> Vec<(PathBuf, bool)> {
         let entries = fs::read_dir(&self.dir).into_iter().flatten().flatten();
         let mut files: Vec<(SystemTime, PathBuf, bool)> = entries
@@ -137,7 +137,7 @@ impl Archive {
         files.into_iter().map(|(_, path, open)| (path, open)).collect()
     }
 
-    /// The range over all topics, where every one is known.
+    /// The range over all topics, if every one is known.
     fn known(&self, path: &Path, wanted: &Wanted) -> Option<Option<[i64; 2]>> {
         let ranges = self.ranges.lock().unwrap_or_else(PoisonError::into_inner);
         let each = wanted.topics.iter().map(|topic| ranges.get(&(path.to_owned(), topic.clone())).copied());
@@ -159,7 +159,7 @@ fn joined([a, b]: [i64; 2], [c, d]: [i64; 2]) -> [i64; 2] {
     [a.min(c), b.max(d)]
 }
 
-/// Source times met in a file.
+/// Source times seen in a file.
 #[derive(Debug, Default)]
 struct Seen {
     range: Option<[i64; 2]>,
@@ -185,7 +185,7 @@ impl Seen {
     }
 }
 
-/// A stamp as the recorder writes it: 0 stands for none, then the arrival counts.
+/// A timestamp as the recorder writes it: 0 means none, then the arrival time counts.
 fn stamp(publish: u64, log: u64) -> i64 {
     i64::try_from(if publish == 0 { log } else { publish }).unwrap_or(i64::MAX)
 }
@@ -265,7 +265,7 @@ fn read_indexed(
     Ok(Reach::All)
 }
 
-/// A file without an index, as the one that is being written: message by message.
+/// Reads a file without an index, such as the one being written, message by message.
 fn read_open(path: &Path, wanted: &Wanted, seen: &mut Seen, take: &mut dyn FnMut(Found<'_>)) -> Result<Reach, Broken> {
     let failed = |error: super::ReadError| Broken::Io(std::io::Error::other(error.to_string()));
     let mut reader = RecordingReader::open(path).map_err(failed)?;
@@ -284,7 +284,7 @@ fn read_open(path: &Path, wanted: &Wanted, seen: &mut Seen, take: &mut dyn FnMut
     Ok(Reach::All)
 }
 
-/// An archive that several may ask.
+/// An archive shared by several users.
 pub type SharedArchive = Arc<Archive>;
 
 #[cfg(test)]

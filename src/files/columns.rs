@@ -1,5 +1,5 @@
-//! Raw samples of many loops in one message, property by property instead of sample by sample: what
-//! `[recording] raw = "columns"` writes. [`LAYOUT`] is the whole of the format, and stands in every such file as its schema.
+//! Raw samples of many loops in one message, stored column by column: what `[recording] raw = "columns"` writes. [`LAYOUT`]
+//! is the complete format, and is in every such file as its schema.
 
 use stiction::record::{Mode, Value};
 use stiction_monitor::codec::topic;
@@ -7,15 +7,15 @@ use thiserror::Error;
 
 /// Name of the schema.
 pub const SCHEMA: &str = "stictiond.columns.v1";
-/// How the schema is written: as plain words.
+/// Encoding of the schema: plain text.
 pub const SCHEMA_ENCODING: &str = "x-text";
-/// How the messages are written.
+/// Encoding of the messages.
 pub const ENCODING: &str = "x-stictiond-columns";
-/// Metadata key of a recording whose raw samples stand in columns, and what it says then.
+/// Metadata key of a recording with raw samples in columns, and its value.
 pub const METADATA_RAW: &str = "raw";
 /// See [`METADATA_RAW`].
 pub const METADATA_COLUMNS: &str = "columns";
-/// Last chunk of the topic; no loop's name begins like this.
+/// Last part of the topic; no loop name begins like this.
 const CHUNK: &str = "@columns";
 
 /// The format in words.
@@ -31,7 +31,7 @@ pub const LAYOUT: &str = "Samples of many channels in the order in which they ca
 
 /// Bytes before the rows.
 const HEAD: usize = 32;
-/// Bytes of a row.
+/// Offsets of the parts of a row.
 pub const ROW: usize = 31;
 /// Where in a row its parts begin.
 const T: usize = 2;
@@ -39,24 +39,24 @@ const ARRIVAL: usize = 10;
 const VALUE: usize = 18;
 const QUALITY: usize = 26;
 const FORM: usize = 30;
-/// Set in `form` where a quality was sent.
+/// Set in `form` if a quality was sent.
 const HAS_QUALITY: u8 = 0x80;
 /// Modes by their form, which counts from 2.
 const MODES: [Mode; 4] = [Mode::Auto, Mode::Manual, Mode::Cascade, Mode::Unknown];
-/// Rows after which a message is closed, and that one may hold.
+/// Rows after which a message is closed, and most rows that one may have.
 pub const ROWS: usize = 16_384;
 const MOST_ROWS: usize = 65_536;
-/// Arrivals are kept to the millisecond: nothing is computed from them.
+/// Arrival times are kept to the millisecond; nothing is computed from them.
 const ARRIVAL_NS: i64 = 1_000_000;
 
 /// One sample of one channel.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Row {
-    /// The channel's number in its file.
+    /// Channel number in the file.
     pub channel: u16,
     /// Source time, ns since 1970.
     pub t_ns: i64,
-    /// When it came, ns since 1970.
+    /// Arrival time, ns since 1970.
     pub arrival_ns: i64,
     /// The value.
     pub value: Value,
@@ -64,14 +64,14 @@ pub struct Row {
     pub quality: Option<u32>,
 }
 
-/// A message that is not what its encoding says.
+/// A message that contradicts its encoding.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum ColumnsError {
-    /// No head, no whole rows, or too many of them.
-    #[error("{0} bytes are no head of {HEAD} and whole rows of {ROW}, 1 to {MOST_ROWS} of them")]
+    /// Incomplete head or rows, or too many of them.
+    #[error("{0} bytes are not a head of {HEAD} bytes and 1 to {MOST_ROWS} rows of {ROW} bytes")]
     Length(usize),
-    /// A form that does not exist.
-    #[error("row {0} has form {1}, which does not exist")]
+    /// An undefined form.
+    #[error("row {0} has the undefined form {1}")]
     Form(usize, u8),
 }
 
@@ -81,26 +81,26 @@ pub fn topic_of(prefix: &str) -> String {
     topic::plane(prefix, CHUNK)
 }
 
-/// Rows on their way into a message.
+/// Rows of a message under construction.
 #[derive(Debug, Default)]
 pub struct Columns {
     rows: Vec<Row>,
 }
 
 impl Columns {
-    /// Whether none waits.
+    /// Whether there are no rows.
     #[must_use]
     pub const fn is_empty(&self) -> bool {
         self.rows.is_empty()
     }
 
-    /// Whether it is time to write them.
+    /// Whether the message should be written.
     #[must_use]
     pub const fn is_full(&self) -> bool {
         self.rows.len() >= ROWS
     }
 
-    /// Takes one; a number that is not finite counts as missing.
+    /// Adds a row; a number that is not finite counts as missing.
     pub fn push(&mut self, row: Row) {
         let value = row.value.as_number().map_or(row.value, Value::number);
         self.rows.push(Row {
@@ -110,13 +110,13 @@ impl Columns {
         });
     }
 
-    /// First arrival and first source time, ns; `None` where nothing waits.
+    /// First arrival and first source time, ns; `None` if there are no rows.
     #[must_use]
     pub fn times_ns(&self) -> Option<[i64; 2]> {
         self.rows.first().map(|row| [row.arrival_ns, row.t_ns])
     }
 
-    /// Writes all that wait as one message, and lets them go.
+    /// Writes all rows as one message and clears them.
     #[must_use]
     pub fn take(&mut self) -> Vec<u8> {
         let rows = std::mem::take(&mut self.rows);
@@ -128,7 +128,7 @@ impl Columns {
     }
 }
 
-/// A column of times as differences in a unit that divides them all: first time, unit, differences.
+/// A column of times as differences in a common unit: first time, unit, differences.
 fn differences(times: impl Iterator<Item = i64> + Clone) -> (i64, i64, Vec<i64>) {
     let first = times.clone().next().unwrap_or(0);
     let pairs = std::iter::once(first).chain(times.clone()).zip(times);
@@ -178,10 +178,10 @@ fn encode(rows: &[Row]) -> Vec<u8> {
     out
 }
 
-/// Reads a message's rows, in the order in which they came.
+/// Reads a message's rows in order.
 ///
 /// # Errors
-/// [`ColumnsError`]; `rows` is empty then.
+/// [`ColumnsError`]; `rows` is then empty.
 pub fn decode(data: &[u8], rows: &mut Vec<Row>) -> Result<(), ColumnsError> {
     rows.clear();
     let length = || ColumnsError::Length(data.len());

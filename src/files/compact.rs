@@ -2,7 +2,7 @@
 //! loop (`dbl_Compact_Data` N x 2: OP, PV; `dbl_SamplingTime`; `cell_char_TagList` 2 x 1; `cell_char_TimeStamp` N x 1;
 //! `cell_Comment`, which the toolbox's manual also calls `char_Comment`).
 //!
-//! The sampling time rules: sample k stands at the first stamp plus k sampling times, whatever the other stamps say.
+//! The sampling time decides: sample k is at the first timestamp plus k sampling times, whatever the other timestamps say.
 
 use super::mat::{self, Mat, MatError};
 use std::io::Write;
@@ -11,29 +11,31 @@ use stiction::record::{Sample, Signal, Value};
 use stiction::units::{NS_PER_S, format_rfc3339, parse_time, s_from_ns};
 use thiserror::Error;
 
-/// Variable that counts the loops.
+/// Variable with the number of loops.
 const COUNT: &str = "int_LoopNumber";
-/// Variable that holds them.
+/// Variable with the loops.
 const STORE: &str = "str_Compact";
 const DATA: &str = "dbl_Compact_Data";
 const SAMPLING: &str = "dbl_SamplingTime";
 const TAGS: &str = "cell_char_TagList";
 const STAMPS: &str = "cell_char_TimeStamp";
 const COMMENTS: [&str; 2] = ["cell_Comment", "char_Comment"];
-/// Shortest and longest sampling time that is believed, s: a microsecond, a hundred days.
+/// Shortest and longest valid sampling time, s: a microsecond, a hundred days.
 const SAMPLING_TIMES_S: [f64; 2] = [1e-6, 8.64e6];
 
 /// A store that cannot be used.
 #[derive(Debug, Error)]
 pub enum CompactError {
-    /// The file itself.
+    /// The file cannot be read.
     #[error(transparent)]
     Mat(#[from] MatError),
-    /// A MATLAB file of something else.
-    #[error("a MATLAB file, but no compact store: {0}; gen_cmpct_Data_stiction or stictiond compact new makes one")]
+    /// A MATLAB file without a compact store.
+    #[error(
+        "a MATLAB file without a compact store: {0}; create one with gen_cmpct_Data_stiction or stictiond compact new"
+    )]
     Foreign(String),
     /// No loop of the store can be used.
-    #[error("no loop can be used: {0}")]
+    #[error("no usable loop: {0}")]
     NoLoop(String),
 }
 
@@ -46,27 +48,27 @@ pub struct CompactLoop {
     pub tags: [String; 2],
     /// Sampling time, s.
     pub ts_s: f64,
-    /// Stamp of the first sample, ns since 1970; `None` where no stamp can be read.
+    /// Timestamp of the first sample, ns since 1970; `None` if no timestamp can be read.
     pub start_ns: Option<i64>,
-    /// What somebody noted.
+    /// Comment.
     pub comment: String,
-    /// Controller output and process variable; NaN where a value is missing.
+    /// Controller output and process variable; NaN if missing.
     pub rows: Vec<[f64; 2]>,
 }
 
-/// A store, and what a person should know about it.
+/// A store and the warnings on it.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Store {
     /// Loops in order.
     pub loops: Vec<CompactLoop>,
-    /// One line each.
+    /// Warnings, one line each.
     pub warnings: Vec<String>,
-    /// Whether loops had to be left out.
+    /// Whether loops had to be skipped.
     pub incomplete: bool,
 }
 
 impl CompactLoop {
-    /// Stamp of row `k`, counted from 0; from 1970 on where no stamp could be read.
+    /// Timestamp of row `k`, counted from 0; starts at 1970 if no timestamp could be read.
     #[must_use]
     pub fn stamp_ns(&self, k: usize) -> i64 {
         let steps = (self.ts_s * k as f64 * NS_PER_S as f64).round();
@@ -84,24 +86,25 @@ impl CompactLoop {
         self.rows.iter().enumerate().flat_map(row).collect()
     }
 
-    /// A loop from samples at a constant rate: OP and PV side by side, NaN where one is missing.
+    /// A loop from samples at a constant rate: OP and PV side by side, NaN if missing.
     ///
     /// # Errors
-    /// A sentence: the samples stand at no constant rate, or are too few.
+    /// A sentence: the samples have no constant rate, or there are too few.
     pub fn from_samples(name: &str, samples: &[Sample], ts_s: Option<f64>) -> Result<Self, String> {
         let mut stamps: Vec<i64> =
             samples.iter().filter(|s| matches!(s.signal, Signal::Op | Signal::Pv)).map(|s| s.t_ns).collect();
         stamps.sort_unstable();
         stamps.dedup();
         let (Some(&start_ns), Some(&end_ns)) = (stamps.first(), stamps.last()) else {
-            return Err("holds neither OP nor PV".to_owned());
+            return Err("has neither OP nor PV".to_owned());
         };
-        let ts_s = ts_s.or_else(|| median_step_s(&stamps)).ok_or("one stamp gives no sampling time; say it by --ts")?;
+        let ts_s =
+            ts_s.or_else(|| median_step_s(&stamps)).ok_or("a single timestamp gives no sampling time; use --ts")?;
         let ts_ns = ts_s * NS_PER_S as f64;
         let count = (end_ns.saturating_sub(start_ns) as f64 / ts_ns).round() as usize + 1;
         if count > 4 * stamps.len() + 16 {
             return Err(format!(
-                "{} stamps over {} s stand at no constant rate: every {ts_s} s there would be {count}",
+                "{} timestamps over {} s have no constant rate; at {ts_s} s there would be {count}",
                 stamps.len(),
                 s_from_ns(end_ns.saturating_sub(start_ns))
             ));
@@ -121,7 +124,7 @@ impl CompactLoop {
             }
         }
         if off * 20 > samples.len() {
-            return Err(format!("{off} of {} samples stand beside the even rate of one every {ts_s} s", samples.len()));
+            return Err(format!("{off} of {} samples are off the constant rate of one every {ts_s} s", samples.len()));
         }
         let tags = default_tags(name);
         Ok(Self { name: name.to_owned(), tags, ts_s, start_ns: Some(start_ns), comment: String::new(), rows })
@@ -134,7 +137,7 @@ pub fn default_tags(name: &str) -> [String; 2] {
     ["OP", "PV"].map(|signal| format!("{name}.{signal}"))
 }
 
-/// What the tags of OP and PV have in common: `FIC101` of `FIC101.OP` and `FIC101.PV`.
+/// The common part of the tags of OP and PV: `FIC101` of `FIC101.OP` and `FIC101.PV`.
 #[must_use]
 pub fn stem_of(tags: &[String; 2]) -> Option<&str> {
     let common = tags[0].bytes().zip(tags[1].bytes()).take_while(|(a, b)| a == b).count();
@@ -142,16 +145,16 @@ pub fn stem_of(tags: &[String; 2]) -> Option<&str> {
     (!stem.is_empty()).then_some(stem)
 }
 
-/// Whether a sampling time can be believed.
+/// Checks the range of a sampling time.
 ///
 /// # Errors
-/// A sentence that says what can.
+/// A sentence with the valid range.
 pub fn check_sampling_time(ts_s: f64) -> Result<f64, String> {
     let [least, most] = SAMPLING_TIMES_S;
     if (least..=most).contains(&ts_s) {
         Ok(ts_s)
     } else {
-        Err(format!("a sampling time of {ts_s} s cannot be; it is given in seconds, from {least} to {most}"))
+        Err(format!("a sampling time of {ts_s} s is out of range; write seconds from {least} to {most}"))
     }
 }
 
@@ -172,10 +175,10 @@ pub fn read(path: &Path) -> Result<Store, CompactError> {
 /// A store from a MATLAB file's variables.
 ///
 /// # Errors
-/// [`CompactError`] where they are no store, or none of its loops can be used.
+/// [`CompactError`] if they are not a store, or none of its loops can be used.
 pub fn of_variables(variables: &[(String, Mat)]) -> Result<Store, CompactError> {
     let variable = |name: &str| variables.iter().find(|(n, _)| n == name).map(|(_, value)| value);
-    let store = variable(STORE).ok_or_else(|| CompactError::Foreign(format!("it has no variable {STORE}")))?;
+    let store = variable(STORE).ok_or_else(|| CompactError::Foreign(format!("there is no variable {STORE}")))?;
     let Mat::Struct(fields) = store else {
         return Err(CompactError::Foreign(format!("{STORE} is {}, not a structure", store.describe())));
     };
@@ -184,7 +187,7 @@ pub fn of_variables(variables: &[(String, Mat)]) -> Result<Store, CompactError> 
     for (name, value) in fields {
         let number = name.strip_prefix("loop").and_then(|n| n.parse::<usize>().ok());
         if number.is_none() {
-            out.warnings.push(format!("{STORE}.{name} is no loop1, loop2 and so on, and is left out"));
+            out.warnings.push(format!("skipped {STORE}.{name}, which is not named loop1, loop2 and so on"));
             continue;
         }
         match one_loop(name, value, &mut out.warnings) {
@@ -198,17 +201,17 @@ pub fn of_variables(variables: &[(String, Mat)]) -> Result<Store, CompactError> 
         return Err(CompactError::NoLoop(faults.first().cloned().unwrap_or_else(none)));
     }
     out.incomplete = !faults.is_empty();
-    out.warnings.extend(faults.iter().map(|fault| format!("left out: {fault}")));
+    out.warnings.extend(faults.iter().map(|fault| format!("skipped: {fault}")));
     let counted = variable(COUNT).and_then(scalar);
     let there = out.loops.len() + faults.len();
     if counted != Some(there as f64) {
         let said = counted.map_or("is missing".to_owned(), |n| format!("says {n}"));
-        out.warnings.push(format!("{COUNT} {said}, {STORE} holds {there} loops: all of them are taken"));
+        out.warnings.push(format!("{COUNT} {said}, but {STORE} has {there} loops; all of them are used"));
     }
     Ok(out)
 }
 
-/// One loop, or the fault with the field it is in.
+/// One loop, or the fault with its field.
 fn one_loop(name: &str, value: &Mat, warnings: &mut Vec<String>) -> Result<CompactLoop, String> {
     if !matches!(value, Mat::Struct(_)) {
         return Err(format!(" is {}, not a structure", value.describe()));
@@ -221,7 +224,7 @@ fn one_loop(name: &str, value: &Mat, warnings: &mut Vec<String>) -> Result<Compa
     let mut tags = default_tags(name);
     let listed = value.field(TAGS).map(lines).unwrap_or_default();
     if listed.len() != 2 {
-        warn(format!(".{TAGS} holds {} tags instead of 2: missing ones are named after the loop", listed.len()));
+        warn(format!(".{TAGS} has {} tags instead of 2; missing ones are named after the loop", listed.len()));
     }
     for (tag, listed) in tags.iter_mut().zip(listed) {
         if !listed.trim().is_empty() {
@@ -231,17 +234,18 @@ fn one_loop(name: &str, value: &Mat, warnings: &mut Vec<String>) -> Result<Compa
     let stamps = value.field(STAMPS).map(lines).unwrap_or_default();
     let start_ns = stamps.first().and_then(|text| stamp(text));
     if start_ns.is_none() {
-        let said = stamps.first().map_or("is missing".to_owned(), |text| format!("begins with {text:?}, no time"));
-        warn(format!(".{STAMPS} {said}: samples are counted from 1970 on by the sampling time"));
+        let said =
+            stamps.first().map_or("is missing".to_owned(), |text| format!("begins with {text:?}, which is not a time"));
+        warn(format!(".{STAMPS} {said}: times are counted from 1970 by the sampling time"));
     } else if stamps.len() != rows.len() {
         let counts = (stamps.len(), rows.len());
-        warn(format!(".{STAMPS} has {} rows, the data {}: the sampling time rules", counts.0, counts.1));
+        warn(format!(".{STAMPS} has {} rows, the data {}; the sampling time is used", counts.0, counts.1));
     } else if let (Some(start), Some(last)) = (start_ns, stamps.last().and_then(|text| stamp(text))) {
         let (said, ruled) = (s_from_ns(last.saturating_sub(start)), ts_s * (rows.len() - 1) as f64);
         // Stamps may be rounded to whole seconds.
         if (said - ruled).abs() > ts_s.max(1.0) {
             warn(format!(
-                ".{STAMPS} spans {said} s, {} samples every {ts_s} s span {ruled} s: the sampling time rules",
+                ".{STAMPS} spans {said} s, but {} samples every {ts_s} s span {ruled} s; the sampling time is used",
                 rows.len()
             ));
         }
@@ -273,7 +277,7 @@ fn scalar(value: &Mat) -> Option<f64> {
     }
 }
 
-/// Lines of text, whether they stand in cells or as rows of characters.
+/// Lines of text, from cells or character rows.
 fn lines(value: &Mat) -> Vec<String> {
     match value {
         Mat::Text(rows) => rows.clone(),
@@ -283,8 +287,8 @@ fn lines(value: &Mat) -> Vec<String> {
     }
 }
 
-/// Reads a stamp: RFC 3339, MATLAB's `05-Jan-2026 08:00:00`, or either without a zone, which is then UTC. Figures alone
-/// are no stamp: nobody knows what they count.
+/// Parses a timestamp: RFC 3339, MATLAB's `05-Jan-2026 08:00:00`, or either without a zone, which is then UTC. Plain numbers
+/// are not timestamps, because their unit is unknown.
 fn stamp(text: &str) -> Option<i64> {
     const MONTHS: [&str; 12] = ["jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec"];
     let text = text.trim();
@@ -302,10 +306,10 @@ fn stamp(text: &str) -> Option<i64> {
     parse_time(&iso).or_else(|_| parse_time(&format!("{iso}Z"))).ok()
 }
 
-/// Writes a store; `deflated` as `save -v7` does, else as `save -v6`.
+/// Writes a store; compressed as by `save -v7` if `deflated`, else as by `save -v6`.
 ///
 /// # Errors
-/// What the system says.
+/// Error of the system.
 pub fn write(out: &mut impl Write, loops: &[CompactLoop], deflated: bool) -> std::io::Result<()> {
     let fields = loops.iter().enumerate().map(|(k, one)| (format!("loop{}", k + 1), of_loop(one))).collect();
     let count = Mat::number(loops.len() as f64);
@@ -334,7 +338,7 @@ fn of_loop(one: &CompactLoop) -> Mat {
 /// A sentence with both lengths.
 pub fn rows_of(op: &[f64], pv: &[f64]) -> Result<Vec<[f64; 2]>, String> {
     if op.len() != pv.len() {
-        return Err(format!("OP has {} values, PV {}: they must be as many", op.len(), pv.len()));
+        return Err(format!("OP has {} values and PV {}; give equally many", op.len(), pv.len()));
     }
     Ok(op.iter().zip(pv).map(|(op, pv)| [*op, *pv]).collect())
 }

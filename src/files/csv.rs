@@ -1,10 +1,9 @@
 //! Tables `t,op,pv[,sp][,mv][,mode]`: columns in any order, `t` in seconds since 1970 or RFC 3339.
 //!
-//! An empty or non-finite cell of OP or PV is a missing sample. In the other columns an empty cell is no sample (set
-//! points and modes are often written when they change), and so it is in a table where OP and PV stand in rows of their
-//! own, as when both carry their own stamps. Writing joins samples of equal stamps into rows and changes nothing else,
-//! so a table that was read is written back with equal values. A table that stands newest first is put in order of time,
-//! and a warning says so.
+//! An empty or non-finite cell of OP or PV is a missing sample. In the other columns an empty cell is no sample, because set
+//! points and modes are often written on change only; likewise for OP and PV in a table where they are in separate rows,
+//! each with its own timestamps. Writing joins samples of equal timestamps into rows and changes nothing else, so a table
+//! that was read is written with equal values. A table with the newest row first is sorted, with a warning.
 
 use super::FileError;
 use std::collections::HashMap;
@@ -16,13 +15,13 @@ use stiction::units::{TimeError, format_seconds, parse_time};
 use stiction_monitor::analysis::rows::{Joined, Rows};
 use thiserror::Error;
 
-/// Columns after `t`, in the order in which they are written.
+/// Columns after `t` in the order of writing.
 pub const COLUMNS: [Signal; 5] = [Signal::Op, Signal::Pv, Signal::Sp, Signal::Mv, Signal::Mode];
 
 /// A table that cannot be read.
 #[derive(Debug, Error)]
 pub enum CsvError {
-    /// A needed column is absent.
+    /// A required column is missing.
     #[error("the header {header:?} has no column {column:?}; write t,op,pv[,sp][,mv][,mode]{hint}")]
     NoColumn {
         /// The header line.
@@ -32,7 +31,7 @@ pub enum CsvError {
         /// Further remedy.
         hint: &'static str,
     },
-    /// A column stands twice.
+    /// A column occurs twice.
     #[error("the header {header:?} names column {column:?} twice; rename or remove one")]
     TwiceColumn {
         /// The header line.
@@ -41,12 +40,12 @@ pub enum CsvError {
         column: String,
     },
     /// A row whose time cannot be read.
-    #[error("line {line}: {source}")]
+    #[error("line {line}: {cause}")]
     Time {
         /// Line in the file, from 1.
         line: u64,
         /// What is wrong and what would be right.
-        source: TimeError,
+        cause: TimeError,
     },
     /// A row with more cells than the header.
     #[error("line {line} has {cells} cells, the header has {columns}; separate by commas, write decimals with a point")]
@@ -58,21 +57,21 @@ pub enum CsvError {
         /// The header's.
         columns: usize,
     },
-    /// The system or the quoting fails.
-    #[error("{0}")]
+    /// An I/O error or broken quoting.
+    #[error(transparent)]
     Read(#[from] ::csv::Error),
 }
 
 /// The samples of a table.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Table {
-    /// Samples in the order of the rows; within a row in the order of [`Signal::ALL`].
+    /// Samples in row order; within a row in the order of [`Signal::ALL`].
     pub samples: Vec<Sample>,
     /// Data rows.
     pub rows: u64,
     /// Cells that are empty or not finite.
     pub missing: u64,
-    /// What a person should know, one line each.
+    /// Warnings, one line each.
     pub warnings: Vec<String>,
 }
 
@@ -81,12 +80,11 @@ pub struct Table {
 /// # Errors
 /// [`FileError::Csv`] names the line and the remedy, [`FileError::Io`] what the system said.
 pub fn read(path: &Path) -> Result<Table, FileError> {
-    let file = File::open(path).map_err(|source| FileError::Io { path: path.to_owned(), source })?;
-    read_from(BufReader::with_capacity(1 << 16, file))
-        .map_err(|source| FileError::Csv { path: path.to_owned(), source })
+    let file = File::open(path).map_err(|cause| FileError::Io { path: path.to_owned(), cause })?;
+    read_from(BufReader::with_capacity(1 << 16, file)).map_err(|cause| FileError::Csv { path: path.to_owned(), cause })
 }
 
-/// Reads a table from anywhere.
+/// Reads a table from any source.
 ///
 /// # Errors
 /// [`CsvError`] names the line and the remedy.
@@ -103,7 +101,7 @@ pub fn read_from(source: impl Read) -> Result<Table, CsvError> {
     Ok(rows.finish())
 }
 
-/// Where the columns stand.
+/// Column positions.
 struct Layout {
     time: usize,
     signals: Vec<(Signal, usize)>,
@@ -141,7 +139,7 @@ impl Layout {
     }
 }
 
-/// Cells as they come.
+/// Cells in file order.
 struct Cells {
     layout: Layout,
     rows: Rows,
@@ -163,7 +161,7 @@ impl Cells {
             return Err(CsvError::Cells { line, cells: row.len(), columns: self.layout.columns });
         }
         let time = String::from_utf8_lossy(row.get(self.layout.time).unwrap_or_default());
-        let t_ns = parse_time(&time).map_err(|source| CsvError::Time { line, source })?;
+        let t_ns = parse_time(&time).map_err(|cause| CsvError::Time { line, cause })?;
         self.rows.begin(t_ns);
         for at in 0..self.layout.signals.len() {
             let (signal, column) = self.layout.signals[at];
@@ -190,12 +188,11 @@ impl Cells {
     fn finish(self) -> Table {
         let mut warnings = Vec::new();
         if !self.layout.ignored.is_empty() {
-            warnings.push(format!("columns ignored: {}", self.layout.ignored.join(", ")));
+            warnings.push(format!("ignored columns: {}", self.layout.ignored.join(", ")));
         }
         if let Some((line, text)) = &self.first_text {
             let count = self.texts;
-            warnings
-                .push(format!("{count} cells are no numbers and count as missing, the first {text:?} in line {line}"));
+            warnings.push(format!("{count} cells are not numbers and count as missing, first {text:?} in line {line}"));
         }
         let Joined { samples, rows, missing, warnings: more } = self.rows.finish();
         warnings.extend(more);
@@ -203,14 +200,14 @@ impl Cells {
     }
 }
 
-/// One row: a stamp and its cells in the order of [`COLUMNS`].
+/// One row: a timestamp and its cells in the order of [`COLUMNS`].
 #[derive(Clone, Copy)]
 pub(super) struct Row {
     pub t_ns: i64,
     pub cells: [Option<Value>; COLUMNS.len()],
 }
 
-/// Samples of one loop as rows: a sample joins the latest row of its stamp unless its cell is taken there.
+/// Samples of one loop as rows: a sample joins the latest row of its timestamp unless its cell is already filled.
 pub(super) fn rows_of(samples: &[Sample]) -> Vec<Row> {
     let mut rows: Vec<Row> = Vec::with_capacity(samples.len() / 2 + 1);
     let mut latest: HashMap<i64, usize> = HashMap::with_capacity(samples.len() / 2 + 1);
@@ -229,11 +226,11 @@ pub(super) fn rows_of(samples: &[Sample]) -> Vec<Row> {
     rows
 }
 
-/// Writes one loop's samples as rows in recorded order and returns how many. `t`, `op` and `pv` always stand, the other
-/// columns where the loop has such samples; a cell is empty where there is no sample or its value is missing.
+/// Writes one loop's samples as rows in recorded order and returns how many. `t`, `op` and `pv` are always written, other
+/// columns if the loop has such samples. A cell is empty if there is no sample or its value is missing.
 ///
 /// # Errors
-/// What the writer says.
+/// Error of the writer.
 pub fn write(samples: &[Sample], out: &mut impl Write) -> io::Result<usize> {
     let has = |signal: Signal| samples.iter().any(|s| s.signal == signal);
     let shown: Vec<usize> = (0..COLUMNS.len()).filter(|c| *c < 2 || has(COLUMNS[*c])).collect();

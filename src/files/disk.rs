@@ -1,4 +1,4 @@
-//! The disk below recordings and store: the system's, or one that a test makes full, broken or cut off.
+//! The disk below recordings and store: the system's, or a test double that is full, faulty or unplugged.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write};
@@ -7,48 +7,48 @@ use std::sync::Arc;
 
 use redb::{Builder, Database};
 
-/// A file that only grows.
+/// An append-only file.
 pub trait DiskFile: Send + Sync {
-    /// Appends some of the bytes, and says how many.
+    /// Appends some of the bytes; returns how many.
     ///
     /// # Errors
-    /// What the disk says.
+    /// Error of the disk.
     fn append(&self, bytes: &[u8]) -> io::Result<usize>;
 
-    /// Returns once the bytes are on the disk, and with `all` also the file's length and times.
+    /// Returns once the bytes are on the disk; with `all` also the file's length and times.
     ///
     /// # Errors
-    /// What the disk says.
+    /// Error of the disk.
     fn sync(&self, all: bool) -> io::Result<()>;
 
-    /// Whether the folder holds this file under a name.
+    /// Whether the folder still has this file under this name.
     fn is_at(&self, path: &Path) -> bool;
 }
 
-/// What is done to a disk.
+/// Operations on a disk.
 pub trait Disk: Send + Sync {
-    /// Makes a file that must not be there yet.
+    /// Creates a file that must not exist.
     ///
     /// # Errors
-    /// What the disk says.
+    /// Error of the disk.
     fn create_new(&self, path: &Path) -> io::Result<Arc<dyn DiskFile>>;
 
-    /// Makes a folder and those above it, where they are missing.
+    /// Creates a folder and its missing parents.
     ///
     /// # Errors
-    /// What the disk says.
+    /// Error of the disk.
     fn create_folder(&self, path: &Path) -> io::Result<()>;
 
-    /// Gives a file another name, in the place of what has it.
+    /// Renames a file, replacing the target.
     ///
     /// # Errors
-    /// What the disk says.
+    /// Error of the disk.
     fn rename(&self, from: &Path, to: &Path) -> io::Result<()>;
 
-    /// Opens a store, or makes it.
+    /// Opens a store, creating it if missing.
     ///
     /// # Errors
-    /// What the library says.
+    /// Error of the library.
     fn open_store(&self, builder: &Builder, path: &Path) -> Result<Database, redb::Error>;
 }
 
@@ -82,10 +82,10 @@ impl Disk for SystemDisk {
     }
 }
 
-/// Makes a file's name durable: without it a power cut may take away a file whose content was synced.
+/// Makes a file name durable: without it, a power cut may remove a file whose content was synced.
 ///
 /// # Errors
-/// What the disk says; not where the file system syncs no folders, as those of networks: there is nothing to be done.
+/// Error of the disk. None on file systems that cannot sync folders, such as network ones.
 pub(super) fn sync_folder_of(path: &Path) -> io::Result<()> {
     let parent = path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or_else(|| Path::new("."));
     match File::open(parent).and_then(|folder| folder.sync_all()) {
@@ -110,7 +110,7 @@ impl DiskFile for File {
     }
 }
 
-/// A file as writers want it.
+/// A file with the interface of a writer.
 #[derive(Clone)]
 pub(super) struct Handle(pub Arc<dyn DiskFile>);
 

@@ -1,29 +1,29 @@
-//! Samples at an even rate, from samples that came when they came.
+//! Resamples irregular samples to a constant rate.
 
 use super::LoadedLoop;
 use stiction::record::{Sample, Signal, Value};
 use stiction::units::{ns_from_s, s_from_ns};
 
-/// Holes longer than so many steps, of the even rate or of the signal's own, stay holes.
+/// Gaps of more than this many steps, of the new rate or of the signal's own, remain data gaps.
 const LONGEST_STEPS: i64 = 5;
-/// Points, at most: what a year of seconds holds.
+/// Most points: a year of seconds.
 const MOST_POINTS: i64 = 40_000_000;
 
-/// A loop's samples every `ts_s` seconds, from its first stamp on: OP, SP and MODE hold their values, PV and MV run
-/// straight between theirs. OP and PV are missing in holes; the others are left out there.
+/// Samples of a loop every `ts_s` seconds from its first timestamp: OP, SP and MODE are held, PV and MV interpolated
+/// linearly. In data gaps OP and PV are missing; other signals have no samples there.
 ///
 /// # Errors
-/// A sentence: no samples, or more points than can be meant.
+/// A sentence: no samples, or implausibly many points.
 pub fn even(one: &LoadedLoop, ts_s: f64) -> Result<LoadedLoop, String> {
     let step_ns = ns_from_s(ts_s);
     let stamps = || one.samples.iter().filter(|s| matches!(s.signal, Signal::Op | Signal::Pv)).map(|s| s.t_ns);
     let (Some(start), Some(end)) = (stamps().min(), stamps().max()) else {
-        return Err("holds neither OP nor PV".into());
+        return Err("has neither OP nor PV".into());
     };
     let points = end.saturating_sub(start) / step_ns.max(1) + 1;
     if step_ns < 1 || points > MOST_POINTS {
         let span_s = s_from_ns(end.saturating_sub(start));
-        return Err(format!("every {ts_s} s over {span_s} s would be {points} points; choose a longer step"));
+        return Err(format!("one sample every {ts_s} s over {span_s} s makes {points} points; choose a longer step"));
     }
     let mut samples: Vec<Sample> = Vec::new();
     for signal in Signal::ALL {
@@ -62,7 +62,7 @@ fn median_step(own: &[(i64, Value)]) -> i64 {
     *steps.select_nth_unstable(middle).1
 }
 
-/// The value at a time between the sample before, or at it, and the one behind.
+/// The value at a time, from the sample at or before it and the one after it.
 fn between(
     before: Option<(i64, Value)>,
     behind: Option<(i64, Value)>,

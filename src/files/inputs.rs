@@ -1,4 +1,4 @@
-//! What the words on a command line stand for: files, folders, patterns; and files of one signal each that belong to one loop.
+//! Input files from a command line: files, folders, patterns; and groups of single-signal files of one loop.
 
 use std::collections::HashMap;
 use std::fs::File;
@@ -8,25 +8,25 @@ use std::path::{Path, PathBuf};
 use super::export::{self, ReadOptions};
 use super::{FileError, InputKind, Loaded, load, partition};
 
-/// Endings of files that are read from folders.
+/// File extensions read from folders.
 const ENDINGS: [&str; 16] = [
     "csv", "txt", "tsv", "tab", "dat", "asc", "xlsx", "xlsm", "parquet", "pq", "arrow", "feather", "ipc", "mat",
     "mcap", "part",
 ];
-/// Bytes from which a file of one signal is told.
+/// Bytes examined to recognise a single-signal file.
 const HEAD: u64 = 1 << 16;
-/// Folders below the one that was given, at most.
+/// Deepest level of subfolders.
 const DEPTH: usize = 8;
 
 /// Files that are read together.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Unit {
-    /// One file, or those of one loop's signals.
+    /// One file, or the single-signal files of one loop.
     pub paths: Vec<PathBuf>,
 }
 
 impl Unit {
-    /// What it is called in messages.
+    /// Its name in messages.
     #[must_use]
     pub fn name(&self) -> String {
         let first = self.paths.first().map(|p| p.display().to_string()).unwrap_or_default();
@@ -52,21 +52,21 @@ impl Unit {
         let mut parts = Vec::with_capacity(self.paths.len());
         for path in &self.paths {
             let kind = InputKind::detect(path)?;
-            let bytes = std::fs::read(path).map_err(|source| FileError::Io { path: path.clone(), source })?;
+            let bytes = std::fs::read(path).map_err(|cause| FileError::Io { path: path.clone(), cause })?;
             let contents = export::contents(kind, path, &bytes, options);
-            let contents = contents.map_err(|source| FileError::Export { path: path.clone(), source })?;
+            let contents = contents.map_err(|cause| FileError::Export { path: path.clone(), cause })?;
             parts.push((export::stem_of(path), contents));
         }
         let path = self.paths.first().cloned().unwrap_or_default();
-        let read = export::read_parts(parts, options).map_err(|source| FileError::Export { path, source })?;
+        let read = export::read_parts(parts, options).map_err(|cause| FileError::Export { path, cause })?;
         Ok(Loaded::of_export(InputKind::Csv, read))
     }
 }
 
-/// The units that words on a command line stand for, in order.
+/// The units named by paths and patterns, in order.
 ///
 /// # Errors
-/// A word stands for nothing, or a folder cannot be read.
+/// A path or pattern matches nothing, or a folder cannot be read.
 pub fn units(words: &[PathBuf], options: &ReadOptions) -> Result<Vec<Unit>, FileError> {
     let mut files = Vec::new();
     for word in words {
@@ -107,7 +107,7 @@ fn expand(word: &Path, files: &mut Vec<PathBuf>) -> Result<(), FileError> {
         return if files.len() > before {
             Ok(())
         } else {
-            Err(nothing("a folder without a file that is read (.csv, .txt, .xlsx, .parquet, .arrow, .mat, .mcap)"))
+            Err(nothing("a folder without readable files; it needs .csv, .txt, .xlsx, .parquet, .arrow, .mat or .mcap"))
         };
     }
     let text = word.to_string_lossy();
@@ -115,10 +115,10 @@ fn expand(word: &Path, files: &mut Vec<PathBuf>) -> Result<(), FileError> {
         files.push(word.to_owned());
         return Ok(());
     }
-    let found = glob::glob(&text).map_err(|_| nothing("a pattern that is not understood: write * and ?"))?;
+    let found = glob::glob(&text).map_err(|_| nothing("an invalid pattern; use the wildcards * and ?"))?;
     let mut found: Vec<PathBuf> = found.flatten().filter(|p| p.is_file()).collect();
     if found.is_empty() {
-        return Err(nothing("a pattern that no file fits"));
+        return Err(nothing("a pattern that matches no file"));
     }
     found.sort();
     files.append(&mut found);
@@ -126,7 +126,7 @@ fn expand(word: &Path, files: &mut Vec<PathBuf>) -> Result<(), FileError> {
 }
 
 fn walk(folder: &Path, depth: usize, files: &mut Vec<PathBuf>) -> Result<(), FileError> {
-    let failed = |source| FileError::Io { path: folder.to_owned(), source };
+    let failed = |cause| FileError::Io { path: folder.to_owned(), cause };
     let mut entries: Vec<PathBuf> = Vec::new();
     for entry in std::fs::read_dir(folder).map_err(failed)? {
         entries.push(entry.map_err(failed)?.path());
@@ -149,7 +149,7 @@ fn walk(folder: &Path, depth: usize, files: &mut Vec<PathBuf>) -> Result<(), Fil
     Ok(())
 }
 
-/// The loop whose one signal a file holds, from its first rows; `None` for every other file.
+/// The loop of a single-signal file, recognised from its first rows; `None` for other files.
 fn signal_of(path: &Path, options: &ReadOptions) -> Option<String> {
     let kind = InputKind::detect(path).ok().filter(|kind| *kind == InputKind::Csv)?;
     let mut head = Vec::new();

@@ -1,4 +1,4 @@
-//! One daemon a folder: an advisory lock on the folder itself, which ends with the process and leaves nothing behind.
+//! One daemon per folder: an advisory lock on the folder itself, released when the process ends, without a lock file.
 
 use std::fs::{File, TryLockError};
 use std::io;
@@ -9,26 +9,26 @@ use thiserror::Error;
 /// Why a folder could not be locked.
 #[derive(Debug, Error)]
 pub enum LockError {
-    /// Another process holds it.
+    /// Another process holds the lock.
     #[error(
-        "{} is the recording folder of another daemon that runs: give each one its own, [recording] dir = \"…\"",
+        "{} is already the recording folder of a running daemon; give each daemon its own, [recording] dir = \"…\"",
         path.display()
     )]
     Held {
         /// The folder.
         path: PathBuf,
     },
-    /// The system refuses; the folder may be on a file system without locks.
-    #[error("{}: cannot be locked, so a second daemon here would not be noticed: {source}", path.display())]
+    /// The system refuses the lock; some file systems have none.
+    #[error("cannot lock {}, so a second daemon in this folder would go unnoticed: {cause}", path.display())]
     Io {
         /// The folder.
         path: PathBuf,
-        /// What the system said.
-        source: io::Error,
+        /// Error of the system.
+        cause: io::Error,
     },
 }
 
-/// A held lock; dropped, it is free.
+/// A lock on a folder; released on drop.
 #[derive(Debug)]
 pub struct FolderLock {
     folder: File,
@@ -39,18 +39,18 @@ impl FolderLock {
     /// Locks a folder.
     ///
     /// # Errors
-    /// [`LockError::Held`] where another process has it.
+    /// [`LockError::Held`] if another process holds the lock.
     pub fn take(path: &Path) -> Result<Self, LockError> {
-        let failed = |source| LockError::Io { path: path.to_owned(), source };
+        let failed = |cause| LockError::Io { path: path.to_owned(), cause };
         let folder = File::open(path).map_err(failed)?;
         match folder.try_lock() {
             Ok(()) => Ok(Self { folder, path: path.to_owned() }),
             Err(TryLockError::WouldBlock) => Err(LockError::Held { path: path.to_owned() }),
-            Err(TryLockError::Error(source)) => Err(failed(source)),
+            Err(TryLockError::Error(cause)) => Err(failed(cause)),
         }
     }
 
-    /// Locks the folder that now stands under the name, where the locked one was taken away.
+    /// Locks the folder again if the locked one was removed and replaced.
     ///
     /// # Errors
     /// As [`FolderLock::take`].

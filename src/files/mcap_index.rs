@@ -1,5 +1,5 @@
-//! What can be given back when a part of a file is damaged: by the index at its end, or without one by searching the
-//! file for the marks of chunks and lists of channels.
+//! Recovery of a damaged file: by the index at its end, or without one by searching for the marks of chunks and channel
+//! lists.
 
 use super::mcap_roster::{self, Roster};
 use mcap::parse_record;
@@ -9,19 +9,19 @@ use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
 use std::path::Path;
 
-/// Largest record and largest uncompressed chunk that is read, bytes.
+/// Largest record and largest uncompressed chunk accepted, bytes.
 pub const MAX_RECORD: usize = 256 << 20;
 
 /// Footer record and end mark, bytes: opcode, length, two offsets, checksum, mark.
 const FOOTER_BYTES: usize = 1 + 8 + 20 + 8;
 
-/// Bytes searched at a time.
+/// Bytes per search step.
 const SEARCH_BYTES: u64 = 1 << 20;
-/// Bytes that a mark may need to be known as one.
+/// Bytes needed to recognise a mark.
 const OVERLAP: usize = 64;
 /// Bytes of a chunk record before the name of its compression: opcode, length, two times, size, checksum.
 const BEFORE_COMPRESSION: usize = 9 + 8 + 8 + 8 + 4;
-/// Largest list of channels that is read, bytes.
+/// Largest channel list accepted, bytes.
 const MAX_ROSTER: u64 = 16 << 20;
 
 fn u64_at(bytes: &[u8], at: usize) -> u64 {
@@ -32,7 +32,7 @@ fn u64_at(bytes: &[u8], at: usize) -> u64 {
     u64::from_le_bytes(number)
 }
 
-/// Whether these bytes begin as a chunk of ours does, and end before the file.
+/// Whether these bytes begin like a chunk of this program that ends within the file.
 fn is_chunk(bytes: &[u8], left: u64) -> bool {
     const MARK: &[u8] = b"\x04\0\0\0zstd";
     let (length, after) = (u64_at(bytes, 1), BEFORE_COMPRESSION + MARK.len());
@@ -48,7 +48,7 @@ fn is_roster(bytes: &[u8]) -> bool {
     u64_at(bytes, 1) <= MAX_ROSTER && bytes.get(9..13) == Some(&length) && bytes.get(13..13 + name.len()) == Some(name)
 }
 
-/// Reads the list of channels whose content begins at a place.
+/// Reads the channel list whose content begins at an offset.
 fn roster_at(file: &mut File, at: u64, length: u64) -> io::Result<Option<Roster>> {
     file.seek(SeekFrom::Start(at))?;
     let mut data = Vec::new();
@@ -59,22 +59,21 @@ fn roster_at(file: &mut File, at: u64, length: u64) -> io::Result<Option<Roster>
     }
 }
 
-/// The records of the index that help.
+/// The useful records of the index.
 #[derive(Debug, Default)]
 pub(super) struct Index {
-    /// Schema and channel records, in file order.
+    /// Schema and channel records in file order.
     pub records: Vec<(u8, Vec<u8>)>,
-    /// Where chunks begin, ascending.
+    /// Start offsets of chunks, ascending.
     pub chunk_starts: Vec<u64>,
-    /// Lists of channels that stand between chunks.
+    /// Channel lists between chunks.
     pub rosters: Vec<Roster>,
-    /// Without an index: the place from which the file was searched.
+    /// Without an index: the offset from which the file was searched.
     searched_from: Option<u64>,
 }
 
 impl Index {
-    /// Reads the index at the end of a file; where there is none, as in a file that was cut off, searches the file from a
-    /// place on.
+    /// Reads the index at the end of a file. If there is none, as in a truncated file, searches the file from an offset.
     pub fn read(path: &Path, from: u64) -> Self {
         let mut index = Self::default();
         // Whatever stood before an error still helps.
@@ -87,13 +86,13 @@ impl Index {
         index
     }
 
-    /// Whether it knows what stands after this place.
+    /// Whether it covers everything after this offset.
     pub fn covers(&self, from: u64) -> bool {
         self.searched_from.is_none_or(|searched| searched <= from)
     }
 
-    /// Looks for the marks of chunks and of lists of channels; what looks like one is checked by its lengths, and a
-    /// chunk by its checksum when it is read.
+    /// Searches for the marks of chunks and channel lists. Candidates are checked by their lengths, and chunks by their checksum
+    /// when read.
     fn search(&mut self, path: &Path, from: u64) -> io::Result<()> {
         let mut file = File::open(path)?;
         let size = file.metadata()?.len();

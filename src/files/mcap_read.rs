@@ -1,8 +1,8 @@
-//! Reading a recording of any size from start to end, whole or not.
+//! Reads a recording of any size from start to end, complete or not.
 //!
-//! Messages come in file order. A file that was cut off (or is still open) gives every message up to the cut; a damaged
-//! chunk is left out and the chunks after it are still read. Only after the last message is it known how the file ended:
-//! ask [`RecordingReader::end`]. Memory holds one chunk, at most [`MAX_RECORD`] bytes, whatever a file claims.
+//! Messages come in file order. A truncated file (or one still open) gives every message up to its end; a damaged chunk is
+//! skipped and later chunks are still read. How the file ended is known after the last message:
+//! [`RecordingReader::end`]. Memory holds one chunk, at most [`MAX_RECORD`] bytes, whatever the file claims.
 
 mod unpack;
 
@@ -23,19 +23,19 @@ use thiserror::Error;
 use unpack::Unpacked;
 pub use unpack::{Item, RawSample};
 
-/// Bytes asked of the file at a time, at most.
+/// Most bytes per read.
 const READ_BYTES: usize = 1 << 20;
 
-/// What stops reading before a single message.
+/// An error before the first message.
 #[derive(Debug, Error)]
 pub enum ReadError {
     /// The file cannot be opened or read.
-    #[error("{}: {source}", path.display())]
+    #[error("{}: {cause}", path.display())]
     Io {
         /// The file.
         path: PathBuf,
-        /// What the system said.
-        source: io::Error,
+        /// Error of the system.
+        cause: io::Error,
     },
     /// The file does not begin as MCAP files do.
     #[error("{}: not an MCAP file (its first bytes are not the MCAP mark)", path.display())]
@@ -48,16 +48,16 @@ pub enum ReadError {
 /// How a file ended.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum End {
-    /// Whole, every checksum right.
+    /// Complete, all checksums correct.
     Clean,
-    /// It stops before its end mark; everything before was read.
+    /// Truncated: no end mark. Everything before was read.
     Cut {
-        /// Where and how.
+        /// Where, and what is missing.
         reason: String,
     },
-    /// It is complete in length, but parts of it are wrong and were left out.
+    /// Complete in length, but damaged parts were skipped.
     Damaged {
-        /// Where and how.
+        /// Where, and what is wrong.
         reason: String,
     },
 }
@@ -79,7 +79,7 @@ impl End {
         }
     }
 
-    /// What is wrong, if anything is.
+    /// What is wrong, if anything.
     #[must_use]
     pub fn reason(&self) -> Option<&str> {
         match self {
@@ -89,27 +89,27 @@ impl End {
     }
 }
 
-/// What a channel says of its messages.
+/// Description of a channel.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Channel {
     /// The topic.
     pub topic: String,
-    /// What its messages hold, if their schema is one of ours.
+    /// Kind of its messages, if their schema is one of this program.
     pub kind: Option<Kind>,
-    /// How its messages are encoded, `json` in our own files.
+    /// Encoding of its messages, `json` in the program's own files.
     pub encoding: String,
 }
 
 /// One message.
 #[derive(Debug, Clone, Copy)]
 pub struct Message<'a> {
-    /// The channel's number in this file; stable, so callers may index by it.
+    /// Channel number in this file; stable, so it can serve as an index.
     pub channel_id: u16,
-    /// What the channel says.
+    /// Description of its channel.
     pub channel: &'a Channel,
-    /// Its number in its channel.
+    /// Sequence number in its channel.
     pub sequence: u32,
-    /// Arrival, ns since 1970.
+    /// Arrival time, ns since 1970.
     pub log_time_ns: i64,
     /// Source time, ns since 1970 (0 for anything earlier).
     pub publish_time_ns: i64,
@@ -118,16 +118,16 @@ pub struct Message<'a> {
 }
 
 impl<'a> Message<'a> {
-    /// The topic.
+    /// Topic of the channel.
     #[must_use]
     pub fn topic(&self) -> &'a str {
         &self.channel.topic
     }
 }
 
-/// A message of the chunk in hand, its payload in the common buffer.
+/// A message of the current chunk; its payload is in the common buffer.
 struct Entry {
-    /// `None` where the channel's own record has not been seen.
+    /// `None` if the channel's record has not been read.
     channel: Option<Arc<Channel>>,
     channel_id: u16,
     sequence: u32,
@@ -137,7 +137,7 @@ struct Entry {
     end: usize,
 }
 
-/// Everything that records of a file add up to.
+/// Sums over the records of a file.
 #[derive(Default)]
 struct Contents {
     schemas: BTreeMap<u16, String>,
@@ -163,7 +163,7 @@ pub struct RecordingReader {
     file_bytes: u64,
     contents: Contents,
     next: usize,
-    /// The message of samples in hand.
+    /// The current message of samples.
     unpacked: Unpacked,
     saw_data_end: bool,
     damage: Vec<String>,
@@ -180,7 +180,7 @@ fn outer_options() -> LinearReaderOptions {
         .with_record_length_limit(MAX_RECORD)
 }
 
-/// Whether a file begins as MCAP files do; a flipped bit or two make it damaged, not something else.
+/// Whether a file begins as MCAP. One or two flipped bits make it damaged, not foreign.
 pub(super) fn begins_as_recording(head: &[u8]) -> bool {
     let differing = |head: &[u8]| head.iter().zip(mcap::MAGIC).filter(|(a, b)| a != b).count();
     head.get(..mcap::MAGIC.len()).is_some_and(|head| differing(head) <= 1)
@@ -190,9 +190,9 @@ impl RecordingReader {
     /// Opens a file and reads up to its first message, so that [`RecordingReader::metadata`] is known.
     ///
     /// # Errors
-    /// [`ReadError`] if it cannot be read or is not MCAP at all.
+    /// [`ReadError`] if the file cannot be read or is not MCAP.
     pub fn open(path: &Path) -> Result<Self, ReadError> {
-        let failed = |source| ReadError::Io { path: path.to_owned(), source };
+        let failed = |cause| ReadError::Io { path: path.to_owned(), cause };
         let mut file = File::open(path).map_err(failed)?;
         let file_bytes = file.metadata().map_err(failed)?.len();
         let mut magic = [0_u8; 8];
@@ -221,31 +221,31 @@ impl RecordingReader {
             end: None,
         };
         if !whole {
-            reader.note("its first bytes are damaged".to_owned());
+            reader.note("the first bytes are damaged".to_owned());
         }
         reader.fill()?;
         Ok(reader)
     }
 
-    /// The metadata record named [`super::METADATA_NAME`], as far as it has been read; ours stands first in the file.
+    /// The metadata record named [`super::METADATA_NAME`] as far as read; the recorder writes it first.
     #[must_use]
     pub fn metadata(&self) -> &BTreeMap<String, String> {
         &self.contents.metadata
     }
 
-    /// The program that wrote the file, by its own account.
+    /// The program that wrote the file, as the file states it.
     #[must_use]
     pub fn library(&self) -> &str {
         &self.contents.library
     }
 
-    /// The SHA-256 at the file's end, once that has been read.
+    /// The SHA-256 from the file's end, once read.
     #[must_use]
     pub fn seal(&self) -> Option<&Seal> {
         self.contents.seal.as_ref()
     }
 
-    /// Size of the file when it was opened, bytes.
+    /// Size of the file when opened, bytes.
     #[must_use]
     pub fn file_bytes(&self) -> u64 {
         self.file_bytes
@@ -257,13 +257,13 @@ impl RecordingReader {
         &self.path
     }
 
-    /// How the file ended; `None` while messages are left.
+    /// How the file ended; `None` while messages remain.
     #[must_use]
     pub fn end(&self) -> Option<&End> {
         self.end.as_ref()
     }
 
-    /// Reads records until a message is in hand or the file has ended.
+    /// Reads records until there is a message or the file ends.
     fn fill(&mut self) -> Result<(), ReadError> {
         self.contents.entries.clear();
         self.contents.buffer.clear();
@@ -277,7 +277,7 @@ impl RecordingReader {
         Ok(())
     }
 
-    /// Finds the channels of messages whose channel record was lost; messages without one are left out.
+    /// Finds the channels of messages whose channel record was lost; messages without a channel are skipped.
     fn resolve(&mut self) {
         self.use_index(0);
         let Contents { entries, channels, orphans, unresolved, .. } = &mut self.contents;
@@ -291,7 +291,7 @@ impl RecordingReader {
         *unresolved = 0;
     }
 
-    /// One record, or one piece of the file.
+    /// Reads one record, or one piece of the file.
     fn step(&mut self) -> Result<(), ReadError> {
         let wanted = match self.linear.next_event() {
             None => {
@@ -311,7 +311,7 @@ impl RecordingReader {
                     op::CHUNK => self.contents.take_chunk(data),
                     // Files have their messages in chunks or not at all: a bit makes an index of a chunk into a message.
                     op::MESSAGE if self.last_chunk > 0 => {
-                        self.note(format!("record at byte {start}: a message outside the chunks"));
+                        self.note(format!("record at byte {start}: message outside a chunk"));
                         Ok(())
                     }
                     // After the data come copies and indexes; only the count of messages is of use.
@@ -331,15 +331,15 @@ impl RecordingReader {
         let read = loop {
             match self.file.read(room) {
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-                other => break other.map_err(|source| ReadError::Io { path: self.path.clone(), source })?,
+                other => break other.map_err(|cause| ReadError::Io { path: self.path.clone(), cause })?,
             }
         };
         self.linear.notify_read(read);
         Ok(())
     }
 
-    /// Goes on at the next chunk that the index knows, or ends. What stands between two chunks is of no use, and a
-    /// wrong length there may have hidden whole chunks, so the place is counted from the last chunk read.
+    /// Continues at the next chunk in the index, or ends. Data between two chunks are of no use, and a wrong length there may
+    /// have hidden whole chunks, so the position is taken from the last chunk read.
     fn resume_after(&mut self, error: &McapError) -> Result<(), ReadError> {
         // Also after what reads as the end of the data or of the file: a bit makes an index of a chunk into one.
         let last = self.last_chunk;
@@ -352,7 +352,7 @@ impl RecordingReader {
         self.go_to(next)
     }
 
-    /// After a damaged record: a wrong length may have taken the next chunks for its own.
+    /// After a damaged record, whose wrong length may have covered the next chunks.
     fn reread_swallowed(&mut self) -> Result<(), ReadError> {
         let (last, offset) = (self.last_chunk, self.offset);
         match self.use_index(last).chunk_after(last) {
@@ -363,7 +363,7 @@ impl RecordingReader {
 
     fn go_to(&mut self, offset: u64) -> Result<(), ReadError> {
         let sought = self.file.seek(SeekFrom::Start(offset));
-        sought.map_err(|source| ReadError::Io { path: self.path.clone(), source })?;
+        sought.map_err(|cause| ReadError::Io { path: self.path.clone(), cause })?;
         self.linear = LinearReader::new_with_options(outer_options().with_skip_start_magic(true));
         self.offset = offset;
         self.saw_data_end = false;
@@ -372,8 +372,7 @@ impl RecordingReader {
         Ok(())
     }
 
-    /// Reads the index once, or searches the file from a place on; the channels they name replace those that stood in a
-    /// damaged chunk.
+    /// Reads the index once, or searches the file from a position. Channels found replace those of a damaged chunk.
     fn use_index(&mut self, from: u64) -> &Index {
         let (path, contents) = (&self.path, &mut self.contents);
         let known = self.index.take().filter(|index| index.covers(from));
@@ -394,21 +393,21 @@ impl RecordingReader {
         }
     }
 
-    /// Judges how the file ended.
+    /// Determines how the file ended.
     fn finish(&mut self, error: Option<&McapError>) {
         let (offset, size) = (self.offset, self.file_bytes);
         let lost = self.contents.stated.map_or(0, |stated| stated.saturating_sub(self.contents.messages));
         let mut reasons = std::mem::take(&mut self.damage);
         if self.damaged_chunks > 0 {
-            reasons.insert(0, format!("{} damaged chunks left out", self.damaged_chunks));
+            reasons.insert(0, format!("skipped {} damaged chunks", self.damaged_chunks));
         }
         if self.contents.orphans > 0 {
-            reasons.push(format!("{} messages of unknown channels left out", self.contents.orphans));
+            reasons.push(format!("skipped {} messages of unknown channels", self.contents.orphans));
         }
         self.end = Some(match error {
             Some(McapError::UnexpectedEof) => {
                 let place = if self.saw_data_end { "in the index after the last message" } else { "in the data" };
-                reasons.insert(0, format!("it stops without an end mark, {place}, after byte {offset} of {size}"));
+                reasons.insert(0, format!("it ends without an end mark, {place}, after byte {offset} of {size}"));
                 End::Cut { reason: reasons.join("; ") }
             }
             Some(error) => {
@@ -420,7 +419,7 @@ impl RecordingReader {
             }
             None if lost > 0 || !reasons.is_empty() => {
                 if lost > 0 {
-                    reasons.push(format!("{lost} messages fewer than the file states"));
+                    reasons.push(format!("{lost} messages fewer than the file's count"));
                 }
                 End::Damaged { reason: reasons.join("; ") }
             }
@@ -430,7 +429,7 @@ impl RecordingReader {
 }
 
 impl Contents {
-    /// Takes a chunk's records; none if its checksum is wrong, which is known before the first.
+    /// Takes the records of a chunk, or none if its checksum is wrong.
     fn take_chunk(&mut self, chunk: &[u8]) -> Result<(), McapError> {
         let options = LinearReaderOptions::default()
             .with_skip_start_magic(true)
@@ -463,7 +462,7 @@ impl Contents {
         first_error.map_or(Ok(()), Err)
     }
 
-    /// Channels whose own records may have been in a damaged chunk.
+    /// Channels whose records may have been in a damaged chunk.
     fn take_roster(&mut self, roster: &Roster) {
         for (id, holds, topic) in roster.channels() {
             let (kind, encoding) = holds.parts();
@@ -530,7 +529,7 @@ fn signed(time: u64) -> i64 {
     i64::try_from(time).unwrap_or(i64::MAX)
 }
 
-/// An error with its cause, in one line.
+/// An error with its cause in one line.
 fn describe(error: &McapError) -> String {
     use std::error::Error as _;
     let text = match error.source() {

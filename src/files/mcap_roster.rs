@@ -1,4 +1,4 @@
-//! A list of channels that stands outside the chunks, so that a damaged chunk does not take its channels along.
+//! A channel list outside the chunks, so that a damaged chunk does not lose its channels.
 
 use std::collections::BTreeMap;
 
@@ -8,15 +8,15 @@ use super::columns;
 use stiction_monitor::codec::topic::Kind;
 use stiction_monitor::short_hash;
 
-/// Name of the metadata records that hold it.
+/// Name of the metadata records with the list.
 pub(super) const NAME: &str = "stictiond.channels";
-/// Entry with the checksum of all others; metadata records have none of their own.
+/// Entry with the checksum of all others; metadata records have no checksum of their own.
 const CHECK: &str = "check";
 
 /// Word for columns in place of a kind's name.
 const COLUMNS: &str = "columns";
 
-/// What a listed channel holds.
+/// What a listed channel contains.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Listed {
     /// Messages of one kind, as JSON.
@@ -26,7 +26,7 @@ pub(super) enum Listed {
 }
 
 impl Listed {
-    /// What messages of a kind and encoding are; `None` for those of others, which are not listed.
+    /// The kind of a channel's messages; `None` for foreign channels, which are not listed.
     pub fn of(kind: Option<Kind>, encoding: &str) -> Option<Self> {
         kind.map(Self::Json).or_else(|| (encoding == columns::ENCODING).then_some(Self::Columns))
     }
@@ -52,7 +52,7 @@ impl Listed {
     }
 }
 
-/// Channels by number: kind and topic.
+/// Channels by number, with kind and topic.
 #[derive(Debug, Default, Clone, PartialEq, Eq)]
 pub(super) struct Roster(BTreeMap<String, String>);
 
@@ -72,14 +72,14 @@ impl Roster {
         Metadata { name: NAME.to_owned(), metadata }
     }
 
-    /// Reads a record; `None` if it was changed.
+    /// Reads a record; `None` if it was altered.
     pub fn of(metadata: &BTreeMap<String, String>) -> Option<Self> {
         let mut entries = metadata.clone();
         let check = entries.remove(CHECK)?;
         (check == check_of(&entries)).then_some(Self(entries))
     }
 
-    /// Every channel: number, what it holds, topic.
+    /// Every channel: number, kind, topic.
     pub fn channels(&self) -> impl Iterator<Item = (u16, Listed, &str)> {
         self.0.iter().filter_map(|(id, text)| {
             let (name, topic) = text.split_once(' ')?;

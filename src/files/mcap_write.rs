@@ -1,8 +1,8 @@
-//! Writing a recording: one open MCAP file that becomes visible under its name when it is whole.
+//! Writes a recording: one open MCAP file that appears under its final name once complete.
 //!
-//! The file grows as `NAME.mcap.part`. [`RecordingFile::flush`] closes the open chunk and hands it to the disk, so a
-//! crash loses at most what came since. [`RecordingFile::finish`] writes the index, syncs, renames to `NAME.mcap` and
-//! syncs the folder. An MCAP file cannot be reopened: rotate instead.
+//! The file grows as `NAME.mcap.part`. [`RecordingFile::flush`] closes the open chunk and writes it to the disk, so a crash
+//! loses at most what came later. [`RecordingFile::finish`] writes the index, syncs, renames to `NAME.mcap` and syncs the
+//! folder. An MCAP file cannot be reopened: rotate instead.
 
 mod samples;
 
@@ -22,66 +22,66 @@ use std::sync::{Arc, Mutex, PoisonError};
 use stiction_monitor::codec::topic::Kind;
 use thiserror::Error;
 
-/// Most channels in one file: every file repeats its channels, and indexes grow with them.
+/// Most channels per file: every file repeats its channels, and indexes grow with them.
 pub const MAX_CHANNELS: usize = 10_000;
 
 /// Uncompressed size at which a chunk is closed, bytes.
 const CHUNK_BYTES: u64 = 1 << 20;
 
-/// Bytes after which the list of all channels is written again, so that no place in the file is far from one.
+/// Bytes after which the list of all channels is written again, so that it is never far from any place in the file.
 const ROSTER_EVERY: u64 = 8 << 20;
 
-/// What stops a recording.
+/// An error while writing a recording.
 #[derive(Debug, Error)]
 pub enum WriteError {
-    /// The folder or file cannot be made, synced or renamed.
-    #[error("{}: {source}; check that the folder exists, is writable and has room", path.display())]
+    /// The folder or file cannot be created, synced or renamed.
+    #[error("{}: {cause}; check that the folder exists, is writable and has free space", path.display())]
     Io {
         /// The file or folder.
         path: PathBuf,
-        /// What the system said.
-        source: io::Error,
+        /// Error of the system.
+        cause: io::Error,
     },
     /// Writing failed; the file ends with its last flush.
-    #[error("{}: {source}; the file is readable up to its last flush, go on in a new one", path.display())]
+    #[error("{}: {cause}; the file is readable up to its last flush; continue in a new file", path.display())]
     Mcap {
         /// The open file.
         path: PathBuf,
-        /// What the writer said.
-        source: McapError,
+        /// Error of the MCAP writer.
+        cause: McapError,
     },
     /// An earlier error closed the file.
-    #[error("{}: refused, an earlier error has closed this file; go on in a new one", path.display())]
+    #[error("{}: an earlier error closed this file; continue in a new file", path.display())]
     Failed {
         /// The file.
         path: PathBuf,
     },
-    /// The file holds as many channels as it may.
-    #[error("{}: {limit} channels are open, no room for {topic:?}; put further loops into another file", path.display())]
+    /// The file has the most channels allowed.
+    #[error("{}: no channel for {topic:?}, all {limit} are in use; record further loops in another file", path.display())]
     Full {
         /// The file.
         path: PathBuf,
         /// [`MAX_CHANNELS`].
         limit: usize,
-        /// The topic that found no room.
+        /// The topic without a channel.
         topic: String,
     },
 }
 
-/// What the open file's index keeps in memory of one channel in one chunk, bytes.
+/// Memory of the index per channel and chunk of the open file, bytes.
 const INDEX_ENTRY_BYTES: u64 = 40;
 
 /// One channel of the open file.
 struct Channel {
     id: u16,
     sequence: u32,
-    /// The flush after which it was used last.
+    /// The last flush that used it.
     flush: u64,
 }
 
 type Inner = Counted<BufWriter<Handle>>;
 
-/// One recording while it is written. Dropping it without [`RecordingFile::finish`] leaves the `.part` file.
+/// A recording being written. Dropping it without [`RecordingFile::finish`] leaves the `.part` file.
 pub struct RecordingFile {
     writer: Option<Writer<Inner>>,
     file: Arc<dyn DiskFile>,
@@ -92,36 +92,35 @@ pub struct RecordingFile {
     sum: Arc<Mutex<Sum>>,
     schemas: HashMap<Kind, u16>,
     channels: HashMap<String, Channel>,
-    /// Every channel, and those that no list in the file names yet.
+    /// All channels, and those not yet in any list in the file.
     roster: Roster,
     unlisted: Roster,
-    /// Size of the file when all channels were listed last.
+    /// Size of the file when all channels were last listed.
     listed_at: u64,
     dirty: bool,
-    /// Flushes so far, and channels that each of them closed a chunk of: what the index grows by.
+    /// Number of flushes, and of channels per closed chunk: the growth of the index.
     flushes: u64,
     indexed: u64,
-    /// Whether the file ends with a SHA-256 of what stands before.
+    /// Whether the file ends with a SHA-256 of its content.
     sealed: bool,
-    /// Samples that wait for their message, where they are written in columns.
+    /// Samples waiting for their message, if written in columns.
     columns: Option<Columns>,
-    /// Room for one sample's JSON.
+    /// Buffer for one sample's JSON.
     json: Vec<u8>,
-    /// First chunks of every topic.
+    /// Prefix of every topic.
     prefix: String,
 }
 
 impl RecordingFile {
-    /// Opens `dir/stem.mcap.part` and writes the metadata record named [`super::METADATA_NAME`] into it; makes the
-    /// folder if it is missing.
+    /// Creates `dir/stem.mcap.part` (and a missing folder) and writes the metadata record named [`super::METADATA_NAME`].
     ///
     /// # Errors
-    /// [`WriteError::Io`] also when a file of that name exists already, open or whole.
+    /// [`WriteError::Io`] also if a file of that name exists, open or finished.
     pub fn create(dir: &Path, stem: &str, metadata: &BTreeMap<String, String>) -> Result<Self, WriteError> {
         Self::create_on(&(Arc::new(SystemDisk) as Arc<dyn Disk>), dir, stem, metadata)
     }
 
-    /// The same on a disk of one's own.
+    /// As [`RecordingFile::create`], on the given disk.
     ///
     /// # Errors
     /// As [`RecordingFile::create`].
@@ -131,25 +130,25 @@ impl RecordingFile {
         stem: &str,
         metadata: &BTreeMap<String, String>,
     ) -> Result<Self, WriteError> {
-        disk.create_folder(dir).map_err(|source| WriteError::Io { path: dir.to_owned(), source })?;
+        disk.create_folder(dir).map_err(|cause| WriteError::Io { path: dir.to_owned(), cause })?;
         let target = dir.join(format!("{stem}.mcap"));
         if target.exists() {
-            let source = io::Error::new(io::ErrorKind::AlreadyExists, "this recording exists already");
-            return Err(WriteError::Io { path: target, source });
+            let cause = io::Error::new(io::ErrorKind::AlreadyExists, "this recording already exists");
+            return Err(WriteError::Io { path: target, cause });
         }
         Ok(Self::begin(disk, dir.join(format!("{stem}.mcap.part")), target, metadata)?.sealed())
     }
 
-    /// The same file, to end with a SHA-256 of all that stands before it.
+    /// Makes the file end with a SHA-256 of its content.
     #[must_use]
     pub fn sealed(self) -> Self {
         Self { sealed: true, ..self }
     }
 
-    /// Opens `part`, which must not exist; [`RecordingFile::finish`] renames it to `target` and replaces what is there.
+    /// Creates `part`, which must not exist; [`RecordingFile::finish`] renames it to `target`, replacing an existing file.
     ///
     /// # Errors
-    /// [`WriteError`] if the file cannot be made or written.
+    /// [`WriteError`] if the file cannot be created or written.
     pub fn create_at(part: PathBuf, target: PathBuf, metadata: &BTreeMap<String, String>) -> Result<Self, WriteError> {
         Self::begin(&(Arc::new(SystemDisk) as Arc<dyn Disk>), part, target, metadata)
     }
@@ -160,7 +159,7 @@ impl RecordingFile {
         target: PathBuf,
         metadata: &BTreeMap<String, String>,
     ) -> Result<Self, WriteError> {
-        let file = disk.create_new(&part).map_err(|source| WriteError::Io { path: part.clone(), source })?;
+        let file = disk.create_new(&part).map_err(|cause| WriteError::Io { path: part.clone(), cause })?;
         Self::start(disk.clone(), file, (part.clone(), target), metadata).inspect_err(|_| {
             // An empty file under this name would stand in the way of the next attempt.
             let _ = fs::remove_file(&part);
@@ -184,7 +183,7 @@ impl RecordingFile {
             .compression_threads(0)
             .chunk_size(Some(CHUNK_BYTES))
             .disable_seeking(true);
-        let writer = options.create(sink).map_err(|source| WriteError::Mcap { path: part.clone(), source })?;
+        let writer = options.create(sink).map_err(|cause| WriteError::Mcap { path: part.clone(), cause })?;
         let mut recording = Self {
             writer: Some(writer),
             file,
@@ -214,11 +213,10 @@ impl RecordingFile {
 
     /// Appends one message; its channel is registered on first use.
     ///
-    /// Times are ns since 1970; MCAP holds none before that, so earlier ones stand as 0 there (the payload holds them
-    /// exactly).
+    /// Times are ns since 1970. MCAP cannot store earlier ones; they become 0 there, and the payload keeps them exactly.
     ///
     /// # Errors
-    /// [`WriteError::Full`] leaves the file usable; after any other error it refuses further messages.
+    /// After [`WriteError::Full`] the file is still usable; after any other error it rejects further messages.
     pub fn write(
         &mut self,
         topic: &str,
@@ -230,7 +228,7 @@ impl RecordingFile {
         self.copy(topic, Some(kind), "json", log_time_ns, publish_time_ns, payload)
     }
 
-    /// Appends a message of whatever kind, as it was read from another file.
+    /// Appends a message of any kind as read from another file.
     ///
     /// # Errors
     /// As [`RecordingFile::write`].
@@ -274,10 +272,10 @@ impl RecordingFile {
         self.with_writer(|writer| writer.write_to_known_channel(&header, payload))
     }
 
-    /// Closes the open chunk and waits until the disk has it; does nothing if nothing came since the last time.
+    /// Closes the open chunk and waits until it is on the disk; does nothing if there are no new messages.
     ///
     /// # Errors
-    /// [`WriteError`]; the file then refuses further messages.
+    /// [`WriteError`]; the file then rejects further messages.
     pub fn flush(&mut self) -> Result<(), WriteError> {
         if !self.dirty {
             return if self.writer.is_some() { Ok(()) } else { Err(self.refused()) };
@@ -287,11 +285,11 @@ impl RecordingFile {
         self.with_writer(Writer::flush)?;
         self.dirty = false;
         self.flushes += 1;
-        self.file.sync(false).map_err(|source| self.fail(source))
+        self.file.sync(false).map_err(|cause| self.fail(cause))
     }
 
-    /// Lists new channels outside the chunks, and from time to time all: a chunk holds only those that it is the first to
-    /// use, and would take them along if it were damaged.
+    /// Lists new channels outside the chunks, and from time to time all of them: a chunk contains only the channels that it is
+    /// the first to use, and a damaged one would lose them.
     fn list_channels(&mut self) -> Result<(), WriteError> {
         let written = self.bytes_written();
         let all = written.saturating_sub(self.listed_at) >= ROSTER_EVERY && !self.roster.is_empty();
@@ -306,59 +304,59 @@ impl RecordingFile {
         self.with_writer(|writer| writer.write_metadata(&record))
     }
 
-    /// Bytes handed to the file; the open chunk counts once it is closed.
+    /// Bytes written to the file; the open chunk counts once closed.
     #[must_use]
     pub fn bytes_written(&self) -> u64 {
         self.written.load(Ordering::Relaxed)
     }
 
-    /// What the index takes of the memory until the file is finished, bytes: it grows with every flush by the channels
-    /// in it, however little was written.
+    /// Memory of the index until the file is finished, bytes. It grows with every flush by the channels in it, however little
+    /// was written.
     #[must_use]
     pub const fn index_bytes(&self) -> u64 {
         self.indexed * INDEX_ENTRY_BYTES
     }
 
-    /// Channels registered.
+    /// Number of channels.
     #[must_use]
     pub fn channels(&self) -> usize {
         self.channels.len()
     }
 
-    /// Whether the topic has its channel, or there is room for one.
+    /// Whether the topic has a channel or can get one.
     #[must_use]
     pub fn has_room_for(&self, topic: &str) -> bool {
         self.channels.len() < MAX_CHANNELS || self.channels.contains_key(topic)
     }
 
-    /// Whether an earlier error has closed the file.
+    /// Whether an earlier error closed the file.
     #[must_use]
     pub fn has_failed(&self) -> bool {
         self.writer.is_none()
     }
 
-    /// Whether the folder still holds the file under its name: a removed one would be filled for nobody.
+    /// Whether the file still exists under its name; data written to a removed file would be lost.
     #[must_use]
     pub fn is_linked(&self) -> bool {
         self.file.is_at(&self.part)
     }
 
-    /// The file while it is open.
+    /// Path while the file is open.
     #[must_use]
     pub fn part_path(&self) -> &Path {
         &self.part
     }
 
-    /// The file's name once it is whole.
+    /// Path once the file is complete.
     #[must_use]
     pub fn target_path(&self) -> &Path {
         &self.target
     }
 
-    /// Writes the index, syncs the file, gives it its name, syncs the folder, and returns the name.
+    /// Writes the index, syncs and renames the file, syncs the folder, and returns the final path.
     ///
     /// # Errors
-    /// [`WriteError`]; the `.part` file stays and is readable up to its last flush at least.
+    /// [`WriteError`]; the `.part` file remains, readable at least up to its last flush.
     pub fn finish(mut self) -> Result<PathBuf, WriteError> {
         self.write_columns()?;
         if self.sealed {
@@ -372,8 +370,8 @@ impl RecordingFile {
             let buffered = writer.into_inner().inner;
             buffered.into_inner().map_err(|error| self.fail(error.into_error()))?;
         }
-        self.file.sync(true).map_err(|source| self.fail(source))?;
-        self.disk.rename(&self.part, &self.target).map_err(|source| self.fail(source))?;
+        self.file.sync(true).map_err(|cause| self.fail(cause))?;
+        self.disk.rename(&self.part, &self.target).map_err(|cause| self.fail(cause))?;
         sync_folder(&self.target)?;
         Ok(self.target.clone())
     }
@@ -404,28 +402,28 @@ impl RecordingFile {
         Ok(())
     }
 
-    /// Runs one call on the writer; an error closes the file for good.
+    /// Makes one call to the writer; an error closes the file for good.
     fn with_writer<T>(
         &mut self,
         call: impl FnOnce(&mut Writer<Inner>) -> Result<T, McapError>,
     ) -> Result<T, WriteError> {
         let Some(writer) = self.writer.as_mut() else { return Err(self.refused()) };
-        call(writer).map_err(|source| {
+        call(writer).map_err(|cause| {
             self.close();
-            WriteError::Mcap { path: self.part.clone(), source }
+            WriteError::Mcap { path: self.part.clone(), cause }
         })
     }
 
-    fn fail(&mut self, source: io::Error) -> WriteError {
+    fn fail(&mut self, cause: io::Error) -> WriteError {
         self.close();
-        WriteError::Io { path: self.part.clone(), source }
+        WriteError::Io { path: self.part.clone(), cause }
     }
 
     fn refused(&self) -> WriteError {
         WriteError::Failed { path: self.part.clone() }
     }
 
-    /// Takes the writer away without letting it append an index to a broken file.
+    /// Drops the writer without letting it append an index to a broken file.
     fn close(&mut self) {
         if let Some(writer) = self.writer.take() {
             let (_file, _unwritten) = writer.into_inner().inner.into_parts();
@@ -433,20 +431,20 @@ impl RecordingFile {
     }
 }
 
-/// Makes a file's name durable.
+/// Makes a file name durable.
 ///
 /// # Errors
 /// [`WriteError::Io`] if the folder cannot be opened or synced.
 pub fn sync_folder(file: &Path) -> Result<(), WriteError> {
-    super::disk::sync_folder_of(file).map_err(|source| WriteError::Io { path: file.to_owned(), source })
+    super::disk::sync_folder_of(file).map_err(|cause| WriteError::Io { path: file.to_owned(), cause })
 }
 
-/// MCAP's times are unsigned.
+/// Times in MCAP are unsigned.
 fn mcap_time(ns: i64) -> u64 {
     u64::try_from(ns).unwrap_or(0)
 }
 
-/// Counts and sums up what goes into the file.
+/// Counts and hashes what goes into the file.
 struct Counted<W> {
     inner: W,
     written: Arc<AtomicU64>,

@@ -1,4 +1,4 @@
-//! Files: recordings (MCAP), tables (CSV), compact stores (MATLAB). What a file is, its content says, not its name.
+//! Files: recordings (MCAP), tables (CSV and exports), compact stores (MATLAB). The content decides the type, not the name.
 
 pub mod archive;
 pub mod columns;
@@ -37,18 +37,18 @@ use stiction_monitor::codec;
 use stiction_monitor::codec::topic::{Leaf, Topic};
 use thiserror::Error;
 
-/// Name of the metadata record that our recordings carry.
+/// Name of the metadata record in the program's recordings.
 pub const METADATA_NAME: &str = "stictiond";
 
-/// Metadata key of the prefix that every topic of the recording begins with.
+/// Metadata key of the prefix of all topics.
 pub const METADATA_PREFIX: &str = "prefix";
 
-/// What a file is.
+/// Type of a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum InputKind {
     /// A recording.
     Mcap,
-    /// A table as text: `t,op,pv…`, or an export.
+    /// A text table: `t,op,pv…`, or an export.
     Csv,
     /// The toolbox's compact store, a MATLAB file of version 5.
     Mat,
@@ -74,26 +74,26 @@ impl InputKind {
         }
     }
 
-    /// Reads a file's first bytes and tells what it is.
+    /// Recognises a file by its first bytes.
     ///
     /// # Errors
-    /// [`FileError`] names what the file seems to be, and what to do with it.
+    /// [`FileError`] names what the file seems to be, and the remedy.
     pub fn detect(path: &Path) -> Result<Self, FileError> {
-        let failed = |source| FileError::Io { path: path.to_owned(), source };
+        let failed = |cause| FileError::Io { path: path.to_owned(), cause };
         if path.is_dir() {
-            return Err(failed(io::Error::new(io::ErrorKind::IsADirectory, "this is a folder, give a file")));
+            return Err(failed(io::Error::new(io::ErrorKind::IsADirectory, "this is a folder; name a file")));
         }
         let mut head = Vec::with_capacity(4096);
         File::open(path).map_err(failed)?.take(4096).read_to_end(&mut head).map_err(failed)?;
         match mat::recognise(&head) {
             Ok(true) => return Ok(Self::Mat),
             Ok(false) => {}
-            Err(source) => return Err(FileError::Compact { path: path.to_owned(), source: source.into() }),
+            Err(cause) => return Err(FileError::Compact { path: path.to_owned(), cause: cause.into() }),
         }
         Self::of_content(&head).map_err(|what| FileError::Kind { path: path.to_owned(), what })
     }
 
-    /// What begins like this; otherwise, what it seems to be and the remedy.
+    /// The type of a file that begins so; otherwise what it seems to be, and the remedy.
     fn of_content(head: &[u8]) -> Result<Self, &'static str> {
         let marks: [(&[u8], Self); 4] = [
             (b"PK\x03\x04", Self::Xlsx),
@@ -130,18 +130,18 @@ impl InputKind {
     }
 }
 
-/// A file that cannot be read as a whole.
+/// A file that cannot be read at all.
 #[derive(Debug, Error)]
 pub enum FileError {
-    /// The system refuses it.
-    #[error("{}: {source}", path.display())]
+    /// The system refuses to read it.
+    #[error("{}: {cause}", path.display())]
     Io {
         /// The file.
         path: PathBuf,
-        /// What the system said.
-        source: io::Error,
+        /// Error of the system.
+        cause: io::Error,
     },
-    /// Not a kind that is read.
+    /// Not a supported type.
     #[error("{}: the file is {what}", path.display())]
     Kind {
         /// The file.
@@ -153,32 +153,32 @@ pub enum FileError {
     #[error(transparent)]
     Recording(#[from] ReadError),
     /// A table that cannot be read.
-    #[error("{}: {source}", path.display())]
+    #[error("{}: {cause}", path.display())]
     Csv {
         /// The file.
         path: PathBuf,
         /// Line and remedy.
-        source: csv::CsvError,
+        cause: csv::CsvError,
     },
     /// An export that cannot be recognised.
-    #[error("{}: {source}", path.display())]
+    #[error("{}: {cause}", path.display())]
     Export {
         /// The file.
         path: PathBuf,
-        /// Line, what was seen, and the flag that settles it.
-        source: export::ExportError,
+        /// Line, what was seen, and the option that settles it.
+        cause: export::ExportError,
     },
     /// A compact store that cannot be read.
-    #[error("{}: {source}", path.display())]
+    #[error("{}: {cause}", path.display())]
     Compact {
         /// The file.
         path: PathBuf,
         /// Place and remedy.
-        source: compact::CompactError,
+        cause: compact::CompactError,
     },
 }
 
-/// What is wrong inside a table, of whichever kind.
+/// A fault in a table of any type.
 #[derive(Debug)]
 enum FileFault {
     Csv(csv::CsvError),
@@ -201,20 +201,20 @@ impl FileFault {
     fn of(self, path: &Path) -> FileError {
         let path = path.to_owned();
         match self {
-            Self::Csv(source) => FileError::Csv { path, source },
-            Self::Export(source) => FileError::Export { path, source },
+            Self::Csv(cause) => FileError::Csv { path, cause },
+            Self::Export(cause) => FileError::Export { path, cause },
         }
     }
 }
 
-/// What a compact store knows of a loop besides its samples.
+/// Additional information on a loop in a compact store.
 #[derive(Debug, Clone, PartialEq)]
 pub struct About {
     /// Tags of OP and PV.
     pub tags: [String; 2],
     /// Sampling time, s.
     pub ts_s: f64,
-    /// What somebody noted.
+    /// Comment.
     pub comment: String,
 }
 
@@ -227,12 +227,12 @@ pub struct LoadedLoop {
     pub samples: Vec<Sample>,
     /// Tags, sampling time and comment, from compact stores.
     pub about: Option<About>,
-    /// Units of OP and PV, from exports that say them.
+    /// Units of OP and PV, from exports that give them.
     pub units: [Option<String>; 2],
 }
 
 impl LoadedLoop {
-    /// A loop of samples alone.
+    /// A loop with samples only.
     #[must_use]
     pub fn new(name: impl Into<String>, samples: Vec<Sample>) -> Self {
         Self { name: name.into(), samples, about: None, units: [None, None] }
@@ -249,30 +249,30 @@ impl LoadedLoop {
 /// The raw data of a file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Loaded {
-    /// What the file is.
+    /// Type of the file.
     pub kind: InputKind,
-    /// Its loops, in the order in which they first appear.
+    /// Its loops in order of first appearance.
     pub loops: Vec<LoadedLoop>,
-    /// What was recognised in an export; `None` for files of the program's own forms.
+    /// Format recognised in an export; `None` for the program's own formats.
     pub recognised: Option<export::Recognised>,
-    /// What a person should know, one line each.
+    /// Warnings, one line each.
     pub warnings: Vec<String>,
-    /// Whether the file is cut off or damaged: `loops` hold what could be read.
+    /// Whether the file is truncated or damaged; `loops` then has what could be read.
     pub data_loss: bool,
     /// The recording's metadata; empty for tables.
     pub metadata: BTreeMap<String, String>,
 }
 
-/// Reads the raw data of a table, recording or compact store. Cut-off and damaged recordings give what can be read, with
-/// [`Loaded::data_loss`] set.
+/// Reads the raw data of a table, recording or compact store. Of truncated and damaged recordings it returns the readable
+/// part, with [`Loaded::data_loss`] set.
 ///
 /// # Errors
-/// [`FileError`] if the file is of no known kind, a table is malformed, or the system refuses.
+/// [`FileError`] if the file's type is unknown, a table is malformed, or the system refuses.
 pub fn load_samples(path: &Path) -> Result<Loaded, FileError> {
     load(path, &ReadOptions::default())
 }
 
-/// The same, told how an export is to be read.
+/// As [`load_samples`], with options for exports.
 ///
 /// # Errors
 /// As [`load_samples`].
@@ -280,16 +280,16 @@ pub fn load(path: &Path, options: &ReadOptions) -> Result<Loaded, FileError> {
     load_as(path, path, options)
 }
 
-/// The same for a file that stands elsewhere than it is `called`: loops of tables are named after their files.
+/// As [`load_samples`], under another name: loops of tables are named after their files.
 ///
 /// # Errors
-/// As [`load_samples`]; what is wrong inside a table is told under the name.
+/// As [`load_samples`]; faults in a table are reported under the given name.
 pub fn load_as(path: &Path, called: &Path, options: &ReadOptions) -> Result<Loaded, FileError> {
     match InputKind::detect(path)? {
         InputKind::Mcap => load_recording(path),
         InputKind::Mat => load_store(path),
         kind => {
-            let bytes = std::fs::read(path).map_err(|source| FileError::Io { path: path.to_owned(), source })?;
+            let bytes = std::fs::read(path).map_err(|cause| FileError::Io { path: path.to_owned(), cause })?;
             let read = export::read(kind, called, &bytes, options);
             let read = read.map_err(|fault| named_mat(called, fault.of(called)))?;
             Ok(Loaded::of_export(kind, read))
@@ -304,20 +304,20 @@ impl Loaded {
     }
 }
 
-/// A text that is named as a MATLAB file and is no table either says so.
+/// An error for a text named .mat that is not a table either.
 fn named_mat(path: &Path, error: FileError) -> FileError {
     let named = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("mat"));
     match error {
         FileError::Csv { .. } | FileError::Export { .. } if named => FileError::Kind {
             path: path.to_owned(),
-            what: "text although it is named .mat, and no table t,op,pv either; save it in MATLAB with save -v7",
+            what: "named .mat but is text, and not a table t,op,pv; save it in MATLAB with save -v7",
         },
         other => other,
     }
 }
 
 fn load_store(path: &Path) -> Result<Loaded, FileError> {
-    let store = compact::read(path).map_err(|source| FileError::Compact { path: path.to_owned(), source })?;
+    let store = compact::read(path).map_err(|cause| FileError::Compact { path: path.to_owned(), cause })?;
     let loops = store.loops.into_iter().map(|one| {
         let samples = one.samples();
         let about = Some(About { tags: one.tags, ts_s: one.ts_s, comment: one.comment });
@@ -333,10 +333,10 @@ fn load_store(path: &Path) -> Result<Loaded, FileError> {
     })
 }
 
-/// The loop that somebody means: by its name; in compact stores also by its number, a tag, or what both tags share.
+/// Finds a loop by its name; in compact stores also by number, tag, or the common part of both tags.
 ///
 /// # Errors
-/// A sentence that lists what there is.
+/// A sentence that lists the loops.
 pub fn choose_loop<'l>(loops: &'l [LoadedLoop], wanted: &str) -> Result<&'l LoadedLoop, String> {
     if let Some(one) = loops.iter().find(|one| one.name == wanted) {
         return Ok(one);
@@ -349,8 +349,8 @@ pub fn choose_loop<'l>(loops: &'l [LoadedLoop], wanted: &str) -> Result<&'l Load
     let names = |of: &[&LoadedLoop]| of.iter().take(20).map(|one| one.name.as_str()).collect::<Vec<_>>().join(", ");
     match found[..] {
         [one] => Ok(one),
-        [] => Err(format!("no loop {wanted:?}; it holds {}", names(&loops.iter().collect::<Vec<_>>()))),
-        _ => Err(format!("{wanted:?} may be {}; choose one of these", names(&found))),
+        [] => Err(format!("there is no loop {wanted:?}; choose one of {}", names(&loops.iter().collect::<Vec<_>>()))),
+        _ => Err(format!("{wanted:?} matches {}; choose one of these", names(&found))),
     }
 }
 
@@ -383,7 +383,7 @@ fn load_recording(path: &Path) -> Result<Loaded, FileError> {
     }
     let mut warnings = Vec::new();
     if unreadable > 0 {
-        warnings.push(format!("{unreadable} messages could not be read and were left out, the first: {first_fault}"));
+        warnings.push(format!("skipped {unreadable} unreadable messages, the first: {first_fault}"));
     }
     let end = reader.end().cloned().unwrap_or(End::Clean);
     if let Some(reason) = end.reason() {
@@ -399,7 +399,7 @@ fn load_recording(path: &Path) -> Result<Loaded, FileError> {
     })
 }
 
-/// Which loop and signal a channel feeds; each topic is parsed once.
+/// Loop and signal of each channel; each topic is parsed once.
 #[derive(Default)]
 struct LoopTable {
     loops: Vec<LoadedLoop>,
@@ -427,7 +427,7 @@ impl LoopTable {
     }
 }
 
-/// Whether two looks were at the same file, whatever its name.
+/// Whether two reads were of the same file, whatever its name.
 #[cfg(unix)]
 fn same_file(a: &std::fs::Metadata, b: &std::fs::Metadata) -> bool {
     use std::os::unix::fs::MetadataExt as _;
@@ -442,6 +442,17 @@ fn same_file(a: &std::fs::Metadata, b: &std::fs::Metadata) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_fault_is_stated_once() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.csv");
+        std::fs::write(&path, "t,op,pv\nnever,1,2\n").unwrap();
+        for path in [path, dir.path().join("gone.csv")] {
+            let error = anyhow::Error::from(load_samples(&path).unwrap_err());
+            assert_eq!(format!("{error:#}"), error.to_string());
+        }
+    }
 
     #[test]
     fn content_tells_the_kind() {

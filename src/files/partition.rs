@@ -1,18 +1,18 @@
-//! Loops as Parquet in folders by loop and day: `loop=FIC101/day=2026-01-05/part-0.parquet`, as query engines and the examples of
-//! a fleet read them. Loops' names are written as in addresses (`u1%2FFIC101`), days are those of UTC.
+//! Loops as Parquet files in folders by loop and day: `loop=FIC101/day=2026-01-05/part-0.parquet`, the layout that query
+//! engines read. Loop names are percent-encoded (`u1%2FFIC101`); days are in UTC.
 
 use std::path::{Path, PathBuf};
 
 use super::{FileError, Loaded, LoadedLoop, ReadOptions};
 
-/// Begins the folder of a loop.
+/// Start of a loop's folder name.
 const LOOP: &str = "loop=";
-/// Begins the folder of a day.
+/// Start of a day's folder name.
 const DAY: &str = "day=";
-/// Name of each file.
+/// Name of every file.
 const FILE: &str = "part-0.parquet";
 
-/// A loop's name as a folder has it: everything but letters, digits and `-._~` as `%` and two digits a byte.
+/// A loop name as a folder name: all bytes but letters, digits and `-._~` percent-encoded.
 #[must_use]
 pub fn encoded(name: &str) -> String {
     let mut text = String::with_capacity(name.len());
@@ -26,7 +26,7 @@ pub fn encoded(name: &str) -> String {
     text
 }
 
-/// The name that was written so; `None` where nothing was.
+/// The encoded loop name; `None` if it is not one.
 fn decoded(text: &str) -> Option<String> {
     let mut bytes = Vec::with_capacity(text.len());
     let mut rest = text.as_bytes();
@@ -43,7 +43,7 @@ fn decoded(text: &str) -> Option<String> {
     String::from_utf8(bytes).ok().filter(|name| !name.is_empty())
 }
 
-/// The loop of a file in such folders, `None` for every other file.
+/// The loop of a file in such folders; `None` for other files.
 #[must_use]
 pub fn loop_of(path: &Path) -> Option<String> {
     let mut above = path.ancestors().skip(1).map(|folder| folder.file_name().unwrap_or_default().to_string_lossy());
@@ -51,7 +51,7 @@ pub fn loop_of(path: &Path) -> Option<String> {
     decoded(above.next()?.strip_prefix(LOOP)?)
 }
 
-/// The days of one loop, read one after the other.
+/// Reads the days of one loop in order.
 ///
 /// # Errors
 /// One of them cannot be read.
@@ -80,7 +80,7 @@ pub use write::{Part, PartitionError, write};
 
 #[cfg(feature = "parquet")]
 mod write {
-    //! The writing half, in builds with Parquet.
+    //! Writing, in builds with Parquet.
 
     use std::collections::BTreeMap;
     use std::fs::{self, File};
@@ -100,7 +100,7 @@ mod write {
     use stiction::record::{Signal, Value};
     use stiction::units::format_rfc3339;
 
-    /// What stops the writing.
+    /// An error while writing.
     #[derive(Debug, Error)]
     #[error("{}: {what}", path.display())]
     pub struct PartitionError {
@@ -119,11 +119,11 @@ mod write {
         pub rows: usize,
     }
 
-    /// Writes a loop's days below a folder, each file whole or not at all. Rows stand in the order of time; a row holds the
-    /// samples of one stamp. Qualities are not kept, as in a table.
+    /// Writes the days of a loop below a folder, each file completely or not at all. Rows are in time order; a row has the
+    /// samples of one timestamp. Qualities are not kept.
     ///
     /// # Errors
-    /// [`PartitionError`]: a file exists and `force` is not said, or the disk refuses.
+    /// [`PartitionError`]: a file exists and `force` is not set, or a disk error.
     pub fn write(one: &LoadedLoop, folder: &Path, force: bool) -> Result<Vec<Part>, PartitionError> {
         let mut rows = rows_of(&one.samples);
         rows.sort_by_key(|row| row.t_ns);
@@ -140,7 +140,7 @@ mod write {
             let place = below.join(format!("{DAY}{day}"));
             let path = place.join(FILE);
             if path.exists() && !force {
-                return Err(PartitionError { path, what: "exists already; --force replaces it".to_owned() });
+                return Err(PartitionError { path, what: "already exists; use --force to replace it".to_owned() });
             }
             let failed = |what: String| PartitionError { path: path.clone(), what };
             fs::create_dir_all(&place).map_err(|error| failed(error.to_string()))?;

@@ -1,4 +1,4 @@
-//! Copies of recordings: all that can be read of a damaged one, or its results without the samples.
+//! Copies of recordings: the readable part of a damaged one, or the results without samples.
 
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
@@ -8,58 +8,57 @@ use thiserror::Error;
 use super::{End, Item, ReadError, RecordingFile, RecordingReader, WriteError};
 use stiction_monitor::codec::topic::Kind;
 
-/// Metadata key of a recording whose samples were taken out.
+/// Metadata key of a recording whose samples were removed.
 pub const SAMPLES_KEY: &str = "samples";
-/// What it says then.
+/// Its value.
 pub const REMOVED: &str = "removed";
 
-/// Why a copy could not be made; there is none then.
+/// An error that prevented a copy; none is left behind.
 #[derive(Debug, Error)]
 pub enum RescueError {
-    /// The recording.
+    /// The input cannot be read.
     #[error(transparent)]
     Read(#[from] ReadError),
-    /// The copy.
+    /// The copy cannot be written.
     #[error(transparent)]
     Write(#[from] WriteError),
-    /// The system refuses.
-    #[error("{}: {source}", path.display())]
+    /// The system refuses an operation.
+    #[error("{}: {cause}", path.display())]
     Io {
         /// The file.
         path: PathBuf,
-        /// What the system said.
-        source: std::io::Error,
+        /// Error of the system.
+        cause: std::io::Error,
     },
 }
 
-/// What a copy holds.
+/// A finished copy.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Rescued {
-    /// Messages in it.
+    /// Number of messages in it.
     pub messages: u64,
-    /// How the recording that was read ended.
+    /// How the input ended.
     pub end: End,
 }
 
-/// Copies every message that can be read into `out`, which appears once it is whole. A recording without damage is
-/// copied byte for byte.
+/// Copies every readable message to `out`, which appears once complete. An undamaged recording is copied byte for byte.
 ///
 /// # Errors
-/// [`RescueError`]; `out` is not there then, or is what it was.
+/// [`RescueError`]; `out` is then absent or unchanged.
 pub fn recover(path: &Path, out: &Path) -> Result<Rescued, RescueError> {
     let rescued = copy(path, out, None)?;
     if rescued.end.is_clean() {
-        fs::copy(path, out).map_err(|source| RescueError::Io { path: out.to_owned(), source })?;
+        fs::copy(path, out).map_err(|cause| RescueError::Io { path: out.to_owned(), cause })?;
     }
     Ok(rescued)
 }
 
-/// Replaces a recording by one of its results alone, under the same name and with the same age.
+/// Replaces a recording by its results alone, with the same name and age.
 ///
 /// # Errors
-/// [`RescueError`]; the recording is what it was then.
+/// [`RescueError`]; the recording is then unchanged.
 pub fn take_samples_out(path: &Path, out: &Path) -> Result<Rescued, RescueError> {
-    let failed = |source| RescueError::Io { path: path.to_owned(), source };
+    let failed = |cause| RescueError::Io { path: path.to_owned(), cause };
     let modified = fs::metadata(path).and_then(|m| m.modified()).map_err(failed)?;
     let rescued = copy(path, out, Some(REMOVED))?;
     File::options().write(true).open(out).and_then(|file| file.set_modified(modified)).map_err(failed)?;
@@ -69,7 +68,7 @@ pub fn take_samples_out(path: &Path, out: &Path) -> Result<Rescued, RescueError>
     Ok(rescued)
 }
 
-/// What is written until a copy is whole; does not look like a recording.
+/// Temporary name of an incomplete copy; not the name of a recording.
 #[must_use]
 pub fn under_way(out: &Path) -> PathBuf {
     let mut name = out.as_os_str().to_owned();
@@ -83,7 +82,7 @@ fn copy(path: &Path, out: &Path, without_samples: Option<&str>) -> Result<Rescue
     metadata.extend(without_samples.map(|word| (SAMPLES_KEY.to_owned(), word.to_owned())));
     let part = under_way(out);
     if part.exists() {
-        fs::remove_file(&part).map_err(|source| RescueError::Io { path: part.clone(), source })?;
+        fs::remove_file(&part).map_err(|cause| RescueError::Io { path: part.clone(), cause })?;
     }
     let written = write(&mut reader, &part, out, &metadata, without_samples.is_some());
     if written.is_err() {

@@ -1,7 +1,7 @@
-//! JSON schemas of what a recording holds, one per [`Kind`].
+//! JSON schemas of the documents in a recording, one per [`Kind`].
 //!
-//! Viewers draw named scalar fields and accept one plain type a field; a field whose number does not exist is null in
-//! the data. Extra fields are allowed everywhere.
+//! Viewers plot named scalar fields and accept one plain type per field, so a number that does not exist is null in the
+//! data. Extra fields are allowed everywhere.
 
 use serde_json::{Map, Value, json};
 use stiction_monitor::codec::topic::Kind;
@@ -109,7 +109,7 @@ pub fn name(kind: Kind) -> String {
     kind.schema().to_owned()
 }
 
-/// The kind whose schema has this name, of whatever version: recordings of earlier builds hold earlier ones.
+/// The kind with this schema name, of any version: recordings of earlier builds contain earlier ones.
 #[must_use]
 pub fn kind_of(schema_name: &str) -> Option<Kind> {
     let (document, version) = schema_name.rsplit_once(".v")?;

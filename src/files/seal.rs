@@ -1,4 +1,4 @@
-//! A SHA-256 at the end of a recording over everything before it: proof that not a byte was changed since.
+//! A SHA-256 at the end of a recording over everything before it, to detect any later change.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -8,10 +8,10 @@ use std::path::Path;
 use mcap::records::Metadata;
 use sha2::{Digest, Sha256};
 
-/// Name of the metadata record that holds it.
+/// Name of the metadata record with the hash.
 pub(super) const NAME: &str = "stictiond.sha256";
 
-/// Bytes so far, and their sum.
+/// Number of bytes so far, and their hash.
 #[derive(Debug, Default)]
 pub(super) struct Sum {
     hasher: Sha256,
@@ -32,10 +32,10 @@ impl Sum {
     }
 }
 
-/// What a file says of its own bytes.
+/// The hash stated in a file.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Seal {
-    /// How many of them are summed up, from the first.
+    /// Number of hashed bytes, from the start.
     pub bytes: u64,
     /// SHA-256 of them, in hex.
     pub sha256: String,
@@ -46,7 +46,7 @@ impl Seal {
         Some(Self { bytes: metadata.get("bytes")?.parse().ok()?, sha256: metadata.get("sha256")?.clone() })
     }
 
-    /// Whether the file is what it was when it was sealed.
+    /// Whether the file still matches its hash.
     ///
     /// # Errors
     /// The file cannot be read.

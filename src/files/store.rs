@@ -1,7 +1,7 @@
-//! A small transactional store for what must survive a crash: one file, one value a key, each with a checksum.
+//! A small transactional store for state that must survive a crash: one file, one value per key, each with a checksum.
 //!
-//! [`StateStore::save`] returns once the values are on the disk, all of them or none. A value that was changed on the
-//! disk is left out and counted, never taken for true.
+//! [`StateStore::save`] returns once all values are on the disk, or none. A value altered on the disk is skipped and counted,
+//! never used.
 
 use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -13,40 +13,40 @@ use thiserror::Error;
 
 use super::disk::{Disk, SystemDisk};
 
-/// Name of the store's file, beside the recordings.
+/// Name of the store's file, next to the recordings.
 pub const STORE_NAME: &str = "state.redb";
-/// Name of the store of documents that wait for receivers, in the same folder.
+/// Name of the store of documents waiting for delivery, in the same folder.
 pub const OUTBOX_NAME: &str = "outbox.redb";
 
-/// Memory that the store may keep of its own file, bytes.
+/// Largest cache of the store, bytes.
 const CACHE_BYTES: usize = 8 << 20;
-/// Bytes of a SHA-256 in front of each value.
+/// Bytes of the SHA-256 before each value.
 const CHECK_BYTES: usize = 8;
 
 const TABLE: TableDefinition<'_, &str, &[u8]> = TableDefinition::new("state");
 
-/// The key of a loop's memory.
+/// The key of a loop's state.
 #[must_use]
 pub fn key_of(prefix: &str, loop_name: &str) -> String {
     format!("{prefix}\n{loop_name}")
 }
 
-/// The loop whose memory a key is of, under a prefix.
+/// The loop of a state key below a prefix.
 #[must_use]
 pub fn loop_of<'k>(prefix: &str, key: &'k str) -> Option<&'k str> {
     key.strip_prefix(prefix)?.strip_prefix('\n')
 }
 
-/// What goes wrong with a store.
+/// An error of the store.
 #[derive(Debug, Error)]
 pub enum StoreError {
-    /// It cannot be opened, read or written now.
-    #[error("{}: {source}; check that the folder is writable and has room", path.display())]
+    /// It cannot be opened, read or written at present.
+    #[error("{}: {cause}; check that the folder is writable and has free space", path.display())]
     Failed {
         /// The store's file.
         path: PathBuf,
-        /// What the library or the system said.
-        source: Box<redb::Error>,
+        /// Error of the library or the system.
+        cause: Box<redb::Error>,
     },
     /// Its content cannot be used.
     #[error("{}: not a usable store: {why}", path.display())]
@@ -58,32 +58,31 @@ pub enum StoreError {
     },
 }
 
-/// An open store. One process at a time: a second one is refused.
+/// An open store. Only one process can open it at a time.
 pub struct StateStore {
     database: Database,
     path: PathBuf,
 }
 
-/// What a store holds.
+/// Contents of a store.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub struct Stored {
     /// Values by key.
     pub values: BTreeMap<String, Vec<u8>>,
-    /// Values whose checksum is wrong: left out.
+    /// Number of values with a wrong checksum; skipped.
     pub damaged: usize,
 }
 
 impl StateStore {
-    /// Opens the store, or makes it.
+    /// Opens the store, creating it if missing.
     ///
     /// # Errors
-    /// [`StoreError::Broken`] where the file is no store any more; it should be put aside. [`StoreError::Failed`] where
-    /// the system refuses.
+    /// [`StoreError::Broken`] if the file is not a usable store; set it aside. [`StoreError::Failed`] if the system refuses.
     pub fn open(path: &Path) -> Result<Self, StoreError> {
         Self::open_on(&SystemDisk, path)
     }
 
-    /// The same on a disk of one's own.
+    /// As [`StateStore::open`], on the given disk.
     ///
     /// # Errors
     /// As [`StateStore::open`].
@@ -96,10 +95,10 @@ impl StateStore {
         Ok(Self { database: opened, path: path.to_owned() })
     }
 
-    /// Everything it holds.
+    /// All its contents.
     ///
     /// # Errors
-    /// [`StoreError`]; a single damaged value is none.
+    /// [`StoreError`]; a single damaged value is not an error.
     pub fn load(&self) -> Result<Stored, StoreError> {
         guarded(&self.path, || {
             let mut stored = Stored::default();
@@ -122,15 +121,15 @@ impl StateStore {
         })
     }
 
-    /// Puts values in, all in one transaction, which is on the disk when this returns.
+    /// Saves values in one transaction, which is on the disk on return.
     ///
     /// # Errors
-    /// [`StoreError`]; nothing has changed then, and the store should be opened anew.
+    /// [`StoreError`]; nothing has changed then, and the store should be reopened.
     pub fn save<'v>(&self, values: impl IntoIterator<Item = (&'v str, &'v [u8])>) -> Result<(), StoreError> {
         self.change(values, [])
     }
 
-    /// Puts values in and takes others out, all in one transaction, which is on the disk when this returns.
+    /// Saves values and deletes others in one transaction, which is on the disk on return.
     ///
     /// # Errors
     /// As [`StateStore::save`].
@@ -168,7 +167,7 @@ fn checked<'v>(key: &str, sealed: &'v [u8]) -> Option<&'v [u8]> {
     (check == check_of(key, value)).then_some(value)
 }
 
-/// Runs one call; what a damaged file makes the library stumble over is an error, not the end of the daemon.
+/// Makes one call; a panic of the library on a damaged file becomes an error.
 fn guarded<T>(path: &Path, call: impl FnOnce() -> Result<T, redb::Error>) -> Result<T, StoreError> {
     let broken = |why: String| StoreError::Broken { path: path.to_owned(), why };
     match catch_unwind(AssertUnwindSafe(call)) {
@@ -181,8 +180,8 @@ fn guarded<T>(path: &Path, call: impl FnOnce() -> Result<T, redb::Error>) -> Res
         {
             Err(broken(error.to_string()))
         }
-        Ok(Err(error)) => Err(StoreError::Failed { path: path.to_owned(), source: Box::new(error) }),
-        Err(_) => Err(broken("it makes its reader stumble; the log says where".to_owned())),
+        Ok(Err(error)) => Err(StoreError::Failed { path: path.to_owned(), cause: Box::new(error) }),
+        Err(_) => Err(broken("it is corrupt (its reader panicked; details are in the log)".to_owned())),
     }
 }
 

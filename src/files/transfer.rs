@@ -1,4 +1,4 @@
-//! Loops of any source written as a recording.
+//! Writes loops of any source as a recording.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -7,8 +7,8 @@ use super::{LoadedLoop, METADATA_PREFIX, RecordingFile, WriteError};
 use stiction::units::{is_loop_name, loop_name_from};
 use stiction_monitor::codec::topic;
 
-/// Writes loops as a recording: into `part` first, which becomes `target` once it is whole. `about` says where they come
-/// from: origin and source. Gives the number of samples.
+/// Writes loops as a recording, first to `part`, which becomes `target` once complete. `about` gives origin and source.
+/// Returns the number of samples.
 ///
 /// # Errors
 /// [`WriteError`] of the file.

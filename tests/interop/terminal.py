@@ -127,7 +127,7 @@ def test_top_shows_running_daemons_through_a_restart_and_ends_in_order(folder):
             code, out, err = stictiond("top", "--config", first.config, "--format", "json")
             assert code == 0 and '"alarm_state":"acked"' in out and out.count("\n") == 1, (code, out, err)
             assert first.stop() < 5
-            terminal.until(r"STALE: (connection lost|the daemon ended)")
+            terminal.until(r"STALE: (connection lost|the daemon stopped)")
             with Daemon(folder, "plant1/area1", zenoh_table, more):
                 terminal.until(r"stictiond \d\S+  plant1/area1  daemon [0-9a-f]{8}  up \d")
                 assert "STALE" not in terminal.seen() and "acked" in terminal.seen(), terminal.seen()

@@ -110,7 +110,7 @@ fn nothing_is_calibrated_on_the_split_that_is_reported() {
     stictiond(&["gap", "challenge", "new", "--seed", "6", "--cases", "1", "--out", at]);
     let refused = stictiond(&["gap", "challenge", "calibrate", at]);
     assert_eq!(refused.status.code(), Some(1));
-    assert!(text(&refused.stderr).contains("split B is for reporting"), "{}", text(&refused.stderr));
+    assert!(text(&refused.stderr).contains("split B is the test set"), "{}", text(&refused.stderr));
 }
 
 #[test]

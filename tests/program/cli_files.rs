@@ -144,7 +144,7 @@ fn a_cut_recording_is_read_up_to_the_cut() {
     }
     let nothing = folder.write("none.mcap", &bytes[..12]);
     let output = expect(1, &["convert", &nothing, &folder.path("n.csv")]);
-    assert!(stderr(&output).contains("no sample"), "{}", stderr(&output));
+    assert!(stderr(&output).contains("no readable sample"), "{}", stderr(&output));
     assert!(!Path::new(&folder.path("n.csv")).exists());
 }
 
@@ -195,8 +195,8 @@ fn what_cannot_be_done_says_so() {
     let table = folder.write("a.csv", "t,op,pv\n0,1,2\n");
     let mat = folder.write("a.mat", "MATLAB 5.0 MAT-file, Platform: GLNXA64");
     for (code, arguments, part) in [
-        (1, vec!["convert", &mat, "x.csv"], "the file ends there"),
-        (1, vec!["info", &mat], "the file ends there"),
+        (1, vec!["convert", &mat, "x.csv"], "the file ends here"),
+        (1, vec!["info", &mat], "the file ends here"),
         (2, vec!["convert", &table, "x.xlsx"], ".xlsx"),
         (2, vec!["convert", &table], "OUT"),
         (2, vec!["frobnicate"], "frobnicate"),

@@ -110,7 +110,7 @@ fn other_files_are_refused_by_name() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("x.mcap");
     fs::write(&path, "MATLAB 5.0 MAT-file").unwrap();
-    assert!(load_samples(&path).unwrap_err().to_string().contains("109 more bytes were announced"));
+    assert!(load_samples(&path).unwrap_err().to_string().contains("109 more bytes expected"));
     fs::write(&path, "t,op,pv\n0,1,2\n").unwrap();
     assert_eq!(load_samples(&path).unwrap().loops[0].name, "x");
     assert!(RecordingReader::open(&path).is_err());

@@ -34,7 +34,7 @@ fn the_worked_examples_agree() {
     let folder = tempfile::tempdir().unwrap();
     let store = path(&folder, "store.mat");
     let (_, told) = expect(0, &["convert", "recordings/sticking.mcap", &store]);
-    assert!(told.contains("left out: sp, mode"), "{told}");
+    assert!(told.contains("dropped sp, mode"), "{told}");
     let whole = &json(&["analyze", &store, "--loop", "1"])[0];
     let section = ["analyze", &store, "--loop", "FIC101", "--samples", "50,500", "--downsample", "2"];
     let part = &json(&section)[0];
@@ -115,7 +115,7 @@ fn a_program_as_solver_is_heard_or_ended() {
     let found = &json(&[&some[..], &[&endless, "--evaluations", "50"]].concat())[0]["solver"];
     assert_eq!((&found["evaluations"], &found["stopped"]), (&50.into(), &"budget".into()));
     for (name, text, part) in [
-        ("hangs", "sleep 100\n", "said nothing for 1 s and was ended"),
+        ("hangs", "sleep 100\n", "wrote nothing for 1 s and was ended"),
         ("babbles", "echo hello world again\n", "a line holds two numbers"),
         ("fails", "read task; echo 5 3; read mse; exit 7\n", "after 1 evaluations"),
         ("silent", "read task\n", "without a pair"),

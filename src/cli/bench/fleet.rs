@@ -299,7 +299,7 @@ impl Figures {
             row("  per loop, whole process", self.resident() / loops, "bytes"),
             row("  per loop, in the engine", windows, "bytes"),
             row("on the disk", self.recorded_bytes / samples.max(1.0), "bytes/sample"),
-            row("start with these loops known, to the first sample", self.first_sample_s, "s"),
+            row("a start with these loops known, to the first sample", self.first_sample_s, "s"),
         ]);
         let (why, busiest) = self.limit();
         rows.push(Row { name: format!("limits: {why}"), value: busiest, unit: "cores" });

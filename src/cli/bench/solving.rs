@@ -85,7 +85,7 @@ fn indicators() -> Vec<Row> {
     };
     vec![
         in_ms(format!("indicators, median of 12 loops of {points:.0} samples"), over(&scores)),
-        in_ms("controller identification, same loops", over(&read)),
+        in_ms("controller read from the record, same loops", over(&read)),
     ]
 }
 

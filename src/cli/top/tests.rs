@@ -247,13 +247,13 @@ fn an_acknowledgement_wants_a_name_and_an_alarm_that_waits() {
 fn what_is_old_is_said_to_be_old_until_a_daemon_comes_back() {
     let mut board = four_loops();
     assert_eq!(board.stale(now(10)), None);
-    assert!(board.stale(now(60)).unwrap().contains("said nothing for 60 s"));
+    assert!(board.stale(now(60)).unwrap().contains("no report from the daemon for 60 s"));
     board.take(News::Connected(false), now(60));
     assert!(board.stale(now(65)).unwrap().contains("connection lost 5 s ago"));
     let told = lines(&drawn(&board, &mut View::default(), 80, 20, PLAIN, now(65))).join("\n");
     assert!(told.contains("STALE: connection lost 5 s ago") && told.contains("FIC201"), "{told}");
     board.take(News::Connected(true), now(70));
-    assert!(board.stale(now(70)).unwrap().contains("the daemon ended"));
+    assert!(board.stale(now(70)).unwrap().contains("the daemon stopped"));
     board.take(News::Came("d2".into()), now(71));
     board.take(health("d2", &[]), now(71));
     assert_eq!(board.stale(now(72)), None);

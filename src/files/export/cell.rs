@@ -1,4 +1,4 @@
-//! Cells and tables, of whatever file they come from.
+//! Cells and tables of any file format.
 
 use super::ExportError;
 
@@ -13,7 +13,7 @@ pub(super) enum Cell<'r> {
     Number(f64),
     /// A whole number of a typed table.
     Integer(i64),
-    /// A clock reading without a zone, ns as if it were UTC.
+    /// A local time without a zone, ns as if it were UTC.
     Local(i64),
     /// An instant, ns since 1970 UTC.
     #[cfg_attr(not(feature = "parquet"), allow(dead_code))] // only typed files hold them
@@ -21,7 +21,7 @@ pub(super) enum Cell<'r> {
 }
 
 impl Cell<'_> {
-    /// As a person would see it, shortened.
+    /// The cell as shown to a person, shortened.
     pub(super) fn shown(self) -> String {
         match self {
             Self::Empty => String::new(),
@@ -33,37 +33,37 @@ impl Cell<'_> {
     }
 }
 
-/// What takes rows: line in the file, cells; `false` wants no more.
+/// Receives rows: line in the file, cells. Returns `false` to stop.
 pub(super) type Take<'t> = dyn FnMut(u64, &[Cell<'_>]) -> Result<bool, ExportError> + 't;
 
-/// Rows that can be read more than once.
+/// Rows that can be read repeatedly.
 pub(super) trait Rows {
-    /// Hands out every row, or those until `take` wants no more.
+    /// Passes on every row, until `take` stops it.
     ///
     /// # Errors
-    /// What cannot be read, and what `take` refuses.
+    /// What cannot be read, or an error of `take`.
     fn each(&self, take: &mut Take<'_>) -> Result<(), ExportError>;
 }
 
-/// A table with or without names of columns.
+/// A table with or without column names.
 pub(super) struct Table<'f> {
-    /// Names of the columns; empty where the file has none.
+    /// Column names; empty if the file has none.
     pub names: Vec<String>,
     /// Line of the names.
     pub line: u64,
     /// The rows.
     pub rows: Box<dyn Rows + 'f>,
-    /// Units of the columns, where a row below the names has them.
+    /// Units of the columns, if a row below the names has them.
     pub units: Vec<String>,
     /// What was recognised.
     pub words: Vec<String>,
 }
 
-/// Letters of a unit at most: what is longer describes.
+/// Most letters of a unit; longer texts are descriptions.
 const LONGEST_UNIT: usize = 12;
 
 impl Table<'_> {
-    /// The unit of a column: in square brackets behind its name, else in the row below the names.
+    /// The unit of a column: in square brackets after its name, else in the row below the names.
     pub fn unit_of(&self, column: usize) -> Option<String> {
         let bracketed = self.names.get(column).and_then(|name| name.trim().strip_suffix(']')?.rsplit_once('['));
         let unit = bracketed.map(|(_, unit)| unit).or_else(|| self.units.get(column).map(String::as_str))?.trim();

@@ -1,4 +1,4 @@
-//! What a whole column of times means: its form, told from all of its cells, and the instants it stands for.
+//! The meaning of a whole time column: its form, recognised from all cells, and the instants.
 
 use jiff::civil::DateTime;
 use jiff::tz::Offset;
@@ -8,7 +8,7 @@ use super::stamp::{Civil, HOUR_NS, Number, Order, Stamp};
 use super::zone::{Reading, Zone, letters};
 use stiction::units::{NS_PER_S, format_rfc3339, ns_from_s, s_from_ns};
 
-/// First year that is believed without being asked for.
+/// Earliest year accepted without an option.
 const FIRST_YEAR: i64 = 1990;
 /// Seconds from 1970 to 1990.
 const FIRST_S: i64 = 631_152_000;
@@ -18,27 +18,27 @@ const DAY_S: i64 = 86_400;
 const EXCEL_1970: i64 = 25_569;
 const EXCEL_1904_1970: i64 = 24_107;
 const DATENUM_1970: i64 = 719_529;
-/// Day numbers are fractions of a day: what is finer than this is their rounding.
+/// Resolution of day numbers, which are fractions of a day; finer steps are rounding errors.
 const DAYS_GRAIN_NS: i64 = 1_000_000;
-/// Shortest sampling that is believed without being asked for, s.
+/// Shortest sampling time accepted without an option, s.
 const LEAST_SAMPLING_S: f64 = 1e-3;
-/// Steps of days' numbers longer than this, in days, are no sampling of a loop.
+/// Steps of day numbers longer than this, in days, are not the sampling of a loop.
 const LONGEST_DAYS: f64 = 0.5;
 
-/// How a column writes times, as a flag or as found.
+/// Time format of a column, given or recognised.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum TimeFormat {
-    /// Numbers of a unit of so many ns since 1970 UTC.
+    /// Numbers in units of this many ns since 1970 UTC.
     Epoch(i64),
-    /// Days since so many days before 1970, local time.
+    /// Days since this many days before 1970, local time.
     Days(i64),
-    /// Dates in this order of day, month and year.
+    /// Dates with this order of day, month and year.
     Dated(Order),
-    /// A pattern of strftime's letters.
+    /// A strftime pattern.
     Pattern(String),
 }
 
-/// Every form of numbers, with its word.
+/// All numeric forms with their words.
 const NUMBERS: [(&str, TimeFormat); 7] = [
     ("s", TimeFormat::Epoch(NS_PER_S)),
     ("ms", TimeFormat::Epoch(1_000_000)),
@@ -50,10 +50,10 @@ const NUMBERS: [(&str, TimeFormat); 7] = [
 ];
 
 impl TimeFormat {
-    /// Reads the flag's value.
+    /// Parses the value of --time-format.
     ///
     /// # Errors
-    /// A sentence that lists what would be understood.
+    /// A sentence that lists the valid values.
     pub fn parse(text: &str) -> Result<Self, String> {
         if let Some((_, form)) = NUMBERS.iter().find(|(word, _)| *word == text) {
             return Ok(form.clone());
@@ -68,7 +68,7 @@ impl TimeFormat {
             return Ok(Self::Pattern(text.to_owned()));
         }
         let known = "s, ms, us, ns, excel, excel1904, datenum, ymd, dmy, mdy, or a pattern such as %d/%m/%Y %H:%M:%S";
-        Err(format!("{text:?} is no form of times: write {known}"))
+        Err(format!("{text:?} is not a time format; write {known}"))
     }
 
     /// In a few words.
@@ -88,7 +88,7 @@ impl TimeFormat {
         }
     }
 
-    /// A number under this form: clock reading or instant.
+    /// A number in this format: local time or instant.
     fn of_number(&self, number: Number) -> Option<Stamp> {
         match self {
             Self::Epoch(unit) => {
@@ -105,40 +105,40 @@ impl TimeFormat {
     }
 }
 
-/// A column's stamps with what else is known of them.
+/// The timestamps of a column and what else is known about them.
 #[derive(Debug, Default)]
 pub(super) struct Axis {
     /// The column's name, for messages.
     pub name: String,
-    /// Whether numbers may count from anywhere: the column is called `t` or names a unit of seconds.
+    /// Whether numbers may count from any start: the column is called `t` or names a unit of seconds.
     pub from_anywhere: Option<TimeFormat>,
-    /// One a row.
+    /// One per row.
     pub stamps: Vec<Stamp>,
-    /// The rows' lines in the file.
+    /// Line numbers of the rows.
     pub lines: Vec<u64>,
 }
 
-/// What was asked for about times.
+/// Options on times.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Asked<'o> {
-    /// The form.
+    /// Time format.
     pub form: Option<&'o TimeFormat>,
-    /// The zone of clock readings.
+    /// Zone of local times.
     pub zone: Option<&'o Zone>,
-    /// First second that is not believed: the end of next year.
+    /// First second that is not accepted: the end of next year.
     pub end_s: i64,
 }
 
-/// Instants of an axis, and how they were found.
+/// Instants of a time axis, and how they were recognised.
 #[derive(Debug)]
 pub(super) struct Times {
-    /// ns since 1970 UTC, one a row.
+    /// ns since 1970 UTC, one per row.
     pub t_ns: Vec<i64>,
     /// What was recognised.
     pub words: String,
-    /// Steps on and back from one row to the next.
+    /// Number of steps forward from one row to the next.
     pub forward: u64,
-    /// The same, back.
+    /// Number of steps back.
     pub backward: u64,
 }
 
@@ -153,14 +153,14 @@ pub(super) fn end_of_next_year(now_s: i64) -> i64 {
 }
 
 impl Axis {
-    /// Adds a row and returns its place.
+    /// Adds a row and returns its index.
     pub(super) fn push(&mut self, stamp: Stamp, line: u64) -> u32 {
         self.stamps.push(stamp);
         self.lines.push(line);
         u32::try_from(self.stamps.len() - 1).unwrap_or(u32::MAX)
     }
 
-    /// Finds what the column means. `groups` are rows that follow one clock each (all of them, or those of one tag).
+    /// Finds the meaning of the column. Each of `groups` is a set of rows with a common clock (all rows, or those of a tag).
     pub(super) fn times(&self, groups: &[Vec<u32>], asked: Asked<'_>) -> Result<Times, ExportError> {
         let (form, why) = self.form(asked)?;
         let from_anywhere = self.from_anywhere.is_some() && self.stamps.first().is_some_and(|s| !s.is_dated());
@@ -186,7 +186,7 @@ impl Axis {
             words += &format!(", {}", zone.name());
             if twice > 0 {
                 words += &format!(
-                    " (the hour that comes twice is in it{})",
+                    " (includes the repeated hour{})",
                     if twice > groups.len() { " several times" } else { "" }
                 );
             }
@@ -198,7 +198,7 @@ impl Axis {
         ExportError::at(self.lines.get(row).copied().unwrap_or(0), what, remedy)
     }
 
-    /// The form of all cells, with the reason where it is not plain.
+    /// The format of all cells, with the reason if it is not obvious.
     fn form(&self, asked: Asked<'_>) -> Result<(Option<TimeFormat>, String), ExportError> {
         if let Some(form) = asked.form {
             return Ok((Some(form.clone()), String::new()));
@@ -214,7 +214,7 @@ impl Axis {
         }
     }
 
-    /// The unit under which every number lies between 1990 and the end of next year.
+    /// The unit for which every number is between 1990 and the end of next year.
     fn form_of_numbers(&self, end_s: i64, first: usize) -> Result<TimeFormat, ExportError> {
         let plausible = |form: &TimeFormat, n: Number| match form.of_number(n) {
             Some(Stamp::Instant(ns) | Stamp::Local(ns)) => (FIRST_S..end_s).contains(&ns.div_euclid(NS_PER_S)),
@@ -232,13 +232,13 @@ impl Axis {
                     return Ok(form.clone());
                 }
                 let text = format!(
-                    "{:?} holds {}, which is no time from {FIRST_YEAR} to next year as seconds, ms, us, ns, Excel's or MATLAB's days",
+                    "{:?} contains {}, which is not a time between {FIRST_YEAR} and next year in s, ms, us, ns, Excel or MATLAB days",
                     self.name, number.value
                 );
                 return Err(self.fault(
                     row,
                     text,
-                    "say what it is: --time-format s (from any start), ms, excel, datenum, or a pattern",
+                    "give the format with --time-format: s (from any start), ms, excel, datenum, or a pattern",
                 ));
             }
         }
@@ -249,7 +249,7 @@ impl Axis {
         Ok(form)
     }
 
-    /// `t` from 46000 on may be seconds of a long record, or days of a spreadsheet.
+    /// `t` above 46000 may be seconds of a long record, or days of a spreadsheet.
     fn seconds_or_days(&self, days: &TimeFormat, seconds: &TimeFormat) -> Result<TimeFormat, ExportError> {
         let values = self.stamps.iter().filter_map(|s| if let Stamp::Number(n) = s { Some(n.value) } else { None });
         let values: Vec<f64> = values.collect();
@@ -258,11 +258,11 @@ impl Axis {
             return Ok(seconds.clone());
         }
         let flag = NUMBERS.iter().find(|(_, form)| form == days).map_or("excel", |(word, _)| word);
-        let text = format!("{:?} holds {}, which may be seconds or {}", self.name, values[0], days.words());
-        Err(self.fault(0, text, &format!("say which: --time-format s, or --time-format {flag}")))
+        let text = format!("{:?} contains {}, which may be seconds or {}", self.name, values[0], days.words());
+        Err(self.fault(0, text, &format!("use --time-format s or --time-format {flag}")))
     }
 
-    /// The order of day, month and year that all rows allow.
+    /// The order of day, month and year that fits all rows.
     fn form_of_dates(&self, end_s: i64) -> Result<(Option<TimeFormat>, String), ExportError> {
         let mut left: Vec<Order> = Order::ALL.to_vec();
         let (mut why, mut first) = (String::new(), None);
@@ -280,13 +280,9 @@ impl Axis {
                     "this date does not exist".to_owned()
                 } else {
                     let words: Vec<&str> = before.iter().map(|o| o.word()).collect();
-                    format!(
-                        "this date cannot be {} like those from line {} on",
-                        words.join(" or "),
-                        self.lines[*started]
-                    )
+                    format!("this date cannot be {} like those from line {}", words.join(" or "), self.lines[*started])
                 };
-                return Err(self.fault(row, text, "correct it, or say the form by --time-format"));
+                return Err(self.fault(row, text, "correct it, or give the format with --time-format"));
             }
             if before.len() > 1 && left.len() == 1 && row > *started {
                 why = format!(" (line {} shows it)", self.lines[row]);
@@ -311,7 +307,7 @@ impl Axis {
         Ok((Some(TimeFormat::Dated(left[0])), why))
     }
 
-    /// Two orders fit every row: what happens at midnight tells, or nothing does.
+    /// Two orders fit every row: the change at midnight may decide.
     fn settle(&self, left: &[Order], first: usize) -> Result<(Order, String), ExportError> {
         let civils: Vec<(usize, Civil)> =
             self.stamps.iter().enumerate().filter_map(|(row, s)| civil_of(s).map(|c| (row, c))).collect();
@@ -338,17 +334,16 @@ impl Axis {
             .iter()
             .filter_map(|o| civils[0].1.date(*o).map(|d| format!("{d} (--time-format {})", o.word())))
             .collect();
-        let text = format!("this date may be {}, and no row of the file settles it", readings.join(" or "));
-        Err(self.fault(first, text, "say which by the flag"))
+        let text = format!("this date may be {}, and no row of the file decides", readings.join(" or "));
+        Err(self.fault(first, text, "choose with --time-format"))
     }
 
     fn mixed(&self, row: usize, first: usize) -> ExportError {
-        let text =
-            format!("times are written in another way than in line {}", self.lines.get(first).copied().unwrap_or(0));
-        self.fault(row, text, "write all of them alike")
+        let text = format!("time written differently from line {}", self.lines.get(first).copied().unwrap_or(0));
+        self.fault(row, text, "write all times alike")
     }
 
-    /// Every stamp as a clock reading or an instant.
+    /// Every timestamp as a local time or an instant.
     fn clocks(&self, form: Option<&TimeFormat>) -> Result<Vec<Clock>, ExportError> {
         let read = |row: usize, stamp: &Stamp| {
             let read = match (stamp, form) {
@@ -362,11 +357,7 @@ impl Axis {
             };
             read.ok_or_else(|| {
                 let form = form.map_or_else(String::new, TimeFormat::words);
-                self.fault(
-                    row,
-                    format!("this time cannot be read as {form}"),
-                    "say another --time-format, or leave it out",
-                )
+                self.fault(row, format!("this time cannot be read as {form}"), "give another --time-format, or omit it")
             })
         };
         self.stamps.iter().enumerate().map(|(row, stamp)| read(row, stamp)).collect()
@@ -410,29 +401,29 @@ impl Axis {
 
     fn without_zone(&self, row: usize, clocks: &[Clock]) -> ExportError {
         let (Stamp::Local(ns) | Stamp::Instant(ns), zone) = clocks[row] else {
-            return self.fault(row, "a time that cannot be read".into(), "say its form by --time-format");
+            return self.fault(row, "unreadable time".into(), "give the format with --time-format");
         };
         let shown = format_rfc3339(ns).replace('Z', "").replace('T', " ");
         let text = match zone {
             Some(found) => format!(
-                "{:?} holds {shown} {}, and letters name a zone for one half of a year only",
+                "{:?} contains {shown} {}, whose letters name a zone for half of the year only",
                 self.name,
                 letters(found)
             ),
-            None => format!("{:?} holds {shown} of no time zone", self.name),
+            None => format!("{:?} contains {shown} without a time zone", self.name),
         };
-        self.fault(row, text, "say whose clock it is: --tz Europe/Berlin, or --tz UTC")
+        self.fault(row, text, "give the time zone: --tz Europe/Berlin, or --tz UTC")
     }
 
     fn check(&self, rows: &[u32], t_ns: &[i64], end_s: i64) -> Result<(), ExportError> {
         let odd = rows.iter().find(|row| !(FIRST_S..end_s).contains(&t_ns[**row as usize].div_euclid(NS_PER_S)));
         odd.map_or(Ok(()), |row| {
             let when = format_rfc3339(t_ns[*row as usize]);
-            let text = format!("{:?} gives {when}, outside {FIRST_YEAR} to next year", self.name);
+            let text = format!("{:?} gives {when}, which is not between {FIRST_YEAR} and next year", self.name);
             Err(self.fault(
                 *row as usize,
                 text,
-                "if that is meant, say its form: --time-format s, ymd, dmy, mdy or a pattern",
+                "if that is right, give the format: --time-format s, ymd, dmy, mdy or a pattern",
             ))
         })
     }
@@ -442,12 +433,12 @@ impl Axis {
         ordered.sort_unstable();
         check_sampling(&ordered).map_err(|step_s| {
             let text = format!("{:?} steps by {step_s:.3e} s, faster than loops are sampled", self.name);
-            self.fault(0, text, "say what its numbers are: --time-format s, ms, us, ns, excel or datenum")
+            self.fault(0, text, "give the format: --time-format s, ms, us, ns, excel or datenum")
         })
     }
 }
 
-/// A clock reading or an instant, and letters such as CEST behind it.
+/// A local time or an instant, and letters such as CEST after it.
 type Clock = (Stamp, Option<[u8; 5]>);
 
 struct Group {
@@ -467,7 +458,7 @@ fn median(values: &mut [f64]) -> &f64 {
     values.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
-/// Whether the usual step of stamps in order is at least a millisecond; else that step in s.
+/// Whether the typical step of sorted timestamps is at least a millisecond; else that step in s.
 pub(super) fn check_sampling(ordered_ns: &[i64]) -> Result<(), f64> {
     let mut steps: Vec<f64> =
         ordered_ns.windows(2).map(|w| s_from_ns(w[1].saturating_sub(w[0]))).filter(|s| *s > 0.0).collect();
@@ -478,15 +469,15 @@ pub(super) fn check_sampling(ordered_ns: &[i64]) -> Result<(), f64> {
     if step_s < LEAST_SAMPLING_S { Err(step_s) } else { Ok(()) }
 }
 
-/// Whether seconds of a table `t,op,pv` look like days of a spreadsheet, or lie where no plant's clock does; if so, why
-/// and what would settle it.
+/// Whether the seconds of a table `t,op,pv` look like spreadsheet days, or are outside plausible years; if so, the reason
+/// and the option that settles it.
 pub(super) fn doubt_about_seconds(t_ns: &[i64], end_s: i64) -> Result<(), (String, &'static str)> {
     let mut ordered = t_ns.to_vec();
     ordered.sort_unstable();
     let (Some(first), Some(last)) = (ordered.first(), ordered.last()) else { return Ok(()) };
     if let Err(step_s) = check_sampling(&ordered) {
         let text = format!("\"t\" steps by {step_s:.3e} s, faster than loops are sampled");
-        return Err((text, "say what it holds: --time-format s, excel, datenum, ms, us or ns"));
+        return Err((text, "give the format: --time-format s, excel, datenum, ms, us or ns"));
     }
     let mut steps: Vec<f64> =
         ordered.windows(2).map(|w| s_from_ns(w[1].saturating_sub(w[0]))).filter(|s| *s > 0.0).collect();
@@ -495,11 +486,11 @@ pub(super) fn doubt_about_seconds(t_ns: &[i64], end_s: i64) -> Result<(), (Strin
         let (from, to) = (FIRST_S / DAY_S + of_1970, end_s / DAY_S + of_1970);
         let inside = |ns: i64| (ns_from_s(from as f64)..ns_from_s(to as f64)).contains(&ns);
         if fine && inside(*first) && inside(*last) {
-            let text = format!("\"t\" holds {}, which may be seconds or a spreadsheet's days", s_from_ns(*first));
+            let text = format!("\"t\" contains {}, which may be seconds or days of a spreadsheet", s_from_ns(*first));
             let remedy = if name.ends_with("excel") {
-                "say which: --time-format s, or --time-format excel"
+                "use --time-format s or --time-format excel"
             } else {
-                "say which: --time-format s, or --time-format datenum"
+                "use --time-format s or --time-format datenum"
             };
             return Err((text, remedy));
         }
@@ -507,12 +498,12 @@ pub(super) fn doubt_about_seconds(t_ns: &[i64], end_s: i64) -> Result<(), (Strin
     // Records that count from their own start are read as they stand; dates beyond next year are not.
     if last.div_euclid(NS_PER_S) >= end_s {
         let text = format!("\"t\" gives {}, later than next year", format_rfc3339(*last));
-        return Err((text, "say what it holds: --time-format s, ms, us or ns"));
+        return Err((text, "give the format: --time-format s, ms, us or ns"));
     }
     Ok(())
 }
 
-/// A time by strftime's letters.
+/// A time by a strftime pattern.
 pub(super) fn by_pattern(pattern: &str, text: &str) -> Option<Stamp> {
     let parsed = jiff::fmt::strtime::parse(pattern, text).ok()?;
     if parsed.offset().is_some() {

@@ -14,7 +14,7 @@ use super::cell::{Cell, Rows, Table, Take};
 use super::{ExportError, guarded};
 use crate::files::InputKind;
 
-/// Rows of a batch.
+/// Rows per batch.
 const BATCH: usize = 8192;
 
 fn fault(error: impl std::fmt::Display) -> ExportError {
@@ -26,7 +26,7 @@ type Batches = Box<dyn Iterator<Item = Result<RecordBatch, ArrowError>>>;
 /// The table of a file.
 ///
 /// # Errors
-/// The file is damaged, or uses what is not read.
+/// The file is damaged, or uses an unsupported feature.
 pub(super) fn table(kind: InputKind, bytes: &[u8]) -> Result<Table<'static>, ExportError> {
     let rows = Columns { kind, bytes: bytes.to_vec().into() };
     let (schema, _) = guarded(|| rows.open())?;
@@ -76,14 +76,14 @@ impl Rows for Columns {
     }
 }
 
-/// A column in one of the few types that cells have.
+/// A column of a type that cells can have.
 enum Column {
     Text(ArrayRef),
     Number(ArrayRef),
     Integer(ArrayRef),
     Local(ArrayRef),
     Instant(ArrayRef),
-    /// Lists, structures and the like, which hold no signal.
+    /// Lists, structures and other types that are not signals.
     Other,
 }
 

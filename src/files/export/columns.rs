@@ -1,4 +1,4 @@
-//! Which column is what: times, values of tags, quality codes; wide tables, long ones, and those of one signal.
+//! The role of each column: times, values of tags, quality codes; in wide, long and single-signal tables.
 
 use super::ExportError;
 use super::cell::{Cell, Table};
@@ -8,64 +8,64 @@ use super::names::{is_date, is_quality, is_tag, is_time, is_value, plain, unit};
 use super::stamp::Stamp;
 use stiction::units::NS_PER_S;
 
-/// Rows that columns are told from.
+/// Rows examined to recognise columns.
 const LOOKED_AT: usize = 60;
 
-/// Where a row's time stands.
+/// Where the time of a row is.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct TimeColumn {
     /// The column.
     pub at: usize,
-    /// The column of the time of day, where date and time stand apart.
+    /// The column of the time of day, if separate from the date.
     pub clock_at: Option<usize>,
-    /// Its name, for messages.
+    /// Name for messages.
     pub name: String,
-    /// The unit, where numbers may count from any start.
+    /// The unit, if numbers may count from any start.
     pub from_anywhere: Option<TimeFormat>,
     /// The zone in its name.
     pub is_utc: bool,
 }
 
-/// A column of values in a wide table.
+/// A value column in a wide table.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct ValueColumn {
     /// The column.
     pub at: usize,
-    /// Its time, as an index of [`Layout::times`].
+    /// Its time, as an index into [`Layout::times`].
     pub time: usize,
-    /// Its quality codes, if it has any.
+    /// Its quality codes, if any.
     pub quality: Option<usize>,
     /// The tag.
     pub tag: String,
 }
 
-/// How a table is laid out.
+/// Layout of a table.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) enum Shape {
-    /// A column for each tag.
+    /// One column per tag.
     Wide(Vec<ValueColumn>),
-    /// A row for each value.
+    /// One row per value.
     Long { tag: usize, value: usize, quality: Option<usize> },
 }
 
-/// Times and values of a table.
+/// Time and value columns of a table.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Layout {
-    /// Columns of times; more than one where signals have their own.
+    /// Time columns; several if signals have their own.
     pub times: Vec<TimeColumn>,
     /// The rest.
     pub shape: Shape,
 }
 
-/// What the first rows hold, by column.
+/// Contents of the first rows, by column.
 struct Seen {
-    /// Cells that are dates in writing, or typed times.
+    /// Cells that are written dates or typed times.
     dates: usize,
-    /// Cells that are times of day alone.
+    /// Cells that are times of day only.
     clocks: usize,
-    /// Cells that hold anything.
+    /// Non-empty cells.
     filled: usize,
-    /// Distinct texts that are no numbers.
+    /// Distinct texts that are not numbers.
     texts: std::collections::BTreeSet<String>,
 }
 
@@ -115,7 +115,7 @@ fn look(table: &Table<'_>) -> Result<Vec<Seen>, ExportError> {
     Ok(seen)
 }
 
-/// A column that was said by name, or by number from 1.
+/// A column given by name, or by number from 1.
 fn find(wanted: &str, table: &Table<'_>, columns: usize) -> Result<Option<usize>, ExportError> {
     let found: Vec<usize> = (0..table.names.len()).filter(|at| same(wanted, &table.names[*at])).collect();
     match found[..] {
@@ -123,7 +123,7 @@ fn find(wanted: &str, table: &Table<'_>, columns: usize) -> Result<Option<usize>
         [] => {}
         _ => {
             let text = format!("the header names {wanted:?} {} times", found.len());
-            return Err(ExportError::at(table.line, text, "say the column's number by --map, counted from 1"));
+            return Err(ExportError::at(table.line, text, "give the column's number with --map, counted from 1"));
         }
     }
     let number: Option<usize> = wanted.trim_start_matches('#').parse().ok();
@@ -137,10 +137,10 @@ pub(super) fn listed(names: &[String]) -> String {
     if more == 0 { shown.join(", ") } else { format!("{} and {more} more", shown.join(", ")) }
 }
 
-/// Tells what each column of a table is.
+/// Recognises the role of each column of a table.
 ///
 /// # Errors
-/// No column of times, or none of values; what `--map` asks for is not there.
+/// No time column, no value column, or a column of `--map` that does not exist.
 pub(super) fn layout(table: &Table<'_>, map: Option<&Map>) -> Result<Layout, ExportError> {
     let seen = look(table)?;
     let finder = Finder { table, map, seen: &seen };
@@ -172,8 +172,8 @@ impl Finder<'_, '_> {
         match find(wanted, self.table, self.columns())? {
             Some(at) => Ok(Some(at)),
             None => {
-                let text = format!("--map names {wanted:?}, the columns are {}", listed(&self.table.names));
-                Err(ExportError::at(self.table.line, text, "write one of these, or the column's number from 1"))
+                let text = format!("--map names {wanted:?}, but the columns are {}", listed(&self.table.names));
+                Err(ExportError::at(self.table.line, text, "use one of these names, or the column's number from 1"))
             }
         }
     }
@@ -220,12 +220,12 @@ impl Finder<'_, '_> {
             found.push(0);
         }
         if found.is_empty() {
-            let text = format!("no column of times among {}", listed(&self.table.names));
-            return Err(ExportError::at(self.table.line, text, "say which it is: --map t=COLUMN,op=…,pv=…"));
+            let text = format!("no time column among {}", listed(&self.table.names));
+            return Err(ExportError::at(self.table.line, text, "name it: --map t=COLUMN,op=…,pv=…"));
         }
         if let Some(pair) = found.windows(2).find(|w| w[1] == w[0] + 1) {
-            let text = format!("{:?} and {:?} both hold times", self.name(pair[0]), self.name(pair[1]));
-            return Err(ExportError::at(self.table.line, text, "say which counts: --map t=COLUMN,op=…,pv=…"));
+            let text = format!("{:?} and {:?} both contain times", self.name(pair[0]), self.name(pair[1]));
+            return Err(ExportError::at(self.table.line, text, "choose one: --map t=COLUMN,op=…,pv=…"));
         }
         Ok(found.into_iter().map(|at| self.time(at, None)).collect())
     }
@@ -282,9 +282,9 @@ impl Finder<'_, '_> {
             let text = if self.table.names.is_empty() {
                 "the file has no header".to_owned()
             } else {
-                format!("no column of values among {}", listed(&self.table.names))
+                format!("no value column among {}", listed(&self.table.names))
             };
-            let remedy = "say the columns, counted from 1: --map t=1,op=2,pv=3";
+            let remedy = "name the columns by number, counted from 1: --map t=1,op=2,pv=3";
             return Err(ExportError::at(self.table.line, text, remedy));
         }
         Ok(values)

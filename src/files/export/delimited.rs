@@ -1,4 +1,4 @@
-//! Text to a table: what parts its cells, which lines are remarks, names, units, and where rows begin.
+//! Text to a table: cell separator, comment lines, names, units, and the first row.
 
 use super::ExportError;
 use super::cell::{Cell, Rows, Table, Take};
@@ -6,23 +6,23 @@ use super::names::is_time;
 use super::number::is_missing_word;
 use super::stamp::Stamp;
 
-/// Lines from which the delimiter and the first rows are told.
+/// Lines examined to find the separator and the first rows.
 const LOOKED_AT: usize = 200;
-/// What parts cells, in the order in which a doubt is settled: a comma also stands in numbers.
+/// Cell separators by preference: a comma also occurs in numbers.
 const DELIMITERS: [(u8, &str); 4] = [(b'\t', "tabs"), (b';', "semicolons"), (b'|', "bars"), (b',', "commas")];
-/// Rows between the names and the first row of values, at most: units, descriptions.
+/// Most rows between the names and the first row of values, such as units and descriptions.
 const MOST_UNITS: usize = 4;
 
-/// What to do about numbers that fall apart.
+/// Remedy for numbers split at their decimal comma.
 const BETWEEN_COMMAS: &str =
-    "numbers with a decimal comma between commas must stand in quotes; export with semicolons or tabs";
+    "quote numbers with a decimal comma in a comma-separated file, or export with semicolons or tabs";
 
 /// A line of a text.
 #[derive(Clone, Copy)]
 struct Line<'t> {
     /// From 1.
     number: u64,
-    /// Where it begins.
+    /// Byte offset of its start.
     start: usize,
     text: &'t str,
 }
@@ -61,7 +61,7 @@ fn reader(text: &str, delimiter: u8) -> ::csv::Reader<&[u8]> {
         .from_reader(text.as_bytes())
 }
 
-/// How many cells most lines have, and the share of lines that do.
+/// The most frequent number of cells per line, and the share of lines that have it.
 fn regularity(lines: &[Line<'_>], delimiter: u8) -> (usize, f64) {
     let mut counts = std::collections::BTreeMap::new();
     let kept = lines.iter().filter(|l| !l.text.trim().is_empty() && !is_remark(l.text, Some(delimiter)));
@@ -90,12 +90,12 @@ fn delimiter_of(lines: &[Line<'_>]) -> Result<(u8, usize), ExportError> {
     best.map(|(d, cells, _)| (*d, *cells)).ok_or_else(|| {
         let line = lines.iter().find(|l| !l.text.trim().is_empty());
         let (number, seen) = line.map_or((1, String::new()), |l| (l.number, l.text.chars().take(60).collect()));
-        let text = format!("{seen:?} holds no commas, semicolons, tabs or bars between cells");
-        ExportError::at(number, text, "export a table with one row a time, or say the character by --delimiter")
+        let text = format!("{seen:?} has no commas, semicolons, tabs or bars between cells");
+        ExportError::at(number, text, "export a table with one row per time, or give the separator with --delimiter")
     })
 }
 
-/// Whether a row holds values: a time, a number, or a word for a missing one behind a time.
+/// Whether a row has values: a time, a number, or a word for a missing value after a time.
 fn is_values(row: &[String]) -> bool {
     row.iter().any(|cell| match Stamp::read(cell) {
         Some(Stamp::Number(_)) => true,
@@ -107,7 +107,7 @@ fn is_values(row: &[String]) -> bool {
 /// Finds the table in a text.
 ///
 /// # Errors
-/// Nothing in it looks like one.
+/// Nothing looks like a table.
 pub(super) fn table(text: &str, wanted: Option<u8>) -> Result<Table<'_>, ExportError> {
     let lines = first_lines(text);
     let (delimiter, usual) = match wanted {
@@ -131,7 +131,7 @@ pub(super) fn table(text: &str, wanted: Option<u8>) -> Result<Table<'_>, ExportE
         let line = kept.first().map_or(1, |(l, _)| l.number);
         ExportError::at(
             line,
-            format!("no row of values follows ({} in a row)", words[0]),
+            format!("no row of values found (with {})", words[0]),
             "export rows with a time and numbers",
         )
     })?;
@@ -152,7 +152,7 @@ pub(super) fn table(text: &str, wanted: Option<u8>) -> Result<Table<'_>, ExportE
         && is_time(&above[0])
     {
         let (cells, names) = (kept[first].1.len(), above.len());
-        let text = format!("{cells} cells, the header in line {} has {names}", line.number);
+        let text = format!("{cells} cells, but the header in line {} has {names}", line.number);
         return Err(ExportError::at(kept[first].0.number, text, BETWEEN_COMMAS));
     }
     let titles = head;
@@ -203,12 +203,9 @@ impl Rows for TextRows<'_> {
                 continue;
             }
             if row.len() > self.columns && row.iter().skip(self.columns).any(|cell| !cell.is_empty()) {
-                let text = format!("{} cells, the lines before have {}", row.len(), self.columns);
-                let remedy = if self.delimiter == b',' {
-                    BETWEEN_COMMAS
-                } else {
-                    "remove what is too much, or put it in quotes"
-                };
+                let text = format!("{} cells, but earlier lines have {}", row.len(), self.columns);
+                let remedy =
+                    if self.delimiter == b',' { BETWEEN_COMMAS } else { "remove the extra cells, or quote them" };
                 return Err(ExportError::at(line, text, remedy));
             }
             let cells: Vec<Cell<'_>> =

@@ -1,4 +1,4 @@
-//! Rows to series: every value with its time, in order of time.
+//! Rows to series: each tag's values in time order.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -14,25 +14,25 @@ use super::zone::Zone;
 use super::{Contents, ExportError, ReadOptions};
 use stiction::record::{Mode, Signal, Value};
 
-/// Rows after which decimals are looked for no further, once known or never seen.
+/// Rows after which the search for the decimal separator stops, whether found or not.
 const ENOUGH_ROWS: u64 = 20_000;
-/// Words for missing values that are told, at most.
+/// Most words for missing values listed.
 const MOST_WORDS: usize = 6;
 
-/// The values of one tag, in order of time.
+/// The values of one tag in time order.
 #[derive(Debug, Clone)]
 pub(super) struct Series {
     /// The tag.
     pub tag: String,
-    /// Which loop and signal it is.
+    /// Its loop and signal.
     pub role: Role,
-    /// Its unit, where the file says it.
+    /// Its unit, if the file gives it.
     pub unit: Option<String>,
     /// Times, values, and whether the cell was empty.
     pub samples: Vec<(i64, Value, bool)>,
 }
 
-/// A series in the making.
+/// A series under construction.
 struct Open {
     tag: String,
     role: Role,
@@ -44,7 +44,7 @@ struct Open {
     texts: Texts,
 }
 
-/// Cells of a series that are no numbers.
+/// Cells of a series that are not numbers.
 #[derive(Default)]
 struct Texts {
     numbers: u64,
@@ -52,7 +52,7 @@ struct Texts {
     first_unknown: Option<(u64, String)>,
 }
 
-/// The role of a tag, or what was said of it.
+/// The role of a tag, from its name or from --map.
 fn role_of(tag: &str, map: Option<&Map>) -> Option<Role> {
     let mapped = map.filter(|m| m.names_signals());
     match mapped {
@@ -61,7 +61,7 @@ fn role_of(tag: &str, map: Option<&Map>) -> Option<Role> {
     }
 }
 
-/// The tag of a column: a file of one signal names it in the heading, or in its own name.
+/// The tag of a column: a single-signal file names it in the heading or in the file name.
 fn tag_of(name: &str, alone: bool, stem: &str, map: Option<&Map>) -> String {
     if alone && map.is_some_and(|m| m.signal_of(stem).is_some()) {
         return stem.to_owned();
@@ -76,7 +76,7 @@ fn tag_of(name: &str, alone: bool, stem: &str, map: Option<&Map>) -> String {
     }
 }
 
-/// The signal of a file that holds one signal alone.
+/// The signal of a single-signal file.
 pub(super) fn only_role(layout: &Layout, stem: &str, map: Option<&Map>) -> Option<Role> {
     match &layout.shape {
         Shape::Wide(columns) => match &columns[..] {
@@ -104,7 +104,7 @@ struct Gatherer<'o> {
 /// Reads every row of a table.
 ///
 /// # Errors
-/// What cannot be read, with its line and the flag that settles it.
+/// What cannot be read, with its line and the option that settles it.
 pub(super) fn gather(
     table: &Table<'_>,
     layout: &Layout,
@@ -138,7 +138,7 @@ pub(super) fn gather(
     all.close(table, layout, end_s)
 }
 
-/// Decimal point or comma, from the columns of values.
+/// Decimal separator, from the value columns.
 fn decimal_of(table: &Table<'_>, layout: &Layout, asked: Option<Decimal>) -> Result<Decimal, ExportError> {
     if let Some(decimal) = asked {
         return Ok(decimal);
@@ -170,19 +170,15 @@ fn decimal_of(table: &Table<'_>, layout: &Layout, asked: Option<Decimal>) -> Res
     match (sure, either) {
         ([0, 0], [_, 0]) => Ok(Decimal::Point),
         ([0, 0], [_, comma]) => {
-            let text = "every number with a comma has three digits behind it: decimals or thousands";
-            Err(ExportError::at(
-                comma,
-                text,
-                "say which: --decimal comma (1,234 is 1.234) or --decimal point (1,234 is 1234)",
-            ))
+            let text = "every number with a comma has three digits after it, which may be decimals or thousands";
+            Err(ExportError::at(comma, text, "use --decimal comma (1,234 is 1.234) or --decimal point (1,234 is 1234)"))
         }
         ([point, comma], _) if point > 0 && comma > 0 => {
-            let text = format!("decimals are written with a point in line {point} and with a comma in line {comma}");
+            let text = format!("line {point} has a decimal point, line {comma} a decimal comma");
             Err(ExportError::at(
                 point.max(comma),
                 text,
-                "say which holds by --decimal; the others then count as missing",
+                "choose one with --decimal point or --decimal comma; the other numbers then count as missing",
             ))
         }
         ([_, comma], _) => Ok(if comma > 0 { Decimal::Comma } else { Decimal::Point }),
@@ -193,9 +189,8 @@ impl Gatherer<'_> {
     fn stamp(&self, line: u64, cells: &[Cell<'_>], time: &TimeColumn) -> Result<Option<Stamp>, ExportError> {
         let cell = |at: usize| cells.get(at).copied().unwrap_or(Cell::Empty);
         let unreadable = || {
-            let text = format!("{:?} holds {:?}, which is no time", time.name, cell(time.at).shown());
-            let remedy =
-                "say its form by --time-format, such as \"%d/%m/%Y %H:%M:%S\", or the column by --map t=COLUMN";
+            let text = format!("{:?} contains {:?}, which is not a time", time.name, cell(time.at).shown());
+            let remedy = "give the form with --time-format, such as \"%d/%m/%Y %H:%M:%S\", or another column with --map t=COLUMN";
             ExportError::at(line, text, remedy)
         };
         let joined;
@@ -219,7 +214,7 @@ impl Gatherer<'_> {
         read.map(Some).ok_or_else(unreadable)
     }
 
-    /// Opens a series for a tag that is known; remembers the others.
+    /// Starts a series for a recognised tag; keeps the other tags for messages.
     fn series(&mut self, tag: &str, axis: usize) -> Option<usize> {
         if let Some(known) = self.by_tag.get(tag) {
             return *known;
@@ -254,7 +249,7 @@ impl Gatherer<'_> {
             let tag = tag_of(&column.tag, columns.len() == 1, stem, self.options.map.as_ref());
             if self.by_tag.get(&tag).is_some_and(Option::is_some) {
                 let text = format!("the header names {tag:?} twice");
-                return Err(ExportError::at(table.line, text, "say the columns by their numbers: --map op=2,pv=3"));
+                return Err(ExportError::at(table.line, text, "name the columns by number: --map op=2,pv=3"));
             }
             if let Some(series) = self.series(&tag, column.time) {
                 self.open[series].unit = table.unit_of(column.at);
@@ -276,8 +271,8 @@ impl Gatherer<'_> {
                     }
                     None if cell == Cell::Empty => {}
                     None => {
-                        let text = format!("{:?} stands here without a time", cell.shown());
-                        return Err(ExportError::at(line, text, "give every row its time"));
+                        let text = format!("value {:?} without a time", cell.shown());
+                        return Err(ExportError::at(line, text, "add the time of every row"));
                     }
                 }
             }
@@ -292,7 +287,7 @@ impl Gatherer<'_> {
             let shown;
             let name = match cell(tag) {
                 Cell::Text(text) => text,
-                Cell::Empty => return Err(ExportError::at(line, "a row without a tag", "give every row its tag")),
+                Cell::Empty => return Err(ExportError::at(line, "a row without a tag", "add the tag of every row")),
                 other => {
                     shown = other.shown();
                     &shown
@@ -300,7 +295,7 @@ impl Gatherer<'_> {
             };
             let Some(series) = self.series(name, 0) else { return Ok(true) };
             let Some(stamp) = self.stamp(line, cells, &layout.times[0])? else {
-                return Err(ExportError::at(line, "a row without a time", "give every row its time"));
+                return Err(ExportError::at(line, "a row without a time", "add the time of every row"));
             };
             let row = self.axes[0].push(stamp, line);
             self.take(series, row, line, cell(value), quality.map(cell));
@@ -364,13 +359,15 @@ impl Gatherer<'_> {
             if let Some((line, text)) = &open.texts.first_unknown {
                 let (unknown, numbers, tag) = (open.texts.unknown, open.texts.numbers, &open.tag);
                 if unknown > numbers {
-                    let what =
-                        format!("{tag:?} holds {text:?}, and more such cells than numbers ({unknown} to {numbers})");
-                    let remedy = "say decimals by --decimal comma or point, or another column by --map op=TAG,pv=TAG";
+                    let what = format!(
+                        "{tag:?} contains {text:?}, and more such cells than numbers ({unknown} against {numbers})"
+                    );
+                    let remedy =
+                        "give the decimal separator with --decimal, or another column with --map op=TAG,pv=TAG";
                     return Err(ExportError::at(*line, what, remedy));
                 }
                 warnings.push(format!(
-                    "{tag}: {unknown} cells are no numbers and count as missing, the first {text:?} in line {line}"
+                    "{tag}: {unknown} cells are not numbers and count as missing, first {text:?} in line {line}"
                 ));
             }
         }
@@ -383,8 +380,8 @@ impl Gatherer<'_> {
         let counts = self.missing_in_words();
         let shape = match &layout.shape {
             Shape::Wide(columns) if columns.len() == 1 => "one signal",
-            Shape::Wide(_) => "a column a tag",
-            Shape::Long { .. } => "a row a value",
+            Shape::Wide(_) => "one column per tag",
+            Shape::Long { .. } => "one row per value",
         };
         words.push(shape.to_owned());
         let series = self.open.into_iter().map(|open| {
@@ -398,7 +395,7 @@ impl Gatherer<'_> {
         Ok(Contents { series: series.collect(), words, counts, warnings, ignored: self.ignored })
     }
 
-    /// Values of bad quality become missing.
+    /// Makes values of bad quality missing.
     fn judge_marks(&mut self, layout: &Layout, table: &Table<'_>) -> Result<(), ExportError> {
         let name = match &layout.shape {
             Shape::Long { quality: Some(at), .. } => {
@@ -432,12 +429,12 @@ impl Gatherer<'_> {
             words.push(format!("missing: {}{more}", shown.join(", ")));
         }
         if self.marked_bad > 0 {
-            words.push(format!("{} values of bad quality are missing", self.marked_bad));
+            words.push(format!("{} values of bad quality count as missing", self.marked_bad));
         }
         words
     }
 
-    /// Instants of every axis.
+    /// Instants of every time axis.
     fn times(&self, layout: &Layout, end_s: i64, words: &mut Vec<String>) -> Result<Vec<Vec<i64>>, ExportError> {
         let utc = Zone::parse("UTC").ok();
         let mut all = Vec::with_capacity(self.axes.len());
@@ -452,9 +449,9 @@ impl Gatherer<'_> {
             if at == 0 {
                 words.push(format!("times {}", times.words));
                 if times.backward > times.forward && times.forward == 0 {
-                    words.push("newest first, put in order".to_owned());
+                    words.push("newest first, sorted".to_owned());
                 } else if times.backward > 0 {
-                    words.push(format!("out of order {} times, put in order", times.backward.min(times.forward)));
+                    words.push(format!("out of order {} times, sorted", times.backward.min(times.forward)));
                 }
             }
             all.push(times.t_ns);

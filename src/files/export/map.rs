@@ -1,11 +1,11 @@
-//! `--map`: which tags or columns are what, said by the person who knows.
+//! `--map`: the roles of tags or columns, given by the user.
 
 use std::fmt;
 
 use super::names::bare;
 use stiction::record::Signal;
 
-/// What a column can be, beside a signal.
+/// Role of a column that is not a signal.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Part {
     /// Times.
@@ -37,34 +37,35 @@ fn part(word: &str) -> Option<Part> {
 }
 
 impl Map {
-    /// Reads the flag's value. A tag may hold commas: a part begins only where a known word and `=` follow one.
+    /// Parses the value of --map. A tag may contain commas: a part begins only where a comma is followed by a keyword and `=`.
     ///
     /// # Errors
-    /// A sentence that shows what would be understood.
+    /// A sentence that shows what is valid.
     pub fn parse(text: &str) -> Result<Self, String> {
-        let known = "write op=TAG,pv=TAG[,sp=TAG][,mv=TAG][,mode=TAG][,t=COLUMN], columns by name or counted from 1";
+        let known =
+            "write op=TAG,pv=TAG[,sp=TAG][,mv=TAG][,mode=TAG][,t=COLUMN], with columns by name or by number from 1";
         let mut parts: Vec<(Part, String)> = Vec::new();
         for piece in text.split(',') {
             match piece.split_once('=').and_then(|(word, tag)| part(word).map(|p| (p, tag.trim()))) {
                 Some((part, _)) if parts.iter().any(|(p, _)| *p == part) => {
-                    return Err(format!("{piece:?} says a second time what is said before; {known}"));
+                    return Err(format!("{piece:?} repeats an earlier part; {known}"));
                 }
                 Some((part, tag)) if !tag.is_empty() => parts.push((part, tag.to_owned())),
                 _ => match parts.last_mut() {
                     Some((_, tag)) => *tag = format!("{tag},{piece}"),
-                    None => return Err(format!("{piece:?} is not understood; {known}")),
+                    None => return Err(format!("{piece:?} is not valid; {known}")),
                 },
             }
         }
         Ok(Self { parts })
     }
 
-    /// What was said of a part.
+    /// The value of a part.
     pub(super) fn of(&self, part: Part) -> Option<&str> {
         self.parts.iter().find(|(p, _)| *p == part).map(|(_, tag)| tag.as_str())
     }
 
-    /// Whether it names signals, not only columns of times, tags and values.
+    /// Whether it names signals, not only time, tag and value columns.
     pub(super) fn names_signals(&self) -> bool {
         self.parts.iter().any(|(p, _)| matches!(p, Part::Signal(_)))
     }
@@ -74,13 +75,13 @@ impl Map {
         self.parts.iter().filter_map(|(p, tag)| if let Part::Signal(s) = p { Some((*s, tag.as_str())) } else { None })
     }
 
-    /// The signal that a tag was said to be.
+    /// The signal of a tag.
     pub(super) fn signal_of(&self, tag: &str) -> Option<Signal> {
         self.signals().find(|(_, wanted)| same(wanted, tag)).map(|(signal, _)| signal)
     }
 }
 
-/// Whether two names mean the same, letter case and units in brackets apart.
+/// Whether two names are the same, ignoring letter case and units in brackets.
 pub(super) fn same(wanted: &str, name: &str) -> bool {
     wanted.eq_ignore_ascii_case(name.trim()) || bare(wanted).eq_ignore_ascii_case(bare(name))
 }

@@ -1,15 +1,15 @@
-//! Tables as historians, spreadsheets and data tools export them: bytes → text → table → columns → times → loops.
+//! Tables exported by historians, spreadsheets and data tools: bytes → text → table → columns → times → loops.
 //!
 //! | step | file |
 //! |---|---|
 //! | encoding | `text` |
-//! | delimiter, remarks, names, units | `delimited`; workbooks `workbook`; Parquet and Arrow `columnar` |
-//! | which column is what | `columns`, `names`, `map` |
-//! | numbers, words for nothing, quality codes | `number`, `quality` |
-//! | a time taken apart, a column of them understood, zones | `stamp`, `clock`, `zone` |
+//! | separator, comment lines, names, units | `delimited`; workbooks `workbook`; Parquet and Arrow `columnar` |
+//! | role of each column | `columns`, `names`, `map` |
+//! | numbers, words for missing values, quality codes | `number`, `quality` |
+//! | parsing a time, meaning of a time column, zones | `stamp`, `clock`, `zone` |
 //! | rows to series, series to loops | `gather`, `pair` |
 //!
-//! Nothing is guessed where two readings are possible: such a file is refused with the line, what was seen, and the flag
+//! Nothing is guessed if two readings are possible: such a file is rejected with the line, what was seen, and the option
 //! that settles it.
 
 mod cell;
@@ -47,15 +47,15 @@ use cell::Table;
 use gather::Series;
 use stiction::units::parse_time;
 
-/// What cannot be read, where, and what would settle it.
+/// What cannot be read, where, and what settles it.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 #[error("{}{what}; {remedy}", place(*line))]
 pub struct ExportError {
-    /// Line in the file (row in a sheet), from 1; 0 for none.
+    /// Line in the file (row in a sheet), from 1; 0 if none.
     pub line: u64,
     /// What was seen.
     pub what: String,
-    /// The flag that settles it, or what to do.
+    /// The option that settles it, or another remedy.
     pub remedy: String,
 }
 
@@ -72,9 +72,9 @@ impl ExportError {
 /// What was recognised in an export.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Recognised {
-    /// Its form, in a few words with commas between: files of one system have it in common.
+    /// Its format in a few words separated by commas; files of one system have it in common.
     pub form: String,
-    /// What was counted in this file, such as words for missing values.
+    /// Counts for this file, such as words for missing values.
     pub counts: Vec<String>,
 }
 
@@ -85,10 +85,10 @@ impl std::fmt::Display for Recognised {
     }
 }
 
-/// A moment that somebody wrote: seconds since 1970, or a date in any of the forms of exports.
+/// Parses a time: seconds since 1970, or a date in any format of exports.
 ///
 /// # Errors
-/// A sentence that says what would settle it.
+/// A sentence that says what settles it.
 pub fn moment(text: &str, options: &ReadOptions) -> Result<i64, String> {
     if let Ok(t_ns) = parse_time(text) {
         return Ok(t_ns);
@@ -97,12 +97,12 @@ pub fn moment(text: &str, options: &ReadOptions) -> Result<i64, String> {
         Some(TimeFormat::Pattern(pattern)) => clock::by_pattern(pattern, text),
         _ => stamp::Stamp::read(text),
     };
-    let stamp = stamp.ok_or_else(|| format!("{text:?} is no time; write such as 2026-01-05T08:00:00Z"))?;
+    let stamp = stamp.ok_or_else(|| format!("{text:?} is not a time; write one such as 2026-01-05T08:00:00Z"))?;
     let mut axis = clock::Axis { name: text.to_owned(), ..clock::Axis::default() };
     axis.push(stamp, 0);
     let asked = clock::Asked { form: options.time_format.as_ref(), zone: options.zone.as_ref(), end_s: end_s() };
     let times = axis.times(&[vec![0]], asked).map_err(|e| e.to_string())?;
-    times.t_ns.first().copied().ok_or_else(|| format!("{text:?} is no time"))
+    times.t_ns.first().copied().ok_or_else(|| format!("{text:?} is not a time; write one such as 2026-01-05T08:00:00Z"))
 }
 
 /// The loops of an export.
@@ -112,18 +112,18 @@ pub(super) struct Export {
     pub loops: Vec<LoadedLoop>,
     /// What was recognised; `None` for the program's own tables.
     pub recognised: Option<Recognised>,
-    /// What a person should know.
+    /// Warnings for the user.
     pub warnings: Vec<String>,
 }
 
-/// What one file holds, before tags are paired.
+/// Contents of one file before tags are paired.
 #[derive(Debug, Default)]
 pub(super) struct Contents {
     series: Vec<Series>,
     words: Vec<String>,
     counts: Vec<String>,
     warnings: Vec<String>,
-    /// Names of columns that mean nothing here.
+    /// Names of unrecognised columns.
     ignored: Vec<String>,
 }
 
@@ -132,7 +132,7 @@ fn end_s() -> i64 {
     clock::end_of_next_year(i64::try_from(now).unwrap_or(0))
 }
 
-/// Whether the bytes begin as text in UTF-16 without a mark.
+/// Whether the bytes begin as UTF-16 text without a mark.
 pub(super) fn is_utf16(head: &[u8]) -> bool {
     let pairs = head.chunks_exact(2).count();
     let plain = |at: usize| {
@@ -143,7 +143,7 @@ pub(super) fn is_utf16(head: &[u8]) -> bool {
     pairs >= 4 && (plain(0).max(plain(1))) * 10 >= pairs * 8
 }
 
-/// The program's own table: header `t,op,pv…` and a first row whose time it writes itself.
+/// Whether this is the program's own table: header `t,op,pv…` and a first row with a time in its own format.
 fn is_own(bytes: &[u8]) -> bool {
     let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
     let head = String::from_utf8_lossy(&bytes[..bytes.len().min(1 << 14)]);
@@ -158,7 +158,7 @@ fn is_own(bytes: &[u8]) -> bool {
     has("op") && has("pv") && first.is_none_or(|t| parse_time(&t).is_ok())
 }
 
-/// Reads a table of the program's own form, and doubts times that no plant has.
+/// Reads a table in the program's own format; doubts implausible times.
 fn read_own(bytes: &[u8], name: &str) -> Result<Export, super::FileFault> {
     let table = csv::read_from(bytes)?;
     let mut t_ns: Vec<i64> = table.samples.iter().map(|s| s.t_ns).collect();
@@ -167,10 +167,10 @@ fn read_own(bytes: &[u8], name: &str) -> Result<Export, super::FileFault> {
     Ok(Export { loops: vec![LoadedLoop::new(name, table.samples)], recognised: None, warnings: table.warnings })
 }
 
-/// Reads an export whole.
+/// Reads an export completely.
 ///
 /// # Errors
-/// What cannot be recognised, with its line and the flag that settles it.
+/// What cannot be recognised, with its line and the option that settles it.
 pub(super) fn read(
     kind: InputKind,
     path: &Path,
@@ -185,7 +185,7 @@ pub(super) fn read(
     Ok(pair::loops(vec![(stem, contents)], options)?)
 }
 
-/// Reads files that hold one signal each and make up loops together.
+/// Reads single-signal files that together form loops.
 ///
 /// # Errors
 /// As [`read`].
@@ -193,14 +193,14 @@ pub(super) fn read_parts(parts: Vec<(String, Contents)>, options: &ReadOptions) 
     pair::loops(parts, options)
 }
 
-/// A file's name without its ending.
+/// A file's name without extension.
 pub(super) fn stem_of(path: &Path) -> String {
     path.file_stem().map_or_else(|| "loop".into(), |stem| stem.to_string_lossy().into_owned())
 }
 
-/// The one signal of a file of a signal: its loop's name in capitals; `None` for every other file.
+/// The loop (in capitals) and signal of a single-signal file; `None` for other files.
 ///
-/// Only the first rows are looked at.
+/// Only the first rows are examined.
 pub(super) fn only_signal(kind: InputKind, path: &Path, bytes: &[u8], options: &ReadOptions) -> Option<String> {
     if kind == InputKind::Csv && is_own(bytes) {
         return None;
@@ -236,8 +236,8 @@ pub(super) fn contents(
         #[cfg(not(feature = "parquet"))]
         InputKind::Parquet | InputKind::Arrow => Err(ExportError::at(
             0,
-            "this build reads no Parquet and no Arrow",
-            "build with --features parquet, or export .csv",
+            "this build cannot read Parquet or Arrow",
+            "rebuild with --features parquet, or export .csv",
         )),
         _ => {
             let decoded = text::decode(bytes, options.encoding);
@@ -248,7 +248,7 @@ pub(super) fn contents(
     }
 }
 
-/// Libraries check what they read and panic on some of what is damaged: the file's fault, told as such.
+/// Parsing libraries panic on some damaged files; such a panic becomes an error of the file.
 fn guarded<T>(work: impl FnOnce() -> Result<T, ExportError>) -> Result<T, ExportError> {
     std::panic::catch_unwind(std::panic::AssertUnwindSafe(work))
         .unwrap_or_else(|_| Err(ExportError::at(0, "the file is damaged", "export it again")))

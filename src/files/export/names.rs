@@ -1,9 +1,9 @@
-//! Tags: which loop and which of its signals a column or tag is.
+//! Tag names: the loop and signal of a column or tag.
 
 use stiction::record::Signal;
 use stiction::units::loop_name_from;
 
-/// Ends of tags, the strongest of each signal first.
+/// Endings of tags, the strongest of each signal first.
 const ENDS: [(&str, Signal); 47] = [
     ("OP", Signal::Op),
     ("OUT", Signal::Op),
@@ -55,27 +55,27 @@ const ENDS: [(&str, Signal); 47] = [
     ("FINAL_POSITION_VALUE", Signal::Mv),
 ];
 
-/// What may part a tag from its end.
+/// Separators between a tag and its ending.
 const SEPARATORS: &str = "._/|:-\\ ";
 
-/// Ends that say that a value follows, not which: DeltaV's `.CV`, attributes of other systems.
+/// Endings for a value without its role: DeltaV's `.CV`, attributes of other systems.
 const VALUES: [&str; 6] = ["CV", "F_CV", "VALUE", "VAL", "PRESENTVALUE", "READVALUE"];
 
 /// Blocks of a control module: the same loop, another block (Honeywell, DeltaV).
 const BLOCKS: [&str; 9] = ["DACA", "PIDA", "PID", "PID1", "AI1", "AO1", "FBPID", "REGCTLA", "DATAACQA"];
 
-/// What a tag is.
+/// The role of a tag.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Role {
-    /// The loop's name; empty where the tag names a signal alone.
+    /// Loop name; empty if the tag names only a signal.
     pub loop_name: String,
     /// The signal.
     pub signal: Signal,
-    /// Place in the list of ends: less is stronger.
+    /// Position in the list of endings: smaller is stronger.
     pub rank: usize,
 }
 
-/// A tag without its unit in brackets (Seeq's `41FIC101.OP (%)`), its server and its name space.
+/// A tag without its unit in brackets (Seeq's `41FIC101.OP (%)`), server and namespace.
 pub(super) fn bare(tag: &str) -> &str {
     let mut tag = tag.trim().trim_matches('"').trim();
     for (open, close) in [('(', ')'), ('[', ']'), ('{', '}')] {
@@ -93,7 +93,7 @@ pub(super) fn bare(tag: &str) -> &str {
     tag
 }
 
-/// The unit in brackets behind a name.
+/// The unit in brackets after a name.
 pub(super) fn unit(name: &str) -> Option<&str> {
     let name = name.trim();
     [('(', ')'), ('[', ']')].into_iter().find_map(|(open, close)| {
@@ -102,7 +102,7 @@ pub(super) fn unit(name: &str) -> Option<&str> {
     })
 }
 
-/// A text without an end, if it has it (letter case apart) and a separator stands before; all of it counts too.
+/// A text without an ending (ignoring letter case) that follows a separator or is the whole text.
 fn without<'t>(text: &'t str, end: &str) -> Option<&'t str> {
     let at = text.len().checked_sub(end.len())?;
     if !text.is_char_boundary(at) || !text[at..].eq_ignore_ascii_case(end) {
@@ -115,7 +115,7 @@ fn without<'t>(text: &'t str, end: &str) -> Option<&'t str> {
     stem.strip_suffix(|c: char| SEPARATORS.contains(c))
 }
 
-/// Loop and signal of a tag; `None` where its end is not known.
+/// Loop and signal of a tag; `None` if its ending is unknown.
 #[must_use]
 pub fn role(tag: &str) -> Option<Role> {
     let tag = bare(tag);
@@ -137,13 +137,13 @@ fn longest_end(tag: &str) -> Option<(&str, usize)> {
     fits.max_by_key(|(_, _, length)| *length).map(|(stem, rank, _)| (stem, rank))
 }
 
-/// A heading in small letters without units and signs between its words.
+/// A heading in lower case without units and punctuation.
 pub(super) fn plain(name: &str) -> String {
     let words = bare(name).to_lowercase();
     words.split(|c: char| !c.is_alphanumeric()).filter(|w| !w.is_empty()).collect::<Vec<_>>().join(" ")
 }
 
-/// Whether a heading is one of times.
+/// Whether a heading is one of a time column.
 pub(super) fn is_time(name: &str) -> bool {
     const TIMES: [&str; 41] = [
         "t",
@@ -192,12 +192,12 @@ pub(super) fn is_time(name: &str) -> bool {
     TIMES.contains(&name.as_str()) || name.ends_with(" timestamp") || name.starts_with("timestamp ")
 }
 
-/// Whether a heading is one of dates without times of day.
+/// Whether a heading is one of a date column without time of day.
 pub(super) fn is_date(name: &str) -> bool {
     ["date", "datum", "fecha", "day", "tag"].contains(&plain(name).as_str())
 }
 
-/// Whether a heading is one of tags.
+/// Whether a heading is one of a tag column.
 pub(super) fn is_tag(name: &str) -> bool {
     const TAGS: [&str; 19] = [
         "tag",
@@ -223,7 +223,7 @@ pub(super) fn is_tag(name: &str) -> bool {
     TAGS.contains(&plain(name).as_str())
 }
 
-/// Whether a heading is one of values of any tag.
+/// Whether a heading is one of a value column.
 pub(super) fn is_value(name: &str) -> bool {
     const VALUES: [&str; 14] = [
         "value",
@@ -244,7 +244,7 @@ pub(super) fn is_value(name: &str) -> bool {
     VALUES.contains(&plain(name).as_str())
 }
 
-/// Whether a heading is one of quality codes; `FIC101.PV Status` is, for the column before it.
+/// Whether a heading is one of a quality column, such as `FIC101.PV Status` for the column before it.
 pub(super) fn is_quality(name: &str) -> bool {
     const WORDS: [&str; 11] = [
         "quality",

@@ -1,8 +1,8 @@
-//! Numbers as exports write them: decimal points and commas, thousands, per cent, and words where a value is missing.
+//! Numbers in exports: decimal points and commas, thousands separators, per cent signs, and words for missing values.
 
 use clap::ValueEnum;
 
-/// What parts a number's whole from its fraction.
+/// Decimal separator.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Decimal {
     /// `1.5`, and `1,234.5` with thousands.
@@ -11,18 +11,18 @@ pub enum Decimal {
     Comma,
 }
 
-/// What one cell says about a file's decimals.
+/// What one cell shows about the decimal separator.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Hint {
-    /// Nothing: no separator, or no number.
+    /// Nothing: no separator, or not a number.
     None,
-    /// Surely this one.
+    /// Certainly this one.
     Sure(Decimal),
-    /// `1,234` or `1.234`: decimals or thousands, by [`Decimal::Comma`] or [`Decimal::Point`] as the separator seen.
+    /// `1,234` or `1.234`: decimals, or thousands; carries the separator as [`Decimal::Comma`] or [`Decimal::Point`].
     Either(Decimal),
 }
 
-/// Beginnings, in small letters, of what systems write instead of a value.
+/// Starts, in lower case, of texts that systems write in place of a value.
 const MISSING: [&str; 45] = [
     "bad",
     "i/o timeout",
@@ -71,7 +71,7 @@ const MISSING: [&str; 45] = [
     "digital state",
 ];
 
-/// Whether a text is one that systems write where they have no value.
+/// Whether a text is one that systems write in place of a value.
 pub(super) fn is_missing_word(text: &str) -> bool {
     let lower = text.trim().to_lowercase();
     let longer = |word: &str| word.len() > 3 && lower.starts_with(word);
@@ -80,7 +80,7 @@ pub(super) fn is_missing_word(text: &str) -> bool {
         || ["bad", "[-", "#n/"].iter().any(|word| lower.starts_with(word))
 }
 
-/// Without what stands around a number: spaces of all widths, apostrophes between thousands, a sign of per cent.
+/// Strips spaces of all widths, apostrophes between thousands and a per cent sign from a number.
 fn bare(text: &str) -> Option<std::borrow::Cow<'_, str>> {
     let text = text.trim().trim_end_matches('%').trim_end();
     let first = text.trim_start_matches(['+', '-', '\u{2212}']).chars().next()?;
@@ -105,14 +105,14 @@ fn bare(text: &str) -> Option<std::borrow::Cow<'_, str>> {
     Some(kept.collect::<String>().into())
 }
 
-/// Whether every group behind the first has three digits and the first has one to three.
+/// Whether the first group has one to three digits and all others have three.
 fn in_groups(whole: &str, separator: char) -> bool {
     let mut groups = whole.trim_start_matches(['+', '-']).split(separator);
     let digits = |g: &str| g.bytes().all(|b| b.is_ascii_digit());
     groups.next().is_some_and(|g| (1..=3).contains(&g.len()) && digits(g)) && groups.all(|g| g.len() == 3 && digits(g))
 }
 
-/// What a cell says about the decimals of its file.
+/// What a cell shows about the decimal separator of its file.
 pub(super) fn hint(text: &str) -> Hint {
     let Some(text) = bare(text) else { return Hint::None };
     let count = |c: char| text.matches(c).count();
@@ -138,7 +138,7 @@ pub(super) fn hint(text: &str) -> Hint {
     }
 }
 
-/// Reads a number; `None` where it is none, not finite, or written with the other kind of decimals.
+/// Parses a number; `None` if it is not one, not finite, or uses the other decimal separator.
 pub(super) fn number(text: &str, decimal: Decimal) -> Option<f64> {
     let text = bare(text)?;
     let (group, point) = if decimal == Decimal::Point { (',', '.') } else { ('.', ',') };

@@ -1,35 +1,35 @@
-//! What the reader of a file is told about it, and the words that say so: flags of commands, the page's query.
+//! Options of the file reader and their words, as flags of commands and in the page's queries.
 
 use encoding_rs::Encoding;
 
 use super::{Codes, Decimal, Map, TimeFormat, Zone};
 
-/// What the reader of a file was told about it.
+/// Options of the file reader.
 #[derive(Debug, Clone, Default)]
 pub struct ReadOptions {
-    /// Which tags or columns are what.
+    /// Roles of tags or columns.
     pub map: Option<Map>,
-    /// How times are written.
+    /// Time format.
     pub time_format: Option<TimeFormat>,
-    /// Whose clock times without a zone are.
+    /// Zone of timestamps without one.
     pub zone: Option<Zone>,
-    /// Decimal point or comma.
+    /// Decimal separator.
     pub decimal: Option<Decimal>,
-    /// What parts cells.
+    /// Cell separator.
     pub delimiter: Option<u8>,
-    /// The text's encoding.
+    /// Text encoding.
     pub encoding: Option<&'static Encoding>,
     /// The sheet of a workbook.
     pub sheet: Option<String>,
-    /// What quality codes mean.
+    /// Meaning of quality codes.
     pub codes: Option<Codes>,
 }
 
 impl ReadOptions {
-    /// Takes one option by its flag's name without dashes, `-` or `_` inside, such as `time_format`.
+    /// Sets one option by its flag's name without dashes, with `-` or `_` inside, such as `time_format`.
     ///
     /// # Errors
-    /// A sentence: no such option, or a value that is not understood.
+    /// A sentence: no such option, or an invalid value.
     pub fn set(&mut self, name: &str, value: &str) -> Result<(), String> {
         match name.replace('-', "_").as_str() {
             "map" => self.map = Some(Map::parse(value)?),
@@ -40,12 +40,12 @@ impl ReadOptions {
             "encoding" => self.encoding = Some(encoding(value)?),
             "sheet" => self.sheet = Some(value.to_owned()),
             "quality" => self.codes = Some(one_of(value)?),
-            _ => return Err(format!("{name:?} is no option for reading files")),
+            _ => return Err(format!("{name:?} is not an option for reading files")),
         }
         Ok(())
     }
 
-    /// Whether a table `t,op,pv` is read otherwise than it says of itself.
+    /// Whether a table `t,op,pv` is read differently from its own header.
     pub(super) fn overrules(&self) -> bool {
         self.map.is_some() || self.time_format.is_some() || self.decimal.is_some() || self.delimiter.is_some()
     }
@@ -54,28 +54,28 @@ impl ReadOptions {
 fn one_of<T: clap::ValueEnum>(value: &str) -> Result<T, String> {
     let names = || T::value_variants().iter().filter_map(|v| v.to_possible_value().map(|v| v.get_name().to_owned()));
     T::from_str(value, false)
-        .map_err(|_| format!("{value:?} is not known; write one of {}", names().collect::<Vec<_>>().join(", ")))
+        .map_err(|_| format!("{value:?} is not a valid value; write one of {}", names().collect::<Vec<_>>().join(", ")))
 }
 
-/// What parts cells: one character, or `tab`.
+/// A cell separator: one character, or `tab`.
 ///
 /// # Errors
-/// A sentence that says what would be understood.
+/// A sentence that says what is valid.
 pub fn delimiter(text: &str) -> Result<u8, String> {
     match text.as_bytes() {
         b"tab" | b"\\t" => Ok(b'\t'),
         [one] if one.is_ascii() && *one != b'"' && *one != b'\n' => Ok(*one),
-        _ => Err(format!("{text:?} is no delimiter: write one character such as ; or |, or tab")),
+        _ => Err(format!("{text:?} is not a cell separator; write one character such as ; or |, or tab")),
     }
 }
 
 /// An encoding by its name.
 ///
 /// # Errors
-/// A sentence that says what would be understood.
+/// A sentence that says what is valid.
 pub fn encoding(text: &str) -> Result<&'static Encoding, String> {
     Encoding::for_label(text.as_bytes())
-        .ok_or_else(|| format!("{text:?} is no encoding: write a name such as utf-16le, windows-1251 or shift_jis"))
+        .ok_or_else(|| format!("{text:?} is not an encoding; write a name such as utf-16le, windows-1251 or shift_jis"))
 }
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! Series to loops: tags that belong together by their names, or by what was said.
+//! Series to loops: tags that belong together by name or by --map.
 
 use std::collections::HashMap;
 
@@ -10,16 +10,16 @@ use crate::files::LoadedLoop;
 use stiction::record::{Sample, Signal, Value};
 use stiction::units::loop_name_from;
 
-/// Tags named in a warning, at most.
+/// Most tags named in a warning.
 const SHOWN: usize = 8;
 
-/// A loop in the making.
+/// A loop under construction.
 struct Group {
     name: String,
     series: Vec<Series>,
 }
 
-/// Joins series of one or more files to loops. Each file comes with its name, after which a loop without one is called.
+/// Joins the series of files to loops. An unnamed loop gets the name of its file.
 ///
 /// # Errors
 /// No loop has both OP and PV.
@@ -60,10 +60,10 @@ pub(super) fn loops(files: Vec<(String, Contents)>, options: &ReadOptions) -> Re
         return Err(nothing(&tags, &ignored));
     }
     if !lonely.is_empty() {
-        export.warnings.push(format!("left out, OP or PV of the loop is not there: {}", shown(&lonely)));
+        export.warnings.push(format!("skipped tags of loops without OP or PV: {}", shown(&lonely)));
     }
     if !ignored.is_empty() {
-        export.warnings.push(format!("columns or tags ignored: {}", shown(&ignored)));
+        export.warnings.push(format!("ignored columns or tags: {}", shown(&ignored)));
     }
     export.recognised = Some(Recognised { form: words.join(", "), counts });
     Ok(export)
@@ -75,7 +75,7 @@ fn shown(names: &[String]) -> String {
     if more == 0 { first.join(", ") } else { format!("{} and {more} more", first.join(", ")) }
 }
 
-/// A loop that was mapped is called after what OP's and PV's tags share, else after its file.
+/// A mapped loop is named after the common part of the tags of OP and PV, else after its file.
 fn named(stem: &str, map: Option<&Map>) -> String {
     let tag = |signal| map.and_then(|m| m.of(Part::Signal(signal)));
     if let (Some(op), Some(pv)) = (tag(Signal::Op), tag(Signal::Pv)) {
@@ -93,8 +93,8 @@ fn check_map(map: Option<&Map>, groups: &[Group]) -> Result<(), ExportError> {
     let missing =
         map.signals().find(|(signal, _)| !groups.iter().flat_map(|g| &g.series).any(|s| s.role.signal == *signal));
     missing.map_or(Ok(()), |(signal, tag)| {
-        let text = format!("no column or tag {tag:?}, which --map says is {}", signal.name());
-        Err(ExportError::at(0, text, "write a name as it stands in the file, or the column's number from 1"))
+        let text = format!("no column or tag {tag:?}, which --map gives as {}", signal.name());
+        Err(ExportError::at(0, text, "use a name as in the file, or the column's number from 1"))
     })
 }
 
@@ -102,15 +102,14 @@ fn nothing(tags: &[String], ignored: &[String]) -> ExportError {
     let all: Vec<String> = tags.iter().chain(ignored).cloned().collect();
     let text = match (tags, all.is_empty()) {
         (_, true) => "no rows of values".to_owned(),
-        ([one], _) if ignored.is_empty() => format!("one signal alone, {one:?}"),
+        ([one], _) if ignored.is_empty() => format!("only one signal, {one:?}"),
         _ => format!("no loop with both OP and PV among {}", listed(&all)),
     };
-    let remedy =
-        "say which they are: --map op=TAG,pv=TAG[,sp=TAG]; where each signal has a file of its own, give the folder";
+    let remedy = "name them: --map op=TAG,pv=TAG[,sp=TAG]; if each signal has its own file, give the folder";
     ExportError::at(0, text, remedy)
 }
 
-/// One loop's samples in order of time; the tags of a loop that lacks OP or PV.
+/// Samples of one loop in time order, or the tags of a loop without OP or PV.
 fn close(group: Group, warnings: &mut Vec<String>) -> Result<LoadedLoop, Vec<String>> {
     let mut by_signal: Vec<Option<Series>> = vec![None; Signal::ALL.len()];
     let mut tags = Vec::new();
@@ -126,7 +125,7 @@ fn close(group: Group, warnings: &mut Vec<String>) -> Result<LoadedLoop, Vec<Str
         };
         if let Some((kept, left)) = left {
             let signal = Signal::ALL[place].name();
-            warnings.push(format!("{left} is left out, {kept} is taken for {signal}: --map tells them apart"));
+            warnings.push(format!("{kept} is used for {signal}, {left} is ignored; choose with --map"));
         }
     }
     let has = |signal| Signal::ALL.iter().zip(&by_signal).any(|(s, found)| *s == signal && found.is_some());

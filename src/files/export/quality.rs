@@ -1,4 +1,4 @@
-//! Quality codes and words beside values.
+//! Quality codes and words next to values.
 
 use std::collections::BTreeMap;
 
@@ -6,36 +6,36 @@ use clap::ValueEnum;
 
 use super::ExportError;
 
-/// What quality codes mean.
+/// Meaning of the quality codes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Codes {
     /// OPC UA status codes: 0 is good.
     Ua,
     /// Classic OPC: 192 to 255 are good.
     Classic,
-    /// Per cent of confidence: from 50 on is good.
+    /// Confidence in per cent: 50 and above are good.
     Percent,
-    /// 1 is good, 0 is not.
+    /// 1 is good, 0 is bad.
     Flag,
-    /// They are passed over.
+    /// Ignore the codes.
     Ignore,
 }
 
-/// A code, or what a word says of the value.
+/// A quality code, or a word for one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Mark {
-    /// No code: nothing is said.
+    /// No code.
     None,
     /// A number.
     Code(i64),
     /// A word for good.
     Good,
-    /// A word for anything else.
+    /// Any other word.
     Bad,
 }
 
 impl Mark {
-    /// Reads a cell.
+    /// Parses a cell.
     pub(super) fn read(text: &str) -> Self {
         let text = text.trim();
         if text.is_empty() {
@@ -52,7 +52,7 @@ impl Mark {
         if good.iter().any(|w| lower == *w || (w.len() > 3 && lower.starts_with(w))) { Self::Good } else { Self::Bad }
     }
 
-    /// Whether it calls the value bad.
+    /// Whether it marks the value as bad.
     pub(super) const fn is_bad(self, codes: Codes) -> bool {
         match (self, codes) {
             (_, Codes::Ignore) | (Self::None | Self::Good, _) => false,
@@ -65,7 +65,7 @@ impl Mark {
     }
 }
 
-/// The convention of a file's codes, with how often each code stands and the line of the first.
+/// The convention of a file's codes, from the count of each code and the line of its first occurrence.
 pub(super) fn convention(
     counts: &BTreeMap<i64, u64>,
     name: &str,
@@ -88,8 +88,8 @@ pub(super) fn convention(
         Ok(Codes::Percent)
     } else {
         let seen: Vec<String> = counts.keys().take(6).map(i64::to_string).collect();
-        let text = format!("{name:?} holds the codes {}, whose meaning is not plain", seen.join(", "));
-        Err(ExportError::at(line, text, "say it by --quality ua, classic, percent, flag or ignore"))
+        let text = format!("{name:?} contains the codes {}, whose meaning is ambiguous", seen.join(", "));
+        Err(ExportError::at(line, text, "choose it with --quality ua, classic, percent, flag or ignore"))
     }
 }
 

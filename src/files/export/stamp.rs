@@ -1,5 +1,5 @@
-//! One cell of a time column taken apart. Nothing is decided here: 05/01/26 keeps all its readings until the whole
-//! column has been seen.
+//! Parses one cell of a time column without deciding its meaning: 05/01/26 keeps all its readings until the whole column
+//! has been seen.
 
 use jiff::civil::Date;
 use jiff::tz::Offset;
@@ -16,7 +16,7 @@ pub(super) enum Stamp {
     Number(Number),
     /// A date in figures, and a time of day.
     Civil(Civil),
-    /// A clock reading of an unnamed zone, ns as if it were UTC.
+    /// A local time of an unknown zone, ns as if it were UTC.
     Local(i64),
     /// Nanoseconds since 1970 UTC.
     Instant(i64),
@@ -25,26 +25,26 @@ pub(super) enum Stamp {
 /// A number, exact in its decimals.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Number {
-    /// The part before the point.
+    /// Part before the decimal point.
     pub whole: i64,
     /// Billionths, with the sign of the number.
     pub billionths: i64,
-    /// The same, rounded.
+    /// Rounded to an integer.
     pub value: f64,
 }
 
-/// A date whose fields are not named yet.
+/// A date whose fields are not yet identified.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Civil {
     fields: [Field; 3],
     separator: u8,
-    /// Time of day, ns; a day's length for 24:00.
+    /// Time of day, ns; a full day for 24:00.
     pub clock_ns: i64,
-    /// Offset from UTC, s, where one is written.
+    /// Offset from UTC, s, if given.
     pub offset_s: Option<i32>,
-    /// Letters such as CEST behind the time.
+    /// Letters such as CEST after the time.
     pub zone: Option<[u8; 5]>,
-    /// Whether AM or PM is written.
+    /// Whether AM or PM is given.
     pub half_days: bool,
 }
 
@@ -55,7 +55,7 @@ struct Field {
     named: bool,
 }
 
-/// Order of a date's fields.
+/// Order of the date fields.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Order {
     /// 2026-01-05.
@@ -70,7 +70,7 @@ impl Order {
     /// Every order.
     pub(super) const ALL: [Self; 3] = [Self::Ymd, Self::Dmy, Self::Mdy];
 
-    /// The flag's word.
+    /// Its word in --time-format.
     pub(super) const fn word(self) -> &'static str {
         match self {
             Self::Ymd => "ymd",
@@ -80,7 +80,7 @@ impl Order {
     }
 }
 
-/// Names of months: English, German, French, Spanish, told by their first letters.
+/// Month names in English, German, French and Spanish, recognised by their first letters.
 const MONTHS: [&[&str]; 12] = [
     &["jan", "ene", "jän"],
     &["feb", "fév", "fev"],
@@ -148,7 +148,7 @@ impl Number {
         Some(Self { whole: sign * whole, billionths: sign * billionths, value })
     }
 
-    /// So many units of `unit_ns` each, in ns; `None` where 64 bits do not hold it.
+    /// This many units of `unit_ns` in ns; `None` on overflow of 64 bits.
     pub(super) fn in_ns(self, unit_ns: i64) -> Option<i64> {
         let ns = i128::from(self.whole) * i128::from(unit_ns)
             + (i128::from(self.billionths) * i128::from(unit_ns)).div_euclid(1_000_000_000);
@@ -157,7 +157,7 @@ impl Number {
 }
 
 impl Stamp {
-    /// Takes a text apart; `None` where it is no time at all.
+    /// Parses a text; `None` if it is not a time.
     pub(super) fn read(text: &str) -> Option<Self> {
         let text = text.trim().trim_matches('\'');
         if text.is_empty() || text.len() > 64 {
@@ -177,7 +177,7 @@ impl Stamp {
         civil(text).map(Self::Civil)
     }
 
-    /// Whether it is a date in writing.
+    /// Whether it is a written date.
     pub(super) const fn is_dated(self) -> bool {
         !matches!(self, Self::Number(_))
     }
@@ -210,7 +210,7 @@ fn clock(hour: i16, minute: i16, second: i16, fraction_ns: i64) -> Option<i64> {
         .then(|| ((i64::from(hour) * 60 + i64::from(minute)) * 60 + i64::from(second)) * NS_PER_S + fraction_ns)
 }
 
-/// A piece of a text's beginning, and the rest.
+/// A leading part of a text, and the rest.
 fn take(text: &str, part: impl Fn(char) -> bool) -> (&str, &str) {
     text.split_at(text.find(|c| !part(c)).unwrap_or(text.len()))
 }
@@ -262,7 +262,7 @@ fn without_weekday(text: &str) -> &str {
 }
 
 impl Civil {
-    /// Reads `8:00:00.5 PM` and the like.
+    /// Parses `8:00:00.5 PM` and similar.
     fn take_clock<'t>(&mut self, text: &'t str) -> Option<&'t str> {
         let digits = |t: &'t str| take(t, |c| c.is_ascii_digit());
         let (head, mut rest) = digits(text);
@@ -308,7 +308,7 @@ impl Civil {
         Some(rest)
     }
 
-    /// Reads `Z`, `+01:00`, `UTC`, `CEST`, and `[Europe/Berlin]` behind an offset.
+    /// Parses `Z`, `+01:00`, `UTC`, `CEST`, and `[Europe/Berlin]` after an offset.
     fn take_zone(&mut self, text: &str) -> Option<()> {
         let text = match (text.find('['), text.ends_with(']')) {
             (Some(at), true) if at > 0 => text[..at].trim_end(),
@@ -341,7 +341,7 @@ impl Civil {
         None
     }
 
-    /// The date under an order of its fields; `None` where that is none.
+    /// The date for an order of its fields; `None` if there is no such date.
     pub(super) fn date(self, order: Order) -> Option<Date> {
         let [a, b, c] = self.fields;
         let (y, m, d) = match order {
@@ -372,19 +372,19 @@ impl Civil {
         Date::new(year, i8::try_from(m.value).ok()?, i8::try_from(d.value).ok()?).ok()
     }
 
-    /// The clock reading under an order of the fields, ns as if it were UTC.
+    /// The local time for an order of the fields, ns as if it were UTC.
     pub(super) fn local_ns(self, order: Order) -> Option<i64> {
         let midnight = self.date(order)?.to_datetime(jiff::civil::Time::midnight());
         let ns = Offset::UTC.to_timestamp(midnight).ok()?.as_nanosecond();
         i64::try_from(ns).ok()?.checked_add(self.clock_ns)
     }
 
-    /// Whether two have the same date as written.
+    /// Whether two have the same written date.
     pub(super) fn same_date(self, other: Self) -> bool {
         self.fields == other.fields
     }
 
-    /// Whether a month is written as a word.
+    /// Whether the month is a word.
     pub(super) fn has_named_month(self) -> bool {
         self.fields.iter().any(|f| f.named)
     }

@@ -1,21 +1,21 @@
-//! Bytes to text: byte order marks, UTF-16 with and without one, UTF-8, and what older systems write.
+//! Bytes to text: byte order marks, UTF-16 with and without one, UTF-8, and legacy encodings.
 
 use std::borrow::Cow;
 
 use encoding_rs::{Encoding, UTF_8, UTF_16BE, UTF_16LE, WINDOWS_1252};
 
-/// Bytes from which UTF-16 without a mark is told.
+/// Bytes examined to recognise UTF-16 without a mark.
 const HEAD: usize = 4096;
 
-/// A file's text, and the name of its encoding where that is worth a word.
+/// A file's text, and its encoding if worth mentioning.
 pub(super) struct Text<'b> {
     /// The text, without a byte order mark.
     pub text: Cow<'b, str>,
-    /// Such as `UTF-16LE`; `None` for plain UTF-8.
+    /// For example `UTF-16LE`; `None` for plain UTF-8.
     pub encoding: Option<String>,
 }
 
-/// Decodes a file. `wanted` overrules what the bytes look like; a byte order mark overrules both.
+/// Decodes a file. `wanted` overrides what the bytes look like; a byte order mark overrides both.
 pub(super) fn decode<'b>(bytes: &'b [u8], wanted: Option<&'static Encoding>) -> Text<'b> {
     let marked = Encoding::for_bom(bytes);
     let (encoding, skip) = match (marked, wanted) {
@@ -35,7 +35,7 @@ pub(super) fn decode<'b>(bytes: &'b [u8], wanted: Option<&'static Encoding>) -> 
     Text { text, encoding: name }
 }
 
-/// Western text has a zero in every other byte of UTF-16.
+/// Western text in UTF-16 has a zero in every other byte.
 fn guess(bytes: &[u8]) -> &'static Encoding {
     let head = &bytes[..bytes.len().min(HEAD)];
     let zeros = |odd: usize| head.iter().skip(odd).step_by(2).filter(|b| **b == 0).count();

@@ -1,4 +1,4 @@
-//! Workbooks: every sheet that holds a table, or the one that was asked for.
+//! Workbooks: every sheet with a table, or the requested one.
 
 use std::io::Cursor;
 
@@ -9,28 +9,28 @@ use super::cell::{Cell, Rows, Table, Take};
 use super::stamp::Stamp;
 use super::{Contents, ExportError, ReadOptions, contents_of, guarded};
 
-/// Rows above a table, at most.
+/// Most rows above a table.
 const MOST_ABOVE: usize = 50;
-/// Cells of a sheet, empty ones before filled ones counted, at most: a few bytes can name a cell at the sheet's far end.
+/// Most cells of a sheet, counting empty ones before filled ones: a few bytes can name a cell at the sheet's far end.
 const MOST_CELLS: usize = 50_000_000;
 
 struct Sheet {
-    /// Numbers of rows, from 1, and their cells.
+    /// Row numbers, from 1, and their cells.
     rows: Vec<(u64, Vec<Data>)>,
-    /// Place of the first row of values.
+    /// Index of the first row of values.
     first: usize,
 }
 
 /// Reads the tables of a workbook.
 ///
 /// # Errors
-/// It is no workbook, the sheet is not there, or no sheet holds a table.
+/// Not a workbook, no such sheet, or no sheet with a table.
 pub(super) fn read(bytes: &[u8], stem: &str, options: &ReadOptions) -> Result<Contents, ExportError> {
     guarded(|| sheets(bytes, stem, options))
 }
 
 fn no_book(error: impl std::fmt::Display) -> ExportError {
-    ExportError::at(0, format!("no workbook that can be read: {error}"), "save it as .xlsx or .csv")
+    ExportError::at(0, format!("cannot read the workbook: {error}"), "save it as .xlsx or .csv")
 }
 
 /// The cells of a sheet, row by row.
@@ -47,7 +47,11 @@ fn rows_of(book: &mut Xlsx<Cursor<&[u8]>>, name: &str) -> Result<Vec<(u64, Vec<D
         let Some((_, own)) = rows.last_mut() else { continue };
         count += (column + 1).saturating_sub(own.len());
         if count > MOST_CELLS {
-            return Err(ExportError::at(row, format!("sheet {name:?} has over {MOST_CELLS} cells"), "save it as .csv"));
+            return Err(ExportError::at(
+                row,
+                format!("sheet {name:?} has more than {MOST_CELLS} cells"),
+                "save it as .csv",
+            ));
         }
         if own.len() <= column {
             own.resize(column + 1, Data::Empty);
@@ -64,8 +68,8 @@ fn sheets(bytes: &[u8], stem: &str, options: &ReadOptions) -> Result<Contents, E
         None => names,
         Some(one) if names.contains(one) => vec![one.clone()],
         Some(one) => {
-            let text = format!("no sheet {one:?}; there are {}", super::columns::listed(&names));
-            return Err(ExportError::at(0, text, "say one of these by --sheet"));
+            let text = format!("there is no sheet {one:?} among {}", super::columns::listed(&names));
+            return Err(ExportError::at(0, text, "name one of these with --sheet"));
         }
     };
     let mut all = Contents::default();
@@ -94,7 +98,11 @@ fn sheets(bytes: &[u8], stem: &str, options: &ReadOptions) -> Result<Contents, E
     }
     match (read, first_fault) {
         (0, Some(fault)) => Err(fault),
-        (0, None) => Err(ExportError::at(0, "no sheet holds rows with a time and numbers", "export such a table")),
+        (0, None) => Err(ExportError::at(
+            0,
+            "no sheet holds rows with a time and numbers",
+            "export a table with a time column and a column per signal",
+        )),
         (_, Some(fault)) if !several => Err(fault),
         (_, Some(fault)) => {
             all.warnings.push(format!("not read: {fault}"));
@@ -105,7 +113,7 @@ fn sheets(bytes: &[u8], stem: &str, options: &ReadOptions) -> Result<Contents, E
 }
 
 impl Contents {
-    /// Takes in another sheet; its nameless loop is called after it.
+    /// Adds another sheet; its unnamed loop gets the sheet's name.
     fn add(&mut self, mut other: Self, sheet: &str) {
         for series in other.series.iter_mut().filter(|s| s.role.loop_name.is_empty()) {
             series.role.loop_name = stiction::units::loop_name_from(sheet);

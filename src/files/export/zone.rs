@@ -1,4 +1,4 @@
-//! Clock readings to instants: named zones, and the two nights a year when their clocks are moved.
+//! Local times to instants: named zones, and the two nights a year when clocks change.
 
 use jiff::civil::DateTime;
 use jiff::tz::{AmbiguousOffset, Offset, TimeZone};
@@ -7,10 +7,10 @@ use super::ExportError;
 use super::stamp::HOUR_NS;
 use stiction::units::format_rfc3339;
 
-/// Half an hour: rows nearer than this belong together, the steps at a moved clock are longer.
+/// Half an hour: rows closer than this belong together; steps at a clock change are longer.
 const NEAR_NS: i64 = HOUR_NS / 2;
 
-/// Names that Windows gives to zones, as far as exports hold them.
+/// Windows names of time zones that occur in exports.
 const WINDOWS: [(&str, &str); 14] = [
     ("W. Europe Standard Time", "Europe/Berlin"),
     ("Central Europe Standard Time", "Europe/Budapest"),
@@ -28,37 +28,37 @@ const WINDOWS: [(&str, &str); 14] = [
     ("AUS Eastern Standard Time", "Australia/Sydney"),
 ];
 
-/// A time zone as it was asked for.
+/// A time zone as requested.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Zone {
     name: String,
     zone: TimeZone,
 }
 
-/// One clock reading, in the order in which time goes on.
+/// One local time, in time order.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Reading {
     /// ns as if it were UTC.
     pub local_ns: i64,
-    /// Letters such as CEST that stand behind it.
+    /// Letters such as CEST after it.
     pub letters: Option<[u8; 5]>,
     /// Line in the file.
     pub line: u64,
 }
 
-/// What a reading may mean.
+/// Possible meanings of a local time.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Meaning {
     Once(i64),
-    /// In the hour that comes twice: first pass, second pass.
+    /// In the repeated hour: first pass, second pass.
     Twice(i64, i64),
 }
 
 impl Zone {
-    /// Reads `Europe/Berlin`, `UTC`, `+01:00`, a Windows name, or a POSIX rule such as `CET-1CEST,M3.5.0,M10.5.0/3`.
+    /// Parses `Europe/Berlin`, `UTC`, `+01:00`, a Windows name, or a POSIX rule such as `CET-1CEST,M3.5.0,M10.5.0/3`.
     ///
     /// # Errors
-    /// A sentence that says what would be understood.
+    /// A sentence that says what is valid.
     pub fn parse(text: &str) -> Result<Self, String> {
         let of = |zone| Ok(Self { name: text.to_owned(), zone });
         if text.eq_ignore_ascii_case("utc") || text.eq_ignore_ascii_case("gmt") || text == "Z" {
@@ -76,10 +76,12 @@ impl Zone {
         {
             return of(zone);
         }
-        Err(format!("{text:?} is no time zone: write a name such as Europe/Berlin, UTC, or an offset such as +01:00"))
+        Err(format!(
+            "{text:?} is not a time zone; write a name such as Europe/Berlin, UTC, or an offset such as +01:00"
+        ))
     }
 
-    /// The name that was asked for.
+    /// The requested name.
     #[must_use]
     pub fn name(&self) -> &str {
         &self.name
@@ -87,12 +89,12 @@ impl Zone {
 
     fn meaning(&self, reading: Reading) -> Result<Meaning, ExportError> {
         let fault = |what: String, remedy: &str| ExportError::at(reading.line, what, remedy);
-        let civil = civil_of(reading.local_ns)
-            .ok_or_else(|| fault("a time beyond what can be held".into(), "correct the stamp"))?;
+        let civil =
+            civil_of(reading.local_ns).ok_or_else(|| fault("time out of range".into(), "correct the timestamp"))?;
         let ambiguous = self.zone.to_ambiguous_timestamp(civil);
         let instant = |offset: Offset| {
             let ns = offset.to_timestamp(civil).ok().and_then(|t| i64::try_from(t.as_nanosecond()).ok());
-            ns.ok_or_else(|| fault(format!("{civil} lies beyond what can be held"), "correct the stamp"))
+            ns.ok_or_else(|| fault(format!("{civil} is out of range"), "correct the timestamp"))
         };
         match ambiguous.offset() {
             AmbiguousOffset::Unambiguous { offset } => Ok(Meaning::Once(instant(offset)?)),
@@ -108,13 +110,13 @@ impl Zone {
                 }
             }
             AmbiguousOffset::Gap { .. } => Err(fault(
-                format!("{civil} does not exist in {}: the clocks were put forward over it", self.name),
-                "say the zone of these stamps, such as --tz UTC or an offset that stays, --tz +01:00",
+                format!("{civil} does not exist in {}: clocks went forward then", self.name),
+                "give the zone of these timestamps, such as --tz UTC or a fixed offset, --tz +01:00",
             )),
         }
     }
 
-    /// Readings in order of time to ns since 1970 UTC; also how often an hour comes twice.
+    /// Local times in time order to ns since 1970 UTC; also the number of repeated hours.
     pub(super) fn instants(&self, readings: &[Reading]) -> Result<(Vec<i64>, usize), ExportError> {
         let meanings: Vec<Meaning> = readings.iter().map(|r| self.meaning(*r)).collect::<Result<_, _>>()?;
         let mut out = Vec::with_capacity(readings.len());
@@ -138,7 +140,7 @@ impl Zone {
         Ok((out, twice))
     }
 
-    /// How many rows of a run inside the doubled hour belong to its first pass.
+    /// How many rows of a run in the repeated hour belong to its first pass.
     fn first_pass(&self, readings: &[Reading], from: usize, to: usize) -> Result<usize, ExportError> {
         let run = &readings[from..to];
         let back: Vec<usize> = (1..run.len()).filter(|k| run[*k].local_ns < run[*k - 1].local_ns).collect();
@@ -155,11 +157,11 @@ impl Zone {
             _ => Err(ExportError::at(
                 run[0].line,
                 format!(
-                    "{} comes twice in {}, and the rows there do not show which is which",
+                    "{} occurs twice in {}, and the rows do not show which one is meant",
                     format_rfc3339(run[0].local_ns).replace('Z', ""),
                     self.name
                 ),
-                "if the clock of these stamps is never moved, say its offset, such as --tz +01:00; else export in UTC",
+                "if these timestamps have no daylight saving time, give their offset, such as --tz +01:00; else export in UTC",
             )),
         }
     }

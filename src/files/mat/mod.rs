@@ -1,8 +1,8 @@
-//! MATLAB files of version 5 (what `save -v6` and `save -v7` write): variables in and out.
+//! Reads and writes variables of MATLAB files of version 5 (`save -v6` and `save -v7`).
 //!
-//! After MathWorks' "MAT-File Format" (level 5). Read: both byte orders, compressed or not, numbers of every kind,
-//! characters, cells, structures, nested to a limit. Everything is bounded: bytes, items, depth; a fault names its byte.
-//! No crate reads structures and cells of both byte orders and survives damaged files.
+//! Based on MathWorks' "MAT-File Format" (level 5). Reads both byte orders, compressed or not, numbers of every class,
+//! characters, cells, structures, nested to a limit. Bytes, items and depth are bounded; a fault names its byte. No crate
+//! reads structures and cells of both byte orders and survives damaged files.
 
 mod read;
 mod write;
@@ -13,13 +13,13 @@ pub use write::write;
 use std::io;
 use thiserror::Error;
 
-/// Most bytes of one variable that are read, inflated. A year of one loop at 1 s takes 0.5 GB.
+/// Largest variable read, decompressed bytes. A year of one loop at 1 s takes 0.5 GB.
 pub const MAX_BYTES: u64 = 512 << 20;
-/// Deepest nesting of cells and structures; the compact store has five.
+/// Deepest nesting of cells and structures; the compact store has five levels.
 pub const MAX_DEPTH: usize = 16;
 /// Most values (numbers, texts, cells, structures) in one file.
 pub const MAX_ITEMS: u64 = 64 << 20;
-/// Bytes in front of the first variable.
+/// Bytes before the first variable.
 const HEADER: usize = 128;
 
 /// Types of data elements.
@@ -51,14 +51,14 @@ mod class {
     pub const UINT64: u8 = 15;
 }
 
-/// A variable, or what stands in a cell or field. Dimensions are MATLAB's; values go down the columns.
+/// A variable, cell or field. Dimensions are MATLAB's; values are in column order.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Mat {
-    /// Numbers of any kind, the real parts.
+    /// Numbers of any class, real parts.
     Numbers {
         /// Rows, columns and so on.
         dims: Vec<usize>,
-        /// As many as the product of `dims`.
+        /// Product of `dims` values.
         values: Vec<f64>,
     },
     /// Rows of characters.
@@ -67,12 +67,12 @@ pub enum Mat {
     Cell {
         /// Rows, columns and so on.
         dims: Vec<usize>,
-        /// As many as the product of `dims`.
+        /// Product of `dims` cells.
         items: Vec<Mat>,
     },
-    /// One structure; arrays of structures are [`Mat::Other`].
+    /// A single structure; arrays of structures are [`Mat::Other`].
     Struct(Vec<(String, Mat)>),
-    /// Something that is not read, by its name.
+    /// An unsupported type, by name.
     Other(&'static str),
 }
 
@@ -102,7 +102,7 @@ impl Mat {
         fields.iter().find(|(n, _)| n == name).map(|(_, value)| value)
     }
 
-    /// What it is, in words.
+    /// Description in words.
     #[must_use]
     pub fn describe(&self) -> String {
         let size = |dims: &[usize]| dims.iter().map(ToString::to_string).collect::<Vec<_>>().join(" x ");
@@ -120,19 +120,19 @@ impl Mat {
 #[derive(Debug, Error)]
 pub enum MatError {
     /// The system refuses.
-    #[error("{0}")]
+    #[error(transparent)]
     Io(#[from] io::Error),
     /// Another version of the format.
-    #[error("a MATLAB file of version {version}, which is not read; load it in MATLAB and write it with save -v7")]
+    #[error("unsupported MATLAB file version {version}; load it in MATLAB and save it with save -v7")]
     Version {
         /// As MATLAB counts them.
         version: &'static str,
     },
-    /// No MATLAB file at all.
+    /// Not a MATLAB file.
     #[error("not a MATLAB file: {0}")]
     Foreign(&'static str),
     /// The file ends too early.
-    #[error("{place}: the file ends there, {wanted} more bytes were announced and {left} are left; copy it again")]
+    #[error("{place}: the file ends here, {wanted} more bytes expected and {left} left; copy it again")]
     Cut {
         /// Where.
         place: Place,
@@ -141,7 +141,7 @@ pub enum MatError {
         /// Bytes there.
         left: u64,
     },
-    /// Something stands where it cannot.
+    /// An invalid item.
     #[error("{place}: {what}")]
     Damaged {
         /// Where.
@@ -149,16 +149,16 @@ pub enum MatError {
         /// What is wrong.
         what: String,
     },
-    /// More than is read.
-    #[error("{place}: {what} {found}, at most {limit} are read; divide the file")]
+    /// Beyond a limit.
+    #[error("{place}: {what} {found}, limit {limit}; split the file")]
     TooLarge {
         /// Where.
         place: Place,
-        /// Of what.
+        /// What is limited.
         what: &'static str,
-        /// As many as there are.
+        /// Number found.
         found: u64,
-        /// As many as are read.
+        /// Largest number allowed.
         limit: u64,
     },
 }
@@ -166,9 +166,9 @@ pub enum MatError {
 /// A place in a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Place {
-    /// Byte of the file at which a compressed variable begins, if the fault is inside one.
+    /// Byte offset at which a compressed variable begins, if the fault is inside one.
     pub variable: Option<u64>,
-    /// Byte of the file, or of the inflated variable.
+    /// Byte offset in the file, or in the decompressed variable.
     pub byte: u64,
 }
 
@@ -181,7 +181,7 @@ impl core::fmt::Display for Place {
     }
 }
 
-/// Whether a file begins as one of MATLAB's does, and if so, whether it can be read.
+/// Whether a file begins as a MATLAB file, and if so, whether its version is supported.
 ///
 /// # Errors
 /// [`MatError::Version`] for versions 4 and 7.3.
@@ -195,7 +195,7 @@ pub fn recognise(head: &[u8]) -> Result<bool, MatError> {
     if is_version_4(head) { Err(MatError::Version { version: "4" }) } else { Ok(false) }
 }
 
-/// Byte order of a version 5 file: true for the greatest byte first.
+/// Byte order of a version 5 file: true for big-endian.
 fn order_of(head: &[u8]) -> Option<bool> {
     match head.get(124..HEADER)? {
         [0, 1, b'I', b'M'] => Some(false),
@@ -204,7 +204,7 @@ fn order_of(head: &[u8]) -> Option<bool> {
     }
 }
 
-/// Version 4 has no mark: five whole numbers of narrow ranges, then the first variable's name.
+/// Version 4 has no mark: five integers of narrow ranges, then the first variable's name.
 fn is_version_4(head: &[u8]) -> bool {
     let word = |at: usize, big: bool| -> Option<u32> {
         let bytes: [u8; 4] = head.get(at..at + 4)?.try_into().ok()?;

@@ -1,5 +1,5 @@
-//! Reads variables. A variable's bytes are taken into memory whole (bounded), and every step looks at slices of them, so
-//! that damage ends in an error with its place and nothing is allocated on the word of a damaged length.
+//! Reads variables. A variable is read into memory completely (bounded), and each step parses slices of it, so damage gives
+//! an error with its place and a damaged length allocates nothing.
 
 use super::{HEADER, MAX_BYTES, MAX_DEPTH, MAX_ITEMS, Mat, MatError, Place, class, kind, order_of, recognise};
 use flate2::read::ZlibDecoder;
@@ -7,7 +7,7 @@ use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
 
-/// Reads the variables whose names `wanted` accepts, in the file's order; others are skipped unread.
+/// Reads the variables whose names `wanted` accepts, in file order; others are skipped.
 ///
 /// # Errors
 /// [`MatError`] names the place and the remedy.
@@ -15,7 +15,7 @@ pub fn read(path: &Path, wanted: &dyn Fn(&str) -> bool) -> Result<Vec<(String, M
     read_from(BufReader::with_capacity(1 << 16, File::open(path)?), wanted)
 }
 
-/// The same from anything that can be read and sought.
+/// As [`read`], from any seekable source.
 ///
 /// # Errors
 /// [`MatError`] names the place and the remedy.
@@ -25,7 +25,7 @@ pub fn read_from(mut source: impl Read + Seek, wanted: &dyn Fn(&str) -> bool) ->
     let mut head = Vec::with_capacity(HEADER);
     source.by_ref().take(HEADER as u64).read_to_end(&mut head)?;
     if !recognise(&head)? {
-        return Err(MatError::Foreign("it does not begin as one"));
+        return Err(MatError::Foreign("wrong first bytes"));
     }
     let at = |byte| Place { variable: None, byte };
     let Some(big) = order_of(&head) else {
@@ -33,7 +33,7 @@ pub fn read_from(mut source: impl Read + Seek, wanted: &dyn Fn(&str) -> bool) ->
         return Err(if head.len() < HEADER {
             MatError::Cut { place: at(left), wanted: HEADER as u64 - left, left: 0 }
         } else {
-            damaged(at(124), "version and byte order are not those of version 5")
+            damaged(at(124), "wrong version or byte order for version 5")
         });
     };
     let mut items = Items(0);
@@ -46,7 +46,7 @@ pub fn read_from(mut source: impl Read + Seek, wanted: &dyn Fn(&str) -> bool) ->
         let mut bytes = Bytes { data: &tag, at: 0, big, base: start, variable: None };
         let (kind, size) = (bytes.word()?, u64::from(bytes.word()?));
         if !matches!(kind, kind::MATRIX | kind::COMPRESSED) {
-            return Err(damaged(at(start), format!("type {kind} stands where a variable must begin")));
+            return Err(damaged(at(start), format!("type {kind} where a variable must begin")));
         }
         let left = length - start - 8;
         if size > left {
@@ -68,12 +68,12 @@ fn damaged(place: Place, what: impl Into<String>) -> MatError {
     MatError::Damaged { place, what: what.into() }
 }
 
-/// Bytes that hold a variable's flags, dimensions and name, with room to spare.
+/// Bytes for a variable's flags, dimensions and name, with a margin.
 const PEEK: u64 = 512;
 
 type Named = Option<(String, Mat)>;
 
-/// A variable that stands in the file as it is.
+/// An uncompressed variable.
 fn plain(
     mut body: impl Read,
     start: u64,
@@ -93,7 +93,7 @@ fn plain(
     matrix(Bytes { data: &data, at: 0, big, base: start, variable: None }, 0, items).map(Some)
 }
 
-/// A variable that is deflated: an element of its own once inflated.
+/// A compressed variable: an element of its own once inflated.
 fn compressed(
     body: impl Read,
     start: u64,
@@ -105,12 +105,12 @@ fn compressed(
     let mut data = Vec::new();
     let place = |byte: usize| Place { variable: Some(start), byte: byte as u64 };
     let broken =
-        |e: std::io::Error, at: usize| damaged(place(at), format!("cannot be inflated: {e}; copy the file again"));
+        |e: std::io::Error, at: usize| damaged(place(at), format!("cannot be decompressed: {e}; copy the file again"));
     inflated.by_ref().take(8 + PEEK).read_to_end(&mut data).map_err(|e| broken(e, 0))?;
     let mut tag = inside(&data, big, start);
     let (kind, size) = (tag.word()?, u64::from(tag.word()?));
     if kind != kind::MATRIX {
-        return Err(damaged(place(0), format!("type {kind} stands where a variable must begin")));
+        return Err(damaged(place(0), format!("type {kind} where a variable must begin")));
     }
     if name_of(inside(data.get(8..).unwrap_or_default(), big, start)).is_ok_and(|name| !wanted(&name)) {
         return Ok(None);
@@ -135,7 +135,7 @@ fn check_size(place: Place, size: u64) -> Result<(), MatError> {
     Ok(())
 }
 
-/// Counts what is made, so that a file cannot ask for more than fits.
+/// Counts created values, so that a file cannot use more memory than allowed.
 struct Items(u64);
 
 impl Items {
@@ -148,13 +148,13 @@ impl Items {
     }
 }
 
-/// A stretch of bytes that is read from its beginning.
+/// A range of bytes, read from its start.
 #[derive(Clone, Copy)]
 struct Bytes<'a> {
     data: &'a [u8],
     at: usize,
     big: bool,
-    /// Place of the first byte.
+    /// Offset of the first byte.
     base: u64,
     variable: Option<u64>,
 }
@@ -183,7 +183,7 @@ impl<'a> Bytes<'a> {
         Ok(if big { bytes.iter().fold(0, fold) } else { bytes.iter().rev().fold(0, fold) })
     }
 
-    /// The next data element: its type and content. Small ones pack type, size and up to four bytes into eight.
+    /// The next data element: type and content. Small elements pack type, size and up to four bytes into eight.
     fn element(&mut self) -> Result<(u32, Bytes<'a>), MatError> {
         let first = self.word()?;
         let (kind, size, small) = match first >> 16 {
@@ -191,7 +191,7 @@ impl<'a> Bytes<'a> {
             size => (first & 0xffff, size as usize, true),
         };
         if small && size > 4 {
-            return Err(damaged(self.place(), format!("a small element of {size} bytes, 4 are the most")));
+            return Err(damaged(self.place(), format!("small element of {size} bytes; at most 4 are valid")));
         }
         let (base, big, variable) = (self.base + self.at as u64, self.big, self.variable);
         let data = self.take(size)?;
@@ -200,15 +200,15 @@ impl<'a> Bytes<'a> {
         Ok((kind, Bytes { data, at: 0, big, base, variable }))
     }
 
-    /// An element of whole numbers.
+    /// An element of integers.
     fn whole(&mut self) -> Result<Vec<usize>, MatError> {
         let (kind, content) = self.element()?;
         if !matches!(kind, kind::INT32 | kind::UINT32) {
-            return Err(damaged(content.place(), format!("type {kind} stands where whole numbers must")));
+            return Err(damaged(content.place(), format!("type {kind} where integers are expected")));
         }
         let place = content.place();
         let sizes = numbers(kind, content)?.into_iter().map(|v| if v >= 0.0 { Ok(v as usize) } else { Err(v) });
-        sizes.collect::<Result<_, _>>().map_err(|v| damaged(place, format!("a size of {v}")))
+        sizes.collect::<Result<_, _>>().map_err(|v| damaged(place, format!("invalid size {v}")))
     }
 }
 
@@ -233,7 +233,7 @@ fn matrix(mut bytes: Bytes<'_>, depth: usize, items: &mut Items) -> Result<(Stri
         return Ok((String::new(), Mat::Numbers { dims: vec![0, 0], values: Vec::new() }));
     }
     let flags = bytes.whole()?;
-    let class = *flags.first().ok_or_else(|| damaged(place, "an array without a class"))? as u8;
+    let class = *flags.first().ok_or_else(|| damaged(place, "array without a class"))? as u8;
     // Objects of newer classes keep neither dimensions nor name where others do.
     if class > class::UINT64 {
         return Ok((String::new(), Mat::Other("an object or function")));
@@ -242,7 +242,7 @@ fn matrix(mut bytes: Bytes<'_>, depth: usize, items: &mut Items) -> Result<(Stri
     let (_, name) = bytes.element()?;
     let name = String::from_utf8_lossy(name.data).trim_end_matches('\0').to_owned();
     let count = dims.iter().try_fold(1_usize, |n, d| n.checked_mul(*d));
-    let count = count.ok_or_else(|| damaged(place, "dimensions beyond all bounds"))?;
+    let count = count.ok_or_else(|| damaged(place, "dimensions too large"))?;
     let value = match class {
         class::CELL => cells(&mut bytes, dims, count, depth, items)?,
         class::STRUCT => structure(&mut bytes, count, depth, items)?,
@@ -253,7 +253,7 @@ fn matrix(mut bytes: Bytes<'_>, depth: usize, items: &mut Items) -> Result<(Stri
             items.add(content.left() as u64 / 8 + 1, place)?;
             let values = numbers(kind, content)?;
             if values.len() != count {
-                let what = format!("an array of {count} numbers that holds {}", values.len());
+                let what = format!("array of {count} numbers with {} values", values.len());
                 return Err(damaged(place, what));
             }
             Mat::Numbers { dims, values }
@@ -269,7 +269,7 @@ fn nested(bytes: &mut Bytes<'_>, depth: usize, items: &mut Items) -> Result<Mat,
     let place = bytes.place();
     match bytes.element()? {
         (kind::MATRIX, content) => Ok(matrix(content, depth + 1, items)?.1),
-        (kind, _) => Err(damaged(place, format!("type {kind} stands where an array must"))),
+        (kind, _) => Err(damaged(place, format!("type {kind} where an array is expected"))),
     }
 }
 
@@ -290,7 +290,7 @@ fn cells(
 fn structure(bytes: &mut Bytes<'_>, count: usize, depth: usize, items: &mut Items) -> Result<Mat, MatError> {
     let place = bytes.place();
     let length = bytes.whole()?.first().copied().filter(|l| *l > 0);
-    let length = length.ok_or_else(|| damaged(place, "a structure whose fields have names of no length"))?;
+    let length = length.ok_or_else(|| damaged(place, "structure with empty field names"))?;
     let (_, names) = bytes.element()?;
     if count != 1 {
         return Ok(Mat::Other(if count == 0 { "an empty structure" } else { "an array of structures" }));
@@ -303,7 +303,7 @@ fn structure(bytes: &mut Bytes<'_>, count: usize, depth: usize, items: &mut Item
     Ok(Mat::Struct(fields))
 }
 
-/// Characters, as rows.
+/// Characters as rows.
 fn text(bytes: &mut Bytes<'_>, dims: &[usize], items: &mut Items) -> Result<Mat, MatError> {
     let rows = dims.first().copied().unwrap_or(0);
     if bytes.left() == 0 {
@@ -334,17 +334,17 @@ fn text(bytes: &mut Bytes<'_>, dims: &[usize], items: &mut Items) -> Result<Mat,
     Ok(Mat::Text((0..rows.min(letters.len())).map(row).collect()))
 }
 
-/// The numbers of an element; MATLAB stores whole doubles in smaller types.
+/// The numbers of an element; MATLAB stores integral doubles in smaller types.
 fn numbers(kind: u32, content: Bytes<'_>) -> Result<Vec<f64>, MatError> {
     let width = match kind {
         kind::INT8 | kind::UINT8 => 1,
         kind::INT16 | kind::UINT16 => 2,
         kind::INT32 | kind::UINT32 | kind::SINGLE => 4,
         kind::DOUBLE | kind::INT64 | kind::UINT64 => 8,
-        _ => return Err(damaged(content.place(), format!("type {kind} is no type of numbers"))),
+        _ => return Err(damaged(content.place(), format!("type {kind} is not numeric"))),
     };
     if !content.left().is_multiple_of(width) {
-        let what = format!("{} bytes are no whole number of values of {width} bytes", content.left());
+        let what = format!("{} bytes are not a multiple of the value size, {width} bytes", content.left());
         return Err(damaged(content.place(), what));
     }
     let value = |chunk: &[u8]| {

@@ -1,17 +1,17 @@
-//! Writes variables as MATLAB does with `save -v7` (deflated) or `-v6` (plain), least byte first.
+//! Writes variables as MATLAB's `save -v7` (compressed) or `-v6` (plain), little-endian.
 
 use super::{Mat, class, kind};
 use flate2::Compression;
 use flate2::write::ZlibEncoder;
 use std::io::{self, Write};
 
-/// Letters of a field's name, the end mark included, as MATLAB writes them.
+/// Length of a field name including the end mark, as in MATLAB.
 const NAME_LENGTH: usize = 64;
 
 /// Writes a file of variables.
 ///
 /// # Errors
-/// What the system says; [`io::ErrorKind::InvalidInput`] where a name or value has no form in the file.
+/// Error of the system; [`io::ErrorKind::InvalidInput`] if a name or value cannot be represented.
 pub fn write(out: &mut impl Write, variables: &[(&str, &Mat)], deflated: bool) -> io::Result<()> {
     let mut text = format!("MATLAB 5.0 MAT-file, written by stictiond {}", crate::VERSION).into_bytes();
     text.resize(116, b' ');
@@ -40,7 +40,7 @@ fn refused(what: impl Into<String>) -> io::Error {
 }
 
 fn tag(kind: u32, size: usize) -> io::Result<[u8; 8]> {
-    let size = u32::try_from(size).map_err(|_| refused("a variable of over 4 GB; divide it"))?;
+    let size = u32::try_from(size).map_err(|_| refused("a variable of over 4 GB; split it"))?;
     let mut out = [0; 8];
     out[..4].copy_from_slice(&kind.to_le_bytes());
     out[4..].copy_from_slice(&size.to_le_bytes());
@@ -55,7 +55,7 @@ fn element(out: &mut Vec<u8>, kind: u32, content: &[u8]) -> io::Result<()> {
 }
 
 fn whole(values: &[usize]) -> io::Result<Vec<u8>> {
-    let size = |v: &usize| i32::try_from(*v).map_err(|_| refused(format!("an array of {v} rows; divide it")));
+    let size = |v: &usize| i32::try_from(*v).map_err(|_| refused(format!("an array of {v} rows; split it")));
     Ok(values.iter().map(size).collect::<io::Result<Vec<i32>>>()?.iter().flat_map(|v| v.to_le_bytes()).collect())
 }
 
@@ -101,7 +101,7 @@ fn structure(out: &mut Vec<u8>, fields: &[(String, Mat)]) -> io::Result<()> {
         let fits =
             (1..NAME_LENGTH).contains(&name.len()) && name.bytes().all(|c| c.is_ascii_alphanumeric() || c == b'_');
         if !fits {
-            return Err(refused(format!("{name:?} cannot be the name of a field")));
+            return Err(refused(format!("{name:?} is not a valid field name")));
         }
         names.extend(name.bytes());
         names.resize(names.len().next_multiple_of(NAME_LENGTH), 0);
@@ -115,7 +115,7 @@ fn width(rows: &[String]) -> usize {
     rows.iter().map(|r| r.chars().count()).max().unwrap_or(0)
 }
 
-/// Rows of letters as they are stored: down the columns, short rows filled with blanks.
+/// Rows of characters as stored: by columns, short rows padded with blanks.
 fn columns_of(rows: &[String]) -> String {
     if let [one] = rows {
         return one.clone();

@@ -1,4 +1,4 @@
-//! Messages one after the other, samples that stand in columns among them as if each had its own.
+//! Messages in file order; samples stored in columns come as if each were a message of its own.
 
 use std::sync::Arc;
 
@@ -7,30 +7,30 @@ use super::{Channel, Message, ReadError, RecordingReader};
 use stiction::record::{Sample, Signal};
 use stiction_monitor::codec::{encode_recorded, topic};
 
-/// One sample that stood in columns.
+/// One sample from a message of columns.
 #[derive(Debug, Clone, Copy)]
 pub struct RawSample<'a> {
-    /// The channel's number in this file.
+    /// Channel number in this file.
     pub channel_id: u16,
-    /// What the channel says.
+    /// Description of the channel.
     pub channel: &'a Channel,
     /// The sample.
     pub sample: Sample,
-    /// Arrival, ns since 1970, to the millisecond.
+    /// Arrival time, ns since 1970, to the millisecond.
     pub log_time_ns: i64,
 }
 
-/// What stands next in a file.
+/// The next item of a file.
 #[derive(Debug, Clone, Copy)]
 pub enum Item<'a> {
-    /// A message of its own.
+    /// A message.
     Message(Message<'a>),
-    /// A sample out of columns.
+    /// A sample from columns.
     Sample(RawSample<'a>),
 }
 
 impl<'a> Item<'a> {
-    /// The channel's number and what it says.
+    /// Channel number and description.
     #[must_use]
     pub const fn channel(&self) -> (u16, &'a Channel) {
         match self {
@@ -40,28 +40,28 @@ impl<'a> Item<'a> {
     }
 }
 
-/// A message of columns taken apart.
+/// An unpacked message of columns.
 #[derive(Default)]
 pub(super) struct Unpacked {
     rows: Vec<Row>,
     next: usize,
-    /// Channels that rows have named, by their numbers.
+    /// Channels named by rows, by number.
     series: Vec<Option<(Arc<Channel>, Signal)>>,
-    /// The sample in hand as a message.
+    /// The current sample as a message.
     json: Vec<u8>,
 }
 
-/// Where the next item stands.
+/// Where the next item is.
 enum Place {
     Row(usize),
     Entry(usize),
 }
 
 impl RecordingReader {
-    /// What stands next in file order, `None` after the last. Quicker than [`RecordingReader::next_message`] for samples.
+    /// The next item in file order; `None` after the last. Faster for samples than [`RecordingReader::next_message`].
     ///
     /// # Errors
-    /// [`ReadError::Io`] if the file cannot be read; damage is no error, see [`RecordingReader::end`].
+    /// [`ReadError::Io`] if the file cannot be read. Damage is not an error, see [`RecordingReader::end`].
     pub fn next_item(&mut self) -> Result<Option<Item<'_>>, ReadError> {
         let Some(place) = self.next_place()? else { return Ok(None) };
         Ok(match place {
@@ -70,8 +70,8 @@ impl RecordingReader {
         })
     }
 
-    /// The next message in file order, `None` after the last. Samples that stand in columns come as if each had been
-    /// recorded as JSON, to the byte.
+    /// The next message in file order; `None` after the last. Samples from columns come exactly as if each had been recorded
+    /// as JSON.
     ///
     /// # Errors
     /// As [`RecordingReader::next_item`].
@@ -134,13 +134,13 @@ impl RecordingReader {
         Some(RawSample { channel_id, channel, sample, log_time_ns: arrival_ns })
     }
 
-    /// Takes a message of columns apart. Rows whose channel nobody knows are left out and counted.
+    /// Unpacks a message of columns. Rows of unknown channels are skipped and counted.
     fn unpack(&mut self, at: usize) {
         let mut rows = std::mem::take(&mut self.unpacked.rows);
         let entry = &self.contents.entries[at];
         let decoded = columns::decode(&self.contents.buffer[entry.start..entry.end], &mut rows);
         if let Err(error) = decoded {
-            self.note(format!("a message of columns: {error}"));
+            self.note(format!("damaged message of columns: {error}"));
         }
         rows.retain(|row| {
             let known = self.knows(row.channel);
@@ -150,7 +150,7 @@ impl RecordingReader {
         (self.unpacked.rows, self.unpacked.next) = (rows, 0);
     }
 
-    /// Whether a channel is known and of a signal.
+    /// Whether a channel is known and carries a signal.
     fn knows(&mut self, id: u16) -> bool {
         let place = usize::from(id);
         if self.unpacked.series.get(place).is_some_and(Option::is_some) {

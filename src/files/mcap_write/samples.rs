@@ -1,4 +1,4 @@
-//! Samples on their way into a file: one message each, or gathered in columns.
+//! Writes samples, one message each or gathered in columns.
 
 use std::collections::BTreeMap;
 
@@ -8,17 +8,17 @@ use stiction::record::Sample;
 use stiction_monitor::codec::encode_recorded;
 use stiction_monitor::codec::topic::Kind;
 
-/// Room for columns where the file's metadata says that it holds them.
+/// A buffer for columns if the file's metadata says so.
 pub(super) fn wanted(metadata: &BTreeMap<String, String>) -> Option<Columns> {
     metadata.get(METADATA_RAW).is_some_and(|word| word == METADATA_COLUMNS).then(Columns::default)
 }
 
 impl RecordingFile {
-    /// Appends a sample, in the form that the file's metadata names. In columns it waits in memory with others, until
-    /// these are many, another message comes, or [`RecordingFile::flush`].
+    /// Appends a sample in the form that the file's metadata names. In columns it waits in memory until there are many, another
+    /// message comes, or [`RecordingFile::flush`] is called.
     ///
     /// # Errors
-    /// As [`RecordingFile::write`]; the error may be of samples before it.
+    /// As [`RecordingFile::write`]; the error may concern earlier samples.
     pub fn sample(&mut self, topic: &str, arrival_ns: i64, sample: &Sample) -> Result<(), WriteError> {
         let kind = Kind::of_signal(sample.signal);
         if self.columns.is_none() {
@@ -46,7 +46,7 @@ impl RecordingFile {
         if is_full { self.write_columns() } else { Ok(()) }
     }
 
-    /// Writes the samples that wait.
+    /// Writes the waiting samples.
     pub(super) fn write_columns(&mut self) -> Result<(), WriteError> {
         let Some(columns) = &mut self.columns else { return Ok(()) };
         let Some(times_ns) = columns.times_ns() else { return Ok(()) };

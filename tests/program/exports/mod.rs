@@ -67,8 +67,8 @@ fn check(loaded: &Loaded, what: &str) -> Result<(), String> {
 /// An error without the path of the file.
 fn told(error: &FileError) -> String {
     match error {
-        FileError::Export { source, .. } => source.to_string(),
-        FileError::Csv { source, .. } => source.to_string(),
+        FileError::Export { cause, .. } => cause.to_string(),
+        FileError::Csv { cause, .. } => cause.to_string(),
         other => panic!("{other}"),
     }
 }

@@ -198,7 +198,7 @@ fn times() -> Vec<Shape> {
             "x.csv",
             table(|k| utc(k, "%Y-%m-%dT%H:%M:%SZ").replace("2026", "1926")),
             &[],
-            Refuse("outside 1990 to next year"),
+            Refuse("not between 1990 and next year"),
         ),
         text(
             "date and time in two columns",
@@ -267,7 +267,7 @@ fn layouts() -> Vec<Shape> {
             "x.csv",
             Form { number: super::data::comma, ..with }.table(tags),
             &[],
-            Refuse("decimal comma between commas"),
+            Refuse("decimal comma in a comma-separated file"),
         ),
         text(
             "comment lines, a title",

@@ -68,7 +68,7 @@ fn kind(record: &Record, made: &Diagnosis, period: f64, base: f64) -> Option<&'s
     } else if share_of_few(left, period) > MOSTLY {
         "upsets"
     } else if base < FOLLOWS {
-        "OP does not cause PV's oscillation"
+        "OP does not make PV's swing"
     } else {
         "changing oscillation"
     })
