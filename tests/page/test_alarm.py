@@ -117,7 +117,7 @@ def test_an_alarm_rises_is_acknowledged_shelved_and_taken_back(repair, open_page
     expect(shelf).to_contain_text("1")
     shelf.click()
     expect(entry(page)).to_contain_text("shelved by Ann")
-    answer(page, "Take off the shelf")
+    answer(page, "Unshelve")
     page.get_by_role("group", name="Filter by state").get_by_role("button", name=re.compile("^open")).click()
     expect(entry(page)).to_contain_text("active, acknowledged")
 

@@ -131,7 +131,7 @@ def test_history_reasons_and_pictures_appear(page):
         images.nth(k).scroll_into_view_if_needed()
         expect(images.nth(k)).to_have_attribute("aria-label", re.compile("..."))
     expect(pictures).not_to_contain_text("could not be loaded")
-    repair = part(page, "What a repair buys")
+    repair = part(page, "Benefit of a repair")
     expect(repair).to_contain_text(re.compile("Reversals a day|no closed loop|cannot"), timeout=60_000)
 
 
@@ -186,7 +186,7 @@ def test_the_evidence_sheet_opens_and_prints(page):
 
 
 def test_the_gap_diagnosis_runs_from_its_button(plant, page):
-    gap = part(page, "What the model leaves out")
+    gap = part(page, "Gap: what the model misses")
     gap.get_by_role("button", name=re.compile("^Run the diagnosis")).click()
     dialog = page.get_by_role("dialog")
     dialog.get_by_label("Your name").fill("Ann")
@@ -201,7 +201,7 @@ def test_a_review_is_kept_and_evaluate_takes_it(plant, page):
     page.get_by_role("button", name=re.compile(rf"^(Confirm|Confirm by stroke test).*: {LOOP}")).first.click()
     dialog = page.get_by_role("dialog")
     dialog.get_by_label("Your name").fill("Ann <b>")
-    dialog.get_by_label("Found out by").select_option("stroke_test")
+    dialog.get_by_label("How it was found").select_option("stroke_test")
     dialog.get_by_label("Reason").fill('stem moved after 6 %, "twice", and, late')
     dialog.get_by_role("button").last.click()
     expect(dialog).to_have_count(0)

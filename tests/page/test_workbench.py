@@ -97,7 +97,7 @@ def test_choices_are_undone_redone_and_a_run_is_cancelled(bench, page):
     expect(process).to_have_value(before)
     page.get_by_role("button", name="↷ Redo").click()
     expect(process).to_have_value("sopdt")
-    page.get_by_role("group", name="What is done").get_by_role("button", name="Gap").click()
+    page.get_by_role("group", name="Kind of run").get_by_role("button", name="Gap").click()
     page.get_by_role("button", name="Diagnose the gap").click()
     expect(page.get_by_role("progressbar", name=re.compile("^Progress of run"))).to_be_visible()
     page.get_by_role("button", name="Cancel").last.click()

@@ -1,19 +1,18 @@
 //! The deterministic half of the daemon: payloads to samples, samples to windows, windows to estimates and alarms.
 //!
-//! | room | |
+//! | module | |
 //! |---|---|
 //! | [`codec`] | bytes to samples; topics |
-//! | `hash` | short names for what is the same |
+//! | `hash` | short hashes |
 //! | [`alarm`] | ISA-18.2 states |
-//! | [`engine`] | one state machine a loop |
-//! | [`config`] | text to settings: its own, the engine's and the alarm's |
+//! | [`engine`] | one state machine per loop |
+//! | [`config`] | settings from text, for daemon, engine and alarm |
 //! | [`ownership`] | which daemon watches which loop |
 //! | [`analysis`] | samples of a recording to the answers of `analyze` and `gap` |
 //!
-//! [`engine::Engine`] is told the time (stamps on samples) and handed the data; a fit leaves it as a
-//! [`engine::Request`] and whoever drives it computes the answer. No file, socket, clock, thread, environment or
-//! unseeded randomness is in here, so what was recorded can be replayed, to the byte: the daemon drives the same
-//! engine live and from a file.
+//! [`engine::Engine`] gets time (timestamps of samples) and data from its caller. A fit leaves it as an [`engine::Request`],
+//! and the caller computes the answer. The crate uses no file, socket, clock, thread, environment or unseeded random
+//! numbers, so recorded data replay byte for byte: the daemon runs the same engine live and from a file.
 
 #![cfg_attr(test, allow(clippy::disallowed_methods, clippy::disallowed_types))]
 

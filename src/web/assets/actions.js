@@ -7,20 +7,20 @@ import { store } from "./store.js";
 
 const NAME = "stictiond.name";
 
-const name = () => ({ name: "by", label: "Your name", required: true, value: localStorage.getItem(NAME) ?? "", maxlength: 64, autocomplete: "name", hint: "Stands in the record and is not verified." });
+const name = () => ({ name: "by", label: "Your name", required: true, value: localStorage.getItem(NAME) ?? "", maxlength: 64, autocomplete: "name", hint: "Written to the record; not verified." });
 const why = (hint, required = false) => ({ name: "why", label: "Reason", type: "textarea", maxlength: 500, hint, required });
 
 const SHELVES = [[3600, "1 hour"], [28800, "8 hours (a shift)"], [86400, "1 day"], [604800, "7 days"], [2678400, "31 days"]];
 const forTime = { name: "for_s", label: "For", type: "select", value: "28800", options: SHELVES.map(([s, label]) => ({ value: String(s), label })) };
 
 const COMMANDS = {
-  ack: { label: "Acknowledge", intro: "You have seen the alarm. It stays active until the valve moves freely again.", fields: [why("For example: packing to be looked at in the stop in May.")] },
-  shelve: { label: "Shelve …", intro: "The alarm goes off the list for a while and comes back by itself.", fields: [forTime, why("Why it can wait.")] },
-  unshelve: { label: "Take off the shelf", intro: "The alarm shows again where it stands now.", fields: [why("")] },
-  out_of_service: { label: "Out of service …", intro: "For work on the valve: the alarm is out of service until it is put back.", fields: [why("For example: valve dismounted.")] },
-  in_service: { label: "Back in service", intro: "The alarm counts again.", fields: [why("")] },
-  suppress: { label: "Suppress …", intro: "By design, for example while the unit is down. It stays so until it is taken back.", fields: [why("Which condition suppresses it.")] },
-  unsuppress: { label: "No longer suppress", intro: "The alarm counts again.", fields: [why("")] },
+  ack: { label: "Acknowledge", intro: "You have seen the alarm. It stays active until the valve moves freely again.", fields: [why("For example: check the packing at the shutdown in May.")] },
+  shelve: { label: "Shelve …", intro: "The alarm leaves the list for this time and then returns.", fields: [forTime, why("Why it can wait.")] },
+  unshelve: { label: "Unshelve", intro: "The alarm returns to the list in its current state.", fields: [why("")] },
+  out_of_service: { label: "Out of service …", intro: "For work on the valve. The alarm is out of service until you return it to service.", fields: [why("For example: valve removed for repair.")] },
+  in_service: { label: "Back in service", intro: "The alarm is active again.", fields: [why("")] },
+  suppress: { label: "Suppress …", intro: "By design, for example while the unit is down. The alarm stays suppressed until you end it.", fields: [why("The condition, for example: unit down.")] },
+  unsuppress: { label: "Unsuppress", intro: "The alarm is active again.", fields: [why("")] },
 };
 
 /** Which commands an alarm's state allows, the likeliest first. */
@@ -52,8 +52,8 @@ export async function command(loop, cmd) {
 }
 
 const REVIEWS = {
-  stiction: { title: "The valve sticks", intro: "The answer is kept with this window and can be used to check the program.", methods: [["stroke_test", "stroke test"], ["inspection", "inspection"], ["other", "other"]] },
-  no_stiction: { title: "The valve does not stick", intro: "The answer is kept with this window and can be used to check the program.", methods: [["false_alarm", "false alarm, by judgement"], ["stroke_test", "stroke test"], ["inspection", "inspection"], ["other", "other"]] },
+  stiction: { title: "The valve sticks", intro: "The finding is stored with this window and can be used to check the program.", methods: [["stroke_test", "stroke test"], ["inspection", "inspection"], ["other", "other"]] },
+  no_stiction: { title: "The valve does not stick", intro: "The finding is stored with this window and can be used to check the program.", methods: [["false_alarm", "false alarm, by judgement"], ["stroke_test", "stroke test"], ["inspection", "inspection"], ["other", "other"]] },
 };
 
 /** Asks how it was found out, and keeps what was found; resolves to the review, or null. */
@@ -63,7 +63,7 @@ export async function review(loop, label) {
   await ask({
     title: `${title}: ${loop}`,
     intro,
-    fields: [name(), { name: "method", label: "Found out by", type: "select", value: methods[0][0], options: methods.map(([value, words]) => ({ value, label: words })) }, why("What was seen, for example: stem moved only after 6 %.")],
+    fields: [name(), { name: "method", label: "How it was found", type: "select", value: methods[0][0], options: methods.map(([value, words]) => ({ value, label: words })) }, why("What was seen, for example: stem moved only after 6 %.")],
     submit: "Keep",
     onSubmit: async (values) => {
       localStorage.setItem(NAME, values.by.trim());
@@ -77,7 +77,7 @@ export async function review(loop, label) {
 export async function runGap(loop, started) {
   let by = localStorage.getItem(NAME);
   if (!by) {
-    const values = await ask({ title: `Run the gap diagnosis: ${loop}`, intro: "It takes up to a minute and delays no estimate.", fields: [name()], submit: "Run" });
+    const values = await ask({ title: `Run the gap diagnosis: ${loop}`, intro: "The diagnosis takes up to a minute. Estimates continue meanwhile.", fields: [name()], submit: "Run" });
     if (!values) return null;
     by = values.by.trim();
     localStorage.setItem(NAME, by);
@@ -88,7 +88,7 @@ export async function runGap(loop, started) {
 
 /** Buttons for an alarm; `done(document, review)` after each. `sticks`: what the program says, which people judge. */
 export function buttons(alarm, { done, sticks = true, window = true }) {
-  if (store.site?.commands === false) return h("span", { class: "soft" }, "Commands are switched off in the configuration.");
+  if (store.site?.commands === false) return h("span", { class: "soft" }, "Commands are disabled in the configuration.");
   const list = allowed(alarm.state);
   const act = (cmd) => async () => {
     const answer = await command(alarm.loop, cmd);

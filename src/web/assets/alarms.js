@@ -67,7 +67,7 @@ export function show(root, { announce }) {
   const search = h("input", { id: "find", type: "search", placeholder: "loop, area, name", oninput: (e) => { state.text = e.target.value.trim().toLowerCase(); draw(); } });
   const exported = h("a", { class: "button", href: api.url("/reviews.csv"), download: "reviews.csv" }, "Save reviews (CSV)");
   fill(root, h("h1", null, "Alarms"),
-    h("p", { class: "soft" }, "Maintenance alerts after ISA-18.2: nothing has to be done within minutes."),
+    h("p", { class: "soft" }, "Maintenance alerts (ISA-18.2): none of them needs action within minutes."),
     h("section", { class: "filters", "aria-label": "Filter" }, chips, h("div", { class: "row" }, h("label", { class: "inline", for: "find" }, "Find ", search, h("kbd", null, "/")), exported)),
     list);
 
@@ -92,7 +92,7 @@ export function show(root, { announce }) {
     drawChips();
     const shown = [...alarms.values()].filter((a) => VIEWS[state.view].has(a) && text(a).includes(state.text));
     shown.sort((a, b) => rank(a) - rank(b) || format.millis(b.changed) - format.millis(a.changed));
-    const none = alarms.size ? "No alarm in this state." : "No alarm, and none has changed in the last day.";
+    const none = alarms.size ? "No alarm in this state." : "No alarms, and no changes in the last day.";
     const focus = document.activeElement?.closest?.(".alarm") && [document.activeElement.closest(".alarm").dataset.loop, document.activeElement.getAttribute("aria-label")];
     fill(list, shown.length ? h("ul", { class: "alarms" }, shown.map((a) => entry(a, done))) : h("p", { class: "note" }, none));
     const again = focus && list.querySelector(`[data-loop="${CSS.escape(focus[0])}"]`);

@@ -14,13 +14,13 @@ export class ApiError extends Error {
 }
 
 const WORDS = {
-  0: "No answer: the network is down or the program has stopped. It is tried again by itself.",
-  401: "A token is needed for this.",
-  403: "This is not allowed from here.",
-  404: "There is nothing here of that name.",
-  413: "This is larger than the program takes.",
-  429: "Too many requests at a time; wait a moment and try again.",
-  503: "The program is busy or starting; try again in a moment.",
+  0: "No answer: the network is down or the program has stopped. Retrying automatically.",
+  401: "This needs the access token.",
+  403: "This is not allowed from this computer.",
+  404: "There is nothing with this name.",
+  413: "This is larger than the program accepts.",
+  429: "Too many requests at once. Wait a moment and try again.",
+  503: "The program is busy or starting. Try again in a moment.",
 };
 
 /** Address of an API path, for links, pictures and downloads; full ones from the server pass through. */
@@ -48,7 +48,7 @@ async function failure(response) {
   } catch {
     // The body says nothing; the status has to do.
   }
-  return new ApiError(response.status, words ?? WORDS[response.status] ?? `The program answered ${response.status}.`);
+  return new ApiError(response.status, words ?? WORDS[response.status] ?? `The program answered with status ${response.status}.`);
 }
 
 let asking = null;
@@ -104,7 +104,7 @@ export function upload(path, blob, { onProgress, signal } = {}) {
         // Not JSON; the status has to do.
       }
       if (x.status >= 200 && x.status < 300) return resolve(answer);
-      const error = new ApiError(x.status, answer?.error ?? WORDS[x.status] ?? `The program answered ${x.status}.`);
+      const error = new ApiError(x.status, answer?.error ?? WORDS[x.status] ?? `The program answered with status ${x.status}.`);
       if (x.status !== 401) return reject(error);
       sessionStorage.removeItem(KEPT);
       if (!(await askToken(error.message))) return reject(error);

@@ -80,7 +80,7 @@ async function show() {
   fill(view, root);
   scrollTo(0, 0);
   if (!found) {
-    fill(root, h("h1", null, "There is no such page"), h("p", null, h("a", { href: "#/" }, "Back to the overview")));
+    fill(root, h("h1", null, "Page not found"), h("p", null, h("a", { href: "#/" }, "Back to the overview")));
     return;
   }
   document.title = `${found.name} · stictiond`;

@@ -28,7 +28,7 @@ function body({ rows, x, columns, plan }, options) {
   const xCell = (v) => (options.time ? `${format.day(v)}, ${format.time(v)}` : format.number(v));
   return [
     summary(plan, columns, rows),
-    every > 1 ? h("p", { class: "soft" }, `Every ${every}th of ${format.count(rows.length, "point")} on the screen; zoom in for more.`) : null,
+    every > 1 ? h("p", { class: "soft" }, `Every ${every}th of ${format.count(rows.length, "point")} shown; zoom in for more.`) : null,
     h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": `Values: ${options.label}` }, h("table", { class: "table" },
       h("thead", null, h("tr", null, h("th", { scope: "col" }, options.time ? "time" : options.xLabel ?? "x"), heads.map(({ r }) => h("th", { scope: "col", class: "number" }, r.of.unit ? `${r.of.label}, ${r.of.unit}` : r.of.label)))),
       h("tbody", null, kept.map((i) => h("tr", null, h("th", { scope: "row" }, xCell(x[i])), heads.map((head) => h("td", { class: "number" }, cell(head, i)))))))),

@@ -24,7 +24,7 @@ export class Live {
     this.ticked_ms = Date.now();
     setInterval(() => this.tick(), TICK_MS);
     addEventListener("online", () => this.reconnect());
-    addEventListener("offline", () => this.lost("this computer has no network"));
+    addEventListener("offline", () => this.lost("this computer is offline"));
     document.addEventListener("visibilitychange", () => !document.hidden && this.tick());
   }
 
@@ -77,7 +77,7 @@ export class Live {
       return this.reconnect();
     }
     const since = Math.max(this.heard_ms ?? 0, this.opened_ms ?? 0);
-    if (this.close && now - since > STALE_AFTER_MS) this.lost("the program has gone quiet");
+    if (this.close && now - since > STALE_AFTER_MS) this.lost("the program has stopped sending");
     return undefined;
   }
 }

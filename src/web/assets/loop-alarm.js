@@ -21,11 +21,11 @@ export function alarms(root, loop) {
   };
   const show = ({ changes, complete, reviews }) => {
     const judged = reviews.length ? h("ul", null, reviews.map(reviewed)) : null;
-    if (!changes.length) return void fill(root, judged, h("p", { class: "note" }, complete === false ? "The recordings at hand hold no change of this alarm." : "This loop never had an alarm."));
+    if (!changes.length) return void fill(root, judged, h("p", { class: "note" }, complete === false ? "The available recordings contain no change of this alarm." : "This loop has had no alarm."));
     return void fill(root, judged, h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Changes of the alarm" }, h("table", { class: "table" },
       h("thead", null, h("tr", null, ["when", "what", "state"].map((t) => h("th", { scope: "col" }, t)), h("th", { scope: "col", class: "number" }, "s"), h("th", { scope: "col", class: "number" }, "p"), ["who", "words"].map((t) => h("th", { scope: "col" }, t)))),
       h("tbody", null, changes.map(row)))),
-      complete ? null : h("p", { class: "soft small" }, "Older changes are not in the recordings."));
+      complete ? null : h("p", { class: "soft small" }, "Older changes are not in the available recordings."));
   };
   const part = loading(root, load, show);
   part.run();

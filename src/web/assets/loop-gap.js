@@ -7,7 +7,7 @@ import { store } from "./store.js";
 import { plain } from "./words.js";
 
 const MOST_EFFECTS = 6;
-const STAGES = { valve: "in the valve", process: "in the process", disturbance: "from outside", measurement: "in the measurement", operation: "in how the loop is run", cannot_tell: "cannot be told", none: "nowhere" };
+const STAGES = { valve: "in the valve", process: "in the process", disturbance: "external disturbance", measurement: "in the measurement", operation: "in the operation of the loop", cannot_tell: "unknown", none: "none" };
 
 /** Switches of an effect, which say nothing as numbers. */
 const SWITCHES = new Set(["straight", "upper", "of_stem"]);
@@ -15,24 +15,24 @@ const SWITCHES = new Set(["straight", "upper", "of_stem"]);
 const item = (term, value) => h("div", null, h("dt", null, term), h("dd", null, value));
 
 function causeWords({ cause }) {
-  if (cause.id === "none") return `nothing is missing (p ${format.probability(cause.probability)})`;
-  if (cause.id === "unknown") return `something that no effect of the catalogue explains (p ${format.probability(cause.probability)})`;
+  if (cause.id === "none") return `no effect needed (p ${format.probability(cause.probability)})`;
+  if (cause.id === "unknown") return `no effect of the catalogue explains it (p ${format.probability(cause.probability)})`;
   return `${plain(cause.id)} (p ${format.probability(cause.probability)}${cause.confirmed ? ", confirmed on other data" : ", suspected"})`;
 }
 
 function test(next) {
   if (!next) return null;
-  return item("Next test", `move ${next.signal.toUpperCase()} by ${format.number(next.size)} for ${format.duration(next.duration_s)}: tells ${[next.separates].flat().map(plain).join(" from ")} (p ${format.probability(next.p)})`);
+  return item("Next test", `move ${next.signal.toUpperCase()} by ${format.number(next.size)} for ${format.duration(next.duration_s)}, distinguishes ${[next.separates].flat().map(plain).join(" from ")} (p ${format.probability(next.p)})`);
 }
 
 function effects(list, pv) {
   const shown = list.slice(0, MOST_EFFECTS);
   if (!shown.length) return null;
   const size = (e) => Object.entries(e.parameters).filter(([name]) => !SWITCHES.has(name)).map(([name, p]) => `${plain(name)} ${format.number(p.value)}${p.unit === "1" ? "" : ` ${p.unit}`}`).join(", ").replace(/.$/, "$&; ");
-  return h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Effects that were tried" }, h("table", { class: "table" },
-    h("caption", { class: "soft" }, `The likeliest ${shown.length} of ${format.count(list.length, "effect")}; what each closes of the gap on data that it was not fitted to.`),
+  return h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Effects tried" }, h("table", { class: "table" },
+    h("caption", { class: "soft" }, `The likeliest ${shown.length} of ${format.count(list.length, "effect")}; share of the gap that each closes on held-out data.`),
     h("thead", null, h("tr", null, h("th", { scope: "col" }, "effect"), h("th", { scope: "col" }, "acts"), h("th", { scope: "col", class: "number" }, "closes, %"), h("th", { scope: "col", class: "number" }, `gap left, ${pv}`))),
-    h("tbody", null, shown.map((e) => h("tr", null, h("th", { scope: "row" }, plain(e.id), h("small", { class: "soft asks" }, size(e), e.separated_by ? `settled by ${e.separated_by}` : "")), h("td", { class: "nowrap" }, STAGES[e.stage] ?? e.stage), figureCell(format.parts(e.closed_pct, e.closed_interval)), h("td", { class: "number" }, format.number(e.gap_after)))))));
+    h("tbody", null, shown.map((e) => h("tr", null, h("th", { scope: "row" }, plain(e.id), h("small", { class: "soft asks" }, size(e), e.separated_by ? `distinguished by ${e.separated_by}` : "")), h("td", { class: "nowrap" }, STAGES[e.stage] ?? e.stage), figureCell(format.parts(e.closed_pct, e.closed_interval)), h("td", { class: "number" }, format.number(e.gap_after)))))));
 }
 
 function report(gap, words, row) {
@@ -43,12 +43,12 @@ function report(gap, words, row) {
     h("dl", { class: "facts" },
       item("Where", STAGES[gap.where.stage] ?? plain(gap.where.stage)),
       item("Which", causeWords(gap)),
-      gap.second_cause ? item("With it", `${plain(gap.second_cause.id)} (p ${format.probability(gap.second_cause.probability)})`) : null,
-      g ? item("How far", `${format.number(g.gap)} ${pv}, ${format.percent(g.relative)} of PV’s standard deviation; noise floor ${format.number(g.noise_floor)} ${pv}`) : null,
-      gap.forward ? item("Forward in time", `${format.number(gap.forward.gap_before)} before, ${format.number(gap.forward.gap_after)} ${pv} after`) : null,
+      gap.second_cause ? item("Second cause", `${plain(gap.second_cause.id)} (p ${format.probability(gap.second_cause.probability)})`) : null,
+      g ? item("Size of the gap", `${format.number(g.gap)} ${pv}, ${format.percent(g.relative)} of PV’s standard deviation; noise floor ${format.number(g.noise_floor)} ${pv}`) : null,
+      gap.forward ? item("Forward prediction", `${format.number(gap.forward.gap_before)} before, ${format.number(gap.forward.gap_after)} ${pv} after`) : null,
       gap.alternatives?.length ? item("Else", gap.alternatives.slice(0, 3).map((a) => `${plain(a.id)} (p ${format.probability(a.probability)})`).join(", ")) : null,
       test(gap.next_test),
-      item("Section", `${format.recent(format.millis(gap.window.start))} to ${format.recent(format.millis(gap.window.end))}, against ${gap.base.source === "linear" ? "a valve without friction" : "a sticking valve and a first-order process"}`)),
+      item("Section", `${format.recent(format.millis(gap.window.start))} to ${format.recent(format.millis(gap.window.end))}, base: ${gap.base.source === "linear" ? "a valve without friction" : "a sticking valve and a first-order process"}`)),
     effects(gap.effects ?? [], pv),
   ];
 }
@@ -69,7 +69,7 @@ export function gap(root, loop) {
         const spent = h("span", { "aria-hidden": "true" });
         button.disabled = true;
         clock = setInterval(() => fill(spent, format.duration(Math.round((Date.now() - from) / 1000))), 500);
-        fill(status, h("progress", { "aria-label": "Gap diagnosis" }), " fitting every effect of the catalogue … ", spent);
+        fill(status, h("progress", { "aria-label": "Gap diagnosis" }), " fitting all effects of the catalogue … ", spent);
       };
       if (await runGap(loop.name, started)) {
         await loop.reload(true);
@@ -84,7 +84,7 @@ export function gap(root, loop) {
 
   loop.onDocument(({ gap: document, words, row, estimate }) => {
     if (document) fill(body, report(document, words?.gap, row));
-    else fill(body, h("p", { class: "note" }, estimate ? "No diagnosis yet. It asks what the model leaves out: where it departs from the record, which effect causes that, and how far the gap closes once the effect is added." : "There is no window to diagnose yet."));
+    else fill(body, h("p", { class: "note" }, estimate ? "No diagnosis yet. It shows where the model differs from the record, which effect causes the difference, and how much of the gap that effect closes." : "There is no window to diagnose yet."));
     fill(button, document ? "Run the diagnosis again" : "Run the diagnosis");
     button.hidden = !estimate || store.site?.commands === false;
   });

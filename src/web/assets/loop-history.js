@@ -35,7 +35,7 @@ function changes(over, unit) {
   if (!over.changes.length) return null;
   return h("ul", { class: "changes" }, over.changes.map((c) => h("li", { class: c.kind },
     h("b", null, `${c.kind === "repaired" ? "Repaired" : c.kind === "better" ? "Better" : "Worse"}`),
-    `: s went from ${format.number(c.s_before)} to ${format.number(c.s_after)} ${unit} between ${format.dateTime(c.from_ms)} and ${format.dateTime(c.to_ms)} (p ${format.probability(c.p)}).`)));
+    `: s changed from ${format.number(c.s_before)} to ${format.number(c.s_after)} ${unit} between ${format.dateTime(c.from_ms)} and ${format.dateTime(c.to_ms)} (p ${format.probability(c.p)}).`)));
 }
 
 function contradicting(over, unit) {
@@ -75,12 +75,12 @@ export function overTime(root, loop) {
     drawn = shape;
     destroy();
     if (!windows.length) {
-      fill(root, h("p", { class: "note" }, "No window yet. The first comes once enough periods of the oscillation are in."));
+      fill(root, h("p", { class: "note" }, "No window yet. The first window needs enough periods of the oscillation."));
       return;
     }
     fill(said, words());
     const left = h("div", { class: "over-charts" });
-    const missing = history.complete ? null : h("p", { class: "soft small" }, "The recordings do not hold everything back to the start.");
+    const missing = history.complete ? null : h("p", { class: "soft small" }, "The recordings do not go back to the start.");
     fill(root, said, left, missing);
     const sync = `history ${loop.name}`;
     const band = (key, label, ink) => ({ key, label, ink, unit: unit(), points: windows.length < 60, lo: `${key}_lo`, hi: `${key}_hi` });

@@ -31,7 +31,7 @@ export function repair(root, loop) {
   const cell = (item, now) => figureCell(!item ? ["–", ""] : vague(item, now) ? ["cannot be told", ""] : format.parts(item.value, item.interval));
   const show = (answer) => fill(root,
     answer.sentences.map((t) => h("p", { class: "lead" }, t)),
-    h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "What a repair buys, table" }, h("table", { class: "table" },
+    h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Benefit of a repair, table" }, h("table", { class: "table" },
       h("caption", { class: "soft" }, "The closed loop, simulated; 90 % intervals in brackets."),
       h("thead", null, h("tr", null, h("td", null), CASES.map(([, words]) => h("th", { scope: "col", class: "number" }, words)))),
       h("tbody", null, rows().map(([words, key, unit]) => h("tr", null, h("th", { scope: "row" }, words, unit ? h("span", { class: "soft" }, `, ${unit}`) : null), CASES.map(([id]) => cell(answer[id]?.[key], id === "now" ? null : answer.now[key])))),

@@ -46,7 +46,7 @@ class Trend {
       { key: "op", label: "OP", ink: "--op", unit: row?.op_unit },
       { key: "mv", label: "valve measured", ink: "--other", unit: row?.op_unit },
       { key: "valve", label: "valve fitted", ink: "--mv", stepped: true, unit: row?.op_unit }] });
-    left.append(h("p", { class: "soft small hint" }, "Drag to zoom, Shift and drag to pan, click and then wheel, double click for all."));
+    left.append(h("p", { class: "soft small hint" }, "Drag to zoom, Shift-drag to pan, click then scroll to zoom, double-click to show all."));
     this.phase = new Phase(right, loop);
     this.drawButtons();
     const renew = single(() => this.load());
@@ -110,7 +110,7 @@ class Trend {
     this.data = { x: answer.t_ms, ...Object.fromEntries(COLUMNS.map((c) => [c, answer[c] ?? null])) };
     const points = answer.t_ms.length;
     this.last = Math.max(this.last ?? 0, answer.t_ms[points - 1] ?? 0);
-    const words = !points ? "There are no samples yet." : answer.complete === false ? "The recordings do not hold all of this range." : answer.valve ? "The fitted valve is that of the last fit." : "";
+    const words = !points ? "No samples yet." : answer.complete === false ? "The recordings cover only part of this range." : answer.valve ? "The fitted valve comes from the last fit." : "";
     fill(this.note, words);
     this.step_ms = answer.ts_s ? answer.ts_s * 1000 : null;
     this.draw(keepView);
@@ -154,7 +154,7 @@ class Trend {
       for (const c of COLUMNS) this.data[c]?.shift();
     }
     if (!(x[x.length - 1] > last)) return;
-    fill(this.note, `Live: newest sample ${format.stamp(x[x.length - 1])}.${this.data.valve ? " The fitted valve is that of the last fit." : ""}`);
+    fill(this.note, `Live: newest sample ${format.stamp(x[x.length - 1])}.${this.data.valve ? " The fitted valve comes from the last fit." : ""}`);
     this.draw(true);
   }
 
@@ -184,7 +184,7 @@ class Phase {
     root.append(h("h3", null, "Phase plot of the live window"));
     this.plot = phase(root, { label: "Phase plot, PV over OP", xLabel: `OP${row?.op_unit ? `, ${row.op_unit}` : ""}`, yLabel: `PV${row?.pv_unit ? `, ${row.pv_unit}` : ""}` });
     root.append(h("div", { class: "row" }, h("label", { for: "lag" }, "Shift PV back by "), this.slider, this.out), this.fittedLabel,
-      h("p", { class: "soft small" }, "Shifted by the loop’s dead time and lag, a sticking valve draws a parallelogram with upright or level sides; a free one a line or an ellipse."));
+      h("p", { class: "soft small" }, "With PV shifted back by the loop’s dead time and lag, a sticking valve gives a parallelogram with vertical or horizontal sides; a valve without stiction gives a line or an ellipse."));
   }
 
   take(window) {

@@ -16,8 +16,8 @@ const SECTIONS = [
   ["trend", "Trend and phase"],
   ["history", "Over time"],
   ["why", "Why"],
-  ["repair", "What a repair buys"],
-  ["gap", "What the model leaves out"],
+  ["repair", "Benefit of a repair"],
+  ["gap", "Gap: what the model misses"],
   ["pictures", "Pictures"],
   ["alarms", "Alarm history"],
 ];
@@ -83,7 +83,7 @@ export function show(root, { name, live, announce }) {
 // Pictures take the program seconds to draw: they stay until the reader asks for those of a newer window.
 function drawings(root, loop) {
   const list = h("div");
-  const renew = h("button", { class: "button", type: "button", hidden: true, onclick: () => part.run(true) }, "There is a newer window: draw again");
+  const renew = h("button", { class: "button", type: "button", hidden: true, onclick: () => part.run(true) }, "Newer window available: redraw");
   let drawn = null;
   fill(root, renew, list);
   const end = () => loop.document?.estimate?.window.end_ns ?? null;
@@ -98,7 +98,7 @@ function drawings(root, loop) {
   const part = loading(list, load, (answer) => pictures.show(list, answer.pictures), { lines: 8 });
   loop.onDocument(({ estimate }) => {
     if (!estimate) {
-      fill(list, h("p", { class: "note" }, "No window yet, so there is nothing to draw."));
+      fill(list, h("p", { class: "note" }, "No window yet: nothing to draw."));
       root.removeAttribute("aria-busy");
     } else if (drawn === null) {
       fill(list);

@@ -85,7 +85,7 @@ function noteOf(rows) {
 function waiting() {
   const prefix = store.site?.prefix ?? "PREFIX";
   return h("div", { class: "note" },
-    h("p", null, "A loop appears with its first sample. Publish each signal on a key of its own over Zenoh:"),
+    h("p", null, "A loop appears with its first sample. Publish each signal on its own Zenoh key:"),
     h("p", null, h("code", null, `${prefix}/LOOP/op`), " and ", h("code", null, `${prefix}/LOOP/pv`), "; set point and mode are optional (", h("code", null, "sp"), ", ", h("code", null, "mode"), "). Other keys are mapped in the configuration."));
 }
 

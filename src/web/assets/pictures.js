@@ -55,5 +55,5 @@ function figure(picture) {
 
 /** Shows pictures `{ id, title, caption, wide, svg or url }`, each made when it comes near the screen. */
 export function show(root, pictures) {
-  fill(root, pictures.length ? h("div", { class: "pictures" }, pictures.map(figure)) : h("p", { class: "soft" }, "There is no picture: nothing was fitted to this window."));
+  fill(root, pictures.length ? h("div", { class: "pictures" }, pictures.map(figure)) : h("p", { class: "soft" }, "No pictures: no model was fitted to this window."));
 }

@@ -1,4 +1,4 @@
-// The line under the header that is always in sight: link, age of the data, holes, losses, faults.
+// The line under the header that is always in sight: link, age of the data, data gaps, losses, faults.
 
 import { fill, h } from "./dom.js";
 import * as format from "./format.js";
@@ -11,9 +11,9 @@ const item = (state, name, words, title) => h("span", { class: `health ${state}`
 
 function link(live) {
   const heard = live.heard_ms ? format.time(live.heard_ms + (store.skew_ms ?? 0)) : null;
-  if (live.state === "live") return item("good", "Live", `last news ${heard}`);
+  if (live.state === "live") return item("good", "Live", `last update ${heard}`);
   if (live.state === "connecting") return item("wait", "Connecting", "…");
-  const since = heard ? `no news since ${heard}` : "no news yet";
+  const since = heard ? `no update since ${heard}` : "no update yet";
   return item("bad", "Stale", `${since}, reconnecting (${live.why})`);
 }
 
@@ -26,13 +26,13 @@ function age({ silent_loops: silent, oldest_loop: name, oldest_age_s: oldest }) 
   return item("good", "Data", `at most ${format.duration(Math.max(1, Math.ceil(oldest)))} old`);
 }
 
-const holes = ({ data_gaps: n }) => (n ? item("warn", "Holes", format.integer(n)) : item("good", "Holes", "none"));
+const gaps = ({ data_gaps: n }) => (n ? item("warn", "Data gaps", format.integer(n)) : item("good", "Data gaps", "none"));
 
 const LOSSES = [
-  ["dropped_input", "message not taken in", "messages not taken in"],
+  ["dropped_input", "message dropped", "messages dropped"],
   ["fits_skipped", "fit skipped", "fits skipped"],
-  ["dropped_output", "document not sent", "documents not sent"],
-  ["recording_lost", "record lost", "records lost"],
+  ["dropped_output", "document not published", "documents not published"],
+  ["recording_lost", "message not recorded", "messages not recorded"],
 ];
 
 function drops({ dropped: samples }) {
@@ -41,7 +41,7 @@ function drops({ dropped: samples }) {
     const n = store.site?.loss?.[key] ?? 0;
     if (n) parts.push(format.count(n, one, many));
   }
-  return parts.length ? item("warn", "Dropped", parts.join(", "), "Samples dropped: double, late, or stamped far off. The other counts are since the start.") : item("good", "Dropped", "none");
+  return parts.length ? item("warn", "Dropped", parts.join(", "), "Dropped samples were duplicate, late, or had implausible timestamps. The other counts are since the start.") : item("good", "Dropped", "none");
 }
 
 function faults() {
@@ -62,7 +62,7 @@ export function strip(root, live) {
     const data = store.site?.data ?? {};
     // What is wrong stands in front, where a narrow screen shows it.
     const rank = (node) => ["bad", "warn", "wait", "good"].findIndex((state) => node.classList.contains(state));
-    const health = [age(data), holes(data), drops(data), faults()].sort((a, b) => rank(a) - rank(b));
+    const health = [age(data), gaps(data), drops(data), faults()].sort((a, b) => rank(a) - rank(b));
     if (store.site?.note) health.push(item("wait", "Note", store.site.note));
     const all = [link(live), ...health];
     while (inside.children.length > all.length) inside.lastChild.remove();
@@ -74,7 +74,7 @@ export function strip(root, live) {
     });
     if (said !== live.state) {
       said = live.state;
-      fill(spoken, said === "live" ? "The link is back." : inside.firstChild.textContent);
+      fill(spoken, said === "live" ? "The connection is back." : inside.firstChild.textContent);
     }
   };
   const soon = () => {

@@ -4,13 +4,13 @@
 const LISTED = 60;
 
 const OPTION_WORDS = {
-  tz: ["Time zone", "Whose clock times without a zone are: Europe/Berlin, UTC, +01:00"],
+  tz: ["Time zone", "Zone of timestamps without one: Europe/Berlin, UTC, +01:00"],
   time_format: ["Time format", "dmy, mdy, ymd, excel, s, ms, or a pattern such as %d/%m/%Y %H:%M:%S"],
-  decimal: ["Decimal", "point or comma"],
-  map: ["Columns", "op=TAG,pv=TAG[,sp=TAG][,t=COLUMN]; columns by name or counted from 1"],
-  delimiter: ["Delimiter", "One character such as ; or tab"],
+  decimal: ["Decimal separator", "point or comma"],
+  map: ["Columns", "op=TAG,pv=TAG[,sp=TAG][,t=COLUMN]; columns by name or by number from 1"],
+  delimiter: ["Cell separator", "One character such as ; or tab"],
   encoding: ["Encoding", "Such as windows-1251 or shift_jis"],
-  sheet: ["Sheet", "The sheet of a workbook"],
+  sheet: ["Sheet", "Sheet of a workbook"],
   quality: ["Quality codes", "ua, classic, percent, flag or ignore"],
 };
 
@@ -105,7 +105,7 @@ export class Files {
     const { h } = this;
     const node = h("div", { class: "problem" }, error.message.startsWith(`${blob.name}: `) ? error.message : `${blob.name}: ${error.message}`, " ");
     const buttons = h("div", { class: "row" });
-    if (error.status === 422) buttons.append(h("button", { class: "button", type: "button", onclick: () => this.ask(blob, options, error.message).then((sent) => sent && node.remove()) }, "Say how it is read…"));
+    if (error.status === 422) buttons.append(h("button", { class: "button", type: "button", onclick: () => this.ask(blob, options, error.message).then((sent) => sent && node.remove()) }, "Set reading options…"));
     buttons.append(h("button", { class: "button quiet", type: "button", onclick: () => node.remove() }, "Dismiss"));
     node.append(buttons);
     this.zone.after(node);
@@ -114,7 +114,7 @@ export class Files {
   ask(blob, given, intro) {
     const fields = Object.entries(OPTION_WORDS).map(([name, [label, hint]]) => ({ name, label, hint, value: given[name] ?? "" }));
     return this.dialog.ask({
-      title: `How ${blob.name} is read`, intro, fields, submit: "Open",
+      title: `Reading options for ${blob.name}`, intro, fields, submit: "Open",
       onSubmit: async (values) => {
         const options = Object.fromEntries(Object.entries(values).filter(([, value]) => value.trim()));
         const query = new URLSearchParams({ name: blob.name, ...options });

@@ -38,9 +38,9 @@ export class Form {
     const active = this.root.contains(document.activeElement) ? document.activeElement : null;
     const focused = active && (active.name || active.dataset.name);
     this.bases = JSON.stringify(this.runs());
-    const kinds = [["analyze", "Estimate", "How much the valve sticks"], ["gap", "Gap", "What the model leaves out"]].map(([id, words, title]) =>
+    const kinds = [["analyze", "Estimate", "Stiction of the valve"], ["gap", "Gap", "What the model misses"]].map(([id, words, title]) =>
       h("button", { class: "button", type: "button", name: `kind-${id}`, title, "aria-pressed": String(now.kind === id), onclick: () => this.set({ kind: id }, words) }, words));
-    fill(this.root, h("div", { class: "row segments", role: "group", "aria-label": "What is done" }, kinds),
+    fill(this.root, h("div", { class: "row segments", role: "group", "aria-label": "Kind of run" }, kinds),
       now.kind === "gap" ? this.gap(now) : this.estimate(now), this.data(now));
     if (focused) this.root.querySelector(`[name="${focused}"], [data-name="${focused}"]`)?.focus();
   }
@@ -68,7 +68,7 @@ export class Form {
     input.addEventListener("change", () => {
       if (!input.reportValidity()) return;
       const given = input.value.trim() === "" ? null : Number(input.value);
-      this.set({ [key]: given }, given === null ? `${label}: as usual` : `${label}: ${given}`);
+      this.set({ [key]: given }, given === null ? `${label}: default` : `${label}: ${given}`);
     });
     return this.field(bounds.unit ? `${label}, ${bounds.unit}` : label, input, hint);
   }
@@ -95,22 +95,22 @@ export class Form {
       this.group("Model",
         this.select("model", "Process", options.models),
         this.field("Dead time", delay, "auto, samples such as 3, or seconds such as 12s"),
-        this.select("valve", "Valve law", options.valves)),
+        this.select("valve", "Valve model", options.valves)),
       this.group("OP's range",
         h("div", { class: "wb-pair" }, this.number("op_low", "From", { none: "0" }), this.number("op_high", "To", { none: "100" })),
-        h("small", { class: "soft" }, "Gives sizes in % of travel")),
+        h("small", { class: "soft" }, "For sizes in % of travel")),
       h("details", { class: "wb-more", open: now.solver !== "" || this.moreOpen, ontoggle: (e) => (this.moreOpen = e.target.open) },
         h("summary", { "data-name": "more" }, "Solver, fineness, seed"),
-        this.select("solver", "Solver beside the estimate", options.solvers),
-        now.solver ? this.number("evaluations", "Models it may try", { ...options.evaluations, unit: "" }) : null,
-        this.number("fineness", "Fineness", options.fineness, "Step of the grid, % of OP's span"),
+        this.select("solver", "Additional solver", options.solvers),
+        now.solver ? this.number("evaluations", "Most models evaluated", { ...options.evaluations, unit: "" }) : null,
+        this.number("fineness", "Fineness", options.fineness, "Step of the contour grid, % of OP's span"),
         this.number("seed", "Seed", { min: 0, default: options.seed })),
     ];
   }
 
   gap(now) {
     const { h, options } = this;
-    const runs = this.runs().map((run) => ({ id: run.base, words: `The estimate of run ${run.number}: ${run.words}` }));
+    const runs = this.runs().map((run) => ({ id: run.base, words: `Estimate of run ${run.number}: ${run.words}` }));
     const stages = new Map();
     for (const effect of options.effects) stages.set(effect.stage, [...(stages.get(effect.stage) ?? []), effect]);
     const effect = (e) => h("label", { class: "wb-check" }, h("input", { type: "checkbox", name: `effect-${e.id}`, checked: !now.without.includes(e.id), onchange: (event) => {
@@ -120,13 +120,13 @@ export class Form {
     } }), " ", e.words.replace(/^an? /, ""));
     const left = now.without.length;
     return [
-      this.group("Model", this.select("base", "Base", [...options.bases, ...runs], "What the gap is measured from")),
+      this.group("Model", this.select("base", "Base", [...options.bases, ...runs], "Model that the gap is measured from")),
       h("details", { class: "wb-more", open: this.effectsOpen ?? false, ontoggle: (e) => (this.effectsOpen = e.target.open) },
         h("summary", { "data-name": "effects" }, left ? `Effects: ${options.effects.length - left} of ${options.effects.length}` : `Effects: all ${options.effects.length}`),
         [...stages].map(([stage, effects]) => this.group(`${stage.replaceAll("_", " ")}`, effects.map(effect))),
         left ? h("button", { class: "button", type: "button", name: "all-effects", onclick: () => this.set({ without: [] }, "All effects") }, "All effects") : null),
       this.group("Search",
-        this.check("pairs", "Two effects at once also where one explains all"),
+        this.check("pairs", "Also search pairs of effects when one explains the gap"),
         this.number("budget_s", "Time", { ...options.budget_s, none: "about 5" }),
         this.number("seed", "Seed", { min: 0, default: options.gap_seed })),
     ];
@@ -134,8 +134,8 @@ export class Form {
 
   data(now) {
     return this.group("Data",
-      this.number("downsample", "One point for every", { ...options_of(this.options.downsample), none: "sample" }, "Samples; 2.5 is fine. Empty: every sample"),
-      now.downsample !== null ? this.check("like_toolbox", "Drop samples, as the toolbox does", "May alias; else boxes are averaged") : null,
+      this.number("downsample", "One point for every", { ...options_of(this.options.downsample), none: "sample" }, "Samples per point; 2.5 is allowed. Empty: every sample"),
+      now.downsample !== null ? this.check("like_toolbox", "Drop samples, as the toolbox does", "May alias; otherwise bins are averaged") : null,
       this.select("detrend", "Trend of PV", this.options.detrends));
   }
 }

@@ -13,8 +13,8 @@ function figures(h, format, d, unit) {
     ["Gap above the noise", `${n(d.gap.gap)} ${pv}${d.gap.relative === null ? "" : `, ${n(100 * d.gap.relative)} % of PV's standard deviation`}`],
     ["RMS error, noise floor", `${n(d.gap.rmse)}, ${d.gap.noise_floor === null ? "not known" : n(d.gap.noise_floor)} ${pv}`],
     ["Closed by the effect", closed?.closed_pct !== undefined && closed.closed_pct !== null ? `${format.estimate(closed.closed_pct, closed.closed_interval, "%")}` : "–"],
-    ["Forward in time", d.forward ? `${n(d.forward.gap_before)} before, ${n(d.forward.gap_after)} after` : "–"],
-    ["Model responses", `${format.integer(d.evaluations)}${d.stopped_early ? ", search cut short" : ""}`],
+    ["Forward prediction", d.forward ? `${n(d.forward.gap_before)} before, ${n(d.forward.gap_after)} after` : "–"],
+    ["Model responses", `${format.integer(d.evaluations)}${d.stopped_early ? ", search stopped early" : ""}`],
   ];
   return h("dl", { class: "facts" }, rows.map(([name, value]) => h("div", null, h("dt", null, name), h("dd", null, value))));
 }
@@ -29,10 +29,10 @@ function effects(h, format, d) {
     h("td", null, Object.entries(e.parameters).map(([name, q]) => `${name.replaceAll("_", " ")} ${n(q.value)} ${q.unit ?? ""}`.trim()).join("; ") || "–"),
     h("td", null, e.confusable_with.map((id) => id.replaceAll("_", " ")).join(", ") || "–"));
   const table = (list, caption) => h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": caption }, h("table", { class: "table" }, h("caption", { class: "soft" }, caption),
-    h("thead", null, h("tr", null, ["Effect", "Acts in", "Evidence", "Closes", "Parameters", "Not told from"].map((t, k) => h("th", { scope: "col", class: k === 2 || k === 3 ? "number" : null }, t)))),
+    h("thead", null, h("tr", null, ["Effect", "Acts in", "Evidence", "Closes", "Parameters", "Indistinguishable from"].map((t, k) => h("th", { scope: "col", class: k === 2 || k === 3 ? "number" : null }, t)))),
     h("tbody", null, list.map(row))));
   const rest = d.effects.slice(MOST);
-  return [table(d.effects.slice(0, MOST), "Best first; closed on blocks that no model was fitted to, with 90 % intervals"),
+  return [table(d.effects.slice(0, MOST), "Best first; share closed on held-out blocks, with 90 % intervals"),
     rest.length ? h("details", null, h("summary", null, `${rest.length} more effects`), table(rest, "The others")) : null];
 }
 
@@ -67,7 +67,7 @@ function runs(root, { api, charts, h, fill, units, problem }, result, name) {
     ] });
     const same = data.pv_base.every((v, k) => v === data.pv_after[k]);
     chart.setData({ x: data.t_ms, pv: data.pv, before: data.pv_base, ...(same ? {} : { after: data.pv_after }) });
-    root.append(h("p", { class: "soft" }, "Tinted: stretches that no model was fitted to; only they count. ", same ? "No effect was added, so there is no run after." : null));
+    root.append(h("p", { class: "soft" }, "Tinted: held-out stretches; only they count. ", same ? "No effect was added, so there is only one free run." : null));
   }, (error) => !ended && fill(root, problem(error.message)));
   return () => {
     ended = true;
@@ -78,8 +78,8 @@ function runs(root, { api, charts, h, fill, units, problem }, result, name) {
 /** The answer in a few words. */
 export function answer(format, d) {
   const p = `(p ${format.probability(d.cause.probability)})`;
-  if (d.cause.id === "none") return `Nothing is missing: the base explains this record ${p}`;
-  if (d.cause.id === "unknown") return `Something departs that no effect explains ${p}`;
+  if (d.cause.id === "none") return `No effect needed: the base explains this record ${p}`;
+  if (d.cause.id === "unknown") return `The record differs from the base, and no effect explains it ${p}`;
   const name = d.cause.id.replaceAll("_", " ");
   return `${name.charAt(0).toUpperCase()}${name.slice(1)} ${p}`;
 }
@@ -98,12 +98,12 @@ export function showGap(root, context, job) {
     const chart = h("div", { class: "wb-runs" });
     const drawn = h("div");
     if (result.pictures.length) pictures.show(drawn, result.pictures);
-    else fill(drawn, h("p", { class: "soft" }, "The pictures are being drawn."));
+    else fill(drawn, h("p", { class: "soft" }, "Drawing the pictures."));
     const section = h("section", { class: "wb-section" }, title,
       h("p", { class: "wb-headline" }, answer(format, d)), h("p", { class: "lead" }, short), notes,
       figures(h, format, d, context.units[1]), chart,
       h(below, null, "Effects"), effects(h, format, d), h(below, null, "Pictures"), drawn,
-      h("details", null, h("summary", null, "As the command prints it"), h("pre", { tabindex: "0" }, result.text)),
+      h("details", null, h("summary", null, "Output of the command"), h("pre", { tabindex: "0" }, result.text)),
       result.predictions_url ? h("a", { class: "button quiet", href: api.url(result.predictions_url.replace("/predictions?", "/predictions.csv?")), download: "predictions.csv" }, "Save free runs (CSV)") : null);
     if (result.predictions_url) ends.push(runs(chart, context, result, job.request.loop));
     return section;

@@ -146,7 +146,7 @@ export class Runs {
     if (!d) return [h("td", { colspan: "7", class: job.state === "failed" ? null : "soft" }, job.error ?? result?.notes?.join(" ") ?? STATES[job.state])];
     if (job.request.kind === "gap") {
       const named = d.effects.find((e) => e.id === d.cause.id);
-      const answer = { none: "nothing missing", unknown: "not explained" }[d.cause.id] ?? d.cause.id.replaceAll("_", " ");
+      const answer = { none: "no effect needed", unknown: "not explained" }[d.cause.id] ?? d.cause.id.replaceAll("_", " ");
       return [h("td", null, answer), n(format.probability(d.cause.probability)),
         h("td", { colspan: "5" }, `gap ${format.number(d.gap.gap)}${named?.closed_pct ? `, closed ${format.estimate(named.closed_pct, named.closed_interval, "%")}` : ""}`)];
     }
@@ -166,7 +166,7 @@ export class Runs {
         k === 0 ? h("th", { scope: "row", rowspan: String(results.length) }, h("button", { class: "button quiet", type: "button", "aria-pressed": String(this.chosen === job.id), onclick: () => this.choose(job.id) }, `Run ${this.number(job)}`)) : null,
         h("td", { class: "wb-what" }, what(job, result)), this.cells(job, result),
         k === 0 ? h("td", { rowspan: String(results.length), class: "number" },
-          h("button", { class: "button quiet", type: "button", title: "Take this run's choices", "aria-label": `Take the choices of run ${this.number(job)}`, onclick: () => this.on.again(job) }, "Choices"),
+          h("button", { class: "button quiet", type: "button", title: "Use the settings of this run", "aria-label": `Use the settings of run ${this.number(job)}`, onclick: () => this.on.again(job) }, "Settings"),
           over(job) ? h("button", { class: "button quiet icon", type: "button", "aria-label": `Remove run ${this.number(job)}`, title: "Remove", onclick: () => this.remove(job) }, "×") : null) : null));
     });
     return fill(this.table, h("div", { class: "row spread" }, h("h2", null, "Runs compared"),

@@ -127,7 +127,7 @@ export function undoKeys(choices, said) {
     e.preventDefault();
     const back = letter === "z" && !e.shiftKey;
     const words = back ? choices.undo() : choices.redo();
-    said(words ? `${back ? "Undone" : "Done again"}: ${words}` : `Nothing to ${back ? "undo" : "do again"}`);
+    said(words ? `${back ? "Undone" : "Redone"}: ${words}` : `Nothing to ${back ? "undo" : "redo"}`);
   };
   document.addEventListener("keydown", key);
   return () => document.removeEventListener("keydown", key);

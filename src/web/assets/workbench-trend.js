@@ -47,7 +47,7 @@ export class Trend {
   build() {
     const { h, fill } = this;
     const [opUnit, pvUnit] = this.one.units;
-    const modes = [["select", "Drag chooses a section"], ["zoom", "Drag zooms"]].map(([id, words]) =>
+    const modes = [["select", "Drag to select a section"], ["zoom", "Drag to zoom"]].map(([id, words]) =>
       h("button", { class: "button", type: "button", "aria-pressed": String(this.drags === id), onclick: (e) => {
         this.drags = id;
         for (const other of e.target.parentNode.children) other.setAttribute("aria-pressed", String(other === e.target));
@@ -56,7 +56,7 @@ export class Trend {
     this.list = h("div", { class: "wb-sections" });
     fill(this.root,
       h("div", { class: "row spread" }, h("div", { class: "row segments", role: "group", "aria-label": "What dragging does" }, modes),
-        h("span", { class: "soft hint" }, h("kbd", null, "["), " and ", h("kbd", null, "]"), " at the cursor begin and end a section; ", h("kbd", null, "Shift"), " drags the view")),
+        h("span", { class: "soft hint" }, h("kbd", null, "["), " and ", h("kbd", null, "]"), " start and end a section at the cursor; ", h("kbd", null, "Shift"), "-drag moves the view")),
       this.plots, this.list);
     const common = { sync: SYNC, time: true, height: 200, spans: () => this.spans(), marks: () => this.marks(), onSelect: (from, to) => this.selected(from, to), onView: () => this.viewed(), onReset: () => this.viewed(true) };
     const upper = this.charts.line(this.plots, { ...common, label: `Process variable of ${this.one.name}`, yLabel: pvUnit ? `PV, ${pvUnit}` : "PV", series: [
@@ -118,7 +118,7 @@ export class Trend {
 
   marks() {
     const numbered = this.sections.length > 1 ? this.sections.map((s, k) => ({ x: this.timeOf(s.from), label: String(k + 1), ink: "--fit" })) : [];
-    return this.mark === null ? numbered : [...numbered, { x: this.mark, label: "from here", ink: "--other" }];
+    return this.mark === null ? numbered : [...numbered, { x: this.mark, label: "start", ink: "--other" }];
   }
 
   async selected(from, to) {
@@ -141,7 +141,7 @@ export class Trend {
     const x = u.data[0][at];
     if (e.key === "[") {
       this.mark = x;
-      this.announce(`A section begins at ${this.format.time(x)}; ] ends it`);
+      this.announce(`Section starts at ${this.format.time(x)}; press ] to end it`);
     } else if (this.mark !== null && x > this.mark) {
       const from = this.mark;
       this.mark = null;
@@ -191,7 +191,7 @@ export class Trend {
     return h("li", { class: "row" }, h("b", { class: "wb-section-number" }, String(k + 1)),
       h("span", null, "samples ", number("from", "first"), " to ", number("to", "last")),
       h("span", { class: "soft" }, `${format.count(section.to - section.from + 1, "sample")}, ${format.duration(seconds)} from ${format.dateTime(this.timeOf(section.from))}`),
-      h("button", { class: "button quiet", type: "button", onclick: () => this.lookAt(section) }, "Look"),
+      h("button", { class: "button quiet", type: "button", onclick: () => this.lookAt(section) }, "Show"),
       h("button", { class: "button quiet icon", type: "button", "aria-label": `Remove section ${k + 1}`, title: "Remove", onclick: () => this.on.sections(this.sections.filter((_, n) => n !== k), `Section ${k + 1} removed`) }, "×"));
   }
 
@@ -209,10 +209,10 @@ export class Trend {
     };
     const byNumbers = () => this.add(1, Math.min(this.whole.samples, Math.max(30, Math.round(this.whole.samples / 2))));
     const buttons = h("div", { class: "row" },
-      h("button", { class: "button", type: "button", onclick: shown }, "Add what is shown"),
-      h("button", { class: "button", type: "button", onclick: byNumbers }, "Add by numbers"),
+      h("button", { class: "button", type: "button", onclick: shown }, "Add visible range"),
+      h("button", { class: "button", type: "button", onclick: byNumbers }, "Add by sample numbers"),
       this.sections.length ? h("button", { class: "button quiet", type: "button", onclick: () => this.on.sections([], "All sections removed") }, "Whole record") : null);
-    const none = h("p", null, h("b", null, "The whole record"), ` is analysed: ${format.count(this.whole.samples, "sample")}${this.whole.ts_s ? ` of ${format.number(this.whole.ts_s)} s` : ""}. Drag over the trend to choose sections.`);
+    const none = h("p", null, h("b", null, "The whole record"), ` is analysed: ${format.count(this.whole.samples, "sample")}${this.whole.ts_s ? ` of ${format.number(this.whole.ts_s)} s` : ""}. Drag over the trend to select sections.`);
     fill(this.list, h("div", { class: "row spread" }, h("h3", null, "Sections"), buttons),
       this.sections.length ? h("ol", { class: "wb-section-list" }, this.sections.map((s, k) => this.row(s, k))) : none);
   }

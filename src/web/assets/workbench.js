@@ -35,11 +35,11 @@ class Bench {
     this.go = h("button", { class: "button primary wb-go", type: "button", onclick: () => this.run() }, "Run");
     this.full = h("button", { class: "button", type: "button", "aria-pressed": "false", onclick: () => this.fullScreen() }, "Full screen");
     this.progress = h("div", { class: "wb-under-way" });
-    this.side = h("div", { class: "wb-side" }, part("files", "Files", "Files"), this.setup = h("section", { class: "card wb-part wb-setup", "aria-label": "Choices" },
+    this.side = h("div", { class: "wb-side" }, part("files", "Files", "Files"), this.setup = h("section", { class: "card wb-part wb-setup", "aria-label": "Settings" },
       h("h2", null, "Choices"), this.form = h("div", { class: "wb-form" }), this.steps = h("div", { class: "wb-steps" })));
     this.title = h("h2", null, "Result");
     this.main = h("div", { class: "wb-main" },
-      this.empty = h("section", { class: "card wb-empty", "aria-label": "How it begins" }),
+      this.empty = h("section", { class: "card wb-empty", "aria-label": "Getting started" }),
       this.trendPart = h("section", { class: "card wb-part", "aria-label": "Trend and sections" }, this.trendTitle = h("h2", null, "Trend"), this.trend = h("div"),
         h("div", { class: "row wb-run" }, this.go, h("span", { class: "soft" }, h("kbd", null, "Ctrl"), " ", h("kbd", null, "Enter")), this.note), this.progress),
       this.resultPart = h("section", { class: "card wb-part", "aria-label": "Result" }, this.title, this.result = h("div", { class: "wb-result" })),
@@ -48,12 +48,12 @@ class Bench {
       h("div", { class: "row spread wb-head" }, h("h1", null, "Workbench"), h("div", { class: "row" }, this.full)),
       h("div", { class: "wb-body" }, this.side, this.main));
     this.fill(this.root, this.page);
-    this.fill(this.empty, h("h2", null, "Open a record to begin"),
+    this.fill(this.empty, h("h2", null, "Open a file to start"),
       h("ol", { class: "lead" },
-        h("li", null, "Open a recording, a compact store (.mat) or an export of any historian."),
-        h("li", null, "Choose a loop, and sections by dragging over its trend."),
-        h("li", null, "Run: how much the valve sticks, with first and second order side by side; or what the model leaves out.")),
-      h("p", { class: "soft" }, "Files stay on the machine that serves this page. The numbers are those of the commands analyze and gap, to the digit."));
+        h("li", null, "Open a recording, a compact store (.mat) or an export from a historian."),
+        h("li", null, "Select a loop, and drag over its trend to select sections."),
+        h("li", null, "Run an estimate, with first and second order side by side, or the gap diagnosis.")),
+      h("p", { class: "soft" }, "Files stay on the machine that serves this page. The numbers are identical to those of the commands analyze and gap."));
   }
 
   async start() {
@@ -96,7 +96,7 @@ class Bench {
 
   fullScreen() {
     if (document.fullscreenElement) document.exitFullscreen();
-    else this.page.requestFullscreen().catch((error) => this.announce(`No full screen: ${error.message}`));
+    else this.page.requestFullscreen().catch((error) => this.announce(`Full screen is not available: ${error.message}`));
   }
 
   /** A person chose a loop, or closed the file that was looked at. */
@@ -132,8 +132,8 @@ class Bench {
 
   again(job) {
     const sections = (job.request.samples ?? []).map(([from, to]) => ({ from, to }));
-    choices.change(choicesOf(job.request, sections), `Choices of run ${this.runs.number(job)}`);
-    this.announce(`The choices of run ${this.runs.number(job)} are taken`);
+    choices.change(choicesOf(job.request, sections), `Settings of run ${this.runs.number(job)}`);
+    this.announce(`The settings of run ${this.runs.number(job)} are applied`);
   }
 
   /** Shows only what there is something to do with. */
@@ -156,7 +156,7 @@ class Bench {
       // What is typed but not yet left counts too.
       document.activeElement?.dispatchEvent(new Event("change", { bubbles: true }));
       await this.runs.order(order(choices.now, (base) => this.runs.document(base)));
-      this.announce("The run has begun");
+      this.announce("The run has started");
     } catch (error) {
       this.fill(this.note, error.message).hidden = false;
     }
@@ -175,7 +175,7 @@ class Bench {
     const one = this.fileList?.find(job.request.file)?.loops.find((l) => l.name === job.request.loop);
     const context = { ...this.context, h, fill, problem: this.dom.problem, units: one?.units ?? [null, null] };
     if (job.error) return fill(this.result, h("p", { class: "problem" }, job.error));
-    if (!job.results?.length) return fill(this.result, over(job) ? h("p", { class: "note" }, "This run was cancelled before it found anything.") : this.dom.skeleton(6));
+    if (!job.results?.length) return fill(this.result, over(job) ? h("p", { class: "note" }, "This run was cancelled before its first result.") : this.dom.skeleton(6));
     if (job.request.kind === "gap") this.endResult = showGap(this.result, context, job);
     else showEstimate(this.result, context, job);
     return undefined;

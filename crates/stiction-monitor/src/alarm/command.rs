@@ -1,52 +1,52 @@
-//! What people may ask of an alarm, and what is checked before it is taken.
+//! Commands on an alarm and their validation.
 
 use serde::{Deserialize, Serialize};
 
 /// Why a command was refused.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum CommandError {
-    /// Nothing waits for acknowledgement.
+    /// Nothing to acknowledge.
     #[error("nothing to acknowledge: the alarm of {loop_name} is {state}")]
     NothingToAcknowledge {
         /// The loop.
         loop_name: String,
-        /// Its alarm's state.
+        /// State of its alarm.
         state: &'static str,
     },
-    /// Not a command.
-    #[error("unknown command {0:?}: use cmd=ack;by=NAME;why=TEXT, or one of {COMMANDS}")]
+    /// An unknown command.
+    #[error("unknown command {0:?}; use cmd=ack;by=NAME;why=TEXT, or one of {COMMANDS}")]
     Unknown(String),
-    /// Not a loop.
-    #[error("no loop {0:?} is monitored")]
+    /// An unknown loop.
+    #[error("there is no monitored loop {0:?}; check the name")]
     UnknownLoop(String),
-    /// It does not fit the state.
+    /// The command does not fit the state.
     #[error("the alarm of {loop_name} is {state}: {why}")]
     Unfit {
         /// The loop.
         loop_name: String,
-        /// Its alarm's state.
+        /// State of its alarm.
         state: &'static str,
-        /// What would fit.
+        /// What is possible.
         why: &'static str,
     },
-    /// Shelved for too long, or for no time.
-    #[error("for_s = {0} is not a time to shelve: write 1 to {MAX_SHELVE_S} s")]
+    /// Shelving time out of range.
+    #[error("for_s = {0} is out of range; write 1 to {MAX_SHELVE_S} s")]
     ShelveTime(u64),
-    /// Nobody says who asks.
-    #[error("nobody is named: a command says who asks, as in cmd=ack;by=NAME;why=TEXT")]
+    /// Missing name of the person.
+    #[error("the command does not name the person; add by=NAME, as in cmd=ack;by=NAME;why=TEXT")]
     Nameless,
     /// A text that is too long.
-    #[error("{what} has {bytes} bytes, at most {limit} are taken: say it in fewer words")]
+    #[error("{what} has {bytes} bytes, the limit is {limit}; shorten it")]
     TooLong {
-        /// Which text.
+        /// Name of the text.
         what: &'static str,
-        /// Its bytes.
+        /// Its size, bytes.
         bytes: usize,
-        /// What is taken.
+        /// The limit, bytes.
         limit: usize,
     },
-    /// Characters that steer a terminal.
-    #[error("{0} holds control characters: write plain text")]
+    /// Control characters.
+    #[error("{0} has control characters; write plain text")]
     Control(&'static str),
 }
 
@@ -55,10 +55,10 @@ const NAME_BYTES: usize = 64;
 /// Longest reason, bytes.
 const WHY_BYTES: usize = 500;
 
-/// Checks who asks for something: commands need a name, of plain text and bounded length.
+/// Validates the name of the person: plain text of bounded length.
 ///
 /// # Errors
-/// [`CommandError`] says what is missing or too much.
+/// [`CommandError`] with what is missing or too long.
 pub fn check_name(by: Option<&str>) -> Result<(), CommandError> {
     let name = by.map(str::trim).filter(|name| !name.is_empty()).ok_or(CommandError::Nameless)?;
     check_text("by", name, NAME_BYTES)
@@ -72,10 +72,10 @@ fn check_text(what: &'static str, text: &str, limit: usize) -> Result<(), Comman
 }
 
 impl Command {
-    /// Checks a command before it is taken. What stands in a recording was taken, and is not checked again.
+    /// Validates a command before it is accepted. Commands in a recording were accepted and are not validated again.
     ///
     /// # Errors
-    /// [`CommandError`] says what is missing or too much.
+    /// [`CommandError`] with what is missing or too long.
     pub fn check(&self) -> Result<(), CommandError> {
         check_text("cmd", &self.cmd, NAME_BYTES)?;
         check_name(self.by.as_deref())?;
@@ -83,25 +83,25 @@ impl Command {
     }
 }
 
-/// What people may ask of an alarm.
+/// A command on an alarm.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Command {
     /// `ack`, `shelve`, `unshelve`, `suppress`, `unsuppress`, `out_of_service` or `in_service`.
     pub cmd: String,
-    /// Who asks.
+    /// Who sends it.
     pub by: Option<String>,
     /// Why.
     pub why: Option<String>,
-    /// For how long, s of the loop's own time: `shelve` alone. Default [`SHELVE_S`].
+    /// Shelving time, s of the loop's own time; only for `shelve`. Default [`SHELVE_S`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub for_s: Option<u64>,
 }
 
-/// Commands beside `ack`, as errors list them.
+/// Commands other than `ack`, as listed in errors.
 const COMMANDS: &str = "shelve;for_s=SECONDS, unshelve, suppress, unsuppress, out_of_service, in_service";
-/// How long an alarm is shelved where nothing is said: a shift, s.
+/// Default shelving time: a shift, s.
 pub const SHELVE_S: u64 = 8 * 3600;
-/// How long it may be shelved: a month, s.
+/// Longest shelving time: a month, s.
 pub const MAX_SHELVE_S: u64 = 31 * 86_400;
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
-//! The stiction alarm of one loop, after ISA-18.2: raised by m of n windows, held where a window says nothing, cleared
-//! with a dead band, acknowledged by a person, raised again when it gets worse.
+//! The stiction alarm of one loop, after ISA-18.2: raised by m of n windows, unchanged by uninformative windows, cleared with
+//! a dead band, acknowledged by a person, raised again when it gets worse.
 //!
-//! It is a maintenance alert. Everything here depends on the order of the windows and on event time, never on a clock.
+//! It is a maintenance alert. It depends only on the order of the windows and on event time, never on a clock.
 
 mod command;
 mod document;
@@ -20,9 +20,9 @@ use document::{Occurrence, event_id, occurrence_id};
 use stiction::units::format_rfc3339;
 use stiction::verdict::{Assessment, Gate};
 
-/// Share of the limit below which s counts for clearing.
+/// Share of the limit below which s counts towards clearing.
 const CLEAR_SHARE: f64 = 0.8;
-/// Windows in a row with a worse class before the alarm is raised again.
+/// Consecutive windows with a worse class before the alarm is raised again.
 const WORSE_WINDOWS: u8 = 2;
 
 /// Alarm states of ISA-18.2.
@@ -38,9 +38,9 @@ pub enum State {
     Acked,
     /// No longer active, not acknowledged.
     RtnUnack,
-    /// Put aside by a person for a time.
+    /// Shelved by a person for a time.
     Shelved,
-    /// Put aside by design.
+    /// Suppressed by design.
     Suppressed,
     /// Taken out of service.
     OutOfService,
@@ -62,7 +62,7 @@ impl State {
     }
 }
 
-/// What one window says to the alarm.
+/// What a window means for the alarm.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Evidence {
     /// Stiction of at least the limit.
@@ -71,12 +71,12 @@ pub enum Evidence {
     Against,
     /// Stiction a little below the limit: neither raises nor clears.
     Between,
-    /// No information: the alarm stays as it is.
+    /// No information: the alarm does not change.
     None,
 }
 
 impl Evidence {
-    /// Reads an assessment.
+    /// From an assessment.
     #[must_use]
     pub fn of(assessment: &Assessment, params: &AlarmParams) -> Self {
         let limit = s_limit(assessment, params).unwrap_or(0.0);
@@ -93,7 +93,7 @@ impl Evidence {
     }
 }
 
-/// The s from which on a window counts, OP units: the lesser of the limits that are set; none where neither is.
+/// The s above which a window counts, OP units: the smaller of the limits that are set, if any.
 fn s_limit(a: &Assessment, params: &AlarmParams) -> Option<f64> {
     let span = a.s.zip(a.s_over_span).map(|(s, share)| s / share).filter(|span| span.is_finite() && *span > 0.0);
     let by_span = span.filter(|_| params.s_limit_span > 0.0).map(|span| params.s_limit_span * span);
@@ -101,16 +101,16 @@ fn s_limit(a: &Assessment, params: &AlarmParams) -> Option<f64> {
     [by_op, by_span].into_iter().flatten().reduce(f64::min)
 }
 
-/// Where an alarm was put by people; it goes on as ever behind it.
+/// Inhibition of an alarm by people; the alarm itself continues behind it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Aside {
-    /// Put aside by a person until then, event time, ns.
+    /// Shelved until this event time, ns.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub shelved_until_ns: Option<i64>,
-    /// Put aside by design, as while a unit stands still.
+    /// Suppressed by design, for example while a unit is down.
     pub suppressed: bool,
-    /// Taken out of service, as while the valve is repaired.
+    /// Out of service, for example while the valve is repaired.
     pub out_of_service: bool,
 }
 
@@ -120,51 +120,51 @@ impl Aside {
     }
 }
 
-/// One loop's alarm, with the memory that m of n needs. Written into every recording, so that a restart keeps it.
+/// The alarm of one loop with its m-of-n history. Written into every recording, so that a restart keeps it.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Alarm {
-    /// Its state but for where it was put: `normal`, `unack`, `acked` or `rtn_unack`. See [`Alarm::shown`].
+    /// Its state without inhibition: `normal`, `unack`, `acked` or `rtn_unack`. See [`Alarm::shown`].
     pub state: State,
-    /// Where it was put.
+    /// Its inhibition.
     #[serde(default, skip_serializing_if = "Aside::is_nowhere")]
     pub aside: Aside,
-    /// Whether the condition holds.
+    /// Whether the condition is active.
     pub active: bool,
-    /// The last informative windows, newest in bit 0: evidence for.
+    /// The last informative windows, newest in bit 0: 1 for stiction.
     history_for: u32,
-    /// The same: evidence against.
+    /// The same: 1 for no stiction.
     history_against: u32,
     /// Worst class since the alarm was raised.
     class: Option<Size>,
     worse_windows: u8,
     window_end_ns: Option<i64>,
-    /// From when it is raised until it is at rest again.
+    /// Data of the raised alarm, until it returns to normal.
     #[serde(default)]
     occurrence: Option<Occurrence>,
-    /// When it was raised, in the memory of builds that kept nothing else of it.
+    /// When it was raised, in states written by builds that kept only this.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     raised_ns: Option<i64>,
-    /// Of the newest window that could answer.
+    /// Size from the newest informative window.
     #[serde(default)]
     figures: Figures,
-    /// What people did to it.
+    /// Data of the last command.
     #[serde(default)]
     marks: Marks,
-    /// Changes so far, and the identity of the last one.
+    /// Number of changes so far, and the identity of the last one.
     #[serde(default)]
     changes: u64,
     #[serde(default)]
     event_id: String,
 }
 
-/// Why a document stands that the shelf's time brought.
-const SHELF_OVER: &str = "the time on the shelf is over";
+/// Reason in the document when shelving ends by itself.
+const SHELF_OVER: &str = "the shelving time has ended";
 
-/// What a command did, where nobody says why.
+/// Default reason of a command.
 const fn done_by(event: Event) -> &'static str {
     match event {
         Event::Shelved => "shelved",
-        Event::Unshelved => "taken off the shelf",
+        Event::Unshelved => "unshelved",
         Event::Suppressed => "suppressed",
         Event::Unsuppressed => "no longer suppressed",
         Event::OutOfService => "taken out of service",
@@ -174,7 +174,7 @@ const fn done_by(event: Event) -> &'static str {
 }
 
 impl Alarm {
-    /// The state as people see it: out of service before suppressed before shelved before the rest.
+    /// The state as displayed: out of service before suppressed before shelved before the rest.
     #[must_use]
     pub const fn shown(&self) -> State {
         match self.aside {
@@ -185,7 +185,7 @@ impl Alarm {
         }
     }
 
-    /// Takes the next window of the loop; gives out a document if the state changes.
+    /// Takes the next window of the loop; returns a document if the state changes.
     pub fn window(&mut self, loop_name: &str, a: &Assessment, params: &AlarmParams) -> Option<AlarmDocument> {
         let end_ns = a.window.end_ns;
         self.window_end_ns = Some(end_ns);
@@ -203,7 +203,7 @@ impl Alarm {
         Some(self.changed(loop_name, end_ns, event, None, detail))
     }
 
-    /// What a window changes, and why.
+    /// The change due to a window, and its reason.
     fn weigh(&mut self, a: &Assessment, params: &AlarmParams) -> Option<(Event, String)> {
         let evidence = Evidence::of(a, params);
         if evidence == Evidence::None {
@@ -236,7 +236,7 @@ impl Alarm {
         self.worsened(a, class, evidence)
     }
 
-    /// Raises an active alarm again when its class gets worse and stays so.
+    /// Raises an active alarm again when its class stays worse.
     fn worsened(&mut self, a: &Assessment, class: Option<Size>, evidence: Evidence) -> Option<(Event, String)> {
         let worse =
             self.active && evidence == Evidence::For && class.unwrap_or(Size::None) > self.class.unwrap_or(Size::None);
@@ -259,7 +259,7 @@ impl Alarm {
     /// Carries out a person's command at the loop's event time.
     ///
     /// # Errors
-    /// [`CommandError`] where nobody is named, the command is unknown or does not fit the state; nothing changes then.
+    /// [`CommandError`] if the name is missing, or the command is unknown or does not fit the state; nothing changes then.
     pub fn command(&mut self, loop_name: &str, c: &Command, at_ns: i64) -> Result<AlarmDocument, CommandError> {
         let by = c.by.as_deref().filter(|by| !by.trim().is_empty()).ok_or(CommandError::Nameless)?;
         let mark = |until_ns| Some(Mark::new(by, c.why.as_ref(), at_ns, until_ns));
@@ -322,7 +322,7 @@ impl Alarm {
 
     fn put(&mut self, loop_name: &str, place: fn(&mut Aside) -> &mut bool, to: bool) -> Result<(), CommandError> {
         let changes = std::mem::replace(place(&mut self.aside), to) != to;
-        self.expect(loop_name, changes, if to { "it is so already" } else { "it is not" })
+        self.expect(loop_name, changes, if to { "already in this state" } else { "not in this state" })
     }
 
     fn expect(&self, loop_name: &str, fits: bool, why: &'static str) -> Result<(), CommandError> {
@@ -332,26 +332,26 @@ impl Alarm {
         Err(CommandError::Unfit { loop_name: loop_name.to_owned(), state: self.shown().name(), why })
     }
 
-    /// End of the last window that was taken.
+    /// End of the last window taken.
     #[must_use]
     pub const fn window_end_ns(&self) -> Option<i64> {
         self.window_end_ns
     }
 
-    /// How far it has come: of two memories of one alarm the greater is the newer.
+    /// Progress: of two states of one alarm the greater is the newer.
     #[must_use]
     pub const fn progress(&self) -> (Option<i64>, u64) {
         (self.window_end_ns, self.changes)
     }
 
-    /// The alarm as it stands, after a restart.
+    /// The document of the current state, after a restart.
     #[must_use]
     pub fn restored(&self, loop_name: &str) -> AlarmDocument {
         let at_ns = self.window_end_ns.unwrap_or(0);
-        self.document(loop_name, at_ns, Event::Restored, None, "carried over from the run before".to_owned())
+        self.document(loop_name, at_ns, Event::Restored, None, "restored from the previous run".to_owned())
     }
 
-    /// The document of a change, which thereby has happened.
+    /// Makes the document of a change and counts the change.
     fn changed(
         &mut self,
         loop_name: &str,
@@ -413,7 +413,7 @@ impl Alarm {
         document.at(&Place::default())
     }
 
-    /// The category of NE 107: work on the device goes before what it shows meanwhile.
+    /// NE 107 category: work on the device takes precedence.
     const fn ne107(&self) -> &'static str {
         match (self.aside.out_of_service, self.active) {
             (true, _) => "C",
@@ -423,7 +423,7 @@ impl Alarm {
     }
 }
 
-/// The size of the stiction in words.
+/// Size of the stiction in words.
 fn size(a: &Assessment) -> String {
     let number = |x: Option<f64>| x.map_or_else(|| "?".to_owned(), |v| format!("{v:.2}"));
     let class = a.severity_by_range.or(a.strength_by_span).map_or("unclassed", Size::name);

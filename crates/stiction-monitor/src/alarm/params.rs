@@ -1,22 +1,22 @@
-//! What raises an alarm: how many windows, and from which size on a window counts.
+//! Conditions of an alarm: how many windows, and the size above which a window counts.
 
 use serde::Serialize;
 
-/// What raises an alarm. A window counts from the lesser of its two limits on; a limit of 0 is none.
+/// Conditions of an alarm. A window counts if s reaches the smaller of the two limits; a limit of 0 is off.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct AlarmParams {
-    /// Raise when m of the last n windows say stiction.
+    /// Raise when m of the last n windows show stiction.
     pub raise: [u8; 2],
-    /// Least s that counts, OP units.
+    /// Smallest s that counts, OP units.
     pub s_limit_op: f64,
-    /// Least s that counts, as a share of OP's span in the window.
+    /// Smallest s that counts, as a share of OP's span in the window.
     pub s_limit_span: f64,
 }
 
 impl Default for AlarmParams {
-    /// A tenth of OP's span is half of what the verdict itself calls weak: whatever the loop's size, the controller then
-    /// spends a tenth or more of its effort on the valve. Where the span is wide for other reasons, as with set-point
-    /// moves, one unit of OP (1 % where OP is in %) counts by itself: from there on valves are repaired.
+    /// A tenth of OP's span is half of what the verdict calls weak: a tenth or more of the controller's effort then goes into
+    /// the valve, whatever the size of the loop. If the span is wide for other reasons, such as set-point changes, one unit of OP
+    /// (1 % if OP is in %) counts by itself, because valves are repaired above it.
     fn default() -> Self {
         Self { raise: [3, 4], s_limit_op: 1.0, s_limit_span: 0.1 }
     }

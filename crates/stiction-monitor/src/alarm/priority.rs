@@ -1,16 +1,16 @@
-//! What to look at first.
+//! Priority of alarms.
 
 use serde::{Deserialize, Serialize};
 
 use stiction::ident::region::Size;
 
-/// Priority of an alarm (ISA-18.2: what to look at first).
+/// Priority of an alarm (ISA-18.2).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, schemars::JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Priority {
     /// When there is time.
     Low,
-    /// At the next occasion.
+    /// At the next opportunity.
     Medium,
     /// Before others.
     High,
@@ -19,11 +19,11 @@ pub enum Priority {
 }
 
 impl Priority {
-    /// Criticality of loops that nobody has weighed.
+    /// Criticality of loops without one.
     pub const CRITICALITY: u8 = 3;
 
-    /// The priority of a class of stiction on a loop of this criticality (1 to 5, 3 where nothing is said). At 3 weak is
-    /// low, moderate medium, strong high; two steps of criticality move it by one.
+    /// The priority for a stiction class on a loop of this criticality (1 to 5, default 3). At 3, weak is low, moderate medium,
+    /// strong high; two steps of criticality change it by one.
     #[must_use]
     pub fn of(class: Option<Size>, criticality: u8) -> Self {
         let twice = match class {

@@ -1,4 +1,4 @@
-//! How densely a section is looked at, and without which trend.
+//! Downsampling and detrending of a section.
 
 use serde::Serialize;
 
@@ -8,69 +8,69 @@ use stiction::signal::detrend::remove_line;
 use stiction::signal::resample::{boxed, decimated};
 use stiction::signal::stats;
 
-/// What is taken away from PV and SP. Mean and median change no result, the model has a level of its own.
+/// Trend removed from PV and SP. Mean and median change no result, because the model has its own offset.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Detrend {
-    /// The mean.
+    /// Mean.
     Mean,
-    /// The median.
+    /// Median.
     Median,
-    /// The least-squares line.
+    /// Least-squares line.
     Linear,
 }
 
-/// Density and trend; the default takes a section as it is.
+/// Downsampling and detrending; the default uses a section unchanged.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Cut {
-    /// One point for every so many samples, above 1.
+    /// Samples per point, above 1.
     pub downsample: Option<f64>,
-    /// Samples dropped instead of averaged.
+    /// Drop samples instead of averaging.
     pub like_toolbox: bool,
-    /// What is taken away first.
+    /// Trend to remove.
     pub detrend: Option<Detrend>,
 }
 
-/// What was taken, for documents.
+/// The data used, for documents.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Taken {
     /// The section.
     pub section: Section,
-    /// Downsampling, if there was any.
+    /// Downsampling, if any.
     pub downsample: Option<Downsampled>,
-    /// What was taken away from PV.
+    /// Trend removed from PV.
     pub detrend: Option<Detrend>,
 }
 
-/// What downsampling left.
+/// Result of downsampling.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Downsampled {
-    /// Samples a point.
+    /// Samples per point.
     pub ratio: f64,
-    /// Samples dropped instead of averaged.
+    /// Samples were dropped instead of averaged.
     pub like_toolbox: bool,
-    /// Samples before.
+    /// Number of samples before.
     pub samples: usize,
     /// Sampling time before, s.
     pub ts_s: f64,
-    /// Points left.
+    /// Number of points after.
     pub points: usize,
-    /// Points left of each period; `None` until a period is known.
+    /// Points per period after; `None` until a period is known.
     pub points_per_period: Option<f64>,
 }
 
 impl Cut {
-    /// Whether a section is taken as it stands.
+    /// Whether a section is used unchanged.
     #[must_use]
     pub const fn is_plain(&self) -> bool {
         self.downsample.is_none() && self.detrend.is_none()
     }
 
-    /// One section of a loop's points as a record of at most `max_points`, detrended and downsampled; and what a person
-    /// should know of it, one line each.
+    /// One section of a loop's points as a record of at most `max_points`, detrended and downsampled; and notes for the user, one
+    /// line each.
     ///
     /// # Errors
-    /// Nothing there, or too little.
+    /// No data in it, or too little.
     pub fn record(
         &self,
         points: &Points,

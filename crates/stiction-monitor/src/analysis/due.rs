@@ -1,4 +1,4 @@
-//! Every window of a long record, cut where the daemon beside the plant would have cut it.
+//! Every window of a long record, cut as the daemon would.
 
 use std::collections::VecDeque;
 use std::slice::Iter;
@@ -7,9 +7,9 @@ use crate::config::Config;
 use crate::engine::{Engine, Event, LoopId, Request};
 use stiction::record::Sample;
 
-/// The windows of one loop that come due while its samples are taken, oldest first. Their answers hang on nothing else,
-/// so they may be computed in any order, or not at all. As beside the plant, a window is due once the loop's clock has
-/// passed its end: one that the samples end in is none.
+/// The windows of one loop that come due while its samples are taken, oldest first. Their answers are independent, so they
+/// may be computed in any order or not at all. As in the daemon, a window is due once the loop's time has passed its end; a
+/// window in which the samples end is not due.
 #[derive(Debug)]
 pub struct Due<'s> {
     engine: Engine,
@@ -20,7 +20,7 @@ pub struct Due<'s> {
 }
 
 impl<'s> Due<'s> {
-    /// The windows of a loop's samples, which stand in the order in which they came.
+    /// The windows of a loop's samples, in order of arrival.
     #[must_use]
     pub fn of(name: &str, samples: &'s [Sample], config: &Config) -> Self {
         let mut engine = Engine::new(config.engine());
@@ -28,7 +28,7 @@ impl<'s> Due<'s> {
         Self { engine, id, samples: samples.iter(), events: Vec::new(), ready: VecDeque::new() }
     }
 
-    /// Samples that have not been taken yet.
+    /// Number of samples not taken yet.
     #[must_use]
     pub fn left(&self) -> usize {
         self.samples.len()

@@ -1,4 +1,4 @@
-//! One estimate of one section, as `analyze` makes and writes it.
+//! The estimate of one section, as made and written by `analyze`.
 
 use serde::Serialize;
 
@@ -14,10 +14,10 @@ use stiction::verdict::{
     AssessParams, Assessment, DelayChoice, EstimateDocument, ModelChoice, ValveChoice, assess_in_windows,
 };
 
-/// How well a model from elsewhere follows the record, free run.
+/// Fit of a given model in free run.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Scored {
-    /// Where it came from.
+    /// Source of the model.
     pub model: String,
     /// Mean squared error, PV units squared.
     pub mse: f64,
@@ -29,7 +29,7 @@ impl Scored {
     /// Runs a model over the record.
     ///
     /// # Errors
-    /// The model cannot be run on it.
+    /// The model cannot be run on the record.
     pub fn of(name: &str, file: &ModelFile, record: &Record, period_points: Option<f64>) -> Result<Self, GapError> {
         let options = GapOptions { period_points, ..GapOptions::default() };
         let found = score(record, &file.on(record), &options)?;
@@ -37,30 +37,30 @@ impl Scored {
     }
 }
 
-/// An estimate with what `analyze` adds to the published document.
+/// An estimate with the additions of `analyze` to the published document.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Answer {
-    /// As the daemon would publish it.
+    /// As published by the daemon.
     #[serde(flatten)]
     pub document: EstimateDocument,
-    /// Span of OP, which `fs + fd` was kept within; null where OP does not move.
+    /// Span of OP, the upper limit of `fs + fd`; null if OP does not move.
     pub s0: Option<f64>,
-    /// What of the recording was looked at.
+    /// The data used.
     pub selection: Taken,
-    /// What the solver found that was asked for.
+    /// Result of the requested solver.
     pub solver: Option<SolverDocument>,
-    /// How well the model follows that was given.
+    /// Fit of the given model.
     pub scored: Option<Scored>,
 }
 
-/// Reads a dead time: `auto`, a number of samples such as `3`, or seconds such as `12s`; fractions too.
+/// Parses a dead time: `auto`, a number of samples such as `3`, or seconds such as `12s`; fractions are allowed.
 ///
 /// # Errors
-/// What would be right, in a sentence.
+/// A sentence that says what is valid.
 pub fn delay_choice(text: &str) -> Result<DelayChoice, String> {
     let number = |s: &str| {
         s.trim().parse::<f64>().ok().filter(|v| v.is_finite() && *v >= 0.0).ok_or_else(|| {
-            format!("{text:?} is no dead time: write auto, a number of samples such as 3, or seconds such as 12s")
+            format!("{text:?} is not a dead time; write auto, a number of samples such as 3, or seconds such as 12s")
         })
     };
     if text == "auto" {
@@ -72,20 +72,20 @@ pub fn delay_choice(text: &str) -> Result<DelayChoice, String> {
     })
 }
 
-/// What a fit is asked, over a loop's own settings.
+/// Options of a fit that override a loop's settings.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Asked {
     /// Order of the process model.
     pub model: ModelChoice,
-    /// Valve law.
+    /// Valve model.
     pub valve: ValveChoice,
     /// Dead time.
     pub delay: DelayChoice,
-    /// OP's range, `[low, high]`; `None` leaves the loop's own.
+    /// OP's range, `[low, high]`; `None` keeps the loop's own.
     pub op_range: Option<[f64; 2]>,
     /// Step of the contour grid, % of OP's span.
     pub fineness_pct: f64,
-    /// Seed of every random choice.
+    /// Seed of all random choices.
     pub seed: u64,
 }
 
@@ -97,7 +97,7 @@ impl Default for Asked {
 }
 
 impl Asked {
-    /// A loop's settings with this over them.
+    /// A loop's settings with these options applied.
     #[must_use]
     pub fn over(&self, own: &AssessParams) -> AssessParams {
         let Self { model, valve, delay, op_range, fineness_pct, seed } = *self;
@@ -106,28 +106,28 @@ impl Asked {
     }
 }
 
-/// A section judged.
+/// A judged section.
 #[derive(Debug, Clone)]
 pub struct Estimated {
-    /// The record that it was made from.
+    /// The record of the section.
     pub record: Record,
-    /// What of the recording that is.
+    /// The data used.
     pub taken: Taken,
-    /// What the fit was told.
+    /// Parameters of the fit.
     pub params: AssessParams,
-    /// What it says.
+    /// The assessment.
     pub assessment: Assessment,
-    /// What a solver on the same surface is told.
+    /// Options of a solver on the same surface.
     pub options: Options,
-    /// What a person should know, one line each.
+    /// Notes for the user, one line each.
     pub notes: Vec<String>,
 }
 
-/// Judges a section, however short. `params` are the loop's settings with what was asked for over them; a dead time in
-/// samples counts those of the recording.
+/// Judges a section of any length. `params` are the loop's settings with the options applied; a dead time in samples counts
+/// samples of the recording.
 ///
 /// # Errors
-/// The section lies outside the samples, or holds too little.
+/// The section is outside the samples, or has too few.
 pub fn estimate(
     points: &Points,
     section: Section,
@@ -150,7 +150,7 @@ pub fn estimate(
     Ok(Estimated { record, taken, params, assessment, options, notes })
 }
 
-/// Span of OP, OP units, which `fs + fd` is kept within; `None` where OP does not move.
+/// Span of OP, OP units, the upper limit of `fs + fd`; `None` if OP does not move.
 #[must_use]
 pub fn span_of(record: &Record) -> Option<f64> {
     Some(stats::span(&record.op_path)).filter(|span| span.is_finite() && *span > 0.0)

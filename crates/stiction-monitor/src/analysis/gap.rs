@@ -8,35 +8,35 @@ use stiction::gap::model_file::ModelFile;
 use stiction::gap::{self, Base, Diagnosis, Executor, GapError, GapOptions};
 use stiction::record::Record;
 
-/// Most points of a simulation: sections with more samples are averaged in boxes.
+/// Most points of a simulation; sections with more samples are averaged in bins.
 pub const MAX_POINTS: usize = 8_192;
-/// Seconds that the default number of evaluations takes on two cores, about.
+/// Approximate run time of the default number of evaluations on two cores, s.
 const DEFAULT_SECONDS: f64 = 3.0;
 
-/// What is asked of a section.
+/// Options of a diagnosis.
 #[derive(Debug, Clone, Default)]
 pub struct GapSettings {
-    /// The model that the gap is measured from.
+    /// Base model for the gap.
     pub base: BaseChoice,
-    /// Effects that are taken out of the catalogue.
+    /// Effects excluded from the catalogue.
     pub without: Vec<String>,
-    /// Pairs of effects even where one alone explains the record.
+    /// Search pairs of effects even if one effect explains the record.
     pub pairs: bool,
-    /// Time for the search, s; evaluations in proportion.
+    /// Time for the search, s; sets the number of evaluations in proportion.
     pub budget_s: Option<f64>,
-    /// Seed of every random choice.
+    /// Seed of all random choices.
     pub seed: u64,
 }
 
-/// The model that the gap is measured from.
+/// Base model of the gap.
 #[derive(Debug, Clone, Default)]
 pub enum BaseChoice {
-    /// He's law with a first-order process, refitted.
+    /// He's valve model with a first-order process, refitted.
     #[default]
     Refit,
-    /// Without friction.
+    /// No friction.
     Linear,
-    /// A model from elsewhere.
+    /// A given model.
     File(Box<ModelFile>),
 }
 
@@ -53,7 +53,7 @@ impl BaseChoice {
 }
 
 impl GapSettings {
-    /// What the search is told of a record.
+    /// Search options for a record.
     #[must_use]
     pub fn options(&self, record: &Record) -> GapOptions {
         let share = self.budget_s.map_or(1.0, |seconds| seconds / DEFAULT_SECONDS);
@@ -68,21 +68,21 @@ impl GapSettings {
     }
 }
 
-/// A section diagnosed.
+/// A diagnosed section.
 #[derive(Debug, Clone)]
 pub struct Diagnosed {
-    /// What was found.
+    /// The diagnosis.
     pub document: GapDocument,
-    /// The record that was diagnosed.
+    /// The diagnosed record.
     pub record: Record,
     /// The fits behind it.
     pub diagnosis: Diagnosis,
 }
 
-/// The record that a diagnosis of a section looks at, and what a person should know of it.
+/// The record of a section for a diagnosis, and notes for the user.
 ///
 /// # Errors
-/// The section lies outside the samples, or holds too little.
+/// The section is outside the samples, or has too few.
 pub fn record(points: &Points, section: Section, cut: &Cut) -> Result<(Record, Vec<String>), AnalysisError> {
     let (record, _, notes) = cut.record(points, section, MAX_POINTS)?;
     Ok((record, notes))

@@ -1,15 +1,15 @@
-//! A recording's samples to the answers of `analyze` and `gap`: rows joined, a section chosen, its density, the fit, the
-//! document and its words. Whoever reads files or arrays hands samples in and gets the same numbers, to the bit.
+//! From a recording's samples to the answers of `analyze` and `gap`: join rows, select and thin a section, fit, make the
+//! document and its text. Files and arrays give bit-identical numbers for the same samples.
 //!
-//! | step | by |
+//! | step | in |
 //! |---|---|
-//! | a table's rows to samples | [`rows::Rows`] |
+//! | rows of a table to samples | [`rows::Rows`] |
 //! | samples to stretches of points, a section to a record | [`Points`], [`Section`] |
-//! | its trend and density | [`Cut`] |
-//! | the estimate, and a solver set on its error surface | [`estimate()`](estimate::estimate), [`solver`] |
-//! | every window of a long record, as the daemon would cut it | [`Due`] |
+//! | detrending and downsampling | [`Cut`] |
+//! | the estimate, and a solver on its error surface | [`estimate()`](estimate::estimate), [`solver`] |
+//! | every window of a long record, as in the daemon | [`Due`] |
 //! | the gap | [`gap::diagnose`], [`predictions::rows`] |
-//! | the estimate in words | [`text::answer`] |
+//! | the estimate as text | [`text::answer`] |
 
 mod cut;
 mod due;
@@ -28,21 +28,23 @@ pub use points::{MIN_SAMPLES, Points, Section, usable};
 
 use thiserror::Error;
 
-/// Why nothing can be analysed.
+/// Why a section cannot be analysed.
 #[derive(Debug, Error, Clone, PartialEq)]
 #[allow(missing_docs)] // the message says what each is
 pub enum AnalysisError {
-    #[error("{name}: samples {start} to {end} are wanted, the loop has {there}")]
+    #[error("{name}: samples {start} to {end} requested, but the loop has {there}")]
     Beyond { name: String, start: usize, end: usize, there: usize },
-    #[error("{name}: no samples with both OP and PV in this section; see that both columns hold numbers there")]
+    #[error("{name}: no samples with both OP and PV in this section; check that both columns have numbers there")]
     Nothing { name: String },
-    #[error("{name}: {there} samples in one piece in this section, at least {MIN_SAMPLES} are needed")]
+    #[error(
+        "{name}: the longest stretch without a data gap has {there} samples, at least {MIN_SAMPLES} are needed; choose a longer section"
+    )]
     Few { name: String, there: usize },
     #[error(
-        "{name}: {samples} samples downsampled by {ratio} leave under {MIN_SAMPLES} points; take {needed} samples or a \
+        "{name}: {samples} samples downsampled by {ratio} leave fewer than {MIN_SAMPLES} points; use {needed} samples or a \
          smaller ratio"
     )]
     Sparse { name: String, samples: usize, ratio: f64, needed: usize },
-    #[error("{name}: cannot be downsampled by {ratio}")]
+    #[error("{name}: cannot downsample by {ratio}; use a ratio above 1")]
     Ratio { name: String, ratio: f64 },
 }

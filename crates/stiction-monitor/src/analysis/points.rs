@@ -1,4 +1,4 @@
-//! A loop's samples joined, and sections of them as records.
+//! A loop's joined samples, and sections of them as records.
 
 use std::sync::Arc;
 
@@ -11,23 +11,23 @@ use stiction::record::{Record, Sample, Signal, Value};
 use stiction::signal::align::{Point, align_all};
 use stiction::units::format_rfc3339;
 
-/// Usable samples, and points after downsampling, that a fit must have at least.
+/// Fewest usable samples, and fewest points after downsampling, for a fit.
 pub const MIN_SAMPLES: usize = 30;
 
 /// One section of a loop.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Section {
-    /// Everything.
+    /// The whole record.
     Whole,
-    /// Samples, counted from 1, ends included.
+    /// Samples, counted from 1, both ends included.
     Samples(usize, usize),
-    /// From one stamp to another, ns, ends included.
+    /// From one timestamp to another, ns, both ends included.
     Window(i64, i64),
 }
 
 impl Section {
-    /// In words; empty for everything.
+    /// In words; empty for the whole record.
     #[must_use]
     pub fn words(&self) -> String {
         match self {
@@ -37,14 +37,14 @@ impl Section {
         }
     }
 
-    /// Samples from START to END, counted from 1, ends included.
+    /// Samples START to END, counted from 1, both ends included.
     ///
     /// # Errors
     /// What is wrong with them, in a sentence.
     pub fn of_samples(start: usize, end: usize) -> Result<Self, String> {
         match (start, end) {
             (0, _) => Err("samples are counted from 1".to_owned()),
-            (start, end) if end <= start => Err(format!("the end {end} must lie behind the start {start}")),
+            (start, end) if end <= start => Err(format!("the end {end} must be after the start {start}")),
             (start, end) if end - start + 1 < MIN_SAMPLES => {
                 Err(format!("{start} to {end} are {} samples, at least {MIN_SAMPLES} are needed", end - start + 1))
             }
@@ -52,20 +52,20 @@ impl Section {
         }
     }
 
-    /// From one stamp to another, ns, ends included.
+    /// From one timestamp to another, ns, both ends included.
     ///
     /// # Errors
-    /// The end does not lie behind the start.
+    /// The end is not after the start.
     pub fn of_times(from_ns: i64, to_ns: i64) -> Result<Self, String> {
         if to_ns > from_ns {
             Ok(Self::Window(from_ns, to_ns))
         } else {
-            Err("the window's end must lie behind its start".to_owned())
+            Err("the end of the window must be after its start".to_owned())
         }
     }
 }
 
-/// Samples at which both OP and PV have a value, an upper bound that is quick to count.
+/// Samples with both OP and PV: an upper bound that is quick to count.
 #[must_use]
 pub fn usable(samples: &[Sample]) -> usize {
     let of = |signal| {
@@ -75,20 +75,20 @@ pub fn usable(samples: &[Sample]) -> usize {
     of(Signal::Op).min(of(Signal::Pv))
 }
 
-/// A loop's points, with what to know of them.
+/// A loop's points with notes on them.
 #[derive(Debug, Clone)]
 pub struct Points {
     /// The loop.
     pub name: String,
-    /// Settings of the loop in the configuration that it was recorded with.
+    /// Settings of the loop in the configuration of the recording.
     pub settings: Arc<LoopSettings>,
-    /// What a person should know of the joining, one line each.
+    /// Notes on the joining for the user, one line each.
     pub notes: Vec<String>,
     stretches: Vec<Vec<Point>>,
 }
 
 impl Points {
-    /// Joins a loop's samples under the configuration that they were recorded with.
+    /// Joins a loop's samples with the configuration of the recording.
     #[must_use]
     pub fn of(name: &str, samples: &[Sample], config: &Config) -> Self {
         let settings = Arc::new(config.loop_settings(name));
@@ -97,17 +97,16 @@ impl Points {
         if counts.late + counts.stamp_outliers > 0 {
             let (late, outliers) = (counts.late, counts.stamp_outliers);
             notes.push(format!(
-                "samples were left out: their stamps stand out of order ({late} late, {outliers} far from the rest)"
+                "samples skipped because their timestamps are out of order ({late} late, {outliers} far from the rest)"
             ));
         }
         Self { name: name.to_owned(), settings, notes, stretches }
     }
 
-    /// The record of a section, in boxes where it has more than `max_points` samples, and what a person should know of
-    /// it.
+    /// The record of a section, averaged in bins if it has more than `max_points` samples, and notes for the user.
     ///
     /// # Errors
-    /// The section lies outside the samples, or nothing is in it.
+    /// The section is outside the samples, or empty.
     pub fn record(&self, part: Section, max_points: usize) -> Result<(Record, Vec<String>), AnalysisError> {
         let (from_ns, to_ns) = self.bounds(part)?;
         let end_ns = if let Section::Window(_, to) = part { Some(to) } else { None };
@@ -116,31 +115,32 @@ impl Points {
         if part != Section::Whole && record.raw_samples < MIN_SAMPLES {
             return Err(AnalysisError::Few { name: self.name.clone(), there: record.raw_samples });
         }
-        let gaps =
-            || format!("the section has gaps: its longest stretch is analysed, {outside} samples beside it left out");
+        let gaps = || {
+            format!("the section has data gaps: its longest stretch is analysed, {outside} other samples are not used")
+        };
         Ok((record, (outside > 0).then(gaps).into_iter().collect()))
     }
 
-    /// The windows that a section is judged in where it is long, see [`windows`].
+    /// The windows of a long section, see [`windows`].
     ///
     /// # Errors
-    /// The section lies outside the samples.
+    /// The section is outside the samples.
     pub fn windows(&self, part: Section) -> Result<Vec<Record>, AnalysisError> {
         let (from_ns, to_ns) = self.bounds(part)?;
         Ok(windows(longest(&self.stretches, from_ns, to_ns).0, &self.settings.window))
     }
 
-    /// Every joined sample of a section, those behind gaps too.
+    /// Every joined sample of a section, across data gaps.
     ///
     /// # Errors
-    /// The section lies outside the samples.
+    /// The section is outside the samples.
     pub fn samples(&self, part: Section) -> Result<Vec<Point>, AnalysisError> {
         let (from_ns, to_ns) = self.bounds(part)?;
         let inside = |p: &&Point| (from_ns..=to_ns).contains(&p.t_ns);
         Ok(self.stretches.iter().flatten().filter(inside).copied().collect())
     }
 
-    /// First and last stamp of a section.
+    /// First and last timestamp of a section.
     fn bounds(&self, part: Section) -> Result<(i64, i64), AnalysisError> {
         match part {
             Section::Window(from, to) => Ok((from, to)),

@@ -8,19 +8,19 @@ use stiction::units::ns_from_s;
 /// One row of the table.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Row {
-    /// Stamp, ns.
+    /// Timestamp, ns.
     pub t_ns: i64,
     /// Measured PV.
     pub pv: f64,
     /// Free runs of the base and of the base with the cause.
     pub simulated: Option<[f64; 2]>,
-    /// Whether no model was fitted to it.
+    /// Whether no model was fitted to this row.
     pub held_out: bool,
 }
 
-/// A row for every sample of the section. Free runs stand where they count: not where the valve's past has a say, not
-/// on masked points, not outside the stretch that was simulated. Where a point of the simulation stands for several
-/// samples, a row is such a point, with PV's mean, because that is what was simulated.
+/// A row for every sample of the section. Free runs are given where they count: not while the valve's unknown past matters,
+/// not at masked points, not outside the simulated stretch. If a simulated point covers several samples, a row is such a
+/// point with PV's mean.
 #[must_use]
 pub fn rows(section: &[Point], record: &Record, diagnosis: &Diagnosis) -> Vec<Row> {
     let predictions = &diagnosis.predictions;

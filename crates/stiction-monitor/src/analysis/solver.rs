@@ -1,4 +1,4 @@
-//! A solver set on the error surface of an estimate, as the toolbox does it.
+//! A solver on the error surface of an estimate, as in the toolbox.
 
 use serde::Serialize;
 
@@ -10,12 +10,12 @@ use stiction::record::Record;
 use stiction::sim::slips::Law;
 use stiction::verdict::{Assessment, Process};
 
-/// What a solver found, as documents carry it.
+/// A solver's result, as in documents.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct SolverDocument {
-    /// Its name, or the program.
+    /// Name of the solver, or the program.
     pub name: String,
-    /// Static band, OP units; null where no model exists anywhere.
+    /// Static band, OP units; null if no model exists anywhere.
     pub fs: Option<f64>,
     /// Kinetic band, OP units.
     pub fd: Option<f64>,
@@ -33,24 +33,23 @@ pub struct SolverDocument {
     pub dead_time_s: Option<f64>,
     /// Span of OP.
     pub s0: f64,
-    /// What was enforced.
+    /// The constraint applied.
     pub constraint: &'static str,
-    /// Models tried.
+    /// Models evaluated.
     pub evaluations: u64,
     /// Models allowed.
     pub evaluations_limit: u64,
     /// Why it stopped.
     pub stopped: Termination,
-    /// MSE below which the solver believes nothing lies.
+    /// Lower bound of the MSE estimated by the solver.
     pub lower_bound_mse: Option<f64>,
-    /// What that bound is worth.
+    /// Reliability of that bound.
     pub bound: Option<&'static str>,
-    /// Run time.
+    /// Run time, ms.
     pub elapsed_ms: f64,
 }
 
-/// The surface that belongs to an assessment: its valve law and class of process. `None` where the record could not be
-/// fitted at all.
+/// The surface of an assessment: its valve model and process class. `None` if the record could not be fitted.
 #[must_use]
 pub fn surface(record: &Record, options: &Options, found: &Assessment) -> Option<Surface> {
     let class = class_of(found.process.as_ref()?);
@@ -74,8 +73,8 @@ pub fn own_mse(surface: &mut Surface, found: &Assessment) -> Option<f64> {
     own.map(|(fs, fd)| surface.mse(fs, fd)).filter(|mse| mse.is_finite())
 }
 
-/// Sets a solver on the surface. `heard` gets the models tried and the least mean squared error so far, PV units squared,
-/// after each; once it says no the search ends with what it has.
+/// Runs a solver on the surface. `heard` gets the number of models evaluated and the least mean squared error so far, PV
+/// units squared, after each; the search ends when it returns false.
 pub fn search(
     surface: &mut Surface,
     solver: &dyn Solver,
@@ -92,7 +91,7 @@ pub fn search(
     solved
 }
 
-/// A surface that tells how far the search is, and answers at once when somebody asks to stop.
+/// A surface that reports progress and returns at once after a stop request.
 struct Watched<'a> {
     surface: &'a mut Surface,
     heard: &'a mut dyn FnMut(u64, f64) -> bool,
@@ -112,7 +111,7 @@ impl Objective for Watched<'_> {
     }
 }
 
-/// What was found on the surface, beside what [`own_mse`] said before the search.
+/// The result on the surface, next to [`own_mse`] from before the search.
 #[must_use]
 pub fn document(
     name: String,

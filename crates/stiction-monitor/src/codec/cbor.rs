@@ -1,4 +1,4 @@
-//! CBOR (RFC 8949): the shapes of [`super::json`], in bytes.
+//! CBOR (RFC 8949) with the structure of [`super::json`].
 
 use cbor4ii::core::dec::Read;
 use cbor4ii::core::utils::SliceReader;
@@ -24,9 +24,8 @@ impl Codec for Cbor {
         media_type == "application/cbor" || media_type.ends_with("+cbor")
     }
 
-    /// A float with its mark, or a map or an array whose every byte is in its place. Eight bytes may be a raw f64: those are a
-    /// map with a text for its first key, or nothing of ours. Whole numbers look like anything, so they take an encoding
-    /// or the configuration.
+    /// A tagged float, or a map or array that spans all bytes. Eight bytes may also be a raw f64, so they must be a map whose
+    /// first key is text. Integers look like anything; they need an encoding or a configured codec.
     fn sniff(&self, payload: &[u8]) -> bool {
         match payload {
             [0xfb, ..] => payload.len() == 9,
@@ -67,17 +66,17 @@ fn wrong(why: String) -> CodecError {
     CodecError::Format { format: "CBOR", why }
 }
 
-/// Whether the bytes are one item and nothing else.
+/// Whether the bytes are exactly one item.
 fn is_whole(payload: &[u8]) -> bool {
     let mut cbor = Deserializer::new(SliceReader::new(payload));
     IgnoredAny::deserialize(&mut cbor).is_ok() && ended(cbor).is_ok()
 }
 
-/// Nothing may follow the item.
+/// Checks that nothing follows the item.
 fn ended(cbor: Deserializer<SliceReader<'_>>) -> Result<(), CodecError> {
     match cbor.into_inner().fill(1) {
         Ok(rest) if rest.as_ref().is_empty() => Ok(()),
-        _ => Err(wrong("bytes follow the item".to_owned())),
+        _ => Err(wrong("extra bytes after the item".to_owned())),
     }
 }
 

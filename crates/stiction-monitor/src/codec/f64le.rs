@@ -16,8 +16,8 @@ impl Codec for F64Le {
         matches!(media_type, "application/x-f64le" | "application/vnd.stictiond.f64le")
     }
 
-    /// Eight bytes that are not text. One value in three hundred looks like text by chance: it is taken for a value where
-    /// it is one that a plant may send, and no JSON.
+    /// Eight bytes that are not text. By chance, one value in three hundred looks like text; it counts as a value if it is
+    /// plausible for a plant and not JSON.
     fn sniff(&self, payload: &[u8]) -> bool {
         let Ok(bytes) = <[u8; 8]>::try_from(payload) else { return false };
         let text = payload.iter().all(|b| b.is_ascii_graphic() || b.is_ascii_whitespace());

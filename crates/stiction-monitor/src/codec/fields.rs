@@ -1,4 +1,4 @@
-//! Values of payloads that hold several signals, each under a name.
+//! Named values of payloads with several signals.
 
 use std::collections::HashMap;
 
@@ -6,38 +6,38 @@ use stiction::record::{Mode, Sample, Signal, Value};
 
 use super::CodecError;
 
-/// A payload that may hold several signals, as it came.
+/// A received payload that may have several signals.
 #[derive(Debug, Clone, Copy)]
 pub struct Bundle<'a> {
-    /// Its key; Sparkplug B says there who sends.
+    /// Its key, which names the sender for Sparkplug B.
     pub key: &'a str,
     /// Its bytes.
     pub payload: &'a [u8],
-    /// The time of values that have none of their own, ns since 1970.
+    /// Time for values without their own, ns since 1970.
     pub fallback_t_ns: i64,
 }
 
-/// Most names that [`Memory`] keeps.
+/// Most names kept in [`Memory`].
 const MAX_NAMES: usize = 1_000_000;
 
-/// What formats keep from one payload to the next: the names behind Sparkplug B's aliases, by device.
+/// State kept between payloads: the names of Sparkplug B's aliases, by device.
 #[derive(Debug, Default)]
 pub struct Memory {
     devices: HashMap<String, HashMap<u64, Named>>,
     names: usize,
 }
 
-/// What a birth message says of an alias.
+/// Meaning of an alias, from a birth message.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Named {
     /// The metric's name.
     pub name: String,
-    /// Its data type, which later messages may leave out.
+    /// Its data type, which later messages may omit.
     pub kind: u32,
 }
 
 impl Memory {
-    /// Keeps a name; false where no more are kept.
+    /// Keeps a name; returns false if there are too many.
     pub(super) fn learn(&mut self, device: &str, alias: u64, named: Named) -> bool {
         if self.names >= MAX_NAMES {
             return false;
@@ -51,12 +51,12 @@ impl Memory {
         true
     }
 
-    /// What an alias of a device means.
+    /// Meaning of an alias of a device.
     pub(super) fn named(&self, device: &str, alias: u64) -> Option<&Named> {
         self.devices.get(device)?.get(&alias)
     }
 
-    /// Forgets a device, and with it those below it where it is a node.
+    /// Forgets a device; for a node also its devices.
     pub(super) fn forget(&mut self, device: &str) {
         let below = |name: &str| name.strip_prefix(device).is_some_and(|rest| rest.is_empty() || rest.starts_with('/'));
         self.devices.retain(|name, _| !below(name));
@@ -64,37 +64,37 @@ impl Memory {
     }
 }
 
-/// The code of an OPC UA status that `[input] quality` reads right whichever convention it says: none for good, else the upper
-/// half, whose lower bits are never those of a good classic code.
+/// The code of an OPC UA status, such that `[input] quality` reads it correctly under either convention: none for good, else
+/// the upper half, whose lower bits never equal a good classic code.
 pub(super) const fn ua_quality(status: u32) -> Option<u32> {
     if status >> 30 == 0 { None } else { Some(status & 0xFFFF_0000) }
 }
 
-/// The same of Sparkplug B's quality, where 192 is good, 0 bad and 500 stale.
+/// The same for Sparkplug B's quality, where 192 is good, 0 bad and 500 stale.
 pub(super) fn sparkplug_quality(code: u32) -> Option<u32> {
     const BAD: u32 = 0x8000_0000;
     (!(192..256).contains(&code)).then_some(BAD)
 }
 
-/// A value before it is known what it measures.
+/// A value whose signal is not yet known.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Scalar {
-    /// A number; not finite where the sender has none.
+    /// A number; not finite if the sender has no value.
     Number(f64),
-    /// A text: a mode's word, if anything.
+    /// A text, which may be a mode.
     Text(String),
-    /// Sent, but empty.
+    /// An explicit null.
     Missing,
 }
 
 /// One named value of a payload.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Field {
-    /// Its whole name: what the sender says in front of it, a dot, its own.
+    /// Full name: the sender's prefix, a dot, and its own name.
     pub name: String,
-    /// Where its own name begins in it.
+    /// Start of its own name in the full name.
     pub own: usize,
-    /// What it belongs to where its own name is a signal's alone: a device, a writer, a measurement. Empty: the key says it.
+    /// Its owner if its own name only names a signal: device, writer or measurement. Empty: the key names the owner.
     pub of: String,
     /// Source time, ns since 1970.
     pub t_ns: i64,
@@ -105,7 +105,7 @@ pub struct Field {
 }
 
 impl Field {
-    /// A value under a name; `head` may be empty, and is what the value belongs to.
+    /// A value with a name; `head` is its owner's name and may be empty.
     #[must_use]
     pub fn new(head: &str, own: &str, t_ns: i64, value: Scalar, quality: Option<u32>) -> Self {
         let (name, start) =
@@ -113,13 +113,13 @@ impl Field {
         Self { name, own: start, of: head.to_owned(), t_ns, value, quality }
     }
 
-    /// Its own name, without what stands in front.
+    /// Its own name without prefix.
     #[must_use]
     pub fn own_name(&self) -> &str {
         self.name.get(self.own..).unwrap_or(&self.name)
     }
 
-    /// The same as a sample of a signal. A text that is no mode is a missing value.
+    /// As a sample of a signal. A text that is not a mode is a missing value.
     #[must_use]
     pub fn sample(&self, signal: Signal) -> Sample {
         let value = match &self.value {
@@ -131,7 +131,7 @@ impl Field {
     }
 }
 
-/// The samples of a payload that came under one signal's own key: all its values must be of one name.
+/// The samples of a payload on the key of one signal; all values must have the same name.
 pub(super) fn as_one_signal(fields: &[Field], signal: Signal, out: &mut Vec<Sample>) -> Result<(), CodecError> {
     if let (Some(first), Some(other)) = (fields.first(), fields.iter().find(|f| f.name != fields[0].name)) {
         return Err(CodecError::Several { first: short(&first.name), other: short(&other.name) });
@@ -144,8 +144,8 @@ fn short(name: &str) -> String {
     name.chars().take(60).collect()
 }
 
-/// A stamp whose unit only its size tells: seconds, ms, us or ns since 1970. Between 1975 and 2128 no two can be taken for
-/// each other; what lies outside is refused.
+/// A timestamp in s, ms, us or ns since 1970, recognised by its size. Between 1975 and 2128 this is unambiguous; other times
+/// are rejected.
 pub(super) fn stamp_ns(number: f64) -> Option<i64> {
     let per_unit = match number {
         n if (1.5e8..5e9).contains(&n) => 1e9,
@@ -158,7 +158,7 @@ pub(super) fn stamp_ns(number: f64) -> Option<i64> {
     Some((number * per_unit).round() as i64)
 }
 
-/// The same of a whole number, exactly.
+/// The same for an integer, exactly.
 pub(super) fn stamp_ns_of(number: i64) -> Option<i64> {
     let per_unit = match number {
         150_000_000..5_000_000_000 => 1_000_000_000,

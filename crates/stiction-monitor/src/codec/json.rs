@@ -1,8 +1,7 @@
 //! JSON: a number, an object `{"t", "v", "q"}`, or an array of these.
 //!
-//! `v` is a number, true or false (1 or 0), null for a missing value, or a mode's word. Publishers that write `NaN`,
-//! `Infinity` or numbers beyond f64, which JSON does not know, mean a missing value too. `t` is whole nanoseconds since
-//! 1970 or RFC 3339; `q` an integer.
+//! `v` is a number, true or false (1 or 0), null for a missing value, or a mode's word. `NaN`, `Infinity` and numbers beyond
+//! f64, which are not JSON, also count as missing. `t` is integer nanoseconds since 1970 or RFC 3339; `q` an integer.
 
 use super::samples::read_samples;
 use super::{Bundle, Codec, CodecError, Field, MAX_SAMPLES, Memory, named};
@@ -49,7 +48,7 @@ impl Codec for Json {
     }
 }
 
-/// A payload as a tree of values; what stands for no finite number is read as a text.
+/// A payload as a tree of values; tokens that are not finite numbers become text.
 pub(super) fn tree(payload: &[u8]) -> Result<serde_json::Value, CodecError> {
     let error = match serde_json::from_slice(payload) {
         Ok(tree) => return Ok(tree),
@@ -69,7 +68,7 @@ fn parse(signal: Signal, payload: &[u8], fallback_t_ns: i64, out: &mut Vec<Sampl
     }
 }
 
-/// Puts quotes around the tokens that stand for no finite number; `None` if there are none.
+/// Quotes the tokens that are not finite numbers; `None` if there are none.
 fn quote_non_finite(payload: &[u8]) -> Option<Vec<u8>> {
     let mut out = Vec::with_capacity(payload.len() + 16);
     let mut changed = false;

@@ -1,9 +1,8 @@
-//! Outside bytes to samples, and samples to the bytes that recordings hold.
+//! Decodes payloads to samples, and encodes samples for recordings.
 //!
-//! Each wire format is one file and one line in [`ALL`]. [`decode`] picks the format: the encoding that came with the
-//! message decides if it names one, then the configured name, then the bytes themselves. [`decode_fields`] does the same for
-//! payloads that hold several signals under names. No payload can make decoding panic, and [`MAX_PAYLOAD`] and
-//! [`MAX_SAMPLES`] bound what one payload can cost.
+//! Each wire format is one file and one entry of [`ALL`]. [`decode`] chooses the format by the message's encoding if it names
+//! one, else by the configured name, else by the bytes. [`decode_fields`] does the same for payloads with several named
+//! signals. No payload can make decoding panic; [`MAX_PAYLOAD`] and [`MAX_SAMPLES`] bound the cost of a payload.
 
 mod cbor;
 mod f64le;
@@ -29,18 +28,18 @@ pub use telegraf::{LineProtocol, TelegrafJson};
 use stiction::record::{Sample, Signal};
 use thiserror::Error;
 
-/// Largest payload that is looked at, bytes.
+/// Largest payload decoded, bytes.
 pub const MAX_PAYLOAD: usize = 1 << 20;
 
-/// Most samples that one payload may hold.
+/// Most samples per payload.
 pub const MAX_SAMPLES: usize = 100_000;
 
-/// The configured name that leaves the choice to the bytes.
+/// Configured name for choosing the format by the bytes.
 pub const AUTO: &str = "auto";
 
 /// One wire format.
 pub trait Codec: Sync {
-    /// Its name in the configuration and in counters.
+    /// Name in the configuration and in counters.
     fn name(&self) -> &'static str;
 
     /// Whether a media type (without parameters, lower case) names this format.
@@ -49,10 +48,10 @@ pub trait Codec: Sync {
     /// Whether the bytes look like this format.
     fn sniff(&self, payload: &[u8]) -> bool;
 
-    /// Appends the payload's samples to `out`; a sample without a time of its own gets `fallback_t_ns`.
+    /// Appends the payload's samples to `out`; samples without a time get `fallback_t_ns`.
     ///
     /// # Errors
-    /// [`CodecError`] says what was found and what would be accepted; `out` may then hold a part of the payload.
+    /// [`CodecError`] with what was found and what is accepted; `out` may then contain a part of the payload.
     fn decode(
         &self,
         signal: Signal,
@@ -65,110 +64,110 @@ pub trait Codec: Sync {
         fields::as_one_signal(&fields, signal, out)
     }
 
-    /// Appends every named value of a payload that may hold several signals.
+    /// Appends every named value of a payload with several signals.
     ///
     /// # Errors
-    /// [`CodecError`] as [`Codec::decode`]; a format without names says so.
+    /// [`CodecError`] as [`Codec::decode`], also for a format without names.
     fn fields(&self, bundle: &Bundle<'_>, memory: &mut Memory, out: &mut Vec<Field>) -> Result<(), CodecError>;
 }
 
-/// Every format, in the order in which bytes are sniffed: those with marks of their own first.
+/// All formats in the order of recognition: those with distinctive marks first.
 pub static ALL: [&dyn Codec; 7] = [&Cbor, &F64Le, &PubSub, &TelegrafJson, &LineProtocol, &Json, &Sparkplug];
 
-/// The names of every format, for texts.
+/// The names of all formats.
 #[must_use]
 pub fn names() -> Vec<&'static str> {
     ALL.iter().map(|codec| codec.name()).collect()
 }
 
-/// A payload that gives no sample.
+/// A payload without samples.
 #[derive(Debug, Error, Clone, PartialEq, Eq)]
 pub enum CodecError {
-    /// Nothing was sent.
-    #[error("the payload is empty: send a JSON number, an object {{\"t\":…,\"v\":…}} or 8 bytes of little-endian f64")]
+    /// Empty payload.
+    #[error("the payload is empty; send a JSON number, an object {{\"t\":…,\"v\":…}} or 8 bytes of little-endian f64")]
     Empty,
-    /// Larger than is looked at.
-    #[error("the payload has {bytes} bytes, the limit is {limit}: send smaller batches")]
+    /// Payload too large.
+    #[error("the payload has {bytes} bytes, the limit is {limit}; send smaller batches")]
     TooLarge {
-        /// Its size.
+        /// Size of the payload, bytes.
         bytes: usize,
         /// [`MAX_PAYLOAD`].
         limit: usize,
     },
-    /// More samples than one payload may hold.
-    #[error("the batch holds more than {limit} samples: send smaller batches")]
+    /// Too many samples.
+    #[error("the payload has more than {limit} samples; send smaller batches")]
     TooMany {
         /// [`MAX_SAMPLES`].
         limit: usize,
     },
-    /// Not the JSON that was expected; the text says where and what.
+    /// Invalid JSON; the text says where and what.
     #[error("not a JSON sample: {0}; send a number, {{\"t\":ns,\"v\":number}} or an array of these")]
     Json(String),
     /// A raw value of the wrong size.
-    #[error("a raw f64 has 8 bytes, this payload has {bytes}: check the publisher's type")]
+    #[error("a raw f64 has 8 bytes, this payload has {bytes}; check the publisher's data type")]
     Length {
-        /// Its size.
+        /// Size of the payload, bytes.
         bytes: usize,
     },
-    /// A payload of another format than JSON that cannot be read; the text says where and what.
+    /// An invalid payload of a format other than JSON; the text says where and what.
     #[error("not {format}: {why}")]
     Format {
-        /// The format, in words.
+        /// Name of the format.
         format: &'static str,
         /// What is wrong.
         why: String,
     },
-    /// Several names under a key that means one signal.
+    /// Several names on a key of one signal.
     #[error(
-        "the payload holds several values ({first:?}, {other:?}), the key means one signal: \
-         give the key a [[bundle]], or map KEY#{first} in [[loop]]"
+        "the payload has several values ({first:?}, {other:?}), but the key is mapped to one signal; \
+         configure the key as a [[bundle]], or map KEY#{first} in [[loop]]"
     )]
     Several {
         /// The first name.
         first: String,
-        /// One that differs.
+        /// A different name.
         other: String,
     },
-    /// Values without names where names are needed.
-    #[error("the values have no names: a [[bundle]] needs a format with names, such as {{\"FIC101.OP\": 42.5}}")]
+    /// Values without names in a bundle.
+    #[error("the values have no names; a [[bundle]] needs a format with names, such as {{\"FIC101.OP\": 42.5}}")]
     NoNames,
-    /// The configuration names no format.
-    #[error("{0:?} is not a format: use auto or one of {all}", all = names().join(", "))]
+    /// An unknown configured format.
+    #[error("{0:?} is not a format; use auto or one of {all}", all = names().join(", "))]
     UnknownCodec(String),
     /// No format recognises the bytes.
-    #[error("the {bytes} bytes look like no known format (first byte 0x{first:02x}): set the format in the config")]
+    #[error("unknown format ({bytes} bytes, first byte 0x{first:02x}); set codec in the configuration")]
     Unrecognised {
-        /// Size of the payload.
+        /// Size of the payload, bytes.
         bytes: usize,
         /// Its first byte.
         first: u8,
     },
-    /// A recorded sample that does not stand alone with its time.
-    #[error("a recorded payload must hold exactly one sample with its time, this one holds {0}: the file is damaged")]
+    /// A recorded payload that is not exactly one sample with its time.
+    #[error("a recorded payload must have exactly one sample with its time, this one has {0}; the file is damaged")]
     NotOneSample(usize),
 }
 
-/// The format of a configured name; `None` for [`AUTO`] and unknown names.
+/// The format with a configured name; `None` for [`AUTO`] and unknown names.
 #[must_use]
 pub fn by_name(name: &str) -> Option<&'static dyn Codec> {
     ALL.into_iter().find(|codec| codec.name() == name)
 }
 
-/// The format that a message's encoding names, if any: `application/json;schema` is JSON, while
-/// `application/octet-stream` and a bus's default for bytes name nothing.
+/// The format named by a message's encoding, if any: `application/json;schema` is JSON; `application/octet-stream` and a
+/// bus's default for bytes name none.
 #[must_use]
 pub fn by_encoding(encoding: &str) -> Option<&'static dyn Codec> {
     let media_type = encoding.split(';').next().unwrap_or("").trim().to_ascii_lowercase();
     ALL.into_iter().find(|codec| codec.speaks(&media_type))
 }
 
-/// Appends the samples of one payload to `out` and names the format used.
+/// Appends the samples of one payload to `out`. Returns the name of the format.
 ///
-/// `encoding` is what the message says of itself, `configured` the name in the configuration ([`AUTO`] or `None` to
-/// sniff). Samples without a time get `fallback_t_ns`.
+/// `encoding` is the message's encoding, `configured` the name in the configuration ([`AUTO`] or `None` to recognise the
+/// bytes). Samples without a time get `fallback_t_ns`.
 ///
 /// # Errors
-/// [`CodecError`]; `out` is then as it was before.
+/// [`CodecError`]; `out` is then unchanged.
 pub fn decode(
     signal: Signal,
     payload: &[u8],
@@ -188,10 +187,10 @@ pub fn decode(
     }
 }
 
-/// Appends the named values of one payload to `out` and names the format used; the format is chosen as in [`decode`].
+/// Appends the named values of one payload to `out`. Returns the name of the format, chosen as in [`decode`].
 ///
 /// # Errors
-/// [`CodecError`]; `out` is then as it was before.
+/// [`CodecError`]; `out` is then unchanged.
 pub fn decode_fields(
     bundle: &Bundle<'_>,
     encoding: Option<&str>,

@@ -1,8 +1,8 @@
-//! Named values in a tree: JSON and CBOR that carry several signals.
+//! Named values in a tree: JSON and CBOR payloads with several signals.
 //!
-//! An object's members are values under their names, but for `t` (time) and `q` (quality), which hold for all of them. A
-//! member may be an object with a `v`, and a `t` and `q` of its own; or an object without, whose name stands in front of
-//! those of its members. `{"name", "v"}` (or `"tag"`) is one value under that name. Arrays are batches.
+//! The members of an object are values under their names, except `t` (time) and `q` (quality), which apply to all of them.
+//! A member may be an object with `v` and its own `t` and `q`, or an object whose name is a prefix to the names of its
+//! members. `{"name", "v"}` (or `"tag"`) is one value under that name. Arrays are batches.
 
 use serde::de::DeserializeSeed;
 use serde_json::{Map, Value as Json};
@@ -11,10 +11,10 @@ use super::MAX_SAMPLES;
 use super::fields::{Field, Scalar};
 use super::samples::{QualitySeed, TimeSeed};
 
-/// How deep names may stand in names.
+/// Deepest nesting of names.
 const MAX_DEPTH: usize = 6;
 
-/// What is said once for all values of an object.
+/// Defaults for all values of an object.
 #[derive(Clone, Copy)]
 struct Said {
     t_ns: i64,
@@ -30,14 +30,14 @@ pub(super) fn read(tree: &Json, fallback_t_ns: i64, out: &mut Vec<Field>) -> Res
     match tree {
         Json::Array(batch) => batch.iter().try_for_each(|one| match one {
             Json::Object(object) => members(object, "", said, 0, out),
-            _ => Err("an array of what are no objects".to_owned()),
+            _ => Err("an array of something other than objects".to_owned()),
         }),
         Json::Object(object) => members(object, "", said, 0, out),
         _ => Err("a value without a name".to_owned()),
     }
 }
 
-/// Time and quality of an object, over those of the object around it.
+/// Time and quality of an object, overriding those of its parent.
 fn said_in(object: &Map<String, Json>, around: Said) -> Result<Said, String> {
     let t_ns = match object.get("t") {
         None => None,
@@ -58,7 +58,7 @@ fn members(
     out: &mut Vec<Field>,
 ) -> Result<(), String> {
     if depth > MAX_DEPTH {
-        return Err(format!("names stand deeper than {MAX_DEPTH} in names"));
+        return Err(format!("names are nested more than {MAX_DEPTH} deep"));
     }
     let said = said_in(object, around)?;
     let named = ["name", "tag"].into_iter().find_map(|key| object.get(key)?.as_str());
@@ -86,7 +86,7 @@ fn push(head: &str, name: &str, value: &Json, said: Said, out: &mut Vec<Field>) 
         Json::Bool(on) => Scalar::Number(f64::from(u8::from(*on))),
         Json::String(text) => Scalar::Text(text.clone()),
         Json::Null => Scalar::Missing,
-        Json::Array(_) | Json::Object(_) => return Err(format!("{:?} is no value", short(name))),
+        Json::Array(_) | Json::Object(_) => return Err(format!("{:?} is not a value", short(name))),
     };
     // One more than may be is enough for the whole payload to be refused.
     if out.len() <= MAX_SAMPLES {

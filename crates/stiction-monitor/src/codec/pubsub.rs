@@ -1,7 +1,8 @@
-//! OPC UA PubSub in JSON (Part 14): network messages, data set messages alone, and every form of a field that senders use.
+//! OPC UA PubSub JSON (Part 14): network messages, single data set messages, and all forms of fields in use.
 //!
 //! A field is a raw value, a variant (`{"UaType", "Value"}` of 1.05, `{"Type", "Body"}` of 1.04), or a data value with status
-//! and stamps. Its time is its own source stamp, else the message's, else the arrival; its status is its own, else the message's.
+//! and timestamps. Its time is its source timestamp, else the message's, else the arrival; its status is its own, else the
+//! message's.
 
 use serde_json::{Map, Value as Json};
 
@@ -10,7 +11,7 @@ use super::json::tree;
 use super::{Codec, CodecError, MAX_SAMPLES};
 use stiction::units::parse_time;
 
-/// OPC UA's built-in types whose values JSON writes as texts: 64-bit integers.
+/// Built-in types whose values are text in JSON: 64-bit integers.
 const WIDE: [i64; 2] = [8, 9];
 
 /// The format `ua-json`.
@@ -43,14 +44,14 @@ impl Codec for PubSub {
     }
 }
 
-/// Whether JSON may hold words for names: not where its first is a letter, as those of single samples are.
+/// Whether JSON may contain words for names: not if its first is a letter, as for single samples.
 pub(super) fn has_names(payload: &[u8]) -> bool {
     let starts = payload.iter().find(|b| !b.is_ascii_whitespace()).is_some_and(|b| b"[{".contains(b));
     let first = payload.iter().position(|b| *b == b'"');
     starts && first.is_some_and(|at| payload.get(at + 2).is_some_and(|b| *b != b'"'))
 }
 
-/// Whether a payload holds some bytes.
+/// Whether a payload contains some bytes.
 pub(super) fn has(payload: &[u8], wanted: &[u8]) -> bool {
     payload.windows(wanted.len()).any(|window| window == wanted)
 }
@@ -59,14 +60,14 @@ fn wrong(why: &str) -> CodecError {
     CodecError::Format { format: "OPC UA PubSub JSON", why: why.to_owned() }
 }
 
-/// One data set message; a keep-alive has nothing to say.
+/// One data set message; a keep-alive has no values.
 fn data_set(message: &Json, fallback_t_ns: i64, out: &mut Vec<Field>) -> Result<(), CodecError> {
-    let message = message.as_object().ok_or_else(|| wrong("a message is no object"))?;
+    let message = message.as_object().ok_or_else(|| wrong("a message is not an object"))?;
     let Some(payload) = message.get("Payload") else {
         let silent = message.get("MessageType").and_then(Json::as_str) == Some("ua-keepalive");
         return if silent { Ok(()) } else { Err(wrong("a message has no \"Payload\"")) };
     };
-    let payload = payload.as_object().ok_or_else(|| wrong("\"Payload\" is no object"))?;
+    let payload = payload.as_object().ok_or_else(|| wrong("\"Payload\" is not an object"))?;
     let writer = ["DataSetWriterName", "DataSetWriterId"].into_iter().find_map(|key| match message.get(key)? {
         Json::String(name) => Some(name.clone()),
         Json::Number(id) => Some(id.to_string()),
@@ -141,7 +142,9 @@ fn status_of(status: Option<&Json>) -> Result<Option<u32>, CodecError> {
         },
         Some(code) => code.as_u64(),
     };
-    code.and_then(|code| u32::try_from(code).ok()).map(Some).ok_or_else(|| wrong("a status code is no 32-bit number"))
+    code.and_then(|code| u32::try_from(code).ok())
+        .map(Some)
+        .ok_or_else(|| wrong("a status code is not a 32-bit number"))
 }
 
 fn time_of(object: &Map<String, Json>, key: &str) -> Result<Option<i64>, CodecError> {
@@ -150,7 +153,7 @@ fn time_of(object: &Map<String, Json>, key: &str) -> Result<Option<i64>, CodecEr
         Some(Json::String(text)) if text.as_bytes().get(4) == Some(&b'-') => {
             parse_time(text).map(Some).map_err(|e| wrong(&format!("{key}: {e}")))
         }
-        Some(_) => Err(wrong(&format!("{key} is no RFC 3339 time"))),
+        Some(_) => Err(wrong(&format!("{key} is not an RFC 3339 time"))),
     }
 }
 

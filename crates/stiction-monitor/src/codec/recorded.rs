@@ -1,12 +1,12 @@
-//! The form in which recordings hold one sample: `{"t":<ns>,"v":<number|null|"auto">,"q":<code>}`, `q` only if sent.
+//! The recorded form of a sample: `{"t":<ns>,"v":<number|null|"auto">,"q":<code>}`, with `q` only if sent.
 
 use super::{CodecError, decode};
 use std::io::Write;
 use stiction::record::{Sample, Signal, Value};
 
-/// Appends the sample's recorded form to `out`; [`decode_recorded`] reads it back equal to the last bit.
+/// Appends the sample's recorded form to `out`; [`decode_recorded`] restores it bit for bit.
 ///
-/// A number that is not finite is written as null.
+/// A number that is not finite becomes null.
 pub fn encode_recorded(sample: &Sample, out: &mut Vec<u8>) {
     // Writing into memory cannot fail. `{:?}` is the shortest text that reads back equal, and always valid JSON.
     let _ = write!(out, "{{\"t\":{},\"v\":", sample.t_ns);

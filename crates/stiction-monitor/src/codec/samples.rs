@@ -1,5 +1,5 @@
-//! Samples in any self-describing form: a number, an object of time, value and quality, or an array of these. JSON and
-//! CBOR read them alike.
+//! Samples in a self-describing form: a number, an object of time, value and quality, or an array of these; for JSON and
+//! CBOR.
 
 use serde::de::{DeserializeSeed, Deserializer, Error, IgnoredAny, MapAccess, SeqAccess, Visitor};
 use std::fmt;
@@ -8,7 +8,7 @@ use stiction::units::parse_time;
 
 use super::MAX_SAMPLES;
 
-/// Reads one payload of samples from any self-describing form; `crowded` says where it holds too many.
+/// Reads the samples of one payload; `crowded` is set if there are too many.
 pub(super) fn read_samples<'de, D: Deserializer<'de>>(
     deserializer: D,
     signal: Signal,
@@ -117,7 +117,7 @@ impl<'de> Visitor<'de> for Top<'_> {
     }
 }
 
-/// What a text stands for: nothing finite, a mode's word, or an error.
+/// Meaning of a text: not finite, a mode, or an error.
 fn word<E: Error>(signal: Signal, text: &str) -> Result<Value, E> {
     let trimmed = text.trim();
     let blank = trimmed.is_empty() || trimmed.parse::<f64>().is_ok_and(|number| !number.is_finite());
@@ -126,7 +126,7 @@ fn word<E: Error>(signal: Signal, text: &str) -> Result<Value, E> {
         (false, Signal::Mode) => Ok(Value::Mode(Mode::from_word(trimmed))),
         (false, _) => {
             let short: String = trimmed.chars().take(40).collect();
-            Err(E::custom(format!("{short:?} is a text, {} takes a number", signal.name())))
+            Err(E::custom(format!("{short:?} is text, but {} needs a number", signal.name())))
         }
     }
 }
@@ -187,7 +187,7 @@ impl Visitor<'_> for TimeSeed {
     }
 
     fn visit_u64<E: Error>(self, v: u64) -> Result<Option<i64>, E> {
-        let late = || E::custom(format!("t = {v} is past the year 2262, the last that nanoseconds in 64 bits hold"));
+        let late = || E::custom(format!("t = {v} is after the year 2262, the limit of nanoseconds in 64 bits"));
         i64::try_from(v).map(Some).map_err(|_| late())
     }
 
@@ -280,7 +280,7 @@ impl Visitor<'_> for QualitySeed {
         f.write_str("\"q\" as an integer of 32 bits")
     }
 
-    /// A status code with its highest bit set is negative where codes are signed.
+    /// A status code with its highest bit set is negative in languages with signed integers.
     fn visit_i64<E: Error>(self, v: i64) -> Result<Option<u32>, E> {
         let wide = || E::custom(format!("q = {v} does not fit into 32 bits"));
         i32::try_from(v).map(|code| Some(code.cast_unsigned())).map_err(|_| wide())

@@ -1,22 +1,22 @@
-//! Sparkplug B: metrics in protobuf, under topics that say who sends.
+//! Sparkplug B: metrics in protobuf, on topics that name the sender.
 //!
-//! Only births name their metrics for certain; data messages may leave an alias in place of the name and the type. So the
-//! names of births are kept ([`Memory`]) until the next birth or death of the same node or device. Stamps are milliseconds.
-//! Commands are not measurements, and deaths hold none: they give nothing.
+//! Only birth messages always name their metrics; data messages may use an alias in place of name and type. The names of
+//! births are therefore kept ([`Memory`]) until the next birth or death of the same node or device. Timestamps are in
+//! milliseconds. Commands are not measurements and deaths have no values; both are ignored.
 
 use prost::Message;
 
 use super::fields::{Bundle, Field, Memory, Named, Scalar, sparkplug_quality};
 use super::{Codec, CodecError, MAX_SAMPLES};
 
-/// The chunk under which everything of Sparkplug B stands.
+/// Topic level below which all Sparkplug B messages are.
 const NAMESPACE: &str = "spBv1.0";
 
 /// The format `sparkplug-b`.
 #[derive(Debug, Clone, Copy)]
 pub struct Sparkplug;
 
-/// What is read of a payload (Sparkplug 3.0, `sparkplug_b.proto`).
+/// The fields read from a payload (Sparkplug 3.0, `sparkplug_b.proto`).
 #[derive(Clone, PartialEq, Message)]
 struct Payload {
     #[prost(uint64, optional, tag = "1")]
@@ -75,17 +75,17 @@ struct PropertyValue {
     long: Option<u64>,
 }
 
-/// Who sends, and what kind of message it is.
+/// Sender and message type.
 struct Sender<'a> {
     kind: &'a str,
     /// Group, node and device.
     whole: String,
-    /// The device, or the node where it speaks for itself.
+    /// The device, or the node for its own messages.
     short: &'a str,
 }
 
 impl<'a> Sender<'a> {
-    /// From `…/spBv1.0/GROUP/KIND/NODE[/DEVICE]`; other keys hold data of a sender named by the key.
+    /// From `…/spBv1.0/GROUP/KIND/NODE[/DEVICE]`; for other keys the key names the sender.
     fn of(key: &'a str) -> Self {
         let chunks: Vec<&str> = key.split('/').skip_while(|chunk| *chunk != NAMESPACE).skip(1).collect();
         match chunks[..] {
@@ -106,7 +106,7 @@ impl Codec for Sparkplug {
         matches!(media_type, "application/vnd.sparkplug-b" | "application/x-sparkplug-b")
     }
 
-    /// Begins with a stamp in this century, and is whole.
+    /// Whether it begins with a timestamp of this century and is complete.
     fn sniff(&self, payload: &[u8]) -> bool {
         let stamped = payload.first() == Some(&0x08) && payload.len() > 8;
         stamped
@@ -143,7 +143,7 @@ impl Codec for Sparkplug {
         match nameless {
             // What has a name is taken all the same.
             Some(alias) if out.is_empty() => Err(wrong(format!(
-                "alias {alias} of {:?} has no name yet: wait for the next birth message, or let the node send one",
+                "alias {alias} of {:?} has no name yet; wait for the next birth message or request a rebirth",
                 sender.whole
             ))),
             _ => Ok(()),
@@ -155,7 +155,7 @@ fn wrong(why: String) -> CodecError {
     CodecError::Format { format: "Sparkplug B", why }
 }
 
-/// Name and type of a metric: its own, else those of its birth.
+/// Name and type of a metric: its own, else those of its birth message.
 fn named(
     metric: &Metric,
     device: &str,
@@ -170,7 +170,7 @@ fn named(
     if let (true, Some(alias)) = (births, metric.alias)
         && !memory.learn(device, alias, Named { name: name.clone(), kind })
     {
-        return Err(wrong("more metrics are born than names are kept for".to_owned()));
+        return Err(wrong("too many metrics in birth messages".to_owned()));
     }
     Ok(Some((name, kind)))
 }
@@ -193,7 +193,7 @@ fn quality_of(properties: &PropertySet) -> Option<u32> {
     value.int.or_else(|| value.long.map(|code| u32::try_from(code).unwrap_or(u32::MAX))).and_then(sparkplug_quality)
 }
 
-/// Signed numbers stand as two's complement in unsigned ones; a type of 0 says nothing.
+/// Signed numbers are two's complement in unsigned fields; type 0 is unspecified.
 fn scalar(value: MetricValue, kind: u32) -> Scalar {
     let number = match (value, kind) {
         (MetricValue::Text(text), _) => return Scalar::Text(text),

@@ -1,7 +1,6 @@
-//! What Telegraf sends: its JSON (one metric, an array, or `{"metrics": [...]}`) and InfluxDB's line protocol.
+//! Telegraf's JSON (one metric, an array, or `{"metrics": [...]}`) and InfluxDB's line protocol.
 //!
-//! A value's name is `MEASUREMENT.FIELD`; where the metric has tags, `MEASUREMENT,TAG=VALUE,….FIELD` with the tags in the order of
-//! their names.
+//! A value's name is `MEASUREMENT.FIELD`, or with tags `MEASUREMENT,TAG=VALUE,….FIELD` with the tags sorted by name.
 
 use std::fmt::Write as _;
 
@@ -58,7 +57,7 @@ fn read_metric(metric: &Json, fallback_t_ns: i64, out: &mut Vec<Field>) -> Resul
         Some(stamp) => {
             let exact = stamp.as_i64().map(stamp_ns_of);
             let told = exact.unwrap_or_else(|| stamp.as_f64().and_then(stamp_ns));
-            told.ok_or_else(|| wrong(&format!("timestamp {stamp} is no time in s, ms, us or ns since 1970")))?
+            told.ok_or_else(|| wrong(&format!("timestamp {stamp} is not a time in s, ms, us or ns since 1970")))?
         }
     };
     let read = fields.iter().map(|(field, value)| {
@@ -73,11 +72,11 @@ fn read_metric(metric: &Json, fallback_t_ns: i64, out: &mut Vec<Field>) -> Resul
     series.put(read.collect(), t_ns, out)
 }
 
-/// What stands in front of a metric's fields.
+/// Prefix of a metric's field names.
 struct Series {
     /// `MEASUREMENT,TAG=VALUE,…`
     head: String,
-    /// What the fields belong to: the tag `loop`, else the measurement.
+    /// Owner of the fields: the tag `loop`, else the measurement.
     of: String,
 }
 
@@ -93,7 +92,7 @@ impl Series {
         Self { head, of }
     }
 
-    /// Appends a metric's fields; one called `quality` holds for the others.
+    /// Appends a metric's fields; one called `quality` applies to the others.
     fn put(&self, fields: Vec<(String, Scalar)>, t_ns: i64, out: &mut Vec<Field>) -> Result<(), CodecError> {
         let is_quality = |name: &str| name.eq_ignore_ascii_case("quality");
         let quality = fields.iter().find(|(name, _)| is_quality(name)).and_then(|(_, value)| quality_of(value));
@@ -107,7 +106,7 @@ impl Series {
     }
 }
 
-/// `OK (0x0)` as Telegraf's OPC UA input writes it, or a number in the convention that the configuration says.
+/// `OK (0x0)` as from Telegraf's OPC UA input, or a number in the configured convention.
 fn quality_of(value: &Scalar) -> Option<u32> {
     match value {
         Scalar::Number(code) if code.fract() == 0.0 && (0.0..=f64::from(u32::MAX)).contains(code) => Some(*code as u32),
@@ -153,12 +152,12 @@ fn no_line(line: usize, why: &str) -> CodecError {
     CodecError::Format { format: "line protocol", why: format!("line {line}: {why}") }
 }
 
-/// Lines, but for breaks inside quotes.
+/// Lines; breaks inside quotes do not count.
 fn lines(text: &str) -> Vec<&str> {
     pieces(text, '\n')
 }
 
-/// A text divided at a character, where no backslash stands before it and no quotes around.
+/// Splits a text at a character, except after a backslash and inside quotes.
 fn pieces(text: &str, at: char) -> Vec<&str> {
     let (mut out, mut start, mut quoted, mut escaped) = (Vec::new(), 0, false, false);
     for (place, c) in text.char_indices() {
@@ -177,7 +176,7 @@ fn pieces(text: &str, at: char) -> Vec<&str> {
     out
 }
 
-/// A name without the backslashes of the protocol: before a comma, an equals sign, a blank.
+/// Removes the protocol's backslashes before a comma, equals sign or space.
 fn plain(text: &str) -> String {
     ["\\,", "\\=", "\\ "].iter().fold(text.to_owned(), |text, escape| text.replace(escape, &escape[1..]))
 }
@@ -188,7 +187,7 @@ fn read_line(line: &str, fallback_t_ns: i64, out: &mut Vec<Field>) -> Result<(),
     let (series, fields, stamp) = match parts[..] {
         [series, fields] => (series, fields, None),
         [series, fields, stamp] => (series, fields, Some(stamp)),
-        _ => return Err("is not: measurement, a blank, fields, and a time if there is one"),
+        _ => return Err("must be: measurement, space, fields, and optionally space and time"),
     };
     let t_ns = match stamp {
         None => fallback_t_ns,
@@ -206,7 +205,7 @@ fn read_line(line: &str, fallback_t_ns: i64, out: &mut Vec<Field>) -> Result<(),
     let series = Series::new(&measurement, tags.into_iter());
     let mut read = Vec::new();
     for field in pieces(fields, ',') {
-        let [name, value] = pieces(field, '=')[..] else { return Err("has a field that is not name=value") };
+        let [name, value] = pieces(field, '=')[..] else { return Err("has a field without name=value") };
         let value = match value {
             "t" | "T" | "true" | "True" | "TRUE" => Scalar::Number(1.0),
             "f" | "F" | "false" | "False" | "FALSE" => Scalar::Number(0.0),
@@ -215,12 +214,12 @@ fn read_line(line: &str, fallback_t_ns: i64, out: &mut Vec<Field>) -> Result<(),
             }
             number => {
                 let digits = number.strip_suffix(['i', 'u']).unwrap_or(number);
-                Scalar::Number(digits.parse().map_err(|_| "has a value that is no number, text or truth")?)
+                Scalar::Number(digits.parse().map_err(|_| "has a value that is not a number, text or boolean")?)
             }
         };
         read.push((plain(name), value));
     }
-    series.put(read, t_ns, out).map_err(|_| "is one value too many")
+    series.put(read, t_ns, out).map_err(|_| "exceeds the limit of values")
 }
 
 #[cfg(test)]

@@ -1,13 +1,12 @@
-//! Topics of a recording: which loop, and what of it.
+//! Topics: the loop and the kind of a message.
 //!
-//! Raw signals stand at `{prefix}/{loop}/op` and so on, everything that the daemon says at
-//! `{prefix}/@stiction/v1/{loop}/estimate` and so on. In recordings of others the last chunk names the signal and
-//! everything before it the loop.
+//! Raw signals are at `{prefix}/{loop}/op` and so on, the daemon's documents at `{prefix}/@stiction/v1/{loop}/estimate` and
+//! so on. In foreign recordings the last level names the signal and everything before it the loop.
 
 use std::fmt;
 use stiction::record::Signal;
 
-/// The chunks under which the daemon publishes.
+/// Topic levels below which the daemon publishes.
 pub const OUTPUT_CHUNKS: &str = "@stiction/v1";
 
 /// Schema name of a loop's health.
@@ -15,7 +14,7 @@ pub const LOOP_HEALTH_SCHEMA: &str = "stictiond.loop_health.v1";
 /// Schema name of the daemon's own health.
 pub const DAEMON_HEALTH_SCHEMA: &str = "stictiond.daemon_health.v1";
 
-/// What a message holds; each kind has its own schema in a recording.
+/// Kind of a message; each has its own schema in a recording.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Kind {
     /// One sample of a signal.
@@ -30,9 +29,9 @@ pub enum Kind {
     Gap,
     /// The daemon's or a loop's health.
     Health,
-    /// State that a run starts with.
+    /// Initial state of a run.
     State,
-    /// What people or outside time brought into a run.
+    /// A command or clock event that entered a run.
     Input,
 }
 
@@ -41,7 +40,7 @@ impl Kind {
     pub const ALL: [Self; 8] =
         [Self::Sample, Self::Mode, Self::Estimate, Self::Alarm, Self::Gap, Self::Health, Self::State, Self::Input];
 
-    /// The kind's word; for documents also the last chunk of their topic.
+    /// The kind's word; for documents also the last level of the topic.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -56,7 +55,7 @@ impl Kind {
         }
     }
 
-    /// The schema's name.
+    /// Name of the schema.
     #[must_use]
     pub const fn schema(self) -> &'static str {
         match self {
@@ -71,7 +70,7 @@ impl Kind {
         }
     }
 
-    /// The kind that holds a signal's samples.
+    /// The kind for samples of a signal.
     #[must_use]
     pub const fn of_signal(signal: Signal) -> Self {
         if matches!(signal, Signal::Mode) { Self::Mode } else { Self::Sample }
@@ -90,7 +89,7 @@ impl Kind {
     }
 }
 
-/// The last chunk of a topic.
+/// Last level of a topic.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Leaf {
     /// A raw signal.
@@ -99,20 +98,20 @@ pub enum Leaf {
     Document(Kind),
 }
 
-/// A topic taken apart.
+/// A parsed topic.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Topic<'a> {
-    /// The site's prefix; empty in recordings of others.
+    /// Prefix of the site; empty in foreign recordings.
     pub prefix: &'a str,
-    /// The loop's name; `@daemon/{id}` for the daemon's own documents.
+    /// Loop name; `@daemon/{id}` for the daemon's own documents.
     pub loop_name: &'a str,
-    /// What of it.
+    /// Kind of its messages.
     pub leaf: Leaf,
 }
 
 impl<'a> Topic<'a> {
-    /// Takes a topic apart. With a prefix only topics below it count; without one, raw signals are found by their last
-    /// chunk, and the loop is everything before it.
+    /// Parses a topic. With a prefix, only topics below it are accepted. Without one, raw signals are recognised by their last
+    /// level, and everything before it is the loop.
     #[must_use]
     pub fn parse(prefix: Option<&'a str>, topic: &'a str) -> Option<Self> {
         let (prefix, rest) = match prefix {
@@ -145,31 +144,31 @@ impl fmt::Display for Topic<'_> {
     }
 }
 
-/// A signal's canonical topic.
+/// Canonical topic of a signal.
 #[must_use]
 pub fn raw(prefix: &str, loop_name: &str, signal: Signal) -> String {
     Topic { prefix, loop_name, leaf: Leaf::Raw(signal) }.to_string()
 }
 
-/// A document's topic.
+/// Topic of a document.
 #[must_use]
 pub fn result(prefix: &str, loop_name: &str, kind: Kind) -> String {
     Topic { prefix, loop_name, leaf: Leaf::Document(kind) }.to_string()
 }
 
-/// Anything below the daemon's own chunks, such as `@daemon/ID`.
+/// A topic of the daemon itself, such as `@daemon/ID`.
 #[must_use]
 pub fn plane(prefix: &str, rest: &str) -> String {
     format!("{prefix}/{OUTPUT_CHUNKS}/{rest}")
 }
 
-/// The last chunk of a topic.
+/// Last level of a topic.
 #[must_use]
 pub fn leaf(topic: &str) -> &str {
     topic.rsplit('/').next().unwrap_or(topic)
 }
 
-/// The schema of the document that stands under a topic.
+/// Schema of the document on a topic.
 #[must_use]
 pub fn schema_of(topic: &str) -> Option<&'static str> {
     let kind = Kind::of_document(leaf(topic))?;

@@ -1,10 +1,10 @@
-//! `[alarm]`: how many windows raise an alarm, and from which size on a window counts.
+//! `[alarm]`: how many windows raise an alarm, and the size above which a window counts.
 
 use super::reader::TableReader;
 use crate::alarm::AlarmParams;
 
-/// Reads a table of alarm keys. Where it sets one limit or both, those hold alone: who asks for 2 OP units does not want a
-/// share of the span beside them.
+/// Reads a table of alarm keys. Setting one limit removes the default of the other: a limit of 2 OP units is not meant in
+/// addition to a share of the span.
 pub(super) fn read_alarm(r: &mut TableReader<'_, '_>, d: AlarmParams) -> AlarmParams {
     let mut raise = d.raise;
     if let Some(([m, n], line)) = r.pair("raise", "two whole numbers, such as [3, 4]") {
@@ -12,7 +12,12 @@ pub(super) fn read_alarm(r: &mut TableReader<'_, '_>, d: AlarmParams) -> AlarmPa
         if whole(m) && whole(n) && m <= n {
             raise = [m as u8, n as u8];
         } else {
-            r.refuse(line, "raise", format!("[{m}, {n}] is not m of n"), "write 1 <= m <= n <= 32, such as [3, 4]");
+            r.refuse(
+                line,
+                "raise",
+                format!("[{m}, {n}] is not a valid m of n"),
+                "write 1 <= m <= n <= 32, such as [3, 4]",
+            );
         }
     }
     let limits = [r.number("s_limit_op", f64::NAN, 0.0, 1e12), r.number("s_limit_span", f64::NAN, 0.0, 1.0)];

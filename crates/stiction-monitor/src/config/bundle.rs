@@ -1,4 +1,4 @@
-//! `[[bundle]]`: keys whose payloads hold several signals under names.
+//! `[[bundle]]`: keys with several named signals per payload.
 
 use serde::Serialize;
 use toml::de::DeTable;
@@ -6,31 +6,31 @@ use toml::de::DeTable;
 use super::reader::{Fault, Lines, TableReader, subtables};
 use crate::codec;
 
-/// What parts a key from a name in its payloads, in `[[loop]]`.
+/// Separator between a key and a name in its payloads, in `[[loop]]`.
 pub const NAME_MARK: char = '#';
 
-/// One key, or many by wildcards.
+/// One key, or several by wildcards.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct BundleKey {
     /// Zenoh key expression.
     pub key: String,
-    /// Payload codec: `auto` or one codec's name.
+    /// Payload codec: `auto` or the name of one.
     pub codec: String,
 }
 
-/// The words that a codec's key may hold.
+/// Valid codecs.
 pub(super) fn codec_words() -> Vec<&'static str> {
     std::iter::once(codec::AUTO).chain(codec::names()).collect()
 }
 
-/// Why a text is no key expression: chunks are not empty, wildcards stand alone in theirs.
+/// Why a text is not a key expression: parts must not be empty, and wildcards must be whole parts.
 fn fault_of(key: &str) -> Option<&'static str> {
     let sound =
         |chunk: &str| !chunk.is_empty() && (matches!(chunk, "*" | "**") || !chunk.contains(['*', '$', '?', '#']));
     if !key.split('/').all(sound) {
-        return Some("is no key expression: an empty chunk, or a wildcard that is no chunk of its own");
+        return Some("is not a key expression: it has an empty part, or a wildcard that is not a whole part");
     }
-    key.contains("**/**").then_some("is no key expression: ** stands twice in a row")
+    key.contains("**/**").then_some("is not a key expression: it has ** twice in a row")
 }
 
 pub(super) fn read_bundles(lines: &Lines, root: &DeTable<'_>, faults: &mut Vec<Fault>) -> Vec<BundleKey> {
@@ -49,11 +49,11 @@ pub(super) fn read_bundles(lines: &Lines, root: &DeTable<'_>, faults: &mut Vec<F
                         *line,
                         "key",
                         format!("{key:?} {why}"),
-                        "write such as gateway/spBv1.0/** or gateway/*/data",
+                        "write one such as gateway/spBv1.0/** or gateway/*/data",
                     );
                 }
                 if all.iter().any(|other| other.key == *key) {
-                    r.refuse(*line, "key", format!("{key:?} stands twice"), "write each key once");
+                    r.refuse(*line, "key", format!("{key:?} occurs twice"), "write each key once");
                 }
             }
         }

@@ -5,12 +5,12 @@ use toml::de::DeTable;
 
 use super::reader::{Fault, Lines, TableReader, subtables};
 
-/// Documents that may wait for a receiver where nothing is said: months of alarms.
+/// Default of `queue`, documents: months of alarms.
 const QUEUE: u64 = 10_000;
-/// Documents that can be sent.
+/// Documents that can be delivered.
 const DOCUMENTS: [&str; 3] = ["alarm", "estimate", "gap"];
 
-/// How documents are handed over.
+/// Protocol of delivery.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Protocol {
@@ -18,54 +18,54 @@ pub enum Protocol {
     Webhook,
     /// MQTT 5.
     Mqtt,
-    /// Syslog of RFC 5424 by UDP.
+    /// Syslog (RFC 5424) over UDP.
     SyslogUdp,
-    /// The same by TCP, framed as in RFC 6587.
+    /// Syslog over TCP, framed as in RFC 6587.
     SyslogTcp,
 }
 
-/// A receiver's address taken apart.
+/// Parsed address of a receiver.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Address {
-    /// How.
+    /// Protocol.
     pub protocol: Protocol,
-    /// Whether by TLS.
+    /// Whether TLS is used.
     pub tls: bool,
-    /// Name or address of the host, without brackets.
+    /// Host name or address, without brackets.
     pub host: String,
     /// Port.
     pub port: u16,
-    /// What follows the port, without its slash: of a webhook part of its address, of MQTT the head of every topic.
+    /// Part after the port without its slash: of a webhook the URL path, for MQTT the prefix of every topic.
     pub path: String,
 }
 
 /// One receiver.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Deliver {
-    /// Its name in faults, metrics and the store of what waits.
+    /// Name in faults, metrics and the store of waiting documents.
     pub name: String,
-    /// Where, as written.
+    /// Address as written.
     pub to: String,
-    /// Where, taken apart.
+    /// Parsed address.
     pub address: Address,
-    /// Which documents: `alarm`, `estimate`, `gap`.
+    /// Documents to deliver: `alarm`, `estimate`, `gap`.
     pub documents: Vec<String>,
-    /// MQTT: user.
+    /// MQTT: user name.
     pub user: String,
-    /// File of the password that goes with the user, or of a webhook's bearer token.
+    /// File with the user's password, or with a webhook's bearer token.
     pub secret_file: String,
-    /// Certificates (PEM) that TLS trusts; empty: those of public authorities.
+    /// CA certificates (PEM) to trust; empty: public authorities.
     pub ca_file: String,
-    /// Own certificate (PEM) for TLS.
+    /// Client certificate (PEM).
     pub cert_file: String,
-    /// Its private key (PEM).
+    /// Private key of the client certificate (PEM).
     pub key_file: String,
-    /// Documents that may wait; beyond them the oldest are given up.
+    /// Most documents waiting; beyond it the oldest are dropped.
     pub queue: usize,
 }
 
 impl Address {
-    /// Takes `scheme://host[:port][/path]` apart.
+    /// Parses `scheme://host[:port][/path]`.
     ///
     /// # Errors
     /// What is wrong with it.
@@ -78,10 +78,10 @@ impl Address {
             "mqtts" => (Protocol::Mqtt, true, 8883),
             "syslog+udp" => (Protocol::SyslogUdp, false, 514),
             "syslog+tcp" => (Protocol::SyslogTcp, false, 514),
-            other => return Err(format!("{other:?} is no known scheme")),
+            other => return Err(format!("{other:?} is not a known scheme")),
         };
         if text.chars().any(|c| c.is_control() || c.is_whitespace()) || rest.contains('@') {
-            return Err("blanks, control characters and user names do not belong there".to_owned());
+            return Err("spaces, control characters and user names are not allowed".to_owned());
         }
         let (place, path) = rest.split_once('/').unwrap_or((rest, ""));
         let (host, port) = match place.strip_prefix('[').and_then(|v6| v6.split_once(']')) {
@@ -91,7 +91,7 @@ impl Address {
         let port = match port {
             None => default_port,
             Some(digits) => {
-                digits.parse().ok().filter(|port| *port > 0).ok_or_else(|| format!("{digits:?} is no port"))?
+                digits.parse().ok().filter(|port| *port > 0).ok_or_else(|| format!("{digits:?} is not a port"))?
             }
         };
         if host.is_empty() {
@@ -111,12 +111,7 @@ pub(super) fn read_delivers(lines: &Lines, root: &DeTable<'_>, faults: &mut Vec<
         let entry = read_deliver(&mut r);
         if let Some(entry) = entry {
             if all.iter().any(|other| other.name == entry.name) {
-                r.refuse(
-                    line,
-                    "name",
-                    format!("{:?} stands twice", entry.name),
-                    "give each receiver a name of its own",
-                );
+                r.refuse(line, "name", format!("{:?} occurs twice", entry.name), "give each receiver its own name");
             }
             all.push(entry);
         }
@@ -133,8 +128,8 @@ fn read_deliver(r: &mut TableReader<'_, '_>) -> Option<Deliver> {
             r.refuse(
                 line,
                 "name",
-                format!("{name:?} is no plain name"),
-                "write letters, digits, - _ . alone, such as cmms",
+                format!("{name:?} is not a valid name"),
+                "use only letters, digits, - _ . such as cmms",
             );
             None
         }
@@ -155,14 +150,14 @@ fn read_deliver(r: &mut TableReader<'_, '_>) -> Option<Deliver> {
     let address = to.as_ref().and_then(|(to, line)| match Address::parse(to) {
         Ok(address) => Some(address),
         Err(why) => {
-            r.refuse(*line, "to", format!("{to:?} is no receiver: {why}"), known);
+            r.refuse(*line, "to", format!("{to:?} is not a valid address: {why}"), known);
             None
         }
     });
     let documents = r.texts("documents");
     for (word, line) in documents.iter().filter(|(word, _)| !DOCUMENTS.contains(&word.as_str())) {
         let remedy = format!("write some of {}", DOCUMENTS.join(", "));
-        r.refuse(*line, "documents", format!("{word:?} is no document that can be sent"), remedy);
+        r.refuse(*line, "documents", format!("{word:?} is not a deliverable document"), remedy);
     }
     let mut documents: Vec<String> = documents.into_iter().map(|(word, _)| word).collect();
     if documents.is_empty() {
@@ -172,7 +167,7 @@ fn read_deliver(r: &mut TableReader<'_, '_>) -> Option<Deliver> {
         .map(|key| r.text(key).map(|(text, _)| text).filter(|text| !text.is_empty()));
     let queue = r.integer("queue", QUEUE, 10, 1_000_000) as usize;
     if cert_file.is_some() != key_file.is_some() {
-        r.refuse(line, "cert_file", "goes with key_file", "write both or none");
+        r.refuse(line, "cert_file", "needs key_file", "write both or neither");
     }
     if let (Some(address), Some(_)) = (&address, &user)
         && address.protocol != Protocol::Mqtt
@@ -180,8 +175,8 @@ fn read_deliver(r: &mut TableReader<'_, '_>) -> Option<Deliver> {
         r.refuse(
             line,
             "user",
-            "is for MQTT alone",
-            "leave it out; a webhook sends what secret_file holds as its token",
+            "applies to MQTT only",
+            "remove it; a webhook sends the content of secret_file as its token",
         );
     }
     let [user, secret_file, ca_file, cert_file, key_file] =

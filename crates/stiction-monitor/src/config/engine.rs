@@ -1,4 +1,4 @@
-//! What the settings say to an engine and to each of its loops.
+//! Settings for an engine and its loops, from the configuration.
 
 use std::sync::Arc;
 
@@ -10,7 +10,7 @@ use stiction::units::{LoopKind, ns_from_s};
 use stiction::verdict::AssessParams;
 
 impl Config {
-    /// What an engine is told.
+    /// Settings of an engine.
     #[must_use]
     pub fn engine(&self) -> EngineSettings {
         let own = |l: &LoopConfig| (l.name.clone(), self.of_loop(Some(l), LoopKind::of_tag(&l.name)));
@@ -23,13 +23,13 @@ impl Config {
         }
     }
 
-    /// What a loop of a name is told.
+    /// Settings of a loop by name.
     #[must_use]
     pub fn loop_settings(&self, name: &str) -> LoopSettings {
         self.of_loop(self.loop_named(name), LoopKind::of_tag(name))
     }
 
-    /// What a loop is told; `kind` is what its tag says, over which its own settings rule.
+    /// Settings of a loop; `kind` comes from its tag and is overridden by its own settings.
     fn of_loop(&self, own: Option<&LoopConfig>, kind: LoopKind) -> LoopSettings {
         let (window, alarm) = own.map_or((self.window, self.alarm), |l| (l.window, l.alarm));
         LoopSettings {
@@ -54,7 +54,7 @@ impl Config {
     }
 }
 
-/// What the configuration says of a loop's place.
+/// Where the loop is in the plant, from the configuration.
 fn place_of(own: &LoopConfig) -> Place {
     let said = |text: &String| Some(text.clone()).filter(|text| !text.is_empty());
     // OP that runs from 0 to 100 is in %, whoever wrote the range.

@@ -1,4 +1,4 @@
-//! `[input]`: what is taken in, and how much of it.
+//! `[input]`: which data to accept, and how much.
 
 use serde::Serialize;
 use toml::de::DeTable;
@@ -8,16 +8,16 @@ use super::reader::{Fault, Lines, TableReader};
 use crate::codec::AUTO;
 use stiction::record::Mode;
 
-/// `[input] queue_bytes` where nothing is said.
+/// Default of `[input] queue_bytes`.
 const QUEUE_BYTES: usize = 64 << 20;
-/// `[input] max_rate_hz` where nothing is said: a thousand times what a plant sends.
+/// Default of `[input] max_rate_hz`: a thousand times what a plant sends.
 const MAX_RATE_HZ: f64 = 1000.0;
-/// `[input] max_ahead_s` where nothing is said: a day.
+/// Default of `[input] max_ahead_s`: a day.
 const MAX_AHEAD_S: f64 = 86_400.0;
-/// `[input] new_loops_per_hour` where nothing is said.
+/// Default of `[input] new_loops_per_hour`.
 const NEW_LOOPS_PER_HOUR: u32 = 20_000;
 
-/// `[input] forget_after_s` where nothing is said: a week.
+/// Default of `[input] forget_after_s`: a week.
 const FORGET_AFTER_S: f64 = 604_800.0;
 
 // Keys that came later are left out of the hash at their defaults: older recordings still read as recorded.
@@ -49,32 +49,32 @@ fn is_forget_default(after_s: &f64) -> bool {
 /// `[input]`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Input {
-    /// Monitor every loop that appears under the prefix.
+    /// Monitor every loop that appears below the prefix.
     pub discover: bool,
-    /// Loops beyond this many are counted and left alone. Those that the configuration names have their places.
+    /// Most loops; further ones are counted and ignored. Loops named in the configuration are always included.
     pub max_loops: usize,
-    /// Loops that may be discovered in an hour, or at once after an hour without one.
+    /// Most loops discovered per hour, or at once after an hour without discoveries.
     #[serde(skip_serializing_if = "is_new_loops_default")]
     pub new_loops_per_hour: u32,
-    /// Time without a sample after which a loop leaves the memory, s; 0: never.
+    /// Time without a sample after which a loop is removed from memory, s; 0: never.
     #[serde(skip_serializing_if = "is_forget_default")]
     pub forget_after_s: f64,
-    /// Samples a second of one key in the long run; 0: no limit.
+    /// Most samples per second on one key in the long run; 0: no limit.
     #[serde(skip_serializing_if = "is_rate_default")]
     pub max_rate_hz: f64,
-    /// How far a stamp may be ahead of both the wall clock and the other loops, s; 0: no limit.
+    /// Most that a timestamp may be ahead of both the system clock and the other loops, s; 0: no limit.
     #[serde(skip_serializing_if = "is_ahead_default")]
     pub max_ahead_s: f64,
-    /// Messages that may wait for the engine.
+    /// Most messages waiting for the engine.
     pub queue: usize,
-    /// Bytes of messages that may wait for the engine.
+    /// Most bytes of messages waiting for the engine.
     #[serde(skip_serializing_if = "is_queue_bytes_default")]
     pub queue_bytes: usize,
-    /// Payload codec: `auto` or one codec's name.
+    /// Payload codec: `auto` or the name of one.
     pub codec: String,
     /// Convention of quality codes: `ua` or `classic`.
     pub quality: String,
-    /// Numbers that stand for modes.
+    /// Numeric codes of controller modes.
     pub modes: Vec<(i64, Mode)>,
 }
 
@@ -106,13 +106,13 @@ pub(super) fn read_input(r: &mut TableReader<'_, '_>) -> Input {
     }
 }
 
-/// A fault where the loops that are named do not all find a place.
+/// A fault if `max_loops` is less than the number of named loops.
 pub(super) fn too_few_places(lines: &Lines, root: &DeTable<'_>, max_loops: usize, named: usize) -> Option<Fault> {
     let head = root.iter().find(|(key, _)| key.get_ref() == "input").map_or(0, |(key, _)| key.span().start);
     (named > max_loops).then(|| Fault {
         line: lines.of(head),
         key: "input.max_loops".to_owned(),
-        message: format!("{max_loops} is below the {named} loops that are named"),
+        message: format!("{max_loops} is less than the {named} loops in [[loop]]"),
         remedy: format!("write at least {named}"),
     })
 }

@@ -1,4 +1,4 @@
-//! `[[loop]]`: loops that are mapped from foreign keys or have settings of their own.
+//! `[[loop]]`: loops with mapped keys or their own settings.
 
 use std::collections::{HashMap, HashSet};
 
@@ -27,25 +27,24 @@ pub(super) fn read_loops(
         let mut r = TableReader::new(lines, &format!("loop[{index}]"), line, Some(table), faults);
         let entry = read_loop(&mut r, window, alarm);
         if !names.insert(entry.name.clone()) {
-            r.refuse(line, "name", format!("{:?} stands twice", entry.name), "give each loop a name of its own");
+            r.refuse(line, "name", format!("{:?} occurs twice", entry.name), "give each loop its own name");
         }
         for (signal, key) in &entry.keys {
             let (place, name) = key.split_once(NAME_MARK).unwrap_or((key, "all"));
             let chunks = place.split('/').all(|chunk| !chunk.is_empty());
             if !chunks || place.contains(['*', '$', '?']) || name.is_empty() {
-                let remedy =
-                    "write one whole key, such as gateway/opc/FIC101.PV, or KEY#NAME for one value of a payload";
+                let remedy = "write a full key, such as gateway/opc/FIC101.PV, or KEY#NAME for one value of a payload";
                 r.refuse(
                     line,
                     signal.name(),
-                    format!("{key:?} is no key: empty chunk, empty name or wildcard"),
+                    format!("{key:?} is not a key: it has an empty part, an empty name or a wildcard"),
                     remedy,
                 );
             }
             match owners.insert(key.clone(), index) {
                 None => {}
                 Some(owner) if owner == index => {
-                    r.refuse(line, signal.name(), format!("{key:?} stands twice in this loop"), "map each key once");
+                    r.refuse(line, signal.name(), format!("{key:?} occurs twice in this loop"), "map each key once");
                 }
                 Some(owner) => {
                     let message = format!("{key:?} is already mapped for loop {:?}", loops[owner].name);
@@ -64,7 +63,7 @@ fn read_loop(r: &mut TableReader<'_, '_>, window: WindowParams, alarm: AlarmPara
     let name = r.text("name");
     match &name {
         Some((name, line)) if !is_loop_name(name) => {
-            r.refuse(*line, "name", format!("{name:?} cannot stand in a key"), "leave out * $ ? # @ and empty chunks");
+            r.refuse(*line, "name", format!("{name:?} is not a valid name"), "do not use * $ ? # @ or empty parts");
         }
         None => r.refuse(line, "name", "is missing", "write name = \"FIC101\""),
         Some(_) => {}
@@ -84,7 +83,7 @@ fn read_loop(r: &mut TableReader<'_, '_>, window: WindowParams, alarm: AlarmPara
             r.refuse(
                 line,
                 "kind",
-                format!("{word:?} is no kind of loop"),
+                format!("{word:?} is not a kind of loop"),
                 format!("write one of {}", known.join(", ")),
             );
         }
@@ -107,14 +106,14 @@ fn read_loop(r: &mut TableReader<'_, '_>, window: WindowParams, alarm: AlarmPara
 /// Longest label, bytes.
 const LABEL_BYTES: usize = 128;
 
-/// A short plain text that documents carry along.
+/// A short plain text that documents contain.
 fn read_label(r: &mut TableReader<'_, '_>, key: &'static str) -> String {
     let Some((label, line)) = r.text(key) else { return String::new() };
     if label.len() > LABEL_BYTES || label.chars().any(char::is_control) {
         r.refuse(
             line,
             key,
-            "is too long or holds control characters",
+            "is too long or has control characters",
             format!("write at most {LABEL_BYTES} bytes of text"),
         );
     }

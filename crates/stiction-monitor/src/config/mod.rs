@@ -1,4 +1,4 @@
-//! The configuration: TOML text in, a [`Config`] or every fault at once out. Knows no file.
+//! The configuration: parses TOML text to a [`Config`] or to all its faults. Reads no files.
 
 mod alarm;
 mod bundle;
@@ -34,7 +34,7 @@ fn is_default<T: Default + PartialEq>(settings: &T) -> bool {
     *settings == T::default()
 }
 
-/// Tables that stand once.
+/// Tables that occur once.
 const TABLES: [&str; 14] = [
     "site",
     "zenoh",
@@ -52,37 +52,36 @@ const TABLES: [&str; 14] = [
     "cluster",
 ];
 
-/// Everything the daemon is told. Field names are the keys of the text.
+/// All settings of the daemon. Field names are the keys in the text.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Config {
-    /// Where the plant's keys live.
+    /// Key prefix of the plant.
     pub site: Site,
-    /// How to reach them.
+    /// Connections of the bus.
     pub zenoh: Zenoh,
-    /// What to take in.
+    /// Accepted data.
     pub input: Input,
-    /// Windows, for loops that say nothing else.
+    /// Windows; loops may override.
     pub window: WindowParams,
-    /// Alarms, for loops that say nothing else.
+    /// Alarms; loops may override.
     pub alarm: AlarmParams,
-    /// The gap diagnosis. Left out of [`Config::hash`] while nothing is set, so that recordings from before it existed
-    /// still verify.
+    /// The gap diagnosis. Omitted from [`Config::hash`] while nothing is set, so that older recordings still verify.
     #[serde(skip_serializing_if = "is_default")]
     pub gap: GapParams,
-    /// Where and how to record.
+    /// Recording.
     pub recording: Recording,
-    /// How long recordings are kept. Like the next left out of [`Config::hash`] while nothing is set.
+    /// How long recordings are kept. Like the next one omitted from [`Config::hash`] while nothing is set.
     #[serde(skip_serializing_if = "is_default")]
     pub retention: Retention,
-    /// What people may ask for.
+    /// Accepted commands.
     #[serde(skip_serializing_if = "is_default")]
     pub commands: Commands,
     /// Signatures on documents.
     #[serde(skip_serializing_if = "is_default")]
     pub signing: Signing,
-    /// Metrics and health over HTTP.
+    /// Metrics, health and the page over HTTP.
     pub web: Web,
-    /// Who this daemon is. Like the next two not part of [`Config::hash`]: who computes a window changes no answer.
+    /// Identity of this daemon. Like the next two not part of [`Config::hash`], because it changes no answer.
     #[serde(skip_serializing)]
     pub daemon: Daemon,
     /// Its fixed part of all loops.
@@ -91,13 +90,13 @@ pub struct Config {
     /// The daemons with which it shares the loops.
     #[serde(skip_serializing)]
     pub cluster: Cluster,
-    /// Receivers outside the bus. Not part of [`Config::hash`]: where documents go changes none of them.
+    /// Receivers outside the bus. Not part of [`Config::hash`], because delivery changes no document.
     #[serde(skip_serializing)]
     pub deliver: Vec<Deliver>,
-    /// Keys whose payloads hold several signals. Left out of [`Config::hash`] while there are none.
+    /// Keys with several signals per payload. Omitted from [`Config::hash`] while there are none.
     #[serde(rename = "bundle", skip_serializing_if = "Vec::is_empty")]
     pub bundles: Vec<BundleKey>,
-    /// Loops that are mapped or have settings of their own.
+    /// Loops with mapped keys or their own settings.
     #[serde(rename = "loop")]
     pub loops: Vec<LoopConfig>,
 }
@@ -105,7 +104,7 @@ pub struct Config {
 /// `[site]`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Site {
-    /// First chunks of every key.
+    /// Prefix of every key.
     pub prefix: String,
 }
 
@@ -120,14 +119,14 @@ pub struct Zenoh {
     pub connect: Vec<String>,
     /// Whether to look for peers by multicast.
     pub multicast: bool,
-    /// Path of a full Zenoh configuration; the keys above are put on top of it where they say something.
+    /// Path of a full Zenoh configuration; keys set here override it.
     pub config_file: String,
 }
 
 /// `[recording]`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Recording {
-    /// Folder of the files.
+    /// Folder of the recordings.
     pub dir: String,
     /// Seconds between flushes to disk.
     pub flush_s: f64,
@@ -135,7 +134,7 @@ pub struct Recording {
     pub max_bytes: u64,
     /// Age at which a file is closed, s.
     pub max_s: f64,
-    /// How raw samples are written: `json` or `columns`. Not part of [`Config::hash`]: replays are the same.
+    /// Form of raw samples: `json` or `columns`. Not part of [`Config::hash`], because replays are the same.
     #[serde(skip_serializing)]
     pub raw: String,
 }
@@ -143,34 +142,34 @@ pub struct Recording {
 /// `[web]`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Web {
-    /// Whether to serve at all.
+    /// Whether to serve HTTP.
     pub enabled: bool,
     /// Address and port; port 0 takes any free one.
     pub listen: String,
-    /// Whether `/metrics` has series of every loop. Like the next not part of [`Config::hash`].
+    /// Whether `/metrics` has series per loop. Like the next one not part of [`Config::hash`].
     #[serde(skip_serializing)]
     pub loop_series: bool,
-    /// Loops that have series at most.
+    /// Most loops with their own series.
     #[serde(skip_serializing)]
     pub max_loop_series: usize,
-    /// The page for people. Like all below not part of [`Config::hash`].
+    /// The web page. Like all below not part of [`Config::hash`].
     #[serde(skip_serializing)]
     pub page: Page,
 }
 
-/// Keys of `[web]` that are about the page.
+/// Keys of `[web]` for the page.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Page {
-    /// Whether there is one: `page`.
+    /// Whether the page is served: `page`.
     #[serde(rename = "page")]
     pub enabled: bool,
-    /// Whether files may be opened in it: `workbench`.
+    /// Whether files can be opened in it: `workbench`.
     pub workbench: bool,
-    /// Zone of the times that it shows: `time_zone`, an IANA name such as `Europe/Berlin`.
+    /// Time zone of displayed times: `time_zone`, an IANA name such as `Europe/Berlin`.
     pub time_zone: String,
-    /// File of the token that commands need from other machines: `token_file`; empty: none come from there.
+    /// File with the token that commands from other machines need: `token_file`; empty: none are accepted from there.
     pub token_file: String,
-    /// Names under which browsers may call it, beside its own address: `hosts`.
+    /// Host names accepted besides its own address: `hosts`.
     pub hosts: Vec<String>,
 }
 
@@ -187,17 +186,17 @@ pub struct LoopConfig {
     pub name: String,
     /// Foreign keys by signal.
     pub keys: Vec<(Signal, String)>,
-    /// Range of OP, so that sizes can be given in % of travel.
+    /// Range of OP, for sizes in % of travel.
     pub op_range: Option<[f64; 2]>,
-    /// What it controls, where the first letters of its name do not say so.
+    /// Controlled quantity, if the first letters of the name do not give it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub kind: Option<&'static str>,
-    /// How much the loop matters, 1 to 5.
+    /// Importance of the loop, 1 to 5.
     pub criticality: u8,
-    /// Part of the plant; empty: not said. Like the next two left out of [`Config::hash`] while nothing is said.
+    /// Plant area; empty: not given. Like the next two omitted from [`Config::hash`] while not given.
     #[serde(skip_serializing_if = "String::is_empty")]
     pub area: String,
-    /// The valve's name in the maintenance system.
+    /// Name of the valve in the maintenance system.
     #[serde(skip_serializing_if = "String::is_empty")]
     pub equipment: String,
     /// Unit of OP.
@@ -213,7 +212,7 @@ impl Config {
     /// Reads a configuration.
     ///
     /// # Errors
-    /// Every fault of syntax, type, range and meaning at once, in the order of the text.
+    /// All faults of syntax, type, range and meaning, in order of the text.
     pub fn parse(text: &str) -> Result<Self, Vec<Fault>> {
         let (root, syntax) = DeTable::parse_recoverable(text);
         let lines = &Lines::new(text);
@@ -278,7 +277,7 @@ impl Config {
         config
     }
 
-    /// A configuration with every default, for a prefix that is known to be sound.
+    /// A configuration with all defaults and a valid prefix.
     #[must_use]
     pub fn with_prefix(prefix: &str) -> Self {
         let mut faults = Vec::new();
@@ -288,7 +287,7 @@ impl Config {
         config
     }
 
-    /// SHA-256 over every setting (not over comments or order of the text), 16 hex digits.
+    /// SHA-256 over all settings (not comments or order of the text), 16 hex digits.
     #[must_use]
     pub fn hash(&self) -> String {
         let canonical = serde_json::to_vec(self).unwrap_or_default();
@@ -314,7 +313,7 @@ fn refuse_unknown_tables(lines: &Lines, root: &DeTable<'_>, faults: &mut Vec<Fau
             line: lines.of(key.span().start),
             key: key.get_ref().to_string(),
             message: "unknown table or key".to_owned(),
-            remedy: format!("known here: {}", known.join(", ")),
+            remedy: format!("valid names: {}", known.join(", ")),
         });
     }
 }
@@ -324,7 +323,7 @@ fn read_site(r: &mut TableReader<'_, '_>) -> Site {
     let prefix = match r.text("prefix") {
         Some((prefix, line)) => {
             if !is_loop_name(&prefix) {
-                r.refuse(line, "prefix", format!("{prefix:?} cannot start a key"), "write chunks such as plant1/area1");
+                r.refuse(line, "prefix", format!("{prefix:?} is not a valid prefix"), "write one such as plant1/area1");
             }
             prefix
         }
@@ -336,7 +335,7 @@ fn read_site(r: &mut TableReader<'_, '_>) -> Site {
     Site { prefix }
 }
 
-/// Starts of the endpoints that this build can open.
+/// Start of the endpoints that this build supports.
 const PROTOCOLS: [&str; 3] = ["tcp/", "tls/", "unixsock-stream/"];
 
 fn read_zenoh(r: &mut TableReader<'_, '_>) -> Zenoh {
@@ -373,7 +372,7 @@ fn read_window(r: &mut TableReader<'_, '_>, d: WindowParams) -> WindowParams {
     };
     if (1..LEAST_BYTES).contains(&w.max_bytes) {
         let line = r.line();
-        let said = format!("{} bytes hold no window", w.max_bytes);
+        let said = format!("{} bytes are too few for a window", w.max_bytes);
         r.refuse(line, "max_bytes", said, format!("write 0 or at least {LEAST_BYTES}"));
     } else if w.max_bytes > 0 {
         w.max_points = fitting(w.max_points, w.max_bytes)[0];
@@ -408,7 +407,7 @@ fn read_recording(r: &mut TableReader<'_, '_>) -> Recording {
     }
 }
 
-/// `[web] max_loop_series` where nothing is said: some eight series each, what a collector takes in one scrape at ease.
+/// Default of `[web] max_loop_series`: about eight series each, which a collector takes easily in one scrape.
 const MAX_LOOP_SERIES: u64 = 1000;
 
 fn read_web(r: &mut TableReader<'_, '_>) -> Web {
@@ -438,15 +437,15 @@ fn read_page(r: &mut TableReader<'_, '_>) -> Page {
             |part: &str| !part.is_empty() && part.chars().all(|c| c.is_ascii_alphanumeric() || "_+-".contains(c));
         if !name.split('/').all(word) {
             let remedy = "write a name such as Europe/Berlin, or UTC";
-            r.refuse(line, "time_zone", format!("{name:?} is no time zone"), remedy);
+            r.refuse(line, "time_zone", format!("{name:?} is not a time zone"), remedy);
         }
         time_zone = name;
     }
     let hosts = r.texts("hosts");
     for (host, line) in &hosts {
         if host.is_empty() || host.contains(['/', ' ', '@']) {
-            let remedy = "write a name as it stands in the browser's address, such as stiction.plant1.example";
-            r.refuse(*line, "hosts", format!("{host:?} is no host"), remedy);
+            let remedy = "write a host name as in the browser's address bar, such as stiction.plant1.example";
+            r.refuse(*line, "hosts", format!("{host:?} is not a host name"), remedy);
         }
     }
     Page {

@@ -1,16 +1,16 @@
-//! Reads a TOML table key by key, keeping every fault with its line instead of stopping at the first.
+//! Reads a TOML table key by key and collects every fault with its line, instead of stopping at the first.
 
 use std::fmt;
 
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
-/// One thing wrong with a configuration.
+/// A fault in a configuration.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Fault {
     /// Line in the text, from 1.
     pub line: usize,
-    /// Dotted key, empty for faults of syntax.
+    /// Dotted key; empty for syntax errors.
     pub key: String,
     /// What is wrong.
     pub message: String,
@@ -29,22 +29,22 @@ impl fmt::Display for Fault {
     }
 }
 
-/// Where the lines of a text begin: a configuration may hold a hundred thousand tables, and each asks for its line.
+/// Line starts of a text: a configuration may have a hundred thousand tables, each of which looks up its line.
 pub(super) struct Lines(Vec<usize>);
 
 impl Lines {
-    /// The lines of a text.
+    /// The line starts of a text.
     pub fn new(text: &str) -> Self {
         Self(text.bytes().enumerate().filter(|(_, byte)| *byte == b'\n').map(|(at, _)| at).collect())
     }
 
-    /// Line (from 1) of a byte offset.
+    /// Line (from 1) at a byte offset.
     pub fn of(&self, offset: usize) -> usize {
         self.0.partition_point(|end| *end < offset) + 1
     }
 }
 
-/// One table being read: each key asked for is known, every other is a fault when the table is closed.
+/// A table being read: each requested key is known; any other is a fault when the table is closed.
 pub(super) struct TableReader<'a, 'i> {
     lines: &'a Lines,
     section: String,
@@ -55,7 +55,7 @@ pub(super) struct TableReader<'a, 'i> {
 }
 
 impl<'a, 'i> TableReader<'a, 'i> {
-    /// Opens a table; `None` reads every default.
+    /// Opens a table; `None` gives all defaults.
     pub fn new(
         lines: &'a Lines,
         section: &str,
@@ -104,7 +104,7 @@ impl<'a, 'i> TableReader<'a, 'i> {
         number
     }
 
-    /// A whole number in `min..=max`.
+    /// An integer in `min..=max`.
     pub fn integer(&mut self, key: &'static str, default: u64, min: u64, max: u64) -> u64 {
         let Some((value, line)) = self.get(key) else { return default };
         let parsed = value.as_integer().and_then(|i| i64::from_str_radix(&i.as_str().replace('_', ""), i.radix()).ok());
@@ -135,7 +135,7 @@ impl<'a, 'i> TableReader<'a, 'i> {
         })
     }
 
-    /// Text; `None` where the key is absent.
+    /// Text; `None` if the key is absent.
     pub fn text(&mut self, key: &'static str) -> Option<(String, usize)> {
         let (value, line) = self.get(key)?;
         let Some(text) = value.as_str() else {
@@ -145,13 +145,18 @@ impl<'a, 'i> TableReader<'a, 'i> {
         Some((text.to_owned(), line))
     }
 
-    /// One of a few words.
+    /// One of several words.
     pub fn word(&mut self, key: &'static str, default: &str, allowed: &[&str]) -> String {
         match self.text(key) {
             None => default.to_owned(),
             Some((word, _)) if allowed.contains(&word.as_str()) => word,
             Some((word, line)) => {
-                self.fault(line, key, format!("{word:?} is not known"), format!("write one of {}", allowed.join(", ")));
+                self.fault(
+                    line,
+                    key,
+                    format!("{word:?} is not a valid value"),
+                    format!("write one of {}", allowed.join(", ")),
+                );
                 default.to_owned()
             }
         }
@@ -181,7 +186,7 @@ impl<'a, 'i> TableReader<'a, 'i> {
         None
     }
 
-    /// A table of texts by text.
+    /// A table from text to text.
     pub fn text_map(&mut self, key: &'static str) -> Vec<(String, String, usize)> {
         let Some((value, line)) = self.get(key) else { return Vec::new() };
         let Some(table) = value.as_table() else {
@@ -200,17 +205,17 @@ impl<'a, 'i> TableReader<'a, 'i> {
         pairs
     }
 
-    /// Adds a fault of meaning at the line of a value.
+    /// Adds a fault at the line of a value.
     pub fn refuse(&mut self, line: usize, key: &str, message: impl Into<String>, remedy: impl Into<String>) {
         self.fault(line, key, message.into(), remedy.into());
     }
 
-    /// Line of the table's head.
+    /// Line of the table's header.
     pub fn line(&self) -> usize {
         self.line
     }
 
-    /// Closes the table: every key that nobody asked for is a fault.
+    /// Closes the table: every key that was not requested is a fault.
     pub fn close(mut self) {
         let Some(table) = self.table else { return };
         let unknown: Vec<(String, usize)> = table
@@ -221,15 +226,15 @@ impl<'a, 'i> TableReader<'a, 'i> {
         for (key, line) in unknown {
             let nearest = nearest(&key, &self.known);
             let remedy = nearest.map_or_else(
-                || format!("known here: {}", self.known.join(", ")),
-                |near| format!("did you mean {near}? known here: {}", self.known.join(", ")),
+                || format!("valid keys: {}", self.known.join(", ")),
+                |near| format!("did you mean {near}? valid keys: {}", self.known.join(", ")),
             );
             self.fault(line, &key, "unknown key".into(), remedy);
         }
     }
 }
 
-/// The table under a key, with the line of its value; a fault where the key holds something else.
+/// The table under a key, with the line of its value; a fault if the value is not a table.
 pub(super) fn subtable<'a, 'i>(
     lines: &Lines,
     root: &'a DeTable<'i>,
@@ -250,7 +255,7 @@ pub(super) fn subtable<'a, 'i>(
     (table, line)
 }
 
-/// The tables of an array `[[key]]`, with their lines.
+/// The tables of an array `[[key]]` with their lines.
 pub(super) fn subtables<'a, 'i>(
     lines: &Lines,
     root: &'a DeTable<'i>,
@@ -290,7 +295,7 @@ fn article(noun: &str) -> &'static str {
     if noun.starts_with(['a', 'i', 'o']) { "an" } else { "a" }
 }
 
-/// The known key that differs least, if it is close enough to be a slip of the hand.
+/// The most similar known key, if it is similar enough to be a typing error.
 fn nearest(key: &str, known: &[&'static str]) -> Option<&'static str> {
     known.iter().map(|k| (edit_distance(key, k), *k)).filter(|(d, _)| *d <= 2).min().map(|(_, k)| k)
 }

@@ -1,5 +1,5 @@
-//! Several daemons on one plant: who this one is, and which loops are its own. None of it is part of the hash: whoever
-//! computes a window gives the same answer.
+//! Several daemons on one plant: the identity of this one, and which loops it watches. Not part of the hash, because every
+//! daemon gives the same answer for a window.
 
 use toml::de::DeTable;
 
@@ -9,16 +9,16 @@ use crate::ownership::Shard;
 /// `[daemon]`.
 #[derive(Debug, Clone, Default, PartialEq, Eq, serde::Serialize)]
 pub struct Daemon {
-    /// Its name in documents and topics; empty: that of its Zenoh session, another one at each start.
+    /// Name in documents and topics; empty: the id of its Zenoh session, new at each start.
     pub id: String,
 }
 
 /// `[shard]`: a fixed part of all loops.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 pub struct ShardKeys {
-    /// Which part, from 0.
+    /// Index of this part, from 0.
     pub index: u32,
-    /// How many there are; 1: this daemon has all loops.
+    /// Number of parts; 1: this daemon watches all loops.
     pub count: u32,
 }
 
@@ -86,7 +86,7 @@ pub fn is_id(text: &str) -> bool {
 fn read_chunk(r: &mut TableReader<'_, '_>, key: &'static str) -> String {
     let Some((text, line)) = r.text(key) else { return String::new() };
     if !is_id(&text) {
-        r.refuse(line, key, format!("{text:?} cannot stand in a key"), "write up to 64 letters, digits and . _ -");
+        r.refuse(line, key, format!("{text:?} is not a valid name"), "use up to 64 letters, digits and . _ -");
     }
     text
 }
@@ -102,7 +102,7 @@ pub(super) fn read_shard(r: &mut TableReader<'_, '_>) -> ShardKeys {
     let count = r.integer("count", d.count.into(), 1, most) as u32;
     if index >= count {
         let line = r.line();
-        r.refuse(line, "index", format!("{index} is not below count {count}"), "count parts from 0");
+        r.refuse(line, "index", format!("{index} must be less than count {count}"), "count parts from 0");
         return d;
     }
     ShardKeys { index, count }

@@ -1,39 +1,39 @@
-//! Settings of the daemon as a service: how long recordings are kept, and what people may ask for.
+//! Settings of the daemon as a service: retention of recordings, and accepted commands.
 
 use serde::Serialize;
 
 use super::reader::TableReader;
 
-/// `[retention]`: 0 is no limit.
+/// `[retention]`; 0 means no limit.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Retention {
-    /// Days for which raw samples are kept.
+    /// Days to keep raw samples.
     pub raw_days: f64,
-    /// Bytes of recordings with raw samples.
+    /// Most bytes of recordings with raw samples.
     pub raw_bytes: u64,
-    /// Days for which results are kept.
+    /// Days to keep results.
     pub results_days: f64,
-    /// Bytes of recordings of results alone.
+    /// Most bytes of recordings with results only.
     pub results_bytes: u64,
 }
 
 /// `[commands]`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Commands {
-    /// Whether any is taken.
+    /// Whether commands are accepted.
     pub enabled: bool,
-    /// Commands on alarms a minute, of all loops together.
+    /// Alarm commands per minute, over all loops.
     pub per_minute: u32,
-    /// Gap diagnoses an hour that people may ask for.
+    /// Requested gap diagnoses per hour.
     pub runs_per_hour: u32,
-    /// Who alone may send them, as `cn:NAME` of a certificate or `user:NAME`; empty: whoever reaches the daemon.
+    /// Who may send commands, as `cn:NAME` of a certificate or `user:NAME`; empty: anyone who reaches the daemon.
     pub principals: Vec<String>,
 }
 
 /// `[signing]`.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct Signing {
-    /// File of the private key; empty: documents are not signed.
+    /// File with the private key; empty: documents are not signed.
     pub key_file: String,
 }
 
@@ -71,7 +71,7 @@ pub(super) fn read_commands(r: &mut TableReader<'_, '_>) -> Commands {
         let named = ["cn:", "user:"].iter().any(|kind| name.strip_prefix(kind).is_some_and(|n| !n.trim().is_empty()));
         if !named {
             let remedy = "write \"cn:NAME\" for a certificate's common name, or \"user:NAME\"";
-            r.refuse(*line, "principals", format!("{name:?} is no principal"), remedy);
+            r.refuse(*line, "principals", format!("{name:?} is not a principal"), remedy);
         }
     }
     Commands {
