@@ -21,7 +21,7 @@ use stiction_monitor::analysis::{self, Answer, Cut, Estimated, Points, Scored, S
 /// An estimate's document, and what it says in words; both JSON.
 pub type Told = (String, String);
 
-/// What is asked of every loop.
+/// Options for every loop.
 struct Settings {
     section: Section,
     cut: Cut,
@@ -29,7 +29,7 @@ struct Settings {
     score: Option<ModelFile>,
 }
 
-/// What a fit is told of a loop of this name.
+/// Fit options of a loop of this name.
 fn params_of(name: &str, fit: &Fit) -> PyResult<AssessParams> {
     let settings = config().loop_settings(name);
     fit.over(&settings.assess)
@@ -59,7 +59,7 @@ fn settings(look: &Look, fit: &Fit, score: Option<&str>) -> PyResult<Settings> {
     Ok(Settings { section, cut, solver: fit.solver()?, score })
 }
 
-/// One loop from samples to document, as the command line goes.
+/// One loop from samples to document, as on the command line.
 fn one(
     name: &str,
     samples: Result<(Vec<Sample>, Vec<String>), String>,
@@ -102,8 +102,8 @@ fn solved(asked: Asked, found: &Estimated) -> Option<SolverDocument> {
     Some(solver::document(name, &solved, &mut surface, &asked.settings, &found.assessment, own, elapsed_ms))
 }
 
-/// One estimate a loop, on threads. Loop `k` has the rows `ends[k - 1]` to `ends[k]`; each gives its document, or why there
-/// is none.
+/// One estimate per loop, on threads. Loop `k` has the rows `ends[k - 1]` to `ends[k]`; each gives its document, or the
+/// reason why there is none.
 #[pyfunction]
 #[allow(clippy::too_many_arguments)] // called by one place, which has them by name
 pub fn assess_many(
@@ -131,7 +131,7 @@ pub fn assess_many(
             let answer = || one(&names[at], samples(), &settings, params[at].clone());
             // One loop's fault is that loop's.
             let answer = catch_unwind(AssertUnwindSafe(answer))
-                .unwrap_or_else(|_| Err(format!("{}: a fault inside stiction; please report it", names[at])));
+                .unwrap_or_else(|_| Err(format!("{}: internal error in stiction; please report it", names[at])));
             if let Ok(mut place) = answers[at].lock() {
                 *place = Some(answer);
             }
@@ -151,7 +151,7 @@ fn split(answer: Result<Told, String>) -> (Option<Told>, Option<String>) {
     }
 }
 
-/// Whether the daemon would let the record go as that of a calm loop.
+/// Whether the daemon would skip the record as that of a calm loop.
 #[pyfunction]
 pub fn screen(py: Python<'_>, name: &str, columns: Handed, look: Look) -> PyResult<bool> {
     let columns = columns.read()?;

@@ -1,4 +1,4 @@
-//! Columns of numbers to samples, by the rule by which tables are read.
+//! Columns of numbers to samples, by the same rules as tables.
 
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
@@ -13,7 +13,7 @@ fn words(bytes: &[u8]) -> impl Iterator<Item = [u8; 8]> + '_ {
     bytes.as_chunks::<8>().0.iter().copied()
 }
 
-/// A column of doubles; NaN where there is nothing.
+/// A column of doubles; NaN if missing.
 #[derive(Debug, Clone)]
 pub struct Numbers(pub Vec<f64>);
 
@@ -26,7 +26,7 @@ impl<'py> FromPyObject<'_, 'py> for Numbers {
     }
 }
 
-/// Stamps as they were handed over.
+/// Timestamps as given.
 pub enum Stamps {
     /// Nanoseconds since 1970.
     Ns(Vec<i64>),
@@ -48,7 +48,7 @@ impl<'py> FromPyObject<'_, 'py> for Stamps {
 }
 
 impl Stamps {
-    /// In ns since 1970. Seconds go by way of their shortest text, so that 0.1 is what a table's 0.1 is.
+    /// In ns since 1970. Seconds are converted by their shortest text, so that 0.1 equals a table's 0.1.
     fn read(self) -> PyResult<Vec<i64>> {
         let stamp = |(row, seconds): (usize, f64)| {
             let told = |e| refused("t", format!("row {row}: {e}; drop the row"));
@@ -61,7 +61,7 @@ impl Stamps {
     }
 }
 
-/// The columns of one loop, or of several one behind the other; all of one length.
+/// The columns of one loop, or of several in sequence; all of equal length.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
 pub struct Handed {
@@ -74,10 +74,10 @@ pub struct Handed {
 }
 
 impl Handed {
-    /// The columns with their stamps read.
+    /// Parses the timestamps.
     ///
     /// # Errors
-    /// A stamp that is no time.
+    /// A stamp that is not a time.
     pub fn read(self) -> PyResult<Columns> {
         let Self { t, op, pv, sp, mv, mode } = self;
         Ok(Columns { t_ns: t.read()?, op, pv, sp, mv, mode })
@@ -86,18 +86,18 @@ impl Handed {
 
 /// The columns, ready for use.
 pub struct Columns {
-    /// Stamps, ns since 1970.
+    /// Timestamps, ns since 1970.
     t_ns: Vec<i64>,
     op: Numbers,
     pv: Numbers,
     sp: Option<Numbers>,
     mv: Option<Numbers>,
-    /// A word or a number as text; `None` where nothing is said.
+    /// A word or a number as text; `None` if missing.
     mode: Option<Vec<Option<String>>>,
 }
 
 impl Columns {
-    /// The samples of the rows from `from` up to `to`.
+    /// The samples of the rows `from` to `to`, excluding `to`.
     pub fn samples(&self, from: usize, to: usize) -> Joined {
         let mut rows = Rows::default();
         let number = |column: &Numbers, row: usize| {
@@ -137,19 +137,17 @@ pub fn bytes_of(py: Python<'_>, numbers: impl Iterator<Item = f64>) -> Bound<'_,
     PyBytes::new(py, &numbers.flat_map(f64::to_le_bytes).collect::<Vec<u8>>())
 }
 
-/// Stamps as bytes, for Python.
+/// Timestamps as bytes, for Python.
 pub fn stamps_of(py: Python<'_>, stamps: impl Iterator<Item = i64>) -> Bound<'_, PyBytes> {
     PyBytes::new(py, &stamps.flat_map(i64::to_le_bytes).collect::<Vec<u8>>())
 }
 
-/// The samples, if there are as many as a fit must have; as the command line counts them.
+/// The samples, if there are enough for a fit, counted as on the command line.
 pub fn enough(joined: Joined) -> Result<(Vec<Sample>, Vec<String>), String> {
     let needed = stiction_monitor::analysis::MIN_SAMPLES;
     let there = stiction_monitor::analysis::usable(&joined.samples);
     if there < needed {
-        return Err(format!(
-            "{there} usable samples, {needed} with both OP and PV are needed; hand in a longer record"
-        ));
+        return Err(format!("{there} usable samples, {needed} with both OP and PV are needed; give a longer record"));
     }
     Ok((joined.samples, joined.warnings))
 }

@@ -16,7 +16,7 @@ use stiction_monitor::analysis::Points;
 use stiction_monitor::analysis::gap::{BaseChoice, GapSettings, diagnose as diagnosed, record};
 use stiction_monitor::analysis::predictions::{Row, rows};
 
-/// What is asked.
+/// Options.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
 pub struct Asked {
@@ -40,7 +40,7 @@ impl Asked {
             return Err(refused("without", GapError::UnknownEffect { id: id.clone(), known }));
         }
         if let Some(budget) = self.budget_s.filter(|s| !(s.is_finite() && *s > 0.0)) {
-            return Err(refused("budget_s", format!("{budget} is no time; give seconds above 0")));
+            return Err(refused("budget_s", format!("{budget} is not a time; give seconds above 0")));
         }
         Ok(GapSettings {
             base,
@@ -52,7 +52,7 @@ impl Asked {
     }
 }
 
-/// Threads and a clock for a search that knows neither; ends when its time is up or the caller has gone.
+/// Threads and a clock for the search; stops it when its time is up or the caller is gone.
 struct Threads<'w> {
     threads: usize,
     until: Option<Instant>,

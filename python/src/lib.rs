@@ -1,10 +1,10 @@
-//! The native half of the Python package `stiction`. It takes columns as bytes and options as dictionaries, which
-//! `stiction/__init__.py` makes of whatever a caller has, and answers with the documents of the command line as JSON.
+//! The native half of the Python package `stiction`. It takes columns as bytes and options as dictionaries from
+//! `stiction/__init__.py`, and returns the documents of the command line as JSON.
 //!
 //! | file | |
 //! |---|---|
 //! | `columns.rs` | bytes to samples |
-//! | `options.rs` | words and numbers to what a fit is told |
+//! | `options.rs` | words and numbers to fit options |
 //! | `supervise.rs` | work on threads without Python's lock, watched for Ctrl-C and progress |
 //! | `assess.rs`, `windows.rs`, `diagnose.rs`, `repair.rs`, `simulate.rs` | the functions |
 
@@ -25,7 +25,7 @@ create_exception!(
     stiction,
     StictionError,
     PyValueError,
-    "What was handed over cannot be used; the message says the remedy."
+    "Unusable input; the message names the argument and the remedy."
 );
 
 /// An error that names the argument and the remedy.
@@ -33,7 +33,7 @@ fn refused(argument: &str, why: impl core::fmt::Display) -> PyErr {
     StictionError::new_err(format!("{argument}: {why}"))
 }
 
-/// Native functions of the package `stiction`; use that.
+/// Native functions of the package `stiction`; use the package instead.
 #[pymodule]
 mod _stiction {
     #[pymodule_export]

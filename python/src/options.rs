@@ -1,4 +1,4 @@
-//! Words and numbers of Python to what a fit is told; each fault names its argument and the remedy.
+//! Python words and numbers to fit options; each fault names its argument and the remedy.
 
 use pyo3::prelude::*;
 
@@ -10,7 +10,7 @@ use stiction::verdict::{AssessParams, ModelChoice, ValveChoice};
 use stiction_monitor::analysis::{self, Cut, Detrend, Section, delay_choice};
 use stiction_monitor::config::Config;
 
-/// What is looked at: the same for every function.
+/// Section and density: the same for every function.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
 pub struct Look {
@@ -21,7 +21,7 @@ pub struct Look {
     detrend: Option<String>,
 }
 
-/// What the fit is told.
+/// Fit options.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
 pub struct Fit {
@@ -36,21 +36,21 @@ pub struct Fit {
     seed: u64,
 }
 
-/// The one of some names that was written.
+/// The named value among the valid ones.
 fn one_of<T>(argument: &str, written: &str, known: &[(&str, T)]) -> PyResult<T>
 where
     T: Copy,
 {
     let names = || known.iter().map(|(name, _)| format!("{name:?}")).collect::<Vec<_>>().join(", ");
     let found = known.iter().find(|(name, _)| *name == written).map(|(_, value)| *value);
-    found.ok_or_else(|| refused(argument, format!("{written:?} is not known; write one of {}", names())))
+    found.ok_or_else(|| refused(argument, format!("{written:?} is not a valid value; write one of {}", names())))
 }
 
 impl Look {
     /// The section and its density.
     pub fn read(&self) -> PyResult<(Section, Cut)> {
         let section = match (&self.samples, &self.window) {
-            (Some(_), Some(_)) => return Err(refused("samples", "and window both choose a section; give one of them")),
+            (Some(_), Some(_)) => return Err(refused("samples", "and window both select a section; give one of them")),
             (Some((start, end)), None) => Section::of_samples(*start, *end).map_err(|e| refused("samples", e))?,
             (None, Some((from, to))) => {
                 Section::of_times(stamp("window", from)?, stamp("window", to)?).map_err(|e| refused("window", e))?
@@ -58,7 +58,10 @@ impl Look {
             (None, None) => Section::Whole,
         };
         if let Some(ratio) = self.downsample.filter(|ratio| !(ratio.is_finite() && *ratio > 1.0)) {
-            return Err(refused("downsample", format!("{ratio} is no ratio; give a number above 1, such as 2 or 2.5")));
+            return Err(refused(
+                "downsample",
+                format!("{ratio} is not a ratio; give a number above 1, such as 2 or 2.5"),
+            ));
         }
         if self.downsample_like_toolbox && self.downsample.is_none() {
             return Err(refused("downsample_like_toolbox", "needs downsample, the ratio"));
@@ -70,7 +73,7 @@ impl Look {
     }
 }
 
-/// A time as the command line writes it.
+/// A time in the command line's format.
 pub fn stamp(argument: &str, text: &str) -> PyResult<i64> {
     let read = match text.strip_suffix("ns") {
         Some(ns) => ns.parse::<i64>().map_err(|_| format!("{text:?} is not a whole number of ns")),
@@ -79,17 +82,17 @@ pub fn stamp(argument: &str, text: &str) -> PyResult<i64> {
     read.map_err(|e| refused(argument, e))
 }
 
-/// A solver to compare with.
+/// An additional solver.
 #[derive(Debug, Clone, Copy)]
 pub struct Asked {
     /// Which.
     pub solver: SolverName,
-    /// Models it may try, step of its grid, seed.
+    /// Most models, grid step, seed.
     pub settings: Settings,
 }
 
 impl Fit {
-    /// What is told over a loop's own settings.
+    /// Options that override a loop's settings.
     pub fn over(&self, own: &AssessParams) -> PyResult<AssessParams> {
         let delay = delay_choice(&self.delay).map_err(|e| refused("delay", e))?;
         if let Some((low, high)) =
@@ -98,7 +101,7 @@ impl Fit {
             return Err(refused("op_range", format!("({low}, {high}) is empty; give (low, high), such as (0, 100)")));
         }
         if !(0.5..=50.0).contains(&self.fineness_pct) {
-            return Err(refused("fineness_pct", format!("{} is no step; give 0.5 to 50 %", self.fineness_pct)));
+            return Err(refused("fineness_pct", format!("{} is not a step; give 0.5 to 50 %", self.fineness_pct)));
         }
         let asked = analysis::Asked {
             model: one_of("model", &self.model, &ModelChoice::ALL)?,
@@ -115,7 +118,7 @@ impl Fit {
         Ok(params)
     }
 
-    /// The solver that was asked for.
+    /// The requested solver.
     pub fn solver(&self) -> PyResult<Option<Asked>> {
         if !(1..=10_000_000).contains(&self.evaluations) {
             let why = format!("{} is out of range; give 1 to 10000000, such as {BUDGET}", self.evaluations);
@@ -128,7 +131,7 @@ impl Fit {
     }
 }
 
-/// The configuration of whatever says none, as for tables on the command line.
+/// The default configuration, as for tables on the command line.
 pub fn config() -> Config {
     Config::with_prefix("plant")
 }

@@ -10,7 +10,7 @@ use stiction::repair::{RepairParams, repair as simulated};
 use stiction::verdict::{AssessParams, assess};
 use stiction_monitor::analysis::Points;
 
-/// What a repair buys; JSON.
+/// Benefit of a repair; JSON.
 #[pyfunction]
 pub fn repair(py: Python<'_>, name: &str, columns: Handed, look: Look, fit: Fit) -> PyResult<String> {
     let columns = columns.read()?;

@@ -13,7 +13,7 @@ use stiction::units::ns_from_s;
 /// A loop: name, truth, sampling time (s), and the columns t (ns), op, pv, sp, mv.
 type Loop<'py> = (String, String, f64, [Bound<'py, PyBytes>; 5]);
 
-/// Every loop of a scenario, which is TOML or, with `json`, the same as JSON.
+/// Every loop of a scenario in TOML or, with `json`, in JSON.
 #[pyfunction]
 pub fn simulate<'py>(py: Python<'py>, scenario: &str, json: bool) -> PyResult<Vec<Loop<'py>>> {
     let text = if json { toml_of(scenario)? } else { scenario.to_owned() };

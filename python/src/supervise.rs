@@ -1,5 +1,5 @@
-//! Work on threads without Python's lock. The calling thread waits, tells the progress and hears Ctrl-C; after an
-//! interruption the work is told to stop and nobody waits for it.
+//! Work on threads without Python's lock. The calling thread waits, reports progress and handles Ctrl-C; after an
+//! interruption the work is asked to stop and not waited for.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, sync_channel};
@@ -9,10 +9,10 @@ use std::time::Duration;
 use pyo3::exceptions::PyRuntimeError;
 use pyo3::prelude::*;
 
-/// How often Ctrl-C and the progress are looked at.
+/// How often Ctrl-C and progress are checked.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// What the work says of itself, and whether it is to stop.
+/// Progress of the work, and whether it should stop.
 #[derive(Debug, Default)]
 pub struct Watch {
     stop: AtomicBool,
@@ -21,31 +21,31 @@ pub struct Watch {
 }
 
 impl Watch {
-    /// Whether the caller has gone.
+    /// Whether the caller is gone.
     pub fn stopped(&self) -> bool {
         self.stop.load(Ordering::Relaxed)
     }
 
-    /// So much will be done.
+    /// Sets the total.
     pub fn expect(&self, total: u64) {
         self.total.store(total, Ordering::Relaxed);
     }
 
-    /// So much is done.
+    /// Sets the amount done.
     pub fn reached(&self, done: u64) {
         self.done.store(done, Ordering::Relaxed);
     }
 
-    /// One more is done.
+    /// Adds one to the amount done.
     pub fn one_more(&self) {
         self.done.fetch_add(1, Ordering::Relaxed);
     }
 }
 
-/// Does the work on a thread of its own.
+/// Runs the work on its own thread.
 ///
 /// # Errors
-/// What Ctrl-C or `progress` raised; a fault of ours in the work.
+/// An exception of Ctrl-C or `progress`; an internal error.
 pub fn supervised<R: Send + 'static>(
     py: Python<'_>,
     progress: Option<&Py<PyAny>>,
@@ -78,7 +78,7 @@ pub fn supervised<R: Send + 'static>(
                 return Ok(answer);
             }
             Err(RecvTimeoutError::Disconnected) => {
-                return Err(PyRuntimeError::new_err("a fault inside stiction; please report it with the record"));
+                return Err(PyRuntimeError::new_err("internal error in stiction; please report it with the record"));
             }
             Err(RecvTimeoutError::Timeout) => {
                 if let Err(raised) = py.check_signals().and_then(|()| tell(py)) {
@@ -90,7 +90,7 @@ pub fn supervised<R: Send + 'static>(
     }
 }
 
-/// Runs `job(0)` to `job(jobs - 1)` on so many threads, and returns when all are done.
+/// Runs `job(0)` to `job(jobs - 1)` on this many threads and waits for all.
 pub fn on_threads(threads: usize, jobs: usize, job: &(dyn Fn(usize) + Sync)) {
     let next = AtomicUsize::new(0);
     let share = || {
@@ -111,7 +111,7 @@ pub fn on_threads(threads: usize, jobs: usize, job: &(dyn Fn(usize) + Sync)) {
     });
 }
 
-/// As many threads as asked for, else as there are cores.
+/// The requested number of threads, or one per core.
 pub fn threads(asked: Option<usize>) -> usize {
     asked.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, std::num::NonZero::get)).max(1)
 }

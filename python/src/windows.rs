@@ -17,7 +17,7 @@ use stiction_monitor::analysis::{Answer, Due, Section, Taken};
 use stiction_monitor::config::Config;
 use stiction_monitor::engine::Request;
 
-/// Windows that wait for a fit, a thread: what they hold is then let go.
+/// Windows waiting for a fit, per thread; their data are freed after it.
 const WAITING: usize = 8;
 
 /// Which windows.
@@ -47,7 +47,7 @@ impl Watched {
         Config::parse(&table).map_err(told("hop_s"))
     }
 
-    /// The ends of windows that are wanted, ns since 1970.
+    /// The ends of the requested windows, ns since 1970.
     fn ends(&self) -> PyResult<RangeInclusive<i64>> {
         let Some((after, until)) = &self.ends else { return Ok(i64::MIN..=i64::MAX) };
         Ok(stamp("ends", after)?.saturating_add(1)..=stamp("ends", until)?)
@@ -102,7 +102,7 @@ pub fn assess_windows(
     supervised(py, progress.as_ref(), work)?.map_err(StictionError::new_err)
 }
 
-/// A window's document, and what it says in words.
+/// A window's document, and its words.
 fn one(name: &str, hash: &str, request: &Request, notes: &[String]) -> Result<Told, String> {
     let answer = Answer {
         document: EstimateDocument::new(name, hash, request.compute()),
@@ -115,7 +115,7 @@ fn one(name: &str, hash: &str, request: &Request, notes: &[String]) -> Result<To
     Ok((document, said(&answer, request.settings.assess.op_range, notes)))
 }
 
-/// What many windows of one valve say together; both JSON.
+/// The combined result of many windows of one valve; both JSON.
 #[pyfunction]
 pub fn over_time(py: Python<'_>, windows: &str) -> PyResult<String> {
     let windows: Vec<WindowResult> = serde_json::from_str(windows).map_err(|e| refused("windows", e))?;

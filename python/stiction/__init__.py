@@ -1,7 +1,7 @@
-"""Valve stiction from routine data of a control loop.
+"""Detect and measure valve stiction in routine data of a control loop.
 
-OP is the controller output, the signal sent to the valve, in any unit, mostly %; PV the process variable. Sizes come out
-in OP's units, times in seconds. The numbers are those of the command `stictiond`, to the bit.
+OP is the controller output (the signal to the valve, usually in %), PV the process variable. Sizes are in OP units,
+times in seconds. The numbers are identical to those of the command `stictiond`.
 
 >>> import stiction
 >>> loop = stiction.simulate({
@@ -106,7 +106,7 @@ def _fit(
     try:
         ends = None if op_range is None else (float(op_range[0]), float(op_range[1]))
     except (TypeError, ValueError, IndexError):
-        raise _arrays.refused("op_range", f"{op_range!r} is no pair of numbers; give (low, high)") from None
+        raise _arrays.refused("op_range", f"{op_range!r} is not a pair of numbers; give (low, high)") from None
     return {
         "op_range": ends,
         "kind": None if kind is None else str(kind),
@@ -126,11 +126,11 @@ def _model(argument: str, given: Given | None) -> str | None:
     if isinstance(given, (Assessment, Gap)):
         return given.to_json()
     if not isinstance(given, Mapping):
-        raise _arrays.refused(argument, f"{given!r} is no model; give a result, or a document as a dict")
+        raise _arrays.refused(argument, f"{given!r} is not a model; give a result, or a document as a dict")
     try:
         return json.dumps(given)
     except (TypeError, ValueError) as why:
-        raise _arrays.refused(argument, f"is no document ({why}); give what to_dict() gave") from None
+        raise _arrays.refused(argument, f"is not a document ({why}); give the result of to_dict()") from None
 
 
 def assess(
@@ -159,21 +159,21 @@ def assess(
     detrend: Detrend | None = None,
     score: Given | None = None,
 ) -> Assessment:
-    """Whether the valve of a loop sticks, and how much; as `stictiond analyze`.
+    """Assess whether the valve of a loop sticks, and how much, as `stictiond analyze` does.
 
-    op, pv: controller output and process variable, one number a sample; NaN where there is none.
-    ts_s: seconds between samples; or t: their times, seconds since 1970 or datetime64 (UTC unless a zone says else).
+    op, pv: controller output and process variable, one number per sample; NaN if missing.
+    ts_s: seconds between samples; or t: their times, seconds since 1970 or datetime64 (UTC if without a zone).
     sp, mv, mode: set point (PV units), measured valve position, controller mode (`auto`, `manual`, `cascade`).
-    name: the loop's tag; FIC101 tells a flow loop, unless `kind` does.
-    op_range: OP's whole range, such as (0, 100), so that `severity_by_range` is told.
+    name: the loop's tag. FIC101 implies a flow loop, unless `kind` is given.
+    op_range: the full range of OP, such as (0, 100); needed for `severity_by_range`.
     model: order of the process, `fopdt` or `sopdt`. delay: dead time, samples (3) or seconds ("12s").
-    valve: law of friction. solver: also set this one on the error surface (`solver` in `to_dict()`), with
-    `evaluations` models, a grid of `fineness_pct` % of OP's span. seed: of every random choice.
-    samples: only these, (50, 500) counts from 1, ends included. window: only between two times.
-    downsample: one point for every so many samples. detrend: take this away from PV and SP first.
-    score: a model from elsewhere, to be run over the record (`scored` in `to_dict()`).
+    valve: valve model. solver: also run this solver on the error surface (`solver` in `to_dict()`), with at most
+    `evaluations` models and a grid of `fineness_pct` % of OP's span. seed: for all random choices.
+    samples: range to use, such as (50, 500), counted from 1, both ends included. window: two times to use between.
+    downsample: samples per point. detrend: trend to remove from PV and SP first.
+    score: another model to run over the record (`scored` in `to_dict()`).
 
-    Raises StictionError where something cannot be used, such as under 30 samples.
+    Raises StictionError for unusable input, such as fewer than 30 samples.
 
     >>> import numpy as np
     >>> assess(np.arange(900) % 90, (np.arange(900) + 30) % 90, 1.0).loop
@@ -214,15 +214,15 @@ def assess_many(
     downsample_like_toolbox: bool = False,
     detrend: Detrend | None = None,
 ) -> list[Assessment | Failure]:
-    """Every loop of a long table, on all cores; results in the order in which loops first appear.
+    """Assess every loop of a long table on all cores. Results are in order of first appearance.
 
-    table: a DataFrame (pandas, polars), a dict of arrays, a structured array or an Arrow table with a row a sample.
-    loop, t, op, pv, sp, mv, mode: names of its columns; the last three may be absent, `t` too where ts_s is given
-    (seconds between a loop's samples). threads: how many, else as many as cores; no number depends on it.
-    progress: called with (loops done, loops) by the thread that called; what it raises ends the work.
-    The rest is told every loop, see `assess`.
+    table: a DataFrame (pandas, polars), a dict of arrays, a structured array or an Arrow table with one row per sample.
+    loop, t, op, pv, sp, mv, mode: names of its columns. The last three are optional, and `t` if ts_s is given (seconds
+    between a loop's samples). threads: number of threads [one per core]; the results do not depend on it.
+    progress: called with (loops done, loops) in the calling thread; an exception in it stops the work.
+    The other arguments apply to every loop, see `assess`.
 
-    A loop that cannot be assessed gives a `Failure`, not an exception. Ctrl-C ends it.
+    A loop that cannot be assessed gives a `Failure`, not an exception. Ctrl-C stops the work.
 
     >>> import numpy as np
     >>> n = np.arange(600)
@@ -233,7 +233,7 @@ def assess_many(
     opened, names = _arrays.open_table(table)
     for argument, wanted in (("op", op), ("pv", pv)) + ((("t", t),) if ts_s is None else ()):
         if wanted not in names:
-            why = f'the table has no column {wanted!r}, but {", ".join(names)}; name it by {argument}="..."'
+            why = f'the table has no column {wanted!r}; name one of {", ".join(names)} with {argument}="..."'
             raise _arrays.refused(argument, why)
 
     def column(wanted: str) -> Any:
@@ -287,18 +287,18 @@ def assess_windows(
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> list[Assessment]:
-    """Every window of a long record, oldest first, as the daemon beside the plant would have cut and judged it.
+    """Assess every window of a long record, oldest first, cut as the daemon does.
 
     Arguments as for `assess`, and:
-    hop_s: windows end at whole multiples of it since 1970 (600 s). max_window_s: the longest window (a week).
-    config: text of a daemon's configuration (`config/monitor.toml`) instead of these two, of which `[window]` and the
-    loop's own `[[loop]]` count.
-    ends: (after, until), only windows that end behind the first and not behind the second; those before are not judged.
-    threads: how many, else as many as cores; no number depends on it.
-    progress: called with (samples taken, samples) by the thread that called; what it raises ends the work.
+    hop_s: windows end at multiples of it since 1970, s [600]. max_window_s: longest window, s [a week].
+    config: text of a daemon configuration (as `config/monitor.toml`) instead of these two; its `[window]` and the
+    loop's `[[loop]]` are used.
+    ends: (after, until), only windows that end after the first time and not after the second; others are not judged.
+    threads: number of threads [one per core]; the results do not depend on it.
+    progress: called with (samples taken, samples) in the calling thread; an exception in it stops the work.
 
-    A window is due once a sample has come that lies behind its end by the lateness allowed (5 s); a record that ends
-    before has no such window. Documents are, to the byte, those that `stictiond replay` makes of the same samples.
+    A window is due once a sample arrives that is later than its end by the allowed lateness (5 s); a record that ends
+    earlier does not have that window. The documents are byte-identical to those of `stictiond replay`.
 
     >>> import numpy as np
     >>> found = assess_windows(np.arange(900) % 90, (np.arange(900) + 30) % 90, 1.0, hop_s=300)
@@ -307,7 +307,7 @@ def assess_windows(
     """
     columns = _arrays.columns(op, pv, ts_s, t, sp, mv, mode)
     if config is not None and (hop_s, max_window_s) != (None, None):
-        raise _arrays.refused("config", "holds hop_s and max_window_s itself; write them into it")
+        raise _arrays.refused("config", "already contains hop_s and max_window_s; set them there")
     watched = {
         "config": None if config is None else str(config),
         "hop_s": None if hop_s is None else _arrays.positive("hop_s", hop_s),
@@ -319,11 +319,11 @@ def assess_windows(
 
 
 def over_time(windows: Iterable[Window]) -> OverTime:
-    """Many windows of one valve together: size since it last changed, when that was, which windows disagree.
+    """Combine many windows of one valve: size since its last change, the date of that change, windows that disagree.
 
     windows: results of `assess_windows`, or documents of estimates as dicts (from a recording or a table), in any order.
 
-    Returns a dict, see `OverTime`; `sentences` say the same in words.
+    Returns a dict, see `OverTime`; `sentences` has the same in words.
 
     >>> hour = 3_600_000_000_000
     >>> seen = [{"start_ns": k * hour, "end_ns": (k + 1) * hour, "stiction": True, "s": s, "s_interval": [0.9 * s, 1.1 * s]}
@@ -351,13 +351,13 @@ def repair(
     samples: tuple[int, int] | None = None,
     window: tuple[Any, Any] | None = None,
 ) -> Repair:
-    """What a repair of the valve buys: the closed loop simulated as it is, without stiction, with half the gain.
+    """Estimate the benefit of a valve repair: simulate the closed loop as it is, without stiction, with half the gain.
 
-    Arguments as for `assess`; op_range also bounds OP in the simulation. The loop is what one record tells, so give a
-    window of it.
+    Arguments as for `assess`; op_range also limits OP in the simulation. The loop is identified from the record, so choose a
+    representative window.
 
-    Returns a dict, see `Repair`; `sentences` say the same in words, `assumptions` what was taken for granted.
-    Raises StictionError where the loop cannot be simulated, or the simulation not be trusted; the message says why.
+    Returns a dict, see `Repair`; `sentences` has the same in words, `assumptions` lists the assumptions.
+    Raises StictionError if the loop cannot be simulated or the simulation is not reliable; the message says why.
     """
     columns = _arrays.columns(op, pv, ts_s, t, sp, mv, mode)
     look = _arrays.look(samples, window, None, False, None)
@@ -378,9 +378,9 @@ def screen(
     samples: tuple[int, int] | None = None,
     window: tuple[Any, Any] | None = None,
 ) -> bool:
-    """Whether the loop is so calm that the daemon lets it go at once, without a fit: under a millisecond.
+    """Return True if the loop is so calm that the daemon skips it without a fit. Takes less than a millisecond.
 
-    False says only that a look is worth it. Arguments as for `assess`.
+    False only means that the loop needs a fit. Arguments as for `assess`.
 
     >>> import numpy as np
     >>> noise = np.random.default_rng(1).normal(size=(2, 1000))
@@ -414,22 +414,21 @@ def diagnose(
     downsample_like_toolbox: bool = False,
     detrend: Detrend | None = None,
 ) -> Gap:
-    """What a loop's model leaves unexplained, and which effect causes it; as `stictiond gap`.
+    """Find what a loop's model does not explain and which effect causes it, as `stictiond gap` does.
 
     Arguments as for `assess`, and:
-    base: the model that the gap is measured from: `refit` (a sticking valve and a first-order process), `linear`
-    (without friction), or one from elsewhere: a result of `assess` or `diagnose`, or its document.
-    without: effects that are not tried. pairs: try two at once also where one alone explains the record. budget_s:
-    seconds for the search, else some 5 on two cores at most; a search that its time ends is not repeatable. progress:
-    called with (models tried, models at most) by the thread that called; what it raises ends the search, and so does
-    Ctrl-C.
+    base: the base model: `refit` (a sticking valve and a first-order process), `linear` (no friction), or a given one:
+    a result of `assess` or `diagnose`, or its document.
+    without: effects to exclude. pairs: also search pairs of effects when one explains the record. budget_s: time for the
+    search, s [about 5 on two cores]; a search that runs out of time is not repeatable. progress: called with (models
+    tried, most models) in the calling thread; an exception in it, or Ctrl-C, stops the search.
     """
     columns = _arrays.columns(op, pv, ts_s, t, sp, mv, mode)
     look = _arrays.look(samples, window, downsample, downsample_like_toolbox, detrend)
     if isinstance(base, str) and base not in ("refit", "linear"):
-        raise _arrays.refused("base", f'{base!r} is not known; give "refit", "linear", a result or a document')
+        raise _arrays.refused("base", f'{base!r} is not a valid value; give "refit", "linear", a result or a document')
     if isinstance(without, str):
-        raise _arrays.refused("without", f"{without!r} is one text; give a list of effects, such as [{without!r}]")
+        raise _arrays.refused("without", f"{without!r} is a string; give a list of effects, such as [{without!r}]")
     asked = {
         "base": base if isinstance(base, str) else _model("base", base),
         "without": [str(effect) for effect in without],
@@ -442,7 +441,7 @@ def diagnose(
 
 
 def simulate_plant(scenario: str | Mapping[str, Any]) -> dict[str, Simulation]:
-    """Every loop of a scenario, by its name; see `simulate`."""
+    """Simulate every loop of a scenario, by name; see `simulate`."""
     if isinstance(scenario, str):
         text, is_json = scenario, False
     else:
@@ -460,11 +459,11 @@ def simulate_plant(scenario: str | Mapping[str, Any]) -> dict[str, Simulation]:
 
 
 def simulate(scenario: str | Mapping[str, Any], loop: str | None = None) -> Simulation:
-    """A loop of a simulated plant: valve with friction, process, controller, noise, disturbances.
+    """Simulate one loop of a plant: valve with friction, process, controller, noise, disturbances.
 
-    scenario: text of a scenario file, such as those in `recordings/scenarios` (not its path), or the same as a dict.
-    loop: which one, where the scenario has several. Values are rounded as the scenario records them, nothing is lost or
-    late. The same scenario gives the same numbers.
+    scenario: text of a scenario file (not its path; see `recordings/scenarios`), or the same as a dict.
+    loop: name of the loop, if the scenario has several. Values are rounded as in the scenario's recording; no sample is
+    lost or late. The same scenario gives the same numbers.
     """
     loops = simulate_plant(scenario)
     if loop is None and len(loops) == 1:

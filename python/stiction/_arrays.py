@@ -1,4 +1,4 @@
-"""Whatever a caller has, as the bytes that the native half takes."""
+"""Converts the caller's arrays and tables to the bytes that the native module takes."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ def refused(argument: str, why: str) -> StictionError:
 
 
 def _plain(values: Any) -> NDArray[Any]:
-    """An array of whatever numpy, pandas, polars or Arrow hold; what is missing is NaN where numbers allow it."""
+    """An array of whatever numpy, pandas, polars or Arrow hold; missing values become NaN where possible."""
     if isinstance(values, np.ma.MaskedArray):
         return np.asarray(np.ma.filled(values.astype(float), np.nan))
     if hasattr(values, "to_numpy"):
-        # Each library has words of its own for the same.
+        # Each library names this differently.
         kind = getattr(values, "dtype", None)
         if getattr(kind, "tz", None) is not None:
             return np.asarray(values.to_numpy(dtype="datetime64[ns]"))
@@ -43,7 +43,7 @@ def _plain(values: Any) -> NDArray[Any]:
 
 
 def numbers(argument: str, values: Any) -> NDArray[np.float64]:
-    """A column of doubles in one piece."""
+    """A contiguous column of doubles."""
     try:
         array = _plain(values)
         if array.dtype.kind in "biuf" or (array.dtype.kind == "O" and not any(isinstance(v, str) for v in array.flat)):
@@ -51,9 +51,9 @@ def numbers(argument: str, values: Any) -> NDArray[np.float64]:
         else:
             raise TypeError(f"values of type {array.dtype}")
     except (TypeError, ValueError) as why:
-        raise refused(argument, f"is no column of numbers ({why}); hand in a one-dimensional array of them") from None
+        raise refused(argument, f"is not a column of numbers ({why}); give a one-dimensional array of numbers") from None
     if array.ndim != 1:
-        raise refused(argument, f"has {array.ndim} dimensions; hand in one column, such as x.ravel()")
+        raise refused(argument, f"has {array.ndim} dimensions; give one column, such as x.ravel()")
     return found
 
 
@@ -62,7 +62,7 @@ def _bytes(array: NDArray[Any], kind: str) -> bytes:
 
 
 def _of_datetimes(values: Iterable[Any]) -> NDArray[np.int64]:
-    """Python's own date and time; without a zone it is UTC, as in numpy."""
+    """Python's datetime; UTC if without a zone, as in numpy."""
 
     def naive(stamp: Any) -> Any:
         if isinstance(stamp, dt.datetime) and stamp.tzinfo is not None:
@@ -74,25 +74,25 @@ def _of_datetimes(values: Iterable[Any]) -> NDArray[np.int64]:
 
 
 def stamps(t: Any) -> tuple[str, bytes]:
-    """Stamps with their unit: `ns` in whole numbers or `s` in doubles."""
+    """Timestamps with their unit: `ns` as integers or `s` as doubles."""
     array = _plain(t)
     if array.ndim != 1:
-        raise refused("t", f"has {array.ndim} dimensions; hand in one column")
+        raise refused("t", f"has {array.ndim} dimensions; give one column")
     if array.dtype.kind == "O" and len(array) and isinstance(array[0], dt.datetime):
         return "ns", _bytes(_of_datetimes(array), "<i8")
     if array.dtype.kind == "M":
         if np.isnat(array).any():
             row = int(np.flatnonzero(np.isnat(array))[0])
             raise refused("t", f"row {row} has no time (NaT); drop the row")
-        # Numpy would wrap silently outside of what ns hold.
+        # Outside the range of ns, numpy would wrap silently.
         coarse = array.astype("datetime64[s]").astype(np.int64)
         if len(array) and np.abs(coarse).max() > 9_200_000_000:
-            raise refused("t", "lies outside the years 1678 to 2261, which is what nanoseconds in 64 bits hold")
+            raise refused("t", "is outside the years 1678 to 2261, the range of nanoseconds in 64 bits")
         return "ns", _bytes((array.astype("datetime64[ns]") - _EPOCH).astype(np.int64), "<i8")
     try:
         return "s", _bytes(numbers("t", array), "<f8")
     except StictionError:
-        raise refused("t", "is no column of times; hand in seconds since 1970 or datetime64") from None
+        raise refused("t", "is not a column of times; give seconds since 1970 or datetime64") from None
 
 
 def _words(mode: Any) -> list[str | None]:
@@ -108,14 +108,14 @@ def _words(mode: Any) -> list[str | None]:
 def columns(
     op: Any, pv: Any, ts_s: float | None, t: Any, sp: Any, mv: Any, mode: Any
 ) -> dict[str, Any]:
-    """The columns of a record, checked to be of one length."""
+    """The columns of a record, checked for equal length."""
     arrays: dict[str, NDArray[np.float64] | None] = {
         name: None if values is None else numbers(name, values)
         for name, values in (("op", op), ("pv", pv), ("sp", sp), ("mv", mv))
     }
     if arrays["op"] is None or arrays["pv"] is None:
         missing = "op" if arrays["op"] is None else "pv"
-        raise refused(missing, "is None; hand in a column of numbers")
+        raise refused(missing, "is None; give a column of numbers")
     n = len(arrays["op"])
     if (ts_s is None) == (t is None):
         raise refused("ts_s", "give either ts_s, the seconds between samples, or t, their times")
@@ -133,7 +133,7 @@ def columns(
         lengths["mode"] = len(words)
     for name, length in lengths.items():
         if length != n:
-            raise refused(name, f"{length} values, op has {n}; hand in columns of one length, NaN where nothing is")
+            raise refused(name, f"{length} values, op has {n}; give columns of one length, with NaN for missing values")
     found = {name: None if array is None else _bytes(array, "<f8") for name, array in arrays.items()}
     return {**found, "t": times, "mode": words}
 
@@ -143,18 +143,18 @@ def positive(argument: str, value: Any) -> float:
     try:
         number = float(value)
     except (TypeError, ValueError):
-        raise refused(argument, f"{value!r} is no number") from None
+        raise refused(argument, f"{value!r} is not a number") from None
     if not (math.isfinite(number) and number > 0):
         raise refused(argument, f"{number} must be above 0")
     return number
 
 
 def whole(argument: str, value: Any, least: int = 0) -> int:
-    """A whole number."""
+    """An integer."""
     try:
         number = operator.index(value)
     except TypeError:
-        raise refused(argument, f"{value!r} is no whole number") from None
+        raise refused(argument, f"{value!r} is not a whole number") from None
     if not least <= number < 2**64:
         raise refused(argument, f"{number} is out of range; give {least} or more")
     return number
@@ -175,7 +175,7 @@ def _pair(argument: str, value: Any) -> tuple[Any, Any] | None:
     try:
         first, second = value
     except (TypeError, ValueError):
-        raise refused(argument, f"{value!r} is no pair; give (from, to)") from None
+        raise refused(argument, f"{value!r} is not a pair; give (from, to)") from None
     return first, second
 
 
@@ -185,13 +185,13 @@ def times(argument: str, value: Any) -> tuple[str, str] | None:
     try:
         return None if between is None else (_time_text(between[0]), _time_text(between[1]))
     except (TypeError, ValueError):
-        raise refused(argument, f"{value!r} holds no two times; give seconds since 1970, text or datetime64") from None
+        raise refused(argument, f"{value!r} does not give two times; use seconds since 1970, text or datetime64") from None
 
 
 def look(
     samples: Any, window: Any, downsample: Any, downsample_like_toolbox: bool, detrend: str | None
 ) -> dict[str, Any]:
-    """What is looked at, for the native half."""
+    """Section and downsampling, for the native module."""
     chosen = _pair("samples", samples)
     return {
         "samples": None if chosen is None else tuple(whole("samples", v) for v in chosen),
@@ -215,22 +215,22 @@ def _names(table: Table) -> list[str]:
 
 
 def open_table(table: Table) -> tuple[Table, list[str]]:
-    """A table whose columns are had by name, and these names."""
+    """A table with access to columns by name, and the names."""
     names = _names(table)
     if not names and hasattr(table, "__arrow_c_stream__"):
         try:
             import pyarrow  # type: ignore[import-untyped,unused-ignore]
         except ImportError:
-            raise refused("table", "is an Arrow stream, which pyarrow reads; install pyarrow") from None
+            raise refused("table", "is an Arrow stream, which needs pyarrow; install pyarrow") from None
         table = pyarrow.table(table)
         names = _names(table)
     if not names:
-        raise refused("table", f"{type(table).__name__} has no named columns; hand in a DataFrame, a dict or an Arrow table")
+        raise refused("table", f"{type(table).__name__} has no named columns; give a DataFrame, a dict or an Arrow table")
     return table, names
 
 
 def grouped(labels: Any) -> tuple[list[str], NDArray[np.int64], list[int]]:
-    """Loops in the order in which they first appear, the rows in that order, and where each loop ends."""
+    """Loops in order of first appearance, the rows in that order, and the end of each loop."""
     codes: dict[Any, int] = {}
     if hasattr(labels, "to_pylist"):
         labels = labels.to_pylist()
@@ -241,7 +241,7 @@ def grouped(labels: Any) -> tuple[list[str], NDArray[np.int64], list[int]]:
 
 
 def reordered(found: dict[str, Any], rows: NDArray[np.int64]) -> dict[str, Any]:
-    """Columns with their rows in another order."""
+    """Columns with reordered rows."""
 
     def moved(column: Any) -> Any:
         if isinstance(column, bytes):

@@ -1,6 +1,6 @@
-"""Many windows of one valve, and what a repair buys: what goes in, and the documents that come out.
+"""Many windows of one valve, and the benefit of a repair: input and result documents.
 
-`docs/over-time.md` defines every number. Sizes are in OP units, intervals `[low, high]` of 90 %, times in ns since 1970.
+`docs/over-time.md` defines every number. Sizes are in OP units, intervals are 90 % `[low, high]`, times in ns since 1970.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Pooled(TypedDict):
 
 
 class Change(TypedDict):
-    """A change of the valve, its date with an interval."""
+    """A change of the valve, with an interval for its date."""
 
     at_ns: int
     from_ns: int
@@ -63,7 +63,7 @@ class Trend(TypedDict):
 
 
 class OverTime(TypedDict):
-    """What many windows of one valve say together."""
+    """The combined result of many windows of one valve."""
 
     windows: int
     pooled: Pooled | None
@@ -82,7 +82,7 @@ class Figure(TypedDict):
 
 
 class Case(TypedDict):
-    """How a loop would behave; PV units, OP units a day, turns a day."""
+    """Behaviour of a loop; PV units, OP units per day, reversals per day."""
 
     pv_sd: Figure
     pv_sd_ratio: Figure
@@ -94,7 +94,7 @@ class Case(TypedDict):
 
 
 class Repair(TypedDict):
-    """What a repair buys: the loop as it is, without stiction, and with half the controller gain."""
+    """Benefit of a repair: the loop as it is, without stiction, and with half the controller gain."""
 
     now: Case
     repaired: Case
@@ -106,7 +106,7 @@ class Repair(TypedDict):
 
 
 def _plain(value: Any) -> Any:
-    """A value as JSON has it; numpy's numbers become Python's, what is missing None."""
+    """A value for JSON: numpy numbers become Python numbers, missing values None."""
     if hasattr(value, "tolist"):
         value = value.tolist()
     if isinstance(value, (list, tuple)):
@@ -115,7 +115,7 @@ def _plain(value: Any) -> Any:
 
 
 def windows_text(windows: Iterable[Window]) -> str:
-    """What is asked of each window, for the native half."""
+    """The fields of each window, for the native module."""
 
     def read(at: int, window: Window) -> dict[str, Any]:
         document = window.to_dict() if isinstance(window, Assessment) else window
@@ -123,13 +123,13 @@ def windows_text(windows: Iterable[Window]) -> str:
             between = document.get("window", document)
             told = {name: int(between[name]) for name in ("start_ns", "end_ns")}
         except (AttributeError, KeyError, TypeError, ValueError):
-            why = "tells no start_ns and end_ns; give results of assess_windows, or documents of estimates as dicts"
+            why = "has no start_ns and end_ns; give results of assess_windows, or documents of estimates as dicts"
             raise _arrays.refused("windows", f"number {at} {why}") from None
         plain = {name: _plain(document.get(name)) for name in _FIELDS}
         return {**told, **plain, "gates": plain["gates"] or []}
 
     if isinstance(windows, (str, bytes, Mapping)):
-        raise _arrays.refused("windows", "is no list; give several results, or documents of estimates as dicts")
+        raise _arrays.refused("windows", "is not a list; give several results, or documents of estimates as dicts")
     try:
         return json.dumps([read(at, window) for at, window in enumerate(windows)])
     except TypeError as why:

@@ -1,4 +1,4 @@
-"""What the functions answer with."""
+"""Results of the functions."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ def _interval(value: Any) -> Interval | None:
 
 @dataclass(frozen=True)
 class Process:
-    """The process that goes with the bands found."""
+    """The process model fitted with the bands."""
 
     order: int
     """1 or 2."""
     gain: float
-    """PV units per OP unit; per second too where it integrates."""
+    """PV units per OP unit; also per second if integrating."""
     time_constants_s: tuple[float, ...]
     """Time constants, s, largest first; none for a pure integrator."""
     dead_time_s: float
     """Dead time, s."""
     integrating: bool
-    """Integrates instead of settling."""
+    """Integrating instead of self-regulating."""
     mse: float
     """Mean squared error of the free run, PV units squared."""
     fit_pct: float
@@ -42,16 +42,16 @@ class Process:
 
 @dataclass(frozen=True)
 class Assessment:
-    """Whether a valve sticks, how much, and how sure that is. What does not exist is None.
+    """Whether a valve sticks, how much, and with what confidence. Values that do not exist are None.
 
-    Sizes are in OP's units, times in s; `docs/verdicts.md` defines every number. `str()` gives the page that the command
-    line prints, `to_dict()` the document that it writes.
+    Sizes are in OP units, times in s; `docs/verdicts.md` defines every number. `str()` gives the text of the command line,
+    `to_dict()` the document.
     """
 
     loop: str
     """The loop's name."""
     window: tuple[np.datetime64, np.datetime64]
-    """Start and end of what it was made from, UTC."""
+    """Start and end of the assessed record, UTC."""
     verdict: Verdict
     """`stiction`, `deadband`, `disturbance`, `tuning`, `no_oscillation`, `no_stiction` or `inconclusive`."""
     stiction: bool | None
@@ -61,9 +61,9 @@ class Assessment:
     confidence: float | None
     """Probability of the verdict."""
     grade: str | None
-    """A (sure, and measured closely) to D (no answer)."""
+    """A (reliable, with a narrow interval) to D (no answer)."""
     s: float | None
-    """Deadband and stickband, fs + fd: what OP must travel after a turn before the stem moves."""
+    """Deadband plus stickband, fs + fd: travel of OP after a reversal before the stem moves."""
     j: float | None
     """Slip jump, fs - fd."""
     fs: float | None
@@ -71,7 +71,7 @@ class Assessment:
     fd: float | None
     """Kinetic friction band."""
     s_interval: Interval | None
-    """90 % interval of s; from 0 where nothing sticks."""
+    """90 % interval of s; starts at 0 if there is no stiction."""
     j_interval: Interval | None
     """90 % interval of j."""
     fs_interval: Interval | None
@@ -79,11 +79,11 @@ class Assessment:
     fd_interval: Interval | None
     """90 % interval of fd."""
     s_detectable: float | None
-    """The smallest s that would have been found here; None where it sticks."""
+    """Detection limit: the smallest s that would have been found here; None for a sticking valve."""
     stiction_index: float | None
     """1 - error of the best sticking model / error of the best without, 0..1."""
     severity_by_range: str | None
-    """Size in % of travel as a word; None unless op_range was given."""
+    """Class of the size in % of travel; None without op_range."""
     oscillating: bool
     """Whether OP and PV oscillate regularly together."""
     period_s: float | None
@@ -93,25 +93,25 @@ class Assessment:
     valve_model: str | None
     """`he` or `tracking`."""
     s0: float | None
-    """Span of OP, which fs + fd was kept within."""
+    """Span of OP, the upper limit of fs + fd."""
     gates: tuple[str, ...]
-    """What keeps the answer from being sure, or at all."""
+    """Validity checks that limit the answer or prevent it."""
     reason: str | None
-    """Why there is no answer, or nothing beside it."""
+    """Why there is no answer, or no size."""
     words: str
     """The verdict in a sentence."""
     sureness: str
-    """How sure it is, in a sentence."""
+    """The confidence in a sentence."""
     size: str | None
     """The size in a sentence."""
     reasons: tuple[tuple[str, float], ...]
     """What speaks for (above 0) and against, strongest first, logits."""
     unknowns: tuple[str, ...]
-    """What the record leaves open."""
+    """What the record does not determine."""
     proposal: str | None
     """A bump test that would settle it."""
     notes: tuple[str, ...]
-    """What was done to the rows: left out, put in order."""
+    """Treatment of the rows: skipped, sorted."""
     _document: str = field(repr=False)
     _text: str = field(repr=False)
 
@@ -124,7 +124,7 @@ class Assessment:
         return found
 
     def to_json(self) -> str:
-        """The same as text."""
+        """The document as text."""
         return self._document
 
     def __str__(self) -> str:
@@ -132,7 +132,7 @@ class Assessment:
 
 
 def assessment_of(document: str, said: str) -> Assessment:
-    """Reads what the native half answers."""
+    """Converts the answer of the native module."""
     d, words = json.loads(document), json.loads(said)
     process = d["process"]
     if process is not None:
@@ -177,7 +177,7 @@ class Failure:
 
 
 def as_columns(results: Iterable[Assessment | Failure]) -> dict[str, list[Any]]:
-    """Results as columns, one row a loop: `pandas.DataFrame(as_columns(results))`.
+    """Results as columns, one row per loop: `pandas.DataFrame(as_columns(results))`.
 
     >>> as_columns([Failure("FIC1", "3 usable samples")])["error"]
     ['3 usable samples']
@@ -198,7 +198,7 @@ def as_columns(results: Iterable[Assessment | Failure]) -> dict[str, list[Any]]:
 
 @dataclass(frozen=True)
 class Effect:
-    """An effect that was added to the loop's model."""
+    """An effect added to the loop's model."""
 
     id: str
     """Its name, one of the table in `docs/gap.md`."""
@@ -214,7 +214,7 @@ class Effect:
 
 @dataclass(frozen=True, eq=False)
 class Predictions:
-    """Measured and simulated PV, row by row; NaN where a free run does not count."""
+    """Measured and simulated PV, row by row; NaN where a free run is not valid."""
 
     t: NDArray[np.datetime64]
     """Times, UTC."""
@@ -225,14 +225,14 @@ class Predictions:
     after: NDArray[np.float64]
     """Free run of the base with the cause."""
     held_out: NDArray[np.bool_]
-    """Where no model was fitted to the row."""
+    """True for rows that no model was fitted to."""
 
 
 @dataclass(frozen=True, eq=False)
 class Gap:
-    """What a loop's model leaves unexplained, and what causes it.
+    """What a loop's model does not explain, and its cause.
 
-    `docs/gap.md` defines every number. `str()` gives the report that the command line prints, `to_dict()` the document.
+    `docs/gap.md` defines every number. `str()` gives the text of the command line, `to_dict()` the document.
     """
 
     loop: str
@@ -242,27 +242,27 @@ class Gap:
     probability: float
     """Probability of the cause, 0..1."""
     confirmed: bool
-    """Whether data that nothing was fitted to confirm it."""
+    """Whether held-out data confirm it."""
     rmse: float
-    """Gap of the base, PV units (rms of the free run on data it was not fitted to)."""
+    """Gap of the base, PV units (rms of the free run on held-out data)."""
     noise_floor: float
-    """What noise alone would leave, PV units."""
+    """The gap that noise alone would leave, PV units."""
     effects: tuple[Effect, ...]
-    """Every effect that was tried, best first."""
+    """All effects tried, best first."""
     alternatives: tuple[tuple[str, float], ...]
     """Other causes with their probabilities."""
     second_cause: tuple[str, float] | None
-    """What is named beside the cause, with its probability: under what a recorder did, or the recorder itself."""
+    """A second cause with its probability, if one of the two is an artefact of the historian."""
     next_test: dict[str, Any] | None
-    """The experiment that would settle it."""
+    """The experiment that distinguishes the likeliest causes."""
     stopped_early: bool
-    """Whether the search was ended by its time."""
+    """Whether the search ran out of time."""
     words: str
     """The answer in a few words."""
     paragraph: str
     """The answer in a paragraph."""
     notes: tuple[str, ...]
-    """What was done to the rows."""
+    """Treatment of the rows."""
     predictions: Predictions
     """Measured and simulated PV."""
     _document: str = field(repr=False)
@@ -274,7 +274,7 @@ class Gap:
         return found
 
     def to_json(self) -> str:
-        """The same as text."""
+        """The document as text."""
         return self._document
 
     def __str__(self) -> str:
@@ -282,7 +282,7 @@ class Gap:
 
 
 def gap_of(document: str, said: str, columns: list[bytes]) -> Gap:
-    """Reads what the native half answers."""
+    """Converts the answer of the native module."""
     d, words = json.loads(document), json.loads(said)
     t = times_of(columns[0])
     pv, base, after, held_out = (doubles_of(column) for column in columns[1:])
@@ -319,7 +319,7 @@ class Simulation:
     loop: str
     """Its name."""
     truth: str
-    """What is true of it, for people."""
+    """The simulated truth in words."""
     ts_s: float
     """Time between samples, s."""
     t: NDArray[np.datetime64]
@@ -331,19 +331,19 @@ class Simulation:
     sp: NDArray[np.float64]
     """Set point, PV units."""
     mv: NDArray[np.float64]
-    """Valve position behind the friction, %."""
+    """Valve position, %."""
 
 
 def doubles_of(column: bytes) -> NDArray[np.float64]:
-    """A column of the native half."""
+    """A column from the native module."""
     return np.frombuffer(column, dtype="<f8").astype(np.float64)
 
 
 def times_of(column: bytes) -> NDArray[np.datetime64]:
-    """A column of stamps of the native half."""
+    """A column of timestamps from the native module."""
     return np.frombuffer(column, dtype="<i8").astype(np.int64).view("datetime64[ns]")
 
 
 def time_of(stamp_ns: int) -> np.datetime64:
-    """A stamp of the native half."""
+    """A timestamp from the native module."""
     return np.datetime64(stamp_ns, "ns")

@@ -80,7 +80,7 @@ def test_what_cannot_be_used_is_refused(wrong: dict[str, Any], said: str) -> Non
 
 
 def test_windows_together_are_refused_with_a_reason() -> None:
-    for wrong, said in (({"start_ns": 1}, "is no list"), ([{"start_ns": 1}], "number 0"), (["x"], "number 0")):
+    for wrong, said in (({"start_ns": 1}, "is not a list"), ([{"start_ns": 1}], "number 0"), (["x"], "number 0")):
         with pytest.raises(stiction.StictionError) as caught:
             stiction.over_time(wrong)  # type: ignore[arg-type]
         assert str(caught.value).startswith("windows: ") and said in str(caught.value)

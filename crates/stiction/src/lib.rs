@@ -1,17 +1,17 @@
-//! Valve stiction from routine data: how far a control valve sticks, by which process it is seen, how sure that is, and
-//! what else the loop does that the model leaves out.
+//! Valve stiction from routine data: whether and how much a control valve sticks, the process behind it, the confidence in
+//! the answer, and what else in the loop the model does not explain.
 //!
-//! A [`record::Record`] (controller output OP, process variable PV, sampling interval) goes in, typed numbers come out.
+//! Input is a [`record::Record`] (controller output OP, process variable PV, sampling time); results are typed numbers.
 //!
 //! | task | where |
 //! |---|---|
 //! | is the valve sticking, and how much | [`verdict::assess`] |
 //! | the fit alone: bands of He's valve model, process with dead time, intervals | [`ident::quantify()`](ident::quantify) |
-//! | the cost surface of the bands, by any solver of [`optim::ALL`] | [`ident::surface`] |
+//! | the error surface over the bands, for any solver of [`optim::ALL`] | [`ident::surface`] |
 //! | one valve over many windows: size, changes, windows that disagree | [`over_time::over_time`] |
-//! | what a repair of the valve buys: the closed loop without stiction | [`repair::repair`] |
-//! | what the model leaves out, and how far naming it closes the gap | [`gap::diagnose`] |
-//! | a loop simulated: valve laws, processes, PID, disturbances | [`sim`] |
+//! | benefit of a valve repair: the closed loop without stiction | [`repair::repair`] |
+//! | effects that the model leaves out, and how much of the gap each closes | [`gap::diagnose`] |
+//! | simulation of a loop: valve models, processes, PID, disturbances | [`sim`] |
 //!
 //! # A verdict
 //! ```
@@ -19,7 +19,7 @@
 //! use stiction::sim::valve::he_step;
 //! use stiction::verdict::{AssessParams, assess};
 //!
-//! // OP swings, a valve with fs 2.5 and fd 1 follows it, a first-order process answers the valve.
+//! // OP oscillates; a valve with fs 2.5 and fd 1 follows, and drives a first-order process.
 //! let op: Vec<f64> = (0..600).map(|k| 6.0 * (f64::from(k) * 0.06).sin() + 2.0 * (f64::from(k) * 0.017).sin()).collect();
 //! let (mut stem, mut pv, mut measured) = (0.0, 0.0, Vec::new());
 //! for &u in &op {
@@ -32,21 +32,21 @@
 //! assert!((found.s.unwrap() - 3.5).abs() < 0.1);
 //! ```
 //!
-//! # The map
-//! Each room imports only rooms that stand above it.
+//! # Modules
+//! A module imports only modules from the rows above it.
 //!
-//! | layer | rooms |
+//! | layer | modules |
 //! |---|---|
-//! | words | [`units`] time and names · [`record`] a sample, and the record one estimate is made from |
-//! | tools | [`signal`] joining, memory, statistics · [`optim`] solvers |
-//! | physics | [`sim`] valve laws, processes, controller, noise, closed loop: the only copy of each formula |
+//! | basics | [`units`] times, names, numbers · [`record`] samples, and the record of one estimate |
+//! | tools | [`signal`] joining, history, statistics · [`optim`] solvers |
+//! | physics | [`sim`] valve models, processes, controller, noise, closed loop: the only copy of each formula |
 //! | identification | [`ident`] quantification of stiction · [`detect`] oscillation, and one file per indicator |
-//! | judgement | [`verdict`] gates, verdict, the estimate's document · [`gap`] what the model leaves out |
-//! | what follows | [`over_time`] many windows of one valve · [`repair`] the closed loop without stiction |
+//! | judgement | [`verdict`] validity checks, verdict, the estimate's document · [`gap`] model-plant mismatch |
+//! | evaluation | [`over_time`] many windows of one valve · [`repair`] the closed loop without stiction |
 //!
-//! # What must be absent
-//! No file, socket, clock, thread, environment or unseeded randomness: the same record gives the same bits, on every
-//! machine. Transcendental functions come from `libm`, as those of the system differ in the last bit.
+//! # Determinism
+//! No file, socket, clock, thread, environment or unseeded random numbers: the same record gives bit-identical results on
+//! every machine. Transcendental functions come from `libm`, because system libraries differ in the last bit.
 
 #![cfg_attr(test, allow(clippy::disallowed_methods, clippy::disallowed_types))]
 
@@ -62,7 +62,7 @@ pub mod sim;
 pub mod units;
 pub mod verdict;
 
-/// Version of the library and of the program, as documents carry it.
+/// Version of library and program, as in documents.
 pub const VERSION: &str = env!("CARGO_PKG_VERSION");
 
 #[cfg(doctest)]

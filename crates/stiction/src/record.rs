@@ -1,11 +1,11 @@
-//! The data objects: one [`Sample`] as it came, and the [`Record`] that one estimate is made from.
+//! Data types: one [`Sample`] as received, and the [`Record`] behind one estimate.
 //!
-//! A [`Record`] keeps output, process variable, sampling and what is known of its quality together; they cannot be
-//! separated on the way. A value that is missing is absent, never 0.0.
+//! A [`Record`] keeps output, process variable, sampling time and data quality together. A missing value is absent, never
+//! 0.0.
 
 use serde::{Deserialize, Serialize};
 
-/// What a value measures in its loop.
+/// The signal of a value.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Signal {
@@ -15,17 +15,17 @@ pub enum Signal {
     Sp,
     /// Controller mode.
     Mode,
-    /// Valve position behind the friction.
+    /// Valve position (stem).
     Mv,
     /// Process variable.
     Pv,
 }
 
 impl Signal {
-    /// Every signal, in the order in which equal stamps are taken (PV last: it closes a scan).
+    /// All signals, in the order in which samples of equal timestamps are taken (PV last: it completes a scan).
     pub const ALL: [Self; 5] = [Self::Op, Self::Sp, Self::Mode, Self::Mv, Self::Pv];
 
-    /// The last chunk of the signal's key and its CSV column.
+    /// Last part of the signal's key, and its CSV column.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -37,7 +37,7 @@ impl Signal {
         }
     }
 
-    /// The signal of a key chunk or CSV column.
+    /// The signal for a key part or CSV column.
     #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|s| s.name() == name)
@@ -52,9 +52,9 @@ pub enum Mode {
     Auto,
     /// A person moves OP.
     Manual,
-    /// The controller moves OP and another one moves its set point.
+    /// The controller moves OP, and another controller moves its set point.
     Cascade,
-    /// A mode was sent that nobody mapped.
+    /// An unmapped mode.
     Unknown,
 }
 
@@ -70,7 +70,7 @@ impl Mode {
         }
     }
 
-    /// Reads the words that control systems use; anything else is [`Mode::Unknown`].
+    /// Parses the words of control systems; any other word is [`Mode::Unknown`].
     #[must_use]
     pub fn from_word(word: &str) -> Self {
         match word.trim().to_ascii_lowercase().as_str() {
@@ -89,43 +89,43 @@ pub enum Value {
     Number(f64),
     /// A mode sent as a word.
     Mode(Mode),
-    /// Sent, but empty or not finite.
+    /// Null or not finite.
     Missing,
 }
 
 impl Value {
-    /// A number, or [`Value::Missing`] where it is not finite.
+    /// A number, or [`Value::Missing`] if it is not finite.
     #[must_use]
     pub fn number(value: f64) -> Self {
         if value.is_finite() { Self::Number(value) } else { Self::Missing }
     }
 
-    /// The finite number, if it is one.
+    /// The finite number, if any.
     #[must_use]
     pub const fn as_number(self) -> Option<f64> {
         if let Self::Number(v) = self { Some(v) } else { None }
     }
 }
 
-/// One value of one signal, as recorded and before any check.
+/// One value of one signal as received, before any check.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Sample {
-    /// What it measures.
+    /// Its signal.
     pub signal: Signal,
     /// Source time, ns since 1970.
     pub t_ns: i64,
     /// The value.
     pub value: Value,
-    /// Quality code as sent, if one was sent; its convention stands in the config.
+    /// Quality code as received, if any; its convention is in the configuration.
     pub quality: Option<u32>,
 }
 
-/// What is known of a record's quality, as counts of raw samples.
+/// Data quality of a record, as counts of raw samples.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Facts {
     /// Samples taken while the controller was in manual.
     pub manual: u32,
-    /// Samples put in for lost ones (OP held, PV interpolated).
+    /// Samples filled in for lost ones (OP held, PV interpolated).
     pub filled: u32,
     /// Values that were missing or of bad quality.
     pub bad: u32,
@@ -135,27 +135,27 @@ pub struct Facts {
     pub op_repeats: u32,
 }
 
-/// A uniform stretch of one loop without a gap: what one estimate is made from.
+/// A uniform stretch of one loop without a data gap: the basis of one estimate.
 ///
-/// `n` points stand `ts_s * box_samples` seconds apart. While the raw samples fit, a point is a sample
-/// (`box_samples` = 1) and `op_path` holds one value a point; else a point is a box of `box_samples` samples, `pv`,
-/// `sp`, `mv` hold its means and `op_path` four values a point (OP's first, its extremes in a plausible order, its
-/// last), because the valve law must run on OP as recorded.
+/// The `n` points are `ts_s * box_samples` seconds apart. If the raw samples fit, a point is a sample (`box_samples` = 1)
+/// and `op_path` has one value per point. Otherwise a point is an averaging bin of `box_samples` samples: `pv`, `sp` and
+/// `mv` are means, and `op_path` has four values per point (first OP, the extremes in a plausible order, last OP), because
+/// the valve model must run on OP as recorded.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Record {
-    /// Stamp of the first sample, ns.
+    /// Timestamp of the first sample, ns.
     pub start_ns: i64,
-    /// Stamp of the last sample, ns.
+    /// Timestamp of the last sample, ns.
     pub end_ns: i64,
     /// Mean time between raw samples, s.
     pub ts_s: f64,
-    /// Mean time between samples as they were recorded, s: `ts_s`, unless boxes hold no whole number of samples.
+    /// Mean time between recorded samples, s: equals `ts_s`, unless bins have a fractional number of samples.
     pub recorded_ts_s: f64,
     /// Raw samples in the record.
     pub raw_samples: usize,
-    /// Raw samples in a point (a power of two in the daemon's memory).
+    /// Raw samples per point (a power of two in the daemon).
     pub box_samples: usize,
-    /// OP on the way through each point, `n * path_per_point` values.
+    /// Path of OP through each point, `n * path_per_point` values.
     pub op_path: Vec<f64>,
     /// PV at each point, PV units.
     pub pv: Vec<f64>,
@@ -163,14 +163,14 @@ pub struct Record {
     pub sp: Option<Vec<f64>>,
     /// Valve position at each point.
     pub mv: Option<Vec<f64>>,
-    /// Spread of the time between points: robust standard deviation over mean.
+    /// Variation of the time between points: robust standard deviation over mean.
     pub irregularity: f64,
-    /// Counts for the gates.
+    /// Counts for the validity checks.
     pub facts: Facts,
 }
 
 impl Record {
-    /// A record of raw samples at a constant rate, as simulations and tests make it.
+    /// A record of raw samples at a constant rate, as in simulations and tests.
     #[must_use]
     pub fn uniform(ts_s: f64, op: Vec<f64>, pv: Vec<f64>) -> Self {
         let n = op.len().min(pv.len());
@@ -191,8 +191,8 @@ impl Record {
         }
     }
 
-    /// The points from `from` up to `to`. The counts of [`Facts`] are taken in proportion: where in the record they stand
-    /// is not kept.
+    /// The points `from` to `to`, excluding `to`. The counts of [`Facts`] are scaled in proportion, because their positions are
+    /// not kept.
     #[must_use]
     pub fn part(&self, from: usize, to: usize) -> Self {
         let (to, m) = (to.min(self.len()), self.path_per_point());
@@ -222,32 +222,32 @@ impl Record {
         }
     }
 
-    /// Points in the record.
+    /// Number of points.
     #[must_use]
     pub fn len(&self) -> usize {
         self.pv.len()
     }
 
-    /// Whether it holds no point at all.
+    /// Whether there are no points.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.pv.is_empty()
     }
 
-    /// OP values a point: 1 for raw samples, 4 for the daemon's boxes, all of them for those of
+    /// OP values per point: 1 for raw samples, 4 for the daemon's bins, all of them for those of
     /// [`crate::signal::resample`].
     #[must_use]
     pub fn path_per_point(&self) -> usize {
         (self.op_path.len() / self.pv.len().max(1)).max(1)
     }
 
-    /// Seconds between points.
+    /// Time between points, s.
     #[must_use]
     pub fn point_s(&self) -> f64 {
         self.ts_s * self.box_samples as f64
     }
 
-    /// OP at each point: the sample, or the middle of the box's extremes.
+    /// OP at each point: the sample, or the mean of the bin's extremes.
     #[must_use]
     pub fn op(&self) -> Vec<f64> {
         match self.path_per_point() {
@@ -257,7 +257,7 @@ impl Record {
     }
 }
 
-/// The middle of the extremes.
+/// The mean of the extremes.
 fn middle(path: &[f64]) -> f64 {
     let (low, high) = path.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(*v), h.max(*v)));
     0.5 * (low + high)

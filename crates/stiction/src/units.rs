@@ -1,7 +1,7 @@
-//! Times, names and numbers, which every room shares.
+//! Times, names and numbers, used by all modules.
 //!
-//! Time is `i64` nanoseconds since 1970 UTC, the plant's own source time. Text times are read without passing
-//! through floating point, so a stamp that is written reads back equal.
+//! Time is `i64` nanoseconds since 1970 UTC in the plant's source time. Text times are parsed without floating point, so a
+//! written timestamp reads back equal.
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use thiserror::Error;
@@ -16,12 +16,12 @@ pub enum TimeError {
     /// Neither decimal seconds nor RFC 3339.
     #[error("{0:?} is not a time: write seconds since 1970 (12.5) or RFC 3339 (2026-01-31T08:00:00Z)")]
     Unreadable(String),
-    /// Outside the years that 64-bit nanoseconds hold.
+    /// Outside the range of 64-bit nanoseconds.
     #[error("{0:?} is outside the years 1678 to 2261, which is what nanoseconds in 64 bits hold")]
     OutOfRange(String),
 }
 
-/// Seconds to nanoseconds, rounded; saturates at the ends of the range, NaN gives 0.
+/// Seconds to nanoseconds, rounded. Saturates at the ends of the range; NaN gives 0.
 #[must_use]
 pub fn ns_from_s(seconds: f64) -> i64 {
     (seconds * NS_PER_S as f64).round() as i64
@@ -33,7 +33,7 @@ pub fn s_from_ns(ns: i64) -> f64 {
     ns as f64 / NS_PER_S as f64
 }
 
-/// Milliseconds from nanoseconds, as browsers count time; exact to a quarter of a microsecond for stamps of this century.
+/// Milliseconds from nanoseconds, as in browsers; exact to a quarter of a microsecond for this century.
 #[must_use]
 pub fn ms_from_ns(ns: i64) -> f64 {
     ns as f64 * 1e-6
@@ -45,10 +45,10 @@ pub fn ns_from_ms(ms: f64) -> i64 {
     ns_from_s(ms * 1e-3)
 }
 
-/// Reads decimal seconds since 1970 (exactly, to the nanosecond) or an RFC 3339 stamp.
+/// Parses decimal seconds since 1970 (exactly, to the nanosecond) or an RFC 3339 timestamp.
 ///
 /// # Errors
-/// [`TimeError`] names the text and what would be accepted.
+/// [`TimeError`] with the text and the valid forms.
 pub fn parse_time(text: &str) -> Result<i64, TimeError> {
     let text = text.trim();
     if text.len() > 10 && text.as_bytes()[4] == b'-' && text.as_bytes()[7] == b'-' {
@@ -59,7 +59,7 @@ pub fn parse_time(text: &str) -> Result<i64, TimeError> {
     parse_seconds(text)
 }
 
-/// Decimal seconds to nanoseconds without rounding through `f64`; an exponent falls back to `f64`.
+/// Decimal seconds to nanoseconds without rounding through `f64`; text with an exponent goes through `f64`.
 fn parse_seconds(text: &str) -> Result<i64, TimeError> {
     let unreadable = || TimeError::Unreadable(text.into());
     let range = || TimeError::OutOfRange(text.into());
@@ -92,7 +92,7 @@ fn parse_seconds(text: &str) -> Result<i64, TimeError> {
     Ok(if negative { -ns } else { ns })
 }
 
-/// Nanoseconds as decimal seconds, with no more digits than needed; [`parse_time`] reads it back equal.
+/// Nanoseconds as decimal seconds with the digits needed; [`parse_time`] reads it back equal.
 #[must_use]
 pub fn format_seconds(ns: i64) -> String {
     let (sign, magnitude) = if ns < 0 { ("-", ns.unsigned_abs()) } else { ("", ns as u64) };
@@ -104,7 +104,7 @@ pub fn format_seconds(ns: i64) -> String {
     format!("{sign}{whole}.{}", fraction.trim_end_matches('0'))
 }
 
-/// RFC 3339 in UTC, for people.
+/// RFC 3339 in UTC, for display.
 #[must_use]
 pub fn format_rfc3339(ns: i64) -> String {
     OffsetDateTime::from_unix_timestamp_nanos(i128::from(ns))
@@ -113,13 +113,13 @@ pub fn format_rfc3339(ns: i64) -> String {
         .unwrap_or_else(|| format!("{} s", format_seconds(ns)))
 }
 
-/// A number as a person writes it: three significant digits, and all that stand left of the point.
+/// A number with three significant digits and all digits before the decimal point.
 #[must_use]
 pub fn number(value: f64) -> String {
     significant(value, 3)
 }
 
-/// A number with so many significant digits, without zeros at its end; with an exponent below 1e-4 and from 1e6 on.
+/// A number with this many significant digits, without trailing zeros; with an exponent below 1e-4 and from 1e6.
 #[must_use]
 pub fn significant(value: f64, digits: usize) -> String {
     let size = value.abs();
@@ -140,14 +140,14 @@ pub fn significant(value: f64, digits: usize) -> String {
     to_decimals(value, decimals)
 }
 
-/// A number with at most so many decimals, without zeros at its end.
+/// A number with at most this many decimals, without trailing zeros.
 #[must_use]
 pub fn to_decimals(value: f64, decimals: usize) -> String {
     let text = format!("{value:.decimals$}");
     if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
 }
 
-/// A probability with two digits; never 0 or 1, which would be certainty.
+/// A probability with two digits; never 0 or 1, which would mean certainty.
 #[must_use]
 pub fn probability(p: f64) -> String {
     match p {
@@ -157,20 +157,20 @@ pub fn probability(p: f64) -> String {
     }
 }
 
-/// A [`number`], or `-` where there is none.
+/// As [`number`], or `-` for none.
 #[must_use]
 pub fn optional(value: Option<f64>) -> String {
     value.map_or_else(|| "-".to_owned(), number)
 }
 
-/// Whether a stamp is a date. A clock that starts at zero, as many exports have it, is the record's own.
+/// Whether a timestamp is a date; otherwise the record's clock starts at zero, as in many exports.
 #[must_use]
 pub fn is_date(ns: i64) -> bool {
     const YEAR_S: f64 = 365.0 * 86_400.0;
     s_from_ns(ns).abs() >= YEAR_S
 }
 
-/// From when to when: stamps, and how long that is.
+/// A time range: both ends and the duration.
 #[must_use]
 pub fn from_to(start_ns: i64, end_ns: i64) -> String {
     let [start_s, end_s] = [start_ns, end_ns].map(s_from_ns);
@@ -180,7 +180,7 @@ pub fn from_to(start_ns: i64, end_ns: i64) -> String {
     format!("{} to {} ({})", format_rfc3339(start_ns), format_rfc3339(end_ns), duration(end_s - start_s))
 }
 
-/// A time as people say it.
+/// A duration in words.
 #[must_use]
 pub fn duration(seconds: f64) -> String {
     match seconds.abs() {
@@ -191,8 +191,8 @@ pub fn duration(seconds: f64) -> String {
     }
 }
 
-/// A moment, ns since 1970, that documents write as RFC 3339: the integer beside it loses its last digits where numbers are
-/// f64, as in JavaScript.
+/// A time in ns since 1970 that documents write as RFC 3339, because JSON readers with f64 numbers, such as JavaScript, lose
+/// the last digits of the integer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Moment(pub i64);
 
@@ -209,7 +209,7 @@ impl<'de> Deserialize<'de> for Moment {
     }
 }
 
-/// Whether a loop's name can stand in a key: non-empty chunks, none of `* $ ? #`, no chunk that starts with `@`.
+/// Whether a loop name is a valid key: non-empty parts, none of `* $ ? #`, no part starting with `@`.
 #[must_use]
 pub fn is_loop_name(name: &str) -> bool {
     !name.is_empty()
@@ -219,7 +219,7 @@ pub fn is_loop_name(name: &str) -> bool {
         && !name.chars().any(char::is_control)
 }
 
-/// Turns any text into a loop's name: characters that keys forbid become `_`.
+/// Makes a valid loop name of any text: invalid characters become `_`.
 #[must_use]
 pub fn loop_name_from(text: &str) -> String {
     let cleaned: String =
@@ -227,14 +227,14 @@ pub fn loop_name_from(text: &str) -> String {
     if cleaned.is_empty() { "loop".to_owned() } else { cleaned }
 }
 
-/// A file's stem from a loop's name: nothing that leads into another folder or hides the file.
+/// A file stem from a loop name that cannot lead to another folder or hide the file.
 #[must_use]
 pub fn file_stem_of(name: &str) -> String {
     let stem = loop_name_from(name).replace(['\\', ':'], "_");
     if stem.starts_with('.') { format!("_{stem}") } else { stem }
 }
 
-/// What a loop controls, by the first letter of its tag (ISA 5.1).
+/// Controlled quantity of a loop, from the first letter of its tag (ISA 5.1).
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum LoopKind {
     /// F.
@@ -247,7 +247,7 @@ pub enum LoopKind {
     Temperature,
     /// A: concentration, pH, any analyser.
     Analysis,
-    /// Not known.
+    /// Unknown.
     #[default]
     Other,
 }
@@ -257,7 +257,7 @@ impl LoopKind {
     pub const ALL: [Self; 6] =
         [Self::Flow, Self::Level, Self::Pressure, Self::Temperature, Self::Analysis, Self::Other];
 
-    /// The kind's word in configurations.
+    /// Word of the kind in configurations.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -270,14 +270,14 @@ impl LoopKind {
         }
     }
 
-    /// The kind of a word.
+    /// The kind for a word.
     #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|kind| kind.name() == name)
     }
 
-    /// The kind that a tag's letters name: the first group of letters that reads like a controller's, such as the FIC of
-    /// `10FIC2101`, the LC of `area_3LC` or the PDIC of `PDIC-7`.
+    /// The kind given by a tag's letters: the first group of letters that looks like a controller's, such as FIC in `10FIC2101`,
+    /// LC in `area_3LC` or PDIC in `PDIC-7`.
     #[must_use]
     pub fn of_tag(tag: &str) -> Self {
         let groups = tag.split(|c: char| !c.is_ascii_alphabetic());

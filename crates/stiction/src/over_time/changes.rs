@@ -1,36 +1,36 @@
-//! Where the windows' story changes: the partition into stretches that costs least.
+//! Changes between windows: the partition into stretches with the least cost.
 //!
-//! A stretch costs twice the negative log likelihood of its windows, under a constant share of windows that find stiction
-//! and a constant ln s; every change costs a penalty on top. The optimal partition is found exactly by dynamic programming
-//! with pruning (PELT; Killick, Fearnhead and Eckley 2012).
+//! A stretch costs twice the negative log likelihood of its windows with a constant share of windows that find stiction and a
+//! constant ln s; each change adds a penalty. The optimal partition is found exactly by dynamic programming with pruning
+//! (PELT; Killick, Fearnhead and Eckley 2012).
 
 use super::level::Seen;
 use super::window::History;
 use crate::signal::stats;
 
-/// Fewest windows on either side of a change.
+/// Fewest windows on each side of a change.
 pub(super) const LEAST_SIDE: usize = 3;
-/// The penalty is `PENALTY[0] + PENALTY[1] ln(windows without overlap)`. Where few pairs of windows told the variance between them,
-/// sizes count less: by 1 + `FEW_PAIRS` / pairs. Chosen by simulation, see [`FALSE_ALARMS`].
+/// The penalty is `PENALTY[0] + PENALTY[1] ln(windows without overlap)`. If few pairs of windows give the variance between
+/// them, sizes are down-weighted by 1 + `FEW_PAIRS` / pairs. Chosen by simulation, see [`FALSE_ALARMS`].
 const PENALTY: [f64; 2] = [4.0, 3.0];
 const FEW_PAIRS: f64 = 6.0;
-/// Share of histories of 500 windows without a change in which one is found at most.
+/// Largest share of histories of 500 windows without a change in which one is found.
 const FALSE_ALARMS: f64 = 0.01;
-/// Bounds of a stretch's share of windows that find stiction.
+/// Bounds of the share of windows in a stretch that find stiction.
 const SHARES: [f64; 2] = [0.02, 0.98];
-/// Places for a change that are looked at in one go; of longer histories every second, third, … window is one.
+/// Most places for a change examined at once; in longer histories every second, third, … window is one.
 const MOST_PLACES: usize = 1_500;
-/// Neighbours on either side that tell a stray window, and the standard deviations from them that are let be.
+/// Neighbours on each side used to find a stray window, and the deviation allowed, in standard deviations.
 const STRAY_SIDE: usize = 2;
 const STRAY: f64 = 3.0;
-/// What the interval of a date covers.
+/// Coverage of a date's interval.
 const DATE_LEVEL: f64 = 0.9;
 
-/// Sums up to each window, from which the cost of any stretch follows.
+/// Cumulative sums, from which the cost of any stretch follows.
 pub(super) struct Costs {
     /// Per window: share, share times p, weight, weight times x, weight times x squared.
     sums: Vec<[f64; 5]>,
-    /// What a change costs.
+    /// Penalty of a change.
     pub penalty: f64,
     /// Variance of ln s between windows.
     pub between: f64,
@@ -54,7 +54,7 @@ impl Costs {
         Self { sums, penalty, between }
     }
 
-    /// Cost of the windows from `a` up to `b`.
+    /// Cost of the windows `a` to `b`, excluding `b`.
     fn of_stretch(&self, a: usize, b: usize) -> f64 {
         let [n, p, w, wx, wxx] = core::array::from_fn(|i| self.sums[b][i] - self.sums[a][i]);
         let sized = if w > 0.0 { (wxx - wx * wx / w).max(0.0) } else { 0.0 };
@@ -65,30 +65,30 @@ impl Costs {
         sized - 2.0 * (p * libm::log(q) + (n - p) * libm::log(1.0 - q))
     }
 
-    /// Share of the windows from `a` up to `b` that find stiction.
+    /// Share of these windows that find stiction.
     pub fn found(&self, a: usize, b: usize) -> f64 {
         let [n, p] = [0, 1].map(|i| self.sums[b][i] - self.sums[a][i]);
         if n > 0.0 { p / n } else { 0.0 }
     }
 
-    /// By how much a change at `k` makes the windows from `a` up to `b` likelier, twice the logarithm.
+    /// Gain in log likelihood by a change at `k` in the windows `a` to `b`, times two.
     fn gain(&self, a: usize, k: usize, b: usize) -> f64 {
         self.of_stretch(a, b) - self.of_stretch(a, k) - self.of_stretch(k, b)
     }
 
-    /// Cost of the same windows as a partition at `ends`, changes included.
+    /// Cost of the same windows with the partition `ends`, penalties included.
     pub fn of_partition(&self, ends: &[usize]) -> f64 {
         let stretches: f64 = ends.windows(2).map(|w| self.of_stretch(w[0], w[1])).sum();
         stretches + self.penalty * ends.len().saturating_sub(2) as f64
     }
 
-    /// Share of histories without a change that show no step of this gain.
+    /// Share of histories without a change that have no step of this gain.
     fn sureness(&self, gain: f64) -> f64 {
         1.0 - FALSE_ALARMS * libm::exp(-0.5 * (gain - self.penalty)).min(1.0)
     }
 }
 
-/// Where stretches begin and end: 0, the first windows after changes, the number of windows.
+/// Bounds of the stretches: 0, the first window after each change, the number of windows.
 pub(super) fn partition(costs: &Costs) -> Vec<usize> {
     let n = costs.sums.len() - 1;
     if n < 2 * LEAST_SIDE {
@@ -130,7 +130,7 @@ pub(super) fn partition(costs: &Costs) -> Vec<usize> {
     refined(costs, ends)
 }
 
-/// Each change moved to its best place between its neighbours.
+/// Moves each change to its best place between its neighbours.
 fn refined(costs: &Costs, mut ends: Vec<usize>) -> Vec<usize> {
     for i in 1..ends.len().saturating_sub(1) {
         let (a, b) = (ends[i - 1], ends[i + 1]);
@@ -141,7 +141,7 @@ fn refined(costs: &Costs, mut ends: Vec<usize>) -> Vec<usize> {
     ends
 }
 
-/// A change between two stretches: most likely date, its interval, and how sure it is.
+/// A change between two stretches: most likely date, its interval, its confidence.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Dated {
     pub at_ns: i64,
@@ -150,11 +150,10 @@ pub(super) struct Dated {
     pub p: f64,
 }
 
-/// Dates the change at `k` between the stretches from `a` and up to `b`.
+/// Dates the change at `k` between the stretch from `a` and the one up to `b`.
 ///
-/// Each place is as probable as it makes the windows likely; the interval holds the most probable ones up to its level, and
-/// reaches from the start of the window before to the end of the window after, since a window may be taken for what it was
-/// for a part of its time.
+/// Each place is weighted by its likelihood. The interval covers the most probable places up to its level, from the start of
+/// the window before to the end of the window after, since a window may keep its old result for part of its time.
 pub(super) fn dated(history: &History<'_>, costs: &Costs, a: usize, k: usize, b: usize) -> Dated {
     let best = costs.gain(a, k, b);
     let places = (a + 1)..b;
@@ -180,7 +179,8 @@ pub(super) fn dated(history: &History<'_>, costs: &Costs, a: usize, k: usize, b:
     }
 }
 
-/// ln s of the windows that give one, strays brought back towards the median of five neighbours: one window is no change.
+/// ln s of the windows that give one; stray values are pulled towards the median of five neighbours, because one window is
+/// not a change.
 fn without_strays(history: &History<'_>) -> Vec<f64> {
     let seen: Vec<Seen> = history.points.iter().filter_map(|p| p.seen).collect();
     let near = |k: usize| {

@@ -1,21 +1,21 @@
-//! A level, or a line, through values whose own variances are known but not what varies between them.
+//! A level or line through values with known variances and an unknown variance between them.
 //!
-//! Random effects: the variance between windows is Paule and Mandel's (1982), the one that brings the weighted sum of
-//! squares to its degrees of freedom; intervals are those of Hartung and Knapp (2001) and Sidik and Jonkman (2002), with
-//! Student's t. Each value counts by its window's share, so overlapping windows count as what they cover.
+//! Random effects: the variance between windows is that of Paule and Mandel (1982), which makes the weighted sum of squares
+//! equal its degrees of freedom; intervals are those of Hartung and Knapp (2001) and Sidik and Jonkman (2002) with Student's
+//! t. Each value counts by its window's share, so overlapping windows count once.
 
-/// Half the width of an interval of 90 % in standard deviations.
+/// Half width of a 90 % interval in standard deviations.
 pub(super) const HALF_WIDTH: f64 = 1.645;
 
-/// A value with what is known of it.
+/// A value with its variance and weight.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Seen {
     pub x: f64,
     /// Its own variance.
     pub variance: f64,
-    /// How many windows it counts for, 0..1.
+    /// Number of windows it counts for, 0..1.
     pub share: f64,
-    /// Middle of its window, s from the first window's start.
+    /// Middle of its window, s after the start of the first window.
     pub t_s: f64,
 }
 
@@ -29,13 +29,13 @@ pub(super) struct Level {
     slope_variance: f64,
     /// Variance between windows.
     pub between: f64,
-    /// Windows without overlap that would tell as much.
+    /// Equivalent number of windows without overlap.
     pub independent: f64,
     /// Degrees of freedom.
     df: f64,
 }
 
-/// Halvings of the search for the variance between windows.
+/// Bisection steps for the variance between windows.
 const HALVINGS: usize = 60;
 
 /// Sums of a weighted straight line.
@@ -68,7 +68,7 @@ impl Level {
         Self::of(seen, false)
     }
 
-    /// A line through `seen`; `None` for fewer than three windows or no time between them.
+    /// A line through `seen`; `None` for fewer than three windows or no time difference between them.
     pub fn line(seen: &[Seen]) -> Option<Self> {
         if seen.len() < 3 { None } else { Self::of(seen, true) }
     }
@@ -104,13 +104,13 @@ impl Level {
         self.at_mean + self.slope * (t_s - self.mean_s)
     }
 
-    /// Half the width of the interval of 90 % of the value at a time.
+    /// Half width of the 90 % interval of the value at a time.
     pub fn half_width(&self, t_s: f64) -> f64 {
         let away = t_s - self.mean_s;
         self.quantile(HALF_WIDTH) * (self.variance + self.slope_variance * away * away).sqrt()
     }
 
-    /// Half the width of the interval of the slope with the normal quantile `z`.
+    /// Half width of the interval of the slope for the normal quantile `z`.
     pub fn slope_half_width(&self, z: f64) -> f64 {
         self.quantile(z) * self.slope_variance.sqrt()
     }
@@ -120,7 +120,7 @@ impl Level {
     }
 }
 
-/// The weighted sum of squares that a level or line leaves.
+/// Weighted sum of squared residuals of a level or line.
 pub(super) fn squares(seen: &[Seen], sloped: bool, between: f64) -> f64 {
     let sums = Sums::of(seen, between);
     let slope = if sloped && sums.tt > 0.0 { sums.tx / sums.tt } else { 0.0 };
@@ -141,7 +141,7 @@ fn between(seen: &[Seen], df: f64, left: impl Fn(f64) -> f64) -> f64 {
     halved([0.0, spread], |between| left(between) > df)
 }
 
-/// Where a test that holds at the lower end and fails at the upper one turns.
+/// Bisects for the point where a test turns from true at the lower end to false at the upper one.
 pub(super) fn halved([mut low, mut high]: [f64; 2], holds: impl Fn(f64) -> bool) -> f64 {
     for _ in 0..HALVINGS {
         let middle = 0.5 * (low + high);
@@ -150,8 +150,8 @@ pub(super) fn halved([mut low, mut high]: [f64; 2], holds: impl Fn(f64) -> bool)
     0.5 * (low + high)
 }
 
-/// Student's quantile from that of the normal distribution (Cornish and Fisher; Abramowitz and Stegun 26.7.5); from one
-/// degree of freedom on.
+/// Student's quantile from the normal quantile (Cornish and Fisher; Abramowitz and Stegun 26.7.5); for one or more degrees of
+/// freedom.
 fn student(z: f64, df: f64) -> f64 {
     let (v, z2) = (df.max(1.0), z * z);
     let first = z * (z2 + 1.0) / 4.0;

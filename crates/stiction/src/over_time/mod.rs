@@ -1,8 +1,8 @@
-//! One valve over many windows: how far it sticks since it last changed, when that was, and which windows disagree.
+//! One valve over many windows: its size since the last change, the date of that change, windows that disagree.
 //!
-//! [`over_time`] takes what each window said and fits stretches between changes. In a stretch the share of windows that
-//! find stiction is constant, and so is ln s, apart from what its interval and a variance between windows let it scatter
-//! (random effects); s may also drift along a line. `docs/over-time.md` has the formulas and how often this is wrong.
+//! [`over_time`] fits stretches between changes to the results of the windows. In a stretch the share of windows with
+//! stiction is constant, and so is ln s, apart from its interval and a variance between windows (random effects); s may also
+//! drift linearly. `docs/over-time.md` has the formulas and error rates.
 
 mod changes;
 mod level;
@@ -17,21 +17,21 @@ pub use window::WindowResult;
 
 use stretch::Told;
 
-/// What many windows of one valve say together. Sizes in OP units, intervals of 90 %, times in ns since 1970.
+/// Combined result of many windows of one valve. Sizes in OP units, 90 % intervals, times in ns since 1970.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct OverTime {
-    /// Windows that gave an answer; the others are left aside.
+    /// Number of windows with an answer; others are not used.
     pub windows: usize,
-    /// Size since the last change; `None` where no stiction is found since then, or no window gives a size.
+    /// Size since the last change; `None` if no stiction was found since then, or no window gives a size.
     pub pooled: Option<Pooled>,
-    /// When the last change was; `None` where nothing changed.
+    /// Time of the last change; `None` without a change.
     pub since_ns: Option<i64>,
     /// Changes, oldest first.
     pub changes: Vec<Change>,
     /// Windows that contradict their stretch, oldest first.
     pub contradicting: Vec<Contradicting>,
-    /// Growth of s since the last change; `None` where none shows, or where that is less than a week.
+    /// Growth of s since the last change; `None` if not significant or over less than a week.
     pub trend: Option<Trend>,
     /// The same in words.
     pub sentences: Vec<String>,
@@ -41,34 +41,34 @@ pub struct OverTime {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Pooled {
-    /// Dead band plus stick band: the weighted geometric mean, or where s drifts, its value at the last window.
+    /// Dead band plus stick band: the weighted geometric mean or, if s drifts, its value at the last window.
     pub s: f64,
     /// Interval of `s`.
     pub s_interval: [f64; 2],
-    /// Slip jump; `None` where no window gives one.
+    /// Slip jump; `None` if no window gives one.
     pub j: Option<f64>,
-    /// Interval of `j`; where it is not identifiable, what most windows allow.
+    /// Interval of `j`; the values compatible with most windows if it is not identifiable.
     pub j_interval: Option<[f64; 2]>,
-    /// Whether a window identifies j.
+    /// Whether any window identifies j.
     pub j_identifiable: bool,
-    /// Windows that give a size.
+    /// Number of windows that give a size.
     pub windows: usize,
-    /// As many windows would tell as much if they neither overlapped nor resembled the ones before.
+    /// Equivalent number of windows without overlap and correlation.
     pub independent_windows: f64,
-    /// Standard deviation of s from window to window beyond what the windows' own intervals explain, % of s.
+    /// Standard deviation of s between windows beyond the windows' own intervals, % of s.
     pub between_windows_pct: f64,
 }
 
-/// What changed.
+/// Kind of change.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum ChangeKind {
-    /// It stuck before, and afterwards no stiction is found.
+    /// Stiction before, none found afterwards.
     Repaired,
     /// It sticks less than before.
     Better,
-    /// It sticks more than before, or began to.
+    /// It sticks more than before, or has begun to.
     Worse,
 }
 
@@ -86,9 +86,9 @@ pub struct Change {
     pub kind: ChangeKind,
     /// s before; `None` where no stiction was found.
     pub s_before: Option<f64>,
-    /// s after.
+    /// s after; `None` if no stiction was found.
     pub s_after: Option<f64>,
-    /// Share of histories of 500 windows without any change that show no step as clear as this one.
+    /// Share of histories of 500 windows without any change that have no step as clear as this one.
     pub p: f64,
 }
 
@@ -96,7 +96,7 @@ pub struct Change {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Contradicting {
-    /// The window's name: its end.
+    /// End of the window, which is its name.
     pub end_ns: i64,
     /// Its s.
     pub s: Option<f64>,
@@ -110,20 +110,20 @@ pub struct Contradicting {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Trend {
-    /// Growth, OP units a month (30.44 days) at today's s.
+    /// Growth, OP units per month (30.44 days) at the current s.
     pub s_per_month: f64,
     /// Interval of `s_per_month`.
     pub s_per_month_interval: [f64; 2],
-    /// Growth, % a month.
+    /// Growth, % per month.
     pub pct_per_month: f64,
-    /// Since when, ns.
+    /// Start of the growth, ns.
     pub since_ns: i64,
 }
 
-/// Takes the windows of one valve together, in any order.
+/// Combines the windows of one valve, given in any order.
 ///
-/// A window counts once it answers (`stiction` is not `None`) and lasts longer than nothing. Overlapping windows share what
-/// they overlap in, so a shorter hop does not make anything surer.
+/// A window counts if it has an answer (`stiction` is not `None`) and a positive duration. Overlapping windows share the
+/// weight of the overlap, so a shorter hop does not add confidence.
 #[must_use]
 pub fn over_time(windows: &[WindowResult]) -> OverTime {
     let history = window::History::of(windows);

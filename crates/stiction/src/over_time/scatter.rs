@@ -1,33 +1,33 @@
-//! How much ln s scatters from window to window beyond what the windows' intervals explain, and for how long.
+//! Scatter of ln s between windows beyond the windows' own intervals, and how long it persists.
 //!
-//! Read from differences between windows, as median squares: a few changes of the valve hardly touch them.
+//! Estimated from median squares of differences between windows, so a few changes of the valve hardly affect it.
 
 use super::level::{Seen, halved};
 use crate::signal::stats;
 
-/// Least standard deviation of ln s between windows: valves are not the same from day to day.
+/// Least standard deviation of ln s between windows: valves vary from day to day.
 const LEAST_BETWEEN: f64 = 0.03;
 /// Median of chi-squared with one degree of freedom.
 const CHI_MEDIAN: f64 = 0.454_936;
-/// Windows without overlap that lie between two which are taken for unrelated.
+/// Number of windows without overlap between two that count as independent.
 const FAR: f64 = 5.0;
-/// Pairs without overlap from which memory is told, and the most of it that is believed.
+/// Pairs without overlap needed to estimate the correlation, and the largest correlation accepted.
 const ENOUGH: f64 = 20.0;
 const MOST_MEMORY: f64 = 0.9;
 
-/// What lies between windows.
+/// Scatter between windows.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Scatter {
     /// Variance of ln s.
     pub between: f64,
-    /// Pairs of windows that it was read from, overlap counted once; `None` where there are none.
+    /// Number of pairs of windows used, overlap counted once; `None` if there are none.
     pub pairs: Option<f64>,
-    /// Windows that tell as much as one without memory would.
+    /// Number of windows that carry the information of one independent window.
     pub repeats: f64,
 }
 
 impl Scatter {
-    /// Of sizes with starts and ends of their windows, by their ends.
+    /// From sizes with the starts and ends of their windows, sorted by end.
     pub fn of(seen: &[(Seen, [i64; 2])]) -> Self {
         let least = LEAST_BETWEEN * LEAST_BETWEEN;
         let (near, pairs) = by_differences(seen, 0.0);
@@ -47,7 +47,8 @@ impl Scatter {
     }
 }
 
-/// Half the mean square of differences between windows so many lengths apart, less the windows' own variances; and the pairs.
+/// Half the mean square of differences between windows this many lengths apart, less the windows' own variances; and the
+/// number of pairs.
 fn by_differences(seen: &[(Seen, [i64; 2])], lengths_apart: f64) -> (f64, f64) {
     let (mut later, mut pairs, mut shares) = (0, Vec::new(), 0.0);
     for (k, (first, [start, end])) in seen.iter().enumerate() {

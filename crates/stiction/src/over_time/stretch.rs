@@ -1,27 +1,27 @@
-//! Stretches between changes: what changed, what holds since, and which windows disagree.
+//! Stretches between changes: what changed, the state since then, and windows that disagree.
 
 use super::changes::{Costs, Dated, dated, partition};
 use super::level::{HALF_WIDTH, Level, Seen, squares};
 use super::window::{History, Point};
 use super::{Change, ChangeKind, Contradicting, Pooled, Trend, words};
 
-/// Share of a stretch's windows from which on it counts as sticking.
+/// Share of a stretch's windows with stiction above which the stretch counts as sticking.
 const STICKS: f64 = 0.5;
 /// A month and a week, s.
 const MONTH_S: f64 = 30.44 * 86_400.0;
 const WEEK_S: f64 = 7.0 * 86_400.0;
-/// Fewest windows without overlap that a trend is read from.
+/// Fewest windows without overlap for a trend.
 const LEAST_TREND: f64 = 6.0;
-/// Normal quantile of a slope that counts: 99 % on both sides.
+/// Normal quantile for a significant slope: 99 %, two-sided.
 const CLEAR_SLOPE: f64 = 2.576;
-/// Expected number of windows so far off by chance, in the stretch, below which one contradicts it.
+/// A window contradicts its stretch if fewer than this many windows are expected so far off by chance.
 const BY_CHANCE: f64 = 0.05;
-/// How sure a window with the opposite verdict must be to contradict.
+/// Least confidence of a window with the opposite verdict that contradicts.
 const SURE: f64 = 0.9;
-/// A line costs less than a change: one number more instead of three.
+/// Cost of a line relative to a change: one parameter more instead of three.
 const LINE_COST: f64 = 1.0 / 3.0;
 
-/// Windows that tell the same.
+/// Windows with a common state.
 #[derive(Debug, Clone)]
 pub(super) struct Stretch {
     from: usize,
@@ -43,7 +43,7 @@ impl Stretch {
         &history.points[self.from..self.to]
     }
 
-    /// s in the middle of its time.
+    /// s at the middle of its time.
     fn s(&self, history: &History<'_>) -> Option<f64> {
         let times: Vec<f64> = seen(self.points(history)).iter().map(|s| s.t_s).collect();
         let middle = crate::signal::stats::mean(&times);
@@ -59,7 +59,7 @@ fn seen(points: &[Point<'_>]) -> Vec<Seen> {
 pub(super) struct Told {
     stretches: Vec<Stretch>,
     pub changes: Vec<Change>,
-    /// Variance of ln s between windows, which changes and stray windows hardly touch.
+    /// Variance of ln s between windows, robust to changes and stray windows.
     between: f64,
 }
 
@@ -102,7 +102,7 @@ impl Told {
         })
     }
 
-    /// Growth of s since the last change, where it shows.
+    /// Growth of s since the last change, if significant.
     pub fn trend(&self, history: &History<'_>) -> Option<Trend> {
         let last = self.stretches.last()?;
         let level = last.level.filter(|level| level.slope != 0.0)?;
@@ -123,7 +123,7 @@ impl Told {
         })
     }
 
-    /// Windows that disagree with their stretch by more than chance allows; those that a change fell into are excused.
+    /// Windows that disagree with their stretch by more than chance allows, except those that span a change.
     pub fn contradicting(&self, history: &History<'_>) -> Vec<Contradicting> {
         let excused =
             |p: &Point<'_>| self.changes.iter().any(|c| p.result.start_ns < c.to_ns && c.from_ns < p.result.end_ns);
@@ -159,7 +159,7 @@ impl Told {
     }
 }
 
-/// A partition without the changes between stretches that both do not stick.
+/// The partition without changes between two stretches without stiction.
 fn joined(costs: &Costs, ends: Vec<usize>) -> Vec<usize> {
     let last = ends.len().saturating_sub(1);
     let sticks = |i: usize| costs.found(ends[i], ends[i + 1]) >= STICKS;
@@ -167,7 +167,7 @@ fn joined(costs: &Costs, ends: Vec<usize>) -> Vec<usize> {
     (0..ends.len()).filter(|&i| keep(i)).map(|i| ends[i]).collect()
 }
 
-/// A partition without those steps of sticking stretches in a row that a straight line tells for less.
+/// The partition without steps between sticking stretches that a straight line explains at less cost.
 fn without_drift(history: &History<'_>, costs: &Costs, ends: &[usize]) -> Vec<usize> {
     let sticks = |i: usize| costs.found(ends[i], ends[i + 1]) >= STICKS;
     let stretches = ends.len().saturating_sub(1);
@@ -200,7 +200,7 @@ fn drifts(history: &History<'_>, costs: &Costs, ends: &[usize]) -> bool {
     costs.of_partition(&[*from, *to]) - saved + LINE_COST * costs.penalty < costs.of_partition(ends)
 }
 
-/// The line through sizes that clearly rise or fall, over a week at least.
+/// The line through sizes that clearly rise or fall over at least a week.
 fn drifting(sized: &[Seen]) -> Option<Level> {
     let lasts = sized.last()?.t_s - sized.first()?.t_s;
     let line = Level::line(sized)?;
@@ -208,7 +208,7 @@ fn drifting(sized: &[Seen]) -> Option<Level> {
     (enough && line.slope.abs() > line.slope_half_width(CLEAR_SLOPE)).then_some(line)
 }
 
-/// What changed from one stretch to the next; `None` where neither sticks.
+/// The change from one stretch to the next; `None` if neither sticks.
 fn change(history: &History<'_>, costs: &Costs, before: &Stretch, after: &Stretch) -> Option<Change> {
     let Dated { at_ns, from_ns, to_ns, p } = dated(history, costs, before.from, after.from, after.to);
     let kind = match (before.sticks, after.sticks) {
@@ -220,7 +220,7 @@ fn change(history: &History<'_>, costs: &Costs, before: &Stretch, after: &Stretc
     Some(Change { at_ns, from_ns, to_ns, kind, s_before: before.s(history), s_after: after.s(history), p })
 }
 
-/// Better or worse, by s where it differs clearly, else by how often stiction is found.
+/// Better or worse, by s if it differs clearly, else by the share of windows with stiction.
 fn both_stick(costs: &Costs, before: &Stretch, after: &Stretch) -> ChangeKind {
     let found = |s: &Stretch| costs.found(s.from, s.to);
     let by_share = found(after) - found(before);
@@ -233,7 +233,7 @@ fn both_stick(costs: &Costs, before: &Stretch, after: &Stretch) -> ChangeKind {
     if worse { ChangeKind::Worse } else { ChangeKind::Better }
 }
 
-/// The slip jump of the windows that identify it.
+/// The slip jump from the windows that identify it.
 fn jump_where_identified(told: &[&Point<'_>]) -> Option<(f64, [f64; 2])> {
     let jump = |p: &&&Point<'_>| -> Option<Seen> {
         let w = p.result;
@@ -249,7 +249,8 @@ fn jump_where_identified(told: &[&Point<'_>]) -> Option<(f64, [f64; 2])> {
     Some((j, [(j - half).max(0.0), j + half]))
 }
 
-/// The slip jumps that most windows allow: where the sets overlap most. The best point is the mean of theirs, kept inside.
+/// The slip jumps compatible with most windows: where the feasible sets overlap most. The estimate is the mean of their
+/// values, limited to that range.
 fn jump_allowed(told: &[&Point<'_>]) -> Option<(f64, [f64; 2])> {
     let sets: Vec<[f64; 2]> = told.iter().filter_map(|p| p.result.j_interval).filter(|[l, h]| l <= h).collect();
     let holding = |x: f64| sets.iter().filter(|[l, h]| *l <= x && x <= *h).count();

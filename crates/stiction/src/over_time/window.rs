@@ -1,4 +1,4 @@
-//! What each window said, and what it counts.
+//! The result of each window, and its weight.
 
 use serde::{Deserialize, Serialize};
 
@@ -6,16 +6,16 @@ use super::level::{HALF_WIDTH, Seen};
 use super::scatter::Scatter;
 use crate::verdict::{Assessment, Gate};
 
-/// What one window said; a field that is missing in a document is `None`.
+/// Result of one window; a field missing in a document is `None`.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default)]
 pub struct WindowResult {
     /// Start of the window, ns since 1970.
     pub start_ns: i64,
-    /// End of the window, its name, ns since 1970.
+    /// End of the window and its name, ns since 1970.
     pub end_ns: i64,
-    /// Whether the valve sticks; `None` where the window does not answer.
+    /// Whether the valve sticks; `None` if the window is inconclusive.
     pub stiction: Option<bool>,
     /// Probability of stiction, 0..1.
     pub p_stiction: Option<f64>,
@@ -23,15 +23,15 @@ pub struct WindowResult {
     pub grade: Option<char>,
     /// Dead band plus stick band, OP units.
     pub s: Option<f64>,
-    /// Interval of 90 % of `s`.
+    /// 90 % interval of `s`.
     pub s_interval: Option<[f64; 2]>,
     /// Slip jump, OP units.
     pub j: Option<f64>,
-    /// Interval of 90 % of `j`; the feasible set where it is not identifiable.
+    /// 90 % interval of `j`; the feasible set if j is not identifiable.
     pub j_interval: Option<[f64; 2]>,
     /// Whether the record identifies j.
     pub j_identifiable: Option<bool>,
-    /// Gates by name.
+    /// Validity checks by name.
     pub gates: Vec<String>,
 }
 
@@ -53,27 +53,27 @@ impl From<&Assessment> for WindowResult {
     }
 }
 
-/// Bounds of a probability: one window is never surer than this.
+/// Bounds of a probability: the confidence of a single window is limited.
 const SURE: [f64; 2] = [0.02, 0.98];
-/// The probability of a verdict that comes without one.
+/// Probability assumed for a verdict without one.
 const PLAIN: f64 = 0.9;
-/// Logits count this often: a stretch is told by its verdicts rather than by how sure each of them is.
+/// Multiplier of logits: the verdicts count more than their confidences.
 const SHARPER: f64 = 3.0;
-/// Least standard deviation of ln s, and the least share of s that an interval's end is taken for.
+/// Least standard deviation of ln s, and the least share of s assumed for an interval's end.
 const LEAST_SD: f64 = 0.01;
 const LEAST_END: f64 = 0.05;
 
-/// A window that answers.
+/// A window with an answer.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Point<'a> {
     pub result: &'a WindowResult,
     pub sticks: bool,
     pub p: f64,
-    /// The same as it counts towards its stretch, sharper and never beyond doubt.
+    /// The same as it counts towards its stretch, sharpened and bounded.
     pub weighed: f64,
-    /// Its share of the time that it covers, as other windows cover it too: 1 without overlap.
+    /// Its share of the time it covers, shared with overlapping windows: 1 without overlap.
     pub share: f64,
-    /// ln s where the window sticks and gives one.
+    /// ln s if the window sticks and gives one.
     pub seen: Option<Seen>,
 }
 
@@ -84,7 +84,7 @@ impl Point<'_> {
     }
 }
 
-/// The windows that answer, by their ends.
+/// The windows with an answer, sorted by end.
 #[derive(Debug)]
 pub(super) struct History<'a> {
     pub points: Vec<Point<'a>>,
@@ -136,7 +136,7 @@ fn log_s(w: &WindowResult) -> Option<(f64, f64)> {
     Some((libm::log(s), sd * sd))
 }
 
-/// What each window has of the time that it covers, where windows that overlap share it evenly.
+/// Share of each window in the time it covers, with overlaps divided equally.
 fn shares(windows: &[&WindowResult]) -> Vec<f64> {
     let mut edges: Vec<(i64, i32)> = windows.iter().flat_map(|w| [(w.start_ns, 1), (w.end_ns, -1)]).collect();
     edges.sort_unstable();

@@ -1,5 +1,5 @@
-//! Loops that explain the record: bands from their intervals, process and controller around what was found, each kept as
-//! often as it is likely.
+//! Loops compatible with the record: bands drawn from their intervals, process and controller around the estimates, each kept
+//! in proportion to its likelihood.
 
 use super::plant::{Known, Plant, Shape};
 use crate::ident::residual::whiteness;
@@ -7,21 +7,21 @@ use crate::sim::closed_loop::ValveLaw;
 use crate::sim::noise::Noise;
 use crate::sim::process::ProcessModel;
 
-/// Loops proposed, and those that are drawn from them.
+/// Number of proposals, and of loops drawn from them.
 const PROPOSED: usize = 96;
 pub(super) const DRAWN: usize = 32;
-/// Most independent points that tell one proposal from another: no model is right to the last one.
+/// Most independent points used to compare proposals: no model is exact.
 const MOST_POINTS: f64 = 60.0;
-/// Half the width of an interval of 90 % in standard deviations.
+/// Half width of a 90 % interval in standard deviations.
 const HALF_WIDTH: f64 = 1.645;
 /// Relative standard deviations of proposals: time constants and dead time (points, at least), the controller's gain and
-/// integral time where it explains all, and more by what it leaves unexplained.
+/// integral time; more if the controller model leaves more unexplained.
 const TIMES: f64 = 0.15;
 const LEAST_DEAD: f64 = 0.3;
 const CONTROLLER: [f64; 2] = [0.02, 0.05];
 const CONTROLLER_MORE: [f64; 2] = [0.5, 1.0];
 
-/// A loop that explains the record.
+/// A loop compatible with the record.
 pub(super) struct Drawn {
     pub plant: Plant,
     /// Gain, OP units per PV unit, > 0, and integral time, s.
@@ -29,7 +29,7 @@ pub(super) struct Drawn {
     pub ti_s: f64,
 }
 
-/// Loops that explain the record, seeded; none where no plant fits.
+/// Loops compatible with the record, seeded; none if no plant fits.
 pub(super) fn draws(known: &Known<'_>, seed: u64) -> Vec<Drawn> {
     let mut noise = Noise::new(seed, 0);
     let centre = known.shape();
@@ -76,7 +76,7 @@ fn proposed(known: &Known<'_>, noise: &mut Noise) -> Shape {
     Shape { fs, fd, process: ProcessModel { tau, tau2, dead_time, ..p } }
 }
 
-/// fs and fd of an s and a j out of their intervals.
+/// fs and fd from s and j drawn from their intervals.
 fn bands(known: &Known<'_>, noise: &mut Noise, [fs, fd]: [f64; 2]) -> (f64, f64) {
     let a = known.assessment;
     let (s, j) = (fs + fd, fs - fd);

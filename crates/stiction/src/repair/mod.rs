@@ -1,11 +1,10 @@
-//! What a repair of the valve buys: the closed loop simulated as it is, without stiction, and with half the controller gain.
+//! Benefit of a valve repair: the closed loop simulated as it is, without stiction, and with half the controller gain.
 //!
-//! The loop is what the record and its assessment tell: valve and process as fitted, the controller as read, and as
-//! disturbance what the model leaves of PV, put together anew from stretches of the record. Without stiction the
-//! disturbance lies between the measurement's noise and all of that: how much of it is the model's own error, which goes
-//! with the cycle, cannot be told. Valve, process and controller are drawn from what explains the record, and a draw stays
-//! only where its loop moves PV as the record does; what they disagree in are the intervals. `docs/over-time.md` has the
-//! figures.
+//! The loop comes from the record and its assessment: valve and process as fitted, the identified controller, and as
+//! disturbance the residuals of PV, resampled in blocks. Without stiction the disturbance is between the measurement noise
+//! and all of the residuals, because the part due to model error, which would vanish with the cycle, is unknown. Valve,
+//! process and controller are drawn from those compatible with the record; a draw is kept only if its loop moves PV as
+//! recorded. The spread of the draws gives the intervals. `docs/over-time.md` has the figures.
 
 mod draws;
 mod plant;
@@ -18,10 +17,10 @@ use thiserror::Error;
 use crate::record::Record;
 use crate::verdict::Assessment;
 
-/// What a simulation is told beside the record. The defaults are the daemon's.
+/// Options of the simulation. The defaults are the daemon's.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RepairParams {
-    /// OP's range, where it is known; else OP may go ten spans beyond what was recorded.
+    /// OP's range if known; otherwise OP may leave the recorded range by ten spans.
     pub op_range: Option<[f64; 2]>,
     /// Seed of all draws.
     pub seed: u64,
@@ -33,7 +32,7 @@ impl Default for RepairParams {
     }
 }
 
-/// A number with its interval of 90 %, in which a stretch as long as the record would lie.
+/// A number with a 90 % interval for a stretch as long as the record.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Figure {
@@ -43,27 +42,27 @@ pub struct Figure {
     pub interval: [f64; 2],
 }
 
-/// How a loop would behave.
+/// Behaviour of a loop.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Case {
     /// Standard deviation of PV, PV units.
     pub pv_sd: Figure,
-    /// `pv_sd` over that of the loop as it is now, under the same disturbance.
+    /// `pv_sd` relative to the loop as it is, with the same disturbance.
     pub pv_sd_ratio: Figure,
     /// Mean of |SP - PV|, PV units.
     pub pv_mean_abs_error: Figure,
-    /// Way of the stem, OP units a day.
+    /// Travel of the stem, OP units per day.
     pub travel_per_day: Figure,
-    /// Way of OP, OP units a day.
+    /// Travel of OP, OP units per day.
     pub op_travel_per_day: Figure,
-    /// Turns of the stem by more than [`Repair::turn_op`], a day.
+    /// Reversals of the stem by more than [`Repair::turn_op`], per day.
     pub reversals_per_day: Figure,
-    /// Whether it oscillates regularly; `None` where the draws disagree.
+    /// Whether it oscillates regularly; `None` if the draws disagree.
     pub oscillates: Option<bool>,
 }
 
-/// What a repair buys.
+/// Benefit of a repair.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Repair {
@@ -75,61 +74,59 @@ pub struct Repair {
     pub half_gain: Case,
     /// Standard deviation of PV in the record itself, PV units.
     pub recorded_pv_sd: f64,
-    /// A turn of the stem counts from here on, OP units.
+    /// Smallest movement of the stem that counts as a reversal, OP units.
     pub turn_op: f64,
     /// The same in words.
     pub sentences: Vec<String>,
-    /// What was taken for granted.
+    /// Assumptions of the simulation.
     pub assumptions: Vec<String>,
 }
 
-/// Why there is no answer.
+/// Why there is no result.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum NoRepair {
-    /// The window does not say whether the valve sticks.
-    #[error(
-        "the window does not say whether the valve sticks ({0}), so there is nothing to compare: take another window"
-    )]
+    /// The window is inconclusive about stiction.
+    #[error("the window is inconclusive about stiction ({0}), so there is nothing to compare; choose another window")]
     Inconclusive(String),
     /// No model of valve and process.
     #[error(
-        "no model of valve and process could be fitted to this record, so the loop cannot be simulated: take a window in which OP moves more"
+        "no model of valve and process fits this record, so the loop cannot be simulated; choose a window in which OP moves more"
     )]
     NoModel,
-    /// No controller.
+    /// No controller model.
     #[error(
-        "the controller cannot be told from this record: no PID controller explains how OP follows PV; it needs a stretch in automatic with OP and PV as the controller had them"
+        "the controller cannot be identified from this record: no PID controller explains OP from PV; choose a window in automatic, with uncompressed OP and PV"
     )]
     NoController,
-    /// A controller that explains only a part of OP.
+    /// A controller model that explains only part of OP.
     #[error(
-        "the controller cannot be told from this record: it explains OP in {0:.0} % of it only; take a window without changes of mode or settings"
+        "the controller cannot be identified from this record: the model explains OP in only {0:.0} % of it; choose a window without changes of mode or settings"
     )]
     PartController(f64),
-    /// The signs of process and controller make the loop run away.
+    /// Process and controller have signs that make the loop unstable.
     #[error(
-        "the process gain and the controller's action as read from this record do not go together: one of the two is wrong"
+        "the identified process gain and controller action contradict each other, so one of them is wrong; choose another window"
     )]
     Signs,
-    /// Simulated, the loop is not what was recorded.
+    /// The simulated loop differs from the recorded one.
     #[error(
-        "simulated with what the record tells, PV varies {0:.2} times as much as recorded: the model is not good enough to say what a repair buys"
+        "the simulated PV varies {0:.2} times as much as the recorded one: the model is not good enough to estimate the benefit of a repair"
     )]
     OtherSpread(f64),
-    /// Simulated, the loop turns at another pace.
+    /// The simulated loop oscillates at another rate.
     #[error(
-        "simulated with what the record tells, OP turns {0:.2} times as often as recorded: the model is not good enough to say what a repair buys"
+        "the simulated OP reverses {0:.2} times as often as the recorded one: the model is not good enough to estimate the benefit of a repair"
     )]
     OtherPace(f64),
 }
 
-/// Simulates what a repair buys. `assessment` is what [`crate::verdict::assess`] made of `record`; where it found no
+/// Simulates the effect of a repair. `assessment` is the result of [`crate::verdict::assess`] for `record`; if it found no
 /// stiction, the valve follows OP in all cases.
 ///
-/// Pure and seeded: the same arguments give the same answer. Work is bounded.
+/// Pure and seeded: the same arguments give the same result. The work is bounded.
 ///
 /// # Errors
-/// [`NoRepair`] says in words why the loop cannot be simulated, or not be trusted.
+/// [`NoRepair`] with the reason why the loop cannot be simulated or the result is not reliable.
 pub fn repair(record: &Record, assessment: &Assessment, params: &RepairParams) -> Result<Repair, NoRepair> {
     let known = plant::Known::of(record, assessment)?;
     let told = run::compare(&known, params)?;

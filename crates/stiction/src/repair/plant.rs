@@ -1,5 +1,5 @@
-//! The plant as the record tells it: valve and process run over OP as recorded, gain and level by least squares, and what
-//! that leaves of PV.
+//! The plant identified from the record: valve and process over recorded OP, gain and offset by least squares, and the
+//! residuals of PV.
 
 use super::NoRepair;
 use crate::ident::least_squares::Gram;
@@ -10,30 +10,30 @@ use crate::sim::process::{ProcessModel, ProcessState};
 use crate::sim::slips::Law;
 use crate::verdict::{Assessment, Controller, Process};
 
-/// Most points that are simulated: of longer records the latest.
+/// Most points simulated; of longer records the latest.
 const MOST_POINTS: usize = 2_000;
-/// Fewest points that a fit stands on.
+/// Fewest points for a fit.
 const LEAST_POINTS: usize = 60;
-/// Share of the record that the controller explains, at least.
+/// Least share of OP that the controller model must explain.
 const EXPLAINED: f64 = 0.7;
-/// Time constants after which what went before the record is forgotten, and the most of it that is left out for that.
+/// Time constants after which the past before the record is forgotten, and the largest part of the record left out for it.
 const FORGOTTEN: f64 = 3.0;
 const MOST_LEFT_OUT: f64 = 0.4;
 
-/// What record and assessment tell.
+/// Results of record and assessment.
 pub(super) struct Known<'a> {
     pub process: &'a Process,
     pub controller: &'a Controller,
     pub law: ValveLaw,
     pub assessment: &'a Assessment,
-    /// OP on its way, `per_point` values a point.
+    /// Path of OP, `per_point` values per point.
     path: Vec<f64>,
     per_point: usize,
-    /// OP, PV and set point, a value a point.
+    /// OP, PV and set point, one value per point.
     pub op: Vec<f64>,
     pub pv: Vec<f64>,
     pub sp: Option<Vec<f64>>,
-    /// Time between points, and raw samples in one.
+    /// Time between points, and raw samples per point.
     pub point_s: f64,
     pub box_samples: f64,
 }
@@ -51,10 +51,10 @@ pub(super) struct Shape {
 #[derive(Debug, Clone)]
 pub(super) struct Plant {
     pub shape: Shape,
-    /// Stem position at which the process rests, OP units, and PV there (settling processes).
+    /// Stem position at which the process rests, OP units, and PV there (self-regulating processes).
     pub rest_op: f64,
     pub rest_pv: f64,
-    /// What it leaves of PV.
+    /// Residuals of PV.
     pub residual: Vec<f64>,
     pub mse: f64,
 }
@@ -97,12 +97,12 @@ impl<'a> Known<'a> {
         })
     }
 
-    /// Points.
+    /// Number of points.
     pub fn len(&self) -> usize {
         self.pv.len()
     }
 
-    /// The valve with the bands of `shape`, over any travel.
+    /// The valve with the bands of `shape`, for any travel.
     pub fn valve(&self, fs: f64, fd: f64, travel: [f64; 2]) -> ValveModel {
         let law = if fs > 0.0 { self.law } else { ValveLaw::None };
         ValveModel { law, fs, fd, travel_min: travel[0], travel_max: travel[1], ..ValveModel::HEALTHY }
@@ -124,7 +124,7 @@ impl<'a> Known<'a> {
         Shape { fs, fd: band(self.assessment.fd).min(fs), process }
     }
 
-    /// The plant of this shape with the gain and level that fit the record best; `None` where the gain's sign is another.
+    /// The plant of this shape with the gain and offset that fit the record best; `None` if the gain has the opposite sign.
     pub fn plant(&self, shape: Shape) -> Option<Plant> {
         let n = self.len();
         let stem = self.stem(shape.fs, shape.fd);
@@ -163,7 +163,7 @@ impl<'a> Known<'a> {
         })
     }
 
-    /// Stem positions behind OP as recorded, averaged over each point.
+    /// Stem positions for recorded OP, averaged over each point.
     fn stem(&self, fs: f64, fd: f64) -> Vec<f64> {
         let valve = self.valve(fs, fd, [f64::NEG_INFINITY, f64::INFINITY]);
         let mut stem = Stem::at_rest(self.path.first().copied().unwrap_or(0.0));
@@ -181,7 +181,7 @@ impl<'a> Known<'a> {
     }
 }
 
-/// The first point at which the stem has moved up and down.
+/// First point at which the stem has moved both up and down.
 fn moved_both_ways(stem: &[f64]) -> usize {
     let first = |up: f64| stem.windows(2).position(|w| up * (w[1] - w[0]) > 0.0).unwrap_or(stem.len());
     first(1.0).max(first(-1.0))

@@ -1,4 +1,4 @@
-//! The loops run: each draw in every case under the same disturbance, measured over a stretch as long as the record.
+//! Simulates each draw in every case with the same disturbance and measures a stretch as long as the record.
 
 use super::draws::{DRAWN, Drawn, draws};
 use super::plant::Known;
@@ -10,37 +10,37 @@ use crate::sim::controller::{Action, PidSettings};
 use crate::sim::noise::Noise;
 use crate::sim::process::ProcessModel;
 
-/// Room for OP on both sides of what was recorded, spans, where its range is not known.
+/// Margin of OP beyond its recorded range on both sides, spans, if its range is unknown.
 const WIDE: f64 = 10.0;
-/// A start off the resting place, bands.
+/// Initial offset from the operating point, bands.
 const START_BANDS: f64 = 1.5;
-/// A turn counts from this share of s on; of OP's span where nothing sticks.
+/// Smallest movement that counts as a reversal, as a share of s, or of OP's span without stiction.
 const TURN: f64 = 0.1;
 const TURN_OF_SPAN: f64 = 0.05;
-/// Mean length of the stretches that a disturbance is made of, share of what is known of it.
+/// Mean length of the resampled blocks, as a share of the residuals.
 const STRETCH: f64 = 0.25;
-/// The model's own error is never taken for more than all but this share of what it leaves.
+/// Least share of the residuals that is not attributed to model error.
 const LEAST_SHARE: f64 = 0.15;
-/// Places that a next stretch is chosen from.
+/// Number of candidates for the next block.
 const JOINTS: usize = 12;
-/// How far PV's spread, simulated as it is now, may be from the recorded one, times: of a draw, and of their median; and how
-/// far OP's turns may be.
+/// Largest ratio between simulated and recorded spread of PV, for a draw and for the median of draws; and largest ratio for
+/// OP's reversals.
 const DRAW_WITHIN: f64 = 1.6;
 const SPREAD_WITHIN: f64 = 1.4;
 const PACE_WITHIN: f64 = 2.0;
-/// Fewest recorded turns whose pace counts.
+/// Fewest recorded reversals for comparing the rate.
 const LEAST_TURNS: usize = 6;
-/// Fewest draws that are left.
+/// Fewest draws that must remain.
 const LEAST_DRAWS: usize = 8;
-/// Draws that are asked whether they oscillate, and the share from which they agree.
+/// Draws tested for oscillation, and the share needed for agreement.
 const ASKED: usize = 8;
 const AGREED: f64 = 0.75;
-/// Intervals of the cases are this much wider than the draws spread, see docs/over-time.md: chosen so that most hold
-/// the truth of simulated loops.
+/// Intervals are wider than the spread of the draws by this factor, chosen for coverage on simulated loops, see
+/// docs/over-time.md.
 const WIDER: [f64; 3] = [2.5, 2.0, 3.5];
 const DAY_S: f64 = 86_400.0;
 
-/// What one run showed.
+/// Result of one run.
 #[derive(Debug, Clone, Copy)]
 struct Shown {
     pv_sd: f64,
@@ -52,7 +52,7 @@ struct Shown {
     oscillates: Option<bool>,
 }
 
-/// The cases: share of the bands that is left, and of the gain.
+/// The cases: remaining share of the bands, and of the gain.
 const CASES: [[f64; 2]; 3] = [[1.0, 1.0], [0.0, 1.0], [1.0, 0.5]];
 
 /// Runs every case of every draw.
@@ -98,8 +98,8 @@ pub(super) fn compare(known: &Known<'_>, params: &RepairParams) -> Result<Repair
     Ok(Repair { now, repaired, half_gain, recorded_pv_sd, turn_op, sentences: vec![], assumptions: vec![] })
 }
 
-/// Least share of what the model leaves that is a disturbance: the measurement's noise is. The rest may be the model's own
-/// error, which goes with the cycle and would not outlast it.
+/// Least share of the residuals that is a disturbance, at least the measurement noise. The rest may be model error, which would
+/// vanish with the cycle.
 fn least_share(pv: &[f64], left: f64) -> f64 {
     if left > 0.0 { (stats::noise_sd(pv) / left).clamp(LEAST_SHARE, 1.0) } else { 1.0 }
 }
@@ -129,7 +129,7 @@ fn as_case(runs: &[[Shown; 3]], case: usize) -> Case {
     }
 }
 
-/// Median and widened interval; in logarithm, as all figures are 0 or more.
+/// Median and widened interval; in logarithms, since all figures are positive or 0.
 fn figure(x: &[f64], times: f64) -> Figure {
     let sorted = stats::sorted(x);
     let [low, value, high] = [0.05, 0.5, 0.95].map(|q| stats::quantile_sorted(&sorted, q));
@@ -137,8 +137,8 @@ fn figure(x: &[f64], times: f64) -> Figure {
     Figure { value, interval: [wider(low), wider(high)] }
 }
 
-/// A disturbance put together from stretches of what a plant leaves, their lengths geometric (Politis and Romano 1994). A
-/// stretch begins where what is left is much as where the one before ended, since a jump would be a load of its own.
+/// A disturbance of resampled blocks of a plant's residuals with geometric lengths (Politis and Romano 1994). A block starts
+/// near the value at which the previous one ended, since a jump would act as an additional load.
 fn disturbance(residual: &[f64], n: usize, mut noise: Noise) -> Vec<f64> {
     let known = residual.len();
     let ends = 1.0 / (STRETCH * known as f64).max(1.0);
@@ -161,7 +161,7 @@ fn disturbance(residual: &[f64], n: usize, mut noise: Noise) -> Vec<f64> {
         .collect()
 }
 
-/// A draw with what its runs need.
+/// A draw prepared for its runs.
 struct Rig<'a> {
     known: &'a Known<'a>,
     draw: &'a Drawn,
@@ -171,7 +171,7 @@ struct Rig<'a> {
 }
 
 impl Rig<'_> {
-    /// Runs a case for twice the record and measures the second half.
+    /// Simulates a case for twice the record and measures the second half.
     fn run(&self, [bands, gain]: [f64; 2], disturbance: &[f64]) -> Shown {
         let known = self.known;
         let n = known.len();
@@ -184,7 +184,7 @@ impl Rig<'_> {
         self.measured(&scans)
     }
 
-    /// Where the set point is not recorded it stood where PV was on average.
+    /// Without a recorded set point, PV's mean is used.
     fn level(&self) -> f64 {
         stats::mean(&self.known.pv)
     }
