@@ -189,7 +189,9 @@ fn what_cannot_be_told_is_refused_in_words() {
         repair(&record, &assessment, &RepairParams::default()).unwrap_err()
     };
     assert_eq!(answer(&|a| a.controller = None), NoRepair::NoController);
-    assert!(answer(&|a| a.controller = None).to_string().contains("the controller cannot be identified from this record"));
+    assert!(
+        answer(&|a| a.controller = None).to_string().contains("the controller cannot be identified from this record")
+    );
     assert_eq!(answer(&|a| a.process = None), NoRepair::NoModel);
     assert!(matches!(answer(&|a| a.stiction = None), NoRepair::Inconclusive(_)));
     let signs = |a: &mut stiction::verdict::Assessment| a.controller.as_mut().unwrap().kc *= -1.0;

@@ -1,7 +1,6 @@
-//! Two cheap looks at a record of which nothing is expected: do PV's moves come in jumps, and does a stem predict PV better
-//! than OP does?
+//! Two cheap tests for calm records: does PV move in jumps, and does a stem predict PV better than OP?
 //!
-//! Coarse forms of [`super::jumps`] and [`super::one_step`]: some hundred boxes, no lines, twenty stems.
+//! Coarse versions of [`super::jumps`] and [`super::one_step`]: about a hundred bins, no lines, twenty stems.
 
 use super::inputs::{Boxes, Grain, Input};
 use super::known::{Known, Sums, Work, log_ratio};
@@ -9,23 +8,22 @@ use super::{jumps, usable};
 use crate::record::Record;
 use crate::signal::{detrend, stats};
 
-/// What the looks show.
+/// Results of the tests.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Signs {
-    /// How much more concentrated PV's moves are than OP's, see [`super::jumps`]; 0 where neither moves.
+    /// Excess concentration of PV's moves over OP's, see [`super::jumps`]; 0 if either is constant.
     pub jumps: f64,
-    /// Twice the logarithm of the likelihoods' ratio of the best stem and OP as inputs that predict PV one step ahead;
-    /// 0 where no stem moves.
+    /// Twice the log likelihood ratio of the best stem and OP as inputs for one-step prediction of PV; 0 if no stem moves.
     pub stem: f64,
 }
 
 const GRAIN: Grain = Grain { per_period: 20.0, enough: 40, most: 400, periodic: false };
-/// s over OP's span; j over s under He's and under the tracking law.
+/// s over OP's span; j over s for He's and for the tracking model.
 const BANDS: [f64; 5] = [0.09, 0.18, 0.3, 0.45, 0.64];
 const JUMPS: [[f64; 2]; 2] = [[0.35, 1.0], [0.0, 0.35]];
 
-/// Looks at a record whose OP has a typical period of `period` points, if it has one; `None` where the record is too short or a signal
-/// does not move.
+/// Tests a record whose OP has a typical period of `period` points, if any; `None` if the record is too short or a signal
+/// is constant.
 #[must_use]
 pub fn signs(record: &Record, period: Option<f64>) -> Option<Signs> {
     let period = usable(period, record.len());

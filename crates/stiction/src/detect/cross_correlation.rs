@@ -3,9 +3,9 @@
 use super::{Detector, View};
 use crate::signal::stats::dot;
 
-/// Share of the odd part in the energy of the cross-correlation of OP and PV, 0..1 (after Horch 1999, who looks at
-/// the correlation's zero crossings). Near 0 for a loop whose OP is an image of PV, as an oscillating disturbance or
-/// tight proportional control make it. High alone proves nothing: noise is half odd.
+/// Share of the odd part in the energy of the cross-correlation of OP and PV, 0..1 (after Horch 1999, who uses the
+/// correlation's zero crossings). Near 0 for a loop whose OP mirrors PV, as with an oscillating disturbance or tight
+/// proportional control. A high value alone is not conclusive, because noise is half odd.
 pub(super) struct CrossCorrelation;
 
 impl Detector for CrossCorrelation {

@@ -1,65 +1,66 @@
-//! What may move a process: OP cut off at its ends, and the stems that He's and the tracking law make of it.
+//! Candidate inputs of the process: OP limited at its ends, and the stems of He's and the tracking model.
 //!
-//! All of it depends on OP alone, so views of one record with another PV share it. An input is held as [`Piece`]s, on each
-//! of which it rests or follows OP: its products with any column then cost its pieces, not its boxes.
+//! All of them depend on OP only, so they are shared between views of a record with another PV. An input is stored as
+//! [`Piece`]s, in each of which it is constant or follows OP; a product with any column then costs one step per piece, not
+//! per bin.
 
 use crate::signal::{detrend, stats};
 use crate::sim::slips::{FirstSlip, Law, Stroke};
 use crate::sim::steps::{Path, Steps};
 use crate::sim::valve::{Tracking, he_step, tracking_step};
 
-/// How a record is cut into boxes.
+/// How a record is divided into bins.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Grain {
-    /// Boxes a period of OP.
+    /// Bins per period of OP.
     pub per_period: f64,
-    /// Boxes that a record of few periods is to have.
+    /// Desired number of bins for a record of few periods.
     pub enough: usize,
-    /// Most boxes.
+    /// Most bins.
     pub most: usize,
-    /// Whether lines that keep their phase are among what is known already.
+    /// Whether phase-coherent lines are part of the prior model.
     pub periodic: bool,
 }
 
-/// The views: where there are few periods the fine one sees the slips, the coarse one the slow answer of the process.
+/// The views: with few periods, the fine view shows the slips and the coarse one the slow response of the process.
 pub(super) const GRAINS: [Grain; 2] = [
     Grain { per_period: 30.0, enough: 240, most: 2048, periodic: true },
     Grain { per_period: 20.0, enough: 40, most: 2048, periodic: false },
 ];
-/// Fewest boxes.
+/// Fewest bins.
 const LEAST_BOXES: usize = 40;
-/// Order of the autoregressive part, and boxes a term of it.
+/// Order of the autoregressive part, and bins per term.
 const ORDER: usize = 7;
 const BOXES_PER_TERM: usize = 12;
-/// Largest delay, periods, and its bounds, boxes.
+/// Largest delay in periods, and its bounds in bins.
 const DELAY: f64 = 0.35;
 const DELAYS: [f64; 2] = [4.0, 24.0];
-/// s over OP's span, j over s, first positions over fs around OP's first value.
+/// s over OP's span, j over s, and first positions over fs around OP's first value.
 const BANDS: [f64; 12] = [0.06, 0.09, 0.13, 0.18, 0.24, 0.3, 0.37, 0.45, 0.54, 0.64, 0.76, 0.9];
 const JUMPS: [f64; 4] = [0.0, 0.35, 0.7, 1.0];
 const STARTS: [f64; 3] = [-0.9, 0.0, 0.9];
-/// Fewest moves of a stem that is compared.
+/// Fewest moves of a stem.
 const MIN_SLIPS: usize = 3;
-/// Shares of OP's values below and above which it may have no effect.
+/// Quantiles of OP below and above which it may have no effect.
 const ENDS: [f64; 6] = [0.0, 0.03, 0.08, 0.15, 0.25, 0.35];
 
-/// A stretch of boxes, up to the next one's first, on which an input is constant or OP's mean shifted.
+/// A range of bins, up to the next one's first, in which an input is constant or equal to OP's mean plus an offset.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Piece {
     pub from: usize,
-    /// 1 where the input follows OP, else 0.
+    /// 1 if the input follows OP, else 0.
     pub follows: f64,
     pub offset: f64,
 }
 
-/// An input in boxes, less its first value.
+/// An input in bins, minus its first value.
 #[derive(Debug, Clone)]
 pub(super) struct Input {
     pub pieces: Vec<Piece>,
-    /// Its values before the first box that is predicted, and its last ones, latest first.
+    /// Its values before the first predicted bin, and its last ones, latest first.
     pub head: Vec<f64>,
     pub tail: Vec<f64>,
-    /// Its power over the boxes that are predicted, and its product with itself a box later, at lags 1, 2, ...
+    /// Its power over the predicted bins, and its product with itself a bin later, at lags 1, 2, ...
     pub power: Vec<f64>,
     pub neighbours: Vec<f64>,
 }
@@ -73,31 +74,31 @@ pub(super) struct StemInput {
     pub input: Input,
 }
 
-/// OP in boxes of one grain.
+/// OP in bins of one size.
 #[derive(Debug, Clone)]
 pub(super) struct Boxes {
-    /// Record points and OP values a box.
+    /// Record points and OP values per bin.
     pub points: usize,
     width: usize,
     path: Path,
     /// OP's robust span.
     span: f64,
-    /// OP's mean in each box, and the same less its first value.
+    /// OP's mean in each bin, and the same minus its first value.
     pub op: Vec<f64>,
     pub follow: Vec<f64>,
-    /// Sums of `follow`, of its squares, and of its products with the box before, up to each box.
+    /// Cumulative sums of `follow`, its squares, and its products with the previous bin.
     sums: Vec<[f64; 3]>,
     ranges: Vec<Range>,
-    /// Least and greatest OP value up to each one.
+    /// Running minimum and maximum of OP.
     records: Vec<[f64; 2]>,
-    /// Terms of the autoregressive part.
+    /// Number of terms of the autoregressive part.
     pub order: usize,
-    /// First box that is predicted, and lags at which an input is tried.
+    /// First predicted bin, and lags tried for an input.
     pub from: usize,
     pub lags: usize,
 }
 
-/// A box of OP values: extremes, and whether none is below, or above, the one before it.
+/// A bin of OP values: extremes, and whether OP only rises or only falls in it.
 #[derive(Debug, Clone, Copy)]
 struct Range {
     low: f64,
@@ -107,7 +108,7 @@ struct Range {
 }
 
 impl Boxes {
-    /// Boxes of an OP path with `per_point` values a point, for PV of `points` points; `period` is OP's typical one, points.
+    /// Bins of an OP path with `per_point` values per point, for PV of `points` points; `period` is OP's typical one, points.
     pub fn of(op_path: &[f64], per_point: usize, points: usize, period: f64, grain: Grain) -> Option<Self> {
         let k = ((period / grain.per_period).round() as usize).min(points / grain.enough).max(1);
         let count = (points / k).min(grain.most);
@@ -137,7 +138,7 @@ impl Boxes {
         })
     }
 
-    /// OP itself, cut off at none, one or both of its ends.
+    /// OP itself, limited at none, one or both of its ends.
     pub fn cut(&self) -> Vec<Input> {
         let sorted = stats::sorted(self.path.values());
         let ends = ENDS.map(|e| [stats::quantile_sorted(&sorted, e), stats::quantile_sorted(&sorted, 1.0 - e)]);
@@ -167,8 +168,8 @@ impl Boxes {
         out
     }
 
-    /// OP as it is, and stems that start at OP's first value: `shares` of OP's span for s, and j over s under He's and under
-    /// the tracking law.
+    /// OP as recorded, and stems that start at OP's first value: `shares` of OP's span for s, and j over s for He's and for the
+    /// tracking model.
     pub fn few(&self, shares: &[f64], [he, tracking]: [[f64; 2]; 2]) -> (Input, Vec<Input>) {
         let (mut steps, first) = (Steps::default(), self.first());
         let mut stems = Vec::with_capacity(4 * shares.len());
@@ -205,7 +206,7 @@ impl Boxes {
         self.input(self.ranges.iter().enumerate().map(piece))
     }
 
-    /// A stem of He's law that stands at `from` before the first value.
+    /// A stem of He's model at `from` before the first value.
     fn staircase(&self, steps: &mut Steps, from: f64, [s, j]: [f64; 2]) -> Option<Input> {
         let (fs, fd) = (0.5 * (s + j), 0.5 * (s - j));
         let moved = self.records.partition_point(|[low, high]| *high <= from + fs && *low >= from - fs);
@@ -225,8 +226,8 @@ impl Boxes {
         Some(self.input(core::iter::once(start).chain(later)))
     }
 
-    /// A stem of the tracking law that stands at `from` before the first value. Boxes in which it rests, or slides all the
-    /// way, are passed over at once.
+    /// A stem of the tracking model at `from` before the first value. Bins in which it rests or slides throughout are handled
+    /// at once.
     fn sliding(&self, from: f64, fs: f64, fd: f64) -> Option<Input> {
         let zero = he_step(from, self.first(), fs, fd);
         let (mut state, mut slips) = (Tracking { position: from, direction: 0 }, 0);
@@ -256,7 +257,7 @@ impl Boxes {
         (slips >= MIN_SLIPS).then(|| self.input(pieces.into_iter()))
     }
 
-    /// Puts pieces together, of which later ones rule where several start at one box.
+    /// Joins pieces; if several start at the same bin, the last one counts.
     fn input(&self, parts: impl Iterator<Item = Piece>) -> Input {
         let mut pieces: Vec<Piece> = Vec::with_capacity(64);
         for part in parts {
@@ -289,7 +290,7 @@ impl Boxes {
         piece.follows * self.follow[at] + piece.offset
     }
 
-    /// Power and product with the neighbour at every lag: each from the one before, by what enters and what leaves.
+    /// Power and product with the neighbour at every lag, updated from lag to lag.
     fn products(&self, pieces: &[Piece], head: &[f64], tail: &[f64]) -> [Vec<f64>; 2] {
         let (mut power, mut neighbour) = self.products_at_one(pieces);
         let mut out = [Vec::with_capacity(self.lags), Vec::with_capacity(self.lags)];
@@ -307,7 +308,7 @@ impl Boxes {
         out
     }
 
-    /// The same at a lag of one: over the boxes from the last before the first that is predicted to the last but one.
+    /// The same at a lag of one: from the last bin before the first predicted one to the last but one.
     fn products_at_one(&self, pieces: &[Piece]) -> (f64, f64) {
         let [first, end] = [self.from - 1, self.follow.len() - 1];
         let (mut power, mut neighbour, mut last) = (0.0, 0.0, 0.0);
@@ -344,7 +345,7 @@ impl Boxes {
     }
 }
 
-/// Sums of values, squares and products with the value before, up to each place.
+/// Cumulative sums of values, squares and products with the previous value.
 fn sums(x: &[f64]) -> Vec<[f64; 3]> {
     let mut out = Vec::with_capacity(x.len() + 1);
     let (mut sum, mut before) = ([0.0; 3], 0.0);

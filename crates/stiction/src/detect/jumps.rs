@@ -3,11 +3,11 @@
 use super::{Detector, View};
 use crate::signal::stats;
 
-/// How much more concentrated PV's moves are than OP's, 0..0.7 (less concentrated says nothing: OP answers a set point that
-/// steps in steps): the concentration is the share of the squared moves
-/// over a sixteenth of a period that the largest tenth of them holds. The same of the changes of the moves, where that is
-/// more: behind a valve that jumps, an integrating process turns sharply instead of jumping. Needs no model, no cycle and
-/// no period, but a sampling time well below a sixteenth of OP's typical time.
+/// Excess concentration of PV's moves over OP's, 0..0.7 (a lower concentration is not informative, because OP follows a set
+/// point that changes in steps). The concentration is the share of the squared moves over a sixteenth of a period in the
+/// largest tenth of them. The same for the changes of the moves, if larger: after a jumping valve, an integrating process
+/// changes slope instead of jumping. Needs no model, cycle or period, but a sampling time well below a sixteenth of OP's
+/// typical period.
 pub(super) struct Jumps;
 
 impl Detector for Jumps {
@@ -20,7 +20,7 @@ impl Detector for Jumps {
     }
 }
 
-/// The same of any two signals of equal length and a period in their points.
+/// The same for any two signals of equal length, with a period in points.
 pub(super) fn excess(op: &[f64], pv: &[f64], period: f64) -> Option<f64> {
     let width = ((period / 16.0) as usize).max(1);
     let (op, pv) = (moves(op, width), moves(pv, width));

@@ -1,7 +1,7 @@
-//! What a linear model knows of PV already, and how much less it errs with an input beside that.
+//! A linear model of PV without input, and the reduction of its prediction error by an input.
 //!
-//! Columns are learned by Gram and Schmidt's method. An input is asked at every lag: its products with shifted columns are
-//! running sums at the edges of its pieces, and a product at one lag gives that at the next by what enters and what leaves.
+//! Columns are orthogonalised by Gram and Schmidt's method. An input is evaluated at every lag: its products with shifted
+//! columns are cumulative sums at the edges of its pieces, updated from lag to lag.
 
 use core::f64::consts::PI;
 
@@ -9,38 +9,38 @@ use super::inputs::Input;
 use super::ringing::harmonics;
 use crate::signal::stats;
 
-/// Share of a column's power below which it says nothing that is not known already.
+/// Share of a column's power below which it is linearly dependent on the others.
 pub(super) const SAYS: f64 = 1e-9;
 
-/// Where a column comes from.
+/// Source of a column.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Source {
     Constant,
-    /// PV so many boxes before.
+    /// PV this many bins earlier.
     Lag(usize),
     /// Cosine and sine of one of the lines.
     Cosine(usize),
     Sine(usize),
 }
 
-/// Orthonormal columns, and what they leave of the signal to be predicted.
+/// Orthonormal columns, and the residual of the predicted signal.
 #[derive(Debug, Clone)]
 pub(super) struct Known {
     columns: Vec<Vec<f64>>,
     sources: Vec<Source>,
-    /// What each column as it came holds of the orthonormal ones up to its own.
+    /// Coefficients of each original column in the orthonormal ones up to its own.
     mix: Vec<Vec<f64>>,
     pub left: Vec<f64>,
-    /// PV, and its first value that is predicted.
+    /// PV, and its first predicted value.
     pub pv: Vec<f64>,
     pub from: usize,
     order: usize,
-    /// Frequencies of the lines, cycles a box.
+    /// Frequencies of the lines, cycles per bin.
     lines: Vec<f64>,
 }
 
 impl Known {
-    /// A constant and PV's own past: `order` terms for the values from `from` on.
+    /// A constant and PV's own past: `order` terms for the values starting at `from`.
     pub fn past(pv: Vec<f64>, from: usize, order: usize) -> Self {
         let left = pv[from..].to_vec();
         let (columns, sources, mix, lines) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
@@ -65,7 +65,7 @@ impl Known {
         self
     }
 
-    /// Learns a column (Gram-Schmidt, twice).
+    /// Adds a column (Gram-Schmidt, twice).
     fn learn(&mut self, source: Source, mut column: Vec<f64>) {
         let whole = stats::dot(&column, &column);
         let mut mix = vec![0.0; self.columns.len()];
@@ -87,7 +87,7 @@ impl Known {
         self.mix.push(mix);
     }
 
-    /// Columns learned.
+    /// Number of columns.
     pub fn count(&self) -> usize {
         self.columns.len()
     }
@@ -97,7 +97,7 @@ impl Known {
         stats::dot(&self.left, &self.left)
     }
 
-    /// From products with the columns as they came to products with the orthonormal ones, `width` sets side by side.
+    /// Converts products with the original columns to products with the orthonormal ones, `width` sets side by side.
     pub fn orthonormal(&self, products: &mut [f64], width: usize) {
         for (index, mix) in self.mix.iter().enumerate() {
             let (done, rest) = products.split_at_mut(index * width);
@@ -112,8 +112,7 @@ impl Known {
         }
     }
 
-    /// Products of a complex line with the constant and PV's past, in the order of the columns; `first` is that with PV one
-    /// box before.
+    /// Products of a complex line with the constant and PV's past, in column order; `first` is that with PV one bin earlier.
     pub fn past_with_line(&self, constant: [f64; 2], first: [f64; 2], ends: Ends, out: &mut Vec<[f64; 2]>) {
         out.clear();
         let n = self.pv.len();
@@ -135,24 +134,24 @@ impl Known {
     }
 }
 
-/// What turns a product of a signal with a complex line at one lag into that at the next.
+/// Updates a product of a signal with a complex line from one lag to the next.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Ends {
-    /// The line's turn in one box.
+    /// Rotation of the line per bin.
     pub turn: [f64; 2],
-    /// Its value in front of the first box that counts, and at the last.
+    /// Its value before the first valid bin, and at the last.
     pub before: [f64; 2],
     pub last: [f64; 2],
 }
 
 impl Ends {
-    /// Of a line of frequency `f` over the boxes `from..n`.
+    /// For a line of frequency `f` over the bins `from..n`.
     pub fn of(f: f64, from: usize, n: usize) -> Self {
         let at = |k: f64| [libm::cos(2.0 * PI * f * k), libm::sin(2.0 * PI * f * k)];
         Self { turn: at(1.0), before: at(from as f64 - 1.0), last: at(n as f64 - 1.0) }
     }
 
-    /// The product at the next lag, where `enters` comes in front and `leaves` goes at the end.
+    /// The product at the next lag, with `enters` added in front and `leaves` removed at the end.
     pub fn turned(&self, p: [f64; 2], enters: f64, leaves: f64) -> [f64; 2] {
         let part = |i: usize| p[i] + enters * self.before[i] - leaves * self.last[i];
         let [re, im] = [part(0), part(1)];
@@ -168,22 +167,22 @@ fn take_out(x: &mut [f64], unit: &[f64]) -> f64 {
     share
 }
 
-/// Running sums by which inputs are asked.
+/// Cumulative sums for evaluating inputs.
 #[derive(Debug, Clone)]
 pub(super) struct Sums {
     known: Known,
     error: f64,
     lags: usize,
-    /// Columns of the tables, and the place of each kind: one for each difference of lags, the constant, the lines, what is
-    /// left at each lag.
+    /// Columns of the tables, and the start of each kind: one per difference of lags, the constant, the lines, the residual at
+    /// each lag.
     width: usize,
-    /// Sums of the columns up to each box, and of their products with OP.
+    /// Cumulative sums of the columns, and of their products with OP.
     plain: Vec<f64>,
     with_op: Vec<f64>,
     ends: Vec<Ends>,
 }
 
-/// Memory that is used again for every input.
+/// Work space reused for every input.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Work {
     totals: Vec<f64>,
@@ -193,7 +192,7 @@ pub(super) struct Work {
 }
 
 impl Sums {
-    /// `follow` is OP in boxes as inputs follow it.
+    /// `follow` is OP in bins, as followed by inputs.
     pub fn new(known: Known, follow: &[f64], lags: usize) -> Self {
         let (n, from, order) = (known.pv.len(), known.from, known.order);
         let differences = lags + order - 1;
@@ -236,13 +235,13 @@ impl Sums {
         self.error
     }
 
-    /// Boxes that are predicted.
+    /// Number of predicted bins.
     pub fn count(&self) -> usize {
         self.known.left.len()
     }
 
-    /// Squared prediction error with an input: the best delay, its last two boxes with a free weight each, whose sum is of
-    /// the wanted sign.
+    /// Squared prediction error with an input: the best delay, with free weights on its last two bins, whose sum has the
+    /// required sign.
     pub fn error(&self, input: &Input, sign: Option<f64>, work: &mut Work) -> f64 {
         self.products(input, work);
         let (lags, count) = (self.lags, self.known.count());
@@ -280,8 +279,8 @@ impl Sums {
         (self.error - weights[0] * az - weights[1] * bz).max(0.0)
     }
 
-    /// Products of an input at every lag with the columns as they came (`shares`, by column), and with what is left (the
-    /// end of `totals`).
+    /// Products of an input at every lag with the original columns (`shares`, by column), and with the residual (the end of
+    /// `totals`).
     fn products(&self, input: &Input, work: &mut Work) {
         let width = self.width;
         work.totals.clear();
@@ -308,7 +307,7 @@ impl Sums {
         self.spread(input, work);
     }
 
-    /// From one product a column to one at every lag.
+    /// From one product per column to one at every lag.
     fn spread(&self, input: &Input, work: &mut Work) {
         let known = &self.known;
         let (n, from, lags, order) = (known.pv.len(), known.from, self.lags, known.order);
@@ -358,15 +357,15 @@ impl Sums {
     }
 }
 
-/// Whether the input's box `m` counts at this lag.
+/// Whether the input's bin `m` is used at this lag.
 const fn within(m: usize, from: usize, n: usize, lag: usize) -> bool {
     m + lag >= from && m + lag < n
 }
 
-/// Boxes after which a turning line is set anew, so that rounding does not add up.
+/// Bins after which a rotating line is recomputed, so that rounding errors do not accumulate.
 const FRESH: usize = 32;
 
-/// Cosine and sine of a line at every box.
+/// Cosine and sine of a line at every bin.
 fn wave(f: f64, n: usize) -> (Vec<f64>, Vec<f64>) {
     let angle = |k: usize| 2.0 * PI * f * k as f64;
     let (turn_cos, turn_sin) = (libm::cos(angle(1)), libm::sin(angle(1)));
@@ -383,7 +382,7 @@ fn wave(f: f64, n: usize) -> (Vec<f64>, Vec<f64>) {
     (cosine, sine)
 }
 
-/// Logarithm of the ratio of two squared errors of normalised signals, of which rounding alone may be left.
+/// Log ratio of two squared errors of normalised signals, protected against rounding errors.
 pub(super) fn log_ratio(without: f64, with: f64) -> f64 {
     const LEAST: f64 = 1e-9;
     libm::log(without.max(LEAST) / with.max(LEAST))

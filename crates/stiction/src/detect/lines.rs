@@ -1,4 +1,4 @@
-//! Lines that keep their phase: which frequency, with its harmonics, predicts most of what PV's past does not.
+//! Phase-coherent lines: the frequency that, with its harmonics, predicts most of what PV's past does not.
 
 use core::f64::consts::PI;
 
@@ -6,22 +6,21 @@ use super::known::{Ends, Known, SAYS, log_ratio};
 use super::ringing::{HARMONICS, harmonics, strongest};
 use crate::signal::detrend;
 
-/// Periods that a line needs, bins to either side of the strongest line among which its frequency is looked for, and
-/// steps a bin.
+/// Fewest periods for a line, search range around the strongest line in bins of the spectrum, and steps per bin.
 const PERIODS: f64 = 2.0;
 const REACH: i32 = 8;
 const STEPS_PER_BIN: f64 = 10.0;
-/// Columns that the lines of one frequency make.
+/// Columns for the lines of one frequency.
 const COLUMNS: usize = 2 * HARMONICS;
-/// Boxes after which a turning line is set anew, so that rounding does not add up.
+/// Bins after which a rotating line is recomputed, so that rounding errors do not accumulate.
 const FRESH: usize = 64;
 
-/// Frequency of the strongest line of a signal in boxes, cycles a box.
+/// Frequency of the strongest line of a signal in bins, cycles per bin.
 pub(super) fn around(signal: &[f64]) -> f64 {
     strongest(&detrend::remove_line(signal), [(PERIODS + 1.0) / signal.len() as f64, 0.45])
 }
 
-/// What is known with the lines that predict most, their frequency near one of `near`.
+/// The prior model with the lines that predict most, with a frequency near one of `near`.
 pub(super) fn with_best(known: Known, near: [f64; 2]) -> Known {
     let n = known.pv.len() as f64;
     let mut best = (known.error(), None);
@@ -44,7 +43,7 @@ pub(super) fn with_best(known: Known, near: [f64; 2]) -> Known {
     }
 }
 
-/// The normal equations of lines beside what is known.
+/// The normal equations of lines in addition to the prior model.
 #[derive(Default)]
 struct Normal {
     past: Vec<[f64; 2]>,
@@ -83,7 +82,7 @@ impl Normal {
     }
 }
 
-/// What columns explain, learned one after the other; one that says nothing new beside those before it is left out.
+/// Share explained by columns, added one by one; a linearly dependent one is skipped.
 fn explained(mut gram: [[f64; COLUMNS]; COLUMNS], wholes: &[f64], mut left: Vec<f64>) -> f64 {
     let mut sum = 0.0;
     for i in 0..wholes.len() {
@@ -104,7 +103,7 @@ fn explained(mut gram: [[f64; COLUMNS]; COLUMNS], wholes: &[f64], mut left: Vec<
     sum
 }
 
-/// Products of cosines and sines of a line and its harmonics with each other, from the sums of single lines.
+/// Products of cosines and sines of a line and its harmonics, from the sums of single lines.
 fn gram(sums: &[[f64; 2]], lines: usize) -> [[f64; COLUMNS]; COLUMNS] {
     let mut out = [[0.0; COLUMNS]; COLUMNS];
     for a in 0..lines {
@@ -131,7 +130,7 @@ fn turns(angle: f64, from: usize, n: usize) -> [f64; 2] {
     [size * libm::cos(middle), size * libm::sin(middle)]
 }
 
-/// Sums of two signals, whose first value stands at box `from`, against a line of frequency `f` and its harmonics.
+/// Sums of two signals, which start at bin `from`, with a line of frequency `f` and its harmonics.
 fn transforms(f: f64, from: usize, [x, y]: [&[f64]; 2]) -> [[[f64; 2]; HARMONICS]; 2] {
     let angle = |line: usize, k: usize| 2.0 * PI * f * (line + 1) as f64 * k as f64;
     let of = |k: usize, turn: fn(f64) -> f64| -> [f64; HARMONICS] { core::array::from_fn(|line| turn(angle(line, k))) };
@@ -156,7 +155,7 @@ fn transforms(f: f64, from: usize, [x, y]: [&[f64]; 2]) -> [[[f64; 2]; HARMONICS
     [pair(0), pair(2)]
 }
 
-/// Gain of lines over what was known before, less what they gain by chance: see [`super::one_step::Periodicity`].
+/// Gain of lines over the prior model, minus their chance gain: see [`super::one_step::Periodicity`].
 pub(super) fn gain(before: &[f64; 2], after: &Known) -> f64 {
     let [error, columns] = *before;
     let lines = after.count() as f64 - columns;

@@ -1,4 +1,4 @@
-//! Detection: does the loop oscillate, and which signs in the record speak for the valve.
+//! Detection: whether the loop oscillates, and indicators of a sticking valve.
 
 pub mod calm;
 mod cross_correlation;
@@ -19,29 +19,29 @@ use serde::Serialize;
 use crate::record::Record;
 use crate::signal::{detrend, stats};
 
-/// One indicator's say.
+/// Result of one indicator.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Indicator {
     /// Its name in the catalogue.
     pub name: &'static str,
-    /// Its figure, defined where the indicator is.
+    /// Its value, defined at the indicator.
     pub score: Option<f64>,
-    /// For stiction, against, or silent.
+    /// For stiction, against, or neutral.
     pub vote: Option<bool>,
-    /// Its part of the verdict, logits; 0 where it says nothing.
+    /// Its contribution to the verdict, logits; 0 if it is not used.
     pub contribution: f64,
 }
 
-/// A sign of sticking that is read from a record without a valve model.
+/// An indicator of sticking that needs no valve model.
 pub trait Detector: Sync {
     /// Its name in documents.
     fn name(&self) -> &'static str;
-    /// Its figure; `None` where the record does not show it either way.
+    /// Its value; `None` if the record does not show it.
     fn score(&self, view: &View) -> Option<f64>;
 }
 
-/// Every detector.
+/// All detectors.
 pub const ALL: [&dyn Detector; 6] = [
     &cross_correlation::CrossCorrelation,
     &jumps::Jumps,
@@ -51,47 +51,46 @@ pub const ALL: [&dyn Detector; 6] = [
     &one_step::Periodicity,
 ];
 
-/// OP (and the set point) as the detectors look at it, and all that follows from it alone: made once for every PV that is looked at beside it.
+/// OP (and the set point) prepared for the detectors, with everything that depends on OP only; shared by every PV.
 #[derive(Debug)]
 pub struct OpSide {
-    /// OP, boxed and smoothed over a sixteenth of a period.
+    /// OP, averaged in bins and smoothed over a sixteenth of a period.
     pub op: Vec<f64>,
-    /// OP less its moving average over a period.
+    /// OP minus its moving average over a period.
     pub op_fast: Vec<f64>,
     /// Its typical period, points of the view.
     pub period: f64,
-    /// Record points a point of the view.
+    /// Record points per point of the view.
     box_points: usize,
     /// The set point at the record's points.
     sp: Option<Vec<f64>>,
-    /// What OP offers to predict PV by, in fine and in coarse boxes; `None` where the record is too short or OP does not
-    /// move.
+    /// Inputs from OP for predicting PV, in fine and coarse bins; `None` if the record is too short or OP is constant.
     inputs: [Option<one_step::Inputs>; 2],
 }
 
-/// A record as the detectors look at it: at most about 80 points a period.
+/// A record prepared for the detectors: at most about 80 points per period.
 #[derive(Debug, Clone)]
 pub struct View {
     /// OP.
     pub output: Arc<OpSide>,
-    /// PV, boxed and smoothed over a sixteenth of OP's typical period.
+    /// PV, averaged in bins and smoothed over a sixteenth of OP's typical period.
     pub pv: Vec<f64>,
-    /// PV less its moving average over a period.
+    /// PV minus its moving average over a period.
     pub pv_fast: Vec<f64>,
-    /// Deviation of PV's white noise before smoothing.
+    /// Standard deviation of PV's white noise before smoothing.
     pub pv_noise: f64,
-    /// PV as it is predicted from its past, beside the inputs; `None` also where PV does not move.
+    /// Prediction of PV from its past, to compare with inputs; `None` also if PV is constant.
     predictions: [Option<one_step::Prediction>; 2],
-    /// Band, spans of OP, next to which stems are asked whether they predict PV; `None` for all.
+    /// Band, spans of OP, near which stems are tested; `None` for all.
     near: Option<f64>,
 }
 
-/// Points a period that a view keeps, and points that it looks at.
+/// Points per period, and total points, of a view.
 const POINTS_PER_PERIOD: f64 = 80.0;
 const MAX_POINTS: usize = 2048;
 
 impl OpSide {
-    /// Prepares a record's OP, whose typical period is `period` points where it has one.
+    /// Prepares a record's OP with a typical period of `period` points, if any.
     #[must_use]
     pub fn new(record: &Record, period: Option<f64>) -> Self {
         let op = record.op();
@@ -114,14 +113,14 @@ impl View {
         Self::with_period(record, oscillation::typical_period(&record.op()))
     }
 
-    /// The same where OP's typical period is known, points.
+    /// As [`View::of`], with OP's typical period in points.
     #[must_use]
     pub fn with_period(record: &Record, period: Option<f64>) -> Self {
         Self::beside(&Arc::new(OpSide::new(record, period)), &record.pv, None)
     }
 
-    /// Prepares a PV, a value for each point of the record that `output` was made of. `near` is a band, spans of OP, next
-    /// to which stems are asked whether they predict PV.
+    /// Prepares a PV with one value for each point of the record of `output`. `near` is a band, spans of OP, near which stems are
+    /// tested.
     #[must_use]
     pub fn beside(output: &Arc<OpSide>, pv: &[f64], near: Option<f64>) -> Self {
         let predictions =
@@ -138,7 +137,7 @@ impl View {
     }
 }
 
-/// The period that views are cut by: a quarter of the record where none shows.
+/// The period for views: a quarter of the record if there is none.
 fn usable(period: Option<f64>, points: usize) -> f64 {
     period.unwrap_or(0.25 * points as f64).max(2.0)
 }
@@ -149,7 +148,7 @@ fn boxed(x: &[f64], points: usize) -> Vec<f64> {
     boxed
 }
 
-/// Width of the smoothing, and of the moving average that is taken off, points of the view.
+/// Width of the smoothing, and of the moving average that is subtracted, points of the view.
 fn smoothing(period: f64) -> usize {
     (period / 16.0) as usize
 }

@@ -1,10 +1,9 @@
-//! What a sticking stem predicts of PV, and OP does not.
+//! How much better a sticking stem predicts PV than OP does.
 //!
-//! Direct identification in closed loop (Ljung 1999, ch. 13.4): one-step prediction errors compare two inputs of the
-//! process fairly although OP answers PV, whatever disturbs the loop, if the model of what disturbs is rich enough. Here
-//! it is a sum of PV's own past (an autoregressive part) and of a line with its harmonics, which take up a load
-//! that repeats itself on its own account. What is left to explain is offered to OP and to the stems that He's and the
-//! tracking law make of OP.
+//! Direct identification in closed loop (Ljung 1999, ch. 13.4): one-step prediction errors compare two inputs of the process
+//! fairly although OP reacts to PV, whatever the disturbance, if the disturbance model is rich enough. Here it is PV's own
+//! past (an autoregressive part) plus a line with its harmonics for an external periodic load. OP and the stems of He's and
+//! the tracking model compete to explain the rest.
 
 use super::inputs::{Boxes, Grain, Input, StemInput};
 use super::known::{Known, Sums, Work, log_ratio};
@@ -14,13 +13,13 @@ use crate::ident::sign;
 use crate::signal::{detrend, stats};
 use crate::sim::slips::Law;
 
-/// By how much better the best stem predicts PV than OP does, OP's ends cut off where that helps it: the logarithm of
-/// the ratio of the squared prediction errors times the number of boxes (twice the logarithm of the likelihoods' ratio),
-/// less what the best of many stems gains by chance, as `sign(x) ln(1 + |x| / 10)`: 0 for a tie, above 2.5 where friction
-/// is beyond doubt. The mean of a fine view with the lines and a coarse one without them, of those that have 40 boxes.
+/// How much better the best stem predicts PV than OP, with OP limited at its ends if that helps: the logarithm of the ratio of
+/// squared prediction errors times the number of bins (twice the log likelihood ratio), minus the chance gain of the best of
+/// many stems, as `sign(x) ln(1 + |x| / 10)`: 0 for a tie, above 2.5 for clear friction. The mean of a fine view with lines
+/// and a coarse one without, of those with at least 40 bins.
 pub(super) struct OneStep;
 
-/// What the best of the stems gains by chance, and the unit of the score.
+/// Chance gain of the best stem, and the unit of the score.
 const CHANCE: f64 = 15.0;
 const UNIT: f64 = 10.0;
 
@@ -35,9 +34,9 @@ impl Detector for OneStep {
     }
 }
 
-/// How much of what PV's past does not predict repeats itself and keeps its phase: logarithm of the ratio of the squared
-/// prediction errors without and with a line and its harmonics, less what lines gain by chance, 0..3. Large for a load
-/// that a machine or a cycle elsewhere makes; a limit cycle of the loop's own drifts with noise and load.
+/// How much of the part of PV that its past does not predict is periodic with a constant phase: log ratio of the squared
+/// prediction errors without and with a line and its harmonics, minus the chance gain of lines, 0..3. Large for a load from a
+/// machine or a cycle elsewhere; a limit cycle of the loop itself drifts with noise and load.
 pub(super) struct Periodicity;
 
 /// Largest score.
@@ -53,12 +52,12 @@ impl Detector for Periodicity {
     }
 }
 
-/// What OP offers in one grain, made once for every PV that is looked at beside it.
+/// Inputs from OP for one bin size, shared by every PV.
 #[derive(Debug, Clone)]
 pub(super) struct Inputs {
     boxes: Boxes,
     periodic: bool,
-    /// Frequency of OP's strongest line, cycles a box, where lines are asked for.
+    /// Frequency of OP's strongest line, cycles per bin, if lines are used.
     line: f64,
     cut: Vec<Input>,
     stems: Vec<StemInput>,
@@ -73,17 +72,17 @@ impl Inputs {
     }
 }
 
-/// PV in the boxes of one grain, with all that is known of it before OP is asked.
+/// PV in bins of one size, with the prior model without OP.
 #[derive(Debug, Clone)]
 pub(super) struct Prediction {
     sums: Sums,
     sign: Option<f64>,
-    /// Gain of the lines, where they were asked for.
+    /// Gain of the lines, if used.
     periodicity: Option<f64>,
 }
 
 impl Prediction {
-    /// `None` where PV does not move; `sp` is the set point at PV's points, where one is known.
+    /// `None` if PV is constant; `sp` is the set point at PV's points, if known.
     pub fn of(inputs: &Inputs, pv: &[f64], sp: Option<&[f64]>) -> Option<Self> {
         let boxes = &inputs.boxes;
         let boxed = |x: &[f64]| detrend::box_means(&x[..boxes.op.len() * boxes.points], boxes.points);
@@ -106,7 +105,7 @@ impl Prediction {
         Some(Self { sums: Sums::new(known, &boxes.follow, boxes.lags), sign, periodicity })
     }
 
-    /// What [`OneStep`] says of this view; of the stems, only those with a band near `near` spans of OP where that is given.
+    /// The score of [`OneStep`] for this view; with `near`, only stems with a band near `near` spans of OP are used.
     fn score(&self, inputs: &Inputs, near: Option<f64>) -> f64 {
         let mut work = Work::default();
         let mut least = |least: f64, input: &Input| least.min(self.sums.error(input, self.sign, &mut work));
@@ -119,7 +118,7 @@ impl Prediction {
     }
 }
 
-/// Whether a stem is of He's law and its band next to one of `share` spans.
+/// Whether a stem is of He's model with a band next to one of `share` spans.
 fn is_near(stem: &StemInput, share: f64) -> bool {
     const NEXT: f64 = 1.45;
     stem.law == Law::He && stem.share < NEXT * share && share < NEXT * stem.share

@@ -1,12 +1,12 @@
-//! Is it oscillating, how long is a period, how regular is it?
+//! Oscillation: whether there is one, its period and its regularity.
 //!
-//! Regularity of the zero crossings of the autocorrelation (Thornhill, Huang and Zhang 2003): a third of mean over
-//! standard deviation of the intervals between them; above 1 the loop oscillates. The autocorrelation spreads the
-//! noise over all lags, so the crossings stand where the oscillation puts them.
+//! Regularity of the zero crossings of the autocorrelation (Thornhill, Huang and Zhang 2003): a third of mean over standard
+//! deviation of the intervals between them; above 1 the loop oscillates. The autocorrelation spreads the noise over all lags,
+//! so the crossings show the oscillation.
 
 use crate::signal::{detrend, spectrum, stats};
 
-/// What oscillates.
+/// An oscillation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Oscillates {
     /// Length of a period, points.
@@ -17,23 +17,23 @@ pub struct Oscillates {
     pub regularity: f64,
     /// Autocorrelation one period later, -1..1: the share of variance that repeats.
     pub persistence: f64,
-    /// How much of it is left two periods further on, corrected for the shorter overlap: 1 for what is driven from
-    /// outside, `exp(-4 pi zeta)` for a loop of damping `zeta` that rings under random load. `None` below five periods.
+    /// The part of it left two periods later, corrected for the shorter overlap: 1 for an external periodic disturbance,
+    /// `exp(-4 pi zeta)` for a loop of damping `zeta` ringing under random load. `None` below five periods.
     pub endurance: Option<f64>,
     /// Regular, persistent and at least two periods long.
     pub oscillating: bool,
 }
 
-/// Longest signal that is correlated as it is; longer ones are averaged in boxes first.
+/// Longest signal correlated directly; longer ones are averaged in bins first.
 const MAX_POINTS: usize = 2048;
-/// Intervals between crossings that are judged.
+/// Most intervals between crossings used for the regularity.
 const INTERVALS: usize = 10;
-/// Intervals that a typical period is made of.
+/// Intervals used for a typical period.
 const TYPICAL: usize = 8;
-/// Persistence below which crossings are chance.
+/// Persistence below which crossings are due to chance.
 const MIN_PERSISTENCE: f64 = 0.2;
 
-/// What a loop's signals show of oscillations.
+/// Oscillations of a loop's signals.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Looks {
     /// The controller output alone.
@@ -45,7 +45,7 @@ pub struct Looks {
 }
 
 impl Looks {
-    /// Looks at the controller output and the process variable, each `n` points long.
+    /// Analyses controller output and process variable, each `n` points long.
     #[must_use]
     pub fn of(op: &[f64], pv: &[f64]) -> Self {
         let output = Signal::of(op);
@@ -56,9 +56,8 @@ impl Looks {
         }
     }
 
-    /// The loop's oscillation: OP is asked first (the controller's integral action smooths it); PV decides where OP shows no
-    /// regular oscillation and PV does. `None` when neither crosses zero often enough to speak of a period (four half
-    /// periods).
+    /// The loop's oscillation: OP has priority (the controller's integral action smooths it); PV is used if only PV has a regular
+    /// oscillation. `None` if neither has four half periods between zero crossings.
     #[must_use]
     pub fn together(&self) -> Option<Oscillates> {
         match (self.op, self.pv) {
@@ -68,35 +67,34 @@ impl Looks {
     }
 }
 
-/// Looks for an oscillation in the controller output and the process variable, each `n` points long; see
-/// [`Looks::together`].
+/// Finds an oscillation in controller output and process variable, each `n` points long; see [`Looks::together`].
 #[must_use]
 pub fn detect(op: &[f64], pv: &[f64]) -> Option<Oscillates> {
     Looks { op: detect_one(op), pv: detect_one(pv), typical_period: None }.together()
 }
 
-/// Looks for an oscillation in one signal: once as it stands, once without what is slower than a third of it.
+/// Finds an oscillation in one signal, both as recorded and without components slower than a third of it.
 #[must_use]
 pub fn detect_one(x: &[f64]) -> Option<Oscillates> {
     Signal::of(x)?.oscillates()
 }
 
-/// A typical period of a signal, points, whether or not it oscillates: twice the mean of the first eight intervals
-/// between zero crossings of the autocorrelation, after removing a line and what is slower than a third of the record.
-/// Between 2 and half the record; `None` for a constant.
+/// A typical period of a signal, points, whether or not it oscillates: twice the mean of the first eight intervals between
+/// zero crossings of the autocorrelation, after removing a line and components slower than a third of the record. Between 2
+/// and half the record; `None` for a constant.
 #[must_use]
 pub fn typical_period(x: &[f64]) -> Option<f64> {
     Signal::of(x)?.typical_period()
 }
 
-/// A signal in at most [`MAX_POINTS`] boxes, as its autocorrelation.
+/// A signal in at most [`MAX_POINTS`] bins, as its autocorrelation.
 struct Signal {
-    /// Points a box.
+    /// Points per bin.
     factor: usize,
     boxes: usize,
-    /// Of the signal less its line.
+    /// Of the signal minus its line.
     whole: Vec<f64>,
-    /// Of the same less what is slower than a third of it.
+    /// Of the same without components slower than a third of it.
     faster: Vec<f64>,
 }
 
@@ -132,8 +130,7 @@ impl Signal {
     }
 }
 
-/// The oscillation of a detrended signal of `n` boxes, whose boxes are `factor` points of the record, by its
-/// autocorrelation.
+/// The oscillation of a detrended signal of `n` bins of `factor` record points each, from its autocorrelation.
 fn judge(acf: &[f64], n: usize, factor: usize) -> Option<Oscillates> {
     let places = spectrum::zero_crossings(acf, (1.5 / (n as f64).sqrt()).max(0.02));
     let gaps: Vec<f64> = places.windows(2).take(INTERVALS).map(|w| w[1] - w[0]).collect();

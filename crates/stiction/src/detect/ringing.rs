@@ -1,11 +1,11 @@
-//! How a loop rings by itself, seen beside what is forced on it.
+//! Separates a loop's own ringing from a forced oscillation.
 //!
-//! What comes from outside with a constant period stands in PV as lines: a sine and its harmonics, which keep their
-//! phase throughout. They are fitted and taken out. What is left is the loop's answer to everything random, and its
-//! autoregressive model (Burg 1975) shows the closed loop's own modes: a pole `exp(s)` has the damping `-Re s / |s|`.
-//! A loop near its stability limit rings there too, because noise keeps its oscillation wandering in phase and size; a
-//! sane loop that is shaken does not. The record's process model cannot tell: under a sine of frequency w any fit of
-//! PV to OP in closed loop ends at the process for which the loop gain is -1 at w, the model of a loop at its limit.
+//! An external disturbance with a constant period appears in PV as lines: a sine and its harmonics with a constant phase. They
+//! are fitted and removed. The rest is the loop's response to random disturbances, and its autoregressive model (Burg 1975)
+//! shows the closed loop's own modes: a pole `exp(s)` has the damping `-Re s / |s|`. A loop near its stability limit rings
+//! there too, because noise makes its oscillation wander in phase and amplitude; a well-damped loop that is driven does not.
+//! The record's process model cannot separate the two: under a sine of frequency w any fit of PV to OP in closed loop ends at
+//! the process with a loop gain of -1 at w, which is the model of a loop at its limit.
 
 use core::f64::consts::PI;
 
@@ -13,26 +13,25 @@ use nalgebra::Complex;
 
 use crate::signal::{detrend, stats};
 
-/// What rings, and what is forced.
+/// Ringing and forced components.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Ringing {
     /// Period of the lines, points.
     pub period_points: f64,
-    /// Share of the variance that they hold, 0..1.
+    /// Their share of the variance, 0..1.
     pub forced: f64,
-    /// A line of another frequency, no harmonic or half of the first, that holds a good part of what these leave.
+    /// A line of another frequency (not a harmonic or half of the first) with a considerable share of the rest.
     pub second: Option<Line>,
-    /// Spread of the oscillation's amplitude over its mean: small for what a sine, a cycle or a machine outside makes
-    /// even where its phase wanders, about a half for a mode that is driven by what is random.
+    /// Spread of the oscillation's amplitude over its mean: small for an external sine, cycle or machine even if its phase
+    /// wanders, about a half for a mode driven by random disturbances.
     pub unsteadiness: f64,
-    /// At least eight periods: enough to look for a mode.
+    /// At least eight periods: enough to identify a mode.
     pub long_enough: bool,
-    /// The least damped mode near the lines of what is left without them; `None` where there is none, or the record is
-    /// not long enough.
+    /// The least damped mode near the lines in the rest; `None` if there is none or the record is too short.
     pub mode: Option<Mode>,
 }
 
-/// A sine that keeps its phase.
+/// A sine of constant phase.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Line {
     /// Period, points.
@@ -41,7 +40,7 @@ pub struct Line {
     pub share: f64,
 }
 
-/// A mode of the closed loop, driven by what is random.
+/// A mode of the closed loop, driven by random disturbances.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Mode {
     /// Damping, 0..1.
@@ -52,22 +51,22 @@ pub struct Mode {
     pub height: f64,
 }
 
-/// Points a period that are looked at.
+/// Points per period used.
 const POINTS_PER_PERIOD: f64 = 12.0;
 /// Fewest periods for lines, and for modes.
 const MIN_PERIODS: [f64; 2] = [4.0, 8.0];
-/// Harmonics taken out.
+/// Harmonics removed.
 pub(super) const HARMONICS: usize = 5;
 /// Highest order of the model.
 const MAX_ORDER: usize = 20;
-/// Frequencies around the lines, relative, at which a mode counts as theirs.
+/// Relative frequency range around the lines for a mode.
 const NEAR: [f64; 2] = [0.75, 1.33];
-/// Frequencies, relative, among which a second line is looked for.
+/// Relative frequency range of a second line.
 const BESIDE: [f64; 2] = [0.3, 3.4];
-/// Share of what the first lines leave, and of the whole, that a second line holds.
+/// Least share of the rest, and of the whole, for a second line.
 const SECOND: [f64; 2] = [0.4, 0.03];
 
-/// Looks at a signal that oscillates with about `period` points; `None` below four periods or for a constant.
+/// Analyses a signal that oscillates with about `period` points; `None` below four periods or for a constant.
 #[must_use]
 pub fn of(x: &[f64], period: f64) -> Option<Ringing> {
     let k = ((period / POINTS_PER_PERIOD) as usize).max(1);
@@ -114,13 +113,13 @@ fn unsteadiness(x: &[f64], f: f64) -> f64 {
     if mean > 0.0 { stats::std_dev(inner) / mean } else { 0.0 }
 }
 
-/// `frequency` and its harmonics, as far as the points carry them.
+/// `frequency` and its harmonics up to the Nyquist limit.
 pub(super) fn harmonics(frequency: f64) -> Vec<f64> {
     let count = HARMONICS.min((0.45 / frequency) as usize).max(1);
     (1..=count).map(|m| frequency * m as f64).collect()
 }
 
-/// The strongest line of what the lines of `f` left, if it stands apart from them and from their halves.
+/// The strongest line in the rest without the lines of `f`, if it is distinct from them and from their halves.
 fn second_line(rest: &[f64], f: f64) -> Option<f64> {
     let n = rest.len() as f64;
     let below = strongest(rest, [BESIDE[0] * f, NEAR[0] * f]);
@@ -159,7 +158,7 @@ fn line_power(x: &[f64], f: f64) -> f64 {
     x.iter().rev().fold(Complex::new(0.0, 0.0), |sum, v| sum * turn + v).norm_sqr()
 }
 
-/// Frequencies that are looked at side by side.
+/// Number of frequencies evaluated side by side.
 const LANES: usize = 8;
 
 /// Squared sums of `x` against lines of several frequencies.
@@ -176,7 +175,7 @@ fn line_powers(x: &[f64], f: [f64; LANES]) -> [f64; LANES] {
     core::array::from_fn(|lane| re[lane] * re[lane] + im[lane] * im[lane])
 }
 
-/// Frequency of the strongest line in a range, to a fortieth of a bin.
+/// Frequency of the strongest line in a range, to a fortieth of a spectral bin.
 pub(super) fn strongest(x: &[f64], range: [f64; 2]) -> f64 {
     let n = x.len() as f64;
     let look = |from: f64, to: f64, steps: i32| {
@@ -197,7 +196,7 @@ fn stronger(a: (f64, f64), b: (f64, f64)) -> (f64, f64) {
     if b.0 > a.0 { b } else { a }
 }
 
-/// `x` less its least-squares lines, each fitted in turn to what the others leave.
+/// `x` minus its least-squares lines, each fitted to the residual of the others.
 fn without_lines(x: &[f64], frequencies: &[f64]) -> Vec<f64> {
     let mut rest = x.to_vec();
     for _ in 0..3 {

@@ -1,10 +1,10 @@
-//! PV stands while OP travels.
+//! Travel of OP while PV is constant.
 
 use super::{Detector, View};
 use crate::signal::stats;
 
-/// Longest way of OP while PV stays inside a narrow band, over OP's span, 0..1. The band is six deviations of PV's
-/// smoothed noise, at least 12 % of PV's own span.
+/// Longest travel of OP while PV stays inside a narrow band, over OP's span, 0..1. The band is six standard deviations of
+/// PV's smoothed noise, at least 12 % of PV's own span.
 pub(super) struct Travel;
 
 impl Detector for Travel {

@@ -1,4 +1,4 @@
-//! From a record to the diagnosis: traces, base, effects, noise models, decision, and what follows from it.
+//! From a record to the diagnosis: traces, base, effects, noise models, decision, and its consequences.
 
 use std::collections::BTreeMap;
 
@@ -88,10 +88,10 @@ fn search(
     Ok(found.map(|found| Searched { traces, problem, floor, found }))
 }
 
-/// Diagnoses one record.
+/// Diagnoses a record.
 ///
 /// # Errors
-/// Where the record is too short, a signal never moves, an id is unknown or a given model cannot be simulated.
+/// The record is too short, a signal is constant, an id is unknown, or a given model cannot be simulated.
 pub fn diagnose(record: &Record, options: &GapOptions, executor: &dyn Executor) -> Result<Diagnosis, GapError> {
     check(record, options)?;
     if let Base::Given(model) = &options.base {

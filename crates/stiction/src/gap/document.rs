@@ -17,13 +17,13 @@ use crate::units::Moment;
 /// Schema name of a diagnosis.
 pub const GAP_SCHEMA: &str = "stictiond.gap.v1";
 
-/// The stretch of time that was diagnosed.
+/// Time range of the diagnosis.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Window {
-    /// Stamp of the first sample, ns since 1970.
+    /// Timestamp of the first sample, ns since 1970.
     pub start_ns: i64,
-    /// Stamp of the last sample.
+    /// Timestamp of the last sample, ns since 1970.
     pub end_ns: i64,
     /// The start, RFC 3339.
     #[serde(default)]
@@ -37,36 +37,36 @@ pub struct Window {
     pub samples: u64,
     /// Mean sampling time, s.
     pub ts_s: f64,
-    /// Raw samples in a point of the simulation (1: raw).
+    /// Raw samples per point of the simulation (1: raw).
     pub box_samples: u64,
 }
 
-/// The record of the search.
+/// Statistics of the search.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct SearchNote {
-    /// Model responses computed by all searches: for base and effects, behind a recorded valve position, for pairs.
+    /// Model responses of all searches: base and effects, with a recorded valve position, pairs.
     pub evaluations: u64,
-    /// Responses that each of them was allowed.
+    /// Most responses per search.
     pub budget: u64,
     /// Why the search for base and effects ended: `noise`, `explained`, `agreement`, `complete`, `budget` or `stopped`.
     pub ended: Ended,
 }
 
-/// From which model the gap is measured.
+/// Base model of the gap.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct BaseNote {
-    /// `refit` (He's law, first order, fitted here), `linear` (without friction) or `given` (a model from elsewhere,
-    /// with the refitted base beside it).
+    /// `refit` (He's model, first order, fitted here), `linear` (no friction) or `given` (a given model, in addition to the
+    /// refitted base).
     pub source: String,
-    /// Law of the refitted base's valve: `he` or `none`.
+    /// Valve model of the refitted base: `he` or `none`.
     pub valve_model: String,
     /// Its order.
     pub order: u8,
-    /// Whether it integrates.
+    /// Whether it is integrating.
     pub integrating: bool,
-    /// The refitted base, which can be simulated again.
+    /// The refitted base, which can be simulated.
     pub model: Model,
 }
 
@@ -76,15 +76,15 @@ pub struct BaseNote {
 pub struct Figures {
     /// Root mean squared error.
     pub rmse: f64,
-    /// What no model gets below; on held or compressed PV as the stored values show it, `None` where they are too few.
+    /// Noise floor; for held or compressed PV from the stored values, `None` if they are too few.
     pub noise_floor: Option<f64>,
-    /// What is left above the floor: `sqrt(max(rmse^2 - noise_floor^2, 0))`, the error itself without a floor.
+    /// Part above the floor: `sqrt(max(rmse^2 - noise_floor^2, 0))`; the full error without a floor.
     pub gap: f64,
-    /// The gap over PV's standard deviation.
+    /// Gap relative to PV's standard deviation.
     pub relative: Option<f64>,
 }
 
-/// One effect, added to the base.
+/// An effect added to the base.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct EffectNote {
@@ -98,21 +98,21 @@ pub struct EffectNote {
     pub gap_before: f64,
     /// Gap with the effect.
     pub gap_after: f64,
-    /// The noise floor with it, for effects that free run cannot predict.
+    /// Noise floor with the effect, PV units, for effects that a free run cannot predict.
     pub floor_after: Option<f64>,
-    /// 100 (1 - after / before); `None` where it says nothing.
+    /// 100 (1 - after / before); `None` if undefined.
     pub closed_pct: Option<f64>,
     /// 90 % interval of it.
     pub closed_interval: Option<[f64; 2]>,
     /// Gain in training log mean squared error over the base, after BIC.
     pub evidence: f64,
-    /// Evidence less what the effect needs to be named.
+    /// Evidence minus the margin needed for naming it.
     pub lead: f64,
-    /// Effects that it cannot be told from.
+    /// Effects that are indistinguishable from it.
     pub confusable_with: Vec<String>,
-    /// The measurement that would settle it.
+    /// The measurement that would distinguish it.
     pub separated_by: String,
-    /// Whether its training error reaches the noise floor; `None` for effects that are not simulated.
+    /// Whether its training error reaches the noise floor; `None` for effects without simulation.
     pub at_floor: Option<bool>,
 }
 
@@ -122,13 +122,13 @@ pub struct EffectNote {
 pub struct CauseNote {
     /// An effect's id, two joined by `+`, `none` or `unknown`.
     pub id: String,
-    /// Probability that it is right.
+    /// Probability that the answer is right.
     pub probability: f64,
-    /// Whether it also closes the gap on held-out data and forward in time; false is "suspected".
+    /// Whether it also closes the gap on held-out data and in forward prediction; false means "suspected".
     pub confirmed: bool,
 }
 
-/// Another answer.
+/// Another possible answer.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct AlternativeNote {
@@ -138,19 +138,19 @@ pub struct AlternativeNote {
     pub probability: f64,
 }
 
-/// Gaps of models fitted to the first part, over the rest.
+/// Gaps over the second part for models fitted to the first part.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct ForwardNote {
-    /// The base's, PV units.
+    /// Gap of the base, PV units.
     pub gap_before: f64,
-    /// With the cause.
+    /// Gap with the cause, PV units.
     pub gap_after: f64,
     /// 100 (1 - after / before).
     pub closed_pct: Option<f64>,
 }
 
-/// The experiment that would tell the two best answers apart.
+/// The experiment that distinguishes the two best answers.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct TestNote {
@@ -162,20 +162,20 @@ pub struct TestNote {
     pub duration_s: f64,
     /// The two answers.
     pub separates: [String; 2],
-    /// Probability that it tells them.
+    /// Probability that it distinguishes them.
     pub p: f64,
 }
 
-/// The model with the cause: what `simulate`, `analyze` and `gap --base` take, and the words of an estimate beside it.
+/// The model with the cause, as accepted by `simulate`, `analyze` and `gap --base`, with the terms of an estimate.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct ModelAfter {
-    /// The model itself.
+    /// The model.
     #[serde(flatten)]
     pub model: Model,
     /// Static band, OP units; `None` without friction.
     pub fs: Option<f64>,
-    /// Kinetic band.
+    /// Kinetic band, OP units; `None` without friction.
     pub fd: Option<f64>,
     /// fs + fd.
     pub s: Option<f64>,
@@ -185,15 +185,15 @@ pub struct ModelAfter {
     pub valve_model: String,
 }
 
-/// What noise models make of the residual, as [`super::types::NoiseModels`].
+/// Noise models of the residual, as [`super::types::NoiseModels`].
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct NoiseNote {
     /// Gain of an autoregressive model of the best residual, log mean squared error.
     pub over_base: f64,
-    /// By how much it beats the best structural model.
+    /// Advantage over the best structural model, log mean squared error.
     pub over_best: f64,
-    /// Smallest p of independence.
+    /// Smallest p value for independence.
     pub independence_p: f64,
     /// Whether it leaves white noise.
     pub whitens: bool,
@@ -208,51 +208,51 @@ pub struct GapDocument {
     /// The loop's name.
     #[serde(rename = "loop")]
     pub loop_name: String,
-    /// What was diagnosed.
+    /// Time range of the diagnosis.
     pub window: Window,
-    /// From which model.
+    /// Base model.
     pub base: BaseNote,
     /// Gap of the refitted base.
     pub gap: Figures,
-    /// Gap of the model that was given.
+    /// Gap of the given model.
     pub given: Option<Figures>,
-    /// Part of the given model's gap that refitting closes, PV units: as given less refitted.
+    /// Part of the given model's gap that refitting closes, PV units: given minus refitted.
     pub parametric: Option<f64>,
-    /// Where the gap lies.
+    /// Where the gap is.
     #[serde(rename = "where")]
     pub location: Location,
-    /// Every effect asked, best first.
+    /// All effects tried, best first.
     pub effects: Vec<EffectNote>,
     /// The answer.
     pub cause: CauseNote,
-    /// Named beside the cause: what acts on the plant under what the recorder did, or what the recorder did beside it.
+    /// A second cause: an effect in the plant beneath an artefact of the historian, or that artefact.
     #[serde(default)]
     pub second_cause: Option<AlternativeNote>,
-    /// Other answers, best first, without the cause.
+    /// Other possible answers, best first, without the cause.
     pub alternatives: Vec<AlternativeNote>,
-    /// Forward in time.
+    /// Forward prediction.
     pub forward: Option<ForwardNote>,
-    /// The base with the cause, and with what is named beside it.
+    /// The base with the cause and the second cause.
     pub model_after: ModelAfter,
-    /// The experiment that would settle it.
+    /// The experiment that distinguishes the likeliest answers.
     pub next_test: Option<TestNote>,
     /// Model responses computed.
     pub evaluations: u64,
-    /// The search: what it spent, what it might, why it ended.
+    /// The search: responses used and allowed, and why it ended.
     pub search: SearchNote,
-    /// Whether the search was ended before it was done.
+    /// Whether the search ended early.
     pub stopped_early: bool,
-    /// Effects tried two at once, best first; empty where one alone explains the record, unless asked for.
+    /// Pairs of effects, best first; empty if one effect explains the record, unless requested.
     pub pairs: Vec<EffectNote>,
     /// Noise models of the residual.
     pub noise_models: NoiseNote,
-    /// The closed loop simulated, where the controller can be read.
+    /// The simulated closed loop, if the controller can be identified.
     pub closed_loop: Option<Cycles>,
     /// Version of the program.
     pub version: String,
 }
 
-/// 100 (1 - after / before); `None` where there was no gap.
+/// 100 (1 - after / before); `None` if there was no gap.
 #[must_use]
 pub fn closed_pct(before: f64, after: f64) -> Option<f64> {
     let pct = 100.0 * (1.0 - after / before);
@@ -260,7 +260,7 @@ pub fn closed_pct(before: f64, after: f64) -> Option<f64> {
 }
 
 impl GapDocument {
-    /// Writes down a diagnosis of a record, asked from `base`.
+    /// Makes the document of a diagnosis with base `base`.
     #[must_use]
     pub fn new(loop_name: &str, record: &Record, base: &Base, diagnosis: &Diagnosis, location: Location) -> Self {
         let deviation = stats::std_dev(&record.pv);
@@ -320,7 +320,7 @@ impl GapDocument {
         }
     }
 
-    /// The effect that was named, unless the answer is `none` or `unknown`.
+    /// The named effect, unless the answer is `none` or `unknown`.
     #[must_use]
     pub fn named(&self) -> Option<&EffectNote> {
         self.effects.iter().chain(&self.pairs).find(|e| e.id == self.cause.id)

@@ -15,19 +15,19 @@ use crate::sim::slips::{FirstSlip, Law};
 /// Places of the stem before the record that are tried.
 const STARTS: usize = 9;
 
-/// Whether a model can be simulated at all, before anything is searched.
+/// Checks whether a model can be simulated, before any search.
 ///
 /// # Errors
-/// Where a number or word of the model is out of range.
+/// A number or word of the model is out of range.
 pub fn check(model: &Model) -> Result<(), ModelError> {
     model.check()?;
     structure(model).map(|_| ())
 }
 
-/// The model's free run and what it leaves.
+/// The model's free run and residuals.
 ///
 /// # Errors
-/// Where a number or word of the model is out of range, or nothing moves its stem.
+/// A number or word of the model is out of range, or nothing moves its stem.
 pub fn simulate(problem: &Problem, model: &Model, floor: Option<f64>) -> Result<Fit, ModelError> {
     model.check()?;
     let structure = structure(model)?;

@@ -1,7 +1,7 @@
-//! The gap between simulation and plant: where it lies, which effect causes it, how far adding that effect closes it.
+//! Model-plant mismatch ("gap"): where it is, which effect causes it, and how much of it adding that effect closes.
 //!
-//! [`diagnose`] fits the base (He's law, first order with dead time) to the training blocks of a record, then the base
-//! with each effect of the [`effects::ALL`] catalogue, and judges on what it was not fitted to.
+//! [`diagnose`] fits the base (He's model, first order with dead time) to the training blocks of a record, then the base with
+//! each effect of the [`effects::ALL`] catalogue, and judges them on held-out blocks.
 
 mod answer;
 mod candidate;
@@ -53,6 +53,6 @@ pub use probability::Features;
 pub use sizes::Quantity;
 pub use types::*;
 
-/// Model responses of a default search: a third of a second of one core where the base explains all, some three where
+/// Model responses of a default search: a third of a second on one core if the base explains everything, about three if
 /// nothing does.
 pub const DEFAULT_EVALUATIONS: u64 = 1_000_000;

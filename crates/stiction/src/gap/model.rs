@@ -1,4 +1,4 @@
-//! A model of a loop's valve and process that can be written down, read back and simulated.
+//! A model of a loop's valve and process that can be saved, loaded and simulated.
 
 use serde::{Deserialize, Serialize};
 
@@ -13,9 +13,9 @@ pub struct Valve {
     pub law: String,
     /// Static band, OP units.
     pub fs: f64,
-    /// Kinetic band, OP units; negative where the stem overshoots.
+    /// Kinetic band, OP units; negative if the stem overshoots.
     pub fd: f64,
-    /// Stem position before the record, OP units; `None` where it is not known.
+    /// Stem position before the record, OP units; `None` if unknown.
     #[serde(default)]
     pub stem0: Option<f64>,
 }
@@ -24,13 +24,13 @@ pub struct Valve {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Process {
-    /// PV units an OP unit (and a second, when integrating).
+    /// PV units per OP unit (and per second, if integrating).
     pub gain: f64,
     /// Time constants, s, largest first.
     pub time_constants_s: Vec<f64>,
     /// Dead time, s.
     pub dead_time_s: f64,
-    /// Integrates instead of settling.
+    /// Integrating instead of self-regulating.
     #[serde(default)]
     pub integrating: bool,
     /// OP (behind the valve) at which PV is `pv`.
@@ -39,13 +39,13 @@ pub struct Process {
     pub pv: f64,
 }
 
-/// An effect beside valve and process.
+/// An effect in addition to valve and process.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Added {
     /// Its id.
     pub id: String,
-    /// Its parameters by name, in the units that the catalogue gives.
+    /// Its parameters by name, in the units of the catalogue.
     pub parameters: std::collections::BTreeMap<String, f64>,
 }
 
@@ -55,52 +55,52 @@ pub struct Added {
 pub struct Model {
     /// [`SCHEMA`].
     pub schema: String,
-    /// Sampling time it was fitted at, s.
+    /// Sampling time of the fitted record, s.
     pub ts_s: f64,
     /// The valve.
     pub valve: Valve,
     /// The process.
     pub process: Process,
-    /// Effects beside them.
+    /// Additional effects.
     #[serde(default)]
     pub effects: Vec<Added>,
 }
 
-/// What is wrong with a model.
+/// A fault in a model.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ModelError {
-    /// A number out of its range.
+    /// A number out of range.
     #[error("{name} is {value}, but must be {want}")]
     Range {
-        /// Which.
+        /// Name of the number.
         name: &'static str,
         /// Its value.
         value: f64,
-        /// What it must be.
+        /// Its range.
         want: &'static str,
     },
-    /// An effect without one of its numbers.
-    #[error("the effect {effect} has no {name} among its parameters")]
+    /// A missing parameter of an effect.
+    #[error("the effect {effect} lacks its parameter {name}")]
     Missing {
         /// Its id.
         effect: String,
         /// The parameter.
         name: &'static str,
     },
-    /// A word that is none of those known.
+    /// An unknown word.
     #[error("{name} is {value:?}, but must be one of {want}")]
     Word {
-        /// Which.
+        /// Name of the field.
         name: &'static str,
         /// As given.
         value: String,
-        /// The words.
+        /// The valid words.
         want: &'static str,
     },
 }
 
 impl Model {
-    /// Whether it can be simulated at all.
+    /// Checks whether it can be simulated.
     ///
     /// # Errors
     /// The first number or word that is out of range.
@@ -129,7 +129,7 @@ impl Model {
 
 #[cfg(test)]
 impl Model {
-    /// He's law before a first-order process with one effect, for tests.
+    /// He's model before a first-order process with one effect, for tests.
     pub(super) fn example(effect: Option<(&str, &[(&str, f64)])>) -> Self {
         let process = Process {
             gain: 1.5,

@@ -1,4 +1,4 @@
-//! Models from elsewhere: an estimate, a diagnosis' model, or a few numbers that somebody wrote down.
+//! Model files: an estimate, the model of a diagnosis, or a few numbers written by hand.
 
 use std::collections::BTreeMap;
 
@@ -10,35 +10,35 @@ use crate::ident::ESTIMATE_SCHEMA;
 use crate::record::Record;
 use crate::signal::stats;
 
-/// Laws of the valve.
+/// Valve models.
 const LAWS: [&str; 3] = ["he", "tracking", "none"];
 
-/// What is wrong with a model's file.
+/// A fault in a model file.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ModelFileError {
     /// Not JSON.
     #[error("not JSON: {0}")]
     Json(String),
-    /// JSON of something else.
+    /// JSON of another kind.
     #[error(
-        "the document is a {found:?}; give a {ESTIMATE_SCHEMA}, a {GAP_SCHEMA}, a {SCHEMA}, or a plain object with fs, fd and \
+        "the document is a {found:?}; use a {ESTIMATE_SCHEMA}, {GAP_SCHEMA} or {SCHEMA}, or a plain object with fs, fd and \
          process {{gain, time_constants_s, dead_time_s}}"
     )]
     Schema {
         /// Its schema.
         found: String,
     },
-    /// A field that is missing or wrong.
+    /// A missing or wrong field.
     #[error("{field} {problem}")]
     Field {
         /// Its path, such as `process.gain`.
         field: String,
-        /// What is wrong with it.
+        /// The fault.
         problem: String,
     },
 }
 
-/// A model as read, which may lack what only a record can add.
+/// A parsed model; a record may have to add values.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ModelFile {
     valve: Valve,
@@ -46,7 +46,7 @@ pub struct ModelFile {
     time_constants_s: Vec<f64>,
     dead_time_s: f64,
     integrating: bool,
-    /// Valve position and the PV that goes with it at rest; estimates do not tell them.
+    /// Valve position and corresponding PV at rest; estimates do not have them.
     rest: Option<[f64; 2]>,
     ts_s: Option<f64>,
     effects: Vec<Added>,
@@ -112,10 +112,10 @@ impl<'a> Object<'a> {
 }
 
 impl ModelFile {
-    /// Reads a model.
+    /// Parses a model.
     ///
     /// # Errors
-    /// Names the field that is missing or wrong.
+    /// Names the missing or wrong field.
     pub fn parse(text: &str) -> Result<Self, ModelFileError> {
         // Several documents, one a line: the first one counts.
         let whole: Result<Value, serde_json::Error> = serde_json::from_str(text);
@@ -185,7 +185,7 @@ impl ModelFile {
         })
     }
 
-    /// The model for a record: where the file tells no resting point, OP's and PV's means are one.
+    /// The model for a record; without an operating point in the file, the means of OP and PV are used.
     #[must_use]
     pub fn on(&self, record: &Record) -> Model {
         let [op, pv] = self.rest.unwrap_or_else(|| [stats::mean(&record.op()), stats::mean(&record.pv)]);
@@ -216,7 +216,7 @@ fn read_valve(o: &Object<'_>, law_field: &str, law: &str) -> Result<Valve, Model
         return Err(o.wrong("fs", format!("is {fs}, but must be 0 or more")));
     }
     if fd.abs() > fs {
-        return Err(o.wrong("fd", format!("is {fd}, but must lie between -fs and fs, and fs is {fs}")));
+        return Err(o.wrong("fd", format!("is {fd}, but must be between -fs and fs, and fs is {fs}")));
     }
     Ok(Valve { law: law.to_owned(), fs, fd, stem0: o.number("stem0")? })
 }

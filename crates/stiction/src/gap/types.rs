@@ -1,43 +1,43 @@
-//! What the diagnosis is asked and what it answers.
+//! Request and result types of the diagnosis.
 
 use serde::{Deserialize, Serialize};
 
 use super::model::Model;
 
-/// Id of an effect, as it stands in documents.
+/// Id of an effect, as in documents.
 pub type EffectId = &'static str;
 
 /// Id of the answer that the base explains the record.
 pub const NONE: &str = "none";
-/// Id of the answer that something departs from the base which no effect of the catalogue explains.
+/// Id of the answer that the record differs from the base and no effect of the catalogue explains it.
 pub const UNKNOWN: &str = "unknown";
 
-/// From which model the gap is measured.
+/// Base model of the gap.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub enum Base {
-    /// He's law with a first-order process, refitted.
+    /// He's valve model with a first-order process, refitted.
     #[default]
     Refit,
-    /// The same process without a sticking valve: stiction itself is an effect.
+    /// The same process with an ideal valve; stiction is then an effect.
     Linear,
-    /// A model from elsewhere; the refitted base is measured beside it.
+    /// A given model; the refitted base is evaluated too.
     Given(Box<Model>),
 }
 
-/// What is asked of a record.
+/// Options of a diagnosis.
 #[derive(Debug, Clone, PartialEq)]
 pub struct GapOptions {
-    /// The base.
+    /// Base model.
     pub base: Base,
-    /// Ids of effects that are taken out of the catalogue.
+    /// Ids of effects excluded from the catalogue.
     pub without: Vec<String>,
-    /// Pairs of effects even where one alone explains the record; elsewhere they are tried unasked.
+    /// Search pairs of effects even if one effect explains the record; otherwise pairs are searched only if needed.
     pub pairs: bool,
-    /// Model responses that a search may compute; a recorded valve position and pairs each bring another search.
+    /// Most model responses per search; a recorded valve position and pairs add one search each.
     pub budget_evaluations: u64,
-    /// Seed of every random choice.
+    /// Seed of all random choices.
     pub seed: u64,
-    /// Period of the oscillation, points, where one is known.
+    /// Period of the oscillation in points, if known.
     pub period_points: Option<f64>,
 }
 
@@ -54,15 +54,15 @@ impl Default for GapOptions {
     }
 }
 
-/// Who does the work: the shell brings threads and a clock, results depend on neither.
+/// Execution of the work: the caller supplies threads and a clock; results depend on neither.
 pub trait Executor: Sync {
-    /// Runs `job(0)` to `job(jobs - 1)`, in any order, and returns when all are done.
+    /// Runs `job(0)` to `job(jobs - 1)` in any order and returns when all are done.
     fn run(&self, jobs: usize, job: &(dyn Fn(usize) + Sync));
-    /// Told how many evaluations are done between rounds; false ends the search with what is known.
+    /// Called between rounds with the number of evaluations; returning false ends the search with the results so far.
     fn tick(&self, done: u64) -> bool;
 }
 
-/// One after the other, to the end.
+/// Runs jobs in sequence and never stops early.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Serial;
 
@@ -81,17 +81,17 @@ impl Executor for Serial {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Ended {
-    /// The base leaves nothing but noise.
+    /// The base leaves only noise.
     Noise,
-    /// The base with an effect leaves nothing but noise.
+    /// The base with an effect leaves only noise.
     Explained,
-    /// Another round gained next to nothing.
+    /// The last round gained almost nothing.
     Agreement,
     /// All rounds were made.
     Complete,
-    /// The budget was spent.
+    /// The budget was used up.
     Budget,
-    /// It was told to end.
+    /// Stopped on request.
     Stopped,
 }
 
@@ -103,20 +103,20 @@ pub enum Stage {
     Valve,
     /// Between the flow and PV.
     Process,
-    /// From outside.
+    /// An external disturbance.
     Disturbance,
     /// In the measurement or its recording.
     Measurement,
-    /// In how the loop is operated.
+    /// In the operation of the loop.
     Operation,
-    /// The record cannot tell.
+    /// Unknown from this record.
     CannotTell,
-    /// Nothing departs.
+    /// There is no gap.
     None,
 }
 
 impl Stage {
-    /// The stage's word in documents.
+    /// Word of the stage in documents.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -131,29 +131,29 @@ impl Stage {
     }
 }
 
-/// Why no diagnosis could be made.
+/// Why no diagnosis was possible.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum GapError {
-    /// Too short.
-    #[error("{points} points, but a diagnosis needs {needed}: give it a longer section")]
+    /// Record too short.
+    #[error("the section has {points} points, but a diagnosis needs {needed}; choose a longer section")]
     TooShort {
         /// Points in the record.
         points: usize,
         /// Points needed.
         needed: usize,
     },
-    /// A signal that never moves.
-    #[error("{signal} never moves (spread {spread} over {points} points): choose a section in which it does")]
+    /// A constant signal.
+    #[error("{signal} is constant (spread {spread} over {points} points); choose a section in which it moves")]
     Still {
-        /// Which one.
+        /// Name of the signal.
         signal: &'static str,
         /// Its spread.
         spread: f64,
         /// Points in the record.
         points: usize,
     },
-    /// An id that is not in the catalogue.
-    #[error("no effect is called {id:?}; there are {known}")]
+    /// An unknown effect.
+    #[error("there is no effect {id:?}; choose from {known}")]
     UnknownEffect {
         /// As given.
         id: String,
@@ -163,33 +163,33 @@ pub enum GapError {
     /// A model that cannot be simulated on this record.
     #[error("the given model: {0}")]
     Model(#[from] super::model::ModelError),
-    /// No model of the base class can be fitted.
+    /// No base model fits.
     #[error(
-        "no base model could be fitted to {points} points after {evaluations} evaluations: nothing in PV follows OP"
+        "no base model fits the {points} points ({evaluations} evaluations): PV does not follow OP; choose another section or check the tags"
     )]
     NoBase {
         /// Points in the record.
         points: usize,
-        /// Evaluations spent.
+        /// Evaluations used.
         evaluations: u64,
     },
 }
 
-/// A move of the stem.
+/// A movement of the stem.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Slip {
-    /// Point of the record at which it happens.
+    /// Point of the record at which it occurs.
     pub point: usize,
     /// +1 up, -1 down.
     pub direction: f64,
-    /// Size of the move, OP units, >= 0.
+    /// Size, OP units, >= 0.
     pub size: f64,
 }
 
-/// A parameter as fitted.
+/// A fitted parameter.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Parameter {
-    /// Name, with its unit unless it has none.
+    /// Name, including the unit if there is one.
     pub name: &'static str,
     /// Value in `unit`.
     pub value: f64,
@@ -197,18 +197,18 @@ pub struct Parameter {
     pub unit: &'static str,
 }
 
-/// One model fitted to the training blocks, and what its free run leaves.
+/// A model fitted to the training blocks, and its residuals in free run.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Fit {
-    /// `base`, `given`, or the id of the effect that was added.
+    /// `base`, `given`, or the id of the added effect.
     pub id: String,
     /// The model in recorded units.
     pub model: Model,
-    /// Valve signal at each point, OP units: what enters the process.
+    /// Valve signal at each point, OP units: the input of the process.
     pub valve: Vec<f64>,
-    /// Moves of the stem, in order of time.
+    /// Movements of the stem in time order.
     pub slips: Vec<Slip>,
-    /// Free-run prediction at each point, PV units; counts from [`Blocks::from`] on.
+    /// Free-run prediction at each point, PV units; valid from [`Blocks::from`].
     pub prediction: Vec<f64>,
     /// Dead time, s.
     pub dead_time_s: f64,
@@ -216,74 +216,74 @@ pub struct Fit {
     pub time_constants_s: Vec<f64>,
     /// Root mean squared error on the training blocks, PV units.
     pub rmse_train: f64,
-    /// The same on the held-out blocks.
+    /// Root mean squared error on the held-out blocks, PV units.
     pub rmse: f64,
-    /// What it leaves above the noise floor on the held-out blocks, PV units; the rmse itself where there is no floor.
+    /// Part of the held-out error above the noise floor, PV units; the full error if there is no floor.
     pub gap: f64,
-    /// Free parameters, linear ones included.
+    /// Number of free parameters, linear ones included.
     pub parameters: usize,
-    /// Model responses computed for it.
+    /// Number of model responses computed for it.
     pub evaluations: u64,
-    /// Whether its training error is at the noise floor (within 5 %).
+    /// Whether its training error is within 5 % of the noise floor.
     pub at_floor: bool,
-    /// Gain of an autoregression of what it leaves, log mean squared training error: near 0 where that is white.
+    /// Gain of an autoregressive model of the residual, log mean squared training error: near 0 for a white residual.
     pub colour: f64,
-    /// Largest correlation of what it leaves with OP or its moves before, in standard errors of white noise.
+    /// Largest correlation of the residual with earlier OP or its moves, in standard errors of white noise.
     pub with_op: f64,
 }
 
-/// The noise that no model explains.
+/// Noise that no model explains.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Floor {
-    /// Standard deviation of PV's noise, PV units: of its white part, of the stored values where a recorder thinned PV, or
-    /// behind a filter; `None` on held or compressed PV with too few of them.
+    /// Standard deviation of PV's noise, PV units: of its white part, of the stored values if a historian thinned PV, or after a
+    /// filter; `None` if held or compressed PV has too few stored values.
     pub noise_sd: Option<f64>,
-    /// Quantum of PV, PV units; `None` where it is not on a grid.
+    /// Quantum of PV, PV units; `None` if PV has no grid.
     pub quantum: Option<f64>,
-    /// `noise_sd` and the quantum's share together: what free run cannot get below.
+    /// Noise floor of a free run: `noise_sd` and the quantum's share combined.
     pub noise_floor: Option<f64>,
-    /// Standard deviation from the best residual's high band, PV units: the check of `noise_sd`.
+    /// Standard deviation from the high band of the best residual, PV units, as a check of `noise_sd`.
     pub high_band_sd: Option<f64>,
 }
 
-/// Which points count for what.
+/// Use of each point.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Blocks {
-    /// First point that counts; before it the valve's past has a say.
+    /// First valid point; earlier ones depend on the valve's unknown past.
     pub from: usize,
     /// Length of a block, points.
     pub length: usize,
-    /// Held out (tested on), per point.
+    /// Held out for testing, per point.
     pub held_out: Vec<bool>,
-    /// Left out of everything (from PV alone), per point.
+    /// Excluded from everything (by PV alone), per point.
     pub masked: Vec<bool>,
     /// Number of the block, per point.
     pub number: Vec<usize>,
 }
 
-/// A trace that an effect leaves in the data itself.
+/// A trace of an effect in the data itself.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Signature {
-    /// The effect it speaks for.
+    /// The effect that it indicates.
     pub id: EffectId,
     /// Measured value.
     pub value: f64,
-    /// Value from which it speaks.
+    /// Threshold of the value.
     pub threshold: f64,
-    /// Whether it does.
+    /// Whether the threshold is reached.
     pub met: bool,
     /// Size of the trace: quantum (PV units), held share, level of the clip (PV units), outliers a thousand, ….
     pub parameters: Vec<Parameter>,
 }
 
-/// One effect added to the base.
+/// An effect added to the base.
 #[derive(Debug, Clone, PartialEq)]
 pub struct EffectResult {
     /// The effect, or two joined by `+` in alphabetical order.
     pub id: String,
     /// Where it acts.
     pub stage: Stage,
-    /// Whether it was added to the simulation, and not read from PV.
+    /// Whether it was simulated rather than read from PV.
     pub simulated: bool,
     /// Its parameters.
     pub parameters: Vec<Parameter>,
@@ -291,24 +291,24 @@ pub struct EffectResult {
     pub gap_before: f64,
     /// Gap with the effect.
     pub gap_after: f64,
-    /// The floor with the effect, PV units, for effects that free run cannot predict.
+    /// Noise floor with the effect, PV units, for effects that a free run cannot predict.
     pub floor_after: Option<f64>,
-    /// 100 (1 - after / before); `None` where it says nothing.
+    /// 100 (1 - after / before); `None` if undefined.
     pub closed_pct: Option<f64>,
     /// 90 % block-bootstrap interval of it.
     pub closed_interval: Option<[f64; 2]>,
     /// Gain in training log mean squared error over the base.
     pub raw_gain: f64,
-    /// The same after BIC; what effects are ranked by.
+    /// The same with BIC penalty; effects are ranked by it.
     pub evidence: f64,
-    /// Evidence less the effect's margin: named only when positive.
+    /// Evidence minus the effect's margin: it is named only if positive.
     pub lead: f64,
-    /// Effects that fit nearly as well or that no record of OP and PV can tell from it.
+    /// Effects that fit almost as well or are indistinguishable from it in OP and PV.
     pub confusable_with: Vec<EffectId>,
-    /// The measurement that would settle it.
+    /// The measurement that would distinguish it.
     pub separated_by: &'static str,
-    /// The refitted model; for an effect that is seen in PV the base with what the recorder did to it, where it is met and
-    /// a free run can follow it.
+    /// The refitted model; for an effect read from PV, the base with the historian's artefact, if present and suited to a free
+    /// run.
     pub fit: Option<Fit>,
 }
 
@@ -317,15 +317,15 @@ pub struct EffectResult {
 pub struct Cause {
     /// An effect's id, two joined by `+`, `none` or `unknown`.
     pub id: String,
-    /// Calibrated probability that it is right.
+    /// Calibrated probability that the answer is right.
     pub probability: f64,
-    /// Whether held-out blocks and the run forward in time confirm it; false is "suspected".
+    /// Whether held-out blocks and the forward prediction confirm it; false means "suspected".
     pub confirmed: bool,
     /// Where it acts.
     pub stage: Stage,
 }
 
-/// Another answer that is not excluded.
+/// Another possible answer.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Alternative {
     /// As [`Cause::id`].
@@ -334,16 +334,16 @@ pub struct Alternative {
     pub probability: f64,
 }
 
-/// Base and best model fitted to the first part, run freely over the rest.
+/// Base and best model fitted to the first part and run freely over the rest.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Forward {
     /// Gap of the base, PV units.
     pub gap_before: f64,
-    /// Gap with the cause.
+    /// Gap with the cause, PV units.
     pub gap_after: f64,
 }
 
-/// The smallest experiment that tells the two best answers apart.
+/// The smallest experiment that distinguishes the two best answers.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NextTest {
     /// `op` or `sp`.
@@ -352,57 +352,57 @@ pub struct NextTest {
     pub size: f64,
     /// Its duration, s.
     pub duration_s: f64,
-    /// The two ids.
+    /// The two answers.
     pub separates: [String; 2],
-    /// Probability that the better one is told.
+    /// Probability that the better one is recognised.
     pub p: f64,
 }
 
-/// The free runs, one entry a point, PV units; `None` where not simulated.
+/// The free runs, one value per point, PV units; `None` if not simulated.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Predictions {
-    /// The base's.
+    /// Base model.
     pub pv_base: Vec<Option<f64>>,
     /// With the cause; the base's own for `none` and `unknown`.
     pub pv_after: Vec<Option<f64>>,
     /// Held out.
     pub held_out: Vec<bool>,
-    /// Left out of everything.
+    /// Excluded from everything.
     pub masked: Vec<bool>,
 }
 
-/// What the noise models make of the base's residual.
+/// Noise models of the base's residual.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct NoiseModels {
-    /// Gain in training log mean squared error of an autoregressive model of the best residual, one step ahead.
+    /// Gain of an autoregressive model of the best residual, one step ahead, log mean squared training error.
     pub over_base: f64,
-    /// By how much it beats the best structural model, log mean squared error.
+    /// Advantage over the best structural model, log mean squared error.
     pub over_best: f64,
-    /// Smallest p of independence from OP, its moves, cycle phase and level.
+    /// Smallest p value for independence from OP, its moves, cycle phase and level.
     pub independence_p: f64,
-    /// Whether the autoregression leaves white noise.
+    /// Whether the autoregressive model leaves white noise.
     pub whitens: bool,
-    /// By how much an autoregression of higher order beats one of first order, log mean squared error: what swings or
-    /// answers moves is of higher order than noise with a memory.
+    /// Advantage of a higher-order autoregressive model over first order, log mean squared error: oscillation and responses to
+    /// moves are of higher order than coloured noise.
     pub beyond_first: f64,
 }
 
-/// What noise models make of what is left by the base's place that is best one step ahead.
+/// The same for the residual of the base that is best one step ahead.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Alone {
-    /// The same; first order is that of a memory under white noise.
+    /// The same; first order describes coloured noise with white noise added.
     pub models: NoiseModels,
-    /// Excess kurtosis of the innovations: 0 for noise, large where a few of them are slips that the model lacks.
+    /// Excess kurtosis of the innovations: 0 for noise, large if some of them are slips that the model lacks.
     pub tails: f64,
 }
 
-/// The position behind the friction, where it is recorded: two gaps.
+/// Partial gaps if the valve position is recorded.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Stages {
-    /// OP to MV (free gain and offset), % of MV's variance left above its floor.
+    /// OP to MV (free gain and offset), % of MV's variance above its floor.
     pub op_to_mv: f64,
     /// MV to PV: gap of the first-order process driven by MV, PV units.
     pub mv_to_pv: f64,
-    /// The stage that holds the gap.
+    /// Where the gap is.
     pub stage: Stage,
 }

@@ -1,9 +1,9 @@
-//! Branch and bound: the triangle is cut into ever smaller cells, always the one that promises most, and cells that
-//! cannot hold anything better are dropped.
+//! Branch and bound: divides the triangle into ever smaller cells, the most promising first, and drops cells that cannot
+//! contain anything better.
 //!
-//! What a cell can hold is bounded by how steep the root of the cost was seen to be, near the cell and in general. The
-//! surface is piecewise smooth with steps of unknown height, so this bound is **heuristic**: it proves nothing, and
-//! [`Outcome::lower_bound`] is what the search believes, not what is certain.
+//! The bound of a cell comes from the steepest slopes of the root of the cost seen near the cell and in general. The surface
+//! is piecewise smooth with steps of unknown height, so the bound is **heuristic**: it proves nothing, and
+//! [`Outcome::lower_bound`] is an estimate.
 
 use std::collections::BinaryHeap;
 
@@ -13,17 +13,16 @@ use super::{Meter, Objective, Outcome, Settings, Solver, Termination, local};
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct BranchBound;
 
-/// Times by which the surface may be steeper than was seen, first and at most: where nothing promises more, the search
-/// trusts its slopes less and goes on.
+/// Factors on the slopes seen, first and last: when no cell is promising any more, the search reduces its slopes and goes on.
 const MARGIN: f64 = 1.5;
 const MOST_MARGIN: f64 = 50.0;
-/// Half a cell's longer side below which it is not cut further.
+/// Half the longer side of a cell below which it is not divided.
 const FINEST: f64 = 5e-4;
-/// Slopes remembered, and the share of them that is less steep than what counts everywhere.
+/// Number of slopes kept, and the quantile of them that applies everywhere.
 const SLOPES: usize = 512;
 const STEEP: f64 = 0.9;
 
-/// A cell of the square (s, j/s), with the root of the cost at its middle.
+/// A cell of the square (s, j/s), with the root of the cost at its centre.
 #[derive(Debug, Clone, Copy)]
 struct Cell {
     middle: [f64; 2],
@@ -54,7 +53,7 @@ impl PartialOrd for Cell {
 }
 
 impl Ord for Cell {
-    /// The least bound is the greatest cell; ties go to the place, so that the order is always the same.
+    /// The cell with the least bound is the greatest; ties are broken by position, so that the order is deterministic.
     fn cmp(&self, other: &Self) -> core::cmp::Ordering {
         let key = |c: &Self| [c.bound, c.middle[0], c.middle[1]];
         let pairs = key(other).into_iter().zip(key(self));
@@ -87,15 +86,15 @@ impl Solver for BranchBound {
 
 struct Tree<'a> {
     meter: Meter<'a>,
-    /// Slopes seen, the latest ones, unordered.
+    /// The latest slopes, unordered.
     slopes: Vec<f64>,
-    /// The worst finite root, which stands for places without a model.
+    /// The largest finite root, used for points without a model.
     worst: f64,
     margin: f64,
 }
 
 impl Tree<'_> {
-    /// Cuts until nothing promises more, everything is small, or the budget is spent; the least bound left.
+    /// Divides cells until none is promising, all are small, or the budget is spent. Returns the least bound left.
     fn grow(&mut self) -> Option<f64> {
         let mut open = BinaryHeap::new();
         let first = self.cell([0.5, 0.5], [0.5, 0.5], None)?;
@@ -145,7 +144,7 @@ impl Tree<'_> {
         Some([low, middle, high])
     }
 
-    /// Asks for the middle of a cell and bounds it.
+    /// Evaluates the centre of a cell and bounds it.
     fn cell(&mut self, middle: [f64; 2], half: [f64; 2], parent: Option<&Cell>) -> Option<Cell> {
         let cost = self.meter.ask([middle[0], middle[0] * middle[1]])?;
         let root = if cost.is_finite() { cost.sqrt() } else { self.worst };

@@ -1,4 +1,4 @@
-//! The contour grid: every point of an even grid over the triangle, then a local search around the best ones.
+//! The contour grid: a regular grid over the triangle, then a local search around its best points.
 
 use super::{Meter, Objective, Outcome, Settings, Solver, Termination, local};
 
@@ -6,7 +6,7 @@ use super::{Meter, Objective, Outcome, Settings, Solver, Termination, local};
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Contour;
 
-/// Separate minima of the map that are refined.
+/// Number of separate minima of the grid that are refined.
 const MINIMA: usize = 3;
 
 impl Solver for Contour {
@@ -40,7 +40,7 @@ impl Solver for Contour {
     }
 }
 
-/// Values of s: whole steps up to 1, preceded by halves of a step, since small bands would else fall between.
+/// Values of s: whole steps up to 1, preceded by half steps for small bands.
 fn levels(step: f64) -> Vec<f64> {
     let whole = (1.0 / step + 1e-9).floor() as usize;
     let mut out = vec![step / 4.0, step / 2.0];
@@ -48,7 +48,7 @@ fn levels(step: f64) -> Vec<f64> {
     out
 }
 
-/// Values of j for one s: 0, whole steps below s, and s.
+/// Values of j for an s: 0, whole steps below s, and s.
 fn levels_up_to(step: f64, s: f64) -> Vec<f64> {
     let mut out: Vec<f64> = (0..).map(|k| f64::from(k) * step).take_while(|j| *j < s - 1e-9).collect();
     out.push(s);

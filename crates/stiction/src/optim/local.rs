@@ -1,13 +1,13 @@
-//! Compass search: steps along s, j and both until none helps, then half the step. Needs no derivative, which the
-//! piecewise constant surface does not have.
+//! Compass search: steps along s, j and both until none helps, then half the step. Needs no derivative, because the surface
+//! is piecewise constant.
 
 use super::Meter;
 
-/// Directions that are tried, in this order.
+/// Search directions in order.
 const DIRECTIONS: [[f64; 2]; 8] =
     [[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0], [1.0, 1.0], [-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0]];
 
-/// Walks from `point` (of known `cost`) with steps from `step` down to `finest`.
+/// Searches from `point` (of known `cost`) with steps from `step` down to `finest`.
 pub(super) fn compass(meter: &mut Meter<'_>, mut point: [f64; 2], mut cost: f64, mut step: f64, finest: f64) {
     while step > finest {
         let mut moved = false;

@@ -1,8 +1,8 @@
-//! Search over the two friction bands, in normalised form: s and j as fractions of OP's span on the triangle
+//! Search over the two friction bands in normalised form: s and j as fractions of OP's span on the triangle
 //! `0 <= j <= s <= 1`, where `s = fs + fd` is dead band plus stick band and `j = fs - fd` the slip jump.
 //!
-//! A solver sees a cost of two numbers, a budget and a seed; it knows nothing of valves. One file per solver, one
-//! line in [`ALL`].
+//! A solver gets a cost function of two numbers, a budget and a seed; it knows nothing about valves. One file per solver, one
+//! entry in [`ALL`].
 
 mod branch_bound;
 mod contour;
@@ -18,21 +18,21 @@ pub use random::AdaptiveRandom;
 
 use serde::Serialize;
 
-/// What is searched.
+/// The function to minimise.
 pub trait Objective {
-    /// Cost of the point `[s, j]`; lower is better, infinite where no model exists. Points outside the triangle are
-    /// never asked for.
+    /// Cost of the point `[s, j]`; lower is better, infinite if no model exists. Points outside the triangle are never
+    /// evaluated.
     fn cost(&mut self, point: [f64; 2]) -> f64;
 }
 
-/// What a solver may spend, and how it draws.
+/// Budget and random seed of a solver.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Settings {
-    /// Calls of [`Objective::cost`] allowed.
+    /// Most calls of [`Objective::cost`].
     pub budget: u64,
     /// Step of the contour grid, % of the span.
     pub fineness_pct: f64,
-    /// Seed of every random choice.
+    /// Seed of all random choices.
     pub seed: u64,
 }
 
@@ -40,13 +40,13 @@ pub struct Settings {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Termination {
-    /// Everything that the method wanted to look at was looked at.
+    /// The method has evaluated everything it needed.
     Complete,
-    /// The budget was spent first.
+    /// The budget was used up.
     Budget,
-    /// Nothing better is to be expected: steps, gains or what is promised became too small to matter.
+    /// No further gain expected: steps, gains or bounds became too small.
     Converged,
-    /// Somebody asked it to stop; what was found until then stands.
+    /// Stopped on request; the result so far is valid.
     Interrupted,
 }
 
@@ -63,23 +63,23 @@ impl Termination {
     }
 }
 
-/// What a search found.
+/// Result of a search.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Outcome {
     /// Best point `[s, j]`.
     pub best: [f64; 2],
     /// Its cost.
     pub cost: f64,
-    /// Calls made.
+    /// Number of evaluations.
     pub evaluations: u64,
     /// Why it stopped.
     pub stopped: Termination,
-    /// Cost below which the solver believes nothing lies, where its method has such a bound. Heuristic: no proof.
+    /// Lower bound of the cost according to the solver, if its method has one. Heuristic, not proven.
     pub lower_bound: Option<f64>,
 }
 
 impl Outcome {
-    /// A search that has found nothing yet.
+    /// The result of a search before its first evaluation.
     #[must_use]
     pub const fn nothing() -> Self {
         Self {
@@ -92,7 +92,7 @@ impl Outcome {
     }
 }
 
-/// A global search. The same settings and cost give the same outcome on every machine.
+/// A global search. The same settings and cost give the same result on every machine.
 pub trait Solver: Sync {
     /// Its name on the command line and in documents.
     fn name(&self) -> &'static str;
@@ -100,15 +100,15 @@ pub trait Solver: Sync {
     fn search(&self, objective: &mut dyn Objective, settings: &Settings) -> Outcome;
 }
 
-/// Every solver.
+/// All solvers.
 pub const ALL: [&dyn Solver; 4] = [&Contour, &Multistart, &AdaptiveRandom, &BranchBound];
 
-/// A solver of this library.
+/// A built-in solver.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum SolverName {
-    /// Every point of an even grid, then a local search around the best ones.
+    /// A regular grid, then a local search around the best points.
     #[default]
     Contour,
     /// Adaptive random search from many starts.
@@ -120,7 +120,7 @@ pub enum SolverName {
 }
 
 impl SolverName {
-    /// All of them, in the order of [`optim::ALL`](ALL).
+    /// All solvers, in the order of [`optim::ALL`](ALL).
     pub const ALL: [Self; ALL.len()] = [Self::Contour, Self::Multistart, Self::Random, Self::BranchBound];
 
     /// The solver itself.
@@ -129,20 +129,20 @@ impl SolverName {
         ALL[self as usize]
     }
 
-    /// Its word.
+    /// Its name.
     #[must_use]
     pub fn name(self) -> &'static str {
         self.solver().name()
     }
 
-    /// The solver of that word.
+    /// The solver with this name.
     #[must_use]
     pub fn of(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|s| s.name() == name)
     }
 }
 
-/// Counts calls and keeps the best, so that every solver does it alike.
+/// Counts evaluations and keeps the best, for all solvers.
 struct Meter<'a> {
     objective: &'a mut dyn Objective,
     left: u64,
@@ -154,7 +154,7 @@ impl<'a> Meter<'a> {
         Self { objective, left: budget, outcome: Outcome::nothing() }
     }
 
-    /// Cost of a point, or `None` when the budget is spent.
+    /// Cost of a point, or `None` when the budget is used up.
     fn ask(&mut self, point: [f64; 2]) -> Option<f64> {
         if self.left == 0 {
             self.outcome.stopped = Termination::Budget;

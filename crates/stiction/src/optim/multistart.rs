@@ -1,5 +1,4 @@
-//! Adaptive random search from many starts: each descends by itself, so that a valley far from the best one is looked
-//! into as well.
+//! Adaptive random search from many starts, each with its own descent, so that distant valleys are searched too.
 
 use super::draw::Draws;
 use super::random::descend;
@@ -9,13 +8,13 @@ use super::{Meter, Objective, Outcome, Settings, Solver, Termination, local};
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Multistart;
 
-/// Draws of which the best is a start.
+/// Draws per start, of which the best is used.
 const CANDIDATES: u32 = 8;
 /// Half width of a start's first square.
 const WIDE: f64 = 0.15;
-/// Starts in a row that bring nothing before the search ends.
+/// Consecutive starts without gain before the search ends.
 const FRUITLESS: u32 = 12;
-/// Relative gain from which a start has brought something.
+/// Least relative gain of a useful start.
 const GAIN: f64 = 1e-4;
 
 impl Solver for Multistart {

@@ -1,5 +1,5 @@
-//! Adaptive random search (after Masri, Bekey and Safford 1980): draws around the best point so far from a square that
-//! grows with luck and shrinks without; when it has shrunk to nothing it is opened wide again.
+//! Adaptive random search (after Masri, Bekey and Safford 1980): draws from a square around the best point, which grows after
+//! a gain and shrinks otherwise; when it has become too small it is reset to full size.
 
 use super::draw::Draws;
 use super::{Meter, Objective, Outcome, Settings, Solver, Termination};

@@ -1,9 +1,9 @@
 //! Joins the signals of one loop by source time into points at the loop's own sampling times.
 //!
-//! Nothing is resampled: a point stands at each stamp of the *driver* (PV, or OP where OP comes clearly more often),
-//! with the other signals held. Only lost samples are put in, and only in holes of at most `max_gap_s`: OP held, PV on
-//! a straight line. The loop's clock is the greatest stamp seen less the lateness allowed, so late and disordered
-//! samples find their place, and neither another loop nor the wall clock has a say.
+//! Nothing is resampled: a point is at each timestamp of the *driver* (PV, or OP if OP arrives clearly more often), with the
+//! other signals held. Only lost samples are filled in, and only in gaps of at most `max_gap_s`: OP held, PV interpolated
+//! linearly. The loop's clock is the latest timestamp minus the allowed lateness, so late and unordered samples are sorted in,
+//! independently of other loops and the system clock.
 
 use std::collections::VecDeque;
 
@@ -12,29 +12,29 @@ use serde::{Deserialize, Serialize};
 use crate::record::{Mode, Sample, Signal, Value};
 use crate::units::{ns_from_s, s_from_ns};
 
-/// Intervals of the driver from which the sampling time is learnt.
+/// Number of the driver's intervals used to learn the sampling time.
 const LEARN_INTERVALS: usize = 16;
-/// Samples that may wait for their place before the oldest is taken regardless.
+/// Most samples waiting before the oldest is taken in any case.
 const PENDING_LIMIT: usize = 4096;
-/// Samples taken after which the room for those that wait is first looked at, and between two looks: what was needed to
-/// learn the sampling time is given back, but a loop whose samples come in batches does not ask for it with each of them.
+/// Samples between checks of the waiting buffer's capacity: memory used for learning the sampling time is returned, but a loop
+/// with batches does not reallocate for each of them.
 const SHRINK_FIRST: u64 = 64;
 const SHRINK_EVERY: u64 = 4096;
-/// Half of the samples that there is room for in any case.
+/// Half of the minimum capacity of the waiting buffer.
 const SMALL: usize = 8;
-/// Samples that may wait while the sampling time is learnt from one of OP and PV alone.
+/// Most samples waiting while the sampling time is learned from only one of OP and PV.
 const LEARN_LIMIT: usize = 2048;
-/// Late samples in a row after which the plant's clock is taken to have been set back.
+/// Consecutive late samples after which the plant's clock counts as set back.
 const CLOCK_RESET_AFTER: usize = 256;
-/// Intervals in a row that contradict the sampling time before it is learnt anew.
+/// Consecutive intervals that contradict the sampling time before it is learned again.
 const RELEARN_AFTER: u8 = 16;
-/// OP values remembered between two points, for the points put in between.
+/// OP values kept between two points, for filled-in points.
 const OP_TRAIL_LIMIT: usize = 64;
-/// Sampling times for which one of OP and PV waits for the other at least: gateways send them in batches, one after
-/// the other. Twice the longest lead seen counts if that is more, up to [`MAX_PATIENCE`], which also holds while one of
-/// them has never come.
+/// Fewest sampling times that one of OP and PV waits for the other, because gateways send them in batches, one after the
+/// other. Twice the longest lead seen is used if longer, up to [`MAX_PATIENCE`], which also applies while one of them has
+/// never arrived.
 const MIN_PATIENCE: f64 = 128.0;
-/// The same at most.
+/// Most sampling times of waiting.
 const MAX_PATIENCE: f64 = 2000.0;
 
 /// Convention of quality codes.
@@ -48,7 +48,7 @@ pub enum Quality {
 }
 
 impl Quality {
-    /// Whether a code says that the value is good.
+    /// Whether a code means good quality.
     #[must_use]
     pub const fn is_good(self, code: u32) -> bool {
         match self {
@@ -58,20 +58,20 @@ impl Quality {
     }
 }
 
-/// How to join.
+/// Settings of the aligner.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct AlignParams {
-    /// How late a sample may come, ns.
+    /// Allowed lateness of a sample, ns.
     pub lateness_ns: i64,
-    /// Longest hole that is filled, s; 0 means five sampling times.
+    /// Longest gap that is filled, s; 0 means five sampling times.
     pub max_gap_s: f64,
     /// Convention of quality codes.
     pub quality: Quality,
-    /// Numbers that stand for modes.
+    /// Numeric codes of modes.
     pub modes: Vec<(i64, Mode)>,
 }
 
-/// One point of a loop: its signals at one stamp.
+/// One point of a loop: its signals at one timestamp.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Point {
     /// Source time, ns.
@@ -84,24 +84,24 @@ pub struct Point {
     pub sp: Option<f64>,
     /// Valve position, if one is known.
     pub mv: Option<f64>,
-    /// Taken in manual.
+    /// Controller in manual.
     pub manual: bool,
-    /// Put in for a lost sample.
+    /// Filled in for a lost sample.
     pub filled: bool,
-    /// Bad or missing values since the point before.
+    /// Bad or missing values since the previous point.
     pub bad: u16,
 }
 
-/// What the aligner gives out.
+/// Output of the aligner.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Aligned {
     /// The next point of the stretch.
     Point(Point),
-    /// The stretch ends: a hole too long to fill, another sampling time, or a clock that was set back.
+    /// The stretch ends: a gap too long to fill, another sampling time, or a clock that was set back.
     Break,
 }
 
-/// What was dropped or put in, since the start.
+/// Numbers of dropped and filled-in samples since the start.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[allow(missing_docs)] // the names say it
 pub struct AlignCounts {
@@ -131,24 +131,24 @@ impl AlignCounts {
     }
 }
 
-/// Joins one loop's samples.
+/// Aligns one loop's samples.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Aligner {
-    /// Sorted by stamp, then by signal.
+    /// Sorted by timestamp, then by signal.
     pending: VecDeque<Sample>,
-    /// Samples far ahead of the rest, until another stamp confirms them.
+    /// Samples far ahead of the rest, until another timestamp confirms them.
     suspects: Vec<Sample>,
-    /// Late samples in a row, kept in case the clock was set back.
+    /// Consecutive late samples, kept in case the clock was set back.
     late_run: Vec<Sample>,
     greatest_ns: Option<i64>,
-    /// Greatest stamps of OP and of PV.
+    /// Latest timestamps of OP and of PV.
     partners_ns: [Option<i64>; 2],
     /// Longest lead of one of them over the other, ns.
     lead_ns: i64,
-    /// A break that the next sample taken gives out first.
+    /// A break to report before the next sample.
     broken: bool,
     processed_ns: Option<i64>,
-    /// Sampling time and driver, once learnt.
+    /// Sampling time and driver, once learned.
     learnt: Option<(f64, Signal)>,
     off_beat: u8,
     op: Option<(i64, f64)>,
@@ -169,7 +169,7 @@ impl Default for Aligner {
 }
 
 impl Aligner {
-    /// An aligner that has seen nothing.
+    /// An aligner before its first sample.
     #[must_use]
     pub const fn new() -> Self {
         Self {
@@ -205,13 +205,13 @@ impl Aligner {
         }
     }
 
-    /// Stamp of the oldest sample that waits for its place.
+    /// Timestamp of the oldest waiting sample.
     #[must_use]
     pub fn waiting_ns(&self) -> Option<i64> {
         self.pending.front().map(|s| s.t_ns)
     }
 
-    /// The greatest stamp believed so far.
+    /// The latest accepted timestamp.
     #[must_use]
     pub const fn greatest_ns(&self) -> Option<i64> {
         self.greatest_ns
@@ -223,26 +223,26 @@ impl Aligner {
         &self.counts
     }
 
-    /// Bytes that wait for their place or are remembered, beside the aligner itself.
+    /// Bytes of waiting and remembered samples, in addition to the aligner itself.
     #[must_use]
     pub fn bytes(&self) -> usize {
         let samples = self.pending.capacity() + self.suspects.capacity() + self.late_run.capacity();
         samples * size_of::<Sample>() + self.op_trail.capacity() * size_of::<(i64, f64)>()
     }
 
-    /// The loop's clock: the greatest stamp less the lateness, ns.
+    /// The loop's clock: the latest timestamp minus the lateness, ns.
     #[must_use]
     pub fn event_time_ns(&self, params: &AlignParams) -> Option<i64> {
         self.greatest_ns.map(|t| t.saturating_sub(params.lateness_ns))
     }
 
-    /// The sampling time learnt, s.
+    /// The learned sampling time, s.
     #[must_use]
     pub fn sampling_time_s(&self) -> Option<f64> {
         self.learnt.map(|(ts_s, _)| ts_s)
     }
 
-    /// Values that were bad since the last point.
+    /// Number of bad values since the last point.
     #[must_use]
     pub const fn bad_since_last_point(&self) -> u16 {
         self.bad_since
@@ -252,12 +252,12 @@ impl Aligner {
         if params.max_gap_s > 0.0 { params.max_gap_s } else { 5.0 * self.learnt.map_or(60.0, |(ts_s, _)| ts_s) }
     }
 
-    /// A step forward beyond this must be confirmed by a second stamp.
+    /// A longer step forward must be confirmed by a second timestamp.
     fn jump_limit_ns(&self, params: &AlignParams) -> i64 {
         ns_from_s((10.0 * self.max_gap_s(params)).max(3600.0)).saturating_add(params.lateness_ns)
     }
 
-    /// Takes one sample in.
+    /// Takes one sample.
     pub fn push(&mut self, sample: Sample, params: &AlignParams) {
         // Half the range of the clock, 1824 to 2116: differences of any two stamps then fit.
         if sample.t_ns.unsigned_abs() > i64::MAX.unsigned_abs() / 2 {
@@ -337,7 +337,7 @@ impl Aligner {
         self.pending.insert(place, sample);
     }
 
-    /// The greatest stamp of OP or PV; for other signals that of all.
+    /// The latest timestamp of OP or PV; for other signals that of all.
     fn own_greatest(&self, signal: Signal) -> Option<i64> {
         match signal {
             Signal::Op => self.partners_ns[0],
@@ -346,7 +346,7 @@ impl Aligner {
         }
     }
 
-    /// Keeps how far OP and PV have come, and how far one ran ahead before the other moved on.
+    /// Records the progress of OP and PV, and the lead of one over the other.
     fn note_lead(&mut self, sample: &Sample) {
         let Some(own) = [Signal::Op, Signal::Pv].iter().position(|s| *s == sample.signal) else { return };
         if self.partners_ns[own].is_none_or(|own| sample.t_ns > own) {
@@ -357,7 +357,7 @@ impl Aligner {
         }
     }
 
-    /// How long one of OP and PV waits for the other.
+    /// How long one of OP and PV waits for the other, ns.
     fn patience_ns(&self) -> i64 {
         let beats = |n: f64| ns_from_s(n * self.learnt.map_or(0.0, |(ts_s, _)| ts_s));
         if self.partners_ns.contains(&None) {
@@ -366,7 +366,7 @@ impl Aligner {
         self.lead_ns.saturating_mul(2).clamp(beats(MIN_PATIENCE), beats(MAX_PATIENCE))
     }
 
-    /// Ends the input: whatever waits may be taken.
+    /// Ends the input: all waiting samples may be taken.
     pub fn finish(&mut self) {
         for suspect in std::mem::take(&mut self.suspects) {
             self.insert(suspect);
@@ -377,7 +377,7 @@ impl Aligner {
         }
     }
 
-    /// Stamp of the next sample that is due to be taken, if one is.
+    /// Timestamp of the next sample that may be taken, if any.
     pub fn next_ready_ns(&mut self, params: &AlignParams) -> Option<i64> {
         let overflow = self.pending.len() >= PENDING_LIMIT;
         if self.learnt.is_none() {
@@ -401,7 +401,7 @@ impl Aligner {
         overflow.then_some(t_ns)
     }
 
-    /// Learns sampling time and driver from what waits: PV drives unless OP comes clearly more often.
+    /// Learns sampling time and driver from the waiting samples: PV drives unless OP arrives clearly more often.
     fn learn(&mut self) {
         let interval = |signal| {
             let stamps: Vec<i64> = self.pending.iter().filter(|s| s.signal == signal).map(|s| s.t_ns).collect();
@@ -422,7 +422,7 @@ impl Aligner {
         }
     }
 
-    /// Takes the next sample, if [`Self::next_ready_ns`] offered one, and gives out what it completes.
+    /// Takes the next sample, if [`Self::next_ready_ns`] returned one, and outputs what it completes.
     pub fn take_next(&mut self, params: &AlignParams, out: &mut impl FnMut(Aligned)) {
         let Some(sample) = self.pending.pop_front() else { return };
         let looks = self.counts.taken == SHRINK_FIRST || self.counts.taken.is_multiple_of(SHRINK_EVERY);
@@ -442,7 +442,7 @@ impl Aligner {
         }
     }
 
-    /// Holds one sample's value.
+    /// Stores one sample's value.
     fn hold(&mut self, sample: &Sample, params: &AlignParams) {
         if sample.quality.is_some_and(|code| !params.quality.is_good(code)) {
             return self.count_bad(sample.signal);
@@ -473,7 +473,7 @@ impl Aligner {
         }
     }
 
-    /// Gives out the point at a stamp if the driver has a value there and the other one is fresh enough.
+    /// Outputs the point at a timestamp if the driver has a value there and the other signal is recent enough.
     fn point_at(&mut self, t_ns: i64, params: &AlignParams, out: &mut impl FnMut(Aligned)) {
         let (Some((ts_s, driver)), Some((t_op, op)), Some((t_pv, pv))) = (self.learnt, self.op, self.pv) else {
             return;
@@ -502,7 +502,7 @@ impl Aligner {
         self.op_trail.push((t_op, op));
     }
 
-    /// The sampling time has changed: the stretch ends and the new beat is taken from the last interval.
+    /// The sampling time has changed: the stretch ends and the new one starts with the last interval.
     fn relearn(&mut self, step_s: f64, out: &mut impl FnMut(Aligned)) {
         if let Some((ts_s, _)) = &mut self.learnt {
             *ts_s = step_s.max(1e-9);
@@ -512,7 +512,7 @@ impl Aligner {
         out(Aligned::Break);
     }
 
-    /// Puts in the samples that were lost between two points.
+    /// Fills in samples lost between two points.
     fn fill(&mut self, t0: i64, pv0: f64, t1: i64, pv1: f64, ts_s: f64, out: &mut impl FnMut(Aligned)) {
         let steps = (s_from_ns(t1 - t0) / ts_s).round();
         // A hole holds a few hundred lost samples at most: longer ones are gaps unless max_gap_s is extreme.
@@ -533,7 +533,7 @@ impl Aligner {
     }
 }
 
-/// Joins a whole recording of one loop into its stretches of points, oldest first.
+/// Aligns a whole recording of one loop to its stretches of points, oldest first.
 #[must_use]
 pub fn align_all(samples: &[Sample], params: &AlignParams) -> (Vec<Vec<Point>>, AlignCounts) {
     let mut aligner = Aligner::new();

@@ -1,13 +1,13 @@
-//! Taking out what is slower than the question: the mean, a line, a moving average.
+//! Removal of slow components: the mean, a line, a moving average.
 
-/// `x` less its mean.
+/// `x` minus its mean.
 #[must_use]
 pub fn remove_mean(x: &[f64]) -> Vec<f64> {
     let m = super::stats::mean(x);
     x.iter().map(|v| v - m).collect()
 }
 
-/// `x` less its least-squares line.
+/// `x` minus its least-squares line.
 #[must_use]
 pub fn remove_line(x: &[f64]) -> Vec<f64> {
     let n = x.len() as f64;
@@ -23,7 +23,7 @@ pub fn remove_line(x: &[f64]) -> Vec<f64> {
     x.iter().enumerate().map(|(k, v)| v - m - slope * (k as f64 - middle)).collect()
 }
 
-/// Centred moving average over `width` points (made odd), the ends repeated; same length as `x`.
+/// Centred moving average over `width` points (made odd), with the end values repeated; same length as `x`.
 #[must_use]
 pub fn moving_average(x: &[f64], width: usize) -> Vec<f64> {
     let half = width / 2;
@@ -44,13 +44,13 @@ pub fn moving_average(x: &[f64], width: usize) -> Vec<f64> {
         .collect()
 }
 
-/// `x` less its centred moving average over `width` points: what is slower than about two widths goes.
+/// `x` minus its centred moving average over `width` points: removes components slower than about two widths.
 #[must_use]
 pub fn high_pass(x: &[f64], width: usize) -> Vec<f64> {
     moving_average(x, width).iter().zip(x).map(|(slow, v)| v - slow).collect()
 }
 
-/// Smoothed by a Hann window about `width` points wide, the ends repeated; same length as `x`.
+/// `x` smoothed by a Hann window about `width` points wide, with the end values repeated; same length as `x`.
 #[must_use]
 pub fn hann_smooth(x: &[f64], width: usize) -> Vec<f64> {
     if width < 2 || x.is_empty() {
@@ -69,7 +69,7 @@ pub fn hann_smooth(x: &[f64], width: usize) -> Vec<f64> {
         .collect()
 }
 
-/// Means of boxes of `k` values; a remainder shorter than a box is left out.
+/// Means of bins of `k` values; an incomplete last bin is dropped.
 #[must_use]
 pub fn box_means(x: &[f64], k: usize) -> Vec<f64> {
     if k <= 1 { x.to_vec() } else { x.chunks_exact(k).map(super::stats::mean).collect() }

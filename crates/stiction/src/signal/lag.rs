@@ -1,9 +1,9 @@
-//! By how much one signal follows another.
+//! Delay of one signal behind another.
 
 use super::stats;
 
-/// Points, 0 to `most`, by which `pv` follows `op` best: where the normalised correlation of `op` with the later `pv` is
-/// largest in size. 0 where either does not move.
+/// Delay of `pv` behind `op`, 0 to `most` points: where the normalised correlation of `op` with the later `pv` is largest in
+/// magnitude. 0 if either is constant.
 #[must_use]
 pub fn of_largest_correlation(op: &[f64], pv: &[f64], most: usize) -> usize {
     let n = op.len().min(pv.len());

@@ -1,4 +1,4 @@
-//! Tools on sampled signals: joining, memory, statistics, spectra.
+//! Tools for sampled signals: alignment, history, statistics, spectra.
 
 pub mod align;
 #[cfg(test)]

@@ -1,20 +1,19 @@
-//! Fewer points from a record of raw samples: in boxes, without aliasing, or by leaving samples out.
+//! Downsampling of a record of raw samples: in bins without aliasing, or by dropping samples.
 
 use crate::record::{Facts, Record};
 use crate::units::ns_from_s;
 
-/// Steps a sample of the grid for ratios that are no whole numbers.
+/// Grid steps per sample for fractional ratios.
 const GRID: usize = 4;
 
-/// Boxes of `ratio` raw samples (any real number above 1).
+/// Bins of `ratio` raw samples (any number above 1).
 ///
-/// PV, SP and MV become means over each box; OP keeps every value on its way, because the valve law must run on OP as
-/// recorded, and what the law makes of it is then averaged over the same box. Where `ratio` is no whole number, signals
-/// are held on a grid of [`GRID`] steps a sample, the box counts as the nearest whole number of samples, and
-/// [`Record::ts_s`] is what such a sample would take. PV is then read ahead, or late, by what keeps the delay between OP
-/// and its first answer at one of these.
+/// PV, SP and MV become means over each bin. OP keeps all its values, because the valve model must run on OP as recorded; the
+/// model's output is then averaged over the same bins. For a fractional `ratio`, signals are held on a grid of [`GRID`] steps
+/// per sample, the bin counts as the nearest integer number of samples, and [`Record::ts_s`] is the time of such a sample. PV
+/// is then shifted so that the delay between OP and its first response is an integer number of them.
 ///
-/// `None` where the ratio is no finite number above 1, the record is boxed already, or not one whole box is there.
+/// `None` if the ratio is not a finite number above 1, the record is already in bins, or there is not one whole bin.
 #[must_use]
 pub fn boxed(record: &Record, ratio: f64) -> Option<Record> {
     let n = record.len();
@@ -49,8 +48,8 @@ pub fn boxed(record: &Record, ratio: f64) -> Option<Record> {
     })
 }
 
-/// Every `ratio`-th sample (any real number above 1; the one that stands there or last before), the others dropped, OP's
-/// too. It may alias, and what OP did in between is lost: this is what the toolbox does, kept to compare with.
+/// Every `ratio`-th sample (any number above 1; the latest one at that time); the others are dropped, OP's too. It may alias
+/// and loses OP's moves in between. This is what the toolbox does, for comparison.
 ///
 /// `None` as for [`boxed`].
 #[must_use]

@@ -4,16 +4,16 @@ use std::sync::{Arc, LazyLock};
 
 use super::stats::dot;
 
-/// Autocorrelation of a zero-mean signal at lags `0..=max_lag`, biased (divided by n), 1 at lag 0; empty where the signal
-/// is constant.
+/// Autocorrelation of a zero-mean signal at lags `0..=max_lag`, biased (divided by n), 1 at lag 0; empty if the signal is
+/// constant.
 #[must_use]
 pub fn autocorrelation(x: &[f64], max_lag: usize) -> Vec<f64> {
     let [found, _] = autocorrelations([x, &[]], max_lag);
     found
 }
 
-/// The same of two signals in one transform (Cooley and Tukey 1965), which comes out the same on every machine: its turns
-/// are made here and its sums stand in a fixed order.
+/// The same for two signals in one transform (Cooley and Tukey 1965). It is bit-identical on every machine: its twiddle factors
+/// are computed here and its sums have a fixed order.
 #[must_use]
 pub fn autocorrelations(x: [&[f64]; 2], max_lag: usize) -> [Vec<f64>; 2] {
     let longest = x[0].len().max(x[1].len());
@@ -43,13 +43,13 @@ pub fn autocorrelations(x: [&[f64]; 2], max_lag: usize) -> [Vec<f64>; 2] {
     [of(&re, x[0]), of(&im, x[1])]
 }
 
-/// Turns of every stage of a transform: those of a stage of `2 h` values stand from `h` to `2 h`.
+/// Twiddle factors of all stages: those of a stage of `2 h` values are at `h` to `2 h`.
 fn turns(size: usize) -> Arc<[Vec<f64>; 2]> {
     static SHORT: LazyLock<Arc<[Vec<f64>; 2]>> = LazyLock::new(|| Arc::new(made(SHORT_SIZE)));
     if size <= SHORT_SIZE { Arc::clone(&SHORT) } else { Arc::new(made(size)) }
 }
 
-/// Largest size whose turns are kept.
+/// Largest size with cached twiddle factors.
 const SHORT_SIZE: usize = 4096;
 
 fn made(size: usize) -> [Vec<f64>; 2] {
@@ -65,7 +65,7 @@ fn made(size: usize) -> [Vec<f64>; 2] {
     [cosine, sine]
 }
 
-/// Discrete Fourier transform in place; the length is a power of two.
+/// In-place discrete Fourier transform; the length is a power of two.
 fn transform(re: &mut [f64], im: &mut [f64]) {
     let size = re.len();
     let turns = turns(size);
@@ -93,8 +93,8 @@ fn transform(re: &mut [f64], im: &mut [f64]) {
     }
 }
 
-/// Places (fractions of a sample) where `x` changes sign, counting a change only once `x` has left a band of
-/// `+-hysteresis` on the other side; the place is interpolated at the last change of sign before.
+/// Positions (fractions of a sample) of sign changes of `x`. A change counts once `x` has left a band of `+-hysteresis` on the
+/// other side; its position is interpolated at the last sign change before.
 #[must_use]
 pub fn zero_crossings(x: &[f64], hysteresis: f64) -> Vec<f64> {
     let mut places = Vec::new();
@@ -115,11 +115,11 @@ pub fn zero_crossings(x: &[f64], hysteresis: f64) -> Vec<f64> {
     places
 }
 
-/// Splits `x` into bands that add up to it again: one below each edge (rising, cycles a point, at most 0.5), and the
-/// rest above the last.
+/// Splits `x` into bands that add up to it: one below each edge (ascending, cycles per point, at most 0.5), and the rest above
+/// the last.
 ///
-/// A cosine transform (of `x` and its mirror image, so that the ends meet) cut sharply at the edges. The cost is the
-/// length times the number of frequencies below the last edge.
+/// A cosine transform (of `x` and its mirror image, so that the ends match) with sharp edges. The cost is the length times
+/// the number of frequencies below the last edge.
 #[must_use]
 pub fn split(x: &[f64], edges: &[f64]) -> Vec<Vec<f64>> {
     let n = x.len();

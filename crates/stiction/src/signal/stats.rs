@@ -1,6 +1,6 @@
-//! Location, spread and noise of a signal, plain and robust.
+//! Location, spread and noise of a signal, classical and robust.
 
-/// Deviations from which on [`clipped_sd`] leaves a value out, and the variance of a unit normal cut there.
+/// Standard deviations beyond which [`clipped_sd`] drops a value, and the variance of a unit normal truncated there.
 const CLIP: f64 = 2.75;
 const LEFT_BY_CLIP: f64 = 0.949_685_6;
 
@@ -26,7 +26,7 @@ pub fn std_dev(x: &[f64]) -> f64 {
     variance(x).sqrt()
 }
 
-/// Inner product in eight running sums, an order of summation that vector units can keep.
+/// Inner product in eight running sums, an order that suits vector units.
 ///
 /// Stops at the shorter slice.
 #[must_use]
@@ -78,7 +78,7 @@ pub fn dot3(a: &[f64], b: [&[f64]; 3]) -> [f64; 3] {
     [sum(s0) + tail(r0), sum(s1) + tail(r1), sum(s2) + tail(r2)]
 }
 
-/// Quantile `q` (0..1) of sorted values, linear between neighbours (Hyndman and Fan's type 7); 0 for none.
+/// Quantile `q` (0..1) of sorted values, linear between neighbours (Hyndman and Fan's type 7); 0 for an empty slice.
 #[must_use]
 pub fn quantile_sorted(sorted: &[f64], q: f64) -> f64 {
     let Some(last) = sorted.len().checked_sub(1) else { return 0.0 };
@@ -88,7 +88,7 @@ pub fn quantile_sorted(sorted: &[f64], q: f64) -> f64 {
     sorted[below] + (place - below as f64) * (sorted[above] - sorted[below])
 }
 
-/// The values in rising order.
+/// The values in ascending order.
 #[must_use]
 pub fn sorted(x: &[f64]) -> Vec<f64> {
     let mut copy = x.to_vec();
@@ -96,7 +96,7 @@ pub fn sorted(x: &[f64]) -> Vec<f64> {
     copy
 }
 
-/// Quantile `q` (0..1) of values in any order, as [`quantile_sorted`] gives it.
+/// Quantile `q` (0..1) of unsorted values, as [`quantile_sorted`].
 #[must_use]
 pub fn quantile(x: &[f64], q: f64) -> f64 {
     let Some(last) = x.len().checked_sub(1) else { return 0.0 };
@@ -107,9 +107,9 @@ pub fn quantile(x: &[f64], q: f64) -> f64 {
     if below == last { low } else { low + share * (nth(x, below + 1, &mut work) - low) }
 }
 
-/// The value that would stand at `place` (from 0, below the number of values) were they in rising order; `work` is memory.
+/// The value at position `place` (from 0, below the number of values) in ascending order; `work` is work space.
 ///
-/// Values at even distances say between which bounds it lies, and only what lies there is put in order.
+/// Values at regular distances bracket it, and only values within the bracket are sorted.
 #[must_use]
 pub fn nth(x: &[f64], place: usize, work: &mut Vec<f64>) -> f64 {
     const SAMPLE: usize = 64;
@@ -160,22 +160,22 @@ pub fn span(x: &[f64]) -> f64 {
     quantile(x, 0.995) - quantile(x, 0.005)
 }
 
-/// Standard deviation of the white part of a signal: 1.4826 MAD of its second differences over sqrt(6), which smooth
-/// courses and rare jumps leave alone. 0 for under 3 values, and on held or coarsely rounded signals.
+/// Standard deviation of the white part of a signal: 1.4826 MAD of its second differences over sqrt(6), which smooth trends
+/// and rare jumps do not affect. 0 for fewer than 3 values, and for held or coarsely rounded signals.
 #[must_use]
 pub fn noise_sd(x: &[f64]) -> f64 {
     let second: Vec<f64> = second_differences(x).collect();
     1.4826 * mad(&second) / 6.0_f64.sqrt()
 }
 
-/// `x[k + 1] - 2 x[k] + x[k - 1]`, units of `x`; of white noise they have sqrt(6) times its deviation.
+/// `x[k + 1] - 2 x[k] + x[k - 1]`, units of `x`; for white noise sqrt(6) times its standard deviation.
 pub fn second_differences(x: &[f64]) -> impl Iterator<Item = f64> {
     x.windows(3).map(|w| w[2] - 2.0 * w[1] + w[0])
 }
 
-/// Standard deviation of the normal part of `x` around zero, units of `x`: values beyond [`CLIP`] deviations are left out
-/// until none is left, starting from the median's. It varies a quarter less from record to record than 1.4826 MAD, and
-/// rare values many times as large pull less at it. 0 where the MAD is.
+/// Standard deviation of the normal part of `x` around zero, units of `x`: values beyond [`CLIP`] standard deviations are
+/// dropped until none is left, starting from the median's. It varies a quarter less between records than 1.4826 MAD, and is
+/// less affected by rare outliers. 0 if the MAD is 0.
 #[must_use]
 pub fn clipped_sd(x: &[f64]) -> f64 {
     const ROUNDS: usize = 10;
@@ -191,7 +191,7 @@ pub fn clipped_sd(x: &[f64]) -> f64 {
     sd
 }
 
-/// Share of values that equal the one before, 0..1.
+/// Share of values equal to their predecessor, 0..1.
 #[must_use]
 pub fn repeat_share(x: &[f64]) -> f64 {
     let pairs = x.len().saturating_sub(1).max(1);
@@ -214,14 +214,14 @@ fn different(x: &[f64], limit: usize) -> usize {
     count.min(limit)
 }
 
-/// Autocorrelation of a zero-mean signal at a lag of one, -1..1; 0 for nothing.
+/// Autocorrelation of a zero-mean signal at lag one, -1..1; 0 for an empty slice.
 #[must_use]
 pub fn autocorrelation_1(x: &[f64]) -> f64 {
     let whole = dot(x, x);
     if whole > 0.0 { x.windows(2).map(|w| w[0] * w[1]).sum::<f64>() / whole } else { 0.0 }
 }
 
-/// How often a signal turns by more than `band`.
+/// Number of reversals of a signal by more than `band`.
 #[must_use]
 pub fn turns(x: &[f64], band: f64) -> usize {
     let (mut high, mut low, mut rising, mut count) = (f64::NEG_INFINITY, f64::INFINITY, None, 0);

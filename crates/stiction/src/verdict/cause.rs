@@ -1,4 +1,4 @@
-//! Why a loop swings whose valve does not stick: its own tuning, or something from outside; and what else holds.
+//! Cause of an oscillation without stiction: the loop's tuning or an external disturbance; and contributing causes.
 //!
 //! The word comes from [`Ringing`]: lines that keep their phase come from outside, a mode that stands out beside them
 //! is the loop's own. The bounds were set on simulated loops of first and second order and integrating ones under
@@ -19,7 +19,7 @@ use crate::ident::controller::Reading;
 use crate::record::Record;
 use crate::signal::stats;
 
-/// Share of the variance that lines hold in a loop that is driven from outside.
+/// Share of the variance in lines of a loop that is driven externally.
 const DRIVEN: f64 = 0.85;
 /// The same where no mode shows beside them: without one, random load does not gather half of its power in lines.
 const HALF: f64 = 0.5;

@@ -1,4 +1,4 @@
-//! The smallest band that a window would have shown.
+//! Detection limit: the smallest band that a window would have shown.
 
 use super::rule::{self, Features, Rule};
 use crate::detect::{self, Detector, View};
@@ -6,25 +6,25 @@ use crate::ident::hypothetical::Hypothetical;
 use crate::ident::{Estimate, Options};
 use crate::record::Record;
 
-/// Probability from which a band counts as seen.
+/// Probability above which a band counts as seen.
 const SEEN: f64 = 0.9;
 /// Share of s that is slip jump in the hypothetical valve.
 const JUMP: f64 = 0.3;
-/// Smallest and largest band looked at, spans of OP.
+/// Smallest and largest band tested, spans of OP.
 const BANDS: [f64; 2] = [0.02, 1.0];
 /// Bands on the grid, evenly spaced in logarithm.
 const GRID: usize = 8;
-/// Halvings (in logarithm) between two neighbours on the grid.
+/// Bisection steps (in logarithm) between two neighbours on the grid.
 const HALVINGS: usize = 3;
 
-/// The smallest s, OP units, that would have been found in this window with a probability of at least 0.9; `None` where
-/// no band up to OP's span would have been.
+/// The smallest s, OP units, that would have been found in this window with a probability of at least 0.9; `None` if no band
+/// up to OP's span would have been.
 ///
-/// Asks the shipped rule about the window behind hypothetical valves of He's law with j = 0.3 s, see [`Hypothetical`].
-/// Eight values of s from 0.02 of OP's span up to the span are halved three times, then the interval that is left three
-/// times more, taking for granted that a larger band is seen better as long as the stem moves. The valve's own bands and
-/// start are given to the fit, so what the search would have missed is not in it; nor is that OP would have answered.
-/// One-step prediction is asked about stems of nearby bands only, so its figure is a lower bound.
+/// Evaluates the shipped classifier on the window with hypothetical valves of He's model with j = 0.3 s, see
+/// [`Hypothetical`]. Eight values of s from 0.02 of OP's span to the full span are bisected three times, then the remaining
+/// interval three more times, assuming that a larger band is easier to see as long as the stem moves. The fit gets the true
+/// bands and start, so failures of the search are not included; nor is the reaction of OP. One-step prediction is evaluated
+/// for stems of nearby bands only, so its value is a lower bound.
 pub(super) fn smallest(
     record: &Record,
     view: &View,
@@ -54,7 +54,7 @@ pub(super) fn smallest(
     Some(share(high) * window.hypothetical.span())
 }
 
-/// A window with what is the same whatever valve is put in.
+/// A window with everything that does not depend on the hypothetical valve.
 struct Window<'a> {
     record: &'a Record,
     view: &'a View,
@@ -79,7 +79,7 @@ impl<'a> Window<'a> {
         Some(Self { record, view, estimate, hypothetical, detectors, interpolated })
     }
 
-    /// Whether the rule sees a valve with a band of `share` spans; `None` where the stem hardly moves.
+    /// Whether the classifier detects a valve with a band of `share` spans; `None` if the stem hardly moves.
     fn shows(&self, share: f64) -> Option<bool> {
         let s = share * self.hypothetical.span();
         let valve = self.hypothetical.valve(s, JUMP * s)?;

@@ -1,4 +1,4 @@
-//! The numbers and words of one estimate, as `stictiond.estimate.v1` carries them.
+//! Types of one estimate, as in `stictiond.estimate.v1`.
 
 use crate::ident::region::{Region, Size};
 use crate::ident::slip_search::stages::Ended;
@@ -12,7 +12,7 @@ pub use crate::ident::ESTIMATE_SCHEMA;
 use crate::record::Record;
 use crate::units::Moment;
 
-/// What one window says about its loop.
+/// Verdict on one window.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
@@ -21,15 +21,15 @@ pub enum Verdict {
     Stiction,
     /// The valve has a dead band without a slip jump.
     Deadband,
-    /// Something outside makes the loop oscillate.
+    /// An external disturbance makes the loop oscillate.
     Disturbance,
     /// The controller makes the loop oscillate.
     Tuning,
-    /// The loop does not oscillate, and no stiction shows.
+    /// The loop does not oscillate, and no stiction was found.
     NoOscillation,
-    /// The loop oscillates; the valve follows its signal.
+    /// The loop oscillates; no stiction was found.
     NoStiction,
-    /// The window cannot answer; the gates say why.
+    /// The window is inconclusive; the validity checks give the reason.
     Inconclusive,
 }
 
@@ -48,7 +48,7 @@ impl Verdict {
         }
     }
 
-    /// True for a sticking valve, false for another answer, `None` for no answer.
+    /// True for a sticking valve, false for another verdict, `None` if inconclusive.
     #[must_use]
     pub const fn stiction(self) -> Option<bool> {
         match self {
@@ -59,7 +59,7 @@ impl Verdict {
     }
 }
 
-/// A named reason why a window says less, or nothing.
+/// A named validity check that limits the answer or prevents it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
@@ -72,30 +72,30 @@ pub enum Gate {
     FrozenPv,
     /// OP never moved.
     FrozenOp,
-    /// OP stood at a limit.
+    /// OP was at a limit.
     Saturated,
-    /// Under 30 usable samples, or under 2 periods.
+    /// Fewer than 30 usable samples, or fewer than 2 periods.
     TooFewSamples,
-    /// The window's fit was not done: the machine was too busy, or the daemon stopped.
+    /// The window was not fitted: the machine was too busy, or the daemon stopped.
     Skipped,
-    /// Fewer periods than asked for.
+    /// Fewer periods than required.
     TooFewPeriods,
-    /// Fewer samples a period than asked for.
+    /// Fewer samples per period than required.
     TooCoarse,
     /// The set point moved in steps.
     SetpointSteps,
-    /// OP or PV stands on a coarse grid.
+    /// OP or PV has a coarse resolution.
     Quantised,
-    /// The history was compressed: values repeat or lie on straight lines.
+    /// The history was compressed: values repeat or are on straight lines.
     Compressed,
     /// The sampling time is not constant.
     Irregular,
-    /// Something that happened once, such as a trip or a start-up, was cut out.
+    /// A single event, such as a trip or a start-up, was removed.
     Excursion,
 }
 
 impl Gate {
-    /// Every gate, blocking ones first.
+    /// All validity checks, blocking ones first.
     pub const ALL: [Self; 14] = [
         Self::Manual,
         Self::BadQuality,
@@ -113,7 +113,7 @@ impl Gate {
         Self::Excursion,
     ];
 
-    /// Whether the gate takes every number away.
+    /// Whether the check prevents any answer.
     #[must_use]
     pub const fn blocks(self) -> bool {
         matches!(
@@ -128,7 +128,7 @@ impl Gate {
         )
     }
 
-    /// The gate's word in documents.
+    /// The word in documents.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -150,22 +150,22 @@ impl Gate {
     }
 }
 
-/// What is not to be believed in a model or its record.
+/// An implausible property of a model or its record.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Implausible {
-    /// The cycle takes a day: sun, shifts or load, no valve.
+    /// The cycle takes a day: sun, shifts or load, not the valve.
     DailyCycle,
     /// PV is little more than a straight line.
     Trend,
-    /// The dead time is longer than loops of this kind have, or than half of the loop's own period.
+    /// The dead time is longer than usual for such loops, or than half the period of the loop.
     DeadTime,
-    /// A time constant is longer than loops of this kind have, or than the window.
+    /// A time constant is longer than usual for such loops, or than the window.
     TimeConstant,
-    /// The gain would take PV far beyond where it was.
+    /// The gain would drive PV far out of its recorded range.
     Gain,
-    /// Loops of this kind do not integrate.
+    /// Such loops do not integrate.
     Integrating,
     /// The model follows PV hardly better than its mean.
     Fit,
@@ -186,20 +186,20 @@ impl Implausible {
         }
     }
 
-    /// Whether it is the record that shows nothing of a valve, rather than the model that is wrong.
+    /// Whether the record shows no cycle of a valve, rather than the model being wrong.
     #[must_use]
     pub const fn is_of_the_record(self) -> bool {
         matches!(self, Self::DailyCycle | Self::Trend)
     }
 }
 
-/// The stretch of time an estimate is made from.
+/// The time range of an estimate.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Window {
-    /// Stamp of the first sample, ns since 1970.
+    /// Timestamp of the first sample, ns since 1970.
     pub start_ns: i64,
-    /// The window's name: its end, ns since 1970.
+    /// End of the window and its name, ns since 1970.
     pub end_ns: i64,
     /// The start, RFC 3339.
     #[cfg_attr(feature = "schema", schemars(with = "String"))]
@@ -211,12 +211,12 @@ pub struct Window {
     pub samples: usize,
     /// Mean sampling time, s.
     pub ts_s: f64,
-    /// Raw samples in a point of the fit (1: raw).
+    /// Raw samples per point of the fit (1: raw).
     pub box_samples: usize,
 }
 
 impl Window {
-    /// The window that a record is made from.
+    /// The window of a record.
     #[must_use]
     pub const fn of(record: &Record) -> Self {
         Self {
@@ -231,35 +231,35 @@ impl Window {
     }
 }
 
-/// What oscillates, and how regularly.
+/// The oscillation and its regularity.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Oscillation {
-    /// Whether it does.
+    /// Whether there is a regular one.
     pub oscillating: bool,
     /// Period, s.
     pub period_s: Option<f64>,
     /// Periods in the window.
     pub periods: Option<f64>,
-    /// Raw samples a period.
+    /// Raw samples per period.
     pub samples_per_period: Option<f64>,
     /// Thornhill's regularity: a third of mean over standard deviation of the intervals between zero crossings.
     pub regularity: Option<f64>,
 }
 
-/// The process model that goes with the stiction found.
+/// The process model fitted with the stiction.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Process {
     /// 1 or 2.
     pub order: u8,
-    /// PV units per OP unit; per second too when integrating.
+    /// PV units per OP unit; also per second if integrating.
     pub gain: f64,
     /// Time constants, s, largest first; empty for a pure integrator.
     pub time_constants_s: Vec<f64>,
     /// Dead time, s.
     pub dead_time_s: f64,
-    /// Integrates instead of settling.
+    /// Integrating instead of self-regulating.
     pub integrating: bool,
     /// Mean squared free-run error, PV units squared.
     pub mse: f64,
@@ -267,26 +267,26 @@ pub struct Process {
     pub fit_pct: f64,
 }
 
-/// The controller as read from the record.
+/// The controller identified from the record.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Controller {
-    /// Proportional gain, OP units per PV unit of SP - PV: negative where OP rises with PV.
+    /// Proportional gain, OP units per PV unit of SP - PV; negative if OP rises with PV.
     pub kc: f64,
-    /// Integral time, s; infinite, which is written as null, without integral action.
+    /// Integral time, s; infinite (null in JSON) without integral action.
     #[cfg_attr(feature = "schema", schemars(with = "Option<f64>"))]
     pub ti_s: f64,
     /// Derivative time, s.
     pub td_s: f64,
-    /// Samples by which OP is recorded after the PV that it was computed from.
+    /// Samples by which OP is recorded after the PV from which it was computed.
     pub lag_samples: f64,
-    /// Share of OP's moves that it explains.
+    /// Share of OP's moves that the controller model explains.
     pub r2: f64,
-    /// Share of the window, 0..1, in stretches where it does not explain OP: another mode, or other settings.
+    /// Share of the window, 0..1, in stretches that it does not explain: another mode or other settings.
     pub unexplained: f64,
 }
 
-/// Everything an estimate says that depends on its window alone. Field order is the document's.
+/// Everything in an estimate that depends on its window alone. The field order is that of the document.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[allow(missing_docs)] // each field is defined in the table of docs/verdicts.md and by its type
@@ -296,16 +296,15 @@ pub struct Assessment {
     pub verdict: Verdict,
     pub contributing: Vec<Verdict>,
     pub stiction: Option<bool>,
-    /// Why there is no answer: the first blocking gate, `too_coarse` or `too_few_periods` (sticking is likely, but not so
-    /// much that an alarm would say it), `stuck_signal` (PV stands still while OP travels), `not_fitted`,
-    /// `implausible_model` (no model that could be believed), `daily_cycle`, `trend` or `op_held` (OP is stored too seldom
-    /// to show what the valve was sent); or why there is nothing beside the answer: `screened` (a calm loop, of which
-    /// nothing more was computed).
+    /// Why there is no answer: the first blocking validity check, `too_coarse` or `too_few_periods` (sticking is likely, but not
+    /// enough for an alarm), `stuck_signal` (PV is constant while OP moves), `not_fitted`, `implausible_model` (no plausible
+    /// model), `daily_cycle`, `trend` or `op_held` (OP is stored too rarely to show the valve's input); or why there is only a
+    /// verdict: `screened` (a calm loop, for which nothing else was computed).
     pub reason: Option<&'static str>,
     pub p_stiction: Option<f64>,
     pub confidence: Option<f64>,
     pub gates: Vec<Gate>,
-    /// What of the model or the cycle no plant has; then the model's numbers are not given.
+    /// Implausible properties of the model or the cycle; the model's numbers are then not given.
     pub implausible: Vec<Implausible>,
     pub grade: Option<char>,
     pub fs: Option<f64>,
@@ -330,15 +329,15 @@ pub struct Assessment {
     pub pv_span: Option<f64>,
     pub controller: Option<Controller>,
     pub indicators: Vec<Indicator>,
-    /// What the indicators' contributions add up to, in logits.
+    /// Sum of the indicators' contributions, logits.
     pub explanation: Option<Opinion>,
-    /// Search figures: evaluations done, and why the search stopped.
+    /// Search statistics: evaluations, and why the search stopped.
     pub search: Option<Search>,
     pub elapsed_ms: Option<f64>,
 }
 
 impl Assessment {
-    /// An assessment that says nothing yet: `inconclusive`, every number absent.
+    /// An empty assessment: `inconclusive`, all numbers absent.
     #[must_use]
     pub const fn empty(window: Window, oscillation: Oscillation) -> Self {
         Self {
@@ -381,13 +380,13 @@ impl Assessment {
     }
 }
 
-/// How the search for the best model went.
+/// Statistics of the model search.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Search {
     /// The global solver.
     pub solver: SolverName,
-    /// Error models computed.
+    /// Models evaluated.
     pub evaluations: u64,
     /// Rounds made.
     pub rounds: usize,
@@ -395,7 +394,7 @@ pub struct Search {
     pub stopped: Ended,
 }
 
-/// The published document: an assessment with its loop and the build that made it.
+/// The published document: an assessment with its loop and build.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct EstimateDocument {
@@ -404,14 +403,14 @@ pub struct EstimateDocument {
     /// The loop's name.
     #[serde(rename = "loop")]
     pub loop_name: String,
-    /// What the window says.
+    /// The assessment.
     #[serde(flatten)]
     pub assessment: Assessment,
     /// Version of the program.
     pub version: &'static str,
-    /// Hash of the configuration that it ran under.
+    /// Hash of the configuration.
     pub config_hash: String,
-    /// Id of the daemon that made it; absent where none did. Of two documents of one window that of the smaller id counts.
+    /// Id of the daemon that made it, if any. Of two documents for one window, the one with the smaller id counts.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub daemon: Option<String>,
 }

@@ -1,24 +1,24 @@
-//! A trip, a shutdown, the end of a start-up: what happened once in a window and says nothing of its cycles.
+//! Single events in a window, such as a trip, a shutdown or the end of a start-up, that are not part of its cycles.
 
 use crate::record::Record;
 use crate::signal::stats;
 
-/// Distance from the median from which a value lies outside, interquartile ranges. A square wave keeps within one, a
+/// Distance from the median beyond which a value is an outlier, interquartile ranges. A square wave stays within one, a
 /// sinusoid within .8, Gaussian noise within 3.
 const OUTSIDE: f64 = 4.0;
-/// Largest share of the record that is an excursion; more is another state of the plant.
+/// Largest share of the record that can be an excursion; more is another operating state.
 const SHARE: f64 = 0.15;
-/// Fewest points: less is a spike, which fits and figures bear.
+/// Fewest points: shorter ones are spikes, which fits tolerate.
 const LEAST: usize = 3;
-/// Share of the record that must be left on one side of it.
+/// Least share of the record that must remain on one side of it.
 const LEFT: f64 = 0.5;
-/// Points left out on either side of it, shares of the record.
+/// Points removed on each side of it, shares of the record.
 const MARGIN: f64 = 0.01;
-/// Spread of the set point over PV's from which PV's way is the set point's.
+/// Spread of the set point relative to PV's above which PV follows the set point.
 const FOLLOWS: f64 = 0.2;
 
-/// The points of the longest part of a record without an excursion of PV or OP; `None` where there is none, or where it
-/// cannot be cut out.
+/// The points of the longest part of a record without an excursion of PV or OP; `None` if there is no excursion, or it cannot
+/// be removed.
 #[must_use]
 pub fn without(record: &Record) -> Option<[usize; 2]> {
     let n = record.len();
@@ -46,7 +46,7 @@ pub fn without(record: &Record) -> Option<[usize; 2]> {
     ((longest[1] - longest[0]) as f64 >= LEFT * n as f64).then_some(longest)
 }
 
-/// Places of the values that lie outside.
+/// Indices of the outliers.
 fn places(x: &[f64]) -> Vec<usize> {
     let sorted = stats::sorted(x);
     let [low, middle, high] = [0.25, 0.5, 0.75].map(|q| stats::quantile_sorted(&sorted, q));

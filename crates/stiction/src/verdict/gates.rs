@@ -1,30 +1,30 @@
-//! Gates: what a record cannot say, and why.
+//! Validity checks: what limits a record, and why.
 
 use super::document::{Gate, Oscillation};
 use super::params::AssessParams;
 use crate::record::Record;
 use crate::signal::stats;
 
-/// Fewest points that are worth a look.
+/// Fewest points for an estimate.
 const MIN_SAMPLES: usize = 30;
-/// Share of samples in manual, or bad and filled, that a window may hold.
+/// Largest share of samples in manual, or bad and filled, in a window.
 const MANUAL_SHARE: f64 = 0.05;
 const BAD_SHARE: f64 = 0.2;
-/// Share of samples equal to the one before from which a signal counts as frozen.
+/// Share of repeated samples above which a signal counts as frozen.
 const FROZEN_SHARE: f64 = 0.995;
-/// Share of OP values at one of its ends from which it counts as saturated: at a limit neither valve nor controller shows,
-/// so the larger part of the window must lie between. And the end's width in spans.
+/// Share of OP samples at an end of its range above which it counts as saturated: at a limit neither valve nor controller is
+/// visible, so most of the window must be between the limits. And the width of an end, spans.
 const SATURATED_SHARE: f64 = 0.4;
 const END_WIDTH: f64 = 1e-3;
-/// Share of held or straight-line PV samples from which a history counts as compressed (a third, as public tools do).
+/// Share of held or interpolated PV samples above which a history counts as compressed (a third, as in public tools).
 const COMPRESSED_SHARE: f64 = 0.3;
-/// Levels of a signal up to which it counts as quantised, and the quantum in standard deviations.
+/// Number of levels up to which a signal counts as quantised, and the quantum in standard deviations.
 const FEW_LEVELS: usize = 24;
 const COARSE_QUANTUM: f64 = 0.25;
-/// Spread of the sampling time over its mean from which sampling counts as irregular.
+/// Variation of the sampling time (spread over mean) above which sampling counts as irregular.
 const IRREGULAR: f64 = 0.1;
 
-/// Every gate that the record meets, in the order of [`Gate::ALL`].
+/// All validity checks that apply to the record, in the order of [`Gate::ALL`].
 #[must_use]
 pub fn gates(record: &Record, oscillation: &Oscillation, params: &AssessParams) -> Vec<Gate> {
     let op = record.op();
@@ -52,7 +52,7 @@ pub fn gates(record: &Record, oscillation: &Oscillation, params: &AssessParams) 
     Gate::ALL.into_iter().filter(|g| met(*g)).collect()
 }
 
-/// Never moves, or hardly ever; a value that is not finite counts as not moving.
+/// Never or hardly ever moves; a value that is not finite counts as not moving.
 fn is_frozen(x: &[f64], repeats: f64) -> bool {
     let low = x.iter().copied().fold(f64::INFINITY, f64::min);
     let high = x.iter().copied().fold(f64::NEG_INFINITY, f64::max);
@@ -60,8 +60,8 @@ fn is_frozen(x: &[f64], repeats: f64) -> bool {
     !width.is_finite() || width <= 1e-9 * high.abs().max(low.abs()) || repeats >= FROZEN_SHARE
 }
 
-/// OP stands for two fifths of the time at a limit of its range, or, where that is unknown, exactly at an extreme that it
-/// otherwise leaves for many other values.
+/// OP is for two fifths of the time at a limit of its range or, if that is unknown, exactly at an extreme that it otherwise
+/// leaves for many other values.
 fn is_saturated(op: &[f64], range: Option<[f64; 2]>) -> bool {
     let n = op.len() as f64;
     let share = |test: &dyn Fn(f64) -> bool| op.iter().filter(|u| test(**u)).count() as f64 / n > SATURATED_SHARE;
@@ -78,14 +78,14 @@ fn is_saturated(op: &[f64], range: Option<[f64; 2]>) -> bool {
     stats::levels(op, FEW_LEVELS + 1) > FEW_LEVELS && (share(&|u| u >= high - width) || share(&|u| u <= low + width))
 }
 
-/// Set point that moves now and then by more than a little of PV's own movement, rather than at every sample.
+/// A set point that occasionally moves by more than a little of PV's own movement, rather than at every sample.
 fn has_steps(sp: &[f64], pv: &[f64]) -> bool {
     let moves: Vec<f64> = sp.windows(2).map(|w| (w[1] - w[0]).abs()).filter(|m| *m > 0.0).collect();
     let largest = moves.iter().copied().fold(0.0, f64::max);
     !moves.is_empty() && moves.len() * 5 < sp.len() && largest > 0.2 * stats::std_dev(pv)
 }
 
-/// Stands on few levels, or on a grid that is coarse against its own movement.
+/// Has few levels, or a resolution that is coarse compared with its movement.
 fn is_coarse(x: &[f64]) -> bool {
     // Most signals show many different values soon, and then neither can be.
     let many = (x.len() / 4 + 1).max(FEW_LEVELS + 1);
@@ -101,7 +101,7 @@ fn is_coarse(x: &[f64]) -> bool {
     gaps.len() * 4 < x.len() && stats::quantile(&gaps, 0.1) > COARSE_QUANTUM * stats::std_dev(x)
 }
 
-/// PV repeats itself, or lies on straight lines between stored values.
+/// PV repeats itself, or is on straight lines between stored values.
 fn is_compressed(record: &Record, quantised: bool) -> bool {
     let raw = record.raw_samples.max(1) as f64;
     if quantised {
@@ -113,7 +113,7 @@ fn is_compressed(record: &Record, quantised: bool) -> bool {
     is_interpolated(record)
 }
 
-/// PV lies on straight lines between stored values: its corners are the recorder's.
+/// PV is on straight lines between stored values: its corners come from the historian.
 pub(super) fn is_interpolated(record: &Record) -> bool {
     let scale = 1e-6 * stats::std_dev(&record.pv);
     let straight =

@@ -1,12 +1,12 @@
-//! From a probability to a word and a grade.
+//! From a probability to a verdict and a grade.
 
 use super::document::Verdict;
 use super::rule::Opinion;
 use crate::ident::Estimate;
 use crate::ident::region;
 
-/// The verdict on a window without a blocking gate, and what contributes; `otherwise` is asked where the valve does not
-/// stick, `beside` where it does. Without a fit (`estimate` is `None`) a valve that looks sticking stays open.
+/// The verdict on a window without a blocking check, and contributing causes; `otherwise` is called if the valve does not
+/// stick, `beside` if it does. Without a fit (`estimate` is `None`), a valve that appears to stick stays inconclusive.
 #[must_use]
 pub fn judge(
     estimate: Option<&Estimate>,
@@ -27,8 +27,8 @@ pub fn judge(
     }
 }
 
-/// How far to trust an answer: A without gates, from a confidence of 0.95 on and with s known to 15 %; B from 0.85 on and
-/// with s known to 30 %; C for any other answer, D for none. `width` is that of the interval of s over s.
+/// Grade of an answer: A without checks, with a confidence of at least 0.95 and s known to 15 %; B with at least 0.85 and s
+/// known to 30 %; C for any other answer, D for none. `width` is that of the interval of s relative to s.
 #[must_use]
 pub fn grade(confidence: Option<f64>, gated: bool, width: Option<f64>) -> char {
     let within = |least: f64, widest: f64| confidence.is_some_and(|c| c >= least) && width.is_some_and(|w| w <= widest);

@@ -1,4 +1,4 @@
-//! Judgement on one window: gates, fit, verdict, grade.
+//! Judgement on one window: validity checks, fit, verdict, grade.
 
 mod assess;
 mod cause;

@@ -1,25 +1,25 @@
-//! What an assessment can be told.
+//! Options of an assessment.
 
 use super::plausible::Range;
 use crate::ident::Options;
 use crate::units::LoopKind;
 
-/// Everything that [`super::assess`] may be told. The defaults are the daemon's.
+/// All options of [`super::assess`]. The defaults are the daemon's.
 #[derive(Debug, Clone, PartialEq)]
 pub struct AssessParams {
-    /// Periods below which `too_few_periods` is said and no fit is started unless `always_fit`.
+    /// Number of periods below which `too_few_periods` applies, and no fit is made unless `always_fit`.
     pub min_periods: f64,
-    /// Raw samples a period below which `too_coarse` is said.
+    /// Raw samples per period below which `too_coarse` applies.
     pub min_samples_per_period: f64,
-    /// OP's range, so that sizes can be given in % of travel.
+    /// OP's range, for sizes in % of travel.
     pub op_range: Option<[f64; 2]>,
-    /// What the loop controls.
+    /// Controlled quantity.
     pub kind: LoopKind,
-    /// Fit whatever is there, as `analyze` does; the daemon waits for `min_periods` or as many reversals.
+    /// Fit in any case, as `analyze` does; the daemon waits for `min_periods` or as many reversals.
     pub always_fit: bool,
-    /// Let calm loops go at once, unless `always_fit`: see `screened` among the reasons of documents.
+    /// Screen calm loops without a fit, unless `always_fit`: see `screened` among the reasons in documents.
     pub screening: bool,
-    /// What the fit is told, but for the period: each record gives its own.
+    /// Options of the fit, except the period, which comes from each record.
     pub fit: Options,
 }
 
@@ -38,7 +38,7 @@ impl Default for AssessParams {
 }
 
 impl AssessParams {
-    /// What the fit is told: with the oscillation's period where one is known, points, and with what such a loop may have.
+    /// Options of the fit with the oscillation's period in points, if known, and the plausible values for such a loop.
     #[must_use]
     pub fn options(&self, period_points: Option<f64>) -> Options {
         let may = Range::of(self.kind);

@@ -1,14 +1,14 @@
-//! Whether a control engineer would believe a model.
+//! Plausibility of a model to a control engineer.
 //!
-//! A fit finds the best numbers, not possible ones: a daily cycle of the load is explained by a time constant of weeks, a
-//! ramp by a gain of thousands. What no plant has is not reported.
+//! A fit finds the best numbers, not possible ones: it may explain a daily cycle of the load by a time constant of weeks, or
+//! a ramp by a gain of thousands. Values that no plant has are not reported.
 
 use super::document::{Implausible, Oscillation, Process};
 use crate::record::Record;
 use crate::signal::{detrend, stats};
 use crate::units::LoopKind;
 
-/// What a kind of loop may have.
+/// Plausible values for a kind of loop.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Range {
     /// The kind.
@@ -17,7 +17,7 @@ pub struct Range {
     pub dead_time_s: f64,
     /// Longest time constant, s.
     pub time_constant_s: f64,
-    /// Whether it may integrate.
+    /// Whether it may be integrating.
     pub integrates: bool,
 }
 
@@ -43,28 +43,28 @@ pub const RANGES: [Range; 6] = [
 ];
 
 impl Range {
-    /// What a loop of this kind may have.
+    /// Plausible values for this kind of loop.
     #[must_use]
     pub fn of(kind: LoopKind) -> Self {
         RANGES.into_iter().find(|r| r.kind == kind).unwrap_or(RANGES[5])
     }
 }
 
-/// Samples that a time may be long whatever the kind: finer than that the record does not tell.
+/// Number of samples that a time may last for any kind: the record does not resolve shorter times.
 const SAMPLES: f64 = 3.0;
-/// Dead time over the period of the loop's own cycle: what comes back later than half a period later would not sustain it.
+/// Largest dead time relative to the loop's period: feedback delayed by more than half a period would not sustain it.
 const HALF_A_PERIOD: f64 = 0.5;
-/// Most that the gain times OP's span may be, spans of PV.
+/// Largest gain times OP's span, spans of PV.
 const AMPLIFIES: f64 = 30.0;
-/// Least that a model must follow, % of PV's deviation.
+/// Least fit of a model, % of PV's standard deviation.
 const LEAST_FIT_PCT: f64 = 10.0;
-/// A day, s, and how near to it a period counts as one.
+/// A day, s, and the tolerance for a period of a day.
 const DAY_S: f64 = 86_400.0;
 const NEAR: f64 = 0.15;
-/// Share of PV's variance in a straight line from which nothing else is seen.
+/// Share of PV's variance in a straight line above which nothing else is visible.
 const TREND: f64 = 0.8;
 
-/// What a control engineer would not believe of a record's cycle and its model; empty where all is well.
+/// Implausible properties of a record's cycle and model; empty if there are none.
 #[must_use]
 pub fn implausible(
     record: &Record,

@@ -1,9 +1,9 @@
-//! Screening: a loop of which nothing is expected is let go before anything is fitted.
+//! Screening: a calm loop gets its verdict without a fit.
 //!
-//! Most windows of most plants are of loops that do not oscillate and whose set point rests. Where besides PV's moves do
-//! not come in jumps and no stem predicts PV better than OP does, the whole assessment would end at `no_oscillation`, for
-//! some hundred times the work. Such a window gets that verdict at once; what was not computed is null, `reason` says
-//! `screened`, and the probability is what the rule gives such loops on average.
+//! Most windows of most plants are of loops that do not oscillate and have a constant set point. If PV also does not move in
+//! jumps and no simulated stem predicts PV better than OP, a full assessment would end at `no_oscillation` for about a hundred
+//! times the work. Such a window gets that verdict at once. Values not computed are null, `reason` is `screened`, and the
+//! probability is the classifier's average for such loops.
 
 use super::document::{Assessment, Gate, Verdict};
 use super::judge::grade;
@@ -13,12 +13,12 @@ use crate::detect::{self, Indicator, calm};
 use crate::record::Record;
 use crate::signal::stats;
 
-/// `reason` of a window that was let go.
+/// `reason` of a screened window.
 pub const SCREENED: &str = "screened";
-/// Probability of sticking that the rule gives on average to loops that are let go; a test holds it.
+/// Average probability that the classifier gives to screened loops; checked by a test.
 pub const P_CALM: f64 = 0.2;
 
-/// Spread of the set point over PV's up to which it rests.
+/// Largest spread of the set point, relative to PV's, that counts as constant.
 const RESTS: f64 = 0.02;
 /// Regularity and persistence of a signal from which both together may be an oscillation: the latter half of what makes
 /// one.
@@ -39,7 +39,7 @@ const STEM_IN_NOISE: f64 = 15.0;
 /// to 0.6 standard deviations: by the two above 2 of 334 that are let go would not have been called healthy, by these none of 210.
 const ON_GRID: [f64; 2] = [9.0, 6.0];
 
-/// Whether a record without a blocking gate can be let go.
+/// Whether a record without a blocking check can be screened.
 #[must_use]
 pub fn lets_go(record: &Record, looks: &Looks, gates: &[Gate]) -> bool {
     let Some(most) = most_of_a_stem(record, gates) else { return false };
@@ -73,7 +73,7 @@ fn may_oscillate(of: Option<Oscillates>) -> bool {
     of.is_some_and(|o| o.regularity > REGULAR && o.persistence > PERSISTENT)
 }
 
-/// What the document of such a window says.
+/// The assessment of a screened window.
 pub fn answer(out: &mut Assessment) {
     out.verdict = Verdict::NoOscillation;
     out.stiction = out.verdict.stiction();

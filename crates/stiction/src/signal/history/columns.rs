@@ -1,15 +1,15 @@
-//! Columns of a loop's memory: rings that grow by need, times in four bytes where they fit, values that are mostly absent.
+//! Columns of a loop's history: growing ring buffers, times in four bytes if they fit, and mostly absent values.
 
 use std::collections::VecDeque;
 
 use crate::units::NS_PER_S;
 
-/// What a step counts: a millisecond, ns.
+/// Unit of a step: a millisecond, ns.
 const NS_PER_MS: i64 = NS_PER_S / 1000;
-/// Places by which a small ring grows.
+/// Increment for a small ring.
 const LEAST_GROWTH: usize = 8;
 
-/// Puts a value into a ring that will never hold more than `most`: it grows by a quarter, and no further than that.
+/// Adds a value to a ring of at most `most` values; it grows by a quarter, up to that limit.
 pub(super) fn put<T>(ring: &mut VecDeque<T>, value: T, most: usize) {
     if ring.len() == ring.capacity() {
         let room = most.saturating_sub(ring.len()).max(1);
@@ -18,17 +18,17 @@ pub(super) fn put<T>(ring: &mut VecDeque<T>, value: T, most: usize) {
     ring.push_back(value);
 }
 
-/// Bytes that a ring takes.
+/// Memory of a ring, bytes.
 pub(super) fn bytes<T>(ring: &VecDeque<T>) -> usize {
     ring.capacity() * size_of::<T>()
 }
 
-/// Rising stamps: whole milliseconds from a base as long as they fit, which is 49 days, else nanoseconds.
+/// Increasing timestamps: whole milliseconds from a base while they fit (49 days), else nanoseconds.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Times {
     base_ns: i64,
     steps: VecDeque<u32>,
-    /// Used alone once a stamp fits no step.
+    /// Used alone once a timestamp does not fit.
     whole: VecDeque<i64>,
 }
 
@@ -48,7 +48,7 @@ impl Times {
         self.get(self.len().checked_sub(1)?)
     }
 
-    /// The first place whose stamp is not before a time.
+    /// Index of the first timestamp at or after a time.
     pub fn place_at(&self, t_ns: i64) -> usize {
         if self.whole.is_empty() {
             return self.steps.partition_point(|step| self.stamp(*step) < t_ns);
@@ -91,7 +91,7 @@ impl Times {
         (past % NS_PER_MS == 0).then(|| u32::try_from(past / NS_PER_MS).ok()).flatten()
     }
 
-    /// The same after the base has moved up to the oldest stamp that is held.
+    /// The same after moving the base to the oldest timestamp.
     fn step_after_rebase(&mut self, t_ns: i64) -> Option<u32> {
         let oldest = *self.steps.front()?;
         if oldest == 0 {
@@ -103,7 +103,7 @@ impl Times {
     }
 }
 
-/// A column of values that may be absent throughout: it takes no memory until the first one comes.
+/// A column of mostly absent values: it uses no memory before the first value.
 #[derive(Debug, Clone)]
 pub(super) struct Sparse<T> {
     values: VecDeque<T>,
@@ -111,12 +111,12 @@ pub(super) struct Sparse<T> {
 }
 
 impl<T: Copy> Sparse<T> {
-    /// An empty column, and what stands where there is no value.
+    /// An empty column, and its placeholder for absent values.
     pub const fn new(none: T) -> Self {
         Self { values: VecDeque::new(), none }
     }
 
-    /// Puts in the value that follows `before` others.
+    /// Adds the value after `before` others.
     pub fn push(&mut self, value: Option<T>, before: usize, most: usize) {
         if self.values.is_empty() {
             if value.is_none() {

@@ -1,12 +1,12 @@
-//! Bounded memory of one loop's points: raw while they fit, boxes of 2, 4, 8 ... samples further back.
+//! Bounded history of one loop's points: raw while they fit, bins of 2, 4, 8 ... samples for older data.
 //!
-//! Each sample is stored once. When the raw store is full its two oldest points become one box of two, when that store
-//! is full its two oldest boxes one of four, and so on. Sums are added pairwise along the same tree whichever way a
-//! box came about, so a window cut from here equals, to the last bit, the window cut from the recording.
+//! Each sample is stored once. When the raw store is full, its two oldest points become a bin of two; when that store is full,
+//! its two oldest bins become a bin of four, and so on. Sums are added pairwise along the same tree in every case, so a window
+//! from here is bit-identical to the window from the recording.
 //!
-//! Points stand in columns that grow by need: 21 bytes a raw point, 44 a box, and 8 (8) more for each of SP and MV that
-//! the loop sends. A window need not be cut when it is due: [`History::hold`] keeps what it needs for
-//! [`History::patience`] further points, and [`History::at`] cuts it then as it would have been cut at once.
+//! Points are stored in growing columns: 21 bytes per raw point, 44 per bin, and 8 (8) more for each of SP and MV if the loop
+//! has it. A window need not be extracted when it is due: [`History::hold`] keeps its data for [`History::patience`] further
+//! points, and [`History::at`] extracts it later with the same result.
 
 mod columns;
 
@@ -17,19 +17,19 @@ use crate::record::{Facts, Record};
 use crate::units::s_from_ns;
 use columns::{Sparse, Times, bytes, put};
 
-/// Points for which a window may stay uncut, at least and as a share of all: ten minutes of 10 s data.
+/// Points for which extraction may be delayed, minimum and share of all: ten minutes of 10 s data.
 const PATIENCE: usize = 64;
 const PATIENCE_SHARE: usize = 4;
-/// Bytes of a raw point and of a box where every signal and mark is there.
+/// Bytes of a raw point and of a bin with all signals and marks.
 const RAW_BYTES: usize = 39;
 const BOX_BYTES: usize = 70;
-/// Sizes of boxes that a memory of so many bytes has at least: eight times its raw points.
+/// Fewest bin sizes for a given memory limit: eight times its raw points.
 const LEAST_SIZES: usize = 3;
-/// Sizes of boxes where nothing limits them.
+/// Number of bin sizes without a memory limit.
 const ALL_SIZES: usize = 48;
-/// Raw points below which no window could be judged.
+/// Fewest raw points for judging a window.
 const LEAST_POINTS: usize = 128;
-/// The least memory that can be asked for, bytes.
+/// Smallest valid memory limit, bytes.
 pub const LEAST_BYTES: usize = 24_000;
 
 const fn raw_limit(max_points: usize) -> usize {
@@ -44,13 +44,13 @@ fn slack(max_points: usize) -> usize {
     PATIENCE.max(max_points / PATIENCE_SHARE)
 }
 
-/// Bytes of all raw points, those included that may come while a window waits, and of all boxes of one size.
+/// Bytes of all raw points, including those that may arrive while extraction is delayed, and of all bins of one size.
 fn bytes_of(max_points: usize) -> [usize; 2] {
     let raw = raw_limit(max_points) + slack(max_points);
     [RAW_BYTES * raw, BOX_BYTES * (level_limit(max_points) + 1) + 2 * size_of::<Level>()]
 }
 
-/// The raw points, `max_points` at most, and the sizes of boxes that fit into so many bytes whatever signals a loop sends.
+/// The number of raw points, at most `max_points`, and of bin sizes within a memory limit, whatever signals a loop has.
 #[must_use]
 pub fn fitting(max_points: usize, max_bytes: usize) -> [usize; 2] {
     let fits = |points: &usize| {
@@ -62,7 +62,7 @@ pub fn fitting(max_points: usize, max_bytes: usize) -> [usize; 2] {
     [points, (max_bytes.saturating_sub(raw) / boxes).clamp(LEAST_SIZES, ALL_SIZES)]
 }
 
-/// A box of 2^level raw points.
+/// A bin of 2^level raw points.
 #[derive(Debug, Clone, Copy)]
 struct Bin {
     t_ns: i64,
@@ -99,20 +99,20 @@ impl Bin {
         }
     }
 
-    /// First, extremes in the order that travels least, last.
+    /// First value, extremes in the order of least travel, last value.
     fn op_path(&self) -> [f64; 4] {
         let [first, min, max, last] = self.op;
         if last >= first { [first, min, max, last] } else { [first, max, min, last] }
     }
 }
 
-/// Marks of a raw point, as bits.
+/// Flags of a raw point, as bits.
 const MANUAL: u8 = 1;
 const FILLED: u8 = 2;
 const PV_REPEAT: u8 = 4;
 const OP_REPEAT: u8 = 8;
 
-/// Raw points, oldest first; absent signals are NaN here and `None` outside.
+/// Raw points, oldest first; absent signals are NaN inside and `None` outside.
 #[derive(Debug, Clone)]
 struct Raw {
     /// Index of the oldest.
@@ -190,10 +190,10 @@ impl Raw {
     }
 }
 
-/// Boxes of one size, oldest first.
+/// Bins of one size, oldest first.
 #[derive(Debug, Clone)]
 struct Level {
-    /// Index of the oldest, in boxes.
+    /// Index of the oldest, in bins.
     first: u64,
     times: Times,
     pv: VecDeque<f64>,
@@ -259,18 +259,18 @@ impl Level {
 #[derive(Debug, Clone)]
 pub struct History {
     max_points: usize,
-    /// Sizes of boxes; beyond the largest nothing is kept.
+    /// Number of bin sizes; older data are dropped.
     sizes: usize,
     raw: Raw,
-    /// `levels[l]` holds boxes of `2^(l+1)` points, older than anything finer.
+    /// `levels[l]` has bins of `2^(l+1)` points, older than all finer data.
     levels: Vec<Level>,
-    /// Points pushed since the last break; the newest has index `total - 1`.
+    /// Points added since the last break; the newest has index `total - 1`.
     total: u64,
-    /// Whether a window is still to be cut from what is held now.
+    /// Whether a window is still to be extracted from the current data.
     held: bool,
 }
 
-/// A memory as it was after so many points: what a window that was due then is cut from.
+/// The history as it was after a number of points, for a window that was due then.
 #[derive(Debug, Clone, Copy)]
 pub struct View<'h> {
     history: &'h History,
@@ -283,13 +283,13 @@ const fn even(n: u64) -> u64 {
 }
 
 impl History {
-    /// An empty memory of `max_points` raw points (and half as many boxes of each size).
+    /// An empty history of `max_points` raw points (and half as many bins of each size).
     #[must_use]
     pub fn new(max_points: usize) -> Self {
         Self::resumed(max_points, 0)
     }
 
-    /// A memory that goes on after `total` points, none of which it holds.
+    /// A history that continues after `total` points, without their data.
     #[must_use]
     pub fn resumed(max_points: usize, total: u64) -> Self {
         Self {
@@ -302,13 +302,13 @@ impl History {
         }
     }
 
-    /// The same memory with so many sizes of boxes at most.
+    /// The same history limited to this many bin sizes.
     #[must_use]
     pub fn with_sizes(self, sizes: usize) -> Self {
         Self { sizes, ..self }
     }
 
-    /// Forgets everything: the stretch has ended.
+    /// Clears everything: the stretch has ended.
     pub fn clear(&mut self) {
         *self = Self::new(self.max_points).with_sizes(self.sizes);
     }
@@ -325,36 +325,36 @@ impl History {
         self.total
     }
 
-    /// Stamp of the newest point.
+    /// Timestamp of the newest point.
     #[must_use]
     pub fn newest_ns(&self) -> Option<i64> {
         self.raw.times.back()
     }
 
-    /// Bytes that the columns take.
+    /// Memory of the columns, bytes.
     #[must_use]
     pub fn bytes(&self) -> usize {
         self.raw.bytes() + self.levels.iter().map(Level::bytes).sum::<usize>()
     }
 
-    /// Keeps everything from now on until it is let go: a window is still to be cut from what is there now.
+    /// Keeps all data until released, because a window is still to be extracted from it.
     pub const fn hold(&mut self, held: bool) {
         self.held = held;
     }
 
-    /// Whether everything is kept.
+    /// Whether all data are kept.
     #[must_use]
     pub const fn is_held(&self) -> bool {
         self.held
     }
 
-    /// Points that may still come while everything is kept.
+    /// Points that may still arrive while all data are kept.
     #[must_use]
     pub fn patience(&self) -> usize {
         (raw_limit(self.max_points) + slack(self.max_points)).saturating_sub(self.raw.op.len())
     }
 
-    /// Adds a point; forgets boxes that end before `keep_from_ns`.
+    /// Adds a point; drops bins that end before `keep_from_ns`.
     pub fn push(&mut self, p: &Point, keep_from_ns: i64) {
         let limit = raw_limit(self.max_points);
         let most = limit + if self.held { slack(self.max_points) } else { 1 };
@@ -404,25 +404,25 @@ impl History {
         }
     }
 
-    /// The memory as it was after `total` points. It answers as it would have then as long as it was held since.
+    /// The history as it was after `total` points, valid if data were held since.
     #[must_use]
     pub const fn at(&self, total: u64) -> View<'_> {
         View { history: self, total }
     }
 
-    /// The memory as it is.
+    /// The current history.
     #[must_use]
     pub const fn now(&self) -> View<'_> {
         self.at(self.total)
     }
 
-    /// The memory as it was before the first point stamped later than `end_ns`.
+    /// The history as it was before the first point later than `end_ns`.
     #[must_use]
     pub fn up_to(&self, end_ns: i64) -> View<'_> {
         self.at(self.now().finest_index_at(end_ns.saturating_add(1)))
     }
 
-    /// The box of `2^level` points with the given index, put together from finer ones where need be.
+    /// The bin of `2^level` points with this index, combined from finer ones if necessary.
     fn bin(&self, level: usize, index: u64) -> Option<Bin> {
         if level == 0 {
             return self.raw.get(index.checked_sub(self.raw.first)? as usize);
@@ -444,14 +444,14 @@ impl View<'_> {
         self.total
     }
 
-    /// Stamp of the newest point.
+    /// Timestamp of the newest point.
     #[must_use]
     pub fn newest_ns(&self) -> Option<i64> {
         let raw = &self.history.raw;
         raw.times.get(self.total.checked_sub(raw.first + 1)? as usize)
     }
 
-    /// Stamp of the oldest of the latest raw points that make a window, and how many they are.
+    /// Timestamp of the oldest of the latest raw points that form a window, and their number.
     #[must_use]
     pub fn latest_raw(&self) -> Option<(i64, usize)> {
         let (raw, max_points) = (&self.history.raw, self.history.max_points as u64);
@@ -459,8 +459,8 @@ impl View<'_> {
         Some((raw.times.get((from - raw.first) as usize)?, (self.total - from) as usize))
     }
 
-    /// Index of the first point at or after a time, as far back as anything is held, at the start of a box where the
-    /// memory held it in boxes by then.
+    /// Index of the first point at or after a time, as far back as there are data, at the start of a bin if it was in a bin
+    /// then.
     fn index_at(&self, t_ns: i64) -> u64 {
         let index = self.finest_index_at(t_ns);
         // Where the boxes stood follows from the number of points alone: the oldest of each size is an even one.
@@ -489,8 +489,8 @@ impl View<'_> {
         (raw.first + raw.times.place_at(t_ns) as u64).min(self.total)
     }
 
-    /// The record from `from_ns` to the newest point: raw if it fits into `max_points`, else in the smallest boxes that
-    /// do. `end_ns` names it. `None` where nothing is held.
+    /// The record from `from_ns` to the newest point: raw if it fits into `max_points`, else in the smallest bins that do.
+    /// `end_ns` is its name. `None` if there are no data.
     #[must_use]
     pub fn record(&self, from_ns: i64, end_ns: i64) -> Option<Record> {
         let level_for = |from: u64| {
@@ -506,7 +506,7 @@ impl View<'_> {
         self.cut(from, level_for(from), end_ns)
     }
 
-    /// The latest points in boxes of `2^level`, as many as `max_points` at most, none older than `from_ns`.
+    /// The latest points in bins of `2^level`, at most `max_points`, none older than `from_ns`.
     #[must_use]
     pub fn latest(&self, level: usize, from_ns: i64, end_ns: i64) -> Option<Record> {
         let reach = (self.history.max_points as u64) << level;
@@ -555,7 +555,7 @@ impl View<'_> {
     }
 }
 
-/// Robust standard deviation over mean of the time between boxes.
+/// Robust standard deviation over mean of the time between bins.
 fn irregularity(bins: &[Bin]) -> f64 {
     let mut steps: Vec<i64> = bins.windows(2).map(|w| w[1].t_ns - w[0].t_ns).collect();
     if steps.len() < 4 {
@@ -569,7 +569,7 @@ fn irregularity(bins: &[Bin]) -> f64 {
     off[off.len() * 9 / 10] as f64 / 1.645 / median.max(1) as f64
 }
 
-/// The record of a whole stretch of points, boxed as the daemon would box it.
+/// The record of a whole stretch of points, in bins as in the daemon.
 #[must_use]
 pub fn record_of(points: &[Point], max_points: usize) -> Option<Record> {
     let mut history = History::new(points.len().max(16));
