@@ -135,5 +135,5 @@ def test_missing_values_and_fractions_of_a_second(
     told = json.loads(command("analyze", path, "--format", "json"))
     found = stiction.assess(apart["op"], apart["pv"], t=apart["t"], name="FIC8")
     same(found, told)
-    assert any("rows of their own" in note for note in found.notes)
+    assert any("separate rows" in note for note in found.notes)
     assert any("newest first" in note for note in found.notes)

@@ -14,10 +14,10 @@ pub const NS_PER_S: i64 = 1_000_000_000;
 #[derive(Debug, Error, Clone, PartialEq, Eq)]
 pub enum TimeError {
     /// Neither decimal seconds nor RFC 3339.
-    #[error("{0:?} is not a time: write seconds since 1970 (12.5) or RFC 3339 (2026-01-31T08:00:00Z)")]
+    #[error("{0:?} is not a time; write seconds since 1970 (12.5) or RFC 3339 (2026-01-31T08:00:00Z)")]
     Unreadable(String),
     /// Outside the range of 64-bit nanoseconds.
-    #[error("{0:?} is outside the years 1678 to 2261, which is what nanoseconds in 64 bits hold")]
+    #[error("{0:?} is outside the years 1678 to 2261, the range of nanoseconds in 64 bits")]
     OutOfRange(String),
 }
 

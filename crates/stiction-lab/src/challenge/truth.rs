@@ -154,7 +154,7 @@ pub struct Truth {
 pub enum Tampered {
     /// Its digest is not the one that was printed.
     #[error(
-        "the truth's SHA-256 is {found}, sealed was {sealed}: it was changed after the challenge was made; make a new one"
+        "the truth's SHA-256 is {found}, but {sealed} was sealed: the truth was changed after the challenge was made; make a new challenge"
     )]
     Digest {
         /// Of the file as it is.
@@ -163,10 +163,10 @@ pub enum Tampered {
         sealed: String,
     },
     /// It is not such a document.
-    #[error("the truth cannot be read: {0}; make the challenge again with this version")]
+    #[error("cannot parse the truth: {0}; make the challenge again with this version")]
     Unreadable(#[from] serde_json::Error),
     /// A document of another kind or version.
-    #[error("the truth is a {found:?}, this version reads {SCHEMA:?}")]
+    #[error("the truth is a {found:?}, but this version reads {SCHEMA:?}; make a new challenge")]
     Schema {
         /// What it calls itself.
         found: String,

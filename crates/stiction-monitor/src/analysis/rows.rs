@@ -89,7 +89,7 @@ impl Rows {
         // A dead sensor leaves rows of one kind only.
         if self.op_only.min(self.pv_only) > self.both {
             self.out.warnings.push(format!(
-                "op and pv stand in rows of their own ({} and {} of {} rows): empty cells are no samples there",
+                "op and pv are in separate rows ({} and {} of {} rows): empty cells are not samples",
                 self.op_only, self.pv_only, self.out.rows
             ));
             self.drop_empty();
@@ -106,10 +106,10 @@ impl Rows {
             let mut turned = rows.concat();
             turned.sort_by_key(|sample| sample.t_ns);
             out.samples = turned;
-            out.warnings.push(format!("the {} rows stand newest first: read in order of time", out.rows));
+            out.warnings.push(format!("the {} rows are newest first: sorted by time", out.rows));
         } else if self.backward >= DISORDER && 20 * self.backward > out.rows {
             out.warnings.push(format!(
-                "time goes back {} times: rows that come later than the lateness allows are left out of windows",
+                "time goes back {} times: rows later than the allowed lateness are not used in windows",
                 self.backward
             ));
         }

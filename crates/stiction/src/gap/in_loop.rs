@@ -22,7 +22,9 @@ pub struct Parts {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum NoPlace {
     /// It is not in the stem, around it, or a load.
-    #[error("{0:?} acts inside the process or the recorder: a simulation has no such part; leave it out of the model")]
+    #[error(
+        "{0:?} acts inside the process or the historian and cannot be simulated in the loop; remove it from the model"
+    )]
     Inside(String),
     /// A number that it needs is missing or out of range.
     #[error("{effect:?} needs {parameter} as a number{want} to be simulated")]
@@ -35,9 +37,7 @@ pub enum NoPlace {
         want: &'static str,
     },
     /// What drives the stem is run in parts of a scan, a stem with a motion of its own in scans.
-    #[error(
-        "a lag in front of the stem cannot be simulated beside an effect of the stem's own motion: leave one out of the model"
-    )]
+    #[error("a lag before the stem cannot be combined with an effect on the stem's motion; remove one from the model")]
     Clash,
 }
 

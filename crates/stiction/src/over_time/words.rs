@@ -17,7 +17,7 @@ pub(super) fn sentences(told: &OverTime, history: &History<'_>) -> Vec<String> {
         let stretch = history.points.iter().map(|p| (p.result.start_ns, p.result.end_ns));
         let [from, to] = stretch.fold([i64::MAX, i64::MIN], |[f, t], (start, end)| [f.min(start), t.max(end)]);
         let span = duration(s_from_ns(to - from));
-        out.push(format!("No change of the valve shows in {} over {span}.", windows(told.windows)));
+        out.push(format!("No change of the valve found in {} over {span}.", windows(told.windows)));
     }
     out.push(told.pooled.as_ref().map_or_else(|| nothing(told, history), |p| pooled(p, told.since_ns)));
     if let Some(p) = &told.pooled {
@@ -26,8 +26,8 @@ pub(super) fn sentences(told: &OverTime, history: &History<'_>) -> Vec<String> {
     out.extend(told.trend.as_ref().map(trend));
     match told.contradicting.len() {
         0 => {}
-        1 => out.push("One window contradicts the others of its time: look at it before trusting either.".to_owned()),
-        n => out.push(format!("{n} windows contradict the others of their time: look at them before trusting either.")),
+        1 => out.push("One window contradicts the others of its time: check it before relying on either.".to_owned()),
+        n => out.push(format!("{n} windows contradict the others of their time: check them before relying on either.")),
     }
     out
 }
@@ -36,7 +36,7 @@ pub(super) fn sentences(told: &OverTime, history: &History<'_>) -> Vec<String> {
 pub(super) fn opposite(sticks: bool, p: f64, agree: usize, of: usize) -> String {
     let (it, they) = if sticks { ("sticks", "does not") } else { ("does not stick", "does") };
     format!(
-        "it says that the valve {it} (p = {}), while {agree} of the {of} windows of its time say that it {they}",
+        "its verdict is that the valve {it} (p = {}), but {agree} of the {of} windows of this period find that it {they}",
         number(p)
     )
 }
@@ -47,7 +47,7 @@ pub(super) fn off(w: &WindowResult, expected: f64, of: usize) -> String {
     let interval = w.s_interval.map_or_else(String::new, |[l, h]| format!(" ({} to {})", number(l), number(h)));
     let other = number(expected);
     format!(
-        "its s of {s}{interval} leaves out {other}, which the {of} windows of its time give, by more than chance allows in so many"
+        "its s of {s}{interval} differs from {other}, the size in the {of} windows of this period, by more than chance explains"
     )
 }
 
@@ -73,18 +73,18 @@ fn date(ns: i64) -> String {
 fn change(c: &Change) -> String {
     let sized = |s: Option<f64>| s.map_or_else(|| "unknown".to_owned(), number);
     let what = match (c.kind, c.s_before) {
-        (ChangeKind::Repaired, None) => "The stiction went".to_owned(),
-        (ChangeKind::Repaired, Some(s)) => format!("The stiction (s = {} OP units) went", number(s)),
+        (ChangeKind::Repaired, None) => "The stiction disappeared".to_owned(),
+        (ChangeKind::Repaired, Some(s)) => format!("The stiction (s = {} OP units) disappeared", number(s)),
         (ChangeKind::Worse, None) => format!("The valve began to stick (s = {} OP units)", sized(c.s_after)),
         (kind, _) => {
             let word = if kind == ChangeKind::Better { "better" } else { "worse" };
-            format!("The valve got {word} (s from {} to {} OP units)", sized(c.s_before), sized(c.s_after))
+            format!("The valve became {word} (s from {} to {} OP units)", sized(c.s_before), sized(c.s_after))
         }
     };
     let after = if c.kind == ChangeKind::Repaired { ", as after a repair" } else { "" };
     let sure = match 1.0 - c.p {
-        rest if rest < 1e-6 => "beyond doubt".to_owned(),
-        rest => format!("chance makes such a step in {} % of histories", number(100.0 * rest)),
+        rest if rest < 1e-6 => "certain".to_owned(),
+        rest => format!("such a step occurs by chance in {} % of histories", number(100.0 * rest)),
     };
     format!("{what} around {}, between {} and {}{after}; {sure}.", date(c.at_ns), date(c.from_ns), date(c.to_ns))
 }
@@ -92,26 +92,23 @@ fn change(c: &Change) -> String {
 fn pooled(p: &Pooled, since_ns: Option<i64>) -> String {
     let since = since_ns.map_or_else(String::new, |at| format!(" since {}", date(at)));
     let overlap = if p.independent_windows < 0.9 * p.windows as f64 {
-        format!(" (which overlap: they tell as much as {})", number(p.independent_windows))
+        format!(" (overlapping; equivalent to {} independent ones)", number(p.independent_windows))
     } else {
         String::new()
     };
     let [low, high] = p.s_interval.map(number);
-    let young = if p.independent_windows < FEW { " This is from little data so far." } else { "" };
+    let young = if p.independent_windows < FEW { " Based on few independent windows so far." } else { "" };
     let all = windows(p.windows);
-    format!(
-        "By {all}{since}{overlap} s is {} OP units, between {low} and {high} with 90 % confidence.{young}",
-        number(p.s)
-    )
+    format!("From {all}{since}{overlap}: s is {} OP units, 90 % interval {low} to {high}.{young}", number(p.s))
 }
 
 fn jump(p: &Pooled) -> Option<String> {
     let (j, [low, high]) = (p.j?, p.j_interval?.map(number));
     Some(if p.j_identifiable {
-        format!("The slip jump j is {} OP units, between {low} and {high}.", number(j))
+        format!("The slip jump j is {} OP units, 90 % interval {low} to {high}.", number(j))
     } else {
         format!(
-            "The slip jump j cannot be told from these records: anything between {low} and {high} OP units explains most of them."
+            "The slip jump j cannot be determined from these records: most of them allow any value from {low} to {high} OP units."
         )
     })
 }
@@ -123,11 +120,11 @@ fn nothing(told: &OverTime, history: &History<'_>) -> String {
     let sticking = later.iter().filter(|p| p.sticks).count();
     let span = told.since_ns.map_or_else(String::new, |at| format!(" since {}", date(at)));
     match sticking {
-        0 => format!("None of {}{span} finds stiction.", windows(later.len())),
+        0 => format!("Stiction found in none of {}{span}.", windows(later.len())),
         n if 2 * n < later.len() => {
-            format!("{n} of {}{span} find stiction, too few to call the valve sticking.", windows(later.len()))
+            format!("Stiction found in {n} of {}{span}: too few to call the valve sticking.", windows(later.len()))
         }
-        n => format!("{n} of {}{span} find stiction, but none gives its size.", windows(later.len())),
+        n => format!("Stiction found in {n} of {}{span}, but none gives its size.", windows(later.len())),
     }
 }
 
@@ -135,7 +132,7 @@ fn trend(t: &Trend) -> String {
     let word = if t.s_per_month > 0.0 { "grows" } else { "falls" };
     let [a, b] = t.s_per_month_interval.map(f64::abs);
     format!(
-        "s {word} by {} OP units a month (between {} and {}) since {}.",
+        "s {word} by {} OP units per month (90 % interval {} to {}) since {}.",
         number(t.s_per_month.abs()),
         number(a.min(b)),
         number(a.max(b)),

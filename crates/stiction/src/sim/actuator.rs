@@ -1,21 +1,20 @@
-//! What else stands between OP and the flow beside friction: play, stops, a stem that cannot keep up, one step each; and
-//! a lag in front of it.
+//! Parts between OP and flow other than friction: backlash, stops, limited speed, as functions of one step; and an input lag.
 
-/// Values a point has at least behind a lag.
+/// Fewest values per point with a lag.
 const PARTS: usize = 5;
 
-/// All that stands around a stem and its friction, value by value.
+/// The surroundings of a stem and its friction, value by value.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Around {
-    /// Time constant of what drives the stem, values; 0 for none.
+    /// Time constant of the actuator, values; 0 for none.
     pub pilot: f64,
-    /// Fastest move of what follows the stem, OP units a value.
+    /// Largest speed of the output, OP units per value.
     pub rate: f64,
-    /// Ends of what passes it, OP units.
+    /// Limits of the output, OP units.
     pub stops: [f64; 2],
-    /// Play behind it, OP units.
+    /// Backlash behind the stem, OP units.
     pub play: f64,
-    /// Share by which the slope of its characteristic grows with each OP unit, and where that slope is 1.
+    /// Relative growth of the characteristic's slope per OP unit, and where the slope is 1.
     pub bend: f64,
     /// See `bend`.
     pub middle: f64,
@@ -32,7 +31,7 @@ impl Around {
         middle: 0.0,
     };
 
-    /// What drives the stem in the parts of a value for which OP is held, and the drive at its end.
+    /// The actuator's positions in the parts of a value for which OP is held, and its position at the end.
     #[must_use]
     pub fn drives(&self, drive: f64, op: f64) -> ([f64; PARTS], f64) {
         let step = 1.0 / (self.pilot * PARTS as f64).max(1e-3);
@@ -40,7 +39,7 @@ impl Around {
         (core::array::from_fn(|i| after(i as f64 + 0.5)), after(PARTS as f64))
     }
 
-    /// What flows for a stem at `position`, with the memory of what follows it.
+    /// The flow for a stem at `position`, with the state of the parts behind it.
     #[must_use]
     pub fn flow(&self, position: f64, [slow, far]: &mut [f64; 2]) -> f64 {
         *slow = if self.rate < f64::INFINITY { rate_step(*slow, position, self.rate) } else { position };
@@ -49,7 +48,7 @@ impl Around {
         if self.bend == 0.0 { *far } else { self.middle + bent(*far - self.middle, self.bend) }
     }
 
-    /// The same characteristic counted from another OP value, and the factor that the gain behind it takes.
+    /// The same characteristic relative to another OP value, and the resulting factor of the gain behind it.
     #[must_use]
     pub fn counted_from(self, middle: f64) -> (Self, f64) {
         (Self { middle, ..self }, libm::exp(self.bend * (middle - self.middle)))
@@ -62,19 +61,19 @@ impl Default for Around {
     }
 }
 
-/// A characteristic at `v` whose slope, 1 at 0, grows by the share `bend` with each unit.
+/// A characteristic at `v` whose slope is 1 at 0 and grows by the share `bend` per unit.
 #[must_use]
 pub fn bent(v: f64, bend: f64) -> f64 {
     if bend == 0.0 { v } else { libm::expm1(bend * v) / bend }
 }
 
-/// Play of `width` behind the stem (backlash): the far side stands still until the stem has crossed it.
+/// Backlash of `width` behind the stem: the output rests until the stem has crossed it.
 #[must_use]
 pub fn play_step(far: f64, stem: f64, width: f64) -> f64 {
     far.clamp(stem - 0.5 * width, stem + 0.5 * width)
 }
 
-/// A stem that follows `wanted` by at most `rate` a step.
+/// A stem that follows `wanted` by at most `rate` per step.
 #[must_use]
 pub fn rate_step(stem: f64, wanted: f64, rate: f64) -> f64 {
     stem + (wanted - stem).clamp(-rate, rate)
@@ -86,10 +85,10 @@ pub fn stop_step(stem: f64, stops: [f64; 2]) -> f64 {
     stem.clamp(stops[0], stops[1])
 }
 
-/// `op` (`per_point` raw values a point) behind a lag of `tau` points into `path`; answers how many values a point has.
+/// `op` (`per_point` raw values per point) after a lag of `tau` points, into `path`; returns the number of values per point.
 ///
-/// The lag moves on between two raw samples while OP is held, so a slip falls anywhere between them: each part has the
-/// value at its middle, exactly.
+/// The lag advances between two raw samples while OP is held, so a slip may occur anywhere between them: each part has the
+/// exact value at its middle.
 pub fn lag_path(op: &[f64], per_point: usize, tau: f64, path: &mut Vec<f64>) -> usize {
     let parts = PARTS.div_ceil(per_point);
     let step = 1.0 / (tau * (per_point * parts) as f64).max(1e-3);

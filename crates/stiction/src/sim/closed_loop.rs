@@ -1,5 +1,5 @@
-//! One whole control loop, scan by scan: PV is measured, the controller answers with OP, the valve follows as its
-//! friction lets it, and the process answers the valve until the next scan.
+//! A control loop, scan by scan: PV is measured, the controller computes OP, the valve follows according to its friction, and
+//! the process responds to the valve until the next scan.
 
 use super::actuator::Around;
 use super::controller::{Pid, PidSettings};
@@ -11,22 +11,22 @@ use super::slips::{self, Law, Stroke};
 use super::valve::{Tracking, he_step, tracking_step};
 use crate::record::Record;
 
-/// Which law the stem obeys.
+/// Valve model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum ValveLaw {
-    /// No friction: the position is OP.
+    /// No friction: the position equals OP.
     None,
-    /// He's two-parameter law, [`he_step`].
+    /// He's two-parameter model, [`he_step`].
     He,
-    /// The tracking (sliding) law, [`tracking_step`].
+    /// The tracking (sliding) model, [`tracking_step`].
     Tracking,
-    /// Forces instead of a law: [`ValveModel::friction`].
+    /// A force model: [`ValveModel::friction`].
     #[serde(skip)]
     Physical,
 }
 
-/// A valve: OP clipped to its travel, then its law.
+/// A valve: OP limited to its travel, then its model.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ValveModel {
     /// Law.
@@ -66,7 +66,7 @@ pub struct Stem {
 }
 
 impl Stem {
-    /// A stem that rests at `position`.
+    /// A stem at rest at `position`.
     #[must_use]
     pub const fn at_rest(position: f64) -> Self {
         Self {
@@ -95,7 +95,7 @@ impl ValveModel {
         friction: Friction::NONE,
     };
 
-    /// Next state of the stem for `op`, and of all around it.
+    /// Next state of the stem and its surroundings for `op`.
     #[must_use]
     pub fn step(&self, stem: Stem, op: f64) -> Stem {
         let op = op.clamp(self.travel_min, self.travel_max);
@@ -143,16 +143,16 @@ impl ValveModel {
     }
 }
 
-/// Everything that makes a loop. The process acts on deviations from its rest.
+/// Parameters of a loop. The process acts on deviations from its operating point.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LoopModel {
     /// Time between scans, s.
     pub ts_s: f64,
     /// Process, in samples of `ts_s`.
     pub process: ProcessModel,
-    /// Valve position at which the process rests, OP units; OP starts here.
+    /// Valve position at the operating point, OP units; OP starts here.
     pub rest_op: f64,
-    /// PV at that rest, PV units; PV starts here.
+    /// PV at the operating point, PV units; PV starts here.
     pub rest_pv: f64,
     /// Controller.
     pub controller: PidSettings,
@@ -166,7 +166,7 @@ pub struct LoopModel {
     pub pv_disturbance: Vec<Disturbance>,
 }
 
-/// What one scan of a loop shows.
+/// The signals of one scan.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Scan {
     /// Controller output of this scan, OP units.
@@ -177,11 +177,11 @@ pub struct Scan {
     pub sp: f64,
     /// Valve position after this OP, OP units; it acts until the next scan.
     pub mv: f64,
-    /// Whether OP stood in manual.
+    /// Whether the controller is in manual.
     pub manual: bool,
 }
 
-/// A loop with its memory.
+/// A loop with its state.
 #[derive(Debug, Clone)]
 pub struct ClosedLoop {
     model: LoopModel,
@@ -191,7 +191,7 @@ pub struct ClosedLoop {
     noise: Noise,
     load: Vec<DisturbanceState>,
     pv_disturbance: Vec<DisturbanceState>,
-    /// Load that acts since the last scan.
+    /// Load since the last scan.
     held_load: f64,
     t_s: f64,
     scans: u64,
@@ -201,7 +201,7 @@ pub struct ClosedLoop {
 impl ClosedLoop {
     /// A loop at rest that starts at `start_s` (disturbances count from 0) with the set point `sp`.
     ///
-    /// Measurement noise draws from stream 0 of `seed`, the disturbances from the streams after it.
+    /// Measurement noise uses stream 0 of `seed`, the disturbances the following streams.
     #[must_use]
     pub fn new(model: LoopModel, start_s: f64, sp: f64, seed: u64) -> Self {
         let mut streams = 1..;
@@ -232,12 +232,12 @@ impl ClosedLoop {
         self.t_s
     }
 
-    /// Puts the controller into manual with OP at `op` (or where it stands).
+    /// Switches to manual with OP at `op` (or at its current value).
     pub fn set_manual(&mut self, op: Option<f64>) {
         self.pid.set_manual(op);
     }
 
-    /// Puts the controller back into automatic.
+    /// Switches back to automatic.
     pub const fn set_auto(&mut self) {
         self.pid.set_auto();
     }
@@ -247,8 +247,8 @@ impl ClosedLoop {
         self.step_with(sp, 0.0, |_| 0.0)
     }
 
-    /// One scan with the set point `sp`, something more on PV (PV units), and more load at the process input until
-    /// the next scan (OP units), which may hang on the valve position: so a valve gets a curved characteristic.
+    /// One scan with the set point `sp`, an addition to PV (PV units), and an additional load at the process input until the next
+    /// scan (OP units), which may depend on the valve position: this allows a curved valve characteristic.
     pub fn step_with(&mut self, sp: f64, on_pv: f64, more_load: impl FnOnce(f64) -> f64) -> Scan {
         let model = &self.model;
         let input = self.stem.flow - model.rest_op + self.held_load;

@@ -5,7 +5,7 @@
 
 use super::noise::quantise;
 
-/// Which way OP goes when PV rises.
+/// Direction of OP when PV rises.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Action {
     /// OP falls: for processes of positive gain.
@@ -17,7 +17,7 @@ pub enum Action {
 /// Settings of a controller.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PidSettings {
-    /// Gain, OP units per PV unit, > 0; the sign stands in `action`.
+    /// Gain, OP units per PV unit, > 0; the sign is in `action`.
     pub kc: f64,
     /// Integral time, s; infinite for none.
     pub ti_s: f64,
@@ -29,14 +29,14 @@ pub struct PidSettings {
     pub op_min: f64,
     /// Greatest OP.
     pub op_max: f64,
-    /// OP is sent in multiples of this (a 4..20 mA output of 13 bits has about 0.01 %); 0 for all digits.
+    /// OP is rounded to multiples of this (a 13-bit 4..20 mA output has about 0.01 %); 0 for no rounding.
     pub op_resolution: f64,
 }
 
 /// The derivative's filter has the time constant `td_s / DERIVATIVE_LIMIT`.
 pub const DERIVATIVE_LIMIT: f64 = 10.0;
 
-/// A controller with its memory.
+/// A controller with its state.
 #[derive(Debug, Clone)]
 pub struct Pid {
     settings: PidSettings,
@@ -49,7 +49,7 @@ pub struct Pid {
 }
 
 impl Pid {
-    /// A controller in automatic that takes over without a bump: its first OP is `op` plus what one scan integrates.
+    /// A controller in automatic that takes over bumplessly: its first OP is `op` plus the integral of one scan.
     #[must_use]
     pub fn bumpless(settings: PidSettings, op: f64, sp: f64, pv: f64) -> Self {
         let op = op.clamp(settings.op_min, settings.op_max);
@@ -58,19 +58,19 @@ impl Pid {
         pid
     }
 
-    /// OP as last given.
+    /// The last OP.
     #[must_use]
     pub const fn op(&self) -> f64 {
         self.op
     }
 
-    /// Whether OP stands where a person put it.
+    /// Whether it is in manual.
     #[must_use]
     pub const fn is_manual(&self) -> bool {
         self.manual
     }
 
-    /// Goes to manual with OP at `op`, or where it stands.
+    /// Switches to manual with OP at `op`, or at its current value.
     pub fn set_manual(&mut self, op: Option<f64>) {
         self.manual = true;
         if let Some(op) = op {
@@ -78,7 +78,7 @@ impl Pid {
         }
     }
 
-    /// Goes back to automatic; OP goes on from where it stands.
+    /// Switches back to automatic; OP continues from its current value.
     pub const fn set_auto(&mut self) {
         self.manual = false;
     }
@@ -90,7 +90,7 @@ impl Pid {
         }
     }
 
-    /// Sets the integral part so that OP is where it stands.
+    /// Sets the integral part so that OP keeps its current value.
     fn take_over(&mut self, sp: f64, pv: f64) {
         self.integral = self.op - self.signed_gain() * (sp - pv) - self.derivative;
     }

@@ -1,4 +1,4 @@
-//! Disturbances: what reaches a loop from outside, as signals over time.
+//! External disturbances of a loop, as signals over time.
 
 use serde::Deserialize;
 
@@ -11,7 +11,7 @@ use super::noise::{Ar1, Noise, RandomWalk};
 pub enum Disturbance {
     /// `amplitude * sin(2 pi t / period_s + phase)`.
     Sine {
-        /// Half of the way from trough to crest.
+        /// Half the peak-to-peak value.
         amplitude: f64,
         /// Period, s.
         period_s: f64,
@@ -21,12 +21,12 @@ pub enum Disturbance {
     },
     /// `+amplitude` for half a period, then `-amplitude`.
     Square {
-        /// Half of the way from low to high.
+        /// Half the peak-to-peak value.
         amplitude: f64,
         /// Period, s.
         period_s: f64,
     },
-    /// From 0 to `size` at `at_s`, for good.
+    /// From 0 to `size` at `at_s`, permanently.
     Step {
         /// Height.
         size: f64,
@@ -51,13 +51,13 @@ pub enum Disturbance {
     },
     /// A random walk from 0.
     RandomWalk {
-        /// Standard deviation after one second; it grows with the root of time.
+        /// Standard deviation after one second; it grows with the square root of time.
         sd_per_root_s: f64,
     },
 }
 
 impl Disturbance {
-    /// Its keys with what is wrong about their values; empty for a sound one.
+    /// Its keys with invalid values and the reasons; empty if it is valid.
     #[must_use]
     pub fn faults(&self) -> Vec<(&'static str, String)> {
         let mut faults = Vec::new();
@@ -117,7 +117,7 @@ impl core::fmt::Display for Disturbance {
     }
 }
 
-/// A disturbance with its memory.
+/// A disturbance with its state.
 #[derive(Debug, Clone)]
 pub struct DisturbanceState {
     shape: Disturbance,
@@ -131,7 +131,7 @@ enum Random {
 }
 
 impl DisturbanceState {
-    /// A disturbance sampled every `ts_s` seconds; `noise` is drawn from by the random shapes only.
+    /// A disturbance sampled every `ts_s` seconds; only random shapes use `noise`.
     #[must_use]
     pub fn new(shape: Disturbance, ts_s: f64, noise: Noise) -> Self {
         let random = match shape {
@@ -144,7 +144,7 @@ impl DisturbanceState {
         Self { shape, random }
     }
 
-    /// Its value at `t_s` seconds after the start; the random shapes move on by one sample instead.
+    /// Its value at `t_s` seconds after the start; random shapes advance by one sample instead.
     pub fn at(&mut self, t_s: f64) -> f64 {
         match &mut self.random {
             Some(Random::Ar1(ar)) => return ar.next_value(),

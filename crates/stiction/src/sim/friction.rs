@@ -1,16 +1,16 @@
-//! A valve with friction, from forces rather than from a law of its signals: an actuator whose force goes with OP, a
-//! spring, and packing that holds until the static band is passed and then drags along the Stribeck curve.
+//! A valve with friction, from forces instead of a signal model: an actuator whose force is proportional to OP, a spring, and
+//! packing that holds up to the static band and then drags along the Stribeck curve.
 //!
-//! Everything is divided by the spring, so forces are OP units and times are scans. Inertia is left out: a globe valve
-//! of some hundred newtons a millimetre settles within milliseconds. What remains is
-//! `|op - x| = fc + (fs - fc) exp(-(v/vs)^2) + fv |v|`, solved for the speed on the branch on which the stem is. A slow
-//! OP gives a staircase; a ramp quicker than the speed at the curve's minimum gives smooth tracking.
+//! Forces are divided by the spring rate, so they are in OP units; times are in scans. Inertia is neglected: a globe valve with
+//! some hundred newtons per millimetre settles within milliseconds. The equation
+//! `|op - x| = fc + (fs - fc) exp(-(v/vs)^2) + fv |v|` is solved for the speed on the stem's branch. A slow OP gives a
+//! staircase; a ramp faster than the speed at the curve's minimum gives smooth tracking.
 //!
-//! Limits: the packing has no give. Against LuGre with stiff bristles the stem agrees while it makes a few slips between
-//! turns of OP; in long staircases slips are parted by small differences, and the two then differ by a step for some
-//! scans. Soft bristles, or OP that comes in sudden steps, let LuGre break away below the static band; this does not.
+//! Limits: the packing is rigid. With stiff bristles, LuGre agrees for a few slips between reversals of OP; in long staircases
+//! small differences decide on slips, and the two may differ by a step for some scans. With soft bristles or sudden steps of
+//! OP, LuGre breaks away below the static band; this model does not.
 
-/// Steps of the integration between two scans.
+/// Integration steps per scan.
 pub const SUB_STEPS: usize = 20;
 
 /// Friction of a stem, with the turning points of its curve.
@@ -21,12 +21,12 @@ pub struct Friction {
     vs: f64,
     fv: f64,
     lag: f64,
-    /// Speed and force at the curve's maximum (creeping below) and minimum (sliding above); none where it only rises.
+    /// Speed and force at the curve's maximum (creeping below) and minimum (sliding above); none if it is monotonic.
     folds: Option<[(f64, f64); 2]>,
 }
 
 impl Friction {
-    /// No friction at all.
+    /// No friction.
     pub const NONE: Self = Self { fs: 0.0, fc: 0.0, vs: 1.0, fv: 1e-3, lag: 0.0, folds: None };
 
     /// Friction with static band `fs` and Coulomb band `fc <= fs` (OP units), Stribeck speed `vs` (OP units a scan),
@@ -117,7 +117,7 @@ impl Friction {
         stem.speed = v;
     }
 
-    /// Moves `stem` over one scan with OP held at `op`; answers its mean position, which is what a process sees.
+    /// Moves `stem` over one scan with OP held at `op`; returns its mean position, which is the input of the process.
     pub fn step(&self, stem: &mut FrictionState, op: f64) -> f64 {
         let dt = 1.0 / SUB_STEPS as f64;
         let share = if self.lag > 0.0 { 1.0 - libm::exp(-dt / self.lag) } else { 1.0 };
@@ -131,8 +131,8 @@ impl Friction {
         sum * dt
     }
 
-    /// Stick band and slip jump `(s, j)` as a test on the bench would read them: OP ramps up slowly until the stem has
-    /// made a step (or slides), turns, and travels `s` until the stem moves back; by `j` the stem then catches up.
+    /// Stick band and slip jump `(s, j)` as a bench test would measure them: OP ramps up slowly until the stem has made a step (or
+    /// slides), reverses, and travels `s` until the stem moves back; the stem then catches up by `j`.
     #[must_use]
     pub fn measure(&self) -> (f64, f64) {
         let dt = 1.0 / SUB_STEPS as f64;
@@ -145,8 +145,8 @@ impl Friction {
         ((started - turned).abs(), caught_up)
     }
 
-    /// Ramps OP by `pace` a short step until the stem has moved and rests again, or has slid for three static bands.
-    /// Answers OP at the first motion and how far the stem caught up with OP.
+    /// Ramps OP by `pace` per integration step until the stem has moved and rests again, or has slid for three static bands.
+    /// Returns OP at the first motion and how far the stem caught up with OP.
     fn one_motion(&self, stem: &mut FrictionState, op: &mut f64, pace: f64, dt: f64) -> (f64, f64) {
         let along = pace.signum();
         let mut from = stem.position;
@@ -174,19 +174,19 @@ impl Friction {
     }
 }
 
-/// Memory of a stem with friction.
+/// State of a stem with friction.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FrictionState {
     /// Position, OP units.
     pub position: f64,
     /// Speed, OP units a scan.
     pub speed: f64,
-    /// Where the lagging actuator pushes to, OP units.
+    /// Target of the lagging actuator, OP units.
     pub drive: f64,
 }
 
 impl FrictionState {
-    /// A stem that rests at `position` without strain.
+    /// A stem at rest at `position` without stress.
     #[must_use]
     pub const fn at_rest(position: f64) -> Self {
         Self { position, speed: 0.0, drive: position }

@@ -1,4 +1,4 @@
-//! Physics: valve laws, process models, controller, noise and the closed loop. The only copy of each formula.
+//! Physics: valve models, processes, controller, noise and the closed loop. The only copy of each formula.
 
 pub mod actuator;
 pub mod closed_loop;

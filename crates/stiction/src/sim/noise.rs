@@ -1,13 +1,12 @@
-//! Seeded randomness whose bits are the same on every machine, and the quantiser.
+//! Seeded random numbers that are bit-identical on every machine, and the quantiser.
 //!
-//! The generator is ChaCha with 8 rounds (its stream is fixed by its specification); the key is made from the seed
-//! here, and logarithm and cosine are portable ones. Each purpose draws from a stream of its own, so that an added
-//! noise does not change the others.
+//! The generator is ChaCha with 8 rounds (fixed by its specification); the key is derived from the seed here, and logarithm and
+//! cosine are portable. Each purpose has its own stream, so that adding a noise does not change the others.
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
-/// The 64-bit FNV-1a hash of a text, for streams that are named.
+/// The 64-bit FNV-1a hash of a text, for named streams.
 #[must_use]
 pub fn stream_of(text: &str) -> u64 {
     text.bytes().fold(0xcbf2_9ce4_8422_2325, |h, b| (h ^ u64::from(b)).wrapping_mul(0x0000_0100_0000_01b3))
@@ -48,7 +47,7 @@ impl Noise {
         ((self.rng.next_u64() >> 11) as f64 + 0.5) * (1.0 / 9_007_199_254_740_992.0)
     }
 
-    /// Whether something of probability `p` happens; one draw whatever `p` is.
+    /// Whether an event of probability `p` occurs; always one draw.
     pub fn chance(&mut self, p: f64) -> bool {
         self.uniform() < p
     }
@@ -89,7 +88,7 @@ impl Ar1 {
         Self { phi, kick: sd * (1.0 - phi * phi).sqrt(), value, noise }
     }
 
-    /// The value of this sample; moves on by one.
+    /// The value of this sample; advances by one.
     pub fn next_value(&mut self) -> f64 {
         let now = self.value;
         self.value = self.phi * self.value + self.kick * self.noise.gaussian();
@@ -112,7 +111,7 @@ impl RandomWalk {
         Self { sd_per_sample, value: 0.0, noise }
     }
 
-    /// The value of this sample; moves on by one.
+    /// The value of this sample; advances by one.
     pub fn next_value(&mut self) -> f64 {
         let now = self.value;
         self.value += self.sd_per_sample * self.noise.gaussian();
@@ -122,8 +121,8 @@ impl RandomWalk {
 
 /// `value` rounded to whole multiples of `quantum`; unchanged for a quantum of 0.
 ///
-/// Where 1/quantum is a whole number (0.01, 0.1, 0.25, 0.5, …) the result is the double nearest to the decimal, so it
-/// prints with no more digits than the quantum has.
+/// If 1/quantum is an integer (0.01, 0.1, 0.25, 0.5, …), the result is the double nearest to the decimal, so it prints with no
+/// more digits than the quantum.
 #[must_use]
 pub fn quantise(value: f64, quantum: f64) -> f64 {
     if quantum <= 0.0 {

@@ -1,4 +1,4 @@
-//! A simulated plant: the loops of a [`Scenario`], their scans, and what recording and transport do to the values.
+//! A simulated plant: the loops of a [`Scenario`], their scans, and the effects of recording and transport on the values.
 
 use std::collections::VecDeque;
 
@@ -8,21 +8,21 @@ use super::scenario::{LoopSpec, Scenario};
 use crate::record::{Mode, Record, Sample, Signal, Value};
 use crate::units::ns_from_s;
 
-/// Streams of randomness beside the simulated loop's own.
+/// Random streams in addition to the simulated loop's own.
 const EFFECTS_STREAM: u64 = u64::MAX;
 
-/// A value of a simulated plant as it arrives.
+/// A value of a simulated plant at its arrival.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SimulatedSample {
-    /// Which loop, counted as in the scenario.
+    /// Index of its loop in the scenario.
     pub loop_index: usize,
-    /// When it arrives, ns since 1970: the true time of the scan that it arrives with. Never falls along a stream.
+    /// Arrival time, ns since 1970: the true time of the scan with which it arrives. Never decreases along a stream.
     pub arrival_ns: i64,
-    /// The value with its stamp.
+    /// The value with its timestamp.
     pub sample: Sample,
 }
 
-/// A value that is under way.
+/// A value in transit.
 #[derive(Debug, Clone, Copy)]
 struct Delayed {
     due_scan: u64,
@@ -30,7 +30,7 @@ struct Delayed {
     sample: Sample,
 }
 
-/// The loops of a scenario with their memory; each [`SimulatedPlant::step`] is one scan of all of them.
+/// The loops of a scenario with their state; [`SimulatedPlant::step`] makes one scan of all of them.
 #[derive(Debug, Clone)]
 pub struct SimulatedPlant {
     loops: Vec<PlantLoop>,
@@ -63,7 +63,7 @@ impl PlantLoop {
         Self { spec: spec.clone(), closed, effects: Noise::new(seed, EFFECTS_STREAM) }
     }
 
-    /// The next scan, with the mode that the scenario asks for at that time.
+    /// The next scan, with the mode given by the scenario for that time.
     fn step(&mut self) -> Scan {
         let t_s = self.closed.time_s();
         let within = |from_s: f64, for_s: f64| t_s >= from_s && t_s < from_s + for_s;
@@ -79,7 +79,7 @@ impl PlantLoop {
         scan
     }
 
-    /// Jump of the stamping clock at `t_s`, ns.
+    /// Jump of the timestamp clock at `t_s`, ns.
     fn clock_error_ns(&self, t_s: f64) -> i64 {
         self.spec.recording.clock_jumps.iter().filter(|jump| jump.at_s <= t_s).map(|jump| ns_from_s(jump.by_s)).sum()
     }
@@ -96,7 +96,7 @@ impl SimulatedPlant {
         Self::starting_at(scenario, scenario.start_ns())
     }
 
-    /// The same plant with its first scan stamped `start_ns`, for a plant that lives now.
+    /// The same plant with its first scan at `start_ns`, for a live plant.
     #[must_use]
     pub fn starting_at(scenario: &Scenario, start_ns: i64) -> Self {
         Self {
@@ -120,8 +120,8 @@ impl SimulatedPlant {
         self.start_ns.saturating_add(passed)
     }
 
-    /// The next scan of every loop: what arrives with it, in order. It never ends; a scenario's duration bounds
-    /// [`Scenario::stream`] only.
+    /// The next scan of every loop: the values that arrive with it, in order. It never ends; a scenario's duration limits only
+    /// [`Scenario::stream`].
     pub fn step(&mut self) -> Vec<SimulatedSample> {
         let mut out = Vec::with_capacity(self.loops.len() * Signal::ALL.len());
         let arrival_ns = self.next_scan_ns();
@@ -156,7 +156,7 @@ impl SimulatedPlant {
         out
     }
 
-    /// Values that are still under way after the last scan, in order of arrival. The plant does not move.
+    /// Values still in transit after the last scan, in order of arrival. The plant does not advance.
     pub fn rest(&mut self) -> Vec<SimulatedSample> {
         let mut out = Vec::with_capacity(self.delayed.len());
         while let Some(due) = self.delayed.iter().map(|d| d.due_scan).min() {
@@ -165,7 +165,7 @@ impl SimulatedPlant {
         out
     }
 
-    /// Hands over what is due, behind the values of its scan, in the order in which it was sent.
+    /// Outputs due values after those of their scan, in order of sending.
     fn release(&mut self, scan: u64, arrival_ns: i64, out: &mut Vec<SimulatedSample>) {
         self.delayed.retain(|d| {
             let due = d.due_scan <= scan;
@@ -187,7 +187,7 @@ fn value_of(signal: Signal, scan: &Scan) -> Value {
     }
 }
 
-/// What becomes of one value on its way.
+/// The effect of transport on one value.
 struct Fate {
     lost: bool,
     missing: bool,
@@ -196,7 +196,7 @@ struct Fate {
 }
 
 impl Fate {
-    /// Always the same number of draws, so that a changed probability leaves the other fates alone.
+    /// Always the same number of draws, so that changing one probability does not affect the others.
     fn draw(plant_loop: &mut PlantLoop, ts_s: f64) -> Self {
         let PlantLoop { spec, effects, .. } = plant_loop;
         let recording = &spec.recording;
@@ -217,7 +217,7 @@ impl Fate {
 }
 
 impl Scenario {
-    /// Every value of the recording in order of arrival; the same for the same scenario, to the last bit.
+    /// Every value of the recording in order of arrival; bit-identical for the same scenario.
     pub fn stream(&self) -> impl Iterator<Item = SimulatedSample> + use<> {
         let mut plant = SimulatedPlant::new(self);
         let mut scans_left = self.scans();
@@ -234,8 +234,8 @@ impl Scenario {
         })
     }
 
-    /// One loop's recording without losses and delays (but quantised) as a [`Record`] with set point and valve
-    /// position; `None` where there is no such loop.
+    /// One loop's recording without losses and delays (but quantised) as a [`Record`] with set point and valve position; `None` if
+    /// there is no such loop.
     #[must_use]
     pub fn record(&self, loop_index: usize) -> Option<Record> {
         let mut plant_loop = PlantLoop::new(self.loops.get(loop_index)?, self);

@@ -1,9 +1,9 @@
-//! Process models: first and second order and integrating, with a continuous dead time, exactly discretised.
+//! Process models: first order, second order and integrating, with a continuous dead time and exact discretisation.
 //!
 //! The valve signal is held between samples, so each model is a recursion with two taps: for a lag of `l + f`
 //! samples (whole part `l`, fraction `f`),
 //! `x[k] = a x[k-1] + b0 v[k-l] + b1 v[k-l-1]`, `a = exp(-1/tau)`, `b0 = 1 - exp(-(1-f)/tau)`, `b1 = 1 - a - b0`.
-//! A lag is the dead time plus the one sample that a held signal needs to act, so PV never answers OP of its own scan.
+//! A lag is the dead time plus the one sample that a held signal needs to act, so PV never responds to OP of its own scan.
 
 /// Recursion of a pole with unit static gain (or a unit integrator) behind a hold and a fractional delay.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -77,7 +77,7 @@ pub fn run_one(pole: Pole, lag: usize, v: &[f64], x0: f64, out: &mut Vec<f64>) {
     }
 }
 
-/// A recursion's values while its input is still that before the record, and the last of them.
+/// The values of a recursion while its input is still that before the record, and the last of them.
 fn head(pole: Pole, lag: usize, v: &[f64], x0: f64, out: &mut [f64]) -> f64 {
     let mut x = x0;
     for (k, slot) in out.iter_mut().take(lag + 1).enumerate() {
@@ -125,33 +125,33 @@ pub fn series_weights(tau1: f64, tau2: f64) -> (f64, f64) {
     (tau1 / (tau1 - tau2), -tau2 / (tau1 - tau2))
 }
 
-/// Two time constants that [`series_weights`] can take: equal or nearly equal ones are moved 0.05 % apart around
-/// their mean, which changes their response by less than 1e-7 of its size.
+/// Two time constants that [`series_weights`] can use: (nearly) equal ones are separated by 0.05 % around their mean, which
+/// changes their response by less than 1e-7 of its size.
 #[must_use]
 pub fn separated(tau1: f64, tau2: f64) -> (f64, f64) {
     let mean = 0.5 * (tau1 + tau2);
     if (tau1 - tau2).abs() >= 1e-3 * mean { (tau1, tau2) } else { (mean * 1.0005, mean * 0.9995) }
 }
 
-/// What a process does, in samples; the stepping twin is [`ProcessState`].
+/// Process parameters in samples; the stepping form is [`ProcessState`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ProcessModel {
-    /// Static gain, or gain a sample when integrating.
+    /// Static gain, or gain per sample if integrating.
     pub gain: f64,
-    /// First (or only) time constant, samples; ignored when integrating unless a second lag is wanted.
+    /// First (or only) time constant, samples; not used if integrating without a second lag.
     pub tau: f64,
     /// Second time constant, samples; 0 for first order.
     pub tau2: f64,
     /// Dead time, samples, fractions allowed.
     pub dead_time: f64,
-    /// Integrates instead of settling; `tau` is then a lag in front of the integrator (0 for none).
+    /// Integrating instead of self-regulating; `tau` is then a lag before the integrator (0 for none).
     pub integrating: bool,
 }
 
-/// A process model with its memory, stepped sample by sample.
+/// A process model with its state, advanced sample by sample.
 ///
-/// Every model is a sum of poles fed by the same two taps (partial fractions), so each is exact under a held input:
-/// two lags by [`series_weights`], a lag in front of an integrator as `1/s - tau/(tau s + 1)`.
+/// Every model is a sum of poles with the same two taps (partial fractions), so each is exact for a held input: two lags by
+/// [`series_weights`], a lag before an integrator as `1/s - tau/(tau s + 1)`.
 #[derive(Debug, Clone)]
 pub struct ProcessState {
     model: ProcessModel,
@@ -161,7 +161,7 @@ pub struct ProcessState {
     lag: usize,
 }
 
-/// One pole of the sum: its recursion, its share and its value.
+/// One pole of the sum: its recursion, weight and value.
 #[derive(Debug, Clone, Copy)]
 struct Branch {
     pole: Pole,
@@ -174,7 +174,7 @@ impl Branch {
 }
 
 impl ProcessState {
-    /// A process at rest with the valve at `v0` (an integrating one holds its level there).
+    /// A process at rest with the valve at `v0` (an integrating one keeps its level there).
     #[must_use]
     pub fn at_rest(model: ProcessModel, v0: f64) -> Self {
         let lag_whole = model.dead_time.max(0.0).floor();
@@ -199,7 +199,7 @@ impl ProcessState {
 
     /// PV (without noise) of this sample, given the valve position held since the sample before.
     ///
-    /// `rest` is the valve position at which an integrating process keeps its level; others ignore it.
+    /// `rest` is the valve position at which an integrating process keeps its level; other processes ignore it.
     pub fn step(&mut self, valve: f64, rest: f64) -> f64 {
         let n = self.history.len();
         self.newest = (self.newest + 1) % n;

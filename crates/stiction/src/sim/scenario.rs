@@ -1,10 +1,10 @@
-//! Scenarios: a simulated plant, written down in TOML.
+//! Scenarios: simulated plants in TOML.
 //!
 //! ```toml
 //! [site]
-//! prefix = "demo"                        # first chunk of every key
+//! prefix = "demo"                        # prefix of every key
 //! [run]
-//! start = "2026-01-05T08:00:00Z"         # stamp of the first scan
+//! start = "2026-01-05T08:00:00Z"         # time of the first scan
 //! duration_s = 1800.0
 //! ts_s = 1.0                             # time between scans
 //! seed = 1
@@ -12,7 +12,7 @@
 //! [[loop]]
 //! name = "FIC101"
 //! label = "stiction"                     # the truth in one word, optional
-//! operating_point = { op = 50.0, pv = 60.0 }      # where the process rests
+//! operating_point = { op = 50.0, pv = 60.0 }      # operating point of the process
 //! setpoint = 60.0                        # or [{ at_s = 0.0, value = 60.0 }, ...]
 //! process = { gain = 2.0, time_constants_s = [20.0], dead_time_s = 5.0 }
 //! controller = { kc = 0.4, ti_s = 20.0, op_resolution = 0.01 }
@@ -34,13 +34,13 @@ use super::slips::Stroke;
 use crate::record::Signal;
 use crate::units::{parse_time, s_from_ns};
 
-/// Why a text is no scenario.
+/// Why a text is not a valid scenario.
 #[derive(Debug, Error, Clone, PartialEq, Eq)]
 pub enum ScenarioError {
-    /// Not TOML, an unknown key, a missing key or a value of the wrong kind; line and column stand in the message.
+    /// Not TOML, an unknown key, a missing key or a value of the wrong type; the message has line and column.
     #[error("{0}")]
     Toml(String),
-    /// Values that make no plant, all of them, each with its line.
+    /// All invalid values, each with its line.
     #[error("{} in the scenario:\n  {}", faults(.0.len()), .0.join("\n  "))]
     Invalid(Vec<String>),
 }
@@ -53,34 +53,34 @@ fn faults(n: usize) -> String {
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Scenario {
-    /// Where its keys live.
+    /// Key prefix.
     pub site: SiteSpec,
-    /// When and how long.
+    /// Start and duration.
     pub run: RunSpec,
     /// Its loops.
     #[serde(rename = "loop")]
     pub loops: Vec<LoopSpec>,
 }
 
-/// Where a plant's keys live.
+/// Key prefix of a plant.
 #[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SiteSpec {
-    /// First chunks of every key.
+    /// Prefix of every key.
     pub prefix: String,
 }
 
-/// When a run begins and how long it takes.
+/// Start and duration of a run.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RunSpec {
-    /// Stamp of the first recorded scan: seconds since 1970 as text, or RFC 3339.
+    /// Time of the first recorded scan: seconds since 1970 as text, or RFC 3339.
     pub start: String,
     /// Length of the recording, s.
     pub duration_s: f64,
     /// Time between scans, s.
     pub ts_s: f64,
-    /// Seed of every random choice.
+    /// Seed of all random choices.
     pub seed: u64,
     /// Time simulated before the first recorded scan, s.
     #[serde(default)]
@@ -95,9 +95,9 @@ pub struct LoopSpec {
     pub name: String,
     /// The truth in one word.
     pub label: Option<Label>,
-    /// The truth in a sentence, for people.
+    /// The truth in a sentence.
     pub note: Option<String>,
-    /// Where the process rests.
+    /// Operating point of the process.
     pub operating_point: OperatingPoint,
     /// Set point.
     pub setpoint: Setpoint,
@@ -105,19 +105,19 @@ pub struct LoopSpec {
     pub process: ProcessSpec,
     /// Controller.
     pub controller: ControllerSpec,
-    /// Valve; healthy where absent.
+    /// Valve; default: no friction.
     #[serde(default)]
     pub valve: ValveSpec,
-    /// Measurement noise; none where absent.
+    /// Measurement noise; default: none.
     #[serde(default)]
     pub noise: NoiseSpec,
-    /// What comes from outside.
+    /// External disturbances.
     #[serde(default)]
     pub disturbance: DisturbanceSpec,
-    /// Times in manual.
+    /// Periods in manual.
     #[serde(default)]
     pub manual: Vec<ManualSpec>,
-    /// What recording does to the values.
+    /// Effects of recording.
     #[serde(default)]
     pub recording: RecordingSpec,
 }
@@ -130,16 +130,16 @@ pub enum Label {
     Stiction,
     /// The valve has a dead band.
     Deadband,
-    /// The valve is healthy and the loop quiet.
+    /// Healthy valve, calm loop.
     NoStiction,
-    /// Healthy valve, controller too tight.
+    /// Healthy valve, controller tuned too tight.
     Tuning,
-    /// Healthy valve, oscillation from outside.
+    /// Healthy valve, external disturbance.
     Disturbance,
 }
 
 impl Label {
-    /// The label's word in labelled sets.
+    /// Word of the label in labelled sets.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -152,7 +152,7 @@ impl Label {
     }
 }
 
-/// Rest of the process, and where the loop starts.
+/// Operating point of the process, where the loop starts.
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct OperatingPoint {
@@ -168,11 +168,11 @@ pub struct OperatingPoint {
 pub enum Setpoint {
     /// Constant, PV units.
     Constant(f64),
-    /// Moves in order of time; the first value holds before its time too.
+    /// Changes in time order; the first value also applies before its time.
     Moves(Vec<SetpointMove>),
 }
 
-/// One move of the set point.
+/// A change of the set point.
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SetpointMove {
@@ -200,9 +200,9 @@ impl Setpoint {
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ProcessSpec {
-    /// PV units per OP unit, a second more of them when integrating (PV units per OP unit and second).
+    /// PV units per OP unit, and per second if integrating.
     pub gain: f64,
-    /// None, one or two time constants, s; when integrating at most one, a lag in front of the integrator.
+    /// None, one or two time constants, s; if integrating at most one, a lag before the integrator.
     #[serde(default)]
     pub time_constants_s: Vec<f64>,
     /// Dead time, s.
@@ -219,15 +219,15 @@ pub struct ProcessSpec {
 pub struct ControllerSpec {
     /// Gain, OP units per PV unit, > 0; the action follows the sign of the process gain.
     pub kc: f64,
-    /// Integral time, s; absent for none.
+    /// Integral time, s; default: no integral action.
     pub ti_s: Option<f64>,
     /// Derivative time, s.
     #[serde(default)]
     pub td_s: f64,
-    /// Least and greatest OP.
+    /// Lower and upper limit of OP.
     #[serde(default = "percent")]
     pub op_range: [f64; 2],
-    /// OP reaches the valve in multiples of this, OP units; 0 for all digits.
+    /// OP is rounded to multiples of this, OP units; 0 for no rounding.
     #[serde(default)]
     pub op_resolution: f64,
 }
@@ -248,10 +248,10 @@ pub struct ValveSpec {
     /// Kinetic band, OP units.
     #[serde(default)]
     pub fd: f64,
-    /// What the stem has beside its law; only a model's file says.
+    /// Additional properties of the stem; only from a model file.
     #[serde(skip)]
     pub stroke: Stroke,
-    /// What stands around the stem; only a model's file says.
+    /// Parts around the stem; only from a model file.
     #[serde(skip)]
     pub around: Around,
 }
@@ -266,11 +266,11 @@ impl Default for ValveSpec {
 #[derive(Debug, Clone, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct NoiseSpec {
-    /// Standard deviation of white noise on PV, PV units; the controller sees it.
+    /// Standard deviation of white noise on PV, PV units; the controller receives it.
     pub pv_sd: f64,
 }
 
-/// What comes from outside.
+/// External disturbances.
 #[derive(Debug, Clone, Default, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct DisturbanceSpec {
@@ -280,7 +280,7 @@ pub struct DisturbanceSpec {
     pub pv: Vec<Disturbance>,
 }
 
-/// A time in manual.
+/// A period in manual.
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ManualSpec {
@@ -288,24 +288,24 @@ pub struct ManualSpec {
     pub from_s: f64,
     /// Duration, s.
     pub for_s: f64,
-    /// OP meanwhile; where it stood if absent.
+    /// OP meanwhile; default: its current value.
     pub op: Option<f64>,
 }
 
-/// What recording and transport do to the values. Probabilities are per value.
+/// Effects of recording and transport. Probabilities are per value.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct RecordingSpec {
     /// Signals that are sent.
     pub signals: Vec<Signal>,
-    /// OP (and valve position) is recorded in multiples of this, OP units; 0 for all digits. The valve sees OP as
-    /// the controller sent it.
+    /// OP (and valve position) is recorded in multiples of this, OP units; 0 for no rounding. The valve receives OP as the
+    /// controller sent it.
     pub op_quantum: f64,
-    /// PV is recorded in multiples of this, PV units; 0 for all digits.
+    /// PV is recorded in multiples of this, PV units; 0 for no rounding.
     pub pv_quantum: f64,
     /// Probability that a value is sent a second time, with the next scan.
     pub duplicate_p: f64,
-    /// Probability that a value arrives up to `out_of_order_s` late, behind newer ones.
+    /// Probability that a value arrives up to `out_of_order_s` late, after newer ones.
     pub out_of_order_p: f64,
     /// Greatest such delay, s.
     pub out_of_order_s: f64,
@@ -315,11 +315,11 @@ pub struct RecordingSpec {
     pub late_s: f64,
     /// Probability that a value is lost.
     pub lost_p: f64,
-    /// Probability that a value is sent without a number.
+    /// Probability that a value is sent as missing.
     pub missing_p: f64,
-    /// Times without any value.
+    /// Periods without any value.
     pub gaps: Vec<GapSpec>,
-    /// Jumps of the clock that makes the stamps.
+    /// Jumps of the timestamp clock.
     pub clock_jumps: Vec<ClockJumpSpec>,
 }
 
@@ -342,7 +342,7 @@ impl Default for RecordingSpec {
     }
 }
 
-/// A time without any value.
+/// A period without any value.
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct GapSpec {
@@ -352,37 +352,37 @@ pub struct GapSpec {
     pub for_s: f64,
 }
 
-/// A jump of the clock that makes the stamps.
+/// A jump of the timestamp clock.
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ClockJumpSpec {
     /// True time of the jump, s from the start of the recording.
     pub at_s: f64,
-    /// What is added to every later stamp, s; negative for a jump back.
+    /// Added to every later timestamp, s; negative for a jump back.
     pub by_s: f64,
 }
 
 impl Scenario {
-    /// Stamp of the first recorded scan, ns since 1970.
+    /// Timestamp of the first recorded scan, ns since 1970.
     #[must_use]
     pub fn start_ns(&self) -> i64 {
         // A parsed scenario has a readable start.
         parse_time(&self.run.start).unwrap_or(0)
     }
 
-    /// Scans in the recording.
+    /// Number of scans in the recording.
     #[must_use]
     pub fn scans(&self) -> u64 {
         // A part of a scan at the end counts as none, rounding errors aside.
         (self.run.duration_s / self.run.ts_s + 1e-9).floor() as u64
     }
 
-    /// Names of the loops, in the order of the loop indices.
+    /// Names of the loops in order of their indices.
     pub fn loop_names(&self) -> impl Iterator<Item = &str> {
         self.loops.iter().map(|l| l.name.as_str())
     }
 
-    /// What is true of this plant, for people: one paragraph a loop.
+    /// The truth about this plant in words: one paragraph per loop.
     #[must_use]
     pub fn truth(&self) -> String {
         let end = s_from_ns(self.start_ns()) + self.run.duration_s;
@@ -403,7 +403,7 @@ impl Scenario {
 }
 
 impl LoopSpec {
-    /// The loop as the simulation takes it, sampled every `ts_s` seconds.
+    /// The loop's parameters for the simulation, sampled every `ts_s` seconds.
     #[must_use]
     pub fn model(&self, ts_s: f64) -> LoopModel {
         let mut taus = self.process.time_constants_s.iter().map(|tau| tau / ts_s);
@@ -444,7 +444,7 @@ impl LoopSpec {
         }
     }
 
-    /// What is true of this loop, for people.
+    /// The truth about this loop in words.
     #[must_use]
     pub fn truth(&self) -> String {
         let Self { name, valve, process, controller, .. } = self;

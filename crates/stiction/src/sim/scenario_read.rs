@@ -1,4 +1,4 @@
-//! Reads a scenario, and says what makes a readable one impossible, with the line it stands on.
+//! Parses and validates a scenario, with line numbers for faults.
 
 use std::collections::BTreeSet;
 
@@ -10,29 +10,29 @@ use super::closed_loop::ValveLaw;
 use super::scenario::{LoopSpec, RecordingSpec, Scenario, ScenarioError, Setpoint};
 use crate::units::{is_loop_name, parse_time};
 
-/// Most scans a scenario may have; one a second for three years.
+/// Most scans of a scenario: one per second for three years.
 const MAX_SCANS: f64 = 1e8;
-/// Most scans that a dead time may last.
+/// Longest dead time, scans.
 const MAX_DEAD_SCANS: f64 = 1e6;
 
-/// Only the places of the loops in the text.
+/// Positions of the loops in the text.
 #[derive(Deserialize)]
 struct Places {
     #[serde(rename = "loop")]
     loops: Vec<Spanned<IgnoredAny>>,
 }
 
-/// Collects faults with their lines.
+/// Collects faults with line numbers.
 struct Report<'a> {
     text: &'a str,
-    /// Bytes of the text that the current table may stand in.
+    /// Byte range of the current table in the text.
     range: (usize, usize),
     context: String,
     faults: Vec<String>,
 }
 
 impl Report<'_> {
-    /// The line on which `key` is set within the current range, or the range's first line.
+    /// The line that sets `key` within the current range, or the range's first line.
     fn line_of(&self, key: &str) -> usize {
         let (start, end) = self.range;
         let part = self.text.get(start..end).unwrap_or("");
@@ -71,11 +71,11 @@ impl Report<'_> {
 }
 
 impl Scenario {
-    /// Reads and checks a scenario.
+    /// Parses and validates a scenario.
     ///
     /// # Errors
-    /// [`ScenarioError::Toml`] for the first key that cannot be read, [`ScenarioError::Invalid`] for all values that
-    /// make no plant; both with lines.
+    /// [`ScenarioError::Toml`] for the first key that cannot be parsed, [`ScenarioError::Invalid`] for all invalid values; both
+    /// with lines.
     pub fn parse(text: &str) -> Result<Self, ScenarioError> {
         let scenario: Self =
             toml::from_str(text).map_err(|e| ScenarioError::Toml(e.to_string().trim_end().to_owned()))?;
@@ -84,7 +84,7 @@ impl Scenario {
     }
 }
 
-/// All faults of a scenario that was read from `text`.
+/// All faults of a scenario parsed from `text`.
 fn faults(scenario: &Scenario, text: &str) -> Vec<String> {
     let starts: Vec<usize> = toml::from_str::<Places>(text)
         .map(|places| places.loops.iter().map(|place| place.span().start).collect())
@@ -98,7 +98,7 @@ fn faults(scenario: &Scenario, text: &str) -> Vec<String> {
         report.range = (place(index), place(index + 1));
         report.context = format!("loop {:?}: ", spec.name);
         report.need(is_loop_name(&spec.name), "name", || {
-            "cannot stand in a key: no empty chunk, none of * $ ? #, no chunk that starts with @".to_owned()
+            "is not a valid name: use no empty parts, none of * $ ? #, and no part that starts with @".to_owned()
         });
         report.need(names.insert(spec.name.as_str()), "name", || "is taken by an earlier loop".to_owned());
         check_loop(spec, scenario.run.ts_s, &mut report);
@@ -110,10 +110,10 @@ fn faults(scenario: &Scenario, text: &str) -> Vec<String> {
 fn check_run(scenario: &Scenario, report: &mut Report<'_>) {
     let run = &scenario.run;
     report.need(is_loop_name(&scenario.site.prefix), "prefix", || {
-        format!("{:?} cannot start a key: no empty chunk, none of * $ ? #", scenario.site.prefix)
+        format!("{:?} is not a valid prefix: use no empty parts and none of * $ ? #", scenario.site.prefix)
     });
     if let Err(error) = parse_time(&run.start) {
-        report.need(false, "start", || format!("is unreadable: {error}"));
+        report.need(false, "start", || format!("is not valid: {error}"));
     }
     report.positive("duration_s", run.duration_s);
     report.positive("ts_s", run.ts_s);

@@ -1,26 +1,26 @@
-//! The valve laws in slip coordinates, where identification works.
+//! The valve models in slip coordinates, as used for identification.
 //!
-//! After a slip in direction `d` at OP value `at`, the stem stands at `at - d fd`. It slips on when
-//! `d (op - at) > j` and back when `-d (op - at) > s`, with `s = fs + fd`, `j = fs - fd`. So the sequence of slips
-//! depends on (s, j) alone, `fd` enters the stem position linearly, and every (s, j) of one rectangle gives the same
-//! sequence. Sample for sample the same as [`super::valve::he_step`] and [`super::valve::tracking_step`].
+//! After a slip in direction `d` at OP value `at`, the stem is at `at - d fd`. It slips on when `d (op - at) > j` and back when
+//! `-d (op - at) > s`, with `s = fs + fd`, `j = fs - fd`. So the sequence of slips depends only on (s, j), `fd` enters the stem
+//! position linearly, and all (s, j) of a rectangle give the same sequence. Sample for sample identical to
+//! [`super::valve::he_step`] and [`super::valve::tracking_step`].
 
-/// OP values over which a stem is asked at once whether it rests.
+/// OP values for which it is tested at once whether the stem rests.
 const AT_ONCE: usize = 16;
 
-/// Which law moves the stem.
+/// Valve model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Law {
     /// He's staircase.
     He,
-    /// Sliding after the first slip, until OP turns.
+    /// Sliding after the first slip, until OP reverses.
     Tracking,
 }
 
 impl Law {
-    /// Its word in documents and model files.
+    /// Its name in documents and model files.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -30,17 +30,17 @@ impl Law {
     }
 }
 
-/// The first slip of a record, which stands for the unknown stem position before it: towards `direction`, as soon as
+/// The first slip of a record, in place of the unknown stem position before it: towards `direction`, as soon as
 /// `direction * (op - threshold) > 0`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FirstSlip {
     /// +1 up, -1 down.
     pub direction: f64,
-    /// OP value that has to be passed.
+    /// OP value that must be passed.
     pub threshold: f64,
 }
 
-/// The slips that (s, j) make of one OP path, `n` points long.
+/// The slips of (s, j) on an OP path of `n` points.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Sequence {
     /// OP value at the last slip, averaged over each point.
@@ -51,16 +51,16 @@ pub struct Sequence {
     pub s_cell: [f64; 2],
     /// All j from the first to below the second give this sequence.
     pub j_cell: [f64; 2],
-    /// Moves of the stem.
+    /// Movements of the stem.
     pub slips: usize,
-    /// Moves against the move before.
+    /// Movements opposite to the previous one.
     pub reversals: usize,
 }
 
-/// What a valve has beside its law.
+/// Additional properties of a valve.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Stroke {
-    /// Bands are `1 + uneven` times as wide upwards and `1 - uneven` times downwards, `-1 < uneven < 1`.
+    /// Bands are wider by the factor `1 + uneven` upwards and `1 - uneven` downwards, `-1 < uneven < 1`.
     pub uneven: f64,
     /// Where the stem meets its stops: least and greatest OP value that counts as that of a slip. The stem stands at a
     /// stop fd below the greatest, or above the least one.
@@ -89,7 +89,7 @@ impl Stroke {
 }
 
 impl Stroke {
-    /// Whether there is nothing beside the law.
+    /// Whether there are no additional properties.
     #[must_use]
     pub fn is_plain(&self) -> bool {
         *self == Self::FREE

@@ -1,19 +1,19 @@
-//! A valve signal as the steps it makes, found in less time than one look at every sample.
+//! A valve signal as a list of steps, found without looking at every sample.
 //!
-//! Between two slips the stem rests, so its signal is a staircase: some hundred steps stand for thousands of samples, and
-//! [`crate::ident`] computes a free run from them in time proportional to their number. A stem that slides makes a step
-//! at every sample on which it moves. The signal is the one that [`super::slips::Sequence`] holds sample by sample.
+//! Between two slips the stem rests, so its signal is a staircase: some hundred steps represent thousands of samples, and
+//! [`crate::ident`] computes a free run from them in time proportional to their number. A sliding stem makes a step at every
+//! sample on which it moves. The signal equals that of [`super::slips::Sequence`], which has every sample.
 
 use super::slips::{FirstSlip, Law, Stem, Stroke};
 
-/// OP values whose extremes are kept together.
+/// OP values per block with common extremes.
 const BLOCK: usize = 16;
 
-/// OP on its way, prepared for [`Steps::run`].
+/// OP path, prepared for [`Steps::run`].
 #[derive(Debug, Clone, Default)]
 pub struct Path {
     values: Vec<f64>,
-    /// Least and greatest value from each one to the end of its block.
+    /// Minimum and maximum from each value to the end of its block.
     ahead: Vec<[f64; 2]>,
     per_point: usize,
 }
@@ -39,13 +39,13 @@ impl Path {
         &self.values
     }
 
-    /// OP values a point.
+    /// OP values per point.
     #[must_use]
     pub const fn per_point(&self) -> usize {
         self.per_point
     }
 
-    /// Points.
+    /// Number of points.
     #[must_use]
     pub const fn points(&self) -> usize {
         self.values.len() / self.per_point
@@ -55,7 +55,7 @@ impl Path {
 /// One step of a valve signal `level - fd direction`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Step {
-    /// Point from which on it counts.
+    /// Point from which it counts.
     pub point: u32,
     /// Change of the level.
     pub level: f64,
@@ -63,23 +63,23 @@ pub struct Step {
     pub direction: f64,
 }
 
-/// The steps that a law makes of an OP path, in the order of their points, at most one a point.
+/// The steps of a valve model on an OP path, sorted by point, at most one per point.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Steps {
     /// The steps.
     pub list: Vec<Step>,
-    /// All s from the first to below the second give the same steps.
+    /// All s from the first up to but excluding the second give the same steps.
     pub s_cell: [f64; 2],
     /// The same for j.
     pub j_cell: [f64; 2],
-    /// Moves of the stem.
+    /// Movements of the stem.
     pub slips: usize,
-    /// Moves against the move before.
+    /// Movements opposite to the previous one.
     pub reversals: usize,
 }
 
 impl Steps {
-    /// Runs a law with bands `[s, j]` over the first `points` points of a path.
+    /// Runs a valve model with bands `[s, j]` over the first `points` points of a path.
     pub fn run(&mut self, path: &Path, points: usize, stroke: Stroke, law: Law, [s, j]: [f64; 2], first: FirstSlip) {
         let m = path.per_point;
         let values = &path.values[..(points * m).min(path.values.len())];
@@ -114,7 +114,7 @@ impl Steps {
         (self.slips, self.reversals) = (stem.slips(), stem.reversals());
     }
 
-    /// The same for even bands and a stem without mass, stops or delay, by thresholds: most of a search is this.
+    /// The same for even bands and a stem without mass, stops or delay, by thresholds: most of a search is this case.
     fn run_plain(&mut self, path: &Path, count: usize, law: Law, [s, j]: [f64; 2], stem: Stem) {
         let m = path.per_point;
         let (values, ahead) = (&path.values[..count], &path.ahead[..count]);

@@ -1,10 +1,10 @@
-//! Valve laws: OP in, stem position out. The only copy of each.
+//! Valve models: OP in, stem position out. The only copy of each.
 
-/// He's two-parameter law (He et al. 2007): the stem rests until the unbalanced signal exceeds `fs`, then jumps to
-/// `op -+ fd`. Stateless form: only the stem position is remembered, because `op - position` is the residual force.
+/// He's two-parameter model (He et al. 2007): the stem rests until the unbalanced signal exceeds `fs`, then jumps to
+/// `op -+ fd`. Stateless form: the stem position is the only state, because `op - position` is the residual force.
 ///
-/// Bands in OP units, `0 <= fd <= fs`. While OP keeps moving one way it gives a staircase of steps of `fs - fd`; a
-/// heavily damped valve tracks smoothly instead, and needs [`tracking_step`].
+/// Bands in OP units, `0 <= fd <= fs`. While OP moves one way it gives a staircase of steps of `fs - fd`. A heavily damped
+/// valve tracks smoothly instead; use [`tracking_step`].
 #[must_use]
 pub fn he_step(position: f64, op: f64, fs: f64, fd: f64) -> f64 {
     let force = op - position;
@@ -17,17 +17,17 @@ pub fn he_step(position: f64, op: f64, fs: f64, fd: f64) -> f64 {
     }
 }
 
-/// State of the tracking law.
+/// State of the tracking model.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Tracking {
     /// Stem position, OP units.
     pub position: f64,
-    /// Direction in which the stem moves, 0 while it rests.
+    /// Direction of motion, 0 at rest.
     pub direction: i8,
 }
 
-/// The tracking (sliding) law: at rest as He's; once moving, the stem follows `op -+ fd` until OP turns
-/// (Chen 2008 with He's test for breaking away; agrees with Kano 2004 on noise-free OP).
+/// The tracking (sliding) model: at rest as He's; once moving, the stem follows `op -+ fd` until OP reverses (Chen 2008 with
+/// He's breakaway test; agrees with Kano 2004 on noise-free OP).
 #[must_use]
 pub fn tracking_step(state: Tracking, op: f64, fs: f64, fd: f64) -> Tracking {
     if state.direction != 0 {

@@ -27,7 +27,7 @@ pub const EXPRESSED: f64 = 1.10;
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum ScoreError {
     /// Recordings without an answer.
-    #[error("{missing} of {all} recordings have no answer, the first is {first}: run the challenge to its end")]
+    #[error("{missing} of {all} recordings have no answer, first {first}; finish `gap challenge run`")]
     Missing {
         /// How many.
         missing: usize,
