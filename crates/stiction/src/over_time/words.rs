@@ -83,7 +83,7 @@ fn change(c: &Change) -> String {
     };
     let after = if c.kind == ChangeKind::Repaired { ", as after a repair" } else { "" };
     let sure = match 1.0 - c.p {
-        rest if rest < 1e-6 => "certain".to_owned(),
+        rest if rest < 1e-6 => "practically never by chance".to_owned(),
         rest => format!("such a step occurs by chance in {} % of histories", number(100.0 * rest)),
     };
     format!("{what} around {}, between {} and {}{after}; {sure}.", date(c.at_ns), date(c.from_ns), date(c.to_ns))
