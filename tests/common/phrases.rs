@@ -2,7 +2,7 @@
 //! the program's help are searched for them.
 
 /// A phrase in lower case, and what to write.
-pub const PHRASES: [(&str, &str); 76] = [
+pub const PHRASES: [(&str, &str); 75] = [
     ("a no", "a negative verdict"),
     ("a stamp", "a timestamp"),
     ("a yes", "a positive verdict"),
@@ -66,7 +66,6 @@ pub const PHRASES: [(&str, &str); 76] = [
     ("tell as much as", "are worth"),
     ("tells of", "reports"),
     ("the less", "less so"),
-    ("told apart", "distinguished"),
     ("told by", "recognised by"),
     ("told from", "distinguished from"),
     ("told otherwise", "unless set"),
@@ -92,43 +91,58 @@ fn ends_a_clause(word: &str) -> bool {
     word.ends_with(['.', ',', ';', ':', '!', '?', '|', '('])
 }
 
+/// One word of a text.
+struct Word {
+    line: usize,
+    bare: String,
+    /// Whether a clause ends with it, so that no phrase goes across it.
+    ends: bool,
+}
+
 /// Whether the words that start with `from` are "from 0.5 on".
-fn is_from_on(words: &[&str]) -> bool {
-    let on = words.iter().take(4).position(|w| bare(w) == "on");
+fn is_from_on(words: &[Word]) -> bool {
+    let on = words.iter().take(4).position(|w| w.bare == "on");
     let Some(on) = on.filter(|at| *at >= 2) else { return false };
-    let between = &words[1..on];
-    let first = bare(between[0]);
-    !between.iter().any(|w| ends_a_clause(w))
-        && (first.starts_with(|c: char| c.is_ascii_digit()) || ["p", "then", "there"].contains(&first.as_str()))
+    let (between, first) = (&words[1..on], words[1].bare.as_str());
+    !between.iter().any(|w| w.ends)
+        && (first.starts_with(|c: char| c.is_ascii_digit()) || ["p", "then", "there"].contains(&first))
+}
+
+/// Whether the words that start with `in` are "in order" without a purpose: "in order to" and "in order of" are well.
+fn is_in_order(words: &[Word]) -> bool {
+    let Some(order) = words.get(1).filter(|w| w.bare.trim_end_matches(':') == "order") else { return false };
+    let purpose = !order.ends && words.get(2).is_some_and(|w| ["to", "of"].contains(&w.bare.as_str()));
+    !purpose
+}
+
+/// Whether a text goes on with a phrase.
+fn is_phrase(words: &[Word], phrase: &[&str]) -> bool {
+    let Some(here) = words.get(..phrase.len()) else { return false };
+    let last = phrase.len() - 1;
+    let same = |word: &Word, wanted: &str| word.bare == wanted || word.bare.trim_end_matches(':') == wanted;
+    here.iter().zip(phrase).all(|(word, wanted)| same(word, wanted)) && !here[..last].iter().any(|w| w.ends)
 }
 
 /// Every phrase in a text that is not to be there: its line, and what to write.
 pub fn found(text: &str) -> Vec<(usize, String)> {
-    let placed =
-        text.lines().enumerate().flat_map(|(at, line)| line.split_whitespace().map(move |word| (at + 1, word)));
-    let (lines, words): (Vec<usize>, Vec<&str>) = placed.unzip();
+    let word = |line, word| Word { line, bare: bare(word), ends: ends_a_clause(word) };
+    let words: Vec<Word> =
+        text.lines().enumerate().flat_map(|(at, line)| line.split_whitespace().map(move |w| word(at + 1, w))).collect();
+    let phrases = PHRASES.map(|(phrase, instead)| (phrase, phrase.split(' ').collect::<Vec<_>>(), instead));
     let mut out = Vec::new();
     for at in 0..words.len() {
-        for (phrase, instead) in PHRASES {
-            let wanted = phrase.split(' ').count();
-            let Some(here) = words.get(at..at + wanted) else { continue };
-            let whole = !here[..wanted - 1].iter().any(|w| ends_a_clause(w));
-            let said: Vec<String> = here.iter().map(|w| bare(w)).collect();
-            let said = said.join(" ");
-            if whole && (said == phrase || said.trim_end_matches(':') == phrase) {
-                out.push((lines[at], format!("{phrase:?}: write {instead}")));
-            }
-        }
         let here = &words[at..];
-        if bare(here[0]) == "in" && here.len() > 1 && bare(here[1]).trim_end_matches(':') == "order" {
-            let purpose =
-                !ends_a_clause(here[1]) && here.get(2).is_some_and(|w| ["to", "of"].contains(&bare(w).as_str()));
-            if !purpose {
-                out.push((lines[at], "\"in order\": write OK, cleanly, sorted".to_owned()));
+        let mut add = |what: String| out.push((here[0].line, what));
+        for (phrase, wanted, instead) in &phrases {
+            if is_phrase(here, wanted) {
+                add(format!("{phrase:?}: write {instead}"));
             }
         }
-        if bare(here[0]) == "from" && is_from_on(here) {
-            out.push((lines[at], "\"from ... on\": write from, above, at least".to_owned()));
+        if here[0].bare == "in" && is_in_order(here) {
+            add("\"in order\": write OK, cleanly, sorted".to_owned());
+        }
+        if here[0].bare == "from" && is_from_on(here) {
+            add("\"from ... on\": write from, above, at least".to_owned());
         }
     }
     out
