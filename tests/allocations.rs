@@ -9,7 +9,7 @@ use std::sync::Arc;
 use allocation_counter::measure;
 use stiction_monitor::config::Config;
 use stictiond::daemon::clock::Clock;
-use stictiond::daemon::stage::Stage;
+use stictiond::daemon::stage::{Stage, no_receiver};
 use stictiond::files::disk::{Disk, SystemDisk};
 
 const LOOPS: usize = 50;
@@ -56,7 +56,8 @@ fn stage(dir: &std::path::Path) -> (Stage, Plant) {
         dir.to_str().unwrap()
     );
     let disk = Arc::new(SystemDisk) as Arc<dyn Disk>;
-    let stage = Stage::start(Config::parse(&text).unwrap(), &text, &Clock::standing(START_NS), &disk);
+    let stage =
+        Stage::start(Config::parse(&text).unwrap(), &text, &Clock::standing(START_NS), &disk, no_receiver).unwrap();
     let of = |k: usize| ["op", "pv"].map(|signal| format!("p/L{k}/{signal}"));
     (stage, Plant { keys: (0..LOOPS).flat_map(of).collect(), payload: Vec::with_capacity(1 << 16), scan: 0 })
 }

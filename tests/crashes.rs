@@ -197,7 +197,6 @@ fn a_recording_folder_that_is_removed_is_counted_named_and_made_again() {
     };
     feed(50);
     wait_for("the recording", || (daemon.counter("recorded") >= 50).then_some(()));
-    std::thread::sleep(Duration::from_millis(300));
     fs::remove_dir_all(&daemon.recordings).unwrap();
     wait_for("the loss", || (daemon.counter("recording_lost") >= 50).then_some(()));
     wait_for("a new file", || (!files(&daemon.recordings).is_empty()).then_some(()));

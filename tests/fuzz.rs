@@ -1,8 +1,8 @@
 //! Everything that comes from outside, fed with damaged and made-up bytes: nothing may panic, hang or grow without bound.
 //!
-//! Runs on the stable compiler, in this process. A second a target here; `STICTIOND_FUZZ_S=3600 cargo test --test fuzz --
-//! --nocapture` is an hour a target. Seeds are fixed: the same time finds the same inputs on the same machine, and a
-//! failure names the seed of its input.
+//! Runs on the stable compiler, in this process. Each target gets a fixed number of inputs, so every run covers the same on
+//! every machine; `STICTIOND_FUZZ_TIMES=1000 cargo test --test fuzz -- --nocapture` gives it a thousand times as many. A
+//! failure names the seed of its input, and `STICTIOND_FUZZ_SEED=N` runs that one alone.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::fs;
@@ -22,6 +22,10 @@ use stictiond::files::{csv, load_samples};
 #[path = "program/exports/data.rs"]
 #[allow(dead_code)]
 mod data;
+
+/// Names of the variables: how many times as many inputs, and the one seed to run.
+const TIMES: &str = "STICTIOND_FUZZ_TIMES";
+const SEED: &str = "STICTIOND_FUZZ_SEED";
 
 /// What mutations put in.
 const WORDS: [&[u8]; 34] = [
@@ -96,22 +100,20 @@ fn mutated(random: &mut ChaCha8Rng, corpus: &[Vec<u8>]) -> Vec<u8> {
     bytes
 }
 
-/// Feeds one target for its time.
-fn fuzz(name: &str, corpus: &[Vec<u8>], target: impl Fn(&[u8])) {
-    let seconds = std::env::var("STICTIOND_FUZZ_S").ok().and_then(|s| s.parse().ok()).unwrap_or(1);
-    let until = Instant::now() + Duration::from_secs(seconds);
-    let mut runs = 0_u64;
-    // At least as many whatever the machine, at most as long as was asked for.
-    while runs < 50 || Instant::now() < until {
-        let input = mutated(&mut ChaCha8Rng::seed_from_u64(runs), corpus);
-        let started = Instant::now();
+/// Feeds one target with so many inputs, or so many times as many as [`TIMES`] says.
+fn fuzz(name: &str, count: u64, corpus: &[Vec<u8>], target: impl Fn(&[u8])) {
+    let number = |name: &str| std::env::var(name).ok().and_then(|text| text.parse::<u64>().ok());
+    let started = Instant::now();
+    let seeds = number(SEED).map_or(0..count * number(TIMES).unwrap_or(1), |seed| seed..seed + 1);
+    for seed in seeds.clone() {
+        let input = mutated(&mut ChaCha8Rng::seed_from_u64(seed), corpus);
+        let began = Instant::now();
         let outcome = catch_unwind(AssertUnwindSafe(|| target(&input)));
-        assert!(outcome.is_ok(), "{name}: seed {runs} panics on {} bytes", input.len());
-        let took = started.elapsed();
-        assert!(took < Duration::from_secs(60), "{name}: seed {runs} took {took:?}");
-        runs += 1;
+        assert!(outcome.is_ok(), "{name}: seed {seed} panics on {} bytes", input.len());
+        let took = began.elapsed();
+        assert!(took < Duration::from_secs(60), "{name}: seed {seed} took {took:?}");
     }
-    println!("{name}: {runs} inputs in {seconds} s");
+    println!("{name}: {} inputs in {:.1} s", seeds.count(), started.elapsed().as_secs_f64());
 }
 
 fn texts(all: &[&str]) -> Vec<Vec<u8>> {
@@ -126,7 +128,7 @@ fn payloads() {
         r#"[{"t":"2026-01-01T00:00:00.5Z","v":1},{"t":2,"v":null},3,"auto"]"#,
         "\u{0}\u{0}\u{0}\u{0}\u{0}\u{0}\u{8}@",
     ]);
-    fuzz("payloads", &corpus, |bytes| {
+    fuzz("payloads", 20000, &corpus, |bytes| {
         for (signal, encoding, codec) in [
             (Signal::Op, None, "auto"),
             (Signal::Mode, Some("application/json"), "auto"),
@@ -157,7 +159,7 @@ fn payloads_of_every_format() {
             texts(&[example, r#"[{"name":"a","v":[1]},{"Payload":{"x":{"Value":{}}}}]"#, "m,t=\\ x f=\"\\\"\" 9"]);
         corpus.extend(hex);
         corpus.push(b"\x9f\xa1\x61v\xfb\x7f\xf8\0\0\0\0\0\0\xff".to_vec());
-        fuzz(name, &corpus, |bytes| {
+        fuzz(name, 5000, &corpus, |bytes| {
             let (mut memory, mut fields) = (Memory::default(), Vec::new());
             for key in ["p/spBv1.0/g/NBIRTH/n", "p/spBv1.0/g/NDATA/n", "p/x"] {
                 let bundle = Bundle { key, payload: bytes, fallback_t_ns: 7 };
@@ -183,9 +185,9 @@ fn recordings_tables_and_stores() {
     };
     let recording = fs::read("recordings/awkward.mcap").unwrap();
     let cut = recording[..recording.len() / 3].to_vec();
-    fuzz("recordings", &[recording, cut], read);
+    fuzz("recordings", 300, &[recording, cut], read);
     let table = "t,op,pv,sp,mode\n0,50,20,20,auto\n2026-01-01T00:00:01Z,51,,20,manual\n2,NaN,1e400,,\n";
-    fuzz("tables", &texts(&[table, "PV;T;OP\n1;2;3\n", "\u{feff}t,pv,op\r\n\"1\",2,3\r\n"]), |bytes| {
+    fuzz("tables", 10000, &texts(&[table, "PV;T;OP\n1;2;3\n", "\u{feff}t,pv,op\r\n\"1\",2,3\r\n"]), |bytes| {
         let _ = csv::read_from(bytes);
     });
     let store = dir.path().join("s.mat");
@@ -197,7 +199,7 @@ fn recordings_tables_and_stores() {
         .output()
         .unwrap();
     assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
-    fuzz("stores", &[fs::read(&store).unwrap()], read);
+    fuzz("stores", 1000, &[fs::read(&store).unwrap()], read);
 }
 
 /// Exports of other systems, as text, workbook, Parquet and Arrow: whatever is read lies in the years that are believed.
@@ -211,7 +213,7 @@ fn messages_of_columns() {
         let quality = (k % 5 == 0).then_some(192);
         columns.push(Row { channel: k as u16 % 4, t_ns, arrival_ns: t_ns + 7_000_000, value, quality });
     }
-    fuzz("columns", &[columns.take(), Vec::new(), vec![0xff; 32 + 31 * 3]], |bytes| {
+    fuzz("columns", 20000, &[columns.take(), Vec::new(), vec![0xff; 32 + 31 * 3]], |bytes| {
         let mut rows = Vec::new();
         let read = columns::decode(bytes, &mut rows);
         assert_eq!(read.is_ok(), !rows.is_empty());
@@ -250,25 +252,25 @@ fn exports() {
     let wide = "\u{feff}# r\nDate,Time,A.OP (%),A.PV [m3/h]\n,,%,m3/h\n2026-10-25,02:59:59,\"1,234.5\",2\n2026-10-25,02:00:00,1,2\n";
     let mut corpus = texts(&[&table, &us, &days, long, wide, "sep=;\nt;op;pv\n1e9;NaN;1'000\n"]);
     corpus.push(table.encode_utf16().flat_map(u16::to_le_bytes).collect());
-    fuzz("exports", &corpus, target("x.csv"));
+    fuzz("exports", 500, &corpus, target("x.csv"));
     let cell = |k: usize| {
         use data::XlsxCell::{Date, Number};
         vec![Date(data::t_s(k) as f64 / 86_400.0 + 25_569.0), Number(data::op(k)), Number(data::pv(k))]
     };
     let head = tags.map(|t| data::XlsxCell::Text(t.to_owned()));
     let book = data::xlsx(&std::iter::once(Vec::from(head)).chain((0..data::ROWS).map(cell)).collect::<Vec<_>>());
-    fuzz("workbooks", &[book], target("x.xlsx"));
+    fuzz("workbooks", 100, &[book], target("x.xlsx"));
     #[cfg(feature = "parquet")]
     for (name, bytes) in [("x.parquet", data::parquet(&data::wide(true))), ("x.arrow", data::arrow(&data::wide(true)))]
     {
-        fuzz(name, &[bytes], target(name));
+        fuzz(name, 200, &[bytes], target(name));
     }
 }
 
 #[test]
 fn configurations() {
     let corpus = ["monitor", "demo", "broken"].map(|name| fs::read(format!("config/{name}.toml")).unwrap());
-    fuzz("configurations", &corpus, |bytes| {
+    fuzz("configurations", 2000, &corpus, |bytes| {
         if let Err(faults) = Config::parse(&String::from_utf8_lossy(bytes)) {
             assert!(!faults.is_empty());
         }
@@ -278,13 +280,13 @@ fn configurations() {
 #[test]
 fn keys_and_commands() {
     let keys = texts(&["plant1/area1/FIC101/op", "p/@stiction/v1/u1/FIC101/alarm", "p/@stiction/v1/@daemon/x/health"]);
-    fuzz("keys", &keys, |bytes| {
+    fuzz("keys", 20000, &keys, |bytes| {
         let text = String::from_utf8_lossy(bytes);
         let _ = Topic::parse(Some("plant1/area1"), &text);
         let _ = Topic::parse(None, &text);
     });
     let commands = texts(&["ack ann seen", "shelve bob 3600", "in_service \u{1b}[2J x"]);
-    fuzz("commands", &commands, |bytes| {
+    fuzz("commands", 20000, &commands, |bytes| {
         let text = String::from_utf8_lossy(bytes);
         let mut words = text.splitn(3, ' ').map(str::to_owned);
         let (cmd, by, why) = (words.next().unwrap_or_default(), words.next(), words.next());

@@ -1,13 +1,14 @@
 //! `stictiond run`: the daemon.
 
 use std::path::PathBuf;
+use std::time::Duration;
 
 use anyhow::{Context, bail};
 
 use super::{Outcome, asked_to_stop, block_on, list};
 use stiction_monitor::config::{Config, ShardKeys, is_id};
 use stiction_monitor::ownership::Shard;
-use stictiond::daemon::{self, RunOptions};
+use stictiond::daemon::{self, HEALTH_EVERY, RunOptions};
 
 /// Run the daemon: subscribe, estimate, publish and record until SIGTERM or Ctrl-C.
 ///
@@ -29,6 +30,15 @@ pub struct Args {
     /// Worker threads for fits [default: all cores but one].
     #[arg(long)]
     pub workers: Option<usize>,
+    /// How often the health documents are made, s: tests wait for them.
+    #[arg(long, hide = true, value_parser = seconds)]
+    pub health_every_s: Option<f64>,
+}
+
+/// Reads a number of seconds that a timer takes.
+fn seconds(text: &str) -> Result<f64, String> {
+    let number = text.parse::<f64>().ok().filter(|s| (0.01..=3600.0).contains(s));
+    number.ok_or_else(|| "write a number of seconds from 0.01 to 3600".to_owned())
 }
 
 /// Reads `--shard`.
@@ -60,7 +70,12 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         config.daemon.id.clone_from(id);
     }
     block_on(async {
-        let options = RunOptions { origin: "run", workers: args.workers, config_path: Some(args.config.clone()) };
+        let options = RunOptions {
+            workers: args.workers,
+            config_path: Some(args.config.clone()),
+            health_every: args.health_every_s.map_or(HEALTH_EVERY, Duration::from_secs_f64),
+            ..RunOptions::of("run")
+        };
         // Before anything else: a daemon that is asked to stop while it starts ends in order too.
         let stop = asked_to_stop()?;
         daemon::run(config, text, options, stop).await

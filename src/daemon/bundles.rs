@@ -1,8 +1,9 @@
 //! Payloads that hold several signals: which of their values are which signals of which loops.
 //!
-//! `KEY#NAME` in `[[loop]]` says it; where loops are discovered, the ends of the names do, as in exports. A signal is fed by
-//! the name that fed it first: another one that would mean the same is left alone and counted, not mixed in.
+//! `KEY#NAME` in `[[loop]]` says it; where loops are discovered, the ends of the names do, as in exports. Which of several
+//! sources feeds a signal is decided by [`super::feeds`].
 
+use std::borrow::Cow;
 use std::collections::{HashMap, HashSet};
 
 use zenoh::key_expr::{KeyExpr, keyexpr};
@@ -13,10 +14,12 @@ use stiction::units::loop_name_from;
 use stiction_monitor::codec::topic::{Leaf, Topic};
 use stiction_monitor::codec::{Bundle, CodecError, Field, Memory, decode_fields};
 use stiction_monitor::config::{Config, NAME_MARK};
-use stiction_monitor::engine::LoopId;
 
 /// Most keys that are known to carry signals; more still do, without a share of the queue of their own.
 const MAX_KEYS: usize = 100_000;
+
+/// The first chunk of a key of Sparkplug B.
+const SPARKPLUG: &str = "spBv1.0/";
 
 /// A value that means a signal.
 #[derive(Debug, Clone, PartialEq)]
@@ -36,8 +39,6 @@ pub struct Bundles {
     discover: bool,
     keys: Vec<(KeyExpr<'static>, String)>,
     mapped: HashMap<String, HashMap<String, (String, Signal)>>,
-    /// By which source a signal is fed.
-    owners: HashMap<(LoopId, Signal), Box<str>>,
     carriers: HashSet<Box<str>>,
     memory: Memory,
 }
@@ -61,7 +62,6 @@ impl Bundles {
             discover: config.input.discover,
             keys: keys.collect(),
             mapped,
-            owners: HashMap::new(),
             carriers: HashSet::new(),
             memory: Memory::default(),
         }
@@ -109,7 +109,7 @@ impl Bundles {
         for (field, found) in fields.iter().zip(&ranked) {
             let Some((loop_name, signal, rank)) = found else { continue };
             if best.get(&(loop_name.as_str(), *signal)) == Some(rank) {
-                let source = format!("{}{NAME_MARK}{}", bundle.key, field.name);
+                let source = format!("{}{NAME_MARK}{}", sender_of(bundle.key), field.name);
                 meant.push(Meant { loop_name: loop_name.clone(), sample: field.sample(*signal), source });
             }
         }
@@ -139,20 +139,21 @@ impl Bundles {
         Some((loop_name, found.signal, found.rank + 1))
     }
 
-    /// Whether a source feeds this signal; the first one does from then on.
-    pub fn feeds(&mut self, id: LoopId, signal: Signal, source: &str) -> bool {
-        &**self.owners.entry((id, signal)).or_insert_with(|| source.into()) == source
-    }
-
-    /// Nothing feeds these loops any more.
-    pub fn forget(&mut self, gone: &HashSet<LoopId>) {
-        self.owners.retain(|(id, _), _| !gone.contains(id));
-    }
-
     /// Whether a key is found to carry signals for the first time.
     pub fn is_new_carrier(&mut self, key: &str) -> bool {
         self.carriers.len() < MAX_KEYS && !self.carriers.contains(key) && self.carriers.insert(key.into())
     }
+}
+
+/// Who sends under a key. Sparkplug B has the kind of message in it, which says nothing of the sender.
+fn sender_of(key: &str) -> Cow<'_, str> {
+    let sparkplug = || {
+        let (head, rest) = key.split_once(SPARKPLUG)?;
+        let (group, rest) = rest.split_once('/')?;
+        let (_kind, node) = rest.split_once('/')?;
+        Some(format!("{head}{SPARKPLUG}{group}/{node}"))
+    };
+    sparkplug().map_or(Cow::Borrowed(key), Cow::Owned)
 }
 
 #[cfg(test)]
@@ -188,6 +189,14 @@ mod tests {
     }
 
     #[test]
+    fn a_birth_and_the_data_after_it_are_of_one_sender() {
+        assert_eq!(sender_of("p/spBv1.0/g/NBIRTH/n"), sender_of("p/spBv1.0/g/NDATA/n"));
+        assert_eq!(sender_of("spBv1.0/g/DDATA/n/d"), "spBv1.0/g/n/d");
+        assert_ne!(sender_of("p/spBv1.0/g/NDATA/n"), sender_of("p/spBv1.0/g/NDATA/m"));
+        assert_eq!(sender_of("gw/a/b/c"), "gw/a/b/c");
+    }
+
+    #[test]
     fn what_is_mapped_goes_before_what_names_say() {
         let mut all = bundles(
             "[input]\ndiscover = false\n[[loop]]\nname = \"A\"\nop = \"gw/plc#x.y\"\npv = \"gw/plc#FIC101.OP\"\n",
@@ -207,10 +216,6 @@ mod tests {
         let mut all = bundles("[[bundle]]\nkey = \"gw/**\"\n");
         let (found, left) = read(&mut all, "gw/x", r#"{"FIC101.MV": 1, "FIC101.OP": 2}"#);
         assert_eq!((found[0].2, found.len(), left), (Value::Number(2.0), 1, 1));
-        let config = Config::with_prefix("p");
-        let id = stiction_monitor::engine::Engine::new(config.engine()).appear("FIC101").unwrap();
-        assert!(all.feeds(id, Signal::Op, "gw/x#FIC101.OP"));
-        assert!(!all.feeds(id, Signal::Op, "gw/y#FIC101.OP"));
         assert!(all.is_new_carrier("gw/x") && !all.is_new_carrier("gw/x"));
     }
 }

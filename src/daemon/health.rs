@@ -50,6 +50,8 @@ pub struct DaemonHealth {
     pub counters: BTreeMap<&'static str, u64>,
     /// Queues.
     pub queues: Vec<QueueHealth>,
+    /// What has stopped: `recording`, while a file cannot be written or the disk does not keep up.
+    pub stopped: Vec<&'static str>,
     /// What a person should look at.
     pub faults: Vec<String>,
 }
@@ -67,6 +69,7 @@ impl DaemonHealth {
             loops: 0,
             counters: BTreeMap::new(),
             queues: Vec::new(),
+            stopped: Vec::new(),
             faults: Vec::new(),
         }
     }

@@ -17,9 +17,9 @@ mod core;
 mod desk;
 pub mod documents;
 pub mod faults;
+mod feeds;
 pub mod gaps;
 pub mod health;
-mod housekeeping;
 mod limits;
 pub mod metrics;
 pub mod overview;
@@ -29,9 +29,11 @@ mod reload;
 pub mod replay;
 pub mod rerun;
 pub mod restore;
+pub mod retention;
 mod routes;
 mod schedule;
 pub mod series;
+mod shutdown;
 mod signals;
 pub mod stage;
 mod worker;
@@ -39,9 +41,7 @@ mod worker;
 use std::collections::{BTreeMap, HashSet};
 use std::future::Future;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, RwLock};
-use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, anyhow};
@@ -55,12 +55,12 @@ use self::faults::Faults;
 use self::gaps::Diagnoser;
 pub use self::health::DaemonHealth;
 use self::health::HealthSnapshot;
-use self::housekeeping::House;
 use self::metrics::Metrics;
 use self::overview::Overview;
 use self::queue::Budget;
 use self::reload::Reload;
 use self::restore::Restored;
+use self::retention::RetentionParts;
 use crate::files::disk::SystemDisk;
 use crate::files::lock::{FolderLock, LockError};
 use crate::sink::deliver::Outbox;
@@ -83,25 +83,11 @@ use stiction_monitor::engine::{Engine, EngineSettings};
 const ROUTER_WITHIN: Duration = Duration::from_secs(5);
 /// How often a long start says that it goes on.
 const STARTING_TOLD: Duration = Duration::from_secs(5);
-/// How long it may stand still between two files.
-const STANDS_WITHIN: Duration = Duration::from_secs(15);
-/// How often a long end is told to the system.
-const TOLD_EVERY: Duration = Duration::from_secs(1);
-/// Name of the housekeeper's thread, and how long it may take to end.
-const HOUSE: &str = "house";
-const HOUSE_WITHIN: Duration = Duration::from_millis(300);
-/// How often it is looked whether the threads still run.
-const THREADS_EVERY: Duration = Duration::from_secs(1);
+/// How often the health documents are made, unless a test asks for less.
+pub const HEALTH_EVERY: Duration = Duration::from_secs(5);
 /// What the page says of a demonstration's data.
 const SIMULATED: &str =
     "A simulated plant that runs 100 times as fast as a real one: its stamps run ahead of your clock.";
-/// How long the threads may take to end, or stand still: with what follows it all ends within five seconds, also on a machine
-/// that is busy with other work.
-const STOP_WITHIN: Duration = Duration::from_secs(3);
-/// How long the recorder may take in any case: it has a file for every thousand loops to finish, and one that is left behind
-/// is not lost, but neither sealed nor indexed.
-const RECORDER_WITHIN: Duration = Duration::from_secs(60);
-
 /// What a run is given besides its configuration.
 #[derive(Debug, Clone)]
 pub struct RunOptions {
@@ -111,6 +97,16 @@ pub struct RunOptions {
     pub workers: Option<usize>,
     /// Where the configuration comes from, to be read again on SIGHUP.
     pub config_path: Option<PathBuf>,
+    /// How often the health documents are made.
+    pub health_every: Duration,
+}
+
+impl RunOptions {
+    /// Of a run of this origin, with the usual settings.
+    #[must_use]
+    pub const fn of(origin: &'static str) -> Self {
+        Self { origin, workers: None, config_path: None, health_every: HEALTH_EVERY }
+    }
 }
 
 /// Runs the daemon until `stop` is ready, then ends in order.
@@ -158,7 +154,7 @@ pub async fn run(
         Restored::default()
     };
     restore::tell_aside(&recordings, &faults);
-    let Restored { mut memories, store, run_number } = restored;
+    let Restored { mut memories, store, run_number, verified } = restored;
     let named: HashSet<&str> = config.loops.iter().map(|l| l.name.as_str()).collect();
     memories.retain(|name, _| config.input.discover || named.contains(name.as_str()));
     // A client's session opens once its router is there, which may be never.
@@ -184,20 +180,10 @@ pub async fn run(
     let (publisher, publishing) = Publisher::start(session.clone(), last.clone(), signer.clone(), metrics.clone())?;
     let run = run_info(&config, config_text, &options, &daemon_id, run_number);
     let retention = Arc::new(Mutex::new(config.retention));
-    let house = House {
-        dir: recordings.clone(),
-        prefix: config.site.prefix.clone(),
-        run_id: run.run_id.clone(),
-        retention: retention.clone(),
-        lock,
-        metrics: metrics.clone(),
-        faults: faults.clone(),
-    };
+    let run_id = run.run_id.clone();
     let (recorder, recording) = Recorder::start(run, config.recording.clone(), metrics.clone(), faults.clone())?;
     let progress = recorder.progress();
-    let (stop_house, house_stops) = crossbeam_channel::bounded::<()>(0);
-    let housekeeping = housekeeping::start(house, house_stops)?;
-    let mut threads = vec![("recorder", recording), ("publisher", publishing), (HOUSE, housekeeping)];
+    let mut threads = vec![("recorder", recording), ("publisher", publishing)];
     let mut keeper = None;
     if options.origin == "run" {
         let prefix = &config.site.prefix;
@@ -205,6 +191,20 @@ pub async fn run(
         keeper = Some(started);
         threads.push(("state", keeping));
     }
+    let (stop_retention, retention_stops) = crossbeam_channel::bounded::<()>(0);
+    let parts = RetentionParts {
+        dir: recordings.clone(),
+        prefix: config.site.prefix.clone(),
+        run_id,
+        retention: retention.clone(),
+        lock,
+        notes: keeper.as_ref().map(Keeper::notes),
+        verified,
+        metrics: metrics.clone(),
+        faults: faults.clone(),
+        clock: Clock::system(),
+    };
+    threads.push((shutdown::RETENTION, retention::start(parts, retention_stops)?));
     let mut outbox = None;
     if let Some((started, keeping)) = Outbox::start(&config, &recordings, &faults, &metrics)? {
         outbox = Some(started);
@@ -238,6 +238,7 @@ pub async fn run(
         snapshot,
         daemon_id: daemon_id.clone(),
         clock: Clock::system(),
+        health_every: options.health_every,
     };
     let (stop_core, stopping) = crossbeam_channel::bounded::<()>(0);
     let core = std::thread::Builder::new().name("engine".into()).spawn(move || {
@@ -280,12 +281,11 @@ pub async fn run(
     tell_system(&[NotifyState::Ready]);
     let reload = options.config_path.map(|path| Reload::new(path, config, retention));
     threads.insert(0, ("engine", core));
-    tokio::select! {
-        () = signals::serve_until(stop, hangups, reload, &control, &faults) => tracing::info!("stopping"),
-        name = unasked_end(&threads) => {
-            tracing::error!(thread = name, "ended unasked: the daemon ends too, to be started again");
-        }
-    }
+    let unasked = tokio::select! {
+        () = signals::serve_until(stop, hangups, reload, &control, &faults) => None,
+        name = shutdown::unasked_end(&threads) => Some(name),
+    };
+    tracing::info!("stopping");
     tell_system(&[NotifyState::Stopping]);
     watching.abort();
     drop((control, stop_members));
@@ -293,8 +293,8 @@ pub async fn run(
         let _ = subscriber.undeclare().await;
     }
     let _ = token.undeclare().await;
-    drop((stop_core, stop_house));
-    let ended = join_within(threads, STOP_WITHIN, &progress).await;
+    drop((stop_core, stop_retention));
+    let ended = shutdown::join(threads, unasked, &progress).await;
     for queryable in queryables {
         let _ = queryable.undeclare().await;
     }
@@ -419,87 +419,5 @@ fn run_info(config: &Config, config_text: String, options: &RunOptions, daemon_i
         daemon: daemon_id.to_owned(),
         loop_map: serde_json::to_string(&config.loops).unwrap_or_default(),
         raw: config.recording.raw.clone(),
-    }
-}
-
-/// Ready when a thread has ended though nobody asked it to: half a daemon would look alive to whoever could start it again.
-async fn unasked_end(threads: &[(&'static str, JoinHandle<()>)]) -> &'static str {
-    loop {
-        if let Some((name, _)) = threads.iter().find(|(_, thread)| thread.is_finished()) {
-            return name;
-        }
-        tokio::time::sleep(THREADS_EVERY).await;
-    }
-}
-
-/// Waits for threads to end, but not for ever: as long as the recorder goes on, a minute at most, else so long.
-async fn join_within(
-    threads: Vec<(&'static str, JoinHandle<()>)>,
-    limit: Duration,
-    progress: &[Arc<AtomicU64>; 2],
-) -> anyhow::Result<()> {
-    let (begun, mut until) = (Instant::now(), Instant::now() + limit);
-    let look = || [0, 1].map(|of: usize| progress[of].load(Ordering::Relaxed));
-    let (mut told, mut done) = (begun, look());
-    for (name, thread) in threads {
-        // The housekeeper holds nothing that a crash could harm, and on a busy machine it is the last to get a core.
-        let house_until = until.min(Instant::now() + HOUSE_WITHIN);
-        while !thread.is_finished() {
-            let now = Instant::now();
-            if now >= house_until && name == HOUSE {
-                break;
-            }
-            let done_now = look();
-            if done_now != done && now < begun + RECORDER_WITHIN {
-                // A disk that has finished a file is there: it may take longer over the next one.
-                let stands = if done_now[1] > 0 { STANDS_WITHIN.max(limit) } else { limit };
-                (done, until) = (done_now, until.max(now + stands));
-                if now >= told + TOLD_EVERY {
-                    told = now;
-                    let longer = u32::try_from((2 * STANDS_WITHIN).as_micros()).unwrap_or(u32::MAX);
-                    tell_system(&[NotifyState::ExtendTimeoutUsec(longer)]);
-                }
-            }
-            if now >= until {
-                tracing::error!(
-                    thread = name,
-                    "did not end in time; its last file stays as .mcap.part, readable up to its last flush"
-                );
-                return Ok(());
-            }
-            tokio::time::sleep(Duration::from_millis(5)).await;
-        }
-        if !thread.is_finished() {
-            continue;
-        }
-        thread.join().map_err(|_| anyhow!("the {name} thread panicked")).context("the daemon ended in disorder")?;
-    }
-    Ok(())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// How long a thread of 1.2 s is waited for that may stand still for 0.6 s, and says every 0.2 s that it goes on, or not.
-    fn waited(step: u64) -> Duration {
-        let progress = <[Arc<AtomicU64>; 2]>::default();
-        let told = progress[0].clone();
-        let work = move || {
-            for _ in 0..6 {
-                std::thread::sleep(Duration::from_millis(200));
-                told.fetch_add(step, Ordering::Relaxed);
-            }
-        };
-        let (threads, begun) = (vec![("recorder", std::thread::spawn(work))], Instant::now());
-        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
-        runtime.block_on(join_within(threads, Duration::from_millis(600), &progress)).unwrap();
-        begun.elapsed()
-    }
-
-    #[test]
-    fn a_recorder_that_goes_on_is_waited_for_and_one_that_stands_is_not() {
-        assert!(waited(1) >= Duration::from_millis(1200));
-        assert!(waited(0) < Duration::from_millis(1200));
     }
 }

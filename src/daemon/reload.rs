@@ -29,7 +29,7 @@ pub struct Reload {
 }
 
 impl Reload {
-    /// The file, what was read from it at the start, and where the housekeeper looks.
+    /// The file, what was read from it at the start, and where the retention worker looks.
     #[must_use]
     pub const fn new(path: PathBuf, current: Config, retention: Arc<Mutex<Retention>>) -> Self {
         Self { path, current, retention }

@@ -12,7 +12,7 @@ use super::faults::Faults;
 use super::metrics::Metrics;
 use super::to_json;
 use crate::files::disk::Disk;
-use crate::files::store::{STORE_NAME, StateStore, StoreError, Stored, key_of, loop_of};
+use crate::files::store::{STORE_NAME, StateStore, StoreError, Stored, key_of, loop_of, verified_of};
 use crate::files::{FileError, InputKind, Item, ReadError, RecordingReader};
 use stiction_monitor::codec::topic::{Kind, Leaf, Topic};
 use stiction_monitor::engine::{Checkpoint, StateDocument};
@@ -75,6 +75,8 @@ pub struct Restored {
     pub store: Option<StateStore>,
     /// Which run of this folder begins now, from 1.
     pub run_number: u64,
+    /// Recordings that an earlier run found whole, by name, with size and time of change.
+    pub verified: BTreeMap<String, String>,
 }
 
 /// What earlier runs under this prefix remembered. Never fails: what cannot be read becomes a fault. All of it is in
@@ -120,7 +122,9 @@ pub fn restore(disk: &dyn Disk, dir: &Path, prefix: &str, faults: &Faults, metri
     let seen = files.iter().map(|f| f.run_number).max().unwrap_or(0);
     let run_number = counted.max(seen) + 1;
     tracing::info!(loops = memories.len(), from_store, run_number, "states carried over");
-    let mut restored = Restored { memories, store, run_number };
+    let text = |json: &Vec<u8>| String::from_utf8_lossy(json).into_owned();
+    let verified = stored.values.iter().filter_map(|(key, json)| Some((verified_of(key)?.to_owned(), text(json))));
+    let mut restored = Restored { memories, store, run_number, verified: verified.collect() };
     restored.seal(prefix, is_whole, faults);
     restored
 }

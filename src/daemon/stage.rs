@@ -1,11 +1,12 @@
-//! A daemon without threads, bus and time of its own: queues, engine, schedule, recorder, store of states and restore are
-//! those of [`super::run`]; whoever holds it delivers messages, moves the clock, does the fits and says when the disk is
-//! written. So a simulation decides on every order and every fault, and the same seed gives the same run.
+//! A daemon without threads, bus and time of its own: queues, engine, schedule, recorder, store of states, restore, page,
+//! delivery, gap diagnoses and retention are those of [`super::run`]. Whoever holds it delivers messages, moves the clock,
+//! does the fits and diagnoses, answers as the receivers and says when the disk is written. So a simulation decides on every
+//! order and every fault, and the same seed gives the same run.
 //!
 //! Dropping it is what kill -9 does: nothing is finished.
 
 use std::path::Path;
-use std::sync::{Arc, RwLock};
+use std::sync::{Arc, Mutex, RwLock};
 use std::time::Duration;
 
 use crossbeam_channel::{Receiver, Sender};
@@ -13,13 +14,16 @@ use crossbeam_channel::{Receiver, Sender};
 use super::clock::Clock;
 use super::core::{Core, Parts};
 use super::faults::Faults;
-use super::gaps::{Diagnosed, Diagnoser};
+use super::gaps::{Diagnosed, Diagnoser, Outcome};
 use super::health::{DaemonHealth, HealthSnapshot};
 use super::metrics::Metrics;
+use super::overview::Overview;
 use super::queue::{Budget, Room};
 use super::restore::{self, Restored};
+use super::retention::{RetentionParts, RetentionWorker};
 use super::worker::{Answered, Workers};
 use crate::files::disk::Disk;
+use crate::sink::deliver::{Delivery, MakeTarget, Outbox};
 use crate::sink::keeper::{self, Keeper};
 use crate::sink::recorder::{Recorder, RunInfo, Writer};
 use crate::sink::zenoh::{Publication, Publisher};
@@ -28,7 +32,7 @@ use crate::source::shares::Shares;
 use crate::source::{Answer, Envelope, Incoming, Intake};
 use stiction::verdict::Assessment;
 use stiction_monitor::alarm::Command;
-use stiction_monitor::config::Config;
+use stiction_monitor::config::{Config, Deliver};
 use stiction_monitor::engine::{Engine, EngineSettings, GapRequest, Request};
 
 /// Windows handed to the stage's holder ahead of their fits: as with one worker.
@@ -45,8 +49,11 @@ pub struct Stage {
     requests: Receiver<Request>,
     answers: Sender<Answered>,
     answered: Receiver<Answered>,
-    /// Held open; diagnoses of their own are the engine's tests' affair.
-    _diagnoses: (Receiver<GapRequest>, Sender<Diagnosed>),
+    gap_requests: Receiver<GapRequest>,
+    gap_answers: Sender<Diagnosed>,
+    overview: Overview,
+    delivery: Delivery,
+    retention: RetentionWorker,
     publications: Receiver<(Publication, Option<Room>)>,
     writer: Writer,
     keeping: keeper::Worker,
@@ -57,14 +64,29 @@ pub struct Stage {
     run_id: String,
 }
 
+/// What takes the place of receivers where nothing is delivered.
+#[must_use]
+pub fn no_receiver(_: &Deliver) -> MakeTarget {
+    Box::new(|| anyhow::bail!("no receiver"))
+}
+
 impl Stage {
-    /// Starts a run in the configured folder, with what earlier runs left there.
-    #[must_use]
-    pub fn start(config: Config, config_text: &str, clock: &Clock, disk: &Arc<dyn Disk>) -> Self {
+    /// Starts a run in the configured folder, with what earlier runs left there. `receiver` makes what takes the place of
+    /// each `[[deliver]]` entry.
+    ///
+    /// # Errors
+    /// A receiver cannot be made.
+    pub fn start(
+        config: Config,
+        config_text: &str,
+        clock: &Clock,
+        disk: &Arc<dyn Disk>,
+        receiver: impl Fn(&Deliver) -> MakeTarget,
+    ) -> anyhow::Result<Self> {
         let (metrics, faults) = (Arc::new(Metrics::default()), Arc::new(Faults::new(clock.clone())));
         let dir = Path::new(&config.recording.dir).to_owned();
         let prefix = config.site.prefix.clone();
-        let Restored { memories, store, run_number } =
+        let Restored { memories, store, run_number, verified } =
             restore::restore(disk.as_ref(), &dir, &prefix, &faults, &metrics);
         restore::tell_aside(&dir, &faults);
         let run = run_of(&config, config_text, clock, run_number);
@@ -79,7 +101,22 @@ impl Stage {
         let intake = Intake::new(control.clone(), way_in, metrics.clone(), clock.clone());
         let (to_worker, requests) = crossbeam_channel::bounded(AT_HAND);
         let (answers, answered) = crossbeam_channel::unbounded();
-        let (diagnoser, jobs, finished) = Diagnoser::ends();
+        let (diagnoser, gap_requests, gap_answers) = Diagnoser::ends();
+        let (outbox, delivery) =
+            Outbox::pair(&config, &dir, (disk.clone(), clock.clone()), receiver, &faults, &metrics)?;
+        let retention = RetentionWorker::new(RetentionParts {
+            dir,
+            prefix,
+            run_id: run_id.clone(),
+            retention: Arc::new(Mutex::new(config.retention)),
+            lock: None,
+            notes: Some(keeper.notes()),
+            verified,
+            metrics: metrics.clone(),
+            faults: faults.clone(),
+            clock: clock.clone(),
+        });
+        let overview = Overview::default();
         let starting = DaemonHealth::starting(DAEMON_ID, &config.hash());
         let snapshot = HealthSnapshot::new(RwLock::new((clock.now(), Arc::new(starting))));
         let mut core = Core::new(Parts {
@@ -92,18 +129,18 @@ impl Stage {
             recorder: Some(recorder),
             keeper: Some(keeper),
             publisher,
-            outbox: None,
+            outbox: Some(outbox),
             metrics: metrics.clone(),
             faults: faults.clone(),
-            overview: None,
+            overview: Some(overview.clone()),
             snapshot: snapshot.clone(),
             daemon_id: DAEMON_ID.to_owned(),
             clock: clock.clone(),
+            health_every: super::HEALTH_EVERY,
         });
         core.restore(memories);
         core.begin(0);
-        let _diagnoses = (jobs, finished);
-        Self {
+        Ok(Self {
             core,
             intake,
             control,
@@ -111,7 +148,11 @@ impl Stage {
             requests,
             answers,
             answered,
-            _diagnoses,
+            gap_requests,
+            gap_answers,
+            overview,
+            delivery,
+            retention,
             publications,
             writer,
             keeping,
@@ -120,7 +161,7 @@ impl Stage {
             faults,
             snapshot,
             run_id,
-        }
+        })
     }
 
     /// A message arrives from the bus.
@@ -152,6 +193,52 @@ impl Stage {
             self.core.turn(&self.incoming);
         }
         most
+    }
+
+    /// A person asks for a gap diagnosis; false where the daemon is too busy for it.
+    pub fn ask_gap(&self, loop_name: &str, by: &str, answer: Answer) -> bool {
+        let (loop_name, by) = (loop_name.to_owned(), Some(by.to_owned()));
+        self.control.try_send(Incoming::GapRun { loop_name, by, answer }).is_ok()
+    }
+
+    /// Does the gap diagnoses that wait, each given by `diagnose`; says how many.
+    pub fn diagnose(&mut self, mut diagnose: impl FnMut(&GapRequest) -> Outcome) -> usize {
+        let requests: Vec<GapRequest> = self.gap_requests.try_iter().collect();
+        for request in &requests {
+            let answer = Diagnosed { id: request.id, number: request.number, outcome: diagnose(request) };
+            let _ = self.gap_answers.send(answer);
+            self.core.turn(&self.incoming);
+        }
+        requests.len()
+    }
+
+    /// Gap diagnoses that wait.
+    #[must_use]
+    pub fn gaps_waiting(&self) -> usize {
+        self.gap_requests.len()
+    }
+
+    /// Receivers get what waits for them, once it is in the store; says whether all of it is there.
+    pub fn send_out(&mut self) -> bool {
+        self.delivery.turn()
+    }
+
+    /// Documents that wait for receivers.
+    #[must_use]
+    pub fn undelivered(&self) -> usize {
+        self.delivery.waiting()
+    }
+
+    /// Looks after the recording folder, as the retention worker does every half minute.
+    pub fn keep_folder(&mut self) {
+        self.retention.keep();
+        self.retention.check_all();
+    }
+
+    /// What the page shows.
+    #[must_use]
+    pub const fn overview(&self) -> &Overview {
+        &self.overview
     }
 
     /// The recorder writes what waits for it.
@@ -211,6 +298,7 @@ impl Stage {
         self.writer.turn();
         self.writer.finish();
         self.keeping.turn();
+        self.delivery.turn();
         self.published().collect()
     }
 }

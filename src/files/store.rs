@@ -37,6 +37,21 @@ pub fn loop_of<'k>(prefix: &str, key: &'k str) -> Option<&'k str> {
     key.strip_prefix(prefix)?.strip_prefix('\n')
 }
 
+/// What the key of a note begins with; no prefix does.
+const NOTE: &str = "\nverified\n";
+
+/// The key of the note of a recording that was found whole.
+#[must_use]
+pub fn key_of_verified(file: &str) -> String {
+    format!("{NOTE}{file}")
+}
+
+/// The recording that a note is of.
+#[must_use]
+pub fn verified_of(key: &str) -> Option<&str> {
+    key.strip_prefix(NOTE)
+}
+
 /// An error of the store.
 #[derive(Debug, Error)]
 pub enum StoreError {

@@ -1,4 +1,5 @@
-//! Keeps every loop's memory (alarm, acknowledgement, gap watch) in the store beside the recordings.
+//! Keeps every loop's memory (alarm, acknowledgement, gap watch) in the store beside the recordings, and notes of recordings
+//! that were found whole.
 //!
 //! A thread of its own. What waits for it is the newest state of each loop, so it never grows beyond the loops; states
 //! that come together are one transaction. An answer to a command waits for its transaction. While the disk refuses,
@@ -15,7 +16,7 @@ use crate::daemon::faults::Faults;
 use crate::daemon::metrics::Metrics;
 use crate::daemon::restore::open_store;
 use crate::files::disk::{Disk, SystemDisk};
-use crate::files::store::{STORE_NAME, StateStore, key_of};
+use crate::files::store::{STORE_NAME, StateStore, key_of, key_of_verified};
 
 /// How long states of windows wait for others to go with them.
 const GATHER: Duration = Duration::from_millis(200);
@@ -27,10 +28,12 @@ const FAULT: &str = "state";
 /// Told once the state is on the disk, or why it is not.
 pub type Kept = Box<dyn FnOnce(Result<(), String>) + Send>;
 
+/// Newest values by key; none where nothing is kept any more.
+type States = BTreeMap<String, Option<Vec<u8>>>;
+
 #[derive(Default)]
 struct Pending {
-    /// Newest state by key; empty where nothing is kept any more.
-    states: BTreeMap<String, Vec<u8>>,
+    states: States,
     waiters: Vec<Kept>,
     closed: bool,
 }
@@ -91,17 +94,23 @@ impl Keeper {
 
     /// Keeps a loop's state soon.
     pub fn keep(&self, loop_name: &str, json: Vec<u8>) {
-        self.put(loop_name, json, None);
+        self.put(loop_name, Some(json), None);
     }
 
     /// A loop has left the plant: nothing of it is kept.
     pub fn forget(&self, loop_name: &str) {
-        self.put(loop_name, Vec::new(), None);
+        self.put(loop_name, None, None);
     }
 
     /// Keeps it at once and tells when it is on the disk.
     pub fn keep_then(&self, loop_name: &str, json: Vec<u8>, kept: Kept) {
-        self.put(loop_name, json, Some(kept));
+        self.put(loop_name, Some(json), Some(kept));
+    }
+
+    /// Where notes of recordings go.
+    #[must_use]
+    pub fn notes(&self) -> Notes {
+        Notes(self.shared.clone())
     }
 
     /// Whether every loop's state must be kept again; says so once.
@@ -110,16 +119,37 @@ impl Keeper {
         self.shared.wants_all.swap(false, Ordering::Relaxed)
     }
 
-    fn put(&self, loop_name: &str, json: Vec<u8>, kept: Option<Kept>) {
-        let mut pending = self.shared.pending.lock().unwrap_or_else(PoisonError::into_inner);
-        pending.states.insert(key_of(&self.prefix, loop_name), json);
+    fn put(&self, loop_name: &str, json: Option<Vec<u8>>, kept: Option<Kept>) {
+        self.shared.put(key_of(&self.prefix, loop_name), json, kept);
+    }
+}
+
+impl Shared {
+    fn put(&self, key: String, json: Option<Vec<u8>>, kept: Option<Kept>) {
+        let mut pending = self.pending.lock().unwrap_or_else(PoisonError::into_inner);
+        pending.states.insert(key, json);
         let urgent = kept.is_some();
         pending.waiters.extend(kept);
         let first = pending.states.len() == 1;
         drop(pending);
         if urgent || first {
-            self.shared.wake.notify_one();
+            self.wake.notify_one();
         }
+    }
+}
+
+/// Notes of recordings that were found whole, in the same store.
+pub struct Notes(Arc<Shared>);
+
+impl Notes {
+    /// A recording was found whole; `look` says by what it is recognised.
+    pub fn verified(&self, file: &str, look: &str) {
+        self.0.put(key_of_verified(file), Some(look.into()), None);
+    }
+
+    /// A recording is gone.
+    pub fn forget_verified(&self, file: &str) {
+        self.0.put(key_of_verified(file), None, None);
     }
 }
 
@@ -163,7 +193,7 @@ impl Worker {
     }
 
     /// Stores states and tells whoever waits for them.
-    fn settle(&mut self, states: BTreeMap<String, Vec<u8>>, waiters: Vec<Kept>) -> bool {
+    fn settle(&mut self, states: States, waiters: Vec<Kept>) -> bool {
         let saved = if states.is_empty() { self.reopen() } else { self.save(&states) };
         match &saved {
             Ok(()) => self.faults.clear(FAULT),
@@ -180,7 +210,7 @@ impl Worker {
     }
 
     /// Waits for states, then a little for more of them unless somebody waits for an answer.
-    fn next(&self) -> (BTreeMap<String, Vec<u8>>, Vec<Kept>, bool) {
+    fn next(&self) -> (States, Vec<Kept>, bool) {
         let idle_still = |p: &Pending| p.states.is_empty() && !p.closed;
         let idle = |p: &mut Pending| idle_still(p);
         let pending = self.shared.pending.lock().unwrap_or_else(PoisonError::into_inner);
@@ -216,7 +246,7 @@ impl Worker {
         Ok(store)
     }
 
-    fn save(&mut self, states: &BTreeMap<String, Vec<u8>>) -> Result<(), String> {
+    fn save(&mut self, states: &States) -> Result<(), String> {
         // A folder that was taken away takes the store along: what is written then goes nowhere.
         if self.store.is_some() && !self.path.exists() {
             self.store = None;
@@ -225,9 +255,9 @@ impl Worker {
             Some(store) => store,
             None => self.open()?,
         };
-        let (gone, kept): (Vec<_>, Vec<_>) = states.iter().partition(|(_, json)| json.is_empty());
-        let kept = kept.into_iter().map(|(k, v)| (k.as_str(), v.as_slice()));
-        store.change(kept, gone.into_iter().map(|(k, _)| k.as_str())).map_err(|e| e.to_string())?;
+        let kept = states.iter().filter_map(|(key, json)| Some((key.as_str(), json.as_ref()?.as_slice())));
+        let gone = states.iter().filter(|(_, json)| json.is_none()).map(|(key, _)| key.as_str());
+        store.change(kept, gone).map_err(|e| e.to_string())?;
         self.metrics.states_stored.inc_by(states.len() as u64);
         // After an error it is opened anew.
         self.store = Some(store);
@@ -235,7 +265,7 @@ impl Worker {
     }
 
     /// What could not be stored waits on, unless something newer has come.
-    fn put_back(&self, states: BTreeMap<String, Vec<u8>>) {
+    fn put_back(&self, states: States) {
         let mut pending = self.shared.pending.lock().unwrap_or_else(PoisonError::into_inner);
         for (key, json) in states {
             pending.states.entry(key).or_insert(json);

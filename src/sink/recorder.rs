@@ -5,9 +5,10 @@
 //! which costs recordings, counted, never alarms or estimates. Loops are spread
 //! over files side by side, [`LOOPS_PER_FILE`] to a file; each such *shard* is a recording of its own.
 
+mod progress;
+
 use std::collections::BTreeMap;
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -23,6 +24,7 @@ use crate::daemon::queue::{Budget, Room};
 use crate::files::columns::{METADATA_COLUMNS, METADATA_RAW};
 use crate::files::disk::{Disk, SystemDisk};
 use crate::files::{RecordingFile, WriteError};
+pub use progress::Progress;
 use stiction::record::{Sample, Signal};
 use stiction_monitor::codec::topic::{self, Kind};
 use stiction_monitor::config::Recording;
@@ -38,6 +40,8 @@ const LOOK_AGAIN: Duration = Duration::from_millis(5);
 pub const LOOPS_PER_FILE: usize = 1000;
 /// How long the engine waits for a place in the queue before it goes on without.
 const PATIENCE: Duration = Duration::from_secs(2);
+/// Time without an item taken while some wait, after which the disk is said to hang.
+const HANGS: Duration = Duration::from_secs(10);
 /// After so long without an item taken the thread stands before the disk, and nobody waits for it.
 const STANDS: Duration = Duration::from_millis(20);
 /// Pause after an error of the disk before the next file is tried.
@@ -189,9 +193,9 @@ pub struct Recorder {
     clock: Clock,
     /// The queue was full for long: nothing waits until it has drained.
     overrun: bool,
-    /// Items that the other end has taken, and files that it has finished at the end.
-    taken: Arc<AtomicU64>,
-    finished: Arc<AtomicU64>,
+    progress: Arc<Progress>,
+    /// Items that the other end had taken when it was looked last, and since when it has taken no other.
+    seen: (u64, Instant),
 }
 
 impl Recorder {
@@ -221,7 +225,8 @@ impl Recorder {
         faults: Arc<Faults>,
     ) -> (Self, Writer) {
         let (queue, items) = blocks::queue();
-        let (taken, finished) = <(Arc<AtomicU64>, Arc<AtomicU64>)>::default();
+        let progress = Arc::<Progress>::default();
+        let seen = (0, clock.now());
         let (wanted, rotations) = crossbeam_channel::unbounded();
         let writer = Writer {
             items,
@@ -239,11 +244,10 @@ impl Recorder {
             faults,
             lost: 0,
             last_arrival_ns: 0,
-            taken: taken.clone(),
-            finished: finished.clone(),
+            progress: progress.clone(),
         };
         let budget = Budget::new(QUEUE_BYTES);
-        (Self { queue, budget, rotations, metrics, clock, overrun: false, taken, finished }, writer)
+        (Self { queue, budget, rotations, metrics, clock, overrun: false, progress, seen }, writer)
     }
 
     /// Hands one item over, waiting a little for a place.
@@ -251,10 +255,10 @@ impl Recorder {
         let mut left = self.put(item);
         if left.is_some() && !self.overrun {
             let until = self.clock.now() + PATIENCE;
-            let (mut taken, mut moved) = (self.taken.load(Ordering::Relaxed), self.clock.now());
+            let ([mut taken, _], mut moved) = (self.progress.steps(), self.clock.now());
             while let Some(item) = left.take_if(|_| self.clock.now() < until && self.clock.since(moved) < STANDS) {
                 self.clock.sleep(LOOK_AGAIN);
-                let now_taken = self.taken.load(Ordering::Relaxed);
+                let [now_taken, _] = self.progress.steps();
                 if now_taken != taken {
                     (taken, moved) = (now_taken, self.clock.now());
                 }
@@ -278,10 +282,25 @@ impl Recorder {
         self.queue.put((item, room)).err().map(|(item, _)| item)
     }
 
-    /// How far the other end is: items taken, and files finished at the end.
+    /// How far the other end is.
     #[must_use]
-    pub fn progress(&self) -> [Arc<AtomicU64>; 2] {
-        [self.taken.clone(), self.finished.clone()]
+    pub fn progress(&self) -> Arc<Progress> {
+        self.progress.clone()
+    }
+
+    /// Why the disk takes too little or nothing; none while it keeps up. Called with each report of the daemon's health.
+    pub fn stall(&mut self) -> Option<String> {
+        let ([taken, _], now, waiting) = (self.progress.steps(), self.clock.now(), self.waiting());
+        if waiting == 0 || taken != self.seen.0 {
+            self.seen = (taken, now);
+        }
+        let hangs = self.clock.since(self.seen.1);
+        if hangs >= HANGS {
+            let s = hangs.as_secs();
+            return Some(format!("the recording disk has not answered for {s} s; {waiting} messages wait for it"));
+        }
+        self.overrun
+            .then(|| "the recorder cannot keep up: recordings miss data until the disk answers again".to_owned())
     }
 
     /// Items that wait.
@@ -335,8 +354,7 @@ pub struct Writer {
     faults: Arc<Faults>,
     lost: u64,
     last_arrival_ns: i64,
-    taken: Arc<AtomicU64>,
-    finished: Arc<AtomicU64>,
+    progress: Arc<Progress>,
 }
 
 impl Writer {
@@ -373,24 +391,25 @@ impl Writer {
 
     /// Finishes the open files, on all cores: each takes its index, and a disk that answers several at a time does so.
     pub fn finish(&mut self) {
-        let files: Vec<_> = self.shards.iter_mut().map(|shard| Mutex::new((shard.file.take(), Ok(())))).collect();
+        let files: Vec<_> = self.shards.iter_mut().map(|shard| Mutex::new((shard.file.take(), None))).collect();
         share(files.len(), &|index| {
             let mut place = files[index].lock().unwrap_or_else(PoisonError::into_inner);
             if let Some(file) = place.0.take() {
-                place.1 = file.finish().map(|_| ());
+                place.1 = Some(file.finish());
             }
-            self.finished.fetch_add(1, Ordering::Relaxed);
+            self.progress.finish_one();
         });
         for (index, place) in files.into_iter().enumerate() {
             match place.into_inner().unwrap_or_else(PoisonError::into_inner).1 {
-                Ok(()) => self.flushed(index),
-                Err(error) => self.fail(index, &error.to_string()),
+                Some(Ok(_)) => self.closed(index),
+                Some(Err(error)) => self.fail(index, &error.to_string()),
+                None => {}
             }
         }
     }
 
     fn take(&mut self, item: Item) {
-        self.taken.fetch_add(1, Ordering::Relaxed);
+        self.progress.take_one();
         match item {
             Item::Open { shard, states } => self.open(shard, &states),
             Item::Close { shard } => self.close(shard),
@@ -445,6 +464,7 @@ impl Writer {
         self.metrics.recording_errors.inc();
         let retry_s = RETRY.as_secs();
         self.faults.raise(&fault_of(index), format!("recording has stopped, tried again every {retry_s} s: {why}"));
+        self.progress.fail(index, why);
         let Some(shard) = self.shards.get_mut(index) else { return };
         shard.file = None;
         shard.retry_at = Some(self.clock.now() + RETRY);
@@ -458,6 +478,12 @@ impl Writer {
         if let Some(shard) = self.shards.get_mut(index) {
             self.metrics.recorded.inc_by(std::mem::take(&mut shard.unflushed));
         }
+    }
+
+    /// The shard's file is finished.
+    fn closed(&mut self, index: usize) {
+        self.flushed(index);
+        self.progress.close(index);
     }
 
     fn open(&mut self, index: usize, states: &[(Arc<str>, Vec<u8>)]) {
@@ -479,6 +505,7 @@ impl Writer {
         let shard = &mut self.shards[index];
         let metadata = self.run.metadata(index, shard.index, &shard.previous, lost);
         let stem = self.run.stem(index, shard.index);
+        self.progress.open(index, self.dir.join(format!("{stem}.mcap.part")));
         match RecordingFile::create_on(&self.disk, &self.dir, &stem, &metadata) {
             Ok(file) => {
                 shard.file = Some(file);
@@ -514,7 +541,7 @@ impl Writer {
     fn close(&mut self, index: usize) {
         let Some(file) = self.shards.get_mut(index).and_then(|s| s.file.take()) else { return };
         match file.finish() {
-            Ok(_) => self.flushed(index),
+            Ok(_) => self.closed(index),
             Err(error) => self.fail(index, &error.to_string()),
         }
     }

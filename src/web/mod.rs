@@ -173,10 +173,12 @@ async fn metrics_text(State(shared): State<Shared>, headers: HeaderMap) -> Respo
     }
 }
 
-/// 200 with the daemon's health document; 503 where the engine has not reported for [`STALLED_AFTER`].
+/// 200 with the daemon's health document; 503 where the engine has not reported for [`STALLED_AFTER`] or recording has
+/// stopped.
 async fn healthz(State(shared): State<Shared>) -> Response {
     let (made, health) = shared.snapshot.read().unwrap_or_else(PoisonError::into_inner).clone();
-    let status = if made.elapsed() < STALLED_AFTER { StatusCode::OK } else { StatusCode::SERVICE_UNAVAILABLE };
+    let is_well = made.elapsed() < STALLED_AFTER && health.stopped.is_empty();
+    let status = if is_well { StatusCode::OK } else { StatusCode::SERVICE_UNAVAILABLE };
     let body = serde_json::to_vec(&*health).unwrap_or_default();
     (status, [(header::CONTENT_TYPE, "application/json")], body).into_response()
 }

@@ -70,7 +70,7 @@ impl Daemon {
     pub fn start_by(by: &[&str], dir: &Path, extra: &str) -> Self {
         let endpoint = format!("tcp/127.0.0.1:{}", free_port());
         let path = configure(dir, &endpoint, extra);
-        let arguments = ["run", "--config", path.to_str().unwrap()];
+        let arguments = ["run", "--config", path.to_str().unwrap(), "--health-every-s", "0.2"];
         let under_test = program();
         let program = [by, &[&under_test], &arguments].concat();
         let mut child = Command::new(program[0]).args(&program[1..]).stderr(Stdio::piped()).spawn().unwrap();
@@ -124,6 +124,20 @@ impl Daemon {
         serde_json::from_str(&http(&self.web, "/healthz")).unwrap()
     }
 
+    /// The status of `/healthz`.
+    pub fn health_status(&self) -> u16 {
+        http_with_status(&self.web, "/healthz").0
+    }
+
+    /// Asks it to end. Its exit code, and what it logged.
+    pub fn end(mut self) -> (Option<i32>, String) {
+        self.signal("TERM");
+        let code = self.child.wait().unwrap().code();
+        // The rest of the log is read by a thread of its own.
+        wait_for("the end of the log", || (Arc::strong_count(&self.log) == 1).then_some(()));
+        (code, self.logged())
+    }
+
     pub fn counter(&self, name: &str) -> u64 {
         let text = http(&self.web, "/metrics");
         let row = format!("stictiond_{name}_total ");
@@ -146,6 +160,17 @@ impl Daemon {
 
     pub fn play(&self, input: &str) {
         ok(&["play", input, "--connect", &self.endpoint, "--prefix", PREFIX, "--speed", "max"]);
+    }
+
+    /// Plays a file and waits until all that came of it is flushed to the recordings.
+    pub fn play_to_disk(&self, input: &str) {
+        let before = self.counter("samples");
+        self.play(input);
+        wait_for("the samples on the disk", || {
+            let samples = self.counter("samples");
+            let kept = || files(&self.recordings).iter().map(|file| raw_samples(file) as u64).sum::<u64>();
+            (samples > before && kept() >= samples).then_some(())
+        });
     }
 
     /// Waits until the recording holds so many estimates; it is flushed every tenth of a second.
@@ -256,12 +281,18 @@ pub fn wait_for<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
 
 /// The body of an answer.
 pub fn http(address: &str, path: &str) -> String {
+    http_with_status(address, path).1
+}
+
+/// Status and body of an answer.
+pub fn http_with_status(address: &str, path: &str) -> (u16, String) {
     let mut stream = TcpStream::connect(address).unwrap();
     stream.set_read_timeout(Some(Duration::from_secs(30))).unwrap();
     write!(stream, "GET {path} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n").unwrap();
     let mut text = String::new();
     stream.read_to_string(&mut text).unwrap();
-    text.split_once("\r\n\r\n").unwrap_or_else(|| panic!("no answer: {text}")).1.to_owned()
+    let (head, body) = text.split_once("\r\n\r\n").unwrap_or_else(|| panic!("no answer: {text}"));
+    (head.split(' ').nth(1).unwrap().parse().unwrap(), body.to_owned())
 }
 
 pub fn files(dir: &Path) -> Vec<PathBuf> {

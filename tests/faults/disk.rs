@@ -42,6 +42,7 @@ fn input_output_errors_are_named_counted_and_over_when_the_disk_is_well() {
     shim.break_disk(true);
     feed(&daemon, &bus, &mut sent, 300);
     wait_for("the fault", || is_named(&daemon, "recording has stopped").then_some(()));
+    wait_for("503", || (daemon.health_status() == 503).then_some(()));
     // The compressor gives no number to an error of the file below it.
     assert!(is_named(&daemon, "os error 5") || is_named(&daemon, "I/O error"), "{:?}", daemon.faults());
     // People are told that it may be forgotten; it holds all the same, and goes to the disk once that is well.
@@ -54,6 +55,7 @@ fn input_output_errors_are_named_counted_and_over_when_the_disk_is_well() {
     wait_for("the faults' end", || {
         (!is_named(&daemon, "recording has stopped") && !is_named(&daemon, "cannot be stored")).then_some(())
     });
+    wait_for("200", || (daemon.health_status() == 200).then_some(()));
     let recorded = daemon.counter("recorded");
     feed(&daemon, &bus, &mut sent, 300);
     wait_for("the samples after it", || (daemon.counter("recorded") >= recorded + 300).then_some(()));
@@ -64,6 +66,43 @@ fn input_output_errors_are_named_counted_and_over_when_the_disk_is_well() {
     assert_eq!(state_after_restart(dir.path()), "acked");
     let kept: usize = files(&dir.path().join("rec")).iter().map(|f| raw_samples(f)).sum();
     assert!(kept as u64 + lost >= played + sent, "{kept} kept and {lost} lost of {played} and {sent}");
+}
+
+#[test]
+fn an_end_beside_a_disk_that_hangs_or_breaks_fails_and_names_what_is_not_finished() {
+    for hangs in [true, false] {
+        let dir = tempfile::tempdir().unwrap();
+        let Some(shim) = Shim::new(dir.path()) else {
+            return skipped("an_end_beside_a_disk", "no C compiler (cc)");
+        };
+        let daemon = shim.start(dir.path(), "[recording]\nflush_s = 0.1\n");
+        let (bus, mut sent) = (daemon.session(), 0);
+        feed(&daemon, &bus, &mut sent, 100);
+        wait_for("the samples on the disk", || (daemon.counter("recorded") >= 100).then_some(()));
+        assert_eq!(daemon.health_status(), 200);
+        if hangs {
+            shim.hang_disk(true);
+        } else {
+            shim.break_disk(true);
+        }
+        feed(&daemon, &bus, &mut sent, 300);
+        wait_for("503", || {
+            // A disk that hangs is noticed by what waits for it.
+            feed(&daemon, &bus, &mut sent, 1);
+            (daemon.health_status() == 503).then_some(())
+        });
+        let fault = if hangs { "the recording disk has not answered" } else { "recording has stopped" };
+        assert!(is_named(&daemon, fault), "{:?}", daemon.faults());
+        bus.close().wait().unwrap();
+        let rec = daemon.recordings.clone();
+        let (code, log) = daemon.end();
+        assert_eq!(code, Some(1), "{log}");
+        let said = log.lines().last().unwrap();
+        assert!(said.contains("recordings not finished") && said.contains("-s0-00000.mcap"), "{said}");
+        assert_eq!(said.contains("the recorder thread did not end in time"), hangs, "{said}");
+        let kept: usize = files(&rec).iter().map(|f| raw_samples(f)).sum();
+        assert!(kept >= 100, "{kept}");
+    }
 }
 
 #[test]

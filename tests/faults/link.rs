@@ -141,8 +141,12 @@ fn what_a_failing_link_loses_is_lost_once_and_the_holes_are_those_that_an_oracle
     });
     let sent = send(Duration::from_millis(500));
     let samples = daemon.counter("samples");
-    // The health comes every five seconds.
-    std::thread::sleep(Duration::from_secs(6));
+    // The aligners' sums come with the health: those of all samples are there two documents later.
+    let uptime = || daemon.health()["uptime_s"].as_f64().unwrap();
+    for _ in 0..2 {
+        let before = uptime();
+        wait_for("the next health document", || (uptime() > before).then_some(()));
+    }
     let holes = aligned(&daemon, "gaps");
     assert_eq!((daemon.counter("dropped_input"), daemon.counter("recording_lost")), (0, 0));
     let _ = plant.close().wait();

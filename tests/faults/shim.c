@@ -1,5 +1,5 @@
-/* Stands between the daemon and the system: while it is told to, writing and syncing below one folder fails with EIO, and
- * the wall clock is ahead. What it is told stands in a file of two numbers that whoever tests writes. */
+/* Between the daemon and the system: while `broken` is 1, writing and syncing below one folder fails with EIO, while it is 2
+ * they hang; the wall clock is `ahead_s` ahead. The test writes both numbers into a file. */
 #define _GNU_SOURCE
 #include <dlfcn.h>
 #include <errno.h>
@@ -47,7 +47,13 @@ static int fails(int fd) {
         return 0;
     }
     path[length] = 0;
-    return strncmp(path, below, strlen(below)) == 0;
+    if (strncmp(path, below, strlen(below)) != 0) {
+        return 0;
+    }
+    while (told->broken == 2) {
+        usleep(10000);
+    }
+    return told->broken == 1;
 }
 
 #define NEXT(type, name, parameters) \

@@ -48,6 +48,11 @@ impl Shim {
         self.told.write_all_at(&i64::from(broken).to_ne_bytes(), 0).unwrap();
     }
 
+    /// Whether the recording folder hangs.
+    pub fn hang_disk(&self, hangs: bool) {
+        self.told.write_all_at(&(2 * i64::from(hangs)).to_ne_bytes(), 0).unwrap();
+    }
+
     /// How far the wall clock is ahead.
     pub fn set_clock(&self, ahead_s: i64) {
         self.told.write_all_at(&ahead_s.to_ne_bytes(), 8).unwrap();

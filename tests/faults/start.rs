@@ -9,11 +9,12 @@ use std::time::{Duration, Instant};
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
+use stiction_monitor::codec::topic::Kind;
 use zenoh::Wait;
 
 use crate::live::{
-    self, Daemon, FAST, alarm_state, alarmed, ask, configure, free_port, plane, state_after_restart, stictiond,
-    wait_for,
+    self, Daemon, FAST, alarm_state, alarmed, ask, configure, documents, files, free_port, plane, state_after_restart,
+    stictiond, wait_for,
 };
 
 #[test]
@@ -50,8 +51,11 @@ fn a_store_that_is_damaged_before_a_start_or_under_the_daemon_costs_no_alarm() {
         let _ = ask(&bus, &plane(&format!("FIC101/alarm?cmd={cmd};by=ann")));
         wait_for("its state", || (alarm_state(&bus) == wanted).then_some(()));
         wait_for("a store", || (!daemon.faults().iter().any(|f| f.contains("cannot be stored"))).then_some(()));
-        // Past the next flush of the recording, which holds the same.
-        std::thread::sleep(Duration::from_millis(500));
+        // The recording holds the same.
+        wait_for("the recording of it", || {
+            let last = documents(files(&daemon.recordings).last()?, Kind::Alarm);
+            last.iter().any(|(_, alarm)| alarm["state"] == wanted).then_some(())
+        });
         let _ = bus.close().wait();
         daemon.kill();
         assert_eq!(state_after_restart(dir.path()), wanted, "round {round}");

@@ -13,4 +13,5 @@ mod engine_share;
 mod formats;
 mod language;
 mod pages;
+mod promises;
 mod tidy;

@@ -264,7 +264,10 @@ fn an_interrupted_search_tells_what_it_knows() {
         .stderr(Stdio::piped())
         .spawn()
         .unwrap();
-    std::thread::sleep(std::time::Duration::from_secs(1));
+    // Once it has worked for a while, its search is under way.
+    let stat = format!("/proc/{}/stat", child.id());
+    let ticks = || std::fs::read_to_string(&stat).unwrap().split(' ').nth(13).unwrap().parse::<u64>().unwrap();
+    crate::live::wait_for("the search", || (ticks() > 30).then_some(()));
     assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
     let out = child.wait_with_output().unwrap();
     assert_eq!(out.status.code(), Some(0), "{}", stderr(&out));

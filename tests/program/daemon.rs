@@ -5,10 +5,9 @@ use std::fs;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
-use std::time::Duration;
 
 use crate::common;
-use crate::live::{Daemon, FAST, documents, files, ok, sticking, stictiond};
+use crate::live::{Daemon, FAST, documents, files, ok, sticking, stictiond, wait_for};
 use serde_json::Value;
 use stiction_monitor::codec::topic::Kind;
 use stictiond::files::RecordingReader;
@@ -75,8 +74,7 @@ fn rotated(dir: &Path, window: &str) -> Vec<PathBuf> {
     let rows: Vec<&str> = rows.lines().collect();
     for piece in rows.chunks(200) {
         fs::write(&csv, format!("{header}\n{}\n", piece.join("\n"))).unwrap();
-        daemon.play(csv.to_str().unwrap());
-        std::thread::sleep(Duration::from_millis(400));
+        daemon.play_to_disk(csv.to_str().unwrap());
     }
     daemon.wait_for_estimates(6);
     files(&daemon.stop())
@@ -121,7 +119,10 @@ fn alarms_survive_kill_9_and_broken_files_do_not_stop_the_start() {
     let first = Daemon::start(dir.path(), FAST);
     first.play(&input);
     first.wait_for_estimates(6);
-    std::thread::sleep(Duration::from_millis(500));
+    wait_for("the alarm on the disk", || {
+        let last = files(&first.recordings).pop()?;
+        (!documents(&last, Kind::Alarm).is_empty()).then_some(())
+    });
     let recordings = first.kill();
     let part = files(&recordings).pop().unwrap();
     assert!(part.to_str().unwrap().ends_with(".mcap.part"));

@@ -2,11 +2,10 @@
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
-use std::time::Duration;
 
-use crate::live::{Daemon, FAST, ask, documents, files, ok, plane, sticking, stictiond};
+use crate::live::{Daemon, FAST, ask, documents, files, ok, plane, sticking, stictiond, wait_for};
 use serde_json::Value;
 use stiction_monitor::codec::topic::Kind;
 use zenoh::Wait;
@@ -22,10 +21,14 @@ fn rows(dir: &Path) -> (String, Vec<String>) {
     (lines.next().unwrap(), lines.collect())
 }
 
-fn play(daemon: &Daemon, dir: &Path, header: &str, rows: &[String]) {
+fn write(dir: &Path, header: &str, rows: &[String]) -> PathBuf {
     let csv = dir.join("FIC101.csv");
     fs::write(&csv, format!("{header}\n{}\n", rows.join("\n"))).unwrap();
-    daemon.play(csv.to_str().unwrap());
+    csv
+}
+
+fn play(daemon: &Daemon, dir: &Path, header: &str, rows: &[String]) {
+    daemon.play(write(dir, header, rows).to_str().unwrap());
 }
 
 #[test]
@@ -43,8 +46,8 @@ fn a_person_is_answered_and_every_file_replays_to_the_byte() {
         .unwrap();
     let (header, rows) = rows(dir.path());
     for piece in rows.chunks(400) {
-        play(&daemon, dir.path(), &header, piece);
-        std::thread::sleep(Duration::from_millis(400));
+        let csv = write(dir.path(), &header, piece);
+        daemon.play_to_disk(csv.to_str().unwrap());
     }
     daemon.wait_for_estimates(6);
 
@@ -56,10 +59,7 @@ fn a_person_is_answered_and_every_file_replays_to_the_byte() {
     assert!(answer["given"]["gap"].as_f64().unwrap() >= 0.0 && answer["parametric"].is_number(), "{answer}");
     assert_eq!(ask(&bus, &plane("FIC101/gap")).unwrap(), answer, "the last value");
     // The answer to a query and a publication take different ways: neither waits for the other.
-    let until = std::time::Instant::now() + Duration::from_secs(20);
-    while heard.lock().unwrap().is_empty() && std::time::Instant::now() < until {
-        std::thread::sleep(Duration::from_millis(20));
-    }
+    wait_for("the publication", || (!heard.lock().unwrap().is_empty()).then_some(()));
     assert_eq!(*heard.lock().unwrap(), std::slice::from_ref(&answer), "published once");
     for refused in ["NOPE/gap?run", "*/gap?run", "FIC101/estimate?run"] {
         assert!(ask(&bus, &plane(refused)).is_err(), "{refused}");
@@ -97,11 +97,9 @@ fn a_loop_that_departs_is_diagnosed_unasked_once_and_no_estimate_waits_for_it() 
     play(&daemon, dir.path(), &header, &rows);
     // All of them: a window that is not done when the daemon stops is a skip.
     daemon.wait_for_estimates(14);
-    let until = std::time::Instant::now() + Duration::from_secs(300);
-    while files(&daemon.recordings).iter().all(|f| documents(f, Kind::Gap).is_empty()) {
-        assert!(std::time::Instant::now() < until, "no diagnosis");
-        std::thread::sleep(Duration::from_millis(200));
-    }
+    wait_for("a diagnosis", || {
+        files(&daemon.recordings).iter().any(|f| !documents(f, Kind::Gap).is_empty()).then_some(())
+    });
     let recordings = daemon.stop();
     let file = files(&recordings).pop().unwrap();
     let gaps = documents(&file, Kind::Gap);
@@ -134,10 +132,9 @@ fn a_diagnosis_under_way_at_the_end_is_a_recorded_skip() {
         bus.close().wait().unwrap();
         answer
     });
-    let begun = || files(&daemon.recordings).iter().any(|f| !documents(f, Kind::Input).is_empty());
-    while !begun() {
-        std::thread::sleep(Duration::from_millis(100));
-    }
+    wait_for("the request in the recording", || {
+        files(&daemon.recordings).iter().any(|f| !documents(f, Kind::Input).is_empty()).then_some(())
+    });
     let file = files(&daemon.stop()).pop().unwrap();
     let inputs: Vec<Value> = documents(&file, Kind::Input).into_iter().map(|(_, d)| d).collect();
     assert_eq!(inputs[0]["kind"], "gap_run");

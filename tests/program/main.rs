@@ -17,6 +17,7 @@ mod columns;
 mod daemon;
 mod daemon_gap;
 mod exports;
+mod failover;
 mod golden;
 mod pages;
 mod recordings;

@@ -8,10 +8,12 @@ use std::io;
 use std::os::unix::fs::FileExt;
 use std::path::Path;
 use std::sync::{Arc, Mutex};
+use std::time::{Duration, SystemTime};
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use redb::{Builder, Database, StorageBackend};
+use stictiond::daemon::clock::Clock;
 use stictiond::files::disk::{Disk, DiskFile};
 
 const BLOCK: u64 = 4096;
@@ -31,6 +33,8 @@ pub enum Mode {
 #[derive(Debug)]
 struct State {
     random: ChaCha8Rng,
+    /// By which files get their time of change.
+    clock: Clock,
     mode: Mode,
     /// Which life of the machine: handles of earlier ones are dead.
     life: u64,
@@ -67,10 +71,11 @@ impl State {
 }
 
 impl FaultyDisk {
-    pub fn new(seed: u64) -> Self {
+    pub fn new(seed: u64, clock: &Clock) -> Self {
         let random = ChaCha8Rng::seed_from_u64(seed);
         let (growing, before) = (Vec::new(), Vec::new());
-        Self(Arc::new(Mutex::new(State { random, mode: Mode::Well, life: 0, left: None, growing, before })))
+        let clock = clock.clone();
+        Self(Arc::new(Mutex::new(State { random, clock, mode: Mode::Well, life: 0, left: None, growing, before })))
     }
 
     fn with<T>(&self, call: impl FnOnce(&mut State) -> T) -> T {
@@ -136,6 +141,8 @@ impl DiskFile for Growing {
             };
             self.file.write_all_at(bytes, entry.2)?;
             entry.2 += bytes.len() as u64;
+            let changed = SystemTime::UNIX_EPOCH + Duration::from_nanos(s.clock.now_ns().try_into().unwrap());
+            self.file.set_modified(changed)?;
             Ok(bytes.len())
         })
     }

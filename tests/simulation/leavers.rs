@@ -12,7 +12,7 @@ use stiction_monitor::config::Config;
 use stictiond::daemon::clock::Clock;
 use stictiond::daemon::replay::chains_of;
 use stictiond::daemon::rerun::Rerun;
-use stictiond::daemon::stage::Stage;
+use stictiond::daemon::stage::{Stage, no_receiver};
 use stictiond::files::disk::{Disk, SystemDisk};
 
 const FOUR: &str = include_str!("../../recordings/scenarios/four-loops.toml");
@@ -55,7 +55,7 @@ fn start(dir: &Path, clock: &Clock) -> (Stage, Config) {
     );
     let config = Config::parse(&text).unwrap();
     let disk = Arc::new(SystemDisk) as Arc<dyn Disk>;
-    (Stage::start(config.clone(), &text, clock, &disk), config)
+    (Stage::start(config.clone(), &text, clock, &disk, no_receiver).unwrap(), config)
 }
 
 #[test]

@@ -1,15 +1,18 @@
-//! Thirty days of a hundred loops under faults, from a seed: queues, engine, schedule, recorder, store and restore are the
-//! daemon's own, on a clock, a disk and a bus that the seed moves, fills, breaks and floods.
+//! Thirty days of a hundred loops under faults, from a seed: queues, engine, schedule, recorder, store, restore, page,
+//! delivery, gap diagnoses and retention are the daemon's own, on a clock, a disk, a bus and a receiver that the seed moves,
+//! fills, breaks and floods.
 //!
 //! `STICTIOND_SEED=N` runs one seed (a failure names its own), `STICTIOND_SEEDS=N` so many, `STICTIOND_SIM_DAYS=N` so long.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod disk;
+mod folder;
 #[path = "../common/isa.rs"]
 mod isa;
 mod leavers;
 mod oracle;
 mod plant;
+mod receiver;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -17,19 +20,23 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use disk::{FaultyDisk, Mode};
+use folder::{Folder, RAW_DAYS, RESULTS_DAYS};
 use oracle::{Asked, Oracle};
 use plant::{Plant, STEP_NS, below, one_in};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
+use receiver::{Account, Receiver};
+use stiction::gap::Serial;
 use stiction::ident::region::Size;
 use stiction::units::Moment;
 use stiction::verdict::{Assessment, Oscillation, Verdict, Window};
 use stiction_monitor::alarm::Command;
 use stiction_monitor::codec::topic::{Kind, Leaf, Topic};
 use stiction_monitor::config::Config;
-use stiction_monitor::engine::Request;
+use stiction_monitor::engine::{GapRequest, Request, SkipReason};
 use stiction_monitor::short_hash;
 use stictiond::daemon::clock::Clock;
+use stictiond::daemon::gaps::Outcome;
 use stictiond::daemon::stage::Stage;
 use stictiond::files::RecordingReader;
 use stictiond::files::disk::Disk;
@@ -115,10 +122,33 @@ struct Figures {
     not_stored: u64,
     alarms: u64,
     skipped: u64,
+    delivered: u64,
+    dead_letters: u64,
+    receiver_faults: u64,
+    gaps: u64,
+    gaps_refused: u64,
+    thinned: u64,
+    removed: u64,
     digest: u64,
 }
 
 type Answers = Arc<Mutex<Vec<(Asked, Result<Vec<u8>, String>)>>>;
+
+/// Steps between two looks at the recording folder.
+const FOLDER_STEPS: i64 = 36;
+/// What people asked of the gap, and how many were answered.
+type GapAnswers = Arc<Mutex<Vec<Result<Vec<u8>, String>>>>;
+
+/// One diagnosis in six is made, the others break off: each takes as long as a day of the rest.
+fn diagnosed(request: &GapRequest) -> Outcome {
+    if (request.id.index() as u64 + request.number).is_multiple_of(6) {
+        match request.compute(&Serial) {
+            Ok(document) => return Outcome::Done(Box::new(document), None),
+            Err(error) => return Outcome::Skipped(SkipReason::Failed, error.to_string()),
+        }
+    }
+    Outcome::Skipped(SkipReason::Failed, "broke off".to_owned())
+}
 
 /// What this run of the daemon must have counted.
 #[derive(Default)]
@@ -131,6 +161,12 @@ struct Run {
     flows: BTreeMap<String, (usize, usize)>,
     known: BTreeSet<String>,
     new_keys: Vec<String>,
+    /// People who wait for a diagnosis; diagnoses that were taken up, and those of them that were skipped.
+    gap_asked: u64,
+    gaps_done: u64,
+    gaps_skipped: u64,
+    /// Step since which the run goes on and the clock was not set.
+    calm_since: i64,
 }
 
 impl Run {
@@ -160,8 +196,14 @@ struct Simulation {
     stage: Stage,
     run: Run,
     answers: Answers,
+    gap_answers: GapAnswers,
+    receiver: Receiver,
+    account: Account,
+    folder: Folder,
+    receiver_back: i64,
     disk_well_again: i64,
     worker_stalls: i64,
+    step: i64,
     figures: Figures,
 }
 
@@ -170,12 +212,17 @@ impl Simulation {
         let text = format!(
             "[site]\nprefix = \"{PREFIX}\"\n[input]\nmax_loops = {MAX_LOOPS}\nqueue = {QUEUE}\nqueue_bytes = {QUEUE_BYTES}\n\
              [window]\nhop_s = 43200.0\nmax_window_s = 172800.0\nmax_points = 128\nlateness_s = 1800.0\n\
-             [alarm]\nraise = [2, 3]\ns_limit_op = 1.0\n[gap]\nenabled = false\n[recording]\ndir = {:?}\nmax_s = 86400.0\n",
+             [alarm]\nraise = [2, 3]\ns_limit_op = 1.0\n[gap]\nenabled = false\nbudget_evaluations = 1000\n\
+             [retention]\nraw_days = {RAW_DAYS}\nresults_days = {RESULTS_DAYS}\n\
+             [[deliver]]\nname = \"cmms\"\nto = \"syslog+tcp://127.0.0.1:1\"\n\
+             [recording]\ndir = {:?}\nmax_s = 86400.0\n",
             dir.to_str().unwrap()
         );
         let config = Config::parse(&text).unwrap();
-        let (clock, disk) = (Clock::standing(START_NS), FaultyDisk::new(seed));
-        let stage = Stage::start(config.clone(), &text, &clock, &(Arc::new(disk.clone()) as Arc<dyn Disk>));
+        let clock = Clock::standing(START_NS);
+        let (disk, receiver) = (FaultyDisk::new(seed, &clock), Receiver::default());
+        let below = Arc::new(disk.clone()) as Arc<dyn Disk>;
+        let stage = Stage::start(config.clone(), &text, &clock, &below, receiver.maker()).unwrap();
         Self {
             seed,
             random: ChaCha8Rng::seed_from_u64(seed),
@@ -188,8 +235,14 @@ impl Simulation {
             stage,
             run: Run::default(),
             answers: Answers::default(),
+            gap_answers: GapAnswers::default(),
+            receiver,
+            account: Account::default(),
+            folder: Folder::new(dir),
+            receiver_back: 0,
             disk_well_again: 0,
             worker_stalls: 0,
+            step: 0,
             figures: Figures::default(),
         }
     }
@@ -221,6 +274,7 @@ impl Simulation {
     }
 
     fn step(&mut self, step: i64) {
+        self.step = step;
         self.faults(step);
         for sent in self.plant.step(&mut self.random, step, START_NS) {
             self.deliver(&sent.key, &sent.payload, sent.samples);
@@ -246,9 +300,11 @@ impl Simulation {
         // One fit in three hundred breaks off.
         self.stage.work(fits, |name, r| (r.seq % 300 != 7).then(|| scripted(seed, name, r)));
         self.oracle.follow(self.stage.published());
+        self.diagnose();
         self.clock.advance(Duration::from_nanos(STEP_NS as u64));
         self.stage.record();
         let stored = self.stage.keep();
+        self.send_out();
         let alive = !self.disk.is_off();
         if stored && alive {
             self.oracle.stored();
@@ -256,6 +312,7 @@ impl Simulation {
         self.answered(alive);
         assert!(self.oracle.asked.is_empty(), "without an answer: {:?}", self.oracle.asked);
         self.check(step);
+        self.keep_folder(step);
         if !alive {
             self.end_life(true);
         } else if self.chance(150) {
@@ -266,7 +323,61 @@ impl Simulation {
         }
     }
 
+    /// A person asks for a diagnosis now and then; those that wait are made.
+    fn diagnose(&mut self) {
+        if self.chance(20) {
+            let name = Plant::name(below(&mut self.random, LOOPS as u32) as usize);
+            let answers = self.gap_answers.clone();
+            let answer = Box::new(move |result| answers.lock().unwrap().push(result));
+            self.run.gap_asked += u64::from(self.stage.ask_gap(&name, "ann", answer));
+            self.stage.turn();
+        }
+        let mut skipped = 0;
+        let done = self.stage.diagnose(|request| {
+            let outcome = diagnosed(request);
+            skipped += u64::from(matches!(outcome, Outcome::Skipped(..)));
+            outcome
+        });
+        self.run.gaps_done += done as u64;
+        self.run.gaps_skipped += skipped;
+        self.oracle.follow(self.stage.published());
+        let answers = std::mem::take(&mut *self.gap_answers.lock().unwrap());
+        self.run.gap_asked -= answers.len() as u64;
+        assert_eq!(self.run.gap_asked, 0, "everybody who asked is answered once");
+        self.figures.gaps_refused += answers.iter().filter(|answer| answer.is_err()).count() as u64;
+    }
+
+    /// The receiver outside the bus has its turn.
+    fn send_out(&mut self) {
+        let stored = self.stage.send_out();
+        self.account.published(std::mem::take(&mut self.oracle.alarms));
+        self.account.after_turn(stored && !self.disk.is_off());
+        if self.step % 16 == 0 {
+            self.account.compare(&self.receiver, &self.stage, Path::new(&self.config.recording.dir));
+        }
+    }
+
+    /// The retention worker has its turn.
+    fn keep_folder(&mut self, step: i64) {
+        if step % FOLDER_STEPS != 0 || self.disk.is_off() {
+            return;
+        }
+        let before = self.folder.look();
+        self.stage.keep_folder();
+        // Where the clock jumps or a run starts, nothing is removed by age for a day.
+        let calm = step - self.run.calm_since > DAY_STEPS + 2 * FOLDER_STEPS;
+        self.folder.compare(&before, self.clock.now_ns(), calm);
+    }
+
     fn faults(&mut self, step: i64) {
+        if step >= self.receiver_back {
+            self.receiver.set_away(false);
+            if self.chance(200) {
+                self.receiver.set_away(true);
+                self.receiver_back = step + 1 + i64::from(below(&mut self.random, 60));
+                self.figures.receiver_faults += 1;
+            }
+        }
         if step >= self.disk_well_again {
             self.disk.set(Mode::Well);
             if self.chance(250) {
@@ -283,6 +394,7 @@ impl Simulation {
             let years = i64::from(below(&mut self.random, 21)) - 10;
             self.clock.set_wall(START_NS + step * STEP_NS + years * 365 * DAY_STEPS * STEP_NS);
             self.figures.clock_jumps += 1;
+            self.run.calm_since = step;
         }
         if self.chance(300) || self.plant.has_racing_stamps() && self.chance(8) {
             self.worker_stalls = step + 30;
@@ -329,10 +441,13 @@ impl Simulation {
         assert_eq!((m.messages.get(), m.dropped_input.get()), (self.run.messages, self.run.dropped), "step {step}");
         assert!(m.samples.get() <= self.run.samples_at_most, "step {step}");
         assert!(self.stage.engine().ids().len() <= MAX_LOOPS);
-        assert!(self.stage.waiting().1 <= MAX_LOOPS, "one state a loop waits at most");
+        // One state a loop waits at most, and notes of the recordings.
+        assert!(self.stage.waiting().1 <= MAX_LOOPS + 300);
         // Everything that was handed to the recorder is on the disk, lost and counted, or in the open chunk.
         let taken = m.samples.get() - m.over_rate.get() - m.stamps_ahead.get();
-        let handed = taken + 2 * m.estimates.get() + m.alarms.get() + m.fits_skipped.get() + 2 * m.commands.get();
+        let windows = 2 * m.estimates.get() + m.alarms.get() + m.fits_skipped.get();
+        let gaps = self.run.gaps_done + self.stage.gaps_waiting() as u64 + m.gaps.get() + self.run.gaps_skipped;
+        let handed = taken + windows + 2 * m.commands.get() + gaps;
         let kept = m.recorded.get() + m.recording_lost.get();
         assert_eq!(kept, handed, "step {step}: recorded {} and lost {}", m.recorded.get(), m.recording_lost.get());
         if step % 16 == 0 {
@@ -340,8 +455,11 @@ impl Simulation {
             for queue in &self.stage.health().queues {
                 assert!(queue.length <= queue.limit && (queue.limit_bytes == 0 || queue.bytes <= queue.limit_bytes));
             }
+            self.oracle.compare_page(&self.stage, self.clock.now_ns());
         }
-        let faults = self.stage.faults();
+        let mut faults = self.stage.faults();
+        // That is the disk of the machine that runs the test.
+        faults.retain(|fault| !fault.contains("nearly full"));
         let well = self.disk.mode() == Mode::Well && !self.disk.is_off();
         assert!(well || !faults.is_empty() || self.stage.metrics().samples.get() == 0, "a fault that nobody names");
     }
@@ -357,10 +475,14 @@ impl Simulation {
         f.ahead += m.stamps_ahead.get();
         f.over_limit += m.loops_over_limit.get();
         f.over_share += m.over_share.get();
+        f.gaps += m.gaps.get();
     }
 
     /// What a run has recorded by its own count is in its files.
     fn look_into(&self, run_id: &str, recorded: u64) {
+        if self.folder.has_touched(run_id) {
+            return;
+        }
         let mut found = 0;
         for entry in std::fs::read_dir(&self.config.recording.dir).unwrap().flatten() {
             if !entry.file_name().to_string_lossy().contains(run_id) {
@@ -392,6 +514,7 @@ impl Simulation {
         // Windows without a fit say so at the end.
         let published = self.stage.finish();
         self.oracle.follow(published.into_iter());
+        self.account.published(std::mem::take(&mut self.oracle.alarms));
         self.sum_up();
         let (run_id, recorded) = (self.stage.run_id().to_owned(), self.stage.metrics().recorded.get());
         if well {
@@ -409,8 +532,11 @@ impl Simulation {
         self.figures.restarts += 1;
         self.answers.lock().unwrap().clear();
         let disk = Arc::new(self.disk.clone()) as Arc<dyn Disk>;
-        self.stage = Stage::start(self.config.clone(), &self.text, &self.clock, &disk);
-        self.run = Run::default();
+        let receiver = self.receiver.maker();
+        self.stage = Stage::start(self.config.clone(), &self.text, &self.clock, &disk, receiver).unwrap();
+        self.run = Run { calm_since: self.step, ..Run::default() };
+        self.gap_answers.lock().unwrap().clear();
+        self.account.crashed();
         self.oracle.restarted(&self.stage);
         assert!(!self.stage.faults().iter().any(|f| f.contains("cannot be stored")), "{:?}", self.stage.faults());
     }
@@ -424,8 +550,17 @@ fn simulate(seed: u64, days: i64) -> Figures {
         simulation.step(step);
     }
     simulation.sum_up();
-    let Simulation { figures, oracle, .. } = simulation;
-    Figures { alarms: oracle.raised, skipped: oracle.skipped, digest: oracle.digest, ..figures }
+    let Simulation { figures, oracle, account, folder, .. } = simulation;
+    Figures {
+        alarms: oracle.raised,
+        skipped: oracle.skipped,
+        delivered: account.delivered,
+        dead_letters: account.dead,
+        thinned: folder.thinned,
+        removed: folder.removed,
+        digest: oracle.digest,
+        ..figures
+    }
 }
 
 #[test]
@@ -446,6 +581,8 @@ fn thirty_days_of_a_hundred_loops_under_faults() {
             assert!(figures.acknowledged > 20 && figures.dropped > 0 && figures.skipped > 0 && figures.lost > 0);
             assert!(figures.ahead > 0 && figures.over_limit > 0 && figures.over_share > 0, "limits were met");
             assert!(figures.recorded > 4 * figures.lost, "most of it is recorded all the same");
+            assert!(figures.delivered > 100 && figures.dead_letters > 2 && figures.receiver_faults > 3);
+            assert!(figures.gaps > 3 && figures.gaps_refused > 3 && figures.thinned > 5 && figures.removed > 5);
         }
     }
 }

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use serde_json::Value;
+use stiction::units::ms_from_ns;
 use stiction_monitor::alarm::Alarm;
 use stiction_monitor::codec::topic::Kind;
 use stictiond::daemon::stage::Stage;
@@ -44,6 +45,10 @@ pub struct Oracle {
     pub digest: u64,
     pub raised: u64,
     pub skipped: u64,
+    /// Loop and identity of alarms that went out since somebody took them.
+    pub alarms: Vec<(String, String)>,
+    /// End of each loop's newest window in this run, ns.
+    newest: BTreeMap<String, i64>,
 }
 
 /// What a window says by its published document, by the rule of the configuration.
@@ -107,11 +112,13 @@ impl Oracle {
     }
 
     fn estimate(&mut self, document: &Value) {
-        let known = self.loops.entry(document["loop"].as_str().unwrap().to_owned()).or_default();
+        let name = document["loop"].as_str().unwrap();
+        let known = self.loops.entry(name.to_owned()).or_default();
         assert!(!known.owed, "an alarm changed and nothing said so: {document}");
         let (vote, class) = vote_of(document);
         let mut model = known.now();
         let end_ns = document["window"]["end_ns"].as_i64().unwrap();
+        self.newest.insert(name.to_owned(), end_ns);
         known.owed = model.window(end_ns, vote, class, RAISE);
         known.states.push(model);
         self.skipped += u64::from(document["gates"].as_array().unwrap().iter().any(|gate| gate == "skipped"));
@@ -119,6 +126,7 @@ impl Oracle {
 
     fn alarm(&mut self, document: &Value) {
         let name = document["loop"].as_str().unwrap();
+        self.alarms.push((name.to_owned(), document["event_id"].as_str().unwrap().to_owned()));
         let known = self.loops.entry(name.to_owned()).or_default();
         let mut model = known.now();
         if document["by"].is_null() {
@@ -164,9 +172,23 @@ impl Oracle {
         }
     }
 
+    /// Whether the page shows each loop as the model has it, and no other.
+    pub fn compare_page(&self, stage: &Stage, now_ns: i64) {
+        let rows = stage.overview().changes_after(0, now_ns).rows;
+        assert_eq!(rows.len(), stage.engine().ids().len(), "one row a loop");
+        for row in rows {
+            assert!(stage.engine().find(&row.name).is_some(), "{} is on the page alone", row.name);
+            let model = self.loops.get(&row.name).map(Known::now).unwrap_or_default();
+            assert_eq!((row.alarm_state.name(), row.active), (model.shown(), model.active), "{}", row.name);
+            let end_ms = self.newest.get(&row.name).map(|end_ns| ms_from_ns(*end_ns));
+            assert_eq!(row.window_end_ms, end_ms, "{}", row.name);
+        }
+    }
+
     /// After a restart: each loop is where it was when all was stored last, or later; never before.
     pub fn restarted(&mut self, stage: &Stage) {
         self.asked.clear();
+        self.newest.clear();
         for (name, known) in &mut self.loops {
             known.owed = false;
             let alarm = stage.engine().find(name).map(|id| stage.engine().checkpoint(id).alarm).unwrap_or_default();

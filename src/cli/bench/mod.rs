@@ -194,7 +194,7 @@ fn ingest(args: &Args) -> anyhow::Result<Vec<Row>> {
     let config = Config::parse(&text).map_err(|f| anyhow!("{}", super::list(&f)))?;
     let health = block_on(async {
         let (stop, stopped) = tokio::sync::oneshot::channel::<()>();
-        let options = RunOptions { origin: "bench", workers: None, config_path: None };
+        let options = RunOptions::of("bench");
         let daemon = tokio::spawn(daemon::run(config, text, options, async { drop(stopped.await) }));
         let session = play::connect(&format!("tcp/127.0.0.1:{port}")).await?;
         let sent = feed(&session, args).await?;

@@ -92,12 +92,8 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     }
     let last = block_on(async {
         let (stop, stopped) = tokio::sync::oneshot::channel::<()>();
-        let daemon = tokio::spawn(daemon::run(
-            config.clone(),
-            text,
-            RunOptions { origin: "demo", workers: None, config_path: None },
-            async { drop(stopped.await) },
-        ));
+        let daemon =
+            tokio::spawn(daemon::run(config.clone(), text, RunOptions::of("demo"), async { drop(stopped.await) }));
         let watched = watch(&scenario, &config, port, args.for_s, shown).await;
         drop(stop);
         daemon.await??;

@@ -1,6 +1,9 @@
 //! What is taken out of messages: one signal under its key, or several under names.
 
+use std::time::Duration;
+
 use super::Core;
+use crate::daemon::feeds::Feed;
 use crate::daemon::metrics::Label;
 use crate::daemon::routes::Route;
 use crate::source::Message;
@@ -9,6 +12,9 @@ use stiction::units::s_from_ns;
 use stiction_monitor::codec::{self, Bundle, CodecError};
 use stiction_monitor::engine::LoopId;
 
+/// How long a change of sources stays among the faults, and how long two sources of one signal do after the last value.
+const CHANGE_SHOWN: Duration = Duration::from_secs(3600);
+const CONTEST_SHOWN: Duration = Duration::from_secs(60);
 /// One message in so many is timed.
 const TIMED: u64 = 8;
 
@@ -29,6 +35,11 @@ impl Core {
         match codec::decode(signal, payload, encoding, Some(&self.codec), fallback_ns, &mut samples) {
             Ok(name) => self.count_codec(name),
             Err(error) => self.count_undecodable(m, &error),
+        }
+        let feeds = samples.first().is_none_or(|first| self.is_fed_by(id, signal, m.parcel.key(), first.t_ns));
+        if !feeds {
+            self.metrics.second_source.inc_by(samples.len() as u64);
+            samples.clear();
         }
         for sample in &samples {
             self.take_sample(id, *sample, m.arrival_ns);
@@ -63,13 +74,35 @@ impl Core {
             let signal = one.sample.signal;
             let route = self.routes.to_loop(&one.loop_name, signal, &mut self.engine, || self.limits.new_loop(now));
             let Some((id, signal)) = self.admitted(route) else { continue };
-            if !self.bundles.feeds(id, signal, &one.source) {
-                self.metrics.unmapped_values.inc();
+            if !self.is_fed_by(id, signal, &one.source, one.sample.t_ns) {
+                self.metrics.second_source.inc();
                 continue;
             }
             self.welcome();
             self.take_sample(id, one.sample, m.arrival_ns);
         }
+    }
+
+    /// Whether a signal is taken from this source; a change of sources and two that both send are named.
+    fn is_fed_by(&mut self, id: LoopId, signal: Signal, source: &str, t_ns: i64) -> bool {
+        let feed = self.feeds.feed((id, signal), source, self.taken, t_ns);
+        let what = || format!("{} {}", self.engine.name(id).escape_debug(), signal.name());
+        match feed {
+            Feed::Taken => {}
+            Feed::Ignored => return false,
+            Feed::TakenOver { from } => {
+                let changes = self.metrics.source_changes.inc() + 1;
+                let (what, from, to) = (what(), from.escape_debug(), source.escape_debug());
+                let text = format!("{what}: {from} is silent, now taken from {to} ({changes} such changes so far)");
+                self.faults.raise_for("source changed", text, CHANGE_SHOWN);
+            }
+            Feed::Contested { other } => {
+                let (what, taken, other) = (what(), source.escape_debug(), other.escape_debug());
+                let text = format!("{what} comes from two sources at once: {taken} is taken, {other} is ignored");
+                self.faults.raise_for("two sources", text, CONTEST_SHOWN);
+            }
+        }
+        true
     }
 
     /// Where a route leads; what leads nowhere is counted.

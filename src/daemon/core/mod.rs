@@ -22,6 +22,7 @@ use super::bundles::Bundles;
 use super::clock::Clock;
 use super::desk::Desk;
 use super::faults::Faults;
+use super::feeds::Feeds;
 use super::gaps::Diagnoser;
 use super::health::HealthSnapshot;
 use super::limits::{Limits, Refused};
@@ -50,8 +51,6 @@ use stiction_monitor::engine::{Checkpoint, Engine, Event, LoopId, SkipReason, St
 const BATCH: usize = 256;
 /// How long that may take: a message may hold a hundred thousand samples.
 const BATCH_WITHIN: Duration = Duration::from_millis(20);
-/// How often the daemon's health is published.
-const HEALTH_EVERY: Duration = Duration::from_secs(5);
 /// How long a stopping daemon still takes what had already arrived.
 const DRAIN: Duration = Duration::from_secs(1);
 
@@ -61,6 +60,7 @@ pub struct Core {
     engine: Engine,
     routes: Routes,
     bundles: Bundles,
+    feeds: Feeds,
     workers: Workers,
     /// Windows that wait for a worker.
     schedule: Schedule<windows::Due>,
@@ -94,6 +94,7 @@ pub struct Core {
     snapshot: HealthSnapshot,
     daemon_id: String,
     clock: Clock,
+    health_every: Duration,
     started: Instant,
     losses: [u64; 8],
     limits: Limits,
@@ -143,6 +144,8 @@ pub struct Parts {
     pub daemon_id: String,
     /// The time.
     pub clock: Clock,
+    /// How often the health documents are made.
+    pub health_every: Duration,
 }
 
 impl Core {
@@ -158,6 +161,7 @@ impl Core {
         Self {
             routes: Routes::new(config, shares, parts.own.clone()),
             bundles: Bundles::new(config),
+            feeds: Feeds::new(config),
             codec: config.input.codec.clone(),
             input_limit: config.input.queue,
             engine,
@@ -185,6 +189,7 @@ impl Core {
             daemon_id: parts.daemon_id,
             started: parts.clock.now(),
             clock: parts.clock,
+            health_every: parts.health_every,
             losses: [0; 8],
             limits,
             ahead: None,
@@ -211,7 +216,7 @@ impl Core {
     /// Works until `stop` is closed, then ends in order: what has arrived is taken, fits that are not done are skipped
     /// and recorded as such, files are finished when the core is dropped.
     pub fn run(mut self, incoming: &Receiver<Incoming>, stop: &Receiver<()>) {
-        let (ticker, surveys) = (tick(HEALTH_EVERY), tick(survey::EVERY));
+        let (ticker, surveys) = (tick(self.health_every), tick(survey::EVERY));
         let answers = self.workers.answers.clone();
         let diagnoses = self.diagnoser.answers.clone();
         // A watchdog is fed from here, so that an engine that stands still starves it.

@@ -21,6 +21,10 @@ use stiction_monitor::engine::StateDocument;
 const LOOP_HEALTH_SLICES: usize = 12;
 /// How long a loss stays among the faults after it has ended.
 const LOSS_SHOWN: Duration = Duration::from_secs(60);
+/// Name of the fault while the recording disk hangs or is too slow.
+const STALL: &str = "recording stalls";
+/// What has stopped then, in the health document.
+const RECORDING: &str = "recording";
 
 impl Core {
     /// Publishes the health of the daemon, and where there are few loops from time to time that of each.
@@ -30,7 +34,8 @@ impl Core {
         self.report_losses();
         self.keep_all_again();
         self.survey_few(LOOP_HEALTH_SLICES);
-        let health = self.health(loops, input_waiting);
+        let stopped = self.stopped();
+        let health = self.health(loops, input_waiting, stopped);
         for queue in &health.queues {
             self.metrics.queues.get_or_create(&Label { name: queue.name.into() }).set(queue.length as i64);
         }
@@ -90,7 +95,19 @@ impl Core {
         }
     }
 
-    fn health(&self, loops: usize, input_waiting: usize) -> DaemonHealth {
+    /// What has stopped, which makes `/healthz` answer 503.
+    fn stopped(&mut self) -> Vec<&'static str> {
+        let Some(recorder) = &mut self.recorder else { return Vec::new() };
+        let stall = recorder.stall();
+        let has_stopped = stall.is_some() || recorder.progress().has_stopped();
+        match stall {
+            Some(why) => self.faults.raise(STALL, why),
+            None => self.faults.clear(STALL),
+        }
+        if has_stopped { vec![RECORDING] } else { Vec::new() }
+    }
+
+    fn health(&self, loops: usize, input_waiting: usize, stopped: Vec<&'static str>) -> DaemonHealth {
         let m = &self.metrics;
         let recorder_waiting = self.recorder.as_ref().map_or(0, Recorder::waiting);
         let queue = |name, [length, limit]: [usize; 2], [bytes, limit_bytes]: [usize; 2], dropped| QueueHealth {
@@ -120,6 +137,7 @@ impl Core {
                 queue("recorder", [recorder_waiting, recorder::QUEUE], recorder_bytes, m.recording_lost.get()),
                 queue("publisher", [self.publisher.waiting(), bus::QUEUE], published, m.dropped_output.get()),
             ],
+            stopped,
             faults: self.faults.list(),
         }
     }

@@ -193,7 +193,7 @@ impl Core {
         }
         tracing::info!(loops = gone.len(), left = self.engine.count(), "silent loops have left the memory");
         self.routes.forget(&gone);
-        self.bundles.forget(&gone);
+        self.feeds.forget(&gone);
         self.close_empty_shards(&gone);
     }
 

@@ -14,7 +14,8 @@ use super::{Inputs, Item, LOSS_SHOWN};
 use crate::daemon::faults::Faults;
 use crate::daemon::metrics::Metrics;
 use crate::daemon::restore::ASIDE;
-use crate::files::store::{OUTBOX_NAME, StateStore, StoreError};
+use crate::files::disk::Disk;
+use crate::files::store::{OUTBOX_NAME, StateStore, StoreError, Stored};
 
 /// Documents of one transaction.
 const BATCH: usize = 256;
@@ -32,12 +33,16 @@ pub(super) struct Change {
 /// The thread that keeps the store.
 pub(super) struct Keep {
     path: PathBuf,
+    disk: Arc<dyn Disk>,
     store: Option<StateStore>,
     queues: Vec<Arc<Queue>>,
     /// What the store lacks, and what it holds too much.
     puts: BTreeMap<String, Vec<u8>>,
     gone: BTreeSet<String>,
+    /// Number of the next document: above those of every run before.
     next: u64,
+    /// Whether the queues have what an earlier run left.
+    taken_over: bool,
     faults: Arc<Faults>,
     metrics: Arc<Metrics>,
 }
@@ -49,37 +54,49 @@ fn key_of(queue: &str, seq: u64) -> String {
 
 impl Keep {
     /// Opens the store and gives what an earlier run left there to its queues.
-    pub fn open(dir: &Path, queues: Vec<Arc<Queue>>, faults: Arc<Faults>, metrics: Arc<Metrics>) -> Self {
+    pub fn open(
+        dir: &Path,
+        disk: Arc<dyn Disk>,
+        first: u64,
+        queues: Vec<Arc<Queue>>,
+        faults: Arc<Faults>,
+        metrics: Arc<Metrics>,
+    ) -> Self {
         let path = dir.join(OUTBOX_NAME);
         let (puts, gone) = (BTreeMap::new(), BTreeSet::new());
-        let mut keep = Self { path, store: None, queues, puts, gone, next: 0, faults, metrics };
-        match keep.reopen() {
-            Ok(()) => keep.take_over(),
-            Err(why) => keep.faults.raise(FAULT, why),
+        let mut keep =
+            Self { path, disk, store: None, queues, puts, gone, next: first, taken_over: false, faults, metrics };
+        if let Err(why) = keep.reopen() {
+            keep.faults.raise(FAULT, why);
         }
         keep
     }
 
     fn reopen(&mut self) -> Result<(), String> {
-        let opened = match StateStore::open(&self.path) {
+        let opened = match StateStore::open_on(self.disk.as_ref(), &self.path) {
             Err(StoreError::Broken { why, .. }) => {
                 let mut aside = self.path.clone().into_os_string();
                 aside.push(ASIDE);
-                std::fs::rename(&self.path, &aside).map_err(|e| format!("{}: {e}", self.path.display()))?;
+                self.disk.rename(&self.path, Path::new(&aside)).map_err(|e| format!("{}: {e}", self.path.display()))?;
                 self.metrics.quarantined.inc();
                 let text = format!("{}: {why}; put aside, documents that waited there are lost", self.path.display());
                 self.faults.raise_for("outbox broken", text, LOSS_SHOWN);
-                StateStore::open(&self.path)
+                StateStore::open_on(self.disk.as_ref(), &self.path)
             }
             opened => opened,
         };
-        self.store = Some(opened.map_err(|e| format!("documents that wait for receivers cannot be kept: {e}"))?);
+        let cannot = |e: StoreError| format!("documents that wait for receivers cannot be kept: {e}");
+        let store = opened.map_err(cannot)?;
+        if !self.taken_over {
+            self.take_over(store.load().map_err(cannot)?);
+        }
+        self.store = Some(store);
         Ok(())
     }
 
     /// What an earlier run left. Documents of receivers that are no longer named are dropped: nobody would ever take them.
-    fn take_over(&mut self) {
-        let Some(Ok(stored)) = self.store.as_ref().map(StateStore::load) else { return };
+    fn take_over(&mut self, stored: Stored) {
+        self.taken_over = true;
         let mut dropped = stored.damaged as u64;
         for (key, json) in stored.values {
             let place = key.split_once('\n').and_then(|(name, seq)| Some((name, seq.parse::<u64>().ok()?)));
@@ -102,8 +119,8 @@ impl Keep {
     /// Works until no more can be handed over.
     pub fn run(&mut self, (handed, done): Inputs<'_>) {
         loop {
-            // With everything stored there is nothing to try again.
-            let again = if self.is_stored() { never() } else { crossbeam_channel::after(RETRY) };
+            // With everything stored there is nothing to try again; a store that is not open may hold what waits.
+            let again = if self.is_stored() && self.store.is_some() { never() } else { crossbeam_channel::after(RETRY) };
             let mut fresh = Vec::new();
             let mut closed = false;
             select! {
@@ -126,7 +143,14 @@ impl Keep {
         }
     }
 
-    fn is_stored(&self) -> bool {
+    /// Takes all that waits now, without waiting for more.
+    pub fn turn(&mut self, (handed, done): Inputs<'_>) {
+        done.try_iter().for_each(|change| self.settled(&change));
+        self.take(handed.try_iter().collect());
+    }
+
+    /// Whether the store holds what waits, and nothing else.
+    pub fn is_stored(&self) -> bool {
         self.puts.is_empty() && self.gone.is_empty()
     }
 

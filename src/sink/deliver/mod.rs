@@ -19,14 +19,16 @@ mod worker;
 use std::path::Path;
 use std::sync::Arc;
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, anyhow};
 use crossbeam_channel::{Receiver, Sender};
 use serde::{Deserialize, Serialize};
 
+use crate::daemon::clock::Clock;
 use crate::daemon::faults::Faults;
 use crate::daemon::metrics::Metrics;
+use crate::files::disk::{Disk, SystemDisk};
 use dead::DeadLetters;
 use keep::{Change, Keep};
 #[cfg(feature = "bridge-mqtt")]
@@ -36,7 +38,8 @@ use stiction_monitor::alarm::{AlarmDocument, Priority};
 use stiction_monitor::codec::topic::Kind;
 use stiction_monitor::config::{Config, Deliver, Protocol};
 use stiction_monitor::short_hash;
-use worker::Worker;
+pub use worker::MakeTarget;
+use worker::{Step, Worker};
 
 /// Documents that the engine may hand over before the store has taken the first of them.
 const HANDED: usize = 4096;
@@ -133,7 +136,8 @@ impl Item {
 }
 
 /// Why a receiver did not take a document.
-enum Failure {
+#[derive(Debug)]
+pub enum Failure {
     /// It answered that it does not take it now, and after which time to try again where it says one.
     Later(String, Option<Duration>),
     /// It did not answer.
@@ -143,11 +147,14 @@ enum Failure {
 }
 
 /// What hands documents to one receiver.
-trait Target: Send {
+pub trait Target: Send {
     /// Hands one over; returns once the receiver has it, as far as its protocol can tell.
+    ///
+    /// # Errors
+    /// [`Failure`] says whether it is worth another attempt.
     fn send(&mut self, item: &Item) -> Result<(), Failure>;
 
-    /// Nothing is to be sent for a while: a connection may be let go.
+    /// Nothing is to be sent for a while: a connection may be closed.
     fn rest(&mut self) {}
 }
 
@@ -219,34 +226,64 @@ impl Outbox {
         if config.deliver.is_empty() {
             return Ok(None);
         }
-        let (handed, incoming) = crossbeam_channel::bounded(HANDED);
-        let (changes, done) = crossbeam_channel::unbounded();
-        let mut queues = Vec::new();
-        let dead = Arc::new(DeadLetters::new(dir));
-        for d in &config.deliver {
+        let place = (Arc::new(SystemDisk) as Arc<dyn Disk>, Clock::system());
+        let make = |d: &Deliver| {
             let (entry, prefix) = (d.clone(), config.site.prefix.clone());
-            let make = move || target(&entry, &prefix);
-            let first = make().with_context(|| format!("[[deliver]] {}", d.name))?;
-            let queue = Arc::new(Queue::new(d, metrics));
-            queues.push(queue.clone());
+            Box::new(move || target(&entry, &prefix)) as MakeTarget
+        };
+        let (outbox, delivery) = Self::pair(config, dir, place, make, faults, metrics)?;
+        let Delivery { mut keep, incoming, done, workers, .. } = delivery;
+        for (mut worker, _) in workers {
+            let thread = std::thread::Builder::new().name(format!("to-{}", worker.queue.name));
+            thread.spawn(move || worker.supervise())?;
+        }
+        let thread = std::thread::Builder::new().name("outbox".into());
+        let handle = thread.spawn(move || keep.run((&incoming, &done))).map_err(|e| anyhow!(e))?;
+        Ok(Some((outbox, handle)))
+    }
+
+    /// Both ends without threads: whoever holds the other one decides when it works, and makes the receivers.
+    ///
+    /// # Errors
+    /// A receiver cannot be made.
+    pub fn pair(
+        config: &Config,
+        dir: &Path,
+        (disk, clock): (Arc<dyn Disk>, Clock),
+        make: impl Fn(&Deliver) -> MakeTarget,
+        faults: &Arc<Faults>,
+        metrics: &Arc<Metrics>,
+    ) -> anyhow::Result<(Self, Delivery)> {
+        let (handed, incoming) = crossbeam_channel::bounded(HANDED);
+        // Holds at most one entry for each document that waits for a receiver.
+        let (changes, done) = crossbeam_channel::unbounded();
+        let dead = Arc::new(DeadLetters::new(dir));
+        let mut workers = Vec::new();
+        for d in &config.deliver {
+            let make = make(d);
+            let target = Some(make().with_context(|| format!("[[deliver]] {}", d.name))?);
             let worker = Worker {
-                queue,
+                queue: Arc::new(Queue::new(d, metrics)),
                 changes: changes.clone(),
                 dead: dead.clone(),
                 faults: faults.clone(),
                 metrics: metrics.clone(),
-                make: Box::new(make),
+                make,
+                target,
+                pause: worker::FIRST_PAUSE,
+                round: 0,
             };
-            let thread = std::thread::Builder::new().name(format!("to-{}", d.name));
-            thread.spawn(move || worker.supervise(first))?;
+            workers.push((worker, clock.now()));
         }
         let mut wanted: Vec<String> = config.deliver.iter().flat_map(|d| d.documents.clone()).collect();
         wanted.sort();
         wanted.dedup();
-        let mut keep = Keep::open(dir, queues, faults.clone(), metrics.clone());
-        let thread = std::thread::Builder::new().name("outbox".into());
-        let handle = thread.spawn(move || keep.run((&incoming, &done))).map_err(|e| anyhow!(e))?;
-        Ok(Some((Self { handed, wanted, metrics: metrics.clone() }, handle)))
+        let queues = workers.iter().map(|(worker, _)| worker.queue.clone()).collect();
+        // Also where the store cannot be read yet, numbers of this run lie above those in it.
+        let first = u64::try_from(clock.now_ns()).unwrap_or_default();
+        let keep = Keep::open(dir, disk, first, queues, faults.clone(), metrics.clone());
+        let outbox = Self { handed, wanted, metrics: metrics.clone() };
+        Ok((outbox, Delivery { keep, incoming, done, workers, clock }))
     }
 
     /// Whether any receiver wants documents of this kind.
@@ -260,6 +297,40 @@ impl Outbox {
         if self.handed.try_send(Arc::new(item)).is_err() {
             self.metrics.delivery_dropped.inc();
         }
+    }
+}
+
+/// The far end of an [`Outbox`], without threads.
+pub struct Delivery {
+    keep: Keep,
+    incoming: Receiver<Arc<Item>>,
+    done: Receiver<Change>,
+    /// Receivers, each with the time before which it is not tried again.
+    workers: Vec<(Worker, Instant)>,
+    clock: Clock,
+}
+
+impl Delivery {
+    /// Stores what was handed over and sends what waits. Says whether all of it is in the store.
+    pub fn turn(&mut self) -> bool {
+        self.keep.turn((&self.incoming, &self.done));
+        for (worker, not_before) in &mut self.workers {
+            while self.clock.now() >= *not_before {
+                match worker.step(Duration::ZERO) {
+                    Step::Next => {}
+                    Step::Wait(pause) => *not_before = self.clock.now() + pause,
+                    Step::Idle | Step::Closed => break,
+                }
+            }
+        }
+        self.keep.turn((&self.incoming, &self.done));
+        self.keep.is_stored()
+    }
+
+    /// Documents that wait for receivers.
+    #[must_use]
+    pub fn waiting(&self) -> usize {
+        self.workers.iter().map(|(worker, _)| worker.queue.len()).sum()
     }
 }
 

@@ -51,10 +51,11 @@ impl Queue {
         self.documents.iter().any(|wanted| wanted == kind)
     }
 
-    /// Puts one behind the others. Gives the oldest up where there are too many: the newest says how things stand.
+    /// Puts one behind those with lower numbers. Gives the oldest up where there are too many: the newest says how things stand.
     pub fn push(&self, seq: u64, item: Arc<Item>) -> Option<u64> {
         let mut waiting = self.lock();
-        waiting.items.push_back((seq, item));
+        let place = waiting.items.partition_point(|(s, _)| *s < seq);
+        waiting.items.insert(place, (seq, item));
         let over = waiting.items.len() > self.limit;
         let given_up = if over { waiting.items.pop_front().map(|(seq, _)| seq) } else { None };
         if let Some(seq) = given_up {

@@ -6,6 +6,7 @@ use std::sync::Mutex;
 use std::time::Instant;
 
 use super::*;
+use crate::files::store::StateStore;
 use stiction_monitor::alarm::{Alarm, Place};
 
 /// Waits until something is so.
@@ -263,10 +264,18 @@ fn a_panic_costs_the_document_that_causes_it_and_nothing_else() {
     let make_sent = sent.clone();
     let make = move || Ok(Box::new(Panics(make_sent.clone())) as Box<dyn Target>);
     let (first, dead) = (make().unwrap(), Arc::new(DeadLetters::new(dir.path())));
-    let (queue_of, faults_of, metrics_of) = (queue.clone(), faults.clone(), metrics.clone());
-    let worker =
-        Worker { queue: queue_of, changes, dead, faults: faults_of, metrics: metrics_of, make: Box::new(make) };
-    let thread = std::thread::spawn(move || worker.supervise(first));
+    let mut worker = Worker {
+        queue: queue.clone(),
+        changes,
+        dead,
+        faults: faults.clone(),
+        metrics: metrics.clone(),
+        make: Box::new(make),
+        target: Some(first),
+        pause: worker::FIRST_PAUSE,
+        round: 0,
+    };
+    let thread = std::thread::spawn(move || worker.supervise());
     queue.push(0, Arc::new(item_of("POISON", 0)));
     for k in 1..4 {
         assert_eq!(queue.push(k, Arc::new(item_of("GOOD", k as usize))), None);
@@ -300,7 +309,7 @@ fn too_many_cost_the_oldest_and_receivers_that_are_gone_leave_nothing() {
     running.offer(0..15);
     wait_for("five to be given up", || (running.metrics.delivery_dropped.get() == 5).then_some(()));
     running.stop();
-    let stored = |path: &str| crate::files::store::StateStore::open(&dir.path().join(path)).unwrap().load().unwrap();
+    let stored = |path: &str| StateStore::open(&dir.path().join(path)).unwrap().load().unwrap();
     let waiting = stored(crate::files::store::OUTBOX_NAME).values;
     let oldest: Item = serde_json::from_slice(waiting.values().next().unwrap()).unwrap();
     assert_eq!((waiting.len(), oldest.id.as_str()), (10, "e5"));
@@ -310,6 +319,25 @@ fn too_many_cost_the_oldest_and_receivers_that_are_gone_leave_nothing() {
     wait_for("its delivery", || (other.metrics.delivered.get() == 1).then_some(()));
     other.stop();
     assert!(stored(crate::files::store::OUTBOX_NAME).values.is_empty());
+}
+
+#[test]
+fn what_waits_in_a_store_that_cannot_be_read_at_the_start_is_sent_once_it_can() {
+    let dir = tempfile::tempdir().unwrap();
+    let receivers = |port: u16| format!("[[deliver]]\nname = \"a\"\nto = \"syslog+tcp://127.0.0.1:{port}\"\n");
+    let first = Running::start(dir.path(), &receivers(1));
+    first.offer(0..3);
+    wait_for("an attempt", || (first.metrics.delivery_failed.get() > 0).then_some(()));
+    first.stop();
+    // Another process has the store: it cannot be opened.
+    let store = StateStore::open(&dir.path().join(crate::files::store::OUTBOX_NAME)).unwrap();
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let second = Running::start(dir.path(), &receivers(listener.local_addr().unwrap().port()));
+    assert!(second.faults.list()[0].contains("cannot be kept"), "{:?}", second.faults.list());
+    second.offer(3..5);
+    drop(store);
+    wait_for("all five", || (second.metrics.delivered.get() == 5).then_some(()));
+    second.stop();
 }
 
 #[test]

@@ -14,7 +14,7 @@ use crate::daemon::faults::Faults;
 use crate::daemon::metrics::Metrics;
 
 /// Pauses after a failure: the first, and what they double up to.
-const FIRST_PAUSE: Duration = if cfg!(test) { Duration::from_millis(20) } else { Duration::from_secs(1) };
+pub(super) const FIRST_PAUSE: Duration = if cfg!(test) { Duration::from_millis(20) } else { Duration::from_secs(1) };
 const LONGEST_PAUSE: Duration = if cfg!(test) { Duration::from_millis(100) } else { Duration::from_secs(60) };
 /// Failed attempts after which other documents show whether the receiver or this document is at fault.
 const ATTEMPTS: u32 = 4;
@@ -23,7 +23,19 @@ const ATTEMPTS: u32 = 4;
 const MOST_ATTEMPTS: u32 = if cfg!(test) { 20 } else { 1440 };
 
 /// Makes what sends to a receiver; nothing is connected yet.
-pub(super) type MakeTarget = Box<dyn Fn() -> anyhow::Result<Box<dyn Target>> + Send>;
+pub type MakeTarget = Box<dyn Fn() -> anyhow::Result<Box<dyn Target>> + Send>;
+
+/// What comes after a step.
+pub(super) enum Step {
+    /// The next one.
+    Next,
+    /// The next one after this pause.
+    Wait(Duration),
+    /// Nothing waits.
+    Idle,
+    /// The queue is closed.
+    Closed,
+}
 
 /// Why a document was not taken now.
 struct NotNow {
@@ -42,75 +54,92 @@ pub(super) struct Worker {
     pub faults: Arc<Faults>,
     pub metrics: Arc<Metrics>,
     pub make: MakeTarget,
+    /// The connection; none before the first document and after a panic.
+    pub target: Option<Box<dyn Target>>,
+    /// Pause after the next failure.
+    pub pause: Duration,
+    /// Documents of other loops that were tried beside the first one.
+    pub round: usize,
 }
 
 impl Worker {
     /// Works until the queue is closed. After a panic it goes on with a new connection.
-    pub fn supervise(&self, first: Box<dyn Target>) {
-        let mut target = Some(first);
-        while catch_unwind(AssertUnwindSafe(|| self.run(&mut target))).is_err() {
-            self.restart(&mut target);
+    pub fn supervise(&mut self) {
+        while catch_unwind(AssertUnwindSafe(|| self.run())).is_err() {
+            self.restart();
             if self.queue.pause(FIRST_PAUSE) {
                 return;
             }
         }
     }
 
-    fn restart(&self, target: &mut Option<Box<dyn Target>>) {
-        *target = None;
+    fn restart(&mut self) {
+        self.target = None;
         self.metrics.delivery_restarts.inc();
         let name = &self.queue.name;
         let text = format!("{name}: the thread that delivers panicked and was restarted; the log shows where");
         self.faults.raise_for(&format!("restart of {name}"), text, LOSS_SHOWN);
     }
 
-    fn run(&self, target: &mut Option<Box<dyn Target>>) {
-        let (mut pause, mut round) = (FIRST_PAUSE, 0);
+    fn run(&mut self) {
         loop {
-            let (seq, item) = match self.queue.next(IDLE) {
-                Next::Closed => return,
-                Next::Nothing => {
-                    if let Some(target) = target {
+            match self.step(IDLE) {
+                Step::Next => {}
+                Step::Wait(pause) => {
+                    if self.queue.pause(pause) {
+                        return;
+                    }
+                }
+                Step::Idle => {
+                    if let Some(target) = &mut self.target {
                         target.rest();
                     }
-                    continue;
                 }
-                Next::Send(seq, item) => (seq, item),
-            };
-            let Err(failed) = self.attempt(target, seq, &item) else {
-                (pause, round) = (FIRST_PAUSE, 0);
-                continue;
-            };
-            let attempts = self.queue.attempts(seq);
-            if attempts >= MOST_ATTEMPTS && failed.answered {
-                self.give_up(seq, &item, &failed.why);
-                continue;
+                Step::Closed => return,
             }
-            if attempts >= ATTEMPTS
-                && let Some((other_seq, other)) = self.queue.of_other_loop(seq, round)
-            {
-                round += 1;
-                if self.attempt(target, other_seq, &other).is_ok() {
-                    // The receiver takes others. It may have come back just now, so this one gets a last chance.
-                    if let Err(NotNow { why, .. }) = self.attempt(target, seq, &item) {
-                        self.give_up(seq, &item, &format!("{why}; it took other documents meanwhile"));
-                    }
-                    (pause, round) = (FIRST_PAUSE, 0);
-                    continue;
-                }
-            }
-            if self.queue.pause(failed.pause.unwrap_or(pause).min(LONGEST_PAUSE)) {
-                return;
-            }
-            pause = (2 * pause).min(LONGEST_PAUSE);
         }
     }
 
+    /// Sends what waits longest, if anything comes within this time.
+    pub fn step(&mut self, patience: Duration) -> Step {
+        let (seq, item) = match self.queue.next(patience) {
+            Next::Closed => return Step::Closed,
+            Next::Nothing => return Step::Idle,
+            Next::Send(seq, item) => (seq, item),
+        };
+        let Err(failed) = self.attempt(seq, &item) else { return self.went_on() };
+        let attempts = self.queue.attempts(seq);
+        if attempts >= MOST_ATTEMPTS && failed.answered {
+            self.give_up(seq, &item, &failed.why);
+            return self.went_on();
+        }
+        if attempts >= ATTEMPTS
+            && let Some((other_seq, other)) = self.queue.of_other_loop(seq, self.round)
+        {
+            self.round += 1;
+            if self.attempt(other_seq, &other).is_ok() {
+                // The receiver takes others. It may have come back just now, so this one gets a last chance.
+                if let Err(NotNow { why, .. }) = self.attempt(seq, &item) {
+                    self.give_up(seq, &item, &format!("{why}; it took other documents meanwhile"));
+                }
+                return self.went_on();
+            }
+        }
+        let pause = failed.pause.unwrap_or(self.pause).min(LONGEST_PAUSE);
+        self.pause = (2 * self.pause).min(LONGEST_PAUSE);
+        Step::Wait(pause)
+    }
+
+    const fn went_on(&mut self) -> Step {
+        (self.pause, self.round) = (FIRST_PAUSE, 0);
+        Step::Next
+    }
+
     /// Sends one document once. `Ok` where it waits no longer: the receiver has it, or refuses it for good.
-    fn attempt(&self, target: &mut Option<Box<dyn Target>>, seq: u64, item: &Item) -> Result<(), NotNow> {
+    fn attempt(&mut self, seq: u64, item: &Item) -> Result<(), NotNow> {
         self.queue.count_attempt(seq);
-        let sent = catch_unwind(AssertUnwindSafe(|| self.send(target, item))).unwrap_or_else(|_| {
-            self.restart(target);
+        let sent = catch_unwind(AssertUnwindSafe(|| self.send(item))).unwrap_or_else(|_| {
+            self.restart();
             Err(Failure::Later("sending it panicked; the log shows where".to_owned(), None))
         });
         match sent {
@@ -138,11 +167,12 @@ impl Worker {
         failed
     }
 
-    fn send(&self, target: &mut Option<Box<dyn Target>>, item: &Item) -> Result<(), Failure> {
-        if target.is_none() {
-            *target = Some((self.make)().map_err(|e| Failure::Unanswered(format!("{e:#}")))?);
-        }
-        target.as_mut().map_or(Ok(()), |target| target.send(item))
+    fn send(&mut self, item: &Item) -> Result<(), Failure> {
+        let target = match &mut self.target {
+            Some(target) => target,
+            place => place.insert((self.make)().map_err(|e| Failure::Unanswered(format!("{e:#}")))?),
+        };
+        target.send(item)
     }
 
     /// Puts a document into the dead-letter file.

@@ -1,6 +1,6 @@
-//! Keeps the recording folder in order, in a thread of its own at the lowest priority: takes out samples that are older
-//! or more than the retention allows, removes results that are, looks whether finished files are still whole, and names
-//! what lies aside. It never touches the file in use, and logs and counts whatever it takes away.
+//! Looks after the recording folder, in a thread of its own at the lowest priority: takes out samples that are older or
+//! more than the retention allows, removes such results, reads every finished file once to see whether it is whole, and
+//! names what was put aside. It never touches the file in use, and logs and counts whatever it takes away.
 
 use std::collections::{BTreeMap, HashMap};
 use std::fs;
@@ -12,13 +12,14 @@ use std::time::{Duration, Instant, SystemTime};
 
 use crossbeam_channel::{Receiver, RecvTimeoutError, TryRecvError};
 
-use super::clock::now_ns;
+use super::clock::Clock;
 use super::faults::Faults;
 use super::metrics::Metrics;
 use super::restore::{RunFile, is_recording, tell_aside};
 use crate::files::lock::FolderLock;
 use crate::files::rescue::{REMOVED, SAMPLES_KEY, take_samples_out, under_way};
 use crate::files::{End, RecordingReader};
+use crate::sink::keeper::Notes;
 use stiction_monitor::config::Retention;
 
 /// Pause between two looks at the folder.
@@ -37,8 +38,8 @@ const DAY_NS: i64 = 86_400_000_000_000;
 const MIN_FREE_BYTES: u64 = 10_000_000_000;
 const MIN_FREE_PART: u64 = 20;
 
-/// What the housekeeper is told.
-pub struct House {
+/// What the worker needs.
+pub struct RetentionParts {
     /// The folder.
     pub dir: PathBuf,
     /// Recordings of other prefixes are left alone.
@@ -49,11 +50,20 @@ pub struct House {
     pub retention: Arc<Mutex<Retention>>,
     /// The folder's lock.
     pub lock: Option<FolderLock>,
+    /// Where files that were found whole are remembered; none in a demonstration.
+    pub notes: Option<Notes>,
+    /// What earlier runs noted of files that they found whole, by name.
+    pub verified: BTreeMap<String, String>,
     /// Counters.
     pub metrics: Arc<Metrics>,
     /// Faults.
     pub faults: Arc<Faults>,
+    /// The time.
+    pub clock: Clock,
 }
+
+/// Size and time of the last change of a file: while both stay, so does its content.
+type Look = (u64, i64);
 
 /// One recording, as far as keeping it goes.
 #[derive(Debug, Clone)]
@@ -70,27 +80,24 @@ struct Kept {
 ///
 /// # Errors
 /// The system refuses a thread.
-pub fn start(house: House, stop: Receiver<()>) -> std::io::Result<JoinHandle<()>> {
-    let mut keeper = Housekeeper {
-        house,
-        known: HashMap::new(),
-        checked: HashMap::new(),
-        damaged: BTreeMap::new(),
-        doubt: Doubt::new(now_ns(), Instant::now()),
-    };
-    std::thread::Builder::new().name("house".into()).spawn(move || {
+pub fn start(parts: RetentionParts, stop: Receiver<()>) -> std::io::Result<JoinHandle<()>> {
+    let mut worker = RetentionWorker::new(parts);
+    std::thread::Builder::new().name("retention".into()).spawn(move || {
         super::gaps::yield_to_all();
-        let faults = keeper.house.faults.clone();
+        let faults = worker.parts.faults.clone();
         loop {
-            // Whatever a file makes it stumble over, the others are still to be looked after.
+            // Whatever goes wrong with one file, the others are still to be looked after.
             let done = catch_unwind(AssertUnwindSafe(|| {
-                keeper.look();
-                keeper.check(&stop)
+                worker.keep();
+                worker.check(&stop)
             }));
             match done {
                 Ok(true) => return,
-                Ok(false) => faults.clear("house"),
-                Err(_) => faults.raise("house", "recordings cannot be looked after: the log says where it broke off"),
+                Ok(false) => faults.clear("retention worker"),
+                Err(_) => {
+                    faults
+                        .raise("retention worker", "recordings cannot be looked after: a check panicked, see the log");
+                }
             }
             if stop.recv_timeout(EVERY) != Err(RecvTimeoutError::Timeout) {
                 return;
@@ -99,34 +106,48 @@ pub fn start(house: House, stop: Receiver<()>) -> std::io::Result<JoinHandle<()>
     })
 }
 
-struct Housekeeper {
-    house: House,
+/// The work without its thread: whoever holds it decides when it is done.
+pub struct RetentionWorker {
+    parts: RetentionParts,
     /// What was read of each file, by name, size and age.
     known: HashMap<(PathBuf, u64, i64), Option<Kept>>,
-    /// Files that were found whole, or not, with their size and age.
-    checked: HashMap<PathBuf, (u64, i64)>,
+    /// Files that were read to their end.
+    checked: HashMap<PathBuf, Look>,
     damaged: BTreeMap<PathBuf, String>,
     doubt: Doubt,
 }
 
-impl Housekeeper {
-    /// Looks at the folder once.
-    fn look(&mut self) {
-        if let Some(lock) = &mut self.house.lock {
+impl RetentionWorker {
+    /// Ready to work; files that an earlier run found whole count as checked.
+    #[must_use]
+    pub fn new(parts: RetentionParts) -> Self {
+        let verified = parts.verified.iter().filter_map(|(name, look)| Some((parts.dir.join(name), look_of(look)?)));
+        Self {
+            checked: verified.collect(),
+            known: HashMap::new(),
+            damaged: BTreeMap::new(),
+            doubt: Doubt::new(parts.clock.now_ns(), parts.clock.now()),
+            parts,
+        }
+    }
+
+    /// Looks at the folder once, and removes what the retention allows no longer.
+    pub fn keep(&mut self) {
+        if let Some(lock) = &mut self.parts.lock {
             match lock.renew() {
-                Ok(()) => self.house.faults.clear("lock"),
-                Err(error) => self.house.faults.raise("lock", error.to_string()),
+                Ok(()) => self.parts.faults.clear("lock"),
+                Err(error) => self.parts.faults.raise("lock", error.to_string()),
             }
         }
-        tell_aside(&self.house.dir, &self.house.faults);
+        tell_aside(&self.parts.dir, &self.parts.faults);
         let files = self.files();
-        tell_room(&self.house.dir, files.iter().map(|k| k.bytes).sum(), &self.house.faults);
-        let retention = *self.house.retention.lock().unwrap_or_else(PoisonError::into_inner);
-        let newest_before = files.iter().filter(|k| k.file.run_id != self.house.run_id).map(|k| k.modified_ns).max();
-        let sure = self.doubt.look(now_ns(), Instant::now(), newest_before);
+        tell_room(&self.parts.dir, files.iter().map(|k| k.bytes).sum(), &self.parts.faults);
+        let retention = *self.parts.retention.lock().unwrap_or_else(PoisonError::into_inner);
+        let newest_before = files.iter().filter(|k| k.file.run_id != self.parts.run_id).map(|k| k.modified_ns).max();
+        let sure = self.doubt.look(self.parts.clock.now_ns(), self.parts.clock.now(), newest_before);
         match sure {
-            Some(_) => self.house.faults.clear("clock"),
-            None => self.house.faults.raise(
+            Some(_) => self.parts.faults.clear("clock"),
+            None => self.parts.faults.raise(
                 "clock",
                 "the clock is far ahead of the recordings: nothing is removed by age for a day; set the clock",
             ),
@@ -138,14 +159,14 @@ impl Housekeeper {
 
     /// Every recording of this prefix, oldest first.
     fn files(&mut self) -> Vec<Kept> {
-        let entries = fs::read_dir(&self.house.dir).into_iter().flatten().flatten();
+        let entries = fs::read_dir(&self.parts.dir).into_iter().flatten().flatten();
         let mut files = Vec::new();
         let mut seen = HashMap::new();
         for path in entries.map(|e| e.path()).filter(|p| p.is_file() && is_recording(p)) {
             let Ok(there) = fs::metadata(&path) else { continue };
             let modified_ns = there.modified().map_or(0, ns_of);
             let key = (path.clone(), there.len(), modified_ns);
-            let kept = self.known.remove(&key).unwrap_or_else(|| read(&path, &self.house, there.len(), modified_ns));
+            let kept = self.known.remove(&key).unwrap_or_else(|| read(&path, &self.parts, there.len(), modified_ns));
             files.extend(kept.clone());
             seen.insert(key, kept);
         }
@@ -156,7 +177,7 @@ impl Housekeeper {
     }
 
     fn carry_out(&self, step: &Step) {
-        let (metrics, faults) = (&self.house.metrics, &self.house.faults);
+        let (metrics, faults) = (&self.parts.metrics, &self.parts.faults);
         let done = match step {
             Step::TakeSamplesOut { path, why } => {
                 let out = finished_name(path);
@@ -179,26 +200,11 @@ impl Housekeeper {
         }
     }
 
-    /// Reads finished files that were not looked at yet, with rests; true where the daemon stops.
+    /// Reads finished files that were not read yet, with rests; true where the daemon stops.
     fn check(&mut self, stop: &Receiver<()>) -> bool {
-        let files = self.files();
-        let there: HashMap<&Path, (u64, i64)> =
-            files.iter().map(|k| (k.file.path.as_path(), (k.bytes, k.modified_ns))).collect();
-        self.checked.retain(|path, _| there.contains_key(path.as_path()));
-        self.damaged.retain(|path, _| there.contains_key(path.as_path()));
-        self.tell_damaged();
-        for kept in files.iter().rev().filter(|k| !k.open) {
-            let (path, look) = (&kept.file.path, (kept.bytes, kept.modified_ns));
-            if self.checked.get(path) == Some(&look) {
-                continue;
-            }
+        for path in self.unchecked() {
             let started = Instant::now();
-            match fault_of(path, stop) {
-                Some(why) => self.damaged.insert(path.clone(), why),
-                None => self.damaged.remove(path),
-            };
-            self.checked.insert(path.clone(), look);
-            self.tell_damaged();
+            self.check_one(&path, stop);
             if stop.recv_timeout(started.elapsed() * REST) != Err(RecvTimeoutError::Timeout) {
                 return true;
             }
@@ -206,9 +212,56 @@ impl Housekeeper {
         false
     }
 
+    /// Reads every finished file that was not read yet, without rests.
+    pub fn check_all(&mut self) {
+        // Nobody asks it to stop: the other end stays open.
+        let (_open, stop) = crossbeam_channel::bounded(0);
+        for path in self.unchecked() {
+            self.check_one(&path, &stop);
+        }
+    }
+
+    /// Finished files that were not read yet, newest first. What is known of files that are gone is dropped.
+    fn unchecked(&mut self) -> Vec<PathBuf> {
+        let files = self.files();
+        let there: HashMap<&Path, Look> =
+            files.iter().map(|k| (k.file.path.as_path(), (k.bytes, k.modified_ns))).collect();
+        let notes = self.parts.notes.as_ref();
+        self.checked.retain(|path, _| {
+            let stays = there.contains_key(path.as_path());
+            if !stays && let Some(notes) = notes {
+                notes.forget_verified(&name_of(path));
+            }
+            stays
+        });
+        self.damaged.retain(|path, _| there.contains_key(path.as_path()));
+        self.tell_damaged();
+        let is_new = |k: &&Kept| !k.open && self.checked.get(&k.file.path) != Some(&(k.bytes, k.modified_ns));
+        files.iter().rev().filter(is_new).map(|k| k.file.path.clone()).collect()
+    }
+
+    fn check_one(&mut self, path: &Path, stop: &Receiver<()>) {
+        let Some(look) = fs::metadata(path).ok().map(|there| (there.len(), there.modified().map_or(0, ns_of))) else {
+            return;
+        };
+        self.parts.metrics.recordings_checked.inc();
+        match fault_of(path, stop) {
+            Checked::Stopped => return,
+            Checked::Whole => {
+                self.damaged.remove(path);
+                if let Some(notes) = &self.parts.notes {
+                    notes.verified(&name_of(path), &text_of(look));
+                }
+            }
+            Checked::Damaged(why) => drop(self.damaged.insert(path.to_owned(), why)),
+        }
+        self.checked.insert(path.to_owned(), look);
+        self.tell_damaged();
+    }
+
     fn tell_damaged(&self) {
-        let faults = &self.house.faults;
-        self.house.metrics.recordings_damaged.set(self.damaged.len() as i64);
+        let faults = &self.parts.faults;
+        self.parts.metrics.recordings_damaged.set(self.damaged.len() as i64);
         match self.damaged.iter().next() {
             None => faults.clear("damaged"),
             Some((path, why)) => {
@@ -246,39 +299,60 @@ fn nearly_full(free: u64, all: u64, recordings: u64) -> Option<String> {
     })
 }
 
-/// What is wrong with a finished file. One that a crash cut off is as whole as it can be.
-fn fault_of(path: &Path, stop: &Receiver<()>) -> Option<String> {
+/// What came of reading a file to its end.
+enum Checked {
+    Whole,
+    Damaged(String),
+    /// The daemon stops: it was not read to its end.
+    Stopped,
+}
+
+/// Reads a finished file to its end. One that a crash cut off is as whole as it can be.
+fn fault_of(path: &Path, stop: &Receiver<()>) -> Checked {
     let part = path.extension().is_some_and(|e| e == "part");
     let mut reader = match RecordingReader::open(path) {
         Ok(reader) => reader,
-        Err(error) => return Some(error.to_string()),
+        Err(error) => return Checked::Damaged(error.to_string()),
     };
     for count in 0_u64.. {
         match reader.next_item() {
             // A large file must not hold up the end of the daemon.
             Ok(Some(_)) if count.is_multiple_of(4096) && stop.try_recv() == Err(TryRecvError::Disconnected) => {
-                return None;
+                return Checked::Stopped;
             }
             Ok(Some(_)) => {}
             Ok(None) => break,
-            Err(error) => return Some(error.to_string()),
+            Err(error) => return Checked::Damaged(error.to_string()),
         }
     }
     match reader.end() {
-        Some(End::Damaged { reason }) => Some(reason.clone()),
-        Some(End::Cut { reason }) if !part => Some(reason.clone()),
-        _ => None,
+        Some(End::Damaged { reason }) => Checked::Damaged(reason.clone()),
+        Some(End::Cut { reason }) if !part => Checked::Damaged(reason.clone()),
+        _ => Checked::Whole,
     }
 }
 
-fn read(path: &Path, house: &House, bytes: u64, modified_ns: i64) -> Option<Kept> {
+fn name_of(path: &Path) -> String {
+    path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
+}
+
+fn text_of((bytes, modified_ns): Look) -> String {
+    format!("{bytes} {modified_ns}")
+}
+
+fn look_of(text: &str) -> Option<Look> {
+    let (bytes, modified_ns) = text.split_once(' ')?;
+    Some((bytes.parse().ok()?, modified_ns.parse().ok()?))
+}
+
+fn read(path: &Path, parts: &RetentionParts, bytes: u64, modified_ns: i64) -> Option<Kept> {
     let reader = RecordingReader::open(path).ok()?;
     let metadata = reader.metadata();
-    if metadata.get("prefix") != Some(&house.prefix) {
+    if metadata.get("prefix") != Some(&parts.prefix) {
         return None;
     }
     let file = RunFile::of(path, metadata)?;
-    let open = file.run_id == house.run_id && path.extension().is_some_and(|e| e == "part");
+    let open = file.run_id == parts.run_id && path.extension().is_some_and(|e| e == "part");
     let results_only = metadata.get(SAMPLES_KEY).is_some_and(|word| word == REMOVED);
     // What an earlier attempt left half done.
     let _ = fs::remove_file(under_way(&finished_name(path)));
@@ -360,6 +434,8 @@ impl Doubt {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::files::disk::SystemDisk;
+    use crate::sink::keeper::Keeper;
 
     fn kept(index: u32, bytes: u64, age_days: i64, results_only: bool) -> Kept {
         let path = PathBuf::from(format!("{index}.mcap"));
@@ -375,6 +451,68 @@ mod tests {
                 Step::Remove { path, .. } => format!("remove {}", path.display()),
             })
             .collect()
+    }
+
+    fn worker(dir: &Path, verified: BTreeMap<String, String>, notes: Option<Notes>) -> RetentionWorker {
+        RetentionWorker::new(RetentionParts {
+            dir: dir.to_owned(),
+            prefix: "p".into(),
+            run_id: "now".into(),
+            retention: Arc::default(),
+            lock: None,
+            notes,
+            verified,
+            metrics: Arc::default(),
+            faults: Arc::default(),
+            clock: Clock::system(),
+        })
+    }
+
+    fn recording(dir: &Path, index: u32) {
+        let metadata = [("prefix", "p"), ("started_ns", "1"), ("run_id", "r"), ("shard", "0")]
+            .map(|(k, v)| (k.to_owned(), v.to_owned()))
+            .into_iter()
+            .chain([("file_index".to_owned(), index.to_string())])
+            .collect();
+        crate::files::RecordingFile::create(dir, &format!("r{index}"), &metadata).unwrap().finish().unwrap();
+    }
+
+    #[test]
+    fn files_found_whole_are_not_read_again_after_a_restart_unless_they_changed() {
+        let dir = tempfile::tempdir().unwrap();
+        (0..3).for_each(|index| recording(dir.path(), index));
+        let run = |verified| {
+            let (faults, metrics) = (Arc::<Faults>::default(), Arc::<Metrics>::default());
+            let (keeper, mut store) =
+                Keeper::pair(dir.path(), "p", None, Arc::new(SystemDisk), faults.clone(), metrics.clone());
+            let mut worker = worker(dir.path(), verified, Some(keeper.notes()));
+            worker.keep();
+            worker.check_all();
+            assert!(store.turn());
+            let checked = worker.parts.metrics.recordings_checked.get();
+            (checked, worker.damaged.len(), worker.checked.len())
+        };
+        let stored = || {
+            let (faults, metrics) = (Faults::default(), Metrics::default());
+            super::super::restore::restore(&SystemDisk, dir.path(), "p", &faults, &metrics).verified
+        };
+        assert_eq!(run(BTreeMap::new()), (3, 0, 3));
+        assert_eq!(stored().len(), 3);
+        assert_eq!(run(stored()), (0, 0, 3), "known by name, size and time of change");
+        // One has lost its end, one is gone, one is new.
+        let hurt = fs::read(dir.path().join("r0.mcap")).unwrap();
+        fs::write(dir.path().join("r0.mcap"), &hurt[..hurt.len() - 9]).unwrap();
+        fs::remove_file(dir.path().join("r1.mcap")).unwrap();
+        recording(dir.path(), 3);
+        assert_eq!(run(stored()), (2, 1, 3));
+        let names: Vec<String> = stored().into_keys().collect();
+        assert!(
+            names.contains(&"r2.mcap".to_owned())
+                && names.contains(&"r3.mcap".to_owned())
+                && !names.contains(&"r1.mcap".to_owned()),
+            "{names:?}"
+        );
+        assert_eq!(run(stored()).0, 1, "a damaged file is read again");
     }
 
     #[test]

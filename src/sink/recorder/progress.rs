@@ -1,0 +1,79 @@
+//! How far the recorder is: for whoever waits for its end, and for the health document.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Mutex, PoisonError};
+
+/// A file that is not finished.
+#[derive(Debug, Clone)]
+struct Unfinished {
+    path: PathBuf,
+    /// What stopped it; none while it is being written.
+    error: Option<String>,
+}
+
+/// What the recorder has done, shared by its thread and those who watch it.
+#[derive(Debug, Default)]
+pub struct Progress {
+    taken: AtomicU64,
+    finished: AtomicU64,
+    /// Files that are not finished, by shard.
+    unfinished: Mutex<BTreeMap<usize, Unfinished>>,
+}
+
+impl Progress {
+    /// Items taken, and files finished at the end.
+    #[must_use]
+    pub fn steps(&self) -> [u64; 2] {
+        [&self.taken, &self.finished].map(|count| count.load(Ordering::Relaxed))
+    }
+
+    /// Files that were open or could not be written, each with the reason.
+    #[must_use]
+    pub fn unfinished(&self) -> Vec<String> {
+        let text = |file: &Unfinished| {
+            let path = file.path.display().to_string();
+            match &file.error {
+                None => path,
+                Some(error) if error.contains(&path) => error.clone(),
+                Some(error) => format!("{path}: {error}"),
+            }
+        };
+        self.files(|files| files.values().map(text).collect())
+    }
+
+    /// Whether some file could not be written, and nothing is recorded in its place.
+    #[must_use]
+    pub fn has_stopped(&self) -> bool {
+        self.files(|files| files.values().any(|file| file.error.is_some()))
+    }
+
+    pub(super) fn take_one(&self) {
+        self.taken.fetch_add(1, Ordering::Relaxed);
+    }
+
+    pub(super) fn finish_one(&self) {
+        self.finished.fetch_add(1, Ordering::Relaxed);
+    }
+
+    pub(crate) fn open(&self, shard: usize, path: PathBuf) {
+        self.files(|files| drop(files.insert(shard, Unfinished { path, error: None })));
+    }
+
+    pub(crate) fn fail(&self, shard: usize, error: &str) {
+        self.files(|files| {
+            if let Some(file) = files.get_mut(&shard) {
+                file.error = Some(error.to_owned());
+            }
+        });
+    }
+
+    pub(super) fn close(&self, shard: usize) {
+        self.files(|files| drop(files.remove(&shard)));
+    }
+
+    fn files<T>(&self, call: impl FnOnce(&mut BTreeMap<usize, Unfinished>) -> T) -> T {
+        call(&mut self.unfinished.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+}

@@ -1,0 +1,116 @@
+//! A receiver outside the bus that is away, refuses documents and comes back, and the account of what it must get.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+use std::sync::{Arc, Mutex};
+
+use stiction_monitor::config::Deliver;
+use stiction_monitor::short_hash;
+use stictiond::daemon::stage::Stage;
+use stictiond::sink::deliver::{Failure, Item, MakeTarget, Target};
+
+#[derive(Default)]
+struct State {
+    away: bool,
+    /// Loop and identity of what it took, in order.
+    got: Vec<(String, String)>,
+}
+
+/// The receiver; copies are the same one.
+#[derive(Clone, Default)]
+pub struct Receiver(Arc<Mutex<State>>);
+
+/// What it answers to a document, always: one in thirty is poison, one in thirty refused at once.
+fn verdict(id: &str) -> u8 {
+    u8::from_str_radix(&short_hash(id.as_bytes())[..2], 16).unwrap() % 30
+}
+
+impl Target for Receiver {
+    fn send(&mut self, item: &Item) -> Result<(), Failure> {
+        let mut state = self.0.lock().unwrap();
+        match verdict(&item.id) {
+            _ if state.away => Err(Failure::Unanswered("away".to_owned())),
+            0 => Err(Failure::Later("answers 500".to_owned(), None)),
+            1 => Err(Failure::Refused("answers 422".to_owned())),
+            _ => {
+                state.got.push((item.loop_name.clone(), item.id.clone()));
+                Ok(())
+            }
+        }
+    }
+}
+
+impl Receiver {
+    pub fn set_away(&self, away: bool) {
+        self.0.lock().unwrap().away = away;
+    }
+
+    pub fn maker(&self) -> impl Fn(&Deliver) -> MakeTarget + use<> {
+        let receiver = self.clone();
+        move |_| {
+            let receiver = receiver.clone();
+            Box::new(move || Ok(Box::new(receiver.clone()) as Box<dyn Target>))
+        }
+    }
+}
+
+/// What was published, and what became of it.
+#[derive(Default)]
+pub struct Account {
+    /// Identities by loop, in the order in which they were published.
+    published: BTreeMap<String, Vec<String>>,
+    /// Published and perhaps not in the store yet: a crash may cost them.
+    unsure: BTreeSet<String>,
+    /// In the store: the receiver gets them, whatever happens, or the dead-letter file does.
+    due: BTreeSet<String>,
+    pub delivered: u64,
+    pub dead: u64,
+}
+
+impl Account {
+    pub fn published(&mut self, alarms: Vec<(String, String)>) {
+        for (loop_name, id) in alarms {
+            self.unsure.insert(id.clone());
+            self.published.entry(loop_name).or_default().push(id);
+        }
+    }
+
+    /// The receivers had their turn; with `stored` the store holds all that waits.
+    pub fn after_turn(&mut self, stored: bool) {
+        if stored {
+            self.due.append(&mut self.unsure);
+        }
+    }
+
+    pub fn crashed(&mut self) {
+        self.unsure.clear();
+    }
+
+    /// Compares: nothing is invented, the order within each loop is kept, and where nothing waits all has arrived.
+    pub fn compare(&mut self, receiver: &Receiver, stage: &Stage, folder: &Path) {
+        let got = receiver.0.lock().unwrap().got.clone();
+        let mut last: BTreeMap<&str, usize> = BTreeMap::new();
+        let mut seen = BTreeSet::new();
+        for (loop_name, id) in &got {
+            let place = self.published.get(loop_name).and_then(|ids| ids.iter().position(|known| known == id));
+            let place = place.unwrap_or_else(|| panic!("{loop_name}: {id} was never published"));
+            if seen.insert(id.as_str()) {
+                let before = last.insert(loop_name, place);
+                assert!(before.is_none_or(|before| before < place), "{loop_name}: {id} came out of order");
+            }
+        }
+        let files = ["dead-letters.1.jsonl", "dead-letters.jsonl"];
+        let text: String = files.iter().map(|f| std::fs::read_to_string(folder.join(f)).unwrap_or_default()).collect();
+        let dead: BTreeSet<String> = text
+            .lines()
+            .map(|line| serde_json::from_str::<serde_json::Value>(line).unwrap()["id"].as_str().unwrap().to_owned())
+            .collect();
+        assert!(dead.iter().all(|id| verdict(id) < 2), "a good document was given up");
+        assert_eq!(stage.metrics().delivery_dropped.get(), 0);
+        (self.delivered, self.dead) = (seen.len() as u64, dead.len() as u64);
+        if stage.undelivered() == 0 {
+            let missing = self.due.iter().find(|id| !seen.contains(id.as_str()) && !dead.contains(*id));
+            assert_eq!(missing, None, "it was in the store, and nobody got it");
+        }
+    }
+}
