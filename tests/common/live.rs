@@ -168,8 +168,13 @@ impl Daemon {
         self.play(input);
         wait_for("the samples on the disk", || {
             let samples = self.counter("samples");
-            let kept = || files(&self.recordings).iter().map(|file| raw_samples(file) as u64).sum::<u64>();
-            (samples > before && kept() >= samples).then_some(())
+            let of = |file: &PathBuf| {
+                stictiond::files::load_samples(file)
+                    .map_or(0, |loaded| loaded.loops.iter().map(|one| one.samples.len() as u64).sum::<u64>())
+            };
+            // A file that was just begun holds none yet.
+            let kept: u64 = files(&self.recordings).iter().map(of).sum();
+            (samples > before && kept >= samples).then_some(())
         });
     }
 

@@ -120,7 +120,8 @@ impl Keep {
     pub fn run(&mut self, (handed, done): Inputs<'_>) {
         loop {
             // With everything stored there is nothing to try again; a store that is not open may hold what waits.
-            let again = if self.is_stored() && self.store.is_some() { never() } else { crossbeam_channel::after(RETRY) };
+            let again =
+                if self.is_stored() && self.store.is_some() { never() } else { crossbeam_channel::after(RETRY) };
             let mut fresh = Vec::new();
             let mut closed = false;
             select! {
