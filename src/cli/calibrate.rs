@@ -7,19 +7,16 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 use serde_json::json;
 
-use super::evaluate::{Judgeable, index, record_of};
+use super::evaluate::rates::{Called, table};
+use super::evaluate::simulated::{judgeable, reliability_lines};
+use super::evaluate::{index, record_of};
 use super::reading::ReadArgs;
 use super::{Format, Outcome, UsageError, on_all_cores, print, say};
-use stiction::record::Record;
-use stiction::signal::align::Point;
-use stiction::units::ns_from_s;
+use stiction::verdict::figures;
 use stiction::verdict::rule::{Cuts, Logistic, Rule};
 use stiction::verdict::tally::{self, Scored, Tally};
-use stiction::verdict::{AssessParams, figures};
 use stiction_lab::calibrate::{Example, Settings, ask, fit, leave_one_valve_out, weights};
 use stiction_lab::truth::{Half, verdict_case};
-use stiction_monitor::engine::WindowParams;
-use stiction_monitor::engine::windows;
 
 /// Fit the classifier behind p_stiction to simulated loops and labelled recordings, and measure it on data left out of the
 /// fit: recordings leave-one-valve-out, simulated loops of the report half.
@@ -185,10 +182,7 @@ fn look(base: &Path, source: &Source) -> anyhow::Result<Example> {
         Source::Loop(half, seed) => {
             let case = verdict_case(*half, *seed);
             let held = matches!(half, Half::Report);
-            let params = AssessParams { always_fit: true, ..AssessParams::default() };
-            let record = case.record();
-            let windows = windows(&points_of(&record), &WindowParams::default());
-            (name.clone(), Judgeable { record, windows, params }, case.kind.to_owned(), None, held, case.sticks)
+            (name.clone(), judgeable(&case), case.kind.to_owned(), None, held, case.sticks)
         }
         Source::Recording(case) => {
             let judged = record_of(base, case, &ReadArgs::default())?;
@@ -201,21 +195,6 @@ fn look(base: &Path, source: &Source) -> anyhow::Result<Example> {
         Err(gate) => (Some(gate.name().to_owned()), Vec::new()),
     };
     Ok(Example { name, source: kind, valve, group, held, truth, gate, windows })
-}
-
-/// The samples of a simulated record.
-fn points_of(record: &Record) -> Vec<Point> {
-    let point = |k: usize| Point {
-        t_ns: record.start_ns + ns_from_s(k as f64 * record.ts_s),
-        op: record.op_path[k],
-        pv: record.pv[k],
-        sp: record.sp.as_ref().map(|sp| sp[k]),
-        mv: None,
-        manual: false,
-        filled: false,
-        bad: 0,
-    };
-    (0..record.len()).map(point).collect()
 }
 
 /// Counts by source.
@@ -244,7 +223,7 @@ fn line_of(name: &str, cases: &[Scored]) -> String {
     let brier = tally::brier(cases).map_or("-".to_owned(), |b| format!("{b:.3}"));
     let [low, high] = t.interval().unwrap_or([0.0, 1.0]);
     format!(
-        "  {name:<22} {:>7.1}/{:<7.1} {low:.2}..{high:.2}  missed {:>6.1}  false {:>6.1}  open {:>6.1}  Brier {brier}",
+        "  {name:<22} {:>7.1}/{:<7.1} {low:.2}..{high:.2}  FN {:>6.1}  FP {:>6.1}  unanswered {:>6.1}  Brier {brier}",
         t.right(),
         t.total(),
         t.missed,
@@ -263,28 +242,12 @@ fn rates(cases: &[Scored]) -> (Option<f64>, Option<f64>) {
     (share(true, t.found), share(false, t.false_alarms))
 }
 
-/// The same answer at another threshold.
-fn at_cut(scored: &Scored, cut: f64) -> Scored {
-    Scored { answer: scored.answer.zip(scored.p).map(|(answer, p)| answer && p >= cut), ..*scored }
-}
-
-/// True and false positives of one kind.
-fn kind_line(kind: &str, cases: &[Scored]) -> String {
-    let t = Tally::of(cases);
-    let share = |part: f64, truth: bool| {
-        let all = cases.iter().filter(|c| c.truth == truth).count() as f64;
-        let interval = tally::wilson(part, all);
-        interval.map_or("-".to_owned(), |[low, high]| {
-            format!("{part:>4}/{all:<4} {:>5.1} % ({:.0}..{:.0})", 100.0 * part / all, 100.0 * low, 100.0 * high)
-        })
-    };
-    format!("  {kind:<22} found {:<26} false {:<26}", share(t.found, true), share(t.false_alarms, false))
-}
-
 fn say_text(rule: &Rule, real: &[(&Example, Scored)], held: &[(&Example, Scored)]) -> anyhow::Result<()> {
     print(&format!("{}\n", serde_json::to_string_pretty(rule)?))?;
     if !real.is_empty() {
-        say("\nrecordings, each judged by a rule that has not seen its valve (right/all, 95 %):")?;
+        say(
+            "\nrecordings, leave-one-valve-out cross-validation (right/all, 95 %; FN false negatives, FP false positives):",
+        )?;
         for (source, cases) in by_source(real) {
             say(line_of(source, &cases))?;
         }
@@ -295,7 +258,7 @@ fn say_text(rule: &Rule, real: &[(&Example, Scored)], held: &[(&Example, Scored)
             say(line_of(source, &cases))?;
         }
         say(line_of("all", &only(&valves)))?;
-        say("wrong or open:")?;
+        say("wrong or unanswered:")?;
         for (example, scored) in real.iter().filter(|(_, s)| s.answer != Some(s.truth)) {
             let p = scored.p.map_or("-".to_owned(), |p| format!("{p:.2}"));
             let why = example.gate.clone().unwrap_or_else(|| said(rule, example));
@@ -305,21 +268,20 @@ fn say_text(rule: &Rule, real: &[(&Example, Scored)], held: &[(&Example, Scored)
     if held.is_empty() {
         return Ok(());
     }
-    say("\nsimulated loops kept for the report: sticking ones found, healthy ones accused (95 %):")?;
-    for (kind, cases) in by_source(held) {
-        say(kind_line(kind, &cases))?;
+    say("\nsimulated loops of the report half, 95 % intervals:")?;
+    let thresholds = [rule.cuts.called, rule.cuts.alarm];
+    let names = thresholds.map(|p| format!("p >= {p}"));
+    let called = held.iter().map(|(example, scored)| Called {
+        kind: &example.source,
+        sticks: scored.truth,
+        called: thresholds.map(|p| scored.at(p).answer == Some(true)),
+    });
+    for line in table([&names[0], &names[1]], &called.collect::<Vec<_>>()) {
+        say(line)?;
     }
-    let all = only(held);
-    say(kind_line("all", &all))?;
-    let sure: Vec<Scored> = all.iter().map(|one| at_cut(one, rule.cuts.alarm)).collect();
-    say(kind_line("all, alarm's cut", &sure))?;
-    let bins = tally::reliability_equal(&all, 10);
-    say("reliability, bins of equally many:")?;
-    for b in &bins {
-        say(format!("  p {:.2}..{:.2}  mean {:.3}  sticking {:.3}  ({})", b.from, b.to, b.mean_p, b.rate, b.count))?;
+    for line in reliability_lines(&only(held)) {
+        say(line)?;
     }
-    let off = tally::miscalibration(&bins).unwrap_or(f64::NAN);
-    say(format!("mean distance {off:.3}, Brier {:.3}", tally::brier(&all).unwrap_or(f64::NAN)))?;
     Ok(())
 }
 
@@ -344,15 +306,15 @@ fn say_json(rule: &Rule, real: &[(&Example, Scored)], held: &[(&Example, Scored)
     let kinds: BTreeMap<&str, serde_json::Value> = by_source(held)
         .into_iter()
         .map(|(kind, cases)| {
-            let (found, accused) = rates(&cases);
-            (kind, json!({"loops": cases.len(), "found": found, "false_alarms": accused}))
+            let (found, false_alarms) = rates(&cases);
+            (kind, json!({"loops": cases.len(), "found": found, "false_alarms": false_alarms}))
         })
         .collect();
     let all = only(held);
-    let (found, accused) = rates(&all);
+    let (found, false_alarms) = rates(&all);
     let bins = tally::reliability_equal(&all, 10);
     say(json!({"schema": "stictiond.calibration.v1", "rule": rule, "recordings": rows(real),
-        "valves": rows(&by_valve(real)), "simulated": {"kinds": kinds, "found": found, "false_alarms": accused,
+        "valves": rows(&by_valve(real)), "simulated": {"kinds": kinds, "found": found, "false_alarms": false_alarms,
         "brier": tally::brier(&all), "miscalibration": tally::miscalibration(&bins), "reliability": bins}}))?;
     Ok(())
 }

@@ -47,15 +47,13 @@ fn gather(half: Half, loops: u64, seed: u64) -> Vec<Row> {
 
 fn say_text(settings: &Settings, report: &[Coverage]) -> anyhow::Result<()> {
     print(&format!("{}\n", serde_json::to_string_pretty(settings)?))?;
-    say(
-        "\nloops kept for the report: error of s %, share of intervals that hold the truth, their median width in % of s",
-    )?;
+    say("\nloops of the report half: error of s in %, coverage of the 90 % intervals, their median width in % of s")?;
     for c in report {
         let [s, j, fs, fd] = c.held;
         let [s_width, j_width, ..] = c.width_pct;
         say(format!(
-            "  {:<20} {:>5}  median {:>6.2}  p90 {:>6.2}  held s {s:.2} j {j:.2} fs {fs:.2} fd {fd:.2}  width s \
-             {s_width:>6.2} j {j_width:>6.2}  j seen {:.2}",
+            "  {:<20} {:>5}  median {:>6.2}  p90 {:>6.2}  coverage s {s:.2} j {j:.2} fs {fs:.2} fd {fd:.2}  width s \
+             {s_width:>6.2} j {j_width:>6.2}  j identifiable {:.2}",
             c.name, c.loops, c.median_pct, c.p90_pct, c.identifiable
         ))?;
     }

@@ -138,18 +138,6 @@ fn the_list_of_pages_is_whole() {
     }
 }
 
-/// Figures stand in one place; the README quotes them line by line.
-#[test]
-fn figures_of_the_readme_stand_in_the_evaluation() {
-    let readme = read("README.md");
-    let sources = ["docs/evaluation.md", "docs/gap-evaluation.md", "docs/speed.md"].map(read);
-    let quoted = fenced(&readme, "## How good it is", "text");
-    assert!(quoted.len() >= 10, "{quoted:?}");
-    for line in quoted {
-        assert!(sources.iter().any(|s| s.lines().any(|l| l == line)), "no page has this figure any more: {line}");
-    }
-}
-
 /// First cells, in code marks, of a page's table whose first heading is `heading`.
 fn column(page: &str, heading: &str) -> Vec<String> {
     let text = read(page);

@@ -15,7 +15,7 @@ pub const CRATES: [&str; 4] = ["src", "crates/stiction/src", "crates/stiction-mo
 const MAX_LINES: usize = 600;
 
 /// Which rooms each room may use.
-const IMPORTS: [(&str, &[&str]); 33] = [
+const IMPORTS: [(&str, &[&str]); 34] = [
     // Words.
     ("units", &[]),
     ("record", &["units"]),
@@ -37,6 +37,7 @@ const IMPORTS: [(&str, &[&str]); 33] = [
     ("fixture", &["record", "signal", "sim"]),
     ("truth", &["units", "record", "signal", "sim"]),
     ("challenge", &["units", "record", "signal", "sim", "verdict", "truth"]),
+    ("methods", &["record", "signal", "sim", "ident", "detect"]),
     ("calibrate", &["verdict"]),
     ("calibrate_gap", &["gap"]),
     ("calibrate_intervals", &["signal", "ident", "detect", "verdict", "truth"]),

@@ -271,6 +271,41 @@ fn evaluate_counts_records_data_and_valves() {
 }
 
 #[test]
+fn evaluate_judges_simulated_loops_and_compares_methods() {
+    let folder = Folder::new();
+    folder.write("A_01.csv", wave(true));
+    folder.write("B.csv", wave(false));
+    let index = folder.write("INDEX.csv", "file,label\nA_01.csv,stiction\nB.csv,tuning\ngone.csv,tuning\n");
+    let simulated = stdout(&expect(0, &["evaluate", "--simulated", "4", "--seed", "5"]));
+    for part in ["4 simulated loops from seed 5", "TPR, p >= 0.5", "answer rate"] {
+        assert!(simulated.contains(part), "{part}: {simulated}");
+    }
+    let json = stdout(&expect(0, &["evaluate", "--simulated", "4", "--seed", "5", "--format", "json"]));
+    let document: serde_json::Value = serde_json::from_str(json.trim()).unwrap();
+    for decision in document["decisions"].as_array().unwrap() {
+        assert_eq!((&decision["sticking"], &decision["healthy"]), (&2.into(), &2.into()), "{document}");
+    }
+    let methods = stdout(&expect(0, &["evaluate", &index, "--simulated", "4", "--methods", "--format", "json"]));
+    let sets: Vec<serde_json::Value> = methods.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    assert_eq!((&sets[0]["thresholds"], &sets[1]["thresholds"]), (&"published".into(), &"chosen".into()));
+    for set in &sets {
+        for method in set["methods"].as_array().unwrap() {
+            let total = |of: &str| method[of].as_object().unwrap().values().map(|n| n.as_f64().unwrap()).sum::<f64>();
+            assert_eq!((total("recordings"), total("simulated")), (2.0, 4.0), "{method}");
+        }
+    }
+    // OP is a triangle in the one recording, a sinusoid in the other.
+    let curve_fit = &sets[0]["methods"][3]["recordings"];
+    assert_eq!((&curve_fit["found"], &curve_fit["cleared"]), (&1.0.into(), &1.0.into()), "{curve_fit}");
+    let text = stdout(&expect(0, &["evaluate", &index, "--methods"]));
+    assert!(text.contains("Yamashita") && text.contains("shipped classifier"), "{text}");
+    let alarms = stdout(&expect(0, &["evaluate", "--simulated", "2", "--alarms"]));
+    assert!(alarms.contains("3 of 4 windows") && alarms.contains("10 %"), "{alarms}");
+    expect(2, &["evaluate"]);
+    expect(2, &["evaluate", "--simulated", "0"]);
+}
+
+#[test]
 fn calibrate_keeps_what_it_computed_and_writes_a_rule() {
     let folder = Folder::new();
     folder.write("A_01.csv", wave(true));

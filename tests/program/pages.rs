@@ -2,8 +2,9 @@
 //! order, with the output that is shown.
 //!
 //! A fenced block marked `console` shows real output of a shipped recording: where a change means to alter it, run the
-//! command and paste what it prints. `...` stands for lines, or the rest of a line, that are left out. Blocks of other marks are not
-//! compared.
+//! command and paste what it prints. `...` stands for lines, or the rest of a line, that are left out. A block marked `results`
+//! shows output that takes too long to make again here: it is compared with what `tests/results.sh` keeps in docs/results.
+//! Blocks of other marks are not compared.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
@@ -296,4 +297,58 @@ fn the_tutorial_shows_output_of_each_step_and_writes_its_report() {
     }
     let report = fs::read_to_string(folder.path().join("fic201.html")).unwrap();
     assert!(report.contains("41FIC201"));
+}
+
+/// Pages whose figures are all quoted from docs/results.
+const OF_FIGURES: [&str; 5] =
+    ["README.md", "docs/compare.md", "docs/evaluation.md", "docs/gap-evaluation.md", "docs/speed.md"];
+
+/// What is kept, by the last command that printed it.
+fn kept() -> Vec<(String, String)> {
+    let files = fs::read_dir("docs/results").unwrap().map(|entry| fs::read_to_string(entry.unwrap().path()).unwrap());
+    let of = |text: String| {
+        let commands = text.lines().take_while(|line| line.starts_with("$ ")).count();
+        let last = text.lines().nth(commands.checked_sub(1)?)?;
+        let printed: Vec<&str> = text.lines().skip(commands).collect();
+        Some((last[2..].to_owned(), printed.join("\n")))
+    };
+    files.map(|text| of(text).expect("a command at the head of each kept file")).collect()
+}
+
+/// Lines with a decimal number in blocks marked `text`, which nothing compares.
+fn figures_in_text(text: &str) -> impl Iterator<Item = &str> {
+    let mut block = None;
+    text.lines().filter(move |line| {
+        if let Some(mark) = line.strip_prefix("```") {
+            block = if block.is_some() { None } else { Some(mark) };
+        }
+        let digits = |w: &[u8]| w[0].is_ascii_digit() && w[1] == b'.' && w[2].is_ascii_digit();
+        block == Some("text") && line.as_bytes().windows(3).any(digits)
+    })
+}
+
+#[test]
+fn quoted_figures_are_those_that_are_kept() {
+    let (kept, mut faults, mut seen) = (kept(), Vec::new(), 0);
+    for (page, text) in pages() {
+        for Step { page, number, line, shown } in steps(&page, &text, &["results"]) {
+            if shown.is_empty() {
+                continue;
+            }
+            seen += 1;
+            match kept.iter().find(|(command, _)| *command == line) {
+                None => faults.push(format!("{page}: line {number}: docs/results keeps nothing of {line}")),
+                Some((_, printed)) => {
+                    let fault = missing(&shown, printed);
+                    faults.extend(fault.map(|shown| format!("{page}: line {number}: {line} did not print\n{shown}")));
+                }
+            }
+        }
+        if OF_FIGURES.contains(&page.as_str()) {
+            let unmarked = figures_in_text(&text);
+            faults.extend(unmarked.map(|line| format!("{page}: mark the block results, its command first: {line}")));
+        }
+    }
+    assert!(seen >= 8, "only {seen} quotations were found");
+    assert!(faults.is_empty(), "\n{}\n", faults.join("\n"));
 }

@@ -8,6 +8,7 @@
 //! | [`truth`] | closed loops of known truth, by the thousand |
 //! | [`fixture`] | loops that a test writes down |
 //! | [`challenge`] | recordings with one withheld cause each, their sealed truth, the scorer |
+//! | [`methods`] | published methods of detection, one file each |
 //! | [`calibrate`] | the rule behind `p_stiction`, leaving out valve by valve |
 //! | [`calibrate_gap`] | how sure the gap's decision is |
 //! | [`calibrate_intervals`] | how wide intervals have to be |
@@ -19,4 +20,5 @@ pub mod calibrate_gap;
 pub mod calibrate_intervals;
 pub mod challenge;
 pub mod fixture;
+pub mod methods;
 pub mod truth;

@@ -1,7 +1,10 @@
 //! `stictiond evaluate`: how often the verdict is right on a labelled set.
 
 pub mod index;
+mod methods;
+pub(super) mod rates;
 mod report;
+pub(super) mod simulated;
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -16,7 +19,8 @@ use stiction::record::Record;
 use stiction::verdict::{AssessParams, Assessment, assess_in_windows};
 use stiction_monitor::config::Config;
 
-/// Judge a labelled set of recordings and print how often the verdict is right, with every wrong case.
+/// Judge a labelled set of recordings, or simulated loops of known truth, and print how often the verdict is right, with every
+/// wrong case.
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "INDEX.csv has the columns file and label, with paths relative to itself. The labels stiction and deadband
@@ -24,11 +28,29 @@ use stiction_monitor::config::Config;
     Optional columns: same_data_group (recordings with the same data), valve, loop. Without a valve
     column the valve is the loop (else the file name) without groups of digits after underscores and
     without what follows -DB-: FIC101_0609_0957 and FIC101_0624_0242 are one valve, FIC101.
-Example: stictiond evaluate labelled/INDEX.csv"
+    Simulated loops have seeds of the half that nothing was fitted to; half of them stick.
+Examples:
+  stictiond evaluate labelled/INDEX.csv
+  stictiond evaluate --simulated 1000
+  stictiond evaluate --simulated 1000 --alarms
+  stictiond evaluate labelled/INDEX.csv --simulated 1000 --methods"
 )]
 pub struct Args {
     /// Index of the labelled set (CSV).
-    pub index: PathBuf,
+    #[arg(required_unless_present = "simulated")]
+    pub index: Option<PathBuf>,
+    /// Judge this many simulated loops of known truth.
+    #[arg(long, value_name = "LOOPS", value_parser = clap::value_parser!(u64).range(1..))]
+    pub simulated: Option<u64>,
+    /// Seed of the first simulated loop.
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Judge consecutive windows of each simulated loop, and count the loops that would raise an alarm.
+    #[arg(long, requires = "simulated")]
+    pub alarms: bool,
+    /// Compare the shipped classifier with published methods on the same data.
+    #[arg(long, conflicts_with = "alarms")]
+    pub methods: bool,
     /// Loops or files (name without extension) with a doubtful label; marked, and also counted apart.
     #[arg(long, value_name = "NAME,NAME", value_delimiter = ',')]
     pub doubtful: Vec<String>,
@@ -41,6 +63,8 @@ pub struct Args {
 struct Judged {
     case: Case,
     result: anyhow::Result<Assessment>,
+    /// What the published methods say beside the classifier, where they are asked.
+    answers: Option<methods::Answers>,
     elapsed_s: f64,
 }
 
@@ -77,21 +101,50 @@ pub(super) fn records(index: &Path) -> anyhow::Result<Vec<(Record, AssessParams)
 /// # Errors
 /// The index cannot be read.
 pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
-    let mut cases = index::read(&args.index)?;
+    let loops = args.simulated.map(|count| simulated::Loops { count, seed: args.seed });
+    let judged = match &args.index {
+        Some(index) => judge_all(index, args)?,
+        None => Vec::new(),
+    };
+    if args.methods {
+        methods::print(&judged, loops, format)?;
+        return Ok(Outcome::Done);
+    }
+    if args.index.is_some() {
+        report::print(&judged, format)?;
+    }
+    match loops {
+        Some(loops) if args.alarms => simulated::print_alarms(loops, format)?,
+        Some(loops) => simulated::print(loops, format)?,
+        None => {}
+    }
+    Ok(Outcome::Done)
+}
+
+fn judge_all(index: &Path, args: &Args) -> anyhow::Result<Vec<Judged>> {
+    let mut cases = index::read(index)?;
     for case in &mut cases {
         let stem = Path::new(&case.file).file_stem().unwrap_or_default();
         case.doubtful |= args.doubtful.iter().any(|name| stem == name.as_str());
     }
-    let base = args.index.parent().unwrap_or(Path::new(""));
+    let base = index.parent().unwrap_or(Path::new(""));
     let judge = |case: &Case| {
         let started = Instant::now();
-        let result =
-            record_of(base, case, &args.reading).map(|one| assess_in_windows(&one.record, &one.windows, &one.params));
-        (result, started.elapsed().as_secs_f64())
+        let judged = record_of(base, case, &args.reading).map(|Judgeable { record, windows, params }| {
+            let assessment = assess_in_windows(&record, &windows, &params);
+            let integrating = methods::integrates(case.kind);
+            let answers = args.methods.then(|| methods::answers(&record, &assessment, integrating));
+            (assessment, answers)
+        });
+        (judged, started.elapsed().as_secs_f64())
     };
     let results = on_all_cores(&cases, |case| case.file.clone(), judge);
-    let with = |(case, (result, elapsed_s))| Judged { case, result, elapsed_s };
-    let judged: Vec<Judged> = cases.into_iter().zip(results).map(with).collect();
-    report::print(&judged, format)?;
-    Ok(Outcome::Done)
+    let with = |(case, (judged, elapsed_s)): (Case, (anyhow::Result<_>, f64))| {
+        let (result, answers) = match judged {
+            Ok((assessment, answers)) => (Ok(assessment), answers),
+            Err(error) => (Err(error), None),
+        };
+        Judged { case, result, answers, elapsed_s }
+    };
+    Ok(cases.into_iter().zip(results).map(with).collect())
 }

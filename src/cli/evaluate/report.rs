@@ -146,15 +146,15 @@ fn figure(x: f64) -> String {
 
 fn table_of(c: &Count) -> Vec<String> {
     let mut lines = vec![format!(
-        "{:<10} {:>11} {:>12} {:>6} {:>7} {:>6} {:>8} {:>11} {:>7}",
-        "source", "right", "95 %", "found", "missed", "false", "cleared", "unanswered", "errors"
+        "{:<10} {:>11} {:>12} {:>6} {:>6} {:>6} {:>6} {:>11} {:>7}",
+        "source", "right", "95 %", "TP", "FN", "FP", "TN", "unanswered", "errors"
     )];
     let named = c.rows.iter().map(|(name, tally)| (name.as_str(), tally)).chain([("all", &c.all)]);
     lines.extend(named.map(|(name, t)| {
         let right = format!("{}/{}", figure(t.right()), figure(t.total()));
         let interval = t.interval().map_or("-".to_owned(), |[low, high]| format!("{low:.2}..{high:.2}"));
         format!(
-            "{name:<10} {right:>11} {interval:>12} {:>6} {:>7} {:>6} {:>8} {:>11} {:>7}",
+            "{name:<10} {right:>11} {interval:>12} {:>6} {:>6} {:>6} {:>6} {:>11} {:>7}",
             figure(t.found),
             figure(t.missed),
             figure(t.false_alarms),
@@ -171,6 +171,7 @@ fn table_of(c: &Count) -> Vec<String> {
 
 fn print_text(judged: &[Judged]) -> anyhow::Result<()> {
     let counts = Count::of(judged);
+    say("TP, FN: labelled sticking, called so or not; FP, TN: labelled healthy, called sticking or not\n")?;
     for c in &counts {
         say(format!("{}:", c.says))?;
         for line in table_of(c) {

@@ -140,8 +140,14 @@ pub fn accuracy(half: Half, regime: Regime, seed: u64) -> TruthLoop {
 /// else is drawn.
 #[must_use]
 pub fn verdict_case(half: Half, seed: u64) -> TruthLoop {
+    verdict_stretch(half, seed, 1)
+}
+
+/// The same kind of loop, recorded for `windows` times as long: consecutive windows of one loop.
+#[must_use]
+pub fn verdict_stretch(half: Half, seed: u64, windows: usize) -> TruthLoop {
     let (sticks, what) = if seed % 2 == 1 { (true, "verdict sticking") } else { (false, "verdict healthy") };
-    first_that_fits(half, what, seed, |draw| verdict::attempt(draw, sticks, seed / 2))
+    first_that_fits(half, what, seed, |draw| verdict::attempt(draw, sticks, seed / 2, windows))
 }
 
 #[cfg(test)]

@@ -266,9 +266,11 @@ fn sticking_valve(draw: &mut Draw, law: ValveLaw, dead_band: bool, period: f64) 
     (ValveModel { law, friction: physical(draw, fs, fd, period), ..valve }, valve)
 }
 
-/// One loop; `number` walks through the kinds. None if what was drawn is no case.
-pub(super) fn attempt(draw: &mut Draw, sticks: bool, number: u64) -> Option<TruthLoop> {
-    let plan = Plan::new(draw);
+/// One loop, recorded for `windows` times the length of one window; `number` walks through the kinds. None if what was
+/// drawn is no case.
+pub(super) fn attempt(draw: &mut Draw, sticks: bool, number: u64, windows: usize) -> Option<TruthLoop> {
+    let mut plan = Plan::new(draw);
+    plan.n *= windows;
     let period = plan.scan_period();
     let mut kind = KINDS[(number % KINDS.len() as u64) as usize];
     let alone = matches!(kind, "tight tuning" | "too much integral" | "noise only");

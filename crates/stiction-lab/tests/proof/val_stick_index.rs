@@ -6,7 +6,7 @@
 use crate::labelled;
 use std::collections::BTreeMap;
 
-use stiction::ident::one_step::{Search, toolbox_index};
+use stiction::ident::one_step::{Search, toolbox};
 use stiction::signal::stats;
 
 const FOLDER: &str = labelled::RECORDINGS;
@@ -41,12 +41,12 @@ fn the_printed_index_is_reproduced() {
         let Some([value, bound]) = printed.get(&item.file) else { continue };
         let (op, pv) = (item.record.op(), &item.record.pv);
         // The implementation lets no gain be negative: it prints 0 for the windows of reverse processes.
-        let Some(found) = toolbox_index(&op, pv, &Search::published(*bound, 1.0)) else {
+        let Some(found) = toolbox(&op, pv, &Search::published(*bound, 1.0)) else {
             eprintln!("aside: {}: printed {value}, PV does not move", item.file);
             continue;
         };
-        eprintln!("{:<50} printed {value:.3} found {found:.3}", item.file);
-        ours.push(found);
+        eprintln!("{:<50} printed {value:.3} found {:.3}", item.file, found.index);
+        ours.push(found.index);
         theirs.push(*value);
     }
     let errors: Vec<f64> = ours.iter().zip(&theirs).map(|(a, b)| (a - b).abs()).collect();

@@ -12,6 +12,8 @@ pub mod ringing;
 mod sine;
 mod travel;
 
+pub use sine::curve_fit;
+
 use std::sync::Arc;
 
 use serde::Serialize;

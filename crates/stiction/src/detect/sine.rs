@@ -17,12 +17,14 @@ impl Detector for Sine {
     }
 
     fn score(&self, view: &View) -> Option<f64> {
-        let of = |x: &[f64]| index(x, view.output.period).unwrap_or(0.5);
+        let of = |x: &[f64]| curve_fit(x, view.output.period).unwrap_or(0.5);
         Some(of(&view.output.op_fast).max(of(&view.pv_fast)).clamp(0.3, 0.65))
     }
 }
 
-fn index(x: &[f64], period: f64) -> Option<f64> {
+/// `E_sin / (E_sin + E_tri)` of the half cycles of a signal around 0, `period` points long; `None` of fewer than three.
+#[must_use]
+pub fn curve_fit(x: &[f64], period: f64) -> Option<f64> {
     let places = zero_crossings(x, 0.0);
     let (mut sine, mut triangle, mut halves) = (0.0, 0.0, 0);
     for w in places.windows(2) {

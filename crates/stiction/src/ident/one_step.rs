@@ -13,6 +13,8 @@ use crate::sim::valve::he_step;
 pub struct Search {
     /// Largest band that is tried, OP units.
     pub fs_max: f64,
+    /// Largest s = fs + fd that is tried, OP units.
+    pub s_max: f64,
     /// Values of each band, both ends included.
     pub bands: usize,
     /// First positions of the stem, from one end of the stick band to the other.
@@ -27,16 +29,32 @@ impl Search {
     /// The industrial implementation's own figures: 11 by 11 bands, 10 positions, dead times up to 24 points.
     #[must_use]
     pub const fn published(fs_max: f64, sign: f64) -> Self {
-        Self { fs_max, bands: 11, positions: 10, delays: 24, sign }
+        Self { fs_max, s_max: f64::INFINITY, bands: 11, positions: 10, delays: 24, sign }
+    }
+
+    /// The same, with s within OP's span: a stem that sticks more would not be seen to move both ways.
+    #[must_use]
+    pub const fn within(span: f64, sign: f64) -> Self {
+        Self { s_max: span, ..Self::published(span, sign) }
     }
 }
 
-/// `1 - least error with friction / least error without`, 0..1; both in free run, their mean taken off. `None` where
-/// PV does not move. A process of the wrong sign counts as none: its error is PV's variance.
+/// The best cell.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Best {
+    /// `1 - least error with friction / least error without`, 0..1; both in free run, their mean taken off.
+    pub index: f64,
+    /// Its s = fs + fd, OP units; 0 where no cell is better than no friction.
+    pub s: f64,
+    /// Its mean squared error, PV units.
+    pub error: f64,
+}
+
+/// Searches the cells. `None` where PV does not move. A process of the wrong sign counts as none: its error is PV's variance.
 ///
 /// `op` and `pv` of equal length, in any units.
 #[must_use]
-pub fn toolbox_index(op: &[f64], pv: &[f64], search: &Search) -> Option<f64> {
+pub fn toolbox(op: &[f64], pv: &[f64], search: &Search) -> Option<Best> {
     let n = op.len().min(pv.len());
     let (op, pv) = (&op[..n], &pv[..n]);
     let level = mean(pv);
@@ -61,12 +79,15 @@ pub fn toolbox_index(op: &[f64], pv: &[f64], search: &Search) -> Option<f64> {
     valve.extend(op.iter().map(|u| u - centre));
     let op = valve[head..].to_vec();
     let without = error_of(&valve);
-    let mut least = without;
+    let (mut least, mut s) = (without, 0.0);
     let place = |i: usize, of: usize| if of > 1 { i as f64 / (of - 1) as f64 } else { 0.0 };
     for i in 1..search.bands {
         let fs = search.fs_max * place(i, search.bands);
         for k in 0..=i {
             let fd = search.fs_max * place(k, search.bands);
+            if fs + fd > search.s_max {
+                break;
+            }
             for p in 0..search.positions {
                 let mut position = op[0] + fs * (2.0 * place(p, search.positions) - 1.0);
                 valve.truncate(head);
@@ -74,11 +95,14 @@ pub fn toolbox_index(op: &[f64], pv: &[f64], search: &Search) -> Option<f64> {
                     position = he_step(position, *u, fs, fd);
                     position
                 }));
-                least = least.min(error_of(&valve));
+                let error = error_of(&valve);
+                if error < least {
+                    (least, s) = (error, fs + fd);
+                }
             }
         }
     }
-    (without > 0.0).then(|| (1.0 - least / without).clamp(0.0, 1.0))
+    (without > 0.0).then(|| Best { index: (1.0 - least / without).clamp(0.0, 1.0), s, error: least })
 }
 
 /// PV with the sums that do not depend on the valve.
@@ -152,11 +176,13 @@ mod tests {
         let (mut sticking, mut healthy) = (Vec::new(), Vec::new());
         Pole::lag(8.0, 0.0).run(3, &stem, 0.0, &mut sticking);
         Pole::lag(8.0, 0.0).run(3, &op, 0.0, &mut healthy);
-        assert!(toolbox_index(&op, &sticking, &search).is_some_and(|i| i > 0.8));
+        assert!(
+            toolbox(&op, &sticking, &search).is_some_and(|best| best.index > 0.8 && (best.s - fs - fd).abs() < 0.9)
+        );
         let noisy: Vec<f64> =
             healthy.iter().enumerate().map(|(k, y)| y + 0.1 * ((k * k % 101) as f64 / 101.0 - 0.5)).collect();
-        assert!(toolbox_index(&op, &noisy, &search).is_some_and(|i| i < 0.2));
-        assert_eq!(toolbox_index(&op, &[1.0; 600], &search), None);
-        assert_eq!(toolbox_index(&[], &[], &search), None);
+        assert!(toolbox(&op, &noisy, &search).is_some_and(|best| best.index < 0.2));
+        assert_eq!(toolbox(&op, &[1.0; 600], &search), None);
+        assert_eq!(toolbox(&[], &[], &search), None);
     }
 }

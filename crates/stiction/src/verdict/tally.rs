@@ -15,16 +15,24 @@ pub struct Scored {
     pub weight: f64,
 }
 
+impl Scored {
+    /// The same case where sticking is called only at a probability of at least `threshold`.
+    #[must_use]
+    pub fn at(&self, threshold: f64) -> Self {
+        Self { answer: self.answer.zip(self.p).map(|(answer, p)| answer && p >= threshold), ..*self }
+    }
+}
+
 /// Sums of weights; whole numbers where every case counts 1.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct Tally {
-    /// Sticking, and said so.
+    /// True positives.
     pub found: f64,
-    /// Sticking, and denied.
+    /// False negatives.
     pub missed: f64,
-    /// Healthy, and accused.
+    /// False positives.
     pub false_alarms: f64,
-    /// Healthy, and said so.
+    /// True negatives.
     pub cleared: f64,
     /// No answer.
     pub unanswered: f64,

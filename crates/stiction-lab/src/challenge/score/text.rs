@@ -38,7 +38,7 @@ impl Figures {
         line(String::new());
         self.by_effect().into_iter().for_each(&mut line);
         line(String::new());
-        line("calls of at least p   coverage          precision".to_owned());
+        line("calls of at least p   answer rate       precision".to_owned());
         for point in &self.curve {
             line(format!("{:<21.2} {:<17} {}", point.p, point.coverage, point.precision));
         }
@@ -61,7 +61,7 @@ impl Figures {
             row("known effects named rightly (top 1)", &all.top1),
             row("right one named or first alternative (top 2)", &all.top2),
             row("stage right", &all.stage),
-            row("known effects answered with an effect (coverage)", &all.coverage),
+            row("known effects answered with an effect (answer rate)", &all.coverage),
             row("named calls that are right (precision)", &all.precision),
             row("loops without effect, an effect named", &all.named_false_alarms),
             row("loops without effect, anything but none", &all.all_false_alarms),
@@ -87,7 +87,7 @@ impl Figures {
 
     fn parts(&self) -> Vec<String> {
         let head =
-            ["top 1", "top 2", "stage", "coverage", "precision", "false alarms", "unknown", "withheld", "closed %"];
+            ["top 1", "top 2", "stage", "answer rate", "precision", "false pos.", "unknown", "withheld", "closed %"];
         let head: String = head.iter().map(|h| format!("{h:<15}")).collect();
         let row = |g: &Group| {
             let rates = [
