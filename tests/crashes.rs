@@ -79,7 +79,7 @@ fn damaged_recordings_are_named_until_they_are_gone_and_recover_saves_what_can_b
     let again = out.join(done.file_name().unwrap());
     for onto in [&again, &out] {
         let said = live::stictiond(&["recover", onto.to_str().unwrap(), "--out", onto.to_str().unwrap(), "--force"]);
-        assert!(!said.status.success() && String::from_utf8_lossy(&said.stderr).contains("the recording itself"));
+        assert!(!said.status.success() && String::from_utf8_lossy(&said.stderr).contains("the input itself"));
     }
     assert_eq!(fs::read(&again).unwrap(), whole);
     assert!(!out.join("junk0.mcap").exists());

@@ -170,7 +170,7 @@ fn a_peer_takes_commands_of_named_principals_alone() {
         ("cn:operator", "listen = [\"tcp/127.0.0.1:7447\"]", "enable_mtls"),
         ("user:operator", file.as_str(), "dictionary_file"),
         ("cn:operator", "mode = \"client\"\nconnect = [\"tcp/127.0.0.1:7447\"]", "its router alone"),
-        ("operator", file.as_str(), "is no principal"),
+        ("operator", file.as_str(), "is not a principal"),
     ] {
         fs::write(&config, text(principal, zenoh)).unwrap();
         let out = live::stictiond(&["check", config.to_str().unwrap()]);

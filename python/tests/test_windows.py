@@ -179,7 +179,7 @@ def test_many_windows_and_a_repair_are_what_the_page_shows(daemon: str, tables: 
 
 def test_a_repair_that_cannot_be_told_says_why(sticking: stiction.Simulation) -> None:
     noise = np.random.default_rng(1).normal(size=(2, 600))
-    cases = ((50 + noise[0], 20 + noise[1], "loop: "), (np.zeros(600), sticking.pv[:600], "take another window"))
+    cases = ((50 + noise[0], 20 + noise[1], "loop: "), (np.zeros(600), sticking.pv[:600], "choose another window"))
     for op, pv, said in cases:
         with pytest.raises(stiction.StictionError) as caught:
             stiction.repair(op, pv, 1.0)

@@ -113,7 +113,7 @@ impl Rerun {
                 topics.append(&mut block.topics);
                 comparing.take(run_block(lanes, &block, (&topics, prefix), first), &block, (&topics, prefix), path)?;
             }
-            let reader = reading.join().map_err(|_| anyhow!("{}: reading broke off", path.display()))??;
+            let reader = reading.join().map_err(|_| anyhow!("{}: internal error while reading", path.display()))??;
             Ok(comparing.close(reader.end()))
         })
     }
@@ -273,7 +273,7 @@ impl Comparing {
         if let (Some(((name, kind), documents)), None, None) = (left, &self.report.difference, &self.report.cut) {
             let text = String::from_utf8_lossy(&documents[0]).into_owned();
             let kind = kind.name();
-            self.report.difference = Some(format!("{name} {kind}: replay makes one that was not recorded: {text}"));
+            self.report.difference = Some(format!("{name} {kind}: made by replay but not recorded: {text}"));
         }
         self.report
     }

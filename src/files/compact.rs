@@ -461,7 +461,7 @@ mod tests {
         assert_eq!((one.ts_s, one.rows.len(), one.rows[39]), (2.0, 40, [39.0, 39.0]));
         assert!(one.rows[1][0] == 1.0 && one.rows[1][1].is_nan());
         let uneven: Vec<Sample> = (0..40).map(|k| sample(Signal::Pv, f64::from(k * k), Value::Number(1.0))).collect();
-        assert!(CompactLoop::from_samples("A", &uneven, None).unwrap_err().contains("even rate"));
+        assert!(CompactLoop::from_samples("A", &uneven, None).unwrap_err().contains("constant rate"));
         assert!(CompactLoop::from_samples("A", &[], None).unwrap_err().contains("neither"));
     }
 }

@@ -181,6 +181,6 @@ mod tests {
         let pattern = folder.path().join("*.csv");
         assert_eq!(super::units(&[pattern], &options).unwrap().len(), 2);
         let none = super::units(&[folder.path().join("*.xyz")], &options).unwrap_err().to_string();
-        assert!(none.contains("no file fits"), "{none}");
+        assert!(none.contains("matches no file"), "{none}");
     }
 }

@@ -41,18 +41,18 @@ pub fn limit(session: &mut zenoh::Config, prefix: &str, principals: &[String]) -
         );
     }
     if stated("access_control/enabled") == true {
-        bail!("[zenoh] config_file has an access_control of its own: name the principals there, or leave it out");
+        bail!("[zenoh] config_file already has access_control; name the principals there, or remove it");
     }
     let by_certificate = principals.iter().any(|p| p.starts_with("cn:"));
     if by_certificate && stated("transport/link/tls/enable_mtls") != true {
-        bail!("certificates are not asked for: set transport.link.tls.enable_mtls in [zenoh] config_file");
+        bail!("client certificates are not required; set transport.link.tls.enable_mtls in [zenoh] config_file");
     }
     let by_user = principals.iter().any(|p| p.starts_with("user:"));
     if by_user && !stated("transport/auth/usrpwd/dictionary_file").is_string() {
-        bail!("users are not asked for: set transport.auth.usrpwd.dictionary_file in [zenoh] config_file");
+        bail!("user names are not required; set transport.auth.usrpwd.dictionary_file in [zenoh] config_file");
     }
     let rules = rules(prefix, principals).to_string();
-    session.insert_json5("access_control", &rules).map_err(|e| anyhow!("{e}")).context("Zenoh refuses the principals")
+    session.insert_json5("access_control", &rules).map_err(|e| anyhow!("{e}")).context("Zenoh rejects the principals")
 }
 
 /// Everybody may do everything but query alarms and gaps, where commands are sent; principals may do that too.

@@ -18,7 +18,7 @@ fn known_in(head: &str) -> BTreeSet<String> {
     };
     let faults = Config::parse(&text).unwrap_err();
     let fault = faults.iter().find(|f| f.key.ends_with("zzzzzzzz")).unwrap();
-    let (_, known) = fault.remedy.split_once("known here: ").unwrap();
+    let (_, known) = fault.remedy.split_once("valid keys: ").unwrap();
     known.split(", ").map(str::to_owned).collect()
 }
 

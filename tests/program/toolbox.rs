@@ -68,7 +68,7 @@ fn several_sections_give_several_documents_and_short_ones_say_what_is_needed() {
         (2, &["--downsample", "1"], "above 1"),
         (2, &["--downsample", "100"], "3000 samples"),
         (2, &["--downsample-like-toolbox"], "--downsample"),
-        (1, &["--loop", "X"], "it holds FIC101"),
+        (1, &["--loop", "X"], "choose one of FIC101"),
         (2, &["--solver", "lgo"], "known solvers"),
     ] {
         let (stdout, told) = expect(code, &[&["analyze", sticking], arguments].concat());
@@ -116,9 +116,9 @@ fn a_program_as_solver_is_heard_or_ended() {
     assert_eq!((&found["evaluations"], &found["stopped"]), (&50.into(), &"budget".into()));
     for (name, text, part) in [
         ("hangs", "sleep 100\n", "wrote nothing for 1 s and was ended"),
-        ("babbles", "echo hello world again\n", "a line holds two numbers"),
+        ("babbles", "echo hello world again\n", "two numbers per line"),
         ("fails", "read task; echo 5 3; read mse; exit 7\n", "after 1 evaluations"),
-        ("silent", "read task\n", "without a pair"),
+        ("silent", "read task\n", "without writing a pair"),
     ] {
         let program = script(name, text);
         let (_, told) = expect(1, &[&some[..], &[&program]].concat());
@@ -191,7 +191,7 @@ fn bad_stores_end_in_a_sentence_with_the_place() {
     let columns = write("single.csv", b"op,pv\n1,2\n");
     expect(0, &["compact", "new", &columns, "--ts", "1", "--out", &single]);
     for (file, part) in [
-        (write("cut.mat", &bytes[..bytes.len() / 2]), "more bytes were announced"),
+        (write("cut.mat", &bytes[..bytes.len() / 2]), "more bytes expected"),
         (write("text.mat", b"hello\nworld\n"), "named .mat"),
         (write("seven.mat", b"MATLAB 7.3 MAT-file, Platform: GLNXA64"), "save -v7"),
         (huge, "byte 128: type 0"),

@@ -347,7 +347,7 @@ fn hostile_names_paths_and_bodies_are_refused_and_leave_nothing() {
     assert_eq!(status("GET", "/files", &["Host: evil.example"], b"").0, 421);
     assert_eq!(status("DELETE", "/files/f1", &[], b"").0, 403);
     for (query, part) in
-        [("", "?name="), ("?name=a.csv&shell=rm", "is no option"), ("?name=a.csv&decimal=dot", "decimal")]
+        [("", "?name="), ("?name=a.csv&shell=rm", "is not an option"), ("?name=a.csv&decimal=dot", "decimal")]
     {
         let (code, text) = status("POST", &format!("/files{query}"), &[own], table.as_bytes());
         assert!(code == 422 && text.contains(part), "{query}: {code} {text}");

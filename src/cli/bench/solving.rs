@@ -60,7 +60,7 @@ fn kernels(found: &TruthLoop) -> Vec<Row> {
     });
     let of = format!("{n} samples, {} slips", steps.slips);
     vec![
-        us(format!("valve model, {of}"), law),
+        us(format!("valve law, {of}"), law),
         us(format!("evaluator, one model, {of}"), sums),
         us(format!("evaluator, tables of a time constant, {n} samples"), tables),
     ]

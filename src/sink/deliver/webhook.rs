@@ -26,7 +26,7 @@ impl Webhook {
     pub fn new(d: &Deliver) -> anyhow::Result<Self> {
         let token = secret(&d.secret_file)?;
         if token.as_ref().is_some_and(|t| t.is_empty() || !t.chars().all(|c| c.is_ascii_graphic())) {
-            bail!("secret_file {}: holds no bearer token: one line of printable characters", d.secret_file);
+            bail!("secret_file {}: no bearer token found; write one line of printable characters", d.secret_file);
         }
         let mut tls = TlsConfig::builder();
         if let Some(ca) = pem("ca_file", &d.ca_file)? {
@@ -54,7 +54,7 @@ fn certificates(bytes: &[u8]) -> anyhow::Result<Vec<Certificate<'static>>> {
     let items = parse_pem(bytes).collect::<Result<Vec<_>, _>>()?;
     let found: Vec<_> =
         items.into_iter().filter_map(|i| if let PemItem::Certificate(c) = i { Some(c) } else { None }).collect();
-    if found.is_empty() { bail!("holds no certificate (PEM)") } else { Ok(found) }
+    if found.is_empty() { bail!("no certificate found; write PEM") } else { Ok(found) }
 }
 
 impl Target for Webhook {

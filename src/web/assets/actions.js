@@ -73,7 +73,7 @@ export async function review(loop, label) {
   return answer?.review ?? null;
 }
 
-/** Who asks for a gap diagnosis; the document, or null. */
+/** Asks for the name and requests a gap diagnosis; resolves to the document, or null. */
 export async function runGap(loop, started) {
   let by = localStorage.getItem(NAME);
   if (!by) {

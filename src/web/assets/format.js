@@ -116,7 +116,7 @@ export function recent(ms, now = Date.now()) {
 /** 12:03:10 today, else 6 Jan, 12:03:10. */
 export const stamp = (ms) => (day(ms) === day(Date.now()) ? time(ms) : `${shortDay(ms)}, ${time(ms)}`);
 
-/** Name of the zone as it stands beside a clock: "CET", "UTC". */
+/** Name of the zone, shown next to a clock: "CET", "UTC". */
 export function zoneName(ms) {
   const parts = shape("zone", { timeZoneName: "short" }).formatToParts(ms);
   return parts.find((p) => p.type === "timeZoneName")?.value ?? zone;

@@ -13,7 +13,7 @@ const POINTS = 1600;
 const LEAST_SPAN_MS = 600_000;
 /** Samples of the stream that are kept for a window that is on its way. */
 const KEPT = 2000;
-/** Sampling times without a sample that count as a hole. */
+/** Sampling times without a sample that count as a data gap. */
 const HOLE_STEPS = 5;
 /** Quiet time after a zoom before finer data are asked for, ms. */
 const SETTLE_MS = 350;

@@ -130,7 +130,7 @@ class Overview {
     this.draw(true);
   }
 
-  /** Thousands of tiles are put in order once a word is typed, not at every letter. */
+  /** Thousands of tiles are sorted once a word is typed, not at every letter. */
   typed(text) {
     clearTimeout(this.typing);
     this.typing = setTimeout(() => this.set({ text }), TYPING_MS);

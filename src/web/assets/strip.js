@@ -60,7 +60,7 @@ export function strip(root, live) {
     root.hidden = store.site?.kind === "workbench";
     document.body.classList.toggle("stale", live.state === "lost");
     const data = store.site?.data ?? {};
-    // What is wrong stands in front, where a narrow screen shows it.
+    // Faults come first, where a narrow screen shows them.
     const rank = (node) => ["bad", "warn", "wait", "good"].findIndex((state) => node.classList.contains(state));
     const health = [age(data), gaps(data), drops(data), faults()].sort((a, b) => rank(a) - rank(b));
     if (store.site?.note) health.push(item("wait", "Note", store.site.note));

@@ -95,7 +95,7 @@ export class Form {
       this.group("Model",
         this.select("model", "Process", options.models),
         this.field("Dead time", delay, "auto, samples such as 3, or seconds such as 12s"),
-        this.select("valve", "Valve model", options.valves)),
+        this.select("valve", "Valve law", options.valves)),
       this.group("OP's range",
         h("div", { class: "wb-pair" }, this.number("op_low", "From", { none: "0" }), this.number("op_high", "To", { none: "100" })),
         h("small", { class: "soft" }, "For sizes in % of travel")),

@@ -80,10 +80,10 @@ fn choices(all: &[(&str, &str)]) -> Vec<Choice> {
 #[must_use]
 pub fn all(max_file_bytes: u64) -> Choices {
     let solvers = [
-        ("contour", "Contour: a grid over s and j, then the neighbourhood of the best"),
+        ("contour", "Contour: a grid over s and j, then a local search"),
         ("multistart", "Multistart: adaptive random search from many starts"),
         ("random", "Random: adaptive random search from one start"),
-        ("branch-bound", "Branch and bound: cuts the plane where it promises most (heuristic)"),
+        ("branch-bound", "Branch and bound: divides the most promising cells (heuristic)"),
     ];
     let words_of = |name: &str| solvers.iter().find(|(id, _)| *id == name).map_or(name, |(_, words)| *words).to_owned();
     let mut set_beside = choices(&[("", "None: the estimate's own search")]);
@@ -102,26 +102,26 @@ pub fn all(max_file_bytes: u64) -> Choices {
     Choices {
         models: choices(&[
             ("both", "Both orders, side by side"),
-            ("auto", "Chosen by the fit: second order where it pays"),
+            ("auto", "Automatic: second order only if it fits better"),
             ("fopdt", "First order, dead time"),
             ("sopdt", "Second order, dead time"),
         ]),
         valves: choices(&[
-            ("auto", "The better of both laws"),
-            ("he", "He's law: a staircase of slips"),
-            ("tracking", "Tracking law: slides once it moves"),
+            ("auto", "The better of the two"),
+            ("he", "He: a staircase of slips"),
+            ("tracking", "Tracking: slides once it moves"),
         ]),
-        delays: choices(&[("auto", "Found with the model"), ("samples", "Samples"), ("seconds", "Seconds")]),
+        delays: choices(&[("auto", "Estimated with the model"), ("samples", "Samples"), ("seconds", "Seconds")]),
         detrends: choices(&[
             ("", "As recorded"),
-            ("mean", "Take away the mean"),
-            ("median", "Take away the median"),
-            ("linear", "Take away the straight line (drift)"),
+            ("mean", "Remove the mean"),
+            ("median", "Remove the median"),
+            ("linear", "Remove the linear trend (drift)"),
         ]),
         solvers: set_beside,
         bases: choices(&[
             ("refit", "Sticking valve, first order, fitted here"),
-            ("linear", "Without friction: stiction is an effect"),
+            ("linear", "No friction: stiction is one of the effects"),
         ]),
         effects: effects::ALL.iter().map(effect).collect(),
         fineness: Number {
@@ -129,28 +129,28 @@ pub fn all(max_file_bytes: u64) -> Choices {
             max: FINENESS_PCT[1],
             default: Some(Options::default().fineness_pct),
             unit: "%",
-            words: "Step of the grid over the bands, in % of OP's span",
+            words: "Step of the contour grid over the bands, % of OP's span",
         },
         evaluations: Number {
             min: EVALUATIONS[0] as f64,
             max: EVALUATIONS[1] as f64,
             default: Some(BUDGET as f64),
             unit: "",
-            words: "Models that the solver may try",
+            words: "Most models that the solver evaluates",
         },
         downsample: Number {
             min: 1.0,
             max: 1e6,
             default: None,
             unit: "samples",
-            words: "One point for every so many samples, above 1; fractions too",
+            words: "Samples per point, above 1; fractions are allowed",
         },
         budget_s: Number {
             min: 0.1,
             max: BUDGET_S,
             default: None,
             unit: "s",
-            words: "Time for the search; without it some 5 s of two cores at most",
+            words: "Time for the search, s; default about 5 s on two cores",
         },
         seed: Options::default().seed,
         gap_seed: GAP_SEED,

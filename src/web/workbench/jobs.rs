@@ -261,7 +261,7 @@ impl Jobs {
             let (jobs, work) = (jobs.clone(), work.clone());
             let thread = std::thread::Builder::new().name(format!("workbench-{number}"));
             if let Err(error) = thread.spawn(move || jobs.serve(&*work)) {
-                tracing::error!("a thread of the workbench could not be started: {error}");
+                tracing::error!("cannot start a workbench thread: {error}");
             }
         }
         jobs
@@ -325,7 +325,7 @@ impl Jobs {
     pub fn get(&self, id: &str) -> Result<Arc<Job>, Fault> {
         let missing = || {
             let id = super::names::shown(id);
-            Fault::missing(format!("no job {id:?} is known here; only the last {KEPT} are kept"))
+            Fault::missing(format!("there is no job {id:?}; only the last {KEPT} are kept"))
         };
         self.inner().jobs.iter().find(|job| job.id == id).cloned().ok_or_else(missing)
     }
@@ -383,7 +383,7 @@ impl Jobs {
             }
             // A fault of ours fails one job, not the thread that others wait for.
             let done = std::panic::catch_unwind(AssertUnwindSafe(|| work(&job)));
-            let done = done.unwrap_or_else(|_| Err(Fault::own("the program failed on this; its log says where")));
+            let done = done.unwrap_or_else(|_| Err(Fault::own("internal error; the program's log has details")));
             job.change(|made| match done {
                 Ok(()) => {
                     made.state = State::Done;

@@ -24,13 +24,13 @@ impl ReadingWords {
     pub fn set(&mut self, name: &str, value: &str) -> Result<(), Fault> {
         let known = OPTIONS.into_iter().find(|known| *known == name);
         let known = known.ok_or_else(|| {
-            Fault::wrong(format!("{:?} is no option; known are name, {}", names::shown(name), OPTIONS.join(", ")))
+            Fault::wrong(format!("{:?} is not an option; use name, {}", names::shown(name), OPTIONS.join(", ")))
         })?;
         if value.len() > LONGEST {
             return Err(Fault::wrong(format!("{name} is longer than {LONGEST} bytes")));
         }
         if self.0.iter().any(|(there, _)| *there == known) {
-            return Err(Fault::wrong(format!("{name} is said twice")));
+            return Err(Fault::wrong(format!("{name} is given twice")));
         }
         if !value.trim().is_empty() {
             self.0.push((known, value.to_owned()));
@@ -86,10 +86,10 @@ impl Upload {
             if key != "name" {
                 reading.set(&key, &value)?;
             } else if name.replace(names::shown(&value)).is_some() {
-                return Err(Fault::wrong("name is said twice"));
+                return Err(Fault::wrong("name is given twice"));
             }
         }
-        let name = name.ok_or_else(|| Fault::wrong("say what the file is called: ?name=FIC101.csv"))?;
+        let name = name.ok_or_else(|| Fault::wrong("give the file name: ?name=FIC101.csv"))?;
         Ok(Self { name, reading })
     }
 }
@@ -106,14 +106,14 @@ fn decoded(text: &str) -> Result<String, Fault> {
                 let digits = bytes.get(at + 1..at + 3).and_then(|two| std::str::from_utf8(two).ok());
                 let value = digits.and_then(|two| u8::from_str_radix(two, 16).ok());
                 at += 2;
-                value.ok_or_else(|| Fault::wrong("behind % in the address stand two digits of base 16"))?
+                value.ok_or_else(|| Fault::wrong("% in the address must be followed by two hexadecimal digits"))?
             }
             plain => plain,
         };
         out.push(byte);
         at += 1;
     }
-    String::from_utf8(out).map_err(|_| Fault::wrong("the address holds bytes that are no UTF-8"))
+    String::from_utf8(out).map_err(|_| Fault::wrong("the address is not valid UTF-8"))
 }
 
 #[cfg(test)]
@@ -160,8 +160,8 @@ mod tests {
         for (query, part) in [
             ("", "?name="),
             ("name=a&name=b", "twice"),
-            ("name=a&speed=1", "is no option"),
-            ("name=a&tz=%zz", "base 16"),
+            ("name=a&speed=1", "is not an option"),
+            ("name=a&tz=%zz", "hexadecimal"),
             ("name=%ff", "UTF-8"),
         ] {
             let refused = Upload::read(query).unwrap_err();

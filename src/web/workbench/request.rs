@@ -200,7 +200,7 @@ impl Request {
     /// # Errors
     /// Which field is not understood, and what would be.
     pub fn read(body: &[u8]) -> Result<Self, Fault> {
-        serde_json::from_slice(body).map_err(|error| Fault::wrong(format!("the request is not understood: {error}")))
+        serde_json::from_slice(body).map_err(|error| Fault::wrong(format!("cannot parse the request: {error}")))
     }
 
     /// Checks everything that can be checked before the file is looked at.
@@ -226,14 +226,14 @@ impl Request {
         if let Some(name) = self.solver.as_deref().filter(|name| SolverName::of(name).is_none()) {
             // A program of somebody's own is started from the command line alone: whoever reaches this page must not.
             let known = SolverName::ALL.map(SolverName::name).join(", ");
-            return wrong(format!("solver: {:?} is not known here; known are {known}", super::names::shown(name)));
+            return wrong(format!("solver: {:?} is not available here; use one of {known}", super::names::shown(name)));
         }
         if let Some(seconds) = self.budget_s.filter(|s| !(*s > 0.0 && *s <= BUDGET_S)) {
             return wrong(format!("budget_s: {seconds} is not above 0 and at most {BUDGET_S} s"));
         }
         if let Some(id) = self.without.iter().find(|id| !effects::ALL.iter().any(|e| e.id == id.as_str())) {
             let known = effects::ALL.map(|effect| effect.id).join(", ");
-            return wrong(format!("without: {:?} is no effect; known are {known}", super::names::shown(id)));
+            return wrong(format!("without: {:?} is not an effect; use {known}", super::names::shown(id)));
         }
         let delay = delay_choice(self.delay.as_deref().unwrap_or("auto")).map_err(of("delay"))?;
         let score = self.score.as_ref().map(model).transpose().map_err(of("score"))?;
@@ -271,7 +271,10 @@ impl Request {
                 .push(Section::of_times(ns(from), ns(to)).map_err(|why| Fault::wrong(format!("window_ms: {why}")))?);
         }
         if sections.len() > SECTIONS {
-            return Err(Fault::wrong(format!("{} sections are chosen; {SECTIONS} at a time", sections.len())));
+            return Err(Fault::wrong(format!(
+                "{} sections are selected; at most {SECTIONS} are allowed per run",
+                sections.len()
+            )));
         }
         if sections.is_empty() {
             sections.push(Section::Whole);

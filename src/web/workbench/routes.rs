@@ -262,7 +262,7 @@ async fn curves(
     let _place = bench.drawing.acquire().await.map_err(ended)?;
     let shelf = bench.shelf.clone();
     let work = tokio::task::spawn_blocking(move || record(&shelf, &id, &query));
-    work.await.map_err(|_| Fault::own("the record could not be read; the program's log says why"))?.map(Json)
+    work.await.map_err(|_| Fault::own("the record could not be read; the program's log has details"))?.map(Json)
 }
 
 async fn jobs(State(bench): State<Bench>) -> Json<JobList> {
@@ -280,7 +280,7 @@ async fn order(State(bench): State<Bench>, body: Result<Bytes, BytesRejection>) 
     if !info.loops.iter().any(|one| one.name == *wanted) {
         let names = info.loops.iter().take(20).map(|one| one.name.as_str()).collect::<Vec<_>>().join(", ");
         return Err(Fault::missing(format!(
-            "{} has no loop {:?}; it holds {names}",
+            "{} has no loop {:?}; choose one of {names}",
             info.name,
             super::names::shown(wanted)
         )));

@@ -237,7 +237,7 @@ impl Shelf {
         if inner.files.len() + inner.coming < self.limits.files {
             return Ok(());
         }
-        Err(Fault::too_many(format!("{} files are open; close one first", self.limits.files)))
+        Err(Fault::too_many(format!("{} files are open, the limit; close one first", self.limits.files)))
     }
 
     /// Whether an upload of so many bytes may come.
@@ -251,7 +251,7 @@ impl Shelf {
         }
         let most = most >> 20;
         Err(Fault::too_large(format!(
-            "a file may have {most} MiB; cut it, or give it on the command line of stictiond"
+            "the file is larger than {most} MiB; split it, or name it on the command line of stictiond"
         )))
     }
 
@@ -262,7 +262,9 @@ impl Shelf {
     pub fn place(self: &Arc<Self>) -> Result<Place, Fault> {
         let mut folder = self.folder();
         if matches!(*folder, Folder::None) {
-            let failed = |error| Fault::conflict(format!("no folder can be made for uploads: {error}; set TMPDIR"));
+            let failed = |error| {
+                Fault::conflict(format!("cannot create a folder for uploads: {error}; set TMPDIR to a writable folder"))
+            };
             *folder = Folder::Made(private_folder().map_err(failed)?);
         }
         let Folder::Made(folder) = &*folder else { return Err(Fault::conflict("the program is ending")) };
@@ -306,7 +308,7 @@ impl Shelf {
         };
         let loaded = loaded.map_err(|error| failed(error.to_string()))?;
         if loaded.loops.is_empty() {
-            return Err(failed(format!("{}: holds no loop with OP and PV", unit.name())));
+            return Err(failed(format!("{}: no loop with OP and PV found", unit.name())));
         }
         let config = match &unit.paths[..] {
             [path] => config_of(path).map_err(|error| failed(format!("{error:#}")))?,
@@ -414,7 +416,7 @@ impl Place {
         self.shelf.fits(self.bytes + bytes)?;
         let mut inner = self.shelf.inner();
         if inner.bytes + bytes > limits.total_bytes {
-            let text = format!("uploads may take {} MiB together; close a file first", limits.total_bytes >> 20);
+            let text = format!("uploads are limited to {} MiB in total; close a file first", limits.total_bytes >> 20);
             return Err(Fault::too_large(text));
         }
         inner.bytes += bytes;
@@ -461,7 +463,7 @@ fn private_folder() -> std::io::Result<TempDir> {
 }
 
 fn gone(id: &str) -> Fault {
-    Fault::missing(format!("no file {:?} is open here; open it again", super::names::shown(id)))
+    Fault::missing(format!("there is no open file {:?}; open it again", super::names::shown(id)))
 }
 
 /// An error that calls files what their owners call them.

@@ -54,7 +54,7 @@ async fn store(place: &mut Place, mut body: Body, life: Option<&Life>) -> Result
     loop {
         let until = began + GRACE + Duration::from_secs_f64(taken as f64 / LEAST_PACE);
         let piece = tokio::time::timeout_at(until.into(), next(&mut body)).await;
-        let slow = || Fault::too_slow("the file came too slowly; try again, or give it on the command line");
+        let slow = || Fault::too_slow("the upload was too slow; try again, or name the file on the command line");
         let Some(bytes) = piece.map_err(|_| slow())?? else { break };
         place.grow(bytes.len() as u64)?;
         taken += bytes.len() as u64;
@@ -68,7 +68,7 @@ async fn store(place: &mut Place, mut body: Body, life: Option<&Life>) -> Result
 }
 
 fn disk(error: &std::io::Error) -> Fault {
-    Fault::own(format!("the file cannot be stored: {error}; free some room in the folder for temporary files"))
+    Fault::own(format!("cannot store the file: {error}; free space in the folder for temporary files"))
 }
 
 /// The next bytes of a body; `None` at its end.

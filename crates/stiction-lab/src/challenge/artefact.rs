@@ -1,30 +1,30 @@
-//! What sensor and historian do to a PV that is there already: exact, so it can also be put into real recordings.
+//! Artefacts of sensor and historian on an existing PV: exact, so they can also be applied to real recordings.
 
 use crate::truth::draw::Draw;
 use crate::truth::storage;
 use stiction::sim::noise::quantise;
 
-/// One thing that recording does to PV (and, for a skew, to PV against OP).
+/// An artefact on PV (and, for a skew, on PV relative to OP).
 #[derive(Debug, Clone, PartialEq)]
 pub enum Artefact {
     /// Rounded to multiples of this, PV units.
     Rounding(f64),
     /// Stored when it has changed by more than this, else held, PV units.
     Hold(f64),
-    /// Stored so that straight lines pass all values within this, PV units.
+    /// Stored such that straight lines pass all values within this, PV units.
     Door(f64),
-    /// Cut off below and above, PV units.
+    /// Clipped below and above, PV units.
     Clip([f64; 2]),
     /// Added at single samples: `(index, size)`, PV units.
     Spikes(Vec<(usize, f64)>),
-    /// Stands still from `.0` for `.1` samples.
+    /// Frozen from `.0` for `.1` samples.
     Freeze(usize, usize),
-    /// Recorded so many samples late (early where negative).
+    /// Recorded this many samples late (early if negative).
     Skew(i32),
 }
 
 impl Artefact {
-    /// PV as it is recorded.
+    /// The recorded PV.
     pub fn apply(&self, pv: &mut [f64]) {
         match self {
             Self::Rounding(quantum) => pv.iter_mut().for_each(|y| *y = quantise(*y, *quantum)),

@@ -1,4 +1,4 @@
-//! How each effect enters a loop, and how large: sizes are shares of the loop's own swing, speed and period, 0 for none.
+//! How each effect enters a loop, and its size: shares of the loop's own amplitude, speed and period; 0 for none.
 
 use super::artefact::{Artefact, spikes};
 use super::kinds::Kind;
@@ -6,7 +6,7 @@ use super::plant::{Drive, Neighbour, Plant, ProcessSpec};
 use crate::truth::draw::{Draw, scaled};
 use stiction::sim::disturbance::Disturbance;
 
-/// What the loop did without the effect, and how long the run is: what sizes are measured by.
+/// The loop's signals without the effect and the length of the run, which define the sizes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Scale {
     /// Mean and standard deviation of PV without noise, PV units.
@@ -18,7 +18,7 @@ pub(super) struct Scale {
     pub jump: f64,
     /// Period, scans.
     pub period: f64,
-    /// Scans of the run, of these left out in front.
+    /// Scans of the run, and number of initial ones left out.
     pub scans: usize,
     pub from: usize,
 }
@@ -28,23 +28,23 @@ impl Scale {
         self.stem[1] - self.stem[0]
     }
 
-    /// A share of the recorded part as a scan.
+    /// A share of the recorded part as a scan number.
     fn at(&self, share: f64) -> f64 {
         self.from as f64 + share * (self.scans - self.from) as f64
     }
 }
 
-/// A loop with what drives it and what recording does to it.
+/// A loop with its inputs and its recording.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Made {
     pub plant: Plant,
     pub drive: Drive,
     pub artefacts: Vec<Artefact>,
-    /// Samples are taken up to this many scans late, by chance.
+    /// Samples are taken at random up to this many scans late.
     pub jitter: f64,
     /// True sizes by name, with units.
     pub sizes: Vec<(&'static str, f64, &'static str)>,
-    /// Which of its forms an effect took, where it has several.
+    /// Variant of an effect that has several.
     pub form: Option<&'static str>,
 }
 
@@ -57,7 +57,7 @@ impl Made {
         self.sizes.push((name, value, unit));
     }
 
-    /// Lets `kind` enter with `size` (about 0.3 small, 1 large, 0 not at all).
+    /// Adds `kind` with `size` (about 0.3 small, 1 large, 0 not at all).
     pub fn enter(&mut self, kind: Kind, size: f64, scale: &Scale, draw: &mut Draw) {
         match kind {
             Kind::AsymmetricStiction

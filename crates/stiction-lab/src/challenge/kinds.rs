@@ -1,13 +1,13 @@
-//! What may be wrong with a loop of the challenge: the effects that the catalogue promises, and some that none has.
+//! Faults of the challenge's loops: the effects of the catalogue, and some outside it.
 
-/// Where an effect sits, in the words of the gap's document.
+/// Location of an effect, in the words of the gap document.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Stage {
     /// Actuator, positioner, stem.
     Valve,
     /// Between stem and PV.
     Process,
-    /// What enters from outside.
+    /// An external disturbance.
     Disturbance,
     /// Sensor and historian.
     Measurement,
@@ -29,76 +29,76 @@ impl Stage {
 /// One effect.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Kind {
-    /// Bands differ by direction.
+    /// Bands depend on the direction.
     AsymmetricStiction,
     /// The stem comes to rest beyond OP.
     SlipOvershoot,
     /// The stem slides once it moves.
     SlidingValve,
-    /// Play behind the stem.
+    /// Backlash behind the stem.
     Backlash,
     /// The stem meets a stop.
     TravelLimit,
     /// The stem moves slowly.
     RateLimit,
-    /// A lag in front of the stem.
+    /// A lag before the stem.
     PositionerLag,
     /// A lag behind the stem, of the process or the sensor.
     ExtraLag,
-    /// A curved valve, or a gain that hangs on the level.
+    /// A nonlinear valve, or a gain that depends on the level.
     StaticNonlinearity,
-    /// PV goes the wrong way first.
+    /// PV first moves in the wrong direction.
     InverseResponse,
-    /// PV does not settle by itself.
+    /// PV is integrating.
     Integrating,
     /// The gain changes over the record.
     GainDrift,
     /// The dead time changes within the record.
     DeadTimeChange,
-    /// A sine from outside.
+    /// An external sine.
     Sinusoid,
-    /// A ramp from outside.
+    /// An external ramp.
     Ramp,
-    /// A step from outside.
+    /// An external step.
     StepLoad,
-    /// Noise with a memory.
+    /// Coloured noise.
     ColouredNoise,
-    /// PV in coarse steps.
+    /// PV with coarse resolution.
     Quantisation,
-    /// PV recorded when it has changed enough.
+    /// PV recorded on change.
     HoldCompression,
-    /// PV thinned to straight lines.
+    /// PV compressed to straight lines.
     SwingingDoor,
-    /// PV cut off at the end of its range.
+    /// PV clipped at the end of its range.
     Clipping,
-    /// Single false values of PV.
+    /// Single outliers of PV.
     Outliers,
-    /// PV stands still for a while.
+    /// PV frozen for a while.
     FrozenSensor,
-    /// PV recorded some samples apart from OP.
+    /// PV recorded some samples later or earlier than OP.
     TimeSkew,
     /// PV and its noise filtered in the transmitter or the PV block.
     SensorFilter,
-    /// A second loop acts on this one and feels it.
+    /// A second loop that interacts with this one.
     InteractingLoop,
     /// Stiction grows or falls over the record.
     ChangingStiction,
-    /// The controller is retuned half way and PV filtered from then on.
+    /// The controller is retuned half way, with a filter on PV.
     RetunedFilter,
     /// The limit cycle of a valve upstream.
     UpstreamCycle,
     /// The time constant falls as the flow rises, as in a heat exchanger.
     FlowDependentLag,
-    /// Samples are taken late by chance, the stamps do not say so.
+    /// Sampling times jitter, but the timestamps do not show it.
     ClockJitter,
-    /// The packing lets go at a force that changes from one rest to the next.
+    /// The breakaway force varies from one rest to the next.
     RandomPacking,
     /// PV falls more slowly than it rises.
     SluggishFall,
 }
 
 impl Kind {
-    /// Effects that the catalogue promises and that two at once are drawn from.
+    /// Effects of the catalogue, from which pairs are drawn.
     pub const CATALOGUE: [Self; 24] = [
         Self::AsymmetricStiction,
         Self::SlipOvershoot,
@@ -126,10 +126,10 @@ impl Kind {
         Self::TimeSkew,
     ];
 
-    /// One more that the catalogue promises. It has a stream of its own, so that the other cases of a seed stay as they are.
+    /// One more effect of the catalogue, with its own random stream, so that the other cases of a seed do not change.
     pub const FILTER: Self = Self::SensorFilter;
 
-    /// Effects that no catalogue has.
+    /// Effects outside the catalogue.
     pub const FOREIGN: [Self; 8] = [
         Self::InteractingLoop,
         Self::ChangingStiction,
@@ -141,7 +141,7 @@ impl Kind {
         Self::SluggishFall,
     ];
 
-    /// Its id, the catalogue's where that has it.
+    /// Its id, as in the catalogue if it is there.
     #[must_use]
     pub const fn id(self) -> &'static str {
         match self {
@@ -181,7 +181,7 @@ impl Kind {
         }
     }
 
-    /// Where it sits.
+    /// Its location.
     #[must_use]
     pub const fn stage(self) -> Stage {
         match self {
@@ -221,13 +221,13 @@ impl Kind {
         }
     }
 
-    /// Whether the catalogue has it.
+    /// Whether it is in the catalogue.
     #[must_use]
     pub fn is_in_catalogue(self) -> bool {
         self == Self::FILTER || Self::CATALOGUE.contains(&self)
     }
 
-    /// Whether a free run cannot predict it even when it is known: what it leaves counts as floor.
+    /// Whether a free run cannot predict it even if it is known: its residual counts as noise floor.
     #[must_use]
     pub const fn is_unpredictable(self) -> bool {
         matches!(self, Self::ColouredNoise | Self::Quantisation | Self::Outliers)

@@ -1,24 +1,24 @@
-//! The check of the gap diagnosis on causes that it is not told: a generator whose physics is not the diagnosis's, a
-//! sealed truth, and a scorer that opens both.
+//! Test of the gap diagnosis on hidden causes: a generator with independent physics, a sealed truth, and a scorer that opens
+//! both.
 //!
-//! Three parts share no truth. The generator ([`Deck`]) makes closed loops from a force balance with Stribeck friction
-//! at 20 sub-steps a sample and processes that no catalogue writes down in that form, gives each an effect (of the
-//! catalogue, of none, or no effect at all), and tells the truth to a file whose SHA-256 is printed first. The diagnosis
-//! sees recordings only: the room `gap` can import neither this room nor the generator's physics, which a test holds.
-//! The scorer ([`score`]) refuses a truth whose digest is another.
+//! The three parts share no truth. The generator ([`Deck`]) makes closed loops from a force balance with Stribeck friction at
+//! 20 sub-steps per sample and processes outside the catalogue's forms, gives each an effect (in the catalogue, outside it, or
+//! none), and writes the truth to a file whose SHA-256 is printed first. The diagnosis sees only the recordings: module `gap`
+//! can import neither this module nor the generator's physics, which is tested. The scorer ([`score`]) rejects a truth with
+//! another digest.
 //!
-//! Two [`Split`]s draw from streams of their own: thresholds are chosen on [`Split::A`], figures reported on
-//! [`Split::B`]. Odd seeds are A and even seeds B, unless the caller says otherwise.
+//! Two [`Split`]s use separate random streams: thresholds are chosen on [`Split::A`] (development set), figures reported on
+//! [`Split::B`] (test set). Odd seeds are A and even seeds B by default.
 //!
-//! | shares of a deck with `k` cases an effect | cases |
+//! | part of a deck with `k` cases per effect | cases |
 //! |---|---|
-//! | each effect that the catalogue promises | `k` |
-//! | each effect that no catalogue has | `k` |
+//! | each effect of the catalogue | `k` |
+//! | each effect outside the catalogue | `k` |
 //! | two effects at once | a tenth of all with an effect |
 //! | no effect | `10 k` |
 //!
-//! Within an effect the three sizes, limit cycles and set-point moves, records with and without the start take turns;
-//! noise (0.5 to 10 % of PV's standard deviation) and whether the valve position is recorded (one in four) are drawn.
+//! Within an effect the three sizes, limit cycles and set-point changes, and records with and without the start alternate; noise
+//! (0.5 to 10 % of PV's standard deviation) and whether the valve position is recorded (one in four) are drawn.
 
 pub mod artefact;
 mod enter;
@@ -37,12 +37,12 @@ use crate::truth::draw::Draw;
 use generate::Order;
 use stiction::record::Record;
 
-/// Which half of all cases: nothing chosen on one may be reported on the same.
+/// Development or test set: nothing chosen on one is reported on the same.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Split {
-    /// For thresholds.
+    /// For choosing thresholds.
     A,
-    /// For the figures that are printed.
+    /// For reported figures.
     B,
 }
 
@@ -53,7 +53,7 @@ impl Split {
         if seed % 2 == 1 { Self::A } else { Self::B }
     }
 
-    /// Its name in streams and documents.
+    /// Its name in random streams and documents.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -63,31 +63,31 @@ impl Split {
     }
 }
 
-/// The orders of a challenge, in an order that tells nothing.
+/// The cases of a challenge, in an order that reveals nothing.
 #[derive(Debug, Clone)]
 pub struct Deck {
     orders: Vec<Order>,
     /// Seed of all draws.
     pub seed: u64,
-    /// Which half.
+    /// Development or test set.
     pub split: Split,
-    /// Cases an effect.
+    /// Cases per effect.
     pub cases: usize,
 }
 
-/// One case: the recording, and what is true of it.
+/// One case: the recording and its truth.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Dealt {
-    /// Name of the recording, which tells nothing.
+    /// Name of the recording, which reveals nothing.
     pub name: String,
-    /// What is recorded; the valve position only where the truth says so.
+    /// The recording; with the valve position only if the truth says so.
     pub record: Record,
     /// The truth.
     pub truth: TruthCase,
 }
 
 impl Deck {
-    /// The challenge of `seed` with `cases` cases an effect.
+    /// The challenge of `seed` with `cases` cases per effect.
     #[must_use]
     pub fn new(seed: u64, split: Split, cases: usize) -> Self {
         let mut shuffle = Draw::new(seed, &format!("challenge/{}/order", split.name()));
@@ -126,19 +126,19 @@ impl Deck {
         Self { orders, seed, split, cases }
     }
 
-    /// How many cases it has.
+    /// Number of cases.
     #[must_use]
     pub fn len(&self) -> usize {
         self.orders.len()
     }
 
-    /// Whether it has none.
+    /// Whether there are no cases.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.orders.is_empty()
     }
 
-    /// The case at `index`; the same for the same deck, to the last bit. None behind the end.
+    /// The case at `index`, bit-identical for the same deck. None beyond the end.
     #[must_use]
     pub fn deal(&self, index: usize) -> Option<Dealt> {
         let order = self.orders.get(index)?;
@@ -153,14 +153,14 @@ impl Deck {
         Some(Dealt { name, record, truth })
     }
 
-    /// All truths in the order of the recordings, to be sealed.
+    /// All truths in the order of the recordings, for sealing.
     #[must_use]
     pub fn truth(&self, cases: Vec<TruthCase>) -> Truth {
         Truth::new(self.seed, self.split, self.cases, cases)
     }
 }
 
-/// Two effects of different stages.
+/// Two effects at different locations.
 fn two(draw: &mut Draw) -> [Kind; 2] {
     loop {
         let mut pick = || draw.pick(&Kind::CATALOGUE, Kind::ExtraLag);
@@ -171,7 +171,7 @@ fn two(draw: &mut Draw) -> [Kind; 2] {
     }
 }
 
-/// The stem position as a position transmitter sends it: its own gain, sign and zero, and a little noise.
+/// The stem position as a position transmitter sends it: with its own gain, sign, offset and a little noise.
 fn transmitted(mv: &[f64], seed: u64, stream: &str) -> Vec<f64> {
     let mut draw = Draw::new(seed, &format!("{stream}/transmitter"));
     let (gain, zero) = (draw.sign() * draw.log_between(0.8, 1.25), draw.between(-5.0, 5.0));

@@ -1,31 +1,31 @@
 //! The loop of the challenge: valve, transport, process, sensor and controller, integrated at sub-sample steps.
 //!
-//! None of it is the form that a diagnosis fits: dead time is a pipe that is read where it is now, lags are advanced
-//! by their own exponentials (or by Euler's rule where they are not linear), an inverse response is two processes that
-//! work against each other. `PV[k]` is measured before `OP[k]` is computed, as in [`stiction::sim::closed_loop`].
+//! None of it has the form that a diagnosis fits: dead time is a pipe, lags are advanced by their own exponentials (or by
+//! Euler's rule if nonlinear), an inverse response is two opposing processes. `PV[k]` is measured before `OP[k]` is computed,
+//! as in [`stiction::sim::closed_loop`].
 
 use super::valve::{DT, Valve, ValveSpec};
 use stiction::sim::controller::{Pid, PidSettings};
 use stiction::sim::friction::SUB_STEPS;
 use stiction::sim::noise::Noise;
 
-/// From flow to PV, without memory; times in scans. Deviations from the rest.
+/// From flow to PV, without state; times in scans. Deviations from the operating point.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct ProcessSpec {
     /// PV units per OP unit.
     pub gain: f64,
     pub tau: f64,
     pub dead_time: f64,
-    /// How much of the self-regulation is gone: 0 none, 1 all (it integrates).
+    /// Degree to which self-regulation is lost: 0 none, 1 all (integrating).
     pub open: f64,
     /// A lag between valve and process.
     pub input_lag: f64,
     /// A lag of the sensor.
     pub sensor_lag: f64,
-    /// Share of the gain that acts at first in the wrong direction, and the time of that.
+    /// Share of the gain that first acts in the wrong direction, and its time constant.
     pub against: f64,
     pub against_tau: f64,
-    /// Gain grows with the level: by so much per unit of PV.
+    /// Growth of the gain with the level, per unit of PV.
     pub level_gain: f64,
     /// Natural logarithm of the gain at the end over that at the start.
     pub drift: f64,
@@ -59,7 +59,7 @@ impl ProcessSpec {
         }
     }
 
-    /// Time constant where the flow stands at `u` and PV wants to move by `push` (both from the rest).
+    /// Time constant at flow `u` when PV tends to move by `push` (both as deviations).
     fn time(&self, u: f64, push: f64) -> f64 {
         let slow = if self.sluggish != 0.0 && push < 0.0 { 1.0 + self.sluggish } else { 1.0 };
         let by_flow = if self.tau_slope == 0.0 { 1.0 } else { libm::exp((-self.tau_slope * u).clamp(-2.0, 2.0)) };
@@ -67,21 +67,21 @@ impl ProcessSpec {
     }
 }
 
-/// A process with its memory.
+/// A process with its state.
 #[derive(Debug, Clone)]
 struct Process {
     spec: ProcessSpec,
-    /// Flow at every sub-step so far: the pipe.
+    /// Flow at every sub-step so far: the content of the pipe.
     pipe: Vec<f64>,
     entered: f64,
     y: f64,
     against: f64,
     shown: f64,
-    /// Scans that the whole run has.
+    /// Number of scans of the run.
     length: f64,
 }
 
-/// Share of the way to its input that a lag of `tau` scans goes in a sub-step.
+/// Fraction of the distance to its input that a lag of `tau` scans covers per sub-step.
 fn share(tau: f64) -> f64 {
     if tau > 0.0 { 1.0 - libm::exp(-DT / tau) } else { 1.0 }
 }
@@ -91,7 +91,7 @@ impl Process {
         Self { spec, pipe: vec![flow], entered: flow, y: 0.0, against: 0.0, shown: 0.0, length: length.max(1) as f64 }
     }
 
-    /// What leaves the pipe now.
+    /// Current output of the pipe.
     fn delayed(&self) -> f64 {
         let now = self.pipe.len() as f64 - 1.0;
         let changed = now * DT >= self.spec.pipe_at * self.length;
@@ -103,7 +103,7 @@ impl Process {
         older + part * (newer - older)
     }
 
-    /// One sub-step with `flow` into the pipe and `load` at its end.
+    /// One sub-step with `flow` into the pipe and `load` at its output.
     fn sub_step(&mut self, flow: f64, load: f64) {
         let spec = self.spec;
         self.pipe.push(flow);
@@ -123,12 +123,12 @@ impl Process {
     }
 }
 
-/// What drives a loop from outside, a value a scan.
+/// External inputs of a loop, one value per scan.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct Drive {
-    /// Set point less the rest, PV units.
+    /// Set point as a deviation, PV units.
     pub sp: Vec<f64>,
-    /// At the process input, behind the dead time, OP units.
+    /// At the process input, after the dead time, OP units.
     pub load: Vec<f64>,
     /// On PV, PV units.
     pub on_pv: Vec<f64>,
@@ -143,16 +143,16 @@ impl Drive {
     }
 }
 
-/// A second loop that disturbs and is disturbed.
+/// A second loop that interacts with this one.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Neighbour {
     pub plant: Plant,
-    /// What its PV (from rest) adds to our process input, OP units per PV unit, and ours to its.
+    /// Contribution of its PV (as a deviation) to our process input, OP units per PV unit, and of ours to its.
     pub to_us: f64,
     pub to_it: f64,
 }
 
-/// Everything that makes a loop.
+/// Parameters of a loop.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Plant {
     pub valve: ValveSpec,
@@ -160,9 +160,9 @@ pub(super) struct Plant {
     pub controller: PidSettings,
     pub rest_op: f64,
     pub rest_pv: f64,
-    /// OP above the stem at the start, OP units.
+    /// Initial strain: OP above the stem, OP units.
     pub strain: f64,
-    /// From this share of the run on, controller gain times `retuned` and a filter of `pv_filter` scans on PV.
+    /// After this share of the run, the controller gain is multiplied by `retuned` and PV filtered over `pv_filter` scans.
     pub retuned_at: f64,
     pub retuned: f64,
     pub pv_filter: f64,
@@ -180,7 +180,7 @@ pub(super) struct Run {
     pub fine: Vec<f64>,
 }
 
-/// One loop as it runs.
+/// One running loop.
 struct Loop<'a> {
     plant: &'a Plant,
     valve: Valve,
@@ -202,7 +202,7 @@ impl<'a> Loop<'a> {
         Self { plant, valve, process, pid, filtered: None, n, beside, run: Run::default() }
     }
 
-    /// One scan; OP is given in free run, else the controller's.
+    /// One scan; OP is given in free run, else computed by the controller.
     fn scan(&mut self, k: usize, drive: [f64; 4], given: Option<f64>) {
         let [sp, mut load, on_pv, noise] = drive;
         let plant = self.plant;
@@ -237,17 +237,17 @@ impl<'a> Loop<'a> {
 }
 
 impl Plant {
-    /// Times of a controller count scans here.
+    /// Controller times are in scans here.
     const fn controller_scan_s(&self) -> f64 {
         1.0
     }
 
-    /// Runs the closed loop for as many scans as `drive` has.
+    /// Runs the closed loop for the scans of `drive`.
     pub fn run(&self, drive: &Drive) -> Run {
         self.simulate(drive, None)
     }
 
-    /// PV and stem with OP as given: the controller is out of the way.
+    /// PV and stem with OP given, without the controller.
     pub fn free_run(&self, drive: &Drive, op: &[f64]) -> Run {
         self.simulate(drive, Some(op))
     }

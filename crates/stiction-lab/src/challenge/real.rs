@@ -1,4 +1,4 @@
-//! Made truth for real recordings: exact artefacts, and effects added to a PV that is there already.
+//! Known truth in real recordings: exact artefacts, and effects added to an existing PV.
 
 use super::artefact::{Artefact, spikes};
 use crate::truth::draw::Draw;
@@ -6,17 +6,17 @@ use stiction::record::Record;
 use stiction::signal::stats::{noise_sd, quantile, std_dev};
 use stiction::sim::disturbance::Disturbance;
 
-/// A recording with something put into its PV.
+/// A recording with an effect added to its PV.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Spoilt {
-    /// Id of the effect that was put in.
+    /// Id of the added effect.
     pub effect: &'static str,
-    /// The recording with it.
+    /// The modified recording.
     pub record: Record,
 }
 
-/// The recording with each effect that can be put in from outside, sized by PV's own spread. What a loop's controller
-/// would have answered is not simulated: the plant never felt these.
+/// The recording with each effect that can be added, sized by PV's own spread. The controller's reaction is not simulated,
+/// because the plant did not experience these effects.
 #[must_use]
 pub fn spoilt(record: &Record, seed: u64) -> Vec<Spoilt> {
     let (n, sd) = (record.len(), std_dev(&record.pv));
@@ -58,7 +58,7 @@ fn artefacts(pv: &[f64], n: usize, sd: f64, draw: &mut Draw) -> Vec<(&'static st
     all.iter().map(|(effect, artefact)| (*effect, with(artefact))).collect()
 }
 
-/// PV behind a first-order lag of `tau` samples. Its noise is lagged too, so as much white noise as it had is put back.
+/// PV after a first-order lag of `tau` samples. The lag also reduces its noise, so white noise is added to restore it.
 fn lagged(pv: &[f64], tau: f64) -> Vec<f64> {
     let share = 1.0 - libm::exp(-1.0 / tau);
     let mut noise = Draw::new(1, "challenge/real/lag");

@@ -1,4 +1,4 @@
-//! The sealed truth: what was done to each recording, as a document whose SHA-256 is printed before the diagnosis.
+//! The sealed truth about each recording, a document whose SHA-256 is printed before the diagnosis.
 
 use std::collections::BTreeMap;
 
@@ -13,7 +13,7 @@ use super::kinds::Stage;
 /// Name of the document.
 pub const SCHEMA: &str = "stictiond.challenge.truth.v1";
 
-/// A number with its unit.
+/// A number with a unit.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Quantity {
     /// The number.
@@ -22,34 +22,34 @@ pub struct Quantity {
     pub unit: String,
 }
 
-/// What the right answer is.
+/// Type of the right answer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Answer {
-    /// Nothing is wrong.
+    /// No effect.
     None,
     /// An effect of the catalogue.
     Known,
-    /// An effect that no catalogue has.
+    /// An effect outside the catalogue.
     Foreign,
     /// Two effects of the catalogue.
     Pair,
 }
 
-/// What is true of one recording.
+/// The truth about one recording.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct TruthCase {
-    /// The recording.
+    /// Name of the recording.
     pub name: String,
-    /// What kind of answer is right.
+    /// Type of the right answer.
     pub answer: Answer,
     /// The effect: an id, two joined by `+` (alphabetical), or `none`.
     pub effect: String,
-    /// Its form where it has several (a lag of the process or of the sensor).
+    /// Its variant, if it has several (a lag of the process or of the sensor).
     pub form: Option<String>,
-    /// Stages, one an effect.
+    /// Locations, one per effect.
     pub stages: Vec<String>,
-    /// Whether free run cannot predict it even when it is known.
+    /// Whether a free run cannot predict it even if it is known.
     pub unpredictable: bool,
     /// `small`, `middle` or `large`; none without an effect.
     pub size: Option<String>,
@@ -59,15 +59,15 @@ pub struct TruthCase {
     pub noise_sd: f64,
     /// Standard deviation of PV without noise, PV units.
     pub pv_sd: f64,
-    /// Whether the set point moves.
+    /// Whether the set point changes.
     pub setpoint_moves: bool,
-    /// Whether the record holds the start of the cycle.
+    /// Whether the record includes the start of the cycle.
     pub transient: bool,
     /// Whether the valve position is recorded.
     pub mv: bool,
     /// Period, samples.
     pub period: f64,
-    /// Static and kinetic band as read on the bench with the effect, upwards, OP units.
+    /// Static and kinetic band measured on the bench with the effect, upwards, OP units.
     pub fs: f64,
     /// See `fs`.
     pub fd: f64,
@@ -77,10 +77,10 @@ pub struct TruthCase {
     pub tau: f64,
     /// See `gain`.
     pub dead_time: f64,
-    /// What a refitted first-order process behind the true base valve leaves of PV, root mean square, PV units.
+    /// Residual of a refitted first-order process behind the true base valve, root mean square, PV units.
     pub base_rmse: f64,
-    /// What the catalogue's form of the truth leaves with the true sizes (gain and bias refitted), PV units; none where
-    /// no catalogue has a form of it.
+    /// Residual of the catalogue's form of the truth with the true sizes (gain and bias refitted), PV units; none if the catalogue
+    /// has no such form.
     pub oracle_rmse: Option<f64>,
 }
 
@@ -125,7 +125,7 @@ impl TruthCase {
         }
     }
 
-    /// Noise over PV's spread without noise.
+    /// Noise relative to PV's spread without noise.
     #[must_use]
     pub fn noise_share(&self) -> f64 {
         self.noise_sd / self.pv_sd
@@ -143,32 +143,32 @@ pub struct Truth {
     pub seed: u64,
     /// `A` or `B`.
     pub split: String,
-    /// Cases an effect.
+    /// Cases per effect.
     pub cases_per_effect: usize,
-    /// One a recording, in their order.
+    /// One per recording, in their order.
     pub cases: Vec<TruthCase>,
 }
 
 /// A truth that cannot be opened.
 #[derive(Debug, Error)]
 pub enum Tampered {
-    /// Its digest is not the one that was printed.
+    /// Its SHA-256 is not the one that was printed.
     #[error(
         "the truth's SHA-256 is {found}, but {sealed} was sealed: the truth was changed after the challenge was made; make a new challenge"
     )]
     Digest {
-        /// Of the file as it is.
+        /// SHA-256 of the file.
         found: String,
-        /// As sealed.
+        /// SHA-256 when sealed.
         sealed: String,
     },
-    /// It is not such a document.
+    /// Not a truth document.
     #[error("cannot parse the truth: {0}; make the challenge again with this version")]
     Unreadable(#[from] serde_json::Error),
     /// A document of another kind or version.
     #[error("the truth is a {found:?}, but this version reads {SCHEMA:?}; make a new challenge")]
     Schema {
-        /// What it calls itself.
+        /// Its schema.
         found: String,
     },
 }
@@ -185,20 +185,20 @@ impl Truth {
         Self { schema, version, seed, split: split.name().to_owned(), cases_per_effect, cases }
     }
 
-    /// Its bytes, as sealed.
+    /// Its bytes when sealed.
     ///
     /// # Errors
-    /// A number that JSON does not have, which no case holds.
+    /// A number that JSON cannot represent, which no case has.
     pub fn to_bytes(&self) -> Result<Vec<u8>, serde_json::Error> {
         let mut bytes = serde_json::to_vec_pretty(self)?;
         bytes.push(b'\n');
         Ok(bytes)
     }
 
-    /// Opens a truth if it is the one that was sealed.
+    /// Opens a truth if its seal matches.
     ///
     /// # Errors
-    /// [`Tampered`] names both digests, or what is wrong with the document.
+    /// [`Tampered`] with both digests, or the fault in the document.
     pub fn open(bytes: &[u8], sealed: &str) -> Result<Self, Tampered> {
         let (found, sealed) = (seal(bytes), sealed.trim().to_ascii_lowercase());
         if found != sealed {

@@ -1,4 +1,4 @@
-//! The valve of the challenge: forces, not laws, at sub-sample steps, and what stands in front of and behind the stem.
+//! The valve of the challenge: a force balance at sub-sample steps, with the parts before and behind the stem.
 
 use stiction::sim::friction::{Friction, FrictionState, SUB_STEPS};
 use stiction::sim::noise::Noise;
@@ -7,17 +7,17 @@ use stiction::sim::valve::{Tracking, he_step, tracking_step};
 /// Length of a sub-step, scans.
 pub(super) const DT: f64 = 1.0 / SUB_STEPS as f64;
 
-/// Parts of a sub-step while the stem moves: a slip is over within some tenths of a scan.
+/// Parts of a sub-step while the stem moves: a slip takes some tenths of a scan.
 const WHILE_MOVING: usize = 20;
 
-/// The Stribeck curve of packing, divided by the spring: bands in OP units, times in scans.
+/// The Stribeck curve of packing, divided by the spring rate: bands in OP units, times in scans.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Packing {
     /// Static band.
     pub fs: f64,
     /// Coulomb band.
     pub fc: f64,
-    /// Stribeck speed, OP units a scan: far below OP's own pace the stem slides, far above it sticks and slips.
+    /// Stribeck speed, OP units per scan: far below OP's own speed the stem slides, far above it sticks and slips.
     pub vs: f64,
     /// Viscous time, scans.
     pub fv: f64,
@@ -35,43 +35,43 @@ impl Packing {
 pub(super) enum Law {
     /// The force balance.
     Forces,
-    /// He's staircase with the bands `[fs, fd]` upwards and downwards: the form that a catalogue has.
+    /// He's model with the bands `[fs, fd]` upwards and downwards: the form in the catalogue.
     He([[f64; 2]; 2]),
-    /// The tracking law with bands `[fs, fd]`.
+    /// The tracking model with bands `[fs, fd]`.
     Tracking([f64; 2]),
 }
 
-/// A valve from OP to flow, without memory.
+/// A valve from OP to flow, without state.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct ValveSpec {
     pub packing: Packing,
     pub law: Law,
-    /// Bands are `1 + asymmetry` times as large upwards, `1 - asymmetry` downwards.
+    /// Bands are larger by `1 + asymmetry` upwards and `1 - asymmetry` downwards.
     pub asymmetry: f64,
     /// Moving mass over stiffness, scans squared; 0 for none.
     pub mass: f64,
-    /// Bands at the end of the run over those at its start, less 1.
+    /// Bands at the end of the run over those at its start, minus 1.
     pub growth: f64,
     /// Spread of the static band from one rest to the next (standard deviation of its logarithm).
     pub scatter: f64,
-    /// First-order lag in front of the stem, scans.
+    /// First-order lag before the stem, scans.
     pub positioner_lag: f64,
-    /// Greatest speed of the stem, OP units a scan.
+    /// Largest speed of the stem, OP units per scan.
     pub rate_limit: f64,
-    /// Ends of travel, OP units.
+    /// Travel limits, OP units.
     pub stops: [f64; 2],
-    /// Play between stem and plug, OP units.
+    /// Backlash between stem and plug, OP units.
     pub play: f64,
-    /// Greatest speed of what follows the stem (a large damper behind a small pilot), OP units a scan.
+    /// Largest speed of the part behind the stem (a large damper behind a small pilot), OP units per scan.
     pub follow_rate: f64,
-    /// Flow, as the stem position of a straight valve, at which the port or the pump behind it gives no more, OP units.
+    /// Flow limit of the port or pump, as the stem position of a linear valve, OP units.
     pub port: [f64; 2],
-    /// Curvature of an equal-percentage characteristic around the rest, 1 / OP unit; 0 for a straight one.
+    /// Curvature of an equal-percentage characteristic around the operating point, 1 / OP unit; 0 for a linear one.
     pub curvature: f64,
 }
 
 impl ValveSpec {
-    /// A straight valve with this packing and nothing else.
+    /// A linear valve with this packing and nothing else.
     pub const fn plain(packing: Packing) -> Self {
         Self {
             packing,
@@ -90,8 +90,8 @@ impl ValveSpec {
         }
     }
 
-    /// `[fs, fd]` as a slow ramp on the bench reads them upwards (`1.0`) or downwards (`-1.0`): the force at which the
-    /// stem breaks away and the one left when it rests again, both OP units.
+    /// `[fs, fd]` as measured by a slow ramp on the bench, upwards (`1.0`) or downwards (`-1.0`): the breakaway force and the force
+    /// left when the stem rests again, both in OP units.
     pub fn bench(&self, along: f64) -> [f64; 2] {
         let clean = Self { positioner_lag: 0.0, rate_limit: f64::INFINITY, stops: [-1e9, 1e9], ..self.clone() };
         let clean = Self { law: Law::Forces, growth: 0.0, scatter: 0.0, ..clean };
@@ -114,14 +114,14 @@ impl ValveSpec {
     }
 }
 
-/// A valve with its memory.
+/// A valve with its state.
 #[derive(Debug, Clone)]
 pub(super) struct Valve {
     spec: ValveSpec,
-    /// Packing upwards and downwards as it is now.
+    /// Current packing upwards and downwards.
     now: [Friction; 2],
     stem: FrictionState,
-    /// State of the law, where one is used instead of the forces.
+    /// State of the signal model, if used instead of the forces.
     law: Tracking,
     plug: f64,
     rest: f64,
@@ -131,7 +131,7 @@ pub(super) struct Valve {
 }
 
 impl Valve {
-    /// A valve that rests at `rest` with the strain `strain` (OP units, OP stands above the stem by that).
+    /// A valve at rest at `rest` with the strain `strain` (OP above the stem by this, OP units).
     pub fn new(spec: ValveSpec, rest: f64, strain: f64, noise: Noise) -> Self {
         let position = rest - strain;
         let stem = FrictionState { drive: rest, ..FrictionState::at_rest(position) };
@@ -153,7 +153,7 @@ impl Valve {
         self.stem.position
     }
 
-    /// Sets how far the run has come (0..1), for what changes over time.
+    /// Sets the progress of the run (0..1), for parameters that change over time.
     pub fn age(&mut self, share: f64) {
         if self.spec.growth != 0.0 {
             self.grown = 1.0 + self.spec.growth * share;
@@ -161,7 +161,7 @@ impl Valve {
         }
     }
 
-    /// One sub-step with OP at `op`; answers the flow, OP units, equal to OP for a straight valve without friction.
+    /// One sub-step with OP at `op`; returns the flow, OP units, equal to OP for a linear valve without friction.
     pub fn sub_step(&mut self, op: f64) -> f64 {
         let lag = self.spec.positioner_lag;
         let share = if lag > 0.0 { 1.0 - libm::exp(-DT / lag) } else { 1.0 };
@@ -204,8 +204,8 @@ impl Valve {
         }
     }
 
-    /// A stem with mass (symplectic Euler): it stops where its speed would change sign, and holds below the static
-    /// band. So it may come to rest beyond OP.
+    /// A stem with mass (symplectic Euler): it stops where its speed would change sign, and holds below the static band. It may
+    /// therefore come to rest beyond OP.
     fn heavy(&mut self, friction: &Friction, e: f64) {
         let v = self.stem.speed;
         if v == 0.0 && e.abs() <= friction.static_band() {
@@ -231,7 +231,7 @@ impl Valve {
         self.stem.speed = if self.law.position == from { 0.0 } else { (self.law.position - from) / DT };
     }
 
-    /// Rate limit and ends of travel, on what the stem would have done since `before`.
+    /// Applies rate limit and travel limits to the stem's movement since `before`.
     fn limit(&mut self, before: &FrictionState) {
         let most = self.spec.rate_limit * DT;
         let moved = self.stem.position - before.position;

@@ -173,7 +173,7 @@ mod tests {
     fn wrong_shapes_are_named() {
         for (text, part) in [
             ("{}", "no \"v\""),
-            (r#"{"v":"open"}"#, "takes a number"),
+            (r#"{"v":"open"}"#, "needs a number"),
             (r#"{"t":"12.5","v":1}"#, "not RFC 3339"),
             (r#"{"t":1.5,"v":1}"#, "whole nanoseconds"),
             (r#"{"t":18446744073709551615,"v":1}"#, "2262"),

@@ -313,7 +313,7 @@ fn refuse_unknown_tables(lines: &Lines, root: &DeTable<'_>, faults: &mut Vec<Fau
             line: lines.of(key.span().start),
             key: key.get_ref().to_string(),
             message: "unknown table or key".to_owned(),
-            remedy: format!("valid names: {}", known.join(", ")),
+            remedy: format!("valid keys: {}", known.join(", ")),
         });
     }
 }

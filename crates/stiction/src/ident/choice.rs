@@ -1,4 +1,4 @@
-//! What a fit can be told.
+//! Options of a fit.
 
 use crate::optim::SolverName;
 
@@ -9,13 +9,13 @@ pub enum ModelChoice {
     Fopdt,
     /// Second order with dead time.
     Sopdt,
-    /// Second order only where it earns its parameter.
+    /// Second order only if it fits significantly better.
     #[default]
     Auto,
 }
 
 impl ModelChoice {
-    /// All of them, with the words of commands.
+    /// All choices, with their names in commands.
     pub const ALL: [(&'static str, Self); 3] = [("auto", Self::Auto), ("fopdt", Self::Fopdt), ("sopdt", Self::Sopdt)];
 }
 
@@ -31,12 +31,12 @@ pub enum DelayChoice {
     Samples(f64),
 }
 
-/// Valve law.
+/// Valve model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum ValveChoice {
-    /// He's two-parameter law.
+    /// He's two-parameter model.
     He,
-    /// The tracking (sliding) law.
+    /// The tracking (sliding) model.
     Tracking,
     /// Both; the better one is reported.
     #[default]
@@ -44,35 +44,35 @@ pub enum ValveChoice {
 }
 
 impl ValveChoice {
-    /// All of them, with the words of commands.
+    /// All choices, with their names in commands.
     pub const ALL: [(&'static str, Self); 3] = [("auto", Self::Auto), ("he", Self::He), ("tracking", Self::Tracking)];
 }
 
-/// What a fit is told.
+/// Options of a fit.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Options {
     /// Process order.
     pub model: ModelChoice,
     /// Dead time.
     pub delay: DelayChoice,
-    /// Valve law.
+    /// Valve model.
     pub valve: ValveChoice,
     /// The global solver.
     pub solver: SolverName,
     /// Step of the contour grid, % of the span.
     pub fineness_pct: f64,
-    /// Seed of every random choice.
+    /// Seed of all random choices.
     pub seed: u64,
-    /// Period of the oscillation, points, where one is known.
+    /// Period of the oscillation in points, if known.
     pub period_points: Option<f64>,
-    /// Longest dead time that is looked for, s: longer ones nobody would believe of such a loop.
+    /// Longest dead time searched, s: longer ones are implausible for such a loop.
     pub longest_dead_time_s: f64,
-    /// Whether such a loop may integrate.
+    /// Whether such a loop may be integrating.
     pub may_integrate: bool,
 }
 
 impl Default for Options {
-    /// As the daemon asks, without a period.
+    /// The daemon's options, without a period.
     fn default() -> Self {
         Self {
             model: ModelChoice::default(),

@@ -1,8 +1,8 @@
-//! Identification: how much the valve sticks, and what process it moves.
+//! Identification: the size of the stiction, and the process behind the valve.
 //!
-//! [`quantify`] fits a valve law and a process model to one record in free run: the law runs on OP as recorded, the
-//! process answers with a continuous dead time, and everything linear (gain, kinetic band, bias, initial state) is
-//! solved exactly. Everything is seeded, bounded in work and scale-free.
+//! [`quantify`] fits a valve model and a process model to one record in free run: the valve model runs on OP as recorded, the
+//! process responds with a continuous dead time, and all linear parameters (gain, kinetic band, bias, initial state) are solved
+//! exactly. The search is seeded, bounded in work and scale-free.
 
 mod again;
 pub mod candidate;

@@ -1,4 +1,4 @@
-//! From a record to the bands: normalise, search, refine, compare with no stiction at all.
+//! From a record to the bands: normalise, search, refine, compare with a fit without stiction.
 
 use super::candidate::NormalisedRecord;
 use super::choice::{Options, ValveChoice};
@@ -17,7 +17,7 @@ use crate::record::Record;
 use crate::signal::stats;
 use crate::sim::slips::Law;
 
-/// What a fit found. Bands in OP units, gain in PV units per OP unit (per second too when integrating).
+/// Result of a fit. Bands in OP units, gain in PV units per OP unit (also per second if integrating).
 #[derive(Debug, Clone, PartialEq)]
 pub struct Estimate {
     /// Dead band plus stick band.
@@ -26,13 +26,13 @@ pub struct Estimate {
     pub j: f64,
     /// Robust span of OP.
     pub span: f64,
-    /// 1 - error with stiction / error without, same class of process, 0..1.
+    /// 1 - error with stiction / error without, for the same process class, 0..1.
     pub index: f64,
-    /// The same for differences of the free-run error, which slow disturbances hardly touch.
+    /// The same for differences of the free-run error, which slow disturbances hardly affect.
     pub index_moves: f64,
-    /// The law that fits better.
+    /// The valve model that fits better.
     pub law: Law,
-    /// Class of the process.
+    /// Process class.
     pub class: Class,
     /// Process gain.
     pub gain: f64,
@@ -42,23 +42,23 @@ pub struct Estimate {
     pub dead_time_s: f64,
     /// Mean squared free-run error, PV units squared.
     pub mse: f64,
-    /// The same without stiction.
+    /// Mean squared free-run error without stiction, PV units squared.
     pub mse_without: f64,
-    /// Moves of the stem.
+    /// Movements of the stem.
     pub slips: usize,
     /// Changes of the stem's direction.
     pub reversals: usize,
-    /// Standard error of j from the fit of fd, OP units; infinite where fd is not seen apart from the gain.
+    /// Standard error of j from the fit of fd, OP units; infinite if fd is not separable from the gain.
     pub j_error: f64,
-    /// All s in this range give the same slips, OP units.
+    /// Range of s with the same slips, OP units.
     pub s_cell: [f64; 2],
-    /// What else explains the record nearly as well, OP units.
+    /// Range of s that explains the record almost as well, OP units.
     pub spread: Spread,
-    /// Error models computed.
+    /// Number of models evaluated.
     pub evaluations: u64,
     /// The global solver.
     pub solver: SolverName,
-    /// Rounds of the search, over all signs of the gain.
+    /// Rounds of the search, for all signs of the gain.
     pub rounds: usize,
     /// Why the search for the answer ended.
     pub ended: Ended,
@@ -73,7 +73,7 @@ const HARDLY_WORSE: f64 = 0.01;
 /// Rivals that the interval visits.
 const RIVALS: usize = 24;
 
-/// The best valve law and process model of a record, or `None` where a signal does not move or nothing moves the stem.
+/// The best valve and process model of a record, or `None` if a signal is constant or nothing moves the stem.
 #[must_use]
 pub fn quantify(record: &Record, options: &Options) -> Option<Estimate> {
     let span = stats::span(&record.op_path);

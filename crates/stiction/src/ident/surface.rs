@@ -1,5 +1,5 @@
-//! The error over the plane of friction bands, as the toolbox draws and searches it: for a pair (fs, fd) taken at its
-//! word, the mean squared free-run error of the best process of one class (Lee, Ren and Huang 2008, their error map).
+//! The error surface over the friction bands, as the toolbox plots and searches it: for an exact pair (fs, fd), the mean squared
+//! free-run error of the best process of one class (Lee, Ren and Huang 2008, their error map).
 //!
 //! ```
 //! use stiction::ident::class::Class;
@@ -21,8 +21,8 @@
 //! assert!(found.fs + found.fd <= found.s0 && found.mse < surface.mse(0.0, 0.0));
 //! ```
 //!
-//! [`super::quantify`] searches otherwise (whole cells of equal slips at once, fd solved, several views of the error);
-//! this surface is what a general solver can be set on, and what an error map shows.
+//! [`super::quantify`] searches differently (whole cells of equal slips at once, fd solved, several views of the error). This
+//! surface is for general solvers and error maps.
 
 use super::candidate::{NormalisedRecord, Start};
 use super::choice::Options;
@@ -40,25 +40,25 @@ use crate::record::Record;
 use crate::signal::stats;
 use crate::sim::slips::Law;
 
-/// Evaluations that a solver may spend unless told otherwise: the toolbox's own limit.
+/// Default budget of a solver, evaluations: the toolbox's own limit.
 pub const BUDGET: u64 = 10_000;
-/// Places of the stem before the record that are looked at, shares of the static band from OP's first value; the first one
-/// alone of a stem that turns more often than that.
+/// Positions of the stem before the record that are tried, as shares of the static band from OP's first value; only the first
+/// one for a stem that reverses often.
 const STARTS: [f64; 3] = [0.0, -0.9, 0.9];
 const FEW_REVERSALS: usize = 8;
 /// s in spans below which there is no friction.
 const NOTHING: f64 = 1e-4;
 
-/// What goes with one pair of bands.
+/// The best model for one pair of bands.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Point {
     /// Static band, OP units.
     pub fs: f64,
     /// Kinetic band, OP units.
     pub fd: f64,
-    /// Mean squared free-run error, PV units squared; infinite where the stem hardly moves.
+    /// Mean squared free-run error, PV units squared; infinite if the stem hardly moves.
     pub mse: f64,
-    /// Process gain, PV units per OP unit (per second too when integrating).
+    /// Process gain, PV units per OP unit (also per second if integrating).
     pub gain: f64,
     /// Time constants, s, largest first.
     pub time_constants_s: Vec<f64>,
@@ -66,7 +66,7 @@ pub struct Point {
     pub dead_time_s: f64,
 }
 
-/// The error surface of one record, valve law and class of process.
+/// The error surface of one record, valve model and process class.
 #[derive(Debug)]
 pub struct Surface {
     normalised: NormalisedRecord,
@@ -90,7 +90,7 @@ struct Side {
 }
 
 impl Surface {
-    /// The surface of a record; `None` where a signal does not move or under 30 points are there.
+    /// The surface of a record; `None` if a signal is constant or there are fewer than 30 points.
     #[must_use]
     pub fn new(record: &Record, options: &Options, law: Law, class: Class) -> Option<Self> {
         let span = stats::span(&record.op_path);
@@ -121,31 +121,31 @@ impl Surface {
         })
     }
 
-    /// Span of OP: `fs + fd` stays at or below it.
+    /// Span of OP, the upper limit of `fs + fd`.
     #[must_use]
     pub const fn s0(&self) -> f64 {
         self.span
     }
 
-    /// Class of the process.
+    /// Process class.
     #[must_use]
     pub const fn class(&self) -> Class {
         self.class
     }
 
-    /// Pairs asked for so far.
+    /// Number of pairs evaluated.
     #[must_use]
     pub const fn evaluations(&self) -> u64 {
         self.evaluations
     }
 
-    /// Mean squared error of the best process for one pair of bands, PV units squared: infinite where the stem hardly
-    /// moves and outside `0 <= fd <= fs, fs + fd <= S0`.
+    /// Mean squared error of the best process for one pair of bands, PV units squared: infinite if the stem hardly moves, and
+    /// outside `0 <= fd <= fs, fs + fd <= S0`.
     pub fn mse(&mut self, fs: f64, fd: f64) -> f64 {
         self.fit(fs, fd).map_or(f64::INFINITY, |f| f.sse * self.scale())
     }
 
-    /// The same with the process itself.
+    /// The same with the process.
     pub fn point(&mut self, fs: f64, fd: f64) -> Option<Point> {
         let fit = self.fit(fs, fd)?;
         let gain = self.class.gain(fit.gain) * self.deviation / self.span;
@@ -225,23 +225,23 @@ impl Objective for Surface {
     }
 }
 
-/// What a solver found on a surface, OP and PV units.
+/// Result of a solver on a surface, OP and PV units.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Solved {
     /// Static band.
     pub fs: f64,
     /// Kinetic band.
     pub fd: f64,
-    /// Smallest mean squared error, PV units squared; infinite where no model exists.
+    /// Smallest mean squared error, PV units squared; infinite if no model exists.
     pub mse: f64,
-    /// Span of OP: `fs + fd <= s0` was enforced.
+    /// Span of OP; the constraint was `fs + fd <= s0`.
     pub s0: f64,
-    /// How the search went.
+    /// Statistics of the search.
     pub outcome: Outcome,
 }
 
 impl Solved {
-    /// The outcome in OP units.
+    /// The result in OP units.
     #[must_use]
     pub fn of(outcome: Outcome, s0: f64) -> Self {
         let [s, j] = outcome.best;
@@ -249,7 +249,7 @@ impl Solved {
     }
 }
 
-/// Sets a solver on a surface.
+/// Runs a solver on a surface.
 pub fn solve(surface: &mut Surface, solver: &dyn Solver, settings: &Settings) -> Solved {
     let s0 = surface.s0();
     Solved::of(solver.search(surface, settings), s0)

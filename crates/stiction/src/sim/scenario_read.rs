@@ -281,7 +281,7 @@ controller = { kc = 1.0 }
             ("dead_time_s = 2.0", "dead_time_s = -2.0", 13, "dead_time_s is -2"),
             ("pv_sd = 0.1", "pv_sd = -0.1", 16, "noise.pv_sd is -0.1"),
             ("name = \"B\"", "name = \"A\"", 18, "is taken by an earlier loop"),
-            ("name = \"B\"", "name = \"*\"", 18, "cannot stand in a key"),
+            ("name = \"B\"", "name = \"*\"", 18, "is not a valid name"),
             ("process = { gain = 1.0 }", "process = { gain = 0.0 }", 21, "loop \"B\": process.gain is 0"),
             (
                 "controller = { kc = 1.0 }",

@@ -1,19 +1,19 @@
-//! What the diagnosis answered, as far as the scorer reads it: documents may hold more.
+//! The fields of a diagnosis that the scorer reads.
 
 use serde::{Deserialize, Serialize};
 
-/// The cause that was named.
+/// The named cause.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Called {
     /// An effect's id, `none` or `unknown`.
     pub id: String,
     /// Probability given.
     pub probability: f64,
-    /// Whether held-out data bear it out.
+    /// Whether held-out data confirm it.
     pub confirmed: bool,
 }
 
-/// Another answer that was not excluded.
+/// Another possible answer.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Alternative {
     /// As [`Called::id`].
@@ -22,18 +22,18 @@ pub struct Alternative {
     pub probability: f64,
 }
 
-/// The base's gap.
+/// Gap of the base.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Gap {
     /// Root mean squared held-out error, PV units.
     pub rmse: f64,
     /// Noise floor, PV units.
     pub noise_floor: Option<f64>,
-    /// Gap over PV's standard deviation.
+    /// Gap relative to PV's standard deviation.
     pub relative: Option<f64>,
 }
 
-/// One effect as fitted.
+/// A fitted effect.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct EffectAnswer {
     /// Its id.
@@ -44,7 +44,7 @@ pub struct EffectAnswer {
     pub gap_after: f64,
     /// Per cent closed.
     pub closed_pct: Option<f64>,
-    /// Effects that it cannot be told from.
+    /// Effects that are indistinguishable from it.
     #[serde(default)]
     pub confusable_with: Vec<String>,
     /// Whether its fit is at the noise floor on the training blocks.
@@ -52,47 +52,47 @@ pub struct EffectAnswer {
     pub at_floor: Option<bool>,
 }
 
-/// The part of a gap document that is scored.
+/// The scored part of a gap document.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Document {
     /// The cause.
     pub cause: Called,
-    /// What is named beside it.
+    /// The second cause.
     #[serde(default)]
     pub second_cause: Option<Alternative>,
-    /// Stage of the cause.
+    /// Location of the cause.
     #[serde(rename = "where")]
     pub place: Place,
     /// Other answers, best first.
     pub alternatives: Vec<Alternative>,
-    /// The base's gap.
+    /// Gap of the base.
     pub gap: Gap,
     /// Effects, best first.
     pub effects: Vec<EffectAnswer>,
 }
 
-/// Where the gap lies.
+/// Location of the gap.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Place {
     /// Stage.
     pub stage: String,
 }
 
-/// The answer with one effect taken out of the catalogue.
+/// The answer with one effect excluded from the catalogue.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Withheld {
     /// The effect.
     pub without: String,
-    /// What is called then.
+    /// The cause named then.
     pub cause: Called,
 }
 
-/// All that was answered for a recording.
+/// The complete answer for a recording.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Answer {
-    /// The recording.
+    /// Name of the recording.
     pub recording: String,
-    /// The document; none where the diagnosis failed.
+    /// The document; none if the diagnosis failed.
     pub document: Option<Document>,
     /// Whether the base's training error is at the noise floor.
     #[serde(default)]
@@ -100,7 +100,7 @@ pub struct Answer {
     /// Why it failed.
     #[serde(default)]
     pub error: Option<String>,
-    /// One entry an effect of the catalogue.
+    /// One entry per effect of the catalogue.
     #[serde(default)]
     pub withheld: Vec<Withheld>,
 }

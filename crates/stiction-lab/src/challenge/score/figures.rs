@@ -1,4 +1,4 @@
-//! Every figure of the check, over all cases and over parts of them.
+//! All figures of the challenge, over all cases and over parts of them.
 
 use serde::Serialize;
 
@@ -8,19 +8,19 @@ use crate::challenge::truth::Truth;
 use stiction::signal::stats::median;
 use stiction::verdict::tally::{Bin, Scored, brier, reliability_equal, wilson};
 
-/// Cases in a line of the reliability table, at most so many lines.
+/// Cases per line of the reliability table, and most lines.
 const BINS: usize = 6;
 
-/// A share with its 95 % interval (Wilson 1927); null without a case.
+/// A proportion with its 95 % interval (Wilson 1927); null without a case.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Rate {
-    /// Right ones.
+    /// Number right.
     pub right: usize,
-    /// Of so many.
+    /// Total.
     pub of: usize,
     /// Share.
     pub share: Option<f64>,
-    /// Interval.
+    /// 95 % interval.
     pub interval: Option<[f64; 2]>,
 }
 
@@ -40,64 +40,63 @@ impl Rate {
     }
 }
 
-/// The figures of some of the cases.
+/// The figures of a group of cases.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Group {
-    /// Which cases.
+    /// Name of the group.
     pub name: String,
-    /// How many, of every kind.
+    /// Number of cases.
     pub cases: usize,
-    /// Known effects: the right id is named.
+    /// Effects of the catalogue for which the right id is named.
     pub top1: Rate,
-    /// The right id is named or the first alternative.
+    /// The right id is named or is the first alternative.
     pub top2: Rate,
-    /// The stage is right.
+    /// The location is right.
     pub stage: Rate,
-    /// Known effects answered with an id.
+    /// Answer rate: effects of the catalogue answered with an id.
     pub coverage: Rate,
-    /// Right ones among all named calls.
+    /// Precision: right ones among all named effects.
     pub precision: Rate,
     /// Cases without effect for which an effect is named.
     pub named_false_alarms: Rate,
-    /// Cases without effect for which anything but `none` is said.
+    /// Cases without effect with any answer other than `none`.
     pub all_false_alarms: Rate,
-    /// Effects that no catalogue has, answered `unknown`.
+    /// Effects outside the catalogue answered `unknown`.
     pub unknown_foreign: Rate,
-    /// Known effects, withheld, answered `unknown`.
+    /// Effects of the catalogue, withheld, answered `unknown`.
     pub unknown_withheld: Rate,
-    /// The same, an effect that is stated to be indistinguishable from the truth counted as right.
+    /// The same, also counting an effect as right that is stated to be indistinguishable from the truth.
     pub unknown_or_mate_withheld: Rate,
     /// Two effects at once: one of them (or both) named.
     pub pairs: Rate,
     /// Both named.
     pub both: Rate,
-    /// Right ones among the effects that are named beside another, over all cases.
+    /// Right ones among second causes, over all cases.
     pub beside: Rate,
-    /// Per cent of the gap closed by right calls, median.
+    /// Share of the gap closed by right answers, %, median.
     pub closed_right_pct: Option<f64>,
-    /// By wrong calls.
+    /// By wrong answers.
     pub closed_wrong_pct: Option<f64>,
-    /// True effects whose own fit reaches the noise floor on the training blocks.
+    /// True effects with a fit at the noise floor of the training blocks.
     pub true_fit_at_floor: Rate,
-    /// Loops without effect whose base reaches it.
+    /// Loops without effect with a base at the noise floor.
     pub base_at_floor: Rate,
 }
 
-/// One effect's line.
+/// Figures of one effect.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct EffectRow {
     /// Its id, `none`, `pair`.
     pub effect: String,
-    /// Cases, and those in which the base leaves more than the noise.
+    /// Number of cases, and of those in which the base leaves more than the noise.
     pub cases: usize,
     /// See `cases`.
     pub expressed: usize,
-    /// Answered rightly with the whole catalogue.
+    /// Right answers with the whole catalogue.
     pub named: Rate,
-    /// Withheld: answered `unknown`.
+    /// With the effect withheld: answers `unknown`.
     pub unknown: Rate,
-    /// Median gap over PV's standard deviation: of the base, with the effect added (whatever was named), by the oracle,
-    /// and the noise itself, %.
+    /// Median gap relative to PV's standard deviation, %: of the base, with the named effect, with the true form, and of the noise.
     pub gap_without_pct: Option<f64>,
     /// See `gap_without_pct`.
     pub gap_with_pct: Option<f64>,
@@ -105,11 +104,11 @@ pub struct EffectRow {
     pub gap_oracle_pct: Option<f64>,
     /// See `gap_without_pct`.
     pub noise_pct: Option<f64>,
-    /// Per cent closed where the call is right, median.
+    /// Share closed if the answer is right, %, median.
     pub closed_pct: Option<f64>,
 }
 
-/// Precision and coverage if only calls of at least this probability were made.
+/// Precision and answer rate for answers of at least this probability.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct CurvePoint {
     /// Least probability.
@@ -120,14 +119,14 @@ pub struct CurvePoint {
     pub precision: Rate,
 }
 
-/// Truths against answers.
+/// Confusion matrix.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Confusion {
-    /// Truths.
+    /// Truths (rows).
     pub truths: Vec<String>,
-    /// Answers.
+    /// Answers (columns).
     pub answers: Vec<String>,
-    /// Rows of counts, one a truth.
+    /// Rows of counts, one per truth.
     pub counts: Vec<Vec<u32>>,
 }
 
@@ -136,27 +135,27 @@ pub struct Confusion {
 pub struct Figures {
     /// `stictiond.challenge.score.v1`.
     pub schema: &'static str,
-    /// Of the challenge.
+    /// Seed of the challenge.
     pub seed: u64,
     /// `A` or `B`.
     pub split: String,
     /// Recordings that could not be diagnosed.
     pub errors: usize,
-    /// All cases, then parts of them.
+    /// All cases, then groups of them.
     pub groups: Vec<Group>,
-    /// One line an effect.
+    /// One line per effect.
     pub effects: Vec<EffectRow>,
-    /// Named calls of at least some probability.
+    /// Named effects of at least some probability.
     pub curve: Vec<CurvePoint>,
-    /// Probabilities given and how often the answer was right.
+    /// Reliability: stated probabilities and how often the answer was right.
     pub reliability: Vec<Bin>,
-    /// Mean squared distance of the probabilities from what was right.
+    /// Brier score.
     pub brier: Option<f64>,
-    /// Named calls that held-out data bore out, right ones among them; and the others.
+    /// Named effects confirmed by held-out data, and right ones among them; and the others.
     pub confirmed: Rate,
     /// See `confirmed`.
     pub suspected: Rate,
-    /// Truths against answers.
+    /// Confusion matrix.
     pub confusion: Confusion,
 }
 

@@ -1,11 +1,11 @@
 //! The scorer: opens the truth and the answers, and counts.
 //!
-//! Terms. *Coverage*: share of the cases with an effect of the catalogue that are answered with an effect's id (`none`
-//! and `unknown` are no answers). *Precision*: right ones among all named calls, cases without an effect and with one
-//! that no catalogue has included. *Recall of unknowns*: `unknown` among the cases whose effect no catalogue has, and
-//! the same among the catalogue's effects once each is withheld. *Not expressed*: the base's held-out error is within
-//! [`EXPRESSED`] times the true noise; there `none` is right too. `unknown` for coloured noise counts as unanswered,
-//! coloured noise for `unknown` as wrong. Two effects at once are counted apart: one of the two named is right.
+//! Terms. *Answer rate* (`coverage`): share of the cases with an effect of the catalogue that are answered with an effect's id
+//! (`none` and `unknown` are not). *Precision*: right ones among all named effects, including cases without effect and with one
+//! outside the catalogue. *Recall of unknowns*: `unknown` among the cases with an effect outside the catalogue, and the same
+//! among the catalogue's effects when each is withheld. *Not expressed*: the base's held-out error is within [`EXPRESSED`] times
+//! the true noise; `none` is then right too. `unknown` for coloured noise counts as unanswered, coloured noise for `unknown` as
+//! wrong. Pairs of effects are counted separately: naming one of the two is right.
 
 mod answer;
 mod figures;
@@ -20,28 +20,28 @@ use thiserror::Error;
 
 use super::truth::{Answer as Right, Truth, TruthCase};
 
-/// A base error within this many times the true noise shows no effect.
+/// A base error within this many times the true noise does not show the effect.
 pub const EXPRESSED: f64 = 1.10;
 
-/// Answers that do not fit the truth.
+/// Answers that do not match the truth.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum ScoreError {
     /// Recordings without an answer.
     #[error("{missing} of {all} recordings have no answer, first {first}; finish `gap challenge run`")]
     Missing {
-        /// How many.
+        /// Number missing.
         missing: usize,
-        /// Of how many.
+        /// Total.
         all: usize,
-        /// The first one.
+        /// Name of the first one.
         first: String,
     },
-    /// An answer to a recording that the truth does not know.
+    /// An answer to an unknown recording.
     #[error("there is an answer for {name}, which the truth with {all} recordings does not have")]
     Foreign {
         /// The recording.
         name: String,
-        /// Recordings in the truth.
+        /// Number of recordings in the truth.
         all: usize,
     },
 }
@@ -58,7 +58,7 @@ impl Judged<'_> {
         self.answer.document.as_ref()
     }
 
-    /// What was answered; a diagnosis that failed says nothing.
+    /// The answer; a failed diagnosis has none.
     fn said(&self) -> &str {
         self.document().map_or("error", |d| d.cause.id.as_str())
     }
@@ -82,17 +82,17 @@ impl Judged<'_> {
         }
     }
 
-    /// Whether `id` is right, `none` for an effect that does not show included.
+    /// Whether `id` is right, including `none` for an effect that does not show.
     fn is_right(&self, id: &str) -> bool {
         self.is_true(id) || (id == "none" && !self.is_expressed())
     }
 
-    /// What is named beside the cause.
+    /// The second cause.
     fn beside(&self) -> Option<&str> {
         self.document()?.second_cause.as_ref().map(|s| s.id.as_str())
     }
 
-    /// Whether both of two effects are named, as a pair or one beside the other.
+    /// Whether both of two effects are named, as a pair or as first and second cause.
     fn names_both(&self) -> bool {
         let [a, b] = [self.said(), self.beside().unwrap_or_default()];
         [a.to_owned(), format!("{a}+{b}"), format!("{b}+{a}")].contains(&self.truth.effect)
@@ -103,13 +103,13 @@ impl Judged<'_> {
         self.document()?.effects.iter().find(|e| e.id == id)
     }
 
-    /// What was answered with the true effect taken out of the catalogue.
+    /// The answer with the true effect excluded from the catalogue.
     fn without_truth(&self) -> Option<&Withheld> {
         self.answer.withheld.iter().find(|w| w.without == self.truth.effect)
     }
 
-    /// Whether an answer without the true effect says `unknown`, or names one that the full document states to be
-    /// indistinguishable from the truth.
+    /// Whether an answer without the true effect is `unknown`, or names one that the full document states to be indistinguishable
+    /// from the truth.
     fn owns_up(&self, withheld: &Withheld) -> [bool; 2] {
         let said = withheld.cause.id.as_str();
         let unknown = said == "unknown" || (said == "none" && !self.is_expressed());
@@ -124,10 +124,10 @@ pub fn is_expressed(truth: &TruthCase, answer: &Answer) -> bool {
     Judged { truth, answer }.is_expressed()
 }
 
-/// Pairs answers with the truth and counts.
+/// Matches answers with the truth and counts.
 ///
 /// # Errors
-/// [`ScoreError`] where an answer is missing or has no truth.
+/// [`ScoreError`] if an answer is missing or has no truth.
 pub fn score(truth: &Truth, answers: &[Answer]) -> Result<Figures, ScoreError> {
     let by_name: BTreeMap<&str, &Answer> = answers.iter().map(|a| (a.recording.as_str(), a)).collect();
     let all = truth.cases.len();

@@ -1,8 +1,8 @@
-//! What pictures of a fit show: the model's own curves, its error over the plane of the bands, what another order or
-//! another draw of the noise would have said.
+//! Data for the pictures of a fit: the model's signals, the error surface over the bands, and the results for another order or
+//! another noise realisation.
 //!
-//! Everything starts from a [`Model`] as an estimate tells it, and is computed anew from the record, so that a picture
-//! can be made of any document. Nothing here goes into a verdict or an interval.
+//! Everything starts from the [`Model`] of an estimate and is recomputed from the record, so a picture can be made of any
+//! document. No verdict or interval depends on it.
 
 mod draws;
 mod map;
@@ -23,20 +23,20 @@ use crate::record::Record;
 use crate::signal::stats;
 use crate::sim::slips::{Law, Sequence};
 
-/// A valve and a process, as an estimate tells them.
+/// Valve and process of an estimate.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Model {
-    /// The valve law.
+    /// Valve model.
     pub law: Law,
     /// Order of the process, 1 or 2.
     pub order: u8,
-    /// Whether the process integrates.
+    /// Whether the process is integrating.
     pub integrating: bool,
     /// Dead band plus stick band, OP units.
     pub s: f64,
     /// Slip jump, OP units.
     pub j: f64,
-    /// Process gain; only its sign counts here.
+    /// Process gain; only its sign is used here.
     pub gain: f64,
     /// Time constants, s, largest first.
     pub time_constants_s: Vec<f64>,
@@ -82,7 +82,7 @@ impl Model {
     }
 }
 
-/// A model met again on its record.
+/// A model refitted to its record.
 #[derive(Debug)]
 pub struct FitPlots<'a> {
     record: &'a Record,
@@ -97,44 +97,43 @@ pub struct FitPlots<'a> {
     deviation: f64,
 }
 
-/// What the model answers to OP, without ever seeing PV on the way.
+/// The free run of a model: its response to OP without feedback from PV.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FreeRun {
-    /// First point that the model answers for: before it, the stem's past matters.
+    /// First valid point: before it, the unknown past of the stem matters.
     pub from: usize,
-    /// The stem behind the friction, OP units, at every point of the record.
+    /// Stem position, OP units, at every point of the record.
     pub valve: Vec<f64>,
-    /// PV by the model, PV units, from `from` on.
+    /// PV of the model, PV units, starting at `from`.
     pub pv: Vec<f64>,
-    /// Measured PV less that, PV units, from `from` on.
+    /// Measured PV minus that, PV units, starting at `from`.
     pub residual: Vec<f64>,
 }
 
-/// How well one order of the process does.
+/// Fit of one process order.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct OrderFigures {
     /// 1 or 2.
     pub order: u8,
-    /// Root mean squared free-run error on the whole record it was fitted to, PV units.
+    /// Root mean squared free-run error on the whole fitted record, PV units.
     pub fitted_rms: f64,
-    /// The same on the last part of the record, the process fitted to the part before.
+    /// The same on the last part of the record, with the process fitted to the part before.
     pub held_out_rms: f64,
 }
 
-/// The figures that decide the order.
+/// The figures for choosing the order.
 #[derive(Debug, Clone, PartialEq)]
 pub struct OrderChart {
     /// First order, then second.
     pub figures: Vec<OrderFigures>,
-    /// Share of the record that held-out fits see.
+    /// Share of the record used by held-out fits.
     pub fitted_share: f64,
-    /// Share of the held-out squared error that the second lag must remove to be kept.
+    /// Share of the held-out squared error by which the second lag must reduce it.
     pub must_remove: f64,
 }
 
 impl<'a> FitPlots<'a> {
-    /// Meets `model` again on its record; `options` are those that the estimate was made with. `None` where a signal
-    /// does not move or the stem never slips.
+    /// Refits `model` to its record; `options` are those of the estimate. `None` if a signal is constant or the stem never slips.
     #[must_use]
     pub fn new(record: &'a Record, options: &Options, model: &Model) -> Option<Self> {
         let (span, deviation) = (stats::span(&record.op_path), stats::std_dev(&record.pv));
@@ -157,13 +156,13 @@ impl<'a> FitPlots<'a> {
         CandidateFitter::new(&self.normalised, self.law, class, &self.target, self.sign)
     }
 
-    /// Span of OP, OP units: no bands with fs + fd above it can be seen.
+    /// Span of OP, OP units, the upper limit of fs + fd.
     #[must_use]
     pub const fn span(&self) -> f64 {
         self.span
     }
 
-    /// Points that count.
+    /// Number of valid points.
     fn count(&self) -> f64 {
         self.target.y.len().max(1) as f64
     }
@@ -173,7 +172,7 @@ impl<'a> FitPlots<'a> {
         (sse / self.count()).sqrt() * self.deviation
     }
 
-    /// The model's curves.
+    /// The model's signals.
     #[must_use]
     pub fn free_run(&self) -> FreeRun {
         let c = &self.candidate;
@@ -193,7 +192,7 @@ impl<'a> FitPlots<'a> {
         }
     }
 
-    /// The candidate in another order, fitted.
+    /// The candidate with another order, refitted.
     fn in_order(&self, order: u8) -> Option<Candidate> {
         let class = class_of(order, self.class.integrates());
         let mut fits = self.fits(class);
@@ -222,7 +221,7 @@ impl<'a> FitPlots<'a> {
         }
     }
 
-    /// What speaks for either order of the process, the valve kept.
+    /// The figures for either order of the process, with the same valve.
     #[must_use]
     pub fn orders(&self) -> OrderChart {
         let figures = [1, 2].into_iter().filter_map(|order| {
