@@ -6,8 +6,8 @@ use std::time::Duration;
 use anyhow::{Context, bail};
 
 use super::{Outcome, asked_to_stop, block_on, list};
-use stiction_monitor::config::{Config, ShardKeys, is_id};
-use stiction_monitor::ownership::Shard;
+use stiction_monitor::config::{Config, is_id};
+use stiction_monitor::shard::Shard;
 use stictiond::daemon::{self, HEALTH_EVERY, RunOptions};
 
 /// Run the daemon: subscribe, estimate, publish and record until SIGTERM or Ctrl-C.
@@ -26,7 +26,7 @@ pub struct Args {
     pub id: Option<String>,
     /// Watch part INDEX (from 0) of COUNT parts of all loops; overrides `[shard]`.
     #[arg(long, value_name = "INDEX/COUNT", value_parser = shard_of)]
-    pub shard: Option<ShardKeys>,
+    pub shard: Option<Shard>,
     /// Worker threads for fits [default: all cores but one].
     #[arg(long)]
     pub workers: Option<usize>,
@@ -42,9 +42,8 @@ fn seconds(text: &str) -> Result<f64, String> {
 }
 
 /// Reads `--shard`.
-fn shard_of(text: &str) -> Result<ShardKeys, String> {
-    let [index, count] = Shard::parse(text).ok_or("write INDEX/COUNT, such as 0/3, with INDEX below COUNT")?.parts();
-    Ok(ShardKeys { index, count })
+fn shard_of(text: &str) -> Result<Shard, String> {
+    Shard::parse(text).ok_or_else(|| "write INDEX/COUNT, such as 0/3, with INDEX below COUNT".to_owned())
 }
 
 /// Runs the command.
@@ -58,9 +57,6 @@ pub fn run(args: &Args) -> anyhow::Result<Outcome> {
         Err(faults) => bail!("{}: the configuration has faults:\n  {}", args.config.display(), list(&faults)),
     };
     if let Some(shard) = args.shard {
-        if config.cluster.is_on() {
-            bail!("--shard conflicts with [cluster] in the configuration; remove one of them");
-        }
         config.shard = shard;
     }
     if let Some(id) = &args.id {

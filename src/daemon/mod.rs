@@ -38,7 +38,7 @@ mod signals;
 pub mod stage;
 mod worker;
 
-use std::collections::{BTreeMap, HashSet};
+use std::collections::HashSet;
 use std::future::Future;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, RwLock};
@@ -68,10 +68,9 @@ use crate::sink::keeper::Keeper;
 use crate::sink::recorder::{Recorder, RunInfo};
 use crate::sink::signing::Signer;
 use crate::sink::zenoh::Publisher;
-use crate::source::own::Own;
 use crate::source::shares::Shares;
 use crate::source::zenoh::LastValues;
-use crate::source::{self, Incoming, Intake, members, presence};
+use crate::source::{self, Incoming, Intake, presence};
 use crate::web;
 use crate::web::api::Live;
 use crate::web::workbench::{self, Bench, Workbench};
@@ -156,7 +155,7 @@ pub async fn run(
     restore::tell_aside(&recordings, &faults);
     let Restored { mut memories, store, run_number, verified } = restored;
     let named: HashSet<&str> = config.loops.iter().map(|l| l.name.as_str()).collect();
-    memories.retain(|name, _| config.input.discover || named.contains(name.as_str()));
+    memories.retain(|name, _| config.shard.owns(name) && (config.input.discover || named.contains(name.as_str())));
     // A client's session opens once its router is there, which may be never.
     let (session, deaf) = tokio::select! {
         opened = source::zenoh::open(&config) => opened?,
@@ -168,10 +167,6 @@ pub async fn run(
     };
     faults.clear("bus");
     let daemon_id = if config.daemon.id.is_empty() { session.zid().to_string() } else { config.daemon.id.clone() };
-    let own = Own::of(&config, &daemon_id);
-    // What is another's is not taken up; a member takes a loop with what is newest of it, here or elsewhere.
-    memories.retain(|name, _| own.is_shared() || own.has(name));
-    let (at_once, memories) = if own.is_shared() { (BTreeMap::new(), memories) } else { (memories, BTreeMap::new()) };
     if let Ok(mut snapshot) = snapshot.write() {
         *snapshot = starting(&daemon_id);
     }
@@ -227,7 +222,6 @@ pub async fn run(
         input: (budget.clone(), shares.clone()),
         workers,
         diagnoser,
-        own: own.clone(),
         recorder: Some(recorder),
         keeper,
         publisher,
@@ -243,22 +237,14 @@ pub async fn run(
     let (stop_core, stopping) = crossbeam_channel::bounded::<()>(0);
     let core = std::thread::Builder::new().name("engine".into()).spawn(move || {
         let mut core = Core::new(parts);
-        core.restore(at_once);
+        core.restore(memories);
         core.run(&incoming, &stopping);
     })?;
     let control = queue.clone();
-    let intake = Intake::new(queue.clone(), (budget, shares), metrics.clone(), Clock::system());
-    let (stop_members, members_stop) = crossbeam_channel::bounded::<()>(0);
-    let mut subscribers = Vec::new();
-    if own.is_all() {
-        subscribers = source::zenoh::subscribe(&session, &config, &intake).await?;
-    } else {
-        let (session, config) = (session.clone(), Arc::new(config.clone()));
-        let (daemon_id, own) = (daemon_id.clone(), own.clone());
-        let parts = members::Parts { session, config, daemon_id, own, intake, engine: queue, memories };
-        threads.insert(0, ("members", members::start(parts, members_stop)?));
-    }
-    subscribers.push(presence::watch_own_keys(&session, &prefix, own, faults.clone(), metrics.clone()).await?);
+    let intake = Intake::new(queue, (budget, shares), metrics.clone(), Clock::system());
+    let mut subscribers = source::zenoh::subscribe(&session, &config, &intake).await?;
+    let mine = (prefix.as_str(), daemon_id.as_str(), config.shard);
+    subscribers.extend(presence::watch_own_keys(&session, mine, &faults, &metrics).await?);
     let bus = source::zenoh::session_config(&config)?;
     if let Some(why) = deaf {
         faults.raise(presence::LISTENING, format!("the bus cannot be listened to, tried for ever: {why}"));
@@ -288,7 +274,7 @@ pub async fn run(
     tracing::info!("stopping");
     tell_system(&[NotifyState::Stopping]);
     watching.abort();
-    drop((control, stop_members));
+    drop(control);
     for subscriber in subscribers {
         let _ = subscriber.undeclare().await;
     }

@@ -89,7 +89,6 @@ fn settings(config: &Config) -> BTreeMap<String, Value> {
         ("deliver", serde_json::to_value(&config.deliver)),
         ("daemon", serde_json::to_value(&config.daemon)),
         ("shard", serde_json::to_value(config.shard)),
-        ("cluster", serde_json::to_value(&config.cluster)),
     ] {
         root[key] = table.unwrap_or_default();
     }

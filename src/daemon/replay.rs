@@ -104,7 +104,7 @@ impl Replay {
             }
             Leaf::Document(Kind::Gap) if !self.at_once => self.diagnose_next(id),
             Leaf::Document(Kind::Input) => {
-                self.obey(id, serde_json::from_slice(data).context("a recorded input")?, out);
+                self.obey(id, serde_json::from_slice(data).context("a recorded input")?, out)?;
             }
             Leaf::Raw(_) | Leaf::Document(_) => {}
         }
@@ -120,7 +120,7 @@ impl Replay {
     }
 
     /// Does what outside time or people did there.
-    fn obey(&mut self, id: LoopId, input: RecordedInput, out: &mut Vec<Output>) {
+    fn obey(&mut self, id: LoopId, input: RecordedInput, out: &mut Vec<Output>) -> anyhow::Result<()> {
         match input {
             RecordedInput::Skip { seq, .. } => {
                 self.waiting.entry(id).or_default().retain(|r| r.seq != seq);
@@ -148,23 +148,13 @@ impl Replay {
                 let waiting = self.gaps.entry(id).or_default().iter_mut();
                 waiting.filter(|(r, _)| r.number == number).for_each(|(_, cut)| *cut = Some(evaluations));
             }
-            RecordedInput::Taken { memory } => {
-                self.engine.take(id, memory.map(|memory| *memory));
-                self.leave_behind(id);
-            }
-            RecordedInput::Released => {
-                self.engine.release(id);
-                self.leave_behind(id);
-            }
+            RecordedInput::Taken | RecordedInput::Released => bail!(
+                "{}: the loop changed hands between daemons of a [cluster], which this version no longer has; read the \
+                 recording's results instead of replaying it, or replay it with the version that wrote it",
+                self.engine.name(id)
+            ),
         }
-    }
-
-    /// Windows and diagnoses that came due before here get no answer any more.
-    fn leave_behind(&mut self, id: LoopId) {
-        self.waiting.remove(&id);
-        self.gaps.remove(&id);
-        let first = self.engine.figures(id).windows;
-        self.places.insert(id, Place { next: first, first, skipped: BTreeSet::new() });
+        Ok(())
     }
 
     /// Makes the loop's oldest diagnosis, whose recorded document stands here.
@@ -427,4 +417,21 @@ pub fn files_needed(path: &Path, metadata: &RunMetadata) -> anyhow::Result<Vec<P
     }
     files.reverse();
     Ok(files)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_loop_that_changed_hands_is_refused_with_a_remedy() {
+        let mut replay = Replay::new(Config::with_prefix("p"), None, false);
+        let topic = Topic::parse(Some("p"), "p/@stiction/v1/A/input").unwrap();
+        for json in
+            [r#"{"kind":"taken","memory":{"alarm":{"state":"normal"},"stream":null}}"#, r#"{"kind":"released"}"#]
+        {
+            let error = replay.take(&topic, json.as_bytes(), &mut Vec::new()).unwrap_err().to_string();
+            assert!(error.contains("A: ") && error.contains("[cluster]") && error.contains("version"), "{error}");
+        }
+    }
 }

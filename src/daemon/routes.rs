@@ -2,12 +2,12 @@
 
 use std::collections::{HashMap, HashSet};
 
-use crate::source::own::Own;
 use crate::source::shares::Shares;
 use stiction::record::Signal;
 use stiction_monitor::codec::topic::{Leaf, Topic};
 use stiction_monitor::config::Config;
 use stiction_monitor::engine::{Engine, LoopId};
+use stiction_monitor::shard::Shard;
 
 /// Longest name of a loop that is discovered, bytes.
 const NAME_BYTES: usize = 256;
@@ -23,7 +23,7 @@ pub enum Route {
     Refused,
     /// A new loop beyond what may be.
     Full,
-    /// A loop of another daemon.
+    /// A loop of another shard.
     Elsewhere,
 }
 
@@ -39,14 +39,14 @@ pub struct Routes {
     known: HashMap<Box<str>, Route>,
     /// Told of each of them.
     shares: Shares,
-    /// Which loops are this daemon's.
-    own: Own,
+    /// This daemon's part of the loops.
+    shard: Shard,
 }
 
 impl Routes {
     /// The routes that a configuration fixes.
     #[must_use]
-    pub fn new(config: &Config, shares: Shares, own: Own) -> Self {
+    pub fn new(config: &Config, shares: Shares) -> Self {
         let mapped = config
             .loops
             .iter()
@@ -54,7 +54,7 @@ impl Routes {
             .collect();
         let configured = config.loops.iter().map(|l| l.name.clone()).collect();
         let (prefix, discover) = (config.site.prefix.clone(), config.input.discover);
-        Self { prefix, discover, mapped, configured, known: HashMap::new(), shares, own }
+        Self { prefix, discover, mapped, configured, known: HashMap::new(), shares, shard: config.shard }
     }
 
     /// The route of a key; a loop that is new appears, a discovered one where `may_appear` agrees.
@@ -83,7 +83,7 @@ impl Routes {
         if !(self.configured.contains(name) || self.discover && is_sound(name)) {
             return Route::Refused;
         }
-        if !self.own.has(name) {
+        if !self.shard.owns(name) {
             return Route::Elsewhere;
         }
         let known = self.configured.contains(name) || engine.find(name).is_some();
@@ -120,7 +120,7 @@ mod tests {
 
     fn setup(text: &str) -> (Engine, Routes) {
         let config = Config::parse(text).unwrap();
-        let routes = Routes::new(&config, Shares::default(), Own::all());
+        let routes = Routes::new(&config, Shares::default());
         (Engine::new(config.engine()), routes)
     }
 

@@ -27,7 +27,6 @@ use crate::sink::deliver::{Delivery, MakeTarget, Outbox};
 use crate::sink::keeper::{self, Keeper};
 use crate::sink::recorder::{Recorder, RunInfo, Writer};
 use crate::sink::zenoh::{Publication, Publisher};
-use crate::source::own::Own;
 use crate::source::shares::Shares;
 use crate::source::{Answer, Envelope, Incoming, Intake};
 use stiction::verdict::Assessment;
@@ -125,7 +124,6 @@ impl Stage {
             input: (budget.clone(), shares),
             workers: Workers { requests: to_worker, answers: answered.clone() },
             diagnoser,
-            own: Own::all(),
             recorder: Some(recorder),
             keeper: Some(keeper),
             publisher,

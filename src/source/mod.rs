@@ -1,11 +1,9 @@
 //! Where samples come from: the bus, behind a bounded queue that the engine drains.
 
-pub mod members;
-pub mod own;
+pub mod keys;
 pub mod parcel;
 pub mod presence;
 pub mod principals;
-pub mod refill;
 pub mod shares;
 pub mod zenoh;
 
@@ -84,8 +82,6 @@ pub enum Incoming {
     },
     /// Settings that hold from now on.
     Settings(Box<Config>),
-    /// A change among the daemons that share the loops.
-    Shared(Box<members::Change>),
 }
 
 /// The way into the engine's queue: bounded, never waits, counts what finds no place.

@@ -5,13 +5,13 @@ use std::time::Duration;
 
 use anyhow::anyhow;
 use zenoh::Wait;
-use zenoh::sample::Locality;
+use zenoh::sample::{Locality, Sample as BusSample};
 
-use super::own::Own;
 use crate::daemon::clock::now_ns;
 use crate::daemon::faults::Faults;
 use crate::daemon::metrics::Metrics;
-use stiction_monitor::codec::topic::{self, Kind, Leaf, Topic};
+use stiction_monitor::codec::topic::{self, Topic};
+use stiction_monitor::shard::Shard;
 
 /// Name of the fault while the session cannot listen.
 pub const LISTENING: &str = "listening";
@@ -97,34 +97,45 @@ async fn taken(config: &zenoh::Config, prefix: &str, id: &str) -> bool {
     matches!(tokio::time::timeout(4 * PROBE_WITHIN, asked).await, Ok(Ok(Some(true))))
 }
 
-/// Counts and names documents that others put under our keys: another daemon with this prefix, or forged ones.
+/// Watches for other daemons that do this one's work: documents of its loops under its keys, and health under its id.
 ///
 /// # Errors
 /// A key that Zenoh refuses.
 pub async fn watch_own_keys(
     session: &zenoh::Session,
-    prefix: &str,
-    own: Own,
-    faults: Arc<Faults>,
-    metrics: Arc<Metrics>,
-) -> anyhow::Result<zenoh::pubsub::Subscriber<()>> {
-    let key = topic::plane(prefix, "**");
-    let of = prefix.to_owned();
-    let note = move |sample: zenoh::sample::Sample| {
-        // Others that share the loops speak of theirs, and of all while they hand them over.
-        if !own.is_all()
-            && Topic::parse(Some(&of), sample.key_expr().as_str())
-                .is_some_and(|t| t.leaf == Leaf::Document(Kind::State) || !own.has(t.loop_name))
-        {
+    (prefix, daemon_id, shard): (&str, &str, Shard),
+    faults: &Arc<Faults>,
+    metrics: &Arc<Metrics>,
+) -> anyhow::Result<[zenoh::pubsub::Subscriber<()>; 2]> {
+    let (of, (raised, counted)) = (prefix.to_owned(), (faults.clone(), metrics.clone()));
+    let note_document = move |sample: BusSample| {
+        // Other shards publish their own loops.
+        if Topic::parse(Some(&of), sample.key_expr().as_str()).is_some_and(|t| !shard.owns(t.loop_name)) {
             return;
         }
-        metrics.foreign_documents.inc();
-        let (count, key) = (metrics.foreign_documents.get(), sample.key_expr().as_str().escape_debug().to_string());
+        counted.foreign_documents.inc();
+        let (count, key) = (counted.foreign_documents.get(), sample.key_expr().as_str().escape_debug().to_string());
         let key: String = key.chars().take(120).collect();
-        let what = "another daemon with this prefix, or forged";
-        let text = format!("{count} documents under our keys are not ours, the last on {key}: {what}");
-        faults.raise_for("foreign documents", text, FOREIGN_SHOWN);
+        let what = "another daemon has the same prefix and shard, or somebody forges them";
+        let text = format!("{count} documents under this daemon's keys come from elsewhere, the last on {key}: {what}");
+        raised.raise_for("foreign documents", text, FOREIGN_SHOWN);
     };
+    let (id, raised) = (daemon_id.to_owned(), faults.clone());
+    let note_health = move |_: BusSample| {
+        let text = format!("another daemon on the bus has the id {id}: give each its own [daemon] id or --id");
+        raised.raise_for("duplicate id", text, FOREIGN_SHOWN);
+    };
+    let health = format!("@daemon/{daemon_id}/health");
+    let documents = listen(session, topic::plane(prefix, "**"), note_document).await?;
+    Ok([documents, listen(session, topic::plane(prefix, &health), note_health).await?])
+}
+
+/// Subscribes to what others publish under a key.
+async fn listen(
+    session: &zenoh::Session,
+    key: String,
+    note: impl Fn(BusSample) + Send + Sync + 'static,
+) -> anyhow::Result<zenoh::pubsub::Subscriber<()>> {
     let declared = session.declare_subscriber(key.clone()).allowed_origin(Locality::Remote).callback(note).await;
     declared.map_err(|e| anyhow!("cannot subscribe to {key:?}: {e}"))
 }

@@ -4,7 +4,7 @@
 //! queue drops the message and counts it.
 
 use std::borrow::Cow;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::sync::{Arc, PoisonError, RwLock};
 
 use anyhow::{Context, anyhow};
@@ -15,13 +15,13 @@ use zenoh::key_expr::KeyExpr;
 use zenoh::query::Query;
 use zenoh::sample::{Sample as BusSample, SampleKind};
 
-use super::own::brought;
+use super::keys::{ShardFilter, subscriptions};
 use super::{Answer, Envelope, Incoming, Intake, principals};
 use crate::daemon::documents;
 use crate::daemon::metrics::Metrics;
 use stiction_monitor::alarm::Command;
 use stiction_monitor::codec::topic::{self, Kind, Leaf, Topic};
-use stiction_monitor::config::{Config, NAME_MARK};
+use stiction_monitor::config::Config;
 
 /// Largest message that Zenoh puts together from its pieces, bytes: what is larger never takes memory. Well above what a
 /// payload may have, so that payloads a little too large are still seen and counted.
@@ -75,10 +75,6 @@ pub fn session_config(config: &Config) -> anyhow::Result<zenoh::Config> {
         ("connect/exit_on_failure", "false".to_owned()),
         ("transport/link/rx/max_message_size", MAX_MESSAGE.to_string()),
     ];
-    // Others see within the lease that this daemon is gone.
-    let lease_ms = (1000.0 * config.cluster.lease_s).round() as u64;
-    let lease = config.cluster.is_on().then(|| ("transport/link/tx/lease", lease_ms.to_string()));
-    wanted.extend(lease.into_iter().filter(|(key, _)| !said(key)));
     wanted.extend(unsaid.into_iter().filter(|(key, _)| !said(key)));
     let mut set = |key: &str, value: String| {
         session.insert_json5(key, &value).map_err(|e| anyhow!("Zenoh refuses {key} = {value}: {e}"))
@@ -117,22 +113,6 @@ pub async fn open(config: &Config) -> anyhow::Result<(zenoh::Session, Option<Str
     Ok((session, Some(why)))
 }
 
-/// The keys that a daemon subscribes to: everything under its prefix, and each foreign key that is mapped.
-fn subscriptions(config: &Config) -> Vec<String> {
-    let mut keys = vec![format!("{}/**", config.site.prefix)];
-    for bundle in &config.bundles {
-        if !brought(&keys, &bundle.key) {
-            keys.retain(|key| !brought(std::slice::from_ref(&bundle.key), key));
-            keys.push(bundle.key.clone());
-        }
-    }
-    let wide = keys.clone();
-    let mapped = config.loops.iter().flat_map(|l| l.keys.iter().map(|(_, key)| key));
-    let single: BTreeSet<&str> = mapped.filter_map(|key| key.split(NAME_MARK).next()).collect();
-    keys.extend(single.into_iter().filter(|key| !brought(&wide, key)).map(str::to_owned));
-    keys
-}
-
 /// Subscribes. The subscriptions live as long as the session.
 ///
 /// # Errors
@@ -143,11 +123,17 @@ pub async fn subscribe(
     intake: &Intake,
 ) -> anyhow::Result<Vec<zenoh::pubsub::Subscriber<()>>> {
     let mut subscribers = Vec::new();
+    let filter = ShardFilter::new(config).map(Arc::new);
     for key in subscriptions(config) {
-        let intake = intake.clone();
+        let (intake, filter) = (intake.clone(), filter.clone());
+        let take = move |sample: BusSample| {
+            if filter.as_ref().is_none_or(|filter| filter.admits(sample.key_expr().as_str())) {
+                enqueue(&sample, &intake);
+            }
+        };
         let subscriber = session
             .declare_subscriber(key.clone())
-            .callback(move |sample| enqueue(&sample, &intake))
+            .callback(take)
             .await
             .map_err(|e| anyhow!("cannot subscribe to {key:?}: {e}"))?;
         subscribers.push(subscriber);
@@ -155,7 +141,7 @@ pub async fn subscribe(
     Ok(subscribers)
 }
 
-pub(super) fn enqueue(sample: &BusSample, intake: &Intake) {
+fn enqueue(sample: &BusSample, intake: &Intake) {
     if sample.kind() == SampleKind::Delete {
         return intake.delete();
     }
@@ -323,13 +309,6 @@ fn forward_run(prefix: &str, query: Query, queue: &Sender<Incoming>, sign: Optio
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn nothing_is_subscribed_to_twice() {
-        let text = "[site]\nprefix = \"p\"\n[[bundle]]\nkey = \"gw/a/**\"\n[[bundle]]\nkey = \"gw/**\"\n[[bundle]]\nkey = \"p/x\"\n\
-                    [[loop]]\nname = \"A\"\nop = \"plc#A.OP\"\npv = \"plc#A.PV\"\nsp = \"gw/sp\"\n";
-        assert_eq!(subscriptions(&Config::parse(text).unwrap()), ["p/**", "gw/**", "plc"]);
-    }
 
     #[test]
     fn what_a_zenoh_file_states_is_kept_and_the_rest_is_set() {

@@ -68,8 +68,21 @@ impl Daemon {
 
     /// Starts it by way of another program, such as a shell that sets limits.
     pub fn start_by(by: &[&str], dir: &Path, extra: &str) -> Self {
+        Self::start_with(by, dir, extra, None)
+    }
+
+    /// Starts it as a peer of another daemon, where one is given.
+    pub fn start_on(dir: &Path, extra: &str, peer: Option<&str>) -> Self {
+        Self::start_with(&[], dir, extra, peer)
+    }
+
+    fn start_with(by: &[&str], dir: &Path, extra: &str, peer: Option<&str>) -> Self {
         let endpoint = format!("tcp/127.0.0.1:{}", free_port());
         let path = configure(dir, &endpoint, extra);
+        if let Some(peer) = peer {
+            let text = fs::read_to_string(&path).unwrap();
+            fs::write(&path, text.replace("[zenoh]\n", &format!("[zenoh]\nconnect = [{peer:?}]\n"))).unwrap();
+        }
         let arguments = ["run", "--config", path.to_str().unwrap(), "--health-every-s", "0.2"];
         let under_test = program();
         let program = [by, &[&under_test], &arguments].concat();

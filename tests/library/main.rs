@@ -9,7 +9,6 @@ mod config;
 mod engine;
 mod engine_gaps;
 mod engine_later;
-mod engine_share;
 mod formats;
 mod language;
 mod pages;

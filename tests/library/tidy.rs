@@ -43,7 +43,7 @@ const IMPORTS: [(&str, &[&str]); 34] = [
     ("calibrate_intervals", &["signal", "ident", "detect", "verdict", "truth"]),
     // Engine: neither it nor the alarm knows a configuration.
     ("hash", &[]),
-    ("ownership", &[]),
+    ("shard", &[]),
     ("alarm", &["units", "record", "hash", "ident", "verdict"]),
     ("codec", &["units", "record"]),
     ("engine", &["units", "record", "signal", "sim", "ident", "detect", "verdict", "gap", "alarm"]),
@@ -52,7 +52,7 @@ const IMPORTS: [(&str, &[&str]); 34] = [
         &["units", "record", "signal", "optim", "sim", "ident", "detect", "config", "verdict", "gap", "engine"],
     ),
     // Settings: words, which formats there are, and what alarm and engine are told.
-    ("config", &["units", "record", "signal", "codec", "hash", "ownership", "verdict", "alarm", "engine"]),
+    ("config", &["units", "record", "signal", "codec", "hash", "shard", "verdict", "alarm", "engine"]),
     // Shell: anything pure, and each other; that nobody uses `cli`, a part of the program alone, the compiler holds.
     ("cores", &["pure"]),
     ("files", &["pure"]),

@@ -7,7 +7,7 @@
 //! | [`alarm`] | ISA-18.2 states |
 //! | [`engine`] | one state machine per loop |
 //! | [`config`] | settings from text, for daemon, engine and alarm |
-//! | [`ownership`] | which daemon watches which loop |
+//! | [`shard`] | which daemon watches which loop |
 //! | [`analysis`] | samples of a recording to the answers of `analyze` and `gap` |
 //!
 //! [`engine::Engine`] gets time (timestamps of samples) and data from its caller. A fit leaves it as an [`engine::Request`],
@@ -22,6 +22,6 @@ pub mod codec;
 pub mod config;
 pub mod engine;
 mod hash;
-pub mod ownership;
+pub mod shard;
 
 pub use hash::short_hash;

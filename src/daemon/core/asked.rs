@@ -10,8 +10,8 @@ use stiction_monitor::engine::{Checkpoint, GapRefusal, GapRequest, LoopId, Recor
 impl Core {
     /// Carries a command out. The answer says that its effect is on the disk: a crash after it changes nothing.
     pub(super) fn take_command(&mut self, loop_name: &str, command: &Command, answer: Answer) {
-        // The loop's own daemon answers.
-        if !self.own.has(loop_name) {
+        // The daemon of the loop's shard answers.
+        if !self.config.shard.owns(loop_name) {
             return;
         }
         let allowed = self.desk.command(self.clock.since(self.started), command);
@@ -34,7 +34,6 @@ impl Core {
         let at_ns = document.changed_ns;
         let state = StateDocument::new(self.engine.name(id), Some(at_ns), self.memory(id));
         self.record(id, Kind::State, &state, at_ns);
-        self.tell_state(id, to_json(&state));
         let Some(keeper) = &self.keeper else { return answer(Ok(to_json(&document))) };
         let kept = move |kept: Result<(), String>| {
             answer(match kept {
@@ -72,7 +71,7 @@ impl Core {
 
     /// A person asks for a diagnosis. Who asks while one is under way is answered with that one.
     pub(super) fn run_gap(&mut self, loop_name: &str, by: Option<String>, answer: Answer) {
-        if !self.own.has(loop_name) {
+        if !self.config.shard.owns(loop_name) {
             return;
         }
         if let Err(why) = self.desk.name(by.as_deref()) {

@@ -4,7 +4,6 @@
 //! for a fit and never for the bus; for the recorder it waits a little (see [`crate::sink::recorder`]).
 
 mod asked;
-mod cluster;
 mod messages;
 mod report;
 mod survey;
@@ -37,7 +36,6 @@ use crate::sink::deliver::{Item as Outgoing, Outbox};
 use crate::sink::keeper::Keeper;
 use crate::sink::recorder::{Item, LOOPS_PER_FILE, Recorder};
 use crate::sink::zenoh::{Publication, Publisher};
-use crate::source::own::Own;
 use crate::source::shares::Shares;
 use crate::source::{Answer, Incoming};
 use stiction::record::Sample;
@@ -73,10 +71,6 @@ pub struct Core {
     diagnoser: Diagnoser,
     /// People who wait for a diagnosis, by loop and number.
     asking: HashMap<(LoopId, u64), Vec<Answer>>,
-    /// Which loops are this daemon's.
-    own: Own,
-    /// What came of loops whose past is not there yet, with its arrival, ns.
-    filling: HashMap<LoopId, Vec<(Sample, i64)>>,
     recorder: Option<Recorder>,
     keeper: Option<Keeper>,
     publisher: Publisher,
@@ -122,8 +116,6 @@ pub struct Parts {
     pub workers: Workers,
     /// The gap's thread.
     pub diagnoser: Diagnoser,
-    /// Which loops are this daemon's.
-    pub own: Own,
     /// The recorder.
     pub recorder: Option<Recorder>,
     /// Keeps the loops' memory; none in a demonstration.
@@ -159,7 +151,7 @@ impl Core {
         let mut engine = parts.engine;
         engine.cut_later();
         Self {
-            routes: Routes::new(config, shares, parts.own.clone()),
+            routes: Routes::new(config, shares),
             bundles: Bundles::new(config),
             feeds: Feeds::new(config),
             codec: config.input.codec.clone(),
@@ -173,8 +165,6 @@ impl Core {
             budget,
             diagnoser: parts.diagnoser,
             asking: HashMap::new(),
-            own: parts.own,
-            filling: HashMap::new(),
             recorder: parts.recorder,
             keeper: parts.keeper,
             publisher: parts.publisher,
@@ -284,7 +274,6 @@ impl Core {
         while let Ok(answered) = answers.try_recv() {
             self.answered(answered);
         }
-        self.release_all();
         for id in self.engine.ids() {
             let unfinished: Vec<(u64, i64)> = self.engine.waiting(id).collect();
             for (seq, end_ns) in unfinished {
@@ -323,7 +312,6 @@ impl Core {
             Incoming::GapRun { loop_name, by, answer } => self.run_gap(&loop_name, by, answer),
             Incoming::Look { loop_name, end_ns, answer } => self.look(&loop_name, end_ns, answer),
             Incoming::Settings(config) => self.settings(&config),
-            Incoming::Shared(change) => self.shared(*change),
         }
     }
 
@@ -338,9 +326,6 @@ impl Core {
     }
 
     fn take_sample(&mut self, id: LoopId, sample: Sample, arrival_ns: i64) {
-        if self.is_held_back(id, &sample, arrival_ns) {
-            return;
-        }
         self.metrics.samples.inc();
         let now = self.clock.since(self.started);
         if !self.is_within_limits(id, &sample, arrival_ns, now) {
@@ -433,7 +418,6 @@ impl Core {
                         if let Some(keeper) = &self.keeper {
                             keeper.keep(self.engine.name(id), to_json(&document));
                         }
-                        self.tell_state(id, to_json(&document));
                     }
                 }
             }
@@ -496,7 +480,7 @@ impl Core {
     fn open_shard(&mut self, shard: usize) {
         let Some(recorder) = &mut self.recorder else { return };
         let (from, to) = (shard * LOOPS_PER_FILE, (shard + 1) * LOOPS_PER_FILE);
-        let states = self.engine.ids_in(from, to).filter(|id| !self.engine.is_away(*id)).map(|id| {
+        let states = self.engine.ids_in(from, to).map(|id| {
             let name = self.engine.name(id);
             (name.clone(), to_json(&StateDocument::new(name, None, self.engine.checkpoint(id))))
         });

@@ -29,7 +29,7 @@ const RECORDING: &str = "recording";
 impl Core {
     /// Publishes the health of the daemon, and where there are few loops from time to time that of each.
     pub fn report(&mut self, input_waiting: usize) {
-        let loops = self.engine.count() - self.engine.count_away();
+        let loops = self.engine.count();
         self.metrics.loops.set(loops as i64);
         self.report_losses();
         self.keep_all_again();
@@ -86,7 +86,7 @@ impl Core {
     /// Where the store was taken away under the daemon, every loop's memory goes into the new one.
     fn keep_all_again(&self) {
         let Some(keeper) = self.keeper.as_ref().filter(|k| k.wants_all()) else { return };
-        for id in self.engine.ids().filter(|id| !self.engine.is_away(*id)) {
+        for id in self.engine.ids() {
             let name = self.engine.name(id);
             keeper.keep(name, to_json(&StateDocument::new(name, None, self.memory(id))));
         }

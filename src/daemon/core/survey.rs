@@ -118,7 +118,7 @@ impl Core {
         let (now, now_ns) = (self.clock.now(), self.clock.now_ns());
         let forget_after_s = self.config.input.forget_after_s;
         let (now_s, may_forget) = (self.clock.since(self.started).as_secs_f64(), forget_after_s > 0.0);
-        for id in self.engine.ids_in(from, to).filter(|id| !self.engine.is_away(*id)) {
+        for id in self.engine.ids_in(from, to) {
             let figures = self.engine.figures(id);
             self.survey.sum.add(&figures.counts);
             self.survey.bytes += self.engine.bytes(id);
@@ -146,7 +146,7 @@ impl Core {
 
     fn publish_health(&mut self, slice: usize) {
         let (all, from, now_ns) = (self.engine.appeared(), self.survey.next_health, self.clock.now_ns());
-        for id in self.engine.ids_in(from, from + slice).filter(|id| !self.engine.is_away(*id)) {
+        for id in self.engine.ids_in(from, from + slice) {
             let health = LoopHealth::new(self.engine.name(id), &self.daemon_id, &self.engine.figures(id), now_ns);
             self.publish(id, Kind::Health, to_json(&health));
         }

@@ -19,12 +19,13 @@ pub use deliver::{Address, Deliver, Protocol};
 pub use input::Input;
 pub use reader::Fault;
 use reader::{Lines, TableReader, subtable};
-pub use scale::{Cluster, Daemon, ShardKeys, is_id};
+pub use scale::{Daemon, is_id};
 pub use service::{Commands, Retention, Signing};
 
 use crate::alarm::AlarmParams;
 use crate::engine::{GapParams, WindowParams};
 use crate::hash::short_hash;
+use crate::shard::Shard;
 use stiction::record::Signal;
 use stiction::signal::history::{LEAST_BYTES, fitting};
 use stiction::units::is_loop_name;
@@ -35,7 +36,7 @@ fn is_default<T: Default + PartialEq>(settings: &T) -> bool {
 }
 
 /// Tables that occur once.
-const TABLES: [&str; 14] = [
+const TABLES: [&str; 13] = [
     "site",
     "zenoh",
     "input",
@@ -49,7 +50,6 @@ const TABLES: [&str; 14] = [
     "web",
     "daemon",
     "shard",
-    "cluster",
 ];
 
 /// All settings of the daemon. Field names are the keys in the text.
@@ -81,15 +81,12 @@ pub struct Config {
     pub signing: Signing,
     /// Metrics, health and the page over HTTP.
     pub web: Web,
-    /// Identity of this daemon. Like the next two not part of [`Config::hash`], because it changes no answer.
+    /// Identity of this daemon. Like the next not part of [`Config::hash`], because it changes no answer.
     #[serde(skip_serializing)]
     pub daemon: Daemon,
     /// Its fixed part of all loops.
     #[serde(skip_serializing)]
-    pub shard: ShardKeys,
-    /// The daemons with which it shares the loops.
-    #[serde(skip_serializing)]
-    pub cluster: Cluster,
+    pub shard: Shard,
     /// Receivers outside the bus. Not part of [`Config::hash`], because delivery changes no document.
     #[serde(skip_serializing)]
     pub deliver: Vec<Deliver>,
@@ -227,22 +224,8 @@ impl Config {
 
     fn read(lines: &Lines, root: &DeTable<'_>, faults: &mut Vec<Fault>) -> Self {
         let mut open = |key: &str| subtable(lines, root, key, faults);
-        let [
-            site,
-            zenoh,
-            input,
-            window,
-            alarm,
-            gap,
-            recording,
-            retention,
-            commands,
-            signing,
-            web,
-            daemon,
-            shard,
-            cluster,
-        ] = TABLES.map(|key| (key, open(key)));
+        let [site, zenoh, input, window, alarm, gap, recording, retention, commands, signing, web, daemon, shard] =
+            TABLES.map(|key| (key, open(key)));
         macro_rules! read {
             ($entry:expr, $read:expr) => {{
                 let mut reader = TableReader::new(lines, $entry.0, $entry.1.1, $entry.1.0, faults);
@@ -267,12 +250,11 @@ impl Config {
             web: read!(web, read_web),
             daemon: read!(daemon, scale::read_daemon),
             shard: read!(shard, scale::read_shard),
-            cluster: read!(cluster, scale::read_cluster),
             deliver: deliver::read_delivers(lines, root, faults),
             bundles: bundle::read_bundles(lines, root, faults),
             loops: loops::read_loops(lines, root, window, alarm, faults),
         };
-        faults.extend(scale::both_ways(lines, root, &config.shard, &config.cluster));
+        faults.extend(scale::refuse_cluster(lines, root));
         faults.extend(input::too_few_places(lines, root, config.input.max_loops, config.loops.len()));
         config
     }
@@ -308,7 +290,9 @@ fn syntax_fault(lines: &Lines, error: &toml::de::Error) -> Fault {
 
 fn refuse_unknown_tables(lines: &Lines, root: &DeTable<'_>, faults: &mut Vec<Fault>) {
     let known = [&TABLES[..], &["deliver", "bundle", "loop"]].concat();
-    for (key, _) in root.iter().filter(|(k, _)| !known.iter().any(|known| known == k.get_ref())) {
+    for (key, _) in
+        root.iter().filter(|(k, _)| k.get_ref() != "cluster" && !known.iter().any(|known| known == k.get_ref()))
+    {
         faults.push(Fault {
             line: lines.of(key.span().start),
             key: key.get_ref().to_string(),

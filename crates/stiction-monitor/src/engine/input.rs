@@ -49,12 +49,9 @@ pub enum RecordedInput {
     /// The loop had sent nothing for long and left the memory: what comes next begins anew, but for an alarm that is not
     /// at rest.
     Forget,
-    /// The loop is this daemon's from here on.
-    Taken {
-        /// What its last owner remembered; null where nobody knew.
-        memory: Option<Box<Checkpoint>>,
-    },
-    /// The loop is another daemon's from here on.
+    /// A loop was taken over from another daemon. Earlier builds recorded it; this one neither writes nor replays it.
+    Taken,
+    /// A loop was given to another daemon; as [`RecordedInput::Taken`].
     Released,
 }
 

@@ -39,10 +39,6 @@ pub(super) struct Loop {
     waiting: VecDeque<Waiting>,
     gaps: u64,
     gaps_waiting: VecDeque<WaitingGap>,
-    /// The last window that another daemon has done; none once a later one came due.
-    done_ns: Option<i64>,
-    /// Released, and not taken since.
-    pub away: bool,
 }
 
 impl Loop {
@@ -58,8 +54,6 @@ impl Loop {
             waiting: VecDeque::new(),
             gaps: 0,
             gaps_waiting: VecDeque::new(),
-            done_ns: None,
-            away: false,
             settings,
         }
     }
@@ -114,10 +108,6 @@ impl Loop {
 
     /// A window is due: it leaves as a request, or the memory is held for it.
     fn due(&mut self, id: LoopId, end_ns: i64, later: bool, out: &mut Vec<Event>) {
-        if self.done_ns.is_some_and(|done_ns| end_ns <= done_ns) {
-            return;
-        }
-        self.done_ns = None;
         let (seq, bad) = (self.windows, self.aligner.bad_since_last_point());
         self.windows += 1;
         let ts_s = self.aligner.sampling_time_s();
@@ -273,7 +263,6 @@ impl Loop {
             windows: self.windows,
             gaps: self.gaps,
             waiting: self.waiting.len() as u64,
-            done_ns: self.done_ns,
         };
         Checkpoint { alarm: self.alarm.clone(), gap: self.gap.clone(), stream: Some(stream) }
     }
@@ -286,7 +275,6 @@ impl Loop {
             self.next_end_ns = stream.next_end_ns;
             self.windows = stream.windows;
             self.gaps = stream.gaps;
-            self.done_ns = stream.done_ns;
         }
         let restored = || self.alarm.restored(&self.name).at(&self.settings.place);
         (self.alarm.shown() != State::Normal).then(restored)
@@ -300,24 +288,6 @@ impl Loop {
     /// Bytes that it takes, but for what all loops share.
     pub fn bytes(&self) -> usize {
         size_of::<Self>() + self.name.len() + self.history.bytes() + self.aligner.bytes()
-    }
-
-    /// Begins anew with what another daemon remembered.
-    pub fn take(&mut self, memory: Option<Checkpoint>) -> Option<AlarmDocument> {
-        self.release();
-        self.away = false;
-        let document = memory.and_then(|memory| self.restore(Checkpoint { stream: None, ..memory }));
-        self.done_ns = self.alarm.window_end_ns();
-        document
-    }
-
-    /// Gives the memory away and holds nothing more. Windows and diagnoses are counted on, so that a late answer to one
-    /// from before finds no place.
-    pub fn release(&mut self) -> Checkpoint {
-        let (windows, gaps) = (self.windows, self.gaps);
-        let emptied = Self { windows, gaps, away: true, ..Self::new(self.name.clone(), self.settings.clone()) };
-        let Self { alarm, gap, .. } = std::mem::replace(self, emptied);
-        Checkpoint { alarm, gap, stream: None }
     }
 
     pub fn figures(&self) -> LoopFigures {

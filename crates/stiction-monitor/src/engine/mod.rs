@@ -11,7 +11,6 @@ pub mod gaps;
 mod input;
 mod looper;
 mod settings;
-mod share;
 mod windowing;
 
 use std::collections::HashMap;
@@ -142,9 +141,6 @@ pub struct StreamState {
     /// Windows that had no answer yet.
     #[serde(default, skip_serializing_if = "is_zero")]
     waiting: u64,
-    /// The last window that another daemon has done.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    done_ns: Option<i64>,
 }
 
 #[allow(clippy::trivially_copy_pass_by_ref)] // as serde calls it
@@ -405,6 +401,24 @@ impl Engine {
     pub fn restore_memory(&mut self, id: LoopId, checkpoint: Checkpoint) {
         let of = self.of_mut(id);
         (of.alarm, of.gap) = (checkpoint.alarm, checkpoint.gap);
+    }
+
+    /// The alarm's document, under this daemon's name.
+    fn signed(&self, document: AlarmDocument) -> AlarmDocument {
+        AlarmDocument { daemon: self.settings.daemon.as_deref().map(str::to_owned), ..document }
+    }
+
+    /// Puts this daemon's name on events.
+    fn sign(&self, out: &mut [Event]) {
+        let Some(daemon) = &self.settings.daemon else { return };
+        for event in out {
+            match event {
+                Event::Estimate(_, document) => document.daemon = Some(daemon.to_string()),
+                Event::Alarm(_, document) => document.daemon = Some(daemon.to_string()),
+                Event::GapRequest(request) => request.daemon = Some(daemon.clone()),
+                Event::Due { .. } | Event::Request(_) | Event::State(..) | Event::Gap(..) => {}
+            }
+        }
     }
 
     /// A loop's settings.
