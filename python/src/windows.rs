@@ -15,7 +15,7 @@ use stiction::verdict::EstimateDocument;
 use stiction_monitor::analysis::estimate::span_of;
 use stiction_monitor::analysis::{Answer, Due, Section, Taken};
 use stiction_monitor::config::Config;
-use stiction_monitor::engine::Request;
+use stiction_monitor::engine::{Request, WindowAnswer};
 
 /// Windows waiting for a fit, per thread; their data are freed after it.
 const WAITING: usize = 8;
@@ -104,9 +104,10 @@ pub fn assess_windows(
 
 /// A window's document, and its words.
 fn one(name: &str, hash: &str, request: &Request, notes: &[String]) -> Result<Told, String> {
+    let WindowAnswer { record, assessment } = request.compute();
     let answer = Answer {
-        document: EstimateDocument::new(name, hash, request.compute()),
-        s0: span_of(&request.record),
+        document: EstimateDocument::new(name, hash, assessment),
+        s0: span_of(&record),
         selection: Taken { section: Section::Whole, downsample: None, detrend: None },
         solver: None,
         scored: None,

@@ -180,8 +180,6 @@ fn write(args: &Args, scenario: &Scenario, config: Config, run: &RunInfo) -> any
                         engine.complete(request.id, request.seq, request.compute(), &mut events);
                         continue;
                     }
-                    // Here every window is cut at once.
-                    Event::Due { .. } => continue,
                     Event::GapRequest(request) => {
                         let (id, number, reason) = (request.id, request.number, SkipReason::Failed);
                         if let Ok(document) = request.compute(&Serial) {

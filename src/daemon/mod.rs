@@ -206,7 +206,7 @@ pub async fn run(
         threads.push(("outbox", keeping));
     }
     let workers = worker::start(options.workers)?;
-    let waiting = workers.requests.clone();
+    let waiting = workers.jobs.clone();
     let diagnoser = Diagnoser::start(move || !waiting.is_empty())?;
 
     let prefix = config.site.prefix.clone();

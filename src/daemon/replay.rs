@@ -224,8 +224,7 @@ impl Replay {
                     Event::Request(request) => self.waiting.entry(request.id).or_default().push_back(*request),
                     Event::Estimate(id, document) => out.push(self.output(id, Kind::Estimate, to_json(&document))),
                     Event::Alarm(id, document) => out.push(self.output(id, Kind::Alarm, to_json(&document))),
-                    // Here every window is cut at once.
-                    Event::State(..) | Event::Due { .. } => {}
+                    Event::State(..) => {}
                 }
             }
         }

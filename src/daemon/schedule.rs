@@ -124,7 +124,7 @@ impl<J> Schedule<J> {
             if !(too_many || (self.length > burst && held > 1)) {
                 break;
             }
-            given_up.extend(self.pass_over(holder));
+            given_up.extend(self.evict_oldest(holder));
         }
         given_up
     }
@@ -143,7 +143,7 @@ impl<J> Schedule<J> {
     }
 
     /// Gives a loop's oldest job up; the next one of the loop takes its place in the row.
-    fn pass_over(&mut self, of: usize) -> Option<J> {
+    fn evict_oldest(&mut self, of: usize) -> Option<J> {
         self.leave(of);
         self.skips += 1;
         let share = self.loops.get_mut(&of)?;

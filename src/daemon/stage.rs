@@ -21,7 +21,7 @@ use super::overview::Overview;
 use super::queue::{Budget, Room};
 use super::restore::{self, Restored};
 use super::retention::{RetentionParts, RetentionWorker};
-use super::worker::{Answered, Workers};
+use super::worker::{Answered, Job, Workers};
 use crate::files::disk::Disk;
 use crate::sink::deliver::{Delivery, MakeTarget, Outbox};
 use crate::sink::keeper::{self, Keeper};
@@ -32,7 +32,7 @@ use crate::source::{Answer, Envelope, Incoming, Intake};
 use stiction::verdict::Assessment;
 use stiction_monitor::alarm::Command;
 use stiction_monitor::config::{Config, Deliver};
-use stiction_monitor::engine::{Engine, EngineSettings, GapRequest, Request};
+use stiction_monitor::engine::{Engine, EngineSettings, GapRequest, Request, WindowAnswer};
 
 /// Windows handed to the stage's holder ahead of their fits: as with one worker.
 const AT_HAND: usize = 1;
@@ -45,7 +45,7 @@ pub struct Stage {
     intake: Intake,
     control: Sender<Incoming>,
     incoming: Receiver<Incoming>,
-    requests: Receiver<Request>,
+    jobs: Receiver<Job>,
     answers: Sender<Answered>,
     answered: Receiver<Answered>,
     gap_requests: Receiver<GapRequest>,
@@ -98,7 +98,7 @@ impl Stage {
         let (budget, shares) = (Budget::new(config.input.queue_bytes), Shares::default());
         let way_in = (budget.clone(), shares.clone());
         let intake = Intake::new(control.clone(), way_in, metrics.clone(), clock.clone());
-        let (to_worker, requests) = crossbeam_channel::bounded(AT_HAND);
+        let (to_worker, waiting) = crossbeam_channel::bounded(AT_HAND);
         let (answers, answered) = crossbeam_channel::unbounded();
         let (diagnoser, gap_requests, gap_answers) = Diagnoser::ends();
         let (outbox, delivery) =
@@ -122,7 +122,7 @@ impl Stage {
             engine: Engine::new(EngineSettings { daemon: Some(DAEMON_ID.into()), ..config.engine() }),
             config: Arc::new(config),
             input: (budget.clone(), shares),
-            workers: Workers { requests: to_worker, answers: answered.clone() },
+            workers: Workers { jobs: to_worker, answers: answered.clone() },
             diagnoser,
             recorder: Some(recorder),
             keeper: Some(keeper),
@@ -143,7 +143,7 @@ impl Stage {
             intake,
             control,
             incoming,
-            requests,
+            jobs: waiting,
             answers,
             answered,
             gap_requests,
@@ -182,11 +182,12 @@ impl Stage {
     /// The worker does up to so many fits, each given by `fit`; says how many it did.
     pub fn work(&mut self, most: usize, mut fit: impl FnMut(&str, &Request) -> Option<Assessment>) -> usize {
         for done in 0..most {
-            let Ok(request) = self.requests.try_recv() else { return done };
+            let Ok(Job { request, arrival_ns }) = self.jobs.try_recv() else { return done };
             let assessment = fit(self.core.engine().name(request.id), &request);
+            let record = || Arc::new(request.record());
+            let answer = assessment.map(|assessment| WindowAnswer { record: record(), assessment });
             let (id, seq, end_ns, took) = (request.id, request.seq, request.end_ns, Duration::ZERO);
-            let answer = Answered { id, seq, end_ns, took, assessment };
-            let _ = self.answers.send(answer);
+            let _ = self.answers.send(Answered { id, seq, end_ns, arrival_ns, took, answer });
             // The answer makes room for the next one in the schedule.
             self.core.turn(&self.incoming);
         }

@@ -16,11 +16,10 @@ use crate::daemon::metrics::Metrics;
 use crate::daemon::queue::{Budget, Room};
 use parcel::{Parcel, Parcels};
 use shares::{Share, Shares};
-use stiction::record::Record;
 use stiction_monitor::alarm::Command;
 use stiction_monitor::codec::MAX_PAYLOAD;
 use stiction_monitor::config::Config;
-use stiction_monitor::engine::LoopSettings;
+use stiction_monitor::engine::{LoopSettings, Snapshot};
 
 /// One message as it arrived, before anything was read from it.
 #[derive(Debug)]
@@ -40,11 +39,11 @@ pub struct Message {
 /// How a command is answered: the new document, or what is wrong with the command.
 pub type Answer = Box<dyn FnOnce(Result<Vec<u8>, String>) + Send>;
 
-/// A loop's window, as it was when somebody looked.
+/// A loop's history at one moment, from which a window can be cut.
 #[derive(Debug, Clone)]
-pub struct Looked {
-    /// What it holds; none where there is nothing, or no longer.
-    pub record: Option<Record>,
+pub struct WindowSnapshot {
+    /// `None` before the loop's first sample.
+    pub snapshot: Option<Snapshot>,
     /// The loop's settings.
     pub settings: Arc<LoopSettings>,
 }
@@ -72,13 +71,13 @@ pub enum Incoming {
         answer: Answer,
     },
     /// Somebody looks at a loop's window; nothing changes.
-    Look {
+    GetWindow {
         /// The loop's name.
         loop_name: String,
         /// Where the window ends, ns since 1970; with the newest sample if absent.
         end_ns: Option<i64>,
         /// Where the answer goes.
-        answer: Box<dyn FnOnce(Option<Looked>) + Send>,
+        answer: Box<dyn FnOnce(Option<WindowSnapshot>) + Send>,
     },
     /// Settings that hold from now on.
     Settings(Box<Config>),

@@ -2,13 +2,15 @@
 //! same for the same windows, whatever becomes of the diagnoses.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+use std::sync::Arc;
+
 use stiction::record::{Sample, Signal, Value};
 use stiction::sim::closed_loop::{ClosedLoop, LoopModel, ValveLaw, ValveModel};
 use stiction::sim::controller::{Action, PidSettings};
 use stiction::sim::process::ProcessModel;
 use stiction::verdict::{Assessment, Oscillation, Process, Window};
 use stiction_monitor::config::Config;
-use stiction_monitor::engine::{Engine, Event, GapReason, GapRequest, LoopId, Request, SkipReason};
+use stiction_monitor::engine::{Engine, Event, GapReason, GapRequest, LoopId, Request, SkipReason, WindowAnswer};
 
 const SECOND: i64 = 1_000_000_000;
 const HOUR: i64 = 3600 * SECOND;
@@ -53,11 +55,11 @@ impl<J: FnMut(usize, &Request) -> Assessment> Rig<J> {
             for event in std::mem::take(&mut events) {
                 match event {
                     Event::Request(r) => {
-                        let answer = (self.judge)(self.windows, &r);
+                        let (record, assessment) = (Arc::new(r.record()), (self.judge)(self.windows, &r));
+                        let answer = WindowAnswer { record, assessment };
                         self.windows += 1;
                         self.engine.complete(r.id, r.seq, answer, &mut events);
                     }
-                    Event::Due { .. } => panic!("it was not told to cut later"),
                     Event::GapRequest(r) => {
                         if let Then::Skip(reason) = self.then {
                             self.engine.skip_gap(r.id, r.number, reason, &mut events);
@@ -87,7 +89,7 @@ fn config(hop_s: f64) -> Config {
 fn assessment(request: &Request, fit_pct: Option<f64>) -> Assessment {
     let still =
         Oscillation { oscillating: false, period_s: None, periods: None, samples_per_period: None, regularity: None };
-    let mut a = Assessment::empty(Window::of(&request.record), still);
+    let mut a = Assessment::empty(Window::of(&request.record()), still);
     a.process = fit_pct.map(|fit_pct| Process {
         order: 1,
         gain: 2.0,

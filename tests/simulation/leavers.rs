@@ -30,7 +30,7 @@ fn play(stage: &mut Stage, name: &str, later_ns: i64) {
         encode_recorded(&sample, &mut json);
         stage.deliver(&format!("p/{name}/{}", sample.signal.name()), &json);
         stage.turn();
-        while stage.work(1, |_, request| Some(request.compute())) > 0 {}
+        while stage.work(1, |_, request| Some(request.compute().assessment)) > 0 {}
     }
     stage.record();
 }

@@ -83,7 +83,7 @@ fn scripted(seed: u64, name: &str, request: &Request) -> Assessment {
         (true, _) => (Verdict::Stiction, 0.9),
         (false, _) => (Verdict::Tuning, 0.0),
     };
-    let (start_ns, end_ns) = (request.record.start_ns, request.end_ns);
+    let (start_ns, end_ns) = (request.record().start_ns, request.end_ns);
     let window = Window {
         start_ns,
         end_ns,

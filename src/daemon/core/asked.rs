@@ -2,7 +2,7 @@
 
 use super::super::gaps::{self, Diagnosed, Outcome};
 use super::{Core, to_json};
-use crate::source::{Answer, Looked};
+use crate::source::{Answer, WindowSnapshot};
 use stiction_monitor::alarm::{AlarmDocument, Command, CommandError};
 use stiction_monitor::codec::topic::Kind;
 use stiction_monitor::engine::{Checkpoint, GapRefusal, GapRequest, LoopId, RecordedInput, SkipReason, StateDocument};
@@ -54,14 +54,17 @@ impl Core {
         Ok((id, document))
     }
 
-    /// Somebody looks at a window.
-    pub(super) fn look(&self, loop_name: &str, end_ns: Option<i64>, answer: Box<dyn FnOnce(Option<Looked>) + Send>) {
-        answer(
-            self.engine.find(loop_name).map(|id| Looked {
-                record: self.engine.record(id, end_ns),
-                settings: self.engine.settings(id).clone(),
-            }),
-        );
+    /// Hands out a loop's history; whoever asked cuts the window.
+    pub(super) fn get_window(
+        &self,
+        loop_name: &str,
+        end_ns: Option<i64>,
+        answer: Box<dyn FnOnce(Option<WindowSnapshot>) + Send>,
+    ) {
+        answer(self.engine.find(loop_name).map(|id| WindowSnapshot {
+            snapshot: self.engine.snapshot(id, end_ns),
+            settings: self.engine.settings(id).clone(),
+        }));
     }
 
     /// What a loop remembers over a restart.

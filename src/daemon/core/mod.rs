@@ -31,7 +31,7 @@ use super::queue::Budget;
 use super::routes::Routes;
 use super::schedule::Schedule;
 use super::series::Board;
-use super::worker::{Answered, Workers};
+use super::worker::{Answered, Job, Workers};
 use crate::sink::deliver::{Item as Outgoing, Outbox};
 use crate::sink::keeper::Keeper;
 use crate::sink::recorder::{Item, LOOPS_PER_FILE, Recorder};
@@ -61,7 +61,7 @@ pub struct Core {
     feeds: Feeds,
     workers: Workers,
     /// Windows that wait for a worker.
-    schedule: Schedule<windows::Due>,
+    schedule: Schedule<Job>,
     /// Looks at all loops, a part at a time.
     survey: survey::Survey,
     /// Counters of payloads by codec.
@@ -79,8 +79,6 @@ pub struct Core {
     board: Option<Board>,
     /// What the page shows; none where there is no page.
     overview: Option<Overview>,
-    /// When the samples of windows arrived that wait for their fits, ns.
-    due: HashMap<(LoopId, u64), i64>,
     /// When the sample arrived that is being taken, ns.
     arrival_ns: i64,
     metrics: Arc<Metrics>,
@@ -148,15 +146,13 @@ impl Core {
         let (desk, limits) = (Desk::new(&config.commands), Limits::new(&config.input));
         let board = Board::new(config);
         let (budget, shares) = parts.input;
-        let mut engine = parts.engine;
-        engine.cut_later();
         Self {
             routes: Routes::new(config, shares),
             bundles: Bundles::new(config),
             feeds: Feeds::new(config),
             codec: config.input.codec.clone(),
             input_limit: config.input.queue,
-            engine,
+            engine: parts.engine,
             survey: survey::Survey::default(),
             codec_counters: Vec::new(),
             taken: 0,
@@ -171,7 +167,6 @@ impl Core {
             outbox: parts.outbox,
             board,
             overview: parts.overview,
-            due: HashMap::new(),
             arrival_ns: 0,
             metrics: parts.metrics,
             faults: parts.faults,
@@ -310,7 +305,7 @@ impl Core {
             Incoming::Message(message) => self.take_message(&message),
             Incoming::Command { loop_name, command, answer } => self.take_command(&loop_name, &command, answer),
             Incoming::GapRun { loop_name, by, answer } => self.run_gap(&loop_name, by, answer),
-            Incoming::Look { loop_name, end_ns, answer } => self.look(&loop_name, end_ns, answer),
+            Incoming::GetWindow { loop_name, end_ns, answer } => self.get_window(&loop_name, end_ns, answer),
             Incoming::Settings(config) => self.settings(&config),
         }
     }
@@ -364,25 +359,21 @@ impl Core {
 
     fn answered(&mut self, answered: Answered) {
         self.metrics.fit.0.observe(answered.took.as_secs_f64());
-        if let Some(arrival_ns) = self.due.remove(&(answered.id, answered.seq)) {
-            let lag_ns = self.clock.now_ns().saturating_sub(arrival_ns).max(0);
-            self.metrics.lag.0.observe(s_from_ns(lag_ns));
-        }
-        match answered.assessment {
-            Some(assessment) => self.engine.complete(answered.id, answered.seq, assessment, &mut self.events),
+        let lag_ns = self.clock.now_ns().saturating_sub(answered.arrival_ns).max(0);
+        self.metrics.lag.0.observe(s_from_ns(lag_ns));
+        match answered.answer {
+            Some(answer) => self.engine.complete(answered.id, answered.seq, answer, &mut self.events),
             None => self.skip(answered.id, answered.seq, answered.end_ns, SkipReason::Failed),
         }
         self.handle_events();
-        self.employ();
+        self.dispatch_to_workers();
     }
 
     fn handle_events(&mut self) {
         while !self.events.is_empty() {
             for event in std::mem::take(&mut self.events) {
                 match event {
-                    Event::Due { id, seq, end_ns } => self.due(id, seq, end_ns),
-                    // The engine was told to cut later.
-                    Event::Request(request) => self.due(request.id, request.seq, request.end_ns),
+                    Event::Request(request) => self.schedule_window(*request),
                     Event::GapRequest(request) => self.request_gap(*request),
                     Event::Gap(id, document) => {
                         self.metrics.gaps.inc();

@@ -121,7 +121,7 @@ impl Core {
         let recorder_bytes = self.recorder.as_ref().map_or([0, 0], Recorder::bytes);
         let published = self.publisher.bytes();
         let of = |budget: &Budget| [budget.used(), budget.limit()];
-        let fits = self.schedule.waiting() + self.workers.requests.len();
+        let fits = self.schedule.waiting() + self.workers.jobs.len();
         DaemonHealth {
             schema: topic::DAEMON_HEALTH_SCHEMA,
             daemon: self.daemon_id.clone(),

@@ -28,9 +28,11 @@ use crate::daemon::overview::Overview;
 use crate::files::archive::{Archive, SharedArchive};
 use crate::files::reviews::Reviews;
 use crate::source::zenoh::LastValues;
-use crate::source::{Answer, Incoming, Looked};
+use crate::source::{Answer, Incoming, WindowSnapshot};
+use stiction::record::Record;
 use stiction_monitor::codec::topic::{self, Kind};
 use stiction_monitor::config::Config;
+use stiction_monitor::engine::LoopSettings;
 
 /// How long the engine may take for an answer; a diagnosis takes longer.
 const ENGINE_WITHIN: Duration = Duration::from_secs(10);
@@ -68,6 +70,13 @@ pub struct Live {
     drawings: Semaphore,
     waiting: Semaphore,
     streams: Semaphore,
+}
+
+/// A loop's window, as it was when somebody looked.
+struct Looked {
+    /// `None` where nothing is held, or no longer.
+    record: Option<Record>,
+    settings: Arc<LoopSettings>,
 }
 
 /// The state of every handler.
@@ -142,13 +151,19 @@ impl Live {
         tokio::task::spawn_blocking(work).await.map_err(failed)
     }
 
-    /// A loop's window, as the engine holds it.
+    /// A loop's window: the engine hands out its history, and the window is cut on a thread of the page's own.
     async fn look(&self, loop_name: &str, end_ns: Option<i64>) -> Result<Looked, ApiError> {
         let (tell, told) = oneshot::channel();
-        let answer = Box::new(move |looked| drop(tell.send(looked)));
-        self.ask(Incoming::Look { loop_name: loop_name.to_owned(), end_ns, answer })?;
-        let looked = within(ENGINE_WITHIN, told).await?;
-        looked.ok_or_else(|| ApiError::not_found(format!("no loop {loop_name:?} has appeared")))
+        let answer = Box::new(move |window| drop(tell.send(window)));
+        self.ask(Incoming::GetWindow { loop_name: loop_name.to_owned(), end_ns, answer })?;
+        let window: Option<WindowSnapshot> = within(ENGINE_WITHIN, told).await?;
+        let unknown = || ApiError::not_found(format!("no loop {loop_name:?} has appeared"));
+        let WindowSnapshot { snapshot, settings } = window.ok_or_else(unknown)?;
+        self.on_a_thread(move || {
+            let record = snapshot.and_then(|snapshot| snapshot.record(&settings.window));
+            Looked { record, settings }
+        })
+        .await
     }
 
     /// A person's wish, answered by a document or by what is wrong with it.

@@ -94,7 +94,7 @@ mod tests {
         );
         assert_eq!(due.len(), live.len());
         for (due, live) in due.iter().zip(&live) {
-            assert_eq!((due.seq, due.end_ns, &due.record), (live.seq, live.end_ns, &live.record));
+            assert_eq!((due.seq, due.end_ns, due.record()), (live.seq, live.end_ns, live.record()));
         }
     }
 

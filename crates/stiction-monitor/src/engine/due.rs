@@ -1,18 +1,109 @@
 //! A window on its way: from the moment it is due to its answer.
 //!
-//! What it is made from need not be cut at once: at the full hour the windows of all loops come due together, and to look
-//! for each one's oscillation takes a millisecond or two. So the memory is held where it is, and the window cut when
-//! somebody is there to compute it; it is the same to the last bit. A loop whose samples will not wait that long is cut
-//! when the memory's patience ends.
+//! A window that is due leaves as a [`Request`] with a [`Snapshot`] of the loop's history. Whoever computes it looks for the
+//! oscillation, cuts the window's record and fits it: none of that happens where samples are taken. A snapshot shares the
+//! history's memory until newer samples change it.
 
 use std::sync::Arc;
 
-use super::settings::WindowParams;
+use super::LoopId;
+use super::settings::{LoopSettings, WindowParams};
 use super::windowing::choose_record;
 use stiction::record::Record;
 use stiction::signal::history::History;
 use stiction::units::{Moment, s_from_ns};
-use stiction::verdict::{Assessment, Gate, Oscillation, Window};
+use stiction::verdict::{Assessment, Gate, Oscillation, Window, assess};
+
+/// A loop's history at one moment.
+#[derive(Debug, Clone)]
+pub struct Snapshot {
+    history: History,
+    /// Points that had come by then.
+    total: u64,
+    end_ns: i64,
+}
+
+impl Snapshot {
+    /// The history as it is, for a window that ends at a stamp.
+    pub(super) fn now(history: &History, end_ns: i64) -> Self {
+        Self { history: history.clone(), total: history.total(), end_ns }
+    }
+
+    /// The history up to a stamp, as far as it is still held.
+    pub(super) fn up_to(history: &History, end_ns: i64) -> Self {
+        Self { history: history.clone(), total: history.up_to(end_ns).total(), end_ns }
+    }
+
+    /// The record of the window: looks for the oscillation and takes as many periods of it as a window has. `None` where
+    /// nothing is held.
+    #[must_use]
+    pub fn record(&self, params: &WindowParams) -> Option<Record> {
+        choose_record(self.history.at(self.total), params, self.end_ns)
+    }
+
+    /// Bytes that it takes once it shares nothing with its loop any more.
+    #[must_use]
+    pub fn bytes(&self) -> usize {
+        self.history.bytes()
+    }
+}
+
+/// A due window that waits for its estimate.
+#[derive(Debug, Clone)]
+pub struct Request {
+    /// Its loop.
+    pub id: LoopId,
+    /// Its place among the loop's windows; the key to hand the answer back with.
+    pub seq: u64,
+    /// The window's name: its end, ns.
+    pub end_ns: i64,
+    /// How it is computed.
+    pub settings: Arc<LoopSettings>,
+    /// What it is computed from.
+    pub(super) snapshot: Snapshot,
+    /// Values that were bad since the last point.
+    pub(super) bad: u16,
+    /// The loop's sampling time when it was due, s; 0 where it was not known.
+    pub(super) ts_s: f64,
+}
+
+/// The answer to a [`Request`].
+#[derive(Debug, Clone, PartialEq)]
+pub struct WindowAnswer {
+    /// What the estimate was made from.
+    pub record: Arc<Record>,
+    /// The estimate.
+    pub assessment: Assessment,
+}
+
+impl Request {
+    /// Cuts the window's record.
+    #[must_use]
+    pub fn record(&self) -> Record {
+        let nothing = || Record {
+            start_ns: self.end_ns,
+            end_ns: self.end_ns,
+            ..Record::uniform(self.ts_s, Vec::new(), Vec::new())
+        };
+        let mut record = self.snapshot.record(&self.settings.window).unwrap_or_else(nothing);
+        record.facts.bad += u32::from(self.bad);
+        record
+    }
+
+    /// Computes the answer. Depends on the request alone.
+    #[must_use]
+    pub fn compute(&self) -> WindowAnswer {
+        let record = self.record();
+        let assessment = assess(&record, &self.settings.assess);
+        WindowAnswer { record: Arc::new(record), assessment }
+    }
+
+    /// Bytes that it takes once it shares nothing with its loop any more.
+    #[must_use]
+    pub fn bytes(&self) -> usize {
+        self.snapshot.bytes()
+    }
+}
 
 /// A window that waits for its answer.
 #[derive(Debug)]
@@ -20,45 +111,15 @@ pub(super) struct Waiting {
     pub seq: u64,
     /// The window's name, ns.
     pub end_ns: i64,
-    /// Points of the stretch when it was due.
-    total: u64,
-    /// Values that were bad since the last of them.
-    bad: u16,
-    /// The loop's sampling time then, s; 0 where it was not known.
-    ts_s: f64,
     /// What its document says of it where nobody computes it.
     latest: Window,
-    record: Option<Arc<Record>>,
-    pub answer: Option<Assessment>,
+    pub answer: Option<(Assessment, Option<Arc<Record>>)>,
 }
 
 impl Waiting {
     /// A window that is due now.
-    pub fn new(seq: u64, end_ns: i64, history: &History, bad: u16, ts_s: Option<f64>) -> Self {
-        let ts_s = ts_s.unwrap_or(0.0);
-        let latest = latest(history, end_ns, ts_s);
-        Self { seq, end_ns, total: history.total(), bad, ts_s, latest, record: None, answer: None }
-    }
-
-    /// Whether the memory must be held for it.
-    pub const fn is_uncut(&self) -> bool {
-        self.record.is_none() && self.answer.is_none()
-    }
-
-    /// What the estimate is made from.
-    pub fn cut(&mut self, history: &History, params: &WindowParams) -> Arc<Record> {
-        if let Some(record) = &self.record {
-            return record.clone();
-        }
-        let mut record = choose_record(history.at(self.total), params, self.end_ns).unwrap_or_else(|| Record {
-            start_ns: self.end_ns,
-            end_ns: self.end_ns,
-            ..Record::uniform(self.ts_s, Vec::new(), Vec::new())
-        });
-        record.facts.bad += u32::from(self.bad);
-        let record = Arc::new(record);
-        self.record = Some(record.clone());
-        record
+    pub fn new(seq: u64, end_ns: i64, history: &History, ts_s: f64) -> Self {
+        Self { seq, end_ns, latest: latest(history, end_ns, ts_s), answer: None }
     }
 
     /// Gives the window up: its document says so.
@@ -70,12 +131,8 @@ impl Waiting {
             samples_per_period: None,
             regularity: None,
         };
-        self.answer = Some(Assessment { gates: vec![Gate::Skipped], ..Assessment::empty(self.latest, oscillation) });
-    }
-
-    /// The answer, if it is there, and what it was made from, if that was cut.
-    pub fn into_answer(self) -> Option<(Assessment, Option<Arc<Record>>)> {
-        Some((self.answer?, self.record))
+        let skipped = Assessment { gates: vec![Gate::Skipped], ..Assessment::empty(self.latest, oscillation) };
+        self.answer = Some((skipped, None));
     }
 }
 

@@ -3,10 +3,9 @@
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-use super::due::Waiting;
+use super::due::{Request, Snapshot, Waiting, WindowAnswer};
 use super::gaps::{GapReason, GapRefusal, GapRequest, GapWatch, PublishedGap};
-use super::windowing::choose_record;
-use super::{Checkpoint, Event, LoopFigures, LoopId, LoopSettings, Request, SkipReason, StateDocument, StreamState};
+use super::{Checkpoint, Event, LoopFigures, LoopId, LoopSettings, SkipReason, StateDocument, StreamState};
 use crate::alarm::{Alarm, AlarmDocument, Command, CommandError, State};
 use stiction::gap::MIN_POINTS;
 use stiction::gap::model::Model;
@@ -58,23 +57,17 @@ impl Loop {
         }
     }
 
-    /// Takes a sample. Windows that come due leave as requests, or, with `later`, as a word that they are due.
-    pub fn push(&mut self, id: LoopId, sample: Sample, later: bool, out: &mut Vec<Event>) {
+    /// Takes a sample. Windows that come due leave as requests.
+    pub fn push(&mut self, id: LoopId, sample: Sample, out: &mut Vec<Event>) {
         let settings = self.settings.clone();
         self.aligner.push(sample, &settings.align);
         let keep_ns = ns_from_s(settings.window.max_window_s);
         while let Some(t_ns) = self.aligner.next_ready_ns(&settings.align) {
-            self.enter_hop(id, t_ns, later, out);
-            let Self { history, waiting, aligner, .. } = self;
-            aligner.take_next(&settings.align, &mut |aligned| {
-                // What waits to be cut does not outlive the stretch, nor more points than the memory can hold besides.
-                if history.is_held() && (aligned == Aligned::Break || history.patience() == 0) {
-                    cut_all(waiting, history, &settings);
-                }
-                match aligned {
-                    Aligned::Point(point) => history.push(&point, point.t_ns.saturating_sub(keep_ns)),
-                    Aligned::Break => history.clear(),
-                }
+            self.enter_hop(id, t_ns, out);
+            let Self { history, aligner, .. } = self;
+            aligner.take_next(&settings.align, &mut |aligned| match aligned {
+                Aligned::Point(point) => history.push(&point, point.t_ns.saturating_sub(keep_ns)),
+                Aligned::Break => history.clear(),
             });
         }
         // The window is over once the loop's clock has passed its end and nothing of it waits for its place.
@@ -82,18 +75,18 @@ impl Loop {
             && now_ns >= end_ns
             && self.aligner.waiting_ns().is_none_or(|t| t > end_ns)
         {
-            self.due(id, end_ns, later, out);
+            self.due(id, end_ns, out);
             self.next_end_ns = None;
         }
     }
 
     /// Closes the window that a sample leaves behind and opens the one it falls into. Hops without a sample have no
     /// window: an outage of years would otherwise make thousands of empty documents.
-    fn enter_hop(&mut self, id: LoopId, t_ns: i64, later: bool, out: &mut Vec<Event>) {
+    fn enter_hop(&mut self, id: LoopId, t_ns: i64, out: &mut Vec<Event>) {
         let hop_ns = ns_from_s(self.settings.window.hop_s).max(1);
         if let Some(end_ns) = self.next_end_ns {
             if t_ns > end_ns {
-                self.due(id, end_ns, later, out);
+                self.due(id, end_ns, out);
                 self.next_end_ns = None;
             } else if t_ns <= end_ns.saturating_sub(hop_ns) {
                 // The clock was set back.
@@ -106,43 +99,32 @@ impl Loop {
         }
     }
 
-    /// A window is due: it leaves as a request, or the memory is held for it.
-    fn due(&mut self, id: LoopId, end_ns: i64, later: bool, out: &mut Vec<Event>) {
+    /// A window is due: it leaves as a request.
+    fn due(&mut self, id: LoopId, end_ns: i64, out: &mut Vec<Event>) {
         let (seq, bad) = (self.windows, self.aligner.bad_since_last_point());
         self.windows += 1;
-        let ts_s = self.aligner.sampling_time_s();
-        self.waiting.push_back(Waiting::new(seq, end_ns, &self.history, bad, ts_s));
-        if later {
-            self.history.hold(true);
-            out.push(Event::Due { id, seq, end_ns });
-        } else if let Some(request) = self.request(id, seq) {
-            out.push(Event::Request(Box::new(request)));
-        }
-    }
-
-    /// Cuts a window that waits; none where it was answered or given up.
-    pub fn request(&mut self, id: LoopId, seq: u64) -> Option<Request> {
-        let waiting = self.waiting.iter_mut().find(|w| w.seq == seq && w.answer.is_none())?;
-        let (end_ns, record) = (waiting.end_ns, waiting.cut(&self.history, &self.settings.window));
-        self.let_go();
-        Some(Request { id, seq, end_ns, record, settings: self.settings.clone() })
-    }
-
-    /// Holds the memory no longer than something is to be cut from it.
-    fn let_go(&mut self) {
-        self.history.hold(self.waiting.iter().any(Waiting::is_uncut));
+        let ts_s = self.aligner.sampling_time_s().unwrap_or(0.0);
+        self.waiting.push_back(Waiting::new(seq, end_ns, &self.history, ts_s));
+        let (snapshot, settings) = (Snapshot::now(&self.history, end_ns), self.settings.clone());
+        out.push(Event::Request(Box::new(Request { id, seq, end_ns, settings, snapshot, bad, ts_s })));
     }
 
     /// Takes an answer (or none) and consumes all that are next in order.
-    pub fn resolve(&mut self, id: LoopId, seq: u64, answer: Option<Assessment>, hash: &Arc<str>, out: &mut Vec<Event>) {
+    pub fn resolve(
+        &mut self,
+        id: LoopId,
+        seq: u64,
+        answer: Option<WindowAnswer>,
+        hash: &Arc<str>,
+        out: &mut Vec<Event>,
+    ) {
         let Some(waiting) = self.waiting.iter_mut().find(|w| w.seq == seq) else { return };
         match answer {
-            Some(answer) => waiting.answer = Some(answer),
+            Some(answer) => waiting.answer = Some((answer.assessment, Some(answer.record))),
             None => waiting.skip(),
         }
-        self.let_go();
         while self.waiting.front().is_some_and(|w| w.answer.is_some()) {
-            if let Some((assessment, record)) = self.waiting.pop_front().and_then(Waiting::into_answer) {
+            if let Some((assessment, record)) = self.waiting.pop_front().and_then(|w| w.answer) {
                 self.consume(id, record.as_ref(), assessment, hash, out);
             }
         }
@@ -171,10 +153,10 @@ impl Loop {
         }
     }
 
-    /// What a window holds that ends at a stamp, or with the newest sample; of an older one what the memory still has.
-    pub fn record(&self, end_ns: Option<i64>) -> Option<Record> {
+    /// The history up to a stamp, or to the newest sample; of an older one what the memory still has.
+    pub fn snapshot(&self, end_ns: Option<i64>) -> Option<Snapshot> {
         let end_ns = end_ns.or_else(|| self.history.newest_ns())?;
-        choose_record(self.history.up_to(end_ns), &self.settings.window, end_ns)
+        Some(Snapshot::up_to(&self.history, end_ns))
     }
 
     /// A person asks for a diagnosis of the latest data, cut as a window would be that ended now.
@@ -185,7 +167,7 @@ impl Loop {
         hash: &Arc<str>,
         out: &mut Vec<Event>,
     ) -> Result<u64, GapRefusal> {
-        let record = self.record(None);
+        let record = self.snapshot(None).and_then(|snapshot| snapshot.record(&self.settings.window));
         let points = record.as_ref().map_or(0, Record::len);
         let Some(record) = record.filter(|_| points >= MIN_POINTS) else {
             return Err(GapRefusal::TooShort { points, needed: MIN_POINTS });
@@ -298,12 +280,4 @@ impl Loop {
             waiting: self.waiting.len(),
         }
     }
-}
-
-/// Cuts every window that was not cut yet.
-fn cut_all(waiting: &mut VecDeque<Waiting>, history: &mut History, settings: &LoopSettings) {
-    for one in waiting.iter_mut().filter(|w| w.is_uncut()) {
-        one.cut(history, &settings.window);
-    }
-    history.hold(false);
 }

@@ -1,8 +1,8 @@
 //! The core of the daemon: one state machine per loop, told the time and handed the data.
 //!
 //! [`Engine::push`] takes a sample, [`Engine::complete`] the answer to a request, [`Engine::command`] a person's wish;
-//! each puts [`Event`]s out. There is no clock, thread or file below here, and no fit is run inline: a due window
-//! leaves as a [`Request`] that holds its record, and whoever drives the engine computes it. Answers are consumed per
+//! each puts [`Event`]s out. There is no clock, thread or file below here, and no window is cut or fitted inline: a due
+//! window leaves as a [`Request`] with a snapshot of the loop's history, and whoever drives the engine computes it. Answers are consumed per
 //! loop in the order of the windows, so everything after them depends on that order and on event time alone.
 //! Gap diagnoses leave as [`GapRequest`]s of their own; see [`gaps`] for when.
 
@@ -20,11 +20,12 @@ use serde::{Deserialize, Serialize};
 
 use crate::alarm::{Alarm, AlarmDocument, Command, CommandError, State};
 use looper::Loop;
-use stiction::record::{Record, Sample};
+use stiction::record::Sample;
 use stiction::signal::align::{AlignCounts, Aligner};
 use stiction::units::LoopKind;
-use stiction::verdict::{Assessment, EstimateDocument, assess};
+use stiction::verdict::EstimateDocument;
 
+pub use due::{Request, Snapshot, WindowAnswer};
 pub use gaps::{GapReason, GapRefusal, GapRequest, GapWatch, PublishedGap};
 pub use input::{INPUT_SCHEMA, RecordedInput, STATE_SCHEMA, StateDocument};
 pub use settings::{EngineSettings, GapParams, LoopSettings, WindowParams};
@@ -42,44 +43,11 @@ impl LoopId {
     }
 }
 
-/// A due window that waits for its estimate.
-#[derive(Debug, Clone)]
-pub struct Request {
-    /// Its loop.
-    pub id: LoopId,
-    /// Its place among the loop's windows; the key to hand the answer back with.
-    pub seq: u64,
-    /// The window's name: its end, ns.
-    pub end_ns: i64,
-    /// What the estimate is made from.
-    pub record: Arc<Record>,
-    /// How.
-    pub settings: Arc<LoopSettings>,
-}
-
-impl Request {
-    /// Computes the answer. Depends on the request alone.
-    #[must_use]
-    pub fn compute(&self) -> Assessment {
-        assess(&self.record, &self.settings.assess)
-    }
-}
-
 /// What the engine puts out, in order.
 #[derive(Debug, Clone)]
 pub enum Event {
     /// Compute this and hand the answer back.
     Request(Box<Request>),
-    /// A window is due: make it a request when there is somebody to compute it ([`Engine::request`]). Comes in place of
-    /// [`Event::Request`] after [`Engine::cut_later`].
-    Due {
-        /// Its loop.
-        id: LoopId,
-        /// Its place among the loop's windows.
-        seq: u64,
-        /// The window's name: its end, ns.
-        end_ns: i64,
-    },
     /// An estimate to publish and record.
     Estimate(LoopId, Box<EstimateDocument>),
     /// A change of an alarm to publish, record and log.
@@ -180,7 +148,6 @@ pub struct Engine {
     left: HashMap<Arc<str>, Checkpoint>,
     /// Stands in for a loop that was forgotten: whoever still has its handle finds nothing.
     nobody: Box<Loop>,
-    cut_later: bool,
 }
 
 impl Engine {
@@ -189,12 +156,7 @@ impl Engine {
     pub fn new(settings: EngineSettings) -> Self {
         let nobody = Box::new(Loop::new("".into(), settings.common[0].clone()));
         let (loops, by_name, left) = (Vec::new(), HashMap::new(), HashMap::new());
-        Self { settings, loops, by_name, left, nobody, cut_later: false }
-    }
-
-    /// From now on a due window is told as [`Event::Due`] and cut by [`Engine::request`]. What is cut is the same.
-    pub const fn cut_later(&mut self) {
-        self.cut_later = true;
+        Self { settings, loops, by_name, left, nobody }
     }
 
     fn of(&self, id: LoopId) -> &Loop {
@@ -278,13 +240,7 @@ impl Engine {
 
     /// Takes one sample of a loop.
     pub fn push(&mut self, id: LoopId, sample: Sample, out: &mut Vec<Event>) {
-        let later = self.cut_later;
-        self.of_mut(id).push(id, sample, later, out);
-    }
-
-    /// Cuts a window that is due; none where it waits no longer.
-    pub fn request(&mut self, id: LoopId, seq: u64) -> Option<Request> {
-        self.of_mut(id).request(id, seq)
+        self.of_mut(id).push(id, sample, out);
     }
 
     /// Lets a loop that has left the plant leave the memory; says whether it did. One that something waits for stays.
@@ -330,9 +286,9 @@ impl Engine {
     }
 
     /// Takes the answer to a request.
-    pub fn complete(&mut self, id: LoopId, seq: u64, assessment: Assessment, out: &mut Vec<Event>) {
+    pub fn complete(&mut self, id: LoopId, seq: u64, answer: WindowAnswer, out: &mut Vec<Event>) {
         let (from, hash) = (out.len(), self.settings.config_hash.clone());
-        self.of_mut(id).resolve(id, seq, Some(assessment), &hash, out);
+        self.of_mut(id).resolve(id, seq, Some(answer), &hash, out);
         self.sign(&mut out[from..]);
     }
 
@@ -416,7 +372,7 @@ impl Engine {
                 Event::Estimate(_, document) => document.daemon = Some(daemon.to_string()),
                 Event::Alarm(_, document) => document.daemon = Some(daemon.to_string()),
                 Event::GapRequest(request) => request.daemon = Some(daemon.clone()),
-                Event::Due { .. } | Event::Request(_) | Event::State(..) | Event::Gap(..) => {}
+                Event::Request(_) | Event::State(..) | Event::Gap(..) => {}
             }
         }
     }
@@ -427,11 +383,11 @@ impl Engine {
         &self.of(id).settings
     }
 
-    /// What a window would hold that ended at a stamp, or with the newest sample: a copy, nothing changes. `None` where
-    /// nothing of it is held any more, or yet.
+    /// The history from which a window would be cut that ended at a stamp, or with the newest sample. `None` before the
+    /// first sample.
     #[must_use]
-    pub fn record(&self, id: LoopId, end_ns: Option<i64>) -> Option<Record> {
-        self.of(id).record(end_ns)
+    pub fn snapshot(&self, id: LoopId, end_ns: Option<i64>) -> Option<Snapshot> {
+        self.of(id).snapshot(end_ns)
     }
 
     /// A loop's figures.

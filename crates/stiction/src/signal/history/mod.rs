@@ -5,21 +5,19 @@
 //! from here is bit-identical to the window from the recording.
 //!
 //! Points are stored in growing columns: 21 bytes per raw point, 44 per bin, and 8 (8) more for each of SP and MV if the loop
-//! has it. A window need not be extracted when it is due: [`History::hold`] keeps its data for [`History::patience`] further
-//! points, and [`History::at`] extracts it later with the same result.
+//! has it. A clone shares the columns of each bin size until newer points change them, so a window can be extracted from a
+//! clone later, on another thread, with the same result.
 
 mod columns;
 
 use std::collections::VecDeque;
+use std::sync::Arc;
 
 use super::align::Point;
 use crate::record::{Facts, Record};
 use crate::units::s_from_ns;
 use columns::{Sparse, Times, bytes, put};
 
-/// Points for which extraction may be delayed, minimum and share of all: ten minutes of 10 s data.
-const PATIENCE: usize = 64;
-const PATIENCE_SHARE: usize = 4;
 /// Bytes of a raw point and of a bin with all signals and marks.
 const RAW_BYTES: usize = 39;
 const BOX_BYTES: usize = 70;
@@ -40,14 +38,9 @@ const fn level_limit(max_points: usize) -> usize {
     max_points / 2 + 2
 }
 
-fn slack(max_points: usize) -> usize {
-    PATIENCE.max(max_points / PATIENCE_SHARE)
-}
-
-/// Bytes of all raw points, including those that may arrive while extraction is delayed, and of all bins of one size.
+/// Bytes of all raw points, and of all bins of one size.
 fn bytes_of(max_points: usize) -> [usize; 2] {
-    let raw = raw_limit(max_points) + slack(max_points);
-    [RAW_BYTES * raw, BOX_BYTES * (level_limit(max_points) + 1) + 2 * size_of::<Level>()]
+    [RAW_BYTES * (raw_limit(max_points) + 1), BOX_BYTES * (level_limit(max_points) + 1) + 2 * size_of::<Level>()]
 }
 
 /// The number of raw points, at most `max_points`, and of bin sizes within a memory limit, whatever signals a loop has.
@@ -261,13 +254,11 @@ pub struct History {
     max_points: usize,
     /// Number of bin sizes; older data are dropped.
     sizes: usize,
-    raw: Raw,
+    raw: Arc<Raw>,
     /// `levels[l]` has bins of `2^(l+1)` points, older than all finer data.
-    levels: Vec<Level>,
+    levels: Vec<Arc<Level>>,
     /// Points added since the last break; the newest has index `total - 1`.
     total: u64,
-    /// Whether a window is still to be extracted from the current data.
-    held: bool,
 }
 
 /// The history as it was after a number of points, for a window that was due then.
@@ -295,10 +286,9 @@ impl History {
         Self {
             max_points: max_points.max(16) & !1,
             sizes: ALL_SIZES,
-            raw: Raw::starting(total),
+            raw: Arc::new(Raw::starting(total)),
             levels: Vec::new(),
             total,
-            held: false,
         }
     }
 
@@ -334,40 +324,20 @@ impl History {
     /// Memory of the columns, bytes.
     #[must_use]
     pub fn bytes(&self) -> usize {
-        self.raw.bytes() + self.levels.iter().map(Level::bytes).sum::<usize>()
-    }
-
-    /// Keeps all data until released, because a window is still to be extracted from it.
-    pub const fn hold(&mut self, held: bool) {
-        self.held = held;
-    }
-
-    /// Whether all data are kept.
-    #[must_use]
-    pub const fn is_held(&self) -> bool {
-        self.held
-    }
-
-    /// Points that may still arrive while all data are kept.
-    #[must_use]
-    pub fn patience(&self) -> usize {
-        (raw_limit(self.max_points) + slack(self.max_points)).saturating_sub(self.raw.op.len())
+        self.raw.bytes() + self.levels.iter().map(|level| level.bytes()).sum::<usize>()
     }
 
     /// Adds a point; drops bins that end before `keep_from_ns`.
     pub fn push(&mut self, p: &Point, keep_from_ns: i64) {
         let limit = raw_limit(self.max_points);
-        let most = limit + if self.held { slack(self.max_points) } else { 1 };
-        self.raw.push(p, most);
+        let raw = Arc::make_mut(&mut self.raw);
+        raw.push(p, limit + 1);
         self.total += 1;
-        if self.held {
-            return;
-        }
-        while self.raw.op.len() > limit {
+        if raw.op.len() > limit {
             // After a resumption the first point may be half of a box whose other half is not held: it goes.
-            let odd = self.raw.first % 2 == 1;
-            if let (Some(a), false) = (self.raw.pop_front(), odd)
-                && let Some(b) = self.raw.pop_front()
+            let odd = raw.first % 2 == 1;
+            if let (Some(a), false) = (raw.pop_front(), odd)
+                && let Some(b) = raw.pop_front()
             {
                 self.sink(0, &Bin::join(&a, &b));
             }
@@ -375,6 +345,7 @@ impl History {
         if let Some(coarsest) = self.levels.last_mut()
             && coarsest.times.get(1).is_some_and(|second_ns| second_ns < keep_from_ns)
         {
+            let coarsest = Arc::make_mut(coarsest);
             coarsest.pop_front();
             if coarsest.pv.is_empty() {
                 self.levels.pop();
@@ -389,9 +360,9 @@ impl History {
         }
         if self.levels.len() == level {
             let end = if level == 0 { self.raw.first } else { self.levels[level - 1].first };
-            self.levels.push(Level::starting(end / 2 - 1));
+            self.levels.push(Arc::new(Level::starting(end / 2 - 1)));
         }
-        let of = &mut self.levels[level];
+        let of = Arc::make_mut(&mut self.levels[level]);
         of.push(bin, limit + 1);
         if of.pv.len() <= limit {
             return;
@@ -404,7 +375,7 @@ impl History {
         }
     }
 
-    /// The history as it was after `total` points, valid if data were held since.
+    /// The history as it was after `total` points, as far as the data are still stored.
     #[must_use]
     pub const fn at(&self, total: u64) -> View<'_> {
         View { history: self, total }
