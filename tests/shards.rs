@@ -5,8 +5,11 @@
 mod live;
 
 use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-use live::{Daemon, FAST, PREFIX, plane, wait_for};
+use live::{Daemon, FAST, PREFIX, ask, files, free_port, ok, plane, wait_for};
 use serde_json::Value;
 use stiction_monitor::shard::Shard;
 use zenoh::Wait;
@@ -22,7 +25,7 @@ fn shard(dir: &Path, index: u32, id: &str, connect: Option<&str>) -> Daemon {
 
 fn send(bus: &zenoh::Session, name: &str, second: i64) {
     for (signal, value) in [("op", 50.0), ("pv", (second % 7) as f64)] {
-        let json = format!(r#"{{"t": {second}, "v": {value}}}"#);
+        let json = format!(r#"{{"t": {}, "v": {value}}}"#, second * 1_000_000_000);
         let key = format!("{PREFIX}/{name}/{signal}");
         bus.put(key, json).encoding(zenoh::bytes::Encoding::APPLICATION_JSON).wait().unwrap();
     }
@@ -67,4 +70,91 @@ fn each_shard_watches_its_own_loops_answers_for_them_and_notices_a_second_one_of
     });
     assert!(second.faults().is_empty(), "{:?}", second.faults());
     bus.close().wait().unwrap();
+}
+
+/// Publishes loops at 10 Hz from a session that daemons connect to, and hears their estimates, until it is dropped.
+struct Plant {
+    bus: zenoh::Session,
+    endpoint: String,
+    /// When estimates came, with their loops.
+    heard: Arc<Mutex<Vec<(Instant, String)>>>,
+    stop: Arc<AtomicBool>,
+    sending: Option<std::thread::JoinHandle<()>>,
+}
+
+impl Plant {
+    fn start(names: &[String]) -> Self {
+        let endpoint = format!("tcp/127.0.0.1:{}", free_port());
+        let mut config = zenoh::Config::default();
+        config.insert_json5("listen/endpoints", &format!("[{endpoint:?}]")).unwrap();
+        config.insert_json5("scouting/multicast/enabled", "false").unwrap();
+        let bus = zenoh::open(config).wait().unwrap();
+        let (heard, stop) = (Arc::new(Mutex::new(Vec::new())), Arc::new(AtomicBool::new(false)));
+        let note = heard.clone();
+        let hear = move |sample: zenoh::sample::Sample| {
+            let document: Value = serde_json::from_slice(&sample.payload().to_bytes()).unwrap();
+            note.lock().unwrap().push((Instant::now(), document["loop"].as_str().unwrap().to_owned()));
+        };
+        bus.declare_subscriber(plane("**/estimate")).callback(hear).background().wait().unwrap();
+        let (of, names, stopped) = (bus.clone(), names.to_vec(), stop.clone());
+        let sending = std::thread::spawn(move || {
+            while !stopped.load(Ordering::Relaxed) {
+                let t_ns = SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_nanos();
+                for name in &names {
+                    for (signal, v) in [("op", 50.0), ("pv", (t_ns / 100_000_000 % 7) as f64)] {
+                        let json = format!(r#"{{"t": {t_ns}, "v": {v}}}"#);
+                        of.put(format!("{PREFIX}/{name}/{signal}"), json).wait().unwrap();
+                    }
+                }
+                std::thread::sleep(Duration::from_millis(100));
+            }
+        });
+        Self { bus, endpoint, heard, stop, sending: Some(sending) }
+    }
+
+    /// Waits until each of so many loops has had an estimate since; says when the last of them came.
+    fn estimated(&self, loops: usize, since: Instant) -> Duration {
+        wait_for("estimates of all loops", || {
+            let heard = self.heard.lock().unwrap();
+            let mut first = std::collections::BTreeMap::new();
+            heard.iter().filter(|(at, _)| *at > since).for_each(|(at, name)| {
+                first.entry(name.clone()).or_insert(*at);
+            });
+            (first.len() == loops).then(|| *first.values().max().unwrap() - since)
+        })
+    }
+}
+
+impl Drop for Plant {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+        self.sending.take().map(std::thread::JoinHandle::join);
+    }
+}
+
+#[test]
+fn a_shard_that_is_killed_and_restarted_keeps_its_alarms_and_goes_on_with_its_windows() {
+    let dir = tempfile::tempdir().unwrap();
+    let part = Shard::new(1, 2).unwrap();
+    let names: Vec<String> = (0..40).map(|k| format!("FIC{k}")).filter(|name| part.owns(name)).collect();
+    let plant = Plant::start(&names);
+    let extra = "[daemon]\nid = \"plant-1\"\n[shard]\nindex = 1\ncount = 2\n[window]\nhop_s = 1.0\nlateness_s = 0.2\n\
+                 [recording]\nflush_s = 0.1\n";
+    let start = || Daemon::start_on(dir.path(), extra, Some(&plant.endpoint));
+    let daemon = start();
+    plant.estimated(names.len(), Instant::now());
+    let command = |cmd: &str| ask(&plant.bus, &plane(&format!("{}/alarm?cmd={cmd};by=ann", names[0]))).unwrap();
+    assert_eq!(command("out_of_service")["state"], "out_of_service");
+    let killed = Instant::now();
+    daemon.kill();
+    let daemon = start();
+    let took = plant.estimated(names.len(), killed);
+    println!("killed and restarted: the first estimate of each of {} loops came within {took:.1?}", names.len());
+    let alarm = wait_for("the alarm", || ask(&plant.bus, &plane(&format!("{}/alarm", names[0]))).ok());
+    assert_eq!((&alarm["state"], &alarm["daemon"]), (&"out_of_service".into(), &"plant-1".into()));
+    assert_eq!(command("in_service")["state"], "normal");
+    plant.estimated(names.len(), Instant::now());
+    for file in files(&daemon.stop()).iter().filter(|f| f.extension().is_some_and(|e| e == "mcap")) {
+        ok(&["replay", file.to_str().unwrap(), "--verify"]);
+    }
 }

@@ -59,6 +59,13 @@ impl Limits {
         self.new_loops.allow(now.as_secs_f64())
     }
 
+    /// Loops whose rates it holds.
+    #[cfg(test)]
+    #[must_use]
+    pub fn count(&self) -> usize {
+        self.rates.iter().flatten().count()
+    }
+
     /// A loop has left the memory.
     pub fn forget(&mut self, id: LoopId) {
         if let Some(rates) = self.rates.get_mut(id.index()) {

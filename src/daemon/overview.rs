@@ -19,6 +19,8 @@ use stiction_monitor::engine::LoopFigures;
 pub const RECENT: usize = 24;
 /// Changes of alarms that stay at hand for readers that were away for a moment.
 const ALARMS_KEPT: usize = 256;
+/// Loops that have left whose names stay at hand; a reader that was away for longer gets all rows.
+const GONE_KEPT: usize = 4096;
 /// A loop is silent once no newer sample came for so long, or for so many sampling times.
 const SILENT_S: f64 = 60.0;
 const SILENT_SAMPLES: f64 = 10.0;
@@ -145,8 +147,12 @@ pub struct Newest {
 pub struct Changes {
     /// Where to go on from.
     pub version: u64,
+    /// Whether the reader was away for too long: the rows are all rows.
+    pub full: bool,
     /// Rows, by name.
     pub rows: Vec<Row>,
+    /// Loops that have left.
+    pub gone: Vec<String>,
     /// Alarms, oldest first.
     pub alarms: Vec<Arc<AlarmDocument>>,
 }
@@ -156,6 +162,10 @@ struct Loops {
     by_name: BTreeMap<Arc<str>, Entry>,
     version: u64,
     alarms: VecDeque<(u64, Arc<AlarmDocument>)>,
+    /// Loops that have left, with the version that this made.
+    gone: VecDeque<(u64, Arc<str>)>,
+    /// The last version of which they are no longer all at hand.
+    gone_after: u64,
 }
 
 impl Loops {
@@ -209,7 +219,13 @@ impl Overview {
     /// A loop has left the plant.
     pub fn forget(&self, name: &str) {
         let mut loops = self.0.write().unwrap_or_else(PoisonError::into_inner);
-        loops.by_name.remove(name);
+        let Some((name, _)) = loops.by_name.remove_entry(name) else { return };
+        loops.version += 1;
+        let gone = (loops.version, name);
+        loops.gone.push_back(gone);
+        if loops.gone.len() > GONE_KEPT {
+            loops.gone_after = loops.gone.pop_front().map_or(0, |(version, _)| version);
+        }
     }
 
     /// How a loop's data flow, by the engine's figures.
@@ -242,11 +258,15 @@ impl Overview {
     #[must_use]
     pub fn changes_after(&self, version: u64, now_ns: i64) -> Changes {
         let loops = self.0.read().unwrap_or_else(PoisonError::into_inner);
-        let rows = loops.by_name.iter().filter(|(_, e)| e.changed > version || version == 0);
+        let full = version < loops.gone_after;
+        let rows = loops.by_name.iter().filter(|(_, e)| e.changed > version || version == 0 || full);
+        let gone = loops.gone.iter().filter(|(v, name)| *v > version && !loops.by_name.contains_key(name));
         let alarms = loops.alarms.iter().filter(|(v, _)| *v > version);
         Changes {
             version: loops.version,
+            full,
             rows: rows.map(|(name, entry)| entry.row(name, now_ns)).collect(),
+            gone: gone.map(|(_, name)| name.to_string()).collect(),
             alarms: alarms.map(|(_, document)| document.clone()).collect(),
         }
     }
@@ -460,7 +480,7 @@ mod tests {
         assert!(overview.changes_after(version, 6).rows.is_empty());
         let document = AlarmDocument { active: true, state: State::Unack, ..Alarm::default().restored("A") };
         overview.alarm(&a, &place, now, &document);
-        let Changes { version: later, rows, alarms } = overview.changes_after(version, 6);
+        let Changes { version: later, rows, alarms, .. } = overview.changes_after(version, 6);
         assert_eq!((rows.len(), rows[0].ne107, rows[0].unacknowledged), (1, Some("M"), true));
         assert_eq!((alarms.len(), overview.changes_after(later, 6).alarms.len()), (1, 0));
         assert_eq!(overview.changes_after(0, 6).rows.len(), 2);
@@ -485,6 +505,26 @@ mod tests {
         writer.join().unwrap();
         assert_eq!(seen, (1..=ALARMS_KEPT as i64).collect::<Vec<_>>());
         assert_eq!((overview.alarm_changes("A").len(), overview.alarm_changes("B").len()), (ALARMS_KEPT, 0));
+    }
+
+    #[test]
+    fn readers_are_given_the_loops_that_have_left_or_all_rows() {
+        let (overview, now, place) = (Overview::default(), Instant::now(), Place::default());
+        let show = |name: &str| overview.figures(&name.into(), &place, now, &figures(5));
+        ["A", "B", "C"].into_iter().for_each(show);
+        let at = overview.changes_after(0, 5).version;
+        ["A", "B", "D"].into_iter().for_each(|name| overview.forget(name));
+        show("B");
+        let Changes { version, full, rows, gone, .. } = overview.changes_after(at, 5);
+        assert_eq!((full, rows.len(), rows[0].name.as_str()), (false, 1, "B"));
+        assert_eq!(gone, ["A"]);
+        assert!(overview.changes_after(version, 5).gone.is_empty());
+        for k in 0..=GONE_KEPT {
+            show(&format!("L{k}"));
+            overview.forget(&format!("L{k}"));
+        }
+        let away = overview.changes_after(at, 5);
+        assert_eq!((away.full, away.rows.len()), (true, 2), "the names of all that left are no longer at hand");
     }
 
     #[test]

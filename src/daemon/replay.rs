@@ -143,6 +143,8 @@ impl Replay {
             RecordedInput::Forget => {
                 self.engine.forget(id);
                 self.places.remove(&id);
+                self.waiting.remove(&id);
+                self.gaps.remove(&id);
             }
             RecordedInput::GapCut { number, evaluations } => {
                 let waiting = self.gaps.entry(id).or_default().iter_mut();

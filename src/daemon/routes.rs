@@ -103,6 +103,13 @@ impl Routes {
         });
     }
 
+    /// Keys that it holds.
+    #[cfg(test)]
+    #[must_use]
+    pub fn count(&self) -> usize {
+        self.known.len()
+    }
+
     /// Gives a key its own share of the queue.
     pub fn learn(&self, key: &str) {
         self.shares.learn(key);

@@ -94,6 +94,13 @@ impl<J> Schedule<J> {
         self.bytes
     }
 
+    /// Loops that it holds.
+    #[cfg(test)]
+    #[must_use]
+    pub fn count(&self) -> usize {
+        self.loops.len()
+    }
+
     /// A loop of which nothing waits is gone.
     pub fn forget(&mut self, of: usize) {
         if self.loops.get(&of).is_some_and(|share| share.waiting.is_empty()) {

@@ -96,6 +96,13 @@ impl Board {
         on.then(|| Self { room: limit - named.len(), named, keys: HashMap::new() })
     }
 
+    /// Loops that it holds.
+    #[cfg(test)]
+    #[must_use]
+    pub fn count(&self) -> usize {
+        self.keys.len()
+    }
+
     /// The labels of a loop, which takes its place now if it is new.
     fn key(&mut self, series: &LoopSeries, name: &str, place: &Place) -> Option<Loop> {
         if let Some(key) = self.keys.get(name) {

@@ -285,6 +285,19 @@ impl Stage {
         (self.budget.used(), self.keeping.waiting())
     }
 
+    /// What is held of loops, by who holds it.
+    #[cfg(test)]
+    #[must_use]
+    pub fn remains(&self) -> Vec<(&'static str, usize)> {
+        self.core.remains()
+    }
+
+    /// Settings that were read again arrive.
+    #[cfg(test)]
+    pub fn settings(&self, config: Config) {
+        assert!(self.control.try_send(Incoming::Settings(Box::new(config))).is_ok());
+    }
+
     /// Names this run in its recordings.
     #[must_use]
     pub fn run_id(&self) -> &str {

@@ -321,6 +321,9 @@ fn fault_of(shard: usize) -> String {
     format!("recording s{shard}")
 }
 
+/// Topics by the loop's handle, with its name: another loop may have had the handle before.
+type Topics = BTreeMap<(u32, Kind, Option<Signal>), (Arc<str>, String)>;
+
 /// One shard's open file.
 struct Shard {
     file: Option<RecordingFile>,
@@ -334,7 +337,7 @@ struct Shard {
     /// When a new file was last asked for.
     asked: Option<Instant>,
     retry_at: Option<Instant>,
-    topics: BTreeMap<(u32, Kind, Option<Signal>), String>,
+    topics: Topics,
 }
 
 /// The end that writes.
@@ -431,7 +434,7 @@ impl Writer {
     fn write(
         &mut self,
         id: LoopId,
-        name: &str,
+        name: &Arc<str>,
         what: (Kind, Option<Signal>),
         write: impl FnOnce(&mut RecordingFile, &str) -> Result<(), WriteError>,
     ) {
@@ -439,10 +442,15 @@ impl Writer {
         let prefix = &self.run.prefix;
         let Some(shard) = self.shards.get_mut(index) else { return self.lose(1) };
         let Some(file) = &mut shard.file else { return self.lose(1) };
-        let topic = shard.topics.entry((id.index() as u32, what.0, what.1)).or_insert_with(|| match what.1 {
+        let topic_of = || match what.1 {
             Some(signal) => topic::raw(prefix, name, signal),
             None => topic::result(prefix, name, what.0),
-        });
+        };
+        let entry = shard.topics.entry((id.index() as u32, what.0, what.1));
+        let (of, topic) = entry.or_insert_with(|| (name.clone(), topic_of()));
+        if !Arc::ptr_eq(of, name) {
+            (*of, *topic) = (name.clone(), topic_of());
+        }
         match write(file, topic) {
             Ok(()) => {
                 shard.messages += 1;

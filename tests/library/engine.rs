@@ -181,7 +181,7 @@ fn a_skipped_window_says_so_and_holds_the_alarm() {
                     Event::Estimate(_, d) => gates.extend(d.assessment.gates.iter().map(|g| g.name())),
                     Event::Alarm(_, d) => panic!("{d:?}"),
                     Event::State(..) => {}
-                    Event::Gap(..) | Event::GapRequest(..) | Event::Due { .. } => panic!("{event:?}"),
+                    Event::Gap(..) | Event::GapRequest(..) => panic!("{event:?}"),
                 }
             }
         }

@@ -152,7 +152,7 @@ fn a_loop_that_left_comes_back_with_its_alarm_alone() {
     engine.push(id, samples[0], &mut Vec::new());
     assert_eq!((&**engine.name(id), engine.figures(id).windows), ("", 0));
     let again = engine.appear("FIC201").unwrap();
-    assert_ne!(again, id);
+    assert_eq!(again, id, "its handle is used again");
     assert_eq!((engine.checkpoint(again).alarm.shown(), engine.figures(again).windows), (State::Unack, 0));
     assert!(engine.bytes(again) * 3 < held, "{} of {held}", engine.bytes(again));
     let command = Command { cmd: "ack".into(), by: Some("ann".into()), why: None, for_s: None };

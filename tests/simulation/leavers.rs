@@ -80,7 +80,7 @@ fn loops_that_left_are_forgotten_and_come_back_and_replay_says_the_same() {
     let later_ns = 86_400_000_000_000;
     play(&mut stage, CALM, later_ns);
     play(&mut stage, STICKS, later_ns);
-    assert_eq!((shown(&stage, STICKS), stage.engine().appeared()), (Some(State::Acked), 5));
+    assert_eq!((shown(&stage, STICKS), stage.engine().places()), (Some(State::Acked), 2));
     stage.finish();
     drop(stage);
     let mut replay = Rerun::new(&config, Some("stage"), false);

@@ -47,7 +47,7 @@ impl Core {
     }
 
     fn command(&mut self, loop_name: &str, command: &Command) -> Result<(LoopId, AlarmDocument), CommandError> {
-        let id = self.recall(loop_name).ok_or_else(|| CommandError::UnknownLoop(loop_name.to_owned()))?;
+        let id = self.find_or_revive(loop_name).ok_or_else(|| CommandError::UnknownLoop(loop_name.to_owned()))?;
         let document = self.engine.command(id, command)?;
         self.record(id, Kind::Input, &RecordedInput::Command(command.clone()), document.changed_ns);
         self.alarm_changed(id, &document);
@@ -80,7 +80,7 @@ impl Core {
         if let Err(why) = self.desk.name(by.as_deref()) {
             return self.refuse_gap(answer, loop_name, by.as_deref(), &why);
         }
-        let Some(id) = self.recall(loop_name) else {
+        let Some(id) = self.find_or_revive(loop_name) else {
             return self.refuse_gap(
                 answer,
                 loop_name,

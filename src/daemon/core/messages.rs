@@ -27,7 +27,7 @@ impl Core {
         let now = self.clock.since(self.started);
         let route = self.routes.of(m.parcel.key(), &mut self.engine, || self.limits.new_loop(now));
         let Some((id, signal)) = self.admitted(route) else { return };
-        self.welcome();
+        self.register(id);
         let mut samples = std::mem::take(&mut self.samples);
         samples.clear();
         let fallback_ns = m.bus_ns.unwrap_or(m.arrival_ns);
@@ -78,7 +78,7 @@ impl Core {
                 self.metrics.second_source.inc();
                 continue;
             }
-            self.welcome();
+            self.register(id);
             self.take_sample(id, one.sample, m.arrival_ns);
         }
     }

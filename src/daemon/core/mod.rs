@@ -7,6 +7,8 @@ mod asked;
 mod messages;
 mod report;
 mod survey;
+#[cfg(test)]
+mod tests;
 mod windows;
 
 use std::collections::{BTreeMap, HashMap};
@@ -64,6 +66,7 @@ pub struct Core {
     schedule: Schedule<Job>,
     /// Looks at all loops, a part at a time.
     survey: survey::Survey,
+    registered: survey::Registered,
     /// Counters of payloads by codec.
     codec_counters: Vec<(&'static str, Counter)>,
     /// Messages taken.
@@ -92,7 +95,6 @@ pub struct Core {
     limits: Limits,
     /// The loop whose stamp was refused last for being ahead, and by how much it was, ns.
     ahead: Option<(LoopId, i64)>,
-    opened_shards: usize,
     codec: String,
     input_limit: usize,
     budget: Budget,
@@ -154,6 +156,7 @@ impl Core {
             input_limit: config.input.queue,
             engine: parts.engine,
             survey: survey::Survey::default(),
+            registered: survey::Registered::default(),
             codec_counters: Vec::new(),
             taken: 0,
             workers: parts.workers,
@@ -178,7 +181,6 @@ impl Core {
             losses: [0; 8],
             limits,
             ahead: None,
-            opened_shards: 0,
             warned_quality: false,
             config: parts.config,
             desk,
@@ -230,7 +232,7 @@ impl Core {
 
     /// What comes before anything is taken: the files, and a first word.
     pub fn begin(&mut self, input_waiting: usize) {
-        self.welcome();
+        self.register_all();
         self.report(input_waiting);
     }
 
@@ -317,7 +319,7 @@ impl Core {
         if let Some(recorder) = &mut self.recorder {
             recorder.record(Item::Limits { max_bytes, max_age });
         }
-        (0..self.opened_shards).for_each(|shard| self.open_shard(shard));
+        self.reopen_shards();
     }
 
     fn take_sample(&mut self, id: LoopId, sample: Sample, arrival_ns: i64) {
@@ -337,7 +339,7 @@ impl Core {
             let name = self.engine.name(id).clone();
             recorder.record(Item::Raw { id, name, sample, arrival_ns });
         }
-        self.survey.hears(id, now);
+        self.registered.hears(id, now);
         self.arrival_ns = arrival_ns;
         self.engine.push(id, sample, &mut self.events);
         self.handle_events();
@@ -459,17 +461,14 @@ impl Core {
         self.publisher.publish(Publication { key, kind, document });
     }
 
-    /// Opens the files of shards that loops have reached since the last look.
-    fn open_shards(&mut self) {
-        let needed = self.engine.appeared().div_ceil(LOOPS_PER_FILE).max(1);
-        while self.opened_shards < needed {
-            self.open_shard(self.opened_shards);
-            self.opened_shards += 1;
-        }
+    /// Begins a new file of each shard that has loops.
+    fn reopen_shards(&mut self) {
+        self.registered.shards.clone().into_iter().for_each(|shard| self.open_shard(shard));
     }
 
+    /// Begins a new file of a shard; one whose loops have left needs none.
     fn open_shard(&mut self, shard: usize) {
-        let Some(recorder) = &mut self.recorder else { return };
+        let Some(recorder) = self.recorder.as_mut().filter(|_| self.registered.shards.contains(&shard)) else { return };
         let (from, to) = (shard * LOOPS_PER_FILE, (shard + 1) * LOOPS_PER_FILE);
         let states = self.engine.ids_in(from, to).map(|id| {
             let name = self.engine.name(id);

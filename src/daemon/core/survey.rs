@@ -1,12 +1,12 @@
 //! Looks at all loops a part at a time, so that a hundred thousand of them never hold up a sample: figures, health, and
-//! who has left the plant. Welcomes those that are new or come back.
+//! who has left the plant. Registers those that are new or come back.
 
-use std::collections::HashSet;
+use std::collections::{BTreeSet, HashSet};
 use std::time::Duration;
 
 use super::{Core, to_json};
 use crate::daemon::health::LoopHealth;
-use crate::sink::recorder::{Item, LOOPS_PER_FILE};
+use crate::sink::recorder::{Item, LOOPS_PER_FILE, shard_of};
 use crate::sink::zenoh::Publication;
 use stiction::signal::align::AlignCounts;
 use stiction::units::s_from_ns;
@@ -38,16 +38,40 @@ pub(super) struct Survey {
     bytes: usize,
     /// Silent loops.
     silent: Vec<LoopId>,
-    /// When each loop was heard last, s since the start.
-    heard_s: Vec<u32>,
 }
 
-impl Survey {
-    /// A sample of a loop was taken.
-    pub(super) fn hears(&mut self, id: LoopId, now: Duration) {
-        if let Some(heard_s) = self.heard_s.get_mut(id.index()) {
-            *heard_s = seconds(now);
+/// The loops that the daemon has registered.
+#[derive(Debug, Default)]
+pub(super) struct Registered {
+    /// When each loop was heard last, s since the start, by the handle's place; `None` where there is no loop.
+    heard_s: Vec<Option<u32>>,
+    /// Shards of the recording that have a file: those with loops, and the first one until loops come.
+    pub shards: BTreeSet<usize>,
+}
+
+impl Registered {
+    /// A loop is new, or a sample of it was taken; says whether it is new.
+    pub(super) fn hears(&mut self, id: LoopId, now: Duration) -> bool {
+        if self.heard_s.len() <= id.index() {
+            self.heard_s.resize(id.index() + 1, None);
         }
+        self.heard_s[id.index()].replace(seconds(now)).is_none()
+    }
+
+    fn heard_s(&self, id: LoopId) -> Option<u32> {
+        self.heard_s.get(id.index()).copied().flatten()
+    }
+
+    fn forget(&mut self, id: LoopId) {
+        if let Some(heard_s) = self.heard_s.get_mut(id.index()) {
+            *heard_s = None;
+        }
+    }
+
+    /// Loops that it holds.
+    #[cfg(test)]
+    pub(super) fn count(&self) -> usize {
+        self.heard_s.iter().flatten().count()
     }
 }
 
@@ -56,43 +80,47 @@ fn seconds(now: Duration) -> u32 {
 }
 
 impl Core {
-    /// Opens files for loops that have appeared since the last look, and begins to listen to them.
-    pub(super) fn welcome(&mut self) {
-        if self.survey.heard_s.len() == self.engine.appeared() && self.opened_shards > 0 {
+    /// Registers the loops that are there at the start, and opens their files.
+    pub(super) fn register_all(&mut self) {
+        let now = self.clock.since(self.started);
+        for id in self.engine.ids() {
+            self.registered.hears(id, now);
+            self.registered.shards.insert(shard_of(id));
+        }
+        self.registered.shards.insert(0);
+        self.reopen_shards();
+    }
+
+    /// Registers a loop if it is new: its file is opened, or knows its alarm.
+    pub(super) fn register(&mut self, id: LoopId) {
+        if self.registered.heard_s(id).is_some() {
             return;
         }
-        // The first files begin with the states of all loops that are there already.
-        let begins = self.opened_shards == 0;
-        self.open_shards();
-        let now_s = seconds(self.clock.since(self.started));
-        let from = if begins { self.engine.appeared() } else { self.survey.heard_s.len() };
-        for id in self.engine.ids_in(from, self.engine.appeared()) {
-            let state = self.engine.checkpoint(id);
-            if state.alarm.shown() != State::Normal {
-                // It came back with its alarm: a replay of this file must know it too.
-                let document = StateDocument::new(self.engine.name(id), None, state);
-                self.record(id, Kind::State, &document, 0);
-            }
+        self.registered.hears(id, self.clock.since(self.started));
+        let shard = shard_of(id);
+        if self.registered.shards.insert(shard) {
+            return self.open_shard(shard);
         }
-        self.survey.heard_s.resize(self.engine.appeared(), now_s);
+        let state = self.engine.checkpoint(id);
+        if state.alarm.shown() != State::Normal {
+            // It came back with its alarm: a replay of this file must know it too.
+            let document = StateDocument::new(self.engine.name(id), None, state);
+            self.record(id, Kind::State, &document, 0);
+        }
     }
 
     /// The handle of a loop, which comes back if it was forgotten with an alarm.
-    pub(super) fn recall(&mut self, name: &str) -> Option<LoopId> {
-        let left = self.engine.has_left(name);
-        let id = if left { self.engine.appear(name) } else { self.engine.find(name) };
-        if left {
-            self.welcome();
-        }
-        id
+    pub(super) fn find_or_revive(&mut self, name: &str) -> Option<LoopId> {
+        let id = if self.engine.has_left(name) { self.engine.appear(name) } else { self.engine.find(name) };
+        id.inspect(|id| self.register(*id))
     }
 
     /// Looks at every loop where there are few; many are looked at by [`Core::tend`].
     pub(super) fn survey_few(&mut self, health_parts: usize) {
-        if self.engine.appeared() > FEW {
+        if self.engine.places() > FEW {
             return;
         }
-        let all = self.engine.appeared();
+        let all = self.engine.places();
         self.look_at(0, all);
         self.end_round();
         self.publish_health(all.div_ceil(health_parts).max(1));
@@ -100,7 +128,7 @@ impl Core {
 
     /// Looks at the next part of many loops.
     pub(super) fn tend(&mut self) {
-        let all = self.engine.appeared();
+        let all = self.engine.places();
         if all <= FEW {
             return;
         }
@@ -130,7 +158,7 @@ impl Core {
             if let Some(overview) = &self.overview {
                 overview.figures(name, place, now, &figures);
             }
-            let heard_s = self.survey.heard_s.get(id.index()).copied().map_or(now_s, f64::from);
+            let heard_s = self.registered.heard_s(id).map_or(now_s, f64::from);
             if may_forget && now_s - heard_s > forget_after_s && self.survey.silent.len() < FORGET_AT_ONCE {
                 self.survey.silent.push(id);
             }
@@ -145,7 +173,7 @@ impl Core {
     }
 
     fn publish_health(&mut self, slice: usize) {
-        let (all, from, now_ns) = (self.engine.appeared(), self.survey.next_health, self.clock.now_ns());
+        let (all, from, now_ns) = (self.engine.places(), self.survey.next_health, self.clock.now_ns());
         for id in self.engine.ids_in(from, from + slice) {
             let health = LoopHealth::new(self.engine.name(id), &self.daemon_id, &self.engine.figures(id), now_ns);
             self.publish(id, Kind::Health, to_json(&health));
@@ -186,6 +214,7 @@ impl Core {
             }
             self.schedule.forget(id.index());
             self.limits.forget(id);
+            self.registered.forget(id);
             self.ahead = self.ahead.filter(|(of, _)| *of != id);
         }
         if gone.is_empty() {
@@ -197,14 +226,13 @@ impl Core {
         self.close_empty_shards(&gone);
     }
 
-    /// Files of which every loop has left are finished, and no new ones follow.
+    /// Files of which every loop has left are finished; the next one follows with the next loop.
     fn close_empty_shards(&mut self, gone: &HashSet<LoopId>) {
-        let shards: HashSet<usize> = gone.iter().map(|id| id.index() / LOOPS_PER_FILE).collect();
-        for shard in shards {
+        for shard in gone.iter().map(|id| shard_of(*id)).collect::<BTreeSet<usize>>() {
             let (from, to) = (shard * LOOPS_PER_FILE, (shard + 1) * LOOPS_PER_FILE);
-            let is_full = self.engine.appeared() >= to;
-            if let Some(recorder) = self.recorder.as_mut().filter(|_| is_full)
-                && self.engine.ids_in(from, to).len() == 0
+            if self.engine.ids_in(from, to).len() == 0
+                && self.registered.shards.remove(&shard)
+                && let Some(recorder) = &mut self.recorder
             {
                 recorder.record(Item::Close { shard });
             }

@@ -126,18 +126,20 @@ impl Watch {
             self.ready.push_back(event("site", &site_of(&self.live, self.token)));
         }
         self.count = self.count.wrapping_add(1);
-        let Changes { version, rows, mut alarms } = self.live.overview.changes_after(self.version, now);
+        let Changes { version, full, rows, mut gone, mut alarms } = self.live.overview.changes_after(self.version, now);
+        self.full |= full;
         if self.full {
-            // Who comes new has the alarms from the list.
+            // Who comes new has the alarms from the list, and no row of a loop that has left.
             alarms.clear();
+            gone.clear();
         }
-        if rows.is_empty() && std::mem::take(&mut self.full) {
-            let none = json!({"now_ms": ms_from_ns(now), "full": true, "loops": [], "gone": []});
-            self.ready.push_back(event("loops", &none));
+        let mut parts: Vec<_> = rows.chunks(ROWS_AT_ONCE).collect();
+        if parts.is_empty() && (self.full || !gone.is_empty()) {
+            parts.push(&[]);
         }
-        for part in rows.chunks(ROWS_AT_ONCE) {
-            let full = std::mem::take(&mut self.full);
-            let rows = json!({"now_ms": ms_from_ns(now), "full": full, "loops": part, "gone": []});
+        for part in parts {
+            let (full, gone) = (std::mem::take(&mut self.full), std::mem::take(&mut gone));
+            let rows = json!({"now_ms": ms_from_ns(now), "full": full, "loops": part, "gone": gone});
             self.ready.push_back(event("loops", &rows));
         }
         self.ready.extend(alarms.iter().map(|document| event("alarm", document.as_ref())));

@@ -13,7 +13,7 @@ mod looper;
 mod settings;
 mod windowing;
 
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
@@ -36,7 +36,7 @@ pub use windowing::{longest, section, windows};
 pub struct LoopId(u32);
 
 impl LoopId {
-    /// Position in the order in which loops appeared.
+    /// Its place among the loops; a loop that comes after another has left may get the other's.
     #[must_use]
     pub const fn index(self) -> usize {
         self.0 as usize
@@ -144,6 +144,8 @@ pub struct Engine {
     /// By handle; none where a loop was forgotten.
     loops: Vec<Option<Box<Loop>>>,
     by_name: HashMap<Arc<str>, LoopId>,
+    /// Handles of loops that were forgotten: the next loops get them.
+    free: BTreeSet<LoopId>,
     /// Alarms of forgotten loops that are not at rest, for when these come back.
     left: HashMap<Arc<str>, Checkpoint>,
     /// Stands in for a loop that was forgotten: whoever still has its handle finds nothing.
@@ -155,8 +157,8 @@ impl Engine {
     #[must_use]
     pub fn new(settings: EngineSettings) -> Self {
         let nobody = Box::new(Loop::new("".into(), settings.common[0].clone()));
-        let (loops, by_name, left) = (Vec::new(), HashMap::new(), HashMap::new());
-        Self { settings, loops, by_name, left, nobody }
+        let (loops, by_name, free, left) = (Vec::new(), HashMap::new(), BTreeSet::new(), HashMap::new());
+        Self { settings, loops, by_name, free, left, nobody }
     }
 
     fn of(&self, id: LoopId) -> &Loop {
@@ -173,12 +175,12 @@ impl Engine {
         &self.settings.config_hash
     }
 
-    /// Every loop's handle, in order of appearance.
+    /// Every loop's handle.
     pub fn ids(&self) -> impl ExactSizeIterator<Item = LoopId> + use<> {
         self.ids_in(0, self.loops.len())
     }
 
-    /// The handles of loops that appeared from this place in the order of appearance up to that one.
+    /// The handles of loops from this place up to that one.
     pub fn ids_in(&self, from: usize, to: usize) -> impl ExactSizeIterator<Item = LoopId> + use<> {
         let to = to.min(self.loops.len());
         let there = (from.min(to)..to).filter(|index| self.loops[*index].is_some());
@@ -191,9 +193,9 @@ impl Engine {
         self.by_name.len()
     }
 
-    /// Loops that have ever appeared: one more than the last handle's place.
+    /// Places of loops, free ones included: one more than the greatest handle's.
     #[must_use]
-    pub const fn appeared(&self) -> usize {
+    pub const fn places(&self) -> usize {
         self.loops.len()
     }
 
@@ -221,13 +223,16 @@ impl Engine {
             return None;
         }
         let settings = own.remove(name).map_or_else(|| common[LoopKind::of_tag(name) as usize].clone(), Arc::new);
-        let id = LoopId(self.loops.len() as u32);
+        let id = self.free.pop_first().unwrap_or(LoopId(self.loops.len() as u32));
         let name: Arc<str> = name.into();
         let mut new = Loop::new(name.clone(), settings);
         if let Some(memory) = self.left.remove(&name) {
             (new.alarm, new.gap) = (memory.alarm, memory.gap);
         }
-        self.loops.push(Some(Box::new(new)));
+        match self.loops.get_mut(id.index()) {
+            Some(place) => *place = Some(Box::new(new)),
+            None => self.loops.push(Some(Box::new(new))),
+        }
         self.by_name.insert(name, id);
         Some(id)
     }
@@ -243,7 +248,8 @@ impl Engine {
         self.of_mut(id).push(id, sample, out);
     }
 
-    /// Lets a loop that has left the plant leave the memory; says whether it did. One that something waits for stays.
+    /// Lets a loop that has left the plant leave the memory; says whether it did. One that something waits for stays. The
+    /// handle goes to the next loop that appears: whoever kept it must forget it too.
     /// An alarm that is not at rest is kept, and the loop has it again when it comes back; all else begins anew. The
     /// recording must hold it as an input.
     pub fn forget(&mut self, id: LoopId) -> bool {
@@ -253,6 +259,7 @@ impl Engine {
         let Some(gone) = self.loops.get_mut(id.index()).and_then(Option::take) else { return false };
         let Loop { name, settings, alarm, gap, .. } = *gone;
         self.by_name.remove(&name);
+        self.free.insert(id);
         if !self.settings.common.iter().any(|common| Arc::ptr_eq(common, &settings)) {
             self.settings.own.insert(name.to_string(), (*settings).clone());
         }

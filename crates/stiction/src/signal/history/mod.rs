@@ -334,7 +334,7 @@ impl History {
         raw.push(p, limit + 1);
         self.total += 1;
         if raw.op.len() > limit {
-            // After a resumption the first point may be half of a box whose other half is not held: it goes.
+            // After a resumption the first point may be half of a bin whose other half is not stored: it is dropped.
             let odd = raw.first % 2 == 1;
             if let (Some(a), false) = (raw.pop_front(), odd)
                 && let Some(b) = raw.pop_front()
