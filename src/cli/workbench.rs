@@ -24,7 +24,7 @@ use stictiond::web::workbench::{OPTIONS, ReadingWords, Workbench, alone};
   stictiond workbench recordings/sticking.mcap
   stictiond workbench exports/ --tz Europe/Berlin --listen 8090 --no-open
 
-Ctrl-C ends it. Uploaded files lie in a folder of their own until then.")]
+Ctrl-C ends it. Uploaded files are in a temporary folder until then.")]
 pub struct Args {
     /// Tables, exports, recordings (.mcap), compact stores (.mat); folders and patterns of them too. More can be opened
     /// in the page.

@@ -19,6 +19,7 @@ mod daemon_gap;
 mod exports;
 mod failover;
 mod golden;
+mod language;
 mod pages;
 mod recordings;
 mod shipped;
