@@ -14,6 +14,7 @@ use crate::{StictionError, refused};
 use stiction::gap::model_file::ModelFile;
 use stiction::ident::surface::solve;
 use stiction::record::Sample;
+use stiction::verdict::action::Action;
 use stiction::verdict::{AssessParams, lets_go, words};
 use stiction_monitor::analysis::solver::{self, SolverDocument};
 use stiction_monitor::analysis::{self, Answer, Cut, Estimated, Points, Scored, Section, text};
@@ -87,7 +88,7 @@ pub fn said(answer: &Answer, op_range: Option<[f64; 2]>, notes: &[String]) -> St
     let said = json!({
         "words": words::headline(a), "sureness": words::sureness(a), "reasons": words::evidence(a),
         "size": words::size(a, op_range), "unknowns": words::unknowns(a, op_range),
-        "proposal": words::proposal(a), "text": text::answer(answer), "notes": notes, "s0": answer.s0,
+        "proposal": words::proposal(a).or_else(|| Action::of(a).map(|action| action.words())), "text": text::answer(answer), "notes": notes, "s0": answer.s0,
     });
     said.to_string()
 }

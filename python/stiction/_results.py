@@ -105,11 +105,11 @@ class Assessment:
     size: str | None
     """The size in a sentence."""
     reasons: tuple[tuple[str, float], ...]
-    """What speaks for (above 0) and against, strongest first, logits."""
+    """The evidence as facts, strongest first, each with its log-odds: above 0 it points to sticking."""
     unknowns: tuple[str, ...]
     """What the record does not determine."""
     proposal: str | None
-    """A bump test that would settle it."""
+    """The bump test that would settle it, a numbered step a line, or why none is proposed and what to do instead."""
     notes: tuple[str, ...]
     """Treatment of the rows: skipped, sorted."""
     _document: str = field(repr=False)

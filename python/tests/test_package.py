@@ -104,7 +104,7 @@ def test_the_example_draws_its_pictures(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     pictures = {picture.name: picture.stat().st_size for picture in (tmp_path / "pictures").iterdir()}
     assert set(pictures) == {"op-pv.png", "phase.png", "sizes.png", "gap.png"} and min(pictures.values()) > 5_000
-    assert "stiction (the valve sticks and slips)" in done.stdout
+    assert "stiction: the valve sticks and slips" in done.stdout
 
 
 def test_types_hold_strictly(tmp_path: Path) -> None:

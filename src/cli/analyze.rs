@@ -70,6 +70,9 @@ pub struct Args {
     /// A solver to compare with.
     #[command(flatten)]
     pub solver: SolverArgs,
+    /// Print the log-odds behind the probability too, indicator by indicator.
+    #[arg(long)]
+    pub explain: bool,
     /// Write a report too: a page that opens offline (.html), or its pictures alone (.svg).
     #[arg(long, value_name = "FILE")]
     pub report: Option<PathBuf>,
@@ -137,7 +140,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     };
     let units = args.reading.units(&args.input)?;
     stop::watch();
-    let mut desk = Desk { format, report, summary: Summary::default(), table: true, done: 0 };
+    let mut desk = Desk { format, report, summary: Summary::default(), table: true, explain: args.explain, done: 0 };
     let data_loss = match &units[..] {
         [one] => one_file(args, one, &mut desk)?,
         _ => files(args, &units, &mut desk)?,
@@ -156,8 +159,10 @@ struct Desk {
     format: Format,
     report: Option<ReportFile>,
     summary: Summary,
-    /// Whether one table stands for the loops' own pages of text.
+    /// Whether one table replaces the text of each loop.
     table: bool,
+    /// Whether the log-odds are printed.
+    explain: bool,
     done: usize,
 }
 
@@ -172,6 +177,7 @@ impl Desk {
         self.done += 1;
         match self.format {
             Format::Json => say(serde_json::to_string(&answer)?)?,
+            Format::Text if !self.table && self.explain => say(text::explained(&answer))?,
             Format::Text if !self.table => say(text::answer(&answer))?,
             Format::Text => {}
         }

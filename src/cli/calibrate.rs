@@ -24,7 +24,8 @@ use stiction_lab::truth::{Half, verdict_case};
 #[command(after_help = "Examples:
   stictiond calibrate --loops 2000 --features figures.jsonl
   stictiond calibrate --features figures.jsonl --labelled labelled/INDEX.csv --out rule.json
-  stictiond calibrate --intervals 40 --out interval.json")]
+  stictiond calibrate --intervals 40 --out interval.json
+  stictiond calibrate --bump-test 200 --seed 7000")]
 pub struct Args {
     /// Simulated loops in each half: one to fit, one to report.
     #[arg(long, default_value_t = 1000)]
@@ -53,6 +54,10 @@ pub struct Args {
     /// Instead of the classifier, measure how wide the intervals of s, j, fs and fd must be, on this many loops per regime.
     #[arg(long, value_name = "LOOPS", conflicts_with_all = ["labelled", "features", "names"])]
     pub intervals: Option<u64>,
+    /// Instead of the rule, carries out so many bump tests as estimates propose them on simulated valves that stick, each
+    /// again on a valve without friction, and prints how well the band is read.
+    #[arg(long, value_name = "TESTS", conflicts_with_all = ["labelled", "features", "names", "intervals", "out"])]
+    pub bump_test: Option<u64>,
     /// Output file for the classifier (or interval widths), JSON.
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
@@ -86,6 +91,9 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     }
     if let Some(loops) = args.intervals {
         return super::calibrate_intervals::run(loops, args.seed, args.out.as_deref(), format);
+    }
+    if let Some(tests) = args.bump_test {
+        return super::calibrate_bump_test::run(tests, args.seed, format);
     }
     if args.weight.is_nan() || args.weight < 0.0 || args.ridge.is_nan() || args.ridge < 0.0 {
         return Err(UsageError("--weight and --ridge must be 0 or more".to_owned()).into());

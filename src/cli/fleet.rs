@@ -1,7 +1,7 @@
 //! Many loops at once: each by its line in one table, instead of a page of text.
 
 use stiction::units::{duration, format_rfc3339, optional as number, probability};
-use stiction::verdict::Verdict;
+use stiction::verdict::{Assessment, Verdict, words};
 use stiction_monitor::analysis::Answer;
 
 /// Loops from which text gives the table alone.
@@ -14,7 +14,7 @@ struct Row {
     verdict: &'static str,
     sticks: bool,
     p: Option<f64>,
-    s: Option<f64>,
+    s: String,
     s_interval: Option<[f64; 2]>,
     period_s: Option<f64>,
     grade: String,
@@ -29,6 +29,17 @@ pub(super) struct Summary {
     failed: usize,
 }
 
+/// s, a lower bound where the estimate reaches its own; `not seen` where no stiction was found.
+fn size(a: &Assessment) -> String {
+    match a.stiction {
+        Some(false) => "not seen".to_owned(),
+        Some(true) if words::at_bound(a) => {
+            format!("at least {}", number(a.s_interval.map(|[low, _]| low).or(a.s)))
+        }
+        _ => number(a.s),
+    }
+}
+
 impl Summary {
     /// Takes one answer.
     pub(super) fn add(&mut self, answer: &Answer) {
@@ -38,8 +49,8 @@ impl Summary {
             verdict: a.verdict.name(),
             sticks: matches!(a.verdict, Verdict::Stiction | Verdict::Deadband),
             p: a.p_stiction,
-            s: a.s.filter(|_| a.stiction != Some(false)),
-            s_interval: a.s_interval,
+            s: size(a),
+            s_interval: a.s_interval.filter(|_| a.stiction == Some(true)),
             period_s: a.oscillation.period_s,
             grade: a.grade.map_or_else(|| "-".to_owned(), |g| g.to_string()),
             gates: a.gates.iter().map(|g| g.name()).collect::<Vec<_>>().join(" "),
@@ -59,7 +70,7 @@ impl Summary {
         let head = ("loop", "verdict", "p", "s", "s 90 %", "period", "grade", "until");
         let (name, verdict, p, s, range, period, grade, end) = head;
         let mut lines = vec![format!(
-            "{name:width$}  {verdict:14}  {p:>6}  {s:>8}  {range:>16}  {period:>9}  {grade:5}  {end:20}  gates"
+            "{name:width$}  {verdict:14}  {p:>6}  {s:>13}  {range:>16}  {period:>9}  {grade:5}  {end:20}  gates"
         )];
         for r in &self.rows {
             let range = r
@@ -67,10 +78,10 @@ impl Summary {
                 .map_or_else(|| "-".to_owned(), |[a, b]| format!("{} to {}", number(Some(a)), number(Some(b))));
             let name: String = r.name.chars().take(width).collect();
             let line = format!(
-                "{name:width$}  {:14}  {:>6}  {:>8}  {range:>16}  {:>9}  {:5}  {:20}  {}",
+                "{name:width$}  {:14}  {:>6}  {:>13}  {range:>16}  {:>9}  {:5}  {:20}  {}",
                 r.verdict,
                 r.p.map_or_else(|| "-".to_owned(), probability),
-                number(r.s),
+                r.s,
                 r.period_s.map_or_else(|| "-".to_owned(), duration),
                 r.grade,
                 r.end,
@@ -80,7 +91,7 @@ impl Summary {
         }
         let sticking = self.rows.iter().filter(|r| r.sticks).count();
         let failed = if self.failed > 0 { format!(", {} not analysed", self.failed) } else { String::new() };
-        lines.push(format!("{} loops, {sticking} sticking{failed}", self.rows.len()));
+        lines.push(format!("{} loops, stiction found in {sticking}{failed}", self.rows.len()));
         lines.join("\n")
     }
 }

@@ -6,6 +6,7 @@ pub mod bench;
 pub mod bridge;
 mod browser;
 pub mod calibrate;
+mod calibrate_bump_test;
 mod calibrate_intervals;
 pub mod challenge;
 pub mod check;

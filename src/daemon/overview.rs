@@ -36,6 +36,9 @@ pub struct Recent {
     pub p: Option<f64>,
     /// Dead band plus stick band, OP units; null where nothing was fitted.
     pub s: Option<f64>,
+    /// What it says.
+    #[serde(skip)]
+    pub verdict: Verdict,
 }
 
 /// One loop in a list of all.
@@ -60,6 +63,8 @@ pub struct Row {
     pub grade: Option<char>,
     pub s: Option<f64>,
     pub s_interval: Option<[f64; 2]>,
+    /// Whether s or its interval reaches its bound, OP's span: then s is at least the interval's lower end.
+    pub s_at_least: bool,
     pub region: Option<Region>,
     pub strength_by_span: Option<Size>,
     pub severity_by_range: Option<Size>,
@@ -195,7 +200,12 @@ impl Overview {
             if entry.recent.len() == RECENT {
                 entry.recent.pop_front();
             }
-            entry.recent.push_back(Recent { t_ms: ms_from_ns(a.window.end_ns), p: a.p_stiction, s: a.s });
+            entry.recent.push_back(Recent {
+                t_ms: ms_from_ns(a.window.end_ns),
+                p: a.p_stiction,
+                s: a.s,
+                verdict: a.verdict,
+            });
             entry.estimate = Some(document);
         });
     }
@@ -366,6 +376,7 @@ impl Entry {
             grade: a.and_then(|a| a.grade),
             s: a.and_then(|a| a.s),
             s_interval: a.and_then(|a| a.s_interval),
+            s_at_least: a.is_some_and(words::at_bound),
             region: a.and_then(|a| a.region),
             strength_by_span: a.and_then(|a| a.strength_by_span),
             severity_by_range: a.and_then(|a| a.severity_by_range),
@@ -402,7 +413,7 @@ impl Entry {
             let told = if active { "stiction alarm of an earlier run; no window yet" } else { "waiting for a window" };
             return (active.then_some("M"), told.to_owned());
         };
-        let headline = words::headline(a);
+        let headline = words::claim(a);
         let has = |gates: &[Gate]| a.gates.iter().find(|g| gates.contains(g)).copied();
         if let Some(gate) = has(&[Gate::FrozenPv, Gate::FrozenOp, Gate::BadQuality]) {
             return (Some("F"), words::gate(gate).to_owned());
@@ -416,13 +427,35 @@ impl Entry {
         if has(&[Gate::Manual]).is_some() {
             return (Some("C"), "the controller is in manual".to_owned());
         }
-        match a.verdict {
+        let (shown, count, of) = settled(&self.recent, a.verdict);
+        let headline = if shown == a.verdict {
+            headline
+        } else {
+            format!("{} ({count} of the last {of} windows)", words::verdict(shown))
+        };
+        match shown {
             Verdict::Stiction | Verdict::Deadband => (Some("S"), format!("{headline}; no alarm yet")),
             Verdict::Tuning | Verdict::Disturbance => (Some("S"), headline),
             Verdict::NoStiction | Verdict::NoOscillation => (Some("ok"), headline),
             Verdict::Inconclusive => (None, a.reason.map_or(headline, words::reason)),
         }
     }
+}
+
+/// The verdict that a loop shows: the most frequent of its newest windows that gave one, the newer where two are; in how many
+/// of how many. A window that finds stiction, or gives no answer, is shown as it is.
+fn settled(recent: &VecDeque<Recent>, newest: Verdict) -> (Verdict, usize, usize) {
+    /// Windows that are looked at.
+    const WINDOWS: usize = 9;
+    if newest.stiction() != Some(false) {
+        return (newest, 1, 1);
+    }
+    let last: Vec<Verdict> =
+        recent.iter().rev().map(|w| w.verdict).filter(|v| v.stiction().is_some()).take(WINDOWS).collect();
+    let count = |v: Verdict| last.iter().filter(|other| **other == v).count();
+    // From the oldest, so that of equally frequent ones the newest is kept.
+    let shown = last.iter().rev().copied().max_by_key(|v| count(*v)).unwrap_or(newest);
+    (shown, count(shown), last.len())
 }
 
 /// How s goes over windows: their later half against their earlier one, by twice what the scatter within each explains.
@@ -553,8 +586,9 @@ mod tests {
         }
         let row = overview.row("A", 0).unwrap();
         assert_eq!((row.recent.len(), row.recent[RECENT - 1].t_ms, row.s_trend), (RECENT, 39_000.0, Some("rising")));
-        let steady: VecDeque<Recent> =
-            (0..8).map(|k| Recent { t_ms: 0.0, p: None, s: Some(3.0 + 0.1 * f64::from(k % 2)) }).collect();
+        let steady: VecDeque<Recent> = (0..8)
+            .map(|k| Recent { t_ms: 0.0, p: None, s: Some(3.0 + 0.1 * f64::from(k % 2)), verdict: Verdict::Stiction })
+            .collect();
         assert_eq!(trend(&steady), Some("steady"));
         assert_eq!(trend(&steady.iter().take(5).copied().collect()), None);
     }

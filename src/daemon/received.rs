@@ -128,6 +128,7 @@ pub fn alarm(document: &Value) -> Option<AlarmDocument> {
         return None;
     }
     Some(AlarmDocument {
+        action: None,
         schema: ALARM_SCHEMA,
         loop_name: read(d, "loop")?,
         alarm: word(d, "alarm", ["stiction"].into_iter())?,

@@ -87,7 +87,10 @@ fn section(one: &Diagnosed, k: usize, open: bool) -> Result<Markup, PlotError> {
             summary { span.name { (d.loop_name) } " " (text::answer(d)) span.soft { " p " (probability(d.cause.probability)) } }
             div id=(format!("loop-{k}")) {
                 section.card {
-                    p.headline { (text::paragraph(d)) }
+                    @let [conclusion, next, cost] = text::summary(d);
+                    p.headline { (conclusion) }
+                    p { (next) } p { (cost) }
+                    p.soft { (text::paragraph(d)) }
                     dl {
                         dt { "Gap" } dd {
                             (number(d.gap.gap)) " PV units above the noise"
@@ -103,7 +106,7 @@ fn section(one: &Diagnosed, k: usize, open: bool) -> Result<Markup, PlotError> {
                         }
                         @if let (Some(op), Some(pv)) = (d.location.op_to_mv, d.location.mv_to_pv) {
                             dt { "With MV" } dd {
-                                "OP to MV: " (number(op.unexplained_pct)) " % unexplained; MV to PV: gap " (number(pv.gap)) "."
+                                "OP to valve position: " (number(op.unexplained_pct)) " % unexplained; valve position to PV: gap " (number(pv.gap)) "."
                             }
                         }
                         @if let Some(f) = d.forward {
@@ -115,7 +118,7 @@ fn section(one: &Diagnosed, k: usize, open: bool) -> Result<Markup, PlotError> {
                         @if let Some(cycles) = &d.closed_loop { dt { "Closed loop" } dd { (text::cycles(cycles)) "." } }
                         dt { "Record" } dd {
                             (from_to(d.window.start_ns, d.window.end_ns)) ", " (d.window.samples) " samples of " (number(d.window.ts_s)) " s, "
-                            (d.evaluations) " model responses" @if d.stopped_early { ", search cut short" } "."
+                            (d.evaluations) " model responses" @if d.stopped_early { ", search ended early" } "."
                         }
                     }
                 }

@@ -10,7 +10,7 @@ use super::figures::{Figure, Subject, brief, detailed};
 use super::ink;
 use super::plot::PlotError;
 use super::{LoopReport, Report};
-use stiction::units::{duration, from_to, number, probability};
+use stiction::units::{duration, from_to, number};
 use stiction::verdict::words;
 use stiction::verdict::{Assessment, Verdict};
 
@@ -34,8 +34,8 @@ pub fn page(report: &Report) -> Result<String, PlotError> {
         @for warning in &report.warnings { p.warning { (warning) } }
         @for part in sections { (part) }
     };
-    let remark = "The same file, options and build give the same numbers. Fields are explained in \
-                  docs/verdicts.md of stictiond. Pictures are drawn from the points that were analysed; curves keep \
+    let remark = "The same file, options and build give the same numbers. docs/verdicts.md of \
+                  stictiond explains the fields. Pictures are drawn from the points that were analysed; curves keep \
                   the extremes of each pixel column.";
     Ok(whole(&title, [&report.input, &report.command], &body, remark))
 }
@@ -82,8 +82,8 @@ fn overview(report: &Report, order: &[usize]) -> Markup {
         section.card {
             h2 { "All loops" }
             p {
-                (report.loops.len()) " loops: " b { (count(Some(true))) " stick" } ", " (count(Some(false))) " do not, "
-                (count(None)) " cannot be told. Sorted by probability, then by s."
+                (report.loops.len()) " loops: stiction found in " b { (count(Some(true))) } ", not seen in " (count(Some(false)))
+                ", no verdict for " (count(None)) ". Sorted by probability, then by s."
             }
             @if report.loops.iter().any(|l| l.detail.is_none() && l.document.assessment.s.is_some()) {
                 p.soft { "Loops further down are shown in short; --report-all draws every loop in full, --loop one of them." }
@@ -102,11 +102,12 @@ fn overview(report: &Report, order: &[usize]) -> Markup {
                             tr {
                                 td.name { a href=(format!("#loop-{k}")) { (one.document.loop_name) } }
                                 td { (badge(a.verdict)) }
-                                td.number { (a.p_stiction.map_or_else(|| "-".to_owned(), probability)) }
+                                td.number { (words::seen(a)) }
                                 td.more { @if let Some(grade) = a.grade { (grade) } }
-                                td.number { (optional(a.s)) }
-                                td.number.more { @if let Some([low, high]) = a.s_interval { (number(low)) " to " (number(high)) } }
-                                td.number.more { (optional(one.percent())) }
+                                @let sized = a.stiction == Some(true);
+                                td.number { @if words::at_bound(a) && sized { "at least " (least(a)) } @else { (optional(a.s.filter(|_| sized))) } }
+                                td.number.more { @if let Some([low, high]) = a.s_interval.filter(|_| sized) { (number(low)) " to " (number(high)) } }
+                                td.number.more { (optional(one.percent().filter(|_| sized))) }
                                 td.number.more { (optional(a.oscillation.period_s)) }
                                 td.more { (a.gates.iter().map(|g| g.name()).collect::<Vec<_>>().join(", ")) }
                             }
@@ -116,6 +117,11 @@ fn overview(report: &Report, order: &[usize]) -> Markup {
             }
         }
     }
+}
+
+/// The least size that a 90 % interval leaves possible.
+fn least(a: &Assessment) -> String {
+    optional(a.s_interval.map(|[low, _]| low).or(a.s))
 }
 
 pub(super) fn optional(value: Option<f64>) -> String {
@@ -147,8 +153,10 @@ fn section(one: &LoopReport, k: usize, open: bool) -> Result<Markup, PlotError> 
         details.loop open[open] {
             summary {
                 span.name { (one.document.loop_name) } " " (badge(a.verdict))
-                @if let Some(p) = a.p_stiction { span.soft { " p " (probability(p)) } }
-                @if let Some(s) = a.s { span.soft { " s " (number(s)) } }
+                span.soft { " " (words::seen(a)) }
+                @if let Some(s) = a.s.filter(|_| a.stiction == Some(true)) {
+                    span.soft { " s " @if words::at_bound(a) { "at least " (least(a)) } @else { (number(s)) } }
+                }
             }
             div id=(format!("loop-{k}")) {
                 (summary(one, a))
@@ -176,29 +184,24 @@ fn summary(one: &LoopReport, a: &Assessment) -> Markup {
     let w = &a.window;
     let evidence = words::evidence(a);
     let unknown = words::unknowns(a, one.op_range);
-    let bump = words::proposal(a).filter(|_| a.stiction == Some(true));
+    let bump = words::bump_test(a);
     html! {
         section.card {
-            p.headline { (badge(a.verdict)) " " (capital(&words::headline(a))) "." }
+            p.headline { (badge(a.verdict)) " " (words::capital(&words::headline(a))) "." }
             dl {
-                @if let Some(size) = words::size(a, one.op_range).filter(|_| a.stiction.is_some()) {
-                    dt { "Size" } dd { (size) "." }
+                @if let Some(size) = words::size(a, one.op_range).filter(|_| a.stiction == Some(true)) {
+                    dt { "Size" } dd { (words::capital(&size)) "." }
                 }
                 dt { "How sure" } dd { (words::sureness(a)) }
-                dt { "What to do" } dd {
-                    (words::advice(a.verdict))
-                    @if !a.contributing.is_empty() {
-                        " Besides: " (a.contributing.iter().map(|v| words::beside(*v)).collect::<Vec<_>>().join("; ")) "."
-                    }
+                dt { "What to do" } dd { (words::advice(a)) }
+                @if !bump.is_empty() {
+                    dt { "Bump test" } dd { ol { @for step in &bump { li { (step) } } } }
                 }
-                @if let Some(test) = bump { dt { "Bump test" } dd { (test) } }
                 @if !evidence.is_empty() {
-                    dt { "Evidence" } dd { ul { @for (text, logits) in &evidence {
-                        li { (text) span.soft { " (" (format!("{logits:+.1}")) ")" } }
-                    } } }
+                    dt { "Evidence" } dd { ul { @for (text, _) in &evidence { li { (text) "." } } } }
                 }
                 @if !unknown.is_empty() {
-                    dt { "Not known" } dd { ul { @for text in &unknown { li { (text) } } } }
+                    dt { "Not known" } dd { ul { @for text in &unknown { li { (words::capital(text)) "." } } } }
                 }
                 dt { "Record" } dd {
                     (from_to(w.start_ns, w.end_ns)) ", " (w.samples) " samples of "
@@ -212,11 +215,6 @@ fn summary(one: &LoopReport, a: &Assessment) -> Markup {
             }
         }
     }
-}
-
-fn capital(text: &str) -> String {
-    let mut letters = text.chars();
-    letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
 }
 
 /// The whole document as a table, absent numbers too.

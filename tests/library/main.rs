@@ -14,3 +14,4 @@ mod language;
 mod pages;
 mod promises;
 mod tidy;
+mod verdict_texts;

@@ -12,9 +12,9 @@ from daemon import eventually
 # What the demo simulates: the tile that a loop ends up as, and the chip that its verdict counts under.
 TRUTH = {
     "FIC101": ("maintenance required", "sticks"),
-    "TIC102": ("in order", "steady"),
+    "TIC102": ("OK", "steady"),
     "PIC103": ("out of specification", "tuning"),
-    "FIC104": ("out of specification", "disturbance"),
+    "FIC104": ("out of specification", "disturbed"),
 }
 VIEWS = {"overview": "", "loop": "#/loop/FIC101", "alarms": "#/alarms", "workbench": "#/workbench"}
 WIDTHS = (390, 820, 1400)

@@ -9,12 +9,14 @@
 //! | [`fixture`] | loops that a test writes down |
 //! | [`challenge`] | recordings with one withheld cause each, their sealed truth, the scorer |
 //! | [`methods`] | published methods of detection, one file each |
+//! | [`bump_test`] | the bump test that an estimate proposes, carried out on simulated valves |
 //! | [`calibrate`] | the rule behind `p_stiction`, leaving out valve by valve |
 //! | [`calibrate_gap`] | how sure the gap's decision is |
 //! | [`calibrate_intervals`] | how wide intervals have to be |
 
 #![cfg_attr(test, allow(clippy::disallowed_methods, clippy::disallowed_types))]
 
+pub mod bump_test;
 pub mod calibrate;
 pub mod calibrate_gap;
 pub mod calibrate_intervals;

@@ -78,12 +78,11 @@ fn answer(a: &Assessment) -> Vec<String> {
     };
     let mut lines = vec![words::sureness(a), format!("{window}{period}.")];
     lines.extend(words::size(a, None).map(|size| format!("Size: {size}.")));
-    lines.extend(a.contributing.iter().map(|v| format!("Also: {}.", words::beside(*v))));
     lines.extend(words::disbelief(a).map(|text| format!("Note: {text}.")));
-    lines.push(format!("What to do: {}", words::advice(a.verdict)));
+    lines.push(format!("What to do: {}", words::advice(a)));
+    lines.extend(words::bump_test(a).iter().enumerate().map(|(k, step)| format!("  {}. {step}", k + 1)));
     lines.extend(a.gates.iter().map(|gate| format!("Gate {}: {}.", gate.name(), words::gate(*gate))));
-    let told = words::evidence(a);
-    lines.extend(told.into_iter().map(|(text, logits)| format!("  {logits:+.1}  {text}")));
+    lines.extend(words::evidence(a).into_iter().map(|(text, _)| format!("  {text}.")));
     lines
 }
 

@@ -49,13 +49,13 @@ struct Detail {
 struct Words {
     /// The verdict.
     verdict: String,
-    /// How sure it is, and what is not known.
+    /// How sure it is, the evidence, and why numbers are missing.
     why: Vec<String>,
-    /// How much it sticks, where it does.
+    /// How much it sticks, where stiction was found.
     size: Option<String>,
     /// What to do.
     what_to_do: Option<String>,
-    /// A test that would settle it.
+    /// The bump test that would settle it, a numbered step a line; null where none is proposed, which `what_to_do` explains.
     test: Option<String>,
     /// Gates of the newest window.
     gates: Vec<Explained>,
@@ -135,14 +135,14 @@ fn words_of(a: &Assessment, op_range: Option<[f64; 2]>) -> Words {
     let mut indicators: Vec<_> = a.indicators.iter().filter(|i| i.contribution != 0.0).collect();
     indicators.sort_by(|x, y| y.contribution.abs().total_cmp(&x.contribution.abs()));
     let mut why = vec![words::sureness(a)];
-    why.extend(a.contributing.iter().map(|v| words::beside(*v).to_owned()));
+    why.extend(words::evidence(a).into_iter().map(|(text, _)| text));
     why.extend(words::disbelief(a));
     Words {
         verdict: words::headline(a),
         why,
         size: words::size(a, op_range),
-        what_to_do: Some(words::advice(a.verdict).to_owned()),
-        test: words::proposal(a).filter(|_| a.stiction == Some(true)),
+        what_to_do: Some(words::advice(a)),
+        test: words::proposal(a),
         gates: a.gates.iter().map(|g| Explained { name: g.name(), words: words::gate(*g) }).collect(),
         indicators: indicators
             .into_iter()

@@ -1,7 +1,7 @@
 // The overview's answer in a sentence: is anything wrong, where to begin, how sure, what to do.
 
 import * as format from "./format.js";
-import { neOf, opUnit, severity } from "./words.js";
+import { neOf, opUnit, seen, severity, sizeOf } from "./words.js";
 
 /** `{ state, words, first: row or null, more: [sentences] }` for these rows. */
 export function headline(rows, site) {
@@ -14,10 +14,10 @@ export function headline(rows, site) {
   const soon = rows.filter((r) => neOf(r) === "S" && r.stiction).sort((a, b) => severity(b) - severity(a));
   const all = format.count(rows.length, "valve");
   const more = [];
-  let words = `None of ${all} needs maintenance.`;
+  let words = `No stiction alarm in ${all}.`;
   if (need.length === 1) words = `1 of ${all} needs maintenance: ${need[0].name}.`;
   if (need.length > 1) words = `${need.length} of ${all} need maintenance; ${need[0].name} first.`;
-  if (rows.length === 1 && !need.length) words = `The valve of ${rows[0].name} needs no maintenance.`;
+  if (rows.length === 1 && !need.length) words = `No stiction alarm for ${rows[0].name}.`;
   const first = need[0] ?? null;
   if (first) more.push(`${first.name}: ${evidence(first)}`);
   const waiting = need.filter((r) => r.unacknowledged).length;
@@ -31,10 +31,11 @@ export function headline(rows, site) {
   return { state: need.length ? "act" : soon.length || of("F").length ? "watch" : "good", words, first, more };
 }
 
-/** What speaks for a loop's verdict, in one line. */
+/** A loop's status with its figures, in one line. */
 export function evidence(row) {
   const parts = [row.status];
-  if (row.s !== null && row.s !== undefined) parts.push(`s ${format.estimate(row.s, row.s_interval, opUnit(row))}`);
-  if (row.p_stiction !== null && row.p_stiction !== undefined) parts.push(`probability of stiction ${format.probability(row.p_stiction)}`);
+  const size = sizeOf(row, opUnit(row));
+  if (size) parts.push(`s ${size}`);
+  if (row.p_stiction !== null && row.p_stiction !== undefined) parts.push(seen(row.p_stiction, row.stiction));
   return `${parts.join(", ")}.`;
 }

@@ -5,7 +5,7 @@ import { buttons } from "./actions.js";
 import { fill, h, prose } from "./dom.js";
 import * as format from "./format.js";
 import { store } from "./store.js";
-import { GRADES, NE107, STATES, VERDICTS, neOf, opUnit, plain, symbol, verdictOf } from "./words.js";
+import { GRADES, NE107, STATES, VERDICTS, neOf, opUnit, plain, seen, sizeOf, symbol, verdictOf } from "./words.js";
 
 const fact = (term, ...value) => h("div", null, h("dt", null, term), h("dd", null, value));
 
@@ -15,23 +15,23 @@ function facts(row, estimate) {
   const level = Math.round((estimate.interval_level ?? 0.9) * 100);
   const band = (key) => format.estimate(estimate[key], estimate[`${key}_interval`], unit);
   const list = [];
-  if (estimate.p_stiction !== null) list.push(fact("Probability of stiction", format.probability(estimate.p_stiction)));
+  if (estimate.p_stiction !== null) list.push(fact("Stiction", seen(estimate.p_stiction, estimate.stiction)));
   if (estimate.grade) list.push(fact("Grade", GRADES[estimate.grade] ? GRADES[estimate.grade].replace("grade ", "") : estimate.grade));
-  if (estimate.s !== null) list.push(fact([h("i", null, "s"), " dead band plus stick band"], band("s")), fact([h("i", null, "j"), " slip jump"], estimate.j_identifiable === false ? `${band("j")}, not identifiable` : band("j")), fact([h("i", null, "fs"), " static band"], band("fs")), fact([h("i", null, "fd"), " kinetic band"], band("fd")));
+  if (estimate.s !== null && estimate.stiction !== false) list.push(fact([h("i", null, "s"), " dead band plus stick band"], sizeOf(estimate, unit) ?? band("s")), fact([h("i", null, "j"), " slip jump"], estimate.j_identifiable === false ? `${band("j")}, not identifiable` : band("j")), fact([h("i", null, "fs"), " static band"], band("fs")), fact([h("i", null, "fd"), " kinetic band"], band("fd")));
   if (estimate.stiction_index !== null) list.push(fact("Stiction index", format.number(estimate.stiction_index)));
-  const size = [estimate.severity_by_range && `${estimate.severity_by_range} (of travel)`, estimate.strength_by_span && `${estimate.strength_by_span} (of OP’s span)`].filter(Boolean);
-  if (size.length && estimate.stiction) list.push(fact("Size", size.join(", ")));
-  if (estimate.s_detectable !== null && estimate.s_detectable !== undefined) list.push(fact("Would have been seen from", `${format.number(estimate.s_detectable)} ${unit}`));
+  const size = estimate.severity_by_range ? `${estimate.severity_by_range} (of travel)` : estimate.strength_by_span ? `${estimate.strength_by_span} (of OP’s span)` : null;
+  if (size && estimate.stiction) list.push(fact("Size", size));
+  if (estimate.s_detectable !== null && estimate.s_detectable !== undefined) list.push(fact("Detection limit of s", `${format.number(estimate.s_detectable)} ${unit}`));
   if (estimate.oscillation?.period_s) list.push(fact("Period", `${format.duration(estimate.oscillation.period_s)}, ${format.number(estimate.oscillation.periods)} in the window`));
   const w = estimate.window;
   list.push(fact("Window", `${format.recent(format.millis(w.start))} to ${format.recent(format.millis(w.end))}, every ${format.duration(w.ts_s)}`));
-  return h("div", null, h("dl", { class: "facts" }, list), estimate.s === null ? null : h("p", { class: "soft small" }, `Brackets hold ${level} % intervals.`));
+  return h("div", null, h("dl", { class: "facts" }, list), estimate.s === null ? null : h("p", { class: "soft small" }, `${level} % intervals in brackets.`));
 }
 
 function todo(words, alarm) {
   const text = words?.what_to_do ?? (alarm?.active ? alarm.what_to_do : null);
   if (!text) return null;
-  return h("div", { class: "todo" }, h("p", null, h("b", null, "What to do: "), prose(format.sentence(text))), words?.test ? h("p", null, h("b", null, "Test: "), format.sentence(words.test)) : null);
+  return h("div", { class: "todo" }, h("p", null, h("b", null, "What to do: "), prose(format.sentence(text))), words?.test ? h("details", { class: "test" }, h("summary", null, "Bump test"), h("ol", null, words.test.split("\n").map((step) => h("li", null, step.replace(/^\d+\. /, ""))))) : null);
 }
 
 // The verdict's own sentence, where it says more than the title, and the size.

@@ -26,9 +26,9 @@ export function repair(root, loop) {
       ["Reversals a day", "reversals_per_day", ""],
     ];
   };
-  // A range that reaches far beyond what the loop does now says nothing.
+  // A range far beyond what the loop does now has no meaning.
   const vague = (item, now) => now && item.interval[1] > 3 * Math.max(now.value, item.value);
-  const cell = (item, now) => figureCell(!item ? ["–", ""] : vague(item, now) ? ["cannot be told", ""] : format.parts(item.value, item.interval));
+  const cell = (item, now) => figureCell(!item ? ["–", ""] : vague(item, now) ? ["not known", ""] : format.parts(item.value, item.interval));
   const show = (answer) => fill(root,
     answer.sentences.map((t) => h("p", { class: "lead" }, t)),
     h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Benefit of a repair, table" }, h("table", { class: "table" },
@@ -36,7 +36,7 @@ export function repair(root, loop) {
       h("thead", null, h("tr", null, h("td", null), CASES.map(([, words]) => h("th", { scope: "col", class: "number" }, words)))),
       h("tbody", null, rows().map(([words, key, unit]) => h("tr", null, h("th", { scope: "row" }, words, unit ? h("span", { class: "soft" }, `, ${unit}`) : null), CASES.map(([id]) => cell(answer[id]?.[key], id === "now" ? null : answer.now[key])))),
         h("tr", null, h("th", { scope: "row" }, "Oscillates"), CASES.map(([id]) => h("td", { class: "number" }, oscillates(answer[id]?.oscillates))))))),
-    answer.assumptions?.length ? h("details", null, h("summary", null, "What this takes for granted"), h("ul", null, answer.assumptions.map((t) => h("li", null, t)))) : null);
+    answer.assumptions?.length ? h("details", null, h("summary", null, "Assumptions"), h("ul", null, answer.assumptions.map((t) => h("li", null, t)))) : null);
   const part = loading(root, () => api.get(loop.path("/repair")), show, { lines: 5, calm_ms: CALM_MS });
   let window = null;
   // Each window has its own answer; one without a fit has none, and is not asked.

@@ -16,13 +16,13 @@ function indicators(list, estimate) {
   if (!list.length) return null;
   const most = Math.max(...list.map((i) => Math.abs(i.contribution ?? 0)), 1e-9);
   const sorted = [...list].sort((a, b) => Math.abs(b.contribution ?? 0) - Math.abs(a.contribution ?? 0));
-  const vote = (i) => (i.vote === null || !i.contribution ? "no say" : i.vote ? "for stiction" : "against");
+  const vote = (i) => (i.vote === null || !i.contribution ? "not used" : i.vote ? "to sticking" : "away from it");
   const rows = sorted.map((i) => h("tr", null, h("th", { scope: "row" }, plain(i.name), h("small", { class: "soft asks" }, format.sentence(i.words))), h("td", { class: "number" }, format.number(i.score)), h("td", { class: "nowrap says" }, vote(i)), h("td", { class: "number" }, signed(i.contribution ?? 0)), h("td", null, bar(i.contribution ?? 0, most))));
   const { base, logit } = estimate?.explanation ?? {};
-  const sum = logit === undefined ? null : h("p", { class: "soft" }, `The contributions are log odds. They start from ${signed(base)} and add up to ${signed(logit)}, which is the probability ${format.probability(estimate.p_stiction)}. `, estimate.explanation.cuts ? `From ${format.probability(estimate.explanation.cuts.called)} on a window is called sticking, from ${format.probability(estimate.explanation.cuts.alarm)} on it counts towards an alarm.` : "");
-  return [h("h3", null, "Indicators"), h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Indicators" }, h("table", { class: "table indicators" },
-    h("thead", null, h("tr", null, h("th", { scope: "col" }, "indicator"), h("th", { scope: "col", class: "number" }, "score"), h("th", { scope: "col", class: "says" }, "says"), h("th", { scope: "col", class: "number" }, "log odds"), h("td", null))),
-    h("tbody", null, rows))), sum];
+  const sum = logit === undefined ? null : h("p", { class: "soft" }, `The contributions are log-odds. They start from ${signed(base)} and add up to ${signed(logit)}, which is the probability ${format.probability(estimate.p_stiction)}. `, estimate.explanation.cuts ? `Decision threshold ${format.probability(estimate.explanation.cuts.called)}; a window counts towards an alarm at ${format.probability(estimate.explanation.cuts.alarm)} or more.` : "");
+  return h("details", null, h("summary", null, "Indicators and log-odds"), h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Indicators" }, h("table", { class: "table indicators" },
+    h("thead", null, h("tr", null, h("th", { scope: "col" }, "indicator"), h("th", { scope: "col", class: "number" }, "score"), h("th", { scope: "col", class: "says" }, "points"), h("th", { scope: "col", class: "number" }, "log odds"), h("td", null))),
+    h("tbody", null, rows))), sum);
 }
 
 function model(e, row) {
@@ -52,7 +52,7 @@ export function why(root, loop) {
     }
     fill(root,
       words.why.length ? h("ul", { class: "reasons" }, words.why.map((t) => h("li", null, format.sentence(t)))) : null,
-      words.gates.length ? [h("h3", null, "Limits of this window"), h("ul", null, words.gates.map((g) => h("li", null, h("b", null, plain(g.name)), ": ", format.sentence(g.words))))] : h("p", { class: "soft" }, "No gate limits this window."),
+      words.gates.length ? [h("h3", null, "Limits of this window"), h("ul", null, words.gates.map((g) => h("li", null, h("b", null, plain(g.name)), ": ", format.sentence(g.words))))] : h("p", { class: "soft" }, "No validity check limits this window."),
       indicators(words.indicators ?? [], estimate),
       model(estimate, row));
   });

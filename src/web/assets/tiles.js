@@ -4,7 +4,7 @@
 import { fill, h } from "./dom.js";
 import * as format from "./format.js";
 import { spark } from "./spark.js";
-import { NE107, neOf, opUnit, symbol } from "./words.js";
+import { NE107, neOf, opUnit, seen, sizeOf, symbol } from "./words.js";
 
 /** Tiles of a block; every number of columns up to six divides it. */
 const BLOCK = 60;
@@ -15,8 +15,8 @@ const TREND = { rising: "↗", falling: "↘", steady: "→" };
 
 function numbers(row) {
   if (row.p_stiction === null) return h("span", { class: "soft" }, row.gates.length ? "no numbers from this window" : " ");
-  const s = row.s === null ? null : h("span", null, h("i", null, "s"), ` ${format.estimate(row.s, row.s_interval, row.op_unit ?? "OP")}`);
-  return [h("span", null, h("i", null, "p"), ` ${format.probability(row.p_stiction)}`), s];
+  const size = sizeOf(row, row.op_unit ?? "OP");
+  return [h("span", null, seen(row.p_stiction, row.stiction)), size ? h("span", null, h("i", null, "s"), ` ${size}`) : null];
 }
 
 function inside(row) {
@@ -30,7 +30,7 @@ function inside(row) {
     h("span", { class: "tile-words", title: row.status, ...seen }, row.status),
     h("span", { class: "tile-numbers", ...seen }, numbers(row)),
     h("span", { class: "tile-foot", ...seen }, spark(row.recent ?? []),
-      row.s_trend ? h("span", { class: `trend ${row.s_trend}`, title: `s is ${row.s_trend}` }, TREND[row.s_trend]) : null,
+      row.s_trend && row.stiction ? h("span", { class: `trend ${row.s_trend}`, title: `s is ${row.s_trend}` }, TREND[row.s_trend]) : null,
       h("span", { class: `age${row.silent ? " old" : ""}` }, ageWords(row))),
   ];
 }
@@ -46,8 +46,9 @@ function ageWords(row) {
 function spoken(row) {
   const parts = [row.name, NE107[neOf(row)].name, row.status];
   if (row.unacknowledged) parts.push("alarm unacknowledged");
-  if (row.p_stiction !== null) parts.push(`probability of stiction ${format.probability(row.p_stiction)}`);
-  if (row.s !== null) parts.push(`s ${format.estimate(row.s, row.s_interval, opUnit(row))}${row.s_trend ? `, ${row.s_trend}` : ""}`);
+  if (row.p_stiction !== null) parts.push(`stiction ${seen(row.p_stiction, row.stiction)}`);
+  const size = sizeOf(row, opUnit(row));
+  if (size) parts.push(`s ${size}${row.s_trend ? `, ${row.s_trend}` : ""}`);
   if (row.grade) parts.push(`grade ${row.grade}`);
   return parts.join(", ");
 }

@@ -1,17 +1,10 @@
 // The words of the page: verdicts, NE 107, alarm states, gates, and the order of what matters.
 
 import { svg } from "./dom.js";
+import { estimate, number, probability } from "./format.js";
+import { VERDICTS as LISTED } from "./verdicts.js";
 
-export const VERDICTS = {
-  stiction: { short: "sticks", words: "The valve sticks and slips" },
-  deadband: { short: "dead band", words: "The valve has a dead band" },
-  disturbance: { short: "disturbance", words: "The loop is disturbed from outside" },
-  tuning: { short: "tuning", words: "The controller's own settings make the loop oscillate" },
-  no_stiction: { short: "valve follows", words: "The loop oscillates; the valve follows its signal" },
-  no_oscillation: { short: "steady", words: "The loop is steady and no stiction shows" },
-  inconclusive: { short: "cannot answer", words: "This window cannot answer" },
-  none: { short: "no window yet", words: "No window yet" },
-};
+export const VERDICTS = { ...LISTED, none: { short: "no window yet", words: "no window yet" } };
 
 export const verdictOf = (row) => row.verdict ?? "none";
 
@@ -21,8 +14,8 @@ export const NE107 = {
   F: { name: "failure of the signal", says: "signal frozen, bad or missing" },
   S: { name: "out of specification", says: "oscillates, or sticks without an alarm yet" },
   C: { name: "function check", says: "in manual or out of service" },
-  none: { name: "no window yet", says: "still collecting" },
-  ok: { name: "in order", says: "nothing to do" },
+  none: { name: "no window yet", says: "collecting a first window" },
+  ok: { name: "OK", says: "no sign of stiction found" },
 };
 
 export const neOf = (row) => row.ne107 ?? "none";
@@ -36,7 +29,7 @@ const SHAPES = {
   none: [["circle", { cx: 12, cy: 12, r: 9.5 }], 0],
 };
 
-/** The symbol: a shape of its own for every status, with its letter; beside it always stands a word. */
+/** The symbol: a shape of its own for every status, with its letter; a word is always beside it. */
 export function symbol(key, size = 22) {
   const [[tag, props], baseline] = SHAPES[key] ?? SHAPES.none;
   const inner = [svg(tag, { ...props, class: "shape" })];
@@ -69,7 +62,7 @@ export const EVENTS = {
   unsuppressed: "no longer suppressed",
   out_of_service: "taken out of service",
   in_service: "back in service",
-  restored: "told again after a restart",
+  restored: "repeated after a restart",
 };
 
 export const PRIORITIES = ["urgent", "high", "medium", "low"];
@@ -92,20 +85,20 @@ const GATES = {
   too_few_periods: "too few periods",
   too_coarse: "sampled too coarsely",
   setpoint_steps: "set point moved",
-  quantised: "coarse steps in the signal",
+  quantised: "coarse resolution",
   compressed: "compressed history",
   irregular: "uneven sampling",
-  excursion: "an excursion was cut out",
+  excursion: "a single event left out",
 };
 
 /** A name with underscores as words; what is not known is shown as it is. */
 export const plain = (name) => GATES[name] ?? String(name ?? "").replaceAll("_", " ");
 
-/** What the fit may be trusted for. */
+/** How far an answer may be trusted. */
 export const GRADES = {
   A: "grade A: very good",
   B: "grade B: good",
-  C: "grade C: an answer with reservations",
+  C: "grade C: with reservations",
   D: "grade D: no answer",
 };
 
@@ -122,3 +115,20 @@ export function severity(row) {
 
 /** Unit of s. */
 export const opUnit = (row) => row?.op_unit ?? "OP units";
+
+/** The probability as it is shown: below the decision threshold "not seen", with the figure behind it. */
+export const seen = (p, stiction) => (stiction === false ? `not seen (p ${probability(p)})` : `p ${probability(p)}`);
+
+/** s of a loop or estimate whose valve sticks; a lower bound where the estimate reaches its own; null otherwise. */
+export function sizeOf(found, unit) {
+  if (found.stiction !== true || found.s === null || found.s === undefined) return null;
+  if (atBound(found)) return `at least ${number(found.s_interval?.[0] ?? found.s)} ${unit}`;
+  return estimate(found.s, found.s_interval, unit);
+}
+
+// Where the estimate or its interval ends at OP's span, s was not measured upwards; rows of lists say so themselves.
+function atBound(found) {
+  if (found.s_at_least !== undefined) return found.s_at_least;
+  const span = found.s_over_span ? found.s / found.s_over_span : Infinity;
+  return Math.max(found.s, found.s_interval?.[1] ?? 0) >= 0.999 * span;
+}

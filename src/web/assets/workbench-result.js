@@ -1,21 +1,14 @@
 // What a run found: plain words, numbers with intervals, pictures; first and second order side by side.
 
+import { VERDICTS } from "./verdicts.js";
+
 const NAMES = { fopdt: "First order", sopdt: "Second order", auto: "Order chosen by the fit" };
 
-const VERDICTS = {
-  stiction: ["bad", "Stiction"],
-  deadband: ["bad", "Deadband"],
-  disturbance: ["other", "Disturbance"],
-  tuning: ["other", "Tuning"],
-  no_oscillation: ["good", "No oscillation"],
-  no_stiction: ["good", "No stiction"],
-  inconclusive: ["open", "Inconclusive"],
-};
+const KINDS = { stiction: "bad", deadband: "bad", disturbance: "other", tuning: "other", no_oscillation: "good", no_stiction: "good" };
 
 /** A verdict as a badge with its word; never colour alone. */
 export function badge(h, verdict) {
-  const [kind, words] = VERDICTS[verdict] ?? ["open", verdict ?? "No answer"];
-  return h("span", { class: `wb-badge ${kind}` }, words);
+  return h("span", { class: `wb-badge ${KINDS[verdict] ?? "open"}` }, VERDICTS[verdict]?.short ?? verdict ?? "no answer");
 }
 
 /** Sections of a job's results, each with its runs. */
@@ -37,13 +30,13 @@ function rows(format, units) {
   const n = format.number;
   const process = (d, of) => (d.process ? of(d.process) : "–");
   return [
-    ["Probability of sticking", "p", (d) => format.probability(d.p_stiction)],
+    ["Stiction", "p", (d) => (d.stiction === false ? `not seen (p ${format.probability(d.p_stiction)})` : format.probability(d.p_stiction))],
     ["Grade", "A surest, D no answer", (d) => d.grade ?? "–"],
     ["Deadband + stickband, s", "fs + fd", (d) => interval(format, d.s, d.s_interval, op)],
-    ["Slip jump, j", "fs − fd", (d) => (d.j_identifiable === false ? `${interval(format, d.j, d.j_interval, op)}, not told from the gain` : interval(format, d.j, d.j_interval, op))],
+    ["Slip jump, j", "fs − fd", (d) => (d.j_identifiable === false ? `${interval(format, d.j, d.j_interval, op)}, not identifiable` : interval(format, d.j, d.j_interval, op))],
     ["Static band, fs", "", (d) => interval(format, d.fs, d.fs_interval, op)],
     ["Kinetic band, fd", "", (d) => interval(format, d.fd, d.fd_interval, op)],
-    ["Size against OP's span", "", (d) => (d.s_over_span === null ? "–" : `${n(100 * d.s_over_span)} % (${d.strength_by_span ?? "–"})`)],
+    ["s over OP's span", "", (d) => (d.s_over_span === null ? "–" : `${n(100 * d.s_over_span)} %`)],
     ["Stiction index", "share of the error that friction explains", (d) => n(d.stiction_index)],
     ["Period", "", (d) => (d.oscillation.period_s === null ? "–" : `${format.duration(d.oscillation.period_s)}, ${n(d.oscillation.periods)} of them`)],
     ["Fit", "share of PV's deviation, free run", (d) => process(d, (p) => `${n(p.fit_pct)} %`)],

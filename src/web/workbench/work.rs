@@ -313,14 +313,12 @@ fn pictures(result: usize, figures: Vec<Figure>, order: Option<u8>) -> Vec<Drawn
 /// An estimate as a report puts it.
 fn in_words(a: &Assessment, op_range: Option<[f64; 2]>) -> Vec<Said> {
     let mut said = vec![Said { about: "Verdict", text: words::headline(a) }];
-    if let Some(size) = words::size(a, op_range).filter(|_| a.stiction.is_some()) {
+    if let Some(size) = words::size(a, op_range).filter(|_| a.stiction == Some(true)) {
         said.push(Said { about: "Size", text: size });
     }
     said.push(Said { about: "How sure", text: words::sureness(a) });
-    said.push(Said { about: "What to do", text: words::advice(a.verdict).to_owned() });
-    if let Some(test) = words::proposal(a).filter(|_| a.stiction == Some(true)) {
-        said.push(Said { about: "Bump test", text: test });
-    }
+    said.push(Said { about: "What to do", text: words::advice(a) });
+    said.extend(words::bump_test(a).into_iter().map(|text| Said { about: "Bump test", text }));
     said.extend(words::unknowns(a, op_range).into_iter().map(|text| Said { about: "Not known", text }));
     said
 }

@@ -6,6 +6,7 @@ use crate::labelled;
 
 use stiction::record::Record;
 use stiction::units::LoopKind;
+use stiction::verdict::bump_test::{PV_SPANS, SHIFT_S, bump_test};
 use stiction::verdict::words;
 use stiction::verdict::{AssessParams, Assessment, assess};
 
@@ -35,10 +36,24 @@ fn nonsense(a: &Assessment, record: &Record, kind: &str) -> Vec<String> {
     add(a.s.is_some_and(|s| s > 1.001 * op_span), format!("s {:?} of a span of {op_span}", a.s));
     let day = a.oscillation.period_s.is_some_and(|p| (0.9..1.1).contains(&(p / 86_400.0)));
     add(a.stiction == Some(true) && day, "a valve with a daily cycle".to_owned());
-    if let Some(t) = words::bump_test(a).filter(|t| words::too_much(a, t).is_none()) {
-        add(t.total_s > 8.0 * 3_600.0, format!("a test of {} s", t.total_s));
-        add(t.pv_move > 1.001 * pv_span, format!("a test that moves PV by {}", t.pv_move));
+    if let Ok(t) = bump_test(a) {
+        add(t.total_s > SHIFT_S, format!("a test of {} s", t.total_s));
+        add(
+            t.travel_pv.max(t.limit_pv) > 1.001 * PV_SPANS * pv_span,
+            format!("a test that moves PV by {}", t.travel_pv),
+        );
     }
+    let told = format!("{} {} {}", words::headline(a), words::advice(a), words::size(a, None).unwrap_or_default());
+    add(told.contains("by the bump test") && told.contains("No bump test"), format!("contradictory advice: {told}"));
+    add(
+        a.stiction == Some(true) && words::at_bound(a) && !told.contains("at least "),
+        format!("a bound as a value: {told}"),
+    );
+    add(a.stiction != Some(true) && !words::bump_test(a).is_empty(), "a test without a finding".to_owned());
+    let well = a.stiction == Some(false) && !told.contains("no sign of stiction");
+    add(well, format!("a negative result without its limit: {told}"));
+    let below = matches!(a.grade, Some('B' | 'C')) && !told.contains("(grade ");
+    add(below, format!("a grade without its reservation: {told}"));
     if a.stiction == Some(false) {
         for interval in [a.s_interval, a.fs_interval, a.fd_interval, a.j_interval].into_iter().flatten() {
             add(interval[0] > 0.0, format!("no stiction, but an interval {interval:?}"));

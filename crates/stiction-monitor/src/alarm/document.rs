@@ -6,7 +6,8 @@ use stiction::ident::region::Size;
 use super::{Priority, State};
 use crate::hash::short_hash;
 use stiction::units::format_rfc3339;
-use stiction::verdict::{Assessment, Verdict};
+use stiction::verdict::Assessment;
+use stiction::verdict::action::Action;
 
 /// Schema name of an alarm.
 pub const ALARM_SCHEMA: &str = "stictiond.alarm.v2";
@@ -211,6 +212,9 @@ pub struct AlarmDocument {
     /// Figures of the newest window that could answer.
     #[serde(flatten)]
     pub figures: Figures,
+    /// What to do by the newest window that found stiction; written out in `what_to_do`.
+    #[serde(skip)]
+    pub action: Option<Action>,
     /// What raised the condition, in words; stays until the alarm is at rest again, whatever people do.
     pub why: Option<String>,
     /// What to do about it, while active.
@@ -242,8 +246,8 @@ impl AlarmDocument {
         let priority =
             self.active.then(|| Priority::of(self.class, place.criticality.unwrap_or(Priority::CRITICALITY)));
         let unit = place.op_unit.as_deref().unwrap_or(OP_UNIT).to_owned();
-        let verdict = self.figures.verdict.as_deref();
-        let what_to_do = self.active.then(|| what_to_do(verdict, self.figures.s, &unit));
+        let what_to_do =
+            self.active.then(|| self.action.map(|action| action.alone(&unit)).or(self.what_to_do)).flatten();
         Self {
             priority,
             criticality: place.criticality,
@@ -261,20 +265,6 @@ impl AlarmDocument {
         let by = self.by.as_ref().map(|b| format!(" by {b}")).unwrap_or_default();
         format!("{}: stiction alarm {}{by} at {}: {}", self.loop_name, self.state.name(), self.changed, self.detail)
     }
-}
-
-/// What a person should do about a valve that sticks.
-fn what_to_do(verdict: Option<&str>, s: Option<f64>, unit: &str) -> String {
-    let step = s.map_or_else(|| "small steps".to_owned(), |s| format!("steps of about {:.2} {unit}", s / 4.0));
-    let look = if verdict == Some(Verdict::Deadband.name()) {
-        "look for play in linkage, coupling and positioner feedback"
-    } else {
-        "look at packing, actuator, air supply and positioner"
-    };
-    format!(
-        "With the operators' consent, controller in manual: move OP one way, then back in {step}, waiting after each. If PV \
-         answers late and by a jump, {look}. `stictiond analyze --report` draws the evidence and writes the test out."
-    )
 }
 
 /// The identity of a change of a loop's alarm: the same in a live run and its replay, another for every other change.

@@ -18,7 +18,8 @@ pub use priority::Priority;
 
 use document::{Occurrence, event_id, occurrence_id};
 use stiction::units::format_rfc3339;
-use stiction::verdict::{Assessment, Gate};
+use stiction::verdict::action::Action;
+use stiction::verdict::{Assessment, Gate, words};
 
 /// Share of the limit below which s counts towards clearing.
 const CLEAR_SHARE: f64 = 0.8;
@@ -147,6 +148,9 @@ pub struct Alarm {
     /// Size from the newest informative window.
     #[serde(default)]
     figures: Figures,
+    /// What to do, by the newest window that found stiction.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    action: Option<Action>,
     /// Data of the last command.
     #[serde(default)]
     marks: Marks,
@@ -210,11 +214,12 @@ impl Alarm {
             return None;
         }
         self.figures = Figures::of(a, s_limit(a, params));
+        self.action = Action::of(a).or(self.action);
         let [m, n] = params.raise.map(u32::from);
         let mask = u32::MAX >> (32 - n.clamp(1, 32));
         self.history_for = (self.history_for << 1 | u32::from(evidence == Evidence::For)) & mask;
         self.history_against = (self.history_against << 1 | u32::from(evidence == Evidence::Against)) & mask;
-        let class = a.severity_by_range.or(a.strength_by_span);
+        let class = words::size_class(a).map(|(class, _)| class);
         if !self.active && evidence == Evidence::For && self.history_for.count_ones() >= m {
             self.active = true;
             self.history_against = 0;
@@ -231,7 +236,7 @@ impl Alarm {
             self.history_for = 0;
             self.state = if self.state == State::Unack { State::RtnUnack } else { State::Normal };
             let shown = self.history_against.count_ones();
-            return Some((Event::Cleared, format!("{shown} of the last {n} windows show no stiction")));
+            return Some((Event::Cleared, format!("{shown} of the last {n} windows show no sign of stiction")));
         }
         self.worsened(a, class, evidence)
     }
@@ -249,7 +254,7 @@ impl Alarm {
         self.class = class;
         self.state = State::Unack;
         self.marks.acknowledged = None;
-        let why = format!("worse than before: {before} has become {now}; {}", size(a));
+        let why = format!("stiction has got worse, from {before} to {now}; {}", size(a));
         if let Some(occurrence) = &mut self.occurrence {
             occurrence.why.clone_from(&why);
         }
@@ -399,6 +404,7 @@ impl Alarm {
             class: self.class.filter(|_| self.active),
             unit: String::new(),
             figures: self.figures.clone(),
+            action: self.action,
             why: self.occurrence.as_ref().map(|o| o.why.clone()),
             what_to_do: None,
             since_ns,
@@ -423,11 +429,10 @@ impl Alarm {
     }
 }
 
-/// Size of the stiction in words.
+/// The claim and the size in words.
 fn size(a: &Assessment) -> String {
-    let number = |x: Option<f64>| x.map_or_else(|| "?".to_owned(), |v| format!("{v:.2}"));
-    let class = a.severity_by_range.or(a.strength_by_span).map_or("unclassed", Size::name);
-    format!("s = {} in OP units ({class}), stiction index {}", number(a.s), number(a.stiction_index))
+    let size = words::size(a, None).unwrap_or_else(|| "unknown size".to_owned());
+    format!("{}: {size}", words::claim(a))
 }
 
 #[cfg(test)]

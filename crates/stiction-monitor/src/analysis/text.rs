@@ -1,111 +1,141 @@
 //! Documents in words.
 
 use super::Answer;
-use stiction::ident::region::{Region, Size};
 use stiction::units::{self, duration, optional as number, significant};
-use stiction::verdict::words;
-use stiction::verdict::{Assessment, EstimateDocument};
+use stiction::verdict::action::Action;
+use stiction::verdict::{Assessment, EstimateDocument, Process, words};
 
-fn gates(a: &Assessment) -> String {
-    a.gates.iter().map(|g| g.name()).collect::<Vec<_>>().join(", ")
+/// Rows of text: a name and what it says, a name only where it changes.
+struct Rows(Vec<String>);
+
+impl Rows {
+    fn add(&mut self, name: &str, value: impl AsRef<str>) {
+        self.0.push(format!("  {name:<12} {}", value.as_ref()));
+    }
+
+    /// One name, an item a line.
+    fn list(&mut self, name: &str, items: impl IntoIterator<Item = String>) {
+        for (k, item) in items.into_iter().enumerate() {
+            self.add(if k == 0 { name } else { "" }, item);
+        }
+    }
 }
 
-/// Everything an estimate says; boxes need not hold a whole number of samples.
-fn estimate(document: &EstimateDocument, box_samples: f64) -> String {
+/// Everything an estimate says: verdict, size, confidence, action, then the numbers.
+fn estimate(document: &EstimateDocument, box_samples: f64, explain: bool) -> Rows {
     let a = &document.assessment;
+    let mut rows = Rows(vec![format!("{}: {}: {}", document.loop_name, a.verdict.name(), words::headline(a))]);
+    if let Some(size) = words::size(a, None).filter(|_| a.stiction == Some(true)) {
+        rows.add("size", size);
+    }
+    rows.add("confidence", words::sureness(a));
+    rows.list("evidence", words::evidence(a).into_iter().map(|(text, _)| text));
+    rows.add("what to do", Action::of(a).map_or_else(|| words::advice(a), |action| action.alone("OP units")));
+    rows.list("also", a.contributing.iter().map(|v| words::beside(*v).to_owned()));
+    if let Some(why) = words::disbelief(a) {
+        rows.add("no size", why);
+    }
+    rows.list("limited by", a.gates.iter().map(|g| format!("{}: {}", g.name(), words::gate(*g))));
+    if explain {
+        explanation(a, &mut rows);
+    }
+    numbers(a, box_samples, &mut rows);
+    rows
+}
+
+/// The probability as a sum of log-odds.
+fn explanation(a: &Assessment, rows: &mut Rows) {
+    let Some(e) = a.explanation else { return };
+    let said = a.indicators.iter().filter(|w| w.vote.is_some());
+    let said: Vec<String> = said.map(|w| format!("{} {:+.1}", w.name, w.contribution)).collect();
+    rows.add("log-odds", format!("{:+.1} = {:+.1} (base) with {}", e.logit, e.base, said.join(", ")));
+    let [called, alarm] = [e.cuts.called, e.cuts.alarm].map(units::number);
+    rows.add("thresholds", format!("p {called} for the verdict, p {alarm} for a window to count towards an alarm"));
+}
+
+fn numbers(a: &Assessment, box_samples: f64, rows: &mut Rows) {
     let w = &a.window;
-    let mut lines = vec![format!("{}: {} ({})", document.loop_name, a.verdict.name(), words::headline(a))];
-    let mut row = |name: &str, value: String| lines.push(format!("  {name:<12} {value}"));
-    let boxes = if box_samples > 1.0 { format!(", in boxes of {box_samples}") } else { String::new() };
+    let averaged = if box_samples > 1.0 { format!(", averaged over {box_samples}") } else { String::new() };
     let (stretch, ts) = (units::from_to(w.start_ns, w.end_ns), units::number(w.ts_s));
-    row("window", format!("{stretch}, {} samples of {ts} s{boxes}", w.samples));
+    rows.add("window", format!("{stretch}, {} samples of {ts} s{averaged}", w.samples));
     let o = &a.oscillation;
     if let (Some(period), Some(periods), Some(density)) = (o.period_s, o.periods, o.samples_per_period) {
         let kind = if o.oscillating { "regular" } else { "not regular" };
-        row(
+        rows.add(
             "oscillation",
             format!("{kind}: period {}, {periods:.1} periods, {density:.0} samples each", duration(period)),
         );
     }
-    if let Some(p) = a.p_stiction {
-        let said = a.indicators.iter().filter(|w| w.vote.is_some());
-        let said: Vec<String> = said.map(|w| format!("{} {:+.1}", w.name, w.contribution)).collect();
-        let base = a.explanation.map_or(0.0, |e| e.base);
-        let p = units::probability(p);
-        row("sticking", format!("p {p}: from {base:+.1} by {} (logits)", said.join(", ")));
-    }
-    if let Some(reason) = a.reason {
-        let row_name = if a.stiction.is_some() { "no more" } else { "no answer" };
-        row(row_name, format!("{reason}: {}", words::reason(reason)));
-    }
-    if let Some(why) = words::disbelief(a) {
-        row("no size", why);
-    }
-    if let (Some(false), Some([_, high])) = (a.stiction, a.s_interval) {
-        row("stiction", format!("s at most {} (OP units)", number(Some(high))));
-    } else if a.s.is_some() {
-        row("stiction", format!("fs {}  fd {}  (OP units)", number(a.fs), number(a.fd)));
-        row("", format!("s {}  j {}  s/span {}", number(a.s), number(a.j), number(a.s_over_span)));
-        for (name, interval) in [("s", a.s_interval), ("j", a.j_interval), ("fs", a.fs_interval), ("fd", a.fd_interval)]
-        {
-            if let Some([low, high]) = interval {
-                let seen =
-                    if name == "j" && a.j_identifiable == Some(false) { " (not seen apart from the gain)" } else { "" };
-                row("90 %", format!("{name} {} to {}{seen}", number(Some(low)), number(Some(high))));
-            }
-        }
-        let sizes = [a.strength_by_span, a.severity_by_range].map(|size| size.map(Size::name));
-        let words: Vec<&str> = [sizes[0], a.region.map(Region::name), sizes[1]].into_iter().flatten().collect();
-        row("class", words.join(", "));
+    if a.stiction != Some(false) && a.s.is_some() {
+        bands(a, rows);
     }
     if let Some(index) = a.stiction_index {
-        row("index", number(Some(index)));
+        rows.add("index", number(Some(index)));
     }
     if let Some(p) = &a.process {
-        let lags: Vec<String> = p.time_constants_s.iter().map(|t| duration(*t)).collect();
-        let lags = match lags.len() {
-            0 => "no time constant".to_owned(),
-            1 => format!("time constant {}", lags[0]),
-            _ => format!("time constants {}", lags.join(" and ")),
-        };
-        let kind = if p.integrating { "integrating" } else { "self-regulating" };
-        row(
-            "process",
-            format!(
-                "order {} {kind}: gain {}, {lags}, dead time {}, fit {:.1} %",
-                p.order,
-                units::number(p.gain),
-                duration(p.dead_time_s),
-                p.fit_pct
-            ),
-        );
+        rows.add("process", process(p));
     }
     if let Some(least) = a.s_detectable {
-        row("detectable", format!("s from {} on would have been seen", number(Some(least))));
+        rows.add("detectable", format!("s of {} OP units or more", number(Some(least))));
     }
     if let Some(c) = &a.controller {
         let action = if c.td_s > 0.0 { format!(", Td {}", duration(c.td_s)) } else { String::new() };
-        row("controller", format!("Kc {}, Ti {}{action}, R2 {:.3}", units::number(c.kc), duration(c.ti_s), c.r2));
-    }
-    if !a.contributing.is_empty() {
-        row("besides", a.contributing.iter().map(|v| v.name()).collect::<Vec<_>>().join(", "));
-    }
-    if !a.gates.is_empty() {
-        row("gates", gates(a));
+        rows.add("controller", format!("Kc {}, Ti {}{action}, R2 {:.3}", units::number(c.kc), duration(c.ti_s), c.r2));
     }
     if let Some(grade) = a.grade {
-        row("grade", grade.to_string());
+        rows.add("grade", grade.to_string());
     }
-    lines.join("\n")
+}
+
+fn bands(a: &Assessment, rows: &mut Rows) {
+    rows.add("bands", format!("fs {}  fd {}  (OP units)", number(a.fs), number(a.fd)));
+    let reached = if words::at_bound(a) { " (bound reached: at least the lower end of its interval)" } else { "" };
+    rows.add("", format!("s {}  j {}  s/span {}{reached}", number(a.s), number(a.j), number(a.s_over_span)));
+    for (name, interval) in [("s", a.s_interval), ("j", a.j_interval), ("fs", a.fs_interval), ("fd", a.fd_interval)] {
+        if let Some([low, high]) = interval {
+            let open = if name == "j" && a.j_identifiable == Some(false) { " (not identifiable)" } else { "" };
+            rows.add("90 %", format!("{name} {} to {}{open}", number(Some(low)), number(Some(high))));
+        }
+    }
+    let class = words::size_class(a).map(|(size, of)| format!("{} ({of})", size.name()));
+    let region = a.region.map(|region| region.name().replace('_', " "));
+    rows.add("class", [class, region].into_iter().flatten().collect::<Vec<_>>().join(", "));
+}
+
+fn process(p: &Process) -> String {
+    let lags: Vec<String> = p.time_constants_s.iter().map(|t| duration(*t)).collect();
+    let lags = match lags.len() {
+        0 => "no time constant".to_owned(),
+        1 => format!("time constant {}", lags[0]),
+        _ => format!("time constants {}", lags.join(" and ")),
+    };
+    let kind = if p.integrating { "integrating" } else { "self-regulating" };
+    format!(
+        "order {} {kind}: gain {}, {lags}, dead time {}, fit {:.1} %",
+        p.order,
+        units::number(p.gain),
+        duration(p.dead_time_s),
+        p.fit_pct
+    )
 }
 
 /// An estimate with what `analyze` adds: what was looked at, what was enforced, what the solver found.
 #[must_use]
 pub fn answer(answer: &Answer) -> String {
+    said(answer, false)
+}
+
+/// The same with the log-odds behind the probability.
+#[must_use]
+pub fn explained(answer: &Answer) -> String {
+    said(answer, true)
+}
+
+fn said(answer: &Answer, explain: bool) -> String {
     let averaged = answer.selection.downsample.filter(|d| !d.like_toolbox).map(|d| d.ratio);
     let box_samples = averaged.unwrap_or(answer.document.assessment.window.box_samples as f64);
-    let mut lines = vec![estimate(&answer.document, box_samples)];
-    let mut row = |name: &str, value: String| lines.push(format!("  {name:<12} {value}"));
+    let mut rows = estimate(&answer.document, box_samples, explain);
+    let mut row = |name: &str, value: String| rows.add(name, value);
     let taken = &answer.selection;
     let words = taken.section.words();
     if !words.is_empty() {
@@ -118,9 +148,9 @@ pub fn answer(answer: &Answer) -> String {
         let how = if d.like_toolbox {
             "samples dropped, as the toolbox does"
         } else {
-            "averaged, the valve law on every OP value"
+            "averaged; the valve law sees every OP value"
         };
-        let left = d.points_per_period.map_or(String::new(), |p| format!(", {p:.0} points left of a period"));
+        let left = d.points_per_period.map_or(String::new(), |p| format!(", {p:.0} points per period"));
         row("downsampled", format!("by {}: {} samples to {} points{left} ({how})", d.ratio, d.samples, d.points));
     }
     if let Some(s0) = answer.s0 {
@@ -152,17 +182,20 @@ pub fn answer(answer: &Answer) -> String {
         );
         let bound = s
             .lower_bound_mse
-            .map_or(String::new(), |b| format!("; believed bound {} (heuristic, no proof)", mean_square(b)));
+            .map_or(String::new(), |b| format!("; estimated lower bound {} (heuristic, not proven)", mean_square(b)));
         row("", stopped + &bound);
         row(
             "",
-            format!("the estimate's own bands have MSE {} there", s.estimate_mse.map_or("-".to_owned(), mean_square)),
+            format!(
+                "the estimate's own bands have MSE {} in the solver's model; use the bands above",
+                s.estimate_mse.map_or("-".to_owned(), mean_square)
+            ),
         );
     }
     if let Some(ms) = answer.document.assessment.elapsed_ms {
         row("run time", format!("{:.2} s", ms / 1e3));
     }
-    lines.join("\n")
+    rows.0.join("\n")
 }
 
 /// A mean squared error with digits enough to compare two models.

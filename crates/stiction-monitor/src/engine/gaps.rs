@@ -227,6 +227,7 @@ impl GapRequest {
         let options =
             GapOptions { base, period_points, budget_evaluations: self.budget_evaluations, ..GapOptions::default() };
         let diagnosis = gap::diagnose(&self.record, &options, executor)?;
+        diagnosis.check_base()?;
         let location = locate(&self.record, &Subject::of(&diagnosis, period_points, options.seed));
         Ok(PublishedGap {
             document: GapDocument::new(&self.loop_name, &self.record, &options.base, &diagnosis, location),

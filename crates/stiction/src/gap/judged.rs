@@ -7,8 +7,8 @@ use super::express::rms;
 use super::model::Model;
 use super::probability::{Calibration, Features};
 use super::types::{
-    Alternative, Blocks, Cause, EffectResult, Ended, Fit, Floor, Forward, NONE, NextTest, NoiseModels, Predictions,
-    Signature, Stages, UNKNOWN,
+    Alternative, Blocks, Cause, EffectResult, Ended, Fit, Floor, Forward, GapError, NONE, NextTest, NoiseModels,
+    Predictions, Signature, Stages, UNKNOWN,
 };
 
 /// All that was found.
@@ -81,6 +81,16 @@ impl Diagnosis {
         }
         again.confirm();
         again
+    }
+
+    /// Whether anything can be concluded from the base.
+    ///
+    /// # Errors
+    /// [`GapError::WorseThanMean`].
+    pub fn check_base(&self) -> Result<(), GapError> {
+        let closed = self.named().and_then(|e| e.closed_pct).unwrap_or(0.0);
+        let left = self.relative_gap * (1.0 - 0.01 * closed.max(0.0));
+        if left > 1.0 { Err(GapError::WorseThanMean { left_pct: 100.0 * self.relative_gap }) } else { Ok(()) }
     }
 
     /// The result of the named cause, single or pair.

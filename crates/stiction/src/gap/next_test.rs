@@ -9,18 +9,25 @@ use super::search::Search;
 use super::types::{NONE, NextTest, UNKNOWN};
 use crate::signal::stats;
 use crate::sim::slips::FirstSlip;
+use crate::verdict::bump_test::guard;
 
 /// Probability that is asked for.
 const WANTED: f64 = 0.95;
 /// Sizes that are tried, in bands s (or tenths of the span where nothing sticks).
 const SIZES: [f64; 8] = [1.1, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0];
+/// Holds of a test: OP up, back, down, back.
+const HOLDS: f64 = 4.0;
 /// Largest bump that is proposed, spans of OP in the record.
 const MOST: f64 = 2.0;
 
-/// The test for the two likeliest answers that can be simulated, named or not; `None` where there are no two, or no bump
-/// within what OP may be asked tells them apart.
+/// The test for the two likeliest answers that can be simulated, named or not; `None` where there are no two, where the base
+/// is worse than PV's mean, or where no bump tells them apart that OP may be asked and that keeps PV and its duration within
+/// the guard of bump tests.
 #[must_use]
 pub fn next_test(problem: &Problem, found: &Found, made: &Diagnosis) -> Option<NextTest> {
+    if made.relative_gap > 1.0 {
+        return None;
+    }
     let lane_of = |id: &str| {
         if id == NONE { Some(&found.base) } else { found.searches.iter().find(|l| l.structure.id() == id) }
     };
@@ -35,10 +42,16 @@ pub fn next_test(problem: &Problem, found: &Found, made: &Diagnosis) -> Option<N
     let noise = made.floor.noise_floor.unwrap_or(made.base.rmse) / problem.deviation;
     let settles = best.theta.lag + 3.0 * libm::exp(best.theta.log_tau).min(problem.period);
     let hold = settles.ceil() as usize + 2;
+    let duration_s = hold as f64 * problem.point_s;
+    let pv_span = stats::span(&problem.normalised.pv);
     let unit = if best.theta.s > 0.0 { best.theta.s } else { 0.1 };
     for size in SIZES.map(|s| s * unit).into_iter().filter(|size| *size <= MOST) {
         let answers = [first, second].map(|search| answer(problem, search, size, hold));
         let [Some(a), Some(b)] = answers else { continue };
+        let travel = a.iter().chain(&b).fold(0.0_f64, |most, x| most.max(x.abs()));
+        if guard(travel, pv_span, HOLDS * duration_s).is_some() {
+            return None;
+        }
         let apart: Vec<f64> = a.iter().zip(&b).map(|(x, y)| x - y).collect();
         // The better of two known courses in white noise (matched filter).
         let p = normal_below(0.5 * stats::dot(&apart, &apart).sqrt() / noise.max(1e-12));
@@ -46,7 +59,7 @@ pub fn next_test(problem: &Problem, found: &Found, made: &Diagnosis) -> Option<N
             return Some(NextTest {
                 signal: "op",
                 size: size * problem.span,
-                duration_s: hold as f64 * problem.point_s,
+                duration_s,
                 separates: [name.clone(), rival.clone()],
                 p,
             });

@@ -4,12 +4,12 @@ mod claim;
 mod effect;
 mod place;
 
-use super::document::{EffectNote, GapDocument};
+use super::document::{EffectNote, GapDocument, TestNote};
 use super::effects;
 use super::loop_run::Cycles;
 use super::sizes::percent;
 use super::types::{NONE, UNKNOWN};
-use crate::units::{number, probability};
+use crate::units::{duration, number, probability};
 use claim::Claim;
 
 /// The answer as one paragraph: where, which, how far, what it cannot be told from, what would settle it.
@@ -24,21 +24,74 @@ pub fn paragraph(d: &GapDocument) -> String {
     });
     parts.extend(beside(d));
     if let Some(test) = &d.next_test {
-        let [a, b] = &test.separates;
-        parts.push(format!(
-            "a bump of {} {} units for {} s would tell {} from {} (p {})",
-            number(test.size),
-            test.signal.to_uppercase(),
-            number(test.duration_s),
-            effect::noun(a),
-            effect::noun(b),
-            probability(test.p)
-        ));
+        parts.push(bump(test));
     }
     if d.stopped_early {
-        parts.push("the search was cut short, so a better answer may exist".to_owned());
+        parts.push("the search ended early, so a better answer may exist (--budget gives it more time)".to_owned());
     }
     sentence(&parts.join("; "))
+}
+
+/// A test by moves of OP.
+fn bump(test: &TestNote) -> String {
+    let [a, b] = &test.separates;
+    format!(
+        "step {} up by {}, back, down by the same and back, and hold each for {}: this tells {} from {} (p {})",
+        test.signal.to_uppercase(),
+        number(test.size),
+        duration(test.duration_s),
+        effect::noun(a),
+        effect::noun(b),
+        probability(test.p)
+    )
+}
+
+/// The named effect, unless it closes next to nothing: then it is a side note.
+fn leading(d: &GapDocument) -> Option<&EffectNote> {
+    d.named().filter(|e| e.closed_pct.is_none_or(|closed| closed >= claim::HARDLY))
+}
+
+/// Three lines for a planner: the valve, not the valve or unknown; what to measure next; what that costs.
+#[must_use]
+pub fn summary(d: &GapDocument) -> [String; 3] {
+    let next = match (&d.next_test, leading(d).map(|e| e.separated_by.as_str()).filter(|by| !by.is_empty())) {
+        (Some(test), _) => bump(test),
+        (None, Some(by)) => by.replace("; ", ", or "),
+        (None, None) => "the valve position beside OP and PV".to_owned(),
+    };
+    let cost = d.next_test.as_ref().map_or_else(
+        || "a measurement; the loop stays in automatic".to_owned(),
+        |test| {
+            format!("{} in manual, with OP moved by {} both ways", duration(4.0 * test.duration_s), number(test.size))
+        },
+    );
+    [conclusion(d), format!("Measure next: {next}."), format!("Cost: {cost}.")]
+}
+
+fn conclusion(d: &GapDocument) -> String {
+    let p = probability(d.cause.probability);
+    if d.cause.id == NONE {
+        return format!("No further effect: {} {} (p {p}).", base_of(d), claim::of_base(d));
+    }
+    let Some(e) = leading(d) else {
+        return match d.named() {
+            Some(e) => format!(
+                "Unknown: {} shows in the record, but closes less than a tenth of the gap.",
+                effect::noun(&e.id)
+            ),
+            None => format!("Unknown: no effect of the catalogue explains the gap (p {p})."),
+        };
+    };
+    let closed = e.closed_pct.map_or_else(String::new, |c| format!(", closes {} of the gap", claim::closed(c)));
+    let what = format!("{}{closed} (p {p})", effect::phrase(e));
+    if !d.cause.confirmed {
+        return format!("Unknown: suspected, not confirmed: {what}.");
+    }
+    match e.stage.as_str() {
+        "valve" => format!("The valve: {what}."),
+        stage if d.base.valve_model == "none" => format!("Outside the valve ({stage}): {what}."),
+        stage => format!("Outside the valve ({stage}): {what}. The base has a sticking valve; `analyze` judges that."),
+    }
 }
 
 /// Begins with a capital and ends with a full stop.
@@ -152,7 +205,7 @@ fn named(d: &GapDocument, e: &EffectNote) -> String {
         // What it cannot be told from would make as little of the gap.
         return text;
     }
-    let twins = effect::twins(e);
+    let twins = effect::twins(d, e);
     if !twins.is_empty() {
         text.push_str(&format!("; it cannot be told from {}", twins.join(" or ")));
     }
@@ -203,8 +256,8 @@ pub fn answer(d: &GapDocument) -> String {
 fn first(d: &GapDocument) -> String {
     let id = &d.cause.id;
     match d.named().map(|e| Claim::of(d, e)) {
+        Some(_) if leading(d).is_none() => format!("{UNKNOWN}; beside it {id}, next to nothing of the gap"),
         Some(Claim::Suspected) => format!("{id}, suspected"),
-        Some(Claim::Hardly) => format!("{id}, next to nothing of the gap"),
         None if !d.cause.confirmed && ![NONE, UNKNOWN].contains(&id.as_str()) => format!("{id}, suspected"),
         _ => id.clone(),
     }
@@ -224,7 +277,8 @@ pub fn report(d: &GapDocument) -> String {
         head.push_str(&format!(", with {} (p {})", second.id, probability(second.probability)));
     }
     let mut lines = vec![head];
-    lines.push(format!("  {}", paragraph(d)));
+    lines.extend(summary(d).map(|line| format!("  {line}")));
+    lines.push(format!("  In detail: {}", paragraph(d)));
     let mut row = |name: &str, value: String| lines.push(format!("  {name:<12} {value}"));
     let floor = d.gap.noise_floor.map_or("unknown".to_owned(), number);
     row(
@@ -241,7 +295,13 @@ pub fn report(d: &GapDocument) -> String {
     }
     if let Some(mv) = &d.location.mv_to_pv {
         let of_mv = d.location.op_to_mv.map_or(0.0, |o| o.unexplained_pct);
-        row("with MV", format!("OP to MV: {of_mv:.1} % unexplained; MV to PV: gap {} PV units", number(mv.gap)));
+        row(
+            "with MV",
+            format!(
+                "OP to valve position: {of_mv:.1} % unexplained; valve position to PV: gap {} PV units",
+                number(mv.gap)
+            ),
+        );
     }
     place::rows(d, &mut row);
     for (rank, e) in d.effects.iter().chain(&d.pairs).filter(|e| e.evidence > 0.0).take(5).enumerate() {

@@ -34,11 +34,8 @@ pub(super) fn sentences(told: &OverTime, history: &History<'_>) -> Vec<String> {
 
 /// Why a window whose verdict is the opposite of its stretch's contradicts it.
 pub(super) fn opposite(sticks: bool, p: f64, agree: usize, of: usize) -> String {
-    let (it, they) = if sticks { ("sticks", "does not") } else { ("does not stick", "does") };
-    format!(
-        "its verdict is that the valve {it} (p = {}), but {agree} of the {of} windows of this period find that it {they}",
-        number(p)
-    )
+    let (it, they) = if sticks { ("finds stiction", "find none") } else { ("finds no stiction", "find it") };
+    format!("it {it} (p = {}), while {agree} of the {of} windows of its time {they}", number(p))
 }
 
 /// Why a window whose size differs contradicts its stretch.
@@ -120,7 +117,7 @@ fn nothing(told: &OverTime, history: &History<'_>) -> String {
     let sticking = later.iter().filter(|p| p.sticks).count();
     let span = told.since_ns.map_or_else(String::new, |at| format!(" since {}", date(at)));
     match sticking {
-        0 => format!("Stiction found in none of {}{span}.", windows(later.len())),
+        0 => format!("No sign of stiction in {}{span}.", windows(later.len())),
         n if 2 * n < later.len() => {
             format!("Stiction found in {n} of {}{span}: too few to call the valve sticking.", windows(later.len()))
         }

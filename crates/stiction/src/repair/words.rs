@@ -1,4 +1,4 @@
-//! Sentences made from the numbers, and what was taken for granted.
+//! Sentences made from the numbers, and the assumptions.
 
 use super::plant::Known;
 use super::{Case, Figure, Repair, RepairParams};
@@ -62,7 +62,7 @@ pub(super) fn sentences(told: &Repair, a: &Assessment) -> Vec<String> {
         short(told.recorded_pv_sd)
     )];
     if a.stiction == Some(false) {
-        out.push("No stiction was found, so a repair of the valve would make no difference.".to_owned());
+        out.push("No sign of stiction was found, so the effect of a valve repair was not simulated.".to_owned());
     } else {
         out.push(effect("Without stiction", repaired, now));
         out.push(valve(repaired, now));
@@ -74,7 +74,7 @@ pub(super) fn sentences(told: &Repair, a: &Assessment) -> Vec<String> {
         }
         if repaired.oscillates == Some(true) {
             out.push(
-                "The repaired loop would still oscillate, by its tuning or a disturbance from outside: retune it, too."
+                "The repaired loop would still oscillate, because of its tuning or an external disturbance: review the tuning too."
                     .to_owned(),
             );
         }
@@ -95,7 +95,7 @@ fn effect(lead: &str, case: &Case, now: &Case) -> String {
         Change::Less => format!("{would}: {high} to {low} % less."),
         Change::More => format!("{would}: {low} to {high} % more."),
         Change::Hardly => format!("{would}: hardly a difference."),
-        Change::Unknown => format!("{would}: whether that is less or more cannot be told."),
+        Change::Unknown => format!("{would}: whether that is less or more is not known."),
     }
 }
 
@@ -105,22 +105,22 @@ fn valve(case: &Case, now: &Case) -> String {
     let told = |of: fn(&Case) -> Figure| format!("{} instead of {}", said(&of(case)), short(of(now).value));
     match (less(|c| c.travel_per_day), less(|c| c.reversals_per_day)) {
         (true, true) => format!(
-            "The stem would travel {} OP units a day, and turn {} times.",
+            "The stem would travel {} OP units a day and reverse {} times.",
             told(|c| c.travel_per_day),
             told(|c| c.reversals_per_day)
         ),
         (true, false) => format!("The stem would travel {} OP units a day.", told(|c| c.travel_per_day)),
-        (false, true) => format!("The stem would turn {} times a day.", told(|c| c.reversals_per_day)),
-        (false, false) => "Whether the stem would travel less cannot be told from this record.".to_owned(),
+        (false, true) => format!("The stem would reverse {} times a day.", told(|c| c.reversals_per_day)),
+        (false, false) => "This record does not show whether the stem would travel less.".to_owned(),
     }
 }
 
-/// What was taken for granted.
+/// The assumptions.
 pub(super) fn assumptions(told: &Repair, known: &Known<'_>, params: &RepairParams) -> Vec<String> {
     let c = known.controller;
     let ti = if c.ti_s.is_finite() { format!("Ti {} s", number(c.ti_s)) } else { "no integral action".to_owned() };
     let mut out = vec![
-        "The disturbance is what the model leaves of PV in this record, without stiction anything between that and the measurement's noise; loads that come more rarely are not in it."
+        "The disturbance is what the model leaves of PV in this record, without stiction anything between that and the measurement noise; rarer loads are not included."
             .to_owned(),
         format!(
             "The controller is the one read from the record (gain {}, {ti}, Td {} s; it explains {} % of OP's moves) and stays as it is.",
@@ -129,10 +129,10 @@ pub(super) fn assumptions(told: &Repair, known: &Known<'_>, params: &RepairParam
             number(100.0 * c.r2)
         ),
         "A repaired valve follows OP exactly; packing and actuator leave a real one a small dead band.".to_owned(),
-        format!("A turn of the stem counts from {} OP units on.", number(told.turn_op)),
+        format!("A reversal of the stem counts at {} OP units or more.", number(told.turn_op)),
     ];
     if known.sp.is_none() {
-        out.push("The set point is not recorded: it is taken to stand where PV was on average.".to_owned());
+        out.push("The set point is not recorded: it is assumed to be PV's mean.".to_owned());
     }
     if params.op_range.is_none() {
         out.push("OP's limits are not known: OP may go as far as the controller takes it.".to_owned());

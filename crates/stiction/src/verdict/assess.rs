@@ -31,7 +31,7 @@ const FEW_MOVES: f64 = 12.0;
 /// Gates that do not make a fit worse by themselves: a set point that steps excites, an excursion is cut out.
 const EXPLAINED: [Gate; 2] = [Gate::SetpointSteps, Gate::Excursion];
 /// Share of OP's span from which on a band is as wide as OP ever went.
-const WHOLE_SWING: f64 = 0.999;
+pub(super) const WHOLE_SWING: f64 = 0.999;
 /// An interval's upper end is multiplied by this where nothing sticks. It is that of a model that the verdict does not
 /// believe in: of sticking loops with a "no" (verdict cases of the calibration half, seeds 71500 to 72299) the valve's s
 /// lay under the end itself in 78 % of 103, under twice the end in 94 %.

@@ -1,6 +1,8 @@
 //! Judgement on one window: validity checks, fit, verdict, grade.
 
+pub mod action;
 mod assess;
+pub mod bump_test;
 mod cause;
 mod detectable;
 mod document;
@@ -12,6 +14,7 @@ pub mod plausible;
 pub mod rule;
 mod screen;
 pub mod tally;
+pub mod texts;
 pub mod words;
 
 pub use crate::detect::Indicator;

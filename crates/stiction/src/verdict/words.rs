@@ -1,85 +1,169 @@
 //! An estimate in words that a planner can act on.
 
-use crate::ident::region::{Region, Size};
+use crate::ident::region::Size;
 use crate::units::{duration, number, probability};
-use crate::verdict::{Assessment, Gate, Implausible, SCREENED, Verdict};
+use crate::verdict::action::{self, Action};
+use crate::verdict::assess::WHOLE_SWING;
+use crate::verdict::rule::OF_THE_FIT;
+use crate::verdict::{Assessment, Gate, Implausible, SCREENED, Verdict, texts};
 
 /// The verdict in a sentence.
 #[must_use]
 pub const fn verdict(v: Verdict) -> &'static str {
-    match v {
-        Verdict::Stiction => "the valve sticks and slips",
-        Verdict::Deadband => "the valve has a dead band",
-        Verdict::Disturbance => "the loop oscillates, most likely from outside; the valve follows its signal",
-        Verdict::Tuning => "the loop oscillates, most likely by its own tuning; the valve follows its signal",
-        Verdict::NoOscillation => "no regular oscillation, and no stiction seen",
-        Verdict::NoStiction => "no stiction seen",
-        Verdict::Inconclusive => "this window cannot answer",
+    texts::of(v).sentence
+}
+
+/// The verdict of a record in a sentence: only suspected where the probability would not raise an alarm, open where slip and
+/// play look alike, with the detection limit where nothing was found, with its reservation below grade A.
+#[must_use]
+pub fn headline(a: &Assessment) -> String {
+    let mut text = claim(a);
+    if let (Some(why), Some(grade)) = (reservation(a), a.grade) {
+        text = format!("{text} (grade {grade}: {why})");
+    }
+    text
+}
+
+/// The headline without its grade.
+#[must_use]
+pub fn claim(a: &Assessment) -> String {
+    match a.stiction {
+        Some(true) => {
+            let suspected = a.explanation.is_some_and(|opinion| !opinion.alarms());
+            let sentence = if a.j_identifiable == Some(false) { texts::OPEN } else { verdict(a.verdict) };
+            format!("{}{sentence}", if suspected { "suspected, below the alarm threshold: " } else { "" })
+        }
+        Some(false) => format!("{}; {}", verdict(a.verdict), not_seen(a)),
+        None => match a.reason {
+            Some(why) => format!("{}: {}", verdict(a.verdict), reason(why)),
+            None => verdict(a.verdict).to_owned(),
+        },
     }
 }
 
-/// The verdict of a record in a sentence; only suspected where the probability would not raise an alarm.
+/// What was not found, with the detection limit.
 #[must_use]
-pub fn headline(a: &Assessment) -> String {
-    let suspected = a.stiction == Some(true) && a.explanation.is_some_and(|opinion| !opinion.alarms());
-    format!("{}{}", if suspected { "suspected, not sure: " } else { "" }, verdict(a.verdict))
+pub fn not_seen(a: &Assessment) -> String {
+    match a.s_detectable {
+        Some(least) => format!("no sign of stiction above {} OP units found", number(least)),
+        None => "no sign of stiction found, detection limit not determinable".to_owned(),
+    }
+}
+
+/// What keeps an answer below grade A, in a few words; none for grade A, and where there is no answer.
+#[must_use]
+pub fn reservation(a: &Assessment) -> Option<String> {
+    if a.stiction.is_none() || a.grade == Some('A') || a.grade == Some('D') {
+        return None;
+    }
+    let mut why: Vec<String> = a.gates.iter().map(|g| g.name().replace('_', " ")).collect();
+    if let (Some(c), Some(p)) = (a.confidence, a.p_stiction)
+        && c < 0.95
+    {
+        why.push(format!("p {}", probability(p)));
+    }
+    if a.stiction == Some(false) {
+        why.push("a negative result is at most grade C".to_owned());
+    } else if at_bound(a) {
+        why.push("s reaches the largest value that OP's span allows".to_owned());
+    } else {
+        match a.s_interval.zip(a.s) {
+            Some(([low, high], s)) if (high - low) / s > 0.15 => {
+                why.push(format!("90 % interval of s {} to {}", number(low), number(high)));
+            }
+            None => why.push("no interval of s".to_owned()),
+            _ => {}
+        }
+    }
+    Some(why.join("; "))
+}
+
+/// Whether the estimate or its interval ends where OP's span does: then s was not measured upwards.
+#[must_use]
+pub fn at_bound(a: &Assessment) -> bool {
+    let Some((s, share)) = a.s.zip(a.s_over_span).filter(|(_, share)| *share > 0.0) else { return false };
+    let highest = a.s_interval.map_or(s, |[_, high]| high.max(s));
+    highest >= WHOLE_SWING * s / share
 }
 
 /// A further cause beside the verdict.
 #[must_use]
 pub const fn beside(v: Verdict) -> &'static str {
     match v {
-        Verdict::Tuning => "the controller's tuning makes the loop swing too",
-        Verdict::Disturbance => "something from outside drives the loop too",
+        Verdict::Tuning => "the controller's tuning contributes to the oscillation",
+        Verdict::Disturbance => "an external disturbance contributes to the oscillation",
         other => verdict(other),
     }
 }
 
 /// What to do about it.
 #[must_use]
-pub const fn advice(v: Verdict) -> &'static str {
-    match v {
-        Verdict::Stiction => "Confirm with a bump test, then have packing, actuator and positioner looked at.",
-        Verdict::Deadband => "Confirm with a bump test, then have linkage, gears and positioner looked at for play.",
-        Verdict::Disturbance => "Look upstream: another loop or load drives this one. The valve can stay in service.",
-        Verdict::Tuning => "Have the tuning looked at: the loop swings by itself. The valve can stay in service.",
-        Verdict::NoOscillation | Verdict::NoStiction => "Nothing to be done about this valve on this record.",
-        Verdict::Inconclusive => "Take another record: longer, faster sampled, in automatic, while the loop swings.",
+pub fn advice(a: &Assessment) -> String {
+    let mut text = action::what_to_do(a);
+    for v in &a.contributing {
+        text = format!("{text} Also, {}.", beside(*v));
+    }
+    text
+}
+
+/// The bump test of a valve that sticks, a step an item; empty where none is proposed, which [`advice`] says.
+#[must_use]
+pub fn bump_test(a: &Assessment) -> Vec<String> {
+    Action::of(a).map_or_else(Vec::new, |action| action.steps("OP units"))
+}
+
+/// The bump test as one text, a numbered step a line; `None` where none is proposed.
+#[must_use]
+pub fn proposal(a: &Assessment) -> Option<String> {
+    let steps = bump_test(a);
+    let numbered = steps.iter().enumerate().map(|(k, step)| format!("{}. {step}", k + 1));
+    (!steps.is_empty()).then(|| numbered.collect::<Vec<_>>().join("\n"))
+}
+
+/// The probability as it is shown: `not seen` below the decision threshold, with the figure behind it.
+#[must_use]
+pub fn seen(a: &Assessment) -> String {
+    let Some(p) = a.p_stiction.map(probability) else { return "no answer".to_owned() };
+    match a.stiction {
+        Some(true) => format!("p {p}"),
+        Some(false) => format!("not seen (p {p})"),
+        None => format!("no answer (p {p})"),
     }
 }
 
 /// How sure the verdict is, in a sentence.
 #[must_use]
 pub fn sureness(a: &Assessment) -> String {
-    let Some(p) = a.p_stiction else {
-        return match a.reason.map(reason) {
-            Some(why) => format!("Nothing can be said: {why}."),
-            None => "Nothing can be said: a gate blocks the answer.".to_owned(),
-        };
-    };
-    if let (None, Some(why)) = (a.stiction, a.reason) {
-        return format!(
-            "No answer: {}. The indicators alone would give the valve {}; grade D.",
-            reason(why),
-            probability(p)
-        );
+    let why = || a.reason.map_or_else(|| "a validity check fails".to_owned(), reason);
+    let Some(p) = a.p_stiction else { return format!("No verdict: {}.", why()) };
+    let cuts = a.explanation.map(|e| e.cuts);
+    let (said, grade) = (probability(p), grade(a));
+    match a.stiction {
+        None => format!("No verdict: {}. The indicators alone would give p {said}; {grade}.", why()),
+        Some(false) => {
+            let below =
+                cuts.map_or_else(String::new, |c| format!(", below the decision threshold of {}", number(c.called)));
+            format!("Stiction not seen (p {said}{below}); {grade}.")
+        }
+        Some(true) => {
+            let odds = match p {
+                p if p >= 0.99 => "almost certain",
+                p if p >= 0.9 => "very likely",
+                p if p >= 0.7 => "likely",
+                _ => "more likely than not",
+            };
+            format!("Stiction {odds} (p {said}); {grade}.")
+        }
     }
-    let odds = match p {
-        p if p >= 0.99 => "hardly any doubt that the valve sticks",
-        p if p >= 0.9 => "very likely the valve sticks",
-        p if p >= 0.6 => "more likely than not the valve sticks",
-        p if p > 0.4 => "as good as a coin toss",
-        p if p > 0.1 => "more likely than not the valve is well",
-        p if p > 0.01 => "very likely the valve is well",
-        _ => "hardly any doubt that the valve is well",
-    };
-    let grade = match a.grade {
-        Some('A') => "grade A: no gate met, a narrow interval",
-        Some('B') => "grade B: good, with an interval up to 30 % of s",
-        Some('C') => "grade C: an answer with reservations",
-        _ => "grade D: no answer",
-    };
-    format!("Probability of sticking {}: {odds}; {grade}.", probability(p))
+}
+
+fn grade(a: &Assessment) -> String {
+    let why = reservation(a).map_or_else(String::new, |why| format!(" ({why})"));
+    match a.grade {
+        Some('A') => "grade A: no validity check limits it, s is known to 15 %".to_owned(),
+        Some(grade @ ('B' | 'C')) => format!("grade {grade}{why}"),
+        _ => "grade D: no answer".to_owned(),
+    }
 }
 
 /// A reason for no answer, or for nothing beside it, in words; a gate's are the gate's.
@@ -87,19 +171,17 @@ pub fn sureness(a: &Assessment) -> String {
 pub fn reason(name: &str) -> String {
     let known = match name {
         "stuck_signal" => {
-            "PV stands still while OP travels: a dead transmitter, a closed block valve, or a valve that does not move at \
-             all; look at the transmitter and the valve before anything else"
+            "PV does not move while OP travels (a failed transmitter, a closed block valve, or a valve that does not move at \
+             all)"
         }
-        "implausible_model" => "only a model that no such loop has would explain this record",
-        "daily_cycle" => {
-            "the cycle takes a day: weather, shifts or load make it, and nothing is seen of the valve beside it"
-        }
-        "trend" => "PV is little more than a straight line here; there is no cycle to judge the valve by",
-        "op_held" => "OP is stored too seldom within a cycle to show what the valve was sent",
-        "too_coarse" => "sticking is likely, but a period has too few samples to show how the stem moves",
-        "too_few_periods" => "sticking is likely, but the periods are too few to be sure",
+        "implausible_model" => "no plausible model explains this record",
+        "daily_cycle" => "the cycle takes a day, as weather, shifts or load make it; it shows nothing of the valve",
+        "trend" => "PV is little more than a straight line; there is no cycle to judge the valve by",
+        "op_held" => "OP is stored too seldom within a cycle to show what the valve received",
+        "too_coarse" => "stiction is likely, but a period has too few samples to show how the stem moves",
+        "too_few_periods" => "stiction is likely, but there are too few periods to be sure",
         "not_fitted" => "no model could be fitted",
-        "screened" => "a calm loop, of which nothing more was computed",
+        "screened" => "the loop is calm, so only the screening was computed",
         _ => "",
     };
     if !known.is_empty() {
@@ -108,58 +190,64 @@ pub fn reason(name: &str) -> String {
     Gate::ALL.into_iter().find(|g| g.name() == name).map_or_else(|| name.replace('_', " "), |g| gate(g).to_owned())
 }
 
-/// What is not believed of a model or its record.
+/// What is implausible in a model or its record.
 #[must_use]
 pub const fn implausible(what: Implausible) -> &'static str {
     match what {
         Implausible::DailyCycle => "the cycle takes a day",
         Implausible::Trend => "PV is little more than a straight line",
-        Implausible::DeadTime => "the dead time is longer than such a loop, or its own period, allows",
-        Implausible::TimeConstant => "a time constant is longer than such a loop has, or than the window",
-        Implausible::Gain => "the gain would take PV far beyond where it was",
-        Implausible::Integrating => "such a loop does not integrate",
-        Implausible::Fit => "it follows PV hardly better than PV's mean does",
+        Implausible::DeadTime => "the dead time is longer than a loop of this kind, or its period, allows",
+        Implausible::TimeConstant => "a time constant is longer than a loop of this kind has, or than the window",
+        Implausible::Gain => "the gain would move PV far beyond its range in the record",
+        Implausible::Integrating => "a loop of this kind does not integrate",
+        Implausible::Fit => "the model follows PV hardly better than PV's mean does",
     }
 }
 
-/// Why no size and no model are given, where none was believed.
+/// Why no size and no model are given, where the model is implausible.
 #[must_use]
 pub fn disbelief(a: &Assessment) -> Option<String> {
     let said: Vec<&str> = a.implausible.iter().map(|what| implausible(*what)).collect();
     (!said.is_empty()).then(|| format!("no size and no process model are given: {}", said.join("; ")))
 }
 
-/// The size, in OP units and in % of travel where the range is known; an upper bound where no stiction is seen.
+/// How large the stiction is, in a word, and of what: of travel where OP's range is known, else of OP's span.
+#[must_use]
+pub fn size_class(a: &Assessment) -> Option<(Size, &'static str)> {
+    let of_travel = a.severity_by_range.map(|size| (size, "of travel"));
+    of_travel.or_else(|| a.strength_by_span.map(|size| (size, "of OP's span")))
+}
+
+/// The size, in OP units and in % of travel where the range is known; a lower bound where the estimate reaches its own
+/// bound; none where no stiction was found.
 #[must_use]
 pub fn size(a: &Assessment, op_range: Option<[f64; 2]>) -> Option<String> {
-    let s = a.s?;
-    if a.stiction == Some(false) {
-        let [_, high] = a.s_interval?;
-        let of_travel =
-            op_range.map(|[low, top]| format!(" ({} % of travel)", number(100.0 * high / (top - low).abs())));
-        return Some(format!("at most {} OP units{}", number(high), of_travel.unwrap_or_default()));
-    }
+    let s = a.s.filter(|_| a.stiction != Some(false))?;
     let of_travel = |v: f64| op_range.map(|[low, high]| 100.0 * v / (high - low).abs());
-    let mut text = match of_travel(s) {
-        Some(percent) => format!("{} % of travel ({} OP units)", number(percent), number(s)),
-        None => format!("{} OP units", number(s)),
+    let sized = |v: f64| match of_travel(v) {
+        Some(percent) => format!("{} % of travel ({} OP units)", number(percent), number(v)),
+        None => format!("{} OP units", number(v)),
     };
-    if let Some([low, high]) = a.s_interval {
-        let [low, high] = [low, high].map(|v| number(of_travel(v).unwrap_or(v)));
-        let unit = if op_range.is_some() { " %" } else { "" };
-        text = format!("{text}, 90 % interval {low} to {high}{unit}");
-    }
-    if let (Some(fs), Some(fd)) = (a.fs, a.fd) {
+    let mut text = if at_bound(a) {
+        let least = a.s_interval.map_or(s, |[low, _]| low);
+        format!(
+            "at least {}; the estimate ({}) or its interval reaches OP's span, the largest possible value",
+            sized(least),
+            number(s)
+        )
+    } else {
+        let interval = a.s_interval.map(|[low, high]| {
+            let [low, high] = [low, high].map(|v| number(of_travel(v).unwrap_or(v)));
+            format!(", 90 % interval {low} to {high}{}", if op_range.is_some() { " %" } else { "" })
+        });
+        format!("{}{}", sized(s), interval.unwrap_or_default())
+    };
+    // Where slip and play look alike fs and fd are not known apart.
+    if let (Some(fs), Some(fd), Some(true)) = (a.fs, a.fd, a.j_identifiable) {
         text = format!("{text}; static band {}, kinetic band {} OP units", number(fs), number(fd));
     }
-    let words: Vec<String> = [a.strength_by_span.map(Size::name), a.region.map(Region::name)]
-        .into_iter()
-        .flatten()
-        .map(|w| w.replace('_', " "))
-        .filter(|w| w != "none")
-        .collect();
-    if !words.is_empty() {
-        text = format!("{text}; by its share of OP's swing: {}", words.join(", "));
+    if let Some((class, of)) = size_class(a).filter(|(class, _)| *class != Size::None) {
+        text = format!("{text}; {} ({of})", class.name());
     }
     Some(text)
 }
@@ -167,30 +255,79 @@ pub fn size(a: &Assessment, op_range: Option<[f64; 2]>) -> Option<String> {
 /// What is said of an indicator without words of its own.
 const UNNAMED: &str = "a sign in the record";
 
-/// What an indicator looks at.
+/// What an indicator measures.
 #[must_use]
 pub fn looks_at(name: &str) -> &'static str {
     match name {
-        "likelihood" => "how much likelier the record is with friction than without, where that leaves only noise",
-        "confirmed" => "whether that fit could be an accident (few turns of the stem, OP an image of PV)",
-        "moves" => "the same gain for PV's changes, which slow disturbances hardly touch",
-        "horch" => "whether OP and PV are out of phase by a quarter, as behind a sticking valve",
+        "likelihood" => "how much better a model with friction explains the record than one without",
+        "confirmed" => "whether that fit is well supported (enough reversals of the stem, OP not an image of PV)",
+        "moves" => "the same for PV's changes, which slow disturbances hardly affect",
+        "horch" => "whether OP and PV are out of phase by a quarter period, as behind a sticking valve",
         "jumps" => "whether PV moves in jumps while OP moves steadily",
         "curve_fit" => "whether half cycles are triangles rather than sinusoids",
-        "travel" => "how far OP goes while PV stands",
-        "one_step_gain" => "how much better a sticking stem foretells PV's next step than OP does",
-        "periodicity" => "how much of PV's movement keeps time on its own account, as a load from outside does",
+        "travel" => "how far OP travels while PV rests",
+        "one_step_gain" => "how much better a sticking stem predicts PV's next value than OP does",
+        "periodicity" => "how much of PV's movement keeps a period of its own, as an external load does",
         _ => UNNAMED,
     }
 }
 
-/// What speaks for and against, strongest first: words, logits.
+/// What an indicator found, as a fact: where it points to sticking, and where it points away.
+#[must_use]
+fn fact(name: &str, towards: bool) -> &'static str {
+    let [yes, no] = match name {
+        "likelihood" => [
+            "a model with friction explains PV better than one without",
+            "a model with friction explains PV hardly better than one without",
+        ],
+        "confirmed" => [
+            "that fit is well supported: enough reversals of the stem, OP not an image of PV",
+            "that fit may be an accident: few reversals of the stem, or OP an image of PV",
+        ],
+        "moves" => [
+            "a model with friction explains PV's changes better than one without",
+            "a model with friction explains PV's changes hardly better than one without",
+        ],
+        "horch" => [
+            "OP and PV are out of phase by a quarter period, as behind a sticking valve",
+            "OP and PV are not out of phase by a quarter period",
+        ],
+        "jumps" => ["PV moves in jumps while OP moves steadily", "PV moves smoothly while OP moves steadily"],
+        "curve_fit" => {
+            ["half cycles are triangles rather than sinusoids", "half cycles are sinusoids rather than triangles"]
+        }
+        "travel" => ["OP travels far while PV rests", "OP hardly travels while PV rests"],
+        "one_step_gain" => [
+            "a sticking stem predicts PV's next value better than OP does",
+            "a sticking stem predicts PV's next value hardly better than OP does",
+        ],
+        "periodicity" => [
+            "little of PV's movement keeps a period of its own",
+            "much of PV's movement keeps a period of its own, as an external load does",
+        ],
+        _ => [UNNAMED, UNNAMED],
+    };
+    if towards { yes } else { no }
+}
+
+/// The evidence as facts, strongest first, with its log-odds. Facts of a fit are left out where no fit is given.
 #[must_use]
 pub fn evidence(a: &Assessment) -> Vec<(String, f64)> {
-    let mut said: Vec<_> = a.indicators.iter().filter(|w| w.contribution.abs() >= 0.05).collect();
+    let given = |name: &str| a.process.is_some() || !OF_THE_FIT.contains(&name);
+    let mut said: Vec<_> = a.indicators.iter().filter(|w| w.contribution.abs() >= 0.05 && given(w.name)).collect();
     said.sort_by(|x, y| y.contribution.abs().total_cmp(&x.contribution.abs()));
-    let side = |c: f64| if c > 0.0 { "for the valve" } else { "against it" };
-    said.iter().map(|w| (format!("{}: speaks {}", looks_at(w.name), side(w.contribution)), w.contribution)).collect()
+    let words = |name: &str, c: f64| {
+        let points = if c > 0.0 { "points to sticking" } else { "points away from sticking" };
+        capital(&format!("{}: {points}", fact(name, c > 0.0)))
+    };
+    said.iter().map(|w| (words(w.name, w.contribution), w.contribution)).collect()
+}
+
+/// With a capital first letter.
+#[must_use]
+pub fn capital(text: &str) -> String {
+    let mut letters = text.chars();
+    letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
 }
 
 /// A gate in words.
@@ -198,19 +335,19 @@ pub fn evidence(a: &Assessment) -> Vec<(String, f64)> {
 pub const fn gate(g: Gate) -> &'static str {
     match g {
         Gate::Manual => "the controller was in manual",
-        Gate::BadQuality => "too many values were missing or bad",
+        Gate::BadQuality => "too many values are missing or bad",
         Gate::FrozenPv => "PV never moves",
         Gate::FrozenOp => "OP never moves",
-        Gate::Saturated => "OP stands at a limit",
-        Gate::TooFewSamples => "too few usable samples, or under two periods",
-        Gate::Skipped => "the fit was not done: the machine was too busy, or the daemon stopped",
-        Gate::TooFewPeriods => "few periods: intervals are wide",
-        Gate::TooCoarse => "sampled too coarsely for trustworthy bands",
-        Gate::SetpointSteps => "the set point moved in steps: the oscillation test is disturbed",
-        Gate::Quantised => "OP or PV stands on a coarse grid",
-        Gate::Compressed => "the history was compressed: corners of PV are the recorder's",
+        Gate::Saturated => "OP is at a limit",
+        Gate::TooFewSamples => "there are too few usable samples, or fewer than two periods",
+        Gate::Skipped => "the fit was skipped: the machine was too busy, or the daemon stopped",
+        Gate::TooFewPeriods => "there are few periods, so intervals are wide",
+        Gate::TooCoarse => "sampling is too coarse for reliable bands",
+        Gate::SetpointSteps => "the set point moved in steps, which disturbs the oscillation test",
+        Gate::Quantised => "the resolution of OP or PV is coarse",
+        Gate::Compressed => "the historian compressed the data: corners of PV may be its own",
         Gate::Irregular => "the sampling time is not constant",
-        Gate::Excursion => "something that happened once, such as a trip or a start-up, was cut out of the fit",
+        Gate::Excursion => "a single event, such as a trip or a start-up, was left out of the fit",
     }
 }
 
@@ -220,7 +357,9 @@ pub fn unknowns(a: &Assessment, op_range: Option<[f64; 2]>) -> Vec<String> {
     let mut out: Vec<String> = a.gates.iter().map(|g| format!("{} ({})", gate(*g), g.name())).collect();
     let screened = a.reason == Some(SCREENED);
     if screened {
-        out.push("all else: a calm loop, of which nothing more was computed (screened)".to_owned());
+        out.push(
+            "everything beyond the screening: the loop is calm, so nothing more was computed (screened)".to_owned(),
+        );
     } else if let Some(why) = disbelief(a) {
         out.push(why);
     } else if a.s.is_none() {
@@ -231,7 +370,7 @@ pub fn unknowns(a: &Assessment, op_range: Option<[f64; 2]>) -> Vec<String> {
     if a.gates.contains(&Gate::TooCoarse)
         && let Some(period) = a.oscillation.period_s
     {
-        out.push(format!("with a sample every {} or faster it would be told", duration(period / 50.0)));
+        out.push(format!("a reliable band: it needs a sample every {} or faster", duration(period / 50.0)));
     }
     if a.s.is_some() && op_range.is_none() {
         out.push(
@@ -239,121 +378,22 @@ pub fn unknowns(a: &Assessment, op_range: Option<[f64; 2]>) -> Vec<String> {
         );
     }
     match a.s_detectable {
-        Some(least) => out.push(format!("bands below s = {} OP units would not have been seen here", number(least))),
+        Some(least) => out.push(format!("bands below the detection limit, s = {} OP units", number(least))),
         None if a.stiction == Some(false) && !screened => {
-            out.push("how small a band would have been seen here: this record cannot tell".to_owned());
+            out.push("the detection limit: it is not determinable from this record".to_owned());
         }
         None => {}
     }
     out
 }
 
-/// A test by hand that shows the band without any model.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct BumpTest {
-    /// First move, OP units: takes up the slack in one direction.
-    pub first_op: f64,
-    /// Each step back, OP units.
-    pub step_op: f64,
-    /// Steps back.
-    pub steps: u32,
-    /// Hold after each move, s.
-    pub hold_s: f64,
-    /// All of it, s.
-    pub total_s: f64,
-    /// How far PV goes at most, PV units; per hold where the process integrates.
-    pub pv_move: f64,
-}
-
-/// The longest that a test may take, s: operations give a loop away for a shift at most.
-const SHIFT_S: f64 = 8.0 * 3_600.0;
-/// Steps back.
-const STEPS: u32 = 6;
-/// First move, bands: usual, and the least that still takes up the slack.
-const FIRST_MOVE: [f64; 2] = [1.5, 1.2];
-
-/// The bump test for an estimate with a fit: a first move of 1.5 s takes up the slack, then steps of a quarter of s go
-/// back until PV follows, held for the dead time and three of the largest time constant (a quarter of the period where
-/// the process integrates). PV that first follows after n steps shows a band of about n s / 4. The first move, or the
-/// holds of an integrating process, are made smaller where PV would else go further than it did in the record; see
-/// [`too_much`].
-#[must_use]
-pub fn bump_test(a: &Assessment) -> Option<BumpTest> {
-    let (s, process) = (a.s.filter(|s| *s > 0.0)?, a.process.as_ref()?);
-    let gain = process.gain.abs();
-    let room = a.pv_span.unwrap_or(f64::INFINITY);
-    let shortest = process.dead_time_s.max(2.0 * a.window.ts_s);
-    let [mut first_op, least_op] = FIRST_MOVE.map(|bands| bands * s);
-    let (hold_s, pv_move) = if process.integrating {
-        let usual = process.dead_time_s + 0.25 * a.oscillation.period_s.unwrap_or(4.0 * process.dead_time_s);
-        let hold_s = usual.min(room / (gain * first_op)).max(shortest);
-        (hold_s, gain * first_op * hold_s)
-    } else {
-        let settle = 3.0 * process.time_constants_s.first().copied().unwrap_or(0.0);
-        first_op = first_op.min(room / gain).max(least_op);
-        ((process.dead_time_s + settle).max(shortest), gain * first_op)
-    };
-    let total_s = hold_s * f64::from(STEPS + 1);
-    Some(BumpTest { first_op, step_op: 0.25 * s, steps: STEPS, hold_s, total_s, pv_move })
-}
-
-/// Why operations would not give the loop away for a test: it takes longer than a shift, or moves PV further than it went
-/// in the record.
-#[must_use]
-pub fn too_much(a: &Assessment, test: &BumpTest) -> Option<String> {
-    let room = a.pv_span.unwrap_or(f64::INFINITY);
-    let mut said = Vec::new();
-    if test.total_s > SHIFT_S {
-        said.push(format!("take {}, more than a shift", duration(test.total_s)));
-    }
-    if test.pv_move > room * (1.0 + 1e-9) {
-        said.push(format!(
-            "move PV by {}, when it went no further than {} in this record",
-            number(test.pv_move),
-            number(room)
-        ));
-    }
-    (!said.is_empty()).then(|| said.join(" and "))
-}
-
-/// The test as an instruction, or why none is proposed; `None` without a size and a process.
-#[must_use]
-pub fn proposal(a: &Assessment) -> Option<String> {
-    let (s, test) = (a.s?, bump_test(a)?);
-    Some(too_much(a, &test).map_or_else(
-        || bump_words(&test, s),
-        |why| {
-            format!(
-                "None is proposed: it would {why}. Ask operations for a stroke test with the loop out of service instead."
-            )
-        },
-    ))
-}
-
-/// The bump test as an instruction.
-#[must_use]
-pub fn bump_words(t: &BumpTest, s: f64) -> String {
-    format!(
-        "Ask operations for the loop in manual, for {} in all, with PV free to move by {} PV units. Move OP by {} in one \
-         direction, wait {}. Then move it back in steps of {}, waiting {} after each, up to {} steps. A sound valve \
-         moves PV at the first step back; with the band found here ({}) PV follows only after about {} steps.",
-        duration(t.total_s),
-        number(t.pv_move),
-        number(t.first_op),
-        duration(t.hold_s),
-        number(t.step_op),
-        duration(t.hold_s),
-        t.steps,
-        number(s),
-        (s / t.step_op).ceil()
-    )
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::detect::Indicator;
     use crate::record::Record;
-    use crate::verdict::{Oscillation, Process, Window};
+    use crate::verdict::rule::{Cuts, Opinion};
+    use crate::verdict::{Oscillation, Window};
 
     fn empty() -> Assessment {
         let window = Window::of(&Record::uniform(1.0, vec![0.0; 40], vec![0.0; 40]));
@@ -367,56 +407,91 @@ mod tests {
         Assessment::empty(window, oscillation)
     }
 
-    #[test]
-    fn a_bump_test_follows_from_s_and_the_process() {
-        let mut a = empty();
-        assert_eq!((bump_test(&a), size(&a, None)), (None, None));
-        a.s = Some(8.0);
-        a.process = Some(Process {
-            order: 1,
-            gain: -2.0,
-            time_constants_s: vec![20.0],
-            dead_time_s: 6.0,
-            integrating: false,
-            mse: 0.1,
-            fit_pct: 90.0,
-        });
-        let t = bump_test(&a).unwrap();
-        assert_eq!((t.first_op, t.step_op, t.hold_s, t.total_s, t.pv_move), (12.0, 2.0, 66.0, 462.0, 24.0));
-        assert!(bump_words(&t, 8.0).contains("about 4 steps"));
-        // Kept within what PV did, or not proposed.
-        a.pv_span = Some(20.0);
-        assert_eq!(bump_test(&a).map(|t| (t.first_op, t.pv_move)), Some((10.0, 20.0)));
-        assert!(proposal(&a).unwrap().contains("in all, with PV free to move by 20"));
-        a.pv_span = Some(10.0);
-        let said = proposal(&a).unwrap();
-        assert!(said.contains("None is proposed: it would move PV by 19.2, when it went no further than 10"), "{said}");
-        a.pv_span = None;
-        a.process.iter_mut().for_each(|p| p.time_constants_s = vec![2_000.0]);
-        assert!(proposal(&a).unwrap().contains("it would take 11.7 h, more than a shift"));
-        assert!(f64::from(t.steps) * t.step_op > 8.0, "the steps must pass the band");
+    fn sticking() -> Assessment {
+        Assessment {
+            verdict: Verdict::Deadband,
+            stiction: Some(true),
+            p_stiction: Some(0.97),
+            confidence: Some(0.97),
+            grade: Some('A'),
+            s: Some(2.0),
+            s_interval: Some([1.9, 2.1]),
+            s_over_span: Some(0.5),
+            explanation: Some(Opinion { base: 0.0, logit: 3.0, cuts: Cuts { called: 0.6, alarm: 0.7 } }),
+            ..empty()
+        }
     }
 
     #[test]
     fn every_indicator_has_words() {
-        let names = crate::verdict::rule::OF_THE_FIT.into_iter().chain(crate::detect::ALL.iter().map(|d| d.name()));
-        let silent: Vec<&str> = names.filter(|name| looks_at(name) == UNNAMED).collect();
-        assert!(silent.is_empty(), "{silent:?}");
+        let names = OF_THE_FIT.into_iter().chain(crate::detect::ALL.iter().map(|d| d.name()));
+        for name in names {
+            assert!(looks_at(name) != UNNAMED && fact(name, true) != fact(name, false), "{name}");
+        }
+    }
+
+    #[test]
+    fn a_result_below_the_threshold_is_not_seen_with_its_limit_never_healthy() {
+        let mut a = Assessment { verdict: Verdict::Tuning, stiction: Some(false), grade: Some('C'), ..sticking() };
+        a.p_stiction = Some(0.17);
+        a.s_detectable = Some(1.25);
+        let text = format!("{} {} {} {}", headline(&a), sureness(&a), advice(&a), seen(&a));
+        for part in ["no sign of stiction above 1.25", "not seen (p 0.17", "A band below 1.25", "grade C: a negative"] {
+            assert!(text.contains(part), "{part}: {text}");
+        }
+        a.s_detectable = None;
+        assert!(headline(&a).contains("detection limit not determinable"));
+        assert_eq!(size(&a, None), None);
+        assert!(advice(&a).contains("rules out no band"));
+    }
+
+    #[test]
+    fn an_estimate_at_its_bound_is_a_lower_bound() {
+        let mut a = sticking();
+        assert!(!at_bound(&a) && reservation(&a).is_none() && !headline(&a).contains("grade"));
+        (a.s_over_span, a.s_interval, a.grade) = (Some(1.0), Some([1.3, 2.0]), Some('C'));
+        assert!(size(&a, None).unwrap().starts_with("at least 1.3 OP units"), "{:?}", size(&a, None));
+        assert!(headline(&a).contains("(grade C: s reaches the largest"), "{}", headline(&a));
+        (a.s_over_span, a.s_interval) = (Some(0.5), Some([1.3, 4.0]));
+        assert!(size(&a, Some([0.0, 200.0])).unwrap().starts_with("at least 0.65 % of travel (1.3 OP units)"));
+    }
+
+    #[test]
+    fn where_the_jump_is_open_both_repairs_are_named() {
+        let mut a = Assessment { j_identifiable: Some(false), ..sticking() };
+        assert!(headline(&a).starts_with("the valve sticks; slip or play cannot be told apart"));
+        assert!(advice(&a).contains("packing") && advice(&a).contains("linkage"), "{}", advice(&a));
+        a.j_identifiable = Some(true);
+        assert!(!advice(&a).contains("packing"));
+        a.explanation.iter_mut().for_each(|e| e.logit = 0.5);
+        assert!(headline(&a).starts_with("suspected, below the alarm threshold: "), "{}", headline(&a));
+    }
+
+    #[test]
+    fn evidence_is_a_fact_and_tells_nothing_of_a_fit_that_is_not_given() {
+        let mut a = sticking();
+        let of = |name, contribution| Indicator { name, score: None, vote: Some(contribution > 0.0), contribution };
+        a.indicators = vec![of("jumps", 0.4), of("confirmed", 1.0), of("horch", -0.6)];
+        let said: Vec<String> = evidence(&a).into_iter().map(|(text, _)| text).collect();
+        assert_eq!(
+            said,
+            [
+                "OP and PV are not out of phase by a quarter period: points away from sticking",
+                "PV moves in jumps while OP moves steadily: points to sticking"
+            ]
+        );
     }
 
     #[test]
     fn what_is_missing_is_said_not_shown_as_zero() {
         let mut a = empty();
         assert!(unknowns(&a, None).iter().any(|u| u.contains("no model")) && evidence(&a).is_empty());
-        assert!(sureness(&a).contains("blocks"));
+        assert!(sureness(&a).contains("validity check"));
         a.reason = Some("stuck_signal");
-        assert!(sureness(&a).contains("dead transmitter"));
-        a.s = Some(2.0);
-        a.s_interval = Some([1.0, 4.0]);
+        assert!(sureness(&a).contains("failed transmitter") && advice(&a).contains("transmitter"));
+        let a = Assessment { s: Some(2.0), s_interval: Some([1.0, 4.0]), ..empty() };
         assert_eq!(size(&a, Some([0.0, 200.0])).unwrap(), "1 % of travel (2 OP units), 90 % interval 0.5 to 2 %");
         assert_eq!(size(&a, None).unwrap(), "2 OP units, 90 % interval 1 to 4");
         assert!(unknowns(&a, None).iter().any(|u| u.contains("--op-range")));
-        a.stiction = Some(false);
-        assert_eq!(size(&a, Some([0.0, 200.0])).unwrap(), "at most 4 OP units (2 % of travel)");
     }
 }

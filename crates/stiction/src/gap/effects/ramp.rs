@@ -26,12 +26,12 @@ pub const EFFECT: Effect = Effect {
     margin: WIDE_MARGIN,
     confused_with: &["step_load", "coloured_noise", "integrating"],
     separated_by: "the load itself, or PV with OP held",
-    noun: "a ramp from outside",
+    noun: "an external ramp",
     bends: true,
     local: true,
     phrase: |sizes| {
         let (slope, from) = (sizes.said("slope")?, sizes.said("from")?);
-        Some(format!("a ramp from outside of {slope} PV units a second from {from} s after the start on"))
+        Some(format!("an external ramp of {slope} PV units a second from {from} s after the start"))
     },
     in_loop: |stated, parts| {
         let (size, from_s) = (stated.number("slope")? * FOR_GOOD_S, stated.number("from")?);

@@ -38,11 +38,11 @@ pub const EFFECT: Effect = Effect {
     margin: WIDE_MARGIN,
     confused_with: &["coloured_noise"],
     separated_by: "the suspected source beside PV; OP held for some periods",
-    noun: "a sinusoid from outside",
+    noun: "an external sinusoid",
     bends: true,
     phrase: |sizes| {
         let (period, amplitude) = (sizes.said("period")?, sizes.said("amplitude")?);
-        Some(format!("a sinusoid from outside, period {period} s and amplitude {amplitude} PV units"))
+        Some(format!("an external sinusoid, period {period} s and amplitude {amplitude} PV units"))
     },
     in_loop: |stated, parts| {
         let (amplitude, period_s) = (stated.number("amplitude")?, stated.above_zero("period")?);

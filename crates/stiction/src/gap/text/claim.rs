@@ -1,13 +1,13 @@
-//! How strongly an answer is put into words: one rule for all sentences, from the numbers that stand beside them.
+//! How strongly an answer is put into words: one rule for all sentences, from the numbers beside them.
 
 use super::super::document::{EffectNote, GapDocument};
 use super::super::effects;
 use super::super::sizes::percent;
 use crate::units::probability;
 
-/// Per cent closed from which an effect explains a gap, and below which it makes next to nothing of it.
+/// Per cent closed from which an effect explains a gap, and below which it is a side note.
 const EXPLAINS: f64 = 50.0;
-const HARDLY: f64 = 10.0;
+pub(super) const HARDLY: f64 = 10.0;
 /// Per cent below which nothing is said to be closed.
 const NOTHING: f64 = 0.5;
 /// Error over the floor up to which nothing is left.

@@ -1,6 +1,6 @@
 //! Effects in words.
 
-use super::super::document::EffectNote;
+use super::super::document::{EffectNote, GapDocument};
 use super::super::effects::{self, Way};
 use super::super::sizes::Sizes;
 use super::super::types::{NONE, UNKNOWN};
@@ -19,12 +19,17 @@ fn word(id: &str) -> Option<&'static str> {
     }
 }
 
-/// What no record of OP and PV can tell from an effect: its class by its plant names, and what fitted nearly as well. One
-/// trace in PV is told from another.
-pub(super) fn twins(e: &EffectNote) -> Vec<String> {
+/// What no record of OP and PV can tell from an effect: its class by its plant names, and what it is confused with where that
+/// closes at least half as much of the gap here. One trace in PV is told from another.
+pub(super) fn twins(d: &GapDocument, e: &EffectNote) -> Vec<String> {
     let class = effects::by_id(&e.id).and_then(|effect| effect.twin);
     let is_trace = |id: &str| effects::by_id(id).is_some_and(|effect| effect.way == Way::Signature);
-    let others = e.confusable_with.iter().filter(|id| !(is_trace(&e.id) && is_trace(id)));
+    let closes = |id: &str| d.effects.iter().find(|other| other.id == id).and_then(|other| other.closed_pct);
+    let near = |id: &str| match (e.closed_pct, closes(id)) {
+        (Some(own), Some(other)) => other >= 0.5 * own,
+        _ => true,
+    };
+    let others = e.confusable_with.iter().filter(|id| near(id) && !(is_trace(&e.id) && is_trace(id)));
     class.map(str::to_owned).into_iter().chain(others.map(|id| noun(id))).collect()
 }
 
@@ -62,6 +67,6 @@ mod tests {
         words.sort_unstable();
         words.dedup();
         assert_eq!(words.len(), all.len());
-        assert_eq!(noun("backlash+sinusoid"), "backlash and a sinusoid from outside");
+        assert_eq!(noun("backlash+sinusoid"), "backlash and an external sinusoid");
     }
 }

@@ -5,7 +5,7 @@ use super::super::locate::Location;
 use super::super::loop_run::{Cycle, Cycles};
 use super::super::sizes::percent;
 use super::claim::nothing_left;
-use crate::units::number;
+use crate::units::{number, probability};
 
 /// p up to which a place is told.
 const TOLD_P: f64 = 0.05;
@@ -37,7 +37,7 @@ pub(super) fn headline(d: &GapDocument) -> String {
     match all.into_iter().max_by(|a, b| a.lift.total_cmp(&b.lift)) {
         Some(best) => {
             let part = best.part.map_or_else(String::new, |p| format!(", {} of the points", percent(100.0 * p)));
-            format!("{} of the gap sits {}{part}", percent(100.0 * best.share), best.words)
+            format!("{} of the gap occurs {}{part}", percent(100.0 * best.share), best.words)
         }
         None => "no stretch, phase or level of the record holds clearly more of the gap than its part of the points"
             .to_owned(),
@@ -89,7 +89,7 @@ fn by_time(l: &Location) -> Vec<Candidate> {
         let inside: Vec<_> = l.segments.iter().filter(side).collect();
         let share: f64 = inside.iter().filter_map(|s| s.share).sum();
         let part: f64 = inside.iter().map(|s| s.expected).sum();
-        let since = place(Some(share), part, ratio > 1.0, || format!("behind {} s after the start", number(onset)));
+        let since = place(Some(share), part, ratio > 1.0, || format!("from {} s after the start", number(onset)));
         if since.is_some() {
             return since.into_iter().collect();
         }
@@ -124,13 +124,13 @@ fn by_level(l: &Location) -> Vec<Candidate> {
 
 fn by_band(l: &Location) -> Vec<Candidate> {
     let names = [
-        "in swings more than three times slower than the oscillation",
-        "in swings about twice as slow as the oscillation",
+        "in motion more than three times slower than the oscillation",
+        "in motion about twice as slow as the oscillation",
         "at the oscillation's own period",
-        "in swings about twice as fast as the oscillation",
-        "in swings three to six times as fast as the oscillation",
-        "in swings six to fifteen times as fast as the oscillation",
-        "in swings more than fifteen times as fast as the oscillation",
+        "in motion about twice as fast as the oscillation",
+        "in motion three to six times as fast as the oscillation",
+        "in motion six to fifteen times as fast as the oscillation",
+        "in motion more than fifteen times as fast as the oscillation",
     ];
     let of = |(b, name): (&super::super::locate::Band, &str)| {
         let share = b.share?;
@@ -139,6 +139,14 @@ fn by_band(l: &Location) -> Vec<Candidate> {
         (lift >= BAND_LIFT).then(|| Candidate { share, part: None, lift: 0.5 * lift, words: name.to_owned() })
     };
     l.bands.iter().zip(names).filter_map(of).collect()
+}
+
+/// How likely chance makes a list as uneven.
+fn chance(p: Option<f64>) -> String {
+    match p {
+        Some(p) if p > TOLD_P => format!(" (not significant, p {})", probability(p)),
+        _ => String::new(),
+    }
 }
 
 /// Rows of the long report.
@@ -161,7 +169,15 @@ pub(super) fn rows(d: &GapDocument, row: &mut dyn FnMut(&str, String)) {
             of(p.moving, e.moving)
         ),
     );
-    row("direction", format!("after moves up {}, down {}", share(l.direction.up), share(l.direction.down)));
+    row(
+        "direction",
+        format!(
+            "after moves up {}, down {}{}",
+            share(l.direction.up),
+            share(l.direction.down),
+            chance(l.uneven.direction.map(|t| t.p))
+        ),
+    );
     let bands: Vec<String> = l.bands.iter().map(|b| share(b.share)).collect();
     row("frequency", format!("{} (below .3, .7, 1.3, 2.5, 6, 15 times 1/period, above)", bands.join(" ")));
     if let Some(r2) = l.level_r2.op {
@@ -171,7 +187,7 @@ pub(super) fn rows(d: &GapDocument, row: &mut dyn FnMut(&str, String)) {
         row("onset", format!("{} s after the start, power times {}", number(onset), number(ratio)));
     }
     if let (Some(missed), Some(extra)) = (l.slips.missed, l.slips.extra) {
-        row("slips", format!("{missed} missed by the model, {extra} that only the model made"));
+        row("slips", format!("the model misses {missed} of the valve's and makes {extra} that the valve does not"));
     }
     let strong: Vec<String> = l
         .correlates
@@ -181,7 +197,7 @@ pub(super) fn rows(d: &GapDocument, row: &mut dyn FnMut(&str, String)) {
         .map(|c| format!("{} {:+.2} {} s later", c.name, c.value, number(c.lag_s)))
         .collect();
     if !strong.is_empty() {
-        row("goes with", strong.join(", "));
+        row("correlates", strong.join(", "));
     }
     let met: Vec<&str> = l.signatures.iter().filter(|s| s.met).map(|s| s.id.as_str()).collect();
     if !met.is_empty() {

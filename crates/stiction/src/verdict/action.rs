@@ -1,0 +1,149 @@
+//! What to do about an estimate: one source for report, page, alarm, terminal and console.
+
+use serde::{Deserialize, Serialize};
+
+use super::bump_test::{self, BumpTest, Refusal};
+use super::{Assessment, SCREENED, Verdict, texts, words};
+use crate::units::number;
+
+/// How the band is confirmed.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Confirm {
+    /// By a bump test.
+    Bump(BumpTest),
+    /// Otherwise, since no bump test is proposed.
+    Otherwise(Refusal),
+}
+
+/// What to do about a valve that sticks.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Action {
+    /// Whether it has a dead band rather than slips.
+    pub deadband: bool,
+    /// Whether slip and play cannot be told apart.
+    pub open: bool,
+    /// How to confirm it.
+    pub confirm: Confirm,
+}
+
+impl Action {
+    /// Of an estimate that finds stiction; `None` of any other.
+    #[must_use]
+    pub fn of(a: &Assessment) -> Option<Self> {
+        (a.stiction == Some(true)).then(|| Self {
+            deadband: a.verdict == Verdict::Deadband,
+            open: a.j_identifiable == Some(false),
+            confirm: bump_test::bump_test(a).map_or_else(Confirm::Otherwise, Confirm::Bump),
+        })
+    }
+
+    /// What to inspect once the band is confirmed.
+    fn inspect(&self) -> &'static str {
+        let all = match (self.open, self.deadband) {
+            (true, _) => texts::OPEN_ACTION,
+            (false, true) => texts::of(Verdict::Deadband).action,
+            (false, false) => texts::of(Verdict::Stiction).action,
+        };
+        all.split_once("then ").map_or(all, |(_, inspect)| inspect)
+    }
+
+    /// Beside the test written out.
+    #[must_use]
+    pub fn words(&self) -> String {
+        match &self.confirm {
+            Confirm::Bump(_) => {
+                format!("Confirm the band by the bump test. If the test confirms it, {}.", self.inspect())
+            }
+            Confirm::Otherwise(why) => {
+                format!("{} If that confirms the band, {}.", why.instead(), self.inspect())
+            }
+        }
+    }
+
+    /// Alone, as an alarm has it.
+    #[must_use]
+    pub fn alone(&self, op_unit: &str) -> String {
+        match &self.confirm {
+            Confirm::Bump(test) => format!(
+                "{} If the test confirms the band, {}. `stictiond analyze --report` writes the test out.",
+                test.brief(op_unit),
+                self.inspect()
+            ),
+            Confirm::Otherwise(_) => self.words(),
+        }
+    }
+
+    /// The bump test, a step an item; none where it is confirmed otherwise.
+    #[must_use]
+    pub fn steps(&self, op_unit: &str) -> Vec<String> {
+        match &self.confirm {
+            Confirm::Bump(test) => test.steps(op_unit),
+            Confirm::Otherwise(_) => Vec::new(),
+        }
+    }
+}
+
+/// What to do about an estimate, in sentences.
+#[must_use]
+pub fn what_to_do(a: &Assessment) -> String {
+    if let Some(action) = Action::of(a) {
+        return action.words();
+    }
+    if a.stiction.is_none() {
+        return words::capital(better_data(a.reason.unwrap_or_default())) + ".";
+    }
+    format!("{}. {}", words::capital(texts::of(a.verdict).action), limit(a))
+}
+
+/// What a negative result leaves open.
+fn limit(a: &Assessment) -> String {
+    match a.s_detectable {
+        Some(least) => {
+            format!("A band below {} OP units would not have been found in this record.", number(least))
+        }
+        None if a.reason == Some(SCREENED) => {
+            "The loop is calm and was only screened: this record rules out no band.".to_owned()
+        }
+        None => "The detection limit is not determinable, so this record rules out no band.".to_owned(),
+    }
+}
+
+/// What would give an answer, by the reason why there is none.
+fn better_data(reason: &str) -> &'static str {
+    match reason {
+        "manual" => "record the loop in automatic",
+        "bad_quality" => "find out why values are missing or bad, and record again",
+        "frozen_pv" | "stuck_signal" => "check the transmitter, the block valves and the valve itself first",
+        "frozen_op" => "record a time in which the controller moves OP",
+        "saturated" => "choose a section in which OP is not at a limit",
+        "too_few_samples" | "too_few_periods" => "record longer: at least five periods of the oscillation",
+        "too_coarse" => "record faster: at least 50 samples a period",
+        "op_held" => "record OP faster, or with less compression in the historian",
+        "daily_cycle" => "look at sections of a few hours, sampled faster, in which the daily cycle plays no part",
+        "trend" => "choose a section without the trend, or one in which the loop oscillates",
+        "skipped" => "give the machine more processor time, or analyze this window from the recording",
+        _ => {
+            "check that OP and PV belong to this loop and are not swapped; record longer, in automatic, while it oscillates"
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_reason_has_its_own_remedy_and_no_text_proposes_a_test_and_none() {
+        let other = better_data("anything else");
+        for reason in ["manual", "too_coarse", "op_held", "daily_cycle", "trend", "stuck_signal", "too_few_periods"] {
+            assert_ne!(better_data(reason), other, "{reason}");
+        }
+        let refused = Confirm::Otherwise(Refusal::Integrating);
+        for open in [false, true] {
+            let text = Action { deadband: true, open, confirm: refused }.alone("%");
+            assert!(text.contains("No bump test is proposed") && !text.contains("by the bump test"), "{text}");
+            assert!(text.contains("linkage") && text.contains("packing") == open, "{text}");
+        }
+    }
+}

@@ -1,0 +1,116 @@
+//! The one list of verdict texts: reports, alarms, terminal, page (`src/web/assets/verdicts.js`) and docs/verdicts.md have
+//! them from here.
+//!
+//! A verdict below the decision threshold says what was not found, never that a valve is healthy.
+
+use serde::Serialize;
+
+use super::Verdict;
+
+/// What is written of a verdict.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct Text {
+    /// The verdict's id in documents.
+    pub id: &'static str,
+    /// In a word or two, for tiles and filters.
+    pub short: &'static str,
+    /// What it says, without capital and full stop.
+    pub sentence: &'static str,
+    /// What to do, before what the estimate adds.
+    pub action: &'static str,
+}
+
+const STICTION: Text = Text {
+    id: "stiction",
+    short: "sticks",
+    sentence: "the valve sticks and slips",
+    action: "confirm the band by a test; then inspect packing, actuator, air supply and positioner",
+};
+const DEADBAND: Text = Text {
+    id: "deadband",
+    short: "dead band",
+    sentence: "the valve has a dead band",
+    action: "confirm the band by a test; then inspect linkage, gears and positioner feedback for play",
+};
+const DISTURBANCE: Text = Text {
+    id: "disturbance",
+    short: "disturbed",
+    sentence: "the loop oscillates, most likely because of an external disturbance",
+    action: "look upstream for a loop or load with this period",
+};
+const TUNING: Text = Text {
+    id: "tuning",
+    short: "tuning",
+    sentence: "the loop oscillates, most likely because of its tuning",
+    action: "review the controller's gain and integral time",
+};
+const NO_STICTION: Text = Text {
+    id: "no_stiction",
+    short: "oscillates",
+    sentence: "the loop oscillates; the cause was not identified",
+    action: "look for the cause of the oscillation: tuning, load, interaction with other loops",
+};
+const NO_OSCILLATION: Text = Text {
+    id: "no_oscillation",
+    short: "steady",
+    sentence: "no regular oscillation",
+    action: "no action follows from this record; keep the valve in its regular checks",
+};
+const INCONCLUSIVE: Text = Text {
+    id: "inconclusive",
+    short: "no answer",
+    sentence: "not enough evidence for a verdict",
+    action: "collect data that can answer",
+};
+
+/// Every verdict's texts, in the order of tables.
+pub const ALL: [Text; 7] = [STICTION, DEADBAND, DISTURBANCE, TUNING, NO_STICTION, NO_OSCILLATION, INCONCLUSIVE];
+
+/// The texts of a verdict.
+#[must_use]
+pub const fn of(v: Verdict) -> Text {
+    match v {
+        Verdict::Stiction => STICTION,
+        Verdict::Deadband => DEADBAND,
+        Verdict::Disturbance => DISTURBANCE,
+        Verdict::Tuning => TUNING,
+        Verdict::NoStiction => NO_STICTION,
+        Verdict::NoOscillation => NO_OSCILLATION,
+        Verdict::Inconclusive => INCONCLUSIVE,
+    }
+}
+
+/// The sentence of a sticking valve whose slip jump is not known: packing and play look alike then.
+pub const OPEN: &str = "the valve sticks; slip or play cannot be told apart";
+/// What to inspect then.
+pub const OPEN_ACTION: &str = "confirm the band by a test; then inspect packing, actuator, air supply and positioner (slip), \
+     and linkage, gears and positioner feedback (play)";
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_verdict_has_its_own_texts() {
+        let verdicts = [
+            Verdict::Stiction,
+            Verdict::Deadband,
+            Verdict::Disturbance,
+            Verdict::Tuning,
+            Verdict::NoStiction,
+            Verdict::NoOscillation,
+            Verdict::Inconclusive,
+        ];
+        for (v, text) in verdicts.into_iter().zip(ALL) {
+            assert_eq!((of(v), text.id), (text, v.name()));
+        }
+    }
+
+    #[test]
+    fn no_text_calls_a_valve_healthy() {
+        let all = serde_json::to_string(&ALL).unwrap();
+        for claim in ["healthy", "is well", "follows its signal", "in service", "nothing to", "no stiction"] {
+            assert!(!all.contains(claim), "{claim}");
+        }
+    }
+}

@@ -1,0 +1,24 @@
+//! The page and the documentation have the texts of verdicts from the library's one list.
+
+use std::fs;
+
+use stiction::verdict::texts::ALL;
+
+#[test]
+fn the_page_and_the_documentation_say_what_the_list_says() {
+    let entry = |t: &stiction::verdict::texts::Text| {
+        format!("  {}: {{ short: {:?}, words: {:?} }},\n", t.id, t.short, t.sentence)
+    };
+    let entries: String = ALL.iter().map(entry).collect();
+    let page = format!(
+        "// The texts of verdicts, from crates/stiction/src/verdict/texts.rs; a test compares them.\n\nexport const VERDICTS = \
+         {{\n{entries}}};\n"
+    );
+    assert_eq!(fs::read_to_string("src/web/assets/verdicts.js").unwrap(), page);
+    let documented = fs::read_to_string("docs/verdicts.md").unwrap();
+    for text in ALL {
+        let row = format!("| {} | {} |", text.sentence, text.action);
+        let line = documented.lines().find(|line| line.starts_with(&format!("| `{}` |", text.id)));
+        assert!(line.is_some_and(|line| line.ends_with(&row)), "docs/verdicts.md lacks the row of {}: {row}", text.id);
+    }
+}
