@@ -577,6 +577,29 @@ mod tests {
     }
 
     #[test]
+    fn the_cause_that_a_loop_shows_is_that_of_most_of_its_last_windows() {
+        let (overview, now, place) = (Overview::default(), Instant::now(), Place::default());
+        let a: Arc<str> = "A".into();
+        let mut status = |k: i64, verdict| {
+            overview.estimate(&a, &place, now, estimate("A", k * 1_000_000_000, None, verdict));
+            let row = overview.row("A", 0).unwrap();
+            (row.ne107, row.status)
+        };
+        for k in 0..6 {
+            status(k, Verdict::Tuning);
+        }
+        // One window of another cause, or without an oscillation, does not change what is shown.
+        let shown = "the loop oscillates, most likely because of its tuning (6 of the last 7 windows)";
+        assert_eq!(status(6, Verdict::NoStiction), (Some("S"), shown.to_owned()));
+        assert_eq!(status(7, Verdict::Stiction).1, "the valve sticks and slips; no alarm yet");
+        for k in 8..12 {
+            status(k, Verdict::NoOscillation);
+        }
+        let (ne107, status) = status(12, Verdict::NoOscillation);
+        assert!(ne107 == Some("ok") && status.contains("no sign of stiction found"), "{status}");
+    }
+
+    #[test]
     fn the_newest_windows_stay_and_tell_how_s_goes() {
         let (overview, now, place) = (Overview::default(), Instant::now(), Place::default());
         let a: Arc<str> = "A".into();

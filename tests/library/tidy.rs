@@ -15,10 +15,11 @@ pub const CRATES: [&str; 4] = ["src", "crates/stiction/src", "crates/stiction-mo
 const MAX_LINES: usize = 600;
 
 /// Which rooms each room may use.
-const IMPORTS: [(&str, &[&str]); 34] = [
+const IMPORTS: [(&str, &[&str]); 36] = [
     // Words.
     ("units", &[]),
     ("record", &["units"]),
+    ("guard", &["units"]),
     // Tools.
     ("signal", &["units", "record"]),
     ("optim", &[]),
@@ -28,8 +29,8 @@ const IMPORTS: [(&str, &[&str]); 34] = [
     ("ident", &["units", "record", "signal", "optim", "sim"]),
     ("detect", &["units", "record", "signal", "optim", "sim", "ident"]),
     // Judgement.
-    ("verdict", &["units", "record", "signal", "optim", "sim", "ident", "detect"]),
-    ("gap", &["units", "record", "signal", "optim", "sim", "ident", "detect"]),
+    ("verdict", &["units", "record", "guard", "signal", "optim", "sim", "ident", "detect"]),
+    ("gap", &["units", "record", "guard", "signal", "optim", "sim", "ident", "detect"]),
     // What follows from verdicts.
     ("over_time", &["units", "signal", "verdict"]),
     ("repair", &["units", "record", "signal", "sim", "ident", "detect", "verdict"]),
@@ -38,6 +39,7 @@ const IMPORTS: [(&str, &[&str]); 34] = [
     ("truth", &["units", "record", "signal", "sim"]),
     ("challenge", &["units", "record", "signal", "sim", "verdict", "truth"]),
     ("methods", &["record", "signal", "sim", "ident", "detect"]),
+    ("bump_test", &["guard", "signal", "sim", "verdict", "truth"]),
     ("calibrate", &["verdict"]),
     ("calibrate_gap", &["gap"]),
     ("calibrate_intervals", &["signal", "ident", "detect", "verdict", "truth"]),

@@ -4,6 +4,7 @@ use serde::Serialize;
 
 use crate::truth::draw::Draw;
 use crate::truth::{self, Half, Regime, TruthLoop};
+use stiction::guard::Excess;
 use stiction::signal::stats;
 use stiction::sim::closed_loop::{Stem, ValveLaw, ValveModel};
 use stiction::sim::process::ProcessState;
@@ -91,8 +92,8 @@ const fn name(refusal: Refusal) -> &'static str {
         Refusal::NoSize => "no model",
         Refusal::Integrating => "integrating",
         Refusal::Noise(..) => "noise",
-        Refusal::Travel(..) => "PV's travel",
-        Refusal::Duration(_) => "duration",
+        Refusal::TooMuch(Excess::Travel(..)) => "PV's travel",
+        Refusal::TooMuch(Excess::Duration(_)) => "duration",
     }
 }
 

@@ -37,7 +37,7 @@
 //!
 //! | layer | modules |
 //! |---|---|
-//! | basics | [`units`] times, names, numbers · [`record`] samples, and the record of one estimate |
+//! | basics | [`units`] times, names, numbers · [`record`] samples, and the record of one estimate · [`guard`] what a test on a loop may ask |
 //! | tools | [`signal`] joining, history, statistics · [`optim`] solvers |
 //! | physics | [`sim`] valve models, processes, controller, noise, closed loop: the only copy of each formula |
 //! | identification | [`ident`] quantification of stiction · [`detect`] oscillation, and one file per indicator |
@@ -52,6 +52,7 @@
 
 pub mod detect;
 pub mod gap;
+pub mod guard;
 pub mod ident;
 pub mod optim;
 pub mod over_time;

@@ -4,9 +4,10 @@
 
 use crate::labelled;
 
+use stiction::guard::{PV_SPANS, SHIFT_S};
 use stiction::record::Record;
 use stiction::units::LoopKind;
-use stiction::verdict::bump_test::{PV_SPANS, SHIFT_S, bump_test};
+use stiction::verdict::bump_test::bump_test;
 use stiction::verdict::words;
 use stiction::verdict::{AssessParams, Assessment, assess};
 

@@ -5,7 +5,7 @@ use Priority::{High, Urgent};
 use proptest::prelude::*;
 use stiction::ident::region::Size;
 use stiction::units::Moment;
-use stiction::verdict::{Oscillation, Verdict, Window};
+use stiction::verdict::{Oscillation, Process, Verdict, Window};
 
 fn assessment(k: i64, verdict: Verdict, s: f64, strength_by_span: Size) -> Assessment {
     let (start_ns, end_ns) = (k * 10, (k + 1) * 10);
@@ -120,6 +120,30 @@ fn what_people_do_stands_apart_from_what_raised_it() {
     assert_eq!((taken.occurrence_id, taken.why, taken.marks), (None, None, Marks::default()));
     let nobody = Command { by: None, ..asks("suppress", None) };
     assert_eq!(alarm.command("L", &nobody, 50).unwrap_err(), CommandError::Nameless);
+}
+
+#[test]
+fn what_to_do_is_the_bump_test_of_the_estimate_in_the_places_unit() {
+    let mut alarm = Alarm::default();
+    let params = AlarmParams { raise: [1, 1], s_limit_op: 1.0, s_limit_span: 0.0 };
+    let mut a = assessment(0, Verdict::Stiction, 2.0, Size::Weak);
+    let lag = Process {
+        order: 1,
+        gain: 2.0,
+        time_constants_s: vec![20.0],
+        dead_time_s: 6.0,
+        integrating: false,
+        mse: 1e-4,
+        fit_pct: 95.0,
+    };
+    (a.j, a.pv_span, a.process) = (Some(1.0), Some(4.0), Some(lag));
+    let raised = alarm.window("L", &a, &params).unwrap();
+    let what = raised.at(&Place { op_unit: Some("%".into()), ..Place::default() }).what_to_do.unwrap();
+    assert!(what.contains("step OP by 0.5 % one way") && what.contains("packing"), "{what}");
+    assert!(what.contains("PV moves by about 3 PV units") && !what.contains("No bump test"), "{what}");
+    // A restart carries it over.
+    let kept: Alarm = serde_json::from_str(&serde_json::to_string(&alarm).unwrap()).unwrap();
+    assert_eq!(kept.restored("L").what_to_do, alarm.restored("L").what_to_do);
 }
 
 #[test]

@@ -7,9 +7,9 @@ use super::problem::Problem;
 use super::schedule::Found;
 use super::search::Search;
 use super::types::{NONE, NextTest, UNKNOWN};
+use crate::guard;
 use crate::signal::stats;
 use crate::sim::slips::FirstSlip;
-use crate::verdict::bump_test::guard;
 
 /// Probability that is asked for.
 const WANTED: f64 = 0.95;
@@ -49,7 +49,7 @@ pub fn next_test(problem: &Problem, found: &Found, made: &Diagnosis) -> Option<N
         let answers = [first, second].map(|search| answer(problem, search, size, hold));
         let [Some(a), Some(b)] = answers else { continue };
         let travel = a.iter().chain(&b).fold(0.0_f64, |most, x| most.max(x.abs()));
-        if guard(travel, pv_span, HOLDS * duration_s).is_some() {
+        if guard::excess(travel, pv_span, HOLDS * duration_s).is_some() {
             return None;
         }
         let apart: Vec<f64> = a.iter().zip(&b).map(|(x, y)| x - y).collect();

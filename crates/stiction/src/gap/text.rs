@@ -12,7 +12,7 @@ use super::types::{NONE, UNKNOWN};
 use crate::units::{duration, number, probability};
 use claim::Claim;
 
-/// The answer as one paragraph: where, which, how far, what it cannot be told from, what would settle it.
+/// The answer as one paragraph: where, which, how far, what it is indistinguishable from, what would settle it.
 #[must_use]
 pub fn paragraph(d: &GapDocument) -> String {
     let mut parts = Vec::new();
@@ -202,12 +202,12 @@ fn named(d: &GapDocument, e: &EffectNote) -> String {
         (None, None) => {}
     }
     if claim == Claim::Hardly {
-        // What it cannot be told from would make as little of the gap.
+        // What it is indistinguishable from would make as little of the gap.
         return text;
     }
     let twins = effect::twins(d, e);
     if !twins.is_empty() {
-        text.push_str(&format!("; it cannot be told from {}", twins.join(" or ")));
+        text.push_str(&format!("; in this record it is indistinguishable from {}", twins.join(" or ")));
     }
     let rivals: Vec<String> = d
         .alternatives

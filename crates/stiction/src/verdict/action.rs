@@ -21,7 +21,7 @@ pub enum Confirm {
 pub struct Action {
     /// Whether it has a dead band rather than slips.
     pub deadband: bool,
-    /// Whether slip and play cannot be told apart.
+    /// Whether slip and play cannot be distinguished.
     pub open: bool,
     /// How to confirm it.
     pub confirm: Confirm,

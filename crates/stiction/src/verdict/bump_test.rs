@@ -7,13 +7,10 @@
 use serde::{Deserialize, Serialize};
 
 use super::Assessment;
+use crate::guard::{self, Excess, PV_SPANS};
 use crate::sim::process::{separated, series_weights};
 use crate::units::{duration, number};
 
-/// Longest test that operations can give a loop away for, s: a shift.
-pub const SHIFT_S: f64 = 8.0 * 3_600.0;
-/// How far a test may move PV, in spans of PV in the record.
-pub const PV_SPANS: f64 = 2.0;
 /// Steps as shares of s, finest first: a coarser one where noise hides the finer.
 const SHARES: [f64; 3] = [0.25, 1.0 / 3.0, 0.5];
 /// Length of a hold behind the dead time, sums of the time constants; the same for the wait until PV is steady.
@@ -63,20 +60,8 @@ pub enum Refusal {
     /// Noise hides what the largest step gives: standard deviation of what the model leaves, what half a band gives, PV
     /// units.
     Noise(f64, f64),
-    /// PV would go further than operations would allow: how far, and how far it went in the record, PV units.
-    Travel(f64, f64),
-    /// It takes longer than a shift, s.
-    Duration(f64),
-}
-
-/// What keeps a test on a loop from being proposed: `travel_pv` is how far it moves PV, `pv_span` how far PV went in the
-/// record, `total_s` how long it takes.
-#[must_use]
-pub fn guard(travel_pv: f64, pv_span: f64, total_s: f64) -> Option<Refusal> {
-    if travel_pv > PV_SPANS * pv_span {
-        return Some(Refusal::Travel(travel_pv, pv_span));
-    }
-    (total_s > SHIFT_S).then_some(Refusal::Duration(total_s))
+    /// It would ask too much of the loop.
+    TooMuch(Excess),
 }
 
 /// The test for an estimate, or why there is none.
@@ -107,8 +92,8 @@ pub fn bump_test(a: &Assessment) -> Result<BumpTest, Refusal> {
     let total_s = 3.0 * settle_s + (first_steps.ceil() + 2.0 * per_band + 3.0) * hold_s;
     let travel_pv = gain * (j + step_op);
     let pv_span = a.pv_span.unwrap_or(f64::INFINITY);
-    if let Some(refusal) = guard(travel_pv, pv_span, total_s) {
-        return Err(refusal);
+    if let Some(excess) = guard::excess(travel_pv, pv_span, total_s) {
+        return Err(Refusal::TooMuch(excess));
     }
     Ok(BumpTest {
         s,
@@ -217,12 +202,7 @@ impl Refusal {
                 number(*noise),
                 number(*gives)
             ),
-            Self::Travel(travel, span) => format!(
-                "it would move PV by {} PV units, and PV moved over {} in this record",
-                number(*travel),
-                number(*span)
-            ),
-            Self::Duration(total_s) => format!("it would take {}, longer than a shift", duration(*total_s)),
+            Self::TooMuch(excess) => excess.words(),
         }
     }
 
@@ -270,7 +250,7 @@ mod tests {
     fn the_test_follows_from_s_and_the_process() {
         let t = bump_test(&estimate(8.0, 3.0, 10.0)).unwrap();
         assert_eq!((t.step_op, t.hold_s, t.settle_s, t.travel_pv), (2.0, 36.0, 86.0, 10.0));
-        assert!(t.total_s < 1_000.0 && t.limit_pv == 15.0 && t.most_steps == 10, "{t:?}");
+        assert!(t.total_s < 1_000.0 && t.limit_pv == 20.0 && t.most_steps == 10, "{t:?}");
         // What s is read where PV moves at the fourth or fifth step: within an eighth of a band.
         assert_eq!([t.band([4, 4]), t.band([5, 5]), t.band([1, 1])], [6.5, 8.5, 0.5]);
         assert!(t.band([1, 2]) < t.detects());
@@ -281,10 +261,10 @@ mod tests {
     #[test]
     fn no_test_goes_beyond_the_guard_and_each_refusal_says_what_else_to_do() {
         let refused = |a: &Assessment| bump_test(a).unwrap_err();
-        assert_eq!(refused(&estimate(8.0, 8.0, 10.0)), Refusal::Travel(20.0, 10.0));
+        assert_eq!(refused(&estimate(8.0, 8.0, 9.0)), Refusal::TooMuch(Excess::Travel(20.0, 9.0)));
         let mut slow = estimate(8.0, 3.0, 10.0);
         slow.process.iter_mut().for_each(|p| p.time_constants_s = vec![2_000.0]);
-        assert!(matches!(refused(&slow), Refusal::Duration(t) if t > SHIFT_S));
+        assert!(matches!(refused(&slow), Refusal::TooMuch(Excess::Duration(t)) if t > guard::SHIFT_S));
         let mut noisy = estimate(8.0, 0.0, 10.0);
         noisy.process.iter_mut().for_each(|p| p.mse = 100.0);
         assert!(matches!(refused(&noisy), Refusal::Noise(..)));

@@ -459,7 +459,7 @@ mod tests {
     #[test]
     fn where_the_jump_is_open_both_repairs_are_named() {
         let mut a = Assessment { j_identifiable: Some(false), ..sticking() };
-        assert!(headline(&a).starts_with("the valve sticks; slip or play cannot be told apart"));
+        assert!(headline(&a).starts_with("the valve sticks; slip or play cannot be distinguished"));
         assert!(advice(&a).contains("packing") && advice(&a).contains("linkage"), "{}", advice(&a));
         a.j_identifiable = Some(true);
         assert!(!advice(&a).contains("packing"));
