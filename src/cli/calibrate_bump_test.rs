@@ -56,5 +56,7 @@ fn text(rows: &[Row], trials: &[Trial]) -> anyhow::Result<()> {
     let mut refused: BTreeMap<&str, usize> = BTreeMap::new();
     trials.iter().filter_map(|t| t.refused).for_each(|why| *refused.entry(why).or_default() += 1);
     let refused: Vec<String> = refused.iter().map(|(why, n)| format!("{why} {n}")).collect();
-    say(format!("no test proposed: {}", if refused.is_empty() { "none".into() } else { refused.join(", ") }))
+    let refused = if refused.is_empty() { "none".to_owned() } else { refused.join(", ") };
+    say(format!("no test proposed: {refused}"))?;
+    Ok(())
 }

@@ -70,7 +70,7 @@ pub fn detailed(of: &Subject<'_>) -> Figures {
     }
     let boxed = match of.record.box_samples {
         1 => String::new(),
-        k => format!(" Each point stands for {k} samples: PV's mean, the middle of OP's extremes."),
+        k => format!(" Each point averages {k} samples: PV's mean, the middle of OP's extremes."),
     };
     let after = if of.original.is_some() { "After downsampling, as analysed: " } else { "As analysed: " };
     let caption = format!("{after}{} points, one every {} s.{boxed}", of.record.len(), number(of.record.point_s()));
@@ -182,8 +182,8 @@ fn fit(of: &Subject<'_>, detail: &Detail) -> Result<Figure, PlotError> {
     let picture = trend("Measured and fitted", WIDE, &Across::time_from(of.record.start_ns), &panels)?;
     let explained = of.assessment.process.as_ref().map_or(0.0, |p| p.fit_pct);
     let caption = format!(
-        "The model never sees PV on its way: valve law and process answer to OP alone. Fit {explained:.1} % (100 is \
-         perfect, 0 no better than PV's mean). What the residual still shows, the model does not know."
+        "A free run: valve law and process respond to OP alone. Fit {explained:.1} % (100 is perfect, 0 no better than \
+         PV's mean). The residual shows what the model leaves out."
     );
     Ok(Figure { picture, caption, wide: true })
 }
@@ -217,14 +217,15 @@ fn phases(of: &Subject<'_>) -> Figures {
     let mut out = vec![
         Figure {
             picture: phase("Phase plot", of, record, 0, None)?,
-            caption: "PV over OP as recorded. A sticking valve leaves flanks where OP moves and PV stands.".to_owned(),
+            caption: "PV over OP as recorded. A sticking valve leaves stretches in which OP moves and PV does not."
+                .to_owned(),
             wide: false,
         },
         Figure {
             picture: phase("Phase plot, shifted", of, record, shift, None)?,
             caption: format!(
-                "PV {} s later over OP: the shift at which both go together best, so that dead time and lag do not \
-                 open the loop by themselves.",
+                "PV {} s later over OP: the shift with the best correlation, so that dead time and lag alone do not \
+                 open the loop.",
                 number(shift as f64 * record.point_s())
             ),
             wide: false,
@@ -232,7 +233,8 @@ fn phases(of: &Subject<'_>) -> Figures {
     ];
     if let Some(detail) = of.detail {
         let picture = phase("Phase plot of the fitted valve", of, record, shift, Some(&detail.run.valve))?;
-        let caption = "PV, shifted alike, over the valve signal of the fit: what is left open is the process' own lag.";
+        let caption =
+            "PV, shifted as before, over the valve position of the fit: the remaining opening is the process lag.";
         out.push(Figure { picture, caption: caption.to_owned(), wide: false });
     }
     Ok(out)
@@ -333,9 +335,9 @@ fn draws(of: &Subject<'_>, detail: &Detail) -> Figures {
             mark: value.map(|v| ("answer", v)),
         })?;
         let caption = format!(
-            "{name} where the whole search, begun again with other seeds, ends (restarts: how many valleys the error \
-             has), and {name} found again near the answer after the residual was put together anew from its own blocks \
-             of a period, OP as recorded (resamples: noise and disturbance). Neither is the 90 % interval."
+            "{name} from searches with other seeds (restarts: how many minima the error has), and {name} refitted near the \
+             answer after the residual was resampled in blocks of a period, OP as recorded (resamples: noise and \
+             disturbance). Neither is the 90 % interval."
         );
         out.push(Figure { picture, caption, wide: false });
     }
@@ -395,8 +397,7 @@ fn indicators(a: &Assessment) -> Result<Figure, PlotError> {
         note: "",
     });
     let rows: Vec<Bar<'_>> = base.into_iter().chain(said).chain(sum).collect();
-    let picture = bars("Indicators", HALF, "logits: right for sticking, left against", &rows)?;
-    let caption =
-        "What each indicator adds; together they are the logit of the probability. docs/method.md, \"The rule\".";
+    let picture = bars("Indicators", HALF, "log-odds: right points to sticking, left away from it", &rows)?;
+    let caption = "What each indicator adds; the sum is the log-odds of the probability (docs/method.md).";
     Ok(Figure { picture, caption: caption.to_owned(), wide: false })
 }

@@ -146,7 +146,7 @@ fn residuals(p: &Points<'_>) -> Made {
         (Some(at), Some(ratio)) => {
             format!("Its power changes {} s after the start, {}-fold.", number(at), number(ratio))
         }
-        _ => "No change of its power shows.".to_owned(),
+        _ => "Its power does not change.".to_owned(),
     };
     Ok(Figure { picture, caption, wide: true })
 }
