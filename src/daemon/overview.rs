@@ -580,7 +580,7 @@ mod tests {
     fn the_cause_that_a_loop_shows_is_that_of_most_of_its_last_windows() {
         let (overview, now, place) = (Overview::default(), Instant::now(), Place::default());
         let a: Arc<str> = "A".into();
-        let mut status = |k: i64, verdict| {
+        let status = |k: i64, verdict| {
             overview.estimate(&a, &place, now, estimate("A", k * 1_000_000_000, None, verdict));
             let row = overview.row("A", 0).unwrap();
             (row.ne107, row.status)
