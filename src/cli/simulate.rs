@@ -195,6 +195,7 @@ fn write(args: &Args, scenario: &Scenario, config: Config, run: &RunInfo) -> any
                     Event::Alarm(id, d) => (id, Kind::Alarm, d.changed_ns, to_json(&d)),
                     Event::State(id, d) => (id, Kind::State, d.window_end_ns.unwrap_or(0), to_json(&d)),
                 };
+                let Some(json) = json else { continue };
                 file.write(&topic::result(&run.prefix, engine.name(id), kind), kind, arrival_ns, at_ns, &json)?;
                 *counts.entry(kind).or_default() += 1;
             }

@@ -2,19 +2,21 @@
 //!
 //! ```text
 //! Zenoh callbacks --(input, drops + counts)--> engine thread --(schedule, in turn; skips + records)--> workers
-//!                                                |    ^-------------(answers)----------------'
+//!   |--(control, refuses; the page's, too)------->|    ^-------------(answers)----------------'
+//!   |                                            |--(answers, never waits)--.
+//!   '--(queries, refuses + counts)-----------------------------------------'--> replies thread --> Zenoh
 //!                                                |--(gaps, refuses or skips + records)--> gap thread, last to get a core
 //!                                                |--(recorder, waits 2 s)--> recorder thread --> *.mcap
 //!                                                |--(newest state a loop)--> state thread --> state.redb
 //!                                                |--(outbox, 4,096; drops + counts)--> outbox thread --> outbox.redb, then a thread a receiver
-//!                                                '--(publisher, alarms wait)--> publisher thread --> Zenoh, last values
+//!                                                '--(publisher, newest of each key; counts)--> publisher thread --> Zenoh, last values
 //! ```
 
 pub mod blocks;
 mod bundles;
 pub mod clock;
+mod command_policy;
 mod core;
-mod desk;
 pub mod documents;
 pub mod faults;
 mod feeds;
@@ -68,9 +70,12 @@ use crate::sink::keeper::Keeper;
 use crate::sink::recorder::{Recorder, RunInfo};
 use crate::sink::signing::Signer;
 use crate::sink::zenoh::Publisher;
+use crate::source::askers::Askers;
+use crate::source::queries::Queries;
+use crate::source::replies::Replies;
 use crate::source::shares::Shares;
 use crate::source::zenoh::LastValues;
-use crate::source::{self, Incoming, Intake, presence};
+use crate::source::{self, CONTROL_QUEUE, Control, Intake, presence};
 use crate::web;
 use crate::web::api::Live;
 use crate::web::workbench::{self, Bench, Workbench};
@@ -129,10 +134,11 @@ pub async fn run(
     let snapshot = HealthSnapshot::new(RwLock::new(starting("")));
     let last = source::zenoh::LastValues::default();
     let (queue, incoming) = crossbeam_channel::bounded(config.input.queue);
+    let (control, wishes) = crossbeam_channel::bounded(CONTROL_QUEUE);
     let overview = (config.web.enabled && config.web.page.enabled).then(Overview::default);
     let (page, bench) = match &overview {
         Some(overview) => {
-            let (page, bench) = page_of(&config, &options, overview, &last, &queue, &snapshot)?;
+            let (page, bench) = page_of(&config, &options, overview, &last, &control, &snapshot)?;
             (Some(page), bench)
         }
         None => (None, None),
@@ -172,7 +178,8 @@ pub async fn run(
     }
 
     let (budget, shares) = (Budget::new(config.input.queue_bytes), Shares::default());
-    let (publisher, publishing) = Publisher::start(session.clone(), last.clone(), signer.clone(), metrics.clone())?;
+    let (publisher, publishing) =
+        Publisher::start(session.clone(), last.clone(), signer.clone(), (metrics.clone(), faults.clone()))?;
     let run = run_info(&config, config_text, &options, &daemon_id, run_number);
     let retention = Arc::new(Mutex::new(config.retention));
     let run_id = run.run_id.clone();
@@ -213,9 +220,10 @@ pub async fn run(
     let sign = signer.map(|signer| -> source::zenoh::Sign {
         Arc::new(move |key: &str, document: &[u8]| signer.attachment(key, document))
     });
-    let queryables =
-        source::zenoh::answer_queries(&session, (&prefix, &daemon_id), queue.clone(), last, sign, metrics.clone())
-            .await?;
+    let askers = Askers::new(&config.commands);
+    let replies = Replies::start(askers.clone(), last.clone(), sign, metrics.clone())?;
+    let queries = Queries::new(&config, control.clone(), (replies, askers.clone()), metrics.clone());
+    let queryables = queries.answer(&session, &daemon_id, &last).await?;
     let parts = Parts {
         engine: Engine::new(EngineSettings { daemon: Some(daemon_id.as_str().into()), ..config.engine() }),
         config: Arc::new(config.clone()),
@@ -238,9 +246,8 @@ pub async fn run(
     let core = std::thread::Builder::new().name("engine".into()).spawn(move || {
         let mut core = Core::new(parts);
         core.restore(memories);
-        core.run(&incoming, &stopping);
+        core.run(&incoming, &wishes, &stopping);
     })?;
-    let control = queue.clone();
     let intake = Intake::new(queue, (budget, shares), metrics.clone(), Clock::system());
     let mut subscribers = source::zenoh::subscribe(&session, &config, &intake).await?;
     let mine = (prefix.as_str(), daemon_id.as_str(), config.shard);
@@ -268,7 +275,7 @@ pub async fn run(
     let reload = options.config_path.map(|path| Reload::new(path, config, retention));
     threads.insert(0, ("engine", core));
     let unasked = tokio::select! {
-        () = signals::serve_until(stop, hangups, reload, &control, &faults) => None,
+        () = signals::serve_until(stop, hangups, reload, (&control, &askers), &faults) => None,
         name = shutdown::unasked_end(&threads) => Some(name),
     };
     tracing::info!("stopping");
@@ -345,7 +352,7 @@ fn page_of(
     options: &RunOptions,
     overview: &Overview,
     last: &LastValues,
-    queue: &Sender<Incoming>,
+    control: &Sender<Control>,
     snapshot: &HealthSnapshot,
 ) -> anyhow::Result<(axum::Router, Option<Bench>)> {
     let guard = Arc::new(web::guard_of(&config.web.page)?);
@@ -354,7 +361,7 @@ fn page_of(
         guard.clone(),
         overview.clone(),
         last.clone(),
-        queue.clone(),
+        control.clone(),
         snapshot.clone(),
     );
     live.note = (options.origin == "demo").then_some(SIMULATED);

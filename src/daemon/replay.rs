@@ -129,7 +129,7 @@ impl Replay {
             }
             RecordedInput::Command(command) => {
                 if let Ok(document) = self.engine.command(id, &command) {
-                    out.push(self.output(id, Kind::Alarm, to_json(&document)));
+                    out.extend(self.output(id, Kind::Alarm, &document));
                 }
             }
             RecordedInput::GapRun { by, .. } => {
@@ -222,18 +222,18 @@ impl Replay {
                     Event::GapRequest(request) => {
                         self.gaps.entry(request.id).or_default().push_back((*request, None));
                     }
-                    Event::Gap(id, document) => out.push(self.output(id, Kind::Gap, to_json(&document))),
+                    Event::Gap(id, document) => out.extend(self.output(id, Kind::Gap, &document)),
                     Event::Request(request) => self.waiting.entry(request.id).or_default().push_back(*request),
-                    Event::Estimate(id, document) => out.push(self.output(id, Kind::Estimate, to_json(&document))),
-                    Event::Alarm(id, document) => out.push(self.output(id, Kind::Alarm, to_json(&document))),
+                    Event::Estimate(id, document) => out.extend(self.output(id, Kind::Estimate, &document)),
+                    Event::Alarm(id, document) => out.extend(self.output(id, Kind::Alarm, &document)),
                     Event::State(..) => {}
                 }
             }
         }
     }
 
-    fn output(&self, id: LoopId, kind: Kind, json: Vec<u8>) -> Output {
-        Output { loop_name: self.engine.name(id).to_string(), kind, json }
+    fn output(&self, id: LoopId, kind: Kind, document: &impl serde::Serialize) -> Option<Output> {
+        Some(Output { loop_name: self.engine.name(id).to_string(), kind, json: to_json(document)? })
     }
 }
 

@@ -137,10 +137,9 @@ impl Restored {
     fn seal(&mut self, prefix: &str, is_whole: bool, faults: &Faults) {
         let Some(store) = self.store.take() else { return };
         let missing = if is_whole { None } else { Some(&self.memories) };
-        let states = missing
-            .into_iter()
-            .flatten()
-            .map(|(name, memory)| (key_of(prefix, name), to_json(&StateDocument::new(name, None, memory.clone()))));
+        let states = missing.into_iter().flatten().filter_map(|(name, memory)| {
+            Some((key_of(prefix, name), to_json(&StateDocument::new(name, None, memory.clone()))?))
+        });
         let number = (prefix.to_owned(), self.run_number.to_string().into_bytes());
         let values: Vec<(String, Vec<u8>)> = states.chain([number]).collect();
         match store.save(values.iter().map(|(k, v)| (k.as_str(), v.as_slice()))) {

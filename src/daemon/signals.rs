@@ -1,15 +1,20 @@
 //! Signals that a service gets besides the one that ends it.
 
 use std::future::Future;
+use std::time::Duration;
 
-use crossbeam_channel::Sender;
+use crossbeam_channel::{Sender, TrySendError};
 use sd_notify::NotifyState;
 use tokio::signal::unix::{Signal, SignalKind, signal};
 
 use super::core::tell_system;
 use super::faults::Faults;
 use super::reload::Reload;
-use crate::source::Incoming;
+use crate::source::Control;
+use crate::source::askers::Askers;
+
+/// Pause before the engine's queue is tried again.
+const AGAIN_AFTER: Duration = Duration::from_millis(20);
 
 /// A file that reaches the limit of the system (`ulimit -f`) is an error of that file, not the end of the process.
 pub fn survive_file_size_limit() {
@@ -30,7 +35,7 @@ pub async fn serve_until(
     mut stop: impl Future<Output = ()> + Unpin,
     mut hangups: Option<Signal>,
     mut reload: Option<Reload>,
-    control: &Sender<Incoming>,
+    (control, askers): (&Sender<Control>, &Askers),
     faults: &Faults,
 ) {
     loop {
@@ -43,12 +48,22 @@ pub async fn serve_until(
             Ok(now) => tell_system(&[NotifyState::Reloading, now]),
             Err(error) => tracing::debug!(%error, "systemd cannot be told"),
         }
-        if let Some(config) = reload.read(faults)
-            && control.try_send(Incoming::Settings(Box::new(config))).is_err()
-        {
-            tracing::error!("the engine is too busy for new settings: send SIGHUP again");
+        if let Some(config) = reload.read(faults) {
+            askers.limit(&config.commands);
+            tokio::select! {
+                () = &mut stop => return,
+                () = hand_over(control, Control::Settings(Box::new(config))) => {}
+            }
         }
         tell_system(&[NotifyState::Ready]);
+    }
+}
+
+/// Waits until the engine's queue has taken a wish, or the engine is gone.
+async fn hand_over(control: &Sender<Control>, mut wish: Control) {
+    while let Err(TrySendError::Full(refused)) = control.try_send(wish) {
+        wish = refused;
+        tokio::time::sleep(AGAIN_AFTER).await;
     }
 }
 

@@ -18,7 +18,7 @@ use super::gaps::{Diagnosed, Diagnoser, Outcome};
 use super::health::{DaemonHealth, HealthSnapshot};
 use super::metrics::Metrics;
 use super::overview::Overview;
-use super::queue::{Budget, Room};
+use super::queue::Budget;
 use super::restore::{self, Restored};
 use super::retention::{RetentionParts, RetentionWorker};
 use super::worker::{Answered, Job, Workers};
@@ -26,9 +26,9 @@ use crate::files::disk::Disk;
 use crate::sink::deliver::{Delivery, MakeTarget, Outbox};
 use crate::sink::keeper::{self, Keeper};
 use crate::sink::recorder::{Recorder, RunInfo, Writer};
-use crate::sink::zenoh::{Publication, Publisher};
+use crate::sink::zenoh::{Outgoing, Publication, Publisher};
 use crate::source::shares::Shares;
-use crate::source::{Answer, Envelope, Incoming, Intake};
+use crate::source::{Answer, CONTROL_QUEUE, Control, Envelope, Intake, Message};
 use stiction::verdict::Assessment;
 use stiction_monitor::alarm::Command;
 use stiction_monitor::config::{Config, Deliver};
@@ -43,8 +43,9 @@ const DAEMON_ID: &str = "stage";
 pub struct Stage {
     core: Core,
     intake: Intake,
-    control: Sender<Incoming>,
-    incoming: Receiver<Incoming>,
+    control: Sender<Control>,
+    wishes: Receiver<Control>,
+    incoming: Receiver<Message>,
     jobs: Receiver<Job>,
     answers: Sender<Answered>,
     answered: Receiver<Answered>,
@@ -53,7 +54,7 @@ pub struct Stage {
     overview: Overview,
     delivery: Delivery,
     retention: RetentionWorker,
-    publications: Receiver<(Publication, Option<Room>)>,
+    publications: Outgoing,
     writer: Writer,
     keeping: keeper::Worker,
     budget: Budget,
@@ -94,10 +95,11 @@ impl Stage {
         let (recorder, writer) = Recorder::pair(run, config.recording.clone(), place, metrics.clone(), faults.clone());
         let (keeper, keeping) = Keeper::pair(&dir, &prefix, store, disk.clone(), faults.clone(), metrics.clone());
         let (publisher, publications) = Publisher::pair(metrics.clone());
-        let (control, incoming) = crossbeam_channel::bounded(config.input.queue);
+        let (queue, incoming) = crossbeam_channel::bounded(config.input.queue);
+        let (control, wishes) = crossbeam_channel::bounded(CONTROL_QUEUE);
         let (budget, shares) = (Budget::new(config.input.queue_bytes), Shares::default());
         let way_in = (budget.clone(), shares.clone());
-        let intake = Intake::new(control.clone(), way_in, metrics.clone(), clock.clone());
+        let intake = Intake::new(queue, way_in, metrics.clone(), clock.clone());
         let (to_worker, waiting) = crossbeam_channel::bounded(AT_HAND);
         let (answers, answered) = crossbeam_channel::unbounded();
         let (diagnoser, gap_requests, gap_answers) = Diagnoser::ends();
@@ -142,6 +144,7 @@ impl Stage {
             core,
             intake,
             control,
+            wishes,
             incoming,
             jobs: waiting,
             answers,
@@ -171,12 +174,12 @@ impl Stage {
     /// A person's command arrives; false where the daemon is too busy for it.
     pub fn command(&self, loop_name: &str, command: Command, answer: Answer) -> bool {
         let loop_name = loop_name.to_owned();
-        self.control.try_send(Incoming::Command { loop_name, command, answer }).is_ok()
+        self.control.try_send(Control::Command { loop_name, command, answer }).is_ok()
     }
 
     /// The engine takes all that waits for it.
     pub fn turn(&mut self) {
-        self.core.turn(&self.incoming);
+        self.core.turn(&self.incoming, &self.wishes);
     }
 
     /// The worker does up to so many fits, each given by `fit`; says how many it did.
@@ -189,7 +192,7 @@ impl Stage {
             let (id, seq, end_ns, took) = (request.id, request.seq, request.end_ns, Duration::ZERO);
             let _ = self.answers.send(Answered { id, seq, end_ns, arrival_ns, took, answer });
             // The answer makes room for the next one in the schedule.
-            self.core.turn(&self.incoming);
+            self.core.turn(&self.incoming, &self.wishes);
         }
         most
     }
@@ -197,7 +200,7 @@ impl Stage {
     /// A person asks for a gap diagnosis; false where the daemon is too busy for it.
     pub fn ask_gap(&self, loop_name: &str, by: &str, answer: Answer) -> bool {
         let (loop_name, by) = (loop_name.to_owned(), Some(by.to_owned()));
-        self.control.try_send(Incoming::GapRun { loop_name, by, answer }).is_ok()
+        self.control.try_send(Control::GapRun { loop_name, by, answer }).is_ok()
     }
 
     /// Does the gap diagnoses that wait, each given by `diagnose`; says how many.
@@ -206,7 +209,7 @@ impl Stage {
         for request in &requests {
             let answer = Diagnosed { id: request.id, number: request.number, outcome: diagnose(request) };
             let _ = self.gap_answers.send(answer);
-            self.core.turn(&self.incoming);
+            self.core.turn(&self.incoming, &self.wishes);
         }
         requests.len()
     }
@@ -251,8 +254,8 @@ impl Stage {
     }
 
     /// What has gone out since the last time.
-    pub fn published(&self) -> impl Iterator<Item = Publication> + '_ {
-        self.publications.try_iter().map(|(publication, _room)| publication).filter(|p| !p.is_removal())
+    pub fn published(&mut self) -> impl Iterator<Item = Publication> + '_ {
+        std::iter::from_fn(|| self.publications.next_now()).filter(|p| p.document.is_some())
     }
 
     /// Health as it is now.
@@ -295,7 +298,7 @@ impl Stage {
     /// Settings that were read again arrive.
     #[cfg(test)]
     pub fn settings(&self, config: Config) {
-        assert!(self.control.try_send(Incoming::Settings(Box::new(config))).is_ok());
+        assert!(self.control.try_send(Control::Settings(Box::new(config))).is_ok());
     }
 
     /// Names this run in its recordings.
@@ -306,7 +309,7 @@ impl Stage {
 
     /// Ends in order, as SIGTERM does. Gives what still went out.
     pub fn finish(&mut self) -> Vec<Publication> {
-        self.core.finish(&self.incoming, &self.answered);
+        self.core.finish(&self.incoming, &self.wishes, &self.answered);
         self.writer.turn();
         self.writer.finish();
         self.keeping.turn();

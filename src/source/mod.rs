@@ -1,9 +1,12 @@
 //! Where samples come from: the bus, behind a bounded queue that the engine drains.
 
+pub mod askers;
 pub mod keys;
 pub mod parcel;
 pub mod presence;
 pub mod principals;
+pub mod queries;
+pub mod replies;
 pub mod shares;
 pub mod zenoh;
 
@@ -48,10 +51,8 @@ pub struct WindowSnapshot {
     pub settings: Arc<LoopSettings>,
 }
 
-/// What waits for the engine.
-pub enum Incoming {
-    /// Data from the plant.
-    Message(Message),
+/// What people and the system want of the engine. It has a queue of its own, which samples cannot fill.
+pub enum Control {
     /// A person's command.
     Command {
         /// The loop's name.
@@ -83,10 +84,13 @@ pub enum Incoming {
     Settings(Box<Config>),
 }
 
+/// Wishes that may wait for the engine: more than all who may ask have at a time.
+pub const CONTROL_QUEUE: usize = 2 * askers::WAITING;
+
 /// The way into the engine's queue: bounded, never waits, counts what finds no place.
 #[derive(Clone)]
 pub struct Intake {
-    queue: Sender<Incoming>,
+    queue: Sender<Message>,
     budget: Budget,
     shares: Shares,
     parcels: Parcels,
@@ -109,7 +113,7 @@ impl Intake {
     /// Into this queue, within this budget and these shares of it.
     #[must_use]
     pub fn new(
-        queue: Sender<Incoming>,
+        queue: Sender<Message>,
         (budget, shares): (Budget, Shares),
         metrics: Arc<Metrics>,
         clock: Clock,
@@ -130,7 +134,7 @@ impl Intake {
             self.metrics.undecodable.inc();
             return;
         }
-        let held = size_of::<Incoming>() + envelope.key.len() + bytes;
+        let held = size_of::<Message>() + envelope.key.len() + bytes;
         let Some(room) = self.budget.take(held) else {
             self.metrics.dropped_input.inc();
             return;
@@ -151,7 +155,7 @@ impl Intake {
             room,
             share,
         };
-        if self.queue.try_send(Incoming::Message(message)).is_err() {
+        if self.queue.try_send(message).is_err() {
             self.metrics.dropped_input.inc();
         }
     }

@@ -1,26 +1,22 @@
-//! The Zenoh session: one wildcard subscription per prefix, one queryable for everything that is published.
+//! The Zenoh session: its settings, and one wildcard subscription per prefix.
 //!
 //! The subscriber's callback runs on the bus's own threads, so it only puts the message into the engine's queue; a full
 //! queue drops the message and counts it.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
-use std::sync::{Arc, PoisonError, RwLock};
+use std::sync::{Arc, RwLock};
+use std::time::Duration;
 
 use anyhow::{Context, anyhow};
-use crossbeam_channel::Sender;
+use serde_json::Value;
 use zenoh::Wait;
-use zenoh::bytes::Encoding;
-use zenoh::key_expr::KeyExpr;
-use zenoh::query::Query;
+use zenoh::bytes::{Encoding, ZBytes};
 use zenoh::sample::{Sample as BusSample, SampleKind};
 
 use super::keys::{ShardFilter, subscriptions};
-use super::{Answer, Envelope, Incoming, Intake, principals};
-use crate::daemon::documents;
-use crate::daemon::metrics::Metrics;
-use stiction_monitor::alarm::Command;
-use stiction_monitor::codec::topic::{self, Kind, Leaf, Topic};
+use super::{Envelope, Intake, principals};
+use stiction_monitor::codec::topic;
 use stiction_monitor::config::Config;
 
 /// Largest message that Zenoh puts together from its pieces, bytes: what is larger never takes memory. Well above what a
@@ -37,13 +33,27 @@ pub type LastValues = Arc<RwLock<BTreeMap<String, LastValue>>>;
 #[derive(Debug, Clone)]
 pub struct LastValue {
     /// Its JSON.
-    pub document: Arc<[u8]>,
+    pub document: ZBytes,
     /// What goes along with it.
-    pub attachment: Option<Arc<[u8]>>,
+    pub attachment: Option<ZBytes>,
 }
 
 /// What attaches a signature to a document under a key.
 pub type Sign = Arc<dyn Fn(&str, &[u8]) -> Vec<u8> + Send + Sync>;
+
+/// How long Zenoh waits for a reader that has no room before it drops a document for it: what took less met none.
+pub const NOT_TAKEN: Duration = Duration::from_millis(1);
+/// The setting's name; microseconds.
+const WAIT_BEFORE_DROP: &str = "transport/link/tx/queue/congestion_control/drop/wait_before_drop";
+/// What Zenoh is told to do with messages of others. Answers have the priority of their query, and no document has this one:
+/// a publisher would wait behind an answer that waits for its reader. What the session passes on for others is dropped for
+/// a reader that does not keep up.
+const OVERWRITES: [&str; 2] = [
+    r#"{"id": "stictiond answers", "messages": ["query"], "flows": ["ingress"],
+        "overwrite": {"priority": "data_low"}}"#,
+    r#"{"id": "stictiond passes on", "messages": ["put", "delete"], "flows": ["egress"],
+        "qos": {"congestion_control": "block"}, "overwrite": {"congestion_control": "drop"}}"#,
+];
 
 /// Makes the session's configuration from ours.
 ///
@@ -60,6 +70,9 @@ pub fn session_config(config: &Config) -> anyhow::Result<zenoh::Config> {
     let plain = zenoh::Config::default();
     // What the file states differs from what Zenoh takes where nothing is said; a limit that is Zenoh's own is none.
     let said = |key: &str| session.get_json(key).ok() != plain.get_json(key).ok();
+    let overwrites =
+        session.get_json("qos/network").ok().and_then(|text| serde_json::from_str::<Vec<Value>>(&text).ok());
+    let overwrites = overwrites.unwrap_or_default();
     let own = z.config_file.is_empty();
     let mut wanted = Vec::new();
     if own {
@@ -74,6 +87,9 @@ pub fn session_config(config: &Config) -> anyhow::Result<zenoh::Config> {
         ("connect/timeout_ms", "-1".to_owned()),
         ("connect/exit_on_failure", "false".to_owned()),
         ("transport/link/rx/max_message_size", MAX_MESSAGE.to_string()),
+        // Batches of 64 KiB for documents that come at once: a reader that is a little behind misses none.
+        ("transport/link/tx/queue/size/data", "8".to_owned()),
+        ("transport/link/tx/queue/size/interactive_high", "8".to_owned()),
     ];
     wanted.extend(unsaid.into_iter().filter(|(key, _)| !said(key)));
     let mut set = |key: &str, value: String| {
@@ -82,6 +98,9 @@ pub fn session_config(config: &Config) -> anyhow::Result<zenoh::Config> {
     for (key, value) in wanted {
         set(key, value)?;
     }
+    set(WAIT_BEFORE_DROP, NOT_TAKEN.as_micros().to_string())?;
+    let stated = overwrites.iter().map(ToString::to_string).chain(OVERWRITES.map(str::to_owned));
+    set("qos/network", format!("[{}]", stated.collect::<Vec<_>>().join(",")))?;
     if !z.connect.is_empty() {
         set("connect/endpoints", serde_json::to_string(&z.connect)?)?;
     }
@@ -156,153 +175,13 @@ fn enqueue(sample: &BusSample, intake: &Intake) {
     intake.take(&envelope, payload.len(), |bytes| payload.slices().for_each(|part| bytes.extend_from_slice(part)));
 }
 
-/// Answers queries: last documents from memory, commands by way of the engine.
-///
-/// # Errors
-/// A key that Zenoh refuses.
-pub async fn answer_queries(
-    session: &zenoh::Session,
-    (prefix, daemon_id): (&str, &str),
-    queue: Sender<Incoming>,
-    last: LastValues,
-    sign: Option<Sign>,
-    metrics: Arc<Metrics>,
-) -> anyhow::Result<Vec<zenoh::query::Queryable<()>>> {
-    let mut queryables = Vec::new();
-    // No wildcard matches the verbatim chunk of the daemon's own health; another daemon's is not ours to answer.
-    let own = format!("@daemon/{daemon_id}/**");
-    for key in [topic::plane(prefix, "**"), topic::plane(prefix, &own)] {
-        let (prefix, queue) = (prefix.to_owned(), queue.clone());
-        let (last, sign, metrics) = (last.clone(), sign.clone(), metrics.clone());
-        let answer = move |query: Query| {
-            metrics.queries.inc();
-            let parameters = query.parameters();
-            match (parameters.get("cmd").map(str::to_owned), parameters.contains_key("run")) {
-                (Some(cmd), _) => forward_command(&prefix, cmd, query, &queue, sign.clone()),
-                (None, true) => forward_run(&prefix, query, &queue, sign.clone()),
-                (None, false) => answer_last(&query, &last),
-            }
-        };
-        let queryable = session.declare_queryable(key.clone()).callback(answer).await;
-        queryables.push(queryable.map_err(|e| anyhow!("cannot answer queries on {key:?}: {e}"))?);
-    }
-    queryables.push(answer_schemas(session, prefix, metrics).await?);
-    Ok(queryables)
-}
-
-/// Answers `@schema/NAME`, and `@schema/*` with all of them: the schemas of what this daemon publishes, whatever its version.
-async fn answer_schemas(
-    session: &zenoh::Session,
-    prefix: &str,
-    metrics: Arc<Metrics>,
-) -> anyhow::Result<zenoh::query::Queryable<()>> {
-    let keyed =
-        |(name, schema): (&str, _)| (topic::plane(prefix, &format!("@schema/{name}")), documents::text(&schema));
-    let all: Vec<(String, String)> = documents::schemas().into_iter().map(keyed).collect();
-    let answer = move |query: Query| {
-        metrics.queries.inc();
-        let asked = query.key_expr();
-        for (key, text) in all.iter().filter(|(key, _)| KeyExpr::new(key.as_str()).is_ok_and(|k| asked.intersects(&k)))
-        {
-            let reply =
-                query.reply(key.as_str(), text.as_str()).encoding(Encoding::APPLICATION_JSON.with_schema(SCHEMA));
-            if let Err(error) = reply.wait() {
-                tracing::debug!(%key, %error, "a schema could not be sent");
-            }
-        }
-    };
-    let key = topic::plane(prefix, "@schema/*");
-    let queryable = session.declare_queryable(key.clone()).callback(answer).await;
-    queryable.map_err(|e| anyhow!("cannot answer queries on {key:?}: {e}"))
-}
-
-fn answer_last(query: &Query, last: &LastValues) {
-    let asked = query.key_expr();
-    let found: Vec<(String, LastValue)> = {
-        let map = last.read().unwrap_or_else(PoisonError::into_inner);
-        match map.get(asked.as_str()) {
-            Some(value) => vec![(asked.as_str().to_owned(), value.clone())],
-            None => map
-                .iter()
-                .filter(|(key, _)| KeyExpr::new(key.as_str()).is_ok_and(|k| asked.intersects(&k)))
-                .map(|(k, v)| (k.clone(), v.clone()))
-                .collect(),
-        }
-    };
-    for (key, value) in found {
-        let encoding = encoding_of(&key);
-        let attachment = value.attachment.map(|bytes| bytes.to_vec());
-        let reply = query.reply(key.as_str(), value.document.to_vec()).encoding(encoding).attachment(attachment);
-        if let Err(error) = reply.wait() {
-            tracing::debug!(%key, %error, "a reply could not be sent");
-        }
-    }
-}
-
 /// The encoding of a document under a key of the daemon, with its schema's name.
 #[must_use]
 pub fn encoding_of(key: &str) -> Encoding {
     match topic::schema_of(key) {
         Some(schema) => Encoding::APPLICATION_JSON.with_schema(schema),
+        None if key.contains("/@schema/") => Encoding::APPLICATION_JSON.with_schema(SCHEMA),
         None => Encoding::APPLICATION_JSON,
-    }
-}
-
-fn refuse(query: &Query, why: &str) {
-    let _ = query.reply_err(why).encoding(Encoding::TEXT_PLAIN).wait();
-}
-
-/// The one loop whose document of this kind a query names.
-fn loop_asked(prefix: &str, query: &Query, kind: Kind) -> Option<String> {
-    let parsed = Topic::parse(Some(prefix), query.key_expr().as_str()).filter(|t| t.leaf == Leaf::Document(kind))?;
-    Some(parsed.loop_name.to_owned()).filter(|name| !name.contains('*'))
-}
-
-/// Sends a document, or why there is none, in answer to a query.
-fn answer_with(query: Query, sign: Option<Sign>) -> Answer {
-    Box::new(move |result: Result<Vec<u8>, String>| {
-        let key = query.key_expr();
-        let sent = match result {
-            Ok(document) => {
-                let attachment = sign.map(|sign| sign(key.as_str(), &document));
-                let encoding = encoding_of(key.as_str());
-                query.reply(key, document).encoding(encoding).attachment(attachment).wait()
-            }
-            Err(why) => query.reply_err(why).encoding(Encoding::TEXT_PLAIN).wait(),
-        };
-        if let Err(error) = sent {
-            tracing::debug!(%key, %error, "an answer could not be sent");
-        }
-    })
-}
-
-fn forward_command(prefix: &str, cmd: String, query: Query, queue: &Sender<Incoming>, sign: Option<Sign>) {
-    let Some(loop_name) = loop_asked(prefix, &query, Kind::Alarm) else {
-        let example = topic::plane(prefix, "LOOP/alarm");
-        return refuse(&query, &format!("commands go to one loop's alarm key, such as {example}"));
-    };
-    let parameter = |name: &str| query.parameters().get(name).map(str::to_owned);
-    let for_s = match parameter("for_s").map(|text| text.parse::<u64>()) {
-        None => None,
-        Some(Ok(for_s)) => Some(for_s),
-        Some(Err(_)) => return refuse(&query, "for_s is a whole number of seconds, such as for_s=3600"),
-    };
-    let command = Command { cmd, by: parameter("by"), why: parameter("why"), for_s };
-    let answer = answer_with(query.clone(), sign);
-    if queue.try_send(Incoming::Command { loop_name, command, answer }).is_err() {
-        refuse(&query, "the daemon is too busy for commands: try again");
-    }
-}
-
-fn forward_run(prefix: &str, query: Query, queue: &Sender<Incoming>, sign: Option<Sign>) {
-    let Some(loop_name) = loop_asked(prefix, &query, Kind::Gap) else {
-        let example = topic::plane(prefix, "LOOP/gap");
-        return refuse(&query, &format!("run goes to one loop's gap key, such as {example}?run"));
-    };
-    let by = query.parameters().get("by").filter(|by| !by.is_empty()).map(str::to_owned);
-    let answer = answer_with(query.clone(), sign);
-    if queue.try_send(Incoming::GapRun { loop_name, by, answer }).is_err() {
-        refuse(&query, "the daemon is too busy for a diagnosis: try again");
     }
 }
 

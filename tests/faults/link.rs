@@ -20,18 +20,21 @@ use crate::live::{self, Daemon, PREFIX, files, http, ok, wait_for};
 
 /// A line between two parties that holds bytes back and is cut, as wireless bridges and failing switches do it: what TCP
 /// makes of lost packets.
-struct BadLine {
-    port: u16,
+pub struct BadLine {
+    pub port: u16,
     bad: Arc<AtomicBool>,
+    /// Nothing of what the daemon sends is carried.
+    pub deaf: Arc<AtomicBool>,
     cuts: Arc<AtomicU64>,
 }
 
 impl BadLine {
-    fn to(daemon_port: u16) -> Self {
+    pub fn to(daemon_port: u16) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let port = listener.local_addr().unwrap().port();
         let (bad, cuts) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicU64::new(0)));
-        let line = Self { port, bad: bad.clone(), cuts: cuts.clone() };
+        let deaf = Arc::new(AtomicBool::new(false));
+        let line = Self { port, bad: bad.clone(), deaf: deaf.clone(), cuts: cuts.clone() };
         std::thread::spawn(move || {
             let mut seen = 0;
             for (number, near) in listener.incoming().flatten().enumerate() {
@@ -45,7 +48,8 @@ impl BadLine {
                     let ends = (from.try_clone().unwrap(), to.try_clone().unwrap());
                     let random = ChaCha8Rng::seed_from_u64(2 * number as u64 + way as u64);
                     let (bad, cuts) = (bad.clone(), cuts.clone());
-                    std::thread::spawn(move || carry(ends, random, &bad, &cuts));
+                    let deaf = (way == 1).then(|| deaf.clone());
+                    std::thread::spawn(move || carry(ends, random, (&bad, deaf.as_deref()), &cuts));
                 }
             }
         });
@@ -53,9 +57,17 @@ impl BadLine {
     }
 }
 
-fn carry((mut from, mut to): (TcpStream, TcpStream), mut random: ChaCha8Rng, bad: &AtomicBool, cuts: &AtomicU64) {
+fn carry(
+    (mut from, mut to): (TcpStream, TcpStream),
+    mut random: ChaCha8Rng,
+    (bad, deaf): (&AtomicBool, Option<&AtomicBool>),
+    cuts: &AtomicU64,
+) {
     let mut buffer = [0; 4096];
     while let Ok(length @ 1..) = from.read(&mut buffer) {
+        while deaf.is_some_and(|deaf| deaf.load(Ordering::Relaxed)) {
+            std::thread::sleep(Duration::from_millis(10));
+        }
         if bad.load(Ordering::Relaxed) {
             let draw = random.next_u32() % 400;
             std::thread::sleep(Duration::from_millis(if draw < 40 { u64::from(draw) } else { 0 }));
@@ -72,7 +84,7 @@ fn carry((mut from, mut to): (TcpStream, TcpStream), mut random: ChaCha8Rng, bad
 }
 
 /// A client of the plant's side, which tries for ever.
-fn client(port: u16) -> zenoh::Session {
+pub fn client(port: u16) -> zenoh::Session {
     let mut config = zenoh::Config::default();
     for (key, value) in [
         ("mode", "\"client\"".to_owned()),

@@ -7,5 +7,6 @@ mod disk;
 mod link;
 #[path = "../common/live.rs"]
 mod live;
+mod readers;
 mod shim;
 mod start;

@@ -5,6 +5,7 @@
 //! `STICTIOND_SEED=N` runs one seed (a failure names its own), `STICTIOND_SEEDS=N` so many, `STICTIOND_SIM_DAYS=N` so long.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+mod control;
 mod disk;
 mod folder;
 #[path = "../common/isa.rs"]
@@ -40,7 +41,7 @@ use stictiond::daemon::gaps::Outcome;
 use stictiond::daemon::stage::Stage;
 use stictiond::files::RecordingReader;
 use stictiond::files::disk::Disk;
-use stictiond::source::Incoming;
+use stictiond::source::Message;
 
 const PREFIX: &str = "plant/a";
 const LOOPS: usize = 100;
@@ -253,7 +254,7 @@ impl Simulation {
 
     /// A message into the queue, and what must become of it.
     fn deliver(&mut self, key: &str, payload: &[u8], samples: u64) {
-        let bytes = size_of::<Incoming>() + key.len() + payload.len();
+        let bytes = size_of::<Message>() + key.len() + payload.len();
         let run = &mut self.run;
         let (length, held) = run.waiting;
         // The rule of shares in its own words: a key may hold four times what is free, strangers together as one.
@@ -537,7 +538,7 @@ impl Simulation {
         self.run = Run { calm_since: self.step, ..Run::default() };
         self.gap_answers.lock().unwrap().clear();
         self.account.crashed();
-        self.oracle.restarted(&self.stage);
+        self.oracle.restarted(&mut self.stage);
         assert!(!self.stage.faults().iter().any(|f| f.contains("cannot be stored")), "{:?}", self.stage.faults());
     }
 }

@@ -93,7 +93,7 @@ impl Oracle {
     /// Follows what went out.
     pub fn follow(&mut self, publications: impl Iterator<Item = Publication>) {
         for publication in publications {
-            let mut document: Value = serde_json::from_slice(&publication.document).unwrap();
+            let mut document: Value = serde_json::from_slice(publication.document.as_deref().unwrap()).unwrap();
             // It hangs on the folder's name.
             document.as_object_mut().unwrap().remove("config_hash");
             if matches!(publication.kind, Kind::Estimate | Kind::Alarm) {
@@ -186,7 +186,7 @@ impl Oracle {
     }
 
     /// After a restart: each loop is where it was when all was stored last, or later; never before.
-    pub fn restarted(&mut self, stage: &Stage) {
+    pub fn restarted(&mut self, stage: &mut Stage) {
         self.asked.clear();
         self.newest.clear();
         for (name, known) in &mut self.loops {
@@ -206,7 +206,7 @@ impl Oracle {
         // What is restored is in the store before the run begins.
         for publication in stage.published() {
             if publication.kind == Kind::Alarm {
-                let document: Value = serde_json::from_slice(&publication.document).unwrap();
+                let document: Value = serde_json::from_slice(publication.document.as_deref().unwrap()).unwrap();
                 let model = self.loops[document["loop"].as_str().unwrap()].now();
                 assert_eq!(document["state"], model.shown(), "{document}");
             }

@@ -14,13 +14,16 @@ impl Core {
         if !self.config.shard.owns(loop_name) {
             return;
         }
-        let allowed = self.desk.command(self.clock.since(self.started), command);
+        // A loop that is not there costs nobody's rate.
+        let known = self.engine.find(loop_name).is_some() || self.engine.has_left(loop_name);
+        let now = self.clock.since(self.started);
+        let allowed = self.policy.check(command).and_then(|()| if known { self.policy.command(now) } else { Ok(()) });
         let done = allowed.and_then(|()| self.command(loop_name, command).map_err(|e| e.to_string()));
         let (id, document) = match done {
             Ok(done) => done,
             Err(why) => {
                 self.metrics.commands_refused.inc();
-                self.desk.log_refusal(
+                self.policy.log_refusal(
                     self.clock.since(self.started),
                     &command.cmd,
                     loop_name,
@@ -34,16 +37,19 @@ impl Core {
         let at_ns = document.changed_ns;
         let state = StateDocument::new(self.engine.name(id), Some(at_ns), self.memory(id));
         self.record(id, Kind::State, &state, at_ns);
-        let Some(keeper) = &self.keeper else { return answer(Ok(to_json(&document))) };
+        let unwritten = || "carried out, but its document cannot be written: the log says why".to_owned();
+        let json = to_json(&document).ok_or_else(unwritten);
+        let Some(keeper) = &self.keeper else { return answer(json) };
+        let Some(state) = to_json(&state) else { return answer(Err(unwritten())) };
         let kept = move |kept: Result<(), String>| {
             answer(match kept {
-                Ok(()) => Ok(to_json(&document)),
+                Ok(()) => json,
                 Err(why) => {
                     Err(format!("carried out, but not stored: {why}. It is forgotten if the daemon ends before"))
                 }
             });
         };
-        keeper.keep_then(self.engine.name(id), to_json(&state), Box::new(kept));
+        keeper.keep_then(self.engine.name(id), state, Box::new(kept));
     }
 
     fn command(&mut self, loop_name: &str, command: &Command) -> Result<(LoopId, AlarmDocument), CommandError> {
@@ -77,7 +83,7 @@ impl Core {
         if !self.config.shard.owns(loop_name) {
             return;
         }
-        if let Err(why) = self.desk.name(by.as_deref()) {
+        if let Err(why) = self.policy.name(by.as_deref()) {
             return self.refuse_gap(answer, loop_name, by.as_deref(), &why);
         }
         let Some(id) = self.find_or_revive(loop_name) else {
@@ -100,7 +106,7 @@ impl Core {
                 &format!("{} wait for this diagnosis already", gaps::QUEUE),
             );
         }
-        if let Err(why) = self.desk.run(self.clock.since(self.started)) {
+        if let Err(why) = self.policy.run(self.clock.since(self.started)) {
             return self.refuse_gap(answer, loop_name, by.as_deref(), &why);
         }
         if self.diagnoser.requests.is_full() {
@@ -124,7 +130,7 @@ impl Core {
 
     fn refuse_gap(&mut self, answer: Answer, loop_name: &str, by: Option<&str>, why: &str) {
         self.metrics.gaps_skipped.inc();
-        self.desk.log_refusal(self.clock.since(self.started), "run", loop_name, by, why);
+        self.policy.log_refusal(self.clock.since(self.started), "run", loop_name, by, why);
         answer(Err(why.to_owned()));
     }
 
@@ -145,11 +151,11 @@ impl Core {
                     let input = RecordedInput::GapCut { number, evaluations };
                     self.record(id, Kind::Input, &input, document.end_ns());
                 }
-                let json = to_json(&document);
+                let json = to_json(&document).ok_or("the diagnosis cannot be written: the log says why");
                 self.engine.complete_gap(id, number, *document, &mut self.events);
                 self.handle_events();
                 for answer in self.asking.remove(&(id, number)).into_iter().flatten() {
-                    answer(Ok(json.clone()));
+                    answer(json.clone().map_err(str::to_owned));
                 }
             }
         }

@@ -1,7 +1,7 @@
 //! The engine's thread: takes what arrives in order, and is the only one that touches the engine.
 //!
 //! What it takes it records first; what the engine puts out goes to workers, recorder and publisher. It never waits
-//! for a fit and never for the bus; for the recorder it waits a little (see [`crate::sink::recorder`]).
+//! for a fit and never for the bus, whose readers and askers have threads of their own; for the recorder it waits a little (see [`crate::sink::recorder`]).
 
 mod asked;
 mod messages;
@@ -21,7 +21,7 @@ use sd_notify::NotifyState;
 
 use super::bundles::Bundles;
 use super::clock::Clock;
-use super::desk::Desk;
+use super::command_policy::CommandPolicy;
 use super::faults::Faults;
 use super::feeds::Feeds;
 use super::gaps::Diagnoser;
@@ -39,7 +39,7 @@ use crate::sink::keeper::Keeper;
 use crate::sink::recorder::{Item, LOOPS_PER_FILE, Recorder};
 use crate::sink::zenoh::{Publication, Publisher};
 use crate::source::shares::Shares;
-use crate::source::{Answer, Incoming};
+use crate::source::{Answer, Control, Message};
 use stiction::record::Sample;
 use stiction::units::s_from_ns;
 use stiction_monitor::alarm::AlarmDocument;
@@ -49,6 +49,8 @@ use stiction_monitor::engine::{Checkpoint, Engine, Event, LoopId, SkipReason, St
 
 /// Messages taken before the other channels are looked at again.
 const BATCH: usize = 256;
+/// Wishes taken before the samples are.
+const WISHES: usize = 64;
 /// How long that may take: a message may hold a hundred thousand samples.
 const BATCH_WITHIN: Duration = Duration::from_millis(20);
 /// How long a stopping daemon still takes what had already arrived.
@@ -99,7 +101,7 @@ pub struct Core {
     input_limit: usize,
     budget: Budget,
     warned_quality: bool,
-    desk: Desk,
+    policy: CommandPolicy,
     events: Vec<Event>,
     samples: Vec<Sample>,
 }
@@ -145,7 +147,7 @@ impl Core {
     #[must_use]
     pub fn new(parts: Parts) -> Self {
         let config = parts.config.as_ref();
-        let (desk, limits) = (Desk::new(&config.commands), Limits::new(&config.input));
+        let (policy, limits) = (CommandPolicy::new(&config.commands), Limits::new(&config.input));
         let board = Board::new(config);
         let (budget, shares) = parts.input;
         Self {
@@ -183,7 +185,7 @@ impl Core {
             ahead: None,
             warned_quality: false,
             config: parts.config,
-            desk,
+            policy,
             events: Vec::new(),
             samples: Vec::new(),
         }
@@ -195,14 +197,14 @@ impl Core {
             let Some(id) = self.engine.appear(&name) else { continue };
             if let Some(document) = self.engine.restore(id, memory) {
                 self.show_alarm(id, &document);
-                self.publish(id, Kind::Alarm, to_json(&document));
+                self.publish(id, Kind::Alarm, &document);
             }
         }
     }
 
     /// Works until `stop` is closed, then ends in order: what has arrived is taken, fits that are not done are skipped
     /// and recorded as such, files are finished when the core is dropped.
-    pub fn run(mut self, incoming: &Receiver<Incoming>, stop: &Receiver<()>) {
+    pub fn run(mut self, incoming: &Receiver<Message>, control: &Receiver<Control>, stop: &Receiver<()>) {
         let (ticker, surveys) = (tick(self.health_every), tick(survey::EVERY));
         let answers = self.workers.answers.clone();
         let diagnoses = self.diagnoser.answers.clone();
@@ -212,8 +214,15 @@ impl Core {
         self.begin(incoming.len());
         loop {
             select! {
+                recv(control) -> wish => match wish {
+                    Ok(wish) => self.obey(wish),
+                    Err(_) => break,
+                },
                 recv(incoming) -> message => match message {
-                    Ok(message) => self.take_batch(message, incoming),
+                    Ok(message) => {
+                        self.take_control(control);
+                        self.take_batch(message, incoming);
+                    }
                     Err(_) => break,
                 },
                 recv(answers) -> answered => if let Ok(answered) = answered { self.answered(answered) },
@@ -225,7 +234,7 @@ impl Core {
                 recv(stop) -> _ => break,
             }
         }
-        self.finish(incoming, &answers);
+        self.finish(incoming, control, &answers);
         // The recorder has the most to do after that: it begins before a hundred thousand loops are given back.
         self.recorder = None;
     }
@@ -237,7 +246,7 @@ impl Core {
     }
 
     /// Takes all that waits, in a fixed order: for whoever drives the core without threads.
-    pub fn turn(&mut self, incoming: &Receiver<Incoming>) {
+    pub fn turn(&mut self, incoming: &Receiver<Message>, control: &Receiver<Control>) {
         let answers = self.workers.answers.clone();
         while let Ok(answered) = answers.try_recv() {
             self.answered(answered);
@@ -250,8 +259,9 @@ impl Core {
         while let Ok(shard) = rotations.try_recv() {
             self.open_shard(shard);
         }
-        while let Ok(incoming) = incoming.try_recv() {
-            self.take(incoming);
+        self.take_control(control);
+        while let Ok(message) = incoming.try_recv() {
+            self.take_message(&message);
         }
     }
 
@@ -261,11 +271,12 @@ impl Core {
     }
 
     /// Ends in order: what has arrived is taken, what is not done is skipped and recorded as such.
-    pub fn finish(&mut self, incoming: &Receiver<Incoming>, answers: &Receiver<Answered>) {
+    pub fn finish(&mut self, incoming: &Receiver<Message>, control: &Receiver<Control>, answers: &Receiver<Answered>) {
         let until = self.clock.now() + DRAIN;
+        self.take_control(control);
         while self.clock.now() < until {
             let Ok(message) = incoming.try_recv() else { break };
-            self.take(message);
+            self.take_message(&message);
         }
         self.metrics.dropped_input.inc_by(incoming.len() as u64);
         while let Ok(answered) = answers.try_recv() {
@@ -290,31 +301,35 @@ impl Core {
         self.report(incoming.len());
     }
 
-    fn take_batch(&mut self, first: Incoming, incoming: &Receiver<Incoming>) {
+    fn take_batch(&mut self, first: Message, incoming: &Receiver<Message>) {
         let until = self.clock.now() + BATCH_WITHIN;
-        self.take(first);
+        self.take_message(&first);
         for _ in 1..BATCH {
             if self.clock.now() >= until {
                 return;
             }
             let Ok(next) = incoming.try_recv() else { return };
-            self.take(next);
+            self.take_message(&next);
         }
     }
 
-    fn take(&mut self, incoming: Incoming) {
-        match incoming {
-            Incoming::Message(message) => self.take_message(&message),
-            Incoming::Command { loop_name, command, answer } => self.take_command(&loop_name, &command, answer),
-            Incoming::GapRun { loop_name, by, answer } => self.run_gap(&loop_name, by, answer),
-            Incoming::GetWindow { loop_name, end_ns, answer } => self.get_window(&loop_name, end_ns, answer),
-            Incoming::Settings(config) => self.settings(&config),
+    /// Takes wishes that wait, before each batch of samples: neither holds up the other.
+    fn take_control(&mut self, control: &Receiver<Control>) {
+        control.try_iter().take(WISHES).for_each(|wish| self.obey(wish));
+    }
+
+    fn obey(&mut self, wish: Control) {
+        match wish {
+            Control::Command { loop_name, command, answer } => self.take_command(&loop_name, &command, answer),
+            Control::GapRun { loop_name, by, answer } => self.run_gap(&loop_name, by, answer),
+            Control::GetWindow { loop_name, end_ns, answer } => self.get_window(&loop_name, end_ns, answer),
+            Control::Settings(config) => self.settings(&config),
         }
     }
 
     /// New settings: they hold from here on, and every open recording is finished and followed by a new one.
     fn settings(&mut self, config: &Config) {
-        self.desk = Desk::new(&config.commands);
+        self.policy = CommandPolicy::new(&config.commands);
         let (max_bytes, max_age) = (config.recording.max_bytes, Duration::from_secs_f64(config.recording.max_s));
         if let Some(recorder) = &mut self.recorder {
             recorder.record(Item::Limits { max_bytes, max_age });
@@ -384,7 +399,7 @@ impl Core {
                             overview.cause(name, place, self.clock.now(), &document.document.cause.id);
                         }
                         self.record(id, Kind::Gap, &document, document.end_ns());
-                        self.publish_result(id, Kind::Gap, document.end_ns(), to_json(&document));
+                        self.publish_result(id, Kind::Gap, document.end_ns(), &document);
                     }
                     Event::Estimate(id, document) => {
                         self.metrics.estimates.inc();
@@ -398,7 +413,7 @@ impl Core {
                             board.estimate(&self.metrics.series, name, place, a);
                         }
                         self.record(id, Kind::Estimate, &document, a.window.end_ns);
-                        self.publish_result(id, Kind::Estimate, a.window.end_ns, to_json(&document));
+                        self.publish_result(id, Kind::Estimate, a.window.end_ns, &document);
                         if let Some(overview) = &self.overview {
                             let (name, place) = (self.engine.name(id), &self.engine.settings(id).place);
                             overview.estimate(name, place, self.clock.now(), Arc::from(document));
@@ -408,9 +423,7 @@ impl Core {
                     Event::State(id, document) => {
                         let at_ns = document.window_end_ns.unwrap_or(0);
                         self.record(id, Kind::State, &document, at_ns);
-                        if let Some(keeper) = &self.keeper {
-                            keeper.keep(self.engine.name(id), to_json(&document));
-                        }
+                        self.keep(&document);
                     }
                 }
             }
@@ -426,11 +439,11 @@ impl Core {
         }
         self.show_alarm(id, document);
         self.record(id, Kind::Alarm, document, document.changed_ns);
-        let json = to_json(document);
+        let Some(json) = to_json(document) else { return };
         if let Some(outbox) = self.outbox.as_ref().filter(|outbox| outbox.wants(Kind::Alarm)) {
             outbox.offer(Outgoing::alarm(&self.config.site.prefix, document, &json));
         }
-        self.publish(id, Kind::Alarm, json);
+        self.publish_json(id, Kind::Alarm, json);
     }
 
     fn show_alarm(&mut self, id: LoopId, document: &AlarmDocument) {
@@ -443,22 +456,36 @@ impl Core {
     }
 
     /// Publishes what a window gave, to receivers outside the bus too.
-    fn publish_result(&self, id: LoopId, kind: Kind, end_ns: i64, json: Vec<u8>) {
+    fn publish_result(&self, id: LoopId, kind: Kind, end_ns: i64, document: &impl serde::Serialize) {
+        let Some(json) = to_json(document) else { return };
         if let Some(outbox) = self.outbox.as_ref().filter(|outbox| outbox.wants(kind)) {
             outbox.offer(Outgoing::result(&self.config.site.prefix, self.engine.name(id), kind, end_ns, &json));
         }
-        self.publish(id, kind, json);
+        self.publish_json(id, kind, json);
     }
 
     fn record(&mut self, id: LoopId, kind: Kind, document: &impl serde::Serialize, event_ns: i64) {
-        let Some(recorder) = &mut self.recorder else { return };
+        let (Some(recorder), Some(json)) = (&mut self.recorder, to_json(document)) else { return };
         let name = self.engine.name(id).clone();
-        recorder.record(Item::Document { id, name, kind, json: to_json(document), event_ns });
+        recorder.record(Item::Document { id, name, kind, json, event_ns });
     }
 
-    fn publish(&self, id: LoopId, kind: Kind, document: Vec<u8>) {
+    fn publish(&self, id: LoopId, kind: Kind, document: &impl serde::Serialize) {
+        if let Some(json) = to_json(document) {
+            self.publish_json(id, kind, json);
+        }
+    }
+
+    fn publish_json(&self, id: LoopId, kind: Kind, json: Vec<u8>) {
         let key = topic::result(&self.config.site.prefix, self.engine.name(id), kind);
-        self.publisher.publish(Publication { key, kind, document });
+        self.publisher.publish(Publication { key, kind, document: Some(json) });
+    }
+
+    /// Keeps a loop's state over a restart.
+    fn keep(&self, state: &StateDocument) {
+        if let (Some(keeper), Some(json)) = (&self.keeper, to_json(state)) {
+            keeper.keep(&state.loop_name, json);
+        }
     }
 
     /// Begins a new file of each shard that has loops.
@@ -470,9 +497,9 @@ impl Core {
     fn open_shard(&mut self, shard: usize) {
         let Some(recorder) = self.recorder.as_mut().filter(|_| self.registered.shards.contains(&shard)) else { return };
         let (from, to) = (shard * LOOPS_PER_FILE, (shard + 1) * LOOPS_PER_FILE);
-        let states = self.engine.ids_in(from, to).map(|id| {
+        let states = self.engine.ids_in(from, to).filter_map(|id| {
             let name = self.engine.name(id);
-            (name.clone(), to_json(&StateDocument::new(name, None, self.engine.checkpoint(id))))
+            Some((name.clone(), to_json(&StateDocument::new(name, None, self.engine.checkpoint(id)))?))
         });
         let states = states.collect();
         recorder.record(Item::Open { shard, states });
@@ -486,8 +513,10 @@ pub(super) fn tell_system(state: &[NotifyState<'_>]) {
     }
 }
 
-/// A document's JSON, UTF-8. Our documents hold no map with keys that are not text, so this cannot fail.
+/// A document's JSON, UTF-8. None where it cannot be written, which is an error of this program: it is logged, and nothing
+/// takes the document's place.
 #[must_use]
-pub fn to_json(document: &impl serde::Serialize) -> Vec<u8> {
-    serde_json::to_vec(document).unwrap_or_default()
+pub fn to_json(document: &impl serde::Serialize) -> Option<Vec<u8>> {
+    let json = serde_json::to_vec(document);
+    json.inspect_err(|error| tracing::error!(%error, "a document cannot be written as JSON and is left out")).ok()
 }

@@ -11,6 +11,7 @@ use super::super::metrics::Label;
 use super::super::queue::Budget;
 use super::super::schedule::{LIMIT, LIMIT_BYTES};
 use super::{Core, to_json};
+use crate::sink::keeper::Keeper;
 use crate::sink::recorder::{self, Recorder};
 use crate::sink::zenoh::{self as bus, Publication};
 use stiction::units::s_from_ns;
@@ -40,7 +41,9 @@ impl Core {
             self.metrics.queues.get_or_create(&Label { name: queue.name.into() }).set(queue.length as i64);
         }
         let key = topic::plane(&self.config.site.prefix, &format!("@daemon/{}/health", self.daemon_id));
-        self.publisher.publish(Publication { key, kind: Kind::Health, document: to_json(&health) });
+        if let Some(json) = to_json(&health) {
+            self.publisher.publish(Publication { key, kind: Kind::Health, document: Some(json) });
+        }
         if let Ok(mut snapshot) = self.snapshot.write() {
             *snapshot = (self.clock.now(), Arc::new(health));
         }
@@ -85,13 +88,15 @@ impl Core {
 
     /// Where the store was taken away under the daemon, every loop's memory goes into the new one.
     fn keep_all_again(&self) {
-        let Some(keeper) = self.keeper.as_ref().filter(|k| k.wants_all()) else { return };
+        if !self.keeper.as_ref().is_some_and(Keeper::wants_all) {
+            return;
+        }
         for id in self.engine.ids() {
             let name = self.engine.name(id);
-            keeper.keep(name, to_json(&StateDocument::new(name, None, self.memory(id))));
+            self.keep(&StateDocument::new(name, None, self.memory(id)));
         }
         for (name, memory) in self.engine.left() {
-            keeper.keep(name, to_json(&StateDocument::new(name, None, memory.clone())));
+            self.keep(&StateDocument::new(name, None, memory.clone()));
         }
     }
 

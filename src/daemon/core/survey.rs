@@ -4,7 +4,7 @@
 use std::collections::{BTreeSet, HashSet};
 use std::time::Duration;
 
-use super::{Core, to_json};
+use super::Core;
 use crate::daemon::health::LoopHealth;
 use crate::sink::recorder::{Item, LOOPS_PER_FILE, shard_of};
 use crate::sink::zenoh::Publication;
@@ -176,7 +176,7 @@ impl Core {
         let (all, from, now_ns) = (self.engine.places(), self.survey.next_health, self.clock.now_ns());
         for id in self.engine.ids_in(from, from + slice) {
             let health = LoopHealth::new(self.engine.name(id), &self.daemon_id, &self.engine.figures(id), now_ns);
-            self.publish(id, Kind::Health, to_json(&health));
+            self.publish(id, Kind::Health, &health);
         }
         self.survey.next_health = if from + slice >= all { 0 } else { from + slice };
     }
@@ -199,7 +199,7 @@ impl Core {
             // An alarm that is not at rest goes on being shown and answered, with the age that it has.
             for kind in KINDS.into_iter().filter(|kind| at_rest || *kind != Kind::Alarm) {
                 let key = topic::result(&self.config.site.prefix, &name, kind);
-                self.publisher.publish(Publication::removal(key, kind));
+                self.publisher.publish(Publication { key, kind, document: None });
             }
             if at_rest {
                 if let Some(keeper) = &self.keeper {

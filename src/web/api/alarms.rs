@@ -10,7 +10,7 @@ use std::time::Duration;
 use super::reviews::{Told, last_of_loops};
 use super::{Answered, ENGINE_WITHIN, Gives, Operation, Shared, of};
 use crate::daemon::clock::now_ns;
-use crate::source::Incoming;
+use crate::source::Control;
 use crate::web::extract::{Named, Sent};
 use stiction::units::ns_from_s;
 use stiction_monitor::alarm::{AlarmDocument, Command, State as AlarmState};
@@ -106,7 +106,7 @@ async fn command(
     Sent(Commanded { cmd, by, why, for_s }): Sent<Commanded>,
 ) -> Answered<Value> {
     let command = Command { cmd, by: Some(by), why, for_s };
-    live.wish(ENGINE_WITHIN, |answer| Incoming::Command { loop_name, command, answer }).await.map(Json)
+    live.wish(ENGINE_WITHIN, |answer| Control::Command { loop_name, command, answer }).await.map(Json)
 }
 
 async fn diagnose(
@@ -114,5 +114,5 @@ async fn diagnose(
     Named(loop_name): Named,
     Sent(Asking { by }): Sent<Asking>,
 ) -> Answered<Value> {
-    live.wish(DIAGNOSIS_WITHIN, |answer| Incoming::GapRun { loop_name, by: Some(by), answer }).await.map(Json)
+    live.wish(DIAGNOSIS_WITHIN, |answer| Control::GapRun { loop_name, by: Some(by), answer }).await.map(Json)
 }

@@ -28,7 +28,7 @@ use crate::daemon::overview::Overview;
 use crate::files::archive::{Archive, SharedArchive};
 use crate::files::reviews::Reviews;
 use crate::source::zenoh::LastValues;
-use crate::source::{Answer, Incoming, WindowSnapshot};
+use crate::source::{Answer, Control, WindowSnapshot};
 use stiction::record::Record;
 use stiction_monitor::codec::topic::{self, Kind};
 use stiction_monitor::config::Config;
@@ -51,7 +51,7 @@ pub struct Live {
     /// Last documents as they were published.
     pub last: LastValues,
     /// The way to the engine.
-    pub queue: Sender<Incoming>,
+    pub control: Sender<Control>,
     /// The daemon's health.
     pub snapshot: HealthSnapshot,
     /// What was recorded.
@@ -93,7 +93,7 @@ impl Live {
         guard: Arc<Guard>,
         overview: Overview,
         last: LastValues,
-        queue: Sender<Incoming>,
+        control: Sender<Control>,
         snapshot: HealthSnapshot,
     ) -> Self {
         let recordings = Path::new(&config.recording.dir);
@@ -105,7 +105,7 @@ impl Live {
         Self {
             overview,
             last,
-            queue,
+            control,
             snapshot,
             archive,
             reviews,
@@ -126,7 +126,7 @@ impl Live {
         let last = self.last.read().unwrap_or_else(PoisonError::into_inner);
         let document = last.get(&key)?.document.clone();
         drop(last);
-        serde_json::from_slice(&document).ok()
+        serde_json::from_slice(&document.to_bytes()).ok()
     }
 
     /// Looks back on a thread of its own.
@@ -155,7 +155,7 @@ impl Live {
     async fn look(&self, loop_name: &str, end_ns: Option<i64>) -> Result<Looked, ApiError> {
         let (tell, told) = oneshot::channel();
         let answer = Box::new(move |window| drop(tell.send(window)));
-        self.ask(Incoming::GetWindow { loop_name: loop_name.to_owned(), end_ns, answer })?;
+        self.ask(Control::GetWindow { loop_name: loop_name.to_owned(), end_ns, answer })?;
         let window: Option<WindowSnapshot> = within(ENGINE_WITHIN, told).await?;
         let unknown = || ApiError::not_found(format!("no loop {loop_name:?} has appeared"));
         let WindowSnapshot { snapshot, settings } = window.ok_or_else(unknown)?;
@@ -170,7 +170,7 @@ impl Live {
     async fn wish(
         &self,
         patience: Duration,
-        wish: impl FnOnce(Answer) -> Incoming,
+        wish: impl FnOnce(Answer) -> Control,
     ) -> Result<serde_json::Value, ApiError> {
         let (tell, told) = oneshot::channel();
         self.ask(wish(Box::new(move |result| drop(tell.send(result)))))?;
@@ -178,8 +178,8 @@ impl Live {
         serde_json::from_slice(&document).map_err(|e| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, e.to_string()))
     }
 
-    fn ask(&self, incoming: Incoming) -> Result<(), ApiError> {
-        self.queue.try_send(incoming).map_err(|_| ApiError::busy("the daemon is too busy to answer: try again"))
+    fn ask(&self, wish: Control) -> Result<(), ApiError> {
+        self.control.try_send(wish).map_err(|_| ApiError::busy("the daemon is too busy to answer: try again"))
     }
 }
 

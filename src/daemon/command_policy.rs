@@ -17,15 +17,15 @@ const RUNS_AT_ONCE: f64 = 8.0;
 
 /// The rules for what people ask.
 #[derive(Debug)]
-pub struct Desk {
+pub struct CommandPolicy {
     settings: Commands,
     commands: Rate,
     runs: Rate,
     logged: Rate,
 }
 
-impl Desk {
-    /// A desk under these settings.
+impl CommandPolicy {
+    /// The rules under these settings.
     #[must_use]
     pub fn new(settings: &Commands) -> Self {
         let (per_minute, per_hour) = (f64::from(settings.per_minute), f64::from(settings.runs_per_hour));
@@ -41,10 +41,14 @@ impl Desk {
         if self.settings.enabled { Ok(()) } else { Err("commands are switched off: [commands] enabled = false".into()) }
     }
 
-    /// Whether a command on an alarm may be taken now.
-    pub fn command(&mut self, now: Duration, command: &Command) -> Result<(), String> {
+    /// Whether a command on an alarm may be taken at all.
+    pub fn check(&self, command: &Command) -> Result<(), String> {
         self.open()?;
-        command.check().map_err(|e| e.to_string())?;
+        command.check().map_err(|e| e.to_string())
+    }
+
+    /// Whether one more may be taken now.
+    pub fn command(&mut self, now: Duration) -> Result<(), String> {
         if self.commands.allow(now.as_secs_f64()) {
             return Ok(());
         }
@@ -82,16 +86,14 @@ mod tests {
     #[test]
     fn names_rates_and_the_switch_are_held() {
         let ack = |by: &str| Command { cmd: "ack".into(), by: Some(by.into()), why: None, for_s: None };
-        let mut desk = Desk::new(&Commands { per_minute: 60, runs_per_hour: 5, ..Commands::default() });
-        let taken = |desk: &mut Desk, at_s: u64| desk.command(Duration::from_secs(at_s), &ack("ann")).is_ok();
-        assert_eq!((0..100).filter(|_| taken(&mut desk, 0)).count(), 30);
-        assert!(taken(&mut desk, 1) && !taken(&mut desk, 1));
-        // A refused name costs nobody's share.
-        assert!((0..100).all(|_| desk.command(Duration::from_secs(9), &ack("")).is_err()));
-        assert!(taken(&mut desk, 9));
-        assert_eq!((0..100).filter(|_| desk.run(Duration::ZERO).is_ok()).count(), 5);
-        assert!(desk.run(Duration::from_secs(720)).is_ok());
-        let mut shut = Desk::new(&Commands { enabled: false, ..Commands::default() });
-        assert!(!taken(&mut shut, 0) && shut.name(Some("ann")).is_err());
+        let mut policy = CommandPolicy::new(&Commands { per_minute: 60, runs_per_hour: 5, ..Commands::default() });
+        let taken = |policy: &mut CommandPolicy, at_s: u64| policy.command(Duration::from_secs(at_s)).is_ok();
+        assert_eq!((0..100).filter(|_| taken(&mut policy, 0)).count(), 30);
+        assert!(taken(&mut policy, 1) && !taken(&mut policy, 1));
+        assert!(policy.check(&ack("")).is_err() && policy.check(&ack("ann")).is_ok());
+        assert_eq!((0..100).filter(|_| policy.run(Duration::ZERO).is_ok()).count(), 5);
+        assert!(policy.run(Duration::from_secs(720)).is_ok());
+        let shut = CommandPolicy::new(&Commands { enabled: false, ..Commands::default() });
+        assert!(shut.check(&ack("ann")).is_err() && shut.name(Some("ann")).is_err());
     }
 }

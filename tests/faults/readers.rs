@@ -1,0 +1,87 @@
+//! Clients that ask and do not read: they cost nobody else a sample or an answer.
+
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+use zenoh::Wait;
+use zenoh::qos::CongestionControl;
+
+use crate::link::{BadLine, client};
+use crate::live::{Daemon, PREFIX, ask, plane, wait_for};
+
+/// What Zenoh logs once it has given up a reader.
+const GIVEN_UP: &str = "Closing transport";
+/// Messages that arrive meanwhile.
+const SENT: u64 = 1000;
+
+fn deaf_client(daemon: &Daemon) -> (BadLine, zenoh::Session) {
+    let line = BadLine::to(daemon.endpoint.rsplit(':').next().unwrap().parse().unwrap());
+    let session = client(line.port);
+    line.deaf.store(true, Ordering::Relaxed);
+    (line, session)
+}
+
+/// Asks without waiting for the answers.
+fn ask_often(session: &zenoh::Session, key: &str, times: usize) {
+    for _ in 0..times {
+        session.get(key).timeout(Duration::from_secs(100)).callback(|_| {}).wait().unwrap();
+    }
+}
+
+/// Samples arrive, and a command is answered, before anybody was given up.
+fn is_heard(daemon: &Daemon) {
+    let bus = daemon.session();
+    let before = daemon.counter("samples");
+    for k in 0..SENT {
+        let put = bus.put(format!("{PREFIX}/A/op"), k.to_string()).congestion_control(CongestionControl::Block);
+        put.wait().unwrap();
+    }
+    let put_away = ask(&bus, &plane("A/alarm?cmd=out_of_service;by=ann"));
+    wait_for("all samples", || (daemon.counter("samples") == before + SENT).then_some(()));
+    assert!(!daemon.logged().contains(GIVEN_UP), "it went on only once the readers were thrown out");
+    assert!(put_away.is_ok(), "{put_away:?}");
+    assert_eq!(daemon.counter("dropped_input"), 0);
+    bus.close().wait().unwrap();
+}
+
+fn daemon(dir: &std::path::Path) -> Daemon {
+    let daemon = Daemon::start(dir, "[gap]\nenabled = false\n");
+    let bus = daemon.session();
+    bus.put(format!("{PREFIX}/A/op"), "1").wait().unwrap();
+    wait_for("the loop", || (daemon.counter("samples") == 1).then_some(()));
+    bus.close().wait().unwrap();
+    daemon
+}
+
+#[test]
+fn readers_of_documents_that_stop_reading_cost_no_sample() {
+    let dir = tempfile::tempdir().unwrap();
+    let daemon = daemon(dir.path());
+    // Two, as Zenoh reads its links with two threads; each asks for more than the system's buffers take.
+    let readers = [deaf_client(&daemon), deaf_client(&daemon)];
+    let before = daemon.counter("queries");
+    readers.iter().for_each(|(_, session)| ask_often(session, &plane("@schema/*"), 200));
+    wait_for("the queries", || (daemon.counter("queries") >= before + 2).then_some(()));
+    is_heard(&daemon);
+    // Who does not read is given up in the end, and what waited for it is gone.
+    wait_for("the end of the readers", || daemon.logged().contains(GIVEN_UP).then_some(()));
+    for (line, session) in readers {
+        line.deaf.store(false, Ordering::Relaxed);
+        drop(session);
+    }
+    daemon.stop();
+}
+
+#[test]
+fn refused_commands_of_a_client_that_does_not_read_cost_neither_samples_nor_commands_of_others() {
+    let dir = tempfile::tempdir().unwrap();
+    let daemon = daemon(dir.path());
+    let (line, session) = deaf_client(&daemon);
+    let before = daemon.counter("queries");
+    ask_often(&session, &plane(&format!("{}/alarm?cmd=ack;by=x", "N".repeat(8000))), 1500);
+    wait_for("the queries", || (daemon.counter("queries") > before + 1000).then_some(()));
+    is_heard(&daemon);
+    line.deaf.store(false, Ordering::Relaxed);
+    drop(session);
+    daemon.stop();
+}
