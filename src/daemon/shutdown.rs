@@ -66,9 +66,7 @@ pub async fn join(threads: Vec<Named>, unasked: Option<&str>, progress: &Progres
     if wrong.is_empty() {
         return Ok(());
     }
-    let text = wrong.join("; ");
-    tracing::error!("{text}");
-    bail!(text)
+    bail!(wrong.join("; "))
 }
 
 /// Waits until a thread has ended, or there is no patience left.
