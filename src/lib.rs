@@ -18,7 +18,8 @@
 //! | [`files`] | tables, exports, MCAP, `.mat`, stores |
 //! | [`report`] | pages and pictures |
 //! | [`daemon`] | threads, queues, replay |
-//! | [`web`] | the page and the API under it, the workbench, `/metrics`, `/healthz` |
+//! | [`web`] | the page and the API under it, `/metrics`, `/healthz` |
+//! | [`workbench`] | files in the browser: a program of its own, of which the daemon knows nothing |
 //! | `cli` | of the program, `main.rs`: a file for each command. The library does not know it |
 //!
 //! `tests/library/tidy.rs` holds which room may use which.
@@ -36,5 +37,6 @@ pub mod report;
 pub mod sink;
 pub mod source;
 pub mod web;
+pub mod workbench;
 
 pub use stiction::VERSION;

@@ -12,7 +12,7 @@ use super::browser;
 use super::reading::ReadArgs;
 use super::{Format, Outcome, asked_to_stop, block_on, note, say, warn};
 use stictiond::files::inputs::Unit;
-use stictiond::web::workbench::{OPTIONS, ReadingWords, Workbench, alone};
+use stictiond::workbench::{self, OPTIONS, ReadingWords, Workbench};
 
 /// Open files in the browser: choose sections on the trend, estimate, diagnose, compare, save reports.
 ///
@@ -35,6 +35,10 @@ pub struct Args {
     /// Where the page is served: a port of this machine, or an address with a port; port 0 takes any free one.
     #[arg(long, value_name = "PORT|ADDRESS", default_value = "127.0.0.1:0", value_parser = address)]
     pub listen: SocketAddr,
+    /// Memory that the program may take for data, MiB. A file that needs more ends the program, and nothing else on the
+    /// machine (Linux).
+    #[arg(long, value_name = "MIB", default_value_t = 4096, value_parser = clap::value_parser!(u64).range(128..))]
+    pub max_memory: u64,
     /// Only print the address, open no browser.
     #[arg(long)]
     pub no_open: bool,
@@ -50,6 +54,7 @@ fn address(text: &str) -> Result<SocketAddr, String> {
 /// # Errors
 /// The address cannot be used, or no file that was given can be read.
 pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
+    limit_memory(args.max_memory)?;
     let bench = Workbench::start();
     let units = if args.input.is_empty() { Vec::new() } else { args.reading.units(&args.input)? };
     let (mut opened, mut failed) = (0, Vec::new());
@@ -87,13 +92,29 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
             browser::open(&url);
         }
         tokio::select! {
-            () = alone::serve(listener, bench.clone(), zone) => {}
+            () = workbench::serve(listener, bench.clone(), zone) => {}
             () = stopping => {}
         }
         Ok(())
     })?;
     bench.close();
     Ok(Outcome::Done)
+}
+
+/// Sets the limit of this process's data: an allocation beyond it fails, which ends the program.
+#[cfg(target_os = "linux")]
+fn limit_memory(mib: u64) -> anyhow::Result<()> {
+    use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
+    let there = getrlimit(Resource::Data);
+    let wanted = mib << 20;
+    let limit = there.current.map_or(wanted, |current| current.min(wanted));
+    setrlimit(Resource::Data, Rlimit { current: Some(limit), maximum: there.maximum })
+        .with_context(|| format!("the system refuses a limit of {mib} MiB (--max-memory)"))
+}
+
+#[cfg(not(target_os = "linux"))]
+fn limit_memory(_: u64) -> anyhow::Result<()> {
+    Ok(())
 }
 
 /// The reading options as they were written, for command lines that the page shows.

@@ -47,7 +47,6 @@ use std::sync::{Arc, Mutex, RwLock};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, anyhow};
-use crossbeam_channel::Sender;
 use sd_notify::NotifyState;
 
 use self::clock::Clock;
@@ -74,11 +73,9 @@ use crate::source::askers::Askers;
 use crate::source::queries::Queries;
 use crate::source::replies::Replies;
 use crate::source::shares::Shares;
-use crate::source::zenoh::LastValues;
-use crate::source::{self, CONTROL_QUEUE, Control, Intake, presence};
+use crate::source::{self, CONTROL_QUEUE, Intake, presence};
 use crate::web;
 use crate::web::api::Live;
-use crate::web::workbench::{self, Bench, Workbench};
 use stiction_monitor::codec::topic;
 use stiction_monitor::config::Config;
 use stiction_monitor::engine::{Engine, EngineSettings};
@@ -136,14 +133,16 @@ pub async fn run(
     let (queue, incoming) = crossbeam_channel::bounded(config.input.queue);
     let (control, wishes) = crossbeam_channel::bounded(CONTROL_QUEUE);
     let overview = (config.web.enabled && config.web.page.enabled).then(Overview::default);
-    let (page, bench) = match &overview {
-        Some(overview) => {
-            let (page, bench) = page_of(&config, &options, overview, &last, &control, &snapshot)?;
-            (Some(page), bench)
-        }
-        None => (None, None),
-    };
-    let server = web::serve(&config.web, metrics.registry(), snapshot.clone(), faults.clone(), page).await;
+    let guard = Arc::new(web::guard_of(&config.web.page)?);
+    let commands = Arc::new(RwLock::new(config.commands.clone()));
+    let page = overview.as_ref().map(|overview| {
+        let (config, overview) = (Arc::new(config.clone()), overview.clone());
+        let mut live = Live::new(config, guard.clone(), overview, last.clone(), control.clone(), snapshot.clone());
+        live.note = (options.origin == "demo").then_some(SIMULATED);
+        live.commands = commands.clone();
+        web::page(web::api::live(Arc::new(live)), web::openapi::document(&web::api::operations()))
+    });
+    let server = web::serve(&config.web, metrics.registry(), snapshot.clone(), faults.clone(), guard, page).await;
     tokio::pin!(stop);
     // A demonstration starts afresh.
     let restored = if options.origin == "run" {
@@ -272,7 +271,7 @@ pub async fn run(
     );
 
     tell_system(&[NotifyState::Ready]);
-    let reload = options.config_path.map(|path| Reload::new(path, config, retention));
+    let reload = options.config_path.map(|path| Reload::new(path, config, retention, commands));
     threads.insert(0, ("engine", core));
     let unasked = tokio::select! {
         () = signals::serve_until(stop, hangups, reload, (&control, &askers), &faults) => None,
@@ -292,7 +291,6 @@ pub async fn run(
         let _ = queryable.undeclare().await;
     }
     server.stop();
-    bench.iter().for_each(|bench| bench.close());
     // Closing may hang when the network loses packets.
     let _ = tokio::time::timeout(Duration::from_secs(1), session.close()).await;
     ended
@@ -344,33 +342,6 @@ async fn wait_for_router(faults: &Faults, snapshot: &HealthSnapshot) {
         tell_system(&[NotifyState::Watchdog]);
         tokio::time::sleep(pause).await;
     }
-}
-
-/// The page with the API under it.
-fn page_of(
-    config: &Config,
-    options: &RunOptions,
-    overview: &Overview,
-    last: &LastValues,
-    control: &Sender<Control>,
-    snapshot: &HealthSnapshot,
-) -> anyhow::Result<(axum::Router, Option<Bench>)> {
-    let guard = Arc::new(web::guard_of(&config.web.page)?);
-    let mut live = Live::new(
-        Arc::new(config.clone()),
-        guard.clone(),
-        overview.clone(),
-        last.clone(),
-        control.clone(),
-        snapshot.clone(),
-    );
-    live.note = (options.origin == "demo").then_some(SIMULATED);
-    let mut api = web::api::live(Arc::new(live));
-    let bench = config.web.page.workbench.then(Workbench::start);
-    if let Some(bench) = &bench {
-        api = api.merge(workbench::router(bench.clone()));
-    }
-    Ok((web::page(api, guard), bench))
 }
 
 /// What signs documents, where the configuration names a key.

@@ -2,12 +2,12 @@
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError, RwLock};
 
 use serde_json::Value;
 
 use super::faults::Faults;
-use stiction_monitor::config::{Config, Retention};
+use stiction_monitor::config::{Commands, Config, Retention};
 
 /// Settings that take effect at once; all others do at the next start.
 const AT_ONCE: [&str; 6] = [
@@ -26,13 +26,19 @@ pub struct Reload {
     path: PathBuf,
     current: Config,
     retention: Arc<Mutex<Retention>>,
+    commands: Arc<RwLock<Commands>>,
 }
 
 impl Reload {
-    /// The file, what was read from it at the start, and where the retention worker looks.
+    /// The file, what was read from it at the start, and where the retention worker and the web server look.
     #[must_use]
-    pub const fn new(path: PathBuf, current: Config, retention: Arc<Mutex<Retention>>) -> Self {
-        Self { path, current, retention }
+    pub const fn new(
+        path: PathBuf,
+        current: Config,
+        retention: Arc<Mutex<Retention>>,
+        commands: Arc<RwLock<Commands>>,
+    ) -> Self {
+        Self { path, current, retention, commands }
     }
 
     /// Reads the file again. Gives the configuration whose changeable settings hold from now on; says which cannot
@@ -55,6 +61,7 @@ impl Reload {
                 }
                 tracing::info!(settings = now.join(", "), "configuration read again; these hold from now on");
                 self.current.commands = config.commands.clone();
+                *self.commands.write().unwrap_or_else(PoisonError::into_inner) = config.commands;
                 self.current.retention = config.retention;
                 *self.retention.lock().unwrap_or_else(PoisonError::into_inner) = config.retention;
                 self.current.recording.max_bytes = config.recording.max_bytes;
@@ -127,7 +134,8 @@ mod tests {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("c.toml");
         let first = "[site]\nprefix = \"p\"\n";
-        let mut reload = Reload::new(path.clone(), Config::parse(first).unwrap(), Arc::default());
+        let commands: Arc<RwLock<Commands>> = Arc::default();
+        let mut reload = Reload::new(path.clone(), Config::parse(first).unwrap(), Arc::default(), commands.clone());
         let faults = Faults::default();
         let changed = format!(
             "{first}[web]\npage = false\n[window]\nhop_s = 60\n[commands]\nper_minute = 7\n[recording]\nmax_s = 9\n"
@@ -139,6 +147,7 @@ mod tests {
         std::fs::write(&path, changed).unwrap();
         let held = reload.read(&faults).unwrap();
         assert_eq!((held.commands.per_minute, held.recording.max_s, held.window.hop_s), (7, 9.0, 600.0));
+        assert_eq!(commands.read().unwrap().per_minute, 7);
         std::fs::write(&path, "[site]\nprefx = 1\n").unwrap();
         assert!(reload.read(&faults).is_none());
         assert!(faults.list()[0].contains("the old one holds"), "{:?}", faults.list());

@@ -1,6 +1,10 @@
-//! What people found at valves, beside what the daemon had said: one line a review in `INDEX.csv`, one table of samples
-//! each beside it, so that `stictiond evaluate` takes the folder as it is.
+//! What people found at valves, beside what the daemon had said: one line a review in `INDEX.csv`, and beside it one table of
+//! samples each, so that `stictiond evaluate` takes the folder as it is.
+//!
+//! People open the index in a spreadsheet, which takes a cell that begins with `=` and the like for a formula. Such a cell is
+//! written with an apostrophe before it, which reading takes away again.
 
+use std::collections::HashSet;
 use std::fs::{self, OpenOptions};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -10,13 +14,30 @@ use serde::{Deserialize, Serialize};
 
 use super::LoadedLoop;
 use super::csv as table;
-use stiction::units::{Moment, file_stem_of};
+use stiction::units::{Moment, file_stem_of, s_from_ns};
 use stiction_monitor::short_hash;
 
 /// Name of the folder below the recordings.
 pub const FOLDER: &str = "reviews";
 /// Name of the index.
 pub const INDEX: &str = "INDEX.csv";
+
+/// Reviews that the folder may have, and bytes of its files.
+const MAX_REVIEWS: usize = 10_000;
+const MAX_BYTES: u64 = 1 << 30;
+/// Characters that make a spreadsheet take a cell for a formula, where they come first.
+const FORMULA_STARTS: [char; 7] = ['=', '+', '-', '@', '\t', '\r', '\n'];
+
+/// Why a review was not kept.
+#[derive(Debug, thiserror::Error)]
+pub enum KeepError {
+    /// The folder has as much as it may have.
+    #[error("{0} is full: move it elsewhere, or shorten [retention] results_days")]
+    Full(String),
+    /// The system refuses.
+    #[error("the review could not be kept: {0}")]
+    System(#[from] io::Error),
+}
 
 /// What was found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
@@ -71,6 +92,43 @@ pub struct Review {
     pub s: Option<f64>,
 }
 
+/// Whether a spreadsheet takes a cell for a formula, apostrophes before it left out.
+fn begins_formula(cell: &str) -> bool {
+    cell.trim_start_matches('\'').starts_with(FORMULA_STARTS)
+}
+
+/// A cell as it is written: never a formula.
+fn escaped(cell: &str) -> String {
+    if begins_formula(cell) { format!("'{cell}") } else { cell.to_owned() }
+}
+
+/// A cell as it was before it was written.
+fn unescaped(cell: &str) -> String {
+    cell.strip_prefix('\'').filter(|rest| begins_formula(rest)).unwrap_or(cell).to_owned()
+}
+
+impl Review {
+    /// The same with every text changed that comes from outside.
+    fn map_texts(self, change: fn(&str) -> String) -> Self {
+        Self {
+            r#loop: change(&self.r#loop),
+            by: change(&self.by),
+            why: self.why.as_deref().map(change),
+            verdict: change(&self.verdict),
+            ..self
+        }
+    }
+}
+
+/// Reviews as lines of the index, below its head where they come first.
+fn lines_of(reviews: impl IntoIterator<Item = Review>, with_head: bool) -> io::Result<Vec<u8>> {
+    let mut lines = csv::WriterBuilder::new().has_headers(with_head).from_writer(Vec::new());
+    for review in reviews {
+        lines.serialize(review.map_texts(escaped)).map_err(io::Error::other)?;
+    }
+    lines.into_inner().map_err(|e| io::Error::other(e.to_string()))
+}
+
 /// The reviews of a folder.
 #[derive(Debug)]
 pub struct Reviews {
@@ -92,31 +150,74 @@ impl Reviews {
         self.dir.join(INDEX)
     }
 
-    /// Keeps a review with the samples that it is about; gives it with the name of their table.
+    /// Keeps a review with the samples that it is about; gives it with the name of their table. Reviews that are older than
+    /// `keep_days` are removed, 0: none.
     ///
     /// # Errors
-    /// The system refuses.
-    pub fn keep(&self, mut review: Review, samples: &LoadedLoop) -> io::Result<Review> {
+    /// The folder is full, or the system refuses.
+    pub fn keep(&self, mut review: Review, samples: &LoadedLoop, keep_days: f64) -> Result<Review, KeepError> {
         let _writing = self.writing.lock().unwrap_or_else(PoisonError::into_inner);
         fs::create_dir_all(&self.dir)?;
+        let mut table_bytes = Vec::new();
         if !samples.samples.is_empty() {
-            // Names that differ in what files cannot hold stay apart.
-            let (stem, name) = (file_stem_of(&review.r#loop), short_hash(review.r#loop.as_bytes()));
-            let kept = if stem == review.r#loop { stem } else { format!("{stem}-{}", &name[..6]) };
-            review.file = format!("{kept}_{}.csv", review.window_end.0);
-            let mut out = Vec::new();
-            table::write(&samples.samples, &mut out)?;
-            fs::write(self.dir.join(&review.file), out)?;
+            review.file = table_name(&review);
+            table::write(&samples.samples, &mut table_bytes)?;
+        }
+        // An index that cannot be read is left as it is: `all` names its line.
+        if let Ok(kept) = self.all() {
+            let number = self.remove_old(kept, review.at, keep_days)?;
+            if number >= MAX_REVIEWS || self.bytes()? + table_bytes.len() as u64 > MAX_BYTES {
+                return Err(KeepError::Full(self.dir.display().to_string()));
+            }
+        }
+        if !review.file.is_empty() {
+            fs::write(self.dir.join(&review.file), table_bytes)?;
         }
         let index = self.index();
-        let new = !index.exists();
-        let mut line = csv::WriterBuilder::new().has_headers(new).from_writer(Vec::new());
-        line.serialize(&review).map_err(io::Error::other)?;
-        let line = line.into_inner().map_err(|e| io::Error::other(e.to_string()))?;
+        let line = lines_of([review.clone()], !index.exists())?;
         let mut file = OpenOptions::new().create(true).append(true).open(index)?;
         file.write_all(&line)?;
         file.sync_all()?;
         Ok(review)
+    }
+
+    /// Removes what is older than so many days; gives how many reviews stay.
+    fn remove_old(&self, all: Vec<Review>, now: Moment, keep_days: f64) -> io::Result<usize> {
+        let is_old =
+            |review: &Review| keep_days > 0.0 && s_from_ns(now.0.saturating_sub(review.at.0)) > keep_days * 86_400.0;
+        let (old, kept): (Vec<Review>, Vec<Review>) = all.into_iter().partition(is_old);
+        if old.is_empty() {
+            return Ok(kept.len());
+        }
+        let number = kept.len();
+        let named: HashSet<String> = kept.iter().map(|review| review.file.clone()).collect();
+        let part = self.dir.join(format!("{INDEX}.part"));
+        fs::write(&part, lines_of(kept, true)?)?;
+        fs::rename(part, self.index())?;
+        for file in old.iter().map(|review| &review.file).filter(|file| !file.is_empty() && !named.contains(*file)) {
+            // One that somebody removed before is gone too.
+            let _ = fs::remove_file(self.dir.join(file));
+        }
+        tracing::info!(removed = old.len(), "reviews older than [retention] results_days were removed");
+        Ok(number)
+    }
+
+    /// Bytes of the folder's files.
+    fn bytes(&self) -> io::Result<u64> {
+        let entries = fs::read_dir(&self.dir)?;
+        Ok(entries.filter_map(|entry| entry.ok()?.metadata().ok()).map(|meta| meta.len()).sum())
+    }
+
+    /// The index for people to open in a spreadsheet.
+    ///
+    /// # Errors
+    /// It cannot be read; the message names the line.
+    pub fn table(&self) -> Result<Vec<u8>, String> {
+        let all = self.all()?;
+        if all.is_empty() {
+            return Ok(b"file,label\n".to_vec());
+        }
+        lines_of(all, true).map_err(|error| error.to_string())
     }
 
     /// Every review, oldest first.
@@ -128,10 +229,20 @@ impl Reviews {
         if !index.exists() {
             return Ok(Vec::new());
         }
-        let failed = |error: csv::Error| format!("{}: {error}; mend the line or take it out", index.display());
+        let failed = |error: csv::Error| format!("{}: {error}; correct the line or remove it", index.display());
         let mut reader = csv::Reader::from_path(&index).map_err(failed)?;
-        reader.deserialize().collect::<Result<_, _>>().map_err(failed)
+        let read = |row: Result<Review, csv::Error>| row.map(|review| review.map_texts(unescaped));
+        reader.deserialize().map(read).collect::<Result<_, _>>().map_err(failed)
     }
+}
+
+/// The name of the table of a review's samples. Loops whose names differ in characters that file names cannot have get
+/// different tables, and no name is a formula or a hidden file.
+fn table_name(review: &Review) -> String {
+    let (stem, hash) = (file_stem_of(&review.r#loop), short_hash(review.r#loop.as_bytes()));
+    let safe = if begins_formula(&stem) { format!("_{stem}") } else { stem };
+    let name = if safe == review.r#loop { safe } else { format!("{safe}-{}", &hash[..6]) };
+    format!("{name}_{}.csv", review.window_end.0)
 }
 
 #[cfg(test)]
@@ -165,12 +276,12 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(64))]
         #[test]
-        fn whatever_people_write_comes_back_and_no_name_leads_out_of_the_folder(name in "\\PC{1,40}", why in "\\PC{0,60}|[,\"\n=]{0,6}") {
+        fn whatever_people_write_comes_back_and_no_name_leads_out_of_the_folder(name in "\\PC{1,40}", why in "\\PC{0,60}|[,\"\n\r\t'=+@-]{0,6}") {
             let folder = tempfile::tempdir().unwrap();
             let reviews = Reviews::below(folder.path());
             prop_assert!(reviews.all().unwrap().is_empty());
-            let kept = reviews.keep(review(&name, Some(&why)), &samples()).unwrap();
-            reviews.keep(review(&name, None), &LoadedLoop::new("A", Vec::new())).unwrap();
+            let kept = reviews.keep(review(&name, Some(&why)), &samples(), 0.0).unwrap();
+            reviews.keep(review(&name, None), &LoadedLoop::new("A", Vec::new()), 0.0).unwrap();
             let all = reviews.all().unwrap();
             prop_assert_eq!(all.len(), 2);
             prop_assert_eq!(&all[0].r#loop, &name);
@@ -178,14 +289,37 @@ mod tests {
             prop_assert!(Path::new(&kept.file).components().count() == 1);
             prop_assert!(folder.path().join(FOLDER).join(&kept.file).is_file());
             prop_assert!(all[1].file.is_empty());
+            for index in [fs::read(reviews.index()).unwrap(), reviews.table().unwrap()] {
+                for row in csv::ReaderBuilder::new().has_headers(false).from_reader(index.as_slice()).records() {
+                    prop_assert!(row.unwrap().iter().all(|cell| !cell.starts_with(FORMULA_STARTS)));
+                }
+            }
         }
+    }
+
+    #[test]
+    fn old_reviews_are_removed_with_their_tables_and_new_ones_stay() {
+        const DAY: i64 = 86_400_000_000_000;
+        let folder = tempfile::tempdir().unwrap();
+        let reviews = Reviews::below(folder.path());
+        let keep = |day: i64, window: i64| {
+            let (at, window_end) = (Moment(day * DAY), Moment(window));
+            reviews.keep(Review { at, window_end, ..review("A", None) }, &samples(), 10.0).unwrap()
+        };
+        let (first, second, third) = (keep(1, 1), keep(2, 2), keep(5, 2));
+        assert_eq!(reviews.all().unwrap(), [first.clone(), second.clone(), third.clone()]);
+        let newest = keep(13, 3);
+        // The table of the second is that of the third too.
+        assert_eq!(reviews.all().unwrap(), [third, newest]);
+        let is_there = |review: &Review| folder.path().join(FOLDER).join(&review.file).is_file();
+        assert!(!is_there(&first) && is_there(&second));
     }
 
     #[test]
     fn a_line_that_cannot_be_read_is_named() {
         let folder = tempfile::tempdir().unwrap();
         let reviews = Reviews::below(folder.path());
-        reviews.keep(review("A", None), &samples()).unwrap();
+        reviews.keep(review("A", None), &samples(), 0.0).unwrap();
         let mut text = fs::read_to_string(reviews.index()).unwrap();
         text.push_str("x,maybe,A\n");
         fs::write(reviews.index(), text).unwrap();

@@ -1,8 +1,11 @@
-//! Who may do what over HTTP, and what every answer tells the browser.
+//! Who may do what over HTTP, and the headers of every answer.
 //!
-//! Reading is open to whoever reaches the address, as `/metrics` is. What changes something needs a header that no foreign
-//! page can send, comes from the page's own origin where a browser says which, and from this machine or with the token.
-//! Names under which the daemon is called are checked, so that a foreign name that leads here is no way in.
+//! Reading is open to everyone who reaches the address. A request that changes something needs a header that no page of
+//! another origin can send, the page's own origin where a browser names one, and the token. Where no token is configured it
+//! has to come from this machine: by the Unix socket, or directly over loopback where no proxy is configured. A plain TCP
+//! proxy adds no header, so its connections look like direct ones: only the token or `behind_proxy` stops them.
+//! The name by which the daemon is called is checked on every request, so that a foreign name that resolves to this machine
+//! opens nothing.
 
 use std::net::IpAddr;
 use std::sync::Arc;
@@ -18,69 +21,98 @@ use super::server::{Life, Peer};
 /// The header that what changes something carries: a page of another origin cannot send it without being asked first.
 pub const OWN_HEADER: &str = "x-stictiond";
 
-/// What the page may load: its own files, and nothing that stands in the markup itself.
+/// What the page may load: its own files, and no script or style inside the markup.
 const CONTENT: &str = "default-src 'self'; img-src 'self' data:; object-src 'none'; base-uri 'none'; form-action 'self'; \
                        frame-ancestors 'none'";
 
 /// The rules.
 #[derive(Debug)]
 pub struct Guard {
-    /// Names beside addresses and `localhost`.
+    /// Names under which the server may be called, beside addresses and `localhost`.
     pub hosts: Vec<String>,
-    /// What commands from other machines carry; none come from there without one.
+    /// The token that every command carries. Without one, commands come from this machine alone.
     pub token: Option<String>,
+    /// Whether connections come through a proxy, so that a loopback peer may be anybody.
+    pub behind_proxy: bool,
 }
 
-/// Whether who asks may change something, as `token` of `/api/v1/site` says it.
+/// Whether a client may change something, as `token` of `/api/v1/site` says it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, schemars::JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Permission {
-    /// Yes, without a token.
+    /// Yes: no token is configured, and the client is on this machine.
     None,
-    /// Yes, by the token that came along.
+    /// Yes, by the token that it sent.
     Given,
-    /// With a token only.
+    /// Only with the token.
     Needed,
-    /// Not from there: there is no token.
+    /// No: no token is configured, and the client is not on this machine.
     Refused,
 }
 
+/// A host without its port.
+fn name_of(host: &str) -> &str {
+    let name = match host.strip_prefix('[') {
+        Some(rest) => rest.split(']').next().unwrap_or(rest),
+        None => host.rsplit_once(':').map_or(host, |(name, _)| name),
+    };
+    name.trim_end_matches('.')
+}
+
+fn text(headers: &HeaderMap, name: header::HeaderName) -> Option<&str> {
+    headers.get(name).and_then(|value| value.to_str().ok())
+}
+
+/// Whether a proxy says that it forwards this request.
+fn is_forwarded(headers: &HeaderMap) -> bool {
+    let says = |name: &str| matches!(name, "forwarded" | "via" | "x-real-ip") || name.starts_with("x-forwarded-");
+    headers.keys().any(|name| says(name.as_str()))
+}
+
+/// Whether a client called this machine by a name that every machine has for itself.
+fn is_called_locally(headers: &HeaderMap) -> bool {
+    let name = name_of(text(headers, header::HOST).unwrap_or_default());
+    name.eq_ignore_ascii_case("localhost") || name.parse::<IpAddr>().is_ok_and(|address| address.is_loopback())
+}
+
 impl Guard {
-    /// Whether a browser may have been told to call us by this name.
+    /// Whether a browser may call the server by this name.
     fn knows(&self, host: &str) -> bool {
-        let name = match host.strip_prefix('[') {
-            Some(rest) => rest.split(']').next().unwrap_or(rest),
-            None => host.rsplit_once(':').map_or(host, |(name, _)| name),
-        };
-        let name = name.trim_end_matches('.');
+        let name = name_of(host);
         name.parse::<IpAddr>().is_ok()
             || name.eq_ignore_ascii_case("localhost")
             || self.hosts.iter().any(|known| known.eq_ignore_ascii_case(name) || known.eq_ignore_ascii_case(host))
     }
 
+    /// Whether a request comes from this machine, as far as can be known.
+    fn is_local(&self, peer: Peer, headers: &HeaderMap) -> bool {
+        let direct = match peer {
+            Peer::Socket => true,
+            Peer::Host(address) => {
+                !self.behind_proxy && address.to_canonical().is_loopback() && is_called_locally(headers)
+            }
+        };
+        direct && !is_forwarded(headers)
+    }
+
     /// What a request from there may do.
     #[must_use]
     pub fn permission(&self, peer: Peer, headers: &HeaderMap) -> Permission {
-        // A proxy on this machine speaks for others.
-        let forwarded = ["forwarded", "x-forwarded-for", "x-real-ip"].iter().any(|name| headers.contains_key(*name));
-        if peer.0.ip().to_canonical().is_loopback() && !forwarded {
-            return Permission::None;
-        }
-        let Some(token) = &self.token else { return Permission::Refused };
-        let given = headers.get(header::AUTHORIZATION).and_then(|value| value.to_str().ok());
-        let given = given.and_then(|value| value.strip_prefix("Bearer ")).unwrap_or_default();
-        let same = ring::digest::digest(&ring::digest::SHA256, given.trim().as_bytes());
-        let wanted = ring::digest::digest(&ring::digest::SHA256, token.as_bytes());
-        // Digests of secrets tell nothing by the time that comparing them takes.
-        if same.as_ref() == wanted.as_ref() { Permission::Given } else { Permission::Needed }
+        let Some(token) = &self.token else {
+            return if self.is_local(peer, headers) { Permission::None } else { Permission::Refused };
+        };
+        let given = text(headers, header::AUTHORIZATION).and_then(|value| value.strip_prefix("Bearer "));
+        let digest = |text: &str| ring::digest::digest(&ring::digest::SHA256, text.as_bytes());
+        // The time that a comparison of digests takes tells nothing of the secrets.
+        let same = digest(given.unwrap_or_default().trim()).as_ref() == digest(token).as_ref();
+        if same { Permission::Given } else { Permission::Needed }
     }
 
     fn check(&self, request: &Request) -> Result<(), ApiError> {
         let headers = request.headers();
-        let text = |name: header::HeaderName| headers.get(name).and_then(|value| value.to_str().ok());
-        let host = text(header::HOST).unwrap_or_default();
+        let host = text(headers, header::HOST).unwrap_or_default();
         if !self.knows(host) {
-            let why = format!("this daemon is not called {host:?}: add the name to [web] hosts, or use its address");
+            let why = format!("{host:?} is not a name of this server: add it to [web] hosts, or use the address");
             return Err(ApiError::new(StatusCode::MISDIRECTED_REQUEST, why));
         }
         if matches!(*request.method(), Method::GET | Method::HEAD) {
@@ -90,27 +122,32 @@ impl Guard {
         if !headers.contains_key(OWN_HEADER) {
             return refuse("the header X-Stictiond is missing: send X-Stictiond: 1");
         }
-        let origin = text(header::ORIGIN).and_then(|origin| origin.split_once("://")).map(|(_, host)| host);
-        let foreign = text(header::HeaderName::from_static("sec-fetch-site")).is_some_and(|site| site != "same-origin");
+        let origin = text(headers, header::ORIGIN).and_then(|origin| origin.split_once("://")).map(|(_, host)| host);
+        let site = text(headers, header::HeaderName::from_static("sec-fetch-site"));
+        let foreign = site.is_some_and(|site| site != "same-origin");
         if foreign || origin.is_some_and(|origin| !origin.eq_ignore_ascii_case(host)) {
-            return refuse("this came from another page than the daemon's own");
+            return refuse("the request came from a page of another origin: send it from the daemon's own page");
         }
-        let Some(peer) = request.extensions().get::<Peer>() else {
-            return refuse("whose request this is is not known");
-        };
-        match self.permission(*peer, headers) {
+        let permission = request.extensions().get::<Peer>().map(|peer| self.permission(*peer, headers));
+        match permission.unwrap_or(Permission::Refused) {
             Permission::None | Permission::Given => Ok(()),
             Permission::Needed => {
-                Err(ApiError::new(StatusCode::UNAUTHORIZED, "a token is needed: see [web] token_file"))
+                let why =
+                    "the token is missing or wrong: send Authorization: Bearer TOKEN with the word in [web] token_file";
+                Err(ApiError::new(StatusCode::UNAUTHORIZED, why))
             }
-            Permission::Refused => {
-                refuse("only this machine may change something: [web] token_file opens it to others")
+            Permission::Refused if self.behind_proxy => {
+                refuse("a command through a proxy needs a token: set [web] token_file, or use [web] socket")
             }
+            Permission::Refused => refuse(
+                "without a token commands come only from this machine, at 127.0.0.1 or localhost and not through a proxy: \
+                 set [web] token_file to take them from elsewhere",
+            ),
         }
     }
 }
 
-/// Lets through what the rules allow, and writes the headers of every answer.
+/// Passes on the requests that the rules allow, and sets the headers of every answer.
 pub async fn guard(State(guard): State<Arc<Guard>>, request: Request, next: Next) -> Response {
     if let Some(life) = request.extensions().get::<Life>() {
         life.show();
@@ -140,44 +177,77 @@ mod tests {
     use super::*;
     use axum::body::Body;
 
-    fn request(method: &str, headers: &[(&'static str, &str)], peer: &str) -> Request {
+    const OWN: (&str, &str) = ("x-stictiond", "1");
+    const LOCAL: (&str, &str) = ("host", "localhost:8080");
+
+    fn guard(token: Option<&str>, behind_proxy: bool) -> Guard {
+        Guard { hosts: vec!["plant.example".into()], token: token.map(str::to_owned), behind_proxy }
+    }
+
+    fn host(address: &str) -> Peer {
+        Peer::Host(address.parse().unwrap())
+    }
+
+    fn status(guard: &Guard, method: &str, headers: &[(&str, &str)], peer: Peer) -> u16 {
         let mut request = axum::http::Request::builder().method(method).uri("/api/v1/x");
         for (name, value) in headers {
             request = request.header(*name, *value);
         }
         let mut request = request.body(Body::empty()).unwrap();
-        request.extensions_mut().insert(Peer(peer.parse().unwrap()));
-        request
+        request.extensions_mut().insert(peer);
+        guard.check(&request).err().map_or(200, |e| e.status().as_u16())
     }
 
     #[test]
-    fn commands_need_their_header_their_origin_and_a_near_place_or_the_token() {
-        let guard = Guard { hosts: vec!["plant.example".into()], token: Some("secret".into()) };
-        let (near, far, own) = ("127.0.0.1:5", "10.0.0.7:5", ("x-stictiond", "1"));
-        let host = ("host", "localhost:8080");
-        let status = |method: &str, headers: &[(&'static str, &str)], peer: &str| {
-            guard.check(&request(method, headers, peer)).err().map_or(200, |e| e.status().as_u16())
-        };
-        assert_eq!(status("GET", &[host], far), 200);
-        assert_eq!(status("POST", &[host, own], near), 200);
-        assert_eq!(status("POST", &[host], near), 403);
-        assert_eq!(status("DELETE", &[host], near), 403);
-        assert_eq!(status("POST", &[host, own, ("origin", "http://localhost:8080")], near), 200);
-        assert_eq!(status("POST", &[host, own, ("origin", "http://evil.example")], near), 403);
-        assert_eq!(status("POST", &[host, own, ("origin", "null")], near), 200);
-        assert_eq!(status("POST", &[host, own, ("sec-fetch-site", "cross-site")], near), 403);
-        assert_eq!(status("POST", &[host, own], far), 401);
-        assert_eq!(status("POST", &[host, own, ("authorization", "Bearer secret")], far), 200);
-        assert_eq!(status("POST", &[host, own, ("authorization", "Bearer secre")], far), 401);
-        assert_eq!(status("POST", &[host, own, ("x-forwarded-for", "10.0.0.7")], near), 401);
-        assert_eq!(status("POST", &[host, own], "[::ffff:127.0.0.1]:5"), 200);
-        let without = Guard { hosts: Vec::new(), token: None };
-        assert_eq!(without.check(&request("POST", &[host, own], far)).unwrap_err().status().as_u16(), 403);
+    fn a_command_needs_the_own_header_and_the_own_origin() {
+        let (guard, near) = (guard(None, false), host("127.0.0.1"));
+        let sent = |method: &str, headers: &[(&str, &str)]| status(&guard, method, headers, near);
+        assert_eq!(sent("GET", &[LOCAL]), 200);
+        assert_eq!(sent("POST", &[LOCAL, OWN]), 200);
+        assert_eq!(sent("POST", &[LOCAL]), 403);
+        assert_eq!(sent("DELETE", &[LOCAL]), 403);
+        assert_eq!(sent("POST", &[LOCAL, OWN, ("origin", "http://localhost:8080")]), 200);
+        assert_eq!(sent("POST", &[LOCAL, OWN, ("origin", "http://evil.example")]), 403);
+        assert_eq!(sent("POST", &[LOCAL, OWN, ("sec-fetch-site", "cross-site")]), 403);
     }
 
     #[test]
-    fn names_that_lead_here_are_not_ours_for_that() {
-        let guard = Guard { hosts: vec!["plant.example".into()], token: None };
+    fn without_a_token_commands_come_from_this_machine_alone() {
+        let (open, proxied) = (guard(None, false), guard(None, true));
+        for near in ["127.0.0.1", "127.0.0.2", "::1", "::ffff:127.0.0.1"] {
+            assert_eq!(status(&open, "POST", &[LOCAL, OWN], host(near)), 200, "{near}");
+            assert_eq!(status(&proxied, "POST", &[LOCAL, OWN], host(near)), 403, "{near}");
+        }
+        assert_eq!(status(&open, "POST", &[LOCAL, OWN], host("10.0.0.7")), 403);
+        assert_eq!(status(&open, "POST", &[("host", "plant.example"), OWN], host("127.0.0.1")), 403);
+        for guard in [&open, &proxied] {
+            assert_eq!(status(guard, "POST", &[LOCAL, OWN], Peer::Socket), 200);
+            for name in ["forwarded", "via", "x-real-ip", "x-forwarded-for", "x-forwarded-host", "x-forwarded-port"] {
+                for peer in [host("127.0.0.1"), Peer::Socket] {
+                    assert_eq!(status(guard, "POST", &[LOCAL, OWN, (name, "x")], peer), 403, "{name} {peer:?}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn with_a_token_every_command_needs_it_wherever_it_comes_from() {
+        for guard in [guard(Some("secret"), false), guard(Some("secret"), true)] {
+            for peer in [host("127.0.0.1"), host("::1"), host("10.0.0.7"), Peer::Socket] {
+                let sent = |more: &[(&str, &str)]| status(&guard, "POST", &[&[LOCAL, OWN], more].concat(), peer);
+                assert_eq!(sent(&[]), 401, "{peer:?}");
+                assert_eq!(sent(&[("authorization", "Bearer secre")]), 401);
+                assert_eq!(sent(&[("authorization", "Basic secret")]), 401);
+                assert_eq!(sent(&[("authorization", "Bearer secret")]), 200);
+                assert_eq!(sent(&[("authorization", "Bearer secret"), ("via", "1.1 p")]), 200);
+                assert_eq!(status(&guard, "GET", &[LOCAL], peer), 200);
+            }
+        }
+    }
+
+    #[test]
+    fn a_foreign_name_that_resolves_to_this_machine_is_refused() {
+        let guard = guard(None, false);
         for ours in ["127.0.0.1:8080", "[::1]:8080", "10.1.2.3", "LocalHost:1", "plant.example:8080", "Plant.Example."]
         {
             assert!(guard.knows(ours), "{ours}");

@@ -1,9 +1,8 @@
-//! HTTP: the page for people with the API under it, `/metrics` for Prometheus, `/healthz` for whoever restarts us.
+//! HTTP: the page for people with the API under it, `/metrics` for Prometheus, `/healthz` for monitoring.
 //!
-//! It reads what the engine's thread leaves for it and what lies in the recordings, and sends people's wishes through the
-//! engine's own queue; nothing here touches the hot path. [`server`] bounds connections, [`guard`] says who may do what,
-//! [`api`]
-//! answers for a daemon, [`workbench`] for files, [`assets`] holds the page's files.
+//! It reads what the engine's thread publishes for it and what the recordings hold, and sends commands through the engine's
+//! queue. [`server`] limits connections, [`guard`] decides who may do what, [`api`] answers for a daemon, [`assets`] has
+//! the page's files.
 
 pub mod api;
 mod assets;
@@ -11,14 +10,13 @@ pub mod error;
 mod exposition;
 pub mod extract;
 pub mod guard;
-mod openapi;
+pub mod openapi;
 pub mod server;
 pub mod table;
 pub mod thin;
-pub mod workbench;
 
 use std::net::SocketAddr;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, PoisonError};
 use std::time::Duration;
 
@@ -37,30 +35,30 @@ use crate::daemon::faults::Faults;
 use crate::daemon::health::HealthSnapshot;
 use exposition::Form;
 use guard::Guard;
+use server::{CONNECTIONS_PER_HOST, Limits, MAX_CONNECTIONS};
 use stiction_monitor::config::{Page, Web};
 
-/// Silence of the engine after which the daemon is called unhealthy.
+/// Silence of the engine after which `/healthz` says that the daemon is unhealthy.
 const STALLED_AFTER: Duration = Duration::from_secs(30);
 /// Pause before an address that cannot be used is tried again.
 const BIND_AGAIN: Duration = Duration::from_secs(5);
-/// Name of the fault while the server is not there.
+/// Keys of the faults while an address is not served.
 const FAULT: &str = "web";
-/// Shortest token: what can be guessed is none.
+const SOCKET_FAULT: &str = "web socket";
+/// Shortest token, characters: a shorter one can be guessed.
 const MIN_TOKEN: usize = 16;
 
 /// A running server.
 pub struct Served {
     /// Where it listens; `None` if it is switched off, or its address cannot be used yet.
     pub address: Option<SocketAddr>,
-    task: Option<JoinHandle<()>>,
+    tasks: Vec<JoinHandle<()>>,
 }
 
 impl Served {
     /// Ends it.
     pub fn stop(self) {
-        if let Some(task) = self.task {
-            task.abort();
-        }
+        self.tasks.iter().for_each(JoinHandle::abort);
     }
 }
 
@@ -73,7 +71,7 @@ struct Shared {
 /// The rules that the configuration asks for.
 ///
 /// # Errors
-/// The token's file cannot be read, or holds nothing that could be one; the time zone is not known.
+/// The token's file cannot be read or has no token in it; the time zone is not known.
 pub fn guard_of(page: &Page) -> anyhow::Result<Guard> {
     let zone = &page.time_zone;
     jiff::tz::TimeZone::get(zone)
@@ -92,7 +90,7 @@ pub fn guard_of(page: &Page) -> anyhow::Result<Guard> {
     }
     let mut hosts = page.hosts.clone();
     hosts.extend(machine_name());
-    Ok(Guard { hosts, token })
+    Ok(Guard { hosts, token, behind_proxy: page.behind_proxy })
 }
 
 /// Name of this machine in its network.
@@ -106,52 +104,110 @@ fn machine_name() -> Option<String> {
     None
 }
 
-/// Everything that is served beside `/metrics` and `/healthz`: the page's files, and what lies under `/api/v1`.
-pub fn page(api: Router, guard: Arc<Guard>) -> Router {
-    Router::new()
-        .nest(table::BASE, api.merge(openapi::router()).fallback(table::nothing_there))
-        .fallback(get(assets::asset))
-        .layer(from_fn_with_state(guard, guard::guard))
+/// The page's files, and under `/api/v1` the API with its description.
+pub fn page(api: Router, description: serde_json::Value) -> Router {
+    let api = api.merge(openapi::router(description)).fallback(table::nothing_there);
+    Router::new().nest(table::BASE, api).fallback(get(assets::asset))
 }
 
-/// Starts the server as configured, with the page if there is one. Loops are watched without it too: an address that
-/// cannot be used is a fault, and is tried again until it can.
+/// A router behind the rules.
+pub fn guarded(router: Router, guard: Arc<Guard>) -> Router {
+    router.layer(from_fn_with_state(guard, guard::guard))
+}
+
+/// How many connections one host may hold: all where a proxy brings those of many hosts.
+#[must_use]
+pub const fn connections_per_host(guard: &Guard) -> usize {
+    if guard.behind_proxy { MAX_CONNECTIONS } else { CONNECTIONS_PER_HOST }
+}
+
+/// Starts the server as configured, with the page if there is one. An address that cannot be used is a fault, and is tried
+/// again until it can: the daemon goes on without it.
 pub async fn serve(
     settings: &Web,
     registry: Registry,
     snapshot: HealthSnapshot,
     faults: Arc<Faults>,
+    guard: Arc<Guard>,
     page: Option<Router>,
 ) -> Served {
     if !settings.enabled {
-        return Served { address: None, task: None };
+        return Served { address: None, tasks: Vec::new() };
     }
+    let limits = Limits::new(MAX_CONNECTIONS, connections_per_host(&guard));
     let shared = Shared { registry: Arc::new(registry), snapshot };
     let router = Router::new().route("/metrics", get(metrics_text)).route("/healthz", get(healthz)).with_state(shared);
-    let router = router.merge(page.unwrap_or_default());
-    match TcpListener::bind(&settings.listen).await {
+    let router = guarded(router.merge(page.unwrap_or_default()), guard);
+    let mut tasks = Vec::new();
+    if !settings.page.socket.is_empty() {
+        let path = settings.page.socket.clone().into();
+        tasks.push(tokio::spawn(serve_socket(path, router.clone(), limits.clone(), faults.clone())));
+    }
+    let address = match TcpListener::bind(&settings.listen).await {
         Ok(listener) => {
             let address = listener.local_addr().ok();
-            Served { address, task: Some(tokio::spawn(server::accept(listener, router))) }
+            tasks.push(tokio::spawn(server::accept(listener, router, limits)));
+            address
         }
         Err(error) => {
             let (again, remedy) = (BIND_AGAIN.as_secs(), "port 0 takes any free one");
             let what = format!("[web] listen = {:?} cannot be used, tried again every {again} s", settings.listen);
             faults.raise(FAULT, format!("{what}: {error}; {remedy}"));
-            let listen = settings.listen.clone();
-            Served { address: None, task: Some(tokio::spawn(accept_later(listen, router, faults))) }
+            tasks.push(tokio::spawn(accept_later(settings.listen.clone(), router, limits, faults)));
+            None
         }
-    }
+    };
+    Served { address, tasks }
 }
 
-async fn accept_later(listen: String, router: Router, faults: Arc<Faults>) {
+async fn accept_later(listen: String, router: Router, limits: Arc<Limits>, faults: Arc<Faults>) {
     loop {
         tokio::time::sleep(BIND_AGAIN).await;
         if let Ok(listener) = TcpListener::bind(&listen).await {
             faults.clear(FAULT);
-            return server::accept(listener, router).await;
+            return server::accept(listener, router, limits).await;
         }
     }
+}
+
+/// Serves the Unix socket once it can be made.
+#[cfg(unix)]
+async fn serve_socket(path: PathBuf, router: Router, limits: Arc<Limits>, faults: Arc<Faults>) {
+    loop {
+        match open_socket(&path).await {
+            Ok(listener) => {
+                faults.clear(SOCKET_FAULT);
+                return server::accept_local(listener, router, limits).await;
+            }
+            Err(error) => {
+                let again = BIND_AGAIN.as_secs();
+                let what = format!("[web] socket = {path:?} cannot be used, tried again every {again} s: {error}");
+                faults.raise(SOCKET_FAULT, what);
+            }
+        }
+        tokio::time::sleep(BIND_AGAIN).await;
+    }
+}
+
+/// A socket that the daemon's user and group may open. One that a killed daemon left is replaced.
+#[cfg(unix)]
+async fn open_socket(path: &Path) -> std::io::Result<tokio::net::UnixListener> {
+    use std::os::unix::fs::{FileTypeExt, PermissionsExt};
+    use tokio::net::{UnixListener, UnixStream};
+    if std::fs::symlink_metadata(path).is_ok_and(|meta| meta.file_type().is_socket()) {
+        if UnixStream::connect(path).await.is_ok() {
+            return Err(std::io::Error::other("another program serves it: give this daemon a path of its own"));
+        }
+        std::fs::remove_file(path)?;
+    }
+    let listener = UnixListener::bind(path)?;
+    std::fs::set_permissions(path, std::fs::Permissions::from_mode(0o660))?;
+    Ok(listener)
+}
+
+#[cfg(not(unix))]
+async fn serve_socket(path: PathBuf, _: Router, _: Arc<Limits>, faults: Arc<Faults>) {
+    faults.raise(SOCKET_FAULT, format!("[web] socket = {path:?}: this system has no Unix sockets; leave it out"));
 }
 
 async fn metrics_text(State(shared): State<Shared>, headers: HeaderMap) -> Response {
@@ -159,7 +215,7 @@ async fn metrics_text(State(shared): State<Shared>, headers: HeaderMap) -> Respo
     if prometheus_client::encoding::text::encode(&mut text, &shared.registry).is_err() {
         return StatusCode::INTERNAL_SERVER_ERROR.into_response();
     }
-    // The end's mark stays behind what is put in.
+    // The figures of the process go before the mark of the end.
     let end = text.find("# EOF").unwrap_or(text.len());
     text.insert_str(end, &exposition::of_process());
     let accept = headers.get(header::ACCEPT).and_then(|kinds| kinds.to_str().ok());

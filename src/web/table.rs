@@ -20,7 +20,7 @@ pub struct Parameter {
 
 /// What an operation answers with.
 #[derive(Clone, Copy)]
-pub enum Gives {
+pub enum ResponseKind {
     /// JSON of this shape.
     Json(fn(&mut SchemaGenerator) -> Schema),
     /// A file of this kind.
@@ -42,7 +42,7 @@ pub struct Operation<S> {
     /// What it is sent, as JSON.
     pub body: Option<fn(&mut SchemaGenerator) -> Schema>,
     /// What it gives.
-    pub gives: Gives,
+    pub response: ResponseKind,
     /// What answers.
     pub handler: fn() -> MethodRouter<S>,
 }

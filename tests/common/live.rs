@@ -304,13 +304,33 @@ pub fn http(address: &str, path: &str) -> String {
 
 /// Status and body of an answer.
 pub fn http_with_status(address: &str, path: &str) -> (u16, String) {
-    let mut stream = TcpStream::connect(address).unwrap();
-    stream.set_read_timeout(Some(Duration::from_secs(30))).unwrap();
-    write!(stream, "GET {path} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n").unwrap();
-    let mut text = String::new();
-    stream.read_to_string(&mut text).unwrap();
-    let (head, body) = text.split_once("\r\n\r\n").unwrap_or_else(|| panic!("no answer: {text}"));
-    (head.split(' ').nth(1).unwrap().parse().unwrap(), body.to_owned())
+    request(TcpStream::connect(address).unwrap(), &["GET", path], &[("Host", address)], "")
+}
+
+/// Sends a request with these headers and gives the status of the answer and its body.
+pub fn request(
+    mut stream: impl Read + Write,
+    [method, path]: &[&str; 2],
+    headers: &[(&str, &str)],
+    body: &str,
+) -> (u16, String) {
+    let lines: String = headers.iter().map(|(name, value)| format!("{name}: {value}\r\n")).collect();
+    let length = body.len();
+    let head = format!("{method} {path} HTTP/1.1\r\n{lines}Connection: close\r\nContent-Length: {length}\r\n\r\n");
+    stream.write_all((head + body).as_bytes()).unwrap();
+    let mut bytes = Vec::new();
+    // A peer that refuses at once may reset the connection after its answer.
+    let ended = stream.read_to_end(&mut bytes);
+    let text = String::from_utf8_lossy(&bytes);
+    let (head, body) = text.split_once("\r\n\r\n").unwrap_or_else(|| panic!("no answer: {text}, {ended:?}"));
+    let status = head.split(' ').nth(1).and_then(|word| word.parse().ok());
+    (status.unwrap_or_else(|| panic!("no status: {head}")), body.to_owned())
+}
+
+/// The headers of a command, as the page sends them.
+pub fn command_headers<'a>(host: &'a str, more: &[(&'a str, &'a str)]) -> Vec<(&'a str, &'a str)> {
+    let usual = [("Host", host), ("X-Stictiond", "1"), ("Content-Type", "application/json")];
+    [&usual, more].concat()
 }
 
 pub fn files(dir: &Path) -> Vec<PathBuf> {

@@ -63,12 +63,14 @@ const IMPORTS: [(&str, &[&str]); 36] = [
     ("sink", &["pure", "cores", "files", "source", "daemon"]),
     ("web", &["pure", "cores", "files", "report", "source", "daemon"]),
     ("daemon", &["pure", "cores", "files", "source", "sink", "web"]),
-    ("cli", &["pure", "cores", "files", "report", "source", "sink", "web", "daemon"]),
+    // The daemon must not use it.
+    ("workbench", &["pure", "cores", "files", "report", "web", "daemon"]),
+    ("cli", &["pure", "cores", "files", "report", "source", "sink", "web", "daemon", "workbench"]),
     ("main", &["cli"]),
 ];
 
 /// Rooms of the shell, which the feature `daemon` switches on.
-const SHELL: [&str; 9] = ["cores", "files", "report", "source", "sink", "web", "daemon", "cli", "main"];
+const SHELL: [&str; 10] = ["cores", "files", "report", "source", "sink", "web", "daemon", "workbench", "cli", "main"];
 
 /// What the pure half must not name, and why.
 const IMPURE: [(&str, &str); 13] = [

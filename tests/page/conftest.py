@@ -17,6 +17,7 @@ from plant import Loop
 
 NS = 10**9
 PREFIX = "works/north"
+TOKEN = "a-token-for-the-test-of-the-page"
 SKIPPED = []
 # Machines that are busy with other tests take their time.
 expect.set_options(timeout=30_000)
@@ -75,6 +76,9 @@ def open_page(chromium, axe_source):
         context.set_default_timeout(30_000)
         if axe_source:
             context.add_init_script(axe_source)
+        if token := getattr(daemon, "token", None):
+            # As if somebody had entered it before.
+            context.add_init_script(f"sessionStorage.setItem('stictiond.token', '{token}')")
         said = []
 
         def console(message):
@@ -169,7 +173,7 @@ def plant(tmp_path_factory):
     """A daemon that watches a sticking loop and loops with hostile names, with a past and going on live."""
     folder = tmp_path_factory.mktemp("plant")
     endpoint = f"tcp/127.0.0.1:{free_port()}"
-    (folder / "token").write_text("a-token-for-the-test-of-the-page\n")
+    (folder / "token").write_text(f"{TOKEN}\n")
     more = (
         "[window]\nhop_s = 600\n[alarm]\nraise = [1, 1]\n[gap]\nbudget_evaluations = 1000\n"
         '[[loop]]\nname = "FIC101"\nop_range = [0, 100]\narea = "Area <b>1</b>"\nequipment = "FV-101"\n'
@@ -177,6 +181,7 @@ def plant(tmp_path_factory):
     daemon = Daemon(folder, PREFIX, zenoh_at(endpoint), more)
     text = daemon.config.read_text()
     daemon.config.write_text(text.replace('[web]\nlisten = "127.0.0.1', f'[web]\ntoken_file = "{folder}/token"\nlisten = "0.0.0.0'))
+    daemon.token = TOKEN
     with daemon:
         bus = bus_at(endpoint, PREFIX)
         loops = {name: Loop(fs=5.0, fd=3.0, seed=k + 1) for k, name in enumerate(["FIC101", *HOSTILE])}

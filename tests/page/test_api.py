@@ -6,7 +6,7 @@ import urllib.request
 
 import jsonschema
 import pytest
-from conftest import api
+from conftest import TOKEN, api
 from openapi_spec_validator import OpenAPIV31SpecValidator
 
 LOOP = "FIC101"
@@ -94,7 +94,8 @@ def test_wrong_commands_are_refused_and_change_nothing(plant):
     for body, wanted in cases:
         data = body.encode() if isinstance(body, str) else json.dumps(body).encode() if body is not None else b""
         request = urllib.request.Request(
-            f"http://{plant.web}{address}", data, {"Content-Type": "application/json", "X-Stictiond": "1"}, method="POST"
+            f"http://{plant.web}{address}", data, method="POST",
+            headers={"Content-Type": "application/json", "X-Stictiond": "1", "Authorization": f"Bearer {TOKEN}"},
         )
         with pytest.raises(urllib.error.HTTPError) as refused:
             urllib.request.urlopen(request, timeout=20)

@@ -64,9 +64,6 @@ def test_axe_finds_nothing(demo, open_page, axe_source, view):
     if not axe_source:
         skipped("axe-core cannot be had (npm): accessibility was not looked at")
         pytest.skip("no axe-core")
-    if view == "workbench" and not there(demo):
-        skipped("there is no workbench in this page: not looked at")
-        pytest.skip("no workbench")
     eventually("the alarm", lambda: any(row["active"] for row in api(demo, "/loops")["loops"]), within=120)
     page = open_page(demo, VIEWS[view])
     expect(page.get_by_role("heading", level=1).first).to_be_visible()
@@ -82,10 +79,9 @@ def test_axe_finds_nothing(demo, open_page, axe_source, view):
     assert not found, "\n".join(found)
 
 
-def there(demo):
-    if not api(demo, "/site")["workbench"]:
-        return False
-    try:
-        return bool(demo.get("/workbench.js"))
-    except OSError:
-        return False
+def test_the_daemons_page_says_where_files_are_opened(demo, open_page):
+    page = open_page(demo)
+    page.get_by_role("navigation", name="Main").get_by_role("link", name="Workbench").click()
+    expect(page.get_by_role("heading", name="Workbench", level=1)).to_be_visible()
+    expect(page.get_by_role("main")).to_contain_text("stictiond workbench FILE")
+    assert page.locator("input[type=file]").count() == 0 and api(demo, "/site")["workbench"] is False

@@ -8,13 +8,12 @@ import threading
 import time
 
 import pytest
-from conftest import HOSTILE, api, loop_path, skipped
+from conftest import HOSTILE, TOKEN, api, loop_path, skipped
 from playwright.sync_api import expect
 
 from daemon import Daemon, eventually
 
 COMMAND = json.dumps({"cmd": "suppress", "by": "Eve"})
-TOKEN = "a-token-for-the-test-of-the-page"
 SILENCE_S = 15
 # Both the head of a request (5 s) and what looks for dead connections (every 5 s) have to strike.
 HEAD_WITHIN_S = 15
@@ -105,7 +104,9 @@ def test_foreign_pages_and_names_command_nothing(plant):
         got, body = status(plant, "POST", path, headers, COMMAND)
         assert got == wanted and "error" in json.loads(body), (headers, got, body)
     assert status(plant, "GET", "/api/v1/loops", {"Host": "evil.example"})[0] == 421
-    got, _ = status(plant, "POST", path, {**own, "Content-Type": "text/plain"}, COMMAND)
+    # From this machine the token is needed too.
+    assert status(plant, "POST", path, own, COMMAND)[0] == 401
+    got, _ = status(plant, "POST", path, {**own, "Authorization": f"Bearer {TOKEN}", "Content-Type": "text/plain"}, COMMAND)
     assert got == 415
     assert status(plant, "OPTIONS", path, {"Origin": "http://evil.example", "Access-Control-Request-Method": "POST"})[0] >= 400
     assert api(plant, loop_path("TIC102"))["alarm"] == before

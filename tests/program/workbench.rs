@@ -422,3 +422,20 @@ fn the_trend_keeps_extremes_and_numbers_samples_as_sections_count_them() {
     let options = bench.get(&format!("{BASE}/options")).json();
     assert!(options["effects"].as_array().unwrap().len() > 20 && options["solvers"].as_array().unwrap().len() == 5);
 }
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_file_that_needs_more_memory_than_is_allowed_ends_the_program() {
+    use std::os::unix::process::ExitStatusExt;
+    let mut bench = Bench::start(&["--max-memory", "128"]);
+    bench.upload("small.csv", b"t,op,pv\n0,1,2\n1,2,3\n2,3,4\n");
+    let rows: String = (0..3_000_000).map(|k| format!("{k},{},{}\n", k % 97, k % 89)).collect();
+    let head = format!("POST {BASE}/files?name=large.csv HTTP/1.1\r\nHost: {}\r\nX-Stictiond: 1\r\n", bench.address);
+    let mut stream = TcpStream::connect(&bench.address).unwrap();
+    let table = format!("t,op,pv\n{rows}");
+    write!(stream, "{head}Content-Length: {}\r\n\r\n{table}", table.len()).unwrap();
+    let mut answer = String::new();
+    // The program ends without an answer.
+    let _ = stream.read_to_string(&mut answer);
+    assert_eq!((answer.as_str(), bench.child.wait().unwrap().signal()), ("", Some(6)));
+}

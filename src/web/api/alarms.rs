@@ -8,10 +8,10 @@ use serde_json::Value;
 use std::time::Duration;
 
 use super::reviews::{Told, last_of_loops};
-use super::{Answered, ENGINE_WITHIN, Gives, Operation, Shared, of};
+use super::{Answered, ENGINE_WITHIN, Operation, ResponseKind, Shared, of};
 use crate::daemon::clock::now_ns;
 use crate::source::Control;
-use crate::web::extract::{Named, Sent};
+use crate::web::extract::{JsonBody, PathName};
 use stiction::units::ns_from_s;
 use stiction_monitor::alarm::{AlarmDocument, Command, State as AlarmState};
 
@@ -66,7 +66,7 @@ pub(super) fn operations() -> Vec<Operation<Shared>> {
             summary: "Alarms that are not at rest, and those that changed within a day",
             query: &[],
             body: None,
-            gives: Gives::Json(of::<Alarms>),
+            response: ResponseKind::Json(of::<Alarms>),
             handler: || get(alarms),
         },
         Operation {
@@ -75,7 +75,7 @@ pub(super) fn operations() -> Vec<Operation<Shared>> {
             summary: "Acknowledges, shelves, suppresses or takes an alarm out of service, or the other way round; gives its new document",
             query: &[],
             body: Some(of::<Commanded>),
-            gives: Gives::Json(of::<AlarmDocument>),
+            response: ResponseKind::Json(of::<AlarmDocument>),
             handler: || post(command),
         },
         Operation {
@@ -84,7 +84,7 @@ pub(super) fn operations() -> Vec<Operation<Shared>> {
             summary: "Diagnoses the loop now and gives the gap document; takes seconds, more where others wait",
             query: &[],
             body: Some(of::<Asking>),
-            gives: Gives::Json(of::<Value>),
+            response: ResponseKind::Json(of::<Value>),
             handler: || post(diagnose),
         },
     ]
@@ -102,8 +102,8 @@ async fn alarms(State(live): State<Shared>) -> Json<Alarms> {
 
 async fn command(
     State(live): State<Shared>,
-    Named(loop_name): Named,
-    Sent(Commanded { cmd, by, why, for_s }): Sent<Commanded>,
+    PathName(loop_name): PathName,
+    JsonBody(Commanded { cmd, by, why, for_s }): JsonBody<Commanded>,
 ) -> Answered<Value> {
     let command = Command { cmd, by: Some(by), why, for_s };
     live.wish(ENGINE_WITHIN, |answer| Control::Command { loop_name, command, answer }).await.map(Json)
@@ -111,8 +111,8 @@ async fn command(
 
 async fn diagnose(
     State(live): State<Shared>,
-    Named(loop_name): Named,
-    Sent(Asking { by }): Sent<Asking>,
+    PathName(loop_name): PathName,
+    JsonBody(Asking { by }): JsonBody<Asking>,
 ) -> Answered<Value> {
     live.wish(DIAGNOSIS_WITHIN, |answer| Control::GapRun { loop_name, by: Some(by), answer }).await.map(Json)
 }

@@ -17,11 +17,11 @@ use tokio::time::{Interval, MissedTickBehavior, interval};
 
 use super::site::site_of;
 use super::window::curves_after;
-use super::{Gives, Operation, Parameter, Shared};
+use super::{Operation, Parameter, ResponseKind, Shared};
 use crate::daemon::clock::now_ns;
 use crate::daemon::overview::Changes;
 use crate::web::error::ApiError;
-use crate::web::extract::Asked;
+use crate::web::extract::QueryParams;
 use crate::web::guard::Permission;
 use crate::web::server::{Life, Peer};
 use stiction::units::ms_from_ns;
@@ -47,7 +47,7 @@ pub(super) fn operations() -> Vec<Operation<Shared>> {
                   before it), alarm (document), and of one loop samples and estimate",
         query: &[Parameter { name: "loop", words: "a loop whose samples and estimates are wanted too" }],
         body: None,
-        gives: Gives::Events,
+        response: ResponseKind::Events,
         handler: || get(events),
     }]
 }
@@ -68,39 +68,23 @@ struct Watch {
 
 async fn events(
     State(live): State<Shared>,
-    Asked(watching): Asked<Watching>,
+    QueryParams(watching): QueryParams<Watching>,
     Extension(peer): Extension<Peer>,
     Extension(life): Extension<Life>,
     headers: HeaderMap,
 ) -> Result<Sse<impl Stream<Item = Result<Event, Infallible>>>, ApiError> {
     let token = live.guard.permission(peer, &headers);
     let crowded = || ApiError::new(StatusCode::TOO_MANY_REQUESTS, "too many pages are open: close some");
-    let place = OwnedPlace::take(&live).ok_or_else(crowded)?;
+    let slot = live.streams.take(peer).ok_or_else(crowded)?;
     let mut ticks = interval(EVERY);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let watched = watching.r#loop.map(|name| (name, i64::MIN, i64::MIN));
     let watch = Watch { live, token, life, ticks, count: 0, version: 0, full: true, watched, ready: VecDeque::new() };
-    let stream = stream::unfold((watch, place), |(mut watch, place)| async {
+    let stream = stream::unfold((watch, slot), |(mut watch, slot)| async {
         let event = watch.next().await;
-        Some((Ok(event), (watch, place)))
+        Some((Ok(event), (watch, slot)))
     });
     Ok(Sse::new(stream))
-}
-
-/// A place among the streams, given back at their end.
-struct OwnedPlace(Shared);
-
-impl OwnedPlace {
-    fn take(live: &Shared) -> Option<Self> {
-        live.streams.try_acquire().ok()?.forget();
-        Some(Self(live.clone()))
-    }
-}
-
-impl Drop for OwnedPlace {
-    fn drop(&mut self) {
-        self.0.streams.add_permits(1);
-    }
 }
 
 fn event(name: &str, data: &impl Serialize) -> Event {

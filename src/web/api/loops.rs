@@ -6,11 +6,11 @@ use axum::routing::get;
 use serde::Serialize;
 use serde_json::Value;
 
-use super::{Answered, Gives, Operation, Shared, of};
+use super::{Answered, Operation, ResponseKind, Shared, of};
 use crate::daemon::clock::now_ns;
 use crate::daemon::overview::Row;
 use crate::web::error::ApiError;
-use crate::web::extract::Named;
+use crate::web::extract::PathName;
 use stiction::gap::document::GapDocument;
 use stiction::gap::text;
 use stiction::units::ms_from_ns;
@@ -92,7 +92,7 @@ pub(super) fn operations() -> Vec<Operation<Shared>> {
             summary: "Every loop in a row: verdict, how sure, alarm, data health, its newest windows",
             query: &[],
             body: None,
-            gives: Gives::Json(of::<Loops>),
+            response: ResponseKind::Json(of::<Loops>),
             handler: || get(all),
         },
         Operation {
@@ -101,7 +101,7 @@ pub(super) fn operations() -> Vec<Operation<Shared>> {
             summary: "One loop: its newest documents, and what they say in words",
             query: &[],
             body: None,
-            gives: Gives::Json(of::<Detail>),
+            response: ResponseKind::Json(of::<Detail>),
             handler: || get(one),
         },
     ]
@@ -112,7 +112,7 @@ async fn all(State(live): State<Shared>) -> Json<Loops> {
     Json(Loops { now_ms: ms_from_ns(now), loops: live.overview.changes_after(0, now).rows })
 }
 
-async fn one(State(live): State<Shared>, Named(name): Named) -> Answered<Detail> {
+async fn one(State(live): State<Shared>, PathName(name): PathName) -> Answered<Detail> {
     let no_such = || ApiError::not_found(format!("no loop {name:?} has appeared"));
     let row = live.overview.row(&name, now_ns()).ok_or_else(no_such)?;
     let newest = live.overview.newest(&name).unwrap_or_default();

@@ -11,9 +11,10 @@ pub mod site;
 mod window;
 
 use std::path::Path;
-use std::sync::{Arc, PoisonError};
-use std::time::Duration;
+use std::sync::{Arc, Mutex, PoisonError, RwLock};
+use std::time::{Duration, Instant};
 
+use axum::extract::DefaultBodyLimit;
 use axum::http::StatusCode;
 use axum::{Json, Router};
 use crossbeam_channel::Sender;
@@ -21,19 +22,23 @@ use tokio::sync::{Semaphore, oneshot};
 
 use super::error::ApiError;
 use super::guard::Guard;
-use super::table::{self, Gives, Operation, Parameter, of};
+use super::server::Limits;
+use super::table::{self, Operation, Parameter, ResponseKind, of};
 use crate::daemon::clock::now_ns;
 use crate::daemon::health::HealthSnapshot;
 use crate::daemon::overview::Overview;
+use crate::daemon::queue::Rate;
 use crate::files::archive::{Archive, SharedArchive};
 use crate::files::reviews::Reviews;
 use crate::source::zenoh::LastValues;
 use crate::source::{Answer, Control, WindowSnapshot};
 use stiction::record::Record;
 use stiction_monitor::codec::topic::{self, Kind};
-use stiction_monitor::config::Config;
+use stiction_monitor::config::{Commands, Config};
 use stiction_monitor::engine::LoopSettings;
 
+/// Largest body of a command, bytes.
+const MAX_BODY: usize = 16 << 10;
 /// How long the engine may take for an answer; a diagnosis takes longer.
 const ENGINE_WITHIN: Duration = Duration::from_secs(10);
 /// Looks at windows and recordings at a time, and drawings, which take seconds: both take a core from the fits.
@@ -41,8 +46,12 @@ const LOOKS_AT_ONCE: usize = 2;
 const DRAWINGS_AT_ONCE: usize = 1;
 /// How many may wait for either.
 const SLOW_WAITING: usize = 64;
-/// Streams at a time.
+/// Windows that the engine is asked for at a time, and requests that may wait for one beside the streams.
+const WINDOWS_AT_ONCE: usize = 2;
+const WINDOWS_WAITING: usize = 8;
+/// Streams at a time, and how many of them one host may hold.
 const STREAMS: usize = 64;
+const STREAMS_PER_HOST: usize = 32;
 
 /// What a running daemon answers from.
 pub struct Live {
@@ -66,10 +75,16 @@ pub struct Live {
     pub started_ns: i64,
     /// What to know of the data before anything else.
     pub note: Option<&'static str>,
+    /// `[commands]` as it is now: a reload changes it.
+    pub commands: Arc<RwLock<Commands>>,
+    review_rate: Mutex<Rate>,
+    started: Instant,
     looks: Semaphore,
     drawings: Semaphore,
     waiting: Semaphore,
-    streams: Semaphore,
+    windows: Semaphore,
+    windows_waiting: Semaphore,
+    streams: Arc<Limits>,
 }
 
 /// A loop's window, as it was when somebody looked.
@@ -99,10 +114,15 @@ impl Live {
         let recordings = Path::new(&config.recording.dir);
         let archive = Arc::new(Archive::new(recordings, &config.site.prefix));
         let reviews = Reviews::below(recordings);
-        let [looks, drawings, waiting, streams] =
-            [LOOKS_AT_ONCE, DRAWINGS_AT_ONCE, SLOW_WAITING, STREAMS].map(Semaphore::new);
+        let [looks, drawings, waiting] = [LOOKS_AT_ONCE, DRAWINGS_AT_ONCE, SLOW_WAITING].map(Semaphore::new);
+        let streams = Limits::new(STREAMS, if guard.behind_proxy { STREAMS } else { STREAMS_PER_HOST });
         let started_ns = now_ns();
+        let commands = Arc::new(RwLock::new(config.commands.clone()));
+        let review_rate = Mutex::new(Rate::new(reviews::PER_MINUTE / 60.0, reviews::AT_ONCE));
         Self {
+            commands,
+            review_rate,
+            started: Instant::now(),
             overview,
             last,
             control,
@@ -116,8 +136,21 @@ impl Live {
             looks,
             drawings,
             waiting,
+            windows: Semaphore::new(WINDOWS_AT_ONCE),
+            windows_waiting: Semaphore::new(WINDOWS_WAITING),
             streams,
         }
+    }
+
+    /// Whether commands are taken at all.
+    fn takes_commands(&self) -> bool {
+        self.commands.read().unwrap_or_else(PoisonError::into_inner).enabled
+    }
+
+    /// Whether one more review may be taken now.
+    fn allow_review(&self) -> bool {
+        let mut rate = self.review_rate.lock().unwrap_or_else(PoisonError::into_inner);
+        rate.allow(self.started.elapsed().as_secs_f64())
     }
 
     /// The last document of a loop as it was published.
@@ -151,8 +184,18 @@ impl Live {
         tokio::task::spawn_blocking(work).await.map_err(failed)
     }
 
-    /// A loop's window: the engine hands out its history, and the window is cut on a thread of the page's own.
+    /// A loop's window for a request: refused where too many wait for one.
+    async fn request_window(&self, loop_name: &str, end_ns: Option<i64>) -> Result<Looked, ApiError> {
+        let busy = |_| ApiError::busy("too many requests for windows wait already: try again in a moment");
+        let _waiting = self.windows_waiting.try_acquire().map_err(busy)?;
+        self.look(loop_name, end_ns).await
+    }
+
+    /// The same for a stream, which waits for its turn: there are few. The engine hands out its history, and the window is
+    /// cut on a thread of the page's own.
     async fn look(&self, loop_name: &str, end_ns: Option<i64>) -> Result<Looked, ApiError> {
+        let ending = |_| ApiError::busy("the daemon is stopping");
+        let _place = self.windows.acquire().await.map_err(ending)?;
         let (tell, told) = oneshot::channel();
         let answer = Box::new(move |window| drop(tell.send(window)));
         self.ask(Control::GetWindow { loop_name: loop_name.to_owned(), end_ns, answer })?;
@@ -208,5 +251,5 @@ pub fn operations() -> Vec<Operation<Shared>> {
 
 /// The API of a running daemon.
 pub fn live(state: Shared) -> Router {
-    table::router(&operations()).with_state(state)
+    table::router(&operations()).layer(DefaultBodyLimit::max(MAX_BODY)).with_state(state)
 }

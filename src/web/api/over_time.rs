@@ -6,9 +6,9 @@ use axum::routing::get;
 use serde::Serialize;
 
 use super::past::{FROM, Range, TO, windows};
-use super::{Answered, Gives, Operation, Shared, of};
+use super::{Answered, Operation, ResponseKind, Shared, of};
 use crate::files::archive::Reach;
-use crate::web::extract::{Asked, Named};
+use crate::web::extract::{PathName, QueryParams};
 use stiction::over_time::{Change, ChangeKind, Contradicting, Pooled, Trend, WindowResult, over_time};
 use stiction::units::ms_from_ns;
 
@@ -82,12 +82,16 @@ pub(super) fn operations() -> Vec<Operation<Shared>> {
         summary: "What the recorded windows of a stretch of time say together: pooled size, when the valve changed, windows that contradict it",
         query: &[FROM, TO],
         body: None,
-        gives: Gives::Json(of::<OverTime>),
+        response: ResponseKind::Json(of::<OverTime>),
         handler: || get(together),
     }]
 }
 
-async fn together(State(live): State<Shared>, Named(name): Named, Asked(range): Asked<Range>) -> Answered<OverTime> {
+async fn together(
+    State(live): State<Shared>,
+    PathName(name): PathName,
+    QueryParams(range): QueryParams<Range>,
+) -> Answered<OverTime> {
     let range_ns = range.ns(&live, &name)?;
     let all = live.clone();
     live.on_a_thread(move || {

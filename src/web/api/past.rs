@@ -11,11 +11,11 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use super::curves::{Curves, PATIENCE, recorded_within};
-use super::{Answered, Gives, Live, Operation, Parameter, Shared, of};
+use super::{Answered, Live, Operation, Parameter, ResponseKind, Shared, of};
 use crate::daemon::clock::now_ns;
 use crate::files::archive::{Archive, Reach, Wanted};
 use crate::web::error::ApiError;
-use crate::web::extract::{Asked, Named};
+use crate::web::extract::{PathName, QueryParams};
 use crate::web::thin::thin;
 use stiction::over_time::WindowResult;
 use stiction::record::Signal;
@@ -120,13 +120,13 @@ pub(super) const TO: Parameter = Parameter { name: "to_ms", words: "last stamp, 
 const FEWER: Parameter = Parameter { name: "points", words: "about how many points; 2000 if absent, 20000 at most" };
 
 pub(super) fn operations() -> Vec<Operation<Shared>> {
-    let json = |path, summary, query, gives, handler| Operation {
+    let json = |path, summary, query, response, handler| Operation {
         method: "get",
         path,
         summary,
         query,
         body: None,
-        gives,
+        response,
         handler,
     };
     vec![
@@ -134,21 +134,21 @@ pub(super) fn operations() -> Vec<Operation<Shared>> {
             "/loops/{name}/trend",
             "OP, PV and SP of a stretch of time, from the recordings",
             &[FROM, TO, FEWER],
-            Gives::Json(of::<Trend>),
+            ResponseKind::Json(of::<Trend>),
             || get(trend),
         ),
         json(
             "/loops/{name}/history",
             "Every window of a stretch of time, from the recordings",
             &[FROM, TO],
-            Gives::Json(of::<History>),
+            ResponseKind::Json(of::<History>),
             || get(history),
         ),
         json(
             "/loops/{name}/alarms",
             "Changes of the alarm, from the recordings",
             &[FROM, TO],
-            Gives::Json(of::<Changes>),
+            ResponseKind::Json(of::<Changes>),
             || get(changes),
         ),
     ]
@@ -165,7 +165,11 @@ impl Range {
     }
 }
 
-async fn trend(State(live): State<Shared>, Named(name): Named, Asked(range): Asked<Range>) -> Answered<Trend> {
+async fn trend(
+    State(live): State<Shared>,
+    PathName(name): PathName,
+    QueryParams(range): QueryParams<Range>,
+) -> Answered<Trend> {
     let [from_ns, to_ns] = range.ns(&live, &name)?;
     let points = range.points.unwrap_or(POINTS).clamp(2, MOST_POINTS);
     let (archive, config) = (live.archive.clone(), live.config.clone());
@@ -229,7 +233,11 @@ pub(super) fn windows(live: &Live, name: &str, range_ns: [i64; 2]) -> (Vec<PastW
     (all, reach)
 }
 
-async fn history(State(live): State<Shared>, Named(name): Named, Asked(range): Asked<Range>) -> Answered<History> {
+async fn history(
+    State(live): State<Shared>,
+    PathName(name): PathName,
+    QueryParams(range): QueryParams<Range>,
+) -> Answered<History> {
     let [from_ns, to_ns] = range.ns(&live, &name)?;
     let all = live.clone();
     let (windows, reach) = live.on_a_thread(move || windows(&all, &name, [from_ns, to_ns])).await?;
@@ -237,7 +245,11 @@ async fn history(State(live): State<Shared>, Named(name): Named, Asked(range): A
     Ok(Json(History { from_ms: ms_from_ns(from_ns), to_ms: ms_from_ns(to_ns), complete, windows }))
 }
 
-async fn changes(State(live): State<Shared>, Named(name): Named, Asked(range): Asked<Range>) -> Answered<Changes> {
+async fn changes(
+    State(live): State<Shared>,
+    PathName(name): PathName,
+    QueryParams(range): QueryParams<Range>,
+) -> Answered<Changes> {
     let range_ns = range.ns(&live, &name)?;
     let all = live.clone();
     let (mut changes, reach) = live

@@ -8,17 +8,20 @@ use axum::routing::{get, post};
 use serde::{Deserialize, Serialize};
 
 use super::curves::recorded;
-use super::{Answered, Gives, Operation, Shared, of};
+use super::{Answered, Operation, ResponseKind, Shared, of};
 use crate::daemon::clock::now_ns;
-use crate::files::reviews::{Label, Method, Review};
+use crate::files::reviews::{KeepError, Label, Method, Review};
 use crate::web::error::ApiError;
-use crate::web::extract::{Named, Sent};
+use crate::web::extract::{JsonBody, PathName};
 use stiction::record::Signal;
 use stiction::units::{Moment, ms_from_ns};
 use stiction_monitor::alarm::check_name;
 
 /// Longest explanation, bytes.
 const MAX_WHY: usize = 500;
+/// Reviews that are taken a minute, and at once.
+pub(super) const PER_MINUTE: f64 = 30.0;
+pub(super) const AT_ONCE: f64 = 10.0;
 
 /// Every review.
 #[derive(Serialize, schemars::JsonSchema)]
@@ -66,7 +69,7 @@ pub(super) fn operations() -> Vec<Operation<Shared>> {
             summary: "Keeps what somebody found at the valve, with the newest estimate and its samples",
             query: &[],
             body: Some(of::<Found>),
-            gives: Gives::Json(of::<Kept>),
+            response: ResponseKind::Json(of::<Kept>),
             handler: || post(keep),
         },
         Operation {
@@ -75,7 +78,7 @@ pub(super) fn operations() -> Vec<Operation<Shared>> {
             summary: "Everything that people found",
             query: &[],
             body: None,
-            gives: Gives::Json(of::<All>),
+            response: ResponseKind::Json(of::<All>),
             handler: || get(all),
         },
         Operation {
@@ -84,7 +87,7 @@ pub(super) fn operations() -> Vec<Operation<Shared>> {
             summary: "The same as the index that `stictiond evaluate` takes",
             query: &[],
             body: None,
-            gives: Gives::File("text/csv"),
+            response: ResponseKind::File("text/csv"),
             handler: || get(index),
         },
     ]
@@ -105,9 +108,13 @@ pub(super) fn last_of_loops(live: &Shared) -> std::collections::HashMap<String, 
 
 async fn keep(
     State(live): State<Shared>,
-    Named(name): Named,
-    Sent(Found { label, method, by, why }): Sent<Found>,
+    PathName(name): PathName,
+    JsonBody(Found { label, method, by, why }): JsonBody<Found>,
 ) -> Answered<Kept> {
+    if !live.takes_commands() {
+        let why = "reviews are commands, and these are switched off: [commands] enabled = false";
+        return Err(ApiError::new(StatusCode::FORBIDDEN, why));
+    }
     check_name(Some(&by)).map_err(|e| ApiError::unfit(e.to_string()))?;
     if why.as_ref().is_some_and(|why| why.len() > MAX_WHY) {
         return Err(ApiError::unfit(format!("why has more than {MAX_WHY} bytes: say it in fewer words")));
@@ -116,6 +123,10 @@ async fn keep(
     let none =
         || ApiError::not_found(format!("{name}: no window has been answered yet, so there is nothing to review"));
     let estimate = newest.ok_or_else(none)?;
+    if !live.allow_review() {
+        let why = format!("more than {PER_MINUTE} reviews a minute: try again later");
+        return Err(ApiError::new(StatusCode::TOO_MANY_REQUESTS, why));
+    }
     let a = &estimate.assessment;
     let review = Review {
         file: String::new(),
@@ -131,15 +142,19 @@ async fn keep(
         s: a.s,
     };
     let range = [a.window.start_ns, a.window.end_ns];
-    let of_live = live.clone();
+    let (of_live, keep_days) = (live.clone(), live.config.retention.results_days);
     let kept = live
         .on_a_thread(move || {
             let samples = recorded(&of_live.archive, &name, &Signal::ALL, range);
-            of_live.reviews.keep(review, &samples)
+            of_live.reviews.keep(review, &samples, keep_days)
         })
         .await?;
-    let failed = |e| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, format!("the review could not be kept: {e}"));
-    Ok(Json(Kept { review: kept.map_err(failed)?.into() }))
+    let status = |error: &KeepError| match error {
+        KeepError::Full(_) => StatusCode::INSUFFICIENT_STORAGE,
+        KeepError::System(_) => StatusCode::INTERNAL_SERVER_ERROR,
+    };
+    let review = kept.map_err(|error| ApiError::new(status(&error), error.to_string()))?;
+    Ok(Json(Kept { review: review.into() }))
 }
 
 async fn all(State(live): State<Shared>) -> Answered<All> {
@@ -147,8 +162,9 @@ async fn all(State(live): State<Shared>) -> Answered<All> {
     Ok(Json(All { reviews: reviews.into_iter().map(Told::from).collect() }))
 }
 
-async fn index(State(live): State<Shared>) -> Response {
+async fn index(State(live): State<Shared>) -> Result<Response, ApiError> {
     let name = "attachment; filename=\"reviews.csv\"";
-    let text = std::fs::read(live.reviews.index()).unwrap_or_else(|_| b"file,label\n".to_vec());
-    ([(header::CONTENT_TYPE, "text/csv; charset=utf-8"), (header::CONTENT_DISPOSITION, name)], text).into_response()
+    let table = live.reviews.table().map_err(|why| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, why))?;
+    let headers = [(header::CONTENT_TYPE, "text/csv; charset=utf-8"), (header::CONTENT_DISPOSITION, name)];
+    Ok((headers, table).into_response())
 }

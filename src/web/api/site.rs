@@ -7,7 +7,7 @@ use axum::{Extension, Json};
 use serde::Serialize;
 use std::sync::PoisonError;
 
-use super::{Gives, Operation, Shared, of};
+use super::{Operation, ResponseKind, Shared, of};
 use crate::daemon::clock::now_ns;
 use crate::daemon::overview::DataHealth;
 use crate::web::guard::Permission;
@@ -49,8 +49,10 @@ pub struct Site {
     pub commands: bool,
     /// Whether who asks may send them.
     pub token: Permission,
-    /// Whether files can be opened.
+    /// Whether files can be opened here.
     pub workbench: bool,
+    /// Where they can be opened, as the configuration says it; null where it says nothing.
+    pub workbench_url: Option<String>,
     /// Loops that have appeared.
     pub loops: usize,
     /// What a person should look at.
@@ -81,7 +83,7 @@ pub(super) fn operations() -> Vec<Operation<Shared>> {
         summary: "What the daemon is, whether anything is wrong with it, and whether who asks may send commands",
         query: &[],
         body: None,
-        gives: Gives::Json(of::<Site>),
+        response: ResponseKind::Json(of::<Site>),
         handler: || get(site),
     }]
 }
@@ -106,9 +108,10 @@ pub(super) fn site_of(live: &Shared, token: Permission) -> Site {
         now_ms: ms_from_ns(now),
         started_ms: ms_from_ns(live.started_ns),
         note: live.note,
-        commands: live.config.commands.enabled,
+        commands: live.takes_commands(),
         token,
-        workbench: live.config.web.page.workbench,
+        workbench: false,
+        workbench_url: Some(live.config.web.page.workbench.clone()).filter(|url| !url.is_empty()),
         loops: health.loops,
         faults: health.faults.clone(),
         loss: Loss {

@@ -10,7 +10,7 @@ use axum::routing::get;
 use serde::Serialize;
 
 use super::curves::{Curves, known, recorded};
-use super::{Answered, Gives, Live, Operation, Shared, of};
+use super::{Answered, Live, Operation, ResponseKind, Shared, of};
 use crate::files::LoadedLoop;
 use crate::files::csv;
 use crate::files::transfer::write_loops;
@@ -19,7 +19,7 @@ use crate::report::diagram::Tags;
 use crate::report::figures::{Figure, Subject, detailed};
 use crate::report::{LoopReport, Report, page};
 use crate::web::error::ApiError;
-use crate::web::extract::Named;
+use crate::web::extract::PathName;
 use stiction::ident::fit_plots::FitPlots;
 use stiction::record::{Record, Signal};
 use stiction::repair::{Repair, RepairParams, repair};
@@ -73,42 +73,45 @@ pub struct Drawn {
 }
 
 pub(super) fn operations() -> Vec<Operation<Shared>> {
-    let json = |path, summary, gives, handler| Operation {
+    let json = |path, summary, response, handler| Operation {
         method: "get",
         path,
         summary,
         query: &[],
         body: None,
-        gives,
+        response,
         handler,
     };
     vec![
         json(
             "/loops/{name}/window",
             "The window that the engine holds now, with the last fit run over it",
-            Gives::Json(of::<Window>),
+            ResponseKind::Json(of::<Window>),
             || get(window),
         ),
         json(
             "/loops/{name}/pictures",
             "Pictures of the newest estimate: curves, phase plot, error over the bands, orders, indicators",
-            Gives::Json(of::<Pictures>),
+            ResponseKind::Json(of::<Pictures>),
             || get(pictures),
         ),
         json(
             "/loops/{name}/repair",
             "What a repair buys: the closed loop simulated as it is, with a free valve, and with half the gain",
-            Gives::Json(of::<Repair>),
+            ResponseKind::Json(of::<Repair>),
             || get(buys),
         ),
-        json("/loops/{name}/sheet", "Evidence on one page, to print", Gives::File("text/html"), || get(sheet)),
-        json("/loops/{name}/window.csv", "The newest estimate's samples as recorded", Gives::File("text/csv"), || {
-            get(window_csv)
-        }),
+        json("/loops/{name}/sheet", "Evidence on one page, to print", ResponseKind::File("text/html"), || get(sheet)),
+        json(
+            "/loops/{name}/window.csv",
+            "The newest estimate's samples as recorded",
+            ResponseKind::File("text/csv"),
+            || get(window_csv),
+        ),
         json(
             "/loops/{name}/window.mcap",
             "The newest estimate's samples as recorded, as a recording",
-            Gives::File("application/octet-stream"),
+            ResponseKind::File("application/octet-stream"),
             || get(window_mcap),
         ),
     ]
@@ -152,8 +155,8 @@ pub(super) fn curves_after(record: &Record, after_ns: i64) -> Option<(Curves, i6
     Some((curves, newest_ns))
 }
 
-async fn window(State(live): State<Shared>, Named(name): Named) -> Answered<Window> {
-    let looked = live.look(&name, None).await?;
+async fn window(State(live): State<Shared>, PathName(name): PathName) -> Answered<Window> {
+    let looked = live.request_window(&name, None).await?;
     // A loop of which nothing is held yet has an empty window.
     let record = looked.record.unwrap_or_else(|| Record::uniform(1.0, Vec::new(), Vec::new()));
     let estimate = live.overview.newest(&name).and_then(|newest| newest.estimate);
@@ -194,7 +197,7 @@ impl Live {
             self.overview.newest(name).ok_or_else(|| ApiError::not_found(format!("no loop {name:?} has appeared")))?;
         let none = || ApiError::not_found(format!("{name}: no window has been answered yet"));
         let document = newest.estimate.ok_or_else(none)?;
-        let looked = self.look(name, Some(document.assessment.window.end_ns)).await?;
+        let looked = self.request_window(name, Some(document.assessment.window.end_ns)).await?;
         let gone = || ApiError::not_found(format!("{name}: the samples of its newest estimate are no longer held"));
         let record = looked.record.ok_or_else(gone)?;
         Ok(Estimated { document, record, settings: looked.settings })
@@ -220,7 +223,7 @@ impl Estimated {
     }
 }
 
-async fn pictures(State(live): State<Shared>, Named(name): Named) -> Answered<Pictures> {
+async fn pictures(State(live): State<Shared>, PathName(name): PathName) -> Answered<Pictures> {
     let estimated = live.estimated(&name).await?;
     let drawn = live
         .draw(move || {
@@ -251,14 +254,14 @@ pub fn drawing((k, figure): (usize, &Figure)) -> Drawn {
     }
 }
 
-async fn buys(State(live): State<Shared>, Named(name): Named) -> Answered<Repair> {
+async fn buys(State(live): State<Shared>, PathName(name): PathName) -> Answered<Repair> {
     let Estimated { document, record, settings } = live.estimated(&name).await?;
     let params = RepairParams { op_range: settings.assess.op_range, ..RepairParams::default() };
     let told = live.on_a_thread(move || repair(&record, &document.assessment, &params)).await?;
     told.map(Json).map_err(|why| ApiError::unfit(why.to_string()))
 }
 
-async fn sheet(State(live): State<Shared>, Named(name): Named) -> Result<Response, ApiError> {
+async fn sheet(State(live): State<Shared>, PathName(name): PathName) -> Result<Response, ApiError> {
     let estimated = live.estimated(&name).await?;
     let alarm = live.overview.newest(&name).and_then(|newest| newest.alarm);
     let prefix = live.config.site.prefix.clone();
@@ -298,14 +301,14 @@ fn file(name: &str, extension: &str, kind: &'static str, content: Vec<u8>) -> Re
         .into_response()
 }
 
-async fn window_csv(State(live): State<Shared>, Named(name): Named) -> Result<Response, ApiError> {
+async fn window_csv(State(live): State<Shared>, PathName(name): PathName) -> Result<Response, ApiError> {
     let one = samples(&live, &name).await?;
     let mut out = Vec::new();
     csv::write(&one.samples, &mut out).map_err(|e| ApiError::busy(e.to_string()))?;
     Ok(file(&name, "csv", "text/csv; charset=utf-8", out))
 }
 
-async fn window_mcap(State(live): State<Shared>, Named(name): Named) -> Result<Response, ApiError> {
+async fn window_mcap(State(live): State<Shared>, PathName(name): PathName) -> Result<Response, ApiError> {
     let one = samples(&live, &name).await?;
     let archive = live.archive.clone();
     let written = live.on_a_thread(move || recording_of(archive.prefix(), one)).await?;

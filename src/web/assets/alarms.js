@@ -112,6 +112,7 @@ export function show(root, { announce }) {
       if (!busy()) draw();
     }),
     on("back", () => part.run(true)),
+    on("gone", () => part.run(true)),
   ];
   return () => {
     part.end();

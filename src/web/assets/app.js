@@ -32,7 +32,7 @@ const ROUTES = [
   { path: /^$/, at: "", name: "Overview", module: "./overview.js", live: true },
   { path: /^alarms$/, at: "alarms", name: "Alarms", module: "./alarms.js", live: true },
   { path: /^loop\/(.+)$/, name: "Loop", module: "./loop.js", live: true },
-  { path: /^workbench(?:\/.*)?$/, at: "workbench", name: "Workbench", module: "./workbench.js", style: "workbench.css" },
+  { path: /^workbench(?:\/.*)?$/, at: "workbench", name: "Workbench", bench: { module: "./workbench.js", style: "workbench.css" }, module: "./workbench-link.js" },
 ];
 
 let shown = null;
@@ -46,10 +46,10 @@ const place = () => location.hash.replace(/^#\/?/, "").split("?")[0];
 /** Draws the links again where something changed: what has the focus must not be taken away every second. */
 function drawNav(path) {
   const waiting = [...store.rows.values()].filter((row) => row.unacknowledged).length;
-  const key = JSON.stringify([path, waiting, store.site?.kind, store.site?.workbench]);
+  const key = JSON.stringify([path, waiting, store.site?.kind]);
   if (key === drawn) return;
   drawn = key;
-  const links = ROUTES.filter((r) => r.at !== undefined && !(isBench() && r.live) && !(r.style && store.site?.workbench === false));
+  const links = ROUTES.filter((r) => r.at !== undefined && !(isBench() && r.live));
   // Whoever stands on a link stays there.
   const held = nav.contains(document.activeElement) ? document.activeElement.getAttribute("href") : null;
   fill(nav, links.map((r) => h("a", { href: `#/${r.at}`, "aria-current": r.path.test(path) ? "page" : null }, r.name, r.at === "alarms" ? alarmCount(waiting) : null)));
@@ -85,9 +85,11 @@ async function show() {
   }
   document.title = `${found.name} · stictiond`;
   fill(root, dom.skeleton(6));
-  if (found.style) addStyle(found.style);
+  // A daemon opens no files: its page says where they are opened.
+  const part = (isBench() && found.bench) || found;
+  if (part.style) addStyle(part.style);
   try {
-    const module = await import(found.module);
+    const module = await import(part.module);
     if (mine !== turn) return;
     fill(root);
     const name = found.path.exec(path)[1];

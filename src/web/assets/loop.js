@@ -75,6 +75,8 @@ export function show(root, { name, live, announce }) {
   const mine = (document) => document.loop === name && reload();
   ends.push(on("estimate", mine), on("alarm", mine), on("back", () => reload(true)));
   ends.push(on("rows", (names) => (names === null || names.has(name)) && store.rows.has(name) && loop.document && head(headRoot, loop)));
+  ends.push(on("gone", (names) => names.has(name) && fill(headRoot, h("h1", null, name),
+    h("p", { class: "note" }, "The daemon no longer watches this loop: no sample came for a long time. It appears again with its next sample."))));
   live.open(name);
   reload();
   return () => ends.forEach((end) => end?.());

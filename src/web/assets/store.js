@@ -10,7 +10,7 @@ export const store = {
   loaded: false,
 };
 
-/** Hears of `site`, `rows` (a set of changed names, or null for all), `alarm`, `samples`, `estimate`, `link`, `back` (the link, after it was lost), `theme`. */
+/** Hears of `site`, `rows` (a set of changed names, or null for all), `gone` (a set of names), `alarm`, `samples`, `estimate`, `link`, `back` (the link, after it was lost), `theme`. */
 export function on(name, listener) {
   if (!listeners.has(name)) listeners.set(name, new Set());
   listeners.get(name).add(listener);
@@ -42,6 +42,7 @@ function takeRows({ loops, gone = [], full = false }) {
     store.rows.set(row.name, row);
   }
   for (const name of gone) store.rows.delete(name);
+  if (gone.length) tell("gone", new Set(gone));
   const first = !store.loaded;
   store.loaded = true;
   tell("rows", full || first || fresh || gone.length ? null : new Set(loops.map((row) => row.name)));

@@ -160,19 +160,31 @@ pub struct Page {
     /// Whether the page is served: `page`.
     #[serde(rename = "page")]
     pub enabled: bool,
-    /// Whether files can be opened in it: `workbench`.
-    pub workbench: bool,
-    /// Time zone of displayed times: `time_zone`, an IANA name such as `Europe/Berlin`.
+    /// Address of a `stictiond workbench` that it links to: `workbench`; empty: none.
+    pub workbench: String,
+    /// Zone of the times that it shows: `time_zone`, an IANA name such as `Europe/Berlin`.
     pub time_zone: String,
-    /// File with the token that commands from other machines need: `token_file`; empty: none are accepted from there.
+    /// File of the token that every command then needs: `token_file`; empty: commands come from this machine alone.
     pub token_file: String,
-    /// Host names accepted besides its own address: `hosts`.
+    /// Whether connections come through a proxy, so that a loopback peer may be anybody: `behind_proxy`.
+    pub behind_proxy: bool,
+    /// Path of a Unix socket that is served too: `socket`; empty: none.
+    pub socket: String,
+    /// Names under which browsers may call it, beside its own address: `hosts`.
     pub hosts: Vec<String>,
 }
 
 impl Default for Page {
     fn default() -> Self {
-        Self { enabled: true, workbench: true, time_zone: "UTC".into(), token_file: String::new(), hosts: Vec::new() }
+        Self {
+            enabled: true,
+            workbench: String::new(),
+            time_zone: "UTC".into(),
+            token_file: String::new(),
+            behind_proxy: false,
+            socket: String::new(),
+            hosts: Vec::new(),
+        }
     }
 }
 
@@ -413,6 +425,18 @@ fn read_web(r: &mut TableReader<'_, '_>) -> Web {
     Web { enabled, listen, loop_series, max_loop_series, page: read_page(r) }
 }
 
+/// `workbench`. In earlier versions it was a switch: files were opened in the daemon.
+fn read_workbench(r: &mut TableReader<'_, '_>) -> String {
+    let remedy = "the address of a `stictiond workbench`, which is now a program of its own, such as \
+                  \"http://127.0.0.1:8090\", or remove the key";
+    let Some((url, line)) = r.text_or("workbench", remedy) else { return String::new() };
+    let web = url.strip_prefix("http://").or_else(|| url.strip_prefix("https://"));
+    if !url.is_empty() && web.is_none_or(|rest| rest.is_empty() || rest.contains([' ', '"', '<'])) {
+        r.refuse(line, "workbench", format!("{url:?} is not an address"), format!("write {remedy}"));
+    }
+    url
+}
+
 fn read_page(r: &mut TableReader<'_, '_>) -> Page {
     let d = Page::default();
     let mut time_zone = d.time_zone;
@@ -434,9 +458,11 @@ fn read_page(r: &mut TableReader<'_, '_>) -> Page {
     }
     Page {
         enabled: r.boolean("page", d.enabled),
-        workbench: r.boolean("workbench", d.workbench),
+        workbench: read_workbench(r),
         time_zone,
         token_file: r.text("token_file").map(|(t, _)| t).unwrap_or_default(),
+        behind_proxy: r.boolean("behind_proxy", d.behind_proxy),
+        socket: r.text("socket").map(|(t, _)| t).unwrap_or_default(),
         hosts: hosts.into_iter().map(|(host, _)| host).collect(),
     }
 }
@@ -473,6 +499,19 @@ mod tests {
         }
         assert!(seen.iter().any(|(_, key)| *key == "site.prefix"));
         assert!(faults.iter().filter(|f| !f.key.is_empty()).all(|f| !f.remedy.is_empty()));
+    }
+
+    #[test]
+    fn the_workbench_is_an_address_and_no_longer_a_switch() {
+        let parse = |value: &str| Config::parse(&format!("[site]\nprefix = \"p\"\n[web]\nworkbench = {value}\n"));
+        let url = "https://tools.example:8090/";
+        assert_eq!(parse(&format!("{url:?}")).unwrap().web.page.workbench, url);
+        assert_eq!(parse("\"\"").unwrap(), Config::with_prefix("p"));
+        for wrong in ["true", "false", "\"javascript:alert(1)\"", "\"tools.example\"", "\"http://\""] {
+            let faults = parse(wrong).unwrap_err();
+            assert_eq!((faults.len(), faults[0].line, faults[0].key.as_str()), (1, 4, "web.workbench"));
+            assert!(faults[0].remedy.contains("stictiond workbench") && faults[0].remedy.contains("remove the key"));
+        }
     }
 
     #[test]

@@ -137,9 +137,14 @@ impl<'a, 'i> TableReader<'a, 'i> {
 
     /// Text; `None` if the key is absent.
     pub fn text(&mut self, key: &'static str) -> Option<(String, usize)> {
+        self.text_or(key, "text in quotes")
+    }
+
+    /// Text; where the key has something else, `wanted` says what to write.
+    pub fn text_or(&mut self, key: &'static str, wanted: &str) -> Option<(String, usize)> {
         let (value, line) = self.get(key)?;
         let Some(text) = value.as_str() else {
-            self.wrong_type(line, key, value, "text in quotes");
+            self.wrong_type(line, key, value, wanted);
             return None;
         };
         Some((text.to_owned(), line))

@@ -1,4 +1,4 @@
-//! The page with the workbench alone: no daemon, no bus.
+//! Serves the page with the workbench.
 
 use std::sync::Arc;
 
@@ -7,17 +7,19 @@ use axum::routing::get;
 use axum::{Extension, Json};
 use tokio::net::TcpListener;
 
-use super::{Bench, router};
+use super::{Bench, operations, router};
 use crate::daemon::clock::now_ns;
 use crate::daemon::overview::DataHealth;
 use crate::web::api::site::{Loss, Site, SiteKind};
 use crate::web::guard::{Guard, Permission};
-use crate::web::server::{self, Peer};
+use crate::web::server::{self, CONNECTIONS_PER_HOST, Limits, MAX_CONNECTIONS, Peer};
+use crate::web::{guarded, openapi, page};
 use stiction::units::ms_from_ns;
 
-/// Serves the page until it is dropped. Commands come from this machine alone. `time_zone` is that of the times shown.
+/// Serves the page until it is dropped. Files are opened and analysed from this machine alone. Times are shown in
+/// `time_zone`.
 pub async fn serve(listener: TcpListener, bench: Bench, time_zone: String) {
-    let guard = Arc::new(Guard { hosts: Vec::new(), token: None });
+    let guard = Arc::new(Guard { hosts: Vec::new(), token: None, behind_proxy: false });
     let started_ns = now_ns();
     let rules = guard.clone();
     let site = move |Extension(peer): Extension<Peer>, headers: HeaderMap| {
@@ -25,7 +27,8 @@ pub async fn serve(listener: TcpListener, bench: Bench, time_zone: String) {
         async move { Json(site) }
     };
     let api = router(bench).route("/site", get(site));
-    server::accept(listener, crate::web::page(api, guard)).await;
+    let limits = Limits::new(MAX_CONNECTIONS, CONNECTIONS_PER_HOST);
+    server::accept(listener, guarded(page(api, openapi::document(&operations())), guard), limits).await;
 }
 
 /// As a daemon without loops would say it.
@@ -43,6 +46,7 @@ fn site(token: Permission, started_ns: i64, time_zone: &str) -> Site {
         commands: false,
         token,
         workbench: true,
+        workbench_url: None,
         loops: 0,
         faults: Vec::new(),
         loss: Loss::default(),

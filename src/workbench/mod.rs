@@ -2,9 +2,12 @@
 //!
 //! [`shelf`] keeps files, [`upload`] takes them, [`record`] draws from them; [`request`] says what may be asked,
 //! [`jobs`] queues it, [`work`] does it, [`documents`] tells it; [`choices`] lists everything that can be chosen;
-//! [`alone`] serves the page without a daemon.
+//! [`serve`] serves the page.
+//!
+//! The daemon has no part in this: `stictiond workbench` is a process of its own, so that whatever a file does to the
+//! program that reads it, the plant is still watched.
 
-pub mod alone;
+mod alone;
 mod choices;
 mod documents;
 mod fault;
@@ -24,12 +27,13 @@ use std::sync::Arc;
 use axum::Router;
 use tokio::sync::Semaphore;
 
-use super::table;
 use crate::files::ReadOptions;
 use crate::files::inputs::Unit;
+use crate::web::table;
 use jobs::Jobs;
 use shelf::{Limits, Shelf};
 
+pub use alone::serve;
 pub use fault::Fault;
 pub use reading::{OPTIONS, ReadingWords};
 pub use routes::operations;

@@ -1,15 +1,14 @@
 //! Uploads: the body goes to a file as it comes, within bounds of size and time.
 
-use std::future::poll_fn;
 use std::io::Write as _;
-use std::pin::Pin;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use axum::body::{Body, Bytes, HttpBody};
+use axum::body::Body;
 use axum::extract::{RawQuery, State};
 use axum::http::{HeaderMap, header};
 use axum::{Extension, Json};
+use futures_util::TryStreamExt;
 
 use super::Workbench;
 use super::fault::Fault;
@@ -48,14 +47,15 @@ pub async fn upload(
 }
 
 /// Writes the body to its place.
-async fn store(place: &mut Place, mut body: Body, life: Option<&Life>) -> Result<(), Fault> {
+async fn store(place: &mut Place, body: Body, life: Option<&Life>) -> Result<(), Fault> {
     let mut file = std::fs::File::create_new(&place.path).map_err(|error| disk(&error))?;
-    let (began, mut taken) = (Instant::now(), 0_u64);
+    let (began, mut taken, mut pieces) = (Instant::now(), 0_u64, body.into_data_stream());
     loop {
         let until = began + GRACE + Duration::from_secs_f64(taken as f64 / LEAST_PACE);
-        let piece = tokio::time::timeout_at(until.into(), next(&mut body)).await;
+        let piece = tokio::time::timeout_at(until.into(), pieces.try_next()).await;
+        let broken = |error| Fault::wrong(format!("the file ended early: {error}; send it again"));
         let slow = || Fault::too_slow("the upload was too slow; try again, or name the file on the command line");
-        let Some(bytes) = piece.map_err(|_| slow())?? else { break };
+        let Some(bytes) = piece.map_err(|_| slow())?.map_err(broken)? else { break };
         place.grow(bytes.len() as u64)?;
         taken += bytes.len() as u64;
         if let Some(life) = life {
@@ -69,21 +69,4 @@ async fn store(place: &mut Place, mut body: Body, life: Option<&Life>) -> Result
 
 fn disk(error: &std::io::Error) -> Fault {
     Fault::own(format!("cannot store the file: {error}; free space in the folder for temporary files"))
-}
-
-/// The next bytes of a body; `None` at its end.
-async fn next(body: &mut Body) -> Result<Option<Bytes>, Fault> {
-    loop {
-        let frame = poll_fn(|context| Pin::new(&mut *body).poll_frame(context)).await;
-        match frame {
-            None => return Ok(None),
-            Some(Err(error)) => return Err(Fault::wrong(format!("the file ended early: {error}; send it again"))),
-            // What is no data are trailers, which say nothing here.
-            Some(Ok(frame)) => {
-                if let Ok(bytes) = frame.into_data() {
-                    return Ok(Some(bytes));
-                }
-            }
-        }
-    }
 }

@@ -27,7 +27,7 @@ use super::request::Request;
 use super::shelf::FileInfo;
 use super::upload::upload;
 use crate::web::server::Life;
-use crate::web::table::{Gives, Operation, Parameter, of};
+use crate::web::table::{Operation, Parameter, ResponseKind, of};
 use crate::web::thin::thin;
 use stiction::units::format_seconds;
 use stiction_monitor::analysis::predictions::Row;
@@ -96,10 +96,10 @@ fn line(
     path: &'static str,
     summary: &'static str,
     query: &'static [Parameter],
-    gives: Gives,
+    response: ResponseKind,
     handler: fn() -> axum::routing::MethodRouter<Bench>,
 ) -> Operation<Bench> {
-    Operation { method, path, summary, query, body: None, gives, handler }
+    Operation { method, path, summary, query, body: None, response, handler }
 }
 
 /// Every operation of the workbench.
@@ -134,25 +134,27 @@ fn of_files() -> Vec<Operation<Bench>> {
             "/workbench/options",
             "Everything that can be chosen, with its default and its words",
             &[],
-            Gives::Json(of::<Choices>),
+            ResponseKind::Json(of::<Choices>),
             || get(options),
         ),
-        line("get", "/workbench/files", "The files that are open", &[], Gives::Json(of::<Files>), || get(files)),
+        line("get", "/workbench/files", "The files that are open", &[], ResponseKind::Json(of::<Files>), || get(files)),
         line(
             "post",
             "/workbench/files",
             "Opens a file: the body is its bytes",
             READING,
-            Gives::Json(of::<FileInfo>),
+            ResponseKind::Json(of::<FileInfo>),
             || post(upload),
         ),
-        line("delete", "/workbench/files/{id}", "Closes a file", &[], Gives::Json(of::<Files>), || delete(close)),
+        line("delete", "/workbench/files/{id}", "Closes a file", &[], ResponseKind::Json(of::<Files>), || {
+            delete(close)
+        }),
         line(
             "get",
             "/workbench/files/{id}/record",
             "A loop's record between two times; thinned, extremes stay",
             RECORD,
-            Gives::Json(of::<RecordAnswer>),
+            ResponseKind::Json(of::<RecordAnswer>),
             || get(curves),
         ),
     ]
@@ -166,7 +168,7 @@ fn of_jobs() -> Vec<Operation<Bench>> {
             "/workbench/jobs",
             "The jobs so far, with their results, oldest first",
             &[],
-            Gives::Json(of::<JobList>),
+            ResponseKind::Json(of::<JobList>),
             || get(jobs),
         ),
         Operation {
@@ -176,7 +178,7 @@ fn of_jobs() -> Vec<Operation<Bench>> {
                 "/workbench/jobs",
                 "Orders an estimate or a diagnosis",
                 &[],
-                Gives::Json(of::<Ordered>),
+                ResponseKind::Json(of::<Ordered>),
                 || post(order).layer(DefaultBodyLimit::max(MAX_ORDER)),
             )
         },
@@ -185,7 +187,7 @@ fn of_jobs() -> Vec<Operation<Bench>> {
             "/workbench/jobs/{id}",
             "A job with its results so far",
             &[],
-            Gives::Json(of::<JobDocument>),
+            ResponseKind::Json(of::<JobDocument>),
             || get(job),
         ),
         line(
@@ -193,7 +195,7 @@ fn of_jobs() -> Vec<Operation<Bench>> {
             "/workbench/jobs/{id}",
             "Cancels a job, or forgets one that is over",
             &[],
-            Gives::Json(of::<Stands>),
+            ResponseKind::Json(of::<Stands>),
             || delete(remove),
         ),
         line(
@@ -201,7 +203,7 @@ fn of_jobs() -> Vec<Operation<Bench>> {
             "/workbench/jobs/{id}/events",
             "How far a job is, as server-sent events `job`: the job without its results",
             &[],
-            Gives::Events,
+            ResponseKind::Events,
             || get(events),
         ),
         line(
@@ -209,7 +211,7 @@ fn of_jobs() -> Vec<Operation<Bench>> {
             "/workbench/jobs/{id}/report",
             "The report as `--report` writes it",
             &[PART],
-            Gives::File("text/html"),
+            ResponseKind::File("text/html"),
             || get(report),
         ),
         line(
@@ -217,7 +219,7 @@ fn of_jobs() -> Vec<Operation<Bench>> {
             "/workbench/jobs/{id}/pictures/{picture}",
             "A picture of a result",
             &[],
-            Gives::File("image/svg+xml"),
+            ResponseKind::File("image/svg+xml"),
             || get(picture),
         ),
         line(
@@ -225,7 +227,7 @@ fn of_jobs() -> Vec<Operation<Bench>> {
             "/workbench/jobs/{id}/predictions",
             "Measured PV and the free runs before and after, thinned",
             POINTS,
-            Gives::Json(of::<Predictions>),
+            ResponseKind::Json(of::<Predictions>),
             || get(predictions),
         ),
         line(
@@ -233,7 +235,7 @@ fn of_jobs() -> Vec<Operation<Bench>> {
             "/workbench/jobs/{id}/predictions.csv",
             "The same whole, as `gap --predictions` writes it",
             &[PART],
-            Gives::File("text/csv"),
+            ResponseKind::File("text/csv"),
             || get(predictions_csv),
         ),
     ]
