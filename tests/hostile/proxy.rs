@@ -47,7 +47,7 @@ fn daemon(dir: &Path, web: &str) -> Daemon {
     let daemon = Daemon::start(dir, &format!("hosts = [{NAME:?}]\n{web}"));
     let bus = daemon.session();
     bus.put(format!("{PREFIX}/A/op"), "1").wait().unwrap();
-    wait_for("the loop", || (daemon.counter("samples") == 1).then_some(()));
+    wait_for("the loop", || http(&daemon.web, "/api/v1/loops/A").contains("alarm_state").then_some(()));
     bus.close().wait().unwrap();
     daemon
 }
