@@ -304,7 +304,9 @@ pub fn http(address: &str, path: &str) -> String {
 
 /// Status and body of an answer.
 pub fn http_with_status(address: &str, path: &str) -> (u16, String) {
-    request(TcpStream::connect(address).unwrap(), &["GET", path], &[("Host", address)], "")
+    let stream = TcpStream::connect(address).unwrap();
+    stream.set_read_timeout(Some(Duration::from_secs(30))).unwrap();
+    request(stream, &["GET", path], &[("Host", address)], "")
 }
 
 /// Sends a request with these headers and gives the status of the answer and its body.
