@@ -77,7 +77,7 @@ mkdir -p "$stage"/usr/share/{bash-completion/completions,zsh/vendor-completions,
 "$binary" completions zsh >"$stage/usr/share/zsh/vendor-completions/_stictiond"
 "$binary" completions fish >"$stage/usr/share/fish/vendor_completions.d/stictiond.fish"
 
-for page in README.md SECURITY.md docs/*.md; do
+for page in README.md SECURITY.md docs/*.md docs/history/*.md docs/results/*.txt; do
     put 644 "$page" "$doc/$page"
 done
 for example in monitor.toml hardened.toml hardened-daemon.json5 hardened-router.json5 alerts.yml alerts.test.yml grafana.json; do
