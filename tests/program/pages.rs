@@ -52,7 +52,7 @@ fn steps(page: &str, text: &str, marks: &[&str]) -> Vec<Step> {
         } else if let Some(typed) = prompt.or((mark == "sh" && !line.is_empty()).then_some(line)) {
             let line = typed.trim_end_matches('\\').to_owned();
             steps.push(Step { page: page.to_owned(), number: at + 1, line, shown: Vec::new() });
-        } else if let Some(last) = steps.last_mut().filter(|_| mark == "console") {
+        } else if let Some(last) = steps.last_mut().filter(|_| ["console", "results"].contains(&mark)) {
             last.shown.push(line.to_owned());
         }
         continued = line.ends_with('\\') && (continued || prompt.is_some() || mark == "sh");
