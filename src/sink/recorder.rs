@@ -446,12 +446,12 @@ impl Writer {
             Some(signal) => topic::raw(prefix, name, signal),
             None => topic::result(prefix, name, what.0),
         };
-        let entry = shard.topics.entry((id.index() as u32, what.0, what.1));
-        let (of, topic) = entry.or_insert_with(|| (name.clone(), topic_of()));
-        if !Arc::ptr_eq(of, name) {
-            (*of, *topic) = (name.clone(), topic_of());
+        let known =
+            shard.topics.entry((id.index() as u32, what.0, what.1)).or_insert_with(|| (name.clone(), topic_of()));
+        if !Arc::ptr_eq(&known.0, name) {
+            *known = (name.clone(), topic_of());
         }
-        match write(file, topic) {
+        match write(file, &known.1) {
             Ok(()) => {
                 shard.messages += 1;
                 shard.unflushed += 1;
@@ -519,13 +519,10 @@ impl Writer {
                 shard.file = Some(file);
                 // Those of loops that have left are not needed again.
                 shard.topics.clear();
-                shard.messages = 0;
-                shard.unflushed = 0;
+                (shard.messages, shard.unflushed) = (0, 0);
                 shard.previous = format!("{stem}.mcap");
-                shard.index += 1;
-                shard.opened = self.clock.now();
-                shard.asked = None;
-                shard.retry_at = None;
+                (shard.index, shard.opened) = (shard.index + 1, self.clock.now());
+                (shard.asked, shard.retry_at) = (None, None);
                 self.metrics.recording_files.inc();
             }
             Err(error) => return self.fail(index, &error.to_string()),
