@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::bump_test::{self, BumpTest, Refusal};
-use super::{Assessment, SCREENED, Verdict, texts, words};
+use super::{Assessment, SCREENED, Verdict, texts};
 use crate::units::number;
 
 /// How the band is confirmed.
@@ -91,9 +91,9 @@ pub fn what_to_do(a: &Assessment) -> String {
         return action.words();
     }
     if a.stiction.is_none() {
-        return words::capital(better_data(a.reason.unwrap_or_default())) + ".";
+        return texts::capital(better_data(a.reason.unwrap_or_default())) + ".";
     }
-    format!("{}. {}", words::capital(texts::of(a.verdict).action), limit(a))
+    format!("{}. {}", texts::capital(texts::of(a.verdict).action), limit(a))
 }
 
 /// What a negative result leaves open.

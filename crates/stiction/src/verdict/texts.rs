@@ -86,6 +86,13 @@ pub const OPEN: &str = "the valve sticks; slip or play cannot be distinguished";
 pub const OPEN_ACTION: &str = "confirm the band by a test; then inspect packing, actuator, air supply and positioner (slip), \
      and linkage, gears and positioner feedback (play)";
 
+/// With a capital first letter.
+#[must_use]
+pub fn capital(text: &str) -> String {
+    let mut letters = text.chars();
+    letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -5,6 +5,7 @@ use crate::units::{duration, number, probability};
 use crate::verdict::action::{self, Action};
 use crate::verdict::assess::WHOLE_SWING;
 use crate::verdict::rule::OF_THE_FIT;
+pub use crate::verdict::texts::capital;
 use crate::verdict::{Assessment, Gate, Implausible, SCREENED, Verdict, texts};
 
 /// The verdict in a sentence.
@@ -321,13 +322,6 @@ pub fn evidence(a: &Assessment) -> Vec<(String, f64)> {
         capital(&format!("{}: {points}", fact(name, c > 0.0)))
     };
     said.iter().map(|w| (words(w.name, w.contribution), w.contribution)).collect()
-}
-
-/// With a capital first letter.
-#[must_use]
-pub fn capital(text: &str) -> String {
-    let mut letters = text.chars();
-    letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
 }
 
 /// A gate in words.
