@@ -238,7 +238,7 @@ impl Axis {
                 return Err(self.fault(
                     row,
                     text,
-                    "give the format with --time-format: s (from any start), ms, excel, datenum, or a pattern",
+                    "give the format: --time-format s (from any start), ms, excel, datenum, or a pattern",
                 ));
             }
         }
