@@ -8,21 +8,13 @@ use std::path::PathBuf;
 mod phrases;
 
 /// Most words of all pages of `docs`, and of one.
-const MAX_WORDS: usize = 26_500;
+const MAX_WORDS: usize = 27_500;
 const MAX_PAGE: usize = 2_000;
 /// Pages that a test writes, which may be of any length.
 const GENERATED: [&str; 1] = ["docs/export-shapes.md"];
 /// Texts that are not looked at, and why.
-const EXCEPT: [(&str, &str); 8] = [
-    ("docs/export-shapes.md", "what the program prints, written by a test"),
-    ("docs/page.md", "not rewritten yet"),
-    ("docs/scale-out.md", "not rewritten yet"),
-    ("docs/verdicts.md", "not rewritten yet"),
-    ("src/web/assets/loop-repair.js", "not rewritten yet"),
-    ("src/web/assets/loop-why.js", "not rewritten yet"),
-    ("src/web/assets/words.js", "not rewritten yet"),
-    ("src/web/assets/workbench-result.js", "not rewritten yet"),
-];
+const EXCEPT: [(&str, &str); 2] =
+    [("docs/export-shapes.md", "what the program prints, written by a test"), ("docs/page.md", "not rewritten yet")];
 
 fn root() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR"))
