@@ -67,7 +67,7 @@ fn damaged_recordings_are_named_until_they_are_gone_and_recover_saves_what_can_b
     let faults = wait_for("the faults", || {
         Some(daemon.faults()).filter(|f| f.iter().any(|f| f.contains("6 recordings are damaged")))
     });
-    assert!(faults.iter().any(|f| f.contains("3 broken files lie aside")), "{faults:?}");
+    assert!(faults.iter().any(|f| f.contains("3 broken files are in")), "{faults:?}");
     assert_eq!(daemon.counter("quarantined"), 3);
     // Rescued into another folder: what was damaged gives what it can, what was whole is copied to the byte.
     let out = dir.path().join("rescued");

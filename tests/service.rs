@@ -23,10 +23,10 @@ fn sighup_reads_the_configuration_again_and_begins_new_recordings() {
     fs::write(&config, format!("{text}max_s = 77.0\n[commands]\nenabled = false\n[alarm]\ns_limit_op = 2.0\n"))
         .unwrap();
     daemon.signal("HUP");
-    daemon.wait_for_log("these hold from now on");
+    daemon.wait_for_log("these settings are in force");
     let log = daemon.logged();
     let line = |part: &str| log.lines().find(|l| l.contains(part)).unwrap_or_default().to_owned();
-    assert!(line("hold from now on").contains("commands.enabled, recording.max_s"), "{log}");
+    assert!(line("settings are in force").contains("commands.enabled, recording.max_s"), "{log}");
     assert!(line("until the next start").contains("alarm.s_limit_op"), "{log}");
     // The file is finished, and another one is open.
     let done = first.with_extension("");
@@ -211,11 +211,11 @@ fn taken_ports_are_faults_that_clear_and_loops_are_watched_meanwhile() {
     let (web, bus) = (port(&on_web), port(&on_bus));
     let daemon = Started::new(dir.path(), &format!("listen = [\"tcp/127.0.0.1:{bus}\"]"), web);
     wait_for("the daemon", || daemon.said("watching"));
-    assert!(daemon.said("[web] listen").is_some() && daemon.said("cannot be listened to").is_some());
+    assert!(daemon.said("[web] listen").is_some() && daemon.said("is another stictiond running").is_some());
     wait_for("a recording", || (!files(&dir.path().join("rec")).is_empty()).then_some(()));
     drop(on_web);
     wait_for("the web server", || {
-        faults_at(web).filter(|f| f.contains("cannot be listened to") && !f.contains("[web]"))
+        faults_at(web).filter(|f| f.contains("cannot open the Zenoh listener") && !f.contains("[web]"))
     });
     drop(on_bus);
     wait_for("no fault", || faults_at(web).filter(|f| f == "[]"));

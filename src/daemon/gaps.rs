@@ -102,7 +102,7 @@ fn diagnose(request: &GapRequest, gate: &Gate<'_>) -> Outcome {
     match catch_unwind(AssertUnwindSafe(|| request.compute(gate))) {
         Ok(Ok(document)) => Outcome::Done(Box::new(document), gate.cut()),
         Ok(Err(error)) => Outcome::Skipped(SkipReason::Failed, error.to_string()),
-        Err(_) => Outcome::Skipped(SkipReason::Failed, "the search broke off; the log says where".to_owned()),
+        Err(_) => Outcome::Skipped(SkipReason::Failed, "the search failed; see the log".to_owned()),
     }
 }
 

@@ -253,7 +253,8 @@ pub async fn run(
     subscribers.extend(presence::watch_own_keys(&session, mine, &faults, &metrics).await?);
     let bus = source::zenoh::session_config(&config)?;
     if let Some(why) = deaf {
-        faults.raise(presence::LISTENING, format!("the bus cannot be listened to, tried for ever: {why}"));
+        let why = presence::listener_problem(&config.zenoh.listen, &why);
+        faults.raise(presence::LISTENING, format!("cannot open the Zenoh listener: {why}; retrying"));
         tokio::spawn(presence::watch_listening(session.clone(), bus.clone(), faults.clone()));
     }
     let watching =
@@ -334,7 +335,7 @@ fn show_faults(faults: &Faults, snapshot: &HealthSnapshot) {
 /// would else end a daemon that has nothing to do. Never ends.
 async fn wait_for_router(faults: &Faults, snapshot: &HealthSnapshot) {
     tokio::time::sleep(ROUTER_WITHIN).await;
-    faults.raise("bus", "not connected to the bus: no router answers; it is tried for ever");
+    faults.raise("bus", "not connected to the bus: no router answers; retrying");
     tell_system(&[NotifyState::Ready, NotifyState::Status("waits for the router")]);
     let pause = sd_notify::watchdog_enabled().map_or(ROUTER_WITHIN, |period| period / 2);
     loop {

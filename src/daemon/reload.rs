@@ -59,7 +59,7 @@ impl Reload {
                 if !later.is_empty() {
                     tracing::warn!(settings = later.join(", "), "changed in the file, but held until the next start");
                 }
-                tracing::info!(settings = now.join(", "), "configuration read again; these hold from now on");
+                tracing::info!(settings = now.join(", "), "configuration reloaded; these settings are in force");
                 self.current.commands = config.commands.clone();
                 *self.commands.write().unwrap_or_else(PoisonError::into_inner) = config.commands;
                 self.current.retention = config.retention;

@@ -266,7 +266,7 @@ impl RunMetadata {
     pub fn of(path: &Path, metadata: &BTreeMap<String, String>) -> anyhow::Result<Self> {
         let get = |key: &str| metadata.get(key).cloned().unwrap_or_default();
         let Some(prefix) = metadata.get("prefix").cloned() else {
-            bail!("{}: holds no metadata of ours, so nothing tells how to re-run it; use analyze", path.display());
+            bail!("{}: not a recording of this program, so it cannot be replayed; use analyze", path.display());
         };
         if metadata.get(SAMPLES_KEY).is_some_and(|word| word == REMOVED) {
             bail!(

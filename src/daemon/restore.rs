@@ -206,7 +206,7 @@ pub fn open_store(
             return Err(error);
         }
         put_aside(&path, metrics);
-        let text = format!("{error}; it was put aside, and states come from the recordings or from memory");
+        let text = format!("{error}; it was renamed, and states come from the recordings or from memory");
         faults.raise_for("store broken", text, LOSS_SHOWN);
         open()
     });
@@ -257,12 +257,12 @@ fn put_aside(path: &Path, metrics: &Metrics) {
     aside.push(ASIDE);
     metrics.quarantined.inc();
     match fs::rename(path, &aside) {
-        Ok(()) => tracing::warn!(file = %path.display(), "this is no recording; it is put aside as .broken"),
-        Err(error) => tracing::warn!(file = %path.display(), %error, "this is no recording and cannot be put aside"),
+        Ok(()) => tracing::warn!(file = %path.display(), "not a recording; renamed to .broken"),
+        Err(error) => tracing::warn!(file = %path.display(), %error, "not a recording, and cannot be renamed"),
     }
 }
 
-/// Names the files that lie aside, until somebody has taken them away.
+/// Names the broken files that were renamed, until somebody has moved them away.
 pub fn tell_aside(dir: &Path, faults: &Faults) {
     let entries = fs::read_dir(dir).into_iter().flatten().flatten();
     let aside: Vec<String> =
@@ -272,7 +272,7 @@ pub fn tell_aside(dir: &Path, faults: &Faults) {
         Some(first) => {
             let (n, dir) = (aside.len(), dir.display());
             let remedy = "look at them, then move them elsewhere";
-            faults.raise("aside", format!("{n} broken files lie aside in {dir}, such as {first}: {remedy}"));
+            faults.raise("aside", format!("{n} broken files are in {dir}, such as {first}: {remedy}"));
         }
     }
 }

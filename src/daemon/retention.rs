@@ -95,8 +95,7 @@ pub fn start(parts: RetentionParts, stop: Receiver<()>) -> std::io::Result<JoinH
                 Ok(true) => return,
                 Ok(false) => faults.clear("retention worker"),
                 Err(_) => {
-                    faults
-                        .raise("retention worker", "recordings cannot be looked after: a check panicked, see the log");
+                    faults.raise("retention worker", "retention has stopped: a check panicked, see the log");
                 }
             }
             if stop.recv_timeout(EVERY) != Err(RecvTimeoutError::Timeout) {

@@ -30,7 +30,7 @@ pub struct Answered {
     pub arrival_ns: i64,
     /// How long the window took.
     pub took: Duration,
-    /// `None` where the fit broke off.
+    /// `None` where the fit failed.
     pub answer: Option<WindowAnswer>,
 }
 

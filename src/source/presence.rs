@@ -50,8 +50,17 @@ pub async fn watch(
             let remedy = "it hears nothing until that one ends; give each an id of its own, or leave id out";
             faults.raise("bus", format!("another daemon uses the Zenoh id {id} of this one: {remedy}"));
         } else {
-            faults.raise("bus", "not connected to the bus: no router or peer answers; it is tried for ever");
+            faults.raise("bus", "not connected to the bus: no router or peer answers; retrying");
         }
+    }
+}
+
+/// Why Zenoh could not listen, without the places in its source that its errors name.
+#[must_use]
+pub fn listener_problem(listen: &[String], error: &str) -> String {
+    match error.contains("in use") {
+        true => format!("{} is taken (is another stictiond running?)", listen.join(", ")),
+        false => error.to_owned(),
     }
 }
 

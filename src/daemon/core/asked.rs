@@ -37,7 +37,7 @@ impl Core {
         let at_ns = document.changed_ns;
         let state = StateDocument::new(self.engine.name(id), Some(at_ns), self.memory(id));
         self.record(id, Kind::State, &state, at_ns);
-        let unwritten = || "carried out, but its document cannot be written: the log says why".to_owned();
+        let unwritten = || "carried out, but its document cannot be written; see the log".to_owned();
         let json = to_json(&document).ok_or_else(unwritten);
         let Some(keeper) = &self.keeper else { return answer(json) };
         let Some(state) = to_json(&state) else { return answer(Err(unwritten())) };
@@ -151,7 +151,7 @@ impl Core {
                     let input = RecordedInput::GapCut { number, evaluations };
                     self.record(id, Kind::Input, &input, document.end_ns());
                 }
-                let json = to_json(&document).ok_or("the diagnosis cannot be written: the log says why");
+                let json = to_json(&document).ok_or("the diagnosis cannot be written; see the log");
                 self.engine.complete_gap(id, number, *document, &mut self.events);
                 self.handle_events();
                 for answer in self.asking.remove(&(id, number)).into_iter().flatten() {

@@ -72,7 +72,7 @@ impl Core {
             ("dropped input", "messages were dropped because they came faster than they can be taken"),
             ("dropped output", "documents could not be published: see the bus"),
             ("recording lost", "messages could not be recorded: see the recording disk"),
-            ("fits skipped", "windows got no fit because the machine was too busy or a fit broke off"),
+            ("fits skipped", "windows got no fit because the machine was too busy or a fit failed"),
             ("loops over limit", "messages of new loops were refused: beyond [input] max_loops or new_loops_per_hour"),
             ("over rate", "samples were refused because their key sends more than [input] max_rate_hz"),
             ("stamps ahead", stamps.as_str()),

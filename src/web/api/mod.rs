@@ -180,7 +180,7 @@ impl Live {
         let busy = || ApiError::busy("too many wait for pictures and recordings already: try again in a moment");
         let _waiting = self.waiting.try_acquire().map_err(|_| busy())?;
         let _place = places.acquire().await.map_err(|_| busy())?;
-        let failed = |_| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, "it broke off: the daemon's log says why");
+        let failed = |_| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, "the request failed; see the daemon's log");
         tokio::task::spawn_blocking(work).await.map_err(failed)
     }
 

@@ -161,7 +161,7 @@ impl Range {
         let to = self.to_ms.map_or_else(|| now_ns().max(newest()), ns_from_ms);
         let from = self.from_ms.map_or(to.saturating_sub(ns_from_s(PAST_S)), ns_from_ms);
         let finite = [self.from_ms, self.to_ms].iter().flatten().all(|ms| ms.is_finite());
-        if finite && from <= to { Ok([from, to]) } else { Err(ApiError::unfit("from_ms must lie before to_ms")) }
+        if finite && from <= to { Ok([from, to]) } else { Err(ApiError::unfit("from_ms must be before to_ms")) }
     }
 }
 

@@ -117,7 +117,7 @@ async fn keep(
     }
     check_name(Some(&by)).map_err(|e| ApiError::unfit(e.to_string()))?;
     if why.as_ref().is_some_and(|why| why.len() > MAX_WHY) {
-        return Err(ApiError::unfit(format!("why has more than {MAX_WHY} bytes: say it in fewer words")));
+        return Err(ApiError::unfit(format!("why is longer than {MAX_WHY} bytes; shorten it")));
     }
     let newest = live.overview.newest(&name).and_then(|newest| newest.estimate);
     let none =
