@@ -77,8 +77,8 @@ def open_page(chromium, axe_source):
         if axe_source:
             context.add_init_script(axe_source)
         if token := getattr(daemon, "token", None):
-            # As if somebody had entered it before.
-            context.add_init_script(f"sessionStorage.setItem('stictiond.token', '{token}')")
+            # As if somebody had entered it before. A sandboxed frame has no storage.
+            context.add_init_script(f"try {{ sessionStorage.setItem('stictiond.token', '{token}') }} catch {{}}")
         said = []
 
         def console(message):
