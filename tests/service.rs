@@ -79,7 +79,7 @@ fn a_folder_belongs_to_one_daemon() {
     let second = stictiond(&["run", "--config", path.to_str().unwrap()]);
     assert_eq!(second.status.code(), Some(1));
     let said = String::from_utf8_lossy(&second.stderr).into_owned();
-    assert!(said.contains("another daemon") && said.contains("[recording] dir"), "{said}");
+    assert!(said.contains("recording folder of a running daemon") && said.contains("[recording] dir"), "{said}");
     daemon.kill();
     Daemon::start(dir.path(), "").stop();
 }

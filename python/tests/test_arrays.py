@@ -117,7 +117,7 @@ def test_manual_is_heard(short: tuple[Any, Any]) -> None:
         ({"samples": 5}, "samples: 5 is not a pair"),
         ({"samples": (1, 5)}, "samples: 1 to 5 are 5 samples, at least 30 are needed"),
         ({"samples": (1, 900)}, "samples 1 to 900 requested, but the loop has 400"),
-        ({"samples": (1, 100), "window": (0, 100)}, "samples: and window both choose a section"),
+        ({"samples": (1, 100), "window": (0, 100)}, "samples: and window both select a section"),
         ({"window": (100, 0)}, "window: the end of the window must be after its start"),
         ({"window": ("noon", "evening")}, 'window: "noon" is not a time'),
         ({"downsample": 0.5}, "downsample: 0.5 is not a ratio; give a number above 1"),

@@ -67,7 +67,7 @@ def test_columns_by_other_names_and_without_times(frame: pd.DataFrame, expected:
     assert told(stiction.assess_many(one, ts_s=1.0)) == told([timed])
     mixed = frame.drop(columns="t").sample(frac=1, random_state=1).sort_index(kind="stable")
     assert [r.ok for r in stiction.assess_many(mixed, ts_s=1.0, model="fopdt")] == [True, True, False, True]
-    for table, said in ((frame.drop(columns="pv"), 'no column \'pv\', but loop, t, op, sp; name it by pv="..."'),
+    for table, said in ((frame.drop(columns="pv"), 'the table has no column \'pv\'; name one of loop, t, op, sp with pv="..."'),
                         ([1, 2], "list has no named columns")):  # fmt: skip
         with pytest.raises(stiction.StictionError) as caught:
             stiction.assess_many(table)

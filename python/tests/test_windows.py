@@ -68,7 +68,7 @@ def test_chosen_windows_are_those_of_all(sticking: stiction.Simulation) -> None:
     [
         ({"hop_s": 0}, "hop_s: 0.0 must be above 0"),
         ({"hop_s": 600, "max_window_s": 60}, "max_window_s"),
-        ({"config": "[window]\nhop_s = 600\n", "hop_s": 60}, "config: holds hop_s"),
+        ({"config": "[window]\nhop_s = 600\n", "hop_s": 60}, "config: already contains hop_s"),
         ({"config": "[window]\nhopp_s = 600\n"}, "config: line"),
         ({"ends": ("2026-01-01",)}, "ends:"),
     ],

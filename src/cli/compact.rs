@@ -489,7 +489,7 @@ mod tests {
         let mut asked = Vec::new();
         let (loops, path) = interview(&mut answers.as_bytes(), &mut asked, &nothing_said()).unwrap();
         let asked = String::from_utf8(asked).unwrap();
-        for part in ["whole number", "OP has 3 values, PV 2", "0 s cannot be", "--force"] {
+        for part in ["whole number", "OP has 3 values and PV 2", "0 s is out of range", "--force"] {
             assert!(asked.contains(part), "{part}: {asked}");
         }
         assert_eq!(loops[0].rows, [[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]]);

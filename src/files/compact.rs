@@ -402,10 +402,10 @@ mod tests {
             (DATA, numbers(&[0, 2]), "empty"),
             (DATA, Some(Mat::text("x")), "rows of text"),
             (SAMPLING, None, "has no field dbl_SamplingTime"),
-            (SAMPLING, Some(Mat::number(0.0)), "0 s cannot be"),
-            (SAMPLING, Some(Mat::number(-3.0)), "-3 s cannot be"),
-            (SAMPLING, Some(Mat::number(f64::NAN)), "NaN s cannot be"),
-            (SAMPLING, Some(Mat::number(1e12)), "1000000000000 s cannot be"),
+            (SAMPLING, Some(Mat::number(0.0)), "of 0 s is out of range"),
+            (SAMPLING, Some(Mat::number(-3.0)), "of -3 s is out of range"),
+            (SAMPLING, Some(Mat::number(f64::NAN)), "of NaN s is out of range"),
+            (SAMPLING, Some(Mat::number(1e12)), "of 1000000000000 s is out of range"),
         ] {
             let store = of_variables(&changed(field, value)).unwrap();
             assert!(store.incomplete && store.loops.len() == 1 && store.loops[0].name == "loop2");
@@ -422,10 +422,10 @@ mod tests {
     fn stamps_are_told_where_they_contradict_the_sampling_time() {
         let column = |stamps: &[&str]| Some(Mat::column(stamps.iter().map(|s| Mat::text(*s)).collect()));
         for (stamps, start_ns, part) in [
-            (column(&["1", "2", "3"]), None, "no time"),
+            (column(&["1", "2", "3"]), None, "not a time"),
             (None, None, "missing"),
             (column(&["05-Jan-2026 08:00:00", "x"]), Some(1_767_600_000_000_000_000), "has 2 rows, the data 3"),
-            (column(&["2026-01-05 08:00", "x", "y"]), None, "no time"),
+            (column(&["2026-01-05 08:00", "x", "y"]), None, "not a time"),
             (column(&["2026-01-05 08:00:00", "", "2026-01-05 09:00:00"]), Some(1_767_600_000_000_000_000), "span 6 s"),
         ] {
             let store = of_variables(&changed(STAMPS, stamps)).unwrap();

@@ -274,7 +274,7 @@ mod tests {
         let text = "\u{feff}PV , T,Mode,op,note\r\n1.5,0,AUTO,2,x\r\n,2020-01-01T00:00:00Z,3,nan,\r\n\r\n";
         let table = table(text);
         assert_eq!((table.rows, table.missing), (2, 2));
-        assert_eq!(table.warnings, ["columns ignored: note"]);
+        assert_eq!(table.warnings, ["ignored columns: note"]);
         assert_eq!(written(&table.samples), "t,op,pv,mode\n0,2,1.5,auto\n1577836800,,,3\n");
     }
 

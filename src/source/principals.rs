@@ -109,6 +109,6 @@ mod tests {
             ""
         );
         let own = "{transport:{link:{tls:{enable_mtls:true}}},access_control:{enabled:true,default_permission:\"deny\",rules:[],subjects:[],policies:[]}}";
-        assert!(said(own, &["cn:ann"]).contains("of its own"));
+        assert!(said(own, &["cn:ann"]).contains("already has access_control"));
     }
 }

@@ -73,7 +73,7 @@ fn strangers_are_answered_logged_and_bounded() {
     let refused = |parameters: &str| ask(&bus, &plane(&format!("FIC101/alarm?{parameters}"))).unwrap_err();
     assert!(refused("cmd=ack").contains("does not name the person"));
     assert!(refused("cmd=ack;by=").contains("does not name the person"));
-    assert!(refused(&format!("cmd=ack;by=ann;why={}", "w".repeat(60_000))).contains("at most 500"));
+    assert!(refused(&format!("cmd=ack;by=ann;why={}", "w".repeat(60_000))).contains("the limit is 500"));
     assert!(refused("cmd=ack;by=boss\u{1b}]0;pwned\u{7}").contains("control characters"));
     assert!(refused(&format!("cmd={};by=ann", "z".repeat(100_000))).len() < 300);
     assert_eq!(alarm_state(&bus), "unack");

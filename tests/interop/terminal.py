@@ -106,7 +106,7 @@ def test_top_shows_running_daemons_through_a_restart_and_ends_in_order(folder):
     zenoh_table = f'[zenoh]\nlisten = ["{endpoint}"]'
     more = "[window]\nhop_s = 300.0\n[alarm]\nraise = [2, 3]\n"
     code, out, err = stictiond("top", "--connect", endpoint)
-    assert code == 1 and "is the daemon running?" in err and out == "", (code, out, err)
+    assert code == 1 and "start a daemon with" in err and out == "", (code, out, err)
     with Daemon(folder, "plant1/area1", zenoh_table, more) as first:
         with Terminal("top", "--connect", endpoint) as terminal:
             terminal.until(r"plant1/area1 +daemon")

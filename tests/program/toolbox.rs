@@ -63,7 +63,7 @@ fn several_sections_give_several_documents_and_short_ones_say_what_is_needed() {
     assert_eq!(both[1]["selection"]["section"], serde_json::json!({"samples": [301, 700]}));
     for (code, arguments, part) in [
         (2, &["--samples", "5,20"][..], "16 samples, at least 30"),
-        (2, &["--samples", "500,50"], "behind the start"),
+        (2, &["--samples", "500,50"], "must be after the start"),
         (1, &["--samples", "50,99999"], "the loop has 2000"),
         (2, &["--downsample", "1"], "above 1"),
         (2, &["--downsample", "100"], "3000 samples"),
@@ -152,7 +152,7 @@ fn stores_are_made_from_tables_and_shown() {
     let (info, _) = expect(0, &["info", &out]);
     assert!(info.contains("mat,") && info.contains("tags        A.OP, A.PV"), "{info}");
     for (code, arguments, part) in [
-        (1, vec!["compact", "new", &plain, "--out", &out, "--force"], "by --ts"),
+        (1, vec!["compact", "new", &plain, "--out", &out, "--force"], "with --ts"),
         (2, vec!["compact", "new", &plain, "--ts", "3"], "--out"),
         (2, vec!["compact", "new", &plain, "--ts", "-1", "--out", "x.mat"], "cannot be"),
         (2, vec!["compact", "new", &plain, "--ts", "3", "--out", "x.txt"], ".mat"),

@@ -44,7 +44,9 @@ pub fn draw(frame: &mut Frame<'_>, area: Rect, board: &Board, view: &mut View, n
 pub fn texts(board: &Board, name: &str, look: Look, now: Now) -> Vec<String> {
     let Some(row) = board.row(name) else { return vec![format!("{name} no longer exists")] };
     let newest = board.newest(name);
-    let mut lines = vec![format!("{name}  {}  {}", cells::category(row, look), row.status)];
+    let age = cells::age(board.age_s(name, now));
+    let data = format!("Data: age {age}, gaps {}, dropped {}", row.data_gaps, row.dropped);
+    let mut lines = vec![format!("{name}  {}  {}", cells::category(row, look), row.status), data];
     if let Some(estimate) = newest.estimate.as_deref() {
         lines.extend(answer(&estimate.assessment));
     } else {
@@ -60,8 +62,6 @@ pub fn texts(board: &Board, name: &str, look: Look, now: Now) -> Vec<String> {
     let spark = |figure| cells::sparkline(row, figure, look);
     let trend = row.s_trend.map_or_else(String::new, |t| format!(", s {t}"));
     lines.push(format!("Newest windows: p {}  s {}{trend}", spark(Figure::P), spark(Figure::S)));
-    let age = cells::age(board.age_s(name, now));
-    lines.push(format!("Data: age {age}, data gaps {}, dropped samples {}", row.data_gaps, row.dropped));
     lines
 }
 

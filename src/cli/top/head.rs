@@ -94,7 +94,7 @@ fn data(board: &Board, now: Now) -> String {
         Some(ahead) => format!("all data ahead of this clock by at least {ahead}"),
         None => format!("oldest data {} ({name})", cells::age(Some(age_s))),
     }));
-    parts.push(format!("data gaps {}, dropped samples {}", sum(|row| row.data_gaps), sum(|row| row.dropped)));
+    parts.push(format!("gaps {}, dropped {}", sum(|row| row.data_gaps), sum(|row| row.dropped)));
     let healths = || board.daemons.values().filter(|d| !d.gone).map(|d| &d.health);
     let lost = LOSSES.map(|(name, words)| (healths().filter_map(|h| h["counters"][name].as_u64()).sum::<u64>(), words));
     let lost: Vec<String> = lost.into_iter().filter(|(n, _)| *n > 0).map(|(n, words)| format!("{n} {words}")).collect();

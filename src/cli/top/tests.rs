@@ -92,7 +92,7 @@ fn eighty_columns_show_every_loop_with_its_verdict_and_what_is_wrong() {
             "1 stiction, 1 deadband, 2 disturbance; alarms 2 active, 2 to acknowledge",
             "data: 0 silent, oldest data 15m (TIC204), gaps 1, dropped 4; 3 messages dropped",
             "FAULT: the disk is nearly full: 3 % are free",
-            "107  loop   verdict            p     s      90 % g   period alarm     p before",
+            "107  loop   verdict            p     s      90 % g   period alarm     p trend",
         ],
         "{told}"
     );
@@ -125,7 +125,7 @@ fn eighty_columns_show_every_loop_with_its_verdict_and_what_is_wrong() {
 fn a_wide_screen_says_the_verdict_in_words_and_a_narrow_one_keeps_the_category() {
     let board = four_loops();
     let wide = text(&board, &mut View::default(), 140, 12);
-    assert!(wide.contains("the loop oscillates, most likely from outside"), "{wide}");
+    assert!(wide.contains("the loop oscillates, most likely because of an external disturbance"), "{wide}");
     assert!(wide.contains(" 3s"), "the age of FIC201's data: {wide}");
     let narrow = text(&board, &mut View::default(), 40, 12);
     assert!(narrow.contains("M ◆  FIC201 stiction"), "{narrow}");
@@ -259,7 +259,7 @@ fn what_is_old_is_said_to_be_old_until_a_daemon_comes_back() {
     assert_eq!(board.stale(now(72)), None);
     assert_eq!(board.daemons.len(), 1, "the old one is forgotten");
     board.take(News::Left("d2".into()), now(80));
-    assert!(board.stale(now(81)).unwrap().contains("the daemon ended 1 s ago"));
+    assert!(board.stale(now(81)).unwrap().contains("the daemon stopped 1 s ago"));
 }
 
 #[test]
@@ -274,7 +274,7 @@ fn what_was_said_before_counts_once_and_what_cannot_be_read_is_counted() {
         board.take(News::Document(topic::plane(PREFIX, key), payload.into()), now(1));
     }
     assert_eq!(board.unread, 3);
-    assert!(text(&board, &mut View::default(), 80, 20).contains("3 documents could not be read"));
+    assert!(text(&board, &mut View::default(), 80, 20).contains("3 documents could not be parsed"));
     assert!(board.row("X").is_none());
 }
 

@@ -96,6 +96,6 @@ mod tests {
         assert!(refused("decimal", "dot").contains("point, comma"));
         assert!(refused("delimiter", "ab").contains("tab") && refused("delimiter", "\"").contains("tab"));
         assert!(refused("encoding", "klingon").contains("utf-16le"));
-        assert!(refused("speed", "1").contains("no option"));
+        assert!(refused("speed", "1").contains("not an option"));
     }
 }

@@ -344,7 +344,7 @@ mod tests {
         bomb.extend([15, 0, 0, 0]);
         bomb.extend((packed.len() as u32).to_le_bytes());
         bomb.extend(packed);
-        assert!(read_all(&bomb).unwrap_err().to_string().contains("at most 536870912"));
+        assert!(read_all(&bomb).unwrap_err().to_string().contains("limit 536870912"));
     }
 
     fn any_mat() -> impl Strategy<Value = Mat> {

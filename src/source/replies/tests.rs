@@ -1,3 +1,5 @@
+//! Replies under load: order, budgets, slow readers.
+
 use crossbeam_channel::{Receiver, Sender, unbounded};
 use zenoh::key_expr::OwnedKeyExpr;
 

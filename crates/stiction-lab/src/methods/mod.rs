@@ -83,7 +83,7 @@ mod tests {
         found.iter().map(|answer| answer.sticks).collect()
     }
 
-    /// OP as the integral of the error makes it, PV as a fast process follows the stem.
+    /// OP as the integral of the error makes it: the stem slips at its reversals, and PV follows as a fast process.
     #[test]
     fn a_stick_slip_cycle_is_called_by_every_method() {
         let triangle = |k: usize| {
@@ -93,7 +93,7 @@ mod tests {
         let op: Vec<f64> = (0..1000).map(triangle).collect();
         let (mut position, mut pv) = (0.0, Vec::new());
         let stem = op.iter().map(|u| {
-            position = he_step(position, *u, 3.5, 0.1);
+            position = he_step(position, *u, 7.2, 0.1);
             position
         });
         let stem: Vec<f64> = stem.collect();

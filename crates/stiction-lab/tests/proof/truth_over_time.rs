@@ -267,7 +267,7 @@ fn windows_that_contradict_are_named() {
         (Some(false), Some(0.01), vec!["quantised".to_owned()]);
     let told = over_time(&windows);
     let why = &told.contradicting.iter().find(|c| c.end_ns == windows[20].end_ns).unwrap().why;
-    assert!(why.contains("does not stick") && why.contains("quantised"), "{why}");
+    assert!(why.contains("no stiction") && why.contains("quantised"), "{why}");
     for told in [told, Valve { logit: [3.0, -3.0], change: 0.5, ..valve }.told(3), over_time(&[])] {
         println!(
             "{}",

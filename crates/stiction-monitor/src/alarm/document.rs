@@ -32,7 +32,7 @@ pub enum Event {
     Unshelved,
     /// The time on the shelf is over.
     ShelfEnded,
-    /// Put aside by design.
+    /// Suppressed by design.
     Suppressed,
     /// No longer so.
     Unsuppressed,
@@ -110,7 +110,7 @@ pub struct Marks {
     pub acknowledged: Option<Mark>,
     /// Put aside for a time.
     pub shelved: Option<Mark>,
-    /// Put aside by design.
+    /// Suppressed by design.
     pub suppressed: Option<Mark>,
     /// Taken out of service.
     pub out_of_service: Option<Mark>,

@@ -134,7 +134,7 @@ pub struct CauseNote {
 pub struct AlternativeNote {
     /// As [`CauseNote::id`].
     pub id: String,
-    /// Probability that it is right.
+    /// Probability that the answer is right.
     pub probability: f64,
 }
 

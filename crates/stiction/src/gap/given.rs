@@ -202,7 +202,7 @@ mod tests {
     fn an_effect_without_its_number_is_refused_by_name() {
         let with = |id: &str, numbers: &[(&str, f64)]| structure(&Model::example(Some((id, numbers)))).map(|r| r.id());
         let error = with("static_nonlinearity", &[]).unwrap_err().to_string();
-        assert_eq!(error, "the effect static_nonlinearity has no gain_change_per_op among its parameters");
+        assert_eq!(error, "the effect static_nonlinearity lacks its parameter gain_change_per_op");
         // Which end and whose it is are no where they are not said.
         assert_eq!(with("travel_limit", &[("stop", 40.0)]), Ok("travel_limit".to_owned()));
         assert_eq!(with("extra_lag", &[]), Ok("extra_lag".to_owned()));

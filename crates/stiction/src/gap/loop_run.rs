@@ -50,7 +50,7 @@ pub struct ControllerNote {
     pub ti_s: Option<f64>,
     /// Derivative time, s.
     pub td_s: f64,
-    /// Share of OP's moves that it explains.
+    /// Share of OP's moves that the controller model explains.
     pub r2: f64,
 }
 

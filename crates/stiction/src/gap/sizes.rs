@@ -6,11 +6,11 @@ use serde::{Deserialize, Serialize};
 
 use crate::units::number;
 
-/// A number with its unit.
+/// A number with a unit.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Quantity {
-    /// Its size.
+    /// The value.
     pub value: f64,
     /// Its unit, as [`Parameter::unit`].
     pub unit: String,

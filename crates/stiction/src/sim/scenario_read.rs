@@ -267,7 +267,7 @@ controller = { kc = 1.0 }
     #[test]
     fn every_fault_is_named_with_its_line() {
         for (from, to, line, words) in [
-            ("prefix = \"p\"", "prefix = \"a//b\"", 3, "prefix \"a//b\" cannot start a key"),
+            ("prefix = \"p\"", "prefix = \"a//b\"", 3, "prefix \"a//b\" is not a valid prefix"),
             ("start = \"2026-01-05T08:00:00Z\"", "start = \"soon\"", 5, "start is unreadable"),
             ("duration_s = 60.0", "duration_s = 0.1", 6, "shorter than one scan"),
             ("duration_s = 60.0", "duration_s = 1e12", 6, "at most 100000000 are simulated"),

@@ -103,7 +103,7 @@ pub fn bump_test(a: &Assessment) -> Result<BumpTest, Refusal> {
         moved_pv: (MOVED * visible * step_op).max(hidden),
         most_steps: (MOST_BANDS / share).ceil() as u32,
         travel_pv,
-        limit_pv: (2.0 * travel_pv).min(PV_SPANS * pv_span.max(travel_pv)),
+        limit_pv: (2.0 * travel_pv).min(PV_SPANS * pv_span),
         total_s,
     })
 }

@@ -190,7 +190,7 @@ mod tests {
         let lines: Vec<&str> = faults.iter().filter_map(|f| f.split(':').next()).collect();
         let wanted = [2, 3, 4, 5, 6, 7, 8, 9, 10, 11].map(|line| format!("line {line}"));
         assert_eq!(lines, wanted, "{faults:?}");
-        assert!(faults[3].contains("that of line 1"), "{faults:?}");
+        assert!(faults[3].contains("line 1 already uses the key"), "{faults:?}");
         assert!(read("# nothing\n").unwrap_err()[0].contains("no node"));
     }
 

@@ -141,13 +141,13 @@ pub struct Correlate {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Trace {
-    /// The effect it speaks for.
+    /// The effect that it indicates.
     pub id: String,
     /// Measured value.
     pub value: f64,
-    /// Value from which it speaks.
+    /// Threshold of the value.
     pub threshold: f64,
-    /// Whether it does.
+    /// Whether the threshold is reached.
     pub met: bool,
 }
 
