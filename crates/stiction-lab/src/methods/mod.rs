@@ -91,9 +91,9 @@ mod tests {
             if t < 0.5 { 16.0 * t - 4.0 } else { 12.0 - 16.0 * t }
         };
         let op: Vec<f64> = (0..1000).map(triangle).collect();
-        let (mut position, mut pv) = (0.0, Vec::new());
+        let (mut position, mut pv) = (-3.5, Vec::new());
         let stem = op.iter().map(|u| {
-            position = he_step(position, *u, 7.2, 0.1);
+            position = he_step(position, *u, 7.0, 0.1);
             position
         });
         let stem: Vec<f64> = stem.collect();

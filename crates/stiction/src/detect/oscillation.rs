@@ -33,6 +33,9 @@ const TYPICAL: usize = 8;
 /// Persistence below which crossings are due to chance.
 const MIN_PERSISTENCE: f64 = 0.2;
 
+/// What rounding leaves of a straight line, as a share of its largest value.
+const ROUNDING: f64 = 1e-12;
+
 /// Oscillations of a loop's signals.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Looks {
@@ -104,7 +107,12 @@ impl Signal {
             return None;
         }
         let factor = x.len().div_ceil(MAX_POINTS);
-        let x = detrend::remove_line(&detrend::box_means(x, factor));
+        let means = detrend::box_means(x, factor);
+        let x = detrend::remove_line(&means);
+        let largest = |x: &[f64]| x.iter().fold(0.0_f64, |most, v| most.max(v.abs()));
+        if largest(&x) <= ROUNDING * largest(&means) {
+            return None;
+        }
         let boxes = x.len();
         let less = detrend::remove_mean(&detrend::high_pass(&x, boxes / 3));
         let [whole, faster] = spectrum::autocorrelations([&x, &less], 3 * boxes / 5);

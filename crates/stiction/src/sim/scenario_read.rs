@@ -268,7 +268,7 @@ controller = { kc = 1.0 }
     fn every_fault_is_named_with_its_line() {
         for (from, to, line, words) in [
             ("prefix = \"p\"", "prefix = \"a//b\"", 3, "prefix \"a//b\" is not a valid prefix"),
-            ("start = \"2026-01-05T08:00:00Z\"", "start = \"soon\"", 5, "start is unreadable"),
+            ("start = \"2026-01-05T08:00:00Z\"", "start = \"soon\"", 5, "start is not valid"),
             ("duration_s = 60.0", "duration_s = 0.1", 6, "shorter than one scan"),
             ("duration_s = 60.0", "duration_s = 1e12", 6, "at most 100000000 are simulated"),
             ("ts_s = 1.0", "ts_s = 0.0", 7, "ts_s is 0, but must be greater than 0"),
