@@ -4,7 +4,7 @@
     RESULTS/loop=FIC101/2026-01.parquet          a row per window: the numbers of its estimate, and the whole document
     RESULTS/_errors/loop=FIC101/2026-02.json     why that month has no such file
 
-`assess_month` is the unit of work. `pool_fleet.py`, `dask_fleet.py` and `spark_fleet.py` hand it out; docs/fleet.md.
+`assess_month` is the unit of work. `pool_fleet.py`, `dask_fleet.py` and `spark_fleet.py` hand it out; README.md.
 """
 
 import datetime as dt

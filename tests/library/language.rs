@@ -8,13 +8,12 @@ use std::path::PathBuf;
 mod phrases;
 
 /// Most words of all pages of `docs`, and of one.
-const MAX_WORDS: usize = 27_500;
-const MAX_PAGE: usize = 2_000;
+const MAX_WORDS: usize = 25_000;
+const MAX_PAGE: usize = 1_700;
 /// Pages that a test writes, which may be of any length.
 const GENERATED: [&str; 1] = ["docs/export-shapes.md"];
 /// Texts that are not looked at, and why.
-const EXCEPT: [(&str, &str); 2] =
-    [("docs/export-shapes.md", "what the program prints, written by a test"), ("docs/page.md", "not rewritten yet")];
+const EXCEPT: [(&str, &str); 1] = [("docs/export-shapes.md", "what the program prints, written by a test")];
 
 fn root() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR"))
@@ -70,7 +69,7 @@ fn texts() -> Vec<String> {
     let mut out: Vec<String> = pages.map(str::to_owned).to_vec();
     out.extend(files("docs", &[".md"]));
     out.extend(files("docs/history", &[".md"]));
-    out.push("crates/stiction/README.md".to_owned());
+    out.extend(["crates/stiction/README.md", "examples/fleet/README.md"].map(str::to_owned));
     out.extend(files("examples", &[".py", ".rs"]));
     out.extend(files("examples/fleet", &[".py"]).into_iter().filter(|name| !name.ends_with("measure.py")));
     out.extend(files("src/web/assets", &[".js", ".html"]));
@@ -97,23 +96,14 @@ fn no_phrase_comes_back() {
     assert!(faults.is_empty(), "\n{}\n", faults.join("\n"));
 }
 
-/// Words of a page's sentences and tables: what commands print and programs are left out.
+/// Words of a page, those of its tables, programs and quoted output included; a mark without a letter or digit is none.
 fn words(page: &str) -> usize {
-    let mut fenced = false;
-    let mut count = 0;
-    for line in page.lines() {
-        if line.starts_with("```") {
-            fenced = !fenced;
-        } else if !fenced {
-            count += line.split_whitespace().filter(|w| w.contains(char::is_alphanumeric)).count();
-        }
-    }
-    count
+    page.split_whitespace().filter(|word| word.contains(char::is_alphanumeric)).count()
 }
 
 #[test]
 fn the_pages_stay_within_what_is_read() {
-    assert_eq!(words("# One two\n```sh\nnot these\n```\n| three | - |"), 3);
+    assert_eq!(words("# One two\n```sh\nand these\n```\n| five | - |"), 6);
     let mut sum = 0;
     for name in files("docs", &[".md"]).into_iter().filter(|n| !GENERATED.contains(&n.as_str())) {
         let count = words(&fs::read_to_string(root().join(&name)).unwrap());

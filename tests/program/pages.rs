@@ -28,7 +28,7 @@ struct Step {
 }
 
 fn pages() -> Vec<(String, String)> {
-    let mut names = vec!["README.md".to_owned(), "CONTRIBUTING.md".to_owned()];
+    let mut names = ["README.md", "CONTRIBUTING.md", "examples/fleet/README.md"].map(str::to_owned).to_vec();
     let docs = fs::read_dir("docs").unwrap().map(|e| e.unwrap().file_name().into_string().unwrap());
     names.extend(docs.filter(|name| name.ends_with(".md")).map(|name| format!("docs/{name}")));
     names.sort();
@@ -301,7 +301,7 @@ fn the_tutorial_shows_output_of_each_step_and_writes_its_report() {
 
 /// Pages whose figures are all quoted from docs/results.
 const OF_FIGURES: [&str; 5] =
-    ["README.md", "docs/compare.md", "docs/evaluation.md", "docs/gap-evaluation.md", "docs/speed.md"];
+    ["README.md", "docs/compare.md", "docs/evaluation.md", "docs/gap-evaluation.md", "docs/sizing.md"];
 
 /// What is kept, by the last command that printed it.
 fn kept() -> Vec<(String, String)> {
