@@ -6,6 +6,7 @@
 //! that was read is written with equal values. A table with the newest row first is sorted, with a warning.
 
 use super::FileError;
+use super::number::{Decimal, Hint, hint, number};
 use std::collections::HashMap;
 use std::fs::File;
 use std::io::{self, BufReader, Read, Write};
@@ -177,6 +178,10 @@ impl Cells {
         match (text.parse::<f64>(), signal) {
             (Ok(number), _) => Value::number(number),
             (Err(_), Signal::Mode) => Value::Mode(Mode::from_word(&text)),
+            // "1,234.5" in quotes is one cell and can be read in one way.
+            (Err(_), _) if hint(&text) == Hint::Sure(Decimal::Point) => {
+                number(&text, Decimal::Point).map_or(Value::Missing, Value::number)
+            }
             (Err(_), _) => {
                 self.texts += 1;
                 self.first_text.get_or_insert_with(|| (line, text.chars().take(40).collect()));
@@ -293,6 +298,14 @@ mod tests {
             let error = read_from(text.as_bytes()).unwrap_err().to_string();
             assert!(error.contains(part), "{text:?}: {error}");
         }
+    }
+
+    #[test]
+    fn quoted_thousands_are_numbers_where_they_have_one_reading() {
+        let read = table("t,op,pv\n0,\"1,234.5\",\"-1,150.10\"\n1,\"1,234,567\",2\n2,\"1,234\",\"1.234,5\"");
+        let values: Vec<Option<f64>> = read.samples.iter().map(|s| s.value.as_number()).collect();
+        assert_eq!(values, [Some(1234.5), Some(-1150.1), Some(1_234_567.0), Some(2.0), None, None]);
+        assert!(read.warnings[0].starts_with("2 cells are not numbers") && read.warnings[0].contains("line 4"));
     }
 
     #[test]

@@ -14,6 +14,7 @@ mod mcap_index;
 mod mcap_read;
 mod mcap_roster;
 mod mcap_write;
+mod number;
 pub mod partition;
 pub mod rescue;
 pub mod reviews;

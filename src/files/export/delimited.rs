@@ -3,8 +3,8 @@
 use super::ExportError;
 use super::cell::{Cell, Rows, Table, Take};
 use super::names::is_time;
-use super::number::is_missing_word;
 use super::stamp::Stamp;
+use crate::files::number::is_missing_word;
 
 /// Lines examined to find the separator and the first rows.
 const LOOKED_AT: usize = 200;

@@ -7,11 +7,11 @@ use super::clock::{Asked, Axis, TimeFormat, by_pattern};
 use super::columns::{Layout, Shape, TimeColumn};
 use super::map::Map;
 use super::names::{Role, is_value, plain, role};
-use super::number::{Decimal, Hint, hint, is_missing_word, number};
 use super::quality::{Codes, Mark, convention};
 use super::stamp::{Number, Stamp};
 use super::zone::Zone;
 use super::{Contents, ExportError, ReadOptions};
+use crate::files::number::{Decimal, Hint, hint, is_missing_word, number};
 use stiction::record::{Mode, Signal, Value};
 
 /// Rows after which the search for the decimal separator stops, whether found or not.

@@ -21,7 +21,6 @@ mod delimited;
 mod gather;
 mod map;
 pub mod names;
-mod number;
 mod options;
 mod pair;
 mod quality;
@@ -30,9 +29,9 @@ mod text;
 mod workbook;
 mod zone;
 
+pub use super::number::Decimal;
 pub use clock::TimeFormat;
 pub use map::Map;
-pub use number::Decimal;
 pub use options::{ReadOptions, delimiter, encoding};
 pub use quality::Codes;
 pub use zone::Zone;

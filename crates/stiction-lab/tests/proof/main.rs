@@ -17,6 +17,7 @@ mod truth_over_time;
 mod truth_repair;
 mod truth_solvers;
 mod truth_stiction;
+mod val_gap;
 mod val_labelled;
 mod val_plausible;
 mod val_stick_index;

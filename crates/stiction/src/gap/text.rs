@@ -36,7 +36,7 @@ pub fn paragraph(d: &GapDocument) -> String {
 fn bump(test: &TestNote) -> String {
     let [a, b] = &test.separates;
     format!(
-        "step {} up by {}, back, down by the same and back, and hold each for {}: this tells {} from {} (p {})",
+        "step {} up by {}, back, down by the same and back, and hold each for {}: this distinguishes {} from {} (p {})",
         test.signal.to_uppercase(),
         number(test.size),
         duration(test.duration_s),
@@ -156,18 +156,18 @@ fn not_in_the_catalogue(d: &GapDocument) -> String {
     let (asked, p) = (d.effects.len(), probability(d.cause.probability));
     let unexplained = match best {
         Some(e) if claim::explains(e) => format!(
-            "that none of the {asked} effects asked is sure to explain (p {p}); the best of them, {}, closes {} on data \
+            "that none of the {asked} effects tried is sure to explain (p {p}); the best of them, {}, closes {} on data \
              it was not fitted to, and so might others",
             effect::noun(&e.id),
             claim::closed(e.closed_pct.unwrap_or(0.0))
         ),
         Some(e) => format!(
-            "that none of the {asked} effects asked explains (p {p}); the best of them, {}, closes {} on data it was not \
+            "that none of the {asked} effects tried explains (p {p}); the best of them, {}, closes {} on data it was not \
              fitted to",
             effect::noun(&e.id),
             claim::closed(e.closed_pct.unwrap_or(0.0))
         ),
-        None => format!("that none of the {asked} effects asked explains (p {p})"),
+        None => format!("that none of the {asked} effects tried explains (p {p})"),
     };
     let size = if claim::nothing_left(d) {
         "more by its course than by its size, which is the noise's".to_owned()

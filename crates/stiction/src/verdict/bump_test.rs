@@ -177,7 +177,7 @@ impl BumpTest {
     pub fn brief(&self, op_unit: &str) -> String {
         format!(
             "Bump test, with operations' consent and the controller in manual: step OP by {} {op_unit} one way until PV moves, \
-             reverse until it moves, and count the steps (about {}; PV moves by about {} PV units, at most {} may be allowed).",
+             reverse until it moves, and count the steps (about {}; PV moves by about {} PV units; stop if it goes further than {}).",
             number(self.step_op),
             duration(self.total_s),
             number(self.travel_pv),

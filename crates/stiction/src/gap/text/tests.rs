@@ -9,7 +9,7 @@ const APART: [[&str; 2]; 16] = [
     ["explains it (", "adding it closes nothing"],
     ["explains it (", "nothing forward in time"],
     ["explains it (", "is suspected"],
-    ["explains it (", "effects asked explains"],
+    ["explains it (", "effects tried explains"],
     ["explains it (", "makes next to nothing"],
     ["explains it (", "explains this record"],
     ["a part of it", "adding it closes nothing"],
@@ -123,7 +123,7 @@ fn words_agree_with_the_figures_beside_them() {
             assert!(closes.is_some_and(|c| c >= 50.0) && varied.confirmed, "{text}");
             assert!(varied.interval.is_none_or(|[low, _]| low > 0.0), "{text}");
         }
-        if text.contains("effects asked explains") {
+        if text.contains("effects tried explains") {
             assert!(varied.closed.is_none_or(|c| c < 50.0), "{text}");
         }
         if text.contains("explains this record") {

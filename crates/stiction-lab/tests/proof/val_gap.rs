@@ -1,0 +1,70 @@
+//! Every recording of real loops that there is: what `gap` says first explains something, and its bump is one that a plant can take.
+
+use crate::labelled;
+
+use stiction::detect::oscillation;
+use stiction::gap::document::GapDocument;
+use stiction::gap::locate::{Subject, locate};
+use stiction::gap::text::{answer, summary};
+use stiction::gap::{GapOptions, Serial, diagnose};
+use stiction::guard::SHIFT_S;
+
+/// Models tried for each record: a fraction of what `gap` takes, so that the test ends in minutes.
+const EVALUATIONS: u64 = 20_000;
+
+/// Least of the gap that a headline closes, %.
+const LEAST_CLOSED: f64 = 10.0;
+
+/// The per cent that a sentence says are closed.
+fn closed_of(sentence: &str) -> Option<f64> {
+    let (_, rest) = sentence.split_once("closes ")?;
+    rest.split(' ').find_map(|word| word.parse().ok())
+}
+
+/// What is wrong with a diagnosis as it is shown.
+fn faults(d: &GapDocument) -> Vec<String> {
+    let [conclusion, next, cost] = summary(d);
+    let mut out = Vec::new();
+    let headline = answer(d);
+    let leads = !headline.starts_with("unknown") && !headline.starts_with("none");
+    if leads && d.named().is_some_and(|e| e.closed_pct.is_some_and(|c| c < LEAST_CLOSED)) {
+        out.push(format!("a headline that closes next to nothing: {headline}"));
+    }
+    let claims = !conclusion.starts_with("Unknown") && !conclusion.starts_with("No further effect");
+    if claims && closed_of(&conclusion).is_some_and(|c| c < LEAST_CLOSED) {
+        out.push(format!("a conclusion that closes next to nothing: {conclusion}"));
+    }
+    if leads != (claims || conclusion.starts_with("Unknown: suspected")) {
+        out.push(format!("{headline} beside {conclusion}"));
+    }
+    if d.next_test.as_ref().is_some_and(|t| 4.0 * t.duration_s > SHIFT_S) {
+        out.push(format!("a test longer than a shift: {next} {cost}"));
+    }
+    if d.gap.relative.is_some_and(|r| r > 1.0) && d.next_test.is_some() {
+        out.push(format!("a test from a base that is worse than PV's mean: {next}"));
+    }
+    out
+}
+
+#[test]
+fn no_headline_on_any_recording_closes_less_than_a_tenth_of_the_gap() {
+    let test = "no_headline_on_any_recording_closes_less_than_a_tenth_of_the_gap";
+    let Some(all) = labelled::labelled_or_skip(test) else { return };
+    assert!(all.len() >= 100, "{} recordings only", all.len());
+    let (mut wrong, mut diagnosed) = (Vec::new(), 0);
+    for item in &all {
+        let period = oscillation::detect(&item.record.op(), &item.record.pv).map(|o| o.period_points);
+        let options = GapOptions { period_points: period, budget_evaluations: EVALUATIONS, ..GapOptions::default() };
+        // A record without a base is refused with its reason, and a base that is worse than PV's mean, too.
+        let Ok(diagnosis) = diagnose(&item.record, &options, &Serial) else { continue };
+        if diagnosis.check_base().is_err() {
+            continue;
+        }
+        diagnosed += 1;
+        let location = locate(&item.record, &Subject::of(&diagnosis, period, options.seed));
+        let document = GapDocument::new(&item.file, &item.record, &options.base, &diagnosis, location);
+        wrong.extend(faults(&document).into_iter().map(|what| format!("{}: {what}", item.file)));
+    }
+    assert!(diagnosed >= 50, "{diagnosed} of {} recordings were diagnosed", all.len());
+    assert!(wrong.is_empty(), "{} of {diagnosed}:\n{}", wrong.len(), wrong.join("\n"));
+}
