@@ -90,7 +90,7 @@ fn strangers_are_answered_logged_and_bounded() {
     // A forged document is noticed.
     let forged = r#"{"schema":"stictiond.alarm.v2","loop":"FIC101","state":"normal","active":false}"#;
     bus.put(plane("FIC101/alarm"), forged).wait().unwrap();
-    wait_for("the fault", || daemon.faults().iter().any(|f| f.contains("not ours")).then_some(()));
+    wait_for("the fault", || daemon.faults().iter().any(|f| f.contains("come from elsewhere")).then_some(()));
     assert_eq!(alarm_state(&bus), "unack");
     let log = daemon.logged();
     assert!(log.contains("refused") && !log.contains('\u{1b}') && !log.contains('\u{7}'), "{log}");

@@ -154,7 +154,7 @@ fn stores_are_made_from_tables_and_shown() {
     for (code, arguments, part) in [
         (1, vec!["compact", "new", &plain, "--out", &out, "--force"], "with --ts"),
         (2, vec!["compact", "new", &plain, "--ts", "3"], "--out"),
-        (2, vec!["compact", "new", &plain, "--ts", "-1", "--out", "x.mat"], "cannot be"),
+        (2, vec!["compact", "new", &plain, "--ts", "-1", "--out", "x.mat"], "out of range"),
         (2, vec!["compact", "new", &plain, "--ts", "3", "--out", "x.txt"], ".mat"),
         (
             2,
