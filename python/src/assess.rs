@@ -1,4 +1,4 @@
-//! `assess`, `assess_many`, `screen`.
+//! `assess`, `assess_many`, `assess_plant`, `screen`.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Mutex;
@@ -13,9 +13,10 @@ use crate::supervise::{on_threads, supervised, threads};
 use crate::{StictionError, refused};
 use stiction::gap::model_file::ModelFile;
 use stiction::ident::surface::solve;
-use stiction::record::Sample;
+use stiction::record::{Record, Sample};
 use stiction::verdict::action::Action;
 use stiction::verdict::{AssessParams, lets_go, words};
+use stiction_monitor::analysis::plant::{OfPlant, judge_together};
 use stiction_monitor::analysis::solver::{self, SolverDocument};
 use stiction_monitor::analysis::{self, Answer, Cut, Estimated, Points, Scored, Section, text};
 
@@ -50,7 +51,7 @@ pub fn assess(
     let settings = settings(&look, &fit, score)?;
     let params = params_of(name, &fit)?;
     let name = name.to_owned();
-    let work = move |_: &_| one(&name, enough(columns.all()), &settings, params);
+    let work = move |_: &_| one(&name, enough(columns.all()), &settings, params)?.told();
     supervised(py, None, work)?.map_err(StictionError::new_err)
 }
 
@@ -60,13 +61,28 @@ fn settings(look: &Look, fit: &Fit, score: Option<&str>) -> PyResult<Settings> {
     Ok(Settings { section, cut, solver: fit.solver()?, score })
 }
 
-/// One loop from samples to document, as on the command line.
+/// A loop's answer and what belongs to it.
+struct One {
+    answer: Answer,
+    record: Record,
+    op_range: Option<[f64; 2]>,
+    notes: Vec<String>,
+}
+
+impl One {
+    fn told(&self) -> Result<Told, String> {
+        let document = serde_json::to_string(&self.answer).map_err(|e| e.to_string())?;
+        Ok((document, said(&self.answer, self.op_range, &self.notes)))
+    }
+}
+
+/// One loop from samples to answer, as on the command line.
 fn one(
     name: &str,
     samples: Result<(Vec<Sample>, Vec<String>), String>,
     settings: &Settings,
     params: AssessParams,
-) -> Result<Told, String> {
+) -> Result<One, String> {
     let (samples, mut notes) = samples.map_err(|e| format!("{name}: {e}"))?;
     let config = config();
     let points = Points::of(name, &samples, &config);
@@ -78,8 +94,7 @@ fn one(
     let scored = |file| Scored::of("given", file, &found.record, found.options.period_points);
     let scored = settings.score.as_ref().map(scored).transpose().map_err(|e| format!("score: {e}"))?;
     let answer = found.answer(name, &config.hash(), elapsed_ms, solved, scored);
-    let document = serde_json::to_string(&answer).map_err(|e| e.to_string())?;
-    Ok((document, said(&answer, found.params.op_range, &notes)))
+    Ok(One { answer, record: found.record, op_range: found.params.op_range, notes })
 }
 
 /// What an answer says in words, JSON; `op_range` is OP's whole range, where it is known.
@@ -103,26 +118,41 @@ fn solved(asked: Asked, found: &Estimated) -> Option<SolverDocument> {
     Some(solver::document(name, &solved, &mut surface, &asked.settings, &found.assessment, own, elapsed_ms))
 }
 
-/// One estimate per loop, on threads. Loop `k` has the rows `ends[k - 1]` to `ends[k]`; each gives its document, or the
-/// reason why there is none.
-#[pyfunction]
-#[allow(clippy::too_many_arguments)] // called by one place, which has them by name
-pub fn assess_many(
-    py: Python<'_>,
+/// The loops of a table and what they are asked. Loop `k` has the rows `ends[k - 1]` to `ends[k]`.
+#[derive(FromPyObject)]
+pub struct Many {
+    #[pyo3(item)]
     names: Vec<String>,
+    #[pyo3(item)]
     ends: Vec<usize>,
+    #[pyo3(item)]
     columns: Handed,
+    #[pyo3(item)]
     look: Look,
+    #[pyo3(item)]
     fit: Fit,
-    threads_asked: Option<usize>,
+    #[pyo3(item)]
+    threads: Option<usize>,
+    #[pyo3(item)]
     progress: Option<Py<PyAny>>,
-) -> PyResult<Vec<(Option<Told>, Option<String>)>> {
+}
+
+/// A document with its words, or the reason why there is none.
+type Reply = (Option<Told>, Option<String>);
+
+/// Assesses every loop on threads, then hands the answers to `finish`.
+fn many<R: Send + 'static>(
+    py: Python<'_>,
+    asked: Many,
+    finish: impl FnOnce(Vec<Result<One, String>>) -> R + Send + 'static,
+) -> PyResult<R> {
+    let Many { names, ends, columns, look, fit, threads: threads_asked, progress } = asked;
     let columns = columns.read()?;
     let settings = settings(&look, &fit, None)?;
     let params: Vec<AssessParams> = names.iter().map(|name| params_of(name, &fit)).collect::<PyResult<_>>()?;
     let work = move |watch: &crate::supervise::Watch| {
         watch.expect(names.len() as u64);
-        let answers: Vec<Mutex<Option<Result<Told, String>>>> = names.iter().map(|_| Mutex::new(None)).collect();
+        let answers: Vec<Mutex<Option<Result<One, String>>>> = names.iter().map(|_| Mutex::new(None)).collect();
         on_threads(threads(threads_asked), names.len(), &|at| {
             if watch.stopped() {
                 return;
@@ -138,14 +168,35 @@ pub fn assess_many(
             }
             watch.one_more();
         });
-        answers.into_iter().map(|place| place.into_inner().ok().flatten()).collect::<Vec<_>>()
+        let stopped = || Err("stopped".to_owned());
+        finish(answers.into_iter().map(|place| place.into_inner().ok().flatten().unwrap_or_else(stopped)).collect())
     };
-    let answers = supervised(py, progress.as_ref(), work)?;
-    let stopped = || Err("stopped".to_owned());
-    Ok(answers.into_iter().map(|answer| split(answer.unwrap_or_else(stopped))).collect())
+    supervised(py, progress.as_ref(), work)
 }
 
-fn split(answer: Result<Told, String>) -> (Option<Told>, Option<String>) {
+/// One estimate per loop.
+#[pyfunction]
+pub fn assess_many(py: Python<'_>, asked: Many) -> PyResult<Vec<Reply>> {
+    many(py, asked, |answers| answers.into_iter().map(|one| split(one.and_then(|one| one.told()))).collect())
+}
+
+/// The loops of one plant, and the documents of the groups that share an oscillation.
+#[pyfunction]
+pub fn assess_plant(py: Python<'_>, asked: Many) -> PyResult<(Vec<Reply>, Vec<String>)> {
+    let finish = |mut answers: Vec<Result<One, String>>| {
+        let mut plant: Vec<OfPlant> = answers
+            .iter_mut()
+            .flatten()
+            .map(|One { answer, record, .. }| OfPlant { answer, record, area: None })
+            .collect();
+        let groups = judge_together(&mut plant).map_err(|e| e.to_string())?;
+        let groups = groups.iter().map(serde_json::to_string).collect::<Result<_, _>>().map_err(|e| e.to_string())?;
+        Ok((answers.into_iter().map(|one| split(one.and_then(|one| one.told()))).collect(), groups))
+    };
+    many(py, asked, finish)?.map_err(|e: String| StictionError::new_err(e))
+}
+
+fn split(answer: Result<Told, String>) -> Reply {
     match answer {
         Ok(told) => (Some(told), None),
         Err(why) => (None, Some(why)),

@@ -39,7 +39,7 @@ mod _stiction {
     #[pymodule_export]
     use super::StictionError;
     #[pymodule_export]
-    use super::assess::{assess, assess_many, screen};
+    use super::assess::{assess, assess_many, assess_plant, screen};
     #[pymodule_export]
     use super::diagnose::diagnose;
     #[pymodule_export]

@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -62,6 +62,7 @@ __all__ = [
     "Gap",
     "Interval",
     "OverTime",
+    "Plant",
     "Pooled",
     "Predictions",
     "Process",
@@ -74,6 +75,7 @@ __all__ = [
     "as_columns",
     "assess",
     "assess_many",
+    "assess_plant",
     "assess_windows",
     "diagnose",
     "over_time",
@@ -186,6 +188,63 @@ def assess(
     return assessment_of(document, said)
 
 
+def _many(
+    table: Table,
+    named: Mapping[str, str],
+    ts_s: float | None,
+    threads: int | None,
+    progress: Progress | None,
+    look: dict[str, Any],
+    fit: dict[str, Any],
+) -> dict[str, Any]:
+    """The loops of a table as the native module takes them."""
+    opened, names = _arrays.open_table(table)
+    for argument in ("op", "pv", *(("t",) if ts_s is None else ())):
+        if (wanted := named[argument]) not in names:
+            why = f'the table has no column {wanted!r}; name one of {", ".join(names)} with {argument}="..."'
+            raise _arrays.refused(argument, why)
+
+    def column(argument: str) -> Any:
+        return opened[named[argument]] if named[argument] in names else None
+
+    order = None
+    if named["loop"] in names:
+        loops, order, ends = _arrays.grouped(column("loop"))
+    else:
+        loops, ends = ["loop"], [len(column("op"))]
+    if ts_s is None:
+        times, step = column("t"), None
+    else:
+        # Each loop's own clock starts at 0.
+        starts = [0, *ends[:-1]]
+        place = np.concatenate([np.arange(end - start) for start, end in zip(starts, ends)] or [np.arange(0)])
+        step_ns = _arrays.positive("ts_s", ts_s) * 1e9
+        clock = np.rint(place * step_ns).astype(np.int64).view("datetime64[ns]")
+        times = clock
+        if order is not None:
+            times = np.empty_like(clock)
+            times[order] = clock
+        step = None
+    columns = _arrays.columns(column("op"), column("pv"), step, times, column("sp"), column("mv"), column("mode"))
+    if order is not None:
+        columns = _arrays.reordered(columns, order)
+    return {
+        "names": loops,
+        "ends": ends,
+        "columns": columns,
+        "look": look,
+        "fit": fit,
+        "threads": None if threads is None else _arrays.whole("threads", threads, 1),
+        "progress": progress,
+    }
+
+
+def _replies(names: Iterable[str], answers: Iterable[tuple[tuple[str, str] | None, str | None]]) -> list[Assessment | Failure]:
+    return [
+        Failure(name, error or "") if told is None else assessment_of(*told) for name, (told, error) in zip(names, answers)
+    ]
+
+
 def assess_many(
     table: Table,
     *,
@@ -230,44 +289,56 @@ def assess_many(
     >>> [result.ok for result in assess_many(table)]
     [True, False]
     """
-    opened, names = _arrays.open_table(table)
-    for argument, wanted in (("op", op), ("pv", pv)) + ((("t", t),) if ts_s is None else ()):
-        if wanted not in names:
-            why = f'the table has no column {wanted!r}; name one of {", ".join(names)} with {argument}="..."'
-            raise _arrays.refused(argument, why)
-
-    def column(wanted: str) -> Any:
-        return opened[wanted] if wanted in names else None
-
-    order = None
-    if loop in names:
-        loops, order, ends = _arrays.grouped(opened[loop])
-    else:
-        loops, ends = ["loop"], [len(opened[op])]
-    if ts_s is None:
-        times, step = column(t), None
-    else:
-        # Each loop's own clock starts at 0.
-        starts = [0, *ends[:-1]]
-        place = np.concatenate([np.arange(end - start) for start, end in zip(starts, ends)] or [np.arange(0)])
-        step_ns = _arrays.positive("ts_s", ts_s) * 1e9
-        clock = np.rint(place * step_ns).astype(np.int64).view("datetime64[ns]")
-        times = clock
-        if order is not None:
-            times = np.empty_like(clock)
-            times[order] = clock
-        step = None
-    columns = _arrays.columns(column(op), column(pv), step, times, column(sp), column(mv), column(mode))
-    if order is not None:
-        columns = _arrays.reordered(columns, order)
+    named = {"loop": loop, "t": t, "op": op, "pv": pv, "sp": sp, "mv": mv, "mode": mode}
     look = _arrays.look(samples, window, downsample, downsample_like_toolbox, detrend)
     fit = _fit(op_range, kind, model, delay, valve, solver, fineness_pct, evaluations, seed)
-    team = None if threads is None else _arrays.whole("threads", threads, 1)
-    answers = _stiction.assess_many(loops, ends, columns, look, fit, team, progress)
-    return [
-        Failure(name, error or "") if told is None else assessment_of(*told)
-        for name, (told, error) in zip(loops, answers)
-    ]
+    asked = _many(table, named, ts_s, threads, progress, look, fit)
+    return _replies(asked["names"], _stiction.assess_many(asked))
+
+
+class Plant(NamedTuple):
+    """The loops of one plant, judged together."""
+
+    loops: list[Assessment | Failure]
+    """Every loop, in order of first appearance; `to_dict()["group"]` is a member's part in its group."""
+    groups: list[dict[str, Any]]
+    """Loops that share one oscillation, largest group first: documents `stictiond.group.v1`."""
+
+
+def assess_plant(
+    table: Table,
+    *,
+    loop: str = "loop",
+    t: str = "t",
+    op: str = "op",
+    pv: str = "pv",
+    sp: str = "sp",
+    mv: str = "mv",
+    mode: str = "mode",
+    threads: int | None = None,
+    progress: Progress | None = None,
+    seed: int = 1,
+    window: tuple[Any, Any] | None = None,
+) -> Plant:
+    """Assess the loops of one plant together, as `stictiond analyze --plant` does.
+
+    Arguments as for `assess_many`. Finds loops that share one oscillation, and which of them makes it. A follower's
+    estimate has the group's probability; `to_dict()["group"]` keeps its own beside it.
+
+    Raises StictionError for unusable input.
+
+    >>> import numpy as np
+    >>> n = np.arange(600)
+    >>> table = {"loop": np.repeat(["A", "B"], 300), "t": n % 300, "op": n % 60, "pv": n % 50}
+    >>> len(assess_plant(table).loops)
+    2
+    """
+    named = {"loop": loop, "t": t, "op": op, "pv": pv, "sp": sp, "mv": mv, "mode": mode}
+    look = _arrays.look(None, window, None, False, None)
+    fit = _fit(None, None, "auto", "auto", "auto", None, 5.0, 10_000, seed)
+    asked = _many(table, named, None, threads, progress, look, fit)
+    answers, groups = _stiction.assess_plant(asked)
+    return Plant(_replies(asked["names"], answers), [json.loads(group) for group in groups])
 
 
 def assess_windows(

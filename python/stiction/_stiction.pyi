@@ -15,15 +15,8 @@ def assess(
     fit: dict[str, Any],
     score: str | None,
 ) -> tuple[str, str]: ...
-def assess_many(
-    names: list[str],
-    ends: list[int],
-    columns: dict[str, Any],
-    look: dict[str, Any],
-    fit: dict[str, Any],
-    threads_asked: int | None,
-    progress: Callable[[int, int], object] | None,
-) -> list[tuple[tuple[str, str] | None, str | None]]: ...
+def assess_many(asked: dict[str, Any]) -> list[tuple[tuple[str, str] | None, str | None]]: ...
+def assess_plant(asked: dict[str, Any]) -> tuple[list[tuple[tuple[str, str] | None, str | None]], list[str]]: ...
 def screen(name: str, columns: dict[str, Any], look: dict[str, Any]) -> bool: ...
 def diagnose(
     name: str,

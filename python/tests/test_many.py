@@ -168,3 +168,20 @@ def test_ctrl_c_ends_it_within_ten_seconds_of_the_last() -> None:
         child.kill()
         raise
     assert out == "interrupted\n" and child.returncode == 0
+
+
+def test_loops_of_one_plant_are_judged_together(sticking: stiction.Simulation) -> None:
+    rng = np.random.default_rng(1)
+    rows = slice(0, 1600)
+    t, op, pv = sticking.t[rows], sticking.op[rows], sticking.pv[rows]
+    follower = np.convolve(pv - pv.mean(), np.full(5, 0.2), "same") + 0.05 * rng.normal(size=len(pv))
+    parts = {"source": (op, pv), "follower": (50 - 0.5 * np.roll(follower, 2), 30 + np.roll(follower, 3)),
+             "calm": (50 + 0.1 * rng.normal(size=len(pv)), 20 + rng.normal(size=len(pv)))}  # fmt: skip
+    frame = pd.concat([pd.DataFrame({"loop": n, "t": t, "op": o, "pv": p}) for n, (o, p) in parts.items()], ignore_index=True)
+    plant = stiction.assess_plant(frame)
+    assert [one.loop for one in plant.loops] == list(parts)
+    (group,) = plant.groups
+    assert group["schema"] == "stictiond.group.v1" and set(group["members"]) == {"source", "follower"}
+    in_group = {one.loop: one.to_dict()["group"] for one in plant.loops if one.ok}
+    assert in_group["calm"] is None and in_group["follower"]["loop"] == "follower"
+    assert timeless(plant.loops[2].to_dict()) == timeless(stiction.assess_many(frame)[2].to_dict())

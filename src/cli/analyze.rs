@@ -9,12 +9,15 @@ use indicatif::ProgressBar;
 
 use super::analyze_report::ReportFile;
 use super::fleet::{MANY, Summary};
+use super::plant::groups_text;
 use super::reading::{ReadArgs, config_of, model_file, named};
 use super::selection::{Selection, points, rising, told, warn};
 use super::solving::{self, SolverArgs};
 use super::{Format, Outcome, UsageError, in_order_on_all_cores, note, say, stop};
+use stiction::plantwide::GroupDocument;
 use stiction::record::Record;
 use stiction::verdict::{DelayChoice, ModelChoice, ValveChoice};
+use stiction_monitor::analysis::plant::{OfPlant, judge_together};
 use stiction_monitor::analysis::{
     self, Answer, Asked, MIN_SAMPLES, Points, Scored, Section, delay_choice, text, usable,
 };
@@ -36,6 +39,7 @@ use stictiond::report::maker::Analysed;
   stictiond analyze plant.mcap --loop FIC101 --window 2026-01-05T08:00:00Z,2026-01-05T09:00:00Z --format json
   stictiond analyze plant.mcap --report plant.html
   stictiond analyze exports/ --tz Europe/Berlin --report fleet.html
+  stictiond analyze exports/ --plant
   stictiond analyze june.csv --map op=41FY101,pv=41FI101 --time-format dmy --tz UTC
 
 Bands are sought with 0 <= fd <= fs and fs + fd <= S0, the span of OP. Ctrl-C ends after the loop under way; what is
@@ -70,6 +74,10 @@ pub struct Args {
     /// A solver to compare with.
     #[command(flatten)]
     pub solver: SolverArgs,
+    /// Take the loops as one plant: find those that share an oscillation, and which of them makes it. Answers are printed
+    /// once all loops are judged; with JSON, a line for each group follows them.
+    #[arg(long)]
+    pub plant: bool,
     /// Print the log-odds behind the probability too, indicator by indicator.
     #[arg(long)]
     pub explain: bool,
@@ -94,6 +102,8 @@ pub struct Args {
 struct Told {
     answer: Answer,
     looked_at: Analysed,
+    /// The area of the plant, from the configuration.
+    area: Option<String>,
 }
 
 /// `--model`.
@@ -139,14 +149,29 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
         None => None,
     };
     let units = args.reading.units(&args.input)?;
+    if args.plant && args.selection.sections().len() > 1 {
+        return Err(UsageError(
+            "--plant compares one section of each loop; give --samples or --window once".to_owned(),
+        )
+        .into());
+    }
     stop::watch();
-    let mut desk = Desk { format, report, summary: Summary::default(), table: true, explain: args.explain, done: 0 };
+    let waiting = args.plant.then(Vec::new);
+    let summary = Summary::default();
+    let mut desk = Desk { format, report, summary, table: true, explain: args.explain, done: 0, waiting };
     let data_loss = match &units[..] {
         [one] => one_file(args, one, &mut desk)?,
         _ => files(args, &units, &mut desk)?,
     };
+    let groups = desk.judge_together()?;
     if desk.table && format == Format::Text {
         say(desk.summary.table())?;
+    }
+    if let Some(groups) = groups {
+        match format {
+            Format::Json => groups.iter().try_for_each(|group| say(serde_json::to_string(group)?))?,
+            Format::Text => say(groups_text(&groups, desk.done))?,
+        }
     }
     if let Some(report) = desk.report {
         report.finish(named(&args.input))?;
@@ -164,6 +189,8 @@ struct Desk {
     /// Whether the log-odds are printed.
     explain: bool,
     done: usize,
+    /// With `--plant`, the answers until all are there.
+    waiting: Option<Vec<Told>>,
 }
 
 impl Desk {
@@ -173,8 +200,32 @@ impl Desk {
     }
 
     fn take(&mut self, told: Told) -> anyhow::Result<()> {
-        let Told { answer, looked_at } = told;
         self.done += 1;
+        match &mut self.waiting {
+            Some(waiting) => waiting.push(told),
+            None => self.put_out(told)?,
+        }
+        Ok(())
+    }
+
+    /// With `--plant`, the groups, after the answers that waited for them.
+    fn judge_together(&mut self) -> anyhow::Result<Option<Vec<GroupDocument>>> {
+        let Some(mut waiting) = self.waiting.take() else { return Ok(None) };
+        let mut plant: Vec<OfPlant> = waiting
+            .iter_mut()
+            .map(|Told { answer, looked_at, area }| OfPlant {
+                answer,
+                record: &looked_at.record,
+                area: area.as_deref(),
+            })
+            .collect();
+        let groups = judge_together(&mut plant)?;
+        waiting.into_iter().try_for_each(|told| self.put_out(told))?;
+        Ok(Some(groups))
+    }
+
+    fn put_out(&mut self, told: Told) -> anyhow::Result<()> {
+        let Told { answer, looked_at, .. } = told;
         match self.format {
             Format::Json => say(serde_json::to_string(&answer)?)?,
             Format::Text if !self.table && self.explain => say(text::explained(&answer))?,
@@ -335,7 +386,7 @@ fn estimate(
     let answer = found.answer(&one.name, hash, elapsed_ms, solver, scored.transpose()?);
     let analysis::Estimated { record, params, .. } = found;
     let looked_at = Analysed { record, original, about: one.about.clone(), units: one.units.clone(), params };
-    Ok(Told { answer, looked_at })
+    Ok(Told { answer, looked_at, area: points.settings.place.area.clone() })
 }
 
 /// Runs the model of a file over the record.

@@ -58,7 +58,11 @@ pub struct Args {
     /// again on a valve without friction, and prints how well the band is read.
     #[arg(long, value_name = "TESTS", conflicts_with_all = ["labelled", "features", "names", "intervals", "out"])]
     pub bump_test: Option<u64>,
-    /// Output file for the classifier (or interval widths), JSON.
+    /// Instead of the classifier, measure the judgement of loops that share an oscillation on this many easy and this many
+    /// hard simulated plants; with --out, first fit its rules to as many other plants.
+    #[arg(long, value_name = "PLANTS", conflicts_with_all = ["labelled", "features", "names", "intervals", "bump_test"])]
+    pub plants: Option<u64>,
+    /// Output file for the classifier (or interval widths, or rules for plants), JSON.
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
     /// Replace an existing output file.
@@ -94,6 +98,9 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     }
     if let Some(tests) = args.bump_test {
         return super::calibrate_bump_test::run(tests, args.seed, format);
+    }
+    if let Some(plants) = args.plants {
+        return super::calibrate_plants::run(plants, args.seed, args.out.as_deref(), format);
     }
     if args.weight.is_nan() || args.weight < 0.0 || args.ridge.is_nan() || args.ridge < 0.0 {
         return Err(UsageError("--weight and --ridge must be 0 or more".to_owned()).into());

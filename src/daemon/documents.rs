@@ -9,6 +9,7 @@ use serde_json::{Value, json};
 
 use super::health::{DaemonHealth, LoopHealth};
 use stiction::gap::document::{GAP_SCHEMA, GapDocument};
+use stiction::plantwide::{GROUP_SCHEMA, GroupDocument};
 use stiction::verdict::{ESTIMATE_SCHEMA, EstimateDocument};
 use stiction_monitor::alarm::{ALARM_SCHEMA, AlarmDocument};
 use stiction_monitor::codec::topic::{DAEMON_HEALTH_SCHEMA, LOOP_HEALTH_SCHEMA};
@@ -34,6 +35,7 @@ pub fn schemas() -> Vec<(&'static str, Value)> {
         (ESTIMATE_SCHEMA, document::<EstimateDocument>(ESTIMATE_SCHEMA)),
         (ALARM_SCHEMA, document::<AlarmDocument>(ALARM_SCHEMA)),
         (GAP_SCHEMA, document::<GapDocument>(GAP_SCHEMA)),
+        (GROUP_SCHEMA, document::<GroupDocument>(GROUP_SCHEMA)),
         (LOOP_HEALTH_SCHEMA, document::<LoopHealth>(LOOP_HEALTH_SCHEMA)),
         (DAEMON_HEALTH_SCHEMA, document::<DaemonHealth>(DAEMON_HEALTH_SCHEMA)),
     ]

@@ -13,7 +13,7 @@ use stiction::verdict::{Assessment, ESTIMATE_SCHEMA, EstimateDocument, Gate, Osc
 use stiction_monitor::alarm::{ALARM_SCHEMA, AlarmDocument, Figures, Marks};
 
 /// Reasons of estimates that are no gate's name.
-const REASONS: [&str; 9] = [
+const REASONS: [&str; 10] = [
     "stuck_signal",
     "implausible_model",
     "daily_cycle",
@@ -23,6 +23,7 @@ const REASONS: [&str; 9] = [
     "too_few_periods",
     "not_fitted",
     "screened",
+    "masked",
 ];
 /// Indicators that are made of the fit, beside the detectors.
 const OF_THE_FIT: [&str; 3] = ["likelihood", "confirmed", "moves"];

@@ -15,7 +15,7 @@ pub const CRATES: [&str; 4] = ["src", "crates/stiction/src", "crates/stiction-mo
 const MAX_LINES: usize = 600;
 
 /// Which rooms each room may use.
-const IMPORTS: [(&str, &[&str]); 37] = [
+const IMPORTS: [(&str, &[&str]); 40] = [
     // Words.
     ("units", &[]),
     ("record", &["units"]),
@@ -33,6 +33,7 @@ const IMPORTS: [(&str, &[&str]); 37] = [
     ("gap", &["units", "record", "guard", "signal", "optim", "sim", "ident", "detect"]),
     // What follows from verdicts.
     ("over_time", &["units", "signal", "verdict"]),
+    ("plantwide", &["units", "record", "signal", "sim", "verdict"]),
     ("repair", &["units", "record", "signal", "sim", "ident", "detect", "verdict"]),
     // The lab. The challenge checks `gap` from outside: neither of the two may see the other.
     ("fixture", &["record", "signal", "sim"]),
@@ -40,7 +41,9 @@ const IMPORTS: [(&str, &[&str]); 37] = [
     ("challenge", &["units", "record", "signal", "sim", "verdict", "truth"]),
     ("methods", &["record", "signal", "sim", "ident", "detect"]),
     ("bump_test", &["guard", "signal", "sim", "verdict", "truth"]),
+    ("plants", &["units", "record", "signal", "sim", "truth", "challenge"]),
     ("calibrate", &["verdict"]),
+    ("calibrate_plants", &["units", "record", "verdict", "plantwide", "calibrate", "truth", "plants"]),
     ("calibrate_gap", &["gap"]),
     ("calibrate_intervals", &["signal", "ident", "detect", "verdict", "truth"]),
     // Engine: neither it nor the alarm knows a configuration.
@@ -51,7 +54,20 @@ const IMPORTS: [(&str, &[&str]); 37] = [
     ("engine", &["units", "record", "signal", "sim", "ident", "detect", "verdict", "gap", "alarm"]),
     (
         "analysis",
-        &["units", "record", "signal", "optim", "sim", "ident", "detect", "config", "verdict", "gap", "engine"],
+        &[
+            "units",
+            "record",
+            "signal",
+            "optim",
+            "sim",
+            "ident",
+            "detect",
+            "config",
+            "verdict",
+            "gap",
+            "plantwide",
+            "engine",
+        ],
     ),
     // Settings: words, which formats there are, and what alarm and engine are told.
     ("config", &["units", "record", "signal", "codec", "hash", "shard", "verdict", "alarm", "engine"]),

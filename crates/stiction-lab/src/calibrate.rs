@@ -172,7 +172,7 @@ fn rescale(rows: &[Row], rule: &Rule) -> Option<(f64, f64)> {
 }
 
 /// Weights of the columns of `x` (the first is the constant, which is not penalised); `made` holds truth and weight.
-fn regress(x: &DMatrix<f64>, made: &[[f64; 2]], ridge: f64) -> Option<DVector<f64>> {
+pub(crate) fn regress(x: &DMatrix<f64>, made: &[[f64; 2]], ridge: f64) -> Option<DVector<f64>> {
     let (n, k) = x.shape();
     let mut b = DVector::<f64>::zeros(k);
     for _ in 0..ROUNDS {

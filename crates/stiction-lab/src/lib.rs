@@ -12,6 +12,8 @@
 //! | [`bump_test`] | the bump test that an estimate proposes, carried out on simulated valves |
 //! | [`calibrate`] | the rule behind `p_stiction`, leaving out valve by valve |
 //! | [`calibrate_gap`] | how sure the gap's decision is |
+//! | [`plants`] | plants of known truth, whose loops share oscillations |
+//! | [`calibrate_plants`] | the rules for loops that share an oscillation |
 //! | [`calibrate_intervals`] | how wide intervals have to be |
 
 #![cfg_attr(test, allow(clippy::disallowed_methods, clippy::disallowed_types))]
@@ -20,7 +22,9 @@ pub mod bump_test;
 pub mod calibrate;
 pub mod calibrate_gap;
 pub mod calibrate_intervals;
+pub mod calibrate_plants;
 pub mod challenge;
 pub mod fixture;
 pub mod methods;
+pub mod plants;
 pub mod truth;

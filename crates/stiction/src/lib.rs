@@ -9,6 +9,7 @@
 //! | the fit alone: bands of He's valve model, process with dead time, intervals | [`ident::quantify()`](ident::quantify) |
 //! | the error surface over the bands, for any solver of [`optim::ALL`] | [`ident::surface`] |
 //! | one valve over many windows: size, changes, windows that disagree | [`over_time::over_time`] |
+//! | loops that share an oscillation, and the source of it | [`plantwide::assess_plant`] |
 //! | benefit of a valve repair: the closed loop without stiction | [`repair::repair`] |
 //! | effects that the model leaves out, and how much of the gap each closes | [`gap::diagnose`] |
 //! | simulation of a loop: valve models, processes, PID, disturbances | [`sim`] |
@@ -42,7 +43,7 @@
 //! | physics | [`sim`] valve models, processes, controller, noise, closed loop: the only copy of each formula |
 //! | identification | [`ident`] quantification of stiction · [`detect`] oscillation, and one file per indicator |
 //! | judgement | [`verdict`] validity checks, verdict, the estimate's document · [`gap`] model-plant mismatch |
-//! | evaluation | [`over_time`] many windows of one valve · [`repair`] the closed loop without stiction |
+//! | evaluation | [`over_time`] many windows of one valve · [`plantwide`] loops that share an oscillation · [`repair`] the closed loop without stiction |
 //!
 //! # Determinism
 //! No file, socket, clock, thread, environment or unseeded random numbers: the same record gives bit-identical results on
@@ -56,6 +57,7 @@ pub mod guard;
 pub mod ident;
 pub mod optim;
 pub mod over_time;
+pub mod plantwide;
 pub mod record;
 pub mod repair;
 pub mod signal;

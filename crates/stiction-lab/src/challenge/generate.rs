@@ -82,7 +82,8 @@ fn packing(draw: &mut Draw) -> Packing {
     Packing { fs, fc, vs, fv }
 }
 
-fn plant(draw: &mut Draw) -> Option<Plant> {
+/// A loop with a sticking valve, drawn for a period of about [`DRAWN_FOR`] scans; `None` where no controller fits it.
+pub(crate) fn plant(draw: &mut Draw) -> Option<Plant> {
     let gain = draw.sign() * draw.log_between(0.4, 3.0);
     let dead_time = 20.0 * draw.log_between(0.1, 0.9);
     let model = ProcessModel { gain, tau: 20.0, tau2: 0.0, dead_time, integrating: false };
@@ -115,7 +116,7 @@ fn plant(draw: &mut Draw) -> Option<Plant> {
 
 /// The loop of the period `now` made one of the period `wanted`, scans; forces stay, the packing's speed keeps its
 /// relation to OP's pace.
-fn stretched(mut plant: Plant, now: f64, wanted: f64) -> Plant {
+pub(crate) fn stretched(mut plant: Plant, now: f64, wanted: f64) -> Plant {
     let c = wanted / now;
     plant.process.tau *= c;
     plant.process.dead_time *= c;

@@ -22,13 +22,13 @@
 
 pub mod artefact;
 mod enter;
-mod generate;
+pub(crate) mod generate;
 mod kinds;
-mod plant;
+pub(crate) mod plant;
 pub mod real;
 pub mod score;
 mod truth;
-mod valve;
+pub(crate) mod valve;
 
 pub use kinds::{Kind, Stage};
 pub use truth::{Answer, Tampered, Truth, TruthCase, seal};

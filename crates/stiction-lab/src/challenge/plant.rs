@@ -11,7 +11,7 @@ use stiction::sim::noise::Noise;
 
 /// From flow to PV, without state; times in scans. Deviations from the operating point.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct ProcessSpec {
+pub(crate) struct ProcessSpec {
     /// PV units per OP unit.
     pub gain: f64,
     pub tau: f64,
@@ -125,7 +125,7 @@ impl Process {
 
 /// External inputs of a loop, one value per scan.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub(super) struct Drive {
+pub(crate) struct Drive {
     /// Set point as a deviation, PV units.
     pub sp: Vec<f64>,
     /// At the process input, after the dead time, OP units.
@@ -145,7 +145,7 @@ impl Drive {
 
 /// A second loop that interacts with this one.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Neighbour {
+pub(crate) struct Neighbour {
     pub plant: Plant,
     /// Contribution of its PV (as a deviation) to our process input, OP units per PV unit, and of ours to its.
     pub to_us: f64,
@@ -154,7 +154,7 @@ pub(super) struct Neighbour {
 
 /// Parameters of a loop.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Plant {
+pub(crate) struct Plant {
     pub valve: ValveSpec,
     pub process: ProcessSpec,
     pub controller: PidSettings,
@@ -172,7 +172,7 @@ pub(super) struct Plant {
 
 /// The signals of a run; `flow` behind the characteristic and `fine` (PV at sub-steps, without noise) are not recorded.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub(super) struct Run {
+pub(crate) struct Run {
     pub op: Vec<f64>,
     pub pv: Vec<f64>,
     pub sp: Vec<f64>,
@@ -181,7 +181,7 @@ pub(super) struct Run {
 }
 
 /// One running loop.
-struct Loop<'a> {
+pub(crate) struct Loop<'a> {
     plant: &'a Plant,
     valve: Valve,
     process: Process,
@@ -193,7 +193,8 @@ struct Loop<'a> {
 }
 
 impl<'a> Loop<'a> {
-    fn new(plant: &'a Plant, n: usize, sp: f64) -> Self {
+    /// A loop at rest but for its strain, to be run for `n` scans with the set point `sp` from its rest.
+    pub fn new(plant: &'a Plant, n: usize, sp: f64) -> Self {
         let valve = Valve::new(plant.valve.clone(), plant.rest_op, plant.strain, Noise::new(plant.seed, 7));
         let flow = valve.position() - plant.rest_op;
         let pid = Pid::bumpless(plant.controller, plant.rest_op, plant.rest_pv + sp, plant.rest_pv);
@@ -202,8 +203,8 @@ impl<'a> Loop<'a> {
         Self { plant, valve, process, pid, filtered: None, n, beside, run: Run::default() }
     }
 
-    /// One scan; OP is given in free run, else computed by the controller.
-    fn scan(&mut self, k: usize, drive: [f64; 4], given: Option<f64>) {
+    /// One scan with `[set point, load, on PV, noise]`; OP is given in free run, else computed by the controller.
+    pub fn scan(&mut self, k: usize, drive: [f64; 4], given: Option<f64>) {
         let [sp, mut load, on_pv, noise] = drive;
         let plant = self.plant;
         let mut pv = plant.rest_pv + self.process.shown + on_pv + noise;
@@ -233,6 +234,21 @@ impl<'a> Loop<'a> {
         self.run.pv.push(pv);
         self.run.sp.push(sp);
         self.run.mv.push(self.valve.position());
+    }
+
+    /// What the process shows, from its rest, PV units.
+    pub const fn deviation(&self) -> f64 {
+        self.process.shown
+    }
+
+    /// Stem position from the rest, OP units.
+    pub const fn flow(&self) -> f64 {
+        self.valve.position() - self.plant.rest_op
+    }
+
+    /// OP and PV so far.
+    pub fn into_op_and_pv(self) -> [Vec<f64>; 2] {
+        [self.run.op, self.run.pv]
     }
 }
 

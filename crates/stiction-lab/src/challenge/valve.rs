@@ -5,14 +5,14 @@ use stiction::sim::noise::Noise;
 use stiction::sim::valve::{Tracking, he_step, tracking_step};
 
 /// Length of a sub-step, scans.
-pub(super) const DT: f64 = 1.0 / SUB_STEPS as f64;
+pub(crate) const DT: f64 = 1.0 / SUB_STEPS as f64;
 
 /// Parts of a sub-step while the stem moves: a slip takes some tenths of a scan.
 const WHILE_MOVING: usize = 20;
 
 /// The Stribeck curve of packing, divided by the spring rate: bands in OP units, times in scans.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Packing {
+pub(crate) struct Packing {
     /// Static band.
     pub fs: f64,
     /// Coulomb band.
@@ -32,7 +32,7 @@ impl Packing {
 
 /// What moves the stem.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) enum Law {
+pub(crate) enum Law {
     /// The force balance.
     Forces,
     /// He's model with the bands `[fs, fd]` upwards and downwards: the form in the catalogue.
@@ -43,7 +43,7 @@ pub(super) enum Law {
 
 /// A valve from OP to flow, without state.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct ValveSpec {
+pub(crate) struct ValveSpec {
     pub packing: Packing,
     pub law: Law,
     /// Bands are larger by `1 + asymmetry` upwards and `1 - asymmetry` downwards.
@@ -116,7 +116,7 @@ impl ValveSpec {
 
 /// A valve with its state.
 #[derive(Debug, Clone)]
-pub(super) struct Valve {
+pub(crate) struct Valve {
     spec: ValveSpec,
     /// Current packing upwards and downwards.
     now: [Friction; 2],

@@ -14,6 +14,7 @@ mod truth_detectable;
 mod truth_gap;
 mod truth_intervals;
 mod truth_over_time;
+mod truth_plantwide;
 mod truth_repair;
 mod truth_solvers;
 mod truth_stiction;

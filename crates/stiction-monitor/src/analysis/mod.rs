@@ -9,12 +9,14 @@
 //! | the estimate, and a solver on its error surface | [`estimate()`](estimate::estimate), [`solver`] |
 //! | every window of a long record, as in the daemon | [`Due`] |
 //! | the gap | [`gap::diagnose`], [`predictions::rows`] |
+//! | loops that share an oscillation, judged together | [`plant::judge_together`] |
 //! | the estimate as text | [`text::answer`] |
 
 mod cut;
 mod due;
 pub mod estimate;
 pub mod gap;
+pub mod plant;
 mod points;
 pub mod predictions;
 pub mod rows;
@@ -45,6 +47,10 @@ pub enum AnalysisError {
          smaller ratio"
     )]
     Sparse { name: String, samples: usize, ratio: f64, needed: usize },
+    #[error(
+        "two loops are named {name}; loops that are judged together need names of their own, so rename one of them"
+    )]
+    Twice { name: String },
     #[error("{name}: cannot downsample by {ratio}; use a ratio above 1")]
     Ratio { name: String, ratio: f64 },
 }

@@ -1,6 +1,7 @@
 //! Documents in words.
 
 use super::Answer;
+use stiction::plantwide;
 use stiction::units::{self, duration, optional as number, significant};
 use stiction::verdict::action::Action;
 use stiction::verdict::{Assessment, EstimateDocument, Process, words};
@@ -136,6 +137,9 @@ fn said(answer: &Answer, explain: bool) -> String {
     let box_samples = averaged.unwrap_or(answer.document.assessment.window.box_samples as f64);
     let mut rows = estimate(&answer.document, box_samples, explain);
     let mut row = |name: &str, value: String| rows.add(name, value);
+    if let Some(group) = &answer.group {
+        row("group", plantwide::of_member(group));
+    }
     let taken = &answer.selection;
     let words = taken.section.words();
     if !words.is_empty() {

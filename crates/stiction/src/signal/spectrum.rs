@@ -19,13 +19,25 @@ pub fn autocorrelations(x: [&[f64]; 2], max_lag: usize) -> [Vec<f64>; 2] {
     let longest = x[0].len().max(x[1].len());
     let lags = max_lag.min(longest.saturating_sub(1)) + 1;
     // Behind the signals there are as many zeros as there are lags, so that none meets its own beginning.
-    let size = (longest + lags).next_power_of_two().max(2);
-    let part = |x: &[f64]| {
-        let mut part = x.to_vec();
-        part.resize(size, 0.0);
-        part
+    let [mut re, mut im] = powers(x, (longest + lags).next_power_of_two().max(2));
+    transform(&mut re, &mut im);
+    let of = |sums: &[f64], x: &[f64]| match dot(x, x) > 0.0 {
+        true => sums[..lags.min(x.len())].iter().map(|sum| sum / sums[0]).collect(),
+        false => Vec::new(),
     };
-    let (mut re, mut im) = (part(x[0]), part(x[1]));
+    [of(&re, x[0]), of(&im, x[1])]
+}
+
+/// Power of two signals at the frequencies `k / size` cycles a point, each padded with zeros to `size` (a power of two, at
+/// least the length of both): one transform gives both.
+#[must_use]
+pub fn powers(x: [&[f64]; 2], size: usize) -> [Vec<f64>; 2] {
+    let padded = |x: &[f64]| {
+        let mut padded = x.to_vec();
+        padded.resize(size, 0.0);
+        padded
+    };
+    let (mut re, mut im) = (padded(x[0]), padded(x[1]));
     transform(&mut re, &mut im);
     // The first signal's power as real part and the second's as imaginary one: both are even, so their transforms are real.
     for k in 0..=size / 2 {
@@ -35,12 +47,7 @@ pub fn autocorrelations(x: [&[f64]; 2], max_lag: usize) -> [Vec<f64>; 2] {
         (re[k], im[k]) = (power(a), power(b));
         (re[back], im[back]) = (re[k], im[k]);
     }
-    transform(&mut re, &mut im);
-    let of = |sums: &[f64], x: &[f64]| match dot(x, x) > 0.0 {
-        true => sums[..lags.min(x.len())].iter().map(|sum| sum / sums[0]).collect(),
-        false => Vec::new(),
-    };
-    [of(&re, x[0]), of(&im, x[1])]
+    [re, im]
 }
 
 /// Twiddle factors of all stages: those of a stage of `2 h` values are at `h` to `2 h`.

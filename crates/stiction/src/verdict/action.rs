@@ -122,6 +122,7 @@ fn better_data(reason: &str) -> &'static str {
         "op_held" => "record OP faster, or with less compression in the historian",
         "daily_cycle" => "look at sections of a few hours, sampled faster, in which the daily cycle plays no part",
         "trend" => "choose a section without the trend, or one in which the loop oscillates",
+        "masked" => "find and repair the source of the shared oscillation, then judge this loop again",
         "skipped" => "give the machine more processor time, or analyze this window from the recording",
         _ => {
             "check that OP and PV belong to this loop and are not swapped; record longer, in automatic, while it oscillates"
@@ -136,7 +137,9 @@ mod tests {
     #[test]
     fn every_reason_has_its_own_remedy_and_no_text_proposes_a_test_and_none() {
         let other = better_data("anything else");
-        for reason in ["manual", "too_coarse", "op_held", "daily_cycle", "trend", "stuck_signal", "too_few_periods"] {
+        for reason in
+            ["manual", "too_coarse", "op_held", "daily_cycle", "trend", "stuck_signal", "too_few_periods", "masked"]
+        {
             assert_ne!(better_data(reason), other, "{reason}");
         }
         let refused = Confirm::Otherwise(Refusal::Integrating);

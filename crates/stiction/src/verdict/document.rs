@@ -298,8 +298,8 @@ pub struct Assessment {
     pub stiction: Option<bool>,
     /// Why there is no answer: the first blocking validity check, `too_coarse` or `too_few_periods` (sticking is likely, but not
     /// enough for an alarm), `stuck_signal` (PV is constant while OP moves), `not_fitted`, `implausible_model` (no plausible
-    /// model), `daily_cycle`, `trend` or `op_held` (OP is stored too rarely to show the valve's input); or why there is only a
-    /// verdict: `screened` (a calm loop, for which nothing else was computed).
+    /// model), `daily_cycle`, `trend` or `op_held` (OP is stored too rarely to show the valve's input); `masked` (an oscillation that it shares with other
+    /// loops hides the valve's state); or why there is only a verdict: `screened` (a calm loop, for which nothing else was computed).
     pub reason: Option<&'static str>,
     pub p_stiction: Option<f64>,
     pub confidence: Option<f64>,

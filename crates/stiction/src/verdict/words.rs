@@ -140,6 +140,7 @@ pub fn sureness(a: &Assessment) -> String {
     let cuts = a.explanation.map(|e| e.cuts);
     let (said, grade) = (probability(p), grade(a));
     match a.stiction {
+        None if a.reason == Some("masked") => format!("No verdict: {}. With its group, p {said}; {grade}.", why()),
         None => format!("No verdict: {}. The indicators alone would give p {said}; {grade}.", why()),
         Some(false) => {
             let below =
@@ -182,6 +183,7 @@ pub fn reason(name: &str) -> String {
         "too_coarse" => "stiction is likely, but a period has too few samples to show how the stem moves",
         "too_few_periods" => "stiction is likely, but there are too few periods to be sure",
         "not_fitted" => "no model could be fitted",
+        "masked" => "the loop follows an oscillation that it shares with others, which hides the state of its valve",
         "screened" => "the loop is calm, so only the screening was computed",
         _ => "",
     };

@@ -1,0 +1,91 @@
+//! Plants of 8 to 60 loops of known truth: sticking valves that shake their neighbours, loads from outside that shake several
+//! loops, and loops that oscillate by themselves at nearly the same period.
+//!
+//! The loops are those of [`crate::challenge`]: valves from forces, processes with pipes, at sub-sample steps, so that neither
+//! He's law nor the library's process model makes them. Followers sit behind lag and dead time, in chains and with
+//! recycle; every loop is archived at its own sampling time (1 to 60 s), some through a historian.
+
+mod generate;
+mod network;
+
+use stiction::record::Record;
+
+/// How hard a plant is made.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Difficulty {
+    /// 20 periods, lagged followers, sines as often as other loads.
+    Easy,
+    /// 6 to 20 periods, followers nearly without lag and with slow processes, little noise, loads mostly of squares and
+    /// triangles, two loops of five through a historian.
+    Hard,
+}
+
+impl Difficulty {
+    /// Both.
+    pub const ALL: [Self; 2] = [Self::Easy, Self::Hard];
+
+    /// Its name in streams and tables.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Easy => "easy",
+            Self::Hard => "hard",
+        }
+    }
+}
+
+/// What a loop is in its plant.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum Role {
+    /// Its sticking valve makes the group's oscillation.
+    Source,
+    /// A source of its group drives it.
+    Follower,
+    /// A load from outside drives it.
+    Driven,
+    /// It does not oscillate.
+    Calm,
+    /// Its valve sticks, and it drives nobody.
+    Sticking,
+    /// Its controller is tuned too tight, and it drives nobody.
+    Tight,
+}
+
+impl Role {
+    /// All of them.
+    pub const ALL: [Self; 6] = [Self::Source, Self::Follower, Self::Driven, Self::Calm, Self::Sticking, Self::Tight];
+
+    /// Its name in tables.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Source => "source",
+            Self::Follower => "follower",
+            Self::Driven => "driven from outside",
+            Self::Calm => "calm",
+            Self::Sticking => "sticking alone",
+            Self::Tight => "tuned too tight",
+        }
+    }
+}
+
+/// A loop of a plant as it was archived, and what is true of it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CaseLoop {
+    /// Its name.
+    pub name: String,
+    /// Its last window.
+    pub record: Record,
+    /// What it is.
+    pub role: Role,
+    /// The oscillation that it shares with others.
+    pub group: Option<usize>,
+    /// Whether its valve sticks.
+    pub sticks: bool,
+}
+
+/// A plant: the draws of its stream (such as a half's name), its seed and difficulty give every bit of it.
+#[must_use]
+pub fn plant(stream: &str, seed: u64, difficulty: Difficulty) -> Vec<CaseLoop> {
+    generate::plant(stream, seed, difficulty)
+}

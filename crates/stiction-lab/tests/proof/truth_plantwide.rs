@@ -1,0 +1,61 @@
+//! Plants of known truth: who shares an oscillation, who makes it, and that independent loops keep their own answer.
+
+use stiction::plantwide::{PlantLoop, SourceKind, assess_plant};
+use stiction::verdict::{AssessParams, assess};
+use stiction_lab::plants::{Difficulty, Role, plant};
+
+/// Seeds that no rule was fitted to and no table reports.
+const SEEDS: [u64; 3] = [9001, 9002, 9003];
+
+#[test]
+fn groups_hold_what_one_source_shakes_and_independent_loops_stay_apart() {
+    let (mut named, mut sources, mut wrong, mut pairs) = (0, 0, 0, 0);
+    for seed in SEEDS {
+        let case = plant("proof", seed, Difficulty::Easy);
+        let params = AssessParams { always_fit: true, ..AssessParams::default() };
+        let assessments: Vec<_> = case.iter().map(|l| assess(&l.record, &params)).collect();
+        let of = |k: usize| PlantLoop {
+            name: &case[k].name,
+            record: &case[k].record,
+            assessment: &assessments[k],
+            area: None,
+        };
+        let loops: Vec<PlantLoop> = (0..case.len()).map(of).collect();
+        let groups = assess_plant(&loops);
+        let truth = |name: &str| case.iter().find(|l| l.name == name).unwrap();
+        for group in &groups {
+            let first = truth(&group.members[0]).group;
+            pairs += group.members.len() - 1;
+            wrong += group.members[1..].iter().filter(|m| first.is_none() || truth(m).group != first).count();
+            assert!(group.p_value < 0.5, "{group:?}");
+            assert_eq!(group.judgements.len(), group.members.len());
+            if group.members.iter().any(|m| truth(m).role == Role::Source) {
+                sources += 1;
+                let is_source = group.source.loop_name.as_deref().is_some_and(|name| truth(name).role == Role::Source);
+                named += usize::from(group.source.kind == SourceKind::Loop && is_source);
+            }
+        }
+        // The order in which loops come changes nothing.
+        let mut turned = loops.clone();
+        turned.reverse();
+        let mut other = assess_plant(&turned);
+        other.iter_mut().for_each(|group| group.members.sort());
+        let mut members: Vec<Vec<String>> = groups.iter().map(|g| g.members.clone()).collect();
+        members.iter_mut().for_each(|m| m.sort());
+        members.sort();
+        let mut others: Vec<Vec<String>> = other.into_iter().map(|g| g.members).collect();
+        others.sort();
+        assert_eq!(members, others);
+    }
+    assert!(pairs >= 4 && wrong == 0, "{wrong} of {pairs} members are in the wrong group");
+    assert!(sources >= 1 && named == sources, "{named} of {sources} sources are named");
+}
+
+#[test]
+fn a_seed_gives_the_same_plant_to_the_bit_and_another_seed_another_one() {
+    let [a, b, c] = [9004, 9004, 9005].map(|seed| plant("proof", seed, Difficulty::Hard));
+    assert_eq!(a, b);
+    assert_ne!(a, c);
+    assert!((8..=16).contains(&a.len()));
+    assert!(a.iter().all(|l| l.record.len() >= 100 && l.record.pv.iter().all(|y| y.is_finite())));
+}

@@ -1,0 +1,46 @@
+//! The loops of one plant judged together, after each was judged by itself.
+
+use std::collections::HashSet;
+
+use super::{AnalysisError, Answer};
+use stiction::plantwide::{GroupDocument, PlantLoop, assess_plant};
+use stiction::record::Record;
+
+/// One loop of a plant.
+#[derive(Debug)]
+pub struct OfPlant<'a> {
+    /// Its own answer.
+    pub answer: &'a mut Answer,
+    /// The record behind the answer.
+    pub record: &'a Record,
+    /// The area of the plant, where the configuration gives one: loops of different areas are not compared.
+    pub area: Option<&'a str>,
+}
+
+/// Finds the groups of loops that share an oscillation, and puts each group's judgement into its members' answers.
+///
+/// # Errors
+/// Two loops have the same name.
+pub fn judge_together(plant: &mut [OfPlant]) -> Result<Vec<GroupDocument>, AnalysisError> {
+    let mut names = HashSet::new();
+    if let Some(twice) = plant.iter().map(|one| &one.answer.document.loop_name).find(|name| !names.insert(*name)) {
+        return Err(AnalysisError::Twice { name: twice.clone() });
+    }
+    let loops: Vec<PlantLoop> = plant
+        .iter()
+        .map(|OfPlant { answer, record, area }| {
+            let document = &answer.document;
+            PlantLoop { name: &document.loop_name, record, assessment: &document.assessment, area: *area }
+        })
+        .collect();
+    let groups = assess_plant(&loops);
+    for one in plant {
+        let name = &one.answer.document.loop_name;
+        let found = groups.iter().flat_map(|group| &group.judgements).find(|judged| judged.loop_name == *name);
+        if let Some(judged) = found {
+            one.answer.group = Some(judged.clone());
+            judged.apply(&mut one.answer.document.assessment);
+        }
+    }
+    Ok(groups)
+}

@@ -1,0 +1,241 @@
+//! Many loops of one plant: which share one oscillation, and which of them makes it.
+//!
+//! A sticking valve shakes its neighbours, and a load from outside shakes several loops at once. Judged alone, a healthy loop
+//! behind another loop's limit cycle looks as if its own valve stuck. Here loops are grouped by oscillations that are one
+//! (locked phases that wander together), the source of each group is looked for, and every member is judged again with
+//! what the group knows. Nothing is asked about topology.
+//!
+//! Limits: loops whose periods differ by less than 0.3 % over few periods cannot be told apart; a sticking follower behind a
+//! sticking source is reported as masked, not as healthy; clocks that differ by a sizeable part of a period spoil the lags
+//! and the search for the source, not the groups.
+
+mod calibration;
+mod cycle;
+mod document;
+mod evidence;
+mod groups;
+mod logit;
+mod pair;
+mod source;
+mod words;
+
+pub use calibration::{Calibration, Chance, Made};
+pub use document::{Follower, GROUP_SCHEMA, GroupDocument, MASKED, MemberJudgement, Source, SourceKind, Span};
+pub use logit::Logit;
+pub use source::{member_figures, source_figures};
+pub use words::{of_member, text};
+
+use crate::record::Record;
+use crate::units::Moment;
+use crate::verdict::{Assessment, Gate};
+use cycle::Cycle;
+use evidence::{Evidence, Signals};
+use groups::Link;
+use source::Decision;
+
+/// Members whose evidence is gathered: the cost grows with their square. Of larger groups these are the ones that by
+/// themselves most likely stick; the others can only be followers.
+const MOST_CANDIDATES: usize = 10;
+
+/// A loop of a plant, with what its own window says.
+#[derive(Debug, Clone, Copy)]
+pub struct PlantLoop<'a> {
+    /// Its name.
+    pub name: &'a str,
+    /// The window.
+    pub record: &'a Record,
+    /// The loop's own assessment of that window.
+    pub assessment: &'a Assessment,
+    /// The area of the plant, where it is known: loops of different areas are not compared.
+    pub area: Option<&'a str>,
+}
+
+/// The groups of a plant, largest first; loops that are in none keep their own answer.
+#[must_use]
+pub fn assess_plant(loops: &[PlantLoop]) -> Vec<GroupDocument> {
+    assess_plant_by(loops, Calibration::shipped())
+}
+
+/// The same by other rules than those of this build.
+#[must_use]
+pub fn assess_plant_by(loops: &[PlantLoop], rules: &Calibration) -> Vec<GroupDocument> {
+    let epoch_ns = loops.iter().map(|l| l.record.start_ns).min().unwrap_or(0);
+    let cycles: Vec<Option<Cycle>> = loops.iter().map(|l| Cycle::of(l.record, epoch_ns)).collect();
+    let links = links(loops, &cycles, rules);
+    let threshold = rules.chance.threshold_among(links.len());
+    let above: Vec<Link> = links.iter().map(|l| Link { score: l.score - threshold, ..*l }).collect();
+    let groups = groups::of(loops.len(), &above);
+    let document = |members: Vec<usize>| {
+        let p_value = p_value(&members, &links, rules);
+        Group { members, loops, cycles: &cycles, epoch_ns, rules }.document(p_value, links.len())
+    };
+    groups.into_iter().filter_map(document).collect()
+}
+
+/// What a pair's link is judged by; `None` where the loops do not oscillate, not at nearly the same frequency, or not at
+/// the same time.
+#[must_use]
+pub fn pair_figures(a: &PlantLoop, b: &PlantLoop) -> Option<Vec<f64>> {
+    let epoch_ns = a.record.start_ns.min(b.record.start_ns);
+    let [a, b] = [a, b].map(|l| Cycle::of(l.record, epoch_ns));
+    Some(pair::expanded(&pair::compare(&a?, &b?)?))
+}
+
+/// Frequency of a loop's dominant oscillation, Hz; `None` where it does not oscillate.
+#[must_use]
+pub fn frequency_hz(record: &Record) -> Option<f64> {
+    Cycle::of(record, record.start_ns).map(|cycle| cycle.frequency_hz)
+}
+
+/// What a group's source and members are judged by, a row a member; `None` where their windows overlap too little.
+#[must_use]
+pub fn group_figures(members: &[PlantLoop]) -> Option<Vec<[f64; Evidence::NAMES.len()]>> {
+    let epoch_ns = members.iter().map(|l| l.record.start_ns).min()?;
+    let cycles: Vec<Cycle> = members.iter().map(|l| Cycle::of(l.record, epoch_ns)).collect::<Option<_>>()?;
+    let found = evidence_of(members, common_period_s(cycles.iter()), epoch_ns)?;
+    Some(found.into_iter().map(|evidence| evidence.figures).collect())
+}
+
+fn evidence_of(members: &[PlantLoop], period_s: f64, epoch_ns: i64) -> Option<Vec<Evidence>> {
+    let signals: Vec<Signals> = members.iter().map(|l| Signals::of(l.record, l.assessment, epoch_ns)).collect();
+    let both: Vec<(&Signals, &Assessment)> = signals.iter().zip(members.iter().map(|l| l.assessment)).collect();
+    evidence::gather(&both, period_s)
+}
+
+fn common_period_s<'a>(cycles: impl Iterator<Item = &'a Cycle>) -> f64 {
+    crate::signal::stats::median(&cycles.map(Cycle::period_s).collect::<Vec<f64>>())
+}
+
+/// Link logits of all pairs that oscillate at nearly the same frequency.
+fn links(loops: &[PlantLoop], cycles: &[Option<Cycle>], rules: &Calibration) -> Vec<Link> {
+    let mut oscillating: Vec<(usize, &Cycle)> =
+        cycles.iter().enumerate().filter_map(|(k, cycle)| Some((k, cycle.as_ref()?))).collect();
+    oscillating.sort_by(|a, b| a.1.frequency_hz.total_cmp(&b.1.frequency_hz).then(a.0.cmp(&b.0)));
+    let apart = |a: usize, b: usize| loops[a].area.zip(loops[b].area).is_some_and(|(a, b)| a != b);
+    let mut links = Vec::new();
+    for (place, (a, of_a)) in oscillating.iter().enumerate() {
+        let highest = of_a.frequency_hz * libm::exp(pair::NEAR);
+        for (b, of_b) in oscillating[place + 1..].iter().take_while(|(_, c)| c.frequency_hz < highest) {
+            if apart(*a, *b) {
+                continue;
+            }
+            let pair = [*a.min(b), *a.max(b)];
+            let score = pair::compare(of_a, of_b).map(|figures| pair::link(&figures, &rules.link));
+            links.extend(score.map(|score| Link { pair, score }));
+        }
+    }
+    links
+}
+
+/// Probability that chance gives the weakest member its best link into the group, with all pairs counted.
+fn p_value(members: &[usize], links: &[Link], rules: &Calibration) -> f64 {
+    let best = |member: &usize| {
+        let inside = links.iter().filter(|l| l.pair.contains(member) && l.pair.iter().all(|m| members.contains(m)));
+        inside.map(|l| l.score).fold(f64::MIN, f64::max)
+    };
+    let weakest = members.iter().map(best).fold(f64::MAX, f64::min);
+    (links.len() as f64 * rules.chance.p_value(weakest)).min(1.0)
+}
+
+/// A group that is being judged.
+struct Group<'a> {
+    members: Vec<usize>,
+    loops: &'a [PlantLoop<'a>],
+    cycles: &'a [Option<Cycle>],
+    epoch_ns: i64,
+    rules: &'a Calibration,
+}
+
+impl Group<'_> {
+    /// The members whose evidence is gathered, in the order of the plant's loops.
+    fn candidates(&self) -> Vec<usize> {
+        let p = |member: &usize| self.loops[*member].assessment.p_stiction.unwrap_or(0.0);
+        let mut candidates = self.members.clone();
+        candidates.sort_by(|a, b| p(b).total_cmp(&p(a)).then(a.cmp(b)));
+        candidates.truncate(MOST_CANDIDATES);
+        candidates.sort_unstable();
+        candidates
+    }
+
+    fn document(&self, p_value: f64, pairs_compared: usize) -> Option<GroupDocument> {
+        let period_s = common_period_s(self.members.iter().filter_map(|m| self.cycles[*m].as_ref()));
+        let candidates = self.candidates();
+        let of_candidates: Vec<PlantLoop> = candidates.iter().map(|m| self.loops[*m]).collect();
+        let evidence = evidence_of(&of_candidates, period_s, self.epoch_ns)?;
+        let in_manual = |l: &PlantLoop| l.assessment.gates.contains(&Gate::Manual);
+        let eligible: Vec<bool> = of_candidates.iter().map(|l| !in_manual(l)).collect();
+        let decision = Decision::of(&evidence, &eligible, self.rules);
+        let p_source =
+            |member: usize| candidates.iter().position(|c| *c == member).map_or(0.0, |place| decision.p_source[place]);
+        let mut ranked = self.members.clone();
+        ranked.sort_by(|a, b| p_source(*b).total_cmp(&p_source(*a)).then(a.cmp(b)));
+        let best = candidates[decision.best];
+        let source = words::source(&decision, &evidence[decision.best], self.loops[best].name, period_s);
+        let judged = |member: &usize| {
+            let place = candidates.iter().position(|c| c == member);
+            self.judgement(*member, place, &decision, &source)
+        };
+        let starts = self.members.iter().map(|m| self.loops[*m].record.start_ns);
+        let ends = self.members.iter().map(|m| self.loops[*m].record.end_ns);
+        let (start_ns, end_ns) = (starts.max()?, ends.min()?);
+        Some(GroupDocument {
+            schema: GROUP_SCHEMA,
+            members: ranked.iter().map(|m| self.loops[*m].name.to_owned()).collect(),
+            followers: self.followers(&ranked, best, &source, period_s),
+            judgements: ranked.iter().map(judged).collect(),
+            source,
+            period_s,
+            window: Span { start_ns, end_ns, start: Moment(start_ns), end: Moment(end_ns) },
+            p_value,
+            pairs_compared,
+            version: crate::VERSION,
+        })
+    }
+
+    fn judgement(&self, member: usize, place: Option<usize>, decision: &Decision, source: &Source) -> MemberJudgement {
+        let l = self.loops[member];
+        let p_alone = l.assessment.p_stiction.filter(|_| l.assessment.stiction.is_some());
+        let is_source = source.kind == SourceKind::Loop && source.loop_name.as_deref() == Some(l.name);
+        // A member beyond the candidates is less likely to stick, alone, than each of them.
+        let judged = place.zip(p_alone).map(|(place, p)| decision.p_stiction(place, p, self.rules));
+        let (p_stiction, lowered) = judged.map_or((p_alone, false), |(p, lowered)| (Some(p), lowered));
+        let called = p_stiction.is_some_and(|p| p >= document::called_at(l.assessment));
+        MemberJudgement {
+            loop_name: l.name.to_owned(),
+            p_source: place.map_or(0.0, |place| decision.p_source[place]),
+            p_alone,
+            p_stiction,
+            cause: (!is_source).then(|| words::cause(source)).flatten(),
+            masked: !is_source && (lowered || !called),
+        }
+    }
+
+    fn followers(&self, ranked: &[usize], best: usize, source: &Source, period_s: f64) -> Vec<Follower> {
+        let leads = source.kind == SourceKind::Loop;
+        let of = |member: &usize| Follower {
+            loop_name: self.loops[*member].name.to_owned(),
+            lag_s: cycle::lag_s([best, *member].map(|m| self.loops[m].record), self.epoch_ns, period_s),
+            share: self.cycles[*member].as_ref().map_or(0.0, |cycle| cycle.share),
+        };
+        ranked.iter().filter(|m| !leads || **m != best).map(of).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_shipped_rules_can_be_read_and_fit_the_figures() {
+        let rules = Calibration::shipped();
+        assert!(rules.chance.threshold.is_finite());
+        for rule in [&rules.link, &rules.source, &rules.member] {
+            assert!(rule.weights.len() == rule.means.len() && rule.means.len() == rule.scales.len());
+        }
+        let figures = [[0.0; Evidence::NAMES.len()]; 2];
+        assert_eq!(source_figures(&figures)[0].len(), rules.source.weights.len());
+        assert_eq!(source::names().count(), rules.source.weights.len());
+        assert_eq!(member_figures(&figures[0], 0.0, 0.0).len(), rules.member.weights.len());
+        assert_eq!(pair::expanded(&[0.0; 11]).len(), rules.link.weights.len());
+    }
+}

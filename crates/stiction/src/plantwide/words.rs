@@ -1,0 +1,162 @@
+//! A group in words.
+
+use super::document::{GroupDocument, MemberJudgement, Source, SourceKind};
+use super::evidence::Evidence;
+use super::source::{Decision, names};
+use crate::units::{duration, number, probability};
+
+/// Probability above which a source is named.
+const NAMED: f64 = 0.5;
+/// Reasons given, at most.
+const REASONS: usize = 3;
+/// Periods that a test in manual takes.
+const TEST_PERIODS: f64 = 4.0;
+
+/// The source of a group whose likeliest member is called `name`.
+pub(super) fn source(decision: &Decision, evidence: &Evidence, name: &str, period_s: f64) -> Source {
+    let p_best = decision.p_source[decision.best];
+    let (kind, probability) = match () {
+        () if p_best >= NAMED => (SourceKind::Loop, p_best),
+        () if decision.p_outside >= NAMED => (SourceKind::Outside, decision.p_outside),
+        () if decision.likely() > 1 => (SourceKind::Several, 1.0 - decision.p_outside),
+        () => (SourceKind::CannotTell, 1.0 - p_best.max(decision.p_outside)),
+    };
+    let outside = kind == SourceKind::Outside;
+    let next_test = matches!(kind, SourceKind::Several | SourceKind::CannotTell).then(|| {
+        format!(
+            "Put {name} in manual for {} ({TEST_PERIODS} periods): if the others stop oscillating, {name} is the source.",
+            duration(TEST_PERIODS * period_s)
+        )
+    });
+    Source {
+        kind,
+        loop_name: (!outside).then(|| name.to_owned()),
+        probability,
+        reasons: reasons(decision, evidence, name, outside),
+        next_test,
+    }
+}
+
+/// The figures that weigh most for (or, where nothing inside makes the oscillation, against) the likeliest member.
+fn reasons(decision: &Decision, evidence: &Evidence, name: &str, against: bool) -> Vec<String> {
+    let sign = if against { -1.0 } else { 1.0 };
+    let mut parts: Vec<(f64, &str, bool)> = Vec::new();
+    for ((figure, compared), part) in names().zip(&decision.parts) {
+        // A figure and its distance from the other members make one reason.
+        match parts.iter_mut().find(|known| known.1 == figure) {
+            Some(known) => (known.0, known.2) = (known.0 + sign * part, known.2 || compared),
+            None => parts.push((sign * part, figure, compared)),
+        }
+    }
+    parts.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let value = |figure: &str| Evidence::NAMES.iter().position(|n| *n == figure).map_or(0.0, |k| evidence.figures[k]);
+    let said = parts.iter().filter(|part| part.0 > 0.1).filter_map(|part| reason(part.1, value(part.1), name, against));
+    let mut reasons: Vec<String> = Vec::new();
+    for sentence in said {
+        if !reasons.contains(&sentence) && reasons.len() < REASONS {
+            reasons.push(sentence);
+        }
+    }
+    reasons
+}
+
+/// A figure as a fact.
+fn reason(figure: &str, value: f64, name: &str, against: bool) -> Option<String> {
+    let sentence = match (figure, against) {
+        ("own_logit", false) => format!("{name} by itself looks like a sticking valve"),
+        ("own_logit", true) => {
+            format!("no loop of the group clearly looks like a sticking valve by itself; {name} looks most like one")
+        }
+        ("likelihood" | "confirmed" | "one_step_gain", false) => {
+            format!("a sticking valve explains {name}'s own record best")
+        }
+        ("likelihood" | "confirmed" | "one_step_gain", true) => {
+            format!("a sticking valve explains {name}'s own record hardly better than none")
+        }
+        ("jumps" | "periodicity", false) => format!("PV of {name} moves in jumps while OP moves steadily"),
+        ("stem_explains_others" | "stem_explains_one", false) => {
+            format!("the valve movement computed for {name} predicts other loops better than its PV and OP do")
+        }
+        ("stem_explains_others" | "stem_explains_one", true) => {
+            format!("the valve movement computed for {name} predicts the other loops no better than its PV and OP do")
+        }
+        ("own_stem_beside_another" | "own_stem_beside_two" | "own_stem_less_two" | "own_stem", false) => {
+            format!("stiction in {name} explains its PV beyond what the other loops explain")
+        }
+        ("own_stem_beside_another" | "own_stem_beside_two" | "own_stem_less_two" | "own_stem", true) => {
+            format!("the other loops explain PV of {name} as well as stiction in its own valve does")
+        }
+        ("explains_others" | "explains_less_explained", false) if value > 0.0 => {
+            format!("past values of {name}'s PV help to predict the other loops")
+        }
+        ("explained_by_another" | "explained_by_two", true) => format!("other loops help to predict {name}"),
+        _ => return None,
+    };
+    Some(sentence)
+}
+
+/// What drives a member that is not the source.
+pub(super) fn cause(source: &Source) -> Option<String> {
+    let p = probability(source.probability);
+    match (source.kind, &source.loop_name) {
+        (SourceKind::Loop, Some(name)) => Some(format!("driven by {name}, p {p}")),
+        (SourceKind::Outside, _) => Some(format!("driven from outside these loops, p {p}")),
+        _ => None,
+    }
+}
+
+/// A member's part in its group, in a sentence.
+#[must_use]
+pub fn of_member(judged: &MemberJudgement) -> String {
+    let own = judged.p_alone.map_or_else(String::new, |p| format!("; by its own window p {}", probability(p)));
+    match &judged.cause {
+        Some(cause) => format!("{cause}{own}{}", if judged.masked { MASKED } else { "" }),
+        None => format!("may make its group's oscillation, p {}{own}", probability(judged.p_source)),
+    }
+}
+
+/// What a masked member needs.
+const MASKED: &str = "; masked: judge this loop again once the source is repaired";
+
+/// A group as lines of text.
+#[must_use]
+pub fn text(group: &GroupDocument) -> String {
+    let source = &group.source;
+    let p = probability(source.probability);
+    let name = source.loop_name.as_deref().unwrap_or_default();
+    let headline = match source.kind {
+        SourceKind::Loop => format!("{name} makes the oscillation (p {p})"),
+        SourceKind::Outside => {
+            format!("none of these loops makes the oscillation (p {p}): look for a common load upstream")
+        }
+        SourceKind::Several => format!("more than one of these loops may make the oscillation, {name} most likely"),
+        SourceKind::CannotTell => {
+            format!("the windows do not show which loop makes the oscillation; {name} is the likeliest")
+        }
+    };
+    let mut lines = vec![
+        format!("{} loops oscillate together: {headline}", group.members.len()),
+        format!(
+            "  period       {}; probability of a chance group {}",
+            duration(group.period_s),
+            probability(group.p_value)
+        ),
+    ];
+    lines.extend(source.reasons.iter().map(|reason| format!("  because      {reason}")));
+    lines.extend(source.next_test.iter().map(|test| format!("  next test    {test}")));
+    for judged in &group.judgements {
+        let follower = group.followers.iter().find(|f| f.loop_name == judged.loop_name);
+        let role = match follower {
+            None => "source".to_owned(),
+            Some(f) => format!("lag {} s, {} % of its power", number(f.lag_s), (100.0 * f.share).round()),
+        };
+        let p = match (judged.p_stiction, judged.p_alone) {
+            (Some(p), Some(alone)) if p != alone => format!("p {} (alone {})", probability(p), probability(alone)),
+            (Some(p), _) => format!("p {}", probability(p)),
+            (None, _) => "not judged".to_owned(),
+        };
+        let masked = if judged.masked { MASKED } else { "" };
+        lines.push(format!("  {:<12} {role}; stiction {p}{masked}", judged.loop_name));
+    }
+    lines.join("\n")
+}
