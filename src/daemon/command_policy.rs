@@ -24,6 +24,12 @@ pub struct CommandPolicy {
     logged: Rate,
 }
 
+/// How often one way in logs what it refuses.
+#[must_use]
+pub const fn logged_rate() -> Rate {
+    Rate::new(LOGGED_PER_S, LOGGED_AT_ONCE)
+}
+
 impl CommandPolicy {
     /// The rules under these settings.
     #[must_use]
@@ -33,7 +39,7 @@ impl CommandPolicy {
             settings: settings.clone(),
             commands: Rate::new(per_minute / 60.0, (COMMANDS_AT_ONCE * per_minute).max(1.0)),
             runs: Rate::new(per_hour / 3600.0, per_hour.min(RUNS_AT_ONCE)),
-            logged: Rate::new(LOGGED_PER_S, LOGGED_AT_ONCE),
+            logged: logged_rate(),
         }
     }
 

@@ -15,7 +15,7 @@
 pub mod blocks;
 mod bundles;
 pub mod clock;
-mod command_policy;
+pub mod command_policy;
 mod core;
 pub mod documents;
 pub mod faults;

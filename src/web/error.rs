@@ -45,6 +45,12 @@ impl ApiError {
     pub const fn status(&self) -> StatusCode {
         self.status
     }
+
+    /// What is wrong, with the remedy.
+    #[must_use]
+    pub fn why(&self) -> &str {
+        &self.why
+    }
 }
 
 impl IntoResponse for ApiError {

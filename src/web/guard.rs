@@ -8,7 +8,8 @@
 //! opens nothing.
 
 use std::net::IpAddr;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Instant;
 
 use axum::extract::{Request, State};
 use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, header};
@@ -17,6 +18,8 @@ use axum::response::{IntoResponse, Response};
 
 use super::error::ApiError;
 use super::server::{Life, Peer};
+use crate::daemon::command_policy::logged_rate;
+use crate::daemon::queue::Rate;
 
 /// The header that what changes something carries: a page of another origin cannot send it without being asked first.
 pub const OWN_HEADER: &str = "x-stictiond";
@@ -24,6 +27,9 @@ pub const OWN_HEADER: &str = "x-stictiond";
 /// What the page may load: its own files, and no script or style inside the markup.
 const CONTENT: &str = "default-src 'self'; img-src 'self' data:; object-src 'none'; base-uri 'none'; form-action 'self'; \
                        frame-ancestors 'none'";
+
+/// Characters of a refused path that are logged.
+const PATH_LOGGED: usize = 64;
 
 /// The rules.
 #[derive(Debug)]
@@ -34,6 +40,8 @@ pub struct Guard {
     pub token: Option<String>,
     /// Whether connections come through a proxy, so that a loopback peer may be anybody.
     pub behind_proxy: bool,
+    logged: Mutex<Rate>,
+    started: Instant,
 }
 
 /// Whether a client may change something, as `token` of `/api/v1/site` says it.
@@ -76,6 +84,21 @@ fn is_called_locally(headers: &HeaderMap) -> bool {
 }
 
 impl Guard {
+    /// These rules.
+    #[must_use]
+    pub fn new(hosts: Vec<String>, token: Option<String>, behind_proxy: bool) -> Self {
+        Self { hosts, token, behind_proxy, logged: Mutex::new(logged_rate()), started: Instant::now() }
+    }
+
+    /// Logs a request that the client may not make, but not all of a flood. What others sent is logged escaped.
+    fn log_refusal(&self, method: &Method, path: &str, peer: Option<Peer>, refused: &ApiError) {
+        let now_s = self.started.elapsed().as_secs_f64();
+        if self.logged.lock().unwrap_or_else(PoisonError::into_inner).allow(now_s) {
+            let path: String = path.chars().take(PATH_LOGGED).collect();
+            tracing::warn!(%method, ?path, ?peer, status = refused.status().as_u16(), why = refused.why(), "refused");
+        }
+    }
+
     /// Whether a browser may call the server by this name.
     fn knows(&self, host: &str) -> bool {
         let name = name_of(host);
@@ -155,7 +178,13 @@ pub async fn guard(State(guard): State<Arc<Guard>>, request: Request, next: Next
     let of_page = request.uri().path().starts_with("/api/");
     let mut response = match guard.check(&request) {
         Ok(()) => next.run(request).await,
-        Err(refused) => refused.into_response(),
+        Err(refused) => {
+            if matches!(refused.status(), StatusCode::UNAUTHORIZED | StatusCode::FORBIDDEN) {
+                let peer = request.extensions().get::<Peer>().copied();
+                guard.log_refusal(request.method(), request.uri().path(), peer, &refused);
+            }
+            refused.into_response()
+        }
     };
     let headers = response.headers_mut();
     let mut set = |name: header::HeaderName, value: &'static str| {
@@ -181,7 +210,7 @@ mod tests {
     const LOCAL: (&str, &str) = ("host", "localhost:8080");
 
     fn guard(token: Option<&str>, behind_proxy: bool) -> Guard {
-        Guard { hosts: vec!["plant.example".into()], token: token.map(str::to_owned), behind_proxy }
+        Guard::new(vec!["plant.example".into()], token.map(str::to_owned), behind_proxy)
     }
 
     fn host(address: &str) -> Peer {

@@ -90,7 +90,7 @@ pub fn guard_of(page: &Page) -> anyhow::Result<Guard> {
     }
     let mut hosts = page.hosts.clone();
     hosts.extend(machine_name());
-    Ok(Guard { hosts, token, behind_proxy: page.behind_proxy })
+    Ok(Guard::new(hosts, token, page.behind_proxy))
 }
 
 /// Name of this machine in its network.

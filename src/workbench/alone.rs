@@ -19,7 +19,7 @@ use stiction::units::ms_from_ns;
 /// Serves the page until it is dropped. Files are opened and analysed from this machine alone. Times are shown in
 /// `time_zone`.
 pub async fn serve(listener: TcpListener, bench: Bench, time_zone: String) {
-    let guard = Arc::new(Guard { hosts: Vec::new(), token: None, behind_proxy: false });
+    let guard = Arc::new(Guard::new(Vec::new(), None, false));
     let started_ns = now_ns();
     let rules = guard.clone();
     let site = move |Extension(peer): Extension<Peer>, headers: HeaderMap| {

@@ -114,6 +114,12 @@ fn without_a_token_a_proxy_that_says_so_and_a_foreign_name_are_refused() {
         assert_eq!(sent(direct, "localhost", &[(header, "x")]), [403; 3], "{header}");
     }
     assert_eq!(state_of_a(&daemon), "normal");
+    // The log says who was refused what, but not each of a flood.
+    (0..100).for_each(|_| assert_eq!(sent(direct, NAME, &[]), [403; 3]));
+    let log = daemon.logged();
+    let refused: Vec<&str> = log.lines().filter(|line| line.contains("refused") && line.contains("403")).collect();
+    assert!(refused.iter().any(|line| line.contains("/api/v1/loops/A/alarm") && line.contains("127.0.0.1")), "{log}");
+    assert!((10..100).contains(&refused.len()), "{} lines of 321", refused.len());
     let (status, body) =
         request(direct(), &["POST", "/api/v1/loops/A/alarm"], &command_headers("localhost", &[]), COMMANDS[0].1);
     assert_eq!(status, 200, "{body}");
