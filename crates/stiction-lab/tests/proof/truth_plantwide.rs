@@ -5,7 +5,7 @@ use stiction::verdict::{AssessParams, assess};
 use stiction_lab::plants::{Difficulty, Role, plant};
 
 /// Seeds that no rule was fitted to and no table reports.
-const SEEDS: [u64; 3] = [9001, 9002, 9003];
+const SEEDS: core::ops::RangeInclusive<u64> = 9001..=9007;
 
 #[test]
 fn groups_hold_what_one_source_shakes_and_independent_loops_stay_apart() {
@@ -48,7 +48,8 @@ fn groups_hold_what_one_source_shakes_and_independent_loops_stay_apart() {
         assert_eq!(members, others);
     }
     assert!(pairs >= 4 && wrong == 0, "{wrong} of {pairs} members are in the wrong group");
-    assert!(sources >= 1 && named == sources, "{named} of {sources} sources are named");
+    // Nine in ten are named on 60 plants (docs/plant.md); of few groups one may be missed.
+    assert!(sources >= 3 && 3 * named >= 2 * sources, "{named} of {sources} sources are named");
 }
 
 #[test]
