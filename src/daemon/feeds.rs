@@ -115,6 +115,13 @@ impl Feeds {
         Feed::TakenOver { from }
     }
 
+    /// Signals whose source it remembers.
+    #[cfg(test)]
+    #[must_use]
+    pub fn count(&self) -> usize {
+        self.owners.len()
+    }
+
     /// Nothing feeds these loops any more.
     pub fn forget(&mut self, gone: &HashSet<LoopId>) {
         self.owners.retain(|(id, _), _| !gone.contains(id));

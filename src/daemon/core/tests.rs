@@ -26,6 +26,7 @@ impl Core {
             ("recordings", self.registered.shards.len()),
             ("routes", self.routes.count()),
             ("limits", self.limits.count()),
+            ("feeds", self.feeds.count()),
             ("schedule", self.schedule.count()),
             ("series", self.board.as_ref().map_or(0, super::Board::count)),
             ("page", self.overview.as_ref().map_or(0, |overview| overview.changes_after(0, 0).rows.len())),
@@ -47,7 +48,7 @@ impl Plant {
     fn start(dir: &Path) -> Self {
         let text = format!(
             "[site]\nprefix = \"p\"\n[input]\nforget_after_s = 60.0\nnew_loops_per_hour = 1000000\n[window]\nhop_s = 20.0\n\
-             [gap]\nenabled = false\n[recording]\ndir = {:?}\n",
+             [gap]\nenabled = false\n[recording]\ndir = {:?}\n[[bundle]]\nkey = \"gw/**\"\n",
             dir.to_str().unwrap()
         );
         let (config, clock) = (Config::parse(&text).unwrap(), Clock::standing(START_NS));
@@ -71,6 +72,9 @@ impl Plant {
             self.stage.turn();
             self.pass(1);
         }
+        let count =
+            |held: &str| self.stage.remains().iter().find(|(what, _)| *what == held).map_or(0, |(_, count)| *count);
+        assert!(count("feeds") > 0 && count("limits") > 0 && count("routes") > 0, "{:?}", self.stage.remains());
         self.stage.work(usize::MAX, |_, _| None);
         self.settle();
     }
