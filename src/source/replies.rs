@@ -26,6 +26,8 @@ const WAITING_BYTES: usize = 32 << 20;
 const SURPLUS_BYTES: usize = 8 << 20;
 /// Queries without a place that may wait for their refusal.
 const SURPLUS: usize = 8192;
+/// How often a link whose query found no room for its refusal looks for it again.
+const ROOM_AGAIN: Duration = Duration::from_millis(10);
 /// Threads that send at a time, at most: so many links may stand still before others wait for one of them.
 const THREADS: usize = 64;
 /// How long a thread waits for work before it ends.
@@ -125,11 +127,28 @@ impl Replies {
             return Some(Asked { query: Some(query), place: Some(place), room: Some(room), replies: self.clone() });
         }
         self.metrics.queries_dropped.inc();
-        if let Some(room) = surplus.take(bytes) {
-            // The end of a query is a message, too: it leaves by a thread that may wait.
-            let _ = self.surplus.try_send((query, room));
+        let query = match surplus.take(bytes) {
+            Some(room) => self.surplus.try_send((query, room)).err().map(|refused| refused.into_inner().0),
+            None => Some(query),
+        };
+        if let Some(query) = query {
+            // The task of this link waits; Zenoh's thread goes on with those of others.
+            tokio::task::block_in_place(|| self.wait_to_refuse(query, bytes));
         }
         None
+    }
+
+    /// Hands a query to the thread that refuses, once that has room. It must not end here: the end of a query is a message,
+    /// too, and waits for the reader on the thread that also brings samples.
+    fn wait_to_refuse(&self, query: Query, bytes: usize) {
+        let bytes = bytes.min(SURPLUS_BYTES);
+        let room = loop {
+            if let Some(room) = self.budgets[1].take(bytes) {
+                break room;
+            }
+            std::thread::sleep(ROOM_AGAIN);
+        };
+        let _ = self.surplus.send((query, room));
     }
 }
 
