@@ -42,7 +42,7 @@ pub struct LastValue {
 pub type Sign = Arc<dyn Fn(&str, &[u8]) -> Vec<u8> + Send + Sync>;
 
 /// How long Zenoh waits for a reader that has no room before it drops a document for it: what took less met none.
-pub const NOT_TAKEN: Duration = Duration::from_millis(1);
+pub const NOT_TAKEN: Duration = Duration::from_millis(10);
 /// The setting's name; microseconds.
 const WAIT_BEFORE_DROP: &str = "transport/link/tx/queue/congestion_control/drop/wait_before_drop";
 /// What Zenoh is told to do with messages of others. Answers have the priority of their query, and no document has this one:

@@ -120,7 +120,7 @@ def test_top_shows_running_daemons_through_a_restart_and_ends_in_order(folder):
             terminal.press(b"\x08" * 64 + b"Ann\r")
             terminal.until(r"FIC101: acknowledged by Ann")
             terminal.press(b"\r")
-            terminal.until(r"Probability of sticking")
+            terminal.until(r"Stiction almost certain")
             terminal.press(b"\x1b")
             code, out, err = stictiond("top", "--connect", endpoint)
             assert code == 0 and re.search(r"M .\s+FIC101 .*acked", out), (code, out, err)
