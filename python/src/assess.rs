@@ -51,7 +51,7 @@ pub fn assess(
     let settings = settings(&look, &fit, score)?;
     let params = params_of(name, &fit)?;
     let name = name.to_owned();
-    let work = move |_: &_| one(&name, enough(columns.all()), &settings, params)?.told();
+    let work = move |_: &_| one(&name, enough(columns.all()), &settings, params)?.json_and_text();
     supervised(py, None, work)?.map_err(StictionError::new_err)
 }
 
@@ -70,7 +70,7 @@ struct One {
 }
 
 impl One {
-    fn told(&self) -> Result<Told, String> {
+    fn json_and_text(&self) -> Result<Told, String> {
         let document = serde_json::to_string(&self.answer).map_err(|e| e.to_string())?;
         Ok((document, said(&self.answer, self.op_range, &self.notes)))
     }
@@ -177,7 +177,7 @@ fn many<R: Send + 'static>(
 /// One estimate per loop.
 #[pyfunction]
 pub fn assess_many(py: Python<'_>, asked: Many) -> PyResult<Vec<Reply>> {
-    many(py, asked, |answers| answers.into_iter().map(|one| split(one.and_then(|one| one.told()))).collect())
+    many(py, asked, |answers| answers.into_iter().map(|one| split(one.and_then(|one| one.json_and_text()))).collect())
 }
 
 /// The loops of one plant, and the documents of the groups that share an oscillation.
@@ -191,7 +191,7 @@ pub fn assess_plant(py: Python<'_>, asked: Many) -> PyResult<(Vec<Reply>, Vec<St
             .collect();
         let groups = judge_together(&mut plant).map_err(|e| e.to_string())?;
         let groups = groups.iter().map(serde_json::to_string).collect::<Result<_, _>>().map_err(|e| e.to_string())?;
-        Ok((answers.into_iter().map(|one| split(one.and_then(|one| one.told()))).collect(), groups))
+        Ok((answers.into_iter().map(|one| split(one.and_then(|one| one.json_and_text()))).collect(), groups))
     };
     many(py, asked, finish)?.map_err(|e: String| StictionError::new_err(e))
 }

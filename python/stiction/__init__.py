@@ -300,7 +300,7 @@ class Plant(NamedTuple):
     """The loops of one plant, judged together."""
 
     loops: list[Assessment | Failure]
-    """Every loop, in order of first appearance; `to_dict()["group"]` is a member's part in its group."""
+    """Every loop, by first appearance; `to_dict()["group"]` is a member's part in its group."""
     groups: list[dict[str, Any]]
     """Loops that share one oscillation, largest group first: documents `stictiond.group.v1`."""
 

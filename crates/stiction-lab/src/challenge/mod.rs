@@ -22,7 +22,7 @@
 
 pub mod artefact;
 mod enter;
-pub(crate) mod generate;
+pub(crate) mod generator;
 mod kinds;
 pub(crate) mod plant;
 pub mod real;
@@ -34,7 +34,7 @@ pub use kinds::{Kind, Stage};
 pub use truth::{Answer, Tampered, Truth, TruthCase, seal};
 
 use crate::truth::draw::Draw;
-use generate::Order;
+use generator::Order;
 use stiction::record::Record;
 
 /// Development or test set: nothing chosen on one is reported on the same.
@@ -142,7 +142,7 @@ impl Deck {
     #[must_use]
     pub fn deal(&self, index: usize) -> Option<Dealt> {
         let order = self.orders.get(index)?;
-        let case = generate::case(order);
+        let case = generator::case(order);
         let name = format!("loop-{:04}", index + 1);
         let mut record = Record::uniform(case.ts_s, case.op.clone(), case.pv.clone());
         record.sp = Some(case.sp.clone());

@@ -1,7 +1,7 @@
 //! What the generator promises.
 
 use super::enter::{Made, Scale};
-use super::generate::{self, Order};
+use super::generator::{self, Order};
 use super::plant::{Drive, Plant, ProcessSpec};
 use super::valve::{Packing, ValveSpec};
 use super::*;
@@ -104,13 +104,13 @@ fn effects_show_in_most_cases_and_loops_without_one_are_as_quiet_as_their_noise(
     let mut shown = 0;
     let all: Vec<Kind> = Kind::CATALOGUE.into_iter().chain(Kind::FOREIGN).collect();
     for (at, kind) in all.iter().enumerate() {
-        let case = generate::case(&order(vec![*kind], at as u64));
+        let case = generator::case(&order(vec![*kind], at as u64));
         shown += usize::from(case.base_rmse > 1.2 * case.noise_sd);
     }
     assert!(10 * shown >= 8 * all.len(), "{shown} of {}", all.len());
     let left: Vec<f64> = (0..10)
         .map(|seed| {
-            let case = generate::case(&order(vec![], seed));
+            let case = generator::case(&order(vec![], seed));
             case.oracle_rmse / case.noise_sd
         })
         .collect();
@@ -119,7 +119,7 @@ fn effects_show_in_most_cases_and_loops_without_one_are_as_quiet_as_their_noise(
 
 #[test]
 fn the_noise_is_what_the_truth_says() {
-    let case = generate::case(&order(vec![], 4));
+    let case = generator::case(&order(vec![], 4));
     assert!((0.8..1.3).contains(&(noise_sd(&case.pv) / case.noise_sd)));
     assert!((case.noise_sd / case.pv_sd) < 0.11 && std_dev(&case.pv) > 0.8 * case.pv_sd);
 }

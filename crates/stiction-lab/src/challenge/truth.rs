@@ -7,7 +7,7 @@ use sha2::{Digest, Sha256};
 use thiserror::Error;
 
 use super::Split;
-use super::generate::{Case, Order};
+use super::generator::{Case, Order};
 use super::kinds::Stage;
 
 /// Name of the document.

@@ -5,7 +5,7 @@
 //! He's law nor the library's process model makes them. Followers sit behind lag and dead time, in chains and with
 //! recycle; every loop is archived at its own sampling time (1 to 60 s), some through a historian.
 
-mod generate;
+mod generator;
 mod network;
 
 use stiction::record::Record;
@@ -87,5 +87,5 @@ pub struct CaseLoop {
 /// A plant: the draws of its stream (such as a half's name), its seed and difficulty give every bit of it.
 #[must_use]
 pub fn plant(stream: &str, seed: u64, difficulty: Difficulty) -> Vec<CaseLoop> {
-    generate::plant(stream, seed, difficulty)
+    generator::plant(stream, seed, difficulty)
 }

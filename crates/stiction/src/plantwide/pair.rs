@@ -52,7 +52,7 @@ pub(super) fn compare(a: &Cycle, b: &Cycle) -> Option<Pair> {
     let centres: Vec<f64> = (0..frames).map(|k| from + HOP * period * k as f64).collect();
     let amplitudes = [a, b].map(|cycle| cycle.demodulated(frequency, &centres, frame * period));
     let weights = weights(&amplitudes);
-    let [alone_a, alone_b] = amplitudes.each_ref().map(|z| Wander::of(&unwrapped(z.iter().copied()), &weights));
+    let [alone_a, alone_b] = amplitudes.each_ref().map(|z| PhaseNoise::of(&unwrapped(z.iter().copied()), &weights));
     let difference = |(a, b): (&Complex<f64>, &Complex<f64>)| {
         let product = a * b.conj();
         product / length(product).max(f64::MIN_POSITIVE)
@@ -60,7 +60,7 @@ pub(super) fn compare(a: &Cycle, b: &Cycle) -> Option<Pair> {
     let differences: Vec<Complex<f64>> = amplitudes[0].iter().zip(&amplitudes[1]).map(difference).collect();
     let resultant = length(differences.iter().zip(&weights).map(|(u, w)| u * *w).sum());
     let spread = (-2.0 * libm::log(resultant.max(1e-9))).max(1e-8).sqrt();
-    let together = Wander::of(&unwrapped(differences.into_iter()), &weights);
+    let together = PhaseNoise::of(&unwrapped(differences.into_iter()), &weights);
     let periods = frames as f64 * HOP;
     let covariance: f64 = alone_a.rest.iter().zip(&alone_b.rest).zip(&weights).map(|((a, b), w)| w * a * b).sum();
     let [envelope_a, envelope_b] =
@@ -115,8 +115,8 @@ fn unwrapped(z: impl Iterator<Item = Complex<f64>>) -> Vec<f64> {
     angles
 }
 
-/// A phase less its weighted straight line.
-struct Wander {
+/// Phase noise: a phase less its weighted straight line.
+struct PhaseNoise {
     rest: Vec<f64>,
     /// Weighted mean square of the rest, at least 1e-6.
     variance: f64,
@@ -124,7 +124,7 @@ struct Wander {
     slope: f64,
 }
 
-impl Wander {
+impl PhaseNoise {
     fn of(phase: &[f64], weights: &[f64]) -> Self {
         let weighted = |x: &dyn Fn(usize) -> f64| weights.iter().enumerate().map(|(k, w)| w * x(k)).sum::<f64>();
         let (middle, mean) = (weighted(&|k| k as f64), weighted(&|k| phase[k]));

@@ -2,7 +2,7 @@
 
 use super::network::{Edge, Entry, Origin, Own, run};
 use super::{CaseLoop, Difficulty, Role};
-use crate::challenge::generate as one;
+use crate::challenge::generator as one;
 use crate::challenge::plant::{Drive, Plant};
 use crate::challenge::valve::{Law, Packing, ValveSpec};
 use crate::truth::draw::{Draw, std_dev};
