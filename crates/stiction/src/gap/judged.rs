@@ -3,7 +3,6 @@
 use super::decide;
 use super::effects;
 use super::evidence::{Basis, Evidence};
-use super::express::rms;
 use super::model::Model;
 use super::probability::{Calibration, Features};
 use super::types::{
@@ -147,13 +146,5 @@ impl Diagnosis {
         let trace = closes && self.signatures.iter().any(|s| s.met && s.id == self.cause.id);
         let own = self.named().is_some_and(|e| decide::confirmed(e, forward));
         self.cause.confirmed = trace || own || (self.cause.id == effects::time_skew::EFFECT.id);
-    }
-
-    /// Root mean squared held-out error of a free run, PV units, for whoever recomputes a gap.
-    #[must_use]
-    pub fn held_out_rmse(&self, pv: &[f64], prediction: &[f64]) -> f64 {
-        let residual: Vec<f64> = pv.iter().zip(prediction).map(|(y, p)| y - p).collect();
-        let points = (self.blocks.from..pv.len()).filter(|k| self.blocks.held_out[*k] && !self.blocks.masked[*k]);
-        rms(&residual, &points.map(|k| [k, k + 1]).collect::<Vec<_>>())
     }
 }

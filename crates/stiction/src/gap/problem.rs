@@ -169,20 +169,6 @@ impl Problem {
         problem
     }
 
-    /// The same problem with all points for training.
-    #[must_use]
-    pub fn undivided(&self) -> Self {
-        self.held_out_by(&vec![false; self.n()])
-    }
-
-    /// The same problem with the points up to a share of the record for training.
-    #[must_use]
-    pub fn first_part(&self, share: f64) -> Self {
-        let from = self.blocks.from;
-        let end = from + (share * (self.n() - from) as f64) as usize;
-        self.held_out_by(&(0..self.n()).map(|k| k >= end).collect::<Vec<bool>>())
-    }
-
     fn divide_by(&mut self, held_out: &[bool]) {
         let from = self.blocks.from;
         let stretches = |wanted: bool| {

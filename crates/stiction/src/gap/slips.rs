@@ -19,7 +19,6 @@ use crate::ident::slip_search::candidate::Candidate;
 use crate::ident::slip_search::problem::{BehindStem, Problem as SlipProblem};
 use crate::ident::slip_search::settings::SearchSettings;
 use crate::ident::slip_search::stages::{Found, Request, Search as SlipSearch};
-use crate::optim::Contour;
 use crate::signal::detrend::box_means;
 use crate::signal::stats;
 use crate::sim::actuator::lag_path;
@@ -71,7 +70,6 @@ pub fn search_slips(problem: &Problem, search: &Search, length: Length, seed: u6
     let request = Request {
         laws: &[law],
         model: if class == Class::Second { ModelChoice::Sopdt } else { ModelChoice::Fopdt },
-        solver: &Contour,
         fineness_pct: FINENESS_PCT[usize::from(length == Length::Brief)],
         seed,
         rival: f64::INFINITY,

@@ -1,7 +1,7 @@
 //! One candidate: a pair (s, j) and a first slip, the slips they make of OP, and the process model that fits best.
 
 use super::class::{Class, Limits, Shape};
-use super::fit::{BandProfile, Fitted, Fitter, Freedom, Target};
+use super::fit::{Fitted, Fitter, Freedom, Target};
 use crate::sim::slips::{FirstSlip, Law, Sequence, Stroke};
 
 /// A record in normalised form: OP in spans, PV in standard deviations.
@@ -163,12 +163,6 @@ pub struct Candidate {
 }
 
 impl Candidate {
-    /// Whether (s, j) with the same start makes the same slips.
-    #[must_use]
-    pub fn covers(&self, s: f64, j: f64, start: Start) -> bool {
-        self.start == start && self.s_cell[0] <= s && s < self.s_cell[1] && self.j_cell[0] <= j && j < self.j_cell[1]
-    }
-
     /// (s, j) in the middle of what the slips and the fitted fd leave open.
     #[must_use]
     pub fn centred(&self) -> [f64; 2] {
@@ -295,32 +289,11 @@ impl<'a> CandidateFitter<'a> {
         left[count..].iter().map(|r| r * r).sum::<f64>() / (left.len() - count).max(1) as f64
     }
 
-    /// Standard error of the fitted fd in spans of OP, were the residual white; infinite where fd is not seen.
-    pub fn band_error(&mut self, of: &Candidate) -> f64 {
-        let Some(freedom) = self.slip(of.s, of.j, of.start) else { return f64::INFINITY };
-        let signal = [&self.sequence.at[..], &self.sequence.direction[..]];
-        self.fitter.band_error(self.class, &of.fit, signal, self.target, &freedom)
-    }
-
     /// What a candidate leaves of the target, from its first point on.
     pub fn residual(&mut self, of: &Candidate) -> Vec<f64> {
         let Some(freedom) = self.slip(of.s, of.j, of.start) else { return Vec::new() };
         let signal = [&self.sequence.at[..], &self.sequence.direction[..]];
         self.fitter.residual(self.class, &of.fit, signal, self.target, &freedom)
-    }
-
-    /// A candidate's squared error against fd, its slips and shape held, and the band of fd that its slips allow.
-    pub fn profile(&mut self, of: &Candidate) -> Option<(BandProfile, [f64; 2])> {
-        let freedom = self.slip(of.s, of.j, of.start)?;
-        let signal = [&self.sequence.at[..], &self.sequence.direction[..]];
-        Some((self.fitter.profile(self.class, &of.fit, signal, self.target), freedom.fd))
-    }
-
-    /// By how much the standard error of a candidate's fd grows when time constants and lag are free too.
-    pub fn band_stretch(&mut self, of: &Candidate) -> f64 {
-        let Some(freedom) = self.slip(of.s, of.j, of.start) else { return 1.0 };
-        let signal = [&self.sequence.at[..], &self.sequence.direction[..]];
-        self.fitter.band_stretch(self.class, &of.fit, signal, self.target, &freedom)
     }
 
     fn candidate(&self, s: f64, j: f64, start: Start, fit: Fitted) -> Candidate {

@@ -1,7 +1,5 @@
 //! Options of a fit.
 
-use crate::optim::SolverName;
-
 /// Order of the process model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum ModelChoice {
@@ -57,8 +55,6 @@ pub struct Options {
     pub delay: DelayChoice,
     /// Valve model.
     pub valve: ValveChoice,
-    /// The global solver.
-    pub solver: SolverName,
     /// Step of the contour grid, % of the span.
     pub fineness_pct: f64,
     /// Seed of all random choices.
@@ -78,7 +74,6 @@ impl Default for Options {
             model: ModelChoice::default(),
             delay: DelayChoice::default(),
             valve: ValveChoice::default(),
-            solver: SolverName::default(),
             fineness_pct: 5.0,
             seed: 1,
             period_points: None,

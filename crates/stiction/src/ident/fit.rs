@@ -260,30 +260,6 @@ impl Fitter {
         self.residual.clone()
     }
 
-    /// Standard error of fd next to the gain and everything else linear, for white residuals; infinite where the data
-    /// cannot tell fd from the gain.
-    pub fn band_error(
-        &mut self,
-        class: Class,
-        fit: &Fitted,
-        signal: [&[f64]; 2],
-        target: &Target,
-        freedom: &Freedom,
-    ) -> f64 {
-        let again = self.linear(class, &fit.shape, signal, target, freedom);
-        let own = class.memory_len();
-        self.put_together(again.fd);
-        let mut gram = self.products(own, target, &[&self.response, &self.direction]);
-        let whole = gram.at(own + 1, own + 1);
-        gram.eliminate(own + 1);
-        let own_part = gram.at(own + 1, own + 1);
-        if own_part <= 1e-6 * whole || again.gain == 0.0 {
-            return f64::INFINITY;
-        }
-        let freedom_left = (target.y.len() as f64 - 8.0).max(1.0);
-        (again.sse / freedom_left / own_part).sqrt() / again.gain.abs()
-    }
-
     /// What a model leaves of the target, from its first point on.
     pub fn residual(
         &mut self,
@@ -295,43 +271,6 @@ impl Fitter {
     ) -> Vec<f64> {
         let again = self.linear(class, &fit.shape, signal, target, freedom);
         self.leftover(class, &again, signal, target)
-    }
-
-    /// The squared error as a function of fd, the shape held and everything linear free.
-    pub fn profile(&mut self, class: Class, fit: &Fitted, signal: [&[f64]; 2], target: &Target) -> BandProfile {
-        self.lay(class, &fit.shape, signal, target);
-        let own = class.memory_len();
-        let mut gram = self.halves(own, target);
-        gram.eliminate(own);
-        let at = |row: usize, column: usize| gram.at(own + row, own + column);
-        BandProfile { uu: at(0, 0), ud: at(0, 1), dd: at(1, 1), uy: at(0, 2), dy: at(1, 2), yy: at(2, 2) }
-    }
-
-    /// By how much the standard error of fd grows when the shape is free too, at least 1.
-    pub fn band_stretch(
-        &mut self,
-        class: Class,
-        fit: &Fitted,
-        signal: [&[f64]; 2],
-        target: &Target,
-        freedom: &Freedom,
-    ) -> f64 {
-        let again = self.linear(class, &fit.shape, signal, target, freedom);
-        let (own, len) = (class.memory_len(), class.shape_len());
-        self.slopes(class, &again, signal, target);
-        let mut columns: [&[f64]; 5] = [&[]; 5];
-        columns[0] = &self.response;
-        for (slot, column) in columns[1..].iter_mut().zip(&self.slopes[..len]) {
-            *slot = column;
-        }
-        columns[1 + len] = &self.direction;
-        let last = own + 1 + len;
-        let mut free = self.products(own, target, &columns[..len + 2]);
-        let mut held = free.clone();
-        free.eliminate(last);
-        held.eliminate(own + 1);
-        let ratio = held.at(last, last) / free.at(last, last);
-        if ratio > 1.0 { ratio.sqrt() } else { 1.0 }
     }
 
     /// The residual, from the columns that [`Fitter::lay`] left and the response.

@@ -5,18 +5,18 @@
 //! exactly. The search is seeded, bounded in work and scale-free.
 
 mod again;
-pub mod candidate;
+pub(crate) mod candidate;
 mod choice;
 pub mod class;
 pub mod controller;
 pub mod evaluator;
-pub mod fit;
+pub(crate) mod fit;
 pub mod fit_plots;
 pub mod free_run;
 mod frictionless;
 pub mod hypothetical;
-pub mod least_squares;
-pub mod normalise;
+pub(crate) mod least_squares;
+pub(crate) mod normalise;
 pub mod one_step;
 mod order;
 mod quantify;
@@ -25,7 +25,7 @@ pub mod region;
 pub mod residual;
 mod robust;
 pub mod sign;
-pub mod slip_search;
+pub(crate) mod slip_search;
 pub mod surface;
 pub mod width;
 

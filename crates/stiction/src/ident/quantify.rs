@@ -12,7 +12,6 @@ use super::slip_search::problem::Problem;
 use super::slip_search::settings::SearchSettings;
 use super::slip_search::stages::{Ended, Found, Request, Search};
 use super::width::Spread;
-use crate::optim::SolverName;
 use crate::record::Record;
 use crate::signal::stats;
 use crate::sim::slips::Law;
@@ -56,8 +55,6 @@ pub struct Estimate {
     pub spread: Spread,
     /// Number of models evaluated.
     pub evaluations: u64,
-    /// The global solver.
-    pub solver: SolverName,
     /// Rounds of the search, for all signs of the gain.
     pub rounds: usize,
     /// Why the search for the answer ended.
@@ -130,9 +127,8 @@ impl Scale<'_> {
 
 /// The estimate for one sign of the gain; an error above `rival` is given up.
 fn estimate(problem: &Problem<'_>, options: &Options, laws: &[Law], rival: f64, scale: &Scale<'_>) -> Option<Estimate> {
-    let solver = options.solver.solver();
-    let request =
-        Request { laws, model: options.model, solver, fineness_pct: options.fineness_pct, seed: options.seed, rival };
+    let Options { model, fineness_pct, seed, .. } = *options;
+    let request = Request { laws, model, fineness_pct, seed, rival };
     let settings = SearchSettings::usual();
     let (found, mut search) = Search::new(problem, &request, &settings).run();
     let best = *found.best.first()?;
@@ -202,7 +198,6 @@ fn report(
         s_cell: best.cells[0].map(|v| v * span),
         spread: met.spread.scaled(span),
         evaluations: 0,
-        solver: options.solver,
         rounds: found.rounds,
         ended: found.ended,
     })

@@ -192,17 +192,6 @@ impl Steps {
             }
         }
     }
-
-    /// Replaces the signal by `map` of `level - fd direction`, of a stem that starts at `start`; no direction is left.
-    pub fn map_signal(&mut self, start: f64, fd: f64, mut map: impl FnMut(f64) -> f64) {
-        let (mut stem, mut last) = (start, map(start));
-        for step in &mut self.list {
-            stem += step.level - fd * step.direction;
-            let now = map(stem);
-            (step.level, step.direction) = (now - last, 0.0);
-            last = now;
-        }
-    }
 }
 
 /// Puts down what changed at an OP value; the signal from there on.
@@ -354,7 +343,6 @@ mod tests {
         steps.of_signal(&[1.0, 1.0, 3.0, 3.0, 2.5], &[-1.0, -1.0, 1.0, 1.0, 1.0]);
         let points: Vec<u32> = steps.list.iter().map(|s| s.point).collect();
         assert_eq!(points, [2, 4]);
-        steps.map_signal(1.0, 0.5, |v| 2.0 * v);
-        assert_eq!(steps.list[0], Step { point: 2, level: 2.0, direction: 0.0 });
+        assert_eq!(steps.list[0], Step { point: 2, level: 2.0, direction: 2.0 });
     }
 }

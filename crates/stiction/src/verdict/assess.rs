@@ -16,6 +16,7 @@ use crate::ident::controller::{self, Reading};
 use crate::ident::region::{region, severity_by_range, strength_by_span};
 use crate::ident::width::Settings;
 use crate::ident::{Estimate, Options, quantify};
+use crate::optim::SolverName;
 use crate::record::Record;
 use crate::signal::stats;
 
@@ -367,7 +368,8 @@ fn fill(out: &mut Assessment, e: &Estimate, record: &Record, params: &AssessPara
         mse: e.mse,
         fit_pct: 100.0 * (1.0 - e.mse.sqrt() / spread),
     });
-    out.search = Some(Search { solver: e.solver, evaluations: e.evaluations, rounds: e.rounds, stopped: e.ended });
+    let solver = SolverName::Contour;
+    out.search = Some(Search { solver, evaluations: e.evaluations, rounds: e.rounds, stopped: e.ended });
 }
 
 #[cfg(test)]

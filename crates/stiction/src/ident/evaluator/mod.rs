@@ -15,7 +15,7 @@ mod sums;
 mod tables;
 mod walk;
 
-pub use held::{Held, HeldSums};
+pub use held::HeldSums;
 pub use reduced::{Best, Reduced};
 pub use sums::reduce;
 pub use tables::{LATTICE_STEP, Table, View, lattice_index, lattice_tau};

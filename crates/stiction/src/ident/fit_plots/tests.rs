@@ -3,7 +3,6 @@
 use super::*;
 use crate::ident::class::Scratch;
 use crate::ident::{DelayChoice, ModelChoice, ValveChoice};
-use crate::optim::SolverName;
 use crate::sim::noise::Noise;
 use crate::sim::valve::he_step;
 
@@ -34,7 +33,6 @@ fn options() -> Options {
         model: ModelChoice::Auto,
         delay: DelayChoice::Auto,
         valve: ValveChoice::He,
-        solver: SolverName::Contour,
         fineness_pct: 5.0,
         seed: 1,
         period_points: Some(78.0),

@@ -204,12 +204,6 @@ impl Search<'_, '_> {
         });
         shares.fold(0.0, f64::max)
     }
-
-    /// Whether a class is one that the model may have.
-    #[must_use]
-    pub fn allows(model: ModelChoice, class: Class) -> bool {
-        classes_of(model).contains(&class)
-    }
 }
 
 /// Mean squared error on what follows the first part of the record when the process is fitted to that part alone.

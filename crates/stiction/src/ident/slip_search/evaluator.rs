@@ -354,11 +354,6 @@ impl<'a> Evaluator<'a> {
         reduce(self.class, view, tables, &self.steps.list, delay, &mut self.held)
     }
 
-    /// The best lag near `from`'s behind the valve signal at hand, its time constants held.
-    pub fn quick(&mut self, view: &mut View, from: &LatticeFit, freedom: &Freedom) -> LatticeFit {
-        self.at(view, from.places, from.delay, freedom, f64::INFINITY)
-    }
-
     /// The best process near `from` behind the valve signal at hand.
     pub fn settle_fit(&mut self, view: &mut View, from: &LatticeFit, freedom: &Freedom) -> LatticeFit {
         let fit = self.at(view, from.places, from.delay, freedom, f64::INFINITY);

@@ -10,7 +10,7 @@ use crate::ident::candidate::Start;
 use crate::ident::class::Class;
 use crate::ident::evaluator::lattice_index;
 use crate::ident::random::{normal, uniform};
-use crate::optim::{Objective, Outcome, Settings, Solver};
+use crate::optim::{Contour, Objective, Settings, Solver};
 use crate::sim::slips::Law;
 use crate::sim::steps::Step;
 use rand_chacha::ChaCha8Rng;
@@ -69,23 +69,21 @@ impl Scan {
         Self { scans, whole, lump, lumped: Vec::new(), pool: Vec::new(), looks: 0, least: 1.0 }
     }
 
-    /// The solver's look, then an even one.
+    /// A look at the contour solver's grid, then an even one.
     pub fn run(
         &mut self,
         evaluator: &mut Evaluator<'_>,
-        solver: &dyn Solver,
         fineness_pct: f64,
         seed: u64,
         settings: &ScanSettings,
         rng: &mut ChaCha8Rng,
-    ) -> Outcome {
-        // A grid is looked at whole; what solvers refine is refined better later.
+    ) {
+        // A grid is looked at whole; what the solver refines is refined better later.
         let steps = 100.0 / fineness_pct.clamp(0.2, 50.0);
         let grid = 0.5 * steps * (steps + 3.0) + 12.0;
         let asked = Settings { budget: settings.budget.max(grid as u64), fineness_pct, seed };
-        let outcome = solver.search(&mut Looking { scan: self, evaluator }, &asked);
+        let _ = Contour.search(&mut Looking { scan: self, evaluator }, &asked);
         self.evenly(evaluator, settings, rng);
-        outcome
     }
 
     /// An even look on a logarithmic scale of s, which no linear grid gives to small bands.
@@ -279,7 +277,7 @@ impl Scan {
     }
 }
 
-/// The scan as an objective for any solver.
+/// The scan as an objective for the contour solver.
 struct Looking<'s, 'e, 'a> {
     scan: &'s mut Scan,
     evaluator: &'e mut Evaluator<'a>,

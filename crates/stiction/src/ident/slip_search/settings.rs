@@ -6,7 +6,7 @@ use super::local_search::Nearness;
 /// The coarse scan of one round.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ScanSettings {
-    /// Places that a solver may ask for, more where its grid has more.
+    /// Places that the contour solver may ask for, more where its grid has more.
     pub budget: u64,
     /// Smallest s, spans.
     pub least_s: f64,

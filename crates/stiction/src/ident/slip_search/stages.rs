@@ -17,7 +17,6 @@ use crate::ident::class::Class;
 use crate::ident::evaluator::View;
 use crate::ident::random::seeded_rng;
 use crate::ident::residual::{self, Whiteness};
-use crate::optim::Solver;
 use crate::signal::stats;
 use crate::sim::slips::Law;
 use serde::Serialize;
@@ -46,9 +45,7 @@ pub struct Request<'r> {
     pub laws: &'r [Law],
     /// Classes of process that may be.
     pub model: ModelChoice,
-    /// Solver of the coarse scan, and the step of its grid, % of OP's span.
-    pub solver: &'r dyn Solver,
-    /// See `solver`.
+    /// Step of the coarse scan's grid, % of OP's span.
     pub fineness_pct: f64,
     /// Seed.
     pub seed: u64,
@@ -275,8 +272,7 @@ impl<'s, 'a> Search<'s, 'a> {
         let mut evaluator = Evaluator::new(self.problem, law, Class::First, points);
         let seed = self.request.seed.wrapping_add((number as u64) << 32);
         let mut scan = Scan::new(&evaluator, rho, view.nothing());
-        let (solver, fineness_pct) = (self.request.solver, self.request.fineness_pct);
-        let _ = scan.run(&mut evaluator, solver, fineness_pct, seed, &round.scan, &mut rng);
+        scan.run(&mut evaluator, self.request.fineness_pct, seed, &round.scan, &mut rng);
         self.found.scanned.extend(scan.of_every_size(&evaluator));
         let seen = scan.best(&round.scan);
         let mut refitted = seen.iter().filter_map(|c| evaluator.settle(&mut view, c)).collect::<Vec<_>>();
