@@ -72,12 +72,14 @@ fn each_shard_watches_its_own_loops_answers_for_them_and_notices_a_second_one_of
     bus.close().wait().unwrap();
 }
 
+/// When an estimate came, its loop, and the start and end of its window, ns.
+type Heard = (Instant, String, [i64; 2]);
+
 /// Publishes loops at 10 Hz from a session that daemons connect to, and hears their estimates, until it is dropped.
 struct Plant {
     bus: zenoh::Session,
     endpoint: String,
-    /// When estimates came, with their loops.
-    heard: Arc<Mutex<Vec<(Instant, String)>>>,
+    heard: Arc<Mutex<Vec<Heard>>>,
     stop: Arc<AtomicBool>,
     sending: Option<std::thread::JoinHandle<()>>,
 }
@@ -93,13 +95,14 @@ impl Plant {
         let note = heard.clone();
         let hear = move |sample: zenoh::sample::Sample| {
             let document: Value = serde_json::from_slice(&sample.payload().to_bytes()).unwrap();
-            note.lock().unwrap().push((Instant::now(), document["loop"].as_str().unwrap().to_owned()));
+            let window = ["start_ns", "end_ns"].map(|end| document["window"][end].as_i64().unwrap());
+            note.lock().unwrap().push((Instant::now(), document["loop"].as_str().unwrap().to_owned(), window));
         };
         bus.declare_subscriber(plane("**/estimate")).callback(hear).background().wait().unwrap();
         let (of, names, stopped) = (bus.clone(), names.to_vec(), stop.clone());
         let sending = std::thread::spawn(move || {
             while !stopped.load(Ordering::Relaxed) {
-                let t_ns = SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_nanos();
+                let t_ns = now_ns();
                 for name in &names {
                     for (signal, v) in [("op", 50.0), ("pv", (t_ns / 100_000_000 % 7) as f64)] {
                         let json = format!(r#"{{"t": {t_ns}, "v": {v}}}"#);
@@ -112,17 +115,23 @@ impl Plant {
         Self { bus, endpoint, heard, stop, sending: Some(sending) }
     }
 
-    /// Waits until each of so many loops has had an estimate since; says when the last of them came.
-    fn estimated(&self, loops: usize, since: Instant) -> Duration {
+    /// Waits until each of so many loops has had an estimate of a window that ends after a moment; says when the last of them
+    /// came, and the latest start of their windows, ns.
+    fn estimated(&self, loops: usize, since_ns: i64) -> (Instant, i64) {
         wait_for("estimates of all loops", || {
             let heard = self.heard.lock().unwrap();
             let mut first = std::collections::BTreeMap::new();
-            heard.iter().filter(|(at, _)| *at > since).for_each(|(at, name)| {
-                first.entry(name.clone()).or_insert(*at);
+            heard.iter().filter(|(_, _, [_, end_ns])| *end_ns > since_ns).for_each(|(at, name, [start_ns, _])| {
+                first.entry(name.clone()).or_insert((*at, *start_ns));
             });
-            (first.len() == loops).then(|| *first.values().max().unwrap() - since)
+            let last = (first.values().map(|(at, _)| *at).max(), first.values().map(|(_, start_ns)| *start_ns).max());
+            (first.len() == loops).then(|| (last.0.unwrap(), last.1.unwrap()))
         })
     }
+}
+
+fn now_ns() -> i64 {
+    i64::try_from(SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_nanos()).unwrap()
 }
 
 impl Drop for Plant {
@@ -139,21 +148,29 @@ fn a_shard_that_is_killed_and_restarted_keeps_its_alarms_and_goes_on_with_its_wi
     let names: Vec<String> = (0..40).map(|k| format!("FIC{k}")).filter(|name| part.owns(name)).collect();
     let plant = Plant::start(&names);
     let extra = "[daemon]\nid = \"plant-1\"\n[shard]\nindex = 1\ncount = 2\n[window]\nhop_s = 1.0\nlateness_s = 0.2\n\
+                 max_gap_s = 60.0\n\
                  [recording]\nflush_s = 0.1\n";
     let start = || Daemon::start_on(dir.path(), extra, Some(&plant.endpoint));
     let daemon = start();
-    plant.estimated(names.len(), Instant::now());
+    // Five seconds of windows.
+    let began_ns = now_ns();
+    plant.estimated(names.len(), began_ns + 5_000_000_000);
     let command = |cmd: &str| ask(&plant.bus, &plane(&format!("{}/alarm?cmd={cmd};by=ann", names[0]))).unwrap();
     assert_eq!(command("out_of_service")["state"], "out_of_service");
     let killed = Instant::now();
     daemon.kill();
+    let killed_ns = now_ns();
     let daemon = start();
-    let took = plant.estimated(names.len(), killed);
-    println!("killed and restarted: the first estimate of each of {} loops came within {took:.1?}", names.len());
+    let (at, start_ns) = plant.estimated(names.len(), killed_ns);
+    let (loops, took, before_s) = (names.len(), at - killed, (killed_ns - start_ns) as f64 / 1e9);
+    println!(
+        "killed and restarted: the first estimate of each of {loops} loops came within {took:.1?}; its window began {before_s:.1} s before the kill at least"
+    );
+    assert!(before_s > 2.0, "windows begin anew");
     let alarm = wait_for("the alarm", || ask(&plant.bus, &plane(&format!("{}/alarm", names[0]))).ok());
     assert_eq!((&alarm["state"], &alarm["daemon"]), (&"out_of_service".into(), &"plant-1".into()));
     assert_eq!(command("in_service")["state"], "normal");
-    plant.estimated(names.len(), Instant::now());
+    plant.estimated(names.len(), now_ns());
     for file in files(&daemon.stop()).iter().filter(|f| f.extension().is_some_and(|e| e == "mcap")) {
         ok(&["replay", file.to_str().unwrap(), "--verify"]);
     }

@@ -92,6 +92,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
         daemon: String::new(),
         loop_map: serde_json::to_string(&config.loops).unwrap_or_default(),
         raw: config.recording.raw.clone(),
+        continued: BTreeMap::new(),
         config_text,
     };
     let made = write(args, &scenario, config, &run)?;

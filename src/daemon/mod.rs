@@ -27,6 +27,7 @@ pub mod metrics;
 pub mod overview;
 pub mod queue;
 pub mod received;
+mod refill;
 mod reload;
 pub mod replay;
 pub mod rerun;
@@ -40,7 +41,7 @@ mod signals;
 pub mod stage;
 mod worker;
 
-use std::collections::HashSet;
+use std::collections::{BTreeMap, HashSet};
 use std::future::Future;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, RwLock};
@@ -59,6 +60,7 @@ use self::health::HealthSnapshot;
 use self::metrics::Metrics;
 use self::overview::Overview;
 use self::queue::Budget;
+use self::refill::Refilled;
 use self::reload::Reload;
 use self::restore::Restored;
 use self::retention::RetentionParts;
@@ -78,7 +80,6 @@ use crate::web;
 use crate::web::api::Live;
 use stiction_monitor::codec::topic;
 use stiction_monitor::config::Config;
-use stiction_monitor::engine::{Engine, EngineSettings};
 
 /// How long a router may take to answer before that is a fault.
 const ROUTER_WITHIN: Duration = Duration::from_secs(5);
@@ -176,10 +177,25 @@ pub async fn run(
         *snapshot = starting(&daemon_id);
     }
 
+    // What comes from here on waits in the queue.
     let (budget, shares) = (Budget::new(config.input.queue_bytes), Shares::default());
+    let intake = Intake::new(queue, (budget.clone(), shares.clone()), metrics.clone(), Clock::system());
+    let mut subscribers = source::zenoh::subscribe(&session, &config, &intake).await?;
+    let Refilled { engine, continued } = if options.origin == "run" {
+        tokio::select! {
+            refilled = refill_in_background(&config, &faults) => refilled,
+            () = ask_for_patience(&faults, &snapshot) => return Ok(()),
+            () = &mut stop => {
+                server.stop();
+                return Ok(());
+            }
+        }
+    } else {
+        Refilled::empty(&config)
+    };
     let (publisher, publishing) =
         Publisher::start(session.clone(), last.clone(), signer.clone(), (metrics.clone(), faults.clone()))?;
-    let run = run_info(&config, config_text, &options, &daemon_id, run_number);
+    let run = RunInfo { continued, ..run_info(&config, config_text, &options, &daemon_id, run_number) };
     let retention = Arc::new(Mutex::new(config.retention));
     let run_id = run.run_id.clone();
     let (recorder, recording) = Recorder::start(run, config.recording.clone(), metrics.clone(), faults.clone())?;
@@ -224,9 +240,9 @@ pub async fn run(
     let queries = Queries::new(&config, control.clone(), (replies, askers.clone()), metrics.clone());
     let queryables = queries.answer(&session, &daemon_id, &last).await?;
     let parts = Parts {
-        engine: Engine::new(EngineSettings { daemon: Some(daemon_id.as_str().into()), ..config.engine() }),
+        engine: engine.of_daemon(&daemon_id),
         config: Arc::new(config.clone()),
-        input: (budget.clone(), shares.clone()),
+        input: (budget, shares),
         workers,
         diagnoser,
         recorder: Some(recorder),
@@ -247,8 +263,6 @@ pub async fn run(
         core.restore(memories);
         core.run(&incoming, &wishes, &stopping);
     })?;
-    let intake = Intake::new(queue, (budget, shares), metrics.clone(), Clock::system());
-    let mut subscribers = source::zenoh::subscribe(&session, &config, &intake).await?;
     let mine = (prefix.as_str(), daemon_id.as_str(), config.shard);
     subscribers.extend(presence::watch_own_keys(&session, mine, &faults, &metrics).await?);
     let bus = source::zenoh::session_config(&config)?;
@@ -308,6 +322,16 @@ async fn restore_in_background(config: &Config, faults: &Arc<Faults>, metrics: &
     tokio::task::spawn_blocking(read).await.unwrap_or_else(|error| {
         named.raise("restore", format!("earlier runs' alarm states could not be read, the log says where: {error}"));
         Restored::default()
+    })
+}
+
+/// The loops' windows, read on a thread of its own; a failure leaves them empty.
+async fn refill_in_background(config: &Config, faults: &Arc<Faults>) -> Refilled {
+    let (own, named) = (config.clone(), faults.clone());
+    let read = move || refill::refill(Path::new(&own.recording.dir), &own, clock::now_ns(), &named);
+    tokio::task::spawn_blocking(read).await.unwrap_or_else(|error| {
+        faults.raise("restore", format!("the loops' windows begin empty, the log says why: {error}"));
+        Refilled::empty(config)
     })
 }
 
@@ -384,5 +408,6 @@ fn run_info(config: &Config, config_text: String, options: &RunOptions, daemon_i
         daemon: daemon_id.to_owned(),
         loop_map: serde_json::to_string(&config.loops).unwrap_or_default(),
         raw: config.recording.raw.clone(),
+        continued: BTreeMap::new(),
     }
 }

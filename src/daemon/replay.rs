@@ -15,6 +15,7 @@ use super::restore::{RunFile, is_recording};
 use super::to_json;
 use crate::files::rescue::{REMOVED, SAMPLES_KEY};
 use crate::files::{InputKind, Item, RecordingReader};
+use crate::sink::recorder::REFILLED_FROM;
 use stiction::record::Sample;
 use stiction_monitor::codec::decode_recorded;
 use stiction_monitor::codec::topic::{Kind, Leaf, Topic};
@@ -37,6 +38,11 @@ pub struct Output {
 /// An engine that is driven by recorded messages.
 pub struct Replay {
     engine: Engine,
+    settings: EngineSettings,
+    /// The loops of the run before, where a file begins another.
+    before: Option<Engine>,
+    /// Windows are cut and given up, results passed over: only the loops' streams go on.
+    streams_alone: bool,
     /// Requests that wait for their place, per loop.
     waiting: HashMap<LoopId, VecDeque<Request>>,
     /// Where each loop stands among its windows.
@@ -74,12 +80,40 @@ struct MarkerWindow {
 }
 
 impl Replay {
-    /// A replay under a configuration, as the daemon of this id had it. `at_once` is for recordings without results.
+    /// A replay under an engine's settings. `at_once` is for recordings without results.
     #[must_use]
-    pub fn new(config: Config, daemon: Option<&str>, at_once: bool) -> Self {
-        let engine = Engine::new(EngineSettings { daemon: daemon.map(Into::into), ..config.engine() });
-        let (waiting, places) = (HashMap::new(), HashMap::new());
-        Self { engine, waiting, places, gaps: HashMap::new(), diagnose: true, at_once, events: Vec::new() }
+    pub fn new(settings: EngineSettings, at_once: bool) -> Self {
+        Self {
+            engine: Engine::new(settings.clone()),
+            settings,
+            before: None,
+            streams_alone: false,
+            waiting: HashMap::new(),
+            places: HashMap::new(),
+            gaps: HashMap::new(),
+            diagnose: true,
+            at_once,
+            events: Vec::new(),
+        }
+    }
+
+    /// Whether from here on only the loops' streams go on.
+    pub const fn set_streams_alone(&mut self, streams_alone: bool) {
+        self.streams_alone = streams_alone;
+    }
+
+    /// A file begins another run: of the loops so far those go on that its head names.
+    pub fn begin_run(&mut self) {
+        self.before = Some(std::mem::replace(&mut self.engine, Engine::new(self.settings.clone())));
+        self.waiting.clear();
+        self.places.clear();
+        self.gaps.clear();
+    }
+
+    /// The engine as it is now.
+    #[must_use]
+    pub fn into_engine(self) -> Engine {
+        self.engine
     }
 
     /// Whether gap diagnoses are made again from here on, or only their places are kept.
@@ -98,6 +132,7 @@ impl Replay {
         }
         let Some(id) = self.engine.appear(topic.loop_name) else { return Ok(()) };
         match topic.leaf {
+            Leaf::Document(kind) if self.streams_alone && kind != Kind::Input => {}
             Leaf::Document(Kind::Estimate) if !self.at_once => {
                 let marker: Marker = serde_json::from_slice(data).context("a recorded estimate names no window")?;
                 self.answer(id, marker.window.end_ns);
@@ -122,6 +157,7 @@ impl Replay {
     /// Does what outside time or people did there.
     fn obey(&mut self, id: LoopId, input: RecordedInput, out: &mut Vec<Output>) -> anyhow::Result<()> {
         match input {
+            RecordedInput::Command(_) | RecordedInput::GapRun { .. } if self.streams_alone => {}
             RecordedInput::Skip { seq, .. } => {
                 self.waiting.entry(id).or_default().retain(|r| r.seq != seq);
                 self.places.entry(id).or_default().skipped.insert(seq);
@@ -175,12 +211,15 @@ impl Replay {
         }
     }
 
-    /// Takes over the states that a file starts with: everything at the start of the replay, no streams later.
+    /// Takes over the states that a file starts with: everything at the start of the replay and of a run, no streams later.
     ///
     /// # Errors
     /// A payload that is no state.
     pub fn take_head(&mut self, data: &[u8], everything: bool) -> anyhow::Result<()> {
         let state: StateDocument = serde_json::from_slice(data).context("a recorded state cannot be read")?;
+        if let Some(before) = &mut self.before {
+            self.engine.take_loop(before, &state.loop_name, 0..usize::MAX);
+        }
         let Some(id) = self.engine.appear(&state.loop_name) else { return Ok(()) };
         if everything {
             let (windows, waiting) = state.checkpoint.stream.as_ref().map_or((0, 0), |s| (s.windows(), s.waiting()));
@@ -215,6 +254,10 @@ impl Replay {
         while !self.events.is_empty() {
             for event in std::mem::take(&mut self.events) {
                 match event {
+                    Event::Request(request) if self.streams_alone => {
+                        self.engine.skip(request.id, request.seq, &mut self.events);
+                    }
+                    _ if self.streams_alone => {}
                     Event::Request(request) if self.at_once => {
                         self.engine.complete(request.id, request.seq, request.compute(), &mut self.events);
                     }
@@ -250,8 +293,10 @@ pub struct RunMetadata {
     pub config_hash: String,
     /// Id of the daemon, as its documents carry it; none in recordings of before.
     pub daemon: Option<String>,
-    /// The shard's file before, empty for the first.
+    /// The shard's file before, of the same run or of the one that it goes on from; empty for the first.
     pub previous: String,
+    /// Where it begins a run that goes on from another, the first file that its loops were read from.
+    pub refilled_from: String,
     /// Messages that the recorder had lost by then.
     pub lost_before: u64,
     /// Whether the file is a daemon's own, with results.
@@ -290,6 +335,7 @@ impl RunMetadata {
             daemon: metadata.get("daemon").cloned(),
             config,
             previous: get("previous"),
+            refilled_from: get(REFILLED_FROM),
             lost_before: get("lost_before").parse().unwrap_or(0),
             has_results: matches!(get("origin").as_str(), "run" | "demo" | "simulate"),
         })
@@ -337,7 +383,7 @@ pub fn chains_of(input: &Path) -> anyhow::Result<Vec<Vec<PathBuf>>> {
 }
 
 /// The states at the head of a file: loop and greatest source time.
-fn heads(path: &Path, prefix: &str) -> anyhow::Result<BTreeMap<String, Option<i64>>> {
+pub(super) fn heads(path: &Path, prefix: &str) -> anyhow::Result<BTreeMap<String, Option<i64>>> {
     let mut reader = RecordingReader::open(path)?;
     let mut heads = BTreeMap::new();
     while let Some(message) = reader.next_message()? {
@@ -345,7 +391,8 @@ fn heads(path: &Path, prefix: &str) -> anyhow::Result<BTreeMap<String, Option<i6
         if topic.leaf != Leaf::Document(Kind::State) {
             break;
         }
-        let state: StateDocument = serde_json::from_slice(message.data).context("a recorded state cannot be read")?;
+        let state: StateDocument = serde_json::from_slice(message.data)
+            .with_context(|| format!("{}: a recorded state cannot be read", path.display()))?;
         heads.insert(state.loop_name, state.checkpoint.stream.and_then(|s| s.greatest_ns()));
     }
     Ok(heads)
@@ -392,17 +439,13 @@ pub fn files_needed(path: &Path, metadata: &RunMetadata) -> anyhow::Result<Vec<P
     for (name, greatest) in &mut own {
         *greatest = greatest.map(|g| alive.get(name).copied().flatten().map_or(g, |end_ns| g.min(end_ns)));
     }
-    let windows = metadata.config.loops.iter().map(|l| l.window).chain([metadata.config.window]);
-    let reach_s = windows.map(|w| 1.05 * w.max_window_s + 2.0 * w.hop_s + w.lateness_s).fold(0.0, f64::max);
-    let reach_ns = stiction::units::ns_from_s(reach_s);
+    let reach_ns = reach_ns(&metadata.config);
     let mut files = vec![path.to_owned()];
-    let mut previous = metadata.previous.clone();
+    let (mut previous, mut refilled_from) = (metadata.previous.clone(), metadata.refilled_from.clone());
     while !previous.is_empty() {
-        let folder = path.parent().unwrap_or(Path::new("."));
-        let whole = folder.join(&previous);
-        let part = folder.join(format!("{previous}.part"));
-        let Some(file) = [whole.clone(), part].into_iter().find(|p| p.exists()) else {
-            bail!("{}: missing; the windows of {} reach back into it", whole.display(), path.display());
+        let Some(file) = neighbour(path, &previous) else {
+            let gone = path.with_file_name(&previous);
+            bail!("{}: missing; the windows of {} reach back into it", gone.display(), path.display());
         };
         let earlier = heads(&file, &metadata.prefix)?;
         let far_enough =
@@ -410,14 +453,32 @@ pub fn files_needed(path: &Path, metadata: &RunMetadata) -> anyhow::Result<Vec<P
                 // A loop that had not come yet needs nothing from before.
                 earlier.get(name).copied().flatten().is_none_or(|g| greatest.saturating_sub(g) >= reach_ns)
             });
-        previous = RecordingReader::open(&file)?.metadata().get("previous").cloned().unwrap_or_default();
+        let is_first = previous == refilled_from;
+        let reader = RecordingReader::open(&file)?;
+        let get = |key: &str| reader.metadata().get(key).cloned().unwrap_or_default();
+        previous = get("previous");
+        if !get(REFILLED_FROM).is_empty() {
+            refilled_from = get(REFILLED_FROM);
+        }
         files.push(file);
-        if far_enough {
+        if far_enough || is_first {
             break;
         }
     }
     files.reverse();
     Ok(files)
+}
+
+/// How far the windows of any loop may reach back, ns.
+pub(super) fn reach_ns(config: &Config) -> i64 {
+    let windows = config.loops.iter().map(|l| l.window).chain([config.window]);
+    let reach_s = windows.map(|w| 1.05 * w.max_window_s + 2.0 * w.hop_s + w.lateness_s).fold(0.0, f64::max);
+    stiction::units::ns_from_s(reach_s)
+}
+
+/// The recording of this name beside another one, finished or not. An empty name is none.
+pub(super) fn neighbour(path: &Path, name: &str) -> Option<PathBuf> {
+    [path.with_file_name(name), path.with_file_name(format!("{name}.part"))].into_iter().find(|p| p.is_file())
 }
 
 #[cfg(test)]
@@ -426,7 +487,7 @@ mod tests {
 
     #[test]
     fn a_loop_that_changed_hands_is_refused_with_a_remedy() {
-        let mut replay = Replay::new(Config::with_prefix("p"), None, false);
+        let mut replay = Replay::new(Config::with_prefix("p").engine(), false);
         let topic = Topic::parse(Some("p"), "p/@stiction/v1/A/input").unwrap();
         for json in
             [r#"{"kind":"taken","memory":{"alarm":{"state":"normal"},"stream":null}}"#, r#"{"kind":"released"}"#]

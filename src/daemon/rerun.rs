@@ -5,8 +5,9 @@
 use std::collections::{HashMap, VecDeque};
 use std::path::Path;
 use std::sync::{Mutex, PoisonError};
+use std::time::Instant;
 
-use anyhow::{Context, anyhow};
+use anyhow::{Context, anyhow, bail};
 
 use super::replay::{Output, Replay};
 use crate::cores::share;
@@ -14,7 +15,8 @@ use crate::files::{End, Item, RecordingReader};
 use stiction::record::Sample;
 use stiction_monitor::codec::topic::{Kind, Leaf, Topic};
 use stiction_monitor::config::Config;
-use stiction_monitor::engine::{Engine, StateDocument};
+use stiction_monitor::engine::{Engine, EngineSettings, StateDocument};
+use stiction_monitor::shard::stable_hash;
 
 /// Lanes: many more than cores, so that one with a busy loop holds up nobody. Results do not hang on it.
 const LANES: usize = 64;
@@ -26,8 +28,11 @@ const BLOCK_BYTES: usize = 64 << 20;
 /// Engines side by side that are driven by recorded messages.
 pub struct Rerun {
     lanes: Vec<Mutex<Replay>>,
+    settings: EngineSettings,
     /// Says which loops there is a place for, as one engine would.
     places: Engine,
+    /// When whoever waits for it waits no longer.
+    until: Option<Instant>,
 }
 
 /// How one file's replay went.
@@ -85,15 +90,35 @@ impl Rerun {
     /// A replay under a configuration, as the daemon of this id had it. `at_once` is for recordings without results.
     #[must_use]
     pub fn new(config: &Config, daemon: Option<&str>, at_once: bool) -> Self {
-        let lane = |_| Mutex::new(Replay::new(config.clone(), daemon, at_once));
-        Self { lanes: (0..LANES).map(lane).collect(), places: Engine::new(config.engine()) }
+        Self::under(EngineSettings { daemon: daemon.map(Into::into), ..config.engine() }, at_once)
+    }
+
+    fn under(settings: EngineSettings, at_once: bool) -> Self {
+        let lane = |_| Mutex::new(Replay::new(settings.clone(), at_once));
+        let (lanes, places) = ((0..LANES).map(lane).collect(), Engine::new(settings.clone()));
+        Self { lanes, settings, places, until: None }
+    }
+
+    /// Only the loops' streams, under these settings and until this moment: after it [`Rerun::file`] fails.
+    #[must_use]
+    pub fn of_streams(settings: EngineSettings, until: Instant) -> Self {
+        let mut rerun = Self { until: Some(until), ..Self::under(settings, false) };
+        rerun.each(|replay| replay.set_streams_alone(true));
+        rerun
+    }
+
+    /// The engines as they are now.
+    pub fn into_engines(self) -> impl Iterator<Item = Engine> {
+        self.lanes.into_iter().map(|lane| lane.into_inner().unwrap_or_else(PoisonError::into_inner).into_engine())
+    }
+
+    fn each(&mut self, mut change: impl FnMut(&mut Replay)) {
+        self.lanes.iter_mut().for_each(|lane| change(lane.get_mut().unwrap_or_else(PoisonError::into_inner)));
     }
 
     /// Whether gap diagnoses are made again from here on, or only their places are kept.
     pub fn set_diagnose(&mut self, diagnose: bool) {
-        for lane in &mut self.lanes {
-            lane.get_mut().unwrap_or_else(PoisonError::into_inner).set_diagnose(diagnose);
-        }
+        self.each(|replay| replay.set_diagnose(diagnose));
     }
 
     /// Takes a whole file. With `verify` every estimate, alarm and gap is compared with the recorded one.
@@ -101,17 +126,27 @@ impl Rerun {
     /// # Errors
     /// The file cannot be read, or a message is not what its topic says.
     pub fn file(&mut self, path: &Path, prefix: &str, first: bool, verify: bool) -> anyhow::Result<FileReport> {
-        let Self { lanes, places } = self;
-        let lanes = &lanes[..];
         let mut comparing = Comparing { verify, made: HashMap::new(), report: FileReport::default() };
         let mut reader = RecordingReader::open(path)?;
+        let begins_run = reader.metadata().get("file_index").is_some_and(|index| index == "0");
+        if begins_run && !first {
+            self.each(Replay::begin_run);
+            self.places = Engine::new(self.settings.clone());
+        }
+        let (everything, until) = (first || begins_run, self.until);
+        let Self { lanes, places, .. } = self;
+        let lanes = &lanes[..];
         std::thread::scope(|scope| {
             let (send, blocks) = crossbeam_channel::bounded(1);
             let reading = scope.spawn(move || read(&mut reader, prefix, places, &send).map(|()| reader));
             let mut topics: Vec<String> = Vec::new();
             for mut block in &blocks {
                 topics.append(&mut block.topics);
-                comparing.take(run_block(lanes, &block, (&topics, prefix), first), &block, (&topics, prefix), path)?;
+                let made = run_block(lanes, &block, (&topics, prefix), everything);
+                comparing.take(made, &block, (&topics, prefix), path)?;
+                if until.is_some_and(|until| Instant::now() >= until) {
+                    bail!("{}: reading it took too long", path.display());
+                }
             }
             let reader = reading.join().map_err(|_| anyhow!("{}: internal error while reading", path.display()))??;
             Ok(comparing.close(reader.end()))
@@ -133,7 +168,9 @@ fn read(
         let (id, channel) = item.channel();
         let route = *routes.entry(id).or_insert_with(|| {
             let topic = Topic::parse(Some(prefix), &channel.topic)?;
-            let lane = places.appear(topic.loop_name)?.index() % LANES;
+            places.appear(topic.loop_name)?;
+            // By its name: where a run follows another, the loop is in the same lane.
+            let lane = stable_hash(topic.loop_name) as usize % LANES;
             block.topics.push(channel.topic.clone());
             topics += 1;
             Some((lane, topics - 1))
@@ -158,7 +195,12 @@ fn read(
 }
 
 /// Works through a block, the lanes side by side.
-fn run_block(lanes: &[Mutex<Replay>], block: &Block, (topics, prefix): (&[String], &str), first: bool) -> Vec<Made> {
+fn run_block(
+    lanes: &[Mutex<Replay>],
+    block: &Block,
+    (topics, prefix): (&[String], &str),
+    everything: bool,
+) -> Vec<Made> {
     let mut shares: Vec<Vec<usize>> = vec![Vec::new(); lanes.len()];
     for (at, step) in block.steps.iter().enumerate() {
         shares[step.lane].push(at);
@@ -172,7 +214,7 @@ fn run_block(lanes: &[Mutex<Replay>], block: &Block, (topics, prefix): (&[String
         for at in &shares[lane] {
             let step = &block.steps[*at];
             let Some(topic) = &parsed[step.topic] else { continue };
-            if let Err(error) = take(&mut replay, topic, block.held(step), first, &mut fresh) {
+            if let Err(error) = take(&mut replay, topic, block.held(step), everything, &mut fresh) {
                 made.failed = Some((*at, error.context(topic.to_string())));
                 return;
             }
@@ -201,7 +243,7 @@ fn take(
     replay: &mut Replay,
     topic: &Topic<'_>,
     taken: Taken<'_>,
-    first: bool,
+    everything: bool,
     out: &mut Vec<Output>,
 ) -> anyhow::Result<()> {
     let data = match taken {
@@ -215,7 +257,7 @@ fn take(
         return replay.take(topic, data, out);
     }
     let head = serde_json::from_slice::<StateDocument>(data).is_ok_and(|s| s.window_end_ns.is_none());
-    if head { replay.take_head(data, first) } else { Ok(()) }
+    if head { replay.take_head(data, everything) } else { Ok(()) }
 }
 
 impl Comparing {

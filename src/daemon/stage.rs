@@ -5,6 +5,7 @@
 //!
 //! Dropping it is what kill -9 does: nothing is finished.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::{Arc, Mutex, RwLock};
 use std::time::Duration;
@@ -19,6 +20,7 @@ use super::health::{DaemonHealth, HealthSnapshot};
 use super::metrics::Metrics;
 use super::overview::Overview;
 use super::queue::Budget;
+use super::refill::{Refilled, refill};
 use super::restore::{self, Restored};
 use super::retention::{RetentionParts, RetentionWorker};
 use super::worker::{Answered, Job, Workers};
@@ -32,7 +34,7 @@ use crate::source::{Answer, CONTROL_QUEUE, Control, Envelope, Intake, Message};
 use stiction::verdict::Assessment;
 use stiction_monitor::alarm::Command;
 use stiction_monitor::config::{Config, Deliver};
-use stiction_monitor::engine::{Engine, EngineSettings, GapRequest, Request, WindowAnswer};
+use stiction_monitor::engine::{Engine, GapRequest, Request, WindowAnswer};
 
 /// Windows handed to the stage's holder ahead of their fits: as with one worker.
 const AT_HAND: usize = 1;
@@ -89,7 +91,8 @@ impl Stage {
         let Restored { memories, store, run_number, verified } =
             restore::restore(disk.as_ref(), &dir, &prefix, &faults, &metrics);
         restore::tell_aside(&dir, &faults);
-        let run = run_of(&config, config_text, clock, run_number);
+        let Refilled { engine, continued } = refill(&dir, &config, clock.now_ns(), &faults);
+        let run = RunInfo { continued, ..run_of(&config, config_text, clock, run_number) };
         let run_id = run.run_id.clone();
         let place = (disk.clone(), clock.clone());
         let (recorder, writer) = Recorder::pair(run, config.recording.clone(), place, metrics.clone(), faults.clone());
@@ -121,7 +124,7 @@ impl Stage {
         let starting = DaemonHealth::starting(DAEMON_ID, &config.hash());
         let snapshot = HealthSnapshot::new(RwLock::new((clock.now(), Arc::new(starting))));
         let mut core = Core::new(Parts {
-            engine: Engine::new(EngineSettings { daemon: Some(DAEMON_ID.into()), ..config.engine() }),
+            engine: engine.of_daemon(DAEMON_ID),
             config: Arc::new(config),
             input: (budget.clone(), shares),
             workers: Workers { jobs: to_worker, answers: answered.clone() },
@@ -331,5 +334,6 @@ fn run_of(config: &Config, config_text: &str, clock: &Clock, run_number: u64) ->
         daemon: DAEMON_ID.to_owned(),
         loop_map: String::new(),
         raw: config.recording.raw.clone(),
+        continued: BTreeMap::new(),
     }
 }

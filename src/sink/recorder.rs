@@ -6,6 +6,7 @@
 //! over files side by side, [`LOOPS_PER_FILE`] to a file; each such *shard* is a recording of its own.
 
 mod progress;
+mod run;
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -21,10 +22,10 @@ use crate::daemon::clock::Clock;
 use crate::daemon::faults::Faults;
 use crate::daemon::metrics::Metrics;
 use crate::daemon::queue::{Budget, Room};
-use crate::files::columns::{METADATA_COLUMNS, METADATA_RAW};
 use crate::files::disk::{Disk, SystemDisk};
 use crate::files::{RecordingFile, WriteError};
 pub use progress::Progress;
+pub use run::{Continued, REFILLED_FROM, RunInfo};
 use stiction::record::{Sample, Signal};
 use stiction_monitor::codec::topic::{self, Kind};
 use stiction_monitor::config::Recording;
@@ -115,72 +116,6 @@ impl Item {
 #[must_use]
 pub const fn shard_of(id: LoopId) -> usize {
     id.index() / LOOPS_PER_FILE
-}
-
-/// What all files of a run say of themselves.
-#[derive(Debug, Clone)]
-pub struct RunInfo {
-    /// First chunks of every topic.
-    pub prefix: String,
-    /// Names the run.
-    pub run_id: String,
-    /// When it started, ns.
-    pub started_ns: i64,
-    /// Which run of its folder, where that is counted.
-    pub run_number: Option<u64>,
-    /// What made it: `run`, `demo`, `simulate`.
-    pub origin: &'static str,
-    /// The configuration's text.
-    pub config_text: String,
-    /// Its hash.
-    pub config_hash: String,
-    /// Id of the daemon, which its documents carry; empty where none made them.
-    pub daemon: String,
-    /// Its mapped loops, as JSON.
-    pub loop_map: String,
-    /// How its samples are written: `json` or `columns`.
-    pub raw: String,
-}
-
-impl RunInfo {
-    /// The metadata of one file.
-    #[must_use]
-    pub fn metadata(&self, shard: usize, file_index: u32, previous: &str, lost: u64) -> BTreeMap<String, String> {
-        let number = self.run_number.map(|n| ("run_number".to_owned(), n.to_string()));
-        let mut metadata = BTreeMap::from(
-            [
-                ("prefix", self.prefix.clone()),
-                ("version", crate::VERSION.to_owned()),
-                ("config", self.config_text.clone()),
-                ("config_hash", self.config_hash.clone()),
-                ("loop_map", self.loop_map.clone()),
-                ("run_id", self.run_id.clone()),
-                ("started_ns", self.started_ns.to_string()),
-                ("origin", self.origin.to_owned()),
-                ("shard", shard.to_string()),
-                ("file_index", file_index.to_string()),
-                ("previous", previous.to_owned()),
-                ("lost_before", lost.to_string()),
-            ]
-            .map(|(k, v)| (k.to_owned(), v)),
-        );
-        metadata.extend(number);
-        // JSON goes without saying, as in the files from before there was anything else.
-        if self.raw == METADATA_COLUMNS {
-            metadata.insert(METADATA_RAW.to_owned(), self.raw.clone());
-        }
-        metadata.extend((!self.daemon.is_empty()).then(|| ("daemon".to_owned(), self.daemon.clone())));
-        metadata
-    }
-
-    /// The name of one file, without its ending.
-    #[must_use]
-    pub fn stem(&self, shard: usize, file_index: u32) -> String {
-        let stamp: String =
-            stiction::units::format_rfc3339(self.started_ns).chars().filter(char::is_ascii_digit).collect();
-        let stamp = &stamp[..stamp.len().min(14)];
-        format!("{}-{stamp}-{}-s{shard}-{file_index:05}", self.prefix.replace('/', "_"), self.run_id)
-    }
 }
 
 /// The engine's end of the recorder.
@@ -496,12 +431,13 @@ impl Writer {
 
     fn open(&mut self, index: usize, states: &[(Arc<str>, Vec<u8>)]) {
         while self.shards.len() <= index {
+            let before = self.run.continued.get(&self.shards.len());
             self.shards.push(Shard {
                 file: None,
                 messages: 0,
                 unflushed: 0,
                 index: 0,
-                previous: String::new(),
+                previous: before.map_or_else(String::new, |before| before.previous.clone()),
                 opened: self.clock.now(),
                 asked: None,
                 retry_at: None,

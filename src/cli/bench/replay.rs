@@ -1,6 +1,7 @@
 //! Cost of hours of plant time with the publisher's loops: the time to replay their recording, which is made here and
 //! replayed as by `stictiond replay`, and the memory of their histories.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -148,6 +149,7 @@ fn record(
         daemon: String::new(),
         loop_map: String::new(),
         raw: config.recording.raw.clone(),
+        continued: BTreeMap::new(),
     };
     let mut files = Vec::new();
     for (shard, first) in (0..plant.loops).step_by(LOOPS_PER_FILE).enumerate() {

@@ -19,6 +19,7 @@ fn run() -> RunInfo {
         daemon: String::new(),
         loop_map: String::new(),
         raw: "json".to_owned(),
+        continued: BTreeMap::new(),
     }
 }
 

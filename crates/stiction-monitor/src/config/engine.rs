@@ -13,13 +13,13 @@ impl Config {
     /// Settings of an engine.
     #[must_use]
     pub fn engine(&self) -> EngineSettings {
-        let own = |l: &LoopConfig| (l.name.clone(), self.of_loop(Some(l), LoopKind::of_tag(&l.name)));
+        let own = |l: &LoopConfig| (l.name.clone(), Arc::new(self.of_loop(Some(l), LoopKind::of_tag(&l.name))));
         EngineSettings {
             config_hash: self.hash().into(),
             daemon: None,
             max_loops: self.input.max_loops,
             common: LoopKind::ALL.map(|kind| Arc::new(self.of_loop(None, kind))),
-            own: self.loops.iter().map(own).collect(),
+            own: Arc::new(self.loops.iter().map(own).collect()),
         }
     }
 

@@ -38,6 +38,9 @@ pub(super) struct Loop {
     waiting: VecDeque<Waiting>,
     gaps: u64,
     gaps_waiting: VecDeque<WaitingGap>,
+    /// After a restart, the end of the last window that the alarm has taken: the recording may end before it, and none is
+    /// made twice.
+    taken_ns: Option<i64>,
 }
 
 impl Loop {
@@ -53,8 +56,15 @@ impl Loop {
             waiting: VecDeque::new(),
             gaps: 0,
             gaps_waiting: VecDeque::new(),
+            taken_ns: None,
             settings,
         }
+    }
+
+    /// The same loop for another run: its stream goes on, the rest comes from elsewhere or begins anew.
+    pub fn in_next_run(self) -> Self {
+        let Self { name, settings, aligner, history, next_end_ns, windows, gaps, .. } = self;
+        Self { aligner, history, next_end_ns, windows, gaps, ..Self::new(name, settings) }
     }
 
     /// Takes a sample. Windows that come due leave as requests.
@@ -64,10 +74,13 @@ impl Loop {
         let keep_ns = ns_from_s(settings.window.max_window_s);
         while let Some(t_ns) = self.aligner.next_ready_ns(&settings.align) {
             self.enter_hop(id, t_ns, out);
-            let Self { history, aligner, .. } = self;
+            let Self { history, aligner, taken_ns, .. } = self;
             aligner.take_next(&settings.align, &mut |aligned| match aligned {
                 Aligned::Point(point) => history.push(&point, point.t_ns.saturating_sub(keep_ns)),
-                Aligned::Break => history.clear(),
+                Aligned::Break => {
+                    history.clear();
+                    *taken_ns = None;
+                }
             });
         }
         // The window is over once the loop's clock has passed its end and nothing of it waits for its place.
@@ -101,6 +114,10 @@ impl Loop {
 
     /// A window is due: it leaves as a request.
     fn due(&mut self, id: LoopId, end_ns: i64, out: &mut Vec<Event>) {
+        if self.taken_ns.is_some_and(|taken_ns| end_ns <= taken_ns) {
+            return;
+        }
+        self.taken_ns = None;
         let (seq, bad) = (self.windows, self.aligner.bad_since_last_point());
         self.windows += 1;
         let ts_s = self.aligner.sampling_time_s().unwrap_or(0.0);
@@ -245,6 +262,7 @@ impl Loop {
             windows: self.windows,
             gaps: self.gaps,
             waiting: self.waiting.len() as u64,
+            taken_ns: self.taken_ns,
         };
         Checkpoint { alarm: self.alarm.clone(), gap: self.gap.clone(), stream: Some(stream) }
     }
@@ -252,11 +270,16 @@ impl Loop {
     pub fn restore(&mut self, checkpoint: Checkpoint) -> Option<AlarmDocument> {
         (self.alarm, self.gap) = (checkpoint.alarm, checkpoint.gap);
         if let Some(stream) = checkpoint.stream {
-            self.history = self.settings.window.history(stream.points);
+            if self.history.total() != stream.points {
+                self.history = self.settings.window.history(stream.points);
+            }
             self.aligner = stream.aligner;
             self.next_end_ns = stream.next_end_ns;
             self.windows = stream.windows;
             self.gaps = stream.gaps;
+            self.taken_ns = stream.taken_ns;
+        } else if self.aligner.greatest_ns().is_some() {
+            self.taken_ns = self.alarm.window_end_ns();
         }
         let restored = || self.alarm.restored(&self.name).at(&self.settings.place);
         (self.alarm.shown() != State::Normal).then(restored)

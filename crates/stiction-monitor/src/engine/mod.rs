@@ -14,6 +14,7 @@ mod settings;
 mod windowing;
 
 use std::collections::{BTreeSet, HashMap};
+use std::ops::Range;
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
@@ -22,7 +23,6 @@ use crate::alarm::{Alarm, AlarmDocument, Command, CommandError, State};
 use looper::Loop;
 use stiction::record::Sample;
 use stiction::signal::align::{AlignCounts, Aligner};
-use stiction::units::LoopKind;
 use stiction::verdict::EstimateDocument;
 
 pub use due::{Request, Snapshot, WindowAnswer};
@@ -109,6 +109,9 @@ pub struct StreamState {
     /// Windows that had no answer yet.
     #[serde(default, skip_serializing_if = "is_zero")]
     waiting: u64,
+    /// End of the last window that the run before took.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    taken_ns: Option<i64>,
 }
 
 #[allow(clippy::trivially_copy_pass_by_ref)] // as serde calls it
@@ -139,8 +142,9 @@ impl StreamState {
 /// All loops of a daemon.
 #[derive(Debug)]
 pub struct Engine {
-    /// Of loops with settings of their own, those that have not appeared: their places are kept.
     settings: EngineSettings,
+    /// Loops with settings of their own that are not there: their places are kept.
+    own_absent: usize,
     /// By handle; none where a loop was forgotten.
     loops: Vec<Option<Box<Loop>>>,
     by_name: HashMap<Arc<str>, LoopId>,
@@ -158,7 +162,14 @@ impl Engine {
     pub fn new(settings: EngineSettings) -> Self {
         let nobody = Box::new(Loop::new("".into(), settings.common[0].clone()));
         let (loops, by_name, free, left) = (Vec::new(), HashMap::new(), BTreeSet::new(), HashMap::new());
-        Self { settings, loops, by_name, free, left, nobody }
+        Self { own_absent: settings.own.len(), settings, loops, by_name, free, left, nobody }
+    }
+
+    /// The same engine under a daemon's id, which its documents carry.
+    #[must_use]
+    pub fn of_daemon(mut self, id: &str) -> Self {
+        self.settings.daemon = Some(id.into());
+        self
     }
 
     fn of(&self, id: LoopId) -> &Loop {
@@ -217,30 +228,54 @@ impl Engine {
         if let Some(id) = self.find(name) {
             return Some(id);
         }
-        let EngineSettings { own, common, max_loops, .. } = &mut self.settings;
-        let kept = if own.contains_key(name) { 0 } else { own.len() };
-        if self.by_name.len() + kept >= *max_loops {
+        if !self.has_room_for(self.settings.own.contains_key(name)) {
             return None;
         }
-        let settings = own.remove(name).map_or_else(|| common[LoopKind::of_tag(name) as usize].clone(), Arc::new);
-        let id = self.free.pop_first().unwrap_or(LoopId(self.loops.len() as u32));
-        let name: Arc<str> = name.into();
-        let mut new = Loop::new(name.clone(), settings);
-        if let Some(memory) = self.left.remove(&name) {
+        let mut new = Loop::new(name.into(), self.settings.of(name).clone());
+        if let Some(memory) = self.left.remove(name) {
             (new.alarm, new.gap) = (memory.alarm, memory.gap);
         }
-        match self.loops.get_mut(id.index()) {
-            Some(place) => *place = Some(Box::new(new)),
-            None => self.loops.push(Some(Box::new(new))),
+        let id = self.free.first().copied().unwrap_or(LoopId(self.loops.len() as u32));
+        self.put(id, Box::new(new));
+        Some(id)
+    }
+
+    fn put(&mut self, id: LoopId, new: Box<Loop>) {
+        while self.loops.len() <= id.index() {
+            self.free.insert(LoopId(self.loops.len() as u32));
+            self.loops.push(None);
         }
-        self.by_name.insert(name, id);
+        self.free.remove(&id);
+        self.own_absent -= usize::from(self.settings.own.contains_key(&*new.name));
+        self.by_name.insert(new.name.clone(), id);
+        self.loops[id.index()] = Some(new);
+    }
+
+    /// Takes a loop over from an engine with the same settings, with its history, into one of these places: alarm and gap
+    /// watch begin anew, and what was on its way is given up. `None` where there is no such loop, or no place for it.
+    pub fn take_loop(&mut self, from: &mut Self, name: &str, places: Range<usize>) -> Option<LoopId> {
+        let (least, most) = (LoopId(places.start as u32), LoopId(places.end as u32));
+        let free = self.free.range(least..most).next().copied();
+        let id = free.unwrap_or_else(|| LoopId(self.loops.len().max(places.start) as u32));
+        if id >= most || self.find(name).is_some() || !self.has_room_for(self.settings.own.contains_key(name)) {
+            return None;
+        }
+        let old = from.by_name.remove(name)?;
+        let taken = from.loops.get_mut(old.index()).and_then(Option::take)?;
+        from.own_absent += usize::from(from.settings.own.contains_key(name));
+        from.free.insert(old);
+        self.put(id, Box::new(taken.in_next_run()));
         Some(id)
     }
 
     /// Whether a loop without settings of its own may still appear.
     #[must_use]
     pub fn has_room(&self) -> bool {
-        self.by_name.len() + self.settings.own.len() < self.settings.max_loops
+        self.has_room_for(false)
+    }
+
+    fn has_room_for(&self, own: bool) -> bool {
+        self.by_name.len() + if own { 0 } else { self.own_absent } < self.settings.max_loops
     }
 
     /// Takes one sample of a loop.
@@ -257,12 +292,10 @@ impl Engine {
             return false;
         }
         let Some(gone) = self.loops.get_mut(id.index()).and_then(Option::take) else { return false };
-        let Loop { name, settings, alarm, gap, .. } = *gone;
+        let Loop { name, alarm, gap, .. } = *gone;
         self.by_name.remove(&name);
         self.free.insert(id);
-        if !self.settings.common.iter().any(|common| Arc::ptr_eq(common, &settings)) {
-            self.settings.own.insert(name.to_string(), (*settings).clone());
-        }
+        self.own_absent += usize::from(self.settings.own.contains_key(&*name));
         if alarm.shown() != State::Normal {
             self.left.insert(name, Checkpoint { alarm, gap, stream: None });
         }
@@ -353,7 +386,8 @@ impl Engine {
         self.of(id).checkpoint()
     }
 
-    /// Takes a state over: the alarm always, the stream where the checkpoint holds one.
+    /// Takes a state over: the alarm always, the stream where the checkpoint holds one. The history that is there stays if
+    /// it is the stream's.
     /// Gives back the alarm's document where it is not at rest.
     pub fn restore(&mut self, id: LoopId, checkpoint: Checkpoint) -> Option<AlarmDocument> {
         let document = self.of_mut(id).restore(checkpoint);

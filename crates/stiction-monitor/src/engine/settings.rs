@@ -110,5 +110,13 @@ pub struct EngineSettings {
     /// Settings of loops that have none of their own, by what their tags say they control.
     pub common: [Arc<LoopSettings>; LoopKind::ALL.len()],
     /// Settings of loops that have their own, by name: their places are kept.
-    pub own: HashMap<String, LoopSettings>,
+    pub own: Arc<HashMap<String, Arc<LoopSettings>>>,
+}
+
+impl EngineSettings {
+    /// A loop's settings: its own, or those of its kind.
+    #[must_use]
+    pub fn of(&self, name: &str) -> &Arc<LoopSettings> {
+        self.own.get(name).unwrap_or_else(|| &self.common[LoopKind::of_tag(name) as usize])
+    }
 }
