@@ -3,6 +3,8 @@
 //! Only the newest of each document is held, and a few figures of the windows before it; what lies further back is in the
 //! recordings.
 
+mod groups;
+
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, PoisonError, RwLock};
 use std::time::{Duration, Instant};
@@ -14,6 +16,8 @@ use stiction::units::{ms_from_ns, s_from_ns};
 use stiction::verdict::{EstimateDocument, Gate, Verdict, words};
 use stiction_monitor::alarm::{AlarmDocument, Place, Priority, State};
 use stiction_monitor::engine::LoopFigures;
+
+pub use groups::{Membership, ShownGroup, ShownGroups};
 
 /// Windows of a loop whose figures stay at hand.
 pub const RECENT: usize = 24;
@@ -78,6 +82,8 @@ pub struct Row {
     pub class: Option<Size>,
     /// What the last gap diagnosis named.
     pub cause: Option<String>,
+    /// What drives it where it follows its group's oscillation, such as `driven by FIC101, p 0.94`.
+    pub driven: Option<String>,
     /// End of the newest window, ms since 1970.
     pub window_end_ms: Option<f64>,
     /// Seconds between the newest sample's stamp and the daemon's clock, as of the last change of this row.
@@ -126,6 +132,8 @@ struct Entry {
     estimate: Option<Arc<EstimateDocument>>,
     alarm: Option<Arc<AlarmDocument>>,
     cause: Option<String>,
+    /// What drives it, by the newest comparison of loops.
+    driven: Option<String>,
     recent: VecDeque<Recent>,
     newest_ns: Option<i64>,
     /// When a newer stamp was seen last.
@@ -160,6 +168,8 @@ pub struct Changes {
     pub gone: Vec<String>,
     /// Alarms, oldest first.
     pub alarms: Vec<Arc<AlarmDocument>>,
+    /// Whether loops were compared.
+    pub compared: bool,
 }
 
 #[derive(Debug, Default)]
@@ -171,6 +181,7 @@ struct Loops {
     gone: VecDeque<(u64, Arc<str>)>,
     /// The last version of which they are no longer all at hand.
     gone_after: u64,
+    groups: groups::Groups,
 }
 
 impl Loops {
@@ -278,6 +289,7 @@ impl Overview {
             rows: rows.map(|(name, entry)| entry.row(name, now_ns)).collect(),
             gone: gone.map(|(_, name)| name.to_string()).collect(),
             alarms: alarms.map(|(_, document)| document.clone()).collect(),
+            compared: loops.groups.changed > version,
         }
     }
 
@@ -340,6 +352,7 @@ impl Entry {
             estimate: None,
             alarm: None,
             cause: None,
+            driven: None,
             recent: VecDeque::new(),
             newest_ns: None,
             advanced: now,
@@ -388,6 +401,7 @@ impl Entry {
             priority: alarm.and_then(|d| d.priority),
             class: alarm.and_then(|d| d.class),
             cause: self.cause.clone(),
+            driven: self.driven.clone(),
             window_end_ms: a.map(|a| ms_from_ns(a.window.end_ns)),
             data_age_s: self.newest_ns.map(|ns| s_from_ns(now_ns.saturating_sub(ns))),
             silent: self.silent,

@@ -1,7 +1,10 @@
 //! Changes as readers are given them, silence, and the newest windows.
 
 use super::*;
+use stiction::plantwide::GroupDocument;
+use stiction::plantwide::{GROUP_SCHEMA, MemberJudgement, Source, SourceKind, Span};
 use stiction::record::Record;
+use stiction::units::Moment;
 use stiction::verdict::{AssessParams, assess};
 use stiction_monitor::alarm::Alarm;
 
@@ -130,4 +133,74 @@ fn the_newest_windows_stay_and_tell_how_s_goes() {
         .collect();
     assert_eq!(trend(&steady), Some("steady"));
     assert_eq!(trend(&steady.iter().take(5).copied().collect()), None);
+}
+
+fn group(end_ns: i64, members: &[&str]) -> Arc<GroupDocument> {
+    let judgement = |name: &&str| MemberJudgement {
+        loop_name: (*name).to_owned(),
+        p_source: 0.9,
+        p_alone: Some(0.8),
+        p_stiction: Some(0.8),
+        cause: (*name != members[0]).then(|| format!("driven by {}, p 0.90", members[0])),
+        masked: false,
+    };
+    let at = |ns| Span { start_ns: 0, end_ns: ns, start: Moment(0), end: Moment(ns) };
+    Arc::new(GroupDocument {
+        schema: GROUP_SCHEMA,
+        members: members.iter().map(|name| (*name).to_owned()).collect(),
+        source: Source {
+            kind: SourceKind::Loop,
+            loop_name: Some(members[0].to_owned()),
+            probability: 0.9,
+            reasons: Vec::new(),
+            next_test: None,
+        },
+        followers: Vec::new(),
+        judgements: members.iter().map(judgement).collect(),
+        period_s: 60.0,
+        window: at(end_ns),
+        p_value: 1e-3,
+        pairs_compared: 6,
+        version: "0",
+    })
+}
+
+#[test]
+fn a_group_goes_on_where_most_of_its_members_are() {
+    let (overview, now) = (Overview::default(), Instant::now());
+    assert!(overview.groups(now).compared_age_s.is_none());
+    overview.show_groups(now, vec![group(1, &["A", "B", "C"]), group(1, &["X", "Y"])]);
+    // C joins X and Y; the two groups come in the other order.
+    overview.show_groups(now, vec![group(2, &["X", "Y", "C"]), group(2, &["A", "B"])]);
+    let shown = overview.groups(now).groups;
+    let told: Vec<_> = shown.iter().map(|g| (g.id, g.document.members.join(""), g.history.len())).collect();
+    assert_eq!(told, [(0, "AB".to_owned(), 2), (1, "XYC".to_owned(), 2)]);
+    assert_eq!(shown[1].history[0].members, ["X", "Y"]);
+    // One that is gone is not shown, and goes on when it comes back; the history is bounded.
+    overview.show_groups(now, Vec::new());
+    assert!(overview.groups(now).groups.is_empty());
+    for k in 0..300 {
+        overview.show_groups(now, vec![group(3 + k, &["A", "B"])]);
+    }
+    let shown = overview.groups(now + Duration::from_secs(5));
+    assert_eq!(shown.compared_age_s, Some(5.0));
+    assert_eq!((shown.groups[0].id, shown.groups[0].history.len()), (0, 200));
+}
+
+#[test]
+fn a_follower_says_what_drives_it_until_it_is_in_no_group() {
+    let (overview, now, place) = (Overview::default(), Instant::now(), Place::default());
+    for name in ["A", "B", "C"] {
+        overview.figures(&name.into(), &place, now, &figures(5));
+    }
+    let Changes { version, compared, .. } = overview.changes_after(0, 5);
+    assert!(!compared);
+    overview.show_groups(now, vec![group(1, &["A", "B"])]);
+    let Changes { version, rows, compared, .. } = overview.changes_after(version, 5);
+    let driven: Vec<_> = rows.iter().map(|r| (r.name.as_str(), r.driven.as_deref())).collect();
+    assert_eq!((compared, driven), (true, vec![("B", Some("driven by A, p 0.90"))]));
+    overview.show_groups(now, Vec::new());
+    let Changes { version, rows, .. } = overview.changes_after(version, 5);
+    assert_eq!((rows.len(), rows[0].driven.as_deref()), (1, None));
+    assert!(!overview.changes_after(version, 5).compared);
 }

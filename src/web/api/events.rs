@@ -44,7 +44,7 @@ pub(super) fn operations() -> Vec<Operation<Shared>> {
         method: "get",
         path: "/events",
         summary: "Changes as they come, as server-sent events: site, loops (rows; the first with full: true, which replaces all \
-                  before it), alarm (document), and of one loop samples and estimate",
+                  before it), alarm (document), groups (loops were compared), and of one loop samples and estimate",
         query: &[Parameter { name: "loop", words: "a loop whose samples and estimates are wanted too" }],
         body: None,
         response: ResponseKind::Events,
@@ -110,7 +110,8 @@ impl Watch {
             self.ready.push_back(event("site", &site_of(&self.live, self.token)));
         }
         self.count = self.count.wrapping_add(1);
-        let Changes { version, full, rows, mut gone, mut alarms } = self.live.overview.changes_after(self.version, now);
+        let Changes { version, full, rows, mut gone, mut alarms, compared } =
+            self.live.overview.changes_after(self.version, now);
         self.full |= full;
         if self.full {
             // Who comes new has the alarms from the list, and no row of a loop that has left.
@@ -127,6 +128,10 @@ impl Watch {
             self.ready.push_back(event("loops", &rows));
         }
         self.ready.extend(alarms.iter().map(|document| event("alarm", document.as_ref())));
+        if compared {
+            // Only that there is something new: a page that shows groups asks for them.
+            self.ready.push_back(event("groups", &json!({"now_ms": ms_from_ns(now)})));
+        }
         self.version = version;
         self.look_at_loop().await;
     }

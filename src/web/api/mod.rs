@@ -3,6 +3,7 @@
 mod alarms;
 mod curves;
 mod events;
+mod groups;
 mod loops;
 mod over_time;
 mod past;
@@ -243,6 +244,7 @@ pub fn operations() -> Vec<Operation<Shared>> {
         reviews::operations(),
         alarms::operations(),
         events::operations(),
+        groups::operations(),
     ]
     .into_iter()
     .flatten()
