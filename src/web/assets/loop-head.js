@@ -57,7 +57,7 @@ function downloads(loop) {
 export function head(root, loop) {
   const { estimate, alarm, words, row: first } = loop.document;
   const row = store.rows.get(loop.name) ?? first;
-  const key = JSON.stringify([estimate?.window?.end_ns, alarm?.event_id, row.ne107, row.status, row.gates, loop.review, words]);
+  const key = JSON.stringify([estimate?.window?.end_ns, alarm?.event_id, row.ne107, row.status, row.driven, row.gates, loop.review, words]);
   if (key === root.dataset.key) return;
   const focus = document.activeElement && root.contains(document.activeElement) ? document.activeElement.getAttribute("aria-label") : null;
   root.dataset.key = key;
@@ -72,6 +72,7 @@ export function head(root, loop) {
     h("p", { class: "crumbs" }, h("a", { href: "#/" }, "Overview"), " / ", row.area ? [h("a", { href: `#/?area=${encodeURIComponent(row.area)}` }, row.area), " / "] : null, row.name),
     h("div", { class: "loop-title" }, symbol(ne, 34), h("div", null, h("h1", null, row.name, h("span", { class: "headline-verdict" }, ` ${verdict}`)),
       h("p", null, h("span", { class: `ne-words ne-${ne}` }, NE107[ne].name), " · ", state(alarm), row.equipment ? ` · ${row.equipment}` : "", row.criticality ? ` · criticality ${row.criticality}` : ""))),
+    row.driven ? h("p", { class: "driven" }, format.sentence(row.driven), " ", h("a", { href: `#/groups?loop=${encodeURIComponent(row.name)}` }, "Its group")) : null,
     lead(words, row),
     row.gates?.length ? h("p", { class: "warning" }, "Limits of this window: ", row.gates.map(plain).join(", "), ".") : null,
     todo(words, alarm),

@@ -19,6 +19,9 @@ function numbers(row) {
   return [h("span", null, seen(row.p_stiction, row.stiction)), size ? h("span", null, h("i", null, "s"), ` ${size}`) : null];
 }
 
+// A follower's cause says more than its own verdict.
+const wordsOf = (row) => (row.driven ? `${row.driven}; ${row.status}` : row.status);
+
 function inside(row) {
   const key = neOf(row);
   const seen = { "aria-hidden": "true" };
@@ -27,7 +30,7 @@ function inside(row) {
     h("span", { class: "tile-head", ...seen }, symbol(key), h("b", { class: "tile-name" }, row.name),
       row.unacknowledged ? h("span", { class: "flag" }, "unack") : null,
       row.grade ? h("span", { class: "grade", title: `grade ${row.grade}` }, row.grade) : null),
-    h("span", { class: "tile-words", title: row.status, ...seen }, row.status),
+    h("span", { class: "tile-words", title: wordsOf(row), ...seen }, wordsOf(row)),
     h("span", { class: "tile-numbers", ...seen }, numbers(row)),
     h("span", { class: "tile-foot", ...seen }, spark(row.recent ?? []),
       row.s_trend && row.stiction ? h("span", { class: `trend ${row.s_trend}`, title: `s is ${row.s_trend}` }, TREND[row.s_trend]) : null,
@@ -44,7 +47,7 @@ function ageWords(row) {
 
 // What a screen reader says of a tile, with pauses where the eye sees lines.
 function spoken(row) {
-  const parts = [row.name, NE107[neOf(row)].name, row.status];
+  const parts = [row.name, NE107[neOf(row)].name, wordsOf(row)];
   if (row.unacknowledged) parts.push("alarm unacknowledged");
   if (row.p_stiction !== null) parts.push(`stiction ${seen(row.p_stiction, row.stiction)}`);
   const size = sizeOf(row, opUnit(row));
