@@ -104,7 +104,7 @@ pub fn assess_windows(
 
 /// A window's document, and its words.
 fn one(name: &str, hash: &str, request: &Request, notes: &[String]) -> Result<Told, String> {
-    let WindowAnswer { record, assessment } = request.compute();
+    let WindowAnswer { record, assessment, .. } = request.compute();
     let answer = Answer {
         document: EstimateDocument::new(name, hash, assessment),
         s0: span_of(&record),

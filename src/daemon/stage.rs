@@ -34,7 +34,7 @@ use crate::source::{Answer, CONTROL_QUEUE, Control, Envelope, Intake, Message};
 use stiction::verdict::Assessment;
 use stiction_monitor::alarm::Command;
 use stiction_monitor::config::{Config, Deliver};
-use stiction_monitor::engine::{Engine, GapRequest, Request, WindowAnswer};
+use stiction_monitor::engine::{Engine, GapRequest, Request};
 
 /// Windows handed to the stage's holder ahead of their fits: as with one worker.
 const AT_HAND: usize = 1;
@@ -190,8 +190,7 @@ impl Stage {
         for done in 0..most {
             let Ok(Job { request, arrival_ns }) = self.jobs.try_recv() else { return done };
             let assessment = fit(self.core.engine().name(request.id), &request);
-            let record = || Arc::new(request.record());
-            let answer = assessment.map(|assessment| WindowAnswer { record: record(), assessment });
+            let answer = assessment.map(|assessment| request.answer(request.record(), assessment));
             let (id, seq, end_ns, took) = (request.id, request.seq, request.end_ns, Duration::ZERO);
             let _ = self.answers.send(Answered { id, seq, end_ns, arrival_ns, took, answer });
             // The answer makes room for the next one in the schedule.

@@ -2,15 +2,13 @@
 //! same for the same windows, whatever becomes of the diagnoses.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use std::sync::Arc;
-
 use stiction::record::{Sample, Signal, Value};
 use stiction::sim::closed_loop::{ClosedLoop, LoopModel, ValveLaw, ValveModel};
 use stiction::sim::controller::{Action, PidSettings};
 use stiction::sim::process::ProcessModel;
 use stiction::verdict::{Assessment, Oscillation, Process, Window};
 use stiction_monitor::config::Config;
-use stiction_monitor::engine::{Engine, Event, GapReason, GapRequest, LoopId, Request, SkipReason, WindowAnswer};
+use stiction_monitor::engine::{Engine, Event, GapReason, GapRequest, LoopId, Request, SkipReason};
 
 const SECOND: i64 = 1_000_000_000;
 const HOUR: i64 = 3600 * SECOND;
@@ -55,8 +53,7 @@ impl<J: FnMut(usize, &Request) -> Assessment> Rig<J> {
             for event in std::mem::take(&mut events) {
                 match event {
                     Event::Request(r) => {
-                        let (record, assessment) = (Arc::new(r.record()), (self.judge)(self.windows, &r));
-                        let answer = WindowAnswer { record, assessment };
+                        let answer = r.answer(r.record(), (self.judge)(self.windows, &r));
                         self.windows += 1;
                         self.engine.complete(r.id, r.seq, answer, &mut events);
                     }

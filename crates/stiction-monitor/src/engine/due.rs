@@ -7,6 +7,7 @@
 use std::sync::Arc;
 
 use super::LoopId;
+use super::gaps::{Accepted, Watched};
 use super::settings::{LoopSettings, WindowParams};
 use super::windowing::choose_record;
 use stiction::record::Record;
@@ -65,6 +66,8 @@ pub struct Request {
     pub(super) bad: u16,
     /// The loop's sampling time when it was due, s; 0 where it was not known.
     pub(super) ts_s: f64,
+    /// The loop's accepted model when it was due.
+    pub(super) accepted: Option<Accepted>,
 }
 
 /// The answer to a [`Request`].
@@ -74,6 +77,8 @@ pub struct WindowAnswer {
     pub record: Arc<Record>,
     /// The estimate.
     pub assessment: Assessment,
+    /// What the gap watch asks of the record.
+    pub(super) watched: Watched,
 }
 
 impl Request {
@@ -95,7 +100,14 @@ impl Request {
     pub fn compute(&self) -> WindowAnswer {
         let record = self.record();
         let assessment = assess(&record, &self.settings.assess);
-        WindowAnswer { record: Arc::new(record), assessment }
+        self.answer(record, assessment)
+    }
+
+    /// The answer with an estimate of its record.
+    #[must_use]
+    pub fn answer(&self, record: Record, assessment: Assessment) -> WindowAnswer {
+        let watched = Watched::of(&assessment, &record, self.accepted.clone());
+        WindowAnswer { record: Arc::new(record), assessment, watched }
     }
 
     /// Bytes that it takes once it shares nothing with its loop any more.
@@ -105,6 +117,9 @@ impl Request {
     }
 }
 
+/// What an estimate was made from, and what the gap watch asks of it; none of a window that nobody computed.
+pub(super) type Computed = (Arc<Record>, Watched);
+
 /// A window that waits for its answer.
 #[derive(Debug)]
 pub(super) struct Waiting {
@@ -113,7 +128,7 @@ pub(super) struct Waiting {
     pub end_ns: i64,
     /// What its document says of it where nobody computes it.
     latest: Window,
-    pub answer: Option<(Assessment, Option<Arc<Record>>)>,
+    pub answer: Option<(Assessment, Option<Computed>)>,
 }
 
 impl Waiting {

@@ -56,12 +56,41 @@ pub enum GapReason {
 
 /// A model against which later windows are held.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-struct Accepted {
+pub(super) struct Accepted {
     model: Model,
     /// Grade of its estimate.
     grade: char,
     /// Name of its window, ns.
     window_end_ns: i64,
+}
+
+/// What a watch asks of a window's record: computed with the window's estimate, not on the engine's thread.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Watched {
+    /// The model that was accepted when the window was due.
+    accepted: Option<Accepted>,
+    /// Its gap in the window.
+    gap: Option<f64>,
+    /// The window's own model, if it is graded A or B.
+    model: Option<Model>,
+}
+
+impl Watched {
+    /// Of a window that became due under this model.
+    pub(super) fn of(assessment: &Assessment, record: &Record, accepted: Option<Accepted>) -> Self {
+        let gap = fit_pct(assessment).and_then(|_| accepted.as_ref()?.gap_in(record));
+        let model = grade(assessment).and_then(|_| model_of(assessment, record));
+        Self { accepted, gap, model }
+    }
+}
+
+fn fit_pct(assessment: &Assessment) -> Option<f64> {
+    assessment.process.as_ref().map(|p| p.fit_pct).filter(|fit| fit.is_finite())
+}
+
+/// The grade of an estimate whose model may be accepted.
+fn grade(assessment: &Assessment) -> Option<char> {
+    assessment.grade.filter(|grade| matches!(grade, 'A' | 'B'))
 }
 
 /// A loop's memory of what is usual.
@@ -80,6 +109,10 @@ pub struct GapWatch {
 }
 
 impl GapWatch {
+    pub(super) const fn accepted(&self) -> Option<&Accepted> {
+        self.accepted.as_ref()
+    }
+
     /// The model against which a diagnosis would be made now.
     #[must_use]
     pub fn model(&self) -> Option<&Model> {
@@ -91,11 +124,17 @@ impl GapWatch {
         &mut self,
         assessment: &Assessment,
         record: &Record,
+        watched: Watched,
         params: &GapParams,
     ) -> Option<(GapReason, Option<Model>)> {
-        let fit_pct = assessment.process.as_ref().map(|p| p.fit_pct).filter(|fit| fit.is_finite())?;
+        let fit_pct = fit_pct(assessment)?;
         let fell = usual(&self.fits_pct).is_some_and(|median| fit_pct < median - FIT_DROP_PCT);
-        let gap = self.accepted.as_ref().and_then(|a| relative_gap(record, &a.model, a.window_end_ns));
+        let gap = if watched.accepted == self.accepted {
+            watched.gap
+        } else {
+            // Another model was accepted while the window waited, which is rare.
+            self.accepted.as_ref().and_then(|accepted| accepted.gap_in(record))
+        };
         let limit = usual(&self.gaps).map(|median| GAP_GROWTH * median.max(LEAST_GAP));
         let grew = gap.zip(limit).is_some_and(|(gap, limit)| gap > limit);
         remember(&mut self.fits_pct, fit_pct);
@@ -109,7 +148,7 @@ impl GapWatch {
             (self.ran_ns, self.renew) = (Some(end_ns), true);
             (if fell { GapReason::FitFell } else { GapReason::GapGrew }, self.model().cloned())
         });
-        self.accept(assessment, record);
+        self.accept(assessment, watched.model);
         asked
     }
 
@@ -118,13 +157,12 @@ impl GapWatch {
         (self.ran_ns, self.renew) = (None, false);
     }
 
-    fn accept(&mut self, assessment: &Assessment, record: &Record) {
-        let Some(grade @ ('A' | 'B')) = assessment.grade else { return };
+    fn accept(&mut self, assessment: &Assessment, model: Option<Model>) {
+        let (Some(grade), Some(model)) = (grade(assessment), model) else { return };
         let better = |a: &Accepted| a.grade == 'B' && grade == 'A' && self.departing == 0;
         if !self.renew && !self.accepted.as_ref().is_none_or(better) {
             return;
         }
-        let Some(model) = model_of(assessment, record) else { return };
         self.accepted = Some(Accepted { model, grade, window_end_ns: assessment.window.end_ns });
         self.gaps.clear();
         self.renew = false;
@@ -154,17 +192,19 @@ fn fixed(model: &Model) -> Fixed<'_> {
     Fixed { law, fs, fd, gain, time_constants_s: &p.time_constants_s, dead_time_s, integrating }
 }
 
-/// What the model leaves of PV above its white noise after its own window, over PV's standard deviation. `None` until
-/// half of the window lies after it: a model knows the points that it was made from.
-fn relative_gap(record: &Record, model: &Model, made_ns: i64) -> Option<f64> {
-    let length_ns = record.end_ns.saturating_sub(record.start_ns);
-    if made_ns.saturating_sub(record.start_ns) > length_ns / 2 {
-        return None;
+impl Accepted {
+    /// What the model leaves of PV above its white noise after its own window, over PV's standard deviation. `None` until
+    /// half of the window lies after it: a model knows the points that it was made from.
+    fn gap_in(&self, record: &Record) -> Option<f64> {
+        let length_ns = record.end_ns.saturating_sub(record.start_ns);
+        if self.window_end_ns.saturating_sub(record.start_ns) > length_ns / 2 {
+            return None;
+        }
+        let run = free_run(record, &fixed(&self.model), self.window_end_ns)?;
+        let noise = stats::noise_sd(&record.pv);
+        let gap = (run.rmse * run.rmse - noise * noise).max(0.0).sqrt() / stats::std_dev(&record.pv);
+        gap.is_finite().then_some(gap)
     }
-    let run = free_run(record, &fixed(model), made_ns)?;
-    let noise = stats::noise_sd(&record.pv);
-    let gap = (run.rmse * run.rmse - noise * noise).max(0.0).sqrt() / stats::std_dev(&record.pv);
-    gap.is_finite().then_some(gap)
 }
 
 /// The model that an estimate stands for, with the rest at which its own window was.

@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-use super::due::{Request, Snapshot, Waiting, WindowAnswer};
+use super::due::{Computed, Request, Snapshot, Waiting, WindowAnswer};
 use super::gaps::{GapReason, GapRefusal, GapRequest, GapWatch, PublishedGap};
 use super::{Checkpoint, Event, LoopFigures, LoopId, LoopSettings, SkipReason, StateDocument, StreamState};
 use crate::alarm::{Alarm, AlarmDocument, Command, CommandError, State};
@@ -123,7 +123,8 @@ impl Loop {
         let ts_s = self.aligner.sampling_time_s().unwrap_or(0.0);
         self.waiting.push_back(Waiting::new(seq, end_ns, &self.history, ts_s));
         let (snapshot, settings) = (Snapshot::now(&self.history, end_ns), self.settings.clone());
-        out.push(Event::Request(Box::new(Request { id, seq, end_ns, settings, snapshot, bad, ts_s })));
+        let accepted = self.gap.accepted().cloned();
+        out.push(Event::Request(Box::new(Request { id, seq, end_ns, settings, snapshot, bad, ts_s, accepted })));
     }
 
     /// Takes an answer (or none) and consumes all that are next in order.
@@ -137,12 +138,12 @@ impl Loop {
     ) {
         let Some(waiting) = self.waiting.iter_mut().find(|w| w.seq == seq) else { return };
         match answer {
-            Some(answer) => waiting.answer = Some((answer.assessment, Some(answer.record))),
+            Some(answer) => waiting.answer = Some((answer.assessment, Some((answer.record, answer.watched)))),
             None => waiting.skip(),
         }
         while self.waiting.front().is_some_and(|w| w.answer.is_some()) {
-            if let Some((assessment, record)) = self.waiting.pop_front().and_then(|w| w.answer) {
-                self.consume(id, record.as_ref(), assessment, hash, out);
+            if let Some((assessment, computed)) = self.waiting.pop_front().and_then(|w| w.answer) {
+                self.consume(id, computed, assessment, hash, out);
             }
         }
     }
@@ -150,14 +151,17 @@ impl Loop {
     fn consume(
         &mut self,
         id: LoopId,
-        record: Option<&Arc<Record>>,
+        computed: Option<Computed>,
         assessment: Assessment,
         hash: &Arc<str>,
         out: &mut Vec<Event>,
     ) {
         let change = self.alarm.window(&self.name, &assessment, &self.settings.alarm);
         // A window that nobody computed has no model that could depart.
-        let departed = record.and_then(|r| Some((r, self.gap.window(&assessment, r, &self.settings.gap)?)));
+        let departed = computed.and_then(|(record, watched)| {
+            let asked = self.gap.window(&assessment, &record, watched, &self.settings.gap)?;
+            Some((record, asked))
+        });
         let end_ns = assessment.window.end_ns;
         out.push(Event::Estimate(id, Box::new(EstimateDocument::new(&self.name, hash, assessment))));
         if let Some(document) = change {
@@ -166,7 +170,7 @@ impl Loop {
         let checkpoint = Checkpoint { alarm: self.alarm.clone(), gap: self.gap.clone(), stream: None };
         out.push(Event::State(id, Box::new(StateDocument::new(&self.name, Some(end_ns), checkpoint))));
         if let Some((record, (reason, model))) = departed {
-            self.ask_gap(id, (reason, None), record.clone(), model, hash, out);
+            self.ask_gap(id, (reason, None), record, model, hash, out);
         }
     }
 
