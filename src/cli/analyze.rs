@@ -167,13 +167,14 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     if desk.table && format == Format::Text {
         say(desk.summary.table())?;
     }
-    if let Some(groups) = groups {
+    if let Some(groups) = &groups {
         match format {
             Format::Json => groups.iter().try_for_each(|group| say(serde_json::to_string(group)?))?,
-            Format::Text => say(groups_text(&groups, desk.done))?,
+            Format::Text => say(groups_text(groups, desk.done))?,
         }
     }
-    if let Some(report) = desk.report {
+    if let Some(mut report) = desk.report {
+        report.maker.groups = groups;
         report.finish(named(&args.input))?;
     }
     Ok(if data_loss { Outcome::DataLoss } else { Outcome::Done })

@@ -495,3 +495,5 @@ fn trend(recent: &VecDeque<Recent>) -> Option<&'static str> {
 
 #[cfg(test)]
 mod tests;
+#[cfg(test)]
+pub(crate) use tests::group_of;

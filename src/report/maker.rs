@@ -5,6 +5,7 @@ use super::diagram::Tags;
 use super::{IN_FULL, LoopReport, Report};
 use crate::cores::{Watch, in_order};
 use crate::files::About;
+use stiction::plantwide::GroupDocument;
 use stiction::record::Record;
 use stiction::verdict::{AssessParams, EstimateDocument};
 
@@ -30,6 +31,8 @@ pub struct Maker {
     units: [Option<String>; 2],
     /// What went wrong on the way.
     pub warnings: Vec<String>,
+    /// The groups that were found, where the loops were compared.
+    pub groups: Option<Vec<GroupDocument>>,
     loops: Vec<(LoopReport, AssessParams)>,
 }
 
@@ -64,7 +67,7 @@ impl Maker {
     /// `watch` ends it early, loops lack theirs and are shown in short.
     pub fn finish(self, input: String, command: String, watch: &dyn Watch) -> Report {
         let (loops, params): (Vec<LoopReport>, Vec<AssessParams>) = self.loops.into_iter().unzip();
-        let mut report = Report { input, command, warnings: self.warnings, loops };
+        let mut report = Report { input, command, warnings: self.warnings, loops, groups: self.groups };
         let mut chosen: Vec<usize> =
             report.by_urgency().into_iter().filter(|k| report.loops[*k].document.assessment.s.is_some()).collect();
         chosen.truncate(if self.all { usize::MAX } else { IN_FULL });

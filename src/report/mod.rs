@@ -2,7 +2,7 @@
 //!
 //! [`plot`] and [`chart`] turn data into SVG and know nothing of valves; [`ink`] says which colour stands for what.
 //! [`detail`] computes what a loop's pictures need, [`figures`] draws them, [`words`] puts the numbers into sentences.
-//! [`maker`] gathers what was analysed, [`command`] says how it was made; [`page`] is the HTML file, [`sheet`] the SVG file; [`gap_figures`] and [`gap_page`] do the same for a gap.
+//! [`maker`] gathers what was analysed, [`command`] says how it was made; `groups` shows groups of loops; [`page`] is the HTML file, [`sheet`] the SVG file; [`gap_figures`] and [`gap_page`] do the same for a gap.
 
 pub mod across;
 pub mod chart;
@@ -12,6 +12,7 @@ pub mod diagram;
 pub mod figures;
 pub mod gap_figures;
 mod gap_page;
+mod groups;
 pub mod ink;
 pub mod maker;
 mod page;
@@ -24,6 +25,7 @@ pub use sheet::sheet;
 
 use detail::Detail;
 use diagram::Tags;
+use stiction::plantwide::GroupDocument;
 use stiction::record::Record;
 use stiction::verdict::{Assessment, EstimateDocument};
 
@@ -71,6 +73,8 @@ pub struct Report {
     pub warnings: Vec<String>,
     /// The loops in the file's order.
     pub loops: Vec<LoopReport>,
+    /// The groups of loops that share one oscillation; `None` where the loops were not compared.
+    pub groups: Option<Vec<GroupDocument>>,
 }
 
 impl Report {

@@ -32,6 +32,7 @@ pub fn page(report: &Report) -> Result<String, PlotError> {
     let body = html! {
         @if !single { (overview(report, &order)) }
         @for warning in &report.warnings { p.warning { (warning) } }
+        (super::groups::cards(report))
         @for part in sections { (part) }
     };
     let remark = "The same file, options and build give the same numbers. docs/verdicts.md of \

@@ -24,6 +24,7 @@ fn report(names: &[&str]) -> Report {
         command: format!("stictiond analyze {} --report out.html", names.join("/")),
         warnings: vec![format!("{} has gaps", names.join("/"))],
         loops: names.iter().map(|n| one(n)).collect(),
+        groups: None,
     }
 }
 
@@ -85,4 +86,16 @@ fn three_hundred_loops_stay_small() {
     let html = page(&report(&names)).unwrap();
     assert!(html.len() < 12_000_000, "{} bytes", html.len());
     assert_eq!(html.matches("<details class=\"loop\"").count(), 300);
+}
+
+#[test]
+fn groups_are_cards_and_none_is_said() {
+    let mut report = report(&["A", "<i>B</i>"]);
+    assert!(!page(&report).unwrap().contains("oscillation of its group"));
+    report.groups = Some(Vec::new());
+    assert!(page(&report).unwrap().contains("No loops share an oscillation"));
+    report.groups = Some(vec![crate::daemon::overview::group_of(1, &["A", "<i>B</i>"])]);
+    let html = page(&report).unwrap();
+    assert!(html.contains("A makes the oscillation of its group, p 0.90"));
+    assert!(html.contains("driven by A, p 0.90") && html.contains("#loop-1\">&lt;i&gt;B") && !html.contains("<i>B"));
 }

@@ -135,7 +135,8 @@ fn the_newest_windows_stay_and_tell_how_s_goes() {
     assert_eq!(trend(&steady.iter().take(5).copied().collect()), None);
 }
 
-fn group(end_ns: i64, members: &[&str]) -> Arc<GroupDocument> {
+/// A group whose first member drives the others.
+pub(crate) fn group_of(end_ns: i64, members: &[&str]) -> GroupDocument {
     let judgement = |name: &&str| MemberJudgement {
         loop_name: (*name).to_owned(),
         p_source: 0.9,
@@ -145,7 +146,7 @@ fn group(end_ns: i64, members: &[&str]) -> Arc<GroupDocument> {
         masked: false,
     };
     let at = |ns| Span { start_ns: 0, end_ns: ns, start: Moment(0), end: Moment(ns) };
-    Arc::new(GroupDocument {
+    GroupDocument {
         schema: GROUP_SCHEMA,
         members: members.iter().map(|name| (*name).to_owned()).collect(),
         source: Source {
@@ -162,7 +163,11 @@ fn group(end_ns: i64, members: &[&str]) -> Arc<GroupDocument> {
         p_value: 1e-3,
         pairs_compared: 6,
         version: "0",
-    })
+    }
+}
+
+fn group(end_ns: i64, members: &[&str]) -> Arc<GroupDocument> {
+    Arc::new(group_of(end_ns, members))
 }
 
 #[test]

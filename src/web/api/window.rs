@@ -269,7 +269,7 @@ async fn sheet(State(live): State<Shared>, PathName(name): PathName) -> Result<R
         .draw(move || {
             let warnings = alarm.iter().map(|alarm| alarm.line()).collect();
             let (input, command) = (format!("live data of {prefix}"), "taken from the daemon's page".to_owned());
-            page(&Report { input, command, warnings, loops: vec![estimated.report(&name)] })
+            page(&Report { input, command, warnings, loops: vec![estimated.report(&name)], groups: None })
         })
         .await?;
     let html = made.map_err(|error| ApiError::unfit(format!("a picture cannot be drawn: {error}")))?;
