@@ -23,8 +23,9 @@ use stiction::units::ns_from_s;
 use stiction_monitor::config::Config;
 use stiction_monitor::engine::{Engine, EngineSettings};
 
-/// Bytes of recordings that are read at a start, all shards together.
+/// Bytes of recordings that are read at a start: of all shards together, and of one. A file has 100 MiB by default.
 const BYTES: u64 = 512 << 20;
+const SHARD_BYTES: u64 = 128 << 20;
 /// How long that may take; what is not read by then is left.
 const WITHIN: Duration = Duration::from_secs(20);
 
@@ -56,7 +57,7 @@ pub fn refill(dir: &Path, config: &Config, now_ns: i64, faults: &Faults) -> Refi
         settings,
         since_ns: now_ns.saturating_sub(reach_ns(config)),
         now_ns,
-        bytes: BYTES / last.len().max(1) as u64,
+        bytes: (BYTES / last.len().max(1) as u64).min(SHARD_BYTES),
         until: started + WITHIN,
     };
     for file in last {
