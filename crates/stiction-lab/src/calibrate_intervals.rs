@@ -186,6 +186,7 @@ mod tests {
             whiteness,
             quantum: 0.0,
             index: 0.95,
+            distinct: false,
         };
         let (truth, found) = ([s * (1.0 + off), j], [s, j]);
         Row { regime: "he start".to_owned(), seed: 0, truth, found, spread, span: 8.0, evaluations: 9 }

@@ -79,3 +79,17 @@ fn every_assessment_with_bands_has_intervals_around_them() {
         assert!(found.j_identifiable.is_some());
     }
 }
+
+#[test]
+fn an_interval_is_narrow_in_spite_of_an_unknown_load_where_all_other_bands_are_ruled_out() {
+    let width = |seed: u64| {
+        let row = look(Half::Report, Regime::UnknownWalk, seed).unwrap();
+        let [s, j] = row.found;
+        let told = row.spread.told(s, j, &Settings::shipped().least(&row.spread, s), 1.0).s;
+        (row.spread.trust(s), told[0] <= row.truth[0] && row.truth[0] <= told[1], (told[1] - told[0]) / s)
+    };
+    // The bands of the first stand alone; others are nearly as good as those of the second.
+    let ((alone, holds, narrow), (among_others, _, wide)) = (width(41023), width(0));
+    assert!(alone == Trust::Distinct && holds && narrow < 0.1, "{alone:?} {narrow}");
+    assert!(among_others != Trust::Distinct && wide > 0.2, "{among_others:?} {wide}");
+}

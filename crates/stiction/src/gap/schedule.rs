@@ -225,7 +225,7 @@ pub fn is_calm(problem: &Problem, search: &Search, floor: Option<f64>) -> bool {
     };
     let from = problem.blocks.from;
     let whiteness = residual::whiteness(&left[from..], &problem.normalised.mean[from..]);
-    whiteness.white && !whiteness.follows_op
+    whiteness.is_noise()
 }
 
 /// Whether nothing is left to be found: white noise at the floor, or so little above it that no effect gains what its

@@ -9,6 +9,7 @@ use super::slip_search::answer::{Answer, improvement, view_of};
 use super::slip_search::candidate::{Candidate, apart};
 use super::slip_search::interval;
 use super::slip_search::problem::Problem;
+use super::slip_search::rivals;
 use super::slip_search::settings::SearchSettings;
 use super::slip_search::stages::{Ended, Found, Request, Search};
 use super::width::Spread;
@@ -163,6 +164,9 @@ fn report(
     let index = if answer.rho == 0.0 { of_view(answer.plain.sse) } else { of_view(answer.plain_sse) };
     let met = interval::spread(evaluator, &mut view, &answer.candidate, &rivals, index, options.seed)?;
     let best = met.best;
+    let mut spread = met.spread;
+    spread.distinct =
+        !spread.whiteness.is_noise() && rivals::are_ruled_out(evaluator, &mut view, &best, &found.seen, &found.best);
     // A better candidate met on the way of the interval is the answer.
     let same = best.covers(answer.candidate.s, answer.candidate.j, answer.candidate.start);
     let plain_sse = if answer.rho == 0.0 {
@@ -196,7 +200,7 @@ fn report(
         reversals: best.reversals,
         j_error: 2.0 * met.band_error * span,
         s_cell: best.cells[0].map(|v| v * span),
-        spread: met.spread.scaled(span),
+        spread: spread.scaled(span),
         evaluations: 0,
         rounds: found.rounds,
         ended: found.ended,

@@ -32,6 +32,14 @@ pub struct Whiteness {
     pub follows_op: bool,
 }
 
+impl Whiteness {
+    /// Whether nothing is left but noise.
+    #[must_use]
+    pub const fn is_noise(&self) -> bool {
+        self.white && !self.follows_op
+    }
+}
+
 /// Tests a residual against itself and against OP at the same points.
 ///
 /// Only OP before the residual counts: the noise at a point goes into OP from that point on, so correlations at other

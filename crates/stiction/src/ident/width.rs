@@ -30,6 +30,8 @@ pub struct Spread {
     pub quantum: f64,
     /// Stiction index of the fit, 0..1.
     pub index: f64,
+    /// Whether the residual is not white and yet all other bands that the search held leave far more.
+    pub distinct: bool,
 }
 
 /// Least half widths in one class of fits.
@@ -58,6 +60,8 @@ pub struct Settings {
     pub white: Floor,
     /// Residual not far from white, OP on a grid.
     pub gridded: Floor,
+    /// Residual not white, but all other bands leave far more.
+    pub distinct: Floor,
     /// Residual white but like OP, or not quite white.
     pub tinted: Floor,
     /// Residual far from white, friction explains nearly all.
@@ -76,6 +80,8 @@ pub enum Trust {
     White,
     /// Residual not far from white, OP on a grid.
     Gridded,
+    /// Residual not white, but all other bands leave far more.
+    Distinct,
     /// Residual white but like OP, or not quite white.
     Tinted,
     /// Residual far from white, friction explains nearly all.
@@ -88,7 +94,8 @@ pub enum Trust {
 
 impl Trust {
     /// Every class.
-    pub const ALL: [Self; 6] = [Self::White, Self::Gridded, Self::Tinted, Self::Coloured, Self::Doubtful, Self::Poor];
+    pub const ALL: [Self; 7] =
+        [Self::White, Self::Gridded, Self::Distinct, Self::Tinted, Self::Coloured, Self::Doubtful, Self::Poor];
 
     /// Its name in tables.
     #[must_use]
@@ -96,6 +103,7 @@ impl Trust {
         match self {
             Self::White => "white",
             Self::Gridded => "gridded",
+            Self::Distinct => "distinct",
             Self::Tinted => "tinted",
             Self::Coloured => "coloured",
             Self::Doubtful => "doubtful",
@@ -174,6 +182,7 @@ impl Spread {
             fs: hull(self.fs, other.fs),
             fd: hull(self.fd, other.fd),
             j_identifiable: self.j_identifiable && other.j_identifiable,
+            distinct: false,
             ..self
         }
     }
@@ -182,6 +191,10 @@ impl Spread {
     #[must_use]
     pub fn trust(&self, s: f64) -> Trust {
         let w = &self.whiteness;
+        let gridded = self.quantum > GRID * s;
+        if self.distinct && !gridded {
+            return Trust::Distinct;
+        }
         if w.r1.abs() > FAR_R1 || w.inflation > FAR_INFLATION {
             return match self.index {
                 i if i >= NEARLY_ALL => Trust::Coloured,
@@ -189,7 +202,7 @@ impl Spread {
                 _ => Trust::Poor,
             };
         }
-        match (self.quantum > GRID * s, w.white && !w.follows_op) {
+        match (gridded, w.is_noise()) {
             (true, _) => Trust::Gridded,
             (false, true) => Trust::White,
             (false, false) => Trust::Tinted,
@@ -242,6 +255,7 @@ impl Settings {
         match trust {
             Trust::White => &self.white,
             Trust::Gridded => &self.gridded,
+            Trust::Distinct => &self.distinct,
             Trust::Tinted => &self.tinted,
             Trust::Coloured => &self.coloured,
             Trust::Doubtful => &self.doubtful,
@@ -267,6 +281,7 @@ impl Settings {
         match trust {
             Trust::White => &mut self.white,
             Trust::Gridded => &mut self.gridded,
+            Trust::Distinct => &mut self.distinct,
             Trust::Tinted => &mut self.tinted,
             Trust::Coloured => &mut self.coloured,
             Trust::Doubtful => &mut self.doubtful,
@@ -283,6 +298,7 @@ impl Settings {
             gate: 1.5,
             white: floor,
             gridded: floor,
+            distinct: floor,
             tinted: floor,
             coloured: floor,
             doubtful: floor,
@@ -312,6 +328,7 @@ mod tests {
             whiteness,
             quantum: 0.0,
             index: 0.95,
+            distinct: false,
         }
     }
 
@@ -322,7 +339,8 @@ mod tests {
         let shipped: Settings = serde_json::from_str(include_str!("interval.json")).unwrap();
         assert!(
             shipped.gate >= 1.0
-                && shipped.white.s < shipped.tinted.s
+                && shipped.white.s < shipped.distinct.s
+                && shipped.distinct.s < shipped.tinted.s
                 && shipped.white.s < shipped.gridded.s
                 && shipped.coloured.s < shipped.poor.s
         );
@@ -376,6 +394,13 @@ mod tests {
         assert_eq!(with(0.9, false, false, 0.0), Trust::Coloured);
         assert_eq!(with(0.0, true, false, 0.1), Trust::Gridded);
         assert_eq!(with(0.9, false, false, 0.1), Trust::Coloured);
+        let alone = |quantum| Spread {
+            distinct: true,
+            whiteness: Whiteness { r1: 0.9, ..spread().whiteness },
+            quantum,
+            ..spread()
+        };
+        assert_eq!((alone(0.0).trust(4.0), alone(0.1).trust(4.0)), (Trust::Distinct, Trust::Coloured));
         let far = |index: f64| Spread { index, whiteness: Whiteness { r1: 0.9, ..spread().whiteness }, ..spread() };
         assert_eq!((far(0.7).trust(4.0), far(0.2).trust(4.0)), (Trust::Doubtful, Trust::Poor));
         let both = spread().or(&Spread { s: [4.5, 4.6], j_identifiable: false, ..spread() });

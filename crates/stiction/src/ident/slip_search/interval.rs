@@ -93,6 +93,7 @@ pub fn spread(
         whiteness: tests,
         quantum: quantum(path),
         index,
+        distinct: false,
     };
     Some(Found { spread, best: top, process: looking.process, band_error: looking.band_error() })
 }

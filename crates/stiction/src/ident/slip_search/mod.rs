@@ -16,6 +16,7 @@ pub mod local_search;
 pub mod part;
 pub mod problem;
 mod read;
+pub mod rivals;
 pub mod scan;
 pub mod settings;
 pub mod stages;

@@ -526,7 +526,7 @@ impl<'s, 'a> Search<'s, 'a> {
         }
         let Some(process) = self.whole.polish(&self.plain, of) else { return false };
         let left = self.whole.leftover(&self.plain, &process);
-        tests(self.problem, &self.plain, &left).is_some_and(|t| t.white && !t.follows_op)
+        tests(self.problem, &self.plain, &left).is_some_and(|t| t.is_noise())
     }
 
     /// Least plain error without friction in a class, computed once.
