@@ -111,7 +111,6 @@ fn one(name: &str, hash: &str, request: &Request, notes: &[String]) -> Result<To
         selection: Taken { section: Section::Whole, downsample: None, detrend: None },
         solver: None,
         scored: None,
-        group: None,
     };
     let document = serde_json::to_string(&answer.document).map_err(|e| e.to_string())?;
     Ok((document, said(&answer, request.settings.assess.op_range, notes)))

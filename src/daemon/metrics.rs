@@ -63,6 +63,10 @@ macro_rules! counters {
             pub series: LoopSeries,
             /// Time from a message's stamp on the bus, or its arrival where it has none, to the engine.
             pub intake: Moments,
+            /// Time that a comparison of all loops takes.
+            pub comparison: Seconds,
+            /// Groups of loops that share one oscillation.
+            pub groups: Gauge,
             /// Loops that there are.
             pub loops: Gauge,
             /// Bytes that they take in the engine.
@@ -112,6 +116,8 @@ counters! {
     alarms: "Alarm changes",
     gaps: "Gap diagnoses made",
     gaps_skipped: "Gap diagnoses refused, skipped or without an answer",
+    comparisons: "Comparisons of all oscillating loops",
+    comparisons_left_out: "Comparisons left out because the one before was not done",
     gaps_cut: "Gap diagnoses whose search was ended before its budget",
     commands: "Commands carried out",
     commands_refused: "Commands refused",
@@ -158,6 +164,12 @@ impl Metrics {
         registry.register("recordings_damaged", "Finished recordings found damaged", self.recordings_damaged.clone());
         let help = "Time from a message's stamp on the bus, or its arrival without one, to the engine in seconds, of every eighth";
         registry.register("intake_seconds", help, self.intake.0.clone());
+        registry.register(
+            "comparison_seconds",
+            "Time that a comparison of all loops takes in seconds",
+            self.comparison.0.clone(),
+        );
+        registry.register("groups", "Groups of loops that share one oscillation", self.groups.clone());
         registry.register("loops", "Loops that there are", self.loops.clone());
         registry.register("loop_bytes", "Bytes that the loops take in the engine", self.loop_bytes.clone());
         registry.register("queue_length", "Messages waiting", self.queues.clone());

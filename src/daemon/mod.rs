@@ -6,6 +6,7 @@
 //!   |                                            |--(answers, never waits)--.
 //!   '--(queries, refuses + counts)-----------------------------------------'--> replies thread --> Zenoh
 //!                                                |--(gaps, refuses or skips + records)--> gap thread, last to get a core
+//!                                                |--(comparisons, one at a time; left out + counted)--> plant thread, likewise
 //!                                                |--(recorder, waits 2 s)--> recorder thread --> *.mcap
 //!                                                |--(newest state a loop)--> state thread --> state.redb
 //!                                                |--(outbox, 4,096; drops + counts)--> outbox thread --> outbox.redb, then a thread a receiver
@@ -25,11 +26,13 @@ pub mod health;
 mod limits;
 pub mod metrics;
 pub mod overview;
+pub mod plant;
 pub mod queue;
 pub mod received;
 mod refill;
 mod reload;
 pub mod replay;
+mod replay_plant;
 pub mod rerun;
 pub mod restore;
 pub mod retention;
@@ -59,6 +62,7 @@ pub use self::health::DaemonHealth;
 use self::health::HealthSnapshot;
 use self::metrics::Metrics;
 use self::overview::Overview;
+use self::plant::Comparer;
 use self::queue::Budget;
 use self::refill::Refilled;
 use self::reload::Reload;
@@ -230,6 +234,7 @@ pub async fn run(
     let workers = worker::start(options.workers)?;
     let waiting = workers.jobs.clone();
     let diagnoser = Diagnoser::start(move || !waiting.is_empty())?;
+    let comparer = config.plant.groups.then(|| Comparer::start(&daemon_id)).transpose()?;
 
     let prefix = config.site.prefix.clone();
     let sign = signer.map(|signer| -> source::zenoh::Sign {
@@ -245,6 +250,7 @@ pub async fn run(
         input: (budget, shares),
         workers,
         diagnoser,
+        comparer,
         recorder: Some(recorder),
         keeper,
         publisher,

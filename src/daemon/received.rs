@@ -118,7 +118,7 @@ pub fn estimate(document: &Value) -> Option<EstimateDocument> {
     };
     let config_hash: String = read(d, "config_hash").unwrap_or_default();
     let document = EstimateDocument::new(d.get("loop")?.as_str()?, &config_hash, assessment);
-    Some(EstimateDocument { daemon: read(d, "daemon"), ..document })
+    Some(EstimateDocument { group: read(d, "group"), daemon: read(d, "daemon"), ..document })
 }
 
 /// An alarm (`stictiond.alarm.v2`); none where it is no such document, or lacks loop, state or time.

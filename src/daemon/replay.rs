@@ -6,6 +6,7 @@
 
 use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use anyhow::{Context, anyhow, bail};
 use serde::Deserialize;
@@ -20,8 +21,9 @@ use stiction::record::Sample;
 use stiction_monitor::codec::decode_recorded;
 use stiction_monitor::codec::topic::{Kind, Leaf, Topic};
 use stiction_monitor::config::Config;
+use stiction_monitor::engine::plant;
 use stiction_monitor::engine::{
-    Engine, EngineSettings, Event, GapRequest, LoopId, RecordedInput, Request, SkipReason, StateDocument,
+    Engine, EngineSettings, Event, GapRequest, LoopId, LoopWindow, RecordedInput, Request, SkipReason, StateDocument,
 };
 
 /// A document that replay made.
@@ -33,6 +35,15 @@ pub struct Output {
     pub kind: Kind,
     /// Its JSON, to the byte.
     pub json: Vec<u8>,
+}
+
+/// What a loop's replay has for the comparison of all loops.
+#[derive(Debug)]
+pub enum PlantEvent {
+    /// A window to compare.
+    Window(Arc<str>, Box<LoopWindow>),
+    /// The loop left.
+    Left(Arc<str>),
 }
 
 /// An engine that is driven by recorded messages.
@@ -54,6 +65,7 @@ pub struct Replay {
     /// Compute each request at once: for recordings that hold no results of their own.
     at_once: bool,
     events: Vec<Event>,
+    for_plant: Vec<PlantEvent>,
 }
 
 /// Which window a recorded estimate is of. Their ends do not tell: history that is played twice has each twice. Estimates
@@ -94,6 +106,7 @@ impl Replay {
             diagnose: true,
             at_once,
             events: Vec::new(),
+            for_plant: Vec::new(),
         }
     }
 
@@ -119,6 +132,11 @@ impl Replay {
     /// Whether gap diagnoses are made again from here on, or only their places are kept.
     pub const fn set_diagnose(&mut self, diagnose: bool) {
         self.diagnose = diagnose;
+    }
+
+    /// What came for the comparison of all loops since the last time.
+    pub fn drain_for_plant(&mut self) -> impl Iterator<Item = PlantEvent> + '_ {
+        self.for_plant.drain(..)
     }
 
     /// Takes one message of the file.
@@ -176,7 +194,11 @@ impl Replay {
                 self.gaps.entry(id).or_default().retain(|(r, _)| r.number != number);
                 self.engine.skip_gap(id, number, reason, &mut self.events);
             }
+            RecordedInput::Group { standing } => self.engine.stand(id, standing.map(|standing| *standing)),
+            // Of many loops: not in a loop's own channel.
+            RecordedInput::Compared { .. } => {}
             RecordedInput::Forget => {
+                self.for_plant.push(PlantEvent::Left(self.engine.name(id).clone()));
                 self.engine.forget(id);
                 self.places.remove(&id);
                 self.waiting.remove(&id);
@@ -269,6 +291,9 @@ impl Replay {
                     Event::Request(request) => self.waiting.entry(request.id).or_default().push_back(*request),
                     Event::Estimate(id, document) => out.extend(self.output(id, Kind::Estimate, &document)),
                     Event::Alarm(id, document) => out.extend(self.output(id, Kind::Alarm, &document)),
+                    Event::Window(id, window) => {
+                        self.for_plant.push(PlantEvent::Window(self.engine.name(id).clone(), window));
+                    }
                     Event::State(..) => {}
                 }
             }
@@ -472,7 +497,9 @@ pub fn files_needed(path: &Path, metadata: &RunMetadata) -> anyhow::Result<Vec<P
 /// How far the windows of any loop may reach back, ns.
 pub(super) fn reach_ns(config: &Config) -> i64 {
     let windows = config.loops.iter().map(|l| l.window).chain([config.window]);
-    let reach_s = windows.map(|w| 1.05 * w.max_window_s + 2.0 * w.hop_s + w.lateness_s).fold(0.0, f64::max);
+    let reach_s = windows
+        .map(|w| 1.05 * w.max_window_s + 2.0 * w.hop_s + plant::reach_s(w.hop_s) + w.lateness_s)
+        .fold(0.0, f64::max);
     stiction::units::ns_from_s(reach_s)
 }
 

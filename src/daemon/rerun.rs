@@ -9,13 +9,14 @@ use std::time::Instant;
 
 use anyhow::{Context, anyhow, bail};
 
-use super::replay::{Output, Replay};
+use super::replay::{Output, PlantEvent, Replay};
+use super::replay_plant::ReplayPlant;
 use crate::cores::share;
 use crate::files::{End, Item, RecordingReader};
 use stiction::record::Sample;
 use stiction_monitor::codec::topic::{Kind, Leaf, Topic};
 use stiction_monitor::config::Config;
-use stiction_monitor::engine::{Engine, EngineSettings, StateDocument};
+use stiction_monitor::engine::{Engine, EngineSettings, RecordedInput, StateDocument};
 use stiction_monitor::shard::stable_hash;
 
 /// Lanes: many more than cores, so that one with a busy loop holds up nobody. Results do not hang on it.
@@ -33,6 +34,7 @@ pub struct Rerun {
     places: Engine,
     /// When whoever waits for it waits no longer.
     until: Option<Instant>,
+    plant: ReplayPlant,
 }
 
 /// How one file's replay went.
@@ -42,6 +44,8 @@ pub struct FileReport {
     pub outputs: Vec<Output>,
     /// Documents compared with recorded ones.
     pub compared: usize,
+    /// Groups that were not compared: loops of other files belong to them, or windows from before the first file.
+    pub unchecked: usize,
     /// The first difference.
     pub difference: Option<String>,
     /// Why the file is not whole, if it is not.
@@ -57,7 +61,8 @@ enum Held {
 
 /// One message on its way to its lane.
 struct Step {
-    lane: usize,
+    /// None where it is of many loops.
+    lane: Option<usize>,
     /// Its topic's place in the list of the file's topics.
     topic: usize,
     held: Held,
@@ -76,12 +81,14 @@ struct Block {
 #[derive(Default)]
 struct Made {
     outputs: Vec<(usize, Output)>,
+    for_plant: Vec<(usize, PlantEvent)>,
     failed: Option<(usize, anyhow::Error)>,
 }
 
 /// What one file is compared by, and where it stands in it.
-struct Comparing {
+struct Comparing<'a> {
     verify: bool,
+    plant: &'a mut ReplayPlant,
     made: HashMap<(String, Kind), VecDeque<Vec<u8>>>,
     report: FileReport,
 }
@@ -96,7 +103,8 @@ impl Rerun {
     fn under(settings: EngineSettings, at_once: bool) -> Self {
         let lane = |_| Mutex::new(Replay::new(settings.clone(), at_once));
         let (lanes, places) = ((0..LANES).map(lane).collect(), Engine::new(settings.clone()));
-        Self { lanes, settings, places, until: None }
+        let plant = ReplayPlant::new(settings.daemon.as_deref());
+        Self { lanes, settings, places, until: None, plant }
     }
 
     /// Only the loops' streams, under these settings and until this moment: after it [`Rerun::file`] fails.
@@ -126,16 +134,17 @@ impl Rerun {
     /// # Errors
     /// The file cannot be read, or a message is not what its topic says.
     pub fn file(&mut self, path: &Path, prefix: &str, first: bool, verify: bool) -> anyhow::Result<FileReport> {
-        let mut comparing = Comparing { verify, made: HashMap::new(), report: FileReport::default() };
         let mut reader = RecordingReader::open(path)?;
         let begins_run = reader.metadata().get("file_index").is_some_and(|index| index == "0");
         if begins_run && !first {
             self.each(Replay::begin_run);
             self.places = Engine::new(self.settings.clone());
+            self.plant = ReplayPlant::new(self.settings.daemon.as_deref());
         }
         let (everything, until) = (first || begins_run, self.until);
-        let Self { lanes, places, .. } = self;
+        let Self { lanes, places, plant, .. } = self;
         let lanes = &lanes[..];
+        let mut comparing = Comparing { verify, plant, made: HashMap::new(), report: FileReport::default() };
         std::thread::scope(|scope| {
             let (send, blocks) = crossbeam_channel::bounded(1);
             let reading = scope.spawn(move || read(&mut reader, prefix, places, &send).map(|()| reader));
@@ -162,15 +171,20 @@ fn read(
     send: &crossbeam_channel::Sender<Block>,
 ) -> anyhow::Result<()> {
     // Where a channel's messages go; nowhere if they are none of ours, or of a loop beyond `max_loops`.
-    let mut routes: HashMap<u16, Option<(usize, usize)>> = HashMap::new();
+    let mut routes: HashMap<u16, Option<(Option<usize>, usize)>> = HashMap::new();
     let (mut block, mut topics) = (Block::default(), 0);
     while let Some(item) = reader.next_item()? {
         let (id, channel) = item.channel();
         let route = *routes.entry(id).or_insert_with(|| {
             let topic = Topic::parse(Some(prefix), &channel.topic)?;
+            if topic.is_of_plant() {
+                block.topics.push(channel.topic.clone());
+                topics += 1;
+                return Some((None, topics - 1));
+            }
             places.appear(topic.loop_name)?;
             // By its name: where a run follows another, the loop is in the same lane.
-            let lane = stable_hash(topic.loop_name) as usize % LANES;
+            let lane = Some(stable_hash(topic.loop_name) as usize % LANES);
             block.topics.push(channel.topic.clone());
             topics += 1;
             Some((lane, topics - 1))
@@ -203,7 +217,9 @@ fn run_block(
 ) -> Vec<Made> {
     let mut shares: Vec<Vec<usize>> = vec![Vec::new(); lanes.len()];
     for (at, step) in block.steps.iter().enumerate() {
-        shares[step.lane].push(at);
+        if let Some(lane) = step.lane {
+            shares[lane].push(at);
+        }
     }
     let parsed: Vec<Option<Topic<'_>>> = topics.iter().map(|topic| Topic::parse(Some(prefix), topic)).collect();
     let made: Vec<Mutex<Made>> = lanes.iter().map(|_| Mutex::default()).collect();
@@ -219,6 +235,7 @@ fn run_block(
                 return;
             }
             made.outputs.extend(fresh.drain(..).map(|output| (*at, output)));
+            made.for_plant.extend(replay.drain_for_plant().map(|event| (*at, event)));
         }
     });
     made.into_iter().map(|made| made.into_inner().unwrap_or_else(PoisonError::into_inner)).collect()
@@ -260,7 +277,7 @@ fn take(
     if head { replay.take_head(data, everything) } else { Ok(()) }
 }
 
-impl Comparing {
+impl Comparing<'_> {
     /// Puts what the lanes made into the order of the messages, and compares.
     fn take(
         &mut self,
@@ -269,10 +286,11 @@ impl Comparing {
         (topics, prefix): (&[String], &str),
         path: &Path,
     ) -> anyhow::Result<()> {
-        let mut outputs = Vec::new();
+        let (mut outputs, mut for_plant) = (Vec::new(), Vec::new());
         let mut failed: Option<(usize, anyhow::Error)> = None;
         for lane in made {
             outputs.extend(lane.outputs);
+            for_plant.extend(lane.for_plant);
             failed = match (failed, lane.failed) {
                 (Some(a), Some(b)) => Some(if a.0 < b.0 { a } else { b }),
                 (a, b) => a.or(b),
@@ -283,25 +301,54 @@ impl Comparing {
         }
         // A lane's are in order already, and of one message only one lane has any.
         outputs.sort_by_key(|(at, _)| *at);
-        let mut outputs = outputs.into_iter().peekable();
+        for_plant.sort_by_key(|(at, _)| *at);
+        let (mut outputs, mut for_plant) = (outputs.into_iter().peekable(), for_plant.into_iter().peekable());
         for (at, step) in block.steps.iter().enumerate() {
             while let Some((_, output)) = outputs.next_if(|(made_at, _)| *made_at <= at) {
-                if self.verify {
-                    let of = (output.loop_name.clone(), output.kind);
-                    self.made.entry(of).or_default().push_back(output.json.clone());
-                }
-                self.report.outputs.push(output);
+                self.put_out(output);
             }
-            if let (true, Held::Bytes(range), None) = (self.verify, &step.held, &self.report.difference) {
-                self.compare(Topic::parse(Some(prefix), &topics[step.topic]), &block.bytes[range.clone()]);
+            while let Some((_, event)) = for_plant.next_if(|(made_at, _)| *made_at <= at) {
+                self.plant.take(event);
             }
+            let Held::Bytes(range) = &step.held else { continue };
+            let (topic, data) = (Topic::parse(Some(prefix), &topics[step.topic]), &block.bytes[range.clone()]);
+            if step.lane.is_none() {
+                self.take_of_plant(topic, data).with_context(|| path.display().to_string())?;
+            }
+            if self.verify && self.report.difference.is_none() {
+                self.compare(topic, data);
+            }
+        }
+        Ok(())
+    }
+
+    fn put_out(&mut self, output: Output) {
+        if self.verify {
+            let of = (output.loop_name.clone(), output.kind);
+            self.made.entry(of).or_default().push_back(output.json.clone());
+        }
+        self.report.outputs.push(output);
+    }
+
+    /// Takes a message of many loops: where windows were compared, they are compared again.
+    fn take_of_plant(&mut self, topic: Option<Topic<'_>>, data: &[u8]) -> anyhow::Result<()> {
+        if topic.is_some_and(|topic| topic.leaf == Leaf::Document(Kind::Input))
+            && let RecordedInput::Compared { windows, .. } = serde_json::from_slice(data).context("a recorded input")?
+        {
+            self.plant.compare(&windows).into_iter().for_each(|output| self.put_out(output));
         }
         Ok(())
     }
 
     fn compare(&mut self, topic: Option<Topic<'_>>, recorded: &[u8]) {
         let Some(topic) = topic else { return };
-        let Leaf::Document(kind @ (Kind::Estimate | Kind::Alarm | Kind::Gap)) = topic.leaf else { return };
+        let Leaf::Document(kind @ (Kind::Estimate | Kind::Alarm | Kind::Gap | Kind::Group)) = topic.leaf else {
+            return;
+        };
+        if kind == Kind::Group && !self.plant.is_made() {
+            self.report.unchecked += 1;
+            return;
+        }
         let again = self.made.get_mut(&(topic.loop_name.to_owned(), kind)).and_then(VecDeque::pop_front);
         self.report.compared += 1;
         self.report.difference = difference(&topic, recorded, again.as_deref());

@@ -19,6 +19,7 @@ use super::gaps::{Diagnosed, Diagnoser, Outcome};
 use super::health::{DaemonHealth, HealthSnapshot};
 use super::metrics::Metrics;
 use super::overview::Overview;
+use super::plant::{Compared, Comparer, compare};
 use super::queue::Budget;
 use super::refill::{Refilled, refill};
 use super::restore::{self, Restored};
@@ -34,7 +35,7 @@ use crate::source::{Answer, CONTROL_QUEUE, Control, Envelope, Intake, Message};
 use stiction::verdict::Assessment;
 use stiction_monitor::alarm::Command;
 use stiction_monitor::config::{Config, Deliver};
-use stiction_monitor::engine::{Engine, GapRequest, Request};
+use stiction_monitor::engine::{Comparison, Engine, GapRequest, Request};
 
 /// Windows handed to the stage's holder ahead of their fits: as with one worker.
 const AT_HAND: usize = 1;
@@ -53,6 +54,8 @@ pub struct Stage {
     answered: Receiver<Answered>,
     gap_requests: Receiver<GapRequest>,
     gap_answers: Sender<Diagnosed>,
+    comparisons: Receiver<Comparison>,
+    compared: Sender<Compared>,
     overview: Overview,
     delivery: Delivery,
     retention: RetentionWorker,
@@ -106,6 +109,7 @@ impl Stage {
         let (to_worker, waiting) = crossbeam_channel::bounded(AT_HAND);
         let (answers, answered) = crossbeam_channel::unbounded();
         let (diagnoser, gap_requests, gap_answers) = Diagnoser::ends();
+        let (comparer, comparisons, compared) = Comparer::ends();
         let (outbox, delivery) =
             Outbox::pair(&config, &dir, (disk.clone(), clock.clone()), receiver, &faults, &metrics)?;
         let retention = RetentionWorker::new(RetentionParts {
@@ -125,6 +129,7 @@ impl Stage {
         let snapshot = HealthSnapshot::new(RwLock::new((clock.now(), Arc::new(starting))));
         let mut core = Core::new(Parts {
             engine: engine.of_daemon(DAEMON_ID),
+            comparer: config.plant.groups.then_some(comparer),
             config: Arc::new(config),
             input: (budget.clone(), shares),
             workers: Workers { jobs: to_worker, answers: answered.clone() },
@@ -154,6 +159,8 @@ impl Stage {
             answered,
             gap_requests,
             gap_answers,
+            comparisons,
+            compared,
             overview,
             delivery,
             retention,
@@ -214,6 +221,14 @@ impl Stage {
             self.core.turn(&self.incoming, &self.wishes);
         }
         requests.len()
+    }
+
+    /// Does the comparison of loops that waits; says whether there was one.
+    pub fn compare(&mut self) -> bool {
+        let Ok(comparison) = self.comparisons.try_recv() else { return false };
+        let _ = self.compared.send(compare(comparison, DAEMON_ID));
+        self.core.turn(&self.incoming, &self.wishes);
+        true
     }
 
     /// Gap diagnoses that wait.

@@ -94,6 +94,13 @@ fn fields(kind: Kind) -> Fields {
                 ("next_test", &["size", "duration_s", "p"]),
             ],
         },
+        Kind::Group => Fields {
+            integers: &["pairs_compared"],
+            numbers: &["period_s", "p_value"],
+            texts: &["schema", "version", "daemon"],
+            objects: &[("source", &["probability"]), ("window", &["start_ns", "end_ns"])],
+            ..Fields::default()
+        },
         Kind::Health => Fields {
             numbers: &["uptime_s", "loops", "data_age_s", "gaps", "dropped"],
             texts: &["schema", "daemon", "loop", "version", "config_hash"],

@@ -57,9 +57,10 @@ pub fn limit(session: &mut zenoh::Config, prefix: &str, principals: &[String]) -
 
 /// Everybody may do everything but query alarms and gaps, where commands are sent; principals may do that too.
 fn rules(prefix: &str, principals: &[String]) -> Value {
-    let (plane, daemons) = (topic::plane(prefix, "**"), topic::plane(prefix, "@daemon/**"));
-    let everything = json!(["**", "@/**", plane, daemons]);
-    let harmless = json!([topic::plane(prefix, "**/estimate"), topic::plane(prefix, "**/health"), daemons, "@/**"]);
+    let [plane, daemons, groups] = ["**", "@daemon/**", "@plant/**"].map(|rest| topic::plane(prefix, rest));
+    let everything = json!(["**", "@/**", plane, daemons, groups]);
+    let harmless =
+        json!([topic::plane(prefix, "**/estimate"), topic::plane(prefix, "**/health"), daemons, groups, "@/**"]);
     let subject = |(at, name): (usize, &String)| match name.split_once(':') {
         Some(("cn", name)) => json!({"id": format!("p{at}"), "cert_common_names": [name]}),
         Some((_, name)) => json!({"id": format!("p{at}"), "usernames": [name]}),

@@ -60,6 +60,7 @@ fn run(samples: &[(String, Sample)], config: Config, answers: Answers) -> BTreeM
                         engine.skip_gap(r.id, r.number, SkipReason::Failed, events);
                         continue;
                     }
+                    Event::Window(..) => continue,
                     Event::Gap(_, d) => panic!("{d:?}"),
                 };
                 documents.entry(engine.name(id).to_string()).or_default().push(text);
@@ -180,7 +181,7 @@ fn a_skipped_window_says_so_and_holds_the_alarm() {
                     Event::Request(r) => engine.skip(r.id, r.seq, &mut events),
                     Event::Estimate(_, d) => gates.extend(d.assessment.gates.iter().map(|g| g.name())),
                     Event::Alarm(_, d) => panic!("{d:?}"),
-                    Event::State(..) => {}
+                    Event::State(..) | Event::Window(..) => {}
                     Event::Gap(..) | Event::GapRequest(..) => panic!("{event:?}"),
                 }
             }

@@ -66,6 +66,7 @@ impl<J: FnMut(usize, &Request) -> Assessment> Rig<J> {
                     Event::Estimate(_, d) => self.said.push(serde_json::to_string(&d).unwrap()),
                     Event::Alarm(_, d) => self.said.push(serde_json::to_string(&d).unwrap()),
                     Event::State(_, d) => self.said.push(serde_json::to_string(&d).unwrap()),
+                    Event::Window(..) => {}
                     Event::Gap(_, d) => self.said.push(serde_json::to_string(&d).unwrap()),
                 }
             }

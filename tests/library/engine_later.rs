@@ -39,7 +39,7 @@ fn said(samples: &[Sample], config: &Config, delay: usize) -> Vec<String> {
                     Event::Estimate(_, d) => out.push(serde_json::to_string(&d).unwrap()),
                     Event::Alarm(_, d) => out.push(serde_json::to_string(&d).unwrap()),
                     Event::State(_, d) => out.push(serde_json::to_string(&d).unwrap()),
-                    Event::GapRequest(_) | Event::Gap(..) => {}
+                    Event::GapRequest(_) | Event::Gap(..) | Event::Window(..) => {}
                 }
             }
             if row.front().is_none_or(|(due, _)| at < due + delay) {

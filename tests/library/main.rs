@@ -9,6 +9,7 @@ mod config;
 mod engine;
 mod engine_gaps;
 mod engine_later;
+mod engine_plant;
 mod formats;
 mod language;
 mod pages;

@@ -13,7 +13,7 @@ use stiction_lab::plants::{CaseLoop, Difficulty, Role, plant};
 const SEED: u64 = 1;
 
 /// Writes each loop of a plant as a table, and gives its truth.
-fn written(folder: &Path) -> Vec<CaseLoop> {
+pub fn written(folder: &Path) -> Vec<CaseLoop> {
     let case = plant("program", SEED, Difficulty::Easy);
     for one in &case {
         let record = &one.record;

@@ -17,6 +17,7 @@ mod cli_report;
 mod columns;
 mod daemon;
 mod daemon_gap;
+mod daemon_plant;
 mod exports;
 mod failover;
 mod golden;

@@ -191,6 +191,13 @@ impl Record {
         }
     }
 
+    /// Bytes of its values.
+    #[must_use]
+    pub fn bytes(&self) -> usize {
+        let optional = [&self.sp, &self.mv].into_iter().flatten().map(Vec::len).sum::<usize>();
+        (self.op_path.len() + self.pv.len() + optional) * size_of::<f64>()
+    }
+
     /// The points `from` to `to`, excluding `to`. The counts of [`Facts`] are scaled in proportion, because their positions are
     /// not kept.
     #[must_use]

@@ -5,6 +5,7 @@
 
 mod asked;
 mod messages;
+mod plant;
 mod report;
 mod survey;
 #[cfg(test)]
@@ -29,6 +30,7 @@ use super::health::HealthSnapshot;
 use super::limits::{Limits, Refused};
 use super::metrics::{Label, Metrics};
 use super::overview::Overview;
+use super::plant::Comparer;
 use super::queue::Budget;
 use super::routes::Routes;
 use super::schedule::Schedule;
@@ -74,6 +76,8 @@ pub struct Core {
     /// Messages taken.
     taken: u64,
     diagnoser: Diagnoser,
+    /// The loops together; none where they are not compared.
+    plant: Option<plant::Plant>,
     /// People who wait for a diagnosis, by loop and number.
     asking: HashMap<(LoopId, u64), Vec<Answer>>,
     recorder: Option<Recorder>,
@@ -118,6 +122,8 @@ pub struct Parts {
     pub workers: Workers,
     /// The gap's thread.
     pub diagnoser: Diagnoser,
+    /// Compares the loops; none where the configuration says so.
+    pub comparer: Option<Comparer>,
     /// The recorder.
     pub recorder: Option<Recorder>,
     /// Keeps the loops' memory; none in a demonstration.
@@ -165,6 +171,7 @@ impl Core {
             schedule: Schedule::default(),
             budget,
             diagnoser: parts.diagnoser,
+            plant: parts.comparer.map(plant::Plant::new),
             asking: HashMap::new(),
             recorder: parts.recorder,
             keeper: parts.keeper,
@@ -208,6 +215,7 @@ impl Core {
         let (ticker, surveys) = (tick(self.health_every), tick(survey::EVERY));
         let answers = self.workers.answers.clone();
         let diagnoses = self.diagnoser.answers.clone();
+        let comparisons = self.plant.as_ref().map_or_else(never, |plant| plant.answers().clone());
         // A watchdog is fed from here, so that an engine that stands still starves it.
         let watchdog = sd_notify::watchdog_enabled().map_or_else(never, |period| tick(period / 2));
         let rotations = self.recorder.as_ref().map_or_else(never, |r| r.rotations.clone());
@@ -227,6 +235,7 @@ impl Core {
                 },
                 recv(answers) -> answered => if let Ok(answered) = answered { self.answered(answered) },
                 recv(diagnoses) -> diagnosed => if let Ok(diagnosed) = diagnosed { self.diagnosed(diagnosed) },
+                recv(comparisons) -> compared => if let Ok(compared) = compared { self.compared(compared) },
                 recv(rotations) -> shard => if let Ok(shard) = shard { self.open_shard(shard) },
                 recv(ticker) -> _ => self.report(incoming.len()),
                 recv(surveys) -> _ => self.tend(),
@@ -254,6 +263,10 @@ impl Core {
         let diagnoses = self.diagnoser.answers.clone();
         while let Ok(diagnosed) = diagnoses.try_recv() {
             self.diagnosed(diagnosed);
+        }
+        let comparisons = self.plant.as_ref().map_or_else(never, |plant| plant.answers().clone());
+        while let Ok(compared) = comparisons.try_recv() {
+            self.compared(compared);
         }
         let rotations = self.recorder.as_ref().map_or_else(never, |r| r.rotations.clone());
         while let Ok(shard) = rotations.try_recv() {
@@ -401,6 +414,7 @@ impl Core {
                         self.record(id, Kind::Gap, &document, document.end_ns());
                         self.publish_result(id, Kind::Gap, document.end_ns(), &document);
                     }
+                    Event::Window(id, window) => self.watch_window(id, *window),
                     Event::Estimate(id, document) => {
                         self.metrics.estimates.inc();
                         let a = &document.assessment;

@@ -194,6 +194,9 @@ impl Core {
             let at_ns = self.engine.figures(id).greatest_ns.unwrap_or(0);
             self.record(id, Kind::Input, &RecordedInput::Forget, at_ns);
             self.engine.forget(id);
+            if let Some(plant) = &mut self.plant {
+                plant.forget(&name);
+            }
             gone.insert(id);
             self.metrics.loops_forgotten.inc();
             // An alarm that is not at rest goes on being shown and answered, with the age that it has.

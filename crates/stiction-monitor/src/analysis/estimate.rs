@@ -8,7 +8,6 @@ use stiction::gap::model_file::ModelFile;
 use stiction::gap::score::score;
 use stiction::gap::{GapError, GapOptions};
 use stiction::ident::Options;
-use stiction::plantwide::MemberJudgement;
 use stiction::record::Record;
 use stiction::signal::stats;
 use stiction::verdict::{
@@ -52,8 +51,6 @@ pub struct Answer {
     pub solver: Option<SolverDocument>,
     /// Fit of the given model.
     pub scored: Option<Scored>,
-    /// The loop's part in a group of loops that share one oscillation.
-    pub group: Option<MemberJudgement>,
 }
 
 /// Parses a dead time: `auto`, a number of samples such as `3`, or seconds such as `12s`; fractions are allowed.
@@ -177,7 +174,6 @@ impl Estimated {
             selection: self.taken.clone(),
             solver,
             scored,
-            group: None,
         }
     }
 }

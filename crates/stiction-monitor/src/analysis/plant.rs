@@ -38,8 +38,8 @@ pub fn judge_together(plant: &mut [OfPlant]) -> Result<Vec<GroupDocument>, Analy
         let name = &one.answer.document.loop_name;
         let found = groups.iter().flat_map(|group| &group.judgements).find(|judged| judged.loop_name == *name);
         if let Some(judged) = found {
-            one.answer.group = Some(judged.clone());
             judged.apply(&mut one.answer.document.assessment);
+            one.answer.document.group = Some(judged.clone());
         }
     }
     Ok(groups)

@@ -137,7 +137,7 @@ fn said(answer: &Answer, explain: bool) -> String {
     let box_samples = averaged.unwrap_or(answer.document.assessment.window.box_samples as f64);
     let mut rows = estimate(&answer.document, box_samples, explain);
     let mut row = |name: &str, value: String| rows.add(name, value);
-    if let Some(group) = &answer.group {
+    if let Some(group) = &answer.document.group {
         row("group", plantwide::of_member(group));
     }
     let taken = &answer.selection;

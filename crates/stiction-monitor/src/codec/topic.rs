@@ -4,10 +4,14 @@
 //! so on. In foreign recordings the last level names the signal and everything before it the loop.
 
 use std::fmt;
+use stiction::plantwide::GROUP_SCHEMA;
 use stiction::record::Signal;
 
 /// Topic levels below which the daemon publishes.
 pub const OUTPUT_CHUNKS: &str = "@stiction/v1";
+
+/// In place of a loop's name: many loops together. Groups are below it, each under the first of its members' names.
+pub const PLANT: &str = "@plant";
 
 /// Schema name of a loop's health.
 pub const LOOP_HEALTH_SCHEMA: &str = "stictiond.loop_health.v1";
@@ -27,6 +31,8 @@ pub enum Kind {
     Alarm,
     /// A gap diagnosis.
     Gap,
+    /// A group of loops that share one oscillation.
+    Group,
     /// The daemon's or a loop's health.
     Health,
     /// Initial state of a run.
@@ -37,8 +43,17 @@ pub enum Kind {
 
 impl Kind {
     /// Every kind.
-    pub const ALL: [Self; 8] =
-        [Self::Sample, Self::Mode, Self::Estimate, Self::Alarm, Self::Gap, Self::Health, Self::State, Self::Input];
+    pub const ALL: [Self; 9] = [
+        Self::Sample,
+        Self::Mode,
+        Self::Estimate,
+        Self::Alarm,
+        Self::Gap,
+        Self::Group,
+        Self::Health,
+        Self::State,
+        Self::Input,
+    ];
 
     /// The kind's word; for documents also the last level of the topic.
     #[must_use]
@@ -49,6 +64,7 @@ impl Kind {
             Self::Estimate => "estimate",
             Self::Alarm => "alarm",
             Self::Gap => "gap",
+            Self::Group => "group",
             Self::Health => "health",
             Self::State => "state",
             Self::Input => "input",
@@ -64,6 +80,7 @@ impl Kind {
             Self::Estimate => "stictiond.estimate.v1",
             Self::Alarm => "stictiond.alarm.v2",
             Self::Gap => "stictiond.gap.v1",
+            Self::Group => GROUP_SCHEMA,
             Self::Health => LOOP_HEALTH_SCHEMA,
             Self::State => "stictiond.state.v1",
             Self::Input => "stictiond.input.v1",
@@ -99,11 +116,11 @@ pub enum Leaf {
 }
 
 /// A parsed topic.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Topic<'a> {
     /// Prefix of the site; empty in foreign recordings.
     pub prefix: &'a str,
-    /// Loop name; `@daemon/{id}` for the daemon's own documents.
+    /// Loop name; `@daemon/{id}` for the daemon's own documents, [`PLANT`] and below for those of many loops.
     pub loop_name: &'a str,
     /// Kind of its messages.
     pub leaf: Leaf,
@@ -129,6 +146,12 @@ impl<'a> Topic<'a> {
         }
         let signal = Signal::from_name(&chunk.to_ascii_lowercase())?;
         Some(Self { prefix, loop_name, leaf: Leaf::Raw(signal) })
+    }
+
+    /// Whether it is of many loops together.
+    #[must_use]
+    pub fn is_of_plant(&self) -> bool {
+        self.loop_name.strip_prefix(PLANT).is_some_and(|rest| rest.is_empty() || rest.starts_with('/'))
     }
 }
 
@@ -183,12 +206,13 @@ mod tests {
 
     #[test]
     fn topics_come_apart_and_together() {
-        let cases: [(Option<&str>, &str, &str, Leaf); 6] = [
+        let cases: [(Option<&str>, &str, &str, Leaf); 7] = [
             (Some("p/a"), "p/a/FIC101/op", "FIC101", Leaf::Raw(Signal::Op)),
             (Some("p"), "p/u1/FIC101/pv", "u1/FIC101", Leaf::Raw(Signal::Pv)),
             (Some("p"), "p/@stiction/v1/FIC101/estimate", "FIC101", Leaf::Document(Kind::Estimate)),
             (Some("p"), "p/@stiction/v1/u1/FIC101/alarm", "u1/FIC101", Leaf::Document(Kind::Alarm)),
             (Some("p"), "p/@stiction/v1/@daemon/d1/health", "@daemon/d1", Leaf::Document(Kind::Health)),
+            (Some("p"), "p/@stiction/v1/@plant/u1/FIC101/group", "@plant/u1/FIC101", Leaf::Document(Kind::Group)),
             (None, "site/FIC101/mode", "site/FIC101", Leaf::Raw(Signal::Mode)),
         ];
         for (prefix, text, loop_name, leaf) in cases {

@@ -20,7 +20,7 @@ pub use input::Input;
 pub use reader::Fault;
 use reader::{Lines, TableReader, subtable};
 pub use scale::{Daemon, is_id};
-pub use service::{Commands, Retention, Signing};
+pub use service::{Commands, Plant, Retention, Signing};
 
 use crate::alarm::AlarmParams;
 use crate::engine::{GapParams, WindowParams};
@@ -36,7 +36,7 @@ fn is_default<T: Default + PartialEq>(settings: &T) -> bool {
 }
 
 /// Tables that occur once.
-const TABLES: [&str; 13] = [
+const TABLES: [&str; 14] = [
     "site",
     "zenoh",
     "input",
@@ -50,6 +50,7 @@ const TABLES: [&str; 13] = [
     "web",
     "daemon",
     "shard",
+    "plant",
 ];
 
 /// All settings of the daemon. Field names are the keys in the text.
@@ -87,6 +88,9 @@ pub struct Config {
     /// Its fixed part of all loops.
     #[serde(skip_serializing)]
     pub shard: Shard,
+    /// Groups of loops. Omitted from [`Config::hash`] while nothing is set.
+    #[serde(skip_serializing_if = "is_default")]
+    pub plant: Plant,
     /// Receivers outside the bus. Not part of [`Config::hash`], because delivery changes no document.
     #[serde(skip_serializing)]
     pub deliver: Vec<Deliver>,
@@ -236,8 +240,22 @@ impl Config {
 
     fn read(lines: &Lines, root: &DeTable<'_>, faults: &mut Vec<Fault>) -> Self {
         let mut open = |key: &str| subtable(lines, root, key, faults);
-        let [site, zenoh, input, window, alarm, gap, recording, retention, commands, signing, web, daemon, shard] =
-            TABLES.map(|key| (key, open(key)));
+        let [
+            site,
+            zenoh,
+            input,
+            window,
+            alarm,
+            gap,
+            recording,
+            retention,
+            commands,
+            signing,
+            web,
+            daemon,
+            shard,
+            plant,
+        ] = TABLES.map(|key| (key, open(key)));
         macro_rules! read {
             ($entry:expr, $read:expr) => {{
                 let mut reader = TableReader::new(lines, $entry.0, $entry.1.1, $entry.1.0, faults);
@@ -262,6 +280,7 @@ impl Config {
             web: read!(web, read_web),
             daemon: read!(daemon, scale::read_daemon),
             shard: read!(shard, scale::read_shard),
+            plant: read!(plant, service::read_plant),
             deliver: deliver::read_delivers(lines, root, faults),
             bundles: bundle::read_bundles(lines, root, faults),
             loops: loops::read_loops(lines, root, window, alarm, faults),

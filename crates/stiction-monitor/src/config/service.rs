@@ -1,4 +1,4 @@
-//! Settings of the daemon as a service: retention of recordings, and accepted commands.
+//! Settings of the daemon as a service: retention of recordings, accepted commands, groups of loops.
 
 use serde::Serialize;
 
@@ -30,6 +30,13 @@ pub struct Commands {
     pub principals: Vec<String>,
 }
 
+/// `[plant]`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct Plant {
+    /// Whether loops are compared to find groups that share one oscillation.
+    pub groups: bool,
+}
+
 /// `[signing]`.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct Signing {
@@ -43,10 +50,20 @@ impl Default for Retention {
     }
 }
 
+impl Default for Plant {
+    fn default() -> Self {
+        Self { groups: true }
+    }
+}
+
 impl Default for Commands {
     fn default() -> Self {
         Self { enabled: true, per_minute: 300, runs_per_hour: 60, principals: Vec::new() }
     }
+}
+
+pub(super) fn read_plant(r: &mut TableReader<'_, '_>) -> Plant {
+    Plant { groups: r.boolean("groups", Plant::default().groups) }
 }
 
 pub(super) fn read_signing(r: &mut TableReader<'_, '_>) -> Signing {

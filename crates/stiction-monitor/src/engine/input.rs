@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{Checkpoint, SkipReason};
+use super::{Checkpoint, GroupStanding, SkipReason};
 use crate::alarm::Command;
 
 /// Schema name of a recorded input.
@@ -45,6 +45,18 @@ pub enum RecordedInput {
         number: u64,
         /// Evaluations that it had done.
         evaluations: u64,
+    },
+    /// What a comparison of many loops says of this one; null where it is in no group any more.
+    Group {
+        /// The group's answer for the loop's next windows.
+        standing: Option<Box<GroupStanding>>,
+    },
+    /// The windows of many loops were compared; the documents of the groups follow.
+    Compared {
+        /// Names the windows.
+        windows: String,
+        /// How many they were.
+        loops: usize,
     },
     /// The loop had sent nothing for long and left the memory: what comes next begins anew, but for an alarm that is not
     /// at rest.

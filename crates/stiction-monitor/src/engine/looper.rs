@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use super::due::{Computed, Request, Snapshot, Waiting, WindowAnswer};
 use super::gaps::{GapReason, GapRefusal, GapRequest, GapWatch, PublishedGap};
+use super::plant::{GroupStanding, LoopWindow};
 use super::{Checkpoint, Event, LoopFigures, LoopId, LoopSettings, SkipReason, StateDocument, StreamState};
 use crate::alarm::{Alarm, AlarmDocument, Command, CommandError, State};
 use stiction::gap::MIN_POINTS;
@@ -13,7 +14,7 @@ use stiction::record::{Record, Sample};
 use stiction::signal::align::{Aligned, Aligner};
 use stiction::signal::history::History;
 use stiction::units::ns_from_s;
-use stiction::verdict::{Assessment, EstimateDocument};
+use stiction::verdict::{Assessment, EstimateDocument, MemberJudgement};
 
 /// A diagnosis on its way; the answer once it came is none where it was given up.
 #[derive(Debug)]
@@ -30,6 +31,7 @@ pub(super) struct Loop {
     pub settings: Arc<LoopSettings>,
     pub alarm: Alarm,
     pub gap: GapWatch,
+    pub group: Option<GroupStanding>,
     aligner: Aligner,
     history: History,
     /// End of the window under way: the first multiple of the hop at or after the last sample taken.
@@ -49,6 +51,7 @@ impl Loop {
             name,
             alarm: Alarm::default(),
             gap: GapWatch::default(),
+            group: None,
             aligner: Aligner::new(),
             history: settings.window.history(0),
             next_end_ns: None,
@@ -152,26 +155,44 @@ impl Loop {
         &mut self,
         id: LoopId,
         computed: Option<Computed>,
-        assessment: Assessment,
+        own: Assessment,
         hash: &Arc<str>,
         out: &mut Vec<Event>,
     ) {
+        let (assessment, group) = self.with_group(&own);
         let change = self.alarm.window(&self.name, &assessment, &self.settings.alarm);
         // A window that nobody computed has no model that could depart.
+        let record = computed.as_ref().map(|(record, _)| record.clone());
         let departed = computed.and_then(|(record, watched)| {
-            let asked = self.gap.window(&assessment, &record, watched, &self.settings.gap)?;
+            let asked = self.gap.window(&own, &record, watched, &self.settings.gap)?;
             Some((record, asked))
         });
         let end_ns = assessment.window.end_ns;
-        out.push(Event::Estimate(id, Box::new(EstimateDocument::new(&self.name, hash, assessment))));
+        if let Some(record) = record {
+            out.push(Event::Window(id, Box::new(LoopWindow::new(record, own, &self.settings))));
+        }
+        let document = EstimateDocument { group, ..EstimateDocument::new(&self.name, hash, assessment) };
+        out.push(Event::Estimate(id, Box::new(document)));
         if let Some(document) = change {
             out.push(Event::Alarm(id, Box::new(document.at(&self.settings.place))));
         }
-        let checkpoint = Checkpoint { alarm: self.alarm.clone(), gap: self.gap.clone(), stream: None };
+        let (alarm, gap, group) = (self.alarm.clone(), self.gap.clone(), self.group.clone());
+        let checkpoint = Checkpoint { alarm, gap, group, stream: None };
         out.push(Event::State(id, Box::new(StateDocument::new(&self.name, Some(end_ns), checkpoint))));
         if let Some((record, (reason, model))) = departed {
             self.ask_gap(id, (reason, None), record, model, hash, out);
         }
+    }
+
+    /// A window's own assessment with what the loop's group says of it.
+    fn with_group(&mut self, own: &Assessment) -> (Assessment, Option<MemberJudgement>) {
+        let mut assessment = own.clone();
+        let group = self.group.as_ref().and_then(|standing| standing.answer(own));
+        if let Some(judged) = &group {
+            judged.apply(&mut assessment);
+        }
+        self.group.take_if(|standing| !standing.count_window());
+        (assessment, group)
     }
 
     /// The history up to a stamp, or to the newest sample; of an older one what the memory still has.
@@ -268,11 +289,11 @@ impl Loop {
             waiting: self.waiting.len() as u64,
             taken_ns: self.taken_ns,
         };
-        Checkpoint { alarm: self.alarm.clone(), gap: self.gap.clone(), stream: Some(stream) }
+        Checkpoint { alarm: self.alarm.clone(), gap: self.gap.clone(), group: self.group.clone(), stream: Some(stream) }
     }
 
     pub fn restore(&mut self, checkpoint: Checkpoint) -> Option<AlarmDocument> {
-        (self.alarm, self.gap) = (checkpoint.alarm, checkpoint.gap);
+        (self.alarm, self.gap, self.group) = (checkpoint.alarm, checkpoint.gap, checkpoint.group);
         if let Some(stream) = checkpoint.stream {
             if self.history.total() != stream.points {
                 self.history = self.settings.window.history(stream.points);

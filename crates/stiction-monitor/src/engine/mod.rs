@@ -10,6 +10,7 @@ mod due;
 pub mod gaps;
 mod input;
 mod looper;
+pub mod plant;
 mod settings;
 mod windowing;
 
@@ -28,6 +29,7 @@ use stiction::verdict::EstimateDocument;
 pub use due::{Request, Snapshot, WindowAnswer};
 pub use gaps::{GapReason, GapRefusal, GapRequest, GapWatch, PublishedGap};
 pub use input::{INPUT_SCHEMA, RecordedInput, STATE_SCHEMA, StateDocument};
+pub use plant::{Comparison, GroupStanding, LoopWindow, PlantWatch};
 pub use settings::{EngineSettings, GapParams, LoopSettings, WindowParams};
 pub use windowing::{longest, section, windows};
 
@@ -48,6 +50,8 @@ impl LoopId {
 pub enum Event {
     /// Compute this and hand the answer back.
     Request(Box<Request>),
+    /// A window and what it says by itself, to be compared with those of other loops.
+    Window(LoopId, Box<LoopWindow>),
     /// An estimate to publish and record.
     Estimate(LoopId, Box<EstimateDocument>),
     /// A change of an alarm to publish, record and log.
@@ -93,6 +97,9 @@ pub struct Checkpoint {
     /// What is usual of the loop, and the model that its gap is measured from.
     #[serde(default)]
     pub gap: GapWatch,
+    /// What its group last said of it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub group: Option<GroupStanding>,
     /// Samples on their way into the history, and what is held. Absent at the start of a run.
     pub stream: Option<StreamState>,
 }
@@ -233,7 +240,7 @@ impl Engine {
         }
         let mut new = Loop::new(name.into(), self.settings.of(name).clone());
         if let Some(memory) = self.left.remove(name) {
-            (new.alarm, new.gap) = (memory.alarm, memory.gap);
+            (new.alarm, new.gap, new.group) = (memory.alarm, memory.gap, memory.group);
         }
         let id = self.free.first().copied().unwrap_or(LoopId(self.loops.len() as u32));
         self.put(id, Box::new(new));
@@ -297,7 +304,7 @@ impl Engine {
         self.free.insert(id);
         self.own_absent += usize::from(self.settings.own.contains_key(&*name));
         if alarm.shown() != State::Normal {
-            self.left.insert(name, Checkpoint { alarm, gap, stream: None });
+            self.left.insert(name, Checkpoint { alarm, gap, group: None, stream: None });
         }
         true
     }
@@ -371,6 +378,23 @@ impl Engine {
         self.of(id).gaps_waiting()
     }
 
+    /// Takes what a loop's group says of it, or that it is in none any more; the recording must hold it as an input.
+    pub fn stand(&mut self, id: LoopId, standing: Option<GroupStanding>) {
+        self.of_mut(id).group = standing;
+    }
+
+    /// Whether the group of a loop has an answer for its next window.
+    #[must_use]
+    pub fn has_standing(&self, id: LoopId) -> bool {
+        self.of(id).group.is_some()
+    }
+
+    /// Whether the stiction alarm of a loop is active.
+    #[must_use]
+    pub fn has_alarm(&self, name: &str) -> bool {
+        self.find(name).is_some_and(|id| self.of(id).alarm.active)
+    }
+
     /// Carries out a person's command.
     ///
     /// # Errors
@@ -397,7 +421,7 @@ impl Engine {
     /// Takes over what windows left behind, without the stream: as at the start of the file that is verified.
     pub fn restore_memory(&mut self, id: LoopId, checkpoint: Checkpoint) {
         let of = self.of_mut(id);
-        (of.alarm, of.gap) = (checkpoint.alarm, checkpoint.gap);
+        (of.alarm, of.gap, of.group) = (checkpoint.alarm, checkpoint.gap, checkpoint.group);
     }
 
     /// The alarm's document, under this daemon's name.
@@ -413,7 +437,7 @@ impl Engine {
                 Event::Estimate(_, document) => document.daemon = Some(daemon.to_string()),
                 Event::Alarm(_, document) => document.daemon = Some(daemon.to_string()),
                 Event::GapRequest(request) => request.daemon = Some(daemon.clone()),
-                Event::Request(_) | Event::State(..) | Event::Gap(..) => {}
+                Event::Request(_) | Event::Window(..) | Event::State(..) | Event::Gap(..) => {}
             }
         }
     }

@@ -3,7 +3,7 @@
 use serde::Serialize;
 
 use crate::units::Moment;
-use crate::verdict::{Assessment, Verdict};
+use crate::verdict::MemberJudgement;
 
 /// Schema of a group's document.
 pub const GROUP_SCHEMA: &str = "stictiond.group.v1";
@@ -32,6 +32,17 @@ pub struct GroupDocument {
     pub pairs_compared: usize,
     /// Version of the library.
     pub version: &'static str,
+    /// Id of the daemon that made it, if any.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub daemon: Option<String>,
+}
+
+impl GroupDocument {
+    /// The name that the group's documents share while it has the same members: the alphabetically first of them.
+    #[must_use]
+    pub fn key(&self) -> &str {
+        self.members.iter().min().map_or("", String::as_str)
+    }
 }
 
 /// A stretch of time.
@@ -94,49 +105,4 @@ pub struct Follower {
     pub lag_s: f64,
     /// Share of its signal's power in the common oscillation and its harmonics.
     pub share: f64,
-}
-
-/// A member as the group judges it.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-pub struct MemberJudgement {
-    /// Its name.
-    #[serde(rename = "loop")]
-    pub loop_name: String,
-    /// Probability that the loop makes the oscillation.
-    pub p_source: f64,
-    /// Probability that its valve sticks, from the loop's own window alone.
-    pub p_alone: Option<f64>,
-    /// The same from the whole group.
-    pub p_stiction: Option<f64>,
-    /// What drives it, such as `driven by FIC101, p 0.94`; absent for the source.
-    pub cause: Option<String>,
-    /// The source's oscillation hides whether this valve sticks: judge it again once the source is repaired.
-    pub masked: bool,
-}
-
-/// Reason of an estimate without a verdict: the loop follows an oscillation of its group, which hides the state of its valve.
-pub const MASKED: &str = "masked";
-
-impl MemberJudgement {
-    /// Puts the group's answer into the estimate of the member's window.
-    pub fn apply(&self, a: &mut Assessment) {
-        let Some(p) = self.p_stiction.filter(|_| a.stiction.is_some()) else { return };
-        let called = p >= called_at(a);
-        a.p_stiction = Some(p);
-        match a.stiction {
-            Some(true) if !called => {
-                (a.verdict, a.stiction, a.reason) = (Verdict::Inconclusive, None, Some(MASKED));
-                a.grade = Some('D');
-            }
-            Some(false) if called => (a.verdict, a.stiction) = (Verdict::Stiction, Some(true)),
-            _ => {}
-        }
-        a.confidence = a.stiction.map(|_| p.max(1.0 - p));
-    }
-}
-
-/// Probability above which an estimate calls a valve sticking.
-pub(super) fn called_at(a: &Assessment) -> f64 {
-    a.explanation.map_or(0.5, |opinion| opinion.cuts.called)
 }

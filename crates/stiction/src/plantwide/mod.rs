@@ -20,7 +20,7 @@ mod source;
 mod words;
 
 pub use calibration::{Calibration, Chance, Made};
-pub use document::{Follower, GROUP_SCHEMA, GroupDocument, MASKED, MemberJudgement, Source, SourceKind, Span};
+pub use document::{Follower, GROUP_SCHEMA, GroupDocument, Source, SourceKind, Span};
 pub use logit::Logit;
 pub use source::{member_figures, source_figures};
 pub use words::{of_member, text};
@@ -28,6 +28,7 @@ pub use words::{of_member, text};
 use crate::record::Record;
 use crate::units::Moment;
 use crate::verdict::{Assessment, Gate};
+pub use crate::verdict::{MASKED, MemberJudgement};
 use cycle::Cycle;
 use evidence::{Evidence, Signals};
 use groups::Link;
@@ -79,6 +80,12 @@ pub fn pair_figures(a: &PlantLoop, b: &PlantLoop) -> Option<Vec<f64>> {
     let epoch_ns = a.record.start_ns.min(b.record.start_ns);
     let [a, b] = [a, b].map(|l| Cycle::of(l.record, epoch_ns));
     Some(pair::expanded(&pair::compare(&a?, &b?)?))
+}
+
+/// Whether two periods, s, are so near each other that their loops may share one oscillation.
+#[must_use]
+pub fn is_near(a_s: f64, b_s: f64) -> bool {
+    libm::fabs(libm::log(a_s / b_s)) < pair::NEAR
 }
 
 /// Frequency of a loop's dominant oscillation, Hz; `None` where it does not oscillate.
@@ -189,6 +196,7 @@ impl Group<'_> {
             p_value,
             pairs_compared,
             version: crate::VERSION,
+            daemon: None,
         })
     }
 
@@ -199,7 +207,7 @@ impl Group<'_> {
         // A member beyond the candidates is less likely to stick, alone, than each of them.
         let judged = place.zip(p_alone).map(|(place, p)| decision.p_stiction(place, p, self.rules));
         let (p_stiction, lowered) = judged.map_or((p_alone, false), |(p, lowered)| (Some(p), lowered));
-        let called = p_stiction.is_some_and(|p| p >= document::called_at(l.assessment));
+        let called = p_stiction.is_some_and(|p| p >= l.assessment.called_at());
         MemberJudgement {
             loop_name: l.name.to_owned(),
             p_source: place.map_or(0.0, |place| decision.p_source[place]),

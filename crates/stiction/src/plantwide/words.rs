@@ -1,9 +1,10 @@
 //! A group in words.
 
-use super::document::{GroupDocument, MemberJudgement, Source, SourceKind};
+use super::document::{GroupDocument, Source, SourceKind};
 use super::evidence::Evidence;
 use super::source::{Decision, names};
 use crate::units::{duration, number, probability};
+use crate::verdict::MemberJudgement;
 
 /// Probability above which a source is named.
 const NAMED: f64 = 0.5;

@@ -6,6 +6,7 @@ use crate::optim::SolverName;
 use crate::sim::slips::Law;
 use serde::{Deserialize, Serialize};
 
+use super::group::MemberJudgement;
 use super::rule::Opinion;
 use crate::detect::Indicator;
 pub use crate::ident::ESTIMATE_SCHEMA;
@@ -406,6 +407,9 @@ pub struct EstimateDocument {
     /// The assessment.
     #[serde(flatten)]
     pub assessment: Assessment,
+    /// What the group of loops that share its oscillation says of it, where there is one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub group: Option<MemberJudgement>,
     /// Version of the program.
     pub version: &'static str,
     /// Hash of the configuration.
@@ -423,6 +427,7 @@ impl EstimateDocument {
             schema: ESTIMATE_SCHEMA,
             loop_name: loop_name.to_owned(),
             assessment,
+            group: None,
             version: crate::VERSION,
             config_hash: config_hash.to_owned(),
             daemon: None,

@@ -8,6 +8,7 @@ mod detectable;
 mod document;
 mod excursion;
 mod gates;
+mod group;
 mod judge;
 mod params;
 pub mod plausible;
@@ -24,5 +25,6 @@ pub use document::{
     Assessment, Controller, ESTIMATE_SCHEMA, EstimateDocument, Gate, Implausible, Oscillation, Process, Search,
     Verdict, Window,
 };
+pub use group::{MASKED, MemberJudgement};
 pub use params::AssessParams;
 pub use screen::{P_CALM, SCREENED};

@@ -1,0 +1,52 @@
+//! What the group of loops that share one oscillation says of one of them.
+
+use serde::{Deserialize, Serialize};
+
+use super::document::{Assessment, Verdict};
+
+/// A member as its group judges it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct MemberJudgement {
+    /// Its name.
+    #[serde(rename = "loop")]
+    pub loop_name: String,
+    /// Probability that the loop makes the oscillation.
+    pub p_source: f64,
+    /// Probability that its valve sticks, from the loop's own window alone.
+    pub p_alone: Option<f64>,
+    /// The same from the whole group.
+    pub p_stiction: Option<f64>,
+    /// What drives it, such as `driven by FIC101, p 0.94`; absent for the source.
+    pub cause: Option<String>,
+    /// The source's oscillation hides whether this valve sticks: judge it again once the source is repaired.
+    pub masked: bool,
+}
+
+/// Reason of an estimate without a verdict: the loop follows an oscillation of its group, which hides the state of its valve.
+pub const MASKED: &str = "masked";
+
+impl MemberJudgement {
+    /// Puts the group's answer into the estimate of the member's window.
+    pub fn apply(&self, a: &mut Assessment) {
+        let Some(p) = self.p_stiction.filter(|_| a.stiction.is_some()) else { return };
+        let called = p >= a.called_at();
+        a.p_stiction = Some(p);
+        match a.stiction {
+            Some(true) if !called => {
+                (a.verdict, a.stiction, a.reason) = (Verdict::Inconclusive, None, Some(MASKED));
+                a.grade = Some('D');
+            }
+            Some(false) if called => (a.verdict, a.stiction) = (Verdict::Stiction, Some(true)),
+            _ => {}
+        }
+        a.confidence = a.stiction.map(|_| p.max(1.0 - p));
+    }
+}
+
+impl Assessment {
+    /// Probability from which a valve is called sticking.
+    pub(crate) fn called_at(&self) -> f64 {
+        self.explanation.map_or(0.5, |opinion| opinion.cuts.called)
+    }
+}
