@@ -69,6 +69,7 @@ mod tests {
     fn topics_and_documents_call_them_alike() {
         assert_eq!(Kind::Alarm.schema(), ALARM_SCHEMA);
         assert_eq!((Kind::Estimate.schema(), Kind::Gap.schema()), (ESTIMATE_SCHEMA, GAP_SCHEMA));
+        assert_eq!(Kind::Group.schema(), GROUP_SCHEMA);
         assert!(schemas().iter().all(|(name, schema)| schema["properties"]["schema"]["const"] == *name));
     }
 

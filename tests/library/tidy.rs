@@ -51,7 +51,10 @@ const IMPORTS: [(&str, &[&str]); 40] = [
     ("shard", &[]),
     ("alarm", &["units", "record", "hash", "ident", "verdict"]),
     ("codec", &["units", "record"]),
-    ("engine", &["units", "record", "signal", "sim", "ident", "detect", "verdict", "gap", "alarm"]),
+    (
+        "engine",
+        &["units", "record", "signal", "sim", "ident", "detect", "verdict", "gap", "plantwide", "hash", "alarm"],
+    ),
     (
         "analysis",
         &[

@@ -4,7 +4,6 @@
 //! so on. In foreign recordings the last level names the signal and everything before it the loop.
 
 use std::fmt;
-use stiction::plantwide::GROUP_SCHEMA;
 use stiction::record::Signal;
 
 /// Topic levels below which the daemon publishes.
@@ -80,7 +79,7 @@ impl Kind {
             Self::Estimate => "stictiond.estimate.v1",
             Self::Alarm => "stictiond.alarm.v2",
             Self::Gap => "stictiond.gap.v1",
-            Self::Group => GROUP_SCHEMA,
+            Self::Group => "stictiond.group.v1",
             Self::Health => LOOP_HEALTH_SCHEMA,
             Self::State => "stictiond.state.v1",
             Self::Input => "stictiond.input.v1",

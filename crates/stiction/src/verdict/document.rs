@@ -6,7 +6,6 @@ use crate::optim::SolverName;
 use crate::sim::slips::Law;
 use serde::{Deserialize, Serialize};
 
-use super::group::MemberJudgement;
 use super::rule::Opinion;
 use crate::detect::Indicator;
 pub use crate::ident::ESTIMATE_SCHEMA;
@@ -393,6 +392,25 @@ pub struct Search {
     pub rounds: usize,
     /// Why it ended.
     pub stopped: Ended,
+}
+
+/// A member as its group judges it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct MemberJudgement {
+    /// Its name.
+    #[serde(rename = "loop")]
+    pub loop_name: String,
+    /// Probability that the loop makes the oscillation.
+    pub p_source: f64,
+    /// Probability that its valve sticks, from the loop's own window alone.
+    pub p_alone: Option<f64>,
+    /// The same from the whole group.
+    pub p_stiction: Option<f64>,
+    /// What drives it, such as `driven by FIC101, p 0.94`; absent for the source.
+    pub cause: Option<String>,
+    /// The source's oscillation hides whether this valve sticks: judge it again once the source is repaired.
+    pub masked: bool,
 }
 
 /// The published document: an assessment with its loop and build.

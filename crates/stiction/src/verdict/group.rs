@@ -1,27 +1,6 @@
 //! What the group of loops that share one oscillation says of one of them.
 
-use serde::{Deserialize, Serialize};
-
-use super::document::{Assessment, Verdict};
-
-/// A member as its group judges it.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-pub struct MemberJudgement {
-    /// Its name.
-    #[serde(rename = "loop")]
-    pub loop_name: String,
-    /// Probability that the loop makes the oscillation.
-    pub p_source: f64,
-    /// Probability that its valve sticks, from the loop's own window alone.
-    pub p_alone: Option<f64>,
-    /// The same from the whole group.
-    pub p_stiction: Option<f64>,
-    /// What drives it, such as `driven by FIC101, p 0.94`; absent for the source.
-    pub cause: Option<String>,
-    /// The source's oscillation hides whether this valve sticks: judge it again once the source is repaired.
-    pub masked: bool,
-}
+use super::document::{Assessment, MemberJudgement, Verdict};
 
 /// Reason of an estimate without a verdict: the loop follows an oscillation of its group, which hides the state of its valve.
 pub const MASKED: &str = "masked";

@@ -22,9 +22,9 @@ pub use crate::detect::Indicator;
 pub use crate::ident::{DelayChoice, ModelChoice, ValveChoice};
 pub use assess::{assess, assess_in_windows, figures, lets_go};
 pub use document::{
-    Assessment, Controller, ESTIMATE_SCHEMA, EstimateDocument, Gate, Implausible, Oscillation, Process, Search,
-    Verdict, Window,
+    Assessment, Controller, ESTIMATE_SCHEMA, EstimateDocument, Gate, Implausible, MemberJudgement, Oscillation,
+    Process, Search, Verdict, Window,
 };
-pub use group::{MASKED, MemberJudgement};
+pub use group::MASKED;
 pub use params::AssessParams;
 pub use screen::{P_CALM, SCREENED};
