@@ -1,14 +1,12 @@
 //! What a group says of a loop: the estimate names what drives the loop, and the alarm waits for the source's.
 #![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use std::sync::Arc;
-
 use stiction::plantwide::{GROUP_SCHEMA, GroupDocument, Source, SourceKind, Span};
 use stiction::record::{Sample, Signal, Value};
 use stiction::units::Moment;
 use stiction::verdict::{Assessment, EstimateDocument, MemberJudgement, Oscillation, Verdict, Window};
 use stiction_monitor::config::Config;
-use stiction_monitor::engine::{Engine, Event, GroupStanding, LoopId, WindowAnswer};
+use stiction_monitor::engine::{Engine, Event, GroupStanding, LoopId};
 
 const HOP_NS: i64 = 300_000_000_000;
 const PERIOD_S: f64 = 60.0;
@@ -108,7 +106,7 @@ impl Rig {
                 match event {
                     Event::Request(request) => {
                         let assessment = sticking(request.end_ns, self.period_s);
-                        let answer = WindowAnswer { record: Arc::new(request.record()), assessment };
+                        let answer = request.answer(request.record(), assessment);
                         self.engine.complete(request.id, request.seq, answer, &mut events);
                     }
                     Event::Estimate(_, document) => return *document,

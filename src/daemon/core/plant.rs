@@ -2,6 +2,7 @@
 //! loops' own alarms.
 
 use std::collections::BTreeSet;
+use std::sync::Arc;
 
 use super::{Core, to_json};
 use crate::daemon::plant::{Compared, Comparer};
@@ -58,6 +59,9 @@ impl Core {
         self.record_of_plant(first, PLANT, Kind::Input, &input, at_ns);
         self.publish_groups(&groups);
         self.tell_members(&comparison, &groups);
+        if let Some(overview) = &self.overview {
+            overview.show_groups(self.clock.now(), groups.into_iter().map(Arc::new).collect());
+        }
     }
 
     fn publish_groups(&mut self, groups: &[GroupDocument]) {

@@ -163,6 +163,7 @@ pub(crate) fn group_of(end_ns: i64, members: &[&str]) -> GroupDocument {
         p_value: 1e-3,
         pairs_compared: 6,
         version: "0",
+        daemon: None,
     }
 }
 
