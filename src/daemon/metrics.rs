@@ -117,6 +117,8 @@ counters! {
     gaps: "Gap diagnoses made",
     gaps_skipped: "Gap diagnoses refused, skipped or without an answer",
     comparisons: "Comparisons of all oscillating loops",
+    group_documents: "Documents of groups of loops",
+    group_answers: "Answers of groups, or of none any more, that loops were given",
     comparisons_left_out: "Comparisons left out because the one before was not done",
     gaps_cut: "Gap diagnoses whose search was ended before its budget",
     commands: "Commands carried out",

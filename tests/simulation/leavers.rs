@@ -31,6 +31,7 @@ fn play(stage: &mut Stage, name: &str, later_ns: i64) {
         stage.deliver(&format!("p/{name}/{}", sample.signal.name()), &json);
         stage.turn();
         while stage.work(1, |_, request| Some(request.compute().assessment)) > 0 {}
+        stage.compare();
     }
     stage.record();
 }

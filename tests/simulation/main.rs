@@ -129,6 +129,7 @@ struct Figures {
     receiver_faults: u64,
     gaps: u64,
     gaps_refused: u64,
+    comparisons: u64,
     thinned: u64,
     removed: u64,
     digest: u64,
@@ -303,6 +304,9 @@ impl Simulation {
         self.stage.work(fits, |name, r| (r.seq % 300 != 7).then(|| scripted(seed, name, r)));
         self.oracle.follow(self.stage.published());
         self.diagnose();
+        if step % 64 == 0 && self.stage.compare() {
+            self.figures.comparisons += 1;
+        }
         self.clock.advance(Duration::from_nanos(STEP_NS as u64));
         self.stage.record();
         let stored = self.stage.keep();
@@ -449,7 +453,8 @@ impl Simulation {
         let taken = m.samples.get() - m.over_rate.get() - m.stamps_ahead.get();
         let windows = 2 * m.estimates.get() + m.alarms.get() + m.fits_skipped.get();
         let gaps = self.run.gaps_done + self.stage.gaps_waiting() as u64 + m.gaps.get() + self.run.gaps_skipped;
-        let handed = taken + windows + 2 * m.commands.get() + gaps;
+        let plant = m.comparisons.get() + m.group_documents.get() + m.group_answers.get();
+        let handed = taken + windows + 2 * m.commands.get() + gaps + plant;
         let kept = m.recorded.get() + m.recording_lost.get();
         assert_eq!(kept, handed, "step {step}: recorded {} and lost {}", m.recorded.get(), m.recording_lost.get());
         if step % 16 == 0 {
@@ -584,7 +589,13 @@ fn thirty_days_of_a_hundred_loops_under_faults() {
             assert!(figures.ahead > 0 && figures.over_limit > 0 && figures.over_share > 0, "limits were met");
             assert!(figures.recorded > 4 * figures.lost, "most of it is recorded all the same");
             assert!(figures.delivered > 100 && figures.dead_letters > 2 && figures.receiver_faults > 3);
-            assert!(figures.gaps > 2 && figures.gaps_refused > 3 && figures.thinned > 5 && figures.removed > 5);
+            assert!(
+                figures.comparisons > 0
+                    && figures.gaps > 2
+                    && figures.gaps_refused > 3
+                    && figures.thinned > 5
+                    && figures.removed > 5
+            );
         }
     }
 }

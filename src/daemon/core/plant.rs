@@ -51,12 +51,13 @@ impl Core {
             tracing::error!(loops = comparison.loops().len(), "the comparison of loops failed: no groups are known");
             return;
         };
-        self.metrics.comparisons.inc();
         self.metrics.groups.set(groups.len() as i64);
-        let Some(first) = comparison.loops().find_map(|name| self.engine.find(name)) else { return };
-        let input = RecordedInput::Compared { windows: comparison.digest(), loops: comparison.loops().len() };
-        let at_ns = groups.iter().map(|group| group.window.end_ns).max().unwrap_or(0);
-        self.record_of_plant(first, PLANT, Kind::Input, &input, at_ns);
+        if let Some(first) = comparison.loops().find_map(|name| self.engine.find(name)) {
+            self.metrics.comparisons.inc();
+            let input = RecordedInput::Compared { windows: comparison.digest(), loops: comparison.loops().len() };
+            let at_ns = groups.iter().map(|group| group.window.end_ns).max().unwrap_or(0);
+            self.record_of_plant(first, PLANT, Kind::Input, &input, at_ns);
+        }
         self.publish_groups(&groups);
         self.tell_members(&comparison, &groups);
         if let Some(overview) = &self.overview {
@@ -75,6 +76,7 @@ impl Core {
             if let Some(json) = to_json(group) {
                 self.publisher.publish(Publication { key: key.clone(), kind: Kind::Group, document: Some(json) });
             }
+            self.metrics.group_documents.inc();
             shown.insert(key);
         }
         let Some(plant) = &mut self.plant else { return };
@@ -103,6 +105,7 @@ impl Core {
     fn tell_member(&mut self, id: LoopId, standing: Option<GroupStanding>) {
         let at_ns = self.engine.figures(id).greatest_ns.unwrap_or(0);
         self.record(id, Kind::Input, &RecordedInput::Group { standing: standing.clone().map(Box::new) }, at_ns);
+        self.metrics.group_answers.inc();
         self.engine.stand(id, standing);
     }
 
