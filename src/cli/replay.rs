@@ -175,6 +175,14 @@ fn print(format: Format, output: &Output) -> anyhow::Result<()> {
             text(&d["reason"]),
             d["cause"]["probability"].as_f64().map_or_else(|| "-".to_owned(), probability)
         ),
+        Kind::Group => format!(
+            "{}  {name:<12} group of {} loops: source {} {} (p {})",
+            time(&d["window"]["end_ns"]),
+            d["members"].as_array().map_or(0, Vec::len),
+            text(&d["source"]["kind"]),
+            d["source"]["loop"].as_str().unwrap_or(""),
+            d["source"]["probability"].as_f64().map_or_else(|| "-".to_owned(), probability)
+        ),
         _ => format!(
             "{}  {name:<12} {:<15} index {:>6}  s {:>7}",
             time(&d["window"]["end_ns"]),

@@ -1,5 +1,4 @@
-//! Compares the loops of a plant on a thread of its own, at low priority: one comparison at a time. What comes due meanwhile
-//! is left out, as the next hop brings another.
+//! Compares the loops of a plant on a thread of its own, at low priority, one comparison after the other.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::time::{Duration, Instant};

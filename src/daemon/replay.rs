@@ -21,7 +21,6 @@ use stiction::record::Sample;
 use stiction_monitor::codec::decode_recorded;
 use stiction_monitor::codec::topic::{Kind, Leaf, Topic};
 use stiction_monitor::config::Config;
-use stiction_monitor::engine::plant;
 use stiction_monitor::engine::{
     Engine, EngineSettings, Event, GapRequest, LoopId, LoopWindow, RecordedInput, Request, SkipReason, StateDocument,
 };
@@ -196,7 +195,7 @@ impl Replay {
             }
             RecordedInput::Group { standing } => self.engine.stand(id, standing.map(|standing| *standing)),
             // Of many loops: not in a loop's own channel.
-            RecordedInput::Compared { .. } => {}
+            RecordedInput::Comparing { .. } | RecordedInput::Compared { .. } => {}
             RecordedInput::Forget => {
                 self.for_plant.push(PlantEvent::Left(self.engine.name(id).clone()));
                 self.engine.forget(id);
@@ -497,9 +496,7 @@ pub fn files_needed(path: &Path, metadata: &RunMetadata) -> anyhow::Result<Vec<P
 /// How far the windows of any loop may reach back, ns.
 pub(super) fn reach_ns(config: &Config) -> i64 {
     let windows = config.loops.iter().map(|l| l.window).chain([config.window]);
-    let reach_s = windows
-        .map(|w| 1.05 * w.max_window_s + 2.0 * w.hop_s + plant::reach_s(w.hop_s) + w.lateness_s)
-        .fold(0.0, f64::max);
+    let reach_s = windows.map(|w| 1.05 * w.max_window_s + 2.0 * w.hop_s + w.lateness_s).fold(0.0, f64::max);
     stiction::units::ns_from_s(reach_s)
 }
 

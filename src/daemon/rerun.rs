@@ -1,6 +1,6 @@
-//! Replays a file on all cores. Loops know nothing of each other, so each has its lane, an engine of its own; one thread
-//! reads ahead, the lanes work through a block of messages side by side, and what they made is put into the order in which
-//! the messages stand. So the bytes are those of one engine that takes one message after the other.
+//! Replays a file on all cores. A loop's answers depend on its own channel alone, so each has its lane, an engine of its own;
+//! one thread reads ahead, the lanes work through a block of messages side by side, and what they made is put into the order in
+//! which the messages stand. So the bytes are those of one engine that takes one message after the other.
 
 use std::collections::{HashMap, VecDeque};
 use std::path::Path;
@@ -16,7 +16,7 @@ use crate::files::{End, Item, RecordingReader};
 use stiction::record::Sample;
 use stiction_monitor::codec::topic::{Kind, Leaf, Topic};
 use stiction_monitor::config::Config;
-use stiction_monitor::engine::{Engine, EngineSettings, RecordedInput, StateDocument};
+use stiction_monitor::engine::{Engine, EngineSettings, StateDocument};
 use stiction_monitor::shard::stable_hash;
 
 /// Lanes: many more than cores, so that one with a busy loop holds up nobody. Results do not hang on it.
@@ -332,10 +332,9 @@ impl Comparing<'_> {
 
     /// Takes a message of many loops: where windows were compared, they are compared again.
     fn take_of_plant(&mut self, topic: Option<Topic<'_>>, data: &[u8]) -> anyhow::Result<()> {
-        if topic.is_some_and(|topic| topic.leaf == Leaf::Document(Kind::Input))
-            && let RecordedInput::Compared { windows, .. } = serde_json::from_slice(data).context("a recorded input")?
-        {
-            self.plant.compare(&windows).into_iter().for_each(|output| self.put_out(output));
+        if topic.is_some_and(|topic| topic.leaf == Leaf::Document(Kind::Input)) {
+            let input = serde_json::from_slice(data).context("a recorded input")?;
+            self.plant.obey(input).into_iter().for_each(|output| self.put_out(output));
         }
         Ok(())
     }

@@ -11,7 +11,7 @@ pub(super) fn cards(report: &Report) -> Markup {
     let Some(groups) = &report.groups else { return html! {} };
     html! {
         @if groups.is_empty() {
-            section.card { h2 { "Plant" } p { "No loops share an oscillation. Loops alone are judged by themselves." } }
+            section.card { h2 { "Plant" } p { "No loops share an oscillation. Each loop is judged on its own." } }
         }
         @for group in groups { (card(report, group)) }
     }

@@ -4,7 +4,9 @@
 use stiction::plantwide::{GROUP_SCHEMA, GroupDocument, Source, SourceKind, Span};
 use stiction::record::{Sample, Signal, Value};
 use stiction::units::Moment;
+use stiction::verdict::rule::{Cuts, Opinion};
 use stiction::verdict::{Assessment, EstimateDocument, MemberJudgement, Oscillation, Verdict, Window};
+use stiction_monitor::alarm::Command;
 use stiction_monitor::config::Config;
 use stiction_monitor::engine::{Engine, Event, GroupStanding, LoopId};
 
@@ -36,12 +38,13 @@ fn sticking(end_ns: i64, period_s: f64) -> Assessment {
         p_stiction: Some(0.8),
         s: Some(2.0),
         grade: Some('B'),
+        explanation: Some(Opinion { base: 0.0, logit: (0.8_f64 / 0.2).ln(), cuts: Cuts { called: 0.5, alarm: 0.7 } }),
         ..found
     }
 }
 
-/// A group of a source and the follower whose p it lowers to 0.1.
-fn group() -> GroupDocument {
+/// A group of a source and the follower whose p it lowers.
+fn group(p_follower: f64) -> GroupDocument {
     let judgement = |name: &str, p_source: f64, p: f64| MemberJudgement {
         loop_name: name.to_owned(),
         p_source,
@@ -61,7 +64,7 @@ fn group() -> GroupDocument {
             next_test: None,
         },
         followers: Vec::new(),
-        judgements: vec![judgement("SOURCE", 0.95, 0.98), judgement("FOLLOWER", 0.05, 0.1)],
+        judgements: vec![judgement("SOURCE", 0.95, 0.98), judgement("FOLLOWER", 0.05, p_follower)],
         period_s: PERIOD_S,
         window: Span { start_ns: 0, end_ns: HOP_NS, start: Moment(0), end: Moment(HOP_NS) },
         p_value: 0.001,
@@ -71,7 +74,7 @@ fn group() -> GroupDocument {
     }
 }
 
-/// The follower on an engine, a window a hop.
+/// One loop on an engine, a window a hop.
 struct Rig {
     engine: Engine,
     id: LoopId,
@@ -81,14 +84,22 @@ struct Rig {
 
 impl Rig {
     fn new() -> Self {
+        Self::of("FOLLOWER")
+    }
+
+    fn of(name: &str) -> Self {
         let mut engine = Engine::new(Config::with_prefix("p").engine());
-        let id = engine.appear("FOLLOWER").unwrap();
+        let id = engine.appear(name).unwrap();
         Self { engine, id, now_ns: 0, period_s: PERIOD_S }
     }
 
     /// The answer of the group, while the source's alarm is active or not.
     fn stand(&mut self, source_has_alarm: bool) {
-        let standings = GroupStanding::of_members(&group(), |name| source_has_alarm && name == "SOURCE");
+        self.stand_at(0.1, source_has_alarm);
+    }
+
+    fn stand_at(&mut self, p: f64, source_has_alarm: bool) {
+        let standings = GroupStanding::of_members(&group(p), |name| source_has_alarm && name == "SOURCE");
         let own = standings.into_iter().find(|s| s.judgement.loop_name == "FOLLOWER");
         self.engine.stand(self.id, own);
     }
@@ -117,7 +128,7 @@ impl Rig {
     }
 
     fn has_alarm(&self) -> bool {
-        self.engine.has_alarm("FOLLOWER")
+        self.engine.checkpoint(self.id).alarm.active
     }
 }
 
@@ -161,6 +172,46 @@ fn an_answer_that_no_comparison_confirms_ends_after_three_windows() {
     let held: Vec<bool> = (0..8).map(|_| rig.next_window().group.is_some()).collect();
     assert_eq!(held, [true, true, true, false, false, false, false, false]);
     assert!(rig.has_alarm());
+}
+
+#[test]
+fn a_p_that_the_group_lowers_below_the_alarms_threshold_raises_nothing() {
+    let mut rig = Rig::new();
+    for _ in 0..6 {
+        rig.stand_at(0.55, true);
+        let estimate = rig.next_window().assessment;
+        assert_eq!((estimate.stiction, estimate.p_stiction), (Some(true), Some(0.55)));
+    }
+    assert!(!rig.has_alarm());
+}
+
+/// Source and follower begin to stick and to oscillate in the same hop, and are compared after each.
+#[test]
+fn of_two_loops_that_begin_together_only_the_source_raises_its_alarm() {
+    let mut source = Rig::of("SOURCE");
+    let mut follower = Rig::new();
+    for _ in 0..8 {
+        source.next_window();
+        follower.next_window();
+        let standings = GroupStanding::of_members(&group(0.1), |name| source.engine.alarms(name));
+        for standing in standings {
+            let of = if standing.judgement.loop_name == "SOURCE" { &mut source } else { &mut follower };
+            of.engine.stand(of.id, Some(standing));
+        }
+    }
+    assert!(source.has_alarm() && !follower.has_alarm());
+}
+
+#[test]
+fn a_source_that_is_out_of_service_holds_nothing_back() {
+    let mut source = Rig::of("SOURCE");
+    for _ in 0..4 {
+        source.next_window();
+    }
+    assert!(source.has_alarm() && source.engine.alarms("SOURCE"));
+    let command = |cmd: &str| Command { cmd: cmd.to_owned(), by: Some("ann".to_owned()), why: None, for_s: None };
+    source.engine.command(source.id, &command("out_of_service")).unwrap();
+    assert!(!source.engine.alarms("SOURCE"));
 }
 
 #[test]

@@ -36,7 +36,7 @@ def show(open_page, daemon, groups, path="#/groups", **options):
 
 def test_without_groups_the_view_says_what_that_means(plant, open_page):
     page = show(open_page, plant, [])
-    expect(page.get_by_text("No loops share an oscillation. Loops alone are judged by themselves.")).to_be_visible()
+    expect(page.get_by_text("No loops share an oscillation. Each loop is judged on its own.")).to_be_visible()
     expect(page.locator("nav a[aria-current=page]")).to_have_text("Plant")
 
 

@@ -453,7 +453,7 @@ impl Simulation {
         let taken = m.samples.get() - m.over_rate.get() - m.stamps_ahead.get();
         let windows = 2 * m.estimates.get() + m.alarms.get() + m.fits_skipped.get();
         let gaps = self.run.gaps_done + self.stage.gaps_waiting() as u64 + m.gaps.get() + self.run.gaps_skipped;
-        let plant = m.comparisons.get() + m.group_documents.get() + m.group_answers.get();
+        let plant = m.comparisons_due.get() + m.comparisons.get() + m.group_documents.get() + m.group_answers.get();
         let handed = taken + windows + 2 * m.commands.get() + gaps + plant;
         let kept = m.recorded.get() + m.recording_lost.get();
         assert_eq!(kept, handed, "step {step}: recorded {} and lost {}", m.recorded.get(), m.recording_lost.get());

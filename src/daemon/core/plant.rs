@@ -6,6 +6,7 @@ use std::sync::Arc;
 
 use super::{Core, to_json};
 use crate::daemon::plant::{Compared, Comparer};
+use crate::sink::recorder::Item;
 use crate::sink::zenoh::Publication;
 use stiction::plantwide::GroupDocument;
 use stiction_monitor::codec::topic::{self, Kind, PLANT};
@@ -15,13 +16,19 @@ use stiction_monitor::engine::{Comparison, GroupStanding, LoopId, LoopWindow, Pl
 pub(super) struct Plant {
     watch: PlantWatch,
     comparer: Comparer,
+    is_comparing: bool,
+    /// The newest comparison that came due meanwhile.
+    next: Option<Comparison>,
     /// Keys of the groups that are published.
     shown: BTreeSet<String>,
+    /// Loops that have an answer of a group.
+    members: BTreeSet<Arc<str>>,
 }
 
 impl Plant {
     pub(super) fn new(comparer: Comparer) -> Self {
-        Self { watch: PlantWatch::default(), comparer, shown: BTreeSet::new() }
+        let (watch, shown, members) = (PlantWatch::default(), BTreeSet::new(), BTreeSet::new());
+        Self { watch, comparer, is_comparing: false, next: None, shown, members }
     }
 
     pub(super) const fn answers(&self) -> &crossbeam_channel::Receiver<Compared> {
@@ -30,46 +37,67 @@ impl Plant {
 
     pub(super) fn forget(&mut self, name: &str) {
         self.watch.forget(name);
+        self.members.remove(name);
+    }
+
+    /// Starts the comparison that waits, unless one is running.
+    fn start_next(&mut self) {
+        if !self.is_comparing
+            && let Some(next) = self.next.take()
+        {
+            self.is_comparing = self.comparer.requests.try_send(next).is_ok();
+        }
     }
 }
 
 impl Core {
-    /// Keeps a window, and hands a comparison that is due to the comparer.
+    /// Keeps a window. A comparison that is due starts when the one before is done.
     pub(super) fn watch_window(&mut self, id: LoopId, window: LoopWindow) {
         let Some(plant) = &mut self.plant else { return };
-        let due = plant.watch.take(self.engine.name(id), window);
-        if due.is_some_and(|comparison| plant.comparer.requests.try_send(comparison).is_err()) {
+        let Some(due) = plant.watch.take(self.engine.name(id), window) else { return };
+        // The file of one of the loops holds all of a comparison.
+        let id = due.loops().find_map(|name| self.engine.find(name)).unwrap_or(id);
+        let input = RecordedInput::Comparing { windows: due.digest(), loops: due.loops().len() };
+        self.metrics.comparisons_due.inc();
+        if plant.next.replace(due).is_some() {
             self.metrics.comparisons_left_out.inc();
         }
+        plant.start_next();
+        self.record_of_plant(id, PLANT, Kind::Input, &input, 0);
     }
 
     /// Takes the groups that a comparison found: records and publishes them, and tells each loop.
     pub(super) fn compared(&mut self, compared: Compared) {
         let Compared { comparison, groups, took } = compared;
         self.metrics.comparison.0.observe(took.as_secs_f64());
-        let Some(groups) = groups else {
+        let groups = groups.unwrap_or_else(|| {
             tracing::error!(loops = comparison.loops().len(), "the comparison of loops failed: no groups are known");
-            return;
-        };
+            Vec::new()
+        });
         self.metrics.groups.set(groups.len() as i64);
-        if let Some(first) = comparison.loops().find_map(|name| self.engine.find(name)) {
+        let id = comparison.loops().find_map(|name| self.engine.find(name));
+        if let Some(id) = id {
             self.metrics.comparisons.inc();
-            let input = RecordedInput::Compared { windows: comparison.digest(), loops: comparison.loops().len() };
             let at_ns = groups.iter().map(|group| group.window.end_ns).max().unwrap_or(0);
-            self.record_of_plant(first, PLANT, Kind::Input, &input, at_ns);
+            let input = RecordedInput::Compared { windows: comparison.digest() };
+            self.record_of_plant(id, PLANT, Kind::Input, &input, at_ns);
         }
-        self.publish_groups(&groups);
-        self.tell_members(&comparison, &groups);
+        self.publish_groups(id, &groups);
+        self.tell_members(&groups);
         if let Some(overview) = &self.overview {
             overview.show_groups(self.clock.now(), groups.into_iter().map(Arc::new).collect());
         }
+        if let Some(plant) = &mut self.plant {
+            plant.is_comparing = false;
+            plant.start_next();
+        }
     }
 
-    fn publish_groups(&mut self, groups: &[GroupDocument]) {
+    fn publish_groups(&mut self, id: Option<LoopId>, groups: &[GroupDocument]) {
         let mut shown = BTreeSet::new();
         for group in groups {
             let (name, at_ns) = (format!("{PLANT}/{}", group.key()), group.window.end_ns);
-            if let Some(id) = self.engine.find(group.key()) {
+            if let Some(id) = id {
                 self.record_of_plant(id, &name, Kind::Group, group, at_ns);
             }
             let key = topic::result(&self.config.site.prefix, &name, Kind::Group);
@@ -85,20 +113,21 @@ impl Core {
         }
     }
 
-    /// Tells the members what their groups say of them, and those that are in no group any more that nothing holds.
-    fn tell_members(&mut self, comparison: &Comparison, groups: &[GroupDocument]) {
+    /// Gives the members their groups' answers, and withdraws those of loops that are members no more.
+    fn tell_members(&mut self, groups: &[GroupDocument]) {
         let engine = &self.engine;
-        let standings = groups.iter().flat_map(|group| GroupStanding::of_members(group, |name| engine.has_alarm(name)));
+        let standings = groups.iter().flat_map(|group| GroupStanding::of_members(group, |name| engine.alarms(name)));
         let told: Vec<(LoopId, GroupStanding)> =
             standings.filter_map(|s| Some((engine.find(&s.judgement.loop_name)?, s))).collect();
-        let members: BTreeSet<LoopId> = told.iter().map(|(id, _)| *id).collect();
-        let left = comparison.loops().filter_map(|name| engine.find(name));
-        let left: Vec<LoopId> = left.filter(|id| !members.contains(id) && engine.has_standing(*id)).collect();
+        let members: BTreeSet<Arc<str>> = told.iter().map(|(id, _)| engine.name(*id).clone()).collect();
+        let before = self.plant.as_mut().map(|plant| std::mem::replace(&mut plant.members, members.clone()));
         for (id, standing) in told {
             self.tell_member(id, Some(standing));
         }
-        for id in left {
-            self.tell_member(id, None);
+        for name in before.unwrap_or_default().difference(&members) {
+            if let Some(id) = self.engine.find(name) {
+                self.tell_member(id, None);
+            }
         }
     }
 
@@ -112,6 +141,6 @@ impl Core {
     /// Records a document of many loops in the file of one of them.
     fn record_of_plant(&mut self, id: LoopId, name: &str, kind: Kind, document: &impl serde::Serialize, event_ns: i64) {
         let (Some(recorder), Some(json)) = (&mut self.recorder, to_json(document)) else { return };
-        recorder.record(crate::sink::recorder::Item::Document { id, name: name.into(), kind, json, event_ns });
+        recorder.record(Item::Document { id, name: name.into(), kind, json, event_ns });
     }
 }

@@ -73,20 +73,20 @@ function card({ id, document: group, history }) {
 }
 
 function none(compared_age_s) {
-  const words = compared_age_s === null ? "The loops were not compared yet." : "No loops share an oscillation. Loops alone are judged by themselves.";
+  const words = compared_age_s === null ? "The loops have not been compared yet." : "No loops share an oscillation. Each loop is judged on its own.";
   return h("p", { class: "note" }, words);
 }
 
 /** Shows the groups; `?loop=NAME` in the address goes to the group of that loop. */
 export function show(root, { announce }) {
   const list = h("div", { class: "groups" });
-  fill(root, h("h1", null, "Plant"), h("p", { class: "soft" }, "Loops whose oscillations are one, and the loop that makes each. Repair the source first."), list);
+  fill(root, h("h1", null, "Plant"), h("p", { class: "soft" }, "Loops that share an oscillation, and the loop that makes it. Repair the source first."), list);
   let wanted = new URLSearchParams(location.hash.split("?")[1]).get("loop");
   let before = null;
   const draw = ({ groups, compared_age_s }) => {
-    const now = JSON.stringify(groups);
-    if (now === before && groups.length) return;
-    const told = before !== null;
+    // What is worth saying: each comparison brings new figures of the same groups.
+    const now = JSON.stringify(groups.map(({ id, document: { members, source } }) => [id, [...members].sort(), source.kind, source.loop]));
+    const told = before !== null && now !== before;
     before = now;
     // Who reads a card stays there, with what is open in it.
     const open = new Set([...list.querySelectorAll("details[open]")].map((d) => d.closest("article").dataset.group));

@@ -85,13 +85,18 @@ impl Evidence {
             (None, _) => Self::None,
             (Some(true), _) if assessment.gates.contains(&Gate::TooCoarse) => Self::None,
             // Called, but not surely enough to raise anything; or without a size that could be held against the limit.
-            (Some(true), _) if assessment.explanation.is_some_and(|e| !e.alarms()) => Self::None,
+            (Some(true), _) if !is_sure(assessment) => Self::None,
             (Some(true), None) => Self::None,
             (Some(true), Some(s)) if s >= limit => Self::For,
             (Some(true), Some(s)) if s >= CLEAR_SHARE * limit => Self::Between,
             _ => Self::Against,
         }
     }
+}
+
+/// Whether p, which a group may have lowered, is high enough to count towards an alarm.
+fn is_sure(a: &Assessment) -> bool {
+    a.explanation.is_none_or(|opinion| a.p_stiction.unwrap_or_else(|| opinion.p()) >= opinion.cuts.alarm)
 }
 
 /// The s above which a window counts, OP units: the smaller of the limits that are set, if any.
@@ -187,6 +192,12 @@ impl Alarm {
             Aside { shelved_until_ns: Some(_), .. } => State::Shelved,
             _ => self.state,
         }
+    }
+
+    /// Whether it is active or the newest window that could answer counts towards raising it, and nobody inhibits it.
+    #[must_use]
+    pub fn is_active_or_near(&self) -> bool {
+        (self.active || self.history_for & 1 == 1) && self.aside.is_nowhere()
     }
 
     /// Takes the next window of the loop; returns a document if the state changes.

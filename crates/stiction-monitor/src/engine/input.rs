@@ -51,12 +51,17 @@ pub enum RecordedInput {
         /// The group's answer for the loop's next windows.
         standing: Option<Box<GroupStanding>>,
     },
-    /// The windows of many loops were compared; the documents of the groups follow.
+    /// A comparison of the windows that all loops have now is due.
+    Comparing {
+        /// Names the windows.
+        windows: String,
+        /// How many they are.
+        loops: usize,
+    },
+    /// It is done; the documents of its groups follow.
     Compared {
         /// Names the windows.
         windows: String,
-        /// How many they were.
-        loops: usize,
     },
     /// The loop had sent nothing for long and left the memory: what comes next begins anew, but for an alarm that is not
     /// at rest.

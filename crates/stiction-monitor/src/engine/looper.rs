@@ -168,9 +168,6 @@ impl Loop {
             Some((record, asked))
         });
         let end_ns = assessment.window.end_ns;
-        if let Some(record) = record {
-            out.push(Event::Window(id, Box::new(LoopWindow::new(record, own, &self.settings))));
-        }
         let document = EstimateDocument { group, ..EstimateDocument::new(&self.name, hash, assessment) };
         out.push(Event::Estimate(id, Box::new(document)));
         if let Some(document) = change {
@@ -179,6 +176,9 @@ impl Loop {
         let (alarm, gap, group) = (self.alarm.clone(), self.gap.clone(), self.group.clone());
         let checkpoint = Checkpoint { alarm, gap, group, stream: None };
         out.push(Event::State(id, Box::new(StateDocument::new(&self.name, Some(end_ns), checkpoint))));
+        if let Some(record) = record {
+            out.push(Event::Window(id, Box::new(LoopWindow::new(record, own, &self.settings))));
+        }
         if let Some((record, (reason, model))) = departed {
             self.ask_gap(id, (reason, None), record, model, hash, out);
         }

@@ -383,16 +383,10 @@ impl Engine {
         self.of_mut(id).group = standing;
     }
 
-    /// Whether the group of a loop has an answer for its next window.
+    /// Whether the stiction alarm of a loop is shown as active, or its newest window counts towards raising it.
     #[must_use]
-    pub fn has_standing(&self, id: LoopId) -> bool {
-        self.of(id).group.is_some()
-    }
-
-    /// Whether the stiction alarm of a loop is active.
-    #[must_use]
-    pub fn has_alarm(&self, name: &str) -> bool {
-        self.find(name).is_some_and(|id| self.of(id).alarm.active)
+    pub fn alarms(&self, name: &str) -> bool {
+        self.find(name).is_some_and(|id| self.of(id).alarm.is_active_or_near())
     }
 
     /// Carries out a person's command.

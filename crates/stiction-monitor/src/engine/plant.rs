@@ -1,8 +1,9 @@
 //! The loops of a plant together: which windows are compared, when, and what comes of it for each loop.
 //!
 //! [`PlantWatch`] keeps the newest window of every loop that oscillates. A comparison is due once each of them has a new
-//! window, or one of them has a second one; it depends on the order of the windows alone, never on a clock. Whoever drives
-//! the watch computes the [`Comparison`] elsewhere, and hands every member's answer to the engine as a [`GroupStanding`].
+//! window, or one of them has a second one. Whoever drives the watch computes the [`Comparison`] elsewhere, and hands every
+//! member's answer to the engine as a [`GroupStanding`]. The recording holds both moments, and a replay compares the windows
+//! that it has at the first.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
@@ -21,8 +22,9 @@ use stiction::verdict::{Assessment, MemberJudgement};
 const KEPT_HOPS: f64 = 3.0;
 /// Windows for which an answer of a group holds when no further comparison confirms it.
 const ANSWER_HOLDS: u8 = 3;
-/// Memory of all windows that are kept, bytes; loops beyond it are not compared.
-const MAX_BYTES: usize = 512 << 20;
+/// Memory of all windows that are kept, bytes; loops beyond it are not compared. Comparisons on their way may hold as much
+/// again, twice.
+const MAX_BYTES: usize = 256 << 20;
 
 /// A loop's newest window, with what it says by itself.
 #[derive(Debug, Clone)]
@@ -42,6 +44,10 @@ impl LoopWindow {
 
     fn end_ns(&self) -> i64 {
         self.own.window.end_ns
+    }
+
+    fn oscillates(&self) -> bool {
+        self.own.oscillation.oscillating
     }
 
     fn of_plant<'a>(&'a self, name: &'a str) -> PlantLoop<'a> {
@@ -66,6 +72,8 @@ struct Kept {
 pub struct PlantWatch {
     kept: BTreeMap<Arc<str>, Kept>,
     bytes: usize,
+    /// Loops whose window came after the last comparison.
+    new: usize,
     /// Whether a loop has left since the last comparison.
     has_lost: bool,
 }
@@ -73,30 +81,36 @@ pub struct PlantWatch {
 impl PlantWatch {
     /// Takes a loop's next window; gives a comparison when one is due.
     pub fn take(&mut self, name: &Arc<str>, window: LoopWindow) -> Option<Comparison> {
-        if !window.own.oscillation.oscillating {
-            self.forget(name);
-            return self.due();
-        }
-        let has_second = self.kept.get(name).is_some_and(|kept| kept.is_new);
-        let before = if has_second { self.compare() } else { None };
-        self.forget_window(name);
+        let is_second = self.kept.get(name).is_some_and(|kept| kept.is_new) && window.oscillates();
+        let is_change = self.keep(name, window);
+        if is_second || is_change && self.new == self.kept.len() { self.due() } else { None }
+    }
+
+    /// Keeps a loop's newest window while the loop oscillates; says whether anything changed.
+    pub fn keep(&mut self, name: &Arc<str>, window: LoopWindow) -> bool {
+        let oscillates = window.oscillates();
+        let was_kept = self.remove(name);
+        self.has_lost |= was_kept && !oscillates;
         let bytes = window.bytes();
-        if self.bytes + bytes <= MAX_BYTES {
-            self.bytes += bytes;
-            self.kept.insert(name.clone(), Kept { window, is_new: true });
+        if !oscillates || self.bytes + bytes > MAX_BYTES {
+            return was_kept;
         }
-        before.or_else(|| self.due())
+        self.bytes += bytes;
+        self.new += 1;
+        self.kept.insert(name.clone(), Kept { window, is_new: true });
+        true
     }
 
-    /// Lets a loop go that has left, or whose newest window does not oscillate.
+    /// Lets a loop go that has left.
     pub fn forget(&mut self, name: &str) {
-        self.has_lost |= self.forget_window(name);
+        self.has_lost |= self.remove(name);
     }
 
-    fn forget_window(&mut self, name: &str) -> bool {
-        let gone = self.kept.remove(name);
-        self.bytes -= gone.as_ref().map_or(0, |kept| kept.window.bytes());
-        gone.is_some()
+    fn remove(&mut self, name: &str) -> bool {
+        let Some(gone) = self.kept.remove(name) else { return false };
+        self.bytes -= gone.window.bytes();
+        self.new -= usize::from(gone.is_new);
+        true
     }
 
     /// Loops whose windows are kept.
@@ -106,18 +120,20 @@ impl PlantWatch {
     }
 
     fn due(&mut self) -> Option<Comparison> {
-        if self.kept.values().all(|kept| kept.is_new) { self.compare() } else { None }
+        let comparison = self.compare();
+        let is_due = comparison.windows.len() > 1 || self.has_lost;
+        if is_due {
+            (self.has_lost, self.new) = (false, 0);
+            self.kept.values_mut().for_each(|kept| kept.is_new = false);
+        }
+        is_due.then_some(comparison)
     }
 
-    fn compare(&mut self) -> Option<Comparison> {
+    /// The comparison of the windows that are kept now. Those of loops that fell silent are dropped first.
+    pub fn compare(&mut self) -> Comparison {
         self.drop_silent();
-        if self.kept.len() < 2 && !self.has_lost {
-            return None;
-        }
-        self.has_lost = false;
-        self.kept.values_mut().for_each(|kept| kept.is_new = false);
         let windows = self.kept.iter().map(|(name, kept)| (name.clone(), kept.window.clone()));
-        Some(Comparison { windows: windows.collect() })
+        Comparison { windows: windows.collect() }
     }
 
     /// Drops windows that are older than those of most loops: the time of one loop's clock says nothing of the others.
@@ -149,6 +165,12 @@ impl Comparison {
         short_hash(text.as_bytes())
     }
 
+    /// Bytes of its windows.
+    #[must_use]
+    pub fn bytes(&self) -> usize {
+        self.windows.iter().map(|(_, window)| window.bytes()).sum()
+    }
+
     /// Loops that are compared.
     pub fn loops(&self) -> impl ExactSizeIterator<Item = &Arc<str>> {
         self.windows.iter().map(|(name, _)| name)
@@ -173,17 +195,18 @@ pub struct GroupStanding {
     pub judgement: MemberJudgement,
     /// Period of the common oscillation, s.
     pub period_s: f64,
-    /// Whether the loop's own finding is held back: it follows another loop whose alarm is active.
+    /// Whether the loop's own finding is held back: it follows another loop whose alarm is active or about to be raised.
     pub holds: bool,
     /// Windows for which it still holds.
     windows_left: u8,
 }
 
 impl GroupStanding {
-    /// The answers of a group for its members. `has_alarm` says whether a loop's stiction alarm is active.
-    pub fn of_members(group: &GroupDocument, has_alarm: impl Fn(&str) -> bool) -> Vec<Self> {
+    /// The answers of a group for its members. `alarms` says whether a loop's alarm is active or its newest window counts
+    /// towards it: source and followers mostly begin to oscillate together.
+    pub fn of_members(group: &GroupDocument, alarms: impl Fn(&str) -> bool) -> Vec<Self> {
         let source = group.source.loop_name.as_deref().filter(|_| group.source.kind == SourceKind::Loop);
-        let is_active = source.is_some_and(has_alarm);
+        let is_active = source.is_some_and(alarms);
         let of = |judgement: &MemberJudgement| Self {
             judgement: judgement.clone(),
             period_s: group.period_s,
@@ -209,12 +232,6 @@ impl GroupStanding {
         self.windows_left = self.windows_left.saturating_sub(1);
         self.windows_left > 0
     }
-}
-
-/// How far a comparison's inputs reach back behind the newest window, s.
-#[must_use]
-pub fn reach_s(hop_s: f64) -> f64 {
-    KEPT_HOPS * hop_s
 }
 
 #[cfg(test)]
@@ -260,6 +277,7 @@ mod tests {
         assert_eq!(compared(&mut watch, &[("C", 2), ("B", 2)]), ["A B C"]);
         // B says nothing for a hop.
         assert_eq!(compared(&mut watch, &[("A", 3), ("C", 3), ("A", 4)]), ["A B C"]);
+        assert_eq!(compared(&mut watch, &[("B", 4), ("C", 4)]), [""; 0]);
     }
 
     #[test]
