@@ -16,7 +16,7 @@ TRUTH = {
     "PIC103": ("out of specification", "tuning"),
     "FIC104": ("out of specification", "disturbed"),
 }
-VIEWS = {"overview": "", "loop": "#/loop/FIC101", "alarms": "#/alarms", "workbench": "#/workbench"}
+VIEWS = {"overview": "", "loop": "#/loop/FIC101", "alarms": "#/alarms", "plant": "#/groups", "workbench": "#/workbench"}
 WIDTHS = (390, 820, 1400)
 
 
