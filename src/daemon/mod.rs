@@ -181,7 +181,7 @@ pub async fn run(
         *snapshot = starting(&daemon_id);
     }
 
-    // What comes from here on waits in the queue.
+    // Samples that arrive during the refill wait in the queue.
     let (budget, shares) = (Budget::new(config.input.queue_bytes), Shares::default());
     let intake = Intake::new(queue, (budget.clone(), shares.clone()), metrics.clone(), Clock::system());
     let mut subscribers = source::zenoh::subscribe(&session, &config, &intake).await?;

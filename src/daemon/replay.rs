@@ -109,7 +109,7 @@ impl Replay {
         }
     }
 
-    /// Whether from here on only the loops' streams go on.
+    /// Whether only samples are replayed, and the windows and results of the following files are passed over.
     pub const fn set_streams_alone(&mut self, streams_alone: bool) {
         self.streams_alone = streams_alone;
     }
@@ -128,7 +128,7 @@ impl Replay {
         self.engine
     }
 
-    /// Whether gap diagnoses are made again from here on, or only their places are kept.
+    /// Whether the gap diagnoses of the following files are made again, or only their places are kept.
     pub const fn set_diagnose(&mut self, diagnose: bool) {
         self.diagnose = diagnose;
     }

@@ -41,7 +41,7 @@ impl ReplayPlant {
     /// Does what the daemon did with all loops there; gives the groups that it found.
     pub(super) fn obey(&mut self, input: RecordedInput) -> Vec<Output> {
         match input {
-            RecordedInput::Comparing { windows, .. } => {
+            RecordedInput::Comparing { windows } => {
                 let comparison = self.watch.compare();
                 if comparison.digest() == windows {
                     self.pending.push_back((windows, comparison));

@@ -124,7 +124,7 @@ impl Rerun {
         self.lanes.iter_mut().for_each(|lane| change(lane.get_mut().unwrap_or_else(PoisonError::into_inner)));
     }
 
-    /// Whether gap diagnoses are made again from here on, or only their places are kept.
+    /// Whether the gap diagnoses of the following files are made again, or only their places are kept.
     pub fn set_diagnose(&mut self, diagnose: bool) {
         self.each(|replay| replay.set_diagnose(diagnose));
     }

@@ -60,7 +60,8 @@ fn headline(group: &GroupDocument) -> String {
     match (group.source.kind, &group.source.loop_name) {
         (SourceKind::Loop, Some(name)) => format!("{name} makes the oscillation of its group, p {p}"),
         (SourceKind::Outside, _) => format!("None of these loops makes their oscillation, p {p}: look upstream"),
-        (_, Some(name)) => format!("It cannot be told which loop makes the oscillation; {name} is the likeliest"),
-        (_, None) => "It cannot be told which loop makes the oscillation".to_owned(),
+        (SourceKind::Several, _) => "More than one of these loops may make the oscillation".to_owned(),
+        (_, Some(name)) => format!("The windows do not show which loop makes the oscillation; {name} is the likeliest"),
+        (_, None) => "The windows do not show which loop makes the oscillation".to_owned(),
     }
 }

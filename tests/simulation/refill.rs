@@ -122,7 +122,7 @@ fn a_killed_daemon_goes_on_with_its_windows_makes_none_twice_and_replays_to_the_
     site.start(60.0);
     site.send(&NAMES, 700, 50);
     let mut killed = site.kill();
-    // Killed again and again: just after a start, with a window under way, in order.
+    // Kills just after a start and with a window under way, and once a normal end.
     for unwritten in [0, 70, 20] {
         site.pass(10);
         site.start(60.0);

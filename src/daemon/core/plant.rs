@@ -57,7 +57,7 @@ impl Core {
         let Some(due) = plant.watch.take(self.engine.name(id), window) else { return };
         // The file of one of the loops holds all of a comparison.
         let id = due.loops().find_map(|name| self.engine.find(name)).unwrap_or(id);
-        let input = RecordedInput::Comparing { windows: due.digest(), loops: due.loops().len() };
+        let input = RecordedInput::Comparing { windows: due.digest() };
         self.metrics.comparisons_due.inc();
         if plant.next.replace(due).is_some() {
             self.metrics.comparisons_left_out.inc();

@@ -55,8 +55,6 @@ pub enum RecordedInput {
     Comparing {
         /// Names the windows.
         windows: String,
-        /// How many they are.
-        loops: usize,
     },
     /// It is done; the documents of its groups follow.
     Compared {
