@@ -26,9 +26,9 @@ fetching=$!
 step "building the tests"
 cargo test --no-run --locked --quiet
 
-# Some tests mostly wait: for a daemon that is killed, a disk that fills, a broker that comes back. They run beside those
-# that compute; what they print follows when both have ended.
-waiting=(crashes faults hardened hostile service shards soak twice)
+# Some tests mostly wait: for a daemon that is killed, a disk that fills, a broker that comes back, a program that runs.
+# They run beside those that compute; what they print follows when both have ended.
+waiting=(crashes faults hardened hostile program service shards soak twice)
 computing=()
 for path in tests/*.rs tests/*/main.rs crates/*/tests/*/main.rs; do
     name=$(basename "${path%/main.rs}" .rs)
