@@ -39,6 +39,8 @@ const IMPORTS: [(&str, &[&str]); 40] = [
     ("fixture", &["record", "signal", "sim"]),
     ("truth", &["units", "record", "signal", "sim"]),
     ("challenge", &["units", "record", "signal", "sim", "verdict", "truth"]),
+    // Effects in real loops, for the budget of `gap`.
+    ("hybrid", &["record", "signal", "sim", "ident", "gap", "truth"]),
     ("methods", &["record", "signal", "sim", "ident", "detect"]),
     ("bump_test", &["guard", "signal", "sim", "verdict", "truth"]),
     ("plants", &["units", "record", "signal", "sim", "truth", "challenge"]),

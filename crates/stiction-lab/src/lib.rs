@@ -8,6 +8,7 @@
 //! | [`truth`] | closed loops of known truth, by the thousand |
 //! | [`fixture`] | loops that a test writes down |
 //! | [`challenge`] | recordings with one withheld cause each, their sealed truth, the scorer |
+//! | [`hybrid`] | effects put into real loops that are closed again |
 //! | [`methods`] | published methods of detection, one file each |
 //! | [`bump_test`] | the bump test that an estimate proposes, carried out on simulated valves |
 //! | [`calibrate`] | the rule behind `p_stiction`, leaving out valve by valve |
@@ -25,6 +26,7 @@ pub mod calibrate_intervals;
 pub mod calibrate_plants;
 pub mod challenge;
 pub mod fixture;
+pub mod hybrid;
 pub mod methods;
 pub mod plants;
 pub mod truth;

@@ -4,14 +4,17 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
+use super::budget::document::{BudgetNote, TellableNote};
+use super::budget::{Budget, Known};
 use super::judged::Diagnosis;
 use super::locate::Location;
 use super::loop_run::Cycles;
 use super::model::Model;
 use super::sizes::Quantity;
-use super::types::{Alternative, Base, EffectResult, Ended, Fit, Parameter};
+use super::types::{Alternative, Base, EffectResult, Ended, Fit, Parameter, UNKNOWN};
 use crate::record::Record;
 use crate::signal::stats;
+use crate::sim::slips::Law;
 use crate::units::Moment;
 
 /// Schema name of a diagnosis.
@@ -126,6 +129,9 @@ pub struct CauseNote {
     pub probability: f64,
     /// Whether it also closes the gap on held-out data and in forward prediction; false means "suspected".
     pub confirmed: bool,
+    /// Why it is `unknown`: `not_in_catalogue`, or `cannot_be_told` where the record holds too little.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub why: Option<String>,
 }
 
 /// Another possible answer.
@@ -248,6 +254,12 @@ pub struct GapDocument {
     pub noise_models: NoiseNote,
     /// The simulated closed loop, if the controller can be identified.
     pub closed_loop: Option<Cycles>,
+    /// PV's variance, split under a noise model.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub budget: Option<BudgetNote>,
+    /// What the record can tell.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tellable: Option<TellableNote>,
     /// Version of the program.
     pub version: String,
 }
@@ -271,6 +283,11 @@ impl GapDocument {
             relative: (deviation > 0.0).then(|| fit.gap / deviation),
         };
         let given = diagnosis.given.as_ref().map(figures);
+        let closed_loop = super::loop_run::cycles(record, diagnosis);
+        let budget = Budget::of(record, known(diagnosis));
+        let explained = closed_loop.as_ref().map(|cycles| cycles.controller.r2);
+        let tellable = budget.as_ref().map(|b| TellableNote::of(record, b, &diagnosis.base.slips, explained));
+        let unknown = tellable.as_ref().filter(|_| diagnosis.cause.id == UNKNOWN);
         Self {
             schema: GAP_SCHEMA.to_owned(),
             loop_name: loop_name.to_owned(),
@@ -285,6 +302,7 @@ impl GapDocument {
                 id: diagnosis.cause.id.clone(),
                 probability: diagnosis.cause.probability,
                 confirmed: diagnosis.cause.confirmed,
+                why: unknown.map(|tellable| tellable.why().to_owned()),
             },
             second_cause: diagnosis.second.as_ref().map(AlternativeNote::of),
             alternatives: diagnosis.alternatives.iter().map(AlternativeNote::of).collect(),
@@ -315,7 +333,9 @@ impl GapDocument {
                 independence_p: diagnosis.noise_models.independence_p,
                 whitens: diagnosis.noise_models.whitens,
             },
-            closed_loop: super::loop_run::cycles(record, diagnosis),
+            closed_loop,
+            budget: budget.map(|budget| BudgetNote::of(&budget, &diagnosis.signatures)),
+            tellable,
             version: crate::VERSION.to_owned(),
         }
     }
@@ -325,6 +345,13 @@ impl GapDocument {
     pub fn named(&self) -> Option<&EffectNote> {
         self.effects.iter().chain(&self.pairs).find(|e| e.id == self.cause.id)
     }
+}
+
+/// What the diagnosis knows for the budget: the base's valve and PV's noise.
+fn known(diagnosis: &Diagnosis) -> Known {
+    let valve = &diagnosis.base.model.valve;
+    let rubs = valve.law == Law::He.name();
+    Known { bands: rubs.then_some([valve.fs, valve.fd]), period: None, noise_sd: diagnosis.floor.noise_sd }
 }
 
 impl Window {

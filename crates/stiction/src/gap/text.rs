@@ -1,5 +1,6 @@
 //! A diagnosis in words that can be read aloud.
 
+mod budget;
 mod claim;
 mod effect;
 mod place;
@@ -22,6 +23,7 @@ pub fn paragraph(d: &GapDocument) -> String {
         UNKNOWN => not_in_the_catalogue(d),
         _ => d.named().map_or_else(|| format!("{} explains it", d.cause.id), |e| named(d, e)),
     });
+    parts.extend(budget::told_too_little(d));
     parts.extend(beside(d));
     if let Some(test) = &d.next_test {
         parts.push(bump(test));
@@ -79,7 +81,8 @@ fn conclusion(d: &GapDocument) -> String {
                 "Unknown: {} shows in the record, but closes less than a tenth of the gap.",
                 effect::noun(&e.id)
             ),
-            None => format!("Unknown: no effect of the catalogue explains the gap (p {p})."),
+            None => budget::cannot_be_told(d)
+                .unwrap_or_else(|| format!("Unknown: no effect of the catalogue explains the gap (p {p}).")),
         };
     };
     let closed = e.closed_pct.map_or_else(String::new, |c| format!(", closes {} of the gap", claim::closed(c)));
@@ -321,6 +324,7 @@ pub fn report(d: &GapDocument) -> String {
     if let Some(cycles) = &d.closed_loop {
         row("closed loop", place::cycles(cycles));
     }
+    budget::rows(d, &mut row);
     let cut = if d.stopped_early { ", cut short" } else { "" };
     row("search", format!("{} model responses{cut}", d.evaluations));
     lines.join("\n")

@@ -1,8 +1,10 @@
 //! Effects in words.
 
+use std::collections::BTreeMap;
+
 use super::super::document::{EffectNote, GapDocument};
 use super::super::effects::{self, Way};
-use super::super::sizes::Sizes;
+use super::super::sizes::{Quantity, Sizes};
 use super::super::types::{NONE, UNKNOWN};
 use crate::units::number;
 
@@ -35,14 +37,18 @@ pub(super) fn twins(d: &GapDocument, e: &EffectNote) -> Vec<String> {
 
 /// An effect with its fitted sizes.
 pub(super) fn phrase(e: &EffectNote) -> String {
-    let with = effects::by_id(&e.id).and_then(|effect| (effect.phrase)(&Sizes(&e.parameters)));
+    phrase_of(&e.id, &e.parameters)
+}
+
+/// The same by id and sizes.
+pub(super) fn phrase_of(id: &str, parameters: &BTreeMap<String, Quantity>) -> String {
+    let with = effects::by_id(id).and_then(|effect| (effect.phrase)(&Sizes(parameters)));
     with.unwrap_or_else(|| {
-        let sizes: Vec<String> = e
-            .parameters
+        let sizes: Vec<String> = parameters
             .iter()
             .map(|(name, q)| format!("{} {}", name.replace('_', " "), sized(q.value, &q.unit)))
             .collect();
-        if sizes.is_empty() { noun(&e.id) } else { format!("{} ({})", noun(&e.id), sizes.join(", ")) }
+        if sizes.is_empty() { noun(id) } else { format!("{} ({})", noun(id), sizes.join(", ")) }
     })
 }
 

@@ -1,0 +1,213 @@
+//! The budget: which part of PV's variance is valve and process, a named effect, a disturbance that wanders, noise, or
+//! unexplained; and what the record can tell at all.
+//!
+//! The free run of [`crate::gap::diagnose`] asks whether one effect brings the model down to the noise. A real loop's
+//! disturbance wanders, so that none does. Here effects are judged by one-step predictions of a noise model ([`arx`]), added
+//! one by one ([`search`]), asked of both halves ([`halves`]) and put into one sum ([`parts`]). The budget never changes which
+//! effect the free run names.
+
+pub mod arx;
+pub mod document;
+mod halves;
+pub mod parts;
+mod scan;
+pub mod search;
+pub mod series;
+pub mod shapes;
+mod smallest;
+mod student;
+
+use crate::record::Record;
+use parts::Split;
+use search::{Model, Searched};
+use series::Series;
+
+/// What is known of a record before.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Known {
+    /// Static and kinetic band of He's valve, OP units.
+    pub bands: Option<[f64; 2]>,
+    /// Period of the oscillation, points.
+    pub period: Option<f64>,
+    /// Standard deviation of PV's noise, PV units.
+    pub noise_sd: Option<f64>,
+}
+
+/// The budget of a record.
+#[derive(Debug, Clone)]
+pub struct Budget {
+    /// What was split.
+    pub series: Series,
+    /// The noise model before effects were added.
+    pub model: Model,
+    /// The effects, and the noise model with them.
+    pub searched: Searched,
+    /// Whether the halves confirm each effect.
+    pub confirmed: Vec<bool>,
+    /// The parts.
+    pub split: Split,
+    /// The least step that would have been named, standard deviations of PV.
+    pub smallest_step: Option<f64>,
+    /// The least slow sinusoid, and its frequency, cycles a point.
+    pub smallest_sinusoid: Option<(f64, f64)>,
+}
+
+impl Budget {
+    /// Splits a record; `None` where it is too short, OP or PV does not move, or no noise model can be fitted.
+    #[must_use]
+    pub fn of(record: &Record, known: Known) -> Option<Self> {
+        let finite = |x: &[f64]| x.iter().all(|v| v.is_finite());
+        if !finite(&record.pv) || !finite(&record.op_path) {
+            return None;
+        }
+        let series = Series::of(record, known.bands, known.period)?;
+        let model = Model::of(&series)?;
+        let searched = search::search(&series, &model);
+        let confirmed = (0..searched.added.len()).map(|k| halves::confirm(&model, &searched, k)).collect();
+        // The mean of a box holds its share of the noise.
+        let by = series.of_pv[1] * (series.box_points as f64).sqrt();
+        let split = parts::split(&model, &searched, known.noise_sd.map(|sd| sd / by));
+        Some(Self {
+            smallest_step: smallest::step(&model, &searched),
+            smallest_sinusoid: smallest::sinusoid(&series, &model, &searched),
+            series,
+            model,
+            searched,
+            confirmed,
+            split,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::shapes::Shape;
+    use super::*;
+    use crate::sim::noise::Noise;
+
+    const N: usize = 900;
+
+    /// A PI loop around a first-order process with moves of SP, a disturbance that wanders, noise, and one effect.
+    #[derive(Debug, Clone, Copy, Default)]
+    pub(super) struct Loop {
+        pub step: f64,
+        pub wave: f64,
+        pub burst: bool,
+        pub wild: f64,
+        pub drift: f64,
+    }
+
+    /// What PV is made of.
+    pub(super) struct Truth {
+        pub pv: Vec<f64>,
+        pub process: Vec<f64>,
+        pub effect: Vec<f64>,
+        pub rest: Vec<f64>,
+    }
+
+    impl Loop {
+        fn effect(&self, k: usize) -> f64 {
+            let step = if k >= 500 { self.step } else { 0.0 };
+            let sounds = !self.burst || k < N / 2;
+            let wave = if sounds { self.wave * libm::sin(k as f64 * core::f64::consts::TAU / 23.0) } else { 0.0 };
+            step + wave + if k % 100 == 60 && k > 100 { self.wild } else { 0.0 }
+        }
+
+        pub(super) fn run(&self, seed: u64) -> (Record, Truth) {
+            let (mut noise, mut walk) = (Noise::new(seed, 1), Noise::new(seed, 2));
+            let (mut x, mut d, mut sum) = (0.0, 0.0, 0.0);
+            let mut truth = Truth { pv: vec![], process: vec![], effect: vec![], rest: vec![] };
+            let (mut op, mut set) = (vec![], vec![]);
+            for k in 0..N {
+                d = 0.97 * d + 0.08 * walk.gaussian();
+                let rest = d + 0.05 * noise.gaussian();
+                let effect = self.effect(k);
+                let y = x + effect + rest;
+                let sp = if (k / 75) % 2 == 0 { 1.0 } else { -1.0 };
+                sum += 0.08 * (sp - y);
+                let u = 0.8 * (sp - y) + sum;
+                for (series, value) in [
+                    (&mut truth.pv, y),
+                    (&mut truth.process, x),
+                    (&mut truth.effect, effect),
+                    (&mut truth.rest, rest),
+                    (&mut op, u),
+                    (&mut set, sp),
+                ] {
+                    series.push(value);
+                }
+                let gain = 1.0 + self.drift * (2.0 * k as f64 / N as f64 - 1.0);
+                x = 0.9 * x + 0.1 * gain * u;
+            }
+            (Record { sp: Some(set), ..Record::uniform(1.0, op, truth.pv.clone()) }, truth)
+        }
+
+        pub(super) fn series_of(&self, record: Record) -> Series {
+            Series::of(&record, None, Some(150.0)).unwrap()
+        }
+
+        pub(super) fn series(&self, seed: u64) -> Series {
+            self.series_of(self.run(seed).0)
+        }
+    }
+
+    /// The shapes that the search adds.
+    pub(super) fn named(series: &Series) -> Vec<Shape> {
+        let model = Model::of(series).unwrap();
+        search::search(series, &model).added.into_iter().map(|a| a.shape).collect()
+    }
+
+    #[test]
+    fn a_null_resampled_from_the_fit_names_next_to_nothing() {
+        let series = Loop::default().series(3);
+        let model = Model::of(&series).unwrap();
+        let names: usize = (0..20).filter(|seed| !named(&model.resampled(&series, *seed)).is_empty()).count();
+        assert!(names <= 1, "{names} of 20");
+    }
+
+    #[test]
+    fn one_record_has_one_budget() {
+        let of = Loop { step: 1.5, ..Loop::default() };
+        let once = || Budget::of(&of.run(1).0, Known { noise_sd: Some(0.05), ..Known::default() }).unwrap();
+        let (first, second) = (once(), once());
+        assert_eq!(first.split, second.split);
+        assert_eq!((first.confirmed, first.smallest_step), (second.confirmed, second.smallest_step));
+        assert!(first.split.noise.size > 0.02 && first.split.noise.share < 0.01, "{:?}", first.split);
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(24))]
+        #[test]
+        fn hostile_records_have_a_finite_budget_or_none(
+            n in 0_usize..260, seed in any::<u64>(), held in 1_usize..40, size in -12_i32..12, kind in 0_u8..5,
+        ) {
+            let mut noise = Noise::new(seed, 9);
+            let size = libm::pow(10.0, f64::from(size));
+            let mut x = 0.0;
+            let pv: Vec<f64> = (0..n).map(|k| {
+                if k % held == 0 {
+                    x = match kind {
+                        0 => 0.0,
+                        1 => x + noise.gaussian(),
+                        2 => noise.gaussian().round(),
+                        3 => f64::from(u8::from(k == n / 2)),
+                        _ => 1e9 + noise.gaussian(),
+                    };
+                }
+                size * x
+            }).collect();
+            let op: Vec<f64> = pv.iter().map(|y| if kind == 2 { -y } else { y * y - (y * 3.0).round() }).collect();
+            let bands = [size.abs(), 0.1 * size.abs()];
+            for bands in [None, Some(bands)] {
+                let budget = Budget::of(&Record::uniform(1.0, op.clone(), pv.clone()), Known { bands, ..Known::default() });
+                let Some(budget) = budget else { continue };
+                let note = document::BudgetNote::of(&budget, &[]);
+                let sum: f64 = note.parts.iter().map(|p| p.share_pct).sum();
+                prop_assert!((sum - 100.0).abs() < 1e-6, "{sum}: {note:?}");
+                prop_assert!(note.parts.iter().all(|p| p.sd.is_finite() && p.sd >= 0.0), "{note:?}");
+            }
+        }
+    }
+}

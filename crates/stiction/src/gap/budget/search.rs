@@ -1,0 +1,247 @@
+//! Effects added one by one under the noise model: the best of all shapes, refitted, as long as it gains enough.
+
+use super::arx::{Design, Fit};
+use super::scan::Scan;
+use super::series::Series;
+use super::shapes::Shape;
+use crate::signal::stats;
+use crate::sim::noise::{Noise, stream_of};
+
+/// Nats that an effect gains at least, beyond its coefficients and the choice among its shapes. Chosen on every second real
+/// recording (PLANTGAP's even ones), so that their resampled nulls name nothing.
+pub const LEAST_GAIN: f64 = 8.0;
+/// Most effects that are added.
+const MOST_ADDED: usize = 3;
+/// Shapes of a kind that are refitted: alone, beside those of a low order, and of a low order.
+const REFITTED: [usize; 3] = [3, 2, 2];
+/// Order of A that cannot swallow a sinusoid.
+pub(super) const LOW: usize = 2;
+/// Steps by which a sinusoid's frequency is refined, and how far apart two sinusoids are, cycles in the record.
+const FINER: [f64; 3] = [0.25, 0.125, 0.0625];
+const APART: f64 = 1.2;
+/// Rounds of a sinusoid's fit that begins there.
+const LOW_ROUNDS: usize = 5;
+/// Largest deviation of the process' part that counts in drift and bend, standard deviations of PV.
+const MOST_DRIVEN: f64 = 6.0;
+/// Variance of it beyond which OP itself takes its place.
+const FAR: f64 = 100.0;
+
+/// The noise model of a series.
+#[derive(Debug, Clone)]
+pub struct Model {
+    /// What is fitted.
+    pub design: Design,
+    /// The fit without effects.
+    pub base: Fit,
+    /// What valve and process make of OP, for drift and bend.
+    pub driven: Vec<f64>,
+    /// Whether a sticking valve's stem drives it.
+    pub by_stem: bool,
+    /// Log likelihood that OP adds to PV's own past, nats.
+    pub gain_by_op: f64,
+}
+
+impl Model {
+    /// Chooses u (OP, or the stem) and the order by BIC; `None` where nothing can be fitted.
+    #[must_use]
+    pub fn of(series: &Series) -> Option<Self> {
+        /// Parameters of a sticking valve.
+        const BANDS: f64 = 2.0;
+        let by_op = Design::new(series, Some(&series.op));
+        let (mut base, bic) = by_op.best()?;
+        let (mut design, mut by_stem) = (by_op, false);
+        if let Some(stem) = &series.stem {
+            let by_its_stem = Design::new(series, Some(stem));
+            let price = 0.5 * BANDS * libm::log(series.n() as f64);
+            if let Some((fit, _)) = by_its_stem.best().filter(|(_, own)| own - price > bic) {
+                (design, base, by_stem) = (by_its_stem, fit, true);
+            }
+        }
+        let alone = Design::new(series, None).best()?.0;
+        let driven = design.simulated(&base).filter(|x| stats::variance(x) < FAR);
+        let u = if by_stem { series.stem.as_ref() } else { Some(&series.op) };
+        let driven = driven.or_else(|| u.cloned())?;
+        Some(Self {
+            gain_by_op: base.log_likelihood() - alone.log_likelihood(),
+            driven: driven.iter().map(|d| d.clamp(-MOST_DRIVEN, MOST_DRIVEN)).collect(),
+            design,
+            base,
+            by_stem,
+        })
+    }
+
+    /// A series as this model's own innovations, drawn anew, make it: nothing is in it but noise.
+    #[must_use]
+    pub fn resampled(&self, series: &Series, seed: u64) -> Series {
+        let mut noise = Noise::new(seed, stream_of("gap/budget/resampled"));
+        let e = &self.base.e;
+        let mean = stats::mean(e);
+        let drawn: Vec<f64> = (0..series.n()).map(|_| e[noise.below(e.len() as u64) as usize] - mean).collect();
+        Series { pv: self.design.driven(&self.base, &drawn), ..series.clone() }
+    }
+
+    /// The columns of a shape.
+    #[must_use]
+    pub fn columns(&self, shape: &Shape) -> Vec<Vec<f64>> {
+        shape.columns(self.design.y.len(), &self.driven)
+    }
+}
+
+/// An effect that was added.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Added {
+    /// What it is.
+    pub shape: Shape,
+    /// Nats that it gained when it was added, its cost taken off.
+    pub gain: f64,
+}
+
+/// All effects that were added, and the fit with them.
+#[derive(Debug, Clone)]
+pub struct Searched {
+    /// The effects, in the order of their adding.
+    pub added: Vec<Added>,
+    /// Their columns, one effect after the other.
+    pub columns: Vec<Vec<f64>>,
+    /// The fit with all of them.
+    pub fit: Fit,
+}
+
+impl Searched {
+    /// Which columns an effect has.
+    #[must_use]
+    pub fn places(&self, effect: usize) -> core::ops::Range<usize> {
+        let count = |added: &Added| match &added.shape {
+            Shape::Sinusoid(_) => 2,
+            Shape::Outliers(at) => at.len(),
+            _ => 1,
+        };
+        let from: usize = self.added[..effect].iter().map(count).sum();
+        from..from + count(&self.added[effect])
+    }
+
+    /// What an effect adds to PV, standard deviations.
+    #[must_use]
+    pub fn part(&self, effect: usize) -> Vec<f64> {
+        let mut out = vec![0.0; self.columns.first().map_or(0, Vec::len)];
+        for place in self.places(effect) {
+            let beta = self.fit.beta[place];
+            out.iter_mut().zip(&self.columns[place]).for_each(|(out, x)| *out += beta * x);
+        }
+        out
+    }
+}
+
+/// A shape with its fit.
+struct Tried {
+    shape: Shape,
+    gain: f64,
+    columns: Vec<Vec<f64>>,
+    fit: Fit,
+}
+
+/// Adds effects to a model until none gains [`LEAST_GAIN`].
+#[must_use]
+pub fn search(series: &Series, model: &Model) -> Searched {
+    let mut so_far = Searched { added: Vec::new(), columns: Vec::new(), fit: model.base.clone() };
+    while so_far.added.len() < MOST_ADDED {
+        let Some(best) = best(series, model, &so_far).filter(|best| best.gain >= LEAST_GAIN) else { break };
+        so_far.added.push(Added { shape: best.shape, gain: best.gain });
+        so_far.columns = best.columns;
+        so_far.fit = best.fit;
+    }
+    so_far
+}
+
+/// The shape that gains most beside those that are there.
+fn best(series: &Series, model: &Model, so_far: &Searched) -> Option<Tried> {
+    let n = series.n();
+    let scan = Scan::new(&so_far.fit, n)?;
+    let low = (so_far.fit.order() > LOW).then(|| {
+        let design = model.design.with_pv(model.design.less(&so_far.columns, &so_far.fit.beta));
+        design.fit(LOW, &[], None)
+    });
+    let low = low.flatten();
+    let frequencies = scan.frequencies(series);
+    let shapes = candidates(&scan, low.as_ref().and_then(|fit| Scan::new(fit, n)).as_ref(), &frequencies);
+    let there = |shape: &Shape| so_far.added.iter().any(|a| same(shape, &a.shape, n));
+    let try_one = |shape: Shape| {
+        let mut columns = so_far.columns.clone();
+        columns.extend(model.columns(&shape));
+        let fit = refit(model, &columns, low.as_ref().filter(|_| matches!(shape, Shape::Sinusoid(_))))?;
+        let cost = shape.cost(n, scan.tried(&shape, frequencies.len()));
+        let gain = fit.log_likelihood() - so_far.fit.log_likelihood() - cost;
+        Some(Tried { shape, gain, columns, fit })
+    };
+    let all = shapes.into_iter().filter(|s| !there(s)).filter_map(try_one);
+    let mut best = all.max_by(|x, y| x.gain.total_cmp(&y.gain))?;
+    // Between the frequencies that are looked through lies a better one.
+    for step in FINER {
+        let Shape::Sinusoid(frequency) = best.shape else { break };
+        if best.gain < LEAST_GAIN {
+            break;
+        }
+        let beside = [-step, step].map(|step| Shape::Sinusoid(frequency + step / n as f64));
+        best = beside.into_iter().filter_map(try_one).chain([best]).max_by(|x, y| x.gain.total_cmp(&y.gain))?;
+    }
+    Some(best)
+}
+
+/// Whether a shape is one that is there already.
+fn same(shape: &Shape, there: &Shape, n: usize) -> bool {
+    match (shape, there) {
+        (Shape::Step(_), Shape::Step(_)) => shape == there,
+        (Shape::Sinusoid(own), Shape::Sinusoid(other)) => (own - other).abs() < APART / n as f64,
+        _ => shape.id() == there.id(),
+    }
+}
+
+/// The shapes that are worth a fit.
+fn candidates(scan: &Scan<'_>, low: Option<&Scan<'_>>, frequencies: &[f64]) -> Vec<Shape> {
+    let [alone, beside, of_low] = REFITTED;
+    let most = if low.is_some() { beside } else { alone };
+    let mut out = vec![Shape::Drift, Shape::Bend];
+    let mut add = |shapes: Vec<Shape>| {
+        for shape in shapes {
+            if !out.contains(&shape) {
+                out.push(shape);
+            }
+        }
+    };
+    for (scan, most) in [(Some(scan), most), (low, of_low)] {
+        let Some(scan) = scan else { continue };
+        add(scan.steps(most));
+        add(scan.ramps(most));
+        add(scan.sinusoids(frequencies, most));
+    }
+    add(scan.outliers().into_iter().collect());
+    out
+}
+
+/// The fit with effects, begun from the base's A and, with `low`, from an A that holds no sinusoid.
+pub(super) fn refit(model: &Model, columns: &[Vec<f64>], low: Option<&Fit>) -> Option<Fit> {
+    let order = model.base.order();
+    let own = model.design.fit(order, columns, Some(&model.base));
+    let from_low = low.and_then(|low| model.design.fit_in(order, columns, Some(low), LOW_ROUNDS));
+    own.into_iter().chain(from_low).max_by(|x, y| x.log_likelihood().total_cmp(&y.log_likelihood()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gap::budget::tests::{Loop, named};
+
+    #[test]
+    fn each_effect_is_found_beside_a_wandering_disturbance() {
+        let plain = Loop::default();
+        assert!(named(&plain.series(1)).is_empty(), "{:?}", named(&plain.series(1)));
+        let step = named(&Loop { step: 1.5, ..plain }.series(1));
+        assert!(matches!(step[..], [Shape::Step(at)] if at.abs_diff(500) <= 2), "{step:?}");
+        let wave = named(&Loop { wave: 0.6, ..plain }.series(1));
+        assert!(matches!(wave[..], [Shape::Sinusoid(f)] if (1.0 / f - 23.0).abs() < 0.5), "{wave:?}");
+        let wild = named(&Loop { wild: 3.0, ..plain }.series(1));
+        assert!(matches!(&wild[..], [Shape::Outliers(at)] if at.len() == 8), "{wild:?}");
+        let drift = named(&Loop { drift: 0.8, ..plain }.series(1));
+        assert_eq!(drift, [Shape::Drift]);
+    }
+}

@@ -1,0 +1,127 @@
+//! The record as the budget sees it: PV standardised, at most some nine hundred points, and what drives it.
+
+use crate::gap::problem::period_of;
+use crate::record::Record;
+use crate::signal::{detrend, stats};
+use crate::sim::valve::he_step;
+
+/// Most points.
+pub const MOST: usize = 900;
+/// Fewest points that are split.
+pub const FEWEST: usize = 100;
+/// Fewest points in a period.
+const IN_PERIOD: f64 = 8.0;
+/// Periods that a record has at least, as the bins of the process' answer take them.
+const PERIODS: f64 = 5.0;
+
+/// The last part of a record that fits into [`MOST`] points.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Series {
+    /// PV, less its mean, in standard deviations.
+    pub pv: Vec<f64>,
+    /// OP, less its mean, in standard deviations.
+    pub op: Vec<f64>,
+    /// The stem of a sticking valve, in the same units as `op`; `None` where no bands are known or the stem rests.
+    pub stem: Option<Vec<f64>>,
+    /// Mean and standard deviation of PV, PV units.
+    pub of_pv: [f64; 2],
+    /// Standard deviation of OP, OP units.
+    pub op_deviation: f64,
+    /// Period of the oscillation or of the typical movement, points.
+    pub period: f64,
+    /// Points of the record in one point.
+    pub box_points: usize,
+    /// First point of the record that is used.
+    pub from: usize,
+    /// Time between points, s.
+    pub point_s: f64,
+}
+
+impl Series {
+    /// The series of a record; `bands` are static and kinetic band of He's valve, OP units; `period` in points of the record.
+    /// `None` where it is too short, or OP or PV does not move.
+    #[must_use]
+    pub fn of(record: &Record, bands: Option<[f64; 2]>, period: Option<f64>) -> Option<Self> {
+        let n = record.len();
+        if n < FEWEST {
+            return None;
+        }
+        let period = period.filter(|p| p.is_finite() && *p > 0.0).unwrap_or_else(|| period_of(record).0);
+        let fine = ((period / IN_PERIOD) as usize).max(1);
+        let box_points = n.div_ceil(MOST).min(fine);
+        let count = (n / box_points).min(MOST);
+        let from = n - count * box_points;
+        let boxed = |x: &[f64]| detrend::box_means(&x[from..], box_points);
+        let (pv, op) = (boxed(&record.pv), boxed(&record.op()));
+        let [of_pv, of_op] = [&pv, &op].map(|x| [stats::mean(x), stats::std_dev(x)]);
+        if count < FEWEST || ![of_pv, of_op].iter().flatten().all(|v| v.is_finite()) {
+            return None;
+        }
+        if !of_pv[1].is_normal() || !of_op[1].is_normal() {
+            return None;
+        }
+        let scaled = |x: &[f64], mean: f64, by: f64| -> Vec<f64> { x.iter().map(|v| (v - mean) / by).collect() };
+        let stem = bands.filter(|[fs, _]| *fs > 0.0).map(|bands| boxed(&stem(record, bands)));
+        let stem = stem.filter(|s| stats::std_dev(s) > 1e-6 * of_op[1]);
+        Some(Self {
+            pv: scaled(&pv, of_pv[0], of_pv[1]),
+            stem: stem.map(|s| scaled(&s, stats::mean(&s), of_op[1])),
+            op: scaled(&op, of_op[0], of_op[1]),
+            of_pv,
+            op_deviation: of_op[1],
+            period: (period / box_points as f64).min(count as f64 / PERIODS).max(IN_PERIOD),
+            box_points,
+            from,
+            point_s: record.point_s() * box_points as f64,
+        })
+    }
+
+    /// Number of points.
+    #[must_use]
+    pub fn n(&self) -> usize {
+        self.pv.len()
+    }
+
+    /// Time of a point after the record's start, s.
+    #[must_use]
+    pub fn time_s(&self, point: usize) -> f64 {
+        self.from as f64 * self.point_s / self.box_points as f64 + point as f64 * self.point_s
+    }
+}
+
+/// Where the stem of He's valve stands at each point of a record, OP units.
+fn stem(record: &Record, [fs, fd]: [f64; 2]) -> Vec<f64> {
+    let per_point = record.path_per_point();
+    let mut at = record.op_path.first().copied().unwrap_or(0.0);
+    let mut path = record.op_path.chunks_exact(per_point);
+    let mean = |point: &[f64]| {
+        let mut sum = 0.0;
+        for op in point {
+            at = he_step(at, *op, fs, fd);
+            sum += at;
+        }
+        sum / per_point as f64
+    };
+    path.by_ref().take(record.len()).map(mean).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_long_record_is_boxed_and_a_short_or_still_one_refused() {
+        let wave = |k: usize| libm::sin(k as f64 * 0.05);
+        let record =
+            |n: usize| Record::uniform(2.0, (0..n).map(wave).collect(), (0..n).map(|k| 3.0 + wave(k + 9)).collect());
+        let series = Series::of(&record(2_001), Some([0.3, 0.1]), None).unwrap();
+        assert_eq!((series.n(), series.box_points, series.from, series.point_s), (667, 3, 0, 6.0));
+        assert!((stats::std_dev(&series.pv) - 1.0).abs() < 1e-9 && (series.of_pv[0] - 3.0).abs() < 0.05);
+        assert!((series.period - 41.9).abs() < 1.0 && series.stem.is_some());
+        assert_eq!(Series::of(&record(FEWEST - 1), None, None), None);
+        assert_eq!(Series::of(&Record::uniform(1.0, vec![1.0; 300], record(300).pv), None, None), None);
+        // Boxes must not be wider than an eighth of the period: the record's end is used.
+        let fast = Series::of(&record(4_000), None, Some(17.0)).unwrap();
+        assert_eq!((fast.box_points, fast.n(), fast.time_s(0)), (2, 900, 2.0 * 2_200.0));
+    }
+}

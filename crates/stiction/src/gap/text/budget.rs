@@ -1,0 +1,182 @@
+//! The budget as a table, and what the record can tell, in words.
+
+use super::super::budget::document::{
+    BudgetNote, CANNOT_BE_TOLD, DISTURBANCE, NOISE, NOT_SPLIT, PartNote, TOLD, TellableNote, UNEXPLAINED,
+    VALVE_AND_PROCESS,
+};
+use super::super::document::GapDocument;
+use super::effect;
+use crate::units::{duration, number};
+
+/// What the record tells where that is too little for the cause.
+fn too_little(d: &GapDocument) -> Option<&TellableNote> {
+    d.tellable.as_ref().filter(|_| d.cause.why.as_deref() == Some(CANNOT_BE_TOLD))
+}
+
+/// The clause for it.
+pub(super) fn told_too_little(d: &GapDocument) -> Option<String> {
+    let nats = number(too_little(d)?.gain_nats);
+    Some(format!("this record cannot tell which: beyond PV's own past, OP predicts only {nats} nats of PV"))
+}
+
+/// The conclusion where the record cannot tell the cause.
+pub(super) fn cannot_be_told(d: &GapDocument) -> Option<String> {
+    let told = too_little(d)?;
+    Some(format!(
+        "Unknown: this record cannot tell. Beyond PV's own past, OP predicts only {} nats of PV; below {} the structure of \
+         valve and process is hardly told.",
+        number(told.gain_nats),
+        number(TOLD[0])
+    ))
+}
+
+/// The rows of the table and the sentence on what can be told.
+pub(super) fn rows(d: &GapDocument, row: &mut impl FnMut(&str, String)) {
+    if let Some(budget) = &d.budget {
+        row("budget", head(budget));
+        for part in &budget.parts {
+            row("", format!("{:>6.1} %  {:>9}  {}", part.share_pct, number(part.sd), words(part)));
+        }
+        if let Some(why) = no_split(budget) {
+            row("", why);
+        }
+        if let Some(smallest) = smallest(budget) {
+            row("", smallest);
+        }
+    }
+    if let Some(told) = &d.tellable {
+        row("tellable", tellable(told));
+        if let Some(helps) = helps(told) {
+            row("", helps);
+        }
+    }
+}
+
+fn head(budget: &BudgetNote) -> String {
+    let last = format!("{} points of {}", budget.points, duration(budget.point_s));
+    let recorder: Vec<String> = budget.recorder.iter().map(|id| effect::noun(id)).collect();
+    let doubt = match recorder.as_slice() {
+        [] => String::new(),
+        all => format!("; {} makes it less sure", all.join(" and ")),
+    };
+    format!("share of PV's variance, standard deviation in PV units, part ({last}{doubt})")
+}
+
+fn words(part: &PartNote) -> String {
+    let seconds = |name: &str| part.parameters.get(name).map(|q| duration(q.value));
+    let course = || match seconds("period") {
+        Some(period) => format!("with a period around {period}"),
+        None => "more slowly than the record is long".to_owned(),
+    };
+    match part.id.as_str() {
+        VALVE_AND_PROCESS => "valve and process, driven by OP".to_owned(),
+        DISTURBANCE => format!("a disturbance that wanders {}", course()),
+        NOT_SPLIT => "valve, process and a disturbance, not told apart".to_owned(),
+        NOISE => "measurement noise".to_owned(),
+        UNEXPLAINED => "unexplained: neither OP nor PV's own past predicts it".to_owned(),
+        id => {
+            let halves = match part.confirmed {
+                Some(true) => "confirmed by the record's halves",
+                _ => "suspected, not confirmed by the record's halves",
+            };
+            let gain = part.gain_nats.map_or_else(String::new, |g| format!(" (gain {} nats)", number(g)));
+            format!("{}, {halves}{gain}", effect::phrase_of(id, &part.parameters))
+        }
+    }
+}
+
+fn no_split(budget: &BudgetNote) -> Option<String> {
+    let why = match budget.no_split.as_deref()? {
+        "process_unstable" => "the process fitted under the noise model runs away by itself",
+        _ => "the process' part and the disturbance correlate by more than a half",
+    };
+    Some(format!("valve and process have no share of their own: {why}"))
+}
+
+fn smallest(budget: &BudgetNote) -> Option<String> {
+    let one = |s: &super::super::budget::document::SmallestNote| {
+        let size = number(s.size);
+        match s.period_s {
+            Some(period) => format!("a sinusoid of amplitude {size} and period {}", duration(period)),
+            None => format!("a step of {size} PV units"),
+        }
+    };
+    let all: Vec<String> = budget.smallest.iter().map(one).collect();
+    (!all.is_empty()).then(|| format!("{} or more would have been named", all.join(", and ")))
+}
+
+fn tellable(told: &TellableNote) -> String {
+    let structure = match told.structure.as_str() {
+        "hardly" => "hardly tells",
+        "partly" => "partly tells",
+        _ => "mostly tells",
+    };
+    let controller = told.outside_controller_pct.map_or_else(
+        || "no controller could be read".to_owned(),
+        |pct| format!("the controller leaves {} % of OP's moves", number(pct)),
+    );
+    format!(
+        "OP predicts {} nats of PV beyond its own past, which {structure} the structure of valve and process; {controller}, \
+         {} of the set point, {}, {} periods",
+        number(told.gain_nats),
+        counted(told.sp_moves, "move"),
+        counted(told.slips, "slip"),
+        number(told.periods)
+    )
+}
+
+fn counted(count: u64, what: &str) -> String {
+    match count {
+        0 => format!("no {what}s"),
+        1 => format!("1 {what}"),
+        n => format!("{n} {what}s"),
+    }
+}
+
+fn helps(told: &TellableNote) -> Option<String> {
+    let word = |id: &String| match (id.as_str(), told.times_as_long) {
+        ("longer_record", Some(times)) => format!("a record {} times as long", number(times)),
+        ("longer_record", None) => "a longer record".to_owned(),
+        ("op_step", _) => "a step of OP in manual".to_owned(),
+        ("valve_position", _) => "the valve position".to_owned(),
+        (other, _) => other.replace('_', " "),
+    };
+    let all: Vec<String> = told.helps.iter().map(word).collect();
+    (!all.is_empty()).then(|| format!("more could be told with {}", all.join(", or ")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{report, summary};
+    use super::*;
+
+    fn document() -> GapDocument {
+        serde_json::from_str(include_str!("../../../tests/golden/gap-sinusoid.json")).unwrap()
+    }
+
+    #[test]
+    fn the_table_has_a_line_for_every_part_and_says_what_is_suspected() {
+        let mut d = document();
+        let parts = d.budget.as_ref().unwrap().parts.len();
+        let text = report(&d);
+        let shares = text.lines().filter(|l| l.contains(" %  ")).count();
+        assert!(shares >= parts && text.contains("measurement noise"), "{text}");
+        let part = &mut d.budget.as_mut().unwrap().parts[0];
+        (part.id, part.confirmed) = ("gain_drift".to_owned(), Some(false));
+        assert!(report(&d).contains("a drifting gain, suspected, not confirmed by the record's halves"));
+    }
+
+    #[test]
+    fn what_cannot_be_told_is_not_said_to_be_outside_the_catalogue() {
+        let mut d = document();
+        d.cause.id = "unknown".to_owned();
+        d.cause.why = Some(CANNOT_BE_TOLD.to_owned());
+        d.tellable.as_mut().unwrap().gain_nats = 12.3;
+        assert!(
+            summary(&d)[0]
+                .starts_with("Unknown: this record cannot tell. Beyond PV's own past, OP predicts only 12.3 nats")
+        );
+        d.cause.why = Some("not_in_catalogue".to_owned());
+        assert!(summary(&d)[0].starts_with("Unknown: no effect of the catalogue"));
+    }
+}
