@@ -15,7 +15,7 @@ pub const CRATES: [&str; 4] = ["src", "crates/stiction/src", "crates/stiction-mo
 const MAX_LINES: usize = 600;
 
 /// Which rooms each room may use.
-const IMPORTS: [(&str, &[&str]); 40] = [
+const IMPORTS: [(&str, &[&str]); 41] = [
     // Words.
     ("units", &[]),
     ("record", &["units"]),
