@@ -165,8 +165,7 @@ fn report(
     let met = interval::spread(evaluator, &mut view, &answer.candidate, &rivals, index, options.seed)?;
     let best = met.best;
     let mut spread = met.spread;
-    spread.distinct =
-        !spread.whiteness.is_noise() && rivals::are_ruled_out(evaluator, &mut view, &best, &found.seen, &found.best);
+    spread.distinct = !spread.whiteness.is_noise() && rivals::are_ruled_out(&best, &answer.rivals);
     // A better candidate met on the way of the interval is the answer.
     let same = best.covers(answer.candidate.s, answer.candidate.j, answer.candidate.start);
     let plain_sse = if answer.rho == 0.0 {

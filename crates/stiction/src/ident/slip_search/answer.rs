@@ -5,6 +5,7 @@ use super::candidate::{Candidate, apart};
 use super::classes::classes_of;
 use super::local_search::{Nearness, along_ridge, neighbours, random_steps};
 use super::part::frictionless;
+use super::rivals;
 use super::stages::{Found, Search};
 use crate::ident::candidate::{Candidate as Plain, CandidateFitter};
 use crate::ident::choice::{ModelChoice, Options};
@@ -21,6 +22,8 @@ const COLOURED: f64 = 0.2;
 const MOST_RHO: f64 = 0.98;
 /// Change of the filter that the residual asks for after which the answer is looked for again.
 const OTHER_FILTER: f64 = 0.1;
+/// Error over the answer's up to which another candidate takes its place.
+const BETTER: f64 = 0.98;
 /// Candidates refitted to the filtered error, those that go on, random steps for the first of them and for the others.
 const REFITTED: usize = 12;
 const FOLLOWED: usize = 4;
@@ -51,6 +54,8 @@ pub struct Answer {
     pub without: f64,
     /// Share of the error of differences that goes with the friction, less where s is small.
     pub index_moves: f64,
+    /// Candidates with other bands, fitted as `candidate` is; none where the residual is white.
+    pub rivals: Vec<Candidate>,
 }
 
 /// Share of an error that goes with the friction, 0..1.
@@ -77,8 +82,15 @@ impl Search<'_, '_> {
         let without = self.without(best.class);
         let (evaluator, plain) = self.whole();
         let process = evaluator.polish(plain, &best)?;
-        let mut answer =
-            Answer { candidate: best, rho: 0.0, plain: process, plain_sse: process.sse, without, index_moves: 0.0 };
+        let mut answer = Answer {
+            candidate: best,
+            rho: 0.0,
+            plain: process,
+            plain_sse: process.sse,
+            without,
+            index_moves: 0.0,
+            rivals: Vec::new(),
+        };
         let same_law: Vec<Candidate> = found.seen.iter().filter(|c| c.law == best.law).copied().collect();
         answer.index_moves = self.index_moves(&best, &same_law);
         if !found.is_noise && answer.index().max(answer.index_moves) > 0.1 {
@@ -98,8 +110,28 @@ impl Search<'_, '_> {
                 }
                 self.whiten(&mut answer, best, &found.seen, rho, seed);
             }
+            self.weigh_rivals(&mut answer, found);
         }
         Some(answer)
+    }
+
+    /// Refits the other candidates as the answer is fitted; the one that leaves less than the answer takes its place.
+    fn weigh_rivals(&mut self, answer: &mut Answer, found: &Found) {
+        let (evaluator, plain) = self.whole();
+        let mut view =
+            if answer.rho == 0.0 { plain.clone() } else { evaluator.problem.view(answer.rho, evaluator.points) };
+        let class = answer.candidate.class;
+        answer.rivals = rivals::refitted(evaluator, &mut view, &answer.candidate, class, &found.seen, &found.best);
+        let Some(better) = answer.rivals.first().copied().filter(|c| c.sse() < BETTER * answer.candidate.sse()) else {
+            return;
+        };
+        let again = evaluator.in_class(plain, &better, class).and_then(|c| evaluator.polish(plain, &c));
+        let Some(process) = again else { return };
+        answer.rivals.push(answer.candidate);
+        (answer.candidate, answer.plain_sse) = (better, process.sse);
+        if process.sse < answer.plain.sse || answer.rho == 0.0 {
+            answer.plain = process;
+        }
     }
 
     /// The candidate with an integrator where its lag is so long that the record does not show where PV would settle, and
