@@ -28,7 +28,7 @@ done
 for tool in dpkg-deb strip readelf gzip; do
     command -v "$tool" >/dev/null || fail "$tool is missing (apt-get install dpkg binutils gzip)"
 done
-[ -x "$binary" ] || fail "$binary is missing: cargo build --release --locked, or --binary PATH"
+[ -x "$binary" ] || fail "$binary is missing: cargo build --release --locked --features full, or --binary PATH"
 
 version=$("$binary" --version | sed -n 's/^stictiond \([0-9][^ ]*\).*/\1/p')
 [ -n "$version" ] || fail "$binary does not say its version"

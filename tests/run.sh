@@ -24,7 +24,7 @@ noted() {
 fetching=$!
 
 step "building the tests"
-cargo test --no-run --locked --quiet
+cargo test --no-run --locked --quiet --features full
 
 # Some tests mostly wait: for a daemon that is killed, a disk that fills, a broker that comes back, a program that runs.
 # They run beside those that compute; what they print follows when both have ended.
@@ -40,15 +40,15 @@ wait "$fetching" || true
 (
     # What fails here does not hide what comes behind it.
     bad=0
-    cargo test --no-fail-fast --locked --quiet "${waiting[@]/#/--test=}" || bad=1
+    cargo test --no-fail-fast --locked --quiet --features full "${waiting[@]/#/--test=}" || bad=1
     bash tests/interop/run.sh || bad=1
     bash python/test.sh || bad=1
     exit "$bad"
 ) >"$beside" 2>&1 &
 others=$!
 failed=0
-noted cargo test --no-fail-fast --locked --quiet --lib --bins "${computing[@]/#/--test=}" || failed=1
-noted cargo test --locked --quiet --doc || failed=1
+noted cargo test --no-fail-fast --locked --quiet --features full --lib --bins "${computing[@]/#/--test=}" || failed=1
+noted cargo test --locked --quiet --features full --doc || failed=1
 
 step "tests that wait, and those from outside: what they said"
 wait "$others" || failed=1

@@ -244,7 +244,7 @@ fn to_partitions(loops: Vec<LoadedLoop>, folder: &Path, force: bool) -> anyhow::
 
 #[cfg(not(feature = "parquet"))]
 fn to_partitions(_: Vec<LoadedLoop>, _: &Path, _: bool) -> anyhow::Result<Vec<Written>> {
-    Err(UsageError("this build cannot write Parquet; rebuild with --features parquet".to_owned()).into())
+    Err(UsageError("this build cannot write Parquet; rebuild with --features full".to_owned()).into())
 }
 
 /// A file stem from a loop's name, unique in its folder, also on file systems that ignore letter case.

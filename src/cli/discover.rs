@@ -165,7 +165,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
             tell(&Told { seen: &seen, keyed: true, what: &what, out: args.out.as_deref(), force: args.force }, format)
         }
         #[cfg(not(feature = "bridge-opcua"))]
-        Some(Elsewhere::Opcua(absent)) => absent.refuse("look at OPC UA servers", "bridge-opcua"),
+        Some(Elsewhere::Opcua(absent)) => absent.refuse("OPC UA client", "bridge-opcua"),
         None => {
             let (seen, what) = match &args.connect {
                 Some(endpoint) => {

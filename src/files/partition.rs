@@ -10,6 +10,7 @@ const LOOP: &str = "loop=";
 /// Start of a day's folder name.
 const DAY: &str = "day=";
 /// Name of every file.
+#[cfg(feature = "parquet")]
 const FILE: &str = "part-0.parquet";
 
 /// A loop name as a folder name: all bytes but letters, digits and `-._~` percent-encoded.

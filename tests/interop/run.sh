@@ -39,5 +39,5 @@ else
     export PYTHONPATH=$venv/packages
 fi
 [ "${1:-}" != --fetch ] || exec "$python" tests/interop/receivers.py
-[ -x "$target/debug/stictiond" ] || cargo build --locked --quiet
+[ -x "$target/debug/stictiond" ] || cargo build --locked --quiet --features full
 exec "$python" tests/interop/test_interop.py "$@"

@@ -53,7 +53,7 @@ exec 9>&-
 [ "${1:-}" != --fetch ] || exit 0
 
 binary=${STICTIOND_BIN:-$target/debug/stictiond}
-[ -x "$binary" ] || cargo build --locked --quiet
+[ -x "$binary" ] || cargo build --locked --quiet --features full
 work=$(mktemp -d "$target/package/work.XXXXXX")
 trap 'rm -rf "$work"' EXIT
 # Compression is most of the time and nothing of what is tested.

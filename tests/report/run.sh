@@ -28,5 +28,5 @@ if [ ! -e "$stamp" ]; then
     touch "$stamp"
 fi
 [ "${1:-}" != --fetch ] || exit 0
-[ -x "$target/debug/stictiond" ] || cargo build --locked --quiet
+[ -x "$target/debug/stictiond" ] || cargo build --locked --quiet --features full
 exec "$venv/bin/python" tests/report/look.py "$target/debug/stictiond" "$browser" "$@"

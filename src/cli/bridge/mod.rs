@@ -58,7 +58,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
         #[cfg(feature = "bridge-mqtt")]
         BridgeCommand::Mqtt(args) => mqtt::run(args, format),
         #[cfg(not(feature = "bridge-mqtt"))]
-        BridgeCommand::Mqtt(absent) => absent.refuse("MQTT bridge", "bridge-mqtt"),
+        BridgeCommand::Mqtt(absent) => absent.refuse("MQTT bridge", "full"),
         #[cfg(feature = "bridge-opcua")]
         BridgeCommand::Opcua(args) => opcua::run(args, format),
         #[cfg(not(feature = "bridge-opcua"))]

@@ -4,6 +4,7 @@ use super::ExportError;
 
 /// One cell.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[cfg_attr(not(any(feature = "parquet", feature = "xlsx")), allow(dead_code))] // text files hold `Empty` and `Text` only
 pub(super) enum Cell<'r> {
     /// Nothing.
     Empty,

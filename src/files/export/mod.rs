@@ -26,6 +26,7 @@ mod pair;
 mod quality;
 mod stamp;
 mod text;
+#[cfg(feature = "xlsx")]
 mod workbook;
 mod zone;
 
@@ -226,7 +227,14 @@ pub(super) fn contents(
 ) -> Result<Contents, ExportError> {
     let stem = stem_of(path);
     match kind {
+        #[cfg(feature = "xlsx")]
         InputKind::Xlsx => workbook::read(bytes, &stem, options),
+        #[cfg(not(feature = "xlsx"))]
+        InputKind::Xlsx => Err(ExportError::at(
+            0,
+            "this build cannot read workbooks",
+            "rebuild with --features full, or save the sheet as .csv",
+        )),
         #[cfg(feature = "parquet")]
         InputKind::Parquet | InputKind::Arrow => {
             let table = columnar::table(kind, bytes)?;
@@ -236,7 +244,7 @@ pub(super) fn contents(
         InputKind::Parquet | InputKind::Arrow => Err(ExportError::at(
             0,
             "this build cannot read Parquet or Arrow",
-            "rebuild with --features parquet, or export .csv",
+            "rebuild with --features full, or export .csv",
         )),
         _ => {
             let decoded = text::decode(bytes, options.encoding);
@@ -248,6 +256,7 @@ pub(super) fn contents(
 }
 
 /// Parsing libraries panic on some damaged files; such a panic becomes an error of the file.
+#[cfg(any(feature = "parquet", feature = "xlsx"))]
 fn guarded<T>(work: impl FnOnce() -> Result<T, ExportError>) -> Result<T, ExportError> {
     std::panic::catch_unwind(std::panic::AssertUnwindSafe(work))
         .unwrap_or_else(|_| Err(ExportError::at(0, "the file is damaged", "export it again")))

@@ -169,7 +169,7 @@ fn target(d: &Deliver, prefix: &str) -> anyhow::Result<Box<dyn Target>> {
         #[cfg(not(feature = "deliver"))]
         Protocol::Webhook | Protocol::Mqtt => {
             let _ = prefix;
-            Err(anyhow!("this build sends neither webhooks nor MQTT: build it with the feature `deliver`"))
+            Err(anyhow!("this build sends neither webhooks nor MQTT: rebuild it with --features full"))
         }
     }
 }

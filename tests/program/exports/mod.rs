@@ -101,7 +101,10 @@ fn shown(shape: &Shape) -> String {
 
 #[test]
 fn every_shape_is_read_as_it_is_or_refused_with_what_settles_it() {
-    let shapes = shapes::all();
+    let mut shapes = shapes::all();
+    if cfg!(not(feature = "xlsx")) {
+        shapes.retain(|shape| shape.files.iter().all(|(name, _)| !name.ends_with(".xlsx")));
+    }
     let mut page = String::from(
         "# Exports that are read\n\n\
          Made by `tests/program/exports`, which writes the same 60 rows of one loop in each shape and compares every value and\n\
@@ -155,7 +158,7 @@ fn every_shape_is_read_as_it_is_or_refused_with_what_settles_it() {
     }
     assert!(faults.is_empty(), "{}", faults.join("\n"));
     assert!(shapes.len() >= 40, "{}", shapes.len());
-    if cfg!(feature = "parquet") {
+    if cfg!(feature = "full") {
         compare(&page);
     }
 }
