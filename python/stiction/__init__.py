@@ -25,14 +25,26 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any, Literal, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from . import _arrays, _stiction
+from . import _arrays, _show, _stiction, _tables
 from ._arrays import Table
-from ._over_time import Case, Change, Contradicting, Figure, OverTime, Pooled, Repair, Trend, Window, windows_text
+from ._over_time import (
+    Case,
+    Change,
+    Contradicting,
+    Figure,
+    OverTime,
+    Pooled,
+    Repair,
+    Trend,
+    Window,
+    windows_read,
+    windows_text,
+)
 from ._results import (
     Assessment,
     Effect,
@@ -41,6 +53,8 @@ from ._results import (
     Interval,
     Predictions,
     Process,
+    Record,
+    Results,
     Simulation,
     Verdict,
     as_columns,
@@ -50,6 +64,19 @@ from ._results import (
     times_of,
 )
 from ._stiction import StictionError, __version__
+
+if TYPE_CHECKING:
+    from ._show import DataFrame
+    from .detector import StictionDetector as StictionDetector
+else:
+
+    def __getattr__(name: str) -> Any:
+        if name != "StictionDetector":
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        from .detector import StictionDetector
+
+        return StictionDetector
+
 
 __all__ = [
     "Assessment",
@@ -67,6 +94,7 @@ __all__ = [
     "Predictions",
     "Process",
     "Repair",
+    "Results",
     "Simulation",
     "StictionError",
     "Trend",
@@ -85,7 +113,7 @@ __all__ = [
     "simulate_plant",
 ]
 
-Progress: TypeAlias = Callable[[int, int], object]
+Progress: TypeAlias = Callable[[int, int], object] | bool
 Kind: TypeAlias = Literal["flow", "level", "pressure", "temperature", "analysis", "other"]
 Model: TypeAlias = Literal["auto", "fopdt", "sopdt"]
 Valve: TypeAlias = Literal["auto", "he", "tracking"]
@@ -136,8 +164,8 @@ def _model(argument: str, given: Given | None) -> str | None:
 
 
 def assess(
-    op: ArrayLike,
-    pv: ArrayLike,
+    op: ArrayLike | Mapping[str, Any],
+    pv: ArrayLike | None = None,
     ts_s: float | None = None,
     *,
     t: ArrayLike | None = None,
@@ -163,8 +191,10 @@ def assess(
 ) -> Assessment:
     """Assess whether the valve of a loop sticks, and how much, as `stictiond analyze` does.
 
-    op, pv: controller output and process variable, one number per sample; NaN if missing.
-    ts_s: seconds between samples; or t: their times, seconds since 1970 or datetime64 (UTC if without a zone).
+    op, pv: controller output and process variable, one number per sample; NaN if missing. Or op alone: a table with columns
+    t, op, pv (sp, mv, mode), or with tags such as FIC101.OP and FIC101.PV; `name` chooses one of several loops.
+    ts_s: seconds between samples; or t: their times, seconds since 1970 or datetime64 (UTC if without a zone); or neither,
+    where pandas Series or DataFrames have a DatetimeIndex.
     sp, mv, mode: set point (PV units), measured valve position, controller mode (`auto`, `manual`, `cascade`).
     name: the loop's tag. FIC101 implies a flow loop, unless `kind` is given.
     op_range: the full range of OP, such as (0, 100); needed for `severity_by_range`.
@@ -181,11 +211,11 @@ def assess(
     >>> assess(np.arange(900) % 90, (np.arange(900) + 30) % 90, 1.0).loop
     'loop'
     """
-    columns = _arrays.columns(op, pv, ts_s, t, sp, mv, mode)
+    name, columns = _tables.record(name, op, pv, ts_s, t, sp, mv, mode)
     look = _arrays.look(samples, window, downsample, downsample_like_toolbox, detrend)
     fit = _fit(op_range, kind, model, delay, valve, solver, fineness_pct, evaluations, seed)
-    document, said = _stiction.assess(str(name), columns, look, fit, _model("score", score))
-    return assessment_of(document, said)
+    document, said = _stiction.assess(name, columns, look, fit, _model("score", score))
+    return assessment_of(document, said, Record(name, columns, look))
 
 
 def _many(
@@ -198,7 +228,7 @@ def _many(
     fit: dict[str, Any],
 ) -> dict[str, Any]:
     """The loops of a table as the native module takes them."""
-    opened, names = _arrays.open_table(table)
+    opened, names = _tables.long_form(table, named, ts_s is None)
     for argument in ("op", "pv", *(("t",) if ts_s is None else ())):
         if (wanted := named[argument]) not in names:
             why = f'the table has no column {wanted!r}; name one of {", ".join(names)} with {argument}="..."'
@@ -235,14 +265,16 @@ def _many(
         "look": look,
         "fit": fit,
         "threads": None if threads is None else _arrays.whole("threads", threads, 1),
-        "progress": progress,
+        "progress": _show.meter(progress),
     }
 
 
-def _replies(names: Iterable[str], answers: Iterable[tuple[tuple[str, str] | None, str | None]]) -> list[Assessment | Failure]:
-    return [
+def _replies(
+    names: Iterable[str], answers: Iterable[tuple[tuple[str, str] | None, str | None]]
+) -> Results[Assessment | Failure]:
+    return Results(
         Failure(name, error or "") if told is None else assessment_of(*told) for name, (told, error) in zip(names, answers)
-    ]
+    )
 
 
 def assess_many(
@@ -272,13 +304,14 @@ def assess_many(
     downsample: float | None = None,
     downsample_like_toolbox: bool = False,
     detrend: Detrend | None = None,
-) -> list[Assessment | Failure]:
+) -> Results[Assessment | Failure]:
     """Assess every loop of a long table on all cores. Results are in order of first appearance.
 
-    table: a DataFrame (pandas, polars), a dict of arrays, a structured array or an Arrow table with one row per sample.
+    table: a DataFrame (pandas, polars), a dict of arrays, a structured array or an Arrow table with one row per sample;
+    or wide, with tags such as FIC101.OP as columns; or with one row per value and columns tag, time, value.
     loop, t, op, pv, sp, mv, mode: names of its columns. The last three are optional, and `t` if ts_s is given (seconds
     between a loop's samples). threads: number of threads [one per core]; the results do not depend on it.
-    progress: called with (loops done, loops) in the calling thread; an exception in it stops the work.
+    progress: called with (loops done, loops) in the calling thread; an exception in it stops the work. True: a bar of tqdm.
     The other arguments apply to every loop, see `assess`.
 
     A loop that cannot be assessed gives a `Failure`, not an exception. Ctrl-C stops the work.
@@ -299,10 +332,21 @@ def assess_many(
 class Plant(NamedTuple):
     """The loops of one plant, judged together."""
 
-    loops: list[Assessment | Failure]
+    loops: Results[Assessment | Failure]
     """Every loop, by first appearance; `to_dict()["group"]` is a member's part in its group."""
     groups: list[dict[str, Any]]
     """Loops that share one oscillation, largest group first: documents `stictiond.group.v1`."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """The documents of loops and groups."""
+        return {"loops": self.loops.to_dict(), "groups": self.groups}
+
+    def to_frame(self) -> DataFrame:
+        """A row per loop for pandas."""
+        return self.loops.to_frame()
+
+    def _repr_html_(self) -> str:
+        return self.loops._repr_html_()
 
 
 def assess_plant(
@@ -342,8 +386,8 @@ def assess_plant(
 
 
 def assess_windows(
-    op: ArrayLike,
-    pv: ArrayLike,
+    op: ArrayLike | Mapping[str, Any],
+    pv: ArrayLike | None = None,
     ts_s: float | None = None,
     *,
     t: ArrayLike | None = None,
@@ -357,7 +401,7 @@ def assess_windows(
     ends: tuple[Any, Any] | None = None,
     threads: int | None = None,
     progress: Progress | None = None,
-) -> list[Assessment]:
+) -> Results[Assessment]:
     """Assess every window of a long record, oldest first, cut as the daemon does.
 
     Arguments as for `assess`, and:
@@ -376,7 +420,7 @@ def assess_windows(
     >>> [str(one.window[1])[11:19] for one in found]
     ['00:00:00', '00:05:00', '00:10:00']
     """
-    columns = _arrays.columns(op, pv, ts_s, t, sp, mv, mode)
+    name, columns = _tables.record(name, op, pv, ts_s, t, sp, mv, mode)
     if config is not None and (hop_s, max_window_s) != (None, None):
         raise _arrays.refused("config", "already contains hop_s and max_window_s; set them there")
     watched = {
@@ -386,7 +430,9 @@ def assess_windows(
         "ends": _arrays.times("ends", ends),
         "threads": None if threads is None else _arrays.whole("threads", threads, 1),
     }
-    return [assessment_of(*told) for told in _stiction.assess_windows(str(name), columns, watched, progress)]
+    record = Record(name, columns, _arrays.look(None, None, None, False, None))
+    answers = _stiction.assess_windows(name, columns, watched, _show.meter(progress))
+    return Results(assessment_of(*told, record) for told in answers)
 
 
 def over_time(windows: Iterable[Window]) -> OverTime:
@@ -402,13 +448,13 @@ def over_time(windows: Iterable[Window]) -> OverTime:
     >>> [change["kind"] for change in over_time(seen)["changes"]]
     ['worse']
     """
-    found: OverTime = json.loads(_stiction.over_time(windows_text(windows)))
-    return found
+    read = windows_read(windows)
+    return OverTime(json.loads(_stiction.over_time(windows_text(read))), read)
 
 
 def repair(
-    op: ArrayLike,
-    pv: ArrayLike,
+    op: ArrayLike | Mapping[str, Any],
+    pv: ArrayLike | None = None,
     ts_s: float | None = None,
     *,
     t: ArrayLike | None = None,
@@ -430,16 +476,15 @@ def repair(
     Returns a dict, see `Repair`; `sentences` has the same in words, `assumptions` lists the assumptions.
     Raises StictionError if the loop cannot be simulated or the simulation is not reliable; the message says why.
     """
-    columns = _arrays.columns(op, pv, ts_s, t, sp, mv, mode)
+    name, columns = _tables.record(name, op, pv, ts_s, t, sp, mv, mode)
     look = _arrays.look(samples, window, None, False, None)
     fit = _fit(op_range, kind, "auto", "auto", "auto", None, 5.0, 10_000, seed)
-    found: Repair = json.loads(_stiction.repair(str(name), columns, look, fit))
-    return found
+    return Repair(json.loads(_stiction.repair(name, columns, look, fit)))
 
 
 def screen(
-    op: ArrayLike,
-    pv: ArrayLike,
+    op: ArrayLike | Mapping[str, Any],
+    pv: ArrayLike | None = None,
     ts_s: float | None = None,
     *,
     t: ArrayLike | None = None,
@@ -458,13 +503,13 @@ def screen(
     >>> screen(50 + noise[0], 20 + noise[1], 1.0)
     True
     """
-    columns = _arrays.columns(op, pv, ts_s, t, sp, None, mode)
-    return _stiction.screen(str(name), columns, _arrays.look(samples, window, None, False, None))
+    name, columns = _tables.record(name, op, pv, ts_s, t, sp, None, mode)
+    return _stiction.screen(name, columns, _arrays.look(samples, window, None, False, None))
 
 
 def diagnose(
-    op: ArrayLike,
-    pv: ArrayLike,
+    op: ArrayLike | Mapping[str, Any],
+    pv: ArrayLike | None = None,
     ts_s: float | None = None,
     *,
     t: ArrayLike | None = None,
@@ -494,7 +539,7 @@ def diagnose(
     search, s [about 5 on two cores]; a search that runs out of time is not repeatable. progress: called with (models
     tried, most models) in the calling thread; an exception in it, or Ctrl-C, stops the search.
     """
-    columns = _arrays.columns(op, pv, ts_s, t, sp, mv, mode)
+    name, columns = _tables.record(name, op, pv, ts_s, t, sp, mv, mode)
     look = _arrays.look(samples, window, downsample, downsample_like_toolbox, detrend)
     if isinstance(base, str) and base not in ("refit", "linear"):
         raise _arrays.refused("base", f'{base!r} is not a valid value; give "refit", "linear", a result or a document')
@@ -508,7 +553,7 @@ def diagnose(
         "seed": _arrays.whole("seed", seed),
         "threads": None if threads is None else _arrays.whole("threads", threads, 1),
     }
-    return gap_of(*_stiction.diagnose(str(name), columns, look, asked, progress))
+    return gap_of(*_stiction.diagnose(name, columns, look, asked, _show.meter(progress)))
 
 
 def simulate_plant(scenario: str | Mapping[str, Any]) -> dict[str, Simulation]:

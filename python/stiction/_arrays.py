@@ -24,7 +24,7 @@ def refused(argument: str, why: str) -> StictionError:
     return StictionError(f"{argument}: {why}")
 
 
-def _plain(values: Any) -> NDArray[Any]:
+def plain(values: Any) -> NDArray[Any]:
     """An array of whatever numpy, pandas, polars or Arrow hold; missing values become NaN where possible."""
     if isinstance(values, np.ma.MaskedArray):
         return np.asarray(np.ma.filled(values.astype(float), np.nan))
@@ -45,7 +45,7 @@ def _plain(values: Any) -> NDArray[Any]:
 def numbers(argument: str, values: Any) -> NDArray[np.float64]:
     """A contiguous column of doubles."""
     try:
-        array = _plain(values)
+        array = plain(values)
         if array.dtype.kind in "biuf" or (array.dtype.kind == "O" and not any(isinstance(v, str) for v in array.flat)):
             found = np.ascontiguousarray(array, dtype=np.float64)
         else:
@@ -75,7 +75,7 @@ def _of_datetimes(values: Iterable[Any]) -> NDArray[np.int64]:
 
 def stamps(t: Any) -> tuple[str, bytes]:
     """Timestamps with their unit: `ns` as integers or `s` as doubles."""
-    array = _plain(t)
+    array = plain(t)
     if array.ndim != 1:
         raise refused("t", f"has {array.ndim} dimensions; give one column")
     if array.dtype.kind == "O" and len(array) and isinstance(array[0], dt.datetime):
@@ -92,11 +92,12 @@ def stamps(t: Any) -> tuple[str, bytes]:
     try:
         return "s", _bytes(numbers("t", array), "<f8")
     except StictionError:
-        raise refused("t", "is not a column of times; give seconds since 1970 or datetime64") from None
+        raise refused("t", "is not a column of times; give seconds since 1970 or datetime64 (pandas.to_datetime)") from None
 
 
-def _words(mode: Any) -> list[str | None]:
-    array = np.asarray(mode if not hasattr(mode, "to_numpy") else _plain(mode), dtype=object)
+def words(mode: Any) -> list[str | None]:
+    """Controller modes as words; missing values become None."""
+    array = np.asarray(mode if not hasattr(mode, "to_numpy") else plain(mode), dtype=object)
 
     def word(value: Any) -> str | None:
         missing = value is None or value == "" or (isinstance(value, float) and math.isnan(value))
@@ -118,7 +119,8 @@ def columns(
         raise refused(missing, "is None; give a column of numbers")
     n = len(arrays["op"])
     if (ts_s is None) == (t is None):
-        raise refused("ts_s", "give either ts_s, the seconds between samples, or t, their times")
+        why = "give either ts_s, the seconds between samples, or t, their times"
+        raise refused("ts_s", why if t is not None else f"{why}; a pandas DatetimeIndex will do")
     if t is not None:
         times = stamps(t)
     else:
@@ -126,16 +128,16 @@ def columns(
         if step_ns * max(n, 1) > 9.2e18:
             raise refused("ts_s", f"{ts_s} s for {n} samples are more than 292 years; ts_s is in seconds")
         times = "ns", _bytes(np.rint(np.arange(n) * step_ns), "<i8")
-    words = None if mode is None else _words(mode)
+    texts = None if mode is None else words(mode)
     lengths = {name: len(array) for name, array in arrays.items() if array is not None}
     lengths["t"] = len(times[1]) // 8
-    if words is not None:
-        lengths["mode"] = len(words)
+    if texts is not None:
+        lengths["mode"] = len(texts)
     for name, length in lengths.items():
         if length != n:
             raise refused(name, f"{length} values, op has {n}; give columns of one length, with NaN for missing values")
     found = {name: None if array is None else _bytes(array, "<f8") for name, array in arrays.items()}
-    return {**found, "t": times, "mode": words}
+    return {**found, "t": times, "mode": texts}
 
 
 def positive(argument: str, value: Any) -> float:
@@ -202,7 +204,8 @@ def look(
     }
 
 
-def _names(table: Table) -> list[str]:
+def names_of(table: Table) -> list[str]:
+    """Names of a table's columns; none if it has no named columns."""
     if isinstance(table, Mapping):
         return [str(name) for name in table]
     if isinstance(table, np.ndarray):
@@ -216,14 +219,14 @@ def _names(table: Table) -> list[str]:
 
 def open_table(table: Table) -> tuple[Table, list[str]]:
     """A table with access to columns by name, and the names."""
-    names = _names(table)
+    names = names_of(table)
     if not names and hasattr(table, "__arrow_c_stream__"):
         try:
             import pyarrow  # type: ignore[import-untyped,unused-ignore]
         except ImportError:
             raise refused("table", "is an Arrow stream, which needs pyarrow; install pyarrow") from None
         table = pyarrow.table(table)
-        names = _names(table)
+        names = names_of(table)
     if not names:
         raise refused("table", f"{type(table).__name__} has no named columns; give a DataFrame, a dict or an Arrow table")
     return table, names

@@ -5,15 +5,38 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+
+from . import _show
+from ._show import DataFrame
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 Interval: TypeAlias = tuple[float, float]
 Verdict: TypeAlias = Literal[
     "stiction", "deadband", "disturbance", "tuning", "no_oscillation", "no_stiction", "inconclusive"
 ]
+
+
+def drawing() -> Any:
+    """The module that draws; an ImportError says how to install matplotlib."""
+    _show.needed("matplotlib", "a plot", "'stiction[plot]'")
+    from . import _plots
+
+    return _plots
+
+
+class Record(NamedTuple):
+    """What a result was computed from, as the native module took it."""
+
+    name: str
+    columns: dict[str, Any]
+    look: dict[str, Any]
 
 
 def _interval(value: Any) -> Interval | None:
@@ -45,7 +68,7 @@ class Assessment:
     """Whether a valve sticks, how much, and with what confidence. Values that do not exist are None.
 
     Sizes are in OP units, times in s; `docs/verdicts.md` defines every number. `str()` gives the text of the command line,
-    `to_dict()` the document.
+    `to_dict()` the document. Results of `assess` and `assess_windows` keep their record for `plot()`; pickled ones do not.
     """
 
     loop: str
@@ -114,9 +137,13 @@ class Assessment:
     """Treatment of the rows: skipped, sorted."""
     _document: str = field(repr=False)
     _text: str = field(repr=False)
+    _record: Record | None = field(repr=False, compare=False, default=None)
 
     ok = True
     """An assessment, not a `Failure`."""
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_record": None}
 
     def to_dict(self) -> dict[str, Any]:
         """The document as `stictiond analyze --format json` writes it, schema `stictiond.estimate.v1`."""
@@ -127,11 +154,62 @@ class Assessment:
         """The document as text."""
         return self._document
 
+    def to_frame(self) -> DataFrame:
+        """One row for pandas, with the columns of `as_columns`."""
+        return Results([self]).to_frame()
+
+    def plot(
+        self, record: Any = None, *, free_run: bool = True, periods: float | None = 8.0, figure: Figure | None = None
+    ) -> Figure:
+        """Draw OP and PV over time with the model's free run, PV over OP, and the indicators; needs `stiction[plot]`.
+
+        record: a table with the loop's rows, for results without a record (see `assess`). free_run: also run the fitted
+        model. periods: show this many periods, the last ones of an oscillating loop; None for the whole record.
+        figure: draw into this figure instead of a new one.
+        """
+        drawn: Figure = drawing().assessment(self, record, free_run, periods, figure)
+        return drawn
+
+    def plot_trend(
+        self, record: Any = None, *, free_run: bool = True, periods: float | None = 8.0, ax: Axes | None = None
+    ) -> Axes:
+        """Draw PV over time, with SP and the model's free run; arguments as for `plot`."""
+        drawn: Axes = drawing().trend_of(self, record, free_run, periods, ax)
+        return drawn
+
+    def plot_phase(self, record: Any = None, *, ax: Axes | None = None) -> Axes:
+        """Draw PV over OP, and s as a length; arguments as for `plot`."""
+        drawn: Axes = drawing().phase_of(self, record, ax)
+        return drawn
+
+    def plot_indicators(self, *, ax: Axes | None = None) -> Axes:
+        """Draw what each indicator adds to the log-odds of the probability."""
+        drawn: Axes = drawing().indicators(self, ax)
+        return drawn
+
+    def _repr_html_(self) -> str:
+        process = None if self.process is None else (
+            f"order {self.process.order}, gain {_show.number(self.process.gain)}, time constants "
+            f"{', '.join(_show.number(lag) for lag in self.process.time_constants_s) or 'none'} s, "
+            f"dead time {_show.number(self.process.dead_time_s)} s"
+        )
+        return _show.card(self.loop, self.words, [
+            ("window, UTC", " to ".join(_show.moment(end) for end in self.window)),
+            ("probability of stiction", None if self.p_stiction is None else f"{self.p_stiction:.2f}, grade {self.grade}"),
+            ("s, OP units", _show.estimate(self.s, self.s_interval) if self.stiction and self.s else None),
+            ("j, OP units", _show.estimate(self.j, self.j_interval) if self.stiction and self.j is not None else None),
+            ("detection limit", None if self.s_detectable is None else _show.number(self.s_detectable)),
+            ("period", None if self.period_s is None else f"{_show.number(self.period_s)} s"),
+            ("process", process),
+            ("limits", ", ".join(self.gates)),
+            ("reason", self.reason),
+        ])  # fmt: skip
+
     def __str__(self) -> str:
         return self._text
 
 
-def assessment_of(document: str, said: str) -> Assessment:
+def assessment_of(document: str, said: str, record: Record | None = None) -> Assessment:
     """Converts the answer of the native module."""
     d, words = json.loads(document), json.loads(said)
     process = d["process"]
@@ -160,6 +238,7 @@ def assessment_of(document: str, said: str) -> Assessment:
         notes=tuple(words["notes"]),
         _document=document,
         _text=words["text"],
+        _record=record,
     )
 
 
@@ -174,6 +253,10 @@ class Failure:
 
     ok = False
     """Not an assessment."""
+
+    def to_dict(self) -> dict[str, str]:
+        """Loop and error."""
+        return {"loop": self.loop, "error": self.error}
 
 
 def as_columns(results: Iterable[Assessment | Failure]) -> dict[str, list[Any]]:
@@ -194,6 +277,46 @@ def as_columns(results: Iterable[Assessment | Failure]) -> dict[str, list[Any]]:
         intervals = [row.s_interval if isinstance(row, Assessment) else None for row in rows]
         columns[f"s_{side}"] = [None if pair is None else pair[end] for pair in intervals]
     return columns
+
+
+_NUMBERS = (
+    "p_stiction", "confidence", "s", "j", "fs", "fd", "s_detectable", "stiction_index", "period_s", "s_low", "s_high",
+)  # fmt: skip
+One = TypeVar("One", bound="Assessment | Failure")
+
+
+class Results(list[One]):
+    """A list of results; a slice is a plain list.
+
+    >>> Results([Failure("FIC1", "3 usable samples")]).to_dict()
+    [{'loop': 'FIC1', 'error': '3 usable samples'}]
+    """
+
+    def to_dict(self) -> list[dict[str, Any]]:
+        """The documents; a `Failure` gives its loop and error."""
+        return [one.to_dict() for one in self]
+
+    def to_frame(self) -> DataFrame:
+        """One row per result for pandas, with the columns of `as_columns`; `start` and `end` are UTC."""
+        kinds = {**dict.fromkeys(_NUMBERS, "float64"), "stiction": "boolean", "oscillating": "boolean"}
+        stamps = dict.fromkeys(("start", "end"), "datetime64[ns]")
+        return _show.frame(as_columns(self), {**kinds, **stamps})
+
+    def plot(self, *, ax: Axes | None = None) -> Axes:
+        """Draw s of every loop with its interval, or where there is none, that no sign or no answer was found."""
+        drawn: Axes = drawing().sizes(self, ax)
+        return drawn
+
+    def _repr_html_(self) -> str:
+        def cells(one: Assessment | Failure) -> list[str]:
+            if isinstance(one, Failure):
+                return [one.loop, "", "", "", "", one.error]
+            p = "-" if one.p_stiction is None else f"{one.p_stiction:.2f}"
+            size = _show.estimate(one.s, one.s_interval) if one.stiction else "-"
+            return [one.loop, _show.moment(one.window[1]), p, one.grade or "-", size, one.words]
+
+        heads = ("loop", "end, UTC", "p of stiction", "grade", "s, OP units", "verdict")
+        return _show.grid(f"{len(self)} results", "", heads, [cells(one) for one in self])
 
 
 @dataclass(frozen=True)
@@ -226,6 +349,14 @@ class Predictions:
     """Free run of the base with the cause."""
     held_out: NDArray[np.bool_]
     """True for rows that no model was fitted to."""
+
+    def to_dict(self) -> dict[str, NDArray[Any]]:
+        """The columns by name."""
+        return {name: getattr(self, name) for name in ("t", "pv", "base", "after", "held_out")}
+
+    def to_frame(self) -> DataFrame:
+        """A row per sample for pandas, by time (UTC)."""
+        return _show.frame(self.to_dict(), {}, "t")
 
 
 @dataclass(frozen=True, eq=False)
@@ -276,6 +407,33 @@ class Gap:
     def to_json(self) -> str:
         """The document as text."""
         return self._document
+
+    def to_frame(self) -> DataFrame:
+        """A row per effect tried for pandas, best first; `predictions.to_frame()` has the samples."""
+        names = ("id", "gap_before", "gap_after", "closed_pct")
+        columns: dict[str, Any] = {name: [getattr(effect, name) for effect in self.effects] for name in names}
+        for end, side in ((0, "low"), (1, "high")):
+            columns[f"closed_{side}"] = [e.closed_interval[end] if e.closed_interval else None for e in self.effects]
+        return _show.frame(columns, dict.fromkeys([name for name in columns if name != "id"], "float64"), "id")
+
+    def plot(self, *, figure: Figure | None = None) -> Figure:
+        """Draw PV with the free run before and after the cause is added, both errors, and what each effect closes.
+
+        Needs `stiction[plot]`. figure: draw into this figure instead of a new one.
+        """
+        drawn: Figure = drawing().gap(self, figure)
+        return drawn
+
+    def _repr_html_(self) -> str:
+        best = self.effects[0] if self.effects else None
+        closed = "" if best is None else f"{best.id}: {_show.estimate(best.closed_pct, best.closed_interval, '%')}"
+        return _show.card(self.loop, self.words, [
+            ("cause", f"{self.cause}, probability {self.probability:.2f}"),
+            ("confirmed on held-out data", "yes" if self.confirmed else "no"),
+            ("gap, PV units", f"{_show.number(self.rmse)}, of which noise {_show.number(self.noise_floor)}"),
+            ("best effect closes", closed),
+            ("other causes", ", ".join(f"{name} {p:.2f}" for name, p in self.alternatives)),
+        ])  # fmt: skip
 
     def __str__(self) -> str:
         return self._text
@@ -332,6 +490,19 @@ class Simulation:
     """Set point, PV units."""
     mv: NDArray[np.float64]
     """Valve position, %."""
+
+    def to_dict(self) -> dict[str, NDArray[Any]]:
+        """The columns by name."""
+        return {name: getattr(self, name) for name in ("t", "op", "pv", "sp", "mv")}
+
+    def to_frame(self) -> DataFrame:
+        """A row per sample for pandas, by time (UTC); `assess` reads it."""
+        return _show.frame(self.to_dict(), {}, "t")
+
+    def plot(self, *, figure: Figure | None = None) -> Figure:
+        """Draw OP, PV, SP and valve position over time, and PV over OP; needs `stiction[plot]`."""
+        drawn: Figure = drawing().simulation(self, figure)
+        return drawn
 
 
 def doubles_of(column: bytes) -> NDArray[np.float64]:

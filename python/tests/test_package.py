@@ -37,6 +37,18 @@ pooled: float | None = together["pooled"]["s"] if together["pooled"] is not None
 kinds: list[str] = [change["kind"] for change in stiction.over_time([found.to_dict()])["changes"]]
 bought: stiction.Repair = stiction.repair([1.0], [1.0], 1.0, seed=2)
 spread: list[float] = bought["repaired"]["pv_sd"]["interval"]
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+figure: Figure = found.plot(periods=None)
+axes: Axes = found.plot_phase(ax=figure.axes[0])
+before_after: Figure = gap.plot()
+history: Figure = together.plot()
+documents: list[dict[str, object]] = stiction.assess_many({"op": [1.0]}).to_dict()
+table: stiction.Assessment = stiction.assess({"op": [1.0], "pv": [1.0]}, ts_s=1.0)
+together["pooled"]["slope"]  # type: ignore[index, typeddict-item]
+detector = stiction.StictionDetector(ts_s=None, threshold=0.7).fit([{"op": [1.0], "pv": [1.0], "t": [0.0]}])
+answers: np.ndarray[tuple[int, ...], np.dtype[np.int64]] = detector.predict(np.zeros((2, 100)))
+stiction.Detector  # type: ignore[attr-defined]
 stiction.assess([1.0], [1.0], 1.0, model="third")  # type: ignore[arg-type]
 """
 
@@ -47,6 +59,7 @@ def test_it_is_the_installed_one() -> None:
     about = metadata.metadata("stiction")
     assert about["Version"] == stiction.__version__ and "2" in about["Metadata-Version"]
     assert {Path(str(f)).name for f in metadata.files("stiction") or []} >= {"LICENSE-MIT", "LICENSE-APACHE", "py.typed"}
+    assert set(about.get_all("Provides-Extra") or []) == {"plot", "sklearn", "pandas"}
     # One wheel for every Python from 3.10 on.
     assert "cp310-abi3" in (metadata.distribution("stiction").read_text("WHEEL") or "")
 
