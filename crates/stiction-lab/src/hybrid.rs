@@ -18,6 +18,8 @@ use stiction::sim::valve::he_step;
 pub const EFFECTS: [&str; 5] = ["step_load", "outliers", "sinusoid", "ramp", "gain_drift"];
 /// Deviations of PV and of OP over the recording's own from which the closed loop is not stable.
 const LARGEST: [f64; 2] = [4.0, 20.0];
+/// Deviations at which its run ends.
+const FAR: f64 = 1e6;
 
 /// A recording as the budget sees it, and what closes its loop.
 #[derive(Debug, Clone, Copy)]
@@ -158,7 +160,8 @@ impl Loop<'_> {
                 None => (*was, *is) = (series.op[k], op[k]),
             }
             sums.push(sums[k] + *is - *was);
-            if !(all.abs() < 1e6 && moved.abs() < 1e6) {
+            let bounded = all.abs() < FAR && moved.abs() < FAR;
+            if !bounded {
                 return None;
             }
         }

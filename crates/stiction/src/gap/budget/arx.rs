@@ -82,10 +82,10 @@ fn solve(columns: &[Vec<f64>], y: &[f64], weights: &[f64]) -> Option<Vec<f64>> {
     let k = columns.len();
     let mut gram = DMatrix::zeros(k, k);
     let mut right = DVector::zeros(k);
-    for i in 0..k {
-        let weighted: Vec<f64> = columns[i].iter().zip(weights).map(|(x, w)| x * w).collect();
-        for j in i..k {
-            gram[(j, i)] = stats::dot(&weighted, &columns[j]);
+    for (i, column) in columns.iter().enumerate() {
+        let weighted: Vec<f64> = column.iter().zip(weights).map(|(x, w)| x * w).collect();
+        for (j, other) in columns.iter().enumerate().skip(i) {
+            gram[(j, i)] = stats::dot(&weighted, other);
             gram[(i, j)] = gram[(j, i)];
         }
         right[i] = stats::dot(&weighted, y);
@@ -208,10 +208,10 @@ impl Design {
     #[must_use]
     pub fn driven(&self, fit: &Fit, e: &[f64]) -> Vec<f64> {
         let mut x: Vec<f64> = Vec::with_capacity(e.len());
-        for k in 0..e.len() {
+        for (k, e) in e.iter().enumerate() {
             let by_u: f64 = self.bins.iter().zip(&fit.b).map(|(bin, b)| b * bin[k]).sum();
             let own: f64 = fit.a[1..].iter().take(k).enumerate().map(|(i, a)| a * x[k - 1 - i]).sum();
-            x.push(by_u - own + e[k]);
+            x.push(by_u - own + e);
         }
         x
     }
@@ -291,7 +291,7 @@ mod tests {
         let series = series();
         let step: Vec<f64> = (0..series.n()).map(|k| f64::from(u8::from(k >= 433))).collect();
         let design = Design::new(&series, Some(&series.op));
-        let y = design.less(&[step.clone()], &[-0.8]);
+        let y = design.less(core::slice::from_ref(&step), &[-0.8]);
         let design = design.with_pv(y);
         let before = design.fit(2, &[], None).unwrap();
         let after = design.fit(2, &[step], Some(&before)).unwrap();

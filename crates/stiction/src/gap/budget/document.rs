@@ -120,7 +120,7 @@ impl BudgetNote {
             gain_nats: None,
             confirmed: None,
         };
-        let recorded = |s: &&Signature| s.met && effects::by_id(&s.id).is_some_and(|e| e.recorder.is_some());
+        let recorded = |s: &&Signature| s.met && effects::by_id(s.id).is_some_and(|e| e.recorder.is_some());
         let recorder: Vec<String> = signatures.iter().filter(recorded).map(|s| s.id.to_owned()).collect();
         let effect = |k: usize| {
             let added = &budget.searched.added[k];

@@ -22,7 +22,7 @@ struct Stretch {
 
 impl Stretch {
     fn holds(self, k: usize) -> bool {
-        k >= self.from && k < self.to
+        (self.from..self.to).contains(&k)
     }
 }
 
@@ -126,7 +126,7 @@ impl Judged<'_> {
         let without = self.model.design.less(columns, &others);
         let order = self.model.base.order();
         // Lags of the rest must not reach into the stretch.
-        let rest = |k: usize| k < stretch.from || k >= stretch.to + order;
+        let rest = |k: usize| !(stretch.from..stretch.to + order).contains(&k);
         let design = self.model.design.with_pv(with.clone()).where_used(rest);
         let Some(fit) = design.fit(order, &[], None) else { return 0.0 };
         let lost = |y: &[f64]| loss(&design, &fit, y, stretch);

@@ -81,7 +81,7 @@ pub fn step(model: &Model, searched: &Searched) -> Option<f64> {
     for place in PLACES {
         let shape = Shape::Step((place * n as f64) as usize);
         let column = model.columns(&shape).remove(0);
-        while !rest.gain(&shape, &column, size).is_some_and(|gain| gain >= cost) {
+        while rest.gain(&shape, &column, size).is_none_or(|gain| gain < cost) {
             size *= GROWTH;
             if size > SIZES[1] {
                 return None;
