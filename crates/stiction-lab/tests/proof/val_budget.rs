@@ -96,7 +96,7 @@ fn put_into(record: &Record, place: usize) -> Option<Found> {
     let own = Loop { record, budget: &budget, bands };
     let reading = controller::read(record);
     let mut out = Found {
-        even: place % 2 == 0,
+        even: place.is_multiple_of(2),
         read: reading.is_some(),
         unstable: 0,
         before: names(record, known),
@@ -183,7 +183,7 @@ fn table(name: &str, all: &[&Found]) -> Vec<[usize; 2]> {
 fn effects_put_into_real_loops_are_named() {
     let Some(all) = with_a_cycle("effects_put_into_real_loops_are_named") else { return };
     let odd_only = std::env::var_os("ODD").is_some();
-    let places = all.iter().enumerate().filter(|(place, _)| !odd_only || place % 2 == 1);
+    let places = all.iter().enumerate().filter(|(place, _)| !odd_only || !place.is_multiple_of(2));
     let found: Vec<Found> = places.filter_map(|(place, (_, record))| put_into(record, place)).collect();
     let half = |even: bool| found.iter().filter(|f| f.even == even).collect::<Vec<_>>();
     table("even places of the index", &half(true));
