@@ -66,6 +66,7 @@ fn table(scores: &[Score; 2]) -> String {
         let name = format!("pairs of two plants, periods {} to {} % apart, linked", 100.0 * low, 100.0 * high);
         row(&name, &|s| s.foreign_links[k]);
     }
+    row("linked pairs that the stored frames would leave out", &|s| s.left_out);
     row("pairs inside a group that share one oscillation", &|s| s.precision);
     row("pairs of one visible oscillation inside one group", &|s| s.recall);
     row("independent loops put into a group", &|s| s.alone_grouped);

@@ -43,7 +43,7 @@ const IMPORTS: [(&str, &[&str]); 41] = [
     ("hybrid", &["record", "signal", "sim", "ident", "gap", "truth"]),
     ("methods", &["record", "signal", "sim", "ident", "detect"]),
     ("bump_test", &["guard", "signal", "sim", "verdict", "truth"]),
-    ("plants", &["units", "record", "signal", "sim", "truth", "challenge"]),
+    ("plants", &["units", "record", "signal", "sim", "verdict", "plantwide", "truth", "challenge"]),
     ("calibrate", &["verdict"]),
     ("calibrate_plants", &["units", "record", "verdict", "plantwide", "calibrate", "truth", "plants"]),
     ("calibrate_gap", &["gap"]),

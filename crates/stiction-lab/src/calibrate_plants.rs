@@ -4,15 +4,13 @@ use nalgebra::{DMatrix, DVector};
 use serde::Serialize;
 
 use crate::calibrate::regress;
-use crate::plants::{CaseLoop, Difficulty, Role, plant};
+use crate::plants::{CaseLoop, Difficulty, Role, plant, stretched};
 use crate::truth::Half;
 use crate::truth::draw::Draw;
 use stiction::plantwide::{
-    Calibration, Chance, GroupDocument, Logit, Made, PlantLoop, SourceKind, assess_plant_by, frequency_hz,
+    Calibration, Chance, GroupDocument, Logit, Made, PairFigures, PlantLoop, SourceKind, assess_plant_by, frequency_hz,
     group_figures, member_figures, pair_figures, source_figures,
 };
-use stiction::record::Record;
-use stiction::units::ns_from_s;
 use stiction::verdict::{AssessParams, Assessment, assess};
 
 /// How the rules are fitted.
@@ -125,7 +123,7 @@ type Row = (Vec<f64>, bool);
 /// Figures of `count` pairs of different plants for each step of [`APART`]: the time of one loop is stretched so that the
 /// frequencies nearly agree.
 #[must_use]
-pub fn foreign_pairs(plants: &[Judged], count: usize, seed: u64) -> Vec<Vec<Vec<f64>>> {
+pub fn foreign_pairs(plants: &[Judged], count: usize, seed: u64) -> Vec<Vec<PairFigures>> {
     let known: Vec<(usize, usize, f64)> = plants
         .iter()
         .enumerate()
@@ -150,13 +148,6 @@ pub fn foreign_pairs(plants: &[Judged], count: usize, seed: u64) -> Vec<Vec<Vec<
         rows
     };
     APART.into_iter().map(&mut one_step).collect()
-}
-
-/// The record with its time stretched by `by`, ending at `end_ns`.
-fn stretched(record: &Record, by: f64, end_ns: i64) -> Record {
-    let (ts_s, recorded_ts_s) = (record.ts_s * by, record.recorded_ts_s * by);
-    let length = ns_from_s(ts_s * (record.raw_samples.saturating_sub(1)) as f64);
-    Record { ts_s, recorded_ts_s, start_ns: end_ns - length, end_ns, ..record.clone() }
 }
 
 /// Means and scales that standardise figures.
@@ -253,11 +244,12 @@ fn fit_choices(choices: &[Choice], ridge: f64, limit: f64) -> Option<Logit> {
 pub fn calibrate(plants: &[Judged], settings: &Settings) -> Option<Calibration> {
     let mut links: Vec<Row> = Vec::new();
     for plant in plants {
-        let row = |[a, b]: [usize; 2]| Some((pair_figures(&plant.at(a), &plant.at(b))?, plant.shares(a, b)));
+        let row = |[a, b]: [usize; 2]| Some((pair_figures(&plant.at(a), &plant.at(b))?.values, plant.shares(a, b)));
         links.extend(plant.pairs().filter_map(row));
     }
     let shared = links.iter().filter(|row| row.1).count();
-    let apart: Vec<Vec<f64>> = foreign_pairs(plants, settings.foreign, 1).into_iter().flatten().collect();
+    let apart: Vec<Vec<f64>> =
+        foreign_pairs(plants, settings.foreign, 1).into_iter().flatten().map(|pair| pair.values).collect();
     links.extend(apart.iter().map(|figures| (figures.clone(), false)));
     let link = fit(&links, RIDGE[0], f64::MAX)?;
     let mut scores: Vec<f64> = apart.iter().map(|figures| link.of(figures)).collect();
@@ -349,6 +341,8 @@ pub struct Score {
     pub false_links: Count,
     /// Pairs of different plants, linked, for each step of [`APART`].
     pub foreign_links: [Count; 4],
+    /// Linked pairs of one plant or of two that a large plant would not compare, as their stored frames disagree.
+    pub left_out: Count,
     /// Pairs in one group that do share one oscillation.
     pub precision: Count,
     /// Pairs of one oscillation, both of which show it, in one group.
@@ -390,8 +384,15 @@ pub fn score(plants: &[Judged], rules: &Calibration, foreign: usize, seed: u64) 
         groups.iter().for_each(|group| score.count_source(plant, group));
         score.count_members(plant, &groups);
     }
-    for (count, rows) in score.foreign_links.iter_mut().zip(foreign_pairs(plants, foreign, seed)) {
-        rows.iter().for_each(|figures| count.add(rules.link.of(figures) > rules.chance.threshold));
+    let of_two_plants = foreign_pairs(plants, foreign, seed);
+    for (count, rows) in score.foreign_links.iter_mut().zip(of_two_plants) {
+        for pair in rows {
+            let linked = rules.link.of(&pair.values) > rules.chance.threshold;
+            count.add(linked);
+            if linked {
+                score.left_out.add(!pair.may_share);
+            }
+        }
     }
     score
 }
@@ -400,8 +401,11 @@ impl Score {
     fn count_links(&mut self, plant: &Judged, rules: &Calibration) {
         for [a, b] in plant.pairs() {
             let Some(figures) = pair_figures(&plant.at(a), &plant.at(b)) else { continue };
-            let linked = rules.link.of(&figures) > rules.chance.threshold;
-            let long = libm::exp(figures[PERIODS]) >= 8.0;
+            let linked = rules.link.of(&figures.values) > rules.chance.threshold;
+            let long = libm::exp(figures.values[PERIODS]) >= 8.0;
+            if linked {
+                self.left_out.add(!figures.may_share);
+            }
             match plant.shares(a, b) {
                 true => self.links[usize::from(!long)].add(linked),
                 false => self.false_links.add(linked),

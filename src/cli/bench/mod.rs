@@ -3,6 +3,7 @@
 mod cpu;
 mod fleet;
 mod growth;
+mod plants;
 mod publisher;
 mod replay;
 mod solving;
@@ -78,6 +79,9 @@ pub struct Args {
     /// Measure how costs grow with loops, samples and periods.
     #[arg(long)]
     pub growth: bool,
+    /// Measure how long the comparison of 1,000, 10,000 and 100,000 loops takes, of which one in five oscillates.
+    #[arg(long)]
+    pub plants: bool,
     /// Measure only the solver: kernels, indicators, screening, estimates.
     #[arg(long)]
     pub solver_only: bool,
@@ -119,7 +123,13 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     if let Some(plant) = args.histories {
         print(replay::histories(args, plant)?, format)?;
     }
-    if args.growth || [args.loops.is_some(), args.replay.is_some(), args.histories.is_some()].contains(&true) {
+    if args.plants {
+        plants::rows(|rows| print(rows, format))?;
+    }
+    if args.growth
+        || args.plants
+        || [args.loops.is_some(), args.replay.is_some(), args.histories.is_some()].contains(&true)
+    {
         return Ok(Outcome::Done);
     }
     solving::rows(&args.recordings, |rows| print(rows, format))?;

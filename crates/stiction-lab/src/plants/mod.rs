@@ -5,10 +5,13 @@
 //! He's law nor the library's process model makes them. Followers sit behind lag and dead time, in chains and with
 //! recycle; every loop is archived at its own sampling time (1 to 60 s), some through a historian.
 
+mod fleet;
 mod generator;
 mod network;
 
+pub use fleet::{FleetLoop, fleet};
 use stiction::record::Record;
+use stiction::units::ns_from_s;
 
 /// How hard a plant is made.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -88,4 +91,11 @@ pub struct CaseLoop {
 #[must_use]
 pub fn plant(stream: &str, seed: u64, difficulty: Difficulty) -> Vec<CaseLoop> {
     generator::plant(stream, seed, difficulty)
+}
+
+/// The record with its time stretched by `by`, ending at `end_ns`.
+pub(crate) fn stretched(record: &Record, by: f64, end_ns: i64) -> Record {
+    let (ts_s, recorded_ts_s) = (record.ts_s * by, record.recorded_ts_s * by);
+    let length = ns_from_s(ts_s * (record.raw_samples.saturating_sub(1)) as f64);
+    Record { ts_s, recorded_ts_s, start_ns: end_ns - length, end_ns, ..record.clone() }
 }

@@ -1,6 +1,6 @@
 //! Plants of known truth: who shares an oscillation, who makes it, and that independent loops keep their own answer.
 
-use stiction::plantwide::{PlantLoop, SourceKind, assess_plant};
+use stiction::plantwide::{Calibration, PlantLoop, SourceKind, assess_plant, pair_figures};
 use stiction::verdict::{AssessParams, assess};
 use stiction_lab::plants::{Difficulty, Role, plant};
 
@@ -50,6 +50,29 @@ fn groups_hold_what_one_source_shakes_and_independent_loops_stay_apart() {
     assert!(pairs >= 4 && wrong == 0, "{wrong} of {pairs} members are in the wrong group");
     // Nine in ten are named on 60 plants (docs/plant.md); of few groups one may be missed.
     assert!(sources >= 3 && 3 * named >= 2 * sources, "{named} of {sources} sources are named");
+}
+
+#[test]
+fn stored_frames_leave_out_most_pairs_that_share_nothing_and_none_that_is_linked() {
+    let rules = Calibration::shipped();
+    let (mut linked, mut open, mut apart) = (0, 0, 0);
+    for seed in SEEDS {
+        let case = plant("proof", seed, Difficulty::Hard);
+        let assessment = assess(&case[0].record, &AssessParams::default());
+        let of =
+            |k: usize| PlantLoop { name: &case[k].name, record: &case[k].record, assessment: &assessment, area: None };
+        for (a, b) in (0..case.len()).flat_map(|a| (a + 1..case.len()).map(move |b| (a, b))) {
+            let Some(pair) = pair_figures(&of(a), &of(b)) else { continue };
+            if rules.link.of(&pair.values) > rules.chance.threshold {
+                linked += 1;
+                assert!(pair.may_share, "plant {seed}: {a} and {b} are linked");
+            } else if case[a].group.is_none() || case[a].group != case[b].group {
+                apart += 1;
+                open += usize::from(pair.may_share);
+            }
+        }
+    }
+    assert!(linked >= 20 && apart >= 10 && 3 * open < apart, "{linked} linked, {open} of {apart} others are open");
 }
 
 #[test]

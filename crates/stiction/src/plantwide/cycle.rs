@@ -40,7 +40,8 @@ impl Cycle {
             return None;
         }
         let signals = [detrend::remove_line(&record.op()), detrend::remove_line(&record.pv)];
-        let windowed = signals.each_ref().map(|x| x.iter().zip(hann(n)).map(|(v, w)| v * w).collect::<Vec<f64>>());
+        let window: Vec<f64> = hann(n).collect();
+        let windowed = signals.each_ref().map(|x| x.iter().zip(&window).map(|(v, w)| v * w).collect::<Vec<f64>>());
         let size = (4 * n).next_power_of_two();
         let powers = spectrum::powers([&windowed[0], &windowed[1]], size);
         let lines = powers.map(|power| line(&power[..=size / 2], n, size));
@@ -81,13 +82,23 @@ impl Cycle {
             .collect();
         let at = |centre_s: &f64| {
             let centre = ((centre_s - self.start_s) / self.point_s).round() as isize;
-            let place = |j: usize| (centre + j as isize - half as isize).clamp(0, n as isize - 1) as usize;
             let (mut sum, mut leak, mut mean) = (Complex::<f64>::ZERO, Complex::<f64>::ZERO, 0.0);
-            for (j, weight) in frame.iter().enumerate() {
-                let (value, phasor) = (self.signal[place(j)], phasors[place(j)] * *weight);
+            let mut add = |weight: f64, value: f64, phasor: Complex<f64>| {
+                let phasor = phasor * weight;
                 mean += weight * value;
                 sum += phasor * value;
                 leak += phasor;
+            };
+            let inside = usize::try_from(centre - half as isize).ok().map(|first| first..first + frame.len());
+            match inside.and_then(|range| self.signal.get(range.clone()).zip(phasors.get(range))) {
+                Some((values, phasors)) => {
+                    frame.iter().zip(values).zip(phasors).for_each(|((weight, value), z)| add(*weight, *value, *z));
+                }
+                // At the edges of the window its last values are repeated.
+                None => frame.iter().enumerate().for_each(|(j, weight)| {
+                    let place = (centre + j as isize - half as isize).clamp(0, n as isize - 1) as usize;
+                    add(*weight, self.signal[place], phasors[place]);
+                }),
             }
             // The frame's own mean is taken out: it would leak into a slow line.
             (sum - leak * (mean / total)) * (2.0 / total)
@@ -97,9 +108,9 @@ impl Cycle {
 }
 
 /// Length 1, at an angle of so many cycles; the same bits on every machine.
-fn phasor(cycles: f64) -> Complex<f64> {
-    let angle = 2.0 * core::f64::consts::PI * cycles;
-    Complex::new(libm::cos(angle), libm::sin(angle))
+pub(super) fn phasor(cycles: f64) -> Complex<f64> {
+    let (sin, cos) = libm::sincos(2.0 * core::f64::consts::PI * cycles);
+    Complex::new(cos, sin)
 }
 
 /// Angle of a complex number, rad, -pi to pi; the same bits on every machine.

@@ -5,7 +5,9 @@
 //! columns of noise would take off (BIC). The strongest sign is what the *stem* of one loop (its OP through He's law)
 //! explains of another loop beyond the first loop's PV and OP: a stem that exists only in the model tells nothing of others.
 
-use nalgebra::{DMatrix, DVector};
+use core::cell::OnceCell;
+
+use nalgebra::{DMatrix, DVector, DVectorView};
 
 use crate::record::Record;
 use crate::signal::stats::{mean, std_dev};
@@ -164,16 +166,17 @@ pub(super) fn gather(members: &[(&Signals, &Assessment)], period_s: f64) -> Opti
         return None;
     }
     let n = members.len();
+    let sheets = Sheets::new(&signals, [from, to], period_s);
     let of = |a: usize, b: usize| match a == b {
         true => Ordered::default(),
-        false => explain([signals[a], signals[b]], [from, to], period_s),
+        false => sheets.of_step(step_s(&signals, &[a, b], period_s)).explain(a, b),
     };
     let table: Vec<Vec<Ordered>> = (0..n).map(|a| (0..n).map(|b| of(a, b)).collect()).collect();
     let one = |a: usize| {
         let others = || (0..n).filter(move |b| *b != a);
         let count = others().count() as f64;
         let best = others().max_by(|b, c| table[a][*b].pv.total_cmp(&table[a][*c].pv)).unwrap_or(a);
-        let [by_two, own_beside_two] = beside_two(a, &signals, &table[a], [from, to], period_s);
+        let [by_two, own_beside_two] = beside_two(a, &sheets, &table[a]);
         let stems = others().map(|b| table[b][a].stem);
         let explains = others().map(|b| table[b][a].pv).sum::<f64>() / count;
         let explained = others().map(|b| table[a][b].pv).sum::<f64>() / count;
@@ -224,52 +227,119 @@ fn lags(period_s: f64, step_s: f64) -> [usize; 2] {
     [((0.25 * period_s / step_s) as usize).clamp(3, LONGEST), ((0.16 * period_s / step_s) as usize).clamp(2, 8)]
 }
 
-/// Predicts PV of the first loop with and without the signals of the second.
-fn explain([a, b]: [&Signals; 2], [from, to]: [f64; 2], period_s: f64) -> Ordered {
-    let step_s = a.point_s.max(b.point_s).max(period_s / POINTS_A_PERIOD);
-    let grid = grid(from, to, step_s);
-    if grid.points < LEAST_POINTS[0] {
-        return Ordered::default();
+/// Time between the points of a grid on which these members are compared, s.
+fn step_s(all: &[&Signals], members: &[usize], period_s: f64) -> f64 {
+    members.iter().map(|m| all[*m].point_s).fold(period_s / POINTS_A_PERIOD, f64::max)
+}
+
+/// The members of a group on every grid on which two or three of them are compared.
+struct Sheets<'a> {
+    signals: &'a [&'a Signals],
+    period_s: f64,
+    sheets: Vec<Sheet<'a>>,
+}
+
+impl<'a> Sheets<'a> {
+    fn new(signals: &'a [&'a Signals], [from, to]: [f64; 2], period_s: f64) -> Self {
+        // The coarser of two loops, or of three, gives the step.
+        let mut steps: Vec<f64> = (0..signals.len()).map(|member| step_s(signals, &[member], period_s)).collect();
+        steps.sort_by(f64::total_cmp);
+        steps.dedup();
+        let sheet = |step_s: f64| Sheet {
+            signals,
+            grid: grid(from, to, step_s),
+            lags: lags(period_s, step_s),
+            loops: signals.iter().map(|_| OnceCell::new()).collect(),
+        };
+        Self { signals, period_s, sheets: steps.into_iter().map(sheet).collect() }
     }
-    let [other, own] = lags(period_s, step_s);
-    let mut columns = Columns::new(grid.points, 0);
-    let base = columns.base(a, &grid, own);
-    let stem = columns.add_lags(a.stem.as_deref().map(|x| a.on(x, &grid)), 0..=own);
-    let pv = columns.add_lags(Some(b.on(&b.pv, &grid)), 1..=other);
-    let op = columns.add_lags(Some(b.on(&b.op, &grid)), 1..=other);
-    let far_stem = columns.add_lags(b.stem.as_deref().map(|x| b.on(x, &grid)), 1..=other);
-    let fits = Fits::new(&columns);
-    Ordered {
-        pv: fits.gain(&[&base], &pv),
-        own: [fits.gain(&[&base], &stem), fits.gain(&[&base, &pv], &stem)],
-        stem: fits.gain(&[&base, &pv, &op], &far_stem),
+
+    fn of_step(&self, step_s: f64) -> &Sheet<'a> {
+        let place = self.sheets.partition_point(|sheet| sheet.grid.step_s < step_s);
+        &self.sheets[place.min(self.sheets.len() - 1)]
+    }
+}
+
+/// The members on one grid; each is put there when it is first needed.
+struct Sheet<'a> {
+    signals: &'a [&'a Signals],
+    grid: Grid,
+    lags: [usize; 2],
+    loops: Vec<OnceCell<OnGrid>>,
+}
+
+/// Standardised signals of a loop on a grid.
+#[derive(Default)]
+struct OnGrid {
+    pv: Vec<f64>,
+    op: Vec<f64>,
+    stem: Option<Vec<f64>>,
+    /// Products of the columns of the loop that is predicted, and of the loop that helps.
+    products: [OnceCell<DMatrix<f64>>; 2],
+}
+
+impl Sheet<'_> {
+    fn on(&self, member: usize) -> &OnGrid {
+        let signals = self.signals[member];
+        self.loops[member].get_or_init(|| OnGrid {
+            pv: signals.on(&signals.pv, &self.grid),
+            op: signals.on(&signals.op, &self.grid),
+            stem: signals.stem.as_deref().map(|stem| signals.on(stem, &self.grid)),
+            products: Default::default(),
+        })
+    }
+
+    /// Predicts PV of loop `a` with and without the signals of loop `b`.
+    fn explain(&self, a: usize, b: usize) -> Ordered {
+        if self.grid.points < LEAST_POINTS[0] {
+            return Ordered::default();
+        }
+        let [other, own] = self.lags;
+        let ones = vec![1.0; self.grid.points];
+        let mut of_a = Columns::new(self.grid.points, 0);
+        let base = of_a.base(self.on(a), &ones, own);
+        let stem = of_a.add_lags(self.on(a).stem.as_deref(), 0..=own);
+        let mut of_b = Columns::new(self.grid.points, 0);
+        of_b.before = of_a.columns.len();
+        let pv = of_b.add_lags(Some(&self.on(b).pv), 1..=other);
+        let op = of_b.add_lags(Some(&self.on(b).op), 1..=other);
+        let far_stem = of_b.add_lags(self.on(b).stem.as_deref(), 1..=other);
+        // A loop's own products are the same beside every other loop.
+        let products_a = self.on(a).products[0].get_or_init(|| of_a.own_products());
+        let products_b = self.on(b).products[1].get_or_init(|| of_b.own_products());
+        let fits = Fits::of_two([products_a, products_b], &of_a.products_with(&of_b), of_a.rows());
+        Ordered {
+            pv: fits.gain(&[&base], &pv),
+            own: [fits.gain(&[&base], &stem), fits.gain(&[&base, &pv], &stem)],
+            stem: fits.gain(&[&base, &pv, &op], &far_stem),
+        }
     }
 }
 
 /// What the two others that explain most of loop `a` (with lags and leads) explain of it, and what its own stem still adds.
-fn beside_two(a: usize, all: &[&Signals], of_a: &[Ordered], [from, to]: [f64; 2], period_s: f64) -> [f64; 2] {
-    let own_step = all[a].point_s.max(period_s / POINTS_A_PERIOD);
+fn beside_two(a: usize, sheets: &Sheets, of_a: &[Ordered]) -> [f64; 2] {
+    let (all, period_s) = (sheets.signals, sheets.period_s);
+    let own_step = step_s(all, &[a], period_s);
     let mut others: Vec<usize> = (0..all.len()).filter(|b| *b != a).collect();
     // Loops that are sampled much more slowly come last: they would make the grid coarse.
     let slow = |b: usize| all[b].point_s > 1.5 * own_step;
     others.sort_by(|b, c| slow(*b).cmp(&slow(*c)).then(of_a[*c].pv.total_cmp(&of_a[*b].pv)));
     others.truncate(2);
-    let step_s = others.iter().map(|b| all[*b].point_s).fold(own_step, f64::max);
-    let grid = grid(from, to, step_s);
-    if grid.points < LEAST_POINTS[1] {
+    let sheet = sheets.of_step(others.iter().map(|b| all[*b].point_s).fold(own_step, f64::max));
+    if sheet.grid.points < LEAST_POINTS[1] {
         return [0.0; 2];
     }
-    let [far, own] = lags(period_s, step_s);
+    let [far, own] = sheet.lags;
     let far = far.max(4);
-    let mut columns = Columns::new(grid.points, LONGEST);
-    let base = columns.base(all[a], &grid, own);
+    let ones = vec![1.0; sheet.grid.points];
+    let mut columns = Columns::new(sheet.grid.points, LONGEST);
+    let base = columns.base(sheet.on(a), &ones, own);
     let mut around = Vec::new();
     for b in others {
-        let pv = all[b].on(&all[b].pv, &grid);
-        around.extend(columns.add_shifts(&pv, (-(far as isize)..=far as isize).step_by(2)));
+        around.extend(columns.add_shifts(&sheet.on(b).pv, (-(far as isize)..=far as isize).step_by(2)));
     }
-    let stem = columns.add_lags(all[a].stem.as_deref().map(|x| all[a].on(x, &grid)), 0..=own);
-    let fits = Fits::new(&columns);
+    let stem = columns.add_lags(sheet.on(a).stem.as_deref(), 0..=own);
+    let fits = Fits { products: columns.own_products(), rows: columns.rows() as f64 };
     [fits.gain(&[&base], &around), fits.gain(&[&base, &around], &stem)]
 }
 
@@ -278,17 +348,19 @@ fn grid(from: f64, to: f64, step_s: f64) -> Grid {
     Grid { start_s: from + step_s, step_s, points }
 }
 
-/// Columns of a linear prediction; the first column is what is predicted.
-struct Columns {
+/// Columns of a linear prediction; the first column is what is predicted. Each is a stretch of a signal.
+struct Columns<'a> {
     points: usize,
     /// Points at the end that only leads see.
     leads: usize,
-    columns: Vec<Vec<f64>>,
+    /// Columns that stand before these.
+    before: usize,
+    columns: Vec<&'a [f64]>,
 }
 
-impl Columns {
+impl<'a> Columns<'a> {
     const fn new(points: usize, leads: usize) -> Self {
-        Self { points, leads, columns: Vec::new() }
+        Self { points, leads, before: 0, columns: Vec::new() }
     }
 
     fn rows(&self) -> usize {
@@ -296,29 +368,49 @@ impl Columns {
     }
 
     /// PV, and the loop's own past: the constant, PV at lags 1 to 3, OP at lags 0 to `own`. Gives the columns of the past.
-    fn base(&mut self, signals: &Signals, grid: &Grid, own: usize) -> Vec<usize> {
-        let pv = signals.on(&signals.pv, grid);
-        self.add_shifts(&pv, 0..=0);
-        self.columns.push(vec![1.0; self.rows()]);
-        let mut base = vec![1];
-        base.extend(self.add_shifts(&pv, 1..=3));
-        base.extend(self.add_lags(Some(signals.on(&signals.op, grid)), 0..=own));
+    fn base(&mut self, signals: &'a OnGrid, ones: &'a [f64], own: usize) -> Vec<usize> {
+        self.add_shifts(&signals.pv, 0..=0);
+        let mut base = self.add_shifts(ones, 0..=0);
+        base.extend(self.add_shifts(&signals.pv, 1..=3));
+        base.extend(self.add_lags(Some(&signals.op), 0..=own));
         base
     }
 
-    fn add_lags(&mut self, signal: Option<Vec<f64>>, lags: core::ops::RangeInclusive<usize>) -> Vec<usize> {
+    fn add_lags(&mut self, signal: Option<&'a [f64]>, lags: core::ops::RangeInclusive<usize>) -> Vec<usize> {
         let shifts = *lags.start() as isize..=*lags.end() as isize;
-        signal.map_or_else(Vec::new, |signal| self.add_shifts(&signal, shifts))
+        signal.map_or_else(Vec::new, |signal| self.add_shifts(signal, shifts))
     }
 
-    fn add_shifts(&mut self, signal: &[f64], lags: impl Iterator<Item = isize>) -> Vec<usize> {
-        let before = self.columns.len();
+    fn add_shifts(&mut self, signal: &'a [f64], lags: impl Iterator<Item = isize>) -> Vec<usize> {
+        let first = self.before + self.columns.len();
         for lag in lags {
             let from = (FIRST as isize - lag) as usize;
-            self.columns.push(signal[from..from + self.rows()].to_vec());
+            self.columns.push(&signal[from..from + self.rows()]);
         }
-        (before..self.columns.len()).collect()
+        (first..self.before + self.columns.len()).collect()
     }
+
+    /// Inner products of the columns among themselves.
+    fn own_products(&self) -> DMatrix<f64> {
+        let n = self.columns.len();
+        let mut products = DMatrix::zeros(n, n);
+        for i in 0..n {
+            for j in 0..=i {
+                let product = inner(self.columns[i], self.columns[j]);
+                (products[(i, j)], products[(j, i)]) = (product, product);
+            }
+        }
+        products
+    }
+
+    /// Inner products of these columns (rows of the matrix) with those of another loop.
+    fn products_with(&self, other: &Columns) -> DMatrix<f64> {
+        DMatrix::from_fn(self.columns.len(), other.columns.len(), |i, j| inner(self.columns[i], other.columns[j]))
+    }
+}
+
+fn inner(a: &[f64], b: &[f64]) -> f64 {
+    DVectorView::from_slice(a, a.len()).dot(&DVectorView::from_slice(b, b.len()))
 }
 
 /// Least squares on any of the columns, from their products.
@@ -328,10 +420,17 @@ struct Fits {
 }
 
 impl Fits {
-    fn new(columns: &Columns) -> Self {
-        let table =
-            DMatrix::from_iterator(columns.rows(), columns.columns.len(), columns.columns.iter().flatten().copied());
-        Self { products: table.tr_mul(&table), rows: columns.rows() as f64 }
+    /// From the products of each of two loops' own columns, and of the first's with the second's.
+    fn of_two(own: [&DMatrix<f64>; 2], between: &DMatrix<f64>, rows: usize) -> Self {
+        let n = own[0].nrows();
+        let all = n + own[1].nrows();
+        let product = |i: usize, j: usize| match (i < n, j < n) {
+            (true, true) => own[0][(i, j)],
+            (true, false) => between[(i, j - n)],
+            (false, true) => between[(j, i - n)],
+            (false, false) => own[1][(i - n, j - n)],
+        };
+        Self { products: DMatrix::from_fn(all, all, product), rows: rows as f64 }
     }
 
     /// Variance that the columns leave.

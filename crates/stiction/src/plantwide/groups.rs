@@ -12,32 +12,32 @@ pub(super) struct Link {
     pub score: f64,
 }
 
-/// Groups of two and more of `n` loops, each in rising order, largest first. Two groups are merged, the closest first, while the
-/// mean score between them is above 0.
-pub(super) fn of(n: usize, links: &[Link]) -> Vec<Vec<usize>> {
-    let mut groups: Vec<Vec<usize>> = connected(n, links).into_iter().flat_map(|part| merged(&part, links)).collect();
-    groups.iter_mut().for_each(|group| group.sort_unstable());
-    groups.sort_by_key(|group| (core::cmp::Reverse(group.len()), group[0]));
-    groups
-}
-
-/// Sets of loops that scores above 0 connect.
-fn connected(n: usize, links: &[Link]) -> Vec<Vec<usize>> {
-    let mut set: Vec<usize> = (0..n).collect();
-    for Link { pair: [a, b], .. } in links.iter().filter(|link| link.score > 0.0) {
-        let (keep, give) = (set[*a], set[*b]);
-        if keep != give {
-            set.iter_mut().filter(|s| **s == give).for_each(|s| *s = keep);
+/// Sets of two and more of `n` loops, each in rising order, that these pairs connect.
+pub(super) fn connected(n: usize, pairs: impl Iterator<Item = [usize; 2]>) -> Vec<Vec<usize>> {
+    // Each loop points to another one of its set, or to itself.
+    let mut towards: Vec<usize> = (0..n).collect();
+    let first_of = |towards: &mut Vec<usize>, mut k: usize| {
+        while towards[k] != k {
+            towards[k] = towards[towards[k]];
+            k = towards[k];
         }
+        k
+    };
+    for [a, b] in pairs {
+        let [a, b] = [a, b].map(|k| first_of(&mut towards, k));
+        towards[a.max(b)] = a.min(b);
     }
     let mut sets = vec![Vec::new(); n];
-    set.into_iter().enumerate().for_each(|(member, s)| sets[s].push(member));
+    for member in 0..n {
+        sets[first_of(&mut towards, member)].push(member);
+    }
     sets.retain(|members| members.len() > 1);
     sets
 }
 
-/// Average linkage among a connected set.
-fn merged(part: &[usize], links: &[Link]) -> Vec<Vec<usize>> {
+/// Groups of two and more in a connected set, each in rising order. Two are merged, the closest first, while the mean score
+/// between them is above 0.
+pub(super) fn merged(part: &[usize], links: &[Link]) -> Vec<Vec<usize>> {
     let place = |loop_: usize| part.binary_search(&loop_).ok();
     // Sums of scores between clusters, which add up when clusters are merged.
     let mut sums = vec![vec![APART; part.len()]; part.len()];
@@ -77,6 +77,7 @@ fn merged(part: &[usize], links: &[Link]) -> Vec<Vec<usize>> {
         }
     }
     clusters.retain(|cluster| cluster.len() > 1);
+    clusters.iter_mut().for_each(|cluster| cluster.sort_unstable());
     clusters
 }
 
@@ -86,6 +87,11 @@ mod tests {
 
     fn links(scores: &[(usize, usize, f64)]) -> Vec<Link> {
         scores.iter().map(|(a, b, score)| Link { pair: [*a, *b], score: *score }).collect()
+    }
+
+    fn of(n: usize, links: &[Link]) -> Vec<Vec<usize>> {
+        let sets = connected(n, links.iter().filter(|link| link.score > 0.0).map(|link| link.pair));
+        sets.iter().flat_map(|set| merged(set, links)).collect()
     }
 
     #[test]

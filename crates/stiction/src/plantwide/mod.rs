@@ -14,8 +14,10 @@ mod cycle;
 mod document;
 mod evidence;
 mod groups;
+mod links;
 mod logit;
 mod pair;
+mod sketch;
 mod source;
 mod words;
 
@@ -32,6 +34,7 @@ pub use crate::verdict::{MASKED, MemberJudgement};
 use cycle::Cycle;
 use evidence::{Evidence, Signals};
 use groups::Link;
+use links::{Linked, Links};
 use source::Decision;
 
 /// Members whose evidence is gathered: the cost grows with their square. Of larger groups these are the ones that by
@@ -62,24 +65,31 @@ pub fn assess_plant(loops: &[PlantLoop]) -> Vec<GroupDocument> {
 pub fn assess_plant_by(loops: &[PlantLoop], rules: &Calibration) -> Vec<GroupDocument> {
     let epoch_ns = loops.iter().map(|l| l.record.start_ns).min().unwrap_or(0);
     let cycles: Vec<Option<Cycle>> = loops.iter().map(|l| Cycle::of(l.record, epoch_ns)).collect();
-    let links = links(loops, &cycles, rules);
-    let threshold = rules.chance.threshold_among(links.len());
-    let above: Vec<Link> = links.iter().map(|l| Link { score: l.score - threshold, ..*l }).collect();
-    let groups = groups::of(loops.len(), &above);
-    let document = |members: Vec<usize>| {
-        let p_value = p_value(&members, &links, rules);
-        Group { members, loops, cycles: &cycles, epoch_ns, rules }.document(p_value, links.len())
+    let links = Links::of(loops, &cycles, rules);
+    let document = |(members, inside): Linked| {
+        let p_value = p_value(&members, &inside, links.compared, rules);
+        Group { members, loops, cycles: &cycles, epoch_ns, rules }.document(p_value, links.compared)
     };
-    groups.into_iter().filter_map(document).collect()
+    links.groups().into_iter().filter_map(document).collect()
 }
 
-/// What a pair's link is judged by; `None` where the loops do not oscillate, not at nearly the same frequency, or not at
-/// the same time.
+/// A pair as it is judged.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PairFigures {
+    /// What its link is judged by.
+    pub values: Vec<f64>,
+    /// Whether the stored frames of both loops let the pair be compared in full.
+    pub may_share: bool,
+}
+
+/// The figures of a pair; `None` where the loops do not oscillate, not at nearly the same frequency, or not at the same time.
 #[must_use]
-pub fn pair_figures(a: &PlantLoop, b: &PlantLoop) -> Option<Vec<f64>> {
+pub fn pair_figures(a: &PlantLoop, b: &PlantLoop) -> Option<PairFigures> {
     let epoch_ns = a.record.start_ns.min(b.record.start_ns);
     let [a, b] = [a, b].map(|l| Cycle::of(l.record, epoch_ns));
-    Some(pair::expanded(&pair::compare(&a?, &b?)?))
+    let (a, b) = (a?, b?);
+    let values = pair::expanded(&pair::compare(&a, &b)?);
+    Some(PairFigures { values, may_share: links::may_share(&a, &b) })
 }
 
 /// Whether two periods, s, are so near each other that their loops may share one oscillation.
@@ -113,35 +123,12 @@ fn common_period_s<'a>(cycles: impl Iterator<Item = &'a Cycle>) -> f64 {
     crate::signal::stats::median(&cycles.map(Cycle::period_s).collect::<Vec<f64>>())
 }
 
-/// Link logits of all pairs that oscillate at nearly the same frequency.
-fn links(loops: &[PlantLoop], cycles: &[Option<Cycle>], rules: &Calibration) -> Vec<Link> {
-    let mut oscillating: Vec<(usize, &Cycle)> =
-        cycles.iter().enumerate().filter_map(|(k, cycle)| Some((k, cycle.as_ref()?))).collect();
-    oscillating.sort_by(|a, b| a.1.frequency_hz.total_cmp(&b.1.frequency_hz).then(a.0.cmp(&b.0)));
-    let apart = |a: usize, b: usize| loops[a].area.zip(loops[b].area).is_some_and(|(a, b)| a != b);
-    let mut links = Vec::new();
-    for (place, (a, of_a)) in oscillating.iter().enumerate() {
-        let highest = of_a.frequency_hz * libm::exp(pair::NEAR);
-        for (b, of_b) in oscillating[place + 1..].iter().take_while(|(_, c)| c.frequency_hz < highest) {
-            if apart(*a, *b) {
-                continue;
-            }
-            let pair = [*a.min(b), *a.max(b)];
-            let score = pair::compare(of_a, of_b).map(|figures| pair::link(&figures, &rules.link));
-            links.extend(score.map(|score| Link { pair, score }));
-        }
-    }
-    links
-}
-
-/// Probability that chance gives the weakest member its best link into the group, with all pairs counted.
-fn p_value(members: &[usize], links: &[Link], rules: &Calibration) -> f64 {
-    let best = |member: &usize| {
-        let inside = links.iter().filter(|l| l.pair.contains(member) && l.pair.iter().all(|m| members.contains(m)));
-        inside.map(|l| l.score).fold(f64::MIN, f64::max)
-    };
+/// Probability that chance gives the weakest member its best link into the group, with all `compared` pairs counted.
+fn p_value(members: &[usize], inside: &[Link], compared: usize, rules: &Calibration) -> f64 {
+    let best =
+        |member: &usize| inside.iter().filter(|l| l.pair.contains(member)).map(|l| l.score).fold(f64::MIN, f64::max);
     let weakest = members.iter().map(best).fold(f64::MAX, f64::min);
-    (links.len() as f64 * rules.chance.p_value(weakest)).min(1.0)
+    (compared as f64 * rules.chance.p_value(weakest)).min(1.0)
 }
 
 /// A group that is being judged.

@@ -35,19 +35,38 @@ pub(super) const FEATURES: [&str; 11] = [
 /// Figures of a pair, in the order of [`FEATURES`].
 pub(super) type Pair = [f64; FEATURES.len()];
 
-/// Compares two cycles; `None` where their frequencies differ too much or they overlap too little.
-pub(super) fn compare(a: &Cycle, b: &Cycle) -> Option<Pair> {
+/// Length of a frame in a window of `span_s`, periods.
+pub(super) fn frame_periods(span_s: f64, period_s: f64) -> f64 {
+    if span_s > 10.0 * period_s { 3.0 } else { 2.0 }
+}
+
+/// Where two cycles can be compared.
+pub(super) struct Common {
+    frequency: f64,
+    /// Length of a frame, periods.
+    frame: f64,
+    /// Centres of the first frame and after the last one, s.
+    from: f64,
+    to: f64,
+}
+
+/// The common frequency and time of two cycles; `None` where their frequencies differ too much or they overlap too little.
+pub(super) fn common(a: &Cycle, b: &Cycle) -> Option<Common> {
     if libm::log(a.frequency_hz / b.frequency_hz).abs() >= NEAR {
         return None;
     }
     let frequency = (a.frequency_hz * a.share + b.frequency_hz * b.share) / (a.share + b.share);
     let period = 1.0 / frequency;
     let (from, to) = (a.start_s.max(b.start_s), a.end_s().min(b.end_s()));
-    let frame = if to - from > 10.0 * period { 3.0 } else { 2.0 };
+    let frame = frame_periods(to - from, period);
     let (from, to) = (from + frame * period / 2.0, to - frame * period / 2.0);
-    if to - from < LEAST_PERIODS * period {
-        return None;
-    }
+    (to - from >= LEAST_PERIODS * period).then_some(Common { frequency, frame, from, to })
+}
+
+/// Compares two cycles; `None` where they have too little in common.
+pub(super) fn compare(a: &Cycle, b: &Cycle) -> Option<Pair> {
+    let Common { frequency, frame, from, to } = common(a, b)?;
+    let period = 1.0 / frequency;
     let frames = ((to - from) / (HOP * period)).ceil() as usize;
     let centres: Vec<f64> = (0..frames).map(|k| from + HOP * period * k as f64).collect();
     let amplitudes = [a, b].map(|cycle| cycle.demodulated(frequency, &centres, frame * period));
