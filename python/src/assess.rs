@@ -16,6 +16,7 @@ use stiction::ident::surface::solve;
 use stiction::record::{Record, Sample};
 use stiction::verdict::action::Action;
 use stiction::verdict::{AssessParams, lets_go, words};
+use stiction_monitor::alarm::Place;
 use stiction_monitor::analysis::plant::{OfPlant, judge_together};
 use stiction_monitor::analysis::solver::{self, SolverDocument};
 use stiction_monitor::analysis::{self, Answer, Cut, Estimated, Points, Scored, Section, text};
@@ -184,10 +185,11 @@ pub fn assess_many(py: Python<'_>, asked: Many) -> PyResult<Vec<Reply>> {
 #[pyfunction]
 pub fn assess_plant(py: Python<'_>, asked: Many) -> PyResult<(Vec<Reply>, Vec<String>)> {
     let finish = |mut answers: Vec<Result<One, String>>| {
+        let nowhere = Place::default();
         let mut plant: Vec<OfPlant> = answers
             .iter_mut()
             .flatten()
-            .map(|One { answer, record, .. }| OfPlant { answer, record, area: None })
+            .map(|One { answer, record, .. }| OfPlant { answer, record, place: &nowhere })
             .collect();
         let groups = judge_together(&mut plant).map_err(|e| e.to_string())?;
         let groups = groups.iter().map(serde_json::to_string).collect::<Result<_, _>>().map_err(|e| e.to_string())?;

@@ -17,6 +17,7 @@ use super::{Format, Outcome, UsageError, in_order_on_all_cores, note, say, stop}
 use stiction::plantwide::GroupDocument;
 use stiction::record::Record;
 use stiction::verdict::{DelayChoice, ModelChoice, ValveChoice};
+use stiction_monitor::alarm::Place;
 use stiction_monitor::analysis::plant::{OfPlant, judge_together};
 use stiction_monitor::analysis::{
     self, Answer, Asked, MIN_SAMPLES, Points, Scored, Section, delay_choice, text, usable,
@@ -102,8 +103,8 @@ pub struct Args {
 struct Told {
     answer: Answer,
     looked_at: Analysed,
-    /// The area of the plant, from the configuration.
-    area: Option<String>,
+    /// Where the loop is in the plant, from the configuration.
+    place: Place,
 }
 
 /// `--model`.
@@ -214,11 +215,7 @@ impl Desk {
         let Some(mut waiting) = self.waiting.take() else { return Ok(None) };
         let mut plant: Vec<OfPlant> = waiting
             .iter_mut()
-            .map(|Told { answer, looked_at, area }| OfPlant {
-                answer,
-                record: &looked_at.record,
-                area: area.as_deref(),
-            })
+            .map(|Told { answer, looked_at, place }| OfPlant { answer, record: &looked_at.record, place })
             .collect();
         let groups = judge_together(&mut plant)?;
         waiting.into_iter().try_for_each(|told| self.put_out(told))?;
@@ -387,7 +384,7 @@ fn estimate(
     let answer = found.answer(&one.name, hash, elapsed_ms, solver, scored.transpose()?);
     let analysis::Estimated { record, params, .. } = found;
     let looked_at = Analysed { record, original, about: one.about.clone(), units: one.units.clone(), params };
-    Ok(Told { answer, looked_at, area: points.settings.place.area.clone() })
+    Ok(Told { answer, looked_at, place: points.settings.place.clone() })
 }
 
 /// Runs the model of a file over the record.

@@ -62,6 +62,9 @@ pub struct Args {
     /// hard simulated plants; with --out, first fit its rules to as many other plants.
     #[arg(long, value_name = "PLANTS", conflicts_with_all = ["labelled", "features", "names", "intervals", "bump_test"])]
     pub plants: Option<u64>,
+    /// With --plants: let the loops' clocks differ by up to this many periods.
+    #[arg(long, value_name = "PERIODS", default_value_t = 0.0, requires = "plants")]
+    pub skew: f64,
     /// Output file for the classifier (or interval widths, or rules for plants), JSON.
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
@@ -100,7 +103,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
         return super::calibrate_bump_test::run(tests, args.seed, format);
     }
     if let Some(plants) = args.plants {
-        return super::calibrate_plants::run(plants, args.seed, args.out.as_deref(), format);
+        return super::calibrate_plants::run(plants, args.seed, args.skew, args.out.as_deref(), format);
     }
     if args.weight.is_nan() || args.weight < 0.0 || args.ridge.is_nan() || args.ridge < 0.0 {
         return Err(UsageError("--weight and --ridge must be 0 or more".to_owned()).into());

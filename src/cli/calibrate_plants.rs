@@ -13,18 +13,19 @@ use stiction_lab::plants::Difficulty;
 use stiction_lab::truth::Half;
 
 /// Fits the rules to `plants` easy and as many hard plants, unless those of this build are asked for, and reports on as
-/// many of the other half.
+/// many of the other half, whose clocks differ by up to `skew` periods.
 ///
 /// # Errors
 /// `out` cannot be written; the plants hold no example of one of the rules.
-pub(super) fn run(plants: u64, seed: u64, out: Option<&Path>, format: Format) -> anyhow::Result<Outcome> {
+pub(super) fn run(plants: u64, seed: u64, skew: f64, out: Option<&Path>, format: Format) -> anyhow::Result<Outcome> {
     let settings = Settings::default();
     let rules = match out {
         Some(_) => calibrate(&gather(Half::Calibration, plants, seed), &settings)
             .context("the plants hold too few examples to fit the rules to: ask for more")?,
         None => Calibration::shipped().clone(),
     };
-    let held = gather(Half::Report, plants, seed);
+    let held: Vec<Judged> =
+        gather(Half::Report, plants, seed).into_iter().map(|plant| plant.with_skewed_clocks(skew)).collect();
     let of = |difficulty: Difficulty| {
         let some: Vec<Judged> = held.iter().filter(|plant| plant.difficulty() == difficulty).cloned().collect();
         score(&some, &rules, settings.foreign, seed)

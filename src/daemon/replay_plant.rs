@@ -51,17 +51,21 @@ impl ReplayPlant {
                 }
                 Vec::new()
             }
-            RecordedInput::Compared { windows } => self.compare(&windows),
+            RecordedInput::Compared { windows, failed } => self.compare(&windows, failed),
             _ => Vec::new(),
         }
     }
 
-    fn compare(&mut self, windows: &str) -> Vec<Output> {
+    /// Finds the groups of a comparison; none where it failed in the daemon.
+    fn compare(&mut self, windows: &str, failed: bool) -> Vec<Output> {
         let found = self.pending.iter().position(|(digest, _)| digest == windows);
         self.is_made = found.is_some();
         let Some((_, comparison)) = found.and_then(|at| self.pending.drain(..=at).next_back()) else {
             return Vec::new();
         };
+        if failed {
+            return Vec::new();
+        }
         let output = |group: &GroupDocument| {
             Some(Output { loop_name: format!("{PLANT}/{}", group.key()), kind: Kind::Group, json: to_json(group)? })
         };

@@ -60,6 +60,21 @@ fn the_reference_explains_every_key_and_gives_times_their_unit() {
 }
 
 #[test]
+fn loops_upstream_are_names_of_other_loops() {
+    let parse = |names: &str| {
+        let entry = format!("[[loop]]\nname = \"TIC102\"\nop = \"x/op\"\npv = \"x/pv\"\nupstream = {names}\n");
+        Config::parse(&format!("[site]\nprefix = \"p\"\n{entry}"))
+    };
+    let upstream = |names: &str| parse(names).unwrap().loops[0].upstream.clone();
+    assert_eq!(upstream("[\"FIC101\", \"area2/FIC7\"]"), ["FIC101", "area2/FIC7"]);
+    assert_ne!(parse("[\"FIC101\"]").unwrap().hash(), parse("[]").unwrap().hash());
+    for refused in ["[\"TIC102\"]", "[\"a*\"]", "\"FIC101\""] {
+        let faults = parse(refused).unwrap_err();
+        assert!(faults.iter().any(|fault| fault.key == "loop[0].upstream"), "{refused}: {faults:?}");
+    }
+}
+
+#[test]
 fn the_demo_parses() {
     Config::parse(DEMO).unwrap();
 }

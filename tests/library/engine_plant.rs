@@ -69,6 +69,7 @@ fn group(p_follower: f64) -> GroupDocument {
         window: Span { start_ns: 0, end_ns: HOP_NS, start: Moment(0), end: Moment(HOP_NS) },
         p_value: 0.001,
         pairs_compared: 1,
+        area: None,
         version: "0",
         daemon: None,
     }

@@ -15,6 +15,7 @@ mod oracle;
 mod plant;
 mod receiver;
 mod refill;
+mod sources;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;

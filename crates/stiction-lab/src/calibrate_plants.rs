@@ -11,6 +11,7 @@ use stiction::plantwide::{
     Calibration, Chance, GroupDocument, Logit, Made, PairFigures, PlantLoop, SourceKind, assess_plant_by, frequency_hz,
     group_figures, member_figures, pair_figures, source_figures,
 };
+use stiction::units::ns_from_s;
 use stiction::verdict::{AssessParams, Assessment, assess};
 
 /// How the rules are fitted.
@@ -64,6 +65,18 @@ impl Judged {
         Self { loops, assessments, seed, difficulty }
     }
 
+    /// The same plant with clocks that differ: each loop's by its own draw, evenly from 0 to so many of its periods.
+    #[must_use]
+    pub fn with_skewed_clocks(mut self, periods: f64) -> Self {
+        let mut draw = Draw::new(self.seed, "clocks");
+        for l in &mut self.loops {
+            let period_s = frequency_hz(&l.record).map_or(0.0, |frequency| 1.0 / frequency);
+            let skew_ns = ns_from_s(draw.between(0.0, periods) * period_s);
+            (l.record.start_ns, l.record.end_ns) = (l.record.start_ns + skew_ns, l.record.end_ns + skew_ns);
+        }
+        self
+    }
+
     /// How hard the plant was made.
     #[must_use]
     pub const fn difficulty(&self) -> Difficulty {
@@ -76,6 +89,7 @@ impl Judged {
             record: &self.loops[k].record,
             assessment: &self.assessments[k],
             area: None,
+            upstream: &[],
         }
     }
 

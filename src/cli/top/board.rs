@@ -200,6 +200,7 @@ impl Board {
             area: d.area.clone(),
             equipment: d.equipment.clone(),
             op_unit: Some(d.unit.clone()),
+            upstream: Vec::new(),
         });
         let place = place.unwrap_or_default();
         match kind {

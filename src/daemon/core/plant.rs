@@ -70,6 +70,7 @@ impl Core {
     pub(super) fn compared(&mut self, compared: Compared) {
         let Compared { comparison, groups, took } = compared;
         self.metrics.comparison.0.observe(took.as_secs_f64());
+        let failed = groups.is_none();
         let groups = groups.unwrap_or_else(|| {
             tracing::error!(loops = comparison.loops().len(), "the comparison of loops failed: no groups are known");
             Vec::new()
@@ -79,7 +80,7 @@ impl Core {
         if let Some(id) = id {
             self.metrics.comparisons.inc();
             let at_ns = groups.iter().map(|group| group.window.end_ns).max().unwrap_or(0);
-            let input = RecordedInput::Compared { windows: comparison.digest() };
+            let input = RecordedInput::Compared { windows: comparison.digest(), failed };
             self.record_of_plant(id, PLANT, Kind::Input, &input, at_ns);
         }
         self.publish_groups(id, &groups);

@@ -162,6 +162,7 @@ pub(crate) fn group_of(end_ns: i64, members: &[&str]) -> GroupDocument {
         window: at(end_ns),
         p_value: 1e-3,
         pairs_compared: 6,
+        area: None,
         version: "0",
         daemon: None,
     }

@@ -35,7 +35,7 @@ impl FleetLoop {
     /// The loop as it is compared.
     #[must_use]
     pub fn of_plant(&self) -> PlantLoop<'_> {
-        PlantLoop { name: &self.name, record: &self.record, assessment: &self.assessment, area: None }
+        PlantLoop { name: &self.name, record: &self.record, assessment: &self.assessment, area: None, upstream: &[] }
     }
 }
 

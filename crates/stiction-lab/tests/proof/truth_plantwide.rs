@@ -19,6 +19,7 @@ fn groups_hold_what_one_source_shakes_and_independent_loops_stay_apart() {
             record: &case[k].record,
             assessment: &assessments[k],
             area: None,
+            upstream: &[],
         };
         let loops: Vec<PlantLoop> = (0..case.len()).map(of).collect();
         let groups = assess_plant(&loops);
@@ -59,8 +60,13 @@ fn stored_frames_leave_out_most_pairs_that_share_nothing_and_none_that_is_linked
     for seed in SEEDS {
         let case = plant("proof", seed, Difficulty::Hard);
         let assessment = assess(&case[0].record, &AssessParams::default());
-        let of =
-            |k: usize| PlantLoop { name: &case[k].name, record: &case[k].record, assessment: &assessment, area: None };
+        let of = |k: usize| PlantLoop {
+            name: &case[k].name,
+            record: &case[k].record,
+            assessment: &assessment,
+            area: None,
+            upstream: &[],
+        };
         for (a, b) in (0..case.len()).flat_map(|a| (a + 1..case.len()).map(move |b| (a, b))) {
             let Some(pair) = pair_figures(&of(a), &of(b)) else { continue };
             if rules.link.of(&pair.values) > rules.chance.threshold {

@@ -76,6 +76,8 @@ pub struct Place {
     pub equipment: Option<String>,
     /// Unit of OP.
     pub op_unit: Option<String>,
+    /// Names of the loops upstream.
+    pub upstream: Vec<String>,
 }
 
 /// Who did something to an alarm, when, and why.

@@ -3,6 +3,7 @@
 use std::collections::HashSet;
 
 use super::{AnalysisError, Answer};
+use crate::alarm::Place;
 use stiction::plantwide::{GroupDocument, PlantLoop, assess_plant};
 use stiction::record::Record;
 
@@ -13,8 +14,8 @@ pub struct OfPlant<'a> {
     pub answer: &'a mut Answer,
     /// The record behind the answer.
     pub record: &'a Record,
-    /// The area of the plant, where the configuration gives one: loops of different areas are not compared.
-    pub area: Option<&'a str>,
+    /// Where it is in the plant, as far as that is configured.
+    pub place: &'a Place,
 }
 
 /// Finds the groups of loops that share an oscillation, and puts each group's judgement into its members' answers.
@@ -28,9 +29,15 @@ pub fn judge_together(plant: &mut [OfPlant]) -> Result<Vec<GroupDocument>, Analy
     }
     let loops: Vec<PlantLoop> = plant
         .iter()
-        .map(|OfPlant { answer, record, area }| {
+        .map(|OfPlant { answer, record, place }| {
             let document = &answer.document;
-            PlantLoop { name: &document.loop_name, record, assessment: &document.assessment, area: *area }
+            PlantLoop {
+                name: &document.loop_name,
+                record,
+                assessment: &document.assessment,
+                area: place.area.as_deref(),
+                upstream: &place.upstream,
+            }
         })
         .collect();
     let groups = assess_plant(&loops);

@@ -64,5 +64,6 @@ fn place_of(own: &LoopConfig) -> Place {
         area: said(&own.area),
         equipment: said(&own.equipment),
         op_unit: said(&own.op_unit).or(percent),
+        upstream: own.upstream.clone(),
     }
 }

@@ -89,6 +89,7 @@ fn read_loop(r: &mut TableReader<'_, '_>, window: WindowParams, alarm: AlarmPara
         }
         found.map(LoopKind::name)
     });
+    let upstream = read_upstream(r, name.as_ref().map(|(name, _)| name.as_str()));
     LoopConfig {
         name: name.map(|(n, _)| n).unwrap_or_default(),
         keys,
@@ -98,9 +99,21 @@ fn read_loop(r: &mut TableReader<'_, '_>, window: WindowParams, alarm: AlarmPara
         area: read_label(r, "area"),
         equipment: read_label(r, "equipment"),
         op_unit: read_label(r, "op_unit"),
+        upstream,
         window: read_window(r, window),
         alarm: read_alarm(r, alarm),
     }
+}
+
+/// Names of other loops. They need not be configured: most loops appear by themselves.
+fn read_upstream(r: &mut TableReader<'_, '_>, own: Option<&str>) -> Vec<String> {
+    let names = r.texts("upstream");
+    for (name, line) in &names {
+        if !is_loop_name(name) || Some(name.as_str()) == own {
+            r.refuse(*line, "upstream", format!("{name:?} is not another loop"), "write names of other loops");
+        }
+    }
+    names.into_iter().map(|(name, _)| name).collect()
 }
 
 /// Longest label, bytes.

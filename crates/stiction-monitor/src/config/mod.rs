@@ -215,6 +215,9 @@ pub struct LoopConfig {
     /// Unit of OP.
     #[serde(skip_serializing_if = "String::is_empty")]
     pub op_unit: String,
+    /// Names of the loops upstream; omitted from [`Config::hash`] while there are none.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub upstream: Vec<String>,
     /// Its windows.
     pub window: WindowParams,
     /// Its alarms.

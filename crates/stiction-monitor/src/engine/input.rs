@@ -60,6 +60,9 @@ pub enum RecordedInput {
     Compared {
         /// Names the windows.
         windows: String,
+        /// Whether it broke off: then there are no groups.
+        #[serde(default, skip_serializing_if = "core::ops::Not::not")]
+        failed: bool,
     },
     /// The loop had sent nothing for long and left the memory: what comes next begins anew, but for an alarm that is not
     /// at rest.

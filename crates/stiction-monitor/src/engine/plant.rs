@@ -12,6 +12,7 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use super::LoopSettings;
+use crate::alarm::Place;
 use crate::hash::short_hash;
 use stiction::plantwide::{GroupDocument, PlantLoop, SourceKind, assess_plant, is_near};
 use stiction::record::Record;
@@ -33,13 +34,13 @@ pub struct LoopWindow {
     pub record: Arc<Record>,
     /// Its own assessment, before any group's answer.
     pub own: Arc<Assessment>,
-    area: Option<String>,
+    place: Place,
     hop_s: f64,
 }
 
 impl LoopWindow {
     pub(super) fn new(record: Arc<Record>, own: Assessment, settings: &LoopSettings) -> Self {
-        Self { record, own: Arc::new(own), area: settings.place.area.clone(), hop_s: settings.window.hop_s }
+        Self { record, own: Arc::new(own), place: settings.place.clone(), hop_s: settings.window.hop_s }
     }
 
     fn end_ns(&self) -> i64 {
@@ -51,7 +52,13 @@ impl LoopWindow {
     }
 
     fn of_plant<'a>(&'a self, name: &'a str) -> PlantLoop<'a> {
-        PlantLoop { name, record: &self.record, assessment: &self.own, area: self.area.as_deref() }
+        PlantLoop {
+            name,
+            record: &self.record,
+            assessment: &self.own,
+            area: self.place.area.as_deref(),
+            upstream: &self.place.upstream,
+        }
     }
 
     /// Bytes that it takes.

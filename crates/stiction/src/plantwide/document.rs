@@ -14,7 +14,7 @@ pub const GROUP_SCHEMA: &str = "stictiond.group.v1";
 pub struct GroupDocument {
     /// [`GROUP_SCHEMA`].
     pub schema: &'static str,
-    /// Names of the loops, the likeliest source first.
+    /// Names of the loops, the likeliest source first; but a loop that is configured upstream of another member comes before it.
     pub members: Vec<String>,
     /// What makes the oscillation.
     pub source: Source,
@@ -30,6 +30,9 @@ pub struct GroupDocument {
     pub p_value: f64,
     /// How many pairs of loops were compared.
     pub pairs_compared: usize,
+    /// Area of the plant that all members are configured to be in, if any.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub area: Option<String>,
     /// Version of the library.
     pub version: &'static str,
     /// Id of the daemon that made it, if any.

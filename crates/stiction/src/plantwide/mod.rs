@@ -16,6 +16,7 @@ mod evidence;
 mod groups;
 mod links;
 mod logit;
+mod order;
 mod pair;
 mod sketch;
 mod source;
@@ -35,6 +36,7 @@ use cycle::Cycle;
 use evidence::{Evidence, Signals};
 use groups::Link;
 use links::{Linked, Links};
+use order::Order;
 use source::Decision;
 
 /// Members whose evidence is gathered: the cost grows with their square. Of larger groups these are the ones that by
@@ -52,6 +54,9 @@ pub struct PlantLoop<'a> {
     pub assessment: &'a Assessment,
     /// The area of the plant, where it is known: loops of different areas are not compared.
     pub area: Option<&'a str>,
+    /// Names of the loops that the configuration puts upstream of it. They change the order of a group's members, no
+    /// probability.
+    pub upstream: &'a [String],
 }
 
 /// The groups of a plant, largest first; loops that are in none keep their own answer.
@@ -163,8 +168,11 @@ impl Group<'_> {
             |member: usize| candidates.iter().position(|c| *c == member).map_or(0.0, |place| decision.p_source[place]);
         let mut ranked = self.members.clone();
         ranked.sort_by(|a, b| p_source(*b).total_cmp(&p_source(*a)).then(a.cmp(b)));
+        let by_evidence = ranked.clone();
         let best = candidates[decision.best];
-        let source = words::source(&decision, &evidence[decision.best], self.loops[best].name, period_s);
+        let mut source = words::source(&decision, &evidence[decision.best], self.loops[best].name, period_s);
+        self.put_in_order(&mut ranked, &source, best);
+        source.reasons.extend(self.reason_of_order(&by_evidence, &ranked));
         let judged = |member: &usize| {
             let place = candidates.iter().position(|c| c == member);
             self.judgement(*member, place, &decision, &source)
@@ -182,9 +190,37 @@ impl Group<'_> {
             window: Span { start_ns, end_ns, start: Moment(start_ns), end: Moment(end_ns) },
             p_value,
             pairs_compared,
+            area: self.area(),
             version: crate::VERSION,
             daemon: None,
         })
+    }
+
+    /// Puts members that are upstream of others before them; a source that the windows name stays first.
+    fn put_in_order(&self, ranked: &mut Vec<usize>, source: &Source, best: usize) {
+        let order = Order::of(self.loops);
+        match source.kind {
+            SourceKind::Loop => {
+                ranked.retain(|member| *member != best);
+                order.sort(self.loops, ranked);
+                ranked.insert(0, best);
+            }
+            _ => order.sort(self.loops, ranked),
+        }
+    }
+
+    /// What the configured order changed: the first member that moved forward, and the one that it passed.
+    fn reason_of_order(&self, before: &[usize], after: &[usize]) -> Option<String> {
+        let moved = before.iter().zip(after).find(|(before, after)| before != after)?;
+        let [passed, first] = [moved.0, moved.1].map(|member| self.loops[*member].name);
+        Some(format!("{first} is listed before {passed}, as the configuration puts it upstream"))
+    }
+
+    /// The area that all members are configured to be in.
+    fn area(&self) -> Option<String> {
+        let of = |member: &usize| self.loops[*member].area;
+        let area = self.members.first().and_then(of)?;
+        self.members.iter().all(|member| of(member) == Some(area)).then(|| area.to_owned())
     }
 
     fn judgement(&self, member: usize, place: Option<usize>, decision: &Decision, source: &Source) -> MemberJudgement {

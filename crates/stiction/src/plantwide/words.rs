@@ -143,6 +143,7 @@ pub fn text(group: &GroupDocument) -> String {
             probability(group.p_value)
         ),
     ];
+    lines.extend(group.area.iter().map(|area| format!("  area         {area}")));
     lines.extend(source.reasons.iter().map(|reason| format!("  because      {reason}")));
     lines.extend(source.next_test.iter().map(|test| format!("  next test    {test}")));
     for judged in &group.judgements {
