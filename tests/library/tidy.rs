@@ -71,6 +71,7 @@ const IMPORTS: [(&str, &[&str]); 41] = [
             "verdict",
             "gap",
             "plantwide",
+            "alarm",
             "engine",
         ],
     ),

@@ -15,7 +15,6 @@ mod oracle;
 mod plant;
 mod receiver;
 mod refill;
-mod sources;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;

@@ -97,7 +97,7 @@ fn compare_last(files: &[PathBuf]) -> usize {
 }
 
 /// Every file by itself, and every chain of files, as the command does.
-pub fn replays_to_the_byte(dir: &Path) -> usize {
+fn replays_to_the_byte(dir: &Path) -> usize {
     let mut compared = 0;
     for chain in chains_of(dir).unwrap() {
         let needed = |file: &PathBuf| {
