@@ -209,11 +209,14 @@ impl Group<'_> {
         }
     }
 
-    /// What the configured order changed: the first member that moved forward, and the one that it passed.
+    /// What the configured order changed first: a member that stands further back, and one upstream of it that passed it.
     fn reason_of_order(&self, before: &[usize], after: &[usize]) -> Option<String> {
-        let moved = before.iter().zip(after).find(|(before, after)| before != after)?;
-        let [passed, first] = [moved.0, moved.1].map(|member| self.loops[*member].name);
-        Some(format!("{first} is listed before {passed}, as the configuration puts it upstream"))
+        let name = |member: usize| self.loops[member].name;
+        let passed = before.iter().zip(after).find(|(before, after)| before != after).map(|(before, _)| *before)?;
+        let order = Order::of(self.loops);
+        let mut ahead = after.iter().copied().take_while(|member| *member != passed);
+        let first = ahead.find(|member| order.is_upstream(name(*member), name(passed)))?;
+        Some(format!("{} is listed before {}, as the configuration puts it upstream", name(first), name(passed)))
     }
 
     /// The area that all members are configured to be in.

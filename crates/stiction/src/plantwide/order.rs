@@ -86,7 +86,7 @@ mod tests {
     fn upstream_loops_come_first_and_nothing_else_moves() {
         assert_eq!(sorted(&[&[], &[], &[]]), "ABC");
         assert_eq!(sorted(&[&["C"], &[], &[]]), "BCA");
-        // Through B, which is not a member's neighbour only.
+        // D is upstream of A through B.
         assert_eq!(sorted(&[&["B"], &["D"], &[], &[]]), "CDBA");
         assert_eq!(sorted(&[&[], &["A", "elsewhere"], &[]]), "ABC");
     }
