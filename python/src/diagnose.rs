@@ -13,7 +13,7 @@ use crate::{StictionError, refused};
 use stiction::gap::model_file::ModelFile;
 use stiction::gap::{Executor, GapError, effects, text};
 use stiction_monitor::analysis::Points;
-use stiction_monitor::analysis::gap::{BaseChoice, GapSettings, diagnose as diagnosed, record};
+use stiction_monitor::analysis::gap::{BaseChoice, GapSettings, diagnose as diagnosed, neighbour, record};
 use stiction_monitor::analysis::predictions::{Row, rows};
 
 /// Options.
@@ -26,6 +26,7 @@ pub struct Asked {
     budget_s: Option<f64>,
     seed: u64,
     threads: Option<usize>,
+    neighbours: Vec<(String, Handed)>,
 }
 
 impl Asked {
@@ -86,6 +87,10 @@ pub fn diagnose<'py>(
     let columns = columns.read()?;
     let (section, cut) = look.read()?;
     let settings = asked.read()?;
+    let mut others = Vec::new();
+    for (other, handed) in asked.neighbours {
+        others.push((other, handed.read()?));
+    }
     let team = threads(asked.threads);
     let name = name.to_owned();
     let work = move |watch: &Watch| {
@@ -93,7 +98,11 @@ pub fn diagnose<'py>(
         let points = Points::of(&name, &samples, &config());
         let (record, more) = record(&points, section, &cut).map_err(|e| e.to_string())?;
         notes.extend(points.notes.iter().cloned().chain(more));
-        let options = settings.options(&record);
+        let mut options = settings.options(&record);
+        for (other, columns) in &others {
+            let (samples, _) = enough(columns.all()).map_err(|e| format!("neighbour {other}: {e}"))?;
+            options.neighbours.push(neighbour(&Points::of(other, &samples, &config()), &record)?);
+        }
         watch.expect(options.budget_evaluations);
         let until = settings.budget_s.map(|s| Instant::now() + Duration::from_secs_f64(s));
         let executor = Threads { threads: team, until, watch };

@@ -518,6 +518,7 @@ def diagnose(
     mode: ArrayLike | None = None,
     name: str = "loop",
     base: Literal["refit", "linear"] | Given = "refit",
+    neighbours: Mapping[str, Mapping[str, Any]] | None = None,
     without: Iterable[str] = (),
     pairs: bool = False,
     budget_s: float | None = None,
@@ -535,6 +536,8 @@ def diagnose(
     Arguments as for `assess`, and:
     base: the base model: `refit` (a sticking valve and a first-order process), `linear` (no friction), or a given one:
     a result of `assess` or `diagnose`, or its document.
+    neighbours: other loops that may drive this one, by name: each a mapping with `op`, `pv` and `ts_s` or `t`, on the same
+    clock.
     without: effects to exclude. pairs: also search pairs of effects when one explains the record. budget_s: time for the
     search, s [about 5 on two cores]; a search that runs out of time is not repeatable. progress: called with (models
     tried, most models) in the calling thread; an exception in it, or Ctrl-C, stops the search.
@@ -552,8 +555,16 @@ def diagnose(
         "budget_s": None if budget_s is None else _arrays.positive("budget_s", budget_s),
         "seed": _arrays.whole("seed", seed),
         "threads": None if threads is None else _arrays.whole("threads", threads, 1),
+        "neighbours": [(str(other), _neighbour(other, given)) for other, given in (neighbours or {}).items()],
     }
     return gap_of(*_stiction.diagnose(name, columns, look, asked, _show.meter(progress)))
+
+
+def _neighbour(name: str, given: Mapping[str, Any]) -> Any:
+    missing = [key for key in ("op", "pv") if key not in given]
+    if missing:
+        raise _arrays.refused("neighbours", f"{name!r} lacks {missing[0]!r}; give op, pv and ts_s or t")
+    return _arrays.columns(given["op"], given["pv"], given.get("ts_s"), given.get("t"), None, None, None)
 
 
 def simulate_plant(scenario: str | Mapping[str, Any]) -> dict[str, Simulation]:

@@ -12,6 +12,7 @@ mod live;
 mod challenge;
 mod cli_files;
 mod cli_gap;
+mod cli_neighbours;
 mod cli_plant;
 mod cli_report;
 mod columns;

@@ -195,6 +195,7 @@ fn calibrated(args: &Args, cases: &[Case]) -> Option<Calibration> {
         by_mv: tally.by_mv.smoothed(),
         second: tally.second.smoothed(),
         coloured_noise: tally.coloured.smoothed(),
+        neighbour: Calibration::shipped().neighbour,
         unknown: tally.unknown.smoothed(),
         from: String::new(),
     })

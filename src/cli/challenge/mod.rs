@@ -3,6 +3,7 @@
 
 mod answer;
 mod calibrate;
+mod neighbours;
 mod picture;
 mod real;
 
@@ -61,6 +62,8 @@ enum Command {
     Calibrate(calibrate::Args),
     /// Test on real recordings: with effects inserted, with the valve position hidden, with stiction withheld.
     Real(real::Args),
+    /// Test other loops as causes: the one that acts withheld and revealed among strangers of nearly the same period.
+    Neighbours(neighbours::Args),
 }
 
 #[derive(Debug, clap::Args)]
@@ -126,6 +129,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
         Command::Score(args) => score_all(args, format),
         Command::Calibrate(args) => calibrate::run(args, format),
         Command::Real(args) => real::run(args, format),
+        Command::Neighbours(args) => neighbours::run(args, format),
     }
 }
 

@@ -1,6 +1,7 @@
 //! `stictiond gap`: where the simulation departs from the plant, which effect causes it, how far adding it closes the gap.
 
 mod base;
+mod neighbours;
 mod predictions;
 
 use std::path::{Path, PathBuf};
@@ -8,6 +9,7 @@ use std::time::Duration;
 
 use anyhow::{Context, anyhow, bail};
 
+use self::neighbours::{NeighbourArgs, Neighbours};
 use super::challenge;
 use super::reading::{ReadArgs, config_of, named};
 use super::selection::{Selection, points, told, warn};
@@ -33,7 +35,8 @@ use stictiond::report::{GapReport, gap_page};
   stictiond gap recordings/sticking.mcap
   stictiond gap loop4.csv --samples 50,900 --predictions loop4-gap.csv
   stictiond gap june.csv --base may.json          # may.json: stictiond gap may.csv --format json
-  stictiond gap plant.mcap --loop FIC101 --without extra_lag --format json")]
+  stictiond gap plant.mcap --loop FIC101 --without extra_lag --format json
+  stictiond gap plant.mcap --loop FIC101 --other-loops")]
 pub struct Args {
     /// The check on withheld causes.
     #[command(subcommand)]
@@ -89,6 +92,9 @@ pub struct Diagnose {
     /// Seed of every random choice.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
+    /// Other loops.
+    #[command(flatten)]
+    pub others: NeighbourArgs,
 }
 
 fn seconds(text: &str) -> Result<f64, String> {
@@ -127,6 +133,7 @@ fn diagnose_all(args: &Diagnose, format: Format) -> anyhow::Result<Outcome> {
     let config = config_of(&args.input)?;
     let place = args.input();
     let chosen = args.selection.loops(&loaded.loops).map_err(|e| anyhow!("{place}: {e}"))?;
+    let neighbours = args.others.read(&args.reading, &loaded.loops)?;
     let sections = args.selection.sections();
     let wanted = chosen.len() * sections.len();
     if wanted > 1 && args.predictions.is_some() {
@@ -141,7 +148,7 @@ fn diagnose_all(args: &Diagnose, format: Format) -> anyhow::Result<Outcome> {
         }
         let points = points(one, &config);
         answered += 1;
-        match diagnose(args, &base, one, &points, section) {
+        match diagnose(args, (&base, &neighbours), one, &points, section) {
             Ok(found) => {
                 print(&found, format)?;
                 write_predictions(args, &points, &found, section)?;
@@ -185,7 +192,7 @@ fn check(args: &Diagnose) -> anyhow::Result<()> {
 
 fn diagnose(
     args: &Diagnose,
-    base: &BaseChoice,
+    (base, neighbours): (&BaseChoice, &Neighbours),
     one: &LoadedLoop,
     points: &Points,
     section: Section,
@@ -199,7 +206,8 @@ fn diagnose(
         budget_s: args.budget,
         seed: args.seed,
     };
-    let options = settings.options(&record);
+    let mut options = settings.options(&record);
+    options.neighbours = neighbours.beside(&one.name, &record)?;
     let bar = Bar::new(&one.name, options.budget_evaluations);
     let team = Team::new(&bar, &options, args.budget.map(Duration::from_secs_f64));
     let found = analysis::gap::diagnose(&one.name, record, &options, &team);

@@ -78,7 +78,7 @@ fn attempt(draw: &mut Draw, difficulty: Difficulty) -> Option<Vec<CaseLoop>> {
 }
 
 /// A loop that oscillates by its sticking valve with about this period, scans, and the size of its PV's oscillation.
-fn sticking(draw: &mut Draw, wanted: f64, within: f64) -> Option<(Plant, f64, f64)> {
+pub(super) fn sticking(draw: &mut Draw, wanted: f64, within: f64) -> Option<(Plant, f64, f64)> {
     for _ in 0..TRIES {
         let Some(plant) = one::plant(draw) else { continue };
         let [fs, _] = plant.valve.bench(1.0);
@@ -102,7 +102,7 @@ fn sticking(draw: &mut Draw, wanted: f64, within: f64) -> Option<(Plant, f64, f6
 
 /// A healthy loop whose process takes about `slowness` scans, its controller tuned to `tight` of the gain at which it rings;
 /// also the period of that ringing.
-fn healthy(draw: &mut Draw, slowness: f64, tight: f64) -> Option<(Plant, f64)> {
+pub(super) fn healthy(draw: &mut Draw, slowness: f64, tight: f64) -> Option<(Plant, f64)> {
     let mut plant = one::plant(draw)?;
     let (tau, dead_time) = (slowness.max(3.0), (slowness * draw.between(0.08, 0.4)).max(1.0));
     let model = ProcessModel { gain: plant.process.gain, tau, tau2: 0.0, dead_time, integrating: false };

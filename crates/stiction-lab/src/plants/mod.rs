@@ -5,11 +5,14 @@
 //! He's law nor the library's process model makes them. Followers sit behind lag and dead time, in chains and with
 //! recycle; every loop is archived at its own sampling time (1 to 60 s), some through a historian.
 
+mod disturbed;
 mod fleet;
 mod generator;
 mod network;
 
+pub use disturbed::{Disturbed, Relation, disturbed, strangers};
 pub use fleet::{FleetLoop, fleet};
+
 use stiction::record::Record;
 use stiction::units::ns_from_s;
 

@@ -5,7 +5,7 @@ use stiction::detect::oscillation;
 use stiction::gap::document::GapDocument;
 use stiction::gap::locate::{Subject, locate};
 use stiction::gap::model_file::ModelFile;
-use stiction::gap::{self, Base, Diagnosis, Executor, GapError, GapOptions};
+use stiction::gap::{self, Base, Diagnosis, Executor, GapError, GapOptions, Neighbour};
 use stiction::record::Record;
 
 /// Most points of a simulation; sections with more samples are averaged in bins.
@@ -63,6 +63,7 @@ impl GapSettings {
             pairs: self.pairs,
             budget_evaluations: (gap::DEFAULT_EVALUATIONS as f64 * share).ceil() as u64,
             seed: self.seed,
+            neighbours: Vec::new(),
             period_points: oscillation::detect(&record.op(), &record.pv).map(|o| o.period_points),
         }
     }
@@ -86,6 +87,18 @@ pub struct Diagnosed {
 pub fn record(points: &Points, section: Section, cut: &Cut) -> Result<(Record, Vec<String>), AnalysisError> {
     let (record, _, notes) = cut.record(points, section, MAX_POINTS)?;
     Ok((record, notes))
+}
+
+/// Another loop on the grid of a diagnosed record.
+///
+/// # Errors
+/// What is wrong with it, with its name and what to do.
+pub fn neighbour(points: &Points, record: &Record) -> Result<Neighbour, String> {
+    let name = &points.name;
+    let section = Section::Window(record.start_ns, record.end_ns);
+    let told = |e| format!("neighbour {name}: {e}; choose a section by --window that both cover, or leave it out");
+    let (other, _) = self::record(points, section, &Cut::default()).map_err(told)?;
+    Neighbour::of(name, &other, record).map_err(|e| e.to_string())
 }
 
 /// Diagnoses a record of a loop.

@@ -33,6 +33,8 @@ const TAILS: f64 = 0.7;
 /// Per cent of the gap from which an effect makes much of it, and below which next to nothing.
 const HALF: f64 = 50.0;
 const LITTLE: f64 = 10.0;
+/// Per cent of the gap that a neighbour closes at least where it is named.
+const MEASURED: f64 = 30.0;
 /// Per cent of the gap that two effects have to close.
 const NEARLY_ALL: f64 = 80.0;
 /// Evidence from which an effect is named beside what the recorder did: no loop whose recorder alone departed had one
@@ -80,7 +82,7 @@ pub struct Decision {
 pub fn decide(evidence: &Evidence, without: &[&str], calibration: &Calibration) -> Decision {
     let evidence = &evidence.of_those_who_lack(without);
     let basis = &evidence.basis;
-    let has = |id: &str| !id.split('+').any(|part| without.contains(&part));
+    let has = |id: &str| !effects::parts(id).any(|part| without.contains(&effects::kind(part)));
     let ranked = ranked(evidence, without);
     let features = Features::of(basis, &ranked);
     let outcomes = calibration.outcomes(&features);
@@ -123,6 +125,12 @@ pub fn decide(evidence: &Evidence, without: &[&str], calibration: &Calibration) 
     if basis.skew.is_some() && has(skew) {
         return answer(skew, calibration.trace, By::Trace);
     }
+    // A measured load stands for itself where it leads and closes the gap where it was not fitted: the calibrated choice was
+    // fitted to loops without neighbours.
+    let measured = ranked.first().filter(|best| is_measured_load(basis, best));
+    if let Some(load) = measured {
+        return answer(&load.id, calibration.neighbour, By::Choice);
+    }
     if let Some(first) = basis.on_mv.iter().find(|e| has(&e.id)) {
         // Behind a measured valve the process stands alone: its own ranking counts, and the right effect explains all.
         // What closes next to nothing of the gap is not named for its rank.
@@ -151,9 +159,9 @@ pub fn decide(evidence: &Evidence, without: &[&str], calibration: &Calibration) 
 
 /// The effects that may be named, best first; a pair of them among these where it says what none says alone.
 fn ranked<'e>(evidence: &'e Evidence, without: &[&str]) -> Vec<&'e Contender> {
-    let has = |id: &str| !id.split('+').any(|part| without.contains(&part));
+    let has = |id: &str| !effects::parts(id).any(|part| without.contains(&effects::kind(part)));
     let may = evidence.contenders.iter().filter(|e| has(&e.id) && allowed(&evidence.basis, e));
-    let (pairs, mut ranked): (Vec<&Contender>, Vec<&Contender>) = may.partition(|e| e.id.contains('+'));
+    let (pairs, mut ranked): (Vec<&Contender>, Vec<&Contender>) = may.partition(|e| is_pair(&e.id));
     let by_lead = |a: &&Contender, b: &&Contender| a.lead.total_cmp(&b.lead);
     let pair = pairs.into_iter().filter(|pair| says_more(pair, &ranked)).max_by(by_lead);
     ranked.extend(pair);
@@ -176,7 +184,7 @@ fn says_more(pair: &Contender, alone: &[&Contender]) -> bool {
 fn second(basis: &Basis, ranked: &[&Contender], cause: &Cause, calibration: &Calibration) -> Option<Alternative> {
     let is_trace = |id: &str| basis.traces.iter().any(|t| t == id);
     let (id, probability) = if is_trace(&cause.id) {
-        let single = ranked.iter().find(|e| !e.id.contains('+'))?;
+        let single = ranked.iter().find(|e| !is_pair(&e.id))?;
         let shows = single.evidence > BESIDE_TRACE && single.lead > 0.0 && single.at_floor;
         let holds = single.closed_pct.is_some_and(|closed| closed >= LITTLE);
         (shows && holds).then_some((&single.id, calibration.second))?
@@ -215,12 +223,16 @@ fn is_plain(basis: &Basis) -> bool {
         && basis.alone.map_or_else(|| is_alone(&basis.noise), |a| is_alone(&a.models) && a.tails < TAILS)
 }
 
-/// MV at the floor of PV leaves the valve's effects; no better than OP, it leaves what acts behind the stem.
+/// MV at the floor of PV leaves the valve's effects; no better than OP, it leaves what acts behind the stem. A neighbour
+/// has to close a good part of the gap where it was not fitted: a stranger of nearly the same period fits what was.
 fn allowed(basis: &Basis, effect: &Contender) -> bool {
+    if is_neighbour(&effect.id) && !closes_well(effect) {
+        return false;
+    }
     match basis.by_mv {
         Some(Stage::Valve) => effect.stage == Stage::Valve,
         Some(Stage::Process) => {
-            let behind = effect.id.split('+').all(|id| effects::by_id(id).is_none_or(|e| e.behind_stem));
+            let behind = effects::parts(&effect.id).all(|id| effects::by_id(id).is_none_or(|e| e.behind_stem));
             behind || explains_more(basis, effect)
         }
         _ => true,
@@ -270,7 +282,7 @@ fn alternatives(
 #[must_use]
 pub fn confirmed(effect: &EffectResult, forward: Option<[f64; 2]>) -> bool {
     let closes = closes(effect.closed_pct) || effect.gap_after < 0.9 * effect.gap_before;
-    let local = effect.id.split('+').any(|id| effects::by_id(id).is_some_and(|e| e.local));
+    let local = effects::parts(&effect.id).any(|id| effects::by_id(id).is_some_and(|e| e.local));
     closes && (local || forward.is_none_or(|[before, after]| after < before))
 }
 
@@ -285,10 +297,32 @@ fn closes(pct: Option<f64>) -> bool {
     pct.is_some_and(|c| c > 5.0)
 }
 
+/// Whether an id is that of a neighbour alone.
+fn is_neighbour(id: &str) -> bool {
+    !is_pair(id) && effects::kind(id) == effects::neighbour::EFFECT.id
+}
+
+/// Whether an effect surely closes a good part of the gap.
+fn closes_well(effect: &Contender) -> bool {
+    let surely = effect.closed_interval.is_none_or(|[low, _]| low > 0.0);
+    surely && effect.closed_pct.is_some_and(|closed| closed >= MEASURED)
+}
+
+/// Whether an effect is a neighbour that leads, and explains more than what stands behind a recorded valve position.
+fn is_measured_load(basis: &Basis, effect: &Contender) -> bool {
+    let explains = basis.by_mv.is_none() || explains_more(basis, effect);
+    is_neighbour(&effect.id) && effect.lead > 0.0 && explains
+}
+
+/// Whether an id is that of two effects.
+fn is_pair(id: &str) -> bool {
+    effects::parts(id).nth(1).is_some()
+}
+
 /// Whether free run can predict an effect.
 #[must_use]
 pub fn predictable(id: &str) -> bool {
-    id.split('+').all(|part| effects::by_id(part).is_none_or(|e| e.predictable && e.way != Way::Noise))
+    effects::parts(id).all(|part| effects::by_id(part).is_none_or(|e| e.predictable && e.way != Way::Noise))
 }
 
 #[cfg(test)]

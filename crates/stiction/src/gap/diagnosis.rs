@@ -10,6 +10,7 @@ use super::filter::{self, Filtered};
 use super::forward::forward;
 use super::given;
 use super::judged::Diagnosis;
+use super::neighbours;
 use super::next_test::next_test;
 use super::noise;
 use super::pairs;
@@ -42,6 +43,9 @@ pub(super) fn check(record: &Record, options: &GapOptions) -> Result<(), GapErro
         if !spread.is_normal() {
             return Err(GapError::Still { signal, spread, points });
         }
+    }
+    for neighbour in &options.neighbours {
+        neighbour.check(points)?;
     }
     for id in &options.without {
         if effects::by_id(id).is_none() {
@@ -111,6 +115,21 @@ pub fn diagnose(record: &Record, options: &GapOptions, executor: &dyn Executor) 
     }
     let no_base = GapError::NoBase { points: record.len(), evaluations: work.done };
     let Some(Searched { traces, problem, mut floor, mut found }) = searched else { return Err(no_base) };
+    let mut problem = problem;
+    work.begin(budget);
+    let is_asked = !options.without.iter().any(|w| w == effects::neighbour::EFFECT.id);
+    let others = if is_asked { &options.neighbours[..] } else { &[] };
+    let offered = neighbours::look(&problem, &found, others, &mut work);
+    let mut rivals = Vec::new();
+    for (with, search) in offered.as_ref().map(|o| o.fits.clone()).unwrap_or_default() {
+        // The best one is an effect as any other from here on; the others are weighed alone.
+        if problem.neighbour.is_none() {
+            problem.neighbour = with.neighbour;
+            found.searches.push(search);
+        } else {
+            rivals.push((with, search));
+        }
+    }
     check_floor(&problem, &found, &traces, &mut floor);
     work.begin(budget);
     let wanted = !options.without.iter().any(|w| w == effects::sensor_filter::EFFECT.id);
@@ -129,7 +148,9 @@ pub fn diagnose(record: &Record, options: &GapOptions, executor: &dyn Executor) 
     let against = (base.rmse_train, floor.noise_floor);
     let seen = stages::look(record, &problem, &traces, against, &options.without, &mut work);
     let weighed = scales(&problem, &found, &base, &traces, &floor, options.seed);
-    let effects = weigh(&weighed, &found, filtered.as_ref(), options);
+    let mut effects = weigh(&weighed, &found, filtered.as_ref(), options);
+    effects.extend(rivals.iter().filter_map(|(with, search)| Scales { problem: with, ..weighed }.weigh(search)));
+    effects.sort_by(|a, b| b.lead.total_cmp(&a.lead));
     let basis = basis(record, &problem, &found, &base, &traces, &effects, &seen, &floor, owes, options);
     let nothing = decide::decide(&Evidence::new(&basis, &[], None), &[], Calibration::shipped());
     let mut made = Diagnosis {
@@ -160,6 +181,7 @@ pub fn diagnose(record: &Record, options: &GapOptions, executor: &dyn Executor) 
         noise_models: basis.noise,
         stages: seen.map(|s| s.stages),
         next_test: None,
+        neighbours: offered.map(|o| o.compared),
         basis,
     };
     made.settle(&[]);
@@ -240,7 +262,7 @@ fn weigh(scales: &Scales<'_>, found: &Found, filtered: Option<&Filtered>, option
             _ => None,
         };
         match (effect.way, filtered) {
-            (Way::Simulated | Way::AgainstLinear, _) => {}
+            (Way::Simulated | Way::AgainstLinear | Way::Neighbour, _) => {}
             (Way::Filter, Some(filtered)) => out.push(scales.filtered(effect, filtered)),
             _ => out.push(scales.recorded(effect, floor_after)),
         }
@@ -313,7 +335,7 @@ fn excited(record: &Record, problem: &Problem) -> bool {
 
 /// Base and cause fitted to the first part alone.
 fn run_forward(problem: &Problem, found: &Found, made: &Diagnosis, work: &mut Work<'_>) -> Option<Forward> {
-    let search = found.searches.iter().find(|l| l.structure.id() == made.cause.id);
+    let search = found.searches.iter().find(|l| l.structure.id_in(problem) == made.cause.id);
     let (Some(search), false) = (search, work.stopped) else { return None };
     forward(problem, &found.base, search, made.floor.noise_floor, work)
 }

@@ -6,12 +6,13 @@ use serde::{Deserialize, Serialize};
 
 use super::budget::document::{BudgetNote, TellableNote};
 use super::budget::{Budget, Known};
+use super::effects;
 use super::judged::Diagnosis;
 use super::locate::Location;
 use super::loop_run::Cycles;
 use super::model::Model;
 use super::sizes::Quantity;
-use super::types::{Alternative, Base, EffectResult, Ended, Fit, Parameter, UNKNOWN};
+use super::types::{Alternative, Base, Compared, EffectResult, Ended, Fit, Parameter, UNKNOWN};
 use crate::record::Record;
 use crate::signal::stats;
 use crate::sim::slips::Law;
@@ -260,6 +261,9 @@ pub struct GapDocument {
     /// What the record can tell.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tellable: Option<TellableNote>,
+    /// Comparison with other loops, if some were offered.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub neighbours: Option<Compared>,
     /// Version of the program.
     pub version: String,
 }
@@ -336,6 +340,7 @@ impl GapDocument {
             closed_loop,
             budget: budget.map(|budget| BudgetNote::of(&budget, &diagnosis.signatures)),
             tellable,
+            neighbours: diagnosis.neighbours.clone(),
             version: crate::VERSION.to_owned(),
         }
     }
@@ -397,7 +402,7 @@ impl EffectNote {
         let mut parameters = BTreeMap::new();
         for Parameter { name, value, unit } in &effect.parameters {
             // Both effects of a pair may have one of this name: the second's says whose it is.
-            let second = effect.id.rsplit('+').next().unwrap_or_default();
+            let second = effects::parts(&effect.id).last().unwrap_or_default();
             let taken = parameters.contains_key(*name);
             let name = if taken { format!("{second}.{name}") } else { (*name).to_owned() };
             parameters.insert(name, Quantity { value: *value, unit: (*unit).to_owned() });

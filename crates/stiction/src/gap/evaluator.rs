@@ -42,7 +42,7 @@ pub struct Evaluator<'a> {
 /// Loads with the tables of the time constants they were asked with.
 #[derive(Debug)]
 struct LoadSet {
-    key: [u64; 6],
+    key: [u64; 8],
     view: View,
     with: sums::View,
     tables: Vec<(i32, Arc<Table>)>,
@@ -189,7 +189,7 @@ impl<'a> Evaluator<'a> {
             tau = separated(tau[0], plan.tau2).into();
         }
         let own = Arc::clone(self.problem.view(view));
-        let signals = loads(&plan, tau[0], self.problem.n());
+        let signals = loads(&plan, tau[0], self.problem);
         let with;
         let view = if signals.is_empty() {
             &*own
@@ -248,8 +248,10 @@ impl<'a> Evaluator<'a> {
             plan.step.map_or(0, |(start, _)| start.to_bits() | 1),
             if through_lag { tau.to_bits() } else { 0 },
             u64::from(plan.step.is_some_and(|(_, straight)| straight)),
+            plan.neighbour.map_or(0, |[lag, _]| lag.to_bits()),
+            plan.neighbour.map_or(0, |[_, delay]| delay.to_bits()),
         ];
-        if key[..4] == [0; 4] {
+        if key[..4] == [0; 4] && plan.neighbour.is_none() {
             return None;
         }
         if let Some(found) = self.load_sets.iter().position(|s| s.key == key && s.view == view) {
@@ -258,7 +260,7 @@ impl<'a> Evaluator<'a> {
         if self.load_sets.len() == LOAD_SETS {
             self.load_sets.remove(0);
         }
-        let signals = loads(plan, tau, self.problem.n());
+        let signals = loads(plan, tau, self.problem);
         let signals: Vec<&[f64]> = signals.iter().map(Vec::as_slice).collect();
         let with = self.problem.view(view).beside(&signals);
         self.load_sets.push(LoadSet { key, view, with, tables: Vec::new() });

@@ -115,7 +115,7 @@ pub fn model(problem: &Problem, structure: &Structure, of: &Candidate) -> Model 
         effects: structure
             .each()
             .map(|e| Added {
-                id: e.id.to_owned(),
+                id: e.id_in(problem),
                 parameters: parameters_of(problem, structure, of, e.id)
                     .into_iter()
                     .map(|p| (p.name.to_owned(), p.value))
@@ -166,7 +166,7 @@ pub fn fit(problem: &Problem, search: &Search, floor: Option<f64>, after: &dyn F
     let valve: Vec<f64> = valve.iter().map(|v| v * problem.span + problem.op_middle).collect();
     let plan = search.structure.plan(&best.theta);
     Some(Fit {
-        id: search.structure.id(),
+        id: search.structure.id_in(problem),
         slips: if plan.law.is_some() { slips(&valve, 1e-6 * problem.span) } else { Vec::new() },
         dead_time_s: model.process.dead_time_s,
         time_constants_s: model.process.time_constants_s.clone(),

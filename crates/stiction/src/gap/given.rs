@@ -108,6 +108,10 @@ fn structure(model: &Model) -> Result<Structure, ModelError> {
             value: added.id.clone(),
             want: "the catalogue's ids",
         })?;
+        if effect.way == Way::Neighbour {
+            let want = "effects that need no other loop's record (--neighbours offers that record)";
+            return Err(ModelError::Word { name: "effects", value: added.id.clone(), want });
+        }
         let needed = |p: &&Param| !effect.bare && p.unit != Unit::Choice;
         let missing = effect.params.iter().filter(needed).find(|p| !added.parameters.contains_key(p.name));
         if let Some(Param { name, .. }) = missing {

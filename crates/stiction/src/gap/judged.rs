@@ -6,8 +6,8 @@ use super::evidence::{Basis, Evidence};
 use super::model::Model;
 use super::probability::{Calibration, Features};
 use super::types::{
-    Alternative, Blocks, Cause, EffectResult, Ended, Fit, Floor, Forward, GapError, NONE, NextTest, NoiseModels,
-    Predictions, Signature, Stages, UNKNOWN,
+    Alternative, Blocks, Cause, Compared, EffectResult, Ended, Fit, Floor, Forward, GapError, NONE, NextTest,
+    NoiseModels, Predictions, Signature, Stages, UNKNOWN,
 };
 
 /// All that was found.
@@ -57,6 +57,8 @@ pub struct Diagnosis {
     pub next_test: Option<NextTest>,
     /// What else the decision was made from.
     pub basis: Basis,
+    /// Comparison with other loops, where some were offered.
+    pub neighbours: Option<Compared>,
     /// What the cause's probability was made of, for calibrations.
     pub features: Features,
 }

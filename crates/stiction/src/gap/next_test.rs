@@ -29,7 +29,7 @@ pub fn next_test(problem: &Problem, found: &Found, made: &Diagnosis) -> Option<N
         return None;
     }
     let lane_of = |id: &str| {
-        if id == NONE { Some(&found.base) } else { found.searches.iter().find(|l| l.structure.id() == id) }
+        if id == NONE { Some(&found.base) } else { found.searches.iter().find(|l| l.structure.id_in(problem) == id) }
     };
     // What the recorder or the noise did is settled elsewhere.
     if made.cause.id != UNKNOWN && lane_of(&made.cause.id).is_none() {

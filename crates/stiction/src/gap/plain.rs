@@ -159,7 +159,7 @@ impl<'a> PlainPass<'a> {
         if let Some(drift) = plan.drift {
             self.drift.extend(drift.course(n));
         }
-        for load in loads(plan, tau, n) {
+        for load in loads(plan, tau, problem) {
             put(&mut self.columns, &load);
         }
         // What does.
@@ -376,7 +376,8 @@ pub fn reads_controller(tau: [f64; 2], gain: [f64; 2]) -> bool {
 
 /// Signals that are fitted beside the process' answer, one entry a point, in the order of [`Plan::column`]; `tau` is the
 /// lag through which a step comes.
-pub fn loads(plan: &Plan, tau: f64, n: usize) -> Vec<Vec<f64>> {
+pub fn loads(plan: &Plan, tau: f64, problem: &Problem) -> Vec<Vec<f64>> {
+    let n = problem.n();
     let mut out = Vec::new();
     if let Some(omega) = plan.omega {
         let turn = [libm::sin(omega), libm::cos(omega)];
@@ -400,6 +401,9 @@ pub fn loads(plan: &Plan, tau: f64, n: usize) -> Vec<Vec<f64>> {
             value
         });
         out.push(step);
+    }
+    if let (Some([lag, delay]), Some(load)) = (plan.neighbour, &problem.neighbour) {
+        out.push(load.behind(lag, delay, n));
     }
     out
 }

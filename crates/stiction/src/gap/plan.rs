@@ -46,6 +46,8 @@ pub enum Part {
     Ramp,
     /// A step.
     Step,
+    /// A neighbour's signal.
+    Neighbour,
 }
 
 /// Which blocks stand in the simulator.
@@ -85,6 +87,8 @@ pub struct Plan {
     pub ramp: Option<f64>,
     /// A step at this point is added, through the process' lag or (`true`) straight to PV.
     pub step: Option<(f64, bool)>,
+    /// A neighbour's signal is added, behind this lag and delay, points.
+    pub neighbour: Option<[f64; 2]>,
 }
 
 impl Plan {
@@ -122,6 +126,7 @@ impl Plan {
             omega: None,
             ramp: None,
             step: None,
+            neighbour: None,
         }
     }
 
@@ -130,7 +135,7 @@ impl Plan {
     #[must_use]
     pub const fn searchable(&self) -> Self {
         let tau2 = if self.zero { 0.0 } else { self.tau2 };
-        Self { level: 0.0, zero: false, tau2, omega: None, ramp: None, step: None, ..*self }
+        Self { level: 0.0, zero: false, tau2, omega: None, ramp: None, step: None, neighbour: None, ..*self }
     }
 
     /// Whether something stands behind the stem that changes its signal.
@@ -197,11 +202,12 @@ impl Plan {
     pub fn column(&self, part: Part) -> usize {
         let lags = if !self.integrating && self.tau2 > 0.0 { 2 } else { 1 };
         let waves = if self.omega.is_some() { 2 } else { 0 };
-        let [ramp, drift] = [self.ramp.is_some(), self.drift.is_some()].map(usize::from);
+        let [ramp, drift, step] = [self.ramp.is_some(), self.drift.is_some(), self.step.is_some()].map(usize::from);
         let before = match part {
             Part::Waves => 0,
             Part::Ramp => waves,
             Part::Step => waves + ramp + drift,
+            Part::Neighbour => waves + ramp + drift + step,
         };
         1 + lags + before
     }
@@ -210,7 +216,8 @@ impl Plan {
     #[must_use]
     pub fn extras(&self) -> usize {
         let two = if self.omega.is_some() { 2 } else { 0 };
-        let ones = [self.drift.is_some(), self.zero, self.ramp.is_some(), self.step.is_some()];
-        two + ones.into_iter().filter(|x| *x).count()
+        let loads = [self.ramp.is_some(), self.step.is_some(), self.neighbour.is_some()];
+        let ones = [self.drift.is_some(), self.zero].into_iter().chain(loads);
+        two + ones.filter(|x| *x).count()
     }
 }

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use super::candidate::Parameters;
+use super::neighbour::Load;
 use super::traces::between;
 use super::types::Blocks;
 use crate::detect::oscillation;
@@ -71,6 +72,8 @@ pub struct Problem {
     pub box_samples: f64,
     /// Where a model that was given has the base's parameters: its search begins there, too.
     pub stated: Vec<Parameters>,
+    /// The neighbour that the effect of that name takes as a load.
+    pub neighbour: Option<Arc<Load>>,
 }
 
 /// What the base of every fit is told.
@@ -128,6 +131,7 @@ impl Problem {
             point_s: record.point_s(),
             box_samples: record.box_samples as f64,
             stated: Vec::new(),
+            neighbour: None,
         };
         let held_out = problem.blocks.held_out.clone();
         problem.divide_by(&held_out);

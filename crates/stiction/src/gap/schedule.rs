@@ -124,6 +124,8 @@ pub struct Found {
     pub base: Search,
     /// The base's best place by differences, where a slow disturbance weighs little.
     pub by_moves: Option<Candidate>,
+    /// All that the base's search for slips met.
+    pub met: Vec<Parameters>,
     /// Base and one effect each.
     pub searches: Vec<Search>,
     /// Why the search ended.
@@ -331,7 +333,7 @@ pub fn run(
     } else {
         Ended::Agreement
     };
-    Some(Found { base, by_moves, searches, ended })
+    Some(Found { base, by_moves, met: thetas, searches, ended })
 }
 
 /// The base's best place by differences, from its own and from all that its search for slips met.
@@ -432,7 +434,7 @@ fn search_once_more(
 
 /// Another search for slips with other chance and the parameters found so far, or `beside` them, and a local search from
 /// where it leads.
-fn look_again(problem: &Problem, search: &mut Search, beside: bool, seed: u64) {
+pub fn look_again(problem: &Problem, search: &mut Search, beside: bool, seed: u64) {
     let (mut from, mut evaluations) = (Vec::new(), 0);
     let mut look = |search: &Search, length: Length, seed: u64| {
         let places = search_slips(problem, search, length, seed);

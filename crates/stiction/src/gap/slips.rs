@@ -65,7 +65,7 @@ pub fn search_slips(problem: &Problem, search: &Search, length: Length, seed: u6
     let mut slip_problem = SlipProblem::new(&normalised, search.sign);
     slip_problem.behind = plan.shapes_signal().then_some(&held as &dyn BehindStem);
     let tau = search.best.first().map_or(LOAD_TAU * problem.period, |b| libm::exp(b.theta.log_tau));
-    slip_problem.loads = loads(&plan, tau, problem.n());
+    slip_problem.loads = loads(&plan, tau, problem);
     let class = plan.class();
     let request = Request {
         laws: &[law],

@@ -3,6 +3,7 @@
 use super::candidate::{MAX_PARAMS, Parameters};
 use super::effects::{Effect, Param, Reach};
 use super::plan::Plan;
+use super::problem::Problem;
 use crate::sim::slips::Law;
 
 /// Base and the effects added to it.
@@ -37,6 +38,13 @@ impl Structure {
     pub fn id(&self) -> String {
         let ids: Vec<&str> = self.each().map(|e| e.id).collect();
         if ids.is_empty() { "base".to_owned() } else { ids.join("+") }
+    }
+
+    /// The id in documents, with the name of the problem's neighbour.
+    #[must_use]
+    pub fn id_in(&self, problem: &Problem) -> String {
+        let named: Vec<String> = self.each().map(|e| e.id_in(problem)).collect();
+        if named.is_empty() { self.id() } else { named.join("+") }
     }
 
     /// All parameters, in the order of [`Parameters::p`].

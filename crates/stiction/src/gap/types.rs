@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::model::Model;
+use super::neighbour::{Neighbour, NeighbourError};
 
 /// Id of an effect, as in documents.
 pub type EffectId = &'static str;
@@ -39,6 +40,8 @@ pub struct GapOptions {
     pub seed: u64,
     /// Period of the oscillation in points, if known.
     pub period_points: Option<f64>,
+    /// Other loops on the record's grid, each a possible load.
+    pub neighbours: Vec<Neighbour>,
 }
 
 impl Default for GapOptions {
@@ -50,6 +53,7 @@ impl Default for GapOptions {
             budget_evaluations: super::DEFAULT_EVALUATIONS,
             seed: 1,
             period_points: None,
+            neighbours: Vec::new(),
         }
     }
 }
@@ -173,6 +177,9 @@ pub enum GapError {
         /// What it leaves, % of PV's standard deviation.
         left_pct: f64,
     },
+    /// A neighbour that cannot be offered.
+    #[error(transparent)]
+    Neighbour(#[from] NeighbourError),
     /// No base model fits.
     #[error(
         "no base model fits the {points} points ({evaluations} evaluations): PV does not follow OP; choose another section or check the tags"
@@ -254,6 +261,22 @@ pub struct Floor {
     pub noise_floor: Option<f64>,
     /// Standard deviation from the high band of the best residual, PV units, as a check of `noise_sd`.
     pub high_band_sd: Option<f64>,
+}
+
+/// What comparing other loops with this one came to.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct Compared {
+    /// Loops that were offered.
+    pub offered: usize,
+    /// The loop whose past tells most of PV beyond its own past and OP.
+    pub best: Option<String>,
+    /// Share of the prediction error of own past and OP that it takes, on the fitted blocks.
+    pub share: Option<f64>,
+    /// Share of shifts in time at which the best of all loops tells as much; `None` in a record of few periods.
+    pub p_value: Option<f64>,
+    /// Loops that were fitted, best first: rare enough, and telling from their past, not from their future.
+    pub fitted: Vec<String>,
 }
 
 /// Use of each point.

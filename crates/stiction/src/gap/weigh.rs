@@ -23,7 +23,7 @@ const NOTHING_LEFT: f64 = 1.05;
 const POINTS_A_PARAMETER: usize = 2;
 
 /// What the weighing needs beside the searches.
-#[derive(Debug)]
+#[derive(Debug, Clone, Copy)]
 pub struct Scales<'a> {
     /// The record.
     pub problem: &'a Problem,
@@ -73,7 +73,7 @@ impl Scales<'_> {
         let parameters = parameters(self.problem, &structure, best);
         let (closed_pct, closed_interval) = if predictable { self.closed(&made) } else { (None, None) };
         Some(EffectResult {
-            id: structure.id(),
+            id: structure.id_in(self.problem),
             stage,
             simulated: true,
             parameters,

@@ -25,6 +25,8 @@ pub enum Way {
     Controller,
     /// By a lag of PV that its noise shares.
     Filter,
+    /// Against other loops' records, where these are given.
+    Neighbour,
 }
 
 /// Which part of the simulator a parameter moves.
@@ -223,6 +225,15 @@ pub struct Effect {
 }
 
 impl Effect {
+    /// Its id in documents: that of another loop's load has the loop's name.
+    #[must_use]
+    pub fn id_in(&self, problem: &Problem) -> String {
+        match &problem.neighbour {
+            Some(load) if self.way == Way::Neighbour => format!("{}({})", self.id, load.name),
+            _ => self.id.to_owned(),
+        }
+    }
+
     /// One that is simulated, bound to the valve signal and without parameters.
     pub(super) const fn simulated(id: EffectId, stage: Stage) -> Self {
         Self {

@@ -14,6 +14,7 @@ pub mod gain_drift;
 pub mod hold_compression;
 pub mod integrating;
 mod inverse_response;
+pub mod neighbour;
 pub mod outliers;
 mod positioner_lag;
 pub mod quantisation;
@@ -34,7 +35,7 @@ pub use clues::Clues;
 pub use effect::{Effect, MARGIN, Param, Reach, Rest, Start, Unit, Way};
 
 /// Every effect.
-pub const ALL: [&Effect; 26] = [
+pub const ALL: [&Effect; 27] = [
     &asymmetric_stiction::EFFECT,
     &slip_overshoot::EFFECT,
     &sliding_valve::EFFECT,
@@ -61,12 +62,32 @@ pub const ALL: [&Effect; 26] = [
     &frozen_sensor::EFFECT,
     &time_skew::EFFECT,
     &stiction::EFFECT,
+    &neighbour::EFFECT,
 ];
 
-/// The effect of an id.
+/// The effect of an id, with a neighbour's name or without.
 #[must_use]
 pub fn by_id(id: &str) -> Option<&'static Effect> {
-    ALL.into_iter().find(|e| e.id == id)
+    ALL.into_iter().find(|e| e.id == kind(id))
+}
+
+/// An id without the name of a neighbour.
+#[must_use]
+pub fn kind(id: &str) -> &str {
+    id.split_once('(').map_or(id, |(kind, _)| kind)
+}
+
+/// The ids that a `+` joins; a neighbour's name may hold one of its own.
+pub fn parts(id: &str) -> impl Iterator<Item = &str> {
+    let mut depth = 0_usize;
+    id.split(move |c: char| {
+        match c {
+            '(' => depth += 1,
+            ')' => depth = depth.saturating_sub(1),
+            _ => {}
+        }
+        c == '+' && depth == 0
+    })
 }
 
 #[cfg(test)]
@@ -90,5 +111,7 @@ mod tests {
             );
         }
         assert!(by_id("none").is_none());
+        assert_eq!(by_id("neighbour(FIC (old) +1)").map(|e| e.id), Some("neighbour"));
+        assert_eq!(parts("extra_lag+neighbour(A+B)").collect::<Vec<_>>(), ["extra_lag", "neighbour(A+B)"]);
     }
 }

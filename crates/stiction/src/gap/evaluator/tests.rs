@@ -5,6 +5,7 @@ use proptest::prelude::*;
 use super::*;
 use crate::gap::candidate::MAX_PARAMS;
 use crate::gap::effects::{self, Effect, Unit, Way};
+use crate::gap::neighbour::Load;
 use crate::gap::plain::tests::made_by;
 use crate::gap::settle::{FAR, clamped};
 use crate::ident::random::{seeded_rng, uniform};
@@ -12,7 +13,7 @@ use crate::sim::slips::Law;
 
 /// Effects that are simulated.
 fn simulated() -> Vec<&'static Effect> {
-    effects::ALL.into_iter().filter(|e| e.way == Way::Simulated).collect()
+    effects::ALL.into_iter().filter(|e| matches!(e.way, Way::Simulated | Way::Neighbour)).collect()
 }
 
 proptest! {
@@ -20,7 +21,7 @@ proptest! {
 
     #[test]
     fn the_error_of_every_structure_is_that_of_the_plain_pass(
-        seed in 0_u64..1_000_000, first in 0..16_usize, second in 0..32_usize, s in 0.08..0.5_f64, share in 0.05..1.0_f64,
+        seed in 0_u64..1_000_000, first in 0..16_usize, second in 0..33_usize, s in 0.08..0.5_f64, share in 0.05..1.0_f64,
         tau in 0.5..60.0_f64, lag in 1.2..20.0_f64, fd in 0.0..0.5_f64, filtered: bool, frictionless: bool,
     ) {
         let all = simulated();
@@ -29,7 +30,9 @@ proptest! {
         let law = if frictionless && second % 3 == 0 { None } else { Some(Law::He) };
         let structure = Structure { law, effects: [Some(one), pair] };
         prop_assume!(structure.each().map(|e| e.params.len()).sum::<usize>() <= MAX_PARAMS);
-        let (problem, truth) = made_by(&Structure::base(Some(Law::He)), [0.0; MAX_PARAMS]);
+        let (mut problem, truth) = made_by(&Structure::base(Some(Law::He)), [0.0; MAX_PARAMS]);
+        let signal: Vec<f64> = (0..problem.n()).map(|k| libm::sin(0.07 * k as f64) + libm::cos(0.11 * k as f64)).collect();
+        problem.neighbour = Some(Arc::new(Load::new("N", false, &signal, 0.01)));
         let mut rng = seeded_rng(seed, 3);
         let mut p = [0.0; MAX_PARAMS];
         for (value, param) in p.iter_mut().zip(structure.params()) {

@@ -74,7 +74,7 @@ pub(super) fn closed(pct: f64) -> String {
 
 /// Per cent closed forward in time; of a passing effect such a run says nothing.
 pub(super) fn closed_forward(d: &GapDocument) -> Option<f64> {
-    let local = d.cause.id.split('+').any(|id| effects::by_id(id).is_some_and(|e| e.local));
+    let local = effects::parts(&d.cause.id).any(|id| effects::by_id(id).is_some_and(|e| e.local));
     d.forward.and_then(|f| f.closed_pct).filter(|_| !local)
 }
 

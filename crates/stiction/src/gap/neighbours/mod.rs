@@ -1,0 +1,10 @@
+//! Other loops as measured inputs: their PV and OP are offered as a load on this loop's PV.
+//!
+//! How much the past of every neighbour's signals tells of PV beyond its own past and OP is found in closed form ([`scan`]). A
+//! p-value says how often neighbours that are shifted in time tell as much, the best of all neighbours each time, so that
+//! their number is paid for. The best few are then fitted together with the base ([`look`]) and judged as every effect is.
+
+mod look;
+mod scan;
+
+pub(super) use look::look;
