@@ -1,4 +1,4 @@
-//! `gap --neighbours` at the process boundary: the loop that acts tells most, strangers change nothing, and what cannot be
+//! `gap --neighbours` at the process boundary: the loop that acts tells most, unrelated loops change nothing, and what cannot be
 //! offered is refused by its name.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use stiction::record::Record;
-use stiction_lab::plants::{Relation, disturbed, strangers};
+use stiction_lab::plants::{Relation, disturbed, unrelated_loops};
 
 /// A case whose driver shows clearly.
 const SEED: u64 = 1;
@@ -37,14 +37,14 @@ fn document(output: &Output) -> serde_json::Value {
 }
 
 #[test]
-fn the_neighbour_that_acts_tells_most_among_strangers_and_strangers_change_nothing() {
+fn the_neighbour_that_acts_tells_most_among_unrelated_loops_which_change_nothing() {
     let home = tempfile::tempdir().unwrap();
     let case = disturbed("A", SEED, NUMBER, Relation::Acts);
     let own = table(home.path(), "loop", &case.record);
     let others = home.path().join("others");
     fs::create_dir(&others).unwrap();
-    for (i, stranger) in strangers(SEED, NUMBER, 6, &case.record, &case.periods_s).iter().enumerate() {
-        table(&others, &format!("S{i}"), stranger);
+    for (i, unrelated) in unrelated_loops(SEED, NUMBER, 6, &case.record, &case.periods_s).iter().enumerate() {
+        table(&others, &format!("S{i}"), unrelated);
     }
     let flag = Path::new("--neighbours");
     let alone = document(&gap(&[&own]));

@@ -62,7 +62,7 @@ enum Command {
     Calibrate(calibrate::Args),
     /// Test on real recordings: with effects inserted, with the valve position hidden, with stiction withheld.
     Real(real::Args),
-    /// Test other loops as causes: the one that acts withheld and revealed among strangers of nearly the same period.
+    /// Test other loops as causes: the one that acts withheld and revealed among unrelated loops of nearly the same period.
     Neighbours(neighbours::Args),
 }
 

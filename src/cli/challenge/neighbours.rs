@@ -1,4 +1,4 @@
-//! `gap challenge neighbours`: other loops offered to the diagnosis, the one that acts withheld and revealed among strangers.
+//! `gap challenge neighbours`: other loops offered to the diagnosis, the one that acts withheld and revealed among unrelated loops.
 
 use std::collections::BTreeMap;
 
@@ -9,9 +9,9 @@ use super::answer::ask_for;
 use stiction::gap::{DEFAULT_EVALUATIONS, GapOptions, Neighbour};
 use stiction::record::Record;
 use stiction_lab::challenge::{Deck, Split};
-use stiction_lab::plants::{Relation, disturbed, strangers};
+use stiction_lab::plants::{Relation, disturbed, unrelated_loops};
 
-/// How many loops of each kind, and how many strangers beside each.
+/// How many loops of each kind, and how many unrelated loops beside each.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:
   stictiond gap challenge neighbours --seed 2 --cases 40
@@ -25,7 +25,7 @@ pub(super) struct Args {
     cases: u64,
     /// Loops of nearly the same period that have nothing to do with the diagnosed one.
     #[arg(long, default_value_t = 50)]
-    strangers: usize,
+    unrelated: usize,
     /// Most model responses per search.
     #[arg(long, default_value_t = DEFAULT_EVALUATIONS)]
     evaluations: u64,
@@ -54,7 +54,7 @@ impl Kind {
     }
 }
 
-/// The name that the other loop has among the strangers.
+/// The name that the other loop has among the unrelated ones.
 const OTHER: &str = "OTHER";
 
 /// An answer, as far as it is counted.
@@ -82,7 +82,7 @@ impl Said {
     }
 }
 
-/// One loop: its answers alone, among strangers, and with the other loop among them.
+/// One loop: its answers alone, among unrelated loops, and with the other loop among them.
 #[derive(Debug)]
 struct Case {
     kind: Kind,
@@ -144,8 +144,8 @@ fn case(args: &Args, kind: Kind, number: u64) -> anyhow::Result<Option<Case>> {
     let Some((record, other, periods, what)) = drawn(args, kind, number) else { return Ok(None) };
     let place = 1000 * kind as u64 + number;
     let mut others = Vec::new();
-    for (i, stranger) in strangers(args.seed, place, args.strangers, &record, &periods).iter().enumerate() {
-        others.push(Neighbour::of(&format!("S{i:02}"), stranger, &record)?);
+    for (i, unrelated) in unrelated_loops(args.seed, place, args.unrelated, &record, &periods).iter().enumerate() {
+        others.push(Neighbour::of(&format!("S{i:02}"), unrelated, &record)?);
     }
     let ask = |neighbours: Vec<Neighbour>| -> anyhow::Result<Said> {
         let options = GapOptions { budget_evaluations: args.evaluations, neighbours, ..GapOptions::default() };
@@ -179,7 +179,7 @@ fn case(args: &Args, kind: Kind, number: u64) -> anyhow::Result<Option<Case>> {
 const SHOWS: f64 = 1.35;
 
 fn table(args: &Args, cases: &[Case]) -> String {
-    let mut lines = vec![format!("seed {}, {} strangers", args.seed, args.strangers)];
+    let mut lines = vec![format!("seed {}, {} unrelated loops", args.seed, args.unrelated)];
     let mut row = |what: &str, kind: Kind, of: &dyn Fn(&Case) -> Option<bool>| {
         let told: Vec<bool> = cases.iter().filter(|c| c.kind == kind).filter_map(of).collect();
         let found = told.iter().filter(|x| **x).count();
@@ -196,17 +196,19 @@ fn table(args: &Args, cases: &[Case]) -> String {
     row("revealed: named with probability 0.5 or more", Kind::Driven, &|c| {
         revealed(c, &|s| s.names(true) && s.probability >= 0.5)
     });
-    row("revealed: a stranger named", Kind::Driven, &|c| revealed(c, &|s| s.names(false)));
-    row("withheld: a stranger named", Kind::Driven, &|c| Some(c.withheld.names(false)));
+    row("revealed: an unrelated loop named", Kind::Driven, &|c| revealed(c, &|s| s.names(false)));
+    row("withheld: an unrelated loop named", Kind::Driven, &|c| Some(c.withheld.names(false)));
     row("withheld: the answer of no neighbours", Kind::Driven, &|c| Some(c.withheld.id == c.alone.id));
-    row("follower among strangers: the follower named", Kind::Driving, &|c| revealed(c, &|s| s.names(true)));
-    row("follower among strangers: a stranger named", Kind::Driving, &|c| revealed(c, &|s| s.names(false)));
-    row("follower among strangers: the answer of no neighbours", Kind::Driving, &|c| {
+    row("follower among unrelated loops: the follower named", Kind::Driving, &|c| revealed(c, &|s| s.names(true)));
+    row("follower among unrelated loops: an unrelated loop named", Kind::Driving, &|c| {
+        revealed(c, &|s| s.names(false))
+    });
+    row("follower among unrelated loops: the answer of no neighbours", Kind::Driving, &|c| {
         revealed(c, &|s| s.id == c.alone.id)
     });
-    row("strangers: one named", Kind::Driving, &|c| Some(c.withheld.names(false)));
-    row("strangers: one named", Kind::Alone, &|c| Some(c.withheld.names(false)));
-    row("strangers: the answer of no neighbours", Kind::Alone, &|c| Some(c.withheld.id == c.alone.id));
+    row("unrelated loops: one named", Kind::Driving, &|c| Some(c.withheld.names(false)));
+    row("unrelated loops: one named", Kind::Alone, &|c| Some(c.withheld.names(false)));
+    row("unrelated loops: the answer of no neighbours", Kind::Alone, &|c| Some(c.withheld.id == c.alone.id));
     let mut instead: BTreeMap<String, usize> = BTreeMap::new();
     for said in cases.iter().filter(|c| c.kind == Kind::Driven).filter_map(|c| c.revealed.as_ref()) {
         if !said.names(true) {

@@ -1,4 +1,4 @@
-//! One loop with a neighbour that acts on it or follows it, and strangers of nearly the same period.
+//! One loop with a neighbour that acts on it or follows it, and unrelated loops of nearly the same period.
 
 use super::generator::{healthy, sticking};
 use super::network::{Edge, Entry, Origin, Own, run};
@@ -163,7 +163,7 @@ fn attempted(draw: &mut Draw, relation: Relation) -> Option<Disturbed> {
 /// Loops that have nothing to do with one recorded from `start_ns` for `duration_s`: each cycles by its own valve, with a
 /// period 1 to 10 % from one of these, s.
 #[must_use]
-pub fn strangers(seed: u64, number: u64, count: usize, like: &Record, periods_s: &[f64]) -> Vec<Record> {
+pub fn unrelated_loops(seed: u64, number: u64, count: usize, like: &Record, periods_s: &[f64]) -> Vec<Record> {
     let scan_s = like.ts_s;
     let duration = (like.end_ns - like.start_ns) as f64 * 1e-9;
     let mut draw = Draw::new(seed, &format!("strangers/{number}"));
@@ -199,7 +199,7 @@ mod tests {
         let case = disturbed("A", 1, 0, Relation::Acts);
         assert_eq!(case, disturbed("A", 1, 0, Relation::Acts));
         assert_ne!(case, disturbed("A", 1, 1, Relation::Acts));
-        let others = strangers(1, 0, 3, &case.record, &case.periods_s);
+        let others = unrelated_loops(1, 0, 3, &case.record, &case.periods_s);
         assert_eq!(others.len(), 3);
         for other in others.iter().chain([&case.other]) {
             let on_grid = Neighbour::of("other", other, &case.record).unwrap();

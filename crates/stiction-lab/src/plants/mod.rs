@@ -10,7 +10,7 @@ mod fleet;
 mod generator;
 mod network;
 
-pub use disturbed::{Disturbed, Relation, disturbed, strangers};
+pub use disturbed::{Disturbed, Relation, disturbed, unrelated_loops};
 pub use fleet::{FleetLoop, fleet};
 
 use stiction::record::Record;

@@ -224,7 +224,7 @@ fn is_plain(basis: &Basis) -> bool {
 }
 
 /// MV at the floor of PV leaves the valve's effects; no better than OP, it leaves what acts behind the stem. A neighbour
-/// has to close a good part of the gap where it was not fitted: a stranger of nearly the same period fits what was.
+/// has to close a good part of the gap where it was not fitted: an unrelated loop of nearly the same period fits what was.
 fn allowed(basis: &Basis, effect: &Contender) -> bool {
     if is_neighbour(&effect.id) && !closes_well(effect) {
         return false;

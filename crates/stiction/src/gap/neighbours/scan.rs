@@ -245,7 +245,7 @@ mod tests {
             .collect()
     }
 
-    fn strangers(noise: &mut Noise, count: usize) -> Vec<Neighbour> {
+    fn unrelated_loops(noise: &mut Noise, count: usize) -> Vec<Neighbour> {
         let of = |i: usize, noise: &mut Noise| {
             let period = PERIOD * (1.0 + 0.05 * noise.gaussian());
             Neighbour { name: format!("N{i}"), pv: cycle(noise, period), op: cycle(noise, period) }
@@ -262,13 +262,13 @@ mod tests {
     }
 
     #[test]
-    fn under_strangers_a_small_p_value_is_as_rare_as_it_says() {
+    fn under_unrelated_loops_a_small_p_value_is_as_rare_as_it_says() {
         let mut noise = Noise::new(11, 0);
         let mut seen = Vec::new();
         for run in 0..150 {
             let load: Vec<f64> = cycle(&mut noise, PERIOD).iter().map(|x| 0.3 * x).collect();
             let problem = loop_with(&load, &mut noise);
-            let scan = Scan::new(&problem, &strangers(&mut noise, 4));
+            let scan = Scan::new(&problem, &unrelated_loops(&mut noise, 4));
             seen.push(scan.p_value(run).unwrap());
         }
         let share = |level: f64| seen.iter().filter(|p| **p <= level).count() as f64 / seen.len() as f64;
@@ -284,7 +284,7 @@ mod tests {
     #[test]
     fn the_neighbour_that_acts_tells_most_and_a_follower_only_what_was() {
         let mut noise = Noise::new(12, 0);
-        let mut neighbours = strangers(&mut noise, 20);
+        let mut neighbours = unrelated_loops(&mut noise, 20);
         let load = Load::new("N7", true, &neighbours[7].op.clone(), 1.0).behind(6.0, 9.0, N);
         let load: Vec<f64> = load.iter().map(|x| 0.4 * x).collect();
         neighbours[7].pv.fill(4.0);
@@ -308,6 +308,6 @@ mod tests {
         let mut noise = Noise::new(13, 0);
         let mut problem = loop_with(&[0.0; N], &mut noise);
         problem.period = 290.0;
-        assert_eq!(Scan::new(&problem, &strangers(&mut noise, 2)).p_value(1), None);
+        assert_eq!(Scan::new(&problem, &unrelated_loops(&mut noise, 2)).p_value(1), None);
     }
 }
