@@ -1,13 +1,15 @@
 #!/usr/bin/env bash
 # Every test: the library and the program, the program seen from outside by Python (tests/interop), the Python package
 # (python), reports and the page in a browser (tests/report, tests/page), the Debian package on a clean root
-# (tests/package). What was skipped for want of something is said and counted at the end.
+# (tests/package). What was skipped for want of something is said and counted at the end. --all also lints the plain build,
+# whose dependencies then compile once more.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 started=$SECONDS
 log=$(mktemp)
 beside=$(mktemp)
-trap 'rm -f "$log" "$beside"' EXIT
+outside=$(mktemp)
+trap 'rm -f "$log" "$beside" "$outside"' EXIT
 
 step() {
     printf '\n== %s (%d s)\n' "$*" "$((SECONDS - started))"
@@ -22,6 +24,11 @@ noted() {
 # Debian root comes behind them (as apt-get runs once at a time) and is not waited for here.
 { bash tests/interop/run.sh --fetch && bash tests/report/run.sh --fetch && bash tests/page/run.sh --fetch; bash python/test.sh --fetch; bash tests/package/run.sh --fetch & } >/dev/null 2>&1 &
 fetching=$!
+
+if [ "${1:-}" = --all ]; then
+    step "the plain build, without the feature full"
+    cargo clippy --locked --quiet -- -D warnings
+fi
 
 step "building the tests"
 cargo test --no-run --locked --quiet --features full
@@ -41,18 +48,24 @@ wait "$fetching" || true
     # What fails here does not hide what comes behind it.
     bad=0
     cargo test --no-fail-fast --locked --quiet --features full "${waiting[@]/#/--test=}" || bad=1
-    bash tests/interop/run.sh || bad=1
-    bash python/test.sh || bad=1
     exit "$bad"
 ) >"$beside" 2>&1 &
 others=$!
+(
+    bad=0
+    bash tests/interop/run.sh || bad=1
+    bash python/test.sh || bad=1
+    exit "$bad"
+) >"$outside" 2>&1 &
+outsiders=$!
 failed=0
 noted cargo test --no-fail-fast --locked --quiet --features full --lib --bins "${computing[@]/#/--test=}" || failed=1
 noted cargo test --locked --quiet --features full --doc || failed=1
 
 step "tests that wait, and those from outside: what they said"
 wait "$others" || failed=1
-noted cat "$beside"
+wait "$outsiders" || failed=1
+noted cat "$beside" "$outside"
 [ "$failed" = 0 ]
 
 step "the page in a browser, its API from outside; beside it reports, and the package on a clean Debian root"
