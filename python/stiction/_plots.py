@@ -98,7 +98,10 @@ def _free_run(found: Assessment, record: Record) -> tuple[NDArray[np.datetime64]
         return None
     window = tuple(f"{int(end.astype(np.int64))}ns" for end in found.window)
     look = {**record.look, "samples": None, "window": window}
-    asked = {"base": found.to_json(), "without": [], "pairs": False, "budget_s": 1e-3, "seed": 1, "threads": 1}
+    asked = {
+        "base": found.to_json(), "neighbours": [], "without": [], "pairs": False,
+        "budget_s": 1e-3, "seed": 1, "threads": 1,
+    }  # fmt: skip
     try:
         *_, columns = _stiction.diagnose(record.name, record.columns, look, asked, None)
     except _stiction.StictionError:
