@@ -8,8 +8,7 @@ cd "$(dirname "$0")/.."
 started=$SECONDS
 log=$(mktemp)
 beside=$(mktemp)
-outside=$(mktemp)
-trap 'rm -f "$log" "$beside" "$outside"' EXIT
+trap 'rm -f "$log" "$beside"' EXIT
 
 step() {
     printf '\n== %s (%d s)\n' "$*" "$((SECONDS - started))"
@@ -48,24 +47,18 @@ wait "$fetching" || true
     # What fails here does not hide what comes behind it.
     bad=0
     cargo test --no-fail-fast --locked --quiet --features full "${waiting[@]/#/--test=}" || bad=1
-    exit "$bad"
-) >"$beside" 2>&1 &
-others=$!
-(
-    bad=0
     bash tests/interop/run.sh || bad=1
     bash python/test.sh || bad=1
     exit "$bad"
-) >"$outside" 2>&1 &
-outsiders=$!
+) >"$beside" 2>&1 &
+others=$!
 failed=0
 noted cargo test --no-fail-fast --locked --quiet --features full --lib --bins "${computing[@]/#/--test=}" || failed=1
 noted cargo test --locked --quiet --features full --doc || failed=1
 
 step "tests that wait, and those from outside: what they said"
 wait "$others" || failed=1
-wait "$outsiders" || failed=1
-noted cat "$beside" "$outside"
+noted cat "$beside"
 [ "$failed" = 0 ]
 
 step "the page in a browser, its API from outside; beside it reports, and the package on a clean Debian root"
