@@ -122,7 +122,7 @@ pub fn diagnose(record: &Record, options: &GapOptions, executor: &dyn Executor) 
     let offered = neighbours::look(&problem, &found, others, &mut work);
     let mut rivals = Vec::new();
     for (with, search) in offered.as_ref().map(|o| o.fits.clone()).unwrap_or_default() {
-        // The best one is an effect as any other from here on; the others are weighed alone.
+        // The best one now counts as an effect like any other; the others are weighed alone.
         if problem.neighbour.is_none() {
             problem.neighbour = with.neighbour;
             found.searches.push(search);

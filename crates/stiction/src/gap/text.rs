@@ -23,7 +23,7 @@ pub fn paragraph(d: &GapDocument) -> String {
         UNKNOWN => not_in_the_catalogue(d),
         _ => d.named().map_or_else(|| format!("{} explains it", d.cause.id), |e| named(d, e)),
     });
-    parts.extend(budget::told_too_little(d));
+    parts.extend(budget::why_unknown(d));
     parts.extend(beside(d));
     if let Some(test) = &d.next_test {
         parts.push(bump(test));

@@ -1,4 +1,4 @@
-//! A loop's phase in a few numbers, by which most pairs that share nothing are told apart before they are compared in full.
+//! A loop's phase in a few numbers, which rule out most pairs that share nothing before the full comparison.
 
 use super::cycle::{Cycle, length, phasor};
 use crate::signal::stats::median;

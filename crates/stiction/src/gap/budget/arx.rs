@@ -33,14 +33,14 @@ pub struct Design {
     bins: Vec<Vec<f64>>,
     /// Points in a bin.
     pub width: usize,
-    /// Points that count; the innovations of the others have no say.
+    /// Points that count; the innovations of the others are left out.
     pub used: Vec<bool>,
 }
 
 /// A fitted noise model.
 #[derive(Debug, Clone)]
 pub struct Fit {
-    /// A, from 1 on.
+    /// Coefficients of A by rising lag; the first is 1.
     pub a: Vec<f64>,
     /// B, one coefficient a bin; empty without u.
     pub b: Vec<f64>,

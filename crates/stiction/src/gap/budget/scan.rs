@@ -39,7 +39,7 @@ pub struct Scan<'f> {
     fit: &'f Fit,
     n: usize,
     factor: Cholesky<f64, Dyn>,
-    /// Innovations, cut, of variance 1, from [`START`] on; and their products with the fit's columns, solved.
+    /// Innovations, cut, of variance 1, beginning at [`START`]; and their products with the fit's columns, solved.
     score: Vec<f64>,
     of_score: DVector<f64>,
 }
@@ -82,7 +82,7 @@ impl<'f> Scan<'f> {
         if new > NEW * power { along * along / new } else { 0.0 }
     }
 
-    /// The same for a whitened column from [`START`] on.
+    /// The same for a whitened column, beginning at [`START`].
     fn gain_of(&self, x: &[f64]) -> f64 {
         let products = self.fit.columns.iter().map(|c| stats::dot(c, x));
         self.gain(stats::dot(x, x), stats::dot(&self.score, x), products)

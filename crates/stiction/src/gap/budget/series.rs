@@ -89,7 +89,7 @@ impl Series {
     }
 }
 
-/// Where the stem of He's valve stands at each point of a record, OP units.
+/// Position of the stem of He's valve at each point of a record, OP units.
 fn stem(record: &Record, [fs, fd]: [f64; 2]) -> Vec<f64> {
     let per_point = record.path_per_point();
     let mut at = record.op_path.first().copied().unwrap_or(0.0);

@@ -13,8 +13,8 @@ fn too_little(d: &GapDocument) -> Option<&TellableNote> {
     d.tellable.as_ref().filter(|_| d.cause.why.as_deref() == Some(CANNOT_BE_TOLD))
 }
 
-/// The clause for it.
-pub(super) fn told_too_little(d: &GapDocument) -> Option<String> {
+/// The clause that says why the cause is unknown.
+pub(super) fn why_unknown(d: &GapDocument) -> Option<String> {
     let nats = number(too_little(d)?.gain_nats);
     Some(format!("this record cannot tell which: beyond PV's own past, OP predicts only {nats} nats of PV"))
 }
@@ -24,7 +24,7 @@ pub(super) fn cannot_be_told(d: &GapDocument) -> Option<String> {
     let told = too_little(d)?;
     Some(format!(
         "Unknown: this record cannot tell. Beyond PV's own past, OP predicts only {} nats of PV; below {} the structure of \
-         valve and process is hardly told.",
+         valve and process hardly shows.",
         number(told.gain_nats),
         number(TOLD[0])
     ))
@@ -102,7 +102,7 @@ fn smallest(budget: &BudgetNote) -> Option<String> {
         }
     };
     let all: Vec<String> = budget.smallest.iter().map(one).collect();
-    (!all.is_empty()).then(|| format!("{} or more would have been named", all.join(", and ")))
+    (!all.is_empty()).then(|| format!("optimistic estimate: {} or more would have been named", all.join(", and ")))
 }
 
 fn tellable(told: &TellableNote) -> String {
