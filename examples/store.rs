@@ -6,10 +6,10 @@ use std::error::Error;
 use std::fs::File;
 
 use stiction::verdict::{AssessParams, assess};
+use stiction_files::compact::{CompactLoop, write};
+use stiction_files::load_samples;
 use stiction_monitor::analysis::{Cut, Points, Section};
 use stiction_monitor::config::Config;
-use stictiond::files::compact::{CompactLoop, write};
-use stictiond::files::load_samples;
 
 fn main() -> Result<(), Box<dyn Error>> {
     let samples = load_samples("recordings/sticking.mcap".as_ref())?.loops.remove(0).samples;

@@ -7,10 +7,10 @@ use std::io::Write as _;
 use std::sync::Arc;
 
 use allocation_counter::measure;
+use stiction_daemon::stage::{Stage, no_receiver};
+use stiction_files::disk::{Disk, SystemDisk};
 use stiction_monitor::config::Config;
-use stictiond::daemon::clock::Clock;
-use stictiond::daemon::stage::{Stage, no_receiver};
-use stictiond::files::disk::{Disk, SystemDisk};
+use stiction_runtime::clock::Clock;
 
 const LOOPS: usize = 50;
 const START_NS: i64 = 1_700_000_123_000_000_000;

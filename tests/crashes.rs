@@ -282,7 +282,7 @@ fn commands_that_were_answered_outlive_kill_9_at_any_moment() {
 
 /// Which of two states the store holds.
 fn settled(dir: &Path, before: Aside, after: Aside) -> Aside {
-    let store = stictiond::files::store::StateStore::open(&dir.join("rec/state.redb")).unwrap();
+    let store = stiction_files::store::StateStore::open(&dir.join("rec/state.redb")).unwrap();
     let stored = store.load().unwrap().values;
     let state: serde_json::Value = serde_json::from_slice(&stored[&format!("{}\nFIC101", live::PREFIX)]).unwrap();
     let (alarm, aside) = (&state["alarm"], &state["alarm"]["aside"]);

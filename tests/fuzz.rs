@@ -12,12 +12,12 @@ use std::time::{Duration, Instant};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use stiction::record::{Mode, Signal, Value};
+use stiction_files::columns::{self, Columns, Row};
+use stiction_files::{csv, load_samples};
 use stiction_monitor::alarm::{Alarm, Command};
 use stiction_monitor::codec::topic::Topic;
 use stiction_monitor::codec::{Bundle, MAX_SAMPLES, Memory, decode, decode_fields};
 use stiction_monitor::config::Config;
-use stictiond::files::columns::{self, Columns, Row};
-use stictiond::files::{csv, load_samples};
 
 #[path = "program/exports/data.rs"]
 #[allow(dead_code)]
@@ -223,8 +223,8 @@ fn messages_of_columns() {
 
 #[test]
 fn exports() {
-    use stictiond::files::export::{ReadOptions, Zone};
-    use stictiond::files::load;
+    use stiction_files::export::{ReadOptions, Zone};
+    use stiction_files::load;
 
     let dir = tempfile::tempdir().unwrap();
     let options = ReadOptions { zone: Zone::parse("Europe/Berlin").ok(), ..ReadOptions::default() };

@@ -319,7 +319,7 @@ fn a_full_disk_and_a_read_only_one_are_faults_that_clear_and_every_sample_is_acc
     bus.close().wait().unwrap();
     let (lost, recordings) = (daemon.counter("recording_lost"), daemon.stop());
     let samples = |file: &std::path::PathBuf| -> usize {
-        stictiond::files::load_samples(file).unwrap().loops.iter().map(|l| l.samples.len()).sum()
+        stiction_files::load_samples(file).unwrap().loops.iter().map(|l| l.samples.len()).sum()
     };
     let kept: usize = files(&recordings).iter().map(samples).sum();
     assert!(lost > 500 && kept as u64 + lost >= sent, "{kept} kept and {lost} lost of {sent}");

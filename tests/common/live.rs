@@ -11,8 +11,8 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
+use stiction_files::RecordingReader;
 use stiction_monitor::codec::topic::{Kind, Leaf, Topic};
-use stictiond::files::RecordingReader;
 use zenoh::Wait;
 
 pub const PREFIX: &str = "plant1/area1";
@@ -182,7 +182,7 @@ impl Daemon {
         wait_for("the samples on the disk", || {
             let samples = self.counter("samples");
             let of = |file: &PathBuf| {
-                stictiond::files::load_samples(file)
+                stiction_files::load_samples(file)
                     .map_or(0, |loaded| loaded.loops.iter().map(|one| one.samples.len() as u64).sum::<u64>())
             };
             // A file that was just begun holds none yet.
@@ -276,7 +276,7 @@ pub fn state_after_restart(dir: &Path) -> String {
 
 /// Raw samples in a recording.
 pub fn raw_samples(file: &Path) -> usize {
-    stictiond::files::load_samples(file).unwrap().loops.iter().map(|l| l.samples.len()).sum()
+    stiction_files::load_samples(file).unwrap().loops.iter().map(|l| l.samples.len()).sum()
 }
 
 /// Says that a test was skipped, past the harness; `tests/run.sh` counts these lines.

@@ -107,7 +107,7 @@ fn aligned(daemon: &Daemon, name: &str) -> u64 {
 /// Stamps of a signal in all recordings, in the order in which they were taken, s.
 fn recorded(recordings: &Path, signal: Signal) -> Vec<i64> {
     let of = |file| {
-        let loops = stictiond::files::load_samples(file).unwrap().loops;
+        let loops = stiction_files::load_samples(file).unwrap().loops;
         let samples: Vec<_> = loops.into_iter().flat_map(|l| l.samples).filter(|s| s.signal == signal).collect();
         samples.into_iter().map(|s| s.t_ns / 1_000_000_000)
     };

@@ -72,8 +72,8 @@ fn texts() -> Vec<String> {
     out.extend(["crates/stiction/README.md", "examples/fleet/README.md"].map(str::to_owned));
     out.extend(files("examples", &[".py", ".rs"]));
     out.extend(files("examples/fleet", &[".py"]).into_iter().filter(|name| !name.ends_with("measure.py")));
-    out.extend(files("src/web/assets", &[".js", ".html"]));
-    out.push("src/report/page.js".to_owned());
+    out.extend(files("crates/stiction-web/src/assets", &[".js", ".html"]));
+    out.push("crates/stiction-report/src/page.js".to_owned());
     out.extend(files("config", &[".toml", ".json5", ".service", ".yaml", ".yml"]));
     out.extend(files("packaging", &[".toml", ".sh", "Containerfile"]));
     out.extend(files("packaging/debian", &[""]).into_iter().filter(|name| root().join(name).is_file()));

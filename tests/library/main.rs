@@ -12,6 +12,7 @@ mod engine_later;
 mod engine_plant;
 mod formats;
 mod language;
+mod openapi;
 mod pages;
 mod promises;
 mod tidy;

@@ -14,7 +14,7 @@ fn the_page_and_the_documentation_say_what_the_list_says() {
         "// The texts of verdicts, from crates/stiction/src/verdict/texts.rs; a test compares them.\n\nexport const VERDICTS = \
          {{\n{entries}}};\n"
     );
-    assert_eq!(fs::read_to_string("src/web/assets/verdicts.js").unwrap(), page);
+    assert_eq!(fs::read_to_string("crates/stiction-web/src/assets/verdicts.js").unwrap(), page);
     let documented = fs::read_to_string("docs/verdicts.md").unwrap();
     for text in ALL {
         let row = format!("| {} | {} |", text.sentence, text.action);

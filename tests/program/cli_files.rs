@@ -8,8 +8,8 @@ use std::path::{Path, PathBuf};
 
 use crate::common::program::{expect, stderr, stdout};
 use stiction::record::{Signal, Value};
+use stiction_files::{RecordingFile, RecordingReader, load_samples};
 use stiction_monitor::codec::topic::Kind;
-use stictiond::files::{RecordingFile, RecordingReader, load_samples};
 
 struct Folder(tempfile::TempDir);
 

@@ -10,9 +10,9 @@ use std::time::{Duration, Instant};
 
 use crate::common::program::{expect, stdout};
 use stiction::record::Signal;
+use stiction_files::archive::{Archive, Reach, Wanted};
+use stiction_files::{RecordingReader, load_samples};
 use stiction_monitor::codec::topic::{self, Kind};
-use stictiond::files::archive::{Archive, Reach, Wanted};
-use stictiond::files::{RecordingReader, load_samples};
 
 /// The shipped scenario of four loops, with results, in both forms: JSON and columns.
 fn both(dir: &Path) -> [String; 2] {

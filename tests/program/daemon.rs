@@ -9,8 +9,8 @@ use std::process::{Command, Stdio};
 use crate::common;
 use crate::live::{Daemon, FAST, documents, files, ok, sticking, stictiond, wait_for};
 use serde_json::Value;
+use stiction_files::RecordingReader;
 use stiction_monitor::codec::topic::Kind;
-use stictiond::files::RecordingReader;
 
 #[test]
 fn real_recordings_played_live_give_the_numbers_of_analyze_and_replay() {
@@ -159,7 +159,7 @@ fn a_changed_recording_fails_verification_and_another_version_is_refused() {
         let mut metadata = reader.metadata().clone();
         metadata.insert("version".into(), version.into());
         let stem = format!("changed-{version}");
-        let mut out = stictiond::files::RecordingFile::create(dir.path(), &stem, &metadata).unwrap();
+        let mut out = stiction_files::RecordingFile::create(dir.path(), &stem, &metadata).unwrap();
         while let Some(m) = reader.next_message().unwrap() {
             let mut data = m.data.to_vec();
             change(m.topic(), &mut data);
@@ -174,7 +174,7 @@ fn a_changed_recording_fails_verification_and_another_version_is_refused() {
                 *data = text.into_bytes();
             }
         },
-        stictiond::VERSION,
+        stiction::VERSION,
     );
     let out = stictiond(&["replay", touched.to_str().unwrap(), "--verify"]);
     assert_eq!(out.status.code(), Some(1));

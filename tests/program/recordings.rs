@@ -7,9 +7,9 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 use stiction::record::{Mode, Sample, Signal, Value};
+use stiction_files::{End, METADATA_PREFIX, RecordingFile, RecordingReader, load_samples};
 use stiction_monitor::codec::encode_recorded;
 use stiction_monitor::codec::topic::Kind;
-use stictiond::files::{End, METADATA_PREFIX, RecordingFile, RecordingReader, load_samples};
 
 /// Flips of the long tests; set higher by whoever has the time.
 fn flips(few: usize) -> usize {

@@ -2,11 +2,11 @@
 
 use std::sync::{Arc, Mutex};
 
+use stiction_daemon::stage::{Stage, no_receiver};
+use stiction_files::disk::{Disk, SystemDisk};
 use stiction_monitor::alarm::Command;
 use stiction_monitor::config::Config;
-use stictiond::daemon::clock::Clock;
-use stictiond::daemon::stage::{Stage, no_receiver};
-use stictiond::files::disk::{Disk, SystemDisk};
+use stiction_runtime::clock::Clock;
 
 #[test]
 fn a_command_is_taken_and_answered_while_samples_fill_their_queue() {

@@ -13,8 +13,8 @@ use std::time::{Duration, SystemTime};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use redb::{Builder, Database, StorageBackend};
-use stictiond::daemon::clock::Clock;
-use stictiond::files::disk::{Disk, DiskFile};
+use stiction_files::disk::{Disk, DiskFile};
+use stiction_runtime::clock::Clock;
 
 const BLOCK: u64 = 4096;
 

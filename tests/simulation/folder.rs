@@ -4,8 +4,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
-use stictiond::files::RecordingReader;
-use stictiond::files::rescue::{REMOVED, SAMPLES_KEY};
+use stiction_files::RecordingReader;
+use stiction_files::rescue::{REMOVED, SAMPLES_KEY};
 
 pub const RAW_DAYS: i64 = 6;
 pub const RESULTS_DAYS: i64 = 12;

@@ -6,14 +6,14 @@ use std::time::Duration;
 
 use stiction::record::Sample;
 use stiction::sim::scenario::Scenario;
+use stiction_daemon::replay::chains_of;
+use stiction_daemon::rerun::Rerun;
+use stiction_daemon::stage::{Stage, no_receiver};
+use stiction_files::disk::{Disk, SystemDisk};
 use stiction_monitor::alarm::{Command, State};
 use stiction_monitor::codec::encode_recorded;
 use stiction_monitor::config::Config;
-use stictiond::daemon::clock::Clock;
-use stictiond::daemon::replay::chains_of;
-use stictiond::daemon::rerun::Rerun;
-use stictiond::daemon::stage::{Stage, no_receiver};
-use stictiond::files::disk::{Disk, SystemDisk};
+use stiction_runtime::clock::Clock;
 
 const FOUR: &str = include_str!("../../recordings/scenarios/four-loops.toml");
 const STICKS: &str = "FIC201";

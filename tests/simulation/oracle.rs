@@ -4,10 +4,10 @@ use std::collections::BTreeMap;
 
 use serde_json::Value;
 use stiction::units::ms_from_ns;
+use stiction_daemon::sink::zenoh::Publication;
+use stiction_daemon::stage::Stage;
 use stiction_monitor::alarm::Alarm;
 use stiction_monitor::codec::topic::Kind;
-use stictiond::daemon::stage::Stage;
-use stictiond::sink::zenoh::Publication;
 
 use crate::isa::Model;
 

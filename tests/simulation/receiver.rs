@@ -4,10 +4,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 
+use stiction_daemon::sink::deliver::{Failure, Item, MakeTarget, Target};
+use stiction_daemon::stage::Stage;
 use stiction_monitor::config::Deliver;
 use stiction_monitor::short_hash;
-use stictiond::daemon::stage::Stage;
-use stictiond::sink::deliver::{Failure, Item, MakeTarget, Target};
 
 #[derive(Default)]
 struct State {

@@ -6,15 +6,16 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use serde_json::Value;
+use stiction_daemon::replay::{chains_of, files_needed};
+use stiction_daemon::rerun::Rerun;
+use stiction_daemon::sink::recorder::shard_of;
+use stiction_daemon::stage::{Stage, no_receiver};
+use stiction_files::disk::{Disk, SystemDisk};
+use stiction_files::run::RunMetadata;
+use stiction_files::{RecordingFile, RecordingReader};
 use stiction_monitor::codec::topic::{self, Kind};
 use stiction_monitor::config::Config;
-use stictiond::daemon::clock::Clock;
-use stictiond::daemon::replay::{RunMetadata, chains_of, files_needed};
-use stictiond::daemon::rerun::Rerun;
-use stictiond::daemon::stage::{Stage, no_receiver};
-use stictiond::files::disk::{Disk, SystemDisk};
-use stictiond::files::{RecordingFile, RecordingReader};
-use stictiond::sink::recorder::shard_of;
+use stiction_runtime::clock::Clock;
 
 const NAMES: [&str; 2] = ["A", "B"];
 

@@ -12,8 +12,8 @@ use std::path::Path;
 
 use stiction::record::{Signal, Value};
 use stiction::units::NS_PER_S;
-use stictiond::files::inputs::units;
-use stictiond::files::{FileError, Loaded, ReadOptions};
+use stiction_files::inputs::units;
+use stiction_files::{FileError, Loaded, ReadOptions};
 
 use data::{ROWS, op, pv, t_s};
 use shapes::{Must, Shape};

@@ -1,0 +1,175 @@
+//! What people ask of the engine: commands on alarms, and gap diagnoses with their answers.
+
+use super::super::gaps::{self, Diagnosed, Outcome};
+use super::{Core, to_json};
+use stiction_monitor::alarm::{AlarmDocument, Command, CommandError};
+use stiction_monitor::codec::topic::Kind;
+use stiction_monitor::engine::{Checkpoint, GapRefusal, GapRequest, LoopId, RecordedInput, SkipReason, StateDocument};
+use stiction_runtime::control::{Answer, WindowSnapshot};
+
+impl Core {
+    /// Carries a command out. The answer says that its effect is on the disk: a crash after it changes nothing.
+    pub(super) fn take_command(&mut self, loop_name: &str, command: &Command, answer: Answer) {
+        // The daemon of the loop's shard answers.
+        if !self.config.shard.owns(loop_name) {
+            return;
+        }
+        // A loop that is not there costs nobody's rate.
+        let known = self.engine.find(loop_name).is_some() || self.engine.has_left(loop_name);
+        let now = self.clock.since(self.started);
+        let allowed = self.policy.check(command).and_then(|()| if known { self.policy.command(now) } else { Ok(()) });
+        let done = allowed.and_then(|()| self.command(loop_name, command).map_err(|e| e.to_string()));
+        let (id, document) = match done {
+            Ok(done) => done,
+            Err(why) => {
+                self.metrics.commands_refused.inc();
+                self.policy.log_refusal(
+                    self.clock.since(self.started),
+                    &command.cmd,
+                    loop_name,
+                    command.by.as_deref(),
+                    &why,
+                );
+                return answer(Err(why));
+            }
+        };
+        self.metrics.commands.inc();
+        let at_ns = document.changed_ns;
+        let state = StateDocument::new(self.engine.name(id), Some(at_ns), self.memory(id));
+        self.record(id, Kind::State, &state, at_ns);
+        let unwritten = || "carried out, but its document cannot be written; see the log".to_owned();
+        let json = to_json(&document).ok_or_else(unwritten);
+        let Some(keeper) = &self.keeper else { return answer(json) };
+        let Some(state) = to_json(&state) else { return answer(Err(unwritten())) };
+        let kept = move |kept: Result<(), String>| {
+            answer(match kept {
+                Ok(()) => json,
+                Err(why) => {
+                    Err(format!("carried out, but not stored: {why}. It is forgotten if the daemon ends before"))
+                }
+            });
+        };
+        keeper.keep_then(self.engine.name(id), state, Box::new(kept));
+    }
+
+    fn command(&mut self, loop_name: &str, command: &Command) -> Result<(LoopId, AlarmDocument), CommandError> {
+        let id = self.find_or_revive(loop_name).ok_or_else(|| CommandError::UnknownLoop(loop_name.to_owned()))?;
+        let document = self.engine.command(id, command)?;
+        self.record(id, Kind::Input, &RecordedInput::Command(command.clone()), document.changed_ns);
+        self.alarm_changed(id, &document);
+        Ok((id, document))
+    }
+
+    /// Hands out a loop's history; whoever asked cuts the window.
+    pub(super) fn get_window(
+        &self,
+        loop_name: &str,
+        end_ns: Option<i64>,
+        answer: Box<dyn FnOnce(Option<WindowSnapshot>) + Send>,
+    ) {
+        answer(self.engine.find(loop_name).map(|id| WindowSnapshot {
+            snapshot: self.engine.snapshot(id, end_ns),
+            settings: self.engine.settings(id).clone(),
+        }));
+    }
+
+    /// What a loop remembers over a restart.
+    pub(super) fn memory(&self, id: LoopId) -> Checkpoint {
+        Checkpoint { stream: None, ..self.engine.checkpoint(id) }
+    }
+
+    /// A person asks for a diagnosis. Who asks while one is under way is answered with that one.
+    pub(super) fn run_gap(&mut self, loop_name: &str, by: Option<String>, answer: Answer) {
+        if !self.config.shard.owns(loop_name) {
+            return;
+        }
+        if let Err(why) = self.policy.name(by.as_deref()) {
+            return self.refuse_gap(answer, loop_name, by.as_deref(), &why);
+        }
+        let Some(id) = self.find_or_revive(loop_name) else {
+            return self.refuse_gap(
+                answer,
+                loop_name,
+                by.as_deref(),
+                &GapRefusal::UnknownLoop(loop_name.to_owned()).to_string(),
+            );
+        };
+        if let Some(number) = self.engine.gaps_waiting(id).last() {
+            let asking = self.asking.entry((id, number)).or_default();
+            if asking.len() < gaps::QUEUE {
+                return asking.push(answer);
+            }
+            return self.refuse_gap(
+                answer,
+                loop_name,
+                by.as_deref(),
+                &format!("{} wait for this diagnosis already", gaps::QUEUE),
+            );
+        }
+        if let Err(why) = self.policy.run(self.clock.since(self.started)) {
+            return self.refuse_gap(answer, loop_name, by.as_deref(), &why);
+        }
+        if self.diagnoser.requests.is_full() {
+            return self.refuse_gap(
+                answer,
+                loop_name,
+                by.as_deref(),
+                &format!("{} diagnoses wait already: try again later", gaps::QUEUE),
+            );
+        }
+        match self.engine.run_gap(id, by.as_deref(), &mut self.events) {
+            Ok(number) => {
+                let at_ns = self.engine.figures(id).greatest_ns.unwrap_or(0);
+                self.record(id, Kind::Input, &RecordedInput::GapRun { number, by }, at_ns);
+                self.asking.entry((id, number)).or_default().push(answer);
+                self.handle_events();
+            }
+            Err(refusal) => self.refuse_gap(answer, loop_name, None, &refusal.to_string()),
+        }
+    }
+
+    fn refuse_gap(&mut self, answer: Answer, loop_name: &str, by: Option<&str>, why: &str) {
+        self.metrics.gaps_skipped.inc();
+        self.policy.log_refusal(self.clock.since(self.started), "run", loop_name, by, why);
+        answer(Err(why.to_owned()));
+    }
+
+    pub(super) fn request_gap(&mut self, request: GapRequest) {
+        let (id, number) = (request.id, request.number);
+        if self.diagnoser.requests.try_send(request).is_err() {
+            self.skip_gap(id, number, SkipReason::QueueFull, "too many diagnoses wait already");
+        }
+    }
+
+    pub(super) fn diagnosed(&mut self, diagnosed: Diagnosed) {
+        let Diagnosed { id, number, outcome } = diagnosed;
+        match outcome {
+            Outcome::Skipped(reason, why) => self.skip_gap(id, number, reason, &why),
+            Outcome::Done(document, cut) => {
+                if let Some(evaluations) = cut {
+                    self.metrics.gaps_cut.inc();
+                    let input = RecordedInput::GapCut { number, evaluations };
+                    self.record(id, Kind::Input, &input, document.end_ns());
+                }
+                let json = to_json(&document).ok_or("the diagnosis cannot be written; see the log");
+                self.engine.complete_gap(id, number, *document, &mut self.events);
+                self.handle_events();
+                for answer in self.asking.remove(&(id, number)).into_iter().flatten() {
+                    answer(json.clone().map_err(str::to_owned));
+                }
+            }
+        }
+        self.handle_events();
+    }
+
+    pub(super) fn skip_gap(&mut self, id: LoopId, number: u64, reason: SkipReason, why: &str) {
+        self.metrics.gaps_skipped.inc();
+        tracing::info!(name = %self.engine.name(id), why, "a gap diagnosis was not made");
+        let at_ns = self.engine.figures(id).greatest_ns.unwrap_or(0);
+        self.record(id, Kind::Input, &RecordedInput::GapSkip { number, reason }, at_ns);
+        self.engine.skip_gap(id, number, reason, &mut self.events);
+        for answer in self.asking.remove(&(id, number)).into_iter().flatten() {
+            answer(Err(why.to_owned()));
+        }
+    }
+}

@@ -1,0 +1,244 @@
+//! Looks at all loops a part at a time, so that a hundred thousand of them never hold up a sample: figures, health, and
+//! who has left the plant. Registers those that are new or come back.
+
+use std::collections::{BTreeSet, HashSet};
+use std::time::Duration;
+
+use super::Core;
+use crate::sink::recorder::{Item, LOOPS_PER_FILE, shard_of};
+use crate::sink::zenoh::Publication;
+use stiction::signal::align::AlignCounts;
+use stiction::units::s_from_ns;
+use stiction_monitor::alarm::State;
+use stiction_monitor::codec::topic::{self, Kind};
+use stiction_monitor::engine::{LoopId, RecordedInput, StateDocument};
+use stiction_runtime::health::LoopHealth;
+
+/// How often a part of the loops is looked at.
+pub(super) const EVERY: Duration = Duration::from_millis(50);
+/// Parts of a round: each loop is looked at every five seconds.
+const PARTS: usize = 100;
+/// Parts over which the loops' own health is spread: each loop's comes once a minute...
+const HEALTH_PARTS: usize = 1200;
+/// ... as long as that is not more documents at a time than this: a thousand a second.
+const HEALTH_AT_ONCE: usize = 50;
+/// Loops up to which all are looked at with each report.
+const FEW: usize = 2000;
+/// Loops that are forgotten in a round at most.
+const FORGET_AT_ONCE: usize = 1000;
+/// Documents under which queries find a loop.
+const KINDS: [Kind; 4] = [Kind::Estimate, Kind::Gap, Kind::Health, Kind::Alarm];
+
+/// Where the round stands, and what it found so far.
+#[derive(Debug, Default)]
+pub(super) struct Survey {
+    next: usize,
+    next_health: usize,
+    sum: AlignCounts,
+    bytes: usize,
+    /// Silent loops.
+    silent: Vec<LoopId>,
+}
+
+/// The loops that the daemon has registered.
+#[derive(Debug, Default)]
+pub(super) struct Registered {
+    /// When each loop was heard last, s since the start, by the handle's place; `None` where there is no loop.
+    heard_s: Vec<Option<u32>>,
+    /// Shards of the recording that have a file: those with loops, and the first one until loops come.
+    pub shards: BTreeSet<usize>,
+}
+
+impl Registered {
+    /// A loop is new, or a sample of it was taken; says whether it is new.
+    pub(super) fn hears(&mut self, id: LoopId, now: Duration) -> bool {
+        if self.heard_s.len() <= id.index() {
+            self.heard_s.resize(id.index() + 1, None);
+        }
+        self.heard_s[id.index()].replace(seconds(now)).is_none()
+    }
+
+    fn heard_s(&self, id: LoopId) -> Option<u32> {
+        self.heard_s.get(id.index()).copied().flatten()
+    }
+
+    fn forget(&mut self, id: LoopId) {
+        if let Some(heard_s) = self.heard_s.get_mut(id.index()) {
+            *heard_s = None;
+        }
+    }
+
+    /// Loops that it holds.
+    #[cfg(test)]
+    pub(super) fn count(&self) -> usize {
+        self.heard_s.iter().flatten().count()
+    }
+}
+
+fn seconds(now: Duration) -> u32 {
+    u32::try_from(now.as_secs()).unwrap_or(u32::MAX)
+}
+
+impl Core {
+    /// Registers the loops that are there at the start, and opens their files.
+    pub(super) fn register_all(&mut self) {
+        let now = self.clock.since(self.started);
+        for id in self.engine.ids() {
+            self.registered.hears(id, now);
+            self.registered.shards.insert(shard_of(id));
+        }
+        self.registered.shards.insert(0);
+        self.reopen_shards();
+    }
+
+    /// Registers a loop if it is new: its file is opened, or knows its alarm.
+    pub(super) fn register(&mut self, id: LoopId) {
+        if self.registered.heard_s(id).is_some() {
+            return;
+        }
+        self.registered.hears(id, self.clock.since(self.started));
+        let shard = shard_of(id);
+        if self.registered.shards.insert(shard) {
+            return self.open_shard(shard);
+        }
+        let state = self.engine.checkpoint(id);
+        if state.alarm.shown() != State::Normal {
+            // It came back with its alarm: a replay of this file must know it too.
+            let document = StateDocument::new(self.engine.name(id), None, state);
+            self.record(id, Kind::State, &document, 0);
+        }
+    }
+
+    /// The handle of a loop, which comes back if it was forgotten with an alarm.
+    pub(super) fn find_or_revive(&mut self, name: &str) -> Option<LoopId> {
+        let id = if self.engine.has_left(name) { self.engine.appear(name) } else { self.engine.find(name) };
+        id.inspect(|id| self.register(*id))
+    }
+
+    /// Looks at every loop where there are few; many are looked at by [`Core::tend`].
+    pub(super) fn survey_few(&mut self, health_parts: usize) {
+        if self.engine.places() > FEW {
+            return;
+        }
+        let all = self.engine.places();
+        self.look_at(0, all);
+        self.end_round();
+        self.publish_health(all.div_ceil(health_parts).max(1));
+    }
+
+    /// Looks at the next part of many loops.
+    pub(super) fn tend(&mut self) {
+        let all = self.engine.places();
+        if all <= FEW {
+            return;
+        }
+        let (from, to) = (self.survey.next, self.survey.next + all.div_ceil(PARTS));
+        self.look_at(from, to);
+        self.survey.next = to;
+        if to >= all {
+            self.survey.next = 0;
+            self.end_round();
+        }
+        self.publish_health(all.div_ceil(HEALTH_PARTS).min(HEALTH_AT_ONCE));
+    }
+
+    fn look_at(&mut self, from: usize, to: usize) {
+        let (now, now_ns) = (self.clock.now(), self.clock.now_ns());
+        let forget_after_s = self.config.input.forget_after_s;
+        let (now_s, may_forget) = (self.clock.since(self.started).as_secs_f64(), forget_after_s > 0.0);
+        for id in self.engine.ids_in(from, to) {
+            let figures = self.engine.figures(id);
+            self.survey.sum.add(&figures.counts);
+            self.survey.bytes += self.engine.bytes(id);
+            let (name, place) = (self.engine.name(id), &self.engine.settings(id).place);
+            if let Some(board) = &mut self.board {
+                let age_s = figures.greatest_ns.map(|t| s_from_ns(now_ns.saturating_sub(t)));
+                board.age(&self.metrics.series, name, place, age_s);
+            }
+            if let Some(overview) = &self.overview {
+                overview.figures(name, place, now, &figures);
+            }
+            let heard_s = self.registered.heard_s(id).map_or(now_s, f64::from);
+            if may_forget && now_s - heard_s > forget_after_s && self.survey.silent.len() < FORGET_AT_ONCE {
+                self.survey.silent.push(id);
+            }
+        }
+    }
+
+    fn end_round(&mut self) {
+        self.metrics.show_aligned(&std::mem::take(&mut self.survey.sum));
+        self.metrics.loop_bytes.set(std::mem::take(&mut self.survey.bytes) as i64);
+        let silent = std::mem::take(&mut self.survey.silent);
+        self.forget(&silent);
+    }
+
+    fn publish_health(&mut self, slice: usize) {
+        let (all, from, now_ns) = (self.engine.places(), self.survey.next_health, self.clock.now_ns());
+        for id in self.engine.ids_in(from, from + slice) {
+            let health = LoopHealth::new(self.engine.name(id), &self.daemon_id, &self.engine.figures(id), now_ns);
+            self.publish(id, Kind::Health, &health);
+        }
+        self.survey.next_health = if from + slice >= all { 0 } else { from + slice };
+    }
+
+    /// Lets loops that have been silent for long leave the memory. What is written of them first is what a replay needs
+    /// to do the same at the same place.
+    fn forget(&mut self, silent: &[LoopId]) {
+        let mut gone = HashSet::new();
+        for id in silent.iter().copied() {
+            if !self.engine.is_idle(id) {
+                continue;
+            }
+            let name = self.engine.name(id).clone();
+            let at_rest = self.engine.checkpoint(id).alarm.shown() == State::Normal;
+            let at_ns = self.engine.figures(id).greatest_ns.unwrap_or(0);
+            self.record(id, Kind::Input, &RecordedInput::Forget, at_ns);
+            self.engine.forget(id);
+            if let Some(plant) = &mut self.plant {
+                plant.forget(&name);
+            }
+            gone.insert(id);
+            self.metrics.loops_forgotten.inc();
+            // An alarm that is not at rest goes on being shown and answered, with the age that it has.
+            for kind in KINDS.into_iter().filter(|kind| at_rest || *kind != Kind::Alarm) {
+                let key = topic::result(&self.config.site.prefix, &name, kind);
+                self.publisher.publish(Publication { key, kind, document: None });
+            }
+            if at_rest {
+                if let Some(keeper) = &self.keeper {
+                    keeper.forget(&name);
+                }
+                if let Some(overview) = &self.overview {
+                    overview.forget(&name);
+                }
+                if let Some(board) = &mut self.board {
+                    board.forget(&self.metrics.series, &name);
+                }
+            }
+            self.schedule.forget(id.index());
+            self.limits.forget(id);
+            self.registered.forget(id);
+            self.ahead = self.ahead.filter(|(of, _)| *of != id);
+        }
+        if gone.is_empty() {
+            return;
+        }
+        tracing::info!(loops = gone.len(), left = self.engine.count(), "silent loops have left the memory");
+        self.routes.forget(&gone);
+        self.feeds.forget(&gone);
+        self.close_empty_shards(&gone);
+    }
+
+    /// Files of which every loop has left are finished; the next one follows with the next loop.
+    fn close_empty_shards(&mut self, gone: &HashSet<LoopId>) {
+        for shard in gone.iter().map(|id| shard_of(*id)).collect::<BTreeSet<usize>>() {
+            let (from, to) = (shard * LOOPS_PER_FILE, (shard + 1) * LOOPS_PER_FILE);
+            if self.engine.ids_in(from, to).len() == 0
+                && self.registered.shards.remove(&shard)
+                && let Some(recorder) = &mut self.recorder
+            {
+                recorder.record(Item::Close { shard });
+            }
+        }
+    }
+}

@@ -1,0 +1,127 @@
+//! JSON Schema 2020-12 of the published documents, made from their types.
+//!
+//! A document may hold more than its schema says, never less: fields are added within a version, and none is taken away,
+//! renamed or given another meaning or unit without a new one. A number that does not exist is null.
+
+use schemars::generate::SchemaSettings;
+use schemars::{JsonSchema, Schema};
+use serde_json::{Value, json};
+
+use stiction::gap::document::{GAP_SCHEMA, GapDocument};
+use stiction::plantwide::{GROUP_SCHEMA, GroupDocument};
+use stiction::verdict::{ESTIMATE_SCHEMA, EstimateDocument};
+use stiction_monitor::alarm::{ALARM_SCHEMA, AlarmDocument};
+use stiction_monitor::codec::topic::{DAEMON_HEALTH_SCHEMA, LOOP_HEALTH_SCHEMA};
+use stiction_runtime::health::{DaemonHealth, LoopHealth};
+
+/// The schema of a type, as it is written.
+fn written<T: JsonSchema>() -> Schema {
+    SchemaSettings::draft2020_12().for_serialize().into_generator().into_root_schema_for::<T>()
+}
+
+/// The same under a document's name, which the document carries.
+fn document<T: JsonSchema>(name: &str) -> Value {
+    let mut schema = written::<T>().to_value();
+    schema["$id"] = json!(format!("urn:stictiond:{name}"));
+    schema["title"] = json!(name);
+    schema["properties"]["schema"] = json!({"const": name});
+    schema
+}
+
+/// Names and schemas of every published document.
+#[must_use]
+pub fn schemas() -> Vec<(&'static str, Value)> {
+    vec![
+        (ESTIMATE_SCHEMA, document::<EstimateDocument>(ESTIMATE_SCHEMA)),
+        (ALARM_SCHEMA, document::<AlarmDocument>(ALARM_SCHEMA)),
+        (GAP_SCHEMA, document::<GapDocument>(GAP_SCHEMA)),
+        (GROUP_SCHEMA, document::<GroupDocument>(GROUP_SCHEMA)),
+        (LOOP_HEALTH_SCHEMA, document::<LoopHealth>(LOOP_HEALTH_SCHEMA)),
+        (DAEMON_HEALTH_SCHEMA, document::<DaemonHealth>(DAEMON_HEALTH_SCHEMA)),
+    ]
+}
+
+/// The schema of one document, as it stands in `docs/schemas`.
+#[must_use]
+pub fn text(schema: &Value) -> String {
+    serde_json::to_string_pretty(schema).unwrap_or_default() + "\n"
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use stiction_monitor::codec::topic::Kind;
+
+    #[test]
+    fn what_may_be_null_may_be_and_what_is_always_there_is_required() {
+        let all = schemas();
+        let estimate = &all[0].1;
+        let required: Vec<&str> = estimate["required"].as_array().unwrap().iter().filter_map(Value::as_str).collect();
+        for field in ["schema", "loop", "fs", "process", "version", "window"] {
+            assert!(required.contains(&field), "{field}: {required:?}");
+        }
+        assert_eq!(estimate["properties"]["fs"]["type"], json!(["number", "null"]));
+        assert_eq!(estimate["properties"]["s_interval"]["maxItems"], 2);
+        assert_eq!(estimate["properties"]["schema"]["const"], "stictiond.estimate.v1");
+    }
+
+    #[test]
+    fn topics_and_documents_call_them_alike() {
+        assert_eq!(Kind::Alarm.schema(), ALARM_SCHEMA);
+        assert_eq!((Kind::Estimate.schema(), Kind::Gap.schema()), (ESTIMATE_SCHEMA, GAP_SCHEMA));
+        assert_eq!(Kind::Group.schema(), GROUP_SCHEMA);
+        assert!(schemas().iter().all(|(name, schema)| schema["properties"]["schema"]["const"] == *name));
+    }
+
+    /// `docs/asyncapi.json` names every document once, by a schema that is kept.
+    #[test]
+    fn the_asyncapi_document_has_every_document_and_refers_to_what_is_there() {
+        let docs = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs");
+        let text = std::fs::read_to_string(docs.join("asyncapi.json")).unwrap();
+        let whole: Value = serde_json::from_str(&text).unwrap();
+        let names: Vec<String> = whole["components"]["messages"].as_object().unwrap().keys().cloned().collect();
+        let mut known: Vec<String> = schemas().iter().map(|(name, _)| (*name).to_owned()).collect();
+        known.sort();
+        assert_eq!(names, known);
+        let mut open = vec![&whole];
+        let mut references = 0;
+        while let Some(value) = open.pop() {
+            match value {
+                Value::Object(fields) => {
+                    if let Some(place) = fields.get("$ref").and_then(Value::as_str) {
+                        references += 1;
+                        let there = match place.strip_prefix('#') {
+                            Some(pointer) => whole.pointer(pointer).is_some(),
+                            None => docs.join(place).is_file(),
+                        };
+                        assert!(there, "{place}");
+                    }
+                    open.extend(fields.values());
+                }
+                Value::Array(values) => open.extend(values),
+                _ => {}
+            }
+        }
+        assert!(references > 20, "{references}");
+        for (_, channel) in whole["channels"].as_object().unwrap() {
+            let address = channel["address"].as_str().unwrap().replace("{prefix}", "p").replace("{loop}", "A");
+            let schema = stiction_monitor::codec::topic::schema_of(&address).unwrap();
+            assert!(channel["messages"].get(schema).is_some(), "{address}");
+        }
+    }
+
+    /// `docs/schemas` holds what this build makes; STICTIOND_GOLDEN=write makes it anew.
+    #[test]
+    fn the_kept_schemas_are_those_of_the_types() {
+        let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/schemas");
+        for (name, schema) in schemas() {
+            let path = folder.join(format!("{name}.json"));
+            if std::env::var("STICTIOND_GOLDEN").is_ok_and(|wish| wish == "write") {
+                std::fs::create_dir_all(&folder).unwrap();
+                std::fs::write(&path, text(&schema)).unwrap();
+            }
+            let kept = std::fs::read_to_string(&path).unwrap_or_default();
+            assert!(kept == text(&schema), "{}: STICTIOND_GOLDEN=write makes it anew", path.display());
+        }
+    }
+}

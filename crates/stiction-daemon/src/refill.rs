@@ -1,0 +1,206 @@
+//! Refills the loops' windows at a start from the recordings of earlier runs, so that the next estimate needs no new window.
+//!
+//! The newest files of each shard are replayed without their windows. The first file of the new run names the last of them
+//! as the one before it and the first of them as where its windows begin: so it replays to the byte, and no sample is
+//! recorded twice. Loops keep their shards. Where the wall clock says that a loop was silent for longer than a window, or
+//! where its settings of windows have changed, it begins anew.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use anyhow::bail;
+
+use super::replay::{heads, neighbour, reach_ns};
+use super::rerun::Rerun;
+use super::restore::{LOSS_SHOWN, RunFile, is_recording};
+use crate::sink::recorder::{Continued, LOOPS_PER_FILE};
+use stiction::units::ns_from_s;
+use stiction_files::RecordingReader;
+use stiction_files::rescue::{REMOVED, SAMPLES_KEY};
+use stiction_files::run::{REFILLED_FROM, RunMetadata};
+use stiction_monitor::config::Config;
+use stiction_monitor::engine::{Engine, EngineSettings};
+use stiction_runtime::faults::Faults;
+
+/// Bytes of recordings that are read at a start: of all shards together, and of one. A file has 100 MiB by default.
+const BYTES: u64 = 512 << 20;
+const SHARD_BYTES: u64 = 128 << 20;
+/// How long that may take; what is not read by then is left.
+const WITHIN: Duration = Duration::from_secs(20);
+
+/// What a run begins with.
+pub struct Refilled {
+    /// An engine with the loops whose windows go on; their alarms are not restored.
+    pub engine: Engine,
+    /// Their shards.
+    pub continued: BTreeMap<usize, Continued>,
+}
+
+impl Refilled {
+    /// A run whose windows are empty.
+    #[must_use]
+    pub fn empty(config: &Config) -> Self {
+        Self { engine: Engine::new(config.engine()), continued: BTreeMap::new() }
+    }
+}
+
+/// Reads the newest recordings of this folder. Never fails: what cannot be read becomes a fault that names the file, and its
+/// loops begin with empty windows.
+#[must_use]
+pub fn refill(dir: &Path, config: &Config, now_ns: i64, faults: &Faults) -> Refilled {
+    let (started, settings) = (Instant::now(), config.engine());
+    let mut refilled = Refilled { engine: Engine::new(settings.clone()), continued: BTreeMap::new() };
+    let last = last_files(dir, &config.site.prefix);
+    let reading = Reading {
+        config,
+        settings,
+        since_ns: now_ns.saturating_sub(reach_ns(config)),
+        now_ns,
+        bytes: (BYTES / last.len().max(1) as u64).min(SHARD_BYTES),
+        until: started + WITHIN,
+    };
+    for file in last {
+        if let Err(error) = reading.shard(&file, &mut refilled) {
+            tracing::warn!(file = %file.path.display(), "windows cannot be refilled: {error:#}");
+            faults.raise_for("refill", format!("the windows of some loops begin empty: {error:#}"), LOSS_SHOWN);
+        }
+    }
+    let (loops, took_s) = (refilled.engine.count(), started.elapsed().as_secs_f64());
+    tracing::info!(loops, shards = refilled.continued.len(), took_s, "windows refilled from recordings");
+    refilled
+}
+
+/// The newest file of each shard, those of the newest run first.
+fn last_files(dir: &Path, prefix: &str) -> Vec<RunFile> {
+    let entries = fs::read_dir(dir).into_iter().flatten().flatten();
+    let mut runs: BTreeMap<String, BTreeMap<usize, (u32, PathBuf)>> = BTreeMap::new();
+    for path in entries.map(|e| e.path()).filter(|p| p.is_file() && is_recording(p)) {
+        let Some((run_id, shard, index)) = place_of(&path) else { continue };
+        let newest = runs.entry(run_id).or_default().entry(shard).or_insert_with(|| (index, path.clone()));
+        if index > newest.0 {
+            *newest = (index, path);
+        }
+    }
+    let run_of = |files: BTreeMap<usize, (u32, PathBuf)>| {
+        let of = |path: &PathBuf| {
+            let reader = RecordingReader::open(path).ok()?;
+            RunFile::of(path, reader.metadata())
+                .filter(|_| reader.metadata().get("prefix").is_some_and(|p| p == prefix))
+        };
+        let one = files.values().find_map(|(_, path)| of(path))?;
+        let file = |(shard, (index, path))| RunFile { path, shard, index, ..one.clone() };
+        Some(files.into_iter().map(file).collect::<Vec<RunFile>>())
+    };
+    let mut files: Vec<RunFile> = runs.into_values().filter_map(run_of).flatten().collect();
+    files.sort_by_key(|f| (f.shard, std::cmp::Reverse((f.run_number, f.started_ns))));
+    files.dedup_by_key(|f| f.shard);
+    files.sort_by_key(|f| (std::cmp::Reverse((f.run_number, f.started_ns)), f.shard));
+    files
+}
+
+/// Run, shard and place among the shard's files, by a recording's name.
+fn place_of(path: &Path) -> Option<(String, usize, u32)> {
+    let name = path.file_name()?.to_str()?;
+    let mut parts = name.strip_suffix(".part").unwrap_or(name).strip_suffix(".mcap")?.rsplitn(4, '-');
+    let (index, shard, run_id) = (parts.next()?, parts.next()?, parts.next()?);
+    Some((run_id.to_owned(), shard.strip_prefix('s')?.parse().ok()?, index.parse().ok()?))
+}
+
+/// What is read of each shard.
+struct Reading<'a> {
+    config: &'a Config,
+    settings: EngineSettings,
+    /// Windows that end now or later reach back to here at most.
+    since_ns: i64,
+    now_ns: i64,
+    /// Bytes of a shard's files.
+    bytes: u64,
+    until: Instant,
+}
+
+impl Reading<'_> {
+    /// Refills the loops of the shard whose newest file this is.
+    fn shard(&self, last: &RunFile, refilled: &mut Refilled) -> anyhow::Result<()> {
+        let prefix = &self.config.site.prefix;
+        let files = self.files_up_to(last)?;
+        let (Some(first), Some(newest)) = (files.first(), files.last()) else { return Ok(()) };
+        let mut rerun = Rerun::of_streams(self.settings.clone(), self.until);
+        for (at, file) in files.iter().enumerate() {
+            rerun.file(file, prefix, at == 0, false)?;
+        }
+        let reader = RecordingReader::open(newest)?;
+        let is_unchanged =
+            reader.metadata().get("config_hash").is_some_and(|hash| **hash == *self.settings.config_hash);
+        let before =
+            if is_unchanged { None } else { Some(RunMetadata::of(newest, reader.metadata())?.config.engine()) };
+        let count = refilled.engine.count();
+        for mut lane in rerun.into_engines() {
+            for id in lane.ids() {
+                let name = lane.name(id).clone();
+                if self.goes_on(&name, lane.figures(id).greatest_ns, before.as_ref()) {
+                    let from = last.shard * LOOPS_PER_FILE;
+                    refilled.engine.take_loop(&mut lane, &name, from..from + LOOPS_PER_FILE);
+                }
+            }
+        }
+        if refilled.engine.count() > count {
+            let name = |path: &Path| {
+                let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+                name.strip_suffix(".part").map_or(name.clone(), str::to_owned)
+            };
+            refilled.continued.insert(last.shard, Continued { from: name(first), previous: name(newest) });
+        }
+        Ok(())
+    }
+
+    /// Whether a loop's window goes on, which was read under the settings of before, if these were others.
+    fn goes_on(&self, name: &str, greatest_ns: Option<i64>, before: Option<&EngineSettings>) -> bool {
+        let settings = self.settings.of(name);
+        let longest_ns = ns_from_s(settings.window.max_window_s).unsigned_abs();
+        let is_same = |old: &EngineSettings| {
+            let old = old.of(name);
+            (&old.window, &old.align) == (&settings.window, &settings.align)
+        };
+        self.config.shard.owns(name)
+            && (self.config.input.discover || self.settings.own.contains_key(name))
+            && greatest_ns.is_some_and(|t_ns| t_ns.abs_diff(self.now_ns) <= longest_ns)
+            && before.is_none_or(is_same)
+    }
+
+    /// A shard's newest file that holds loops, and of those before it as many as windows reach back into and as there is
+    /// room for; oldest first.
+    fn files_up_to(&self, last: &RunFile) -> anyhow::Result<Vec<PathBuf>> {
+        let (mut files, mut left, mut refilled_from) = (Vec::new(), self.bytes, String::new());
+        let mut next = Some(last.path.clone());
+        while let Some(path) = next {
+            if Instant::now() >= self.until {
+                bail!("{}: reading those before it took too long", path.display());
+            }
+            let reader = RecordingReader::open(&path)?;
+            let get = |key: &str| reader.metadata().get(key).map_or("", String::as_str);
+            next = Some(get("previous")).filter(|name| !name.is_empty()).and_then(|name| neighbour(&path, name));
+            let heads = heads(&path, &self.config.site.prefix)?;
+            // A run that was killed before it wrote anything.
+            if files.is_empty() && heads.is_empty() && next.is_some() {
+                continue;
+            }
+            let bytes = fs::metadata(&path)?.len();
+            if get(SAMPLES_KEY) == REMOVED || bytes > left {
+                break;
+            }
+            left -= bytes;
+            let is_first = neighbour(&path, &refilled_from).is_some_and(|first| first == path);
+            if !get(REFILLED_FROM).is_empty() {
+                get(REFILLED_FROM).clone_into(&mut refilled_from);
+            }
+            files.push(path);
+            if is_first || heads.values().flatten().all(|greatest_ns| *greatest_ns <= self.since_ns) {
+                break;
+            }
+        }
+        files.reverse();
+        Ok(files)
+    }
+}

@@ -1,0 +1,340 @@
+//! Documents to receivers outside the bus. Each receiver has a queue of its own and gets one document after the other. A
+//! receiver that is away is tried again until it is back; a document that it refuses goes to the dead-letter file and
+//! blocks nothing. What waits is in a store beside the recordings, so a restart loses nothing and may send a document
+//! twice, under the same identity.
+//!
+//! The engine's thread only hands documents over. One thread writes them to the store, before any receiver sees them; each
+//! receiver has a thread that may wait for it as long as it takes.
+
+mod dead;
+mod keep;
+#[cfg(feature = "deliver")]
+mod mqtt;
+mod queue;
+mod syslog;
+#[cfg(feature = "deliver")]
+mod webhook;
+mod worker;
+
+use std::path::Path;
+use std::sync::Arc;
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, anyhow};
+use crossbeam_channel::{Receiver, Sender};
+use serde::{Deserialize, Serialize};
+
+use dead::DeadLetters;
+use keep::{Change, Keep};
+#[cfg(feature = "deliver")]
+pub use mqtt::tls_of;
+use queue::Queue;
+use stiction_files::disk::{Disk, SystemDisk};
+use stiction_monitor::alarm::{AlarmDocument, Priority};
+use stiction_monitor::codec::topic::Kind;
+use stiction_monitor::config::{Config, Deliver, Protocol};
+use stiction_monitor::short_hash;
+use stiction_runtime::clock::Clock;
+use stiction_runtime::faults::Faults;
+use stiction_runtime::metrics::Metrics;
+pub use worker::MakeTarget;
+use worker::{Step, Worker};
+
+/// Documents that the engine may hand over before the store has taken the first of them.
+const HANDED: usize = 4096;
+/// How long a receiver may take for one document.
+const SEND_WITHIN: Duration = Duration::from_secs(10);
+/// Silence after which a connection is let go.
+const IDLE: Duration = Duration::from_secs(20);
+/// How long a loss stays among the faults.
+const LOSS_SHOWN: Duration = Duration::from_secs(3600);
+
+/// A document on its way to receivers.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Item {
+    /// Its identity: whoever has seen it may drop it.
+    pub id: String,
+    /// What it is: `alarm`, `estimate` or `gap`.
+    pub kind: String,
+    /// Its schema's name.
+    pub schema: String,
+    /// Its loop.
+    pub loop_name: String,
+    /// The site's prefix.
+    pub prefix: String,
+    /// When it happened, RFC 3339, plant time.
+    pub time: String,
+    /// How much it presses, as a severity of syslog: 2 critical to 6 informational.
+    pub level: u8,
+    /// Fields that stand beside the line in syslog.
+    pub fields: Vec<(String, String)>,
+    /// One line for people.
+    pub line: String,
+    /// The document, JSON.
+    pub document: String,
+}
+
+impl Item {
+    /// A change of an alarm.
+    #[must_use]
+    pub fn alarm(prefix: &str, a: &AlarmDocument, json: &[u8]) -> Self {
+        let level = match a.priority.filter(|_| a.state == stiction_monitor::alarm::State::Unack) {
+            Some(Priority::Urgent) => 2,
+            Some(Priority::High) => 3,
+            Some(Priority::Medium | Priority::Low) => 4,
+            None => 5,
+        };
+        let text = |name: &str, value: Option<String>| Some((name.to_owned(), value?));
+        let number = |x: Option<f64>| x.map(|x| format!("{x:.4}"));
+        let word = a.priority.and_then(|p| serde_json::to_value(p).ok()?.as_str().map(str::to_owned));
+        let fields = [
+            text("loop", Some(a.loop_name.clone())),
+            text("event", Some(a.event.name().to_owned())),
+            text("event_id", Some(a.event_id.clone())),
+            text("state", Some(a.state.name().to_owned())),
+            text("active", Some(a.active.to_string())),
+            text("priority", word),
+            text("area", a.area.clone()),
+            text("equipment", a.equipment.clone()),
+            text("s", number(a.figures.s)),
+            text("s_limit", number(a.figures.s_limit)),
+            text("unit", Some(a.unit.clone())),
+            text("p", number(a.figures.p)),
+        ];
+        Self {
+            id: a.event_id.clone(),
+            kind: Kind::Alarm.name().to_owned(),
+            schema: a.schema.to_owned(),
+            loop_name: a.loop_name.clone(),
+            prefix: prefix.to_owned(),
+            time: a.changed.clone(),
+            level,
+            fields: fields.into_iter().flatten().collect(),
+            line: a.line(),
+            document: String::from_utf8_lossy(json).into_owned(),
+        }
+    }
+
+    /// An estimate or a gap diagnosis, of a window that ended at this time.
+    #[must_use]
+    pub fn result(prefix: &str, loop_name: &str, kind: Kind, end_ns: i64, json: &[u8]) -> Self {
+        let time = stiction::units::format_rfc3339(end_ns);
+        Self {
+            id: short_hash(&[prefix.as_bytes(), b"\n", loop_name.as_bytes(), b"\n", json].concat()),
+            kind: kind.name().to_owned(),
+            schema: kind.schema().to_owned(),
+            loop_name: loop_name.to_owned(),
+            prefix: prefix.to_owned(),
+            line: format!("{loop_name}: {} of the window that ended at {time}", kind.name()),
+            time,
+            level: 6,
+            fields: vec![("loop".to_owned(), loop_name.to_owned())],
+            document: String::from_utf8_lossy(json).into_owned(),
+        }
+    }
+}
+
+/// Why a receiver did not take a document.
+#[derive(Debug)]
+pub enum Failure {
+    /// It answered that it does not take it now, and after which time to try again where it says one.
+    Later(String, Option<Duration>),
+    /// It did not answer.
+    Unanswered(String),
+    /// It answered that it will never take it.
+    Refused(String),
+}
+
+/// What hands documents to one receiver.
+pub trait Target: Send {
+    /// Hands one over; returns once the receiver has it, as far as its protocol can tell.
+    ///
+    /// # Errors
+    /// [`Failure`] says whether it is worth another attempt.
+    fn send(&mut self, item: &Item) -> Result<(), Failure>;
+
+    /// Nothing is to be sent for a while: a connection may be closed.
+    fn rest(&mut self) {}
+}
+
+/// Makes what sends to a receiver; nothing is connected yet.
+fn target(d: &Deliver, prefix: &str) -> anyhow::Result<Box<dyn Target>> {
+    match d.address.protocol {
+        Protocol::SyslogUdp | Protocol::SyslogTcp => Ok(Box::new(syslog::Syslog::new(&d.address))),
+        #[cfg(feature = "deliver")]
+        Protocol::Webhook => Ok(Box::new(webhook::Webhook::new(d)?)),
+        #[cfg(feature = "deliver")]
+        Protocol::Mqtt => Ok(Box::new(mqtt::Mqtt::new(d, prefix)?)),
+        #[cfg(not(feature = "deliver"))]
+        Protocol::Webhook | Protocol::Mqtt => {
+            let _ = prefix;
+            Err(anyhow!("this build sends neither webhooks nor MQTT: rebuild it with --features full"))
+        }
+    }
+}
+
+/// Whether a receiver can be sent to, as far as files and the build tell.
+///
+/// # Errors
+/// A file cannot be read or holds something else.
+pub fn check(d: &Deliver) -> anyhow::Result<()> {
+    target(d, "").map(drop)
+}
+
+/// The text of a secret's file, without the line's end; `None` where no file is named.
+///
+/// # Errors
+/// The file cannot be read.
+pub fn secret(path: &str) -> anyhow::Result<Option<String>> {
+    if path.is_empty() {
+        return Ok(None);
+    }
+    let text = std::fs::read_to_string(path).with_context(|| format!("secret_file {path}"))?;
+    Ok(Some(text.trim_end_matches(['\r', '\n']).to_owned()))
+}
+
+/// The bytes of a PEM file.
+#[cfg(feature = "deliver")]
+fn pem(key: &str, path: &str) -> anyhow::Result<Option<Vec<u8>>> {
+    if path.is_empty() {
+        return Ok(None);
+    }
+    std::fs::read(path).map(Some).with_context(|| format!("{key} {path}"))
+}
+
+/// The engine's end.
+pub struct Outbox {
+    handed: Sender<Arc<Item>>,
+    wanted: Vec<String>,
+    metrics: Arc<Metrics>,
+}
+
+impl Outbox {
+    /// Starts the threads; none where the configuration names no receiver. The one that keeps the store ends when the
+    /// `Outbox` is dropped; the others end with it, or with the process where a receiver holds them up.
+    ///
+    /// # Errors
+    /// A receiver's file cannot be used, or the system refuses a thread.
+    pub fn start(
+        config: &Config,
+        dir: &Path,
+        faults: &Arc<Faults>,
+        metrics: &Arc<Metrics>,
+    ) -> anyhow::Result<Option<(Self, JoinHandle<()>)>> {
+        if config.deliver.is_empty() {
+            return Ok(None);
+        }
+        let place = (Arc::new(SystemDisk) as Arc<dyn Disk>, Clock::system());
+        let make = |d: &Deliver| {
+            let (entry, prefix) = (d.clone(), config.site.prefix.clone());
+            Box::new(move || target(&entry, &prefix)) as MakeTarget
+        };
+        let (outbox, delivery) = Self::pair(config, dir, place, make, faults, metrics)?;
+        let Delivery { mut keep, incoming, done, workers, .. } = delivery;
+        for (mut worker, _) in workers {
+            let thread = std::thread::Builder::new().name(format!("to-{}", worker.queue.name));
+            thread.spawn(move || worker.supervise())?;
+        }
+        let thread = std::thread::Builder::new().name("outbox".into());
+        let handle = thread.spawn(move || keep.run((&incoming, &done))).map_err(|e| anyhow!(e))?;
+        Ok(Some((outbox, handle)))
+    }
+
+    /// Both ends without threads: whoever holds the other one decides when it works, and makes the receivers.
+    ///
+    /// # Errors
+    /// A receiver cannot be made.
+    pub fn pair(
+        config: &Config,
+        dir: &Path,
+        (disk, clock): (Arc<dyn Disk>, Clock),
+        make: impl Fn(&Deliver) -> MakeTarget,
+        faults: &Arc<Faults>,
+        metrics: &Arc<Metrics>,
+    ) -> anyhow::Result<(Self, Delivery)> {
+        let (handed, incoming) = crossbeam_channel::bounded(HANDED);
+        // Holds at most one entry for each document that waits for a receiver.
+        let (changes, done) = crossbeam_channel::unbounded();
+        let dead = Arc::new(DeadLetters::new(dir));
+        let mut workers = Vec::new();
+        for d in &config.deliver {
+            let make = make(d);
+            let target = Some(make().with_context(|| format!("[[deliver]] {}", d.name))?);
+            let worker = Worker {
+                queue: Arc::new(Queue::new(d, metrics)),
+                changes: changes.clone(),
+                dead: dead.clone(),
+                faults: faults.clone(),
+                metrics: metrics.clone(),
+                make,
+                target,
+                pause: worker::FIRST_PAUSE,
+                round: 0,
+            };
+            workers.push((worker, clock.now()));
+        }
+        let mut wanted: Vec<String> = config.deliver.iter().flat_map(|d| d.documents.clone()).collect();
+        wanted.sort();
+        wanted.dedup();
+        let queues = workers.iter().map(|(worker, _)| worker.queue.clone()).collect();
+        // Also where the store cannot be read yet, numbers of this run lie above those in it.
+        let first = u64::try_from(clock.now_ns()).unwrap_or_default();
+        let keep = Keep::open(dir, disk, first, queues, faults.clone(), metrics.clone());
+        let outbox = Self { handed, wanted, metrics: metrics.clone() };
+        Ok((outbox, Delivery { keep, incoming, done, workers, clock }))
+    }
+
+    /// Whether any receiver wants documents of this kind.
+    #[must_use]
+    pub fn wants(&self, kind: Kind) -> bool {
+        self.wanted.iter().any(|wanted| wanted == kind.name())
+    }
+
+    /// Hands a document over.
+    pub fn offer(&self, item: Item) {
+        if self.handed.try_send(Arc::new(item)).is_err() {
+            self.metrics.delivery_dropped.inc();
+        }
+    }
+}
+
+/// The far end of an [`Outbox`], without threads.
+pub struct Delivery {
+    keep: Keep,
+    incoming: Receiver<Arc<Item>>,
+    done: Receiver<Change>,
+    /// Receivers, each with the time before which it is not tried again.
+    workers: Vec<(Worker, Instant)>,
+    clock: Clock,
+}
+
+impl Delivery {
+    /// Stores what was handed over and sends what waits. Says whether all of it is in the store.
+    pub fn turn(&mut self) -> bool {
+        self.keep.turn((&self.incoming, &self.done));
+        for (worker, not_before) in &mut self.workers {
+            while self.clock.now() >= *not_before {
+                match worker.step(Duration::ZERO) {
+                    Step::Next => {}
+                    Step::Wait(pause) => *not_before = self.clock.now() + pause,
+                    Step::Idle | Step::Closed => break,
+                }
+            }
+        }
+        self.keep.turn((&self.incoming, &self.done));
+        self.keep.is_stored()
+    }
+
+    /// Documents that wait for receivers.
+    #[must_use]
+    pub fn waiting(&self) -> usize {
+        self.workers.iter().map(|(worker, _)| worker.queue.len()).sum()
+    }
+}
+
+/// What is handed over and what is done, for whoever keeps the store.
+type Inputs<'r> = (&'r Receiver<Arc<Item>>, &'r Receiver<Change>);
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,86 @@
+//! A run: what its files say of it, and which earlier run it goes on from.
+
+use std::collections::BTreeMap;
+
+use stiction_files::columns::{METADATA_COLUMNS, METADATA_RAW};
+use stiction_files::run::REFILLED_FROM;
+
+/// What all files of a run say of themselves.
+#[derive(Debug, Clone)]
+pub struct RunInfo {
+    /// First chunks of every topic.
+    pub prefix: String,
+    /// Names the run.
+    pub run_id: String,
+    /// When it started, ns.
+    pub started_ns: i64,
+    /// Which run of its folder, where that is counted.
+    pub run_number: Option<u64>,
+    /// What made it: `run`, `demo`, `simulate`.
+    pub origin: &'static str,
+    /// The configuration's text.
+    pub config_text: String,
+    /// Its hash.
+    pub config_hash: String,
+    /// Id of the daemon, which its documents carry; empty where none made them.
+    pub daemon: String,
+    /// Its mapped loops, as JSON.
+    pub loop_map: String,
+    /// How its samples are written: `json` or `columns`.
+    pub raw: String,
+    /// The shards that go on where an earlier run ended.
+    pub continued: BTreeMap<usize, Continued>,
+}
+
+/// Where the loops of a shard come from whose windows go on over a restart: names of files.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Continued {
+    /// The first file that was read.
+    pub from: String,
+    /// The last one.
+    pub previous: String,
+}
+
+impl RunInfo {
+    /// The metadata of one file.
+    #[must_use]
+    pub fn metadata(&self, shard: usize, file_index: u32, previous: &str, lost: u64) -> BTreeMap<String, String> {
+        let number = self.run_number.map(|n| ("run_number".to_owned(), n.to_string()));
+        let mut metadata = BTreeMap::from(
+            [
+                ("prefix", self.prefix.clone()),
+                ("version", stiction::VERSION.to_owned()),
+                ("config", self.config_text.clone()),
+                ("config_hash", self.config_hash.clone()),
+                ("loop_map", self.loop_map.clone()),
+                ("run_id", self.run_id.clone()),
+                ("started_ns", self.started_ns.to_string()),
+                ("origin", self.origin.to_owned()),
+                ("shard", shard.to_string()),
+                ("file_index", file_index.to_string()),
+                ("previous", previous.to_owned()),
+                ("lost_before", lost.to_string()),
+            ]
+            .map(|(k, v)| (k.to_owned(), v)),
+        );
+        metadata.extend(number);
+        if let (0, Some(continued)) = (file_index, self.continued.get(&shard)) {
+            metadata.insert(REFILLED_FROM.to_owned(), continued.from.clone());
+        }
+        // JSON goes without saying, as in the files from before there was anything else.
+        if self.raw == METADATA_COLUMNS {
+            metadata.insert(METADATA_RAW.to_owned(), self.raw.clone());
+        }
+        metadata.extend((!self.daemon.is_empty()).then(|| ("daemon".to_owned(), self.daemon.clone())));
+        metadata
+    }
+
+    /// The name of one file, without its ending.
+    #[must_use]
+    pub fn stem(&self, shard: usize, file_index: u32) -> String {
+        let stamp: String =
+            stiction::units::format_rfc3339(self.started_ns).chars().filter(char::is_ascii_digit).collect();
+        let stamp = &stamp[..stamp.len().min(14)];
+        format!("{}-{stamp}-{}-s{shard}-{file_index:05}", self.prefix.replace('/', "_"), self.run_id)
+    }
+}

@@ -1,0 +1,358 @@
+//! Messages of a few topics from the recordings of a folder: newest file first, through each file's index, within a time
+//! limit. For looking back, not for replay: a file that cannot be read is skipped.
+
+use std::collections::{BTreeSet, HashMap};
+use std::fs::{self, File};
+use std::io::{Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Instant, SystemTime};
+
+use mcap::sans_io::indexed_reader::{IndexedReadEvent, IndexedReader, IndexedReaderOptions, ReadOrder};
+use mcap::sans_io::summary_reader::{SummaryReadEvent, SummaryReader, SummaryReaderOptions};
+use mcap::{McapError, Summary};
+
+use super::columns;
+use super::mcap_index::MAX_RECORD;
+use super::mcap_read::RecordingReader;
+use stiction::record::{Sample, Signal};
+use stiction_monitor::codec::{encode_recorded, topic};
+
+/// Most time ranges cached by file and topic; when full, the cache is emptied.
+const REMEMBERED: usize = 100_000;
+/// Messages between checks of the clock.
+const LOOK_EVERY: usize = 256;
+
+/// Cached time ranges by file and topic.
+type Ranges = HashMap<(PathBuf, String), Option<[i64; 2]>>;
+
+/// Reads a folder of recordings.
+#[derive(Debug)]
+pub struct Archive {
+    dir: PathBuf,
+    prefix: String,
+    /// First and last source time of a topic in a finished file, ns; `None` if the file has no such messages.
+    ranges: Mutex<Ranges>,
+}
+
+/// One recorded message.
+#[derive(Debug, Clone, Copy)]
+pub struct Found<'a> {
+    /// Its topic.
+    pub topic: &'a str,
+    /// Its payload.
+    pub data: &'a [u8],
+    /// Source time, ns since 1970.
+    pub t_ns: i64,
+    /// Encoding of the payload, from the channel.
+    pub encoding: &'a str,
+}
+
+/// A query.
+#[derive(Debug, Clone)]
+pub struct Wanted {
+    /// Topics.
+    pub topics: BTreeSet<String>,
+    /// First and last source time, ns since 1970.
+    pub range_ns: [i64; 2],
+    /// When to give up.
+    pub until: Instant,
+}
+
+/// Outcome of a query.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Reach {
+    /// The whole range was searched.
+    All,
+    /// The time limit was reached; the oldest messages are missing.
+    Part,
+}
+
+/// A file cannot be read further. What it gave until then is kept.
+#[derive(Debug, thiserror::Error)]
+enum Broken {
+    #[error(transparent)]
+    Mcap(#[from] McapError),
+    #[error(transparent)]
+    Io(#[from] std::io::Error),
+}
+
+impl Archive {
+    /// The recordings of a folder whose topics have a prefix.
+    #[must_use]
+    pub fn new(dir: &Path, prefix: &str) -> Self {
+        Self { dir: dir.to_owned(), prefix: prefix.to_owned(), ranges: Mutex::default() }
+    }
+
+    /// Prefix of every topic.
+    #[must_use]
+    pub fn prefix(&self) -> &str {
+        &self.prefix
+    }
+
+    /// Passes every matching message to `take`, newest file first and in file order within a file. It stops at a file whose
+    /// messages are all before the range, because recordings advance in time.
+    pub fn read(&self, wanted: &Wanted, take: &mut dyn FnMut(Found<'_>)) -> Reach {
+        for (path, open) in self.files() {
+            if Instant::now() >= wanted.until {
+                return Reach::Part;
+            }
+            match self.known(&path, wanted) {
+                Some(None) => continue,
+                Some(Some([_, last])) if last < wanted.range_ns[0] => return Reach::All,
+                Some(Some([first, _])) if first > wanted.range_ns[1] => continue,
+                _ => {}
+            }
+            let mut seen = Seen::default();
+            let read = if open {
+                read_open(&path, wanted, &mut seen, take)
+            } else {
+                read_indexed(&path, wanted, &mut seen, take)
+            };
+            match read {
+                Ok(Reach::Part) => return Reach::Part,
+                Ok(Reach::All) if !open => self.remember(&path, wanted, &seen),
+                Ok(Reach::All) => {}
+                Err(error) => tracing::debug!(path = %path.display(), %error, "skipped a recording"),
+            }
+            if seen.range.is_some_and(|[_, last]| last < wanted.range_ns[0]) {
+                return Reach::All;
+            }
+        }
+        Reach::All
+    }
+
+    /// Recordings, newest first, and whether each is still being written.
+    fn files(&self) -> Vec<(PathBuf, bool)> {
+        let entries = fs::read_dir(&self.dir).into_iter().flatten().flatten();
+        let mut files: Vec<(SystemTime, PathBuf, bool)> = entries
+            .filter_map(|entry| {
+                let name = entry.file_name().to_string_lossy().into_owned();
+                let open = name.ends_with(".mcap.part");
+                let modified = entry.metadata().and_then(|m| m.modified()).ok()?;
+                (open || name.ends_with(".mcap")).then(|| (modified, entry.path(), open))
+            })
+            .collect();
+        files.sort_by(|a, b| b.cmp(a));
+        files.into_iter().map(|(_, path, open)| (path, open)).collect()
+    }
+
+    /// The range over all topics, if every one is known.
+    fn known(&self, path: &Path, wanted: &Wanted) -> Option<Option<[i64; 2]>> {
+        let ranges = self.ranges.lock().unwrap_or_else(PoisonError::into_inner);
+        let each = wanted.topics.iter().map(|topic| ranges.get(&(path.to_owned(), topic.clone())).copied());
+        each.collect::<Option<Vec<_>>>().map(|all| all.into_iter().flatten().reduce(joined))
+    }
+
+    fn remember(&self, path: &Path, wanted: &Wanted, seen: &Seen) {
+        let mut ranges = self.ranges.lock().unwrap_or_else(PoisonError::into_inner);
+        if ranges.len() + wanted.topics.len() > REMEMBERED {
+            ranges.clear();
+        }
+        for topic in &wanted.topics {
+            ranges.insert((path.to_owned(), topic.clone()), seen.by_topic.get(topic).copied());
+        }
+    }
+}
+
+fn joined([a, b]: [i64; 2], [c, d]: [i64; 2]) -> [i64; 2] {
+    [a.min(c), b.max(d)]
+}
+
+/// Source times seen in a file.
+#[derive(Debug, Default)]
+struct Seen {
+    range: Option<[i64; 2]>,
+    by_topic: HashMap<String, [i64; 2]>,
+}
+
+impl Seen {
+    fn note(&mut self, topic: &str, t_ns: i64) {
+        let at = [t_ns; 2];
+        self.range = Some(self.range.map_or(at, |range| joined(range, at)));
+        match self.by_topic.get_mut(topic) {
+            Some(range) => *range = joined(*range, at),
+            None => drop(self.by_topic.insert(topic.to_owned(), at)),
+        }
+    }
+
+    fn take(&mut self, wanted: &Wanted, found: Found<'_>, take: &mut dyn FnMut(Found<'_>)) {
+        self.note(found.topic, found.t_ns);
+        let [from_ns, to_ns] = wanted.range_ns;
+        if (from_ns..=to_ns).contains(&found.t_ns) {
+            take(found);
+        }
+    }
+}
+
+/// A timestamp as the recorder writes it: 0 means none, then the arrival time counts.
+fn stamp(publish: u64, log: u64) -> i64 {
+    i64::try_from(if publish == 0 { log } else { publish }).unwrap_or(i64::MAX)
+}
+
+fn summary_of(file: &mut File) -> Result<Option<Summary>, Broken> {
+    let mut reader =
+        SummaryReader::new_with_options(SummaryReaderOptions::default().with_record_length_limit(MAX_RECORD));
+    while let Some(event) = reader.next_event() {
+        match event? {
+            SummaryReadEvent::ReadRequest(need) => {
+                let read = file.read(reader.insert(need))?;
+                reader.notify_read(read);
+            }
+            SummaryReadEvent::SeekRequest(to) => reader.notify_seeked(file.seek(to)?),
+        }
+    }
+    Ok(reader.finish())
+}
+
+fn read_indexed(
+    path: &Path,
+    wanted: &Wanted,
+    seen: &mut Seen,
+    take: &mut dyn FnMut(Found<'_>),
+) -> Result<Reach, Broken> {
+    let mut file = File::open(path)?;
+    let Some(summary) = summary_of(&mut file)? else { return read_open(path, wanted, seen, take) };
+    // Without a topic of ours the reader would give every message.
+    let ours = |channel: &mcap::Channel<'_>| wanted.topics.contains(&channel.topic);
+    if !summary.channels.values().any(|channel| ours(channel)) {
+        return Ok(Reach::All);
+    }
+    let sampled = |channel: &mcap::Channel<'_>| ours(channel) && channel.message_encoding == "json";
+    let signal =
+        |channel: &mcap::Channel<'_>| Signal::from_name(topic::leaf(&channel.topic)).filter(|_| sampled(channel));
+    let signals: HashMap<u16, (&str, Signal)> =
+        summary.channels.iter().filter_map(|(id, c)| Some((*id, (c.topic.as_str(), signal(c)?)))).collect();
+    let columns = summary.channels.values().filter(|c| !signals.is_empty() && c.message_encoding == columns::ENCODING);
+    let options = IndexedReaderOptions::new()
+        .with_order(ReadOrder::File)
+        .include_topics(wanted.topics.iter().cloned().chain(columns.map(|c| c.topic.clone())))
+        .with_record_length_limit(MAX_RECORD);
+    let mut reader = IndexedReader::new_with_options(&summary, options)?;
+    let (mut chunk, mut rows, mut json) = (Vec::new(), Vec::new(), Vec::new());
+    while let Some(event) = reader.next_event() {
+        match event? {
+            IndexedReadEvent::ReadChunkRequest { offset, length } => {
+                if Instant::now() >= wanted.until {
+                    return Ok(Reach::Part);
+                }
+                file.seek(SeekFrom::Start(offset))?;
+                chunk.resize(length, 0);
+                file.read_exact(&mut chunk)?;
+                reader.insert_chunk_record_data(offset, &chunk)?;
+            }
+            IndexedReadEvent::Message { header, data } => {
+                let Some(channel) = summary.channels.get(&header.channel_id) else { continue };
+                if channel.message_encoding == columns::ENCODING {
+                    // What cannot be read is left out, as where the file is read from its start.
+                    let _ = columns::decode(data, &mut rows);
+                    for row in &rows {
+                        let Some((topic, signal)) = signals.get(&row.channel) else { continue };
+                        let (t_ns, value, quality) = (row.t_ns, row.value, row.quality);
+                        json.clear();
+                        encode_recorded(&Sample { signal: *signal, t_ns, value, quality }, &mut json);
+                        // As where each has a message: none stands before 1970.
+                        let t_ns = if t_ns > 0 { t_ns } else { row.arrival_ns };
+                        seen.take(wanted, Found { topic, data: &json, t_ns, encoding: "json" }, take);
+                    }
+                    continue;
+                }
+                let (t_ns, encoding) = (stamp(header.publish_time, header.log_time), &*channel.message_encoding);
+                seen.take(wanted, Found { topic: &channel.topic, data, t_ns, encoding }, take);
+            }
+        }
+    }
+    Ok(Reach::All)
+}
+
+/// Reads a file without an index, such as the one being written, message by message.
+fn read_open(path: &Path, wanted: &Wanted, seen: &mut Seen, take: &mut dyn FnMut(Found<'_>)) -> Result<Reach, Broken> {
+    let failed = |error: super::ReadError| Broken::Io(std::io::Error::other(error.to_string()));
+    let mut reader = RecordingReader::open(path).map_err(failed)?;
+    let mut count = 0_usize;
+    while let Some(message) = reader.next_message().map_err(failed)? {
+        count += 1;
+        if count.is_multiple_of(LOOK_EVERY) && Instant::now() >= wanted.until {
+            return Ok(Reach::Part);
+        }
+        if wanted.topics.contains(message.topic()) {
+            let t_ns = if message.publish_time_ns == 0 { message.log_time_ns } else { message.publish_time_ns };
+            let found = Found { topic: message.topic(), data: message.data, t_ns, encoding: &message.channel.encoding };
+            seen.take(wanted, found, take);
+        }
+    }
+    Ok(Reach::All)
+}
+
+/// An archive shared by several users.
+pub type SharedArchive = Arc<Archive>;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::time::Duration;
+
+    fn recordings() -> PathBuf {
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("../../recordings")
+    }
+
+    fn topics(of: &[&str]) -> BTreeSet<String> {
+        of.iter().map(|t| (*t).to_owned()).collect()
+    }
+
+    fn all(archive: &Archive, topic: &str, range_ns: [i64; 2]) -> (Reach, Vec<(i64, Vec<u8>)>) {
+        let until = Instant::now() + Duration::from_secs(60);
+        let wanted = Wanted { topics: topics(&[topic]), range_ns, until };
+        let mut found = Vec::new();
+        let reach = archive.read(&wanted, &mut |f| found.push((f.t_ns, f.data.to_vec())));
+        (reach, found)
+    }
+
+    #[test]
+    fn the_index_gives_what_reading_message_by_message_gives() {
+        let file = recordings().join("sticking.mcap");
+        let mut reader = RecordingReader::open(&file).unwrap();
+        let prefix = reader.metadata().get("prefix").unwrap().clone();
+        let mut plain: HashMap<String, Vec<(i64, Vec<u8>)>> = HashMap::new();
+        while let Some(m) = reader.next_message().unwrap() {
+            plain.entry(m.topic().to_owned()).or_default().push((m.publish_time_ns, m.data.to_vec()));
+        }
+        let dir = tempfile::tempdir().unwrap();
+        fs::copy(&file, dir.path().join("a.mcap")).unwrap();
+        let archive = Archive::new(dir.path(), &prefix);
+        for (topic, messages) in &plain {
+            assert_eq!(all(&archive, topic, [i64::MIN, i64::MAX]), (Reach::All, messages.clone()), "{topic}");
+            // Asked again it knows where the topic lies, and gives the same.
+            let (first, last) = (messages[0].0, messages[messages.len() - 1].0);
+            let middle = [first + (last - first) / 4, first + (last - first) / 2];
+            let part: Vec<_> = messages.iter().filter(|m| (middle[0]..=middle[1]).contains(&m.0)).cloned().collect();
+            assert_eq!(all(&archive, topic, middle).1, part, "{topic}");
+            assert!(all(&archive, topic, [last + 1, i64::MAX]).1.is_empty());
+        }
+        assert!(plain.len() > 2 && all(&archive, "no/such/topic", [0, i64::MAX]).1.is_empty());
+    }
+
+    #[test]
+    fn a_file_that_is_cut_off_gives_what_it_holds_and_one_that_is_none_is_passed_over() {
+        let bytes = fs::read(recordings().join("sticking.mcap")).unwrap();
+        let dir = tempfile::tempdir().unwrap();
+        fs::write(dir.path().join("cut.mcap.part"), &bytes[..bytes.len() / 2]).unwrap();
+        fs::write(dir.path().join("torn.mcap"), &bytes[..bytes.len() / 3]).unwrap();
+        fs::write(dir.path().join("none.mcap"), b"no recording at all").unwrap();
+        let reader = RecordingReader::open(&dir.path().join("cut.mcap.part")).unwrap();
+        let prefix = reader.metadata().get("prefix").unwrap().clone();
+        let archive = Archive::new(dir.path(), &prefix);
+        let loops = super::super::load_samples(&dir.path().join("cut.mcap.part")).unwrap().loops;
+        let topic = stiction_monitor::codec::topic::raw(&prefix, &loops[0].name, stiction::record::Signal::Pv);
+        let (reach, found) = all(&archive, &topic, [i64::MIN, i64::MAX]);
+        assert_eq!(reach, Reach::All);
+        assert!(found.len() > 100, "{}", found.len());
+    }
+
+    #[test]
+    fn time_that_is_over_ends_it() {
+        let archive = Archive::new(&recordings(), "plant");
+        let wanted = Wanted { topics: topics(&["x"]), range_ns: [0, 1], until: Instant::now() };
+        assert_eq!(archive.read(&wanted, &mut |_| {}), Reach::Part);
+    }
+}

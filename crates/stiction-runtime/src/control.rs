@@ -1,0 +1,52 @@
+//! What people and the system ask of the engine, and how it answers.
+
+use std::sync::Arc;
+
+use stiction_monitor::alarm::Command;
+use stiction_monitor::config::Config;
+use stiction_monitor::engine::{LoopSettings, Snapshot};
+
+/// How a command is answered: the new document, or what is wrong with the command.
+pub type Answer = Box<dyn FnOnce(Result<Vec<u8>, String>) + Send>;
+
+/// A loop's history at one moment, from which a window can be cut.
+#[derive(Debug, Clone)]
+pub struct WindowSnapshot {
+    /// `None` before the loop's first sample.
+    pub snapshot: Option<Snapshot>,
+    /// The loop's settings.
+    pub settings: Arc<LoopSettings>,
+}
+
+/// What people and the system want of the engine. It has a queue of its own, which samples cannot fill.
+pub enum Control {
+    /// A person's command.
+    Command {
+        /// The loop's name.
+        loop_name: String,
+        /// What is asked.
+        command: Command,
+        /// Where the answer goes.
+        answer: Answer,
+    },
+    /// A person's wish for a gap diagnosis.
+    GapRun {
+        /// The loop's name.
+        loop_name: String,
+        /// Who asks.
+        by: Option<String>,
+        /// Where the answer goes, once there is one.
+        answer: Answer,
+    },
+    /// Somebody looks at a loop's window; nothing changes.
+    GetWindow {
+        /// The loop's name.
+        loop_name: String,
+        /// Where the window ends, ns since 1970; with the newest sample if absent.
+        end_ns: Option<i64>,
+        /// Where the answer goes.
+        answer: Box<dyn FnOnce(Option<WindowSnapshot>) + Send>,
+    },
+    /// Settings that hold from now on.
+    Settings(Box<Config>),
+}

@@ -1,0 +1,15 @@
+//! What every part of the running program shares, and none of them owns: clock, queues, metrics, faults, the daemon's
+//! health, the overview of its loops, and the way to its engine.
+
+pub mod blocks;
+pub mod clock;
+pub mod control;
+pub mod cores;
+pub mod faults;
+pub mod health;
+pub mod last_values;
+pub mod metrics;
+pub mod overview;
+pub mod queue;
+pub mod series;
+pub mod view;

@@ -1,0 +1,179 @@
+//! Changes as readers are given them, silence, and the newest windows.
+
+use super::*;
+use stiction::plantwide::GroupDocument;
+use stiction::record::Record;
+use stiction::verdict::{AssessParams, assess};
+use stiction_lab::fixture::group::driven_group;
+use stiction_monitor::alarm::Alarm;
+
+fn estimate(name: &str, end_ns: i64, s: Option<f64>, verdict: Verdict) -> Arc<EstimateDocument> {
+    let mut a = assess(&Record::uniform(1.0, vec![1.0; 40], vec![1.0; 40]), &AssessParams::default());
+    (a.window.end_ns, a.s, a.verdict, a.stiction) = (end_ns, s, verdict, verdict.stiction());
+    (a.gates, a.reason, a.p_stiction) = (Vec::new(), None, Some(0.8));
+    Arc::new(EstimateDocument::new(name, "hash", a))
+}
+
+fn figures(greatest_ns: i64) -> LoopFigures {
+    LoopFigures { counts: Default::default(), greatest_ns: Some(greatest_ns), windows: 0, waiting: 0 }
+}
+
+#[test]
+fn changes_are_told_once_and_everything_to_who_comes_new() {
+    let (overview, now, place) = (Overview::default(), Instant::now(), Place::default());
+    let [a, b]: [Arc<str>; 2] = ["A".into(), "B".into()];
+    overview.estimate(&a, &place, now, estimate("A", 1, Some(2.0), Verdict::Stiction));
+    overview.figures(&b, &place, now, &figures(5));
+    let Changes { version, rows, .. } = overview.changes_after(0, 5);
+    assert_eq!(rows.iter().map(|r| (r.name.as_str(), r.ne107)).collect::<Vec<_>>(), [("A", Some("S")), ("B", None)]);
+    // Data that flow are no change; an alarm is one.
+    overview.figures(&b, &place, now, &figures(6));
+    assert!(overview.changes_after(version, 6).rows.is_empty());
+    let document = AlarmDocument { active: true, state: State::Unack, ..Alarm::default().restored("A") };
+    overview.alarm(&a, &place, now, &document);
+    let Changes { version: later, rows, alarms, .. } = overview.changes_after(version, 6);
+    assert_eq!((rows.len(), rows[0].ne107, rows[0].unacknowledged), (1, Some("M"), true));
+    assert_eq!((alarms.len(), overview.changes_after(later, 6).alarms.len()), (1, 0));
+    assert_eq!(overview.changes_after(0, 6).rows.len(), 2);
+}
+
+#[test]
+fn who_looks_while_alarms_change_sees_each_change_once() {
+    let overview = Overview::default();
+    let (other, now) = (overview.clone(), Instant::now());
+    let writer = std::thread::spawn(move || {
+        for changed_ns in 1..=ALARMS_KEPT as i64 {
+            let document = AlarmDocument { changed_ns, ..Alarm::default().restored("A") };
+            other.alarm(&"A".into(), &Place::default(), now, &document);
+        }
+    });
+    let (mut version, mut seen) = (0, Vec::new());
+    while seen.last() != Some(&(ALARMS_KEPT as i64)) {
+        let changes = overview.changes_after(version, 0);
+        version = changes.version;
+        seen.extend(changes.alarms.iter().map(|d| d.changed_ns));
+    }
+    writer.join().unwrap();
+    assert_eq!(seen, (1..=ALARMS_KEPT as i64).collect::<Vec<_>>());
+    assert_eq!((overview.alarm_changes("A").len(), overview.alarm_changes("B").len()), (ALARMS_KEPT, 0));
+}
+
+#[test]
+fn readers_are_given_the_loops_that_have_left_or_all_rows() {
+    let (overview, now, place) = (Overview::default(), Instant::now(), Place::default());
+    let show = |name: &str| overview.figures(&name.into(), &place, now, &figures(5));
+    ["A", "B", "C"].into_iter().for_each(show);
+    let at = overview.changes_after(0, 5).version;
+    ["A", "B", "D"].into_iter().for_each(|name| overview.forget(name));
+    show("B");
+    let Changes { version, full, rows, gone, .. } = overview.changes_after(at, 5);
+    assert_eq!((full, rows.len(), rows[0].name.as_str()), (false, 1, "B"));
+    assert_eq!(gone, ["A"]);
+    assert!(overview.changes_after(version, 5).gone.is_empty());
+    for k in 0..=GONE_KEPT {
+        show(&format!("L{k}"));
+        overview.forget(&format!("L{k}"));
+    }
+    let away = overview.changes_after(at, 5);
+    assert_eq!((away.full, away.rows.len()), (true, 2), "the names of all that left are no longer at hand");
+}
+
+#[test]
+fn a_loop_falls_silent_by_its_own_sampling_and_speaks_again() {
+    let (overview, now, place) = (Overview::default(), Instant::now(), Place::default());
+    let a: Arc<str> = "A".into();
+    overview.estimate(&a, &place, now, estimate("A", 1, None, Verdict::NoOscillation));
+    overview.figures(&a, &place, now, &figures(1));
+    let at = |s: u64| now + Duration::from_secs(s);
+    overview.figures(&a, &place, at(59), &figures(1));
+    assert_eq!(overview.row("A", 9).unwrap().ne107, Some("ok"));
+    overview.figures(&a, &place, at(61), &figures(1));
+    let row = overview.row("A", 9).unwrap();
+    assert_eq!((row.ne107, row.silent, overview.data_health(9).silent_loops), (Some("F"), true, 1));
+    overview.figures(&a, &place, at(62), &figures(2));
+    assert!(!overview.row("A", 9).unwrap().silent);
+}
+
+#[test]
+fn the_cause_that_a_loop_shows_is_that_of_most_of_its_last_windows() {
+    let (overview, now, place) = (Overview::default(), Instant::now(), Place::default());
+    let a: Arc<str> = "A".into();
+    let status = |k: i64, verdict| {
+        overview.estimate(&a, &place, now, estimate("A", k * 1_000_000_000, None, verdict));
+        let row = overview.row("A", 0).unwrap();
+        (row.ne107, row.status)
+    };
+    for k in 0..6 {
+        status(k, Verdict::Tuning);
+    }
+    // One window of another cause, or without an oscillation, does not change what is shown.
+    let shown = "the loop oscillates, most likely because of its tuning (6 of the last 7 windows)";
+    assert_eq!(status(6, Verdict::NoStiction), (Some("S"), shown.to_owned()));
+    assert_eq!(status(7, Verdict::Stiction).1, "the valve sticks and slips; no alarm yet");
+    for k in 8..12 {
+        status(k, Verdict::NoOscillation);
+    }
+    let (ne107, status) = status(12, Verdict::NoOscillation);
+    assert!(ne107 == Some("ok") && status.contains("no sign of stiction found"), "{status}");
+}
+
+#[test]
+fn the_newest_windows_stay_and_tell_how_s_goes() {
+    let (overview, now, place) = (Overview::default(), Instant::now(), Place::default());
+    let a: Arc<str> = "A".into();
+    for k in 0..40_i64 {
+        let s = 2.0 + 0.05 * k as f64;
+        overview.estimate(&a, &place, now, estimate("A", k * 1_000_000_000, Some(s), Verdict::Stiction));
+    }
+    let row = overview.row("A", 0).unwrap();
+    assert_eq!((row.recent.len(), row.recent[RECENT - 1].t_ms, row.s_trend), (RECENT, 39_000.0, Some("rising")));
+    let steady: VecDeque<Recent> = (0..8)
+        .map(|k| Recent { t_ms: 0.0, p: None, s: Some(3.0 + 0.1 * f64::from(k % 2)), verdict: Verdict::Stiction })
+        .collect();
+    assert_eq!(trend(&steady), Some("steady"));
+    assert_eq!(trend(&steady.iter().take(5).copied().collect()), None);
+}
+
+fn group(end_ns: i64, members: &[&str]) -> Arc<GroupDocument> {
+    Arc::new(driven_group(end_ns, members))
+}
+
+#[test]
+fn a_group_goes_on_where_most_of_its_members_are() {
+    let (overview, now) = (Overview::default(), Instant::now());
+    assert!(overview.groups(now).compared_age_s.is_none());
+    overview.show_groups(now, vec![group(1, &["A", "B", "C"]), group(1, &["X", "Y"])]);
+    // C joins X and Y; the two groups come in the other order.
+    overview.show_groups(now, vec![group(2, &["X", "Y", "C"]), group(2, &["A", "B"])]);
+    let shown = overview.groups(now).groups;
+    let told: Vec<_> = shown.iter().map(|g| (g.id, g.document.members.join(""), g.history.len())).collect();
+    assert_eq!(told, [(0, "AB".to_owned(), 2), (1, "XYC".to_owned(), 2)]);
+    assert_eq!(shown[1].history[0].members, ["X", "Y"]);
+    // One that is gone is not shown, and goes on when it comes back; the history is bounded.
+    overview.show_groups(now, Vec::new());
+    assert!(overview.groups(now).groups.is_empty());
+    for k in 0..300 {
+        overview.show_groups(now, vec![group(3 + k, &["A", "B"])]);
+    }
+    let shown = overview.groups(now + Duration::from_secs(5));
+    assert_eq!(shown.compared_age_s, Some(5.0));
+    assert_eq!((shown.groups[0].id, shown.groups[0].history.len()), (0, 200));
+}
+
+#[test]
+fn a_follower_says_what_drives_it_until_it_is_in_no_group() {
+    let (overview, now, place) = (Overview::default(), Instant::now(), Place::default());
+    for name in ["A", "B", "C"] {
+        overview.figures(&name.into(), &place, now, &figures(5));
+    }
+    let Changes { version, compared, .. } = overview.changes_after(0, 5);
+    assert!(!compared);
+    overview.show_groups(now, vec![group(1, &["A", "B"])]);
+    let Changes { version, rows, compared, .. } = overview.changes_after(version, 5);
+    let driven: Vec<_> = rows.iter().map(|r| (r.name.as_str(), r.driven.as_deref())).collect();
+    assert_eq!((compared, driven), (true, vec![("B", Some("driven by A, p 0.90"))]));
+    overview.show_groups(now, Vec::new());
+    let Changes { version, rows, .. } = overview.changes_after(version, 5);
+    assert_eq!((rows.len(), rows[0].driven.as_deref()), (1, None));
+    assert!(!overview.changes_after(version, 5).compared);
+}

@@ -1,0 +1,156 @@
+//! What changes, as it changes: one stream a page. Changes of a second go out together and the newest counts, so a slow
+//! reader costs no memory; who comes back gets everything as it is now.
+
+use std::collections::VecDeque;
+use std::convert::Infallible;
+use std::time::Duration;
+
+use axum::Extension;
+use axum::extract::State;
+use axum::http::{HeaderMap, StatusCode};
+use axum::response::sse::{Event, Sse};
+use axum::routing::get;
+use futures_util::stream::{self, Stream};
+use serde::{Deserialize, Serialize};
+use serde_json::json;
+use tokio::time::{Interval, MissedTickBehavior, interval};
+
+use super::site::site_of;
+use super::window::curves_after;
+use super::{Operation, Parameter, ResponseKind, Shared};
+use crate::error::ApiError;
+use crate::extract::QueryParams;
+use crate::guard::Permission;
+use crate::server::{Life, Peer};
+use stiction::units::ms_from_ns;
+use stiction_runtime::clock::now_ns;
+use stiction_runtime::overview::Changes;
+
+/// Pause between two looks for changes.
+const EVERY: Duration = Duration::from_secs(1);
+/// Looks between two words on the daemon itself.
+const SITE_EVERY: u32 = 5;
+/// Rows in one event: the first screen shows before the last row has come.
+const ROWS_AT_ONCE: usize = 250;
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Watching {
+    r#loop: Option<String>,
+}
+
+pub(super) fn operations() -> Vec<Operation<Shared>> {
+    vec![Operation {
+        method: "get",
+        path: "/events",
+        summary: "Changes as they come, as server-sent events: site, loops (rows; the first with full: true, which replaces all \
+                  before it), alarm (document), groups (loops were compared), and of one loop samples and estimate",
+        query: &[Parameter { name: "loop", words: "a loop whose samples and estimates are wanted too" }],
+        body: None,
+        response: ResponseKind::Events,
+        handler: || get(events),
+    }]
+}
+
+/// Where a stream stands.
+struct Watch {
+    live: Shared,
+    token: Permission,
+    life: Life,
+    ticks: Interval,
+    count: u32,
+    version: u64,
+    full: bool,
+    /// The loop that is watched, the newest stamp that was sent of it and the end of the newest window, ns.
+    watched: Option<(String, i64, i64)>,
+    ready: VecDeque<Event>,
+}
+
+async fn events(
+    State(live): State<Shared>,
+    QueryParams(watching): QueryParams<Watching>,
+    Extension(peer): Extension<Peer>,
+    Extension(life): Extension<Life>,
+    headers: HeaderMap,
+) -> Result<Sse<impl Stream<Item = Result<Event, Infallible>>>, ApiError> {
+    let token = live.guard.permission(peer, &headers);
+    let crowded = || ApiError::new(StatusCode::TOO_MANY_REQUESTS, "too many pages are open: close some");
+    let slot = live.streams.take(peer).ok_or_else(crowded)?;
+    let mut ticks = interval(EVERY);
+    ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let watched = watching.r#loop.map(|name| (name, i64::MIN, i64::MIN));
+    let watch = Watch { live, token, life, ticks, count: 0, version: 0, full: true, watched, ready: VecDeque::new() };
+    let stream = stream::unfold((watch, slot), |(mut watch, slot)| async {
+        let event = watch.next().await;
+        Some((Ok(event), (watch, slot)))
+    });
+    Ok(Sse::new(stream))
+}
+
+fn event(name: &str, data: &impl Serialize) -> Event {
+    Event::default().event(name).data(serde_json::to_string(data).unwrap_or_default())
+}
+
+impl Watch {
+    async fn next(&mut self) -> Event {
+        loop {
+            if let Some(event) = self.ready.pop_front() {
+                // Only what is taken is a sign of life: whoever reads no longer is let go.
+                self.life.show();
+                return event;
+            }
+            self.ticks.tick().await;
+            self.look().await;
+        }
+    }
+
+    async fn look(&mut self) {
+        let now = now_ns();
+        if self.count.is_multiple_of(SITE_EVERY) {
+            self.ready.push_back(event("site", &site_of(&self.live, self.token)));
+        }
+        self.count = self.count.wrapping_add(1);
+        let Changes { version, full, rows, mut gone, mut alarms, compared } =
+            self.live.overview.changes_after(self.version, now);
+        self.full |= full;
+        if self.full {
+            // Who comes new has the alarms from the list, and no row of a loop that has left.
+            alarms.clear();
+            gone.clear();
+        }
+        let mut parts: Vec<_> = rows.chunks(ROWS_AT_ONCE).collect();
+        if parts.is_empty() && (self.full || !gone.is_empty()) {
+            parts.push(&[]);
+        }
+        for part in parts {
+            let (full, gone) = (std::mem::take(&mut self.full), std::mem::take(&mut gone));
+            let rows = json!({"now_ms": ms_from_ns(now), "full": full, "loops": part, "gone": gone});
+            self.ready.push_back(event("loops", &rows));
+        }
+        self.ready.extend(alarms.iter().map(|document| event("alarm", document.as_ref())));
+        if compared {
+            // Only that there is something new: a page that shows groups asks for them.
+            self.ready.push_back(event("groups", &json!({"now_ms": ms_from_ns(now)})));
+        }
+        self.version = version;
+        self.look_at_loop().await;
+    }
+
+    async fn look_at_loop(&mut self) {
+        let Some((name, sent_ns, window_ns)) = &mut self.watched else { return };
+        if let Some(estimate) = self.live.overview.newest(name).and_then(|newest| newest.estimate) {
+            let end_ns = estimate.assessment.window.end_ns;
+            if end_ns > *window_ns {
+                *window_ns = end_ns;
+                self.ready.push_back(event("estimate", estimate.as_ref()));
+            }
+        }
+        // A loop that has not appeared yet is no reason to end.
+        let Ok(looked) = self.live.look(name, None).await else { return };
+        let Some(record) = looked.record else { return };
+        if let Some((curves, newest_ns)) = curves_after(&record, *sent_ns) {
+            *sent_ns = newest_ns;
+            self.ready.push_back(event("samples", &curves));
+        }
+    }
+}

@@ -1,0 +1,159 @@
+//! Loops: all of them in rows, and one with its newest documents and what they say in words.
+
+use axum::Json;
+use axum::extract::State;
+use axum::routing::get;
+use serde::Serialize;
+use serde_json::Value;
+
+use super::{Answered, Operation, ResponseKind, Shared, of};
+use crate::error::ApiError;
+use crate::extract::PathName;
+use stiction::gap::document::GapDocument;
+use stiction::gap::text;
+use stiction::units::ms_from_ns;
+use stiction::verdict::{Assessment, EstimateDocument, words};
+use stiction_monitor::alarm::AlarmDocument;
+use stiction_monitor::codec::topic::Kind;
+use stiction_runtime::clock::now_ns;
+use stiction_runtime::overview::Row;
+
+/// Rows.
+#[derive(Debug, Serialize, schemars::JsonSchema)]
+struct Loops {
+    /// The daemon's clock, ms since 1970.
+    now_ms: f64,
+    /// Every loop, by name.
+    loops: Vec<Row>,
+}
+
+/// One loop.
+#[derive(Debug, Serialize, schemars::JsonSchema)]
+struct Detail {
+    /// As in the list.
+    row: Row,
+    /// `stictiond.estimate.v1` of its newest window.
+    estimate: Option<EstimateDocument>,
+    /// `stictiond.alarm.v2`, if its alarm ever changed.
+    alarm: Option<AlarmDocument>,
+    /// `stictiond.gap.v1` of its last diagnosis.
+    gap: Option<Value>,
+    /// `stictiond.loop_health.v1`.
+    health: Option<Value>,
+    /// What they say.
+    words: Words,
+}
+
+/// Documents in plain words.
+#[derive(Debug, Default, Serialize, schemars::JsonSchema)]
+struct Words {
+    /// The verdict.
+    verdict: String,
+    /// How sure it is, the evidence, and why numbers are missing.
+    why: Vec<String>,
+    /// How much it sticks, where stiction was found.
+    size: Option<String>,
+    /// What to do.
+    what_to_do: Option<String>,
+    /// The bump test that would settle it, a numbered step a line; null where none is proposed, which `what_to_do` explains.
+    test: Option<String>,
+    /// Gates of the newest window.
+    gates: Vec<Explained>,
+    /// Indicators that weigh in the verdict, the heaviest first.
+    indicators: Vec<Indicated>,
+    /// The gap diagnosis.
+    gap: Option<String>,
+}
+
+/// A name and what it means.
+#[derive(Debug, Serialize, schemars::JsonSchema)]
+struct Explained {
+    name: &'static str,
+    words: &'static str,
+}
+
+/// An indicator and what it means.
+#[derive(Debug, Serialize, schemars::JsonSchema)]
+struct Indicated {
+    name: &'static str,
+    /// What it looks at.
+    words: &'static str,
+    score: Option<f64>,
+    vote: Option<bool>,
+    /// Its part of the verdict, logits.
+    contribution: f64,
+}
+
+pub(super) fn operations() -> Vec<Operation<Shared>> {
+    vec![
+        Operation {
+            method: "get",
+            path: "/loops",
+            summary: "Every loop in a row: verdict, how sure, alarm, data health, its newest windows",
+            query: &[],
+            body: None,
+            response: ResponseKind::Json(of::<Loops>),
+            handler: || get(all),
+        },
+        Operation {
+            method: "get",
+            path: "/loops/{name}",
+            summary: "One loop: its newest documents, and what they say in words",
+            query: &[],
+            body: None,
+            response: ResponseKind::Json(of::<Detail>),
+            handler: || get(one),
+        },
+    ]
+}
+
+async fn all(State(live): State<Shared>) -> Json<Loops> {
+    let now = now_ns();
+    Json(Loops { now_ms: ms_from_ns(now), loops: live.overview.changes_after(0, now).rows })
+}
+
+async fn one(State(live): State<Shared>, PathName(name): PathName) -> Answered<Detail> {
+    let no_such = || ApiError::not_found(format!("no loop {name:?} has appeared"));
+    let row = live.overview.row(&name, now_ns()).ok_or_else(no_such)?;
+    let newest = live.overview.newest(&name).unwrap_or_default();
+    let gap = live.last_document(&name, Kind::Gap);
+    let op_range = live.config.loops.iter().find(|l| l.name == name).and_then(|l| l.op_range);
+    let mut words = newest.estimate.as_deref().map(|e| words_of(&e.assessment, op_range)).unwrap_or_default();
+    words.gap =
+        gap.as_ref().and_then(|g| serde_json::from_value::<GapDocument>(g.clone()).ok()).map(|g| text::paragraph(&g));
+    Ok(Json(Detail {
+        row,
+        estimate: newest.estimate.as_deref().cloned(),
+        alarm: newest.alarm.as_deref().cloned(),
+        health: live.last_document(&name, Kind::Health),
+        gap,
+        words,
+    }))
+}
+
+fn words_of(a: &Assessment, op_range: Option<[f64; 2]>) -> Words {
+    let mut indicators: Vec<_> = a.indicators.iter().filter(|i| i.contribution != 0.0).collect();
+    indicators.sort_by(|x, y| y.contribution.abs().total_cmp(&x.contribution.abs()));
+    let mut why = vec![words::sureness(a)];
+    why.extend(words::evidence(a).into_iter().map(|(text, _)| text));
+    why.extend(words::disbelief(a));
+    Words {
+        verdict: words::headline(a),
+        why,
+        size: words::size(a, op_range),
+        what_to_do: Some(words::advice(a)),
+        test: words::proposal(a),
+        gates: a.gates.iter().map(|g| Explained { name: g.name(), words: words::gate(*g) }).collect(),
+        indicators: indicators
+            .into_iter()
+            .map(|i| Indicated {
+                name: i.name,
+                words: words::looks_at(i.name),
+                score: i.score,
+                vote: i.vote,
+                contribution: i.contribution,
+            })
+            .collect(),
+        gap: None,
+    }
+}

@@ -1,0 +1,251 @@
+//! The API of a running daemon.
+
+mod alarms;
+mod curves;
+mod events;
+mod groups;
+mod loops;
+mod over_time;
+mod past;
+mod reviews;
+pub mod site;
+mod window;
+
+use std::path::Path;
+use std::sync::{Arc, Mutex, PoisonError, RwLock};
+use std::time::{Duration, Instant};
+
+use axum::extract::DefaultBodyLimit;
+use axum::http::StatusCode;
+use axum::{Json, Router};
+use crossbeam_channel::Sender;
+use tokio::sync::{Semaphore, oneshot};
+
+use super::error::ApiError;
+use super::guard::Guard;
+use super::server::Limits;
+use super::table::{self, Operation, Parameter, ResponseKind, of};
+use stiction::record::Record;
+use stiction_files::archive::{Archive, SharedArchive};
+use stiction_files::reviews::Reviews;
+use stiction_monitor::codec::topic::{self, Kind};
+use stiction_monitor::config::{Commands, Config};
+use stiction_monitor::engine::LoopSettings;
+use stiction_runtime::clock::now_ns;
+use stiction_runtime::control::{Answer, Control, WindowSnapshot};
+use stiction_runtime::health::HealthSnapshot;
+use stiction_runtime::last_values::LastValues;
+use stiction_runtime::overview::Overview;
+use stiction_runtime::queue::Rate;
+use stiction_runtime::view::View;
+
+/// Largest body of a command, bytes.
+const MAX_BODY: usize = 16 << 10;
+/// How long the engine may take for an answer; a diagnosis takes longer.
+const ENGINE_WITHIN: Duration = Duration::from_secs(10);
+/// Looks at windows and recordings at a time, and drawings, which take seconds: both take a core from the fits.
+const LOOKS_AT_ONCE: usize = 2;
+const DRAWINGS_AT_ONCE: usize = 1;
+/// How many may wait for either.
+const SLOW_WAITING: usize = 64;
+/// Windows that the engine is asked for at a time, and requests that may wait for one beside the streams.
+const WINDOWS_AT_ONCE: usize = 2;
+const WINDOWS_WAITING: usize = 8;
+/// Streams at a time, and how many of them one host may hold.
+const STREAMS: usize = 64;
+const STREAMS_PER_HOST: usize = 32;
+
+/// What a running daemon answers from.
+pub struct Live {
+    /// Every loop as it is now.
+    pub overview: Overview,
+    /// Last documents as they were published.
+    pub last: LastValues,
+    /// The way to the engine.
+    pub control: Sender<Control>,
+    /// The daemon's health.
+    pub snapshot: HealthSnapshot,
+    /// What was recorded.
+    pub archive: SharedArchive,
+    /// What people found.
+    pub reviews: Reviews,
+    /// Who may do what.
+    pub guard: Arc<Guard>,
+    /// The configuration.
+    pub config: Arc<Config>,
+    /// When the daemon started, ns since 1970.
+    pub started_ns: i64,
+    /// What to know of the data before anything else.
+    pub note: Option<&'static str>,
+    /// `[commands]` as it is now: a reload changes it.
+    pub commands: Arc<RwLock<Commands>>,
+    review_rate: Mutex<Rate>,
+    started: Instant,
+    looks: Semaphore,
+    drawings: Semaphore,
+    waiting: Semaphore,
+    windows: Semaphore,
+    windows_waiting: Semaphore,
+    streams: Arc<Limits>,
+}
+
+/// A loop's window, as it was when somebody looked.
+struct Looked {
+    /// `None` where nothing is held, or no longer.
+    record: Option<Record>,
+    settings: Arc<LoopSettings>,
+}
+
+/// The state of every handler.
+pub type Shared = Arc<Live>;
+
+/// What a handler gives.
+pub type Answered<T> = Result<Json<T>, ApiError>;
+
+impl Live {
+    /// Answers from a view with these loops, under these rules.
+    #[must_use]
+    pub fn new(view: View, overview: Overview, guard: Arc<Guard>) -> Self {
+        let View { config, last, control, commands, snapshot, note, .. } = view;
+        let recordings = Path::new(&config.recording.dir);
+        let archive = Arc::new(Archive::new(recordings, &config.site.prefix));
+        let reviews = Reviews::below(recordings);
+        let [looks, drawings, waiting] = [LOOKS_AT_ONCE, DRAWINGS_AT_ONCE, SLOW_WAITING].map(Semaphore::new);
+        let streams = Limits::new(STREAMS, if guard.behind_proxy { STREAMS } else { STREAMS_PER_HOST });
+        let started_ns = now_ns();
+        let review_rate = Mutex::new(Rate::new(reviews::PER_MINUTE / 60.0, reviews::AT_ONCE));
+        Self {
+            commands,
+            review_rate,
+            started: Instant::now(),
+            overview,
+            last,
+            control,
+            snapshot,
+            archive,
+            reviews,
+            guard,
+            config,
+            started_ns,
+            note,
+            looks,
+            drawings,
+            waiting,
+            windows: Semaphore::new(WINDOWS_AT_ONCE),
+            windows_waiting: Semaphore::new(WINDOWS_WAITING),
+            streams,
+        }
+    }
+
+    /// Whether commands are taken at all.
+    fn takes_commands(&self) -> bool {
+        self.commands.read().unwrap_or_else(PoisonError::into_inner).enabled
+    }
+
+    /// Whether one more review may be taken now.
+    fn allow_review(&self) -> bool {
+        let mut rate = self.review_rate.lock().unwrap_or_else(PoisonError::into_inner);
+        rate.allow(self.started.elapsed().as_secs_f64())
+    }
+
+    /// The last document of a loop as it was published.
+    fn last_document(&self, loop_name: &str, kind: Kind) -> Option<serde_json::Value> {
+        let key = topic::result(&self.config.site.prefix, loop_name, kind);
+        let last = self.last.read().unwrap_or_else(PoisonError::into_inner);
+        let document = last.get(&key)?.document.clone();
+        drop(last);
+        serde_json::from_slice(&document).ok()
+    }
+
+    /// Looks back on a thread of its own.
+    async fn on_a_thread<T: Send + 'static>(&self, work: impl FnOnce() -> T + Send + 'static) -> Result<T, ApiError> {
+        self.in_turn(&self.looks, work).await
+    }
+
+    /// Draws on a thread of its own.
+    async fn draw<T: Send + 'static>(&self, work: impl FnOnce() -> T + Send + 'static) -> Result<T, ApiError> {
+        self.in_turn(&self.drawings, work).await
+    }
+
+    async fn in_turn<T: Send + 'static>(
+        &self,
+        places: &Semaphore,
+        work: impl FnOnce() -> T + Send + 'static,
+    ) -> Result<T, ApiError> {
+        let busy = || ApiError::busy("too many wait for pictures and recordings already: try again in a moment");
+        let _waiting = self.waiting.try_acquire().map_err(|_| busy())?;
+        let _place = places.acquire().await.map_err(|_| busy())?;
+        let failed = |_| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, "the request failed; see the daemon's log");
+        tokio::task::spawn_blocking(work).await.map_err(failed)
+    }
+
+    /// A loop's window for a request: refused where too many wait for one.
+    async fn request_window(&self, loop_name: &str, end_ns: Option<i64>) -> Result<Looked, ApiError> {
+        let busy = |_| ApiError::busy("too many requests for windows wait already: try again in a moment");
+        let _waiting = self.windows_waiting.try_acquire().map_err(busy)?;
+        self.look(loop_name, end_ns).await
+    }
+
+    /// The same for a stream, which waits for its turn: there are few. The engine hands out its history, and the window is
+    /// cut on a thread of the page's own.
+    async fn look(&self, loop_name: &str, end_ns: Option<i64>) -> Result<Looked, ApiError> {
+        let ending = |_| ApiError::busy("the daemon is stopping");
+        let _place = self.windows.acquire().await.map_err(ending)?;
+        let (tell, told) = oneshot::channel();
+        let answer = Box::new(move |window| drop(tell.send(window)));
+        self.ask(Control::GetWindow { loop_name: loop_name.to_owned(), end_ns, answer })?;
+        let window: Option<WindowSnapshot> = within(ENGINE_WITHIN, told).await?;
+        let unknown = || ApiError::not_found(format!("no loop {loop_name:?} has appeared"));
+        let WindowSnapshot { snapshot, settings } = window.ok_or_else(unknown)?;
+        self.on_a_thread(move || {
+            let record = snapshot.and_then(|snapshot| snapshot.record(&settings.window));
+            Looked { record, settings }
+        })
+        .await
+    }
+
+    /// A person's wish, answered by a document or by what is wrong with it.
+    async fn wish(
+        &self,
+        patience: Duration,
+        wish: impl FnOnce(Answer) -> Control,
+    ) -> Result<serde_json::Value, ApiError> {
+        let (tell, told) = oneshot::channel();
+        self.ask(wish(Box::new(move |result| drop(tell.send(result)))))?;
+        let document = within(patience, told).await?.map_err(ApiError::unfit)?;
+        serde_json::from_slice(&document).map_err(|e| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, e.to_string()))
+    }
+
+    fn ask(&self, wish: Control) -> Result<(), ApiError> {
+        self.control.try_send(wish).map_err(|_| ApiError::busy("the daemon is too busy to answer: try again"))
+    }
+}
+
+async fn within<T>(patience: Duration, told: oneshot::Receiver<T>) -> Result<T, ApiError> {
+    let late = || ApiError::new(StatusCode::GATEWAY_TIMEOUT, "the engine did not answer in time: try again");
+    tokio::time::timeout(patience, told).await.map_err(|_| late())?.map_err(|_| late())
+}
+
+/// Every operation of a running daemon.
+#[must_use]
+pub fn operations() -> Vec<Operation<Shared>> {
+    [
+        site::operations(),
+        loops::operations(),
+        window::operations(),
+        past::operations(),
+        over_time::operations(),
+        reviews::operations(),
+        alarms::operations(),
+        events::operations(),
+        groups::operations(),
+    ]
+    .into_iter()
+    .flatten()
+    .collect()
+}
+
+/// The API of a running daemon.
+pub fn live(state: Shared) -> Router {
+    table::router(&operations()).layer(DefaultBodyLimit::max(MAX_BODY)).with_state(state)
+}

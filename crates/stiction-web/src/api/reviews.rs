@@ -1,0 +1,170 @@
+//! What people found at valves, kept beside the recordings.
+
+use axum::Json;
+use axum::extract::State;
+use axum::http::{StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use axum::routing::{get, post};
+use serde::{Deserialize, Serialize};
+
+use super::curves::recorded;
+use super::{Answered, Operation, ResponseKind, Shared, of};
+use crate::error::ApiError;
+use crate::extract::{JsonBody, PathName};
+use stiction::record::Signal;
+use stiction::units::{Moment, ms_from_ns};
+use stiction_files::reviews::{KeepError, Label, Method, Review};
+use stiction_monitor::alarm::check_name;
+use stiction_runtime::clock::now_ns;
+
+/// Longest explanation, bytes.
+const MAX_WHY: usize = 500;
+/// Reviews that are taken a minute, and at once.
+pub(super) const PER_MINUTE: f64 = 30.0;
+pub(super) const AT_ONCE: f64 = 10.0;
+
+/// Every review.
+#[derive(Serialize, schemars::JsonSchema)]
+struct All {
+    /// Oldest first.
+    reviews: Vec<Told>,
+}
+
+/// A review with its time as the page counts it.
+#[derive(Serialize, schemars::JsonSchema)]
+pub(super) struct Told {
+    #[serde(flatten)]
+    review: Review,
+    /// When it was said, ms since 1970.
+    at_ms: f64,
+    /// End of the window that was judged, ms since 1970.
+    window_end_ms: f64,
+}
+
+/// The review that was kept.
+#[derive(Serialize, schemars::JsonSchema)]
+struct Kept {
+    review: Told,
+}
+
+/// What somebody found.
+#[derive(Debug, Deserialize, schemars::JsonSchema)]
+#[serde(deny_unknown_fields)]
+struct Found {
+    /// Whether the valve sticks.
+    label: Label,
+    /// How that was found out.
+    method: Method,
+    /// Who says so.
+    by: String,
+    /// In that person's words.
+    why: Option<String>,
+}
+
+pub(super) fn operations() -> Vec<Operation<Shared>> {
+    vec![
+        Operation {
+            method: "post",
+            path: "/loops/{name}/review",
+            summary: "Keeps what somebody found at the valve, with the newest estimate and its samples",
+            query: &[],
+            body: Some(of::<Found>),
+            response: ResponseKind::Json(of::<Kept>),
+            handler: || post(keep),
+        },
+        Operation {
+            method: "get",
+            path: "/reviews",
+            summary: "Everything that people found",
+            query: &[],
+            body: None,
+            response: ResponseKind::Json(of::<All>),
+            handler: || get(all),
+        },
+        Operation {
+            method: "get",
+            path: "/reviews.csv",
+            summary: "The same as the index that `stictiond evaluate` takes",
+            query: &[],
+            body: None,
+            response: ResponseKind::File("text/csv"),
+            handler: || get(index),
+        },
+    ]
+}
+
+impl From<Review> for Told {
+    fn from(review: Review) -> Self {
+        Self { at_ms: ms_from_ns(review.at.0), window_end_ms: ms_from_ns(review.window_end.0), review }
+    }
+}
+
+/// The last review of each loop.
+pub(super) fn last_of_loops(live: &Shared) -> std::collections::HashMap<String, Told> {
+    // A damaged index is told where reviews are asked for.
+    let all = live.reviews.all().unwrap_or_default();
+    all.into_iter().map(|review| (review.r#loop.clone(), review.into())).collect()
+}
+
+async fn keep(
+    State(live): State<Shared>,
+    PathName(name): PathName,
+    JsonBody(Found { label, method, by, why }): JsonBody<Found>,
+) -> Answered<Kept> {
+    if !live.takes_commands() {
+        let why = "reviews are commands, and these are switched off: [commands] enabled = false";
+        return Err(ApiError::new(StatusCode::FORBIDDEN, why));
+    }
+    check_name(Some(&by)).map_err(|e| ApiError::unfit(e.to_string()))?;
+    if why.as_ref().is_some_and(|why| why.len() > MAX_WHY) {
+        return Err(ApiError::unfit(format!("why is longer than {MAX_WHY} bytes; shorten it")));
+    }
+    let newest = live.overview.newest(&name).and_then(|newest| newest.estimate);
+    let none =
+        || ApiError::not_found(format!("{name}: no window has been answered yet, so there is nothing to review"));
+    let estimate = newest.ok_or_else(none)?;
+    if !live.allow_review() {
+        let why = format!("more than {PER_MINUTE} reviews a minute: try again later");
+        return Err(ApiError::new(StatusCode::TOO_MANY_REQUESTS, why));
+    }
+    let a = &estimate.assessment;
+    let review = Review {
+        file: String::new(),
+        label,
+        r#loop: name.clone(),
+        method,
+        by,
+        why: why.filter(|why| !why.trim().is_empty()),
+        at: Moment(now_ns()),
+        window_end: Moment(a.window.end_ns),
+        verdict: a.verdict.name().to_owned(),
+        p_stiction: a.p_stiction,
+        s: a.s,
+    };
+    let range = [a.window.start_ns, a.window.end_ns];
+    let (of_live, keep_days) = (live.clone(), live.config.retention.results_days);
+    let kept = live
+        .on_a_thread(move || {
+            let samples = recorded(&of_live.archive, &name, &Signal::ALL, range);
+            of_live.reviews.keep(review, &samples, keep_days)
+        })
+        .await?;
+    let status = |error: &KeepError| match error {
+        KeepError::Full(_) => StatusCode::INSUFFICIENT_STORAGE,
+        KeepError::System(_) => StatusCode::INTERNAL_SERVER_ERROR,
+    };
+    let review = kept.map_err(|error| ApiError::new(status(&error), error.to_string()))?;
+    Ok(Json(Kept { review: review.into() }))
+}
+
+async fn all(State(live): State<Shared>) -> Answered<All> {
+    let reviews = live.reviews.all().map_err(|why| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, why))?;
+    Ok(Json(All { reviews: reviews.into_iter().map(Told::from).collect() }))
+}
+
+async fn index(State(live): State<Shared>) -> Result<Response, ApiError> {
+    let name = "attachment; filename=\"reviews.csv\"";
+    let table = live.reviews.table().map_err(|why| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, why))?;
+    let headers = [(header::CONTENT_TYPE, "text/csv; charset=utf-8"), (header::CONTENT_DISPOSITION, name)];
+    Ok((headers, table).into_response())
+}

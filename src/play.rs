@@ -1,0 +1,193 @@
+//! `stictiond play`: publishes a recording's samples on the bus, in place of a gateway.
+
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use anyhow::{anyhow, bail};
+use indicatif::ProgressBar;
+use serde_json::json;
+use zenoh::bytes::Encoding;
+use zenoh::qos::CongestionControl;
+
+use super::reading::ReadArgs;
+use super::{Format, Outcome, asked_to_stop, block_on, say};
+use stiction::record::Sample;
+use stiction::units::s_from_ns;
+use stiction_files::LoadedLoop;
+use stiction_monitor::codec::encode_recorded;
+use stiction_monitor::codec::topic;
+
+/// Messages per second at `--speed max`: a rate that a daemon takes without loss.
+const MAX_RATE: f64 = 20_000.0;
+/// Time limit for connecting.
+const CONNECT_WITHIN: Duration = Duration::from_secs(10);
+/// Time for subscriptions to propagate after connecting.
+const SETTLE: Duration = Duration::from_millis(500);
+
+/// Publish the samples of recordings, tables and exports on Zenoh, in place of a gateway.
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Example: stictiond play recordings/sticking.mcap --connect tcp/127.0.0.1:7447 --prefix plant1/area1 --speed 60"
+)]
+pub struct Args {
+    /// Recordings, tables, exports, or folders of them.
+    #[arg(required = true)]
+    pub input: Vec<PathBuf>,
+    /// Options for reading exports.
+    #[command(flatten)]
+    pub reading: ReadArgs,
+    /// Zenoh endpoint of the daemon or router, such as tcp/127.0.0.1:7447.
+    #[arg(long)]
+    pub connect: String,
+    /// Key prefix of the published samples, such as plant1/area1.
+    #[arg(long, value_parser = prefix)]
+    pub prefix: String,
+    /// Speed as a multiple of real time, or max (20,000 messages/s).
+    #[arg(long, default_value = "1", value_parser = speed)]
+    pub speed: Speed,
+}
+
+/// `--speed`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Speed {
+    /// A multiple of real time.
+    Times(f64),
+    /// As fast as a daemon is sure to follow.
+    Max,
+}
+
+pub(super) fn prefix(text: &str) -> Result<String, String> {
+    if stiction::units::is_loop_name(text) {
+        Ok(text.to_owned())
+    } else {
+        Err("write a key prefix such as plant1/area1".into())
+    }
+}
+
+fn speed(text: &str) -> Result<Speed, String> {
+    if text == "max" {
+        return Ok(Speed::Max);
+    }
+    match text.parse::<f64>() {
+        Ok(times) if times > 0.0 && times.is_finite() => Ok(Speed::Times(times)),
+        _ => Err(format!("{text:?}: write a number above 0, or max")),
+    }
+}
+
+/// Opens a session connected to an endpoint.
+///
+/// # Errors
+/// Nothing answers there in time.
+pub(super) async fn connect(endpoint: &str) -> anyhow::Result<zenoh::Session> {
+    let mut config = zenoh::Config::default();
+    let endpoints = serde_json::to_string(&[endpoint])?;
+    let timeout = CONNECT_WITHIN.as_millis().to_string();
+    let settings = [
+        ("mode", "\"client\""),
+        ("scouting/multicast/enabled", "false"),
+        ("connect/endpoints", endpoints.as_str()),
+        ("connect/timeout_ms", timeout.as_str()),
+        ("connect/exit_on_failure", "true"),
+    ];
+    for (key, value) in settings {
+        config.insert_json5(key, value).map_err(|e| anyhow!("Zenoh rejects the setting {key} = {value}: {e}"))?;
+    }
+    let session = zenoh::open(config).await.map_err(|e| {
+        anyhow!(
+            "no answer from {endpoint} within {} s; check the endpoint and that a daemon or router is running there ({e})",
+            CONNECT_WITHIN.as_secs()
+        )
+    })?;
+    tokio::time::sleep(SETTLE).await;
+    Ok(session)
+}
+
+/// Samples of all loops in time order; within a loop the recorded order is kept.
+pub(super) struct Merged<'l> {
+    loops: &'l [LoadedLoop],
+    next: Vec<usize>,
+}
+
+impl<'l> Merged<'l> {
+    /// Merges these loops.
+    pub fn new(loops: &'l [LoadedLoop]) -> Self {
+        Self { loops, next: vec![0; loops.len()] }
+    }
+}
+
+impl<'l> Iterator for Merged<'l> {
+    type Item = (&'l LoadedLoop, Sample);
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let heads = self.loops.iter().zip(&self.next).enumerate();
+        let (index, sample) =
+            heads.filter_map(|(i, (l, n))| l.samples.get(*n).map(|s| (i, *s))).min_by_key(|(_, s)| s.t_ns)?;
+        self.next[index] += 1;
+        Some((&self.loops[index], sample))
+    }
+}
+
+/// Runs the command; Ctrl-C stops it cleanly.
+///
+/// # Errors
+/// The file cannot be read, or nothing answers at the endpoint.
+pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
+    let loaded = args.reading.load_all(&args.input)?;
+    for warning in &loaded.warnings {
+        tracing::warn!("{warning}");
+    }
+    let total: usize = loaded.loops.iter().map(|l| l.samples.len()).sum();
+    if total == 0 {
+        bail!("{}: contains no samples", super::reading::named(&args.input));
+    }
+    let sent = block_on(async {
+        let stop = asked_to_stop()?;
+        let session = connect(&args.connect).await?;
+        let bar = ProgressBar::new(total as u64);
+        let sent = tokio::select! {
+            sent = publish(&session, args, &loaded.loops, &bar) => sent,
+            () = stop => Ok(bar.position()),
+        };
+        bar.finish_and_clear();
+        let _ = tokio::time::timeout(Duration::from_secs(2), session.close()).await;
+        sent
+    })?;
+    match format {
+        Format::Json => say(json!({"schema": "stictiond.play.v1", "published": sent, "of": total}))?,
+        Format::Text => say(format!("{sent} of {total} samples published below {}", args.prefix))?,
+    }
+    Ok(if loaded.data_loss { Outcome::DataLoss } else { Outcome::Done })
+}
+
+async fn publish(
+    session: &zenoh::Session,
+    args: &Args,
+    loops: &[LoadedLoop],
+    bar: &ProgressBar,
+) -> anyhow::Result<u64> {
+    let started = Instant::now();
+    let mut first_ns = None;
+    let mut json = Vec::new();
+    for (sent, (of, sample)) in Merged::new(loops).enumerate() {
+        let first_ns = *first_ns.get_or_insert(sample.t_ns);
+        let due = match args.speed {
+            Speed::Times(times) => s_from_ns(sample.t_ns.saturating_sub(first_ns)) / times,
+            Speed::Max => sent as f64 / MAX_RATE,
+        };
+        let ahead = Duration::from_secs_f64(due.clamp(0.0, 1e9)).saturating_sub(started.elapsed());
+        if ahead > Duration::from_millis(2) {
+            tokio::time::sleep(ahead).await;
+        }
+        json.clear();
+        encode_recorded(&sample, &mut json);
+        let key = topic::raw(&args.prefix, &of.name, sample.signal);
+        session
+            .put(&key, json.clone())
+            .encoding(Encoding::APPLICATION_JSON)
+            .congestion_control(CongestionControl::Block)
+            .await
+            .map_err(|e| anyhow!("{key}: {e}"))?;
+        bar.inc(1);
+    }
+    Ok(bar.position())
+}

@@ -1,0 +1,80 @@
+//! `stictiond run`: the daemon.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use anyhow::{Context, bail};
+
+use super::{Outcome, asked_to_stop, block_on, list};
+use stiction_daemon::{HEALTH_EVERY, RunOptions};
+use stiction_monitor::config::{Config, is_id};
+use stiction_monitor::shard::Shard;
+
+/// Run the daemon: subscribe, estimate, publish and record until SIGTERM or Ctrl-C.
+///
+/// SIGHUP reloads the configuration, logs which changed settings need a restart, and starts new recordings.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:
+  stictiond run --config config/monitor.toml
+  stictiond run --config config/monitor.toml --shard 0/3 --id plant-0")]
+pub struct Args {
+    /// Configuration file (TOML); `stictiond check FILE` lists its faults.
+    #[arg(long)]
+    pub config: PathBuf,
+    /// Name of this daemon in documents and topics; overrides `[daemon] id`.
+    #[arg(long)]
+    pub id: Option<String>,
+    /// Watch part INDEX (from 0) of COUNT parts of all loops; overrides `[shard]`.
+    #[arg(long, value_name = "INDEX/COUNT", value_parser = shard_of)]
+    pub shard: Option<Shard>,
+    /// Worker threads for fits [default: all cores but one].
+    #[arg(long)]
+    pub workers: Option<usize>,
+    /// How often the health documents are made, s: tests wait for them.
+    #[arg(long, hide = true, value_parser = seconds)]
+    pub health_every_s: Option<f64>,
+}
+
+/// Reads a number of seconds that a timer takes.
+fn seconds(text: &str) -> Result<f64, String> {
+    let number = text.parse::<f64>().ok().filter(|s| (0.01..=3600.0).contains(s));
+    number.ok_or_else(|| "write a number of seconds from 0.01 to 3600".to_owned())
+}
+
+/// Reads `--shard`.
+fn shard_of(text: &str) -> Result<Shard, String> {
+    Shard::parse(text).ok_or_else(|| "write INDEX/COUNT, such as 0/3, with INDEX below COUNT".to_owned())
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// A faulty configuration, a port in use, or a folder that cannot be written.
+pub fn run(args: &Args) -> anyhow::Result<Outcome> {
+    let text = std::fs::read_to_string(&args.config).with_context(|| args.config.display().to_string())?;
+    let mut config = match Config::parse(&text) {
+        Ok(config) => config,
+        Err(faults) => bail!("{}: the configuration has faults:\n  {}", args.config.display(), list(&faults)),
+    };
+    if let Some(shard) = args.shard {
+        config.shard = shard;
+    }
+    if let Some(id) = &args.id {
+        if id.is_empty() || !is_id(id) {
+            bail!("--id {id:?} is not a valid name; use up to 64 letters, digits and . _ -");
+        }
+        config.daemon.id.clone_from(id);
+    }
+    block_on(async {
+        let options = RunOptions {
+            workers: args.workers,
+            config_path: Some(args.config.clone()),
+            health_every: args.health_every_s.map_or(HEALTH_EVERY, Duration::from_secs_f64),
+            ..RunOptions::of("run", stiction_web::serve)
+        };
+        // Before anything else: a daemon that is asked to stop while it starts ends in order too.
+        let stop = asked_to_stop()?;
+        stiction_daemon::run(config, text, options, stop).await
+    })?;
+    Ok(Outcome::Done)
+}
