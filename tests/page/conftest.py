@@ -19,6 +19,8 @@ NS = 10**9
 PREFIX = "works/north"
 TOKEN = "a-token-for-the-test-of-the-page"
 SKIPPED = []
+# Set by tests/run.sh --all: every width, scheme and name; otherwise one of each.
+LONG = bool(os.environ.get("STICTIOND_LONG"))
 # Machines that are busy with other tests take their time.
 expect.set_options(timeout=30_000)
 # What a browser says where the daemon is away.

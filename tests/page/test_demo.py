@@ -4,7 +4,7 @@ import re
 import time
 
 import pytest
-from conftest import api, skipped
+from conftest import LONG, api, skipped
 from playwright.sync_api import expect
 
 from daemon import eventually
@@ -71,7 +71,8 @@ def test_axe_finds_nothing(demo, open_page, axe_source, view):
     found = []
     for width in WIDTHS:
         page.set_viewport_size({"width": width, "height": 900})
-        for scheme in ("light", "dark"):
+        schemes = ("light", "dark") if LONG else ("dark",) if width == 820 else ("light",)
+        for scheme in schemes:
             page.emulate_media(color_scheme=scheme)
             wide = page.evaluate("() => document.documentElement.scrollWidth - document.documentElement.clientWidth")
             found += [f"{view} at {width}: {wide} px wider than the screen"] if wide > 0 else []

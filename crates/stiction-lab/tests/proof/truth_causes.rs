@@ -100,6 +100,7 @@ fn a_sine_load_is_named() {
 }
 
 #[test]
+#[ignore = "long: tests/run.sh --all"]
 fn a_square_load_is_named() {
     let load = |amplitude, period_s| vec![Disturbance::Square { amplitude, period_s }];
     let (named, judged) = right([0.2, 0.5], load, Verdict::Disturbance);
@@ -122,6 +123,7 @@ fn two_sine_loads_are_named() {
 }
 
 #[test]
+#[ignore = "long: tests/run.sh --all"]
 fn a_cycle_from_outside_with_a_wandering_phase_is_named() {
     let (named, judged) = words(|seed| shaken(seed + 30, 0.04, seed.is_multiple_of(2)), Verdict::Disturbance);
     assert!(judged >= 16 && named * 100 >= 80 * judged, "{named} of {judged}");

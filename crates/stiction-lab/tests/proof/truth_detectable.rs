@@ -59,6 +59,7 @@ fn with_moving_set_points() -> Vec<[(u64, f64, Option<f64>); 2]> {
 }
 
 #[test]
+#[ignore = "long: tests/run.sh --all"]
 fn a_band_well_above_it_is_found_more_often_than_one_well_below() {
     let loops = with_moving_set_points();
     let (mut said, mut above, mut below) = (0, 0, 0);
@@ -92,6 +93,7 @@ fn a_band_well_above_it_is_found_more_often_than_one_well_below() {
 }
 
 #[test]
+#[ignore = "long: tests/run.sh --all"]
 fn where_it_is_null_half_the_span_is_seldom_enough() {
     let (mut null, mut enough) = (0, 0);
     for seed in (0..24).filter(|seed| seed % 3 != 2) {

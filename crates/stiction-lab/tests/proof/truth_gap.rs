@@ -197,6 +197,7 @@ fn held(pv: &[f64], band: f64) -> Vec<f64> {
 }
 
 #[test]
+#[ignore = "long: tests/run.sh --all"]
 fn a_few_stored_values_tell_what_the_recorder_made_of_the_gap() {
     let mut all = Vec::new();
     for seed in 1..=4 {
@@ -215,6 +216,7 @@ fn a_few_stored_values_tell_what_the_recorder_made_of_the_gap() {
 }
 
 #[test]
+#[ignore = "long: tests/run.sh --all"]
 fn a_slow_lag_in_place_of_an_integrator_keeps_its_initial_state() {
     for seed in [1, 2] {
         let mut model = plain(seed);
@@ -256,6 +258,7 @@ fn a_heavy_stem_is_followed_by_its_own_law_and_not_without_its_mass() {
 }
 
 #[test]
+#[ignore = "long: tests/run.sh --all"]
 fn stems_that_no_pair_of_bands_imitates_are_found_from_nothing() {
     let moves = |fd_over_fs: f64, stroke: Stroke, m: LoopModel| {
         let fd = fd_over_fs * m.valve.fs;
