@@ -42,7 +42,7 @@ cargo test --no-run --locked --quiet --features full --all-targets
 
 # Some tests mostly wait: for a daemon that is killed, a disk that fills, a broker that comes back, a program that runs.
 # They run beside those that compute; what they print follows when both have ended.
-waiting=(crashes faults hardened hostile program service shards soak twice)
+waiting=(daemon program)
 computing=()
 for path in tests/*.rs tests/*/main.rs crates/*/tests/*/main.rs; do
     name=$(basename "${path%/main.rs}" .rs)

@@ -4,6 +4,7 @@
 #![allow(missing_docs)]
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+mod alarm_model;
 mod circles;
 mod config;
 mod engine;
@@ -11,9 +12,13 @@ mod engine_gaps;
 mod engine_later;
 mod engine_plant;
 mod formats;
+mod fuzz;
+#[path = "../common/isa.rs"]
+mod isa;
 mod language;
 mod openapi;
 mod pages;
 mod promises;
+mod simulation;
 mod tidy;
 mod verdict_texts;

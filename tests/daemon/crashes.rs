@@ -1,15 +1,11 @@
 //! Crashes, clocks and disks: what was acknowledged is never lost, and the daemon always starts.
-#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-
-#[path = "common/live.rs"]
-mod live;
 
 use std::fs;
 use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
-use live::{
+use crate::live::{
     Daemon, FAST, alarm_state, alarmed, ask, configure, files, free_port, plane, raw_samples, state_after_restart,
     wait_for,
 };
@@ -19,7 +15,7 @@ use zenoh::Wait;
 
 /// Documents of all kinds and raw samples in a file.
 fn contents(file: &Path) -> (usize, usize) {
-    let info = live::ok(&["info", file.to_str().unwrap(), "--verify", "--format", "json"]);
+    let info = crate::live::ok(&["info", file.to_str().unwrap(), "--verify", "--format", "json"]);
     let info: serde_json::Value = serde_json::from_str(&info).unwrap();
     let results: u64 = info["results"].as_object().unwrap().values().map(|n| n.as_u64().unwrap()).sum();
     (usize::try_from(results).unwrap(), raw_samples(file))
@@ -39,7 +35,7 @@ fn retention_takes_samples_out_keeps_results_and_never_touches_what_is_in_use() 
     let bus = daemon.session();
     assert_eq!(alarm_state(&bus), "unack");
     bus.close().wait().unwrap();
-    let replayed = live::stictiond(&["replay", done.to_str().unwrap(), "--verify"]);
+    let replayed = crate::live::stictiond(&["replay", done.to_str().unwrap(), "--verify"]);
     assert_eq!(replayed.status.code(), Some(1));
     assert!(String::from_utf8_lossy(&replayed.stderr).contains("[retention]"));
     // The file in use is still there, and becomes whole.
@@ -71,14 +67,15 @@ fn damaged_recordings_are_named_until_they_are_gone_and_recover_saves_what_can_b
     assert_eq!(daemon.counter("quarantined"), 3);
     // Rescued into another folder: what was damaged gives what it can, what was whole is copied to the byte.
     let out = dir.path().join("rescued");
-    let status = live::stictiond(&["recover", rec.to_str().unwrap(), "--out", out.to_str().unwrap()]).status;
+    let status = crate::live::stictiond(&["recover", rec.to_str().unwrap(), "--out", out.to_str().unwrap()]).status;
     assert_eq!(status.code(), Some(3));
     assert_eq!(fs::read(out.join(done.file_name().unwrap())).unwrap(), whole);
     assert!(contents(&out.join("hurt0.mcap")).1 > 1000);
     // Never onto itself, asked for by name or by folder.
     let again = out.join(done.file_name().unwrap());
     for onto in [&again, &out] {
-        let said = live::stictiond(&["recover", onto.to_str().unwrap(), "--out", onto.to_str().unwrap(), "--force"]);
+        let said =
+            crate::live::stictiond(&["recover", onto.to_str().unwrap(), "--out", onto.to_str().unwrap(), "--force"]);
         assert!(!said.status.success() && String::from_utf8_lossy(&said.stderr).contains("the input itself"));
     }
     assert_eq!(fs::read(&again).unwrap(), whole);
@@ -130,7 +127,7 @@ fn an_acknowledgement_outlives_kill_9_and_an_orderly_end() {
     fs::remove_file(dir.path().join("rec/state.redb")).unwrap();
     assert_eq!(state_after_restart(dir.path()), "acked", "without the store");
     for file in all.iter().filter(|f| f.extension().unwrap() == "mcap") {
-        live::ok(&["replay", file.to_str().unwrap(), "--verify"]);
+        crate::live::ok(&["replay", file.to_str().unwrap(), "--verify"]);
     }
 }
 
@@ -139,7 +136,7 @@ fn a_recording_in_columns_outlives_kill_9_up_to_its_last_flush() {
     let dir = tempfile::tempdir().unwrap();
     let fast = format!("{FAST}raw = \"columns\"\n");
     let daemon = Daemon::start(dir.path(), &fast);
-    daemon.play(&live::sticking(dir.path()));
+    daemon.play(&crate::live::sticking(dir.path()));
     daemon.wait_for_estimates(6);
     let open = files(&dir.path().join("rec")).pop().unwrap();
     assert!(open.to_str().unwrap().ends_with(".part"));
@@ -147,7 +144,7 @@ fn a_recording_in_columns_outlives_kill_9_up_to_its_last_flush() {
     let samples = raw_samples(&open);
     daemon.kill();
     assert!(raw_samples(&open) >= samples && samples > 1000, "{samples}");
-    let replayed = live::stictiond(&["replay", open.to_str().unwrap(), "--verify"]);
+    let replayed = crate::live::stictiond(&["replay", open.to_str().unwrap(), "--verify"]);
     // Cut off, and equal up to there.
     assert_eq!(replayed.status.code(), Some(3), "{}", String::from_utf8_lossy(&replayed.stderr));
     // The alarm is found in it without the store; the next file begins where this one ended.
@@ -166,7 +163,7 @@ fn kills_just_after_a_start_cost_no_alarm() {
         if cycle % 2 == 1 {
             let _ = fs::remove_file(dir.path().join("rec/state.redb"));
         }
-        let mut child = Command::new(live::program())
+        let mut child = Command::new(crate::live::program())
             .args(["run", "--config", path.to_str().unwrap()])
             .stderr(Stdio::null())
             .spawn()
@@ -284,7 +281,7 @@ fn commands_that_were_answered_outlive_kill_9_at_any_moment() {
 fn settled(dir: &Path, before: Aside, after: Aside) -> Aside {
     let store = stiction_files::store::StateStore::open(&dir.join("rec/state.redb")).unwrap();
     let stored = store.load().unwrap().values;
-    let state: serde_json::Value = serde_json::from_slice(&stored[&format!("{}\nFIC101", live::PREFIX)]).unwrap();
+    let state: serde_json::Value = serde_json::from_slice(&stored[&format!("{}\nFIC101", crate::live::PREFIX)]).unwrap();
     let (alarm, aside) = (&state["alarm"], &state["alarm"]["aside"]);
     let found = Aside {
         acked: alarm["state"] == "acked",

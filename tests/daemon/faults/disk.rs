@@ -5,11 +5,11 @@ use std::os::unix::fs::symlink;
 
 use zenoh::Wait;
 
+use super::shim::Shim;
 use crate::live::{
     Daemon, FAST, alarm_state, alarmed, ask, files, plane, raw_samples, skipped, state_after_restart, sticking,
     wait_for,
 };
-use crate::shim::Shim;
 
 /// Sends so many samples of loop A, and waits until the daemon has them.
 fn feed(daemon: &Daemon, bus: &zenoh::Session, sent: &mut u64, count: u64) {

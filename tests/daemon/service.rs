@@ -1,8 +1,4 @@
 //! Life as a service: signals, locks, limits of the system, and what `check` finds before the start.
-#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-
-#[path = "common/live.rs"]
-mod live;
 
 use std::fs;
 use std::os::unix::net::UnixDatagram;
@@ -10,7 +6,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
-use live::{Daemon, configure, files, free_port, ok, skipped, stictiond, wait_for};
+use crate::live::{Daemon, configure, files, free_port, ok, skipped, stictiond, wait_for};
 use zenoh::Wait;
 
 #[test]
@@ -150,7 +146,7 @@ fn a_second_daemon_under_the_same_zenoh_id_says_that_it_is_blind() {
         );
         fs::write(&path, text).unwrap();
         let log = fs::File::create(dir.path().join(format!("{name}.log"))).unwrap();
-        let mut command = Command::new(live::program());
+        let mut command = Command::new(crate::live::program());
         command.args(["run", "--config", path.to_str().unwrap()]).stderr(log).stdout(Stdio::null()).spawn().unwrap()
     };
     let said = |name: &str, part: &str| {
@@ -185,7 +181,7 @@ impl Started {
             rec.to_str().unwrap()
         );
         fs::write(&path, text).unwrap();
-        let mut command = Command::new(live::program());
+        let mut command = Command::new(crate::live::program());
         let child = command.args(["run", "--config", path.to_str().unwrap()]).stdout(Stdio::null());
         Self(child.stderr(fs::File::create(&log).unwrap()).spawn().unwrap(), log)
     }
@@ -198,7 +194,8 @@ impl Started {
 /// Faults by way of the web server, once it answers.
 fn faults_at(web: u16) -> Option<String> {
     std::net::TcpStream::connect(("127.0.0.1", web)).ok()?;
-    let health: serde_json::Value = serde_json::from_str(&live::http(&format!("127.0.0.1:{web}"), "/healthz")).ok()?;
+    let health: serde_json::Value =
+        serde_json::from_str(&crate::live::http(&format!("127.0.0.1:{web}"), "/healthz")).ok()?;
     Some(health["faults"].to_string())
 }
 

@@ -1,18 +1,14 @@
 //! Long runs behind a router that is restarted: nothing grows, nothing ends, and the figures are printed.
 //!
-//! `cargo test --test soak -- --nocapture` takes seconds. `STICTIOND_SOAK_S=3600 cargo test --test soak -- --ignored
+//! `cargo test --test daemon soak -- --nocapture` takes seconds. `STICTIOND_SOAK_S=3600 cargo test --test daemon soak -- --ignored
 //! --nocapture` is an hour of 1,000 loops at 1 Hz with two signals, the router restarted every `STICTIOND_ROUTER_S` (60).
-#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-
-#[path = "common/live.rs"]
-mod live;
 
 use std::fs;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use live::{free_port, http, ok, wait_for};
+use crate::live::{free_port, http, ok, wait_for};
 use zenoh::Wait;
 use zenoh::qos::CongestionControl;
 
@@ -60,7 +56,7 @@ impl Client {
             recordings.to_str().unwrap()
         );
         fs::write(&config, text).unwrap();
-        let child = Command::new(live::program())
+        let child = Command::new(crate::live::program())
             .args(["run", "--config", config.to_str().unwrap()])
             .stdout(Stdio::null())
             .stderr(fs::File::create(&log).unwrap())

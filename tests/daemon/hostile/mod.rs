@@ -1,8 +1,5 @@
 //! Hostile publishers, strangers with commands, clients that never finish: bounded, answered, logged.
-#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-#[path = "../common/live.rs"]
-mod live;
 mod pages;
 mod proxy;
 mod reviews;
@@ -13,7 +10,7 @@ use std::net::TcpStream;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use live::{Daemon, FAST, PREFIX, alarm_state, ask, http, plane, request, sticking, wait_for};
+use crate::live::{Daemon, FAST, PREFIX, alarm_state, ask, http, plane, request, sticking, wait_for};
 use serde_json::Value;
 use stiction_daemon::sink::signing::{Signature, Signer};
 use zenoh::Wait;

@@ -15,7 +15,7 @@ use stiction_monitor::codec::encode_recorded;
 use stiction_monitor::config::Config;
 use stiction_runtime::clock::Clock;
 
-const FOUR: &str = include_str!("../../recordings/scenarios/four-loops.toml");
+const FOUR: &str = include_str!("../../../recordings/scenarios/four-loops.toml");
 const STICKS: &str = "FIC201";
 const CALM: &str = "PIC203";
 

@@ -1,5 +1,4 @@
 //! History that comes twice has windows of equal ends: a recording tells them apart by their order.
-#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -12,7 +11,7 @@ use stiction_monitor::codec::topic::{self, Kind};
 use stiction_monitor::config::Config;
 use stiction_monitor::engine::{Engine, Event, RecordedInput, Request, SkipReason};
 
-const SCENARIO: &str = include_str!("../recordings/scenarios/sticking.toml");
+const SCENARIO: &str = include_str!("../../recordings/scenarios/sticking.toml");
 const TEXT: &str = "[site]\nprefix = \"p\"\n[window]\nhop_s = 300.0\n[alarm]\nraise = [32, 32]\n";
 
 /// Writes what a live run would have recorded whose first window found no worker and whose last ones met its end.

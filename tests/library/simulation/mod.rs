@@ -3,13 +3,10 @@
 //! fills, breaks and floods.
 //!
 //! `STICTIOND_SEED=N` runs one seed (a failure names its own), `STICTIOND_SEEDS=N` so many, `STICTIOND_SIM_DAYS=N` so long.
-#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 mod control;
 mod disk;
 mod folder;
-#[path = "../common/isa.rs"]
-mod isa;
 mod leavers;
 mod oracle;
 mod plant;
@@ -65,7 +62,7 @@ impl Drop for Named {
     fn drop(&mut self) {
         if std::thread::panicking() {
             let seed = self.0;
-            eprintln!("\nseed {seed} failed; again: STICTIOND_SEED={seed} cargo test --test simulation days\n");
+            eprintln!("\nseed {seed} failed; again: STICTIOND_SEED={seed} cargo test --test library simulation days\n");
         }
     }
 }

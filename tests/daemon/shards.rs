@@ -1,15 +1,11 @@
 //! Several daemons that share a plant's loops by `[shard]`.
-#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-
-#[path = "common/live.rs"]
-mod live;
 
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-use live::{Daemon, FAST, PREFIX, ask, files, free_port, ok, plane, wait_for};
+use crate::live::{Daemon, FAST, PREFIX, ask, files, free_port, ok, plane, wait_for};
 use serde_json::Value;
 use stiction_monitor::shard::Shard;
 use zenoh::Wait;

@@ -1,9 +1,8 @@
 //! Everything that comes from outside, fed with damaged and made-up bytes: nothing may panic, hang or grow without bound.
 //!
 //! Runs on the stable compiler, in this process. Each target gets a fixed number of inputs, so every run covers the same on
-//! every machine; `STICTIOND_FUZZ_TIMES=1000 cargo test --test fuzz -- --nocapture` gives it a thousand times as many. A
+//! every machine; `STICTIOND_FUZZ_TIMES=1000 cargo test --test library fuzz -- --nocapture` gives it a thousand times as many. A
 //! failure names the seed of its input, and `STICTIOND_FUZZ_SEED=N` runs that one alone.
-#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use std::fs;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -19,7 +18,7 @@ use stiction_monitor::codec::topic::Topic;
 use stiction_monitor::codec::{Bundle, MAX_SAMPLES, Memory, decode, decode_fields};
 use stiction_monitor::config::Config;
 
-#[path = "program/exports/data.rs"]
+#[path = "../program/exports/data.rs"]
 #[allow(dead_code)]
 mod data;
 

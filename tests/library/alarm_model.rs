@@ -1,10 +1,6 @@
 //! The alarm against a second, plainer account of ISA-18.2: sequences of windows and commands, each step compared.
-#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-#[path = "common/isa.rs"]
-mod isa;
-
-use isa::Model;
+use crate::isa::Model;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use stiction::ident::region::Size;

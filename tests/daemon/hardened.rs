@@ -1,8 +1,4 @@
 //! The hardened configuration as it is shipped, with certificates made here: what is allowed works, the rest is refused.
-#![allow(missing_docs, clippy::unwrap_used, clippy::expect_used, clippy::panic)]
-
-#[path = "common/live.rs"]
-mod live;
 
 use std::fs;
 use std::path::Path;
@@ -10,7 +6,7 @@ use std::process::{Command, Stdio};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use live::{PREFIX, ask, free_port, plane, wait_for};
+use crate::live::{PREFIX, ask, free_port, plane, wait_for};
 use zenoh::Wait;
 
 /// Runs openssl, which makes the certificates.
@@ -88,7 +84,7 @@ fn each_party_has_its_own_keys_and_a_forbidden_put_is_refused() {
     wait_for("the daemon", || said().contains("watching").then_some(()));
     let web = said().split("web=\"").nth(1).unwrap().split('"').next().unwrap().to_owned();
     let samples = || {
-        let text = live::http(&web, "/metrics");
+        let text = crate::live::http(&web, "/metrics");
         text.lines().find_map(|l| l.strip_prefix("stictiond_samples_total ")).unwrap().parse::<u64>().unwrap()
     };
 
@@ -173,7 +169,7 @@ fn a_peer_takes_commands_of_named_principals_alone() {
         ("operator", file.as_str(), "is not a principal"),
     ] {
         fs::write(&config, text(principal, zenoh)).unwrap();
-        let out = live::stictiond(&["check", config.to_str().unwrap()]);
+        let out = crate::live::stictiond(&["check", config.to_str().unwrap()]);
         let said = String::from_utf8_lossy(&out.stdout).into_owned();
         assert!(
             out.status.code() == Some(1) && said.contains("commands.principals") && said.contains(wanted),
@@ -181,7 +177,7 @@ fn a_peer_takes_commands_of_named_principals_alone() {
         );
     }
     fs::write(&config, text("cn:operator", &file)).unwrap();
-    live::ok(&["check", config.to_str().unwrap()]);
+    crate::live::ok(&["check", config.to_str().unwrap()]);
     let log = dir.join("log");
     let mut daemon = Command::new(env!("CARGO_BIN_EXE_stictiond"))
         .args(["run", "--config", config.to_str().unwrap()])

@@ -5,7 +5,7 @@ use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::time::{Duration, Instant};
 
-use crate::connect_from;
+use super::connect_from;
 use crate::live::{Daemon, FAST, alarm_state, ask, command_headers, http, plane, request, sticking, wait_for};
 use zenoh::Wait;
 

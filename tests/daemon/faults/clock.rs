@@ -4,8 +4,8 @@ use std::fs;
 
 use zenoh::Wait;
 
+use super::shim::{Shim, YEAR_S};
 use crate::live::{FAST, alarm_state, alarmed, files, ok, raw_samples, skipped, state_after_restart, wait_for};
-use crate::shim::{Shim, YEAR_S};
 
 #[test]
 fn one_start_with_the_clock_ahead_is_not_the_newest_for_ever() {

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use zenoh::Wait;
 use zenoh::qos::CongestionControl;
 
-use crate::link::{BadLine, client};
+use super::link::{BadLine, client};
 use crate::live::{Daemon, PREFIX, ask, plane, wait_for};
 
 /// What Zenoh logs once it has given up a reader.
