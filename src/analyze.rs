@@ -20,10 +20,10 @@ use stiction::verdict::{DelayChoice, ModelChoice, ValveChoice};
 use stiction_files::export::Recognised;
 use stiction_files::inputs::Unit;
 use stiction_files::{Loaded, LoadedLoop};
-use stiction_monitor::alarm::Place;
+use stiction_monitor::alarm::LoopContext;
 use stiction_monitor::analysis::plant::{OfPlant, judge_together};
 use stiction_monitor::analysis::{
-    self, Answer, Asked, MIN_SAMPLES, Points, Scored, Section, delay_choice, text, usable,
+    self, Answer, FitOverrides, MIN_SAMPLES, Points, Scored, Section, delay_choice, text, usable,
 };
 use stiction_monitor::config::Config;
 use stiction_report::maker::Analysed;
@@ -100,11 +100,11 @@ pub struct Args {
 }
 
 /// An answer, and what the report draws of it.
-struct Told {
+struct ReportedAnswer {
     answer: Answer,
     looked_at: Analysed,
     /// Where the loop is in the plant, from the configuration.
-    place: Place,
+    place: LoopContext,
 }
 
 /// `--model`.
@@ -159,7 +159,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
     stop::watch();
     let waiting = args.plant.then(Vec::new);
     let summary = Summary::default();
-    let mut desk = Desk { format, report, summary, table: true, explain: args.explain, done: 0, waiting };
+    let mut desk = OutputWriter { format, report, summary, table: true, explain: args.explain, done: 0, waiting };
     let data_loss = match &units[..] {
         [one] => one_file(args, one, &mut desk)?,
         _ => files(args, &units, &mut desk)?,
@@ -182,7 +182,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
 }
 
 /// Where answers go.
-struct Desk {
+struct OutputWriter {
     format: Format,
     report: Option<ReportFile>,
     summary: Summary,
@@ -192,16 +192,16 @@ struct Desk {
     explain: bool,
     done: usize,
     /// With `--plant`, the answers until all are there.
-    waiting: Option<Vec<Told>>,
+    waiting: Option<Vec<ReportedAnswer>>,
 }
 
-impl Desk {
+impl OutputWriter {
     fn warn(&mut self, text: String) {
         tracing::warn!("{text}");
         self.report.iter_mut().for_each(|r| r.maker.warnings.push(text.clone()));
     }
 
-    fn take(&mut self, told: Told) -> anyhow::Result<()> {
+    fn take(&mut self, told: ReportedAnswer) -> anyhow::Result<()> {
         self.done += 1;
         match &mut self.waiting {
             Some(waiting) => waiting.push(told),
@@ -215,15 +215,15 @@ impl Desk {
         let Some(mut waiting) = self.waiting.take() else { return Ok(None) };
         let mut plant: Vec<OfPlant> = waiting
             .iter_mut()
-            .map(|Told { answer, looked_at, place }| OfPlant { answer, record: &looked_at.record, place })
+            .map(|ReportedAnswer { answer, looked_at, place }| OfPlant { answer, record: &looked_at.record, place })
             .collect();
         let groups = judge_together(&mut plant)?;
         waiting.into_iter().try_for_each(|told| self.put_out(told))?;
         Ok(Some(groups))
     }
 
-    fn put_out(&mut self, told: Told) -> anyhow::Result<()> {
-        let Told { answer, looked_at, .. } = told;
+    fn put_out(&mut self, told: ReportedAnswer) -> anyhow::Result<()> {
+        let ReportedAnswer { answer, looked_at, .. } = told;
         match self.format {
             Format::Json => say(serde_json::to_string(&answer)?)?,
             Format::Text if !self.table && self.explain => say(text::explained(&answer))?,
@@ -238,7 +238,7 @@ impl Desk {
     }
 
     /// Takes what one of several loops gave.
-    fn take_one_of_many(&mut self, answer: anyhow::Result<Told>) -> anyhow::Result<()> {
+    fn take_one_of_many(&mut self, answer: anyhow::Result<ReportedAnswer>) -> anyhow::Result<()> {
         match answer {
             Ok(answer) => self.take(answer),
             Err(error) if error.is::<UsageError>() => Err(error),
@@ -252,7 +252,7 @@ impl Desk {
 }
 
 /// The loops of one file, side by side; whether data was lost.
-fn one_file(args: &Args, unit: &Unit, desk: &mut Desk) -> anyhow::Result<bool> {
+fn one_file(args: &Args, unit: &Unit, desk: &mut OutputWriter) -> anyhow::Result<bool> {
     let loaded = args.reading.load(unit)?;
     loaded.warnings.iter().for_each(|warning| desk.warn(warning.clone()));
     let config = config_of(&unit.paths)?;
@@ -296,11 +296,11 @@ struct OfFile {
     recognised: Option<Recognised>,
     warnings: Vec<String>,
     data_loss: bool,
-    answers: Vec<anyhow::Result<Told>>,
+    answers: Vec<anyhow::Result<ReportedAnswer>>,
 }
 
 /// Files side by side, each let go before the next is read; whether data was lost.
-fn files(args: &Args, units: &[Unit], desk: &mut Desk) -> anyhow::Result<bool> {
+fn files(args: &Args, units: &[Unit], desk: &mut OutputWriter) -> anyhow::Result<bool> {
     let place = named(&args.input);
     let (mut data_loss, mut answered) = (false, 0);
     let mut forms: std::collections::BTreeMap<String, (usize, String)> = std::collections::BTreeMap::new();
@@ -357,7 +357,13 @@ fn of_file(args: &Args, unit: &Unit, bar: &ProgressBar) -> anyhow::Result<OfFile
 }
 
 /// Every section of one loop.
-fn of_loop(args: &Args, one: &LoadedLoop, config: &Config, hash: &str, bar: &ProgressBar) -> Vec<anyhow::Result<Told>> {
+fn of_loop(
+    args: &Args,
+    one: &LoadedLoop,
+    config: &Config,
+    hash: &str,
+    bar: &ProgressBar,
+) -> Vec<anyhow::Result<ReportedAnswer>> {
     let points = points(one, config);
     let sections = args.selection.sections();
     sections.into_iter().map(|section| estimate(args, one, &points, section, hash, bar)).collect()
@@ -370,7 +376,7 @@ fn estimate(
     section: Section,
     hash: &str,
     bar: &ProgressBar,
-) -> anyhow::Result<Told> {
+) -> anyhow::Result<ReportedAnswer> {
     let started = Instant::now();
     let cut = args.selection.cut();
     let found = analysis::estimate(points, section, &cut, asked(args).over(&points.settings.assess)).map_err(told)?;
@@ -384,7 +390,7 @@ fn estimate(
     let answer = found.answer(&one.name, hash, elapsed_ms, solver, scored.transpose()?);
     let analysis::Estimated { record, params, .. } = found;
     let looked_at = Analysed { record, original, about: one.about.clone(), units: one.units.clone(), params };
-    Ok(Told { answer, looked_at, place: points.settings.place.clone() })
+    Ok(ReportedAnswer { answer, looked_at, place: points.settings.place.clone() })
 }
 
 /// Runs the model of a file over the record.
@@ -394,8 +400,8 @@ fn scored(path: &Path, record: &Record, period_points: Option<f64>) -> anyhow::R
 }
 
 /// What the fit is asked over the loop's settings.
-const fn asked(args: &Args) -> Asked {
-    Asked {
+const fn asked(args: &Args) -> FitOverrides {
+    FitOverrides {
         op_range: args.op_range,
         fineness_pct: args.solver.fineness,
         seed: args.solver.seed,

@@ -162,7 +162,10 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
         #[cfg(feature = "bridge-opcua")]
         Some(Elsewhere::Opcua(args)) => {
             let (seen, what) = opcua::look(args)?;
-            tell(&Told { seen: &seen, keyed: true, what: &what, out: args.out.as_deref(), force: args.force }, format)
+            tell(
+                &Listing { seen: &seen, keyed: true, what: &what, out: args.out.as_deref(), force: args.force },
+                format,
+            )
         }
         #[cfg(not(feature = "bridge-opcua"))]
         Some(Elsewhere::Opcua(absent)) => absent.refuse("OPC UA client", "bridge-opcua"),
@@ -174,13 +177,13 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
                 None => (look_at_files(args)?, super::reading::named(&args.input)),
             };
             let keyed = args.connect.is_some() || args.pattern.is_some();
-            tell(&Told { seen: &seen, keyed, what: &what, out: args.out.as_deref(), force: args.force }, format)
+            tell(&Listing { seen: &seen, keyed, what: &what, out: args.out.as_deref(), force: args.force }, format)
         }
     }
 }
 
 /// What to print and where.
-struct Told<'a> {
+struct Listing<'a> {
     seen: &'a Seen,
     /// Whether entries name their sources.
     keyed: bool,
@@ -189,8 +192,8 @@ struct Told<'a> {
     force: bool,
 }
 
-fn tell(told: &Told<'_>, format: Format) -> anyhow::Result<Outcome> {
-    let Told { seen, keyed, what, out, force } = *told;
+fn tell(told: &Listing<'_>, format: Format) -> anyhow::Result<Outcome> {
+    let Listing { seen, keyed, what, out, force } = *told;
     let (whole, lacking) = seen.paired();
     let text = match format {
         Format::Text => as_toml(seen, &whole, &lacking, keyed, what),

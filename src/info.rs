@@ -241,7 +241,7 @@ fn of_table(args: &InfoArgs, unit: &Unit, kind: InputKind) -> anyhow::Result<Inf
 
 /// Where a channel's messages are counted.
 #[derive(Clone, Copy)]
-enum Place {
+enum Counted {
     Raw(usize, Signal),
     Result(Option<usize>, &'static str),
     Other,
@@ -251,7 +251,7 @@ fn of_recording(path: &Path, verify: bool) -> anyhow::Result<Info> {
     let mut reader = RecordingReader::open(path)?;
     let mut info = Info::new(path, InputKind::Mcap, reader.file_bytes());
     let prefix = reader.metadata().get(METADATA_PREFIX).cloned();
-    let mut places: HashMap<u16, Place> = HashMap::new();
+    let mut places: HashMap<u16, Counted> = HashMap::new();
     let mut names = HashMap::new();
     let mut samples = Vec::new();
     while let Some(item) = reader.next_item()? {
@@ -260,7 +260,7 @@ fn of_recording(path: &Path, verify: bool) -> anyhow::Result<Info> {
             *places.entry(id).or_insert_with(|| place_of(prefix.as_deref(), &channel.topic, &mut info, &mut names));
         info.messages += 1;
         match (item, place) {
-            (Item::Sample(raw), Place::Raw(at, _)) => info.loops[at].take(&raw.sample),
+            (Item::Sample(raw), Counted::Raw(at, _)) => info.loops[at].take(&raw.sample),
             (Item::Sample(_), _) => info.other_messages += 1,
             (Item::Message(message), place) => count(&mut info, place, &message, verify, &mut samples),
         }
@@ -283,26 +283,26 @@ fn of_recording(path: &Path, verify: bool) -> anyhow::Result<Info> {
     Ok(info)
 }
 
-fn place_of(prefix: Option<&str>, topic: &str, info: &mut Info, names: &mut HashMap<String, usize>) -> Place {
-    let Some(parsed) = Topic::parse(prefix, topic) else { return Place::Other };
+fn place_of(prefix: Option<&str>, topic: &str, info: &mut Info, names: &mut HashMap<String, usize>) -> Counted {
+    let Some(parsed) = Topic::parse(prefix, topic) else { return Counted::Other };
     // The daemon's own documents belong to no loop.
     if let (Leaf::Document(kind), true) = (parsed.leaf, parsed.loop_name.starts_with('@')) {
-        return Place::Result(None, kind.name());
+        return Counted::Result(None, kind.name());
     }
     let at = *names.entry(parsed.loop_name.to_owned()).or_insert(info.loops.len());
     if at == info.loops.len() {
         info.loops.push(LoopInfo { name: parsed.loop_name.to_owned(), ..LoopInfo::default() });
     }
     match parsed.leaf {
-        Leaf::Raw(signal) => Place::Raw(at, signal),
-        Leaf::Document(kind) => Place::Result(Some(at), kind.name()),
+        Leaf::Raw(signal) => Counted::Raw(at, signal),
+        Leaf::Document(kind) => Counted::Result(Some(at), kind.name()),
     }
 }
 
-fn count(info: &mut Info, place: Place, message: &Message<'_>, verify: bool, samples: &mut Vec<Sample>) {
+fn count(info: &mut Info, place: Counted, message: &Message<'_>, verify: bool, samples: &mut Vec<Sample>) {
     match place {
-        Place::Other => info.other_messages += 1,
-        Place::Result(at, kind) => {
+        Counted::Other => info.other_messages += 1,
+        Counted::Result(at, kind) => {
             *info.results.entry(kind).or_default() += 1;
             if let Some(at) = at {
                 *info.loops[at].results.entry(kind).or_default() += 1;
@@ -311,7 +311,7 @@ fn count(info: &mut Info, place: Place, message: &Message<'_>, verify: bool, sam
                 info.note_unreadable(|| format!("{}: {error}", message.topic()));
             }
         }
-        Place::Raw(at, signal) => {
+        Counted::Raw(at, signal) => {
             samples.clear();
             let encoding = Some(message.channel.encoding.as_str());
             match codec::decode(signal, message.data, encoding, None, message.publish_time_ns, samples) {

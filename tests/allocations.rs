@@ -7,7 +7,7 @@ use std::io::Write as _;
 use std::sync::Arc;
 
 use allocation_counter::measure;
-use stiction_daemon::stage::{Stage, no_receiver};
+use stiction_daemon::sim_daemon::{SimDaemon, no_receiver};
 use stiction_files::disk::{Disk, SystemDisk};
 use stiction_monitor::config::Config;
 use stiction_runtime::clock::Clock;
@@ -26,7 +26,7 @@ struct Plant {
 
 impl Plant {
     /// Every key's next `batch` samples, as one message each.
-    fn scan(&mut self, stage: &Stage, batch: i64) {
+    fn scan(&mut self, stage: &SimDaemon, batch: i64) {
         for (index, key) in self.keys.iter().enumerate() {
             self.payload.clear();
             for k in self.scan..self.scan + batch {
@@ -50,14 +50,14 @@ impl Plant {
     }
 }
 
-fn stage(dir: &std::path::Path) -> (Stage, Plant) {
+fn stage(dir: &std::path::Path) -> (SimDaemon, Plant) {
     let text = format!(
         "[site]\nprefix = \"p\"\n[window]\nhop_s = 31622400.0\nmax_points = 128\nmax_window_s = 31622400.0\n[recording]\ndir = {:?}\n",
         dir.to_str().unwrap()
     );
     let disk = Arc::new(SystemDisk) as Arc<dyn Disk>;
     let stage =
-        Stage::start(Config::parse(&text).unwrap(), &text, &Clock::standing(START_NS), &disk, no_receiver).unwrap();
+        SimDaemon::start(Config::parse(&text).unwrap(), &text, &Clock::standing(START_NS), &disk, no_receiver).unwrap();
     let of = |k: usize| ["op", "pv"].map(|signal| format!("p/L{k}/{signal}"));
     (stage, Plant { keys: (0..LOOPS).flat_map(of).collect(), payload: Vec::with_capacity(1 << 16), scan: 0 })
 }

@@ -8,7 +8,7 @@ use pyo3::prelude::*;
 use serde_json::json;
 
 use crate::columns::{Handed, enough};
-use crate::options::{Asked, Fit, Look, config};
+use crate::options::{Fit, FitOverrides, Look, config};
 use crate::supervise::{on_threads, supervised, threads};
 use crate::{StictionError, refused};
 use stiction::gap::model_file::ModelFile;
@@ -16,7 +16,7 @@ use stiction::ident::surface::solve;
 use stiction::record::{Record, Sample};
 use stiction::verdict::action::Action;
 use stiction::verdict::{AssessParams, lets_go, words};
-use stiction_monitor::alarm::Place;
+use stiction_monitor::alarm::LoopContext;
 use stiction_monitor::analysis::plant::{OfPlant, judge_together};
 use stiction_monitor::analysis::solver::{self, SolverDocument};
 use stiction_monitor::analysis::{self, Answer, Cut, Estimated, Points, Scored, Section, text};
@@ -28,7 +28,7 @@ pub type Told = (String, String);
 struct Settings {
     section: Section,
     cut: Cut,
-    solver: Option<Asked>,
+    solver: Option<FitOverrides>,
     score: Option<ModelFile>,
 }
 
@@ -109,7 +109,7 @@ pub fn said(answer: &Answer, op_range: Option<[f64; 2]>, notes: &[String]) -> St
     said.to_string()
 }
 
-fn solved(asked: Asked, found: &Estimated) -> Option<SolverDocument> {
+fn solved(asked: FitOverrides, found: &Estimated) -> Option<SolverDocument> {
     let mut surface = solver::surface(&found.record, &found.options, &found.assessment)?;
     let own = solver::own_mse(&mut surface, &found.assessment);
     let started = Instant::now();
@@ -185,7 +185,7 @@ pub fn assess_many(py: Python<'_>, asked: Many) -> PyResult<Vec<Reply>> {
 #[pyfunction]
 pub fn assess_plant(py: Python<'_>, asked: Many) -> PyResult<(Vec<Reply>, Vec<String>)> {
     let finish = |mut answers: Vec<Result<One, String>>| {
-        let nowhere = Place::default();
+        let nowhere = LoopContext::default();
         let mut plant: Vec<OfPlant> = answers
             .iter_mut()
             .flatten()

@@ -19,7 +19,7 @@ use stiction_monitor::analysis::predictions::{Row, rows};
 /// Options.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
-pub struct Asked {
+pub struct FitOverrides {
     base: String,
     without: Vec<String>,
     pairs: bool,
@@ -29,7 +29,7 @@ pub struct Asked {
     neighbours: Vec<(String, Handed)>,
 }
 
-impl Asked {
+impl FitOverrides {
     fn read(&self) -> PyResult<GapSettings> {
         let base = match self.base.as_str() {
             "refit" => BaseChoice::Refit,
@@ -81,7 +81,7 @@ pub fn diagnose<'py>(
     name: &str,
     columns: Handed,
     look: Look,
-    asked: Asked,
+    asked: FitOverrides,
     progress: Option<Py<PyAny>>,
 ) -> PyResult<Told<'py>> {
     let columns = columns.read()?;

@@ -84,7 +84,7 @@ pub fn stamp(argument: &str, text: &str) -> PyResult<i64> {
 
 /// An additional solver.
 #[derive(Debug, Clone, Copy)]
-pub struct Asked {
+pub struct FitOverrides {
     /// Which.
     pub solver: SolverName,
     /// Most models, grid step, seed.
@@ -103,7 +103,7 @@ impl Fit {
         if !(0.5..=50.0).contains(&self.fineness_pct) {
             return Err(refused("fineness_pct", format!("{} is not a step; give 0.5 to 50 %", self.fineness_pct)));
         }
-        let asked = analysis::Asked {
+        let asked = analysis::FitOverrides {
             model: one_of("model", &self.model, &ModelChoice::ALL)?,
             valve: one_of("valve", &self.valve, &ValveChoice::ALL)?,
             delay,
@@ -119,7 +119,7 @@ impl Fit {
     }
 
     /// The requested solver.
-    pub fn solver(&self) -> PyResult<Option<Asked>> {
+    pub fn solver(&self) -> PyResult<Option<FitOverrides>> {
         if !(1..=10_000_000).contains(&self.evaluations) {
             let why = format!("{} is out of range; give 1 to 10000000, such as {BUDGET}", self.evaluations);
             return Err(refused("evaluations", why));
@@ -127,7 +127,7 @@ impl Fit {
         let Some(word) = &self.solver else { return Ok(None) };
         let solver = one_of("solver", word, &SolverName::ALL.map(|solver| (solver.name(), solver)))?;
         let settings = Settings { budget: self.evaluations, fineness_pct: self.fineness_pct, seed: self.seed };
-        Ok(Some(Asked { solver, settings }))
+        Ok(Some(FitOverrides { solver, settings }))
     }
 }
 

@@ -8,7 +8,7 @@ use std::time::Duration;
 use anyhow::{Context, bail};
 
 use super::super::demo;
-use super::publisher::{Plan, Sent};
+use super::publisher::{Plan, PublisherFigures};
 use super::watch::{Seen, Watched};
 use super::{Args, PREFIX, Row};
 use stiction::units::ns_from_s;
@@ -82,20 +82,20 @@ impl Ask {
 }
 
 /// A temporary folder, removed on drop.
-struct Place {
+struct BenchFolder {
     dir: PathBuf,
     config: PathBuf,
     endpoint: String,
     web: String,
 }
 
-impl Drop for Place {
+impl Drop for BenchFolder {
     fn drop(&mut self) {
         let _ = std::fs::remove_dir_all(&self.dir);
     }
 }
 
-impl Place {
+impl BenchFolder {
     fn make(ask: &Ask) -> anyhow::Result<Self> {
         let dir = std::env::temp_dir().join(format!("stictiond-bench-{}", std::process::id()));
         std::fs::create_dir_all(&dir).with_context(|| dir.display().to_string())?;
@@ -138,7 +138,7 @@ impl Place {
 #[derive(Debug, Clone)]
 pub struct Figures {
     ask: Ask,
-    sent: Sent,
+    sent: PublisherFigures,
     /// Messages sent before measuring.
     filled: f64,
     before: Seen,
@@ -155,7 +155,7 @@ pub struct Figures {
 /// # Errors
 /// A process cannot be started, or the daemon does not answer.
 pub fn run(ask: &Ask) -> anyhow::Result<Figures> {
-    let place = Place::make(ask)?;
+    let place = BenchFolder::make(ask)?;
     let daemon = place.daemon()?;
     daemon.answers()?;
     let [fill, measured] = ask.plans();
@@ -175,11 +175,16 @@ pub fn run(ask: &Ask) -> anyhow::Result<Figures> {
 }
 
 /// Publishes a plan and waits until the daemon has taken everything.
-fn published(place: &Place, daemon: &Watched, plan: &Plan, already: f64) -> anyhow::Result<(Sent, Seen)> {
+fn published(
+    place: &BenchFolder,
+    daemon: &Watched,
+    plan: &Plan,
+    already: f64,
+) -> anyhow::Result<(PublisherFigures, Seen)> {
     let mut publisher = place.publisher(plan)?;
     let mut line = String::new();
     BufReader::new(publisher.stdout.take().context("its output")?).read_line(&mut line)?;
-    let sent = Sent::read(&line)?;
+    let sent = PublisherFigures::read(&line)?;
     let seen = taken(daemon, already + sent.samples)?;
     drop(publisher.stdin.take());
     let status = publisher.wait()?;
@@ -200,7 +205,7 @@ fn taken(daemon: &Watched, samples: f64) -> anyhow::Result<Seen> {
 }
 
 /// Start-up time of a daemon that knows all loops, to its first sample, s.
-fn restart(place: &Place, plan: &Plan) -> anyhow::Result<f64> {
+fn restart(place: &BenchFolder, plan: &Plan) -> anyhow::Result<f64> {
     let first = Plan { loops: 1, batch: 1, scans: FIRST, pace: FIRST_PACE, ..*plan };
     let daemon = place.daemon()?;
     let mut publisher = place.publisher(&first)?;

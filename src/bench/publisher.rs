@@ -42,7 +42,7 @@ pub struct Plan {
 
 /// What was sent.
 #[derive(Debug, Clone, Copy)]
-pub struct Sent {
+pub struct PublisherFigures {
     pub messages: f64,
     pub samples: f64,
     pub seconds: f64,
@@ -63,7 +63,7 @@ impl Plan {
     }
 }
 
-impl Sent {
+impl PublisherFigures {
     /// Parses the output of the other process.
     pub fn read(text: &str) -> anyhow::Result<Self> {
         let said: Json = serde_json::from_str(text.trim())
@@ -111,7 +111,7 @@ pub fn run(endpoint: &str, plan: &str) -> anyhow::Result<()> {
         .collect::<zenoh::Result<_>>()
         .map_err(|e| anyhow!("{e}"))?;
     let (started, mut sent, mut payload) =
-        (Instant::now(), Sent { messages: 0.0, samples: 0.0, seconds: 0.0, cpu_s: 0.0 }, Vec::new());
+        (Instant::now(), PublisherFigures { messages: 0.0, samples: 0.0, seconds: 0.0, cpu_s: 0.0 }, Vec::new());
     let mut next_look = 0.0;
     for first in (0..plan.scans).step_by(plan.batch.max(1) as usize) {
         let scans = first..(first + plan.batch.max(1)).min(plan.scans);
@@ -132,7 +132,7 @@ pub fn run(endpoint: &str, plan: &str) -> anyhow::Result<()> {
         }
     }
     (sent.seconds, sent.cpu_s) = (started.elapsed().as_secs_f64(), cpu::process_seconds());
-    let Sent { messages, samples, seconds, cpu_s } = sent;
+    let PublisherFigures { messages, samples, seconds, cpu_s } = sent;
     say(json!({"messages": messages, "samples": samples, "seconds": seconds, "cpu_s": cpu_s}))?;
     // What still lies in the session's queues would go with it: it stays until whoever started it has seen all arrive.
     let _ = std::io::stdin().read_to_end(&mut Vec::new());

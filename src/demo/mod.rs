@@ -11,7 +11,7 @@ use anyhow::{anyhow, bail};
 use zenoh::bytes::Encoding;
 use zenoh::qos::CongestionControl;
 
-use super::top::board::Board;
+use super::top::board::LoopTable;
 use super::{Format, Outcome, asked_to_stop, block_on, browser, list, play, top};
 use stiction::sim::plant::SimulatedPlant;
 use stiction::sim::scenario::Scenario;
@@ -159,7 +159,7 @@ async fn table(
     port: u16,
     ends: impl Future<Output = anyhow::Result<()>>,
 ) -> anyhow::Result<BTreeMap<String, Verdict>> {
-    let mut board = Board::new(&config.site.prefix);
+    let mut board = LoopTable::new(&config.site.prefix);
     let below = told::story(scenario, config, port, SPEED);
     let mut ended = Ok(());
     top::follow(session, &mut board, &below, async { ended = ends.await }).await?;

@@ -9,7 +9,7 @@ use anyhow::{Context, bail};
 
 use super::{Seen, refuse_existing};
 use crate::block_on;
-use crate::bridge::opcua::browse::{Found, below};
+use crate::bridge::opcua::browse::{BrowsedNodes, below};
 use crate::bridge::opcua::nodes::write;
 use crate::bridge::opcua::server::{Event, ServerArgs, open};
 use crate::play::prefix;
@@ -76,7 +76,7 @@ pub(super) fn look(args: &Args) -> anyhow::Result<(Seen, String)> {
 }
 
 /// The nodes of complete loops; the others as comments, so that they can be enabled by hand.
-fn list(args: &Args, seen: &Seen, found: &Found) -> String {
+fn list(args: &Args, seen: &Seen, found: &BrowsedNodes) -> String {
     let (whole, _) = seen.paired();
     let wanted: HashSet<&str> =
         whole.iter().flat_map(|name| seen.loops[*name].values().map(|(_, key)| key.as_str())).collect();

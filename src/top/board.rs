@@ -11,7 +11,7 @@ use stiction::gap::text;
 use stiction::record::Signal;
 use stiction::units::{ns_from_s, s_from_ns};
 use stiction_daemon::received;
-use stiction_monitor::alarm::Place;
+use stiction_monitor::alarm::LoopContext;
 use stiction_monitor::codec::topic::{Kind, Leaf, Topic};
 use stiction_runtime::overview::{Flow, Newest, Overview, Row};
 
@@ -90,11 +90,11 @@ struct Age {
 }
 
 /// Outcome of a command and when it was received.
-pub type Told = Option<(String, Instant)>;
+pub type CommandOutcome = Option<(String, Instant)>;
 
 /// Everything that can be shown.
 #[derive(Debug)]
-pub struct Board {
+pub struct LoopTable {
     prefix: String,
     overview: Overview,
     rows: BTreeMap<String, Row>,
@@ -107,12 +107,12 @@ pub struct Board {
     /// Trend of the open loop.
     pub trend: Option<Trend>,
     /// The last message.
-    pub said: Told,
+    pub said: CommandOutcome,
     /// Number of documents that could not be parsed.
     pub unread: u64,
 }
 
-impl Board {
+impl LoopTable {
     /// For the daemons below a prefix.
     #[must_use]
     pub fn new(prefix: &str) -> Self {
@@ -195,7 +195,7 @@ impl Board {
     fn of_loop(&mut self, loop_name: &str, kind: Kind, document: &Value, now: Now) -> Option<()> {
         let name: Arc<str> = Arc::from(loop_name);
         let newest = self.overview.newest(loop_name).unwrap_or_default();
-        let place = newest.alarm.as_ref().map(|d| Place {
+        let place = newest.alarm.as_ref().map(|d| LoopContext {
             criticality: d.criticality,
             area: d.area.clone(),
             equipment: d.equipment.clone(),

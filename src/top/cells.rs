@@ -9,14 +9,14 @@ pub const SPARK: usize = 10;
 
 /// Drawing capabilities of the terminal.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Look {
+pub struct TerminalStyle {
     /// Whether the terminal shows Unicode.
     pub unicode: bool,
     /// Whether colour is allowed.
     pub colour: bool,
 }
 
-impl Look {
+impl TerminalStyle {
     /// From the environment: a UTF-8 locale, and no `NO_COLOR`.
     pub fn of_environment() -> Self {
         let said = |name: &str| std::env::var(name).ok().filter(|value| !value.is_empty());
@@ -42,7 +42,7 @@ pub enum Figure {
 
 /// NE 107 category with letter and shape, so that colour is not needed.
 #[must_use]
-pub fn category(row: &Row, look: Look) -> &'static str {
+pub fn category(row: &Row, look: TerminalStyle) -> &'static str {
     match (row.ne107, look.unicode) {
         (Some("F"), true) => "F ✖",
         (Some("C"), true) => "C ▼",
@@ -81,7 +81,7 @@ fn places(value: Option<f64>, digits: usize) -> String {
 
 /// A text truncated to this many characters.
 #[must_use]
-pub fn cut(text: &str, width: usize, look: Look) -> String {
+pub fn cut(text: &str, width: usize, look: TerminalStyle) -> String {
     if text.chars().count() <= width {
         return text.to_owned();
     }
@@ -93,7 +93,7 @@ pub fn cut(text: &str, width: usize, look: Look) -> String {
 
 /// One character per window, oldest first; a dot where there is no figure.
 #[must_use]
-pub fn sparkline(row: &Row, figure: Figure, look: Look) -> String {
+pub fn sparkline(row: &Row, figure: Figure, look: TerminalStyle) -> String {
     const FINE: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
     const COARSE: [char; 4] = ['_', '-', '=', '#'];
     let steps: &[char] = if look.unicode { &FINE } else { &COARSE };
@@ -246,7 +246,7 @@ impl Column {
 
     /// The cell of a loop.
     #[must_use]
-    pub fn cell(self, row: &Row, width: usize, figure: Figure, age_s: Option<f64>, look: Look) -> String {
+    pub fn cell(self, row: &Row, width: usize, figure: Figure, age_s: Option<f64>, look: TerminalStyle) -> String {
         let text = match self {
             Self::Category => category(row, look).to_owned(),
             Self::Name => row.name.clone(),

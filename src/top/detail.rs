@@ -9,8 +9,8 @@ use ratatui::symbols::Marker;
 use ratatui::text::Line;
 use ratatui::widgets::{Axis, Chart, Dataset, GraphType, Paragraph, Wrap};
 
-use super::board::{Board, Now};
-use super::cells::{self, Figure, Look};
+use super::board::{LoopTable, Now};
+use super::cells::{self, Figure, TerminalStyle};
 use super::view::View;
 use stiction::units::{duration, format_rfc3339, number};
 use stiction::verdict::{Assessment, words};
@@ -20,7 +20,15 @@ use stiction_monitor::alarm::AlarmDocument;
 const TRENDS: u16 = 8;
 
 /// Draws the loop.
-pub fn draw(frame: &mut Frame<'_>, area: Rect, board: &Board, view: &mut View, name: &str, look: Look, now: Now) {
+pub fn draw(
+    frame: &mut Frame<'_>,
+    area: Rect,
+    board: &LoopTable,
+    view: &mut View,
+    name: &str,
+    look: TerminalStyle,
+    now: Now,
+) {
     let texts = texts(board, name, look, now);
     let trends = TRENDS.min(area.height / 2).max(area.height / 3);
     let [upper, lower] = Layout::vertical([Constraint::Fill(1), Constraint::Length(trends)]).areas(area);
@@ -41,7 +49,7 @@ pub fn draw(frame: &mut Frame<'_>, area: Rect, board: &Board, view: &mut View, n
 
 /// The state of a loop, one paragraph per line.
 #[must_use]
-pub fn texts(board: &Board, name: &str, look: Look, now: Now) -> Vec<String> {
+pub fn texts(board: &LoopTable, name: &str, look: TerminalStyle, now: Now) -> Vec<String> {
     let Some(row) = board.row(name) else { return vec![format!("{name} no longer exists")] };
     let newest = board.newest(name);
     let age = cells::age(board.age_s(name, now));
@@ -93,7 +101,14 @@ fn alarm_text(d: &AlarmDocument) -> String {
 }
 
 /// The trend of one signal, with minimum and maximum.
-fn chart(frame: &mut Frame<'_>, area: Rect, name: &str, points: &VecDeque<(f64, f64)>, colour: Color, look: Look) {
+fn chart(
+    frame: &mut Frame<'_>,
+    area: Rect,
+    name: &str,
+    points: &VecDeque<(f64, f64)>,
+    colour: Color,
+    look: TerminalStyle,
+) {
     let (Some((from, _)), Some((to, _))) = (points.front(), points.back()) else {
         let told =
             format!("{name}: waiting for samples on the loop's own key (none arrive there if its tags are mapped)");

@@ -6,8 +6,8 @@ use ratatui::style::{Color, Modifier, Style};
 use ratatui::text::{Line, Span};
 use ratatui::widgets::{Clear, Paragraph, Wrap};
 
-use super::board::{Board, Now};
-use super::cells::{self, Column, Look};
+use super::board::{LoopTable, Now};
+use super::cells::{self, Column, TerminalStyle};
 use super::detail;
 use super::head;
 use super::view::{Page, Prompt, View};
@@ -33,7 +33,14 @@ const HELP: [&str; 15] = [
 ];
 
 /// Draws everything; `below` are fixed lines below the table, such as a web address.
-pub fn draw(frame: &mut Frame<'_>, board: &Board, view: &mut View, below: &[String], look: Look, now: Now) {
+pub fn draw(
+    frame: &mut Frame<'_>,
+    board: &LoopTable,
+    view: &mut View,
+    below: &[String],
+    look: TerminalStyle,
+    now: Now,
+) {
     let area = frame.area();
     let heading = head::lines(board, usize::from(area.width), look, now);
     // One loop needs the room more.
@@ -61,7 +68,7 @@ pub fn draw(frame: &mut Frame<'_>, board: &Board, view: &mut View, below: &[Stri
 }
 
 /// Colour of a category; its letter says the same.
-fn style_of(row: &Row, look: Look) -> Style {
+fn style_of(row: &Row, look: TerminalStyle) -> Style {
     let plain = Style::new();
     match row.ne107 {
         Some("F" | "M") if !look.colour => plain.add_modifier(Modifier::BOLD),
@@ -80,7 +87,7 @@ pub(super) fn padded(text: &str, column: Column, width: usize) -> String {
     if column.right() { format!("{text:>width$} ") } else { format!("{text:<width$} ") }
 }
 
-fn table(frame: &mut Frame<'_>, area: Rect, board: &Board, view: &mut View, look: Look, now: Now) {
+fn table(frame: &mut Frame<'_>, area: Rect, board: &LoopTable, view: &mut View, look: TerminalStyle, now: Now) {
     let rows = view.rows(board);
     let longest = rows.iter().map(|row| row.name.chars().count()).max().unwrap_or(0);
     let columns = cells::layout(usize::from(area.width), longest);
@@ -108,8 +115,8 @@ fn row_line(
     columns: &[(Column, usize)],
     marked: bool,
     view: &View,
-    board: &Board,
-    look: Look,
+    board: &LoopTable,
+    look: TerminalStyle,
     now: Now,
 ) -> Line<'static> {
     let age_s = board.age_s(&row.name, now);
@@ -126,7 +133,7 @@ fn row_line(
 }
 
 /// The prompt or the last message, and the keys.
-fn footer(frame: &mut Frame<'_>, area: Rect, board: &Board, view: &View, look: Look, now: Now) {
+fn footer(frame: &mut Frame<'_>, area: Rect, board: &LoopTable, view: &View, look: TerminalStyle, now: Now) {
     let said = board.said.as_ref().filter(|(_, at)| now.at.saturating_duration_since(*at).as_secs() < 15);
     let rows = view.rows(board);
     let marked = rows.get(view.place(&rows));

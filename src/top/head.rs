@@ -4,8 +4,8 @@ use ratatui::style::{Color, Modifier, Style};
 use ratatui::text::Line;
 use serde_json::Value;
 
-use super::board::{Board, Now};
-use super::cells::{self, Look};
+use super::board::{LoopTable, Now};
+use super::cells::{self, TerminalStyle};
 use stiction::units::duration;
 use stiction::verdict::Verdict;
 
@@ -31,7 +31,7 @@ const FAULTS: usize = 3;
 
 /// The lines as text; the first of the pair is true for a fault.
 #[must_use]
-pub fn texts(board: &Board, now: Now) -> Vec<(bool, String)> {
+pub fn texts(board: &LoopTable, now: Now) -> Vec<(bool, String)> {
     let mut lines = vec![(false, daemon(board, now)), (false, counts(board)), (false, data(board, now))];
     lines.extend(board.stale(now).map(|text| (true, format!("STALE: {text}"))));
     lines.extend(faults(board).into_iter().map(|text| (true, format!("FAULT: {text}"))));
@@ -40,7 +40,7 @@ pub fn texts(board: &Board, now: Now) -> Vec<(bool, String)> {
 
 /// The lines with styles.
 #[must_use]
-pub fn lines(board: &Board, width: usize, look: Look, now: Now) -> Vec<Line<'static>> {
+pub fn lines(board: &LoopTable, width: usize, look: TerminalStyle, now: Now) -> Vec<Line<'static>> {
     let fault = Style::new().add_modifier(Modifier::BOLD);
     let fault = if look.colour { fault.fg(Color::Red) } else { fault };
     let drawn = |(index, (wrong, text)): (usize, (bool, String))| {
@@ -54,7 +54,7 @@ pub fn lines(board: &Board, width: usize, look: Look, now: Now) -> Vec<Line<'sta
     texts(board, now).into_iter().enumerate().map(drawn).collect()
 }
 
-fn daemon(board: &Board, now: Now) -> String {
+fn daemon(board: &LoopTable, now: Now) -> String {
     let mut here: Vec<_> = board.daemons.iter().filter(|(_, d)| !d.gone).collect();
     here.sort_by_key(|(_, d)| std::cmp::Reverse(d.at));
     let Some((id, heard)) = here.first() else {
@@ -70,7 +70,7 @@ fn daemon(board: &Board, now: Now) -> String {
     format!("stictiond {version}  {}  daemon {id}{more}  {up}  {} loops", board.prefix(), board.rows().count())
 }
 
-fn counts(board: &Board) -> String {
+fn counts(board: &LoopTable) -> String {
     let of = |verdict: Verdict| board.rows().filter(|row| row.verdict == Some(verdict)).count();
     let counted = VERDICTS.into_iter().map(|v| (v, of(v))).filter(|(_, n)| *n > 0);
     let mut parts: Vec<String> = counted.map(|(v, n)| format!("{n} {}", v.name().replace('_', " "))).collect();
@@ -84,7 +84,7 @@ fn counts(board: &Board) -> String {
     format!("{told}; alarms {active} active, {waiting} to acknowledge")
 }
 
-fn data(board: &Board, now: Now) -> String {
+fn data(board: &LoopTable, now: Now) -> String {
     let sum = |of: fn(&stiction_runtime::overview::Row) -> u64| board.rows().map(of).sum::<u64>();
     let silent = board.rows().filter(|row| row.silent).count();
     let aged = board.rows().filter_map(|row| Some((board.age_s(&row.name, now)?, &row.name)));
@@ -102,7 +102,7 @@ fn data(board: &Board, now: Now) -> String {
     format!("data: {}; {lost}", parts.join(", "))
 }
 
-fn faults(board: &Board) -> Vec<String> {
+fn faults(board: &LoopTable) -> Vec<String> {
     let here = board.daemons.values().filter(|d| !d.gone);
     let all = here.filter_map(|d| d.health["faults"].as_array()).flatten().filter_map(Value::as_str);
     let mut faults: Vec<String> = all.map(str::to_owned).collect();

@@ -6,8 +6,8 @@ use std::time::{Duration, Instant};
 use ratatui::crossterm::event::Event;
 use tokio::sync::mpsc::{Receiver, UnboundedSender};
 
-use super::board::{Board, News, Now};
-use super::cells::Look;
+use super::board::{LoopTable, News, Now};
+use super::cells::TerminalStyle;
 use super::draw;
 use super::screen::{self, Screen};
 use super::view::{Ask, View};
@@ -24,13 +24,13 @@ const AT_ONCE: usize = 512;
 /// # Errors
 /// The terminal cannot be used.
 pub async fn show(
-    board: &mut Board,
+    board: &mut LoopTable,
     below: &[String],
     news: &mut Receiver<News>,
     asks: &UnboundedSender<Ask>,
     ends: impl Future<Output = ()>,
 ) -> anyhow::Result<()> {
-    let look = Look::of_environment();
+    let look = TerminalStyle::of_environment();
     let person = std::env::var("USER").or_else(|_| std::env::var("LOGNAME")).unwrap_or_default();
     let mut view = View::of(&person);
     let mut screen = Screen::open()?;

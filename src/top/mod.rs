@@ -21,8 +21,8 @@ use serde_json::json;
 use tokio::sync::mpsc;
 use zenoh::Session;
 
-use self::board::{Board, Now};
-use self::cells::{Figure, Look};
+use self::board::{LoopTable, Now};
+use self::cells::{Figure, TerminalStyle};
 use self::view::View;
 use super::{Format, Outcome, UsageError, asked_to_stop, block_on, list, play, say};
 use stiction::units::ms_from_ns;
@@ -67,7 +67,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
         let stop = asked_to_stop()?;
         let session = reach.open().await?;
         let prefix = bus::prefix_of_daemons(&session, reach.prefix.as_deref(), &reach.endpoints.join(", ")).await?;
-        let mut board = Board::new(&prefix);
+        let mut board = LoopTable::new(&prefix);
         let shown = if is_possible(format) {
             follow(&session, &mut board, &[], stop).await
         } else {
@@ -81,7 +81,7 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
 /// Shows the table, fed from the bus, until `ends` completes or the user quits.
 pub(super) async fn follow(
     session: &Session,
-    board: &mut Board,
+    board: &mut LoopTable,
     below: &[String],
     ends: impl Future<Output = ()>,
 ) -> anyhow::Result<()> {
@@ -100,7 +100,7 @@ pub(super) async fn follow(
 }
 
 /// Prints the table once.
-async fn once(session: &Session, board: &mut Board, format: Format) -> anyhow::Result<()> {
+async fn once(session: &Session, board: &mut LoopTable, format: Format) -> anyhow::Result<()> {
     let now = Now::read();
     for news in bus::last_values(session, board.prefix()).await? {
         board.take(news, now);
@@ -123,7 +123,7 @@ async fn once(session: &Session, board: &mut Board, format: Format) -> anyhow::R
     for (_, text) in head::texts(board, now) {
         say(text)?;
     }
-    let look = Look::of_environment();
+    let look = TerminalStyle::of_environment();
     let longest = rows.iter().map(|row| row.name.chars().count()).max().unwrap_or(0);
     // One window is all that the last documents tell of: bars would have one place.
     let mut columns = cells::layout(TEXT_WIDTH, longest);

@@ -10,8 +10,8 @@ use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
 use ratatui::style::Color;
 use serde_json::{Value, json};
 
-use super::board::{Board, News, Now};
-use super::cells::Look;
+use super::board::{LoopTable, News, Now};
+use super::cells::TerminalStyle;
 use super::draw;
 use super::view::{Ask, Order, Page, Prompt, View};
 use stiction::record::Signal;
@@ -19,7 +19,7 @@ use stiction_files::RecordingReader;
 use stiction_monitor::codec::topic;
 
 const PREFIX: &str = "area2";
-const PLAIN: Look = Look { unicode: true, colour: false };
+const PLAIN: TerminalStyle = TerminalStyle { unicode: true, colour: false };
 /// A quarter past midnight behind the recording's last window.
 const END_NS: i64 = 1_767_659_100_000_000_000 + 900_000_000_000;
 
@@ -41,8 +41,8 @@ fn health(id: &str, faults: &[&str]) -> News {
 }
 
 /// The four loops of the recording, as a daemon published them.
-fn four_loops() -> Board {
-    let mut board = Board::new(PREFIX);
+fn four_loops() -> LoopTable {
+    let mut board = LoopTable::new(PREFIX);
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("recordings/four-loops.mcap");
     let mut reader = RecordingReader::open(&path).unwrap();
     while let Some(message) = reader.next_message().unwrap() {
@@ -54,7 +54,7 @@ fn four_loops() -> Board {
     board
 }
 
-fn drawn(board: &Board, view: &mut View, width: u16, height: u16, look: Look, at: Now) -> Buffer {
+fn drawn(board: &LoopTable, view: &mut View, width: u16, height: u16, look: TerminalStyle, at: Now) -> Buffer {
     let mut terminal = Terminal::new(TestBackend::new(width, height)).unwrap();
     terminal.draw(|frame| draw::draw(frame, board, view, &["below".to_owned()], look, at)).unwrap();
     terminal.backend().buffer().clone()
@@ -66,15 +66,15 @@ fn lines(buffer: &Buffer) -> Vec<String> {
     rows.map(|row| row.iter().map(|cell| cell.symbol()).collect::<String>().trim_end().to_owned()).collect()
 }
 
-fn text(board: &Board, view: &mut View, width: u16, height: u16) -> String {
+fn text(board: &LoopTable, view: &mut View, width: u16, height: u16) -> String {
     lines(&drawn(board, view, width, height, PLAIN, now(0))).join("\n")
 }
 
-fn press(view: &mut View, board: &Board, code: KeyCode) -> Option<Ask> {
+fn press(view: &mut View, board: &LoopTable, code: KeyCode) -> Option<Ask> {
     view.key(KeyEvent::new(code, KeyModifiers::NONE), board)
 }
 
-fn type_in(view: &mut View, board: &Board, typed: &str) {
+fn type_in(view: &mut View, board: &LoopTable, typed: &str) {
     for c in typed.chars() {
         assert_eq!(press(view, board, KeyCode::Char(c)), None);
     }
@@ -146,12 +146,12 @@ fn any_size_and_page_is_drawn() {
 #[test]
 fn without_colour_and_without_unicode_the_letter_and_the_shape_still_say_it() {
     let board = four_loops();
-    let ascii = Look { unicode: false, colour: false };
+    let ascii = TerminalStyle { unicode: false, colour: false };
     let picture = drawn(&board, &mut View::default(), 100, 20, ascii, now(0));
     assert!(picture.content.iter().all(|cell| cell.symbol().is_ascii()), "{}", lines(&picture).join("\n"));
     assert!(picture.content.iter().all(|cell| cell.fg == Color::Reset));
     assert!(lines(&picture).join("\n").contains("M #  FIC201"));
-    let coloured = drawn(&board, &mut View::default(), 100, 20, Look { unicode: true, colour: true }, now(0));
+    let coloured = drawn(&board, &mut View::default(), 100, 20, TerminalStyle { unicode: true, colour: true }, now(0));
     assert!(coloured.content.iter().any(|cell| cell.fg == Color::LightBlue));
 }
 

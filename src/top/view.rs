@@ -4,7 +4,7 @@ use std::cmp::Ordering;
 
 use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 
-use super::board::Board;
+use super::board::LoopTable;
 use super::cells::{self, Figure};
 use stiction_monitor::alarm::check_name;
 use stiction_runtime::overview::Row;
@@ -141,7 +141,7 @@ impl View {
 
     /// The visible rows in order.
     #[must_use]
-    pub fn rows<'b>(&self, board: &'b Board) -> Vec<&'b Row> {
+    pub fn rows<'b>(&self, board: &'b LoopTable) -> Vec<&'b Row> {
         let wanted = self.filter.to_lowercase();
         let holds = |row: &&Row| {
             let word = row.verdict.map_or("", |v| v.name());
@@ -164,7 +164,7 @@ impl View {
     }
 
     /// Handles a key. Returns what it requests.
-    pub fn key(&mut self, key: KeyEvent, board: &Board) -> Option<Ask> {
+    pub fn key(&mut self, key: KeyEvent, board: &LoopTable) -> Option<Ask> {
         if key.kind == KeyEventKind::Release {
             return None;
         }
@@ -212,7 +212,7 @@ impl View {
         };
     }
 
-    fn table_key(&mut self, code: KeyCode, board: &Board) -> Option<Ask> {
+    fn table_key(&mut self, code: KeyCode, board: &LoopTable) -> Option<Ask> {
         let rows = self.rows(board);
         let (at, last) = (self.place(&rows), rows.len().saturating_sub(1));
         let to = match code {
@@ -257,7 +257,7 @@ impl View {
     }
 
     /// The loop that a command applies to.
-    fn meant(&self, board: &Board) -> Option<String> {
+    fn meant(&self, board: &LoopTable) -> Option<String> {
         match &self.page {
             Page::Loop(name) => Some(name.clone()),
             _ => {
@@ -267,7 +267,7 @@ impl View {
         }
     }
 
-    fn ask_name(&mut self, board: &Board) {
+    fn ask_name(&mut self, board: &LoopTable) {
         let Some(row) = self.meant(board).and_then(|name| board.row(&name)) else { return };
         if row.unacknowledged {
             self.prompt = Some((Prompt::Acknowledge(row.name.clone()), self.person.clone()));

@@ -209,13 +209,13 @@ fn a_recording_folder_that_is_removed_is_counted_named_and_made_again() {
 
 /// What commands make of an alarm that holds: kept here as three flags.
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Aside {
+struct Inhibit {
     acked: bool,
     shelved: bool,
     suppressed: bool,
 }
 
-impl Aside {
+impl Inhibit {
     fn shown(self) -> &'static str {
         match (self.suppressed, self.shelved, self.acked) {
             (true, _, _) => "suppressed",
@@ -244,7 +244,7 @@ fn commands_that_were_answered_outlive_kill_9_at_any_moment() {
     // Set higher for a long run.
     let cycles = std::env::var("STICTIOND_CYCLES").ok().and_then(|n| n.parse().ok()).unwrap_or(12_u64);
     let mut random = ChaCha8Rng::seed_from_u64(cycles);
-    let mut known = Aside { acked: false, shelved: false, suppressed: false };
+    let mut known = Inhibit { acked: false, shelved: false, suppressed: false };
     let (mut answered, mut cut) = (0, 0);
     for cycle in 0..cycles {
         let daemon = Daemon::start(dir.path(), FAST);
@@ -278,12 +278,13 @@ fn commands_that_were_answered_outlive_kill_9_at_any_moment() {
 }
 
 /// Which of two states the store holds.
-fn settled(dir: &Path, before: Aside, after: Aside) -> Aside {
+fn settled(dir: &Path, before: Inhibit, after: Inhibit) -> Inhibit {
     let store = stiction_files::store::StateStore::open(&dir.join("rec/state.redb")).unwrap();
     let stored = store.load().unwrap().values;
-    let state: serde_json::Value = serde_json::from_slice(&stored[&format!("{}\nFIC101", crate::live::PREFIX)]).unwrap();
+    let state: serde_json::Value =
+        serde_json::from_slice(&stored[&format!("{}\nFIC101", crate::live::PREFIX)]).unwrap();
     let (alarm, aside) = (&state["alarm"], &state["alarm"]["aside"]);
-    let found = Aside {
+    let found = Inhibit {
         acked: alarm["state"] == "acked",
         shelved: !aside["shelved_until_ns"].is_null(),
         suppressed: aside["suppressed"] == true,

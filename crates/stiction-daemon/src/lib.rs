@@ -33,9 +33,9 @@ mod routes;
 mod schedule;
 mod shutdown;
 mod signals;
+pub mod sim_daemon;
 pub mod sink;
 pub mod source;
-pub mod stage;
 mod worker;
 
 use std::collections::{BTreeMap, HashSet};

@@ -55,7 +55,7 @@ pub struct Replay {
     /// Requests that wait for their place, per loop.
     waiting: HashMap<LoopId, VecDeque<Request>>,
     /// Where each loop stands among its windows.
-    places: HashMap<LoopId, Place>,
+    places: HashMap<LoopId, WindowCursor>,
     /// Diagnoses that wait for their place, per loop, and where their search was ended.
     gaps: HashMap<LoopId, VecDeque<(GapRequest, Option<u64>)>>,
     /// Whether diagnoses are made again. Nothing else hangs on them, so on the way to a file they need not be.
@@ -69,7 +69,7 @@ pub struct Replay {
 /// Which window a recorded estimate is of. Their ends do not tell: history that is played twice has each twice. Estimates
 /// stand in the order of their windows, one for each, skipped or not.
 #[derive(Debug, Default)]
-struct Place {
+struct WindowCursor {
     /// The window of the next estimate.
     next: u64,
     /// Windows before this one came due before the replay began: nothing of them is here.
@@ -243,7 +243,8 @@ impl Replay {
         let Some(id) = self.engine.appear(&state.loop_name) else { return Ok(()) };
         if everything {
             let (windows, waiting) = state.checkpoint.stream.as_ref().map_or((0, 0), |s| (s.windows(), s.waiting()));
-            let place = Place { next: windows.saturating_sub(waiting), first: windows, skipped: BTreeSet::new() };
+            let place =
+                WindowCursor { next: windows.saturating_sub(waiting), first: windows, skipped: BTreeSet::new() };
             self.places.insert(id, place);
             self.engine.restore(id, state.checkpoint);
         } else {

@@ -63,7 +63,7 @@ pub struct RetentionParts {
 }
 
 /// Size and time of the last change of a file: while both stay, so does its content.
-type Look = (u64, i64);
+type FileStamp = (u64, i64);
 
 /// One recording, as far as keeping it goes.
 #[derive(Debug, Clone)]
@@ -111,7 +111,7 @@ pub struct RetentionWorker {
     /// What was read of each file, by name, size and age.
     known: HashMap<(PathBuf, u64, i64), Option<Kept>>,
     /// Files that were read to their end.
-    checked: HashMap<PathBuf, Look>,
+    checked: HashMap<PathBuf, FileStamp>,
     damaged: BTreeMap<PathBuf, String>,
     doubt: Doubt,
 }
@@ -223,7 +223,7 @@ impl RetentionWorker {
     /// Finished files that were not read yet, newest first. What is known of files that are gone is dropped.
     fn unchecked(&mut self) -> Vec<PathBuf> {
         let files = self.files();
-        let there: HashMap<&Path, Look> =
+        let there: HashMap<&Path, FileStamp> =
             files.iter().map(|k| (k.file.path.as_path(), (k.bytes, k.modified_ns))).collect();
         let notes = self.parts.notes.as_ref();
         self.checked.retain(|path, _| {
@@ -335,11 +335,11 @@ fn name_of(path: &Path) -> String {
     path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
 }
 
-fn text_of((bytes, modified_ns): Look) -> String {
+fn text_of((bytes, modified_ns): FileStamp) -> String {
     format!("{bytes} {modified_ns}")
 }
 
-fn look_of(text: &str) -> Option<Look> {
+fn look_of(text: &str) -> Option<FileStamp> {
     let (bytes, modified_ns) = text.split_once(' ')?;
     Some((bytes.parse().ok()?, modified_ns.parse().ok()?))
 }

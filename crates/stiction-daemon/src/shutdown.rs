@@ -28,10 +28,10 @@ const THREADS_EVERY: Duration = Duration::from_secs(1);
 const LOOK_AGAIN: Duration = Duration::from_millis(5);
 
 /// A thread of the daemon, with its name.
-pub type Named = (&'static str, JoinHandle<()>);
+pub type NamedThread = (&'static str, JoinHandle<()>);
 
 /// Ready when a thread has ended though nobody asked it to: half a daemon would look alive to whoever could start it again.
-pub async fn unasked_end(threads: &[Named]) -> &'static str {
+pub async fn unasked_end(threads: &[NamedThread]) -> &'static str {
     loop {
         if let Some((name, _)) = threads.iter().find(|(_, thread)| thread.is_finished()) {
             tracing::error!(thread = name, "ended unasked: the daemon ends too, so that it can be started again");
@@ -45,7 +45,7 @@ pub async fn unasked_end(threads: &[Named]) -> &'static str {
 ///
 /// # Errors
 /// Names every thread that panicked, hangs or ended unasked, and every recording that is not finished.
-pub async fn join(threads: Vec<Named>, unasked: Option<&str>, progress: &Progress) -> anyhow::Result<()> {
+pub async fn join(threads: Vec<NamedThread>, unasked: Option<&str>, progress: &Progress) -> anyhow::Result<()> {
     let mut patience = Patience::new(Instant::now(), STOP_WITHIN, progress.steps());
     let mut wrong: Vec<String> = unasked.map(|name| format!("the {name} thread ended unasked")).into_iter().collect();
     for (name, thread) in threads {
@@ -132,7 +132,7 @@ mod tests {
         assert_eq!(until, 74, "not for ever");
     }
 
-    fn joined(threads: Vec<Named>, unasked: Option<&str>, progress: &Progress) -> anyhow::Result<()> {
+    fn joined(threads: Vec<NamedThread>, unasked: Option<&str>, progress: &Progress) -> anyhow::Result<()> {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
         runtime.block_on(join(threads, unasked, progress))
     }

@@ -37,7 +37,7 @@ pub struct Archive {
 
 /// One recorded message.
 #[derive(Debug, Clone, Copy)]
-pub struct Found<'a> {
+pub struct RecordedMessage<'a> {
     /// Its topic.
     pub topic: &'a str,
     /// Its payload.
@@ -92,7 +92,7 @@ impl Archive {
 
     /// Passes every matching message to `take`, newest file first and in file order within a file. It stops at a file whose
     /// messages are all before the range, because recordings advance in time.
-    pub fn read(&self, wanted: &Wanted, take: &mut dyn FnMut(Found<'_>)) -> Reach {
+    pub fn read(&self, wanted: &Wanted, take: &mut dyn FnMut(RecordedMessage<'_>)) -> Reach {
         for (path, open) in self.files() {
             if Instant::now() >= wanted.until {
                 return Reach::Part;
@@ -176,7 +176,7 @@ impl Seen {
         }
     }
 
-    fn take(&mut self, wanted: &Wanted, found: Found<'_>, take: &mut dyn FnMut(Found<'_>)) {
+    fn take(&mut self, wanted: &Wanted, found: RecordedMessage<'_>, take: &mut dyn FnMut(RecordedMessage<'_>)) {
         self.note(found.topic, found.t_ns);
         let [from_ns, to_ns] = wanted.range_ns;
         if (from_ns..=to_ns).contains(&found.t_ns) {
@@ -209,7 +209,7 @@ fn read_indexed(
     path: &Path,
     wanted: &Wanted,
     seen: &mut Seen,
-    take: &mut dyn FnMut(Found<'_>),
+    take: &mut dyn FnMut(RecordedMessage<'_>),
 ) -> Result<Reach, Broken> {
     let mut file = File::open(path)?;
     let Some(summary) = summary_of(&mut file)? else { return read_open(path, wanted, seen, take) };
@@ -253,12 +253,12 @@ fn read_indexed(
                         encode_recorded(&Sample { signal: *signal, t_ns, value, quality }, &mut json);
                         // As where each has a message: none stands before 1970.
                         let t_ns = if t_ns > 0 { t_ns } else { row.arrival_ns };
-                        seen.take(wanted, Found { topic, data: &json, t_ns, encoding: "json" }, take);
+                        seen.take(wanted, RecordedMessage { topic, data: &json, t_ns, encoding: "json" }, take);
                     }
                     continue;
                 }
                 let (t_ns, encoding) = (stamp(header.publish_time, header.log_time), &*channel.message_encoding);
-                seen.take(wanted, Found { topic: &channel.topic, data, t_ns, encoding }, take);
+                seen.take(wanted, RecordedMessage { topic: &channel.topic, data, t_ns, encoding }, take);
             }
         }
     }
@@ -266,7 +266,12 @@ fn read_indexed(
 }
 
 /// Reads a file without an index, such as the one being written, message by message.
-fn read_open(path: &Path, wanted: &Wanted, seen: &mut Seen, take: &mut dyn FnMut(Found<'_>)) -> Result<Reach, Broken> {
+fn read_open(
+    path: &Path,
+    wanted: &Wanted,
+    seen: &mut Seen,
+    take: &mut dyn FnMut(RecordedMessage<'_>),
+) -> Result<Reach, Broken> {
     let failed = |error: super::ReadError| Broken::Io(std::io::Error::other(error.to_string()));
     let mut reader = RecordingReader::open(path).map_err(failed)?;
     let mut count = 0_usize;
@@ -277,7 +282,12 @@ fn read_open(path: &Path, wanted: &Wanted, seen: &mut Seen, take: &mut dyn FnMut
         }
         if wanted.topics.contains(message.topic()) {
             let t_ns = if message.publish_time_ns == 0 { message.log_time_ns } else { message.publish_time_ns };
-            let found = Found { topic: message.topic(), data: message.data, t_ns, encoding: &message.channel.encoding };
+            let found = RecordedMessage {
+                topic: message.topic(),
+                data: message.data,
+                t_ns,
+                encoding: &message.channel.encoding,
+            };
             seen.take(wanted, found, take);
         }
     }

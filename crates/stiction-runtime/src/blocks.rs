@@ -35,10 +35,10 @@ impl<T> Shared<T> {
 }
 
 /// The end that items are put into; dropped, it ends the queue.
-pub struct Filler<T>(Arc<Shared<T>>);
+pub struct BlockSender<T>(Arc<Shared<T>>);
 
 /// The end that they are taken from, in their order.
-pub struct Taker<T> {
+pub struct BlockReceiver<T> {
     shared: Arc<Shared<T>>,
     /// The block that is being taken.
     open: VecDeque<T>,
@@ -46,7 +46,7 @@ pub struct Taker<T> {
 
 /// What the taker found.
 #[derive(Debug, PartialEq, Eq)]
-pub enum Found<T> {
+pub enum Received<T> {
     /// The next item.
     Item(T),
     /// None within the time.
@@ -57,13 +57,13 @@ pub enum Found<T> {
 
 /// Both ends of a queue.
 #[must_use]
-pub fn queue<T>() -> (Filler<T>, Taker<T>) {
+pub fn queue<T>() -> (BlockSender<T>, BlockReceiver<T>) {
     let state = State { full: VecDeque::new(), spare: Vec::new(), sleeps: false, ended: false, left: false };
     let shared = Arc::new(Shared { state: Mutex::new(state), wake: Condvar::new(), waiting: AtomicUsize::new(0) });
-    (Filler(shared.clone()), Taker { shared, open: VecDeque::new() })
+    (BlockSender(shared.clone()), BlockReceiver { shared, open: VecDeque::new() })
 }
 
-impl<T> Filler<T> {
+impl<T> BlockSender<T> {
     /// Puts an item at the end.
     ///
     /// # Errors
@@ -96,23 +96,23 @@ impl<T> Filler<T> {
     }
 }
 
-impl<T> Drop for Filler<T> {
+impl<T> Drop for BlockSender<T> {
     fn drop(&mut self) {
         self.0.lock().ended = true;
         self.0.wake.notify_one();
     }
 }
 
-impl<T> Taker<T> {
+impl<T> BlockReceiver<T> {
     /// The next item, waiting for it so long.
-    pub fn take_within(&mut self, wait: Duration) -> Found<T> {
+    pub fn take_within(&mut self, wait: Duration) -> Received<T> {
         if self.open.is_empty() {
             let until = Instant::now() + wait;
             let mut state = self.shared.lock();
             while state.full.is_empty() {
                 let left = until.saturating_duration_since(Instant::now());
                 if state.ended || left.is_zero() {
-                    return if state.ended { Found::End } else { Found::Nothing };
+                    return if state.ended { Received::End } else { Received::Nothing };
                 }
                 state.sleeps = true;
                 state = self.shared.wake.wait_timeout(state, left).unwrap_or_else(PoisonError::into_inner).0;
@@ -124,13 +124,13 @@ impl<T> Taker<T> {
                 state.spare.push(taken);
             }
         }
-        let Some(item) = self.open.pop_front() else { return Found::Nothing };
+        let Some(item) = self.open.pop_front() else { return Received::Nothing };
         self.shared.waiting.fetch_sub(1, Ordering::Relaxed);
-        Found::Item(item)
+        Received::Item(item)
     }
 }
 
-impl<T> Drop for Taker<T> {
+impl<T> Drop for BlockReceiver<T> {
     fn drop(&mut self) {
         let mut state = self.shared.lock();
         state.left = true;
@@ -149,12 +149,12 @@ mod tests {
         let mut wanted = 0;
         loop {
             match taker.take_within(Duration::from_secs(10)) {
-                Found::Item(k) => {
+                Received::Item(k) => {
                     assert_eq!(k, wanted);
                     wanted += 1;
                 }
-                Found::Nothing => panic!("nothing came for ten seconds"),
-                Found::End => break,
+                Received::Nothing => panic!("nothing came for ten seconds"),
+                Received::End => break,
             }
         }
         filling.join().unwrap();
@@ -168,8 +168,8 @@ mod tests {
         for _ in 0..100 {
             (0..BLOCK).for_each(|k| filler.put(k).unwrap());
             assert_eq!(filler.waiting(), BLOCK);
-            (0..BLOCK).for_each(|k| assert_eq!(taker.take_within(Duration::ZERO), Found::Item(k)));
-            assert_eq!((taker.take_within(Duration::ZERO), filler.waiting()), (Found::Nothing, 0));
+            (0..BLOCK).for_each(|k| assert_eq!(taker.take_within(Duration::ZERO), Received::Item(k)));
+            assert_eq!((taker.take_within(Duration::ZERO), filler.waiting()), (Received::Nothing, 0));
             places.insert(taker.open.as_slices().0.as_ptr() as usize);
         }
         assert!(places.len() <= 2, "{} blocks were asked for", places.len());

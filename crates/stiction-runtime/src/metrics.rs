@@ -23,9 +23,9 @@ pub struct Label {
 
 /// How long something takes: a millisecond to half a minute, each bucket twice the one before.
 #[derive(Debug, Clone)]
-pub struct Seconds(pub Histogram);
+pub struct LongDurations(pub Histogram);
 
-impl Default for Seconds {
+impl Default for LongDurations {
     fn default() -> Self {
         Self(Histogram::new(exponential_buckets(0.001, 2.0, 16)))
     }
@@ -33,9 +33,9 @@ impl Default for Seconds {
 
 /// How long a message waits: a fifth of a millisecond to a quarter of a minute, each bucket half as much again as the one before.
 #[derive(Debug, Clone)]
-pub struct Moments(pub Histogram);
+pub struct ShortDurations(pub Histogram);
 
-impl Default for Moments {
+impl Default for ShortDurations {
     fn default() -> Self {
         Self(Histogram::new(exponential_buckets(0.0002, 1.5, 28)))
     }
@@ -56,15 +56,15 @@ macro_rules! counters {
             /// Documents that wait for receivers, by receiver.
             pub delivery_waiting: Family<Label, Gauge>,
             /// Time that fits take.
-            pub fit: Seconds,
+            pub fit: LongDurations,
             /// Time from the arrival of the sample that closes a window to its estimate.
-            pub lag: Seconds,
+            pub lag: LongDurations,
             /// Series of every loop.
             pub series: LoopSeries,
             /// Time from a message's stamp on the bus, or its arrival where it has none, to the engine.
-            pub intake: Moments,
+            pub intake: ShortDurations,
             /// Time that a comparison of all loops takes.
-            pub comparison: Seconds,
+            pub comparison: LongDurations,
             /// Groups of loops that share one oscillation.
             pub groups: Gauge,
             /// Loops that there are.

@@ -14,7 +14,7 @@ use serde::Serialize;
 use stiction::ident::region::{Region, Size};
 use stiction::units::{ms_from_ns, s_from_ns};
 use stiction::verdict::{EstimateDocument, Gate, Verdict, words};
-use stiction_monitor::alarm::{AlarmDocument, Place, Priority, State};
+use stiction_monitor::alarm::{AlarmDocument, LoopContext, Priority, State};
 use stiction_monitor::engine::LoopFigures;
 
 pub use groups::{Membership, ShownGroup, ShownGroups};
@@ -128,7 +128,7 @@ pub struct Flow {
 /// What is held of one loop.
 #[derive(Debug, Clone)]
 struct Entry {
-    place: Place,
+    place: LoopContext,
     estimate: Option<Arc<EstimateDocument>>,
     alarm: Option<Arc<AlarmDocument>>,
     cause: Option<String>,
@@ -186,7 +186,7 @@ struct Loops {
 
 impl Loops {
     /// Changes an entry; returns the version that this makes.
-    fn change(&mut self, name: &Arc<str>, place: &Place, now: Instant, change: impl FnOnce(&mut Entry)) -> u64 {
+    fn change(&mut self, name: &Arc<str>, place: &LoopContext, now: Instant, change: impl FnOnce(&mut Entry)) -> u64 {
         self.version += 1;
         let entry = self.by_name.entry(name.clone()).or_insert_with(|| Entry::new(place, now));
         change(entry);
@@ -200,12 +200,12 @@ impl Loops {
 pub struct Overview(Arc<RwLock<Loops>>);
 
 impl Overview {
-    fn change(&self, name: &Arc<str>, place: &Place, now: Instant, change: impl FnOnce(&mut Entry)) {
+    fn change(&self, name: &Arc<str>, place: &LoopContext, now: Instant, change: impl FnOnce(&mut Entry)) {
         self.0.write().unwrap_or_else(PoisonError::into_inner).change(name, place, now, change);
     }
 
     /// A window was answered.
-    pub fn estimate(&self, name: &Arc<str>, place: &Place, now: Instant, document: Arc<EstimateDocument>) {
+    pub fn estimate(&self, name: &Arc<str>, place: &LoopContext, now: Instant, document: Arc<EstimateDocument>) {
         self.change(name, place, now, |entry| {
             let a = &document.assessment;
             if entry.recent.len() == RECENT {
@@ -222,7 +222,7 @@ impl Overview {
     }
 
     /// An alarm changed, or was restored.
-    pub fn alarm(&self, name: &Arc<str>, place: &Place, now: Instant, document: &AlarmDocument) {
+    pub fn alarm(&self, name: &Arc<str>, place: &LoopContext, now: Instant, document: &AlarmDocument) {
         let document = Arc::new(document.clone());
         let mut loops = self.0.write().unwrap_or_else(PoisonError::into_inner);
         let version = loops.change(name, place, now, |entry| entry.alarm = Some(document.clone()));
@@ -233,7 +233,7 @@ impl Overview {
     }
 
     /// A gap diagnosis named a cause.
-    pub fn cause(&self, name: &Arc<str>, place: &Place, now: Instant, cause: &str) {
+    pub fn cause(&self, name: &Arc<str>, place: &LoopContext, now: Instant, cause: &str) {
         self.change(name, place, now, |entry| entry.cause = Some(cause.to_owned()));
     }
 
@@ -250,14 +250,14 @@ impl Overview {
     }
 
     /// How a loop's data flow, by the engine's figures.
-    pub fn figures(&self, name: &Arc<str>, place: &Place, now: Instant, figures: &LoopFigures) {
+    pub fn figures(&self, name: &Arc<str>, place: &LoopContext, now: Instant, figures: &LoopFigures) {
         let c = &figures.counts;
         let dropped = c.duplicates + c.late + c.stamp_outliers;
         self.flow(name, place, now, Flow { newest_ns: figures.greatest_ns, data_gaps: c.gaps, dropped });
     }
 
     /// How a loop's data flow. Counts as a change only where the loop is new, fell silent or speaks again.
-    pub fn flow(&self, name: &Arc<str>, place: &Place, now: Instant, flow: Flow) {
+    pub fn flow(&self, name: &Arc<str>, place: &LoopContext, now: Instant, flow: Flow) {
         let mut loops = self.0.write().unwrap_or_else(PoisonError::into_inner);
         let next = loops.version + 1;
         let mut changed = !loops.by_name.contains_key(name);
@@ -346,7 +346,7 @@ impl Overview {
 }
 
 impl Entry {
-    fn new(place: &Place, now: Instant) -> Self {
+    fn new(place: &LoopContext, now: Instant) -> Self {
         Self {
             place: place.clone(),
             estimate: None,

@@ -9,7 +9,7 @@ use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::registry::Registry;
 
 use stiction::verdict::Assessment;
-use stiction_monitor::alarm::{AlarmDocument, Place, Priority, State};
+use stiction_monitor::alarm::{AlarmDocument, LoopContext, Priority, State};
 use stiction_monitor::config::Config;
 
 /// The loop.
@@ -78,7 +78,7 @@ impl LoopSeries {
 
 /// Which loops have series.
 #[derive(Debug)]
-pub struct Board {
+pub struct LoopMetrics {
     /// Loops beyond those that the configuration names.
     room: usize,
     named: Vec<String>,
@@ -86,7 +86,7 @@ pub struct Board {
     keys: HashMap<String, Option<(Loop, About)>>,
 }
 
-impl Board {
+impl LoopMetrics {
     /// Under these settings; none where the series are switched off.
     #[must_use]
     pub fn new(config: &Config) -> Option<Self> {
@@ -104,7 +104,7 @@ impl Board {
     }
 
     /// The labels of a loop, which takes its place now if it is new.
-    fn key(&mut self, series: &LoopSeries, name: &str, place: &Place) -> Option<Loop> {
+    fn key(&mut self, series: &LoopSeries, name: &str, place: &LoopContext) -> Option<Loop> {
         if let Some(key) = self.keys.get(name) {
             return key.as_ref().map(|(key, _)| key.clone());
         }
@@ -129,7 +129,7 @@ impl Board {
     }
 
     /// Shows what a window says.
-    pub fn estimate(&mut self, series: &LoopSeries, name: &str, place: &Place, a: &Assessment) {
+    pub fn estimate(&mut self, series: &LoopSeries, name: &str, place: &LoopContext, a: &Assessment) {
         let Some(key) = self.key(series, name, place) else { return };
         // A window that cannot answer leaves what was said before: the age of the data tells how old that is.
         if a.stiction.is_some() {
@@ -139,7 +139,7 @@ impl Board {
     }
 
     /// Shows an alarm.
-    pub fn alarm(&mut self, series: &LoopSeries, name: &str, place: &Place, d: &AlarmDocument) {
+    pub fn alarm(&mut self, series: &LoopSeries, name: &str, place: &LoopContext, d: &AlarmDocument) {
         let Some(key) = self.key(series, name, place) else { return };
         let aside = matches!(d.state, State::Shelved | State::Suppressed | State::OutOfService);
         let waits = matches!(d.state, State::Unack | State::RtnUnack);
@@ -168,7 +168,7 @@ impl Board {
     }
 
     /// Shows the age of a loop's data; its alarm is at rest until it says otherwise.
-    pub fn age(&mut self, series: &LoopSeries, name: &str, place: &Place, age_s: Option<f64>) {
+    pub fn age(&mut self, series: &LoopSeries, name: &str, place: &LoopContext, age_s: Option<f64>) {
         let Some(key) = self.key(series, name, place) else { return };
         LoopSeries::set(&series.data_age, &key, age_s);
         for family in [&series.active, &series.unacknowledged, &series.set_aside, &series.priority] {
@@ -197,8 +197,8 @@ mod tests {
         let text =
             "[site]\nprefix = \"p\"\n[web]\nmax_loop_series = 2\n[[loop]]\nname = \"N\"\narea = \"a \\\"b\\\" \\\\\"\n";
         let config = Config::parse(text).unwrap();
-        let (mut board, series) = (Board::new(&config).unwrap(), LoopSeries::default());
-        let place = Place { area: Some("a \"b\" \\".into()), criticality: Some(3), ..Place::default() };
+        let (mut board, series) = (LoopMetrics::new(&config).unwrap(), LoopSeries::default());
+        let place = LoopContext { area: Some("a \"b\" \\".into()), criticality: Some(3), ..LoopContext::default() };
         for name in ["A", "B", "N", "B"] {
             board.age(&series, name, &place, Some(2.5));
         }
@@ -220,6 +220,6 @@ mod tests {
         }
         assert!(!told.contains("loop=\"B\""), "{told}");
         let off = Config::parse("[site]\nprefix = \"p\"\n[web]\nloop_series = false\n").unwrap();
-        assert!(Board::new(&off).is_none());
+        assert!(LoopMetrics::new(&off).is_none());
     }
 }

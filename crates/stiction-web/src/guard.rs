@@ -17,7 +17,7 @@ use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 
 use super::error::ApiError;
-use super::server::{Life, Peer};
+use super::server::{IdleTimer, Peer};
 use stiction_runtime::queue::Rate;
 use stiction_runtime::queue::logged_rate;
 
@@ -172,8 +172,8 @@ impl Guard {
 
 /// Passes on the requests that the rules allow, and sets the headers of every answer.
 pub async fn guard(State(guard): State<Arc<Guard>>, request: Request, next: Next) -> Response {
-    if let Some(life) = request.extensions().get::<Life>() {
-        life.show();
+    if let Some(idle) = request.extensions().get::<IdleTimer>() {
+        idle.touch();
     }
     let of_page = request.uri().path().starts_with("/api/");
     let mut response = match guard.check(&request) {

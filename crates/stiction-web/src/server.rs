@@ -104,24 +104,24 @@ impl Drop for Slot {
 
 /// When a connection last showed life: a request began, a part of a body arrived, a part of a stream was taken.
 #[derive(Debug, Clone)]
-pub struct Life {
+pub struct IdleTimer {
     since: Instant,
     last_ms: Arc<AtomicU64>,
 }
 
-impl Life {
+impl IdleTimer {
     fn new() -> Self {
         Self { since: Instant::now(), last_ms: Arc::default() }
     }
 
     /// Notes a sign of life.
-    pub fn show(&self) {
+    pub fn touch(&self) {
         let ms = u64::try_from(self.since.elapsed().as_millis()).unwrap_or(u64::MAX);
         self.last_ms.fetch_max(ms, Ordering::Relaxed);
     }
 
     /// Ready once there was no sign of life for too long.
-    async fn over(&self) {
+    async fn expired(&self) {
         loop {
             tokio::time::sleep(LOOK_EVERY).await;
             let last = Duration::from_millis(self.last_ms.load(Ordering::Relaxed));
@@ -161,15 +161,15 @@ fn answer(
     limits: &Arc<Limits>,
 ) {
     let Some(slot) = limits.take(peer) else { return };
-    let life = Life::new();
-    let service = TowerToHyperService::new(router.clone().layer(Extension(life.clone())).layer(Extension(peer)));
+    let idle = IdleTimer::new();
+    let service = TowerToHyperService::new(router.clone().layer(Extension(idle.clone())).layer(Extension(peer)));
     tokio::spawn(async move {
         let mut http = http1::Builder::new();
         http.timer(TokioTimer::new()).header_read_timeout(HEADER_WITHIN).max_buf_size(MAX_HEADER_BYTES);
         // An error here is one of the client: it gets no answer, and nothing else depends on it.
         tokio::select! {
             _ = http.serve_connection(TokioIo::new(stream), service) => {}
-            () = life.over() => {}
+            () = idle.expired() => {}
         }
         drop(slot);
     });

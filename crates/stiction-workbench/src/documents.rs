@@ -4,7 +4,7 @@ use schemars::JsonSchema;
 use serde::Serialize;
 use serde_json::Value;
 
-use super::jobs::{Drawn, Found, Job, Progress, Said, State};
+use super::jobs::{Drawn, Job, Progress, Said, SectionResult, State};
 use super::request::Request;
 use stiction_web::table::BASE;
 
@@ -78,7 +78,7 @@ impl JobDocument {
             url: format!("{BASE}{base}/pictures/{}", drawn.id),
             drawn: drawn.clone(),
         };
-        let result = |(at, found): (usize, &Found)| ResultDocument {
+        let result = |(at, found): (usize, &SectionResult)| ResultDocument {
             section: found.section.clone(),
             model: found.model,
             document: found.document.clone(),

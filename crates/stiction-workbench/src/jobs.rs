@@ -82,7 +82,7 @@ impl Drawn {
 
 /// What a section gave.
 #[derive(Debug, Clone, Default)]
-pub struct Found {
+pub struct SectionResult {
     /// The section in words.
     pub section: String,
     /// The run, such as `fopdt`; `None` for a gap.
@@ -120,7 +120,7 @@ pub struct Made {
     /// How far it is.
     pub progress: Progress,
     /// Results so far.
-    pub results: Vec<Found>,
+    pub results: Vec<SectionResult>,
     /// Reports, HTML.
     pub reports: Vec<Arc<String>>,
     /// Why it failed.

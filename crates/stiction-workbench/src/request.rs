@@ -12,7 +12,7 @@ use stiction::optim::SolverName;
 use stiction::units::{format_rfc3339, parse_time};
 use stiction::verdict::{DelayChoice, ModelChoice, ValveChoice};
 use stiction_monitor::analysis::gap::{BaseChoice, GapSettings};
-use stiction_monitor::analysis::{Asked, Cut, Detrend, Section, delay_choice};
+use stiction_monitor::analysis::{Cut, Detrend, FitOverrides, Section, delay_choice};
 use stiction_report::command::command_line;
 
 /// Sections of one job at most: as many as a report draws in full.
@@ -312,7 +312,7 @@ impl Request {
         }
         option("--window", self.window_ms.map(|ends| ends.map(moment).join(",")));
         option("--downsample", self.downsample.map(|ratio| ratio.to_string()));
-        let defaults = Asked::default();
+        let defaults = FitOverrides::default();
         let unlike = |seed: u64, usual: u64| (seed != usual).then(|| seed.to_string());
         let file_of = |name: &str, given: bool| given.then(|| name.to_owned());
         match self.kind {
@@ -361,9 +361,9 @@ impl Request {
 impl Task {
     /// What a run's fit is asked over the loop's settings.
     #[must_use]
-    pub fn asked(&self, run: Model) -> Asked {
-        let (asked, defaults) = (&self.request, Asked::default());
-        Asked {
+    pub fn asked(&self, run: Model) -> FitOverrides {
+        let (asked, defaults) = (&self.request, FitOverrides::default());
+        FitOverrides {
             op_range: asked.op_range,
             fineness_pct: asked.fineness.unwrap_or(defaults.fineness_pct),
             seed: asked.seed.unwrap_or(defaults.seed),

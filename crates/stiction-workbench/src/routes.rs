@@ -21,14 +21,14 @@ use super::Bench;
 use super::choices::{self, Choices};
 use super::documents::{JobDocument, JobList};
 use super::fault::Fault;
-use super::jobs::{Found, Job, State as JobState};
+use super::jobs::{Job, SectionResult, State as JobState};
 use super::record::{RecordAnswer, RecordQuery, record};
 use super::request::Request;
 use super::shelf::FileInfo;
 use super::upload::upload;
 use stiction::units::format_seconds;
 use stiction_monitor::analysis::predictions::Row;
-use stiction_web::server::Life;
+use stiction_web::server::IdleTimer;
 use stiction_web::table::{Operation, Parameter, ResponseKind, of};
 use stiction_web::thin::thin;
 
@@ -306,7 +306,7 @@ async fn remove(State(bench): State<Bench>, Path(id): Path<String>) -> Answered<
 struct Following {
     job: Arc<Job>,
     changes: tokio::sync::watch::Receiver<u64>,
-    life: Option<Life>,
+    idle: Option<IdleTimer>,
     begun: bool,
     over: bool,
     _place: OwnedSemaphorePermit,
@@ -315,14 +315,14 @@ struct Following {
 async fn events(
     State(bench): State<Bench>,
     Path(id): Path<String>,
-    life: Option<Extension<Life>>,
+    idle: Option<Extension<IdleTimer>>,
 ) -> Result<Sse<impl Stream<Item = Result<Event, Infallible>>>, Fault> {
     let job = bench.jobs.get(&id)?;
     let place = bench.streams.clone().try_acquire_owned();
     let place = place.map_err(|_| Fault::too_many("too many pages are open; close some"))?;
     let changes = job.listen();
-    let life = life.map(|Extension(life)| life);
-    let following = Following { job, changes, life, begun: false, over: false, _place: place };
+    let idle = idle.map(|Extension(idle)| idle);
+    let following = Following { job, changes, idle, begun: false, over: false, _place: place };
     let stream = stream::unfold(following, |mut following| async move {
         let event = following.next().await?;
         Some((Ok(event), following))
@@ -342,8 +342,8 @@ impl Following {
             tokio::time::sleep(PAUSE).await;
             self.changes.mark_unchanged();
         }
-        if let Some(life) = &self.life {
-            life.show();
+        if let Some(idle) = &self.idle {
+            idle.touch();
         }
         let document = JobDocument::of(&self.job, true);
         self.over = document.over();
@@ -353,7 +353,7 @@ impl Following {
 }
 
 /// A job's result.
-fn found(job: &Job, part: usize) -> Result<Found, Fault> {
+fn found(job: &Job, part: usize) -> Result<SectionResult, Fault> {
     job.now().results.get(part).cloned().ok_or_else(|| Fault::missing("this job has no such result, or not yet"))
 }
 

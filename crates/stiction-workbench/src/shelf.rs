@@ -128,7 +128,7 @@ impl Opened {
 }
 
 /// Bytes of an upload that has begun, given back when it fails.
-pub struct Place {
+pub struct UploadSlot {
     shelf: Arc<Shelf>,
     /// Where the bytes go.
     pub path: PathBuf,
@@ -259,7 +259,7 @@ impl Shelf {
     ///
     /// # Errors
     /// Too many files are open, or no folder can be made.
-    pub fn place(self: &Arc<Self>) -> Result<Place, Fault> {
+    pub fn place(self: &Arc<Self>) -> Result<UploadSlot, Fault> {
         let mut folder = self.folder();
         if matches!(*folder, Folder::None) {
             let failed = |error| {
@@ -274,7 +274,7 @@ impl Shelf {
         inner.next += 1;
         let number = inner.next;
         let path = folder.path().join(number.to_string());
-        Ok(Place { shelf: self.clone(), path, number, bytes: 0, kept: false })
+        Ok(UploadSlot { shelf: self.clone(), path, number, bytes: 0, kept: false })
     }
 
     /// Reads a source and puts it on the shelf.
@@ -406,7 +406,7 @@ impl Shelf {
     }
 }
 
-impl Place {
+impl UploadSlot {
     /// Makes room for more bytes.
     ///
     /// # Errors
@@ -438,7 +438,7 @@ impl Place {
     }
 }
 
-impl Drop for Place {
+impl Drop for UploadSlot {
     fn drop(&mut self) {
         let mut inner = self.shelf.inner();
         inner.coming -= 1;

@@ -13,8 +13,8 @@ use futures_util::TryStreamExt;
 use super::Workbench;
 use super::fault::Fault;
 use super::reading::Upload;
-use super::shelf::{FileInfo, Place};
-use stiction_web::server::Life;
+use super::shelf::{FileInfo, UploadSlot};
+use stiction_web::server::IdleTimer;
 
 /// Time that an upload has before its pace counts.
 const GRACE: Duration = Duration::from_secs(5);
@@ -27,7 +27,7 @@ pub const AT_A_TIME: usize = 4;
 pub async fn upload(
     State(bench): State<Arc<Workbench>>,
     RawQuery(query): RawQuery,
-    life: Option<Extension<Life>>,
+    idle: Option<Extension<IdleTimer>>,
     headers: HeaderMap,
     body: Body,
 ) -> Result<Json<FileInfo>, Fault> {
@@ -40,14 +40,14 @@ pub async fn upload(
         return Err(Fault::too_many(format!("{AT_A_TIME} uploads are under way; try again when one is done")));
     };
     let mut place = bench.shelf.place()?;
-    store(&mut place, body, life.as_deref()).await?;
+    store(&mut place, body, idle.as_deref()).await?;
     // Reading takes long and blocks. The place goes with it, so that a reader who leaves leaves nothing behind.
     let read = tokio::task::spawn_blocking(move || place.keep(&upload.name, upload.reading)).await;
     read.map_err(|_| Fault::own("the file could not be read; see the program's log"))?.map(Json)
 }
 
 /// Writes the body to its place.
-async fn store(place: &mut Place, body: Body, life: Option<&Life>) -> Result<(), Fault> {
+async fn store(place: &mut UploadSlot, body: Body, idle: Option<&IdleTimer>) -> Result<(), Fault> {
     let mut file = std::fs::File::create_new(&place.path).map_err(|error| disk(&error))?;
     let (began, mut taken, mut pieces) = (Instant::now(), 0_u64, body.into_data_stream());
     loop {
@@ -58,8 +58,8 @@ async fn store(place: &mut Place, body: Body, life: Option<&Life>) -> Result<(),
         let Some(bytes) = piece.map_err(|_| slow())?.map_err(broken)? else { break };
         place.grow(bytes.len() as u64)?;
         taken += bytes.len() as u64;
-        if let Some(life) = life {
-            life.show();
+        if let Some(idle) = idle {
+            idle.touch();
         }
         // A page's piece is small: writing it keeps nobody waiting.
         file.write_all(&bytes).map_err(|error| disk(&error))?;

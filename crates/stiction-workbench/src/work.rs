@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::fault::Fault;
-use super::jobs::{Drawn, Found, Job, Said, Step};
+use super::jobs::{Drawn, Job, Said, SectionResult, Step};
 use super::request::{Kind, Model};
 use super::shelf::Shelf;
 use stiction::gap::text as gap_text;
@@ -134,7 +134,7 @@ impl<'b> Bench<'b> {
         run: Model,
         place: [usize; 2],
         words: &str,
-    ) -> Result<(Answer, Analysed, Found), Fault> {
+    ) -> Result<(Answer, Analysed, SectionResult), Fault> {
         let (task, points) = (&self.job.task, self.points);
         self.step(place, format!("{words}: fitting"), "");
         let started = Instant::now();
@@ -149,14 +149,14 @@ impl<'b> Bench<'b> {
         let answer =
             found.answer(&self.one.name, &self.config.hash(), elapsed_ms, solver, scored.transpose().map_err(wrong)?);
         let Estimated { record, params, notes, .. } = found;
-        let told = Found {
+        let told = SectionResult {
             section: section.words(),
             model: Some(run.word()),
             document: serde_json::to_value(&answer).map_err(|error| Fault::own(error.to_string()))?,
             text: text::answer(&answer),
             words: in_words(&answer.document.assessment, params.op_range),
             notes: self.points.notes.iter().chain(&notes).cloned().collect(),
-            ..Found::default()
+            ..SectionResult::default()
         };
         let units = self.one.units.clone();
         let looked_at = Analysed { record, original, about: self.one.about.clone(), units, params };
@@ -195,7 +195,8 @@ impl<'b> Bench<'b> {
         self.job.change(|made| {
             let part = made.reports.len();
             made.reports.push(page);
-            let of_run = |found: &(usize, &mut Found)| found.1.model == Some(run.word()) && !found.1.document.is_null();
+            let of_run =
+                |found: &(usize, &mut SectionResult)| found.1.model == Some(run.word()) && !found.1.document.is_null();
             for (at, found) in made.results.iter_mut().enumerate().filter(of_run) {
                 let Some(figures) = drawn.next() else { break };
                 found.pictures = pictures(at, figures, run.order());
@@ -246,14 +247,14 @@ impl<'b> Bench<'b> {
         Ok(())
     }
 
-    fn gap(&self, section: Section, step: &Step<'_>) -> Result<(Diagnosed, Found), Fault> {
+    fn gap(&self, section: Section, step: &Step<'_>) -> Result<(Diagnosed, SectionResult), Fault> {
         let settings = &self.job.task.settings;
         let (record, notes) = analysis::gap::record(self.points, section, &self.job.task.cut).map_err(wrong)?;
         let options = settings.options(&record);
         let team = Team::new(step, &options, settings.budget_s.map(Duration::from_secs_f64));
         let found = analysis::gap::diagnose(&self.one.name, record, &options, &team).map_err(wrong)?;
         let whole = self.points.samples(section).map_err(wrong)?;
-        let told = Found {
+        let told = SectionResult {
             section: section.words(),
             document: serde_json::to_value(&found.document).map_err(|error| Fault::own(error.to_string()))?,
             text: gap_text::report(&found.document),
@@ -263,7 +264,7 @@ impl<'b> Bench<'b> {
             ],
             notes: self.points.notes.iter().chain(&notes).cloned().collect(),
             predictions: Some(Arc::new(rows(&whole, &found.record, &found.diagnosis))),
-            ..Found::default()
+            ..SectionResult::default()
         };
         Ok((found, told))
     }
@@ -278,8 +279,8 @@ const fn said(run: Model) -> &'static str {
 }
 
 /// A section without an answer, and why.
-fn failed(section: String, model: Option<&'static str>, fault: &Fault) -> Found {
-    Found { section, model, notes: vec![fault.text().to_owned()], ..Found::default() }
+fn failed(section: String, model: Option<&'static str>, fault: &Fault) -> SectionResult {
+    SectionResult { section, model, notes: vec![fault.text().to_owned()], ..SectionResult::default() }
 }
 
 fn subject(one: &LoopReport) -> Subject<'_> {

@@ -16,7 +16,7 @@ use super::nodes::{Node, check_id, key_from, key_of};
 const MAX_NODES: usize = 1_000_000;
 
 /// Nodes found, and how many lack a unique key or name.
-pub struct Found {
+pub struct BrowsedNodes {
     /// Variables with keys made of their names below the start node.
     pub nodes: Vec<Node>,
     /// Number of variables left out.
@@ -47,7 +47,7 @@ pub async fn node_id(session: &Session, id: &str, spaces: &mut Option<NamespaceM
 ///
 /// # Errors
 /// There is no such node, or no variable below it.
-pub async fn below(session: &Session, start: &str) -> anyhow::Result<Found> {
+pub async fn below(session: &Session, start: &str) -> anyhow::Result<BrowsedNodes> {
     let start_id = match start.strip_prefix('/') {
         Some(path) => at_path(session, path).await?,
         None => {
@@ -111,8 +111,8 @@ async fn at_path(session: &Session, path: &str) -> anyhow::Result<NodeId> {
 }
 
 /// Variables in breadth-first order: a node with several parents gets its name from the nearest.
-fn walk(start: &NodeId, children: &Children) -> Found {
-    let mut found = Found { nodes: Vec::new(), left_out: 0 };
+fn walk(start: &NodeId, children: &Children) -> BrowsedNodes {
+    let mut found = BrowsedNodes { nodes: Vec::new(), left_out: 0 };
     let (mut seen, mut keys) = (HashSet::from([start.clone()]), HashSet::new());
     let mut open = VecDeque::from([(start, Vec::<&str>::new())]);
     while let Some((parent, path)) = open.pop_front() {

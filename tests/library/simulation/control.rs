@@ -2,7 +2,7 @@
 
 use std::sync::{Arc, Mutex};
 
-use stiction_daemon::stage::{Stage, no_receiver};
+use stiction_daemon::sim_daemon::{SimDaemon, no_receiver};
 use stiction_files::disk::{Disk, SystemDisk};
 use stiction_monitor::alarm::Command;
 use stiction_monitor::config::Config;
@@ -16,7 +16,7 @@ fn a_command_is_taken_and_answered_while_samples_fill_their_queue() {
         dir.path().to_str().unwrap()
     );
     let (config, disk) = (Config::parse(&text).unwrap(), Arc::new(SystemDisk) as Arc<dyn Disk>);
-    let mut stage = Stage::start(config, &text, &Clock::standing(super::START_NS), &disk, no_receiver).unwrap();
+    let mut stage = SimDaemon::start(config, &text, &Clock::standing(super::START_NS), &disk, no_receiver).unwrap();
     stage.deliver("p/A/op", b"1");
     stage.turn();
     // No key may fill the queue, but many may together.

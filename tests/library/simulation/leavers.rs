@@ -8,7 +8,7 @@ use stiction::record::Sample;
 use stiction::sim::scenario::Scenario;
 use stiction_daemon::replay::chains_of;
 use stiction_daemon::rerun::Rerun;
-use stiction_daemon::stage::{Stage, no_receiver};
+use stiction_daemon::sim_daemon::{SimDaemon, no_receiver};
 use stiction_files::disk::{Disk, SystemDisk};
 use stiction_monitor::alarm::{Command, State};
 use stiction_monitor::codec::encode_recorded;
@@ -20,7 +20,7 @@ const STICKS: &str = "FIC201";
 const CALM: &str = "PIC203";
 
 /// Delivers all samples of a loop, later by so much, and does the fits.
-fn play(stage: &mut Stage, name: &str, later_ns: i64) {
+fn play(stage: &mut SimDaemon, name: &str, later_ns: i64) {
     let scenario = Scenario::parse(FOUR).unwrap();
     let names: Vec<String> = scenario.loop_names().map(str::to_owned).collect();
     let mut json = Vec::new();
@@ -36,19 +36,19 @@ fn play(stage: &mut Stage, name: &str, later_ns: i64) {
     stage.record();
 }
 
-fn silence(stage: &mut Stage, clock: &Clock) {
+fn silence(stage: &mut SimDaemon, clock: &Clock) {
     clock.advance(Duration::from_secs(601));
     stage.health();
     stage.record();
     assert!(stage.keep());
 }
 
-fn shown(stage: &Stage, name: &str) -> Option<State> {
+fn shown(stage: &SimDaemon, name: &str) -> Option<State> {
     let id = stage.engine().find(name)?;
     Some(stage.engine().checkpoint(id).alarm.shown())
 }
 
-fn start(dir: &Path, clock: &Clock) -> (Stage, Config) {
+fn start(dir: &Path, clock: &Clock) -> (SimDaemon, Config) {
     let text = format!(
         "[site]\nprefix = \"p\"\n[input]\nforget_after_s = 600.0\n[window]\nhop_s = 300.0\n[alarm]\nraise = [1, 1]\n\
          [gap]\nenabled = false\n[recording]\ndir = {:?}\n",
@@ -56,7 +56,7 @@ fn start(dir: &Path, clock: &Clock) -> (Stage, Config) {
     );
     let config = Config::parse(&text).unwrap();
     let disk = Arc::new(SystemDisk) as Arc<dyn Disk>;
-    (Stage::start(config.clone(), &text, clock, &disk, no_receiver).unwrap(), config)
+    (SimDaemon::start(config.clone(), &text, clock, &disk, no_receiver).unwrap(), config)
 }
 
 #[test]

@@ -30,8 +30,8 @@ use stiction::ident::region::Size;
 use stiction::units::Moment;
 use stiction::verdict::{Assessment, Oscillation, Verdict, Window};
 use stiction_daemon::gaps::Outcome;
+use stiction_daemon::sim_daemon::SimDaemon;
 use stiction_daemon::source::Message;
-use stiction_daemon::stage::Stage;
 use stiction_files::RecordingReader;
 use stiction_files::disk::Disk;
 use stiction_monitor::alarm::Command;
@@ -171,7 +171,7 @@ struct Run {
 
 impl Run {
     /// The engine has taken all: keys of loops that it has are known from now on.
-    fn taken(&mut self, stage: &Stage) {
+    fn taken(&mut self, stage: &SimDaemon) {
         self.waiting = (0, 0);
         self.flows.clear();
         let loop_of = |key: &str| key.strip_prefix(PREFIX)?.strip_prefix('/')?.split('/').next().map(str::to_owned);
@@ -193,7 +193,7 @@ struct Simulation {
     disk: FaultyDisk,
     plant: Plant,
     oracle: Oracle,
-    stage: Stage,
+    stage: SimDaemon,
     run: Run,
     answers: Answers,
     gap_answers: GapAnswers,
@@ -222,7 +222,7 @@ impl Simulation {
         let clock = Clock::standing(START_NS);
         let (disk, receiver) = (FaultyDisk::new(seed, &clock), Receiver::default());
         let below = Arc::new(disk.clone()) as Arc<dyn Disk>;
-        let stage = Stage::start(config.clone(), &text, &clock, &below, receiver.maker()).unwrap();
+        let stage = SimDaemon::start(config.clone(), &text, &clock, &below, receiver.maker()).unwrap();
         Self {
             seed,
             random: ChaCha8Rng::seed_from_u64(seed),
@@ -537,7 +537,7 @@ impl Simulation {
         self.answers.lock().unwrap().clear();
         let disk = Arc::new(self.disk.clone()) as Arc<dyn Disk>;
         let receiver = self.receiver.maker();
-        self.stage = Stage::start(self.config.clone(), &self.text, &self.clock, &disk, receiver).unwrap();
+        self.stage = SimDaemon::start(self.config.clone(), &self.text, &self.clock, &disk, receiver).unwrap();
         self.run = Run { calm_since: self.step, ..Run::default() };
         self.gap_answers.lock().unwrap().clear();
         self.account.crashed();

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 
 use serde_json::Value;
 use stiction::units::ms_from_ns;
+use stiction_daemon::sim_daemon::SimDaemon;
 use stiction_daemon::sink::zenoh::Publication;
-use stiction_daemon::stage::Stage;
 use stiction_monitor::alarm::Alarm;
 use stiction_monitor::codec::topic::Kind;
 
@@ -163,7 +163,7 @@ impl Oracle {
     }
 
     /// Whether each loop's alarm stands where the model has it.
-    pub fn compare(&self, stage: &Stage) {
+    pub fn compare(&self, stage: &SimDaemon) {
         for id in stage.engine().ids() {
             let name = stage.engine().name(id);
             let model = self.loops.get(&**name).map(Known::now).unwrap_or_default();
@@ -173,7 +173,7 @@ impl Oracle {
     }
 
     /// Whether the page shows each loop as the model has it, and no other.
-    pub fn compare_page(&self, stage: &Stage, now_ns: i64) {
+    pub fn compare_page(&self, stage: &SimDaemon, now_ns: i64) {
         let rows = stage.overview().changes_after(0, now_ns).rows;
         assert_eq!(rows.len(), stage.engine().ids().len(), "one row a loop");
         for row in rows {
@@ -186,7 +186,7 @@ impl Oracle {
     }
 
     /// After a restart: each loop is where it was when all was stored last, or later; never before.
-    pub fn restarted(&mut self, stage: &mut Stage) {
+    pub fn restarted(&mut self, stage: &mut SimDaemon) {
         self.asked.clear();
         self.newest.clear();
         for (name, known) in &mut self.loops {

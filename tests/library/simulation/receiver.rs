@@ -4,8 +4,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 
+use stiction_daemon::sim_daemon::SimDaemon;
 use stiction_daemon::sink::deliver::{Failure, Item, MakeTarget, Target};
-use stiction_daemon::stage::Stage;
 use stiction_monitor::config::Deliver;
 use stiction_monitor::short_hash;
 
@@ -87,7 +87,7 @@ impl Account {
     }
 
     /// Compares: nothing is invented, the order within each loop is kept, and where nothing waits all has arrived.
-    pub fn compare(&mut self, receiver: &Receiver, stage: &Stage, folder: &Path) {
+    pub fn compare(&mut self, receiver: &Receiver, stage: &SimDaemon, folder: &Path) {
         let got = receiver.0.lock().unwrap().got.clone();
         let mut last: BTreeMap<&str, usize> = BTreeMap::new();
         let mut seen = BTreeSet::new();

@@ -8,8 +8,8 @@ use std::time::Duration;
 use serde_json::Value;
 use stiction_daemon::replay::{chains_of, files_needed};
 use stiction_daemon::rerun::Rerun;
+use stiction_daemon::sim_daemon::{SimDaemon, no_receiver};
 use stiction_daemon::sink::recorder::shard_of;
-use stiction_daemon::stage::{Stage, no_receiver};
 use stiction_files::disk::{Disk, SystemDisk};
 use stiction_files::run::RunMetadata;
 use stiction_files::{RecordingFile, RecordingReader};
@@ -23,7 +23,7 @@ const NAMES: [&str; 2] = ["A", "B"];
 struct Site<'a> {
     dir: &'a Path,
     clock: Clock,
-    stage: Option<Stage>,
+    stage: Option<SimDaemon>,
     /// Start and end of each loop's windows, s.
     windows: BTreeMap<String, Vec<[i64; 2]>>,
     now_s: i64,
@@ -35,14 +35,14 @@ impl<'a> Site<'a> {
         Self { dir, clock, stage: None, windows: BTreeMap::new(), now_s: super::START_NS / 1_000_000_000 }
     }
 
-    fn start(&mut self, hop_s: f64) -> &mut Stage {
+    fn start(&mut self, hop_s: f64) -> &mut SimDaemon {
         let text = format!(
             "[site]\nprefix = \"p\"\n[window]\nhop_s = {hop_s:?}\nmax_gap_s = 120.0\n[gap]\nenabled = false\n\
              [recording]\nflush_s = 0.1\nmax_s = 300.0\ndir = {:?}\n",
             self.dir.to_str().unwrap()
         );
         let (config, disk) = (Config::parse(&text).unwrap(), Arc::new(SystemDisk) as Arc<dyn Disk>);
-        self.stage.insert(Stage::start(config, &text, &self.clock, &disk, no_receiver).unwrap())
+        self.stage.insert(SimDaemon::start(config, &text, &self.clock, &disk, no_receiver).unwrap())
     }
 
     fn pass(&mut self, seconds: i64) {
@@ -182,7 +182,7 @@ fn loops_keep_their_shards_over_a_start() {
     let names: Vec<&str> = names.iter().map(String::as_str).collect();
     site.start(60.0);
     site.send(&names, 3, 0);
-    let shards = |stage: &Stage| -> Vec<usize> {
+    let shards = |stage: &SimDaemon| -> Vec<usize> {
         names.iter().map(|name| shard_of(stage.engine().find(name).unwrap())).collect()
     };
     let before = shards(site.stage.as_ref().unwrap());

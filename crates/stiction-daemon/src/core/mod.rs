@@ -7,7 +7,7 @@ mod asked;
 mod messages;
 mod plant;
 mod report;
-mod survey;
+mod sweep;
 #[cfg(test)]
 mod tests;
 mod windows;
@@ -48,7 +48,7 @@ use stiction_runtime::health::HealthSnapshot;
 use stiction_runtime::metrics::{Label, Metrics};
 use stiction_runtime::overview::Overview;
 use stiction_runtime::queue::Budget;
-use stiction_runtime::series::Board;
+use stiction_runtime::series::LoopMetrics;
 
 /// Messages taken before the other channels are looked at again.
 const BATCH: usize = 256;
@@ -70,8 +70,8 @@ pub struct Core {
     /// Windows that wait for a worker.
     schedule: Schedule<Job>,
     /// Looks at all loops, a part at a time.
-    survey: survey::Survey,
-    registered: survey::Registered,
+    sweep: sweep::Sweep,
+    registered: sweep::Registered,
     /// Counters of payloads by codec.
     codec_counters: Vec<(&'static str, Counter)>,
     /// Messages taken.
@@ -86,7 +86,7 @@ pub struct Core {
     publisher: Publisher,
     outbox: Option<Outbox>,
     /// Which loops have series in the metrics; none where they have none.
-    board: Option<Board>,
+    board: Option<LoopMetrics>,
     /// What the page shows; none where there is no page.
     overview: Option<Overview>,
     /// When the sample arrived that is being taken, ns.
@@ -155,7 +155,7 @@ impl Core {
     pub fn new(parts: Parts) -> Self {
         let config = parts.config.as_ref();
         let (policy, limits) = (CommandPolicy::new(&config.commands), Limits::new(&config.input));
-        let board = Board::new(config);
+        let board = LoopMetrics::new(config);
         let (budget, shares) = parts.input;
         Self {
             routes: Routes::new(config, shares),
@@ -164,8 +164,8 @@ impl Core {
             codec: config.input.codec.clone(),
             input_limit: config.input.queue,
             engine: parts.engine,
-            survey: survey::Survey::default(),
-            registered: survey::Registered::default(),
+            sweep: sweep::Sweep::default(),
+            registered: sweep::Registered::default(),
             codec_counters: Vec::new(),
             taken: 0,
             workers: parts.workers,
@@ -213,7 +213,7 @@ impl Core {
     /// Works until `stop` is closed, then ends in order: what has arrived is taken, fits that are not done are skipped
     /// and recorded as such, files are finished when the core is dropped.
     pub fn run(mut self, incoming: &Receiver<Message>, control: &Receiver<Control>, stop: &Receiver<()>) {
-        let (ticker, surveys) = (tick(self.health_every), tick(survey::EVERY));
+        let (ticker, sweeps) = (tick(self.health_every), tick(sweep::EVERY));
         let answers = self.workers.answers.clone();
         let diagnoses = self.diagnoser.answers.clone();
         let comparisons = self.plant.as_ref().map_or_else(never, |plant| plant.answers().clone());
@@ -239,7 +239,7 @@ impl Core {
                 recv(comparisons) -> compared => if let Ok(compared) = compared { self.compared(compared) },
                 recv(rotations) -> shard => if let Ok(shard) = shard { self.open_shard(shard) },
                 recv(ticker) -> _ => self.report(incoming.len()),
-                recv(surveys) -> _ => self.tend(),
+                recv(sweeps) -> _ => self.sweep_step(),
                 recv(watchdog) -> _ => tell_system(&[NotifyState::Watchdog]),
                 recv(stop) -> _ => break,
             }
@@ -368,7 +368,7 @@ impl Core {
             let name = self.engine.name(id).clone();
             recorder.record(Item::Raw { id, name, sample, arrival_ns });
         }
-        self.registered.hears(id, now);
+        self.registered.mark_heard(id, now);
         self.arrival_ns = arrival_ns;
         self.engine.push(id, sample, &mut self.events);
         self.handle_events();

@@ -34,7 +34,7 @@ impl Core {
         self.metrics.loops.set(loops as i64);
         self.report_losses();
         self.keep_all_again();
-        self.survey_few(LOOP_HEALTH_SLICES);
+        self.sweep_some(LOOP_HEALTH_SLICES);
         let stopped = self.stopped();
         let health = self.health(loops, input_waiting, stopped);
         for queue in &health.queues {

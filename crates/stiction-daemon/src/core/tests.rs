@@ -7,7 +7,7 @@ use std::time::Duration;
 use proptest::prelude::*;
 
 use super::Core;
-use crate::stage::{Stage, no_receiver};
+use crate::sim_daemon::{SimDaemon, no_receiver};
 use stiction_files::disk::{Disk, SystemDisk};
 use stiction_monitor::alarm::Command;
 use stiction_monitor::config::Config;
@@ -28,7 +28,7 @@ impl Core {
             ("limits", self.limits.count()),
             ("feeds", self.feeds.count()),
             ("schedule", self.schedule.count()),
-            ("series", self.board.as_ref().map_or(0, super::Board::count)),
+            ("series", self.board.as_ref().map_or(0, super::LoopMetrics::count)),
             ("page", self.overview.as_ref().map_or(0, |overview| overview.changes_after(0, 0).rows.len())),
             ("diagnoses", self.asking.len()),
             ("stamps ahead", usize::from(self.ahead.is_some())),
@@ -38,7 +38,7 @@ impl Core {
 
 /// A daemon without threads, and what happened to it.
 struct Plant {
-    stage: Stage,
+    stage: SimDaemon,
     clock: Clock,
     config: Config,
     second: i64,
@@ -53,7 +53,7 @@ impl Plant {
         );
         let (config, clock) = (Config::parse(&text).unwrap(), Clock::standing(START_NS));
         let disk = Arc::new(SystemDisk) as Arc<dyn Disk>;
-        let stage = Stage::start(config.clone(), &text, &clock, &disk, no_receiver).unwrap();
+        let stage = SimDaemon::start(config.clone(), &text, &clock, &disk, no_receiver).unwrap();
         Self { stage, clock, config, second: START_NS / 1_000_000_000 }
     }
 

@@ -24,7 +24,7 @@ use stiction_files::{RecordingFile, WriteError};
 use stiction_monitor::codec::topic::{self, Kind};
 use stiction_monitor::config::Recording;
 use stiction_monitor::engine::LoopId;
-use stiction_runtime::blocks::{self, Filler, Found, Taker};
+use stiction_runtime::blocks::{self, BlockReceiver, BlockSender, Received};
 use stiction_runtime::clock::Clock;
 use stiction_runtime::cores::share;
 use stiction_runtime::faults::Faults;
@@ -120,7 +120,7 @@ pub const fn shard_of(id: LoopId) -> usize {
 
 /// The engine's end of the recorder.
 pub struct Recorder {
-    queue: Filler<(Item, Room)>,
+    queue: BlockSender<(Item, Room)>,
     budget: Budget,
     /// Shards that want a new file.
     pub rotations: Receiver<usize>,
@@ -277,7 +277,7 @@ struct Shard {
 
 /// The end that writes.
 pub struct Writer {
-    items: Taker<(Item, Room)>,
+    items: BlockReceiver<(Item, Room)>,
     flush: Duration,
     flushed: Instant,
     disk: Arc<dyn Disk>,
@@ -300,29 +300,29 @@ impl Writer {
         loop {
             let wait = self.flush.saturating_sub(self.clock.since(self.flushed));
             match self.items.take_within(wait) {
-                Found::Item((item, room)) => {
+                Received::Item((item, room)) => {
                     self.take(item);
                     drop(room);
                 }
-                Found::Nothing => {}
-                Found::End => break,
+                Received::Nothing => {}
+                Received::End => break,
             }
-            self.tend_in_time();
+            self.flush_in_time();
         }
         self.finish();
     }
 
     /// Writes what waits now, and flushes where it is time to.
     pub fn turn(&mut self) {
-        while let Found::Item((item, _room)) = self.items.take_within(Duration::ZERO) {
+        while let Received::Item((item, _room)) = self.items.take_within(Duration::ZERO) {
             self.take(item);
         }
-        self.tend_in_time();
+        self.flush_in_time();
     }
 
-    fn tend_in_time(&mut self) {
+    fn flush_in_time(&mut self) {
         if self.clock.since(self.flushed) >= self.flush {
-            self.tend();
+            self.flush_and_rotate();
             self.flushed = self.clock.now();
         }
     }
@@ -488,7 +488,7 @@ impl Writer {
     }
 
     /// Flushes, and asks for new files where one is full, old, or was lost.
-    fn tend(&mut self) {
+    fn flush_and_rotate(&mut self) {
         for index in 0..self.shards.len() {
             let shard = &mut self.shards[index];
             let retry = shard.retry_at.is_some_and(|at| self.clock.now() >= at);

@@ -52,7 +52,7 @@ pub struct Askers(Arc<Mutex<Inner>>);
 
 /// The place of a query that waits; free again when dropped.
 #[derive(Debug)]
-pub struct Place {
+pub struct WaitingSlot {
     askers: Askers,
     link: Link,
 }
@@ -76,14 +76,14 @@ impl Askers {
 
     /// A place for one more query of a link; none where it, or all together, have as many as may wait.
     #[must_use]
-    pub fn admit(&self, link: Link) -> Option<Place> {
+    pub fn admit(&self, link: Link) -> Option<WaitingSlot> {
         let mut inner = self.lock();
         if inner.waiting >= WAITING || inner.asker(link).waiting >= WAITING_PER_LINK {
             return None;
         }
         inner.waiting += 1;
         inner.asker(link).waiting += 1;
-        Some(Place { askers: self.clone(), link })
+        Some(WaitingSlot { askers: self.clone(), link })
     }
 
     /// Whether a link may command now, at this time since the start.
@@ -122,7 +122,7 @@ impl Inner {
     }
 }
 
-impl Place {
+impl WaitingSlot {
     /// The link that it belongs to.
     #[must_use]
     pub const fn link(&self) -> Link {
@@ -130,7 +130,7 @@ impl Place {
     }
 }
 
-impl Drop for Place {
+impl Drop for WaitingSlot {
     fn drop(&mut self) {
         let mut inner = self.askers.lock();
         inner.waiting -= 1;
@@ -145,10 +145,10 @@ mod tests {
     #[test]
     fn one_link_takes_its_share_of_the_places_and_gives_them_back() {
         let askers = Askers::new(&Commands::default());
-        let flood: Vec<Place> = (0..5000).filter_map(|_| askers.admit(Link(1))).collect();
+        let flood: Vec<WaitingSlot> = (0..5000).filter_map(|_| askers.admit(Link(1))).collect();
         assert_eq!(flood.len(), WAITING_PER_LINK);
         assert!(askers.admit(Link(2)).is_some());
-        let others: Vec<Place> =
+        let others: Vec<WaitingSlot> =
             (3..100).flat_map(|link| (0..50).map(move |_| link)).filter_map(|l| askers.admit(Link(l))).collect();
         assert_eq!((others.len(), askers.waiting()), (WAITING - WAITING_PER_LINK, WAITING));
         drop((flood, others));

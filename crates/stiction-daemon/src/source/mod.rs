@@ -2,7 +2,7 @@
 
 pub mod askers;
 pub mod keys;
-pub mod parcel;
+pub mod message_buf;
 pub mod presence;
 pub mod principals;
 pub mod queries;
@@ -14,7 +14,7 @@ use std::sync::Arc;
 
 use crossbeam_channel::Sender;
 
-use parcel::{Parcel, Parcels};
+use message_buf::{BufferPool, MessageBuf};
 use shares::{Share, Shares};
 use stiction_monitor::codec::MAX_PAYLOAD;
 use stiction_runtime::clock::Clock;
@@ -25,7 +25,7 @@ use stiction_runtime::queue::{Budget, Room};
 #[derive(Debug)]
 pub struct Message {
     /// Key, encoding and bytes.
-    pub parcel: Parcel,
+    pub parcel: MessageBuf,
     /// The bus's time stamp, ns since 1970.
     pub bus_ns: Option<i64>,
     /// When it arrived, ns since 1970.
@@ -45,7 +45,7 @@ pub struct Intake {
     queue: Sender<Message>,
     budget: Budget,
     shares: Shares,
-    parcels: Parcels,
+    parcels: BufferPool,
     metrics: Arc<Metrics>,
     clock: Clock,
 }
@@ -70,7 +70,7 @@ impl Intake {
         metrics: Arc<Metrics>,
         clock: Clock,
     ) -> Self {
-        Self { queue, budget, shares, parcels: Parcels::default(), metrics, clock }
+        Self { queue, budget, shares, parcels: BufferPool::default(), metrics, clock }
     }
 
     /// A deletion: the plant has none that mean anything.

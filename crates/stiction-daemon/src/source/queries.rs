@@ -11,7 +11,7 @@ use crossbeam_channel::Sender;
 use zenoh::query::{Query, Queryable};
 
 use super::askers::Askers;
-use super::replies::{Asked, Replies, Reply};
+use super::replies::{PendingQuery, Replies, Reply};
 use crate::documents;
 use stiction_monitor::alarm::Command;
 use stiction_monitor::codec::topic::{self, Kind, Leaf, Topic};
@@ -86,7 +86,7 @@ impl Queries {
         }
     }
 
-    fn forward_command(&self, cmd: String, asked: Asked) {
+    fn forward_command(&self, cmd: String, asked: PendingQuery) {
         let Some(loop_name) = self.loop_of(&asked, Kind::Alarm) else {
             let example = topic::plane(&self.prefix, "LOOP/alarm");
             return self.refuse(asked, format!("commands go to one loop's alarm key, such as {example}"));
@@ -113,7 +113,7 @@ impl Queries {
         self.pass_on(asked, |answer| Control::Command { loop_name, command, answer });
     }
 
-    fn forward_run(&self, asked: Asked) {
+    fn forward_run(&self, asked: PendingQuery) {
         let Some(loop_name) = self.loop_of(&asked, Kind::Gap) else {
             let example = topic::plane(&self.prefix, "LOOP/gap");
             return self.refuse(asked, format!("run goes to one loop's gap key, such as {example}?run"));
@@ -126,7 +126,7 @@ impl Queries {
     }
 
     /// Hands a wish to the engine. Where its queue is full the answer is dropped, and the query ends with that.
-    fn pass_on(&self, asked: Asked, wish: impl FnOnce(Answer) -> Control) {
+    fn pass_on(&self, asked: PendingQuery, wish: impl FnOnce(Answer) -> Control) {
         let refused = self.metrics.clone();
         let pending = Pending { asked: Some(asked), refused };
         if self.control.try_send(wish(pending.into_answer())).is_err() {
@@ -134,13 +134,13 @@ impl Queries {
         }
     }
 
-    fn refuse(&self, asked: Asked, why: String) {
+    fn refuse(&self, asked: PendingQuery, why: String) {
         self.metrics.commands_refused.inc();
         asked.reply(Reply::Refusal(why));
     }
 
     /// The one loop whose document of this kind a query names.
-    fn loop_of(&self, asked: &Asked, kind: Kind) -> Option<String> {
+    fn loop_of(&self, asked: &PendingQuery, kind: Kind) -> Option<String> {
         let key = asked.query()?.key_expr().as_str();
         let parsed = Topic::parse(Some(&self.prefix), key).filter(|t| t.leaf == Leaf::Document(kind))?;
         Some(parsed.loop_name.to_owned()).filter(|name| !name.contains('*'))
@@ -149,7 +149,7 @@ impl Queries {
 
 /// A wish that is with the engine. One that the engine never answers is refused with that.
 struct Pending {
-    asked: Option<Asked>,
+    asked: Option<PendingQuery>,
     refused: Arc<Metrics>,
 }
 

@@ -16,7 +16,7 @@ use zenoh::bytes::Encoding;
 use zenoh::key_expr::keyexpr;
 use zenoh::query::Query;
 
-use super::askers::{Askers, Link, Place};
+use super::askers::{Askers, Link, WaitingSlot};
 use super::zenoh::{Sign, encoding_of};
 use stiction_runtime::last_values::{LastValue, LastValues};
 use stiction_runtime::metrics::Metrics;
@@ -95,9 +95,9 @@ pub struct Replies {
 }
 
 /// A query that waits for its answer. Without one it ends with none; never on this thread.
-pub struct Asked {
+pub struct PendingQuery {
     query: Option<Query>,
-    place: Option<Place>,
+    place: Option<WaitingSlot>,
     room: Option<Room>,
     replies: Replies,
 }
@@ -120,12 +120,17 @@ impl Replies {
 
     /// Takes a query that is to be answered; none where too many of its link wait.
     #[must_use]
-    pub fn admit(&self, query: Query) -> Option<Asked> {
+    pub fn admit(&self, query: Query) -> Option<PendingQuery> {
         let bytes = size_of::<Query>() + query.key_expr().len() + query.parameters().as_str().len();
         let [waiting, surplus] = &self.budgets;
         let place = self.askers.admit(Link::current());
         if let (Some(place), Some(room)) = (place, waiting.take(bytes)) {
-            return Some(Asked { query: Some(query), place: Some(place), room: Some(room), replies: self.clone() });
+            return Some(PendingQuery {
+                query: Some(query),
+                place: Some(place),
+                room: Some(room),
+                replies: self.clone(),
+            });
         }
         self.metrics.queries_dropped.inc();
         let query = match surplus.take(bytes) {
@@ -153,7 +158,7 @@ impl Replies {
     }
 }
 
-impl Asked {
+impl PendingQuery {
     /// The query.
     #[must_use]
     pub const fn query(&self) -> Option<&Query> {
@@ -163,7 +168,7 @@ impl Asked {
     /// The link by which it came.
     #[must_use]
     pub fn link(&self) -> Link {
-        self.place.as_ref().map_or(Link(0), Place::link)
+        self.place.as_ref().map_or(Link(0), WaitingSlot::link)
     }
 
     /// Answers it.
@@ -180,7 +185,7 @@ impl Asked {
     }
 }
 
-impl Drop for Asked {
+impl Drop for PendingQuery {
     fn drop(&mut self) {
         self.send(Reply::Nothing);
     }
@@ -245,7 +250,7 @@ struct Job<O> {
     /// When its turn came first.
     begun: Option<Instant>,
     /// What it holds of the places and the budget, for as long as it waits.
-    _held: Option<(Place, Room)>,
+    _held: Option<(WaitingSlot, Room)>,
 }
 
 impl<O: Outlet> Job<O> {

@@ -120,7 +120,7 @@ pub(super) struct Axis {
 
 /// Options on times.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Asked<'o> {
+pub(super) struct TimeOptions<'o> {
     /// Time format.
     pub form: Option<&'o TimeFormat>,
     /// Zone of local times.
@@ -161,7 +161,7 @@ impl Axis {
     }
 
     /// Finds the meaning of the column. Each of `groups` is a set of rows with a common clock (all rows, or those of a tag).
-    pub(super) fn times(&self, groups: &[Vec<u32>], asked: Asked<'_>) -> Result<Times, ExportError> {
+    pub(super) fn times(&self, groups: &[Vec<u32>], asked: TimeOptions<'_>) -> Result<Times, ExportError> {
         let (form, why) = self.form(asked)?;
         let from_anywhere = self.from_anywhere.is_some() && self.stamps.first().is_some_and(|s| !s.is_dated());
         let clocks = self.clocks(form.as_ref())?;
@@ -199,7 +199,7 @@ impl Axis {
     }
 
     /// The format of all cells, with the reason if it is not obvious.
-    fn form(&self, asked: Asked<'_>) -> Result<(Option<TimeFormat>, String), ExportError> {
+    fn form(&self, asked: TimeOptions<'_>) -> Result<(Option<TimeFormat>, String), ExportError> {
         if let Some(form) = asked.form {
             return Ok((Some(form.clone()), String::new()));
         }
@@ -364,7 +364,7 @@ impl Axis {
     }
 
     /// Instants of the rows of one clock.
-    fn group(&self, rows: &[u32], clocks: &[Clock], asked: Asked<'_>) -> Result<Group, ExportError> {
+    fn group(&self, rows: &[u32], clocks: &[Clock], asked: TimeOptions<'_>) -> Result<Group, ExportError> {
         let raw = |row: u32| match clocks[row as usize].0 {
             Stamp::Instant(ns) | Stamp::Local(ns) => ns,
             Stamp::Number(_) | Stamp::Civil(_) => 0,

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, HashMap};
 
 use super::cell::{Cell, Table};
-use super::clock::{Asked, Axis, TimeFormat, by_pattern};
+use super::clock::{Axis, TimeFormat, TimeOptions, by_pattern};
 use super::columns::{Layout, Shape, TimeColumn};
 use super::map::Map;
 use super::names::{Role, is_value, plain, role};
@@ -444,7 +444,7 @@ impl Gatherer<'_> {
                 Shape::Long { .. } => self.open.iter().map(|o| o.rows.clone()).collect(),
             };
             let zone = self.options.zone.as_ref().or_else(|| utc.as_ref().filter(|_| column.is_utc));
-            let asked = Asked { form: self.options.time_format.as_ref(), zone, end_s };
+            let asked = TimeOptions { form: self.options.time_format.as_ref(), zone, end_s };
             let times = axis.times(&groups, asked)?;
             if at == 0 {
                 words.push(format!("times {}", times.words));

@@ -100,7 +100,7 @@ pub fn moment(text: &str, options: &ReadOptions) -> Result<i64, String> {
     let stamp = stamp.ok_or_else(|| format!("{text:?} is not a time; write one such as 2026-01-05T08:00:00Z"))?;
     let mut axis = clock::Axis { name: text.to_owned(), ..clock::Axis::default() };
     axis.push(stamp, 0);
-    let asked = clock::Asked { form: options.time_format.as_ref(), zone: options.zone.as_ref(), end_s: end_s() };
+    let asked = clock::TimeOptions { form: options.time_format.as_ref(), zone: options.zone.as_ref(), end_s: end_s() };
     let times = axis.times(&[vec![0]], asked).map_err(|e| e.to_string())?;
     times.t_ns.first().copied().ok_or_else(|| format!("{text:?} is not a time; write one such as 2026-01-05T08:00:00Z"))
 }

@@ -135,7 +135,7 @@ pub enum MatError {
     #[error("{place}: the file ends here, {wanted} more bytes expected and {left} left; copy it again")]
     Cut {
         /// Where.
-        place: Place,
+        place: MatOffset,
         /// Bytes announced.
         wanted: u64,
         /// Bytes there.
@@ -145,7 +145,7 @@ pub enum MatError {
     #[error("{place}: {what}")]
     Damaged {
         /// Where.
-        place: Place,
+        place: MatOffset,
         /// What is wrong.
         what: String,
     },
@@ -153,7 +153,7 @@ pub enum MatError {
     #[error("{place}: {what} {found}, limit {limit}; split the file")]
     TooLarge {
         /// Where.
-        place: Place,
+        place: MatOffset,
         /// What is limited.
         what: &'static str,
         /// Number found.
@@ -165,14 +165,14 @@ pub enum MatError {
 
 /// A place in a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Place {
+pub struct MatOffset {
     /// Byte offset at which a compressed variable begins, if the fault is inside one.
     pub variable: Option<u64>,
     /// Byte offset in the file, or in the decompressed variable.
     pub byte: u64,
 }
 
-impl core::fmt::Display for Place {
+impl core::fmt::Display for MatOffset {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         match self.variable {
             Some(start) => write!(f, "byte {} of the variable compressed at byte {start}", self.byte),

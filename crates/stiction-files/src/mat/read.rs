@@ -1,7 +1,7 @@
 //! Reads variables. A variable is read into memory completely (bounded), and each step parses slices of it, so damage gives
 //! an error with its place and a damaged length allocates nothing.
 
-use super::{HEADER, MAX_BYTES, MAX_DEPTH, MAX_ITEMS, Mat, MatError, Place, class, kind, order_of, recognise};
+use super::{HEADER, MAX_BYTES, MAX_DEPTH, MAX_ITEMS, Mat, MatError, MatOffset, class, kind, order_of, recognise};
 use flate2::read::ZlibDecoder;
 use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
@@ -27,7 +27,7 @@ pub fn read_from(mut source: impl Read + Seek, wanted: &dyn Fn(&str) -> bool) ->
     if !recognise(&head)? {
         return Err(MatError::Foreign("wrong first bytes"));
     }
-    let at = |byte| Place { variable: None, byte };
+    let at = |byte| MatOffset { variable: None, byte };
     let Some(big) = order_of(&head) else {
         let left = head.len() as u64;
         return Err(if head.len() < HEADER {
@@ -64,14 +64,14 @@ pub fn read_from(mut source: impl Read + Seek, wanted: &dyn Fn(&str) -> bool) ->
     Ok(found)
 }
 
-fn damaged(place: Place, what: impl Into<String>) -> MatError {
+fn damaged(place: MatOffset, what: impl Into<String>) -> MatError {
     MatError::Damaged { place, what: what.into() }
 }
 
 /// Bytes for a variable's flags, dimensions and name, with a margin.
 const PEEK: u64 = 512;
 
-type Named = Option<(String, Mat)>;
+type NamedVariable = Option<(String, Mat)>;
 
 /// An uncompressed variable.
 fn plain(
@@ -81,14 +81,14 @@ fn plain(
     big: bool,
     wanted: &dyn Fn(&str) -> bool,
     items: &mut Items,
-) -> Result<Named, MatError> {
+) -> Result<NamedVariable, MatError> {
     let mut data = Vec::new();
     body.by_ref().take(PEEK).read_to_end(&mut data)?;
     let peek = Bytes { data: &data, at: 0, big, base: start, variable: None };
     if name_of(peek).is_ok_and(|name| !wanted(&name)) {
         return Ok(None);
     }
-    check_size(Place { variable: None, byte: start }, size)?;
+    check_size(MatOffset { variable: None, byte: start }, size)?;
     body.read_to_end(&mut data)?;
     matrix(Bytes { data: &data, at: 0, big, base: start, variable: None }, 0, items).map(Some)
 }
@@ -100,10 +100,10 @@ fn compressed(
     big: bool,
     wanted: &dyn Fn(&str) -> bool,
     items: &mut Items,
-) -> Result<Named, MatError> {
+) -> Result<NamedVariable, MatError> {
     let mut inflated = ZlibDecoder::new(body);
     let mut data = Vec::new();
-    let place = |byte: usize| Place { variable: Some(start), byte: byte as u64 };
+    let place = |byte: usize| MatOffset { variable: Some(start), byte: byte as u64 };
     let broken =
         |e: std::io::Error, at: usize| damaged(place(at), format!("cannot be decompressed: {e}; copy the file again"));
     inflated.by_ref().take(8 + PEEK).read_to_end(&mut data).map_err(|e| broken(e, 0))?;
@@ -128,7 +128,7 @@ fn inside(data: &[u8], big: bool, start: u64) -> Bytes<'_> {
     Bytes { data, at: 0, big, base: 0, variable: Some(start) }
 }
 
-fn check_size(place: Place, size: u64) -> Result<(), MatError> {
+fn check_size(place: MatOffset, size: u64) -> Result<(), MatError> {
     if size > MAX_BYTES {
         return Err(MatError::TooLarge { place, what: "bytes in a variable:", found: size, limit: MAX_BYTES });
     }
@@ -139,7 +139,7 @@ fn check_size(place: Place, size: u64) -> Result<(), MatError> {
 struct Items(u64);
 
 impl Items {
-    fn add(&mut self, count: u64, place: Place) -> Result<(), MatError> {
+    fn add(&mut self, count: u64, place: MatOffset) -> Result<(), MatError> {
         self.0 = self.0.saturating_add(count);
         if self.0 > MAX_ITEMS {
             return Err(MatError::TooLarge { place, what: "values:", found: self.0, limit: MAX_ITEMS });
@@ -160,8 +160,8 @@ struct Bytes<'a> {
 }
 
 impl<'a> Bytes<'a> {
-    fn place(&self) -> Place {
-        Place { variable: self.variable, byte: self.base + self.at as u64 }
+    fn place(&self) -> MatOffset {
+        MatOffset { variable: self.variable, byte: self.base + self.at as u64 }
     }
 
     fn left(&self) -> usize {

@@ -52,7 +52,7 @@ pub(super) struct Unpacked {
 }
 
 /// Where the next item is.
-enum Place {
+enum NextItem {
     Row(usize),
     Entry(usize),
 }
@@ -65,8 +65,8 @@ impl RecordingReader {
     pub fn next_item(&mut self) -> Result<Option<Item<'_>>, ReadError> {
         let Some(place) = self.next_place()? else { return Ok(None) };
         Ok(match place {
-            Place::Row(at) => self.sample_at(at).map(Item::Sample),
-            Place::Entry(at) => self.message_at(at).map(Item::Message),
+            NextItem::Row(at) => self.sample_at(at).map(Item::Sample),
+            NextItem::Entry(at) => self.message_at(at).map(Item::Message),
         })
     }
 
@@ -78,8 +78,8 @@ impl RecordingReader {
     pub fn next_message(&mut self) -> Result<Option<Message<'_>>, ReadError> {
         let Some(place) = self.next_place()? else { return Ok(None) };
         let at = match place {
-            Place::Entry(at) => return Ok(self.message_at(at)),
-            Place::Row(at) => at,
+            NextItem::Entry(at) => return Ok(self.message_at(at)),
+            NextItem::Row(at) => at,
         };
         let mut json = std::mem::take(&mut self.unpacked.json);
         json.clear();
@@ -95,12 +95,12 @@ impl RecordingReader {
         }))
     }
 
-    fn next_place(&mut self) -> Result<Option<Place>, ReadError> {
+    fn next_place(&mut self) -> Result<Option<NextItem>, ReadError> {
         loop {
             // A row without a channel has been taken out by `unpack`.
             if self.unpacked.next < self.unpacked.rows.len() {
                 self.unpacked.next += 1;
-                return Ok(Some(Place::Row(self.unpacked.next - 1)));
+                return Ok(Some(NextItem::Row(self.unpacked.next - 1)));
             }
             if self.next >= self.contents.entries.len() {
                 self.fill()?;
@@ -109,7 +109,7 @@ impl RecordingReader {
             let Some(entry) = self.contents.entries.get(at) else { return Ok(None) };
             self.next += 1;
             if entry.channel.as_ref().is_none_or(|channel| channel.encoding != columns::ENCODING) {
-                return Ok(Some(Place::Entry(at)));
+                return Ok(Some(NextItem::Entry(at)));
             }
             self.unpack(at);
         }

@@ -67,7 +67,7 @@ impl Event {
 
 /// Where a loop belongs and what it is worth, as the configuration says.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub struct Place {
+pub struct LoopContext {
     /// How much it matters, 1 to 5; none where the configuration says nothing of the loop.
     pub criticality: Option<u8>,
     /// Part of the plant.
@@ -244,7 +244,7 @@ pub struct AlarmDocument {
 impl AlarmDocument {
     /// The same on a loop of this place: criticality, and with it the priority, area, equipment, unit.
     #[must_use]
-    pub fn at(self, place: &Place) -> Self {
+    pub fn at(self, place: &LoopContext) -> Self {
         let priority =
             self.active.then(|| Priority::of(self.class, place.criticality.unwrap_or(Priority::CRITICALITY)));
         let unit = place.op_unit.as_deref().unwrap_or(OP_UNIT).to_owned();

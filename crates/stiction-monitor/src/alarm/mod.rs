@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use stiction::ident::region::Size;
 
 pub use command::{Command, CommandError, MAX_SHELVE_S, SHELVE_S, check_name};
-pub use document::{ALARM_SCHEMA, AlarmDocument, AlarmWindow, Event, Figures, Mark, Marks, Place};
+pub use document::{ALARM_SCHEMA, AlarmDocument, AlarmWindow, Event, Figures, LoopContext, Mark, Marks};
 pub use params::AlarmParams;
 pub use priority::Priority;
 
@@ -110,7 +110,7 @@ fn s_limit(a: &Assessment, params: &AlarmParams) -> Option<f64> {
 /// Inhibition of an alarm by people; the alarm itself continues behind it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(default)]
-pub struct Aside {
+pub struct Inhibit {
     /// Shelved until this event time, ns.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub shelved_until_ns: Option<i64>,
@@ -120,7 +120,7 @@ pub struct Aside {
     pub out_of_service: bool,
 }
 
-impl Aside {
+impl Inhibit {
     fn is_nowhere(&self) -> bool {
         *self == Self::default()
     }
@@ -132,8 +132,8 @@ pub struct Alarm {
     /// Its state without inhibition: `normal`, `unack`, `acked` or `rtn_unack`. See [`Alarm::shown`].
     pub state: State,
     /// Its inhibition.
-    #[serde(default, skip_serializing_if = "Aside::is_nowhere")]
-    pub aside: Aside,
+    #[serde(default, skip_serializing_if = "Inhibit::is_nowhere")]
+    pub aside: Inhibit,
     /// Whether the condition is active.
     pub active: bool,
     /// The last informative windows, newest in bit 0: 1 for stiction.
@@ -187,9 +187,9 @@ impl Alarm {
     #[must_use]
     pub const fn shown(&self) -> State {
         match self.aside {
-            Aside { out_of_service: true, .. } => State::OutOfService,
-            Aside { suppressed: true, .. } => State::Suppressed,
-            Aside { shelved_until_ns: Some(_), .. } => State::Shelved,
+            Inhibit { out_of_service: true, .. } => State::OutOfService,
+            Inhibit { suppressed: true, .. } => State::Suppressed,
+            Inhibit { shelved_until_ns: Some(_), .. } => State::Shelved,
             _ => self.state,
         }
     }
@@ -336,7 +336,7 @@ impl Alarm {
         Ok(())
     }
 
-    fn put(&mut self, loop_name: &str, place: fn(&mut Aside) -> &mut bool, to: bool) -> Result<(), CommandError> {
+    fn put(&mut self, loop_name: &str, place: fn(&mut Inhibit) -> &mut bool, to: bool) -> Result<(), CommandError> {
         let changes = std::mem::replace(place(&mut self.aside), to) != to;
         self.expect(loop_name, changes, if to { "already in this state" } else { "not in this state" })
     }
@@ -427,7 +427,7 @@ impl Alarm {
             marks: self.marks.clone(),
             daemon: None,
         };
-        document.at(&Place::default())
+        document.at(&LoopContext::default())
     }
 
     /// NE 107 category: work on the device takes precedence.

@@ -78,10 +78,10 @@ fn it_is_raised_again_when_it_gets_worse() {
     let again = alarm.window("L", &assessment(2, Verdict::Stiction, 9.0, Size::Strong), &params).unwrap();
     assert_eq!((again.state, again.class), (State::Unack, Some(Size::Strong)));
     assert_eq!((again.event, again.marks.acknowledged.clone()), (Event::Worse, None));
-    let priority = |criticality| again.clone().at(&Place { criticality, ..Place::default() }).priority;
+    let priority = |criticality| again.clone().at(&LoopContext { criticality, ..LoopContext::default() }).priority;
     assert_eq!([None, Some(3), Some(5)].map(priority), [High, High, Urgent].map(Some));
     let over = alarm.window("L", &assessment(3, Verdict::Tuning, 0.0, Size::Weak), &params).unwrap();
-    assert_eq!(over.at(&Place { criticality: Some(5), ..Place::default() }).priority, None);
+    assert_eq!(over.at(&LoopContext { criticality: Some(5), ..LoopContext::default() }).priority, None);
 }
 
 fn asks(cmd: &str, why: Option<&str>) -> Command {
@@ -138,7 +138,7 @@ fn what_to_do_is_the_bump_test_of_the_estimate_in_the_places_unit() {
     };
     (a.j, a.pv_span, a.process) = (Some(1.0), Some(4.0), Some(lag));
     let raised = alarm.window("L", &a, &params).unwrap();
-    let what = raised.at(&Place { op_unit: Some("%".into()), ..Place::default() }).what_to_do.unwrap();
+    let what = raised.at(&LoopContext { op_unit: Some("%".into()), ..LoopContext::default() }).what_to_do.unwrap();
     assert!(what.contains("step OP by 0.5 % one way") && what.contains("packing"), "{what}");
     assert!(what.contains("PV moves by about 3 PV units") && !what.contains("No bump test"), "{what}");
     // A restart carries it over.

@@ -74,7 +74,7 @@ pub fn delay_choice(text: &str) -> Result<DelayChoice, String> {
 
 /// Options of a fit that override a loop's settings.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Asked {
+pub struct FitOverrides {
     /// Order of the process model.
     pub model: ModelChoice,
     /// Valve model.
@@ -89,14 +89,14 @@ pub struct Asked {
     pub seed: u64,
 }
 
-impl Default for Asked {
+impl Default for FitOverrides {
     fn default() -> Self {
         let Options { model, valve, delay, fineness_pct, seed, .. } = Options::default();
         Self { model, valve, delay, op_range: None, fineness_pct, seed }
     }
 }
 
-impl Asked {
+impl FitOverrides {
     /// A loop's settings with these options applied.
     #[must_use]
     pub fn over(&self, own: &AssessParams) -> AssessParams {

@@ -25,7 +25,7 @@ pub mod text;
 
 pub use cut::{Cut, Detrend, Downsampled, Taken};
 pub use due::Due;
-pub use estimate::{Answer, Asked, Estimated, Scored, delay_choice, estimate};
+pub use estimate::{Answer, Estimated, FitOverrides, Scored, delay_choice, estimate};
 pub use points::{MIN_SAMPLES, Points, Section, usable};
 
 use thiserror::Error;

@@ -3,7 +3,7 @@
 use std::collections::HashSet;
 
 use super::{AnalysisError, Answer};
-use crate::alarm::Place;
+use crate::alarm::LoopContext;
 use stiction::plantwide::{GroupDocument, PlantLoop, assess_plant};
 use stiction::record::Record;
 
@@ -15,7 +15,7 @@ pub struct OfPlant<'a> {
     /// The record behind the answer.
     pub record: &'a Record,
     /// Where it is in the plant, as far as that is configured.
-    pub place: &'a Place,
+    pub place: &'a LoopContext,
 }
 
 /// Finds the groups of loops that share an oscillation, and puts each group's judgement into its members' answers.

@@ -23,13 +23,13 @@ const MAX_NAMES: usize = 1_000_000;
 /// State kept between payloads: the names of Sparkplug B's aliases, by device.
 #[derive(Debug, Default)]
 pub struct Memory {
-    devices: HashMap<String, HashMap<u64, Named>>,
+    devices: HashMap<String, HashMap<u64, AliasedMetric>>,
     names: usize,
 }
 
 /// Meaning of an alias, from a birth message.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct Named {
+pub(super) struct AliasedMetric {
     /// The metric's name.
     pub name: String,
     /// Its data type, which later messages may omit.
@@ -38,7 +38,7 @@ pub(super) struct Named {
 
 impl Memory {
     /// Keeps a name; returns false if there are too many.
-    pub(super) fn learn(&mut self, device: &str, alias: u64, named: Named) -> bool {
+    pub(super) fn learn(&mut self, device: &str, alias: u64, named: AliasedMetric) -> bool {
         if self.names >= MAX_NAMES {
             return false;
         }
@@ -52,7 +52,7 @@ impl Memory {
     }
 
     /// Meaning of an alias of a device.
-    pub(super) fn named(&self, device: &str, alias: u64) -> Option<&Named> {
+    pub(super) fn named(&self, device: &str, alias: u64) -> Option<&AliasedMetric> {
         self.devices.get(device)?.get(&alias)
     }
 
@@ -199,7 +199,7 @@ mod tests {
 
     #[test]
     fn names_are_kept_by_device_and_within_bounds() {
-        let (mut memory, named) = (Memory::default(), |name: &str| Named { name: name.to_owned(), kind: 10 });
+        let (mut memory, named) = (Memory::default(), |name: &str| AliasedMetric { name: name.to_owned(), kind: 10 });
         for device in ["g/n", "g/n/d", "g/n2"] {
             assert!(memory.learn(device, 1, named(device)));
         }

@@ -6,7 +6,7 @@
 
 use prost::Message;
 
-use super::fields::{Bundle, Field, Memory, Named, Scalar, sparkplug_quality};
+use super::fields::{AliasedMetric, Bundle, Field, Memory, Scalar, sparkplug_quality};
 use super::{Codec, CodecError, MAX_SAMPLES};
 
 /// Topic level below which all Sparkplug B messages are.
@@ -168,7 +168,7 @@ fn named(
         return Ok(known.map(|known| (known.name.clone(), kind)));
     };
     if let (true, Some(alias)) = (births, metric.alias)
-        && !memory.learn(device, alias, Named { name: name.clone(), kind })
+        && !memory.learn(device, alias, AliasedMetric { name: name.clone(), kind })
     {
         return Err(wrong("too many metrics in birth messages".to_owned()));
     }

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::{Config, LoopConfig};
-use crate::alarm::Place;
+use crate::alarm::LoopContext;
 use crate::engine::{EngineSettings, LoopSettings};
 use stiction::signal::align::{AlignParams, Quality};
 use stiction::units::{LoopKind, ns_from_s};
@@ -55,11 +55,11 @@ impl Config {
 }
 
 /// Where the loop is in the plant, from the configuration.
-fn place_of(own: &LoopConfig) -> Place {
+fn place_of(own: &LoopConfig) -> LoopContext {
     let said = |text: &String| Some(text.clone()).filter(|text| !text.is_empty());
     // OP that runs from 0 to 100 is in %, whoever wrote the range.
     let percent = (own.op_range == Some([0.0, 100.0])).then(|| "%".to_owned());
-    Place {
+    LoopContext {
         criticality: Some(own.criticality),
         area: said(&own.area),
         equipment: said(&own.equipment),

@@ -12,7 +12,7 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use super::LoopSettings;
-use crate::alarm::Place;
+use crate::alarm::LoopContext;
 use crate::hash::short_hash;
 use stiction::plantwide::{GroupDocument, PlantLoop, SourceKind, assess_plant, is_near};
 use stiction::record::Record;
@@ -34,7 +34,7 @@ pub struct LoopWindow {
     pub record: Arc<Record>,
     /// Its own assessment, before any group's answer.
     pub own: Arc<Assessment>,
-    place: Place,
+    place: LoopContext,
     hop_s: f64,
 }
 

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use serde::Serialize;
 
-use crate::alarm::{AlarmParams, Place};
+use crate::alarm::{AlarmParams, LoopContext};
 use stiction::signal::align::AlignParams;
 use stiction::signal::history::{History, fitting};
 use stiction::units::LoopKind;
@@ -95,7 +95,7 @@ pub struct LoopSettings {
     /// Its gap diagnoses.
     pub gap: GapParams,
     /// Where it belongs and what it is worth.
-    pub place: Place,
+    pub place: LoopContext,
 }
 
 /// Settings of an engine.

@@ -20,7 +20,7 @@ fn figures(greatest_ns: i64) -> LoopFigures {
 
 #[test]
 fn changes_are_told_once_and_everything_to_who_comes_new() {
-    let (overview, now, place) = (Overview::default(), Instant::now(), Place::default());
+    let (overview, now, place) = (Overview::default(), Instant::now(), LoopContext::default());
     let [a, b]: [Arc<str>; 2] = ["A".into(), "B".into()];
     overview.estimate(&a, &place, now, estimate("A", 1, Some(2.0), Verdict::Stiction));
     overview.figures(&b, &place, now, &figures(5));
@@ -44,7 +44,7 @@ fn who_looks_while_alarms_change_sees_each_change_once() {
     let writer = std::thread::spawn(move || {
         for changed_ns in 1..=ALARMS_KEPT as i64 {
             let document = AlarmDocument { changed_ns, ..Alarm::default().restored("A") };
-            other.alarm(&"A".into(), &Place::default(), now, &document);
+            other.alarm(&"A".into(), &LoopContext::default(), now, &document);
         }
     });
     let (mut version, mut seen) = (0, Vec::new());
@@ -60,7 +60,7 @@ fn who_looks_while_alarms_change_sees_each_change_once() {
 
 #[test]
 fn readers_are_given_the_loops_that_have_left_or_all_rows() {
-    let (overview, now, place) = (Overview::default(), Instant::now(), Place::default());
+    let (overview, now, place) = (Overview::default(), Instant::now(), LoopContext::default());
     let show = |name: &str| overview.figures(&name.into(), &place, now, &figures(5));
     ["A", "B", "C"].into_iter().for_each(show);
     let at = overview.changes_after(0, 5).version;
@@ -80,7 +80,7 @@ fn readers_are_given_the_loops_that_have_left_or_all_rows() {
 
 #[test]
 fn a_loop_falls_silent_by_its_own_sampling_and_speaks_again() {
-    let (overview, now, place) = (Overview::default(), Instant::now(), Place::default());
+    let (overview, now, place) = (Overview::default(), Instant::now(), LoopContext::default());
     let a: Arc<str> = "A".into();
     overview.estimate(&a, &place, now, estimate("A", 1, None, Verdict::NoOscillation));
     overview.figures(&a, &place, now, &figures(1));
@@ -96,7 +96,7 @@ fn a_loop_falls_silent_by_its_own_sampling_and_speaks_again() {
 
 #[test]
 fn the_cause_that_a_loop_shows_is_that_of_most_of_its_last_windows() {
-    let (overview, now, place) = (Overview::default(), Instant::now(), Place::default());
+    let (overview, now, place) = (Overview::default(), Instant::now(), LoopContext::default());
     let a: Arc<str> = "A".into();
     let status = |k: i64, verdict| {
         overview.estimate(&a, &place, now, estimate("A", k * 1_000_000_000, None, verdict));
@@ -119,7 +119,7 @@ fn the_cause_that_a_loop_shows_is_that_of_most_of_its_last_windows() {
 
 #[test]
 fn the_newest_windows_stay_and_tell_how_s_goes() {
-    let (overview, now, place) = (Overview::default(), Instant::now(), Place::default());
+    let (overview, now, place) = (Overview::default(), Instant::now(), LoopContext::default());
     let a: Arc<str> = "A".into();
     for k in 0..40_i64 {
         let s = 2.0 + 0.05 * k as f64;
@@ -162,7 +162,7 @@ fn a_group_goes_on_where_most_of_its_members_are() {
 
 #[test]
 fn a_follower_says_what_drives_it_until_it_is_in_no_group() {
-    let (overview, now, place) = (Overview::default(), Instant::now(), Place::default());
+    let (overview, now, place) = (Overview::default(), Instant::now(), LoopContext::default());
     for name in ["A", "B", "C"] {
         overview.figures(&name.into(), &place, now, &figures(5));
     }

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use std::time::Duration;
 
-use super::reviews::{Told, last_of_loops};
+use super::reviews::{DatedReview, last_of_loops};
 use super::{Answered, ENGINE_WITHIN, Operation, ResponseKind, Shared, of};
 use crate::extract::{JsonBody, PathName};
 use stiction::units::ns_from_s;
@@ -33,7 +33,7 @@ struct Listed {
     #[serde(flatten)]
     alarm: AlarmDocument,
     /// The last review of its loop.
-    review: Option<Told>,
+    review: Option<DatedReview>,
 }
 
 /// A command on an alarm.

@@ -21,7 +21,7 @@ use super::{Operation, Parameter, ResponseKind, Shared};
 use crate::error::ApiError;
 use crate::extract::QueryParams;
 use crate::guard::Permission;
-use crate::server::{Life, Peer};
+use crate::server::{IdleTimer, Peer};
 use stiction::units::ms_from_ns;
 use stiction_runtime::clock::now_ns;
 use stiction_runtime::overview::Changes;
@@ -56,7 +56,7 @@ pub(super) fn operations() -> Vec<Operation<Shared>> {
 struct Watch {
     live: Shared,
     token: Permission,
-    life: Life,
+    idle: IdleTimer,
     ticks: Interval,
     count: u32,
     version: u64,
@@ -70,7 +70,7 @@ async fn events(
     State(live): State<Shared>,
     QueryParams(watching): QueryParams<Watching>,
     Extension(peer): Extension<Peer>,
-    Extension(life): Extension<Life>,
+    Extension(idle): Extension<IdleTimer>,
     headers: HeaderMap,
 ) -> Result<Sse<impl Stream<Item = Result<Event, Infallible>>>, ApiError> {
     let token = live.guard.permission(peer, &headers);
@@ -79,7 +79,7 @@ async fn events(
     let mut ticks = interval(EVERY);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let watched = watching.r#loop.map(|name| (name, i64::MIN, i64::MIN));
-    let watch = Watch { live, token, life, ticks, count: 0, version: 0, full: true, watched, ready: VecDeque::new() };
+    let watch = Watch { live, token, idle, ticks, count: 0, version: 0, full: true, watched, ready: VecDeque::new() };
     let stream = stream::unfold((watch, slot), |(mut watch, slot)| async {
         let event = watch.next().await;
         Some((Ok(event), (watch, slot)))
@@ -96,7 +96,7 @@ impl Watch {
         loop {
             if let Some(event) = self.ready.pop_front() {
                 // Only what is taken is a sign of life: whoever reads no longer is let go.
-                self.life.show();
+                self.idle.touch();
                 return event;
             }
             self.ticks.tick().await;

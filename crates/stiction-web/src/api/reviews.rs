@@ -27,12 +27,12 @@ pub(super) const AT_ONCE: f64 = 10.0;
 #[derive(Serialize, schemars::JsonSchema)]
 struct All {
     /// Oldest first.
-    reviews: Vec<Told>,
+    reviews: Vec<DatedReview>,
 }
 
 /// A review with its time as the page counts it.
 #[derive(Serialize, schemars::JsonSchema)]
-pub(super) struct Told {
+pub(super) struct DatedReview {
     #[serde(flatten)]
     review: Review,
     /// When it was said, ms since 1970.
@@ -44,13 +44,13 @@ pub(super) struct Told {
 /// The review that was kept.
 #[derive(Serialize, schemars::JsonSchema)]
 struct Kept {
-    review: Told,
+    review: DatedReview,
 }
 
 /// What somebody found.
 #[derive(Debug, Deserialize, schemars::JsonSchema)]
 #[serde(deny_unknown_fields)]
-struct Found {
+struct NewReview {
     /// Whether the valve sticks.
     label: Label,
     /// How that was found out.
@@ -68,7 +68,7 @@ pub(super) fn operations() -> Vec<Operation<Shared>> {
             path: "/loops/{name}/review",
             summary: "Keeps what somebody found at the valve, with the newest estimate and its samples",
             query: &[],
-            body: Some(of::<Found>),
+            body: Some(of::<NewReview>),
             response: ResponseKind::Json(of::<Kept>),
             handler: || post(keep),
         },
@@ -93,14 +93,14 @@ pub(super) fn operations() -> Vec<Operation<Shared>> {
     ]
 }
 
-impl From<Review> for Told {
+impl From<Review> for DatedReview {
     fn from(review: Review) -> Self {
         Self { at_ms: ms_from_ns(review.at.0), window_end_ms: ms_from_ns(review.window_end.0), review }
     }
 }
 
 /// The last review of each loop.
-pub(super) fn last_of_loops(live: &Shared) -> std::collections::HashMap<String, Told> {
+pub(super) fn last_of_loops(live: &Shared) -> std::collections::HashMap<String, DatedReview> {
     // A damaged index is told where reviews are asked for.
     let all = live.reviews.all().unwrap_or_default();
     all.into_iter().map(|review| (review.r#loop.clone(), review.into())).collect()
@@ -109,7 +109,7 @@ pub(super) fn last_of_loops(live: &Shared) -> std::collections::HashMap<String, 
 async fn keep(
     State(live): State<Shared>,
     PathName(name): PathName,
-    JsonBody(Found { label, method, by, why }): JsonBody<Found>,
+    JsonBody(NewReview { label, method, by, why }): JsonBody<NewReview>,
 ) -> Answered<Kept> {
     if !live.takes_commands() {
         let why = "reviews are commands, and these are switched off: [commands] enabled = false";
@@ -159,7 +159,7 @@ async fn keep(
 
 async fn all(State(live): State<Shared>) -> Answered<All> {
     let reviews = live.reviews.all().map_err(|why| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, why))?;
-    Ok(Json(All { reviews: reviews.into_iter().map(Told::from).collect() }))
+    Ok(Json(All { reviews: reviews.into_iter().map(DatedReview::from).collect() }))
 }
 
 async fn index(State(live): State<Shared>) -> Result<Response, ApiError> {

@@ -7,7 +7,7 @@ use std::time::Instant;
 
 use super::*;
 use stiction_files::store::StateStore;
-use stiction_monitor::alarm::{Alarm, Place};
+use stiction_monitor::alarm::{Alarm, LoopContext};
 
 /// Waits until something is so.
 fn wait_for<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
@@ -30,8 +30,9 @@ fn item(k: usize) -> Item {
 }
 
 fn item_of(loop_name: &str, k: usize) -> Item {
-    let mut document =
-        Alarm::default().restored(loop_name).at(&Place { area: Some("A \"1\"".into()), ..Place::default() });
+    let mut document = Alarm::default()
+        .restored(loop_name)
+        .at(&LoopContext { area: Some("A \"1\"".into()), ..LoopContext::default() });
     (document.event_id, document.changed) = (format!("e{k}"), "2026-01-05T08:15:00Z".to_owned());
     let json = serde_json::to_vec(&document).unwrap();
     Item::alarm("plant 1/a", &document, &json)

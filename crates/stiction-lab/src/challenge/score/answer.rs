@@ -62,7 +62,7 @@ pub struct Document {
     pub second_cause: Option<Alternative>,
     /// Location of the cause.
     #[serde(rename = "where")]
-    pub place: Place,
+    pub place: LocatedStage,
     /// Other answers, best first.
     pub alternatives: Vec<Alternative>,
     /// Gap of the base.
@@ -73,7 +73,7 @@ pub struct Document {
 
 /// Location of the gap.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Place {
+pub struct LocatedStage {
     /// Stage.
     pub stage: String,
 }

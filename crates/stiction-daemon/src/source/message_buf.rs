@@ -9,14 +9,14 @@ const MAX_KEPT: usize = 16 << 10;
 
 /// The buffers; copies share them.
 #[derive(Debug, Clone)]
-pub struct Parcels {
+pub struct BufferPool {
     back: Sender<Vec<u8>>,
     ready: Receiver<Vec<u8>>,
 }
 
 /// One message's key, encoding and payload.
 #[derive(Debug)]
-pub struct Parcel {
+pub struct MessageBuf {
     bytes: Vec<u8>,
     key: usize,
     /// Where the encoding ends, if the message has one.
@@ -24,27 +24,27 @@ pub struct Parcel {
     back: Sender<Vec<u8>>,
 }
 
-impl Default for Parcels {
+impl Default for BufferPool {
     fn default() -> Self {
         let (back, ready) = crossbeam_channel::bounded(READY);
         Self { back, ready }
     }
 }
 
-impl Parcels {
+impl BufferPool {
     /// Packs a message; `payload` appends its bytes.
     #[must_use]
-    pub fn pack(&self, key: &str, encoding: Option<&str>, payload: impl FnOnce(&mut Vec<u8>)) -> Parcel {
+    pub fn pack(&self, key: &str, encoding: Option<&str>, payload: impl FnOnce(&mut Vec<u8>)) -> MessageBuf {
         let mut bytes = self.ready.try_recv().unwrap_or_default();
         bytes.extend_from_slice(key.as_bytes());
         bytes.extend_from_slice(encoding.unwrap_or_default().as_bytes());
         let encoding = encoding.map(|_| bytes.len());
         payload(&mut bytes);
-        Parcel { bytes, key: key.len(), encoding, back: self.back.clone() }
+        MessageBuf { bytes, key: key.len(), encoding, back: self.back.clone() }
     }
 }
 
-impl Parcel {
+impl MessageBuf {
     /// The key.
     #[must_use]
     pub fn key(&self) -> &str {
@@ -64,7 +64,7 @@ impl Parcel {
     }
 }
 
-impl Drop for Parcel {
+impl Drop for MessageBuf {
     fn drop(&mut self) {
         let mut bytes = std::mem::take(&mut self.bytes);
         if bytes.capacity() <= MAX_KEPT {
@@ -81,7 +81,7 @@ mod tests {
 
     #[test]
     fn a_parcel_gives_back_what_was_packed_and_its_buffer_is_used_again() {
-        let parcels = Parcels::default();
+        let parcels = BufferPool::default();
         let packed = parcels.pack("p/A/op", Some("application/json"), |bytes| bytes.extend_from_slice(b"1.5"));
         let place = packed.bytes.as_ptr();
         assert_eq!(

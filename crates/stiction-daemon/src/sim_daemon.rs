@@ -44,7 +44,7 @@ const AT_HAND: usize = 1;
 const DAEMON_ID: &str = "stage";
 
 /// The parts, and the far ends of their queues.
-pub struct Stage {
+pub struct SimDaemon {
     core: Core,
     intake: Intake,
     control: Sender<Control>,
@@ -76,7 +76,7 @@ pub fn no_receiver(_: &Deliver) -> MakeTarget {
     Box::new(|| anyhow::bail!("no receiver"))
 }
 
-impl Stage {
+impl SimDaemon {
     /// Starts a run in the configured folder, with what earlier runs left there. `receiver` makes what takes the place of
     /// each `[[deliver]]` entry.
     ///

@@ -31,7 +31,7 @@ const KINDS: [Kind; 4] = [Kind::Estimate, Kind::Gap, Kind::Health, Kind::Alarm];
 
 /// Where the round stands, and what it found so far.
 #[derive(Debug, Default)]
-pub(super) struct Survey {
+pub(super) struct Sweep {
     next: usize,
     next_health: usize,
     sum: AlignCounts,
@@ -51,7 +51,7 @@ pub(super) struct Registered {
 
 impl Registered {
     /// A loop is new, or a sample of it was taken; says whether it is new.
-    pub(super) fn hears(&mut self, id: LoopId, now: Duration) -> bool {
+    pub(super) fn mark_heard(&mut self, id: LoopId, now: Duration) -> bool {
         if self.heard_s.len() <= id.index() {
             self.heard_s.resize(id.index() + 1, None);
         }
@@ -84,7 +84,7 @@ impl Core {
     pub(super) fn register_all(&mut self) {
         let now = self.clock.since(self.started);
         for id in self.engine.ids() {
-            self.registered.hears(id, now);
+            self.registered.mark_heard(id, now);
             self.registered.shards.insert(shard_of(id));
         }
         self.registered.shards.insert(0);
@@ -96,7 +96,7 @@ impl Core {
         if self.registered.heard_s(id).is_some() {
             return;
         }
-        self.registered.hears(id, self.clock.since(self.started));
+        self.registered.mark_heard(id, self.clock.since(self.started));
         let shard = shard_of(id);
         if self.registered.shards.insert(shard) {
             return self.open_shard(shard);
@@ -115,8 +115,8 @@ impl Core {
         id.inspect(|id| self.register(*id))
     }
 
-    /// Looks at every loop where there are few; many are looked at by [`Core::tend`].
-    pub(super) fn survey_few(&mut self, health_parts: usize) {
+    /// Looks at every loop where there are few; many are looked at by [`Core::sweep_step`].
+    pub(super) fn sweep_some(&mut self, health_parts: usize) {
         if self.engine.places() > FEW {
             return;
         }
@@ -127,16 +127,16 @@ impl Core {
     }
 
     /// Looks at the next part of many loops.
-    pub(super) fn tend(&mut self) {
+    pub(super) fn sweep_step(&mut self) {
         let all = self.engine.places();
         if all <= FEW {
             return;
         }
-        let (from, to) = (self.survey.next, self.survey.next + all.div_ceil(PARTS));
+        let (from, to) = (self.sweep.next, self.sweep.next + all.div_ceil(PARTS));
         self.look_at(from, to);
-        self.survey.next = to;
+        self.sweep.next = to;
         if to >= all {
-            self.survey.next = 0;
+            self.sweep.next = 0;
             self.end_round();
         }
         self.publish_health(all.div_ceil(HEALTH_PARTS).min(HEALTH_AT_ONCE));
@@ -148,8 +148,8 @@ impl Core {
         let (now_s, may_forget) = (self.clock.since(self.started).as_secs_f64(), forget_after_s > 0.0);
         for id in self.engine.ids_in(from, to) {
             let figures = self.engine.figures(id);
-            self.survey.sum.add(&figures.counts);
-            self.survey.bytes += self.engine.bytes(id);
+            self.sweep.sum.add(&figures.counts);
+            self.sweep.bytes += self.engine.bytes(id);
             let (name, place) = (self.engine.name(id), &self.engine.settings(id).place);
             if let Some(board) = &mut self.board {
                 let age_s = figures.greatest_ns.map(|t| s_from_ns(now_ns.saturating_sub(t)));
@@ -159,26 +159,26 @@ impl Core {
                 overview.figures(name, place, now, &figures);
             }
             let heard_s = self.registered.heard_s(id).map_or(now_s, f64::from);
-            if may_forget && now_s - heard_s > forget_after_s && self.survey.silent.len() < FORGET_AT_ONCE {
-                self.survey.silent.push(id);
+            if may_forget && now_s - heard_s > forget_after_s && self.sweep.silent.len() < FORGET_AT_ONCE {
+                self.sweep.silent.push(id);
             }
         }
     }
 
     fn end_round(&mut self) {
-        self.metrics.show_aligned(&std::mem::take(&mut self.survey.sum));
-        self.metrics.loop_bytes.set(std::mem::take(&mut self.survey.bytes) as i64);
-        let silent = std::mem::take(&mut self.survey.silent);
+        self.metrics.show_aligned(&std::mem::take(&mut self.sweep.sum));
+        self.metrics.loop_bytes.set(std::mem::take(&mut self.sweep.bytes) as i64);
+        let silent = std::mem::take(&mut self.sweep.silent);
         self.forget(&silent);
     }
 
     fn publish_health(&mut self, slice: usize) {
-        let (all, from, now_ns) = (self.engine.places(), self.survey.next_health, self.clock.now_ns());
+        let (all, from, now_ns) = (self.engine.places(), self.sweep.next_health, self.clock.now_ns());
         for id in self.engine.ids_in(from, from + slice) {
             let health = LoopHealth::new(self.engine.name(id), &self.daemon_id, &self.engine.figures(id), now_ns);
             self.publish(id, Kind::Health, &health);
         }
-        self.survey.next_health = if from + slice >= all { 0 } else { from + slice };
+        self.sweep.next_health = if from + slice >= all { 0 } else { from + slice };
     }
 
     /// Lets loops that have been silent for long leave the memory. What is written of them first is what a replay needs
