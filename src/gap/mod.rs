@@ -2,6 +2,7 @@
 
 mod base;
 mod neighbours;
+mod pool;
 mod predictions;
 
 use std::path::{Path, PathBuf};
@@ -36,7 +37,8 @@ use stiction_runtime::cores::{Team, Watch};
   stictiond gap loop4.csv --samples 50,900 --predictions loop4-gap.csv
   stictiond gap june.csv --base may.json          # may.json: stictiond gap may.csv --format json
   stictiond gap plant.mcap --loop FIC101 --without extra_lag --format json
-  stictiond gap plant.mcap --loop FIC101 --other-loops")]
+  stictiond gap plant.mcap --loop FIC101 --other-loops
+  stictiond gap may.csv june.csv july.csv --pool")]
 pub struct Args {
     /// The check on withheld causes.
     #[command(subcommand)]
@@ -77,6 +79,10 @@ pub struct Diagnose {
     /// Try two effects at once also where one alone explains the record.
     #[arg(long)]
     pub pairs: bool,
+    /// Take the files, or the sections of one file, for windows of one valve: one model and one set of effects, level and start
+    /// of each window its own. Several windows of few periods tell what one long record does.
+    #[arg(long, conflicts_with_all = ["neighbours", "other_loops"])]
+    pub pool: bool,
     /// Time for the search, a loop; without it some 5 s of two cores at most, much less where the base explains all.
     #[arg(long, value_name = "SECONDS", value_parser = seconds, allow_negative_numbers = true)]
     pub budget: Option<f64>,
@@ -125,6 +131,9 @@ impl Diagnose {
 /// The file cannot be read, the loop or section does not exist, an id is unknown, or nothing in it can be diagnosed.
 fn diagnose_all(args: &Diagnose, format: Format) -> anyhow::Result<Outcome> {
     check(args)?;
+    if args.pool {
+        return pool::run(args, format);
+    }
     let base = args.base.as_deref().map_or(Ok(BaseChoice::Refit), base::read)?;
     let loaded = args.reading.load_all(&args.input)?;
     for warning in &loaded.warnings {

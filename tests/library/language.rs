@@ -8,7 +8,7 @@ use std::path::PathBuf;
 mod phrases;
 
 /// Most words of all pages of `docs`, and of one.
-const MAX_WORDS: usize = 27_500;
+const MAX_WORDS: usize = 28_000;
 const MAX_PAGE: usize = 1_700;
 /// Pages that a test writes, which may be of any length.
 const GENERATED: [&str; 1] = ["docs/export-shapes.md"];

@@ -36,6 +36,8 @@ pub(super) struct Order {
     pub setpoint_moves: bool,
     pub transient: bool,
     pub mv: bool,
+    /// Periods of the record; drawn where it is left open.
+    pub periods: Option<f64>,
 }
 
 /// A case as it was made.
@@ -139,9 +141,10 @@ impl Base {
         let mut kick = Drive::none(1_500);
         kick.sp.fill(1.5 * fs * plant.process.gain);
         let period = turns(&plant.run(&kick).mv, 2e-3 * fs).1?;
-        let wanted = draw.log_between(65.0, 200.0);
+        let wanted = draw.log_between(65.0, order.periods.map_or(200.0, |_| 95.0));
         plant = stretched(plant, period, wanted);
-        let n = (wanted * draw.log_between(7.0, 20.0)).clamp(700.0, 1_900.0);
+        let drawn = draw.log_between(7.0, 20.0);
+        let n = (wanted * order.periods.unwrap_or(drawn)).clamp(700.0, 1_900.0);
         let from = if order.transient { 0.0 } else { wanted * draw.between(3.0, 5.0) };
         let scans = (n + from) as usize;
         let mut drive = Drive::none(scans);

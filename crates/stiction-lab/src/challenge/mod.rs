@@ -29,6 +29,7 @@ pub mod real;
 pub mod score;
 mod truth;
 pub(crate) mod valve;
+pub mod windows;
 
 pub use kinds::{Kind, Stage};
 pub use truth::{Answer, Tampered, Truth, TruthCase, seal};
@@ -102,6 +103,7 @@ impl Deck {
                 setpoint_moves: at(1) % 2 == 0,
                 transient: (at(2) / 2) % 2 == 0,
                 mv,
+                periods: None,
             });
         };
         let turn = |draw: &mut Draw| [draw.seed() % 3, draw.seed() % 2, draw.seed() % 4];

@@ -18,6 +18,7 @@ fn order(kinds: Vec<Kind>, seed: u64) -> Order {
         setpoint_moves,
         transient: seed % 4 < 2,
         mv: false,
+        periods: None,
     }
 }
 

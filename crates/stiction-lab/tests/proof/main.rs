@@ -22,4 +22,6 @@ mod val_budget;
 mod val_gap;
 mod val_labelled;
 mod val_plausible;
+mod val_pool;
 mod val_stick_index;
+mod val_typical;

@@ -5,6 +5,7 @@ use stiction::detect::oscillation;
 use stiction::gap::document::GapDocument;
 use stiction::gap::locate::{Subject, locate};
 use stiction::gap::model_file::ModelFile;
+use stiction::gap::pool::{self, PoolError, Pooled};
 use stiction::gap::{self, Base, Diagnosis, Executor, GapError, GapOptions, Neighbour};
 use stiction::record::Record;
 
@@ -53,6 +54,14 @@ impl BaseChoice {
 }
 
 impl GapSettings {
+    /// Search options for windows that are diagnosed together; the period is theirs to find. A given model is taken in the
+    /// sampling time of the first, which they share.
+    #[must_use]
+    pub fn options_of_pool(&self, windows: &[pool::Window]) -> GapOptions {
+        let first = windows.first().map(|window| self.options(&window.record));
+        GapOptions { period_points: None, ..first.unwrap_or_default() }
+    }
+
     /// Search options for a record.
     #[must_use]
     pub fn options(&self, record: &Record) -> GapOptions {
@@ -116,4 +125,31 @@ pub fn diagnose(
     let location = locate(&record, &Subject::of(&diagnosis, options.period_points, options.seed));
     let document = GapDocument::new(name, &record, &options.base, &diagnosis, location);
     Ok(Diagnosed { document, record, diagnosis })
+}
+
+/// Windows of a loop that were diagnosed together.
+#[derive(Debug, Clone)]
+pub struct DiagnosedPool {
+    /// The diagnosis.
+    pub document: GapDocument,
+    /// The joined record and the fits behind it.
+    pub pooled: Pooled,
+}
+
+/// Diagnoses windows of a loop together.
+///
+/// # Errors
+/// A window that does not fit the others, with its name; or the joined record cannot be diagnosed.
+pub fn diagnose_pool(
+    name: &str,
+    windows: &[pool::Window],
+    options: &GapOptions,
+    executor: &dyn Executor,
+) -> Result<DiagnosedPool, PoolError> {
+    let pooled = pool::diagnose(windows, options, executor)?;
+    pooled.diagnosis.check_base()?;
+    let subject = Subject::of(&pooled.diagnosis, Some(pooled.period), options.seed);
+    let location = locate(&pooled.record, &subject);
+    let document = GapDocument::of_pool(name, &pooled, &options.base, location);
+    Ok(DiagnosedPool { document, pooled })
 }

@@ -5,14 +5,16 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use super::budget::document::{BudgetNote, TellableNote};
-use super::budget::{Budget, Known};
+use super::budget::{self, Budget};
 use super::effects;
 use super::judged::Diagnosis;
 use super::locate::Location;
 use super::loop_run::Cycles;
 use super::model::Model;
+use super::pool::{Pooled, WindowNote};
 use super::sizes::Quantity;
 use super::types::{Alternative, Base, Compared, EffectResult, Ended, Fit, Parameter, UNKNOWN};
+use super::typical::{self, Known, TypicalNote};
 use crate::record::Record;
 use crate::signal::stats;
 use crate::sim::slips::Law;
@@ -261,6 +263,12 @@ pub struct GapDocument {
     /// What the record can tell.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tellable: Option<TellableNote>,
+    /// How far the record lies from those that the cause's probability was calibrated on.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub typical: Option<TypicalNote>,
+    /// The windows that were diagnosed together, if there are several.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub pooled: Vec<WindowNote>,
     /// Comparison with other loops, if some were offered.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub neighbours: Option<Compared>,
@@ -279,6 +287,37 @@ impl GapDocument {
     /// Makes the document of a diagnosis with base `base`.
     #[must_use]
     pub fn new(loop_name: &str, record: &Record, base: &Base, diagnosis: &Diagnosis, location: Location) -> Self {
+        let document = Self::without_budget(loop_name, record, base, diagnosis, location);
+        let budget = Budget::of(record, known(diagnosis));
+        let explained = document.closed_loop.as_ref().map(|cycles| cycles.controller.r2);
+        let tellable = budget.as_ref().map(|b| TellableNote::of(record, b, &diagnosis.base.slips, explained));
+        let budget = budget.map(|budget| BudgetNote::of(&budget, &diagnosis.signatures));
+        Self { budget, ..document.telling(tellable) }
+    }
+
+    /// Makes the document of windows that were diagnosed together. It has no budget: a disturbance does not go on from one
+    /// window to the next.
+    #[must_use]
+    pub fn of_pool(loop_name: &str, pooled: &Pooled, base: &Base, location: Location) -> Self {
+        let (record, diagnosis) = (&pooled.record, &pooled.diagnosis);
+        let document = Self::without_budget(loop_name, record, base, diagnosis, location);
+        let explained = document.closed_loop.as_ref().map(|cycles| cycles.controller.r2);
+        let told = TellableNote::of_windows(record, pooled.records(), pooled.period, &diagnosis.base.slips, explained);
+        Self { pooled: pooled.windows.clone(), ..document.telling(Some(told)) }
+    }
+
+    fn telling(self, tellable: Option<TellableNote>) -> Self {
+        let why = tellable.as_ref().filter(|_| self.cause.id == UNKNOWN).map(|told| told.why().to_owned());
+        Self { cause: CauseNote { why, ..self.cause }, tellable, ..self }
+    }
+
+    fn without_budget(
+        loop_name: &str,
+        record: &Record,
+        base: &Base,
+        diagnosis: &Diagnosis,
+        location: Location,
+    ) -> Self {
         let deviation = stats::std_dev(&record.pv);
         let figures = |fit: &Fit| Figures {
             rmse: fit.rmse,
@@ -287,11 +326,6 @@ impl GapDocument {
             relative: (deviation > 0.0).then(|| fit.gap / deviation),
         };
         let given = diagnosis.given.as_ref().map(figures);
-        let closed_loop = super::loop_run::cycles(record, diagnosis);
-        let budget = Budget::of(record, known(diagnosis));
-        let explained = closed_loop.as_ref().map(|cycles| cycles.controller.r2);
-        let tellable = budget.as_ref().map(|b| TellableNote::of(record, b, &diagnosis.base.slips, explained));
-        let unknown = tellable.as_ref().filter(|_| diagnosis.cause.id == UNKNOWN);
         Self {
             schema: GAP_SCHEMA.to_owned(),
             loop_name: loop_name.to_owned(),
@@ -306,7 +340,7 @@ impl GapDocument {
                 id: diagnosis.cause.id.clone(),
                 probability: diagnosis.cause.probability,
                 confirmed: diagnosis.cause.confirmed,
-                why: unknown.map(|tellable| tellable.why().to_owned()),
+                why: None,
             },
             second_cause: diagnosis.second.as_ref().map(AlternativeNote::of),
             alternatives: diagnosis.alternatives.iter().map(AlternativeNote::of).collect(),
@@ -337,9 +371,11 @@ impl GapDocument {
                 independence_p: diagnosis.noise_models.independence_p,
                 whitens: diagnosis.noise_models.whitens,
             },
-            closed_loop,
-            budget: budget.map(|budget| BudgetNote::of(&budget, &diagnosis.signatures)),
-            tellable,
+            closed_loop: super::loop_run::cycles(record, diagnosis),
+            budget: None,
+            tellable: None,
+            typical: Known::shipped().note(&typical::place(&diagnosis.basis, &diagnosis.features)),
+            pooled: Vec::new(),
             neighbours: diagnosis.neighbours.clone(),
             version: crate::VERSION.to_owned(),
         }
@@ -353,10 +389,10 @@ impl GapDocument {
 }
 
 /// What the diagnosis knows for the budget: the base's valve and PV's noise.
-fn known(diagnosis: &Diagnosis) -> Known {
+fn known(diagnosis: &Diagnosis) -> budget::Known {
     let valve = &diagnosis.base.model.valve;
     let rubs = valve.law == Law::He.name();
-    Known { bands: rubs.then_some([valve.fs, valve.fd]), period: None, noise_sd: diagnosis.floor.noise_sd }
+    budget::Known { bands: rubs.then_some([valve.fs, valve.fd]), period: None, noise_sd: diagnosis.floor.noise_sd }
 }
 
 impl Window {

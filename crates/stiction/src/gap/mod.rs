@@ -30,6 +30,7 @@ mod own_looks;
 mod pairs;
 mod plain;
 mod plan;
+pub mod pool;
 pub mod probability;
 mod problem;
 mod schedule;
@@ -44,8 +45,10 @@ mod structure;
 pub mod text;
 mod traces;
 pub mod types;
+pub mod typical;
 mod valve_signal;
 mod weigh;
+mod windows;
 
 pub use decide::{By, Decision, decide, holds_out};
 pub use diagnosis::{MIN_POINTS, diagnose};

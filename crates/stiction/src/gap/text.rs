@@ -25,6 +25,7 @@ pub fn paragraph(d: &GapDocument) -> String {
     });
     parts.extend(budget::why_unknown(d));
     parts.extend(beside(d));
+    parts.extend(outside(d));
     if let Some(test) = &d.next_test {
         parts.push(bump(test));
     }
@@ -95,6 +96,24 @@ fn conclusion(d: &GapDocument) -> String {
         stage if d.base.valve_model == "none" => format!("Outside the valve ({stage}): {what}."),
         stage => format!("Outside the valve ({stage}): {what}. The base has a sticking valve; `analyze` judges that."),
     }
+}
+
+/// Said of a probability that holds for other loops.
+fn outside(d: &GapDocument) -> Option<String> {
+    let typical = d.typical.as_ref().filter(|typical| typical.outside)?;
+    Some(format!(
+        "p is outside the range of what it was calibrated on: of the calibration's records {} lie as far from the others",
+        percent(100.0 * typical.p)
+    ))
+}
+
+/// The windows that were diagnosed together.
+fn windows(d: &GapDocument) -> String {
+    let each = d.pooled.iter().map(|w| {
+        let left = w.rmse.map_or_else(|| "none held out".to_owned(), |e| format!("error {}", number(e)));
+        format!("{} (level {}, {left})", w.source, number(w.level))
+    });
+    format!("{} together, level and start of each its own: {}", d.pooled.len(), each.collect::<Vec<_>>().join(", "))
 }
 
 /// Begins with a capital and ends with a full stop.
@@ -293,6 +312,9 @@ pub fn report(d: &GapDocument) -> String {
             number(d.gap.rmse)
         ),
     );
+    if !d.pooled.is_empty() {
+        row("windows", windows(d));
+    }
     if let Some(given) = d.given {
         row("given model", format!("gap {} PV units (rms error {})", number(given.gap), number(given.rmse)));
     }

@@ -6,6 +6,8 @@ use serde::{Deserialize, Serialize};
 
 use super::Budget;
 use super::parts::Part;
+use super::search::Model;
+use super::series::Series;
 use super::shapes::Shape;
 use crate::gap::effects;
 use crate::gap::sizes::Quantity;
@@ -171,7 +173,28 @@ impl TellableNote {
     /// What a record can tell by its budget, the slips of the base and how much of OP's moves the controller explains.
     #[must_use]
     pub fn of(record: &Record, budget: &Budget, slips: &[Slip], explained: Option<f64>) -> Self {
-        let gain = budget.model.gain_by_op;
+        let periods = budget.series.n() as f64 / budget.series.period;
+        Self::made(record, [budget.model.gain_by_op, periods], slips, explained)
+    }
+
+    /// What windows that are joined to one record can tell: the gains of all, each by a noise model of its own.
+    #[must_use]
+    pub fn of_windows(
+        record: &Record,
+        windows: impl IntoIterator<Item = Record>,
+        period: f64,
+        slips: &[Slip],
+        explained: Option<f64>,
+    ) -> Self {
+        let gain = |window: Record| {
+            let series = Series::of(&window, None, Some(period))?;
+            Some(Model::of(&series)?.gain_by_op)
+        };
+        let gains = windows.into_iter().filter_map(gain).sum();
+        Self::made(record, [gains, record.len() as f64 / period], slips, explained)
+    }
+
+    fn made(record: &Record, [gain, periods]: [f64; 2], slips: &[Slip], explained: Option<f64>) -> Self {
         let [hardly, mostly] = TOLD;
         let sp = record.sp.as_deref().unwrap_or_default();
         let least = 1e-6 * stats::std_dev(&record.pv);
@@ -197,7 +220,7 @@ impl TellableNote {
             outside_controller_pct: explained.map(|r2| 100.0 * (1.0 - r2)),
             sp_moves: sp_moves as u64,
             slips: slips.len() as u64,
-            periods: budget.series.n() as f64 / budget.series.period,
+            periods,
             helps: helps.iter().filter(|(_, helps)| *helps).map(|(id, _)| (*id).to_owned()).collect(),
             times_as_long: times,
         }
