@@ -274,3 +274,22 @@ fn an_interrupted_search_tells_what_it_knows() {
     let d: Value = serde_json::from_str(&stdout(&out)).unwrap();
     assert_eq!(d["stopped_early"], true);
 }
+
+#[test]
+fn windows_of_one_valve_are_diagnosed_together_and_what_does_not_fit_is_refused_by_its_file() {
+    let input = table("windows.csv", &[20.0], 900);
+    let sections = ["--samples", "1,450", "--samples", "451,900"];
+    let out = expect(0, &[&["gap", &input, "--pool", "--format", "json"], &sections[..]].concat());
+    let d: Value = serde_json::from_str(&stdout(&out)).unwrap();
+    assert_eq!(d["pooled"].as_array().map(Vec::len), Some(2), "{}", d["pooled"]);
+    assert_eq!(d["cause"]["id"], "none", "{}", d["cause"]);
+    let alone = expect(2, &["gap", &input, "--pool"]);
+    assert!(stderr(&alone).contains("two windows at least"), "{}", stderr(&alone));
+    // Every second sample of another file: another sampling time.
+    let text = fs::read_to_string(&input).unwrap();
+    let coarse = path("coarse.csv");
+    let kept: Vec<&str> = text.lines().enumerate().filter(|(k, _)| k % 2 == 0).map(|(_, line)| line).collect();
+    fs::write(&coarse, kept.join("\n")).unwrap();
+    let refused = expect(1, &["gap", &input, &coarse, "--pool"]);
+    assert!(stderr(&refused).contains("coarse.csv") && refused.stdout.is_empty(), "{}", stderr(&refused));
+}
