@@ -67,6 +67,7 @@ pub fn spread(
     let process = evaluator.polish(view, best)?;
     let mut tests = test(evaluator, view, best, &process);
     let mut looking = Looking::new(evaluator, view, *best, process, tests.inflation)?;
+    let asked = looking.top;
     looking.walk();
     looking.ridge();
     looking.meet(rivals);
@@ -74,9 +75,14 @@ pub fn spread(
     if looking.top.sse() < looking.first {
         let top = looking.top;
         let process = looking.evaluator.polish(looking.view, &top)?;
-        tests = test(looking.evaluator, looking.view, &top, &process);
-        looking.accept(top, process, tests.inflation)?;
-        looking.walk();
+        // The quadratic model of the cell may promise more than there is.
+        if process.sse < looking.process.sse {
+            tests = test(looking.evaluator, looking.view, &top, &process);
+            looking.accept(top, process, tests.inflation)?;
+            looking.walk();
+        } else {
+            looking.top = asked;
+        }
     }
     let top = looking.top;
     let (mixture, flat) = looking.mixture();
