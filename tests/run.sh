@@ -56,7 +56,6 @@ wait "$fetching" || true
     bad=0
     cargo test --no-fail-fast --locked --quiet --features full "${waiting[@]/#/--test=}" || bad=1
     bash tests/interop/run.sh || bad=1
-    bash python/test.sh || bad=1
     bash tests/report/run.sh || bad=1
     exit "$bad"
 ) >"$beside" 2>&1 &
@@ -64,6 +63,7 @@ others=$!
 failed=0
 noted cargo test --no-fail-fast --locked --quiet --features full --lib --bins "${computing[@]/#/--test=}" || failed=1
 noted cargo test --locked --quiet --features full --doc || failed=1
+noted bash python/test.sh || failed=1
 
 step "tests that wait, and those from outside: what they said"
 wait "$others" || failed=1

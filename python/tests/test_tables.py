@@ -112,7 +112,7 @@ def test_a_fault_of_a_table_names_the_column(frame: Any, change: Any, said: str)
 
 
 def test_endings_are_those_of_the_program() -> None:
-    source = (ROOT / "src" / "files" / "export" / "names.rs").read_text()
+    source = (ROOT / "crates" / "stiction-files" / "src" / "export" / "names.rs").read_text()
     known = {end: signal.lower() for end, signal in re.findall(r'\("([A-Z_. /]+)", Signal::(\w+)\)', source)}
     assert len(known) > 30
     assert {end: known.get(end) for end in _tables.ENDINGS} == _tables.ENDINGS
