@@ -164,18 +164,18 @@ fn main() -> ExitCode {
         if pipe.into_iter().any(|e| e.kind() == std::io::ErrorKind::BrokenPipe) {
             return Outcome::Done;
         }
-        let _ = writeln!(std::io::stderr(), "stictiond: {}", plain(&told_once(&error)));
+        let _ = writeln!(std::io::stderr(), "stictiond: {}", plain(&causes_without_repeats(&error)));
         if error.is::<UsageError>() { Outcome::Usage } else { Outcome::Failed }
     });
     ExitCode::from(outcome.code())
 }
 
 /// An error and its causes, without a cause that the text already contains.
-fn told_once(error: &anyhow::Error) -> String {
-    error.chain().map(ToString::to_string).fold(String::new(), |told, cause| match told.as_str() {
+fn causes_without_repeats(error: &anyhow::Error) -> String {
+    error.chain().map(ToString::to_string).fold(String::new(), |text, cause| match text.as_str() {
         "" => cause,
-        _ if told.contains(&cause) => told,
-        _ => format!("{told}: {cause}"),
+        _ if text.contains(&cause) => text,
+        _ => format!("{text}: {cause}"),
     })
 }
 

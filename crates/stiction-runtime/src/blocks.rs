@@ -1,5 +1,5 @@
 //! A queue between two threads whose memory is used again: items gather in blocks, and the other end takes a block at a
-//! time. So neither end asks for memory item by item, and the lock is held briefly and by the taker seldom. It has no limit
+//! time. So neither end asks for memory item by item, and the lock is held briefly and by the receiver seldom. It has no limit
 //! of its own: whoever fills it holds a [`super::queue::Budget`].
 
 use std::collections::VecDeque;
@@ -9,13 +9,13 @@ use std::time::{Duration, Instant};
 
 /// Items of a block.
 const BLOCK: usize = 256;
-/// Empty blocks that lie ready at most; more than wait for a taker that keeps up.
+/// Empty blocks that lie ready at most; more than wait for a receiver that keeps up.
 const SPARE: usize = 64;
 
 struct State<T> {
     full: VecDeque<VecDeque<T>>,
     spare: Vec<VecDeque<T>>,
-    /// Whether the taker waits to be woken.
+    /// Whether the receiver waits to be woken.
     sleeps: bool,
     /// Nothing comes any more; nobody takes any more.
     ended: bool,
@@ -44,7 +44,7 @@ pub struct BlockReceiver<T> {
     open: VecDeque<T>,
 }
 
-/// What the taker found.
+/// What the receiver found.
 #[derive(Debug, PartialEq, Eq)]
 pub enum Received<T> {
     /// The next item.
@@ -144,11 +144,11 @@ mod tests {
 
     #[test]
     fn items_come_in_their_order_over_many_blocks_and_then_the_end() {
-        let (filler, mut taker) = queue();
-        let filling = std::thread::spawn(move || (0..10 * BLOCK).for_each(|k| filler.put(k).unwrap()));
+        let (sender, mut receiver) = queue();
+        let filling = std::thread::spawn(move || (0..10 * BLOCK).for_each(|k| sender.put(k).unwrap()));
         let mut wanted = 0;
         loop {
-            match taker.take_within(Duration::from_secs(10)) {
+            match receiver.take_within(Duration::from_secs(10)) {
                 Received::Item(k) => {
                     assert_eq!(k, wanted);
                     wanted += 1;
@@ -163,23 +163,23 @@ mod tests {
 
     #[test]
     fn blocks_are_used_again() {
-        let (filler, mut taker) = queue();
+        let (sender, mut receiver) = queue();
         let mut places = std::collections::BTreeSet::new();
         for _ in 0..100 {
-            (0..BLOCK).for_each(|k| filler.put(k).unwrap());
-            assert_eq!(filler.waiting(), BLOCK);
-            (0..BLOCK).for_each(|k| assert_eq!(taker.take_within(Duration::ZERO), Received::Item(k)));
-            assert_eq!((taker.take_within(Duration::ZERO), filler.waiting()), (Received::Nothing, 0));
-            places.insert(taker.open.as_slices().0.as_ptr() as usize);
+            (0..BLOCK).for_each(|k| sender.put(k).unwrap());
+            assert_eq!(sender.waiting(), BLOCK);
+            (0..BLOCK).for_each(|k| assert_eq!(receiver.take_within(Duration::ZERO), Received::Item(k)));
+            assert_eq!((receiver.take_within(Duration::ZERO), sender.waiting()), (Received::Nothing, 0));
+            places.insert(receiver.open.as_slices().0.as_ptr() as usize);
         }
         assert!(places.len() <= 2, "{} blocks were asked for", places.len());
     }
 
     #[test]
     fn what_nobody_takes_is_given_back() {
-        let (filler, taker) = queue();
-        filler.put(Arc::new(1)).unwrap();
-        drop(taker);
-        assert_eq!(filler.put(Arc::new(2)), Err(Arc::new(2)));
+        let (sender, receiver) = queue();
+        sender.put(Arc::new(1)).unwrap();
+        drop(receiver);
+        assert_eq!(sender.put(Arc::new(2)), Err(Arc::new(2)));
     }
 }

@@ -47,6 +47,6 @@ pub enum Control {
         /// Where the answer goes.
         answer: Box<dyn FnOnce(Option<WindowSnapshot>) + Send>,
     },
-    /// Settings that hold from now on.
+    /// A reload: these settings replace the current ones.
     Settings(Box<Config>),
 }

@@ -21,22 +21,22 @@ const TIMED: u64 = 8;
 impl Core {
     pub(super) fn take_message(&mut self, m: &Message) {
         self.time_intake(m);
-        if let Some(codec) = self.bundles.codec_of(m.parcel.key()).map(str::to_owned) {
+        if let Some(codec) = self.bundles.codec_of(m.buf.key()).map(str::to_owned) {
             return self.take_bundle(m, &codec);
         }
         let now = self.clock.since(self.started);
-        let route = self.routes.of(m.parcel.key(), &mut self.engine, || self.limits.new_loop(now));
+        let route = self.routes.of(m.buf.key(), &mut self.engine, || self.limits.new_loop(now));
         let Some((id, signal)) = self.admitted(route) else { return };
         self.register(id);
         let mut samples = std::mem::take(&mut self.samples);
         samples.clear();
         let fallback_ns = m.bus_ns.unwrap_or(m.arrival_ns);
-        let (payload, encoding) = (m.parcel.payload(), m.parcel.encoding());
+        let (payload, encoding) = (m.buf.payload(), m.buf.encoding());
         match codec::decode(signal, payload, encoding, Some(&self.codec), fallback_ns, &mut samples) {
             Ok(name) => self.count_codec(name),
             Err(error) => self.count_undecodable(m, &error),
         }
-        let feeds = samples.first().is_none_or(|first| self.is_fed_by(id, signal, m.parcel.key(), first.t_ns));
+        let feeds = samples.first().is_none_or(|first| self.is_fed_by(id, signal, m.buf.key(), first.t_ns));
         if !feeds {
             self.metrics.second_source.inc_by(samples.len() as u64);
             samples.clear();
@@ -59,15 +59,15 @@ impl Core {
     /// A payload with several signals.
     fn take_bundle(&mut self, m: &Message, codec: &str) {
         let fallback_t_ns = m.bus_ns.unwrap_or(m.arrival_ns);
-        let bundle = Bundle { key: m.parcel.key(), payload: m.parcel.payload(), fallback_t_ns };
-        let (meant, name, left) = match self.bundles.read(&bundle, m.parcel.encoding(), codec) {
+        let bundle = Bundle { key: m.buf.key(), payload: m.buf.payload(), fallback_t_ns };
+        let (meant, name, left) = match self.bundles.read(&bundle, m.buf.encoding(), codec) {
             Ok(read) => read,
             Err(error) => return self.count_undecodable(m, &error),
         };
         self.count_codec(name);
         self.metrics.unmapped_values.inc_by(left);
-        if !meant.is_empty() && self.bundles.is_new_carrier(m.parcel.key()) {
-            self.routes.learn(m.parcel.key());
+        if !meant.is_empty() && self.bundles.is_new_carrier(m.buf.key()) {
+            self.routes.learn(m.buf.key());
         }
         let now = self.clock.since(self.started);
         for one in meant {
@@ -133,7 +133,7 @@ impl Core {
 
     fn count_undecodable(&self, m: &Message, error: &CodecError) {
         if self.metrics.undecodable.inc() == 0 {
-            tracing::warn!(key = m.parcel.key(), %error, "a payload could not be read; further ones are only counted");
+            tracing::warn!(key = m.buf.key(), %error, "a payload could not be read; further ones are only counted");
         }
     }
 }

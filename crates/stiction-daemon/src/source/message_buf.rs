@@ -81,18 +81,18 @@ mod tests {
 
     #[test]
     fn a_parcel_gives_back_what_was_packed_and_its_buffer_is_used_again() {
-        let parcels = BufferPool::default();
-        let packed = parcels.pack("p/A/op", Some("application/json"), |bytes| bytes.extend_from_slice(b"1.5"));
+        let pool = BufferPool::default();
+        let packed = pool.pack("p/A/op", Some("application/json"), |bytes| bytes.extend_from_slice(b"1.5"));
         let place = packed.bytes.as_ptr();
         assert_eq!(
             (packed.key(), packed.encoding(), packed.payload()),
             ("p/A/op", Some("application/json"), &b"1.5"[..])
         );
         drop(packed);
-        let again = parcels.pack("p/B/pv", None, |_| {});
+        let again = pool.pack("p/B/pv", None, |_| {});
         assert_eq!((again.key(), again.encoding(), again.payload()), ("p/B/pv", None, &b""[..]));
         assert_eq!(again.bytes.as_ptr(), place);
-        drop(parcels.pack("p", None, |bytes| bytes.resize(MAX_KEPT + 1, 0)));
-        assert_eq!(parcels.ready.len(), 0);
+        drop(pool.pack("p", None, |bytes| bytes.resize(MAX_KEPT + 1, 0)));
+        assert_eq!(pool.ready.len(), 0);
     }
 }

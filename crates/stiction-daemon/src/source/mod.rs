@@ -25,7 +25,7 @@ use stiction_runtime::queue::{Budget, Room};
 #[derive(Debug)]
 pub struct Message {
     /// Key, encoding and bytes.
-    pub parcel: MessageBuf,
+    pub buf: MessageBuf,
     /// The bus's time stamp, ns since 1970.
     pub bus_ns: Option<i64>,
     /// When it arrived, ns since 1970.
@@ -45,7 +45,7 @@ pub struct Intake {
     queue: Sender<Message>,
     budget: Budget,
     shares: Shares,
-    parcels: BufferPool,
+    pool: BufferPool,
     metrics: Arc<Metrics>,
     clock: Clock,
 }
@@ -70,7 +70,7 @@ impl Intake {
         metrics: Arc<Metrics>,
         clock: Clock,
     ) -> Self {
-        Self { queue, budget, shares, parcels: BufferPool::default(), metrics, clock }
+        Self { queue, budget, shares, pool: BufferPool::default(), metrics, clock }
     }
 
     /// A deletion: the plant has none that mean anything.
@@ -101,7 +101,7 @@ impl Intake {
             return;
         };
         let message = Message {
-            parcel: self.parcels.pack(envelope.key, envelope.encoding, payload),
+            buf: self.pool.pack(envelope.key, envelope.encoding, payload),
             bus_ns: envelope.bus_ns,
             arrival_ns: self.clock.now_ns(),
             room,
