@@ -68,21 +68,20 @@ impl Daemon {
 
     /// Starts it by way of another program, such as a shell that sets limits.
     pub fn start_by(by: &[&str], dir: &Path, extra: &str) -> Self {
-        Self::start_with(by, dir, extra, None)
+        Self::start_with(by, dir, extra, "")
     }
 
     /// Starts it as a peer of another daemon, where one is given.
     pub fn start_on(dir: &Path, extra: &str, peer: Option<&str>) -> Self {
-        Self::start_with(&[], dir, extra, peer)
+        Self::start_with(&[], dir, extra, &peer.map(|peer| format!("connect = [{peer:?}]\n")).unwrap_or_default())
     }
 
-    fn start_with(by: &[&str], dir: &Path, extra: &str, peer: Option<&str>) -> Self {
+    /// Starts it by way of another program, with lines of its own under `[zenoh]`.
+    pub fn start_with(by: &[&str], dir: &Path, extra: &str, zenoh: &str) -> Self {
         let endpoint = format!("tcp/127.0.0.1:{}", free_port());
         let path = configure(dir, &endpoint, extra);
-        if let Some(peer) = peer {
-            let text = fs::read_to_string(&path).unwrap();
-            fs::write(&path, text.replace("[zenoh]\n", &format!("[zenoh]\nconnect = [{peer:?}]\n"))).unwrap();
-        }
+        let text = fs::read_to_string(&path).unwrap();
+        fs::write(&path, text.replace("[zenoh]\n", &format!("[zenoh]\n{zenoh}"))).unwrap();
         let arguments = ["run", "--config", path.to_str().unwrap(), "--health-every-s", "0.2"];
         let under_test = program();
         let program = [by, &[&under_test], &arguments].concat();
