@@ -55,6 +55,7 @@ pub mod selection;
 pub mod simulate;
 pub mod solving;
 mod stop;
+pub mod test;
 pub mod top;
 pub mod workbench;
 
@@ -137,6 +138,7 @@ enum CommandArgs {
     Compact(compact::Args),
     Convert(convert::ConvertArgs),
     Check(check::Args),
+    Test(test::Args),
     Discover(discover::Args),
     Bridge(bridge::Args),
     Info(info::InfoArgs),
@@ -196,6 +198,7 @@ fn dispatch(cli: Cli) -> anyhow::Result<Outcome> {
         CommandArgs::Compact(args) => compact::run(&args, format),
         CommandArgs::Convert(args) => convert::run(&args, format),
         CommandArgs::Check(args) => check::run(&args, format),
+        CommandArgs::Test(args) => test::run(&args, format),
         CommandArgs::Discover(args) => discover::run(&args, format),
         CommandArgs::Bridge(args) => bridge::run(&args, format),
         CommandArgs::Info(args) => info::run(&args, format),

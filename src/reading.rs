@@ -1,12 +1,13 @@
 //! Options for reading files, shared by every command that takes foreign files; a one-line note on what was recognised;
-//! the configuration of a recording; model files.
+//! the configuration of a recording; configuration, scenario and model files.
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, anyhow};
+use anyhow::{Context, anyhow, bail};
 
-use super::{note, on_all_cores};
+use super::{list, note, on_all_cores};
 use stiction::gap::model_file::ModelFile;
+use stiction::sim::scenario::Scenario;
 use stiction_files::export::{Codes, Decimal, Map, TimeFormat, Zone, delimiter, encoding};
 use stiction_files::inputs::{Unit, units};
 use stiction_files::run;
@@ -123,6 +124,22 @@ pub(super) fn config_of(paths: &[PathBuf]) -> anyhow::Result<Config> {
         [path] => run::config_of(path),
         _ => Ok(Config::with_prefix("plant")),
     }
+}
+
+/// Reads a configuration file; gives its text too.
+pub(super) fn config_file(path: &Path) -> anyhow::Result<(String, Config)> {
+    let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
+    match Config::parse(&text) {
+        Ok(config) => Ok((text, config)),
+        Err(faults) => bail!("{}: the configuration has faults:\n  {}", path.display(), list(&faults)),
+    }
+}
+
+/// Reads a scenario file; gives its text too.
+pub(super) fn scenario_file(path: &Path) -> anyhow::Result<(String, Scenario)> {
+    let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
+    let scenario = Scenario::parse(&text).map_err(|e| anyhow!("{}: {e}", path.display()))?;
+    Ok((text, scenario))
 }
 
 /// Reads a model file.

@@ -3,11 +3,12 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
-use anyhow::{Context, bail};
+use anyhow::bail;
 
-use super::{Outcome, asked_to_stop, block_on, list};
+use super::reading::config_file;
+use super::{Outcome, asked_to_stop, block_on};
 use stiction_daemon::{HEALTH_EVERY, RunOptions};
-use stiction_monitor::config::{Config, is_id};
+use stiction_monitor::config::is_id;
 use stiction_monitor::shard::Shard;
 
 /// Run the daemon: subscribe, estimate, publish and record until SIGTERM or Ctrl-C.
@@ -51,11 +52,7 @@ fn shard_of(text: &str) -> Result<Shard, String> {
 /// # Errors
 /// A faulty configuration, a port in use, or a folder that cannot be written.
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
-    let text = std::fs::read_to_string(&args.config).with_context(|| args.config.display().to_string())?;
-    let mut config = match Config::parse(&text) {
-        Ok(config) => config,
-        Err(faults) => bail!("{}: the configuration has faults:\n  {}", args.config.display(), list(&faults)),
-    };
+    let (text, mut config) = config_file(&args.config)?;
     if let Some(shard) = args.shard {
         config.shard = shard;
     }

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, anyhow, bail};
 use serde_json::json;
 
-use super::reading::model_file;
+use super::reading::{model_file, scenario_file};
 use super::{Format, Outcome, list, say};
 use stiction::gap::Serial;
 use stiction::gap::check_model;
@@ -57,8 +57,7 @@ pub struct Args {
 /// # Errors
 /// A faulty scenario or configuration; an output that exists or cannot be written.
 pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
-    let text = std::fs::read_to_string(&args.scenario).with_context(|| args.scenario.display().to_string())?;
-    let mut scenario = Scenario::parse(&text).map_err(|e| anyhow!("{}: {e}", args.scenario.display()))?;
+    let (text, mut scenario) = scenario_file(&args.scenario)?;
     if let Some(path) = &args.model {
         put_model(&mut scenario, path, args.loop_name.as_deref())?;
     }

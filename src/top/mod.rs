@@ -16,7 +16,7 @@ use std::io::IsTerminal;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use anyhow::{Context, anyhow, bail};
+use anyhow::anyhow;
 use serde_json::json;
 use tokio::sync::mpsc;
 use zenoh::Session;
@@ -24,9 +24,9 @@ use zenoh::Session;
 use self::board::{LoopTable, Now};
 use self::cells::{Figure, TerminalStyle};
 use self::view::View;
-use super::{Format, Outcome, UsageError, asked_to_stop, block_on, list, play, say};
+use super::reading::config_file;
+use super::{Format, Outcome, UsageError, asked_to_stop, block_on, play, say};
 use stiction::units::ms_from_ns;
-use stiction_monitor::config::Config;
 
 /// Default endpoint of a daemon.
 const USUAL: &str = "tcp/127.0.0.1:7447";
@@ -153,11 +153,7 @@ impl Reach {
             let endpoints = if args.connect.is_empty() { vec![USUAL.to_owned()] } else { args.connect.clone() };
             return Self::over(endpoints, args.prefix.clone(), zenoh::Config::default());
         };
-        let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
-        let mut config = match Config::parse(&text) {
-            Ok(config) => config,
-            Err(faults) => bail!("{}: the configuration has faults:\n  {}", path.display(), list(&faults)),
-        };
+        let (_, mut config) = config_file(path)?;
         let listening = config.zenoh.listen.iter().map(|endpoint| reachable(endpoint)).collect();
         let endpoints = [&args.connect, &config.zenoh.connect, &listening].into_iter().find(|list| !list.is_empty());
         let endpoints = endpoints.cloned().unwrap_or_else(|| vec![USUAL.to_owned()]);

@@ -277,6 +277,16 @@ fn configurations() {
 }
 
 #[test]
+fn expectations() {
+    let corpus = [fs::read("config/expectations.toml").unwrap()];
+    fuzz("expectations", 2000, &corpus, |bytes| {
+        if let Err(faults) = stiction_monitor::expectations::parse(&String::from_utf8_lossy(bytes)) {
+            assert!(!faults.is_empty());
+        }
+    });
+}
+
+#[test]
 fn keys_and_commands() {
     let keys = texts(&["plant1/area1/FIC101/op", "p/@stiction/v1/u1/FIC101/alarm", "p/@stiction/v1/@daemon/x/health"]);
     fuzz("keys", 20000, &keys, |bytes| {

@@ -19,6 +19,7 @@ mod columns;
 mod daemon;
 mod daemon_gap;
 mod daemon_plant;
+mod expectations;
 mod exports;
 mod failover;
 mod golden;

@@ -9,22 +9,9 @@ use serde_json::Value;
 
 use stiction::detect::{self, Indicator};
 use stiction::units::Moment;
-use stiction::verdict::{Assessment, ESTIMATE_SCHEMA, EstimateDocument, Gate, Oscillation, Window};
+use stiction::verdict::{Assessment, ESTIMATE_SCHEMA, EstimateDocument, Oscillation, Window, reasons};
 use stiction_monitor::alarm::{ALARM_SCHEMA, AlarmDocument, Figures, Marks};
 
-/// Reasons of estimates that are no gate's name.
-const REASONS: [&str; 10] = [
-    "stuck_signal",
-    "implausible_model",
-    "daily_cycle",
-    "trend",
-    "op_held",
-    "too_coarse",
-    "too_few_periods",
-    "not_fitted",
-    "screened",
-    "masked",
-];
 /// Indicators that are made of the fit, beside the detectors.
 const OF_THE_FIT: [&str; 3] = ["likelihood", "confirmed", "moves"];
 /// NE 107 categories of an alarm.
@@ -82,12 +69,11 @@ pub fn estimate(document: &Value) -> Option<EstimateDocument> {
     }
     let silent =
         Oscillation { oscillating: false, period_s: None, periods: None, samples_per_period: None, regularity: None };
-    let reasons = REASONS.into_iter().chain(Gate::ALL.map(Gate::name));
     let assessment = Assessment {
         verdict: read(d, "verdict")?,
         contributing: each(d, "contributing"),
         stiction: read(d, "stiction"),
-        reason: word(d, "reason", reasons),
+        reason: word(d, "reason", reasons()),
         p_stiction: read(d, "p_stiction"),
         confidence: read(d, "confidence"),
         gates: each(d, "gates"),
@@ -201,7 +187,10 @@ mod tests {
             "indicators": [{"name": "new", "contribution": 1.5}, 3], "fs_interval": [1]}"#;
         let read = estimate(&serde_json::from_str(text).unwrap()).unwrap();
         let a = &read.assessment;
-        assert_eq!((a.gates.as_slice(), a.reason, a.s), ([Gate::TooCoarse].as_slice(), Some(UNKNOWN), None));
+        assert_eq!(
+            (a.gates.as_slice(), a.reason, a.s),
+            ([stiction::verdict::Gate::TooCoarse].as_slice(), Some(UNKNOWN), None)
+        );
         assert_eq!((a.indicators.len(), a.fs_interval), (1, None));
         for wrong in
             ["{}", "[]", "null", r#"{"schema": "stictiond.alarm.v2"}"#, r#"{"schema": "stictiond.estimate.v1"}"#]

@@ -7,6 +7,7 @@
 //! | [`alarm`] | ISA-18.2 states |
 //! | [`engine`] | one state machine per loop |
 //! | [`config`] | settings from text, for daemon, engine and alarm |
+//! | [`expectations`] | what the daemon should report of known data |
 //! | [`shard`] | which daemon watches which loop |
 //! | [`analysis`] | samples of a recording to the answers of `analyze` and `gap` |
 //!
@@ -21,6 +22,7 @@ pub mod analysis;
 pub mod codec;
 pub mod config;
 pub mod engine;
+pub mod expectations;
 mod hash;
 pub mod shard;
 

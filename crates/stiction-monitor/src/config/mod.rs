@@ -6,7 +6,7 @@ mod deliver;
 mod engine;
 mod input;
 mod loops;
-mod reader;
+pub(crate) mod reader;
 mod scale;
 mod service;
 
@@ -18,7 +18,7 @@ pub use bundle::{BundleKey, NAME_MARK};
 pub use deliver::{Address, Deliver, Protocol};
 pub use input::Input;
 pub use reader::Fault;
-use reader::{Lines, TableReader, subtable};
+use reader::{Lines, TableReader, subtable, syntax_fault};
 pub use scale::{Daemon, is_id};
 pub use service::{Commands, Plant, Retention, Signing};
 
@@ -315,11 +315,6 @@ impl Config {
     pub fn loop_named(&self, name: &str) -> Option<&LoopConfig> {
         self.loops.iter().find(|l| l.name == name)
     }
-}
-
-fn syntax_fault(lines: &Lines, error: &toml::de::Error) -> Fault {
-    let line = error.span().map_or(1, |s| lines.of(s.start));
-    Fault { line, key: String::new(), message: error.message().trim().replace('\n', ", "), remedy: String::new() }
 }
 
 fn refuse_unknown_tables(lines: &Lines, root: &DeTable<'_>, faults: &mut Vec<Fault>) {

@@ -30,7 +30,7 @@ impl fmt::Display for Fault {
 }
 
 /// Line starts of a text: a configuration may have a hundred thousand tables, each of which looks up its line.
-pub(super) struct Lines(Vec<usize>);
+pub(crate) struct Lines(Vec<usize>);
 
 impl Lines {
     /// The line starts of a text.
@@ -44,8 +44,14 @@ impl Lines {
     }
 }
 
+/// The fault for a text that is not TOML.
+pub(crate) fn syntax_fault(lines: &Lines, error: &toml::de::Error) -> Fault {
+    let line = error.span().map_or(1, |s| lines.of(s.start));
+    Fault { line, key: String::new(), message: error.message().trim().replace('\n', ", "), remedy: String::new() }
+}
+
 /// A table being read: each requested key is known; any other is a fault when the table is closed.
-pub(super) struct TableReader<'a, 'i> {
+pub(crate) struct TableReader<'a, 'i> {
     lines: &'a Lines,
     section: String,
     line: usize,
@@ -215,6 +221,12 @@ impl<'a, 'i> TableReader<'a, 'i> {
         self.fault(line, key, message.into(), remedy.into());
     }
 
+    /// Line of a key's value; none if the key is absent.
+    pub fn line_of(&self, key: &str) -> Option<usize> {
+        let (_, value) = self.table?.iter().find(|(k, _)| k.get_ref() == key)?;
+        Some(self.lines.of(value.span().start))
+    }
+
     /// Line of the table's header.
     pub fn line(&self) -> usize {
         self.line
@@ -261,7 +273,7 @@ pub(super) fn subtable<'a, 'i>(
 }
 
 /// The tables of an array `[[key]]` with their lines.
-pub(super) fn subtables<'a, 'i>(
+pub(crate) fn subtables<'a, 'i>(
     lines: &Lines,
     root: &'a DeTable<'i>,
     key: &str,

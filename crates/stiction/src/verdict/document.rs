@@ -34,6 +34,17 @@ pub enum Verdict {
 }
 
 impl Verdict {
+    /// All verdicts.
+    pub const ALL: [Self; 7] = [
+        Self::Stiction,
+        Self::Deadband,
+        Self::Disturbance,
+        Self::Tuning,
+        Self::NoOscillation,
+        Self::NoStiction,
+        Self::Inconclusive,
+    ];
+
     /// The verdict's word in documents.
     #[must_use]
     pub const fn name(self) -> &'static str {
@@ -148,6 +159,25 @@ impl Gate {
             Self::Excursion => "excursion",
         }
     }
+}
+
+/// Words of [`Assessment::reason`] that are not the name of a blocking check.
+const REASONS: [&str; 10] = [
+    "stuck_signal",
+    "implausible_model",
+    "daily_cycle",
+    "trend",
+    "op_held",
+    "too_coarse",
+    "too_few_periods",
+    "not_fitted",
+    "screened",
+    "masked",
+];
+
+/// Every word of [`Assessment::reason`].
+pub fn reasons() -> impl Iterator<Item = &'static str> {
+    Gate::ALL.into_iter().filter(|gate| gate.blocks()).map(Gate::name).chain(REASONS)
 }
 
 /// An implausible property of a model or its record.

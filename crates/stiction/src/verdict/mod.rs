@@ -23,7 +23,7 @@ pub use crate::ident::{DelayChoice, ModelChoice, ValveChoice};
 pub use assess::{assess, assess_in_windows, figures, lets_go};
 pub use document::{
     Assessment, Controller, ESTIMATE_SCHEMA, EstimateDocument, Gate, Implausible, MemberJudgement, Oscillation,
-    Process, Search, Verdict, Window,
+    Process, Search, Verdict, Window, reasons,
 };
 pub use group::MASKED;
 pub use params::AssessParams;
