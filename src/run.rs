@@ -5,15 +5,15 @@ use std::time::Duration;
 
 use anyhow::bail;
 
-use super::reading::config_file;
 use super::{Outcome, asked_to_stop, block_on};
-use stiction_daemon::{HEALTH_EVERY, RunOptions};
+use stiction_daemon::{ConfigFile, HEALTH_EVERY, RunOptions};
 use stiction_monitor::config::is_id;
 use stiction_monitor::shard::Shard;
 
 /// Run the daemon: subscribe, estimate, publish and record until SIGTERM or Ctrl-C.
 ///
-/// SIGHUP reloads the configuration, logs which changed settings need a restart, and starts new recordings.
+/// SIGHUP reloads the configuration, which adds, changes and removes loops, and starts new recordings. A file that changes
+/// what cannot change while the daemon runs is refused as a whole.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   stictiond run --config config/monitor.toml
@@ -52,20 +52,15 @@ fn shard_of(text: &str) -> Result<Shard, String> {
 /// # Errors
 /// A faulty configuration, a port in use, or a folder that cannot be written.
 pub fn run(args: &Args) -> anyhow::Result<Outcome> {
-    let (text, mut config) = config_file(&args.config)?;
-    if let Some(shard) = args.shard {
-        config.shard = shard;
+    if let Some(id) = args.id.as_ref().filter(|id| id.is_empty() || !is_id(id)) {
+        bail!("--id {id:?} is not a valid name; use up to 64 letters, digits and . _ -");
     }
-    if let Some(id) = &args.id {
-        if id.is_empty() || !is_id(id) {
-            bail!("--id {id:?} is not a valid name; use up to 64 letters, digits and . _ -");
-        }
-        config.daemon.id.clone_from(id);
-    }
+    let file = ConfigFile { path: args.config.clone(), id: args.id.clone(), shard: args.shard };
+    let (config, text) = file.read()?;
     block_on(async {
         let options = RunOptions {
             workers: args.workers,
-            config_path: Some(args.config.clone()),
+            config_file: Some(file),
             health_every: args.health_every_s.map_or(HEALTH_EVERY, Duration::from_secs_f64),
             ..RunOptions::of("run", stiction_web::serve)
         };

@@ -15,7 +15,7 @@ use stiction::gap::loop_run::parts;
 use stiction::record::Record;
 use stiction::sim::closed_loop::ValveLaw;
 use stiction::sim::scenario::{ProcessSpec, Scenario};
-use stiction_daemon::sink::recorder::RunInfo;
+use stiction_daemon::sink::recorder::{RecordedConfig, RunInfo};
 use stiction_daemon::to_json;
 use stiction_files::RecordingFile;
 use stiction_monitor::codec::topic::{self, Kind};
@@ -87,12 +87,10 @@ pub fn run(args: &Args, format: Format) -> anyhow::Result<Outcome> {
         started_ns: scenario.start_ns(),
         run_number: None,
         origin: if args.raw { "simulate_raw" } else { "simulate" },
-        config_hash: config.hash(),
         daemon: String::new(),
-        loop_map: serde_json::to_string(&config.loops).unwrap_or_default(),
         raw: config.recording.raw.clone(),
         continued: BTreeMap::new(),
-        config_text,
+        config: RecordedConfig::new(&config, config_text),
     };
     let made = write(args, &scenario, config, &run)?;
     let counts: BTreeMap<&str, u64> = made.into_iter().map(|(kind, n)| (kind.name(), n)).collect();

@@ -12,7 +12,7 @@ use super::{Args, PREFIX, Row, cpu, resident_mib};
 use stiction::record::{Sample, Signal, Value};
 use stiction::units::ns_from_s;
 use stiction_daemon::rerun::Rerun;
-use stiction_daemon::sink::recorder::{LOOPS_PER_FILE, RunInfo};
+use stiction_daemon::sink::recorder::{LOOPS_PER_FILE, RecordedConfig, RunInfo};
 use stiction_files::RecordingFile;
 use stiction_monitor::codec::topic::{self, Kind};
 use stiction_monitor::config::Config;
@@ -144,10 +144,8 @@ fn record(
         started_ns: START_NS,
         run_number: None,
         origin: "bench",
-        config_text: text.to_owned(),
-        config_hash: config.hash(),
+        config: RecordedConfig::new(config, text.to_owned()),
         daemon: String::new(),
-        loop_map: String::new(),
         raw: config.recording.raw.clone(),
         continued: BTreeMap::new(),
     };

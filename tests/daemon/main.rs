@@ -10,6 +10,7 @@ mod hardened;
 mod hostile;
 #[path = "../common/live.rs"]
 mod live;
+mod reload;
 mod service;
 mod shards;
 mod soak;

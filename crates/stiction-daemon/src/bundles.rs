@@ -32,13 +32,29 @@ pub struct Meant {
     pub source: String,
 }
 
+/// Loops and signals by key, then by the name in a payload.
+type Mapped = HashMap<String, HashMap<String, (String, Signal)>>;
+
+/// The names in payloads that a configuration maps.
+fn mapped(config: &Config) -> Mapped {
+    let mut mapped = Mapped::new();
+    for one in &config.loops {
+        for (signal, key) in &one.keys {
+            if let Some((key, name)) = key.split_once(NAME_MARK) {
+                mapped.entry(key.to_owned()).or_default().insert(name.to_owned(), (one.name.clone(), *signal));
+            }
+        }
+    }
+    mapped
+}
+
 /// What is known of bundles.
 #[derive(Debug)]
 pub struct Bundles {
     prefix: String,
     discover: bool,
     keys: Vec<(KeyExpr<'static>, String)>,
-    mapped: HashMap<String, HashMap<String, (String, Signal)>>,
+    mapped: Mapped,
     carriers: HashSet<Box<str>>,
     memory: Memory,
 }
@@ -48,23 +64,19 @@ impl Bundles {
     #[must_use]
     pub fn new(config: &Config) -> Self {
         let keys = config.bundles.iter().filter_map(|b| Some((KeyExpr::new(b.key.clone()).ok()?, b.codec.clone())));
-        let mut mapped: HashMap<String, HashMap<String, (String, Signal)>> = HashMap::new();
-        for one in &config.loops {
-            for (signal, key) in &one.keys {
-                if let Some((key, name)) = key.split_once(NAME_MARK) {
-                    let names = mapped.entry(key.to_owned()).or_default();
-                    names.insert(name.to_owned(), (one.name.clone(), *signal));
-                }
-            }
-        }
         Self {
             prefix: config.site.prefix.clone(),
             discover: config.input.discover,
             keys: keys.collect(),
-            mapped,
+            mapped: mapped(config),
             carriers: HashSet::new(),
             memory: Memory::default(),
         }
+    }
+
+    /// Takes over which names are mapped; what payloads said so far stays known.
+    pub fn reconfigure(&mut self, config: &Config) {
+        self.mapped = mapped(config);
     }
 
     /// The codec of a key whose payloads are bundles. A key below the prefix that means a signal by itself is none, unless

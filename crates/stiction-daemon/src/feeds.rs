@@ -91,8 +91,13 @@ impl Feeds {
     /// Without bundles and mapped keys each signal has one key, and nothing is remembered.
     #[must_use]
     pub fn new(config: &Config) -> Self {
-        let is_on = !config.bundles.is_empty() || config.loops.iter().any(|one| !one.keys.is_empty());
-        Self { is_on, owners: HashMap::new() }
+        Self { is_on: can_have_several(config), owners: HashMap::new() }
+    }
+
+    /// Takes over which keys are mapped. The sources of these loops are others.
+    pub fn reconfigure(&mut self, config: &Config, remapped: &HashSet<LoopId>) {
+        self.is_on = can_have_several(config);
+        self.forget(remapped);
     }
 
     /// A value of a signal came from a source in this message, stamped so.
@@ -126,6 +131,11 @@ impl Feeds {
     pub fn forget(&mut self, gone: &HashSet<LoopId>) {
         self.owners.retain(|(id, _), _| !gone.contains(id));
     }
+}
+
+/// Whether a signal can have several sources.
+fn can_have_several(config: &Config) -> bool {
+    !config.bundles.is_empty() || config.loops.iter().any(|one| !one.keys.is_empty())
 }
 
 impl Owner {

@@ -41,7 +41,7 @@ mod worker;
 use std::collections::{BTreeMap, HashSet};
 use std::future::Future;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, RwLock};
+use std::sync::{Arc, RwLock};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, anyhow};
@@ -52,18 +52,20 @@ use self::core::{Core, Parts, tell_system};
 use self::gaps::Diagnoser;
 use self::plant::Comparer;
 use self::refill::Refilled;
-use self::reload::Reload;
+pub use self::reload::ConfigFile;
+use self::reload::{Reload, ReloadParts};
 use self::restore::Restored;
 use self::retention::RetentionParts;
 use crate::sink::deliver::Outbox;
 use crate::sink::keeper::Keeper;
-use crate::sink::recorder::{Recorder, RunInfo};
+use crate::sink::recorder::{RecordedConfig, Recorder, RunInfo};
 use crate::sink::signing::Signer;
 use crate::sink::zenoh::Publisher;
 use crate::source::askers::Askers;
 use crate::source::queries::Queries;
 use crate::source::replies::Replies;
 use crate::source::shares::Shares;
+use crate::source::zenoh::Subscriptions;
 use crate::source::{CONTROL_QUEUE, Intake, presence};
 use stiction_files::disk::SystemDisk;
 use stiction_files::lock::{FolderLock, LockError};
@@ -77,7 +79,7 @@ use stiction_runtime::last_values::LastValues;
 use stiction_runtime::metrics::Metrics;
 use stiction_runtime::overview::Overview;
 use stiction_runtime::queue::Budget;
-use stiction_runtime::view::{Serve, View};
+use stiction_runtime::view::{CurrentConfig, Serve, View};
 
 /// How long a router may take to answer before that is a fault.
 const ROUTER_WITHIN: Duration = Duration::from_secs(5);
@@ -95,8 +97,8 @@ pub struct RunOptions {
     pub origin: &'static str,
     /// Workers for fits; all cores but one if absent.
     pub workers: Option<usize>,
-    /// Where the configuration comes from, to be read again on SIGHUP.
-    pub config_path: Option<PathBuf>,
+    /// The configuration's file, to be read again on a reload.
+    pub config_file: Option<ConfigFile>,
     /// How often the health documents are made.
     pub health_every: Duration,
     /// What serves the page, the metrics and the health.
@@ -107,7 +109,7 @@ impl RunOptions {
     /// Of a run of this origin, with the usual settings.
     #[must_use]
     pub const fn of(origin: &'static str, serve: Serve) -> Self {
-        Self { origin, workers: None, config_path: None, health_every: HEALTH_EVERY, serve }
+        Self { origin, workers: None, config_file: None, health_every: HEALTH_EVERY, serve }
     }
 }
 
@@ -134,13 +136,12 @@ pub async fn run(
     let (queue, incoming) = crossbeam_channel::bounded(config.input.queue);
     let (control, wishes) = crossbeam_channel::bounded(CONTROL_QUEUE);
     let overview = (config.web.enabled && config.web.page.enabled).then(Overview::default);
-    let commands = Arc::new(RwLock::new(config.commands.clone()));
+    let current = CurrentConfig::new(config.clone());
     let view = View {
-        config: Arc::new(config.clone()),
+        config: current.clone(),
         overview: overview.clone(),
         last: last.clone(),
         control: control.clone(),
-        commands: commands.clone(),
         snapshot: snapshot.clone(),
         faults: faults.clone(),
         note: (options.origin == "demo").then_some(SIMULATED),
@@ -182,7 +183,7 @@ pub async fn run(
     // Samples that arrive during the refill wait in the queue.
     let (budget, shares) = (Budget::new(config.input.queue_bytes), Shares::default());
     let intake = Intake::new(queue, (budget.clone(), shares.clone()), metrics.clone(), Clock::system());
-    let mut subscribers = source::zenoh::subscribe(&session, &config, &intake).await?;
+    let subscriptions = Subscriptions::open(&session, &config, intake).await?;
     let Refilled { engine, continued } = if options.origin == "run" {
         tokio::select! {
             refilled = refill_in_background(&config, &faults) => refilled,
@@ -198,7 +199,6 @@ pub async fn run(
     let (publisher, publishing) =
         Publisher::start(session.clone(), last.clone(), signer.clone(), (metrics.clone(), faults.clone()))?;
     let run = RunInfo { continued, ..run_info(&config, config_text, &options, &daemon_id, run_number) };
-    let retention = Arc::new(Mutex::new(config.retention));
     let run_id = run.run_id.clone();
     let (recorder, recording) = Recorder::start(run, config.recording.clone(), metrics.clone(), faults.clone())?;
     let progress = recorder.progress();
@@ -215,7 +215,7 @@ pub async fn run(
         dir: recordings.clone(),
         prefix: config.site.prefix.clone(),
         run_id,
-        retention: retention.clone(),
+        config: current.clone(),
         lock,
         notes: keeper.as_ref().map(Keeper::notes),
         verified,
@@ -244,7 +244,7 @@ pub async fn run(
     let queryables = queries.answer(&session, &daemon_id, &last).await?;
     let parts = Parts {
         engine: engine.of_daemon(&daemon_id),
-        config: Arc::new(config.clone()),
+        config: current.get(),
         input: (budget, shares),
         workers,
         diagnoser,
@@ -268,7 +268,7 @@ pub async fn run(
         core.run(&incoming, &wishes, &stopping);
     })?;
     let mine = (prefix.as_str(), daemon_id.as_str(), config.shard);
-    subscribers.extend(presence::watch_own_keys(&session, mine, &faults, &metrics).await?);
+    let foreign = presence::watch_own_keys(&session, mine, &faults, &metrics).await?;
     let bus = source::zenoh::session_config(&config)?;
     if let Some(why) = deaf {
         let why = presence::listener_problem(&config.zenoh.listen, &why);
@@ -290,17 +290,20 @@ pub async fn run(
     );
 
     tell_system(&[NotifyState::Ready]);
-    let reload = options.config_path.map(|path| Reload::new(path, config, retention, commands));
+    let (file, reached) = (options.config_file, control.clone());
+    let mut reload =
+        Reload::new(ReloadParts { file, current, control: reached, askers, subscriptions, faults: faults.clone() });
     threads.insert(0, ("engine", core));
     let unasked = tokio::select! {
-        () = signals::serve_until(stop, hangups, reload, (&control, &askers), &faults) => None,
+        () = signals::serve_until(stop, hangups, &mut reload) => None,
         name = shutdown::unasked_end(&threads) => Some(name),
     };
     tracing::info!("stopping");
     tell_system(&[NotifyState::Stopping]);
     watching.abort();
     drop(control);
-    for subscriber in subscribers {
+    reload.close().await;
+    for subscriber in foreign {
         let _ = subscriber.undeclare().await;
     }
     let _ = token.undeclare().await;
@@ -407,10 +410,8 @@ fn run_info(config: &Config, config_text: String, options: &RunOptions, daemon_i
         started_ns,
         run_number: (run_number > 0).then_some(run_number),
         origin: options.origin,
-        config_text,
-        config_hash: config.hash(),
+        config: RecordedConfig::new(config, config_text),
         daemon: daemon_id.to_owned(),
-        loop_map: serde_json::to_string(&config.loops).unwrap_or_default(),
         raw: config.recording.raw.clone(),
         continued: BTreeMap::new(),
     }

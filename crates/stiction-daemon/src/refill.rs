@@ -3,7 +3,7 @@
 //! The newest files of each shard are replayed without their windows. The first file of the new run names the last of them
 //! as the one before it and the first of them as where its windows begin: so it replays to the byte, and no sample is
 //! recorded twice. Loops keep their shards. Where the wall clock says that a loop was silent for longer than a window, or
-//! where its settings of windows have changed, it begins anew.
+//! where its keys or the sizes of its window have changed, it begins anew.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -126,7 +126,7 @@ impl Reading<'_> {
         let prefix = &self.config.site.prefix;
         let files = self.files_up_to(last)?;
         let (Some(first), Some(newest)) = (files.first(), files.last()) else { return Ok(()) };
-        let mut rerun = Rerun::of_streams(self.settings.clone(), self.until);
+        let mut rerun = Rerun::of_streams(self.config, self.until);
         for (at, file) in files.iter().enumerate() {
             rerun.file(file, prefix, at == 0, false)?;
         }
@@ -159,10 +159,7 @@ impl Reading<'_> {
     fn goes_on(&self, name: &str, greatest_ns: Option<i64>, before: Option<&EngineSettings>) -> bool {
         let settings = self.settings.of(name);
         let longest_ns = ns_from_s(settings.window.max_window_s).unsigned_abs();
-        let is_same = |old: &EngineSettings| {
-            let old = old.of(name);
-            (&old.window, &old.align) == (&settings.window, &settings.align)
-        };
+        let is_same = |old: &EngineSettings| old.of(name).window_continues_under(settings);
         self.config.shard.owns(name)
             && (self.config.input.discover || self.settings.own.contains_key(name))
             && greatest_ns.is_some_and(|t_ns| t_ns.abs_diff(self.now_ns) <= longest_ns)

@@ -1,127 +1,146 @@
-//! Settings that change while the daemon runs, and those that cannot.
+//! The configuration file of a running daemon: read at the start and again on each reload.
 
-use std::collections::BTreeMap;
 use std::path::PathBuf;
-use std::sync::{Arc, Mutex, PoisonError, RwLock};
+use std::sync::Arc;
+use std::time::Duration;
 
-use serde_json::Value;
+use anyhow::{Context, anyhow, bail};
+use crossbeam_channel::{Sender, TrySendError};
 
-use stiction_monitor::config::{Commands, Config, Retention};
+use crate::source::askers::Askers;
+use crate::source::zenoh::Subscriptions;
+use stiction_monitor::config::{Changes, Config};
+use stiction_monitor::shard::Shard;
+use stiction_runtime::control::{Control, Edit};
 use stiction_runtime::faults::Faults;
+use stiction_runtime::view::CurrentConfig;
 
-/// Settings that take effect at once; all others do at the next start.
-const AT_ONCE: [&str; 6] = [
-    "commands.enabled",
-    "commands.per_minute",
-    "commands.runs_per_hour",
-    "retention",
-    "recording.max_bytes",
-    "recording.max_s",
-];
 /// Name of the fault while the file cannot be used.
 const FAULT: &str = "config";
+/// Pause before the engine's queue is tried again.
+const AGAIN_AFTER: Duration = Duration::from_millis(20);
 
-/// A configuration file that is read again when somebody asks for it.
-pub struct Reload {
-    path: PathBuf,
-    current: Config,
-    retention: Arc<Mutex<Retention>>,
-    commands: Arc<RwLock<Commands>>,
+/// A configuration file, and what the command line says in its place.
+#[derive(Debug, Clone)]
+pub struct ConfigFile {
+    /// Where it is.
+    pub path: PathBuf,
+    /// `--id`.
+    pub id: Option<String>,
+    /// `--shard`.
+    pub shard: Option<Shard>,
 }
 
-impl Reload {
-    /// The file, what was read from it at the start, and where the retention worker and the web server look.
-    #[must_use]
-    pub const fn new(
-        path: PathBuf,
-        current: Config,
-        retention: Arc<Mutex<Retention>>,
-        commands: Arc<RwLock<Commands>>,
-    ) -> Self {
-        Self { path, current, retention, commands }
+impl ConfigFile {
+    /// Reads the file. Gives its text too.
+    ///
+    /// # Errors
+    /// It cannot be read, or has faults: all of them, a line each.
+    pub fn read(&self) -> anyhow::Result<(Config, String)> {
+        let path = self.path.display();
+        let text = std::fs::read_to_string(&self.path).with_context(|| path.to_string())?;
+        let mut config = Config::parse(&text).map_err(|faults| {
+            let lines: String = faults.iter().map(|fault| format!("\n  {fault}")).collect();
+            anyhow!("{path}: the configuration has faults:{lines}")
+        })?;
+        config.shard = self.shard.unwrap_or(config.shard);
+        if let Some(id) = &self.id {
+            config.daemon.id.clone_from(id);
+        }
+        Ok((config, text))
     }
 
-    /// Reads the file again. Gives the configuration whose changeable settings hold from now on; says which cannot
-    /// change. A file with faults changes nothing, and is a fault until it is mended and read again.
-    pub fn read(&mut self, faults: &Faults) -> Option<Config> {
-        let path = self.path.display();
-        let text = std::fs::read_to_string(&self.path).map_err(|error| format!("{path}: {error}"));
-        let parsed = text.and_then(|text| {
-            Config::parse(&text).map_err(|faults| {
-                let list: Vec<String> = faults.iter().map(ToString::to_string).collect();
-                format!("{path}: {}", list.join("; "))
-            })
-        });
-        match parsed {
-            Ok(config) => {
-                faults.clear(FAULT);
-                let (now, later) = changes(&self.current, &config);
-                if !later.is_empty() {
-                    tracing::warn!(settings = later.join(", "), "changed in the file, but held until the next start");
-                }
-                tracing::info!(settings = now.join(", "), "configuration reloaded; these settings are in force");
-                self.current.commands = config.commands.clone();
-                *self.commands.write().unwrap_or_else(PoisonError::into_inner) = config.commands;
-                self.current.retention = config.retention;
-                *self.retention.lock().unwrap_or_else(PoisonError::into_inner) = config.retention;
-                self.current.recording.max_bytes = config.recording.max_bytes;
-                self.current.recording.max_s = config.recording.max_s;
-                Some(self.current.clone())
-            }
-            Err(why) => {
-                faults.raise(FAULT, format!("the changed configuration is not used, the old one holds: {why}"));
-                None
-            }
+    /// The edit that the file asks for now.
+    ///
+    /// # Errors
+    /// Those of [`ConfigFile::read`], or settings that cannot change while the daemon runs.
+    fn edit_of(&self, current: &Config) -> anyhow::Result<Edit> {
+        let (config, text) = self.read()?;
+        let changes = current.changes_to(&config);
+        match changes.refusal() {
+            Some(why) => bail!("{}: {why}", self.path.display()),
+            None => Ok(Edit { config: Arc::new(config), text, changes }),
         }
     }
 }
 
-/// What differs: settings that can change at once, and those that cannot.
-fn changes(old: &Config, new: &Config) -> (Vec<String>, Vec<String>) {
-    let (old, new) = (settings(old), settings(new));
-    let keys = old.keys().chain(new.keys().filter(|key| !old.contains_key(*key)));
-    let differing = keys.filter(|key| old.get(*key) != new.get(*key)).cloned();
-    let at_once = |key: &String| AT_ONCE.iter().any(|known| key == known || key.starts_with(&format!("{known}.")));
-    differing.partition(at_once)
+/// Takes edits of the configuration file over, as a whole or not at all.
+pub struct Reload {
+    file: Option<ConfigFile>,
+    current: CurrentConfig,
+    control: Sender<Control>,
+    askers: Askers,
+    subscriptions: Subscriptions,
+    faults: Arc<Faults>,
 }
 
-/// Every setting by its dotted key. What is left out of the hash at its default stands here too.
-fn settings(config: &Config) -> BTreeMap<String, Value> {
-    let mut root = serde_json::to_value(config).unwrap_or_default();
-    for (key, table) in [
-        ("commands", serde_json::to_value(&config.commands)),
-        ("signing", serde_json::to_value(&config.signing)),
-        ("retention", serde_json::to_value(config.retention)),
-        ("gap", serde_json::to_value(config.gap)),
-        ("deliver", serde_json::to_value(&config.deliver)),
-        ("daemon", serde_json::to_value(&config.daemon)),
-        ("shard", serde_json::to_value(config.shard)),
-    ] {
-        root[key] = table.unwrap_or_default();
-    }
-    root["web"]["loop_series"] = config.web.loop_series.into();
-    root["web"]["max_loop_series"] = config.web.max_loop_series.into();
-    if let (Value::Object(web), Ok(Value::Object(page))) = (&mut root["web"], serde_json::to_value(&config.web.page)) {
-        web.extend(page);
-    }
-    root["input"]["queue_bytes"] = config.input.queue_bytes.into();
-    root["input"]["new_loops_per_hour"] = config.input.new_loops_per_hour.into();
-    root["input"]["forget_after_s"] = config.input.forget_after_s.into();
-    root["input"]["max_rate_hz"] = config.input.max_rate_hz.into();
-    root["input"]["max_ahead_s"] = config.input.max_ahead_s.into();
-    let mut flat = BTreeMap::new();
-    flatten("", &root, &mut flat);
-    flat
+/// What an edit reaches.
+pub struct ReloadParts {
+    /// The file; none where there is nothing to read again.
+    pub file: Option<ConfigFile>,
+    /// The configuration in force.
+    pub current: CurrentConfig,
+    /// The way to the engine.
+    pub control: Sender<Control>,
+    /// Who asks over the bus.
+    pub askers: Askers,
+    /// The keys that are subscribed to.
+    pub subscriptions: Subscriptions,
+    /// The faults.
+    pub faults: Arc<Faults>,
 }
 
-fn flatten(key: &str, value: &Value, out: &mut BTreeMap<String, Value>) {
-    let Value::Object(table) = value else {
-        out.insert(key.to_owned(), value.clone());
-        return;
-    };
-    for (name, value) in table {
-        let dotted = if key.is_empty() { name.clone() } else { format!("{key}.{name}") };
-        flatten(&dotted, value, out);
+impl Reload {
+    /// Of these parts.
+    #[must_use]
+    pub fn new(parts: ReloadParts) -> Self {
+        let ReloadParts { file, current, control, askers, subscriptions, faults } = parts;
+        Self { file, current, control, askers, subscriptions, faults }
+    }
+
+    /// Reads the file again and takes over what changed: once this returns, it is in force. A file that cannot be used
+    /// changes nothing, and is a fault until a later one can.
+    ///
+    /// # Errors
+    /// Why the file is not used.
+    pub async fn run(&mut self) -> anyhow::Result<Changes> {
+        let Some(file) = &self.file else { bail!("this daemon has no configuration file to read again") };
+        let edit = match file.edit_of(&self.current.get()) {
+            Ok(edit) => edit,
+            Err(error) => {
+                // One line, as all faults.
+                let why = format!("{error:#}").replace("\n  ", " ");
+                self.faults.raise(FAULT, format!("the changed configuration is not used, the old one holds: {why}"));
+                return Err(error);
+            }
+        };
+        let (changes, config) = (edit.changes.clone(), edit.config.clone());
+        let (answer, answered) = tokio::sync::oneshot::channel();
+        let answer = Box::new(move || answer.send(()).unwrap_or(()));
+        hand_over(&self.control, Control::Edit { edit: Box::new(edit), answer }).await;
+        answered.await.map_err(|_| anyhow!("the daemon is stopping"))?;
+        self.current.set(config.clone());
+        self.askers.limit(&config.commands);
+        self.subscriptions.follow(&config).await.inspect_err(|error| {
+            self.faults
+                .raise(FAULT, format!("the changed configuration is in force, but some loops hear nothing: {error:#}"));
+        })?;
+        self.faults.clear(FAULT);
+        tracing::info!(changes = %changes.to_string().replace('\n', "; "), "configuration reloaded; these changes are in force");
+        Ok(changes)
+    }
+
+    /// Gives the subscriptions up.
+    pub async fn close(self) {
+        self.subscriptions.close().await;
+    }
+}
+
+/// Waits until the engine's queue has taken a wish, or the engine is gone.
+async fn hand_over(control: &Sender<Control>, mut wish: Control) {
+    while let Err(TrySendError::Full(refused)) = control.try_send(wish) {
+        wish = refused;
+        tokio::time::sleep(AGAIN_AFTER).await;
     }
 }
 
@@ -130,29 +149,25 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_changed_file_says_what_holds_now_and_a_broken_one_changes_nothing() {
+    fn a_file_is_used_as_a_whole_or_not_at_all() {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join("c.toml");
-        let first = "[site]\nprefix = \"p\"\n";
-        let commands: Arc<RwLock<Commands>> = Arc::default();
-        let mut reload = Reload::new(path.clone(), Config::parse(first).unwrap(), Arc::default(), commands.clone());
-        let faults = Faults::default();
-        let changed = format!(
-            "{first}[web]\npage = false\n[window]\nhop_s = 60\n[commands]\nper_minute = 7\n[recording]\nmax_s = 9\n"
-        );
-        let new = Config::parse(&changed).unwrap();
-        let (now, later) = changes(&reload.current, &new);
-        assert_eq!(now, ["commands.per_minute", "recording.max_s"]);
-        assert_eq!(later, ["web.page", "window.hop_s"]);
-        std::fs::write(&path, changed).unwrap();
-        let held = reload.read(&faults).unwrap();
-        assert_eq!((held.commands.per_minute, held.recording.max_s, held.window.hop_s), (7, 9.0, 600.0));
-        assert_eq!(commands.read().unwrap().per_minute, 7);
-        std::fs::write(&path, "[site]\nprefx = 1\n").unwrap();
-        assert!(reload.read(&faults).is_none());
-        assert!(faults.list()[0].contains("the old one holds"), "{:?}", faults.list());
-        std::fs::write(&path, first).unwrap();
-        assert_eq!(reload.read(&faults).unwrap().commands.per_minute, 300);
-        assert!(faults.list().is_empty());
+        let file = ConfigFile { path: path.clone(), id: Some("a".into()), shard: Shard::new(1, 2) };
+        let write = |text: &str| std::fs::write(&path, format!("[site]\nprefix = \"p\"\n{text}")).unwrap();
+        write("");
+        let (current, _) = file.read().unwrap();
+        assert_eq!((current.daemon.id.as_str(), current.shard), ("a", Shard::new(1, 2).unwrap()));
+        let refused = |text: &str| {
+            write(text);
+            file.edit_of(&current).map(|_| ()).unwrap_err().to_string()
+        };
+        let why = refused("[web]\npage = false\n[[loop]]\nname = \"A\"\n");
+        assert!(why.contains("c.toml") && why.contains("web.page") && why.contains("restart the daemon"), "{why}");
+        let why = refused("[web]\npge = false\n");
+        assert!(why.contains("c.toml") && why.contains("line 4: web.pge"), "{why}");
+        write("[commands]\nper_minute = 7\n[[loop]]\nname = \"A\"\n");
+        let edit = file.edit_of(&current).unwrap();
+        assert_eq!(edit.changes.to_string(), "added: A\nsettings: commands.per_minute");
+        assert!(file.edit_of(&edit.config).unwrap().changes.is_empty());
     }
 }

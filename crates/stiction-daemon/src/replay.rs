@@ -47,7 +47,6 @@ pub enum PlantEvent {
 /// An engine that is driven by recorded messages.
 pub struct Replay {
     engine: Engine,
-    settings: EngineSettings,
     /// The loops of the run before, where a file begins another.
     before: Option<Engine>,
     /// Windows are cut and given up, results passed over: only the loops' streams go on.
@@ -94,8 +93,7 @@ impl Replay {
     #[must_use]
     pub fn new(settings: EngineSettings, at_once: bool) -> Self {
         Self {
-            engine: Engine::new(settings.clone()),
-            settings,
+            engine: Engine::new(settings),
             before: None,
             streams_alone: false,
             waiting: HashMap::new(),
@@ -113,12 +111,22 @@ impl Replay {
         self.streams_alone = streams_alone;
     }
 
-    /// A file begins another run: of the loops so far those go on that its head names.
-    pub fn begin_run(&mut self) {
-        self.before = Some(std::mem::replace(&mut self.engine, Engine::new(self.settings.clone())));
+    /// The replay begins, under these settings.
+    pub fn begin(&mut self, settings: EngineSettings) {
+        self.engine = Engine::new(settings);
+    }
+
+    /// A file begins another run, under these settings: of the loops so far those go on that its head names.
+    pub fn begin_run(&mut self, settings: EngineSettings) {
+        self.before = Some(std::mem::replace(&mut self.engine, Engine::new(settings)));
         self.waiting.clear();
         self.places.clear();
         self.gaps.clear();
+    }
+
+    /// A file was recorded after an edit of the configuration, which happens here.
+    pub fn edit(&mut self, settings: EngineSettings) {
+        self.engine.reconfigure(settings);
     }
 
     /// The engine as it is now.
@@ -173,7 +181,8 @@ impl Replay {
     /// Does what outside time or people did there.
     fn obey(&mut self, id: LoopId, input: RecordedInput, out: &mut Vec<Output>) -> anyhow::Result<()> {
         match input {
-            RecordedInput::Command(_) | RecordedInput::GapRun { .. } if self.streams_alone => {}
+            RecordedInput::Command(_) | RecordedInput::GapRun { .. } | RecordedInput::Removed if self.streams_alone => {
+            }
             RecordedInput::Skip { seq, .. } => {
                 self.waiting.entry(id).or_default().retain(|r| r.seq != seq);
                 self.places.entry(id).or_default().skipped.insert(seq);
@@ -201,6 +210,11 @@ impl Replay {
                 self.places.remove(&id);
                 self.waiting.remove(&id);
                 self.gaps.remove(&id);
+            }
+            RecordedInput::Removed => {
+                if let Some(document) = self.engine.end_alarm(id) {
+                    out.extend(self.output(id, Kind::Alarm, &document));
+                }
             }
             RecordedInput::GapCut { number, evaluations } => {
                 let waiting = self.gaps.entry(id).or_default().iter_mut();

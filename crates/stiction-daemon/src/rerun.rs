@@ -2,7 +2,7 @@
 //! one thread reads ahead, the lanes work through a block of messages side by side, and what they made is put into the order in
 //! which the messages stand. So the bytes are those of one engine that takes one message after the other.
 
-use std::collections::{HashMap, VecDeque};
+use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
@@ -12,10 +12,11 @@ use anyhow::{Context, anyhow, bail};
 use super::replay::{Output, PlantEvent, Replay};
 use super::replay_plant::ReplayPlant;
 use stiction::record::Sample;
+use stiction_files::run::{ORIGINS, RunMetadata};
 use stiction_files::{End, Item, RecordingReader};
 use stiction_monitor::codec::topic::{Kind, Leaf, Topic};
 use stiction_monitor::config::Config;
-use stiction_monitor::engine::{Engine, EngineSettings, StateDocument};
+use stiction_monitor::engine::{Engine, EngineSettings, Origins, StateDocument};
 use stiction_monitor::shard::stable_hash;
 use stiction_runtime::cores::share;
 
@@ -94,23 +95,21 @@ struct Comparing<'a> {
 }
 
 impl Rerun {
-    /// A replay under a configuration, as the daemon of this id had it. `at_once` is for recordings without results.
+    /// A replay under a configuration until a file says another one, as the daemon of this id had it. `at_once` is for
+    /// recordings without results.
     #[must_use]
     pub fn new(config: &Config, daemon: Option<&str>, at_once: bool) -> Self {
-        Self::under(EngineSettings { daemon: daemon.map(Into::into), ..config.engine() }, at_once)
-    }
-
-    fn under(settings: EngineSettings, at_once: bool) -> Self {
+        let settings = EngineSettings { daemon: daemon.map(Into::into), ..config.engine() };
         let lane = |_| Mutex::new(Replay::new(settings.clone(), at_once));
         let (lanes, places) = ((0..LANES).map(lane).collect(), Engine::new(settings.clone()));
         let plant = ReplayPlant::new(settings.daemon.as_deref());
         Self { lanes, settings, places, until: None, plant }
     }
 
-    /// Only the loops' streams, under these settings and until this moment: after it [`Rerun::file`] fails.
+    /// Only the loops' streams, until this moment: after it [`Rerun::file`] fails.
     #[must_use]
-    pub fn of_streams(settings: EngineSettings, until: Instant) -> Self {
-        let mut rerun = Self { until: Some(until), ..Self::under(settings, false) };
+    pub fn of_streams(config: &Config, until: Instant) -> Self {
+        let mut rerun = Self { until: Some(until), ..Self::new(config, None, false) };
         rerun.each(|replay| replay.set_streams_alone(true));
         rerun
     }
@@ -136,11 +135,7 @@ impl Rerun {
     pub fn file(&mut self, path: &Path, prefix: &str, first: bool, verify: bool) -> anyhow::Result<FileReport> {
         let mut reader = RecordingReader::open(path)?;
         let begins_run = reader.metadata().get("file_index").is_some_and(|index| index == "0");
-        if begins_run && !first {
-            self.each(Replay::begin_run);
-            self.places = Engine::new(self.settings.clone());
-            self.plant = ReplayPlant::new(self.settings.daemon.as_deref());
-        }
+        self.follow(reader.metadata(), path, first, begins_run)?;
         let (everything, until) = (first || begins_run, self.until);
         let Self { lanes, places, plant, .. } = self;
         let lanes = &lanes[..];
@@ -160,6 +155,40 @@ impl Rerun {
             let reader = reading.join().map_err(|_| anyhow!("{}: internal error while reading", path.display()))??;
             Ok(comparing.close(reader.end()))
         })
+    }
+}
+
+impl Rerun {
+    /// Takes over the configuration that a file was recorded under. Within a run it is another one after an edit.
+    fn follow(
+        &mut self,
+        metadata: &BTreeMap<String, String>,
+        path: &Path,
+        first: bool,
+        begins_run: bool,
+    ) -> anyhow::Result<()> {
+        let recorded: Option<Origins> = metadata.get(ORIGINS).and_then(|json| serde_json::from_str(json).ok());
+        let is_same = metadata.get("config_hash").filter(|hash| !hash.is_empty()).is_none_or(|hash| {
+            let origins = recorded.unwrap_or_else(|| Origins::new(hash));
+            **hash == *self.settings.config_hash && origins == self.settings.origins
+        });
+        if !is_same {
+            let daemon = self.settings.daemon.clone();
+            self.settings = EngineSettings { daemon, ..RunMetadata::of(path, metadata)?.engine() };
+        }
+        let settings = self.settings.clone();
+        if begins_run && !first {
+            self.each(|replay| replay.begin_run(settings.clone()));
+            self.plant = ReplayPlant::new(settings.daemon.as_deref());
+            self.places = Engine::new(settings);
+        } else if first && !is_same {
+            self.each(|replay| replay.begin(settings.clone()));
+            self.places = Engine::new(settings);
+        } else if !is_same {
+            self.each(|replay| replay.edit(settings.clone()));
+            self.places.reconfigure(settings);
+        }
+        Ok(())
     }
 }
 

@@ -6,7 +6,7 @@ use std::collections::{BTreeMap, HashMap};
 use std::fs;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant, SystemTime};
 
@@ -21,6 +21,7 @@ use stiction_monitor::config::Retention;
 use stiction_runtime::clock::Clock;
 use stiction_runtime::faults::Faults;
 use stiction_runtime::metrics::Metrics;
+use stiction_runtime::view::CurrentConfig;
 
 /// Pause between two looks at the folder.
 const EVERY: Duration = Duration::from_secs(30);
@@ -46,8 +47,8 @@ pub struct RetentionParts {
     pub prefix: String,
     /// The run whose open files are in use.
     pub run_id: String,
-    /// What may be kept; may change.
-    pub retention: Arc<Mutex<Retention>>,
+    /// The configuration in force, which says what may be kept.
+    pub config: CurrentConfig,
     /// The folder's lock.
     pub lock: Option<FolderLock>,
     /// Where files that were found whole are remembered; none in a demonstration.
@@ -141,7 +142,7 @@ impl RetentionWorker {
         tell_aside(&self.parts.dir, &self.parts.faults);
         let files = self.files();
         tell_room(&self.parts.dir, files.iter().map(|k| k.bytes).sum(), &self.parts.faults);
-        let retention = *self.parts.retention.lock().unwrap_or_else(PoisonError::into_inner);
+        let retention = self.parts.config.get().retention;
         let newest_before = files.iter().filter(|k| k.file.run_id != self.parts.run_id).map(|k| k.modified_ns).max();
         let sure = self.doubt.look(self.parts.clock.now_ns(), self.parts.clock.now(), newest_before);
         match sure {
@@ -457,7 +458,7 @@ mod tests {
             dir: dir.to_owned(),
             prefix: "p".into(),
             run_id: "now".into(),
-            retention: Arc::default(),
+            config: CurrentConfig::new(stiction_monitor::config::Config::with_prefix("p")),
             lock: None,
             notes,
             verified,

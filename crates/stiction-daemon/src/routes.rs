@@ -62,12 +62,7 @@ impl Routes {
         if let Some(route) = self.known.get(key) {
             return *route;
         }
-        let meant = self.mapped.get(key).map(|(name, signal)| (name.as_str(), *signal));
-        let raw = || match Topic::parse(Some(&self.prefix), key)? {
-            Topic { loop_name, leaf: Leaf::Raw(signal), .. } => Some((loop_name, signal)),
-            Topic { .. } => None,
-        };
-        let route = match meant.or_else(raw) {
+        let route = match self.meaning(key) {
             None => Route::Foreign,
             Some((name, signal)) => self.to_loop(name, signal, engine, may_appear),
         };
@@ -76,6 +71,15 @@ impl Routes {
             self.shares.learn(key);
         }
         route
+    }
+
+    /// The loop and the signal that a key means.
+    fn meaning<'a>(&'a self, key: &'a str) -> Option<(&'a str, Signal)> {
+        let mapped = self.mapped.get(key).map(|(name, signal)| (name.as_str(), *signal));
+        mapped.or_else(|| match Topic::parse(Some(&self.prefix), key)? {
+            Topic { loop_name, leaf: Leaf::Raw(signal), .. } => Some((loop_name, signal)),
+            Topic { .. } => None,
+        })
     }
 
     /// The route of a loop's signal, which came under a name in a payload or under a key.
@@ -101,6 +105,22 @@ impl Routes {
             }
             stays
         });
+    }
+
+    /// Takes over which keys are mapped and which loops are named; keys that mean something else now are forgotten.
+    pub fn reconfigure(&mut self, config: &Config, engine: &Engine) {
+        let before = std::mem::replace(self, Self::new(config, self.shares.clone()));
+        for (key, route) in before.known {
+            let is_same = match (route, self.meaning(&key)) {
+                (Route::To(id, signal), Some(meant)) => meant == (&**engine.name(id), signal),
+                _ => false,
+            };
+            if is_same {
+                self.known.insert(key, route);
+            } else {
+                self.shares.unlearn(&key);
+            }
+        }
     }
 
     /// Keys that it holds.

@@ -7,7 +7,7 @@
 
 use std::collections::BTreeMap;
 use std::path::Path;
-use std::sync::{Arc, Mutex, RwLock};
+use std::sync::{Arc, RwLock};
 use std::time::Duration;
 
 use crossbeam_channel::{Receiver, Sender};
@@ -21,22 +21,23 @@ use super::retention::{RetentionParts, RetentionWorker};
 use super::worker::{Answered, Job, Workers};
 use crate::sink::deliver::{Delivery, MakeTarget, Outbox};
 use crate::sink::keeper::{self, Keeper};
-use crate::sink::recorder::{Recorder, RunInfo, Writer};
+use crate::sink::recorder::{RecordedConfig, Recorder, RunInfo, Writer};
 use crate::sink::zenoh::{Outgoing, Publication, Publisher};
 use crate::source::shares::Shares;
 use crate::source::{CONTROL_QUEUE, Envelope, Intake, Message};
 use stiction::verdict::Assessment;
 use stiction_files::disk::Disk;
 use stiction_monitor::alarm::Command;
-use stiction_monitor::config::{Config, Deliver};
+use stiction_monitor::config::{Changes, Config, Deliver};
 use stiction_monitor::engine::{Comparison, Engine, GapRequest, Request};
 use stiction_runtime::clock::Clock;
-use stiction_runtime::control::{Answer, Control};
+use stiction_runtime::control::{Answer, Control, Edit};
 use stiction_runtime::faults::Faults;
 use stiction_runtime::health::{DaemonHealth, HealthSnapshot};
 use stiction_runtime::metrics::Metrics;
 use stiction_runtime::overview::Overview;
 use stiction_runtime::queue::Budget;
+use stiction_runtime::view::CurrentConfig;
 
 /// Windows handed to the stage's holder ahead of their fits: as with one worker.
 const AT_HAND: usize = 1;
@@ -117,7 +118,7 @@ impl SimDaemon {
             dir,
             prefix,
             run_id: run_id.clone(),
-            retention: Arc::new(Mutex::new(config.retention)),
+            config: CurrentConfig::new(config.clone()),
             lock: None,
             notes: Some(keeper.notes()),
             verified,
@@ -313,10 +314,13 @@ impl SimDaemon {
         self.core.remains()
     }
 
-    /// Settings that were read again arrive.
-    #[cfg(test)]
-    pub fn settings(&self, config: Config) {
-        assert!(self.control.try_send(Control::Settings(Box::new(config))).is_ok());
+    /// A configuration that was read again arrives, and is taken over with the next turn; says what differs in it. `None`
+    /// where it is refused: it changes what cannot change while the daemon runs, or the daemon is too busy for it.
+    pub fn edit(&self, config: Config, text: &str) -> Option<Changes> {
+        let changes = self.core.config().changes_to(&config);
+        let edit = Edit { config: Arc::new(config), text: text.to_owned(), changes: changes.clone() };
+        let wish = Control::Edit { edit: Box::new(edit), answer: Box::new(|| ()) };
+        (changes.refusal().is_none() && self.control.try_send(wish).is_ok()).then_some(changes)
     }
 
     /// Names this run in its recordings.
@@ -344,10 +348,8 @@ fn run_of(config: &Config, config_text: &str, clock: &Clock, run_number: u64) ->
         started_ns,
         run_number: (run_number > 0).then_some(run_number),
         origin: "stage",
-        config_text: config_text.to_owned(),
-        config_hash: config.hash(),
+        config: RecordedConfig::new(config, config_text.to_owned()),
         daemon: DAEMON_ID.to_owned(),
-        loop_map: String::new(),
         raw: config.recording.raw.clone(),
         continued: BTreeMap::new(),
     }

@@ -8,9 +8,13 @@ use anyhow::{anyhow, bail};
 use crate::rescue::{REMOVED, SAMPLES_KEY};
 use crate::{InputKind, RecordingReader};
 use stiction_monitor::config::Config;
+use stiction_monitor::engine::{EngineSettings, Origins};
 
 /// Metadata of a run that goes on from another: the first file that its loops were read from.
 pub const REFILLED_FROM: &str = "refilled_from";
+
+/// Metadata of files after an edit of the configuration: where the loops' settings come from, as JSON of [`Origins`].
+pub const ORIGINS: &str = "settings_from";
 
 /// What a recording says of how it was made.
 #[derive(Debug, Clone)]
@@ -23,6 +27,8 @@ pub struct RunMetadata {
     pub config: Config,
     /// Hash of the configuration, as recorded.
     pub config_hash: String,
+    /// Where the loops' settings come from; `None` where that is this configuration alone.
+    pub origins: Option<Origins>,
     /// Id of the daemon, as its documents carry it; none in recordings of before.
     pub daemon: Option<String>,
     /// The shard's file before, of the same run or of the one that it goes on from; empty for the first.
@@ -64,6 +70,7 @@ impl RunMetadata {
             prefix,
             version: get("version"),
             config_hash: get("config_hash"),
+            origins: serde_json::from_str(&get(ORIGINS)).ok(),
             daemon: metadata.get("daemon").cloned(),
             config,
             previous: get("previous"),
@@ -71,6 +78,16 @@ impl RunMetadata {
             lost_before: get("lost_before").parse().unwrap_or(0),
             has_results: matches!(get("origin").as_str(), "run" | "demo" | "simulate"),
         })
+    }
+}
+
+impl RunMetadata {
+    /// Settings of the engine that made the file.
+    #[must_use]
+    pub fn engine(&self) -> EngineSettings {
+        let settings = self.config.engine();
+        let origins = self.origins.clone().unwrap_or_else(|| settings.origins.clone());
+        EngineSettings { origins, ..settings }
     }
 }
 

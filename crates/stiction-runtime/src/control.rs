@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use stiction_monitor::alarm::Command;
-use stiction_monitor::config::Config;
+use stiction_monitor::config::{Changes, Config};
 use stiction_monitor::engine::{LoopSettings, Snapshot};
 
 /// How a command is answered: the new document, or what is wrong with the command.
@@ -47,6 +47,21 @@ pub enum Control {
         /// Where the answer goes.
         answer: Box<dyn FnOnce(Option<WindowSnapshot>) + Send>,
     },
-    /// A reload: these settings replace the current ones.
-    Settings(Box<Config>),
+    /// A reload: another configuration takes the place of the one in force.
+    Edit {
+        /// The other configuration.
+        edit: Box<Edit>,
+        /// Called once it is in force.
+        answer: Box<dyn FnOnce() + Send>,
+    },
+}
+
+/// A configuration that a running daemon takes over.
+pub struct Edit {
+    /// The configuration.
+    pub config: Arc<Config>,
+    /// Its text, which recordings hold.
+    pub text: String,
+    /// What differs in it from the one in force.
+    pub changes: Changes,
 }

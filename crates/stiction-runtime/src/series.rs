@@ -27,6 +27,18 @@ pub struct About {
     criticality: String,
 }
 
+impl About {
+    fn new(name: &str, place: &LoopContext) -> Self {
+        let text = |text: &Option<String>| text.clone().unwrap_or_default();
+        Self {
+            r#loop: name.to_owned(),
+            area: text(&place.area),
+            equipment: text(&place.equipment),
+            criticality: place.criticality.map_or_else(String::new, |c| c.to_string()),
+        }
+    }
+}
+
 type Number = Family<Loop, Gauge<f64, AtomicU64>>;
 
 /// The series themselves.
@@ -96,7 +108,22 @@ impl LoopMetrics {
         on.then(|| Self { room: limit - named.len(), named, keys: HashMap::new() })
     }
 
-    /// Loops that it holds.
+    /// Other loops are named: those have their places whatever the limit.
+    pub fn name_loops(&mut self, config: &Config) {
+        let limit = config.web.max_loop_series;
+        self.named = config.loops.iter().take(limit).map(|l| l.name.clone()).collect();
+        let unnamed = self.keys.iter().filter(|(name, key)| key.is_some() && !self.named.contains(name));
+        self.room = (limit - self.named.len()).saturating_sub(unnamed.count());
+    }
+
+    /// The configuration says something else of a loop: its labels follow.
+    pub fn describe(&mut self, series: &LoopSeries, name: &str, place: &LoopContext) {
+        let Some(Some((_, about))) = self.keys.get_mut(name) else { return };
+        series.about.remove(about);
+        *about = About::new(name, place);
+        series.about.get_or_create(about).set(1);
+    }
+
     /// How many loops have a series.
     #[must_use]
     pub fn count(&self) -> usize {
@@ -116,13 +143,7 @@ impl LoopMetrics {
         }
         self.room -= usize::from(!named);
         let key = Loop { r#loop: name.to_owned() };
-        let text = |text: &Option<String>| text.clone().unwrap_or_default();
-        let about = About {
-            r#loop: name.to_owned(),
-            area: text(&place.area),
-            equipment: text(&place.equipment),
-            criticality: place.criticality.map_or_else(String::new, |c| c.to_string()),
-        };
+        let about = About::new(name, place);
         series.about.get_or_create(&about).set(1);
         self.keys.insert(name.to_owned(), Some((key.clone(), about)));
         Some(key)

@@ -2,7 +2,7 @@
 
 use std::net::SocketAddr;
 use std::pin::Pin;
-use std::sync::{Arc, RwLock};
+use std::sync::{Arc, PoisonError, RwLock};
 
 use crossbeam_channel::Sender;
 use prometheus_client::registry::Registry;
@@ -12,20 +12,41 @@ use crate::faults::Faults;
 use crate::health::HealthSnapshot;
 use crate::last_values::LastValues;
 use crate::overview::Overview;
-use stiction_monitor::config::{Commands, Config};
+use stiction_monitor::config::Config;
+
+/// The configuration in force, which a reload replaces. Copies are the same one.
+#[derive(Debug, Clone)]
+pub struct CurrentConfig(Arc<RwLock<Arc<Config>>>);
+
+impl CurrentConfig {
+    /// This configuration until another one is set.
+    #[must_use]
+    pub fn new(config: Config) -> Self {
+        Self(Arc::new(RwLock::new(Arc::new(config))))
+    }
+
+    /// The configuration as it is now.
+    #[must_use]
+    pub fn get(&self) -> Arc<Config> {
+        self.0.read().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Puts another one in its place.
+    pub fn set(&self, config: Arc<Config>) {
+        *self.0.write().unwrap_or_else(PoisonError::into_inner) = config;
+    }
+}
 
 /// What there is to see, and the way to the engine.
 pub struct View {
-    /// The configuration.
-    pub config: Arc<Config>,
+    /// The configuration in force.
+    pub config: CurrentConfig,
     /// Every loop as it is now; `None` where the page is switched off.
     pub overview: Option<Overview>,
     /// Last documents as they were published.
     pub last: LastValues,
     /// The way to the engine.
     pub control: Sender<Control>,
-    /// `[commands]` as it is now: a reload changes it.
-    pub commands: Arc<RwLock<Commands>>,
     /// The daemon's health.
     pub snapshot: HealthSnapshot,
     /// Where a server says what is wrong with it.

@@ -120,7 +120,7 @@ pub fn serve(view: View, registry: Registry) -> Pin<Box<dyn Future<Output = anyh
 }
 
 async fn start(mut view: View, registry: Registry) -> anyhow::Result<Served> {
-    let settings = view.config.web.clone();
+    let settings = view.config.get().web.clone();
     let guard = Arc::new(guard_of(&settings.page)?);
     if !settings.enabled {
         return Ok(Served { address: None, stop: Box::new(|| ()) });

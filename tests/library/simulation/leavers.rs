@@ -16,11 +16,11 @@ use stiction_monitor::config::Config;
 use stiction_runtime::clock::Clock;
 
 const FOUR: &str = include_str!("../../../recordings/scenarios/four-loops.toml");
-const STICKS: &str = "FIC201";
-const CALM: &str = "PIC203";
+pub const STICKS: &str = "FIC201";
+pub const CALM: &str = "PIC203";
 
 /// Delivers all samples of a loop, later by so much, and does the fits.
-fn play(stage: &mut SimDaemon, name: &str, later_ns: i64) {
+pub fn play(stage: &mut SimDaemon, name: &str, later_ns: i64) {
     let scenario = Scenario::parse(FOUR).unwrap();
     let names: Vec<String> = scenario.loop_names().map(str::to_owned).collect();
     let mut json = Vec::new();
@@ -43,7 +43,7 @@ fn silence(stage: &mut SimDaemon, clock: &Clock) {
     assert!(stage.keep());
 }
 
-fn shown(stage: &SimDaemon, name: &str) -> Option<State> {
+pub fn shown(stage: &SimDaemon, name: &str) -> Option<State> {
     let id = stage.engine().find(name)?;
     Some(stage.engine().checkpoint(id).alarm.shown())
 }

@@ -6,6 +6,7 @@
 
 mod control;
 mod disk;
+mod edits;
 mod folder;
 mod leavers;
 mod oracle;

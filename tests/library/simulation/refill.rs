@@ -86,9 +86,12 @@ impl<'a> Site<'a> {
     }
 }
 
+fn metadata(file: &Path) -> RunMetadata {
+    RunMetadata::of(file, RecordingReader::open(file).unwrap().metadata()).unwrap()
+}
+
 /// Replays files, the last of which is compared.
 fn compare_last(files: &[PathBuf]) -> usize {
-    let metadata = |file: &Path| RunMetadata::of(file, RecordingReader::open(file).unwrap().metadata()).unwrap();
     let last = files.last().unwrap();
     let mut replay = Rerun::new(&metadata(last).config, Some("stage"), false);
     let report = |(at, file): (usize, &PathBuf)| replay.file(file, "p", at == 0, true).unwrap();
@@ -97,14 +100,25 @@ fn compare_last(files: &[PathBuf]) -> usize {
     report.compared
 }
 
-/// Every file by itself, and every chain of files, as the command does.
-fn replays_to_the_byte(dir: &Path) -> usize {
+/// Every chain of files as a whole, for a folder of one run.
+pub fn chains_replay_to_the_byte(dir: &Path) -> usize {
     let mut compared = 0;
     for chain in chains_of(dir).unwrap() {
-        let needed = |file: &PathBuf| {
-            let metadata = RunMetadata::of(file, RecordingReader::open(file).unwrap().metadata()).unwrap();
-            files_needed(file, &metadata).unwrap()
-        };
+        let mut replay = Rerun::new(&metadata(&chain[0]).config, Some("stage"), false);
+        for (at, file) in chain.iter().enumerate() {
+            let report = replay.file(file, "p", at == 0, true).unwrap();
+            assert_eq!(report.difference, None, "{}", file.display());
+            compared += report.compared;
+        }
+    }
+    compared
+}
+
+/// Every file by itself, and every chain of files, as the command does.
+pub fn replays_to_the_byte(dir: &Path) -> usize {
+    let mut compared = 0;
+    for chain in chains_of(dir).unwrap() {
+        let needed = |file: &PathBuf| files_needed(file, &metadata(file)).unwrap();
         let mut whole = needed(&chain[0]);
         whole.pop();
         for file in &chain {

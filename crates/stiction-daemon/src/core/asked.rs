@@ -160,6 +160,7 @@ impl Core {
             }
         }
         self.handle_events();
+        self.forget_removed();
     }
 
     pub(super) fn skip_gap(&mut self, id: LoopId, number: u64, reason: SkipReason, why: &str) {

@@ -108,13 +108,13 @@ impl Core {
     /// Where a route leads; what leads nowhere is counted.
     fn admitted(&self, route: Route) -> Option<(LoopId, Signal)> {
         match route {
-            Route::To(id, signal) => return Some((id, signal)),
+            Route::To(id, signal) if !self.removed.contains(&id) => return Some((id, signal)),
             Route::Full => {
                 self.metrics.refused_loops.inc();
                 self.metrics.loops_over_limit.inc();
             }
             Route::Foreign => drop(self.metrics.foreign_keys.inc()),
-            Route::Refused => drop(self.metrics.refused_loops.inc()),
+            Route::Refused | Route::To(..) => drop(self.metrics.refused_loops.inc()),
             Route::Elsewhere => {}
         }
         None

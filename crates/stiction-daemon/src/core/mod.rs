@@ -4,6 +4,7 @@
 //! for a fit and never for the bus, whose readers and askers have threads of their own; for the recorder it waits a little (see [`crate::sink::recorder`]).
 
 mod asked;
+mod edit;
 mod messages;
 mod plant;
 mod report;
@@ -12,7 +13,7 @@ mod sweep;
 mod tests;
 mod windows;
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -72,6 +73,8 @@ pub struct Core {
     /// Looks at all loops, a part at a time.
     sweep: sweep::Sweep,
     registered: sweep::Registered,
+    /// Loops that were removed from the configuration, until nothing of them is on its way.
+    removed: BTreeSet<LoopId>,
     /// Counters of payloads by codec.
     codec_counters: Vec<(&'static str, Counter)>,
     /// Messages taken.
@@ -166,6 +169,7 @@ impl Core {
             engine: parts.engine,
             sweep: sweep::Sweep::default(),
             registered: sweep::Registered::default(),
+            removed: BTreeSet::new(),
             codec_counters: Vec::new(),
             taken: 0,
             workers: parts.workers,
@@ -284,6 +288,11 @@ impl Core {
         &self.engine
     }
 
+    /// The configuration in force.
+    pub fn config(&self) -> &Config {
+        &self.config
+    }
+
     /// Ends in order: what has arrived is taken, what is not done is skipped and recorded as such.
     pub fn finish(&mut self, incoming: &Receiver<Message>, control: &Receiver<Control>, answers: &Receiver<Answered>) {
         let until = self.clock.now() + DRAIN;
@@ -312,6 +321,7 @@ impl Core {
                 self.handle_events();
             }
         }
+        self.forget_removed();
         self.report(incoming.len());
     }
 
@@ -337,18 +347,11 @@ impl Core {
             Control::Command { loop_name, command, answer } => self.take_command(&loop_name, &command, answer),
             Control::GapRun { loop_name, by, answer } => self.run_gap(&loop_name, by, answer),
             Control::GetWindow { loop_name, end_ns, answer } => self.get_window(&loop_name, end_ns, answer),
-            Control::Settings(config) => self.settings(&config),
+            Control::Edit { edit, answer } => {
+                self.edit(*edit);
+                answer();
+            }
         }
-    }
-
-    /// New settings: they hold from here on, and every open recording is finished and followed by a new one.
-    fn settings(&mut self, config: &Config) {
-        self.policy = CommandPolicy::new(&config.commands);
-        let (max_bytes, max_age) = (config.recording.max_bytes, Duration::from_secs_f64(config.recording.max_s));
-        if let Some(recorder) = &mut self.recorder {
-            recorder.record(Item::Limits { max_bytes, max_age });
-        }
-        self.reopen_shards();
     }
 
     fn take_sample(&mut self, id: LoopId, sample: Sample, arrival_ns: i64) {
@@ -398,6 +401,7 @@ impl Core {
         }
         self.handle_events();
         self.dispatch_to_workers();
+        self.forget_removed();
     }
 
     fn handle_events(&mut self) {

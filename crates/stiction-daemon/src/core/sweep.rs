@@ -109,10 +109,10 @@ impl Core {
         }
     }
 
-    /// The handle of a loop, which comes back if it was forgotten with an alarm.
+    /// The handle of a loop, which comes back if it was forgotten with an alarm; none of a loop that was removed.
     pub(super) fn find_or_revive(&mut self, name: &str) -> Option<LoopId> {
         let id = if self.engine.has_left(name) { self.engine.appear(name) } else { self.engine.find(name) };
-        id.inspect(|id| self.register(*id))
+        id.filter(|id| !self.removed.contains(id)).inspect(|id| self.register(*id))
     }
 
     /// Looks at every loop where there are few; many are looked at by [`Core::sweep_step`].
@@ -181,9 +181,9 @@ impl Core {
         self.sweep.next_health = if from + slice >= all { 0 } else { from + slice };
     }
 
-    /// Lets loops that have been silent for long leave the memory. What is written of them first is what a replay needs
+    /// Lets loops that have been silent for long, or were removed, leave the memory. What is written of them first is what a replay needs
     /// to do the same at the same place.
-    fn forget(&mut self, silent: &[LoopId]) {
+    pub(super) fn forget(&mut self, silent: &[LoopId]) {
         let mut gone = HashSet::new();
         for id in silent.iter().copied() {
             if !self.engine.is_idle(id) {
@@ -223,7 +223,8 @@ impl Core {
         if gone.is_empty() {
             return;
         }
-        tracing::info!(loops = gone.len(), left = self.engine.count(), "silent loops have left the memory");
+        tracing::info!(loops = gone.len(), left = self.engine.count(), "loops have left the memory");
+        self.sweep.silent.retain(|id| !gone.contains(id));
         self.routes.forget(&gone);
         self.feeds.forget(&gone);
         self.close_empty_shards(&gone);

@@ -41,6 +41,7 @@ struct Plant {
     stage: SimDaemon,
     clock: Clock,
     config: Config,
+    text: String,
     second: i64,
 }
 
@@ -54,7 +55,7 @@ impl Plant {
         let (config, clock) = (Config::parse(&text).unwrap(), Clock::standing(START_NS));
         let disk = Arc::new(SystemDisk) as Arc<dyn Disk>;
         let stage = SimDaemon::start(config.clone(), &text, &clock, &disk, no_receiver).unwrap();
-        Self { stage, clock, config, second: START_NS / 1_000_000_000 }
+        Self { stage, clock, config, text, second: START_NS / 1_000_000_000 }
     }
 
     fn pass(&mut self, seconds: u64) {
@@ -82,6 +83,13 @@ impl Plant {
     fn command(&mut self, name: &str, cmd: &str) {
         let command = Command { cmd: cmd.into(), by: Some("ann".into()), why: None, for_s: None };
         assert!(self.stage.command(name, command, Box::new(|_| ())));
+        self.stage.turn();
+        self.settle();
+    }
+
+    /// The configuration is read again, unchanged.
+    fn reload(&mut self) {
+        assert!(self.stage.edit(self.config.clone(), &self.text).unwrap().is_empty());
         self.stage.turn();
         self.settle();
     }
@@ -142,9 +150,7 @@ proptest! {
                 Step::PutAside(k) => plant.command(&name(k), "out_of_service"),
                 Step::PutBack(k) => plant.command(&name(k), "in_service"),
                 Step::Reload => {
-                    plant.stage.settings(plant.config.clone());
-                    plant.stage.turn();
-                    plant.settle();
+                    plant.reload();
                 }
             }
             prop_assert!(plant.stage.engine().places() <= LOOPS);
@@ -157,9 +163,7 @@ proptest! {
         prop_assert!(remains.is_empty(), "{:?}", remains);
         let files = plant.recordings();
         for _ in 0..5 {
-            plant.stage.settings(plant.config.clone());
-            plant.stage.turn();
-            plant.settle();
+            plant.reload();
         }
         prop_assert_eq!(plant.recordings(), files, "a reload opens no file of loops that left");
     }

@@ -17,7 +17,7 @@ use std::time::{Duration, Instant};
 use crossbeam_channel::{Receiver, Sender};
 
 pub use progress::Progress;
-pub use run::{Continued, RunInfo};
+pub use run::{Continued, RecordedConfig, RunInfo};
 use stiction::record::{Sample, Signal};
 use stiction_files::disk::{Disk, SystemDisk};
 use stiction_files::{RecordingFile, WriteError};
@@ -67,9 +67,11 @@ pub enum Item {
         /// Which shard.
         shard: usize,
     },
-    /// New limits of a file.
-    Limits {
-        /// Size at which it is closed.
+    /// Another configuration, under which the next files are recorded, with the limits of a file.
+    Configuration {
+        /// What the files say of it.
+        config: Box<RecordedConfig>,
+        /// Size at which a file is closed.
         max_bytes: u64,
         /// Age at which it is closed.
         max_age: Duration,
@@ -105,7 +107,8 @@ impl Item {
     fn bytes(&self) -> usize {
         let held = match self {
             Self::Open { states, .. } => states.iter().map(|(_, json)| json.len()).sum(),
-            Self::Raw { .. } | Self::Limits { .. } | Self::Close { .. } => 0,
+            Self::Configuration { config, .. } => config.text.len() + config.loop_map.len() + config.origins.len(),
+            Self::Raw { .. } | Self::Close { .. } => 0,
             Self::Document { json, .. } => json.len(),
         };
         size_of::<(Self, Room)>() + held
@@ -351,7 +354,10 @@ impl Writer {
         match item {
             Item::Open { shard, states } => self.open(shard, &states),
             Item::Close { shard } => self.close(shard),
-            Item::Limits { max_bytes, max_age } => (self.max_bytes, self.max_age) = (max_bytes, max_age),
+            Item::Configuration { config, max_bytes, max_age } => {
+                self.run.config = *config;
+                (self.max_bytes, self.max_age) = (max_bytes, max_age);
+            }
             Item::Raw { id, name, sample, arrival_ns } => {
                 self.last_arrival_ns = arrival_ns;
                 let write = |file: &mut RecordingFile, topic: &str| file.sample(topic, arrival_ns, &sample);

@@ -4,13 +4,15 @@
 //! queue drops the message and counts it.
 
 use std::borrow::Cow;
-use std::sync::Arc;
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::{Arc, PoisonError, RwLock};
 use std::time::Duration;
 
 use anyhow::{Context, anyhow};
 use serde_json::Value;
 use zenoh::Wait;
 use zenoh::bytes::Encoding;
+use zenoh::pubsub::Subscriber;
 use zenoh::sample::{Sample as BusSample, SampleKind};
 
 use super::keys::{ShardFilter, subscriptions};
@@ -119,32 +121,70 @@ pub async fn open(config: &Config) -> anyhow::Result<(zenoh::Session, Option<Str
     Ok((session, Some(why)))
 }
 
-/// Subscribes. The subscriptions live as long as the session.
-///
-/// # Errors
-/// A key that Zenoh refuses.
-pub async fn subscribe(
-    session: &zenoh::Session,
-    config: &Config,
-    intake: &Intake,
-) -> anyhow::Result<Vec<zenoh::pubsub::Subscriber<()>>> {
-    let mut subscribers = Vec::new();
-    let filter = ShardFilter::new(config).map(Arc::new);
-    for key in subscriptions(config) {
-        let (intake, filter) = (intake.clone(), filter.clone());
+/// The subscriptions of a configuration, which follow it when it is edited.
+pub struct Subscriptions {
+    session: zenoh::Session,
+    intake: Intake,
+    /// None where all loops are this daemon's, which no edit changes.
+    filter: Option<Arc<RwLock<ShardFilter>>>,
+    open: BTreeMap<String, Subscriber<()>>,
+}
+
+impl Subscriptions {
+    /// Subscribes.
+    ///
+    /// # Errors
+    /// A key that Zenoh refuses.
+    pub async fn open(session: &zenoh::Session, config: &Config, intake: Intake) -> anyhow::Result<Self> {
+        let filter = ShardFilter::new(config).map(|filter| Arc::new(RwLock::new(filter)));
+        let mut subscriptions = Self { session: session.clone(), intake, filter, open: BTreeMap::new() };
+        subscriptions.follow(config).await?;
+        Ok(subscriptions)
+    }
+
+    /// Subscribes to keys that are new in an edited configuration and gives up those that are gone. All others stay as they
+    /// are: nothing of them is lost or comes twice.
+    ///
+    /// # Errors
+    /// A key that Zenoh refuses.
+    pub async fn follow(&mut self, config: &Config) -> anyhow::Result<()> {
+        if let (Some(filter), Some(fresh)) = (&self.filter, ShardFilter::new(config)) {
+            *filter.write().unwrap_or_else(PoisonError::into_inner) = fresh;
+        }
+        let wanted: BTreeSet<String> = subscriptions(config).into_iter().collect();
+        for key in &wanted {
+            if !self.open.contains_key(key) {
+                let subscriber = self.subscribe(key).await?;
+                self.open.insert(key.clone(), subscriber);
+            }
+        }
+        let gone: Vec<String> = self.open.keys().filter(|key| !wanted.contains(*key)).cloned().collect();
+        for subscriber in gone.iter().filter_map(|key| self.open.remove(key)).collect::<Vec<_>>() {
+            let _ = subscriber.undeclare().await;
+        }
+        Ok(())
+    }
+
+    async fn subscribe(&self, key: &str) -> anyhow::Result<Subscriber<()>> {
+        let (intake, filter) = (self.intake.clone(), self.filter.clone());
         let take = move |sample: BusSample| {
-            if filter.as_ref().is_none_or(|filter| filter.admits(sample.key_expr().as_str())) {
+            let admits = |filter: &Arc<RwLock<ShardFilter>>| {
+                filter.read().unwrap_or_else(PoisonError::into_inner).admits(sample.key_expr().as_str())
+            };
+            if filter.as_ref().is_none_or(admits) {
                 enqueue(&sample, &intake);
             }
         };
-        let subscriber = session
-            .declare_subscriber(key.clone())
-            .callback(take)
-            .await
-            .map_err(|e| anyhow!("cannot subscribe to {key:?}: {e}"))?;
-        subscribers.push(subscriber);
+        let declared = self.session.declare_subscriber(key.to_owned()).callback(take).await;
+        declared.map_err(|e| anyhow!("cannot subscribe to {key:?}: {e}"))
     }
-    Ok(subscribers)
+
+    /// Gives all subscriptions up.
+    pub async fn close(self) {
+        for subscriber in self.open.into_values() {
+            let _ = subscriber.undeclare().await;
+        }
+    }
 }
 
 fn enqueue(sample: &BusSample, intake: &Intake) {

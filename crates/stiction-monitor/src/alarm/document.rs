@@ -40,6 +40,8 @@ pub enum Event {
     OutOfService,
     /// Back in service.
     InService,
+    /// The configuration names the loop no longer.
+    Removed,
     /// Nothing changed: told again after a restart, under the identity of its last change.
     Restored,
 }
@@ -60,6 +62,7 @@ impl Event {
             Self::Unsuppressed => "unsuppressed",
             Self::OutOfService => "out_of_service",
             Self::InService => "in_service",
+            Self::Removed => "removed",
             Self::Restored => "restored",
         }
     }

@@ -168,6 +168,8 @@ pub struct Alarm {
 
 /// Reason in the document when shelving ends by itself.
 const SHELF_OVER: &str = "the shelving time has ended";
+/// The same where its loop was removed.
+const REMOVED: &str = "the loop was removed from the configuration";
 
 /// Default reason of a command.
 const fn done_by(event: Event) -> &'static str {
@@ -346,6 +348,16 @@ impl Alarm {
             return Ok(());
         }
         Err(CommandError::Unfit { loop_name: loop_name.to_owned(), state: self.shown().name(), why })
+    }
+
+    /// Ends with its loop, which the configuration names no longer. `None` where it is at rest.
+    pub fn remove(&mut self, loop_name: &str, at_ns: i64) -> Option<AlarmDocument> {
+        if self.shown() == State::Normal {
+            return None;
+        }
+        (self.state, self.active) = (State::Normal, false);
+        (self.aside, self.marks) = (Inhibit::default(), Marks::default());
+        Some(self.changed(loop_name, at_ns, Event::Removed, None, REMOVED.to_owned()))
     }
 
     /// End of the last window taken.

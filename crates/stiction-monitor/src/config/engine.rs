@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::{Config, LoopConfig};
 use crate::alarm::LoopContext;
-use crate::engine::{EngineSettings, LoopSettings};
+use crate::engine::{EngineSettings, LoopSettings, Origins};
 use stiction::signal::align::{AlignParams, Quality};
 use stiction::units::{LoopKind, ns_from_s};
 use stiction::verdict::AssessParams;
@@ -14,8 +14,10 @@ impl Config {
     #[must_use]
     pub fn engine(&self) -> EngineSettings {
         let own = |l: &LoopConfig| (l.name.clone(), Arc::new(self.of_loop(Some(l), LoopKind::of_tag(&l.name))));
+        let config_hash = self.hash();
         EngineSettings {
-            config_hash: self.hash().into(),
+            origins: Origins::new(&config_hash),
+            config_hash: config_hash.into(),
             daemon: None,
             max_loops: self.input.max_loops,
             common: LoopKind::ALL.map(|kind| Arc::new(self.of_loop(None, kind))),
@@ -30,9 +32,10 @@ impl Config {
     }
 
     /// Settings of a loop; `kind` comes from its tag and is overridden by its own settings.
-    fn of_loop(&self, own: Option<&LoopConfig>, kind: LoopKind) -> LoopSettings {
+    pub(super) fn of_loop(&self, own: Option<&LoopConfig>, kind: LoopKind) -> LoopSettings {
         let (window, alarm) = own.map_or((self.window, self.alarm), |l| (l.window, l.alarm));
         LoopSettings {
+            keys: own.map(|l| l.keys.clone()).unwrap_or_default(),
             align: AlignParams {
                 lateness_ns: ns_from_s(window.lateness_s),
                 max_gap_s: window.max_gap_s,

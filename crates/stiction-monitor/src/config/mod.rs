@@ -2,6 +2,7 @@
 
 mod alarm;
 mod bundle;
+mod changes;
 mod deliver;
 mod engine;
 mod input;
@@ -15,6 +16,7 @@ use toml::de::DeTable;
 
 use alarm::read_alarm;
 pub use bundle::{BundleKey, NAME_MARK};
+pub use changes::{ChangedLoop, Changes};
 pub use deliver::{Address, Deliver, Protocol};
 pub use input::Input;
 pub use reader::Fault;

@@ -67,6 +67,8 @@ pub enum RecordedInput {
     /// The loop had sent nothing for long and left the memory: what comes next begins anew, but for an alarm that is not
     /// at rest.
     Forget,
+    /// The configuration names the loop no longer: its alarm ends.
+    Removed,
     /// A loop was taken over from another daemon. Earlier builds recorded it; this one neither writes nor replays it.
     Taken,
     /// A loop was given to another daemon; as [`RecordedInput::Taken`].

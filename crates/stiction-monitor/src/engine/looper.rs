@@ -64,10 +64,24 @@ impl Loop {
         }
     }
 
-    /// The same loop for another run: its stream goes on, the rest comes from elsewhere or begins anew.
-    pub fn in_next_run(self) -> Self {
-        let Self { name, settings, aligner, history, next_end_ns, windows, gaps, .. } = self;
+    /// The same loop for another run, under its settings there: its stream goes on, the rest comes from elsewhere or begins
+    /// anew.
+    pub fn in_next_run(self, settings: Arc<LoopSettings>) -> Self {
+        let Self { name, aligner, history, next_end_ns, windows, gaps, .. } = self;
         Self { aligner, history, next_end_ns, windows, gaps, ..Self::new(name, settings) }
+    }
+
+    /// Takes other settings over; says whether they differ. Where its window cannot go on under them it starts empty: windows
+    /// that are on their way stay, and none that came due comes due again.
+    pub fn take_settings(&mut self, settings: Arc<LoopSettings>) -> bool {
+        let old = std::mem::replace(&mut self.settings, settings);
+        if !old.window_continues_under(&self.settings) {
+            self.taken_ns = self.waiting.back().map(|w| w.end_ns).or(self.alarm.window_end_ns());
+            self.next_end_ns = None;
+            self.aligner = Aligner::new();
+            self.history = self.settings.window.history(0);
+        }
+        old != self.settings
     }
 
     /// Takes a sample. Windows that come due leave as requests.
@@ -273,10 +287,19 @@ impl Loop {
     }
 
     pub fn command(&mut self, command: &Command) -> Result<AlarmDocument, CommandError> {
-        let clock = self.aligner.event_time_ns(&self.settings.align);
-        let at_ns = clock.or(self.alarm.window_end_ns()).unwrap_or(0);
-        let document = self.alarm.command(&self.name, command, at_ns)?;
+        let document = self.alarm.command(&self.name, command, self.event_time_ns())?;
         Ok(document.at(&self.settings.place))
+    }
+
+    /// Ends the alarm of a loop that is watched no longer; none where it is at rest.
+    pub fn end_alarm(&mut self) -> Option<AlarmDocument> {
+        let document = self.alarm.remove(&self.name, self.event_time_ns())?;
+        Some(document.at(&self.settings.place))
+    }
+
+    fn event_time_ns(&self) -> i64 {
+        let clock = self.aligner.event_time_ns(&self.settings.align);
+        clock.or(self.alarm.window_end_ns()).unwrap_or(0)
     }
 
     pub fn checkpoint(&self) -> Checkpoint {

@@ -30,7 +30,7 @@ pub use due::{Request, Snapshot, WindowAnswer};
 pub use gaps::{GapReason, GapRefusal, GapRequest, GapWatch, PublishedGap};
 pub use input::{INPUT_SCHEMA, RecordedInput, STATE_SCHEMA, StateDocument};
 pub use plant::{Comparison, GroupStanding, LoopWindow, PlantWatch};
-pub use settings::{EngineSettings, GapParams, LoopSettings, WindowParams};
+pub use settings::{EngineSettings, GapParams, LoopSettings, Origins, WindowParams};
 pub use windowing::{longest, section, windows};
 
 /// Handle of a loop in one engine.
@@ -187,7 +187,7 @@ impl Engine {
         self.loops.get_mut(id.index()).and_then(Option::as_deref_mut).unwrap_or(&mut self.nobody)
     }
 
-    /// The configuration's hash, as documents carry it.
+    /// The hash of the configuration in force.
     #[must_use]
     pub fn config_hash(&self) -> &str {
         &self.settings.config_hash
@@ -258,7 +258,7 @@ impl Engine {
         self.loops[id.index()] = Some(new);
     }
 
-    /// Takes a loop over from an engine with the same settings, with its history, into one of these places: alarm and gap
+    /// Takes a loop over from an engine under whose settings its window was the same, with its history, into one of these places: alarm and gap
     /// watch begin anew, and what was on its way is given up. `None` where there is no such loop, or no place for it.
     pub fn take_loop(&mut self, from: &mut Self, name: &str, places: Range<usize>) -> Option<LoopId> {
         let (least, most) = (LoopId(places.start as u32), LoopId(places.end as u32));
@@ -271,7 +271,7 @@ impl Engine {
         let taken = from.loops.get_mut(old.index()).and_then(Option::take)?;
         from.own_absent += usize::from(from.settings.own.contains_key(name));
         from.free.insert(old);
-        self.put(id, Box::new(taken.in_next_run()));
+        self.put(id, Box::new(taken.in_next_run(self.settings.of(name).clone())));
         Some(id)
     }
 
@@ -334,14 +334,14 @@ impl Engine {
 
     /// Takes the answer to a request.
     pub fn complete(&mut self, id: LoopId, seq: u64, answer: WindowAnswer, out: &mut Vec<Event>) {
-        let (from, hash) = (out.len(), self.settings.config_hash.clone());
+        let (from, hash) = (out.len(), self.settings.origin_of(&self.of(id).name));
         self.of_mut(id).resolve(id, seq, Some(answer), &hash, out);
         self.sign(&mut out[from..]);
     }
 
     /// Gives a due window up. Its document says so; the recording must hold the skip as an input.
     pub fn skip(&mut self, id: LoopId, seq: u64, out: &mut Vec<Event>) {
-        let (from, hash) = (out.len(), self.settings.config_hash.clone());
+        let (from, hash) = (out.len(), self.settings.origin_of(&self.of(id).name));
         self.of_mut(id).resolve(id, seq, None, &hash, out);
         self.sign(&mut out[from..]);
     }
@@ -356,7 +356,7 @@ impl Engine {
     /// # Errors
     /// [`GapRefusal`] where too little is held of the loop.
     pub fn run_gap(&mut self, id: LoopId, by: Option<&str>, out: &mut Vec<Event>) -> Result<u64, GapRefusal> {
-        let (from, hash) = (out.len(), self.settings.config_hash.clone());
+        let (from, hash) = (out.len(), self.settings.origin_of(&self.of(id).name));
         let asked = self.of_mut(id).run_gap(id, by, &hash, out);
         self.sign(&mut out[from..]);
         asked
@@ -387,6 +387,13 @@ impl Engine {
     #[must_use]
     pub fn alarms(&self, name: &str) -> bool {
         self.find(name).is_some_and(|id| self.of(id).alarm.is_active_or_near())
+    }
+
+    /// Ends the alarm of a loop that the configuration names no longer; none where it is at rest. The recording must hold it
+    /// as an input.
+    pub fn end_alarm(&mut self, id: LoopId) -> Option<AlarmDocument> {
+        let document = self.of_mut(id).end_alarm();
+        document.map(|document| self.signed(document))
     }
 
     /// Carries out a person's command.
@@ -434,6 +441,28 @@ impl Engine {
                 Event::Request(_) | Event::Window(..) | Event::State(..) | Event::Gap(..) => {}
             }
         }
+    }
+
+    /// Takes other settings over, and gives the loops whose own differ. A loop that was named and is named no longer goes on
+    /// as it was: whoever drives the engine lets it go. The recording must begin a new file here, under these settings.
+    pub fn reconfigure(&mut self, settings: EngineSettings) -> Vec<LoopId> {
+        let before = std::mem::replace(&mut self.settings, settings);
+        let was_removed = |name: &str| before.own.contains_key(name) && !self.settings.own.contains_key(name);
+        let mut changed = Vec::new();
+        for id in self.ids() {
+            let Some(one) = self.loops[id.index()].as_mut().filter(|one| !was_removed(&one.name)) else { continue };
+            if one.take_settings(self.settings.of(&one.name).clone()) {
+                changed.push(id);
+            }
+        }
+        self.own_absent = self.settings.own.keys().filter(|name| !self.by_name.contains_key(name.as_str())).count();
+        changed
+    }
+
+    /// The settings in force.
+    #[must_use]
+    pub const fn engine_settings(&self) -> &EngineSettings {
+        &self.settings
     }
 
     /// A loop's settings.

@@ -1,11 +1,12 @@
 //! What an engine and its loops are told.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::alarm::{AlarmParams, LoopContext};
+use stiction::record::Signal;
 use stiction::signal::align::AlignParams;
 use stiction::signal::history::{History, fitting};
 use stiction::units::LoopKind;
@@ -84,6 +85,8 @@ impl Default for GapParams {
 /// Settings of a loop, shared by all loops that say nothing of their own.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LoopSettings {
+    /// Foreign keys that its signals come under.
+    pub keys: Vec<(Signal, String)>,
     /// How its signals are joined.
     pub align: AlignParams,
     /// Its windows.
@@ -98,11 +101,46 @@ pub struct LoopSettings {
     pub place: LoopContext,
 }
 
+impl LoopSettings {
+    /// Whether a window goes on under other settings: its samples come from the same keys and are joined in the same way, and
+    /// its length, memory and end are the same. Settings of the fit and of the alarm may differ.
+    #[must_use]
+    pub fn window_continues_under(&self, other: &Self) -> bool {
+        let sizes = |w: &WindowParams| (w.hop_s, w.max_window_s, w.max_points, w.max_bytes);
+        (&self.keys, &self.align, sizes(&self.window)) == (&other.keys, &other.align, sizes(&other.window))
+    }
+}
+
+/// The configurations that the loops' settings come from, by their hashes: an edit that leaves a loop alone leaves its
+/// documents the same to the byte.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Origins {
+    /// That of all loops that are not listed.
+    pub others: String,
+    /// That of the others, by loop.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub loops: BTreeMap<String, String>,
+}
+
+impl Origins {
+    /// All settings come from one configuration.
+    #[must_use]
+    pub fn new(config_hash: &str) -> Self {
+        Self { others: config_hash.to_owned(), loops: BTreeMap::new() }
+    }
+
+    fn of(&self, name: &str) -> &str {
+        self.loops.get(name).unwrap_or(&self.others)
+    }
+}
+
 /// Settings of an engine.
 #[derive(Debug, Clone)]
 pub struct EngineSettings {
-    /// Hash of what all this was read from, as documents carry it.
+    /// Hash of the configuration in force.
     pub config_hash: Arc<str>,
+    /// Where each loop's settings come from.
+    pub origins: Origins,
     /// Id of the daemon, as its documents carry it; none outside one.
     pub daemon: Option<Arc<str>>,
     /// Loops beyond this many do not appear.
@@ -118,5 +156,27 @@ impl EngineSettings {
     #[must_use]
     pub fn of(&self, name: &str) -> &Arc<LoopSettings> {
         self.own.get(name).unwrap_or_else(|| &self.common[LoopKind::of_tag(name) as usize])
+    }
+
+    /// Hash of the configuration that a loop's settings come from, as its documents carry it.
+    #[must_use]
+    pub fn origin_of(&self, name: &str) -> Arc<str> {
+        self.origins.of(name).into()
+    }
+
+    /// These settings in place of others: loops whose settings are the same keep their origin.
+    #[must_use]
+    pub fn in_place_of(self, before: &Self) -> Self {
+        let own_hash = &*self.config_hash;
+        let others = if before.common == self.common { &before.origins.others } else { own_hash };
+        let mut origins = Origins::new(others);
+        for (name, settings) in self.own.iter() {
+            let is_same = before.own.get(name) == Some(settings);
+            let origin = if is_same { before.origins.of(name) } else { own_hash };
+            if origin != origins.others {
+                origins.loops.insert(name.clone(), origin.to_owned());
+            }
+        }
+        Self { origins, daemon: before.daemon.clone(), ..self }
     }
 }

@@ -117,7 +117,7 @@ async fn one(State(live): State<Shared>, PathName(name): PathName) -> Answered<D
     let row = live.overview.row(&name, now_ns()).ok_or_else(no_such)?;
     let newest = live.overview.newest(&name).unwrap_or_default();
     let gap = live.last_document(&name, Kind::Gap);
-    let op_range = live.config.loops.iter().find(|l| l.name == name).and_then(|l| l.op_range);
+    let op_range = live.config.get().loop_named(&name).and_then(|l| l.op_range);
     let mut words = newest.estimate.as_deref().map(|e| words_of(&e.assessment, op_range)).unwrap_or_default();
     words.gap =
         gap.as_ref().and_then(|g| serde_json::from_value::<GapDocument>(g.clone()).ok()).map(|g| text::paragraph(&g));

@@ -12,7 +12,7 @@ pub mod site;
 mod window;
 
 use std::path::Path;
-use std::sync::{Arc, Mutex, PoisonError, RwLock};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use axum::extract::DefaultBodyLimit;
@@ -29,7 +29,6 @@ use stiction::record::Record;
 use stiction_files::archive::{Archive, SharedArchive};
 use stiction_files::reviews::Reviews;
 use stiction_monitor::codec::topic::{self, Kind};
-use stiction_monitor::config::{Commands, Config};
 use stiction_monitor::engine::LoopSettings;
 use stiction_runtime::clock::now_ns;
 use stiction_runtime::control::{Answer, Control, WindowSnapshot};
@@ -37,7 +36,7 @@ use stiction_runtime::health::HealthSnapshot;
 use stiction_runtime::last_values::LastValues;
 use stiction_runtime::overview::Overview;
 use stiction_runtime::queue::Rate;
-use stiction_runtime::view::View;
+use stiction_runtime::view::{CurrentConfig, View};
 
 /// Largest body of a command, bytes.
 const MAX_BODY: usize = 16 << 10;
@@ -71,14 +70,12 @@ pub struct Live {
     pub reviews: Reviews,
     /// Who may do what.
     pub guard: Arc<Guard>,
-    /// The configuration.
-    pub config: Arc<Config>,
+    /// The configuration in force.
+    pub config: CurrentConfig,
     /// When the daemon started, ns since 1970.
     pub started_ns: i64,
     /// What to know of the data before anything else.
     pub note: Option<&'static str>,
-    /// `[commands]` as it is now: a reload changes it.
-    pub commands: Arc<RwLock<Commands>>,
     review_rate: Mutex<Rate>,
     started: Instant,
     looks: Semaphore,
@@ -106,16 +103,16 @@ impl Live {
     /// Answers from a view with these loops, under these rules.
     #[must_use]
     pub fn new(view: View, overview: Overview, guard: Arc<Guard>) -> Self {
-        let View { config, last, control, commands, snapshot, note, .. } = view;
-        let recordings = Path::new(&config.recording.dir);
-        let archive = Arc::new(Archive::new(recordings, &config.site.prefix));
+        let View { config, last, control, snapshot, note, .. } = view;
+        let fixed = config.get();
+        let recordings = Path::new(&fixed.recording.dir);
+        let archive = Arc::new(Archive::new(recordings, &fixed.site.prefix));
         let reviews = Reviews::below(recordings);
         let [looks, drawings, waiting] = [LOOKS_AT_ONCE, DRAWINGS_AT_ONCE, SLOW_WAITING].map(Semaphore::new);
         let streams = Limits::new(STREAMS, if guard.behind_proxy { STREAMS } else { STREAMS_PER_HOST });
         let started_ns = now_ns();
         let review_rate = Mutex::new(Rate::new(reviews::PER_MINUTE / 60.0, reviews::AT_ONCE));
         Self {
-            commands,
             review_rate,
             started: Instant::now(),
             overview,
@@ -139,7 +136,7 @@ impl Live {
 
     /// Whether commands are taken at all.
     fn takes_commands(&self) -> bool {
-        self.commands.read().unwrap_or_else(PoisonError::into_inner).enabled
+        self.config.get().commands.enabled
     }
 
     /// Whether one more review may be taken now.
@@ -150,7 +147,7 @@ impl Live {
 
     /// The last document of a loop as it was published.
     fn last_document(&self, loop_name: &str, kind: Kind) -> Option<serde_json::Value> {
-        let key = topic::result(&self.config.site.prefix, loop_name, kind);
+        let key = topic::result(&self.config.get().site.prefix, loop_name, kind);
         let last = self.last.read().unwrap_or_else(PoisonError::into_inner);
         let document = last.get(&key)?.document.clone();
         drop(last);

@@ -172,7 +172,7 @@ async fn trend(
 ) -> Answered<Trend> {
     let [from_ns, to_ns] = range.ns(&live, &name)?;
     let points = range.points.unwrap_or(POINTS).clamp(2, MOST_POINTS);
-    let (archive, config) = (live.archive.clone(), live.config.clone());
+    let (archive, config) = (live.archive.clone(), live.config.get());
     let (curves, reach) = live
         .on_a_thread(move || {
             let signals = [Signal::Op, Signal::Pv, Signal::Sp];

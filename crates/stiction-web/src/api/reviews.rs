@@ -142,7 +142,7 @@ async fn keep(
         s: a.s,
     };
     let range = [a.window.start_ns, a.window.end_ns];
-    let (of_live, keep_days) = (live.clone(), live.config.retention.results_days);
+    let (of_live, keep_days) = (live.clone(), live.config.get().retention.results_days);
     let kept = live
         .on_a_thread(move || {
             let samples = recorded(&of_live.archive, &name, &Signal::ALL, range);

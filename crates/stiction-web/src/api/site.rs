@@ -98,20 +98,21 @@ pub(super) fn site_of(live: &Shared, token: Permission) -> Site {
     let now = now_ns();
     let health = live.snapshot.read().unwrap_or_else(PoisonError::into_inner).1.clone();
     let count = |name: &str| health.counters.get(name).copied().unwrap_or(0);
+    let config = live.config.get();
     Site {
         kind: SiteKind::Daemon,
-        prefix: live.config.site.prefix.clone(),
+        prefix: config.site.prefix.clone(),
         daemon_id: health.daemon.clone(),
         version: stiction::VERSION,
         config_hash: health.config_hash.clone(),
-        time_zone: live.config.web.page.time_zone.clone(),
+        time_zone: config.web.page.time_zone.clone(),
         now_ms: ms_from_ns(now),
         started_ms: ms_from_ns(live.started_ns),
         note: live.note,
         commands: live.takes_commands(),
         token,
         workbench: false,
-        workbench_url: Some(live.config.web.page.workbench.clone()).filter(|url| !url.is_empty()),
+        workbench_url: Some(config.web.page.workbench.clone()).filter(|url| !url.is_empty()),
         loops: health.loops,
         faults: health.faults.clone(),
         loss: Loss {

@@ -264,7 +264,7 @@ async fn buys(State(live): State<Shared>, PathName(name): PathName) -> Answered<
 async fn sheet(State(live): State<Shared>, PathName(name): PathName) -> Result<Response, ApiError> {
     let estimated = live.estimated(&name).await?;
     let alarm = live.overview.newest(&name).and_then(|newest| newest.alarm);
-    let prefix = live.config.site.prefix.clone();
+    let prefix = live.config.get().site.prefix.clone();
     let made = live
         .draw(move || {
             let warnings = alarm.iter().map(|alarm| alarm.line()).collect();

@@ -62,6 +62,7 @@ export const EVENTS = {
   unsuppressed: "no longer suppressed",
   out_of_service: "taken out of service",
   in_service: "back in service",
+  removed: "ended: the loop was removed",
   restored: "repeated after a restart",
 };
 

@@ -3,7 +3,9 @@
 use std::collections::BTreeMap;
 
 use stiction_files::columns::{METADATA_COLUMNS, METADATA_RAW};
-use stiction_files::run::REFILLED_FROM;
+use stiction_files::run::{ORIGINS, REFILLED_FROM};
+use stiction_monitor::config::Config;
+use stiction_monitor::engine::Origins;
 
 /// What all files of a run say of themselves.
 #[derive(Debug, Clone)]
@@ -18,18 +20,44 @@ pub struct RunInfo {
     pub run_number: Option<u64>,
     /// What made it: `run`, `demo`, `simulate`.
     pub origin: &'static str,
-    /// The configuration's text.
-    pub config_text: String,
-    /// Its hash.
-    pub config_hash: String,
+    /// The configuration that files are recorded under.
+    pub config: RecordedConfig,
     /// Id of the daemon, which its documents carry; empty where none made them.
     pub daemon: String,
-    /// Its mapped loops, as JSON.
-    pub loop_map: String,
     /// How its samples are written: `json` or `columns`.
     pub raw: String,
     /// The shards that go on where an earlier run ended.
     pub continued: BTreeMap<usize, Continued>,
+}
+
+/// What a file says of its configuration.
+#[derive(Debug, Clone, Default)]
+pub struct RecordedConfig {
+    /// Its text.
+    pub text: String,
+    /// Its hash.
+    pub hash: String,
+    /// Its mapped loops, as JSON.
+    pub loop_map: String,
+    /// The configurations that loops' settings come from, as JSON; empty where that is this one alone.
+    pub origins: String,
+}
+
+impl RecordedConfig {
+    /// Of a configuration with this text.
+    #[must_use]
+    pub fn new(config: &Config, text: String) -> Self {
+        let loop_map = serde_json::to_string(&config.loops).unwrap_or_default();
+        Self { text, hash: config.hash(), loop_map, origins: String::new() }
+    }
+
+    /// The same after edits, which left the settings of some loops as they were.
+    #[must_use]
+    pub fn with_origins(self, origins: &Origins) -> Self {
+        let is_plain = *origins == Origins::new(&self.hash);
+        let origins = if is_plain { String::new() } else { serde_json::to_string(origins).unwrap_or_default() };
+        Self { origins, ..self }
+    }
 }
 
 /// Where the loops of a shard come from whose windows go on over a restart: names of files.
@@ -50,9 +78,9 @@ impl RunInfo {
             [
                 ("prefix", self.prefix.clone()),
                 ("version", stiction::VERSION.to_owned()),
-                ("config", self.config_text.clone()),
-                ("config_hash", self.config_hash.clone()),
-                ("loop_map", self.loop_map.clone()),
+                ("config", self.config.text.clone()),
+                ("config_hash", self.config.hash.clone()),
+                ("loop_map", self.config.loop_map.clone()),
                 ("run_id", self.run_id.clone()),
                 ("started_ns", self.started_ns.to_string()),
                 ("origin", self.origin.to_owned()),
@@ -71,6 +99,8 @@ impl RunInfo {
         if self.raw == METADATA_COLUMNS {
             metadata.insert(METADATA_RAW.to_owned(), self.raw.clone());
         }
+        let edited = !self.config.origins.is_empty();
+        metadata.extend(edited.then(|| (ORIGINS.to_owned(), self.config.origins.clone())));
         metadata.extend((!self.daemon.is_empty()).then(|| ("daemon".to_owned(), self.daemon.clone())));
         metadata
     }

@@ -14,10 +14,8 @@ fn run() -> RunInfo {
         started_ns: 0,
         run_number: None,
         origin: "run",
-        config_text: String::new(),
-        config_hash: String::new(),
+        config: RecordedConfig::default(),
         daemon: String::new(),
-        loop_map: String::new(),
         raw: "json".to_owned(),
         continued: BTreeMap::new(),
     }
