@@ -79,9 +79,8 @@ pub struct Diagnose {
     /// Try two effects at once also where one alone explains the record.
     #[arg(long)]
     pub pairs: bool,
-    /// Take the files, or the sections of one file, for windows of one valve: one model and one set of effects, level and start
-    /// of each window its own. Experimental: on simulated loops five windows of four periods named an effect rightly less often
-    /// than one of them alone.
+    /// Take the files, or the sections of one file, for windows of one valve: each is diagnosed by itself, and one answer is given
+    /// from the evidence of all, with the window that shows it best.
     #[arg(long, conflicts_with_all = ["neighbours", "other_loops"])]
     pub pool: bool,
     /// Time for the search, a loop; without it some 5 s of two cores at most, much less where the base explains all.
@@ -135,7 +134,7 @@ fn diagnose_all(args: &Diagnose, format: Format) -> anyhow::Result<Outcome> {
     if args.pool {
         return pool::run(args, format);
     }
-    let base = args.base.as_deref().map_or(Ok(BaseChoice::Refit), base::read)?;
+    let settings = settings(args, 1)?;
     let loaded = args.reading.load_all(&args.input)?;
     for warning in &loaded.warnings {
         tracing::warn!("{warning}");
@@ -158,7 +157,7 @@ fn diagnose_all(args: &Diagnose, format: Format) -> anyhow::Result<Outcome> {
         }
         let points = points(one, &config);
         answered += 1;
-        match diagnose(args, (&base, &neighbours), one, &points, section) {
+        match diagnose(args, (&settings, &neighbours), one, &points, section) {
             Ok(found) => {
                 print(&found, format)?;
                 write_predictions(args, &points, &found, section)?;
@@ -200,26 +199,30 @@ fn check(args: &Diagnose) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// What was asked, of `windows` windows that share the time.
+fn settings(args: &Diagnose, windows: usize) -> anyhow::Result<GapSettings> {
+    Ok(GapSettings {
+        base: args.base.as_deref().map_or(Ok(BaseChoice::Refit), base::read)?,
+        without: args.without.clone(),
+        pairs: args.pairs,
+        budget_s: args.budget.map(|seconds| seconds / windows.max(1) as f64),
+        seed: args.seed,
+    })
+}
+
 fn diagnose(
     args: &Diagnose,
-    (base, neighbours): (&BaseChoice, &Neighbours),
+    (settings, neighbours): (&GapSettings, &Neighbours),
     one: &LoadedLoop,
     points: &Points,
     section: Section,
 ) -> anyhow::Result<Diagnosed> {
     let (record, notes) = analysis::gap::record(points, section, &args.selection.cut()).map_err(told)?;
     warn(&one.name, &notes);
-    let settings = GapSettings {
-        base: base.clone(),
-        without: args.without.clone(),
-        pairs: args.pairs,
-        budget_s: args.budget,
-        seed: args.seed,
-    };
     let mut options = settings.options(&record);
     options.neighbours = neighbours.beside(&one.name, &record)?;
     let bar = Bar::new(&one.name, options.budget_evaluations);
-    let team = Team::new(&bar, &options, args.budget.map(Duration::from_secs_f64));
+    let team = Team::new(&bar, &options, settings.budget_s.map(Duration::from_secs_f64));
     let found = analysis::gap::diagnose(&one.name, record, &options, &team);
     bar.0.finish_and_clear();
     found.with_context(|| format!("{}: loop {}", args.input(), one.name))

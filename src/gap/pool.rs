@@ -1,25 +1,27 @@
 //! `--pool`: files, or sections of one file, as windows of one valve.
 
-use std::path::PathBuf;
-use std::time::Duration;
-
 use anyhow::{Context, anyhow, bail};
 
 use super::super::reading::config_of;
-use super::super::selection::{points, told, warn};
+use super::super::selection::points;
 use super::super::{Format, Outcome, UsageError, stop};
-use super::{Bar, Diagnose, base, predictions, print, write_report};
-use stiction::gap::pool::Window;
-use stiction_monitor::analysis::gap::{self, BaseChoice, Diagnosed, GapSettings, MAX_POINTS};
-use stiction_monitor::analysis::predictions::rows_of_pool;
-use stiction_monitor::analysis::{Cut, Points, Section};
-use stiction_runtime::cores::Team;
+use super::{Diagnose, Diagnosed, diagnose, print, settings, write_predictions, write_report};
+use stiction_files::LoadedLoop;
+use stiction_monitor::analysis::gap::{DiagnosedWindow, decide_together};
+use stiction_monitor::analysis::{Points, Section};
+
+/// A section of the loop in one of the files.
+struct Window {
+    source: String,
+    one: LoadedLoop,
+    points: Points,
+    section: Section,
+}
 
 /// The windows, with what reading them said.
 #[derive(Default)]
 struct Read {
-    windows: Vec<(String, Points, Section)>,
-    names: Vec<(String, PathBuf)>,
+    windows: Vec<Window>,
     warnings: Vec<String>,
     data_loss: bool,
 }
@@ -27,6 +29,7 @@ struct Read {
 /// Every window of the command line: each section of the loop in each file.
 fn read(args: &Diagnose) -> anyhow::Result<Read> {
     let mut out = Read::default();
+    let mut named: Option<(String, String)> = None;
     let sections = args.selection.sections();
     for unit in args.reading.units(&args.input)? {
         let place = unit.name();
@@ -37,56 +40,36 @@ fn read(args: &Diagnose) -> anyhow::Result<Read> {
         let [one] = &chosen[..] else {
             bail!("{place}: {} loops; --pool takes windows of one: choose it by --loop", chosen.len());
         };
-        let path = unit.paths.first().cloned().unwrap_or_default();
         // A table without a name is called after its file.
-        if path.file_stem().is_none_or(|stem| stem.to_string_lossy() != one.name.as_str()) {
-            out.names.push((one.name.clone(), path.clone()));
+        let stem = unit.paths.first().and_then(|path| path.file_stem());
+        if stem.is_none_or(|stem| stem.to_string_lossy() != one.name.as_str()) {
+            let (first, at) = named.get_or_insert_with(|| (one.name.clone(), place.clone()));
+            if *first != one.name {
+                let other = &one.name;
+                bail!(
+                    "{place}: loop {other}, but {at} has loop {first}; --pool takes windows of one loop: leave it out"
+                );
+            }
         }
         let points = points(one, &config_of(&unit.paths)?);
         for section in &sections {
-            let name = match section {
+            let source = match section {
                 Section::Whole => place.clone(),
                 Section::Samples(start, end) => format!("{place}, samples {start} to {end}"),
                 Section::Window(..) if sections.len() == 1 => place.clone(),
                 Section::Window(..) => format!("{place}, window {}", out.windows.len() + 1),
             };
-            out.windows.push((name, points.clone(), *section));
+            out.windows.push(Window { source, one: (*one).clone(), points: points.clone(), section: *section });
         }
-    }
-    let mut names = out.names.iter();
-    if let Some((first, at)) = names.next()
-        && let Some((other, path)) = names.find(|(name, _)| name != first)
-    {
-        let (at, path) = (at.display(), path.display());
-        bail!("{path}: loop {other}, but {at} has loop {first}; --pool takes windows of one loop: leave it out");
     }
     Ok(out)
 }
 
-/// The records of the windows, all of one density.
-fn records(args: &Diagnose, read: &[(String, Points, Section)]) -> anyhow::Result<Vec<Window>> {
-    let mut all = 0;
-    for (_, points, section) in read {
-        all += points.samples(*section).map_err(told)?.len();
-    }
-    let mut cut: Cut = args.selection.cut();
-    if cut.downsample.is_none() && all > MAX_POINTS {
-        cut.downsample = Some(all.div_ceil(MAX_POINTS) as f64);
-    }
-    let window = |(source, points, section): &(String, Points, Section)| {
-        let (record, notes) = gap::record(points, *section, &cut).map_err(told).with_context(|| source.clone())?;
-        warn(source, &notes);
-        Ok(Window { source: source.clone(), record })
-    };
-    read.iter().map(window).collect()
-}
-
-/// Diagnoses the windows together.
+/// Diagnoses each window and gives one answer.
 ///
 /// # Errors
-/// A file cannot be read or does not fit the others.
+/// A file cannot be read, or a window cannot be diagnosed or does not fit the others.
 pub(super) fn run(args: &Diagnose, format: Format) -> anyhow::Result<Outcome> {
-    let base = args.base.as_deref().map_or(Ok(BaseChoice::Refit), base::read)?;
     let read = read(args)?;
     if read.windows.len() < 2 {
         let message = "--pool needs two windows at least: give more files, or sections by --window or --samples";
@@ -95,23 +78,22 @@ pub(super) fn run(args: &Diagnose, format: Format) -> anyhow::Result<Outcome> {
     for warning in &read.warnings {
         tracing::warn!("{warning}");
     }
-    let name = read.names.first().map_or_else(|| args.input(), |(name, _)| name.clone());
-    let windows = records(args, &read.windows)?;
-    let settings =
-        GapSettings { base, without: args.without.clone(), pairs: args.pairs, budget_s: args.budget, seed: args.seed };
-    let options = settings.options_of_pool(&windows);
+    let settings = settings(args, read.windows.len())?;
+    let alone = args.others.read(&args.reading, &[])?;
     stop::watch();
-    let bar = Bar::new(&name, options.budget_evaluations);
-    let team = Team::new(&bar, &options, args.budget.map(Duration::from_secs_f64));
-    let found = gap::diagnose_pool(&name, &windows, &options, &team);
-    bar.0.finish_and_clear();
-    let found = found.map_err(|e| anyhow!("{e}"))?;
-    if let Some(path) = &args.predictions {
-        predictions::write(path, &rows_of_pool(&found.pooled)).with_context(|| path.display().to_string())?;
+    let mut windows = Vec::new();
+    for window in &read.windows {
+        if stop::asked() {
+            bail!("{}: stopped after {} of {} windows", args.input(), windows.len(), read.windows.len());
+        }
+        let found: Diagnosed = diagnose(args, (&settings, &alone), &window.one, &window.points, window.section)
+            .with_context(|| format!("{}; leave it out or choose another section", window.source))?;
+        windows.push(DiagnosedWindow { source: window.source.clone(), alone: found });
     }
-    let (record, diagnosis) = (found.pooled.record, found.pooled.diagnosis);
-    let found = Diagnosed { document: found.document, record, diagnosis };
+    let (shown, found) = decide_together(&windows, &settings).map_err(|e| anyhow!("{e}"))?;
+    let window = &read.windows[shown];
     print(&found, format)?;
+    write_predictions(args, &window.points, &found, window.section)?;
     if let Some(path) = &args.report {
         write_report(args, path, &read.warnings, vec![found])?;
     }

@@ -285,11 +285,12 @@ fn windows_of_one_valve_are_diagnosed_together_and_what_does_not_fit_is_refused_
     assert_eq!(d["cause"]["id"], "none", "{}", d["cause"]);
     let alone = expect(2, &["gap", &input, "--pool"]);
     assert!(stderr(&alone).contains("two windows at least"), "{}", stderr(&alone));
-    // Every second sample of another file: another sampling time.
+    let shown: Vec<&Value> = d["pooled"].as_array().unwrap().iter().filter(|w| w["shown"] == true).collect();
+    assert_eq!(shown.len(), 1, "{}", d["pooled"]);
+    assert_eq!(d["window"]["start_ns"], shown[0]["start_ns"]);
     let text = fs::read_to_string(&input).unwrap();
-    let coarse = path("coarse.csv");
-    let kept: Vec<&str> = text.lines().enumerate().filter(|(k, _)| k % 2 == 0).map(|(_, line)| line).collect();
-    fs::write(&coarse, kept.join("\n")).unwrap();
-    let refused = expect(1, &["gap", &input, &coarse, "--pool"]);
-    assert!(stderr(&refused).contains("coarse.csv") && refused.stdout.is_empty(), "{}", stderr(&refused));
+    let short = path("short.csv");
+    fs::write(&short, text.lines().take(30).collect::<Vec<_>>().join("\n")).unwrap();
+    let refused = expect(1, &["gap", &short, &input, "--pool"]);
+    assert!(stderr(&refused).contains("short.csv") && refused.stdout.is_empty(), "{}", stderr(&refused));
 }

@@ -5,7 +5,7 @@ use stiction::detect::oscillation;
 use stiction::gap::document::GapDocument;
 use stiction::gap::locate::{Subject, locate};
 use stiction::gap::model_file::ModelFile;
-use stiction::gap::pool::{self, PoolError, Pooled};
+use stiction::gap::pool::{self, PoolError};
 use stiction::gap::{self, Base, Diagnosis, Executor, GapError, GapOptions, Neighbour};
 use stiction::record::Record;
 
@@ -54,14 +54,6 @@ impl BaseChoice {
 }
 
 impl GapSettings {
-    /// Search options for windows that are diagnosed together; the period is theirs to find. A given model is taken in the
-    /// sampling time of the first, which they share.
-    #[must_use]
-    pub fn options_of_pool(&self, windows: &[pool::Window]) -> GapOptions {
-        let first = windows.first().map(|window| self.options(&window.record));
-        GapOptions { period_points: None, ..first.unwrap_or_default() }
-    }
-
     /// Search options for a record.
     #[must_use]
     pub fn options(&self, record: &Record) -> GapOptions {
@@ -127,29 +119,31 @@ pub fn diagnose(
     Ok(Diagnosed { document, record, diagnosis })
 }
 
-/// Windows of a loop that were diagnosed together.
+/// Windows of one valve, with what each alone came to.
 #[derive(Debug, Clone)]
-pub struct DiagnosedPool {
-    /// The diagnosis.
-    pub document: GapDocument,
-    /// The joined record and the fits behind it.
-    pub pooled: Pooled,
+pub struct DiagnosedWindow {
+    /// Where it comes from.
+    pub source: String,
+    /// The diagnosis of it alone.
+    pub alone: Diagnosed,
 }
 
-/// Diagnoses windows of a loop together.
+/// Decides from several windows; what it gives is of the window that shows the answer best, and its place.
 ///
 /// # Errors
-/// A window that does not fit the others, with its name; or the joined record cannot be diagnosed.
-pub fn diagnose_pool(
-    name: &str,
-    windows: &[pool::Window],
-    options: &GapOptions,
-    executor: &dyn Executor,
-) -> Result<DiagnosedPool, PoolError> {
-    let pooled = pool::diagnose(windows, options, executor)?;
-    pooled.diagnosis.check_base()?;
-    let subject = Subject::of(&pooled.diagnosis, Some(pooled.period), options.seed);
-    let location = locate(&pooled.record, &subject);
-    let document = GapDocument::of_pool(name, &pooled, &options.base, location);
-    Ok(DiagnosedPool { document, pooled })
+/// A window that does not fit the others, with its name.
+pub fn decide_together(windows: &[DiagnosedWindow], settings: &GapSettings) -> Result<(usize, Diagnosed), PoolError> {
+    let each: Vec<pool::Window<'_>> = windows
+        .iter()
+        .map(|w| pool::Window { source: &w.source, record: &w.alone.record, diagnosis: &w.alone.diagnosis })
+        .collect();
+    let pooled = pool::decide_together(&each)?;
+    let alone = &windows[pooled.shown].alone;
+    let (record, diagnosis) = (alone.record.clone(), pooled.diagnosis);
+    let options = settings.options(&record);
+    let location = locate(&record, &Subject::of(&diagnosis, options.period_points, options.seed));
+    let name = &alone.document.loop_name;
+    let mut document = GapDocument::new(name, &record, &options.base, &diagnosis, location);
+    document.pooled = pooled.windows;
+    Ok((pooled.shown, Diagnosed { document, record, diagnosis }))
 }

@@ -1,7 +1,6 @@
 //! Measured and simulated PV of a diagnosed section, row by row.
 
 use stiction::gap::Diagnosis;
-use stiction::gap::pool::{self, Pooled};
 use stiction::record::Record;
 use stiction::signal::align::Point;
 use stiction::units::ns_from_s;
@@ -25,19 +24,6 @@ fn row(diagnosis: &Diagnosis, record: &Record, t_ns: i64, k: usize) -> Row {
     let value = |x: &[Option<f64>]| x.get(k).copied().flatten().filter(|v| v.is_finite());
     let simulated = value(&predictions.pv_base).zip(value(&predictions.pv_after)).map(|(a, b)| [a, b]);
     Row { t_ns, pv: record.pv[k], simulated, held_out: simulated.is_some() && flag(&predictions.held_out) }
-}
-
-/// A row for every simulated point of windows that were diagnosed together, PV at their common level.
-#[must_use]
-pub fn rows_of_pool(pooled: &Pooled) -> Vec<Row> {
-    let (record, step_s) = (&pooled.record, pooled.record.point_s());
-    let stamp = |start_ns: i64, after: usize| start_ns + ns_from_s((after + 1) as f64 * step_s - record.ts_s);
-    let window = |(at, window): (usize, &pool::WindowNote)| {
-        let points = pooled.points(at);
-        let (from, start_ns) = (points.start, window.start_ns);
-        points.map(move |k| row(&pooled.diagnosis, record, stamp(start_ns, k - from), k))
-    };
-    pooled.windows.iter().enumerate().flat_map(window).collect()
 }
 
 /// A row for every sample of the section. Free runs are given where they count: not while the valve's unknown past matters,

@@ -1,7 +1,6 @@
 //! From a record to the diagnosis: traces, base, effects, noise models, decision, and its consequences.
 
 use std::collections::BTreeMap;
-use std::sync::Arc;
 
 use super::decide;
 use super::effects::{self, Way};
@@ -23,7 +22,6 @@ use super::stages;
 use super::traces::Traces;
 use super::types::{Base, EffectResult, Ended, Executor, Fit, Floor, Forward, GapError, GapOptions, Predictions};
 use super::weigh::Scales;
-use super::windows::Windows;
 use crate::ident::controller;
 use crate::record::Record;
 use crate::signal::stats;
@@ -79,15 +77,11 @@ fn search(
     record: &Record,
     options: &GapOptions,
     period: f64,
-    (mut traces, windows): (Traces, Option<&Arc<Windows>>),
+    traces: Traces,
     work: &mut Work<'_>,
 ) -> Result<Option<Searched>, GapError> {
     let mut problem =
         Problem::new(record, Some(period), options.seed, traces.masked.clone()).fitted_where(&traces.measured);
-    if let Some(windows) = windows {
-        problem = problem.in_windows(Arc::clone(windows));
-        traces.masked.clone_from(&problem.blocks.masked);
-    }
     if let Base::Given(model) = &options.base {
         problem.stated = given::base_places(&problem, model)?;
     }
@@ -103,19 +97,6 @@ fn search(
 /// # Errors
 /// The record is too short, a signal is constant, an id is unknown, or a given model cannot be simulated.
 pub fn diagnose(record: &Record, options: &GapOptions, executor: &dyn Executor) -> Result<Diagnosis, GapError> {
-    diagnose_in(record, options, None, executor)
-}
-
-/// Diagnoses a record that may be of several windows.
-///
-/// # Errors
-/// As [`diagnose`].
-pub(super) fn diagnose_in(
-    record: &Record,
-    options: &GapOptions,
-    windows: Option<&Arc<Windows>>,
-    executor: &dyn Executor,
-) -> Result<Diagnosis, GapError> {
     check(record, options)?;
     if let Base::Given(model) = &options.base {
         given::check(model)?;
@@ -125,12 +106,12 @@ pub(super) fn diagnose_in(
     let mut work = Work { executor, budget, done: 0, stopped: false, spent: false, seed: options.seed, asked: None };
     let traces = signatures::traces(record, period, &options.without);
     let retry = traces.thinned.then(|| traces.all_measured());
-    let mut searched = search(record, options, period, (traces, windows), &mut work)?;
+    let mut searched = search(record, options, period, traces, &mut work)?;
     if let Some(all) = retry.filter(|_| searched.as_ref().is_none_or(Searched::tells_nothing)) {
         // What the discarded search spent says nothing of this one.
         work.begin(budget);
         work.spent = false;
-        searched = search(record, options, period, (all, windows), &mut work)?;
+        searched = search(record, options, period, all, &mut work)?;
     }
     let no_base = GapError::NoBase { points: record.len(), evaluations: work.done };
     let Some(Searched { traces, problem, mut floor, mut found }) = searched else { return Err(no_base) };

@@ -11,7 +11,7 @@ use super::judged::Diagnosis;
 use super::locate::Location;
 use super::loop_run::Cycles;
 use super::model::Model;
-use super::pool::{Pooled, WindowNote};
+use super::pool::WindowNote;
 use super::sizes::Quantity;
 use super::types::{Alternative, Base, Compared, EffectResult, Ended, Fit, Parameter, UNKNOWN};
 use super::typical::{self, Known, TypicalNote};
@@ -266,7 +266,7 @@ pub struct GapDocument {
     /// How far the record lies from those that the cause's probability was calibrated on.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub typical: Option<TypicalNote>,
-    /// The windows that were diagnosed together, if there are several.
+    /// The windows that were decided together, if there are several; all else but the answer is of the one that is `shown`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub pooled: Vec<WindowNote>,
     /// Comparison with other loops, if some were offered.
@@ -293,17 +293,6 @@ impl GapDocument {
         let tellable = budget.as_ref().map(|b| TellableNote::of(record, b, &diagnosis.base.slips, explained));
         let budget = budget.map(|budget| BudgetNote::of(&budget, &diagnosis.signatures));
         Self { budget, ..document.telling(tellable) }
-    }
-
-    /// Makes the document of windows that were diagnosed together. It has no budget: a disturbance does not go on from one
-    /// window to the next.
-    #[must_use]
-    pub fn of_pool(loop_name: &str, pooled: &Pooled, base: &Base, location: Location) -> Self {
-        let (record, diagnosis) = (&pooled.record, &pooled.diagnosis);
-        let document = Self::without_budget(loop_name, record, base, diagnosis, location);
-        let explained = document.closed_loop.as_ref().map(|cycles| cycles.controller.r2);
-        let told = TellableNote::of_windows(record, pooled.records(), pooled.period, &diagnosis.base.slips, explained);
-        Self { pooled: pooled.windows.clone(), ..document.telling(Some(told)) }
     }
 
     fn telling(self, tellable: Option<TellableNote>) -> Self {

@@ -12,12 +12,6 @@ const FIRST: f64 = 0.6;
 /// Fewest points of the rest.
 const LEAST: usize = 40;
 
-/// The start of a window that is nearest to a cut; the cut itself where the record is not of several.
-fn whole_windows(problem: &Problem, cut: usize) -> usize {
-    let starts = problem.windows.iter().flat_map(|w| w.ranges(problem.n())).map(|window| window.start);
-    starts.filter(|start| *start > 0).min_by_key(|start| start.abs_diff(cut)).unwrap_or(cut)
-}
-
 /// Gaps of base and cause on the rest; `None` where the rest is too short or a model finds no place.
 pub fn forward(
     problem: &Problem,
@@ -27,7 +21,7 @@ pub fn forward(
     work: &mut Work<'_>,
 ) -> Option<Forward> {
     let from = problem.blocks.from;
-    let cut = whole_windows(problem, from + (FIRST * (problem.n() - from) as f64) as usize);
+    let cut = from + (FIRST * (problem.n() - from) as f64) as usize;
     if problem.n() - cut < LEAST || cut - from < LEAST {
         return None;
     }

@@ -1,6 +1,6 @@
 //! All that a diagnosis found, and the decision that is made from it.
 
-use super::decide;
+use super::decide::{self, Decision};
 use super::effects;
 use super::evidence::{Basis, Evidence};
 use super::model::Model;
@@ -119,9 +119,13 @@ impl Diagnosis {
         ranked && !self.effects.iter().filter(|e| e.simulated).filter_map(over).any(|over| over < decide::EXPLAINED)
     }
 
-    /// Decides, and lets everything that follows from the cause follow it.
+    /// Decides from its own evidence.
     pub(super) fn settle(&mut self, without: &[&str]) {
-        let decision = decide::decide(&self.evidence(), without, Calibration::shipped());
+        self.follow(decide::decide(&self.evidence(), without, Calibration::shipped()));
+    }
+
+    /// Takes a decision, and lets everything that follows from its cause follow it.
+    pub(super) fn follow(&mut self, decision: Decision) {
         (self.cause, self.second) = (decision.cause, decision.second);
         (self.alternatives, self.features) = (decision.alternatives, decision.features);
         let after = self.effects.iter().chain(&self.pairs).find(|e| e.id == self.acts()).and_then(|e| e.fit.clone());

@@ -48,7 +48,6 @@ pub mod types;
 pub mod typical;
 mod valve_signal;
 mod weigh;
-mod windows;
 
 pub use decide::{By, Decision, decide, holds_out};
 pub use diagnosis::{MIN_POINTS, diagnose};

@@ -379,13 +379,9 @@ pub fn reads_controller(tau: [f64; 2], gain: [f64; 2]) -> bool {
 pub fn loads(plan: &Plan, tau: f64, problem: &Problem) -> Vec<Vec<f64>> {
     let n = problem.n();
     let mut out = Vec::new();
-    match (plan.omega, &problem.windows) {
-        (Some(omega), Some(windows)) => out.extend(windows.waves(omega, n, &problem.train)),
-        (Some(omega), None) => {
-            let turn = [libm::sin(omega), libm::cos(omega)];
-            out.extend([[0.0, 1.0], [1.0, 0.0]].map(|start| waves(n, start, turn)));
-        }
-        (None, _) => {}
+    if let Some(omega) = plan.omega {
+        let turn = [libm::sin(omega), libm::cos(omega)];
+        out.extend([[0.0, 1.0], [1.0, 0.0]].map(|start| waves(n, start, turn)));
     }
     if let Some(start) = plan.ramp {
         out.push((0..n).map(|k| (k as f64 - start).max(0.0) / n as f64).collect());
@@ -408,9 +404,6 @@ pub fn loads(plan: &Plan, tau: f64, problem: &Problem) -> Vec<Vec<f64>> {
     }
     if let (Some([lag, delay]), Some(load)) = (plan.neighbour, &problem.neighbour) {
         out.push(load.behind(lag, delay, n));
-    }
-    if let Some(windows) = &problem.windows {
-        out.iter_mut().for_each(|load| windows.centre(load, &problem.train));
     }
     out
 }

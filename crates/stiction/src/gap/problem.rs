@@ -6,7 +6,6 @@ use super::candidate::Parameters;
 use super::neighbour::Load;
 use super::traces::between;
 use super::types::Blocks;
-use super::windows::Windows;
 use crate::detect::oscillation;
 use crate::ident::candidate::NormalisedRecord;
 use crate::ident::evaluator;
@@ -75,8 +74,6 @@ pub struct Problem {
     pub stated: Vec<Parameters>,
     /// The neighbour that the effect of that name takes as a load.
     pub neighbour: Option<Arc<Load>>,
-    /// The windows of a joined record.
-    pub windows: Option<Arc<Windows>>,
 }
 
 /// What the base of every fit is told.
@@ -135,7 +132,6 @@ impl Problem {
             box_samples: record.box_samples as f64,
             stated: Vec::new(),
             neighbour: None,
-            windows: None,
         };
         let held_out = problem.blocks.held_out.clone();
         problem.divide_by(&held_out);
@@ -153,31 +149,6 @@ impl Problem {
             let held_out = self.blocks.held_out.clone();
             self.divide_by(&held_out);
         }
-        self
-    }
-
-    /// The same problem of several windows: blocks begin anew in each, and its start is left out.
-    #[must_use]
-    pub fn in_windows(mut self, windows: Arc<Windows>) -> Self {
-        let n = self.n();
-        let length = self.blocks.length;
-        for (turn, window) in windows.ranges(n).enumerate() {
-            let from = Windows::settled(&window, self.period, self.blocks.from);
-            if window.start > 0 {
-                self.blocks.masked[window.start..from].fill(true);
-            }
-            let before = if window.start == 0 { 0 } else { self.blocks.number[window.start - 1] + 1 };
-            let blocks = ((window.end.saturating_sub(from)) as f64 / length as f64).round().max(2.0);
-            let each = (window.end.saturating_sub(from) as f64 / blocks).max(1.0);
-            for k in window.clone() {
-                let own = (k.saturating_sub(from) as f64 / each) as usize;
-                self.blocks.number[k] = before + own;
-                self.blocks.held_out[k] = k >= from && (own + turn) % 2 == 1;
-            }
-        }
-        self.windows = Some(windows);
-        let held_out = self.blocks.held_out.clone();
-        self.divide_by(&held_out);
         self
     }
 

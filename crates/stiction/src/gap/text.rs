@@ -107,13 +107,13 @@ fn outside(d: &GapDocument) -> Option<String> {
     ))
 }
 
-/// The windows that were diagnosed together.
+/// The windows that were decided together.
 fn windows(d: &GapDocument) -> String {
     let each = d.pooled.iter().map(|w| {
-        let left = w.rmse.map_or_else(|| "none held out".to_owned(), |e| format!("error {}", number(e)));
-        format!("{} (level {}, {left})", w.source, number(w.level))
+        let shown = if w.shown { ", shown here" } else { "" };
+        format!("{}: {} (p {}{shown})", w.source, w.cause, probability(w.probability))
     });
-    format!("{} together, level and start of each its own: {}", d.pooled.len(), each.collect::<Vec<_>>().join(", "))
+    format!("{} together; alone {}", d.pooled.len(), each.collect::<Vec<_>>().join(", "))
 }
 
 /// Begins with a capital and ends with a full stop.

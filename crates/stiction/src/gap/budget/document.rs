@@ -6,8 +6,6 @@ use serde::{Deserialize, Serialize};
 
 use super::Budget;
 use super::parts::Part;
-use super::search::Model;
-use super::series::Series;
 use super::shapes::Shape;
 use crate::gap::effects;
 use crate::gap::sizes::Quantity;
@@ -173,28 +171,7 @@ impl TellableNote {
     /// What a record can tell by its budget, the slips of the base and how much of OP's moves the controller explains.
     #[must_use]
     pub fn of(record: &Record, budget: &Budget, slips: &[Slip], explained: Option<f64>) -> Self {
-        let periods = budget.series.n() as f64 / budget.series.period;
-        Self::made(record, [budget.model.gain_by_op, periods], slips, explained)
-    }
-
-    /// What windows that are joined to one record can tell: the gains of all, each by a noise model of its own.
-    #[must_use]
-    pub fn of_windows(
-        record: &Record,
-        windows: impl IntoIterator<Item = Record>,
-        period: f64,
-        slips: &[Slip],
-        explained: Option<f64>,
-    ) -> Self {
-        let gain = |window: Record| {
-            let series = Series::of(&window, None, Some(period))?;
-            Some(Model::of(&series)?.gain_by_op)
-        };
-        let gains = windows.into_iter().filter_map(gain).sum();
-        Self::made(record, [gains, record.len() as f64 / period], slips, explained)
-    }
-
-    fn made(record: &Record, [gain, periods]: [f64; 2], slips: &[Slip], explained: Option<f64>) -> Self {
+        let (gain, periods) = (budget.model.gain_by_op, budget.series.n() as f64 / budget.series.period);
         let [hardly, mostly] = TOLD;
         let sp = record.sp.as_deref().unwrap_or_default();
         let least = 1e-6 * stats::std_dev(&record.pv);

@@ -68,7 +68,7 @@ impl Budget {
         let by = series.of_pv[1] * (series.box_points as f64).sqrt();
         let split = parts::split(&model, &searched, known.noise_sd.map(|sd| sd / by));
         Some(Self {
-            smallest_step: smallest::step(&model, &searched),
+            smallest_step: smallest::step(&series, &model, &searched),
             smallest_sinusoid: smallest::sinusoid(&series, &model, &searched),
             series,
             model,

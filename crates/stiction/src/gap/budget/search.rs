@@ -15,7 +15,7 @@ const MOST_ADDED: usize = 3;
 /// Shapes of a kind that are refitted: alone, beside those of a low order, and of a low order.
 const REFITTED: [usize; 3] = [3, 2, 2];
 /// Order of A that cannot swallow a sinusoid.
-pub(super) const LOW: usize = 2;
+const LOW: usize = 2;
 /// Steps by which a sinusoid's frequency is refined, and how far apart two sinusoids are, cycles in the record.
 const FINER: [f64; 3] = [0.25, 0.125, 0.0625];
 const APART: f64 = 1.2;
@@ -164,7 +164,7 @@ fn best(series: &Series, model: &Model, so_far: &Searched) -> Option<Tried> {
     let low = low.flatten();
     let frequencies = scan.frequencies(series);
     let shapes = candidates(&scan, low.as_ref().and_then(|fit| Scan::new(fit, n)).as_ref(), &frequencies);
-    let there = |shape: &Shape| so_far.added.iter().any(|a| same(shape, &a.shape, n));
+    let there = |shape: &Shape| so_far.added.iter().any(|a| is_same(shape, &a.shape, n));
     let try_one = |shape: Shape| {
         let mut columns = so_far.columns.clone();
         columns.extend(model.columns(&shape));
@@ -188,7 +188,7 @@ fn best(series: &Series, model: &Model, so_far: &Searched) -> Option<Tried> {
 }
 
 /// Whether a shape is one that is there already.
-fn same(shape: &Shape, there: &Shape, n: usize) -> bool {
+pub(super) fn is_same(shape: &Shape, there: &Shape, n: usize) -> bool {
     match (shape, there) {
         (Shape::Step(_), Shape::Step(_)) => shape == there,
         (Shape::Sinusoid(own), Shape::Sinusoid(other)) => (own - other).abs() < APART / n as f64,

@@ -1,25 +1,25 @@
-//! From which size on an effect would have been named in this record.
+//! From which size on an effect would have been named in this record: put into PV and looked for as any other, so that what
+//! another effect or the disturbance takes of it counts, too.
 
-use super::arx::{Fit, ORDERS, START, whitened};
+use super::arx::{START, whitened};
 use super::scan::Scan;
-use super::search::{LEAST_GAIN, LOW, Model, Searched, refit};
+use super::search::{LEAST_GAIN, Model, Searched, is_same, search};
 use super::series::Series;
 use super::shapes::Shape;
 
-/// Highest order of A.
-const HIGHEST: usize = ORDERS[ORDERS.len() - 1];
-/// Onsets at which a step is put in, and the part of them at which it must be seen.
+/// Onsets at which the innovations of a step are asked, and the part of them at which it must show.
 const ONSETS: usize = 20;
 const SEEN: f64 = 0.9;
-/// Sizes between which the least step is looked for, standard deviations of PV, and halvings of that range's ratio.
+/// Sizes between which innovations show an effect, standard deviations of PV, and halvings of that range's ratio.
 const SIZES: [f64; 2] = [1e-3, 20.0];
 const HALVINGS: usize = 12;
-/// Parts of the record at which a step is put into PV and fitted, and the factor by which it grows until it is named there.
+/// Parts of the record at which a step is put into PV.
 const PLACES: [f64; 3] = [0.2, 0.5, 0.8];
+/// Factor by which an effect grows until the search names it, and how often it grows at most.
 const GROWTH: f64 = 1.25;
-/// The same for a sinusoid; each size takes fits.
-const WAVE_SIZES: [f64; 2] = [0.05, 5.0];
-const WAVE_HALVINGS: usize = 5;
+const MOST_GROWN: usize = 10;
+/// Points by which the onset of a step may be missed.
+const ONSET_MISSED: usize = 10;
 /// Cycles in the record of the sinusoid.
 const CYCLES: f64 = 4.5;
 
@@ -40,90 +40,89 @@ fn least(range: [f64; 2], halvings: usize, holds: impl Fn(f64) -> bool) -> Optio
     Some(libm::exp(high))
 }
 
-/// PV less the effects that were found, into which others are put.
-struct Rest<'m> {
-    model: &'m Model,
-    pv: Vec<f64>,
-    order: usize,
+/// A record into which effects are put.
+struct Trial<'r> {
+    series: &'r Series,
+    searched: &'r Searched,
+    scan: Scan<'r>,
 }
 
-impl<'m> Rest<'m> {
-    fn of(model: &'m Model, searched: &Searched) -> Self {
-        let pv = model.design.less(&searched.columns, &searched.fit.beta);
-        Self { model, pv, order: searched.fit.order() }
+impl<'r> Trial<'r> {
+    fn new(series: &'r Series, searched: &'r Searched) -> Option<Self> {
+        Some(Self { series, searched, scan: Scan::new(&searched.fit, series.n())? })
     }
 
-    /// Log likelihood that a shape gains where `size` times a column was put in, nats: the noise model is fitted anew to both, and
-    /// may take an effect for the disturbance's own.
-    fn gain(&self, shape: &Shape, column: &[f64], size: f64) -> Option<f64> {
-        let y = self.pv.iter().zip(column).map(|(y, x)| y + size * x).collect();
-        let design = self.model.design.with_pv(y);
-        let price = 0.5 * libm::log(self.pv.len() as f64);
-        let bases = [self.order, HIGHEST].into_iter().filter_map(|order| design.fit(order, &[], None));
-        let worth = |fit: &Fit| fit.log_likelihood() - price * fit.order() as f64;
-        let base = bases.max_by(|x, y| worth(x).total_cmp(&worth(y)))?;
-        let before = base.log_likelihood();
-        let low = if matches!(shape, Shape::Sinusoid(_)) { design.fit(LOW, &[], None) } else { None };
-        let model = Model { design, base, ..self.model.clone() };
-        let with = refit(&model, &model.columns(shape), low.as_ref())?;
-        Some(with.log_likelihood() - before)
+    /// The least size of a column whose innovations cost that much, nats, the noise model left as it is.
+    fn shown(&self, column: &[f64], cost: f64) -> Option<f64> {
+        let fit = &self.searched.fit;
+        let before = fit.student.loss(fit.e.iter().copied());
+        let seen = self.scan.new_part(&whitened(&fit.a, column)[START..]);
+        let gain = |size: f64| fit.student.loss(fit.e.iter().zip(&seen).map(|(e, x)| e + size * x)) - before;
+        least(SIZES, HALVINGS, |size| gain(size) >= cost)
     }
-}
 
-/// The least step that would have been named at nine of ten onsets, standard deviations of PV.
-#[must_use]
-pub fn step(model: &Model, searched: &Searched) -> Option<f64> {
-    let n = model.design.y.len();
-    let scan = Scan::new(&searched.fit, n)?;
-    let cost = Shape::Step(0).cost(n, scan.onsets().len()) + LEAST_GAIN;
-    let mut size = by_innovations(&scan, searched, cost)?;
-    let rest = Rest::of(model, searched);
-    for place in PLACES {
-        let shape = Shape::Step((place * n as f64) as usize);
-        let column = model.columns(&shape).remove(0);
-        while rest.gain(&shape, &column, size).is_none_or(|gain| gain < cost) {
-            size *= GROWTH;
-            if size > SIZES[1] {
-                return None;
+    /// Whether the search names a shape of which `size` times a column is put into PV; also where it names that as it is.
+    fn is_named(&self, shape: &Shape, column: &[f64], size: f64) -> bool {
+        let pv = self.series.pv.iter().zip(column).map(|(y, x)| y + size * x).collect();
+        let series = Series { pv, ..self.series.clone() };
+        let found = Model::of(&series).map(|model| search(&series, &model).added).unwrap_or_default();
+        let is_it = |own: &Shape| match (own, shape) {
+            (Shape::Step(own), Shape::Step(put)) => own.abs_diff(*put) <= ONSET_MISSED,
+            _ => is_same(own, shape, series.n()),
+        };
+        self.searched.added.iter().chain(&found).any(|added| is_it(&added.shape))
+    }
+
+    /// The least size, grown from one, at which the search names each of these shapes; `None` where it does not come to that.
+    fn named(&self, shapes: &[(Shape, Vec<f64>)], from: f64) -> Option<f64> {
+        let mut sizes = core::iter::successors(Some(from), |size| Some(size * GROWTH)).take(MOST_GROWN + 1);
+        let mut size = sizes.next()?;
+        for (shape, column) in shapes {
+            while !self.is_named(shape, column, size) {
+                size = sizes.next()?;
             }
         }
+        Some(size)
     }
-    Some(size)
 }
 
-/// The least step whose innovations would have cost enough at nine of ten onsets, the noise model left as it is.
-fn by_innovations(scan: &Scan<'_>, searched: &Searched, cost: f64) -> Option<f64> {
-    let fit = &searched.fit;
-    let n = START + fit.e.len();
-    let onsets = scan.onsets();
-    let before = fit.student.loss(fit.e.iter().copied());
-    let needed = |i: usize| {
+/// The least step that would have been named, standard deviations of PV.
+#[must_use]
+pub fn step(series: &Series, model: &Model, searched: &Searched) -> Option<f64> {
+    let trial = Trial::new(series, searched)?;
+    let n = series.n();
+    let onsets = trial.scan.onsets();
+    let cost = Shape::Step(0).cost(n, onsets.len()) + LEAST_GAIN;
+    let column = |at: usize| model.columns(&Shape::Step(at)).remove(0);
+    let shown = |i: usize| {
         let at = onsets.start + (onsets.len() - 1) * (2 * i + 1) / (2 * ONSETS);
-        let column = Shape::Step(at).columns(n, &[]).remove(0);
-        let seen = scan.new_part(&whitened(&fit.a, &column)[START..]);
-        let gain = |size: f64| fit.student.loss(fit.e.iter().zip(&seen).map(|(e, x)| e + size * x)) - before;
-        least(SIZES, HALVINGS, |size| gain(size) >= cost).unwrap_or(f64::INFINITY)
+        trial.shown(&column(at), cost).unwrap_or(f64::INFINITY)
     };
-    let mut sizes: Vec<f64> = (0..ONSETS).map(needed).collect();
+    let mut sizes: Vec<f64> = (0..ONSETS).map(shown).collect();
     sizes.sort_by(f64::total_cmp);
-    Some(sizes[(SEEN * ONSETS as f64) as usize - 1]).filter(|size| size.is_finite())
+    let from = Some(sizes[(SEEN * ONSETS as f64) as usize - 1]).filter(|size| size.is_finite())?;
+    let at = |place: &f64| (place * n as f64) as usize;
+    let shapes: Vec<_> = PLACES.iter().map(|place| (Shape::Step(at(place)), column(at(place)))).collect();
+    trial.named(&shapes, from)
 }
 
 /// The least amplitude of a slow sinusoid that would have been named, standard deviations of PV, and its frequency, cycles a
 /// point.
 #[must_use]
 pub fn sinusoid(series: &Series, model: &Model, searched: &Searched) -> Option<(f64, f64)> {
+    let trial = Trial::new(series, searched)?;
     let n = series.n();
-    let scan = Scan::new(&searched.fit, n)?;
-    let frequencies = scan.frequencies(series);
+    let frequencies = trial.scan.frequencies(series);
     let by = |f: &&f64| (**f * n as f64 - CYCLES).abs();
-    let frequency = *frequencies.iter().min_by(|x, y| by(x).total_cmp(&by(y)))?;
+    let is_free = |f: &&f64| searched.added.iter().all(|added| !is_same(&Shape::Sinusoid(**f), &added.shape, n));
+    let frequency = *frequencies.iter().filter(is_free).min_by(|x, y| by(x).total_cmp(&by(y)))?;
     let shape = Shape::Sinusoid(frequency);
-    let waves = model.columns(&shape);
     let cost = shape.cost(n, frequencies.len()) + LEAST_GAIN;
-    let rest = Rest::of(model, searched);
-    let named = |size: f64| waves.iter().all(|wave| rest.gain(&shape, wave, size).is_some_and(|gain| gain >= cost));
-    least(WAVE_SIZES, WAVE_HALVINGS, named).map(|size| (size, frequency))
+    // Sine and cosine: the phase must not matter.
+    let shapes: Vec<_> = model.columns(&shape).into_iter().map(|wave| (shape.clone(), wave)).collect();
+    let from = shapes.iter().map(|(_, wave)| trial.shown(wave, cost)).collect::<Option<Vec<f64>>>()?;
+    let from = from.into_iter().fold(0.0, f64::max);
+    trial.named(&shapes, from).map(|size| (size, frequency))
 }
 
 #[cfg(test)]
@@ -137,7 +136,7 @@ mod tests {
         let plain = Loop::default();
         let series = plain.series(4);
         let model = Model::of(&series).unwrap();
-        let size = step(&model, &search(&series, &model)).unwrap();
+        let size = step(&series, &model, &search(&series, &model)).unwrap();
         let put = |share: f64| {
             let record =
                 series.pv.iter().enumerate().map(|(k, y)| y + if k >= 450 { share * size } else { 0.0 }).collect();

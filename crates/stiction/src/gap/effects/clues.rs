@@ -1,7 +1,5 @@
 //! Where to begin looking for an effect: what the base leaves, and how its valve moves.
 
-use core::ops::Range;
-
 use crate::gap::problem::Problem;
 
 /// The base's best fit as the effects' starts see it.
@@ -18,21 +16,10 @@ pub struct Clues<'a> {
 }
 
 impl Clues<'_> {
-    /// Share of the residual's fitted part that columns made by `shape` explain, each with a constant; in a record of several
-    /// windows with coefficients of its own in each.
+    /// Share of the residual's fitted part that columns made by `shape` explain, each with a constant.
     fn explained(&self, shape: &dyn Fn(f64) -> [f64; 2]) -> f64 {
-        let whole = 0..self.problem.n();
-        let windows = self.problem.windows.as_ref();
-        let ranges: Vec<_> = windows.map_or_else(|| vec![whole.clone()], |w| w.ranges(whole.end).collect());
-        let sums = ranges.into_iter().map(|range| self.squares(&range, shape));
-        let [squares, all] = sums.fold([0.0; 2], |sum, [squares, all]| [sum[0] + squares, sum[1] + all]);
-        if all > 0.0 { squares / all } else { 0.0 }
-    }
-
-    /// The residual's squares that the columns explain at the fitted points of a range, and all of them.
-    fn squares(&self, range: &Range<usize>, shape: &dyn Fn(f64) -> [f64; 2]) -> [f64; 2] {
         let (mut n, mut sums) = (0.0, [0.0; 3]);
-        let points = || self.problem.train.iter().flat_map(|[a, b]| (*a).max(range.start)..(*b).min(range.end));
+        let points = || self.problem.train.iter().flat_map(|[a, b]| *a..*b);
         for k in points() {
             let x = shape(k as f64);
             n += 1.0;
@@ -40,7 +27,7 @@ impl Clues<'_> {
             sums[1] += x[1];
             sums[2] += self.residual[k];
         }
-        let m = sums.map(|s| s / f64::max(n, 1.0));
+        let m = sums.map(|s| s / n);
         let mut g = [0.0_f64; 6];
         for k in points() {
             let x = shape(k as f64);
@@ -58,7 +45,7 @@ impl Clues<'_> {
         } else {
             0.0
         };
-        [squares, yy]
+        if yy > 0.0 { squares / yy } else { 0.0 }
     }
 
     /// The frequencies, radians a point, at which the residual holds most, best first, each a peak of its own.
