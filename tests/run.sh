@@ -19,6 +19,9 @@ if [ -n "$all" ]; then
     export STICTIOND_SEEDS=${STICTIOND_SEEDS:-3} STICTIOND_SOAK_S=${STICTIOND_SOAK_S:-600} STICTIOND_LONG=1
 fi
 
+# Cargo says nothing of what it compiles, the tests say their names.
+export CARGO_TERM_QUIET=true
+
 step() {
     printf '\n== %s (%d s)\n' "$*" "$((SECONDS - started))"
 }
@@ -34,11 +37,11 @@ fetching=$!
 
 if [ -n "$all" ]; then
     step "the plain build, without the feature full"
-    cargo clippy --locked --quiet -- -D warnings
+    cargo clippy --locked -- -D warnings
 fi
 
 step "building the tests"
-cargo test --no-run --locked --quiet --features full --all-targets
+cargo test --no-run --locked --features full --all-targets
 
 # Some tests mostly wait: for a daemon that is killed, a disk that fills, a broker that comes back, a program that runs.
 # They run beside those that compute; what they print follows when both have ended.
@@ -54,16 +57,16 @@ wait "$fetching" || true
 (
     # What fails here does not hide what comes behind it.
     bad=0
-    cargo test --no-fail-fast --locked --quiet --features full "${waiting[@]/#/--test=}" || bad=1
+    cargo test --no-fail-fast --locked --features full "${waiting[@]/#/--test=}" || bad=1
     bash tests/interop/run.sh || bad=1
-    bash tests/report/run.sh || bad=1
     exit "$bad"
 ) >"$beside" 2>&1 &
 others=$!
 failed=0
-noted cargo test --no-fail-fast --locked --quiet --features full --lib --bins "${computing[@]/#/--test=}" || failed=1
-noted cargo test --locked --quiet --features full --doc || failed=1
+noted cargo test --no-fail-fast --locked --features full --lib --bins "${computing[@]/#/--test=}" || failed=1
+noted cargo test --locked --features full --doc || failed=1
 noted bash python/test.sh || failed=1
+noted bash tests/report/run.sh || failed=1
 
 step "tests that wait, and those from outside: what they said"
 wait "$others" || failed=1
@@ -74,10 +77,13 @@ noted bash tests/page/run.sh || failed=1
 
 if [ -n "$all" ]; then
     step "tests that take long"
-    noted cargo test --no-fail-fast --locked --quiet --features full -- --ignored || failed=1
+    noted cargo test --no-fail-fast --locked --features full -- --ignored || failed=1
     step "the package on a clean Debian root"
     noted bash tests/package/run.sh || failed=1
 fi
+
+step "promises of docs/robustness.md"
+python3 tests/promises.py "$log"
 
 skipped=$(grep -c '^\(!! \)\?SKIPPED: ' "$log" || true)
 if [ "$skipped" -gt 0 ]; then
