@@ -19,9 +19,6 @@ if [ -n "$all" ]; then
     export STICTIOND_SEEDS=${STICTIOND_SEEDS:-3} STICTIOND_SOAK_S=${STICTIOND_SOAK_S:-600} STICTIOND_LONG=1
 fi
 
-# Cargo says nothing of what it compiles, the tests say their names.
-export CARGO_TERM_QUIET=true
-
 step() {
     printf '\n== %s (%d s)\n' "$*" "$((SECONDS - started))"
 }
@@ -37,11 +34,11 @@ fetching=$!
 
 if [ -n "$all" ]; then
     step "the plain build, without the feature full"
-    cargo clippy --locked -- -D warnings
+    cargo clippy --locked --quiet -- -D warnings
 fi
 
 step "building the tests"
-cargo test --no-run --locked --features full --all-targets
+cargo test --no-run --locked --quiet --features full --all-targets
 
 # Some tests mostly wait: for a daemon that is killed, a disk that fills, a broker that comes back, a program that runs.
 # They run beside those that compute; what they print follows when both have ended.
