@@ -48,8 +48,10 @@ mod plant;
 pub mod play;
 pub mod reading;
 pub mod recover;
+pub mod reload;
 pub mod replay;
 pub mod run;
+mod running;
 pub mod schema;
 pub mod selection;
 pub mod simulate;
@@ -138,6 +140,7 @@ enum CommandArgs {
     Compact(compact::Args),
     Convert(convert::ConvertArgs),
     Check(check::Args),
+    Reload(reload::Args),
     Test(test::Args),
     Discover(discover::Args),
     Bridge(bridge::Args),
@@ -198,6 +201,7 @@ fn dispatch(cli: Cli) -> anyhow::Result<Outcome> {
         CommandArgs::Compact(args) => compact::run(&args, format),
         CommandArgs::Convert(args) => convert::run(&args, format),
         CommandArgs::Check(args) => check::run(&args, format),
+        CommandArgs::Reload(args) => reload::run(&args, format),
         CommandArgs::Test(args) => test::run(&args, format),
         CommandArgs::Discover(args) => discover::run(&args, format),
         CommandArgs::Bridge(args) => bridge::run(&args, format),

@@ -3,11 +3,12 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, anyhow, bail};
+use anyhow::{Context, anyhow};
 
-use super::{list, note, on_all_cores};
+use super::{note, on_all_cores};
 use stiction::gap::model_file::ModelFile;
 use stiction::sim::scenario::Scenario;
+use stiction_daemon::ConfigFile;
 use stiction_files::export::{Codes, Decimal, Map, TimeFormat, Zone, delimiter, encoding};
 use stiction_files::inputs::{Unit, units};
 use stiction_files::run;
@@ -128,11 +129,8 @@ pub(super) fn config_of(paths: &[PathBuf]) -> anyhow::Result<Config> {
 
 /// Reads a configuration file; gives its text too.
 pub(super) fn config_file(path: &Path) -> anyhow::Result<(String, Config)> {
-    let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
-    match Config::parse(&text) {
-        Ok(config) => Ok((text, config)),
-        Err(faults) => bail!("{}: the configuration has faults:\n  {}", path.display(), list(&faults)),
-    }
+    let (config, text) = ConfigFile { path: path.to_owned(), id: None, shard: None }.read()?;
+    Ok((text, config))
 }
 
 /// Reads a scenario file; gives its text too.

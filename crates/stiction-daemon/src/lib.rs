@@ -83,6 +83,8 @@ use stiction_runtime::view::{CurrentConfig, Serve, View};
 
 /// How long a router may take to answer before that is a fault.
 const ROUTER_WITHIN: Duration = Duration::from_secs(5);
+/// Requests about the configuration that may wait.
+const CONFIG_REQUESTS: usize = 8;
 /// How often a long start says that it goes on.
 const STARTING_TOLD: Duration = Duration::from_secs(5);
 /// How often the health documents are made, unless a test asks for less.
@@ -137,11 +139,13 @@ pub async fn run(
     let (control, wishes) = crossbeam_channel::bounded(CONTROL_QUEUE);
     let overview = (config.web.enabled && config.web.page.enabled).then(Overview::default);
     let current = CurrentConfig::new(config.clone());
+    let (requests, wanted) = tokio::sync::mpsc::channel(CONFIG_REQUESTS);
     let view = View {
         config: current.clone(),
         overview: overview.clone(),
         last: last.clone(),
         control: control.clone(),
+        ask_config: Arc::new(move |request| requests.try_send(request).is_ok()),
         snapshot: snapshot.clone(),
         faults: faults.clone(),
         note: (options.origin == "demo").then_some(SIMULATED),
@@ -295,7 +299,7 @@ pub async fn run(
         Reload::new(ReloadParts { file, current, control: reached, askers, subscriptions, faults: faults.clone() });
     threads.insert(0, ("engine", core));
     let unasked = tokio::select! {
-        () = signals::serve_until(stop, hangups, &mut reload) => None,
+        () = signals::serve_until(stop, (hangups, wanted), &mut reload) => None,
         name = shutdown::unasked_end(&threads) => Some(name),
     };
     tracing::info!("stopping");

@@ -39,15 +39,21 @@ impl ConfigFile {
     pub fn read(&self) -> anyhow::Result<(Config, String)> {
         let path = self.path.display();
         let text = std::fs::read_to_string(&self.path).with_context(|| path.to_string())?;
-        let mut config = Config::parse(&text).map_err(|faults| {
+        let config = self.parse(&text).map_err(|why| anyhow!("{path}: {why}"))?;
+        Ok((config, text))
+    }
+
+    /// Reads a text in place of the file's.
+    fn parse(&self, text: &str) -> anyhow::Result<Config> {
+        let mut config = Config::parse(text).map_err(|faults| {
             let lines: String = faults.iter().map(|fault| format!("\n  {fault}")).collect();
-            anyhow!("{path}: the configuration has faults:{lines}")
+            anyhow!("the configuration has faults:{lines}")
         })?;
         config.shard = self.shard.unwrap_or(config.shard);
         if let Some(id) = &self.id {
             config.daemon.id.clone_from(id);
         }
-        Ok((config, text))
+        Ok(config)
     }
 
     /// The edit that the file asks for now.
@@ -62,6 +68,15 @@ impl ConfigFile {
             None => Ok(Edit { config: Arc::new(config), text, changes }),
         }
     }
+}
+
+/// When a reload begins new recordings.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum NewFiles {
+    /// Always.
+    Always,
+    /// Where anything changed.
+    AfterChanges,
 }
 
 /// Takes edits of the configuration file over, as a whole or not at all.
@@ -103,9 +118,8 @@ impl Reload {
     ///
     /// # Errors
     /// Why the file is not used.
-    pub async fn run(&mut self) -> anyhow::Result<Changes> {
-        let Some(file) = &self.file else { bail!("this daemon has no configuration file to read again") };
-        let edit = match file.edit_of(&self.current.get()) {
+    pub async fn run(&mut self, new_files: NewFiles) -> anyhow::Result<Changes> {
+        let edit = match self.file()?.edit_of(&self.current.get()) {
             Ok(edit) => edit,
             Err(error) => {
                 // One line, as all faults.
@@ -115,6 +129,10 @@ impl Reload {
             }
         };
         let (changes, config) = (edit.changes.clone(), edit.config.clone());
+        if changes.is_empty() && new_files == NewFiles::AfterChanges {
+            self.faults.clear(FAULT);
+            return Ok(changes);
+        }
         let (answer, answered) = tokio::sync::oneshot::channel();
         let answer = Box::new(move || answer.send(()).unwrap_or(()));
         hand_over(&self.control, Control::Edit { edit: Box::new(edit), answer }).await;
@@ -128,6 +146,18 @@ impl Reload {
         self.faults.clear(FAULT);
         tracing::info!(changes = %changes.to_string().replace('\n', "; "), "configuration reloaded; these changes are in force");
         Ok(changes)
+    }
+
+    /// What differs in a text from the configuration in force.
+    ///
+    /// # Errors
+    /// Its faults.
+    pub fn compare(&self, text: &str) -> anyhow::Result<Changes> {
+        Ok(self.current.get().changes_to(&self.file()?.parse(text)?))
+    }
+
+    fn file(&self) -> anyhow::Result<&ConfigFile> {
+        self.file.as_ref().context("this daemon has no configuration file to read again")
     }
 
     /// Gives the subscriptions up.
