@@ -106,7 +106,7 @@ counters! {
     foreign_keys: "Messages under the prefix whose key names no signal",
     refused_loops: "Messages of loops that are not configured, or one too many",
     loops_over_limit: "Messages of new loops beyond max_loops or new_loops_per_hour",
-    loops_forgotten: "Loops that left the memory after forget_after_s without a sample",
+    loops_forgotten: "Loops that left the memory: silent for forget_after_s, or removed from the configuration",
     over_rate: "Samples refused because their key sent more than max_rate_hz",
     stamps_ahead: "Samples refused because their stamp was too far ahead of the clock and the other loops",
     suspicious_quality: "Quality codes of 1 to 255 under the ua convention",

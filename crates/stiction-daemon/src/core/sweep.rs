@@ -168,6 +168,8 @@ impl Core {
     fn end_round(&mut self) {
         self.metrics.show_aligned(&std::mem::take(&mut self.sweep.sum));
         self.metrics.loop_bytes.set(std::mem::take(&mut self.sweep.bytes) as i64);
+        // One whose last window was skipped is idle without an answer.
+        self.forget_removed();
         let silent = std::mem::take(&mut self.sweep.silent);
         self.forget(&silent);
     }
@@ -225,6 +227,7 @@ impl Core {
         }
         tracing::info!(loops = gone.len(), left = self.engine.count(), "loops have left the memory");
         self.sweep.silent.retain(|id| !gone.contains(id));
+        self.removed.retain(|id| !gone.contains(id));
         self.routes.forget(&gone);
         self.feeds.forget(&gone);
         self.close_empty_shards(&gone);
