@@ -16,6 +16,7 @@ mod fuzz;
 #[path = "../common/isa.rs"]
 mod isa;
 mod language;
+mod obstacles;
 mod openapi;
 mod pages;
 mod promises;

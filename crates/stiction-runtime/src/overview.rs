@@ -4,6 +4,7 @@
 //! recordings.
 
 mod groups;
+mod obstacles;
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, PoisonError, RwLock};
@@ -18,6 +19,7 @@ use stiction_monitor::alarm::{AlarmDocument, LoopContext, Priority, State};
 use stiction_monitor::engine::LoopFigures;
 
 pub use groups::{Membership, ShownGroup, ShownGroups};
+pub use obstacles::{Obstacle, ObstacleKind, Obstacles};
 
 /// Windows of a loop whose figures stay at hand.
 pub const RECENT: usize = 24;
@@ -135,6 +137,8 @@ struct Entry {
     /// What drives it, by the newest comparison of loops.
     driven: Option<String>,
     recent: VecDeque<Recent>,
+    /// What limits the newest windows, and since when.
+    limited: Option<obstacles::Since>,
     newest_ns: Option<i64>,
     /// When a newer stamp was seen last.
     advanced: Instant,
@@ -217,6 +221,7 @@ impl Overview {
                 s: a.s,
                 verdict: a.verdict,
             });
+            entry.limited = obstacles::Since::after(entry.limited, a);
             entry.estimate = Some(document);
         });
     }
@@ -354,6 +359,7 @@ impl Entry {
             cause: None,
             driven: None,
             recent: VecDeque::new(),
+            limited: None,
             newest_ns: None,
             advanced: now,
             silent: false,
@@ -429,7 +435,7 @@ impl Entry {
         };
         let headline = words::claim(a);
         let has = |gates: &[Gate]| a.gates.iter().find(|g| gates.contains(g)).copied();
-        if let Some(gate) = has(&[Gate::FrozenPv, Gate::FrozenOp, Gate::BadQuality]) {
+        if let Some(gate) = has(&[Gate::FrozenPv, Gate::FrozenOp, Gate::Swapped, Gate::BadQuality]) {
             return (Some("F"), words::gate(gate).to_owned());
         }
         if let Some(reason) = a.reason.filter(|reason| *reason == "stuck_signal") {

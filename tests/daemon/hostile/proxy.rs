@@ -152,7 +152,7 @@ fn behind_a_proxy_the_unix_socket_takes_commands_of_whoever_may_open_it() {
 fn metrics_and_health_answer_under_known_names_alone() {
     let dir = tempfile::tempdir().unwrap();
     let daemon = daemon(dir.path(), "");
-    for path in ["/metrics", "/healthz", "/", "/api/v1/loops"] {
+    for path in ["/metrics", "/healthz", "/", "/api/v1/loops", "/api/v1/obstacles"] {
         for (host, wanted) in [(NAME, 200), ("localhost", 200), ("10.1.2.3:8080", 200), ("evil.example", 421)] {
             let stream = TcpStream::connect(&daemon.web).unwrap();
             assert_eq!(request(stream, &["GET", path], &[("Host", host)], "").0, wanted, "{path} as {host}");

@@ -177,3 +177,25 @@ fn a_follower_says_what_drives_it_until_it_is_in_no_group() {
     assert_eq!((rows.len(), rows[0].driven.as_deref()), (1, None));
     assert!(!overview.changes_after(version, 5).compared);
 }
+
+#[test]
+fn an_obstacle_lasts_from_the_first_of_the_newest_windows_that_have_it() {
+    let (overview, now, place) = (Overview::default(), Instant::now(), LoopContext::default());
+    let name: Arc<str> = "A".into();
+    let window = |start_ns: i64, reason: Option<&'static str>| {
+        let verdict = if reason.is_some() { Verdict::Inconclusive } else { Verdict::NoStiction };
+        let mut document = EstimateDocument::clone(&estimate("A", start_ns, None, verdict));
+        (document.assessment.reason, document.assessment.window.start_ns) = (reason, start_ns);
+        overview.estimate(&name, &place, now, Arc::new(document));
+        overview.obstacles().obstacles.first().map(|o| (o.kind, o.since_ms))
+    };
+    assert_eq!(overview.obstacles().share, None);
+    overview.figures(&name, &place, now, &figures(1));
+    assert_eq!(overview.obstacles().obstacles[0].kind, ObstacleKind::Waiting);
+    assert_eq!(window(1_000_000, Some("manual")), Some((ObstacleKind::Manual, Some(1.0))));
+    assert_eq!(window(2_000_000, Some("manual")), Some((ObstacleKind::Manual, Some(1.0))));
+    assert_eq!(window(3_000_000, Some("saturated")), Some((ObstacleKind::AtLimit, Some(3.0))));
+    assert_eq!(window(4_000_000, Some("trend")), Some((ObstacleKind::Other, Some(4.0))));
+    assert_eq!((window(5_000_000, None), overview.obstacles().judged), (None, 1));
+    assert_eq!(window(6_000_000, Some("manual")), Some((ObstacleKind::Manual, Some(6.0))));
+}

@@ -6,6 +6,7 @@ mod curves;
 mod events;
 mod groups;
 mod loops;
+mod obstacles;
 mod over_time;
 mod past;
 mod reviews;
@@ -241,6 +242,7 @@ pub fn operations() -> Vec<Operation<Shared>> {
         events::operations(),
         groups::operations(),
         configuration::operations(),
+        obstacles::operations(),
     ]
     .into_iter()
     .flatten()

@@ -32,6 +32,7 @@ const ROUTES = [
   { path: /^$/, at: "", name: "Overview", module: "./overview.js", live: true },
   { path: /^alarms$/, at: "alarms", name: "Alarms", module: "./alarms.js", live: true },
   { path: /^groups$/, at: "groups", name: "Plant", module: "./groups.js", live: true },
+  { path: /^obstacles$/, at: "obstacles", name: "Data", module: "./obstacles.js", live: true },
   { path: /^loop\/(.+)$/, name: "Loop", module: "./loop.js", live: true },
   { path: /^workbench(?:\/.*)?$/, at: "workbench", name: "Workbench", bench: { module: "./workbench.js", style: "workbench.css" }, module: "./workbench-link.js" },
 ];

@@ -80,6 +80,7 @@ const GATES = {
   bad_quality: "bad quality",
   frozen_pv: "PV frozen",
   frozen_op: "OP frozen",
+  swapped: "OP and PV swapped",
   saturated: "OP at a limit",
   too_few_samples: "too few samples",
   skipped: "fit skipped",

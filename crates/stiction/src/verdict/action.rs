@@ -110,12 +110,14 @@ fn limit(a: &Assessment) -> String {
 }
 
 /// What would give an answer, by the reason why there is none.
-fn better_data(reason: &str) -> &'static str {
+#[must_use]
+pub fn better_data(reason: &str) -> &'static str {
     match reason {
         "manual" => "record the loop in automatic",
         "bad_quality" => "find out why values are missing or bad, and record again",
         "frozen_pv" | "stuck_signal" => "check the transmitter, the block valves and the valve itself first",
         "frozen_op" => "record a time in which the controller moves OP",
+        "swapped" => "exchange the keys or columns of OP and PV",
         "saturated" => "choose a section in which OP is not at a limit",
         "too_few_samples" | "too_few_periods" => "record longer: at least five periods of the oscillation",
         "too_coarse" => "record faster: at least 50 samples a period",
@@ -137,9 +139,17 @@ mod tests {
     #[test]
     fn every_reason_has_its_own_remedy_and_no_text_proposes_a_test_and_none() {
         let other = better_data("anything else");
-        for reason in
-            ["manual", "too_coarse", "op_held", "daily_cycle", "trend", "stuck_signal", "too_few_periods", "masked"]
-        {
+        for reason in [
+            "manual",
+            "too_coarse",
+            "op_held",
+            "daily_cycle",
+            "trend",
+            "stuck_signal",
+            "swapped",
+            "too_few_periods",
+            "masked",
+        ] {
             assert_ne!(better_data(reason), other, "{reason}");
         }
         let refused = Confirm::Otherwise(Refusal::Integrating);

@@ -83,6 +83,8 @@ pub enum Gate {
     FrozenPv,
     /// OP never moved.
     FrozenOp,
+    /// OP follows the set point, and PV does not: the two seem to be swapped.
+    Swapped,
     /// OP was at a limit.
     Saturated,
     /// Fewer than 30 usable samples, or fewer than 2 periods.
@@ -107,11 +109,12 @@ pub enum Gate {
 
 impl Gate {
     /// All validity checks, blocking ones first.
-    pub const ALL: [Self; 14] = [
+    pub const ALL: [Self; 15] = [
         Self::Manual,
         Self::BadQuality,
         Self::FrozenPv,
         Self::FrozenOp,
+        Self::Swapped,
         Self::Saturated,
         Self::TooFewSamples,
         Self::Skipped,
@@ -133,6 +136,7 @@ impl Gate {
                 | Self::BadQuality
                 | Self::FrozenPv
                 | Self::FrozenOp
+                | Self::Swapped
                 | Self::Saturated
                 | Self::TooFewSamples
                 | Self::Skipped
@@ -147,6 +151,7 @@ impl Gate {
             Self::BadQuality => "bad_quality",
             Self::FrozenPv => "frozen_pv",
             Self::FrozenOp => "frozen_op",
+            Self::Swapped => "swapped",
             Self::Saturated => "saturated",
             Self::TooFewSamples => "too_few_samples",
             Self::Skipped => "skipped",

@@ -334,6 +334,7 @@ pub const fn gate(g: Gate) -> &'static str {
         Gate::BadQuality => "too many values are missing or bad",
         Gate::FrozenPv => "PV never moves",
         Gate::FrozenOp => "OP never moves",
+        Gate::Swapped => "OP follows the set point and PV does not: they seem to be swapped",
         Gate::Saturated => "OP is at a limit",
         Gate::TooFewSamples => "there are too few usable samples, or fewer than two periods",
         Gate::Skipped => "the fit was skipped: the machine was too busy, or the daemon stopped",

@@ -1,0 +1,60 @@
+// Data: the share of loops that can be judged, and what keeps the others from it.
+
+import * as api from "./api.js";
+import { fill, h, loading } from "./dom.js";
+import * as format from "./format.js";
+import { on } from "./store.js";
+
+/** Pause between two looks at the daemon's list while rows change, ms. */
+const PAUSE_MS = 10000;
+
+const KINDS = {
+  silent: "silent",
+  frozen: "frozen",
+  swapped: "OP and PV swapped",
+  at_limit: "OP at a limit",
+  manual: "in manual",
+  too_slow: "sampled too slowly",
+  compressed: "compressed",
+  other: "other",
+  waiting: "no window yet",
+};
+
+function row(obstacle) {
+  return h("tr", { "data-kind": obstacle.kind },
+    h("th", { scope: "row" }, h("a", { href: `#/loop/${encodeURIComponent(obstacle.loop)}` }, obstacle.loop)),
+    h("td", null, obstacle.area ?? "–"),
+    h("td", null, KINDS[obstacle.kind] ?? obstacle.kind, obstacle.blocks ? null : h("b", { class: "under-words" }, "judged, but less surely")),
+    h("td", null, obstacle.since_ms === null ? "–" : format.recent(obstacle.since_ms)),
+    h("td", null, format.sentence(obstacle.words)),
+    h("td", null, format.sentence(obstacle.remedy)));
+}
+
+function table(obstacles) {
+  const columns = ["loop", "area", "obstacle", "since", "what is wrong", "what to do"];
+  return h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": "Obstacles" }, h("table", { class: "table" },
+    h("thead", null, h("tr", null, columns.map((words) => h("th", { scope: "col" }, words)))),
+    h("tbody", null, obstacles.map(row))));
+}
+
+/** Shows the list; returns what cleans up. */
+export function show(root) {
+  const figure = h("p", { role: "status" });
+  const list = h("div");
+  fill(root, h("h1", null, "Data"), h("p", { class: "soft" }, "What keeps loops from being judged."), figure, list);
+  const draw = ({ loops, judged, share, obstacles }) => {
+    fill(figure, share === null ? "No loop has appeared yet." : [h("b", null, format.percent(share)), ` of all loops can be judged (${format.integer(judged)} of ${format.integer(loops)})`]);
+    const held = list.contains(document.activeElement) ? document.activeElement.getAttribute("href") : null;
+    fill(list, obstacles.length ? table(obstacles) : h("p", { class: "note" }, "Nothing keeps a loop from being judged."));
+    if (held) list.querySelector(`a[href="${CSS.escape(held)}"]`)?.focus({ preventScroll: true });
+  };
+  const part = loading(list, () => api.get("/obstacles"), draw);
+  part.run();
+  let later = null;
+  const soon = () => { later ??= setTimeout(() => { later = null; part.run(true); }, PAUSE_MS); };
+  const ends = [on("rows", soon), on("back", () => part.run(true))];
+  return () => {
+    clearTimeout(later);
+    [part.end, ...ends].forEach((end) => end());
+  };
+}
