@@ -18,6 +18,7 @@ mod truth_plantwide;
 mod truth_repair;
 mod truth_solvers;
 mod truth_stiction;
+mod truth_swapped;
 mod val_budget;
 mod val_gap;
 mod val_labelled;

@@ -7,6 +7,7 @@ use serde::Serialize;
 use super::AnalysisError;
 use crate::config::Config;
 use crate::engine::{LoopSettings, longest, section, windows};
+use stiction::ident::controller;
 use stiction::record::{Record, Sample, Signal, Value};
 use stiction::signal::align::{Point, align_all};
 use stiction::units::format_rfc3339;
@@ -118,7 +119,14 @@ impl Points {
         let gaps = || {
             format!("the section has data gaps: its longest stretch is analysed, {outside} other samples are not used")
         };
-        Ok((record, (outside > 0).then(gaps).into_iter().collect()))
+        let swapped = || {
+            "OP and PV look swapped: a controller would compute the signal named PV from the one named OP; check the tags"
+                .to_owned()
+        };
+        // Where the set point is known, a gate asks it.
+        let is_swapped = record.sp.is_none() && controller::is_swapped(&record);
+        let notes = (outside > 0).then(gaps).into_iter().chain(is_swapped.then(swapped)).collect();
+        Ok((record, notes))
     }
 
     /// The windows of a long section, see [`windows`].
