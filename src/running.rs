@@ -8,7 +8,7 @@ use anyhow::{Context, anyhow, bail, ensure};
 use serde_json::{Value, json};
 use ureq::Agent;
 
-use stiction_monitor::config::{Changes, Config};
+use stiction_monitor::config::{Config, ConfigChanges};
 
 /// How long the daemon may take to answer.
 const WITHIN: Duration = Duration::from_secs(90);
@@ -60,7 +60,7 @@ impl Running {
     ///
     /// # Errors
     /// Why it refuses.
-    pub fn reload(&self) -> anyhow::Result<Changes> {
+    pub fn reload(&self) -> anyhow::Result<ConfigChanges> {
         self.post("/configuration/reload", &json!({}))
     }
 
@@ -68,7 +68,7 @@ impl Running {
     ///
     /// # Errors
     /// Why it refuses.
-    pub fn changes(&self, toml: &str) -> anyhow::Result<Changes> {
+    pub fn changes(&self, toml: &str) -> anyhow::Result<ConfigChanges> {
         self.post("/configuration/changes", &json!({"toml": toml}))
     }
 
@@ -76,7 +76,7 @@ impl Running {
         format!("{}/api/v1{path}", self.url)
     }
 
-    fn post(&self, path: &str, body: &Value) -> anyhow::Result<Changes> {
+    fn post(&self, path: &str, body: &Value) -> anyhow::Result<ConfigChanges> {
         let mut request = self.agent.post(self.place(path)).header("content-type", "application/json");
         request = request.header("x-stictiond", "1");
         if let Some(token) = &self.token {

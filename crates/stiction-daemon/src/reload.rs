@@ -9,7 +9,7 @@ use crossbeam_channel::{Sender, TrySendError};
 
 use crate::source::askers::Askers;
 use crate::source::zenoh::Subscriptions;
-use stiction_monitor::config::{Changes, Config};
+use stiction_monitor::config::{Config, ConfigChanges};
 use stiction_monitor::shard::Shard;
 use stiction_runtime::control::{Control, Edit};
 use stiction_runtime::faults::Faults;
@@ -118,7 +118,7 @@ impl Reload {
     ///
     /// # Errors
     /// Why the file is not used.
-    pub async fn run(&mut self, new_files: NewFiles) -> anyhow::Result<Changes> {
+    pub async fn run(&mut self, new_files: NewFiles) -> anyhow::Result<ConfigChanges> {
         let edit = match self.file()?.edit_of(&self.current.get()) {
             Ok(edit) => edit,
             Err(error) => {
@@ -152,7 +152,7 @@ impl Reload {
     ///
     /// # Errors
     /// Its faults.
-    pub fn compare(&self, text: &str) -> anyhow::Result<Changes> {
+    pub fn compare(&self, text: &str) -> anyhow::Result<ConfigChanges> {
         Ok(self.current.get().changes_to(&self.file()?.parse(text)?))
     }
 

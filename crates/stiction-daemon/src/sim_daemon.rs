@@ -28,7 +28,7 @@ use crate::source::{CONTROL_QUEUE, Envelope, Intake, Message};
 use stiction::verdict::Assessment;
 use stiction_files::disk::Disk;
 use stiction_monitor::alarm::Command;
-use stiction_monitor::config::{Changes, Config, Deliver};
+use stiction_monitor::config::{Config, ConfigChanges, Deliver};
 use stiction_monitor::engine::{Comparison, Engine, GapRequest, Request};
 use stiction_runtime::clock::Clock;
 use stiction_runtime::control::{Answer, Control, Edit};
@@ -316,7 +316,7 @@ impl SimDaemon {
 
     /// A configuration that was read again arrives, and is taken over with the next turn; says what differs in it. `None`
     /// where it is refused: it changes what cannot change while the daemon runs, or the daemon is too busy for it.
-    pub fn edit(&self, config: Config, text: &str) -> Option<Changes> {
+    pub fn edit(&self, config: Config, text: &str) -> Option<ConfigChanges> {
         let changes = self.core.config().changes_to(&config);
         let edit = Edit { config: Arc::new(config), text: text.to_owned(), changes: changes.clone() };
         let wish = Control::Edit { edit: Box::new(edit), answer: Box::new(|| ()) };

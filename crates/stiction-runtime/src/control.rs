@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use stiction_monitor::alarm::Command;
-use stiction_monitor::config::{Changes, Config};
+use stiction_monitor::config::{Config, ConfigChanges};
 use stiction_monitor::engine::{LoopSettings, Snapshot};
 
 /// How a command is answered: the new document, or what is wrong with the command.
@@ -65,7 +65,7 @@ pub enum ConfigWish {
 }
 
 /// Gets what differs, or why a wish is refused.
-pub type ConfigAnswer = Box<dyn FnOnce(Result<Changes, String>) + Send>;
+pub type ConfigAnswer = Box<dyn FnOnce(Result<ConfigChanges, String>) + Send>;
 
 /// A wish and where its answer goes.
 pub struct ConfigRequest {
@@ -85,5 +85,5 @@ pub struct Edit {
     /// Its text, which recordings hold.
     pub text: String,
     /// What differs in it from the one in force.
-    pub changes: Changes,
+    pub changes: ConfigChanges,
 }

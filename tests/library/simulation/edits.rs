@@ -15,7 +15,7 @@ use stiction_daemon::sim_daemon::{SimDaemon, no_receiver};
 use stiction_files::disk::{Disk, SystemDisk};
 use stiction_monitor::alarm::{Command, State};
 use stiction_monitor::codec::topic::Kind;
-use stiction_monitor::config::{Changes, Config};
+use stiction_monitor::config::{Config, ConfigChanges};
 use stiction_runtime::clock::Clock;
 
 use super::leavers::{CALM, STICKS, play, shown};
@@ -140,7 +140,7 @@ impl Site {
         self.count(&changes);
     }
 
-    fn count(&mut self, changes: &Changes) {
+    fn count(&mut self, changes: &ConfigChanges) {
         let anew = changes.changed.iter().filter(|one| one.window_starts_empty).count();
         for (what, count) in [
             ("added", changes.added.len()),

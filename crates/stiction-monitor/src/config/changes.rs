@@ -27,7 +27,7 @@ const LISTED: usize = 20;
 
 /// What differs between the configuration in force and another one.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, schemars::JsonSchema)]
-pub struct Changes {
+pub struct ConfigChanges {
     /// Loops that only the other one names.
     pub added: Vec<String>,
     /// Loops that both name, with other settings.
@@ -60,7 +60,7 @@ impl ChangedLoop {
     }
 }
 
-impl Changes {
+impl ConfigChanges {
     /// Whether nothing differs.
     #[must_use]
     pub fn is_empty(&self) -> bool {
@@ -78,7 +78,7 @@ impl Changes {
 }
 
 /// One line for each kind of change.
-impl fmt::Display for Changes {
+impl fmt::Display for ConfigChanges {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let changed = self.changed.iter().map(|one| {
             let anew = if one.window_starts_empty { "; its window starts empty" } else { "" };
@@ -111,7 +111,7 @@ fn listed(names: impl ExactSizeIterator<Item = String>) -> String {
 impl Config {
     /// What differs in another configuration from this one, which is in force.
     #[must_use]
-    pub fn changes_to(&self, other: &Self) -> Changes {
+    pub fn changes_to(&self, other: &Self) -> ConfigChanges {
         let [old, new] = [self, other].map(settings);
         let keys = old.keys().chain(new.keys().filter(|key| !old.contains_key(*key)));
         let differing = keys.filter(|key| old.get(*key) != new.get(*key)).cloned();
@@ -128,7 +128,7 @@ impl Config {
         let only_in = |loops: &[LoopConfig], there: &HashMap<&str, &LoopConfig>| {
             loops.iter().map(|one| &one.name).filter(|name| !there.contains_key(name.as_str())).cloned().collect()
         };
-        Changes {
+        ConfigChanges {
             added: only_in(&other.loops, &before),
             changed: changed.collect(),
             removed: only_in(&self.loops, &after),
@@ -211,7 +211,7 @@ mod tests {
 
     const HEAD: &str = "[site]\nprefix = \"p\"\n";
 
-    fn changes(old: &str, new: &str) -> Changes {
+    fn changes(old: &str, new: &str) -> ConfigChanges {
         let [old, new] = [old, new].map(|text| Config::parse(&format!("{HEAD}{text}")).unwrap());
         old.changes_to(&new)
     }

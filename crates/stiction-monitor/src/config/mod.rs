@@ -16,7 +16,7 @@ use toml::de::DeTable;
 
 use alarm::read_alarm;
 pub use bundle::{BundleKey, NAME_MARK};
-pub use changes::{ChangedLoop, Changes};
+pub use changes::{ChangedLoop, ConfigChanges};
 pub use deliver::{Address, Deliver, Protocol};
 pub use input::Input;
 pub use reader::Fault;

@@ -11,7 +11,7 @@ use tokio::sync::oneshot;
 
 use super::{Answered, ApiError, Operation, ResponseKind, Shared, of, within};
 use crate::extract::JsonBody;
-use stiction_monitor::config::Changes;
+use stiction_monitor::config::ConfigChanges;
 use stiction_runtime::control::{ConfigRequest, ConfigWish};
 
 /// Longest text of a configuration, bytes: a site may list a hundred thousand loops.
@@ -35,7 +35,7 @@ pub(super) fn operations() -> Vec<Operation<Shared>> {
             summary: "Takes over what changed in the daemon's configuration file, as a whole or not at all; gives what changed",
             query: &[],
             body: None,
-            response: ResponseKind::Json(of::<Changes>),
+            response: ResponseKind::Json(of::<ConfigChanges>),
             handler: || post(reload),
         },
         Operation {
@@ -44,13 +44,13 @@ pub(super) fn operations() -> Vec<Operation<Shared>> {
             summary: "What differs in another configuration from the one in force; changes nothing",
             query: &[],
             body: Some(of::<Candidate>),
-            response: ResponseKind::Json(of::<Changes>),
+            response: ResponseKind::Json(of::<ConfigChanges>),
             handler: || post(changes).layer(DefaultBodyLimit::max(MAX_TEXT)),
         },
     ]
 }
 
-async fn reload(State(live): State<Shared>) -> Answered<Changes> {
+async fn reload(State(live): State<Shared>) -> Answered<ConfigChanges> {
     if !live.takes_commands() {
         let why = "commands are switched off ([commands] enabled = false): send SIGHUP to the daemon instead";
         return Err(ApiError::new(StatusCode::FORBIDDEN, why));
@@ -58,11 +58,14 @@ async fn reload(State(live): State<Shared>) -> Answered<Changes> {
     ask(&live, ConfigWish::Reload).await
 }
 
-async fn changes(State(live): State<Shared>, JsonBody(Candidate { toml }): JsonBody<Candidate>) -> Answered<Changes> {
+async fn changes(
+    State(live): State<Shared>,
+    JsonBody(Candidate { toml }): JsonBody<Candidate>,
+) -> Answered<ConfigChanges> {
     ask(&live, ConfigWish::Compare(toml)).await
 }
 
-async fn ask(live: &Shared, wish: ConfigWish) -> Answered<Changes> {
+async fn ask(live: &Shared, wish: ConfigWish) -> Answered<ConfigChanges> {
     let (tell, told) = oneshot::channel();
     let answer = Box::new(move |result| drop(tell.send(result)));
     if !(live.ask_config)(ConfigRequest { wish, answer }) {
