@@ -79,21 +79,12 @@ pub enum PoolError {
         /// The earlier.
         other: String,
     },
-    /// A window whose gain has another sign.
-    #[error(
-        "{source_name}: PV moves against OP where it moves with OP in the other windows, or the other way round: it is another \
-         loop's, or OP and PV are swapped; leave it out or diagnose it by itself"
-    )]
-    AnotherLoop {
-        /// The window.
-        source_name: String,
-    },
 }
 
 /// Decides from the evidence of all windows.
 ///
 /// # Errors
-/// Fewer than two windows, the same data twice, or a window of another loop.
+/// Fewer than two windows, or the same data twice.
 pub fn decide_together(windows: &[Window<'_>]) -> Result<Pooled, PoolError> {
     check(windows)?;
     let evidence = pooled(&windows.iter().map(|w| w.diagnosis.evidence()).collect::<Vec<_>>());
@@ -137,12 +128,7 @@ fn check(windows: &[Window<'_>]) -> Result<(), PoolError> {
             return Err(PoolError::Twice { source_name, other });
         }
     }
-    // A base that tells little of PV has a gain of any sign.
-    let tells = |w: &&Window<'_>| w.diagnosis.relative_gap < 0.5;
-    let falls = |w: &Window<'_>| w.diagnosis.base.model.process.gain < 0.0;
-    let (falling, rising): (Vec<_>, Vec<_>) = windows.iter().filter(tells).partition(|w| falls(w));
-    let few: Vec<&Window<'_>> = if falling.len() < rising.len() { falling } else { rising };
-    few.first().map_or(Ok(()), |w| Err(PoolError::AnotherLoop { source_name: w.source.to_owned() }))
+    Ok(())
 }
 
 /// The window whose own answer is the answer of all with the highest probability, else the one in which that effect leads most.
