@@ -1,4 +1,4 @@
-//! An edit of the configuration while the daemon runs: loops come, change and go, all others are left alone.
+//! An edit of the configuration while the daemon runs: it adds, changes and removes loops and leaves all others alone.
 
 use std::collections::HashSet;
 use std::time::Duration;
@@ -62,8 +62,7 @@ impl Core {
         }
     }
 
-    /// Lets removed loops go of which nothing is on its way any more: their alarms end, and they are forgotten as loops that
-    /// have left.
+    /// Forgets removed loops that have no work under way, as loops that have left; their alarms end first.
     pub(super) fn forget_removed(&mut self) {
         if self.removed.is_empty() {
             return;

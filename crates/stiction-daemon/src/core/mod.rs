@@ -73,7 +73,7 @@ pub struct Core {
     /// Looks at all loops, a part at a time.
     sweep: sweep::Sweep,
     registered: sweep::Registered,
-    /// Loops that were removed from the configuration, until nothing of them is on its way.
+    /// Loops that were removed from the configuration and still have work under way.
     removed: BTreeSet<LoopId>,
     /// Counters of payloads by codec.
     codec_counters: Vec<(&'static str, Counter)>,

@@ -183,8 +183,8 @@ impl Core {
         self.sweep.next_health = if from + slice >= all { 0 } else { from + slice };
     }
 
-    /// Lets loops that have been silent for long, or were removed, leave the memory. What is written of them first is what a replay needs
-    /// to do the same at the same place.
+    /// Forgets loops that have been silent for long or were removed. It first records what a replay needs to do the same at
+    /// the same place.
     pub(super) fn forget(&mut self, silent: &[LoopId]) {
         let mut gone = HashSet::new();
         for id in silent.iter().copied() {

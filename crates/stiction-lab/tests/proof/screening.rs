@@ -51,13 +51,13 @@ fn with_set_point(record: Record, sp: impl Fn(usize) -> f64) -> Record {
 
 #[test]
 fn simulated_loops_get_the_verdict_that_they_would_have_got() {
-    let (mut calm, mut forget_removed, mut p) = (0, 0, Vec::new());
+    let (mut calm, mut screened_out, mut p) = (0, 0, Vec::new());
     for seed in 0..240 {
         let found = verdict_case(Half::Report, 60_000 + seed);
         let name = format!("verdict case {} {} {}", found.seed, found.kind, found.record_kind);
         let documents = both(&name, &found.record());
         if matches!(found.kind, "noise only" | "coloured" | "random walk" | "slow drift") && !found.sticks {
-            (calm, forget_removed) = (calm + 1, forget_removed + usize::from(documents.is_some()));
+            (calm, screened_out) = (calm + 1, screened_out + usize::from(documents.is_some()));
         }
         p.extend(documents.and_then(|[_, whole]| whole.p_stiction));
     }
@@ -69,10 +69,10 @@ fn simulated_loops_get_the_verdict_that_they_would_have_got() {
     }
     let mean = p.iter().sum::<f64>() / p.len() as f64;
     println!(
-        "let go: {forget_removed} of {calm} calm loops; without screening p is {mean:.3} on average over {}",
+        "screened out: {screened_out} of {calm} calm loops; without screening p is {mean:.3} on average over {}",
         p.len()
     );
-    assert!(4 * forget_removed >= calm && p.len() >= 8, "{forget_removed} of {calm}");
+    assert!(4 * screened_out >= calm && p.len() >= 8, "{screened_out} of {calm}");
     assert!((mean - P_CALM).abs() < 0.05, "{mean}");
 }
 
@@ -88,22 +88,22 @@ fn on_grids(record: &Record, share: f64) -> Record {
 
 #[test]
 fn loops_on_coarse_grids_get_the_verdict_that_they_would_have_got() {
-    let (mut calm, mut forget_removed) = (0, 0);
+    let (mut calm, mut screened_out) = (0, 0);
     for seed in 0..240 {
         let found = verdict_case(Half::Report, 60_000 + seed);
         let is_calm = found.kind == "noise only" && !found.sticks;
         for share in [0.3, 0.6] {
             let name = format!("{share} of {} {}", found.seed, found.kind);
             let gone = both(&name, &on_grids(&found.record(), share)).is_some();
-            (calm, forget_removed) = (calm + usize::from(is_calm), forget_removed + usize::from(is_calm && gone));
+            (calm, screened_out) = (calm + usize::from(is_calm), screened_out + usize::from(is_calm && gone));
         }
     }
     for seed in 0..40 {
         let _ = both(&format!("He {seed}"), &on_grids(&under_load(seed, ValveLaw::He), 0.4));
         let _ = both(&format!("tracking {seed}"), &on_grids(&under_load(seed, ValveLaw::Tracking), 0.4));
     }
-    println!("let go: {forget_removed} of {calm} loops of noise alone on coarse grids");
-    assert!(calm >= 10 && 3 * forget_removed >= calm, "{forget_removed} of {calm}");
+    println!("screened out: {screened_out} of {calm} loops of noise alone on coarse grids");
+    assert!(calm >= 10 && 3 * screened_out >= calm, "{screened_out} of {calm}");
 }
 
 #[test]
@@ -136,7 +136,7 @@ fn labelled_recordings_get_the_verdict_that_they_would_have_got() {
     let Some(all) = labelled::labelled_or_skip("labelled_recordings_get_the_verdict_that_they_would_have_got") else {
         return;
     };
-    let forget_removed = all.iter().filter(|item| both(&item.file, &item.record).is_some()).count();
-    println!("let go: {forget_removed} of {} recordings", all.len());
-    assert!(forget_removed >= 5, "{forget_removed}");
+    let screened_out = all.iter().filter(|item| both(&item.file, &item.record).is_some()).count();
+    println!("screened out: {screened_out} of {} recordings", all.len());
+    assert!(screened_out >= 5, "{screened_out}");
 }

@@ -8,10 +8,11 @@ use stiction::record::Record;
 #[test]
 fn swapped_signals_of_real_loops_are_found_and_no_others() {
     let Some(all) = labelled::labelled_or_skip("swapped_signals_of_real_loops_are_found_and_no_others") else { return };
-    let accused: Vec<&str> = all.iter().filter(|one| is_swapped(&one.record)).map(|one| one.file.as_str()).collect();
+    let named_wrongly: Vec<&str> =
+        all.iter().filter(|one| is_swapped(&one.record)).map(|one| one.file.as_str()).collect();
     let turned = |r: &Record| Record::uniform(r.point_s(), r.pv.clone(), r.op());
     let found = all.iter().filter(|one| is_swapped(&turned(&one.record))).count();
-    println!("of {} recordings {found} are found when swapped, {} as they are", all.len(), accused.len());
-    assert!(accused.is_empty(), "{accused:?}");
+    println!("of {} recordings {found} are found when swapped, {} as they are", all.len(), named_wrongly.len());
+    assert!(named_wrongly.is_empty(), "{named_wrongly:?}");
     assert!(4 * found > all.len(), "{found}");
 }

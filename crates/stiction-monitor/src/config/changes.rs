@@ -153,7 +153,7 @@ fn differing_keys(old: &LoopConfig, new: &LoopConfig) -> Vec<String> {
     });
     let names = before.keys().chain(after.keys().filter(|key| !before.contains_key(*key)));
     let differing = names.filter(|key| *key != "keys" && before.get(*key) != after.get(*key));
-    // Keys of [window] and [alarm] stand beside the others in an entry.
+    // A loop entry has the keys of [window] and [alarm] at the top, without their table.
     let own = differing.map(|key| key.rsplit('.').next().unwrap_or(key).to_owned());
     mapped.chain(own).collect()
 }
