@@ -39,7 +39,7 @@ def test_documents_fit_their_schemas(folder):
     assert code == 0, err
     names = out.split()
     assert {
-        f"stictiond.{name}" for name in ("estimate.v1", "alarm.v2", "gap.v1", "group.v1", "loop_health.v1", "daemon_health.v1")
+        f"stictiond.{name}" for name in ("estimate.v1", "alarm.v2", "gap.v1", "group.v1", "loop_health.v1", "daemon_health.v1", "data_health.v1")
     } == set(names)
     code, out, err = stictiond("analyze", "recordings/four-loops.mcap", "--format", "json")
     assert code == 0, err

@@ -11,7 +11,8 @@ use stiction::gap::document::{GAP_SCHEMA, GapDocument};
 use stiction::plantwide::{GROUP_SCHEMA, GroupDocument};
 use stiction::verdict::{ESTIMATE_SCHEMA, EstimateDocument};
 use stiction_monitor::alarm::{ALARM_SCHEMA, AlarmDocument};
-use stiction_monitor::codec::topic::{DAEMON_HEALTH_SCHEMA, LOOP_HEALTH_SCHEMA};
+use stiction_monitor::codec::topic::{DAEMON_HEALTH_SCHEMA, DATA_HEALTH_SCHEMA, LOOP_HEALTH_SCHEMA};
+use stiction_runtime::data_health::DataHealthDocument;
 use stiction_runtime::health::{DaemonHealth, LoopHealth};
 
 /// The schema of a type, as it is written.
@@ -38,6 +39,7 @@ pub fn schemas() -> Vec<(&'static str, Value)> {
         (GROUP_SCHEMA, document::<GroupDocument>(GROUP_SCHEMA)),
         (LOOP_HEALTH_SCHEMA, document::<LoopHealth>(LOOP_HEALTH_SCHEMA)),
         (DAEMON_HEALTH_SCHEMA, document::<DaemonHealth>(DAEMON_HEALTH_SCHEMA)),
+        (DATA_HEALTH_SCHEMA, document::<DataHealthDocument>(DATA_HEALTH_SCHEMA)),
     ]
 }
 

@@ -16,6 +16,7 @@
 mod bundles;
 pub mod command_policy;
 mod core;
+mod data_health;
 pub mod documents;
 mod feeds;
 pub mod gaps;
@@ -49,6 +50,7 @@ use sd_notify::NotifyState;
 
 pub use self::core::to_json;
 use self::core::{Core, Parts, tell_system};
+use self::data_health::{DataHealthParts, DataHealthWorker};
 use self::gaps::Diagnoser;
 use self::plant::Comparer;
 use self::refill::Refilled;
@@ -137,12 +139,13 @@ pub async fn run(
     let last = LastValues::default();
     let (queue, incoming) = crossbeam_channel::bounded(config.input.queue);
     let (control, wishes) = crossbeam_channel::bounded(CONTROL_QUEUE);
-    let overview = (config.web.enabled && config.web.page.enabled).then(Overview::default);
+    let overview = Overview::default();
+    let is_shown = config.web.enabled && config.web.page.enabled;
     let current = CurrentConfig::new(config.clone());
     let (requests, wanted) = tokio::sync::mpsc::channel(CONFIG_REQUESTS);
     let view = View {
         config: current.clone(),
-        overview: overview.clone(),
+        overview: is_shown.then(|| overview.clone()),
         last: last.clone(),
         control: control.clone(),
         ask_config: Arc::new(move |request| requests.try_send(request).is_ok()),
@@ -166,7 +169,7 @@ pub async fn run(
         Restored::default()
     };
     restore::tell_aside(&recordings, &faults);
-    let Restored { mut memories, store, run_number, verified } = restored;
+    let Restored { mut memories, store, run_number, verified, data_health } = restored;
     let named: HashSet<&str> = config.loops.iter().map(|l| l.name.as_str()).collect();
     memories.retain(|name, _| config.shard.owns(name) && (config.input.discover || named.contains(name.as_str())));
     // A client's session opens once its router is there, which may be never.
@@ -233,6 +236,17 @@ pub async fn run(
         outbox = Some(started);
         threads.push(("outbox", keeping));
     }
+    let (stop_summaries, summaries_stop) = crossbeam_channel::bounded::<()>(0);
+    let parts = DataHealthParts {
+        config: current.clone(),
+        overview: overview.clone(),
+        publisher: publisher.clone(),
+        outbox: outbox.clone(),
+        notes: keeper.as_ref().map(Keeper::notes),
+        daemon_id: daemon_id.clone(),
+        clock: Clock::system(),
+    };
+    threads.push(("data health", data_health::start(DataHealthWorker::new(parts, data_health), summaries_stop)?));
     let workers = worker::start(options.workers)?;
     let waiting = workers.jobs.clone();
     let diagnoser = Diagnoser::start(move || !waiting.is_empty())?;
@@ -259,7 +273,7 @@ pub async fn run(
         outbox,
         metrics: metrics.clone(),
         faults: faults.clone(),
-        overview,
+        overview: Some(overview),
         snapshot,
         daemon_id: daemon_id.clone(),
         clock: Clock::system(),
@@ -311,7 +325,7 @@ pub async fn run(
         let _ = subscriber.undeclare().await;
     }
     let _ = token.undeclare().await;
-    drop((stop_core, stop_retention));
+    drop((stop_core, stop_retention, stop_summaries));
     let ended = shutdown::join(threads, unasked, &progress).await;
     for queryable in queryables {
         let _ = queryable.undeclare().await;

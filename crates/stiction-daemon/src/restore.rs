@@ -10,12 +10,15 @@ use std::path::{Path, PathBuf};
 
 use super::to_json;
 use stiction_files::disk::Disk;
-use stiction_files::store::{STORE_NAME, StateStore, StoreError, Stored, key_of, loop_of, verified_of};
+use stiction_files::store::{
+    STORE_NAME, StateStore, StoreError, Stored, key_of, key_of_data_health, loop_of, verified_of,
+};
 use stiction_files::{FileError, InputKind, Item, ReadError, RecordingReader};
 use stiction_monitor::codec::topic::{Kind, Leaf, Topic};
 use stiction_monitor::engine::{Checkpoint, StateDocument};
 use stiction_runtime::faults::Faults;
 use stiction_runtime::metrics::Metrics;
+use stiction_runtime::overview::KeptHealth;
 
 /// Files of a run that are read per shard: the last one may have been cut before its first flush.
 const FILES_PER_SHARD: usize = 2;
@@ -77,6 +80,8 @@ pub struct Restored {
     pub run_number: u64,
     /// Recordings that an earlier run found whole, by name, with size and time of change.
     pub verified: BTreeMap<String, String>,
+    /// What data health remembered.
+    pub data_health: KeptHealth,
 }
 
 /// What earlier runs under this prefix remembered. Never fails: what cannot be read becomes a fault. All of it is in
@@ -124,7 +129,9 @@ pub fn restore(disk: &dyn Disk, dir: &Path, prefix: &str, faults: &Faults, metri
     tracing::info!(loops = memories.len(), from_store, run_number, "states carried over");
     let text = |json: &Vec<u8>| String::from_utf8_lossy(json).into_owned();
     let verified = stored.values.iter().filter_map(|(key, json)| Some((verified_of(key)?.to_owned(), text(json))));
-    let mut restored = Restored { memories, store, run_number, verified: verified.collect() };
+    let kept = stored.values.get(&key_of_data_health(prefix));
+    let data_health = kept.and_then(|json| serde_json::from_slice(json).ok()).unwrap_or_default();
+    let mut restored = Restored { memories, store, run_number, verified: verified.collect(), data_health };
     restored.seal(prefix, is_whole, faults);
     restored
 }

@@ -13,6 +13,7 @@ use std::time::Duration;
 use crossbeam_channel::{Receiver, Sender};
 
 use super::core::{Core, Parts};
+use super::data_health::{DataHealthParts, DataHealthWorker};
 use super::gaps::{Diagnosed, Diagnoser, Outcome};
 use super::plant::{Compared, Comparer, compare};
 use super::refill::{Refilled, refill};
@@ -61,6 +62,7 @@ pub struct SimDaemon {
     overview: Overview,
     delivery: Delivery,
     retention: RetentionWorker,
+    data_health: DataHealthWorker,
     publications: Outgoing,
     writer: Writer,
     keeping: keeper::Worker,
@@ -93,7 +95,7 @@ impl SimDaemon {
         let (metrics, faults) = (Arc::new(Metrics::default()), Arc::new(Faults::new(clock.clone())));
         let dir = Path::new(&config.recording.dir).to_owned();
         let prefix = config.site.prefix.clone();
-        let Restored { memories, store, run_number, verified } =
+        let Restored { memories, store, run_number, verified, data_health } =
             restore::restore(disk.as_ref(), &dir, &prefix, &faults, &metrics);
         restore::tell_aside(&dir, &faults);
         let Refilled { engine, continued } = refill(&dir, &config, clock.now_ns(), &faults);
@@ -114,11 +116,22 @@ impl SimDaemon {
         let (comparer, comparisons, compared) = Comparer::ends();
         let (outbox, delivery) =
             Outbox::pair(&config, &dir, (disk.clone(), clock.clone()), receiver, &faults, &metrics)?;
+        let (overview, current) = (Overview::default(), CurrentConfig::new(config.clone()));
+        let parts = DataHealthParts {
+            config: current.clone(),
+            overview: overview.clone(),
+            publisher: publisher.clone(),
+            outbox: Some(outbox.clone()),
+            notes: Some(keeper.notes()),
+            daemon_id: DAEMON_ID.to_owned(),
+            clock: clock.clone(),
+        };
+        let data_health = DataHealthWorker::new(parts, data_health);
         let retention = RetentionWorker::new(RetentionParts {
             dir,
             prefix,
             run_id: run_id.clone(),
-            config: CurrentConfig::new(config.clone()),
+            config: current,
             lock: None,
             notes: Some(keeper.notes()),
             verified,
@@ -126,7 +139,6 @@ impl SimDaemon {
             faults: faults.clone(),
             clock: clock.clone(),
         });
-        let overview = Overview::default();
         let starting = DaemonHealth::starting(DAEMON_ID, &config.hash());
         let snapshot = HealthSnapshot::new(RwLock::new((clock.now(), Arc::new(starting))));
         let mut core = Core::new(Parts {
@@ -166,6 +178,7 @@ impl SimDaemon {
             overview,
             delivery,
             retention,
+            data_health,
             publications,
             writer,
             keeping,
@@ -254,6 +267,11 @@ impl SimDaemon {
     pub fn keep_folder(&mut self) {
         self.retention.keep();
         self.retention.check_all();
+    }
+
+    /// Looks at what keeps loops from being judged, as the thread of data health does every minute.
+    pub fn look_at_data(&mut self) {
+        self.data_health.turn();
     }
 
     /// What the page shows.

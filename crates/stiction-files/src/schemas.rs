@@ -106,6 +106,12 @@ fn fields(kind: Kind) -> Fields {
             texts: &["schema", "daemon", "loop", "version", "config_hash"],
             ..Fields::default()
         },
+        Kind::DataHealth => Fields {
+            integers: &["due_ns", "loops", "judged", "more"],
+            numbers: &["share", "share_before", "change"],
+            texts: &["schema", "daemon", "event_id", "due", "version"],
+            ..Fields::default()
+        },
         Kind::State | Kind::Input => Fields { integers: TIME, texts: &["schema", "loop", "kind"], ..Fields::default() },
     }
 }

@@ -52,6 +52,12 @@ pub fn verified_of(key: &str) -> Option<&str> {
     key.strip_prefix(NOTE)
 }
 
+/// The key of what a prefix's data health remembers; no loop has it.
+#[must_use]
+pub fn key_of_data_health(prefix: &str) -> String {
+    format!("\ndata_health\n{prefix}")
+}
+
 /// An error of the store.
 #[derive(Debug, Error)]
 pub enum StoreError {

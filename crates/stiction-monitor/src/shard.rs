@@ -40,6 +40,12 @@ impl Shard {
         Self::new(index.trim().parse().ok()?, count.trim().parse().ok()?)
     }
 
+    /// Which part it is, from 0.
+    #[must_use]
+    pub const fn index(self) -> u32 {
+        self.index
+    }
+
     /// Whether it is all loops.
     #[must_use]
     pub const fn is_whole(self) -> bool {

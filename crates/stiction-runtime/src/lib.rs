@@ -5,6 +5,7 @@ pub mod blocks;
 pub mod clock;
 pub mod control;
 pub mod cores;
+pub mod data_health;
 pub mod faults;
 pub mod health;
 pub mod last_values;

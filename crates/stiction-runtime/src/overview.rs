@@ -3,8 +3,10 @@
 //! Only the newest of each document is held, and a few figures of the windows before it; what lies further back is in the
 //! recordings.
 
+mod expected;
 mod groups;
 mod obstacles;
+mod share;
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, PoisonError, RwLock};
@@ -19,7 +21,8 @@ use stiction_monitor::alarm::{AlarmDocument, LoopContext, Priority, State};
 use stiction_monitor::engine::LoopFigures;
 
 pub use groups::{Membership, ShownGroup, ShownGroups};
-pub use obstacles::{Obstacle, ObstacleKind, Obstacles};
+pub use obstacles::{Looked, Obstacle, ObstacleKind, Obstacles};
+pub use share::{KeptHealth, SharePoint};
 
 /// Windows of a loop whose figures stay at hand.
 pub const RECENT: usize = 24;
@@ -186,6 +189,12 @@ struct Loops {
     /// The last version of which they are no longer all at hand.
     gone_after: u64,
     groups: groups::Groups,
+    /// The loops that the configuration names; none before it is known.
+    expected: Option<expected::Expected>,
+    /// How the share of loops that can be judged went, oldest first.
+    shares: VecDeque<SharePoint>,
+    /// Obstacles of an earlier run, of loops that had no window since.
+    earlier: BTreeMap<String, obstacles::Since>,
 }
 
 impl Loops {
@@ -210,7 +219,9 @@ impl Overview {
 
     /// A window was answered.
     pub fn estimate(&self, name: &Arc<str>, place: &LoopContext, now: Instant, document: Arc<EstimateDocument>) {
-        self.change(name, place, now, |entry| {
+        let mut loops = self.0.write().unwrap_or_else(PoisonError::into_inner);
+        let earlier = loops.earlier.remove(&**name);
+        loops.change(name, place, now, |entry| {
             let a = &document.assessment;
             if entry.recent.len() == RECENT {
                 entry.recent.pop_front();
@@ -221,7 +232,7 @@ impl Overview {
                 s: a.s,
                 verdict: a.verdict,
             });
-            entry.limited = obstacles::Since::after(entry.limited, a);
+            entry.limited = obstacles::Since::after(entry.limited.or(earlier), a);
             entry.estimate = Some(document);
         });
     }
@@ -245,7 +256,11 @@ impl Overview {
     /// A loop has left the plant.
     pub fn forget(&self, name: &str) {
         let mut loops = self.0.write().unwrap_or_else(PoisonError::into_inner);
-        let Some((name, _)) = loops.by_name.remove_entry(name) else { return };
+        let Some((name, entry)) = loops.by_name.remove_entry(name) else { return };
+        if let Some(expected) = &mut loops.expected {
+            expected.forget(&name, entry.newest_ns);
+        }
+        loops.earlier.remove(&*name);
         loops.version += 1;
         let gone = (loops.version, name);
         loops.gone.push_back(gone);

@@ -28,6 +28,9 @@ impl Core {
         self.bundles.reconfigure(&config);
         self.feeds.reconfigure(&config, &new_sources);
         self.record_under(recorded, &config);
+        if let Some(overview) = &self.overview {
+            overview.expect(config.clone(), self.clock.now(), self.clock.now_ns());
+        }
         self.config = config;
         self.describe(&changed);
         for name in &changes.removed {

@@ -160,6 +160,9 @@ impl Core {
         let (policy, limits) = (CommandPolicy::new(&config.commands), Limits::new(&config.input));
         let board = LoopMetrics::new(config);
         let (budget, shares) = parts.input;
+        if let Some(overview) = &parts.overview {
+            overview.expect(parts.config.clone(), parts.clock.now(), parts.clock.now_ns());
+        }
         Self {
             routes: Routes::new(config, shares),
             bundles: Bundles::new(config),

@@ -14,7 +14,7 @@ use std::time::Duration;
 
 use crate::restore::open_store;
 use stiction_files::disk::{Disk, SystemDisk};
-use stiction_files::store::{STORE_NAME, StateStore, key_of, key_of_verified};
+use stiction_files::store::{STORE_NAME, StateStore, key_of, key_of_data_health, key_of_verified};
 use stiction_runtime::faults::Faults;
 use stiction_runtime::metrics::Metrics;
 
@@ -138,13 +138,18 @@ impl Shared {
     }
 }
 
-/// Notes of recordings that were found whole, in the same store.
+/// Notes in the same store: of recordings that were found whole, and of data health.
 pub struct Notes(Arc<Shared>);
 
 impl Notes {
     /// A recording was found whole; `look` says by what it is recognised.
     pub fn verified(&self, file: &str, look: &str) {
         self.0.put(key_of_verified(file), Some(look.into()), None);
+    }
+
+    /// What data health remembers under a prefix.
+    pub fn data_health(&self, prefix: &str, json: Vec<u8>) {
+        self.0.put(key_of_data_health(prefix), Some(json), None);
     }
 
     /// A recording is gone.

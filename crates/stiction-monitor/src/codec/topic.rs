@@ -16,6 +16,8 @@ pub const PLANT: &str = "@plant";
 pub const LOOP_HEALTH_SCHEMA: &str = "stictiond.loop_health.v1";
 /// Schema name of the daemon's own health.
 pub const DAEMON_HEALTH_SCHEMA: &str = "stictiond.daemon_health.v1";
+/// Schema name of the summary of what keeps loops from being judged.
+pub const DATA_HEALTH_SCHEMA: &str = "stictiond.data_health.v1";
 
 /// Kind of a message; each has its own schema in a recording.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -34,6 +36,8 @@ pub enum Kind {
     Group,
     /// The daemon's or a loop's health.
     Health,
+    /// The summary of what keeps loops from being judged.
+    DataHealth,
     /// Initial state of a run.
     State,
     /// A command or clock event that entered a run.
@@ -42,7 +46,7 @@ pub enum Kind {
 
 impl Kind {
     /// Every kind.
-    pub const ALL: [Self; 9] = [
+    pub const ALL: [Self; 10] = [
         Self::Sample,
         Self::Mode,
         Self::Estimate,
@@ -50,6 +54,7 @@ impl Kind {
         Self::Gap,
         Self::Group,
         Self::Health,
+        Self::DataHealth,
         Self::State,
         Self::Input,
     ];
@@ -65,6 +70,7 @@ impl Kind {
             Self::Gap => "gap",
             Self::Group => "group",
             Self::Health => "health",
+            Self::DataHealth => "data_health",
             Self::State => "state",
             Self::Input => "input",
         }
@@ -81,6 +87,7 @@ impl Kind {
             Self::Gap => "stictiond.gap.v1",
             Self::Group => "stictiond.group.v1",
             Self::Health => LOOP_HEALTH_SCHEMA,
+            Self::DataHealth => DATA_HEALTH_SCHEMA,
             Self::State => "stictiond.state.v1",
             Self::Input => "stictiond.input.v1",
         }
@@ -226,6 +233,7 @@ mod tests {
         assert_eq!(schema_of("p/@stiction/v1/u1/FIC101/alarm"), Some("stictiond.alarm.v2"));
         assert_eq!(schema_of("p/@stiction/v1/A/health"), Some("stictiond.loop_health.v1"));
         assert_eq!(schema_of("p/@stiction/v1/@daemon/d1/health"), Some("stictiond.daemon_health.v1"));
+        assert_eq!(schema_of("p/@stiction/v1/@daemon/d1/data_health"), Some("stictiond.data_health.v1"));
         assert_eq!(schema_of("p/FIC101/op"), None);
     }
 

@@ -11,7 +11,7 @@ use stiction::record::Signal;
 use stiction::units::LoopKind;
 
 /// Settings outside `[[loop]]` that a running daemon takes over; all others need a restart.
-const AT_ONCE: [&str; 9] = [
+const AT_ONCE: [&str; 10] = [
     "window",
     "alarm",
     "gap",
@@ -19,6 +19,7 @@ const AT_ONCE: [&str; 9] = [
     "commands.per_minute",
     "commands.runs_per_hour",
     "retention",
+    "summary",
     "recording.max_bytes",
     "recording.max_s",
 ];
@@ -170,6 +171,7 @@ fn settings(config: &Config) -> BTreeMap<String, Value> {
         ("retention", serde_json::to_value(config.retention)),
         ("gap", serde_json::to_value(config.gap)),
         ("plant", serde_json::to_value(config.plant)),
+        ("summary", serde_json::to_value(&config.summary)),
         ("bundle", serde_json::to_value(&config.bundles)),
         ("deliver", serde_json::to_value(&config.deliver)),
         ("daemon", serde_json::to_value(&config.daemon)),
@@ -278,10 +280,10 @@ mod tests {
     #[test]
     fn settings_outside_loops_are_taken_over_or_need_a_restart() {
         let text = "[web]\npage = false\n[commands]\nper_minute = 7\nprincipals = [\"user:ann\"]\n[recording]\nmax_s = 9\n\
-                    raw = \"columns\"\n[plant]\ngroups = false\n[input]\nmax_loops = 7\n[retention]\nraw_days = 3\n\
+                    raw = \"columns\"\n[plant]\ngroups = false\n[input]\nmax_loops = 7\n[retention]\nraw_days = 3\n[summary]\nat = \"05:30\"\n\
                     [[bundle]]\nkey = \"gw/**\"\n[shard]\nindex = 0\ncount = 2\n";
         let found = changes("", text);
-        assert_eq!(found.settings, ["commands.per_minute", "recording.max_s", "retention.raw_days"]);
+        assert_eq!(found.settings, ["commands.per_minute", "recording.max_s", "retention.raw_days", "summary.at"]);
         let restart = [
             "bundle",
             "commands.principals",

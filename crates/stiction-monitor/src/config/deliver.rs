@@ -3,12 +3,14 @@
 use serde::Serialize;
 use toml::de::DeTable;
 
+use super::Summary;
 use super::reader::{Fault, Lines, TableReader, subtables};
+use crate::codec::topic::Kind;
 
 /// Default of `queue`, documents: months of alarms.
 const QUEUE: u64 = 10_000;
 /// Documents that can be delivered.
-const DOCUMENTS: [&str; 3] = ["alarm", "estimate", "gap"];
+const DOCUMENTS: [&str; 4] = ["alarm", "estimate", "gap", "data_health"];
 
 /// Protocol of delivery.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
@@ -48,7 +50,7 @@ pub struct Deliver {
     pub to: String,
     /// Parsed address.
     pub address: Address,
-    /// Documents to deliver: `alarm`, `estimate`, `gap`.
+    /// Documents to deliver: `alarm`, `estimate`, `gap`, `data_health`.
     pub documents: Vec<String>,
     /// MQTT: user name.
     pub user: String,
@@ -118,6 +120,20 @@ pub(super) fn read_delivers(lines: &Lines, root: &DeTable<'_>, faults: &mut Vec<
         r.close();
     }
     all
+}
+
+/// A receiver waits for a document that `[summary]` switches off.
+pub(super) fn never_made(lines: &Lines, root: &DeTable<'_>, summary: &Summary, receivers: &[Deliver]) -> Option<Fault> {
+    let word = Kind::DataHealth.name();
+    let waiting =
+        receivers.iter().find(|d| summary.every_s == 0.0 && d.documents.iter().any(|wanted| wanted == word))?;
+    let head = root.iter().find(|(key, _)| key.get_ref() == "summary").map_or(0, |(key, _)| key.span().start);
+    Some(Fault {
+        line: lines.of(head),
+        key: "summary.every_s".to_owned(),
+        message: format!("0 switches the summary off, but the receiver {:?} is to get {word}", waiting.name),
+        remedy: format!("write every_s = 86400, or remove {word} from its documents"),
+    })
 }
 
 fn read_deliver(r: &mut TableReader<'_, '_>) -> Option<Deliver> {
@@ -224,6 +240,13 @@ mod tests {
             ("name = \"a\"\nto = \"http://h\"\nuser = \"u\"", "deliver[0].user"),
             ("name = \"a\"\nto = \"mqtts://h\"\ncert_file = \"c\"", "deliver[0].cert_file"),
             ("name = \"a\"\nto = \"mqtt://h\"\ndocuments = [\"health\"]", "deliver[0].documents"),
+            (
+                "name = \"a\"\nto = \"mqtt://h\"\ndocuments = [\"data_health\"]\n[summary]\nevery_s = 0",
+                "summary.every_s",
+            ),
+            ("name = \"a\"\nto = \"mqtt://h\"\n[summary]\nevery_s = 0.5", "summary.every_s"),
+            ("name = \"a\"\nto = \"mqtt://h\"\n[summary]\nat = \"24:00\"", "summary.at"),
+            ("name = \"a\"\nto = \"mqtt://h\"\n[summary]\nat = \"6:00\"", "summary.at"),
             ("name = \"a\"\nto = \"mqtt://h\"\n[[deliver]]\nname = \"a\"\nto = \"mqtt://h\"", "deliver[1].name"),
         ] {
             let faults = parse(entry).unwrap_err();

@@ -22,7 +22,7 @@ pub use input::Input;
 pub use reader::Fault;
 use reader::{Lines, TableReader, subtable, syntax_fault};
 pub use scale::{Daemon, is_id};
-pub use service::{Commands, Plant, Retention, Signing};
+pub use service::{Commands, Plant, Retention, Signing, Summary};
 
 use crate::alarm::AlarmParams;
 use crate::engine::{GapParams, WindowParams};
@@ -38,7 +38,7 @@ fn is_default<T: Default + PartialEq>(settings: &T) -> bool {
 }
 
 /// Tables that occur once.
-const TABLES: [&str; 14] = [
+const TABLES: [&str; 15] = [
     "site",
     "zenoh",
     "input",
@@ -53,6 +53,7 @@ const TABLES: [&str; 14] = [
     "daemon",
     "shard",
     "plant",
+    "summary",
 ];
 
 /// All settings of the daemon. Field names are the keys in the text.
@@ -93,6 +94,9 @@ pub struct Config {
     /// Groups of loops. Omitted from [`Config::hash`] while nothing is set.
     #[serde(skip_serializing_if = "is_default")]
     pub plant: Plant,
+    /// The summary of data health. Like the next not part of [`Config::hash`], because it changes no other document.
+    #[serde(skip_serializing)]
+    pub summary: Summary,
     /// Receivers outside the bus. Not part of [`Config::hash`], because delivery changes no document.
     #[serde(skip_serializing)]
     pub deliver: Vec<Deliver>,
@@ -260,6 +264,7 @@ impl Config {
             daemon,
             shard,
             plant,
+            summary,
         ] = TABLES.map(|key| (key, open(key)));
         macro_rules! read {
             ($entry:expr, $read:expr) => {{
@@ -286,11 +291,13 @@ impl Config {
             daemon: read!(daemon, scale::read_daemon),
             shard: read!(shard, scale::read_shard),
             plant: read!(plant, service::read_plant),
+            summary: read!(summary, service::read_summary),
             deliver: deliver::read_delivers(lines, root, faults),
             bundles: bundle::read_bundles(lines, root, faults),
             loops: loops::read_loops(lines, root, window, alarm, faults),
         };
         faults.extend(scale::refuse_cluster(lines, root));
+        faults.extend(deliver::never_made(lines, root, &config.summary, &config.deliver));
         faults.extend(input::too_few_places(lines, root, config.input.max_loops, config.loops.len()));
         config
     }

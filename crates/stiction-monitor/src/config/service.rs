@@ -1,4 +1,4 @@
-//! Settings of the daemon as a service: retention of recordings, accepted commands, groups of loops.
+//! Settings of the daemon as a service: retention of recordings, accepted commands, groups of loops, the summary of data health.
 
 use serde::Serialize;
 
@@ -37,6 +37,33 @@ pub struct Plant {
     pub groups: bool,
 }
 
+/// `[summary]`: the document of what keeps loops from being judged, for receivers and the bus.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Summary {
+    /// Seconds between two summaries; 0: none.
+    pub every_s: f64,
+    /// Time of day at which one is due, `HH:MM`, UTC.
+    pub at: String,
+}
+
+impl Summary {
+    /// Time of day at which one is due, s.
+    #[must_use]
+    pub fn at_s(&self) -> f64 {
+        seconds_of_day(&self.at).unwrap_or(0.0)
+    }
+}
+
+/// Seconds after midnight of `HH:MM`.
+fn seconds_of_day(text: &str) -> Option<f64> {
+    let (hours, minutes) = text.split_once(':')?;
+    let number = |digits: &str, most: u32| {
+        let is_plain = digits.len() == 2 && digits.bytes().all(|b| b.is_ascii_digit());
+        digits.parse::<u32>().ok().filter(|n| is_plain && *n <= most)
+    };
+    Some(f64::from(3600 * number(hours, 23)? + 60 * number(minutes, 59)?))
+}
+
 /// `[signing]`.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct Signing {
@@ -56,6 +83,12 @@ impl Default for Plant {
     }
 }
 
+impl Default for Summary {
+    fn default() -> Self {
+        Self { every_s: 86_400.0, at: "06:00".to_owned() }
+    }
+}
+
 impl Default for Commands {
     fn default() -> Self {
         Self { enabled: true, per_minute: 300, runs_per_hour: 60, principals: Vec::new() }
@@ -64,6 +97,26 @@ impl Default for Commands {
 
 pub(super) fn read_plant(r: &mut TableReader<'_, '_>) -> Plant {
     Plant { groups: r.boolean("groups", Plant::default().groups) }
+}
+
+pub(super) fn read_summary(r: &mut TableReader<'_, '_>) -> Summary {
+    let d = Summary::default();
+    let every_s = r.number("every_s", d.every_s, 0.0, 604_800.0);
+    if every_s > 0.0
+        && every_s < 1.0
+        && let Some(line) = r.line_of("every_s")
+    {
+        r.refuse(line, "every_s", format!("{every_s} is too short"), "write 0 for no summary, or at least 1");
+    }
+    let at = match r.text("at") {
+        Some((at, line)) if seconds_of_day(&at).is_none() => {
+            r.refuse(line, "at", format!("{at:?} is not a time of day"), "write HH:MM in UTC, such as \"06:00\"");
+            d.at
+        }
+        Some((at, _)) => at,
+        None => d.at,
+    };
+    Summary { every_s, at }
 }
 
 pub(super) fn read_signing(r: &mut TableReader<'_, '_>) -> Signing {

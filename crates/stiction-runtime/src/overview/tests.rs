@@ -187,15 +187,90 @@ fn an_obstacle_lasts_from_the_first_of_the_newest_windows_that_have_it() {
         let mut document = EstimateDocument::clone(&estimate("A", start_ns, None, verdict));
         (document.assessment.reason, document.assessment.window.start_ns) = (reason, start_ns);
         overview.estimate(&name, &place, now, Arc::new(document));
-        overview.obstacles().obstacles.first().map(|o| (o.kind, o.since_ms))
+        overview.obstacles(now).obstacles.first().map(|o| (o.kind, o.since_ms))
     };
-    assert_eq!(overview.obstacles().share, None);
+    assert_eq!(overview.obstacles(now).share, None);
     overview.figures(&name, &place, now, &figures(1));
-    assert_eq!(overview.obstacles().obstacles[0].kind, ObstacleKind::Waiting);
+    assert_eq!(overview.obstacles(now).obstacles[0].kind, ObstacleKind::Waiting);
     assert_eq!(window(1_000_000, Some("manual")), Some((ObstacleKind::Manual, Some(1.0))));
     assert_eq!(window(2_000_000, Some("manual")), Some((ObstacleKind::Manual, Some(1.0))));
     assert_eq!(window(3_000_000, Some("saturated")), Some((ObstacleKind::AtLimit, Some(3.0))));
     assert_eq!(window(4_000_000, Some("trend")), Some((ObstacleKind::Other, Some(4.0))));
-    assert_eq!((window(5_000_000, None), overview.obstacles().judged), (None, 1));
+    assert_eq!((window(5_000_000, None), overview.obstacles(now).judged), (None, 1));
     assert_eq!(window(6_000_000, Some("manual")), Some((ObstacleKind::Manual, Some(6.0))));
+}
+
+#[test]
+fn a_configured_loop_that_sends_nothing_is_silent_and_each_loop_needs_its_own_samples() {
+    let text = "[site]\nprefix = \"p\"\n[window]\nmin_samples_per_period = 40\n[[loop]]\nname = \"A\"\n\
+                min_samples_per_period = 20\n[[loop]]\nname = \"B\"\nop = \"gw/b\"\narea = \"u\"\n";
+    let config = Arc::new(stiction_monitor::config::Config::parse(text).unwrap());
+    let (overview, now, place) = (Overview::default(), Instant::now(), LoopContext::default());
+    let later = now + Duration::from_secs(301);
+    overview.expect(config.clone(), now, 5_000_000);
+    let kinds = |at| overview.obstacles(at).obstacles.iter().map(|o| o.kind).collect::<Vec<_>>();
+    assert_eq!((kinds(now), kinds(later)), (vec![ObstacleKind::Waiting; 2], vec![ObstacleKind::Silent; 2]));
+    // A reload does not begin the wait anew.
+    overview.expect(config, later, 9_000_000);
+    let found = overview.obstacles(later);
+    let b = &found.obstacles[1];
+    assert_eq!((found.loops, found.judged, b.appeared, b.since_ms), (2, 0, false, Some(5.0)));
+    assert_eq!((b.area.as_deref(), b.remedy.as_str()), (Some("u"), "check that something publishes gw/b and p/B/pv"));
+    for (name, needed) in [("A", "20 samples"), ("C", "40 samples")] {
+        let mut document = EstimateDocument::clone(&estimate(name, 1, None, Verdict::Inconclusive));
+        let a = &mut document.assessment;
+        (a.reason, a.gates, a.oscillation.period_s) = (Some("too_coarse"), vec![Gate::TooCoarse], Some(100.0));
+        overview.estimate(&name.into(), &place, later, Arc::new(document));
+        let found = overview.obstacles(later);
+        let remedy = &found.obstacles.iter().find(|o| o.loop_name == name).unwrap().remedy;
+        assert!(remedy.contains(needed), "{remedy}");
+    }
+    let mut document = EstimateDocument::clone(&estimate("D", 1, None, Verdict::NoOscillation));
+    document.assessment.gates = vec![Gate::TooCoarse];
+    overview.estimate(&"D".into(), &place, later, Arc::new(document));
+    let found = overview.obstacles(later);
+    assert!(found.obstacles.iter().all(|o| o.loop_name != "D"), "the period of noise needs no samples");
+    // A loop that has left the memory is still awaited.
+    overview.figures(&"A".into(), &place, later, &figures(7_000_000));
+    overview.forget("A");
+    let found = overview.obstacles(later);
+    let a = &found.obstacles[0];
+    assert_eq!((a.loop_name.as_str(), a.words.as_str(), a.since_ms), ("A", "no new data", Some(7.0)));
+}
+
+#[test]
+fn the_beginning_of_an_obstacle_and_the_trend_outlive_a_restart() {
+    let (now, place, name) = (Instant::now(), LoopContext::default(), Arc::<str>::from("A"));
+    let window = |overview: &Overview, start_ns: i64, reason: &'static str| {
+        let mut document = EstimateDocument::clone(&estimate("A", start_ns, None, Verdict::Inconclusive));
+        (document.assessment.reason, document.assessment.window.start_ns) = (Some(reason), start_ns);
+        overview.estimate(&name, &place, now, Arc::new(document));
+        overview.obstacles(now).obstacles[0].since_ms
+    };
+    let first = Overview::default();
+    window(&first, 1_000_000, "manual");
+    first.add_share(&first.obstacles(now), 2_000_000);
+    let kept = first.kept(&first.look(now), Some(3));
+    let json = serde_json::to_vec(&kept).unwrap();
+    let again = || {
+        let overview = Overview::default();
+        overview.take_over(serde_json::from_slice(&json).unwrap());
+        overview.figures(&name, &place, now, &figures(1));
+        overview
+    };
+    let second = again();
+    assert_eq!(second.kept(&second.look(now), Some(3)), kept, "a run without a window forgets nothing");
+    assert_eq!(second.obstacles(now).trend[0], SharePoint { t_ms: 2.0, judged: 0, loops: 1, share: 0.0 });
+    assert_eq!(window(&second, 9_000_000, "manual"), Some(1.0));
+    assert_eq!(window(&again(), 9_000_000, "saturated"), Some(9.0), "another obstacle begins with its window");
+}
+
+#[test]
+fn the_trend_is_bounded() {
+    let (overview, now) = (Overview::default(), Instant::now());
+    overview.figures(&"A".into(), &LoopContext::default(), now, &figures(1));
+    let found = overview.obstacles(now);
+    (0..800).for_each(|k| overview.add_share(&found, k));
+    let trend = overview.obstacles(now).trend;
+    assert_eq!((trend.len(), trend[743].t_ms), (744, 799e-6));
 }

@@ -1,5 +1,7 @@
 //! What keeps loops from being judged.
 
+use std::time::Instant;
+
 use axum::Json;
 use axum::extract::State;
 use axum::routing::get;
@@ -20,5 +22,5 @@ pub(super) fn operations() -> Vec<Operation<Shared>> {
 }
 
 async fn obstacles(State(live): State<Shared>) -> Json<Obstacles> {
-    Json(live.overview.obstacles())
+    Json(live.overview.obstacles(Instant::now()))
 }

@@ -1,6 +1,7 @@
 // Data: the share of loops that can be judged, and what keeps the others from it.
 
 import * as api from "./api.js";
+import { line } from "./charts.js";
 import { fill, h, loading } from "./dom.js";
 import * as format from "./format.js";
 import { on } from "./store.js";
@@ -22,7 +23,7 @@ const KINDS = {
 
 function row(obstacle) {
   return h("tr", { "data-kind": obstacle.kind },
-    h("th", { scope: "row" }, h("a", { href: `#/loop/${encodeURIComponent(obstacle.loop)}` }, obstacle.loop)),
+    h("th", { scope: "row" }, obstacle.appeared ? h("a", { href: `#/loop/${encodeURIComponent(obstacle.loop)}` }, obstacle.loop) : obstacle.loop),
     h("td", null, obstacle.area ?? "–"),
     h("td", null, KINDS[obstacle.kind] ?? obstacle.kind, obstacle.blocks ? null : h("b", { class: "under-words" }, "judged, but less surely")),
     h("td", null, obstacle.since_ms === null ? "–" : format.recent(obstacle.since_ms)),
@@ -37,12 +38,28 @@ function table(obstacles) {
     h("tbody", null, obstacles.map(row))));
 }
 
+/** The chart of the share over time, with its numbers as a table; nothing before there are two points. */
+function shareOverTime(root) {
+  let chart = null;
+  return {
+    draw(trend) {
+      if (trend.length < 2) return;
+      chart ??= line(root, { label: "Share of loops that can be judged", height: 120, least: 0, yLabel: "%", series: [{ key: "share", label: "can be judged", ink: "--op", unit: "%" }] });
+      chart.setData({ x: trend.map((p) => p.t_ms), share: trend.map((p) => 100 * p.share) }, { keepView: true });
+    },
+    end: () => chart?.destroy(),
+  };
+}
+
 /** Shows the list; returns what cleans up. */
 export function show(root) {
   const figure = h("p", { role: "status" });
   const list = h("div");
-  fill(root, h("h1", null, "Data"), h("p", { class: "soft" }, "What keeps loops from being judged."), figure, list);
-  const draw = ({ loops, judged, share, obstacles }) => {
+  const over = h("div");
+  fill(root, h("h1", null, "Data"), h("p", { class: "soft" }, "What keeps loops from being judged."), figure, over, list);
+  const chart = shareOverTime(over);
+  const draw = ({ loops, judged, share, obstacles, trend }) => {
+    chart.draw(trend);
     fill(figure, share === null ? "No loop has appeared yet." : [h("b", null, format.percent(share)), ` of all loops can be judged (${format.integer(judged)} of ${format.integer(loops)})`]);
     const held = list.contains(document.activeElement) ? document.activeElement.getAttribute("href") : null;
     fill(list, obstacles.length ? table(obstacles) : h("p", { class: "note" }, "Nothing keeps a loop from being judged."));
@@ -55,6 +72,6 @@ export function show(root) {
   const ends = [on("rows", soon), on("back", () => part.run(true))];
   return () => {
     clearTimeout(later);
-    [part.end, ...ends].forEach((end) => end());
+    [part.end, chart.end, ...ends].forEach((end) => end());
   };
 }

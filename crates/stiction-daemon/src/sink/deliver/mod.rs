@@ -30,12 +30,14 @@ use keep::{Change, Keep};
 #[cfg(feature = "deliver")]
 pub use mqtt::tls_of;
 use queue::Queue;
+use stiction::units::format_rfc3339;
 use stiction_files::disk::{Disk, SystemDisk};
 use stiction_monitor::alarm::{AlarmDocument, Priority};
 use stiction_monitor::codec::topic::Kind;
 use stiction_monitor::config::{Config, Deliver, Protocol};
 use stiction_monitor::short_hash;
 use stiction_runtime::clock::Clock;
+use stiction_runtime::data_health::DataHealthDocument;
 use stiction_runtime::faults::Faults;
 use stiction_runtime::metrics::Metrics;
 pub use worker::MakeTarget;
@@ -55,7 +57,7 @@ const LOSS_SHOWN: Duration = Duration::from_secs(3600);
 pub struct Item {
     /// Its identity: whoever has seen it may drop it.
     pub id: String,
-    /// What it is: `alarm`, `estimate` or `gap`.
+    /// What it is: `alarm`, `estimate`, `gap` or `data_health`.
     pub kind: String,
     /// Its schema's name.
     pub schema: String,
@@ -119,7 +121,7 @@ impl Item {
     /// An estimate or a gap diagnosis, of a window that ended at this time.
     #[must_use]
     pub fn result(prefix: &str, loop_name: &str, kind: Kind, end_ns: i64, json: &[u8]) -> Self {
-        let time = stiction::units::format_rfc3339(end_ns);
+        let time = format_rfc3339(end_ns);
         Self {
             id: short_hash(&[prefix.as_bytes(), b"\n", loop_name.as_bytes(), b"\n", json].concat()),
             kind: kind.name().to_owned(),
@@ -130,6 +132,29 @@ impl Item {
             time,
             level: 6,
             fields: vec![("loop".to_owned(), loop_name.to_owned())],
+            document: String::from_utf8_lossy(json).into_owned(),
+        }
+    }
+}
+
+impl Item {
+    /// The summary of data health.
+    #[must_use]
+    pub fn data_health(prefix: &str, document: &DataHealthDocument, json: &[u8]) -> Self {
+        let text = |name: &str, value: String| (name.to_owned(), value);
+        let share = document.share.map(|share| text("share", format!("{share:.4}")));
+        let figures =
+            [text("judged", document.judged.to_string()), text("loops", document.loops.to_string())].into_iter();
+        Self {
+            id: document.event_id.clone(),
+            kind: Kind::DataHealth.name().to_owned(),
+            schema: document.schema.to_owned(),
+            loop_name: format!("@daemon/{}", document.daemon),
+            prefix: prefix.to_owned(),
+            time: format_rfc3339(document.due_ns),
+            level: 6,
+            fields: figures.chain(share).collect(),
+            line: document.line(),
             document: String::from_utf8_lossy(json).into_owned(),
         }
     }
@@ -203,7 +228,8 @@ fn pem(key: &str, path: &str) -> anyhow::Result<Option<Vec<u8>>> {
     std::fs::read(path).map(Some).with_context(|| format!("{key} {path}"))
 }
 
-/// The engine's end.
+/// The engine's end; copies hand over to the same receivers.
+#[derive(Clone)]
 pub struct Outbox {
     handed: Sender<Arc<Item>>,
     wanted: Vec<String>,
